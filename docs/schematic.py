@@ -30,15 +30,15 @@ def constant(path, name):
 # What the firmware reads by.
 V_FULL_SCALE_V = constant("shared/src/sampling.rs", "V_FULL_SCALE_MV") / 1e3
 I_FULL_SCALE_A = constant("shared/src/sampling.rs", "I_FULL_SCALE_MA") / 1e3
-BUS_FULL_SCALE_V = constant("firmware/src/mains.rs", "BUS_DV_FULL_SCALE") / 10
+BUS_FULL_SCALE_V = constant("firmware/src/sense/mains.rs", "BUS_DV_FULL_SCALE") / 10
 I_TRIP_A = constant("firmware/src/limits.rs", "TRIP_CURRENT_MA") / 1e3
-MAINS_ARMED_CODE = constant("firmware/src/mains.rs", "ARMED_AT")
+MAINS_ARMED_CODE = constant("firmware/src/sense/mains.rs", "ARMED_AT")
 C_R_NF = constant("shared/src/hob.rs", "RESONANCE_CAPACITANCE_NF")
 F_MIN_HZ = constant("shared/src/hob.rs", "F_SW_MIN_HZ")
 F_MAX_HZ = constant("shared/src/hob.rs", "F_SW_MAX_HZ")
-DEAD_TIME_NS = constant("firmware/src/pwm.rs", "DEAD_TIME_NS")
+DEAD_TIME_NS = constant("firmware/src/drive/pwm.rs", "DEAD_TIME_NS")
 TICK_HZ = 8 * 170e6
-MAINS_FULL_SCALE_V = constant("firmware/src/mains.rs", "MAINS_FULL_SCALE_MV") / 1e3
+MAINS_FULL_SCALE_V = constant("firmware/src/sense/mains.rs", "MAINS_FULL_SCALE_MV") / 1e3
 ANTI_ALIAS_HZ = constant("shared/src/sampling.rs", "ANTI_ALIAS_HZ")
 V_REF_V, V_ADC_V, HALF_CODES = 1.65, 3.3, 2048
 

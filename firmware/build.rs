@@ -7,7 +7,7 @@ use std::{env, fs};
 const STM32G474: &str = "FLASH : ORIGIN = 0x08000000, LENGTH = 508K\n\
                          CCM : ORIGIN = 0x10000000, LENGTH = 32K\n";
 const MPS2_AN386: &str = "FLASH : ORIGIN = 0x00000000, LENGTH = 508K\n";
-/// What goes into the CCM SRAM.
+/// Linker script of the CCM SRAM.
 const IN_CCM: &str = include_str!("ccm.x");
 
 fn main() {

@@ -9,9 +9,10 @@ use std::f64::consts::{PI, TAU};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::realtime::{Block, Drive, RealTime};
-use ihd_firmware::service::NoFacilities;
+use ihd_firmware::drive::bridge::Drive;
+use ihd_firmware::link::housekeeping::Housekeeping;
+use ihd_firmware::link::service::NoBoardServices;
+use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_link::{Client, LinkError, Transport};
 use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, block_ns,
@@ -37,7 +38,7 @@ pub type Mangle = Box<dyn FnMut(&[u8]) -> Vec<u8> + Send>;
 /// Firmware, load and the device's end of the link.
 pub struct DeskHob {
     housekeeping: Housekeeping,
-    realtime: Box<RealTime>,
+    realtime: Box<SamplingPath>,
     time_ns: u64,
     /// R of the load at 45 kHz, in ohm; 0 for no pot: the empty coil.
     pub load_ohm: f64,
@@ -66,7 +67,7 @@ impl DeskHob {
         let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
         Self {
             housekeeping: Housekeeping::new(hello),
-            realtime: Box::new(RealTime::new(r, l)),
+            realtime: Box::new(SamplingPath::new(r, l)),
             time_ns: 0,
             load_ohm: 4.5,
             blocks: 0,
@@ -91,7 +92,7 @@ impl DeskHob {
     }
 
     /// The firmware's sampling path.
-    pub fn realtime(&mut self) -> &mut RealTime {
+    pub fn realtime(&mut self) -> &mut SamplingPath {
         &mut self.realtime
     }
 
@@ -148,7 +149,7 @@ impl DeskHob {
         let next_crossing = (self.time_ns / HALF_CYCLE_NS + 1) * HALF_CYCLE_NS;
         let zero_crossing = (next_crossing <= self.time_ns + duration)
             .then(|| ((next_crossing - self.time_ns) * ADC_LOCK_P as u64).div_ceil(duration) as u8);
-        let block = Block {
+        let block = AdcBlock {
             pairs: &pairs,
             zero_crossing,
             bus_dv: (BUS_PEAK_V * self.envelope() * 10.0) as u16,
@@ -165,7 +166,7 @@ impl DeskHob {
         if self.blocks.is_multiple_of(self.turn_every) {
             self.housekeeping.poll(&mut *self.realtime);
             self.housekeeping
-                .serve(&mut *self.realtime, &mut NoFacilities);
+                .serve(&mut *self.realtime, &mut NoBoardServices);
         }
         self.exchange();
     }

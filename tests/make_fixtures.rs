@@ -4,7 +4,7 @@
 //! 61/3; noiseless, and with white noise of 30 dB by the paper's definition over that half-cycle
 //! (seed 7).
 
-use ihd_firmware::realtime::Drive;
+use ihd_firmware::drive::bridge::Drive;
 use ihd_shared::sampling::{AMPERE_PER_CODE, Pair, VOLT_PER_CODE};
 use ihd_sim::adc::{Adc, Noise};
 use ihd_sim::behavioural::PotKind;

@@ -55,7 +55,7 @@ pub enum Jacobian {
     Exact,
 }
 
-/// The filter of `ihd_firmware::ekf` in f64: four real states (I_re, I_im, R, X), full matrices,
+/// The filter of `ihd_firmware::estimate::ekf` in f64: four real states (I_re, I_im, R, X), full matrices,
 /// Joseph's form.
 pub struct Ekf {
     /// State in A, A, ohm, ohm.

@@ -4,19 +4,19 @@ use std::path::{Path, PathBuf};
 
 use ihd_sim::pot::Pot;
 use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{Change, Event, LoadKind, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
 
 /// Every so many periods of truth are kept: R and L change little within half a millisecond.
 pub const TRUTH_EVERY: usize = 8;
 
 /// Name and settings of every capture.
-pub fn all() -> [(&'static str, Settings); 6] {
+pub fn all() -> [(&'static str, CaptureSpec); 6] {
     let steps = [(10e-3, 52e3), (20e-3, 60e3)].map(|(t_s, f)| event(t_s, Change::Frequency(f)));
     [
         ("start-up", board(20e-3)),
         (
             "pot-removal",
-            Settings {
+            CaptureSpec {
                 f_sw_hz: 50e3,
                 events: vec![event(13e-3, Change::Pot(Pot::NONE))],
                 ..board(20e-3)
@@ -24,7 +24,7 @@ pub fn all() -> [(&'static str, Settings); 6] {
         ),
         (
             "frequency-steps",
-            Settings {
+            CaptureSpec {
                 events: steps.to_vec(),
                 ..board(30e-3)
             },
@@ -58,8 +58,8 @@ fn event(t_s: f64, change: Change) -> Event {
 }
 
 /// What a board sees of a 21 cm pot at 45 kHz: 12 bit, f_sw·61/3, a pole at 500 kHz.
-fn board(duration_s: f64) -> Settings {
-    Settings {
+fn board(duration_s: f64) -> CaptureSpec {
+    CaptureSpec {
         load: LoadKind::Surrogate,
         winding_r_ohm: 0.1,
         duration_s,
@@ -69,11 +69,11 @@ fn board(duration_s: f64) -> Settings {
             pole_hz: 500e3,
             ..Sensing::default()
         },
-        ..Settings::default()
+        ..CaptureSpec::default()
     }
 }
 
-fn sensed(change: fn(&mut Sensing)) -> Settings {
+fn sensed(change: fn(&mut Sensing)) -> CaptureSpec {
     let mut settings = board(20e-3);
     change(&mut settings.sensing);
     settings

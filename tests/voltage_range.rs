@@ -6,7 +6,7 @@ use ihd_identify::Method;
 use ihd_identify::accuracy::Accuracy;
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{LoadKind, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 use ihd_survey::{Hints, Survey};
 
 const F_SW_HZ: [f64; 4] = [45e3, 50e3, 60e3, 70e3];
@@ -35,7 +35,7 @@ fn cell(
     v_full_scale_v: f64,
     f_sw_hz: f64,
 ) -> Result<String, Box<dyn std::error::Error>> {
-    let settings = Settings {
+    let settings = CaptureSpec {
         f_sw_hz,
         load: LoadKind::Behavioural,
         duration_s: 20e-3,
@@ -46,13 +46,13 @@ fn cell(
             v_full_scale_v,
             ..Sensing::default()
         },
-        ..Settings::default()
+        ..CaptureSpec::default()
     };
     let capture = record(&settings, |_| ())?.capture("voltage range");
     let survey = Survey::of(&capture, &Hints::default())?;
     let segments = survey.segments(&capture);
     let segment = segments.first().ok_or("no segment")?;
-    let estimate = ihd_identify::run(method, segment, &ihd_identify::Settings::default())?;
+    let estimate = ihd_identify::run(method, segment, &ihd_identify::IdentifyOptions::default())?;
     let accuracy = Accuracy::of(&estimate, segment, &capture.truth, 10e-3).ok_or("no truth")?;
     let text = |e: ihd_signal::truth::Mre| format!("{:.3}/{:.3}", e.r_pct, e.l_pct);
     Ok(format!(

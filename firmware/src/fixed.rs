@@ -30,7 +30,7 @@ pub fn narrow(x: i64, shift: u32) -> i32 {
     saturate((x >> (shift - 1)).saturating_add(1) >> 1)
 }
 
-/// As [`narrow`], for `x` below 2^62 in magnitude: a third of its instructions.
+/// Same as [`narrow`], for `x` below 2^62 in magnitude: a third of its instructions.
 #[inline(always)]
 pub fn narrow_within(x: i64, shift: u32) -> i32 {
     debug_assert!(x.unsigned_abs() <= 1 << 62 && (1..=62).contains(&shift));
@@ -48,7 +48,7 @@ pub fn narrow_within(x: i64, shift: u32) -> i32 {
     }
 }
 
-/// As [`narrow_within`], where the result is known to fit.
+/// Same as [`narrow_within`], where the result is known to fit.
 #[inline(always)]
 pub fn narrow_fitting(x: i64, shift: u32) -> i32 {
     let x = x.wrapping_add(1 << (shift - 1)) >> shift;
@@ -172,7 +172,7 @@ impl Factor {
         saturate(product.wrapping_add(1 << (self.shift - 1)) >> self.shift)
     }
 
-    /// As [`Factor::times`], where the result is known to fit.
+    /// Same as [`Factor::times`], where the result is known to fit.
     #[inline(always)]
     pub fn times_fitting(self, x: i32) -> i32 {
         narrow_fitting(wide(x, self.mantissa), self.shift)

@@ -1,53 +1,40 @@
 //! The induction-hob controller, everything that needs no hardware.
 //!
+//! Rooms by pace: up to `sampling` once a block in the ADC's interrupt, `control` and `link` once a half-cycle in the thread.
+//! A room uses those to its left; `drive`, `limits` and `fixed` lie below all.
+//!
 //! ```text
-//!  pairs ─► demod ─► ekf ─► R, L ─┬─► protection (every block)
-//!    │                            ├─► half_cycle ─► control: pot, power ─► drive
-//!    └────► recorder (pairs, R, L)┘                     ▲
-//!              │                                        │
-//!              └────► transmit queue ◄── link ────► lookup, checked
+//! sense ─► estimate ─► protect ─► sampling ─► control ─► link ─► board (main.rs)
+//! drive ────────────────┘
 //! ```
 //!
-//! [`realtime::RealTime`] is what runs in the sampling interrupt: one call per block of 61 sample
-//! pairs, no waiting, no panic, no float. [`housekeeping::Housekeeping`] runs below it: link,
-//! power control and pot detection, once per half-cycle. The board owns both and nothing else
-//! decides anything; the host's simulator is just another board.
+//! | room | responsibility |
+//! |---|---|
+//! | [`sense`] | samples to phasors, zero crossings, bus voltage |
+//! | [`estimate`] | R and L from phasors; the resonant tank |
+//! | [`drive`] | states of the half-bridge, grid of frequencies |
+//! | [`protect`] | trips and soft limits, each block |
+//! | [`sampling`] | the path of a block, half-cycles, recorded windows |
+//! | [`control`] | state machine, power, pot, bursts, restart |
+//! | [`link`] | commands, responses, tests, replay, log |
+//! | [`self_test`], [`retained`] | class B checks; what outlives a reset |
+//!
+//! [`sampling::path::SamplingPath`] takes one block of 61 sample pairs a call: no waiting, no panic, no float.
+//! [`link::housekeeping::Housekeeping`] runs below it. The board owns both and decides nothing by itself; the host's simulator
+//! is another board.
 #![no_std]
 
 #[cfg(test)]
 extern crate std;
 
-pub mod burst;
-pub mod channels;
 pub mod control;
-pub mod conversation;
-pub mod demod;
 pub mod drive;
-pub mod ekf;
+pub mod estimate;
 pub mod fixed;
-pub mod half_cycle;
-pub mod health;
-pub mod housekeeping;
-pub mod impedance;
 pub mod limits;
-pub mod log_ring;
-pub mod mains;
-pub mod nonvolatile;
-pub mod plausibility;
-pub mod pot;
-pub mod power;
-pub mod protection;
-pub mod pwm;
-pub mod realtime;
-pub mod recorder;
-pub mod replay;
-pub mod request;
-pub mod reset;
-pub mod restart;
-pub mod ring;
+pub mod link;
+pub mod protect;
+pub mod retained;
+pub mod sampling;
 pub mod self_test;
-pub mod service;
-pub mod soft_limit;
-pub mod temperature;
-pub mod transmit_queue;
-pub mod utilisation;
+pub mod sense;

@@ -15,7 +15,7 @@ pub struct Row {
     pub value: f64,
     /// Its unit.
     pub unit: &'static str,
-    /// What it is for.
+    /// Purpose, and the reason for the value.
     pub doc: &'static str,
 }
 
@@ -64,7 +64,7 @@ limits! {
     /// For so long the bus may be down while the bridge switches; then both switches open until the
     /// next zero crossing. The mains passes its zero in 0.4 ms at 180 V and 45 Hz, in 1 ms at 70 V.
     BUS_DOWN_NS: u32 = 1_500_000, "ns";
-    /// While the bus is below this share of what it was, more power is not looked for: the mains may
+    /// While the bus is below this share of what it was, the power is not raised: the mains may
     /// come back at once.
     SAG_PERCENT: u32 = 85, "%";
     /// So long a lower bus voltage lasts before it counts as the new one.
@@ -80,9 +80,9 @@ limits! {
     TURN_OFF_PERCENT: u32 = 150, "%";
     /// With less than this within a block, the frequency is raised.
     SOFT_TURN_OFF_PERCENT: u32 = 115, "%";
-    /// Below this bus voltage a hard edge costs less than 7 µJ, and turn-off current is not looked at.
+    /// Below this bus voltage a hard edge costs less than 7 µJ, and turn-off current is not checked.
     SOFT_SWITCHING_FROM_DV: u16 = 500, "dV";
-    /// What a soft limit adds to the frequency, at least.
+    /// Least step of the frequency at a soft limit.
     SOFT_STEP_PERMILLE: u32 = 80, "permille";
     /// Blocks until the next soft limit may act: new periods begin a block later, and the tank follows
     /// within another.
@@ -91,14 +91,14 @@ limits! {
     SOFT_REMEMBERED_MS: u32 = 600, "ms";
     /// For so long the frequency at which a pot was lifted is not gone below.
     LIFT_REMEMBERED_MS: u32 = 2_000, "ms";
-    /// Largest step towards more power per half-cycle, with a lookup that nobody has taught.
+    /// Largest step towards more power per half-cycle, with a lookup that holds no observation.
     STEP_DOWN_HZ: u32 = 2_500, "Hz";
     /// The same where the lookup rests on observations and agrees with what is measured, and on the way
     /// back to where the same pot was heated.
     TAUGHT_STEP_DOWN_HZ: u32 = 30_000, "Hz";
     /// Largest step towards less power per half-cycle.
     STEP_UP_HZ: u32 = 8_000, "Hz";
-    /// Power that is near enough to what was asked for.
+    /// Deviation from the request that is near enough.
     DEAD_BAND_PERCENT: u32 = 2, "%";
     /// Share of the rating that a small pot gets: it takes the whole flux on a small base.
     SMALL_POT_PERCENT: u16 = 50, "%";
@@ -108,16 +108,16 @@ limits! {
     POT_GONE_HALF_CYCLES: u8 = 2, "half-cycles";
     /// Amplitude of the coil current below which no pot can be judged.
     POT_CURRENT_MIN_MA: u32 = 1_500, "mA";
-    /// How long the bridge switches to look for a pot, from a zero crossing on: before the crest, with at
+    /// Duration of a pot probe, from a zero crossing on: it ends before the crest, with at
     /// most 2 J into any load at 265 V.
-    LOOK_NS: u32 = 3_300_000, "ns";
-    /// From one look for a pot to the next, in the first time after one was taken away: it may be on
+    PROBE_NS: u32 = 3_300_000, "ns";
+    /// From one pot probe to the next, in the first time after one was taken away: it may be on
     /// its way back.
-    QUICK_LOOK_MS: u32 = 200, "ms";
-    /// How long that first time is.
-    QUICK_LOOKS_FOR_MS: u32 = 1_600, "ms";
-    /// From one look to the next after it.
-    LOOK_MS: u32 = 700, "ms";
+    QUICK_PROBE_MS: u32 = 200, "ms";
+    /// Duration of that first time.
+    QUICK_PROBES_FOR_MS: u32 = 1_600, "ms";
+    /// From one pot probe to the next after it.
+    PROBE_MS: u32 = 700, "ms";
     /// Waiting for a pot ends after this, unless the host sets another time, 60 to 600 s.
     GIVE_UP_MS: u32 = Configure::DEFAULT.give_up_s as u32 * 1_000, "ms";
     /// Starts again after trips before the lock-out.

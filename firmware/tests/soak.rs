@@ -6,12 +6,13 @@
 
 use std::f64::consts::{FRAC_2_PI, TAU};
 
-use ihd_firmware::housekeeping::Housekeeping;
+use ihd_firmware::control::request::PanelEvent;
+use ihd_firmware::control::temperature::TemperatureCodes;
+use ihd_firmware::drive::bridge::Bridge;
+use ihd_firmware::drive::pwm;
 use ihd_firmware::limits::{DITHER_MAX_PERMILLE, TRIES};
-use ihd_firmware::pwm;
-use ihd_firmware::realtime::{Block, Bridge, RealTime};
-use ihd_firmware::request::PanelEvent;
-use ihd_firmware::temperature::TemperatureCodes;
+use ihd_firmware::link::housekeeping::Housekeeping;
+use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{RATED_POWER_W, RESONANCE_CAPACITANCE_NF};
 use ihd_shared::lookup::RlLookup;
@@ -91,7 +92,7 @@ fn of_load(r_ohm: f64, x_ohm: f64, crest_a: f64) -> Vec<[Pair; ADC_LOCK_P]> {
 
 struct Soak {
     random: Random,
-    realtime: Box<RealTime>,
+    realtime: Box<SamplingPath>,
     housekeeping: Box<Housekeeping>,
     pot: Vec<[Pair; ADC_LOCK_P]>,
     air: Vec<[Pair; ADC_LOCK_P]>,
@@ -108,7 +109,10 @@ impl Soak {
         let hello = ours(ROLE_DEVICE, 0, 1, "soak", "soak");
         Self {
             random: Random(seed),
-            realtime: Box::new(RealTime::new(MicroOhm(4_000_000), PicoHenry(26_000_000))),
+            realtime: Box::new(SamplingPath::new(
+                MicroOhm(4_000_000),
+                PicoHenry(26_000_000),
+            )),
             housekeeping: Box::new(Housekeeping::new(hello)),
             pot: of_load(POT.0, POT.1, POT.2),
             air: of_load(0.15, 30.0, 7.0),
@@ -179,7 +183,7 @@ impl Soak {
             (self.bus_peak_dv() * (TAU * 0.5 * phase).sin()) as u16
         };
         let was = self.realtime.fault();
-        let drive = self.realtime.on_block(&Block {
+        let drive = self.realtime.on_block(&AdcBlock {
             pairs: &pairs,
             zero_crossing: crossing.then(|| self.random.below(255) as u8),
             bus_dv,
@@ -214,8 +218,8 @@ impl Soak {
         let state = control.state();
         self.states[state as usize] += 1;
         assert!(control.asked_w() <= RATED_POWER_W && control.restart().tries_left() <= TRIES);
-        // With a fault active, what was asked for before has no effect.
-        let wants = self.realtime.wanted().is_switching()
+        // With a fault active, the request before has no effect.
+        let wants = self.realtime.requested_drive().is_switching()
             && self.realtime.fault() == Fault::NONE
             && !self.realtime.is_replaying();
         let may = matches!(

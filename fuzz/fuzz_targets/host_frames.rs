@@ -17,9 +17,10 @@ mod host_frames_board;
 mod reader;
 
 use host_frames_board::Board;
-use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::realtime::{Bridge, Drive, RealTime};
-use ihd_link::incoming::{Event, Incoming};
+use ihd_firmware::drive::bridge::{Bridge, Drive};
+use ihd_firmware::link::housekeeping::Housekeeping;
+use ihd_firmware::sampling::path::SamplingPath;
+use ihd_link::receiver::{Event, Receiver};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RATED_POWER_W};
 use ihd_shared::lookup::plausible;
@@ -61,9 +62,9 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
 /// The firmware, the board around it, and a host that listens.
 struct Device {
     housekeeping: Housekeeping,
-    realtime: Box<RealTime>,
+    realtime: Box<SamplingPath>,
     board: Board,
-    host: Incoming,
+    host: Receiver,
     to_device: Vec<u8>,
     link_is_read: bool,
     seq: u16,
@@ -79,9 +80,9 @@ impl Device {
         let hello = ours(ROLE_DEVICE, CAP_SIMULATED, 7, "fuzz 0.0.0", "fuzz");
         let mut new = Self {
             housekeeping: Housekeeping::new(hello),
-            realtime: Box::new(RealTime::new(r, l)),
+            realtime: Box::new(SamplingPath::new(r, l)),
             board: Board::default(),
-            host: Incoming::default(),
+            host: Receiver::default(),
             to_device: Vec::new(),
             link_is_read: true,
             seq: 0,

@@ -12,7 +12,7 @@
 
 mod reader;
 
-use ihd_link::incoming::{Event, Incoming};
+use ihd_link::receiver::{Event, Receiver};
 use ihd_link::window::{MAX_SATURATED_FRACTION, Window};
 use ihd_shared::window::{MAX_PAIRS, MAX_TRAJECTORY, PAIR_BYTES, TRAJECTORY_ENTRY_BYTES};
 use ihd_shared::wire::deframer::Deframer;
@@ -43,10 +43,10 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
             3 | 4 => host.window(&mut reader),
             5 => host.piece(&mut reader),
             6 => host.take(),
-            _ => host.incoming.restart_sequence(),
+            _ => host.receiver.restart_sequence(),
         }
     }
-    host.incoming.finish();
+    host.receiver.finish();
     host.take();
     host.check();
 });
@@ -54,7 +54,7 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
 /// The receiving end, and what was sent to it and taken from it.
 #[derive(Default)]
 struct Host {
-    incoming: Incoming,
+    receiver: Receiver,
     seq: u16,
     sent: u64,
     /// Finds the same frames, to count window messages.
@@ -90,10 +90,10 @@ impl Host {
                     _ => {}
                 }
             }
-            let before = (self.incoming.events.len(), self.incoming.answers.len());
-            let _ = self.incoming.push(byte);
-            assert!(self.incoming.events.len() <= before.0 + 3);
-            assert!(self.incoming.answers.len() <= before.1 + 1);
+            let before = (self.receiver.events.len(), self.receiver.answers.len());
+            let _ = self.receiver.push(byte);
+            assert!(self.receiver.events.len() <= before.0 + 3);
+            assert!(self.receiver.answers.len() <= before.1 + 1);
         }
     }
 
@@ -169,8 +169,8 @@ impl Host {
 
     /// Takes out what a client takes.
     fn take(&mut self) {
-        self.answers += self.incoming.answers.drain(..).count() as u32;
-        for event in self.incoming.events.drain(..) {
+        self.answers += self.receiver.answers.drain(..).count() as u32;
+        for event in self.receiver.events.drain(..) {
             match event {
                 Event::Telemetry(_) => self.telemetry += 1,
                 Event::Fault(fault) => {
@@ -191,7 +191,7 @@ impl Host {
     }
 
     fn check(&self) {
-        let counters = self.incoming.counters();
+        let counters = self.receiver.counters();
         let rejected = counters.windows_rejected_total();
         assert_eq!(counters.bytes, self.sent);
         assert_eq!(counters.telemetry.received, self.telemetry);

@@ -13,7 +13,7 @@ mod reader;
 
 use std::sync::LazyLock;
 
-use ihd_flash::log::decoder::{Decoder, Found};
+use ihd_flash::log::decoder::{Decoded, Decoder};
 use ihd_flash::log::sample::Sample;
 use ihd_flash::log::table::Table;
 use ihd_signal::printable::is_shown;
@@ -41,11 +41,11 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
         decoder.push(chunk, |one| found.push(one));
     }
     for one in &found {
-        if let Found::Message(message) = one {
+        if let Decoded::Message(message) = one {
             assert!(message.text.chars().all(is_shown), "{:?}", message.text);
             assert!(message.text.len() < LONGEST_TEXT);
         }
-        assert!(*one != Found::Unread);
+        assert!(*one != Decoded::Unread);
     }
     let whole = chunks.concat();
     if !lost.contains(&true) {
@@ -61,7 +61,7 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let mut last = Vec::new();
     decoder.push(&[0], |_| ());
     decoder.push(&Sample::frame(1, &[1, 0, 0, 0]), |one| last.push(one));
-    assert!(matches!(last.as_slice(), [Found::Message(m)] if m.text == "watchdog runs: 1 µs"));
+    assert!(matches!(last.as_slice(), [Decoded::Message(m)] if m.text == "watchdog runs: 1 µs"));
 });
 
 /// A stream by the bytes' instructions, in chunks, and whether something is lost before each.

@@ -14,7 +14,7 @@ mod reader;
 use ihd_map::{Cells, Curve, MeasuredPoint, PotMap};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
-use ihd_train::lookup::Built;
+use ihd_train::lookup::BuiltLookup;
 use reader::Reader;
 
 /// Curves of one input: each is a fit.
@@ -41,8 +41,8 @@ fn any(reader: &mut Reader<'_>) {
         return;
     };
     check(&cells);
-    let kept = map.kept();
-    if let Some(restored) = PotMap::from_kept(kept) {
+    let kept = map.state();
+    if let Some(restored) = PotMap::from_state(kept) {
         assert_eq!(restored.cells(now_s), Some(cells));
     }
 }
@@ -78,7 +78,7 @@ fn check(cells: &Cells) {
         assert!(value.r_sigma >= 0.0 && value.l_sigma >= 0.0, "{cell:?}");
         assert!((0.0..=1.0).contains(&cell.confidence), "{cell:?}");
     }
-    if let Ok(built) = Built::of(*cells, 1) {
+    if let Ok(built) = BuiltLookup::from_cells(*cells, 1) {
         let read = RlLookup::from_bytes(&built.lookup.to_bytes());
         assert_eq!(read.as_ref(), Ok(&built.lookup));
     }

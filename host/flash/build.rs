@@ -1,4 +1,4 @@
-//! With the feature `image`: copies the firmware's image to where the program includes it from.
+//! With the feature `image`: copies the firmware's image to the place from which the program includes it.
 
 use std::path::PathBuf;
 use std::{env, fs};

@@ -1,4 +1,4 @@
-//! A file that is added to the page has to be in the program too.
+//! Makes a change of the page's files rebuild the program that embeds them.
 
 fn main() {
     println!("cargo:rerun-if-changed=page");

@@ -9,11 +9,11 @@ use core::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// Why the controller is in its safe state. The number is what a service manual quotes.
+/// Reason of the safe state. Service manuals quote the number.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fault(u16);
 
-/// Consequence of a fault for the next start of the bridge (firmware/src/restart.rs).
+/// Consequence of a fault for the next start of the bridge (firmware/src/control/restart.rs).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RestartClass {
     /// It passes by itself (mains, temperature, a sensor's wire): a short pause.
@@ -31,9 +31,9 @@ pub struct Row {
     pub fault: Fault,
     /// Its name, as in captures.
     pub name: &'static str,
-    /// What it means.
+    /// Meaning.
     pub doc: &'static str,
-    /// What to say to a person: what has happened, and what to do about it.
+    /// Message to a person: the event, and what to do about it.
     pub text: &'static str,
 }
 
@@ -51,7 +51,7 @@ macro_rules! fault_table {
                 }
             }
 
-            /// Every fault that this version knows, in order of its number.
+            /// Every fault of this version, in order of its number.
             pub const TABLE: &'static [Row] = &[$(Row {
                 fault: Self($number),
                 name: $name,
@@ -204,7 +204,7 @@ impl Fault {
         self.row().map(|row| row.name)
     }
 
-    /// What has happened and what to do about it, without the number.
+    /// Event and advice, without the number.
     pub fn text(self) -> &'static str {
         self.row().map_or(UNKNOWN, |row| row.text)
     }

@@ -1,4 +1,4 @@
-//! Where the firmware's image lies in the STM32G474's flash, and by what a probe or a bootloader knows which one it is.
+//! Layout of the firmware's image in the STM32G474's flash, and the marks that identify it to a probe or a bootloader.
 //!
 //! Behind the vectors lies the linker's note with the image's build id, and behind that a [`Header`]. The image's last
 //! word is the CRC-32 (as on the wire) of all before it, from [`FLASH_ADDRESS`] on.
@@ -27,13 +27,13 @@ pub const BUILD_ID_BYTES: usize = 20;
 /// Bytes of the note: length of the name, of the id, type, `GNU\0`, the id.
 pub const NOTE_BYTES: usize = 16 + BUILD_ID_BYTES;
 
-/// What the note begins with: 4 bytes of name, 20 of id, type NT_GNU_BUILD_ID, the name.
+/// Head of the note: 4 bytes of name, 20 of id, type NT_GNU_BUILD_ID, the name.
 pub const NOTE_HEAD: [u8; 16] = *b"\x04\0\0\0\x14\0\0\0\x03\0\0\0GNU\0";
 
 /// The header, behind the note.
 pub const HEADER_ADDRESS: u32 = NOTE_ADDRESS + NOTE_BYTES as u32;
 
-/// What the header begins with.
+/// Magic number of the header.
 pub const MAGIC: [u8; 4] = *b"IHDI";
 
 /// The header's layout, as below.
@@ -45,7 +45,7 @@ pub const HEADER_BYTES: usize = 32;
 /// Bytes of the package's version in the header, filled up with zeros.
 pub const VERSION_BYTES: usize = 16;
 
-/// What the image says of itself. In flash, little-endian:
+/// Description of the image. In flash, little-endian:
 ///
 /// | offset | bytes | |
 /// |---:|---:|---|
@@ -85,7 +85,7 @@ impl Header {
         })
     }
 
-    /// As it lies in flash.
+    /// Encodes as in flash.
     pub fn to_bytes(&self) -> [u8; HEADER_BYTES] {
         let mut bytes = [0; HEADER_BYTES];
         let fields = [

@@ -1,6 +1,15 @@
-//! What the ihd firmware and its host must agree on, and nothing else: units, ratings of the hob,
+//! Agreement of the ihd firmware and its host, and nothing else: units, ratings of the hob,
 //! the sampling grid, wire messages and frames, the layout of windows and replayed
 //! blocks, the RL lookup and fault codes.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`units`], [`hob`], [`sampling`] | units, ratings of the hob, the grid of switching and sampling |
+//! | [`wire`] | messages and frames |
+//! | [`window`], [`replay`] | layout of a recorded half-cycle, and of blocks for replay |
+//! | [`lookup`] | R and L over frequency and current: layout, checks, the built-in prior |
+//! | [`fault`] | numbers, names, class of restart, advice |
+//! | [`image`], [`usb`] | marks of an image in flash; USB ids |
 //!
 //! `no_std`, no allocator, no floating point in anything the firmware calls in its sampling path.
 #![no_std]

@@ -42,7 +42,7 @@ pub const VOLT_PER_CODE: f64 = V_FULL_SCALE_V / CODE_HALF_RANGE as f64;
 /// Ampere per code of the current channel of this build.
 pub const AMPERE_PER_CODE: f64 = I_FULL_SCALE_A / CODE_HALF_RANGE as f64;
 
-/// What the codes of a pair's two channels stand for. They travel with the data: boards and their
+/// Scales of the codes of a pair's two channels. They travel with the data: boards and their
 /// recordings differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Scales {
@@ -121,7 +121,7 @@ pub struct Pair {
 }
 
 impl Pair {
-    /// Whether either channel stands at the end of its range.
+    /// Returns `true` if either channel stands at the end of its range.
     pub fn is_saturated(self) -> bool {
         self.v >= CODE_MAX || self.v <= CODE_MIN || self.i >= CODE_MAX || self.i <= CODE_MIN
     }

@@ -6,5 +6,5 @@ pub const VENDOR_ID: u16 = 0x1209;
 /// See [`VENDOR_ID`].
 pub const PRODUCT_ID: u16 = 0x0001;
 
-/// What the product string begins with; others share the prototypes' product id.
+/// Beginning of the product string; others share the prototypes' product id.
 pub const PRODUCT: &str = "ihd induction-hob controller";

@@ -8,11 +8,13 @@ use std::hint::black_box;
 use std::path::Path;
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
-use ihd_firmware::demod::{Demodulator, Phasors, correlate};
-use ihd_firmware::ekf::{Ekf, Noise};
-use ihd_firmware::realtime::{Block, Drive, RealTime};
-use ihd_firmware::transmit_queue::TransmitQueue;
-use ihd_link::incoming::Incoming;
+use ihd_firmware::drive::bridge::Drive;
+use ihd_firmware::estimate::ekf::{Ekf, Noise};
+use ihd_firmware::link::transmit_queue::TransmitQueue;
+use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
+use ihd_firmware::sense::correlation::correlate;
+use ihd_firmware::sense::demodulator::{Demodulator, Phasors};
+use ihd_link::receiver::Receiver;
 use ihd_link::{Client, Event};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair, block_ns};
@@ -110,14 +112,14 @@ fn lookup(c: &mut Criterion) {
 
 /// A sampling path that has recorded the fixture as a window: the bridge goes on at the first zero
 /// crossing, the window begins with the second and is complete soon after the third.
-fn recorded(blocks: &[[Pair; ADC_LOCK_P]]) -> Box<RealTime> {
-    let mut realtime = Box::new(RealTime::new(START.0, START.1));
-    realtime.set_windows_every(1);
+fn recorded(blocks: &[[Pair; ADC_LOCK_P]]) -> Box<SamplingPath> {
+    let mut realtime = Box::new(SamplingPath::new(START.0, START.1));
+    realtime.recorder().set_period(1);
     realtime.request(Drive::switching(F_SW_HZ));
     let mut since_ns = 0;
     for pairs in blocks.iter().cycle().take(5 * blocks.len()) {
         let crosses = since_ns >= 10_000_000;
-        let block = Block {
+        let block = AdcBlock {
             pairs,
             zero_crossing: crosses.then_some(0),
             bus_dv: 3_000,
@@ -135,7 +137,7 @@ fn recorded(blocks: &[[Pair; ADC_LOCK_P]]) -> Box<RealTime> {
 }
 
 /// Every frame of the recorded window.
-fn transmitted(realtime: &mut RealTime) -> Vec<u8> {
+fn transmitted(realtime: &mut SamplingPath) -> Vec<u8> {
     let hello = ours(ROLE_DEVICE, CAP_SIMULATED, 1, "bench", "bench");
     let (mut queue, lookup) = (TransmitQueue::new(hello), prior());
     let mut frame = [0; MAX_ENCODED];
@@ -150,12 +152,12 @@ fn transmitted(realtime: &mut RealTime) -> Vec<u8> {
 
 /// The window that a stream holds.
 fn received(stream: &[u8]) -> Option<Event> {
-    let mut incoming = Incoming::default();
+    let mut receiver = Receiver::default();
     for &byte in stream {
         // The stream is whole; a bad frame would show as no window.
-        let _ = incoming.push(byte);
+        let _ = receiver.push(byte);
     }
-    incoming.events.pop_front()
+    receiver.events.pop_front()
 }
 
 fn window(c: &mut Criterion) {

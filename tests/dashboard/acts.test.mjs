@@ -109,7 +109,10 @@ describe('acts', () => {
 
   test('the off button switches off, though somebody else commands', async () => {
     const other = new Api(daemon.url, { 'ihd-holder': 'ada' });
-    await other.command('inside', { command: 'power', power_w: 700 });
+    // The page gives its lease back after the answer to its off.
+    await until('nobody holds the lease', async () => !(await api.device('inside')).lease);
+    const { status, body } = await other.command('inside', { command: 'power', power_w: 700 });
+    assert.equal(status, 200, JSON.stringify(body));
     await heats('inside', 700);
     await page.getByTestId('off').click();
     await until('inside off', () => isOff('inside'));

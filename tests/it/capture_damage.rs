@@ -13,16 +13,16 @@ use ihd_capture::mcap::topics::{PROFILE, Topic};
 use ihd_signal::Capture;
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{LoadKind, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 use proptest::prelude::*;
 use tempfile::TempDir;
 
 /// A capture of 8 MB in some ten chunks, and its file.
 static WHOLE: LazyLock<(Capture, Vec<u8>)> = LazyLock::new(|| {
-    let mut settings = Settings {
+    let mut settings = CaptureSpec {
         load: LoadKind::Behavioural,
         duration_s: 10e-3,
-        ..Settings::default()
+        ..CaptureSpec::default()
     };
     settings.sensing.rate = Rate::Hz(100e6);
     let recording = record(&settings, |_| ()).unwrap();

@@ -1,6 +1,6 @@
 //! The firmware closed over the simulated plant: power, and what stands on the coil.
 
-use ihd_firmware::pwm;
+use ihd_firmware::drive::pwm;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::{Pot, State, Telemetry};

@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use std::{env, fs};
 
 use ihd_capture::mcap;
-use ihd_firmware::realtime::{Block, RealTime};
-use ihd_firmware::reset::Reason;
+use ihd_firmware::retained::reset::ResetReason;
+use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_link::tcp::TcpTransport;
 use ihd_link::{Client, Event, LinkError, Window};
 use ihd_map::{Curve, MeasuredPoint, PotMap};
@@ -26,9 +26,9 @@ use ihd_shared::wire::messages::{Outcome, State};
 use ihd_survey::{Hints, Survey};
 use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
 use ihd_tests::regression_captures;
-use ihd_train::lookup::Built;
+use ihd_train::lookup::BuiltLookup;
 use ihd_train::replay;
-use ihd_train::{NetworkConfig, Recorded, Settings, Source};
+use ihd_train::{NetworkConfig, RecordedHalfCycle, RunOptions, Source};
 
 /// Bus voltage that the replays state, in decivolt.
 const BUS_DV: u16 = 3_000;
@@ -147,12 +147,12 @@ impl Board {
 
 /// The host-compiled library on the same blocks.
 fn on_this_machine(h: &HalfCycle) -> Vec<Option<TrajectoryEntry>> {
-    let mut realtime = Box::new(RealTime::new(START.0, START.1));
+    let mut realtime = Box::new(SamplingPath::new(START.0, START.1));
     realtime.set_replay(true, h.f_sw_hz, START.0, START.1);
     let blocks = h.blocks().enumerate();
     blocks
         .map(|(k, pairs)| {
-            realtime.replay_block(&Block {
+            realtime.replay_block(&AdcBlock {
                 pairs,
                 zero_crossing: (k == 0).then_some(0),
                 bus_dv: BUS_DV,
@@ -204,13 +204,13 @@ fn estimates_equal(f_sw_hz: &[u32], noises: &[&str]) {
 fn the_trainer_identifies_what_is_replayed_and_teaches_the_board_at_length() {
     let board = Board::start("");
     let half_cycles = F_SW_HZ.map(|f| HalfCycle::load(f, "noiseless").unwrap());
-    let recorded = |h: &HalfCycle| Recorded {
+    let recorded = |h: &HalfCycle| RecordedHalfCycle {
         f_sw_hz: h.f_sw_hz,
         pairs: h.pairs.clone(),
         bus_dv: BUS_DV,
         truth: None,
     };
-    let settings = Settings {
+    let settings = RunOptions {
         source: Source::Replay(half_cycles.iter().map(recorded).collect()),
         pinn: NetworkConfig::default(),
         store: None,
@@ -301,7 +301,7 @@ fn a_window_comes_back_and_the_lookup_built_from_it_becomes_active() {
     let mut map = PotMap::default();
     map.observe(curve(&window));
     let cells = map.cells(0.0).expect("a whole half-cycle");
-    let lookup = Built::of(cells, 7).unwrap().lookup;
+    let lookup = BuiltLookup::from_cells(cells, 7).unwrap().lookup;
     assert_ne!(lookup.r, prior().r, "the window must have taught something");
     client.push_lookup(&lookup).unwrap();
     let deadline = Instant::now() + Duration::from_secs(30);
@@ -355,10 +355,10 @@ fn a_capture_replays_with_the_same_bits_windows_and_states() {
     let capture = mcap::read(&regression_captures::file("start-up")).unwrap();
     let survey = Survey::of(&capture, &Hints::default()).unwrap();
     let segments = survey.segments(&capture);
-    let settings = replay::Settings {
+    let settings = replay::ReplayOptions {
         // A busy machine emulates slowly.
         patience: Some(Duration::from_secs(20)),
-        ..replay::Settings::default()
+        ..replay::ReplayOptions::default()
     };
     let outcome = replay::run(
         &segments,
@@ -396,10 +396,10 @@ fn over_current_in_a_replay_ends_the_estimates_and_is_reported() {
 #[test]
 fn the_reason_of_a_reset_survives_it() {
     for (inject, reason, fault) in [
-        ("", Reason::PowerOn, 0),
-        ("panic", Reason::Panic, 4),
-        ("stack-overflow", Reason::StackOverflow, 0),
-        ("processor-fault", Reason::Panic, 0),
+        ("", ResetReason::PowerOn, 0),
+        ("panic", ResetReason::Panic, 4),
+        ("stack-overflow", ResetReason::StackOverflow, 0),
+        ("processor-fault", ResetReason::Panic, 0),
     ] {
         let board = Board::start(inject);
         let client = board.connect();

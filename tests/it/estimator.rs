@@ -1,8 +1,9 @@
 //! The firmware's demodulator and fixed-point filter on recorded half-cycles: against the truth, and
 //! against their f64 twins.
 
-use ihd_firmware::demod::{Demodulator, correlate};
-use ihd_firmware::ekf::{Ekf, Noise};
+use ihd_firmware::estimate::ekf::{Ekf, Noise};
+use ihd_firmware::sense::correlation::correlate;
+use ihd_firmware::sense::demodulator::Demodulator;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
 use ihd_tests::oracle::{self, Jacobian};

@@ -3,6 +3,7 @@
 #[cfg(unix)]
 mod archive;
 mod capture_damage;
+mod circles;
 mod closed_loop;
 mod closed_loop_link;
 mod control_doc;

@@ -9,7 +9,7 @@ use ihd_capture::mcap;
 use ihd_identify::Method;
 use ihd_identify::accuracy::Accuracy;
 use ihd_sim::recording::file::SETTINGS_KEY;
-use ihd_sim::recording::settings::Settings;
+use ihd_sim::recording::settings::CaptureSpec;
 use ihd_survey::{Hints, Survey};
 use ihd_tests::regression_captures::{all, file, folder};
 
@@ -33,7 +33,7 @@ fn measured() -> BTreeMap<String, [f64; 2]> {
         let survey = Survey::of(&capture, &Hints::default()).unwrap();
         for segment in survey.segments(&capture) {
             for method in METHODS {
-                let settings = ihd_identify::Settings::default();
+                let settings = ihd_identify::IdentifyOptions::default();
                 let estimate = ihd_identify::run(method, &segment, &settings);
                 let estimate = estimate.unwrap_or_else(|e| panic!("{name}, {method}: {e}"));
                 let accuracy = Accuracy::of(&estimate, &segment, &capture.truth, f64::NEG_INFINITY);
@@ -100,7 +100,7 @@ fn the_captures_are_what_their_settings_say_and_small() {
     let mut bytes = 0;
     for (name, settings) in all() {
         let capture = mcap::read(&file(name)).unwrap();
-        let made_with: Settings = serde_json::from_str(&capture.metadata[SETTINGS_KEY]).unwrap();
+        let made_with: CaptureSpec = serde_json::from_str(&capture.metadata[SETTINGS_KEY]).unwrap();
         assert_eq!(made_with, settings, "{name}: run the example make_captures");
         assert!(!capture.truth.is_empty());
         bytes += fs::metadata(file(name)).unwrap().len();

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ihd_firmware::transmit_queue::front_end;
+use ihd_firmware::link::response::front_end;
 use ihd_link::{Client, Event as LinkEvent, LinkError, Transport};
 use ihd_shared::fault::Fault;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
@@ -24,18 +24,18 @@ use ihd_sim::recording::settings::{Change, Event, LoadKind};
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
-use ihd_train::replay::{Outcome, Settings, run};
+use ihd_train::replay::{ReplayOptions, ReplayReport, run};
 
 /// 25 ms with a frequency step, sampled by an oscilloscope.
 fn segments() -> Vec<Segment> {
-    let mut settings = settings::Settings {
+    let mut settings = settings::CaptureSpec {
         load: LoadKind::Behavioural,
         duration_s: 25e-3,
         events: vec![Event {
             t_s: 12e-3,
             change: Change::Frequency(52e3),
         }],
-        ..settings::Settings::default()
+        ..settings::CaptureSpec::default()
     };
     settings.sensing.rate = Rate::Hz(10e6);
     let recording = record(&settings, |_| ()).unwrap();
@@ -45,9 +45,12 @@ fn segments() -> Vec<Segment> {
 }
 
 /// Replays on whatever `connect` reaches.
-fn replayed(settings: Settings, connect: &mut dyn FnMut() -> Result<Client, LinkError>) -> Outcome {
+fn replayed(
+    settings: ReplayOptions,
+    connect: &mut dyn FnMut() -> Result<Client, LinkError>,
+) -> ReplayReport {
     let outcome = run(&segments(), settings, connect, &mut |_, _| ()).unwrap();
-    Outcome {
+    ReplayReport {
         seconds: 0.0,
         ..outcome
     }
@@ -60,7 +63,7 @@ fn client(transport: impl Transport + 'static) -> Result<Client, LinkError> {
     Ok(client)
 }
 
-const QUICK: Settings = Settings {
+const QUICK: ReplayOptions = ReplayOptions {
     speed: None,
     patience: Some(Duration::from_millis(30)),
 };
@@ -68,7 +71,7 @@ const QUICK: Settings = Settings {
 #[test]
 fn a_device_of_this_build_gives_the_same_bits_windows_and_states() {
     let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
-    let outcome = replayed(Settings::default(), &mut || client(hob.clone()));
+    let outcome = replayed(ReplayOptions::default(), &mut || client(hob.clone()));
     assert!(outcome.is_identical(), "{:?}", outcome.first);
     assert_eq!(outcome.stretches, 2);
     // 25 ms at three periods a block.
@@ -90,12 +93,12 @@ fn a_device_of_this_build_gives_the_same_bits_windows_and_states() {
 fn speed_does_not_change_the_answer() {
     let hob = || SharedHob::new(SimHob::new(&HobConfig::default()));
     let fastest = hob();
-    let fastest = replayed(Settings::default(), &mut || client(fastest.clone()));
+    let fastest = replayed(ReplayOptions::default(), &mut || client(fastest.clone()));
     for speed in [0.2, 5.0] {
         let paced = hob();
-        let settings = Settings {
+        let settings = ReplayOptions {
             speed: Some(speed),
-            ..Settings::default()
+            ..ReplayOptions::default()
         };
         assert_eq!(replayed(settings, &mut || client(paced.clone())), fastest);
     }

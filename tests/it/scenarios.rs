@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 
-use ihd_sim::scenario::limits::{Checked, Measured, three_digits};
+use ihd_sim::scenario::limits::{LimitCheck, MeasuredValues, three_digits};
 use ihd_sim::scenario::run::run;
 use ihd_sim::scenario::variants::{self, Variant};
 
@@ -54,7 +54,7 @@ fn read(name: &str) -> Vec<Variant> {
 }
 
 /// Limits of a variant, each with what its run showed.
-fn check(variant: &Variant) -> Vec<Checked> {
+fn check(variant: &Variant) -> Vec<LimitCheck> {
     let name = &variant.name;
     let record = run(&variant.scenario, |_| ()).unwrap_or_else(|e| panic!("{name}: {e}"));
     let checked = variant.scenario.file.limits.check(&record);
@@ -63,7 +63,7 @@ fn check(variant: &Variant) -> Vec<Checked> {
 }
 
 /// Lines of limits that a variant missed.
-fn missed(file: &str, variant: &str, checked: &[Checked]) -> Vec<String> {
+fn missed(file: &str, variant: &str, checked: &[LimitCheck]) -> Vec<String> {
     let missed = checked.iter().filter(|checked| !checked.ok);
     let line = |checked| format!("{file} {variant}: {checked}");
     missed.map(line).collect()
@@ -116,7 +116,7 @@ struct Row {
     words: BTreeSet<String>,
 }
 
-fn add(rows: &mut Vec<Row>, checked: Checked) {
+fn add(rows: &mut Vec<Row>, checked: LimitCheck) {
     let same = |row: &Row| row.name == checked.name && row.allowed == checked.allowed;
     let at = rows.iter().position(same).unwrap_or_else(|| {
         rows.push(Row {
@@ -128,8 +128,8 @@ fn add(rows: &mut Vec<Row>, checked: Checked) {
         rows.len() - 1
     });
     match checked.measured {
-        Measured::Numbers(numbers) => rows[at].numbers.extend(numbers),
-        Measured::Word(word) => drop(rows[at].words.insert(word)),
+        MeasuredValues::Numbers(numbers) => rows[at].numbers.extend(numbers),
+        MeasuredValues::Word(word) => drop(rows[at].words.insert(word)),
     }
 }
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use ihd_capture::mcap;
 use ihd_capture::mcap::{McapFileError, SessionReader, SessionRecorder};
-use ihd_firmware::transmit_queue::front_end;
+use ihd_firmware::link::response::front_end;
 use ihd_link::{Client, Counters, Event, FrameSink, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::sampling::{Scales, VOLT_PER_CODE};

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, LazyLock, Mutex};
 
-use ihd_link::incoming::Incoming;
+use ihd_link::receiver::Receiver;
 use ihd_link::{Event, Window};
 use ihd_shared::wire::frame::{MAX_ENCODED, encode_raw};
 use ihd_tests::desk_hob::heating;
@@ -24,17 +24,17 @@ static RECORDED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
     std::mem::take(&mut *frames)
 });
 
-fn windows_of(stream: impl IntoIterator<Item = u8>) -> (BTreeMap<u32, Window>, Incoming) {
-    let mut incoming = Incoming::default();
+fn windows_of(stream: impl IntoIterator<Item = u8>) -> (BTreeMap<u32, Window>, Receiver) {
+    let mut receiver = Receiver::default();
     for byte in stream {
-        let _ = incoming.push(byte);
+        let _ = receiver.push(byte);
     }
-    incoming.finish();
-    let windows = incoming.events.iter().filter_map(|e| match e {
+    receiver.finish();
+    let windows = receiver.events.iter().filter_map(|e| match e {
         Event::Window(w) => Some((w.seq, (**w).clone())),
         _ => None,
     });
-    (windows.collect(), incoming)
+    (windows.collect(), receiver)
 }
 
 #[derive(Clone, Debug)]
@@ -89,13 +89,13 @@ proptest! {
             .zip(fates.iter().cycle())
             .flat_map(|(frame, fate)| suffer(frame, fate))
             .collect();
-        let (windows, incoming) = windows_of(damaged);
+        let (windows, receiver) = windows_of(damaged);
         for (seq, window) in &windows {
             prop_assert_eq!(Some(window), truth.get(seq));
         }
-        let counters = incoming.counters();
+        let counters = receiver.counters();
         prop_assert_eq!(counters.windows.received as usize, windows.len());
-        let mut seqs: Vec<u32> = incoming.events.iter().map(|e| match e {
+        let mut seqs: Vec<u32> = receiver.events.iter().map(|e| match e {
             Event::Window(w) => w.seq,
             Event::WindowRejected { seq, .. } => *seq,
             other => panic!("unexpected {other:?}"),

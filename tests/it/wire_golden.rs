@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use ihd_link::Event;
-use ihd_link::incoming::Incoming;
+use ihd_link::receiver::Receiver;
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::blob::LEN;
 use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
@@ -401,7 +401,7 @@ fn a_fault_of_a_newer_device_costs_nothing_else() {
         payload[at] = 120;
         payload
     };
-    let mut incoming = Incoming::default();
+    let mut receiver = Receiver::default();
     for (seq, (id, payload)) in [
         (Status::ID, with_fault(Status::ID, 1)),
         // Before it: seq 2 bytes, dropped 1, half-cycle 2, state 1; there the half-cycle's 2 alone.
@@ -416,15 +416,15 @@ fn a_fault_of_a_newer_device_costs_nothing_else() {
         let payload = [number, &payload].concat();
         let length = encode_raw(id, seq as u16, &payload, &mut out).unwrap();
         for &byte in &out[..length] {
-            incoming.push(byte).unwrap();
+            receiver.push(byte).unwrap();
         }
     }
-    assert_eq!(incoming.counters().messages_malformed, 0);
+    assert_eq!(receiver.counters().messages_malformed, 0);
     let status = Status {
         fault: newer,
         ..status()
     };
-    let answer = incoming.answers.pop_front().unwrap();
+    let answer = receiver.answers.pop_front().unwrap();
     assert_eq!(answer.number().to_le_bytes(), [9, 0]);
     assert_eq!(answer.decode(), Some(status));
     let telemetry = Telemetry {
@@ -432,10 +432,10 @@ fn a_fault_of_a_newer_device_costs_nothing_else() {
         ..telemetry()
     };
     assert_eq!(
-        incoming.events.pop_front(),
+        receiver.events.pop_front(),
         Some(Event::Telemetry(telemetry))
     );
-    let Some(Event::Fault(event)) = incoming.events.pop_front() else {
+    let Some(Event::Fault(event)) = receiver.events.pop_front() else {
         panic!("the fault event is missing");
     };
     assert_eq!((event.half_cycle, event.fault), (3_002, newer));

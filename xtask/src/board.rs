@@ -9,14 +9,14 @@ use anyhow::{Context, ensure};
 use crate::setup::{apt_get, install, say};
 use crate::workspace::{Workspace, first_line, run};
 
-/// PyPI's packages of the tools, and Debian's, where there is no Python.
+/// Packages of the tools on PyPI, and on Debian for machines without Python.
 const PYPI: [&str; 2] = ["cmake", "libclang"];
 const DEBIAN: [&str; 2] = ["cmake", "libclang-dev"];
 
-/// The emulator's place in the checkout.
+/// Folder of the emulator in the checkout.
 const FOLDER: &str = "tests/stm32g474";
 
-/// Finds or installs what Unicorn's build needs.
+/// Finds or installs the tools of Unicorn's build.
 pub fn tools(on: &Workspace) -> anyhow::Result<()> {
     let folder = on.target.join("tools/unicorn");
     if !folder.join("clang/native").is_dir() && !debian_has_both() {
@@ -36,7 +36,7 @@ fn debian_has_both() -> bool {
     first_line(query.args(["--show", DEBIAN[0], DEBIAN[1]])).is_some()
 }
 
-/// Puts cmake on the command's path, and names libclang with the compiler's own headers, which PyPI's lacks.
+/// Puts cmake on the command's path, and names libclang with the compiler's own headers, which PyPI's package lacks.
 fn give_tools(on: &Workspace, command: &mut Command) {
     let folder = on.target.join("tools/unicorn");
     if folder.is_dir() {
@@ -53,10 +53,10 @@ fn give_tools(on: &Workspace, command: &mut Command) {
     }
 }
 
-/// Writes a workspace that has the emulator as one more member of the main one, and returns its manifest.
+/// Writes a workspace with the emulator as an additional member of the main one, and returns its manifest.
 ///
-/// Cargo names what it compiles after the package's place in its workspace and the features that the whole workspace asks for. With the
-/// same members and features, whatever the main workspace has compiled is used again: of 256 packages 20 are left, Unicorn's.
+/// Cargo names build results by the package's place in its workspace and the features of the whole workspace. With the same members
+/// and features the main workspace's results are used again: of 256 packages 20 are left, Unicorn's.
 fn joined(on: &Workspace) -> anyhow::Result<PathBuf> {
     let folder = on.target.join("joined");
     fs::create_dir_all(&folder)?;
@@ -80,7 +80,7 @@ fn joined(on: &Workspace) -> anyhow::Result<PathBuf> {
     members.context("no members")?.push(FOLDER.into());
     workspace.remove("exclude");
     let (text, place) = (manifest.to_string(), folder.join("Cargo.toml"));
-    // Clippy's compiler has what it compiles depend on this file's time.
+    // Clippy's compiler makes its results depend on this file's time.
     if fs::read_to_string(&place).ok().as_ref() != Some(&text) {
         fs::write(&place, text)?;
     }
@@ -103,7 +103,7 @@ pub fn cargo(on: &Workspace, subcommand: &str, rest: &str) -> anyhow::Result<Com
     Ok(command)
 }
 
-/// The tests of these targets of the emulator; `full` with those of the full tier.
+/// Runs the tests of these targets of the emulator; `full` includes those of the full tier.
 pub fn run_tests(on: &Workspace, targets: &[&str], full: bool) -> anyhow::Result<Command> {
     tools(on)?;
     let profile = if full {
@@ -118,7 +118,7 @@ pub fn run_tests(on: &Workspace, targets: &[&str], full: bool) -> anyhow::Result
     cargo(on, "nextest run", &format!("{} {profile}", names.join(" ")))
 }
 
-/// Formatting and the tests with the image; `full` with the tests of the full tier.
+/// Checks the formatting and runs the tests with the image; `full` includes those of the full tier.
 pub fn test(on: &Workspace, image: &Path, full: bool) -> anyhow::Result<()> {
     let manifest = joined(on)?;
     let mut format = on.cargo([
@@ -133,7 +133,7 @@ pub fn test(on: &Workspace, image: &Path, full: bool) -> anyhow::Result<()> {
     run(test.env("IHD_STM32G474_IMAGE", image))
 }
 
-/// The board as a process, with the link on TCP.
+/// Runs the board as a process, with the link on TCP.
 pub fn hob(on: &Workspace, image: &Path, arguments: &[String]) -> anyhow::Result<()> {
     tools(on)?;
     run(&mut cargo(on, "build", "--bin hob")?)?;

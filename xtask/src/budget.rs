@@ -1,4 +1,4 @@
-//! `cargo xtask budget`: what the board's image takes, module by module, and whether the sampling path can panic.
+//! `cargo xtask budget`: memory of the board's image, module by module, and a check that the sampling path cannot panic.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -12,7 +12,7 @@ use serde::Deserialize;
 use crate::call_graph::CallGraph;
 use crate::workspace::Workspace;
 
-/// Sections that are in flash, and those that are in RAM; what is in both is copied at start.
+/// Sections in flash, and those in RAM; sections in both are copied at start.
 const FLASH: [&str; 8] = [
     ".vector_table",
     ".text",
@@ -27,25 +27,25 @@ const RAM: [&str; 5] = [".data", ".tables", ".bss", ".uninit", ".crash_record"];
 /// Sections in the CCM SRAM.
 const CCM: [&str; 2] = [".ccm_vectors", ".ccm"];
 
-/// The interrupt of the sampling path, and the task it runs. The executor calls the task through a
-/// pointer, so the way is followed from both.
+/// Interrupt of the sampling path, and the task that it runs. The executor calls the task through a pointer, so the path is
+/// followed from both.
 const INTERRUPT: &str = "DMA1_CHANNEL1";
 const TASK: &str = "SamplingTask";
 const WAKE: &str = "embassy_executor::raw::waker::wake";
 
-/// What a panic looks like in a symbol.
+/// Parts of symbols that belong to a panic.
 const PANIC: [&str; 4] = ["panicking", "rust_begin_unwind", "_fail", "panic_"];
 
-/// The ceilings of firmware/budget.toml.
+/// Limits of firmware/budget.toml.
 #[derive(Debug, Deserialize)]
-pub struct Limits {
+pub struct BudgetLimits {
     /// Bytes: `flash`, `static_ram`, `ccm`, `stack`.
     pub memory: BTreeMap<String, f64>,
     /// Instructions by subject.
     pub instructions: BTreeMap<String, f64>,
 }
 
-impl Limits {
+impl BudgetLimits {
     /// Reads the file.
     pub fn read(workspace: &Workspace) -> anyhow::Result<Self> {
         let path = workspace.root.join("firmware/budget.toml");
@@ -54,8 +54,7 @@ impl Limits {
     }
 }
 
-/// What is wrong with a figure, if anything: above its ceiling, or so far below that the ceiling
-/// no longer says anything.
+/// Defect of a figure, if any: above its limit, or so far below that the limit has no meaning any more.
 pub fn verdict(what: &str, figure: f64, ceiling: Option<&f64>) -> Option<String> {
     let file = "firmware/budget.toml";
     match ceiling {
@@ -72,13 +71,13 @@ pub fn verdict(what: &str, figure: f64, ceiling: Option<&f64>) -> Option<String>
 
 /// Bytes of one module.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Bytes {
+struct ModuleBytes {
     flash: u64,
     ram: u64,
     ccm: u64,
 }
 
-impl Bytes {
+impl ModuleBytes {
     /// Counts `size` bytes of a section where that section lies.
     fn add(&mut self, section: &str, size: u64) {
         self.flash += size * u64::from(FLASH.contains(&section));
@@ -87,11 +86,11 @@ impl Bytes {
     }
 }
 
-/// Prints the table; returns what is wrong.
-pub fn check(image: &Path, limits: &Limits) -> anyhow::Result<Vec<String>> {
+/// Prints the table; returns the defects.
+pub fn check(image: &Path, limits: &BudgetLimits) -> anyhow::Result<Vec<String>> {
     let data = fs::read(image).with_context(|| format!("{}", image.display()))?;
     let elf = object::File::parse(&*data)?;
-    let mut total = Bytes::default();
+    let mut total = ModuleBytes::default();
     for section in elf.sections() {
         total.add(section.name()?, section.size());
     }
@@ -108,10 +107,10 @@ pub fn check(image: &Path, limits: &Limits) -> anyhow::Result<Vec<String>> {
         .collect())
 }
 
-/// Shows that no call from the sampling path leads to a panic, or the calls that do.
+/// Checks that no call from the sampling path leads to a panic; returns the calls that do.
 fn panic_path(graph: &CallGraph) -> anyhow::Result<Option<String>> {
     let holds = |part: &'static str| move |name: &str| name.contains(part);
-    // Without these the search below would find nothing whatever the code does.
+    // Without these the search below would find nothing in any case.
     let handler = graph.starts(holds("rust_begin_unwind"));
     if handler.is_empty() {
         bail!("the image has no panic handler by name; are its symbols stripped?");
@@ -131,7 +130,7 @@ fn panic_path(graph: &CallGraph) -> anyhow::Result<Option<String>> {
 /// The flash of the STM32G474, which has wait states (RM0440, section 2.4).
 const SLOW: Range<u64> = 0x0800_0000..0x0808_0000;
 
-/// Shows that the sampling path runs, and reads its constants, without wait states; or what does not.
+/// Checks that the sampling path runs, and reads its constants, without wait states; returns the exceptions.
 fn in_flash(graph: &CallGraph) -> anyhow::Result<Option<String>> {
     let reached = graph.reached(&sampling_path(graph)?);
     let mut slow = Vec::new();
@@ -156,8 +155,7 @@ fn in_flash(graph: &CallGraph) -> anyhow::Result<Option<String>> {
     )))
 }
 
-/// Where the sampling path begins: interrupt, task, and the waker of the thread's tasks, all three of
-/// which are called through pointers.
+/// Beginnings of the sampling path: interrupt, task, and the waker of the thread's tasks, all called through pointers.
 fn sampling_path(graph: &CallGraph) -> anyhow::Result<BTreeSet<u64>> {
     let polls = graph.starts(|name| name.contains(TASK) && readable(name).ends_with("::poll"));
     let interrupt = graph.starts(|name| name == INTERRUPT);
@@ -168,8 +166,8 @@ fn sampling_path(graph: &CallGraph) -> anyhow::Result<BTreeSet<u64>> {
     Ok(&(&interrupt | &polls) | &wakes)
 }
 
-fn by_module(elf: &object::File<'_>) -> anyhow::Result<BTreeMap<String, Bytes>> {
-    let mut modules = BTreeMap::<_, Bytes>::new();
+fn by_module(elf: &object::File<'_>) -> anyhow::Result<BTreeMap<String, ModuleBytes>> {
+    let mut modules = BTreeMap::<_, ModuleBytes>::new();
     for symbol in elf.symbols() {
         let sized = symbol.size() > 0;
         let kept = sized && matches!(symbol.kind(), SymbolKind::Text | SymbolKind::Data);
@@ -185,7 +183,7 @@ fn readable(symbol: &str) -> String {
     format!("{:#}", rustc_demangle::demangle(symbol))
 }
 
-/// Crate of a symbol, and the module where it is ours: `ihd_firmware::ekf`.
+/// Crate of a symbol, with the module if it is ours: `ihd_firmware::ekf`.
 fn module(symbol: &str) -> String {
     let readable = readable(symbol);
     if readable == symbol {
@@ -202,15 +200,15 @@ fn module(symbol: &str) -> String {
     }
 }
 
-fn table(modules: &BTreeMap<String, Bytes>, total: Bytes) -> String {
+fn table(modules: &BTreeMap<String, ModuleBytes>, total: ModuleBytes) -> String {
     let mut rows: Vec<_> = modules.iter().collect();
     rows.sort_by_key(|(name, bytes)| (std::cmp::Reverse(bytes.flash + bytes.ram), *name));
     let mut text = format!(
         "{:<36} {:>8} {:>8} {:>8}\n",
         "module", "flash", "RAM", "CCM"
     );
-    let mut line = |name: &str, bytes: Bytes| {
-        let Bytes { flash, ram, ccm } = bytes;
+    let mut line = |name: &str, bytes: ModuleBytes| {
+        let ModuleBytes { flash, ram, ccm } = bytes;
         text += &format!("{name:<36} {flash:>8} {ram:>8} {ccm:>8}\n");
     };
     let mut rest = total;
@@ -252,7 +250,7 @@ mod tests {
 
     #[test]
     fn what_has_no_name_is_still_counted() {
-        let bytes = |flash, ram, ccm| Bytes { flash, ram, ccm };
+        let bytes = |flash, ram, ccm| ModuleBytes { flash, ram, ccm };
         let modules = BTreeMap::from([("a".to_owned(), bytes(10, 1, 0))]);
         let text = table(&modules, bytes(25, 1, 2));
         let rest = "(constants without a name, padding)        15        0        2\n";

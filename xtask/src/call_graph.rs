@@ -1,5 +1,4 @@
-//! Who calls whom in a linked image, read from its Thumb code: enough to show that a function never
-//! reaches another one.
+//! Call graph of a linked image, read from its Thumb code; enough to show that a function never reaches another one.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::iter::successors;
@@ -20,7 +19,7 @@ pub struct CallGraph {
     literals: BTreeMap<u64, BTreeSet<u64>>,
 }
 
-/// The executable sections: flash, and what start-up code copies from there.
+/// Executable sections: flash, and code copied from there by the start-up code.
 struct Code<'a>(Vec<(u64, &'a [u8])>);
 
 impl<'a> Code<'a> {
@@ -43,8 +42,8 @@ impl<'a> Code<'a> {
 }
 
 impl CallGraph {
-    /// Reads the executable sections. Data between the instructions is left out by the mapping
-    /// symbols `$t` and `$d` that the Arm ABI asks for.
+    /// Reads the executable sections. Data between the instructions are skipped by the mapping symbols `$t` and `$d` that the Arm
+    /// ABI requires.
     pub fn read(elf: &object::File<'_>) -> anyhow::Result<Self> {
         let mut functions = BTreeMap::new();
         let mut marks = BTreeMap::new();
@@ -68,7 +67,7 @@ impl CallGraph {
         let (mut calls, mut literals) = (BTreeMap::new(), BTreeMap::new());
         for (&start, function) in &functions {
             let mut scanned = scan(start, function.end, &marks, at);
-            // The linker's way from one memory to another loads the address that it jumps to.
+            // The linker's thunk between two memories loads its target's address.
             if function.name.contains("LongThunk") {
                 let jumps = scanned.literals.iter().map(|address| address & !1);
                 scanned.targets.extend(jumps);
@@ -90,7 +89,7 @@ impl CallGraph {
         picked.map(|(start, _)| *start).collect()
     }
 
-    /// Functions that `roots` reach, those included, each with the one that calls it on a shortest way.
+    /// Functions that `roots` reach, those included, each with its caller on a shortest path.
     fn callers(&self, roots: &BTreeSet<u64>) -> BTreeMap<u64, Option<u64>> {
         let mut from: BTreeMap<_, _> = roots.iter().map(|&root| (root, None)).collect();
         let mut queue = VecDeque::from_iter(roots.iter().copied());
@@ -105,16 +104,14 @@ impl CallGraph {
         from
     }
 
-    /// Every function that a way leads to from one of `roots`, those included: name, address, and the
-    /// constants of 32 bits in its code.
+    /// All functions reachable from one of `roots`, those included: name, address, and the constants of 32 bits in their code.
     pub fn reached(&self, roots: &BTreeSet<u64>) -> Vec<(&str, u64, &BTreeSet<u64>)> {
         let each = self.callers(roots).into_keys();
         each.map(|at| (self.functions[&at].name.as_str(), at, &self.literals[&at]))
             .collect()
     }
 
-    /// A way from one of `roots` to one of `bad`, by their names, empty where there is none; and how many functions were
-    /// looked at.
+    /// Names on a path from one of `roots` to one of `bad`, empty if there is none; and the number of functions examined.
     pub fn path(&self, roots: &BTreeSet<u64>, bad: &BTreeSet<u64>) -> (Vec<&str>, usize) {
         let from = self.callers(roots);
         let end = bad.iter().copied().find(|bad| from.contains_key(bad));
@@ -127,7 +124,7 @@ impl CallGraph {
 
 /// Code of one function.
 #[derive(Default)]
-struct Scanned {
+struct ScannedFunction {
     /// Targets of the branches that leave it or call: BL, and B in its four encodings.
     targets: Vec<u64>,
     /// Constants of 32 bits: words between its instructions, and pairs of MOVW and MOVT (Armv7-M, A7.7.76 and
@@ -135,16 +132,16 @@ struct Scanned {
     literals: BTreeSet<u64>,
 }
 
-/// Decodes a function; `marks` holds where code (`true`) and data begin.
+/// Decodes a function; `marks` holds the beginnings of code (`true`) and data.
 fn scan(
     start: u64,
     end: u64,
     marks: &BTreeMap<u64, bool>,
     at: impl Fn(u64) -> Option<u16>,
-) -> Scanned {
-    // Without its start: a branch there is a call of itself.
+) -> ScannedFunction {
+    // A branch to its own start is a recursive call.
     let inside = start + 1..end;
-    let mut found = Scanned::default();
+    let mut scanned = ScannedFunction::default();
     let mut low = [0; 16];
     let mut address = start;
     while address < end {
@@ -153,18 +150,18 @@ fn scan(
         if !is_code {
             // Words are aligned; in between are tables of jumps.
             if address.is_multiple_of(4) {
-                found
+                scanned
                     .literals
                     .insert(u64::from(second) << 16 | u64::from(first));
             }
         } else if let Some(offset) = branch(first, second) {
             let target = address.wrapping_add(4).wrapping_add_signed(offset);
-            found
+            scanned
                 .targets
                 .extend((!inside.contains(&target)).then_some(target));
         } else if let Some((top, register, value)) = wide_move(first, second) {
             if top {
-                found
+                scanned
                     .literals
                     .insert(u64::from(value) << 16 | low[register]);
             } else {
@@ -175,10 +172,10 @@ fn scan(
         let wide = is_code && first >> 11 >= 0b11101;
         address += if wide { 4 } else { 2 };
     }
-    found
+    scanned
 }
 
-/// Whether it is MOVT instead of MOVW, register and value.
+/// Returns `true` for MOVT and `false` for MOVW, with register and value; `None` for other instructions.
 fn wide_move(first: u16, second: u16) -> Option<(bool, usize, u16)> {
     let top = match first & 0xFBF0 {
         0xF240 => false,
@@ -260,9 +257,9 @@ mod tests {
         ];
         let at = |address: u64| code.get((address - 0x100) as usize / 2).copied();
         let marks = BTreeMap::from([(0x100, true), (0x10C, false)]);
-        let found = scan(0x100, 0x110, &marks, at);
-        assert_eq!(found.targets, [0x110]);
-        assert_eq!(found.literals, BTreeSet::from([0x0800_5678, 0x0801_0000]));
+        let scanned = scan(0x100, 0x110, &marks, at);
+        assert_eq!(scanned.targets, [0x110]);
+        assert_eq!(scanned.literals, BTreeSet::from([0x0800_5678, 0x0801_0000]));
     }
 
     #[test]

@@ -7,11 +7,11 @@ use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 
-use crate::budget::{Limits, verdict};
+use crate::budget::{BudgetLimits, verdict};
 use crate::emulator;
 use crate::workspace::{Workspace, spelled};
 
-/// What this writes, and into which part of it.
+/// Document, and the section in it, that this command writes.
 const DOCUMENT: &str = "docs/performance.md";
 const BEGIN: &str = "<!-- cargo xtask cycles: begin -->\n";
 const END: &str = "<!-- cargo xtask cycles: end -->\n";
@@ -19,7 +19,7 @@ const END: &str = "<!-- cargo xtask cycles: end -->\n";
 /// A block at 70 kHz in cycles of 170 MHz: 3 / 70 000 s.
 const BLOCK_CYCLES: f64 = 3.0 / 70e3 * 170e6;
 
-/// Subjects, in the order of the table, and what one count of each is.
+/// Subjects, in the order of the table, with the meaning of one count of each.
 #[rustfmt::skip]
 const SUBJECTS: [(&str, &str); 8] = [
     ("pair", "demodulating one sample pair"),
@@ -63,7 +63,7 @@ fn parse(text: &str) -> Counts {
     text.lines().filter_map(count).collect()
 }
 
-/// What is compared must do the same work: both filters have to end at the same load, within 0.1 %.
+/// Checks that both filters end at the same load within 0.1 %: only then do the counts compare the same work.
 fn agree(text: &str) -> anyhow::Result<()> {
     let ratio = |line: &str| {
         let mut words = line.strip_prefix("check ")?.split(' ').skip(1);
@@ -78,8 +78,8 @@ fn agree(text: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Every count outside its limits.
-pub fn check(counts: &Counts, limits: &Limits) -> Vec<String> {
+/// Returns every count outside its limits.
+pub fn check(counts: &Counts, limits: &BudgetLimits) -> Vec<String> {
     let verdict = |(subject, _): &(&str, _)| {
         let what = format!("{subject} instructions");
         verdict(&what, counts[*subject], limits.instructions.get(*subject))
@@ -87,8 +87,8 @@ pub fn check(counts: &Counts, limits: &Limits) -> Vec<String> {
     SUBJECTS.iter().filter_map(verdict).collect()
 }
 
-/// The table in docs/performance.md.
-pub fn table(counts: &Counts, limits: &Limits) -> String {
+/// Table of docs/performance.md.
+pub fn table(counts: &Counts, limits: &BudgetLimits) -> String {
     let short = |count: f64| format!("{count:.*}", usize::from(count < 100.0));
     let mut table = String::from("| subject | instructions | ceiling |\n|---|---:|---:|\n");
     for (subject, what) in SUBJECTS {
@@ -105,7 +105,7 @@ pub fn table(counts: &Counts, limits: &Limits) -> String {
     table
 }
 
-/// Puts the table into the document, or says that it is not the one there.
+/// Writes the table into the document, or checks that it is the one there.
 pub fn document(workspace: &Workspace, table: &str, write: bool) -> anyhow::Result<Option<String>> {
     let path = workspace.root.join(DOCUMENT);
     let text = fs::read_to_string(&path).context(DOCUMENT)?;
@@ -120,11 +120,11 @@ pub fn document(workspace: &Workspace, table: &str, write: bool) -> anyhow::Resu
     Ok(stale.map(|line| format!("{DOCUMENT} says {line:?}: run `cargo xtask cycles --write`")))
 }
 
-/// How far another compiler's counts may be from those of the document: Debian's needs 18 % less for
-/// the f32 filter. The ceilings are what is strict.
+/// Relative tolerance for another compiler's counts against the document's: Debian's needs 18 % less for the f32 filter. The limits
+/// themselves are strict.
 const TOLERANCE: f64 = 0.25;
 
-/// The first line of the kept table that no longer describes the one just made.
+/// First line of the stored table that does not describe the new one.
 fn stale(kept: &str, made: &str) -> Option<String> {
     fn rows(text: &str) -> Vec<Vec<&str>> {
         let rows = text.lines().filter(|line| line.starts_with("| "));

@@ -9,32 +9,32 @@ use anyhow::Context;
 use crate::setup::{apt_get, say};
 use crate::workspace::{Workspace, first_line, run};
 
-/// Those with a browser.
+/// Tests with a browser.
 const OF_BROWSER: &str = "tests/dashboard";
-/// Debian's name, Ubuntu's, Google's.
+/// Names of the browser by Debian, Ubuntu and Google.
 const BROWSERS: [&str; 4] = [
     "chromium",
     "chromium-browser",
     "google-chrome",
     "google-chrome-stable",
 ];
-/// What says which packages of npm are meant, and whether those that are there are.
+/// Lock file of npm, which also shows if the installed packages are up to date.
 const LOCK: &str = "package-lock.json";
 
 /// Installs what is missing, builds `ihd`, and runs the tests; `full` is the long form.
 pub fn test(on: &Workspace, full: bool) -> anyhow::Result<()> {
     let browser = tools()?;
     let modules = modules(on)?;
-    // What the step "tests" has built, its features included; built here only where that did not run.
+    // The step "tests" has built it, features included; this builds only if that step did not run.
     run(&mut on.whole("test", "--lib --bins --tests --no-run --quiet"))?;
     run(&mut node(on, "host/ui/tests/*.test.mjs"))?;
-    // Files of tests at a time: they wait more than they work. The long form measures alone.
+    // Test files run in parallel: they wait more than they compute. The long form measures, and therefore runs one at a time.
     let files = match full {
         true => "--test-concurrency=1 tests/dashboard/*.test.mjs",
         false => "--test-concurrency=2 tests/dashboard/*.test.mjs",
     };
     let mut test = node(on, files);
-    test.env("IHD_BIN", on.program())
+    test.env("IHD_BIN", on.program("ihd"))
         .env("IHD_CHROMIUM", browser)
         .env("IHD_DASHBOARD_MODULES", modules);
     if full {
@@ -43,7 +43,7 @@ pub fn test(on: &Workspace, full: bool) -> anyhow::Result<()> {
     run(&mut test)
 }
 
-/// Finds Node, npm and a browser, or installs them; the browser's path.
+/// Finds Node, npm and a browser, or installs them; returns the browser's path.
 pub fn tools() -> anyhow::Result<PathBuf> {
     let mut missing = Vec::new();
     for (program, package) in [("node", "nodejs"), ("npm", "npm")] {
@@ -86,12 +86,12 @@ fn browser() -> Option<PathBuf> {
     all.find(|path| path.is_file())
 }
 
-/// npm's packages, beside the build: as the lock file in the source tree has them, to the hash.
+/// Installs npm's packages beside the build, pinned by the hashes of the lock file in the source tree.
 fn modules(on: &Workspace) -> anyhow::Result<PathBuf> {
     let (from, to) = (on.root.join(OF_BROWSER), on.target.join("dashboard"));
-    let wanted = fs::read(from.join(LOCK)).context(LOCK)?;
+    let lock = fs::read(from.join(LOCK)).context(LOCK)?;
     let installed = to.join("installed");
-    if fs::read(&installed).is_ok_and(|there| there == wanted) {
+    if fs::read(&installed).is_ok_and(|there| there == lock) {
         return Ok(to);
     }
     fs::create_dir_all(&to)?;
@@ -99,14 +99,14 @@ fn modules(on: &Workspace) -> anyhow::Result<PathBuf> {
         fs::copy(from.join(file), to.join(file)).with_context(|| file.to_owned())?;
     }
     let mut install = Command::new("npm");
-    // No package may run anything of its own.
+    // No package may run scripts.
     install.args(["ci", "--ignore-scripts", "--no-audit", "--no-fund"]);
     run(install.current_dir(&to))?;
-    fs::write(&installed, &wanted)?;
+    fs::write(&installed, &lock)?;
     Ok(to)
 }
 
-/// Node's test runner on files as a shell spells them, in the workspace's root.
+/// Command of Node's test runner on files by a shell pattern, in the workspace's root.
 fn node(on: &Workspace, files: &str) -> Command {
     let mut command = Command::new("sh");
     command.current_dir(&on.root).arg("-c");

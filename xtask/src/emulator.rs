@@ -12,15 +12,15 @@ use crate::workspace::{Workspace, first_line};
 /// One of QEMU's emulators.
 #[derive(Clone, Copy)]
 pub struct Emulator {
-    /// Debian's and Ubuntu's package of it.
+    /// Package of Debian and Ubuntu.
     package: &'static str,
     program: &'static str,
 }
 
-/// For the firmware's image.
+/// Emulator for the firmware's image.
 pub const ARM: Emulator = Emulator::new("qemu-system-arm", "qemu-system-arm");
 
-/// For a Linux to which boards are plugged.
+/// Emulator for a Linux that boards are connected to.
 pub const X86: Emulator = Emulator::new("qemu-system-x86", "qemu-system-x86_64");
 
 impl Emulator {
@@ -29,7 +29,7 @@ impl Emulator {
     }
 }
 
-/// The machine on which the firmware's images run, with semihosting as told, about to run `image`.
+/// Command for the machine on which the firmware's images run, with this semihosting, about to run `image`.
 pub fn an386(qemu: &Path, semihosting: &str, image: &Path) -> Command {
     let mut command = Command::new(qemu);
     command
@@ -41,7 +41,7 @@ pub fn an386(qemu: &Path, semihosting: &str, image: &Path) -> Command {
     command
 }
 
-/// A program that runs the emulator, installed if need be.
+/// Returns a program that runs the emulator, installing it if necessary.
 pub fn find(workspace: &Workspace, emulator: Emulator) -> anyhow::Result<PathBuf> {
     let Emulator { package, program } = emulator;
     let beside = workspace.target.join("tools").join(package);
@@ -68,9 +68,8 @@ fn starts(program: PathBuf) -> anyhow::Result<PathBuf> {
     Ok(program)
 }
 
-/// Unpacks the emulator and the libraries that this machine lacks into a folder, and writes a script
-/// that starts it. For machines on which something installed conflicts with the package (backports of
-/// qemu-utils do with the QEMU of the same Debian).
+/// Unpacks the emulator and the libraries that this machine lacks into a folder, and writes a script that starts it. This is for
+/// machines on which an installed package conflicts with it (backports of qemu-utils do with the QEMU of the same Debian).
 fn unpack(folder: &Path, script: &Path, emulator: Emulator) -> anyhow::Result<()> {
     let Emulator { package, program } = emulator;
     let (archives, root) = (folder.join("archives"), folder.join("root"));
@@ -88,7 +87,7 @@ fn unpack(folder: &Path, script: &Path, emulator: Emulator) -> anyhow::Result<()
         }
     }
     fs::remove_dir_all(&archives).context("cannot remove the archives")?;
-    // A folder that is not there does no harm on the search path.
+    // A missing folder on the search path does no harm.
     let text = format!(
         "#!/bin/sh\nlibraries=$(printf '%s:' '{root}'/lib/*-linux-gnu '{root}'/usr/lib/*-linux-gnu)\n\
          LD_LIBRARY_PATH=${{libraries%:}} exec '{root}/usr/bin/{program}' \

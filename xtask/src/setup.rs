@@ -1,4 +1,4 @@
-//! Finds or installs what the build needs, and says what was done or what to do by hand.
+//! Set-up: finds or installs the tools of the build, and reports the result or a manual remedy.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 
 use crate::workspace::{Workspace, first_line, run};
 
-/// Finds or installs what cargo needs beside itself.
+/// Finds or installs the tools that cargo needs.
 pub fn tools(workspace: &Workspace) -> anyhow::Result<()> {
     let components = ["fmt", "clippy"].map(|tool| component(workspace, tool));
     let nextest = first_line(&mut workspace.cargo(["nextest", "--version"]));
@@ -29,7 +29,7 @@ fn component(workspace: &Workspace, tool: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Installs Debian packages, removing none: some conflict with what may be somebody's choice.
+/// Installs Debian packages, removing none: a conflicting package may be the user's choice.
 pub fn apt_get(packages: &[&str]) -> anyhow::Result<()> {
     let apt = first_line(Command::new("apt-get").arg("--version"));
     if apt.is_none() || !Path::new("/etc/debian_version").exists() {
@@ -43,14 +43,14 @@ pub fn apt_get(packages: &[&str]) -> anyhow::Result<()> {
     install(Command::new("apt-get").args(options).args(packages))
 }
 
-/// Runs an installer in sight of the user.
+/// Runs an installer with its output visible.
 pub fn install(command: &mut Command) -> anyhow::Result<()> {
-    // rustup shows a backtrace of itself under RUST_BACKTRACE, which explains nothing here.
+    // rustup would show a backtrace of itself under RUST_BACKTRACE, which is of no use here.
     command.env_remove("RUST_BACKTRACE").stdin(Stdio::null());
     run(command.env("DEBIAN_FRONTEND", "noninteractive"))
 }
 
-/// One line about what set-up found or does.
+/// Prints one line about the set-up.
 pub fn say(line: &str) {
     println!("set-up: {line}");
 }

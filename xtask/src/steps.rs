@@ -1,4 +1,4 @@
-//! The steps of `cargo xtask test`: one table, in the order in which they run.
+//! Steps of `cargo xtask test`: one table, in the order in which they run.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -27,7 +27,7 @@ const AT_LENGTH: [(&str, &str); 11] = [
     ("IHD_DASHBOARD_FULL", "1"),
 ];
 
-/// How much a test run covers.
+/// Extent of a test run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Tier {
     /// Each behaviour with at least one case, in minutes.
@@ -36,13 +36,13 @@ pub enum Tier {
     Full,
 }
 
-/// One check of the project.
+/// Check of the project.
 pub struct Step {
-    /// Name, as it is typed.
+    /// Name on the command line.
     pub name: &'static str,
     /// Subject of the check.
     about: &'static str,
-    /// The smallest tier that holds it.
+    /// Smallest tier that contains it.
     tier: Tier,
     run: fn(&Session) -> anyhow::Result<()>,
 }
@@ -69,7 +69,7 @@ pub const STEPS: &[Step] = &[
 /// Seconds that the full tier fuzzes each target.
 const FUZZ_SECONDS: u64 = 300;
 
-/// What the steps share.
+/// State shared by the steps.
 pub struct Session {
     /// The checkout.
     pub workspace: Workspace,
@@ -82,13 +82,13 @@ impl Session {
         run(&mut self.workspace.whole(subcommand, rest))
     }
 
-    /// Finds or installs what the other steps need.
+    /// Finds or installs the tools of the other steps.
     pub fn set_up(&self) -> anyhow::Result<()> {
         let tools = setup::tools(&self.workspace);
         let qemu = emulator::find(&self.workspace, emulator::ARM);
         let guest = emulator::find(&self.workspace, emulator::X86)
             .and_then(|_| guest::find(&self.workspace));
-        // A missing tool must not keep the firmware's compiler from being looked for.
+        // A missing tool must not prevent the search for the firmware's compiler.
         toolchain::ensure_target()?;
         say(&format!("firmware: {}", toolchain::TARGET));
         let board = board::tools(&self.workspace);
@@ -102,7 +102,7 @@ impl Session {
             .and(board)
     }
 
-    /// All tests of the workspace; those of the image in QEMU get it from the step before.
+    /// Runs all tests of the workspace; those of the image in QEMU use the image of the step before.
     fn tests(&self) -> anyhow::Result<()> {
         let profile = match self.tier {
             Tier::Quick => "--profile default",
@@ -132,10 +132,8 @@ impl Session {
     }
 
     fn hostile(&self) -> anyhow::Result<()> {
-        let mut study = std::process::Command::new(self.workspace.program());
-        run(study
-            .current_dir(&self.workspace.root)
-            .args(["study", "hostile"]))
+        let mut study = std::process::Command::new(self.workspace.program("ihd-study"));
+        run(study.current_dir(&self.workspace.root).arg("hostile"))
     }
 
     fn image(&self, image: Image) -> anyhow::Result<PathBuf> {
@@ -143,7 +141,7 @@ impl Session {
         image.build(&self.workspace)
     }
 
-    /// Builds every image and says where it is.
+    /// Builds every image and prints its path.
     pub fn images(&self) -> anyhow::Result<()> {
         for image in IMAGES {
             let built = self.image(image)?;
@@ -154,14 +152,14 @@ impl Session {
 
     fn firmware(&self) -> anyhow::Result<()> {
         self.images()?;
-        // Clippy of the host's workspace does not see what only a board compiles.
+        // Clippy of the host's workspace does not see code that is only compiled for a board.
         let lint = |image: &Image| image.lint(&self.workspace);
         IMAGES.iter().try_for_each(lint)
     }
 
-    /// Prints what the board's image takes; an error where it takes more than it may.
+    /// Prints the memory of the board's image; an error if it exceeds a limit.
     pub fn budget(&self) -> anyhow::Result<()> {
-        let limits = budget::Limits::read(&self.workspace)?;
+        let limits = budget::BudgetLimits::read(&self.workspace)?;
         let image = self.image(STM32G474)?;
         none_broken(&budget::check(&image, &limits)?)
     }
@@ -169,7 +167,7 @@ impl Session {
     /// Counts instructions; `write` puts them into docs/performance.md.
     pub fn cycles(&self, write: bool) -> anyhow::Result<()> {
         let qemu = emulator::find(&self.workspace, emulator::ARM)?;
-        let limits = budget::Limits::read(&self.workspace)?;
+        let limits = budget::BudgetLimits::read(&self.workspace)?;
         let counts = cycles::count(&qemu, &self.image(COUNTS)?)?;
         let table = cycles::table(&counts, &limits);
         println!("{table}");
@@ -178,7 +176,7 @@ impl Session {
         none_broken(&broken)
     }
 
-    /// Has a Linux drive the board's image over USB.
+    /// Lets a Linux drive the board's image over USB.
     fn usb(&self) -> anyhow::Result<()> {
         guest::test(
             &self.workspace,
@@ -187,7 +185,7 @@ impl Session {
         )
     }
 
-    /// The image as it is flashed on the emulated board.
+    /// Tests the image as it is flashed on the emulated board.
     fn board(&self) -> anyhow::Result<()> {
         board::test(
             &self.workspace,
@@ -196,7 +194,7 @@ impl Session {
         )
     }
 
-    /// The emulated board as a process; `image` or the one of this checkout.
+    /// Runs the emulated board as a process, with `image` or the one of this checkout.
     pub fn hob(&self, image: Option<PathBuf>, options: &[String]) -> anyhow::Result<()> {
         let image = match image {
             // xtask's cargo starts in the workspace's root.
@@ -206,14 +204,14 @@ impl Session {
         board::hob(&self.workspace, &image, options)
     }
 
-    /// The tests for the controller itself, in QEMU.
+    /// Runs the tests for the controller itself, in QEMU.
     fn on_target(&self) -> anyhow::Result<()> {
         let qemu = emulator::find(&self.workspace, emulator::ARM)?;
         toolchain::ensure_target()?;
         on_target::in_emulator(&self.workspace, &qemu)
     }
 
-    /// The same, and on a board where there is one.
+    /// Runs the tests for the controller in QEMU, and on a board if there is one.
     pub fn target_tests(&self) -> anyhow::Result<()> {
         self.on_target()?;
         on_target::on_board(&self.workspace)
@@ -226,10 +224,10 @@ fn none_broken(broken: &[String]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Reads a step's name.
+/// Parses a step's name.
 ///
 /// # Errors
-/// All names with their subjects.
+/// If it is unknown, with all names and their subjects.
 pub fn parse(name: &str) -> anyhow::Result<&'static str> {
     let found = STEPS.iter().find(|step| step.name == name);
     let list = || {
@@ -241,10 +239,10 @@ pub fn parse(name: &str) -> anyhow::Result<&'static str> {
     Ok(found.name)
 }
 
-/// The steps to run: those of `only`, or all of the tier, without those of `skip`; always in their own order.
+/// Returns the steps to run: those of `only`, or all of the tier, without those of `skip`; always in their own order.
 ///
 /// # Errors
-/// Nothing is left.
+/// If nothing is left.
 pub fn select(tier: Tier, only: &[&str], skip: &[&str]) -> anyhow::Result<Vec<&'static Step>> {
     let asked = STEPS.iter().filter(|step| match only {
         [] => step.tier <= tier,
@@ -255,10 +253,10 @@ pub fn select(tier: Tier, only: &[&str], skip: &[&str]) -> anyhow::Result<Vec<&'
     Ok(chosen)
 }
 
-/// Runs `steps` one after the other, each under a heading, and closes with a table; an error where one failed.
+/// Runs `steps` in sequence, each under a heading, and prints a table; an error if one failed.
 ///
 /// # Errors
-/// The steps that failed, and why.
+/// The failed steps, with their errors.
 pub fn run_all(session: &Session, steps: &[&Step], fail_fast: bool) -> anyhow::Result<()> {
     let (mut table, mut failed) = (String::new(), Vec::new());
     let all = Instant::now();

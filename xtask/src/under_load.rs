@@ -1,4 +1,4 @@
-//! The same test run on a machine that is busy or small: what passes only on a quiet one judges by the wall clock.
+//! Test run on a busy or small machine: a test that only passes on a quiet one depends on the wall clock.
 
 use std::env;
 use std::ffi::OsStr;
@@ -8,16 +8,16 @@ use std::thread;
 
 use crate::workspace;
 
-/// Endless loops beside the tests.
+/// Number of endless loops beside the tests.
 const LOOPS: usize = 2;
 
-/// Runs beside them.
+/// Number of runs beside them.
 const RUNS: usize = 3;
 
 /// Runs `all` three times beside two endless loops, then this command once more on a single core.
 ///
 /// # Errors
-/// Those of the first run that fails.
+/// The error of the first run that fails.
 pub fn run(all: impl Fn() -> anyhow::Result<()>) -> anyhow::Result<()> {
     let done = AtomicBool::new(false);
     thread::scope(|scope| {

@@ -1,4 +1,4 @@
-//! Where the workspace is, and how xtask starts cargo and other programs.
+//! Location of the workspace, and start of cargo and other programs.
 
 use std::collections::BTreeMap;
 use std::env;
@@ -11,24 +11,24 @@ use std::sync::{Mutex, PoisonError};
 use anyhow::{Context, ensure};
 use cargo_metadata::MetadataCommand;
 
-/// Features beside each crate's own: what one step has built serves the next.
+/// Features beside each crate's own; the same in all steps, so that they share build results.
 const FEATURES: &str = "ihd/fleet,ihd/probe,ihd-debug-port/probe,ihd-tests/emulator";
 
-/// Packages that were compiled so far, with the target that they were compiled for, and how often.
+/// Packages compiled so far, with their target, and how often.
 static COMPILED: Mutex<BTreeMap<String, u32>> = Mutex::new(BTreeMap::new());
 
-/// The checkout that xtask was started in.
+/// Checkout in which xtask was started.
 pub struct Workspace {
     /// The folder of the workspace's Cargo.toml.
     pub root: PathBuf,
-    /// Where host builds go.
+    /// Folder of host builds.
     pub target: PathBuf,
 }
 
 impl Workspace {
-    /// The workspace that holds xtask's manifest.
+    /// Finds the workspace with xtask's manifest.
     pub fn find() -> anyhow::Result<Self> {
-        // At run time first: a built xtask may have moved together with its checkout.
+        // The run-time variable first: a built xtask may have moved together with its checkout.
         let xtask = env::var_os("CARGO_MANIFEST_DIR");
         let xtask = xtask.unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into());
         let root = Path::new(&xtask).parent().filter(|dir| dir.is_dir());
@@ -42,7 +42,7 @@ impl Workspace {
         })
     }
 
-    /// `cargo <subcommand>` on the whole workspace with the features that every step builds, and the rest of its line.
+    /// Returns `cargo <subcommand>` on the whole workspace with the features that every step builds, and the rest of its arguments.
     pub fn whole(&self, subcommand: &str, rest: &str) -> Command {
         let mut command = self.linting(subcommand);
         command.args(["--workspace", "--features", FEATURES]);
@@ -50,27 +50,28 @@ impl Workspace {
         command
     }
 
-    /// The command that the tests have built.
-    pub fn program(&self) -> PathBuf {
+    /// A program that the tests have built.
+    pub fn program(&self, name: &str) -> PathBuf {
         self.target
-            .join("debug/ihd")
+            .join("debug")
+            .join(name)
             .with_extension(env::consts::EXE_EXTENSION)
     }
 
-    /// `cargo <subcommand>` that lints what it compiles: Clippy's compiler is rustc with more lints, so that no second compilation is
-    /// needed for them. A warning is an error. This is what `cargo clippy` does, for another subcommand than `check`.
+    /// Returns `cargo <subcommand>` that also lints: Clippy's compiler is rustc with more lints, so no second compilation is
+    /// needed. A warning is an error. This is the mechanism of `cargo clippy`, for another subcommand than `check`.
     pub fn linting(&self, subcommand: &str) -> Command {
         let mut command = self.cargo(subcommand.split_whitespace());
         let sysroot = first_line(Command::new("rustc").args(["--print", "sysroot"]));
         let driver = Path::new(&sysroot.unwrap_or_default()).join("bin/clippy-driver");
         command.env("RUSTC_WORKSPACE_WRAPPER", driver);
-        // As clippy-driver splits it.
+        // Format expected by clippy-driver.
         let separator = "__CLIPPY_HACKERY__";
         command.env("CLIPPY_ARGS", ["-D", "warnings", ""].join(separator));
         command
     }
 
-    /// A cargo that starts in the workspace root and knows nothing of xtask's own package.
+    /// Returns a cargo that starts in the workspace root without the variables of xtask's own package.
     pub fn cargo<S: AsRef<OsStr>>(&self, args: impl IntoIterator<Item = S>) -> Command {
         let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
         let mut command = Command::new(cargo);
@@ -84,8 +85,8 @@ impl Workspace {
     }
 }
 
-/// What `cargo run` tells the program it starts about that program. Handed on to a nested cargo it would describe the
-/// wrong package, and build scripts that watch it would rebuild for nothing.
+/// Returns `true` for the variables by which `cargo run` describes the program that it starts. For a nested cargo they would
+/// describe the wrong package, and build scripts that watch them would rebuild for nothing.
 fn describes_xtask(variable: &str) -> bool {
     let named = [
         "CARGO_BIN_NAME",
@@ -96,7 +97,7 @@ fn describes_xtask(variable: &str) -> bool {
     named.contains(&variable) || groups.any(|start| variable.starts_with(start))
 }
 
-/// Runs a command in sight of the user; its own words say why it failed.
+/// Runs a command with its output visible; the output has the reason of a failure.
 pub fn run(command: &mut Command) -> anyhow::Result<()> {
     let line = spelled(command);
     println!("$ {line}");
@@ -116,7 +117,7 @@ pub fn run(command: &mut Command) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Copies a command's messages to ours and counts the packages that cargo compiles.
+/// Copies a command's messages to standard error and counts the packages that cargo compiles.
 fn pass_on(stderr: ChildStderr, target: &str) -> anyhow::Result<()> {
     let mut lines = BufReader::new(stderr);
     let mut line = Vec::new();
@@ -131,7 +132,7 @@ fn pass_on(stderr: ChildStderr, target: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Name and version in cargo's line about a package that it compiles, coloured or not.
+/// Name and version in cargo's line about a compiled package, coloured or not.
 fn compiled(line: &str) -> Option<String> {
     let (before, after) = line.split_once("Compiling")?;
     let mut words = after
@@ -142,7 +143,7 @@ fn compiled(line: &str) -> Option<String> {
     (is_cargos && version.starts_with('v')).then(|| format!("{name} {version}"))
 }
 
-/// The number of packages that were compiled, and those that were compiled more than once for one target.
+/// Text with the number of compiled packages, and those compiled more than once for one target.
 pub fn compilations() -> String {
     let all = COMPILED.lock().unwrap_or_else(PoisonError::into_inner);
     let again: Vec<_> = all.iter().filter(|(_, times)| **times > 1).collect();
@@ -155,7 +156,7 @@ pub fn compilations() -> String {
     )
 }
 
-/// The first line that a command prints, if it succeeds.
+/// First line that a command prints, if it succeeds.
 pub fn first_line(command: &mut Command) -> Option<String> {
     let output = command.output().ok()?;
     let text = String::from_utf8(output.stdout).ok()?;
@@ -163,7 +164,7 @@ pub fn first_line(command: &mut Command) -> Option<String> {
     (output.status.success() && !line.is_empty()).then(|| line.to_owned())
 }
 
-/// How a command looks when typed: what a failure message names.
+/// Command line as typed, for messages.
 pub fn spelled(command: &Command) -> String {
     let program = Path::new(command.get_program()).file_stem();
     let words = program.into_iter().chain(command.get_args());

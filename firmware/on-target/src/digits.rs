@@ -1,6 +1,6 @@
 //! The sampling path on samples that are made of integers alone: the same bits wherever it runs.
 
-use ihd_firmware::realtime::{Block, RealTime};
+use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
@@ -12,7 +12,7 @@ pub const BLOCKS: u32 = 800;
 /// CRC-32 of the trajectory that [`run`] must leave, on any machine: worked out on x86-64, where firmware/tests/digits.rs holds it.
 pub const EXPECTED: u32 = 0x46CE_6459;
 
-/// What the estimator begins with.
+/// Load that the estimator begins with.
 const START: (MicroOhm, PicoHenry) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
 
 /// A triangle of 1024 steps a turn, −256 to 256.
@@ -38,7 +38,7 @@ pub fn block(n: u32, noise: &mut u32) -> [Pair; ADC_LOCK_P] {
     })
 }
 
-/// What the estimator gave.
+/// Estimates of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Digits {
     /// CRC-32 of what it gave for each block.
@@ -50,14 +50,14 @@ pub struct Digits {
 }
 
 /// Replays [`BLOCKS`] blocks.
-pub fn run(path: &mut RealTime) -> Digits {
+pub fn run(path: &mut SamplingPath) -> Digits {
     let (r, l) = START;
     path.set_replay(true, 70_000, r, l);
     let (mut digest, mut noise) = (CRC32.digest(), 1);
     let (mut estimates, mut last) = (0, TrajectoryEntry::default());
     for n in 0..BLOCKS {
         let pairs = block(n, &mut noise);
-        let estimate = path.replay_block(&Block {
+        let estimate = path.replay_block(&AdcBlock {
             pairs: &pairs,
             zero_crossing: (n % 233 == 0).then_some((n % 61) as u8),
             bus_dv: 3_000,

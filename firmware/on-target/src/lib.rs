@@ -1,4 +1,4 @@
-//! What the tests on the controller and on the host compare.
+//! Figures that the tests on the controller and on the host compare.
 #![no_std]
 
 // Vectors and start-up code; critical sections.

@@ -6,7 +6,7 @@
 #[cfg(test)]
 #[embedded_test::tests]
 mod tests {
-    use ihd_firmware::realtime::RealTime;
+    use ihd_firmware::sampling::path::SamplingPath;
     use ihd_on_target::digits;
     use ihd_shared::lookup::RlLookup;
     use ihd_shared::lookup::prior::prior;
@@ -18,9 +18,9 @@ mod tests {
     use static_cell::ConstStaticCell;
 
     /// 68 KiB: never on the stack.
-    static PATH: ConstStaticCell<RealTime> = ConstStaticCell::new(RealTime::blank());
+    static PATH: ConstStaticCell<SamplingPath> = ConstStaticCell::new(SamplingPath::blank());
 
-    fn path() -> &'static mut RealTime {
+    fn path() -> &'static mut SamplingPath {
         let path = PATH.take();
         path.begin(MicroOhm(4_000_000), PicoHenry(25_000_000));
         path
@@ -94,7 +94,7 @@ mod tests {
         digits::run(path);
         let pairs = digits::block(100, &mut 1);
         let before = cortex_m::peripheral::DWT::cycle_count();
-        core::hint::black_box(path.replay_block(&ihd_firmware::realtime::Block {
+        core::hint::black_box(path.replay_block(&ihd_firmware::sampling::path::AdcBlock {
             pairs: core::hint::black_box(&pairs),
             zero_crossing: None,
             bus_dv: 3_000,

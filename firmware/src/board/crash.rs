@@ -9,29 +9,29 @@
 use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use ihd_firmware::reset::{CrashRecord, Reason, WORDS};
+use ihd_firmware::retained::reset::{CrashRecord, ResetReason, WORDS};
 #[cfg(feature = "stm32g474")]
-use ihd_firmware::reset::{Flags, NEXT_BOOTLOADER};
+use ihd_firmware::retained::reset::{NEXT_BOOTLOADER, ResetFlags};
 
 #[cfg(feature = "stm32g474")]
 use ihd_shared::wire::messages::Program;
 
 #[cfg(feature = "mps2-an386")]
-use super::mps2_an386::{outputs_off, stay};
+use super::mps2_an386::safe_state::{outputs_off, stay};
 #[cfg(feature = "stm32g474")]
-use super::stm32g474::{is_damaged_page, outputs_off, stay, system_fault};
+use super::stm32g474::safe_state::{is_damaged_page, outputs_off, stay, system_fault};
 
 /// Not cleared at start: memory.x places it outside what start-up code writes.
 #[unsafe(link_section = ".crash_record")]
 static CRASH_RECORD: [AtomicU32; WORDS] = [const { AtomicU32::new(0) }; WORDS];
 
-/// How often in a row the program ended before it had run for a while, and its complement.
+/// Number of times in a row that the program ended before it had run for a while, and its complement.
 #[unsafe(link_section = ".crash_record")]
 static ENDS: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
 
 #[cfg(feature = "stm32g474")]
 unsafe extern "C" {
-    /// [`NEXT_BOOTLOADER`] and its complement where that is to run next: start-up looks for it (`start_up.rs`). The
+    /// [`NEXT_BOOTLOADER`] and its complement where that is to run next: start-up reads it (`start_up.rs`). The
     /// linker's (memory.x), as a variable that no Rust reads is not written either.
     static __next_program: [AtomicU32; 2];
 }
@@ -55,7 +55,7 @@ fn set_ends(ends: u32) {
 /// Counts a start after the watchdog; stays there if it is one too many in a row. Power-on and the reset
 /// pin begin anew.
 #[cfg(feature = "stm32g474")]
-pub fn count_start(flags: Flags) {
+pub fn count_start(flags: ResetFlags) {
     if flags.watchdog {
         if count_end() > MOST_ENDS {
             stay(kept().fault);
@@ -71,7 +71,7 @@ pub fn ran_well() {
     set_ends(0);
 }
 
-/// What the last run left; counts this start.
+/// Reads the record that the last run left, and counts this start.
 pub fn read_crash_record() -> Option<CrashRecord> {
     let mut words = [0; WORDS];
     for (word, kept) in words.iter_mut().zip(&CRASH_RECORD) {
@@ -115,7 +115,7 @@ fn write(record: CrashRecord) {
 pub fn restart(into: Program) -> ! {
     outputs_off();
     write(CrashRecord {
-        reason: Some(Reason::Software),
+        reason: Some(ResetReason::Software),
         ..kept()
     });
     let words = match into {
@@ -130,7 +130,7 @@ pub fn restart(into: Program) -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-fn end(reason: Reason) -> ! {
+fn end(reason: ResetReason) -> ! {
     outputs_off();
     write(CrashRecord {
         reason: Some(reason),
@@ -144,7 +144,7 @@ fn end(reason: Reason) -> ! {
 
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
-    end(Reason::Panic)
+    end(ResetReason::Panic)
 }
 
 /// An error of flash or RAM that cannot be corrected (RM0440: FLASH, "Error code correction (ECC)";
@@ -160,7 +160,7 @@ unsafe fn NonMaskableInt() {
     if let Some(fault) = system_fault() {
         note_fault(fault.number());
     }
-    end(Reason::Panic)
+    end(ResetReason::Panic)
 }
 
 /// Every fault of the processor ends here, as none but the hard fault is enabled. After a stack
@@ -186,8 +186,8 @@ extern "C" fn processor_fault(sp: usize) -> ! {
     }
     let stack_end = &raw const _stack_end as usize;
     end(if sp < stack_end {
-        Reason::StackOverflow
+        ResetReason::StackOverflow
     } else {
-        Reason::Panic
+        ResetReason::Panic
     })
 }

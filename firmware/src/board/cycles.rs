@@ -9,7 +9,7 @@ pub fn start(mut core: cortex_m::Peripherals) {
     core.DWT.enable_cycle_counter();
 }
 
-/// What it shows.
+/// Reads the counter.
 #[inline(always)]
 pub fn now() -> u32 {
     DWT::cycle_count()

@@ -1,12 +1,12 @@
 //! The link task: bytes between a port and [`Housekeeping`], and housekeeping's turn after blocks.
 //!
 //! Control never waits for the link: while a frame waits for its port, blocks are still polled. The
-//! port that was heard last is the one that is answered.
+//! port that received last is the one that sends.
 
 use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_futures::yield_now;
-use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::realtime::Access;
+use ihd_firmware::link::housekeeping::Housekeeping;
+use ihd_firmware::sampling::path::SamplingLock;
 use ihd_shared::wire::frame::MAX_ENCODED;
 
 use super::crash;
@@ -74,9 +74,9 @@ impl<const N: usize> Inbox<N> {
     }
 }
 
-/// Which port.
+/// The port in use.
 #[derive(Clone, Copy, PartialEq)]
-enum Heard {
+enum LastPort {
     First,
     Second,
 }
@@ -96,12 +96,12 @@ pub async fn run(
     };
     // 64 bytes are a USB packet.
     let (mut a, mut b) = (Inbox::<64>::EMPTY, Inbox::<64>::EMPTY);
-    let mut heard = Heard::First;
+    let mut last_port = LastPort::First;
     let mut block_was_last = false;
     loop {
-        for (inbox, port) in [(&mut a, Heard::First), (&mut b, Heard::Second)] {
+        for (inbox, port) in [(&mut a, LastPort::First), (&mut b, LastPort::Second)] {
             if !inbox.rest().is_empty() {
-                heard = port;
+                last_port = port;
                 inbox.taken += housekeeping.receive(&mut path, inbox.rest());
             }
         }
@@ -113,7 +113,7 @@ pub async fn run(
         let ports = select3(
             receive(&mut first.0, a.room()),
             receive(&mut second.0, b.room()),
-            send(&mut first.1, &mut second.1, heard, frame),
+            send(&mut first.1, &mut second.1, last_port, frame),
         );
         // In turn: whatever the host sends, control gets its turn, and however fast blocks come, the
         // ports get theirs.
@@ -152,10 +152,15 @@ async fn receive(port: &mut impl Receive, room: Option<&mut [u8]>) -> usize {
     }
 }
 
-async fn send(first: &mut impl Send, second: &mut impl Send, heard: Heard, frame: &[u8]) -> usize {
-    match (frame, heard) {
+async fn send(
+    first: &mut impl Send,
+    second: &mut impl Send,
+    last_port: LastPort,
+    frame: &[u8],
+) -> usize {
+    match (frame, last_port) {
         ([], _) => core::future::pending().await,
-        (_, Heard::First) => first.send(frame).await,
-        (_, Heard::Second) => second.send(frame).await,
+        (_, LastPort::First) => first.send(frame).await,
+        (_, LastPort::Second) => second.send(frame).await,
     }
 }

@@ -1,4 +1,4 @@
-//! The boards: the only place that knows registers, interrupts and an executor.
+//! Boards: registers, interrupts and the executor, which exist nowhere else.
 //!
 //! ```text
 //! priority   what                                                    may be delayed by
@@ -14,7 +14,7 @@
 //! phasor and per half-cycle; `cargo xtask cycles` measures them and checks the sum against 35 % of
 //! the block. On the STM32 that code runs from CCM SRAM, without wait states, and [`cycles`] measures it. A critical section of the thread is at most one copy of a 960-byte chunk.
 //!
-//! What decides anything is in the `ihd_firmware` library; a board moves bytes and sets registers.
+//! Every decision is in the `ihd_firmware` library; a board moves bytes and sets registers.
 
 mod crash;
 mod cycles;

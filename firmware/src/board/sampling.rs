@@ -14,20 +14,21 @@ use core::task::{Context, Poll};
 use embassy_executor::raw::{task_from_waker, wake_task_no_pend};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
-use ihd_firmware::realtime::{Access, Block, Drive, RealTime};
+use ihd_firmware::drive::bridge::Drive;
+use ihd_firmware::sampling::path::{AdcBlock, SamplingLock, SamplingPath};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
 use super::cycles;
 
 /// The one sampling path. Its window alone is 64 KiB, so it is never moved.
-struct Place(UnsafeCell<RealTime>);
+struct Place(UnsafeCell<SamplingPath>);
 
 // SAFETY: reached only through `InterruptSide` and `ThreadSide`, of which `split` makes one each.
 // The former runs at an interrupt's priority and is never preempted by the latter; the latter masks
 // interrupts for as long as it holds its reference.
 unsafe impl Sync for Place {}
 
-static PLACE: Place = Place(UnsafeCell::new(RealTime::blank()));
+static PLACE: Place = Place(UnsafeCell::new(SamplingPath::blank()));
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
 /// Set after each block, for the link task: faults, summaries and windows may be there.
@@ -53,7 +54,7 @@ pub fn split(r: MicroOhm, l: PicoHenry) -> Option<(InterruptSide, ThreadSide)> {
 impl InterruptSide {
     /// Takes one block; returns the drive for the bridge.
     #[inline(always)]
-    fn on_block(&mut self, block: &Block<'_>) -> Drive {
+    fn on_block(&mut self, block: &AdcBlock<'_>) -> Drive {
         // SAFETY: begun by `split`, which made this side. The thread's side masks interrupts
         // while it holds its reference, and the task that owns this side is no thread.
         let realtime = unsafe { &mut *PLACE.0.get() };
@@ -72,8 +73,8 @@ impl InterruptSide {
     }
 }
 
-impl Access for ThreadSide {
-    fn with<R>(&mut self, f: impl FnOnce(&mut RealTime) -> R) -> R {
+impl SamplingLock for ThreadSide {
+    fn with<R>(&mut self, f: impl FnOnce(&mut SamplingPath) -> R) -> R {
         critical_section::with(|_| {
             // SAFETY: begun by `split`. Interrupts are masked, so the other side does not
             // run; `&mut self` keeps `f` from coming back here.
@@ -82,11 +83,11 @@ impl Access for ThreadSide {
     }
 }
 
-/// Where blocks come from and the drive goes to.
+/// Source of blocks, and sink of the drive.
 pub trait SampleSource: Unpin {
     /// Hands the oldest block that was not handed out yet to `take`, and its answer to the bridge.
     /// Returns whether there was one.
-    fn next(&mut self, take: impl FnOnce(&Block<'_>) -> Drive) -> bool;
+    fn next(&mut self, take: impl FnOnce(&AdcBlock<'_>) -> Drive) -> bool;
 
     /// Cycles of the processor from one block to the next; 0 where they are not counted.
     fn block_cycles(&self) -> u32;

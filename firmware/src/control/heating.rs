@@ -1,71 +1,150 @@
-//! A pot is heated: the pot is watched, the power is regulated, or given in bursts.
+//! State Heating: the pot is watched, and its power regulated or given in bursts.
 
-use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::{Limit, Pot};
 
-use super::{Action, Control, Now};
-use crate::burst::Step;
-use crate::half_cycle::Summary;
-use crate::limits::{BURST_POWER_W, POT_GONE_HALF_CYCLES, SMALL_POT_PERCENT};
-use crate::pot::classify;
-use crate::pwm;
-use crate::realtime::Drive;
+use crate::control::burst::{BurstStep, PowerBursts};
+use crate::control::parts::ControlParts;
+use crate::control::pot::classify;
+use crate::control::status::{Action, SamplingStatus};
+use crate::drive::bridge::Drive;
+use crate::drive::pwm;
+use crate::limits::{BURST_POWER_W, POT_GONE_HALF_CYCLES};
+use crate::sampling::half_cycle::HalfCycle;
 
 /// Half-cycles in a row at the highest frequency with too much power before bursts begin.
 const FLOOR_HALF_CYCLES: u8 = 2;
 
-/// How much is too much.
+/// Excess over the granted power that is too much.
 const TOO_MUCH_PERCENT: u64 = 1;
 
-impl Control {
-    pub(super) fn heat(&mut self, summary: &Summary, now: &Now) -> Action {
+/// Consequence of a half-cycle of heating.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HeatingStep {
+    /// Heating goes on.
+    Act(Action),
+    /// The pot is away, or cannot be heated.
+    PotLost(Pot),
+}
+
+/// A pot being heated.
+#[derive(Clone, Debug)]
+pub struct Heating {
+    /// Time of the last half-cycle that showed a pot, in milliseconds.
+    judged_ms: u32,
+    /// Half-cycles in a row that showed none.
+    without_pot: u8,
+    /// Half-cycles in a row at the highest frequency with more power than was granted.
+    at_floor: u8,
+    /// Power that is given in bursts until another is granted, as no frequency gives as little; 0 for none.
+    bursts_for_w: u16,
+    /// Bursts under way.
+    bursts: Option<PowerBursts>,
+    /// Half-cycles since the bridge switches.
+    half_cycles_on: u32,
+    limit: Limit,
+    last: HalfCycle,
+}
+
+impl Heating {
+    /// Begins with a pot that was judged now.
+    pub fn new(now_ms: u32) -> Self {
+        Self {
+            judged_ms: now_ms,
+            without_pot: 0,
+            at_floor: 0,
+            bursts_for_w: 0,
+            bursts: None,
+            half_cycles_on: 0,
+            limit: Limit::None,
+            last: HalfCycle::default(),
+        }
+    }
+
+    /// Time of the last half-cycle that showed a pot, in milliseconds.
+    pub fn judged_ms(&mut self) -> &mut u32 {
+        &mut self.judged_ms
+    }
+
+    /// Limit of pot or temperature that holds the power below what was requested.
+    pub fn limit(&self) -> Limit {
+        self.limit
+    }
+
+    /// Takes a half-cycle that is over.
+    pub fn on_half_cycle(
+        &mut self,
+        summary: &HalfCycle,
+        status: &SamplingStatus,
+        parts: &mut ControlParts,
+    ) -> HeatingStep {
+        self.last = *summary;
+        self.half_cycles_on = if summary.f_sw_hz == 0 {
+            0
+        } else {
+            self.half_cycles_on.wrapping_add(1)
+        };
         if summary.f_sw_hz > 0 && !summary.disturbed {
-            match classify(summary, self.pot) {
+            match classify(summary, parts.pot) {
                 pot @ (Pot::Ferromagnetic | Pot::Small) => {
-                    self.pot = pot;
+                    parts.pot = pot;
+                    parts.heated_hz = summary.f_sw_hz;
                     self.without_pot = 0;
-                    self.judged_ms = now.ms;
-                    self.heated_hz = summary.f_sw_hz;
+                    self.judged_ms = status.now_ms;
                 }
                 // Too little mains to say.
-                Pot::Unknown => return Action::Keep,
+                Pot::Unknown => return HeatingStep::Act(Action::Keep),
                 pot => {
                     self.without_pot += 1;
-                    if self.without_pot >= POT_GONE_HALF_CYCLES {
-                        return self.lose_pot(pot, now);
-                    }
-                    return Action::Keep;
+                    return if self.without_pot >= POT_GONE_HALF_CYCLES {
+                        HeatingStep::PotLost(pot)
+                    } else {
+                        HeatingStep::Act(Action::Keep)
+                    };
                 }
             }
         }
-        self.restart.heating(now.ms);
-        let granted_w = self.granted_w();
+        parts.restart.heating(status.now_ms);
+        HeatingStep::Act(self.set_power(summary, status, parts))
+    }
+
+    /// Begins a search for a power that was just requested: the last half-cycle is as good as the next, 10 ms sooner.
+    pub fn follow_request(&mut self, parts: &mut ControlParts) {
+        if self.bursts.is_some() || parts.power.is_searching() {
+            return;
+        }
+        if self.last.f_sw_hz > 0 && !self.last.disturbed {
+            let granted_w = self.grant(parts);
+            parts.power.begin(&self.last, u64::from(granted_w) * 1_000);
+        }
+    }
+
+    fn grant(&mut self, parts: &ControlParts) -> u16 {
+        let (granted_w, limit) = parts.granted_w();
+        self.limit = limit;
+        granted_w
+    }
+
+    fn set_power(
+        &mut self,
+        summary: &HalfCycle,
+        status: &SamplingStatus,
+        parts: &mut ControlParts,
+    ) -> Action {
+        let granted_w = self.grant(parts);
         self.watch_floor(summary, granted_w);
         if granted_w == self.bursts_for_w {
-            return self.give_bursts(summary, granted_w, now);
+            return self.give_bursts(summary, granted_w, status, parts);
         }
-        if core::mem::take(&mut self.bursting) && !now.wanted.is_switching() {
-            return Action::Drive(Drive::switching(self.heated_hz));
+        if self.bursts.take().is_some() && !status.requested.is_switching() {
+            return Action::Drive(Drive::switching(parts.heated_hz));
         }
-        self.regulate(summary, granted_w, now);
+        regulate(summary, granted_w, status, parts);
         Action::Keep
     }
 
-    /// Begins a search for the frequency, unless the summary is of another one.
-    fn regulate(&mut self, summary: &Summary, power_w: u16, now: &Now) {
-        // A thread too slow for one search a half-cycle ends the old one first.
-        if summary.f_sw_hz == now.wanted.f_sw_hz
-            && summary.f_sw_hz > 0
-            && !summary.disturbed
-            && !self.power.is_searching()
-        {
-            self.power.begin(summary, u64::from(power_w) * 1_000);
-        }
-    }
-
-    /// More power than was asked for, and no higher frequency: bursts, as long as the same power is
-    /// asked for.
-    fn watch_floor(&mut self, summary: &Summary, granted_w: u16) {
+    /// Counts half-cycles with more power than was granted and no higher frequency: then bursts, as long as the same power
+    /// is granted.
+    fn watch_floor(&mut self, summary: &HalfCycle, granted_w: u16) {
         if granted_w == self.bursts_for_w {
             return;
         }
@@ -79,49 +158,47 @@ impl Control {
         }
     }
 
-    fn give_bursts(&mut self, summary: &Summary, granted_w: u16, now: &Now) -> Action {
-        if !self.bursting {
-            self.bursting = true;
-            // The half-cycle that is just over is counted below.
-            let before = self.half_cycles_on.wrapping_sub(1);
-            self.burst.begin(granted_w, now.ms, before);
-        }
-        match self.burst.on_half_cycle(summary, granted_w, now.ms) {
-            Step::On if self.restart.permits(now.ms) => {
-                self.power.cancel();
-                Action::Drive(Drive::switching(self.heated_hz))
+    fn give_bursts(
+        &mut self,
+        summary: &HalfCycle,
+        granted_w: u16,
+        status: &SamplingStatus,
+        parts: &mut ControlParts,
+    ) -> Action {
+        // The half-cycle that is just over is counted by the burst itself.
+        let before = self.half_cycles_on.wrapping_sub(1);
+        let bursts = self
+            .bursts
+            .get_or_insert_with(|| PowerBursts::new(granted_w, status.now_ms, before));
+        match bursts.on_half_cycle(summary, granted_w, status.now_ms) {
+            BurstStep::On if parts.restart.permits(status.now_ms) => {
+                parts.power.cancel();
+                Action::Drive(Drive::switching(parts.heated_hz))
             }
-            Step::On => Action::Keep,
-            Step::OffAtCrossing => {
-                self.power.cancel();
+            BurstStep::On => Action::Keep,
+            BurstStep::OffAtCrossing => {
+                parts.power.cancel();
                 Action::OffAtCrossing
             }
-            Step::Keep => {
-                if self.burst.is_on() {
-                    self.regulate(summary, BURST_POWER_W.max(granted_w), now);
+            BurstStep::Keep => {
+                if bursts.is_on() {
+                    regulate(summary, BURST_POWER_W.max(granted_w), status, parts);
                 }
                 Action::Keep
             }
         }
     }
+}
 
-    /// What is given of what was asked for, in watt.
-    pub(super) fn granted_w(&mut self) -> u16 {
-        let asked_w = self.request.power_w();
-        let hot_w =
-            (u32::from(RATED_POWER_W) * u32::from(self.temperatures.power_percent()) / 100) as u16;
-        let pot_w = if self.pot == Pot::Small {
-            (u32::from(RATED_POWER_W) * u32::from(SMALL_POT_PERCENT) / 100) as u16
-        } else {
-            RATED_POWER_W
-        };
-        self.limit = if asked_w > hot_w {
-            Limit::Temperature
-        } else if asked_w > pot_w {
-            Limit::SmallPot
-        } else {
-            Limit::None
-        };
-        asked_w.min(pot_w).min(hot_w)
+/// Begins a search for the frequency, unless the half-cycle is of another one.
+#[inline(never)]
+fn regulate(summary: &HalfCycle, power_w: u16, status: &SamplingStatus, parts: &mut ControlParts) {
+    // A thread too slow for one search a half-cycle ends the old one first.
+    if summary.f_sw_hz == status.requested.f_sw_hz
+        && summary.f_sw_hz > 0
+        && !summary.disturbed
+        && !parts.power.is_searching()
+    {
+        parts.power.begin(summary, u64::from(power_w) * 1_000);
     }
 }

@@ -21,18 +21,18 @@ const MOST: u32 = NOMINAL * 1_098 / 1_000;
 /// overtaken while an interrupt runs.
 const TRIES: u8 = 4;
 
-/// What the timer shows.
+/// Capture of the timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Captured {
+pub enum ClockCapture {
     /// Nothing new.
     Nothing,
     /// The counter at an edge.
     At(u16),
-    /// An edge, and one before it that nobody took.
+    /// An edge, and one before it that was not taken.
     Overtaken,
 }
 
-/// Measures one interval between captures, as often as it is asked to.
+/// Measures intervals between captures, one a call.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ClockCheck {
     first: Option<u16>,
@@ -43,22 +43,22 @@ pub struct ClockCheck {
 impl ClockCheck {
     /// Takes what the timer shows; once an interval is known, or `patience` polls have passed without one, whether the two
     /// clocks agree.
-    pub fn take(&mut self, captured: Captured, patience: u32) -> Option<bool> {
+    pub fn take(&mut self, captured: ClockCapture, patience: u32) -> Option<bool> {
         self.polls += 1;
         let verdict = match (captured, self.first) {
-            (Captured::At(second), Some(first)) => {
+            (ClockCapture::At(second), Some(first)) => {
                 self.first = Some(second);
                 Some(agree(second.wrapping_sub(first)))
             }
-            (Captured::At(first), None) => {
+            (ClockCapture::At(first), None) => {
                 self.first = Some(first);
                 None
             }
-            (Captured::Overtaken, _) => {
+            (ClockCapture::Overtaken, _) => {
                 self.first = None;
                 None
             }
-            (Captured::Nothing, _) => None,
+            (ClockCapture::Nothing, _) => None,
         };
         match verdict {
             Some(true) => {
@@ -96,7 +96,7 @@ mod tests {
         let mut check = ClockCheck::default();
         (0..20u32).find_map(|k| {
             let at = (60_000.0 + f64::from(k) * counts) as u64 as u16;
-            check.take(Captured::At(at), 100)
+            check.take(ClockCapture::At(at), 100)
         })
     }
 
@@ -119,12 +119,12 @@ mod tests {
     #[test]
     fn an_oscillator_that_stands_still_is_found_and_an_overtaken_capture_is_none() {
         let mut check = ClockCheck::default();
-        let polls = (1..).find(|_| check.take(Captured::Nothing, 50).is_some());
+        let polls = (1..).find(|_| check.take(ClockCapture::Nothing, 50).is_some());
         assert_eq!(polls, Some(50));
         let mut check = ClockCheck::default();
-        assert_eq!(check.take(Captured::At(0), 50), None);
-        assert_eq!(check.take(Captured::Overtaken, 50), None);
-        assert_eq!(check.take(Captured::At(30_000), 50), None);
-        assert_eq!(check.take(Captured::At(40_625), 50), Some(true));
+        assert_eq!(check.take(ClockCapture::At(0), 50), None);
+        assert_eq!(check.take(ClockCapture::Overtaken, 50), None);
+        assert_eq!(check.take(ClockCapture::At(30_000), 50), None);
+        assert_eq!(check.take(ClockCapture::At(40_625), 50), Some(true));
     }
 }

@@ -11,7 +11,7 @@ const MOST_OFF_PERMILLE: u32 = 50;
 /// (docs/board.md).
 const LEAST_TURNS: u32 = 50;
 
-/// What each task counts; all of them wrap.
+/// Counts of each task; all of them wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Cycles that the blocks which the sampling path took should have lasted.
@@ -20,7 +20,7 @@ pub struct Counts {
     pub blocks: u32,
     /// Turns of housekeeping.
     pub turns: u32,
-    /// Answers of the task that keeps lookups; it is asked once a window.
+    /// Answers of the task that keeps lookups; it is called once a window.
     pub answers: u32,
 }
 
@@ -31,16 +31,16 @@ pub enum Task {
     Sampling,
     /// Control and link.
     Housekeeping,
-    /// What keeps lookups in flash.
+    /// Task that keeps lookups in flash.
     Keep,
 }
 
-/// What a look at the counts says.
+/// Result of a check of the counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flow {
     /// The window is not over.
     Going,
-    /// It is, and every task ran at its rate; the task that keeps lookups is to be asked again.
+    /// It is, and every task ran at its rate; the task that keeps lookups is to be called again.
     Right,
     /// It is, and this one did not.
     Wrong(Task),
@@ -55,7 +55,7 @@ pub struct ProgramFlow {
 }
 
 impl ProgramFlow {
-    /// Begins a window now; the task that keeps lookups has been asked.
+    /// Begins a window now; the task that keeps lookups has been called.
     pub fn new(now_cycles: u32, counts: Counts) -> Self {
         Self {
             began_at: now_cycles,
@@ -76,7 +76,7 @@ impl ProgramFlow {
         wrong.map_or(Flow::Right, Flow::Wrong)
     }
 
-    /// Whether all was right in the last window: only then may a bridge that is not open have its watchdog fed.
+    /// Returns `true` if all was right in the last window: only then may a bridge that is not open have its watchdog fed.
     pub fn is_right(&self) -> bool {
         self.right
     }

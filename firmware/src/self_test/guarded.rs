@@ -19,7 +19,7 @@ impl GuardedLookup {
         Self { lookup, crc }
     }
 
-    /// Whether it is still what it was. Some 10 000 cycles.
+    /// Returns `true` if it is unchanged. Some 10 000 cycles.
     pub fn is_intact(&self) -> bool {
         crc(&self.lookup) == self.crc
     }

@@ -12,7 +12,7 @@ pub trait Crc32 {
     fn value(&self) -> u32;
 }
 
-/// Memory that is looked at again and again.
+/// Memory that is checked again and again.
 #[derive(Clone, Copy, Debug)]
 struct Slices {
     at: usize,
@@ -64,7 +64,7 @@ impl ImageCheck {
     }
 }
 
-/// What start-up copied from flash into RAM, and nothing may change since.
+/// A part of RAM that start-up copied from flash, and that must not change.
 #[derive(Clone, Copy, Debug)]
 pub struct CopyCheck {
     copy: &'static [u32],

@@ -1,4 +1,4 @@
-//! Self-tests after the list of IEC 60730-1, Annex H, for software class B: what decides, without hardware.
+//! Self-tests after the list of IEC 60730-1, Annex H, for software class B: their decisions, without hardware.
 //!
 //! ```text
 //! image      CRC-32 of the program in flash, in slices         board feeds it each few blocks
@@ -15,4 +15,5 @@
 pub mod clock;
 pub mod flow;
 pub mod guarded;
+pub mod heartbeat;
 pub mod image;

@@ -2,7 +2,8 @@
 
 use std::f64::consts::{PI, TAU};
 
-use ihd_firmware::realtime::{Block, Drive};
+use ihd_firmware::drive::bridge::Drive;
+use ihd_firmware::sampling::path::AdcBlock;
 use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, block_ns,
 };
@@ -77,7 +78,7 @@ impl Board {
     }
 
     /// The next block around its pairs; time goes on.
-    pub fn block<'a>(&mut self, pairs: &'a [Pair; ADC_LOCK_P], drive: Drive) -> Block<'a> {
+    pub fn block<'a>(&mut self, pairs: &'a [Pair; ADC_LOCK_P], drive: Drive) -> AdcBlock<'a> {
         let duration = u64::from(block_ns(drive.f_sw_hz));
         let next = (self.time_ns / self.half_cycle_ns + 1) * self.half_cycle_ns;
         let crosses = next <= self.time_ns + duration;
@@ -86,7 +87,7 @@ impl Board {
         self.time_ns += duration;
         let usual = (crosses.then_some(at as u8), bus_dv, 0);
         let (zero_crossing, bus_dv, lost) = self.next.take().unwrap_or(usual);
-        Block {
+        AdcBlock {
             pairs,
             zero_crossing,
             bus_dv,

@@ -11,11 +11,12 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::Router;
-use axum::body::{Body, Bytes, HttpBody};
-use hyper::body::{Frame, SizeHint};
-use hyper::server::conn::http1;
+use axum::http::HeaderValue;
+use axum::http::header::HOST;
+use hyper::body::Incoming;
+use hyper::server::conn::{http1, http2};
 use hyper::service::{Service as _, service_fn};
-use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use socket2::SockRef;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
@@ -24,7 +25,9 @@ use tokio::sync::watch;
 use tokio::time::{Sleep, sleep, timeout};
 use tokio_rustls::TlsAcceptor;
 
-use crate::places::{Place, Request};
+use crate::places::Place;
+use crate::tls::HTTP2;
+use crate::traffic::{Traffic, UnderWay};
 
 /// Longest until the head of a request is there: from the connection's beginning, or from the answer before.
 pub(crate) const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
@@ -36,13 +39,23 @@ const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 pub(crate) const STRANGER_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Longest that a reader may take nothing of what is written to him.
-const STALL_TIMEOUT: Duration = Duration::from_secs(30);
+pub(crate) const STALL_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// How long requests under way have when the server ends.
 const FAREWELL: Duration = Duration::from_secs(1);
 
 /// Largest head of a request, and most that is buffered of a connection, in bytes.
 const MAX_BUFFER: usize = 16_384;
+
+/// Requests of one connection at a time, over HTTP/2: more than a browser's windows have.
+const MAX_STREAMS: u32 = 32;
+
+/// Requests of a connection that its other end has called back and that nobody has looked at yet, and those that break HTTP/2's rules:
+/// whoever goes on so loses the connection.
+const MAX_RESET_STREAMS: usize = 20;
+
+/// Of a request's body, what may come before it is read, in bytes: as much as a body may have.
+const BODY_WINDOW: u32 = 65_536;
 
 /// What the system may hold of a connection that it has not sent: what lies there is old when it comes, and a display wants what is new.
 const UNSENT: usize = 16_384;
@@ -73,14 +86,18 @@ pub(crate) async fn serve(
     let each = Each {
         stalled: watched.stalled.clone(),
         place: place.clone(),
-        router,
+        traffic: Traffic::default(),
+        routes: TowerToHyperService::new(router),
     };
     let serving = async {
         match tls {
             None => speak(watched, each, stopping).await,
             Some(tls) => {
                 if let Ok(Ok(stream)) = timeout(HANDSHAKE_TIMEOUT, tls.accept(watched)).await {
-                    speak(stream, each, stopping).await;
+                    match stream.get_ref().1.alpn_protocol() {
+                        Some(HTTP2) => speak_http2(stream, each, stopping).await,
+                        _ => speak(stream, each, stopping).await,
+                    }
                 }
             }
         }
@@ -105,7 +122,25 @@ async fn remains_a_stranger(place: &Place) {
 struct Each {
     stalled: Stalled,
     place: Place,
-    router: Router,
+    traffic: Traffic,
+    routes: TowerToHyperService<Router>,
+}
+
+impl Each {
+    /// Has a request answered.
+    fn answer(
+        &self,
+        mut request: hyper::Request<Incoming>,
+    ) -> impl Future<Output = Result<hyper::Response<UnderWay>, Infallible>> + use<> {
+        request.extensions_mut().insert(self.stalled.clone());
+        request.extensions_mut().insert(self.place.clone());
+        let (place, passing) = (self.place.request(), self.traffic.begin());
+        let answering = self.routes.call(request);
+        async move {
+            let answer = answering.await?;
+            Ok(answer.map(|body| UnderWay::new(body, passing, place)))
+        }
+    }
 }
 
 /// Without it a slow reader gets megabytes of the past first. Where the system does not take it, he does.
@@ -117,25 +152,12 @@ fn hold_little(stream: &TcpStream) {
     let _ = socket.set_send_buffer_size(4 * UNSENT);
 }
 
+/// HTTP/1.1: one request after the other.
 async fn speak<S>(stream: S, each: Each, mut stopping: watch::Receiver<bool>)
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
-    let routes = TowerToHyperService::new(each.router);
-    let (stalled, place) = (each.stalled, each.place);
-    let service = service_fn(move |mut request| {
-        request.extensions_mut().insert(stalled.clone());
-        request.extensions_mut().insert(place.clone());
-        let (under_way, answering) = (place.request(), routes.call(request));
-        async move {
-            let answer = answering.await?;
-            let held = |body| UnderWay {
-                body,
-                _request: under_way,
-            };
-            Ok::<_, Infallible>(answer.map(held))
-        }
-    });
+    let service = service_fn(move |request| each.answer(request));
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_TIMEOUT)
@@ -150,30 +172,41 @@ where
     let _ = timeout(FAREWELL, connection).await;
 }
 
-/// The body of an answer, with which its request ends.
-struct UnderWay {
-    body: Body,
-    _request: Request,
-}
-
-impl HttpBody for UnderWay {
-    type Data = Bytes;
-    type Error = axum::Error;
-
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        Pin::new(&mut self.body).poll_frame(cx)
+/// HTTP/2: requests beside each other, of which no one keeps another waiting. What HTTP/1.1 has by itself is added: a connection without a
+/// request under way ends, and so does one whose reader takes nothing of an answer.
+async fn speak_http2<S>(stream: S, each: Each, mut stopping: watch::Receiver<bool>)
+where
+    S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+{
+    let traffic = each.traffic.clone();
+    let service = service_fn(move |mut request: hyper::Request<_>| {
+        // Its name stands where HTTP/1.1 has the header, which the routes read.
+        let name = request.uri().authority().map(|name| name.as_str());
+        let name = name.and_then(|name| HeaderValue::from_str(name).ok());
+        if let Some(name) = name {
+            request.headers_mut().insert(HOST, name);
+        }
+        each.answer(request)
+    });
+    let connection = http2::Builder::new(TokioExecutor::new())
+        .timer(TokioTimer::new())
+        .max_concurrent_streams(MAX_STREAMS)
+        .max_header_list_size(MAX_BUFFER as u32)
+        .max_pending_accept_reset_streams(MAX_RESET_STREAMS)
+        .max_local_error_reset_streams(MAX_RESET_STREAMS)
+        .initial_stream_window_size(BODY_WINDOW)
+        .initial_connection_window_size(2 * BODY_WINDOW)
+        .max_send_buf_size(UNSENT)
+        .serve_connection(TokioIo::new(stream), service);
+    let mut connection = std::pin::pin!(connection);
+    tokio::select! {
+        _ = connection.as_mut() => return,
+        _ = stopping.wait_for(|stopping| *stopping) => {}
+        () = traffic.rests() => {}
+        () = traffic.stalls() => return,
     }
-
-    fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        self.body.size_hint()
-    }
+    connection.as_mut().graceful_shutdown();
+    let _ = timeout(FAREWELL, connection).await;
 }
 
 /// A stream that breaks when its reader takes nothing for [`STALL_TIMEOUT`].

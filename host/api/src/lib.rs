@@ -20,6 +20,7 @@ mod prometheus;
 mod routes;
 pub mod server;
 pub mod tls;
+mod traffic;
 
 pub use backend::Backend;
 pub use client::ApiClient;

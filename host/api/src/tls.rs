@@ -11,6 +11,9 @@ use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use thiserror::Error;
 
+/// HTTP/2 as two ends of TLS agree on it.
+pub(crate) const HTTP2: &[u8] = b"h2";
+
 /// Where certificate and key come from.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Certificate {
@@ -113,7 +116,7 @@ impl Certificate {
             .with_no_client_auth()
             .with_single_cert(chain, secret)
             .map_err(unusable)?;
-        config.alpn_protocols = vec![b"http/1.1".to_vec()];
+        config.alpn_protocols = vec![HTTP2.to_vec(), b"http/1.1".to_vec()];
         Ok(ServerTls {
             config: Arc::new(config),
             fingerprint,

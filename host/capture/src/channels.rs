@@ -1,5 +1,5 @@
-//! Which channel is the voltage, which the current, and in what units: by flags, else by unit, else
-//! by name, else the user is asked.
+//! Choice of the voltage and current channel and their units: by flags, else by unit, else by name; otherwise an error asks the
+//! user.
 
 use std::fmt;
 
@@ -13,19 +13,19 @@ use super::formats::unit::{Quantity, Unit};
 pub enum ChannelRef {
     /// Number in the file, from 1.
     Number(usize),
-    /// Name in the file, whatever its case.
+    /// Name in the file; case is ignored.
     Name(String),
 }
 
 impl ChannelRef {
-    /// A number where the text is one, else a name.
+    /// Parses a number if the text is one, else takes it as a name.
     pub fn parse(text: &str) -> Self {
         let text = text.trim();
         text.parse()
             .map_or_else(|_| Self::Name(text.to_owned()), Self::Number)
     }
 
-    /// Index of the first of `names` that is meant; a name counts before a number.
+    /// Returns the index of the channel among `names`; a name counts before a number.
     pub fn find<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> Option<usize> {
         match self {
             Self::Number(number) => number.checked_sub(1).filter(|k| names.nth(*k).is_some()),
@@ -43,37 +43,40 @@ impl fmt::Display for ChannelRef {
     }
 }
 
-/// What the user specifies of the channels.
+/// User's options for the channels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ChannelOptions {
-    /// Voltage and current channel; else they are found by unit and name.
+    /// Voltage and current channel; `None` to detect them by unit and name.
     pub channels: Option<[ChannelRef; 2]>,
-    /// Units of both instead of the file's.
+    /// Units of both; `None` for the file's.
     pub units: Option<[Unit; 2]>,
     /// Factors on both: a probe's ratio for the voltage, ampere per volt for the current.
     pub probe: Option<[f64; 2]>,
-    /// Change the voltage's sign.
+    /// Set to change the sign of the voltage.
     pub invert_v: bool,
-    /// Change the current's sign.
+    /// Set to change the sign of the current.
     pub invert_i: bool,
-    /// Take the voltage for the current and the current for the voltage.
+    /// Set to exchange voltage and current.
     pub swap: bool,
 }
 
 /// One chosen channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Chosen {
+pub struct ChosenChannel {
     /// Index in the file.
     pub index: usize,
-    /// Volt or ampere of one unit in the file.
+    /// Volt or ampere per unit of the file.
     pub factor: f64,
 }
 
 /// Chooses voltage and current.
-///
+/// Chooses voltage and current.
 /// # Errors
 /// What is open, with the channels and the flag that settles it.
-pub fn choose(channels: &[Channel], options: &ChannelOptions) -> Result<[Chosen; 2], String> {
+pub fn choose(
+    channels: &[Channel],
+    options: &ChannelOptions,
+) -> Result<[ChosenChannel; 2], String> {
     let mut found = match &options.channels {
         Some([v, i]) => [named(channels, v)?, named(channels, i)?],
         None => detected(channels, options.swap)?,
@@ -95,14 +98,14 @@ pub fn choose(channels: &[Channel], options: &ChannelOptions) -> Result<[Chosen;
     ])
 }
 
-fn named(channels: &[Channel], wanted: &ChannelRef) -> Result<usize, String> {
+fn named(channels: &[Channel], reference: &ChannelRef) -> Result<usize, String> {
     let names = channels.iter().map(|c| c.name.as_str());
-    wanted
+    reference
         .find(names)
-        .ok_or_else(|| format!("no channel {wanted}; {}", listed(channels)))
+        .ok_or_else(|| format!("no channel {reference}; {}", listed(channels)))
 }
 
-/// Finds both by unit first, then by name, and the last one by what is left of two.
+/// Detects both channels: by unit first, then by name; if one of two is detected, the other follows.
 fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
     if channels.is_empty() {
         return Err("no channel beside the time".to_owned());
@@ -144,7 +147,7 @@ fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
     })
 }
 
-/// What a channel of this name measures, where the name shows it.
+/// Quantity that a channel's name indicates; `None` if it indicates none.
 pub fn quantity_of_name(name: &str) -> Option<Quantity> {
     let lower = name.to_lowercase();
     let words = || lower.split(|c: char| !c.is_alphabetic());
@@ -162,14 +165,14 @@ pub fn quantity_of_name(name: &str) -> Option<Quantity> {
     }
 }
 
-/// Factor to volt or ampere, from flags and the file's unit.
+/// Returns the factor to volt or ampere, from flags and the file's unit.
 fn chosen(
     channels: &[Channel],
     index: usize,
-    wanted: Quantity,
+    quantity: Quantity,
     options: &ChannelOptions,
-) -> Result<Chosen, String> {
-    let side = usize::from(wanted == Quantity::Current);
+) -> Result<ChosenChannel, String> {
+    let side = usize::from(quantity == Quantity::Current);
     let ratio = options.probe.map_or(1.0, |probe| probe[side]);
     let stated = options.units.map(|units| units[side]);
     // A ratio or an exchange given by the user overrides the unit in the file.
@@ -178,9 +181,9 @@ fn chosen(
     let scale = match (stated, in_file) {
         (Some(unit), _) => unit.scale,
         (None, None) => 1.0,
-        (None, Some(unit)) if unit.quantity == wanted || settled => unit.scale,
+        (None, Some(unit)) if unit.quantity == quantity || settled => unit.scale,
         (None, Some(unit)) => {
-            let (what, flag) = match wanted {
+            let (what, flag) = match quantity {
                 Quantity::Current => (
                     "current",
                     "give ampere per volt of the current probe with --probe, as in --probe 1,10",
@@ -195,13 +198,13 @@ fn chosen(
     };
     let inverted = [options.invert_v, options.invert_i][side];
     let sign = if inverted { -1.0 } else { 1.0 };
-    Ok(Chosen {
+    Ok(ChosenChannel {
         index,
         factor: sign * ratio * scale,
     })
 }
 
-/// Channels listed in a message at most.
+/// Largest number of channels listed in a message.
 const LISTED: usize = 12;
 
 fn listed(channels: &[Channel]) -> String {

@@ -1,4 +1,4 @@
-//! Why a file cannot be read as a capture.
+//! Errors of reading a file as a capture.
 
 use std::fmt;
 use std::io;
@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use super::mcap::{Losses, McapFileError};
 
-/// Where in a file something is wrong.
+/// Place of an error in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// Bytes from the file's beginning.
+    /// Byte offset.
     Byte(u64),
     /// Line of a text file, the first is 1.
     Line(u64),
@@ -24,18 +24,18 @@ impl fmt::Display for Place {
     }
 }
 
-/// What a reader of one format found wrong; [`CaptureError::Damaged`] adds the file.
+/// Error of a format's reader; [`CaptureError::Damaged`] adds the file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{place}: {what}")]
 pub struct FormatError {
-    /// Where.
+    /// Place of the error.
     pub place: Place,
-    /// What, and what to do about it.
+    /// Description and advice.
     pub what: String,
 }
 
 impl FormatError {
-    /// Something wrong at a byte offset.
+    /// Creates an error at a byte offset.
     pub fn at_byte(offset: u64, what: impl Into<String>) -> Self {
         Self {
             place: Place::Byte(offset),
@@ -43,7 +43,7 @@ impl FormatError {
         }
     }
 
-    /// Something wrong in a line, the first is 1.
+    /// Creates an error in a line; the first line is 1.
     pub fn at_line(line: u64, what: impl Into<String>) -> Self {
         Self {
             place: Place::Line(line),
@@ -51,7 +51,7 @@ impl FormatError {
         }
     }
 
-    /// A read that failed at a byte offset; an unexpected end is reported as a truncated file.
+    /// Converts an I/O error at a byte offset; an unexpected end is reported as a truncated file.
     pub fn io(offset: u64, source: &io::Error) -> Self {
         match source.kind() {
             io::ErrorKind::UnexpectedEof => Self::at_byte(offset, "the file ends here, truncated"),
@@ -59,7 +59,7 @@ impl FormatError {
         }
     }
 
-    /// The same for the file at `path`.
+    /// Adds the path of the file.
     pub fn in_file(self, path: &Path) -> CaptureError {
         CaptureError::Damaged {
             path: path.to_owned(),
@@ -68,32 +68,32 @@ impl FormatError {
     }
 }
 
-/// Why a capture could not be opened.
+/// Error of opening a capture.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
-    /// The operating system refused.
+    /// The operating system denied access.
     #[error("{}: {source}", path.display())]
     Open {
         /// The file.
         path: PathBuf,
-        /// What the system reports.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// A directory, a pipe or a device.
+    /// The path is a directory, a pipe or a device.
     #[error("{} is {kind}, not a file; a capture must be a file that can be read twice", path.display())]
     NotAFile {
-        /// What was named.
+        /// Path given.
         path: PathBuf,
-        /// What it is.
+        /// Kind of the path.
         kind: &'static str,
     },
-    /// No byte.
+    /// The file is empty.
     #[error("{} is empty: nothing was written to it", path.display())]
     Empty {
         /// The file.
         path: PathBuf,
     },
-    /// No sample.
+    /// The file holds no samples.
     #[error(
         "{} holds no samples{}{losses}; a recording of a device has them from its first window on",
         path.display(),
@@ -102,15 +102,15 @@ pub enum CaptureError {
     NoSamples {
         /// The file.
         path: PathBuf,
-        /// What of it could not be read.
+        /// Parts that could not be read.
         losses: Losses,
     },
-    /// The content is in no format that is known.
+    /// The format is unknown.
     #[error("{} is no capture in a format known to ihd: {what}", path.display())]
     Unknown {
         /// The file.
         path: PathBuf,
-        /// What it looks like, and what can be read.
+        /// Description of the content, and the list of readable formats.
         what: String,
     },
     /// The format is known, the content is damaged or hostile.
@@ -118,28 +118,28 @@ pub enum CaptureError {
     Damaged {
         /// The file.
         path: PathBuf,
-        /// Where and what.
+        /// Place and description.
         source: FormatError,
     },
-    /// The file is sound, but needs a word from the user: which channel, which unit, which rate.
+    /// A choice of the user is required: channel, unit or rate.
     #[error("{}: {what}", path.display())]
     Choice {
         /// The file.
         path: PathBuf,
-        /// What is open, and which flag settles it.
+        /// Description of the choice, and the flag that makes it.
         what: String,
     },
-    /// Two files that do not fit together.
+    /// Two files do not fit together.
     #[error("{} and {} cannot be paired: {what}", first.display(), second.display())]
     Pair {
         /// One file.
         first: PathBuf,
         /// The other.
         second: PathBuf,
-        /// What does not fit.
+        /// Difference between them.
         what: String,
     },
-    /// A capture file of ihd that cannot be read.
+    /// Error of a capture file of ihd.
     #[error(transparent)]
     Mcap(#[from] McapFileError),
 }

@@ -1,4 +1,4 @@
-//! The formats of captures: one table holds how each is called, recognised, opened and written.
+//! Table of the capture formats: name, recognition, reader and writer of each.
 
 use std::fs::{File, FileType};
 use std::io::Read;
@@ -15,69 +15,68 @@ use super::formats::isf::{self, IsfSource};
 use super::formats::trc::{self, TrcSource};
 use super::formats::wfm::{self, WfmSource};
 use super::formats::{Progress, Source, mat, npz};
-use super::mcap::{self, McapFileError, Salvaged};
+use super::mcap::{self, McapFileError, SalvagedCapture};
 
-/// Bytes by which a format is recognised.
+/// Number of bytes by which a format is recognised.
 const HEAD: usize = 4096;
 
-/// The columns of a table that the user names: time, voltage, current.
+/// Columns of a table specified by the user: time, voltage, current.
 type Columns<'a> = Option<&'a [ChannelRef; 3]>;
 
-/// How a file is read.
+/// Reader of a format.
 pub(super) enum Opener {
-    /// Header first, then the samples of the wanted channels; the columns matter to tables alone.
+    /// Reads the header first, then the samples of the selected channels; the columns apply to tables only.
     Channels(fn(File, Columns<'_>) -> Result<Box<dyn Source>, FormatError>),
-    /// As a whole capture, in a format of our own.
-    Whole(fn(&Path) -> Result<Salvaged, McapFileError>),
+    /// Reads a whole capture, for our own format.
+    Whole(fn(&Path) -> Result<SalvagedCapture, McapFileError>),
 }
 
-/// What recognises and opens a format.
-pub(super) struct Reading {
-    /// Whether a file that begins with these bytes is of the format.
+/// Reading support of a format.
+pub(super) struct ReadSupport {
+    /// Returns `true` if a file with this beginning has the format.
     recognises: fn(&[u8]) -> bool,
-    /// Opens it.
+    /// Reader.
     pub(super) open: Opener,
 }
 
-/// Writes a capture to a file of that name.
+/// Writes a capture to the file at a path.
 type Writer = fn(&Capture, &Path, Progress<'_>) -> Result<(), ExportError>;
 
-/// What writes a format.
-pub struct Writing {
-    /// The file's ending, without the dot.
+/// Writing support of a format.
+pub struct WriteSupport {
+    /// Ending of the file, without the dot.
     pub ending: &'static str,
-    /// Writes a capture; none where this build leaves it out.
+    /// Writer; `None` if this build has none.
     write: Option<Writer>,
 }
 
 /// A format of captures.
 pub struct Format {
-    /// Its name for people.
+    /// Name shown to users.
     pub name: &'static str,
-    /// Where it can be read.
-    pub(super) reading: Option<Reading>,
-    /// Where it can be written.
-    pub writing: Option<Writing>,
+    /// Reading support; `None` if it cannot be read.
+    pub(super) reading: Option<ReadSupport>,
+    /// Writing support; `None` if it cannot be written.
+    pub writing: Option<WriteSupport>,
 }
 
 const fn reading(
     recognises: fn(&[u8]) -> bool,
     open: fn(File, Columns<'_>) -> Result<Box<dyn Source>, FormatError>,
-) -> Option<Reading> {
+) -> Option<ReadSupport> {
     let open = Opener::Channels(open);
-    Some(Reading { recognises, open })
+    Some(ReadSupport { recognises, open })
 }
 
-/// Every format, in the order in which a file is held against them: plain text, which has no mark of
-/// its own, last.
+/// All formats, in the order of recognition; plain text is last as it has no mark.
 pub static FORMATS: [Format; 8] = [
     Format {
         name: "MCAP",
-        reading: Some(Reading {
+        reading: Some(ReadSupport {
             recognises: |head| head.starts_with(::mcap::MAGIC),
             open: Opener::Whole(mcap::salvage),
         }),
-        writing: Some(Writing {
+        writing: Some(WriteSupport {
             ending: "mcap",
             write: Some(|capture, path, _| Ok(mcap::write(capture, path)?)),
         }),
@@ -119,7 +118,7 @@ pub static FORMATS: [Format; 8] = [
             |head| head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06"),
             |file, _| npz::open(file).map(boxed),
         ),
-        writing: Some(Writing {
+        writing: Some(WriteSupport {
             ending: "npz",
             write: Some(exports::write_npz),
         }),
@@ -129,7 +128,7 @@ pub static FORMATS: [Format; 8] = [
         reading: reading(is_text, |file, columns| {
             CsvSource::open(file, columns).map(boxed)
         }),
-        writing: Some(Writing {
+        writing: Some(WriteSupport {
             ending: "csv",
             write: Some(exports::write_csv),
         }),
@@ -137,7 +136,7 @@ pub static FORMATS: [Format; 8] = [
     Format {
         name: "Parquet",
         reading: None,
-        writing: Some(Writing {
+        writing: Some(WriteSupport {
             ending: "parquet",
             #[cfg(feature = "parquet")]
             write: Some(exports::write_parquet),
@@ -156,7 +155,7 @@ fn is_text(head: &[u8]) -> bool {
     !head.iter().any(control)
 }
 
-/// The names of the formats that can be read, for a message.
+/// Lists the names of the readable formats, for a message.
 fn readable() -> String {
     let names: Vec<&str> = FORMATS
         .iter()
@@ -166,15 +165,15 @@ fn readable() -> String {
     names.join(", ")
 }
 
-/// The endings of the formats that can be written, each with its dot, for a message.
+/// Lists the endings of the writable formats with their dots, for a message.
 fn endings() -> String {
     let endings = FORMATS.iter().filter_map(|format| format.writing.as_ref());
     let dotted: Vec<String> = endings.map(|w| format!(".{}", w.ending)).collect();
     dotted.join(", ")
 }
 
-/// The writing half of the format that a file's ending names.
-fn writing(path: &Path) -> Result<&'static Writing, ExportError> {
+/// Returns the writing support that a file's ending names.
+fn writing(path: &Path) -> Result<&'static WriteSupport, ExportError> {
     let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
     let mut writers = FORMATS.iter().filter_map(|format| format.writing.as_ref());
     writers
@@ -185,7 +184,7 @@ fn writing(path: &Path) -> Result<&'static Writing, ExportError> {
         })
 }
 
-/// Writes a capture; a file of that name is replaced. `progress` hears how far it is, from 0 to 1.
+/// Writes a capture, replacing an existing file. `progress` is called with the share done, from 0 to 1.
 ///
 /// # Errors
 /// [`ExportError`]; what was written of the file until then is removed.
@@ -193,7 +192,7 @@ pub fn write(capture: &Capture, path: &Path, progress: Progress<'_>) -> Result<(
     (writer(path)?)(capture, path, progress)
 }
 
-/// Checks that a file of this name could be written, before a long capture is read for it.
+/// Checks that a capture can be written to this path, before a long capture is read for it.
 ///
 /// # Errors
 /// [`ExportError::Ending`], or [`ExportError::WithoutParquet`] where that is so.
@@ -209,7 +208,7 @@ fn writer(path: &Path) -> Result<Writer, ExportError> {
         })
 }
 
-/// Opens a regular file; nothing else, as a pipe would block and cannot be sought.
+/// Opens a regular file; a pipe is rejected, as it would block and has no positions.
 pub(super) fn regular(path: &Path) -> Result<File, CaptureError> {
     let failed = |source| CaptureError::Open {
         path: path.to_owned(),
@@ -243,7 +242,7 @@ fn described(kind: FileType) -> &'static str {
     }
 }
 
-/// Recognises a file's format by its first bytes.
+/// Recognises a file's format by its first bytes and returns its reader.
 pub(super) fn recognise(path: &Path) -> Result<&'static Opener, CaptureError> {
     let mut head = Vec::new();
     let read = regular(path)?.take(HEAD as u64).read_to_end(&mut head);
@@ -262,7 +261,7 @@ pub(super) fn recognise(path: &Path) -> Result<&'static Opener, CaptureError> {
     })
 }
 
-/// What opens a file that begins with `head`.
+/// Returns the reader for a file that begins with `head`.
 fn opener(head: &[u8]) -> Result<&'static Opener, &'static str> {
     if head.starts_with(b"\x89HDF") || head.starts_with(b"MATLAB 7.3") {
         return Err("it is HDF5 (MATLAB's -v7.3): save it with -v7");

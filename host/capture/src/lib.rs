@@ -1,5 +1,12 @@
-//! Captures: coil voltage and current over time, from whatever recorded them, and the log of what a
-//! device sent.
+//! Captures, coil voltage and current over time, and recordings of devices: reading, conversion and writing of their files.
+//!
+//! ```text
+//!  file of a scope or program ──► formats ──► channels (voltage, current) ──► open ──► Capture
+//!  capture file, recording    ──► mcap ────────────────────────────────────────┘        │
+//!                                             CSV, NPZ, Parquet, MCAP ◄── exports ◄─────┘
+//! ```
+//!
+//! [`format`](mod@format) is the table of all formats.
 
 pub mod channels;
 pub mod error;

@@ -1,28 +1,27 @@
-//! Opens a capture, whatever wrote it: the format is recognised by the content, not by the name.
+//! Opening of a capture of any known format; the format is recognised by the content, not by the name.
 
 use std::path::{Path, PathBuf};
 
 use ihd_signal::{Capture, TimeBase};
 
-use super::channels::{ChannelOptions, ChannelRef, Chosen, choose, quantity_of_name};
+use super::channels::{ChannelOptions, ChannelRef, ChosenChannel, choose, quantity_of_name};
 use super::error::CaptureError;
 use super::format::{Opener, recognise, regular};
 use super::formats::unit::Unit;
-use super::formats::{Channel, Known, Samples, Source};
-use super::mcap::{Losses, Salvaged};
+use super::formats::{Channel, FileFacts, Samples, Source};
+use super::mcap::{Losses, SalvagedCapture};
 use super::pair::overlap;
 
-/// What the user specifies of a file, and a second one with the other channel.
+/// User's options for a file, and for a second one with the other channel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct OpenOptions {
     /// File with the other channel, of one acquisition; its channels are numbered after the first's.
     pub second: Option<PathBuf>,
     /// Channels, units, ratios and signs.
     pub channels: ChannelOptions,
-    /// Columns of a table: time (`-` for none), voltage, current; instead of
-    /// [`ChannelOptions::channels`].
+    /// Columns of a table: time (`-` for none), voltage, current; they replace [`ChannelOptions::channels`].
     pub columns: Option<[ChannelRef; 3]>,
-    /// Sampling rate in hertz instead of the file's time.
+    /// Sampling rate in hertz; replaces the file's time.
     pub rate_hz: Option<f64>,
 }
 
@@ -34,10 +33,10 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<Capture, CaptureError>
     open_with(path, options, &mut |_| ())
 }
 
-/// Opens a capture; `progress` hears how far the file has been read, from 0 to 1.
+/// Opens a capture; `progress` is called with the share read, from 0 to 1.
 ///
 /// # Errors
-/// As [`open`].
+/// Any error of [`open`].
 pub fn open_with(
     path: &Path,
     options: &OpenOptions,
@@ -46,59 +45,59 @@ pub fn open_with(
     Ok(salvage_with(path, options, progress)?.capture)
 }
 
-/// Opens what can be read of a capture, and says what could not: only MCAP can be read behind a damage.
+/// Opens the readable part of a capture and reports the losses; only MCAP can be read after a damage.
 ///
 /// # Errors
-/// As [`open`], when nothing can be read.
+/// Any error of [`open`], if nothing can be read.
 pub fn salvage_with(
     path: &Path,
     options: &OpenOptions,
     progress: &mut dyn FnMut(f64),
-) -> Result<Salvaged, CaptureError> {
+) -> Result<SalvagedCapture, CaptureError> {
     let opener = recognise(path)?;
     if let Opener::Whole(read) = opener {
-        let Salvaged { capture, losses } = read(path)?;
+        let SalvagedCapture { capture, losses } = read(path)?;
         let capture = adjusted(path, capture, options)?;
-        return Ok(Salvaged { capture, losses });
+        return Ok(SalvagedCapture { capture, losses });
     }
     let capture = separate(path, opener, options, progress)?;
     let losses = Losses::default();
-    Ok(Salvaged { capture, losses })
+    Ok(SalvagedCapture { capture, losses })
 }
 
-/// The channel of a file that has one only.
+/// Description of the only channel of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoneChannel {
-    /// The file's format.
+    /// Format of the file.
     pub format: String,
-    /// The channel's name; may be empty.
+    /// Name of the channel; may be empty.
     pub name: String,
-    /// Its unit, where the file or the user states one.
+    /// Unit; `None` if neither the file nor the user states one.
     pub unit: Option<String>,
-    /// Largest magnitude it can show, in its unit, where the file states it.
+    /// Largest magnitude it can show, in its unit; `None` if the file does not state it.
     pub full_scale: Option<f64>,
     /// Number of samples.
     pub samples: usize,
-    /// Sampling rate in hertz; `None` for uneven times and none.
+    /// Sampling rate in hertz; `None` for uneven or missing times.
     pub rate_hz: Option<f64>,
-    /// Time of the first sample in seconds, where the file states times.
+    /// Time of the first sample in seconds; `None` if the file states no times.
     pub start_s: Option<f64>,
-    /// From first to last sample in seconds.
+    /// Time from first to last sample in seconds; `None` if the file states no times.
     pub duration_s: Option<f64>,
     /// Smallest sample, in the unit.
     pub min: f64,
     /// Largest sample.
     pub max: f64,
-    /// Mean.
+    /// Mean of the samples.
     pub mean: f64,
-    /// Rms value, the mean taken off.
+    /// Rms value without the mean.
     pub rms: f64,
 }
 
-/// What a file holds that has one channel only; `None` for any other, and beside a second file.
+/// Describes the only channel of a file; `None` if it has several, or if a second file is given.
 ///
 /// # Errors
-/// As [`open`].
+/// Any error of [`open`].
 pub fn lone_channel(
     path: &Path,
     options: &OpenOptions,
@@ -107,7 +106,7 @@ pub fn lone_channel(
     if matches!(opener, Opener::Whole(_)) || options.second.is_some() {
         return Ok(None);
     }
-    let mut file = Opened::new(path, opener, options)?;
+    let mut file = OpenFile::new(path, opener, options)?;
     let [channel] = file.source.channels() else {
         return Ok(None);
     };
@@ -158,20 +157,20 @@ fn separate(
     options: &OpenOptions,
     progress: &mut dyn FnMut(f64),
 ) -> Result<Capture, CaptureError> {
-    let mut files = vec![Opened::new(path, opener, options)?];
+    let mut files = vec![OpenFile::new(path, opener, options)?];
     if let Some(second) = &options.second {
-        files.push(Opened::new(second, recognise(second)?, options)?);
+        files.push(OpenFile::new(second, recognise(second)?, options)?);
     }
     assembled(files, options, progress)
 }
 
-/// A file whose header has been read.
-struct Opened {
+/// File whose header has been read.
+struct OpenFile {
     path: PathBuf,
     source: Box<dyn Source>,
 }
 
-impl Opened {
+impl OpenFile {
     fn new(path: &Path, opener: &Opener, options: &OpenOptions) -> Result<Self, CaptureError> {
         let Opener::Channels(open) = opener else {
             return Err(CaptureError::Choice {
@@ -186,7 +185,7 @@ impl Opened {
         })
     }
 
-    /// The channels; of a pair the file's name decides where the channel's does not.
+    /// Channels of the file; in a pair the file's name decides if the channel's does not.
     fn channels(&self, paired: bool) -> Vec<Channel> {
         let mut channels = self.source.channels().to_vec();
         let stem = self
@@ -203,13 +202,13 @@ impl Opened {
     }
 }
 
-/// One chosen channel with its samples.
-struct Side {
+/// Samples of one chosen channel.
+struct ChannelSamples {
     values: Vec<f32>,
     full_scale: Option<f64>,
 }
 
-impl Side {
+impl ChannelSamples {
     /// Applies the factor to volt or ampere.
     ///
     /// # Errors
@@ -234,9 +233,9 @@ impl Side {
     }
 }
 
-/// Chooses the channels among those of all files, reads them and puts them together.
+/// Chooses the channels among those of all files, reads and combines them.
 fn assembled(
-    mut files: Vec<Opened>,
+    mut files: Vec<OpenFile>,
     options: &OpenOptions,
     progress: &mut dyn FnMut(f64),
 ) -> Result<Capture, CaptureError> {
@@ -250,20 +249,20 @@ fn assembled(
     let of_first = files[0].source.channels().len();
     let chosen = choose(&channels, &options.channels).map_err(choice)?;
     let mut metadata = files[0].source.metadata();
-    // Of another clock it says nothing.
-    let known = match options.rate_hz {
-        None => files[0].source.known().map_err(|e| e.in_file(&path))?,
-        Some(_) => Known::default(),
+    // Facts of the file refer to its own clock; they do not hold with another rate.
+    let facts = match options.rate_hz {
+        None => files[0].source.facts().map_err(|e| e.in_file(&path))?,
+        Some(_) => FileFacts::default(),
     };
-    let mut read = |file: &mut Opened, wanted: &[usize]| {
-        let samples = file.source.read(wanted, progress);
+    let mut read = |file: &mut OpenFile, selected: &[usize]| {
+        let samples = file.source.read(selected, progress);
         samples.map_err(|e| e.in_file(&file.path))
     };
     let apart = chosen.map(|c| c.index >= of_first);
     let (mut columns, time) = if apart[0] == apart[1] {
         let k = usize::from(apart[0]);
-        let wanted = chosen.map(|c| c.index - k * of_first);
-        let samples = read(&mut files[k], &wanted)?;
+        let selected = chosen.map(|c| c.index - k * of_first);
+        let samples = read(&mut files[k], &selected)?;
         (samples.columns, samples.time)
     } else {
         let mut both = Vec::new();
@@ -289,7 +288,7 @@ fn assembled(
     let time = stated.or(time).ok_or_else(|| choice(no_time.to_owned()))?;
     let mut side = |k: usize| {
         let values = std::mem::take(columns.get_mut(k).unwrap_or(&mut Vec::new()));
-        Side::new(values, &channels[chosen[k].index], chosen[k].factor).map_err(choice)
+        ChannelSamples::new(values, &channels[chosen[k].index], chosen[k].factor).map_err(choice)
     };
     let (v, i) = (side(0)?, side(1)?);
     Ok(Capture {
@@ -299,18 +298,17 @@ fn assembled(
         i_a: i.values,
         v_full_scale_v: v.full_scale,
         i_full_scale_a: i.full_scale,
-        f_sw: known.f_sw,
-        mains_hz: known.mains_hz,
-        zero_crossing_s: known.zero_crossing_s,
-        truth: known.truth,
+        f_sw: facts.f_sw,
+        mains_hz: facts.mains_hz,
+        zero_crossing_s: facts.zero_crossing_s,
+        truth: facts.truth,
         metadata,
     })
 }
 
 type Columns = (Vec<Vec<f32>>, Option<TimeBase>);
 
-/// Cuts voltage and current, from two files, to the times that both have. With a stated rate the
-/// files' times do not count.
+/// Cuts voltage and current from two files to their common times. With a stated rate the files' times are ignored.
 fn paired_columns(both: Vec<Samples>, options: &OpenOptions) -> Result<Columns, String> {
     let lengths: Vec<usize> = both
         .iter()
@@ -360,9 +358,9 @@ fn adjusted(path: &Path, capture: Capture, options: &OpenOptions) -> Result<Capt
     ];
     let chosen = choose(&channels, &options.channels).map_err(choice)?;
     let mut columns = [capture.v_v, capture.i_a];
-    let mut side = |c: Chosen| {
+    let mut side = |c: ChosenChannel| {
         let values = std::mem::take(&mut columns[c.index]);
-        Side::new(values, &channels[c.index], c.factor).map_err(choice)
+        ChannelSamples::new(values, &channels[c.index], c.factor).map_err(choice)
     };
     let (v, i) = (side(chosen[0])?, side(chosen[1])?);
     let time = options.rate_hz.map(|rate_hz| TimeBase::Even {

@@ -1,4 +1,4 @@
-//! Two files of one acquisition, one channel each, on one time axis.
+//! Combination of two files of one acquisition, one channel each, on one time axis.
 
 use std::ops::Range;
 
@@ -8,12 +8,12 @@ use ihd_signal::TimeBase;
 /// less than 0.1 % of R (20 ns cost 1 to 1.8 %).
 const SKEW: f64 = 0.05;
 
-/// Samples of the first and of the second file that lie at the same times.
+/// Index ranges of the samples in both files that lie at the same times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Overlap {
-    /// Of the first file.
+    /// Samples of the first file.
     pub first: Range<usize>,
-    /// Of the second file; as long.
+    /// Samples of the second file; as many.
     pub second: Range<usize>,
 }
 

@@ -80,7 +80,7 @@ pub struct Tls {
 pub struct Keep {
     /// Which windows are kept with their samples: `all`, `one-in-N`, or `telling` (those that were refused or
     /// changed the lookup).
-    pub windows: ihd_store::Keep,
+    pub windows: ihd_store::SamplePolicy,
     /// Days in use after which they are deleted; never without.
     pub max_age_days: Option<u32>,
     /// Bytes of all windows, beyond which older ones are thinned.
@@ -90,7 +90,7 @@ pub struct Keep {
 impl Default for Keep {
     fn default() -> Self {
         Self {
-            windows: ihd_store::Keep::All,
+            windows: ihd_store::SamplePolicy::All,
             max_age_days: None,
             max_bytes: Retention::default().max_bytes,
         }
@@ -423,7 +423,10 @@ mod tests {
             "ihd.toml",
         )
         .unwrap();
-        assert_eq!(config.store_settings().keep, ihd_store::Keep::OneIn(10));
+        assert_eq!(
+            config.store_settings().keep,
+            ihd_store::SamplePolicy::OneIn(10)
+        );
         assert_eq!(config.learning.threads, 2);
         assert_eq!(config.network().unwrap().seed, 7);
         assert!(config.discovers_usb());

@@ -124,6 +124,11 @@ impl Daemon {
         Self::start_on(Machine::default(), config, open).await
     }
 
+    /// The wall's clock, in milliseconds since 1970, UTC.
+    pub fn now_ms(&self) -> i64 {
+        self.inner.machine.now_ms()
+    }
+
     /// As [`Daemon::start`], on this machine.
     ///
     /// # Errors
@@ -427,6 +432,7 @@ impl Daemon {
         face.tell(What::Lease {
             holder: holder.to_owned(),
             taken_from: taken_from.to_owned(),
+            why: String::new(),
         });
     }
 

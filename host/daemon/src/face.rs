@@ -57,6 +57,8 @@ pub struct Inner {
     pub sweep_left_w: Vec<u16>,
     /// Connections so far.
     pub connections: u32,
+    /// Frames that were more than a hob sends.
+    pub frames_beyond: u64,
     /// What the store holds of its learning was given to the learner.
     pub is_resumed: bool,
     /// The connection, for whoever has to switch off when the device's task cannot.
@@ -87,6 +89,7 @@ impl Face {
                 lease: LeaseBook::default(),
                 sweep_left_w: Vec::new(),
                 connections: 0,
+                frames_beyond: 0,
                 is_resumed: false,
                 client: None,
             }),
@@ -194,6 +197,7 @@ impl Face {
             recording: self.recorder.path().map(|path| path.display().to_string()),
             recording_now: self.recorder.now(),
             connections: inner.connections,
+            frames_beyond: inner.frames_beyond,
         }
     }
 }

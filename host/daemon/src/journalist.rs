@@ -127,13 +127,20 @@ fn event(notice: &Notice) -> Option<NewEvent> {
         What::LookupRefused { version, why } => {
             ("lookup", format!("version {version} was refused: {why}"))
         }
-        What::Lease { holder, .. } if holder.is_empty() => {
-            ("lease", "nobody commands it".to_owned())
+        What::Lease { holder, why, .. } if holder.is_empty() => {
+            let why = if why.is_empty() {
+                ""
+            } else {
+                &format!(": {why}")
+            };
+            ("lease", format!("nobody commands it{why}"))
         }
-        What::Lease { holder, taken_from } if taken_from.is_empty() => {
-            ("lease", format!("{holder} commands it"))
-        }
-        What::Lease { holder, taken_from } => (
+        What::Lease {
+            holder, taken_from, ..
+        } if taken_from.is_empty() => ("lease", format!("{holder} commands it")),
+        What::Lease {
+            holder, taken_from, ..
+        } => (
             "lease",
             format!("{holder} commands it, taken from {taken_from}"),
         ),

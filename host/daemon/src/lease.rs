@@ -56,6 +56,15 @@ struct Held {
     is_kept: bool,
 }
 
+/// Lease of which the device has not the power.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Lost {
+    /// Its holder.
+    pub holder: String,
+    /// Power that was asked for under it, in watt.
+    pub power_w: u16,
+}
+
 /// Change of holder that a grant made.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Taken {
@@ -256,6 +265,20 @@ impl LeaseBook {
         !self.must_end(now) && self.asked_w() > 0
     }
 
+    /// Compares the lease with what the device says that it is asked for, in watt; a panel may hold it below. Where the device has
+    /// something else than was asked for under the lease, the lease ends: returns it.
+    pub fn device_has(&mut self, asked_w: u16, has_panel: bool) -> Option<Lost> {
+        let power_w = self.held.as_ref()?.power_w;
+        if power_w == 0 || asked_w == power_w || (has_panel && asked_w > 0) {
+            return None;
+        }
+        let holder = self.end()?;
+        if asked_w == 0 {
+            self.ending_w = 0;
+        }
+        Some(Lost { holder, power_w })
+    }
+
     /// The device has confirmed that it is off.
     pub fn switched_off(&mut self) {
         self.ending_w = 0;
@@ -282,6 +305,39 @@ mod tests {
         assert_eq!(book.expired(at(18)), Some("a".to_owned()));
         assert_eq!(book.expired(at(18)), None);
         assert_eq!(book.take("b", false, at(18)), Ok(Taken::New));
+    }
+
+    #[test]
+    fn power_that_the_device_has_not_ends_the_lease() {
+        let now = Instant::now();
+        // What the device says, whether a panel has a say, whether the lease ends, what is left to switch off.
+        for (asked_w, has_panel, ends, left_w) in [
+            (900, false, false, 900),
+            (900, true, false, 900),
+            (500, true, false, 900),
+            (0, false, true, 0),
+            (0, true, true, 0),
+            // Somebody else asks it.
+            (500, false, true, 900),
+        ] {
+            let mut book = LeaseBook::default();
+            let (id, _) = book.begin_command("a", now).unwrap();
+            assert_eq!(
+                book.device_has(asked_w, has_panel),
+                None,
+                "it asks for nothing"
+            );
+            book.ask(id, 900, now).unwrap();
+            let lost = book.device_has(asked_w, has_panel);
+            let expected = ends.then(|| Lost {
+                holder: "a".to_owned(),
+                power_w: 900,
+            });
+            assert_eq!(lost, expected, "{asked_w} {has_panel}");
+            assert_eq!(book.asked_w(), left_w, "{asked_w} {has_panel}");
+            assert_eq!(book.must_end(now), ends && left_w > 0);
+            assert_eq!(book.current(now).is_none(), ends);
+        }
     }
 
     #[test]

@@ -36,8 +36,8 @@ mod pot_watch;
 mod printable;
 pub mod recording;
 mod routing;
-#[cfg(test)]
-mod simulation;
+#[cfg(any(test, feature = "simulation"))]
+pub mod simulation;
 mod states;
 mod store_health;
 mod store_queue;

@@ -11,7 +11,7 @@ use ihd_store::clock::{Clock, of_the_machine};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
-#[cfg(test)]
+#[cfg(any(test, feature = "simulation"))]
 use crate::simulation::Disk;
 
 /// The machine.
@@ -19,12 +19,12 @@ use crate::simulation::Disk;
 pub struct Machine {
     clock: Clock,
     began: Instant,
-    #[cfg(test)]
+    #[cfg(any(test, feature = "simulation"))]
     simulated: Option<Simulated>,
 }
 
 /// Parts of a simulated machine.
-#[cfg(test)]
+#[cfg(any(test, feature = "simulation"))]
 #[derive(Clone)]
 struct Simulated {
     disk: Arc<Disk>,
@@ -37,7 +37,7 @@ impl Default for Machine {
         Self {
             clock: of_the_machine(),
             began: Instant::now(),
-            #[cfg(test)]
+            #[cfg(any(test, feature = "simulation"))]
             simulated: None,
         }
     }
@@ -45,7 +45,7 @@ impl Default for Machine {
 
 impl Machine {
     /// A machine without threads, with this clock and this disk, on the runtime that calls.
-    #[cfg(test)]
+    #[cfg(any(test, feature = "simulation"))]
     pub fn simulated(clock: Clock, disk: Arc<Disk>) -> Self {
         Self {
             clock,
@@ -58,7 +58,7 @@ impl Machine {
     }
 
     /// The simulated disk, where the machine is simulated.
-    #[cfg(test)]
+    #[cfg(any(test, feature = "simulation"))]
     pub fn disk(&self) -> Option<&Arc<Disk>> {
         self.simulated.as_ref().map(|simulated| &simulated.disk)
     }
@@ -70,7 +70,7 @@ impl Machine {
 
     /// Time for which it was awake since the daemon began.
     pub fn uptime(&self) -> Duration {
-        #[cfg(test)]
+        #[cfg(any(test, feature = "simulation"))]
         if let Some(simulated) = &self.simulated {
             return simulated.began.elapsed();
         }
@@ -87,7 +87,7 @@ impl Machine {
         &self,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> JoinHandle<T> {
-        #[cfg(test)]
+        #[cfg(any(test, feature = "simulation"))]
         if self.simulated.is_some() {
             return tokio::spawn(async move { work() });
         }
@@ -103,7 +103,7 @@ impl Machine {
         open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError> + Send + 'static,
         events: mpsc::Sender<Event>,
     ) -> Result<AsyncClient, LinkError> {
-        #[cfg(test)]
+        #[cfg(any(test, feature = "simulation"))]
         if self.simulated.is_some() {
             return AsyncClient::connect_simulated(open, events).await;
         }

@@ -96,7 +96,7 @@ impl PotWatch {
             }
         };
         self.last = Some((t.half_cycle, t_s));
-        self.thermometer.push(&HalfCycle::told(t, t_s));
+        self.thermometer.push(&HalfCycle::from_telemetry(t, t_s));
         let events = self.thermometer.take_events();
         if events.iter().any(|e| matches!(e, PotEvent::Placed { .. })) {
             self.since_ms = now_ms;

@@ -3,11 +3,11 @@
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-use ihd_store::{Confidence, CurveOf, NewResult};
+use ihd_store::{Confidence, CurveSource, NewResult};
 use tokio::sync::mpsc;
 
 use crate::device::Order;
-use crate::learning::{Course, Learned, Learner, Lookup};
+use crate::learning::{FitTrace, LearnResult, Learner, Lookup};
 use crate::machine::Machine;
 use crate::model::{Fit, Record, What};
 use crate::printable::printable;
@@ -16,14 +16,14 @@ use crate::supervisor::Devices;
 
 /// Takes what was learned until nobody learns any more.
 pub async fn route(
-    mut outcomes: mpsc::Receiver<Learned>,
+    mut outcomes: mpsc::Receiver<LearnResult>,
     devices: Arc<Devices>,
     store: StoreThread,
     learner: Weak<Learner>,
     machine: Machine,
 ) {
     while let Some(learned) = outcomes.recv().await {
-        let (device, news) = (learned.device.clone(), learned.news.clone());
+        let (device, news) = (learned.device.clone(), learned.new_lookup.clone());
         settle(learned, &devices, &store, machine.now_ms()).await;
         let Some(built) = news else { continue };
         let version = built.lookup.version;
@@ -35,13 +35,13 @@ pub async fn route(
             && let Some(learner) = learner.upgrade()
         {
             // It is built again from what comes next.
-            learner.refused(&device, version);
+            learner.lookup_refused(&device, version);
         }
     }
 }
 
 /// Counts it, stores it, tells it.
-async fn settle(learned: Learned, devices: &Devices, store: &StoreThread, at_ms: i64) {
+async fn settle(learned: LearnResult, devices: &Devices, store: &StoreThread, at_ms: i64) {
     let handle = devices.get(&learned.device);
     if let Some(handle) = &handle {
         let mut inner = handle.face.lock();
@@ -60,8 +60,8 @@ async fn settle(learned: Learned, devices: &Devices, store: &StoreThread, at_ms:
         pass: result.pass,
         why: printable(&result.why),
     };
-    let fit = fit(at_ms, learned.boot, &result, &learned.course, learned.busy);
-    let curve = learned.course.curve;
+    let fit = fit(at_ms, learned.boot, &result, &learned.trace, learned.busy);
+    let curve = learned.trace.curve;
     let (state, device_id) = (learned.state, learned.device_id);
     let no_lookup = learned.no_lookup.map(|why| printable(&why));
     if let Some(why) = &no_lookup {
@@ -72,7 +72,7 @@ async fn settle(learned: Learned, devices: &Devices, store: &StoreThread, at_ms:
         store.record_result(&result, state.as_deref())?;
         if let Some(curve) = curve {
             // Where the samples are not kept there is nothing to look at it with.
-            store.keep_curve(result.session, result.seq, CurveOf::Network, &curve)?;
+            store.keep_curve(result.session, result.seq, CurveSource::Network, &curve)?;
         }
         match no_lookup {
             Some(why) => store.event(Some(device_id), "no lookup", &why),
@@ -94,7 +94,7 @@ async fn settle(learned: Learned, devices: &Devices, store: &StoreThread, at_ms:
 }
 
 /// A result with how the network came to it.
-fn fit(at_ms: i64, boot: u32, result: &NewResult, course: &Course, busy: Duration) -> Fit {
+fn fit(at_ms: i64, boot: u32, result: &NewResult, trace: &FitTrace, busy: Duration) -> Fit {
     let finite = |x: f64| x.is_finite().then_some(x);
     Fit {
         boot,
@@ -107,13 +107,13 @@ fn fit(at_ms: i64, boot: u32, result: &NewResult, course: &Course, busy: Duratio
         sigma_l_pct: finite(result.sigma_l_pct),
         pass: result.pass,
         why: printable(&result.why),
-        remarks: course.remarks.clone(),
+        remarks: trace.remarks.clone(),
         changed_lookup: result.changed_lookup,
         iterations: result.iterations,
         seconds: Some(busy.as_secs_f64()),
-        steps: course.steps.clone(),
-        r_error_pct: course.r_error_pct,
-        l_error_pct: course.l_error_pct,
+        steps: trace.steps.clone(),
+        r_error_pct: trace.r_error_pct,
+        l_error_pct: trace.l_error_pct,
     }
 }
 

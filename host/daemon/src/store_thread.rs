@@ -82,7 +82,7 @@ struct Shared {
     /// A job was given, or the queue was closed: for the thread.
     given: Condvar,
     /// The same, for the task that is the thread of a simulated machine.
-    #[cfg(test)]
+    #[cfg(any(test, feature = "simulation"))]
     given_to_task: Notify,
     /// A job was taken or done: for those who wait for room or for the end.
     moved: Notify,
@@ -99,7 +99,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// Runs the jobs.
 enum Running {
     Thread(std::thread::JoinHandle<()>),
-    #[cfg(test)]
+    #[cfg(any(test, feature = "simulation"))]
     Task(tokio::task::JoinHandle<()>),
 }
 
@@ -242,7 +242,7 @@ impl StoreThread {
     pub async fn close(&self) {
         lock(&self.shared.waiting).is_closed = true;
         self.shared.given.notify_all();
-        #[cfg(test)]
+        #[cfg(any(test, feature = "simulation"))]
         self.shared.given_to_task.notify_one();
         self.shared.moved.notify_waiters();
         let running = lock(&self.running).take();
@@ -251,7 +251,7 @@ impl StoreThread {
             Some(Running::Thread(thread)) => {
                 let _ = tokio::task::spawn_blocking(move || thread.join()).await;
             }
-            #[cfg(test)]
+            #[cfg(any(test, feature = "simulation"))]
             Some(Running::Task(task)) => {
                 let _ = task.await;
             }
@@ -340,7 +340,7 @@ impl Shared {
         let refused = waiting.queue.push(lane, room, job).err();
         drop(waiting);
         self.given.notify_one();
-        #[cfg(test)]
+        #[cfg(any(test, feature = "simulation"))]
         self.given_to_task.notify_one();
         Ok(refused)
     }
@@ -381,7 +381,7 @@ pub struct StoreWorker {
 }
 
 impl StoreWorker {
-    #[cfg(test)]
+    #[cfg(any(test, feature = "simulation"))]
     fn start(self, machine: &Machine) -> std::io::Result<Running> {
         match machine.disk().cloned() {
             Some(disk) => Ok(Running::Task(tokio::spawn(self.serve_simulated(disk)))),
@@ -389,7 +389,7 @@ impl StoreWorker {
         }
     }
 
-    #[cfg(not(test))]
+    #[cfg(not(any(test, feature = "simulation")))]
     fn start(self, _: &Machine) -> std::io::Result<Running> {
         self.start_thread()
     }
@@ -400,7 +400,7 @@ impl StoreWorker {
         Ok(Running::Thread(thread.spawn(serve)?))
     }
 
-    #[cfg(test)]
+    #[cfg(any(test, feature = "simulation"))]
     async fn serve_simulated(mut self, disk: Arc<crate::simulation::Disk>) {
         loop {
             let (is_empty, is_closed) = {

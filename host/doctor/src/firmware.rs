@@ -1,4 +1,4 @@
-//! The firmware against this host, and against the image at hand.
+//! Checks of the firmware against this host, and against the available image.
 
 use ihd_flash::{BuildId, Image};
 use ihd_link::{BoardFacts, Client};
@@ -6,8 +6,8 @@ use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
 use crate::Check;
 
-/// Protocol, version, build id and CRC. `image`: what `ihd flash` would put there, or why there is none; `board`: what
-/// the device says of itself, or why it does not.
+/// Checks protocol, version, build id and CRC. `image`: the image that `ihd flash` would install, or the reason why there is none;
+/// `board`: the identity reported by the device, or the reason why there is none.
 pub fn checks(
     client: &Client,
     board: Result<&BoardFacts, &str>,
@@ -22,7 +22,7 @@ pub fn checks(
 
 fn protocol(client: &Client) -> Check {
     const NAME: &str = "protocol";
-    // Another major version is not connected at all.
+    // A device of another major version cannot be connected.
     let (theirs, ours) = (client.hello().protocol_minor, PROTOCOL_MINOR);
     let versions = format!("{PROTOCOL_MAJOR}.{theirs}, this host {PROTOCOL_MAJOR}.{ours}");
     match theirs.cmp(&ours) {

@@ -1,4 +1,4 @@
-//! What is wrong with a board, and with the machine it is plugged into.
+//! Diagnosis of a board and of the machine it is connected to: checks with finding, evidence and remedy.
 //!
 //! ```text
 //!  System (this machine, or a test's) ─► machine::checks ─┐
@@ -6,11 +6,11 @@
 //!  Client ─► first_switching ─────────────────────────────┘
 //! ```
 
-mod asking;
 pub mod board;
+mod check_session;
 pub mod firmware;
 pub mod first_switching;
 pub mod machine;
 pub mod report;
 
-pub use report::{Check, Evidence, Group, Report, Verdict};
+pub use report::{Check, CheckGroup, Evidence, Report, Verdict};

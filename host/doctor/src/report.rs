@@ -1,23 +1,23 @@
-//! What was found: groups of checks, each with its verdict, its evidence and what to do.
+//! Report: groups of checks, each with its verdict, evidence and remedy.
 
 use ihd_signal::printable;
 use serde::Serialize;
 
-/// What became of a check.
+/// Result of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// As it should be.
+    /// The check passed.
     Pass,
-    /// Not as it should be.
+    /// The check failed.
     Fail,
-    /// It could not be seen here; the finding says why.
+    /// The check could not be made; the finding has the reason.
     NotTested,
 }
 
 impl Verdict {
-    /// As the report shows it.
-    pub fn word(self) -> &'static str {
+    /// Text in the report.
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Pass => "pass",
             Self::Fail => "FAIL",
@@ -26,26 +26,26 @@ impl Verdict {
     }
 }
 
-/// A measured number beside its limits.
+/// Measured number with its limits.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Evidence {
-    /// What was measured.
+    /// Name of the measured quantity.
     pub name: &'static str,
-    /// The number.
+    /// Measured value.
     pub value: f64,
-    /// Its unit; empty for a count.
+    /// Unit; empty for a count.
     pub unit: &'static str,
-    /// Least that passes.
+    /// Lower limit, included; `None` if there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub min: Option<f64>,
-    /// Most that passes.
+    /// Upper limit, included; `None` if there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max: Option<f64>,
 }
 
 impl Evidence {
-    /// A number without limits: it decides nothing.
-    pub fn told(name: &'static str, value: f64, unit: &'static str) -> Self {
+    /// Creates a number without limits; it does not affect the verdict.
+    pub fn informative(name: &'static str, value: f64, unit: &'static str) -> Self {
         Self {
             name,
             value,
@@ -55,39 +55,39 @@ impl Evidence {
         }
     }
 
-    /// A number that must lie between two, both included.
+    /// Creates a number with two limits, both included.
     pub fn between(name: &'static str, value: f64, unit: &'static str, min: f64, max: f64) -> Self {
         Self {
             min: Some(min),
             max: Some(max),
-            ..Self::told(name, value, unit)
+            ..Self::informative(name, value, unit)
         }
     }
 
-    /// A number that must be no more than another.
+    /// Creates a number with an upper limit, included.
     pub fn at_most(name: &'static str, value: f64, unit: &'static str, max: f64) -> Self {
         Self {
             max: Some(max),
-            ..Self::told(name, value, unit)
+            ..Self::informative(name, value, unit)
         }
     }
 
-    /// A number that must be no less than another.
+    /// Creates a number with a lower limit, included.
     pub fn at_least(name: &'static str, value: f64, unit: &'static str, min: f64) -> Self {
         Self {
             min: Some(min),
-            ..Self::told(name, value, unit)
+            ..Self::informative(name, value, unit)
         }
     }
 
-    /// Whether it lies within its limits; what is no number does not.
+    /// Returns `true` if it is finite and within its limits.
     pub fn is_good(&self) -> bool {
         self.value.is_finite()
             && self.min.is_none_or(|min| self.value >= min)
             && self.max.is_none_or(|max| self.value <= max)
     }
 
-    /// Number, unit and limits in words.
+    /// Number, unit and limits as text.
     pub fn text(&self) -> String {
         let unit = match self.unit {
             "" | "%" => self.unit.to_owned(),
@@ -103,7 +103,7 @@ impl Evidence {
     }
 }
 
-/// Four digits, and no more than the number has.
+/// Formats four significant digits at most.
 fn number(x: f64) -> String {
     let digits = match x.abs() {
         a if a >= 1000.0 || a == 0.0 || a.fract() == 0.0 => 0,
@@ -118,19 +118,19 @@ fn number(x: f64) -> String {
     }
 }
 
-/// One thing that was looked at.
+/// One check.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Check {
-    /// Its stable name: `clocks`.
+    /// Stable name: `clocks`.
     pub name: &'static str,
-    /// What became of it.
+    /// Result.
     pub verdict: Verdict,
-    /// What was found, in words; printable.
+    /// Finding as printable text.
     pub finding: String,
-    /// The numbers it rests on.
+    /// Numbers that the verdict rests on.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub evidence: Vec<Evidence>,
-    /// What to do, where something is to be done.
+    /// Remedy; `None` if nothing is to be done.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub remedy: Option<String>,
 }
@@ -146,22 +146,22 @@ impl Check {
         }
     }
 
-    /// As it should be.
+    /// Creates a check that passed.
     pub fn pass(name: &'static str, finding: impl AsRef<str>) -> Self {
         Self::new(name, Verdict::Pass, finding)
     }
 
-    /// Not as it should be, and what to do about it.
+    /// Creates a check that failed, with a remedy.
     pub fn fail(name: &'static str, finding: impl AsRef<str>, remedy: impl AsRef<str>) -> Self {
         Self::new(name, Verdict::Fail, finding).with_remedy(remedy)
     }
 
-    /// Not seen, and why.
+    /// Creates a check that could not be made, with the reason.
     pub fn not_tested(name: &'static str, why: impl AsRef<str>) -> Self {
         Self::new(name, Verdict::NotTested, why)
     }
 
-    /// Passed where every number lies within its limits; else it failed, and this is what to do.
+    /// Creates a check that passes if every number is within its limits, and otherwise fails with this remedy.
     pub fn measured(
         name: &'static str,
         finding: impl AsRef<str>,
@@ -179,7 +179,7 @@ impl Check {
         Self { evidence, ..check }
     }
 
-    /// The same with something to do.
+    /// Adds a remedy.
     pub fn with_remedy(self, remedy: impl AsRef<str>) -> Self {
         Self {
             remedy: Some(printable(remedy.as_ref()).to_string()),
@@ -187,62 +187,62 @@ impl Check {
         }
     }
 
-    /// The same with numbers that decide nothing.
+    /// Adds numbers that do not affect the verdict.
     pub fn with_evidence(self, evidence: Vec<Evidence>) -> Self {
         Self { evidence, ..self }
     }
 }
 
-/// Checks that belong together.
+/// Group of related checks.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Group {
-    /// Its stable name: machine, firmware, board, first_switching.
+pub struct CheckGroup {
+    /// Stable name: machine, firmware, board, first_switching.
     pub name: &'static str,
-    /// In the order in which they were made.
+    /// Checks, in the order made.
     pub checks: Vec<Check>,
 }
 
-/// How many checks ended how.
+/// Number of checks by verdict.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Counts {
-    /// As it should be.
+pub struct VerdictCounts {
+    /// Checks passed.
     pub pass: usize,
-    /// Not as it should be.
+    /// Checks failed.
     pub fail: usize,
-    /// Not seen.
+    /// Checks not made.
     pub not_tested: usize,
 }
 
-/// Everything that was found.
+/// Report of an examination.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// Version of this document; names and meanings stay within it.
+    /// Version of this document; names and meanings stay within a version.
     pub format: u32,
-    /// The device that was examined, as on the command line.
+    /// Device examined, as on the command line; `None` if there was none.
     pub device: Option<String>,
     /// Groups of checks.
-    pub groups: Vec<Group>,
-    /// How many ended how.
-    pub counts: Counts,
-    /// What ended the examination before its end.
+    pub groups: Vec<CheckGroup>,
+    /// Number of checks by verdict.
+    pub counts: VerdictCounts,
+    /// Reason for an early end of the examination; `None` if it is complete.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ended_by: Option<String>,
 }
 
 impl Report {
-    /// A report of nothing yet.
-    pub fn of(device: Option<String>) -> Self {
+    /// Creates an empty report.
+    pub fn new(device: Option<String>) -> Self {
         Self {
             format: 1,
             device: device.map(|d| printable(&d).to_string()),
             groups: Vec::new(),
-            counts: Counts::default(),
+            counts: VerdictCounts::default(),
             ended_by: None,
         }
     }
 
     /// Adds a group.
-    pub fn add(&mut self, group: Group) {
+    pub fn add(&mut self, group: CheckGroup) {
         for check in &group.checks {
             match check.verdict {
                 Verdict::Pass => self.counts.pass += 1,
@@ -253,7 +253,7 @@ impl Report {
         self.groups.push(group);
     }
 
-    /// The check of this name, in whatever group.
+    /// Returns the check of this name from any group.
     pub fn check(&self, name: &str) -> Option<&Check> {
         let mut checks = self.groups.iter().flat_map(|group| &group.checks);
         checks.find(|check| check.name == name)
@@ -281,22 +281,22 @@ mod tests {
 
     #[test]
     fn what_only_is_told_decides_nothing() {
-        let told = vec![Evidence::told("rate", 3.0, "kB/s")];
+        let told = vec![Evidence::informative("rate", 3.0, "kB/s")];
         assert_eq!(Check::measured("r", "x", told, "").verdict, Verdict::Pass);
     }
 
     #[test]
     fn a_device_s_strings_are_escaped_wherever_they_come_in() {
         let check = Check::fail("a", "\u{1b}[2J", "do \u{7}");
-        let report = Report::of(Some("usb:\u{1b}]0;x".into()));
+        let report = Report::new(Some("usb:\u{1b}]0;x".into()));
         let all = format!("{check:?} {report:?}");
         assert!(!all.chars().any(char::is_control), "{all}");
     }
 
     #[test]
     fn the_document_is_pinned() {
-        let mut report = Report::of(Some("sim".into()));
-        report.add(Group {
+        let mut report = Report::new(Some("sim".into()));
+        report.add(CheckGroup {
             name: "board",
             checks: vec![
                 Check::measured(

@@ -1,6 +1,6 @@
-//! What each approximation of the field model costs, in percent of R and L.
+//! Costs of the field model's approximations, in percent of R and L.
 //!
-//! Every line compares two solutions that differ in one thing only.
+//! Each function compares two solutions that differ in one approximation only.
 
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 
@@ -11,13 +11,13 @@ use super::geometry::Geometry;
 use super::harmonic::{self, magnitude};
 use super::layered::{self, Shield};
 use super::material::Material;
-use super::model::{FieldModel, Settings};
+use super::model::{FieldModel, FieldSettings};
 use super::tank::{HalfBridge, ImpressedCurrent};
 
 /// Effect of one approximation at one operating point.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cost {
-    /// What is approximated, and by what.
+    /// Approximation, and the better solution that it is compared with.
     pub what: &'static str,
     /// Frequency in hertz.
     pub f_hz: f64,
@@ -43,8 +43,8 @@ impl Cost {
 
 /// The arrangement of the layered integral, as far as finite plates can follow: load 0.25 m,
 /// ferrite to the end of the grid.
-pub fn wide_settings(material: Material) -> Settings {
-    let mut s = Settings::paper();
+pub fn wide_settings(material: Material) -> FieldSettings {
+    let mut s = FieldSettings::paper();
     s.geometry.load_radius_m = 0.25;
     s.geometry.ferrite_radius_m = 1.0;
     s.rings = 48;
@@ -84,7 +84,7 @@ pub fn shield(f_hz: f64) -> Result<Cost, FieldError> {
 
 /// The describing function instead of the time-domain waveform, sinusoidal current.
 pub fn describing_function(f_hz: f64, i_a: f64) -> Result<Cost, FieldError> {
-    let model = FieldModel::new(&Settings::paper())?;
+    let model = FieldModel::new(&FieldSettings::paper())?;
     let used = harmonic::impedance(&model, f_hz, i_a)?;
     let (r_ohm, l_h) = ImpressedCurrent::<16>::fundamental(&model, f_hz, i_a, 1000, 6)?;
     Ok(Cost::of(
@@ -96,17 +96,17 @@ pub fn describing_function(f_hz: f64, i_a: f64) -> Result<Cost, FieldError> {
     ))
 }
 
-/// Odd harmonics of the current that the experiment with a half-bridge carries over: up to the 31st.
+/// Number of odd harmonics of the current that are carried over from the half-bridge: up to the 31st.
 const ORDERS: usize = 16;
 
 /// Periods until the half-bridge's current repeats: the tank's quality is below 4.
 const SETTLING: usize = 40;
 
-/// R and L of the fundamental under a current that has `share` of the harmonics that a half-bridge
-/// of `bus_v` drives through the load, against those that the half-bridge itself sees. With all of
-/// them the two are the same; with none the current is a sine of the same amplitude.
+/// R and L of the fundamental under a current with `share` of the harmonics that a half-bridge of `bus_v` drives through the
+/// load, compared with the half-bridge's own. With a share of 1 both are the same; with 0 the current is a sine of the same
+/// amplitude.
 pub fn harmonics_in_the_current(f_hz: f64, bus_v: f64, share: f64) -> Result<Cost, FieldError> {
-    let model = FieldModel::new(&Settings::paper())?;
+    let model = FieldModel::new(&FieldSettings::paper())?;
     let (steps, what) = (
         1000,
         if share == 0.0 {
@@ -143,9 +143,9 @@ fn refined(
     what: &'static str,
     f_hz: f64,
     i_a: f64,
-    change: impl Fn(&mut Settings),
+    change: impl Fn(&mut FieldSettings),
 ) -> Result<Cost, FieldError> {
-    let mut s = Settings::paper();
+    let mut s = FieldSettings::paper();
     let used = harmonic::impedance(&FieldModel::new(&s)?, f_hz, i_a)?;
     change(&mut s);
     let better = harmonic::impedance(&FieldModel::new(&s)?, f_hz, i_a)?;
@@ -186,7 +186,7 @@ pub fn calibration(f_hz: f64, i_a: f64) -> Result<Cost, FieldError> {
 
 /// Time steps of `steps` to the period instead of four times as many; 20 ns is 1111 at 45 kHz.
 pub fn time_step(f_hz: f64, i_a: f64, steps: usize) -> Result<Cost, FieldError> {
-    let model = FieldModel::new(&Settings::paper())?;
+    let model = FieldModel::new(&FieldSettings::paper())?;
     let at = |steps| -> Result<Load, FieldError> {
         let (r_ohm, l_h) = ImpressedCurrent::<16>::fundamental(&model, f_hz, i_a, steps, 4)?;
         Ok(Load { r_ohm, l_h })
@@ -200,7 +200,7 @@ pub fn time_step(f_hz: f64, i_a: f64, steps: usize) -> Result<Cost, FieldError> 
     ))
 }
 
-/// The whole list, as `ihd simulate --approximations` prints it.
+/// All costs, as printed by `ihd simulate --approximations`.
 pub fn all() -> Result<Vec<Cost>, FieldError> {
     let f = 45e3;
     let mut list = vec![shield(f)?];
@@ -277,9 +277,9 @@ mod tests {
     fn harmonics_of_the_current_move_the_fundamentals_r() {
         for f_hz in [45e3, 70e3] {
             let at = |share| harmonics_in_the_current(f_hz, 320.0, share).unwrap();
-            // The same current gives the same R and L: the experiment's own error.
+            // The same current gives the same R and L, up to the experiment's own error.
             within(&at(1.0), 0.1, 0.1);
-            // Without harmonics R is more than the 2 % off, and the way there is even.
+            // Without harmonics R is wrong by more than 2 %, and the way there is even.
             let (none, half) = (at(0.0), at(0.5));
             within(&none, 10.0, 2.0);
             assert!(none.r_pct.abs() > 1.0, "{none:?}");
@@ -292,7 +292,7 @@ mod tests {
     fn resonance_interval_is_the_papers() {
         // Paper, section V: 27-36 kHz from the simulation's L, section VI: 29-34 kHz measured.
         // From no current to the 60 A that the paper's hob reaches near resonance.
-        let model = FieldModel::new(&Settings::paper()).unwrap();
+        let model = FieldModel::new(&FieldSettings::paper()).unwrap();
         let f_res = |i_a| {
             let l = harmonic::impedance(&model, 45e3, i_a).unwrap().l_h;
             1.0 / (2.0 * core::f64::consts::PI * (l * 1080e-9).sqrt())

@@ -1,4 +1,4 @@
-//! Graded grid into the load: fine at the surface, where the field is.
+//! Graded depth grid of the load, fine at the surface where the field is.
 
 use super::error::{FieldError, in_range};
 use super::material::Material;

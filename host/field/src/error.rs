@@ -1,4 +1,4 @@
-//! What can be wrong with a field model's inputs.
+//! Errors of a field model's inputs.
 
 use thiserror::Error;
 
@@ -10,9 +10,9 @@ pub enum FieldError {
     OutOfRange {
         /// Name of the input, with its unit.
         field: &'static str,
-        /// What was given.
+        /// Value that was given.
         value: f64,
-        /// The allowed range, in words.
+        /// Allowed range as text.
         allowed: &'static str,
     },
     /// Two lengths contradict each other.
@@ -35,7 +35,7 @@ pub enum FieldError {
         /// Unknowns of the system.
         nodes: usize,
     },
-    /// The harmonic iteration did not settle.
+    /// The harmonic iteration did not converge.
     #[error(
         "harmonic balance at {f_hz} Hz, {i_a} A did not settle: relative change {change:e} after {iterations} iterations"
     )]
@@ -51,7 +51,7 @@ pub enum FieldError {
     },
 }
 
-/// Passes a finite number inside `min..=max`, refuses anything else.
+/// Returns `Ok` for a finite number inside `min..=max`, else an error.
 pub fn in_range(
     field: &'static str,
     value: f64,

@@ -1,6 +1,6 @@
 //! The magnetostatic field between shield and load, condensed to the load's rings.
 //!
-//! Unknown is ψ = r A_φ on a tensor grid (finite volumes, five points): around every dual cell
+//! The unknown is ψ = r A_φ on a tensor grid (finite volumes, five points): around every dual cell
 //! Σ H·length = enclosed current. Coil current and the flux entering the load are sources; the
 //! shield and the far boundary have ψ = 0 (perfect conductor). The solution is linear in both, so
 //! for ring values A (flux per circumference in the load's surface layer, Wb/m), H (tangential
@@ -8,7 +8,7 @@
 //!
 //!   W H = P i − S A,   λ = L0 i + Pᵀ A
 //!
-//! S is symmetric and positive, and the same P appears twice: no energy is lost in between.
+//! S is symmetric and positive, and the same P appears twice, so that no energy is lost in between.
 
 use nalgebra::DMatrix;
 use nalgebra_sparse::{CooMatrix, CscMatrix, factorization::CscCholesky};
@@ -17,7 +17,7 @@ use super::error::FieldError;
 use super::geometry::Geometry;
 use super::reluctance::{Network, Node};
 
-/// The condensed gap; see the module's equations.
+/// Condensed field of the gap; see the module's equations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GapOperator {
     /// Flux linkage per ampere with no flux in the load, in henry.

@@ -5,12 +5,11 @@ use super::error::{FieldError, in_range};
 /// Share of the 23 turns that acts on the field: H and flux linkage both scale with it, L and R
 /// with its square.
 ///
-/// Pure geometry (1.0) gives 45 kHz inductances of 44 µH (no current) to 28 µH (45 A), a
-/// resonance interval of 23-29 kHz with 1080 nF; the paper reads 27-36 kHz from its simulation and
-/// 29-34 kHz from its prototype. With 0.84 the interval is within the first and holds the second
-/// (test `resonance_interval_is_the_papers`). The paper leaves the ferrite's permeability,
-/// thickness and radius open, and does not state how its permeability law was evaluated at an
-/// amplitude; `docs/simulator.md` shows what each could account for.
+/// Pure geometry (1.0) gives 45 kHz inductances of 44 µH (no current) to 28 µH (45 A), a resonance interval of 23-29 kHz with
+/// 1080 nF; the paper reads 27-36 kHz from its simulation and 29-34 kHz from its prototype. With 0.84 the interval lies within
+/// the first and contains the second (test `resonance_interval_is_the_papers`). The paper leaves the ferrite's permeability,
+/// thickness and radius open, and does not state how its permeability law was evaluated at an amplitude; `docs/simulator.md`
+/// shows what each could account for.
 pub const TURNS_CALIBRATION: f64 = 0.84;
 
 /// Axisymmetric arrangement, bottom to top: aluminium shield (perfect conductor), gap, ferrite
@@ -25,13 +24,13 @@ pub struct Geometry {
     pub coil_outer_m: f64,
     /// Thickness of the coil.
     pub coil_thickness_m: f64,
-    /// Coil to load.
+    /// Distance from coil to load.
     pub load_gap_m: f64,
     /// Radius of the load's base; larger than the modelled space means an infinite plate.
     pub load_radius_m: f64,
     /// Height of the load's side wall over which its surface flux returns to the air.
     pub load_rim_m: f64,
-    /// Ferrite to coil.
+    /// Distance from ferrite to coil.
     pub ferrite_gap_m: f64,
     /// Thickness of the ferrite plate.
     pub ferrite_thickness_m: f64,
@@ -39,7 +38,7 @@ pub struct Geometry {
     pub ferrite_radius_m: f64,
     /// Relative permeability of the ferrite, linear.
     pub ferrite_mu_r: f64,
-    /// Shield to ferrite.
+    /// Distance from shield to ferrite.
     pub shield_gap_m: f64,
     /// Share of the turns that acts on the field: the one calibration constant, see
     /// [`TURNS_CALIBRATION`]. 1 is pure geometry.
@@ -47,8 +46,8 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// Section IV of the paper. The paper does not give the ferrite's thickness, radius and
-    /// permeability, nor the load's radius: 5 mm, the coil's radius, 2000 and 105 mm are ours.
+    /// Arrangement of the paper's section IV. The paper does not give the ferrite's thickness, radius and permeability, nor the
+    /// load's radius: 5 mm, the coil's radius, 2000 and 105 mm are this project's.
     pub fn paper() -> Self {
         Self {
             turns: 23.0,

@@ -26,8 +26,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Lines for an arrangement; `refinement` 2 halves every cell. Without a load the space
-    /// above the coil is air.
+    /// Creates the lines for an arrangement; `refinement` 2 halves every cell. Without a load the space above the coil is air.
     pub fn new(g: &Geometry, refinement: f64) -> Self {
         let mut r = vec![
             0.0,
@@ -55,8 +54,8 @@ impl Grid {
     }
 }
 
-/// Divides each interval between `marks` evenly into cells of at most `cell_m`, at least two,
-/// then grows out to [`FAR_M`].
+/// Divides each interval between `marks` evenly into at least two cells of at most `cell_m`, then adds growing cells out to
+/// [`FAR_M`].
 fn lines(mut marks: Vec<f64>, cell_m: f64, refinement: f64) -> Vec<f64> {
     marks.sort_by(f64::total_cmp);
     marks.dedup_by(|a, b| (*a - *b).abs() < SAME_M);

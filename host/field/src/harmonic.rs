@@ -1,8 +1,8 @@
 //! Frequency domain: R and L of the fundamental at a current, by describing function.
 //!
-//! H and B are reduced to their fundamentals; at every node µ is the describing function of the
-//! material at that node's amplitude. The same grids and gap as in the time domain, solved by
-//! repeated substitution. At zero amplitude this is the small-signal linear impedance.
+//! H and B are reduced to their fundamentals; at every node µ is the describing function of the material at that node's
+//! amplitude. Grids and gap are those of the time domain; the solution is found by repeated substitution. At zero amplitude it
+//! is the small-signal linear impedance.
 
 use ihd_signal::Load;
 use nalgebra::{Complex, DMatrix, DVector};
@@ -11,7 +11,7 @@ use super::depth::DepthGrid;
 use super::error::{FieldError, in_range};
 use super::model::FieldModel;
 
-/// Iterations before giving up.
+/// Most iterations.
 const MAX_ITERATIONS: usize = 200;
 
 /// Relative change of the impedance at which the iteration ends.
@@ -74,14 +74,14 @@ pub(super) fn magnitude(z: Complex<f64>) -> f64 {
 
 /// Linear diffusion under one ring.
 pub(super) struct Column {
-    /// H of node n over H of node n−1.
+    /// Ratio of H at node n to H at node n−1.
     pub(super) down: Vec<Complex<f64>>,
     /// A at the surface over H there, in Wb/A.
     pub(super) flux_per_h: Complex<f64>,
 }
 
 impl Column {
-    /// Permeability of each node in H/m.
+    /// Solves one ring; `mu` is the permeability of each node in H/m.
     pub(super) fn solve(depth: &DepthGrid, sigma_s_per_m: f64, omega: f64, mu: &[f64]) -> Self {
         let (cell, step) = (&depth.cell_m, &depth.step_m);
         let j_omega_sigma = Complex::i() * omega * sigma_s_per_m;
@@ -121,13 +121,13 @@ fn surface_flux(
 #[cfg(test)]
 mod tests {
     use super::super::material::Material;
-    use super::super::model::Settings;
+    use super::super::model::FieldSettings;
     use super::*;
 
     #[test]
     fn a_thick_linear_plate_has_the_skin_effects_surface_impedance() {
         // ζ = A/H = µ δ (1 − j)/2.
-        let model = FieldModel::new(&Settings::paper()).unwrap();
+        let model = FieldModel::new(&FieldSettings::paper()).unwrap();
         let (f_hz, mu) = (45e3, Material::PAPER.mu_initial_h_per_m());
         let omega = 2.0 * core::f64::consts::PI * f_hz;
         let sigma_s_per_m = Material::PAPER.sigma_s_per_m();
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn saturation_lowers_both_r_and_l() {
-        let model = FieldModel::new(&Settings::paper()).unwrap();
+        let model = FieldModel::new(&FieldSettings::paper()).unwrap();
         let at = |i| impedance(&model, 45e3, i).unwrap();
         let z: Vec<_> = [0.0, 1.0, 10.0, 40.0].map(at).into();
         assert!(
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn refuses_what_is_not_a_number() {
-        let model = FieldModel::new(&Settings::paper()).unwrap();
+        let model = FieldModel::new(&FieldSettings::paper()).unwrap();
         let e = impedance(&model, f64::NAN, 1.0).unwrap_err();
         assert!(e.to_string().contains("f_hz"), "{e}");
     }

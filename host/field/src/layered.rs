@@ -12,16 +12,16 @@ use super::error::{FieldError, in_range};
 use super::geometry::Geometry;
 use super::material::{MU_0, Material};
 
-/// Wave numbers beyond this carry less than 1e-5 of the inductance of a coil 3 mm thick.
+/// Largest wave number: those beyond carry less than 1e-5 of the inductance of a coil 3 mm thick.
 const K_MAX_PER_M: f64 = 4000.0;
 
 /// Intervals of the wave-number integral.
 const K_INTERVALS: usize = 4000;
 
-/// What lies behind the ferrite.
+/// Material behind the ferrite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shield {
-    /// No tangential electric field, as in the time-domain model.
+    /// Perfect conductor: no tangential electric field, as in the time-domain model.
     Perfect,
     /// A conductor, thick against its skin depth, σ in S/m.
     Conductor(f64),
@@ -120,14 +120,14 @@ impl Stack<'_> {
         (one * own + reflected / repeat) * (MU_0 / (2.0 * k))
     }
 
-    /// −(dA/dz)/A looking into the load, in 1/m.
+    /// −(dA/dz)/A at the coil, looking into the load, in 1/m.
     fn above(&self, k: f64) -> Complex<f64> {
         let mu = self.material.mu_initial_h_per_m();
         let q = root(k * k, self.omega * mu * self.material.sigma_s_per_m());
         q * (MU_0 / mu)
     }
 
-    /// The same looking down into ferrite, gap and shield.
+    /// −(dA/dz)/A at the coil, looking down into ferrite, gap and shield, in 1/m.
     fn below(&self, k: f64) -> Complex<f64> {
         let g = self.geometry;
         // tanh of the gap between shield and ferrite; a perfect shield is an infinite admittance.

@@ -4,7 +4,7 @@
 //!
 //! 1. [`gap`]: the magnetostatic field between shield and load, axisymmetric finite volumes. It is
 //!    linear, so it is solved once and condensed to a few numbers per ring of the load surface.
-//! 2. [`diffusion`]: what happens inside the load. The skin depth (0.03 mm at 45 kHz) is far
+//! 2. [`diffusion`]: the field inside the load. The skin depth (0.03 mm at 45 kHz) is far
 //!    below any radial length, so under each ring the field diffuses along depth only; the
 //!    material is nonlinear ([`material`]).
 //! 3. The coupling: ring surfaces exchange H (tangential field, A/m) and A (flux per unit

@@ -5,16 +5,16 @@ use super::error::{FieldError, in_range};
 /// Permeability of vacuum in H/m.
 pub const MU_0: f64 = 4e-7 * core::f64::consts::PI;
 
-/// The knee of a magnetisation curve.
+/// Shape of a magnetisation curve's knee.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Knee {
-    /// Fröhlich's: B = H / (b (α + |H|)).
+    /// Fröhlich's law: B = H / (b (α + |H|)).
     Froehlich,
-    /// A sharper one: B = H / (b √(α² + H²)).
+    /// Sharper law: B = H / (b √(α² + H²)).
     Sharp,
 }
 
-/// A load material: B(H) and conductivity.
+/// Material of a load: B(H) and conductivity.
 ///
 /// The Fröhlich chord is B = H / (b (α + |H|)); its slope α / (b (α + |H|)²) is what the paper
 /// (section IV) writes as µ0 µ_r(H). A linear material has `saturation_per_t` = 0 and B = µ H.
@@ -29,11 +29,11 @@ pub enum Material {
         /// Conductivity in S/m.
         sigma_s_per_m: f64,
     },
-    /// Ferromagnetic by another law than Fröhlich's: what assumes that one is judged by this.
+    /// Ferromagnetic by another law than Fröhlich's, to test methods that assume the latter.
     Saturating {
-        /// How the slope at no field turns into saturation.
+        /// Shape of the transition from the slope at zero field to saturation.
         knee: Knee,
-        /// α in A/m: the slope at no field is 1/(α b), as Fröhlich's.
+        /// α in A/m; the slope at zero field is 1/(α b), as with Fröhlich's law.
         alpha_a_per_m: f64,
         /// b in 1/T: without the tail it saturates at 1/b tesla.
         b_per_t: f64,
@@ -81,7 +81,7 @@ impl Material {
         sigma_s_per_m: 3.5e7,
     };
 
-    /// Refuses NaN and values no metal has.
+    /// Checks that all numbers are possible for a metal.
     pub fn check(&self) -> Result<(), FieldError> {
         in_range(
             "sigma_s_per_m",
@@ -122,7 +122,7 @@ impl Material {
         }
     }
 
-    /// All laws in the formulas of [`BhCurve`], for loops without branches.
+    /// Returns the law in the common form of [`BhCurve`], for loops without branches.
     pub fn curve(&self) -> BhCurve {
         match *self {
             Self::Froehlich {
@@ -177,13 +177,13 @@ impl Material {
 pub struct BhCurve {
     /// α in A/m.
     pub alpha_a_per_m: f64,
-    /// s: 1 saturating, 0 linear.
+    /// s: 1 if saturating, 0 if linear.
     pub saturating: f64,
-    /// Saturation in tesla.
+    /// Saturation flux density in tesla.
     pub b_sat_t: f64,
-    /// The knee.
+    /// Shape of the knee.
     pub knee: Knee,
-    /// µ_t, the slope that is left at any field, in H/m.
+    /// µ_t, the remaining slope at any field, in H/m.
     pub tail_h_per_m: f64,
 }
 
@@ -228,8 +228,8 @@ impl BhCurve {
         saturating + self.tail_h_per_m
     }
 
-    /// ∫ cos²/√(1 + x² cos²) over a quarter period is (√(1 + x²) E − K/√(1 + x²))/x², with the complete elliptic
-    /// integrals of the parameter m = x²/(1 + x²).
+    /// Describing function of the sharp knee. ∫ cos²/√(1 + x² cos²) over a quarter period is (√(1 + x²) E − K/√(1 + x²))/x²,
+    /// with the complete elliptic integrals of the parameter m = x²/(1 + x²).
     fn describing_sharp(&self, amplitude_a_per_m: f64) -> f64 {
         use core::f64::consts::PI;
         let x = amplitude_a_per_m.abs() / self.alpha_a_per_m;
@@ -337,7 +337,7 @@ mod tests {
                 c.b_t(1e9)
             );
         }
-        // Nearer to saturation at the knee.
+        // The sharper knee is nearer to saturation.
         let knee = |m: &Material| m.curve().b_t(1500.0);
         assert!(knee(&OTHERS[1]) > 1.3 * knee(&Material::PAPER));
     }

@@ -1,4 +1,4 @@
-//! A complete field model: gap, load material, depth grid, winding.
+//! Complete field model: gap, load material, depth grid, winding.
 
 use super::depth::DepthGrid;
 use super::error::{FieldError, in_range};
@@ -12,9 +12,9 @@ pub const RINGS: usize = 16;
 /// Standard resolution: nodes into the depth of the load.
 pub const DEPTH_NODES: usize = 44;
 
-/// What has to be chosen for a model.
+/// Parameters of a field model.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
+pub struct FieldSettings {
     /// Dimensions in metre.
     pub geometry: Geometry,
     /// Load material.
@@ -25,14 +25,14 @@ pub struct Settings {
     pub winding_r_ohm: f64,
     /// Rings over the load's radius.
     pub rings: usize,
-    /// Nodes into the load.
+    /// Nodes into the depth of the load.
     pub depth_nodes: usize,
-    /// 1: standard grid of the gap; 2: half its cells.
+    /// Refinement of the gap's grid: 1 is the standard grid, 2 halves its cells.
     pub gap_refinement: f64,
 }
 
-impl Settings {
-    /// The paper's arrangement (section IV), which has no winding loss.
+impl FieldSettings {
+    /// Arrangement of the paper (section IV), which has no winding loss.
     pub fn paper() -> Self {
         Self {
             geometry: Geometry::paper(),
@@ -46,12 +46,12 @@ impl Settings {
     }
 }
 
-/// The solved gap and the grid into the load, ready for time and frequency domain.
+/// Solved gap and depth grid of the load, ready for time and frequency domain.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldModel {
     /// Condensed gap.
     pub gap: GapOperator,
-    /// Grid into the load.
+    /// Depth grid of the load.
     pub depth: DepthGrid,
     /// Load material.
     pub material: Material,
@@ -61,7 +61,7 @@ pub struct FieldModel {
 
 impl FieldModel {
     /// Checks the settings and solves the gap (some 50 ms).
-    pub fn new(settings: &Settings) -> Result<Self, FieldError> {
+    pub fn new(settings: &FieldSettings) -> Result<Self, FieldError> {
         in_range("rings", settings.rings as f64, 4.0, 64.0, "4 to 64")?;
         in_range(
             "gap_refinement",

@@ -1,18 +1,18 @@
-//! The reluctance network between shield and load: node classes and coefficients of the
+//! Reluctance network between shield and load: node classes and coefficients of the
 //! five-point equations for ψ = r A_φ.
 
 use super::geometry::Geometry;
 use super::grid::Grid;
 use super::material::MU_0;
 
-/// What a grid node is to the solver.
+/// Class of a grid node.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Node {
     /// Unknown with its number.
     Free(usize),
-    /// On the load's surface, with its number.
+    /// Node on the load's surface, with its number.
     Surface(usize),
-    /// ψ = 0.
+    /// Node with ψ = 0.
     Zero,
 }
 
@@ -24,7 +24,7 @@ pub(super) struct Network<'a> {
     pub(super) grid: Grid,
     /// Class of each node, column by column.
     pub(super) nodes: Vec<Node>,
-    /// (r, z) of each surface node and the length of load surface it stands for.
+    /// (r, z) of each surface node, and the length of load surface that it represents.
     pub(super) surface: Vec<(f64, f64, f64)>,
     /// Number of unknowns.
     pub(super) free: usize,
@@ -99,7 +99,7 @@ impl<'a> Network<'a> {
             && (bottom..bottom + self.geometry.load_rim_m).contains(&z)
     }
 
-    /// Reluctivity of a cell in m/H; none inside the load.
+    /// Reluctivity of a cell in m/H; `None` inside the load.
     fn reluctivity(&self, i: usize, j: usize) -> f64 {
         let (r, z) = self.middle(i, j);
         let g = self.geometry;

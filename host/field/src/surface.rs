@@ -1,10 +1,9 @@
-//! The surface impedance of a saturating half-space, without dimensions.
+//! Dimensionless surface impedance of a saturating half-space.
 //!
-//! With h = H/α, depth in skin depths δ = √(2/(ω µ σ)) and time in radians, the diffusion
-//! σ ∂B/∂t = ∂²H/∂z² of a Fröhlich metal, B = µ H/(1 + |H|/α), is 2 ∂φ(h)/∂τ = ∂²h/∂ζ² with
-//! φ(h) = h/(1 + |h|): no property of the metal is left in it. So the flux A per circumference that a field of
-//! amplitude H drives through the surface is A = µ δ F(H/α) H with one function F for all such metals and
-//! frequencies, and a metal is two numbers: α, and √(µ/σ), which µ δ is made of.
+//! With h = H/α, depth in skin depths δ = √(2/(ω µ σ)) and time in radians, the diffusion σ ∂B/∂t = ∂²H/∂z² of a Fröhlich
+//! metal, B = µ H/(1 + |H|/α), becomes 2 ∂φ(h)/∂τ = ∂²h/∂ζ² with φ(h) = h/(1 + |h|), which contains no property of the metal.
+//! The flux A per circumference that a field of amplitude H drives through the surface is therefore A = µ δ F(H/α) H, with one
+//! function F for all such metals and frequencies. Two numbers describe a metal: α, and √(µ/σ), from which µ δ follows.
 
 use nalgebra::Complex;
 
@@ -13,14 +12,14 @@ use super::error::{FieldError, in_range};
 use super::harmonic::{Column, magnitude};
 use super::material::Material;
 
-/// Any metal of the law would do.
+/// Metal of the computation; any metal of the law gives the same F.
 const METAL: Material = Material::Froehlich {
     alpha_a_per_m: 1_000.0,
     b_per_t: 1.0,
     sigma_s_per_m: 1e6,
 };
 
-/// The frequency that the depth grid is made for, where it holds most skin depths.
+/// Frequency for which the depth grid is made, where it covers most skin depths.
 const F_HZ: f64 = 20e3;
 
 /// Nodes into the depth: 176 leave .02 % of R and L (docs/simulator.md); these a quarter of that.
@@ -29,7 +28,7 @@ const NODES: usize = 352;
 /// Largest h: the saturated front is then eight skin depths deep, and the grid has sixteen.
 pub const LARGEST_FIELD: f64 = 60.0;
 
-/// Iterations before giving up; saturation needs some thirty.
+/// Most iterations; saturation needs some thirty.
 const MAX_ITERATIONS: usize = 400;
 
 /// Relative change of F at which the iteration ends.
@@ -83,8 +82,8 @@ mod tests {
         assert!((f - Complex::new(0.5, -0.5)).norm() < 3e-4, "{f}");
     }
 
-    /// Agarwal's limit for a step-shaped B(H): tan of the impedance's angle is ½, R twice X; Fröhlich's law tends to
-    /// it slowly.
+    /// Agarwal's limit for a step-shaped B(H), to which Fröhlich's law tends slowly: the tangent of the impedance's angle is ½, R
+    /// is twice X.
     #[test]
     fn saturation_turns_the_angle_towards_losses() {
         let angle = |h: f64| {

@@ -1,4 +1,4 @@
-//! The field model in the resonant circuit: bridge voltage, winding, load, series capacitor.
+//! Field model in the resonant circuit: bridge voltage, winding, load, series capacitor.
 
 use nalgebra::Complex;
 
@@ -6,7 +6,7 @@ use super::diffusion::FieldLoad;
 use super::error::{FieldError, in_range};
 use super::model::FieldModel;
 
-/// v = R_w i + dλ/dt + v_C, C dv_C/dt = i, in the same BDF2 step as the field.
+/// Resonant circuit with a field load: v = R_w i + dλ/dt + v_C, C dv_C/dt = i, in the same BDF2 step as the field.
 #[derive(Clone, Debug)]
 pub struct FieldTank<const N: usize> {
     load: FieldLoad<N>,
@@ -27,7 +27,7 @@ pub struct TankSample {
 }
 
 impl<const N: usize> FieldTank<N> {
-    /// A circuit at rest.
+    /// Creates a circuit at rest.
     pub fn new(model: &FieldModel, capacitance_f: f64, dt_s: f64) -> Result<Self, FieldError> {
         in_range("capacitance_f", capacitance_f, 1e-9, 1e-3, "1 nF to 1 mF")?;
         Ok(Self {
@@ -61,7 +61,7 @@ impl<const N: usize> FieldTank<N> {
     }
 }
 
-/// The load with an impressed current, as in the paper's frequency-domain runs.
+/// Load with an impressed current, as in the paper's frequency-domain runs.
 #[derive(Clone, Debug)]
 pub struct ImpressedCurrent<const N: usize> {
     load: FieldLoad<N>,
@@ -71,7 +71,7 @@ pub struct ImpressedCurrent<const N: usize> {
 }
 
 impl<const N: usize> ImpressedCurrent<N> {
-    /// A load at rest.
+    /// Creates a load at rest.
     pub fn new(model: &FieldModel, dt_s: f64) -> Result<Self, FieldError> {
         Ok(Self {
             load: FieldLoad::new(model, dt_s)?,
@@ -91,8 +91,8 @@ impl<const N: usize> ImpressedCurrent<N> {
         self.winding_r_ohm * i_a + (1.5 * new - 2.0 * now + 0.5 * before) / self.dt_s
     }
 
-    /// Fundamental impedance in the last of `periods` periods of i = Î sin ωt: (R in ohm, L in
-    /// henry). `steps` time steps a period.
+    /// Fundamental impedance in the last of `periods` periods of i = Î sin ωt: (R in ohm, L in henry). `steps` is the number of
+    /// time steps per period.
     pub fn fundamental(
         model: &FieldModel,
         f_hz: f64,
@@ -104,7 +104,7 @@ impl<const N: usize> ImpressedCurrent<N> {
         Self::fundamental_of(model, f_hz, &sine, steps, periods)
     }
 
-    /// The same of i = Σ Re{I_h exp(jhωt)}, `phasors` being I_1, I_3, I_5 and so on in ampere.
+    /// Fundamental impedance under i = Σ Re{I_h exp(jhωt)}; `phasors` are I_1, I_3, I_5 and so on in ampere.
     pub fn fundamental_of(
         model: &FieldModel,
         f_hz: f64,
@@ -166,10 +166,10 @@ impl Fundamental {
     }
 }
 
-/// What a half-bridge makes of the load in the steady state.
+/// Steady state of a load at a half-bridge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HalfBridge {
-    /// I_1, I_3, I_5 and so on in ampere, i = Σ Re{I_h exp(jhωt)}.
+    /// Phasors I_1, I_3, I_5 and so on in ampere, i = Σ Re{I_h exp(jhωt)}.
     pub current: Vec<Complex<f64>>,
     /// R of the fundamental in ohm.
     pub r_ohm: f64,
@@ -178,8 +178,8 @@ pub struct HalfBridge {
 }
 
 impl HalfBridge {
-    /// A square wave of `bus_v` through `capacitance_f`, after `periods` periods of `steps` steps;
-    /// `orders` odd harmonics of the current.
+    /// Simulates a square wave of `bus_v` through `capacitance_f` for `periods` periods of `steps` steps; returns `orders` odd
+    /// harmonics of the current.
     pub fn steady<const N: usize>(
         model: &FieldModel,
         (f_hz, bus_v): (f64, f64),

@@ -1,4 +1,4 @@
-//! The chip's bootloader in ROM, over USB: DfuSe 1.1a (ST AN3156), beside the standard's DFU 1.1.
+//! The chip's bootloader in ROM, over USB: DfuSe 1.1a (ST AN3156) with the standard DFU 1.1.
 //!
 //! ```text
 //! usb       finds and opens 0483:df11, through dfu-nusb
@@ -17,6 +17,6 @@ mod restart;
 mod usb;
 
 pub use chip::Dfu;
-pub use protocol::{Refusal, Rom};
+pub use protocol::{BootloaderIo, TransferFailure};
 pub use restart::{EnterError, reach, send_into_bootloader};
-pub use usb::{Found, PRODUCT_ID, Usb, VENDOR_ID, found, open};
+pub use usb::{BootloaderDevice, PRODUCT_ID, Usb, VENDOR_ID, bootloaders, open};

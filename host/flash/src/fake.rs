@@ -1,5 +1,5 @@
-//! A chip for tests of screens and of what goes before and after flashing, without a probe: it holds memory and option
-//! bytes, and fails as it is told. And images to flash.
+//! Fake chip for tests of screens and of the steps before and after flashing, without a probe: it holds memory and option bytes,
+//! and fails on request. Also images to flash.
 
 use std::ops::Range;
 
@@ -11,20 +11,20 @@ use ihd_shared::wire::frame::CRC32;
 
 use crate::image::Image;
 use crate::options::{OptionBytes, ReadProtection};
-use crate::programmer::{Chip, Doing, Erase, ProgramError, Programmer, Progress};
+use crate::programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, Progress};
 
-/// A small image that is not a program, with everything that is checked of one; its fields are what tests spoil.
+/// Small image that passes all checks but is no program; tests change its fields.
 #[derive(Clone, Debug)]
 pub struct SampleImage {
-    /// Where it begins.
+    /// Address of its beginning.
     pub place: u32,
-    /// Bytes in all, a multiple of 4.
+    /// Size in bytes, a multiple of 4.
     pub bytes: usize,
     /// Version of the package.
     pub version: &'static str,
-    /// What the header begins with.
+    /// First bytes of the header.
     pub magic: [u8; 4],
-    /// Protocol.
+    /// Protocol version.
     pub protocol: (u16, u16),
     /// Every byte of the build id.
     pub build_id: u8,
@@ -32,7 +32,7 @@ pub struct SampleImage {
     pub entry: u32,
     /// ELF's number of the processor.
     pub machine: u16,
-    /// So much lies the second half further on than it should.
+    /// Bytes by which the second half lies too far on.
     pub gap: u32,
 }
 
@@ -53,10 +53,10 @@ impl Default for SampleImage {
 }
 
 impl SampleImage {
-    /// What the first bytes of the program are, once in the image.
+    /// First bytes of the program, once in the image.
     pub const CODE: [u8; 8] = *b"\x12program";
 
-    /// The ELF file: two segments.
+    /// Returns the ELF file: two segments.
     pub fn elf(&self) -> Vec<u8> {
         let flat = self.flat();
         let (first, second) = flat.split_at(flat.len() / 8 * 4);
@@ -86,10 +86,10 @@ impl SampleImage {
         elf
     }
 
-    /// As [`Image::parse`] takes it.
+    /// Parses it with [`Image::parse`].
     ///
     /// # Panics
-    /// When the fields were spoilt.
+    /// If the fields make it invalid.
     pub fn image(&self) -> Image {
         Image::parse(&self.elf(), None).expect("a sample that is not spoilt")
     }
@@ -122,18 +122,18 @@ impl SampleImage {
     }
 }
 
-/// When a [`FakeProgrammer`] fails, once.
+/// Single failure of a [`FakeProgrammer`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
-    /// The probe goes away at this step, when half of it is done.
-    Lost(Doing),
-    /// The flash's controller refuses at this step.
-    Refused(Doing),
-    /// A bit does not stay.
+    /// The probe disconnects in the middle of this step.
+    Lost(FlashStep),
+    /// The flash's controller reports an error at this step.
+    Refused(FlashStep),
+    /// One bit keeps its old value.
     Bit,
 }
 
-/// A chip that does what it is told.
+/// Fake chip.
 #[derive(Clone, Debug)]
 pub struct FakeProgrammer {
     /// `DBGMCU_IDCODE`.
@@ -142,13 +142,13 @@ pub struct FakeProgrammer {
     pub flash: Vec<u8>,
     /// Option bytes.
     pub options: OptionBytes,
-    /// Whether the outputs are on; `None` if this way does not see it.
+    /// `true` if the outputs are on; `None` if this access cannot see it.
     pub switching: Option<bool>,
-    /// What fails next.
+    /// Next failure.
     pub failure: Option<Failure>,
-    /// How often it was reset.
+    /// Number of resets.
     pub resets: u32,
-    /// What was called, in order.
+    /// Names of the calls, in order.
     pub calls: Vec<&'static str>,
 }
 
@@ -167,20 +167,20 @@ impl Default for FakeProgrammer {
 }
 
 impl FakeProgrammer {
-    /// A chip on which an image is.
+    /// Creates a chip with this image.
     pub fn with(image: &Image) -> Self {
         let mut fake = Self::default();
         fake.write(FLASH_ADDRESS, &image.flat());
         fake
     }
 
-    /// What lies at an address of the flash.
+    /// Bytes at an address of the flash.
     pub fn at(&self, address: u32, bytes: usize) -> &[u8] {
         let at = (address - FLASH_ADDRESS) as usize;
         &self.flash[at..at + bytes]
     }
 
-    /// Writes flash, as nothing on a real chip can.
+    /// Writes the flash without the rules of a real chip.
     pub fn write(&mut self, address: u32, bytes: &[u8]) {
         let at = (address - FLASH_ADDRESS) as usize;
         self.flash[at..at + bytes.len()].copy_from_slice(bytes);
@@ -194,7 +194,7 @@ impl FakeProgrammer {
         fails
     }
 
-    fn lose(&mut self, doing: Doing) -> Result<(), ProgramError> {
+    fn lose(&mut self, doing: FlashStep) -> Result<(), ProgramError> {
         if self.fails(Failure::Lost(doing)) {
             return Err(ProgramError::Lost {
                 doing,
@@ -214,7 +214,7 @@ impl FakeProgrammer {
     fn erase(&mut self, range: Range<usize>) -> Result<(), ProgramError> {
         let middle = (range.start + range.end) / 2;
         self.flash[range.start..middle].fill(0xFF);
-        self.lose(Doing::Erasing)?;
+        self.lose(FlashStep::Erasing)?;
         self.flash[middle..range.end].fill(0xFF);
         Ok(())
     }
@@ -227,7 +227,7 @@ impl Programmer for FakeProgrammer {
 
     fn identify(&mut self) -> Result<Chip, ProgramError> {
         self.calls.push("identify");
-        self.lose(Doing::Reading)?;
+        self.lose(FlashStep::Reading)?;
         if self.id_code & 0xFFF != DEVICE_ID {
             let found = self.id_code;
             return Err(ProgramError::WrongChip { found });
@@ -263,7 +263,7 @@ impl Programmer for FakeProgrammer {
 
     fn set_option_bytes(&mut self, wanted: &OptionBytes) -> Result<(), ProgramError> {
         self.calls.push("set_option_bytes");
-        self.lose(Doing::SettingOptions)?;
+        self.lose(FlashStep::SettingOptions)?;
         self.options = *wanted;
         self.resets += 1;
         Ok(())
@@ -286,7 +286,7 @@ impl Programmer for FakeProgrammer {
         for (done, part) in [(0, 0..half), (half as u32, half..flat.len())] {
             progress(Progress::Programming { done, total });
             if done > 0 {
-                self.lose(Doing::Programming)?;
+                self.lose(FlashStep::Programming)?;
             }
             self.flash[part.clone()].copy_from_slice(&flat[part]);
         }
@@ -294,7 +294,7 @@ impl Programmer for FakeProgrammer {
         if self.fails(Failure::Bit) {
             self.flash[1_000] ^= 1;
         }
-        self.lose(Doing::Verifying)?;
+        self.lose(FlashStep::Verifying)?;
         let found = &self.flash[..flat.len()];
         if let Some(at) = (0..flat.len()).find(|&at| found[at] != flat[at]) {
             return Err(ProgramError::Verify {
@@ -309,7 +309,7 @@ impl Programmer for FakeProgrammer {
 
     fn reset(&mut self) -> Result<(), ProgramError> {
         self.calls.push("reset");
-        self.lose(Doing::Resetting)?;
+        self.lose(FlashStep::Resetting)?;
         self.resets += 1;
         Ok(())
     }
@@ -335,7 +335,11 @@ mod tests {
     #[test]
     fn a_failure_comes_once() {
         let image = SampleImage::default().image();
-        let steps = [Doing::Erasing, Doing::Programming, Doing::Verifying];
+        let steps = [
+            FlashStep::Erasing,
+            FlashStep::Programming,
+            FlashStep::Verifying,
+        ];
         for failure in steps.map(Failure::Lost) {
             let mut fake = FakeProgrammer {
                 failure: Some(failure),

@@ -1,4 +1,4 @@
-//! The firmware's image: an ELF file as `cargo xtask firmware` leaves it, checked before it goes anywhere.
+//! The firmware's image: an ELF file as left by `cargo xtask firmware`, checked before use.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -13,16 +13,16 @@ use object::read::elf::{ElfFile32, ProgramHeader};
 use object::{Architecture, Endianness, Object, ObjectSegment};
 use serde::{Serialize, Serializer};
 
-/// Where a checkout keeps its image, below its root.
+/// Path of the image below a checkout's root.
 pub const OF_CHECKOUT: &str = "target/firmware/images/stm32g474.elf";
 
-/// Largest file that is read: the image is 1 MB with all debug information.
+/// Limit of a file's size in bytes: the image is 1 MB with all debug information.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
-/// RAM that a stack may begin in: SRAM1 and SRAM2.
+/// RAM in which a stack may begin: SRAM1 and SRAM2.
 const RAM: std::ops::RangeInclusive<u32> = 0x2000_0000..=0x2001_8000;
 
-/// What is wrong with a file that is to be flashed.
+/// Error of an image file.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
     /// The file cannot be read.
@@ -30,7 +30,7 @@ pub enum ImageError {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// It is no ELF file of a 32-bit Arm, or is cut.
@@ -40,10 +40,10 @@ pub enum ImageError {
     NotElf {
         /// The file.
         path: String,
-        /// Why.
+        /// Reason.
         why: String,
     },
-    /// It places bytes where the image has no business.
+    /// It places bytes outside the image's part of the flash.
     #[error(
         "image {path} places {bytes} bytes at {address:#010x}, outside of {FLASH_ADDRESS:#010x} to {LOOKUP_ADDRESS:#010x}, \
          which is the STM32G474's flash without the pages of the lookup; this image is for another chip or too large"
@@ -51,22 +51,22 @@ pub enum ImageError {
     Outside {
         /// The file.
         path: String,
-        /// Where.
+        /// Address.
         address: u64,
-        /// How many.
+        /// Number of bytes.
         bytes: usize,
     },
-    /// Bytes between the beginning of the flash and the CRC that nothing fills, or that two fill.
+    /// Bytes between the beginning of the flash and the CRC are missing or overlap.
     #[error(
         "image {path} has a gap or an overlap at {address:#010x}; build it anew with `cargo xtask firmware`"
     )]
     Gap {
         /// The file.
         path: String,
-        /// Where.
+        /// Address.
         address: u32,
     },
-    /// Neither header nor build id are where they belong.
+    /// Header or build id are not at their places.
     #[error(
         "image {path} has no header of an ihd firmware; it is another program, or older than protocol 2.2: build it with `cargo xtask firmware`"
     )]
@@ -74,7 +74,7 @@ pub enum ImageError {
         /// The file.
         path: String,
     },
-    /// Stack or entry lie where no program's can.
+    /// Stack or entry are outside the ranges of a program.
     #[error(
         "image {path} begins with {stack:#010x} and {entry:#010x}, which are no stack and no entry of an STM32G474's program"
     )]
@@ -86,7 +86,7 @@ pub enum ImageError {
         /// Second word.
         entry: u32,
     },
-    /// The last word is not the CRC of what is before it.
+    /// The last word is not the CRC of the bytes before it.
     #[error(
         "image {path} is not sealed: its CRC is {found:#010x}, but {computed:#010x} would be right. What cargo leaves in \
          its own folder has none; flash {OF_CHECKOUT}, which `cargo xtask firmware` writes"
@@ -94,12 +94,12 @@ pub enum ImageError {
     Unsealed {
         /// The file.
         path: String,
-        /// What is there.
+        /// CRC in the file.
         found: u32,
-        /// What should be.
+        /// Computed CRC.
         computed: u32,
     },
-    /// No image was given, none is built in and no checkout has one.
+    /// No image was given, none is built in, and there is none in a checkout.
     #[error(
         "there is no image to flash: this program carries none, and there is no {OF_CHECKOUT} here; build one with `cargo \
          xtask firmware` in a checkout, or give one with --image (a release archive has it)"
@@ -107,17 +107,17 @@ pub enum ImageError {
     None,
 }
 
-/// What the linker computed over all that it linked: two images with the same one are the same.
+/// Hash that the linker computed over its input: images with the same id are the same.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct BuildId(pub [u8; 20]);
 
 impl BuildId {
-    /// From a device's words; `None` unless they are 20 bytes.
+    /// Converts a device's bytes; `None` unless there are 20.
     pub fn of(bytes: &[u8]) -> Option<Self> {
         bytes.try_into().ok().map(Self)
     }
 
-    /// The first eight hexadecimal digits, for people.
+    /// First eight hexadecimal digits.
     pub fn short(&self) -> String {
         self.to_string().chars().take(8).collect()
     }
@@ -141,32 +141,31 @@ impl Serialize for BuildId {
     }
 }
 
-/// Bytes that lie together.
+/// Contiguous bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Segment {
-    /// Where the first of them goes.
+    /// Address of the first byte.
     pub address: u32,
     /// The bytes.
     pub bytes: Vec<u8>,
 }
 
-/// An image that may be flashed: it lies in the flash, outside of the pages of the lookup, without a gap, and its CRC
-/// is right.
+/// Image that may be flashed: it lies in the flash, outside the pages of the lookup, without a gap, and its CRC is right.
 #[derive(Clone, Debug)]
 pub struct Image {
-    /// The file; none for the one that is built in.
+    /// Path of the file; `None` if it is built in.
     pub path: Option<PathBuf>,
-    /// Package and version, as a device's hello has it: `ihd-firmware 0.1.0`.
+    /// Package and version, as in a device's hello: `ihd-firmware 0.1.0`.
     pub build: String,
     /// The build id.
     pub build_id: BuildId,
-    /// Major and minor version of the protocol that it speaks.
+    /// Major and minor version of its protocol.
     pub protocol: (u16, u16),
-    /// Everything from the beginning of the flash to the CRC and the few bytes of filling behind it, in order.
+    /// Segments from the beginning of the flash to the CRC and its few bytes of padding, in order.
     pub segments: Vec<Segment>,
-    /// CRC-32 of all before its last word, which is this.
+    /// CRC-32 of all before its last word, which holds it.
     pub crc: u32,
-    /// Bytes from the beginning of the flash to behind the CRC.
+    /// Bytes from the beginning of the flash to the end of the CRC.
     pub bytes: u32,
     elf: Vec<u8>,
 }
@@ -175,7 +174,7 @@ impl Image {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// [`ImageError`]: every reason for which the file must not be flashed.
+    /// [`ImageError`] for every reason for which the file must not be flashed.
     pub fn read(path: &Path) -> Result<Self, ImageError> {
         let failed = |source| ImageError::Read {
             path: path.to_owned(),
@@ -194,7 +193,7 @@ impl Image {
     /// Checks a file's bytes; the path is for messages.
     ///
     /// # Errors
-    /// As [`Image::read`].
+    /// Any error of [`Image::read`].
     pub fn parse(elf: &[u8], path: Option<&Path>) -> Result<Self, ImageError> {
         let name = || path.map_or("(built in)".into(), |path| path.display().to_string());
         let not_elf = |why: &dyn fmt::Display| ImageError::NotElf {
@@ -237,10 +236,10 @@ impl Image {
         })
     }
 
-    /// The image that this program carries; `None` without the feature `image`.
+    /// Returns the image built into this program; `None` without the feature `image`.
     ///
     /// # Errors
-    /// As [`Image::parse`].
+    /// Any error of [`Image::parse`].
     pub fn built_in() -> Option<Result<Self, ImageError>> {
         #[cfg(feature = "image")]
         {
@@ -251,10 +250,10 @@ impl Image {
         None
     }
 
-    /// The image of the checkout around the working directory, or around this program; `None` where none was built.
+    /// Returns the image of the checkout around the working directory or around this program; `None` if there is none.
     ///
     /// # Errors
-    /// As [`Image::read`].
+    /// Any error of [`Image::read`].
     pub fn of_checkout() -> Option<Result<Self, ImageError>> {
         let program = env::current_exe().ok();
         let beginnings = env::current_dir().ok().into_iter().chain(program);
@@ -268,10 +267,10 @@ impl Image {
         Some(Self::read(&found.join(OF_CHECKOUT)))
     }
 
-    /// The given file; without one what is built in, and else the checkout's.
+    /// Returns the image of the given file; without one the built-in image, else the checkout's.
     ///
     /// # Errors
-    /// As [`Image::read`]; [`ImageError::None`].
+    /// Any error of [`Image::read`]; [`ImageError::None`].
     pub fn choose(given: Option<&Path>) -> Result<Self, ImageError> {
         match given {
             Some(path) => Self::read(path),
@@ -281,12 +280,12 @@ impl Image {
         }
     }
 
-    /// The file's bytes, with debug information and the texts of the log.
+    /// Bytes of the file, with debug information and the texts of the log.
     pub fn elf(&self) -> &[u8] {
         &self.elf
     }
 
-    /// What is flashed, from the beginning of the flash on.
+    /// Bytes to flash, from the beginning of the flash on.
     pub fn flat(&self) -> Vec<u8> {
         self.segments
             .iter()
@@ -321,7 +320,7 @@ fn within_flash(
     })
 }
 
-/// All segments as one run from the beginning of the flash, or where it breaks.
+/// Joins all segments from the beginning of the flash; `Err` with the address of a gap or overlap.
 fn flat(segments: &[Segment]) -> Result<Vec<u8>, u32> {
     let mut flat = Vec::new();
     for segment in segments {
@@ -344,7 +343,7 @@ fn word(flat: &[u8], address: u32) -> Option<u32> {
     Some(u32::from_le_bytes(bytes.try_into().ok()?))
 }
 
-/// The CRC, if it is right.
+/// Returns the CRC if it is right.
 fn sealed(flat: &[u8], header: &Header, name: &dyn Fn() -> String) -> Result<u32, ImageError> {
     let found =
         word(flat, header.crc_address).ok_or_else(|| ImageError::NoHeader { path: name() })?;

@@ -1,4 +1,5 @@
-//! The whole of putting an image on a board: what chip, what is on it, whether it heats, option bytes, flash, reset, hello.
+//! Installation of an image on a board: identification of the chip and its contents, check that it does not heat, option bytes,
+//! flash, reset, hello.
 
 use std::thread;
 use std::time::{Duration, Instant};
@@ -14,66 +15,66 @@ use crate::image::{BuildId, Image};
 use crate::options::{Deviation, OptionBytes};
 use crate::programmer::{Chip, Erase, ProgramError, Programmer, Progress};
 
-/// Between two tries to hear the board after its reset.
-const ASK_EVERY: Duration = Duration::from_millis(200);
+/// Pause between two attempts to reach the board after its reset.
+const HELLO_RETRY_PERIOD: Duration = Duration::from_millis(200);
 
-/// What a running board says over its link.
+/// Identity and state of a running board, read over its link.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Heard {
-    /// The link in words.
+pub struct RunningBoard {
+    /// Link in words.
     pub link: String,
     /// Package and version, from its hello.
     pub build: String,
-    /// Its build id; firmware before protocol 2.2 does not tell.
+    /// Build id; `None` for firmware before protocol 2.2.
     pub build_id: Option<BuildId>,
     /// Major and minor version of its protocol.
     pub protocol: (u16, u16),
-    /// The number of its chip, unique among all; firmware before protocol 2.2 does not tell.
+    /// Unique number of its chip; `None` for firmware before protocol 2.2.
     pub chip: Option<[u8; 12]>,
-    /// Power is asked for, or the inverter is on.
+    /// Set if power is requested or the inverter is on.
     pub heats: bool,
     /// Number and name of the active fault.
     pub fault: Option<(u16, String)>,
 }
 
-/// The board's link, opened anew for each question: the board is reset in between.
+/// Link of the board, opened for each request: the board is reset in between.
 pub trait Link {
-    /// What answers; `Err` with the reason when nothing does.
+    /// Reads the board's identity and state.
     ///
     /// # Errors
-    /// In words.
-    fn ask(&mut self) -> Result<Heard, String>;
+    /// The reason in words if nothing answers.
+    fn ask(&mut self) -> Result<RunningBoard, String>;
 }
 
-/// What a chip's flash holds.
+/// Program in a chip's flash.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct OnChip {
+pub struct StoredProgram {
     /// Package and version.
     pub build: String,
     /// Its build id.
     pub build_id: Option<BuildId>,
     /// Major and minor version of its protocol.
     pub protocol: (u16, u16),
-    /// Whether its CRC is right: not where flashing was cut short.
+    /// `true` if its CRC is right, which it is not after an interrupted installation.
     pub whole: bool,
 }
 
-/// What is in flash where a program would be.
+/// Contents of the flash at the place of the program.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Before {
-    /// Nothing.
+pub enum FlashContents {
+    /// Erased flash.
     Empty,
     /// An ihd firmware.
-    Firmware(OnChip),
-    /// A program that does not say what it is: another one, or a firmware before protocol 2.2.
+    Firmware(StoredProgram),
+    /// Another program, or a firmware before protocol 2.2.
     Other,
-    /// This way to the chip does not read.
+    /// This access cannot read the flash.
     Unknown,
 }
 
-impl Before {
-    /// In words, for `… is replaced by …`.
+impl FlashContents {
+    /// Describes it for `… is replaced by …`.
     pub fn describe(&self) -> String {
         match self {
             Self::Empty => "an empty flash".into(),
@@ -89,70 +90,70 @@ impl Before {
     }
 }
 
-/// What is to be done.
+/// Options of an installation.
 #[derive(Clone, Copy, Debug)]
-pub struct Plan<'a> {
+pub struct InstallPlan<'a> {
     /// The image.
     pub image: &'a Image,
-    /// How much is erased; the lookup stays with [`Erase::Image`].
+    /// Extent of the erasure; the lookup stays with [`Erase::Image`].
     pub erase: Erase,
-    /// Whether option bytes are set where they differ.
+    /// `true` to set option bytes that deviate.
     pub set_options: bool,
-    /// How long the board may take until its hello.
-    pub heard_within: Duration,
-    /// Whether silence is an error: not where nobody said which link there is.
-    pub must_be_heard: bool,
+    /// Time limit of the board for its hello.
+    pub hello_within: Duration,
+    /// `true` if a missing hello is an error; `false` if the user named no link.
+    pub hello_required: bool,
 }
 
-/// What happens, for a screen.
+/// Step of an installation, for display.
 #[derive(Clone, Debug)]
-pub enum Step<'a> {
-    /// The chip, and what is on it.
-    Found(&'a Chip, &'a Before),
-    /// What differs in its option bytes, and whether that is set now.
+pub enum InstallStep<'a> {
+    /// The chip and its contents.
+    Identified(&'a Chip, &'a FlashContents),
+    /// Deviating option bytes, and `true` if they are set now.
     Options(&'a [Deviation], bool),
-    /// Erasing, programming, verifying.
+    /// Progress of erasing, programming and verifying.
     Flash(Progress),
-    /// Flashed; the board starts.
+    /// The image is written; the board starts.
     Waiting,
 }
 
-/// What was done.
+/// Result of an installation.
 #[derive(Clone, Debug, Serialize)]
-pub struct Installed {
-    /// The way to the chip.
+pub struct InstallReport {
+    /// Access to the chip in words.
     pub way: String,
     /// The chip.
     pub chip: Chip,
-    /// What was on it.
-    pub before: Before,
-    /// The option bytes at the end.
+    /// Contents before.
+    pub before: FlashContents,
+    /// Option bytes at the end.
     pub options: OptionBytes,
-    /// What still differs in them.
+    /// Option bytes that still deviate.
     pub deviations: Vec<Deviation>,
-    /// Whether the pages of the lookup were kept.
+    /// `true` if the pages of the lookup were kept.
     pub lookup_kept: bool,
-    /// What the board said after its reset; `None` where it was not heard.
-    pub heard: Option<Heard>,
-    /// Why it was not.
+    /// Board's identity after its reset; `None` if it did not answer.
+    pub heard: Option<RunningBoard>,
+    /// Reason if the board did not answer.
     pub silence: Option<String>,
 }
 
-/// Why it was not done, or not to the end.
+/// Error of an installation.
 #[derive(Debug, thiserror::Error)]
 pub enum InstallError {
-    /// The chip or the way to it.
+    /// Error of the chip or the access to it.
     #[error(transparent)]
     Program(#[from] ProgramError),
-    /// Power is on.
+    /// The board heats.
     #[error(
         "the board heats ({seen}); nothing was written. Switch it off, at its panel or by the host that heats it, and run this again"
     )]
     Heats {
-        /// By what it was seen.
+        /// Source of this finding.
         seen: String,
     },
-    /// The image is on the chip, and nothing is heard.
+    /// The image is on the chip, but the board does not answer.
     #[error(
         "the image was written and verified, but no hello came within {} s ({why}). Check the link's cable; look at the LED \
          and at `ihd log`; docs/board.md says what they mean",
@@ -161,66 +162,66 @@ pub enum InstallError {
     Silent {
         /// Time waited.
         after: Duration,
-        /// What the last try said.
+        /// Reason of the last attempt.
         why: String,
     },
-    /// Something else answers.
+    /// Another board or program answers.
     #[error(
         "the image was written and verified, but what answers on {link} has another {what}: {found} instead of {wanted}. Is it another board?"
     )]
     Other {
-        /// Where.
+        /// Link in words.
         link: String,
-        /// build, build id or protocol.
+        /// Name of the difference: build, build id or protocol.
         what: &'static str,
-        /// The image's.
+        /// Value of the image.
         wanted: String,
-        /// The board's.
+        /// Value of the board.
         found: String,
     },
 }
 
-/// Does it. The chip runs its program afterwards, or holds no whole one and drives nothing.
+/// Installs an image. Afterwards the chip runs its program, or holds an incomplete one and drives nothing.
 ///
 /// # Errors
 /// [`InstallError`]; nothing was written unless its text says so.
 pub fn install(
     programmer: &mut dyn Programmer,
     mut link: Option<&mut dyn Link>,
-    plan: Plan<'_>,
-    tell: &mut dyn FnMut(Step<'_>),
-) -> Result<Installed, InstallError> {
+    plan: InstallPlan<'_>,
+    report: &mut dyn FnMut(InstallStep<'_>),
+) -> Result<InstallReport, InstallError> {
     let chip = programmer.identify()?;
-    let before = look(programmer)?;
-    tell(Step::Found(&chip, &before));
+    let before = read_contents(programmer)?;
+    report(InstallStep::Identified(&chip, &before));
     let heard = link.as_mut().and_then(|link| link.ask().ok());
     let heard = heard.filter(|heard| is_of(&chip, heard));
     refuse_while_heating(programmer, heard.as_ref())?;
     let mut options = programmer.option_bytes()?;
     let mut deviations = options.deviations();
-    tell(Step::Options(&deviations, plan.set_options));
+    report(InstallStep::Options(&deviations, plan.set_options));
     if plan.set_options && !deviations.is_empty() {
         programmer.set_option_bytes(&options.as_wanted())?;
-        // The chip was reset and its old program runs again.
+        // The chip was reset, and its old program runs again.
         refuse_while_heating(programmer, None)?;
         options = programmer.option_bytes()?;
         deviations = options.deviations();
     }
     programmer.flash(plan.image, plan.erase, &mut |progress| {
-        tell(Step::Flash(progress))
+        report(InstallStep::Flash(progress))
     })?;
     programmer.reset()?;
     let (heard, silence) = match link {
         None => (None, Some("there is no link to it".into())),
         Some(link) => {
-            tell(Step::Waiting);
+            report(InstallStep::Waiting);
             match await_hello(link, &chip, plan) {
-                Err(InstallError::Silent { why, .. }) if !plan.must_be_heard => (None, Some(why)),
+                Err(InstallError::Silent { why, .. }) if !plan.hello_required => (None, Some(why)),
                 heard => (Some(heard?), None),
             }
         }
     };
-    Ok(Installed {
+    Ok(InstallReport {
         way: programmer.describe(),
         chip,
         before,
@@ -232,8 +233,8 @@ pub fn install(
     })
 }
 
-/// Whether what was heard may be this chip: another board on the same desk is not.
-fn is_of(chip: &Chip, heard: &Heard) -> bool {
+/// Returns `true` if the answering board may have this chip: another board may be connected as well.
+fn is_of(chip: &Chip, heard: &RunningBoard) -> bool {
     match (chip.unique_id, heard.chip) {
         (Some(this), Some(that)) => this == that,
         _ => true,
@@ -242,7 +243,7 @@ fn is_of(chip: &Chip, heard: &Heard) -> bool {
 
 fn refuse_while_heating(
     programmer: &mut dyn Programmer,
-    heard: Option<&Heard>,
+    heard: Option<&RunningBoard>,
 ) -> Result<(), InstallError> {
     if let Some(heard) = heard.filter(|heard| heard.heats) {
         let seen = format!("as it says over {}", heard.link);
@@ -256,26 +257,26 @@ fn refuse_while_heating(
     }
 }
 
-/// What is in the chip's flash.
+/// Reads the contents of the chip's flash.
 ///
 /// # Errors
-/// As every access.
-pub fn look(programmer: &mut dyn Programmer) -> Result<Before, ProgramError> {
+/// Any error of an access.
+pub fn read_contents(programmer: &mut dyn Programmer) -> Result<FlashContents, ProgramError> {
     let mut head = vec![0; (HEADER_ADDRESS - FLASH_ADDRESS) as usize + HEADER_BYTES];
     match programmer.read(FLASH_ADDRESS, &mut head) {
-        Err(ProgramError::Unsupported { .. }) => return Ok(Before::Unknown),
+        Err(ProgramError::Unsupported { .. }) => return Ok(FlashContents::Unknown),
         read => read?,
     }
     if head.iter().all(|&byte| byte == 0xFF) {
-        return Ok(Before::Empty);
+        return Ok(FlashContents::Empty);
     }
     let at = |address: u32| (address - FLASH_ADDRESS) as usize;
     let header = head.get(at(HEADER_ADDRESS)..).and_then(Header::parse);
     let Some(header) = header else {
-        return Ok(Before::Other);
+        return Ok(FlashContents::Other);
     };
     let note = head.get(at(NOTE_ADDRESS)..at(NOTE_ADDRESS) + NOTE_BYTES);
-    Ok(Before::Firmware(OnChip {
+    Ok(FlashContents::Firmware(StoredProgram {
         build: format!("ihd-firmware {}", header.version()),
         build_id: note.and_then(build_id).map(BuildId),
         protocol: (header.protocol_major, header.protocol_minor),
@@ -283,7 +284,7 @@ pub fn look(programmer: &mut dyn Programmer) -> Result<Before, ProgramError> {
     }))
 }
 
-/// Whether the program's last word is the CRC of what is before it.
+/// Returns `true` if the program's last word is the CRC of the bytes before it.
 fn is_whole(programmer: &mut dyn Programmer, header: &Header) -> Result<bool, ProgramError> {
     let covered = FLASH_ADDRESS + 4..LOOKUP_ADDRESS - 3;
     if !covered.contains(&header.crc_address) {
@@ -295,7 +296,11 @@ fn is_whole(programmer: &mut dyn Programmer, header: &Header) -> Result<bool, Pr
     Ok(CRC32.checksum(&program).to_le_bytes() == crc[..])
 }
 
-fn await_hello(link: &mut dyn Link, chip: &Chip, plan: Plan<'_>) -> Result<Heard, InstallError> {
+fn await_hello(
+    link: &mut dyn Link,
+    chip: &Chip,
+    plan: InstallPlan<'_>,
+) -> Result<RunningBoard, InstallError> {
     let begun = Instant::now();
     loop {
         let why = match link.ask() {
@@ -303,18 +308,18 @@ fn await_hello(link: &mut dyn Link, chip: &Chip, plan: Plan<'_>) -> Result<Heard
             Ok(heard) => format!("only another board answers, on {}", heard.link),
             Err(why) => why,
         };
-        if begun.elapsed() >= plan.heard_within {
-            let after = plan.heard_within;
+        if begun.elapsed() >= plan.hello_within {
+            let after = plan.hello_within;
             return Err(InstallError::Silent { after, why });
         }
-        thread::sleep(ASK_EVERY.min(plan.heard_within / 8));
+        thread::sleep(HELLO_RETRY_PERIOD.min(plan.hello_within / 8));
     }
 }
 
-/// What was heard, if it is what was flashed.
-fn fits(heard: Heard, image: &Image) -> Result<Heard, InstallError> {
+/// Checks that the answering board runs the image.
+fn fits(heard: RunningBoard, image: &Image) -> Result<RunningBoard, InstallError> {
     let versions = |(major, minor): (u16, u16)| format!("{major}.{minor}");
-    // A firmware that does not tell its build id is not this one.
+    // A firmware without a build id is not this image.
     let id = heard.build_id.map_or("none".into(), |id| id.to_string());
     let facts = [
         ("build", image.build.clone(), heard.build.clone()),
@@ -342,19 +347,19 @@ mod tests {
 
     use super::*;
     use crate::fake::{Failure, FakeProgrammer, SampleImage};
-    use crate::programmer::Doing;
+    use crate::programmer::FlashStep;
 
     /// Says one thing after the other, the last for ever.
-    struct Script(VecDeque<Result<Heard, String>>);
+    struct Script(VecDeque<Result<RunningBoard, String>>);
 
     impl Script {
-        fn of(said: impl IntoIterator<Item = Result<Heard, String>>) -> Self {
+        fn of(said: impl IntoIterator<Item = Result<RunningBoard, String>>) -> Self {
             Self(said.into_iter().collect())
         }
     }
 
     impl Link for Script {
-        fn ask(&mut self) -> Result<Heard, String> {
+        fn ask(&mut self) -> Result<RunningBoard, String> {
             match self.0.len() {
                 1 => self.0[0].clone(),
                 _ => self.0.pop_front().unwrap(),
@@ -362,8 +367,8 @@ mod tests {
         }
     }
 
-    fn said(image: &Image) -> Heard {
-        Heard {
+    fn said(image: &Image) -> RunningBoard {
+        RunningBoard {
             link: "usb".into(),
             build: image.build.clone(),
             build_id: Some(image.build_id),
@@ -374,25 +379,25 @@ mod tests {
         }
     }
 
-    fn nothing() -> Result<Heard, String> {
+    fn nothing() -> Result<RunningBoard, String> {
         Err("nobody there".into())
     }
 
-    fn plan(image: &Image) -> Plan<'_> {
-        Plan {
+    fn plan(image: &Image) -> InstallPlan<'_> {
+        InstallPlan {
             image,
             erase: Erase::Image,
             set_options: false,
-            heard_within: Duration::from_millis(40),
-            must_be_heard: true,
+            hello_within: Duration::from_millis(40),
+            hello_required: true,
         }
     }
 
     fn run(
         fake: &mut FakeProgrammer,
         link: Option<&mut dyn Link>,
-        plan: Plan<'_>,
-    ) -> Result<Installed, InstallError> {
+        plan: InstallPlan<'_>,
+    ) -> Result<InstallReport, InstallError> {
         install(fake, link, plan, &mut |_| ())
     }
 
@@ -449,12 +454,12 @@ mod tests {
     fn what_is_on_a_chip_is_told() {
         let image = SampleImage::default().image();
         let mut fake = FakeProgrammer::default();
-        assert_eq!(look(&mut fake).unwrap(), Before::Empty);
+        assert_eq!(read_contents(&mut fake).unwrap(), FlashContents::Empty);
         fake.write(FLASH_ADDRESS, &[0; 2_048]);
-        assert_eq!(look(&mut fake).unwrap(), Before::Other);
+        assert_eq!(read_contents(&mut fake).unwrap(), FlashContents::Other);
         let mut fake = FakeProgrammer::with(&image);
         fake.write(FLASH_ADDRESS + 4_096, &[0xFF; 8]);
-        let cut = look(&mut fake).unwrap();
+        let cut = read_contents(&mut fake).unwrap();
         assert!(
             cut.describe().ends_with("protocol 2.2, incomplete)"),
             "{cut:?}"
@@ -462,7 +467,12 @@ mod tests {
         // A header that lies about its length reads nothing outside.
         let mut fake = FakeProgrammer::with(&image);
         fake.write(HEADER_ADDRESS + 12, &[0xFF; 4]);
-        assert!(look(&mut fake).unwrap().describe().contains("incomplete"));
+        assert!(
+            read_contents(&mut fake)
+                .unwrap()
+                .describe()
+                .contains("incomplete")
+        );
     }
 
     #[test]
@@ -476,7 +486,7 @@ mod tests {
         let names: Vec<_> = done.deviations.iter().map(|one| one.name).collect();
         assert_eq!(names, ["SRAM_PE", "BOR_LEV"]);
         assert_eq!(fake.options, OptionBytes::default());
-        let asked = Plan {
+        let asked = InstallPlan {
             set_options: true,
             ..plan(&image)
         };
@@ -501,8 +511,8 @@ mod tests {
                 .contains("9.8.6 instead of ihd-firmware 9.8.7"),
             "{why}"
         );
-        let patient = Plan {
-            must_be_heard: false,
+        let patient = InstallPlan {
+            hello_required: false,
             ..plan(&new)
         };
         let mut link = Script::of([nothing()]);
@@ -527,12 +537,12 @@ mod tests {
     fn a_second_run_mends_what_the_first_left() {
         let image = SampleImage::default().image();
         let steps = [
-            Doing::Reading,
-            Doing::SettingOptions,
-            Doing::Erasing,
-            Doing::Programming,
-            Doing::Verifying,
-            Doing::Resetting,
+            FlashStep::Reading,
+            FlashStep::SettingOptions,
+            FlashStep::Erasing,
+            FlashStep::Programming,
+            FlashStep::Verifying,
+            FlashStep::Resetting,
         ];
         let failures = steps
             .into_iter()
@@ -543,7 +553,7 @@ mod tests {
                 options: OptionBytes::default(),
                 ..FakeProgrammer::with(&old())
             };
-            let asked = Plan {
+            let asked = InstallPlan {
                 set_options: true,
                 ..plan(&image)
             };

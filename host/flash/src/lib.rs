@@ -1,4 +1,10 @@
-//! Puts the firmware's image on a board, and reads its log.
+//! Installation of the firmware's image on a board, and reading of its log.
+//!
+//! ```text
+//!  Image (ELF, checked) ─► install ─► Programmer ─┬─ probe: debug probe (probe-rs)
+//!                                                 └─ dfu: the chip's USB bootloader
+//!  probe (RTT) or link ─► log ─► messages
+//! ```
 
 pub mod dfu;
 pub mod fake;
@@ -14,4 +20,4 @@ pub mod programmer;
 pub use image::{BuildId, Image, ImageError};
 pub use log_source::LogSource;
 pub use options::OptionBytes;
-pub use programmer::{Chip, Doing, Erase, ProgramError, Programmer, Progress};
+pub use programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, Progress};

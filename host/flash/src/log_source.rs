@@ -1,21 +1,21 @@
-//! Where a log's bytes come from: RTT through a probe, or the link.
+//! Source of a log's bytes: RTT through a probe, or the link.
 
 use crate::programmer::ProgramError;
 
-/// A running source of the bytes that defmt writes: frames, each ended by a zero.
+/// Open source of the bytes that defmt writes: frames, each ended by a zero.
 pub trait LogSource {
-    /// The way in words.
+    /// Description of the access.
     fn describe(&self) -> String;
 
-    /// Appends what has come since; how many bytes that were, 0 where nothing has. Returns at once.
+    /// Appends the bytes received since the last call and returns their number; never waits.
     ///
     /// # Errors
-    /// What [`LogSource::resume`] may mend: the probe or the chip are gone.
+    /// Errors that [`LogSource::resume`] may cure: probe or chip are disconnected.
     fn read(&mut self, out: &mut Vec<u8>) -> Result<usize, ProgramError>;
 
-    /// Tries once to come back after an error: attaches anew, without a reset of the chip.
+    /// Tries once to reconnect after an error, without a reset of the chip.
     ///
     /// # Errors
-    /// What still is in the way.
+    /// The reason why it cannot reconnect.
     fn resume(&mut self) -> Result<(), ProgramError>;
 }

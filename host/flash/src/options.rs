@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-/// First address of the option bytes in flash; those of the second bank lie [`SECOND_BANK`] behind.
+/// First address of the option bytes in flash; those of the second bank are [`SECOND_BANK`] further on.
 pub const OPTION_BYTES_ADDRESS: u32 = 0x1FFF_7800;
 
 /// Distance of the second bank's option bytes.
@@ -15,45 +15,45 @@ const SRAM_PE: u32 = 1 << 24;
 const N_SWBOOT0: u32 = 1 << 26;
 const N_BOOT0: u32 = 1 << 27;
 
-/// How a chip is protected against being read.
+/// Read protection of a chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReadProtection {
-    /// Not at all: 0xAA.
+    /// None: 0xAA.
     None,
-    /// Flash cannot be read or written by a probe or a bootloader; lifting this erases the chip.
+    /// Level 1: flash cannot be read or written by a probe or a bootloader; removing it erases the chip.
     Level1,
-    /// For ever: no probe, no bootloader. 0xCC.
+    /// Level 2, irreversible: no probe, no bootloader. 0xCC.
     Level2,
 }
 
-/// What is not as the firmware needs it.
+/// Option that differs from the firmware's requirement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Deviation {
-    /// Its name in the reference manual.
+    /// Name in the reference manual.
     pub name: &'static str,
-    /// What it is.
+    /// Value on the chip.
     pub is: u32,
-    /// What it should be.
+    /// Required value.
     pub wanted: u32,
-    /// Whether the firmware does not heat without (true), or works with less margin (false).
+    /// `true` if the firmware does not heat without it, `false` if it works with less margin.
     pub needed: bool,
-    /// What for.
+    /// Purpose.
     pub why: &'static str,
 }
 
-/// The option bytes as they are, or as they are wanted.
+/// Values of the option bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct OptionBytes {
     /// `FLASH_OPTR`.
     pub optr: u32,
-    /// `FLASH_WRP1AR`, `FLASH_WRP1BR`, `FLASH_WRP2AR`, `FLASH_WRP2BR`: pages that cannot be written, first in bits 6:0,
-    /// last in bits 22:16; none where the first lies behind the last.
+    /// `FLASH_WRP1AR`, `FLASH_WRP1BR`, `FLASH_WRP2AR`, `FLASH_WRP2BR`: write-protected pages, first in bits 6:0, last in bits
+    /// 22:16; none if the first is greater than the last.
     pub wrp: [u32; 4],
 }
 
 impl Default for OptionBytes {
-    /// As ST delivers a chip.
+    /// Values of a chip as delivered by ST.
     fn default() -> Self {
         Self {
             optr: 0xFFEF_F8AA,
@@ -63,27 +63,27 @@ impl Default for OptionBytes {
 }
 
 impl OptionBytes {
-    /// Two banks of flash: a page of one can be erased while the program runs from the other.
+    /// Returns `true` if the flash has two banks: a page of one can be erased while the program runs from the other.
     pub fn has_two_banks(&self) -> bool {
         self.optr & DBANK != 0
     }
 
-    /// Parity of SRAM1 and CCM SRAM is checked.
+    /// Returns `true` if the parity of SRAM1 and CCM SRAM is checked.
     pub fn has_parity(&self) -> bool {
         self.optr & SRAM_PE == 0
     }
 
-    /// The pin BOOT0 chooses between flash and bootloader; else the option byte nBOOT0 does.
+    /// Returns `true` if the pin BOOT0 chooses between flash and bootloader, `false` if the option bit nBOOT0 does.
     pub fn boots_by_pin(&self) -> bool {
         self.optr & N_SWBOOT0 != 0
     }
 
-    /// Which threshold resets below: 0 (1.7 V) to 4 (2.8 V).
+    /// Level of the brown-out reset: 0 (1.7 V) to 4 (2.8 V).
     pub fn bor_level(&self) -> u32 {
         (self.optr & BOR_LEV) >> 8
     }
 
-    /// Protection against reading.
+    /// Read protection.
     pub fn read_protection(&self) -> ReadProtection {
         match self.optr & 0xFF {
             0xAA => ReadProtection::None,
@@ -92,7 +92,7 @@ impl OptionBytes {
         }
     }
 
-    /// Pages that cannot be written: bank (0 or 1), first and last page of it.
+    /// Write-protected pages: bank (0 or 1), first and last page.
     pub fn protected_pages(&self) -> Vec<(usize, u32, u32)> {
         let areas = self.wrp.iter().enumerate();
         areas
@@ -101,7 +101,7 @@ impl OptionBytes {
             .collect()
     }
 
-    /// What is not as the firmware wants it.
+    /// Options that differ from the firmware's requirements.
     pub fn deviations(&self) -> Vec<Deviation> {
         let bit = |mask: u32| u32::from(self.optr & mask != 0);
         let all = [
@@ -151,7 +151,7 @@ impl OptionBytes {
         all.into_iter().filter(|one| one.is != one.wanted).collect()
     }
 
-    /// These, with everything as the firmware wants it; protections stay.
+    /// Returns these values with all requirements met; protections stay.
     pub fn as_wanted(&self) -> Self {
         let set = DBANK | N_BOOT0 | N_SWBOOT0 | 4 << 8;
         let clear = SRAM_PE | BFB2 | BOR_LEV;

@@ -1,64 +1,64 @@
-//! A way to a chip: a debug probe, the chip's bootloader over USB, or [`crate::fake::FakeProgrammer`].
+//! Interface to a chip: a debug probe, the chip's bootloader over USB, or [`crate::fake::FakeProgrammer`].
 
 use serde::Serialize;
 
 use crate::image::Image;
 use crate::options::{OptionBytes, ReadProtection};
 
-/// What a chip says of itself, read before anything is written.
+/// Identity of a chip, read before anything is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Chip {
-    /// `DBGMCU_IDCODE`: device in bits 11:0, revision in 31:16. A bootloader does not tell it.
+    /// `DBGMCU_IDCODE`: device in bits 11:0, revision in 31:16; `None` through a bootloader.
     pub id_code: Option<u32>,
-    /// Its flash.
+    /// Size of its flash.
     pub flash_kib: u16,
-    /// Its number, unique among all chips, where it can be read.
+    /// Unique number; `None` if it cannot be read.
     pub unique_id: Option<[u8; 12]>,
 }
 
-/// How much is erased.
+/// Extent of an erasure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Erase {
-    /// The pages that the image needs: the lookup stays.
+    /// Pages that the image needs: the lookup stays.
     Image,
-    /// Everything.
+    /// All pages.
     All,
 }
 
-/// How far flashing is, in bytes.
+/// Progress of flashing, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case", tag = "step")]
 pub enum Progress {
-    /// Pages become empty.
+    /// Erasing pages.
     Erasing {
-        /// So far.
+        /// Bytes so far.
         done: u32,
-        /// In all.
+        /// Total.
         total: u32,
     },
-    /// The image is written.
+    /// Writing the image.
     Programming {
-        /// So far.
+        /// Bytes so far.
         done: u32,
-        /// In all.
+        /// Total.
         total: u32,
     },
-    /// It is read back and compared.
+    /// Reading back and comparing.
     Verifying {
-        /// So far.
+        /// Bytes so far.
         done: u32,
-        /// In all.
+        /// Total.
         total: u32,
     },
 }
 
-/// What an error interrupted, for messages.
+/// Operation that an error interrupted, for messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Doing {
-    /// Opening the way to the chip.
+pub enum FlashStep {
+    /// Connecting to the chip.
     Attaching,
-    /// Reading what chip it is and what is on it.
+    /// Reading the chip's identity and contents.
     Reading,
     /// Writing option bytes.
     SettingOptions,
@@ -66,15 +66,15 @@ pub enum Doing {
     Erasing,
     /// Writing the image.
     Programming,
-    /// Reading it back.
+    /// Reading the image back.
     Verifying,
     /// Starting the program.
     Resetting,
 }
 
-impl Doing {
-    /// In words: `the connection was lost while {}`.
-    pub fn words(self) -> &'static str {
+impl FlashStep {
+    /// Text for `the connection was lost while {}`.
+    pub fn describe(self) -> &'static str {
         match self {
             Self::Attaching => "connecting",
             Self::Reading => "reading the chip",
@@ -86,8 +86,8 @@ impl Doing {
         }
     }
 
-    /// What the chip holds after an interruption here.
-    fn left(self) -> &'static str {
+    /// State of the chip after an interruption of this operation.
+    fn chip_state(self) -> &'static str {
         match self {
             Self::Attaching | Self::Reading => "the chip was not changed",
             Self::Resetting => "what was written before is complete",
@@ -99,64 +99,64 @@ impl Doing {
     }
 }
 
-/// Why a chip was not reached, read or written. Every message ends with what to do.
+/// Error of reaching, reading or writing a chip. Every message ends with a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum ProgramError {
-    /// No probe, or no bootloader.
+    /// No probe or no bootloader was found.
     #[error("{what}")]
     NotFound {
-        /// What was looked for, where, and what to do.
+        /// Description of the search, with a remedy.
         what: String,
     },
-    /// More than one, and none was chosen.
+    /// Several were found, and none was chosen.
     #[error("there are {}: {}; choose one with {option}", found.len(), found.join(", "))]
     Several {
-        /// Them.
+        /// Descriptions.
         found: Vec<String>,
-        /// By which option one is chosen.
+        /// Option that chooses one.
         option: &'static str,
     },
-    /// The system does not let this user at it, or another program has it.
+    /// The system denies access, or another program uses it.
     #[error(
         "cannot open {what}: {why}; another program (an IDE, OpenOCD, a second ihd) may hold it, or the rights to the USB device lack: `ihd doctor` says which and what to do"
     )]
     Open {
-        /// Which.
+        /// Description of the device.
         what: String,
-        /// Why.
+        /// Reason.
         why: String,
     },
-    /// The probe works, the chip does not answer.
+    /// The probe works, but the chip does not answer.
     #[error(
         "{probe} works, but no chip answers behind it: {why}. Power the board, check SWDIO, SWCLK and GND; where a program switches the debug pins off, hold the reset button while this command starts"
     )]
     NoChip {
-        /// Which.
+        /// Description of the probe.
         probe: String,
-        /// Why.
+        /// Reason.
         why: String,
     },
-    /// Another chip.
+    /// It is another chip.
     #[error("this chip is no STM32G474: DBGMCU_IDCODE is {found:#010x}, device {:#05x} instead of {:#05x}; nothing was written. Is this the right board?", found & 0xFFF, ihd_shared::image::DEVICE_ID)]
     WrongChip {
         /// Its `DBGMCU_IDCODE`.
         found: u32,
     },
-    /// The right family, with too little flash.
+    /// The chip has too little flash.
     #[error(
         "this chip has {flash_kib} KiB of flash, and the firmware's pages of the lookup end at 512: an STM32G474xE is needed; nothing was written"
     )]
     SmallChip {
-        /// Its flash.
+        /// Size of its flash.
         flash_kib: u16,
     },
-    /// Protected against being read.
+    /// The chip is protected against reading.
     #[error("{}", read_protected(*level))]
     ReadProtected {
-        /// How.
+        /// Level of the protection.
         level: ReadProtection,
     },
-    /// Protected against being written.
+    /// Pages are protected against writing.
     #[error(
         "pages {first} to {last} of bank {} are write-protected by option bytes (WRP{}A or B); nothing was written. Somebody \
          wanted that; to lift it: STM32_Programmer_CLI -c port=SWD -ob WRP{}A_STRT=0x7F WRP{}A_END=0, the same with B, then \
@@ -164,110 +164,110 @@ pub enum ProgramError {
         bank + 1, bank + 1, bank + 1, bank + 1
     )]
     WriteProtected {
-        /// 0 or 1.
+        /// Bank, 0 or 1.
         bank: usize,
         /// First page.
         first: u32,
         /// Last page.
         last: u32,
     },
-    /// The flash is in one bank of 4 KiB pages, which this program does not write.
+    /// The flash is in one bank of 4 KiB pages, which is not supported.
     #[error(
         "the chip's flash is one bank (option byte DBANK = 0), and the firmware needs two: run `ihd flash --set-option-bytes`; nothing was written"
     )]
     OneBank,
-    /// The flash's controller does not finish.
-    #[error("the flash's controller stays busy while {} at {address:#010x} (FLASH_SR = {status:#010x}): power the board off and on and run this again; if it comes back, the chip is broken", doing.words())]
+    /// The flash's controller stays busy.
+    #[error("the flash's controller stays busy while {} at {address:#010x} (FLASH_SR = {status:#010x}): power the board off and on and run this again; if it comes back, the chip is broken", doing.describe())]
     Stuck {
-        /// When.
-        doing: Doing,
-        /// Where.
+        /// Operation.
+        doing: FlashStep,
+        /// Address.
         address: u32,
         /// `FLASH_SR`.
         status: u32,
     },
-    /// The flash's controller refuses.
-    #[error("{} failed at {address:#010x}: {why}. Run this again; if it fails at the same place, the flash there is worn out or protected", doing.words())]
+    /// The flash's controller reports an error.
+    #[error("{} failed at {address:#010x}: {why}. Run this again; if it fails at the same place, the flash there is worn out or protected", doing.describe())]
     Failed {
-        /// When.
-        doing: Doing,
-        /// Where.
+        /// Operation.
+        doing: FlashStep,
+        /// Address.
         address: u32,
-        /// What the controller or the algorithm said.
+        /// Reason given by the controller or the algorithm.
         why: String,
     },
-    /// What was read back is not what was written.
+    /// The flash differs from the image after writing.
     #[error(
         "verifying failed at {address:#010x}: {wanted:02x?} was written, {found:02x?} is there. Check the supply and the wires of the probe and run this again; if it fails at the same place, the flash there is worn out"
     )]
     Verify {
-        /// The first difference.
+        /// Address of the first difference.
         address: u32,
-        /// The image's bytes there.
+        /// Bytes of the image.
         wanted: Vec<u8>,
-        /// The chip's.
+        /// Bytes of the chip.
         found: Vec<u8>,
     },
-    /// Probe, cable or power went away.
-    #[error("the connection was lost while {}: {why}; {}. Check cable and power, and run the same command again: it begins anew", doing.words(), doing.left())]
+    /// Probe, cable or power was disconnected.
+    #[error("the connection was lost while {}: {why}; {}. Check cable and power, and run the same command again: it begins anew", doing.describe(), doing.chip_state())]
     Lost {
-        /// When.
-        doing: Doing,
-        /// What was seen of it.
+        /// Operation.
+        doing: FlashStep,
+        /// Reason.
         why: String,
     },
-    /// Option bytes that are not what was written.
+    /// The option bytes differ from those written.
     #[error(
         "option bytes were written but are {found:#010x} instead of {wanted:#010x}: power the board off and on and run this again"
     )]
     Options {
-        /// What was written.
+        /// Value written.
         wanted: u32,
-        /// What was read back.
+        /// Value read back.
         found: u32,
     },
-    /// This way does not go there.
+    /// This access does not support the operation.
     #[error("{what} is not possible {way}; {instead}")]
     Unsupported {
-        /// What was wanted.
+        /// Operation.
         what: &'static str,
-        /// `by USB bootloader`.
+        /// Access: `by USB bootloader`.
         way: &'static str,
-        /// What to do.
+        /// Remedy.
         instead: &'static str,
     },
-    /// What is on USB is not the bootloader of an STM32G474.
+    /// The device on USB is not the bootloader of an STM32G474.
     #[error(
         "this is no bootloader of an STM32G474: it {why}; nothing was written. Is this the right board?"
     )]
     OtherBootloader {
-        /// What it says of itself.
+        /// Reason.
         why: String,
     },
-    /// What else the bootloader in ROM does.
-    #[error("{} failed at {address:#010x}: {why}; {}. Hold BOOT0 high, press reset, and run this again: it begins anew", doing.words(), doing.left())]
+    /// Any other error of the bootloader.
+    #[error("{} failed at {address:#010x}: {why}; {}. Hold BOOT0 high, press reset, and run this again: it begins anew", doing.describe(), doing.chip_state())]
     Bootloader {
-        /// When.
-        doing: Doing,
-        /// Where.
+        /// Operation.
+        doing: FlashStep,
+        /// Address.
         address: u32,
-        /// What it did, or USB.
+        /// Reason given by the bootloader or USB.
         why: String,
     },
-    /// A chip that restarted, as it had to, and is not in its bootloader any more.
+    /// The chip restarted, as it must, but did not return to its bootloader.
     #[error(
         "the option bytes were written and the chip restarted with them, into its program and not its bootloader ({seconds} s). Run the same command again, where no program runs with BOOT0 held high through a reset: it reads what they are now and goes on"
     )]
     NotBack {
-        /// How long the bootloader was waited for.
+        /// Time waited.
         seconds: u64,
     },
-    /// What else a probe reports.
-    #[error("{} failed: {why}; {}. Run this again; if it comes back, unplug the probe and plug it in", doing.words(), doing.left())]
+    /// Any other error of a probe.
+    #[error("{} failed: {why}; {}. Run this again; if it comes back, unplug the probe and plug it in", doing.describe(), doing.chip_state())]
     Probe {
-        /// When.
-        doing: Doing,
-        /// What it said.
+        /// Operation.
+        doing: FlashStep,
+        /// Reason.
         why: String,
     },
 }
@@ -285,45 +285,45 @@ fn read_protected(level: ReadProtection) -> &'static str {
     }
 }
 
-/// A way to a chip. Implementations refuse another chip in [`Programmer::identify`], which comes first.
+/// Access to a chip. Implementations reject unsuitable chips in [`Programmer::identify`], which is called first.
 pub trait Programmer {
-    /// The way in words: `ST-LINK V3 (0483:374e, 0042…)`.
+    /// Description: `ST-LINK V3 (0483:374e, 0042…)`.
     fn describe(&self) -> String;
 
-    /// What chip it is.
+    /// Reads the identity of the chip.
     ///
     /// # Errors
     /// [`ProgramError::WrongChip`], [`ProgramError::SmallChip`], [`ProgramError::ReadProtected`].
     fn identify(&mut self) -> Result<Chip, ProgramError>;
 
-    /// Whether the inverter's outputs are on; `None` where that cannot be seen.
+    /// Returns `true` if the inverter's outputs are on; `None` if that cannot be seen.
     ///
     /// # Errors
-    /// As every access.
+    /// Any error of an access.
     fn is_switching(&mut self) -> Result<Option<bool>, ProgramError>;
 
-    /// Reads memory; of any length, at any address.
+    /// Reads memory of any length at any address.
     ///
     /// # Errors
-    /// As every access.
+    /// Any error of an access.
     fn read(&mut self, address: u32, out: &mut [u8]) -> Result<(), ProgramError>;
 
-    /// The option bytes.
+    /// Reads the option bytes.
     ///
     /// # Errors
-    /// As every access.
+    /// Any error of an access.
     fn option_bytes(&mut self) -> Result<OptionBytes, ProgramError>;
 
-    /// Writes them, has the chip load them, which resets it, and reads them back.
+    /// Writes the option bytes, has the chip load them, which resets it, and reads them back.
     ///
     /// # Errors
-    /// [`ProgramError::Options`], and as every access.
+    /// [`ProgramError::Options`], or any error of an access.
     fn set_option_bytes(&mut self, wanted: &OptionBytes) -> Result<(), ProgramError>;
 
-    /// Erases, programs, and compares what is read back. The chip stands still until [`Programmer::reset`].
+    /// Erases, programs and verifies. The chip stays halted until [`Programmer::reset`].
     ///
     /// # Errors
-    /// [`ProgramError::Failed`], [`ProgramError::Stuck`], [`ProgramError::Verify`], and as every access.
+    /// [`ProgramError::Failed`], [`ProgramError::Stuck`], [`ProgramError::Verify`], or any error of an access.
     fn flash(
         &mut self,
         image: &Image,
@@ -331,10 +331,10 @@ pub trait Programmer {
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), ProgramError>;
 
-    /// Resets the chip, which begins its program.
+    /// Resets the chip, which starts its program.
     ///
     /// # Errors
-    /// As every access.
+    /// Any error of an access.
     fn reset(&mut self) -> Result<(), ProgramError>;
 }
 
@@ -345,7 +345,7 @@ mod tests {
     #[test]
     fn messages_name_the_place_and_the_remedy() {
         let lost = ProgramError::Lost {
-            doing: Doing::Programming,
+            doing: FlashStep::Programming,
             why: "USB device gone".into(),
         };
         let text = lost.to_string();

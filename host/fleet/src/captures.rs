@@ -92,18 +92,18 @@ pub async fn get(context: &Context, name: &str, path: &Path) -> Result<u64, Engi
 }
 
 /// Puts every recording of an edge there that is finished, once, as `EDGE/FILE`.
-pub(crate) async fn follow(link: Arc<Link>) {
+pub(crate) async fn follow(link: Arc<Link>, context: Context) {
     let mut there: BTreeSet<String> = BTreeSet::new();
     let mut known = false;
     loop {
         if link.is_admitted() {
             if !known {
-                let listed = list(&link.context).await;
+                let listed = list(&context).await;
                 known = listed.is_ok();
                 there.extend(listed.unwrap_or_default().into_iter().map(|c| c.name));
             }
             if known {
-                match put_new(&link, &mut there).await {
+                match put_new(&link, &context, &mut there).await {
                     Ok(()) => link.works("captures"),
                     Err(why) => link.failed("captures", &why),
                 }
@@ -115,7 +115,11 @@ pub(crate) async fn follow(link: Arc<Link>) {
     }
 }
 
-async fn put_new(link: &Link, there: &mut BTreeSet<String>) -> Result<(), EngineError> {
+async fn put_new(
+    link: &Link,
+    context: &Context,
+    there: &mut BTreeSet<String>,
+) -> Result<(), EngineError> {
     let recordings = link.daemon.recordings().await.map_err(failed)?;
     for recording in recordings.into_iter().filter(|r| !r.under_way) {
         let name = format!("{}/{}", link.edge, recording.file);
@@ -123,7 +127,7 @@ async fn put_new(link: &Link, there: &mut BTreeSet<String>) -> Result<(), Engine
             continue;
         }
         let path = link.daemon.recordings_folder().join(&recording.file);
-        let bytes = put(&link.context, &path, &name).await?;
+        let bytes = put(context, &path, &name).await?;
         tracing::info!(name, bytes, "a recording is in the fleet");
         there.insert(name);
     }

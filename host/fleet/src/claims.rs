@@ -3,13 +3,11 @@
 //! A claim is a key of the bucket `ihd_claims`. It is put by compare-and-set: of two who claim a name at once the server refuses one.
 
 use async_nats::jetstream::Context;
-use async_nats::jetstream::context::PublishErrorKind;
-use async_nats::jetstream::message::PublishMessage;
-use async_nats::jetstream::stream::DirectGetErrorKind;
 use serde::{Deserialize, Serialize};
 
 use crate::engine::{self, EngineError};
 use crate::names;
+use crate::server::{self, Kept, Outgoing, PublishTrouble, Server};
 
 /// A name's owner (JSON).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -78,45 +76,50 @@ impl Claim {
 }
 
 /// Claim of a name and the number of its entry, 0 without one.
-///
-/// # Errors
-/// [`EngineError`].
-pub async fn of_edge(context: &Context, edge: &str) -> Result<(Option<Claim>, u64), EngineError> {
-    let bucket = names::bucket_stream(names::CLAIMS);
-    let stream = context.get_stream_no_info(bucket).await;
-    let stream = stream.map_err(failed)?;
-    let key = names::key(names::CLAIMS, edge);
-    let message = match stream.direct_get_last_for_subject(key).await {
-        Ok(message) => message,
-        Err(e) if e.kind() == DirectGetErrorKind::NotFound => return Ok((None, 0)),
-        Err(e) => return Err(failed(e)),
+fn read(found: Result<Option<Kept>, String>) -> Result<(Option<Claim>, u64), EngineError> {
+    let Some(message) = found.map_err(failed)? else {
+        return Ok((None, 0));
     };
     let claim = match message.headers.get("KV-Operation") {
         Some(_) => None,
         None => Some(serde_json::from_slice(&message.payload).map_err(failed)?),
     };
-    Ok((claim, message.sequence))
+    Ok((claim, message.number))
+}
+
+/// Claim of a name and the number of its entry, 0 without one.
+///
+/// # Errors
+/// [`EngineError`].
+pub(crate) async fn of_edge(
+    server: &Server,
+    edge: &str,
+) -> Result<(Option<Claim>, u64), EngineError> {
+    let bucket = names::bucket_stream(names::CLAIMS);
+    read(server.last(&bucket, names::key(names::CLAIMS, edge)).await)
 }
 
 /// Claims a name that had the entry of this number; false where somebody was faster.
 ///
 /// # Errors
 /// [`EngineError`].
-pub async fn put(
-    context: &Context,
+pub(crate) async fn put(
+    server: &Server,
     edge: &str,
     claim: &Claim,
     after: u64,
 ) -> Result<bool, EngineError> {
     let claim = serde_json::to_vec(claim).map_err(failed)?;
-    let message = PublishMessage::build()
-        .payload(claim.into())
-        .expected_last_subject_sequence(after);
-    let sent = context.send_publish(names::key(names::CLAIMS, edge), message);
-    match sent.await.map_err(failed)?.await {
+    let message = Outgoing {
+        subject: names::key(names::CLAIMS, edge),
+        payload: claim.into(),
+        number: None,
+        after: Some(after),
+    };
+    match server.publish(message).await.map_err(failed)?.await {
         Ok(_) => Ok(true),
-        Err(e) if e.kind() == PublishErrorKind::WrongLastSequence => Ok(false),
-        Err(e) => Err(failed(e)),
+        Err(PublishTrouble::Occupied) => Ok(false),
+        Err(why) => Err(failed(why)),
     }
 }
 
@@ -125,7 +128,8 @@ pub async fn put(
 /// # Errors
 /// [`EngineError`].
 pub async fn free(context: &Context, edge: &str) -> Result<Option<Claim>, EngineError> {
-    let (claim, _) = of_edge(context, edge).await?;
+    let bucket = names::bucket_stream(names::CLAIMS);
+    let (claim, _) = read(server::last(context, &bucket, names::key(names::CLAIMS, edge)).await)?;
     if claim.is_some() {
         let bucket = engine::bucket(context, names::CLAIMS).await?;
         bucket.delete(edge).await.map_err(failed)?;

@@ -10,10 +10,11 @@ use serde::Serialize;
 use crate::engine::{self, EngineError};
 use crate::identity::window_of;
 use crate::names;
+use crate::server::Server;
 
 /// Headers of a window that was given up.
-const WHY: &str = "Ihd-Why";
-const BY: &str = "Ihd-By";
+pub(crate) const WHY: &str = "Ihd-Why";
+pub(crate) const BY: &str = "Ihd-By";
 
 /// Longest reason, in bytes: headers are short.
 const LONGEST_WHY: usize = 500;
@@ -83,26 +84,23 @@ fn header(text: &str) -> String {
 
 /// Reason for which a window was given up, and its worker; none where it is not among the dead.
 pub(crate) async fn why(
-    context: &Context,
+    server: &Server,
     hob: &str,
     boot: u32,
     seq: u32,
 ) -> Result<Option<String>, EngineError> {
-    let stream = context.get_stream_no_info(names::DEAD).await;
-    let stream = stream.map_err(|e| EngineError::new(names::DEAD, e))?;
-    let subject = names::dead(hob, boot, seq);
-    match stream.direct_get_last_for_subject(subject).await {
-        Ok(message) => {
-            let text = |name: &str| message.headers.get(name).map(ToString::to_string);
-            let why = text(WHY).unwrap_or_else(|| "it does not say why".to_owned());
-            Ok(Some(match text(BY) {
-                Some(by) => format!("{why} ({by})"),
-                None => why,
-            }))
+    let found = server
+        .last(names::DEAD, names::dead(hob, boot, seq))
+        .await
+        .map_err(|e| EngineError::new(names::DEAD, e))?;
+    Ok(found.map(|message| {
+        let text = |name: &str| message.headers.get(name).map(ToString::to_string);
+        let why = text(WHY).unwrap_or_else(|| "it does not say why".to_owned());
+        match text(BY) {
+            Some(by) => format!("{why} ({by})"),
+            None => why,
         }
-        Err(e) if e.kind() == DirectGetErrorKind::NotFound => Ok(None),
-        Err(e) => Err(EngineError::new(names::DEAD, e)),
-    }
+    }))
 }
 
 /// Which of the dead.

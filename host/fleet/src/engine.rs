@@ -28,7 +28,7 @@ pub const PER_THREAD: usize = 2;
 
 /// How long the server knows a window that comes twice. Whoever sends it later than that costs a worker's time, no more: a result is
 /// unique by its subject.
-const DUPLICATES_WITHIN: Duration = Duration::from_secs(3_600);
+pub const DUPLICATES_WITHIN: Duration = Duration::from_secs(3_600);
 
 /// For how long the entry of an edge or a worker stays that nobody renews.
 pub const SILENT_AFTER: Duration = Duration::from_secs(30);

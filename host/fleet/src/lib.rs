@@ -20,7 +20,10 @@ pub mod engine;
 mod identity;
 pub mod lookups;
 pub mod names;
+mod server;
 pub mod server_config;
+#[cfg(test)]
+mod simulation;
 pub mod status;
 pub mod wire;
 pub mod worker;

@@ -10,9 +10,9 @@ use async_nats::jetstream::context::PublishErrorKind;
 use async_nats::jetstream::message::PublishMessage;
 use async_nats::jetstream::{self, AckKind, Context};
 use futures_util::StreamExt;
-use ihd_daemon::learning::{Answer, Stated};
+use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
 use ihd_daemon::model::FleetWorker;
-use ihd_identify::{Method, Settings};
+use ihd_identify::{IdentifyOptions, Method};
 use ihd_store::Curve;
 use ihd_train::NetworkConfig;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
@@ -242,7 +242,7 @@ impl Worker {
         &self,
         window: &WindowMessage,
         message: &jetstream::Message,
-    ) -> Result<Option<Answer>, String> {
+    ) -> Result<Option<WorkerAnswer>, String> {
         let waiting = async {
             let permit = self.threads.acquire().await.ok()?;
             let (skew_s, by) = (window.skew_s, self.settings.name.clone());
@@ -251,9 +251,9 @@ impl Worker {
                 tokio::time::sleep(time).await;
             }
             let find = match self.settings.pretend {
-                None => {
-                    tokio::task::spawn_blocking(move || Answer::find(by, &window, skew_s, network))
-                }
+                None => tokio::task::spawn_blocking(move || {
+                    WorkerAnswer::compute(by, &window, skew_s, network)
+                }),
                 Some(_) => tokio::task::spawn_blocking(move || pretended(by, &window)),
             };
             let found = find.await;
@@ -340,9 +340,9 @@ async fn tell(worker: Arc<Worker>) {
 }
 
 /// The lock-in's R(t) and L(t), in place of the network's.
-fn pretended(by: String, window: &ihd_link::Window) -> Answer {
+fn pretended(by: String, window: &ihd_link::Window) -> WorkerAnswer {
     let segment = window.segment();
-    let estimate = ihd_identify::run(Method::Lockin, &segment, &Settings::default());
+    let estimate = ihd_identify::run(Method::Lockin, &segment, &IdentifyOptions::default());
     let found = estimate.map_err(|e| e.to_string()).map(|estimate| {
         let curve = Curve {
             t_s: estimate.t_s,
@@ -351,14 +351,14 @@ fn pretended(by: String, window: &ihd_link::Window) -> Answer {
             ..Curve::default()
         };
         let curve = curve.thinned();
-        Stated {
+        StatedLoad {
             t_s: curve.t_s,
             r_ohm: curve.r_ohm,
             l_h: curve.l_h,
-            ..Stated::default()
+            ..StatedLoad::default()
         }
     });
-    Answer {
+    WorkerAnswer {
         by,
         skew_s: None,
         found,

@@ -1,8 +1,8 @@
-//! R(t) and L(t) that another machine states for a segment, held against the samples: v = R·i + L·di/dt (paper eq. 1) in
-//! one pass, without a fit.
+//! Check of R(t) and L(t) that another machine states for a segment against the segment's samples: v = R·i + L·di/dt
+//! (paper eq. 1) in one pass, without a fit.
 //!
-//! The statement is taken as it stands. Where the samples say otherwise, by more than their noise and the check's own
-//! error allow, it is refuted; nothing in it is repaired.
+//! The claim is refuted if the samples differ from it by more than their noise and the check's own error allow. It is
+//! never corrected.
 
 use std::f64::consts::TAU;
 
@@ -11,47 +11,46 @@ use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Segment, SegmentError};
 use nalgebra::Complex;
 
-use crate::judge::plausible_ranges;
+use crate::limits::plausible_ranges;
 
 /// Switching periods of each of the lock-in's two boxcars: with 61/3 samples a period, whole samples fill three.
 const BOXCAR_PERIODS: std::ops::RangeInclusive<usize> = 3..=5;
 
-/// Part of the half-cycle that is looked at, from its zero crossing: nearer to it the current is too small to tell.
-const SEEN: std::ops::Range<f64> = 0.05..0.95;
+/// Part of the half-cycle that is checked, from its zero crossing: nearer to it the current is too small.
+const CHECKED_PART: std::ops::Range<f64> = 0.05..0.95;
 
-/// Stretches of equal length that it is divided into: a statement that is right in the mean and wrong at the crest is
-/// refuted there.
+/// Stretches of equal length into which the checked part is divided: a claim that is right on average and wrong at the
+/// crest is refuted there.
 const STRETCHES: usize = 9;
 
 /// Fewest phasors of a stretch.
 const LEAST_PHASORS: usize = 8;
 
-/// Largest difference of R and of L over a stretch in percent that is the check's own: R and L that move within the
-/// lock-in's boxcars. An honest statement follows the same samples, so that it shares most of their noise: twice its
-/// standard deviation comes on top.
+/// Limit over one stretch. Its share in percent is the check's own error: R and L change within the lock-in's boxcars.
+/// An honest claim follows the same samples and shares most of their noise, so twice its standard deviation is added.
 const OWN_ERROR: Limit = Limit {
     pct: [0.1, 0.1],
     sigmas: 2.0,
 };
 
-/// The same over all stretches together, where rising and falling flank cancel.
+/// Limit over all stretches together, where the errors on rising and falling flank cancel.
 const OWN_MEAN_ERROR: Limit = Limit {
     pct: [0.03, 0.02],
     sigmas: 1.0,
 };
 
-/// Share of the voltage in percent that R and L may leave beside noise: a tone beside the switching frequency, a
-/// frequency that moves.
+/// Share of the voltage in percent that R and L may leave beside noise; a tone beside the switching frequency or a moving
+/// frequency leaves more.
 const LEFT_PCT: f64 = 1.0;
 
-/// Largest difference that refutes nothing: a share of R and of L in percent, and standard deviations of noise.
+/// Largest difference that is not refuted: a share of R and of L in percent, and standard deviations of noise.
 #[derive(Clone, Copy, Debug)]
 struct Limit {
     pct: [f64; 2],
     sigmas: f64,
 }
 
-/// R(t) and L(t) as stated.
+/// R(t) and L(t) as stated by the other machine.
 #[derive(Clone, Copy, Debug)]
 pub struct Claim<'a> {
     /// Times in seconds after the segment's zero crossing, rising.
@@ -62,26 +61,26 @@ pub struct Claim<'a> {
     pub l_h: &'a [f64],
 }
 
-/// A statement that the samples confirm, with the segment's own figures at its times.
+/// Result of a check that the claim passed, with figures of the segment at the claim's times.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Confirmed {
+pub struct Confirmation {
     /// Amplitude of the current's fundamental in ampere.
     pub i_amplitude_a: Vec<f64>,
-    /// χ² of the voltage that R and L leave, against white noise; infinite where nothing was looked at.
+    /// Residual χ² of the voltage against white noise; infinite outside the checked part.
     pub chi2: Vec<f64>,
-    /// By how much the samples' R and L differ from the stated, in percent.
+    /// R and L of the samples less the stated ones, in percent.
     pub differs_pct: [f64; 2],
     /// Standard deviations of these differences by white noise, in percent.
     pub sigma_pct: [f64; 2],
 }
 
-/// Reason for which a statement is not believed.
+/// Reason for which a claim is refuted.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ClaimError {
     /// Lists of different length, too few points, or times that do not rise.
     #[error("its lists of time, R and L do not belong together")]
     Lists,
-    /// A value that no load has.
+    /// A value that no hob's load has.
     #[error("it states R = {r_ohm:.4} Ω and L = {:.3} µH, which no load has", l_h * 1e6)]
     NoLoad {
         /// R in ohm.
@@ -104,41 +103,40 @@ pub enum ClaimError {
     Differs {
         /// Beginning of the stretch in milliseconds after the zero crossing.
         from_ms: f64,
-        /// Its end.
+        /// End of the stretch in milliseconds after the zero crossing.
         to_ms: f64,
         /// R of the samples over the stated, less one, in percent.
         r_pct: f64,
-        /// The same of L.
+        /// L of the samples over the stated, less one, in percent.
         l_pct: f64,
         /// Largest difference of R that noise and the check's own error explain, in percent.
         r_limit_pct: f64,
-        /// The same of L.
+        /// Largest difference of L that noise and the check's own error explain, in percent.
         l_limit_pct: f64,
     },
-    /// R and L leave more of the voltage than noise.
+    /// R and L leave more of the voltage than noise explains.
     #[error("it leaves {left_pct:.2} % of the voltage unexplained; {LEFT_PCT} % is allowed")]
-    Left {
-        /// Root-mean-square of what is left, in percent of the voltage.
+    Unexplained {
+        /// Root-mean-square of the unexplained voltage, in percent of the voltage.
         left_pct: f64,
     },
-    /// The segment is too short to be looked at.
+    /// The segment is too short for the check.
     #[error("the window cannot be held against it: {0}")]
     Segment(#[from] SegmentError),
 }
 
-/// Holds a statement against the samples of one half-cycle. It takes two boxcars a channel and one pass over the
-/// phasors.
+/// Checks a claim against the samples of one half-cycle. Costs two boxcars per channel and one pass over the phasors.
 ///
 /// # Errors
 /// [`ClaimError`] names the first thing that is wrong.
-pub fn confirm(segment: &Segment, claim: &Claim<'_>) -> Result<Confirmed, ClaimError> {
+pub fn confirm(segment: &Segment, claim: &Claim<'_>) -> Result<Confirmation, ClaimError> {
     claim.check(segment)?;
     let points = residuals(segment, claim)?;
     let noise = WhiteNoise::measure(segment);
-    let seen = |p: &&Residual| SEEN.contains(&p.phase);
+    let seen = |p: &&Residual| CHECKED_PART.contains(&p.phase);
     let all: Vec<&Residual> = points.iter().filter(seen).collect();
     let per_phasor = segment.samples_per_period();
-    // Two boxcars make a triangle: of its samples two thirds count.
+    // Two boxcars make a triangle, of whose samples two thirds count.
     let kernel = 1.5 * boxcar(per_phasor).samples() as f64;
     let look = |of: &[&Residual], own: Limit| {
         let samples = of.len() as f64 * per_phasor;
@@ -156,7 +154,7 @@ pub fn confirm(segment: &Segment, claim: &Claim<'_>) -> Result<Confirmed, ClaimE
     }
     let mean = look(&all, OWN_MEAN_ERROR)?;
     left(&all, noise, kernel)?;
-    Ok(Confirmed {
+    Ok(Confirmation {
         i_amplitude_a: along(claim.t_s, &points, |p| p.i.norm()),
         chi2: {
             let half_s = segment.half_cycle_s();
@@ -168,9 +166,10 @@ pub fn confirm(segment: &Segment, claim: &Claim<'_>) -> Result<Confirmed, ClaimE
     })
 }
 
-/// The stretch of a place in the half-cycle; none outside [`SEEN`].
+/// Index of the stretch at a phase of the half-cycle; `None` outside [`CHECKED_PART`].
 fn stretch(phase: f64) -> Option<usize> {
-    let at = (phase - SEEN.start) / (SEEN.end - SEEN.start) * STRETCHES as f64;
+    let at =
+        (phase - CHECKED_PART.start) / (CHECKED_PART.end - CHECKED_PART.start) * STRETCHES as f64;
     (0.0..STRETCHES as f64).contains(&at).then_some(at as usize)
 }
 
@@ -191,13 +190,13 @@ impl Claim<'_> {
             }
         }
         let half_s = segment.half_cycle_s();
-        let from_s = (segment.t0_s - segment.zero_crossing_s).max(SEEN.start * half_s);
+        let from_s = (segment.t0_s - segment.zero_crossing_s).max(CHECKED_PART.start * half_s);
         let end_s = segment.t_s(segment.len()) - segment.zero_crossing_s;
-        let to_s = end_s.min(SEEN.end * half_s);
+        let to_s = end_s.min(CHECKED_PART.end * half_s);
         let step_s = (to_s - from_s) / STRETCHES as f64;
         let (first, last) = (self.t_s[0], self.t_s[n - 1]);
         let gap = self.t_s.windows(2).any(|w| w[1] - w[0] > step_s);
-        // Not a number is neither.
+        // NaN fails both comparisons.
         let covers = first <= from_s + 0.1 * step_s && last >= to_s - 0.1 * step_s;
         if !covers || gap {
             let (from_ms, to_ms) = (first * 1e3, last * 1e3);
@@ -215,31 +214,31 @@ impl Claim<'_> {
     }
 }
 
-/// One phasor: the voltage that the stated R and L leave.
+/// One phasor, and the voltage that the stated R and L leave of it.
 struct Residual {
     /// Time in seconds after the zero crossing.
     t_s: f64,
-    /// The same as a share of the half-cycle.
+    /// Time as a share of the half-cycle.
     phase: f64,
     v: Complex<f64>,
-    /// Coil current in ampere, its derivative in ampere a second.
+    /// Coil current in ampere; `d` is its derivative in ampere per second.
     i: Complex<f64>,
     d: Complex<f64>,
     /// Stated R in ohm and L in henry.
     r_ohm: f64,
     l_h: f64,
-    /// Voltage that they leave unexplained, in volt.
+    /// Voltage that the stated R and L leave unexplained, in volt.
     left: Complex<f64>,
 }
 
 impl Residual {
-    /// Variance of the left voltage's samples by white noise, in V².
+    /// Variance that white noise alone causes in a sample of the unexplained voltage, in V².
     fn variance(&self, noise: WhiteNoise) -> f64 {
         let z2 = (self.v.norm_sqr() / self.i.norm_sqr().max(f64::MIN_POSITIVE)).min(1e6);
         noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a
     }
 
-    /// Mean square that white noise alone leaves, in V²: an amplitude is twice a mean of so many samples.
+    /// Mean square that white noise alone leaves, in V²: an amplitude is twice a mean over so many samples.
     fn expected(&self, noise: WhiteNoise, samples: f64) -> f64 {
         4.0 * self.variance(noise) / samples
     }
@@ -253,8 +252,8 @@ impl Residual {
     }
 }
 
-/// The shortest pair of boxcars that whole samples nearly fill. In blocks of one sample, so that the second is one too: a
-/// single boxcar would let the image at −f_sw pass wherever the amplitude moves.
+/// Shortest pair of boxcars that whole samples nearly fill. Its blocks are single samples, so that there is a second boxcar:
+/// a single one would let the image at −f_sw pass wherever the amplitude moves.
 fn boxcar(samples_per_period: f64) -> Boxcar {
     let left = |periods: &usize| {
         let samples = *periods as f64 * samples_per_period;
@@ -300,7 +299,7 @@ fn residuals(segment: &Segment, claim: &Claim<'_>) -> Result<Vec<Residual>, Clai
     Ok(phasors.windows(3).map(residual).collect())
 }
 
-/// R and L of the samples less the stated, over a stretch.
+/// R and L of the samples less the stated ones, over a stretch.
 struct Difference {
     pct: [f64; 2],
     /// Standard deviations by white noise, in percent.
@@ -308,7 +307,7 @@ struct Difference {
 }
 
 impl Difference {
-    /// Least squares of what is left, as ΔR·I + ΔL·D.
+    /// Fits the unexplained voltage as ΔR·I + ΔL·D by least squares.
     fn of(stretch: &[&Residual], samples: f64, noise: WhiteNoise) -> Self {
         let (mut ii, mut id, mut dd, mut ie, mut de) = (0.0, 0.0, 0.0, 0.0, 0.0);
         let (mut r, mut l, mut variance) = (0.0, 0.0, 0.0);
@@ -326,7 +325,7 @@ impl Difference {
         let pct = |x: f64, of: f64| 100.0 * x / of;
         let n = stretch.len() as f64;
         let (r, l) = (r / ii, l / dd);
-        // Of an amplitude's square half is the mean of the samples' squares.
+        // The mean square of the samples is half the amplitude squared.
         let sigma_v = (2.0 * variance / ii / samples).sqrt();
         Self {
             pct: [
@@ -358,7 +357,7 @@ impl Difference {
     }
 }
 
-/// Checks the power that is left beside noise.
+/// Checks that little more than noise is left of the voltage.
 fn left(all: &[&Residual], noise: WhiteNoise, samples: f64) -> Result<(), ClaimError> {
     let (mut power, mut white, mut whole) = (0.0, 0.0, 0.0);
     for p in all {
@@ -369,11 +368,11 @@ fn left(all: &[&Residual], noise: WhiteNoise, samples: f64) -> Result<(), ClaimE
     let left_pct = 100.0 * ((power - 2.0 * white).max(0.0) / whole).sqrt();
     match left_pct <= LEFT_PCT {
         true => Ok(()),
-        false => Err(ClaimError::Left { left_pct }),
+        false => Err(ClaimError::Unexplained { left_pct }),
     }
 }
 
-/// A figure of the phasors at other times.
+/// A figure of the phasors, interpolated at other times.
 fn along(t_s: &[f64], points: &[Residual], figure: impl Fn(&Residual) -> f64) -> Vec<f64> {
     let own_s: Vec<f64> = points.iter().map(|p| p.t_s).collect();
     let figures: Vec<f64> = points.iter().map(figure).collect();

@@ -1,18 +1,18 @@
-//! Every code that stands beside an estimate: its severity, what it means, its limit, what to do. docs/gate.md is made
-//! of this table, and a test looks into the sources of all rooms for codes that it lacks.
+//! Table of all codes that accompany an estimate: severity, meaning, limit, advice. The tables of docs/gate.md are generated
+//! from it, and a test searches the sources of all rooms for codes that are missing here.
 
 /// One code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Code {
-    /// As in JSON.
+    /// Name in JSON.
     pub name: &'static str,
-    /// Which severities it comes with.
+    /// Severities with which the code comes.
     pub severity: &'static str,
-    /// What was found.
+    /// Condition that the code reports.
     pub meaning: &'static str,
-    /// What it is judged against.
+    /// Limit that the value is compared with.
     pub limit: &'static str,
-    /// What to do.
+    /// Action that the user can take.
     pub advice: &'static str,
 }
 
@@ -35,10 +35,10 @@ const fn code(
 /// A group of codes and its heading.
 pub type Group = (&'static str, &'static [Code]);
 
-/// Every code, by who finds it.
+/// Every code, grouped by the stage that raises it.
 pub const CODES: &[Group] = &[
     ("Found in the capture (`ihd inspect`)", CAPTURE),
-    ("Found of the sensors (self-calibration)", SENSORS),
+    ("Found about the sensors (self-calibration)", SENSORS),
     ("Found by the estimators", ESTIMATORS),
     ("Found by the gate", GATE),
 ];
@@ -47,14 +47,14 @@ const CAPTURE: &[Code] = &[
     code(
         "not_finite",
         "warning",
-        "samples that are no numbers; the capture is cut there",
+        "samples that are not finite; the capture is cut there",
         "none",
         "export again",
     ),
     code(
         "time_not_ascending",
         "error",
-        "time stands still or goes back",
+        "time does not ascend",
         "none",
         "export time with more digits, or as a rate",
     ),
@@ -68,7 +68,7 @@ const CAPTURE: &[Code] = &[
     code(
         "piece_too_short",
         "warning",
-        "a piece too short to be worked on was left out",
+        "a piece too short for an estimator was left out",
         "10 switching periods",
         "capture longer",
     ),
@@ -82,7 +82,7 @@ const CAPTURE: &[Code] = &[
     code(
         "frequency_step",
         "info",
-        "the switching frequency changes; a stretch each",
+        "the switching frequency changes; each has a stretch of its own",
         "none",
         "nothing",
     ),
@@ -117,7 +117,7 @@ const CAPTURE: &[Code] = &[
     code(
         "clipping",
         "error",
-        "samples of this stretch rest at an end of the range",
+        "samples of this stretch are at an end of the range",
         "none at the range's end; 16 piled up where the range is unknown",
         "use a larger range",
     ),
@@ -131,14 +131,14 @@ const CAPTURE: &[Code] = &[
     code(
         "implausible",
         "warning",
-        "more volt or ampere than a hob's coil carries",
+        "a voltage or current above that of a hob's coil",
         "2 kV, 300 A",
         "check the probe's factor",
     ),
     code(
         "noisy",
         "info (a warning in `ihd inspect`)",
-        "a low signal-to-noise ratio; what it costs stands in `uncertain`",
+        "a low signal-to-noise ratio; `uncertain` has its cost",
         "see docs/inspect.md",
         "use a smaller range, or more bits",
     ),
@@ -166,7 +166,7 @@ const CAPTURE: &[Code] = &[
     code(
         "inverted",
         "error",
-        "one probe is the wrong way round",
+        "one probe is reversed",
         "R and L above 0",
         "--invert",
     ),
@@ -190,7 +190,7 @@ const SENSORS: &[Code] = &[
     code(
         "self_calibrated",
         "info",
-        "skew, bandwidth or droop was found and taken out",
+        "skew, bandwidth or droop was corrected",
         "3 σ",
         "nothing; --self-calibrate off leaves it",
     ),
@@ -204,21 +204,21 @@ const SENSORS: &[Code] = &[
     code(
         "skew",
         "info, warning",
-        "the channels are not simultaneous, and that was not corrected",
+        "a skew of the channels that was not corrected",
         "3 σ; .5 % of R for a warning",
         "--self-calibrate auto, or ihd calibrate",
     ),
     code(
         "bandwidth",
         "info, warning",
-        "a probe with too little bandwidth that was not corrected",
+        "a probe's bandwidth that was not corrected",
         "3 σ; .5 % of R for a warning",
         "--self-calibrate auto, or a faster probe",
     ),
     code(
         "droop",
         "info, warning",
-        "a current probe without direct current that was not corrected",
+        "a current probe's droop that was not corrected",
         "3 σ; .5 % of R for a warning",
         "--self-calibrate auto, or another probe",
     ),
@@ -232,28 +232,28 @@ const SENSORS: &[Code] = &[
     code(
         "plateaus_not_flat",
         "warning",
-        "between edges, voltage and charge do not add up to a plateau",
+        "voltage and charge do not add up to a plateau between edges",
         "noise, 0.2 % of the capacitor's voltage",
         "look at both channels",
     ),
     code(
         "bridge_voltage",
         "error",
-        "the bridge's voltage was captured in place of the coil's",
+        "the voltage is the bridge's, not the coil's",
         "none",
         "connect the probe across the coil",
     ),
     code(
         "gain",
         "warning",
-        "the ratio of the gains, against the capacitance that was told",
+        "the ratio of the gains contradicts the capacitance given",
         "1 %, 3 σ",
         "check the probes' factors",
     ),
     code(
         "gain_right",
         "info",
-        "the ratio of the gains agrees with the capacitance that was told",
+        "the ratio of the gains agrees with the capacitance given",
         "1 %, 3 σ",
         "nothing",
     ),
@@ -284,7 +284,7 @@ const ESTIMATORS: &[Code] = &[
     code(
         "load_step",
         "info, warning",
-        "the load jumps inside a half-cycle: the pieces were identified, or the method goes through it",
+        "the load steps inside a half-cycle: the pieces were identified, or the method passes over it",
         "6 % of the impedance, above noise and trend",
         "nothing, or least-squares, lockin, pinn",
     ),
@@ -298,7 +298,7 @@ const ESTIMATORS: &[Code] = &[
     code(
         "model_residual",
         "info, warning",
-        "R and L leave more of the voltage than noise would; σ contains it",
+        "R and L leave more of the voltage than noise explains; σ contains it",
         "χ² of 4; .5 % of R, .35 % of L for a warning",
         "look for a moving frequency, a step, a neighbouring coil, aliased edges",
     ),
@@ -312,14 +312,14 @@ const ESTIMATORS: &[Code] = &[
     code(
         "contradicts_least_squares",
         "warning",
-        "a filter differs from least squares, and its σ holds that",
+        "a filter differs from least squares; its σ contains the difference",
         "see docs/estimators.md",
         "least-squares or pinn",
     ),
     code(
         "not_converged",
-        "error; info where least squares says the same",
-        "the network stopped before it settled",
+        "error; info if least squares agrees",
+        "the network stopped before it converged",
         "none",
         "more steps, or the preset hybrid",
     ),
@@ -336,21 +336,21 @@ const GATE: &[Code] = &[
     code(
         "nothing_found",
         "error",
-        "the estimate holds no R and L",
+        "the estimate has no R and L",
         "none",
         "capture longer, or use another method",
     ),
     code(
         "not_covered",
         "warning; error for the lookup",
-        "the estimate spans a part of the half-cycles' middles only",
+        "the estimate covers only a part of the half-cycles' middles",
         "90 %",
-        "look at what was left out",
+        "see the parts that were left out",
     ),
     code(
         "uncertain",
         "warning, error",
-        "mean σ of R or L over the middle 80 % of a half-cycle: the reference's where the result agrees with it, else its own",
+        "mean σ of R or L over the middle 80 % of a half-cycle: the reference's if the result agrees with it, else its own",
         ".7 % of R, .49 % of L for a warning; 3 % of either for an error",
         "a longer capture, a smaller range, more bits",
     ),
@@ -363,9 +363,9 @@ const GATE: &[Code] = &[
     ),
     code(
         "unconfirmed",
-        "warning, error; info where an alias disturbs the lock-in alone",
-        "the same between least squares and lock-in, both without foreign tones, beyond twice what both σ explain: \
-         something changes faster than they follow",
+        "warning, error; info if an alias disturbs the lock-in alone",
+        "mean difference between least squares and lock-in, both without foreign tones, beyond twice what both σ explain: \
+         a change faster than they follow",
         ".7 % of R, .49 % of L for a warning; 1 %, .7 % for an error",
         "capture a steady load",
     ),
@@ -379,27 +379,27 @@ const GATE: &[Code] = &[
     code(
         "correction_doubtful",
         "warning",
-        "the sensors were corrected, and that rests on little",
-        "6 MS/s (a lag below 4 % of the sampling interval is not looked at there); .35 % of R",
+        "the correction of the sensors is uncertain",
+        "6 MS/s (below, a lag under 4 % of the sampling interval is ignored); .35 % of R",
         "sample faster, --self-calibrate off, or ihd calibrate",
     ),
     code(
         "interference",
         "info, warning, error",
-        "a tone beside f_sw that is neither harmonic nor sideband of the mains; what it costs least squares is measured",
+        "a tone beside f_sw that is neither harmonic nor sideband of the mains, with its measured cost for least squares",
         ".2 % of R, .14 % of L to be mentioned; .7 %, .49 % for a warning; 1 %, .7 % for an error",
         "switch the neighbouring coil off; another rate if it is an alias",
     ),
     code(
         "implausible_load",
         "warning; error for the lookup",
-        "R or L that no hob's load has",
+        "R or L outside those of hobs",
         "0.02-15.9 Ω, 2-63.9 µH",
         "check the probes' factors",
     ),
 ];
 
-/// The entry of a code.
+/// Finds a code by its name.
 pub fn find(name: &str) -> Option<&'static Code> {
     CODES
         .iter()
@@ -407,7 +407,7 @@ pub fn find(name: &str) -> Option<&'static Code> {
         .find(|code| code.name == name)
 }
 
-/// The tables of docs/gate.md.
+/// Renders the tables of docs/gate.md.
 pub fn markdown() -> String {
     let mut text = String::new();
     for (heading, codes) in CODES {

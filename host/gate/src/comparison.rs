@@ -1,40 +1,40 @@
-//! Two estimates of one segment side by side, over the middle 80 % of each mains half-cycle: beyond it the current
-//! is small, and every method's R and L are its own.
+//! Comparison of two estimates of one segment over the middle 80 % of each mains half-cycle. Outside it the current is
+//! small, and R and L depend on the method.
 
 use ihd_identify::Estimate;
 use ihd_identify::trajectory::Trajectory;
 use ihd_signal::Segment;
 
-/// The part of a half-cycle that counts, from its zero crossing.
+/// Part of a half-cycle that is compared, from its zero crossing.
 pub const MIDDLE: std::ops::Range<f64> = 0.1..0.9;
 
 /// Times of a half-cycle's middle at which estimates are compared.
 const POINTS: usize = 160;
 
-/// Fewest of them that both estimates must cover.
+/// Fewest of these times that both estimates must cover.
 const LEAST_POINTS: usize = 8;
 
 /// A normal variable's mean magnitude, in standard deviations.
 const MEAN_MAGNITUDE: f64 = 0.8;
 
-/// How far two estimates are apart in one half-cycle.
+/// Difference of two estimates in one half-cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Difference {
     /// The half-cycle's zero crossing in seconds, on the capture's clock.
     pub crossing_s: f64,
     /// Mean of |ΔR|/R, and of |ΔL|/L, in percent.
     pub mean_pct: [f64; 2],
-    /// What the standard deviations of both would make of it, in percent.
+    /// Mean difference that the standard deviations of both estimates explain, in percent.
     pub expected_pct: [f64; 2],
 }
 
-/// The differences of `estimate` from `reference`, half-cycle by half-cycle.
+/// Differences of `estimate` from `reference`, one per half-cycle.
 pub fn differences(
     segment: &Segment,
     estimate: &Estimate,
     reference: &Estimate,
 ) -> Vec<Difference> {
-    let found = half_cycles(segment).map(|crossing_s| {
+    let each = half_cycles(segment).map(|crossing_s| {
         let times = times_s(segment, crossing_s, &[estimate, reference]);
         let ours = Samples::of(estimate, &times)?;
         let theirs = Samples::of(reference, &times)?;
@@ -56,16 +56,16 @@ pub fn differences(
             expected_pct: [r.1, l.1],
         })
     });
-    found.flatten().collect()
+    each.flatten().collect()
 }
 
-/// Means of σ/R and of σ/L in percent, half-cycle by half-cycle with its zero crossing in seconds; nothing where the
-/// estimate states no deviations.
+/// Means of σ/R and of σ/L in percent, one pair per half-cycle with its zero crossing in seconds; empty if the estimate
+/// states no deviations.
 pub fn sigmas_pct(segment: &Segment, estimate: &Estimate) -> Vec<(f64, [f64; 2])> {
     if estimate.r_sigma_ohm.is_empty() {
         return Vec::new();
     }
-    let found = half_cycles(segment).map(|crossing_s| {
+    let each = half_cycles(segment).map(|crossing_s| {
         let times = times_s(segment, crossing_s, &[estimate]);
         let samples = Samples::of(estimate, &times)?;
         let mean = |k: usize| {
@@ -74,11 +74,11 @@ pub fn sigmas_pct(segment: &Segment, estimate: &Estimate) -> Vec<(f64, [f64; 2])
         };
         Some((crossing_s, [mean(0), mean(1)]))
     });
-    found.flatten().collect()
+    each.flatten().collect()
 }
 
-/// Share of the middles of the segment's half-cycles that the estimate's points span, of what the segment holds.
-pub fn covered(segment: &Segment, estimate: &Estimate) -> f64 {
+/// Share of the middles of the segment's half-cycles that the estimate's points cover, 0 to 1.
+pub fn coverage(segment: &Segment, estimate: &Estimate) -> f64 {
     let (mut have, mut all) = (0usize, 0usize);
     let reach_s = 0.5 * (MIDDLE.end - MIDDLE.start) * segment.half_cycle_s() / 10.0;
     for crossing_s in half_cycles(segment) {
@@ -131,7 +131,7 @@ struct Samples {
 }
 
 impl Samples {
-    /// `None` where the times are too few to say anything.
+    /// Samples an estimate at these times; `None` if they are too few to compare.
     fn of(estimate: &Estimate, times_s: &[f64]) -> Option<Self> {
         if times_s.len() < LEAST_POINTS {
             return None;

@@ -1,6 +1,6 @@
-//! Tones that belong to somebody else: another hob's coil beside this one, or an edge that aliases next to the
-//! carrier. They lie beside f_sw, where neither harmonics nor the mains' sidebands are, and what they cost is measured:
-//! least squares with them against least squares without.
+//! Tones in the coil voltage that this hob does not make: another hob's coil beside it, or an edge that aliases next to
+//! the carrier. They lie near f_sw, where there are neither harmonics nor sidebands of the mains. The cost of a tone is
+//! measured: least squares with it against least squares without it.
 
 use std::f64::consts::{PI, TAU};
 
@@ -11,51 +11,51 @@ use ihd_signal::{Remark, Segment, Severity};
 use nalgebra::Complex;
 
 use crate::comparison::{self, Difference};
-use crate::judge::{TOLERABLE_PCT, WARNING_SHARE};
+use crate::limits::{TOLERABLE_PCT, WARNING_SHARE};
 use crate::lines::{Lines, peak};
 use crate::static_load::{self, Period};
 
-/// Phasors that are looked at together: a tone need not last longer.
+/// Most phasors that are searched together, because a tone need not last longer.
 const MOST_PHASORS: usize = 8192;
 
-/// Fewest phasors in which a tone is looked for.
+/// Fewest phasors in which a tone is searched for.
 const LEAST_PHASORS: usize = 128;
 
-/// Switching periods of a boxcar: among two, three and four there is one that whole samples nearly fill, at 61/3 samples
-/// a period too, so that the harmonics lie on its zeros.
+/// Switching periods of a boxcar: of two, three and four there is one that whole samples nearly fill, also at 61/3 samples
+/// a period, so that the harmonics lie on its zeros.
 const BOXCAR_PERIODS: f64 = 3.0;
 
-/// Switching periods of the boxcar that has to see the same: what only one of them shows is its own.
+/// Switching periods of the boxcar that confirms a tone: a tone seen by one boxcar only is that boxcar's artefact.
 const CHECK_PERIODS: f64 = 5.0;
 
-/// Difference between the two, as a share of the tone.
+/// Largest difference between the two boxcars' results, as a share of the tone.
 const SAME: f64 = 0.35;
 
-/// Tones that are taken out of one stretch at most.
+/// Most tones that are removed from one stretch.
 const MOST_TONES: usize = 6;
 
-/// Share of [`TOLERABLE_PCT`] from which on a tone is mentioned at all.
+/// Share of [`TOLERABLE_PCT`] above which a tone is mentioned.
 const INFO_SHARE: f64 = 0.2;
 
 /// A tone beside the carrier.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tone {
-    /// Its frequency less f_sw, in hertz.
+    /// Frequency less f_sw, in hertz.
     pub offset_hz: f64,
-    /// Its amplitude and phase in volt, counted from the segment's first sample.
+    /// Amplitude and phase in volt, counted from the segment's first sample.
     pub v: Complex<f64>,
-    /// Its shape over time, 1 in the mean: constant, or that of the bus.
+    /// Shape over time with a mean of 1: constant, or that of the bus.
     pub shape: Vec<f64>,
-    /// Place in samples of the shape's first value, and from one value to the next.
+    /// Position of the shape's first value, and distance from one value to the next, in samples.
     pub place: (f64, f64),
-    /// What it may cost R where it is followed, in percent; least squares follows up to about a kilohertz.
+    /// Error of R in percent that an estimator makes if it follows the tone; least squares follows up to about 1 kHz.
     pub may_cost_pct: f64,
-    /// Whether a harmonic of the inverter's own edges aliases there.
+    /// `true` if a harmonic of the inverter's own edges aliases to this frequency.
     pub alias: bool,
 }
 
 impl Tone {
-    /// The shape at a sample; `None` where the tone was not looked for.
+    /// Shape at a sample; `None` outside the part in which the tone was searched for.
     fn at(&self, sample: usize) -> Option<f64> {
         let x = (sample as f64 - self.place.0) / self.place.1;
         let last = self.shape.len().checked_sub(1)?;
@@ -69,7 +69,7 @@ impl Tone {
     }
 }
 
-/// The remark on tones, given least squares with and without them; `None` where they cost nothing.
+/// Remark on tones, from least squares with and without them; `None` if they cost nothing.
 pub fn remark(
     segment: &Segment,
     tones: &[Tone],
@@ -85,7 +85,7 @@ pub fn remark(
     let cost = costs
         .into_iter()
         .max_by(|a, b| share(a).total_cmp(&share(b)))?;
-    // What shorter windows than those of least squares would see; an alias is nothing that the coil has.
+    // The share that windows shorter than those of least squares would see; an alias is not in the coil's voltage.
     let may_cost_pct = if strongest.alias {
         0.0
     } else {
@@ -117,8 +117,8 @@ pub fn remark(
     Some(remark.with(cost.mean_pct[worse], Some(TOLERABLE_PCT[worse])))
 }
 
-/// The segment without these tones.
-pub fn without(segment: &Segment, tones: &[Tone]) -> Segment {
+/// Returns the segment with these tones subtracted from its voltage.
+pub fn remove_tones(segment: &Segment, tones: &[Tone]) -> Segment {
     let mut v_v = segment.v_v.to_vec();
     for tone in tones {
         let periods = (segment.f_sw_hz + tone.offset_hz) * segment.dt_s;
@@ -136,8 +136,8 @@ pub fn without(segment: &Segment, tones: &[Tone]) -> Segment {
     }
 }
 
-/// Tones in what R and L, as functions of the current, leave of the voltage's fundamental.
-pub fn find(segment: &Segment, reference: &Estimate) -> Vec<Tone> {
+/// Searches for tones in the voltage that R and L, as functions of the current's amplitude, leave unexplained.
+pub fn find_tones(segment: &Segment, reference: &Estimate) -> Vec<Tone> {
     let Some(residual) = Residual::of(segment, BOXCAR_PERIODS) else {
         return Vec::new();
     };
@@ -162,7 +162,7 @@ pub fn find(segment: &Segment, reference: &Estimate) -> Vec<Tone> {
     tones
 }
 
-/// Where harmonics beyond half the sampling rate fall beside the carrier, in hertz from it.
+/// Frequencies beside the carrier to which harmonics beyond half the sampling rate fold, in hertz from the carrier.
 fn aliases_hz(segment: &Segment) -> Vec<f64> {
     let rate_hz = 1.0 / segment.dt_s;
     let most = (3.0 * segment.samples_per_period()).min(400.0) as usize;
@@ -173,15 +173,15 @@ fn aliases_hz(segment: &Segment) -> Vec<f64> {
     (2..=most).map(folded).collect()
 }
 
-/// Samples a period below which edges of .2 µs have strong harmonics beyond half the rate.
+/// Samples per switching period below which edges of 0.2 µs have strong harmonics beyond half the sampling rate.
 const COARSE: f64 = 150.0;
 
 /// Offset in hertz up to which the lock-in's boxcars of 0.1 ms let a tone through.
 const LOCKIN_HZ: f64 = 10e3;
 
-/// Whether an edge's harmonic folds to where the lock-in passes it and least squares does not: then it is the lock-in
-/// that is off.
-pub fn disturbs_the_lockin(segment: &Segment) -> bool {
+/// Returns `true` if a harmonic of the edges folds to a frequency that the lock-in passes and least squares does not: then
+/// the error is the lock-in's.
+pub fn disturbs_lockin(segment: &Segment) -> bool {
     let passed = |hz: &f64| (FOLLOWED_HZ..LOCKIN_HZ).contains(&hz.abs());
     segment.samples_per_period() < COARSE && aliases_hz(segment).iter().any(passed)
 }
@@ -189,17 +189,17 @@ pub fn disturbs_the_lockin(segment: &Segment) -> bool {
 /// Offset in hertz up to which least squares follows a tone: half a wave in each of its intervals of 0.4 ms.
 const FOLLOWED_HZ: f64 = 1.2e3;
 
-/// What R and L as functions of the current leave of the voltage, phasor by phasor.
+/// Voltage that R and L, as functions of the current's amplitude, leave unexplained, phasor by phasor.
 struct Residual {
-    /// In volt.
+    /// Unexplained voltage in volt.
     v: Vec<Complex<f64>>,
     /// Sine squared of the mains' phase: 1 at the crest, 0 where R and L have their kinks.
     weight: Vec<f64>,
-    /// |V| in volt, which follows the bus.
+    /// |V| in volt; follows the bus.
     bus_v: Vec<f64>,
     /// |I| in ampere.
     i_a: Vec<f64>,
-    /// Place of the first phasor's centre, and from one to the next, in samples.
+    /// Position of the first phasor's centre, and distance from one to the next, in samples.
     place: (f64, f64),
     dt_s: f64,
     /// Duration of a boxcar in seconds.
@@ -240,7 +240,7 @@ impl Residual {
         })
     }
 
-    /// Place of phasor `k` in samples of the segment.
+    /// Position of phasor `k` in samples of the segment.
     fn sample(&self, k: usize) -> f64 {
         self.place.0 + k as f64 * self.place.1
     }
@@ -250,7 +250,7 @@ impl Residual {
         Complex::from_polar(1.0, -TAU * offset_hz * self.sample(k) * self.dt_s)
     }
 
-    /// What both boxcars leave of a tone at this offset in hertz.
+    /// Gain of both boxcars for a tone at this offset in hertz.
     fn passed(&self, offset_hz: f64) -> f64 {
         let x = PI * offset_hz * self.boxcar_s;
         if x == 0.0 {
@@ -260,7 +260,7 @@ impl Residual {
         }
     }
 
-    /// Amplitude in volt that may cost a percent of R where it is followed. A tone turns: its mean share of R is 2/π.
+    /// Amplitude in volt of a tone that costs 1 % of R if it is followed. A tone rotates: its mean share of R is 2/π.
     fn volt_per_pct(&self, reference: &Estimate) -> f64 {
         let weights: f64 = self.weight.iter().sum();
         let weighted = self.i_a.iter().zip(&self.weight).map(|(i, w)| i * w);
@@ -295,7 +295,7 @@ impl Residual {
                 .collect(),
         ];
         let spacing_hz = 1.0 / (n as f64 * self.place.1 * self.dt_s);
-        // The bus's own sidebands belong to the alias.
+        // The sidebands of the bus belong to the alias.
         let reach_hz = 2.0 * spacing_hz + 4.0 * segment.mains_hz;
         let is_alias = |line: i64| {
             let hz = line as f64 * spacing_hz;
@@ -310,8 +310,8 @@ impl Residual {
             let power: f64 = weight.iter().zip(shape).map(|(w, s)| w * s * s).sum();
             (sum / power, sum.norm_sqr() / power)
         };
-        let mut found = Vec::new();
-        while found.len() < MOST_TONES {
+        let mut tones = Vec::new();
+        while tones.len() < MOST_TONES {
             let lines = Lines::of(&left, &weight);
             let Some(line) = lines.and_then(|lines| lines.strongest(is_alias)) else {
                 break;
@@ -333,7 +333,7 @@ impl Residual {
             for (k, (x, s)) in left.iter_mut().zip(shape).enumerate() {
                 *x -= v * *s * self.turn(offset_hz, range.start + k).conj();
             }
-            found.push(Tone {
+            tones.push(Tone {
                 offset_hz,
                 v: v / self.passed(offset_hz).max(0.1),
                 shape: shape.clone(),
@@ -342,10 +342,10 @@ impl Residual {
                 alias: is_alias(line),
             });
         }
-        found
+        tones
     }
 
-    /// Whether this boxcar sees the tone too.
+    /// Returns `true` if this boxcar sees the same tone.
     fn confirms(&self, tone: &Tone) -> bool {
         let passed = self.passed(tone.offset_hz);
         let (mut sum, mut power) = (Complex::new(0.0, 0.0), 0.0);
@@ -366,7 +366,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
 
-    use ihd_identify::{Method, Settings, run};
+    use ihd_identify::{IdentifyOptions, Method, run};
 
     use super::*;
 
@@ -406,14 +406,14 @@ mod tests {
     }
 
     fn reference(segment: &Segment) -> Estimate {
-        run(Method::LeastSquares, segment, &Settings::default()).expect("a steady load")
+        run(Method::LeastSquares, segment, &IdentifyOptions::default()).expect("a steady load")
     }
 
     #[test]
     fn a_tone_is_found_where_it_is_and_taken_out_it_costs_nothing() {
         for (offset_hz, v) in [(1200.0, 8.0), (-2_030.0, 4.0), (730.0, 2.0)] {
             let with = segment(offset_hz, v);
-            let tones = find(&with, &reference(&with));
+            let tones = find_tones(&with, &reference(&with));
             let strongest = tones
                 .iter()
                 .max_by(|a, b| a.v.norm().total_cmp(&b.v.norm()));
@@ -425,7 +425,7 @@ mod tests {
                 let all = comparison::differences(&clean, &reference(s), &reference(&clean));
                 all.iter().map(|d| d.mean_pct[0]).fold(0.0, f64::max)
             };
-            let (before, after) = (error(&with), error(&without(&with, &tones)));
+            let (before, after) = (error(&with), error(&remove_tones(&with, &tones)));
             assert!(
                 after < 0.25 * before,
                 "{offset_hz}: {before} % to {after} %"
@@ -436,6 +436,6 @@ mod tests {
     #[test]
     fn there_is_no_tone_where_there_is_none() {
         let clean = segment(0.0, 0.0);
-        assert_eq!(find(&clean, &reference(&clean)), []);
+        assert_eq!(find_tones(&clean, &reference(&clean)), []);
     }
 }

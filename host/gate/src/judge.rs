@@ -1,46 +1,36 @@
-//! The judge: findings about one result, and the verdict.
+//! Judgement of one estimate: findings, and the verdict that follows from them.
 
 use ihd_identify::{Estimate, Method};
-use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, plausible};
 use ihd_signal::{Remark, Segment, Severity};
 
 use crate::comparison::{self, Difference};
 use crate::interference;
+use crate::limits::{MAX_SIGMA_PCT, TOLERABLE_PCT, WARNING_SHARE, plausible_ranges};
+use crate::reference::Reference;
 use crate::remarks;
 use crate::verdict::Judgement;
-use crate::witness::Witness;
 
-/// Mean error of R and of L in percent that is nobody's fault and must not be kept silent beyond.
-pub const TOLERABLE_PCT: [f64; 2] = [1.0, 0.7];
-
-/// Share of [`TOLERABLE_PCT`] from which on a difference is a warning: what is left belongs to the reference's own
-/// error.
-pub const WARNING_SHARE: f64 = 0.7;
-
-/// A difference is noise below this many times what the standard deviations make of it. About 24 coefficients a
-/// half-cycle scatter its mean by 15 %.
+/// Largest ratio of a difference to that which the standard deviations explain, for a difference by noise. About 24
+/// coefficients per half-cycle scatter its mean by 15 %.
 const NOISE_FACTOR: f64 = 2.0;
-
-/// Largest mean standard deviation of R and of L in percent of the value.
-pub const MAX_SIGMA_PCT: f64 = 3.0;
 
 /// Least share of the half-cycles' middles that an estimate must span.
 const LEAST_COVERED: f64 = 0.9;
 
-/// What is known of one result.
+/// Input of the judgement of one estimate.
 #[derive(Clone, Copy, Debug)]
 pub struct Evidence<'a> {
-    /// Of survey and sensors, as far as they concern this segment.
+    /// Remarks of survey and sensors on this segment.
     pub remarks: &'a [Remark],
-    /// What was identified.
+    /// Segment that was identified.
     pub segment: &'a Segment,
-    /// What was found.
+    /// Estimate to judge.
     pub estimate: &'a Estimate,
-    /// What the segment says by itself.
-    pub witness: &'a Witness,
+    /// Reference results for the segment.
+    pub reference: &'a Reference,
 }
 
-/// Judges one result.
+/// Judges one estimate.
 pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     let Evidence {
         segment, estimate, ..
@@ -48,7 +38,7 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     let mut findings: Vec<Remark> = evidence
         .remarks
         .iter()
-        .chain(&evidence.witness.remarks)
+        .chain(&evidence.reference.remarks)
         .map(|remark| remarks::for_method(remark, estimate.method))
         .chain(estimate.remarks.iter().cloned())
         .collect();
@@ -62,16 +52,16 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     }
     findings.extend(coverage(segment, estimate));
     let agreement = agreement(evidence);
-    // What a filter thinks of itself is its tuning's: where the reference is sure and says the same, it counts.
+    // A filter's σ follows from its tuning; if the reference agrees with the filter, the reference's σ is used instead.
     let within = |f: &Remark| f.severity != Severity::Error && f.value <= f.limit;
     let harmless = |f: &Remark| f.severity == Severity::Info || within(f);
-    let confirmed = agreement.iter().all(harmless) && evidence.witness.reference.is_ok();
-    let uncertain = match &evidence.witness.reference {
+    let confirmed = agreement.iter().all(harmless) && evidence.reference.least_squares.is_ok();
+    let uncertain = match &evidence.reference.least_squares {
         Ok(reference) if confirmed => uncertainty(segment, reference),
         _ => uncertainty(segment, estimate),
     };
     if confirmed {
-        // It stopped at a limit of steps, and at the right place.
+        // The network stopped at its limit of steps, but with the right result.
         let unsettled = findings.iter_mut().filter(|f| f.code == "not_converged");
         unsettled.for_each(|f| f.severity = Severity::Info);
     }
@@ -81,8 +71,8 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     Judgement::of(findings)
 }
 
-/// The judgement where a method failed.
-pub fn failed(remarks: &[Remark], method: Method, why: &str) -> Judgement {
+/// Judges a method that failed.
+pub fn judge_failure(remarks: &[Remark], method: Method, why: &str) -> Judgement {
     let mut findings = remarks.to_vec();
     findings.push(Remark::new(
         "method_failed",
@@ -93,7 +83,7 @@ pub fn failed(remarks: &[Remark], method: Method, why: &str) -> Judgement {
 }
 
 fn coverage(segment: &Segment, estimate: &Estimate) -> Option<Remark> {
-    let covered = comparison::covered(segment, estimate);
+    let covered = comparison::coverage(segment, estimate);
     (covered < LEAST_COVERED).then(|| {
         let text = format!(
             "only {:.0} % of the half-cycles' middles are identified: a part of the stretch was left out",
@@ -104,7 +94,7 @@ fn coverage(segment: &Segment, estimate: &Estimate) -> Option<Remark> {
     })
 }
 
-/// The one of R and L that is further beyond its limit, its name and its limit.
+/// The one of R and L that is further beyond its limit: name, value and limit.
 fn worse(values: [f64; 2], limits: [f64; 2]) -> (&'static str, f64, f64) {
     if values[1] / limits[1] > values[0] / limits[0] {
         ("L", values[1], limits[1])
@@ -120,7 +110,7 @@ fn uncertainty(segment: &Segment, estimate: &Estimate) -> Option<Remark> {
         .into_iter()
         .max_by(|a, b| share(&a.1).total_cmp(&share(&b.1)))?;
     let (name, value, tolerable) = worse(pct, TOLERABLE_PCT);
-    // A stretch of less than half a half-cycle has ends, where splines are free, and hardly a middle.
+    // Splines are free at the ends of a stretch; one shorter than half a half-cycle has hardly anything else.
     let whole = segment.len() as f64 * segment.dt_s >= 0.5 * segment.half_cycle_s();
     let (severity, limit) = if whole && pct[0].max(pct[1]) > MAX_SIGMA_PCT {
         (Severity::Error, MAX_SIGMA_PCT)
@@ -136,16 +126,16 @@ fn uncertainty(segment: &Segment, estimate: &Estimate) -> Option<Remark> {
     })
 }
 
-/// Against least squares, and least squares itself against the lock-in.
+/// Compares the estimate with least squares, and least squares with the lock-in.
 fn agreement(evidence: &Evidence<'_>) -> Vec<Remark> {
     let Evidence {
         segment,
         estimate,
-        witness,
+        reference,
         ..
     } = *evidence;
-    let reference = match &witness.reference {
-        Ok(reference) => reference,
+    let least_squares = match &reference.least_squares {
+        Ok(least_squares) => least_squares,
         Err(error) => {
             return vec![Remark::new(
                 "no_reference",
@@ -154,9 +144,9 @@ fn agreement(evidence: &Evidence<'_>) -> Vec<Remark> {
             )];
         }
     };
-    let mut found = Vec::new();
-    if let Some(apart) = worst(&comparison::differences(segment, estimate, reference)) {
-        found.push(remark("disagreement", &apart, |pct, name, from_s| {
+    let mut findings = Vec::new();
+    if let Some(apart) = worst(&comparison::differences(segment, estimate, least_squares)) {
+        findings.push(remark("disagreement", &apart, |pct, name, from_s| {
             format!(
                 "{} differs from least squares by {pct:.1} % of {name} in the half-cycle from {from_s:.4} s: one of \
                  them does not fit this capture",
@@ -164,10 +154,10 @@ fn agreement(evidence: &Evidence<'_>) -> Vec<Remark> {
             )
         }));
     }
-    let cleaned = witness.cleaned.as_ref().unwrap_or(reference);
-    let lockin = witness.lockin.as_ref().ok();
+    let cleaned = reference.cleaned.as_ref().unwrap_or(least_squares);
+    let lockin = reference.lockin.as_ref().ok();
     let apart = lockin.and_then(|l| worst(&comparison::differences(segment, l, cleaned)));
-    // Noise costs the lock-in more than least squares: that says nothing of the latter.
+    // Noise costs the lock-in more than least squares, so a difference by noise does not question the latter.
     if let Some(apart) = apart.filter(|apart| !is_noise(apart)) {
         let mut remark = remark("unconfirmed", &apart, |pct, name, from_s| {
             format!(
@@ -175,19 +165,19 @@ fn agreement(evidence: &Evidence<'_>) -> Vec<Remark> {
                  load, the frequency or the amplitude changes faster than they follow"
             )
         });
-        if interference::disturbs_the_lockin(segment) {
+        if interference::disturbs_lockin(segment) {
             remark.severity = Severity::Info;
         }
-        found.push(remark);
+        findings.push(remark);
     }
-    found
+    findings
 }
 
 fn share(d: &Difference) -> f64 {
     (d.mean_pct[0] / TOLERABLE_PCT[0]).max(d.mean_pct[1] / TOLERABLE_PCT[1])
 }
 
-/// Whether the standard deviations of both explain it.
+/// Returns `true` if the standard deviations of both estimates explain the difference.
 fn is_noise(d: &Difference) -> bool {
     (0..2).all(|k| {
         let small = d.mean_pct[k] <= WARNING_SHARE * TOLERABLE_PCT[k];
@@ -195,13 +185,13 @@ fn is_noise(d: &Difference) -> bool {
     })
 }
 
-/// The worst difference, where it matters.
+/// Worst difference; `None` if all are below the warning.
 fn worst(all: &[Difference]) -> Option<Difference> {
     let worst = all.iter().max_by(|a, b| share(a).total_cmp(&share(b)))?;
     (share(worst) > WARNING_SHARE).then_some(*worst)
 }
 
-/// An error where the difference is more than is tolerable, and more than noise.
+/// Remark on a difference: an error if it is more than tolerable and more than noise, else a warning.
 fn remark(
     code: &'static str,
     apart: &Difference,
@@ -216,22 +206,8 @@ fn remark(
     Remark::new(code, severity, text(pct, name, apart.crossing_s)).with(pct, Some(limit))
 }
 
-/// R in ohm and L in henry that a hob's lookup can hold, lowest and highest.
-pub fn plausible_ranges() -> [(f64, f64); 2] {
-    let of = |codes: &core::ops::RangeInclusive<u16>, unit: f64| {
-        (
-            f64::from(*codes.start()) * unit,
-            f64::from(*codes.end()) * unit,
-        )
-    };
-    [
-        of(&plausible::R_CODES, OHM_PER_CODE),
-        of(&plausible::L_CODES, HENRY_PER_CODE),
-    ]
-}
-
-/// A warning: a scope may look at anything; the lookup refuses by itself. Near the zero crossings noise alone makes any
-/// R and L.
+/// Warns of an R or L outside [`plausible_ranges`]. It is no error, because a scope may record anything and the lookup has
+/// its own check. Points near the zero crossings are left out: noise alone can cause any R and L there.
 fn plausibility(segment: &Segment, estimate: &Estimate) -> Option<Remark> {
     let [r_range, l_range] = plausible_ranges();
     let half_s = segment.half_cycle_s();

@@ -1,28 +1,30 @@
-//! Whether R(t) and L(t) can be trusted, and why not: one judge for `ihd identify`, the studies, the trainer and
-//! the lookup.
+//! Judgement of estimates: decides whether R(t) and L(t) can be trusted, and says why not. `ihd identify`, the studies,
+//! the trainer and the lookup share it.
 //!
 //! ```text
-//! Capture ─► survey ─► segments ─► methods ─► Estimate ─┐
-//!                         └─► Witness: least squares,    ├─► judge ─► findings, Gate { pass | refuse, why }
-//!                             lock-in, foreign tones ───┘
+//! Capture ─► survey ─► segments ─► methods ─► Estimate ──┐
+//!                         └─► Reference: least squares,   ├─► judge ─► findings, Gate { pass | refuse, why }
+//!                             lock-in, foreign tones ────┘
 //! ```
 //!
-//! A finding of severity error refuses, and nothing else does. Every code stands in [`codes::CODES`].
+//! A finding of severity error refuses the estimate, and nothing else does. All codes are in [`codes::CODES`].
+//! [`claim::confirm`] checks R(t) and L(t) that another machine states, without a fit of its own.
 
 pub mod claim;
 pub mod codes;
 pub mod comparison;
 pub mod interference;
 pub mod judge;
+pub mod limits;
 pub mod lines;
 pub mod path;
+pub mod reference;
 pub mod remarks;
 pub mod sensors;
 pub mod static_load;
 pub mod verdict;
-pub mod witness;
 
 pub use judge::{Evidence, judge};
-pub use path::{Examined, Outcome, Reconstruct, Request, examine};
+pub use path::{Examination, ExamineOptions, MethodResult, Reconstruct, examine};
+pub use reference::Reference;
 pub use verdict::{Gate, Judgement, Verdict};
-pub use witness::Witness;

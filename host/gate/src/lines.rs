@@ -1,4 +1,4 @@
-//! Lines in the spectrum of a complex signal: which one stands out.
+//! Search for the strongest line in the spectrum of a complex signal.
 
 use std::f64::consts::LN_2;
 
@@ -6,10 +6,10 @@ use ihd_signal::fourier;
 use ihd_signal::noise::median;
 use nalgebra::Complex;
 
-/// Power of a line over the mean of its neighbours. White noise exceeds it once in 1e13 lines.
+/// Least power of a line over the mean of its neighbours. White noise exceeds it once in 1e13 lines.
 const LINE: f64 = 30.0;
 
-/// Power over that at the mirrored offset: the load's own changes have both sides, a tone has one.
+/// Least power of a line over that at the mirrored offset: changes of the load have both sidebands, a tone has one.
 const ONE_SIDED: f64 = 4.0;
 
 /// Lines on either side that make up the floor.
@@ -18,17 +18,17 @@ const NEIGHBOURS: usize = 32;
 /// Lines that the window's main lobe covers on either side.
 const LOBE: usize = 4;
 
-/// Largest offset that is looked at, as a share of the signal's rate: beyond, a boxcar's first zero is near.
+/// Largest offset that is searched, as a share of the signal's rate: a boxcar's first zero is near beyond it.
 const MOST_OFFSET: f64 = 0.25;
 
-/// Steps of the search for a line's place.
+/// Steps of the search for a line's frequency.
 const SEARCH_STEPS: usize = 24;
 
 /// Power by line, those of negative frequency in the upper half.
 pub struct Lines(Vec<f64>);
 
 impl Lines {
-    /// Of a signal under a window's weights; `None` for an empty one.
+    /// Spectrum of a signal under a window's weights; `None` if the signal is empty.
     pub fn of(x: &[Complex<f64>], weight: &[f64]) -> Option<Self> {
         let n = x.len();
         if n == 0 {
@@ -57,8 +57,8 @@ impl Lines {
         self.0[line.rem_euclid(self.0.len() as i64) as usize]
     }
 
-    /// The strongest line that stands out of its neighbours, by its signed number. It has no mirror image, or is
-    /// `expected` to have one.
+    /// Finds the strongest line that exceeds its neighbours, and returns its signed number. Only a line for which `expected`
+    /// returns `true` may have a mirror image.
     pub fn strongest(&self, expected: impl Fn(i64) -> bool) -> Option<i64> {
         let of = |k: i64| self.power(k);
         let most = (MOST_OFFSET * self.0.len() as f64) as i64;
@@ -78,7 +78,7 @@ impl Lines {
     }
 }
 
-/// Where `power` is largest within `reach` of a place, by ternary search.
+/// Finds the maximum of `power` within `reach` of a place, by ternary search.
 pub fn peak(place: f64, reach: f64, power: impl Fn(f64) -> f64) -> f64 {
     let (mut low, mut high) = (place - reach, place + reach);
     for _ in 0..SEARCH_STEPS {

@@ -1,114 +1,115 @@
-//! The whole way from a capture to judged estimates: what `ihd identify` and the studies share.
+//! Path from a capture to judged estimates; `ihd identify` and the studies share it.
 
 use ihd_identify::{
-    Estimate, IdentifyError, Method, Settings, Watch, accuracy, reconstruction, run_watched,
+    Estimate, IdentifyError, IdentifyOptions, Method, ProgressSink, accuracy, reconstruction,
+    run_with_progress,
 };
 use ihd_signal::{Capture, Remark, Segment};
-use ihd_survey::calibration::blind::Ask;
+use ihd_survey::calibration::blind::BlindOptions;
 use ihd_survey::{Hints, Survey, SurveyError};
 
-use crate::judge::{Evidence, failed, judge};
+use crate::judge::{Evidence, judge, judge_failure};
+use crate::reference::Reference;
 use crate::remarks;
-use crate::sensors::{Applied, look};
+use crate::sensors::{CorrectionUncertainty, calibrate};
 use crate::verdict::Judgement;
-use crate::witness::Witness;
 
-/// Share of R and of L to which splines and 12 bit resolve them where neither noise nor the model's residual is more: what the
-/// methods differ by on captures without noise.
+/// Least relative deviation of R and of L: splines and 12 bit resolve no more. The methods differ by this much on captures
+/// without noise.
 const RESOLUTION: f64 = 5e-5;
 
-/// What is asked for.
+/// Options of [`examine`].
 #[derive(Clone, Copy, Debug)]
-pub struct Request<'a> {
-    /// What the user knows of the capture.
+pub struct ExamineOptions<'a> {
+    /// Facts that the user states about the capture.
     pub hints: Hints,
-    /// Who shall estimate.
+    /// Methods to run, in this order.
     pub methods: &'a [Method],
-    /// What to do about the sensors.
-    pub sensors: Ask,
-    /// Settings of the methods.
-    pub settings: &'a Settings,
-    /// What to make of R(t) and L(t) of methods that do not reconstruct the waveforms themselves.
+    /// Options of the sensors' self-calibration.
+    pub sensors: BlindOptions,
+    /// Options of the methods.
+    pub settings: &'a IdentifyOptions,
+    /// Use of R(t) and L(t) of methods that do not reconstruct the waveforms themselves.
     pub reconstruct: Reconstruct,
 }
 
-/// What is made of the waveforms that R(t) and L(t) imply.
+/// Extent to which the waveforms that R(t) and L(t) imply are reconstructed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reconstruct {
-    /// Nothing.
+    /// Not at all.
     No,
-    /// Their errors.
+    /// Errors of the reconstructed waveforms only.
     Errors,
-    /// Their errors, and they are kept: as many numbers as the stretch has samples.
+    /// Errors and waveforms; the waveforms have as many values as the segment has samples.
     Waveforms,
 }
 
-/// What a method made of a stretch.
+/// Judged result of one method on one segment.
 #[derive(Clone, Debug)]
-pub struct Outcome {
-    /// Who.
+pub struct MethodResult {
+    /// Method that was run.
     pub method: Method,
-    /// Index of the stretch among [`Examined::segments`].
+    /// Index into [`Examination::segments`].
     pub segment: usize,
-    /// The estimate, or why there is none.
+    /// Estimate, or the error with which the method failed.
     pub result: Result<Estimate, IdentifyError>,
-    /// What is to be said of it.
+    /// Findings and verdict.
     pub judgement: Judgement,
 }
 
-/// A capture, examined.
+/// Results of all methods on all segments of a capture.
 #[derive(Clone, Debug)]
-pub struct Examined {
-    /// What is in the capture.
+pub struct Examination {
+    /// Survey of the capture, after the sensors' correction.
     pub survey: Survey,
-    /// What is to be said of the sensors.
+    /// Remarks on the sensors.
     pub sensors: Vec<Remark>,
-    /// The stretches that were identified, in order of time.
+    /// Segments that were identified, in order of time.
     pub segments: Vec<Segment>,
-    /// Stretch by stretch, method by method in the order asked for.
-    pub outcomes: Vec<Outcome>,
+    /// Results, segment by segment, and method by method in the order of the options.
+    pub outcomes: Vec<MethodResult>,
 }
 
-/// Hears who works, in words, and after each result how many there are of how many.
+/// Receives a text on the step that begins, the number of results so far, and their total.
 pub type OnProgress<'a> = dyn FnMut(&str, usize, usize) + 'a;
 
-/// Surveys a capture, identifies every stretch by every method, and judges each result.
+/// Surveys a capture, identifies every segment by every method, and judges each result.
 ///
 /// # Errors
-/// [`SurveyError`] where there is nothing to work on. A method that fails on a stretch is an [`Outcome`].
+/// [`SurveyError`] if the capture holds nothing that can be identified. A method that fails on a segment is a [`MethodResult`].
 pub fn examine(
     capture: &Capture,
-    request: &Request<'_>,
+    request: &ExamineOptions<'_>,
     progress: &mut OnProgress<'_>,
-) -> Result<Examined, SurveyError> {
-    let looked = look(capture, &request.hints, request.sensors)?;
-    let sensors = looked.remarks();
-    let applied = match (&looked.correction, &looked.sensors) {
-        (Some(_), Some(Ok(found))) => Some(Applied::of(found)),
+) -> Result<Examination, SurveyError> {
+    let calibrated = calibrate(capture, &request.hints, request.sensors)?;
+    let sensors = calibrated.remarks();
+    let uncertainty = match (&calibrated.correction, &calibrated.sensors) {
+        (Some(_), Some(Ok(sensors))) => Some(CorrectionUncertainty::of(sensors)),
         _ => None,
     };
-    let segments = looked.survey.segments(&looked.capture);
-    let survey = looked.survey;
+    let segments = calibrated.survey.segments(&calibrated.capture);
+    let survey = calibrated.survey;
     let truth = (!capture.truth.is_empty()).then(|| accuracy::fundamental(&capture.truth));
     let total = segments.len() * request.methods.len();
     let mut outcomes = Vec::with_capacity(total);
     for (index, segment) in segments.iter().enumerate() {
         progress("reference", outcomes.len(), total);
-        let mut remarks = remarks::of_survey(&survey, segment);
+        let mut remarks = remarks::from_survey(&survey, segment);
         remarks.extend(sensors.iter().cloned());
         let load = survey.spans.get(index).and_then(|span| span.load);
-        remarks.extend(applied.and_then(|applied| applied.remark(segment, load)));
-        let witness = Witness::of(segment);
+        remarks.extend(uncertainty.and_then(|u| u.remark(segment, load)));
+        let reference = Reference::compute(segment);
         for &method in request.methods {
             let done = outcomes.len();
             progress(method.name(), done, total);
-            let mut watch = Watch {
+            let mut sink = ProgressSink {
                 truth: truth.as_ref(),
                 report: &mut |text| progress(&format!("{method}: {text}"), done, total),
             };
-            let mut result = match witness.result_of(method, request.settings) {
+            let mut result = match reference.result_of(method, request.settings) {
                 Some(known) => known,
-                None => run_watched(method, segment, request.settings, &mut watch),
+                None => run_with_progress(method, segment, request.settings, &mut sink),
             };
             if let Ok(estimate) = &mut result {
                 match request.reconstruct {
@@ -117,18 +118,18 @@ pub fn examine(
                     Reconstruct::Waveforms => reconstruction::complete(segment, estimate),
                 }
             }
-            let judgement = judged(&remarks, segment, &witness, method, &result);
-            // After the judgement: what all methods share is no noise between them.
+            let judgement = judge_result(&remarks, segment, &reference, method, &result);
+            // Only after the judgement: a deviation that all methods share explains no difference between them.
             if let Ok(estimate) = &mut result {
-                if let Some(applied) = applied {
-                    applied.widen(estimate);
+                if let Some(uncertainty) = uncertainty {
+                    uncertainty.widen(estimate);
                 }
                 widen(estimate, RESOLUTION, RESOLUTION);
                 if let Some(aliasing) = &survey.aliasing {
                     widen(estimate, 0.01 * aliasing.r_pct, 0.01 * aliasing.l_pct);
                 }
             }
-            outcomes.push(Outcome {
+            outcomes.push(MethodResult {
                 method,
                 segment: index,
                 result,
@@ -137,7 +138,7 @@ pub fn examine(
         }
     }
     progress("", total, total);
-    Ok(Examined {
+    Ok(Examination {
         survey,
         sensors,
         segments,
@@ -145,7 +146,7 @@ pub fn examine(
     })
 }
 
-/// Adds to the deviations what edges that the sampling folds onto the fundamental may cost, as shares of R and of L.
+/// Adds shares of R and of L to the standard deviations.
 fn widen(estimate: &mut Estimate, r_share: f64, l_share: f64) {
     let add = |sigma: &mut [f64], values: &[f64], share: f64| {
         for (sigma, value) in sigma.iter_mut().zip(values) {
@@ -156,10 +157,10 @@ fn widen(estimate: &mut Estimate, r_share: f64, l_share: f64) {
     add(&mut estimate.l_sigma_h, &estimate.l_h, l_share);
 }
 
-fn judged(
+fn judge_result(
     remarks: &[Remark],
     segment: &Segment,
-    witness: &Witness,
+    reference: &Reference,
     method: Method,
     result: &Result<Estimate, IdentifyError>,
 ) -> Judgement {
@@ -168,8 +169,8 @@ fn judged(
             remarks,
             segment,
             estimate,
-            witness,
+            reference,
         }),
-        Err(error) => failed(remarks, method, &error.to_string()),
+        Err(error) => judge_failure(remarks, method, &error.to_string()),
     }
 }

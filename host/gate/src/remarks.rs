@@ -1,22 +1,22 @@
-//! Which remarks concern which result.
+//! Selection of the remarks that concern a segment, and their severity for a method.
 
 use ihd_identify::Method;
 use ihd_signal::{Remark, Segment, Severity};
 use ihd_survey::{Channel, Finding, Survey};
 
-/// Codes that cost only those methods something that work in the time domain, sample by sample: phasors do not see
-/// what lies between the harmonics, nor a mean.
+/// Codes that matter only to methods that work sample by sample: phasors contain neither a mean nor signals between the
+/// harmonics.
 const TIME_DOMAIN_ONLY: [&str; 2] = ["coarsely_sampled", "offset"];
 
-/// What noise costs stands in σ and in the agreement with the reference, which the gate looks at: the ratio by itself
-/// costs nothing.
+/// Code of a low signal-to-noise ratio. The ratio alone refuses nothing: the cost of noise is in σ and in the agreement with
+/// the reference, both of which are judged.
 const JUDGED_BY_SIGMA: &str = "noisy";
 
-/// Share of R in percent that aliasing may cost at most. What it costs lies on the fundamental itself, and nothing in
-/// the samples tells it from the load.
+/// Largest share of R in percent that aliasing may cost. Its error lies on the fundamental itself and cannot be told from
+/// the load by the samples.
 const ALIASING_ERROR_PCT: f64 = 3.0;
 
-/// Whether a method works with phasors.
+/// Returns `true` if a method works with phasors.
 fn works_with_phasors(method: Method) -> bool {
     matches!(
         method,
@@ -24,7 +24,7 @@ fn works_with_phasors(method: Method) -> bool {
     )
 }
 
-/// A remark as it concerns a method.
+/// Returns a remark with its severity for a method.
 pub fn for_method(remark: &Remark, method: Method) -> Remark {
     let mut remark = remark.clone();
     let costly = remark.value.is_some_and(|pct| pct > ALIASING_ERROR_PCT);
@@ -38,8 +38,8 @@ pub fn for_method(remark: &Remark, method: Method) -> Remark {
     remark
 }
 
-/// What the survey found, as far as it concerns a segment of the capture.
-pub fn of_survey(survey: &Survey, segment: &Segment) -> Vec<Remark> {
+/// Remarks on the survey's findings that concern a segment of the capture.
+pub fn from_survey(survey: &Survey, segment: &Segment) -> Vec<Remark> {
     survey
         .findings
         .iter()
@@ -54,10 +54,10 @@ pub fn of_survey(survey: &Survey, segment: &Segment) -> Vec<Remark> {
         .collect()
 }
 
-/// Offset in hertz from which on an alias beside the carrier is seen as a tone, and what it costs is measured.
+/// Offset in hertz above which an alias beside the carrier is treated as a tone, whose cost is measured.
 const SEEN_AS_TONE_HZ: f64 = 300.0;
 
-/// Whether the finding is an expectation that the gate measures.
+/// Returns `true` if the finding is a prediction of something that [`crate::interference`] measures.
 fn is_measured(finding: &Finding, segment: &Segment) -> bool {
     let Finding::Aliasing { order, .. } = finding else {
         return false;
@@ -68,13 +68,14 @@ fn is_measured(finding: &Finding, segment: &Segment) -> bool {
     (folded_hz - f_hz).abs() > SEEN_AS_TONE_HZ
 }
 
-/// Share of a level that counts as being at it: the survey's bins are wider than a code.
+/// Share of a level from which a sample counts as clipped: the survey's bins are wider than a code.
 const AT_LEVEL: f64 = 0.99;
 
-/// Samples that are looked at together.
+/// Samples that are read at a time.
 const STRETCH: usize = 1 << 15;
 
-/// Clipping is a matter of the stretch where it happens, and so is what happens at a time; the rest concerns all.
+/// Returns `true` if a finding concerns a segment. Clipping and missing carrier concern the segments where they happen, all
+/// other findings every segment.
 fn concerns(finding: &Finding, segment: &Segment) -> bool {
     let (from_s, to_s) = (segment.t0_s, segment.t_s(segment.len()));
     match finding {

@@ -1,80 +1,90 @@
-//! What a correction of the sensors leaves open: a delay that is off by δ turns the impedance by ωδ.
+//! Error that a correction of the sensors leaves: a delay that is wrong by δ turns the impedance by ωδ.
 
 use std::f64::consts::TAU;
 
 use ihd_identify::Estimate;
 use ihd_signal::{Capture, Load, Remark, Segment, Severity};
-use ihd_survey::calibration::blind::{self, Ask, Looked, Mode, SelfCalibration};
+use ihd_survey::calibration::blind::{
+    self, BlindOptions, CalibratedCapture, CalibrationMode, SelfCalibration,
+};
 use ihd_survey::{Hints, SurveyError};
 
-/// Share of a lag that its correction may be off by, whatever the samples say: how well first order describes a probe.
+/// Least relative error of a corrected lag, whatever the samples say: a probe is only roughly of first order.
 const MODEL: f64 = 0.02;
 
-/// Standard deviation of the bridge's resistance in ohm: switches of hobs have 10 to 20 mohm, which nobody tells.
+/// Standard deviation of the bridge's resistance in ohm: switches of hobs have 10 to 20 mohm, and the capture does not show it.
 const BRIDGE_R_OHM: f64 = 0.01;
 
-/// Sampling rate in hertz from which the plateaus between edges have enough samples of their own.
+/// Sampling rate in hertz from which the plateaus between edges have enough samples.
 const LEAST_RATE_HZ: f64 = 6e6;
 
-/// Share of the time between two samples that a lag may be off by below that rate: clean captures of 61 samples in three
-/// periods show 10 to 29 ns of theirs, 1 to 3 %.
+/// Share of the sampling interval by which a lag may be wrong below that rate: clean captures of 61 samples in three periods
+/// show lags of 10 to 29 ns, 1 to 3 % of it.
 const COARSE_SHARE: f64 = 0.04;
 
-/// Share of R in percent that a correction's own deviation may be worth without a word.
+/// Share of R in percent above which a correction's own deviation is reported.
 const DOUBTFUL_PCT: f64 = 0.35;
 
-/// Surveys a capture and looks at its sensors; a lag that coarse samples show by themselves is none.
+/// Surveys a capture and calibrates its sensors. A lag that is an artefact of coarse sampling is not corrected.
 ///
 /// # Errors
-/// [`SurveyError`] where there is nothing to work on.
-pub fn look<'a>(capture: &'a Capture, hints: &Hints, ask: Ask) -> Result<Looked<'a>, SurveyError> {
-    let looked = blind::look(capture, hints, ask)?;
-    let Some(Ok(found)) = &looked.sensors else {
-        return Ok(looked);
+/// [`SurveyError`] if the capture holds nothing that can be identified.
+pub fn calibrate<'a>(
+    capture: &'a Capture,
+    hints: &Hints,
+    options: BlindOptions,
+) -> Result<CalibratedCapture<'a>, SurveyError> {
+    let calibrated = blind::calibrate(capture, hints, options)?;
+    let Some(Ok(sensors)) = &calibrated.sensors else {
+        return Ok(calibrated);
     };
-    let rate_hz = looked.survey.rate_hz;
+    let rate_hz = calibrated.survey.rate_hz;
     let coarse = rate_hz < LEAST_RATE_HZ;
-    // What no delay explains is said at any rate.
-    if coarse && found.is_sound() && found.lag_s.value.abs() * rate_hz < COARSE_SHARE {
-        let mode = Mode::Off;
-        return blind::look(capture, hints, Ask { mode, ..ask });
+    // Distortions that no delay explains are reported at any rate.
+    if coarse && sensors.is_sound() && sensors.lag_s.value.abs() * rate_hz < COARSE_SHARE {
+        let mode = CalibrationMode::Off;
+        return blind::calibrate(capture, hints, BlindOptions { mode, ..options });
     }
-    Ok(looked)
+    Ok(calibrated)
 }
 
-/// A correction that was applied, as far as it is uncertain.
+/// Uncertainty of an applied sensor correction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Applied {
+pub struct CorrectionUncertainty {
     /// Standard deviation of the delay in seconds.
     lag_sigma_s: f64,
-    /// What the bridge's resistance, which looks like a lag, may have added to it, in seconds.
+    /// Delay in seconds that the bridge's resistance, which looks like a lag, may have added.
     bridge_s: f64,
-    /// Lag squared in square seconds where a skew and a slow channel look the same: they differ in gain by half of
+    /// Square of the lag in s² if skew and low bandwidth cannot be told apart, else 0: their gains differ by half of
     /// (ω·lag)².
-    untold_s2: f64,
+    ambiguous_lag_s2: f64,
 }
 
-impl Applied {
-    /// Of what was found and taken out.
-    pub fn of(found: &SelfCalibration) -> Self {
-        let lag_s = found.lag_s.value;
+impl CorrectionUncertainty {
+    /// Derives the uncertainty from a self-calibration that was applied.
+    pub fn of(sensors: &SelfCalibration) -> Self {
+        let lag_s = sensors.lag_s.value;
         Self {
-            lag_sigma_s: found.lag_s.sigma.hypot(MODEL * lag_s),
-            bridge_s: BRIDGE_R_OHM * found.capacitance_f.value,
-            untold_s2: if found.told_apart { 0.0 } else { lag_s * lag_s },
+            lag_sigma_s: sensors.lag_s.sigma.hypot(MODEL * lag_s),
+            bridge_s: BRIDGE_R_OHM * sensors.capacitance_f.value,
+            ambiguous_lag_s2: if sensors.told_apart {
+                0.0
+            } else {
+                lag_s * lag_s
+            },
         }
     }
 
     /// Standard deviations of R in ohm and L in henry that a lag of `sigma_s` seconds adds at a load and a frequency.
     fn sigmas(&self, sigma_s: f64, load: Load, f_sw_hz: f64) -> (f64, f64) {
         let omega = TAU * f_sw_hz;
-        let gain = 0.5 * omega * omega * self.untold_s2;
+        let gain = 0.5 * omega * omega * self.ambiguous_lag_s2;
         let r = (omega * omega * load.l_h * sigma_s).hypot(gain * load.r_ohm);
         let l = (load.r_ohm * sigma_s).hypot(gain * load.l_h);
         (r, l)
     }
 
-    /// Adds it to an estimate's deviations, where it states any; the bridge's resistance included.
+    /// Adds the correction's uncertainty, including the bridge's resistance, to an estimate's deviations if it states any.
     pub fn widen(&self, estimate: &mut Estimate) {
         let f_sw_hz = estimate.f_sw_hz;
         let sigma_s = self.lag_sigma_s.hypot(self.bridge_s);
@@ -90,7 +100,7 @@ impl Applied {
         }
     }
 
-    /// A warning where the correction rests on little.
+    /// Warning on a correction that is uncertain, else `None`.
     pub fn remark(&self, segment: &Segment, load: Option<Load>) -> Option<Remark> {
         let rate_hz = 1.0 / segment.dt_s;
         if rate_hz < LEAST_RATE_HZ {
@@ -123,10 +133,10 @@ mod tests {
 
     #[test]
     fn a_delay_that_is_off_turns_the_impedance() {
-        let applied = Applied {
+        let uncertainty = CorrectionUncertainty {
             lag_sigma_s: 3e-9,
             bridge_s: 4e-9,
-            untold_s2: 0.0,
+            ambiguous_lag_s2: 0.0,
         };
         let mut estimate = Estimate::new(Method::LeastSquares, 45e3);
         estimate.t_s = vec![0.0];
@@ -134,7 +144,7 @@ mod tests {
         estimate.l_h = vec![18e-6];
         estimate.r_sigma_ohm = vec![0.0];
         estimate.l_sigma_h = vec![1e-9];
-        applied.widen(&mut estimate);
+        uncertainty.widen(&mut estimate);
         let omega = TAU * 45e3;
         // Z·e^(jωδ): R falls by X·sin ωδ, X rises by R·sin ωδ.
         let turned = (omega * 5e-9).sin();

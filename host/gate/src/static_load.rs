@@ -1,13 +1,13 @@
-//! R and L as functions of the current's amplitude alone: what a pot is for as long as nobody moves it. A tone cannot hide
-//! in them as it can in R and L that may change at any time; of one that turns less than some five times a half-cycle, the
-//! half that is even about the crest does.
+//! Fit of R and L as functions of the current's amplitude alone, which hold while the pot is not moved. A tone would hide in
+//! R and L that may change at any time; here it stays in the residual. Only a tone of less than about five turns a
+//! half-cycle hides by the half that is even about the crest.
 
 use nalgebra::{Complex, DMatrix, DVector};
 
-/// Polynomials of the amplitude, for R and for L.
+/// Polynomials of the amplitude for each of R and L.
 const TERMS: usize = 6;
 
-/// Smallest singular value that counts, as a share of the largest: an amplitude that never changes knows one term only.
+/// Smallest singular value that is used, as a share of the largest: a constant amplitude determines one term only.
 const LEAST_SINGULAR: f64 = 1e-10;
 
 /// One switching period.
@@ -17,14 +17,14 @@ pub struct Period {
     pub v: Complex<f64>,
     /// Coil current in ampere.
     pub i: Complex<f64>,
-    /// Its derivative, jωI + dI/dt, over ω, in ampere.
+    /// Derivative of the current, jωI + dI/dt, over ω, in ampere.
     pub d: Complex<f64>,
-    /// How much it counts.
+    /// Weight in the fit.
     pub weight: f64,
 }
 
 impl Period {
-    /// Factors of R's polynomials, then of ωL's; `largest` is the largest amplitude in ampere.
+    /// Regressors of R's polynomials, then of ωL's; `largest` is the largest amplitude in ampere.
     fn factors(&self, largest: f64) -> [Complex<f64>; 2 * TERMS] {
         let x = 2.0 * self.i.norm() / largest - 1.0;
         let mut chebyshev = [1.0; TERMS];
@@ -42,7 +42,7 @@ impl Period {
     }
 }
 
-/// What the best such load leaves of the voltage, in volt, period by period; `None` without current.
+/// Fits such a load and returns the voltage that it leaves in volt, period by period; `None` if there is no current.
 pub fn residual(periods: &[Period]) -> Option<Vec<Complex<f64>>> {
     let largest = periods.iter().map(|p| p.i.norm()).fold(0.0, f64::max);
     if largest <= 0.0 {
@@ -74,7 +74,7 @@ pub fn residual(periods: &[Period]) -> Option<Vec<Complex<f64>>> {
 mod tests {
     use super::*;
 
-    /// Through R = 3 − |I|/50 Ω and ωL = 5 Ω, with a voltage on top.
+    /// Periods with R = 3 − |I|/50 Ω and ωL = 5 Ω, and an additional voltage.
     fn periods(extra: impl Fn(usize) -> Complex<f64>) -> Vec<Period> {
         let period = |k: usize| {
             let amplitude = 40.0

@@ -1,45 +1,45 @@
-//! What the gate says.
+//! Verdict on an estimate and the findings behind it.
 
 use ihd_signal::{Remark, Severity};
 use serde::{Deserialize, Serialize};
 
-/// Whether a result can be used.
+/// Decision on an estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// It can.
+    /// The estimate can be used.
     Pass,
-    /// It cannot.
+    /// The estimate must not be used.
     Refuse,
 }
 
-/// The verdict and its reasons.
+/// Verdict and its reasons.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Gate {
-    /// Whether the result can be used.
+    /// Decision on the estimate.
     pub verdict: Verdict,
-    /// Why not, in words; empty where it can.
+    /// Texts of the findings that refuse; empty if the estimate passes.
     pub why: Vec<String>,
 }
 
 impl Gate {
-    /// Whether the result may not be used.
+    /// Returns `true` if the estimate must not be used.
     pub fn refuses(&self) -> bool {
         self.verdict == Verdict::Refuse
     }
 }
 
-/// What is to be said of a result, and the verdict that follows from it.
+/// Findings about an estimate, and the verdict that follows from them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Judgement {
-    /// Worst first.
+    /// Findings, worst first.
     pub findings: Vec<Remark>,
-    /// The verdict.
+    /// Verdict that follows from the findings.
     pub gate: Gate,
 }
 
 impl Judgement {
-    /// The verdict that follows from findings: those of severity error refuse, and nothing else does.
+    /// Derives the verdict from findings: one of severity error refuses.
     pub fn of(mut findings: Vec<Remark>) -> Self {
         findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
         let errors = findings.iter().filter(|f| f.severity == Severity::Error);
@@ -55,7 +55,7 @@ impl Judgement {
         }
     }
 
-    /// Findings of severity warning and above.
+    /// Findings of severity warning and error.
     pub fn doubts(&self) -> impl Iterator<Item = &Remark> {
         self.findings
             .iter()

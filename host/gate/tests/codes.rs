@@ -1,4 +1,4 @@
-//! docs/gate.md, the table of codes and the sources say the same.
+//! Agreement of docs/gate.md, the table of codes and the sources.
 
 use std::path::{Path, PathBuf};
 

@@ -1,18 +1,18 @@
-//! The gate on simulated captures: what is right passes without a word, what is wrong is refused or warned of.
+//! Gate on simulated captures: right results pass without a warning, wrong ones are refused or warned of.
 
-use ihd_gate::{Examined, Outcome, Reconstruct, Request, Verdict, examine};
+use ihd_gate::{Examination, ExamineOptions, MethodResult, Reconstruct, Verdict, examine};
 use ihd_identify::accuracy::Accuracy;
-use ihd_identify::{Method, Settings as Methods};
+use ihd_identify::{IdentifyOptions as Methods, Method};
 use ihd_signal::{Capture, Severity};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{Change, Event, LoadKind, Neighbour, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind, Neighbour};
 use ihd_survey::Hints;
-use ihd_survey::calibration::blind::Ask;
+use ihd_survey::calibration::blind::BlindOptions;
 
 /// Two half-cycles of the behavioural load at 45 kHz, 12.5 MS/s, 12 bit, 50 dB.
-fn clean() -> Settings {
-    Settings {
+fn clean() -> CaptureSpec {
+    CaptureSpec {
         load: LoadKind::Behavioural,
         sensing: Sensing {
             rate: Rate::Hz(12.5e6),
@@ -20,13 +20,13 @@ fn clean() -> Settings {
             snr_db: Some(50.0),
             ..Sensing::default()
         },
-        ..Settings::default()
+        ..CaptureSpec::default()
     }
 }
 
-fn capture(settings: &Settings) -> Capture {
+fn capture(settings: &CaptureSpec) -> Capture {
     let recording = record(settings, |_| ()).expect("settings that can be");
-    // What a user's scope does not know.
+    // Facts that a user's scope does not know.
     Capture {
         mains_hz: None,
         zero_crossing_s: None,
@@ -34,18 +34,18 @@ fn capture(settings: &Settings) -> Capture {
     }
 }
 
-fn examined(capture: &Capture, methods: &[Method]) -> Examined {
-    let request = Request {
+fn examined(capture: &Capture, methods: &[Method]) -> Examination {
+    let request = ExamineOptions {
         hints: Hints::default(),
         methods,
-        sensors: Ask::default(),
+        sensors: BlindOptions::default(),
         settings: &Methods::default(),
         reconstruct: Reconstruct::No,
     };
     examine(capture, &request, &mut |_, _, _| ()).expect("a carrier")
 }
 
-fn codes(outcome: &Outcome) -> Vec<&'static str> {
+fn codes(outcome: &MethodResult) -> Vec<&'static str> {
     outcome.judgement.doubts().map(|d| d.code).collect()
 }
 
@@ -63,19 +63,19 @@ fn what_is_right_passes_without_a_word() {
     };
     for settings in [
         clean(),
-        Settings {
+        CaptureSpec {
             duty: 0.35,
             ..clean()
         },
-        Settings {
+        CaptureSpec {
             sensing: locked,
             ..clean()
         },
-        Settings {
+        CaptureSpec {
             sensing: with_noise(30.0),
             ..clean()
         },
-        Settings {
+        CaptureSpec {
             sensing: with_noise(20.0),
             ..clean()
         },
@@ -107,19 +107,19 @@ fn what_is_wrong_is_not_silent() {
     let methods = [Method::LeastSquares, Method::Lockin, Method::Kf];
     let mut wrong = 0;
     for settings in [
-        Settings {
+        CaptureSpec {
             neighbour: tone(1.2e3, 8.0),
             ..clean()
         },
-        Settings {
+        CaptureSpec {
             neighbour: tone(-830.0, 4.0),
             ..clean()
         },
-        Settings {
+        CaptureSpec {
             events: vec![step(5e-3, 3.0, 1.0), step(5.3e-3, 1.0, 1.0)],
             ..clean()
         },
-        Settings {
+        CaptureSpec {
             sensing: twenty_db,
             ..clean()
         },
@@ -161,7 +161,7 @@ fn the_linear_filter_is_refused_in_noise_and_least_squares_is_not() {
 #[test]
 fn a_tone_is_judged_by_what_it_costs() {
     let severity = |offset_hz: f64, v: f64| {
-        let settings = Settings {
+        let settings = CaptureSpec {
             neighbour: Some(Neighbour { offset_hz, v }),
             ..clean()
         };

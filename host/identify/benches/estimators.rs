@@ -7,12 +7,12 @@ use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use ihd_identify::ekf::step::{Filter, Model};
-use ihd_identify::ekf::{Prepared, rts};
+use ihd_identify::ekf::{PreparedSegment, rts};
 use ihd_identify::lockin::{Boxcar, Lockin};
-use ihd_identify::{Method, Settings, run};
+use ihd_identify::{IdentifyOptions, Method, run};
 use ihd_signal::Segment;
 use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{LoadKind, Settings as SimSettings};
+use ihd_sim::recording::settings::{CaptureSpec as SimSettings, LoadKind};
 use ihd_sim::trial::Trial;
 use nalgebra::{Matrix2, Matrix2x4, Matrix4, Vector2, Vector4};
 
@@ -30,7 +30,7 @@ fn capture(rate: Rate) -> Segment {
 }
 
 /// One pass of the structured filter.
-fn pass(prepared: &Prepared) -> Filter {
+fn pass(prepared: &PreparedSegment) -> Filter {
     let mut filter = prepared.start;
     for (i, v) in prepared.i.iter().zip(&prepared.v) {
         filter.step(&prepared.model, *i, *v);
@@ -39,7 +39,7 @@ fn pass(prepared: &Prepared) -> Filter {
 }
 
 /// The same filter as dense 4×4 products, for the ratio.
-fn dense_pass(prepared: &Prepared) -> Vector4<f64> {
+fn dense_pass(prepared: &PreparedSegment) -> Vector4<f64> {
     let m: &Model = &prepared.model;
     let mut f = Matrix4::identity();
     f[(0, 1)] = m.f12;
@@ -62,7 +62,7 @@ fn dense_pass(prepared: &Prepared) -> Vector4<f64> {
 
 fn ekf(c: &mut Criterion) {
     let segment = capture(Rate::Hz(50e6));
-    let prepared = Prepared::new(&segment, &Settings::default());
+    let prepared = PreparedSegment::new(&segment, &IdentifyOptions::default());
     let mut group = c.benchmark_group("four-state EKF, 1 000 000 samples");
     group.sample_size(10);
     group.throughput(Throughput::Elements(segment.len() as u64));
@@ -99,7 +99,7 @@ fn lockin(c: &mut Criterion) {
 }
 
 fn half_cycle(c: &mut Criterion) {
-    let settings = Settings::default();
+    let settings = IdentifyOptions::default();
     let mut group = c.benchmark_group("one half-cycle");
     group.sample_size(20);
     for (name, rate) in [("50 MS/s", Rate::Hz(50e6)), ("f_sw·61/3", Rate::Locked)] {

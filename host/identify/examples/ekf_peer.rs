@@ -6,8 +6,8 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
-use ihd_identify::Settings;
-use ihd_identify::ekf::Prepared;
+use ihd_identify::IdentifyOptions;
+use ihd_identify::ekf::PreparedSegment;
 use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::trial::Trial;
 
@@ -24,7 +24,7 @@ fn main() -> Result<()> {
         "at most {} samples",
         capture.len()
     );
-    let mut prepared = Prepared::new(&capture, &Settings::default());
+    let mut prepared = PreparedSegment::new(&capture, &IdentifyOptions::default());
     prepared.i.truncate(samples);
     prepared.v.truncate(samples);
     let pairs = prepared.i.iter().zip(&prepared.v);

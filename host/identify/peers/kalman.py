@@ -15,7 +15,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 import demodulation
 
-# Standard deviations a sample of 20 ns, in units of the capture's rms: see `ihd_identify::ekf::Tuning`.
+# Standard deviations a sample of 20 ns, in units of the capture's rms: see `ihd_identify::ekf::EkfTuning`.
 CURRENT, SLOPE, IMPEDANCE, START = 4e-4, 1.3e-3, 3e-4, 0.25
 CURRENT_FLOOR, VOLTAGE_FLOOR = 4e-3, 6e-3
 # Of the three states: of 3e-5, 1e-4, 3e-4, 6e-4 and 1.2e-3 the one with the least sum of errors over three captures.

@@ -1,11 +1,12 @@
-//! The firmware's own chain: the capture resampled to the ADC's grid, demodulator and fixed-point
+//! The firmware's own chain: the capture resampled to the ADC's grid, then demodulator and fixed-point
 //! filter as the board runs them, bit for bit.
 
 use std::f64::consts::TAU;
 use std::time::Instant;
 
-use ihd_firmware::demod::{Demodulator, correlate};
-use ihd_firmware::ekf::{Ekf, Noise};
+use ihd_firmware::estimate::ekf::{Ekf, Noise};
+use ihd_firmware::sense::correlation::correlate;
+use ihd_firmware::sense::demodulator::Demodulator;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, Scales};
@@ -15,15 +16,15 @@ use ihd_signal::SegmentError;
 use ihd_signal::TimeBase;
 use ihd_signal::resample::{AdcGrid, adc_pairs};
 
-use super::{Estimate, IdentifyError, Method, Settings};
+use super::{Estimate, IdentifyError, IdentifyOptions, Method};
 
 /// Runs the firmware's chain over the segment. It starts from the load that the built-in lookup
 /// expects without current.
 ///
 /// # Errors
 /// [`IdentifyError::Unfit`] for a switching frequency outside the hob's ratings,
-/// [`SegmentError::TooShort`] when the demodulator does not fill.
-pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, IdentifyError> {
+/// [`SegmentError::TooShort`] if the demodulator does not fill.
+pub fn identify(segment: &Segment, settings: &IdentifyOptions) -> Result<Estimate, IdentifyError> {
     let started = Instant::now();
     let f_sw_hz = segment.f_sw_hz.round() as u32;
     if !(F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&f_sw_hz) {
@@ -66,10 +67,10 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
         at_bound |= ekf.is_at_bound();
         let centre = k as f64 + 0.5 - f64::from(demod.delay_blocks());
         let t_s = segment.t0_s + centre * block_s - 0.5 * grid.dt_s();
-        let found = (ekf.r().ohm(), ekf.l().henry());
+        let r_l = (ekf.r().ohm(), ekf.l().henry());
         // The filter keeps one variance for R and X = ωL.
         let sigma = ekf.r_sigma().ohm();
-        estimate.push(t_s, found, (sigma, sigma / omega));
+        estimate.push(t_s, r_l, (sigma, sigma / omega));
     }
     if estimate.t_s.is_empty() {
         return Err(SegmentError::TooShort {
@@ -93,7 +94,7 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
     Ok(estimate)
 }
 
-fn start(settings: &Settings, f_sw_hz: u32) -> (MicroOhm, PicoHenry) {
+fn start(settings: &IdentifyOptions, f_sw_hz: u32) -> (MicroOhm, PicoHenry) {
     let rounded = |x: f64| libm::round(x).clamp(0.0, f64::from(i32::MAX)) as i32;
     match settings.start {
         Some((r, l)) => (MicroOhm(rounded(r * 1e6)), PicoHenry(rounded(l * 1e12))),

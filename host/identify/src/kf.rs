@@ -1,9 +1,9 @@
-//! The paper's linear Kalman filter, eq. (10)-(14): R and L/T_s as random walks, seen through
-//! v = R·i + (L/T_s)·T_s·di/dt with a derivative from outside.
+//! The paper's linear Kalman filter, eq. (10)-(14): R and L/T_s as random walks, observed through
+//! v = R·i + (L/T_s)·T_s·di/dt with an external derivative.
 //!
 //! The derivative is a central difference over [`KfSettings::derivative_periods`] of a switching
-//! period. Short, it carries the current's noise into the regressor and L comes out too small;
-//! long, it smears the bridge's edges. The paper reports the same: poor, R above all.
+//! period. A short one has the current's noise in the regressor, which makes L too small; a
+//! long one smears the bridge's edges. The paper reports the same: poor results, above all for R.
 
 use std::time::Instant;
 
@@ -13,9 +13,9 @@ use ihd_signal::{Remark, Segment, Severity};
 use serde::{Deserialize, Serialize};
 
 use super::ekf::waveforms::{PeriodMeans, Waveforms, finite};
-use super::{Estimate, IdentifyError, Method, Settings};
+use super::{Estimate, IdentifyError, IdentifyOptions, Method};
 
-/// Settings of the linear filter.
+/// Options of the linear filter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct KfSettings {
@@ -60,11 +60,11 @@ impl Filter {
     }
 }
 
-/// Attenuation of L from which it is an error.
+/// Attenuation of L from which a remark is made.
 const LEAST_ATTENUATION: f64 = 0.01;
 
-/// What noise of the current does to L: a regressor whose mean square is noise by this `share` gives an L smaller by
-/// as much (errors in variables).
+/// Remark on the attenuation of L by noise of the current: if `share` of the regressor's mean square is noise, L is smaller
+/// by as much (errors in variables).
 fn attenuation(share: f64) -> Option<Remark> {
     if share.is_nan() || share <= LEAST_ATTENUATION {
         return None;
@@ -81,8 +81,8 @@ fn attenuation(share: f64) -> Option<Remark> {
 /// Runs the linear filter over the segment.
 ///
 /// # Errors
-/// [`IdentifyError::Diverged`] when an estimate is no finite number.
-pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, IdentifyError> {
+/// [`IdentifyError::Diverged`] if an estimate is not finite.
+pub fn identify(segment: &Segment, settings: &IdentifyOptions) -> Result<Estimate, IdentifyError> {
     let started = Instant::now();
     let kf = &settings.kf;
     let omega = std::f64::consts::TAU * segment.f_sw_hz;
@@ -120,7 +120,7 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
     estimate
         .remarks
         .extend(attenuation(2.0 * noise * noise * n as f64 / changes));
-    // The linear filter takes the current as it is: it reconstructs the voltage alone.
+    // The linear filter uses the measured current, so that it reconstructs the voltage alone.
     estimate.i_hat_a = Vec::new();
     estimate.elapsed = started.elapsed();
     Ok(estimate)

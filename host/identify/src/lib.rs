@@ -1,11 +1,20 @@
-//! Identification of R(t) and L(t) of the coil from its voltage and current: the paper's estimators
-//! and the baselines beside them, all from a [`Segment`] to an [`Estimate`].
+//! Estimators of R(t) and L(t) of the coil from its voltage and current: those of the paper and
+//! others for comparison, all from a [`Segment`] to an [`Estimate`].
 //!
 //! ```text
 //! capture ─► survey ─► Segment ─► run(Method) ─► Estimate ─► accuracy, reconstruction
 //! ```
+//!
+//! [`run`] does the same for every method:
+//!
+//! 1. check the segment and remove its offsets;
+//! 2. follow a moving carrier and warp time to a constant frequency;
+//! 3. cut the segment at steps of the load;
+//! 4. run the method on each piece;
+//! 5. compare its standard deviations with least squares.
 
 pub mod accuracy;
+pub mod carrier_inputs;
 pub mod ekf;
 pub mod firmware;
 pub mod kf;
@@ -29,7 +38,7 @@ use ihd_signal::truth::Truth;
 use ihd_signal::{Remark, Segment, SegmentError};
 use serde::{Deserialize, Serialize};
 
-/// Who estimates.
+/// Estimator of R(t) and L(t).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
@@ -47,14 +56,14 @@ pub enum Method {
     LeastSquares,
     /// Recursive least squares with forgetting and an excitation gate.
     Rls,
-    /// The firmware's fixed-point chain, fed with what its ADC would see.
+    /// The firmware's fixed-point chain, fed with the samples that its ADC would take.
     Firmware,
     /// The hybrid-timescale PINN.
     Pinn,
 }
 
 impl Method {
-    /// Every method, in the order of tables.
+    /// All methods, in the order of tables.
     pub const ALL: [Self; 9] = [
         Self::Kf,
         Self::Ekf,
@@ -67,7 +76,7 @@ impl Method {
         Self::Pinn,
     ];
 
-    /// The name used on the command line and in files.
+    /// Name of the method on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Kf => "kf",
@@ -89,10 +98,10 @@ impl std::fmt::Display for Method {
     }
 }
 
-/// What an estimator found. The vectors over time have one length.
+/// Result of an estimator. All vectors over time have the same length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
-    /// Who found it.
+    /// Estimator that was used.
     pub method: Method,
     /// Switching frequency in hertz.
     pub f_sw_hz: f64,
@@ -102,52 +111,52 @@ pub struct Estimate {
     pub r_ohm: Vec<f64>,
     /// L at these times in henry.
     pub l_h: Vec<f64>,
-    /// Standard deviation of R in ohm as the estimator sees it; empty where it has none.
+    /// Standard deviation of R in ohm as the estimator states it; empty if it states none.
     pub r_sigma_ohm: Vec<f64>,
-    /// Standard deviation of L in henry likewise.
+    /// Standard deviation of L in henry as the estimator states it; empty if it states none.
     pub l_sigma_h: Vec<f64>,
-    /// P/I_rms² in ohm over all harmonics that the estimator sees, beside R of the fundamental; empty
-    /// where it does not separate them.
+    /// P/I_rms² in ohm over all harmonics that the estimator covers, beside R of the fundamental; empty if it does not
+    /// separate them.
     pub r_power_ohm: Vec<f64>,
-    /// Reconstructed coil voltage in volt, one a sample of the segment; empty where there is none.
+    /// Reconstructed coil voltage in volt, one value per sample of the segment; empty if there is none.
     pub v_hat_v: Vec<f32>,
-    /// Reconstructed coil current in ampere likewise.
+    /// Reconstructed coil current in ampere, one value per sample of the segment; empty if there is none.
     pub i_hat_a: Vec<f32>,
     /// Σ(v̂ − v)²/Σv² in percent against the samples given (paper, section V).
     pub nmse_v_pct: Option<f64>,
-    /// The same of the current in percent.
+    /// Σ(î − i)²/Σi² of the current in percent.
     pub nmse_i_pct: Option<f64>,
     /// Wall-clock time of the estimator alone.
     pub elapsed: Duration,
-    /// What the reader of the estimate has to know: limits met, what failed on the way.
+    /// Notes for the reader of the estimate: limits that were reached, parts that failed.
     pub notes: Vec<String>,
-    /// What programs have to know of it, for the gate.
+    /// Remarks for the gate.
     pub remarks: Vec<Remark>,
 }
 
-/// What the estimators may be given. The default fits every capture of a hob.
+/// Options of the estimators. The default suits every capture of a hob.
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
-    /// R in ohm and L in henry to start from; otherwise those of the segment's mean phasors.
+pub struct IdentifyOptions {
+    /// Start values of R in ohm and L in henry; `None` for those of the segment's mean phasors.
     pub start: Option<(f64, f64)>,
-    /// Of the linear Kalman filter.
+    /// Options of the linear Kalman filter.
     pub kf: kf::KfSettings,
-    /// Of the repaired EKF and its smoother.
-    pub ekf: ekf::Tuning,
-    /// Of the lock-in.
+    /// Options of the repaired EKF and its smoother.
+    pub ekf: ekf::EkfTuning,
+    /// Options of the lock-in.
     pub lockin: lockin::LockinSettings,
-    /// Of the least squares.
+    /// Options of the least squares.
     pub least_squares: least_squares::LeastSquaresSettings,
-    /// Of the recursive least squares.
+    /// Options of the recursive least squares.
     pub rls: rls::RlsSettings,
-    /// Of the PINN.
+    /// Options of the PINN.
     pub pinn: pinn::PinnSettings,
 }
 
-/// Someone who waits for an estimator that takes its time.
-pub struct Watch<'a> {
-    /// Truth on the capture's clock; with it the progress includes the errors of R and L.
+/// Receiver of an estimator's progress.
+pub struct ProgressSink<'a> {
+    /// Truth on the capture's clock; if given, the progress includes the errors of R and L.
     pub truth: Option<&'a Truth>,
     /// Receives steps and losses as text.
     pub report: &'a mut dyn FnMut(String),
@@ -156,46 +165,50 @@ pub struct Watch<'a> {
 /// Identifies R(t) and L(t) of a segment.
 ///
 /// # Errors
-/// [`IdentifyError`] when the segment cannot be used ([`Segment::check`]), or the method fails on
+/// [`IdentifyError`] if the segment cannot be used ([`Segment::check`]), or the method fails on
 /// it; every number of an estimate is finite.
 pub fn run(
     method: Method,
     segment: &Segment,
-    settings: &Settings,
+    settings: &IdentifyOptions,
 ) -> Result<Estimate, IdentifyError> {
     let (truth, report) = (None, &mut |_| {});
-    run_watched(method, segment, settings, &mut Watch { truth, report })
+    run_with_progress(
+        method,
+        segment,
+        settings,
+        &mut ProgressSink { truth, report },
+    )
 }
 
-/// As [`run`], with reports of progress: of the methods here only the PINN trains long enough to
-/// send any.
+/// Identifies as [`run`] does and reports progress; only the PINN trains long enough to report any.
 ///
 /// # Errors
 /// As [`run`].
-pub fn run_watched(
+pub fn run_with_progress(
     method: Method,
     segment: &Segment,
-    settings: &Settings,
-    watch: &mut Watch<'_>,
+    settings: &IdentifyOptions,
+    sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
-    run_looked_at(method, segment, None, settings, watch)
+    run_on(method, segment, None, settings, sink)
 }
 
-/// What of a segment every method asks for first: whether it can be used, its carrier and the load's steps. It takes as
-/// long as least squares, so who runs several methods on a segment looks once.
+/// Preprocessing of a segment that all methods share: its check, its carrier and the load's steps. It takes as long as least
+/// squares, so that several methods on one segment should share it.
 #[derive(Clone, Debug)]
-pub struct LookedAt {
-    /// Where the carrier moves.
+pub struct Preprocessing {
+    /// Carrier of the segment; `None` if its frequency is constant.
     carrier: Option<Carrier>,
     steps: steps::Steps,
 }
 
-impl LookedAt {
-    /// Looks at a segment.
+impl Preprocessing {
+    /// Preprocesses a segment.
     ///
     /// # Errors
     /// [`SegmentError`] as [`Segment::check`].
-    pub fn of(segment: &Segment) -> Result<Self, SegmentError> {
+    pub fn new(segment: &Segment) -> Result<Self, SegmentError> {
         segment.check()?;
         Ok(Self {
             carrier: sweep::moving(segment),
@@ -204,45 +217,45 @@ impl LookedAt {
     }
 }
 
-/// As [`run`] on a segment that `looked_at` is of.
+/// Identifies as [`run`] does, with the preprocessing of the same segment.
 ///
 /// # Errors
 /// As [`run`].
-pub fn run_again(
+pub fn run_preprocessed(
     method: Method,
     segment: &Segment,
-    looked_at: &LookedAt,
-    settings: &Settings,
+    preprocessing: &Preprocessing,
+    settings: &IdentifyOptions,
 ) -> Result<Estimate, IdentifyError> {
     let (truth, report) = (None, &mut |_| {});
-    let mut watch = Watch { truth, report };
-    run_looked_at(method, segment, Some(looked_at), settings, &mut watch)
+    let mut sink = ProgressSink { truth, report };
+    run_on(method, segment, Some(preprocessing), settings, &mut sink)
 }
 
-fn run_looked_at(
+fn run_on(
     method: Method,
     segment: &Segment,
-    looked_at: Option<&LookedAt>,
-    settings: &Settings,
-    watch: &mut Watch<'_>,
+    preprocessing: Option<&Preprocessing>,
+    settings: &IdentifyOptions,
+    sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
-    if looked_at.is_none() {
+    if preprocessing.is_none() {
         segment.check()?;
     }
-    let centred = wants_no_mean(method).then(|| segment.without_offsets());
+    let centred = needs_offsets_removed(method).then(|| segment.without_offsets());
     let segment = centred.as_ref().unwrap_or(segment);
-    let carrier = match looked_at {
-        Some(looked_at) if sweep::takes_constant(method) => looked_at.carrier.clone(),
+    let carrier = match preprocessing {
+        Some(preprocessing) if sweep::takes_constant(method) => preprocessing.carrier.clone(),
         _ => sweep::of(method, segment),
     };
     let Some(carrier) = carrier else {
         return steps::identify(
             method,
             segment,
-            looked_at.map(|looked_at| &looked_at.steps),
+            preprocessing.map(|preprocessing| &preprocessing.steps),
             settings,
             &|t_s| t_s,
-            |segment, settings| at_constant_load(method, segment, settings, watch),
+            |segment, settings| at_constant_load(method, segment, settings, sink),
         );
     };
     sweep::identify(
@@ -251,28 +264,28 @@ fn run_looked_at(
         &carrier,
         settings,
         |warped, settings, clock| {
-            // Its truth would be that of another clock.
-            let (truth, report) = (None, &mut *watch.report);
-            let mut watch = Watch { truth, report };
+            // The truth belongs to another clock than the warped samples.
+            let (truth, report) = (None, &mut *sink.report);
+            let mut sink = ProgressSink { truth, report };
             steps::identify(method, warped, None, settings, clock, |warped, settings| {
-                at_constant_load(method, warped, settings, &mut watch)
+                at_constant_load(method, warped, settings, &mut sink)
             })
         },
     )
 }
 
-/// Whether a mean of the samples, which neither the coil's voltage nor its current has, would bend what the method finds.
-/// The boxcars of the lock-in do not see it; the firmware is given what its ADC sees, and `ekf-paper` is as printed.
-fn wants_no_mean(method: Method) -> bool {
+/// Returns `true` if offsets of the channels bias the method, so that they must be removed. The boxcars of the lock-in suppress
+/// them; the firmware gets the samples that its ADC would take, and `ekf-paper` is as printed.
+fn needs_offsets_removed(method: Method) -> bool {
     !matches!(method, Method::Lockin | Method::Firmware | Method::EkfPaper)
 }
 
-/// The method on a segment of one frequency, in which the load does not step.
+/// Runs a method on a segment of one frequency without steps of the load.
 fn at_constant_load(
     method: Method,
     segment: &Segment,
-    settings: &Settings,
-    watch: &mut Watch<'_>,
+    settings: &IdentifyOptions,
+    sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
     let mut estimate = match method {
         Method::Kf => kf::identify(segment, settings),
@@ -283,53 +296,53 @@ fn at_constant_load(
         Method::LeastSquares => least_squares::identify(segment, &settings.least_squares),
         Method::Rls => rls::identify(segment, settings),
         Method::Firmware => firmware::identify(segment, settings),
-        Method::Pinn => pinn::identify(segment, settings, watch),
+        Method::Pinn => pinn::identify(segment, settings, sink),
     }?;
     if !matches!(method, Method::LeastSquares | Method::Pinn) {
-        reference::hold_against(&mut estimate, segment, settings);
+        reference::raise_sigmas(&mut estimate, segment, settings);
     }
     Ok(estimate)
 }
 
-/// Why a segment could not be identified.
+/// Reason why a segment could not be identified.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum IdentifyError {
-    /// The segment is none that an estimator can work on.
+    /// The segment cannot be used by any estimator.
     #[error(transparent)]
     Segment(#[from] SegmentError),
-    /// A method that this build leaves out.
+    /// The method is not part of this build.
     #[error("`{method}` is not part of this build: build ihd with the feature `{feature}`")]
     NotInThisBuild {
-        /// Which method.
+        /// Method that was requested.
         method: Method,
-        /// The feature that brings it.
+        /// Feature that contains it.
         feature: &'static str,
     },
-    /// The estimator's own arithmetic gave out.
+    /// The estimator's arithmetic failed.
     #[error("{method}: {what} at {t_s:.6} s; {advice}")]
     Diverged {
-        /// Which method.
+        /// Method that failed.
         method: Method,
-        /// What happened.
+        /// Description of the failure.
         what: String,
-        /// When, in seconds on the capture's clock.
+        /// Time of the failure in seconds on the capture's clock.
         t_s: f64,
-        /// What to do.
+        /// Action that the user can take.
         advice: &'static str,
     },
     /// The method cannot work on this segment.
     #[error("{method}: {why}")]
     Unfit {
-        /// Which method.
+        /// Method that failed.
         method: Method,
-        /// Why, and what to do.
+        /// Reason, and action that the user can take.
         why: String,
     },
 }
 
 impl Estimate {
-    /// An empty estimate.
+    /// Creates an empty estimate.
     pub fn new(method: Method, f_sw_hz: f64) -> Self {
         Self {
             method,
@@ -359,12 +372,12 @@ impl Estimate {
         self.l_sigma_h.push(l_sigma);
     }
 
-    /// The latest R in ohm and L in henry.
+    /// Latest R in ohm and L in henry; `None` if there are no points.
     pub fn last(&self) -> Option<(f64, f64)> {
         Some((*self.r_ohm.last()?, *self.l_h.last()?))
     }
 
-    /// (time in seconds, R in ohm, L in henry), point by point.
+    /// Points as (time in seconds, R in ohm, L in henry).
     pub fn points(&self) -> impl Iterator<Item = (f64, f64, f64)> {
         let values = self.r_ohm.iter().zip(&self.l_h);
         self.t_s.iter().zip(values).map(|(&t, (&r, &l))| (t, r, l))

@@ -1,9 +1,9 @@
 //! Lock-in demodulator at any sampling rate: heterodyne at f_sw, two boxcars (a CIC filter of order
 //! two), then R and L from the phasors.
 //!
-//! Both boxcars span a whole number of switching periods, so that every harmonic falls on a zero of
-//! both. V and I pass the same kernel, so V = R·I + L·(jωI + dI/dt) survives it as long as R and L
-//! stand still within it; near the zero crossings they do not, which is the method's error.
+//! Both boxcars span a whole number of switching periods, so that every harmonic falls on a zero of both. V and I pass the same
+//! kernel, so that V = R·I + L·(jωI + dI/dt) holds behind it while R and L are constant within it. Near the zero crossings they
+//! are not, which is the method's error.
 
 use std::f64::consts::TAU;
 use std::time::Instant;
@@ -17,13 +17,13 @@ use serde::{Deserialize, Serialize};
 
 use super::{Estimate, IdentifyError, Method};
 
-/// Settings of the lock-in.
+/// Options of the lock-in.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LockinSettings {
-    /// Duration of each boxcar in seconds; the nearest that holds whole periods is taken.
+    /// Duration of each boxcar in seconds; the nearest that contains whole periods is used.
     pub boxcar_s: f64,
-    /// R and L are held where the current is below this share of its largest amplitude.
+    /// Share of the largest current amplitude below which R and L are held.
     pub hold_below: f64,
 }
 
@@ -36,25 +36,25 @@ impl Default for LockinSettings {
     }
 }
 
-/// Samples of a block and blocks of a boxcar.
+/// Length of a boxcar in blocks of samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Boxcar {
-    /// Samples of a block: the table's length.
+    /// Samples per block, which is the table's length.
     pub block: usize,
-    /// Blocks of a boxcar.
+    /// Blocks per boxcar.
     pub blocks: usize,
 }
 
-/// Most samples of a block: a longer table leaves the cache without being faster.
+/// Most samples of a block: a longer table exceeds the cache without being faster.
 const MAX_BLOCK: usize = 64;
 
 impl Boxcar {
-    /// The boxcar nearest to `boxcar_s` seconds that holds a whole number of switching periods in
-    /// whole blocks, nearly. A residue of ε periods leaves about ε/(2·periods) of the double frequency
-    /// behind one boxcar, and its square behind both: a hundredth of a period costs 1e-6.
+    /// Chooses the boxcar nearest to `boxcar_s` seconds that contains a nearly whole number of switching periods in whole blocks.
+    /// With a residue of ε periods about ε/(2·periods) of the double frequency passes one boxcar, and its square both: a
+    /// hundredth of a period costs 1e-6.
     pub fn fitting(samples_per_period: f64, f_sw_hz: f64, boxcar_s: f64) -> Self {
-        let wanted = (boxcar_s * f_sw_hz).round().max(1.0);
-        let (from, to) = ((0.75 * wanted).floor().max(1.0), (1.25 * wanted).ceil());
+        let ideal = (boxcar_s * f_sw_hz).round().max(1.0);
+        let (from, to) = ((0.75 * ideal).floor().max(1.0), (1.25 * ideal).ceil());
         let mut best = (
             f64::INFINITY,
             Self {
@@ -68,10 +68,10 @@ impl Boxcar {
             for block in 1..=MAX_BLOCK {
                 let blocks = (samples / block as f64).round().max(1.0);
                 let residue = (blocks * block as f64 - samples).abs() / samples_per_period;
-                // A long block is faster, the wanted duration is kinder.
+                // A long block is faster, the requested duration is more accurate.
                 let left = 0.5 * residue / periods;
                 let score =
-                    left * left + 1e-7 * ((periods - wanted).abs() / wanted + 4.0 / block as f64);
+                    left * left + 1e-7 * ((periods - ideal).abs() / ideal + 4.0 / block as f64);
                 if score < best.0 {
                     let blocks = blocks as usize;
                     best = (score, Self { block, blocks });
@@ -82,7 +82,7 @@ impl Boxcar {
         best.1
     }
 
-    /// Samples of a boxcar.
+    /// Number of samples of a boxcar.
     pub fn samples(self) -> usize {
         self.block * self.blocks
     }
@@ -99,7 +99,7 @@ pub struct Phasors {
     pub i: Complex<f64>,
 }
 
-/// The streaming part: correlator and two running sums.
+/// Streaming part of the lock-in: correlator and two running sums.
 #[derive(Clone, Debug)]
 pub struct Lockin {
     correlator: Correlator<1>,
@@ -112,7 +112,7 @@ pub struct Lockin {
 }
 
 impl Lockin {
-    /// An empty demodulator for a segment's sampling.
+    /// Creates an empty demodulator for a segment's sampling.
     pub fn new(segment: &Segment, boxcar: Boxcar) -> Self {
         let zero = [Complex::new(0.0, 0.0); 2];
         Self {
@@ -126,7 +126,7 @@ impl Lockin {
         }
     }
 
-    /// Takes the next block of samples; gives phasors once both boxcars are full.
+    /// Adds the next block of samples; returns phasors once both boxcars are full.
     pub fn push(&mut self, v_v: &[f64], i_a: &[f64]) -> Option<Phasors> {
         let length = self.correlator.length();
         let BlockSums { v, i } = self.correlator.block(self.taken * length, v_v, i_a);
@@ -152,7 +152,7 @@ impl Lockin {
     }
 }
 
-/// R and L in ohm and henry of V = R·I + L·D, D the phasor of di/dt: two real equations.
+/// R in ohm and L in henry of V = R·I + L·D, D the phasor of di/dt: two real equations.
 pub fn r_l(v: Complex<f64>, i: Complex<f64>, d: Complex<f64>) -> (f64, f64) {
     let determinant = i.re * d.im - i.im * d.re;
     (
@@ -161,10 +161,10 @@ pub fn r_l(v: Complex<f64>, i: Complex<f64>, d: Complex<f64>) -> (f64, f64) {
     )
 }
 
-/// Blocks that samples are made doubles of at once.
+/// Blocks of samples that are converted to doubles at a time.
 const BLOCKS_AT_ONCE: usize = 512;
 
-/// Calls `each` with stretches of `length` samples, the last shorter: index of the first, voltage, current.
+/// Calls `each` with stretches of `length` samples, the last one shorter: index of the first sample, voltage, current.
 pub(crate) fn for_chunks(
     segment: &Segment,
     length: usize,
@@ -178,30 +178,30 @@ pub(crate) fn for_chunks(
     }
 }
 
-/// Phasors of a whole segment, about one a switching period.
+/// Phasors of a whole segment, about one per switching period.
 pub fn demodulate(segment: &Segment, boxcar: Boxcar) -> Vec<Phasors> {
     let stride = (segment.samples_per_period() / boxcar.block as f64).round() as usize;
     let mut lockin = Lockin::new(segment, boxcar);
-    let mut found = Vec::new();
+    let mut all = Vec::new();
     let (mut outputs, stride) = (0, stride.max(1));
     for_chunks(segment, boxcar.block * BLOCKS_AT_ONCE, |_, v_v, i_a| {
         let v_blocks = v_v.chunks_exact(boxcar.block);
         for (v, i) in v_blocks.zip(i_a.chunks_exact(boxcar.block)) {
             if let Some(phasors) = lockin.push(v, i) {
                 if outputs % stride == 0 {
-                    found.push(phasors);
+                    all.push(phasors);
                 }
                 outputs += 1;
             }
         }
     });
-    found
+    all
 }
 
 /// Identifies by lock-in.
 ///
 /// # Errors
-/// [`SegmentError::TooShort`] when the segment does not fill both boxcars.
+/// [`SegmentError::TooShort`] if the segment does not fill both boxcars.
 pub fn identify(segment: &Segment, settings: &LockinSettings) -> Result<Estimate, IdentifyError> {
     let started = Instant::now();
     let boxcar = Boxcar::fitting(
@@ -231,18 +231,18 @@ pub fn identify(segment: &Segment, settings: &LockinSettings) -> Result<Estimate
         let d = p.i * Complex::new(0.0, omega) + (after.i - before.i) / dt_s;
         let amplitude = p.i.norm();
         let t_s = segment.t0_s + p.centre * segment.dt_s;
-        let found = r_l(p.v, p.i, d);
-        if amplitude < settings.hold_below * largest || !(found.0 + found.1).is_finite() {
+        let load = r_l(p.v, p.i, d);
+        if amplitude < settings.hold_below * largest || !(load.0 + load.1).is_finite() {
             if let Some((r, l)) = estimate.last() {
                 estimate.push(t_s, (r, l), (sigma_held, sigma_held / omega));
             }
             continue;
         }
-        let z2 = found.0 * found.0 + (omega * found.1) * (omega * found.1);
+        let z2 = load.0 * load.0 + (omega * load.1) * (omega * load.1);
         let variance = noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a;
         let sigma = (share * variance).sqrt() / amplitude;
         sigma_held = sigma;
-        estimate.push(t_s, found, (sigma, sigma / omega));
+        estimate.push(t_s, load, (sigma, sigma / omega));
     }
     estimate.elapsed = started.elapsed();
     Ok(estimate)

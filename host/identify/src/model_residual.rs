@@ -1,17 +1,17 @@
-//! How far a model's residual is beyond white noise, over a whole estimate: what σ was raised for, and the remark.
+//! Excess of a model's residual over white noise in a whole estimate: the increase of σ by it, and the remark.
 
 use ihd_signal::{Remark, Severity};
 
 use super::Estimate;
 
-/// Standard deviations of R and L, relative, beyond which a residual of the model is a warning: half of the errors
-/// that no estimate may have unsaid.
+/// Relative standard deviations of R and L by the residual above which it is a warning: half of the errors that must be
+/// reported.
 const LIMITS: [f64; 2] = [5e-3, 3.5e-3];
 
-/// χ² of a residual from which it is mentioned: below, it is chance and rounding.
+/// Least χ² of a residual that is mentioned; a smaller one is chance and rounding.
 const LEAST_CHI2: f64 = 4.0;
 
-/// Means over an estimate, each time weighted with its squared current.
+/// Means over an estimate, weighted with the squared current.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ModelResidual {
     weight: f64,
@@ -21,7 +21,7 @@ pub(crate) struct ModelResidual {
 }
 
 impl ModelResidual {
-    /// Adds a time: squared amplitude of its current, χ² of its residual against noise, σ of R and L over R and L.
+    /// Adds one time: squared amplitude of its current, χ² of its residual against noise, relative σ of R and L.
     pub fn add(&mut self, weight: f64, chi2: f64, [r, l]: [f64; 2]) {
         if (weight * (chi2 + r + l)).is_finite() {
             self.weight += weight;
@@ -31,7 +31,7 @@ impl ModelResidual {
         }
     }
 
-    /// Puts what is to be said into an estimate's remarks, in place of one about a smaller residual.
+    /// Adds the remark to an estimate, in place of one on a smaller residual.
     pub fn note_in(&self, estimate: &mut Estimate) {
         let Some(remark) = self.remark() else {
             return;
@@ -44,7 +44,7 @@ impl ModelResidual {
         }
     }
 
-    /// What is to be said of it.
+    /// Remark on the residual; `None` if it is within noise.
     fn remark(&self) -> Option<Remark> {
         let [chi2, r, l] = [self.chi2, self.r, self.l].map(|sum| sum / self.weight);
         if self.weight <= 0.0 || chi2 <= LEAST_CHI2 {

@@ -1,11 +1,12 @@
-//! The hybrid-timescale PINN of `ihd_pinn`, half-cycle by half-cycle.
+//! Estimator by the hybrid-timescale PINN of `ihd_pinn`, half-cycle by half-cycle.
 
 use ihd_signal::Segment;
 use serde::{Deserialize, Serialize};
 
-use super::{Estimate, IdentifyError, Settings, Watch};
+use super::carrier_inputs::CarrierInputs;
+use super::{Estimate, IdentifyError, IdentifyOptions, ProgressSink};
 
-/// What of the network may be chosen; words, so that they mean the same in a build without it.
+/// Options of the network, as texts that are valid in a build without it, too.
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PinnSettings {
@@ -13,26 +14,13 @@ pub struct PinnSettings {
     pub preset: Option<String>,
     /// `fused` or `ndarray`; the preset's if not given.
     pub backend: Option<String>,
-    /// No wall-clock limit, so that two runs give the same digits.
+    /// Set for no wall-clock limit, so that two runs give the same digits.
     pub deterministic: bool,
     /// Any other setting of `ihd_pinn::Config` by its name.
     pub config: toml::Table,
-    /// The carrier of the segment, where it moves.
+    /// Carrier of the segment; `None` if its frequency is constant.
     #[serde(skip)]
     pub carrier: Option<CarrierInputs>,
-}
-
-/// What the network is told of a carrier that moves, on the segment's clock.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CarrierInputs {
-    /// Time of the first value in seconds.
-    pub t0_s: f64,
-    /// Time from one value to the next in seconds.
-    pub dt_s: f64,
-    /// How far the frequency is from its mean, and how fast it moves, each within about -1..=1.
-    pub functions: Vec<Vec<f64>>,
-    /// Spline intervals of the phasors in a mains half-cycle.
-    pub intervals: usize,
 }
 
 /// Names of the network's presets, with commas between them.
@@ -49,7 +37,7 @@ pub fn preset_names() -> String {
 
 #[cfg(not(feature = "pinn"))]
 impl PinnSettings {
-    /// Nothing to check: [`identify`] refuses.
+    /// Accepts all options, because [`identify`] fails in this build.
     ///
     /// # Errors
     /// None.
@@ -60,7 +48,7 @@ impl PinnSettings {
 
 #[cfg(feature = "pinn")]
 impl PinnSettings {
-    /// The network's configuration.
+    /// Configuration of the network.
     fn resolve(&self) -> Result<ihd_pinn::Config, ihd_pinn::PinnError> {
         let mut table = self.config.clone();
         if let Some(preset) = &self.preset {
@@ -75,10 +63,10 @@ impl PinnSettings {
         ihd_pinn::Config::from_toml(&table.to_string())
     }
 
-    /// Whether all names and numbers mean something, before a capture is looked at.
+    /// Checks all names and numbers, before a capture is read.
     ///
     /// # Errors
-    /// [`IdentifyError::Unfit`] with the names that there are, or the range.
+    /// [`IdentifyError::Unfit`] with the valid names, or the range.
     pub fn check(&self) -> Result<(), IdentifyError> {
         self.resolve().map(drop).map_err(unfit)
     }
@@ -89,7 +77,11 @@ impl PinnSettings {
 /// # Errors
 /// [`IdentifyError::NotInThisBuild`] without the feature `pinn`.
 #[cfg(not(feature = "pinn"))]
-pub fn identify(_: &Segment, _: &Settings, _: &mut Watch<'_>) -> Result<Estimate, IdentifyError> {
+pub fn identify(
+    _: &Segment,
+    _: &IdentifyOptions,
+    _: &mut ProgressSink<'_>,
+) -> Result<Estimate, IdentifyError> {
     Err(IdentifyError::NotInThisBuild {
         method: super::Method::Pinn,
         feature: "pinn",
@@ -107,12 +99,12 @@ fn unfit(e: ihd_pinn::PinnError) -> IdentifyError {
 /// Trains the network on each mains half-cycle of the segment.
 ///
 /// # Errors
-/// [`IdentifyError::Unfit`] with what the network reports.
+/// [`IdentifyError::Unfit`] with the network's error.
 #[cfg(feature = "pinn")]
 pub fn identify(
     segment: &Segment,
-    settings: &Settings,
-    watch: &mut Watch<'_>,
+    settings: &IdentifyOptions,
+    sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
     use std::time::Instant;
 
@@ -122,7 +114,7 @@ pub fn identify(
     use super::{Method, network};
 
     let started = Instant::now();
-    let mut config = network::informed(settings.pinn.resolve().map_err(unfit)?, segment);
+    let mut config = network::with_measured_noise(settings.pinn.resolve().map_err(unfit)?, segment);
     let mut estimate = Estimate::new(Method::Pinn, segment.f_sw_hz);
     let least = MIN_PERIODS * segment.samples_per_period();
     for (from, to) in segment.half_cycles() {
@@ -130,9 +122,9 @@ pub fn identify(
             continue;
         }
         if let Some(carrier) = &settings.pinn.carrier {
-            network::follow(&mut config, carrier, segment.crossing_of_s((from, to)));
+            network::follow_carrier(&mut config, carrier, segment.crossing_of_s((from, to)));
         }
-        network::half_cycle(segment, (from, to), &config, None, watch, &mut estimate)
+        network::identify_half_cycle(segment, (from, to), &config, None, sink, &mut estimate)
             .map_err(unfit)?;
     }
     if estimate.t_s.is_empty() {

@@ -1,8 +1,7 @@
-//! What R(t) and L(t) imply for the waveforms: the fit quality of estimators that have none of their
-//! own.
+//! Waveforms that R(t) and L(t) imply, as a measure of fit for estimators without waveforms of their own.
 //!
-//! The current is what eq. (1) gives when the measured voltage drives it; the voltage is R·i + L·di/dt
-//! with the measured current as harmonics of f_sw up to the 31st, window by window, so that nothing
+//! The current follows from eq. (1) with the measured voltage. The voltage is R·i + L·di/dt with the
+//! measured current as harmonics of f_sw up to the 31st, window by window, so that nothing
 //! is differentiated sample by sample.
 
 use std::f64::consts::TAU;
@@ -16,14 +15,14 @@ use super::Estimate;
 use super::lockin::{Boxcar, for_chunks};
 use super::trajectory::Trajectory;
 
-/// Odd harmonics 1 to 31: the paper's NMSE of the voltage needs about that many.
+/// Number of odd harmonics, 1 to 31: the paper's NMSE of the voltage needs about that many.
 const ORDERS: usize = 16;
 
-/// Samples that are made doubles of at once.
+/// Samples that are converted to doubles at a time.
 const AT_ONCE: usize = 1 << 15;
 
-/// Fills in the waveforms that the estimator has not reconstructed itself, and the errors of all.
-/// An estimate without points is left as it is.
+/// Adds the waveforms that the estimator has not reconstructed itself, and the errors of all.
+/// An estimate without points is left unchanged.
 pub fn complete(segment: &Segment, estimate: &mut Estimate) {
     let Some(trajectory) = Trajectory::from(estimate, f64::NEG_INFINITY) else {
         return;
@@ -32,14 +31,14 @@ pub fn complete(segment: &Segment, estimate: &mut Estimate) {
     let (mut current, mut voltage) = (None, None);
     if lacks(&estimate.i_hat_a) {
         let all = current.insert(Vec::with_capacity(segment.len()));
-        driven_current(segment, trajectory, |_, found, _| {
-            all.extend_from_slice(found)
+        driven_current(segment, trajectory, |_, estimated, _| {
+            all.extend_from_slice(estimated)
         });
     }
     if lacks(&estimate.v_hat_v) {
         let all = voltage.insert(Vec::with_capacity(segment.len()));
-        harmonic_voltage(segment, trajectory, |_, found, _| {
-            all.extend_from_slice(found)
+        harmonic_voltage(segment, trajectory, |_, estimated, _| {
+            all.extend_from_slice(estimated)
         });
     }
     estimate.i_hat_a = current.unwrap_or_else(|| std::mem::take(&mut estimate.i_hat_a));
@@ -47,8 +46,8 @@ pub fn complete(segment: &Segment, estimate: &mut Estimate) {
     errors(segment, estimate);
 }
 
-/// The errors of the waveforms that R(t) and L(t) imply, which are not kept where the estimator has none of its own:
-/// of a second at 50 MS/s they are 400 MB.
+/// Adds the errors of the waveforms that R(t) and L(t) imply, without keeping those waveforms: for a second at 50 MS/s they
+/// take 400 MB.
 pub fn errors(segment: &Segment, estimate: &mut Estimate) {
     let Some(trajectory) = Trajectory::from(estimate, f64::NEG_INFINITY) else {
         return;
@@ -58,21 +57,21 @@ pub fn errors(segment: &Segment, estimate: &mut Estimate) {
     if estimate.i_hat_a.len() == segment.len() {
         i.add_all(&estimate.i_hat_a, &segment.i_a);
     } else {
-        driven_current(segment, trajectory, |first, found, right| {
-            i.add(first, found, right)
+        driven_current(segment, trajectory, |first, estimated, right| {
+            i.add(first, estimated, right)
         });
     }
     if estimate.v_hat_v.len() == segment.len() {
         v.add_all(&estimate.v_hat_v, &segment.v_v);
     } else {
-        harmonic_voltage(segment, trajectory, |first, found, right| {
-            v.add(first, found, right)
+        harmonic_voltage(segment, trajectory, |first, estimated, right| {
+            v.add(first, estimated, right)
         });
     }
     (estimate.nmse_v_pct, estimate.nmse_i_pct) = (v.pct(), i.pct());
 }
 
-/// The samples for which there is an estimate.
+/// Range of samples for which there is an estimate.
 fn covered(segment: &Segment, estimate: &Estimate) -> Range<usize> {
     let index = |t_s: f64| ((t_s - segment.t0_s) / segment.dt_s).round().max(0.0) as usize;
     let first = estimate.t_s.first().map_or(0, |t| index(*t));
@@ -98,36 +97,36 @@ impl Nmse {
     }
 
     /// Adds samples from index `first` on.
-    fn add(&mut self, first: usize, found: &[f32], right: &[f64]) {
-        let within = |k: usize| k.clamp(first, first + found.len()) - first;
+    fn add(&mut self, first: usize, estimated: &[f32], right: &[f64]) {
+        let within = |k: usize| k.clamp(first, first + estimated.len()) - first;
         let range = within(self.range.start)..within(self.range.end);
-        for (found, right) in found[range.clone()].iter().zip(&right[range]) {
-            self.error += (f64::from(*found) - right).powi(2);
+        for (estimated, right) in estimated[range.clone()].iter().zip(&right[range]) {
+            self.error += (f64::from(*estimated) - right).powi(2);
             self.square += right * right;
         }
     }
 
-    fn add_all(&mut self, found: &[f32], right: &Samples) {
+    fn add_all(&mut self, estimated: &[f32], right: &Samples) {
         let mut buffer = Vec::new();
-        for first in (0..found.len()).step_by(AT_ONCE) {
-            let range = first..(first + AT_ONCE).min(found.len());
+        for first in (0..estimated.len()).step_by(AT_ONCE) {
+            let range = first..(first + AT_ONCE).min(estimated.len());
             self.add(
                 first,
-                &found[range.clone()],
+                &estimated[range.clone()],
                 right.block(range, &mut buffer),
             );
         }
     }
 
-    /// In percent; `None` where there is nothing or no finite number.
+    /// NMSE in percent; `None` if there are no samples, or the result is not finite.
     fn pct(&self) -> Option<f64> {
         let nmse = 100.0 * self.error / self.square;
         nmse.is_finite().then_some(nmse)
     }
 }
 
-/// The current through R(t) and L(t) at the measured voltage, by the trapezoidal rule; stretch by stretch with the index
-/// of its first sample and the measured current.
+/// Computes the current through R(t) and L(t) at the measured voltage by the trapezoidal rule; `sink` receives it in stretches,
+/// with the index of the first sample and the measured current.
 fn driven_current(
     segment: &Segment,
     mut trajectory: Trajectory<'_>,
@@ -135,9 +134,9 @@ fn driven_current(
 ) {
     let rate_hz = 1.0 / segment.dt_s;
     let (mut i, mut before) = (None, 0.0);
-    let mut found = Vec::with_capacity(AT_ONCE);
+    let mut current = Vec::with_capacity(AT_ONCE);
     for_chunks(segment, AT_ONCE, |first, v_v, i_a| {
-        found.clear();
+        current.clear();
         for (k, v) in v_v.iter().enumerate() {
             let at = match i {
                 None => i_a[k],
@@ -145,21 +144,21 @@ fn driven_current(
                     let t_s = segment.t_s(first + k) - 0.5 * segment.dt_s;
                     let (r, l) = trajectory.r_l(t_s);
                     let (inertia, half) = (l * rate_hz, 0.5 * r);
-                    // Two factors beside each other: divided last, each sample would wait for the one before.
+                    // Two independent factors; with the division last, each sample would wait for the one before.
                     let share = 1.0 / (inertia + half);
                     let driven: f64 = 0.5 * (before + v) * share;
                     at * ((inertia - half) * share) + driven
                 }
             };
             (i, before) = (Some(at), *v);
-            found.push(at as f32);
+            current.push(at as f32);
         }
-        sink(first, &found, i_a);
+        sink(first, &current, i_a);
     });
 }
 
-/// R·i + L·di/dt with the current's harmonics, in windows of a whole number of switching periods; stretch by stretch
-/// with the index of its first sample and the measured voltage.
+/// Computes R·i + L·di/dt with the current's harmonics, in windows of a whole number of switching periods; `sink` receives it
+/// in stretches, with the index of the first sample and the measured voltage.
 fn harmonic_voltage(
     segment: &Segment,
     mut trajectory: Trajectory<'_>,
@@ -170,7 +169,7 @@ fn harmonic_voltage(
     let orders: [f64; ORDERS] = std::array::from_fn(|k| (2 * k + 1) as f64);
     let correlator = Correlator::new(segment, length, orders);
     let omega = TAU * segment.f_sw_hz;
-    let mut found = vec![0.0; length];
+    let mut voltage = vec![0.0; length];
     let mut phasors = [Complex::new(0.0, 0.0); ORDERS];
     for_chunks(segment, length, |first, v, i| {
         if i.len() == length {
@@ -183,8 +182,8 @@ fn harmonic_voltage(
                 *phasor = sums[h] * share * Complex::new(r, orders[h] * omega * l);
             }
         }
-        correlator.synthesise(first, &phasors, &mut found[..i.len()]);
-        sink(first, &found[..i.len()], v);
+        correlator.synthesise(first, &phasors, &mut voltage[..i.len()]);
+        sink(first, &voltage[..i.len()], v);
     });
 }
 

@@ -1,28 +1,28 @@
-//! Standard deviations of the estimators that know noise alone, or their own tuning, held against least squares on
-//! the same segment: what the two differ by, beyond what both admit, is an error of one of them.
+//! Comparison of standard deviations with least squares on the same segment, for estimators that know only noise or their own
+//! tuning. A difference from least squares beyond the deviations of both is an error of one of them.
 
 use ihd_signal::{Remark, Segment, Severity};
 
 use super::trajectory::Trajectory;
-use super::{Estimate, Settings, least_squares};
+use super::{Estimate, IdentifyOptions, least_squares};
 
 /// Points on either side over which squared differences are averaged.
 const REACH: usize = 10;
 
-/// What of the admitted variances a mean squared difference may have by chance.
+/// Largest mean squared difference by chance, relative to the stated variances.
 const CHANCE: f64 = 1.5;
 
-/// Differences of R and L, relative, from which they are worth a warning: the errors that none may have unsaid.
+/// Relative differences of R and L from which they are a warning: the errors that must be reported.
 const LIMITS: [f64; 2] = [1e-2, 7e-3];
 
-/// Raises σ of `estimate` by what it contradicts least squares in, which takes the fundamental alone and the whole
-/// half-cycle; leaves it as it is where least squares finds nothing, or the estimate gives no σ.
-pub(crate) fn hold_against(estimate: &mut Estimate, segment: &Segment, settings: &Settings) {
+/// Raises σ of `estimate` by its contradiction to least squares, which uses the fundamental alone and the whole half-cycle.
+/// Leaves it unchanged if least squares fails, or the estimate states no σ.
+pub(crate) fn raise_sigmas(estimate: &mut Estimate, segment: &Segment, settings: &IdentifyOptions) {
     if estimate.r_sigma_ohm.len() != estimate.t_s.len() {
         return;
     }
-    let found = least_squares::identify(&segment.without_offsets(), &settings.least_squares);
-    let Ok(reference) = found else { return };
+    let result = least_squares::identify(&segment.without_offsets(), &settings.least_squares);
+    let Ok(reference) = result else { return };
     let Some(mut trajectory) = Trajectory::from(&reference, f64::NEG_INFINITY) else {
         return;
     };
@@ -50,14 +50,14 @@ pub(crate) fn hold_against(estimate: &mut Estimate, segment: &Segment, settings:
     }
 }
 
-/// Raises `sigma` of `found` where it differs from the reference (value, σ) by more than chance; returns the median of
+/// Raises `sigma` of `values` where they differ from the reference (value, σ) by more than chance; returns the median of
 /// the relative differences.
-fn raise(sigma: &mut [f64], found: &[f64], reference: &[(f64, f64)]) -> f64 {
-    let beyond: Vec<[f64; 2]> = (0..found.len())
+fn raise(sigma: &mut [f64], values: &[f64], reference: &[(f64, f64)]) -> f64 {
+    let beyond: Vec<[f64; 2]> = (0..values.len())
         .map(|k| {
             let (right, admitted) = reference[k];
             let variance = sigma[k] * sigma[k] + admitted * admitted;
-            [(found[k] - right).powi(2), CHANCE * variance]
+            [(values[k] - right).powi(2), CHANCE * variance]
         })
         .collect();
     for (k, sigma) in sigma.iter_mut().enumerate() {
@@ -65,12 +65,12 @@ fn raise(sigma: &mut [f64], found: &[f64], reference: &[(f64, f64)]) -> f64 {
         let mean = |x: usize| near.iter().map(|b| b[x]).sum::<f64>() / near.len() as f64;
         let admitted = reference[k].1;
         let raised = *sigma * *sigma + admitted * admitted + (mean(0) - mean(1)).max(0.0);
-        // What is not finite is the estimator's own business.
+        // Values that are not finite are left to the estimator's own check.
         if raised.is_finite() {
             *sigma = raised.sqrt();
         }
     }
-    let relative = found
+    let relative = values
         .iter()
         .zip(reference)
         .map(|(x, (right, _))| (x / right - 1.0).abs());

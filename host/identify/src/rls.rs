@@ -11,9 +11,9 @@ use ihd_signal::correlation::mean_impedance;
 use serde::{Deserialize, Serialize};
 
 use super::ekf::waveforms::finite;
-use super::{Estimate, IdentifyError, Method, Settings};
+use super::{Estimate, IdentifyError, IdentifyOptions, Method};
 
-/// Settings of the recursion.
+/// Options of the recursion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RlsSettings {
@@ -21,8 +21,8 @@ pub struct RlsSettings {
     pub memory_s: f64,
     /// Length of a block in switching periods.
     pub block_periods: f64,
-    /// Gate: the recursion rests where the squared current, smoothed over a period, is below this
-    /// share of its mean over the segment.
+    /// Share of the mean squared current over the segment below which the recursion pauses; the squared current is smoothed over
+    /// a period.
     pub gate: f64,
 }
 
@@ -46,7 +46,7 @@ struct Row {
     di: f64,
 }
 
-/// Σ x and the triangle's two halves of a block: weights rising and falling.
+/// Σ x, and both halves of the triangle over a block: rising and falling weights.
 fn moments(x: &[f64]) -> [f64; 3] {
     let m = x.len() as f64;
     let mut sums = [0.0; 2];
@@ -83,7 +83,7 @@ struct Recursion {
     b: [f64; 2],
     square: f64,
     weight: f64,
-    /// Σ i²·t, t in samples: an estimate belongs to the mean time of what it rests on.
+    /// Σ i²·t, t in samples: an estimate belongs to the mean time of its data.
     time: f64,
 }
 
@@ -104,7 +104,7 @@ impl Recursion {
         self.square += row.v * row.v;
     }
 
-    /// θ and the variances of its parts, from the residual; `None` without enough information.
+    /// θ and the variances of its parts, from the residual; `None` if there is too little information.
     fn solve(&self) -> Option<([f64; 2], [f64; 2])> {
         let [a, b, c] = self.a;
         let determinant = a * c - b * b;
@@ -124,11 +124,11 @@ impl Recursion {
     }
 }
 
-/// Runs the recursion over the segment; one estimate a switching period.
+/// Runs the recursion over the segment; one estimate per switching period.
 ///
 /// # Errors
-/// [`IdentifyError::Diverged`] when an estimate is no finite number.
-pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, IdentifyError> {
+/// [`IdentifyError::Diverged`] if an estimate is not finite.
+pub fn identify(segment: &Segment, settings: &IdentifyOptions) -> Result<Estimate, IdentifyError> {
     let started = Instant::now();
     let rls = &settings.rls;
     let omega = std::f64::consts::TAU * segment.f_sw_hz;

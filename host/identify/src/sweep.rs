@@ -1,32 +1,33 @@
-//! A carrier that moves: the estimator is given samples in warped time, in which it stands still
-//! ([`ihd_signal::carrier`]), and what it finds is put back on the capture's clock.
+//! Identification with a moving carrier: the samples are warped to a time in which the frequency is constant
+//! ([`ihd_signal::carrier`]), and the estimate is converted back to the capture's clock.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-use ihd_signal::carrier::{Carrier, Warp};
+use ihd_signal::carrier::Carrier;
+use ihd_signal::warp::Warp;
 use ihd_signal::{Remark, Segment, Severity};
 
-use super::pinn::CarrierInputs;
-use super::{Estimate, IdentifyError, Method, Settings, reconstruction};
+use super::carrier_inputs::CarrierInputs;
+use super::{Estimate, IdentifyError, IdentifyOptions, Method, reconstruction};
 
-/// The carrier of a segment, where it moves and the method takes it as constant.
+/// Carrier of a segment if it moves and the method assumes it constant, else `None`.
 pub(super) fn of(method: Method, segment: &Segment) -> Option<Carrier> {
     takes_constant(method).then(|| moving(segment)).flatten()
 }
 
-/// Whether the method takes the carrier as constant.
+/// Returns `true` if the method assumes a constant carrier.
 pub(super) fn takes_constant(method: Method) -> bool {
     matches!(method, Method::LeastSquares | Method::Lockin | Method::Pinn)
 }
 
-/// The carrier of a segment, where it moves.
+/// Carrier of a segment if it moves, else `None`.
 pub(super) fn moving(segment: &Segment) -> Option<Carrier> {
     Carrier::of(segment).filter(Carrier::moves)
 }
 
-/// Parts that are warped for themselves: those that the method takes for themselves, so that mains zero crossings stay
-/// where they are.
+/// Parts of a segment that are warped separately: those that the method treats separately, so that mains zero crossings keep
+/// their times.
 fn parts(method: Method, segment: &Segment) -> Vec<Range<usize>> {
     match method {
         Method::LeastSquares | Method::Pinn => {
@@ -37,34 +38,34 @@ fn parts(method: Method, segment: &Segment) -> Vec<Range<usize>> {
     }
 }
 
-/// Spline intervals of the phasors, and of R and L, that a sweep wants while it goes up and down once: they lose a part in
-/// a thousand of a sine with four and a half.
+/// Spline intervals of the phasors, and of R and L, per cycle of a sweep; with four and a half they lose a part in a thousand
+/// of a sine.
 const PHASOR_INTERVALS: f64 = 9.0;
 const IMPEDANCE_INTERVALS: f64 = 4.5;
 
-/// Settings for R and L that follow the frequency, and a current that follows both.
-fn quickened(settings: &Settings, carrier: &Carrier, half_cycle_s: f64) -> Settings {
+/// Options for R and L that follow the frequency, and a current that follows both.
+fn quickened(settings: &IdentifyOptions, carrier: &Carrier, half_cycle_s: f64) -> IdentifyOptions {
     let sweep = carrier.sweep();
     let sweeps = sweep.rate_hz * half_cycle_s;
-    let wanted = |per_sweep: f64| (per_sweep * sweeps).ceil() as usize;
+    let needed = |per_sweep: f64| (per_sweep * sweeps).ceil() as usize;
     let mut quick = settings.clone();
     let of = &mut quick.least_squares;
-    of.phasor_intervals = of.phasor_intervals.max(wanted(PHASOR_INTERVALS));
-    of.impedance_intervals = of.impedance_intervals.max(wanted(IMPEDANCE_INTERVALS));
-    // R and ωL go with the frequency or its root: their second difference over an interval.
+    of.phasor_intervals = of.phasor_intervals.max(needed(PHASOR_INTERVALS));
+    of.impedance_intervals = of.impedance_intervals.max(needed(IMPEDANCE_INTERVALS));
+    // R and ωL follow the frequency or its root: second difference over an interval.
     let angle = TAU * sweeps / of.impedance_intervals as f64;
     of.bend += sweep.deviation_hz / sweep.mean_hz * angle * angle;
     quick
 }
 
-/// What a network is told of the carrier: its frequency and how fast that moves, through the warped samples.
+/// Inputs of the network for the carrier: its frequency and rate of change, over the warped samples.
 fn inputs(warp: &Warp<'_>, warped: &Segment, carrier: &Carrier) -> CarrierInputs {
     let sweep = carrier.sweep();
     let dt_s = 1.0 / warped.f_sw_hz;
     let count = (warped.len() as f64 * warped.dt_s / dt_s).ceil() as usize + 1;
     let at = |k: usize| warp.time_s(warped.t0_s + k as f64 * dt_s);
     let off = |t_s: f64| (carrier.hz(t_s) - sweep.mean_hz) / sweep.deviation_hz;
-    // Over four periods, a step of what follows the carrier is no matter.
+    // Averaged over four periods, so that the step of the tracked frequency has no effect.
     let slope = |t_s: f64| {
         let beside_s = 2.0 * dt_s;
         (off(t_s + beside_s) - off(t_s - beside_s)) / (2.0 * beside_s * TAU * sweep.rate_hz)
@@ -78,19 +79,19 @@ fn inputs(warp: &Warp<'_>, warped: &Segment, carrier: &Carrier) -> CarrierInputs
     }
 }
 
-/// Identifies a segment whose carrier moves, part by part with `identify`, which sees a constant one and
-/// is told the capture's time at a warped one.
+/// Identifies a segment with a moving carrier, part by part. `identify` receives the warped samples, and a function that gives the
+/// capture's time at a warped one.
 ///
 /// # Errors
-/// The last part's where none could be identified.
+/// Error of the last part if none could be identified.
 pub(super) fn identify(
     method: Method,
     segment: &Segment,
     carrier: &Carrier,
-    settings: &Settings,
+    settings: &IdentifyOptions,
     mut identify: impl FnMut(
         &Segment,
-        &Settings,
+        &IdentifyOptions,
         &dyn Fn(f64) -> f64,
     ) -> Result<Estimate, IdentifyError>,
 ) -> Result<Estimate, IdentifyError> {
@@ -127,20 +128,20 @@ pub(super) fn identify(
     Ok(whole)
 }
 
-/// Puts what was found in warped time on the capture's clock.
-fn append(whole: &mut Estimate, found: Estimate, warp: &Warp<'_>) {
+/// Converts an estimate from warped time to the capture's clock, and appends it.
+fn append(whole: &mut Estimate, part: Estimate, warp: &Warp<'_>) {
     let from = whole.t_s.len();
-    whole.t_s.extend(found.t_s.iter().map(|t| warp.time_s(*t)));
+    whole.t_s.extend(part.t_s.iter().map(|t| warp.time_s(*t)));
     let rates: Vec<f64> = whole.t_s[from..].iter().map(|t| warp.rate(*t)).collect();
     let over_rate = |x: &[f64]| -> Vec<f64> { x.iter().zip(&rates).map(|(x, r)| x / r).collect() };
-    whole.l_h.extend(over_rate(&found.l_h));
-    whole.l_sigma_h.extend(over_rate(&found.l_sigma_h));
-    whole.r_ohm.extend(found.r_ohm);
-    whole.r_sigma_ohm.extend(found.r_sigma_ohm);
-    whole.r_power_ohm.extend(found.r_power_ohm);
-    whole.elapsed += found.elapsed;
-    whole.notes.extend(found.notes);
-    whole.remarks.extend(found.remarks);
+    whole.l_h.extend(over_rate(&part.l_h));
+    whole.l_sigma_h.extend(over_rate(&part.l_sigma_h));
+    whole.r_ohm.extend(part.r_ohm);
+    whole.r_sigma_ohm.extend(part.r_sigma_ohm);
+    whole.r_power_ohm.extend(part.r_power_ohm);
+    whole.elapsed += part.elapsed;
+    whole.notes.extend(part.notes);
+    whole.remarks.extend(part.remarks);
 }
 
 fn remark(carrier: &Carrier) -> Remark {

@@ -1,19 +1,19 @@
-//! R, L and P/I_rms² of an estimate between its points.
+//! Interpolation of R, L and P/I_rms² between the points of an estimate.
 
 use super::Estimate;
 
-/// R and L between an estimate's points, linear, and held before the first and after the last; a
-/// cursor that only moves forward.
+/// R and L between an estimate's points, linear, and constant before the first and after the last. The cursor only moves
+/// forward.
 #[derive(Clone, Copy, Debug)]
 pub struct Trajectory<'a> {
     estimate: &'a Estimate,
     at: usize,
-    /// One over the time from the point at `at` to the next, in 1/s, once it was asked for; 0 where there is none.
+    /// Reciprocal of the time from the point at `at` to the next in 1/s, computed at the first use; 0 if there is no next.
     per_s: Option<f64>,
 }
 
 impl<'a> Trajectory<'a> {
-    /// The points from `from_s` on; `None` where there are none.
+    /// Creates a trajectory of the points from `from_s` on; `None` if there are none.
     pub fn from(estimate: &'a Estimate, from_s: f64) -> Option<Self> {
         let at = estimate.t_s.partition_point(|t| *t < from_s);
         (at < estimate.t_s.len()).then_some(Self {
@@ -23,7 +23,7 @@ impl<'a> Trajectory<'a> {
         })
     }
 
-    /// R in ohm and L in henry at a time no earlier than the last one that was asked for.
+    /// R in ohm and L in henry; times must ascend from call to call.
     pub fn r_l(&mut self, t_s: f64) -> (f64, f64) {
         let place = self.place(t_s);
         (
@@ -32,14 +32,14 @@ impl<'a> Trajectory<'a> {
         )
     }
 
-    /// P/I_rms² in ohm likewise; `None` where the estimate has none.
+    /// P/I_rms² in ohm; times must ascend from call to call. `None` if the estimate has none.
     pub fn r_power_ohm(&mut self, t_s: f64) -> Option<f64> {
         let place = self.place(t_s);
         let power = &self.estimate.r_power_ohm;
         (!power.is_empty()).then(|| place.between(power))
     }
 
-    /// Standard deviations of R in ohm and L in henry likewise; `None` where the estimate has none.
+    /// Standard deviations of R in ohm and L in henry; times must ascend from call to call. `None` if the estimate has none.
     pub fn sigma(&mut self, t_s: f64) -> Option<(f64, f64)> {
         let place = self.place(t_s);
         let (r, l) = (&self.estimate.r_sigma_ohm, &self.estimate.l_sigma_h);
@@ -61,7 +61,7 @@ impl<'a> Trajectory<'a> {
     }
 }
 
-/// Two points and how far towards the second.
+/// Two adjacent points, and the share of the way to the second.
 #[derive(Clone, Copy)]
 struct Place {
     a: usize,

@@ -1,8 +1,8 @@
 //! Properties that every estimator has, whatever comes in.
 
-use ihd_identify::ekf::Prepared;
+use ihd_identify::ekf::PreparedSegment;
 use ihd_identify::ekf::step::Covariance;
-use ihd_identify::{Estimate, IdentifyError, Method, Settings, run};
+use ihd_identify::{Estimate, IdentifyError, IdentifyOptions, Method, run};
 use ihd_signal::Segment;
 use nalgebra::{Cholesky, Matrix4};
 use proptest::prelude::*;
@@ -89,7 +89,7 @@ proptest! {
         let (v_v, i_a) = pairs.into_iter().unzip();
         let segment = Segment { f_sw_hz, mains_hz, zero_crossing_s, t0_s, dt_s, v_v, i_a };
         for method in methods() {
-            sound(method, &run(method, &segment, &Settings::default()))?;
+            sound(method, &run(method, &segment, &IdentifyOptions::default()))?;
         }
     }
 
@@ -108,7 +108,7 @@ proptest! {
             }
         }
         for method in methods() {
-            sound(method, &run(method, &segment, &Settings::default()))?;
+            sound(method, &run(method, &segment, &IdentifyOptions::default()))?;
         }
     }
 
@@ -118,7 +118,7 @@ proptest! {
         hold in prop::sample::select(vec![1usize, 7, 100, 1000]),
     ) {
         // Inputs that stand still for a while starve the filter, jumping ones excite it.
-        let prepared = Prepared::new(&constant_load(3.0, 20e-6), &Settings::default());
+        let prepared = PreparedSegment::new(&constant_load(3.0, 20e-6), &IdentifyOptions::default());
         let mut filter = prepared.start;
         for k in 0..samples.len() {
             let (i, v) = samples[k - k % hold];
@@ -145,8 +145,8 @@ proptest! {
         // The firmware has an ADC's ranges and the paper's literal filter absolute noise.
         let free = [Method::Kf, Method::Ekf, Method::Rts, Method::Lockin, Method::LeastSquares, Method::Rls];
         for method in free {
-            let a = run(method, &segment, &Settings::default()).unwrap();
-            let b = run(method, &scaled, &Settings::default()).unwrap();
+            let a = run(method, &segment, &IdentifyOptions::default()).unwrap();
+            let b = run(method, &scaled, &IdentifyOptions::default()).unwrap();
             prop_assert_eq!(a.t_s.len(), b.t_s.len());
             for ((_, r, l), (_, rs, ls)) in a.points().zip(b.points()) {
                 let size = r_ohm + std::f64::consts::TAU * 45e3 * l_h;
@@ -162,7 +162,7 @@ proptest! {
         // At 44 samples a period the chord of the current is (ωdt)²/24 = 0.1 % off at the fundamental
         // and nine times that at the third harmonic; those that do not differentiate are exact.
         for (method, limit) in [(Method::Lockin, 1e-3), (Method::LeastSquares, 1e-3), (Method::Rls, 2e-2)] {
-            let found = run(method, &segment, &Settings::default()).unwrap();
+            let found = run(method, &segment, &IdentifyOptions::default()).unwrap();
             let size = r_ohm + std::f64::consts::TAU * 45e3 * l_h;
             for (t, r, l) in found.points().filter(|p| (1e-3..9e-3).contains(&p.0)) {
                 prop_assert!((r - r_ohm).abs() < limit * size, "{}: R {} for {} at {}", method, r, r_ohm, t);

@@ -3,14 +3,14 @@
 use std::f64::consts::TAU;
 
 use ihd_identify::accuracy::fundamental;
-use ihd_identify::{Estimate, Method, Settings, run};
+use ihd_identify::{Estimate, IdentifyOptions, Method, run};
 use ihd_signal::truth::PeriodTruth;
 use ihd_signal::{Segment, Severity};
 use ihd_sim::pot::{Metal, Pot};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
+use ihd_sim::recording::settings::{CaptureSpec as Recording, LoadKind};
 use ihd_sim::recording::settings::{Change, Event};
-use ihd_sim::recording::settings::{LoadKind, Settings as Recording};
 
 /// Those of a build without burn whose σ is meant to be one: the literal filter's is the paper's.
 const METHODS: [Method; 7] = [
@@ -174,7 +174,8 @@ fn score(e: &Estimate, case: &Case) -> [f64; 4] {
 fn errors_are_within_twice_sigma_or_a_remark_warns() {
     for case in cases() {
         for method in METHODS {
-            let found = run(method, &case.segment, &Settings::default()).expect("a sound segment");
+            let found =
+                run(method, &case.segment, &IdentifyOptions::default()).expect("a sound segment");
             let [r, l, r_pct, l_pct] = score(&found, &case);
             let warned = found
                 .remarks

@@ -1,11 +1,11 @@
 //! Carriers that move, against the simulator's truth.
 
 use ihd_identify::accuracy::Accuracy;
-use ihd_identify::{Method, Settings, least_squares, run};
+use ihd_identify::{IdentifyOptions, Method, least_squares, run};
 use ihd_signal::Segment;
 use ihd_sim::recording::run::{Recording, record};
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{LoadKind, Settings as Recorded, Sweep};
+use ihd_sim::recording::settings::{CaptureSpec as Recorded, LoadKind, Sweep};
 
 /// One half-cycle at 50 kHz, without noise.
 fn recorded(load: LoadKind, sweep: Option<(f64, f64)>, rate_hz: f64) -> (Recording, Segment) {
@@ -36,7 +36,8 @@ fn a_swept_carrier_is_identified_as_well_as_a_constant_one() {
         for load in [LoadKind::Behavioural, LoadKind::Surrogate] {
             let (recording, segment) = recorded(load, Some(sweep), 11.37e6);
             for method in [Method::LeastSquares, Method::Lockin] {
-                let estimate = run(method, &segment, &Settings::default()).expect("a good segment");
+                let estimate =
+                    run(method, &segment, &IdentifyOptions::default()).expect("a good segment");
                 let found = Accuracy::of(&estimate, &segment, &recording.truth, 0.0)
                     .expect("the truth of the same capture");
                 let middle = found.middle;
@@ -61,7 +62,7 @@ fn a_swept_carrier_is_identified_as_well_as_a_constant_one() {
 #[test]
 fn a_constant_carrier_is_identified_as_if_nobody_had_looked_whether_it_moves() {
     let (_, segment) = recorded(LoadKind::Behavioural, None, 11.37e6);
-    let settings = Settings::default();
+    let settings = IdentifyOptions::default();
     let ran = run(Method::LeastSquares, &segment, &settings).expect("a good segment");
     let direct = least_squares::identify(&segment.without_offsets(), &settings.least_squares)
         .expect("a good segment");
@@ -79,7 +80,8 @@ fn offsets_of_the_channels_change_nothing_that_can_be_seen() {
         if matches!(method, Method::Pinn | Method::EkfPaper | Method::Firmware) {
             continue;
         }
-        let of = |segment| run(method, segment, &Settings::default()).expect("a good segment");
+        let of =
+            |segment| run(method, segment, &IdentifyOptions::default()).expect("a good segment");
         let (a, b) = (of(&clean), of(&off));
         for (x, y) in a.r_ohm.iter().zip(&b.r_ohm).chain(a.l_h.iter().zip(&b.l_h)) {
             assert!((x / y - 1.0).abs() < 1e-3, "{method}: {x} {y}");

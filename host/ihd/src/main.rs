@@ -4,6 +4,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
+use clap::error::ErrorKind;
 use ihd::cli::{self, Cli, output};
 
 fn main() -> ExitCode {
@@ -11,7 +12,13 @@ fn main() -> ExitCode {
     sigpipe::reset();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(answer) => return shown(&answer),
+        Err(answer) => {
+            let code = shown(&answer);
+            if answer.kind() == ErrorKind::InvalidSubcommand {
+                hint_at_moved();
+            }
+            return code;
+        }
     };
     match cli.run() {
         Ok(()) => ExitCode::SUCCESS,
@@ -22,7 +29,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Shows help, version or what is wrong with the arguments.
+/// Prints help, version or an error of the arguments.
 fn shown(answer: &clap::Error) -> ExitCode {
     let printed = answer.print().and_then(|()| std::io::stdout().flush());
     match (printed, answer.exit_code()) {
@@ -34,5 +41,18 @@ fn shown(answer: &clap::Error) -> ExitCode {
         }
         (_, 0) => ExitCode::SUCCESS,
         _ => ExitCode::from(2),
+    }
+}
+
+/// Commands of former versions, and where they are now.
+const MOVED: [(&str, &str); 1] = [("study", "ihd-study (cargo run -p ihd-study)")];
+
+/// Names the new place of a command that has moved.
+fn hint_at_moved() {
+    let asked = std::env::args().nth(1);
+    for (old, new) in MOVED {
+        if asked.as_deref() == Some(old) {
+            output::complain(format_args!("ihd: `ihd {old}` is {new} now"));
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! Windows put together from their messages, or rejected with the reason.
+//! Assembly of windows from their messages, and the checks that they must pass.
 
 use ihd_shared::sampling::Pair;
 use ihd_shared::window::{CHUNK_BYTES, PAIR_BYTES, TRAJECTORY_ENTRY_BYTES, TrajectoryEntry};
@@ -6,78 +6,77 @@ use ihd_shared::window::{MAX_PAIRS, MAX_TRAJECTORY};
 use ihd_shared::wire::frame::CRC32;
 use ihd_shared::wire::messages::{AnyMessage, Piece, ResendWindow, WindowEnd, WindowStart};
 
-use super::pieces::Pieces;
+use super::partial_payload::PartialPayload;
 use super::window::{MAX_SATURATED_FRACTION, Part, Window, WindowDefect};
 
-/// A window rejected.
+/// A rejected window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Rejected {
-    /// Its number.
+pub struct RejectedWindow {
+    /// Number of the window.
     pub seq: u32,
-    /// Why.
+    /// Reason.
     pub reason: WindowDefect,
 }
 
-/// Windows under way at once: one that ends and one that begins, where a link changes the order of frames.
+/// Windows under way at once: one that ends and one that begins, if the link reorders frames.
 const UNDER_WAY: usize = 2;
 
-/// Windows whose late messages are known as such.
+/// Closed windows that are remembered, so that their late messages are recognised.
 const CLOSED: usize = 8;
 
-/// Puts windows together. Their messages come in any order, and more than once: a piece that was
-/// lost is asked for again. A window that misses something is given up when a later one has ended, when there
-/// is nothing to be had any more ([`Assembler::give_up`]), or when the stream is over; one that contradicts
-/// itself at once.
+/// Assembles windows. Their messages may come in any order and more than once, since lost pieces are requested again. A window with
+/// missing pieces is rejected when a later one has ended, when its pieces are not available any more ([`Assembler::give_up`]), or
+/// when the stream ends. One that contradicts itself is rejected at once.
 #[derive(Default)]
 pub struct Assembler {
     /// Oldest first.
-    under_way: Vec<Building>,
-    /// Windows that were last given out or rejected: the rest of their messages mean nothing.
+    under_way: Vec<PartialWindow>,
+    /// Windows completed or rejected last; their remaining messages are ignored.
     closed: [Option<u32>; CLOSED],
     next_closed: usize,
     stray: u32,
 }
 
-/// The window that began last, while it is not complete.
-pub struct Unfinished<'a>(&'a Building);
+/// The window that began last and is not complete.
+pub struct UnfinishedWindow<'a>(&'a PartialWindow);
 
-impl Unfinished<'_> {
-    /// Its number.
+impl UnfinishedWindow<'_> {
+    /// Number of the window.
     pub fn seq(&self) -> u32 {
         self.0.seq
     }
 
-    /// Whether its end has come: what is missing will not come by itself.
+    /// Returns `true` if the window's end has come: missing pieces will not come without a request.
     pub fn has_ended(&self) -> bool {
         self.0.end_crc32.is_some()
     }
 
-    /// Counts the messages that have brought something new.
+    /// Number of its messages that contained new data.
     pub fn progress(&self) -> u32 {
         self.0.progress
     }
 
-    /// Counts all messages of it.
+    /// Number of its messages.
     pub fn heard(&self) -> u32 {
         self.0.heard
     }
 
-    /// What is missing, in requests of a chunk each; at most `limit`, first things first.
+    /// Requests for its missing pieces, one chunk each, in order; at most `limit`.
     pub fn missing(&self, limit: usize) -> Vec<ResendWindow> {
-        let building = self.0;
+        let partial = self.0;
         let ask = |piece, offset: usize| ResendWindow {
-            seq: building.seq,
+            seq: partial.seq,
             piece,
-            // Within a window's size, which 16 bits hold.
+            // A window's size fits 16 bits.
             offset: offset as u16,
         };
-        let start = building.start.is_none().then(|| ask(Piece::Start, 0));
-        let [pairs, entries] = building.declared();
-        let pairs = building.pairs.gaps(pairs);
+        let start = partial.start.is_none().then(|| ask(Piece::Start, 0));
+        let [pairs, entries] = partial.declared();
+        let pairs = partial.pairs.gaps(pairs);
         let pairs = pairs.flat_map(|gap| gap.step_by(CHUNK_BYTES / PAIR_BYTES));
-        let entries = building.trajectory.gaps(entries);
+        let entries = partial.trajectory.gaps(entries);
         let entries = entries.flat_map(|gap| gap.step_by(CHUNK_BYTES / TRAJECTORY_ENTRY_BYTES));
-        let end = building.end_crc32.is_none().then(|| ask(Piece::End, 0));
+        let end = partial.end_crc32.is_none().then(|| ask(Piece::End, 0));
         start
             .into_iter()
             .chain(pairs.map(|at| ask(Piece::Pairs, at)))
@@ -87,38 +86,37 @@ impl Unfinished<'_> {
             .collect()
     }
 
-    /// Whether what `request` asks for is still missing.
+    /// Returns `true` if the piece of `request` is still missing.
     pub fn misses(&self, request: &ResendWindow) -> bool {
-        let building = self.0;
+        let partial = self.0;
         let at = usize::from(request.offset);
         match request.piece {
-            Piece::Start => building.start.is_none(),
-            Piece::Pairs => !building.pairs.holds(at),
-            Piece::Trajectory => !building.trajectory.holds(at),
-            Piece::End => building.end_crc32.is_none(),
+            Piece::Start => partial.start.is_none(),
+            Piece::Pairs => !partial.pairs.holds(at),
+            Piece::Trajectory => !partial.trajectory.holds(at),
+            Piece::End => partial.end_crc32.is_none(),
             Piece::Nothing => false,
         }
     }
 }
 
 impl Assembler {
-    /// Messages of windows that had already been given out or rejected.
+    /// Messages of windows that were complete or rejected already.
     pub fn stray(&self) -> u32 {
         self.stray
     }
 
-    /// The window that began last, while it is not complete.
-    pub fn unfinished(&self) -> Option<Unfinished<'_>> {
-        self.under_way.last().map(Unfinished)
+    /// The window that began last; `None` if it is complete.
+    pub fn unfinished(&self) -> Option<UnfinishedWindow<'_>> {
+        self.under_way.last().map(UnfinishedWindow)
     }
 
-    /// Takes a message; other than window messages are ignored. Hands windows and rejections to `out`: those of the windows
-    /// under way that are given up, at most two, then its own. Returns the number of a window of which it was the
-    /// first message.
+    /// Processes a message; messages other than a window's are ignored. Passes completed and rejected windows to `out`: first those
+    /// given up, at most two, then the message's own. Returns the window's number if this was its first message.
     pub fn take(
         &mut self,
         message: &AnyMessage<'_>,
-        mut out: impl FnMut(Result<Box<Window>, Rejected>),
+        mut out: impl FnMut(Result<Box<Window>, RejectedWindow>),
     ) -> Option<u32> {
         let seq = match message {
             AnyMessage::WindowStart(m) => m.seq,
@@ -136,16 +134,16 @@ impl Assembler {
             if self.under_way.len() == UNDER_WAY {
                 self.give_up_oldest(&mut out);
             }
-            self.under_way.push(Building::new(seq));
+            self.under_way.push(PartialWindow::new(seq));
         }
         let first = (!known).then_some(seq);
-        let building = self.under_way.iter_mut().find(|b| b.seq == seq)?;
-        let result = building.take(message);
-        let ended = building.end_crc32.is_some();
+        let partial = self.under_way.iter_mut().find(|b| b.seq == seq)?;
+        let result = partial.take(message);
+        let ended = partial.end_crc32.is_some();
         if matches!(result, Ok(None)) && !ended {
             return first;
         }
-        // What began before this one and is not complete will hardly be.
+        // An earlier window that is not complete yet will hardly be completed.
         while self.under_way.first().is_some_and(|b| b.seq != seq) {
             self.give_up_oldest(&mut out);
         }
@@ -157,27 +155,27 @@ impl Assembler {
             }
             Err(reason) => {
                 self.close(seq);
-                out(Err(Rejected { seq, reason }));
+                out(Err(RejectedWindow { seq, reason }));
             }
         }
         first
     }
 
-    /// Gives a window up that is under way.
-    pub fn give_up(&mut self, seq: u32) -> Option<Rejected> {
-        let building = self.under_way.iter().find(|b| b.seq == seq)?;
-        let reason = building.what_is_missing();
+    /// Rejects a window under way; `None` if there is none of this number.
+    pub fn give_up(&mut self, seq: u32) -> Option<RejectedWindow> {
+        let partial = self.under_way.iter().find(|b| b.seq == seq)?;
+        let reason = partial.defect();
         self.close(seq);
-        Some(Rejected { seq, reason })
+        Some(RejectedWindow { seq, reason })
     }
 
-    /// The stream is over: a window that is not complete never will be. To be called until it gives none.
-    pub fn finish(&mut self) -> Option<Rejected> {
+    /// Rejects the oldest window under way at the end of the stream. Call it until it returns `None`.
+    pub fn finish(&mut self) -> Option<RejectedWindow> {
         let seq = self.under_way.first()?.seq;
         self.give_up(seq)
     }
 
-    fn give_up_oldest(&mut self, out: &mut impl FnMut(Result<Box<Window>, Rejected>)) {
+    fn give_up_oldest(&mut self, out: &mut impl FnMut(Result<Box<Window>, RejectedWindow>)) {
         if let Some(rejected) = self.finish() {
             out(Err(rejected));
         }
@@ -190,30 +188,30 @@ impl Assembler {
     }
 }
 
-struct Building {
+struct PartialWindow {
     seq: u32,
     start: Option<WindowStart>,
-    pairs: Pieces<PAIR_BYTES>,
-    trajectory: Pieces<TRAJECTORY_ENTRY_BYTES>,
+    pairs: PartialPayload<PAIR_BYTES>,
+    trajectory: PartialPayload<TRAJECTORY_ENTRY_BYTES>,
     end_crc32: Option<u32>,
     progress: u32,
     heard: u32,
 }
 
-impl Building {
+impl PartialWindow {
     fn new(seq: u32) -> Self {
         Self {
             seq,
             start: None,
-            pairs: Pieces::new(Part::Pair),
-            trajectory: Pieces::new(Part::Trajectory),
+            pairs: PartialPayload::new(Part::Pair),
+            trajectory: PartialPayload::new(Part::Trajectory),
             end_crc32: None,
             progress: 0,
             heard: 0,
         }
     }
 
-    /// Pairs and entries that the window has; as many as are known of while its start is missing.
+    /// Numbers of pairs and of trajectory entries; those received so far if the start is missing.
     fn declared(&self) -> [usize; 2] {
         match &self.start {
             Some(start) => [start.pairs.into(), start.trajectory.into()],
@@ -221,7 +219,7 @@ impl Building {
         }
     }
 
-    /// Takes one of the window's messages; gives the window when it was the last.
+    /// Adds one of the window's messages; returns the window if it is complete.
     fn take(&mut self, message: &AnyMessage<'_>) -> Result<Option<Box<Window>>, WindowDefect> {
         let declared = self
             .start
@@ -245,7 +243,7 @@ impl Building {
 
     fn take_start(&mut self, start: &WindowStart) -> Result<bool, WindowDefect> {
         if let Some(first) = &self.start {
-            // Sent again it tells of what has been dropped by then.
+            // A repeated start carries a newer drop count.
             let same = WindowStart {
                 dropped: first.dropped,
                 ..start.clone()
@@ -281,12 +279,12 @@ impl Building {
         }
     }
 
-    /// Why the window is not complete.
-    fn what_is_missing(&self) -> WindowDefect {
+    /// Reason why the window is not complete.
+    fn defect(&self) -> WindowDefect {
         let Some(start) = &self.start else {
             return WindowDefect::NoStart;
         };
-        // The gap's end, unless nothing has come behind it and no end either.
+        // End of the gap; `None` if neither later chunks nor the end have come.
         let inner = |end: usize, declared: u16| {
             let cut = end == usize::from(declared) && self.end_crc32.is_none();
             (!cut).then_some(end as u16)

@@ -1,4 +1,4 @@
-//! The client on a thread of its own, for programs that wait with futures.
+//! Client on a thread of its own, for asynchronous programs.
 //!
 //! ```text
 //!  with(f) ──► orders (a few) ──► thread: order, event, order, event … ──► events (bounded)
@@ -6,8 +6,8 @@
 //!     └── what f returned ◄─────────┘
 //! ```
 //!
-//! There is no second client: the thread runs the blocking [`Client`], and what is asked of it is a
-//! closure. Time-outs are measured with the transport's clock, as everywhere.
+//! There is no second implementation: the thread runs the blocking [`Client`], and requests are closures. Time-outs are measured
+//! with the transport's clock, as everywhere.
 
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -22,13 +22,13 @@ use tokio::time::{sleep, timeout};
 
 use super::{Client, Event, LinkError, Transport};
 
-/// How long the thread waits for an event before it looks for an order, on the transport's clock.
+/// Time that the thread waits for an event before it checks for orders, on the transport's clock.
 const SLICE: Duration = Duration::from_millis(10);
 
-/// Orders that may wait; whoever gives one more waits for room.
+/// Capacity of the queue of orders; a caller waits if it is full.
 const ORDERS: usize = 8;
 
-/// As [`SLICE`] for a simulated device, whose frames may wait a little longer for a faster simulation.
+/// [`SLICE`] for a simulated device: its frames may wait a little longer, which makes the simulation faster.
 #[cfg(feature = "simulation")]
 const SIMULATED_SLICE: Duration = Duration::from_millis(40);
 
@@ -36,66 +36,65 @@ const SIMULATED_SLICE: Duration = Duration::from_millis(40);
 #[cfg(feature = "simulation")]
 const EVENTS_A_SLICE: usize = 8;
 
-/// Requests to switch off that may wait, on a lane of their own; whoever makes one more waits for room.
+/// Capacity of the separate queue of requests to switch off; a caller waits if it is full.
 const OFFS: usize = 8;
 
 type Order = Box<dyn FnOnce(&mut Client) + Send>;
 
-/// A client on a thread of its own. Dropping it ends the thread, which then closes the transport;
-/// [`AsyncClient::close`] waits for that.
+/// Client on a thread of its own. Dropping it ends the thread, which then closes the transport; [`AsyncClient::close`] waits for
+/// that.
 pub struct AsyncClient {
     orders: mpsc::Sender<Order>,
     offs: mpsc::Sender<Order>,
     closed: oneshot::Receiver<()>,
-    last_words: Arc<LastWords>,
+    end_reasons: Arc<EndReasons>,
     hello: Hello,
     front_end: FrontEnd,
     description: String,
-    /// A request takes as long on the runtime's clock as it took on the transport's.
+    /// Set if a request takes as long on the runtime's clock as on the transport's.
     #[cfg(feature = "simulation")]
     takes_simulated_time: bool,
 }
 
-/// What the thread leaves behind.
+/// Errors that the thread leaves for its caller.
 #[derive(Default)]
-struct LastWords {
+struct EndReasons {
     ended: Mutex<Option<Arc<LinkError>>>,
     recording: Mutex<Option<LinkError>>,
 }
 
 impl AsyncClient {
-    /// Opens the transport and shakes hands, on the client's thread. What the device sends of its own
-    /// accord goes to `events`, in its order. While `events` is full, windows wait in the client as far as
-    /// it has room, and telemetry is dropped; both show in [`super::Counters::events_dropped`]. Once
-    /// nobody receives them, events are dropped and not counted.
+    /// Opens the transport and shakes hands, on the client's thread. Events of the device go to `events`, in order. While `events`
+    /// is full, windows wait in the client as long as it has room, and telemetry is dropped; both are counted in
+    /// [`super::Counters::events_dropped`]. Once `events` has no receiver, events are dropped and not counted.
     ///
     /// A future that is dropped before it is ready leaves nothing open.
     ///
     /// # Errors
-    /// As `open` and [`Client::connect`]; [`LinkError::Connect`] when there is no thread to be had.
+    /// Any error of `open` and [`Client::connect`]; [`LinkError::Connect`] if no thread can be started.
     pub async fn connect(
         open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError> + Send + 'static,
         events: mpsc::Sender<Event>,
     ) -> Result<Self, LinkError> {
         let (serving, calling) = ServingSide::new(events);
         let serve = move || {
-            if let Some((mut served, lanes)) = serving.serve_behind(open) {
-                let reason = served.serve(lanes);
-                served.leave(reason);
+            if let Some((mut link_thread, lanes)) = serving.serve_behind(open) {
+                let reason = link_thread.serve(lanes);
+                link_thread.leave(reason);
             }
         };
         thread::Builder::new()
             .name("ihd-link".to_owned())
             .spawn(serve)
-            .map_err(no_thread)?;
+            .map_err(thread_start_error)?;
         calling.client().await
     }
 
-    /// As [`AsyncClient::connect`], on the runtime that calls it and without a thread: for a simulated device that never blocks, on a
-    /// simulated clock. A request takes as long as the transport's clock says.
+    /// Connects like [`AsyncClient::connect`], but as a task of the calling runtime, without a thread: for a simulated device that
+    /// never blocks, on a simulated clock. A request takes as long as the transport's clock says.
     ///
     /// # Errors
-    /// As [`AsyncClient::connect`].
+    /// Any error of [`AsyncClient::connect`].
     #[cfg(feature = "simulation")]
     pub async fn connect_simulated(
         open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError> + Send + 'static,
@@ -103,9 +102,9 @@ impl AsyncClient {
     ) -> Result<Self, LinkError> {
         let (serving, calling) = ServingSide::new(events);
         tokio::spawn(async move {
-            if let Some((mut served, lanes)) = serving.serve_behind(open) {
-                let reason = served.serve_simulated(lanes).await;
-                served.leave(reason);
+            if let Some((mut link_thread, lanes)) = serving.serve_behind(open) {
+                let reason = link_thread.serve_simulated(lanes).await;
+                link_thread.leave(reason);
             }
         });
         let mut client = calling.client().await?;
@@ -113,13 +112,11 @@ impl AsyncClient {
         Ok(client)
     }
 
-    /// Runs `f` with the client, between two events, and gives what it returned. Orders of one caller
-    /// run in the order given. A future that is dropped before its turn takes its order with it: what was
-    /// given up is not done later.
+    /// Runs `f` with the client, between two events, and returns its result. Orders of one caller run in order. Dropping the future
+    /// before its turn cancels the order.
     ///
     /// # Errors
-    /// [`LinkError::Closed`] when the thread has ended, or ended with this order (a panic);
-    /// [`AsyncClient::ended`] has the reason.
+    /// [`LinkError::Closed`] if the thread has ended or ends with this order (a panic); [`AsyncClient::ended`] has the reason.
     pub async fn with<T: Send + 'static>(
         &self,
         f: impl FnOnce(&mut Client) -> T + Send + 'static,
@@ -128,7 +125,7 @@ impl AsyncClient {
         let order: Order = Box::new(move |client| {
             if !answer.is_closed() {
                 let timed = timed(client, f);
-                // Whoever left meanwhile does not want to know.
+                // The caller may have dropped its future.
                 let _ = answer.send(timed);
             }
         });
@@ -136,12 +133,12 @@ impl AsyncClient {
         self.answer(answered).await
     }
 
-    /// Switches the device off before all orders that wait, as [`Client::off`]; an order under way gives way where its answer stays
-    /// away. `then` runs on the client's thread once the device has confirmed, before the next order. It is done even where
-    /// the future is dropped.
+    /// Switches the device off like [`Client::off`], before all queued orders; an order whose answer does not come is preempted.
+    /// `then` runs on the client's thread once the device has confirmed, before the next order. All this also happens if the future
+    /// is dropped.
     ///
     /// # Errors
-    /// As [`Client::off`] and [`AsyncClient::with`].
+    /// Any error of [`Client::off`] and [`AsyncClient::with`].
     pub async fn off(&self, then: impl FnOnce() + Send + 'static) -> Result<(), LinkError> {
         let (answer, answered) = oneshot::channel();
         let order: Order = Box::new(move |client| {
@@ -149,7 +146,7 @@ impl AsyncClient {
             if timed.0.is_ok() {
                 then();
             }
-            // Whoever left meanwhile does not want to know.
+            // The caller may have dropped its future.
             let _ = answer.send(timed);
         });
         self.offs.send(order).await.map_err(|_| self.closed())?;
@@ -162,7 +159,7 @@ impl AsyncClient {
         }
     }
 
-    /// What the thread answers, and the time that it took.
+    /// Waits for the thread's result, and for the simulated time that it took.
     async fn answer<T>(&self, answered: oneshot::Receiver<(T, Duration)>) -> Result<T, LinkError> {
         let (outcome, _took) = answered.await.map_err(|_| self.closed())?;
         #[cfg(feature = "simulation")]
@@ -172,41 +169,41 @@ impl AsyncClient {
         Ok(outcome)
     }
 
-    /// Why the thread ended, once it has: the events' channel is closed then.
+    /// Reason why the thread has ended; `None` while it runs. The events' channel is closed then.
     pub fn ended(&self) -> Option<Arc<LinkError>> {
-        lock(&self.last_words.ended).clone()
+        lock(&self.end_reasons.ended).clone()
     }
 
-    /// Why a recording begun with [`Client::record_to`] stopped, once; the link went on.
+    /// Error that ended a recording begun with [`Client::record_to`], once; the link continued.
     pub fn take_recording_failure(&self) -> Option<LinkError> {
-        lock(&self.last_words.recording).take()
+        lock(&self.end_reasons.recording).take()
     }
 
-    /// How the device described itself.
+    /// Hello of the device.
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
 
-    /// What the codes of the device's channels stand for.
+    /// Scales of the codes of the device's channels.
     pub fn front_end(&self) -> &FrontEnd {
         &self.front_end
     }
 
-    /// The device in words.
+    /// Device in words.
     pub fn describe(&self) -> &str {
         &self.description
     }
 
-    /// Ends the thread and waits until it has closed the transport: only then a port or an interface
-    /// can be opened again. An order under way is finished first.
+    /// Ends the thread and waits until it has closed the transport; only then can a port or an interface be opened again. An order
+    /// under way is finished first.
     pub async fn close(self) {
         drop(self.orders);
-        // Nothing is ever sent: this ends when the thread has.
+        // Nothing is ever sent: the channel closes when the thread ends.
         let _ = self.closed.await;
     }
 }
 
-/// Runs `f` with the client; what it returned, and how long it took on the transport's clock.
+/// Runs `f` with the client; returns its result and the time taken on the transport's clock.
 fn timed<T>(client: &mut Client, f: impl FnOnce(&mut Client) -> T) -> (T, Duration) {
     let began = client.clock();
     let outcome = f(client);
@@ -217,7 +214,7 @@ fn is_used(lane: &mpsc::Sender<Order>) -> bool {
     lane.capacity() < lane.max_capacity()
 }
 
-fn no_thread(source: io::Error) -> LinkError {
+fn thread_start_error(source: io::Error) -> LinkError {
     LinkError::Connect {
         device: "the device".to_owned(),
         hint: "; no thread could be started for it".to_owned(),
@@ -228,21 +225,21 @@ fn no_thread(source: io::Error) -> LinkError {
 /// Hello, front end and description of a device that shook hands.
 type Greeting = (Hello, FrontEnd, String);
 
-/// What is asked of the client.
+/// Receivers of the two queues of orders.
 struct Lanes {
     orders: mpsc::Receiver<Order>,
     offs: mpsc::Receiver<Order>,
 }
 
-/// What the thread needs before it has a client.
+/// State of the thread before it has a client.
 struct ServingSide {
     events: mpsc::Sender<Event>,
     lanes: Lanes,
-    /// The lane of what switches off, to look whether it is used.
+    /// Queue of requests to switch off; polled for pending ones.
     off_lane: mpsc::WeakSender<Order>,
     connected: oneshot::Sender<Result<Greeting, LinkError>>,
     closing: oneshot::Sender<()>,
-    last_words: Arc<LastWords>,
+    end_reasons: Arc<EndReasons>,
 }
 
 /// The caller's counterpart of a [`ServingSide`].
@@ -251,7 +248,7 @@ struct CallingSide {
     offs: mpsc::Sender<Order>,
     outcome: oneshot::Receiver<Result<Greeting, LinkError>>,
     closed: oneshot::Receiver<()>,
-    last_words: Arc<LastWords>,
+    end_reasons: Arc<EndReasons>,
 }
 
 impl ServingSide {
@@ -260,21 +257,21 @@ impl ServingSide {
         let (to_offs, offs) = mpsc::channel(OFFS);
         let (connected, outcome) = oneshot::channel();
         let (closing, closed) = oneshot::channel::<()>();
-        let last_words = Arc::new(LastWords::default());
+        let end_reasons = Arc::new(EndReasons::default());
         let serving = Self {
             events,
             lanes: Lanes { orders, offs },
             off_lane: to_offs.downgrade(),
             connected,
             closing,
-            last_words: Arc::clone(&last_words),
+            end_reasons: Arc::clone(&end_reasons),
         };
         let calling = CallingSide {
             orders: to_orders,
             offs: to_offs,
             outcome,
             closed,
-            last_words,
+            end_reasons,
         };
         (serving, calling)
     }
@@ -283,43 +280,43 @@ impl ServingSide {
     fn serve_behind(
         self,
         open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError>,
-    ) -> Option<(Served, Lanes)> {
+    ) -> Option<(LinkThread, Lanes)> {
         let mut client = match open().and_then(Client::connect) {
             Ok(client) => client,
             Err(error) => {
-                // Whoever asked has left.
+                // The caller may have dropped its future.
                 let _ = self.connected.send(Err(error));
                 return None;
             }
         };
         let lane = self.off_lane;
-        client.give_way_to_off(move || lane.upgrade().is_some_and(|lane| is_used(&lane)));
+        client.yield_to_off(move || lane.upgrade().is_some_and(|lane| is_used(&lane)));
         let greeting = (
             client.hello().clone(),
             client.front_end().clone(),
             client.describe(),
         );
         self.connected.send(Ok(greeting)).ok()?;
-        let served = Served {
+        let link_thread = LinkThread {
             client,
             events: self.events,
             held: None,
-            last_words: self.last_words,
+            end_reasons: self.end_reasons,
             _closing: self.closing,
         };
-        Some((served, self.lanes))
+        Some((link_thread, self.lanes))
     }
 }
 
 impl CallingSide {
     async fn client(self) -> Result<AsyncClient, LinkError> {
-        let panicked = |_| no_thread(io::Error::other("it ended in a panic"));
+        let panicked = |_| thread_start_error(io::Error::other("it ended in a panic"));
         let (hello, front_end, description) = self.outcome.await.map_err(panicked)??;
         Ok(AsyncClient {
             orders: self.orders,
             offs: self.offs,
             closed: self.closed,
-            last_words: self.last_words,
+            end_reasons: self.end_reasons,
             hello,
             front_end,
             description,
@@ -333,19 +330,19 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The thread's side.
-struct Served {
+/// State of the thread.
+struct LinkThread {
     client: Client,
     events: mpsc::Sender<Event>,
-    /// The next event, which found its channel full.
+    /// Next event, kept while the channel is full.
     held: Option<Event>,
-    last_words: Arc<LastWords>,
-    /// The last field, so that it is dropped once the client has closed the transport.
+    end_reasons: Arc<EndReasons>,
+    /// Last field: it must be dropped after the client has closed the transport.
     _closing: oneshot::Sender<()>,
 }
 
-impl Drop for Served {
-    /// Before the events' channel closes, as with every other reason.
+impl Drop for LinkThread {
+    /// Stores the reason before the events' channel closes, like every other end.
     fn drop(&mut self) {
         if thread::panicking() {
             self.leave(LinkError::Panicked);
@@ -353,12 +350,13 @@ impl Drop for Served {
     }
 }
 
-impl Served {
+impl LinkThread {
     fn leave(&self, reason: LinkError) {
-        *lock(&self.last_words.ended) = Some(Arc::new(reason));
+        *lock(&self.end_reasons.ended) = Some(Arc::new(reason));
     }
 
-    /// Orders and events in turn, until the link fails or nobody gives orders any more; what switches off comes before each.
+    /// Runs orders and passes events in turn until the link fails or the client is dropped; requests to switch off run before each
+    /// order.
     fn serve(&mut self, mut lanes: Lanes) -> LinkError {
         loop {
             while let Ok(off) = lanes.offs.try_recv() {
@@ -384,7 +382,7 @@ impl Served {
         }
     }
 
-    /// As [`Served::serve`], on the runtime's clock.
+    /// Runs like [`LinkThread::serve`], on the runtime's clock.
     #[cfg(feature = "simulation")]
     async fn serve_simulated(&mut self, mut lanes: Lanes) -> LinkError {
         loop {
@@ -415,18 +413,18 @@ impl Served {
         }
     }
 
-    /// As [`Served::event`]; a recording that fails does not end the link.
+    /// Passes one event like [`LinkThread::event`]; an error of the recording does not end the link.
     fn pass_on(&mut self, slice: Duration) -> Result<(), LinkError> {
         match self.event(slice) {
             Err(failure @ LinkError::Recording(_)) => {
-                *lock(&self.last_words.recording) = Some(failure);
+                *lock(&self.end_reasons.recording) = Some(failure);
                 Ok(())
             }
             other => other,
         }
     }
 
-    /// Passes the next event on, or waits for one at most `slice` long.
+    /// Passes on the next event, or waits for one at most `slice`.
     fn event(&mut self, slice: Duration) -> Result<(), LinkError> {
         let event = match self.held.take() {
             Some(event) => Some(event),

@@ -1,11 +1,11 @@
-//! The host's end of the link: handshake, requests, events.
+//! Client: handshake, requests, events.
 
 use std::time::Duration;
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_HOST, check, ours};
-use ihd_shared::wire::link_test::Received;
+use ihd_shared::wire::link_test::LinkTestCounts;
 use ihd_shared::wire::messages::{
     ClearFault, Configure, FrontEnd, GetFrontEnd, GetStatus, GetUtilisation, Hello, Message,
     Outcome, Piece, PushLookup, Raw, ReadLookup, Reply, Request, ResendWindow, ResetLookup,
@@ -15,65 +15,66 @@ use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use serde::Deserialize;
 
-use super::incoming::{Answer, Event, Incoming};
-use super::off::GivingWay;
-use super::resend::{Resend, Step};
-use super::tap::Tap;
+use super::frame_tee::FrameTee;
+use super::off::OffPreemption;
+use super::receiver::{Event, Receiver, Response};
+use super::resend::{Resend, ResendStep};
 use super::{Counters, FrameSink, LinkError, Transport, printable_hello};
 
 /// Time that a command waits for its answer unless [`Client::set_timeout`] changes it.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Longest silence of a host that wants its power to stay on: the device ends it after [`HOST_UNHEARD_HALF_CYCLES`], 10 s at
-/// 50 Hz.
-pub const HEARD_EVERY: Duration = Duration::from_millis(HOST_UNHEARD_HALF_CYCLES as u64 * 10 / 5);
+/// Longest pause between two requests of a host whose power is to stay on. The device switches off after
+/// [`HOST_UNHEARD_HALF_CYCLES`] without one, 10 s at 50 Hz; this is a fifth of it.
+pub const KEEPALIVE_PERIOD: Duration =
+    Duration::from_millis(HOST_UNHEARD_HALF_CYCLES as u64 * 10 / 5);
 
-/// Times that a request is sent within its time-out: an answer is lost as any frame.
+/// Number of times that a request is sent within its time-out, since answers get lost like any frame.
 const TRIES: u32 = 3;
 
-/// Time that a command that gives way to an `off` still waits for its answer.
+/// Time that a preempted command still waits for its answer.
 const GRACE: Duration = Duration::from_millis(50);
 
 /// Events that may wait for [`Client::next_event`] while commands are answered; a window takes
 /// 70 kB.
 const MAX_EVENTS: usize = 256;
 
-/// Reads that [`Client::next_event`] makes of what is there when its time is over, and for how long: a whole window
-/// comes in a thousand packets over USB. The number is for clocks that stand still meanwhile.
+/// Limits of [`Client::next_event`] for reading available bytes after its time-out: reads and time. A whole window comes in a
+/// thousand packets over USB. The number is for clocks that stand still meanwhile.
 const OVERTIME_READS: u32 = 4_096;
 const OVERTIME: Duration = Duration::from_millis(50);
 
 /// A device, connected and compatible.
 pub struct Client {
     transport: Box<dyn Transport>,
-    incoming: Incoming,
+    receiver: Receiver,
     hello: Hello,
     front_end: FrontEnd,
     frame_seq: u16,
     /// Number of the last request.
     number: Number,
-    awaited: Option<Awaited>,
-    /// Answer that was awaited last, once it has come.
-    answer: Option<Answer>,
+    awaited: Option<AwaitedResponse>,
+    /// Response to the last request, once it has come.
+    answer: Option<Response>,
     timeout: Duration,
-    giving_way: GivingWay,
-    tap: Tap,
+    off_preemption: OffPreemption,
+    tap: FrameTee,
     answers_stray: u32,
     events_dropped: u32,
     resend: Resend,
     pieces_asked: u32,
 }
 
-/// Answer that is waited for.
+/// Response that a request waits for.
 #[derive(Clone, Copy)]
-struct Awaited {
+struct AwaitedResponse {
     id: u8,
     number: Number,
 }
 
-impl Awaited {
-    /// The message asked for, or a refusal of it.
-    fn is(self, answer: &Answer) -> bool {
+impl AwaitedResponse {
+    /// Returns `true` for the expected message or a refusal of the request.
+    fn is(self, answer: &Response) -> bool {
         let is_refusal = || {
             let reply: Option<Reply> = answer.decode();
             reply.is_some_and(|reply| reply.outcome != Outcome::Ok)
@@ -93,9 +94,9 @@ impl Client {
         let ours = ours(ROLE_HOST, 0, std::process::id(), build, "host");
         let mut client = Self {
             transport,
-            incoming: Incoming::default(),
+            receiver: Receiver::default(),
             hello: ours.clone(),
-            // Before the device has told.
+            // Unknown until the device has sent it.
             front_end: FrontEnd {
                 v_full_scale_mv: 0,
                 i_full_scale_ma: 0,
@@ -108,14 +109,14 @@ impl Client {
             awaited: None,
             answer: None,
             timeout: DEFAULT_TIMEOUT,
-            giving_way: GivingWay::default(),
-            tap: Tap::default(),
+            off_preemption: OffPreemption::default(),
+            tap: FrameTee::default(),
             answers_stray: 0,
             events_dropped: 0,
             resend: Resend::default(),
             pieces_asked: 0,
         };
-        let greeted = Awaited {
+        let greeted = AwaitedResponse {
             id: Hello::ID,
             number: Number::NONE,
         };
@@ -125,22 +126,22 @@ impl Client {
             device: format!("{} ({})", client.transport.describe(), theirs.build),
             why,
         })?;
-        // What came before the hello was for somebody else.
-        client.incoming.events.clear();
+        // Events before the hello belong to an earlier conversation.
+        client.receiver.events.clear();
         client.hello = theirs;
         client.front_end = client.request(&GetFrontEnd {})?;
         Ok(client)
     }
 
-    /// Asks for what the table binds to the request. While the answer stays away the request is sent again under the same
-    /// number, within the time-out; an answer under any other number is not taken for it.
+    /// Makes a request and returns the response that the message table binds to it. While none comes, the request is sent again
+    /// under the same number, within the time-out. Responses with another number are ignored.
     ///
     /// # Errors
     /// [`LinkError::Refused`] with the device's outcome, [`LinkError::NoAnswer`], [`LinkError::Unsendable`] for more bytes
     /// than a frame holds, and what the transport reports.
     pub fn request<R: Request>(&mut self, request: &R) -> Result<R::Answer<'_>, LinkError> {
         self.number = self.number.next();
-        let awaited = Awaited {
+        let awaited = AwaitedResponse {
             id: <R::Answer<'_> as Message>::ID,
             number: self.number,
         };
@@ -148,7 +149,7 @@ impl Client {
         self.exchange(request, awaited, tries)
     }
 
-    /// Makes a request of which the answer is only that it was done.
+    /// Makes a request whose response is a plain `Reply`.
     pub(super) fn order<R>(&mut self, order: &R) -> Result<(), LinkError>
     where
         R: for<'a> Request<Answer<'a> = Reply>,
@@ -166,22 +167,22 @@ impl Client {
         &self.hello
     }
 
-    /// The device in words.
+    /// Device in words.
     pub fn describe(&self) -> String {
         self.transport.describe()
     }
 
-    /// Everything seen and missed so far.
+    /// Counters so far.
     pub fn counters(&self) -> Counters {
         Counters {
             answers_stray: self.answers_stray,
             events_dropped: self.events_dropped,
             pieces_asked: self.pieces_asked,
-            ..self.incoming.counters()
+            ..self.receiver.counters()
         }
     }
 
-    /// The transport's clock, which every time-out is measured with; only differences mean something.
+    /// Clock of the transport, which every time-out is measured with; only differences have a meaning.
     pub fn clock(&self) -> Duration {
         self.transport.clock()
     }
@@ -191,32 +192,54 @@ impl Client {
         self.timeout = timeout;
     }
 
+    /// Drops from now on what is more than a hob sends of its own accord, before it is decoded: a device that floods must not cost
+    /// its host the time that others need. [`Counters::frames_beyond`] counts it.
+    pub fn limit_floods(&mut self) {
+        self.receiver.limit_floods(self.transport.clock());
+    }
+
     /// Copies every frame from now on to `sink`.
     pub fn record_to(&mut self, sink: impl FrameSink + 'static) {
         self.tap.open(Box::new(sink));
     }
 
-    /// Ends the recording; without one, nothing.
+    /// Ends the recording, if there is one.
     ///
     /// # Errors
-    /// [`LinkError::Recording`] when it, or a part of it before, could not be written.
+    /// [`LinkError::Recording`] if any part of it could not be written.
     pub fn finish_recording(&mut self) -> Result<(), LinkError> {
         self.tap.close().map_err(LinkError::Recording)
     }
 
-    /// Asks for a mean power in watt; 0 switches off.
+    /// Requests a mean power in watt; 0 switches off.
     ///
     /// # Errors
-    /// [`LinkError::Refused`] above the rating or while a fault is active, else as every command:
-    /// [`LinkError::NoAnswer`] or what the transport reports.
+    /// [`LinkError::Refused`] above the rating or while a fault is active, else any error of [`Client::request`].
     pub fn set_power(&mut self, power_w: u16) -> Result<(), LinkError> {
         self.order(&SetPower { power_w })
     }
 
-    /// Chooses a telemetry and a window every so many half-cycles; 0 for none.
+    /// Lets waiting commands be preempted while `off_waits` returns `true`: they end with [`LinkError::Preempted`].
+    #[cfg(feature = "async")]
+    pub(crate) fn yield_to_off(&mut self, off_waits: impl Fn() -> bool + Send + 'static) {
+        self.off_preemption.off_waits = Some(Box::new(off_waits));
+    }
+
+    /// Switches off; this command is never preempted.
     ///
     /// # Errors
-    /// As every command.
+    /// Any error of [`Client::request`].
+    pub fn off(&mut self) -> Result<(), LinkError> {
+        self.off_preemption.runs_off = true;
+        let off = self.set_power(0);
+        self.off_preemption.runs_off = false;
+        off
+    }
+
+    /// Requests telemetry and a window every so many half-cycles; 0 for none.
+    ///
+    /// # Errors
+    /// Any error of [`Client::request`].
     pub fn stream(&mut self, telemetry_every: u8, windows_every: u8) -> Result<(), LinkError> {
         let stream = Stream {
             telemetry_every,
@@ -225,32 +248,32 @@ impl Client {
         self.order(&stream)
     }
 
-    /// The controller now.
+    /// Reads the state of the controller.
     ///
     /// # Errors
-    /// As every command.
+    /// Any error of [`Client::request`].
     pub fn status(&mut self) -> Result<Status, LinkError> {
         self.request(&GetStatus {})
     }
 
-    /// Load of the controller since this was asked last.
+    /// Reads the controller's processor load since the last call.
     ///
     /// # Errors
-    /// As every command.
+    /// Any error of [`Client::request`].
     pub fn utilisation(&mut self) -> Result<Utilisation, LinkError> {
         self.request(&GetUtilisation {})
     }
 
-    /// Offers a lookup. Taken, it becomes active at the next half-cycle boundary, which
-    /// [`Client::status`] shows; refused, the device keeps the one it has.
+    /// Sends a lookup. If accepted, it becomes active at the next half-cycle boundary, which [`Client::status`] shows; if refused,
+    /// the device keeps its own.
     ///
     /// # Errors
-    /// [`LinkError::Refused`] with the device's reason, else as every command.
+    /// [`LinkError::Refused`] with the device's reason, else any error of [`Client::request`].
     pub fn push_lookup(&mut self, lookup: &RlLookup) -> Result<(), LinkError> {
         self.push_lookup_bytes(&lookup.to_bytes())
     }
 
-    /// Pushes bytes that may be no lookup at all: the device judges.
+    /// Sends arbitrary bytes as a lookup; the device checks them.
     ///
     /// # Errors
     /// As [`Client::push_lookup`]; [`LinkError::Unsendable`] for more bytes than a frame holds.
@@ -258,10 +281,10 @@ impl Client {
         self.order(&PushLookup { blob: Raw(blob) })
     }
 
-    /// The active lookup.
+    /// Reads the active lookup.
     ///
     /// # Errors
-    /// [`LinkError::DamagedLookup`] when it fails the checks, else as every command.
+    /// [`LinkError::DamagedLookup`] when it fails the checks, else any error of [`Client::request`].
     pub fn read_lookup(&mut self) -> Result<RlLookup, LinkError> {
         let device = self.describe();
         let read = self.request(&ReadLookup {})?;
@@ -269,10 +292,10 @@ impl Client {
             .map_err(|source| LinkError::DamagedLookup { device, source })
     }
 
-    /// Back to the built-in lookup, version 0, at the next half-cycle boundary.
+    /// Restores the built-in lookup, version 0, at the next half-cycle boundary.
     ///
     /// # Errors
-    /// As every command.
+    /// Any error of [`Client::request`].
     pub fn reset_lookup(&mut self) -> Result<(), LinkError> {
         self.order(&ResetLookup {})
     }
@@ -280,22 +303,22 @@ impl Client {
     /// Changes the device's settings until its next boot.
     ///
     /// # Errors
-    /// [`LinkError::Refused`] when one is outside its range, else as every command.
+    /// [`LinkError::Refused`] when one is outside its range, else any error of [`Client::request`].
     pub fn configure(&mut self, settings: &Configure) -> Result<(), LinkError> {
         self.order(settings)
     }
 
-    /// Leaves the safe state after a fault; power must be asked for again.
+    /// Leaves the safe state after a fault; power must be requested again.
     ///
     /// # Errors
-    /// As every command.
+    /// Any error of [`Client::request`].
     pub fn clear_fault(&mut self) -> Result<(), LinkError> {
         self.order(&ClearFault {})
     }
 
-    /// The next event, in the order the device sent them; `None` when `timeout` has passed on the
-    /// transport's clock, whatever else has come meanwhile. A zero `timeout` takes what is there, within
-    /// bounds: a device that sends without end and completes nothing is left after 50 ms.
+    /// Returns the next event, in the order the device sent them; `None` if `timeout` has passed on the transport's clock. A zero
+    /// `timeout` processes the available bytes within bounds: it returns after 50 ms if a device sends without end and completes
+    /// nothing.
     ///
     /// # Errors
     /// [`LinkError::Recording`] once when the recording fails, and what the transport reports.
@@ -306,7 +329,7 @@ impl Client {
             if let Some(error) = self.tap.take_failure() {
                 return Err(LinkError::Recording(error));
             }
-            if let Some(event) = self.incoming.events.pop_front() {
+            if let Some(event) = self.receiver.events.pop_front() {
                 return Ok(Some(event));
             }
             let now = self.transport.clock();
@@ -317,24 +340,23 @@ impl Client {
             }
             let length = self.receive(left)?;
             if length == 0 {
-                return Ok(self.incoming.events.pop_front());
+                return Ok(self.receiver.events.pop_front());
             }
         }
     }
 
-    /// Takes what comes within `timeout`, for whoever cannot take an event now. When too many wait, telemetry
-    /// is dropped; when too many are none, the bytes stay with the transport: what the device then finds
-    /// no room for it counts itself.
+    /// Receives for `timeout` while the caller cannot accept an event. Telemetry is dropped if too many events wait. If that is not
+    /// enough, the bytes stay with the transport, and the device counts what it has no room for.
     #[cfg(feature = "async")]
     pub(crate) fn wait_without_events(&mut self, timeout: Duration) -> Result<(), LinkError> {
-        let events = &mut self.incoming.events;
+        let events = &mut self.receiver.events;
         if events.len() >= MAX_EVENTS / 2 {
             let before = events.len();
             events.retain(|event| !matches!(event, Event::Telemetry(_)));
             let dropped = (before - events.len()) as u32;
             self.events_dropped = self.events_dropped.wrapping_add(dropped);
         }
-        if self.incoming.events.len() < MAX_EVENTS / 2 {
+        if self.receiver.events.len() < MAX_EVENTS / 2 {
             self.receive(timeout)?;
         } else {
             std::thread::sleep(timeout);
@@ -342,26 +364,26 @@ impl Client {
         Ok(())
     }
 
-    /// An event was dropped by whoever passes them on.
+    /// Counts an event dropped by the caller.
     #[cfg(feature = "async")]
     pub(crate) fn count_dropped_event(&mut self) {
         self.events_dropped = self.events_dropped.wrapping_add(1);
     }
 
-    /// Sends a message, so often within the time-out, until what is awaited is here.
+    /// Sends a message, `tries` times within the time-out, until the awaited response comes.
     fn exchange<'s, M: Message, A: Message + Deserialize<'s>>(
         &'s mut self,
         message: &M,
-        awaited: Awaited,
+        awaited: AwaitedResponse,
         tries: u32,
     ) -> Result<A, LinkError> {
         // Faults of the link seen so far do not explain a missing answer to this one.
-        let before = self.incoming.counters();
-        self.giving_way.is_told = false;
+        let before = self.receiver.counters();
+        self.off_preemption.off_sent = false;
         self.answer = None;
         self.awaited = Some(awaited);
         let came = self.send_until_answered(message, awaited.number, tries);
-        // What comes later comes too late.
+        // A later response is stray.
         self.awaited = None;
         came?;
         let answer = self.answer.as_ref();
@@ -375,8 +397,8 @@ impl Client {
             });
         }
         let answer = answer.and_then(|answer| answer.decode());
-        answer.ok_or_else(|| match self.giving_way.is_told {
-            true => LinkError::GaveWay { command: M::NAME },
+        answer.ok_or_else(|| match self.off_preemption.off_sent {
+            true => LinkError::Preempted { command: M::NAME },
             false => self.no_answer(M::NAME, &before),
         })
     }
@@ -392,44 +414,40 @@ impl Client {
             let mut deadline = self.transport.clock() + self.timeout / tries;
             while self.answer.is_none() {
                 let now = self.transport.clock();
-                if let Some(grace) = self.give_way(M::ID)? {
+                if let Some(grace) = self.preempt(M::ID)? {
                     deadline = deadline.min(now + grace);
                 }
                 let left = deadline.saturating_sub(now);
-                let slice = left.min(self.giving_way.look_every());
+                let slice = left.min(self.off_preemption.poll_period());
                 if left.is_zero() || (self.receive(slice)? == 0 && slice == left) {
                     break;
                 }
             }
-            if self.answer.is_some() || self.giving_way.is_told {
+            if self.answer.is_some() || self.off_preemption.off_sent {
                 break;
             }
         }
         Ok(())
     }
 
-    /// Sees whether somebody waits to switch off, and tells the device at once. Returns how long the command of number `id` still
-    /// waits for its answer then.
-    fn give_way(&mut self, id: u8) -> Result<Option<Duration>, LinkError> {
-        if self.giving_way.is_told || !self.giving_way.is_wanted() {
+    /// Sends `SetPower(0)` if a request to switch off is waiting. Returns how long the command `id` then still waits for its
+    /// response; `None` if it is not preempted.
+    fn preempt(&mut self, id: u8) -> Result<Option<Duration>, LinkError> {
+        if self.off_preemption.off_sent || !self.off_preemption.is_requested() {
             return Ok(None);
         }
-        self.giving_way.is_told = true;
+        self.off_preemption.off_sent = true;
         self.number = self.number.next();
         self.send(&SetPower { power_w: 0 }, self.number)?;
-        // Whoever asked for power gets none.
+        // A request for power is dropped at once.
         Ok(Some(match id {
             SetPower::ID => Duration::ZERO,
             _ => GRACE,
         }))
     }
 
-    pub(super) fn giving_way(&mut self) -> &mut GivingWay {
-        &mut self.giving_way
-    }
-
     fn no_answer(&self, command: &'static str, before: &Counters) -> LinkError {
-        let now = self.incoming.counters();
+        let now = self.receiver.counters();
         let seen = match (
             now.frames_good.wrapping_sub(before.frames_good),
             now.bytes - before.bytes,
@@ -446,8 +464,7 @@ impl Client {
         }
     }
 
-    /// Takes what comes within `timeout`, and asks for the missing pieces of windows meanwhile; returns
-    /// how many bytes it was.
+    /// Receives for `timeout` and requests missing pieces of windows meanwhile; returns the number of bytes received.
     pub(super) fn receive(&mut self, timeout: Duration) -> Result<usize, LinkError> {
         let start = self.transport.clock();
         loop {
@@ -456,33 +473,31 @@ impl Client {
             let left = timeout.saturating_sub(now.saturating_sub(start));
             let length = self.read(left.min(pause))?;
             if length > 0 || left <= pause {
-                // Asked for now rather than with the next call, which may be late.
+                // Requested now rather than with the next call, which may be late.
                 self.ask_for_pieces()?;
                 return Ok(length);
             }
         }
     }
 
-    /// Takes what comes within `timeout`; returns how many bytes it was.
+    /// Receives for `timeout`; returns the number of bytes.
     fn read(&mut self, timeout: Duration) -> Result<usize, LinkError> {
         let mut buf = [0; 16 * 1024];
         let length = self.transport.receive(&mut buf, timeout)?;
         let bytes = &buf[..length];
-        let known = self.incoming.events.len();
-        for &byte in bytes {
-            // Bad frames are in the counters.
-            let _ = self.incoming.push(byte);
-        }
-        self.tap.take(self.transport.clock(), bytes);
+        let known = self.receiver.events.len();
+        let now = self.transport.clock();
+        self.receiver.take(bytes, now);
+        self.tap.take(now, bytes);
         self.take_answers();
-        self.let_go_of_windows(known)?;
+        self.release_windows(known)?;
         self.limit_events();
         Ok(length)
     }
 
-    /// Picks the answer that is awaited; no other is anybody's.
+    /// Picks the awaited response; all others are counted as stray.
     fn take_answers(&mut self) {
-        while let Some(answer) = self.incoming.answers.pop_front() {
+        while let Some(answer) = self.receiver.answers.pop_front() {
             if self.awaited.is_some_and(|awaited| awaited.is(&answer)) {
                 self.answer = Some(answer);
                 self.awaited = None;
@@ -492,32 +507,32 @@ impl Client {
         }
     }
 
-    /// Lets the device forget the windows that have been given out or rejected since there were `known` events.
-    fn let_go_of_windows(&mut self, known: usize) -> Result<(), LinkError> {
-        let newest = self.incoming.events.iter().skip(known).rev();
+    /// Lets the device release the windows that were completed or rejected since there were `known` events.
+    fn release_windows(&mut self, known: usize) -> Result<(), LinkError> {
+        let newest = self.receiver.events.iter().skip(known).rev();
         let seq = newest.into_iter().find_map(|event| match event {
             Event::Window(window) => Some(window.seq),
             Event::WindowRejected { seq, .. } => Some(*seq),
             Event::Telemetry(_) | Event::Fault(_) | Event::Log { .. } => None,
         });
-        // The device has one window at a time: those before it are gone.
-        let let_go = seq.map(|seq| ResendWindow {
+        // The device holds one window at a time: earlier ones are gone.
+        let release = seq.map(|seq| ResendWindow {
             seq,
             piece: Piece::Nothing,
             offset: 0,
         });
-        self.send_requests(let_go.as_slice())
+        self.send_requests(release.as_slice())
     }
 
-    /// Asks for what is missing of the window under way when it is time; returns how long it is not.
+    /// Requests missing pieces of the window under way if they are due; returns the time until the next are.
     fn ask_for_pieces(&mut self) -> Result<Duration, LinkError> {
         loop {
             let now = self.transport.clock();
-            let window = self.incoming.unfinished();
+            let window = self.receiver.unfinished();
             match self.resend.step(now, window.as_ref()) {
-                Step::Wait(pause) => return Ok(pause),
-                Step::GiveUp(seq) => self.incoming.give_up(seq),
-                Step::Ask(pieces) => {
+                ResendStep::Wait(pause) => return Ok(pause),
+                ResendStep::GiveUp(seq) => self.receiver.give_up(seq),
+                ResendStep::Ask(pieces) => {
                     self.pieces_asked = self.pieces_asked.wrapping_add(pieces.len() as u32);
                     self.send_requests(&pieces)?;
                 }
@@ -539,9 +554,9 @@ impl Client {
         self.transport.send(&frames)
     }
 
-    /// Keeps the events that wait within bounds: telemetry goes first, then the oldest.
+    /// Limits the queue of events: drops telemetry first, then the oldest.
     fn limit_events(&mut self) {
-        let events = &mut self.incoming.events;
+        let events = &mut self.receiver.events;
         let excess = events.len().saturating_sub(MAX_EVENTS);
         if excess == 0 {
             return;
@@ -569,14 +584,14 @@ impl Client {
         Ok(())
     }
 
-    /// Forgets the bytes of a test of the link that have come.
+    /// Resets the counts of the link test.
     pub(super) fn forget_link_data(&mut self) {
-        self.incoming.link_data = Received::NONE;
+        self.receiver.link_data = LinkTestCounts::NONE;
     }
 
-    /// The bytes of a test of the link that have come.
-    pub(super) fn link_data(&self) -> Received {
-        self.incoming.link_data
+    /// Counts of the link test.
+    pub(super) fn link_data(&self) -> LinkTestCounts {
+        self.receiver.link_data
     }
 
     fn framed<M: Message>(

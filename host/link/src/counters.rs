@@ -1,8 +1,8 @@
-//! What a link has seen, the bad included.
+//! Counters of a link: traffic, damage and losses.
 
 use std::collections::BTreeMap;
 
-/// Counts since the link was made or the recording opened. Nothing that was lost is missing here.
+/// Counts since the link was opened or the recording began. Every loss is counted.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Bytes received.
@@ -13,25 +13,27 @@ pub struct Counters {
     pub frames_bad: u32,
     /// Frames missing from the device's sequence.
     pub frames_lost: u32,
+    /// Frames beyond what a hob sends of its own accord, which nobody looked at ([`super::Client::limit_floods`]).
+    pub frames_beyond: u64,
     /// Frames whose payload is not a message of their id.
     pub messages_malformed: u32,
-    /// Frames of an id that this host does not know: a device of a newer minor version.
+    /// Frames with an id that this host does not know; the device has a newer minor version.
     pub messages_unknown: u32,
-    /// Answers that no command waited for: late ones, or repeated ones.
+    /// Answers that no command waited for: late or repeated ones.
     pub answers_stray: u32,
-    /// Events dropped because nobody took them for too long.
+    /// Events dropped because the queue was full.
     pub events_dropped: u32,
     /// Telemetry.
     pub telemetry: SequenceCounters,
     /// Windows accepted.
     pub windows: SequenceCounters,
-    /// Windows of which anything has come: each is accepted or rejected in the end, or under way.
+    /// Windows of which a message has come; each is accepted, rejected or still under way.
     pub windows_begun: u32,
     /// Windows rejected, by [`super::WindowDefect::label`].
     pub windows_rejected: BTreeMap<&'static str, u32>,
-    /// Pieces of windows that were asked for again.
+    /// PartialPayload of windows requested again.
     pub pieces_asked: u32,
-    /// Messages of windows that had already been given out or rejected.
+    /// Messages of windows that were complete or rejected already.
     pub window_messages_stray: u32,
 }
 
@@ -45,20 +47,20 @@ impl Counters {
 /// Counts of one numbered stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SequenceCounters {
-    /// Received whole.
+    /// Items received complete.
     pub received: u32,
-    /// Sequence numbers never seen, whether the device dropped them or the link lost them.
+    /// Sequence numbers never received, dropped by the device or lost on the link.
     pub missing: u32,
-    /// Dropped since boot, as the device last reported.
+    /// Items dropped since boot, as last reported by the device.
     pub dropped_by_device: u32,
     next: Option<u32>,
-    /// Which of the last 64 numbers count as missing; the lowest bit is the last.
+    /// Bit mask of the last 64 numbers: set bits count as missing; bit 0 is the latest number.
     late: u64,
 }
 
 impl SequenceCounters {
-    /// Takes the sequence number of something that arrived, whole or not.
-    pub(super) fn see(&mut self, seq: u32) {
+    /// Counts the sequence number of an item that arrived, complete or not.
+    pub(super) fn count_seq(&mut self, seq: u32) {
         let Some(next) = self.next else {
             self.next = Some(seq.wrapping_add(1));
             return;
@@ -70,7 +72,7 @@ impl SequenceCounters {
             let shifted = self.late.checked_shl(gap).unwrap_or(0);
             self.late = (shifted | skipped) << 1;
         } else if back <= 64 {
-            // A repetition, or one that another has overtaken.
+            // Repeated or overtaken.
             let bit = 1u64 << (back - 1);
             if self.late & bit != 0 {
                 self.late &= !bit;
@@ -78,7 +80,7 @@ impl SequenceCounters {
             }
             return;
         } else {
-            // The device began anew.
+            // The device restarted its numbering.
             self.late = 0;
         }
         self.next = Some(seq.wrapping_add(1));
@@ -93,15 +95,15 @@ mod tests {
     fn gaps_count_and_repetitions_do_not() {
         let mut s = SequenceCounters::default();
         for seq in [5, 6, 9, 9, 6, 10] {
-            s.see(seq);
+            s.count_seq(seq);
         }
         assert_eq!(s.missing, 2);
         for seq in [100_000, 100_001] {
-            s.see(seq);
+            s.count_seq(seq);
         }
         assert_eq!(s.missing, 2 + 99_989);
         for seq in [0, 1] {
-            s.see(seq);
+            s.count_seq(seq);
         }
         assert_eq!(
             s.missing,
@@ -109,7 +111,7 @@ mod tests {
             "a device that began anew misses nothing"
         );
         for seq in [u32::MAX - 1, u32::MAX] {
-            s.see(seq);
+            s.count_seq(seq);
         }
         assert_eq!(s.missing, 2 + 99_989);
     }
@@ -118,11 +120,11 @@ mod tests {
     fn what_was_overtaken_is_not_missing() {
         let mut s = SequenceCounters::default();
         for seq in [5, 7, 6, 6, 10, 8, 11] {
-            s.see(seq);
+            s.count_seq(seq);
         }
         assert_eq!(s.missing, 1, "9 alone");
         for seq in [12 + 63, 12 + 62, 12] {
-            s.see(seq);
+            s.count_seq(seq);
         }
         assert_eq!(s.missing, 1 + 61);
     }

@@ -1,4 +1,4 @@
-//! What stands after `--device`.
+//! Value of `--device`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,7 +8,7 @@ use super::tcp::TcpTransport;
 use super::usb::UsbTransport;
 use super::{LinkError, Transport};
 
-/// Which device to talk to.
+/// Address of a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DeviceSpec {
     /// The simulated hob, in process.
@@ -21,7 +21,7 @@ pub enum DeviceSpec {
     Serial(String),
 }
 
-/// Why text does not name a device.
+/// Error for a text that names no device.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{text:?} is no device: {why}; there are: sim, tcp:HOST:PORT, usb, usb:SERIAL, serial:PATH"
@@ -72,8 +72,7 @@ impl fmt::Display for DeviceSpec {
 }
 
 impl DeviceSpec {
-    /// A transport to the device. `sim` makes the one to the simulated hob, which the link itself
-    /// knows nothing about.
+    /// Opens a transport to the device. `sim` makes the one to the simulated hob, which this crate does not know.
     ///
     /// # Errors
     /// [`LinkError::Connect`] when nothing answers there.

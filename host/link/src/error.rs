@@ -1,4 +1,4 @@
-//! What goes wrong on the link, in words that advise what to do.
+//! Errors of the link, with advice in their texts.
 
 use std::io;
 use std::time::Duration;
@@ -10,17 +10,17 @@ use ihd_shared::wire::frame::EncodeError;
 use ihd_shared::wire::hello::Mismatch;
 use ihd_shared::wire::messages::Outcome;
 
-/// Why a link could not be made or used.
+/// Error of connecting to or using a link.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
     /// No connection.
     #[error("cannot connect to {device}: {source}{hint}")]
     Connect {
-        /// The device asked for.
+        /// Address of the device.
         device: String,
-        /// What to do about it; begins with "; " or is empty.
+        /// Advice; begins with "; " or is empty.
         hint: String,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// The device ended the link.
@@ -28,99 +28,99 @@ pub enum LinkError {
         "{device} closed the link: it ended, or another host has it; connect again once it is free"
     )]
     Closed {
-        /// The device.
+        /// Device in words.
         device: String,
     },
     /// The operating system refused to send or receive.
     #[error("{device}: cannot {doing}: {source}")]
     Io {
-        /// The device.
+        /// Device in words.
         device: String,
         /// "send" or "receive".
         doing: &'static str,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// Device and host speak different protocols.
     #[error("{device} does not fit this host: {why}")]
     Mismatch {
-        /// The device, with its build where it sent one.
+        /// Device in words, with its build if it sent one.
         device: String,
-        /// What differs.
+        /// Difference between the two.
         why: Mismatch,
     },
     /// A command got no answer.
     #[error("{device} did not answer {command} within {after:?}; {seen}")]
     NoAnswer {
-        /// The device.
+        /// Device in words.
         device: String,
         /// Name of the command.
         command: &'static str,
         /// Time waited, on the transport's clock.
         after: Duration,
-        /// What came instead.
+        /// Summary of what was received instead.
         seen: String,
     },
-    /// Somebody switched off meanwhile.
+    /// A request to switch off preempted the command.
     #[error("{command} was given up: `off` came before its answer")]
-    GaveWay {
+    Preempted {
         /// Name of the command.
         command: &'static str,
     },
-    /// The device answered no.
+    /// The device refused a request.
     #[error("the device refused {command}: {}", outcome_text(*.outcome, *.detail))]
     Refused {
         /// Name of the command.
         command: &'static str,
-        /// The device's answer.
+        /// Outcome in the device's reply.
         outcome: Outcome,
-        /// See the outcome.
+        /// Detail of the outcome; its meaning depends on the outcome.
         detail: u32,
     },
-    /// The device's own lookup does not pass the checks it makes of others.
+    /// The lookup read from the device fails the checks.
     #[error("the lookup read from {device} is damaged: {source}")]
     DamagedLookup {
-        /// The device.
+        /// Device in words.
         device: String,
-        /// What is wrong with it.
+        /// Failed check.
         source: BlobError,
     },
-    /// The device is not in replay mode any more.
+    /// The device has left replay mode.
     #[error("{device} is not in replay mode any more; was it reset?")]
     NotReplaying {
-        /// The device.
+        /// Device in words.
         device: String,
     },
-    /// The device has replayed other blocks than were sent.
+    /// The device has replayed a different number of blocks than were sent.
     #[error(
         "{device} has replayed {taken} blocks where {sent} were sent: it does not carry out each \
          request once"
     )]
     OutOfStep {
-        /// The device.
+        /// Device in words.
         device: String,
         /// Blocks that it reports as replayed.
         taken: u32,
         /// Blocks that were sent and answered.
         sent: u32,
     },
-    /// A command does not fit a frame.
+    /// A command is too long for a frame.
     #[error("{command} cannot be sent: {source}")]
     Unsendable {
         /// Name of the command.
         command: &'static str,
-        /// Why.
+        /// Reason.
         source: EncodeError,
     },
-    /// The client's thread ended in a panic: a fault of this program.
+    /// The client's thread ended in a panic: a bug in this program.
     #[error("the link's thread panicked: this is a fault of this program; connect again")]
     Panicked,
-    /// The recording failed and was ended; the link itself goes on.
+    /// The recording failed and was ended; the link continues.
     #[error("recording stopped, the link goes on: {0}")]
     Recording(io::Error),
 }
 
-/// A device's answer in words. `detail` is the answer's detail, its meaning depends on the outcome.
+/// Describes a device's outcome. `detail` is the reply's detail; its meaning depends on the outcome.
 pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
     match outcome {
         Outcome::Ok => "done".into(),

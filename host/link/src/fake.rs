@@ -1,4 +1,4 @@
-//! A device for tests, which answers as it is told and sends what it is told.
+//! FakeDevice device for tests.
 
 use std::time::Duration;
 
@@ -10,19 +10,19 @@ use ihd_shared::wire::number::Number;
 
 use super::{LinkError, Transport};
 
-/// What the device has sent and nobody has received yet.
+/// Bytes sent by the device that the host has not received yet.
 #[derive(Default)]
-pub struct Sent {
+pub struct FakeOutput {
     bytes: Vec<u8>,
     frame_seq: u16,
-    /// Number that answers carry: the last request's, unless a test makes it another.
+    /// Number of the next answer: the last request's, unless a test sets another.
     pub number: Number,
-    /// The link ends once these bytes are received.
+    /// Set if the link ends once these bytes are received.
     pub closed: bool,
 }
 
-impl Sent {
-    /// Sends a message; an answer is one to the last request.
+impl FakeOutput {
+    /// Sends a message; an answer carries `number`.
     pub fn message<M: Message>(&mut self, message: &M) {
         let mut frame = [0; MAX_ENCODED];
         let length = encode_numbered(message, self.number, self.frame_seq, &mut frame)
@@ -31,12 +31,12 @@ impl Sent {
         self.bytes.extend_from_slice(&frame[..length]);
     }
 
-    /// Sends bytes that may be anything.
+    /// Sends arbitrary bytes.
     pub fn raw(&mut self, bytes: &[u8]) {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// Answers that the last request is done.
+    /// Answers the last request with `Ok`.
     pub fn done(&mut self) {
         self.reply(Outcome::Ok);
     }
@@ -46,7 +46,7 @@ impl Sent {
         self.message(&Reply { outcome, detail: 0 });
     }
 
-    /// Answers a hello as a device does that fits.
+    /// Answers a hello as a compatible device does.
     pub fn greet(&mut self) {
         self.message(&hello());
     }
@@ -57,7 +57,7 @@ pub fn hello() -> Hello {
     ours(ROLE_DEVICE, 0, 7, "fake 1.0", "fake")
 }
 
-/// What the device's codes stand for.
+/// Scales of the device's codes.
 pub fn front_end() -> FrontEnd {
     FrontEnd {
         v_full_scale_mv: 1_000_000,
@@ -68,27 +68,27 @@ pub fn front_end() -> FrontEnd {
     }
 }
 
-type OnMessage = dyn FnMut(&AnyMessage<'_>, &mut Sent) + Send;
-type OnWait = dyn FnMut(&mut Sent) + Send;
+type OnMessage = dyn FnMut(&AnyMessage<'_>, &mut FakeOutput) + Send;
+type OnWait = dyn FnMut(&mut FakeOutput) + Send;
 
-/// The device, which says by itself what its codes stand for. Its clock goes on with what is received and with what is waited for.
-pub struct Fake {
+/// FakeDevice device. It answers `GetFrontEnd` by itself. Its clock advances with bytes received and time waited.
+pub struct FakeDevice {
     deframer: Deframer,
-    sent: Sent,
+    sent: FakeOutput,
     time: Duration,
     on_message: Box<OnMessage>,
     on_wait: Box<OnWait>,
 }
 
-impl Fake {
-    /// `on_message` answers the host's messages; `on_wait` may send when the host waits and nothing is there.
+impl FakeDevice {
+    /// `on_message` answers the host's messages; `on_wait` may send if the host waits and no bytes are there.
     pub fn new(
-        on_message: impl FnMut(&AnyMessage<'_>, &mut Sent) + Send + 'static,
-        on_wait: impl FnMut(&mut Sent) + Send + 'static,
+        on_message: impl FnMut(&AnyMessage<'_>, &mut FakeOutput) + Send + 'static,
+        on_wait: impl FnMut(&mut FakeOutput) + Send + 'static,
     ) -> Self {
         Self {
             deframer: Deframer::new(),
-            sent: Sent::default(),
+            sent: FakeOutput::default(),
             time: Duration::ZERO,
             on_message: Box::new(on_message),
             on_wait: Box::new(on_wait),
@@ -96,7 +96,7 @@ impl Fake {
     }
 }
 
-impl Transport for Fake {
+impl Transport for FakeDevice {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         for &byte in bytes {
             let Some(Ok(frame)) = self.deframer.push(byte) else {

@@ -3,12 +3,12 @@
 //! ```text
 //!  Client ── requests ──► Transport ──► device
 //!    ▲ answers, events      │ bytes ──► FrameSink (a recording)
-//!    └── Incoming ◄─────────┘
+//!    └── Receiver ◄─────────┘
 //!        deframer, decoding, window assembler, counters
 //! ```
 //!
-//! [`incoming::Incoming`] turns bytes into answers and events; a live client and a recording read
-//! back (the crate `ihd-capture`) share it, so that both see the same windows and count the same damage.
+//! [`receiver::Receiver`] turns bytes into responses and events. A live client and a recording that is read back (crate
+//! `ihd-capture`) share it, so both yield the same windows and count the same damage.
 
 pub mod assembler;
 #[cfg(feature = "async")]
@@ -19,17 +19,18 @@ pub mod device_spec;
 pub mod error;
 #[cfg(test)]
 mod fake;
-pub mod incoming;
+mod flood;
+mod frame_tee;
 mod off;
 pub mod older;
-mod pieces;
+mod partial_payload;
 mod printable;
 pub mod protocol_doc;
+pub mod receiver;
 pub mod replay;
 mod resend;
 pub mod serial;
 pub mod service;
-mod tap;
 pub mod tcp;
 pub mod transport;
 pub mod usb;
@@ -37,12 +38,12 @@ pub mod window;
 
 #[cfg(feature = "async")]
 pub use asynchronous::AsyncClient;
-pub use client::{Client, HEARD_EVERY};
+pub use client::{Client, KEEPALIVE_PERIOD};
 pub use counters::Counters;
 pub use device_spec::DeviceSpec;
 pub use error::LinkError;
-pub use incoming::Event;
 pub use printable::printable_hello;
+pub use receiver::Event;
 pub use service::{BoardFacts, LinkTest};
 pub use transport::{FrameSink, Transport};
 pub use window::{Window, WindowDefect};

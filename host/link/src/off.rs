@@ -1,56 +1,36 @@
-//! Switching off before everything else that is asked of a device.
+//! Preemption of a waiting command by a request to switch off.
 //!
-//! A command that waits for its answer looks around: where somebody waits to switch off, the device is told at once, and the command is
-//! given up unless its answer comes within a moment. Then it is switched off as by any command, with an answer.
+//! A command that waits for its answer polls for such a request. If there is one, the device receives `SetPower(0)` at once, and
+//! the command fails unless its answer comes within a short grace time. The device is then switched off again by a command with an
+//! answer.
 
 use std::time::Duration;
 
-use super::{Client, LinkError};
+/// Period at which a waiting command polls for a request to switch off, on the transport's clock.
+const POLL_PERIOD: Duration = Duration::from_millis(10);
 
-/// How often a command that waits for its answer looks around, on the transport's clock.
-const LOOK_EVERY: Duration = Duration::from_millis(10);
-
-/// Way in which commands give way to switching off.
+/// State of the preemption of commands by a request to switch off.
 #[derive(Default)]
-pub(super) struct GivingWay {
-    /// Returns `true` while somebody waits to switch off.
-    waits: Option<Box<dyn Fn() -> bool + Send>>,
-    /// It is what is under way.
-    is_off: bool,
-    /// The device was told during the command under way.
-    pub(super) is_told: bool,
+pub(super) struct OffPreemption {
+    /// Returns `true` while a request to switch off is waiting; `None` if commands are never preempted.
+    pub(super) off_waits: Option<Box<dyn Fn() -> bool + Send>>,
+    /// Set while the command under way is the one that switches off.
+    pub(super) runs_off: bool,
+    /// Set once the device was sent `SetPower(0)` during the command under way.
+    pub(super) off_sent: bool,
 }
 
-impl GivingWay {
-    /// Returns `true` if somebody waits to switch off while something else is under way.
-    pub(super) fn is_wanted(&self) -> bool {
-        !self.is_off && self.waits.as_ref().is_some_and(|waits| waits())
+impl OffPreemption {
+    /// Returns `true` if a request to switch off is waiting while another command is under way.
+    pub(super) fn is_requested(&self) -> bool {
+        !self.runs_off && self.off_waits.as_ref().is_some_and(|off_waits| off_waits())
     }
 
-    /// How long a command may wait without looking around.
-    pub(super) fn look_every(&self) -> Duration {
-        match self.waits {
-            Some(_) => LOOK_EVERY,
+    /// Longest time that a command may wait between two polls.
+    pub(super) fn poll_period(&self) -> Duration {
+        match self.off_waits {
+            Some(_) => POLL_PERIOD,
             None => Duration::MAX,
         }
-    }
-}
-
-impl Client {
-    /// Lets commands that wait for their answer give way while `waits` returns `true`: they end with [`LinkError::GaveWay`].
-    #[cfg(feature = "async")]
-    pub(crate) fn give_way_to_off(&mut self, waits: impl Fn() -> bool + Send + 'static) {
-        self.giving_way().waits = Some(Box::new(waits));
-    }
-
-    /// Switches off; it gives way to nothing.
-    ///
-    /// # Errors
-    /// As every command.
-    pub fn off(&mut self) -> Result<(), LinkError> {
-        self.giving_way().is_off = true;
-        let off = self.set_power(0);
-        self.giving_way().is_off = false;
-        off
     }
 }

@@ -1,10 +1,10 @@
-//! The strings of a hello, before anybody sees them.
+//! Cleaning of the strings in a device's hello.
 
 use ihd_shared::wire::hello::ours;
 use ihd_shared::wire::messages::Hello;
 use ihd_signal::printable;
 
-/// A hello whose strings are [`printable()`], cut where that makes them too long.
+/// Replaces the strings of a hello by their [`printable()`] form, cut to the length that the message allows.
 pub fn printable_hello(hello: Hello) -> Hello {
     let [build, board] = [&hello.build, &hello.board].map(|text| printable(text).to_string());
     let Hello { build, board, .. } = ours(hello.role, 0, 0, &build, &board);

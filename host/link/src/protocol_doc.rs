@@ -1,4 +1,4 @@
-//! docs/protocol.md, written from the message table itself so that it cannot fall behind.
+//! Generator of docs/protocol.md from the message table.
 
 use std::fmt::Write;
 
@@ -13,7 +13,7 @@ use ihd_shared::wire::messages::{ENUMS, MESSAGES, SCHEMA_HASH};
 use ihd_shared::wire::schema::{Entry, Part};
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
-/// The whole document, as Markdown.
+/// Returns the whole document as Markdown.
 pub fn markdown() -> String {
     let mut doc = introduction();
     doc.push_str("\n## Messages\n\n| id | name | sent as | answered by |\n|---|---|---|---|\n");
@@ -213,7 +213,7 @@ is shown as \"fault 120 (unknown to this version: update ihd)\". The table is `s
     }
 }
 
-/// A docstring as prose: rustdoc's links become plain code.
+/// Converts a doc comment to prose: links of rustdoc become plain code.
 fn prose(text: &str) -> String {
     text.trim()
         .replace("[`", "`")

@@ -1,8 +1,7 @@
-//! Replay: recorded pairs through a device's own sampling path, and its estimates back.
+//! Replay: recorded pairs go through a device's own sampling path, and its estimates come back.
 //!
-//! Every block is replayed exactly once and every estimate comes back, whatever the link loses,
-//! repeats or cuts, or an error reports that it could not be had: one message is under way at a time,
-//! and after silence the device is asked which message was its last.
+//! Every block is replayed exactly once and every estimate comes back, whatever the link loses, repeats or cuts; otherwise an error
+//! reports it. One message is under way at a time. After a silence the host requests the number of the device's last message.
 
 use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE, NO_CROSSING};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
@@ -12,13 +11,13 @@ use ihd_shared::wire::messages::{Outcome, Raw, ReplayBlocks, ReplayEnd, ReplaySt
 
 use super::{Client, LinkError};
 
-/// Pairs of a full message.
+/// Pairs in a full message.
 pub const PAIRS_PER_MESSAGE: usize = BLOCKS_PER_MESSAGE * ADC_LOCK_P;
 
-/// Times that a message is sent, or asked after, before the link is given up.
+/// Attempts to send a message, or to read the last answer, before the link is given up.
 const TRIES: u32 = 8;
 
-/// Asks for the last estimates again.
+/// Request for the last estimates again.
 const LAST: ReplayBlocks<'static> = ReplayBlocks {
     zero_crossing: NO_CROSSING,
     bus_dv: 0,
@@ -30,19 +29,19 @@ pub struct Replay<'a> {
     client: &'a mut Client,
     /// Blocks whose estimates have come back.
     taken: u32,
-    /// The device may have replayed a message whose answer was lost.
+    /// Set if the device may have replayed a message whose answer was lost.
     unsure: bool,
-    /// Messages that had to be sent or asked after again.
+    /// Messages that were sent or requested again.
     repeats: u32,
 }
 
-/// What a device answers to the question for its last answer.
+/// Device's answer to a request for its last estimates.
 enum Last {
-    /// It is the message under way: here are its estimates.
+    /// Estimates of the message under way.
     Same(Vec<u8>),
     /// The message under way has not arrived.
     Before,
-    /// It is not in replay mode.
+    /// The device is not in replay mode.
     Left,
 }
 
@@ -52,7 +51,7 @@ impl Client {
     ///
     /// # Errors
     /// [`LinkError::Refused`] while a fault is active or for a frequency outside the ratings, else
-    /// as every command.
+    /// any error of [`Client::request`].
     pub fn start_replay(
         &mut self,
         f_sw_hz: u32,
@@ -60,11 +59,11 @@ impl Client {
         l: PicoHenry,
     ) -> Result<Replay<'_>, LinkError> {
         let start = ReplayStart { f_sw_hz, r, l };
-        persist(|| self.request(&start))?;
+        retry_unanswered(|| self.request(&start))?;
         Ok(self.continue_replay(0))
     }
 
-    /// Goes on with a replay of which `taken` blocks have been sent and have come back.
+    /// Continues a replay of which `taken` blocks were sent and have come back.
     pub fn continue_replay(&mut self, taken: u32) -> Replay<'_> {
         Replay {
             client: self,
@@ -74,8 +73,8 @@ impl Client {
         }
     }
 
-    /// As [`Client::continue_replay`], after a link that ended: the device may have replayed the
-    /// next message already.
+    /// Continues a replay like [`Client::continue_replay`], after the link has ended: the device may have replayed the next message
+    /// already.
     pub fn resume_replay(&mut self, taken: u32) -> Replay<'_> {
         Replay {
             unsure: true,
@@ -84,11 +83,11 @@ impl Client {
     }
 }
 
-/// Asks again when an answer stays away: for commands that may come twice.
+/// Repeats a request whose answer did not come; for requests that may be carried out twice.
 ///
 /// # Errors
-/// [`LinkError::NoAnswer`] after several tries, else the error of the command.
-pub fn persist<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Result<T, LinkError> {
+/// [`LinkError::NoAnswer`] after several tries, else the error of the request.
+pub fn retry_unanswered<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Result<T, LinkError> {
     let mut tries = 1;
     loop {
         match ask() {
@@ -99,12 +98,12 @@ pub fn persist<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Result<T, Li
 }
 
 impl Replay<'_> {
-    /// Replays whole blocks with the bus voltage in decivolt and the index of the first pair after
-    /// a mains zero crossing, if one falls into them. One estimate a block; `None` where the
-    /// device made none. Pairs beyond the last whole block are left out.
+    /// Replays whole blocks, with the bus voltage in decivolt and the index of the first pair after a mains zero crossing (`None`
+    /// if there is none). Returns one estimate per block; `None` if the device made none. Pairs after the last whole block are
+    /// skipped.
     ///
     /// # Errors
-    /// As [`Replay::message`].
+    /// Any error of [`Replay::message`].
     pub fn blocks(
         &mut self,
         pairs: &[Pair],
@@ -122,13 +121,12 @@ impl Replay<'_> {
         Ok(estimates)
     }
 
-    /// Replays the blocks of one message, at most [`PAIRS_PER_MESSAGE`] pairs; see
-    /// [`Replay::blocks`]. After [`LinkError::Closed`], [`Client::resume_replay`] goes on with the
-    /// same blocks.
+    /// Replays the blocks of one message, at most [`PAIRS_PER_MESSAGE`] pairs; see [`Replay::blocks`]. After [`LinkError::Closed`],
+    /// [`Client::resume_replay`] continues with the same blocks.
     ///
     /// # Errors
-    /// [`LinkError::NotReplaying`] when the device has left replay mode (a reset),
-    /// [`LinkError::NoAnswer`] after several tries, else as every command.
+    /// [`LinkError::NotReplaying`] if the device has left replay mode (a reset), [`LinkError::NoAnswer`] after several tries, else
+    /// any error of [`Client::request`].
     pub fn message(
         &mut self,
         pairs: &[Pair],
@@ -142,14 +140,14 @@ impl Replay<'_> {
             bus_dv,
             data: Raw(&bytes),
         };
-        let wanted = pairs.len() / ADC_LOCK_P * TRAJECTORY_ENTRY_BYTES;
+        let expected = pairs.len() / ADC_LOCK_P * TRAJECTORY_ENTRY_BYTES;
         let mut tries = 0;
         let answer = loop {
             tries += 1;
             let asked = if self.unsure {
-                self.ask(&LAST, wanted)
+                self.ask(&LAST, expected)
             } else {
-                self.ask(&blocks, wanted)
+                self.ask(&blocks, expected)
             };
             match asked {
                 Ok(Last::Same(bytes)) => break bytes,
@@ -174,8 +172,8 @@ impl Replay<'_> {
             .collect())
     }
 
-    /// Sends blocks, or asks which message was the last: the one under way, or the one before it.
-    fn ask(&mut self, blocks: &ReplayBlocks<'_>, wanted: usize) -> Result<Last, LinkError> {
+    /// Sends blocks, or requests the last estimates: those of the message under way, or of the one before it.
+    fn ask(&mut self, blocks: &ReplayBlocks<'_>, expected: usize) -> Result<Last, LinkError> {
         let (taken, device) = (self.taken, self.client.describe());
         let last = match self.client.request(blocks) {
             Err(LinkError::Refused {
@@ -186,7 +184,7 @@ impl Replay<'_> {
         };
         let (first, bytes) = (last.first, last.data.0);
         let behind = first.wrapping_add((bytes.len() / TRAJECTORY_ENTRY_BYTES) as u32);
-        match (first == taken && bytes.len() == wanted, behind == taken) {
+        match (first == taken && bytes.len() == expected, behind == taken) {
             (true, _) => Ok(Last::Same(bytes.to_vec())),
             (false, true) => Ok(Last::Before),
             (false, false) => Err(LinkError::OutOfStep {
@@ -197,12 +195,12 @@ impl Replay<'_> {
         }
     }
 
-    /// Blocks whose estimates have come back.
+    /// Number of blocks whose estimates have come back.
     pub fn taken(&self) -> u32 {
         self.taken
     }
 
-    /// Messages that had to be sent or asked after again.
+    /// Number of messages sent or requested again.
     pub fn repeats(&self) -> u32 {
         self.repeats
     }
@@ -212,12 +210,12 @@ impl Replay<'_> {
         self.client
     }
 
-    /// Leaves replay mode; returns how many blocks the device has taken.
+    /// Leaves replay mode; returns the number of blocks that the device replayed.
     ///
     /// # Errors
-    /// [`LinkError::OutOfStep`] when these are not the blocks that were sent, else as every command.
+    /// [`LinkError::OutOfStep`] if it differs from the number sent, else any error of [`Client::request`].
     pub fn end(self) -> Result<u32, LinkError> {
-        let mode = persist(|| self.client.request(&ReplayEnd {}))?;
+        let mode = retry_unanswered(|| self.client.request(&ReplayEnd {}))?;
         if mode.blocks != self.taken {
             return Err(LinkError::OutOfStep {
                 device: self.client.describe(),
@@ -232,6 +230,6 @@ impl Replay<'_> {
 fn entry(bytes: &[u8]) -> Option<TrajectoryEntry> {
     let bytes: [u8; TRAJECTORY_ENTRY_BYTES] = bytes.try_into().ok()?;
     let entry = TrajectoryEntry::from_le_bytes(bytes);
-    // No load has both at zero: it is the mark of a block without an estimate.
+    // No load has R = L = 0: this marks a block without an estimate.
     (entry != TrajectoryEntry::default()).then_some(entry)
 }

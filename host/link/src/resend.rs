@@ -1,21 +1,19 @@
-//! When a window's missing pieces are asked for again, and when no more.
+//! Schedule of the requests for missing pieces of a window.
 //!
-//! A lost frame of some seventy must not cost the window. What is missing is asked for when the window's end has
-//! come or nothing more of it comes, a few pieces at a time; the device keeps the window meanwhile. One that no
-//! more is asked for waits for what may still be on its way (a link that stalls loses nothing), until a
-//! later one has ended or the device says that it is gone.
+//! One lost frame of about seventy must not cost the window. Missing pieces are requested, a few at a time, once the window's end
+//! has come or its messages have stopped; the device keeps the window meanwhile. After the last request the window waits for late
+//! frames (a link that stalls loses nothing), until a later window has ended or the device reports that it is gone.
 
 use std::time::Duration;
 
 use ihd_shared::wire::messages::ResendWindow;
 
-use super::assembler::Unfinished;
+use super::assembler::UnfinishedWindow;
 
-/// Pieces asked for at once: twice as many find room among a device's answers and in what a host has room for.
+/// PartialPayload in one batch of requests: half of what the device's answer queue and the host's buffer have room for.
 pub const PIECES: usize = 4;
 
-/// Silence about a window before each time that its missing pieces are asked for. The longest is well below what a
-/// device keeps a window for.
+/// Silence before each batch of requests. The longest is far below the time for which a device keeps a window.
 const PATIENCE: [Duration; 6] = [
     Duration::from_millis(30),
     Duration::from_millis(30),
@@ -25,56 +23,56 @@ const PATIENCE: [Duration; 6] = [
     Duration::from_millis(100),
 ];
 
-/// The least of it while the window's end has not come: more may come by itself.
+/// Shortest silence before a request while the window's end has not come: its messages may still be on their way.
 const PATIENCE_WITHIN: Duration = Duration::from_millis(100);
 
-/// Silence about a window after which nothing of it is expected any more.
+/// Silence after which a window is rejected.
 const GIVE_UP: Duration = Duration::from_secs(10);
 
-/// What is to be done about the window under way.
+/// Next action for the window under way.
 #[derive(Debug, PartialEq)]
-pub enum Step {
-    /// Nothing before so much time has passed.
+pub enum ResendStep {
+    /// Nothing to do for this time.
     Wait(Duration),
-    /// Ask for these.
+    /// Send these requests.
     Ask(Vec<ResendWindow>),
-    /// Reject it.
+    /// Reject the window of this number.
     GiveUp(u32),
 }
 
-/// What has been asked for of the window under way.
+/// State of the requests for the window under way.
 #[derive(Default)]
 pub struct Resend {
-    window: Option<Asked>,
-    /// What lies between two messages of a window lately, at the longest: a slow link needs more patience.
+    window: Option<ResendRounds>,
+    /// Recent longest time between two messages of a window: a slow link needs longer waits.
     spacing: Duration,
 }
 
-struct Asked {
+struct ResendRounds {
     seq: u32,
     progress: u32,
     heard: u32,
-    /// When its last message came.
+    /// Time of its last message.
     heard_at: Duration,
-    /// When the last new piece came.
+    /// Time of its last new piece.
     moved: Duration,
-    /// When a message came, or pieces were asked for, last.
+    /// Time of its last message or of the last batch of requests.
     since: Duration,
-    /// Times that silence led to a request, since the last new piece.
+    /// Batches of requests since the last new piece.
     rounds: usize,
     pieces: Vec<ResendWindow>,
 }
 
 impl Resend {
-    /// The next step, now.
-    pub fn step(&mut self, now: Duration, window: Option<&Unfinished<'_>>) -> Step {
+    /// Returns the next action at time `now`.
+    pub fn step(&mut self, now: Duration, window: Option<&UnfinishedWindow<'_>>) -> ResendStep {
         let Some(window) = window else {
             self.window = None;
-            return Step::Wait(Duration::MAX);
+            return ResendStep::Wait(Duration::MAX);
         };
         let asked = self.listen(now, window);
         if now.saturating_sub(asked.moved) >= GIVE_UP {
-            return Step::GiveUp(asked.seq);
+            return ResendStep::GiveUp(asked.seq);
         }
         let left = (asked.moved + GIVE_UP).saturating_sub(now);
         let answered = match asked.pieces.as_slice() {
@@ -86,7 +84,9 @@ impl Resend {
         let patience = self.patience(rounds, window.has_ended());
         let impatient = patience.is_some_and(|patience| silence >= patience);
         if !impatient && !answered {
-            return Step::Wait(patience.map_or(left, |p| p.saturating_sub(silence).min(left)));
+            return ResendStep::Wait(
+                patience.map_or(left, |p| p.saturating_sub(silence).min(left)),
+            );
         }
         let pieces = window.missing(PIECES);
         if let Some(asked) = &mut self.window {
@@ -94,13 +94,13 @@ impl Resend {
             asked.since = now;
             asked.pieces.clone_from(&pieces);
         }
-        Step::Ask(pieces)
+        ResendStep::Ask(pieces)
     }
 
-    /// Notes what has come since the last step.
-    fn listen(&mut self, now: Duration, window: &Unfinished<'_>) -> &Asked {
+    /// Updates the state with what has come since the last step.
+    fn listen(&mut self, now: Duration, window: &UnfinishedWindow<'_>) -> &ResendRounds {
         let known = self.window.take().filter(|asked| asked.seq == window.seq());
-        let mut asked = known.unwrap_or_else(|| Asked {
+        let mut asked = known.unwrap_or_else(|| ResendRounds {
             seq: window.seq(),
             progress: window.progress(),
             heard: window.heard(),
@@ -123,7 +123,7 @@ impl Resend {
         self.window.insert(asked)
     }
 
-    /// Silence before the next request; `None` when there is none.
+    /// Silence before the next batch; `None` if there is none left.
     fn patience(&self, rounds: usize, has_ended: bool) -> Option<Duration> {
         let least = if has_ended {
             Duration::ZERO

@@ -43,7 +43,7 @@ impl SerialTransport {
         }
     }
 
-    /// Over a port that is open already.
+    /// Wraps a port that is already open.
     pub fn over(port: Box<dyn SerialPort>, device: String) -> Self {
         Self { port, device }
     }

@@ -1,5 +1,4 @@
-//! What a host asks of a device besides heating: what it is, whether it is sound, what it has logged, and to
-//! begin anew.
+//! Requests other than heating: identity, self tests, log and restart.
 
 use std::time::Duration;
 
@@ -13,31 +12,31 @@ use ihd_shared::wire::number::Number;
 
 use super::{Client, LinkError};
 
-/// How long the next of a test's bytes may stay away before the rest counts as lost.
+/// Silence after which the rest of a test's bytes counts as lost.
 const SILENCE: Duration = Duration::from_millis(500);
 
-/// What the device is, as [`Board`] tells it.
+/// Identity of a board and its program, as in [`Board`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BoardFacts {
-    /// DBGMCU_IDCODE; 0 where there is no chip.
+    /// DBGMCU_IDCODE; 0 if there is no chip.
     pub id_code: u32,
-    /// Flash, in KiB, as the chip says.
+    /// Flash size in KiB, as the chip reports it.
     pub flash_kib: u16,
     /// FLASH_OPTR.
     pub option_bytes: u32,
-    /// RCC_CSR as the program found it.
+    /// RCC_CSR at the start of the program.
     pub reset_flags: u32,
-    /// Starts since power came on; 255 for that many or more.
+    /// Starts since power-on; 255 stands for 255 or more.
     pub starts: u8,
-    /// Bytes of the program in flash before its CRC.
+    /// Length of the program in flash before its CRC, in bytes.
     pub image_bytes: u32,
-    /// Their CRC-32 as worked out at start.
+    /// CRC-32 of the program, computed at start.
     pub image_crc: u32,
-    /// The CRC-32 that the program was sealed with.
+    /// CRC-32 with which the program was sealed.
     pub sealed_crc: u32,
-    /// GNU build id; empty where the program has none.
+    /// GNU build id; empty if the program has none.
     pub build_id: Vec<u8>,
-    /// The chip's unique number; empty where there is no chip.
+    /// Unique number of the chip; empty if there is no chip.
     pub chip: Vec<u8>,
 }
 
@@ -58,49 +57,49 @@ impl From<&Board<'_>> for BoardFacts {
     }
 }
 
-/// A test of the link in both directions, on the transport's clock.
+/// Result of a link test in both directions, timed on the transport's clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkTest {
-    /// What the device received of what was sent to it; frames lost behind the last that came count too.
+    /// Counts of the device for the host's data; frames lost after the last received one are included.
     pub to_device: LinkTested,
-    /// From the first frame sent until the device's count was here.
+    /// Time from the first frame sent until the device's counts came.
     pub to_device_took: Duration,
-    /// What was received of what the device was asked for.
+    /// Counts of the host for the device's data.
     pub from_device: LinkTested,
-    /// From the request until the last of it was here.
+    /// Time from the request until the last frame came.
     pub from_device_took: Duration,
 }
 
 impl Client {
-    /// Ends the program that runs on the device, for `into`; the link ends with it, some 0.1 s later.
+    /// Restarts the device into program `into`; the link ends some 0.1 s later.
     ///
     /// # Errors
-    /// [`LinkError::Refused`] while the inverter is on or power is asked for, or where the device has no such
-    /// program; else as every command.
+    /// [`LinkError::Refused`] while the inverter is on or power is requested, or if the device has no such program; else any error
+    /// of [`Client::request`].
     pub fn restart(&mut self, into: Program) -> Result<(), LinkError> {
         self.order(&Restart { into })
     }
 
-    /// What the device is.
+    /// Reads the identity of board and program.
     ///
     /// # Errors
-    /// As every command.
+    /// Any error of [`Client::request`].
     pub fn board(&mut self) -> Result<BoardFacts, LinkError> {
         Ok((&self.request(&GetBoard {})?).into())
     }
 
-    /// Offset and noise of the measuring channels, and the supply, with the bridge open.
+    /// Measures offset and noise of the measuring channels and the supply, with the bridge open.
     ///
     /// # Errors
-    /// [`LinkError::Refused`] while the inverter is on or power is asked for; else as every command.
+    /// [`LinkError::Refused`] while the inverter is on or power is requested; else any error of [`Client::request`].
     pub fn channels(&mut self) -> Result<Channels, LinkError> {
         self.request(&TestChannels {})
     }
 
-    /// Trips both comparators by their thresholds, with the bridge open.
+    /// Trips both comparators through their thresholds, with the bridge open.
     ///
     /// # Errors
-    /// As [`Client::channels`]; [`LinkError::Refused`] with `Unavailable` by a simulated hob, which has none.
+    /// Any error of [`Client::channels`]; [`LinkError::Refused`] with `Unavailable` from a simulated hob, which has none.
     pub fn comparators(&mut self) -> Result<Comparators, LinkError> {
         self.request(&TestComparators {})
     }
@@ -108,18 +107,18 @@ impl Client {
     /// Counts the clocks against each other.
     ///
     /// # Errors
-    /// As [`Client::comparators`].
+    /// Any error of [`Client::comparators`].
     pub fn clocks(&mut self) -> Result<Clocks, LinkError> {
         self.request(&TestClocks {})
     }
 
-    /// Sends `frames` frames with `bytes` bytes of data each to the device, then has it send as many.
+    /// Sends `frames` frames with `bytes` bytes of data each to the device, then receives as many from it.
     ///
     /// # Errors
-    /// [`LinkError::Refused`] with `OutOfRange` for more than [`CHUNK_BYTES`] bytes; else as every command. Losses are
-    /// no error.
+    /// [`LinkError::Refused`] with `OutOfRange` for more than [`CHUNK_BYTES`] bytes; else any error of [`Client::request`]. Losses
+    /// are counted, not errors.
     pub fn test_link(&mut self, frames: u16, bytes: u16) -> Result<LinkTest, LinkError> {
-        // Both ends begin to count.
+        // Resets the counts of both ends.
         self.end_link_test(0, bytes)?;
         let begin = self.clock();
         self.send_link_data(frames, bytes)?;
@@ -135,16 +134,16 @@ impl Client {
         })
     }
 
-    /// From now on the device sends what it logs, from the oldest that it still keeps on, as
-    /// [`super::Event::Log`]; or no more.
+    /// Starts or stops the log stream. It begins with the oldest entry that the device still keeps and comes as
+    /// [`super::Event::Log`].
     ///
     /// # Errors
-    /// [`LinkError::Refused`] with `Unavailable` by a device without a log; else as every command.
+    /// [`LinkError::Refused`] with `Unavailable` from a device without a log; else any error of [`Client::request`].
     pub fn stream_log(&mut self, on: bool) -> Result<(), LinkError> {
         self.order(&StreamLog { on })
     }
 
-    /// What the device has received since it was asked last; then it sends.
+    /// Reads the device's counts since the last call; the device then sends its data.
     fn end_link_test(&mut self, frames: u16, bytes: u16) -> Result<LinkTested, LinkError> {
         self.forget_link_data();
         self.request(&TestLink { frames, bytes })
@@ -178,7 +177,7 @@ impl Client {
     }
 }
 
-/// Of frames behind the last that came, no number tells that they are missing.
+/// Adds the frames lost after the last received one, which no sequence number reveals.
 fn with_the_last(tested: LinkTested, sent: u16) -> LinkTested {
     let lost = u32::from(sent).saturating_sub(tested.frames);
     LinkTested {

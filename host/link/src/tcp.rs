@@ -7,7 +7,7 @@ use std::time::Duration;
 use super::transport::{SEND_TIMEOUT, send_within};
 use super::{LinkError, Transport};
 
-/// How long a connection may take to come about.
+/// Time limit for a connection.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// A TCP connection.

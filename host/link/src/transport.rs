@@ -1,4 +1,4 @@
-//! What carries the bytes, and where a copy of them may go.
+//! Traits for the transport of bytes and for the recording of them.
 
 use std::io::{self, ErrorKind};
 use std::sync::LazyLock;
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::LinkError;
 
-/// Carries bytes to one device and back. Frames mean nothing to it.
+/// Byte stream to and from one device. It knows nothing of frames.
 pub trait Transport: Send {
     /// Sends all of `bytes`.
     ///
@@ -24,19 +24,19 @@ pub trait Transport: Send {
     /// The device in words, for messages: `tcp:127.0.0.1:4711`.
     fn describe(&self) -> String;
 
-    /// The clock that `timeout` is measured with: the wall's, or simulated time where the device is
-    /// simulated in process. Only differences mean something.
+    /// Clock that `timeout` is measured with: wall time, or simulated time if the device is simulated in process. Only differences
+    /// have a meaning.
     fn clock(&self) -> Duration {
         static START: LazyLock<Instant> = LazyLock::new(Instant::now);
         START.elapsed()
     }
 }
 
-/// How long a device may leave what we send unread.
+/// Time limit for a device to read what was sent to it.
 pub const SEND_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Sends all of `bytes` within `timeout` of wall time: `write` takes the rest and the time left, and gives how many
-/// bytes went. A device that reads a byte now and then does not keep the host.
+/// Sends all of `bytes` within `timeout` of wall time. `write` gets the remaining bytes and the remaining time, and returns the
+/// number of bytes written. A device that reads a byte now and then therefore cannot block the host.
 pub(crate) fn send_within(
     timeout: Duration,
     bytes: &[u8],
@@ -64,21 +64,21 @@ pub(crate) fn send_within(
     Ok(())
 }
 
-/// Takes a copy of the bytes on a link, with the transport's clock at each.
+/// Receiver of a copy of the bytes on a link, each with the transport's time.
 pub trait FrameSink: Send {
-    /// Takes the next bytes of the device, in whole frames from the first byte on.
+    /// Records the next bytes from the device; the first byte begins a frame.
     ///
     /// # Errors
     /// What the sink's file or device reports; the client then stops recording and passes it on once.
     fn received(&mut self, at: Duration, bytes: &[u8]) -> io::Result<()>;
 
-    /// Takes a frame that the host sends.
+    /// Records a frame sent by the host.
     ///
     /// # Errors
     /// As [`FrameSink::received`].
     fn sent(&mut self, at: Duration, frame: &[u8]) -> io::Result<()>;
 
-    /// The recording is over.
+    /// Completes the recording.
     ///
     /// # Errors
     /// As [`FrameSink::received`].

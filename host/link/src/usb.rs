@@ -13,7 +13,8 @@ use nusb::transfer::{Bulk, Direction, In, Out};
 use super::transport::SEND_TIMEOUT;
 use super::{LinkError, Transport};
 
-/// The device sends packets of less than 64 bytes, each of which ends a transfer: many in flight.
+/// Size of a transfer in bytes and number in flight. The device sends packets of less than 64 bytes, each of which ends a transfer;
+/// hence many.
 const TRANSFER: usize = 64;
 const IN_FLIGHT: usize = 64;
 
@@ -32,7 +33,7 @@ fn failed(hint: &str, source: io::Error) -> LinkError {
     }
 }
 
-/// The controllers that are plugged in.
+/// Lists the connected controllers.
 fn controllers() -> Result<Vec<nusb::DeviceInfo>, LinkError> {
     let devices = nusb::list_devices().wait();
     let devices = devices.map_err(|e| failed("; is USB available here?", e.into()))?;
@@ -43,20 +44,19 @@ fn controllers() -> Result<Vec<nusb::DeviceInfo>, LinkError> {
     Ok(devices.filter(ours).collect())
 }
 
-/// A controller that is plugged in.
+/// A connected controller.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Board {
     /// Its serial number, which `usb:SERIAL` takes; empty where it has none.
     pub serial: String,
-    /// What it calls itself.
+    /// Product string of the device.
     pub product: String,
 }
 
-/// The controllers that are plugged in, in order of their serial numbers. Their strings are
-/// [`printable()`].
+/// Lists the connected controllers by serial number. Their strings are [`printable()`].
 ///
 /// # Errors
-/// [`LinkError::Connect`] where the system has no USB, or does not let us look.
+/// [`LinkError::Connect`] if the system has no USB or denies access.
 pub fn boards() -> Result<Vec<Board>, LinkError> {
     let board = |device: &nusb::DeviceInfo| Board {
         serial: printable(device.serial_number().unwrap_or_default()).to_string(),
@@ -67,16 +67,21 @@ pub fn boards() -> Result<Vec<Board>, LinkError> {
     Ok(boards)
 }
 
-/// The one of `found` that is meant: the only one, or that with the serial number.
+/// Picks the device with the requested serial number, or the only device.
 fn choose<T>(
-    mut found: Vec<T>,
-    wanted: Option<&str>,
+    mut devices: Vec<T>,
+    requested: Option<&str>,
     serial: impl Fn(&T) -> &str,
 ) -> Result<T, LinkError> {
-    let list: Vec<_> = found.iter().map(|d| format!("usb:{}", serial(d))).collect();
+    let list: Vec<_> = devices
+        .iter()
+        .map(|d| format!("usb:{}", serial(d)))
+        .collect();
     let list = list.join(", ");
-    found.retain(|device| wanted.is_none_or(|wanted| wanted.eq_ignore_ascii_case(serial(device))));
-    let Some(device) = found.pop() else {
+    devices.retain(|device| {
+        requested.is_none_or(|requested| requested.eq_ignore_ascii_case(serial(device)))
+    });
+    let Some(device) = devices.pop() else {
         if list.is_empty() {
             let none = io::Error::new(ErrorKind::NotFound, "no ihd controller is plugged in");
             let hint = "; a NUCLEO without a USB socket of its own is reached by serial:PATH";
@@ -85,7 +90,7 @@ fn choose<T>(
         let none = io::Error::new(ErrorKind::NotFound, "none has this serial number");
         return Err(failed(&format!("; plugged in: {list}"), none));
     };
-    if !found.is_empty() {
+    if !devices.is_empty() {
         let many = io::Error::other("more than one ihd controller is plugged in");
         return Err(failed(&format!("; name one of them: {list}"), many));
     }
@@ -96,14 +101,14 @@ impl UsbTransport {
     /// Opens the controller with this serial number, or the only one that is plugged in.
     ///
     /// # Errors
-    /// [`LinkError::Connect`] when there is none, when it is not clear which, or when it may not be opened.
+    /// [`LinkError::Connect`] if no device fits, if several do, or if it cannot be opened.
     pub fn open(serial: Option<&str>) -> Result<Self, LinkError> {
         let known = |device: &nusb::DeviceInfo| device.serial_number().unwrap_or("?").to_owned();
-        let found = controllers()?
+        let devices = controllers()?
             .into_iter()
             .map(|device| (known(&device), device))
             .collect();
-        let (serial, info) = choose(found, serial, |(serial, _)| serial)?;
+        let (serial, info) = choose(devices, serial, |(serial, _)| serial)?;
         let device = format!("usb ({serial})");
         let hint = "; on Linux, does the udev rule of docs/70-ihd.rules apply?";
         let opened = info.open().wait();
@@ -112,9 +117,9 @@ impl UsbTransport {
         let address = |direction| {
             let descriptor = interface.descriptor()?;
             let mut endpoints = descriptor.endpoints();
-            let wanted = endpoints
+            let endpoint = endpoints
                 .find(|e| e.transfer_type() == TransferType::Bulk && e.direction() == direction);
-            wanted.map(|e| e.address())
+            endpoint.map(|e| e.address())
         };
         let (Some(receives), Some(sends)) = (address(Direction::In), address(Direction::Out))
         else {
@@ -128,7 +133,7 @@ impl UsbTransport {
             .map_err(|e| failed("", e.into()))?;
         Ok(Self {
             reader: reader.reader(TRANSFER).with_num_transfers(IN_FLIGHT),
-            // For each transfer, of which a frame has seventeen at the most.
+            // Per transfer; a frame has at most seventeen.
             writer: writer.writer(TRANSFER).with_write_timeout(SEND_TIMEOUT),
             device,
         })
@@ -137,7 +142,7 @@ impl UsbTransport {
     fn failed(&self, doing: &'static str, source: io::Error) -> LinkError {
         let device = self.device.clone();
         match source.kind() {
-            // What nusb makes of a device that was unplugged, beside what systems say themselves.
+            // Kinds reported by nusb for an unplugged device, and by operating systems.
             ErrorKind::ConnectionAborted | ErrorKind::NotConnected | ErrorKind::BrokenPipe => {
                 LinkError::Closed { device }
             }
@@ -176,8 +181,8 @@ impl Transport for UsbTransport {
 mod tests {
     use super::*;
 
-    fn chosen(found: &[&'static str], wanted: Option<&str>) -> Result<&'static str, String> {
-        choose(found.to_vec(), wanted, |serial| serial).map_err(|error| error.to_string())
+    fn chosen(devices: &[&'static str], wanted: Option<&str>) -> Result<&'static str, String> {
+        choose(devices.to_vec(), wanted, |serial| serial).map_err(|error| error.to_string())
     }
 
     #[test]

@@ -1,22 +1,22 @@
-//! A window as the host uses it, and what can be wrong with one.
+//! Window as the host uses it, and its possible defects.
 
 use ihd_shared::sampling::{ADC_LOCK_Q, Pair, Scales, f_adc_hz};
 use ihd_shared::window::TrajectoryEntry;
 use ihd_signal::Segment;
 
-/// Most saturated pairs of a usable window, as a fraction of its pairs: 0.1 %.
+/// Largest fraction of saturated pairs in a usable window: 0.1 %.
 ///
-/// A clipped pair is wrong by an unknown amount, at worst about the amplitude itself, so a fraction
-/// s of them shifts the fundamental by up to 2·s: 0.2 %, below the 0.5-1 % that R and L are
-/// wanted to. Single spikes pass, a clipped crest (several percent of the pairs) does not.
+/// A clipped pair is wrong by an unknown amount, at worst about the amplitude itself. A fraction s of them therefore shifts the
+/// fundamental by up to 2·s: 0.2 %, below the required accuracy of R and L of 0.5-1 %. Single spikes pass, a clipped crest (several
+/// percent of the pairs) does not.
 pub const MAX_SATURATED_FRACTION: f64 = 1e-3;
 
 /// One mains half-cycle of samples and the device's own estimates through it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Window {
-    /// Counts every window that was due.
+    /// Number of the window; windows that the device dropped are counted too.
     pub seq: u32,
-    /// Half-cycle since the device's boot.
+    /// Number of the half-cycle since the device's boot.
     pub half_cycle: u32,
     /// Switching frequency throughout, in hertz.
     pub f_sw_hz: u32,
@@ -34,7 +34,7 @@ pub struct Window {
     pub saturated: u16,
     /// Version of the lookup that was active.
     pub lookup_version: u32,
-    /// What the pairs' codes stand for.
+    /// Scales of the pairs' codes.
     pub scales: Scales,
 }
 
@@ -44,7 +44,7 @@ impl Window {
         0.5e9 / f64::from(self.half_cycle_ns)
     }
 
-    /// The pairs as what an estimator takes; time counts from the mains zero crossing.
+    /// Converts the pairs to an estimator's input; time counts from the mains zero crossing.
     pub fn segment(&self) -> Segment {
         Segment {
             f_sw_hz: f64::from(self.f_sw_hz),
@@ -88,13 +88,13 @@ impl Window {
     }
 }
 
-/// Why a window was rejected.
+/// Reason for rejecting a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WindowDefect {
-    /// Chunks or an end came, and no start.
+    /// Chunks or an end came without a start.
     #[error("its start is missing")]
     NoStart,
-    /// The same window began twice, each time as another.
+    /// Two different starts with the same number.
     #[error("its start came twice, and not the same")]
     RepeatedStart,
     /// Another window began, or the stream ended, before the window's end.
@@ -116,15 +116,15 @@ pub enum WindowDefect {
     /// Pairs or trajectory entries are missing before `offset`.
     #[error("a chunk is missing before {of} {offset}")]
     MissingChunk {
-        /// What the chunk would have held.
+        /// Part of the window.
         of: Part,
-        /// Where the gap ends.
+        /// End of the gap.
         offset: u16,
     },
-    /// A chunk holds something else than an earlier one where it covers the same.
+    /// Two chunks differ in entries that both contain.
     #[error("two chunks contradict each other at {of} {offset}")]
     RepeatedChunk {
-        /// What the chunk holds.
+        /// Part of the window.
         of: Part,
         /// Its offset.
         offset: u16,
@@ -132,15 +132,15 @@ pub enum WindowDefect {
     /// A chunk reaches beyond what the start declared.
     #[error("a chunk at {of} {offset} reaches beyond the declared size")]
     ChunkBeyondEnd {
-        /// What the chunk holds.
+        /// Part of the window.
         of: Part,
-        /// Its offset.
+        /// Offset of the chunk.
         offset: u16,
     },
     /// A chunk is empty or not a whole number of entries.
     #[error("a chunk of {bytes} bytes is not a whole number of {of} entries")]
     RaggedChunk {
-        /// What the chunk holds.
+        /// Part of the window.
         of: Part,
         /// Its length.
         bytes: usize,

@@ -1,27 +1,26 @@
-//! What windows showed at one switching frequency: R and L at currents, with their deviations; windows of one frequency
-//! are fused.
+//! Measured R and L over current at one switching frequency, with deviations; windows of one frequency are fused.
 
 use serde::{Deserialize, Serialize};
 
 use crate::misfit::current_knots;
 
-/// Bins a knot of the lookup's current axis.
+/// Bins per knot of the lookup's current axis.
 const PER_KNOT: f64 = 1.5;
 
-/// Bins of a curve at most: up to twice the highest current of the lookup.
+/// Most bins of a curve: up to twice the highest current of the lookup.
 pub const MOST_BINS: usize = 32;
 
-/// Share of what is known that stays when another window comes: fifty windows count, ten seconds of them.
+/// Share of a curve's weight that remains when another window is fused: about fifty windows count, ten seconds.
 const KEPT: f64 = 0.98;
 
-/// Relative deviations of R and L at the largest current that no number of windows takes away; they grow as the current falls: what
-/// the network, the bins and the sensors are off by every time (.05 % of R over a half-cycle without noise, docs/pinn.md).
+/// Least relative deviations of R and L at the largest current, which no number of windows reduces; they grow as the current
+/// falls. They cover systematic errors of network, bins and sensors (.05 % of R over a half-cycle without noise, docs/pinn.md).
 const LEAST_SIGMA: [f64; 2] = [2e-4, 1e-4];
 
-/// Switching frequencies of hobs in hertz, with much to spare.
+/// Range of switching frequencies in hertz, wider than that of any hob.
 const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
 
-/// One value of R and L, with independent errors.
+/// R and L at one current, with independent errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredPoint {
     /// Amplitude of the current's fundamental in ampere.
@@ -30,19 +29,19 @@ pub struct MeasuredPoint {
     pub r_ohm: f64,
     /// Inductance in henry.
     pub l_h: f64,
-    /// Deviation of R in ohm, as if no other point shared its error.
+    /// Standard deviation of R in ohm, on the assumption that no other point shares its error.
     pub r_sigma_ohm: f64,
-    /// Deviation of L in henry.
+    /// Standard deviation of L in henry.
     pub l_sigma_h: f64,
 }
 
-/// Means of R and L over a bin of currents.
+/// Weighted means of R and L over a bin of currents.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Bin {
-    /// Σ 1/σ² of R in 1/Ω².
+    /// Weight of R, Σ 1/σ² in 1/Ω².
     r_weight: f64,
     r_weighted: f64,
-    /// Σ 1/σ² of L in 1/H².
+    /// Weight of L, Σ 1/σ² in 1/H².
     l_weight: f64,
     l_weighted: f64,
     i_weighted: f64,
@@ -67,7 +66,7 @@ impl Bin {
         mix(&mut self.i_weighted, other.i_weighted);
     }
 
-    /// The bin's mean; `None` where nothing was seen, or no load.
+    /// Mean of the bin; `None` if it is empty or its R and L are no load.
     fn mean(&self, most_a: f64) -> Option<Mean> {
         let (r_ohm, l_h) = (
             self.r_weighted / self.r_weight,
@@ -88,7 +87,7 @@ impl Bin {
         })
     }
 
-    /// Mean amplitude of the current in ampere; not a number where nothing was seen.
+    /// Mean amplitude of the current in ampere; NaN if the bin is empty.
     fn i_a(&self) -> f64 {
         self.i_weighted / self.r_weight
     }
@@ -110,14 +109,14 @@ impl Bin {
     }
 }
 
-/// A bin's mean.
+/// Mean of a bin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mean {
     /// Amplitude of the current in ampere.
     pub i_a: f64,
-    /// ln R in ohm, ln L in henry.
+    /// ln of R in ohm and of L in henry.
     pub ln: [f64; 2],
-    /// Their variances.
+    /// Variances of `ln`.
     pub variance: [f64; 2],
 }
 
@@ -126,15 +125,15 @@ pub struct Mean {
 pub struct Curve {
     /// Switching frequency in hertz.
     pub f_sw_hz: f64,
-    /// When it was seen last, in seconds of the device.
+    /// Time of the newest window in seconds of the device.
     pub t_s: f64,
-    /// Windows in it.
+    /// Number of windows that were fused.
     pub windows: u32,
     bins: Vec<Bin>,
 }
 
 impl Curve {
-    /// Of one window; points that are not numbers, or whose deviations are none, are left out.
+    /// Creates a curve from one window; points that are not numbers, or have no deviations, are left out.
     pub fn new(f_sw_hz: f64, t_s: f64, points: impl Iterator<Item = MeasuredPoint>) -> Self {
         let mut bins = vec![Bin::default(); MOST_BINS];
         for p in points {
@@ -157,7 +156,7 @@ impl Curve {
         }
     }
 
-    /// Takes another window in; `ratio` are R and L here over those at its frequency.
+    /// Fuses another window; `ratio` holds R and L at this curve's frequency over those at the window's frequency.
     pub(crate) fn fuse(&mut self, other: &Self, ratio: [f64; 2]) {
         for (bin, other) in self.bins.iter_mut().zip(&other.bins) {
             let mut other = *other;
@@ -168,13 +167,13 @@ impl Curve {
         self.windows = self.windows.saturating_add(other.windows);
     }
 
-    /// What was seen, at rising currents.
+    /// Means of the bins that hold points, at rising currents.
     pub fn means(&self) -> impl Iterator<Item = Mean> + '_ {
         let most_a = self.bins.iter().map(Bin::i_a).fold(0.0, f64::max);
         self.bins.iter().filter_map(move |bin| bin.mean(most_a))
     }
 
-    /// Numbers that a window can have taught.
+    /// Returns `true` if windows can have produced these numbers.
     pub fn is_sound(&self) -> bool {
         let known = FREQUENCIES_HZ.contains(&self.f_sw_hz) && self.t_s.is_finite();
         known && self.bins.len() == MOST_BINS && self.bins.iter().all(Bin::is_sound)
@@ -207,7 +206,7 @@ mod tests {
         }
         let mean = curve.means().next().unwrap();
         assert!((mean.ln[0].exp() - 4.0).abs() < 2e-3);
-        // Sixteen windows: a quarter of one window's deviation, .01/4, a little more for what is forgotten.
+        // Sixteen windows: a quarter of one window's deviation, .01/4, and a little more for the weight that is lost.
         assert!((2.4e-3 / 4.0..3e-3 / 4.0).contains(&mean.variance[0].sqrt()));
         assert_eq!((curve.t_s, curve.windows), (15.0, 16));
     }

@@ -1,38 +1,37 @@
-//! Where the fit of a pot ends, and how large the misfit around it is.
+//! Fit of a pot: chooses start, class and misfit of the physics, and returns the fitted numbers.
 
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
 use crate::fit::{
-    Datum, Fitted, MOST_STEPS, covariance, derivatives, fit, fit_any, fit_off_centre, predicted,
-    seen,
+    Datum, Descent, MOST_STEPS, covariance, derivatives, fit, fit_any, fit_off_centre, heat,
+    measured, predicted,
 };
-use crate::knowledge::heat;
 use crate::parameters::{self, CENTRED, COUNT, PotSpread, Prior, Vector};
 
-/// Deviations of ln R and ln L that the misfit may have, of which the evidence chooses. The least ones are what the
-/// describing function is off by once a pot was fitted to it (docs/map.md).
+/// Candidates for the deviations of ln R and ln L around the physics, from which the evidence chooses. The smallest ones are
+/// the error of the describing function after a fit (docs/map.md).
 const MISFITS_R: [f64; 7] = [0.004, 0.008, 0.016, 0.03, 0.06, 0.12, 0.24];
 const MISFITS_L: [f64; 7] = [0.002, 0.004, 0.008, 0.016, 0.03, 0.06, 0.12];
 
-/// Misfits from which the physics is said not to describe the pot: twice what harmonics of the current make.
-pub const UNDESCRIBED: [f64; 2] = [0.025, 0.012];
+/// Misfits of R and L above which the physics does not describe the pot: twice the effect of the current's harmonics.
+pub const MISFIT_WARNING: [f64; 2] = [0.025, 0.012];
 
-/// Data that the fit itself looks at: more say nothing new of seven numbers.
-const LOOKED_AT: usize = 48;
+/// Most data that the fit uses: more determine seven numbers no better.
+const MOST_DATA: usize = 48;
 
-/// Where a fit ended, which all that is known follows from together with what was seen.
+/// Result of a fit. Together with the measured data it determines every prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Ended {
-    /// The middle of the prior.
+    /// Mean of the prior.
     from: PotModel,
-    /// How far the pot's own numbers may be from there.
+    /// Prior covariance of the pot's own numbers.
     #[serde(default, skip_serializing_if = "PotSpread::is_default")]
     spread: PotSpread,
-    /// The pot, in spreads from there.
+    /// Fitted numbers, in spreads from the prior's mean.
     pub(crate) steps: Vector,
-    /// How many of its numbers were free.
+    /// Number of free parameters.
     pub(crate) used: usize,
     /// Deviations of ln R and ln L around the physics.
     pub(crate) misfit: [f64; 2],
@@ -49,7 +48,7 @@ impl Ended {
             && self.misfit.iter().all(|x| *x > 0.0)
     }
 
-    fn of(fitted: &Fitted, misfit: [f64; 2]) -> Self {
+    fn of(fitted: &Descent, misfit: [f64; 2]) -> Self {
         Self {
             from: fitted.prior.from,
             spread: fitted.prior.spread,
@@ -59,7 +58,7 @@ impl Ended {
         }
     }
 
-    /// What was believed before.
+    /// Prior that the fit began with.
     pub fn prior(&self) -> Prior {
         Prior {
             from: self.from,
@@ -67,17 +66,17 @@ impl Ended {
         }
     }
 
-    /// The pot.
+    /// Fitted pot.
     pub fn model(&self) -> PotModel {
         parameters::moved(&self.prior(), &self.steps)
     }
 }
 
-/// Misfits at which a fit begins.
-pub(crate) const FIRST: [f64; 2] = [0.01, 0.005];
+/// Misfits with which a fit begins.
+pub(crate) const FIRST_MISFIT: [f64; 2] = [0.01, 0.005];
 
-/// Where the fit of data ends: from the pot of before where that still holds, else from what is believed of a known pot, or of any.
-pub(crate) fn ended(
+/// Fits a pot to data: from the last fit if that still holds, else from the prior of a known pot, else from all classes of pots.
+pub(crate) fn fit_pot(
     data: &[Datum],
     believed: Option<&Prior>,
     start: Option<&Ended>,
@@ -85,7 +84,7 @@ pub(crate) fn ended(
     let few = &thinned(data);
     let again = start.and_then(|s| {
         let fitted = fit(few, (&s.prior(), s.steps), s.used, s.misfit, 4)?;
-        // As many squares as data: it holds.
+        // The squares do not exceed the number of data: the last fit still holds.
         (fitted.cost < few.len() as f64).then_some((fitted, s.misfit))
     });
     if let Some((fitted, misfit)) = again {
@@ -93,10 +92,16 @@ pub(crate) fn ended(
         return Some(Ended::of(&fitted, misfit));
     }
     let mut fitted = match believed {
-        Some(prior) => fit(few, (prior, [0.0; COUNT]), CENTRED, FIRST, MOST_STEPS)?,
-        None => fit_any(few, FIRST)?,
+        Some(prior) => fit(
+            few,
+            (prior, [0.0; COUNT]),
+            CENTRED,
+            FIRST_MISFIT,
+            MOST_STEPS,
+        )?,
+        None => fit_any(few, FIRST_MISFIT)?,
     };
-    let mut misfit = evident(few, &fitted, FIRST)?;
+    let mut misfit = evident(few, &fitted, FIRST_MISFIT)?;
     if misfit[0] > MISFITS_R[0] || misfit[1] > MISFITS_L[0] {
         let least = [MISFITS_R[1], MISFITS_L[1]];
         if let Some(shifted) = fit_off_centre(few, &fitted, least) {
@@ -108,20 +113,20 @@ pub(crate) fn ended(
     Some(Ended::of(&fitted, misfit))
 }
 
-/// At most [`LOOKED_AT`] data, evenly from all.
+/// At most [`MOST_DATA`] data, taken evenly from all.
 fn thinned(data: &[Datum]) -> Vec<Datum> {
-    let every = data.len().div_ceil(LOOKED_AT).max(1);
+    let every = data.len().div_ceil(MOST_DATA).max(1);
     data.iter().copied().step_by(every).collect()
 }
 
-/// The misfits that the data speak for, one after the other for R and for L.
-fn evident(data: &[Datum], fitted: &Fitted, begin: [f64; 2]) -> Option<[f64; 2]> {
+/// Misfits of R and L with the largest evidence, chosen in turn.
+fn evident(data: &[Datum], fitted: &Descent, begin: [f64; 2]) -> Option<[f64; 2]> {
     let slopes = derivatives(&fitted.prior, &fitted.steps, data, fitted.used);
     let numbers = &slopes * slopes.transpose();
     let heat = heat(&fitted.model(), data);
     let numbers = numbers + &heat * heat.transpose();
     let steps = DVector::from_fn(fitted.used, |k, _| fitted.steps[k]);
-    let left = seen(data) - (predicted(&fitted.model(), data) - slopes * steps);
+    let left = measured(data) - (predicted(&fitted.model(), data) - slopes * steps);
     let evidence = |tau: [f64; 2]| {
         let factor = (covariance(data, tau) + &numbers).cholesky()?;
         let determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();

@@ -1,5 +1,5 @@
-//! A pot's numbers from what windows showed: least squares with the misfit of the physics as correlated noise, and with
-//! what is believed of pots as a prior.
+//! Least-squares fit of a pot's numbers to measured data, with the misfit of the physics as correlated noise and a prior on
+//! the numbers.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
@@ -7,23 +7,31 @@ use crate::PotModel;
 use crate::misfit::Place;
 use crate::parameters::{self, CENTRED, COUNT, Prior, Vector};
 
-/// Steps of a descent at most.
+/// Most steps of a descent.
 pub(crate) const MOST_STEPS: usize = 12;
 
-/// Fall of the cost at which it ends: far below what a number's deviation is.
+/// Fall of the cost at which a descent ends: a number then moves far less than its deviation.
 const SETTLED: f64 = 1e-3;
 
-/// Step of the derivatives, in spreads.
+/// Step of the numerical derivatives, in spreads.
 const STEP: f64 = 1e-3;
 
-/// Something seen: ln R and ln L at a place, with variances.
+/// Change of ln s per second by heating: 2 K/s times half of 1.1e-3 per kelvin (docs/map.md). `HEATING_ENDS_S` is the time
+/// in seconds after which it ends.
+const HEATING_PER_S: f64 = 1e-3;
+const HEATING_ENDS_S: f64 = 150.0;
+
+/// Step of ln s for its numerical derivative.
+const STEP_LN_S: f64 = 1e-3;
+
+/// Measured ln R and ln L at a place, with variances.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Datum {
     pub f_hz: f64,
     pub i_a: f64,
     pub ln: [f64; 2],
     pub variance: [f64; 2],
-    /// How long ago, in seconds.
+    /// Age in seconds.
     pub age_s: f64,
 }
 
@@ -33,7 +41,7 @@ impl Datum {
     }
 }
 
-/// ln R and ln L of a model at each datum, R of all and then L of all; data of one frequency lie together.
+/// ln R and ln L of a model at each datum: R of all, then L of all. Data of one frequency must be adjacent.
 pub(crate) fn predicted(model: &PotModel, data: &[Datum]) -> DVector<f64> {
     let count = data.len();
     let mut all = DVector::zeros(2 * count);
@@ -50,7 +58,7 @@ pub(crate) fn predicted(model: &PotModel, data: &[Datum]) -> DVector<f64> {
     all
 }
 
-/// Derivatives of [`predicted`] by the numbers, in spreads; `used` of them.
+/// Derivatives of [`predicted`] by the first `used` numbers, per spread.
 pub(crate) fn derivatives(
     prior: &Prior,
     steps: &Vector,
@@ -66,7 +74,7 @@ pub(crate) fn derivatives(
     let here = predicted(&parameters::moved(prior, steps), data);
     for k in 0..used {
         let up = at(k, STEP);
-        // At the end of a range only one side is there.
+        // At the end of a range only one side exists.
         let slope = if up == here {
             (here.clone() - at(k, -STEP)) / STEP
         } else {
@@ -77,7 +85,7 @@ pub(crate) fn derivatives(
     all
 }
 
-/// Covariance of what is seen around the physics: errors of measurement, and the misfit of deviations `tau`.
+/// Covariance of measured data around the physics: errors of measurement, and the misfit of deviations `tau`.
 pub(crate) fn covariance(data: &[Datum], tau: [f64; 2]) -> DMatrix<f64> {
     let count = data.len();
     let places: Vec<Place> = data.iter().map(Datum::place).collect();
@@ -98,36 +106,36 @@ pub(crate) fn covariance(data: &[Datum], tau: [f64; 2]) -> DMatrix<f64> {
     all
 }
 
-/// A fitted pot.
+/// Result of a descent.
 #[derive(Clone, Debug)]
-pub(crate) struct Fitted {
-    /// What was believed.
+pub(crate) struct Descent {
+    /// Prior of the numbers.
     pub prior: Prior,
-    /// Where it ended, in spreads from its middle.
+    /// Fitted numbers, in spreads from the prior's mean.
     pub steps: Vector,
-    /// How many of the numbers were free.
+    /// Number of free parameters.
     pub used: usize,
-    /// Half of the squares that are left.
+    /// Half of the remaining squares.
     pub cost: f64,
 }
 
-impl Fitted {
-    /// The model.
+impl Descent {
+    /// Fitted model.
     pub fn model(&self) -> PotModel {
         parameters::moved(&self.prior, &self.steps)
     }
 }
 
-/// Descends from a prior, beginning at some steps; `used` numbers are free. `None` where the covariance is singular.
+/// Descends from the steps given with a prior; the first `used` numbers are free. `None` if the covariance is singular.
 pub(crate) fn fit(
     data: &[Datum],
     (prior, begin): (&Prior, Vector),
     used: usize,
     tau: [f64; 2],
     most_steps: usize,
-) -> Option<Fitted> {
+) -> Option<Descent> {
     let white: Cholesky<f64, Dyn> = covariance(data, tau).cholesky()?;
-    let seen = seen(data);
+    let seen = measured(data);
     let cost = |steps: &Vector| {
         let left = &seen - predicted(&parameters::moved(prior, steps), data);
         let whitened = white.l_dirty().solve_lower_triangular(&left)?;
@@ -158,11 +166,11 @@ pub(crate) fn fit(
             for k in 0..used {
                 there[k] += change[k];
             }
-            // Within what there is, so that the prior pays for what was moved.
+            // Clamped to the numbers' ranges, so that the prior counts the step that was made.
             there = parameters::steps(prior, &parameters::moved(prior, &there));
-            let found = cost(&there)?;
-            if found < best {
-                (steps, best) = (there, found);
+            let next = cost(&there)?;
+            if next < best {
+                (steps, best) = (there, next);
                 damping = (damping * 0.2).max(1e-6);
                 break;
             }
@@ -172,7 +180,7 @@ pub(crate) fn fit(
             break;
         }
     }
-    Some(Fitted {
+    Some(Descent {
         prior: *prior,
         steps,
         used,
@@ -180,15 +188,15 @@ pub(crate) fn fit(
     })
 }
 
-/// ln R of all, then ln L of all.
-pub(crate) fn seen(data: &[Datum]) -> DVector<f64> {
+/// Measured ln R of all data, then ln L of all.
+pub(crate) fn measured(data: &[Datum]) -> DVector<f64> {
     let count = data.len();
     DVector::from_fn(2 * count, |k, _| data[k % count].ln[k / count])
 }
 
-/// The best of all classes of pots, off centre only where that explains what nothing else does.
-pub(crate) fn fit_any(data: &[Datum], tau: [f64; 2]) -> Option<Fitted> {
-    /// First look at each class.
+/// Fits all classes of pots and keeps the best; off centre only if nothing else explains the data.
+pub(crate) fn fit_any(data: &[Datum], tau: [f64; 2]) -> Option<Descent> {
+    /// Steps of the first descent of each class.
     const LOOKS: usize = 3;
     let begin = [0.0; COUNT];
     let looks = parameters::classes()
@@ -197,12 +205,28 @@ pub(crate) fn fit_any(data: &[Datum], tau: [f64; 2]) -> Option<Fitted> {
     fit(data, (&best.prior, best.steps), CENTRED, tau, MOST_STEPS)
 }
 
-/// The same pot off centre; `None` where that is no better by more than chance.
-pub(crate) fn fit_off_centre(data: &[Datum], centred: &Fitted, tau: [f64; 2]) -> Option<Fitted> {
-    /// Fall of the cost that is worth another number.
+/// Fits the same pot off centre; `None` if that is not better by more than chance.
+pub(crate) fn fit_off_centre(data: &[Datum], centred: &Descent, tau: [f64; 2]) -> Option<Descent> {
+    /// Least fall of the cost that justifies another parameter.
     const WORTH: f64 = 4.0;
     let mut begin = centred.steps;
     begin[CENTRED] = 1.0;
     let shifted = fit(data, (&centred.prior, begin), COUNT, tau, MOST_STEPS)?;
     (shifted.cost + WORTH < centred.cost).then_some(shifted)
+}
+
+/// Standard deviations of ln R and ln L by heating since each datum, fully correlated.
+pub(crate) fn heat(model: &PotModel, data: &[Datum]) -> DVector<f64> {
+    let hotter = PotModel {
+        ln_s: model.ln_s + STEP_LN_S,
+        ..*model
+    };
+    let mut all = (predicted(&hotter, data) - predicted(model, data)) / STEP_LN_S;
+    let count = data.len();
+    for k in 0..2 * count {
+        let age_s = data[k % count].age_s.max(0.0);
+        let moved = HEATING_PER_S * HEATING_ENDS_S * (1.0 - (-age_s / HEATING_ENDS_S).exp());
+        all[k] *= moved;
+    }
+    all
 }

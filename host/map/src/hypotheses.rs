@@ -1,8 +1,8 @@
-//! What is known of one pot under several hypotheses: that it is any pot, or one that another hob knows, each weighed by how
-//! likely it makes what was seen.
+//! Hypotheses on one pot: it is any pot, or one that another hob knows. Each is weighted by the likelihood of the measured
+//! data.
 //!
-//! Cells are the mixture's mean, and their deviations hold how much the hypotheses differ. "Any pot" keeps a share whatever the
-//! evidence says: windows of one frequency cannot tell pots apart that differ elsewhere.
+//! Cells are the mixture's mean, and their deviations contain the spread between hypotheses. "Any pot" keeps a share whatever
+//! the evidence: windows of one frequency cannot tell pots apart that differ at others.
 
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
@@ -14,43 +14,44 @@ use crate::fit::Datum;
 use crate::knowledge::{Knowledge, Predicted};
 use crate::library::{Candidate, KeptShape, Library, Shape, shape_places, without};
 
-/// Share of each entry before anything was seen: of forty pots that may come, one. All of them together have half at most.
+/// Prior share of each entry: one of forty pots that may come. All entries together have half at most.
 const OF_AN_ENTRY: f64 = 1.0 / 40.0;
 const OF_ALL_ENTRIES: f64 = 0.5;
 
-/// Share that it keeps at least: one pot in twenty that fits an entry is another one. Its deviations in unseen cells after one window
-/// are some five times those of a pot that is known, so that theirs grow by half.
-const LEAST_NONE: f64 = 0.05;
+/// Share of "any pot" at least, whatever the evidence. An entry is advice: it may be another pot or a lie that fits all that this hob
+/// has seen. With [`BELIEVABLE`], all entries together then move the map by at most one of this hob's own deviations in the mean
+/// of the squares, and what they add to the deviations keeps a wrong cell from being marked (docs/pots.md).
+const LEAST_ANY: f64 = 0.5;
 
-/// Deviations of "any pot", in the mean of the squares over the map, by which an entry's map may differ from its: docs/map.md has
-/// them too small by 1.8 at most.
+/// Most deviations of "any pot", root mean square over the map, by which an entry's map may differ from it: docs/map.md
+/// finds them too small by 1.8 at most.
 const BELIEVABLE: f64 = 2.0;
 
-/// Relative deviations of R and L that count there at least.
+/// Least relative deviations of R and L in that comparison.
 const LEAST_SIGMA: [f64; 2] = [0.004, 0.002];
 
 /// Share below which a hypothesis is dropped.
 const DROPPED: f64 = 0.01;
 
-/// That it is one of the library's pots.
+/// Hypothesis that the pot is one of the library's.
 #[derive(Clone, Debug)]
 struct Recognised {
     entry: String,
     share: f64,
     shape: Shape,
-    /// Of the physics, once the shape is taken away.
+    /// Fit of the physics to the data less the entry's shape.
     known: Knowledge,
 }
 
-/// What is known of one pot.
+/// Weighted hypotheses on one pot.
 #[derive(Clone, Debug)]
 pub(crate) struct Hypotheses {
-    /// That it is any pot.
+    /// Hypothesis that it is any pot.
     any: Knowledge,
     others: Vec<Recognised>,
 }
 
-/// A hypothesis of the library as it is kept.
+/// Stored form of a library hypothesis.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct KeptRecognised {
     entry: String,
@@ -68,8 +69,8 @@ impl Recognised {
         }
     }
 
-    /// Whether its map is within the deviations of what this hob would say alone, which no window need have shown: an honest
-    /// entry knows more and contradicts nothing, one made to fit what is seen first and to be wrong elsewhere does.
+    /// Returns `true` if the entry's map lies within the deviations of this hob's own map, in cells measured or not. An honest
+    /// entry knows more and contradicts nothing; one made to fit the first measurements and to be wrong elsewhere does not pass.
     fn is_believable(&self, alone: &[Predicted]) -> bool {
         let square = |(value, alone): (&Predicted, &Predicted)| {
             let r = (value.r_ohm / alone.r_ohm).ln() / alone.r_sigma.hypot(LEAST_SIGMA[0]);
@@ -114,20 +115,20 @@ impl KeptRecognised {
     }
 }
 
-/// How a window compares with what was expected.
+/// Comparison of a window with the expectation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Compared {
-    /// Squares a number under the hypothesis that expected it best.
+    /// Mean square in variances under the hypothesis that expected the window best.
     pub chi2: f64,
-    /// How far R and L were from there, relative, in the mean.
+    /// Mean relative differences of R and L from that expectation.
     pub off: [f64; 2],
-    /// Squares a number under the hypothesis that expected it least.
+    /// Mean square in variances under the hypothesis that expected the window worst.
     pub most_chi2: f64,
 }
 
 impl Hypotheses {
-    /// From everything seen; `before` is what was known before, and `again` says that the library is to be asked again. `None` as
-    /// [`Knowledge::of`].
+    /// Fits all hypotheses to the data; `before` is the last result, and `again` queries the library anew. `None` under the
+    /// conditions of [`Knowledge::of`].
     pub fn of(
         data: Vec<Datum>,
         library: Option<&Library>,
@@ -155,7 +156,7 @@ impl Hypotheses {
         Some(Self::weighed(any, recognised.collect(), entries))
     }
 
-    /// Shares by evidence.
+    /// Computes the shares from the evidence.
     fn weighed(any: Knowledge, mut others: Vec<Recognised>, entries: f64) -> Self {
         if !others.is_empty() {
             let alone = any.at(&shape_places(), 0.0);
@@ -171,12 +172,12 @@ impl Hypotheses {
         let sum: f64 = none + others.iter().map(|r| r.share).sum::<f64>();
         others.retain(|r| r.share >= DROPPED * sum);
         let left: f64 = others.iter().map(|r| r.share).sum();
-        let most = (left / (none + left)).min(1.0 - LEAST_NONE);
+        let most = (left / (none + left)).min(1.0 - LEAST_ANY);
         others.iter_mut().for_each(|r| r.share *= most / left);
         Self { any, others }
     }
 
-    /// What is kept of the library's hypotheses.
+    /// Stored form of the library's hypotheses.
     pub fn kept(&self) -> Vec<KeptRecognised> {
         let kept = |r: &Recognised| KeptRecognised {
             entry: r.entry.clone(),
@@ -187,7 +188,7 @@ impl Hypotheses {
         self.others.iter().map(kept).collect()
     }
 
-    /// From what was kept and seen; `None` where nothing could have taught it.
+    /// Restores hypotheses from their stored form and the data; `None` if no data can have produced them.
     pub fn from_kept(any: Ended, others: Vec<KeptRecognised>, data: Vec<Datum>) -> Option<Self> {
         let sum: f64 = others.iter().map(|r| r.share).sum();
         // A share that is no number is none either.
@@ -210,12 +211,12 @@ impl Hypotheses {
         })
     }
 
-    /// That it is any pot: what this hob found by itself.
+    /// Hypothesis "any pot": the result of this hob's own windows.
     pub fn any(&self) -> &Knowledge {
         &self.any
     }
 
-    /// The library's entries that it may be, with their shares.
+    /// Entries of the library that the pot may be, with their shares.
     pub fn recognised(&self) -> impl Iterator<Item = (&str, f64)> {
         self.others.iter().map(|r| (r.entry.as_str(), r.share))
     }
@@ -225,7 +226,7 @@ impl Hypotheses {
         1.0 - self.others.iter().map(|r| r.share).sum::<f64>()
     }
 
-    /// How well the physics describes the likeliest one: deviations of ln R and ln L around it.
+    /// Deviations of ln R and ln L around the physics under the likeliest hypothesis.
     pub fn misfit(&self) -> [f64; 2] {
         self.likeliest().misfit()
     }
@@ -239,7 +240,7 @@ impl Hypotheses {
         best.map_or(&self.any, |r| &r.known)
     }
 
-    /// The pot.
+    /// Pot under the likeliest hypothesis.
     pub fn model(&self) -> PotModel {
         self.likeliest().ended().model()
     }
@@ -274,10 +275,10 @@ impl Hypotheses {
             .collect()
     }
 
-    /// A window of `means` beside what each hypothesis expects there; `None` where none can tell.
+    /// Compares a window's `means` with the expectation of each hypothesis; `None` if none has an expectation.
     ///
-    /// The best one counts: a pot is another one only where it is so whatever was believed of it, so that a wrong entry never
-    /// makes a pot forgotten.
+    /// The best one counts: the pot is another one only if every hypothesis says so. A wrong entry therefore never makes a pot
+    /// forgotten.
     pub fn compare(&self, curve: &Curve, means: &[Mean], ahead_s: f64) -> Option<Compared> {
         let f_hz = curve.f_sw_hz;
         let others = self.others.iter();

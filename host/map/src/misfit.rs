@@ -1,16 +1,16 @@
-//! What the physics leaves: a smooth normal process over ln f and the lookup's current axis, one of ln R and one of ln L.
+//! Misfit of the physics: smooth normal processes of ln R and ln L over ln f and the lookup's current axis.
 
 use ihd_shared::lookup::grid::{CURRENTS, I_BEND_MA, I_MAX_MA};
 
-/// Over so much of ln f the misfit loses its memory: half the way from 30 to 80 kHz. Harmonics of the current and
-/// shapes of B(H), which the physics does not have, act on R by a few percent that change this slowly.
+/// Correlation length of the misfit in ln f: half the way from 30 to 80 kHz. Its causes, harmonics of the current and
+/// shapes of B(H), change R by a few percent that vary this slowly.
 const REACH_LN_F: f64 = 0.5;
 
-/// Over so many knots of the current's axis: half of it.
+/// Correlation length of the misfit in knots of the current axis: half of it.
 const REACH_KNOTS: f64 = 8.0;
 
-/// Share of the misfit's variance that is rougher over frequency, and how many times: a process that is smooth without end
-/// claims to know between two frequencies, and beside one, what it only guesses.
+/// Share of the misfit's variance that is rougher over frequency; the next constant says how many times. A perfectly smooth
+/// process would claim too much certainty between and beside measured frequencies.
 const ROUGH: f64 = 1e-3;
 const FINER: f64 = 4.0;
 
@@ -28,7 +28,7 @@ pub fn current_of_knots(knots: f64) -> f64 {
     bend_a * ((knots / (CURRENTS - 1) as f64 * whole).exp() - 1.0)
 }
 
-/// A place of the map.
+/// Place of the map: frequency and current.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Place {
     pub ln_f: f64,

@@ -1,36 +1,34 @@
-//! The numbers of a [`PotModel`] as a vector, in units in which each may be expected to move by about one, and what
-//! is believed of them before anything was seen.
+//! Numbers of a [`PotModel`] as a vector, in units of their expected spread, and the prior on them.
 
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
 
-/// Numbers that are fitted.
+/// Number of parameters.
 pub(crate) const COUNT: usize = 7;
 
-/// Of which the last one is the offset: without one the impedance does not know where it would go.
+/// Number of parameters of a centred pot. The last one is the offset, whose derivative is zero for a centred pot.
 pub(crate) const CENTRED: usize = COUNT - 1;
 
 pub(crate) type Vector = [f64; COUNT];
 
-/// Deviation of each number around its beginning: metals of a class differ by these factors of α and s, hot and cold
-/// included; the base's radius, its lift, the coil against the paper's, its winding, and how far off centre pots are put.
+/// Prior deviation of each number: α and s within a class of metals, hot and cold included; the base's radius, its lift,
+/// turns against the paper's coil, its winding, and the offset.
 pub(crate) const SPREAD: Vector = [0.8, 0.4, 0.03, 0.006, 0.02, 0.03, 0.02];
 
-/// Where the gap's table and the metals end.
+/// Limits of the gap's table and of metals.
 const LEAST: Vector = [5.3, -16.5, 0.025, -0.002, -0.2, 0.0, 0.0];
 const MOST: Vector = [13.9, -9.0, 0.13, 0.065, 0.2, 0.5, 0.06];
 
-/// Of which the first ones are the pot's own, α, s and radius; the others are where it stands and on which coil.
+/// Number of leading parameters that are the pot's own, α, s and radius; the others depend on place and coil.
 pub(crate) const OF_POT: usize = 3;
 
-/// How far a pot's own numbers may move around the middle of a prior: the lower triangle L, row by row, of their covariance
-/// L Lᵀ.
+/// Prior covariance of a pot's own numbers as the lower triangle L of L Lᵀ, row by row.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct PotSpread(pub [f64; OF_POT * (OF_POT + 1) / 2]);
 
 impl Default for PotSpread {
-    /// Of any pot of a class.
+    /// Spread of any pot of a class.
     fn default() -> Self {
         Self([SPREAD[0], 0.0, SPREAD[1], 0.0, 0.0, SPREAD[2]])
     }
@@ -42,12 +40,12 @@ impl PotSpread {
         &self.0[k * (k + 1) / 2..][..=k]
     }
 
-    /// Whether it is one of any pot, which nobody need keep.
+    /// Returns `true` if it is the spread of any pot, which is not stored.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Finite, and no wider nor narrower than a prior can be.
+    /// Returns `true` if it is finite and within the range of priors.
     pub fn is_sound(&self) -> bool {
         (0..OF_POT).all(|k| {
             let row = self.row(k);
@@ -57,8 +55,8 @@ impl PotSpread {
     }
 }
 
-/// What is believed of a pot: a middle, and how far its own numbers may be from there. How far the others may be is one for
-/// all pots.
+/// Prior on a pot: its mean and the spread of its own numbers. The spread of the other numbers is the same for all
+/// pots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Prior {
     pub from: PotModel,
@@ -66,7 +64,7 @@ pub(crate) struct Prior {
 }
 
 impl From<PotModel> for Prior {
-    /// Of any pot of this class.
+    /// Prior of any pot of this class.
     fn from(from: PotModel) -> Self {
         Self {
             from,
@@ -87,7 +85,7 @@ pub(crate) fn raw(model: &PotModel) -> Vector {
     ]
 }
 
-/// Each number within what there is.
+/// Model with each number clamped to its range.
 pub(crate) fn clamped(numbers: &Vector) -> PotModel {
     let at = |k: usize| numbers[k].clamp(LEAST[k], MOST[k]);
     PotModel {
@@ -101,14 +99,14 @@ pub(crate) fn clamped(numbers: &Vector) -> PotModel {
     }
 }
 
-/// Whether each number is one and within what there is.
+/// Returns `true` if each number is finite and in its range.
 pub(crate) fn is_sound(model: &PotModel) -> bool {
     let ranges = LEAST.iter().zip(&MOST);
     let mut all = raw(model).into_iter().zip(ranges);
     all.all(|(x, (least, most))| (*least..=*most).contains(&x))
 }
 
-/// Column `k` of how far one spread of step `k` moves each number.
+/// Change of each number by one spread of step `k`.
 pub(crate) fn column(spread: &PotSpread, k: usize) -> Vector {
     let mut all = [0.0; COUNT];
     if k < OF_POT {
@@ -119,7 +117,7 @@ pub(crate) fn column(spread: &PotSpread, k: usize) -> Vector {
     all
 }
 
-/// The model that is `steps` spreads away from the middle, within what there is.
+/// Model that is `steps` spreads away from the prior's mean, clamped to the ranges.
 pub(crate) fn moved(prior: &Prior, steps: &Vector) -> PotModel {
     let from = raw(&prior.from);
     let by = |k: usize| {
@@ -133,7 +131,7 @@ pub(crate) fn moved(prior: &Prior, steps: &Vector) -> PotModel {
     clamped(&std::array::from_fn(|k| from[k] + by(k)))
 }
 
-/// How many spreads `model` is away from the middle.
+/// Distance of `model` from the prior's mean, in spreads.
 pub(crate) fn steps(prior: &Prior, model: &PotModel) -> Vector {
     let (from, to) = (raw(&prior.from), raw(model));
     let mut steps = [0.0; COUNT];
@@ -150,7 +148,7 @@ pub(crate) fn steps(prior: &Prior, model: &PotModel) -> Vector {
     steps
 }
 
-/// Pots to begin with: α in A/m, s in √(H/S), radius in metre.
+/// Classes of pots with which a fit begins: α in A/m, s in √(H/S), radius in metre.
 const CLASSES: [(f64, f64, f64); 5] = [
     // Ferritic steel, full and small.
     (1_500.0, 1.29e-5, 0.1),
@@ -165,7 +163,7 @@ const CLASSES: [(f64, f64, f64); 5] = [
 /// Winding and leads of a hob's coil in ohm.
 const WINDING_R_OHM: f64 = 0.1;
 
-/// The pots that a fit begins with.
+/// Pots with which a fit begins.
 pub(crate) fn classes() -> impl Iterator<Item = PotModel> {
     CLASSES.into_iter().map(|(alpha, s, radius_m)| PotModel {
         ln_alpha: alpha.ln(),
@@ -176,7 +174,7 @@ pub(crate) fn classes() -> impl Iterator<Item = PotModel> {
     })
 }
 
-/// The same pot on a coil and in a place of which nothing is known.
+/// Same pot with default values for coil and place.
 pub(crate) fn anywhere(pot: &PotModel) -> PotModel {
     PotModel {
         lift_m: 0.0,

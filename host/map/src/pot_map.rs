@@ -1,4 +1,4 @@
-//! The map of one pot: what windows showed, fused, and what follows from it for every cell of a lookup.
+//! Map of one pot: fused curves of its windows, and a prediction for every cell of a lookup.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
 use crate::curve::Curve;
-use crate::ended::{Ended, UNDESCRIBED};
+use crate::ended::{Ended, MISFIT_WARNING};
 use crate::fit::Datum;
 use crate::hypotheses::{Compared, Hypotheses, KeptRecognised};
 use crate::knowledge::{Knowledge, Predicted};
@@ -17,24 +17,24 @@ use crate::library::Library;
 use crate::misfit::{current_knots, current_of_knots};
 use crate::surface_table::lagrange;
 
-/// Relative difference below which two switching frequencies are one: R and L are carried over by the pot's own law.
+/// Relative difference below which two switching frequencies share a curve; R and L are converted by the pot's own law.
 const SAME_FREQUENCY: f64 = 5e-3;
 
-/// Curves that are kept: more than eight rows of a lookup can tell apart.
+/// Most curves of a map: more than the eight rows of a lookup can tell apart.
 pub const MOST_CURVES: usize = 10;
 
-/// Squares a number, in means of what is expected, from which a window is another pot's: chance makes 2 once in a million
-/// for the forty numbers of a window.
+/// Mean square in expected variances above which a window belongs to another pot: chance gives 2 once in a million for
+/// the forty numbers of a window.
 const ANOTHER: f64 = 3.0;
 
-/// Relative difference of R or L, in the mean of the squares, below which a pot is never another one: power control does
-/// not notice it.
+/// Root mean square of the relative difference of R or L below which a pot is never another one: power control does not
+/// notice it.
 const NEVER_ANOTHER: f64 = 3e-3;
 
-/// Squares a number from which a window is worth another fit.
+/// Mean square above which a window causes another fit.
 const WORTH_FITTING: f64 = 1.6;
 
-/// Currents in ampere from which a difference counts: below, little is known of R and L.
+/// Least current in ampere of compared points: below, R and L are uncertain.
 const COUNTS_FROM_A: f64 = 3.0;
 
 /// Confidence from which a cell counts as observed: a curve within three quarters of a step.
@@ -43,25 +43,25 @@ const OBSERVED_FROM: f64 = 0.5;
 /// Weight of a curve at which confidence is one half.
 const HALF_CONFIDENT: f64 = 0.25;
 
-/// What became of a window's curve.
+/// Comparison of a window's curve with the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Seen {
-    /// Nothing: no frequency of a hob, or no load at it.
+pub enum CurveMatch {
+    /// Not used: no frequency of a hob, or no load at it.
     Nothing,
-    /// The first one of a pot.
+    /// First curve of a pot.
     First,
-    /// It is the pot that is known; squares a number of what was expected.
+    /// Same pot as before.
     Same {
-        /// About 1 where all deviations are honest.
+        /// Mean square in expected variances; about 1 if all deviations are right.
         chi2: f64,
     },
-    /// It is another pot, or the same one moved: everything else was forgotten.
+    /// Another pot, or the same one moved; all other curves were removed.
     Another {
-        /// Squares a number of what was expected of the known pot.
+        /// Mean square in variances expected of the known pot.
         chi2: f64,
-        /// How far R was from what was expected, relative, in the mean.
+        /// Mean relative difference of R from the expectation.
         r: f64,
-        /// How far L was.
+        /// Mean relative difference of L from the expectation.
         l: f64,
     },
 }
@@ -69,51 +69,51 @@ pub enum Seen {
 /// One cell of a lookup.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cell {
-    /// R and L, with relative deviations.
+    /// Predicted R and L, with relative deviations.
     pub value: Predicted,
-    /// 0, never observed, to 1.
+    /// 0 (never observed) to 1.
     pub confidence: f64,
-    /// Seconds since it was observed last; `None` where it never was.
+    /// Seconds since the cell was observed last; `None` if never.
     pub age_s: Option<f64>,
 }
 
 impl Cell {
-    /// Whether it rests on observations, not on the pot's physics alone.
+    /// Returns `true` if the cell rests on observations and not on the pot's physics alone.
     pub fn is_observed(&self) -> bool {
         self.confidence >= OBSERVED_FROM
     }
 }
 
-/// All cells, `[frequency][current]`.
+/// All cells of a lookup, `[frequency][current]`.
 pub type Cells = [[Cell; CURRENTS]; FREQUENCIES];
 
-/// What is known of the pot that stands on the coil now.
+/// Map of the pot that stands on the coil now.
 #[derive(Clone, Debug, Default)]
 pub struct PotMap {
     curves: Vec<Curve>,
-    learned: Option<Learned>,
+    learned: Option<LastFit>,
     library: Option<Arc<Library>>,
 }
 
-/// What was fitted, from what, and when.
+/// Last fit, its curves, and its time.
 #[derive(Clone, Debug)]
-struct Learned {
+struct LastFit {
     known: Hypotheses,
     curves: Vec<Curve>,
     at_s: f64,
 }
 
-/// What of a map is kept over a restart: all that follows from it is the same, bit for bit.
+/// Stored form of a map; a restored map gives the same predictions, bit for bit.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Kept {
+pub struct PotMapState {
     curves: Vec<Curve>,
-    learned: Option<KeptLearned>,
+    learned: Option<LastFitState>,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct KeptLearned {
+struct LastFitState {
     ended: Ended,
-    /// Pots of the library that it may be; a build before the library reads past them.
+    /// Pots of the library that it may be; builds before the library ignore them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     recognised: Vec<KeptRecognised>,
     curves: Vec<Curve>,
@@ -121,11 +121,11 @@ struct KeptLearned {
 }
 
 impl PotMap {
-    /// What is to be kept.
-    pub fn kept(&self) -> Kept {
-        Kept {
+    /// Returns the stored form.
+    pub fn state(&self) -> PotMapState {
+        PotMapState {
             curves: self.curves.clone(),
-            learned: self.learned.as_ref().map(|l| KeptLearned {
+            learned: self.learned.as_ref().map(|l| LastFitState {
                 ended: *l.known.any().ended(),
                 recognised: l.known.kept(),
                 curves: l.curves.clone(),
@@ -134,16 +134,16 @@ impl PotMap {
         }
     }
 
-    /// From what was kept; `None` where nothing could have taught it.
-    pub fn from_kept(kept: Kept) -> Option<Self> {
+    /// Restores a map; `None` if no windows can have produced the numbers.
+    pub fn from_state(state: PotMapState) -> Option<Self> {
         let sound =
             |curves: &[Curve]| curves.len() <= MOST_CURVES && curves.iter().all(Curve::is_sound);
-        if !sound(&kept.curves) {
+        if !sound(&state.curves) {
             return None;
         }
-        let learned = match kept.learned {
+        let learned = match state.learned {
             None => None,
-            Some(l) if sound(&l.curves) && l.at_s.is_finite() => Some(Learned {
+            Some(l) if sound(&l.curves) && l.at_s.is_finite() => Some(LastFit {
                 known: Hypotheses::from_kept(l.ended, l.recognised, data(&l.curves, l.at_s))?,
                 curves: l.curves,
                 at_s: l.at_s,
@@ -151,26 +151,26 @@ impl PotMap {
             Some(_) => return None,
         };
         Some(Self {
-            curves: kept.curves,
+            curves: state.curves,
             learned,
             library: None,
         })
     }
 
-    /// The same, which asks these pots when it sees one for the first time, and again at each frequency that it sees first.
-    /// Without entries nothing changes. A library is no part of what is kept.
+    /// Returns the map with a library, which is searched for a new pot, and again at each frequency seen for the first time.
+    /// An empty library changes nothing. The library is not part of the stored form.
     #[must_use]
     pub fn with_library(mut self, library: Arc<Library>) -> Self {
         self.library = Some(library);
         self
     }
 
-    /// The pots that it asks; `None` where nobody gave any.
+    /// Library that is searched; `None` if there is none.
     pub fn library(&self) -> Option<&Library> {
         self.library.as_deref()
     }
 
-    /// One that has seen nothing, with the same library.
+    /// Returns an empty map with the same library.
     #[must_use]
     pub fn forgotten(&self) -> Self {
         Self {
@@ -179,29 +179,29 @@ impl PotMap {
         }
     }
 
-    /// Pots of the library that it may be, by their names, with their shares; what is left to 1 is any other.
+    /// Names of the library's pots that it may be, with their shares; the rest to 1 is any other pot.
     pub fn recognised(&self) -> impl Iterator<Item = (&str, f64)> {
         self.learned.iter().flat_map(|l| l.known.recognised())
     }
 
-    /// What this hob found by itself; `None` before a window came.
+    /// Result of this hob's own windows alone; `None` before the first window.
     pub(crate) fn found_alone(&self) -> Option<&Knowledge> {
         self.learned.as_ref().map(|l| l.known.any())
     }
 
-    /// Curves, one a switching frequency.
+    /// Curves, one per switching frequency.
     pub fn curves(&self) -> &[Curve] {
         &self.curves
     }
 
-    /// Takes a window's curve in. What follows from it is fitted again where it is new: another pot, a frequency that was
-    /// not seen, twice the windows, or more than chance off; else [`Self::refresh`] does.
-    pub fn observe(&mut self, curve: Curve) -> Seen {
+    /// Adds a window's curve. Fits at once for another pot, a new frequency, twice the windows, or a difference beyond chance;
+    /// otherwise the next [`Self::refresh`] fits.
+    pub fn observe(&mut self, curve: Curve) -> CurveMatch {
         if !curve.is_sound() || curve.means().next().is_none() {
-            return Seen::Nothing;
+            return CurveMatch::Nothing;
         }
         let (seen, off) = self.compare(&curve);
-        let another = matches!(seen, Seen::Another { .. });
+        let another = matches!(seen, CurveMatch::Another { .. });
         if another {
             self.curves.clear();
         }
@@ -213,10 +213,10 @@ impl PotMap {
         seen
     }
 
-    /// What a window is beside what is known, and whether it is worth another fit.
-    fn compare(&self, curve: &Curve) -> (Seen, bool) {
+    /// Compares a window with the prediction; the second value is `true` if a new fit is worthwhile.
+    fn compare(&self, curve: &Curve) -> (CurveMatch, bool) {
         let Some(learned) = &self.learned else {
-            return (Seen::First, true);
+            return (CurveMatch::First, true);
         };
         let means: Vec<_> = curve.means().filter(|m| m.i_a >= COUNTS_FROM_A).collect();
         let compared = match means.is_empty() {
@@ -231,19 +231,19 @@ impl PotMap {
             most_chi2,
         }) = compared
         else {
-            return (Seen::Same { chi2: 1.0 }, false);
+            return (CurveMatch::Same { chi2: 1.0 }, false);
         };
         if chi2 > ANOTHER && r.max(l) > NEVER_ANOTHER {
-            (Seen::Another { chi2, r, l }, true)
+            (CurveMatch::Another { chi2, r, l }, true)
         } else {
             (
-                Seen::Same { chi2 },
+                CurveMatch::Same { chi2 },
                 most_chi2.is_nan() || most_chi2 >= WORTH_FITTING,
             )
         }
     }
 
-    /// Windows that the curve of this frequency now holds.
+    /// Fuses a curve with that of its frequency, and returns the number of windows in it.
     fn take(&mut self, curve: Curve) -> u32 {
         let away = |c: &Curve| (c.f_sw_hz / curve.f_sw_hz - 1.0).abs();
         let ratio_to = |f_hz| carried(self.learned.as_ref().map(|l| &l.known), curve.f_sw_hz, f_hz);
@@ -265,13 +265,13 @@ impl PotMap {
         1
     }
 
-    /// Time of the newest window in seconds of the device; negative infinity where nothing was seen.
+    /// Time of the newest window in seconds of the device; negative infinity if there is none.
     pub fn newest_s(&self) -> f64 {
         let times = self.curves.iter().map(|c| c.t_s);
         times.fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// What was seen moves so that nothing of it lies after `now_s`: a device that was reset counts its time anew.
+    /// Shifts all times so that none lies after `now_s`: a device that was reset counts its time anew.
     pub fn rebase(&mut self, now_s: f64) {
         let newest_s = self.newest_s();
         if newest_s <= now_s {
@@ -285,46 +285,46 @@ impl PotMap {
         }
     }
 
-    /// Fits what has come until now, a time in seconds of the device.
+    /// Fits all curves as of a time in seconds of the device.
     pub fn refresh(&mut self, now_s: f64) {
         self.fit(now_s, false);
     }
 
     fn fit(&mut self, now_s: f64, another: bool) {
         let before = self.learned.as_ref();
-        // Another frequency tells pots apart that one shows alike.
+        // A new frequency can separate pots that look alike at one frequency.
         let again = another || before.is_none_or(|l| l.curves.len() != self.curves.len());
         let library = self.library.as_deref();
         let all = data(&self.curves, now_s);
         let known = Hypotheses::of(all, library, before.map(|l| &l.known), again);
-        self.learned = known.map(|known| Learned {
+        self.learned = known.map(|known| LastFit {
             known,
             curves: self.curves.clone(),
             at_s: now_s,
         });
     }
 
-    /// The pot's physics; `None` before a window came.
+    /// Fitted physics; `None` before the first window.
     pub fn model(&self) -> Option<PotModel> {
         self.learned.as_ref().map(|l| l.known.model())
     }
 
-    /// Whether the physics describes the pot: one that stands far off centre, or that is made of parts, it may not.
-    /// `None` before a window came.
+    /// Returns `Some(true)` if the physics describes the pot, which may fail far off centre or for a pot made of parts;
+    /// `None` before the first window.
     pub fn is_described(&self) -> Option<bool> {
         let misfit = self.learned.as_ref()?.known.misfit();
         Some(
             misfit
                 .iter()
-                .zip(UNDESCRIBED)
+                .zip(MISFIT_WARNING)
                 .all(|(found, most)| *found < most),
         )
     }
 
-    /// R and L at a switching frequency in hertz and many currents in ampere, interpolated between some: what is known of a
-    /// half-cycle whose current is known. Empty before a window came.
+    /// Predicts R and L along a half-cycle: at a switching frequency in hertz and many currents in ampere, interpolated
+    /// between a few. Empty before the first window.
     pub fn along(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<Predicted> {
-        /// Points a knot of the lookup's current axis: a cubic through them is within 1e-5 of R and L.
+        /// Points per knot of the lookup's current axis: a cubic through them is within 1e-5 of R and L.
         const PER_KNOT: f64 = 1.5;
         let most_a = currents_a.iter().copied().fold(0.0, f64::max);
         let count = ((current_knots(most_a) * PER_KNOT).ceil() as usize + 1).max(4);
@@ -352,14 +352,14 @@ impl PotMap {
         currents_a.iter().map(between).collect()
     }
 
-    /// R and L at a switching frequency in hertz and currents in ampere, with deviations; empty before a window came.
+    /// Predicts R and L at a switching frequency in hertz and currents in ampere. Empty before the first window.
     pub fn at(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<Predicted> {
         let places: Vec<_> = currents_a.iter().map(|i| (f_hz, *i)).collect();
-        let of = |l: &Learned| l.known.at(&places, now_s - l.at_s);
+        let of = |l: &LastFit| l.known.at(&places, now_s - l.at_s);
         self.learned.as_ref().map(of).unwrap_or_default()
     }
 
-    /// Every cell; `None` before a window came.
+    /// Predicts every cell; `None` before the first window.
     pub fn cells(&self, now_s: f64) -> Option<Cells> {
         let learned = self.learned.as_ref()?;
         let places: Vec<_> = (0..FREQUENCIES)
@@ -376,8 +376,8 @@ impl PotMap {
         }))
     }
 
-    /// How many curves went through each cell, and when the last one did: each counts for the cells that a lookup would
-    /// interpolate it from.
+    /// Number of curves through each cell, and the time of the last one: a curve counts for the cells from which a lookup
+    /// would interpolate it.
     fn mass(
         &self,
     ) -> (
@@ -412,7 +412,7 @@ impl PotMap {
     }
 }
 
-/// What curves say at a time in seconds of the device.
+/// Means of all curves, with their ages at a time in seconds of the device.
 fn data(curves: &[Curve], now_s: f64) -> Vec<Datum> {
     let of = |curve: &Curve| {
         let (f_hz, age_s) = (curve.f_sw_hz, now_s - curve.t_s);
@@ -428,11 +428,11 @@ fn data(curves: &[Curve], now_s: f64) -> Vec<Datum> {
     curves.iter().flat_map(of).collect()
 }
 
-/// R and L at one frequency over those at another that is near, by the pot's law at a middling current.
+/// Ratio of R and of L between two close frequencies, by the pot's law at a medium current.
 fn carried(known: Option<&Hypotheses>, from_hz: f64, to_hz: f64) -> [f64; 2] {
     const I_A: f64 = 15.0;
     let Some(known) = known else {
-        // R as the skin effect's root.
+        // R follows the square root of f by the skin effect.
         return [(to_hz / from_hz).sqrt(), 1.0];
     };
     let model = known.model();

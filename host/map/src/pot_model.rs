@@ -1,9 +1,9 @@
-//! A pot by its physics: few numbers, and R and L of the fundamental at any frequency and current.
+//! Physics of a pot: R and L of the fundamental at any frequency and current, from few numbers.
 //!
-//! The gap between coil and pot is linear and depends on the base's radius and its lift ([`crate::gap_table`]). What
-//! a ring of the base lets through is µ δ F(|H|/α) = s √(2/ω) F(|H|/α) with one function F for all metals
-//! ([`ihd_field::surface`]), so that a metal is α and s = √(µ/σ). Temperature acts through s alone: resistivity
-//! and saturation change, α stays.
+//! The gap between coil and pot is linear and depends on the base's radius and its lift ([`crate::gap_table`]). A ring
+//! of the base passes the flux µ δ F(|H|/α) = s √(2/ω) F(|H|/α) with one function F for all metals
+//! ([`ihd_field::surface`]), so that α and s = √(µ/σ) describe a metal. Temperature changes s alone, by resistivity
+//! and saturation; α stays.
 
 use std::f64::consts::{PI, TAU};
 
@@ -15,24 +15,24 @@ use serde::{Deserialize, Serialize};
 use crate::gap_table::Gap;
 use crate::surface_table::flux_of;
 
-/// Directions in which the rim of a pot off centre is looked at, over half a turn.
+/// Directions, over half a turn, in which the rim of a pot off centre is evaluated.
 const SECTORS: usize = 3;
 
-/// Offsets below this, in metre, are none: the impedance changes by less than a thousandth.
+/// Offset in metre below which a pot counts as centred: the impedance changes by less than a thousandth.
 const LEAST_OFFSET_M: f64 = 0.5e-3;
 
-/// Iterations of the surface field at one current.
+/// Most iterations of the surface field at one current.
 const MAX_ITERATIONS: usize = 60;
 
-/// Relative change of the impedance at which they end.
+/// Relative change of the impedance at which the iteration ends.
 const SETTLED: f64 = 1e-7;
 
-/// A pot over the coil of the paper (section IV).
+/// Numbers of a pot over the coil of the paper (section IV).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PotModel {
     /// ln of the field α in A/m at which the metal's permeability has halved.
     pub ln_alpha: f64,
-    /// ln of s = √(µ/σ) in √(H/S), µ and σ at no field.
+    /// ln of s = √(µ/σ) in √(H/S), with µ and σ at zero field.
     pub ln_s: f64,
     /// Radius of the base in metre.
     pub radius_m: f64,
@@ -40,13 +40,13 @@ pub struct PotModel {
     pub lift_m: f64,
     /// Distance of the pot's axis from the coil's in metre.
     pub offset_m: f64,
-    /// ln of the turns that act on the field, over the paper's coil's.
+    /// ln of the turns that act on the field, over the turns of the paper's coil.
     pub ln_turns: f64,
     /// Resistance of winding and leads in ohm.
     pub winding_r_ohm: f64,
 }
 
-/// Relative changes of R and L.
+/// Relative changes of R and L per change of a parameter.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sensitivity {
     /// d ln R.
@@ -72,12 +72,12 @@ impl PotModel {
         self.at_frequency(f_hz).impedance(i_a)
     }
 
-    /// The model at one frequency, for several currents: rising currents are quickest.
+    /// Model at one frequency for several currents; rising currents are quickest.
     pub fn at_frequency(&self, f_hz: f64) -> AtFrequency {
         AtFrequency::new(&self.gaps(), self, f_hz)
     }
 
-    /// The gap in each direction.
+    /// Gap in each direction.
     fn gaps(&self) -> Vec<Gap> {
         if self.offset_m < LEAST_OFFSET_M {
             return vec![Gap::of(self.radius_m, self.lift_m)];
@@ -93,12 +93,12 @@ impl PotModel {
             .collect()
     }
 
-    /// What heat changes: d ln R and d ln L per d ln s.
+    /// Effect of heat: d ln R and d ln L per d ln s.
     pub fn by_ln_s(&self, f_hz: f64, i_a: f64) -> Sensitivity {
         self.by(f_hz, i_a, 1e-3, |model, step| model.ln_s += step)
     }
 
-    /// What lifting changes: d ln R and d ln L per metre.
+    /// Effect of lift: d ln R and d ln L per metre.
     pub fn by_lift(&self, f_hz: f64, i_a: f64) -> Sensitivity {
         self.by(f_hz, i_a, 1e-4, |model, step| model.lift_m += step)
     }
@@ -117,7 +117,7 @@ impl PotModel {
     }
 }
 
-/// A pot at one switching frequency; remembers the field of the last current, from which the next begins.
+/// Pot at one switching frequency; keeps the field of the last current as the start for the next.
 #[derive(Clone, Debug)]
 pub struct AtFrequency {
     omega: f64,
@@ -132,9 +132,9 @@ pub struct AtFrequency {
 #[derive(Clone, Debug)]
 struct Sector {
     gap: Gap,
-    /// |H| of each ring in A/m.
+    /// |H| of each ring in A/m, at the current `i_a`.
     h: [f64; RINGS],
-    /// Current that they belong to, in ampere.
+    /// Current in ampere to which `h` belongs.
     i_a: f64,
 }
 
@@ -176,7 +176,7 @@ impl AtFrequency {
 impl Sector {
     /// λ/i of the paper's turns in henry, complex: its imaginary part is −R/ω.
     fn inductance(&mut self, surface: f64, alpha: f64, i_a: f64) -> Complex<f64> {
-        // A field that grows with the current is nearer than the last one.
+        // The field scaled with the current is a closer start than the last field.
         let grown = if self.i_a > 0.0 { i_a / self.i_a } else { 0.0 };
         let mut h: [f64; RINGS] = std::array::from_fn(|k| self.h[k] * grown);
         let mut last = Complex::new(0.0, 0.0);
@@ -212,7 +212,7 @@ impl Sector {
                 let left = l[j].iter().zip(&l[k]).take(k);
                 let known = left.fold(zero, |sum, (a, b)| sum + a * b);
                 l[j][k] = Complex::new(self.gap.s[j][k], 0.0) - known;
-                // l[k][·] is divided already, l[j][·] not yet.
+                // l[k][·] is already divided, l[j][·] is not.
             }
             let mut diagonal =
                 Complex::new(self.gap.s[j][j], 0.0) + zeta[j].inv() * self.gap.w_m2[j];
@@ -237,14 +237,14 @@ impl Sector {
 
 #[cfg(test)]
 mod tests {
-    use ihd_field::model::Settings;
+    use ihd_field::model::FieldSettings;
     use ihd_field::{FieldModel, Material, harmonic};
 
     use super::*;
 
     /// The field model in the frequency domain: same gap, its own grid into the depth.
     fn exact(material: Material, radius_m: f64, lift_m: f64) -> FieldModel {
-        let mut settings = Settings::paper();
+        let mut settings = FieldSettings::paper();
         settings.material = material;
         settings.geometry.load_radius_m = radius_m;
         settings.geometry.load_gap_m += lift_m;

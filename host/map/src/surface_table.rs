@@ -1,11 +1,11 @@
-//! F(h) of [`ihd_field::surface`] as a table: what a metal's surface lets through, one number pair for all metals.
+//! Table of F(h) of [`ihd_field::surface`], the flux that a metal's surface passes; one table serves all metals.
 
 use std::sync::LazyLock;
 
 use ihd_field::surface::{LARGEST_FIELD, flux_of_field};
 use nalgebra::Complex;
 
-/// Points of the table, even in ln(1 + h): F bends little there, and four points a cubic leave 1e-6 of it.
+/// Points of the table, even in ln(1 + h): F bends little there, and a cubic through four points has an error of 1e-6.
 const POINTS: usize = 64;
 
 static TABLE: LazyLock<Vec<Complex<f64>>> = LazyLock::new(|| {
@@ -13,13 +13,13 @@ static TABLE: LazyLock<Vec<Complex<f64>>> = LazyLock::new(|| {
     (0..POINTS)
         .map(|k| {
             let h = (k as f64 / (POINTS - 1) as f64 * last).exp() - 1.0;
-            // Within its range it settles (tests of host/field); a half-space without saturation stands in.
+            // Within its range it converges (tests of host/field); a half-space without saturation is the fallback.
             flux_of_field(h.min(LARGEST_FIELD)).unwrap_or(Complex::new(0.5, -0.5))
         })
         .collect()
 });
 
-/// F at an amplitude of the surface field over α; held beyond [`LARGEST_FIELD`], which no coil of a hob reaches.
+/// F at an amplitude of the surface field over α; constant beyond [`LARGEST_FIELD`], which no hob's coil reaches.
 pub(crate) fn flux_of(h: f64) -> Complex<f64> {
     let table = &*TABLE;
     let scale = (POINTS - 1) as f64 / (1.0 + LARGEST_FIELD).ln();

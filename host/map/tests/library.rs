@@ -1,5 +1,5 @@
 //! A pot that one hob knows, on another one: against tables of the field model in the frequency domain, which share the gap with
-//! the map and no metal; `ihd study pots` judges with waveforms, converters and the network.
+//! the map and no metal; `ihd-study pots` judges with waveforms, converters and the network.
 
 mod windows;
 
@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use ihd_field::FieldModel;
 use ihd_map::library::{Library, shape_places};
-use ihd_map::{Curve, PotEntry, PotMap, Provenance, Seen};
+use ihd_map::{Curve, CurveMatch, PotEntry, PotMap, Provenance};
 use ihd_shared::lookup::grid::{CURRENTS, current_a, frequency_hz};
 use ihd_signal::Load;
 use ihd_sim::pot::Pot;
@@ -141,7 +141,7 @@ fn taught(hob: &Hob, map: PotMap, powers_w: &[f64], seed: u64) -> (PotMap, f64) 
     for (k, power_w) in powers_w.iter().enumerate() {
         now_s = k as f64;
         let seen = map.observe(hob.window(*power_w, now_s, &mut rng));
-        assert!(!matches!(seen, Seen::Another { .. }), "{seen:?}");
+        assert!(!matches!(seen, CurveMatch::Another { .. }), "{seen:?}");
     }
     map.refresh(now_s);
     (map, now_s)
@@ -172,7 +172,7 @@ fn an_empty_library_changes_no_digit() {
         let (plain, now_s) = taught(&hob, PotMap::default(), powers_w, 3);
         let (empty, _) = taught(&hob, with(&shelf([])), powers_w, 3);
         assert_eq!(plain.cells(now_s), empty.cells(now_s));
-        let bytes = |map: &PotMap| serde_json::to_string(&map.kept()).unwrap();
+        let bytes = |map: &PotMap| serde_json::to_string(&map.state()).unwrap();
         assert_eq!(bytes(&plain), bytes(&empty));
         // What a build before the library wrote and reads.
         assert!(!bytes(&plain).contains("recognised") && !bytes(&plain).contains("spread"));
@@ -196,7 +196,7 @@ fn a_known_pot_is_recognised_on_another_hob_and_its_inductance_known_better() {
             likeliest.starts_with(&format!("knows-{name}-")),
             "{likeliest}"
         );
-        assert!(share > 0.5 && share <= 0.95 + 1e-9, "{share}");
+        assert!(share > 0.25 && share <= 0.5 + 1e-9, "{share}");
         let is = hob.judge(&map, now_s);
         let (plain, _) = taught(&hob, PotMap::default(), &[2000.0], 5);
         let was = hob.judge(&plain, now_s);
@@ -246,6 +246,22 @@ fn lie(entry: &PotEntry, first_hz: f64, r: f64, l: f64) -> PotEntry {
     PotEntry::from_bytes(&serde_json::to_vec(&lie).unwrap()).unwrap()
 }
 
+/// Root mean square of a map's shift beside another's, in the other's own deviations, over all of a pot's places.
+fn shift_in_sigmas(map: &PotMap, plain: &PotMap, now_s: f64) -> f64 {
+    let places = shape_places();
+    let squares: f64 = places
+        .iter()
+        .map(|&(f_hz, i_a)| {
+            let at = |map: &PotMap| map.at(f_hz, &[i_a], now_s)[0];
+            let (is, was) = (at(map), at(plain));
+            let r = (is.r_ohm / was.r_ohm).ln() / was.r_sigma.hypot(0.004);
+            let l = (is.l_h / was.l_h).ln() / was.l_sigma.hypot(0.002);
+            (r * r + l * l) / 2.0
+        })
+        .sum();
+    (squares / places.len() as f64).sqrt()
+}
+
 /// The largest of lies that are believed: whatever they are, marked cells stay near the truth, and the second frequency ends it.
 #[test]
 fn small_lies_do_little_and_not_for_long() {
@@ -265,6 +281,8 @@ fn small_lies_do_little_and_not_for_long() {
             is.r_pct, is.l_pct, is.z_rms, is.worst_marked
         );
         believed += usize::from(!shares.is_empty());
+        let shift = shift_in_sigmas(&fooled, &plain, now_s);
+        assert!(shift <= 1.0, "{shift} deviations");
         assert!(is.worst_marked < 2.0, "{}", is.worst_marked);
         let powers_w = [1200.0, 700.0, 2000.0];
         let (map, now_s) = taught(&hob, with(&library), &powers_w, 7);
@@ -317,16 +335,16 @@ fn what_is_kept_gives_the_same_cells_without_the_library() {
     let hob = Hob::second("ferritic-18");
     let (map, now_s) = taught(&hob, with(&library), &[1200.0, 700.0], 8);
     assert_eq!(map.recognised().count(), 1);
-    let kept = serde_json::to_string(&map.kept()).unwrap();
-    let restored = PotMap::from_kept(serde_json::from_str(&kept).unwrap()).unwrap();
+    let kept = serde_json::to_string(&map.state()).unwrap();
+    let restored = PotMap::from_state(serde_json::from_str(&kept).unwrap()).unwrap();
     assert_eq!(restored.cells(now_s), map.cells(now_s));
     for (from, to) in [
-        ("\"share\":0.9", "\"share\":1.9"),
-        ("\"share\":0.9", "\"share\":-0.9"),
+        ("\"share\":0.5", "\"share\":1.5"),
+        ("\"share\":0.5", "\"share\":-0.5"),
     ] {
         let lie = kept.replacen(from, to, 1);
         assert_ne!(lie, kept);
-        assert!(PotMap::from_kept(serde_json::from_str(&lie).unwrap()).is_none());
+        assert!(PotMap::from_state(serde_json::from_str(&lie).unwrap()).is_none());
     }
 }
 

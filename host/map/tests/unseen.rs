@@ -1,10 +1,10 @@
-//! What a map says of cells that nobody saw, against the field model in the frequency domain, which shares the gap with it and
-//! no metal; against waveforms and other laws of B(H) `ihd study map` judges it.
+//! Predictions of a map for unseen cells against the field model in the frequency domain, which shares the gap with it and
+//! no metal; against waveforms and other laws of B(H) `ihd-study map` judges it.
 
 mod windows;
 
 use ihd_field::FieldModel;
-use ihd_map::{Curve, MeasuredPoint, PotMap, Seen};
+use ihd_map::{Curve, CurveMatch, MeasuredPoint, PotMap};
 use ihd_shared::lookup::grid::{CURRENTS, current_a, frequency_hz};
 use ihd_sim::behavioural::{BehaviouralLoad, PotKind};
 use ihd_sim::pot::Pot;
@@ -64,7 +64,7 @@ fn taught(models: &Models, seed: u64) -> PotMap {
     for (k, power_w) in [700.0, 1200.0, 2000.0].into_iter().enumerate() {
         let curve = window(models, at_power(models, power_w), k as f64, &mut rng);
         let seen = map.observe(curve);
-        assert!(!matches!(seen, Seen::Another { .. }), "{seen:?}");
+        assert!(!matches!(seen, CurveMatch::Another { .. }), "{seen:?}");
     }
     map
 }
@@ -191,7 +191,7 @@ fn a_moved_pot_is_another_at_the_first_window_and_a_warmer_one_is_not() {
     let f_hz = at_power(&cold, 1200.0);
     for k in 0..8 {
         let same = map.observe(window(&cold, f_hz, 3.0 + 0.2 * f64::from(k), &mut rng));
-        assert!(matches!(same, Seen::Same { .. }), "{same:?}");
+        assert!(matches!(same, CurveMatch::Same { .. }), "{same:?}");
     }
     // Two seconds at 2 K/s.
     let warmer = models(&Pot {
@@ -199,13 +199,13 @@ fn a_moved_pot_is_another_at_the_first_window_and_a_warmer_one_is_not() {
         ..pot
     });
     let seen = map.clone().observe(window(&warmer, f_hz, 7.0, &mut rng));
-    assert!(matches!(seen, Seen::Same { .. }), "{seen:?}");
+    assert!(matches!(seen, CurveMatch::Same { .. }), "{seen:?}");
     let lifted = models(&Pot {
         lift_m: 0.5e-3,
         ..pot
     });
     let seen = map.observe(window(&lifted, f_hz, 5.0, &mut rng));
-    assert!(matches!(seen, Seen::Another { .. }), "{seen:?}");
+    assert!(matches!(seen, CurveMatch::Another { .. }), "{seen:?}");
     assert_eq!(map.curves().len(), 1);
     // What is known now is the pot where it stands.
     let (i_a, _) = crest(&lifted, f_hz).unwrap();
@@ -222,7 +222,7 @@ fn a_moved_pot_is_another_at_the_first_window_and_a_warmer_one_is_not() {
 #[test]
 fn what_is_kept_gives_the_same_cells() {
     let mut map = taught(&models(&"cast-iron-21".parse().unwrap()), 4);
-    let mut restored = PotMap::from_kept(map.kept()).unwrap();
+    let mut restored = PotMap::from_state(map.state()).unwrap();
     assert_eq!(restored.cells(9.0), map.cells(9.0));
     for map in [&mut map, &mut restored] {
         map.refresh(9.0);
@@ -243,7 +243,7 @@ fn lies_teach_nothing() {
     let mut map = PotMap::default();
     assert_eq!(
         map.observe(Curve::new(45e3, 0.0, [lie; 9].into_iter())),
-        Seen::Nothing
+        CurveMatch::Nothing
     );
     let good = MeasuredPoint {
         i_a: 20.0,
@@ -254,12 +254,12 @@ fn lies_teach_nothing() {
     };
     assert_eq!(
         map.observe(Curve::new(f64::NAN, 0.0, [good].into_iter())),
-        Seen::Nothing
+        CurveMatch::Nothing
     );
     assert!(map.cells(0.0).is_none() && map.at(45e3, &[20.0], 0.0).is_empty());
     assert_eq!(
         map.observe(Curve::new(45e3, 0.0, [good].into_iter())),
-        Seen::First
+        CurveMatch::First
     );
     assert!(map.cells(1.0).is_some());
 }

@@ -1,13 +1,13 @@
-//! Adam (Kingma and Ba 2015, algorithm 1): the paper's optimiser (section V). With the harmonic branch it is there
-//! to compare with.
+//! Adam (Kingma and Ba 2015, algorithm 1): the paper's optimiser (section V). The harmonic branch can use it for
+//! comparison.
 
 use crate::PinnError;
-use crate::hybrid::Descent;
+use crate::optimiser::Descent;
 use crate::parameters::Parameters;
 use crate::progress::{Log, Settling, StoppedBecause};
 use crate::slow_model::SlowModel;
 
-/// Decay of the mean gradient and of the mean square: those of Kingma and Ba, and every library's.
+/// Decay of the mean gradient and of the mean square, with the usual values of Kingma and Ba.
 const DECAY: (f64, f64) = (0.9, 0.999);
 
 /// Steps over which the change of R and L is compared with the tolerance: single steps of Adam are small.
@@ -17,7 +17,7 @@ const SETTLING_STEPS: usize = 200;
 /// gradient.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Adam {
-    /// Steps taken.
+    /// Number of steps so far.
     pub steps: u32,
     pub mean: Vec<f64>,
     pub square: Vec<f64>,
@@ -25,7 +25,7 @@ pub(crate) struct Adam {
 }
 
 impl Adam {
-    /// For `count` parameters.
+    /// Creates the state for `count` parameters.
     pub fn new(count: usize, epsilon: f64) -> Self {
         Self {
             steps: 0,
@@ -49,8 +49,8 @@ impl Adam {
     }
 }
 
-/// Minimises |e|², the squared residuals of `physics`, from `parameters` on by gradient steps; the best
-/// parameters seen are the result, since Adam does not descend at every step. `tolerance` is compared with
+/// Minimises |e|², the squared residuals of `physics`, from `parameters` on by gradient steps. Returns the best
+/// parameters seen, because Adam does not descend at every step. `tolerance` is compared with
 /// the mean relative change of R and L over [`SETTLING_STEPS`] steps.
 ///
 /// On a burn backend `physics` must live on an autodiff device.
@@ -62,7 +62,7 @@ pub(crate) fn descend(
     log: &mut Log<'_>,
 ) -> Result<Descent, PinnError> {
     let mut theta = parameters.flat();
-    // The loss is far below 1 in its units; the usual 1e-8 would swallow the gradient.
+    // The loss is far below 1 in its units; the usual 1e-8 would suppress the gradient.
     let mut adam = Adam::new(theta.len(), 1e-12);
     let mut settling = Settling::over(SETTLING_STEPS);
     let mut at = parameters.clone();

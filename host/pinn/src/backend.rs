@@ -1,4 +1,4 @@
-//! What computes the networks: own code, or burn on one of its backends.
+//! Backends that compute the networks: own code, or burn.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::PinnError;
 
-/// What computes the networks and their gradients. All give the same digits to rounding; they differ
+/// Backend that computes the networks and their gradients. All give the same digits up to rounding and differ
 /// in time only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -16,7 +16,7 @@ pub enum Backend {
     /// This crate's own kernels, without burn: the fastest on a CPU.
     #[default]
     Fused,
-    /// burn-ndarray: deprecated upstream since 0.22, kept because the project's owner named it.
+    /// burn-ndarray: deprecated upstream since 0.22, kept as a requirement of the project.
     Ndarray,
     /// burn on a GPU through WebGPU, Vulkan or Metal; single precision, so not for `hybrid`.
     #[cfg(feature = "wgpu")]
@@ -27,7 +27,7 @@ pub enum Backend {
 }
 
 impl Backend {
-    /// All backends of this build, in the order in which they are offered to a user.
+    /// All backends of this build, in the order of help texts.
     pub const ALL: &[Self] = &[
         Self::Fused,
         Self::Ndarray,
@@ -37,11 +37,11 @@ impl Backend {
         Self::Cuda,
     ];
 
-    /// The burn device that stands for this backend, without autodiff; none for the own kernels.
+    /// Device of burn for this backend, without autodiff; `None` for the own kernels.
     pub(crate) fn device(self) -> Option<Device> {
         match self {
             Self::Fused => None,
-            // Wanted although burn deprecates it: see the variant.
+            // Required although burn deprecates it: see the variant.
             #[allow(deprecated)]
             Self::Ndarray => Some(Device::ndarray()),
             #[cfg(feature = "wgpu")]
@@ -51,7 +51,7 @@ impl Backend {
         }
     }
 
-    /// Whether it computes in double precision, which `hybrid` needs.
+    /// Returns `true` if it computes in double precision, which `hybrid` needs.
     pub(crate) fn is_double(self) -> bool {
         matches!(self, Self::Fused | Self::Ndarray)
     }

@@ -1,8 +1,8 @@
-//! What the RL-MLP cannot follow: B-splines on top of its R(t) and ωL(t), in the same physics term (4), with a
+//! Correction of the RL-MLP: B-splines on top of its R(t) and ωL(t), in the same physics term (4), with a
 //! normal prior whose width the evidence chooses.
 //!
-//! A network weighted with I² leaves the ends of the half-cycle to themselves, where R and L move fastest. With
-//! noise the evidence finds nothing there to explain and the splines vanish; without, they take what is left.
+//! A network weighted with I² fits the ends of the half-cycle badly, where R and L change fastest. With
+//! noise the evidence supports no correction and the splines vanish; without noise they fit the rest.
 
 use ihd_spline::CubicSpline;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
@@ -10,14 +10,14 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use crate::loss::SlowPhysics;
 use crate::parameters::OUTPUTS;
 
-/// Widths that the evidence chooses from, as shares of |Z| at full current.
+/// Possible widths of the prior, as shares of |Z| at full current.
 const WIDTHS: [f64; 9] = [1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1];
 
-/// What a network weighted with I² leaves is at the ends: the width grows as the current falls to this power, so that
-/// the evidence for the ends is not held back by a middle that needs nothing.
+/// Exponent with which the width grows as the current falls. The error of a network weighted with I² is at the ends, and
+/// without this growth the middle, which needs no correction, would suppress the evidence for the ends.
 const GROWTH: f64 = 1.5;
 
-/// Log evidence that a width must be better than none by.
+/// Least log evidence of a correction over none.
 const LEAST_EVIDENCE: f64 = 1.0;
 
 /// Splines on R and L, in the network's units.
@@ -28,7 +28,7 @@ pub(crate) struct Correction {
     covariance: DMatrix<f64>,
 }
 
-/// What the correction has to know of the problem.
+/// Problem that the correction is fitted to.
 pub(crate) struct Problem<'a> {
     pub physics: &'a SlowPhysics,
     /// The network's residuals, R rows above L rows.
@@ -41,7 +41,7 @@ pub(crate) struct Problem<'a> {
 }
 
 impl Correction {
-    /// The splines of the most evident width; `None` where the network alone explains the residuals as well.
+    /// Fits splines of the most evident width; `None` if the network alone explains the residuals as well.
     pub fn fit(problem: &Problem<'_>) -> Option<Self> {
         let (gram, right) = problem.normal_equations();
         let precision = problem.precision();
@@ -67,7 +67,7 @@ impl Correction {
         })
     }
 
-    /// What is added to R / r_scale and L / l_scale at `tau_s` seconds after the first point, and the variances.
+    /// Values added to R / r_scale and L / l_scale at `tau_s` seconds after the first point, and their variances.
     pub fn at(&self, tau_s: f64) -> ([f64; OUTPUTS], [f64; OUTPUTS]) {
         let local = self.spline.at(tau_s);
         let index = |m: usize, output: usize| OUTPUTS * (local.first + m) + output;
@@ -115,7 +115,7 @@ impl Problem<'_> {
         (gram, right)
     }
 
-    /// Least variance of a residual: what the splines of the phasors leave over, 1e-6 of the voltage.
+    /// Least variance of a residual: the error of the phasors' splines, 1e-6 of the voltage.
     fn floor(&self) -> f64 {
         1e-12 * self.physics.mean_square()
     }
@@ -161,7 +161,7 @@ mod tests {
     use crate::parameters::Parameters;
     use crate::trial;
 
-    /// The correction of a network on the constant load of the trial, 4 ohm and 20 uH, and the outputs with it.
+    /// Correction of a network on the constant load of the trial, 4 ohm and 20 uH, and the outputs with it.
     fn corrected(network: &Parameters, noise: f64) -> Option<[f64; OUTPUTS]> {
         let samples = trial::samples();
         let branch = trial::fitted(&samples);

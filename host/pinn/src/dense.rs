@@ -34,7 +34,7 @@ impl Dense {
     }
 }
 
-/// Keeps the gradient where there is one; `require_grad` panics on a device without autodiff.
+/// Keeps the gradient if the device has autodiff; `require_grad` panics on one without.
 fn trained<const D: usize>(tensor: Tensor<D>) -> Tensor<D> {
     if tensor.is_autodiff() {
         tensor.require_grad()

@@ -6,23 +6,23 @@ use serde::{Deserialize, Serialize};
 
 /// Features of the time since the mains zero crossing that feed the RL-MLP.
 ///
-/// The paper's eq. (3) counts n from 1, so that R and L repeat three times per half-cycle; and its
-/// sine has a kinkless zero at each crossing, where the envelope has a kink. The first two
-/// embeddings start at the fundamental of the envelope and carry the envelope itself, |sin|.
+/// The paper's eq. (3) counts n from 1, so that R and L repeat three times per half-cycle. Its sine is also
+/// smooth at each crossing, where the envelope has a kink. The first two
+/// embeddings start at the fundamental of the envelope and contain the envelope itself, |sin|.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SlowEmbedding {
     /// `|sin(2 pi f_mains t)|, cos(2 pi f_mains t)`: distinguishes the rising from the falling half of the
-    /// envelope, so R(t) and L(t) may be asymmetric.
+    /// envelope, so that R(t) and L(t) may be asymmetric.
     #[default]
     MainsPhase,
-    /// `|sin(2 pi f_mains t)|, cos(2 pi 2 f_mains t)`: both even about the crest, so R(t) and L(t)
-    /// are symmetric: a little less noise, where that is true of the load.
+    /// `|sin(2 pi f_mains t)|, cos(2 pi 2 f_mains t)`: both even about the crest, so that R(t) and L(t)
+    /// are symmetric; slightly less noise if the load is symmetric.
     Symmetric,
     /// Eq. (3): sine and cosine of `2 pi (2n + 1) 2 f_mains t` for `count` values of n from
     /// `first`; the paper has first = 1, count = 1.
     Fourier {
-        /// The first n.
+        /// First n.
         first: u32,
         /// N_mains, 1..=16.
         count: u32,

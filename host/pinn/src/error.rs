@@ -1,10 +1,10 @@
-//! What can go wrong, worded so that the reader knows what to change.
+//! Errors of an identification, worded so that the reader knows what to change.
 
-/// Why a half-cycle could not be identified.
+/// Reason why a half-cycle could not be identified.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PinnError {
-    /// Voltage and current do not come in pairs.
+    /// Voltage and current differ in length.
     #[error(
         "waveform: {v} voltage samples but {i} current samples; pass the two channels of one window"
     )]
@@ -24,7 +24,7 @@ pub enum PinnError {
         pairs: usize,
         /// Sample pairs needed.
         needed: usize,
-        /// Which rule asks for that many.
+        /// Rule that requires so many.
         why: &'static str,
     },
     /// A sample is NaN or infinite.
@@ -36,7 +36,7 @@ pub enum PinnError {
         channel: &'static str,
         /// Index of the first bad sample.
         index: usize,
-        /// The value found there.
+        /// Value of the sample.
         value: f64,
     },
     /// A quantity that must be positive and finite is not.
@@ -44,7 +44,7 @@ pub enum PinnError {
     NotPositive {
         /// Name of the field.
         what: &'static str,
-        /// The value found.
+        /// Value of the field.
         value: f64,
     },
     /// A channel holds zeros only.
@@ -55,7 +55,7 @@ pub enum PinnError {
         /// `voltage` or `current`.
         channel: &'static str,
     },
-    /// The sampling frequency cannot tell the asked harmonics apart.
+    /// The sampling frequency is too low to separate the harmonics.
     #[error(
         "waveform: sampled at {f_adc_hz:.0} Hz, which cannot separate harmonic {harmonic} of \
          {f_sw_hz:.0} Hz; sample above {needed_hz:.0} Hz or drop that harmonic"
@@ -88,7 +88,7 @@ pub enum PinnError {
     Config {
         /// Name of the field.
         field: &'static str,
-        /// What is wrong and what is allowed.
+        /// Description of the fault, with the allowed range.
         problem: String,
     },
     /// The parameters of the warm start do not fit the configured network.
@@ -99,7 +99,7 @@ pub enum PinnError {
     WarmStart {
         /// Layer widths of the warm start.
         found: String,
-        /// Layer widths that the configuration asks for.
+        /// Layer widths of the configuration.
         wanted: String,
     },
     /// The normal equations of the VI branch are singular.
@@ -116,37 +116,37 @@ pub enum PinnError {
     Backend {
         /// The backend in use.
         backend: String,
-        /// burn's own words.
+        /// Message of burn.
         detail: String,
     },
-    /// A name that stands for nothing.
+    /// Unknown name.
     #[error("unknown {what} {name:?}; known: {known}")]
     UnknownName {
-        /// What was looked for.
+        /// Kind of the name.
         what: &'static str,
         /// The name given.
         name: String,
-        /// The names that exist.
+        /// Valid names.
         known: String,
     },
     /// A configuration file that cannot be read.
     #[error("configuration: {detail}")]
     File {
-        /// The parser's words.
+        /// Message of the parser.
         detail: String,
     },
     /// A checkpoint that cannot be written, read or used.
     #[error("checkpoint {path}: {detail}")]
     Checkpoint {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// What is wrong and what to do.
+        /// Description of the fault, with advice.
         detail: String,
     },
 }
 
-impl From<ihd_spline::Singular> for PinnError {
-    fn from(singular: ihd_spline::Singular) -> Self {
+impl From<ihd_spline::SingularMatrix> for PinnError {
+    fn from(singular: ihd_spline::SingularMatrix) -> Self {
         Self::Singular { row: singular.row }
     }
 }

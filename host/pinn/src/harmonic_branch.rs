@@ -8,25 +8,25 @@ use std::f64::consts::TAU;
 
 use ihd_spline::harmonic::{HarmonicFit, phasor};
 use ihd_spline::residual::Excess;
-use ihd_spline::{CubicSpline, Local};
+use ihd_spline::{BasisValues, CubicSpline};
 use nalgebra::Complex;
 
 use crate::networks::Signals;
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 
-/// The functions of the VI branch: spline times (cos, sin) of each harmonic.
+/// Functions of the VI branch: spline times (cos, sin) of each harmonic.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct HarmonicBasis {
     pub spline: CubicSpline,
     pub harmonics: Vec<u32>,
     /// Angular switching frequency, rad/s.
     pub omega: f64,
-    /// What of each harmonic the points show: [`Normalised::gain`].
+    /// Share of each harmonic that the points contain: [`NormalisedWaveform::gain`].
     pub gains: Vec<f64>,
 }
 
 impl HarmonicBasis {
-    /// Columns that one spline function carries: a cosine and a sine per harmonic.
+    /// Columns per spline function: a cosine and a sine per harmonic.
     pub fn width(&self) -> usize {
         2 * self.harmonics.len()
     }
@@ -45,7 +45,7 @@ impl HarmonicBasis {
         }
     }
 
-    /// The same as the points show it, which are means over blocks of samples.
+    /// Writes (cos, sin) of each harmonic as they appear in the points, which are means over blocks of samples.
     #[cfg(test)]
     pub fn seen(&self, tau_s: f64, trig: &mut Vec<f64>) {
         self.trigonometry(tau_s, trig);
@@ -64,7 +64,7 @@ pub(crate) struct Phasors {
     pub slope: Complex<f64>,
 }
 
-/// A fitted VI branch.
+/// Fitted VI branch.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct HarmonicBranch {
     pub basis: HarmonicBasis,
@@ -87,7 +87,7 @@ impl HarmonicBranch {
     }
 
     /// v_hat and i_hat at the sample in the middle of each of `points` points; of `samples` only the times count.
-    pub fn signals(&self, samples: &Normalised, points: usize) -> Signals {
+    pub fn signals(&self, samples: &NormalisedWaveform, points: usize) -> Signals {
         let mut trig = Vec::with_capacity(self.basis.width());
         let mut signals = Signals::default();
         for n in 0..points {
@@ -103,7 +103,7 @@ impl HarmonicBranch {
 
     /// Mean squared errors of v_hat and i_hat over the points, point by point: L_i1 and L_i2, eqs. (5) and (6).
     #[cfg(test)]
-    pub fn data_losses(&self, samples: &Normalised) -> (f64, f64) {
+    pub fn data_losses(&self, samples: &NormalisedWaveform) -> (f64, f64) {
         let mut trig = Vec::with_capacity(self.basis.width());
         let mut squares = (0.0, 0.0);
         for (n, (v, i)) in samples.v.iter().zip(&samples.i).enumerate() {
@@ -117,8 +117,8 @@ impl HarmonicBranch {
         (squares.0 / count, squares.1 / count)
     }
 
-    /// What the branch leaves of the fundamental beyond white noise of these variances, (v, i), of a point.
-    pub fn excess(&self, samples: &Normalised, white: (f64, f64)) -> Excess {
+    /// Residual of the branch at the fundamental beyond white noise of these variances, (v, i), per point.
+    pub fn excess(&self, samples: &NormalisedWaveform, white: (f64, f64)) -> Excess {
         let fit = HarmonicFit {
             spline: &self.basis.spline,
             orders: &self.basis.harmonics,
@@ -143,7 +143,7 @@ impl HarmonicBranch {
         power / square
     }
 
-    fn value(&self, coefficients: &[f64], local: &Local, trig: &[f64]) -> f64 {
+    fn value(&self, coefficients: &[f64], local: &BasisValues, trig: &[f64]) -> f64 {
         let width = self.basis.width();
         (0..4)
             .map(|m| {

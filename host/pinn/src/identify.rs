@@ -1,26 +1,26 @@
-//! One window's identification: which training, how many members, what is kept beside it.
+//! Identification of one window: choice of the training, ensemble, checkpoint.
 
 use std::path::Path;
 
 use crate::hybrid::hybrid;
 use crate::loss::slow_times_s;
 use crate::progress::Log;
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 use crate::{Config, Identified, PinnError, Progress, Waveform, networks, uncertainty};
 
 /// Truth of R (ohm) and L (H) at a time in seconds after the mains zero crossing.
 pub type TruthAt<'a> = &'a dyn Fn(f64) -> (f64, f64);
 
-/// One window to identify, and what may be known or kept beside it.
+/// Window to identify, with optional truth and checkpoint.
 #[derive(Clone, Copy)]
 pub struct Task<'a> {
-    /// The samples.
+    /// Samples of the window.
     pub window: Waveform<'a>,
-    /// The settings.
+    /// Settings of the identification.
     pub config: &'a Config,
-    /// Where the truth is known, progress carries the errors against it.
+    /// Truth, if known; the progress then contains the errors against it.
     pub truth: Option<TruthAt<'a>>,
-    /// A training with a VI-MLP goes on from this burnpack file if it exists, and writes it every
+    /// Burnpack file of a training with a VI-MLP: the training continues from it if it exists, and writes it every
     /// 100 epochs and at the end.
     pub checkpoint: Option<&'a Path>,
 }
@@ -30,8 +30,8 @@ pub struct Task<'a> {
 /// `progress` is called after every accepted optimiser step; see [`Task::run`].
 ///
 /// # Errors
-/// [`PinnError`] if the window or the configuration cannot be used; a limit that is reached or a
-/// loss that stops being finite is no error but a [`crate::StoppedBecause`].
+/// [`PinnError`] if the window or the configuration cannot be used. A limit that is reached, or a
+/// loss that is not finite, is no error but a [`crate::StoppedBecause`].
 pub fn identify(
     window: &Waveform<'_>,
     config: &Config,
@@ -47,11 +47,11 @@ pub fn identify(
 }
 
 impl Task<'_> {
-    /// With the harmonic VI branch, block-coordinate descent: the VI branch by linear least squares,
+    /// Identifies the window. With the harmonic VI branch by block-coordinate descent: the VI branch by linear least squares,
     /// the RL-MLP by the configured optimiser, alternating. With a VI-MLP both networks by Adam.
     ///
     /// # Errors
-    /// As [`identify`], and [`PinnError::Checkpoint`] for a checkpoint that does not belong here.
+    /// As [`identify`], and [`PinnError::Checkpoint`] for a checkpoint of another training.
     pub fn run(&self, progress: &mut dyn FnMut(&Progress)) -> Result<Identified, PinnError> {
         self.config.validate()?;
         let mut samples = self.window.normalise()?;
@@ -83,7 +83,7 @@ impl Task<'_> {
     }
 }
 
-/// The member of least loss, with the members' spread for its uncertainty.
+/// Member with the least loss; its uncertainty is the members' spread.
 fn best_of(mut members: Vec<Identified>) -> Identified {
     let spread = |of: fn(&Identified) -> &[f64]| {
         let values: Vec<&[f64]> = members.iter().map(of).collect();
@@ -102,7 +102,7 @@ fn best_of(mut members: Vec<Identified>) -> Identified {
 }
 
 /// R / r_scale and L / l_scale of the truth at the slow times, alternating.
-fn truth_outputs(truth: TruthAt<'_>, samples: &Normalised, config: &Config) -> Vec<f64> {
+fn truth_outputs(truth: TruthAt<'_>, samples: &NormalisedWaveform, config: &Config) -> Vec<f64> {
     slow_times_s(samples.duration_s(), config.slow_points)
         .iter()
         .flat_map(|tau| {

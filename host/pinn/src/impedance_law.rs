@@ -1,4 +1,4 @@
-//! How the load's impedance moves with frequency: beyond the paper's eq. (1).
+//! Dependence of the load's impedance on frequency, beyond the paper's eq. (1).
 //!
 //! Eddy currents make R and L of a pot depend on frequency, so that one R and one L cannot hold for the
 //! fundamental and its harmonics at once. The law here is an inductance beside a fractional power of
@@ -9,7 +9,7 @@
 //!   R = K ω^n cos(nπ/2),   L = L_0 + R T/ω,   T = tan(nπ/2),
 //!
 //! and the impedance of harmonic h is linear in them: Z_h = jhω L + R (h^n (1 + jT) − jhT).
-//! A moving envelope sees the slope dZ/ds instead of L: V_h = Z_h I_h + (dZ/ds)_h I_h', with
+//! With a moving envelope the slope dZ/ds takes the place of L: V_h = Z_h I_h + (dZ/ds)_h I_h', with
 //! dZ/ds = L + R/ω (n h^(n−1) (T − j) − T).
 
 use std::f64::consts::FRAC_PI_2;
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::harmonic_branch::{HarmonicBasis, Phasors};
 
-/// The largest order: a pure inductance would be 1, and no longer separable from L_0.
+/// Largest order: a pure inductance would be 1, which is not separable from L_0.
 pub(crate) const LARGEST_ORDER: f64 = 0.9;
 
 /// Exponent n of the load's impedance, Z(s) = s L_0 + K s^n.
@@ -28,18 +28,18 @@ pub(crate) const LARGEST_ORDER: f64 = 0.9;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(untagged, try_from = "serde_json::Value")]
 pub enum ImpedanceOrder {
-    /// This one, 0..=0.9: 0 for R and L that hold at every harmonic, as in the paper's eq. (1); 0.5
+    /// Given order, 0..=0.9: 0 for R and L that hold at every harmonic, as in the paper's eq. (1); 0.5
     /// for eddy currents in a linear load.
     Given(f64),
-    /// The one that fits the physics harmonics best.
-    Named(Named),
+    /// Order given by name.
+    Named(NamedOrder),
 }
 
-/// What an order can be besides a number.
+/// Names of orders.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Named {
-    /// Found along with R and L, one number per window.
+pub enum NamedOrder {
+    /// Order that fits the physics harmonics best, identified with R and L, one number per window.
     Identified,
 }
 
@@ -62,10 +62,10 @@ impl Default for ImpedanceOrder {
     }
 }
 
-/// The law of one order at one harmonic, without R and L.
+/// Law of one order at one harmonic, without R and L.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AtHarmonic {
-    /// The harmonic's position in the basis.
+    /// Position of the harmonic in the basis.
     pub index: usize,
     /// ∂Z/∂R.
     z_by_r: Complex<f64>,
@@ -77,7 +77,7 @@ pub(crate) struct AtHarmonic {
 }
 
 impl AtHarmonic {
-    /// Of order `n` at the harmonic in position `index` of the basis.
+    /// Creates the law of order `n` at the harmonic in position `index` of the basis.
     pub fn new(n: f64, basis: &HarmonicBasis, index: usize) -> Self {
         let (h, omega) = (f64::from(basis.harmonics[index]), basis.omega);
         let t = (n * FRAC_PI_2).tan();
@@ -90,7 +90,7 @@ impl AtHarmonic {
         }
     }
 
-    /// What R and L are multiplied with in V: V = R · first + L · second.
+    /// Factors of R and L in V: V = R · first + L · second.
     pub fn columns(&self, at: &Phasors) -> (Complex<f64>, Complex<f64>) {
         let by_r = self.z_by_r * at.i + self.slope_by_r * at.slope / self.omega;
         (by_r, at.i * Complex::new(0.0, self.rate) + at.slope)
@@ -105,8 +105,8 @@ impl AtHarmonic {
     }
 }
 
-/// The order in 0..=[`LARGEST_ORDER`] with the least `misfit`, by golden section: of several minima it would
-/// find one.
+/// Order in 0..=[`LARGEST_ORDER`] with the least `misfit`, by golden section, which finds one of several
+/// minima.
 pub(crate) fn least(misfit: impl Fn(f64) -> f64) -> f64 {
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
     let (mut from, mut to) = (0.0, LARGEST_ORDER);

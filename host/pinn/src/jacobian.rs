@@ -1,7 +1,7 @@
-//! The Jacobian of the physics residuals by the RL-MLP's parameters, in burn tensor operations.
+//! Jacobian of the physics residuals by the RL-MLP's parameters, in burn tensor operations.
 //!
-//! burn differentiates a scalar in reverse mode only; a Gauss-Newton step needs every residual's
-//! row. So the deltas of back-propagation are carried by hand, for all slow times and both
+//! burn differentiates a scalar in reverse mode only, but a Gauss-Newton step needs the row of every
+//! residual. The deltas of back-propagation are therefore computed by hand, for all slow times and both
 //! residuals in one batch: `d e / d W = a^T x delta` per row.
 
 use burn::tensor::Tensor;
@@ -12,7 +12,7 @@ use crate::loss::SlowTensors;
 use crate::rl_mlp::{RlMlp, read};
 
 /// de/dtheta, residuals as in [`SlowTensors::residuals`], parameters as in `Parameters::flat`.
-/// A row a residual.
+/// One row per residual.
 pub(crate) fn jacobian(physics: &SlowTensors, network: &RlMlp) -> Result<DMatrix<f64>, PinnError> {
     let (inputs, outputs) = network.activations(physics.features.clone());
     let mut delta = output_delta(physics, outputs);

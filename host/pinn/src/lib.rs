@@ -1,7 +1,7 @@
 //! Physics-informed identification of an induction-hob load.
 //!
 //! The coil of a hob with a pot above it is a resistance R in series with an inductance L,
-//! `v = R(t) i + L(t) di/dt` (paper eq. (1)), and both drift with the mains envelope. Given one
+//! `v = R(t) i + L(t) di/dt` (paper eq. (1)), and both change with the mains envelope. Given one
 //! mains half-cycle of sampled coil voltage and current, [`identify`] returns R(t) and L(t).
 //!
 //! The method is the paper's hybrid-timescale PINN with two repairs:
@@ -10,7 +10,7 @@
 //!   switching harmonics whose phasors are cubic B-splines in slow time, so that the data terms
 //!   (5), (6) are linear least squares, solved exactly instead of by gradient steps;
 //! - the slow **RL-MLP** has softplus outputs *scaled* to ohms and microhenries,
-//!   trained on the physics term (4) by Levenberg-Marquardt (Adam is there to compare with).
+//!   trained on the physics term (4) by Levenberg-Marquardt (or by Adam, for comparison).
 //!
 //! Both minimise the paper's loss, eq. (7): `L = w_f L_f + w_i (L_i1 + L_i2)`.
 //!
@@ -28,15 +28,16 @@
 //! let v: Vec<f64> = t.iter().zip(&i).map(|(&t, i)| 4.0 * i + 20e-6 * di(t)).collect();
 //!
 //! let window = Waveform { f_sw_hz, f_mains_hz: 50.0, t0_s: 0.0, dt_s, v_volt: &v, i_ampere: &i };
-//! let found = identify(&window, &Config::default(), &mut |_| {})?;
-//! assert!((found.r_at(5e-3) / 4.0 - 1.0).abs() < 0.01);
-//! assert!((found.l_at(5e-3) / 20e-6 - 1.0).abs() < 0.01);
+//! let result = identify(&window, &Config::default(), &mut |_| {})?;
+//! assert!((result.r_at(5e-3) / 4.0 - 1.0).abs() < 0.01);
+//! assert!((result.l_at(5e-3) / 20e-6 - 1.0).abs() < 0.01);
 //! # Ok::<(), ihd_pinn::PinnError>(())
 //! ```
 
 mod adam;
 mod backend;
 mod config;
+mod config_file;
 mod correction;
 mod dense;
 mod embedding;
@@ -51,6 +52,7 @@ mod loss;
 mod networks;
 mod noise;
 mod normal_matrix;
+mod optimiser;
 mod own_network;
 mod parameters;
 mod preset;
@@ -72,7 +74,7 @@ pub use config::{Config, Optimiser};
 pub use embedding::SlowEmbedding;
 pub use error::PinnError;
 pub use identify::{Task, TruthAt, identify};
-pub use impedance_law::{ImpedanceOrder, Named};
+pub use impedance_law::{ImpedanceOrder, NamedOrder};
 pub use parameters::{Layer, Parameters};
 pub use preset::Preset;
 pub use preset_library::{NamedConfig, PresetLibrary};

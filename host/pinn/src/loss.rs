@@ -2,12 +2,11 @@
 //!
 //! The residual is a sum of harmonics, `r(t) = sum_h Re{ r_h exp(j h w t) }` with
 //! `r_h = V_h - R I_h - L (I_h' + j h w I_h)`, or that of another [`crate::ImpedanceOrder`]. R, L
-//! and the phasors hardly move within a switching period, so by Parseval the mean of r^2 over a
+//! and the phasors hardly change within a switching period, so that by Parseval the mean of r^2 over a
 //! period is `1/2 sum_h |r_h|^2`, and the mean over the window, eq. (4), is the mean of that at a few
-//! hundred slow times. Nothing is lost against the sum over all samples but terms of order
-//! (envelope slope / w)^2.
+//! hundred slow times. The difference from the sum over all samples is of order (envelope slope / w)^2.
 //!
-//! `r_h` is linear in R and L, so at each slow time the rows of all harmonics condense, by a QR
+//! `r_h` is linear in R and L. At each slow time the rows of all harmonics therefore condense, by a QR
 //! factorisation of two columns, into two: `e = d - C (R / r_scale, L / l_scale)`, C triangular.
 
 use burn::tensor::{Device, Tensor};
@@ -20,7 +19,7 @@ use crate::impedance_law::AtHarmonic;
 use crate::levenberg_marquardt::Evaluation;
 use crate::parameters::{OUTPUTS, Parameters};
 use crate::rl_mlp::{RlMlp, matrix, read};
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 
 /// `w_f L_f` as a function of the RL-MLP: the sum of squares of `e`, plus a floor that the network
 /// cannot change.
@@ -50,7 +49,7 @@ impl SlowPhysics {
     /// The scales are those of `parameters`.
     pub fn condense(
         branch: &HarmonicBranch,
-        samples: &Normalised,
+        samples: &NormalisedWaveform,
         parameters: &Parameters,
         harmonics: &[AtHarmonic],
         w_f: f64,
@@ -107,12 +106,12 @@ impl SlowPhysics {
             (ll * r - rl * l) / determinant,
             (rr * l - rl * r) / determinant,
         ];
-        // A window that allows no sensible constant still deserves a start: the scales themselves.
+        // The scales themselves are the start if the window gives no sensible constant.
         constant.map(|y| if y.is_finite() { y.max(1e-3) } else { 1.0 })
     }
 
-    /// Relative standard deviation of the best constant, the larger of R's and L's, `noise` being the
-    /// variance of one residual: no R(t), L(t) can be known better.
+    /// Relative standard deviation of the best constant, the larger of R's and L's, with `noise` the
+    /// variance of one residual; the lower limit for any R(t), L(t).
     pub fn relative_sigma(&self, constant: [f64; OUTPUTS], noise: f64) -> f64 {
         let [rr, rl, ll] = self.normal();
         let determinant = rr * ll - rl * rl;
@@ -165,10 +164,10 @@ impl SlowPhysics {
         ]
     }
 
-    /// The same on a burn device, with the RL-MLP's features beside it.
+    /// Physics term on a burn device, with the RL-MLP's features.
     pub fn on_device(
         &self,
-        samples: &Normalised,
+        samples: &NormalisedWaveform,
         parameters: &Parameters,
         backend: Backend,
         device: &Device,
@@ -256,7 +255,11 @@ mod tests {
     use crate::trial;
 
     /// Eq. (4) as the paper writes it: the squared residual at every sample time.
-    fn direct_l_f(branch: &HarmonicBranch, samples: &Normalised, network: &Parameters) -> f64 {
+    fn direct_l_f(
+        branch: &HarmonicBranch,
+        samples: &NormalisedWaveform,
+        network: &Parameters,
+    ) -> f64 {
         let sum: f64 = (0..samples.len())
             .map(|n| {
                 let tau_s = n as f64 * samples.dt_s;

@@ -1,13 +1,13 @@
-//! White noise of the samples, and what it does to the physics residuals.
+//! White noise of the samples, and its effect on the physics residuals.
 
 use crate::harmonic_branch::HarmonicBranch;
 use crate::parameters::OUTPUTS;
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 
-/// Variance of the white noise of the normalised points, (v, i): the measured one of the
-/// configuration over the samples of a point, else what the fit leaves, `losses` being L_i1, L_i2.
+/// Variance of the white noise of the normalised points, (v, i): from the configuration's measured noise of the samples, else
+/// from the residual of the fit, where `losses` are L_i1, L_i2.
 pub(crate) fn white_noise(
-    samples: &Normalised,
+    samples: &NormalisedWaveform,
     branch: &HarmonicBranch,
     losses: (f64, f64),
     measured: Option<[f64; 2]>,
@@ -19,19 +19,19 @@ pub(crate) fn white_noise(
             (i_ampere / samples.i_max_ampere).powi(2) / block,
         );
     }
-    // The fit has taken this share of the noise into its coefficients.
+    // The fit has absorbed this share of the noise into its coefficients.
     let free = (1.0 - branch.basis.len() as f64 / samples.len() as f64).max(0.1);
     (losses.0 / free, losses.1 / free)
 }
 
-/// Variance that white noise of the samples gives one residual e, `white` being that of
+/// Variance of one residual e by white noise of the samples, with `white` that of
 /// [`white_noise`] and `r_l` a typical (R in ohm, L in H).
 ///
-/// Noise of variance s^2 per sample reaches the mean in eq. (4) as that of a phasor known from
-/// N / K samples per slow time, 2 s^2 K / N; e carries sqrt(w_f / 2K), and current noise comes
-/// in times |Z|.
+/// Noise of variance s^2 per sample enters the mean in eq. (4) as that of a phasor from
+/// N / K samples per slow time, 2 s^2 K / N; e contains sqrt(w_f / 2K), and current noise enters
+/// times |Z|.
 pub(crate) fn noise_variance(
-    samples: &Normalised,
+    samples: &NormalisedWaveform,
     white: (f64, f64),
     w_f: f64,
     r_l: [f64; OUTPUTS],

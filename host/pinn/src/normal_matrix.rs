@@ -1,7 +1,7 @@
 //! Normal matrices AᵀA of a few hundred columns: their product, Cholesky factor and solutions.
 //!
 //! Plain loops over fixed lanes with explicit fused multiply-adds, compiled for the instruction set that `pulp`
-//! finds: sums run in the same order whatever its registers' width, so the digits are the same everywhere.
+//! detects: sums run in the same order whatever its registers' width, so that the digits are the same everywhere.
 
 use ihd_signal::vectorised::vectorised;
 use nalgebra::{DMatrix, DVector};
@@ -9,16 +9,16 @@ use nalgebra::{DMatrix, DVector};
 /// Doubles of the widest register.
 const LANES: usize = 8;
 
-/// Doubles that a sum of products takes at once.
+/// Doubles that a sum of products reads at a time.
 const HALF: usize = LANES / 2;
 
-/// Columns of a product that are made at once: their sums, and what goes into them, fit 16 registers.
+/// Columns of a product that are computed at a time: their sums and inputs fit 16 registers.
 const TILE: (usize, usize) = (3, 3);
 
 /// Columns of a panel of the factorisation.
 const PANEL: usize = 8;
 
-/// Right-hand sides that are solved at once.
+/// Right-hand sides that are solved at a time.
 const TOGETHER: usize = 32;
 
 /// `n` rounded up to whole lanes.
@@ -56,14 +56,14 @@ pub(crate) fn gram(a: &DMatrix<f64>) -> DMatrix<f64> {
     product
 }
 
-/// The scalar products of all of `left` with all of `right`, which have one length.
+/// Scalar products of all of `left` with all of `right`, which have the same length.
 #[inline(always)]
 fn dots<const L: usize, const R: usize>(left: [&[f64]; L], right: [&[f64]; R]) -> [[f64; R]; L] {
     let length = left[0].len();
     let count = length / HALF;
     let mut a: [&[[f64; HALF]]; L] = [&[]; L];
     let mut b: [&[[f64; HALF]]; R] = [&[]; R];
-    // Of one length as far as the compiler sees: no index is checked in the loop.
+    // The slices have the same length for the compiler, so that no index is checked in the loop.
     for l in 0..L {
         a[l] = &left[l].as_chunks().0[..count];
     }
@@ -130,12 +130,12 @@ pub(crate) struct Factor {
     size: usize,
     /// Entries of a row, `size` in whole panels.
     width: usize,
-    /// Row by row, with one on the diagonal beyond `size`.
+    /// Rows of L, with one on the diagonal beyond `size`.
     rows: Vec<f64>,
 }
 
 impl Factor {
-    /// Of `matrix` with `ridge` added to its diagonal; nothing where rounding leaves it indefinite.
+    /// Factorises `matrix` with `ridge` added to its diagonal; `None` if rounding makes it indefinite.
     pub fn new(matrix: &DMatrix<f64>, ridge: f64) -> Option<Self> {
         let size = matrix.nrows();
         let width = padded(size);
@@ -164,7 +164,7 @@ impl Factor {
         sound.then_some(factor)
     }
 
-    /// Makes the columns from `first` on, a panel of them, those of L, and takes them out of what is right of them.
+    /// Computes a panel of columns of L from `first` on, and subtracts their products from the columns right of it.
     #[inline(always)]
     fn eliminate(&mut self, first: usize, panel: &mut [f64]) -> bool {
         let width = self.width;
@@ -234,7 +234,7 @@ impl Factor {
         Some(corner)
     }
 
-    /// The solution for one right-hand side.
+    /// Solution for one right-hand side.
     pub fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
         let mut x = right.clone();
         let values = x.as_mut_slice();
@@ -280,7 +280,7 @@ impl Factor {
         forms
     }
 
-    /// Solves L x = b in place, lane by lane; |x|² of each.
+    /// Solves L x = b in place, lane by lane; returns |x|² of each.
     #[inline(always)]
     fn forward(&self, solved: &mut [[f64; TOGETHER]]) -> [f64; TOGETHER] {
         let mut squares = [0.0; TOGETHER];

@@ -1,32 +1,32 @@
-//! The RL-MLP by own code, at all slow times at once: values and derivatives in plain double precision.
+//! The RL-MLP in own code, at all slow times at once: values and derivatives in double precision.
 //!
-//! A value of all times stands side by side, so that every loop runs along the times; loops are compiled for the
-//! instruction set that `pulp` finds, with explicit fused multiply-adds, so the digits do not depend on it.
+//! The values of all times are adjacent, so that every loop runs over the times. Loops are compiled for the instruction set
+//! that `pulp` detects, with explicit fused multiply-adds, so that the digits do not depend on it.
 
 use ihd_signal::vectorised::vectorised;
 use nalgebra::DMatrix;
 
 use crate::parameters::{OUTPUTS, Parameters, softplus};
 
-/// The RL-MLP's inputs at some times.
+/// Inputs of the RL-MLP at a list of times.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct OwnNetwork {
     times: usize,
-    /// Feature by feature, of all times.
+    /// Features of all times, feature by feature.
     features: Vec<f64>,
 }
 
-/// What goes into each layer at all times, and what comes out of the last.
+/// Inputs of each layer at all times, and outputs of the last.
 pub(crate) struct Activations<'a> {
     network: &'a OwnNetwork,
-    /// Of each hidden layer: unit by unit, after the tanh.
+    /// Values of each hidden layer after the tanh, unit by unit.
     hidden: Vec<Vec<f64>>,
-    /// Before the softplus, output by output.
+    /// Values before the softplus, output by output.
     sums: Vec<f64>,
 }
 
 impl OwnNetwork {
-    /// For the inputs that `parameters` makes of these times, in seconds after a mains zero crossing.
+    /// Computes the inputs from `parameters` and these times, in seconds after a mains zero crossing.
     pub fn at(parameters: &Parameters, t_s: impl Iterator<Item = f64>) -> Self {
         let rows: Vec<Vec<f64>> = t_s.map(|t_s| parameters.features(t_s)).collect();
         let column = |k: usize| rows.iter().map(move |row| row[k]);
@@ -36,15 +36,15 @@ impl OwnNetwork {
         }
     }
 
-    /// All layers' values with the weights of `parameters`.
+    /// Computes all layers with the weights of `parameters`.
     pub fn forward(&self, parameters: &Parameters) -> Activations<'_> {
-        let mut found = Activations {
+        let mut activations = Activations {
             network: self,
             hidden: Vec::with_capacity(parameters.layers.len()),
             sums: Vec::new(),
         };
         for (index, layer) in parameters.layers.iter().enumerate() {
-            let input = found.input(index);
+            let input = activations.input(index);
             let mut sums = vec![0.0; layer.outputs * self.times];
             let hidden = index + 1 < parameters.layers.len();
             vectorised(
@@ -64,17 +64,17 @@ impl OwnNetwork {
                 },
             );
             if hidden {
-                found.hidden.push(sums);
+                activations.hidden.push(sums);
             } else {
-                found.sums = sums;
+                activations.sums = sums;
             }
         }
-        found
+        activations
     }
 }
 
 impl Activations<'_> {
-    /// What goes into a layer.
+    /// Inputs of a layer.
     fn input(&self, layer: usize) -> &[f64] {
         match layer.checked_sub(1) {
             None => &self.network.features,
@@ -89,8 +89,8 @@ impl Activations<'_> {
         (0..times).map(at).collect()
     }
 
-    /// Derivatives by all parameters, in the order of `Parameters::flat`, of sums over the outputs: a row each time for
-    /// each of `factors`, which hold what the two outputs count at each time.
+    /// Derivatives by all parameters, in the order of `Parameters::flat`, of weighted sums of the outputs. One row per time for
+    /// each of `factors`, which hold the weights of the two outputs at each time.
     pub fn derivatives(
         &self,
         parameters: &Parameters,
@@ -157,7 +157,7 @@ fn add_times(sums: &mut [f64], x: &[f64], weight: f64) {
     }
 }
 
-/// Every stretch of `a` as long as `x`, times `x`.
+/// Products of `x` with every stretch of `a` of the same length.
 #[inline(always)]
 fn times_each(out: &mut [f64], a: &[f64], x: &[f64]) {
     let length = x.len().max(1);
@@ -180,9 +180,9 @@ fn tanh(x: f64) -> f64 {
 fn exp_negative(x: f64) -> f64 {
     /// ln 2 in two parts, the first with 21 zeros at its end.
     const LN_2: (f64, f64) = (6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10);
-    /// Added to a small number, it leaves its whole part in the last bits.
+    /// Constant whose addition leaves the integer part of a small number in the last bits.
     const WHOLE: f64 = 6_755_399_441_055_744.0;
-    /// 1/k! from k = 13 down to 2: what is left out is below 2e-17.
+    /// 1/k! from k = 13 down to 2; the remainder is below 2e-17.
     const TAYLOR: [f64; 12] = [
         1.605_904_383_682_161_3e-10,
         2.087_675_698_786_81e-9,
@@ -197,7 +197,7 @@ fn exp_negative(x: f64) -> f64 {
         1.666_666_666_666_666_6e-1,
         0.5,
     ];
-    // `max` would take NaN for −700.
+    // `max` would replace NaN by −700.
     let x = if x < -700.0 { -700.0 } else { x };
     let shifted = x.mul_add(std::f64::consts::LOG2_E, WHOLE);
     let whole = shifted - WHOLE;

@@ -1,6 +1,6 @@
 //! The RL-MLP as plain numbers: R(t) = r_scale softplus(y_0), L(t) = l_scale softplus(y_1), y a multilayer
-//! perceptron of the slow features (paper eq. (3)). To start the next identification from, to store, and to
-//! evaluate without burn.
+//! perceptron of the slow features (paper eq. (3)). Used for a warm start, for storage, and for evaluation
+//! without burn.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{SlowEmbedding, SlowInputs};
 
-/// One fully connected layer.
+/// Fully connected layer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Layer {
     /// Number of inputs.
@@ -21,20 +21,20 @@ pub struct Layer {
     pub biases: Vec<f64>,
 }
 
-/// A trained RL-MLP: everything that R(t) and L(t) depend on.
+/// Trained RL-MLP: all numbers that R(t) and L(t) depend on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Parameters {
-    /// How time enters the network.
+    /// Inputs of the network made from time.
     pub embedding: SlowEmbedding,
     /// Mains frequency of the window, Hz.
     pub f_mains_hz: f64,
-    /// R is this times softplus of output 0, ohm.
+    /// Factor of R over the softplus of output 0, ohm.
     pub r_scale_ohm: f64,
-    /// L is this times softplus of output 1, H.
+    /// Factor of L over the softplus of output 1, H.
     pub l_scale_h: f64,
     /// Hidden layers (tanh) and the output layer.
     pub layers: Vec<Layer>,
-    /// The VI-MLP (sine) of the presets that have one.
+    /// VI-MLP (sine); empty for presets without one.
     #[serde(default)]
     pub vi_layers: Vec<Layer>,
     /// Inputs beside the embedding's, of the window that was trained on.
@@ -53,7 +53,7 @@ impl Parameters {
         (self.r_scale_ohm * r, self.l_scale_h * l)
     }
 
-    /// The network's inputs at `t_s` seconds after a mains zero crossing.
+    /// Inputs of the network at `t_s` seconds after a mains zero crossing.
     pub(crate) fn features(&self, t_s: f64) -> Vec<f64> {
         let mut features = self.embedding.features(t_s, self.f_mains_hz);
         features.extend(self.inputs.iter().flat_map(|inputs| inputs.at(t_s)));
@@ -133,7 +133,7 @@ impl Parameters {
         self
     }
 
-    /// The network of this shape whose outputs are the constant (R / r_scale, L / l_scale).
+    /// Network of this shape whose outputs are the constant (R / r_scale, L / l_scale).
     pub(crate) fn constant(&self, outputs: [f64; OUTPUTS]) -> Self {
         let mut constant = self.with_flat(&vec![0.0; self.flat().len()]);
         constant.set_output_biases(outputs);
@@ -155,7 +155,7 @@ impl Parameters {
             .collect()
     }
 
-    /// The same network with the weights and biases of `flat`.
+    /// Same network with the weights and biases of `flat`.
     pub(crate) fn with_flat(&self, flat: &[f64]) -> Self {
         let mut next = self.clone();
         let mut values = flat.iter();
@@ -172,7 +172,7 @@ impl Parameters {
         next
     }
 
-    /// Whether the layers chain up from the features to R and L and hold finite numbers.
+    /// Returns `true` if the layers chain from the features to R and L, with finite numbers.
     pub(crate) fn is_sound(&self) -> bool {
         let mut inputs = self.width();
         let chained = self.layers.iter().all(|l| {
@@ -191,7 +191,7 @@ pub(crate) fn softplus(x: f64) -> f64 {
     x.max(0.0) + (-x.abs()).exp().ln_1p()
 }
 
-/// The x with softplus(x) = y, for y > 0; held at -20 below e^-20.
+/// Inverse of [`softplus`] for y > 0; limited to -20 below e^-20.
 fn inverse_softplus(y: f64) -> f64 {
     let y = y.max((-20.0_f64).exp());
     y + (-(-y).exp_m1()).ln()

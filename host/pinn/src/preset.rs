@@ -1,4 +1,4 @@
-//! Configurations in code: the paper's as written and repaired, and this project's. Ablations of them are files:
+//! Configurations in code: those of the paper as written and repaired, and this project's. Ablations are files:
 //! [`crate::PresetLibrary`].
 
 use std::fmt;
@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Config, ImpedanceOrder, Named, Optimiser, PinnError, SlowEmbedding, ViMlp};
+use crate::{Config, ImpedanceOrder, NamedOrder, Optimiser, PinnError, SlowEmbedding, ViMlp};
 
 /// A [`Config`] with a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
@@ -26,7 +26,7 @@ pub enum Preset {
     /// `hybrid` with the physics term over all harmonics and an impedance law whose order is identified
     /// along with R and L.
     HybridFractional,
-    /// `hybrid` with harmonics up to the 31st, for who wants the waveforms: R and L need the 7th at most.
+    /// `hybrid` with harmonics up to the 31st, for waveforms: R and L need the 7th at most.
     HybridWaveform,
 }
 
@@ -34,7 +34,7 @@ pub enum Preset {
 const PAPER_EPOCHS: usize = 5000;
 
 impl Preset {
-    /// All of them.
+    /// All presets.
     pub const ALL: [Self; 7] = [
         Self::Hybrid,
         Self::PaperLiteral,
@@ -45,7 +45,7 @@ impl Preset {
         Self::HybridWaveform,
     ];
 
-    /// The name used on the command line and in configuration files.
+    /// Name of the preset on the command line and in configuration files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -59,7 +59,7 @@ impl Preset {
         }
     }
 
-    /// What it is, and what is known to be wrong with it.
+    /// Description of the preset, with its known errors.
     #[must_use]
     pub fn description(self) -> &'static str {
         match self {
@@ -90,7 +90,7 @@ impl Preset {
         }
     }
 
-    /// Its settings.
+    /// Settings of the preset.
     #[must_use]
     pub fn config(self) -> Config {
         let hybrid = Config::default();
@@ -102,12 +102,12 @@ impl Preset {
                 ..hybrid
             },
             Self::HybridFractional => Config {
-                impedance_order: ImpedanceOrder::Named(Named::Identified),
+                impedance_order: ImpedanceOrder::Named(NamedOrder::Identified),
                 ..Self::HybridAllHarmonics.config()
             },
             Self::HybridWaveform => Config {
                 harmonics: (1..=31).step_by(2).collect(),
-                // Eight points to a period of the 31st harmonic allow no longer blocks.
+                // Eight points per period of the 31st harmonic allow no longer blocks.
                 most_points: 200_000,
                 ..hybrid
             },
@@ -128,7 +128,7 @@ impl Preset {
 /// Eq. (3) with N_mains = 1.
 const PAPER_EQ_3: SlowEmbedding = SlowEmbedding::Fourier { first: 1, count: 1 };
 
-/// What all presets with a VI-MLP have in common: the paper's RL-MLP and training.
+/// Settings common to all presets with a VI-MLP: the paper's RL-MLP and training.
 fn paper(vi: ViMlp) -> Config {
     Config {
         vi_mlp: Some(vi),
@@ -143,7 +143,7 @@ fn paper(vi: ViMlp) -> Config {
     }
 }
 
-/// R in ohm and L in henry straight from the softplus.
+/// Settings with R in ohm and L in henry straight from the softplus.
 fn unscaled(config: Config) -> Config {
     Config {
         r_scale_ohm: 1.0,

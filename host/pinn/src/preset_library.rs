@@ -24,28 +24,28 @@ const ABLATIONS: [(&str, &str); 8] = ablations![
     "hybrid-no-prior",
 ];
 
-/// A [`Config`] with a name.
+/// Configuration with a name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NamedConfig {
-    /// The name that commands and files use.
+    /// Name in commands and files.
     pub name: String,
-    /// What it is, in a line; empty where its file has no `description`.
+    /// Description in one line; empty if its file has no `description`.
     pub description: String,
-    /// The settings.
+    /// Settings of the preset.
     pub config: Config,
 }
 
-/// The presets of the program, and those of a folder where one was given.
+/// Presets of the program, and those of a folder if one was given.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PresetLibrary {
     folder: Vec<NamedConfig>,
 }
 
 impl PresetLibrary {
-    /// The program's presets and the `*.toml` files of `folder`, each named as its file.
+    /// Reads the `*.toml` files of `folder`, each named as its file, in addition to the program's presets.
     ///
     /// # Errors
-    /// [`PinnError::File`] with the file, where one cannot be read, holds no settings, or has the name
+    /// [`PinnError::File`] with the file, if one cannot be read, holds no settings, or has the name
     /// of another preset.
     pub fn with_folder(folder: &Path) -> Result<Self, PinnError> {
         let entries = fs::read_dir(folder).map_err(|e| broken(folder, &e))?;
@@ -66,10 +66,10 @@ impl PresetLibrary {
         })
     }
 
-    /// The preset of this name.
+    /// Finds the preset of this name.
     ///
     /// # Errors
-    /// [`PinnError::UnknownName`] with the names that there are.
+    /// [`PinnError::UnknownName`] with the valid names.
     pub fn get(&self, name: &str) -> Result<NamedConfig, PinnError> {
         if let Some(preset) = Preset::ALL.into_iter().find(|p| p.name() == name) {
             return Ok(NamedConfig {
@@ -81,8 +81,8 @@ impl PresetLibrary {
         if let Some((_, text)) = ABLATIONS.iter().find(|(ablation, _)| *ablation == name) {
             return parse(name, text);
         }
-        let found = self.folder.iter().find(|preset| preset.name == name);
-        found.cloned().ok_or_else(|| PinnError::UnknownName {
+        let preset = self.folder.iter().find(|preset| preset.name == name);
+        preset.cloned().ok_or_else(|| PinnError::UnknownName {
             what: "preset",
             name: name.to_owned(),
             known: self.names().join(", "),
@@ -103,10 +103,10 @@ impl PresetLibrary {
     }
 }
 
-/// The preset in a file of a folder.
+/// Reads the preset in a file of a folder.
 fn read(path: &Path) -> Result<NamedConfig, PinnError> {
     let name = path.file_stem().and_then(|stem| stem.to_str());
-    // It becomes part of the names of a study's files.
+    // The name becomes part of the names of a study's files.
     let fits = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
     let name = name
         .filter(|name| name.chars().all(fits))

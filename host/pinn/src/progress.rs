@@ -1,4 +1,4 @@
-//! What an identification reports while it runs, its limits, and when R and L have converged.
+//! Progress of an identification, its limits, and the convergence of R and L.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -22,32 +22,32 @@ pub struct Progress {
     pub l_f: f64,
     /// Data terms, eqs. (5) and (6) together, normalised.
     pub l_i: f64,
-    /// Mean relative errors of R and L at the slow times in %, where the truth is known.
+    /// Mean relative errors of R and L at the slow times in %; `None` if the truth is unknown.
     pub mre_pct: Option<(f64, f64)>,
     /// Mean relative change of R and L (the larger) over the last few steps, 1e-2 being 1 %; infinite at first.
     pub change: f64,
-    /// Time since the call, that of earlier sittings included, s.
+    /// Time since the call, including earlier runs of a continued training, s.
     pub elapsed_s: f64,
 }
 
-/// Why the optimiser stopped.
+/// Reason why the optimiser stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StoppedBecause {
-    /// R and L no longer move.
+    /// R and L have converged.
     Settled,
-    /// No damping, however strong, gives a smaller loss: a minimum to working precision.
+    /// No damping gives a smaller loss: a minimum to working precision.
     NoDescent,
-    /// The configured number of steps is spent.
+    /// The configured number of steps is reached.
     IterationLimit,
-    /// The configured time is spent.
+    /// The configured time is reached.
     TimeLimit,
     /// The loss became NaN or infinite; the result holds the last good parameters.
     RolledBack,
 }
 
 impl StoppedBecause {
-    /// Whether the parameters are a minimum and not just the best so far.
+    /// Returns `true` if the parameters are a minimum and not just the best so far.
     #[must_use]
     pub fn is_converged(self) -> bool {
         matches!(self, Self::Settled | Self::NoDescent)
@@ -75,14 +75,14 @@ pub(crate) struct Log<'a> {
     pub data_loss: f64,
     /// Part of `w_f L_f` that the network cannot change in this pass.
     pub floor: f64,
-    /// R / r_scale and L / l_scale of the truth, alternating, where it is known.
+    /// R / r_scale and L / l_scale of the truth, alternating; `None` if it is unknown.
     pub truth: Option<Vec<f64>>,
     w_f: f64,
     w_i: f64,
     deterministic: bool,
     max_iterations: usize,
     started: Instant,
-    /// Time of earlier sittings, s.
+    /// Time of earlier runs of a continued training, s.
     earlier_s: f64,
     time_limit: Duration,
     report: &'a mut dyn FnMut(&Progress),
@@ -108,14 +108,14 @@ impl<'a> Log<'a> {
         }
     }
 
-    /// Goes on after these steps of an earlier sitting.
+    /// Continues after these steps of an earlier run.
     pub fn resume(&mut self, history: &mut Vec<Progress>) {
         self.iteration = history.len();
         self.history = std::mem::take(history);
         self.earlier_s = self.history.last().map_or(0.0, |p| p.elapsed_s);
     }
 
-    /// Time since the start, that of earlier sittings included, s.
+    /// Time since the start, including earlier runs, s.
     pub fn elapsed_s(&self) -> f64 {
         self.earlier_s + self.started.elapsed().as_secs_f64()
     }
@@ -128,7 +128,7 @@ impl<'a> Log<'a> {
         self.record_terms(physics / self.w_f, l_i, change, outputs);
     }
 
-    /// The same with the terms of the loss as they are.
+    /// Counts a step and reports it, given the terms of the loss.
     pub fn record_terms(&mut self, l_f: f64, l_i: f64, change: f64, outputs: &[f64]) {
         self.iteration += 1;
         let now = Progress {
@@ -148,7 +148,7 @@ impl<'a> Log<'a> {
         (self.report)(&now);
     }
 
-    /// The limit that is reached, if one is.
+    /// Limit that is reached; `None` if there is none.
     pub fn exhausted(&self) -> Option<StoppedBecause> {
         if self.iteration >= self.max_iterations {
             Some(StoppedBecause::IterationLimit)
@@ -160,8 +160,8 @@ impl<'a> Log<'a> {
     }
 }
 
-/// Watches R and L over the last few steps. One small step proves nothing (strong damping makes
-/// steps small), several together do.
+/// Convergence test of R and L over the last few steps. One small step proves nothing, because strong damping makes
+/// steps small; several together do.
 pub(crate) struct Settling {
     steps: usize,
     past: VecDeque<Vec<f64>>,
@@ -175,7 +175,7 @@ impl Settling {
         }
     }
 
-    /// The same with what was seen before.
+    /// Creates the test with earlier outputs, oldest first.
     pub fn from_past(steps: usize, past: Vec<Vec<f64>>) -> Self {
         Self {
             steps,
@@ -183,12 +183,12 @@ impl Settling {
         }
     }
 
-    /// What was seen so far, oldest first.
+    /// Outputs so far, oldest first.
     pub fn past(&self) -> Vec<Vec<f64>> {
         self.past.iter().cloned().collect()
     }
 
-    /// Mean relative change against `steps` steps ago; infinite until there were that many.
+    /// Adds outputs; returns their mean relative change since `steps` steps ago, infinite before there were so many.
     pub fn change(&mut self, outputs: Vec<f64>) -> f64 {
         let change = if self.past.len() < self.steps {
             f64::INFINITY

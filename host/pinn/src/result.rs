@@ -1,4 +1,4 @@
-//! What an identification hands back: R(t), L(t), the terms of the paper's eq. (7), NMSE, P/I_rms².
+//! Result of an identification: R(t), L(t), the terms of the paper's eq. (7), NMSE, P/I_rms².
 
 use std::f64::consts::TAU;
 
@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 use crate::harmonic_branch::HarmonicBranch;
 use crate::networks::Signals;
 use crate::progress::Log;
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 use crate::{Config, Parameters, Progress, StoppedBecause};
 
-/// The terms of the paper's loss at the end, in the paper's normalised units.
+/// Terms of the paper's loss at the end, in the paper's normalised units.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Losses {
     /// Physics residual, eq. (4), over the configured harmonics.
@@ -24,10 +24,10 @@ pub struct Losses {
     pub total: f64,
 }
 
-/// v and i of the VI branch.
+/// Voltage and current of the VI branch.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Waveforms {
-    /// Indices of the window's samples that they belong to, ascending.
+    /// Indices of the window's samples at which they are given, ascending.
     pub sample: Vec<usize>,
     /// Voltage, V.
     pub v_volt: Vec<f64>,
@@ -35,7 +35,8 @@ pub struct Waveforms {
     pub i_ampere: Vec<f64>,
 }
 
-/// What [`Waveforms`] are made of: few ask for them, and the harmonic branch's take as long as its fit.
+/// Source of [`Waveforms`], which are computed on request: they are seldom needed, and the harmonic branch's take as long as
+/// its fit.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reconstruction(Source);
 
@@ -44,8 +45,8 @@ enum Source {
     Known(Waveforms),
     Branch {
         branch: Box<HarmonicBranch>,
-        /// Without the points, of which there were so many.
-        samples: Box<Normalised>,
+        /// Window without its points, of which only the number is kept.
+        samples: Box<NormalisedWaveform>,
         points: usize,
     },
 }
@@ -57,8 +58,8 @@ impl Default for Source {
 }
 
 impl Reconstruction {
-    /// Of the harmonic branch.
-    pub(crate) fn of_branch(samples: &Normalised, branch: &HarmonicBranch) -> Self {
+    /// Source from the harmonic branch.
+    pub(crate) fn of_branch(samples: &NormalisedWaveform, branch: &HarmonicBranch) -> Self {
         Self(Source::Branch {
             branch: Box::new(branch.clone()),
             samples: Box::new(samples.outline()),
@@ -66,7 +67,7 @@ impl Reconstruction {
         })
     }
 
-    /// v and i; empty where the result was read from a file.
+    /// Voltage and current; empty if the result was read from a file.
     #[must_use]
     pub fn waveforms(&self) -> Waveforms {
         match &self.0 {
@@ -80,7 +81,7 @@ impl Reconstruction {
     }
 }
 
-/// R(t) and L(t) of one window, and how they came about.
+/// R(t) and L(t) of one window, with the details of the training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Identified {
     /// Times after the mains zero crossing, evenly spaced from the first to the last pair, s.
@@ -89,23 +90,22 @@ pub struct Identified {
     pub r_ohm: Vec<f64>,
     /// L at those times, H.
     pub l_h: Vec<f64>,
-    /// Standard deviation of R at those times, ohm: Laplace's approximation, or the spread of an
-    /// ensemble; empty where there is neither. It holds noise and what eq. (1) and the harmonics leave of the
-    /// waveforms beyond it.
+    /// Standard deviation of R at those times, ohm: Laplace's approximation, or the spread of an ensemble; empty if there is
+    /// neither. It contains noise, and the residual of the waveforms beyond noise.
     pub r_sigma_ohm: Vec<f64>,
-    /// Of L, H.
+    /// Standard deviation of L at those times, H; empty if `r_sigma_ohm` is.
     pub l_sigma_h: Vec<f64>,
-    /// χ² of what is left of the fundamental against white noise at those times, which σ was raised by; empty where
+    /// Residual χ² at the fundamental against white noise at those times, by which σ was raised; empty if
     /// σ is.
     #[serde(default)]
     pub chi2: Vec<f64>,
-    /// Order n of Z(s) = s L_0 + K s^n that R and L were found with: [`crate::Config::impedance_order`].
+    /// Order n of Z(s) = s L_0 + K s^n of the result: [`crate::Config::impedance_order`].
     pub impedance_order: f64,
     /// P / I_rms^2 at those times, ohm, from the VI branch's signals with all their harmonics.
     pub r_power_ohm: Vec<f64>,
     /// Amplitude of the current's fundamental at those times, A: the axis of an RL lookup.
     pub i_amplitude_a: Vec<f64>,
-    /// The loss at the end.
+    /// Loss at the end.
     pub losses: Losses,
     /// One entry per accepted optimiser step.
     pub history: Vec<Progress>,
@@ -113,18 +113,18 @@ pub struct Identified {
     pub iterations: usize,
     /// Alternations between VI branch and RL-MLP.
     pub passes: usize,
-    /// Why the optimiser stopped.
+    /// Reason why the optimiser stopped.
     pub stopped_because: StoppedBecause,
-    /// Wall-clock time of the call, and of earlier sittings where it went on from a checkpoint, s.
+    /// Wall-clock time of the call, and of earlier runs if it continued from a checkpoint, s.
     pub elapsed_s: f64,
-    /// 100 * sum((v_hat - v)^2) / sum(v^2) over the points that it was fitted to, %.
+    /// 100 * sum((v_hat - v)^2) / sum(v^2) over the fitted points, %.
     pub nmse_v_pct: f64,
-    /// The same of the current, %.
+    /// 100 * sum((i_hat - i)^2) / sum(i^2) over the fitted points, %.
     pub nmse_i_pct: f64,
-    /// v and i of the VI branch; not serialised.
+    /// Source of v and i of the VI branch; not serialised.
     #[serde(skip)]
     pub reconstruction: Reconstruction,
-    /// The trained RL-MLP: put it into [`crate::Config::start`] for a warm start.
+    /// Trained RL-MLP; [`crate::Config::start`] takes it for a warm start.
     pub parameters: Parameters,
 }
 
@@ -141,8 +141,8 @@ impl Identified {
         interpolated(&self.t_s, &self.l_h, t_s)
     }
 
-    /// Means of sigma/R and sigma/L over the window, weighted with the squared current, in %:
-    /// what counts for power. Nothing where sigma is not known.
+    /// Means of sigma/R and sigma/L over the window in %, weighted with the squared current, which determines the power. `None` if
+    /// sigma is unknown.
     #[must_use]
     pub fn relative_sigma_pct(&self) -> Option<(f64, f64)> {
         let weights: Vec<f64> = self.i_amplitude_a.iter().map(|i| i * i).collect();
@@ -160,7 +160,7 @@ impl Identified {
     }
 }
 
-/// Linear between the points, held beyond them.
+/// Interpolates linearly between the points; constant beyond them.
 fn interpolated(t_s: &[f64], x: &[f64], at_s: f64) -> f64 {
     let next = t_s.partition_point(|t| *t <= at_s);
     match (next.checked_sub(1), t_s.get(next)) {
@@ -174,7 +174,7 @@ fn interpolated(t_s: &[f64], x: &[f64], at_s: f64) -> f64 {
 }
 
 /// The signals in volt and ampere.
-fn waveforms(samples: &Normalised, signals: Signals) -> Waveforms {
+fn waveforms(samples: &NormalisedWaveform, signals: Signals) -> Waveforms {
     let scaled = |x: &[f64], unit: f64| x.iter().map(|x| x * unit).collect();
     Waveforms {
         v_volt: scaled(&signals.v, samples.v_max_volt),
@@ -183,11 +183,11 @@ fn waveforms(samples: &Normalised, signals: Signals) -> Waveforms {
     }
 }
 
-/// Results a slow time: at the ends R bends within 0.1 ms.
+/// Results per slow time: at the ends R bends within 0.1 ms.
 const RESULTS: usize = 4;
 
-/// Times after the first pair at which results are given, s.
-pub(crate) fn result_times_s(samples: &Normalised, config: &Config) -> Vec<f64> {
+/// Times of the results after the first pair, s.
+pub(crate) fn result_times_s(samples: &NormalisedWaveform, config: &Config) -> Vec<f64> {
     let count = RESULTS * config.slow_points;
     let last = (count - 1) as f64;
     (0..count)
@@ -200,9 +200,9 @@ pub(crate) fn nmse_pct(l_i: f64, x: &[f64]) -> f64 {
     100.0 * l_i * x.len() as f64 / x.iter().map(|x| x * x).sum::<f64>()
 }
 
-/// The result of a training with the paper's VI-MLP.
+/// Result of a training with the paper's VI-MLP.
 pub(crate) fn assemble_networks(
-    samples: &Normalised,
+    samples: &NormalisedWaveform,
     config: &Config,
     parameters: Parameters,
     signals: Signals,
@@ -245,7 +245,7 @@ pub(crate) fn assemble_networks(
     }
 }
 
-/// Switching periods on either side of a time that [`Around`] looks at.
+/// Switching periods on either side of a time that [`Around`] covers.
 const PERIODS: f64 = 2.0;
 
 /// Current and power of the signals around one time.
@@ -257,10 +257,10 @@ struct Around {
 }
 
 impl Around {
-    fn of(samples: &Normalised, signals: &Signals, tau_s: f64) -> Self {
+    fn of(samples: &NormalisedWaveform, signals: &Signals, tau_s: f64) -> Self {
         let reach_s = PERIODS * TAU / samples.omega;
         let time = |n: &usize| *n as f64 * samples.dt_s;
-        // At the ends the same stretch lies on one side.
+        // At the ends a stretch of the same length lies on one side.
         let end_s = signals.sample.last().map_or(0.0, time);
         let from_s = (tau_s - reach_s).min(end_s - 2.0 * reach_s).max(0.0);
         let first = signals.sample.partition_point(|n| time(n) < from_s);

@@ -19,7 +19,7 @@ pub(crate) struct RlMlp {
 }
 
 impl RlMlp {
-    /// The network with these weights, in double precision.
+    /// Creates the network with these weights, in double precision.
     pub fn from_parameters(parameters: &Parameters, device: &Device) -> Self {
         let layers = parameters.layers.iter().map(|layer| {
             let (weights, biases) = (layer.weights.clone(), layer.biases.clone());

@@ -1,19 +1,19 @@
-//! Further inputs of the RL-MLP beside the mains' phase: what R and L follow besides, such as the frequency of a carrier
-//! that moves.
+//! Further inputs of the RL-MLP beside the mains' phase, such as the frequency of a moving carrier, if R and L depend on
+//! them.
 
 /// Functions of time at evenly spaced times, linear between them and constant beyond.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlowInputs {
     /// Time of the first values after the mains zero crossing in seconds.
     pub t0_s: f64,
-    /// Time from one to the next in seconds.
+    /// Time from one value to the next in seconds.
     pub dt_s: f64,
-    /// Values, best within -1..=1, of each function at each time; all functions have as many.
+    /// Values of each function at each time, best within -1..=1; all functions have the same number.
     pub functions: Vec<Vec<f64>>,
 }
 
 impl SlowInputs {
-    /// The functions' values at `t_s` seconds after the mains zero crossing.
+    /// Values of the functions at `t_s` seconds after the mains zero crossing.
     pub(crate) fn at(&self, t_s: f64) -> impl Iterator<Item = f64> {
         let place = ((t_s - self.t0_s) / self.dt_s).max(0.0);
         self.functions.iter().map(move |values| {

@@ -10,24 +10,24 @@ use crate::normal_matrix::transposed_times;
 use crate::own_network::OwnNetwork;
 use crate::parameters::{OUTPUTS, Parameters};
 use crate::rl_mlp::{RlMlp, read};
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 use crate::{Config, Optimiser, PinnError};
 
-/// Residuals e of [`SlowPhysics`] with all that an optimiser asks for.
+/// Residuals e of [`SlowPhysics`] with all functions that an optimiser needs.
 pub(crate) enum SlowModel {
-    /// Plain double precision.
+    /// Own code in double precision.
     Own {
         physics: SlowPhysics,
-        /// The RL-MLP at each slow time.
+        /// RL-MLP at each slow time.
         network: OwnNetwork,
         /// Derivatives of the residuals by the network's outputs.
         factors: Box<[[Vec<f64>; OUTPUTS]; OUTPUTS]>,
     },
-    /// On a burn device; with autodiff where gradients are asked for.
+    /// burn on a device, with autodiff if gradients are needed.
     Burn(Box<SlowTensors>),
 }
 
-/// Gradient of the squared residuals, and what comes with it.
+/// Gradient of the squared residuals, with residuals and outputs.
 pub(crate) struct Gradient {
     /// |e|².
     pub squares: f64,
@@ -38,10 +38,10 @@ pub(crate) struct Gradient {
 }
 
 impl SlowModel {
-    /// On the configured backend, with autodiff where the optimiser wants it.
+    /// Creates the model on the configured backend, with autodiff if the optimiser needs it.
     pub fn new(
         physics: &SlowPhysics,
-        samples: &Normalised,
+        samples: &NormalisedWaveform,
         parameters: &Parameters,
         config: &Config,
     ) -> Self {
@@ -56,8 +56,12 @@ impl SlowModel {
         Self::Burn(Box::new(tensors))
     }
 
-    /// Own code for these slow times.
-    pub fn own(physics: &SlowPhysics, samples: &Normalised, parameters: &Parameters) -> Self {
+    /// Creates the model in own code.
+    pub fn own(
+        physics: &SlowPhysics,
+        samples: &NormalisedWaveform,
+        parameters: &Parameters,
+    ) -> Self {
         let t_s = physics.tau_s.iter().map(|tau| samples.t0_s + tau);
         Self::Own {
             network: OwnNetwork::at(parameters, t_s),
@@ -82,7 +86,7 @@ impl SlowModel {
         }
     }
 
-    /// de/dtheta, a row a residual, parameters as in `Parameters::flat`.
+    /// de/dtheta, one row per residual, parameters as in `Parameters::flat`.
     pub fn jacobian(&self, parameters: &Parameters) -> Result<DMatrix<f64>, PinnError> {
         match self {
             Self::Own {
@@ -97,8 +101,8 @@ impl SlowModel {
         }
     }
 
-    /// The squared residuals and their gradient: by burn's reverse mode on a burn backend, `2 J^T e`
-    /// else.
+    /// Squared residuals and their gradient: by reverse mode on a burn backend, else
+    /// `2 J^T e`.
     pub fn gradient(&self, parameters: &Parameters) -> Result<Gradient, PinnError> {
         match self {
             Self::Own { .. } => {
@@ -124,8 +128,8 @@ fn by_burn(tensors: &SlowTensors, parameters: &Parameters) -> Result<Gradient, P
     let gradients = squares.backward();
     let mut values = Vec::with_capacity(parameters.flat_len());
     for layer in &network.layers {
-        let tracked = |found: Option<Vec<f64>>| {
-            found.ok_or_else(|| PinnError::Backend {
+        let tracked = |gradient: Option<Vec<f64>>| {
+            gradient.ok_or_else(|| PinnError::Backend {
                 backend: tensors.backend.to_string(),
                 detail: "a parameter has no gradient".to_owned(),
             })

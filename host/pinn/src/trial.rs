@@ -1,4 +1,4 @@
-//! A small exact window and its parts, for the unit tests.
+//! Small exact window and its parts, for the unit tests.
 
 use std::f64::consts::TAU;
 
@@ -7,17 +7,17 @@ use crate::impedance_law::AtHarmonic;
 use crate::loss::{SlowPhysics, slow_times_s};
 use crate::parameters::Parameters;
 use crate::vi_system::DataSystem;
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 use crate::{SlowEmbedding, Waveform};
 use ihd_spline::CubicSpline;
 
 /// A half-cycle of a constant 4 ohm, 20 uH at 45 kHz, with a third harmonic.
-pub(crate) fn samples() -> Normalised {
+pub(crate) fn samples() -> NormalisedWaveform {
     samples_at(45e3 * 61.0 / 3.0)
 }
 
-/// The same at another sampling rate in hertz.
-pub(crate) fn samples_at(rate_hz: f64) -> Normalised {
+/// The same half-cycle at another sampling rate in hertz.
+pub(crate) fn samples_at(rate_hz: f64) -> NormalisedWaveform {
     let (f_sw_hz, f_mains_hz) = (45e3, 50.0);
     let dt_s = 1.0 / rate_hz;
     let mains = TAU * f_mains_hz;
@@ -47,7 +47,7 @@ pub(crate) fn samples_at(rate_hz: f64) -> Normalised {
     .expect("a sound window")
 }
 
-pub(crate) fn basis(samples: &Normalised) -> HarmonicBasis {
+pub(crate) fn basis(samples: &NormalisedWaveform) -> HarmonicBasis {
     HarmonicBasis {
         spline: CubicSpline::new(16, samples.duration_s()),
         harmonics: vec![1, 3],
@@ -56,14 +56,14 @@ pub(crate) fn basis(samples: &Normalised) -> HarmonicBasis {
     }
 }
 
-/// The law of this order at these positions of the basis; 0 is eq. (1).
+/// Impedance law of this order at these positions of the basis; 0 is eq. (1).
 pub(crate) fn laws(order: f64, basis: &HarmonicBasis, indices: &[usize]) -> Vec<AtHarmonic> {
     let law = |index: &usize| AtHarmonic::new(order, basis, *index);
     indices.iter().map(law).collect()
 }
 
-/// The VI branch fitted to these samples alone.
-pub(crate) fn fitted(samples: &Normalised) -> HarmonicBranch {
+/// VI branch fitted to these samples alone.
+pub(crate) fn fitted(samples: &NormalisedWaveform) -> HarmonicBranch {
     DataSystem::assemble(samples, basis(samples))
         .fit()
         .expect("separable")
@@ -75,7 +75,7 @@ pub(crate) const W_F: f64 = 5.0;
 /// The physics term of eq. (1) over the harmonics at these positions, at `count` slow times.
 pub(crate) fn physics(
     branch: &HarmonicBranch,
-    samples: &Normalised,
+    samples: &NormalisedWaveform,
     network: &Parameters,
     indices: &[usize],
     count: usize,

@@ -1,6 +1,6 @@
 //! Standard deviations of R(t) and L(t): Laplace's approximation around the hybrid's minimum (MacKay 1992).
 //!
-//! With normal noise of variance s^2 on each residual and the prior's pull, the weights are normal
+//! With normal noise of variance s^2 on each residual and the prior, the weights are normal
 //! around the minimum with covariance `s^2 (J^T J + strength I)^-1`; R and L are linear in them to
 //! first order.
 
@@ -10,7 +10,7 @@ use crate::own_network::OwnNetwork;
 use crate::parameters::{OUTPUTS, Parameters};
 use crate::slow_model::SlowModel;
 
-/// Ridge relative to the largest diagonal entry, for directions that no residual sees.
+/// Ridge relative to the largest diagonal entry, for directions that no residual determines.
 const RIDGE: f64 = 1e-12;
 
 /// Standard deviations of R (ohm) and L (H) at given times.
@@ -20,8 +20,8 @@ pub(crate) struct Sigmas {
     pub l_h: Vec<f64>,
 }
 
-/// Laplace's approximation at `parameters`, `noise` being the variance of one residual and
-/// `strength` the prior's; nothing where the normal matrix is singular beyond repair.
+/// Laplace's approximation at `parameters`, with `noise` the variance of one residual and
+/// `strength` the prior's; `None` if the normal matrix is singular.
 pub(crate) fn laplace(
     model: &SlowModel,
     parameters: &Parameters,

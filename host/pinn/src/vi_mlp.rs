@@ -1,4 +1,4 @@
-//! Settings of the paper's VI-MLP, and how it sees time (paper eq. (2)).
+//! Settings of the paper's VI-MLP, and its inputs (paper eq. (2)).
 
 use std::f64::consts::TAU;
 
@@ -13,28 +13,28 @@ use crate::SlowEmbedding;
 pub struct ViMlp {
     /// Widths of the hidden layers, one to eight of 1..=256.
     pub hidden_layers: Vec<usize>,
-    /// First m of eq. (2): the paper counts from 1 and so leaves out the fundamental.
+    /// First m of eq. (2): the paper counts from 1 and thereby leaves out the fundamental.
     pub first_m: u32,
     /// N_sw of eq. (2), 1..=16.
     pub n_sw: u32,
-    /// Slow features that the network sees beside eq. (2); the paper has none, so that it cannot
-    /// see the envelope. In a file, not given is none.
+    /// Slow features as inputs beside eq. (2); the paper has none, so that the network does not know the envelope. `None` if not
+    /// given in a file.
     #[serde(default)]
     pub slow: Option<SlowEmbedding>,
-    /// Takes every so many samples, 1..=1000.
+    /// Distance of used samples, 1..=1000.
     pub downsampling: usize,
-    /// Points of a gradient step; all of them if not given.
+    /// Points per gradient step; all of them if `None`.
     pub minibatch: Option<usize>,
     /// Learning rate of the last epoch relative to the first; it falls geometrically. 1 is the
     /// paper's constant rate.
     pub last_rate: f64,
-    /// Every so many epochs w_f is set anew so that the physics term's gradient and the data terms'
-    /// have one length; 0 never.
+    /// Number of epochs after which w_f is set so that the gradients of physics term and data terms have the same
+    /// length; 0 never.
     pub balance_every: usize,
 }
 
 impl Default for ViMlp {
-    /// The paper's network repaired: m from 0, so that the fundamental is there, and slow features, so that the envelope is.
+    /// The paper's network repaired: m from 0, which includes the fundamental, and slow features, which include the envelope.
     fn default() -> Self {
         Self {
             hidden_layers: vec![64; 3],
@@ -55,8 +55,8 @@ impl ViMlp {
         2 * self.n_sw as usize + self.slow.map_or(0, SlowEmbedding::width)
     }
 
-    /// The inputs at `t_s` seconds after a mains zero crossing, and their derivatives per radian of
-    /// the switching frequency: the exact tangent.
+    /// Inputs at `t_s` seconds after a mains zero crossing, and their derivatives per radian of the switching
+    /// frequency.
     pub(crate) fn features(&self, t_s: f64, f_sw_hz: f64, f_mains_hz: f64) -> (Vec<f64>, Vec<f64>) {
         let (mut values, mut rates) = (Vec::new(), Vec::new());
         for m in self.first_m..self.first_m + self.n_sw {

@@ -1,5 +1,5 @@
-//! Linear least squares for the VI branch: minimises w_i (L_i1 + L_i2), the paper's eqs. (5), (6), and with R and L
-//! given all of eq. (7), w_f L_f of eq. (4) included. All three terms are quadratic in the coefficients.
+//! Linear least squares for the VI branch. It minimises w_i (L_i1 + L_i2), the paper's eqs. (5), (6), or, with R and L
+//! given, all of eq. (7) with w_f L_f of eq. (4). All three terms are quadratic in the coefficients.
 
 use std::f64::consts::TAU;
 
@@ -9,7 +9,7 @@ use ihd_spline::harmonic::{HarmonicFit, NormalEquations};
 use crate::PinnError;
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
 use crate::impedance_law::AtHarmonic;
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 
 /// R and L at one slow time, normalised by the waveform's maxima.
 #[derive(Debug, Clone, Copy)]
@@ -22,7 +22,7 @@ pub(crate) struct Impedance {
     pub l: f64,
 }
 
-/// What the physics term adds to the normal equations of the VI branch.
+/// Contribution of the physics term to the normal equations of the VI branch.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PhysicsTerm<'a> {
     /// w_f / w_i.
@@ -33,8 +33,8 @@ pub(crate) struct PhysicsTerm<'a> {
     pub harmonics: &'a [AtHarmonic],
 }
 
-/// Normal equations of the data terms. Voltage and current share the matrix: same times, same
-/// functions.
+/// Normal equations of the data terms. Voltage and current share the matrix, because times and functions are the
+/// same.
 #[derive(Debug, Clone)]
 pub(crate) struct DataSystem {
     basis: HarmonicBasis,
@@ -45,7 +45,7 @@ pub(crate) struct DataSystem {
 
 impl DataSystem {
     /// Sums the normal equations over all points; each entry is a mean, like eqs. (5) and (6).
-    pub fn assemble(samples: &Normalised, basis: HarmonicBasis) -> Self {
+    pub fn assemble(samples: &NormalisedWaveform, basis: HarmonicBasis) -> Self {
         let fit = HarmonicFit {
             spline: &basis.spline,
             orders: &basis.harmonics,
@@ -71,7 +71,7 @@ impl DataSystem {
     }
 
     /// Mean squared errors of v_hat and i_hat over the points: L_i1 and L_i2, eqs. (5) and (6). |Ax − y|² is multiplied
-    /// out, so they are exact to rounding of the mean square of the points: 1e-16 of it, 12 bit being 1e-8.
+    /// out, which is exact to 1e-16 of the mean square of the points; 12 bit are 1e-8 of it.
     pub fn losses(&self, branch: &HarmonicBranch) -> (f64, f64) {
         let loss = |x: &[f64], right: &[f64], square: f64| {
             let across: f64 = x.iter().zip(right).map(|(x, b)| x * b).sum();

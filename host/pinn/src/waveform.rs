@@ -1,4 +1,4 @@
-//! One window of coil voltage and current, checked and normalised.
+//! Window of coil voltage and current, checked and normalised.
 
 use std::f64::consts::TAU;
 
@@ -21,13 +21,13 @@ pub struct Waveform<'a> {
     pub i_ampere: &'a [f64],
 }
 
-/// How far a window may reach over a zero crossing, as a part of the half-cycle. There is next to
-/// no signal there, and a mains frequency that is off by a few per mille must not stop anything.
+/// Largest overlap of a window over a zero crossing, as a share of the half-cycle. The signal is close to zero there, and a
+/// mains frequency that is wrong by a few per mille must not prevent an identification.
 const OVERHANG: f64 = 0.02;
 
-/// The window divided by its maxima (the paper's normalisation), with the time scales at hand.
+/// Window divided by its maxima (the paper's normalisation), with its time scales.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Normalised {
+pub(crate) struct NormalisedWaveform {
     pub v: Vec<f64>,
     pub i: Vec<f64>,
     pub v_max_volt: f64,
@@ -39,17 +39,16 @@ pub(crate) struct Normalised {
     pub t0_s: f64,
     /// Time between points, s.
     pub dt_s: f64,
-    /// Samples whose mean one point is.
+    /// Samples per point, which is their mean.
     pub block: usize,
 }
 
-/// Points that a period of the highest harmonic keeps at least: at 8 the mean over a point's block
-/// leaves 97 % of it.
+/// Fewest points per period of the highest harmonic: at 8 the mean over a point's block contains 97 % of it.
 const POINTS_PER_PERIOD: f64 = 8.0;
 
 impl Waveform<'_> {
     /// Checks the window and divides each channel by its largest magnitude.
-    pub(crate) fn normalise(&self) -> Result<Normalised, PinnError> {
+    pub(crate) fn normalise(&self) -> Result<NormalisedWaveform, PinnError> {
         self.check_times()?;
         if self.v_volt.len() != self.i_ampere.len() {
             return Err(PinnError::LengthMismatch {
@@ -59,7 +58,7 @@ impl Waveform<'_> {
         }
         let v_max_volt = largest_magnitude(self.v_volt, "voltage")?;
         let i_max_ampere = largest_magnitude(self.i_ampere, "current")?;
-        Ok(Normalised {
+        Ok(NormalisedWaveform {
             v: self.v_volt.iter().map(|v| v / v_max_volt).collect(),
             i: self.i_ampere.iter().map(|i| i / i_max_ampere).collect(),
             v_max_volt,
@@ -85,7 +84,7 @@ impl Waveform<'_> {
         let half_cycle_s = 0.5 / self.f_mains_hz;
         let to_s = self.t0_s + self.v_volt.len().saturating_sub(1) as f64 * self.dt_s;
         let slack_s = OVERHANG * half_cycle_s;
-        // Written so that a NaN in t0_s fails too.
+        // The comparison is false for a NaN in t0_s, which is an error, too.
         if !(self.t0_s >= -slack_s && to_s <= half_cycle_s + slack_s) {
             return Err(PinnError::SpansZeroCrossing {
                 from_s: self.t0_s,
@@ -97,10 +96,10 @@ impl Waveform<'_> {
     }
 }
 
-impl Normalised {
-    /// Means of blocks of samples, so long that at most `most_points` are left, but no longer than
-    /// `harmonic` times the switching frequency allows. The noise of a mean is that of a sample over
-    /// the root of the block's length: nothing is lost but time to compute.
+impl NormalisedWaveform {
+    /// Averages blocks of samples, so that at most `most_points` are left, but no longer blocks than `harmonic` times the
+    /// switching frequency allows. The noise of a mean is that of a sample over the root of the block's length, so that no
+    /// information is lost.
     pub fn averaged(self, most_points: usize, harmonic: u32) -> Self {
         let samples_per_period = TAU / (f64::from(harmonic) * self.omega * self.dt_s);
         let allowed = (samples_per_period / POINTS_PER_PERIOD) as usize;
@@ -124,14 +123,14 @@ impl Normalised {
         }
     }
 
-    /// What the mean over a block leaves of a harmonic: sin(nx)/(n sin x), x half its angle per sample.
+    /// Gain of the mean over a block for a harmonic: sin(nx)/(n sin x), x half its angle per sample.
     pub fn gain(&self, harmonic: u32) -> f64 {
         let n = self.block as f64;
         let x = 0.5 * f64::from(harmonic) * self.omega * self.dt_s / n;
         (n * x).sin() / (n * x.sin())
     }
 
-    /// The sample next to the middle of point `n`'s block, and its time after the first point, s.
+    /// Index of the sample next to the middle of point `n`'s block, and its time after the first point, s.
     pub fn sample_of(&self, n: usize) -> (usize, f64) {
         let within = self.block / 2;
         let off_centre = within as f64 - 0.5 * (self.block - 1) as f64;
@@ -139,7 +138,7 @@ impl Normalised {
         (n * self.block + within, time_s)
     }
 
-    /// The times and maxima without the points.
+    /// Returns the times and maxima without the points.
     pub fn outline(&self) -> Self {
         Self {
             v: Vec::new(),

@@ -1,18 +1,18 @@
-//! Files that are there whole or not at all.
+//! Atomic writing of files: a file has either its old or its new content.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Tells files apart that one process writes at a time.
+/// Number of files written by this process, which makes names of temporary files unique.
 static WRITTEN: AtomicU32 = AtomicU32::new(0);
 
-/// Writes a file so that its name stands for the old bytes or for all of the new ones, whatever ends the
-/// process or the power meanwhile: a temporary file in the same folder, fsync, rename, fsync of the folder.
+/// Replaces a file atomically, even if the process or the power fails meanwhile: a temporary file in the same folder, fsync,
+/// rename, fsync of the folder.
 ///
 /// # Errors
-/// What the operating system reports; the old file is then as it was, and the temporary one removed.
+/// Error of the operating system; the old file is then unchanged, and the temporary one removed.
 pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let temporary = beside(path)?;
     let written = File::create_new(&temporary).and_then(|mut file| {
@@ -21,25 +21,25 @@ pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     });
     let done = written.and_then(|()| rename(&temporary, path));
     if done.is_err() {
-        // That it cannot be removed either is of no use here.
+        // The first error is the one to report.
         let _ = fs::remove_file(&temporary);
     }
     done
 }
 
-/// Renames, and makes that last: the folder of the new name is synchronised.
+/// Renames a file durably: the folder of the new name is synchronised.
 ///
 /// # Errors
-/// What the operating system reports.
+/// Error of the operating system.
 pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
     fs::rename(from, to)?;
     synchronise_folder(folder_of(to))
 }
 
-/// Makes what was created, renamed or removed in a folder last. Only Unix knows of that.
+/// Makes created, renamed and removed entries of a folder durable. Does nothing except on Unix.
 ///
 /// # Errors
-/// What the operating system reports.
+/// Error of the operating system.
 pub fn synchronise_folder(folder: &Path) -> io::Result<()> {
     if cfg!(unix) {
         File::open(folder)?.sync_all()?;

@@ -1,10 +1,10 @@
-//! A capture: coil voltage and current over time, from whatever recorded them.
+//! Capture: coil voltage and current over time, from any source.
 
 use std::collections::BTreeMap;
 
 use crate::truth::PeriodTruth;
 
-/// Where the samples lie in time.
+/// Times of the samples.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TimeBase {
     /// Evenly spaced.
@@ -14,7 +14,7 @@ pub enum TimeBase {
         /// Time from one sample to the next in seconds.
         dt_s: f64,
     },
-    /// One time a sample in seconds, ascending.
+    /// One time per sample in seconds, ascending.
     Stamps(Vec<f64>),
 }
 
@@ -28,17 +28,17 @@ impl TimeBase {
     }
 }
 
-/// From `t_s` on the hob switches at `f_sw_hz`.
+/// Change of the switching frequency to `f_sw_hz` at `t_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrequencyStep {
-    /// When, in seconds.
+    /// Time of the change in seconds.
     pub t_s: f64,
     /// Switching frequency in hertz.
     pub f_sw_hz: f64,
 }
 
 impl FrequencyStep {
-    /// The steps that the truth shows, one at least where there is any.
+    /// Frequency steps in a truth; the first entry is its first frequency.
     pub fn of_truth(truth: &[PeriodTruth]) -> Vec<Self> {
         let mut steps: Vec<Self> = Vec::new();
         for t in truth {
@@ -58,37 +58,37 @@ impl FrequencyStep {
 /// Samples are f32: 24 bits, more than any scope gives, at half the memory of f64.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Capture {
-    /// Where it comes from, for messages: a path, or what simulated it.
+    /// Source for messages: a path, or a description of the simulation.
     pub name: String,
-    /// When the samples were taken. `v_v` and `i_a` have one length, and so have stamps.
+    /// Times of the samples. `v_v` and `i_a` have one length, and so have stamps.
     pub time: TimeBase,
     /// Coil voltage in volt.
     pub v_v: Vec<f32>,
     /// Coil current in ampere, positive where positive voltage feeds power into the load.
     pub i_a: Vec<f32>,
-    /// Largest magnitude the voltage channel can show, in volt, where known: beyond it clips.
+    /// Largest magnitude of the voltage channel in volt, beyond which it clips; `None` if unknown.
     pub v_full_scale_v: Option<f64>,
-    /// Likewise of the current channel, in ampere.
+    /// Largest magnitude of the current channel in ampere, beyond which it clips; `None` if unknown.
     pub i_full_scale_a: Option<f64>,
-    /// Switching frequencies in order of time; empty where the capture states none.
+    /// Switching frequencies in order of time; empty if the capture states none.
     pub f_sw: Vec<FrequencyStep>,
-    /// Mains frequency in hertz where the capture states it.
+    /// Mains frequency in hertz; `None` if the capture does not state it.
     pub mains_hz: Option<f64>,
-    /// Time of one mains zero crossing in seconds where the capture states it.
+    /// Time of one mains zero crossing in seconds; `None` if the capture does not state it.
     pub zero_crossing_s: Option<f64>,
-    /// Truth, one entry a switching period in order of time; empty where there is none.
+    /// Truth, one entry per switching period in order of time; empty if there is none.
     pub truth: Vec<PeriodTruth>,
-    /// Anything else, as text.
+    /// Further information as text.
     pub metadata: BTreeMap<String, String>,
 }
 
 impl Capture {
-    /// Samples of each channel.
+    /// Number of samples of each channel.
     pub fn len(&self) -> usize {
         self.v_v.len()
     }
 
-    /// Whether there is no sample.
+    /// Returns `true` if there is no sample.
     pub fn is_empty(&self) -> bool {
         self.v_v.is_empty()
     }

@@ -1,78 +1,74 @@
-//! The switching frequency through time, from the phase of voltage and current; and time warped so that it stands
-//! still.
+//! Tracking of the switching frequency by the phase of voltage and current, as a base for time warping to a constant frequency.
 //!
 //! With a smooth phase φ(t) and τ = φ(t)/ω0 the coil's v = R·i + L·di/dt becomes v = R·i + L'·di/dτ with
-//! L' = L·φ̇/ω0. That holds for any φ, so an error of the tracked phase costs nothing as long as what is left of
-//! the carrier's rotation is slow: [`warp`] takes samples to constant frequency, the estimator gives R and L' there, and
-//! L = L'·ω0/φ̇.
+//! L' = L·φ̇/ω0. This holds for any φ, so that an error of the tracked phase costs nothing while the carrier's remaining
+//! rotation is slow. [`crate::warp`] converts samples to constant frequency, the estimator finds R and L' there, and L = L'·ω0/φ̇.
 
 mod smooth;
-pub mod warp;
 
 use std::f64::consts::TAU;
 
 use nalgebra::Complex;
 
-pub use self::warp::Warp;
 use crate::correlation::weighted_sums;
-use crate::{Raw, Segment};
+use crate::{RawSamples, Segment};
 
-/// Cut-off of what is followed, in hertz: a sweep of 1 kHz is followed to 2 %, and what is left is slow.
+/// Cut-off of the tracking in hertz: a sweep of 1 kHz is followed to 2 %, and the rest is slow.
 const CUT_OFF_HZ: f64 = 2.7e3;
 
-/// Switching periods of a frame, under a Hann window: it has no gain at the mean and at the harmonics.
+/// Switching periods per frame, under a Hann window, whose gain is zero at the mean and at the harmonics.
 const FRAME_PERIODS: f64 = 2.0;
 
-/// Within this, in hertz, lies four fifths of the energy of a constant carrier, whose phase the load turns as R and L follow
-/// the current: at most 26 Hz were seen (30 kHz, near resonance), 13 Hz at 20 dB. And a carrier that moves less costs
+/// Deviation in hertz within which a constant carrier has four fifths of its energy; the load turns its phase as R and L
+/// follow the current. At most 26 Hz were seen (30 kHz, near resonance), 13 Hz at 20 dB. A carrier that moves less costs
 /// estimators that take it as constant no more than .07/.04 % (at 1 kHz; nothing at 300 Hz).
 const MOVES_HZ: f64 = 60.0;
 
-/// Share of the energy beyond it from which on the carrier moves.
+/// Share of the energy beyond [`MOVES_HZ`] above which the carrier counts as moving.
 const MOST_OFTEN: f64 = 0.2;
 
-/// What a step of the load shows for some periods, in hertz, at most.
+/// Largest deviation in hertz that a step of the load shows for some periods.
 const MOVES_FAR_HZ: f64 = 250.0;
 
-/// Share of the energy beyond that: a third of a millisecond in a half-cycle.
+/// Share of the energy beyond [`MOVES_FAR_HZ`] above which the carrier moves: a third of a millisecond per half-cycle.
 const MOST_RARELY: f64 = 0.04;
 
-/// Share of the largest power above which a value of the frequency is one of the carrier, and not of noise.
+/// Share of the largest power above which a value is the carrier's frequency and not noise.
 const STRONG: f64 = 0.05;
 
-/// How a carrier moves.
+/// Motion of a carrier.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sweep {
     /// Mean in hertz, weighted with the carrier's power.
     pub mean_hz: f64,
-    /// Half of what lies between the smallest and the largest frequency, in hertz.
+    /// Half the distance between the smallest and the largest frequency, in hertz.
     pub deviation_hz: f64,
-    /// How often it would go up and down, in hertz, if it were a sine.
+    /// Repetition rate in hertz, if the motion were a sine.
     pub rate_hz: f64,
 }
 
-/// The switching frequency at evenly spaced times.
+/// Switching frequency at evenly spaced times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Carrier {
     /// Time of the first value in seconds.
-    t0_s: f64,
+    pub(crate) t0_s: f64,
     /// Time from one value to the next in seconds, about a switching period.
-    step_s: f64,
+    pub(crate) step_s: f64,
     /// Frequencies in hertz.
-    f_hz: Vec<f64>,
-    /// What each is worth: the carrier's power there as a share of the largest.
+    pub(crate) f_hz: Vec<f64>,
+    /// Weight of each value: the carrier's power as a share of the largest.
     weight: Vec<f64>,
-    /// Periods since the first value, at each.
-    periods: Vec<f64>,
+    /// Periods from the first value to each.
+    pub(crate) periods: Vec<f64>,
 }
 
 impl Carrier {
     /// Follows the carrier through a segment.
     pub fn of(segment: &Segment) -> Option<Self> {
         let Segment { t0_s, dt_s, .. } = *segment;
-        // The frames do not see an offset.
+        // A constant offset does not pass the frames.
         match (segment.v_v.raw(), segment.i_a.raw()) {
-            (Raw::Singles(v, _), Raw::Singles(i, _)) => {
+            (RawSamples::Singles(v, _), RawSamples::Singles(i, _)) => {
                 Self::follow(v, i, t0_s, dt_s, segment.f_sw_hz)
             }
             _ => Self::follow(&segment.v_v, &segment.i_a, t0_s, dt_s, segment.f_sw_hz),
@@ -80,7 +76,7 @@ impl Carrier {
     }
 
     /// Follows the carrier through evenly spaced samples of voltage and current, the first at `t0_s` seconds; `f_hz` is
-    /// its frequency within a third. `None` where there is too little to follow.
+    /// its frequency within a third. `None` if there are too few samples.
     pub fn follow<T: Copy + Into<f64>>(
         v_v: &[T],
         i_a: &[T],
@@ -107,7 +103,7 @@ impl Carrier {
         let off_hz: Vec<f64> = turns.iter().map(|z| z.arg() / (TAU * step_s)).collect();
         let stiffness = (TAU * CUT_OFF_HZ * step_s).powi(-4);
         let off_hz = smooth::whittaker(&off_hz, &weight, stiffness);
-        // Faster or slower than that is no carrier that anybody can demodulate.
+        // No carrier that can be demodulated is faster or slower than that.
         let f: Vec<f64> = off_hz
             .iter()
             .map(|off| f_hz + off.clamp(-f_hz / 3.0, f_hz / 3.0))
@@ -119,7 +115,7 @@ impl Carrier {
             at
         }));
         Some(Self {
-            // Between the middles of two frames.
+            // Time between the middles of two frames.
             t0_s: t0_s + (0.5 * (frame + hop) as f64) * dt_s,
             step_s,
             f_hz: f,
@@ -128,7 +124,7 @@ impl Carrier {
         })
     }
 
-    /// Frequency in hertz at a time in seconds; before the first and after the last value it stands still.
+    /// Frequency in hertz at a time in seconds; constant before the first and after the last value.
     pub fn hz(&self, t_s: f64) -> f64 {
         let (k, w) = self.place(t_s);
         self.f_hz[k] + w.clamp(0.0, 1.0) * (self.f_hz[k + 1] - self.f_hz[k])
@@ -144,7 +140,7 @@ impl Carrier {
         self.periods[k] + (linear + beyond) * self.step_s
     }
 
-    /// The value before a time, and the share of the step after it; beyond the ends the share is below 0 or above 1.
+    /// Index of the value before a time, and the share of the step after it; below 0 or above 1 beyond the ends.
     fn place(&self, t_s: f64) -> (usize, f64) {
         let at = (t_s - self.t0_s) / self.step_s;
         let k = (at.max(0.0) as usize).min(self.f_hz.len() - 2);
@@ -157,14 +153,14 @@ impl Carrier {
         sum / self.weight.iter().sum::<f64>()
     }
 
-    /// Whether it moves so much that time has to be warped.
+    /// Returns `true` if the carrier moves so much that time must be warped.
     pub fn moves(&self) -> bool {
         let mean = self.mean_hz();
         self.moves_from(|_| Some(mean))
     }
 
-    /// Whether it moves away from a frequency in hertz that is expected at each time in seconds; where none is, nothing is
-    /// judged.
+    /// Returns `true` if the carrier moves away from the frequency in hertz that is expected at each time in seconds; times
+    /// with `None` are ignored.
     pub fn moves_from(&self, expected_hz: impl Fn(f64) -> Option<f64>) -> bool {
         let off: Vec<(f64, f64)> = (self.values())
             .filter_map(|(t_s, f, w)| Some(((f - expected_hz(t_s)?).abs(), w)))
@@ -176,7 +172,7 @@ impl Carrier {
         share_beyond(MOVES_HZ) > MOST_OFTEN || share_beyond(MOVES_FAR_HZ) > MOST_RARELY
     }
 
-    /// How it moves.
+    /// Returns mean, deviation and rate of the motion.
     pub fn sweep(&self) -> Sweep {
         let mean_hz = self.mean_hz();
         let strong = || self.values().filter(|v| v.2 > STRONG);
@@ -185,8 +181,8 @@ impl Carrier {
         let rank = |share: f64| f.get((share * f.len() as f64) as usize).copied();
         let (low, high) = (rank(0.02).unwrap_or(mean_hz), rank(0.98).unwrap_or(mean_hz));
         let deviation_hz = 0.5 * (high - low);
-        // Of a sine the slope is 2π·rate times the deviation, both rms. Not weighted: with the mains' power some phases of
-        // the sweep would count more, and through a zero crossing the smoother's straight line is near enough.
+        // The slope of a sine is 2π·rate times the deviation, both rms. Not weighted: with the mains' power some phases of
+        // the sweep would count more, and the smoother's straight line through a zero crossing is accurate enough.
         let centre_hz = self.f_hz.iter().sum::<f64>() / self.f_hz.len() as f64;
         let off = self.f_hz.iter().map(|f| (f - centre_hz).powi(2));
         let slope = self.f_hz.windows(2);
@@ -212,7 +208,7 @@ struct Frames {
     hop: usize,
     cos: Vec<f64>,
     minus_sin: Vec<f64>,
-    /// What the carrier's expected frequency turns in a hop.
+    /// Rotation of the carrier's expected frequency per hop.
     expected: Complex<f64>,
 }
 
@@ -228,8 +224,8 @@ impl Frames {
         }
     }
 
-    /// How much further than expected the fundamental turns from each frame to the next: both channels, each by its
-    /// own power, as a phasor whose magnitude is its worth.
+    /// Rotation of the fundamental from each frame to the next, beyond the expected one: a phasor from both channels, whose
+    /// magnitude is its weight by power.
     fn turns<T: Copy + Into<f64>>(&self, channels: [&[T]; 2]) -> Vec<Complex<f64>> {
         let mut sum: Vec<Complex<f64>> = Vec::new();
         for x in channels {
@@ -244,7 +240,7 @@ impl Frames {
         sum
     }
 
-    /// The fundamental of each frame, its angle counted from the frame's first sample.
+    /// Fundamental of each frame, with its angle counted from the frame's first sample.
     fn phasors<T: Copy + Into<f64>>(&self, x: &[T]) -> Vec<Complex<f64>> {
         let frames = x.windows(self.cos.len()).step_by(self.hop);
         frames

@@ -11,12 +11,12 @@ use nalgebra::Complex;
 use super::Segment;
 use super::vectorised::vectorised;
 
-/// Sums of one block, Σ x·e^(−jhωt), one an order.
+/// Sums of one block, Σ x·e^(−jhωt), one per order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockSums<const ORDERS: usize> {
-    /// Of the voltage, in volt; 2/n of it is the amplitude.
+    /// Sums of the voltage in volt; 2/n of a sum is the amplitude.
     pub v: [Complex<f64>; ORDERS],
-    /// Of the current, in ampere.
+    /// Sums of the current in ampere.
     pub i: [Complex<f64>; ORDERS],
 }
 
@@ -31,12 +31,12 @@ pub struct Correlator<const ORDERS: usize> {
 }
 
 impl<const ORDERS: usize> Correlator<ORDERS> {
-    /// For a segment's sampling, blocks of `length` samples and these orders in multiples of f_sw.
+    /// Creates a correlator for a segment's sampling, blocks of `length` samples and these orders in multiples of f_sw.
     pub fn new(segment: &Segment, length: usize, orders: [f64; ORDERS]) -> Self {
         Self::with_rate(segment.f_sw_hz * segment.dt_s, length, orders)
     }
 
-    /// For samples that lie this share of a period of f_sw apart.
+    /// Creates a correlator for samples that are this share of a period of f_sw apart.
     pub fn with_rate(periods_per_sample: f64, length: usize, orders: [f64; ORDERS]) -> Self {
         let table = |value: fn(f64) -> f64| {
             let at =
@@ -56,7 +56,7 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
         self.cos.len()
     }
 
-    /// e^(−jhωt) at sample `n` of the segment, one an order.
+    /// e^(−jhωt) at sample `n` of the segment, one per order.
     pub fn turn(&self, n: usize) -> [Complex<f64>; ORDERS] {
         self.orders.map(|h| {
             let (s, c) = libm::sincos(TAU * (h * n as f64 * self.periods_per_sample).fract());
@@ -64,13 +64,12 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
         })
     }
 
-    /// The sums over a block that begins with sample `first` of the segment; a block shorter than
-    /// the table is taken as it is.
+    /// Sums over a block that begins with sample `first` of the segment; the block may be shorter than the table.
     pub fn block(&self, first: usize, v_v: &[f64], i_a: &[f64]) -> BlockSums<ORDERS> {
         self.block_turned(&self.turn(first), v_v, i_a)
     }
 
-    /// The same, given e^(−jhωt) of the block's first sample.
+    /// Sums over a block, given e^(−jhωt) of its first sample.
     pub fn block_turned(
         &self,
         turn: &[Complex<f64>; ORDERS],
@@ -93,7 +92,7 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
 }
 
 impl<const ORDERS: usize> Correlator<ORDERS> {
-    /// The sums of one channel over a block that begins with sample `first` of the segment, in its unit.
+    /// Sums of one channel over a block that begins with sample `first` of the segment, in its unit.
     pub fn channel(&self, first: usize, x: &[f64]) -> [Complex<f64>; ORDERS] {
         let [re, im] = vectorised(
             #[inline(always)]
@@ -128,7 +127,7 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
             #[inline(always)]
             || {
                 for (out, (cos, sin)) in out.iter_mut().zip(self.cos.iter().zip(&self.minus_sin)) {
-                    // In four sums, so that they can go side by side.
+                    // Four partial sums, which the compiler can vectorise.
                     let mut sums = [0.0; 4];
                     for h in 0..ORDERS {
                         sums[h % 4] += at[h].re * cos[h] + at[h].im * sin[h];
@@ -159,9 +158,9 @@ pub fn weighted_sums<T: Copy + Into<f64>>(x: &[T], weights: [&[f64]; 2]) -> [f64
     )
 }
 
-/// Mean impedance of the segment's fundamental in ohm, from which every estimator starts:
+/// Mean impedance of the segment's fundamental in ohm, the start of every estimator:
 /// Σ V·I* / Σ |I|² over blocks of one switching period, so that a drift of the phase does not
-/// cancel. Not a finite number where there is no current.
+/// cancel. Not finite if there is no current.
 pub fn mean_impedance(segment: &Segment) -> Complex<f64> {
     let length = (segment.samples_per_period().round() as usize).max(1);
     let correlator = Correlator::new(segment, length, [1.0]);

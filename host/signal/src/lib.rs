@@ -1,5 +1,5 @@
-//! What everything on the host speaks of: captures, the segments that estimators take, loads and
-//! their truth; and what is done to samples before anybody estimates.
+//! Common types of the host: captures, segments for estimators, loads and their truth. Also the processing of samples
+//! before estimation.
 //!
 //! ```text
 //! Capture ─► Segment ─► estimator ─► R(t), L(t)  against  Truth
@@ -21,10 +21,11 @@ pub mod samples;
 pub mod segment;
 pub mod truth;
 pub mod vectorised;
+pub mod warp;
 
 pub use capture::{Capture, FrequencyStep, TimeBase};
 pub use load::Load;
 pub use printable::printable;
 pub use remark::{Remark, Severity};
-pub use samples::{Raw, Samples};
+pub use samples::{RawSamples, Samples};
 pub use segment::{Segment, SegmentError};

@@ -1,8 +1,8 @@
-//! The load as every estimator sees it.
+//! Equivalent load of coil and pot.
 
 use serde::{Deserialize, Serialize};
 
-/// Equivalent resistance and inductance of coil and pot in series, at one instant or on the mean.
+/// Equivalent resistance and inductance of coil and pot in series, at one instant or as a mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Load {
     /// Resistance in ohm.

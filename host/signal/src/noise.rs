@@ -1,61 +1,60 @@
-//! White noise of a channel: the floor of its spectrum between the lines, the one measure of it for survey and
-//! estimators.
+//! White noise of a channel, measured as the floor of its spectrum between the lines. Survey and estimators share it.
 //!
-//! What lies between the harmonics of f_sw is noise, or edges that the sampling folds there, or a neighbour's coil. So
-//! many places are looked at, up to the eighth harmonic where the estimators work, and the quiet ones count: a low
-//! quantile over the places, of the median over the frames (zero crossings and steps of the load are single
-//! frames). Both are known functions of σ for white noise, so that the result is unbiased for it.
+//! Between the harmonics of f_sw there is noise, but also edges that the sampling folds there, or a neighbour's coil. Many
+//! places are therefore measured, up to the eighth harmonic, where the estimators work, and the quiet ones are used. The
+//! result is a low quantile over the places of the median over the frames, because zero crossings and steps of the load are
+//! single frames. Both are known functions of σ for white noise, so that the result is unbiased for it.
 
 use std::f64::consts::PI;
 
 use nalgebra::Complex;
 
-use super::{Raw, Samples, Segment, fourier};
+use super::{RawSamples, Samples, Segment, fourier};
 
-/// Switching periods of a frame: three eighths of the lobes of sin⁶ between aliases at thirds of f_sw (61/3).
+/// Most switching periods of a frame: three eighths of the lobes of sin⁶ between aliases at thirds of f_sw (61/3).
 const MOST_PERIODS: f64 = 96.0;
 
-/// Fewest, where the samples are few.
+/// Fewest switching periods of a frame, used for short segments.
 const LEAST_PERIODS: f64 = 12.0;
 
-/// Frames that short stretches are divided into.
+/// Number of frames into which short segments are divided.
 const WANTED_FRAMES: f64 = 6.0;
 
-/// Most frames that are looked at.
+/// Most frames that are evaluated.
 const MOST_FRAMES: usize = 32;
 
-/// Samples of a period that are kept at least: of more, a low-pass keeps every so many.
+/// Fewest samples per period after decimation by a low-pass.
 const KEPT_PER_PERIOD: f64 = 64.0;
 
-/// Highest order of f_sw that is looked at.
+/// Highest order of f_sw that is evaluated.
 const HIGHEST_ORDER: f64 = 8.75;
 
-/// Bins on either side of a harmonic that its lobe (4 bins) and modulation fill.
+/// Bins on either side of a harmonic that its lobe (4 bins) and its modulation occupy.
 const LINE_BINS: f64 = 6.5;
 
-/// Most of the way to the next harmonic that a harmonic takes, in orders.
+/// Largest distance in orders that a harmonic occupies on either side.
 const LINE_MOST: f64 = 0.36;
 
-/// The quantile of the places that is taken: lines may fill most of the rest.
+/// Quantile over the places: lines may occupy most of the rest.
 const QUANTILE: f64 = 0.2;
 
-/// Standard deviation of one sample's white noise; zero where it could not be measured.
+/// Standard deviation of one sample's white noise; zero if it could not be measured.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct WhiteNoise {
-    /// Of the voltage in volt.
+    /// Standard deviation of the voltage in volt.
     pub v_v: f64,
-    /// Of the current in ampere.
+    /// Standard deviation of the current in ampere.
     pub i_a: f64,
 }
 
 impl WhiteNoise {
-    /// Of a segment; zero when it is shorter than 12 switching periods.
+    /// Measures the noise of a segment; zero if it is shorter than 12 switching periods.
     pub fn measure(segment: &Segment) -> Self {
         let per_period = segment.samples_per_period();
-        // An offset is no part of it.
+        // An offset is not noise.
         let of = |x: &Samples| match x.raw() {
-            Raw::Doubles(x) => deviation(x, per_period).unwrap_or(0.0),
-            Raw::Singles(x, _) => deviation(x, per_period).unwrap_or(0.0),
+            RawSamples::Doubles(x) => deviation(x, per_period).unwrap_or(0.0),
+            RawSamples::Singles(x, _) => deviation(x, per_period).unwrap_or(0.0),
         };
         Self {
             v_v: of(&segment.v_v),
@@ -63,13 +62,13 @@ impl WhiteNoise {
         }
     }
 
-    /// Deviations in volt and ampere; `None` where the segment was too short to measure them.
+    /// Deviations in volt and ampere; `None` if the segment was too short.
     pub fn measured(self) -> Option<[f64; 2]> {
         (self != Self::default()).then_some([self.v_v, self.i_a])
     }
 }
 
-/// Standard deviation of a channel's white noise near the first harmonics, in its unit; `None` when the samples are
+/// Standard deviation of a channel's white noise near the first harmonics, in its unit; `None` if the samples are
 /// too few.
 pub fn deviation<T: Copy + Into<f64>>(x: &[T], samples_per_period: f64) -> Option<f64> {
     let frames = Frames::of(x.len(), samples_per_period)?;
@@ -96,8 +95,7 @@ pub fn deviation<T: Copy + Into<f64>>(x: &[T], samples_per_period: f64) -> Optio
             power.push(output[*place].norm_sqr());
         }
     }
-    // |X|² of white noise is exponential with mean σ²·Σw², times what the low-pass leaves there, over the samples
-    // of which one is kept.
+    // |X|² of white noise is exponential with mean σ²·Σw², times the low-pass gain there, over the decimation factor.
     let mean = window.iter().map(|w| w * w).sum::<f64>() / frames.block as f64;
     let floor = |(power, place): (Vec<f64>, &usize)| {
         let turn = *place as f64 / (frames.points * frames.block) as f64;
@@ -110,8 +108,8 @@ pub fn deviation<T: Copy + Into<f64>>(x: &[T], samples_per_period: f64) -> Optio
     Some((quiet / quantile_of_median(frames.count, share)).sqrt()).filter(|s| s.is_finite())
 }
 
-/// Hann over four times the samples of which one is kept: edges that would fold to below the eighth harmonic stay
-/// below a thousandth of what they are.
+/// Hann low-pass over four times the decimation factor: edges that fold to below the eighth harmonic are reduced to less
+/// than a thousandth.
 fn low_pass(block: usize) -> Vec<f64> {
     if block == 1 {
         return vec![1.0];
@@ -121,7 +119,7 @@ fn low_pass(block: usize) -> Vec<f64> {
     (0..taps).map(|k| at(k) * at(k)).collect()
 }
 
-/// Σ h·x, in eight sums so that they can go side by side.
+/// Σ h·x as eight partial sums, which the compiler can vectorise.
 fn filtered<T: Copy + Into<f64>>(h: &[f64], x: &[T]) -> f64 {
     let mut sums = [0.0; 8];
     for (h, x) in h.chunks(8).zip(x.chunks(8)) {
@@ -132,7 +130,7 @@ fn filtered<T: Copy + Into<f64>>(h: &[f64], x: &[T]) -> f64 {
     sums.iter().sum()
 }
 
-/// |Σ h·e^(−j2πfn)|² at f = `turn` periods a sample.
+/// |Σ h·e^(−j2πfn)|² at f = `turn` periods per sample.
 fn gain(h: &[f64], turn: f64) -> f64 {
     let step = Complex::from_polar(1.0, -2.0 * PI * turn);
     let mut at = Complex::new(1.0, 0.0);
@@ -144,18 +142,18 @@ fn gain(h: &[f64], turn: f64) -> f64 {
     sum.norm_sqr()
 }
 
-/// How a stretch of samples is cut.
+/// Division of samples into frames.
 struct Frames {
-    /// Samples of which one is kept.
+    /// Decimation factor.
     block: usize,
-    /// Points of a frame.
+    /// Decimated points per frame.
     points: usize,
     /// Samples from one frame to the next.
     stride: usize,
     count: usize,
     /// Orders of f_sw from one bin to the next.
     order_per_bin: f64,
-    /// Points of a switching period.
+    /// Decimated points per switching period.
     per_period: f64,
 }
 
@@ -167,11 +165,9 @@ impl Frames {
         }
         let block = ((samples_per_period / KEPT_PER_PERIOD) as usize).max(1);
         let per_period = samples_per_period / block as f64;
-        let wanted =
-            (periods / WANTED_FRAMES).clamp(LEAST_PERIODS + 1.0, MOST_PERIODS) * per_period;
-        // A multiple of 16 transforms fast.
-        let points =
-            ((wanted / 16.0).ceil() as usize * 16).min((samples / block).saturating_sub(3));
+        let ideal = (periods / WANTED_FRAMES).clamp(LEAST_PERIODS + 1.0, MOST_PERIODS) * per_period;
+        // A transform over a multiple of 16 points is fast.
+        let points = ((ideal / 16.0).ceil() as usize * 16).min((samples / block).saturating_sub(3));
         if (points as f64) < LEAST_PERIODS * per_period {
             return None;
         }
@@ -207,15 +203,15 @@ fn sin6(n: usize) -> Vec<f64> {
     (0..n).map(|k| libm::pow(at(k), 6.0)).collect()
 }
 
-/// The middle value, of an even number the lower; `None` of nothing.
+/// Median, of an even number of values the lower one; `None` if there are none.
 pub fn median(mut x: Vec<f64>) -> Option<f64> {
     let middle = x.len().saturating_sub(1) / 2;
     (!x.is_empty()).then(|| *x.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The value below which [`median`] of `count` exponential numbers of mean 1 stays with this probability.
+/// Value below which [`median`] of `count` exponential numbers of mean 1 stays with this probability.
 fn quantile_of_median(count: usize, probability: f64) -> f64 {
-    // Below x as soon as (count + 1)/2 of them are.
+    // The median is below x if (count + 1)/2 of them are.
     let needed = count.div_ceil(2);
     let below = |x: f64| {
         let one = -libm::expm1(-x);

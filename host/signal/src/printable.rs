@@ -1,24 +1,24 @@
-//! Text from a device or a file, made fit for a terminal, a log or a database.
+//! Sanitised text from a device or a file, for a terminal, a log or a database.
 
 use std::fmt::{self, Display, Formatter, Write};
 
-/// Shows text with what a terminal would obey as `\u{1b}`: nothing that a device or a file holds moves a cursor,
-/// names a window, breaks a line, or changes the order of letters.
+/// Text in which control characters are shown as `\u{1b}`. Text from a device or a file then cannot move a cursor, name a
+/// window, break a line, or change the order of letters.
 #[derive(Clone, Copy, Debug)]
 pub struct Printable<'a>(&'a str);
 
-/// Text from a device or a file, fit to be shown.
+/// Makes text from a device or a file safe to show.
 pub fn printable(text: &str) -> Printable<'_> {
     Printable(text)
 }
 
-/// Whether a character is shown as it is: no control character, and none that changes the order of letters or
-/// cannot be seen.
+/// Returns `true` if a character is shown as it is: it is visible, no control character, and does not change the order of
+/// letters.
 pub fn is_shown(c: char) -> bool {
     matches!(c, '\'' | '"' | '\\') || c.escape_debug().len() == 1
 }
 
-/// The first characters of a text, fit to be shown; ` …` tells that there were more.
+/// First characters of a text, safe to show; ends with ` …` if more followed.
 pub fn cut(text: &str, longest: usize) -> String {
     match text.char_indices().nth(longest) {
         None => printable(text).to_string(),

@@ -1,7 +1,7 @@
 //! Codes of an analogue-to-digital converter.
 
-/// Rounds a value in units of one code to the nearest code of a converter of 8 to 16 bits; saturates. What is not a number reads
-/// as the lower rail, so that it is counted as saturated.
+/// Rounds a value in units of one code to the nearest code of a converter of 8 to 16 bits; saturates. NaN gives the lower rail,
+/// so that it is counted as saturated.
 pub fn code(codes: f64, bits: u32) -> i16 {
     let half_range = f64::from(1u32 << (bits - 1));
     if codes.is_nan() {

@@ -1,15 +1,14 @@
-//! What is to be said of a capture, a sensor or an estimate beside its numbers: a code for programs, words for people,
-//! the number behind it and its limit.
+//! Remarks on a capture, a sensor or an estimate: a code for programs, a text for people, a value and its limit.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// How much it matters to R and L.
+/// Effect of a remark on R and L.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// Worth knowing; costs nothing.
+    /// No effect.
     Info,
     /// R and L lose accuracy, or a part of the capture is lost.
     Warning,
@@ -27,23 +26,23 @@ impl fmt::Display for Severity {
     }
 }
 
-/// One remark.
+/// Remark on a capture, a sensor or an estimate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Remark {
-    /// What it is, in `snake_case`: a name that stays.
+    /// Code in `snake_case`, which never changes.
     pub code: &'static str,
-    /// How much it matters.
+    /// Effect on R and L.
     pub severity: Severity,
-    /// In words: what was found, and what to do.
+    /// Text that says what was found and what to do.
     pub text: String,
-    /// The number that was judged, in the unit that the text names; `None` where there is no single one.
+    /// Value that was judged, in the unit that the text names; `None` if there is no single one.
     pub value: Option<f64>,
-    /// What it was judged against, in the same unit; `None` where nothing was.
+    /// Limit of the value, in the same unit; `None` if there is none.
     pub limit: Option<f64>,
 }
 
 impl Remark {
-    /// A remark without a number.
+    /// Creates a remark without a value.
     pub fn new(code: &'static str, severity: Severity, text: impl Into<String>) -> Self {
         Self {
             code,
@@ -54,7 +53,7 @@ impl Remark {
         }
     }
 
-    /// The same with the number that was judged and its limit; numbers that are not finite are left out.
+    /// Adds the value that was judged, and its limit; numbers that are not finite are left out.
     #[must_use]
     pub fn with(mut self, value: f64, limit: Option<f64>) -> Self {
         self.value = Some(value).filter(|x| x.is_finite());

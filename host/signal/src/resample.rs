@@ -1,9 +1,9 @@
-//! A capture as the board's ADC would see it.
+//! Resampling of a capture to the times and codes of the board's ADC.
 //!
-//! The ADC samples and holds: no filter stands before it in the firmware's model, so the waveform is
-//! taken at the grid's instants and harmonics beyond half the rate alias as they do on the board.
-//! Between the capture's samples the waveform is the cubic through the four nearest (Catmull-Rom),
-//! which is exact on samples that lie on the grid and has -60 dB of error at ten samples a period.
+//! The ADC samples and holds without a filter in the firmware's model. The waveform is therefore taken at the grid's instants,
+//! and harmonics beyond half the rate alias as they do on the board. Between the capture's samples the waveform is the cubic
+//! through the four nearest (Catmull-Rom), which is exact on samples that lie on the grid and has -60 dB of error at ten
+//! samples per period.
 
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_BITS, Pair, Scales};
 
@@ -13,7 +13,7 @@ use crate::quantise::code;
 /// Bits of the board's converters.
 const BITS: u32 = CODE_BITS as u32;
 
-/// The instants of the ADC: f_sw · 61/3 from a first one on.
+/// Sampling instants of the ADC, at a rate of f_sw · 61/3.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdcGrid {
     /// Switching frequency in hertz.
@@ -29,8 +29,8 @@ impl AdcGrid {
     }
 }
 
-/// Pairs of 12-bit codes of the given scales on the grid, from its first instant to the last sample of the
-/// capture; what is beyond the ranges saturates. `time` holds when the samples were taken.
+/// Pairs of 12-bit codes of the given scales on the grid, from its first instant to the last sample of the capture; values
+/// beyond the range saturate.
 pub fn adc_pairs<T: Copy + Into<f64>>(
     time: &TimeBase,
     v_v: &[T],
@@ -58,8 +58,7 @@ pub fn adc_pairs<T: Copy + Into<f64>>(
         .collect()
 }
 
-/// The sample before `t_s` and the share of the interval after it; `at` remembers where the search
-/// stands.
+/// Index of the sample before `t_s`, and the share of the interval after it; `at` keeps the position of the search.
 fn position(time: &TimeBase, t_s: f64, at: &mut usize, last: usize) -> (usize, f64) {
     match time {
         TimeBase::Even { t0_s, dt_s } => {
@@ -82,8 +81,8 @@ fn position(time: &TimeBase, t_s: f64, at: &mut usize, last: usize) -> (usize, f
     }
 }
 
-/// The cubic through samples k−1 to k+2 at a share `w` of the interval after k; the outermost
-/// samples count twice at the ends.
+/// Cubic through samples k−1 to k+2 at a share `w` of the interval after k; the outermost samples count twice at the
+/// ends.
 fn cubic<T: Copy + Into<f64>>(x: &[T], k: usize, w: f64) -> f64 {
     let last = x.len() - 1;
     let at = |k: usize| -> f64 { x[k.min(last)].into() };
@@ -100,7 +99,7 @@ mod tests {
 
     use super::*;
 
-    /// Not this build's.
+    /// Scales that differ from this build's.
     const SCALES: Scales = Scales::OF_PROTOCOL_1;
 
     #[test]

@@ -1,5 +1,5 @@
-//! The samples of one channel of a segment: doubles, or a capture's single-precision numbers less an offset, of which
-//! doubles are made only for who wants all of them at once. A second at 50 MS/s is 200 MB a channel in single precision.
+//! Samples of one channel of a segment: doubles, or a capture's single-precision numbers less an offset. The latter are
+//! converted only when all of them are needed at once: a second at 50 MS/s is 200 MB per channel in single precision.
 
 use std::ops::{Deref, DerefMut, Range};
 use std::sync::{Arc, OnceLock};
@@ -14,7 +14,7 @@ enum Stored {
     Singles(Singles),
 }
 
-/// `samples[range]`, each less `offset`.
+/// Samples `samples[range]`, each less `offset`.
 #[derive(Clone, Debug)]
 struct Singles {
     samples: Arc<Vec<f32>>,
@@ -34,17 +34,17 @@ impl Singles {
     }
 }
 
-/// What is stored, without a copy.
+/// Stored samples, without a copy.
 #[derive(Clone, Copy, Debug)]
-pub enum Raw<'a> {
-    /// The samples themselves.
+pub enum RawSamples<'a> {
+    /// Double-precision samples.
     Doubles(&'a [f64]),
-    /// The samples and an offset, the same for all.
+    /// Single-precision samples, and the offset to subtract from all of them.
     Singles(&'a [f32], f64),
 }
 
 impl Samples {
-    /// Single-precision samples as they are.
+    /// Stores single-precision samples without an offset.
     pub fn singles(samples: Vec<f32>) -> Self {
         let range = 0..samples.len();
         Self(Stored::Singles(Singles {
@@ -63,23 +63,23 @@ impl Samples {
         }
     }
 
-    /// Whether there are none.
+    /// Returns `true` if there are no samples.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// What is stored.
-    pub fn raw(&self) -> Raw<'_> {
+    /// Stored form of the samples.
+    pub fn raw(&self) -> RawSamples<'_> {
         match &self.0 {
-            Stored::Doubles(x) => Raw::Doubles(x),
-            Stored::Singles(x) => Raw::Singles(x.raw(), x.offset),
+            Stored::Doubles(x) => RawSamples::Doubles(x),
+            Stored::Singles(x) => RawSamples::Singles(x.raw(), x.offset),
         }
     }
 
-    /// The samples of a range as doubles; `buffer` holds them where they have to be made.
+    /// Samples of a range as doubles; `buffer` is used if they must be converted.
     ///
     /// # Panics
-    /// Where the range reaches beyond the samples.
+    /// If the range reaches beyond the samples.
     pub fn block<'a>(&'a self, range: Range<usize>, buffer: &'a mut Vec<f64>) -> &'a [f64] {
         match &self.0 {
             Stored::Doubles(x) => &x[range],
@@ -92,7 +92,7 @@ impl Samples {
         }
     }
 
-    /// The samples less `offset`, in the channel's unit.
+    /// Returns the samples less `offset`, in the channel's unit.
     #[must_use]
     pub fn less(&self, offset: f64) -> Self {
         match &self.0 {
@@ -106,7 +106,7 @@ impl Samples {
         }
     }
 
-    /// The samples of a range, bounded by what there is.
+    /// Returns the samples of a range, clamped to the existing ones.
     #[must_use]
     pub fn part(&self, range: Range<usize>) -> Self {
         let to = range.end.min(self.len());
@@ -123,7 +123,7 @@ impl Samples {
     }
 }
 
-/// All samples as doubles, made once where they are not stored so.
+/// All samples as doubles, converted at the first use.
 impl Deref for Samples {
     type Target = [f64];
 
@@ -188,9 +188,9 @@ impl<'a> IntoIterator for &'a Samples {
 
 impl PartialEq for Samples {
     fn eq(&self, other: &Self) -> bool {
-        let value = |raw: Raw<'_>, k: usize| match raw {
-            Raw::Doubles(x) => x[k],
-            Raw::Singles(x, offset) => f64::from(x[k]) - offset,
+        let value = |raw: RawSamples<'_>, k: usize| match raw {
+            RawSamples::Doubles(x) => x[k],
+            RawSamples::Singles(x, offset) => f64::from(x[k]) - offset,
         };
         let (a, b) = (self.raw(), other.raw());
         self.len() == other.len() && (0..self.len()).all(|k| value(a, k) == value(b, k))

@@ -1,20 +1,20 @@
-//! What every estimator takes: evenly sampled coil voltage and current.
+//! Segment: evenly sampled coil voltage and current, the input of every estimator.
 
 use std::f64::consts::TAU;
 
 use crate::vectorised::vectorised;
-use crate::{Raw, Samples};
+use crate::{RawSamples, Samples};
 
 /// Fewest switching periods that an estimator can work on.
 pub const MIN_PERIODS: f64 = 10.0;
 
-/// Fewest samples a switching period: below, the fundamental is beyond half the sampling rate.
+/// Fewest samples per switching period; below, the fundamental is beyond half the sampling rate.
 const MIN_SAMPLES_PER_PERIOD: f64 = 2.0;
 
-/// Latest time, either way, at which samples still have different times, in seconds.
+/// Largest magnitude of a time in seconds: beyond, adjacent samples would have equal times in rounding.
 const LATEST_S: f64 = 1e6;
 
-/// A part of a capture with one switching frequency, evenly sampled, without gaps.
+/// Part of a capture with one switching frequency, evenly sampled, without gaps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Segment {
     /// Switching frequency in hertz.
@@ -34,12 +34,12 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// Samples of each channel.
+    /// Number of samples of each channel.
     pub fn len(&self) -> usize {
         self.v_v.len()
     }
 
-    /// Whether there is no sample.
+    /// Returns `true` if there is no sample.
     pub fn is_empty(&self) -> bool {
         self.v_v.is_empty()
     }
@@ -64,8 +64,8 @@ impl Segment {
         (t_s - self.zero_crossing_s).rem_euclid(self.half_cycle_s())
     }
 
-    /// Time in seconds, on the capture's clock, of the mains zero crossing at which the half-cycle of
-    /// samples `from` up to `to` begins. Its middle decides: its first sample may lie just before.
+    /// Time in seconds, on the capture's clock, of the mains zero crossing at which the half-cycle of samples `from` up to `to`
+    /// begins. The middle of the range decides, because its first sample may lie just before the crossing.
     pub fn crossing_of_s(&self, (from, to): (usize, usize)) -> f64 {
         let middle_s = 0.5 * (self.t_s(from) + self.t_s(to - 1));
         middle_s - self.since_crossing_s(middle_s)
@@ -89,11 +89,11 @@ impl Segment {
         bounds.windows(2).map(|w| (w[0], w[1])).collect()
     }
 
-    /// Checks what all estimators rely on.
+    /// Checks the conditions of all estimators.
     ///
     /// # Errors
     /// [`SegmentError`]: channels of different length, a number that is not finite, times or
-    /// frequencies that are not positive, too few samples a period, too few periods, a silent
+    /// frequencies that are not positive, too few samples per period, too few periods, a silent
     /// channel.
     pub fn check(&self) -> Result<(), SegmentError> {
         if self.v_v.len() != self.i_a.len() {
@@ -149,14 +149,14 @@ impl Segment {
         check_channel("current", &self.i_a)
     }
 
-    /// The segment without its channels' means: the coil's voltage has none, nor has its current, so a mean is the
-    /// measuring chain's offset. Weighted so that the carrier does not count, however many of its periods there are.
+    /// Returns the segment without its channels' means. Neither the coil's voltage nor its current has a mean, so that it is the
+    /// measuring chain's offset. The weighting excludes the carrier, for any number of its periods.
     pub fn without_offsets(&self) -> Self {
         let less_mean = |x: &Samples| x.less(weighted_mean(x));
         self.with_channels(less_mean(&self.v_v), less_mean(&self.i_a))
     }
 
-    /// The same segment with other samples.
+    /// Returns the segment with other samples.
     pub fn with_samples(&self, v_v: Vec<f64>, i_a: Vec<f64>) -> Self {
         self.with_channels(v_v.into(), i_a.into())
     }
@@ -173,7 +173,7 @@ impl Segment {
         }
     }
 
-    /// The samples from index `from` up to `to`, bounded by what there is.
+    /// Returns the samples from index `from` up to `to`, clamped to the existing ones.
     pub fn part(&self, from: usize, to: usize) -> Self {
         let to = to.min(self.len());
         let from = from.min(to);
@@ -184,53 +184,53 @@ impl Segment {
     }
 }
 
-/// Why no estimator can work on a segment.
+/// Reason why a segment cannot be used by estimators.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SegmentError {
-    /// Voltage and current do not come in pairs.
+    /// Voltage and current differ in length.
     #[error("{v} voltage samples but {i} current samples: pass both channels of one capture")]
     Lengths {
-        /// Samples of the voltage.
+        /// Number of voltage samples.
         v: usize,
-        /// Samples of the current.
+        /// Number of current samples.
         i: usize,
     },
-    /// A time or frequency that cannot be.
+    /// A time or frequency is not positive.
     #[error("the {what} is {value}, but must be a finite number above zero")]
     NotPositive {
-        /// Which.
+        /// Name of the quantity.
         what: &'static str,
-        /// The value.
+        /// Value of the quantity.
         value: f64,
     },
-    /// A quantity that no capture of a hob has.
+    /// A quantity is outside the range of hobs.
     #[error("the {what} is {value}, but must be {allowed}")]
     OutOfRange {
-        /// Which.
+        /// Name of the quantity.
         what: &'static str,
-        /// The value.
+        /// Value of the quantity.
         value: f64,
-        /// What is allowed.
+        /// Allowed range.
         allowed: &'static str,
     },
-    /// A sample is not a number, or beyond any.
+    /// A sample is not finite, or too large.
     #[error("{channel} sample {index} is {value}: cut it out or repair the capture")]
     NotFinite {
         /// `voltage` or `current`.
         channel: &'static str,
         /// Index in the segment.
         index: usize,
-        /// What stands there.
+        /// Value of the sample.
         value: f64,
     },
-    /// A channel without signal.
+    /// A channel is zero throughout.
     #[error("the {channel} is zero throughout: is the inverter running and the probe on?")]
     Silent {
         /// `voltage` or `current`.
         channel: &'static str,
     },
-    /// Fewer than two samples a switching period.
+    /// Fewer than two samples per switching period.
     #[error(
         "sampled at {rate_hz:.0} Hz, which cannot show a switching frequency of {f_sw_hz:.0} Hz: \
          sample at more than twice of it"
@@ -244,9 +244,9 @@ pub enum SegmentError {
     /// Too few switching periods.
     #[error("{periods:.1} switching periods, but {needed:.0} are needed: take a longer capture")]
     TooShort {
-        /// Periods there are.
+        /// Switching periods in the segment.
         periods: f64,
-        /// Periods needed.
+        /// Switching periods needed.
         needed: f64,
     },
 }
@@ -256,8 +256,8 @@ const LARGEST: f64 = 1e30;
 
 fn check_channel(channel: &'static str, x: &Samples) -> Result<(), SegmentError> {
     match x.raw() {
-        Raw::Doubles(x) => check_values(channel, x, 0.0),
-        Raw::Singles(x, offset) => check_values(channel, x, offset),
+        RawSamples::Doubles(x) => check_values(channel, x, 0.0),
+        RawSamples::Singles(x, offset) => check_values(channel, x, offset),
     }
 }
 
@@ -269,7 +269,7 @@ fn check_values<T: Copy + Into<f64>>(
     let value = |x: T| x.into() - offset;
     let mut loud = false;
     for (block, x) in x.chunks(BLOCK).enumerate() {
-        // Of a NaN the comparison is false.
+        // The comparison is false for NaN.
         let sound = x
             .iter()
             .fold(true, |sound, x| sound & (value(*x).abs() <= LARGEST));
@@ -291,21 +291,21 @@ fn check_values<T: Copy + Into<f64>>(
     }
 }
 
-/// Samples that are looked at together.
+/// Samples that are read at a time.
 const BLOCK: usize = 4096;
 
 /// Mean under a Hann window over all samples.
 fn weighted_mean(x: &Samples) -> f64 {
     match x.raw() {
-        Raw::Doubles(x) => hann_mean(x, 0.0),
-        Raw::Singles(x, offset) => hann_mean(x, offset),
+        RawSamples::Doubles(x) => hann_mean(x, 0.0),
+        RawSamples::Singles(x, offset) => hann_mean(x, offset),
     }
 }
 
 fn hann_mean<T: Copy + Into<f64>>(x: &[T], offset: f64) -> f64 {
     const LANES: usize = 8;
     let turns = |k: f64| TAU * (k + 0.5) / x.len().max(1) as f64;
-    // The angles of a block's samples are those of its first one and of a table.
+    // The angles of a block's samples are the angle of its first one plus those of a table.
     let table = |of: fn(f64) -> f64| -> Vec<f64> {
         (0..BLOCK)
             .map(|k| of(turns(k as f64) - turns(0.0)))

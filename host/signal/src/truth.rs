@@ -1,4 +1,4 @@
-//! What a simulation knows of its load and no estimator is given.
+//! True load of a simulation, which estimators are not given.
 
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
 
@@ -7,7 +7,7 @@ use crate::Load;
 /// Harmonic orders of the switching frequency that are measured; a half-bridge has no even ones.
 pub const ORDERS: [usize; 4] = [1, 3, 5, 7];
 
-/// What one switching period, or two, show.
+/// Truth over one switching period, or two.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PeriodTruth {
     /// Middle of the periods measured, in seconds.
@@ -26,7 +26,7 @@ pub struct PeriodTruth {
     pub p_w: f64,
 }
 
-/// R, L and current amplitude through one mains half-cycle.
+/// True R, L and current amplitude over one mains half-cycle.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Truth {
     /// Half-cycle since the start of the simulation, as the firmware counts it.
@@ -44,8 +44,8 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// R in ohm and L in henry at a time after the zero crossing, linear between the points and
-    /// constant beyond them; `None` for an empty record.
+    /// R in ohm and L in henry at a time after the zero crossing, linear between the points and constant beyond them; `None`
+    /// if there are no points.
     pub fn at(&self, t_s: f64) -> Option<(f64, f64)> {
         let last = self.t_s.len().checked_sub(1)?;
         let above = self.t_s.partition_point(|&t| t < t_s);
@@ -60,15 +60,15 @@ impl Truth {
     }
 }
 
-/// What a simulation knows of the cells of a lookup.
+/// True R and L in the cells of a lookup.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapTruth {
-    /// R and L at the lookup's knots `[frequency][current]`; `None` where the hob never comes with this load.
+    /// R and L at the lookup's knots `[frequency][current]`; `None` for operating points that the hob never reaches with this load.
     pub cells: [[Option<Load>; CURRENTS]; FREQUENCIES],
 }
 
 impl MapTruth {
-    /// Of a load that the hob does not heat: no cell is reached.
+    /// Truth of a load that the hob does not heat: no cell is reached.
     pub const UNREACHED: Self = Self {
         cells: [[None; CURRENTS]; FREQUENCIES],
     };
@@ -82,15 +82,15 @@ impl MapTruth {
 /// Mean relative errors of R and L in percent (paper, section V).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mre {
-    /// Of R in percent.
+    /// Error of R in percent.
     pub r_pct: f64,
-    /// Of L in percent.
+    /// Error of L in percent.
     pub l_pct: f64,
 }
 
 impl Mre {
-    /// Of estimates (time in seconds, R in ohm, L in henry) against the truth; times outside
-    /// `[from_s, to_s]` do not count. `None` when nothing is left to compare.
+    /// Errors of estimates (time in seconds, R in ohm, L in henry) against the truth; times outside `[from_s, to_s]` do not
+    /// count. `None` if no estimate is left to compare.
     pub fn of(
         truth: &Truth,
         estimates: impl Iterator<Item = (f64, f64, f64)>,
@@ -101,7 +101,7 @@ impl Mre {
         Self::weighted(truth, inside, |_| 1.0)
     }
 
-    /// The same over all estimates, each with the weight that belongs to its time.
+    /// Errors of all estimates, weighted by a function of time; `None` if none is left to compare.
     pub fn weighted(
         truth: &Truth,
         estimates: impl Iterator<Item = (f64, f64, f64)>,

@@ -1,12 +1,12 @@
-//! Loops compiled for the instruction set at hand.
+//! Compilation of loops for the processor's instruction set.
 
 use pulp::{Arch, Simd, WithSimd};
 
-/// Runs `f` where the compiler may use all instructions that `pulp` finds: what `f` calls must be inlined, and so must
-/// `f` itself, `#[inline(always)] || …`, or it stays with the oldest ones.
+/// Runs `f` compiled for all instructions that `pulp` detects. All functions that `f` calls must be inlined, and so must `f`
+/// itself, `#[inline(always)] || …`; otherwise they use only the oldest instructions.
 ///
-/// Sums that are to have the same digits everywhere go into a fixed number of partial sums, with an explicit
-/// `mul_add` or with none.
+/// Sums that must have the same digits everywhere need a fixed number of partial sums, with an explicit `mul_add` or without
+/// any.
 #[inline(always)]
 pub fn vectorised<R>(f: impl FnMut() -> R) -> R {
     Arch::new().dispatch(Loops(f))

@@ -6,7 +6,7 @@ use ihd_signal::Segment;
 use ihd_signal::noise::{WhiteNoise, deviation};
 use ihd_sim::recording::run::{Recording, record};
 use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{LoadKind, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -23,7 +23,7 @@ fn normal(seed: u64, n: usize) -> Vec<f64> {
 
 /// Behavioural load, 20 ms, on a bus with ripple and a distorted mains, with dead time: edges that alias.
 fn recorded(f_sw_hz: f64, rate: Rate, bits: u32, snr_db: Option<f64>) -> Recording {
-    let settings = Settings {
+    let settings = CaptureSpec {
         load: LoadKind::Behavioural,
         f_sw_hz,
         mains_harmonics: [0.04, -0.02, 0.0],
@@ -36,12 +36,12 @@ fn recorded(f_sw_hz: f64, rate: Rate, bits: u32, snr_db: Option<f64>) -> Recordi
             snr_db,
             ..Sensing::default()
         },
-        ..Settings::default()
+        ..CaptureSpec::default()
     };
     record(&settings, |_| ()).expect("settings that can be")
 }
 
-/// What the recording holds, and the deviations of its noise with the rounding of its converters.
+/// Samples of the recording, and the deviations of its noise with the rounding of its converters.
 fn noisy(recording: &Recording) -> (Segment, [f64; 2]) {
     let clean = recording.clean_segment();
     let volts = recording

@@ -7,16 +7,16 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use ihd_field::model::Settings as FieldSettings;
+use ihd_field::model::FieldSettings;
 use ihd_field::{FieldModel, harmonic};
-use ihd_firmware::realtime::Drive;
+use ihd_firmware::drive::bridge::Drive;
 use ihd_sim::adc::{Adc, Noise};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::mains::Mains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::run::record;
-use ihd_sim::recording::settings::{LoadKind, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 
 fn recordings(c: &mut Criterion) {
     let mut group = c.benchmark_group("record 20 ms at 20 ns");
@@ -24,9 +24,9 @@ fn recordings(c: &mut Criterion) {
         .sample_size(10)
         .measurement_time(Duration::from_secs(20));
     for load in [LoadKind::Field, LoadKind::Surrogate, LoadKind::Behavioural] {
-        let settings = Settings {
+        let settings = CaptureSpec {
             load,
-            ..Settings::default()
+            ..CaptureSpec::default()
         };
         group.bench_function(format!("{load:?}"), |b| {
             b.iter(|| record(black_box(&settings), |_| ()));

@@ -16,9 +16,9 @@ const _: () = assert!(CODE_HALF_RANGE == 1 << (BITS - 1));
 /// White noise of the two channels, standard deviations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Noise {
-    /// Of the voltage, in volt.
+    /// Standard deviation of the voltage, in volt.
     pub v_v: f64,
-    /// Of the current, in ampere.
+    /// Standard deviation of the current, in ampere.
     pub i_a: f64,
 }
 
@@ -34,7 +34,7 @@ impl Noise {
     }
 }
 
-/// The sampler: deterministic for a seed.
+/// Sampler; deterministic for a seed.
 #[derive(Clone, Debug)]
 pub struct Adc {
     noise: Noise,
@@ -43,7 +43,7 @@ pub struct Adc {
 }
 
 impl Adc {
-    /// An ADC with a noise and a seed.
+    /// Creates an ADC with a noise and a seed.
     pub fn new(noise: Noise, seed: u64) -> Self {
         Self {
             noise,
@@ -52,7 +52,7 @@ impl Adc {
         }
     }
 
-    /// The same with a first-order anti-alias filter of a corner in hertz on both channels, at rest.
+    /// Adds a first-order anti-alias filter with a corner in hertz to both channels, at rest.
     pub fn with_filter(self, corner_hz: f64) -> Self {
         Self {
             filters: [LowPass::settled(corner_hz, 0.0); 2],
@@ -60,13 +60,13 @@ impl Adc {
         }
     }
 
-    /// The coil's voltage in volt and current in ampere at an instant, `dt_s` after the last one.
+    /// Advances the filters by `dt_s` to a coil voltage in volt and current in ampere.
     pub fn advance(&mut self, v_v: f64, i_a: f64, dt_s: f64) {
         self.filters[0].advance(v_v, dt_s);
         self.filters[1].advance(i_a, dt_s);
     }
 
-    /// Converts what stands behind the filters now.
+    /// Converts the present outputs of the filters.
     pub fn sample(&mut self) -> Pair {
         self.convert(self.filters[0].output(), self.filters[1].output())
     }

@@ -5,7 +5,7 @@
 
 use std::fmt;
 
-/// What stands on the coil.
+/// Kind of pot on the coil.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum PotKind {
     /// Full-size ferromagnetic pot: the behavioural reference load.
@@ -17,15 +17,15 @@ pub enum PotKind {
     Aluminium,
     /// Austenitic stainless steel 304.
     Stainless,
-    /// Nothing.
+    /// No pot.
     None,
 }
 
-/// Frequency at which the laws below are stated, in hertz.
+/// Frequency at which the laws below are given, in hertz.
 const REFERENCE_HZ: f64 = 45e3;
 
 impl PotKind {
-    /// Every kind, for lists and tests.
+    /// All kinds, for lists and tests.
     pub const ALL: [Self; 5] = [
         Self::Ferromagnetic,
         Self::Small,
@@ -34,7 +34,7 @@ impl PotKind {
         Self::None,
     ];
 
-    /// The name used on the command line.
+    /// Name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ferromagnetic => "ferromagnetic",
@@ -52,7 +52,7 @@ impl fmt::Display for PotKind {
     }
 }
 
-/// A load at one frequency, ready to be evaluated at every sample.
+/// Load at one frequency, for evaluation at every sample.
 #[derive(Clone, Copy, Debug)]
 pub struct BehaviouralLoad {
     pot: PotKind,
@@ -61,10 +61,9 @@ pub struct BehaviouralLoad {
 }
 
 impl BehaviouralLoad {
-    /// The load of a pot at a switching frequency in hertz.
+    /// Creates the load of a pot at a switching frequency in hertz.
     ///
-    /// R ∝ f^½ by the skin effect; the part of L that is in magnetic material ∝ f^−0.3, the gap's
-    /// part constant.
+    /// R ∝ f^½ by the skin effect; the part of L that is in magnetic material ∝ f^−0.3, the gap's part constant.
     pub fn new(pot: PotKind, f_sw_hz: f64) -> Self {
         let x = f_sw_hz / REFERENCE_HZ;
         Self {

@@ -12,7 +12,7 @@ pub struct Circuit {
 }
 
 impl Circuit {
-    /// One trapezoidal step of L di/dt = v − v_C − R i, C dv_C/dt = i, with R and L constant over
+    /// Advances one trapezoidal step of L di/dt = v − v_C − R i, C dv_C/dt = i. It uses R and L constant over
     /// the step and `v_mean_v` the bridge's mean voltage over it.
     ///
     /// Stable for any step. What it costs is a warped frequency, (ω dt)²/12 = 1.4e-5 of X at 45 kHz
@@ -33,7 +33,7 @@ impl Circuit {
         self.i_a = i;
     }
 
-    /// A step in which the current ends.
+    /// Advances one step in which the current ends.
     pub fn end_current(&mut self, dt_s: f64) {
         let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
         self.v_c_v += dt_s / (2.0 * c_f) * self.i_a;

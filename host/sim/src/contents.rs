@@ -1,4 +1,4 @@
-//! What is in the pot.
+//! Contents of the pot.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -6,25 +6,25 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Volumes that have a name, in litre.
+/// Range of volumes that have a name, in litre.
 const LITRES: RangeInclusive<f64> = 0.05..=10.0;
 
-/// What is in the pot: it takes the heat, and may boil.
+/// Contents of the pot, which take its heat and may boil.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Contents {
-    /// Base, lower wall and food as one lump that loses its heat to the room: simple, and never boils.
+    /// Food as one lump with base and lower wall that loses its heat to the room; it never boils.
     #[default]
     Food,
-    /// Nothing.
+    /// Empty pot.
     Empty,
-    /// So many litre of water, under a lid.
+    /// Volume of water in litre, under a lid.
     Water(f64),
-    /// So many litre of vegetable oil: no boiling point below its smoke point.
+    /// Volume of vegetable oil in litre; it does not boil below its smoke point.
     Oil(f64),
 }
 
-/// A name of contents that means nothing.
+/// A name that denotes no contents.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "unknown contents `{0}`: use water-LITRE or oil-LITRE with 0.05 to 10 litre, food or empty"

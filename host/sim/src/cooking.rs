@@ -1,7 +1,8 @@
-//! Hours of cooking in seconds: the field model's table in place of waveforms, a half-cycle a step.
+//! Simulation of hours of cooking in seconds: the field model's table instead of waveforms, one half-cycle per step.
 //!
-//! What is left out is what lasts less than a half-cycle. Power control is a stand-in for the firmware's: a ramp from the highest frequency,
-//! a dead band of 1 %, bursts of a second below 720 W. R and L come with the noise and the bias that the firmware's filter was measured to have.
+//! Effects shorter than a half-cycle are omitted. A simple power control replaces the firmware's: a ramp from the highest
+//! frequency, a dead band of 1 %, bursts of a second below 720 W. R and L have the noise and bias measured for the firmware's
+//! filter.
 
 use std::f64::consts::{FRAC_2_PI, PI, TAU};
 
@@ -26,33 +27,33 @@ pub const HALF_CYCLE_S: f64 = 0.01;
 /// 0.006 to 0.008 % over five pots and powers).
 const NOISE: (f64, f64) = (2e-4, 8e-5);
 
-/// How far their bias swings with the frequency (aliasing; the same measurement: 0.03 to 0.12 % and 0.001 to 0.012 %), and over how many
-/// hertz it swings.
+/// Amplitude of the bias of R and L over the frequency (aliasing; the same measurement: 0.03 to 0.12 % and 0.001 to 0.012 %), and
+/// its period in hertz.
 const BIAS: (f64, f64, f64) = (6e-4, 1.2e-4, 6e3);
 
-/// Lowest power without bursts in watt, and half-cycles from one burst to the next.
+/// Lowest power without bursts in watt, and period of the bursts in half-cycles.
 const BURST: (f64, u32) = (720.0, 100);
 
-/// Largest change of frequency from half-cycle to half-cycle, and the power's dead band, relative.
+/// Largest relative change of frequency between half-cycles, and the power's relative dead band.
 const CONTROL: (f64, f64) = (0.033, 0.01);
 
-/// How a pot differs from the one that physics with nominal numbers would predict.
+/// Deviation of a pot from the prediction with nominal numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Deviation {
-    /// R and L are so many times larger than the field's.
+    /// Factors of R and L on the field's.
     pub scale: (f64, f64),
-    /// And grow by this over an e-fold of frequency.
+    /// Slopes of R and L over an e-fold of frequency.
     pub slope: (f64, f64),
-    /// Resistivity and saturation move by this share more than the metal's nominal law with heat.
+    /// Additional relative change of resistivity and saturation with heat, beyond the metal's nominal law.
     pub alloy: f64,
-    /// Lift that the base's bow takes away over 100 K, in metre.
+    /// Decrease of the lift by the base's bow over 100 K, in metre.
     pub bow_m: f64,
 }
 
-/// What the device says of a half-cycle.
+/// Report of the device on one half-cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Cooked {
-    /// When it ended, in seconds.
+pub struct CookingReport {
+    /// End of the half-cycle in seconds.
     pub t_s: f64,
     /// Switching frequency in hertz; 0 between bursts.
     pub f_hz: f64,
@@ -66,11 +67,11 @@ pub struct Cooked {
     pub power_w: f64,
 }
 
-/// A pot on a hob.
+/// Pot on a hob.
 #[derive(Clone, Debug)]
 pub struct Cooking {
     pot: Pot,
-    /// Tables at two lifts: between them R and L are exponential within 0.12 % (test), as 0.02 mm of lift.
+    /// Tables at two lifts: between them R and L are exponential within 0.12 % (test), equivalent to 0.02 mm of lift.
     tables: [SurrogatePot; 2],
     lift_m: f64,
     thermal: ThermalModel,
@@ -83,14 +84,14 @@ pub struct Cooking {
     rng: ChaCha8Rng,
 }
 
-/// Between the tables' lifts, in metre.
+/// Distance between the tables' lifts, in metre.
 const LIFTS_M: f64 = 1.5e-3;
 
 impl Cooking {
-    /// A pot with contents, at its own temperature and lift (which may change by up to 1.5 mm from 0).
+    /// Places a pot with contents, at its own temperature and lift; the lift may change by up to 1.5 mm from 0.
     ///
     /// # Errors
-    /// When there is no model of that pot.
+    /// If there is no model of that pot.
     pub fn new(
         pot: Pot,
         contents: Contents,
@@ -122,7 +123,7 @@ impl Cooking {
         })
     }
 
-    /// Asks for a mean power in watt; 0 switches off.
+    /// Requests a mean power in watt; 0 switches off.
     pub fn set_power(&mut self, asked_w: f64) {
         if self.asked_w <= 0.0 {
             self.f_hz = f64::from(F_SW_MAX_HZ);
@@ -130,7 +131,7 @@ impl Cooking {
         self.asked_w = asked_w;
     }
 
-    /// Lifts the pot to a height in metre above its usual place: 0 to 1.5 mm.
+    /// Sets the pot's height in metre above its usual place: 0 to 1.5 mm.
     pub fn set_lift(&mut self, lift_m: f64) {
         self.lift_m = lift_m;
     }
@@ -140,7 +141,7 @@ impl Cooking {
         self.lift_m
     }
 
-    /// Truth of the temperatures.
+    /// True temperatures.
     pub fn thermal(&self) -> &ThermalModel {
         &self.thermal
     }
@@ -150,16 +151,16 @@ impl Cooking {
         f64::from(self.half_cycle) * HALF_CYCLE_S
     }
 
-    /// The next half-cycle.
-    pub fn half_cycle(&mut self) -> Cooked {
+    /// Simulates the next half-cycle.
+    pub fn half_cycle(&mut self) -> CookingReport {
         let in_burst = f64::from(self.half_cycle % BURST.1) / f64::from(BURST.1);
         self.half_cycle += 1;
         let heats = self.asked_w >= BURST.0 || in_burst < self.asked_w / BURST.0;
         if self.asked_w <= 0.0 || !heats {
             self.thermal.advance(0.0, HALF_CYCLE_S);
-            return Cooked {
+            return CookingReport {
                 t_s: self.t_s(),
-                ..Cooked::default()
+                ..CookingReport::default()
             };
         }
         let f_hz = self.f_hz;
@@ -183,7 +184,7 @@ impl Cooking {
             let normal: f64 = StandardNormal.sample(&mut self.rng);
             sigma * normal
         };
-        Cooked {
+        CookingReport {
             t_s: f64::from(self.half_cycle) * HALF_CYCLE_S,
             f_hz,
             i_a: crest,
@@ -197,7 +198,7 @@ impl Cooking {
         let asked_w = self.asked_w.max(BURST.0);
         let off = power_w / asked_w - 1.0;
         if off.abs() > CONTROL.1 {
-            // Power falls as about the third power of the frequency.
+            // Power falls about with the third power of the frequency.
             let step = (off / 3.0).clamp(-CONTROL.0, CONTROL.0);
             let (low, high) = (f64::from(F_SW_MIN_HZ), f64::from(F_SW_MAX_HZ));
             self.f_hz = (self.f_hz * (1.0 + step)).clamp(low, high);

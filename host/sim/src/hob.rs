@@ -1,22 +1,23 @@
-//! The simulated hob: the plant with the firmware lib as its controller, stepped block by block.
+//! Simulated hob: the plant with the firmware lib as its controller, block by block.
 //!
-//! Nothing here decides anything: it hands blocks to [`RealTime`], bytes to [`Housekeeping`], and
-//! the drive back to the plant, as the board's interrupt and tasks do. Zero crossings and bus voltage come
-//! from the firmware's detector on noisy codes; truth is counted by the mains itself.
+//! There is no control logic here. Like the board's interrupt and tasks, this file passes blocks to [`SamplingPath`], bytes to
+//! [`Housekeeping`], and the drive back to the plant. Zero crossings and bus voltage come from the firmware's detector on noisy
+//! codes; the truth counts half-cycles by the mains itself.
 
 use std::collections::VecDeque;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use ihd_firmware::channels::SlowCodes;
-use ihd_firmware::drive::Bridge;
-use ihd_firmware::health::Heartbeat;
-use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::mains::{ZeroCrossing, bus_dv};
-use ihd_firmware::protection::TRIP_CODE;
-use ihd_firmware::realtime::{Block, RealTime};
-pub use ihd_firmware::request::PanelEvent;
-use ihd_firmware::reset::Reason;
-use ihd_firmware::service::{Facilities, Identity};
+pub use ihd_firmware::control::request::PanelEvent;
+use ihd_firmware::drive::bridge::Bridge;
+use ihd_firmware::link::channel_test::SlowCodes;
+use ihd_firmware::link::housekeeping::Housekeeping;
+use ihd_firmware::link::identity::DeviceIdentity;
+use ihd_firmware::link::service::BoardServices;
+use ihd_firmware::retained::reset::ResetReason;
+use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
+use ihd_firmware::self_test::heartbeat::Heartbeat;
+use ihd_firmware::sense::codes::TRIP_CODE;
+use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, NODE_CAPACITANCE_NF};
 use ihd_shared::lookup::prior::prior;
@@ -40,11 +41,11 @@ use super::slow_adc::SlowAdc;
 use super::temperatures::{AMBIENT_C, Heat, Temperatures};
 use super::thermal_model::ThermalModel;
 
-/// Half-cycles whose truth is kept: more than the slowest link takes to deliver a window.
+/// Number of half-cycles whose truth is kept: more than the slowest link takes to deliver a window.
 const TRUTHS_KEPT: usize = 256;
 
-/// By then a drive that begins with the half-cycle is in force: the detector may see a crossing a block
-/// early or late.
+/// Time after the start of a half-cycle, in seconds, by which its drive is in force: the detector may see a crossing a block early
+/// or late.
 const SETTLED_AFTER_S: f64 = 0.5e-3;
 
 /// ADC samples per point of the kept truth: 9 µs at 45 kHz.
@@ -53,20 +54,20 @@ const TRUTH_EVERY: usize = 8;
 /// Coil current at which the comparator opens the bridge, in ampere.
 const COMPARATOR_A: f64 = TRIP_CODE as f64 * AMPERE_PER_CODE;
 
-/// Bytes that may wait on a bounded link: about a window.
+/// Capacity of a bounded link's buffer in bytes: about a window.
 const LINK_BUFFER: usize = 64 * 1024;
 
-/// The board's watchdog bites when it has not been fed for this long, in seconds.
+/// Time without feeding after which the board's watchdog resets, in seconds.
 const WATCHDOG_S: f64 = 60e-3;
 
 /// Secondary of the transformer that feeds the mains' detector on a bench, in volt rms.
 pub const BENCH_TRANSFORMER_V: f64 = 24.0;
 
-/// FLASH_OPTR of a board whose option bytes are as they should be: as delivered (RM0440, "FLASH option register": 0xFFEF F8AA)
-/// with SRAM_PE, bit 24, cleared and BOR_LEV, bits 10:8, at 4.
+/// FLASH_OPTR of a board with correct option bytes: as delivered (RM0440, "FLASH option register": 0xFFEF F8AA) with SRAM_PE, bit
+/// 24, cleared and BOR_LEV, bits 10:8, at 4.
 const OPTION_BYTES: u32 = 0xFEEF_FCAA;
 
-/// What is simulated.
+/// Configuration of a simulated hob.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HobConfig {
     /// Mains frequency in hertz.
@@ -75,22 +76,22 @@ pub struct HobConfig {
     pub mains_v: f64,
     /// Bus capacitance in farad; 0: the bus is the rectified mains.
     pub bus_capacitance_f: f64,
-    /// DC voltage of a bench supply that feeds the bus in place of the mains, in volt, as in docs/first-power-up.md: the
-    /// mains' detector then sees a transformer of [`BENCH_TRANSFORMER_V`].
+    /// DC voltage of a bench supply that feeds the bus instead of the mains, in volt, as in docs/first-power-up.md; the mains'
+    /// detector then sees a transformer of [`BENCH_TRANSFORMER_V`].
     pub bench_supply_v: Option<f64>,
-    /// What stands on the coil at the start.
+    /// Pot on the coil at the start.
     pub pot: Pot,
     /// Temperature around the hob, in °C.
     pub ambient_c: f64,
-    /// Whether heat sink, glass and coil have temperature sensors.
+    /// `true` if heat sink, glass and coil have temperature sensors.
     pub ntc: bool,
-    /// Whether the DC link has a current sensor.
+    /// `true` if the DC link has a current sensor.
     pub dc_link: bool,
-    /// How the load is modelled.
+    /// Load model.
     pub load: LoadKind,
-    /// Whether the pot warms up, so that R and L drift over minutes.
+    /// `true` if the pot warms up, so that R and L drift over minutes.
     pub warming: bool,
-    /// What is in the pot, where it warms up.
+    /// Contents of the pot if it warms up.
     pub contents: Contents,
     /// Corner of the anti-alias filter of both ADC channels in hertz; 0 for none. Without it the
     /// 121st and 123rd harmonics of the voltage's edges alias onto the fundamental and cost up to
@@ -100,10 +101,10 @@ pub struct HobConfig {
     pub noise: Noise,
     /// Seed of the noise.
     pub seed: u64,
-    /// What tells this boot from others; `None`: the seed, so that the same run gives the same bytes.
+    /// Number that distinguishes this boot; `None` for the seed, so that the same run gives the same bytes.
     pub boot: Option<u32>,
-    /// What the link carries, in bytes per second of simulated time. USB full speed with
-    /// single-buffered bulk endpoints manages a few hundred kilobytes.
+    /// Rate of the link in bytes per second of simulated time. USB full speed with single-buffered bulk endpoints reaches a few
+    /// hundred kilobytes.
     pub link_bytes_per_s: f64,
 }
 
@@ -135,8 +136,9 @@ impl Default for HobConfig {
 }
 
 impl HobConfig {
-    /// The same hob in a process of its own: whoever stores what it sends must tell this boot from the one before.
-    pub fn booted_now(self) -> Self {
+    /// Sets the boot number to the present time: in a process of its own, a host that stores the hob's data must distinguish this
+    /// boot from the one before.
+    pub fn with_unique_boot(self) -> Self {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH);
         let boot = since_1970.map_or(0, |t| t.as_micros() as u32);
         Self {
@@ -146,31 +148,31 @@ impl HobConfig {
     }
 }
 
-fn booted_realtime() -> Box<RealTime> {
+fn booted_realtime() -> Box<SamplingPath> {
     let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
-    Box::new(RealTime::new(r, l))
+    Box::new(SamplingPath::new(r, l))
 }
 
-fn booted_housekeeping(boot_id: u32, reason: Reason, starts: u8) -> Housekeeping {
+fn booted_housekeeping(boot_id: u32, reason: ResetReason, starts: u8) -> Housekeeping {
     let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
     let mut hello = ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, build, "simulated hob");
     hello.reset_reason = reason as u8;
     let mut housekeeping = Housekeeping::new(hello);
-    housekeeping.set_identity(Identity {
+    housekeeping.set_identity(DeviceIdentity {
         option_bytes: OPTION_BYTES,
         starts,
-        ..Identity::default()
+        ..DeviceIdentity::default()
     });
     housekeeping
 }
 
-/// What a host may ask of a board that is simulated: it has converters and a program that begins anew.
+/// Services of a simulated board: converters, and a program that can restart.
 struct Board {
     slow: SlowCodes,
     restarts: bool,
 }
 
-impl Facilities for Board {
+impl BoardServices for Board {
     fn has_program(&self, into: Program) -> bool {
         into == Program::Firmware
     }
@@ -182,12 +184,12 @@ impl Facilities for Board {
     }
 }
 
-/// The hob.
+/// Simulated hob.
 pub struct SimHob {
     plant: Plant,
     slow_adc: SlowAdc,
-    zero_crossing: ZeroCrossing,
-    realtime: Box<RealTime>,
+    zero_crossing: ZeroCrossingDetector,
+    realtime: Box<SamplingPath>,
     housekeeping: Housekeeping,
     boot_id: u32,
     starts: u8,
@@ -199,11 +201,11 @@ pub struct SimHob {
     ntc: bool,
     dc_link: bool,
     reading: Option<Reading>,
-    /// Blocks that did not arrive since the last that did.
+    /// Number of blocks lost since the last one that arrived.
     lost: u32,
     inbound: VecDeque<u8>,
     outbound: VecDeque<u8>,
-    /// Bytes that may wait for the host before the firmware is asked for no more.
+    /// Limit of bytes that wait for the host before the firmware's output is paused.
     outbound_room: usize,
     link_bytes_per_s: f64,
     link_credit: f64,
@@ -212,18 +214,18 @@ pub struct SimHob {
 }
 
 impl SimHob {
-    /// A hob that has just been switched on, at a mains zero crossing.
+    /// Creates a hob that was just switched on, at a mains zero crossing.
     ///
     /// # Panics
-    /// For a pot that has no model and the like; [`SimHob::assemble`] returns that as an error.
+    /// If the pot has no model, or a setting is invalid; [`SimHob::assemble`] returns that as an error.
     pub fn new(config: &HobConfig) -> Self {
         Self::assemble(config).expect("a pot that has a model")
     }
 
-    /// The same.
+    /// Creates a hob like [`SimHob::new`].
     ///
     /// # Errors
-    /// When there is no model of the pot, or no such bus capacitor.
+    /// If there is no model of the pot, or no such bus capacitor.
     pub fn assemble(config: &HobConfig) -> Result<Self, InverterError> {
         let boot_id = config.boot.unwrap_or(config.seed as u32);
         let adc = Adc::new(config.noise, config.seed).with_filter(config.anti_alias_hz);
@@ -244,9 +246,9 @@ impl SimHob {
         Ok(Self {
             plant,
             slow_adc: SlowAdc::new(config.seed),
-            zero_crossing: ZeroCrossing::default(),
+            zero_crossing: ZeroCrossingDetector::default(),
             realtime: booted_realtime(),
-            housekeeping: booted_housekeeping(boot_id, Reason::PowerOn, 1),
+            housekeeping: booted_housekeeping(boot_id, ResetReason::PowerOn, 1),
             boot_id,
             starts: 1,
             heartbeat: Heartbeat::default(),
@@ -278,13 +280,13 @@ impl SimHob {
         let crossing = self.zero_crossing.on_block(mains_code);
         let bus_code = self.slow_adc.bus(self.plant.bus_v());
         self.injections.on_pairs(&mut pairs);
-        let block = Block {
+        let block = AdcBlock {
             pairs: &pairs,
             zero_crossing: self.injections.on_crossing(crossing, start_s, end_s),
             bus_dv: bus_dv(self.injections.on_bus(bus_code)),
             dc_link_ma: self.dc_link.then(|| {
                 let charge_c = self.plant.link_charge_c() - link_before_c;
-                // What flows back reads as nothing.
+                // A current that flows back reads as zero.
                 (1e3 * charge_c / (end_s - start_s)).round().max(0.0) as u32
             }),
             lost: self.lost,
@@ -317,20 +319,20 @@ impl SimHob {
         }
     }
 
-    /// The controller begins anew, as after a reset, and forgets what was on the link; pot, mains and temperatures go on.
+    /// Restarts the controller as after a reset, with an empty link; pot, mains and temperatures continue.
     fn restart(&mut self) {
         self.starts = self.starts.saturating_add(1);
         self.boot_id = self.boot_id.wrapping_add(1);
         self.realtime = booted_realtime();
-        self.housekeeping = booted_housekeeping(self.boot_id, Reason::Software, self.starts);
+        self.housekeeping = booted_housekeeping(self.boot_id, ResetReason::Software, self.starts);
         self.heartbeat = Heartbeat::default();
-        self.zero_crossing = ZeroCrossing::default();
+        self.zero_crossing = ZeroCrossingDetector::default();
         self.inbound.clear();
         self.outbound.clear();
         self.plant.set_drive(self.realtime.drive());
     }
 
-    /// A block of samples, and the truth beside it.
+    /// Simulates a block of samples, and its truth.
     fn sample(&mut self) -> [Pair; ADC_LOCK_P] {
         let mains = self.plant.mains();
         let (truth, truths) = (&mut self.truth, &mut self.truths);
@@ -357,7 +359,7 @@ impl SimHob {
         })
     }
 
-    /// What the board's hardware has to say after a block, and what becomes of the watchdog.
+    /// Passes the readings of the board's hardware after a block, and checks the watchdog.
     fn after_block(&mut self) {
         if self.plant.is_tripped() && self.realtime.drive().bridge != Bridge::Open {
             self.realtime.raise(Fault::HARDWARE_OVER_CURRENT);
@@ -375,7 +377,7 @@ impl SimHob {
         }
     }
 
-    /// Once a half-cycle: what it did to the temperatures, and what their sensors say.
+    /// Updates the temperatures by a half-cycle, and passes the sensors' codes.
     fn warm_up(&mut self, reading: &Reading) {
         let pot = self.plant.pot();
         let bus_v = self.plant.mains().peak_v;
@@ -383,12 +385,12 @@ impl SimHob {
         let heat = Heat {
             i_mean_a: reading.i_mean_a,
             i_square_a2: reading.i_square_a2,
-            // Of a resistor on a sine: the mean current is P·(4/π)/V̂.
+            // For a resistor on a sine the mean current is P·(4/π)/V̂.
             mains_a: match bus_v > 1.0 {
                 true => reading.power_w() * std::f64::consts::FRAC_2_PI * 2.0 / bus_v,
                 false => 0.0,
             },
-            // At most the whole bus, at each.
+            // Each edge dissipates at most the energy of the whole bus voltage.
             edges_j: f64::from(reading.hard_edges) * 0.5 * node_f * bus_v * bus_v,
             pot_c: pot
                 .metal
@@ -402,12 +404,12 @@ impl SimHob {
         }
     }
 
-    /// Temperatures of heat sink, glass and coil, to look at and to set.
+    /// Temperatures of heat sink, glass and coil, for reading and setting.
     pub fn temperatures(&mut self) -> &mut Temperatures {
         &mut self.temperatures
     }
 
-    /// A person touches the panel.
+    /// Passes a user's action on the panel.
     pub fn panel(&mut self, event: PanelEvent) {
         self.housekeeping.panel(&mut *self.realtime, event);
     }
@@ -416,7 +418,7 @@ impl SimHob {
         let bytes = self.inbound.make_contiguous();
         let taken = self.housekeeping.receive(&mut *self.realtime, bytes);
         self.inbound.drain(..taken);
-        // An idle link saves nothing up but one frame.
+        // An idle link accumulates credit for one frame only.
         self.link_credit =
             (self.link_credit + elapsed_s * self.link_bytes_per_s).min(MAX_ENCODED as f64);
         let mut frame = [0; MAX_ENCODED];
@@ -430,12 +432,12 @@ impl SimHob {
         }
     }
 
-    /// Bytes from the host.
+    /// Passes bytes from the host.
     pub fn send(&mut self, bytes: &[u8]) {
         self.inbound.extend(bytes);
     }
 
-    /// Bytes for the host; returns how many.
+    /// Takes bytes for the host; returns how many.
     pub fn receive(&mut self, buf: &mut [u8]) -> usize {
         let n = buf.len().min(self.outbound.len());
         for (slot, byte) in buf.iter_mut().zip(self.outbound.drain(..n)) {
@@ -444,18 +446,18 @@ impl SimHob {
         n
     }
 
-    /// From now on bytes that nobody fetches do not pile up: as on a board whose endpoint is not read, the
-    /// firmware waits for the link, and drops and counts what it has no room for.
+    /// Bounds the link's buffer: like a board whose endpoint is not read, the firmware then waits for the link, and drops and
+    /// counts what it has no room for.
     pub fn bound_link(&mut self) {
         self.outbound_room = LINK_BUFFER;
     }
 
-    /// Bytes from the host that the firmware has not taken yet: it takes none while its answers wait.
+    /// Number of bytes from the host that the firmware has not read yet: it reads none while its answers wait.
     pub fn unread(&self) -> usize {
         self.inbound.len()
     }
 
-    /// Bytes that wait for the host.
+    /// Number of bytes that wait for the host.
     pub fn waiting(&self) -> usize {
         self.outbound.len()
     }
@@ -465,28 +467,28 @@ impl SimHob {
         self.plant.t_s()
     }
 
-    /// Puts another pot on the coil, or takes it away.
+    /// Puts another pot on the coil, or removes it.
     ///
     /// # Errors
-    /// When there is no model of that pot; the old one stays.
+    /// If there is no model of that pot; the old one stays.
     pub fn set_pot(&mut self, pot: impl Into<Pot>) -> Result<(), InverterError> {
         self.plant.set_pot(pot)
     }
 
-    /// What stands on the coil.
+    /// Pot on the coil.
     pub fn pot(&self) -> Pot {
         self.plant.pot()
     }
 
-    /// Pot and contents as they are now, if they warm up.
+    /// Present state of pot and contents; `None` if they do not warm up.
     pub fn thermal(&self) -> Option<&ThermalModel> {
         self.plant.thermal()
     }
 
-    /// Makes a pot ready, so that putting it on later takes no time.
+    /// Prepares a pot, so that putting it on later takes no time.
     ///
     /// # Errors
-    /// When there is no model of that pot.
+    /// If there is no model of that pot.
     pub fn prepare(&mut self, pot: &Pot) -> Result<(), InverterError> {
         self.plant.prepare(pot)
     }
@@ -496,14 +498,14 @@ impl SimHob {
         self.plant.mains()
     }
 
-    /// Another voltage in volt rms, 0 for none, and frequency in hertz from now on; the phase goes on.
+    /// Sets voltage in volt rms (0 for none) and frequency in hertz of the mains; the phase continues.
     pub fn set_mains(&mut self, v_rms_v: f64, frequency_hz: f64) {
         let mains = self.plant.mains();
         let changed = mains.changed(self.plant.t_s(), v_rms_v, frequency_hz);
         self.plant.set_mains(changed);
     }
 
-    /// Changes what is wrong with sensors and sampling.
+    /// Changes the injected faults of sensors and sampling.
     pub fn inject(&mut self, change: impl FnOnce(&mut Injections)) {
         change(&mut self.injections);
         let dead = self.injections.has(InjectionKind::ComparatorDead);
@@ -511,41 +513,39 @@ impl SimHob {
         self.plant.set_comparator(trip_a);
     }
 
-    /// What instruments read over the last true half-cycle, once after each.
+    /// Readings of the last true half-cycle, once after each.
     pub fn take_reading(&mut self) -> Option<Reading> {
         self.reading.take()
     }
 
-    /// Since when both switches are open, in seconds; `None` while one may be closed.
+    /// Time in seconds since both switches are open; `None` while one may be closed.
     pub fn open_since_s(&self) -> Option<f64> {
         self.plant.open_since_s()
     }
 
-    /// How often the board's watchdog would have reset the controller; the simulation goes on.
+    /// Number of times that the watchdog would have reset the controller; the simulation continues.
     pub fn watchdog_bites(&self) -> u32 {
         self.watchdog_bites
     }
 
-    /// The firmware's sampling path, for those that look inside.
-    pub fn realtime(&self) -> &RealTime {
+    /// The firmware's sampling path, for inspection.
+    pub fn realtime(&self) -> &SamplingPath {
         &self.realtime
     }
 
-    /// The truth of a half-cycle that is over and not too long ago.
+    /// Truth of a completed half-cycle, if it is recent enough.
     pub fn truth(&self, half_cycle: u32) -> Option<&Truth> {
         self.truths.iter().find(|t| t.half_cycle == half_cycle)
     }
 
-    /// The truth of a lookup for what stands on the coil now; `progress` hears the finished share. The field model
-    /// takes some seconds.
+    /// Truth of a lookup for the pot on the coil; `progress` is called with the share done. The field model takes some seconds.
     ///
-    /// # Errors
-    /// When there is no model of it.
+    /// If there is no model of it.
     pub fn map_truth(&self, progress: &mut dyn FnMut(f64)) -> Result<MapTruth, InverterError> {
         self.plant.map_truth(progress)
     }
 
-    /// The firmware's lower half, for tests that look inside.
+    /// The firmware's housekeeping, for inspection by tests.
     pub fn housekeeping(&self) -> &Housekeeping {
         &self.housekeeping
     }

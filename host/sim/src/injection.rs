@@ -1,4 +1,4 @@
-//! Faults of sensors, sampling and crossings, put in between plant and firmware.
+//! Faults of sensors, sampling and crossings, injected between plant and firmware.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -8,45 +8,45 @@ use ihd_shared::sampling::{
 };
 use serde::{Deserialize, Serialize};
 
-/// What is wrong.
+/// Kind of fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum InjectionKind {
-    /// Current codes times the value.
+    /// Current codes are multiplied by the value.
     CurrentGain,
-    /// Voltage codes times the value.
+    /// Voltage codes are multiplied by the value.
     VoltageGain,
-    /// Current plus the value, in ampere.
+    /// The value is added to the current, in ampere.
     CurrentOffset,
-    /// Voltage plus the value, in volt.
+    /// The value is added to the voltage, in volt.
     VoltageOffset,
-    /// Codes of the bus voltage times the value.
+    /// Codes of the bus voltage are multiplied by the value.
     BusScale,
-    /// Current codes stay where they are.
+    /// Current codes are frozen.
     CurrentStuck,
-    /// Voltage codes stay where they are.
+    /// Voltage codes are frozen.
     VoltageStuck,
     /// The bit of the value, 0 to 11, of the offset binary code is always one.
     AdcBitStuck,
-    /// Voltage is read as current and current as voltage.
+    /// Voltage and current are exchanged.
     ChannelsSwapped,
-    /// The same block comes again and again.
+    /// The same block is repeated.
     FrozenSamples,
-    /// Every block whose number is a multiple of the value does not arrive.
+    /// Blocks whose number is a multiple of the value are lost.
     LostBlocks,
-    /// Every zero crossing whose number is a multiple of the value is not seen.
+    /// Zero crossings whose number is a multiple of the value are lost.
     LostCrossings,
-    /// Zero crossings are seen later by the value, in milliseconds.
+    /// Zero crossings are detected late by the value, in milliseconds.
     LateCrossings,
-    /// The comparator on the coil current does nothing.
+    /// The comparator on the coil current is dead.
     ComparatorDead,
-    /// The wire of a temperature sensor is broken.
+    /// The wire of a temperature sensor is open.
     NtcOpen,
     /// A temperature sensor has a short circuit.
     NtcShort,
 }
 
-/// Where it is wrong, for kinds that leave a choice.
+/// Channel of the fault, for kinds that have a choice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Channel {
@@ -62,14 +62,14 @@ pub enum Channel {
     Coil,
 }
 
-/// One of them, with its number.
+/// Fault of one kind.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Injection {
-    /// What.
+    /// Kind.
     pub kind: InjectionKind,
-    /// How much, in the unit of the kind; 0 for those that need none.
+    /// Magnitude in the unit of the kind; 0 for kinds without one.
     pub value: f64,
-    /// Where.
+    /// Channel.
     pub channel: Channel,
 }
 
@@ -80,7 +80,7 @@ impl fmt::Display for InjectionKind {
 }
 
 impl InjectionKind {
-    /// Values that make sense, and how to say so; `None` for kinds without a value.
+    /// Range of the value with its text; `None` for kinds without a value.
     pub fn range(self) -> Option<(f64, f64, &'static str)> {
         match self {
             Self::CurrentGain | Self::VoltageGain | Self::BusScale => {
@@ -102,7 +102,7 @@ impl InjectionKind {
         }
     }
 
-    /// The channel that is meant when none is named.
+    /// Default channel.
     pub fn default_channel(self) -> Channel {
         match self {
             Self::NtcOpen | Self::NtcShort => Channel::HeatSink,
@@ -111,31 +111,31 @@ impl InjectionKind {
     }
 }
 
-/// One that is in force.
+/// Active fault.
 #[derive(Clone, Debug)]
-struct Active {
+struct ActiveInjection {
     number: u32,
     injection: Injection,
-    /// Block of the first moment, for what sticks.
+    /// Block at its start, for kinds that freeze.
     held: Option<[Pair; ADC_LOCK_P]>,
-    /// Blocks or crossings since its start.
+    /// Number of blocks or crossings since its start.
     count: u64,
 }
 
-/// All that are in force.
+/// All active faults.
 #[derive(Clone, Debug, Default)]
 pub struct Injections {
-    active: Vec<Active>,
+    active: Vec<ActiveInjection>,
     started: u32,
-    /// Late crossings under way: when they are due, in seconds.
+    /// Delayed crossings: times at which they are due, in seconds.
     late_s: VecDeque<f64>,
 }
 
 impl Injections {
-    /// Puts one in force; returns the number that ends it.
+    /// Starts a fault; returns the number that ends it.
     pub fn start(&mut self, injection: Injection) -> u32 {
         self.started += 1;
-        self.active.push(Active {
+        self.active.push(ActiveInjection {
             number: self.started,
             injection,
             held: None,
@@ -144,19 +144,19 @@ impl Injections {
         self.started
     }
 
-    /// Ends the one with a number.
+    /// Ends the fault with a number.
     pub fn end(&mut self, number: u32) {
         self.active.retain(|a| a.number != number);
     }
 
-    /// Whether a kind is in force.
+    /// Returns `true` if a fault of this kind is active.
     pub fn has(&self, kind: InjectionKind) -> bool {
         self.active.iter().any(|a| a.injection.kind == kind)
     }
 
-    /// The kinds in force on a temperature channel, the last one counts.
+    /// Kind of the latest active fault on a temperature channel.
     pub fn ntc(&self, channel: Channel) -> Option<InjectionKind> {
-        let on = |a: &&Active| {
+        let on = |a: &&ActiveInjection| {
             let kind = a.injection.kind;
             let ntc = matches!(kind, InjectionKind::NtcOpen | InjectionKind::NtcShort);
             ntc && a.injection.channel == channel
@@ -164,14 +164,14 @@ impl Injections {
         self.active.iter().rev().find(on).map(|a| a.injection.kind)
     }
 
-    /// What becomes of a block's samples.
+    /// Applies the faults to a block's samples.
     pub fn on_pairs(&mut self, pairs: &mut [Pair; ADC_LOCK_P]) {
         for a in &mut self.active {
             a.on_pairs(pairs);
         }
     }
 
-    /// What becomes of a code of the bus voltage.
+    /// Applies the faults to a code of the bus voltage.
     pub fn on_bus(&self, code: u16) -> u16 {
         let scales = self
             .active
@@ -181,7 +181,7 @@ impl Injections {
         (f64::from(code) * scale).round().min(4095.0) as u16
     }
 
-    /// Whether this block gets lost.
+    /// Returns `true` if this block is lost.
     pub fn on_block(&mut self) -> bool {
         let mut lost = false;
         for a in &mut self.active {
@@ -190,7 +190,7 @@ impl Injections {
         lost
     }
 
-    /// What becomes of a crossing seen before pair `at` of a block from `start_s` to `end_s`.
+    /// Applies the faults to a crossing before pair `at` of a block from `start_s` to `end_s`.
     pub fn on_crossing(&mut self, at: Option<u8>, start_s: f64, end_s: f64) -> Option<u8> {
         let mut seen = at;
         if at.is_some() {
@@ -200,7 +200,7 @@ impl Injections {
                 }
             }
         }
-        let late = |a: &&Active| a.injection.kind == InjectionKind::LateCrossings;
+        let late = |a: &&ActiveInjection| a.injection.kind == InjectionKind::LateCrossings;
         let Some(late) = self.active.iter().find(late) else {
             self.late_s.clear();
             return seen;
@@ -217,8 +217,8 @@ impl Injections {
     }
 }
 
-impl Active {
-    /// Counts, for kinds that act every so often; whether it is this one's turn.
+impl ActiveInjection {
+    /// Counts for kinds that act periodically; returns `true` if the kind acts now.
     fn is_turn(&mut self, kind: InjectionKind) -> bool {
         if self.injection.kind != kind {
             return false;
@@ -271,14 +271,14 @@ impl Active {
     }
 }
 
-/// A code of the 12-bit range.
+/// Clamps to the 12-bit range.
 fn code(value: f64) -> i16 {
     value
         .round()
         .clamp(f64::from(CODE_MIN), f64::from(CODE_MAX)) as i16
 }
 
-/// The converter's code is offset binary: a bit of it is always one.
+/// Sets a bit of the converter's offset binary code.
 fn with_bit(signed: i16, bit: f64) -> i16 {
     ((signed + CODE_HALF_RANGE) | (1 << (bit as u32).min(11))) - CODE_HALF_RANGE
 }

@@ -1,5 +1,4 @@
-//! The simulated hob: loads with known truth, the power stage, the sensing chain, and the
-//! firmware lib itself as its controller.
+//! Simulated hob: loads with known truth, the power stage, the sensing chain, and the firmware lib itself as controller.
 //!
 //! ```text
 //! mains ─► half-bridge ─► C_r, load ─► ADC ─► firmware ─► link

@@ -1,4 +1,4 @@
-//! The load library of the simulated hob: each pot is prepared when it is first put on the coil.
+//! Load library of the simulated hob: each pot is prepared when it is first put on the coil.
 
 use super::behavioural::PotKind;
 use super::inverter::InverterError;
@@ -10,7 +10,7 @@ use super::recording::settings::LoadKind;
 /// Resistance of the winding in ohm, beside a load from the field model.
 pub(super) const WINDING_R_OHM: f64 = 0.1;
 
-/// Pots of one load model, ready to be put on the coil.
+/// Pots of one load model, prepared for the coil.
 #[derive(Clone, Debug)]
 pub(super) struct LoadLibrary {
     kind: LoadKind,
@@ -18,7 +18,7 @@ pub(super) struct LoadLibrary {
 }
 
 impl LoadLibrary {
-    /// Empty, for a load model.
+    /// Creates an empty library for a load model.
     pub(super) fn new(kind: LoadKind) -> Self {
         Self {
             kind,
@@ -31,17 +31,15 @@ impl LoadLibrary {
         self.kind
     }
 
-    /// Prepares a pot, if it is not yet: some 10 ms for the field, 200 ms for the table, four times that
-    /// off centre.
+    /// Prepares a pot unless that is done: some 10 ms for the field, 200 ms for the table, four times that off centre.
     ///
-    /// # Errors
-    /// When there is no model of that pot.
+    /// If there is no model of that pot.
     pub(super) fn prepare(&mut self, pot: &Pot) -> Result<&PreparedLoad, InverterError> {
         let known = self.ready.iter().position(|(ready, _)| ready == pot);
         let at = match known {
             Some(at) => at,
             None => {
-                // The formulas would take any number.
+                // The formulas accept any number.
                 pot.field_settings(WINDING_R_OHM)?;
                 let prepared = PreparedLoad::new(self.kind, pot, WINDING_R_OHM)?;
                 self.ready.push((*pot, prepared));
@@ -51,7 +49,7 @@ impl LoadLibrary {
         Ok(&self.ready[at].1)
     }
 
-    /// A pot at a switching frequency, with `steps` integration steps a period, in place of `before`.
+    /// Returns a pot's load at a switching frequency, with `steps` integration steps a period, to replace `before`.
     pub(super) fn take(
         &mut self,
         pot: &Pot,
@@ -62,13 +60,13 @@ impl LoadLibrary {
         self.prepare(pot)?.start(f_sw_hz, steps, before)
     }
 
-    /// The law of a pot at a frequency in hertz, if it is ready and has one.
+    /// Law of a pot at a frequency in hertz; `None` if it is not prepared or has no law.
     pub(super) fn law(&self, pot: &Pot, f_hz: f64) -> Option<Law> {
         let (_, prepared) = self.ready.iter().find(|(ready, _)| ready == pot)?;
         prepared.law(f_hz)
     }
 
-    /// Winding resistance in ohm within the loads' R; the formulas know none.
+    /// Winding resistance in ohm included in the loads' R; 0 for the formulas.
     pub(super) fn winding_r_ohm(&self) -> f64 {
         match self.kind {
             LoadKind::Behavioural => 0.0,
@@ -77,7 +75,7 @@ impl LoadLibrary {
     }
 }
 
-/// The loads of the formulas as pots.
+/// Converts the formulas' loads to pots.
 impl From<PotKind> for Pot {
     fn from(kind: PotKind) -> Self {
         match kind {

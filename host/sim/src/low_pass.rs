@@ -2,8 +2,8 @@
 
 use std::f64::consts::TAU;
 
-/// One channel's filter. Both channels of a board have the same one, so R and L, which are ratios
-/// of voltage to current, pass through it unchanged.
+/// Filter of one channel. Both channels of a board have the same one, so R and L, which are ratios of voltage to current, are not
+/// affected.
 #[derive(Clone, Copy, Debug)]
 pub struct LowPass {
     corner_hz: f64,
@@ -12,7 +12,7 @@ pub struct LowPass {
 }
 
 impl LowPass {
-    /// A filter that has settled at a value; a corner of 0 Hz lets everything pass.
+    /// Creates a filter settled at a value; a corner of 0 Hz passes everything.
     pub fn settled(corner_hz: f64, value: f64) -> Self {
         Self {
             corner_hz,
@@ -21,7 +21,7 @@ impl LowPass {
         }
     }
 
-    /// The next input, `dt_s` seconds later; returns the output. Trapezoidal: stable for any step.
+    /// Advances by `dt_s` seconds to the next input; returns the output. Trapezoidal: stable for any step.
     pub fn advance(&mut self, input: f64, dt_s: f64) -> f64 {
         self.output = if self.corner_hz == 0.0 {
             input
@@ -33,7 +33,7 @@ impl LowPass {
         self.output
     }
 
-    /// The output now.
+    /// Present output.
     pub fn output(&self) -> f64 {
         self.output
     }

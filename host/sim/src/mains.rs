@@ -1,6 +1,6 @@
 //! The rectified mains behind the half-bridge's bus.
 
-/// Mains whose voltage and frequency may change at any instant, its phase going on.
+/// Mains whose voltage and frequency may change at any instant with a continuous phase.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mains {
     /// Mains frequency in hertz, 50 or 60.
@@ -15,7 +15,7 @@ pub struct Mains {
 }
 
 impl Mains {
-    /// Nominal European or American frequency at 230 V.
+    /// Creates a mains of nominal European or American frequency at 230 V.
     pub fn new(frequency_hz: f64) -> Self {
         Self {
             frequency_hz,
@@ -25,12 +25,12 @@ impl Mains {
         }
     }
 
-    /// The same with third, fifth and seventh harmonic as shares of the fundamental.
+    /// Sets third, fifth and seventh harmonic as shares of the fundamental.
     pub fn with_harmonics(self, harmonics: [f64; 3]) -> Self {
         Self { harmonics, ..self }
     }
 
-    /// The same mains from `t_s` on with another voltage and frequency, without a jump of its phase.
+    /// Returns the mains with another voltage and frequency from `t_s` on, with a continuous phase.
     pub fn changed(self, t_s: f64, v_rms_v: f64, frequency_hz: f64) -> Self {
         Self {
             frequency_hz,
@@ -51,7 +51,7 @@ impl Mains {
         before + self.frequency_hz * (t_s - changed_s)
     }
 
-    /// Half-cycles that are over at a time; without mains they go on at the last frequency.
+    /// Number of completed half-cycles at a time; without mains they continue at the last frequency.
     pub fn half_cycle(&self, t_s: f64) -> u32 {
         (2.0 * self.cycles(t_s)) as u32
     }

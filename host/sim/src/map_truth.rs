@@ -1,23 +1,27 @@
-//! The truth of a map: R and L of a load at the lookup's knots, as far as the hob comes.
+//! Truth of a map: R and L of a load at the lookup's knots, in the range that the hob reaches.
 //!
-//! A knot's frequency is reached where the firmware would use it: within its range of frequencies, at the full
-//! mains of 230 V within the limits that power control keeps ([`Bounds`]: crest current, coil voltage, distance
-//! from resonance, soft switching), with a mean power of at most the rated one (half of it for what the firmware
-//! takes for a small pot), and with a pot that it heats at all. There the half-cycle's current passes every
-//! amplitude from zero to its crest, so the cells up to the crest are reached; bursts make the lower powers.
+//! A knot's frequency is reached if the firmware would use it:
+//! - within its range of frequencies,
+//! - at the full mains of 230 V within the limits of power control ([`Bounds`]: crest current, coil voltage, distance from
+//!   resonance, soft switching),
+//! - with a mean power of at most the rated one (half of it for a load that the firmware classifies as a small pot),
+//! - and with a pot that it heats at all.
 //!
-//! A law is asked directly. For the field model the half-bridge runs through a mains half-cycle in the time
-//! domain: R and L of the fundamental come from the waveform, harmonics of the current included, as
-//! [`crate::recording`] takes its truth; the describing function has no part in it.
+//! The half-cycle's current passes every amplitude from zero to its crest, so the cells up to the crest are reached; bursts make
+//! the lower powers.
+//!
+//! A law is evaluated directly. For the field model the half-bridge runs through a mains half-cycle in the time domain: R and L of
+//! the fundamental come from the waveform, harmonics of the current included, as [`crate::recording`] takes its truth; the
+//! describing function is not used.
 
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2, TAU};
 
-use ihd_firmware::drive::Bridge;
-use ihd_firmware::half_cycle::Summary;
+use ihd_firmware::control::pot::classify;
+use ihd_firmware::control::power::bounds::Bounds;
+use ihd_firmware::drive::bridge::Bridge;
+use ihd_firmware::drive::pwm::{DEAD_TIME_NS, HIGHEST_HZ};
 use ihd_firmware::limits::SMALL_POT_PERCENT;
-use ihd_firmware::pot::classify;
-use ihd_firmware::power::bounds::Bounds;
-use ihd_firmware::pwm::{DEAD_TIME_NS, HIGHEST_HZ};
+use ihd_firmware::sampling::half_cycle::HalfCycle;
 use ihd_shared::hob::{
     BUS_PEAK_V, F_SW_MAX_HZ, F_SW_MIN_HZ, NODE_CAPACITANCE_NF, RATED_POWER_W,
     RESONANCE_CAPACITANCE_NF,
@@ -32,10 +36,9 @@ use crate::inverter::bridge::HalfBridge;
 use crate::inverter::bus::Bus;
 use crate::inverter::harmonic_analyser::HarmonicAnalyser;
 use crate::inverter::load::Warmth;
-use crate::inverter::{Inverter, InverterError};
+use crate::inverter::{Inverter, InverterError, STEPS_PER_PERIOD};
 use crate::load_library::WINDING_R_OHM;
 use crate::mains::Mains;
-use crate::plant::STEPS_PER_PERIOD;
 use crate::pot::Pot;
 use crate::recording::prepared::PreparedLoad;
 use crate::recording::settings::LoadKind;
@@ -46,35 +49,35 @@ const C_RES_F: f64 = RESONANCE_CAPACITANCE_NF as f64 * 1e-9;
 /// Crest of the full mains, in decivolt.
 const BUS_PEAK_DV: u16 = (BUS_PEAK_V * 10.0) as u16;
 
-/// Points of a law's curve: a straight line between two of them is 1e-5 off at most.
+/// Number of points of a law's curve: linear interpolation is off by 1e-5 at most.
 const LAW_POINTS: usize = 400;
 
-/// Current beyond any crest, in ampere.
+/// Upper limit of the crest current, in ampere.
 const BEYOND_A: f64 = 200.0;
 
 /// Mains frequency of the half-cycle, in hertz. The tank follows within some periods: 50 or 60 is the same.
 const MAINS_HZ: f64 = 50.0;
 
-/// Switching periods from rest that do not count: the tank's quality is below 8, of any pot that is heated.
+/// Number of switching periods from rest that are dropped: the tank's quality is below 8 for every pot that is heated.
 const SETTLING_PERIODS: usize = 12;
 
-/// Bus voltage that stands for zero current, in volt: it drives some 20 mA, at which the steel of any pot has
-/// its initial permeability within 0.3 %.
+/// Bus voltage for the limit of zero current, in volt: it drives some 20 mA, at which the steel of any pot has its initial
+/// permeability within 0.3 %.
 const SMALL_SIGNAL_V: f64 = 0.2;
 
-/// Switching periods under that voltage until its current repeats.
+/// Number of switching periods under that voltage until its current repeats.
 const SMALL_SIGNAL_PERIODS: usize = 80;
 
-/// Halvings of the range of frequencies in search of a power: 0.1 % of the frequency is left.
+/// Number of bisections in the search for a power: 0.1 % of the frequency remains.
 const POWER_STEPS: usize = 10;
 
-/// A load whose truth is known at every frequency and current.
+/// Load whose truth is known at every frequency and current.
 #[derive(Clone, Debug)]
 pub struct TrueLoad {
     prepared: PreparedLoad,
     pot: Pot,
     winding_r_ohm: f64,
-    /// Temperature in °C to which a law is bent after it was made.
+    /// Temperature in °C to which a law is heated after it was made.
     warm_c: Option<f64>,
 }
 
@@ -100,8 +103,8 @@ impl TrueCurve {
         between(&self.points, i_a)
     }
 
-    /// The highest power in watt at which the firmware heats this load; `None` where it is no pot for it.
-    fn rated_w(&self, summary: &Summary) -> Option<f64> {
+    /// Highest power in watt at which the firmware heats this load; `None` if it is no pot for the firmware.
+    fn rated_w(&self, summary: &HalfCycle) -> Option<f64> {
         let rated_w = f64::from(RATED_POWER_W);
         match classify(summary, Class::Unknown) {
             Class::Ferromagnetic => Some(rated_w),
@@ -110,21 +113,21 @@ impl TrueCurve {
         }
     }
 
-    /// What the firmware would see of this half-cycle.
-    fn summary(&self) -> Summary {
+    /// Half-cycle that the firmware would compute for this half-cycle.
+    fn summary(&self) -> HalfCycle {
         let (i_a, load) = self.points.last().copied().unwrap_or_default();
-        Summary {
+        HalfCycle {
             f_sw_hz: self.f_sw_hz.round() as u32,
             r: MicroOhm((load.r_ohm * 1e6) as i32),
             l: PicoHenry((load.l_h * 1e12) as i32),
             i_crest_ma: (i_a * 1e3) as u32,
             power_mw: (self.power_w * 1e3) as u32,
             bus_peak_dv: BUS_PEAK_DV,
-            ..Summary::default()
+            ..HalfCycle::default()
         }
     }
 
-    /// Whether power control may use this frequency at the full mains; see the module.
+    /// Checks if power control may use this frequency at the full mains; see the module.
     pub fn reach(&self) -> Reach {
         let summary = self.summary();
         let Some(rated_w) = self.rated_w(&summary) else {
@@ -141,25 +144,23 @@ impl TrueCurve {
     }
 }
 
-/// What the firmware makes of a load at a frequency.
+/// Firmware's use of a load at a frequency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reach {
-    /// It heats here.
+    /// The firmware heats here.
     Used,
-    /// A limit of its own forbids it, or the rated power is exceeded; lower frequencies too.
+    /// A limit forbids it, or the rated power is exceeded; also for lower frequencies.
     Beyond,
-    /// It takes this for no pot that it can heat.
+    /// The firmware classifies the load as no pot that it can heat.
     NoPot,
 }
 
 impl TrueLoad {
-    /// The load of the simulated hob: solves what has to be solved once. `warm_c`: what a pot that warms up has
-    /// come to, in °C.
+    /// Prepares the load of the simulated hob. `warm_c`: present temperature of a pot that warms up, in °C.
     ///
-    /// # Errors
-    /// When there is no model of that pot.
+    /// If there is no model of that pot.
     pub fn new(kind: LoadKind, pot: &Pot, warm_c: Option<f64>) -> Result<Self, InverterError> {
-        // The field has the hot metal from the start, a law is bent as in the simulated hob.
+        // The field has the hot metal from the start; a law is heated like in the simulated hob.
         let (pot, warm_c) = match (kind, warm_c) {
             (LoadKind::Field, Some(temperature_c)) => {
                 let hot = Pot {
@@ -182,11 +183,10 @@ impl TrueLoad {
         })
     }
 
-    /// R and L over current at a frequency in hertz. A law takes no time, the field model half a second and four
-    /// times that off centre.
+    /// R and L over current at a frequency in hertz. A law takes no time, the field model half a second and four times that off
+    /// centre.
     ///
-    /// # Errors
-    /// When the model cannot be had at that frequency.
+    /// If the model does not exist at that frequency.
     pub fn curve(&self, f_sw_hz: f64) -> Result<TrueCurve, InverterError> {
         match &self.prepared {
             PreparedLoad::Field(_) => self.waveform(f_sw_hz),
@@ -194,10 +194,10 @@ impl TrueLoad {
         }
     }
 
-    /// The truth at the lookup's knots; `progress` hears the finished share, 0 to 1.
+    /// Truth at the lookup's knots; `progress` is called with the share done, 0 to 1.
     ///
     /// # Errors
-    /// As [`TrueLoad::curve`].
+    /// Any error of [`TrueLoad::curve`].
     pub fn map(&self, progress: &mut dyn FnMut(f64)) -> Result<MapTruth, InverterError> {
         let mut truth = MapTruth::UNREACHED;
         for f in (0..FREQUENCIES).rev() {
@@ -217,11 +217,11 @@ impl TrueLoad {
         Ok(truth)
     }
 
-    /// Where the hob heats with a mean power in watt at full mains: the lowest frequency that takes no more, and
-    /// keeps the firmware's limits. What the highest frequency already exceeds is given in bursts of that one.
+    /// Curve at which the hob heats with a mean power in watt at full mains: the lowest frequency that takes no more and keeps the
+    /// firmware's limits. If the highest frequency exceeds the power, the hob uses bursts at that frequency.
     ///
     /// # Errors
-    /// As [`TrueLoad::curve`].
+    /// Any error of [`TrueLoad::curve`].
     pub fn heated_with(&self, power_w: f64) -> Result<TrueCurve, InverterError> {
         let mut high = self.curve(f64::from(HIGHEST_HZ))?;
         if high.power_w > power_w {
@@ -270,7 +270,7 @@ impl TrueLoad {
         let points: Vec<(f64, Load)> = (0..=LAW_POINTS)
             .map(|k| {
                 let x = k as f64 / LAW_POINTS as f64;
-                // Closer together where R and L bend.
+                // Denser where R and L bend.
                 let i_a = crest_a * x * x;
                 (i_a, at(i_a))
             })
@@ -301,7 +301,7 @@ impl TrueLoad {
         let rising = monotone(rising.iter());
         let falling = monotone(falling.iter().rev());
         let mut points = vec![(0.0, self.small_signal(f_sw_hz)?)];
-        // Both flanks' mean, as a window's load curve has it.
+        // Mean of both flanks, as in a window's load curve.
         points.extend(rising.iter().map(|&(i_a, up)| {
             let both = between(&falling, i_a).map_or(up, |down| Load {
                 r_ohm: 0.5 * (up.r_ohm + down.r_ohm),
@@ -316,7 +316,7 @@ impl TrueLoad {
         })
     }
 
-    /// R and L where the current vanishes.
+    /// R and L in the limit of zero current.
     fn small_signal(&self, f_sw_hz: f64) -> Result<Load, InverterError> {
         let mut bus = Bus::new(Mains::new(MAINS_HZ), 0.0, 0.0)?;
         bus.set_supply(SMALL_SIGNAL_V);
@@ -324,7 +324,7 @@ impl TrueLoad {
         Ok(truth.last().map(load_of).unwrap_or_default())
     }
 
-    /// Periods of the half-bridge from rest: the truth between each two of them, and the mean power in watt.
+    /// Runs the half-bridge from rest for several periods: returns the truth between each two of them, and the mean power in watt.
     fn run(
         &self,
         f_sw_hz: f64,
@@ -364,7 +364,7 @@ fn load_of(truth: &PeriodTruth) -> Load {
     }
 }
 
-/// Points of a flank whose current rises from one to the next.
+/// Points of a flank with monotonically rising current.
 fn monotone<'a>(truth: impl Iterator<Item = &'a PeriodTruth>) -> Vec<(f64, Load)> {
     let mut points: Vec<(f64, Load)> = Vec::new();
     for t in truth {
@@ -375,7 +375,7 @@ fn monotone<'a>(truth: impl Iterator<Item = &'a PeriodTruth>) -> Vec<(f64, Load)
     points
 }
 
-/// Linear between the points; `None` outside them.
+/// Interpolates linearly between the points; `None` outside them.
 fn between(points: &[(f64, Load)], i_a: f64) -> Option<Load> {
     let above = points.partition_point(|p| p.0 < i_a);
     let (i_1, z_1) = *points.get(above)?;

@@ -1,6 +1,6 @@
-//! What instruments on the power stage would read: a true wattmeter, crest meters, a look at the edges.
+//! Readings of ideal instruments on the power stage: a wattmeter, crest meters, and edge statistics.
 
-/// Readings of one half-cycle of the true mains; without mains they go on at its last frequency.
+/// Readings of one half-cycle of the true mains; without mains the half-cycles continue at the last frequency.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reading {
     /// Its start since the simulation's, in seconds.
@@ -17,21 +17,21 @@ pub struct Reading {
     pub i_square_a2: f64,
     /// Largest coil voltage, in volt.
     pub v_coil_peak_v: f64,
-    /// Switches that closed onto more than [`crate::inverter::node::HARD_EDGE_V`].
+    /// Number of switches that closed onto more than [`crate::inverter::node::HARD_EDGE_V`].
     pub hard_edges: u32,
     /// Smallest current when a switch opened, in ampere, negative in the wrong direction; `None` without
     /// an edge.
     pub i_turn_off_min_a: Option<f64>,
-    /// How long the bridge was switching, in seconds.
+    /// Time for which the bridge was switching, in seconds.
     pub switching_s: f64,
 }
 
-/// A bridge that ends with the zero crossing that the firmware sees does so up to a block later, 88 µs
-/// at 34 kHz: that much is no half-cycle that it is on.
+/// Share of a half-cycle up to which switching is ignored: a bridge that ends with the zero crossing detected by the firmware does
+/// so up to a block later, 88 µs at 34 kHz.
 const ON_FROM_SHARE: f64 = 0.02;
 
 impl Reading {
-    /// Whether the bridge was switching, for more than a block.
+    /// Returns `true` if the bridge was switching for more than a block.
     pub fn bridge_on(&self) -> bool {
         self.switching_s > ON_FROM_SHARE * self.duration_s
     }

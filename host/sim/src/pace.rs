@@ -1,17 +1,17 @@
-//! Simulated time that follows the wall's, some factor faster, as far as the machine can.
+//! Simulated time that follows wall time at a given speed, as far as the machine can.
 
 use std::time::{Duration, Instant};
 
-/// Wall time's worth of lag that is given up rather than caught up with.
+/// Wall time of lag beyond which it is dropped rather than caught up with.
 const LARGEST_LAG: Duration = Duration::from_millis(500);
 
-/// How often a lag is told of.
-const TELL_EVERY: Duration = Duration::from_secs(60);
+/// Period of reporting a lag.
+const REPORT_PERIOD: Duration = Duration::from_secs(60);
 
-/// Share of the time that is not worth telling of.
-const UNTOLD: f64 = 0.01;
+/// Share of the time below which a lag is not reported.
+const LEAST_REPORTED: f64 = 0.01;
 
-/// Where simulated time should be.
+/// Target of simulated time.
 #[derive(Clone, Debug)]
 pub struct Pace {
     speed: f64,
@@ -22,7 +22,7 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// From now on simulated time, which is `t_s` seconds, passes `speed` times as fast as the wall's.
+    /// Creates one: simulated time, now `t_s` seconds, passes `speed` times as fast as wall time.
     pub fn new(speed: f64, t_s: f64, now: Instant) -> Self {
         Self {
             speed,
@@ -33,8 +33,7 @@ impl Pace {
         }
     }
 
-    /// Where simulated time should be, in seconds, when it is `t_s`. What is more than half a second of
-    /// the wall's behind is given up, and counted.
+    /// Target of simulated time in seconds, when it is `t_s`. A lag of more than half a second of wall time is dropped and counted.
     pub fn due_s(&mut self, t_s: f64, now: Instant) -> f64 {
         let due_s = self.at_s(now);
         let lag_s = (due_s - t_s) / self.speed;
@@ -51,22 +50,21 @@ impl Pace {
         self.simulated_s + passed.as_secs_f64() * self.speed
     }
 
-    /// How long until simulated time should be `t_s`.
+    /// Wall time until simulated time should be `t_s`.
     pub fn until(&self, t_s: f64, now: Instant) -> Duration {
         let early_s = (t_s - self.at_s(now)) / self.speed;
         Duration::try_from_secs_f64(early_s).unwrap_or_default()
     }
 
-    /// Once a minute, and only where it is 1 % or more: the share of the last minute, from 0 to 1, that had to
-    /// be given up because the machine is too slow.
+    /// Share of the last minute, from 0 to 1, dropped because the machine is too slow; once a minute, and only from 1 % on.
     pub fn lag(&mut self, now: Instant) -> Option<f64> {
         let passed = now.saturating_duration_since(self.told);
-        if passed < TELL_EVERY {
+        if passed < REPORT_PERIOD {
             return None;
         }
         let share = self.given_up.as_secs_f64() / passed.as_secs_f64();
         (self.told, self.given_up) = (now, Duration::ZERO);
-        (share >= UNTOLD).then_some(share.min(1.0))
+        (share >= LEAST_REPORTED).then_some(share.min(1.0))
     }
 }
 

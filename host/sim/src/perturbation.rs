@@ -1,29 +1,29 @@
-//! A load that departs from the standard field model in one thing: what assumes that model is judged by it.
+//! Load that departs from the standard field model in one respect, for judging methods that assume this model.
 
 use std::fmt;
 use std::str::FromStr;
 
 use ihd_field::material::{Knee, Material};
-use ihd_field::model::Settings;
+use ihd_field::model::FieldSettings;
 use serde::{Deserialize, Serialize};
 
 /// Relative permeability of the magnetisation curve's tail. At 12 kA/m, what 60 A make on a 21 cm pot, the Fröhlich
 /// law has a slope of 12 µ0 left; steel in its approach to saturation has some 15 to 30.
 const TAIL_MU_R: f64 = 20.0;
 
-/// Rings of the finer load.
+/// Number of rings of the finer load.
 const MANY_RINGS: usize = 32;
 
-/// A ferrite of a warm, cheap plate.
+/// Relative permeability of a ferrite of a warm, cheap plate.
 const POOR_FERRITE_MU_R: f64 = 1000.0;
 
 /// Side wall of a pot with a large radius at its edge, in metre; the standard one is 5 mm.
 const HIGH_RIM_M: f64 = 8e-3;
 
-/// Ferrite to coil with two sheets of mica more, in metre; the standard one is 1 mm.
+/// Distance from ferrite to coil with two additional sheets of mica, in metre; the standard one is 1 mm.
 const WIDE_COIL_GAP_M: f64 = 2e-3;
 
-/// One departure from the standard model.
+/// Departure from the standard model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Perturbation {
@@ -33,7 +33,7 @@ pub enum Perturbation {
     SharpKnee,
     /// 32 rings instead of 16; not in the time domain, whose rings are compiled in.
     Rings,
-    /// The gap's grid with half its cells.
+    /// The gap's grid with cells of half the size.
     FineGap,
     /// A ferrite of µ_r 1000 instead of 2000.
     Ferrite,
@@ -43,7 +43,7 @@ pub enum Perturbation {
     CoilGap,
 }
 
-/// A name that means no perturbation.
+/// A name that denotes no perturbation.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "unknown perturbation `{0}`: use tail, sharp-knee, rings, fine-gap, ferrite, rim or coil-gap"
@@ -51,7 +51,7 @@ pub enum Perturbation {
 pub struct UnknownPerturbation(String);
 
 impl Perturbation {
-    /// Every one.
+    /// All perturbations.
     pub const ALL: [Self; 7] = [
         Self::Tail,
         Self::SharpKnee,
@@ -62,7 +62,7 @@ impl Perturbation {
         Self::CoilGap,
     ];
 
-    /// Its name on the command line and in files.
+    /// Name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Tail => "tail",
@@ -75,7 +75,7 @@ impl Perturbation {
         }
     }
 
-    /// The material that stands for a standard one; one that is linear stays.
+    /// Material that replaces a standard one; a linear one stays.
     pub fn material(self, standard: Material) -> Material {
         let (knee, tail_mu_r) = match self {
             Self::Tail => (Knee::Froehlich, TAIL_MU_R),
@@ -98,9 +98,9 @@ impl Perturbation {
         }
     }
 
-    /// The model with this departure.
+    /// Returns the model with this departure.
     #[must_use]
-    pub fn of(self, standard: Settings) -> Settings {
+    pub fn of(self, standard: FieldSettings) -> FieldSettings {
         let mut settings = standard;
         settings.material = self.material(settings.material);
         let geometry = &mut settings.geometry;

@@ -1,8 +1,8 @@
 //! The power stage with its load and ADC, one ADC block at a time.
 
-use ihd_firmware::drive::Bridge;
-use ihd_firmware::pwm::DEAD_TIME_NS;
-use ihd_firmware::realtime::Drive;
+use ihd_firmware::drive::bridge::Bridge;
+use ihd_firmware::drive::bridge::Drive;
+use ihd_firmware::drive::pwm::DEAD_TIME_NS;
 use ihd_shared::hob::NODE_CAPACITANCE_NF;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 use ihd_signal::truth::MapTruth;
@@ -13,7 +13,7 @@ use super::inverter::bridge::HalfBridge;
 use super::inverter::bus::Bus;
 use super::inverter::harmonic_analyser::HarmonicAnalyser;
 use super::inverter::load::Warmth;
-use super::inverter::{Instant, Inverter, InverterError};
+use super::inverter::{Instant, Inverter, InverterError, STEPS_PER_PERIOD, STEPS_PER_SAMPLE};
 use super::load_library::LoadLibrary;
 use super::mains::Mains;
 use super::map_truth::TrueLoad;
@@ -22,16 +22,7 @@ use super::pot::Pot;
 use super::recording::settings::LoadKind;
 use super::thermal_model::ThermalModel;
 
-/// Integration steps between two ADC samples: 45 ns at 45 kHz. A multiple of q, so that a switching
-/// period is a whole number of steps too.
-pub const STEPS_PER_SAMPLE: usize = 24;
-
-/// Integration steps of one switching period.
-pub const STEPS_PER_PERIOD: usize = STEPS_PER_SAMPLE * ADC_LOCK_P / ADC_LOCK_Q as usize;
-
-const _: () = assert!(STEPS_PER_SAMPLE.is_multiple_of(ADC_LOCK_Q as usize));
-
-/// R and L follow the temperature in steps of this, in kelvin: 0.001 % of either.
+/// Step in kelvin in which R and L follow the temperature: 0.001 % of either.
 const TEMPERATURE_STEP_K: f64 = 0.02;
 
 /// Load and envelope at one ADC sample.
@@ -47,7 +38,7 @@ pub struct LoadPoint {
     pub i_a: f64,
 }
 
-/// Gathers a [`Reading`].
+/// Accumulator of a [`Reading`].
 #[derive(Clone, Debug, Default)]
 struct Meter {
     half_cycle: u32,
@@ -67,37 +58,37 @@ pub struct Plant {
     inverter: Inverter,
     /// Coil current in ampere at which the comparator opens both switches; infinite without one.
     comparator_a: f64,
-    /// Since when the comparator holds the bridge open.
+    /// Time at which the comparator opened the bridge, in seconds; `None` while it is not tripped.
     tripped_s: Option<f64>,
-    /// Since when both switches are open.
+    /// Time at which both switches opened, in seconds; `None` while one may be closed.
     open_since_s: Option<f64>,
     meter: Meter,
     analyser: HarmonicAnalyser,
     measured: LoadPoint,
     warming: Option<ThermalModel>,
     contents: Contents,
-    /// Temperature that the load has now, in °C.
+    /// Present temperature of the load, in °C.
     load_c: f64,
 }
 
 impl Plant {
-    /// A plant at rest, at a mains zero crossing, with a behavioural load.
+    /// Creates a plant at rest, at a mains zero crossing, with a behavioural load.
     pub fn new(mains: Mains, pot: impl Into<Pot>, adc: Adc) -> Self {
         Self::with_load(mains, pot, LoadKind::Behavioural, adc)
     }
 
-    /// The same with a load model of choice.
+    /// Creates a plant with a given load model.
     ///
     /// # Panics
-    /// For a pot that has no model; [`Plant::assemble`] returns that as an error.
+    /// If the pot has no model; [`Plant::assemble`] returns that as an error.
     pub fn with_load(mains: Mains, pot: impl Into<Pot>, load: LoadKind, adc: Adc) -> Self {
         Self::assemble(mains, pot.into(), load, 0.0, adc).expect("a pot that has a model")
     }
 
-    /// The same with a bus capacitance in farad.
+    /// Creates a plant with a bus capacitance in farad.
     ///
     /// # Errors
-    /// When there is no model of that pot, or no such capacitor.
+    /// If there is no model of that pot, or no such capacitor.
     pub fn assemble(
         mains: Mains,
         pot: Pot,
@@ -137,39 +128,39 @@ impl Plant {
         })
     }
 
-    /// From now on a comparator opens both switches at a coil current in ampere, within the integration
-    /// step; infinite for none. They stay open until the drive has asked for that too.
+    /// Sets the coil current in ampere at which a comparator opens both switches within the integration step; infinite for none.
+    /// They stay open until the drive has requested that too.
     pub fn set_comparator(&mut self, trip_a: f64) {
         self.comparator_a = trip_a;
     }
 
-    /// Whether the comparator holds both switches open.
+    /// Returns `true` while the comparator holds both switches open.
     pub fn is_tripped(&self) -> bool {
         self.tripped_s.is_some()
     }
 
-    /// Since when both switches are open, in seconds; `None` while one may be closed.
+    /// Time in seconds since when both switches are open; `None` while one may be closed.
     pub fn open_since_s(&self) -> Option<f64> {
         self.tripped_s.or(self.open_since_s)
     }
 
-    /// The last whole half-cycle's readings, once.
+    /// Readings of the last complete half-cycle, once.
     pub fn take_reading(&mut self) -> Option<Reading> {
         self.meter.last.take()
     }
 
-    /// Lets the pot with these contents warm up from its temperature by the power it takes.
+    /// Enables warming of the pot with these contents, from its temperature, by the power it takes.
     pub fn enable_warming(&mut self, contents: Contents) {
         self.contents = contents;
         self.warming = Some(ThermalModel::new(contents, &self.pot));
     }
 
-    /// Temperature of the pot's base in °C, if it warms up.
+    /// Temperature of the pot's base in °C; `None` if it does not warm up.
     pub fn temperature_c(&self) -> Option<f64> {
         self.warming.map(|w| w.temperature_c())
     }
 
-    /// Pot and contents as they are now, if they warm up.
+    /// Present state of pot and contents; `None` if they do not warm up.
     pub fn thermal(&self) -> Option<&ThermalModel> {
         self.warming.as_ref()
     }
@@ -184,12 +175,12 @@ impl Plant {
         self.inverter.bus.mains()
     }
 
-    /// Another mains from now on.
+    /// Replaces the mains.
     pub fn set_mains(&mut self, mains: Mains) {
         self.inverter.bus.set_mains(mains);
     }
 
-    /// A bench supply of so many volt feeds the bus from now on; the mains is left to its detector.
+    /// Feeds the bus from a bench supply of this voltage from now on; the mains only feeds its detector.
     pub fn set_bench_supply(&mut self, supply_v: f64) {
         self.inverter.bus.set_supply(supply_v);
     }
@@ -199,31 +190,31 @@ impl Plant {
         self.inverter.bus.v()
     }
 
-    /// What stands on the coil.
+    /// Pot on the coil.
     pub fn pot(&self) -> Pot {
         self.pot
     }
 
-    /// The truth of the load as it stands there now; `progress` hears the finished share.
+    /// Truth of the present load; `progress` is called with the share done.
     ///
     /// # Errors
-    /// When there is no model of it.
+    /// If there is no model of it.
     pub fn map_truth(&self, progress: &mut dyn FnMut(f64)) -> Result<MapTruth, InverterError> {
         TrueLoad::new(self.load_library.kind(), &self.pot, self.temperature_c())?.map(progress)
     }
 
-    /// Makes a pot ready, so that putting it on later takes no time.
+    /// Prepares a pot, so that putting it on later takes no time.
     ///
     /// # Errors
-    /// When there is no model of that pot.
+    /// If there is no model of that pot.
     pub fn prepare(&mut self, pot: &Pot) -> Result<(), InverterError> {
         self.load_library.prepare(pot).map(|_| ())
     }
 
-    /// Puts another pot on the coil, or takes it away. The current flows on.
+    /// Puts another pot on the coil, or removes it. The current continues.
     ///
     /// # Errors
-    /// When there is no model of that pot; the old one stays.
+    /// If there is no model of that pot; the old one stays.
     pub fn set_pot(&mut self, pot: impl Into<Pot>) -> Result<(), InverterError> {
         let pot = pot.into();
         self.inverter.load = self.load_library.take(
@@ -233,7 +224,7 @@ impl Plant {
             Some(&self.inverter.load),
         )?;
         if pot.metal != self.pot.metal || pot.diameter_m != self.pot.diameter_m {
-            // The new pot comes from the cupboard, filled alike.
+            // A new pot has the same contents, at its own temperature.
             let contents = self.contents;
             self.warming = self.warming.map(|_| ThermalModel::new(contents, &pot));
         }
@@ -243,7 +234,7 @@ impl Plant {
         Ok(())
     }
 
-    /// Takes effect with the next block; with another frequency the carrier starts anew.
+    /// Sets the drive from the next block on; with another frequency the carrier starts again.
     pub fn set_drive(&mut self, drive: Drive) {
         if drive.f_sw_hz != self.drive.f_sw_hz {
             let f_sw_hz = f64::from(drive.f_sw_hz);
@@ -269,11 +260,10 @@ impl Plant {
         self.drive = drive;
     }
 
-    /// Simulates one block; `seen` gets the load at every ADC sample. With the bridge open
-    /// the current freewheels into the bus or ground until it is gone, and the coil floats.
+    /// Simulates one block; `seen` is called with the load at every ADC sample. With the bridge open the current freewheels into
+    /// the bus or ground until it ends, and the coil floats.
     ///
-    /// A law is known at the sample itself; of the field model `seen` gets what the last whole
-    /// switching period showed.
+    /// A law is known at the sample itself; for the field model `seen` gets the values of the last complete switching period.
     pub fn block(&mut self, mut seen: impl FnMut(&LoadPoint)) -> [Pair; ADC_LOCK_P] {
         let mut pairs = [Pair::default(); ADC_LOCK_P];
         for pair in &mut pairs {
@@ -289,8 +279,8 @@ impl Plant {
         self.inverter.dt_s()
     }
 
-    /// Takes one sample and simulates until the next; `current` gets the coil's current in ampere after every
-    /// integration step, as a comparator sees it. The pot does not warm up.
+    /// Takes one sample and simulates until the next; `current` is called with the coil's current in ampere after every integration
+    /// step, as seen by a comparator. The pot does not warm up.
     pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
         let pair = self.adc.sample();
         let bridge = match self.tripped_s {
@@ -329,7 +319,7 @@ impl Plant {
         self.inverter.link_charge_c()
     }
 
-    /// After each sample: crests, and at the mains' zero crossing the reading of the half-cycle.
+    /// Updates the meter after each sample, and completes the half-cycle's reading at the mains' zero crossing.
     fn read_meter(&mut self, (i_a, coil_v): (f64, f64)) {
         let meter = &mut self.meter;
         meter.running.i_peak_a = meter.running.i_peak_a.max(i_a);
@@ -364,7 +354,7 @@ impl Plant {
         meter.energy_before_j = energy_j;
     }
 
-    /// One block's heat.
+    /// Adds one block's heat.
     fn warm_up(&mut self) {
         let Some(warming) = &mut self.warming else {
             return;
@@ -378,7 +368,7 @@ impl Plant {
         self.apply_temperature();
     }
 
-    /// The load follows the pot's temperature.
+    /// Adapts the load to the pot's temperature.
     fn apply_temperature(&mut self) {
         let (Some(warming), Some(_)) = (&self.warming, self.pot.metal) else {
             return;
@@ -390,12 +380,12 @@ impl Plant {
         }
     }
 
-    /// Gives the load its temperature.
+    /// Sets the load's temperature.
     fn heat_load(&mut self) {
         let (Some(_), Some(metal)) = (&self.warming, self.pot.metal) else {
             return;
         };
-        // The law is that of the pot at the temperature that it was put on with.
+        // The law is that of the pot at the temperature at which it was put on.
         let heated_c = (self.pot.temperature_c, self.load_c);
         let warmth = Warmth::of(metal, heated_c, self.load_library.winding_r_ohm());
         let law_hz = warmth.law_hz(self.inverter.f_sw_hz());
@@ -403,7 +393,7 @@ impl Plant {
             self.inverter.load.set_hot_law(law, warmth);
             return;
         }
-        // Refused only far beyond the temperatures that a metal has.
+        // An error only occurs far beyond the temperatures of a metal.
         let set = self.inverter.load.set_temperature(&self.pot, self.load_c);
         debug_assert!(set.is_ok(), "{set:?}");
     }
@@ -424,7 +414,7 @@ impl Plant {
         }
     }
 
-    /// One integration step; what is there after it.
+    /// Advances by one integration step; returns the quantities after it.
     fn step(&mut self, bridge: Bridge) -> Instant {
         let dt_s = 1.0 / (self.inverter.f_sw_hz() * STEPS_PER_PERIOD as f64);
         if !self.inverter.load.is_field() {

@@ -1,4 +1,4 @@
-//! What stands on the coil, where, and how hot: the description that becomes a field model.
+//! Description of the pot on the coil, its place and temperature, from which the field model is made.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -9,21 +9,21 @@ use serde::{Deserialize, Serialize};
 use ihd_field::FieldError;
 use ihd_field::geometry::Geometry;
 use ihd_field::material::Material;
-use ihd_field::model::Settings;
+use ihd_field::model::FieldSettings;
 
 use crate::perturbation::Perturbation;
 
-/// Angles at which the rim of an off-centre pot is looked at, over half a turn.
+/// Number of angles at which the rim of an off-centre pot is evaluated, over half a turn.
 const SECTORS: usize = 4;
 
-/// Diameters of a pot's base that have a name, in centimetre.
+/// Range of a base's diameters that have a name, in centimetre.
 const DIAMETERS_CM: RangeInclusive<f64> = 5.0..=26.0;
 
-/// Where the rim of a pot off centre comes nearer to the coil's axis than this, in metre, this is taken:
-/// 8 mm beyond the coil's inner radius, above 2 of its 23 turns, it is as good as no pot.
+/// Smallest distance of the rim of an off-centre pot from the coil's axis, in metre; a nearer rim is set to it. At 8 mm beyond the
+/// coil's inner radius, above 2 of its 23 turns, it is as good as no pot.
 const LEAST_RIM_M: f64 = 20e-3;
 
-/// Any pot may be off centre by this share of its diameter: its rim stays outside the coil's axis.
+/// Allowed offset of any pot as a share of its diameter: its rim stays outside the coil's axis.
 const ALLOWED_OFFSET: f64 = 0.4;
 
 /// A pot of 12 cm or more may be off centre by 60 mm: the coil's axis is then at its rim.
@@ -32,7 +32,7 @@ const WIDE_OFFSET_M: f64 = 60e-3;
 /// Curie point of the ferromagnetic metals less 20 °C, in kelvin: ferritic stainless steel loses its magnetism at 680 °C.
 const CURIE_RISE_K: f64 = 660.0;
 
-/// What is left of saturation at least: a law that saturates at nothing has no skin.
+/// Smallest remaining share of the saturation: a law that saturates at zero has no skin.
 const LEAST_SATURATION: f64 = 0.02;
 
 /// Metals of pots.
@@ -49,10 +49,10 @@ pub enum Metal {
     Aluminium,
 }
 
-/// A pot, or nothing.
+/// Pot, or none.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pot {
-    /// What it is made of; `None`: the coil stands alone.
+    /// Metal; `None` if there is no pot.
     pub metal: Option<Metal>,
     /// Diameter of its base in metre.
     pub diameter_m: f64,
@@ -62,12 +62,12 @@ pub struct Pot {
     pub offset_m: f64,
     /// Temperature of its base in degrees Celsius.
     pub temperature_c: f64,
-    /// What of its field model is not the standard one's; formulas know none.
+    /// Departure from the standard field model; ignored by formulas.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub perturbation: Option<Perturbation>,
 }
 
-/// A pot's name that means nothing.
+/// A name that denotes no pot.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "unknown pot `{0}`: use ferritic-D, cast-iron-D, stainless-D or aluminium-D with D = 5 to 26 (base in cm), or none"
@@ -102,7 +102,7 @@ impl fmt::Display for Pot {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.metal {
             None => f.write_str("none"),
-            // A thousandth of a millimetre: 0.07 m are not 7.000000000000001 cm.
+            // Rounded to a thousandth of a millimetre: 0.07 m are not 7.000000000000001 cm.
             Some(metal) => write!(
                 f,
                 "{}-{}",
@@ -114,7 +114,7 @@ impl fmt::Display for Pot {
 }
 
 impl Pot {
-    /// Nothing on the coil.
+    /// No pot.
     pub const NONE: Self = Self {
         metal: None,
         diameter_m: 0.21,
@@ -124,7 +124,7 @@ impl Pot {
         perturbation: None,
     };
 
-    /// A centred pot at room temperature.
+    /// Creates a centred pot at room temperature.
     pub fn new(metal: Metal, diameter_m: f64) -> Self {
         Self {
             metal: Some(metal),
@@ -139,7 +139,10 @@ impl Pot {
     /// Each sector of the coil's turns is taken as if the pot had radius ρ(θ) all round; the
     /// sectors carry the same current and their voltages add. Fields that cross from one sector to
     /// the next are neglected.
-    pub fn field_settings(&self, winding_r_ohm: f64) -> Result<Vec<(f64, Settings)>, FieldError> {
+    pub fn field_settings(
+        &self,
+        winding_r_ohm: f64,
+    ) -> Result<Vec<(f64, FieldSettings)>, FieldError> {
         let Some(metal) = self.metal else {
             return Ok(Vec::new());
         };
@@ -162,7 +165,7 @@ impl Pot {
         let weight = 1.0 / radii.len() as f64;
         let of_radius = |load_radius_m: f64| {
             let paper = Geometry::paper();
-            let settings = Settings {
+            let settings = FieldSettings {
                 geometry: Geometry {
                     load_radius_m,
                     load_gap_m: paper.load_gap_m + self.lift_m,
@@ -171,7 +174,7 @@ impl Pot {
                 material: metal.at(self.temperature_c),
                 load_thickness_m: 5e-3,
                 winding_r_ohm,
-                ..Settings::paper()
+                ..FieldSettings::paper()
             };
             let settings = match self.perturbation {
                 Some(perturbation) => perturbation.of(settings),
@@ -182,7 +185,7 @@ impl Pot {
         Ok(radii.into_iter().map(of_radius).collect())
     }
 
-    /// The metal at a temperature in °C, as this pot has it; `None` without a pot.
+    /// Properties of the metal of this pot at a temperature in °C; `None` without a pot.
     pub fn material_at(&self, temperature_c: f64) -> Option<Material> {
         let standard = self.metal?.at(temperature_c);
         let perturbed = self.perturbation.map(|p| p.material(standard));
@@ -216,7 +219,7 @@ impl Pot {
 }
 
 impl Metal {
-    /// Every metal.
+    /// All metals.
     pub const ALL: [Self; 4] = [
         Self::Ferritic,
         Self::CastIron,
@@ -224,7 +227,7 @@ impl Metal {
         Self::Aluminium,
     ];
 
-    /// Its name on the command line and in files.
+    /// Name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ferritic => "ferritic",
@@ -303,7 +306,7 @@ impl Metal {
                 mu_r,
                 sigma_s_per_m: hot_sigma,
             },
-            // No metal of the table has it.
+            // No metal of the table has this material.
             other @ Material::Saturating { .. } => other,
         }
     }

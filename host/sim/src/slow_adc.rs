@@ -1,25 +1,25 @@
-//! The slow ADC: bus and mains voltage, once a block, as the board's third converter reads them.
+//! Slow ADC: bus and mains voltage, once a block, as read by the board's third converter.
 
-use ihd_firmware::mains::{BUS_DV_FULL_SCALE, MAINS_FULL_SCALE_V};
+use ihd_firmware::sense::mains::{BUS_DV_FULL_SCALE, MAINS_FULL_SCALE_V};
 use ihd_shared::sampling::{CODE_HALF_RANGE, CODE_MAX, CODE_MIN};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// White noise behind the dividers' filters, standard deviation in codes.
+/// White noise after the dividers' filters, standard deviation in codes.
 const NOISE_CODES: f64 = 1.0;
 
 /// Codes of the bus: 12 bit without a sign.
 const BUS_CODES: f64 = 4_096.0;
 
-/// The converter: deterministic for a seed.
+/// Converter; deterministic for a seed.
 #[derive(Clone, Debug)]
 pub struct SlowAdc {
     rng: ChaCha8Rng,
 }
 
 impl SlowAdc {
-    /// With a seed. Its noise is another than that of [`crate::adc::Adc`] of the same seed.
+    /// Creates one with a seed. Its noise differs from that of [`crate::adc::Adc`] of the same seed.
     pub fn new(seed: u64) -> Self {
         Self {
             rng: ChaCha8Rng::seed_from_u64(!seed),
@@ -48,7 +48,7 @@ impl SlowAdc {
 
 #[cfg(test)]
 mod tests {
-    use ihd_firmware::mains::{ZeroCrossing, bus_dv};
+    use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
     use ihd_shared::sampling::{ADC_LOCK_P, block_ns};
 
     use super::*;
@@ -60,7 +60,7 @@ mod tests {
     fn the_detector_finds_each_crossing_once_and_in_its_place() {
         for (mains_hz, f_sw_hz) in [(50.0, 34_038), (60.0, 79_911), (50.0, 79_911)] {
             let (mains, mut adc) = (Mains::new(mains_hz), SlowAdc::new(7));
-            let mut detector = ZeroCrossing::default();
+            let mut detector = ZeroCrossingDetector::default();
             let block_s = f64::from(block_ns(f_sw_hz)) * 1e-9;
             let mut found = 0;
             for block in 0..(1.0 / block_s) as u32 {

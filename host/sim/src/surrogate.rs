@@ -1,4 +1,4 @@
-//! The field model's surrogate: a table of R and L over frequency and current.
+//! Surrogate of the field model: a table of R and L over frequency and current.
 
 use ihd_signal::Load;
 
@@ -33,9 +33,9 @@ pub struct SurrogateLoad {
 /// Largest deviations of the table from the describing function, in percent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TableError {
-    /// Of R.
+    /// Deviation of R.
     pub r_pct: f64,
-    /// Of L.
+    /// Deviation of L.
     pub l_pct: f64,
 }
 
@@ -47,7 +47,7 @@ fn i_a(k: f64) -> f64 {
     I_KNEE_A * (libm::pow(1.0 + I_TO_A / I_KNEE_A, k / (I_POINTS - 1) as f64) - 1.0)
 }
 
-/// The cubic through four neighbours, evenly spaced; `x` counts from the first.
+/// Cubic interpolation between four neighbours, evenly spaced; `x` counts from the first.
 fn cubic(points: [Load; 4], x: f64) -> Load {
     let (a, b, c) = (x - 1.0, x - 2.0, x - 3.0);
     let weights = [
@@ -67,7 +67,7 @@ fn cubic(points: [Load; 4], x: f64) -> Load {
     sum
 }
 
-/// First of the four neighbours of `x` among `count` points.
+/// Index of the first of the four neighbours of `x` among `count` points.
 fn first(x: f64, count: usize) -> usize {
     (x as usize).clamp(1, count - 3) - 1
 }
@@ -103,14 +103,14 @@ impl SurrogatePot {
         Ok(Self { grid })
     }
 
-    /// A load of constant R and L, as the coil alone is.
+    /// Creates a load of constant R and L, as the coil alone is.
     pub fn constant(r_ohm: f64, l_h: f64) -> Self {
         Self {
             grid: vec![[Load { r_ohm, l_h }; I_POINTS]; F_POINTS],
         }
     }
 
-    /// The load at a switching frequency in hertz; beyond the table its edge counts.
+    /// Load at a switching frequency in hertz; beyond the table its edge is used.
     pub fn at(&self, f: f64) -> SurrogateLoad {
         let last = (F_POINTS - 1) as f64;
         let x = libm::log(f / F_FROM_HZ) / libm::log(F_TO_HZ / F_FROM_HZ) * F_STEPS + F_BELOW;
@@ -123,7 +123,7 @@ impl SurrogatePot {
         SurrogateLoad { column }
     }
 
-    /// Compares with the models between the table's points.
+    /// Compares the table with the models between its points.
     pub fn error(&self, models: &[(f64, FieldModel)]) -> Result<TableError, FieldError> {
         let mut worst = TableError::default();
         for k in 0..F_POINTS - 1 {

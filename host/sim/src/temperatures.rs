@@ -1,13 +1,13 @@
-//! Heat sink, glass and coil: what warms them, what cools them, and the codes of their sensors.
+//! Temperatures of heat sink, glass and coil, and the codes of their sensors.
 
-use ihd_firmware::temperature::TemperatureCodes;
+use ihd_firmware::control::temperature::TemperatureCodes;
 
 use crate::injection::{Channel, InjectionKind, Injections};
 
-/// Temperature around the hob, in °C, where none is given.
+/// Default temperature around the hob, in °C.
 pub const AMBIENT_C: f64 = 25.0;
 
-/// Voltage across whichever switch or diode carries the coil's current, in volt: 1.7 V of an IGBT of 1200 V at 25 A.
+/// Voltage across the conducting switch or diode, in volt: 1.7 V of an IGBT of 1200 V at 25 A.
 const SWITCH_V: f64 = 1.7;
 
 /// Voltage across the mains rectifier's two diodes, in volt.
@@ -16,30 +16,30 @@ const RECTIFIER_V: f64 = 1.8;
 /// Winding of the coil, in ohm, as in the load library.
 const WINDING_R_OHM: f64 = crate::load_library::WINDING_R_OHM;
 
-/// Aluminium of 0.28 kg, in J/K.
+/// Heat capacity of 0.28 kg of aluminium, in J/K.
 const SINK_J_PER_K: f64 = 250.0;
 
-/// From the heat sink to the air, in W/K: with the fan, and without.
+/// Thermal conductance from the heat sink to the air, in W/K: with the fan, and without.
 const SINK_W_PER_K: (f64, f64) = (1.7, 0.4);
 
-/// Glass ceramic of 4 mm under a pot of 21 cm: 0.35 kg, in J/K.
+/// Heat capacity of a glass ceramic of 4 mm under a pot of 21 cm: 0.35 kg, in J/K.
 pub(super) const GLASS_J_PER_K: f64 = 280.0;
 
-/// From the pot's base to the glass, from the glass to the air, and from the glass to the coil, in W/K.
+/// Thermal conductances from the pot's base to the glass, from the glass to the air, and from the glass to the coil, in W/K.
 pub(super) const GLASS_W_PER_K: (f64, f64, f64) = (8.0, 1.0, 0.5);
 
-/// Litz wire and its carrier, in J/K.
+/// Heat capacity of litz wire and carrier, in J/K.
 const COIL_J_PER_K: f64 = 200.0;
 
-/// From the coil to the air, in W/K: with the fan, and without.
+/// Thermal conductance from the coil to the air, in W/K: with the fan, and without.
 const COIL_W_PER_K: (f64, f64) = (1.2, 0.4);
 
-/// What a stretch of time brought in.
+/// Heat sources over a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Heat {
     /// Mean of the coil current's magnitude, in ampere.
     pub i_mean_a: f64,
-    /// Its square's mean, in ampere squared.
+    /// Mean of its square, in ampere squared.
     pub i_square_a2: f64,
     /// Mean current from the rectifier, in ampere.
     pub mains_a: f64,
@@ -49,21 +49,21 @@ pub struct Heat {
     pub pot_c: Option<f64>,
 }
 
-/// Three lumps.
+/// Temperatures of three lumps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Temperatures {
-    /// Around the hob, in °C.
+    /// Temperature around the hob, in °C.
     pub ambient_c: f64,
-    /// Heat sink of switches and rectifier, in °C.
+    /// Temperature of the heat sink of switches and rectifier, in °C.
     pub heat_sink_c: f64,
-    /// Under the glass, in °C.
+    /// Temperature under the glass, in °C.
     pub glass_c: f64,
-    /// Coil, in °C.
+    /// Temperature of the coil, in °C.
     pub coil_c: f64,
 }
 
 impl Temperatures {
-    /// All at the temperature around the hob, in °C.
+    /// Creates lumps at the temperature around the hob, in °C.
     pub fn at(ambient_c: f64) -> Self {
         Self {
             ambient_c,
@@ -73,7 +73,7 @@ impl Temperatures {
         }
     }
 
-    /// After `dt_s`, short against seconds.
+    /// Advances by `dt_s`, which must be short against seconds.
     pub fn advance(&mut self, dt_s: f64, heat: &Heat, fan: bool) {
         let air = |(with, without): (f64, f64)| if fan { with } else { without };
         let Self {
@@ -95,8 +95,7 @@ impl Temperatures {
         self.coil_c += coil_w * dt_s / COIL_J_PER_K;
     }
 
-    /// What the converter makes of the sensors: NTCs of 10 kohm (heat sink) and 100 kohm at 25 °C, below 10 kohm to
-    /// the reference.
+    /// Codes of the sensors: NTCs of 10 kohm (heat sink) and 100 kohm at 25 °C, below 10 kohm to the reference.
     pub fn codes(&self, injections: &Injections) -> TemperatureCodes {
         let code = |channel, ohm_at_25c, celsius| match injections.ntc(channel) {
             Some(InjectionKind::NtcOpen) => Some(4_095),
@@ -111,7 +110,7 @@ impl Temperatures {
     }
 }
 
-/// B = 3950 K; docs/wiring.md has the divider.
+/// Code of an NTC with B = 3950 K; docs/wiring.md has the divider.
 fn ntc_code(ohm_at_25c: f64, celsius: f64) -> u16 {
     let ohm = ohm_at_25c * libm::exp(3_950.0 * (1.0 / (celsius + 273.15) - 1.0 / 298.15));
     (4_096.0 * ohm / (ohm + 10e3)).round().min(4_095.0) as u16
@@ -156,7 +155,7 @@ mod tests {
             coil_c: 98.0,
             ..Temperatures::at(AMBIENT_C)
         };
-        let mut read = ihd_firmware::temperature::Temperatures::default();
+        let mut read = ihd_firmware::control::temperature::Temperatures::default();
         read.update(t.codes(&Injections::default()));
         let got = read.celsius().map(|c| f64::from(c.unwrap()));
         for (got, is) in got.into_iter().zip([63.0, 141.0, 98.0]) {

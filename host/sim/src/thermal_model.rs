@@ -1,4 +1,4 @@
-//! What the heat does: a pot's base, what is in it, and the glass below.
+//! Thermal model of a pot's base, its contents, and the glass below.
 //!
 //! ```text
 //! power ─► base ──(metal, boundary layer, bubbles)──► contents ─► room (wall and lid)
@@ -21,20 +21,20 @@ const LUMP_J_PER_K: f64 = 900.0;
 /// [`Contents::Food`]: heat passed on to the room, in W/K.
 const LUMP_W_PER_K: f64 = 14.0;
 
-/// Thickness of a base in metre, as of the field model.
+/// Thickness of a base in metre, equal to the field model's.
 const BASE_M: f64 = 5e-3;
 
-/// A pot's height over its diameter, and the thickness of its wall in metre.
+/// Ratio of a pot's height to its diameter, and thickness of its wall in metre.
 const WALL: (f64, f64) = (0.6, 1e-3);
 
-/// The lower part of the wall that heats with the base, in metre: √(k t/h) of a steel wall of 1 mm in air.
+/// Height of the lower part of the wall that heats with the base, in metre: √(k t/h) of a steel wall of 1 mm in air.
 const FIN_M: f64 = 0.05;
 
-/// From wall, lid and a dry base to the room, in W/m²K: natural convection and radiation near 100 °C, about
-/// half each (VDI Heat Atlas, F2 and K1).
+/// Heat transfer from wall, lid and a dry base to the room, in W/m²K: natural convection and radiation near 100 °C, about half each
+/// (VDI Heat Atlas, F2 and K1).
 const TO_ROOM_W_PER_M2K: f64 = 10.0;
 
-/// Emissivity of a dry steel base, for what goes beyond [`TO_ROOM_W_PER_M2K`]'s radiation when it is hot.
+/// Emissivity of a dry steel base, for its radiation beyond [`TO_ROOM_W_PER_M2K`] when it is hot.
 const EMISSIVITY: f64 = 0.3;
 
 /// Stefan-Boltzmann constant in W/m²K⁴.
@@ -46,41 +46,42 @@ const WATER: (f64, f64) = (4186.0, 2.257e6);
 /// Boiling point at sea level in °C.
 const BOILING_C: f64 = 100.0;
 
-/// Vegetable oil: kg/l, J/kgK.
+/// Density in kg/l and specific heat in J/kgK of vegetable oil.
 const OIL: (f64, f64) = (0.91, 2000.0);
 
 /// Nucleate boiling: q = this · (wall − boiling point)³, in W/m²K³. Rohsenow's correlation with water's properties at
 /// 100 °C and C_sf = 0.0132, n = 1 (ground and polished stainless steel: Incropera, table 10.1).
 const NUCLEATE_W_PER_M2K3: f64 = 131.0;
 
-/// Below a bulk hotter than it the base is stably stratified: conduction and what the wall stirs, in W/m²K.
+/// Heat transfer in W/m²K between the base and contents hotter than it, which are stably stratified: conduction, and stirring by
+/// the wall.
 const STRATIFIED_W_PER_M2K: f64 = 50.0;
 
-/// Largest step that the explicit integration takes, in seconds: a twentieth of the base's quickest time constant.
+/// Largest step of the explicit integration, in seconds: a twentieth of the base's shortest time constant.
 const STEP_S: f64 = 0.05;
 
-/// Temperatures of a pot, and what changes them.
+/// Temperatures of a pot with contents.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ThermalModel {
     contents: Contents,
     base_c: f64,
     bulk_c: f64,
     glass_c: f64,
-    /// Inner face of the base.
+    /// Temperature of the base's inner face, in °C.
     face_c: f64,
-    /// Left in the pot.
+    /// Mass left in the pot, in kg.
     mass_kg: f64,
     body: Body,
 }
 
-/// A pot as a body.
+/// Thermal data of a pot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Body {
     area_m2: f64,
     base_j_per_k: f64,
-    /// Through the base.
+    /// Conductance through the base.
     through_w_per_k: f64,
-    /// Wall and lid to the room.
+    /// Conductance from wall and lid to the room.
     outside_w_per_k: f64,
     wall_j_per_k: f64,
 }
@@ -103,14 +104,14 @@ impl Body {
 }
 
 impl Default for ThermalModel {
-    /// The lump, at room temperature.
+    /// Creates the lump at room temperature.
     fn default() -> Self {
         Self::new(Contents::Food, &Pot::NONE)
     }
 }
 
 impl ThermalModel {
-    /// A pot with contents, all at the pot's temperature.
+    /// Creates a pot with contents, all at the pot's temperature.
     pub fn new(contents: Contents, pot: &Pot) -> Self {
         let start_c = pot.temperature_c;
         Self {
@@ -133,18 +134,17 @@ impl ThermalModel {
         self.base_c
     }
 
-    /// Temperature of what is in the pot, in °C; `None` where nothing is left in it, or it is one with the base.
+    /// Temperature of the contents in °C; `None` if the pot is empty or the contents are one lump with the base.
     pub fn bulk_c(&self) -> Option<f64> {
         (self.mass_kg > 0.0).then_some(self.bulk_c)
     }
 
-    /// Whether the whole of the water boils.
+    /// Returns `true` if all of the water boils.
     pub fn is_boiling(&self) -> bool {
         self.is_water() && self.bulk_c >= BOILING_C
     }
 
-    /// Share of the heat that bubbles carry away from the base: 0 to 1, above a half well before the whole of the
-    /// water boils.
+    /// Share of the heat that bubbles carry away from the base: 0 to 1, above a half well before all of the water boils.
     pub fn bubble_share(&self) -> f64 {
         if !self.is_water() {
             return 0.0;
@@ -188,7 +188,7 @@ impl ThermalModel {
         }
     }
 
-    /// What a dry base radiates and gives to the air and the wall, in watt.
+    /// Heat from a dry base to air and wall, radiation included, in watt.
     fn dry_w(&self) -> f64 {
         let fourth = |c: f64| (c + 273.15).powi(4);
         let radiated = EMISSIVITY * STEFAN_BOLTZMANN * (fourth(self.base_c) - fourth(ROOM_C));
@@ -203,7 +203,7 @@ impl ThermalModel {
         let j_per_k = self.mass_kg * j_per_kgk + self.body.wall_j_per_k;
         self.bulk_c += net_w * dt_s / j_per_k;
         if is_water && self.bulk_c > BOILING_C {
-            // What is too much leaves as steam.
+            // Excess heat leaves as steam.
             let steam_j = (self.bulk_c - BOILING_C) * j_per_k;
             self.bulk_c = BOILING_C;
             self.mass_kg = (self.mass_kg - steam_j / WATER.1).max(0.0);
@@ -236,7 +236,7 @@ impl ThermalModel {
         (convection + boiling, slope + boiling_slope)
     }
 
-    /// The inner face's temperature, at which the base gives what the contents take: Newton's method on a
+    /// Solves for the inner face's temperature, at which the base supplies the heat that the contents take: Newton's method on a
     /// monotone function, from the last value.
     fn settle_face(&mut self) {
         let per_m2 = self.body.through_w_per_k / self.body.area_m2;

@@ -1,6 +1,5 @@
-//! The simulated hob as a device in this process. [`SharedHob`]: simulated time passes only while the host
-//! waits for bytes, so a run gives the same digits whatever else the machine does. [`PacedHob`]: it follows
-//! the wall's, for a hob that lives on while nobody looks.
+//! Simulated hob as a device in this process. [`SharedHob`]: simulated time passes only while the host waits for bytes, so a run
+//! gives the same numbers on any machine. [`PacedHob`]: simulated time follows wall time, also between accesses.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -13,7 +12,7 @@ use super::hob::SimHob;
 use super::pace::Pace;
 use super::scenario::script::Script;
 
-/// A hob that the host's transport and whoever asks for the truth share.
+/// Hob shared by the host's transport and readers of its truth.
 #[derive(Clone)]
 pub struct SharedHob(Arc<Mutex<SimHob>>);
 
@@ -23,14 +22,14 @@ impl SharedHob {
         Self(Arc::new(Mutex::new(hob)))
     }
 
-    /// The hob. A panic elsewhere leaves it usable: every step is complete in itself.
+    /// Locks the hob. Poisoning is ignored: every step leaves a complete state.
     pub fn lock(&self) -> MutexGuard<'_, SimHob> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl SharedHob {
-    /// The truth of one of the last half-cycles, counted as the firmware counts them.
+    /// Truth of one of the last half-cycles, numbered like the firmware's.
     pub fn truth(&self, half_cycle: u32) -> Option<Truth> {
         self.lock().truth(half_cycle).cloned()
     }
@@ -63,12 +62,11 @@ impl Transport for SharedHob {
     }
 }
 
-/// Longest time that is simulated, or slept, before bytes are looked for again.
+/// Longest time that is simulated, or slept, before bytes are checked again.
 const SLICE: Duration = Duration::from_millis(2);
 
-/// A hob whose simulated time follows the wall's, some factor faster, without a thread of its own: what has
-/// passed while nobody waited for bytes, up to half a second, is simulated when somebody does. Its clock is
-/// simulated time.
+/// Hob whose simulated time follows wall time at a given speed, without a thread of its own: the time since the last access, up to
+/// half a second, is simulated at the next one. Its clock is simulated time.
 pub struct PacedHob {
     hob: SharedHob,
     pace: Pace,
@@ -76,13 +74,13 @@ pub struct PacedHob {
 }
 
 impl PacedHob {
-    /// A hob from its time now on, `speed` times as fast as the wall, or as fast as the machine can. The hob may
-    /// be that of an earlier connection, which is over.
+    /// Creates one from a hob's present time on, `speed` times as fast as wall time, or as fast as the machine can. The hob may be
+    /// that of an earlier connection that is over.
     pub fn new(hob: SharedHob, speed: f64) -> Self {
         let t_s = {
             let mut hob = hob.lock();
             hob.bound_link();
-            // What waits was for a host that is gone.
+            // Waiting bytes belong to the earlier host.
             while hob.receive(&mut [0; 4096]) > 0 {}
             hob.t_s()
         };
@@ -93,15 +91,15 @@ impl PacedHob {
         }
     }
 
-    /// The same, with what happens to pot, mains and panel meanwhile.
+    /// Adds events of pot, mains and panel.
     #[must_use]
-    pub fn playing(mut self, script: Script) -> Self {
+    pub fn with_script(mut self, script: Script) -> Self {
         self.script = Some(script);
         self
     }
 
-    /// Simulates up to where time should be, to `deadline_s`, to the first byte or for a slice; whether it
-    /// is there.
+    /// Simulates up to the target time, to `deadline_s` or to the first byte; returns `false` if it stopped earlier, after a slice
+    /// of wall time.
     fn catch_up(&mut self, deadline_s: f64) -> bool {
         let began = Instant::now();
         let mut hob = self.hob.lock();
@@ -125,7 +123,7 @@ impl Transport for PacedHob {
     }
 
     fn receive(&mut self, buf: &mut [u8], timeout: Duration) -> Result<usize, LinkError> {
-        // Who only looks gets some time simulated, too: else it would never pass.
+        // A zero timeout also simulates a slice: otherwise time would never pass.
         let deadline_s = self.clock().as_secs_f64() + timeout.max(SLICE).as_secs_f64();
         loop {
             let there = self.catch_up(deadline_s);
@@ -204,7 +202,7 @@ mod tests {
     fn a_host_shakes_hands_and_gets_windows_and_an_unread_link_is_bounded() {
         let (paced, hob) = paced(1.0);
         hob.lock()
-            .panel(ihd_firmware::request::PanelEvent::Level(5));
+            .panel(ihd_firmware::control::request::PanelEvent::Level(5));
         let mut client = ihd_link::Client::connect(Box::new(paced)).unwrap();
         client.stream(1, 10).unwrap();
         let deadline = Instant::now() + Duration::from_secs(60);

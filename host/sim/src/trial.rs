@@ -1,5 +1,5 @@
-//! Captures with truth for studies and tests: simulated once per operating point, noise added per
-//! seed, as the paper does (section V.A).
+//! Captures with truth for studies and tests: simulated once per operating point, with noise added per seed, as in the paper
+//! (section V.A).
 
 use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
@@ -11,10 +11,10 @@ use crate::adc::Noise;
 use crate::inverter::InverterError;
 use crate::recording::prepared::field_models;
 use crate::recording::run::record;
-use crate::recording::settings::{LoadKind, Settings};
+use crate::recording::settings::{CaptureSpec, LoadKind};
 use crate::surrogate::exact;
 
-/// A capture without noise, and what the simulation knows about it.
+/// Capture without noise, and its truth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trial {
     /// Samples before noise and quantising.
@@ -29,18 +29,18 @@ impl Trial {
     /// # Errors
     /// [`InverterError`] for a frequency outside 20 to 100 kHz.
     pub fn simulate(load: LoadKind, f_sw_hz: f64) -> Result<Self, InverterError> {
-        Self::record(&Settings {
+        Self::record(&CaptureSpec {
             load,
             f_sw_hz,
-            ..Settings::default()
+            ..CaptureSpec::default()
         })
     }
 
     /// Simulates a recording with a fixed sampling rate.
     ///
     /// # Errors
-    /// [`InverterError`] for settings that cannot be.
-    pub fn record(settings: &Settings) -> Result<Self, InverterError> {
+    /// [`InverterError`] for invalid settings.
+    pub fn record(settings: &CaptureSpec) -> Result<Self, InverterError> {
         let recording = record(settings, |_| ())?;
         Ok(Self {
             clean: recording.clean_segment(),
@@ -48,13 +48,12 @@ impl Trial {
         })
     }
 
-    /// The truth with R and L of the fundamental from the describing function at each period's
-    /// current: what a sinusoidal current of that amplitude would see.
+    /// Returns the truth with R and L of the fundamental from the describing function at each period's current: the values that a
+    /// sinusoidal current of that amplitude would see.
     ///
-    /// # Errors
-    /// [`InverterError`] when the field model has no solution.
+    /// [`InverterError`] if the field model has no solution.
     pub fn describing(&self) -> Result<Vec<PeriodTruth>, InverterError> {
-        let settings = Settings::default();
+        let settings = CaptureSpec::default();
         let models = field_models(&settings.pot, settings.winding_r_ohm)?;
         let mut found = self.truth.clone();
         for period in &mut found {
@@ -64,8 +63,8 @@ impl Trial {
         Ok(found)
     }
 
-    /// The capture with white noise of an SNR in decibel on both channels,
-    /// σ² = P_signal/10^(SNR/10) over the whole capture; without `snr_db` as it is.
+    /// Adds white noise of an SNR in decibel to both channels, σ² = P_signal/10^(SNR/10) over the whole capture; no noise without
+    /// `snr_db`.
     pub fn noisy(&self, snr_db: Option<f64>, seed: u64) -> Segment {
         let Some(snr_db) = snr_db else {
             return self.clean.clone();
@@ -75,7 +74,7 @@ impl Trial {
         self.with_noise(noise, seed)
     }
 
-    /// The capture with white noise of these deviations.
+    /// Adds white noise of these deviations.
     pub fn with_noise(&self, noise: Noise, seed: u64) -> Segment {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut add = |x: &[f64], sigma: f64| {

@@ -1,7 +1,7 @@
 //! Whatever a host sends, and whenever: the bridge is not on for long without a pot that was judged, and
 //! never while locked out.
 
-use ihd_firmware::limits::{QUICK_LOOK_MS, UNJUDGED_MS};
+use ihd_firmware::limits::{QUICK_PROBE_MS, UNJUDGED_MS};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
@@ -180,7 +180,7 @@ proptest! {
         let limit_s = f64::from(UNJUDGED_MS) * 1e-3;
         prop_assert!(bench.longest_on_s <= limit_s, "on for {} s", bench.longest_on_s);
         // A look every so often, and no look lasts longer than a half-cycle.
-        let looks = 1.0 + bench.hob.t_s() * 1e3 / f64::from(QUICK_LOOK_MS);
+        let looks = 1.0 + bench.hob.t_s() * 1e3 / f64::from(QUICK_PROBE_MS);
         prop_assert!(bench.on_s <= looks * 10e-3, "{} s in {} s", bench.on_s, bench.hob.t_s());
     }
 

@@ -7,12 +7,12 @@ use ihd_signal::vectorised::vectorised;
 #[error(
     "row {row} of the normal equations depends on the rows before it: the data cannot tell the unknowns apart"
 )]
-pub struct Singular {
+pub struct SingularMatrix {
     /// First row of the matrix that failed.
     pub row: usize,
 }
 
-/// Lower band of a symmetric matrix, row by row.
+/// Symmetric band matrix, stored as its lower band row by row.
 #[derive(Debug, Clone)]
 pub struct Banded {
     size: usize,
@@ -22,7 +22,7 @@ pub struct Banded {
 }
 
 impl Banded {
-    /// A matrix of zeros with that many rows and sub-diagonals.
+    /// Creates a matrix of zeros with that many rows and sub-diagonals.
     pub fn zeros(size: usize, half_bandwidth: usize) -> Self {
         Self {
             size,
@@ -68,8 +68,8 @@ impl Banded {
     /// Solves for each right-hand side in place, by Cholesky factorisation.
     ///
     /// # Errors
-    /// [`Singular`] if the matrix is not positive definite to working precision.
-    pub fn solve(mut self, right_hand_sides: &mut [Vec<f64>]) -> Result<(), Singular> {
+    /// [`SingularMatrix`] if the matrix is not positive definite to working precision.
+    pub fn solve(mut self, right_hand_sides: &mut [Vec<f64>]) -> Result<(), SingularMatrix> {
         self.factorise()?;
         for x in right_hand_sides {
             self.substitute(x);
@@ -77,7 +77,7 @@ impl Banded {
         Ok(())
     }
 
-    fn factorise(&mut self) -> Result<(), Singular> {
+    fn factorise(&mut self) -> Result<(), SingularMatrix> {
         vectorised(
             #[inline(always)]
             || self.factorise_rows(),
@@ -85,7 +85,7 @@ impl Banded {
     }
 
     #[inline(always)]
-    fn factorise_rows(&mut self) -> Result<(), Singular> {
+    fn factorise_rows(&mut self) -> Result<(), SingularMatrix> {
         for row in 0..self.size {
             let lowest = row.saturating_sub(self.half_bandwidth);
             let diagonal = self.entries[self.at(row, row)];
@@ -99,7 +99,7 @@ impl Banded {
                 } else if rest > 1e-13 * diagonal && rest.is_finite() {
                     self.entries[a + run] = rest.sqrt();
                 } else {
-                    return Err(Singular { row });
+                    return Err(SingularMatrix { row });
                 }
             }
         }
@@ -120,7 +120,7 @@ impl Banded {
     }
 }
 
-/// Σ x·y, in eight sums that can go side by side.
+/// Σ x·y as eight partial sums, which the compiler can vectorise.
 #[inline(always)]
 fn dot(x: &[f64], y: &[f64]) -> f64 {
     let (x, last_x) = x.as_chunks::<8>();
@@ -142,9 +142,9 @@ fn dot(x: &[f64], y: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Banded, Singular};
+    use super::{Banded, SingularMatrix};
 
-    /// A diagonally dominant band matrix with a pattern of no symmetry beyond its own.
+    /// Diagonally dominant band matrix with irregular entries.
     fn example(size: usize, half_bandwidth: usize) -> Banded {
         let mut matrix = Banded::zeros(size, half_bandwidth);
         for row in 0..size {
@@ -192,6 +192,6 @@ mod tests {
             matrix.add(row, column, 1.0);
         }
         let refused = matrix.solve(&mut [vec![0.0; 3]]);
-        assert_eq!(refused, Err(Singular { row: 1 }));
+        assert_eq!(refused, Err(SingularMatrix { row: 1 }));
     }
 }

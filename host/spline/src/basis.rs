@@ -1,19 +1,19 @@
 //! Clamped uniform cubic B-splines in slow time.
 //!
-//! A window lies between two mains zero crossings, and the envelope has its kinks only there: one
-//! smooth piece with clamped ends needs no inner knot of higher multiplicity.
+//! A window lies between two mains zero crossings, where the envelope has its only kinks. One smooth piece with clamped
+//! ends is therefore enough, without inner knots of higher multiplicity.
 
 use std::f64::consts::FRAC_PI_2;
 
 const DEGREE: usize = 3;
 
-/// Noise of a phasor in the first interval, as a share of its amplitude there: more bends R and L, as noise of the
-/// current is noise of the regressor.
+/// Largest noise of a phasor in the first interval, as a share of its amplitude there. More would bias R and L, because
+/// noise of the current is noise of the regressor.
 const END_NOISE: f64 = 0.01;
 
-/// Shortest interval at a mains zero crossing, in seconds, whose phasor noise leaves to 1 % of its amplitude there:
-/// `noise` is the variance of one sample's white noise over the mean square of the signal, samples `dt_s` seconds
-/// apart. Infinite where the noise is.
+/// Shortest interval at a mains zero crossing, in seconds, over which noise leaves the phasor accurate to 1 % of its amplitude
+/// there. `noise` is the variance of one sample's white noise over the mean square of the signal, `dt_s` the time between
+/// samples in seconds. Infinite if `noise` is.
 pub fn quiet_interval_s(noise: f64, dt_s: f64, half_cycle_s: f64) -> f64 {
     // The largest amplitude of a half-cycle is twice its rms, and within the first interval half its slope.
     let slope = FRAC_PI_2 * 2.0 / half_cycle_s;
@@ -30,28 +30,28 @@ pub fn quiet_interval_s(noise: f64, dt_s: f64, half_cycle_s: f64) -> f64 {
 pub struct CubicSpline {
     intervals: usize,
     duration_s: f64,
-    /// k of the knots' density k/(atanh k · (1 − k²x²)), x from −1 to 1 over the duration; 0: uniform.
+    /// k of the knots' density k/(atanh k · (1 − k²x²)), x from −1 to 1 over the duration; 0 if uniform.
     grading: f64,
-    /// atanh of it.
+    /// atanh of `grading`.
     whole: f64,
 }
 
-/// Gradings to choose from: at the ends knots are as dense as 3.2, 2.0, 1.5, 1.2 times the mean.
+/// Possible gradings: the knots at the ends are 3.2, 2.0, 1.5 or 1.2 times as dense as on average.
 const GRADINGS: [f64; 4] = [0.9, 0.8, 0.68, 0.5];
 
 /// The four basis functions that are non-zero at one time.
 #[derive(Debug, Clone, Copy)]
-pub struct Local {
-    /// Index of the first of them.
+pub struct BasisValues {
+    /// Index of the first of the four functions.
     pub first: usize,
-    /// Their values.
+    /// Values of the four functions.
     pub values: [f64; 4],
-    /// Their time derivatives, 1/s.
+    /// Time derivatives of the four functions in 1/s.
     pub slopes_per_s: [f64; 4],
 }
 
 impl CubicSpline {
-    /// A basis of that many intervals, at least one, over `duration_s` seconds.
+    /// Creates a basis of that many intervals, at least one, over `duration_s` seconds.
     pub fn new(intervals: usize, duration_s: f64) -> Self {
         Self {
             intervals: intervals.max(1),
@@ -61,8 +61,8 @@ impl CubicSpline {
         }
     }
 
-    /// The same with knots denser toward both ends, where a mains half-cycle has its steepest relative changes; no
-    /// interval is shorter than `least_s` seconds where that can be.
+    /// Creates a basis with denser knots toward both ends, where a mains half-cycle has its steepest relative changes. No
+    /// interval is shorter than `least_s` seconds if that is possible.
     pub fn graded(intervals: usize, duration_s: f64, least_s: f64) -> Self {
         let uniform = Self::new(intervals, duration_s);
         let all = GRADINGS.map(|grading| Self {
@@ -74,7 +74,7 @@ impl CubicSpline {
         all.into_iter().find(fits).unwrap_or(uniform)
     }
 
-    /// Place of a share of the duration among the knots as a share of all intervals, and its derivative.
+    /// Position of a share of the duration among the knots, as a share of all intervals, and its derivative.
     fn place(&self, share: f64) -> (f64, f64) {
         let k = self.grading;
         if k == 0.0 {
@@ -106,7 +106,7 @@ impl CubicSpline {
         if first < 2 || first + 3 > self.intervals {
             return (first, self.basis::<3>(first, u));
         }
-        // Among knots that are all apart by one.
+        // Between knots that are all one apart.
         let x = u - first as f64;
         let (y, x2) = (1.0 - x, x * x);
         let values = [
@@ -118,8 +118,8 @@ impl CubicSpline {
         (first, values)
     }
 
-    /// The non-zero basis functions at `tau_s`, which is moved into the basis' range if outside.
-    pub fn at(&self, tau_s: f64) -> Local {
+    /// Non-zero basis functions at `tau_s`, which is clamped to the basis' range.
+    pub fn at(&self, tau_s: f64) -> BasisValues {
         let (place, density) = self.place((tau_s / self.duration_s).clamp(0.0, 1.0));
         let per_interval_s = self.duration_s / (self.intervals as f64 * density);
         let u = (place * self.intervals as f64).clamp(0.0, self.intervals as f64);
@@ -135,7 +135,7 @@ impl CubicSpline {
             }
             _ => 0.0,
         });
-        Local {
+        BasisValues {
             first,
             values,
             slopes_per_s: std::array::from_fn(|m| (weighted[m] - weighted[m + 1]) / per_interval_s),

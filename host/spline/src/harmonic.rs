@@ -1,11 +1,10 @@
-//! The fit of harmonic phasors: x(t) = Σ_h Re{X_h(t)·e^(jhωt)}, each X_h a cubic B-spline in slow
-//! time, by linear least squares over all samples of voltage and current.
+//! Fit of harmonic phasors: x(t) = Σ_h Re{X_h(t)·e^(jhωt)}, each X_h a cubic B-spline in slow time, by linear least squares
+//! over all samples of voltage and current.
 //!
-//! Within a block of samples the splines are taken as constant, so that a sample costs four
-//! multiply-adds an order and the rest is done once a block; a block of one sample is exact. With a
-//! sixteenth of a period a block, the splines' steps are a sawtooth at 16 ω, which is none of the usual
-//! orders. Products of two harmonics are sums at h ± h': these few complex sums a pair of splines make
-//! the normal equations of an interval.
+//! Within a block of samples the splines are taken as constant: a sample then costs four multiply-adds per order, and all else
+//! is done once per block. A block of one sample is exact. With 16 blocks per period the splines' steps are a sawtooth at 16 ω,
+//! which is none of the usual orders. Products of two harmonics are sums at h ± h'; these few complex sums per pair of splines
+//! make the normal equations of an interval.
 
 use std::f64::consts::TAU;
 
@@ -13,41 +12,41 @@ use ihd_signal::correlation::Correlator;
 use nalgebra::Complex;
 
 use crate::single_samples::{Samples, Sums};
-use crate::{Banded, CubicSpline, Local, Singular};
+use crate::{Banded, BasisValues, CubicSpline, SingularMatrix};
 
 type Phasor = Complex<f64>;
 
-/// Pairs of the four splines that are not zero at a time.
+/// Pairs among the four splines that are non-zero at a time.
 const PAIRS: usize = 10;
 
-/// Orders that one pass over a block sums.
+/// Orders that are summed in one pass over a block.
 const AT_ONCE: usize = 4;
 
-/// What is fitted, and how the samples lie.
+/// Problem to fit: splines, orders and the positions of samples.
 #[derive(Clone, Copy, Debug)]
 pub struct HarmonicFit<'a> {
-    /// Functions of slow time, in seconds after the first sample.
+    /// Basis in slow time, in seconds after the first sample.
     pub spline: &'a CubicSpline,
     /// Orders of the fundamental, ascending.
     pub orders: &'a [u32],
-    /// What the samples show of each order, as a factor: 1, or less where they are means of others.
+    /// Factor with which each order appears in the samples: 1, or less if samples are means of others.
     pub gains: &'a [f64],
     /// Periods of the fundamental from one sample to the next.
     pub periods_per_sample: f64,
     /// Time from one sample to the next in seconds.
     pub dt_s: f64,
-    /// Samples of a block, one at least. A last block that is not full is left out.
+    /// Samples per block, at least one. A last block that is not full is left out.
     pub block: usize,
-    /// Where in a block its splines are taken, in samples after the block's first.
+    /// Position in a block at which its splines are evaluated, in samples after its first.
     pub centre: f64,
 }
 
-/// Normal equations of voltage and current, which share the matrix: same times, same functions.
+/// Normal equations of voltage and current. They share the matrix, because times and functions are the same.
 ///
-/// Unknowns: spline function by spline function, a cosine and a sine of each order.
+/// Order of the unknowns: by spline function, and within each a cosine and a sine of each order.
 #[derive(Clone, Debug)]
 pub struct NormalEquations {
-    /// The matrix.
+    /// Matrix of both.
     pub gram: Banded,
     /// Right-hand side of the voltage.
     pub v: Vec<f64>,
@@ -56,24 +55,24 @@ pub struct NormalEquations {
 }
 
 impl NormalEquations {
-    /// Coefficients of voltage and of current.
+    /// Solves for the coefficients of voltage and of current.
     ///
     /// # Errors
-    /// [`Singular`] where the sampling cannot distinguish the orders.
-    pub fn solve(self) -> Result<[Vec<f64>; 2], Singular> {
+    /// [`SingularMatrix`] if the samples cannot distinguish the orders.
+    pub fn solve(self) -> Result<[Vec<f64>; 2], SingularMatrix> {
         let mut solved = [self.v, self.i];
         self.gram.solve(&mut solved)?;
         Ok(solved)
     }
 }
 
-/// The phasor of the order at place `index` of `orders`, of a signal's coefficients, weighted with a
-/// time's spline values or slopes.
+/// Phasor of the order at index `index` of `orders`, from a signal's coefficients; `weights` are the splines' values or
+/// slopes at a time.
 pub fn phasor(
     coefficients: &[f64],
     orders: usize,
     index: usize,
-    local: &Local,
+    local: &BasisValues,
     weights: &[f64; 4],
 ) -> Phasor {
     // a cos + b sin = Re{(a − jb)·e^(jθ)}.
@@ -162,12 +161,12 @@ impl HarmonicFit<'_> {
         equations
     }
 
-    /// Unknowns of one signal.
+    /// Number of unknowns of one signal.
     pub fn unknowns(&self) -> usize {
         2 * self.orders.len() * self.spline.functions()
     }
 
-    /// Adds an interval's sums to the equations.
+    /// Adds the sums of an interval to the equations.
     fn add(&self, part: &Interval, turns: &Turns, equations: &mut NormalEquations) {
         let orders = self.orders.len();
         let mut pair = 0;
@@ -189,7 +188,7 @@ impl HarmonicFit<'_> {
         }
     }
 
-    /// cos a cos b = ½(cos(a−b) + cos(a+b)) and so on; `sums[k]` is Σ e^(−j·k·stride·ωt).
+    /// Adds products by cos a cos b = ½(cos(a−b) + cos(a+b)) and so on; `sums[k]` is Σ e^(−j·k·stride·ωt).
     fn add_pair(
         &self,
         (row, column): (usize, usize),
@@ -220,10 +219,10 @@ impl HarmonicFit<'_> {
     }
 }
 
-/// The multiples of the fundamental that products of two orders have.
+/// Multiples of the fundamental that occur in products of two orders.
 struct Turns {
     periods_per_sample: f64,
-    /// 2 where all orders are odd, so that their sums and differences are even; else 1.
+    /// 2 if all orders are odd, because their sums and differences are then even; else 1.
     stride: u32,
     /// Σ e^(−j·k·stride·ωt) over a block from its first sample, which is at angle 0.
     within: Vec<Phasor>,
@@ -251,8 +250,7 @@ impl Turns {
         self.within.len()
     }
 
-    /// e^(−jkωt) at a sample for every k up to the highest multiple: one sine and cosine, and their
-    /// powers.
+    /// e^(−jkωt) at a sample for every k up to the highest multiple, as powers of one sine and cosine.
     fn powers(&self, sample: usize, powers: &mut Vec<Phasor>) {
         let (sin, cos) = libm::sincos(TAU * (sample as f64 * self.periods_per_sample).fract());
         let turn = Complex::new(cos, -sin);
@@ -267,7 +265,7 @@ impl Turns {
     }
 }
 
-/// Sums of one interval of the spline, before they go into the band.
+/// Sums over one interval of the spline.
 struct Interval {
     first: usize,
     orders: usize,
@@ -275,7 +273,7 @@ struct Interval {
     products: Vec<Phasor>,
     v: Vec<Phasor>,
     i: Vec<Phasor>,
-    /// Of the block at hand: Σ e^(−j·k·stride·ωt).
+    /// Σ e^(−j·k·stride·ωt) of the present block.
     turned: Vec<Phasor>,
 }
 
@@ -300,14 +298,14 @@ impl Interval {
         }
     }
 
-    fn add_signals(&mut self, order: usize, local: &Local, v: Phasor, i: Phasor) {
+    fn add_signals(&mut self, order: usize, local: &BasisValues, v: Phasor, i: Phasor) {
         for (m, &value) in local.values.iter().enumerate() {
             self.v[m * self.orders + order] += v * value;
             self.i[m * self.orders + order] += i * value;
         }
     }
 
-    fn add_products(&mut self, local: &Local, turns: &Turns, powers: &[Phasor]) {
+    fn add_products(&mut self, local: &BasisValues, turns: &Turns, powers: &[Phasor]) {
         let of_block = turns.within.iter();
         let turned = of_block.zip(powers.iter().step_by(turns.stride as usize));
         self.turned.clear();
@@ -387,7 +385,7 @@ mod tests {
         }
     }
 
-    /// The equations written out: (cos, sin) of each order of each spline at every sample.
+    /// Comparison with the equations written out: (cos, sin) of each order of each spline at every sample.
     #[test]
     fn single_samples_give_the_normal_equations_as_they_are_written() {
         let (periods_per_sample, dt_s, samples) = (1.0 / 20.33, 1e-6, 400);

@@ -1,8 +1,11 @@
-//! Cubic B-splines in slow time, and the banded normal equations of least squares with them.
+//! Cubic B-splines in slow time, and least squares with their banded normal equations.
 //!
-//! What moves with the mains envelope (phasors, R, L) is written as a spline with a few tens of
-//! knots a half-cycle; a basis function overlaps only three neighbours on either side, so that the
-//! normal equations are banded and cost next to nothing.
+//! Quantities that follow the mains envelope (phasors, R, L) are splines with a few tens of knots per half-cycle. A basis
+//! function overlaps only three neighbours on either side, so that the normal equations are banded and cheap.
+//!
+//! - [`CubicSpline`]: the basis; [`Banded`]: the normal equations and their solver.
+//! - [`harmonic`]: fit of harmonic phasors to samples of voltage and current.
+//! - [`residual`]: error of such a fit beyond white noise.
 
 mod banded;
 mod basis;
@@ -10,5 +13,5 @@ pub mod harmonic;
 pub mod residual;
 mod single_samples;
 
-pub use banded::{Banded, Singular};
-pub use basis::{CubicSpline, Local, quiet_interval_s};
+pub use banded::{Banded, SingularMatrix};
+pub use basis::{BasisValues, CubicSpline, quiet_interval_s};

@@ -1,6 +1,6 @@
-//! What a fit of harmonic phasors leaves of the fundamental, in windows along the stretch: the part that is more
-//! than white noise is an error of the model (a neighbour's coil, a frequency that moves, a step, edges that the
-//! sampling folds beside the fundamental), and no standard deviation from white noise holds it.
+//! Residual of a fit of harmonic phasors at the fundamental, in windows along the stretch. The part that exceeds white noise is
+//! an error of the model: a neighbour's coil, a frequency that moves, a step, or edges that the sampling folds beside the
+//! fundamental. A standard deviation from white noise does not contain it.
 
 use std::f64::consts::PI;
 
@@ -17,25 +17,25 @@ const WINDOW: f64 = 1.0;
 /// Fewest switching periods of a window: its lobe of 3 bins keeps the other harmonics out.
 const LEAST_PERIODS: f64 = 6.0;
 
-/// Windows in a window's length.
+/// Windows per window length.
 const OVERLAP: f64 = 4.0;
 
-/// Share of white noise in a window that a spline's own freedom has not taken.
+/// Share of white noise that the spline's own freedom leaves in a window.
 const LEFT: f64 = 0.49;
 
-/// Times of a window at which the fitted phasor is taken.
+/// Times of a window at which the fitted phasor is evaluated.
 const TIMES: usize = 8;
 
-/// Windows on either side over which squares are averaged.
+/// Windows on either side that are averaged.
 const REACH: usize = 4;
 
-/// What of the mean square of white noise counts as chance: means of so many windows seldom are above.
+/// Mean square relative to white noise that counts as chance: means of so many windows seldom exceed it.
 const CHANCE: f64 = 1.8;
 
-/// Excess over white noise of what a fit leaves of the fundamental, along the stretch.
+/// Excess of a fit's residual at the fundamental over white noise, along the stretch.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Excess {
-    /// Time of the first window's middle and from one to the next, in seconds after the first sample.
+    /// Time of the first window's middle in seconds after the first sample; `step_s` is the distance to the next.
     first_s: f64,
     step_s: f64,
     /// Mean squared amplitude beyond white noise, of voltage and current, in their units.
@@ -43,8 +43,8 @@ pub struct Excess {
 }
 
 impl Excess {
-    /// Of a fit and its coefficients of voltage and current; `white` are the deviations of the white noise of their
-    /// samples.
+    /// Computes the excess of a fit from its coefficients of voltage and current; `white` holds the standard deviations of
+    /// their white noise per sample.
     pub fn of(
         fit: &HarmonicFit<'_>,
         samples: [&[f64]; 2],
@@ -80,23 +80,23 @@ impl Excess {
         }
     }
 
-    /// Mean squared amplitudes of voltage and current beyond white noise around a time in seconds after the first
-    /// sample; zero where there were too few samples for a window.
+    /// Mean squared amplitudes of voltage and current beyond white noise around a time in seconds after the first sample; zero
+    /// if the stretch is shorter than a window.
     pub fn at(&self, tau_s: f64) -> [f64; 2] {
         let place = ((tau_s - self.first_s) / self.step_s).round().max(0.0);
         let last = self.squares.len().saturating_sub(1);
-        let found = self.squares.get((place as usize).min(last));
-        found.copied().unwrap_or([0.0; 2])
+        let squares = self.squares.get((place as usize).min(last));
+        squares.copied().unwrap_or([0.0; 2])
     }
 }
 
-/// How the stretch is cut.
+/// Division of a stretch into windows.
 struct Windows {
-    /// Samples of a block, whose sums the windows share.
+    /// Samples of a block; windows share the sums of blocks.
     block: usize,
     /// sin⁴ over the blocks of a window; their sum is 1.
     weights: Vec<f64>,
-    /// Blocks from one window to the next.
+    /// Distance from one window to the next in blocks.
     hop: usize,
     count: usize,
     /// Mean squared amplitude of white noise of variance 1.
@@ -120,7 +120,7 @@ impl Windows {
         let sum: f64 = raw.iter().sum();
         let weights: Vec<f64> = raw.iter().map(|w| w / sum).collect();
         Some(Self {
-            // |2Σwx|² of white noise is 4σ²Σw², each of a block's samples carrying its share.
+            // |2Σwx|² of white noise is 4σ²Σw², where each sample of a block carries its share.
             white: 4.0 * weights.iter().map(|w| w * w).sum::<f64>() / block as f64,
             weights,
             hop,
@@ -133,7 +133,7 @@ impl Windows {
         (self.weights.len() * self.block) as f64 * fit.dt_s
     }
 
-    /// Squared amplitudes of what is left of voltage and current in a window.
+    /// Squared amplitudes of the residuals of voltage and current in a window.
     fn left(
         &self,
         window: usize,
@@ -142,10 +142,10 @@ impl Windows {
         fitted: [&[f64]; 2],
     ) -> [f64; 2] {
         let from = window * self.hop;
-        let mut found = [Complex::new(0.0, 0.0); 2];
+        let mut amplitudes = [Complex::new(0.0, 0.0); 2];
         for (w, sums) in self.weights.iter().zip(&blocks[from..]) {
-            for (found, sum) in found.iter_mut().zip(sums) {
-                *found += sum * (2.0 * w / self.block as f64);
+            for (amplitude, sum) in amplitudes.iter_mut().zip(sums) {
+                *amplitude += sum * (2.0 * w / self.block as f64);
             }
         }
         let start_s = (from * self.block) as f64 * fit.dt_s;
@@ -162,7 +162,7 @@ impl Windows {
             weights += weight;
         }
         let gain = fit.gains.first().copied().unwrap_or(1.0);
-        std::array::from_fn(|x| (found[x] - expected[x] * (gain / weights)).norm_sqr())
+        std::array::from_fn(|x| (amplitudes[x] - expected[x] * (gain / weights)).norm_sqr())
     }
 }
 
@@ -176,7 +176,7 @@ mod tests {
     const DT_S: f64 = 1e-6;
     const SAMPLES: usize = 10_000;
 
-    /// Excess of a fit to a modulated carrier of 45 kHz with a third harmonic, and what is added to the voltage.
+    /// Excess of a fit to a modulated carrier of 45 kHz with a third harmonic and an added voltage.
     fn excess(added: impl Fn(f64) -> f64, sigma: f64) -> Excess {
         let signal = |n: usize| {
             let t = n as f64 * DT_S;

@@ -1,7 +1,7 @@
-//! Sums over single samples, each with its own splines: what is exact, and what a few ten thousand points take.
+//! Sums over single samples, each with its own splines: exact, and fast enough for some ten thousand samples.
 //!
-//! e^(−jkωt) of a sample is that of a stretch's first sample times a table's; all multiples of the fundamental stand side
-//! by side, so that the sums run along whole registers.
+//! e^(−jkωt) of a sample is that of a stretch's first sample times a table entry. All multiples of the fundamental are adjacent
+//! in memory, so that the sums fill whole registers.
 
 use std::f64::consts::TAU;
 
@@ -10,16 +10,16 @@ use nalgebra::Complex;
 
 use crate::CubicSpline;
 
-/// Samples of a stretch, which share a sine and a cosine of every multiple.
+/// Samples per stretch; a stretch computes one sine and cosine per multiple.
 const STRETCH: usize = 64;
 
-/// Multiples are padded to so many.
+/// The number of multiples is padded to a multiple of this.
 const LANES: usize = 4;
 
-/// Pairs of the four splines that are not zero at a time.
+/// Pairs among the four splines that are non-zero at a time.
 const PAIRS: usize = 10;
 
-/// Complex numbers side by side, real and imaginary parts apart.
+/// Array of complex numbers with real and imaginary parts apart.
 #[derive(Clone, Debug)]
 struct Parts {
     re: Vec<[f64; LANES]>,
@@ -55,7 +55,7 @@ impl Parts {
         Complex::new(self.re[k / LANES][k % LANES], self.im[k / LANES][k % LANES])
     }
 
-    /// The product of two, number by number.
+    /// Sets this to the elementwise product of two arrays.
     #[inline(always)]
     fn set_product(&mut self, a: &Self, b: &Self) {
         let re = self.re.iter_mut().zip(a.re.iter().zip(&b.re));
@@ -80,43 +80,43 @@ impl Parts {
     }
 }
 
-/// Samples of voltage and current, and where they lie.
+/// Samples of voltage and current with their positions.
 pub(crate) struct Samples<'a> {
     pub spline: &'a CubicSpline,
     pub periods_per_sample: f64,
     pub dt_s: f64,
-    /// Where within a sample its splines are taken.
+    /// Position within a sample at which its splines are evaluated.
     pub centre: f64,
     pub v: &'a [f64],
     pub i: &'a [f64],
 }
 
 impl Samples<'_> {
-    /// Index of the first spline that is not zero at a sample, and four splines' values.
+    /// Index of the first spline that is non-zero at a sample, and the values of four splines.
     pub fn splines_at(&self, n: usize) -> (usize, [f64; 4]) {
         self.spline.values_at((n as f64 + self.centre) * self.dt_s)
     }
 }
 
-/// Sums of one interval of the spline.
+/// Sums over one interval of the spline.
 pub(crate) struct Sums {
     /// Index of the interval's first spline.
     pub first: usize,
     multiples: Vec<u32>,
     orders: Vec<u32>,
-    /// Of each sample of a stretch.
+    /// Rotation of each multiple, for each sample of a stretch.
     multiple_table: Vec<Parts>,
     order_table: Vec<Parts>,
-    /// Pair by pair of splines, of each multiple.
+    /// Sums of each multiple, by pair of splines.
     products: Vec<Parts>,
-    /// Spline by spline, of each order.
+    /// Sums of each order, by spline.
     v: Vec<Parts>,
     i: Vec<Parts>,
     turned: [Parts; 2],
 }
 
 impl Sums {
-    /// For products that have these multiples of the fundamental, and signals of these orders.
+    /// Creates sums for products with these multiples of the fundamental, and signals of these orders.
     pub fn new(multiples: Vec<u32>, orders: &[u32], periods_per_sample: f64) -> Self {
         let table = |of: &[u32]| -> Vec<Parts> {
             let at = |n: usize| Parts::turned(of, n as f64 * periods_per_sample);
@@ -146,7 +146,7 @@ impl Sums {
         all.for_each(Parts::clear);
     }
 
-    /// Adds samples from index `from` on, up to the interval's last; the index after it.
+    /// Adds samples from index `from` to the end of the interval; returns the index after the last one.
     pub fn add(&mut self, samples: &Samples<'_>, from: usize) -> usize {
         let mut at = from;
         while at < samples.v.len() {
@@ -198,17 +198,17 @@ impl Sums {
         range.end
     }
 
-    /// Pair by pair, Σ b·b'·e^(−jkωt) of each multiple.
+    /// Σ b·b'·e^(−jkωt) of each multiple, by pair of splines.
     pub fn products(&self) -> Vec<Complex<f64>> {
         listed(&self.products, self.multiples.len())
     }
 
-    /// Spline by spline, Σ b·v·e^(−jhωt) of each order.
+    /// Σ b·v·e^(−jhωt) of each order, by spline.
     pub fn v(&self) -> Vec<Complex<f64>> {
         listed(&self.v, self.orders.len())
     }
 
-    /// The same of the current.
+    /// Σ b·i·e^(−jhωt) of each order, by spline.
     pub fn i(&self) -> Vec<Complex<f64>> {
         listed(&self.i, self.orders.len())
     }

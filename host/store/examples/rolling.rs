@@ -4,7 +4,7 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use ihd_store::{Keep, NewResult, Store};
+use ihd_store::{NewResult, SamplePolicy, Store};
 
 #[path = "../tests/it/fixture.rs"]
 #[allow(dead_code, reason = "the tests use all of it")]
@@ -22,7 +22,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .map_or_else(std::env::temp_dir, PathBuf::from);
     let folder = tempfile::tempdir_in(parent)?;
     let clock = fixture::SetClock::at(fixture::NOON_MS);
-    let settings = fixture::keeping(Keep::All, MAX_BYTES, None);
+    let settings = fixture::keeping(SamplePolicy::All, MAX_BYTES, None);
     let mut store = Store::open_with_clock(folder.path(), &settings, clock.clock())?.store;
     let session = fixture::session(&mut store);
     let (mut alone, mut today, mut other) = (Vec::new(), Vec::new(), Vec::new());

@@ -1,18 +1,18 @@
-//! Age of days by the time that the store was in use: a clock that jumps deletes nothing.
+//! Age of days, counted in time that the store was in use, so that a jump of the clock deletes nothing.
 
 use rusqlite::{OptionalExtension, params};
 
 use super::{Store, StoreError};
 
-/// Longest step between two collections that counts, twice what a daemon leaves between them: time off, or a jump of the clock, counts
+/// Longest counted step between two collections, twice the daemon's period of collections. A longer pause or a jump of the clock counts
 /// as this.
 const LONGEST_STEP_MS: i64 = 20 * 60_000;
 
-/// The row that holds the time in use so far.
+/// Key of the row with the total time in use.
 const NOW: &str = "";
 
 impl Store {
-    /// Counts the time since the last collection of this process, as far as it counts.
+    /// Adds the time since this process's last collection to the time in use, up to [`LONGEST_STEP_MS`].
     pub(crate) fn grow_older(&mut self) -> Result<(), StoreError> {
         let now = self.now();
         let last = self.collected_ms.replace(now).unwrap_or(now);
@@ -27,7 +27,7 @@ impl Store {
         })
     }
 
-    /// Time in use since a day's file was seen first, in milliseconds.
+    /// Returns the time in use since a day's file was seen first, in milliseconds.
     pub(crate) fn age_of(&mut self, day: &str) -> Result<i64, StoreError> {
         self.change("telling the age of a day", |change| {
             let used = |day: &str| {
@@ -44,7 +44,7 @@ impl Store {
         })
     }
 
-    /// Forgets the age of a day that is deleted.
+    /// Deletes the age of a day that is deleted.
     pub(crate) fn forget_age_of(&mut self, day: &str) -> Result<(), StoreError> {
         self.change("forgetting a day", |change| {
             change

@@ -1,4 +1,4 @@
-//! A copy of the store while it is written.
+//! Backup: a copy of the store, also while another process writes to it.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -11,13 +11,12 @@ use super::folder::{self, RECORDS};
 use super::schema;
 use super::{StoreError, database};
 
-/// Copies a store to a new folder, whoever writes to it meanwhile, by SQLite's online backup. Results come
-/// first: every window that they speak of is in the copy, unless retention deleted it meanwhile. The new
-/// folder has its name when all of it is on disk, not before.
+/// Copies a store to a new folder by SQLite's online backup; other processes may write meanwhile. Results are copied first, so that the
+/// copy holds every window that they refer to, unless retention has deleted it. The folder gets its name when all of it is on disk.
 ///
 /// # Errors
-/// [`StoreError::Exists`] where there is such a folder, [`StoreError::NoStore`], else what the database or
-/// the operating system reports. What was copied until then is removed, by the next backup or start if this process is killed.
+/// [`StoreError::Exists`] if the folder exists, [`StoreError::NoStore`], or an error of the database or the operating system. An
+/// incomplete copy is removed; if this process is killed, by the next backup or start.
 pub fn backup(from: &Path, to: &Path) -> Result<(), StoreError> {
     if fs::symlink_metadata(to).is_ok() {
         let path = to.to_owned();
@@ -38,7 +37,7 @@ const PARTIAL: &str = ".partial";
 /// Ending of the file beside it that is locked meanwhile.
 const LOCK: &str = ".lock";
 
-/// Tells the backups of one process apart.
+/// Number that distinguishes the backups of one process.
 static BEGUN: AtomicU32 = AtomicU32::new(0);
 
 /// A backup that is being filled, under a name of its own; removed unless it was renamed.
@@ -50,7 +49,7 @@ struct Partial {
 }
 
 impl Partial {
-    /// Begins one beside `to`, and removes those that killed processes left there.
+    /// Starts a backup beside `to`, and removes those that killed processes left there.
     fn begin(to: &Path) -> Result<Self, StoreError> {
         let parent = match to.parent() {
             Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -78,13 +77,13 @@ impl Partial {
 
 impl Drop for Partial {
     fn drop(&mut self) {
-        // It is not there after a renaming. That it cannot be removed is told by the next backup, which tries again.
+        // Gone after a renaming. If it cannot be removed, the next backup tries again and reports it.
         let _ = fs::remove_dir_all(&self.folder);
         let _ = fs::remove_file(&self.lock);
     }
 }
 
-/// Removes backups that were not finished, and whose process is gone, from a folder of backups.
+/// Removes unfinished backups whose process is gone from a folder of backups.
 pub(crate) fn remove_leftovers(backups: &Path) {
     let Ok(entries) = fs::read_dir(backups) else {
         return;
@@ -130,7 +129,7 @@ fn into_folder(from: &Path, to: &Path) -> Result<(), StoreError> {
     ihd_signal::atomic::synchronise_folder(to).map_err(StoreError::files(to, "synchronising"))
 }
 
-/// All pages in one step, which is one moment of the source; its writer goes on beside it.
+/// Copies all pages in one step, so that the copy is a consistent state; the source's writer is not blocked.
 fn copy(source: &Connection, to: &Path) -> Result<(), StoreError> {
     let failed = || StoreError::database(to, "backing up");
     let mut target = Connection::open(to).map_err(failed())?;

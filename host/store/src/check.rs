@@ -1,20 +1,20 @@
-//! Whether a store is whole, and what it holds.
+//! Check of a store: integrity and contents.
 
 use serde::Serialize;
 
-use super::database::{self, Found};
+use super::database::{self, IntegrityCheck};
 use super::folder;
 use super::schema::WINDOWS;
 use super::windows::Day;
 use super::{LookupState, Reader, StoreError, WindowFilter};
 
-/// Faults that are told of one by one.
-const MAX_TOLD: usize = 20;
+/// Faults that are listed one by one.
+const MAX_LISTED: usize = 20;
 
-/// What a check found.
+/// Result of a check.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Report {
-    /// `ok`, or what is wrong.
+pub struct CheckReport {
+    /// `ok`, or the faults.
     pub integrity: String,
     /// Windows, with their samples or without.
     pub windows: u64,
@@ -35,12 +35,12 @@ pub struct Lookup {
     pub device: String,
     /// Its version.
     pub version: u32,
-    /// What it is to the device.
+    /// State of the lookup on the device.
     pub state: LookupState,
 }
 
-impl Report {
-    /// Whether nothing is wrong.
+impl CheckReport {
+    /// Returns `true` if there is no fault.
     pub fn is_whole(&self) -> bool {
         self.integrity == "ok"
     }
@@ -51,8 +51,8 @@ impl Reader {
     /// and every lookup can be read.
     ///
     /// # Errors
-    /// What the databases report other than damage.
-    pub fn check(&self) -> Result<Report, StoreError> {
+    /// Errors of the databases other than damage.
+    pub fn check(&self) -> Result<CheckReport, StoreError> {
         let mut wrong = Vec::new();
         note(
             &mut wrong,
@@ -100,7 +100,7 @@ impl Reader {
             version: row.version,
             state: row.state,
         });
-        Ok(Report {
+        Ok(CheckReport {
             integrity: integrity(&wrong),
             windows,
             windows_with_samples: with_samples,
@@ -111,17 +111,20 @@ impl Reader {
     }
 }
 
-/// What a database's own check says.
-fn note(wrong: &mut Vec<String>, found: Result<Found, StoreError>) -> Result<(), StoreError> {
+/// Adds the faults of SQLite's own check.
+fn note(
+    wrong: &mut Vec<String>,
+    found: Result<IntegrityCheck, StoreError>,
+) -> Result<(), StoreError> {
     match or_wrong(wrong, found)? {
-        Some(Found::Broken(why)) => wrong.push(why),
-        Some(Found::Unfinished) => wrong.push("not checked to the end".to_owned()),
-        Some(Found::Whole) | None => {}
+        Some(IntegrityCheck::Corrupt(why)) => wrong.push(why),
+        Some(IntegrityCheck::TimedOut) => wrong.push("not checked to the end".to_owned()),
+        Some(IntegrityCheck::Ok) | None => {}
     }
     Ok(())
 }
 
-/// Damage is what a check is for, and no error.
+/// Turns damage into a fault of the report; other errors stay errors.
 fn or_wrong<T>(
     wrong: &mut Vec<String>,
     result: Result<T, StoreError>,
@@ -139,11 +142,11 @@ fn or_wrong<T>(
 fn integrity(wrong: &[String]) -> String {
     match wrong {
         [] => "ok".to_owned(),
-        few if few.len() <= MAX_TOLD => few.join("; "),
+        few if few.len() <= MAX_LISTED => few.join("; "),
         many => format!(
             "{}; and {} more",
-            many[..MAX_TOLD].join("; "),
-            many.len() - MAX_TOLD
+            many[..MAX_LISTED].join("; "),
+            many.len() - MAX_LISTED
         ),
     }
 }

@@ -1,37 +1,37 @@
-//! The time that rows are stamped with, and the day that a window's file is named by.
+//! Time stamps of rows, and days that files of windows are named by.
 
 use std::sync::Arc;
 
 use jiff::{Timestamp, tz::Offset};
 
-/// What tells the time in milliseconds since 1970, UTC: the machine's clock, or that of a test.
+/// Clock in milliseconds since 1970, UTC: the machine's, or that of a test.
 pub type Clock = Arc<dyn Fn() -> i64 + Send + Sync>;
 
-/// The machine's clock.
+/// Returns the machine's clock.
 pub fn of_the_machine() -> Clock {
     Arc::new(|| Timestamp::now().as_millisecond())
 }
 
-/// The day, in UTC, as `YYYY-MM-DD`: the order of the words is that of the days. A time that no calendar
-/// has is that of 1970.
+/// Returns the day in UTC as `YYYY-MM-DD`, which sorts by time. A time out of the calendar's range
+/// counts as 1970.
 pub fn day(at_ms: i64) -> String {
     let at = Timestamp::from_millisecond(at_ms).unwrap_or(Timestamp::UNIX_EPOCH);
     Offset::UTC.to_datetime(at).date().to_string()
 }
 
-/// A time as RFC 3339 writes it, in UTC: `2026-11-22T08:30:00.125Z`.
+/// Formats a time by RFC 3339 in UTC: `2026-11-22T08:30:00.125Z`.
 pub fn rfc3339(at_ms: i64) -> String {
     let at = Timestamp::from_millisecond(at_ms).unwrap_or(Timestamp::UNIX_EPOCH);
     format!("{at:.3}")
 }
 
-/// Whether a word is a day, as [`day`] writes it.
+/// Returns `true` if a text is a day as [`day`] writes it.
 pub fn is_day(word: &str) -> bool {
     word.parse::<jiff::civil::Date>()
         .is_ok_and(|date| date.to_string() == word)
 }
 
-/// The beginning of a day in milliseconds since 1970.
+/// Returns the beginning of a day in milliseconds since 1970; `None` if the text is no day.
 pub fn of_day(word: &str) -> Option<i64> {
     if !is_day(word) {
         return None;
@@ -42,7 +42,7 @@ pub fn of_day(word: &str) -> Option<i64> {
     Some(at.as_millisecond())
 }
 
-/// A day (UTC, its beginning) or a time as milliseconds since 1970: `2026-11-22`, `2026-11-22T08:30:00Z`.
+/// Parses a day (UTC, its beginning) or a time to milliseconds since 1970: `2026-11-22`, `2026-11-22T08:30:00Z`.
 pub fn parse(word: &str) -> Option<i64> {
     let at = || {
         word.parse::<Timestamp>()

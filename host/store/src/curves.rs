@@ -1,5 +1,4 @@
-//! R and L over the half-cycle of a stored window, thinned: what the network said of it, and the truth where there
-//! was one to ask.
+//! R(t) and L(t) of a stored window, thinned: the network's result, and the truth if it is known.
 
 use rusqlite::{OptionalExtension, Row, params};
 use zstd::bulk::{Compressor, Decompressor};
@@ -10,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::windows::Day;
 use super::{SessionId, Store, StoreError};
 
-/// Most points of a curve that are kept.
+/// Most points of a stored curve.
 pub const MAX_POINTS: usize = 128;
 
 /// Columns without standard deviations, and with them.
@@ -19,7 +18,7 @@ const COLUMNS: [usize; 2] = [4, 6];
 /// zstd's level.
 const LEVEL: i32 = 3;
 
-/// R and L through a half-cycle. Lists are equally long, those of the standard deviations may be empty.
+/// R(t) and L(t) of a half-cycle. The lists are equally long; those of the standard deviations may be empty.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Curve {
     /// Seconds after the mains zero crossing.
@@ -30,14 +29,14 @@ pub struct Curve {
     pub l_h: Vec<f64>,
     /// Amplitude of the current's fundamental, in ampere.
     pub i_a: Vec<f64>,
-    /// Standard deviation of R, in ohm; empty where nobody tells.
+    /// Standard deviation of R, in ohm; empty if unknown.
     pub r_sigma_ohm: Vec<f64>,
-    /// Standard deviation of L, in henry; empty where nobody tells.
+    /// Standard deviation of L, in henry; empty if unknown.
     pub l_sigma_h: Vec<f64>,
 }
 
 impl Curve {
-    /// Whether its lists belong together and are none too long.
+    /// Returns `true` if the lists are equally long and not longer than [`MAX_POINTS`].
     pub fn is_sound(&self) -> bool {
         let n = self.t_s.len();
         let whole = [&self.r_ohm, &self.l_h, &self.i_a];
@@ -47,7 +46,7 @@ impl Curve {
             && may_miss.iter().all(|x| x.is_empty() || x.len() == n)
     }
 
-    /// At most [`MAX_POINTS`] of its points, evenly chosen, the first and the last among them.
+    /// Returns at most [`MAX_POINTS`] of its points, evenly chosen, with the first and the last.
     #[must_use]
     pub fn thinned(&self) -> Self {
         let n = self.t_s.len();
@@ -85,7 +84,7 @@ impl Curve {
         all.into_iter().take(columns).collect()
     }
 
-    /// Packed, with zstd's own checksum; none of a curve whose columns are not equally long.
+    /// Packs the curve with zstd and its checksum; `None` if the columns are not equally long.
     fn pack(&self) -> std::io::Result<Option<Vec<u8>>> {
         let columns = self.columns();
         let n = self.t_s.len();
@@ -134,23 +133,23 @@ impl Curve {
 /// Curves of one window.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curves {
-    /// What the network said.
+    /// The network's result.
     pub network: Option<Curve>,
     /// The truth.
     pub truth: Option<Curve>,
 }
 
-/// Whose curve.
+/// Source of a curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CurveOf {
-    /// The network's.
+pub enum CurveSource {
+    /// The network's result.
     Network,
     /// The truth.
     Truth,
 }
 
-impl CurveOf {
-    /// Its columns: points, and the packed curve.
+impl CurveSource {
+    /// Returns its columns: number of points, and the packed curve.
     fn columns(self) -> [&'static str; 2] {
         match self {
             Self::Network => ["network_points", "network_zst"],
@@ -160,11 +159,11 @@ impl CurveOf {
 }
 
 impl Day {
-    /// Keeps a curve of a window whose samples are here; false where they are not.
+    /// Stores a curve of a window; returns `false` if the window's samples are not stored.
     fn keep_curve(
         &self,
         (device, boot, seq): (&str, u32, u32),
-        of: CurveOf,
+        of: CurveSource,
         curve: &Curve,
     ) -> Result<bool, StoreError> {
         let packing = StoreError::files(self.path(), "packing a curve");
@@ -187,7 +186,7 @@ impl Day {
         Ok(kept > 0)
     }
 
-    /// The curves of a window.
+    /// Returns the curves of a window.
     pub(crate) fn curves(&self, device: &str, boot: u32, seq: u32) -> Result<Curves, StoreError> {
         if !self.has_table("trajectories")? {
             return Ok(Curves::default());
@@ -226,16 +225,16 @@ impl Day {
 }
 
 impl Store {
-    /// Keeps a curve beside a window's samples, thinned to [`MAX_POINTS`]; without samples there is nothing to look at
-    /// it with, and it is not kept.
+    /// Stores a curve beside a window's samples, thinned to [`MAX_POINTS`]. Without samples the curve is not stored,
+    /// because nothing could be compared with it.
     ///
     /// # Errors
-    /// [`StoreError::NoSession`], or what the database reports.
+    /// [`StoreError::NoSession`], or an error of the database.
     pub fn keep_curve(
         &mut self,
         session: SessionId,
         seq: u32,
-        of: CurveOf,
+        of: CurveSource,
         curve: &Curve,
     ) -> Result<(), StoreError> {
         let session = self.session(session)?;

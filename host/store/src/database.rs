@@ -1,4 +1,4 @@
-//! Opening one database: pragmas, migrations, and whether it is whole.
+//! Opening of one database: pragmas, migrations, integrity check.
 
 use std::fs;
 use std::path::Path;
@@ -12,31 +12,31 @@ use super::error::is_damage;
 use super::folder;
 use super::schema::Schema;
 
-/// How long a connection waits for another one that writes.
+/// Longest wait for another connection that writes.
 const BUSY: Duration = Duration::from_secs(5);
 
-/// The same in a trial: nobody writes for so long.
+/// Longest wait for another connection in a trial: longer than any write takes.
 const BUSY_IN_TRIAL: Duration = Duration::from_secs(1);
 
 /// Faults that a check lists before it stops.
 const MAX_FAULTS: u32 = 20;
 
-/// What a check found.
+/// Result of a database's integrity check.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Found {
-    /// Nothing wrong.
-    Whole,
-    /// Time ran out before it was through.
-    Unfinished,
-    /// What is wrong.
-    Broken(String),
+pub enum IntegrityCheck {
+    /// No fault.
+    Ok,
+    /// The time ran out before the end.
+    TimedOut,
+    /// Faults, as text.
+    Corrupt(String),
 }
 
-/// Opens a database to write, makes it where it is not, and brings its tables up to date.
+/// Opens a database for writing, creates it if it does not exist, and migrates its tables.
 ///
 /// # Errors
-/// [`StoreError::Damaged`] where it is no database of ours, or broken; [`StoreError::Newer`]; else what
-/// SQLite reports.
+/// [`StoreError::Damaged`] if it is not a database of ours or corrupt; [`StoreError::Newer`]; or an error of
+/// SQLite.
 pub fn open(path: &Path, schema: &Schema) -> Result<Connection, StoreError> {
     in_the_way(path)?;
     if !path.exists() {
@@ -45,13 +45,10 @@ pub fn open(path: &Path, schema: &Schema) -> Result<Connection, StoreError> {
     connect(path, schema, OpenFlags::SQLITE_OPEN_READ_WRITE)
 }
 
-/// Ending of the name that a database has until its tables are on disk.
-pub const MAKING: &str = ".new";
-
-/// Makes a database under another name, and renames it when it is whole: a file without tables is none that was left half-made.
+/// Creates a database under another name and renames it when it is complete, so that a file without tables is never a half-made one.
 fn make(path: &Path, schema: &Schema) -> Result<(), StoreError> {
     let mut name = path.as_os_str().to_owned();
-    name.push(MAKING);
+    name.push(folder::MAKING);
     let unfinished = Path::new(&name);
     if unfinished.exists() {
         folder::delete(unfinished)?;
@@ -65,7 +62,7 @@ fn make(path: &Path, schema: &Schema) -> Result<(), StoreError> {
         ihd_signal::atomic::rename(unfinished, path).map_err(StoreError::files(path, "renaming"))
     });
     if named.is_err() && unfinished.exists() {
-        // It is removed at the next start otherwise.
+        // Otherwise the next start removes it.
         let _ = folder::delete(unfinished);
     }
     named
@@ -79,10 +76,10 @@ fn connect(path: &Path, schema: &Schema, flags: OpenFlags) -> Result<Connection,
     Ok(connection)
 }
 
-/// Opens a database to read, beside whoever writes it.
+/// Opens a database for reading; another process may write meanwhile.
 ///
 /// # Errors
-/// As [`open`].
+/// The same as for [`open`].
 pub fn open_to_read(path: &Path, schema: &Schema) -> Result<Connection, StoreError> {
     in_the_way(path)?;
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
@@ -98,14 +95,18 @@ pub fn open_to_read(path: &Path, schema: &Schema) -> Result<Connection, StoreErr
     Ok(connection)
 }
 
-/// Opens a database as it is, looks at its pages for as long as there is time, and begins to write, no more.
+/// Opens a database, checks its pages up to the time limit, and begins and rolls back a write.
 ///
 /// # Errors
-/// As [`open_to_read`], and where it may not be written or is locked.
-pub fn try_writing(path: &Path, schema: &Schema, within: Duration) -> Result<Found, StoreError> {
+/// The same as for [`open_to_read`]; also if it may not be written or is locked.
+pub fn try_writing(
+    path: &Path,
+    schema: &Schema,
+    within: Duration,
+) -> Result<IntegrityCheck, StoreError> {
     let connection = open_to_read(path, schema)?;
     let found = quick_check(&connection, path, within)?;
-    if let Found::Broken(why) = found {
+    if let IntegrityCheck::Corrupt(why) = found {
         return Err(damaged(path, why));
     }
     drop(connection);
@@ -128,7 +129,7 @@ fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<
             .pragma_update(None, "auto_vacuum", "INCREMENTAL")
             .map_err(opening())?;
     }
-    // The first that reads the file: what is no database shows here.
+    // First access to the file: fails here if it is not a database.
     connection
         .pragma_update_and_check(None, "journal_mode", "WAL", |row| row.get::<_, String>(0))
         .map_err(opening())?;
@@ -142,7 +143,7 @@ fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<
             .pragma_update(None, pragma, value)
             .map_err(opening())?;
     }
-    // What a checkpoint leaves of the log's length: its pages are used again.
+    // Length to which a checkpoint cuts the log; its pages are reused.
     connection
         .pragma_update_and_check(None, "journal_size_limit", 8 << 20, |_| Ok(()))
         .map_err(opening())?;
@@ -150,7 +151,7 @@ fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<
     tables(connection, path, schema, schema.steps.len() as i64)
 }
 
-/// The version of its tables; 0 for a file without.
+/// Returns the version of the tables; 0 for a file without tables.
 fn version(connection: &Connection, path: &Path, schema: &Schema) -> Result<i64, StoreError> {
     let pragma = |name: &str| {
         connection
@@ -197,7 +198,7 @@ fn migrate(
     Ok(())
 }
 
-/// Whether the tables of a version are there.
+/// Checks that the tables of a version exist.
 fn tables(
     connection: &Connection,
     path: &Path,
@@ -220,15 +221,15 @@ fn tables(
     Ok(())
 }
 
-/// Whether every page is where it belongs; gives up after `within`.
+/// Checks the structure of every page, for `within` at most.
 ///
 /// # Errors
-/// What SQLite reports other than damage.
+/// Errors of SQLite other than damage.
 pub fn quick_check(
     connection: &Connection,
     path: &Path,
     within: Duration,
-) -> Result<Found, StoreError> {
+) -> Result<IntegrityCheck, StoreError> {
     run_check(
         connection,
         path,
@@ -237,11 +238,11 @@ pub fn quick_check(
     )
 }
 
-/// As [`quick_check`], and whether the indices hold what the tables do.
+/// Checks the structure of every page, and that the indices agree with the tables.
 ///
 /// # Errors
-/// What SQLite reports other than damage.
-pub fn integrity_check(connection: &Connection, path: &Path) -> Result<Found, StoreError> {
+/// Errors of SQLite other than damage.
+pub fn integrity_check(connection: &Connection, path: &Path) -> Result<IntegrityCheck, StoreError> {
     let pragma = format!("PRAGMA integrity_check({MAX_FAULTS})");
     run_check(connection, path, &pragma, Duration::from_secs(24 * 3600))
 }
@@ -251,7 +252,7 @@ fn run_check(
     path: &Path,
     pragma: &str,
     within: Duration,
-) -> Result<Found, StoreError> {
+) -> Result<IntegrityCheck, StoreError> {
     let interrupt = connection.get_interrupt_handle();
     let (through, deadline) = mpsc::channel::<()>();
     let faults = std::thread::scope(|scope| {
@@ -268,17 +269,17 @@ fn run_check(
         faults
     });
     match faults {
-        Ok(faults) if faults.iter().all(|fault| fault == "ok") => Ok(Found::Whole),
-        Ok(faults) => Ok(Found::Broken(faults.join("; "))),
+        Ok(faults) if faults.iter().all(|fault| fault == "ok") => Ok(IntegrityCheck::Ok),
+        Ok(faults) => Ok(IntegrityCheck::Corrupt(faults.join("; "))),
         Err(error) if error.sqlite_error_code() == Some(ErrorCode::OperationInterrupted) => {
-            Ok(Found::Unfinished)
+            Ok(IntegrityCheck::TimedOut)
         }
-        Err(error) if is_damage(&error) => Ok(Found::Broken(error.to_string())),
+        Err(error) if is_damage(&error) => Ok(IntegrityCheck::Corrupt(error.to_string())),
         Err(error) => Err(as_error(path, "checking")(error)),
     }
 }
 
-/// Refuses a path that is no file, or a file without a byte.
+/// Refuses a path that is not a file, and an empty file.
 fn in_the_way(path: &Path) -> Result<(), StoreError> {
     for ending in ["", "-wal", "-shm"] {
         let mut name = path.as_os_str().to_owned();
@@ -302,7 +303,7 @@ fn damaged(path: &Path, why: String) -> StoreError {
     StoreError::Damaged { file, why }
 }
 
-/// Damage as such, anything else as what SQLite reports.
+/// Turns an error of SQLite into [`StoreError::Damaged`] if it is damage.
 fn as_error(path: &Path, doing: &'static str) -> impl FnOnce(rusqlite::Error) -> StoreError {
     move |error| {
         if is_damage(&error) {

@@ -1,4 +1,4 @@
-//! What can go wrong with the store.
+//! Errors of the store.
 
 use std::fs::{self, File};
 use std::io::{self, Seek, SeekFrom, Write};
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use rusqlite::ErrorCode;
 
-/// Why the store did not do what was asked. Nothing of what was asked has then been done.
+/// Error of the store. The failed call has changed nothing.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// Another process writes to the store.
@@ -17,7 +17,7 @@ pub enum StoreError {
     InUse {
         /// The store's folder.
         folder: PathBuf,
-        /// ` (process 4711)` where it said so.
+        /// ` (process 4711)`; empty if unknown.
         holder: String,
     },
     /// There is no store.
@@ -26,7 +26,7 @@ pub enum StoreError {
         /// The folder.
         folder: PathBuf,
     },
-    /// Written by a later ihd.
+    /// The database was written by a later ihd.
     #[error(
         "{}: version {found} of its tables, and this ihd knows {known}: use the ihd that wrote it, or a newer one",
         file.display()
@@ -39,12 +39,12 @@ pub enum StoreError {
         /// The latest known.
         known: i64,
     },
-    /// Not a database of ours, or one that is broken.
+    /// The file is not a database of ihd, or it is corrupt.
     #[error("{}: damaged: {why}", file.display())]
     Damaged {
         /// The file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Description of the fault.
         why: String,
     },
     /// The database reports an error.
@@ -52,11 +52,11 @@ pub enum StoreError {
     Database {
         /// The database.
         file: PathBuf,
-        /// What was being done.
+        /// Operation that failed.
         doing: &'static str,
-        /// SQLite's own words.
+        /// SQLite's error.
         source: rusqlite::Error,
-        /// Whether there is no room left.
+        /// `true` if there is no room left.
         full: bool,
     },
     /// The operating system reports an error.
@@ -64,9 +64,9 @@ pub enum StoreError {
     Files {
         /// The file or folder.
         file: PathBuf,
-        /// What was being done.
+        /// Operation that failed.
         doing: &'static str,
-        /// The operating system's own words.
+        /// The operating system's error.
         source: io::Error,
     },
     /// There is no such session.
@@ -81,7 +81,7 @@ pub enum StoreError {
         /// Its version.
         version: u32,
     },
-    /// The lookup is in another state than what was asked supposes.
+    /// The lookup is in a state in which it cannot be refused.
     #[error("the lookup of version {version} is {state}, and cannot be refused")]
     LookupState {
         /// Its version.
@@ -100,16 +100,16 @@ pub enum StoreError {
         boot: u32,
         /// The window's number.
         seq: u32,
-        /// What is wrong with it.
+        /// Description of the fault.
         why: String,
     },
-    /// Something is in the way.
+    /// The target exists already.
     #[error("{}: there is such a file already; nothing was written", path.display())]
     Exists {
-        /// What is in the way.
+        /// The existing file or folder.
         path: PathBuf,
     },
-    /// One file was asked for, and it would be none or several.
+    /// One file was requested, and the windows make none or several.
     #[error(
         "{}: the windows asked for make {files} files, not one: name a folder, or narrow --device, --boot, --seq and --since",
         path.display()
@@ -117,7 +117,7 @@ pub enum StoreError {
     NotOneFile {
         /// The file.
         path: PathBuf,
-        /// How many there would be.
+        /// Number of files.
         files: usize,
     },
     /// A window could not be written as a capture.
@@ -126,7 +126,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Whether there was no room left: of the disk, of a quota, or of a file's size. The same call works
+    /// Returns `true` if there was no room left: on the disk, in a quota, or for a file's size. The same call works
     /// when there is room again.
     pub fn is_full(&self) -> bool {
         match self {
@@ -136,7 +136,7 @@ impl StoreError {
         }
     }
 
-    /// Whether a database turned out to be broken.
+    /// Returns `true` if a database is corrupt.
     pub fn is_damage(&self) -> bool {
         match self {
             Self::Damaged { .. } | Self::Window { .. } => true,
@@ -166,7 +166,7 @@ impl StoreError {
         }
     }
 
-    /// Returns `true` if the databases or their disk failed; `false` if what was asked for makes no sense, such as a lookup that is not
+    /// Returns `true` if the databases or their disk failed; `false` if the request was wrong, such as one for a lookup that is not
     /// there.
     pub fn is_of_storage(&self) -> bool {
         matches!(
@@ -182,7 +182,7 @@ impl StoreError {
         }
     }
 
-    /// What `doing` something with `file` failed of.
+    /// Returns the conversion of an error that occurred while `doing` something with `file`.
     pub(crate) fn database(
         file: &Path,
         doing: &'static str,
@@ -191,8 +191,8 @@ impl StoreError {
         move |source| {
             let full = match source.sqlite_error_code() {
                 Some(ErrorCode::DiskFull) => true,
-                // SQLite tells a full disk from other errors of a write, but no quota and no limit of a
-                // file's size, and no full disk where it cannot make its shared memory.
+                // SQLite reports a full disk as such, but no quota, no limit of a
+                // file's size, and no full disk if it cannot create its shared memory.
                 Some(ErrorCode::SystemIoFailure | ErrorCode::CannotOpen) => has_no_room(&file),
                 _ => false,
             };
@@ -205,7 +205,7 @@ impl StoreError {
         }
     }
 
-    /// What `doing` something with `file` failed of.
+    /// Returns the conversion of an error that occurred while `doing` something with `file`.
     pub(crate) fn files(
         file: &Path,
         doing: &'static str,
@@ -219,7 +219,7 @@ impl StoreError {
     }
 }
 
-/// Whether SQLite says that the file is broken, or none of its own.
+/// Returns `true` if SQLite reports that the file is corrupt or not a database.
 pub(crate) fn is_damage(error: &rusqlite::Error) -> bool {
     matches!(
         error.sqlite_error_code(),
@@ -235,12 +235,12 @@ fn is_full(error: &io::Error) -> bool {
     )
 }
 
-/// Whether a file as long as this one, and a few pages more, cannot be written beside it.
+/// Returns `true` if no file of this one's length and a few pages more can be written beside it.
 fn has_no_room(file: &Path) -> bool {
     write_beside(file, 1 << 16).is_err_and(|error| is_full(&error))
 }
 
-/// Writes so many bytes to a file beside this one, at the offset at which this one grows, and removes it.
+/// Writes `bytes` bytes to a file beside this one, at the offset at which this one grows, and removes that file.
 pub(crate) fn write_beside(file: &Path, bytes: usize) -> io::Result<()> {
     let length = |path: &Path| fs::metadata(path).map_or(0, |about| about.len());
     let mut log = file.as_os_str().to_owned();
@@ -248,12 +248,12 @@ pub(crate) fn write_beside(file: &Path, bytes: usize) -> io::Result<()> {
     let end = length(file).max(length(Path::new(&log)));
     let path = file.with_file_name(format!(".room-{}.tmp", std::process::id()));
     let tried = File::create(&path).and_then(|mut file| {
-        // What is left out before it takes no room.
+        // The hole before it takes no room.
         file.seek(SeekFrom::Start(end))?;
         file.write_all(&vec![0; bytes])?;
         file.sync_all()
     });
-    // That it cannot be removed says nothing about room.
+    // A failure to remove it says nothing about room.
     let _ = fs::remove_file(&path);
     tried
 }

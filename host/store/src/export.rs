@@ -1,4 +1,4 @@
-//! Windows as files for other programs: a recording of each boot, or a capture of each window.
+//! Export of windows to files for other programs: a recording of each boot, or a capture of each window.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ use ihd_signal::{Capture, FrequencyStep, TimeBase};
 use super::clock::rfc3339;
 use super::{Reader, SessionRow, StoreError, WindowFilter, WindowRow};
 
-/// The kind of file that windows are written to.
+/// File format of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// One recording a device and boot, as `ihd record` writes it.
@@ -33,7 +33,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The ending of its files, without the dot.
+    /// Returns the ending of its files, without the dot.
     pub fn ending(self) -> &'static str {
         match self {
             Self::Mcap => "mcap",
@@ -44,32 +44,32 @@ impl Format {
     }
 }
 
-/// What an export wrote.
+/// Result of an export.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct Exported {
+pub struct ExportReport {
     /// The files.
     pub files: Vec<PathBuf>,
     /// Windows in them.
     pub windows: u64,
-    /// Windows that the filter takes and whose samples were not kept.
+    /// Windows that match the filter and whose samples are not stored.
     pub without_samples: u64,
 }
 
-/// Writes the windows that a filter takes: into a folder, which is made where there is none, or, where `to` has
-/// the format's ending, into that one file. No file is ever overwritten. `each` hears of every window.
+/// Writes the windows that match a filter: into a folder, which is created if it does not exist, or, if `to` has
+/// the format's ending, into that one file. No file is ever overwritten. `each` is called for every window.
 ///
 /// # Errors
-/// [`StoreError::Exists`]; [`StoreError::NotOneFile`]; [`StoreError::Export`]; or what the store reports.
+/// [`StoreError::Exists`]; [`StoreError::NotOneFile`]; [`StoreError::Export`]; or an error of the store.
 pub fn windows(
     reader: &Reader,
     filter: &WindowFilter,
     format: Format,
     to: &Path,
     each: &mut dyn FnMut(),
-) -> Result<Exported, StoreError> {
+) -> Result<ExportReport, StoreError> {
     let ending = format.ending();
     format::check(&to.join(format!("a.{ending}")))?;
-    let mut exported = Exported::default();
+    let mut exported = ExportReport::default();
     let boots = by_boot(reader.windows(filter)?).into_iter();
     let boots: Vec<_> = boots
         .map(|(of, rows)| (of, with_samples(rows, &mut exported)))
@@ -125,8 +125,8 @@ fn by_boot(rows: Vec<WindowRow>) -> BTreeMap<(String, u32), Vec<WindowRow>> {
     boots
 }
 
-/// The rows with samples, in the order of the half-cycles; the others are counted.
-fn with_samples(mut rows: Vec<WindowRow>, exported: &mut Exported) -> Vec<WindowRow> {
+/// Returns the rows with samples in the order of the half-cycles; counts the others.
+fn with_samples(mut rows: Vec<WindowRow>, exported: &mut ExportReport) -> Vec<WindowRow> {
     let all = rows.len();
     rows.retain(|row| row.not_kept.is_none());
     exported.without_samples += (all - rows.len()) as u64;
@@ -134,7 +134,7 @@ fn with_samples(mut rows: Vec<WindowRow>, exported: &mut Exported) -> Vec<Window
     rows
 }
 
-/// A device's name as part of a file's: letters, digits, dots, dashes and underscores, none in front.
+/// Turns a device's name into a part of a file name: letters, digits, and dots, dashes and underscores but not in front.
 fn file_name(device: &str) -> String {
     let plain = |c: char| match c {
         '-' | '_' | '.' => c,
@@ -155,7 +155,7 @@ fn free(path: PathBuf) -> Result<PathBuf, StoreError> {
     }
 }
 
-/// A window as a capture of its own: time counts from the mains zero crossing.
+/// Builds a capture of one window; time counts from the mains zero crossing.
 pub fn capture(row: &WindowRow, window: &Window) -> Capture {
     let note = |key: &str, value: String| (key.to_owned(), value);
     let single = |x: Vec<f64>| x.into_iter().map(|x| x as f32).collect();
@@ -186,7 +186,7 @@ pub fn capture(row: &WindowRow, window: &Window) -> Capture {
     }
 }
 
-/// A boot's windows as a recording: the frames that a device of this build would have sent, through the
+/// Writes a boot's windows as a recording: the frames that a device of this build would have sent, through the
 /// recorder of `ihd record`.
 fn recording(
     reader: &Reader,
@@ -204,7 +204,7 @@ fn recording(
         let recorder = SessionRecorder::create(path, &hello, &front_end).map_err(failed)?;
         let mut frames = Frames {
             recorder,
-            // The recorder has written the hello.
+            // Frame 0 is the hello, which the recorder has written.
             next: 1,
             at: Duration::ZERO,
         };
@@ -221,7 +221,7 @@ fn recording(
         finished.map_err(|e| write_error(path, &e))
     })();
     if written.is_err() {
-        // A part would pass for the whole. That it cannot be removed either is of no use here.
+        // An incomplete file would look complete. A failure to remove it is not reported beside the first error.
         let _ = std::fs::remove_file(path);
     }
     written
@@ -234,7 +234,7 @@ fn write_error(path: &Path, error: &std::io::Error) -> StoreError {
     })
 }
 
-/// The device as a recording begins with it. The frames are of this build, and so are its versions.
+/// Builds the device's identity at the start of a recording. The frames are of this build, and so are the versions.
 fn identity(
     boot: u32,
     session: Option<&SessionRow>,
@@ -256,7 +256,7 @@ fn identity(
     )
 }
 
-/// Frames on their way into a recording.
+/// Writer of frames into a recording.
 struct Frames {
     recorder: SessionRecorder,
     next: u16,
@@ -295,7 +295,7 @@ impl Frames {
     }
 }
 
-/// Index of the first entry of chunk `k`.
+/// Returns the index of the first entry of chunk `k`.
 fn offset(k: usize, entry_bytes: usize) -> std::io::Result<u16> {
     u16::try_from(k * CHUNK_BYTES / entry_bytes).map_err(std::io::Error::other)
 }

@@ -1,80 +1,77 @@
-//! Progress of each window with a fleet: a few states, which add up to the windows stored (docs/fleet.md).
+//! State of each window in a fleet; the counts of all states add up to the windows stored (docs/fleet.md).
 //!
 //! ```text
 //! due ──► sent ──► answered
-//!  │       ├─────► given up: no worker could identify it; answered after all where it is replayed
+//!  │       ├─────► given up: no worker could identify it; answered after all if it is replayed
 //!  │       └─────► due again: the server has lost it
 //!  ├─────────────► learned here: the fleet has its result
-//!  └─────────────► given up: its samples went before it was sent
+//!  └─────────────► given up: its samples were deleted before it was sent
 //! ```
 
 use rusqlite::{OptionalExtension, Row, params};
 
+use super::due_window::DueWindow;
 use super::folder;
-use super::outbox::DueWindow;
-use super::windows::Day;
+use super::windows::{Day, NO_SAMPLES};
 use super::{Store, StoreError};
 
-/// `windows.fleet_end` of a window that was given up because it has no samples any more.
-pub(crate) const NO_SAMPLES: &str = "no samples";
-
-/// The same of one whose result was found here.
+/// `windows.fleet_end` of a window whose result was computed here.
 const LEARNED_HERE: &str = "learned here";
 
-/// Begin of the same where the fleet has given it up; why follows.
+/// Beginning of `windows.fleet_end` of a window that the fleet has given up; the reason follows.
 const DEAD: &str = "dead: ";
 
-/// Longest reason that is kept, in characters.
+/// Longest stored reason, in characters.
 const LONGEST_WHY: usize = 200;
 
-/// Progress of a window with a fleet.
+/// State of a window in a fleet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FleetState {
-    /// The fleet is not to have it.
+    /// Not for the fleet.
     NotForFleet,
-    /// The fleet has acknowledged neither it nor its result.
+    /// To be sent: the fleet has acknowledged neither the window nor its result.
     Due,
-    /// The fleet has it, and owes a result.
+    /// Acknowledged by the fleet; no result yet.
     Sent,
-    /// The fleet's result is here.
+    /// Answered: the fleet's result is stored.
     Answered,
-    /// Its result was found here, and the fleet has that.
+    /// Identified here; the fleet has acknowledged the result.
     LearnedHere,
-    /// Nobody will identify it.
-    GivenUp(GivenUp),
+    /// Given up: it will not be identified.
+    GivenUp(GiveUpReason),
 }
 
-/// Reason for which nobody will identify a window.
+/// Reason for which a window was given up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum GivenUp {
-    /// Its samples went before it was sent.
+pub enum GiveUpReason {
+    /// Its samples were deleted before it was sent.
     NoSamples,
-    /// No worker could.
+    /// No worker could identify it.
     Dead,
 }
 
-/// Outcome of a window that was due.
+/// Outcome of the delivery of a due window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sent {
-    /// The fleet has the window, and owes a result.
+pub enum DeliveryState {
+    /// The fleet has acknowledged the window; its result is to come.
     Window,
-    /// The fleet has the result that was found here.
+    /// The fleet has acknowledged the result that was computed here.
     Result,
-    /// There was nothing to send any more.
+    /// Neither samples nor a result are left to send.
     Nothing,
 }
 
-/// Marks of the fleet's server, by which one that lost its data is recognised.
+/// Stored marks of the fleet's server, which show if it has lost its data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FleetMark {
-    /// Time at which the consumer of this edge's results was made, in microseconds since 1970, UTC.
+    /// Creation time of the consumer of this edge's results, in microseconds since 1970, UTC.
     ConsumerMade,
-    /// The number that the last window has in the queue.
+    /// Sequence number of the last window in the queue.
     LastWindow,
 }
 
 impl FleetState {
-    /// Of the columns `fleet` and `fleet_end`.
+    /// Reads the state from the columns `fleet` and `fleet_end`.
     pub(crate) fn of(fleet: Option<i64>, end: Option<&str>) -> Self {
         match (fleet, end) {
             (None, _) => Self::NotForFleet,
@@ -82,14 +79,14 @@ impl FleetState {
             (Some(1), _) => Self::Sent,
             (Some(_), None) => Self::Answered,
             (Some(_), Some(LEARNED_HERE)) => Self::LearnedHere,
-            (Some(_), Some(NO_SAMPLES)) => Self::GivenUp(GivenUp::NoSamples),
-            (Some(_), Some(_)) => Self::GivenUp(GivenUp::Dead),
+            (Some(_), Some(NO_SAMPLES)) => Self::GivenUp(GiveUpReason::NoSamples),
+            (Some(_), Some(_)) => Self::GivenUp(GiveUpReason::Dead),
         }
     }
 }
 
-impl Sent {
-    /// The columns `fleet` and `fleet_end`.
+impl DeliveryState {
+    /// Returns the columns `fleet` and `fleet_end`.
     fn columns(self) -> (i64, Option<&'static str>) {
         match self {
             Self::Window => (1, None),
@@ -100,7 +97,7 @@ impl Sent {
 }
 
 impl FleetMark {
-    /// Its name in the table `fleet`.
+    /// Returns its name in the table `fleet`.
     fn name(self) -> &'static str {
         match self {
             Self::ConsumerMade => "consumer made",
@@ -110,19 +107,19 @@ impl FleetMark {
 }
 
 impl Store {
-    /// The fleet has a result of a window, of whatever day, and so has the store.
+    /// Marks a window of any day as answered by the fleet; its result is stored.
     ///
     /// # Errors
-    /// What the databases or the operating system report.
-    pub fn answered(&mut self, device: &str, boot: u32, seq: u32) -> Result<(), StoreError> {
+    /// Errors of the databases or the operating system.
+    pub fn mark_answered(&mut self, device: &str, boot: u32, seq: u32) -> Result<(), StoreError> {
         self.end(device, boot, seq, None)
     }
 
-    /// The fleet has given up a window, of whatever day, that it was sent.
+    /// Marks a sent window of any day as given up by the fleet.
     ///
     /// # Errors
-    /// What the databases or the operating system report.
-    pub fn given_up(
+    /// Errors of the databases or the operating system.
+    pub fn mark_given_up(
         &mut self,
         device: &str,
         boot: u32,
@@ -153,15 +150,15 @@ impl Store {
         Ok(())
     }
 
-    /// Windows that were sent before a time (milliseconds since 1970, UTC) and never answered are due again: the fleet has lost them, or
-    /// their results. How many.
+    /// Makes windows due again that were sent before a time (milliseconds since 1970, UTC) and never answered: the fleet has lost them or
+    /// their results. The same for those that seem to be sent after now: the clock was put back since. Returns their number.
     ///
     /// # Errors
-    /// What the databases or the operating system report.
-    pub fn due_again(&mut self, before_ms: i64) -> Result<u64, StoreError> {
+    /// Errors of the databases or the operating system.
+    pub fn requeue_unanswered(&mut self, before_ms: i64) -> Result<u64, StoreError> {
         let (mut again, now_ms) = (0, self.now());
         for file in folder::days(self.folder())? {
-            again += self.on_day(file, |day| day.due_again(before_ms, now_ms))?;
+            again += self.on_day(file, |day| day.requeue_unanswered(before_ms, now_ms))?;
         }
         if again > 0 {
             self.none_due_to = None;
@@ -170,21 +167,22 @@ impl Store {
         Ok(again)
     }
 
-    /// Windows that were sent before a time (milliseconds since 1970, UTC) and are not answered, the oldest days first: so many behind the
-    /// first `skip`.
+    /// Returns windows that were sent before a time (milliseconds since 1970, UTC) and are not answered, the oldest days first: at most
+    /// `limit` after the first `skip`. Those that seem to be sent after now are among them: the clock was put back since.
     ///
     /// # Errors
-    /// What the databases or the operating system report.
+    /// Errors of the databases or the operating system.
     pub fn unanswered(
         &mut self,
         before_ms: i64,
         mut skip: usize,
         limit: usize,
     ) -> Result<Vec<DueWindow>, StoreError> {
-        let mut found = Vec::new();
+        let (mut found, now_ms) = (Vec::new(), self.now());
         for file in folder::days(self.folder())? {
             let left = limit - found.len();
-            let of_day = self.on_day(file, |day| day.unanswered(before_ms, skip + left))?;
+            let of_day =
+                self.on_day(file, |day| day.unanswered((before_ms, now_ms), skip + left))?;
             let skipped = skip.min(of_day.len());
             skip -= skipped;
             found.extend(of_day.into_iter().skip(skipped));
@@ -195,31 +193,23 @@ impl Store {
         Ok(found)
     }
 
-    /// Progress of a window of whatever day with a fleet; `None` if the store does not hold it.
+    /// Returns the state of a window of any day in the fleet; `None` if the store does not hold the window.
     ///
     /// # Errors
-    /// What the databases or the operating system report.
+    /// Errors of the databases or the operating system.
     pub fn fleet_state(
         &mut self,
         device: &str,
         boot: u32,
         seq: u32,
     ) -> Result<Option<FleetState>, StoreError> {
-        let mut days = folder::days(self.folder())?;
-        days.reverse();
-        for file in days {
-            let state = self.on_day(file, |day| day.fleet_state(device, boot, seq))?;
-            if state.is_some() {
-                return Ok(state);
-            }
-        }
-        Ok(None)
+        self.on_newest_day(|day| day.fleet_state(device, boot, seq))
     }
 
-    /// Marks of the fleet's server.
+    /// Returns a mark of the fleet's server; `None` if it was never stored.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn fleet_mark(&self, mark: FleetMark) -> Result<Option<i64>, StoreError> {
         let sql = "SELECT value FROM fleet WHERE what = ?1";
         let found = self
@@ -230,10 +220,10 @@ impl Store {
             .map_err(self.failed("looking for what a fleet was"))
     }
 
-    /// Remembers something of the fleet's server.
+    /// Stores a mark of the fleet's server.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn mark_fleet(&mut self, mark: FleetMark, value: i64) -> Result<(), StoreError> {
         self.change("noting what a fleet is", |change| {
             change.execute(
@@ -247,8 +237,12 @@ impl Store {
 }
 
 impl Day {
-    pub(crate) fn note(&self, sent: &[(DueWindow, Sent)], now_ms: i64) -> Result<(), StoreError> {
-        // Never back: an answer may have been faster than the acknowledgement.
+    pub(crate) fn note(
+        &self,
+        sent: &[(DueWindow, DeliveryState)],
+        now_ms: i64,
+    ) -> Result<(), StoreError> {
+        // Never to a lower state: an answer may come before the acknowledgement.
         let sql = "UPDATE windows SET fleet = ?4, fleet_end = ?5, fleet_ms = ?6
             WHERE device = ?1 AND boot = ?2 AND seq = ?3 AND fleet < ?4";
         let note = || {
@@ -263,8 +257,8 @@ impl Day {
         note().map_err(StoreError::database(self.path(), "noting what was sent"))
     }
 
-    /// False where the window is none of this day. What was given up may be answered after all. An answer to what is due is the edge's own
-    /// result, which comes back to it as any other.
+    /// Ends a window's delivery; returns `false` if the window is not of this day. A window that was given up can still be answered. An
+    /// answer to a due one is the edge's own result, which comes back to it as any other.
     fn end(
         &self,
         device: &str,
@@ -304,24 +298,29 @@ impl Day {
             .map_err(StoreError::database(self.path(), "looking for a window"))
     }
 
-    fn due_again(&self, before_ms: i64, now_ms: i64) -> Result<u64, StoreError> {
+    fn requeue_unanswered(&self, before_ms: i64, now_ms: i64) -> Result<u64, StoreError> {
         let sql = "UPDATE windows SET fleet = 0, fleet_ms = ?2
-            WHERE fleet = 1 AND coalesce(fleet_ms, at_ms) < ?1";
+            WHERE fleet = 1 AND (coalesce(fleet_ms, at_ms) < ?1 OR coalesce(fleet_ms, at_ms) > ?2)";
         let rows = self.connection.execute(sql, [before_ms, now_ms]);
         let rows = rows.map_err(StoreError::database(self.path(), "looking for answers"))?;
         Ok(rows as u64)
     }
 
-    fn unanswered(&self, before_ms: i64, limit: usize) -> Result<Vec<DueWindow>, StoreError> {
+    fn unanswered(
+        &self,
+        (before_ms, now_ms): (i64, i64),
+        limit: usize,
+    ) -> Result<Vec<DueWindow>, StoreError> {
         let read = || -> rusqlite::Result<Vec<DueWindow>> {
             let mut statement = self.connection.prepare(
                 "SELECT device, boot, seq, at_ms FROM windows
-                 WHERE fleet = 1 AND fleet_end IS NULL AND coalesce(fleet_ms, at_ms) < ?1
-                 ORDER BY fleet_ms, at_ms, id LIMIT ?2",
+                 WHERE fleet = 1 AND fleet_end IS NULL
+                     AND (coalesce(fleet_ms, at_ms) < ?1 OR coalesce(fleet_ms, at_ms) > ?2)
+                 ORDER BY fleet_ms, at_ms, id LIMIT ?3",
             )?;
             let row = |row: &Row<'_>| self.due_window(row);
             statement
-                .query_map(params![before_ms, limit as i64], row)?
+                .query_map(params![before_ms, now_ms, limit as i64], row)?
                 .collect()
         };
         read().map_err(StoreError::database(self.path(), "looking for answers"))

@@ -1,35 +1,35 @@
-//! Windows counted by their progress with a fleet.
+//! Counts of windows by their state in a fleet.
 
-use super::fleet_state::{FleetState, GivenUp};
+use super::fleet_state::{FleetState, GiveUpReason};
 use super::folder;
 use super::windows::Day;
 use super::{Store, StoreError};
 
-/// Windows by their progress with a fleet: together all that are stored.
+/// Counts of windows by their state in a fleet; together all that are stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FleetTally {
-    /// The fleet is not to have them: stored without samples or before there was a fleet, or not heating.
+    /// Not for the fleet: stored without samples or before there was a fleet, or not heating.
     pub not_for_fleet: u64,
-    /// See [`FleetState::Due`], as the other fields the state of their name.
+    /// To be sent ([`FleetState::Due`]).
     pub due: u64,
-    /// Waiting for a result.
+    /// Acknowledged by the fleet, without result.
     pub sent: u64,
     /// Answered by the fleet.
     pub answered: u64,
-    /// Learned here.
+    /// Identified here.
     pub learned_here: u64,
-    /// Given up: their samples went before they were sent.
+    /// Given up: their samples were deleted before they were sent.
     pub no_samples: u64,
     /// Given up: no worker could identify them.
     pub dead: u64,
-    /// Since when the first of those that are due is, in milliseconds since 1970, UTC.
+    /// Time since which the oldest due window is due, in milliseconds since 1970, UTC.
     pub due_since_ms: Option<i64>,
-    /// The same of those that are sent.
+    /// Time since which the oldest sent window waits for its result, in milliseconds since 1970, UTC.
     pub sent_since_ms: Option<i64>,
 }
 
 impl FleetTally {
-    /// All windows.
+    /// Returns the number of all windows.
     pub fn stored(&self) -> u64 {
         self.not_for_fleet
             + self.due
@@ -40,7 +40,7 @@ impl FleetTally {
             + self.dead
     }
 
-    /// With those of another day.
+    /// Adds the counts of another day.
     #[must_use]
     pub fn and(self, other: Self) -> Self {
         let first = |a: Option<i64>, b: Option<i64>| a.into_iter().chain(b).min();
@@ -65,26 +65,26 @@ impl FleetTally {
             FleetState::Sent => (self.sent, self.sent_since_ms) = (windows, since),
             FleetState::Answered => self.answered += windows,
             FleetState::LearnedHere => self.learned_here += windows,
-            FleetState::GivenUp(GivenUp::NoSamples) => self.no_samples += windows,
-            FleetState::GivenUp(GivenUp::Dead) => self.dead += windows,
+            FleetState::GivenUp(GiveUpReason::NoSamples) => self.no_samples += windows,
+            FleetState::GivenUp(GiveUpReason::Dead) => self.dead += windows,
         }
     }
 }
 
 impl Store {
-    /// Days that there are windows of, oldest first: for [`Store::fleet_tally`].
+    /// Returns the days with windows, oldest first, for [`Store::fleet_tally`].
     ///
     /// # Errors
-    /// What the operating system reports.
+    /// Errors of the operating system.
     pub fn days_of_windows(&self) -> Result<Vec<String>, StoreError> {
         let days = folder::days(self.folder())?;
         Ok(days.into_iter().map(|file| file.day).collect())
     }
 
-    /// Windows of a day by their progress with a fleet; none where there is no such day.
+    /// Counts the windows of a day by their state in the fleet; all zero if there is no such day.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn fleet_tally(&mut self, day: &str) -> Result<FleetTally, StoreError> {
         if let Some(tally) = self.tallies.get(day) {
             return Ok(*tally);
@@ -100,7 +100,7 @@ impl Store {
 }
 
 impl Day {
-    /// From an index alone: samples are not read past.
+    /// Counts the windows of this day from an index alone, without reading past samples.
     fn fleet_tally(&self) -> Result<FleetTally, StoreError> {
         let read = || -> rusqlite::Result<FleetTally> {
             let mut statement = self.connection.prepare(

@@ -1,4 +1,4 @@
-//! The store's folder: which file is which, who writes, and what is set aside.
+//! The store's folder: names of its files, the writer's lock, and damaged files that are set aside.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{Read, Seek, Write};
@@ -8,35 +8,37 @@ use serde::Serialize;
 
 use super::StoreError;
 use super::clock::is_day;
-use super::database::MAKING;
 
-/// What holds everything but the windows.
+/// Database of everything but the windows.
 pub const RECORDS: &str = "ihd.db";
 
 /// Folder of backups that the daemon makes, in the store's.
 pub const BACKUPS: &str = "backups";
 
-/// Held by the process that writes.
+/// Lock file of the process that writes.
 const LOCK: &str = "ihd.lock";
 
-/// What stands between a damaged file's name and the time at which it was set aside.
+/// Text between a damaged file's name and the time at which it was set aside.
 const DAMAGED: &str = ".damaged-";
 
-/// What SQLite keeps beside a database.
+/// Endings of SQLite's files beside a database.
 const BESIDE: [&str; 2] = ["-wal", "-shm"];
 
-/// A file that was found damaged, and set aside.
+/// Ending of the name that a database has until its tables are on disk.
+pub(crate) const MAKING: &str = ".new";
+
+/// A damaged file that was set aside.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Damage {
-    /// Its path before.
+    /// Path before.
     pub from: PathBuf,
-    /// Its path now.
+    /// Path now.
     pub to: PathBuf,
-    /// What is wrong with it.
+    /// Description of the fault.
     pub why: String,
 }
 
-/// One day of windows.
+/// Database file of one day of windows.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct DayFile {
     /// `YYYY-MM-DD`, in UTC.
@@ -45,15 +47,15 @@ pub struct DayFile {
     pub path: PathBuf,
 }
 
-/// The database of a day's windows.
+/// Returns the path of a day's database.
 pub fn of_day(folder: &Path, day: &str) -> PathBuf {
     folder.join(format!("windows-{day}.db"))
 }
 
-/// Every day that there are windows of, oldest first.
+/// Returns every day with windows, oldest first.
 ///
 /// # Errors
-/// What the operating system reports.
+/// Errors of the operating system.
 pub fn days(folder: &Path) -> Result<Vec<DayFile>, StoreError> {
     let mut days = Vec::new();
     for name in names(folder)? {
@@ -70,10 +72,10 @@ pub fn days(folder: &Path) -> Result<Vec<DayFile>, StoreError> {
     Ok(days)
 }
 
-/// Windows that were found damaged and set aside, oldest day first.
+/// Returns the damaged databases of windows that were set aside, oldest day first.
 ///
 /// # Errors
-/// What the operating system reports.
+/// Errors of the operating system.
 pub fn damaged_days(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     let mut found: Vec<PathBuf> = names(folder)?
         .into_iter()
@@ -85,10 +87,10 @@ pub fn damaged_days(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     Ok(found)
 }
 
-/// Names of all databases that were found damaged and set aside.
+/// Returns the names of all damaged databases that were set aside.
 ///
 /// # Errors
-/// What the operating system reports.
+/// Errors of the operating system.
 pub fn set_aside_names(folder: &Path) -> Result<Vec<String>, StoreError> {
     let mut found = names(folder)?;
     found.retain(|name| name.contains(DAMAGED) && !BESIDE.iter().any(|b| name.ends_with(b)));
@@ -106,8 +108,8 @@ fn names(folder: &Path) -> Result<Vec<String>, StoreError> {
     Ok(names)
 }
 
-/// Returns `true` if a database of windows gives room back to the disk when its windows are thinned: none of an earlier ihd does, and none
-/// that was set aside.
+/// Returns `true` if a database of windows gives room back to the disk when its windows are thinned. Those of an earlier ihd do not, nor
+/// those that were set aside.
 pub fn shrinks(path: &Path) -> bool {
     // The header's field "incremental vacuum mode": https://sqlite.org/fileformat2.html
     let mut header = [0; 68];
@@ -116,7 +118,7 @@ pub fn shrinks(path: &Path) -> bool {
     !is_set_aside && read.is_ok() && header[64..68] != [0; 4]
 }
 
-/// Bytes that a database takes, with what SQLite keeps beside it; nothing where it is not.
+/// Returns the bytes of a database with SQLite's log beside it; 0 if it does not exist.
 pub fn size(path: &Path) -> u64 {
     let length = |path: &Path| fs::metadata(path).map_or(0, |about| about.len());
     length(path) + length(&beside(path, "-wal"))
@@ -128,10 +130,10 @@ fn beside(path: &Path, ending: &str) -> PathBuf {
     name.into()
 }
 
-/// Deletes a database with what is beside it; gives the bytes that it took.
+/// Deletes a database with SQLite's files beside it; returns the bytes that it took.
 ///
 /// # Errors
-/// What the operating system reports.
+/// Errors of the operating system.
 pub fn delete(path: &Path) -> Result<u64, StoreError> {
     let bytes = size(path);
     let deleting = || StoreError::files(path, "deleting");
@@ -154,11 +156,11 @@ fn remove_if_there(path: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// Removes databases that were not made to the end, and what SQLite kept beside databases that are gone: it would be taken for that of a
+/// Removes half-made databases, and SQLite's files beside databases that are gone: they would be taken for those of a
 /// new one.
 ///
 /// # Errors
-/// What the operating system reports.
+/// Errors of the operating system.
 pub fn remove_orphans(folder: &Path) -> Result<(), StoreError> {
     let unfinished = format!(".db{MAKING}");
     for name in names(folder)? {
@@ -179,18 +181,18 @@ pub fn remove_orphans(folder: &Path) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Renames a damaged database, and what is beside it, so that nobody takes it for a good one and nothing is
+/// Renames a damaged database and SQLite's files beside it, so that it is not used any more and nothing is
 /// lost.
 ///
 /// # Errors
-/// What the operating system reports.
+/// Errors of the operating system.
 pub fn set_aside(path: &Path, why: String, at_ms: i64) -> Result<Damage, StoreError> {
     let to = free_name(path, at_ms);
     let moving = || StoreError::files(path, "setting the damaged file aside");
     if path.exists() {
         fs::rename(path, &to).map_err(moving())?;
     }
-    // Of a log, what was committed last may be read out of it.
+    // The log may hold the last commits.
     let log = beside(path, "-wal");
     if log.exists() {
         fs::rename(&log, beside(&to, "-wal")).map_err(moving())?;
@@ -208,7 +210,7 @@ pub fn set_aside(path: &Path, why: String, at_ms: i64) -> Result<Damage, StoreEr
     Ok(Damage { from, to, why })
 }
 
-/// `NAME.damaged-20261122T083000Z`, with a number behind it where that is taken.
+/// Returns `NAME.damaged-20261122T083000Z`, with a number behind it if that exists.
 fn free_name(path: &Path, at_ms: i64) -> PathBuf {
     let at: String = super::clock::rfc3339(at_ms)
         .chars()
@@ -225,17 +227,17 @@ fn free_name(path: &Path, at_ms: i64) -> PathBuf {
         .unwrap_or(first)
 }
 
-/// The right to write, as long as it lives. The system takes it back from a process that ends.
+/// Lock for writing, held until it is dropped. The operating system releases it when the process ends.
 #[derive(Debug)]
 pub struct Lock {
     _file: File,
 }
 
 impl Lock {
-    /// Takes it, and says in the file who holds it.
+    /// Locks the folder and writes the process's id into the lock file.
     ///
     /// # Errors
-    /// [`StoreError::InUse`], or what the operating system reports.
+    /// [`StoreError::InUse`], or an error of the operating system.
     pub fn take(folder: &Path) -> Result<Self, StoreError> {
         let path = folder.join(LOCK);
         let failed = || StoreError::files(&path, "locking the store");
@@ -251,7 +253,7 @@ impl Lock {
             Err(TryLockError::WouldBlock) => return Err(in_use(folder, &mut file)),
             Err(TryLockError::Error(error)) => return Err(failed()(error)),
         }
-        // On a full disk nobody hears who it is, and the lock holds all the same.
+        // On a full disk the id is missing; the lock holds all the same.
         let _ = file
             .set_len(0)
             .and_then(|()| write!(file, "{}", std::process::id()));

@@ -1,4 +1,4 @@
-//! Events and commands: what happened, and who asked for what.
+//! Journal: events and commands.
 
 use rusqlite::{Connection, OptionalExtension, params};
 use serde::Serialize;
@@ -6,87 +6,87 @@ use serde::Serialize;
 use super::text::printable;
 use super::{DeviceId, Store, StoreError};
 
-/// Something that happened.
+/// A stored event.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct EventRow {
-    /// When, in milliseconds since 1970, UTC.
+    /// Time in milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// The device's name; none where the daemon itself speaks.
+    /// The device's name; `None` for an event of the daemon.
     pub device: Option<String>,
-    /// A word for its kind.
+    /// Kind, as a word.
     pub kind: String,
-    /// What.
+    /// Description.
     pub text: String,
 }
 
-/// A command, and what became of it.
+/// A stored command with its outcome.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct AuditRow {
-    /// When, in milliseconds since 1970, UTC.
+    /// Time in milliseconds since 1970, UTC.
     pub at_ms: i64,
     /// The device's name.
     pub device: Option<String>,
-    /// Who asked.
+    /// Holder of the lease or user that sent it.
     pub holder: String,
-    /// For what.
+    /// The command.
     pub command: String,
-    /// What became of it.
+    /// Outcome of the command.
     pub outcome: String,
 }
 
 /// An event or a command.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct JournalRow {
-    /// When, in milliseconds since 1970, UTC.
+    /// Time in milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// The device's name; none where the daemon itself speaks.
+    /// The device's name; `None` for an event of the daemon.
     pub device: Option<String>,
-    /// A word for its kind; `command` for a command.
+    /// Kind, as a word; `command` for a command.
     pub kind: String,
-    /// Who asked; empty for an event.
+    /// Holder of the lease or user that sent the command; empty for an event.
     pub holder: String,
-    /// What; what was asked, for a command.
+    /// Description of the event, or the command.
     pub text: String,
-    /// What became of it; empty for an event.
+    /// Outcome of the command; empty for an event.
     pub outcome: String,
 }
 
-/// Which of the journal.
+/// Filter of the journal.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct JournalFilter {
-    /// Of this device alone, by its name; the daemon's own where empty.
+    /// Only this device's, by its name; only the daemon's own if empty.
     pub device: Option<String>,
-    /// Of this kind alone.
+    /// Only this kind.
     pub kind: Option<String>,
-    /// At this time or later, in milliseconds since 1970, UTC.
+    /// Only at this time or later, in milliseconds since 1970, UTC.
     pub since_ms: Option<i64>,
-    /// Before this time, in milliseconds since 1970, UTC.
+    /// Only before this time, in milliseconds since 1970, UTC.
     pub before_ms: Option<i64>,
-    /// At most so many; 200 where it is not said.
+    /// Most rows; 200 if `None`.
     pub limit: Option<u32>,
 }
 
 /// Rows that a filter without a limit gives.
 const DEFAULT_LIMIT: u32 = 200;
 
-/// Something that happened, to be stored.
+/// An event to be stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewEvent {
-    /// When, in milliseconds since 1970, UTC.
+    /// Time in milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// The device's name; empty where the daemon itself speaks.
+    /// The device's name; empty for an event of the daemon.
     pub device: String,
-    /// A word for its kind.
+    /// Kind, as a word.
     pub kind: &'static str,
-    /// What.
+    /// Description.
     pub text: String,
 }
 
 impl Store {
-    /// Stores that some things happened, in one transaction; a device that the store does not know is named in the text.
+    /// Stores events in one transaction; a device that the store does not know is named in the text.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn keep_events(&mut self, events: &[NewEvent]) -> Result<(), StoreError> {
         self.change("storing events", |change| {
             let mut id_of = change.prepare("SELECT id FROM devices WHERE name = ?1")?;
@@ -97,7 +97,7 @@ impl Store {
                 let device: Option<DeviceId> =
                     id_of.query_row([&name], |row| row.get(0)).optional()?;
                 let text = match device {
-                    // Not shaken hands with yet.
+                    // Before the first handshake.
                     None if !name.is_empty() => printable(&format!("{name}: {}", event.text)),
                     _ => printable(&event.text),
                 };
@@ -107,10 +107,10 @@ impl Store {
         })
     }
 
-    /// Stores that something happened.
+    /// Stores an event.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn event(
         &mut self,
         device: Option<DeviceId>,
@@ -123,10 +123,10 @@ impl Store {
         stored.map_err(self.failed("storing an event"))
     }
 
-    /// Stores a command, what became of it, and when that was, in milliseconds since 1970, UTC.
+    /// Stores a command with its outcome and time, in milliseconds since 1970, UTC.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn audit(
         &mut self,
         at_ms: i64,
@@ -143,7 +143,7 @@ impl Store {
     }
 }
 
-/// The last events, newest first.
+/// Returns the last events, newest first.
 pub(crate) fn events(connection: &Connection, limit: u32) -> rusqlite::Result<Vec<EventRow>> {
     let sql = "SELECT at_ms, devices.name, kind, text FROM events
         LEFT JOIN devices ON devices.id = events.device ORDER BY events.id DESC LIMIT ?1";
@@ -159,7 +159,7 @@ pub(crate) fn events(connection: &Connection, limit: u32) -> rusqlite::Result<Ve
     rows.collect()
 }
 
-/// The last commands, newest first.
+/// Returns the last commands, newest first.
 pub(crate) fn audit(connection: &Connection, limit: u32) -> rusqlite::Result<Vec<AuditRow>> {
     let sql = "SELECT at_ms, devices.name, holder, command, outcome FROM audit
         LEFT JOIN devices ON devices.id = audit.device ORDER BY audit.id DESC LIMIT ?1";
@@ -176,7 +176,7 @@ pub(crate) fn audit(connection: &Connection, limit: u32) -> rusqlite::Result<Vec
     rows.collect()
 }
 
-/// What a filter takes, newest first.
+/// Returns the events and commands that match a filter, newest first.
 pub(crate) fn rows(
     connection: &Connection,
     filter: &JournalFilter,

@@ -1,4 +1,4 @@
-//! What the daemon keeps: windows, results, lookups, what was learned, events and commands.
+//! The daemon's store in SQLite: windows, results, lookups, the learner's state, events and commands.
 //!
 //! ```text
 //!  ihd-store/
@@ -8,8 +8,8 @@
 //!    ihd.db.damaged-…          set aside at a start, never read again
 //! ```
 //!
-//! [`Store`] writes, and is one process's; [`Reader`] reads beside it. What a method has returned `Ok` for is
-//! committed. docs/store.md has the tables, queries and what to do with a damaged file.
+//! [`Store`] writes; one process holds it. [`Reader`] reads at the same time. When a method has returned `Ok`, its change is committed.
+//! docs/store.md has the tables, queries and what to do with a damaged file.
 
 mod age;
 mod backup;
@@ -17,6 +17,7 @@ pub mod check;
 pub mod clock;
 mod curves;
 mod database;
+mod due_window;
 mod error;
 pub mod export;
 mod fleet_state;
@@ -43,25 +44,26 @@ mod trial;
 mod windows;
 
 pub use backup::backup;
-pub use curves::{Curve, CurveOf, Curves, MAX_POINTS};
+pub use curves::{Curve, CurveSource, Curves, MAX_POINTS};
+pub use due_window::DueWindow;
 pub use error::StoreError;
-pub use fleet_state::{FleetMark, FleetState, GivenUp, Sent};
+pub use fleet_state::{DeliveryState, FleetMark, FleetState, GiveUpReason};
 pub use fleet_tally::FleetTally;
 pub use folder::Damage;
 pub use ihd_signal::atomic;
 pub use journal::{AuditRow, EventRow, JournalFilter, JournalRow, NewEvent};
 pub use lookups::{Confidence, LookupRow, LookupState};
-pub use outbox::{Due, DueWindow};
+pub use outbox::OutboxItem;
 pub use reader::{DeviceRow, Reader, SessionRow};
-pub use results::{NewResult, ResultFilter, ResultRow, Taught};
-pub use retention::Collected;
-pub use settings::{Keep, Retention, Settings, UnknownKeep};
+pub use results::{LastAccepted, NewResult, ResultFilter, ResultRow};
+pub use retention::CollectionReport;
+pub use settings::{Retention, SamplePolicy, Settings, UnknownSamplePolicy};
 pub use space::{DaySpace, bytes_a_day};
-pub use start::Opened;
+pub use start::OpenedStore;
 pub use store::{Figures, Store};
 pub use telemetry::{Spread, TelemetryRead, TelemetrySecond, TelemetrySpan};
-pub use trial::{Tried, try_folder};
-pub use windows::{Kept, WindowFilter, WindowRow};
+pub use trial::{TrialReport, try_folder};
+pub use windows::{InsertOutcome, WindowFilter, WindowRow};
 
 /// A device in the store.
 pub type DeviceId = i64;

@@ -1,4 +1,4 @@
-//! Lookups: pending before they are pushed, active when the device says so, and what became of the others.
+//! Lookups and their states: pending before a push, active when the device reports so, then superseded; or refused.
 
 use std::fmt;
 
@@ -11,17 +11,17 @@ use serde::Serialize;
 use super::text::printable;
 use super::{DeviceId, Store, StoreError};
 
-/// What a lookup is to its device.
+/// State of a lookup on its device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LookupState {
-    /// Pushed, or about to be, and not heard of since.
+    /// Pushed or about to be, without the device's reply.
     Pending,
     /// The device uses it.
     Active,
-    /// Another one came after it.
+    /// Replaced by another one.
     Superseded,
-    /// The device did not take it.
+    /// Refused by the device.
     Refused,
 }
 
@@ -55,31 +55,31 @@ pub struct LookupRow {
     pub device: String,
     /// Its version.
     pub version: u32,
-    /// What it is to the device.
+    /// State on the device.
     pub state: LookupState,
-    /// Who built it: `host`, or `device` where it was found there.
+    /// Origin: `host`, or `device` if it was found there.
     pub origin: String,
-    /// When its state changed last, in milliseconds since 1970, UTC.
+    /// Time of the last change of state, in milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// Why it was built, or refused.
+    /// Reason for which it was built or refused.
     pub why: String,
     /// Its bytes ([`RlLookup::from_bytes`]).
     #[serde(skip)]
     pub blob: Vec<u8>,
 }
 
-/// How well each cell of a lookup is founded, `[frequency][current]`, 0 to 1 in 255 steps.
+/// Confidence of each cell of a lookup, `[frequency][current]`, 0 to 1 in 255 steps.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Confidence(Vec<u8>);
 
 impl Confidence {
-    /// Of a table.
+    /// Quantises a table of 0 to 1.
     pub fn of(cells: &[[f64; CURRENTS]; FREQUENCIES]) -> Self {
         let byte = |x: &f64| (x.clamp(0.0, 1.0) * 255.0).round() as u8;
         Self(cells.iter().flatten().map(byte).collect())
     }
 
-    /// The table, 0 to 1.
+    /// Returns the table, 0 to 1.
     pub fn cells(&self) -> Vec<Vec<f64>> {
         let rows = self.0.chunks(CURRENTS);
         let cell = |byte: &u8| f64::from(*byte) / 255.0;
@@ -87,7 +87,7 @@ impl Confidence {
     }
 }
 
-/// The confidence of a version, the latest of that number; none where nobody told.
+/// Returns the confidence of the latest lookup of a version; `None` if it is not known.
 pub(crate) fn confidence(
     connection: &Connection,
     device: &str,
@@ -112,7 +112,7 @@ FROM lookups JOIN devices ON devices.id = lookups.device
 WHERE ?1 IS NULL OR lookups.device = ?1
 ORDER BY lookups.device, lookups.id";
 
-/// Every lookup of a device, or of all, oldest first.
+/// Returns every lookup of a device, or of all, oldest first.
 pub(crate) fn rows(
     connection: &Connection,
     device: Option<DeviceId>,
@@ -133,11 +133,11 @@ pub(crate) fn rows(
 }
 
 impl Store {
-    /// Stores a lookup that is about to be pushed, with how well its cells are founded where that is known. Another one that was pending is superseded; the same
-    /// one, pushed once more, is no second.
+    /// Stores a lookup that is about to be pushed, with the confidence of its cells if known. Another pending one is superseded; the same
+    /// one, pushed again, is not stored twice.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn pend_lookup(
         &mut self,
         device: DeviceId,
@@ -170,11 +170,11 @@ impl Store {
         })
     }
 
-    /// The device uses the lookup of this version: it is active, and the one before it superseded. That it
-    /// was superseded or refused before does not matter: the device knows best. Done twice it is done once.
+    /// Marks the lookup of this version as active, and the one before as superseded. A lookup that
+    /// was superseded or refused becomes active too, because the device's report decides. Idempotent.
     ///
     /// # Errors
-    /// [`StoreError::NoLookup`], or what the database reports.
+    /// [`StoreError::NoLookup`], or an error of the database.
     pub fn activate_lookup(&mut self, device: DeviceId, version: u32) -> Result<(), StoreError> {
         let at_ms = self.now();
         let found = self.change("activating a lookup", |change| {
@@ -187,11 +187,11 @@ impl Store {
         found.map(drop).ok_or(StoreError::NoLookup { version })
     }
 
-    /// The device did not take the lookup of this version.
+    /// Marks the lookup of this version as refused by the device.
     ///
     /// # Errors
-    /// [`StoreError::NoLookup`]; [`StoreError::LookupState`] where the device uses it, or another one has
-    /// taken its place; else what the database reports.
+    /// [`StoreError::NoLookup`]; [`StoreError::LookupState`] if it is active or superseded;
+    /// or an error of the database.
     pub fn refuse_lookup(
         &mut self,
         device: DeviceId,
@@ -216,11 +216,11 @@ impl Store {
         }
     }
 
-    /// The device was found to use this lookup: it is active. Where the store has it, bit for bit, it is
-    /// that one; else it is a new one of the device's own.
+    /// Marks a lookup that was read from the device as active. If the store has it, bit for bit, it is
+    /// that one; otherwise it is stored as a new one of the device's.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn adopt_lookup(&mut self, device: DeviceId, lookup: &RlLookup) -> Result<(), StoreError> {
         let (at_ms, blob) = (self.now(), lookup.to_bytes());
         self.change("adopting a lookup", |change| {
@@ -234,7 +234,7 @@ impl Store {
                 .optional()?;
             let id = match known {
                 Some(id) => id,
-                // Superseded until the line below: two at a time cannot be active.
+                // Superseded until the next statement: the schema allows one active lookup.
                 None => {
                     let as_what = ("superseded", "device");
                     insert(
@@ -251,19 +251,19 @@ impl Store {
         })
     }
 
-    /// How well the cells of a device's lookup of this version are founded; none where nobody told.
+    /// Returns the confidence of a device's lookup of this version; `None` if it is not known.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn confidence(&self, device: &str, version: u32) -> Result<Option<Confidence>, StoreError> {
         confidence(self.records(), device, version)
             .map_err(self.failed("reading a lookup's confidence"))
     }
 
-    /// Every lookup of a device, oldest first.
+    /// Returns every lookup of a device, oldest first.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn lookups(&self, device: DeviceId) -> Result<Vec<LookupRow>, StoreError> {
         rows(self.records(), Some(device)).map_err(self.failed("listing lookups"))
     }
@@ -293,7 +293,7 @@ fn insert(
     Ok(change.last_insert_rowid())
 }
 
-/// The latest lookup of a version: after a reset of the device versions begin anew.
+/// Returns the latest lookup of a version: after a reset of the device's lookup, version numbers are used again.
 fn newest(
     change: &Transaction<'_>,
     device: DeviceId,

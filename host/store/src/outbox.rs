@@ -1,39 +1,25 @@
-//! What a fleet has not acknowledged yet: the store is the edge's outbox (docs/fleet.md).
+//! Outbox of the edge: windows, results and events that the fleet has not acknowledged yet (docs/fleet.md).
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 
 use ihd_link::Window;
 use rusqlite::{OptionalExtension, Row, params};
 
-use super::fleet_state::Sent;
+use super::due_window::DueWindow;
+use super::fleet_state::DeliveryState;
 use super::folder::{self, DayFile};
 use super::results::{self, ResultRow};
 use super::windows::Day;
 use super::{EventRow, SessionId, Store, StoreError};
 
-/// A window that a fleet has not acknowledged, nor its result.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct DueWindow {
-    /// The day of its file, `YYYY-MM-DD`.
-    pub day: String,
-    /// The device's name.
-    pub device: String,
-    /// The device's boot.
-    pub boot: u32,
-    /// Its number since the boot.
-    pub seq: u32,
-    /// When it was stored, in milliseconds since 1970, UTC.
-    pub at_ms: i64,
-}
-
-/// What there is of a window that is due.
+/// Content of a due window.
 #[derive(Clone, Debug)]
-pub enum Due {
-    /// Nobody has identified it.
+pub enum OutboxItem {
+    /// Not identified: the window itself.
     Window(Box<Window>),
-    /// It was identified here.
+    /// Identified here: its result.
     Result(Box<ResultRow>),
-    /// Neither its samples nor a result are here any more: nothing can be sent.
+    /// Neither samples nor a result are stored any more: nothing can be sent.
     Gone,
 }
 
@@ -42,10 +28,10 @@ SELECT device, boot, seq, at_ms FROM windows INDEXED BY windows_due
 WHERE fleet = 0 ORDER BY at_ms, id LIMIT ?1";
 
 impl Store {
-    /// The oldest windows that are due, at most so many.
+    /// Returns the oldest due windows, `limit` at most.
     ///
     /// # Errors
-    /// What the databases or the operating system report.
+    /// Errors of the databases or the operating system.
     pub fn due(&mut self, limit: usize) -> Result<Vec<DueWindow>, StoreError> {
         let mut due = Vec::new();
         for file in self.days_with_due()? {
@@ -63,10 +49,10 @@ impl Store {
         Ok(due)
     }
 
-    /// How many windows are due.
+    /// Returns the number of due windows.
     ///
     /// # Errors
-    /// What the databases or the operating system report.
+    /// Errors of the databases or the operating system.
     pub fn count_due(&mut self) -> Result<u64, StoreError> {
         let mut count = 0;
         for file in self.days_with_due()? {
@@ -75,10 +61,10 @@ impl Store {
         Ok(count)
     }
 
-    /// How many windows of a day are due; none where there is no such day.
+    /// Returns the number of due windows of a day; 0 if there is no such day.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub(crate) fn count_due_of(&self, day: &str) -> Result<u64, StoreError> {
         let file = self.file_of(day);
         if !file.path.exists() {
@@ -87,27 +73,29 @@ impl Store {
         self.on_day(file, Day::count_due)
     }
 
-    /// What there is of a window that is due: its result before its samples.
+    /// Reads a due window: its result if there is one, otherwise its samples.
     ///
     /// # Errors
-    /// What the databases report.
-    pub fn read_due(&mut self, due: &DueWindow) -> Result<Due, StoreError> {
+    /// Errors of the databases.
+    pub fn read_due(&mut self, due: &DueWindow) -> Result<OutboxItem, StoreError> {
         let failed = self.failed("reading a result");
         let result = results::of_window(self.records(), &due.device, due.boot, due.seq);
         if let Some(result) = result.map_err(failed)? {
-            return Ok(Due::Result(Box::new(result)));
+            return Ok(OutboxItem::Result(Box::new(result)));
         }
         let window = self.on_day(self.file_of(&due.day), |day| {
             day.window(&due.device, due.boot, due.seq)
         })?;
-        Ok(window.map_or(Due::Gone, |window| Due::Window(Box::new(window))))
+        Ok(window.map_or(OutboxItem::Gone, |window| {
+            OutboxItem::Window(Box::new(window))
+        }))
     }
 
-    /// Outcomes of windows that were due.
+    /// Records the outcomes of deliveries.
     ///
     /// # Errors
-    /// What the databases report; those of days before have been noted.
-    pub fn sent(&mut self, sent: &[(DueWindow, Sent)]) -> Result<(), StoreError> {
+    /// Errors of the databases; outcomes of earlier days in the list are recorded.
+    pub fn mark_sent(&mut self, sent: &[(DueWindow, DeliveryState)]) -> Result<(), StoreError> {
         for of_day in sent.chunk_by(|(a, _), (b, _)| a.day == b.day) {
             let file = self.file_of(&of_day[0].0.day);
             if file.path.exists() {
@@ -119,10 +107,10 @@ impl Store {
         Ok(())
     }
 
-    /// The connection that a window of this boot of a device came over; none where the store does not know it.
+    /// Returns a session of this boot of a device; `None` if the store does not know the boot.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn session_of_boot(
         &self,
         device: &str,
@@ -138,44 +126,46 @@ impl Store {
             .map_err(self.failed("looking for a session"))
     }
 
-    /// A window of whatever day; none where its samples are not kept.
+    /// Returns a window of any day; `None` if its samples are not stored.
     ///
     /// # Errors
-    /// What the databases or the operating system report.
+    /// Errors of the databases or the operating system.
     pub fn stored_window(
         &mut self,
         device: &str,
         boot: u32,
         seq: u32,
     ) -> Result<Option<Window>, StoreError> {
-        let mut days = folder::days(self.folder())?;
-        days.reverse();
-        for file in days {
-            let window = self.on_day(file, |day| day.window(device, boot, seq))?;
-            if window.is_some() {
-                return Ok(window);
-            }
-        }
-        Ok(None)
+        self.on_newest_day(|day| day.window(device, boot, seq))
     }
 
-    /// Whether there is a result of this window.
+    /// Searches the days, the newest first, until one has a result.
+    pub(crate) fn on_newest_day<T>(
+        &self,
+        look: impl Fn(&Day) -> Result<Option<T>, StoreError>,
+    ) -> Result<Option<T>, StoreError> {
+        let days = folder::days(self.folder())?;
+        let mut found = days.into_iter().rev().map(|file| self.on_day(file, &look));
+        found.find_map(Result::transpose).transpose()
+    }
+
+    /// Returns `true` if there is a result of this window.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn has_result(&self, device: &str, boot: u32, seq: u32) -> Result<bool, StoreError> {
         let found = results::of_window(self.records(), device, boot, seq);
         let found = found.map_err(self.failed("reading a result"))?;
         Ok(found.is_some())
     }
 
-    /// Events that the fleet has not acknowledged, oldest first, with their numbers. Where nothing was ever sent, those from now on.
+    /// Returns events that the fleet has not acknowledged, oldest first, with their numbers; if none was ever sent, only those from now on.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn due_events(&mut self, limit: usize) -> Result<Vec<(i64, EventRow)>, StoreError> {
         self.change("looking for events", |change| {
-            // A fleet is told no history.
+            // Events from before the fleet are not sent.
             change.execute(
                 "INSERT INTO fleet (what, value) SELECT 'events', coalesce(max(id), 0) FROM events
                  WHERE true ON CONFLICT DO NOTHING",
@@ -201,23 +191,23 @@ impl Store {
         })
     }
 
-    /// The fleet has acknowledged all events up to this number.
+    /// Marks all events up to this number as acknowledged by the fleet.
     ///
     /// # Errors
-    /// What the database reports.
-    pub fn events_sent(&mut self, up_to: i64) -> Result<(), StoreError> {
+    /// Errors of the database.
+    pub fn mark_events_sent(&mut self, up_to: i64) -> Result<(), StoreError> {
         self.change("noting what was sent", |change| {
             change.execute("UPDATE fleet SET value = ?1 WHERE what = 'events'", [up_to])?;
             Ok(())
         })
     }
 
-    /// What only this store knows: by it a fleet knows what it sends. It is made once.
+    /// Returns the store's secret, by which the fleet recognises its messages. It is created once.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn fleet_secret(&mut self) -> Result<[u8; 16], StoreError> {
-        // Keys from the operating system's source of chance.
+        // Keys from the operating system's random source.
         let chance = || RandomState::new().build_hasher().finish().cast_signed();
         let mut secret = [0; 16];
         for (half, what) in secret.chunks_mut(8).zip(["secret 1", "secret 2"]) {
@@ -251,7 +241,7 @@ impl Store {
         }
     }
 
-    /// Does something with a day, open or not.
+    /// Calls a function with a day's database, which is opened if it is not open.
     pub(crate) fn on_day<T>(
         &self,
         file: DayFile,
@@ -274,18 +264,7 @@ impl Day {
         read().map_err(StoreError::database(self.path(), "looking for what is due"))
     }
 
-    /// The window of a row of device, boot, number and time.
-    pub(crate) fn due_window(&self, row: &Row<'_>) -> rusqlite::Result<DueWindow> {
-        Ok(DueWindow {
-            day: self.file.day.clone(),
-            device: row.get(0)?,
-            boot: row.get(1)?,
-            seq: row.get(2)?,
-            at_ms: row.get(3)?,
-        })
-    }
-
-    /// Windows of this day that a fleet has not acknowledged.
+    /// Returns the number of due windows of this day.
     pub(crate) fn count_due(&self) -> Result<u64, StoreError> {
         let sql = "SELECT count(*) FROM windows WHERE fleet = 0";
         let count = self

@@ -1,4 +1,4 @@
-//! A window's samples and trajectory as bytes in the database, and back, bit for bit.
+//! Packing of a window's samples and trajectory, lossless.
 
 use ihd_link::Window;
 use ihd_shared::sampling::Pair;
@@ -10,10 +10,10 @@ use zstd::zstd_safe::CParameter;
 /// (docs/store.md has the figures).
 const LEVEL: i32 = 1;
 
-/// Most entries that are unpacked, whatever a row declares.
+/// Most entries that are unpacked; a row that declares more is an error.
 const MAX_ENTRIES: usize = 1 << 20;
 
-/// What a row holds of a window's samples.
+/// Packed samples and trajectory of a window's row.
 pub struct Payload {
     /// Pairs, packed.
     pub pairs: Vec<u8>,
@@ -24,7 +24,7 @@ pub struct Payload {
 /// Packs a window's pairs and trajectory, each with zstd's own checksum: SQLite has none.
 ///
 /// # Errors
-/// What zstd reports; that is a lack of memory.
+/// Errors of zstd, which means a lack of memory.
 pub fn pack(window: &Window) -> std::io::Result<Payload> {
     let mut compressor = Compressor::new(LEVEL)?;
     compressor.set_parameter(CParameter::ChecksumFlag(true))?;
@@ -37,20 +37,20 @@ pub fn pack(window: &Window) -> std::io::Result<Payload> {
     })
 }
 
-/// Unpacks so many pairs.
+/// Unpacks `count` pairs.
 ///
 /// # Errors
-/// What is wrong with the bytes.
+/// Description of the fault in the bytes.
 pub fn pairs(bytes: &[u8], count: usize) -> Result<Vec<Pair>, String> {
     let raw = unpack(bytes, count, PAIR_BYTES)?;
     let (pairs, _) = raw.as_chunks::<PAIR_BYTES>();
     Ok(pairs.iter().map(|b| Pair::from_le_bytes(*b)).collect())
 }
 
-/// Unpacks so many trajectory entries.
+/// Unpacks `count` trajectory entries.
 ///
 /// # Errors
-/// What is wrong with the bytes.
+/// Description of the fault in the bytes.
 pub fn trajectory(bytes: &[u8], count: usize) -> Result<Vec<TrajectoryEntry>, String> {
     let raw = unpack(bytes, count, TRAJECTORY_ENTRY_BYTES)?;
     let (entries, _) = raw.as_chunks::<TRAJECTORY_ENTRY_BYTES>();

@@ -1,4 +1,4 @@
-//! The store as others see it, while somebody writes to it or nobody does.
+//! Read access to a store, beside its writer.
 
 use std::path::{Path, PathBuf};
 
@@ -10,11 +10,12 @@ use super::curves::Curves;
 use super::folder::{self, RECORDS};
 use super::windows::{Day, WindowFilter, WindowRow};
 use super::{
-    AuditRow, Confidence, EventRow, JournalFilter, JournalRow, LookupRow, ResultFilter, ResultId,
-    ResultRow, SessionId, StoreError, Taught, database, journal, lookups, results, schema,
+    AuditRow, Confidence, EventRow, JournalFilter, JournalRow, LastAccepted, LookupRow,
+    ResultFilter, ResultId, ResultRow, SessionId, StoreError, database, journal, lookups, results,
+    schema,
 };
 
-/// A store being read. It holds nothing up, and takes no right to write.
+/// A store opened for reading. It blocks no writer and takes no lock.
 pub struct Reader {
     folder: PathBuf,
     path: PathBuf,
@@ -26,9 +27,9 @@ pub struct Reader {
 pub struct DeviceRow {
     /// Its name in the configuration.
     pub name: String,
-    /// Where it was last.
+    /// Last address.
     pub address: String,
-    /// When it was seen first, in milliseconds since 1970, UTC.
+    /// Time of the first connection, in milliseconds since 1970, UTC.
     pub first_seen_ms: i64,
 }
 
@@ -41,11 +42,11 @@ pub struct SessionRow {
     pub device: String,
     /// The device's boot.
     pub boot: u32,
-    /// When it began, in milliseconds since 1970, UTC.
+    /// Time of its beginning, in milliseconds since 1970, UTC.
     pub began_ms: i64,
-    /// When it ended; none while it lasts.
+    /// Time of its end, in milliseconds since 1970, UTC; `None` while it lasts.
     pub ended_ms: Option<i64>,
-    /// Why it ended.
+    /// Reason of its end.
     pub why: Option<String>,
     /// The firmware's build.
     pub build: String,
@@ -67,10 +68,10 @@ SELECT sessions.id, devices.name, boot, began_ms, ended_ms, why, build, board, c
 FROM sessions JOIN devices ON devices.id = sessions.device";
 
 impl Reader {
-    /// Opens the store in a folder to read.
+    /// Opens the store in a folder for reading.
     ///
     /// # Errors
-    /// [`StoreError::NoStore`], [`StoreError::Damaged`], [`StoreError::Newer`], or what the database reports.
+    /// [`StoreError::NoStore`], [`StoreError::Damaged`], [`StoreError::Newer`], or an error of the database.
     pub fn open(folder: &Path) -> Result<Self, StoreError> {
         let path = folder.join(RECORDS);
         if !path.exists() {
@@ -85,7 +86,7 @@ impl Reader {
         })
     }
 
-    /// The folder.
+    /// Returns the folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
@@ -108,34 +109,34 @@ impl Reader {
         Ok(u64::try_from(count).unwrap_or(0))
     }
 
-    /// Results, newest first.
+    /// Returns results, newest first.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn results(&self, filter: &ResultFilter) -> Result<Vec<ResultRow>, StoreError> {
         results::rows(&self.records, filter).map_err(self.failed("listing results"))
     }
 
-    /// One result.
+    /// Returns one result; `None` if there is none of this number.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn result(&self, id: ResultId) -> Result<Option<ResultRow>, StoreError> {
         results::one(&self.records, id).map_err(self.failed("reading a result"))
     }
 
-    /// Every lookup of every device, oldest first.
+    /// Returns every lookup of every device, oldest first.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn lookups(&self) -> Result<Vec<LookupRow>, StoreError> {
         lookups::rows(&self.records, None).map_err(self.failed("listing lookups"))
     }
 
-    /// Every device.
+    /// Returns every device.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn devices(&self) -> Result<Vec<DeviceRow>, StoreError> {
         let read = || -> rusqlite::Result<Vec<DeviceRow>> {
             let sql = "SELECT name, address, first_seen_ms FROM devices ORDER BY name";
@@ -152,20 +153,20 @@ impl Reader {
         read().map_err(self.failed("listing devices"))
     }
 
-    /// One session.
+    /// Returns one session; `None` if there is none of this number.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn session(&self, id: SessionId) -> Result<Option<SessionRow>, StoreError> {
         let sql = format!("{SESSIONS} WHERE sessions.id = ?1");
         let found = self.records.query_row(&sql, [id], session_row).optional();
         found.map_err(self.failed("reading a session"))
     }
 
-    /// The last session of a device's boot.
+    /// Returns the last session of a device's boot; `None` if there is none.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn session_of(&self, device: &str, boot: u32) -> Result<Option<SessionRow>, StoreError> {
         let sql = format!(
             "{SESSIONS} WHERE devices.name = ?1 AND boot = ?2 ORDER BY sessions.id DESC LIMIT 1"
@@ -175,12 +176,12 @@ impl Reader {
         found.map_err(self.failed("reading a session"))
     }
 
-    /// How well the cells of a device's lookup of this version are founded; none where nobody told.
+    /// Returns the confidence of a device's lookup of this version; `None` if it is not known.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn confidence(&self, device: &str, version: u32) -> Result<Option<Confidence>, StoreError> {
-        // A store that nobody has written to since it was made has no such column.
+        // A store of an earlier version that was not opened for writing since has no such column.
         let sql =
             "SELECT EXISTS (SELECT 1 FROM pragma_table_info('lookups') WHERE name = 'confidence')";
         let there = self.records.query_row(sql, [], |row| row.get(0));
@@ -191,19 +192,19 @@ impl Reader {
         }
     }
 
-    /// Events and commands that a filter takes, newest first.
+    /// Returns the events and commands that match a filter, newest first.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn journal(&self, filter: &JournalFilter) -> Result<Vec<JournalRow>, StoreError> {
         journal::rows(&self.records, filter).map_err(self.failed("reading the journal"))
     }
 
-    /// Results of a device in a stretch of time, oldest first, and how many there are: where they are more than
-    /// `limit`, the first one of each of `limit` equal parts of the time.
+    /// Returns results of a device in a stretch of time, oldest first, and their number. If they are more than
+    /// `limit`, the first one of each of `limit` equal parts of the time is returned.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn results_between(
         &self,
         device: &str,
@@ -214,11 +215,11 @@ impl Reader {
             .map_err(self.failed("listing results"))
     }
 
-    /// When each of these windows of a device (boot and number) was stored, in milliseconds since 1970, UTC; none where its day
-    /// is not between these days, or was deleted.
+    /// Returns the time at which each of these windows of a device (boot and number) was stored, in milliseconds since 1970, UTC; `None` if
+    /// its day is not between these days, or was deleted.
     ///
     /// # Errors
-    /// What the databases report.
+    /// Errors of the databases.
     pub fn times_of_windows(
         &self,
         device: &str,
@@ -234,10 +235,10 @@ impl Reader {
         Ok(times)
     }
 
-    /// The result of a window.
+    /// Returns the result of a window; `None` if there is none.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn result_of(
         &self,
         device: &str,
@@ -248,34 +249,38 @@ impl Reader {
             .map_err(self.failed("reading a result"))
     }
 
-    /// When results that passed came last, by what they were of: frequency and current, for those behind `after`.
+    /// Returns the last accepted result at each frequency and current, of those after `after`.
     ///
     /// # Errors
-    /// What the database reports.
-    pub fn taught(&self, device: &str, after: ResultId) -> Result<Vec<Taught>, StoreError> {
-        results::taught(&self.records, device, after).map_err(self.failed("reading results"))
+    /// Errors of the database.
+    pub fn last_accepted(
+        &self,
+        device: &str,
+        after: ResultId,
+    ) -> Result<Vec<LastAccepted>, StoreError> {
+        results::last_accepted(&self.records, device, after).map_err(self.failed("reading results"))
     }
 
-    /// The last events, newest first.
+    /// Returns the last events, newest first.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn events(&self, limit: u32) -> Result<Vec<EventRow>, StoreError> {
         journal::events(&self.records, limit).map_err(self.failed("listing events"))
     }
 
-    /// The last commands, newest first.
+    /// Returns the last commands, newest first.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn audit(&self, limit: u32) -> Result<Vec<AuditRow>, StoreError> {
         journal::audit(&self.records, limit).map_err(self.failed("listing commands"))
     }
 
-    /// Rows of the windows that a filter takes, oldest day first.
+    /// Returns the rows of the windows that match a filter, oldest day first.
     ///
     /// # Errors
-    /// What the databases report.
+    /// Errors of the databases.
     pub fn windows(&self, filter: &WindowFilter) -> Result<Vec<WindowRow>, StoreError> {
         let mut rows = Vec::new();
         for day in self.days_since(filter.since_ms)? {
@@ -284,10 +289,10 @@ impl Reader {
         Ok(rows)
     }
 
-    /// The last windows of a device, newest first, at most so many; those with samples alone where `whole`.
+    /// Returns the last windows of a device, newest first, `limit` at most; only those with samples if `whole`.
     ///
     /// # Errors
-    /// What the databases report.
+    /// Errors of the databases.
     pub fn last_windows(
         &self,
         device: &str,
@@ -305,10 +310,10 @@ impl Reader {
         Ok(rows)
     }
 
-    /// The row of a window, with its samples and curves; none where there is none, or its samples were not kept.
+    /// Returns the row of a window with its samples and curves; `None` if there is none, or its samples are not stored.
     ///
     /// # Errors
-    /// [`StoreError::Window`] where it cannot be unpacked, else what the databases report.
+    /// [`StoreError::Window`] if it cannot be unpacked, or an error of the databases.
     pub fn whole_window(
         &self,
         device: &str,
@@ -327,10 +332,10 @@ impl Reader {
         Ok(None)
     }
 
-    /// A window with its samples; none where there is none, or its samples were not kept.
+    /// Returns a window with its samples; `None` if there is none, or its samples are not stored.
     ///
     /// # Errors
-    /// [`StoreError::Window`] where it cannot be unpacked, else what the databases report.
+    /// [`StoreError::Window`] if it cannot be unpacked, or an error of the databases.
     pub fn window(&self, device: &str, boot: u32, seq: u32) -> Result<Option<Window>, StoreError> {
         for day in self.days_since(None)?.into_iter().rev() {
             if let Some(window) = day.window(device, boot, seq)? {
@@ -340,7 +345,7 @@ impl Reader {
         Ok(None)
     }
 
-    /// The days of a stretch of time, oldest first.
+    /// Opens the days of a stretch of time, oldest first.
     pub(crate) fn days_between(&self, from_ms: i64, to_ms: i64) -> Result<Vec<Day>, StoreError> {
         let [first, last] = [from_ms, to_ms].map(|at_ms| super::clock::day(at_ms.max(0)));
         let days = folder::days(&self.folder)?.into_iter();
@@ -348,7 +353,7 @@ impl Reader {
         wanted.map(Day::open_to_read).collect()
     }
 
-    /// The days that hold windows of that time or later, oldest first.
+    /// Opens the days with windows of that time or later, oldest first.
     pub(crate) fn days_since(&self, since_ms: Option<i64>) -> Result<Vec<Day>, StoreError> {
         let first = since_ms.map(super::clock::day);
         let days = folder::days(&self.folder)?;

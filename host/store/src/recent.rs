@@ -1,17 +1,17 @@
-//! Windows of the last hour, by the order in which they came: no clock that jumps makes a window old.
+//! Windows of the last hour, by the order in which they came, so that a jump of the clock makes no window old.
 
 use std::collections::VecDeque;
 
-/// Time that counts as the last: of hours in which windows came.
+/// Length of the last hour, counted in time in which windows came.
 pub(crate) const LAST_MS: i64 = 3_600_000;
 
-/// Between two windows more than this is a pause, or a clock that was set forward: it counts as this.
+/// Longest counted step between two windows. A longer one is a pause or a jump of the clock, and counts as this.
 pub(crate) const LONGEST_STEP_MS: i64 = 60_000;
 
-/// Between two marks.
+/// Time between two marks.
 const MARK_EVERY_MS: i64 = 60_000;
 
-/// Where the windows of the last hour begin.
+/// Marks of the rows at which the windows of the last hour begin.
 #[derive(Debug, Default)]
 pub(crate) struct Recent {
     marks: VecDeque<Mark>,
@@ -28,7 +28,7 @@ struct Mark {
 }
 
 impl Recent {
-    /// Takes in a window: its day's file, its row there, and when it was stored in milliseconds since 1970, UTC.
+    /// Adds a window: its day's file, its row there, and the time at which it was stored in milliseconds since 1970, UTC.
     pub(crate) fn note(&mut self, day: &str, id: i64, at_ms: i64) {
         let last_ms = self.last_ms.replace(at_ms).unwrap_or(at_ms);
         self.recorded_ms += at_ms.saturating_sub(last_ms).clamp(0, LONGEST_STEP_MS);
@@ -44,7 +44,7 @@ impl Recent {
         }
     }
 
-    /// Takes in what another process stored in a day's file: rows from this one on are of the last hour. Newest days first.
+    /// Adds the rows that another process stored in a day's file: those from this one on are of the last hour. Newest days first.
     pub(crate) fn resume(&mut self, day: &str, id: i64) {
         if self.first_of(day).is_none() {
             let recorded_ms = self.recorded_ms;
@@ -57,7 +57,7 @@ impl Recent {
         }
     }
 
-    /// The first row of the last hour in a day's file; `None` if there is none in it.
+    /// Returns the first row of the last hour in a day's file; `None` if there is none in it.
     pub(crate) fn first_of(&self, day: &str) -> Option<i64> {
         let mark = self.marks.iter().find(|mark| mark.day == day)?;
         Some(mark.id)

@@ -1,19 +1,19 @@
-//! What was learned of windows, and what a learner goes on from.
+//! Results of windows, and the learner's state.
 
 use rusqlite::{Connection, OptionalExtension, Row, params};
 use serde::Serialize;
 
 use super::text::printable;
-use super::windows::NotKept;
-use super::{DeviceId, Keep, ResultId, SessionId, Store, StoreError};
+use super::windows::SampleDropReason;
+use super::{DeviceId, ResultId, SamplePolicy, SessionId, Store, StoreError};
 
-/// Rows that a filter without a limit gives.
+/// Most rows of a filter without a limit.
 const DEFAULT_LIMIT: u32 = 100;
 
-/// What was learned of a window, to be stored.
+/// Result of a window, to be stored.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NewResult {
-    /// The connection that it came over.
+    /// The session in which it came.
     pub session: SessionId,
     /// The window's number since the device's boot.
     pub seq: u32,
@@ -23,27 +23,27 @@ pub struct NewResult {
     pub f_sw_hz: u32,
     /// Largest amplitude of the current's fundamental, in ampere.
     pub i_crest_a: f64,
-    /// Mean power of the half-cycle, in watt, where it is known.
+    /// Mean power of the half-cycle, in watt; `None` if unknown.
     pub power_w: Option<f64>,
     /// Mean of R weighted with the squared current, in ohm.
     pub r_ohm: f64,
-    /// The same of L, in henry.
+    /// Mean of L weighted with the squared current, in henry.
     pub l_h: f64,
     /// Standard deviation of R, in percent.
     pub sigma_r_pct: f64,
     /// Standard deviation of L, in percent.
     pub sigma_l_pct: f64,
-    /// Whether the gate let it pass.
+    /// `true` if the gate accepts it.
     pub pass: bool,
-    /// Why it did not; empty where it did.
+    /// Reason of the gate's refusal; empty if it accepts.
     pub why: String,
-    /// Whether the lookup is another one for it.
+    /// `true` if it led to a new lookup.
     pub changed_lookup: bool,
     /// Iterations of the training.
     pub iterations: u32,
 }
 
-/// What was learned of a window, as it is stored. Numbers that were not finite are NaN.
+/// Stored result of a window. Numbers that were not finite are NaN.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ResultRow {
     /// Its number.
@@ -54,44 +54,44 @@ pub struct ResultRow {
     pub boot: u32,
     /// The window's number since the boot.
     pub seq: u32,
-    /// The connection that it came over.
+    /// The session in which it came.
     pub session: SessionId,
     /// Half-cycle since the boot.
     pub half_cycle: u32,
-    /// When it was stored, in milliseconds since 1970, UTC.
+    /// Time at which it was stored, in milliseconds since 1970, UTC.
     pub at_ms: i64,
     /// Switching frequency, in hertz.
     pub f_sw_hz: u32,
     /// Largest amplitude of the current's fundamental, in ampere.
     pub i_crest_a: f64,
-    /// Mean power of the half-cycle, in watt, where it is known.
+    /// Mean power of the half-cycle, in watt; `None` if unknown.
     pub power_w: Option<f64>,
     /// Mean of R weighted with the squared current, in ohm.
     pub r_ohm: f64,
-    /// The same of L, in henry.
+    /// Mean of L weighted with the squared current, in henry.
     pub l_h: f64,
     /// Standard deviation of R, in percent.
     pub sigma_r_pct: f64,
     /// Standard deviation of L, in percent.
     pub sigma_l_pct: f64,
-    /// Whether the gate let it pass.
+    /// `true` if the gate accepts it.
     pub pass: bool,
-    /// Why it did not; empty where it did.
+    /// Reason of the gate's refusal; empty if it accepts.
     pub why: String,
-    /// Whether the lookup is another one for it.
+    /// `true` if it led to a new lookup.
     pub changed_lookup: bool,
     /// Iterations of the training.
     pub iterations: u32,
 }
 
-/// Which results.
+/// Filter of results.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ResultFilter {
-    /// Those of this device alone, by its name.
+    /// Only this device's, by its name.
     pub device: Option<String>,
-    /// Those stored at this time or later, in milliseconds since 1970, UTC.
+    /// Only those stored at this time or later, in milliseconds since 1970, UTC.
     pub since_ms: Option<i64>,
-    /// At most so many; 100 where it is not said.
+    /// Most rows; 100 if `None`.
     pub limit: Option<u32>,
 }
 
@@ -111,7 +111,7 @@ SELECT results.id, devices.name, boot, seq, session, half_cycle, at_ms, f_sw_hz,
     r_ohm, l_h, sigma_r_pct, sigma_l_pct, pass, why, changed_lookup, iterations
 FROM results JOIN devices ON devices.id = results.device";
 
-/// The results that a filter takes, newest first.
+/// Returns the results that match a filter, newest first.
 pub(crate) fn rows(
     connection: &Connection,
     filter: &ResultFilter,
@@ -132,7 +132,7 @@ pub(crate) fn rows(
     rows.collect()
 }
 
-/// One result.
+/// Returns one result; `None` if there is none of this number.
 pub(crate) fn one(connection: &Connection, id: ResultId) -> rusqlite::Result<Option<ResultRow>> {
     let sql = format!("{COLUMNS} WHERE results.id = ?1");
     connection.query_row(&sql, [id], row).optional()
@@ -163,26 +163,26 @@ fn row(row: &Row<'_>) -> rusqlite::Result<ResultRow> {
     })
 }
 
-/// When results of some frequency and current that passed came last.
+/// Last accepted result at a frequency and current.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Taught {
-    /// The last one of them.
+pub struct LastAccepted {
+    /// Number of the result.
     pub last: ResultId,
-    /// When it was stored, in milliseconds since 1970, UTC.
+    /// Time at which it was stored, in milliseconds since 1970, UTC.
     pub at_ms: i64,
     /// Its switching frequency, in hertz.
     pub f_sw_hz: u32,
-    /// The largest amplitude of the current's fundamental among them, in ampere.
+    /// Largest amplitude of the current's fundamental among the results at this point, in ampere.
     pub i_crest_a: f64,
 }
 
-/// Results that passed with a number above `after`, those of one frequency and ampere as one.
-pub(crate) fn taught(
+/// Returns the last accepted result of each frequency and ampere, of those with a number above `after`.
+pub(crate) fn last_accepted(
     connection: &Connection,
     device: &str,
     after: ResultId,
-) -> rusqlite::Result<Vec<Taught>> {
-    // The plus: what is new is found by its number, not by going through all of the device's.
+) -> rusqlite::Result<Vec<LastAccepted>> {
+    // The plus sign keeps SQLite from the index over the device: the range of numbers is far smaller.
     let mut statement = connection.prepare(
         "SELECT max(id), max(at_ms), f_sw_hz, max(i_crest_a) FROM results
          WHERE id > ?2 AND pass = 1 AND i_crest_a IS NOT NULL
@@ -190,7 +190,7 @@ pub(crate) fn taught(
          GROUP BY f_sw_hz, CAST(i_crest_a AS INTEGER)",
     )?;
     let rows = statement.query_map(params![device, after], |row| {
-        Ok(Taught {
+        Ok(LastAccepted {
             last: row.get(0)?,
             at_ms: row.get(1)?,
             f_sw_hz: row.get(2)?,
@@ -200,7 +200,7 @@ pub(crate) fn taught(
     rows.collect()
 }
 
-/// The result of a window.
+/// Returns the result of a window; `None` if there is none.
 pub(crate) fn of_window(
     connection: &Connection,
     device: &str,
@@ -212,7 +212,7 @@ pub(crate) fn of_window(
     connection.query_row(&sql, of, row).optional()
 }
 
-/// Results of a stretch of time, thinned to one for each of `limit` parts of it where they are more.
+/// Returns the results of a stretch of time; if they are more than `limit`, one for each of `limit` parts of it.
 pub(crate) fn between(
     connection: &Connection,
     device: &str,
@@ -254,15 +254,15 @@ pub(crate) fn between(
 }
 
 impl Store {
-    /// Stores what was learned of a window, and, in the same transaction, what the device's learner goes on
-    /// from. A window that is learned again takes the place of what was learned before.
+    /// Stores the result of a window and, in the same transaction, the state of the device's learner
+    /// if given. A second result of a window replaces the first.
     ///
     /// # Errors
-    /// [`StoreError::NoSession`], or what the database reports.
+    /// [`StoreError::NoSession`], or an error of the database.
     pub fn record_result(
         &mut self,
         result: &NewResult,
-        learned: Option<&[u8]>,
+        learner_state: Option<&[u8]>,
     ) -> Result<ResultId, StoreError> {
         let session = self.session(result.session)?;
         let (device, boot) = (session.device, session.boot);
@@ -290,7 +290,7 @@ impl Store {
                 result.iterations,
             ];
             let id = change.query_row(INSERT, values, |row| row.get(0))?;
-            if let Some(state) = learned {
+            if let Some(state) = learner_state {
                 change.execute(
                     "INSERT INTO learned (device, at_ms, state) VALUES (?1, ?2, ?3)
                      ON CONFLICT (device) DO UPDATE SET at_ms = excluded.at_ms, state = excluded.state",
@@ -299,37 +299,37 @@ impl Store {
             }
             Ok(id)
         })?;
-        let tells = !result.pass || result.changed_lookup;
-        if self.settings().keep == Keep::Telling && !tells {
-            self.drop_samples(&name, boot, result.seq, NotKept::TellsNothing);
+        let is_informative = !result.pass || result.changed_lookup;
+        if self.settings().keep == SamplePolicy::Telling && !is_informative {
+            self.drop_samples(&name, boot, result.seq, SampleDropReason::Uninformative);
         }
         Ok(id)
     }
 
-    /// Results, newest first.
+    /// Returns results, newest first.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn results(&self, filter: &ResultFilter) -> Result<Vec<ResultRow>, StoreError> {
         rows(self.records(), filter).map_err(self.failed("listing results"))
     }
 
-    /// What a device's learner goes on from, as it was given.
+    /// Returns the stored state of a device's learner; `None` if there is none.
     ///
     /// # Errors
-    /// What the database reports.
-    pub fn learned(&self, device: DeviceId) -> Result<Option<Vec<u8>>, StoreError> {
+    /// Errors of the database.
+    pub fn learner_state(&self, device: DeviceId) -> Result<Option<Vec<u8>>, StoreError> {
         let sql = "SELECT state FROM learned WHERE device = ?1";
         let state = self.records().query_row(sql, [device], |row| row.get(0));
         let state = state.optional();
         state.map_err(self.failed("reading what was learned"))
     }
 
-    /// Forgets what a device's learner would go on from; results stay.
+    /// Deletes the stored state of a device's learner; results stay.
     ///
     /// # Errors
-    /// What the database reports.
-    pub fn forget_learned(&mut self, device: DeviceId) -> Result<(), StoreError> {
+    /// Errors of the database.
+    pub fn forget_learner_state(&mut self, device: DeviceId) -> Result<(), StoreError> {
         self.change("forgetting what was learned", |change| {
             change.execute("DELETE FROM learned WHERE device = ?1", [device])?;
             Ok(())

@@ -1,4 +1,4 @@
-//! Deletion: days of windows that are too old, and the oldest rows of tables that only grow.
+//! Retention: deletes days of windows that are too old, and the oldest rows of tables that only grow.
 
 use std::path::{Path, PathBuf};
 
@@ -6,39 +6,39 @@ use rusqlite::Connection;
 use serde::Serialize;
 
 use super::folder::{self, DayFile};
-use super::windows::NotKept;
-use super::{Keep, Store, StoreError, clock};
+use super::windows::SampleDropReason;
+use super::{SamplePolicy, Store, StoreError, clock};
 
-/// Rows that the tables of results, events and commands may each have: some 2 GB of results.
+/// Most rows in each of the tables of results, events and commands: some 2 GB of results.
 const MAX_ROWS: i64 = 10_000_000;
 
 const DAY_MS: i64 = 24 * 3_600_000;
 
-/// What a collection deleted, and what is left.
+/// Result of a collection: deletions, and bytes that are left.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Collected {
+pub struct CollectionReport {
     /// Files deleted: days of windows, and damaged ones.
     pub deleted: Vec<PathBuf>,
     /// Bytes that they took.
     pub bytes: u64,
-    /// Windows whose samples were dropped because they tell nothing.
+    /// Windows whose samples were deleted by [`SamplePolicy::Telling`].
     pub samples_dropped: u64,
     /// Rows of results, events and commands that were too many.
     pub rows: u64,
     /// Bytes that windows take now.
     pub bytes_left: u64,
-    /// Windows whose samples went to make room for newer ones.
+    /// Windows whose samples were deleted to make room for newer ones.
     pub thinned: u64,
 }
 
 /// Files that were deleted.
 #[derive(Debug, Default)]
-pub(crate) struct Deleted {
+pub(crate) struct DeletedFiles {
     paths: Vec<PathBuf>,
     bytes: u64,
 }
 
-impl Deleted {
+impl DeletedFiles {
     fn add(&mut self, path: PathBuf, bytes: u64) {
         self.paths.push(path);
         self.bytes += bytes;
@@ -46,16 +46,16 @@ impl Deleted {
 }
 
 impl Store {
-    /// Deletes days of windows that are too old, today's never; thins windows that are too many (thinning.rs); drops samples that tell
-    /// nothing, where the settings say so; brings the databases' logs into them, so that sizes are honest.
+    /// Deletes days of windows that are too old, today's never; thins windows that take too much room (thinning.rs); deletes samples
+    /// without information if the policy is [`SamplePolicy::Telling`]; checkpoints the databases' logs, so that sizes are right.
     ///
     /// # Errors
-    /// What the database or the operating system reports; what was deleted until then is deleted.
-    pub fn collect_garbage(&mut self) -> Result<Collected, StoreError> {
-        let mut collected = Collected::default();
+    /// Errors of the database or the operating system; deletions up to then are done.
+    pub fn collect_garbage(&mut self) -> Result<CollectionReport, StoreError> {
+        let mut collected = CollectionReport::default();
         self.grow_older()?;
-        if self.settings().keep == Keep::Telling {
-            collected.samples_dropped = self.drop_what_tells_nothing()?;
+        if self.settings().keep == SamplePolicy::Telling {
+            collected.samples_dropped = self.drop_uninformative_samples()?;
         }
         for table in ["results", "events", "audit"] {
             collected.rows += self.drop_rows(table)?;
@@ -65,18 +65,18 @@ impl Store {
             checkpoint(&day.connection);
         }
         self.measure_other_days()?;
-        let Deleted {
+        let DeletedFiles {
             mut paths,
             mut bytes,
         } = self.delete_by_age()?;
         let thinned = self.figures().thinned;
         self.make_room()?;
-        // What thinning gave back is in the logs until then.
+        // Room that thinning has freed is still in the logs.
         for day in self.days.each() {
             checkpoint(&day.connection);
         }
         self.measure_other_days()?;
-        let Deleted {
+        let DeletedFiles {
             paths: oldest,
             bytes: of_oldest,
         } = std::mem::take(&mut self.deleted);
@@ -85,12 +85,12 @@ impl Store {
         (collected.deleted, collected.bytes) = (paths, bytes);
         collected.thinned = self.figures().thinned - thinned;
         collected.bytes_left = self.other_days_bytes + folder::size(&self.path_of_today());
-        self.tell_what_no_fleet_gets()?;
+        self.report_thinned_lost_to_fleet()?;
         Ok(collected)
     }
 
-    /// Windows of the days at hand whose verdict came, and whose samples are still there.
-    fn drop_what_tells_nothing(&self) -> Result<u64, StoreError> {
+    /// Deletes samples of accepted windows without effect on the lookup, in the open days; returns the number of windows.
+    fn drop_uninformative_samples(&self) -> Result<u64, StoreError> {
         let mut dropped = 0;
         for day in self.days.each() {
             for (device, boot, seq) in day.keys()? {
@@ -98,10 +98,12 @@ impl Store {
                     AND device = (SELECT id FROM devices WHERE name = ?1)
                     AND pass = 1 AND changed_lookup = 0)";
                 let of = rusqlite::params![device, boot, seq];
-                let tells_nothing = self.records().query_row(sql, of, |row| row.get(0));
-                let tells_nothing: bool =
-                    tells_nothing.map_err(self.failed("looking for a verdict"))?;
-                if tells_nothing && day.drop_samples(&device, boot, seq, NotKept::TellsNothing)? {
+                let is_uninformative = self.records().query_row(sql, of, |row| row.get(0));
+                let is_uninformative: bool =
+                    is_uninformative.map_err(self.failed("looking for a verdict"))?;
+                if is_uninformative
+                    && day.drop_samples(&device, boot, seq, SampleDropReason::Uninformative)?
+                {
                     dropped += 1;
                 }
             }
@@ -126,15 +128,15 @@ impl Store {
         Ok(())
     }
 
-    /// Deletes days that are older than the settings say, today's never. Age is time in use: no clock makes a day old.
-    pub(crate) fn delete_by_age(&mut self) -> Result<Deleted, StoreError> {
-        let mut deleted = Deleted::default();
+    /// Deletes days that are older than the setting, today's never. Age is time in use, so that no jump of the clock makes a day old.
+    pub(crate) fn delete_by_age(&mut self) -> Result<DeletedFiles, StoreError> {
+        let mut deleted = DeletedFiles::default();
         let today = clock::day(self.now());
         self.age_of(&today)?;
         let Some(days) = self.settings().retention.max_age_days else {
             return Ok(deleted);
         };
-        // The day itself, and so many more.
+        // The day itself, and `days` more.
         let most_ms = i64::from(days).saturating_add(1).saturating_mul(DAY_MS);
         for (day, path) in self.by_age(&today)? {
             if self.age_of(&day)? >= most_ms {
@@ -144,7 +146,7 @@ impl Store {
         Ok(deleted)
     }
 
-    /// Deletes the oldest file that is not today's and that `which` takes; false where there is none.
+    /// Deletes the oldest file that is not today's and that `which` accepts; returns `false` if there is none.
     pub(crate) fn delete_oldest(
         &mut self,
         which: impl Fn(&Path) -> bool,
@@ -163,7 +165,7 @@ impl Store {
     }
 
     fn delete_day(&mut self, day: &str, path: &PathBuf) -> Result<u64, StoreError> {
-        self.tell_lost_to_fleet(day)?;
+        self.report_day_lost_to_fleet(day)?;
         self.days.close(path);
         self.tallies.remove(day);
         let freed = folder::delete(path)?;
@@ -175,31 +177,31 @@ impl Store {
         Ok(freed)
     }
 
-    /// A day that goes before a fleet has got all of it is told.
-    fn tell_lost_to_fleet(&mut self, day: &str) -> Result<(), StoreError> {
-        // A damaged one tells nothing.
+    /// Reports the windows of a day that is deleted before the fleet has all of it.
+    fn report_day_lost_to_fleet(&mut self, day: &str) -> Result<(), StoreError> {
+        // A damaged day counts as 0.
         match self.count_due_of(day).unwrap_or(0) {
             0 => Ok(()),
-            lost => self.tell_lost(day, lost),
+            lost => self.report_lost(day, lost),
         }
     }
 
-    /// Windows whose samples went before a fleet had them are told, for each day.
-    fn tell_what_no_fleet_gets(&mut self) -> Result<(), StoreError> {
+    /// Reports, for each day, the windows whose samples were deleted before the fleet had them.
+    fn report_thinned_lost_to_fleet(&mut self) -> Result<(), StoreError> {
         for (day, lost) in std::mem::take(&mut self.lost_to_fleet) {
-            self.tell_lost(&day, lost)?;
+            self.report_lost(&day, lost)?;
         }
         Ok(())
     }
 
-    fn tell_lost(&mut self, day: &str, lost: u64) -> Result<(), StoreError> {
+    fn report_lost(&mut self, day: &str, lost: u64) -> Result<(), StoreError> {
         let text =
             format!("{lost} windows of {day} that the fleet had not got are deleted: retention");
         tracing::warn!("{text}");
         self.event(None, "store", &text)
     }
 
-    /// Days but today's, and damaged ones, oldest first, each with its day.
+    /// Returns the files of all days but today's, and damaged ones, oldest first, each with its day.
     fn by_age(&self, today: &str) -> Result<Vec<(String, PathBuf)>, StoreError> {
         let of_name = |path: PathBuf| {
             let name = path.file_name()?.to_string_lossy().into_owned();
@@ -231,7 +233,7 @@ impl Store {
     }
 }
 
-/// Brings a database's log into it. A reader may keep it from that for now.
+/// Writes a database's log back into it, unless a reader prevents it.
 pub(crate) fn checkpoint(connection: &Connection) {
     let done = connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
     if let Err(error) = done {

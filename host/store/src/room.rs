@@ -1,19 +1,19 @@
-//! Room for the newest windows: older ones give up their samples, tier by tier (thinning.rs).
+//! Room for the newest windows: samples of older ones are deleted, tier by tier (thinning.rs).
 
 use rusqlite::params;
 
 use super::folder::{self, DayFile};
 use super::thinning::{Candidate, Cursor, Identified, Tier};
-use super::windows::{Day, NotKept};
+use super::windows::{Day, SampleDropReason};
 use super::{Store, StoreError, clock};
 
-/// Windows that are looked at together, in one transaction.
+/// Windows of one transaction.
 const A_BATCH: usize = 64;
 
-/// Windows that are looked at before another one is stored: some 10 ms.
+/// Windows that are examined before another one is stored: some 10 ms.
 const A_ROUND: usize = 512;
 
-/// Windows of the last hour that go together where nothing older is left.
+/// Windows of the last hour that are thinned together if nothing older is left.
 const A_FEW: usize = 8;
 
 const IDENTIFIED: &str = "
@@ -21,13 +21,13 @@ SELECT r_ohm, l_h, sigma_r_pct, sigma_l_pct, pass FROM results
 WHERE device = (SELECT id FROM devices WHERE name = ?1) AND boot = ?2 AND seq = ?3";
 
 impl Store {
-    /// Bytes that windows take beyond what they may.
+    /// Returns the bytes of windows beyond their limit.
     pub(crate) fn excess_bytes(&self) -> Result<u64, StoreError> {
         let bytes = self.other_days_bytes.saturating_add(self.today_bytes()?);
         Ok(bytes.saturating_sub(self.settings().retention.max_bytes))
     }
 
-    /// Makes room until all windows fit, as far as a round goes; the next window goes on with it.
+    /// Makes room until all windows fit, for one round at most; the next stored window continues.
     pub(crate) fn make_room(&mut self) -> Result<(), StoreError> {
         let mut looked_at = 0;
         while looked_at < A_ROUND && self.excess_bytes()? > 0 {
@@ -51,7 +51,7 @@ impl Store {
         Ok(())
     }
 
-    /// Gives unused pages of days that are over back to the disk; false if there are none.
+    /// Gives unused pages of past days back to the disk; returns `false` if there are none.
     fn give_back(&mut self) -> Result<bool, StoreError> {
         let mut freed = 0;
         for day in self.days.before.iter().chain(&self.days.thinned) {
@@ -61,7 +61,7 @@ impl Store {
         Ok(freed > 0)
     }
 
-    /// Goes on with the first tier that is not through; `None` if both are.
+    /// Continues the first tier that is not finished; `None` if both are.
     fn thin_older(&mut self) -> Result<Option<usize>, StoreError> {
         let mut thinning = std::mem::take(&mut self.thinning);
         let mut looked_at = self.thin(&mut thinning.changes);
@@ -72,7 +72,7 @@ impl Store {
         looked_at
     }
 
-    /// Takes a cursor past a batch of windows older than an hour; `None` if there are none.
+    /// Moves a cursor past a batch of windows older than an hour; `None` if there are none.
     fn thin(&mut self, cursor: &mut Cursor) -> Result<Option<usize>, StoreError> {
         let days = self.in_order()?;
         let at = days.iter().position(|file| file.day == cursor.day);
@@ -116,7 +116,7 @@ impl Store {
         self.delete_oldest(|path| days.iter().all(|file| file.path != *path))
     }
 
-    /// Takes the samples of the oldest windows that are left; how many windows there were.
+    /// Deletes the samples of the oldest windows that are left; returns the number of windows.
     fn drop_oldest(&mut self) -> Result<usize, StoreError> {
         for file in self.in_order()? {
             let mut cursor = Cursor::new(Tier::Nothing);
@@ -128,7 +128,7 @@ impl Store {
         Ok(0)
     }
 
-    /// Days, the oldest first and today's last, whatever it is called: the clock may have been set back.
+    /// Returns the days, the oldest first and today's last, also if the clock was set back.
     fn in_order(&self) -> Result<Vec<DayFile>, StoreError> {
         let today = clock::day(self.now());
         let mut days = folder::days(self.folder())?;
@@ -151,7 +151,7 @@ impl Store {
                 gone.push((window, never_sent));
             }
         }
-        day.thin(&gone, NotKept::Thinned, self.now())?;
+        day.thin(&gone, SampleDropReason::Thinned, self.now())?;
         self.tallies.remove(&day.file.day);
         self.figures_mut().thinned += gone.len() as u64;
         if lost > 0 {
@@ -160,7 +160,7 @@ impl Store {
         Ok(windows.len())
     }
 
-    /// Returns what was identified of a window, if the gate let it pass, and `true` if there is any result.
+    /// Returns R and L of a window if the gate accepts it, and `true` if there is any result.
     fn identified(&self, window: &Candidate) -> Result<(Option<Identified>, bool), StoreError> {
         use rusqlite::OptionalExtension;
         let of = params![window.device, window.boot, window.seq];
@@ -185,7 +185,7 @@ impl Store {
         Ok((found.flatten(), found.is_some()))
     }
 
-    /// A day's database, open already or not, and where it belongs.
+    /// Takes a day's database out of the open ones, or opens it; returns it with its place.
     fn take_day(&mut self, file: DayFile) -> Result<(Place, Day), StoreError> {
         for place in [Place::Today, Place::Before, Place::Thinned] {
             if let Some(day) = self.place(place).take_if(|day| day.file == file) {
@@ -204,7 +204,7 @@ impl Store {
     }
 }
 
-/// Where an open day is kept.
+/// Place of an open day.
 #[derive(Clone, Copy)]
 enum Place {
     Today,

@@ -1,13 +1,13 @@
-//! The tables, as the steps that make them. A step that was released is never changed: what comes later
+//! Tables, as migration steps. A released step is never changed: a later change
 //! is a step of its own.
 
-/// The kind of a database.
+/// Kind of a database: its tables and pragmas.
 pub struct Schema {
-    /// SQLite's `application_id`, by which `file` tells whose it is.
+    /// SQLite's `application_id`, by which the command `file` identifies it.
     pub application_id: i32,
-    /// What version `n` of the tables does to version `n - 1`, from 1.
+    /// SQL of each step, from version `n - 1` of the tables to version `n`, from 1.
     pub steps: &'static [&'static str],
-    /// Tables that each step makes: they must be there from its version on.
+    /// Tables that each step creates: they must exist from its version on.
     pub tables: &'static [&'static [&'static str]],
     /// `true` if freed pages go back to the disk on demand: SQLite's `auto_vacuum = INCREMENTAL`.
     pub shrinks: bool,

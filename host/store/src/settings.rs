@@ -1,28 +1,28 @@
-//! What is kept, and for how long.
+//! Settings of the store: which samples are stored, and for how long.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// How the store keeps.
+/// Settings of the store.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// For how long, and how much.
+    /// Limits of age and size.
     pub retention: Retention,
-    /// Which windows are kept with their samples.
-    pub keep: Keep,
+    /// Policy for the samples of windows.
+    pub keep: SamplePolicy,
 }
 
-/// For how long windows are kept, and how much of them.
+/// Limits of age and size of stored windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Retention {
     /// Days in use after which a day's windows are deleted; `None` for never.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_age_days: Option<u32>,
-    /// Bytes that all windows may take on disk: beyond it older ones are thinned, the newest stay.
+    /// Most bytes of all windows on disk: beyond it older ones are thinned, the newest stay.
     pub max_bytes: u64,
 }
 
@@ -35,20 +35,20 @@ impl Default for Retention {
     }
 }
 
-/// Which windows are kept with their samples. Of every window there is a row.
+/// Policy for the samples of windows. Every window has a row.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Keep {
+pub enum SamplePolicy {
     /// All: `"all"`.
     #[default]
     All,
-    /// One in so many that arrive in a session: `"one-in-10"`.
+    /// One in N that arrive in a session: `"one-in-10"`.
     OneIn(u32),
-    /// Those that the gate refused or that changed the lookup, and those nobody has looked at yet:
+    /// Those that the gate refused or that changed the lookup, and those without a result yet:
     /// `"telling"`.
     Telling,
 }
 
-impl fmt::Display for Keep {
+impl fmt::Display for SamplePolicy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::All => f.write_str("all"),
@@ -58,15 +58,15 @@ impl fmt::Display for Keep {
     }
 }
 
-/// A word that names no policy.
+/// Text that names no policy.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} says not which windows to keep: all, telling, or one-in-N with an N above 0")]
-pub struct UnknownKeep(pub String);
+pub struct UnknownSamplePolicy(pub String);
 
-impl FromStr for Keep {
-    type Err = UnknownKeep;
+impl FromStr for SamplePolicy {
+    type Err = UnknownSamplePolicy;
 
-    fn from_str(text: &str) -> Result<Self, UnknownKeep> {
+    fn from_str(text: &str) -> Result<Self, UnknownSamplePolicy> {
         match text {
             "all" => Ok(Self::All),
             "telling" => Ok(Self::Telling),
@@ -75,18 +75,18 @@ impl FromStr for Keep {
                 .and_then(|n| n.parse().ok())
                 .filter(|n| *n > 0)
                 .map(Self::OneIn)
-                .ok_or_else(|| UnknownKeep(text.to_owned())),
+                .ok_or_else(|| UnknownSamplePolicy(text.to_owned())),
         }
     }
 }
 
-impl Serialize for Keep {
+impl Serialize for SamplePolicy {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_str(self)
     }
 }
 
-impl<'de> Deserialize<'de> for Keep {
+impl<'de> Deserialize<'de> for SamplePolicy {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let text = String::deserialize(deserializer)?;
         text.parse().map_err(serde::de::Error::custom)
@@ -99,10 +99,14 @@ mod tests {
 
     #[test]
     fn a_policy_is_a_word() {
-        for keep in [Keep::All, Keep::OneIn(7), Keep::Telling] {
+        for keep in [
+            SamplePolicy::All,
+            SamplePolicy::OneIn(7),
+            SamplePolicy::Telling,
+        ] {
             assert_eq!(keep.to_string().parse(), Ok(keep));
             let json = serde_json::to_string(&keep).unwrap();
-            assert_eq!(serde_json::from_str::<Keep>(&json).unwrap(), keep);
+            assert_eq!(serde_json::from_str::<SamplePolicy>(&json).unwrap(), keep);
         }
         for wrong in [
             "",
@@ -112,7 +116,10 @@ mod tests {
             "ALL",
             "one-in-4294967296",
         ] {
-            assert_eq!(wrong.parse::<Keep>(), Err(UnknownKeep(wrong.to_owned())));
+            assert_eq!(
+                wrong.parse::<SamplePolicy>(),
+                Err(UnknownSamplePolicy(wrong.to_owned()))
+            );
         }
     }
 
@@ -122,7 +129,7 @@ mod tests {
         assert_eq!(settings.retention.max_bytes, 2_000_000_000);
         assert_eq!(
             (settings.retention.max_age_days, settings.keep),
-            (None, Keep::All)
+            (None, SamplePolicy::All)
         );
         assert!(serde_json::from_str::<Settings>(r#"{"kept":"all"}"#).is_err());
     }

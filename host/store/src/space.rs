@@ -1,11 +1,11 @@
-//! Room that windows take.
+//! Disk space of windows.
 
 use serde::Serialize;
 
 use super::schema::WINDOWS;
 use super::{Reader, StoreError, database, folder};
 
-/// Room that the windows of a day take.
+/// Disk space of a day's windows.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct DaySpace {
     /// `YYYY-MM-DD`, in UTC.
@@ -18,16 +18,16 @@ pub struct DaySpace {
     pub with_samples: u64,
 }
 
-/// Bytes that a hob makes in a day: `duty` is the share of the day in which it heats.
+/// Returns the bytes of a hob's windows in a day; `duty` is the share of the day in which it heats.
 pub fn bytes_a_day(bytes_a_window: f64, windows_a_second: f64, duty: f64) -> f64 {
     bytes_a_window * windows_a_second * duty * 86_400.0
 }
 
 impl Reader {
-    /// Room that windows take, oldest day first. Damaged days are left out.
+    /// Returns the disk space of windows, oldest day first. Damaged days are left out.
     ///
     /// # Errors
-    /// What the databases or the operating system report.
+    /// Errors of the databases or the operating system.
     pub fn space(&self) -> Result<Vec<DaySpace>, StoreError> {
         let mut days = Vec::new();
         for file in folder::days(self.folder())? {

@@ -1,4 +1,4 @@
-//! Opening the store: one writer, whole databases, damaged ones set aside.
+//! Opening of the store: one writer, checked databases, damaged ones set aside.
 
 use std::fs;
 use std::path::Path;
@@ -8,46 +8,46 @@ use rusqlite::Connection;
 
 use super::backup;
 use super::clock::{self, Clock};
-use super::database::{self, Found};
+use super::database::{self, IntegrityCheck};
 use super::folder::{self, Damage, Lock};
 use super::schema::{RECORDS, Schema, WINDOWS};
 use super::{Settings, Store, StoreError};
 
-/// How long the check of `ihd.db` may take at a start.
+/// Time limit of the check of `ihd.db` at a start.
 const CHECK_RECORDS: Duration = Duration::from_secs(30);
 
-/// How long the checks of all days of windows may take at a start, newest first.
+/// Time limit of the checks of all days of windows at a start, newest first.
 const CHECK_WINDOWS: Duration = Duration::from_secs(20);
 
-/// What a start gives.
-pub struct Opened {
+/// An opened store with the damage found.
+pub struct OpenedStore {
     /// The store.
     pub store: Store,
-    /// Files that were damaged, and set aside.
+    /// Damaged files that were set aside.
     pub damage: Vec<Damage>,
 }
 
 impl Store {
-    /// Opens the store in a folder, which is made where there is none, and takes the right to write to it.
-    /// Each database is checked; a damaged one is set aside and reported, and the store goes on with a new
+    /// Opens the store in a folder, which is created if it does not exist, and locks it for writing.
+    /// Each database is checked; a damaged one is set aside and reported, and the store continues with a new
     /// one.
     ///
     /// # Errors
-    /// [`StoreError::InUse`] where another process has the store, [`StoreError::Newer`] where a later ihd
-    /// wrote it, else what the database or the operating system reports.
-    pub fn open(folder: &Path, settings: &Settings) -> Result<Opened, StoreError> {
+    /// [`StoreError::InUse`] if another process has the store, [`StoreError::Newer`] if a later ihd
+    /// wrote it, or an error of the database or the operating system.
+    pub fn open(folder: &Path, settings: &Settings) -> Result<OpenedStore, StoreError> {
         Self::open_with_clock(folder, settings, clock::of_the_machine())
     }
 
-    /// As [`Store::open`], with another clock than the machine's.
+    /// Opens the store with another clock than the machine's; see [`Store::open`].
     ///
     /// # Errors
-    /// As [`Store::open`].
+    /// The same as for [`Store::open`].
     pub fn open_with_clock(
         folder: &Path,
         settings: &Settings,
         clock: Clock,
-    ) -> Result<Opened, StoreError> {
+    ) -> Result<OpenedStore, StoreError> {
         fs::create_dir_all(folder).map_err(StoreError::files(folder, "making the folder"))?;
         let lock = Lock::take(folder)?;
         folder::remove_orphans(folder)?;
@@ -61,14 +61,14 @@ impl Store {
         store.end_sessions_that_were_cut_off()?;
         store.resume_recent()?;
         for found in &damage {
-            store.event(None, "damage", &in_words(found))?;
+            store.event(None, "damage", &describe(found))?;
         }
-        Ok(Opened { store, damage })
+        Ok(OpenedStore { store, damage })
     }
 }
 
-/// What was damaged, where it is now, and why, in a sentence.
-pub(crate) fn in_words(damage: &Damage) -> String {
+/// Describes a damaged file in a sentence: its name, its place now, and the fault.
+pub(crate) fn describe(damage: &Damage) -> String {
     let Damage { from, to, why } = damage;
     format!(
         "{} is damaged ({why}); set aside as {}",
@@ -85,42 +85,42 @@ fn check_days(folder: &Path, at_ms: i64, damage: &mut Vec<Damage>) -> Result<(),
         let (connection, found) = whole(&day.path, &WINDOWS, left, at_ms, damage)?;
         drop(connection);
         if damage.len() > before {
-            // No windows of that day are left: an empty file says so less well than none.
+            // No windows of that day are left: no file is clearer than an empty one.
             folder::delete(&day.path)?;
         }
-        if found == Found::Unfinished {
+        if found == IntegrityCheck::TimedOut {
             tracing::warn!(file = %day.path.display(), "too long to check at a start; `ihd store check` checks it whole");
         }
     }
     Ok(())
 }
 
-/// Opens a database that is whole: this one, or a new one in its place.
+/// Opens a database that passes the check: this one, or a new one in its place.
 fn whole(
     path: &Path,
     schema: &Schema,
     within: Duration,
     at_ms: i64,
     damage: &mut Vec<Damage>,
-) -> Result<(Connection, Found), StoreError> {
+) -> Result<(Connection, IntegrityCheck), StoreError> {
     let why = match checked(path, schema, within) {
-        Ok((connection, found @ (Found::Whole | Found::Unfinished))) => {
+        Ok((connection, found @ (IntegrityCheck::Ok | IntegrityCheck::TimedOut))) => {
             return Ok((connection, found));
         }
-        Ok((_, Found::Broken(why))) | Err(StoreError::Damaged { why, .. }) => why,
+        Ok((_, IntegrityCheck::Corrupt(why))) | Err(StoreError::Damaged { why, .. }) => why,
         Err(error) => return Err(error),
     };
     let found = folder::set_aside(path, why, at_ms)?;
-    tracing::error!("{}", in_words(&found));
+    tracing::error!("{}", describe(&found));
     damage.push(found);
-    Ok((database::open(path, schema)?, Found::Whole))
+    Ok((database::open(path, schema)?, IntegrityCheck::Ok))
 }
 
 fn checked(
     path: &Path,
     schema: &Schema,
     within: Duration,
-) -> Result<(Connection, Found), StoreError> {
+) -> Result<(Connection, IntegrityCheck), StoreError> {
     let connection = database::open(path, schema)?;
     let found = database::quick_check(&connection, path, within)?;
     Ok((connection, found))

@@ -1,4 +1,4 @@
-//! The store that one process writes: devices, sessions, windows as they come.
+//! The writer of a store: devices, sessions, windows as they come.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -12,13 +12,13 @@ use super::clock::{self, Clock};
 use super::fleet_tally::FleetTally;
 use super::folder::{self, DayFile, Lock};
 use super::recent::{self, Recent};
-use super::retention::{Deleted, checkpoint};
+use super::retention::{DeletedFiles, checkpoint};
 use super::text::printable;
 use super::thinning::Thinning;
-use super::windows::{Day, Kept, NotKept, OpenDays};
-use super::{DeviceId, Keep, SessionId, Settings, StoreError, start};
+use super::windows::{Day, InsertOutcome, OpenDays, SampleDropReason};
+use super::{DeviceId, SamplePolicy, SessionId, Settings, StoreError, start};
 
-/// The store. Its methods block, and what one has returned `Ok` for is committed.
+/// A store opened for writing. Its methods block; when one has returned `Ok`, its change is committed.
 pub struct Store {
     folder: PathBuf,
     path: PathBuf,
@@ -30,53 +30,53 @@ pub struct Store {
     /// Bytes of all days but today, and of those set aside.
     pub(crate) other_days_bytes: u64,
     figures: Figures,
-    /// Days up to this one have nothing that is due to a fleet; `None` if they were not looked through since a window came for one of
+    /// Last day up to which no window is due to a fleet; `None` if days were not searched since a window came for one of
     /// them.
     pub(crate) none_due_to: Option<String>,
-    /// Windows of days by their progress with a fleet, of those that have not changed since.
+    /// Counts of windows by their state in the fleet, for days that have not changed since.
     pub(crate) tallies: BTreeMap<String, FleetTally>,
-    /// The day of which was told that its windows are too many.
-    told_too_large: Option<String>,
+    /// Day for which the lack of room was reported.
+    reported_too_large: Option<String>,
     /// Windows of the last hour.
     pub(crate) recent: Recent,
     /// Progress of thinning older windows.
     pub(crate) thinning: Thinning,
-    /// Windows of days whose samples went before a fleet had them, not told yet.
+    /// Windows of days whose samples were deleted before the fleet had them, not reported yet.
     pub(crate) lost_to_fleet: BTreeMap<String, u64>,
-    /// Files that were deleted to make room, not told yet.
-    pub(crate) deleted: Deleted,
-    /// When the last collection was, by the clock of then.
+    /// Files that were deleted to make room, not reported yet.
+    pub(crate) deleted: DeletedFiles,
+    /// Time of the last collection, by the clock at that time.
     pub(crate) collected_ms: Option<i64>,
-    /// Let go last.
+    /// Released last.
     _lock: Lock,
 }
 
-/// What a window's row takes of its session.
+/// Columns of a window's row that come from its session.
 #[derive(Clone)]
 pub(crate) struct Session {
     pub(crate) device: DeviceId,
     pub(crate) name: String,
     pub(crate) boot: u32,
-    /// Windows that came so far.
+    /// Windows so far.
     windows: u32,
 }
 
-/// What the store has done since it was opened.
+/// Counters of the store since it was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Figures {
     /// Windows stored, with their samples or without.
     pub windows: u64,
     /// Windows that came twice.
     pub windows_known: u64,
-    /// Windows stored without their samples because the policy says so.
+    /// Windows stored without their samples by policy.
     pub not_kept_by_policy: u64,
     /// Windows stored without their samples because no room could be made.
     pub not_kept_for_size: u64,
-    /// Windows whose samples went to make room for newer ones.
+    /// Windows whose samples were deleted to make room for newer ones.
     pub thinned: u64,
 }
 
-/// One in so many parts of what windows may take is what they may be beyond it, until room is made.
+/// Windows may exceed their limit by 1/`BEYOND` of it until room is made.
 const BEYOND: u64 = 10;
 
 const END_CUT_OFF: &str = "UPDATE sessions SET ended_ms = ?1,
@@ -111,27 +111,27 @@ impl Store {
             figures: Figures::default(),
             none_due_to: None,
             tallies: BTreeMap::new(),
-            told_too_large: None,
+            reported_too_large: None,
             recent: Recent::default(),
             thinning: Thinning::default(),
             lost_to_fleet: BTreeMap::new(),
-            deleted: Deleted::default(),
+            deleted: DeletedFiles::default(),
             collected_ms: None,
             _lock: lock,
         })
     }
 
-    /// The folder.
+    /// Returns the folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// What it has done since it was opened.
+    /// Returns the counters since it was opened.
     pub fn figures(&self) -> Figures {
         self.figures
     }
 
-    /// Refuses to write windows, and what else there is, from now on, as on a full disk; or writes again.
+    /// Refuses to write windows or other records from now on, as on a full disk; or writes again.
     #[cfg(feature = "simulation")]
     pub fn refuse_writes(&self, records: bool, windows: bool) {
         let days = self.days.each().map(|day| (&day.connection, windows));
@@ -186,10 +186,10 @@ impl Store {
         all().map_err(failed)
     }
 
-    /// The device of this name, which is made where there is none; its address is the one that is given.
+    /// Returns the device of this name, created if it does not exist, and sets its address.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn device(&mut self, name: &str, address: &str) -> Result<DeviceId, StoreError> {
         let row = params![printable(name), printable(address), self.now()];
         self.change("storing a device", |change| {
@@ -202,10 +202,10 @@ impl Store {
         })
     }
 
-    /// Begins a session: a connection that was shaken hands on.
+    /// Begins a session, after the handshake of a connection.
     ///
     /// # Errors
-    /// What the database reports.
+    /// Errors of the database.
     pub fn begin_session(
         &mut self,
         device: DeviceId,
@@ -243,7 +243,7 @@ impl Store {
     /// Ends a session.
     ///
     /// # Errors
-    /// [`StoreError::NoSession`], or what the database reports.
+    /// [`StoreError::NoSession`], or an error of the database.
     pub fn end_session(&mut self, session: SessionId, why: &str) -> Result<(), StoreError> {
         let row = params![session, self.now(), printable(why)];
         let ended = self.change("ending a session", |change| {
@@ -287,25 +287,29 @@ impl Store {
         }
     }
 
-    /// Stores a window: its row always, its samples as the settings say.
+    /// Stores a window: its row always, its samples by the policy.
     ///
     /// # Errors
-    /// [`StoreError::NoSession`], or what the database or the operating system reports.
-    pub fn keep_window(&mut self, session: SessionId, window: &Window) -> Result<Kept, StoreError> {
+    /// [`StoreError::NoSession`], or an error of the database or the operating system.
+    pub fn keep_window(
+        &mut self,
+        session: SessionId,
+        window: &Window,
+    ) -> Result<InsertOutcome, StoreError> {
         Ok(self.keep_window_for(session, window, false)?.0)
     }
 
-    /// Stores a window that a fleet is to have where `for_fleet`, which the same transaction says; false beside it where the fleet will not get
-    /// it, because it need not or its samples are not kept.
+    /// Stores a window, due to the fleet in the same transaction if `for_fleet`. The second value is `false` if the fleet will not get
+    /// it: it is not for the fleet, or its samples are not stored.
     ///
     /// # Errors
-    /// As [`Store::keep_window`].
+    /// The same as for [`Store::keep_window`].
     pub fn keep_window_for(
         &mut self,
         session: SessionId,
         window: &Window,
         for_fleet: bool,
-    ) -> Result<(Kept, bool), StoreError> {
+    ) -> Result<(InsertOutcome, bool), StoreError> {
         match self.keep(session, window, for_fleet) {
             Err(error) if error.is_damage() => {
                 self.set_today_aside(&error)?;
@@ -320,7 +324,7 @@ impl Store {
         session: SessionId,
         window: &Window,
         for_fleet: bool,
-    ) -> Result<(Kept, bool), StoreError> {
+    ) -> Result<(InsertOutcome, bool), StoreError> {
         let Session {
             name,
             boot,
@@ -332,11 +336,11 @@ impl Store {
         let before = self.days.before.as_ref();
         if before.map_or(Ok(false), |day| day.holds(&name, boot, window.seq))? {
             self.figures.windows_known += 1;
-            return Ok((Kept::Known, false));
+            return Ok((InsertOutcome::Known, false));
         }
-        let not_kept = self.not_kept(windows)?;
+        let not_kept = self.sample_drop_reason(windows)?;
         let Some(today) = &self.days.today else {
-            // `turn_to` has opened it.
+            // Unreachable: `turn_to` has opened the day.
             return Err(StoreError::NoStore {
                 folder: self.folder.clone(),
             });
@@ -346,24 +350,24 @@ impl Store {
         if is_due && self.none_due_to.as_ref() >= Some(&today.file.day) {
             self.none_due_to = None;
         }
-        if kept == Kept::New {
+        if kept == InsertOutcome::New {
             self.tallies.remove(&today.file.day);
             let row = today.connection.last_insert_rowid();
             self.recent.note(&today.file.day, row, at_ms);
         }
         self.count(kept, not_kept);
-        if kept == Kept::New {
+        if kept == InsertOutcome::New {
             self.session(session)?.windows = windows.wrapping_add(1);
         }
         Ok((kept, is_due))
     }
 
-    /// Why the samples of a window are not kept that so many of its session came before.
-    fn not_kept(&mut self, windows: u32) -> Result<Option<NotKept>, StoreError> {
-        if let Keep::OneIn(n) = self.settings.keep
+    /// Returns the reason for which a window's samples are not stored; `windows` of its session came before.
+    fn sample_drop_reason(&mut self, windows: u32) -> Result<Option<SampleDropReason>, StoreError> {
+        if let SamplePolicy::OneIn(n) = self.settings.keep
             && !windows.is_multiple_of(n.max(1))
         {
-            return Ok(Some(NotKept::Policy));
+            return Ok(Some(SampleDropReason::Policy));
         }
         if let Err(error) = self.make_room() {
             tracing::warn!(%error, "room for newer windows could not be made");
@@ -373,32 +377,32 @@ impl Store {
             return Ok(None);
         }
         let today = self.days.today.as_ref().map(|day| day.file.day.clone());
-        if self.told_too_large != today {
+        if self.reported_too_large != today {
             let text = format!(
                 "today's windows take all of the {max} bytes that windows may: their samples are not kept"
             );
             tracing::warn!("{text}");
             self.event(None, "store", &text)?;
-            self.told_too_large = today;
+            self.reported_too_large = today;
         }
-        Ok(Some(NotKept::Size))
+        Ok(Some(SampleDropReason::Size))
     }
 
-    fn count(&mut self, kept: Kept, not_kept: Option<NotKept>) {
+    fn count(&mut self, kept: InsertOutcome, not_kept: Option<SampleDropReason>) {
         let figures = &mut self.figures;
         match (kept, not_kept) {
-            (Kept::Known, _) => {
+            (InsertOutcome::Known, _) => {
                 figures.windows_known += 1;
                 return;
             }
-            (Kept::New, Some(NotKept::Size)) => figures.not_kept_for_size += 1,
-            (Kept::New, Some(_)) => figures.not_kept_by_policy += 1,
-            (Kept::New, None) => {}
+            (InsertOutcome::New, Some(SampleDropReason::Size)) => figures.not_kept_for_size += 1,
+            (InsertOutcome::New, Some(_)) => figures.not_kept_by_policy += 1,
+            (InsertOutcome::New, None) => {}
         }
         figures.windows += 1;
     }
 
-    /// Opens the day's file; yesterday's stays open for what still comes for it.
+    /// Opens the day's file; yesterday's stays open for late results.
     pub(crate) fn turn_to(&mut self, day: &str) -> Result<(), StoreError> {
         if self.days.today.as_ref().is_some_and(|t| t.file.day == day) {
             return Ok(());
@@ -414,7 +418,7 @@ impl Store {
         };
         self.days.before = before.filter(|before| before.file.day != day);
         if let Some(before) = &self.days.before {
-            // From now on its room is what it takes on the disk.
+            // From now on its size on disk counts.
             checkpoint(&before.connection);
         }
         let today = Day::open(file)?;
@@ -426,7 +430,7 @@ impl Store {
         Ok(())
     }
 
-    /// Finds the windows of the last hour of those that are there, whatever the clock says.
+    /// Finds the stored windows of the last hour, by their order and not by the clock.
     pub(crate) fn resume_recent(&mut self) -> Result<(), StoreError> {
         let mut left_ms = recent::LAST_MS;
         for file in folder::days(&self.folder)?.into_iter().rev() {
@@ -447,7 +451,7 @@ impl Store {
         days.pop().map(Day::open).transpose()
     }
 
-    /// A day's file broke while it was opened or written: the store goes on with a new one.
+    /// Sets a day's file aside that was damaged while it was opened or written; the store continues with a new one.
     pub(crate) fn set_today_aside(&mut self, error: &StoreError) -> Result<(), StoreError> {
         let (StoreError::Damaged { file, .. } | StoreError::Database { file, .. }) = error else {
             return Ok(());
@@ -458,13 +462,13 @@ impl Store {
             return Ok(());
         }
         let damage = folder::set_aside(file, error.to_string(), self.now())?;
-        tracing::error!("{}", start::in_words(&damage));
-        self.event(None, "damage", &start::in_words(&damage))
+        tracing::error!("{}", start::describe(&damage));
+        self.event(None, "damage", &start::describe(&damage))
     }
 
-    /// Drops a window's samples where they are. That it fails is told, and does no harm: a collection does
+    /// Deletes a window's samples if they are stored. A failure is only logged: a collection does
     /// it later.
-    pub(crate) fn drop_samples(&self, name: &str, boot: u32, seq: u32, why: NotKept) {
+    pub(crate) fn drop_samples(&self, name: &str, boot: u32, seq: u32, why: SampleDropReason) {
         for day in self.days.each() {
             match day.drop_samples(name, boot, seq, why) {
                 Ok(true) => return,

@@ -1,4 +1,4 @@
-//! What devices did, second by second: least, mean and largest of what their half-cycles told.
+//! Telemetry by the second: least, mean and largest over the half-cycles of each device.
 
 use std::collections::BTreeSet;
 
@@ -8,7 +8,7 @@ use super::text::printable;
 use super::windows::Day;
 use super::{Reader, Store, StoreError, clock};
 
-/// Seconds of a row that sums up others.
+/// Seconds of a row that summarises others.
 const MINUTE_S: i64 = 60;
 
 /// Least, mean and largest of a quantity, in a unit in which it is a whole number.
@@ -21,7 +21,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of one value.
+    /// Creates the spread of one value.
     pub fn of(x: i64) -> Self {
         Self {
             n: 1,
@@ -31,12 +31,12 @@ impl Spread {
         }
     }
 
-    /// How many values it is of.
+    /// Returns the number of values.
     pub fn count(&self) -> u64 {
         self.n
     }
 
-    /// Takes another one in.
+    /// Adds another spread.
     pub fn merge(&mut self, other: &Self) {
         if other.n == 0 {
             return;
@@ -51,19 +51,19 @@ impl Spread {
         self.sum += other.sum;
     }
 
-    /// Least, mean and largest; none of no values.
+    /// Returns least, mean and largest; `None` without values.
     pub fn min_mean_max(&self) -> Option<[f64; 3]> {
         let mean = self.sum / self.n as f64;
         (self.n > 0).then_some([self.min as f64, mean, self.max as f64])
     }
 
-    /// As a row holds it.
+    /// Returns its three columns of a row.
     fn columns(&self) -> [Option<i64>; 3] {
         let mean = (self.sum / self.n as f64).round() as i64;
         [self.min, mean, self.max].map(|x| (self.n > 0).then_some(x))
     }
 
-    /// From three columns of a row.
+    /// Reads it from three columns of a row.
     fn read(row: &Row<'_>, first: usize, n: u64) -> rusqlite::Result<Self> {
         if n == 0 {
             return Ok(Self::default());
@@ -75,38 +75,38 @@ impl Spread {
     }
 }
 
-/// What a device did in some seconds.
+/// Telemetry of a device over some seconds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TelemetrySpan {
-    /// Where it begins, in seconds since 1970, UTC.
+    /// Beginning in seconds since 1970, UTC.
     pub at_s: i64,
-    /// Power that was asked for at its end, in watt.
+    /// Requested power at its end, in watt.
     pub asked_w: u16,
     /// Number of the controller's state at its end (`ihd_shared::wire::messages::State`).
     pub state: u8,
-    /// Number of what stood on the coil at its end (`ihd_shared::wire::messages::Pot`).
+    /// Number of the pot's state at its end (`ihd_shared::wire::messages::Pot`).
     pub pot: u8,
-    /// Number of the last fault in it, 0 for none.
+    /// Number of the last fault in it; 0 if none.
     pub fault: u16,
-    /// Mean power of its half-cycles, in milliwatt: of each, so that its count is that of the half-cycles.
+    /// Power of each half-cycle, in milliwatt; its count is the number of half-cycles.
     pub power_mw: Spread,
     /// Amplitude of the current's fundamental at the crest, in milliampere, of each half-cycle.
     pub i_crest_ma: Spread,
-    /// R at the crest in microohm, of those half-cycles in which the device heated.
+    /// R at the crest in microohm, over the half-cycles in which the device heated.
     pub r_uohm: Spread,
-    /// L at the crest in picohenry, of the same.
+    /// L at the crest in picohenry, over the half-cycles in which the device heated.
     pub l_ph: Spread,
-    /// Switching frequency in hertz, of the same.
+    /// Switching frequency in hertz, over the half-cycles in which the device heated.
     pub f_sw_hz: Spread,
 }
 
 impl TelemetrySpan {
-    /// Half-cycles.
+    /// Returns the number of half-cycles.
     pub fn half_cycles(&self) -> u64 {
         self.power_mw.count()
     }
 
-    /// Takes in what came after it, or within it.
+    /// Adds a later span, or one within it.
     pub fn merge(&mut self, later: &Self) {
         self.asked_w = later.asked_w;
         self.state = later.state;
@@ -122,12 +122,12 @@ impl TelemetrySpan {
     }
 }
 
-/// What a device did in one second, to be stored.
+/// Telemetry of a device in one second, to be stored.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TelemetrySecond {
     /// The device's name.
     pub device: String,
-    /// What it did.
+    /// Its telemetry.
     pub span: TelemetrySpan,
 }
 
@@ -210,7 +210,7 @@ fn read(row: &Row<'_>) -> rusqlite::Result<TelemetrySpan> {
     })
 }
 
-/// Gives the rows of one length in a stretch of time, in order.
+/// Calls a function for the rows of one length in a stretch of time, in order.
 fn each(
     connection: &Connection,
     (device, span_s): (&str, i64),
@@ -225,7 +225,7 @@ fn each(
     Ok(())
 }
 
-/// A minute, summed up from its seconds; none without one.
+/// Summarises a minute from its seconds; `None` if it has none.
 fn sum_up(
     connection: &Connection,
     device: &str,
@@ -273,7 +273,7 @@ impl Day {
         keep(&self.connection, seconds).map_err(failed)
     }
 
-    /// Whether it is of a version that has telemetry.
+    /// Returns `true` if the day has this table; days of earlier versions lack some.
     pub(crate) fn has_table(&self, table: &str) -> Result<bool, StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = ?1)";
         let found = self.connection.query_row(sql, [table], |row| row.get(0));
@@ -282,11 +282,11 @@ impl Day {
 }
 
 impl Store {
-    /// Stores what devices did in some seconds, whatever is said of windows, in one transaction a day; gives how
-    /// many were stored: those of a day that is neither today nor the last one before are not.
+    /// Stores seconds of telemetry, also if the limits leave no room for windows, in one transaction a day. Returns the
+    /// number stored: those of a day that is neither today nor the last one before are dropped.
     ///
     /// # Errors
-    /// What the database or the operating system reports.
+    /// Errors of the database or the operating system.
     pub fn keep_telemetry(&mut self, seconds: &[TelemetrySecond]) -> Result<usize, StoreError> {
         match self.keep_seconds(seconds) {
             Err(error) if error.is_damage() => {
@@ -316,19 +316,19 @@ impl Store {
     }
 }
 
-/// What the store holds of a stretch of time.
+/// Extent of the telemetry in a stretch of time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TelemetryRead {
-    /// The last second that is stored of the device in those days; later ones are on their way.
+    /// Last stored second of the device in those days; `None` if there is none.
     pub last_s: Option<i64>,
 }
 
 impl Reader {
-    /// Gives what a device did from `from_s` until before `to_s` (seconds since 1970, UTC) in rows of a second, or
-    /// of a minute where `minutes`, oldest first.
+    /// Passes a device's telemetry from `from_s` until before `to_s` (seconds since 1970, UTC) in rows of a second, or
+    /// of a minute if `minutes`, oldest first.
     ///
     /// # Errors
-    /// What the databases report.
+    /// Errors of the databases.
     pub fn telemetry(
         &self,
         device: &str,
@@ -344,7 +344,7 @@ impl Reader {
             }
             let failed = StoreError::database(day.path(), "reading telemetry");
             let mut read = || -> rusqlite::Result<Option<i64>> {
-                // Both as of one moment.
+                // Both queries see the same state.
                 let view = day.connection.unchecked_transaction()?;
                 let last = view
                     .query_row(

@@ -1,11 +1,11 @@
-//! Which windows give their samples up when room is needed: the newest stay, the older the fewer.
+//! Thinning: choice of the windows whose samples are deleted when room is needed. The newest stay; of older ones fewer do.
 //!
 //! 1. Windows older than an hour that show no change of R or L beyond their standard deviation.
 //! 2. Of the rest, those beyond one a minute.
 //! 3. The oldest days, whole.
 //! 4. The oldest windows of the last hour.
 //!
-//! Nothing goes while there is room, whatever its age. Rows and results stay.
+//! Nothing is deleted while there is room, at any age. Rows and results stay.
 
 use std::collections::BTreeMap;
 
@@ -60,19 +60,19 @@ impl Identified {
     }
 }
 
-/// Progress of a tier, with what it kept last of each device.
+/// Progress of a tier, with the last window kept of each device.
 #[derive(Debug)]
 pub(crate) struct Cursor {
     pub(crate) tier: Tier,
-    /// The day's file that it is at; empty before the first.
+    /// Day of the current file; empty before the first.
     pub(crate) day: String,
-    /// The last row that it has seen there.
+    /// Last row passed there.
     pub(crate) after: i64,
-    kept: BTreeMap<String, Kept>,
+    kept: BTreeMap<String, LastKept>,
 }
 
 #[derive(Debug)]
-struct Kept {
+struct LastKept {
     identified: Option<Identified>,
     minute: i64,
 }
@@ -87,13 +87,13 @@ impl Cursor {
         }
     }
 
-    /// Goes to the beginning of a day.
+    /// Moves to the beginning of a day.
     pub(crate) fn turn_to(&mut self, day: &str) {
         self.day = day.to_owned();
         self.after = 0;
     }
 
-    /// Goes past a window; returns `true` if it keeps its samples.
+    /// Passes a window; returns `true` if its samples stay.
     pub(crate) fn pass(&mut self, window: &Candidate, identified: Option<Identified>) -> bool {
         self.after = window.id;
         let minute = window.at_ms.div_euclid(60_000);
@@ -107,14 +107,14 @@ impl Cursor {
             Tier::Nothing => false,
         };
         if keeps {
-            let kept = Kept { identified, minute };
+            let kept = LastKept { identified, minute };
             self.kept.insert(window.device.clone(), kept);
         }
         keeps
     }
 }
 
-/// The cursors of the tiers that go through all days.
+/// Cursors of the tiers that go through all days.
 #[derive(Debug)]
 pub(crate) struct Thinning {
     pub(crate) changes: Cursor,

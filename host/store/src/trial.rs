@@ -1,4 +1,4 @@
-//! Trials of writing, for a store that failed and for one that nobody writes to.
+//! Trials of writing, for a store that failed and for one without a writer.
 
 use std::iter::once;
 use std::path::Path;
@@ -6,31 +6,31 @@ use std::time::{Duration, Instant};
 
 use rusqlite::Connection;
 
-use super::database::{self, Found};
+use super::database::{self, IntegrityCheck};
 use super::error::write_beside;
 use super::folder::{self, Lock, RECORDS};
 use super::{Store, StoreError, clock, schema};
 
-/// Room that a trial asks for: a window with what SQLite writes beside it, several times.
+/// Room that a trial requires: several windows with SQLite's log.
 const ROOM: usize = 1 << 20;
 
-/// Time that the checks of all databases of a store may take in a trial.
+/// Time limit of the checks of all databases in a trial.
 const CHECKS: Duration = Duration::from_secs(5);
 
 /// Outcome of a trial of a store.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Tried {
-    /// Databases that open and take a write.
+pub struct TrialReport {
+    /// Databases that open and can be written.
     pub databases: usize,
-    /// Of these, databases of which every page was looked at within the time for it.
+    /// Databases among them whose every page was checked within the time limit.
     pub checked: usize,
 }
 
-/// Tries the store of a folder that no process writes to. It changes nothing, and sets nothing aside.
+/// Tries the store of a folder without a writer. Nothing is changed or set aside.
 ///
 /// # Errors
-/// [`StoreError::NoStore`]; [`StoreError::InUse`]; else what a daemon that begins there would meet.
-pub fn try_folder(folder: &Path) -> Result<Tried, StoreError> {
+/// [`StoreError::NoStore`]; [`StoreError::InUse`]; or the error that a daemon would get there.
+pub fn try_folder(folder: &Path) -> Result<TrialReport, StoreError> {
     let records = folder.join(RECORDS);
     if !records.exists() {
         let folder = folder.to_owned();
@@ -41,12 +41,12 @@ pub fn try_folder(folder: &Path) -> Result<Tried, StoreError> {
     let days = folder::days(folder)?.into_iter().rev();
     let days = days.map(|day| (day.path, &schema::WINDOWS));
     let began = Instant::now();
-    let mut tried = Tried::default();
+    let mut tried = TrialReport::default();
     for (path, schema) in once((records, &schema::RECORDS)).chain(days) {
         let left = CHECKS.saturating_sub(began.elapsed());
         let found = database::try_writing(&path, schema, left)?;
         tried.databases += 1;
-        tried.checked += usize::from(found == Found::Whole);
+        tried.checked += usize::from(found == IntegrityCheck::Ok);
     }
     Ok(tried)
 }
@@ -55,7 +55,7 @@ impl Store {
     /// Commits to both databases without changing them, and finds room for a few windows beside each.
     ///
     /// # Errors
-    /// What the databases or the operating system report: a record would fail for the same.
+    /// Errors of the databases or the operating system, for which writing would fail too.
     pub fn try_writing(&mut self) -> Result<(), StoreError> {
         let path = self.path().to_owned();
         write_beside(&path, ROOM).map_err(StoreError::files(&path, "looking for room"))?;

@@ -1,4 +1,4 @@
-//! One day's windows.
+//! Database of one day's windows.
 
 use std::path::{Path, PathBuf};
 
@@ -7,39 +7,38 @@ use ihd_shared::sampling::Scales;
 use rusqlite::{Connection, OptionalExtension, Row, params};
 use serde::Serialize;
 
-use super::fleet_state::NO_SAMPLES;
 use super::folder::DayFile;
 use super::schema::WINDOWS;
 use super::thinning::Candidate;
 use super::{StoreError, database, payload};
 
-/// Whether a window was new.
+/// Result of storing a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kept {
-    /// It is in the store now.
+pub enum InsertOutcome {
+    /// Stored now.
     New,
-    /// It was there already: it came twice.
+    /// Stored before: it came twice.
     Known,
 }
 
-/// Why a window's samples are not in the store.
+/// Reason for which a window's samples are not stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum NotKept {
-    /// One in so many is kept, and it is none of those.
+pub(crate) enum SampleDropReason {
+    /// Left out by the policy of one in N.
     Policy,
-    /// The gate let it pass, and it changed nothing.
-    TellsNothing,
-    /// Today's windows take all that windows may.
+    /// Accepted by the gate, without effect on the lookup.
+    Uninformative,
+    /// Today's windows take all the room.
     Size,
-    /// Newer windows needed its room.
+    /// Deleted to make room for newer windows.
     Thinned,
 }
 
-impl NotKept {
-    pub(crate) fn word(self) -> &'static str {
+impl SampleDropReason {
+    pub(crate) fn as_str(self) -> &'static str {
         match self {
             Self::Policy => "policy",
-            Self::TellsNothing => "tells nothing",
+            Self::Uninformative => "tells nothing",
             Self::Size => "size",
             Self::Thinned => "thinned",
         }
@@ -53,9 +52,9 @@ pub struct WindowRow {
     pub device: String,
     /// The device's boot.
     pub boot: u32,
-    /// Counts every window that was due since the boot.
+    /// Number since the boot; windows that the device dropped count too.
     pub seq: u32,
-    /// When it was stored, in milliseconds since 1970, UTC.
+    /// Time at which it was stored, in milliseconds since 1970, UTC.
     pub at_ms: i64,
     /// Half-cycle since the boot.
     pub half_cycle: u32,
@@ -63,24 +62,27 @@ pub struct WindowRow {
     pub f_sw_hz: u32,
     /// Pairs of samples.
     pub pairs: u32,
-    /// Why its samples are not here; none where they are.
+    /// Reason for which its samples are not stored; `None` if they are.
     pub not_kept: Option<String>,
     /// Bytes that its samples and trajectory take, packed.
     pub packed_bytes: u32,
 }
 
-/// Which windows.
+/// Filter of windows.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct WindowFilter {
-    /// Those of this device alone.
+    /// Only this device's, by its name.
     pub device: Option<String>,
-    /// Those stored at this time or later, in milliseconds since 1970, UTC.
+    /// Only those stored at this time or later, in milliseconds since 1970, UTC.
     pub since_ms: Option<i64>,
-    /// Those of this boot alone.
+    /// Only those of this boot.
     pub boot: Option<u32>,
-    /// That of this number alone.
+    /// Only the one of this number.
     pub seq: Option<u32>,
 }
+
+/// `windows.fleet_end` of a window that was given up because it has no samples any more.
+pub(crate) const NO_SAMPLES: &str = "no samples";
 
 /// Pages that are given back at once: 4 MiB.
 const PAGES_AT_ONCE: i64 = 1_024;
@@ -123,13 +125,13 @@ SELECT half_cycle, f_sw_hz, half_cycle_ns, first_pair_ns, first_trajectory_ns, s
 FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3";
 
 impl Day {
-    /// Opens a day to write, and makes its file where there is none.
+    /// Opens a day for writing, and creates its file if it does not exist.
     pub(crate) fn open(file: DayFile) -> Result<Self, StoreError> {
         let connection = database::open(&file.path, &WINDOWS)?;
         Ok(Self { file, connection })
     }
 
-    /// Opens a day to read.
+    /// Opens a day for reading.
     pub(crate) fn open_to_read(file: DayFile) -> Result<Self, StoreError> {
         let connection = database::open_to_read(&file.path, &WINDOWS)?;
         Ok(Self { file, connection })
@@ -139,16 +141,16 @@ impl Day {
         StoreError::database(&self.file.path, doing)
     }
 
-    /// Stores a window, with its samples or with why they are not kept; `for_fleet` where a fleet is to have it.
+    /// Stores a window, with its samples or with the reason for which they are not; due to the fleet if `for_fleet`.
     pub(crate) fn insert(
         &self,
         device: &str,
         boot: u32,
         at_ms: i64,
         window: &Window,
-        not_kept: Option<NotKept>,
+        not_kept: Option<SampleDropReason>,
         for_fleet: bool,
-    ) -> Result<Kept, StoreError> {
+    ) -> Result<InsertOutcome, StoreError> {
         let packing = || StoreError::files(&self.file.path, "packing a window");
         let payload = match not_kept {
             None => Some(payload::pack(window).map_err(packing())?),
@@ -172,19 +174,19 @@ impl Day {
                 window.scales.i_full_scale_ma,
                 window.pairs.len() as i64,
                 window.trajectory.len() as i64,
-                not_kept.map(NotKept::word),
+                not_kept.map(SampleDropReason::as_str),
                 payload.as_ref().map(|p| p.pairs.as_slice()),
                 payload.as_ref().map(|p| p.trajectory.as_slice()),
                 (for_fleet && not_kept.is_none()).then_some(0),
             ],
         );
         match rows.map_err(self.failed("storing a window"))? {
-            0 => Ok(Kept::Known),
-            _ => Ok(Kept::New),
+            0 => Ok(InsertOutcome::Known),
+            _ => Ok(InsertOutcome::New),
         }
     }
 
-    /// Whether it holds a window, with its samples or without.
+    /// Returns `true` if it holds a window, with samples or without.
     pub(crate) fn holds(&self, device: &str, boot: u32, seq: u32) -> Result<bool, StoreError> {
         let found = self.connection.query_row(
             "SELECT EXISTS (SELECT 1 FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3)",
@@ -194,7 +196,7 @@ impl Day {
         found.map_err(self.failed("looking for a window"))
     }
 
-    /// When each of these windows of a device (boot and number) was stored; none where it is not in here.
+    /// Returns the time at which each of these windows of a device (boot and number) was stored; `None` if it is not of this day.
     pub(crate) fn times(
         &self,
         device: &str,
@@ -216,14 +218,14 @@ impl Day {
         read().map_err(self.failed("looking for windows"))
     }
 
-    /// The last row; 0 for a day without windows.
+    /// Returns the number of the last row; 0 for a day without windows.
     pub(crate) fn last_row(&self) -> Result<i64, StoreError> {
         let sql = "SELECT coalesce(max(id), 0) FROM windows";
         let last = self.connection.query_row(sql, [], |row| row.get(0));
         last.map_err(self.failed("looking for the last window"))
     }
 
-    /// The first of the rows that were stored within `span_ms` before the last one, by bisection, and how long before.
+    /// Returns the first row that was stored within `span_ms` before the last one, by bisection, and the time between them.
     pub(crate) fn first_row_within(&self, span_ms: i64) -> Result<(i64, i64), StoreError> {
         let at = |id: i64| {
             let sql = "SELECT at_ms FROM windows WHERE id <= ?1 ORDER BY id DESC LIMIT 1";
@@ -248,7 +250,7 @@ impl Day {
         Ok((first, last_ms.saturating_sub(at(first)?).clamp(0, span_ms)))
     }
 
-    /// Windows with samples after a row and before another, in the order in which they came.
+    /// Returns windows with samples after a row and before another, in the order in which they came.
     pub(crate) fn with_samples(
         &self,
         after: i64,
@@ -277,11 +279,11 @@ impl Day {
         read().map_err(self.failed("looking for room"))
     }
 
-    /// Drops the samples of these windows; for a fleet those that come with `true` are given up.
+    /// Deletes the samples of these windows; those with `true` are given up for the fleet.
     pub(crate) fn thin(
         &self,
         gone: &[(&Candidate, bool)],
-        why: NotKept,
+        why: SampleDropReason,
         now_ms: i64,
     ) -> Result<(), StoreError> {
         let thin = || {
@@ -298,7 +300,7 @@ impl Day {
                 for (window, never_sent) in gone {
                     windows.execute(params![
                         window.id,
-                        why.word(),
+                        why.as_str(),
                         never_sent,
                         NO_SAMPLES,
                         now_ms
@@ -311,7 +313,7 @@ impl Day {
         thin().map_err(self.failed("making room"))
     }
 
-    /// Gives pages that are not used back to the disk, at most so many that no window waits long; how many bytes the database is shorter.
+    /// Gives unused pages back to the disk, [`PAGES_AT_ONCE`] at most, so that no window waits long; returns the freed bytes.
     pub(crate) fn give_back(&self) -> Result<u64, StoreError> {
         let bytes = || -> Result<i64, StoreError> {
             let pages = self.pragma("page_count")?;
@@ -325,7 +327,7 @@ impl Day {
         let vacuum = || {
             let sql = format!("PRAGMA incremental_vacuum({free})");
             let mut statement = self.connection.prepare(&sql)?;
-            // A page a row.
+            // Each row of the pragma's result frees one page.
             let mut rows = statement.query([])?;
             while rows.next()?.is_some() {}
             Ok(())
@@ -341,20 +343,20 @@ impl Day {
         value.map_err(self.failed("measuring"))
     }
 
-    /// Drops a window's samples; false where it has none here.
+    /// Deletes a window's samples; returns `false` if there are none.
     pub(crate) fn drop_samples(
         &self,
         device: &str,
         boot: u32,
         seq: u32,
-        why: NotKept,
+        why: SampleDropReason,
     ) -> Result<bool, StoreError> {
         let drop = || {
             let change = self.connection.unchecked_transaction()?;
             let rows = change.execute(
                 "UPDATE windows SET not_kept = ?4, pairs_zst = NULL, trajectory_zst = NULL
                  WHERE device = ?1 AND boot = ?2 AND seq = ?3 AND pairs_zst IS NOT NULL",
-                params![device, boot, seq, why.word()],
+                params![device, boot, seq, why.as_str()],
             )?;
             if rows > 0 {
                 change.execute(
@@ -368,14 +370,14 @@ impl Day {
         drop().map_err(self.failed("dropping a window's samples"))
     }
 
-    /// Bytes in use; what was freed is used again before the file grows.
+    /// Returns the bytes in use; freed pages are reused before the file grows.
     pub(crate) fn used_bytes(&self) -> Result<u64, StoreError> {
         let pages = self.pragma("page_count")? - self.pragma("freelist_count")?;
         let bytes = pages.saturating_mul(self.pragma("page_size")?);
         Ok(u64::try_from(bytes).unwrap_or(0))
     }
 
-    /// The windows that a filter takes, in order of device, boot and number.
+    /// Returns the windows that match a filter, in order of device, boot and number.
     pub(crate) fn rows(&self, filter: &WindowFilter) -> Result<Vec<WindowRow>, StoreError> {
         let read = || -> rusqlite::Result<Vec<WindowRow>> {
             let mut statement = self.connection.prepare(ROWS)?;
@@ -385,7 +387,7 @@ impl Day {
         read().map_err(self.failed("listing windows"))
     }
 
-    /// The row of a window.
+    /// Returns the row of a window; `None` if there is none.
     pub(crate) fn row(
         &self,
         device: &str,
@@ -397,7 +399,7 @@ impl Day {
         row.map_err(self.failed("reading a window"))
     }
 
-    /// The last windows of a device, newest first; those with samples alone where `whole`.
+    /// Returns the last windows of a device, newest first; only those with samples if `whole`.
     pub(crate) fn last_rows(
         &self,
         device: &str,
@@ -412,7 +414,7 @@ impl Day {
         read().map_err(self.failed("listing windows"))
     }
 
-    /// A window; none where it, or its samples, are not here.
+    /// Returns a window; `None` if it, or its samples, are not stored.
     pub(crate) fn window(
         &self,
         device: &str,
@@ -439,7 +441,7 @@ impl Day {
         unpacked.map(Some)
     }
 
-    /// Every window, for its samples to be looked at.
+    /// Returns device, boot and number of every window with samples.
     pub(crate) fn keys(&self) -> Result<Vec<(String, u32, u32)>, StoreError> {
         let rows = self.rows(&WindowFilter::default())?;
         let kept = rows.into_iter().filter(|row| row.not_kept.is_none());
@@ -465,7 +467,7 @@ fn window_row(row: &Row<'_>) -> rusqlite::Result<WindowRow> {
     })
 }
 
-/// A row as it is stored.
+/// Stored row of a window.
 struct Stored {
     window: Window,
     counts: [usize; 2],
@@ -473,7 +475,7 @@ struct Stored {
 }
 
 impl Stored {
-    /// None where its samples are not kept.
+    /// Reads a row; `None` if its samples are not stored.
     fn read(row: &Row<'_>, seq: u32) -> rusqlite::Result<Option<Self>> {
         let (Some(pairs), Some(trajectory)) = (row.get(11)?, row.get(12)?) else {
             return Ok(None);
@@ -510,7 +512,7 @@ impl Stored {
     }
 }
 
-/// Today's windows, those of the day before, which verdicts still come for after midnight, and those of the day that is being thinned.
+/// Open days: today's, the one before, whose results still come after midnight, and the one that is being thinned.
 #[derive(Default)]
 pub(crate) struct OpenDays {
     pub(crate) today: Option<Day>,
@@ -523,7 +525,7 @@ impl OpenDays {
         self.today.iter().chain(&self.before).chain(&self.thinned)
     }
 
-    /// Closes a day's database, if it is open.
+    /// Closes a day's database if it is open.
     pub(crate) fn close(&mut self, path: &PathBuf) {
         for day in [&mut self.today, &mut self.before, &mut self.thinned] {
             if day.as_ref().is_some_and(|open| open.file.path == *path) {

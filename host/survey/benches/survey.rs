@@ -8,14 +8,14 @@ use std::hint::black_box;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use ihd_signal::Capture;
 use ihd_sim::recording::run::record;
-use ihd_sim::recording::settings::{LoadKind, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 use ihd_survey::{Hints, Survey};
 
 /// 20 ms at 50 MS/s, 30 dB.
 fn capture() -> Capture {
-    let mut settings = Settings {
+    let mut settings = CaptureSpec {
         load: LoadKind::Behavioural,
-        ..Settings::default()
+        ..CaptureSpec::default()
     };
     settings.sensing.snr_db = Some(30.0);
     let recording = record(&settings, |_| ()).expect("the simulator records");

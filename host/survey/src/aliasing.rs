@@ -1,9 +1,9 @@
-//! Harmonics of the voltage's edges that the sampling rate folds onto the fundamental.
+//! Aliasing: harmonics of the voltage's edges that the sampling rate folds onto the fundamental.
 //!
-//! At n samples a switching period harmonic h appears at |h − m n| f_sw for the nearest whole m. Where
-//! that is the fundamental, within what an estimator lets through, the harmonic is added to the
-//! voltage's phasor. Edges carry odd harmonics V_h = E/h · sinc(h f t_e), t_e their duration; the current
-//! has hardly any. With a whole even n that begins at h = n ± 1, with 61/3 at 121 and 123.
+//! At n samples per switching period harmonic h appears at |h − m n| f_sw for the nearest whole m. If that lies within what an
+//! estimator passes around the fundamental, the harmonic is added to the voltage's phasor. Edges have odd harmonics
+//! V_h = E/h · sinc(h f t_e), t_e their duration; the current has hardly any. With a whole even n the first such orders are
+//! h = n ± 1, with 61/3 they are 121 and 123.
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
@@ -14,39 +14,36 @@ use serde::Serialize;
 use super::track::{ORDERS, Track};
 use ihd_signal::Load;
 
-/// What an estimator lets through: two boxcars of this length in seconds (the firmware's
-/// demodulator; longer ones let less through).
+/// Passband of an estimator: two boxcars of this length in seconds (the firmware's demodulator; longer ones pass less).
 const BOXCAR_S: f64 = 0.2e-3;
 
-/// No order beyond this is looked at, however low the frequency.
+/// Highest order that is considered, however low the frequency.
 const MOST_ORDERS: u32 = 10_000;
 
-/// What aliasing may do.
+/// Expected effect of aliasing.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Aliasing {
-    /// Samples a switching period.
+    /// Samples per switching period.
     pub samples_per_period: f64,
     /// Lowest order that falls on the fundamental.
     pub order: u32,
-    /// Error of the voltage's fundamental in percent: root of the sum of squares of what falls on it.
+    /// Error of the voltage's fundamental in percent: root of the sum of squares of all that falls on it.
     pub v_pct: f64,
-    /// Error of R in percent: the part of it in phase with the current, for a random position of the
-    /// samples relative to the edges.
+    /// Error of R in percent, the part in phase with the current, for a random position of the samples relative to the edges.
     pub r_pct: f64,
-    /// Error of L in percent, likewise.
+    /// Error of L in percent, for a random position of the samples relative to the edges.
     pub l_pct: f64,
 }
 
-/// What it may cost without an anti-alias filter; `None` when nothing falls on the fundamental, and where R
-/// or L is zero.
+/// Expected errors without an anti-alias filter; `None` if nothing falls on the fundamental, or R or L is zero.
 ///
-/// The edges' strength comes from the harmonics that are seen, their duration from the hob's ratings.
+/// The edges' strength is taken from the visible harmonics, their duration from the hob's ratings.
 pub fn expected(track: &Track, dt_s: f64, z: Load) -> Option<Aliasing> {
     let n = 1.0 / (track.f_sw_hz * dt_s);
     let v1 = rms(track.v_v.first()?);
     let edge = edge_strength(track, v1);
     let t_e_s = f64::from(EDGE_NS) * 1e-9;
-    // Beyond the sixth null of an edge's spectrum nothing counts: at 250 samples a period harmonic 249 still costs .2 % of R.
+    // Orders beyond the sixth null of an edge's spectrum do not matter: at 250 samples per period harmonic 249 still costs .2 % of R.
     let last = ((6.0 / (track.f_sw_hz * t_e_s)) as u32).min(MOST_ORDERS);
     let (mut power, mut first) = (0.0, None);
     for h in (3..=last).step_by(2).filter(|&h| f64::from(h) > 0.5 * n) {
@@ -72,12 +69,12 @@ pub fn expected(track: &Track, dt_s: f64, z: Load) -> Option<Aliasing> {
         r_pct: 100.0 * part / z.r_ohm.abs(),
         l_pct: 100.0 * part / x.abs(),
     };
-    // Without any R or L there is nothing to relate an error to.
+    // Without R and L there is no relative error.
     (aliasing.r_pct.is_finite() && aliasing.l_pct.is_finite()).then_some(aliasing)
 }
 
-/// h |V_h| of the edges: the largest of the harmonics that are seen, and what a square wave with the
-/// fundamental of this voltage has at least.
+/// h |V_h| of the edges: the largest of the visible harmonics, but at least that of a square wave with this voltage's
+/// fundamental.
 fn edge_strength(track: &Track, v1: f64) -> f64 {
     let seen = ORDERS.iter().zip(&track.v_v).skip(1);
     seen.map(|(h, v)| f64::from(*h) * rms(v))

@@ -1,4 +1,4 @@
-//! Where the hob switches, and at which frequency: a short-time spectrum of voltage and current.
+//! Search for the parts of a run in which the hob switches, and for the frequency, by a short-time spectrum of voltage and current.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -11,47 +11,45 @@ use super::lines::{HOPS, LARGEST_HZ, LEAST_HZ, Lines};
 use super::time::Run;
 use super::track;
 
-/// Relative width around a given frequency in which it is looked for.
+/// Relative width of the search around a given frequency.
 const HINT_WIDTH: f64 = 0.1;
 
-/// A line must stand this much above the median of the spectrum, in power: noise of a thousand
-/// bins reaches 10.
+/// Least power of a line over the median of the spectrum: noise of a thousand bins reaches 10.
 const LINE_OVER_MEDIAN: f64 = 30.0;
 
-/// A line weaker than the strongest by this much in power says nothing about the frequency: 1 % of
-/// amplitude.
+/// Power of a line relative to the strongest, below which it does not determine the frequency: 1 % of amplitude.
 const WEAK: f64 = 1e-4;
 
-/// Share of the current's amplitude nearby above which it is on: well above noise of 30 dB, and low
-/// enough for an edge at a zero crossing.
+/// Share of the current's amplitude nearby above which the bridge is on: well above noise of 30 dB, and low enough for an
+/// edge at a zero crossing.
 const EDGE: f64 = 0.1;
 
 /// Change of frequency that counts as a step, in hertz: an eighth of the spectrum's resolution.
 const STEP_HZ: f64 = 150.0;
 
-/// Time in seconds over which a step of the frequency is smoothed by what follows the carrier.
+/// Time in seconds over which the carrier's tracking smooths a step of the frequency.
 const SMOOTHED_S: f64 = 0.25e-3;
 
-/// Frames without a line that count as switched off: 1 ms, longer than a zero crossing hides it.
+/// Frames without a line that count as switched off: 1 ms, longer than a zero crossing hides the line.
 const OFF_HOPS: usize = 10;
 
 /// Part of a run with one switching frequency.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Piece {
-    /// The run it is a part of, cut to it.
+    /// Samples and times of the piece.
     pub run: Run,
-    /// Switching frequency in hertz, to some 20 Hz; the mean of one that moves.
+    /// Switching frequency in hertz, to some 20 Hz; the mean if it moves.
     pub f_hz: f64,
-    /// How it moves, where it does.
+    /// Motion of the frequency; `None` if it is constant.
     pub sweep: Option<Sweep>,
 }
 
-/// What a search found.
+/// Result of a search.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Found {
+pub struct CarrierPieces {
     /// Pieces with a carrier, in order of time.
     pub pieces: Vec<Piece>,
-    /// Times in seconds between which there is none.
+    /// Intervals without a carrier: beginning and end in seconds.
     pub off_s: Vec<(f64, f64)>,
 }
 
@@ -62,8 +60,8 @@ pub fn band(hint_hz: Option<f64>) -> (f64, f64) {
     })
 }
 
-/// Finds the pieces of a run in which it switches at one frequency, within `band_hz`.
-pub fn find(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> Found {
+/// Finds the pieces of a run in which the bridge switches at one frequency, within `band_hz`.
+pub fn find_pieces(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> CarrierPieces {
     let lines = Lines::of(capture, run, band_hz);
     let strongest = lines.frames.iter().map(|l| l.power).fold(0.0, f64::max);
     let valid: Vec<bool> = lines
@@ -71,36 +69,35 @@ pub fn find(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> Found {
         .iter()
         .map(|l| l.contrast > LINE_OVER_MEDIAN && l.power > WEAK * strongest)
         .collect();
-    let mut found = Found::default();
+    let mut result = CarrierPieces::default();
     let mut end = run.samples.start;
     let ranges = on_ranges(&valid);
     for on in &ranges {
-        // The amplitude that tells an edge may reach into the stretch before.
+        // The amplitude that marks an edge may reach into the stretch before.
         let part = switching(capture, run, &lines, on).part(end..run.samples.end);
         if on.off_before {
-            found.off_s.push((run.t_s(end), part.t0_s));
+            result.off_s.push((run.t_s(end), part.t0_s));
         }
         end = end.max(part.samples.end);
         let within = lines.within(&part.samples, &on.frames);
-        steps(capture, &part, &lines, &valid, within, &mut found.pieces);
+        steps(capture, &part, &lines, &valid, within, &mut result.pieces);
     }
     if ranges.last().is_some_and(|on| on.off_after) {
-        found.off_s.push((run.t_s(end), run.t_s(run.samples.end)));
+        result.off_s.push((run.t_s(end), run.t_s(run.samples.end)));
     }
-    found
+    result
 }
 
-/// A range of frames with a carrier.
-struct On {
+/// Range of frames with a carrier.
+struct SwitchingFrames {
     frames: Range<usize>,
     off_before: bool,
     off_after: bool,
 }
 
-/// Frames that belong together: interruptions shorter than [`OFF_HOPS`] are zero crossings, at either
-/// end of the run too.
-fn on_ranges(valid: &[bool]) -> Vec<On> {
-    let mut out: Vec<On> = Vec::new();
+/// Ranges of frames with a carrier; interruptions shorter than [`OFF_HOPS`] are zero crossings, also at the ends of the run.
+fn on_ranges(valid: &[bool]) -> Vec<SwitchingFrames> {
+    let mut out: Vec<SwitchingFrames> = Vec::new();
     for k in (0..valid.len()).filter(|&k| valid[k]) {
         if let Some(on) = out.last_mut().filter(|on| k - on.frames.end < OFF_HOPS) {
             on.frames.end = k + 1;
@@ -109,7 +106,7 @@ fn on_ranges(valid: &[bool]) -> Vec<On> {
         if let Some(before) = out.last_mut() {
             before.off_after = true;
         }
-        out.push(On {
+        out.push(SwitchingFrames {
             frames: k..k + 1,
             off_before: k >= OFF_HOPS,
             off_after: false,
@@ -127,9 +124,9 @@ fn on_ranges(valid: &[bool]) -> Vec<On> {
     out
 }
 
-/// The part of a run in which it switches: where it goes on or off, the frames' windows reach beyond
-/// the edge, and the current's amplitude shows the place.
-fn switching(capture: &Capture, run: &Run, lines: &Lines, on: &On) -> Run {
+/// Part of a run in which the bridge switches. The frames' windows reach beyond the switching on or off; the current's amplitude
+/// shows the exact place.
+fn switching(capture: &Capture, run: &Run, lines: &Lines, on: &SwitchingFrames) -> Run {
     let window = lines.length * lines.every;
     let edge = |frame: usize, rising: bool| {
         let middle = lines.middle(frame);
@@ -163,7 +160,7 @@ fn switching(capture: &Capture, run: &Run, lines: &Lines, on: &On) -> Run {
     run.part(start..end)
 }
 
-/// Cuts a range of frames where the frequency steps; one that moves without steps is a piece as a whole.
+/// Cuts a range of frames at steps of the frequency; a part whose frequency moves without steps is one piece.
 fn steps(
     capture: &Capture,
     run: &Run,
@@ -183,7 +180,7 @@ fn steps(
             let zone = lines.middle(frames.start + range.end - 1)
                 ..lines.middle(frames.start + after.start) + 1;
             let boundary = boundary(capture, &run.part(zone), *f, *f_after);
-            // What settles after the step, and the period that the step cuts, belong to neither.
+            // The settling after the step, and the period that it cuts, belong to neither side.
             let guard = (2.0 / (f.min(*f_after) * run.dt_s)) as usize;
             (to, next) = (boundary.saturating_sub(guard), boundary + guard);
         }
@@ -200,14 +197,14 @@ fn steps(
     }
 }
 
-/// The run as one piece, where its frequency moves within the pieces that it would have if it stepped; `held_hz` are
-/// the frames' frequencies in hertz.
+/// Whole run as one piece if its frequency moves within the pieces that steps would give, else `None`; `held_hz` are the
+/// frames' frequencies in hertz.
 fn moving(capture: &Capture, run: &Run, held_hz: &[f64], pieces: &[Piece]) -> Option<Piece> {
     let mean = held_hz.iter().sum::<f64>() / held_hz.len().max(1) as f64;
     let (v, i) = (&capture.v_v, &capture.i_a);
     let range = run.samples.clone();
     let carrier = Carrier::follow(&v[range.clone()], &i[range], run.t0_s, run.dt_s, mean)?;
-    // The carrier is smoothed over the edges of a step.
+    // The carrier's tracking smooths over the edges of a step.
     let inside = |p: &Piece, t_s: f64| {
         let (from_s, to_s) = (
             p.run.t0_s + SMOOTHED_S,
@@ -236,8 +233,7 @@ fn mean_hz(carrier: &Carrier, chosen: impl Fn(f64) -> bool) -> Option<f64> {
     (weights > 0.0).then(|| sum / weights)
 }
 
-/// Frequencies of frames in hertz; weak ones carry that of the last strong one. Empty when none is
-/// strong.
+/// Frequencies of frames in hertz; weak frames take that of the last strong one. Empty if none is strong.
 fn held(lines: &Lines, valid: &[bool], frames: Range<usize>) -> Vec<f64> {
     let Some(first) = frames.clone().find(|&k| valid[k]) else {
         return Vec::new();
@@ -253,7 +249,7 @@ fn held(lines: &Lines, valid: &[bool], frames: Range<usize>) -> Vec<f64> {
         .collect()
 }
 
-/// Ranges of frames in which the frequency stays, and its median there.
+/// Ranges of frames with a constant frequency, and the median frequency of each.
 fn steady(f_hz: &[f64]) -> Vec<(Range<usize>, f64)> {
     let half = HOPS / 2;
     // Frames a whole frame apart share no sample.
@@ -275,11 +271,11 @@ fn steady(f_hz: &[f64]) -> Vec<(Range<usize>, f64)> {
             start = k + 1;
         }
     }
-    // What is shorter than a frame is a transition, and nothing of its own.
+    // Ranges shorter than a frame are transitions.
     if out.iter().any(|(range, _)| range.len() >= HOPS) {
         out.retain(|(range, _)| range.len() >= HOPS);
     }
-    // A step of the load turns the phase once: before and after it the frequency is the same.
+    // A step of the load turns the phase once; the frequency before and after is the same.
     out.dedup_by(|b, a| {
         let same = (a.1 - b.1).abs() < 0.5 * STEP_HZ && b.0.start - a.0.end <= 2 * HOPS;
         if same {
@@ -290,8 +286,8 @@ fn steady(f_hz: &[f64]) -> Vec<(Range<usize>, f64)> {
     out
 }
 
-/// Sample at which the frequency changes from `before` to `after`, in hertz: where the current's
-/// phasor begins to turn at the other speed, least squares over its increments.
+/// Sample at which the frequency changes from `before` to `after`, in hertz: the change in rotation of the current's phasor,
+/// by least squares over its increments.
 fn boundary(capture: &Capture, zone: &Run, before: f64, after: f64) -> usize {
     let track = track::fundamental(capture, zone, before);
     let n = track.i_a.len();

@@ -1,31 +1,31 @@
-//! The numbers of one channel, and what is wrong with it.
+//! Numbers and findings of one channel.
 
 use ihd_signal::Capture;
 use ihd_signal::vectorised::vectorised;
 use serde::Serialize;
 
 use super::carrier::Piece;
-use super::clipping::{self, Clipped};
+use super::clipping::{self, ClippedSamples};
 use super::finding::{Channel, Finding};
 use super::track::Track;
 
-/// Offset above which it is reported, in percent of the rms value.
+/// Offset in percent of the rms value above which it is reported.
 const OFFSET_PCT: f64 = 1.0;
 
-/// Voltage of a hob's coil, above which a probe's factor is wrong: a half-bridge on 230 V gives 330 V, a resonant
-/// one of a quasi-resonant hob up to 1.2 kV, which its switch would not survive by much.
+/// Largest voltage of a hob's coil; a larger one means a wrong probe factor. A half-bridge on 230 V gives 330 V, a
+/// quasi-resonant hob up to 1.2 kV, which its switch would not survive by much.
 const LARGEST_V: f64 = 2e3;
 
-/// Current of a hob's coil, above which a probe's factor is wrong: 3.7 kW at 230 V take 80 A at the crest.
+/// Largest current of a hob's coil; a larger one means a wrong probe factor. 3.7 kW at 230 V take 80 A at the crest.
 const LARGEST_A: f64 = 300.0;
 
-/// SNR below which it is reported, in decibel: the paper's noisiest case is 30.
+/// SNR in decibel below which it is reported: the paper's noisiest case is 30.
 const NOISY_DB: f64 = 25.0;
 
-/// Share of a channel's power in its fundamental below which it is dead.
+/// Share of a channel's power in its fundamental below which the channel is dead.
 const DEAD: f64 = 1e-2;
 
-/// One channel in numbers, in its unit.
+/// Numbers of one channel, in its unit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ChannelSurvey {
     /// Smallest sample.
@@ -34,18 +34,17 @@ pub struct ChannelSurvey {
     pub max: f64,
     /// Mean over the pieces with switching.
     pub mean: f64,
-    /// Rms value over them, the mean taken off.
+    /// Rms value over the pieces with switching, without the mean.
     pub rms: f64,
-    /// Standard deviation of white noise; `None` when the capture is too short to measure
-    /// it.
+    /// Standard deviation of white noise; `None` if the capture is too short to measure it.
     pub noise: Option<f64>,
-    /// Signal-to-noise ratio in decibel (paper, section V); `None` also without any signal.
+    /// Signal-to-noise ratio in decibel (paper, section V); `None` if there is no noise value or no signal.
     pub snr_db: Option<f64>,
-    /// Samples at an end of the range.
+    /// Number of samples at an end of the range.
     pub clipped: usize,
 }
 
-/// One channel's numbers and findings.
+/// Computes one channel's numbers and adds its findings.
 pub(super) fn survey(
     which: Channel,
     capture: &Capture,
@@ -78,7 +77,7 @@ pub(super) fn survey(
     out.mean = sum / n;
     let variance = (square / n - out.mean * out.mean).max(0.0);
     out.rms = variance.sqrt();
-    let clipped = clipping::clipped(x, full_scale);
+    let clipped = clipping::count_clipped(x, full_scale);
     out.clipped = clipped.samples;
     let longest = pieces.iter().max_by_key(|p| p.run.samples.len());
     out.noise = longest.and_then(|p| {
@@ -97,10 +96,10 @@ pub(super) fn survey(
     out
 }
 
-/// Samples whose sums are made together.
+/// Samples that are summed together.
 const TOGETHER: usize = 1 << 14;
 
-/// What a channel's numbers are made of.
+/// Sums from which a channel's numbers are computed.
 struct Sums {
     min: f64,
     max: f64,
@@ -109,7 +108,7 @@ struct Sums {
 }
 
 impl Sums {
-    /// In eight lanes, so that the compiler may use them side by side.
+    /// Sums samples in eight lanes, which the compiler can vectorise.
     #[inline(always)]
     fn of(x: &[f32]) -> Self {
         const LANES: usize = 8;
@@ -133,7 +132,7 @@ impl Sums {
     }
 }
 
-/// Whether next to nothing of the channel's variance is its fundamental.
+/// Returns `true` if the fundamental has next to nothing of the channel's variance.
 fn is_dead(which: Channel, tracks: &[Track], variance: f64) -> bool {
     let fundamental: f64 = tracks
         .iter()
@@ -148,7 +147,7 @@ fn is_dead(which: Channel, tracks: &[Track], variance: f64) -> bool {
 }
 
 /// Clipping, offset and noise of a channel that is alive.
-fn report(which: Channel, c: &ChannelSurvey, clipped: Clipped, findings: &mut Vec<Finding>) {
+fn report(which: Channel, c: &ChannelSurvey, clipped: ClippedSamples, findings: &mut Vec<Finding>) {
     if clipped.samples > 0 {
         findings.push(Finding::Clipping {
             channel: which,

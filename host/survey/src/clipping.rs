@@ -1,43 +1,43 @@
-//! Samples that rest at an end of the channel's range.
+//! Clipping: samples at an end of the channel's range.
 
 use ihd_signal::vectorised::vectorised;
 
-/// Bins over the range of the samples in which they are counted.
+/// Bins of the histogram over the range of the samples.
 const BINS: f64 = 128.0;
 
-/// Samples among which the smallest step between levels is looked for.
+/// Samples in which the smallest step between levels is searched.
 const FEW: usize = 4096;
 
-/// Samples in the end bin over those in the next one: a sine of constant amplitude has 2.4, one that
-/// swells and ebbs fewer than 1.
+/// Least ratio of samples in the end bin to those in the next one: a sine of constant amplitude has 2.4, one with varying
+/// amplitude less than 1.
 const PILE: f64 = 5.0;
 
-/// Fewest samples at an end that count.
+/// Fewest samples at an end that count as clipping.
 const LEAST: usize = 16;
 
-/// How close to full scale counts as clipped: a code of 12 bits, since the upper end of a
+/// Share of full scale from which a sample counts as clipped: a code of 12 bits below it, because the upper end of a
 /// converter's range is a code short of it.
 const FULL_SCALE: f64 = 1.0 - 1.01 / 2048.0;
 
-/// What is known about a channel's ends.
+/// Clipping of a channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Clipped {
-    /// Samples at an end.
+pub struct ClippedSamples {
+    /// Number of samples at an end of the range.
     pub samples: usize,
-    /// Magnitude of the level they rest at, in the channel's unit.
+    /// Magnitude of the level at which they rest, in the channel's unit.
     pub level: f64,
 }
 
-/// Counts samples at the ends: at `full_scale`, in the channel's unit, where it is known, else at
-/// levels where they pile up.
-pub fn clipped(x: &[f32], full_scale: Option<f64>) -> Clipped {
+/// Counts samples at the ends of the range: at `full_scale`, in the channel's unit, if it is known, else at levels where
+/// they pile up.
+pub fn count_clipped(x: &[f32], full_scale: Option<f64>) -> ClippedSamples {
     let (low, high) = extent(x);
     if low >= high || !(high - low).is_finite() {
-        return Clipped::default();
+        return ClippedSamples::default();
     }
     if let Some(full_scale) = full_scale.filter(|f| f.is_finite() && *f > 0.0) {
         let rail = full_scale * FULL_SCALE;
-        // Far from the rail where the largest magnitude is.
+        // The largest magnitude is far from the rail.
         let reached = high.max(-low) >= rail;
         let at_rail = |x: &&f32| f64::from(x.abs()) >= rail;
         let samples = if reached {
@@ -46,7 +46,7 @@ pub fn clipped(x: &[f32], full_scale: Option<f64>) -> Clipped {
             0
         };
         if samples > 0 {
-            return Clipped {
+            return ClippedSamples {
                 samples,
                 level: full_scale,
             };
@@ -54,7 +54,7 @@ pub fn clipped(x: &[f32], full_scale: Option<f64>) -> Clipped {
     }
     let width = bin_width(x, high - low);
     let mut counts = [[0usize; 2]; 2];
-    // Two bins and a half at either end, and the rounding of a sample; what lies between is in none of them.
+    // Two and a half bins at either end, and the rounding of a sample; values between are in none of these bins.
     let far = (high - 2.5 * width) as f32..=(low + 2.5 * width) as f32;
     for x in x {
         if *x < *far.start() && *x > *far.end() {
@@ -70,7 +70,7 @@ pub fn clipped(x: &[f32], full_scale: Option<f64>) -> Clipped {
         }
     }
     let piled = |[end, next]: [usize; 2]| end >= LEAST && end as f64 > PILE * next as f64;
-    let mut out = Clipped::default();
+    let mut out = ClippedSamples::default();
     for (counts, level) in counts.into_iter().zip([high, low]) {
         if piled(counts) {
             out.samples += counts[0];
@@ -80,7 +80,7 @@ pub fn clipped(x: &[f32], full_scale: Option<f64>) -> Clipped {
     out
 }
 
-/// The smallest and the largest of the samples that are numbers; infinite, the wrong way round, where there is none.
+/// Smallest and largest of the finite samples; infinite with exchanged signs if there are none.
 fn extent(x: &[f32]) -> (f64, f64) {
     const LANES: usize = 16;
     let (low, high) = vectorised(
@@ -89,7 +89,7 @@ fn extent(x: &[f32]) -> (f64, f64) {
             let (mut low, mut high) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
             for x in x.chunks(LANES) {
                 for (k, x) in x.iter().enumerate() {
-                    // Of a NaN both comparisons are false.
+                    // Both comparisons are false for NaN.
                     low[k] = if *x < low[k] { *x } else { low[k] };
                     high[k] = if *x > high[k] { *x } else { high[k] };
                 }
@@ -102,7 +102,7 @@ fn extent(x: &[f32]) -> (f64, f64) {
     (f64::from(low), f64::from(high))
 }
 
-/// A bin no narrower than the steps of the samples' levels, and a whole number of them.
+/// Width of a bin: at least the step between the samples' levels, and a whole multiple of it.
 fn bin_width(x: &[f32], range: f64) -> f64 {
     let stride = (x.len() / FEW).max(1);
     let mut few: Vec<f64> = x.iter().step_by(stride).map(|x| f64::from(*x)).collect();
@@ -144,10 +144,10 @@ mod tests {
     fn a_pile_at_the_end_is_clipping_and_a_crest_is_none() {
         for bits in [6, 8, 12, 16] {
             for floor in [0.0, 1.0] {
-                let clean = clipped(&sine(bits, 2.0, floor), None);
+                let clean = count_clipped(&sine(bits, 2.0, floor), None);
                 assert_eq!(clean.samples, 0, "{bits} {floor}: {clean:?}");
                 let x = sine(bits, 0.8, floor);
-                let flat = clipped(&x, None);
+                let flat = count_clipped(&x, None);
                 let truth = x.iter().filter(|x| x.abs() > 0.799 - 1.0 / 128.0).count();
                 assert!(
                     flat.samples > 0 && flat.samples.abs_diff(truth) < truth / 5,
@@ -162,10 +162,10 @@ mod tests {
     fn a_known_range_needs_no_pile() {
         let mut x = sine(12, 2.0, 0.0);
         x.iter_mut().for_each(|x| *x *= 0.5);
-        assert_eq!(clipped(&x, Some(1.0)).samples, 0);
+        assert_eq!(count_clipped(&x, Some(1.0)).samples, 0);
         x[500] = 1.0;
         x[700] = -1.0;
         x[900] = 2047.0 / 2048.0;
-        assert_eq!(clipped(&x, Some(1.0)).samples, 3);
+        assert_eq!(count_clipped(&x, Some(1.0)).samples, 3);
     }
 }

@@ -1,96 +1,96 @@
-//! Why a capture cannot be surveyed.
+//! Errors of a survey.
 
-/// Why there is nothing to survey.
+/// Reason why a capture cannot be surveyed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SurveyError {
-    /// Voltage, current and stamps do not have one length.
+    /// Voltage, current and stamps differ in length.
     #[error(
         "{name}: {v} voltage samples, {i} current samples and {stamps} times: they must be as many"
     )]
     Lengths {
-        /// The capture.
+        /// Name of the capture.
         name: String,
-        /// Samples of the voltage.
+        /// Number of voltage samples.
         v: usize,
-        /// Samples of the current.
+        /// Number of current samples.
         i: usize,
-        /// Times; as many as voltages where the time base is even.
+        /// Number of times; that of the voltage samples if the time base is even.
         stamps: usize,
     },
-    /// No samples at all.
+    /// The capture has no samples.
     #[error("{name} holds no samples")]
     Empty {
-        /// The capture.
+        /// Name of the capture.
         name: String,
     },
-    /// Times that cannot be.
+    /// The time base is impossible.
     #[error(
         "{name}: the time from sample to sample is {dt_s} s, the first sample's {t0_s} s; the step must be a finite \
          number above zero, and the start near enough to zero to tell the samples apart"
     )]
     TimeStep {
-        /// The capture.
+        /// Name of the capture.
         name: String,
         /// Time of the first sample in seconds.
         t0_s: f64,
-        /// The step in seconds.
+        /// Time from sample to sample in seconds.
         dt_s: f64,
     },
-    /// Too few samples in a row.
+    /// Too few samples without a gap.
     #[error(
         "{name}: the longest stretch without a gap has {samples} samples ({ms:.3} ms), but {needed:.3} ms \
          are needed: take a longer capture"
     )]
     TooShort {
-        /// The capture.
+        /// Name of the capture.
         name: String,
         /// Samples of the longest run.
         samples: usize,
-        /// Its length in milliseconds.
+        /// Length of the longest run in milliseconds.
         ms: f64,
-        /// What is needed, in milliseconds.
+        /// Length that is needed, in milliseconds.
         needed: f64,
     },
-    /// The rate cannot show any switching frequency.
+    /// The sampling rate is too low for any switching frequency.
     #[error(
         "{name}: sampled at {rate_hz:.0} Hz, which cannot show a switching frequency of {least_hz:.0} Hz: \
          sample at more than twice of it"
     )]
     TooSlow {
-        /// The capture.
+        /// Name of the capture.
         name: String,
         /// Sampling rate in hertz.
         rate_hz: f64,
-        /// The smallest switching frequency that would be looked for, in hertz.
+        /// Smallest switching frequency of the search, in hertz.
         least_hz: f64,
     },
-    /// No switching frequency.
+    /// No switching frequency was found.
     #[error(
         "{name}: no switching frequency from {from_khz:.1} to {to_khz:.1} kHz in {what}: is the inverter \
          running, are the probes on, are the right columns chosen?"
     )]
     NoCarrier {
-        /// The capture.
+        /// Name of the capture.
         name: String,
         /// Lower end of the search in kilohertz.
         from_khz: f64,
-        /// Upper end in kilohertz.
+        /// Upper end of the search in kilohertz.
         to_khz: f64,
-        /// Where it was looked for.
+        /// Signal that was searched.
         what: &'static str,
     },
-    /// The frequency given is not there, another is.
+    /// The switching frequency differs from the one given.
     #[error(
         "{name}: no switching frequency near the {specified_khz:.2} kHz given; {found_khz:.2} kHz is there: leave \
          the frequency out or correct it"
     )]
     NotAtHint {
-        /// The capture.
+        /// Name of the capture.
         name: String,
-        /// The frequency given, in kilohertz.
+        /// Frequency given, in kilohertz.
         specified_khz: f64,
-        /// The one found, in kilohertz.
+        /// Frequency found, in kilohertz.
         found_khz: f64,
     },
 }

@@ -1,4 +1,4 @@
-//! What is wrong or noteworthy in a capture: each kind with its numbers, a severity and advice.
+//! Findings about a capture: kinds with numbers, severity and advice.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use ihd_signal::Remark;
 pub use ihd_signal::Severity;
 use serde::Serialize;
 
-/// Voltage or current.
+/// Channel of a capture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Channel {
@@ -17,7 +17,7 @@ pub enum Channel {
 }
 
 impl Channel {
-    /// The unit's sign.
+    /// Symbol of the channel's unit.
     pub fn unit(self) -> &'static str {
         match self {
             Self::Voltage => "V",
@@ -25,7 +25,7 @@ impl Channel {
         }
     }
 
-    /// The letter that command-line flags use.
+    /// Letter of the channel in command-line flags.
     pub fn letter(self) -> &'static str {
         match self {
             Self::Voltage => "v",
@@ -43,176 +43,176 @@ impl fmt::Display for Channel {
     }
 }
 
-/// What was found, with its numbers.
+/// Finding about a capture, with its numbers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Finding {
-    /// Samples that are no numbers; the capture is cut there.
+    /// Samples are not finite; the capture is cut there.
     NotFinite {
-        /// How many, of both channels.
+        /// Number of such samples in both channels.
         samples: usize,
         /// Index of the first.
         first: usize,
     },
-    /// Time stands still or goes back; the capture is cut there.
+    /// Time does not ascend; the capture is cut there.
     TimeNotAscending {
-        /// How often.
+        /// Number of such places.
         times: usize,
         /// Index of the first sample that is not later than the one before.
         sample: usize,
-        /// Its time in seconds.
+        /// Time of that sample in seconds.
         t_s: f64,
     },
     /// Samples are missing; the capture is cut there.
     Gap {
-        /// How many gaps.
+        /// Number of gaps.
         gaps: usize,
-        /// Time of the first in seconds.
+        /// Time of the first gap in seconds.
         t_s: f64,
-        /// Length of the longest in seconds.
+        /// Length of the longest gap in seconds.
         longest_s: f64,
-        /// Samples missing in all.
+        /// Number of missing samples in all.
         missing: u64,
     },
-    /// A piece too short to be worked on.
+    /// Pieces are too short for an estimator and were left out.
     PieceTooShort {
-        /// How many such pieces.
+        /// Number of such pieces.
         pieces: usize,
-        /// Their length in all, in seconds.
+        /// Total length in seconds.
         total_s: f64,
     },
-    /// No switching: the bridge is off.
+    /// The bridge is off for a while.
     CarrierAbsent {
-        /// From, in seconds.
+        /// Beginning in seconds.
         from_s: f64,
-        /// To, in seconds.
+        /// End in seconds.
         to_s: f64,
     },
     /// The switching frequency changes.
     FrequencyStep {
-        /// When, in seconds.
+        /// Time of the change in seconds.
         t_s: f64,
-        /// Before, in hertz.
+        /// Frequency before in hertz.
         from_hz: f64,
-        /// After, in hertz.
+        /// Frequency after in hertz.
         to_hz: f64,
     },
     /// The switching frequency moves without steps; it is followed.
     FrequencySweep {
-        /// Mean in hertz.
+        /// Mean frequency in hertz.
         mean_hz: f64,
-        /// Half of what lies between the smallest and the largest frequency, in hertz.
+        /// Half the distance between the smallest and the largest frequency, in hertz.
         deviation_hz: f64,
-        /// How often it would go up and down, in hertz, if it were a sine.
+        /// Repetition rate in hertz, if the motion were a sine.
         rate_hz: f64,
     },
-    /// The capture states another switching frequency than it shows.
+    /// The switching frequency differs from the one specified.
     FrequencyDiffers {
-        /// Given by the user or stated by the capture, in hertz.
+        /// Frequency given by the user or stated by the capture, in hertz.
         #[serde(rename = "told_hz")]
         specified_hz: f64,
-        /// Measured, in hertz.
+        /// Measured frequency in hertz.
         measured_hz: f64,
     },
-    /// The mains frequency specified differs from what the envelope shows.
+    /// The mains frequency specified differs from that of the envelope.
     MainsDiffers {
-        /// Given by the user or stated by the capture, in hertz.
+        /// Frequency given by the user or stated by the capture, in hertz.
         #[serde(rename = "told_hz")]
         specified_hz: f64,
-        /// Measured, in hertz.
+        /// Measured frequency in hertz.
         measured_hz: f64,
     },
     /// The mains' phase could not be found.
     MainsUnknown {
-        /// What is assumed, in hertz.
+        /// Assumed frequency in hertz.
         assumed_hz: f64,
-        /// How much of a half-cycle of this frequency the capture shows.
+        /// Length of the capture in half-cycles of this frequency.
         half_cycles: f64,
         /// (Largest − smallest)/largest of the voltage's amplitude.
         modulation: f64,
     },
     /// A channel rests at an end of its range.
     Clipping {
-        /// Which.
+        /// Channel that clips.
         channel: Channel,
-        /// Samples there.
+        /// Number of samples at that level.
         samples: usize,
-        /// The level's magnitude, in the channel's unit.
+        /// Magnitude of the level, in the channel's unit.
         level: f64,
     },
-    /// A constant is added to a channel: neither the coil's voltage nor its current has a mean.
+    /// A channel has a constant offset: neither the coil's voltage nor its current has a mean.
     Offset {
-        /// Which.
+        /// Channel with the offset.
         channel: Channel,
-        /// The mean, in the channel's unit.
+        /// Mean in the channel's unit.
         mean: f64,
-        /// Its share of the rms value in percent.
+        /// Mean in percent of the rms value.
         of_rms_pct: f64,
     },
-    /// More than the coil of a hob carries: a probe's factor is wrong.
+    /// A value exceeds that of a hob's coil: a probe's factor is wrong.
     Implausible {
-        /// Which.
+        /// Channel with the value.
         channel: Channel,
         /// Largest magnitude of its samples, in the channel's unit.
         peak: f64,
-        /// What it stays below, in the channel's unit.
+        /// Limit in the channel's unit.
         most: f64,
     },
-    /// Much noise.
+    /// A channel is noisy.
     Noisy {
-        /// Which.
+        /// Channel with the noise.
         channel: Channel,
         /// Signal-to-noise ratio in decibel.
         snr_db: f64,
     },
-    /// Few samples a switching period.
+    /// A switching period has few samples.
     CoarselySampled {
-        /// Samples a period.
+        /// Samples per switching period.
         samples_per_period: f64,
     },
     /// Harmonics of the voltage's edges fall on the fundamental.
     Aliasing {
-        /// Samples a switching period.
+        /// Samples per switching period.
         samples_per_period: f64,
-        /// Lowest order that does.
+        /// Lowest order that falls on the fundamental.
         order: u32,
-        /// What it may add to R, in percent.
+        /// Expected error of R in percent.
         r_pct: f64,
-        /// What it may add to L, in percent.
+        /// Expected error of L in percent.
         l_pct: f64,
     },
     /// Voltage and current are exchanged.
     Swapped {
-        /// The user has exchanged them.
+        /// `true` if the user has exchanged them.
         by_user: bool,
     },
-    /// One probe is the wrong way round: R and L are negative.
+    /// One probe is reversed: R and L are negative.
     Inverted {
-        /// R as it stands, in ohm.
+        /// R as measured, in ohm.
         r_ohm: f64,
-        /// The user has changed the sign of one channel.
+        /// `true` if the user has changed the sign of one channel.
         by_user: bool,
     },
     /// R is negative while L is not: the channels are not simultaneous.
     NegativeResistance {
-        /// R as it stands, in ohm.
+        /// R as measured, in ohm.
         r_ohm: f64,
-        /// Skew that would bring R to zero, in seconds: the least there must be.
+        /// Skew in seconds that would make R zero, the least there must be.
         skew_s: f64,
     },
-    /// A channel does not show the switching frequency at all.
+    /// A channel does not contain the switching frequency.
     Dead {
-        /// Which.
+        /// Channel without the switching frequency.
         channel: Channel,
     },
 }
 
-/// Share of R above which aliasing is a warning, in percent: half the accuracy of the firmware's
-/// estimator (docs/accuracy.md).
+/// Error of R in percent above which aliasing is a warning: half the accuracy of the firmware's estimator
+/// (docs/accuracy.md).
 const ALIASING_WARNING_PCT: f64 = 1.0;
 
 impl Finding {
-    /// How much it matters.
+    /// Effect on R and L.
     pub fn severity(&self) -> Severity {
         match self {
             Self::FrequencyStep { .. }
@@ -241,7 +241,7 @@ impl Finding {
 }
 
 impl Finding {
-    /// Its kind in `snake_case`, as in JSON.
+    /// Kind of the finding in `snake_case`, as in JSON.
     pub fn code(&self) -> &'static str {
         match self {
             Self::NotFinite { .. } => "not_finite",
@@ -267,7 +267,7 @@ impl Finding {
         }
     }
 
-    /// The number that was judged; `None` where there is no single one.
+    /// Value that was judged; `None` if there is no single one.
     fn value(&self) -> Option<f64> {
         Some(match self {
             Self::NotFinite { samples, .. } | Self::Clipping { samples, .. } => *samples as f64,
@@ -291,7 +291,7 @@ impl Finding {
         })
     }
 
-    /// What it was judged against, in the same unit.
+    /// Limit of the value, in the same unit; `None` if there is none.
     fn limit(&self) -> Option<f64> {
         Some(match self {
             Self::FrequencyDiffers { specified_hz, .. }
@@ -303,7 +303,7 @@ impl Finding {
         })
     }
 
-    /// The finding as what `ihd identify` and the gate say beside an estimate.
+    /// Converts the finding to a remark, as shown by `ihd identify` and the gate beside an estimate.
     pub fn remark(&self) -> Remark {
         Remark {
             code: self.code(),

@@ -1,4 +1,4 @@
-//! R and L of the phasors' fundamental, and what they show of wiring and skew.
+//! R and L of the phasors' fundamental, and their conclusions on wiring and skew.
 
 use std::f64::consts::TAU;
 
@@ -8,48 +8,47 @@ use serde::Serialize;
 
 use super::track::{ORDERS, Track};
 
-/// How the probes are connected.
+/// Connection of the probes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Wiring {
-    /// The voltage stands in the current's place.
+    /// `true` if voltage and current are exchanged.
     pub swapped: bool,
-    /// One of the probes is the wrong way round.
+    /// `true` if one of the probes is reversed.
     pub inverted: bool,
 }
 
-/// What a skew between the channels would do to R.
+/// Errors that a skew between the channels would cause.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SkewCost {
-    /// How much later the current is sampled than the voltage, in seconds.
+    /// Time by which the current is sampled later than the voltage, in seconds.
     pub skew_s: f64,
     /// Mean relative error of R in percent.
     pub r_pct: f64,
-    /// The same of L in percent.
+    /// Mean relative error of L in percent.
     pub l_pct: f64,
 }
 
 /// Skews whose cost is reported, in seconds.
 pub const SKEWS_S: [f64; 3] = [10e-9, 20e-9, 100e-9];
 
-/// Frames below this share of the largest current do not count for the skew's cost.
+/// Share of the largest current below which frames do not count for the skew's cost.
 const WEAK: f64 = 0.05;
 
-/// The impedance of an ohmic and inductive coil grows with the frequency; below this ratio of a
-/// harmonic's to the fundamental's it falls.
+/// Ratio of a harmonic's impedance to the fundamental's below which the impedance falls with frequency; that of an ohmic and
+/// inductive coil grows.
 const FALLS: f64 = 0.75;
 
-/// Above this ratio it grows.
+/// Ratio above which the impedance grows.
 const GROWS: f64 = 1.0 / FALLS;
 
-/// Energy of a harmonic relative to the fundamental below which it is not used: 0.3 % of
-/// amplitude.
+/// Energy of a harmonic relative to the fundamental below which it is not used: 0.3 % of amplitude.
 const VISIBLE: f64 = 1e-5;
 
-/// A harmonic of a channel through time.
+/// Phasors of a channel's harmonic over time.
 type Phasors<'a> = &'a [Complex<f64>];
 
-/// The two rows of V = R I + L (jhω I + dI/dt) at frame `k`: I, and what L multiplies. The
-/// derivative is that of the phasor, from its neighbours.
+/// The two factors in V = R I + L (jhω I + dI/dt) at frame `k`: I, and the factor of L. The derivative is that of the
+/// phasor, from its neighbours.
 fn row(i: &[Complex<f64>], k: usize, hop_s: f64, omega: f64) -> Option<[Complex<f64>; 2]> {
     let (before, here, after) = (i.get(k.checked_sub(1)?)?, i.get(k)?, i.get(k + 1)?);
     let slope = (after - before) / (2.0 * hop_s);
@@ -76,17 +75,17 @@ impl Normal {
     fn solve(&self) -> Option<Load> {
         let [aa, ab, bb] = self.n;
         let determinant = aa * bb - ab * ab;
-        let found = Load {
+        let load = Load {
             r_ohm: (bb * self.right[0] - ab * self.right[1]) / determinant,
             l_h: (aa * self.right[1] - ab * self.right[0]) / determinant,
         };
-        (found.r_ohm.is_finite() && found.l_h.is_finite()).then_some(found)
+        (load.r_ohm.is_finite() && load.l_h.is_finite()).then_some(load)
     }
 }
 
-/// R and L of the harmonic at place `order` of [`ORDERS`], least squares over a track; `None` when the rate or the
-/// length does not give it.
-pub fn of_order(track: &Track, order: usize, wiring: Wiring) -> Option<Load> {
+/// R and L of the harmonic at index `order` of [`ORDERS`], by least squares over a track; `None` if the sampling rate or the
+/// length is too small.
+pub fn load_of_order(track: &Track, order: usize, wiring: Wiring) -> Option<Load> {
     let (v, i) = channels(track, order, wiring)?;
     let hop_s = track.t_s.get(1)? - track.t_s[0];
     let omega = TAU * track.f_sw_hz * f64::from(*ORDERS.get(order)?);
@@ -100,16 +99,16 @@ pub fn of_order(track: &Track, order: usize, wiring: Wiring) -> Option<Load> {
     normal.solve()
 }
 
-/// Voltage and current of a harmonic in their right places.
+/// Voltage and current of a harmonic, exchanged and inverted as the wiring requires.
 fn channels(track: &Track, order: usize, wiring: Wiring) -> Option<(Phasors<'_>, Phasors<'_>)> {
     let (v, i) = (track.v_v.get(order)?, track.i_a.get(order)?);
     Some(if wiring.swapped { (i, v) } else { (v, i) })
 }
 
-/// How the probes are connected, from the strongest track.
+/// Determines the connection of the probes from the strongest track.
 ///
-/// A coil's impedance grows with the frequency and its L is positive. Where no harmonic is seen, a
-/// capacitive impedance with positive R is taken for exchanged channels.
+/// A coil's impedance grows with the frequency and its L is positive. If no harmonic is visible, a
+/// capacitive impedance with positive R means exchanged channels.
 pub fn wiring(track: &Track) -> Wiring {
     let ratio = |order: usize| {
         let energy = |x: &[Vec<Complex<f64>>], order: usize| {
@@ -129,19 +128,19 @@ pub fn wiring(track: &Track) -> Wiring {
         _ => None,
     });
     let swapped = falls.unwrap_or_else(|| {
-        of_order(track, 0, straight).is_some_and(|z| z.l_h < 0.0 && z.r_ohm > 0.0)
+        load_of_order(track, 0, straight).is_some_and(|z| z.l_h < 0.0 && z.r_ohm > 0.0)
     });
     let unswapped = Wiring {
         swapped,
         inverted: false,
     };
     Wiring {
-        inverted: of_order(track, 0, unswapped).is_some_and(|z| z.l_h < 0.0),
+        inverted: load_of_order(track, 0, unswapped).is_some_and(|z| z.l_h < 0.0),
         ..unswapped
     }
 }
 
-/// What each of [`SKEWS_S`] would do to R and L of this capture.
+/// Errors of R and L of this capture for each of [`SKEWS_S`].
 ///
 /// A current sampled later by s turns the impedance by −ωs: R' = R cos ωs + X sin ωs and
 /// X' = X cos ωs − R sin ωs, in every frame with its own R and X. Means over the frames with current.
@@ -185,7 +184,7 @@ pub fn skew_costs(tracks: &[Track], wiring: Wiring) -> Vec<SkewCost> {
                 (c - 1.0 - r / (w * l) * s).abs()
             }),
         })
-        // Without any R or L there is nothing to relate an error to.
+        // Without R and L there is no relative error.
         .filter(|cost| cost.r_pct.is_finite() && cost.l_pct.is_finite())
         .collect()
 }
@@ -229,7 +228,7 @@ mod tests {
     #[test]
     fn a_swelling_and_turning_current_does_not_disturb_r_and_l() {
         for order in 0..ORDERS.len() {
-            let z = of_order(&coil(0.1, 70e-6), order, Wiring::default()).unwrap();
+            let z = load_of_order(&coil(0.1, 70e-6), order, Wiring::default()).unwrap();
             assert!((z.r_ohm / 0.1 - 1.0).abs() < 1e-2, "{z:?}");
             assert!((z.l_h / 70e-6 - 1.0).abs() < 1e-4, "{z:?}");
         }
@@ -249,7 +248,7 @@ mod tests {
                     }
                     let got = wiring(&track);
                     assert_eq!(got, Wiring { swapped, inverted }, "{r_ohm} {l_h}");
-                    let z = of_order(&track, 0, got).unwrap();
+                    let z = load_of_order(&track, 0, got).unwrap();
                     assert!((z.l_h / l_h - 1.0).abs() < 1e-3);
                     // Without harmonics the sign alone has to do.
                     track.v_v.truncate(1);

@@ -1,5 +1,5 @@
-//! What is in a capture: switching frequency, mains, noise, clipping, wiring, aliasing, gaps; and the
-//! spans that an estimator can work on.
+//! Survey of a capture: switching frequency, mains, noise, clipping, wiring, aliasing, gaps, and the spans that an estimator
+//! can work on. [`calibration`] estimates and corrects skew, gain, offset and bandwidth of the sensors.
 //!
 //! ```text
 //! Capture ─► time: runs ─► carrier: pieces of one f_sw ─► track: phasors ─► mains, impedance, aliasing
@@ -44,18 +44,18 @@ pub struct Hints {
     pub mains_hz: Option<f64>,
     /// Time of a mains zero crossing in seconds.
     pub zero_crossing_s: Option<f64>,
-    /// The user has exchanged the channels of the file.
+    /// `true` if the user has exchanged the channels of the file.
     pub swapped: bool,
-    /// The user has changed the sign of one channel.
+    /// `true` if the user has changed the sign of one channel.
     pub inverted: bool,
 }
 
-/// A part of a capture that an estimator can work on.
+/// Part of a capture that an estimator can work on.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Span {
-    /// Index of its first sample.
+    /// Index of the first sample.
     pub first: usize,
-    /// Its samples.
+    /// Number of samples.
     pub samples: usize,
     /// Time of the first sample in seconds.
     pub t0_s: f64,
@@ -63,12 +63,12 @@ pub struct Span {
     pub dt_s: f64,
     /// Switching frequency in hertz.
     pub f_sw_hz: f64,
-    /// Mean R and L of the fundamental, weighted by the square of the current; wiring repaired.
+    /// Mean R and L of the fundamental, weighted by the square of the current, with corrected wiring; `None` if unknown.
     pub load: Option<Load>,
 }
 
 impl Span {
-    /// Its samples' place and times.
+    /// Indices and times of its samples.
     pub fn run(&self) -> Run {
         Run {
             samples: self.first..self.first + self.samples,
@@ -83,49 +83,49 @@ impl Span {
     }
 }
 
-/// What is in a capture.
+/// Result of a survey.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Survey {
-    /// The capture's name.
+    /// Name of the capture.
     pub name: String,
-    /// Samples of each channel.
+    /// Number of samples of each channel.
     pub samples: usize,
     /// Time of the first sample in seconds.
     pub start_s: f64,
-    /// From first to last sample in seconds.
+    /// Time from first to last sample in seconds.
     pub duration_s: f64,
     /// Sampling rate of the longest run in hertz.
     pub rate_hz: f64,
-    /// Spans to work on, in order of time.
+    /// Spans for estimators, in order of time.
     pub spans: Vec<Span>,
-    /// The mains.
+    /// Frequency and zero crossings of the mains.
     pub mains: Mains,
-    /// Whole half-cycles within a span: from and to in seconds.
+    /// Whole half-cycles within a span: beginning and end in seconds.
     pub half_cycles_s: Vec<(f64, f64)>,
-    /// The voltage channel.
+    /// Numbers of the voltage channel.
     pub voltage: ChannelSurvey,
-    /// The current channel.
+    /// Numbers of the current channel.
     pub current: ChannelSurvey,
-    /// How the probes are connected.
+    /// Connection of the probes.
     pub wiring: Wiring,
-    /// What a skew between the channels would cost.
+    /// Errors that a skew between the channels would cause.
     pub skew: Vec<SkewCost>,
-    /// What aliasing may cost; `None` where no harmonic falls on the fundamental.
+    /// Expected effect of aliasing; `None` if no harmonic falls on the fundamental.
     pub aliasing: Option<Aliasing>,
-    /// What is wrong or noteworthy, worst first.
+    /// Findings, worst first.
     #[serde(skip)]
     pub findings: Vec<Finding>,
 }
 
-/// Samples a switching period below which it is reported: filters in the time domain degrade
-/// (1 MS/s at the paper's frequencies: 14 to 22 samples).
+/// Samples per switching period below which it is reported: filters in the time domain degrade (1 MS/s at the paper's
+/// frequencies: 14 to 22 samples).
 const COARSE: f64 = 12.0;
 
 impl Survey {
     /// Surveys a capture.
     ///
     /// # Errors
-    /// [`SurveyError`] when there is nothing to work on: channels of different length, too few
+    /// [`SurveyError`] if the capture cannot be used: channels of different length, too few
     /// samples, no switching frequency.
     pub fn of(capture: &Capture, hints: &Hints) -> Result<Self, SurveyError> {
         check(capture)?;
@@ -143,7 +143,7 @@ impl Survey {
         let alive = !findings.iter().any(|f| matches!(f, Finding::Dead { .. }));
         let (wiring, loads) = if alive {
             wiring_findings(&tracks, strongest, wiring, hints, &mut findings);
-            let load = |t: &Track| impedance::of_order(t, 0, wiring);
+            let load = |t: &Track| impedance::load_of_order(t, 0, wiring);
             (wiring, tracks.iter().map(load).collect())
         } else {
             (Wiring::default(), vec![None; tracks.len()])
@@ -185,13 +185,12 @@ impl Survey {
         })
     }
 
-    /// The worst finding's severity; `None` without findings.
+    /// Severity of the worst finding; `None` if there are no findings.
     pub fn worst(&self) -> Option<Severity> {
         self.findings.first().map(Finding::severity)
     }
 
-    /// What an uncalibrated skew would mean for this capture, in a sentence; `None` where R and L could
-    /// not be measured.
+    /// Sentence on the errors that an uncalibrated skew would cause in this capture; `None` if R and L could not be measured.
     pub fn skew_note(&self) -> Option<String> {
         let list = |value: fn(&SkewCost) -> f64| {
             let words: Vec<_> = self
@@ -215,7 +214,7 @@ impl Survey {
         })
     }
 
-    /// The spans, copied out of the capture surveyed.
+    /// Copies all spans out of the capture that was surveyed.
     pub fn segments(&self, capture: &Capture) -> Vec<Segment> {
         self.spans
             .iter()
@@ -223,7 +222,7 @@ impl Survey {
             .collect()
     }
 
-    /// One span, copied out of the capture surveyed.
+    /// Copies one span out of the capture that was surveyed.
     pub fn segment(&self, capture: &Capture, span: &Span) -> Segment {
         let range = span.first..span.first + span.samples;
         let copied = |x: &[f32]| Samples::singles(x.get(range.clone()).unwrap_or(&[]).to_vec());
@@ -271,8 +270,7 @@ fn check(capture: &Capture) -> Result<(), SurveyError> {
     }
 }
 
-/// Times of the first and the last sample in seconds; where those are no numbers, of the first and the
-/// last in a run.
+/// Times of the first and the last sample in seconds; if those are not finite, of the first and the last sample in a run.
 fn extent_s(capture: &Capture, runs: &[Run]) -> (f64, f64) {
     let stamp = |k| capture.time.at(k).filter(|t_s| t_s.is_finite());
     let first = stamp(0).or(runs.first().map(|r| r.t0_s));
@@ -293,7 +291,7 @@ fn strongest(tracks: &[Track]) -> usize {
     (0..tracks.len()).max_by(by_energy).unwrap_or(0)
 }
 
-/// What the impedance of the strongest track shows of the wiring.
+/// Adds findings on the wiring from the impedance of the strongest track.
 fn wiring_findings(
     tracks: &[Track],
     strongest: usize,
@@ -313,7 +311,7 @@ fn wiring_findings(
         inverted: false,
         ..wiring
     };
-    let Some(z) = impedance::of_order(track, 0, unturned) else {
+    let Some(z) = impedance::load_of_order(track, 0, unturned) else {
         return;
     };
     if wiring.inverted {
@@ -348,7 +346,7 @@ fn envelopes(tracks: &[Track], wiring: Wiring) -> Vec<mains::Envelope> {
         .collect()
 }
 
-/// What aliasing may cost the strongest piece, and how finely it is sampled.
+/// Expected effect of aliasing on the strongest piece; adds findings on it and on coarse sampling.
 fn expected_aliasing(
     pieces: &[Piece],
     tracks: &[Track],
@@ -373,7 +371,7 @@ fn expected_aliasing(
     Some(aliasing)
 }
 
-/// Error of R by aliasing above which it is reported, in percent.
+/// Error of R by aliasing in percent above which it is reported.
 const ALIASING_PCT: f64 = 0.1;
 
 fn span((piece, load): (&Piece, &Option<Load>)) -> Span {
@@ -387,15 +385,14 @@ fn span((piece, load): (&Piece, &Option<Load>)) -> Span {
     }
 }
 
-/// Half-cycles that lie within one span; at either end a fiftieth is forgiven, where there is no
-/// current to speak of.
+/// Half-cycles that lie within one span; a fiftieth may be missing at either end, where the current is close to zero.
 fn half_cycles(mains: &Mains, spans: &[Span]) -> Vec<(f64, f64)> {
     let mut out = Vec::new();
     for span in spans {
         let slack_s = 0.02 * 0.5 / mains.hz;
         let crossings = mains.crossings_s(span.t0_s - slack_s, span.end_s() + slack_s);
         let pairs = crossings.windows(2).map(|w| (w[0], w[1]));
-        // A mains frequency that nothing has may be too high for the clock's digits.
+        // An impossible mains frequency may be too high for the clock's digits.
         out.extend(pairs.filter(|(from_s, to_s)| from_s < to_s));
     }
     out

@@ -1,4 +1,4 @@
-//! The strongest line of every frame of a short-time spectrum of voltage and current.
+//! Strongest line of every frame of a short-time spectrum of voltage and current.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -10,26 +10,25 @@ use nalgebra::Complex;
 use super::time::Run;
 use super::track;
 
-/// Smallest switching frequency that is looked for, in hertz.
+/// Smallest switching frequency of the search, in hertz.
 pub const LEAST_HZ: f64 = 15e3;
 
-/// Largest, in hertz.
+/// Largest switching frequency of the search, in hertz.
 pub const LARGEST_HZ: f64 = 150e3;
 
-/// Rate to which samples are averaged for the search, in hertz: four times the largest frequency.
+/// Sampling rate in hertz to which samples are averaged for the search: four times the largest frequency.
 const SEARCH_RATE_HZ: f64 = 4.0 * LARGEST_HZ;
 
 /// Length of a spectrum's frame in seconds: resolves 1.25 kHz and follows the mains' envelope.
 const FRAME_S: f64 = 0.8e-3;
 
-/// Frames a frame's length: each begins an eighth later.
+/// Frames per frame length: each begins an eighth later.
 pub(super) const HOPS: usize = 8;
 
-/// A line at the frequency that the user gave may be weaker than the strongest by this much in power; a third
-/// harmonic is weaker.
+/// Least power of a line at the user's frequency relative to the strongest line; a third harmonic is weaker.
 const BESIDE: f64 = 0.1;
 
-/// One frame's strongest line.
+/// Strongest line of one frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Line {
     /// Frequency in hertz.
@@ -40,24 +39,24 @@ pub(super) struct Line {
     pub(super) contrast: f64,
 }
 
-/// The strongest line of every frame.
+/// Strongest lines of all frames.
 pub(super) struct Lines {
-    /// One a frame, in order of time.
+    /// Lines by frame, in order of time.
     pub(super) frames: Vec<Line>,
-    /// Samples averaged into one.
+    /// Number of samples that are averaged into one.
     pub(super) every: usize,
     /// Index of the run's first sample.
     pub(super) first: usize,
-    /// Index after its last.
+    /// Index after the run's last sample.
     last: usize,
     /// Averaged samples from frame to frame.
     hop: usize,
-    /// Averaged samples a frame.
+    /// Averaged samples per frame.
     pub(super) length: usize,
 }
 
 impl Lines {
-    /// Of a run, within a band in hertz.
+    /// Computes the lines of a run, within a band in hertz.
     pub(super) fn of(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> Self {
         let every = ((1.0 / (run.dt_s * SEARCH_RATE_HZ)) as usize).max(1);
         let dt_s = run.dt_s * every as f64;
@@ -91,12 +90,12 @@ impl Lines {
         }
     }
 
-    /// First sample that frame `k` stands for: all of the run before the first frame's middle.
+    /// First sample that frame `k` represents; that of the first frame is the beginning of the run.
     pub(super) fn begin(&self, k: usize) -> usize {
         if k == 0 { self.first } else { self.middle(k) }
     }
 
-    /// Sample after the last that frame `k` stands for.
+    /// Sample after the last that frame `k` represents.
     pub(super) fn end(&self, k: usize) -> usize {
         if k + 1 >= self.frames.len() {
             self.last
@@ -105,7 +104,7 @@ impl Lines {
         }
     }
 
-    /// Frames of a range whose windows lie within these samples; all of them when none does.
+    /// Frames of a range whose windows lie within these samples; all of them if none does.
     pub(super) fn within(&self, samples: &Range<usize>, frames: &Range<usize>) -> Range<usize> {
         let half = self.length / 2 * self.every;
         let inside = |k: &usize| {
@@ -140,7 +139,7 @@ fn averaged(x: &[f32], every: usize) -> Vec<f64> {
     x.chunks_exact(every).map(|x| scale * sum(x)).collect()
 }
 
-/// Spectrum of Hann-windowed frames, voltage and current together, each by its own power.
+/// Spectrum of Hann-windowed frames of voltage and current together, each relative to its own power.
 struct Spectrum {
     fft: Arc<dyn RealToComplex<f64>>,
     window: Vec<f64>,
@@ -148,14 +147,14 @@ struct Spectrum {
     output: Vec<Complex<f64>>,
     power: Vec<f64>,
     bins: Range<usize>,
-    /// Bins of every frequency that a hob may have.
+    /// Bins of all switching frequencies that a hob can have.
     all: Range<usize>,
     hz_per_bin: f64,
 }
 
 impl Spectrum {
     fn new(length: usize, dt_s: f64, (from_hz, to_hz): (f64, f64)) -> Self {
-        // Twice the length, so that a line's top lies within a third of a bin of a parabola.
+        // Twice the length, so that the top of a line is within a third of a bin of a parabola.
         let n = (2 * length).next_power_of_two().max(8);
         let fft = fourier::forward(n);
         let hz_per_bin = 1.0 / (dt_s * n as f64);
@@ -183,7 +182,7 @@ impl Spectrum {
             for ((y, x), w) in self.input.iter_mut().zip(x).zip(&self.window) {
                 *y = (x - mean) * w;
             }
-            // Lengths are those of the plan.
+            // The lengths are those of the plan.
             if self.fft.process(&mut self.input, &mut self.output).is_ok() {
                 for (p, y) in self.power.iter_mut().zip(&self.output) {
                     *p += y.norm_sqr() / mean_square;
@@ -198,7 +197,7 @@ impl Spectrum {
         let mut sorted = power[bins.clone()].to_vec();
         let middle = sorted.len() / 2;
         let (_, median, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
-        // A narrow band around a hint holds little but the line: its floor is the whole spectrum's.
+        // A narrow band around a hint contains little but the line, so that the floor is taken from the whole spectrum.
         let mut all = power.clone();
         let middle = all.len() / 2;
         let (_, floor, _) = all.select_nth_unstable_by(middle, f64::total_cmp);
@@ -214,7 +213,7 @@ impl Spectrum {
         }
     }
 
-    /// Where between the bins the top lies: the parabola through three logarithms.
+    /// Position of the top between the bins, by a parabola through three logarithms.
     fn summit(&self, top: usize) -> f64 {
         let log = |k: usize| self.power[k].max(f64::MIN_POSITIVE).ln();
         let (a, b, c) = (log(top - 1), log(top), log(top + 1));

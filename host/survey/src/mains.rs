@@ -1,9 +1,8 @@
 //! Mains frequency and zero crossings from the envelope of the coil's voltage.
 //!
-//! The bus follows |sin|, or stops above zero where a capacitor holds it, and the load makes the
-//! coil's voltage a law of the bus: E(t) = c0 + c1 s + c2 s² with s = |sin 2πf(t − t0)|, the
-//! coefficients a piece's own, f and t0 common. Less than a few half-cycles cannot separate a
-//! constant from a lower frequency: there the law is c1 s + c2 s² + c3 s³.
+//! The bus follows |sin|, or stays above zero if a capacitor holds it, and the coil's voltage is a function of the bus that
+//! depends on the load: E(t) = c0 + c1 s + c2 s² with s = |sin 2πf(t − t0)|. The coefficients belong to one piece, f and t0 to
+//! all. Less than a few half-cycles cannot separate a constant from a lower frequency; the law is then c1 s + c2 s² + c3 s³.
 
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -13,36 +12,36 @@ use serde::Serialize;
 
 use super::finding::Finding;
 
-/// Where the mains' numbers come from.
+/// Origin of a number of the mains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Source {
+pub enum MainsSource {
     /// Given by the user or stated by the capture.
     #[serde(rename = "told")]
     Specified,
-    /// From the envelope.
+    /// Measured from the envelope.
     Measured,
-    /// Neither: a guess.
+    /// Assumed, because it is neither specified nor measurable.
     Assumed,
 }
 
-/// The mains behind a capture.
+/// Frequency and phase of the mains.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Mains {
     /// Frequency in hertz.
     pub hz: f64,
-    /// Where it comes from.
-    pub hz_source: Source,
+    /// Origin of the frequency.
+    pub hz_source: MainsSource,
     /// Time of one zero crossing in seconds: the first of the capture unless one is specified.
     pub zero_crossing_s: f64,
-    /// Where it comes from.
-    pub zero_crossing_source: Source,
+    /// Origin of the zero crossing.
+    pub zero_crossing_source: MainsSource,
     /// (Largest − smallest)/largest of the voltage's amplitude.
     pub modulation: f64,
 }
 
 impl Mains {
-    /// Zero crossings from `from_s` to `to_s`, in seconds; the first million.
+    /// Zero crossings from `from_s` to `to_s`, in seconds; a million at most.
     pub fn crossings_s(&self, from_s: f64, to_s: f64) -> Vec<f64> {
         let half_s = 0.5 / self.hz;
         let first = ((from_s - self.zero_crossing_s) / half_s).ceil();
@@ -53,63 +52,63 @@ impl Mains {
     }
 }
 
-/// Most zero crossings that are listed: three hours.
+/// Most zero crossings of a list: three hours.
 const MOST_CROSSINGS: usize = 1_000_000;
 
-/// The envelope of one piece: times in seconds and amplitudes.
+/// Envelope of one piece: times in seconds and amplitudes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Envelope {
     /// Times in seconds.
     pub t_s: Vec<f64>,
-    /// Amplitudes, any unit.
+    /// Amplitudes in any unit.
     pub level: Vec<f64>,
 }
 
-/// Frequencies that are looked for, in hertz.
+/// Lowest and highest frequency of the search, in hertz.
 pub const RANGE_HZ: (f64, f64) = (45.0, 65.0);
 
-/// Specified frequencies whose crossing is looked for, in hertz: beyond, there is none to be seen in a capture.
+/// Range of specified frequencies, in hertz, at which a crossing is searched; a capture cannot show one of any other.
 const SPECIFIED_HZ: (f64, f64) = (1.0, 1e3);
 
-/// Nominal frequencies, in hertz: all that a short capture can be sorted into.
+/// Nominal frequencies in hertz, between which a short capture can decide.
 const NOMINAL_HZ: [f64; 2] = [50.0, 60.0];
 
-/// Half-cycles of 50 Hz from which on the frequency is measured freely.
+/// Half-cycles of 50 Hz from which any frequency is possible.
 const FREE_HALF_CYCLES: f64 = 1.5;
 
-/// Half-cycles of 50 Hz below which nothing is found.
+/// Half-cycles of 50 Hz below which nothing can be found.
 const LEAST_HALF_CYCLES: f64 = 0.4;
 
-/// Depth of modulation below which the bus is taken as constant.
+/// Depth of modulation below which the bus counts as constant.
 const LEAST_MODULATION: f64 = 0.3;
 
 /// Share of the envelope's variance that the model must explain.
 const LEAST_EXPLAINED: f64 = 0.8;
 
-/// Frequency difference that is reported, in hertz: more than any grid's.
+/// Difference of frequency in hertz that is reported: more than that of any grid.
 const DIFFERS_HZ: f64 = 1.0;
 
-/// What another frequency must leave unexplained at most, relative to the one specified, to be reported.
+/// Largest unexplained variance of another frequency, relative to the one specified, to be reported.
 const CLEARLY_BETTER: f64 = 0.5;
 
-/// Share of the envelope's variance below which nothing is left to be explained by another frequency.
+/// Share of the envelope's variance below which no other frequency can explain more.
 const WELL_EXPLAINED: f64 = 1e-3;
 
-/// Views that the search doubles through at most: 60 ms to 30 000 years.
+/// Most doublings of the view during the search: 60 ms to 30 000 years.
 const MOST_VIEWS: u32 = 64;
 
-/// Time between the envelope's points that are used, in seconds.
+/// Spacing of the envelope's points that are used, in seconds.
 const SPACING_S: f64 = 0.15e-3;
 
-/// Most moves of one pattern search, so that rounding cannot keep one going. The captures of this crate's
-/// tests take 23 at most.
+/// Most moves of one pattern search, so that rounding cannot keep it going. The captures of this crate's tests take 23 at
+/// most.
 const MOST_MOVES: usize = 300;
 
-/// First look at the envelope, in seconds; it doubles from there.
+/// Initial view of the search in seconds, which is doubled.
 const FIRST_LOOK_S: f64 = 60e-3;
 
-/// Frequency (hertz) and time of a zero crossing (seconds): those specified, else what the envelope
-/// shows, else a guess that is noted. `start_s` is the time of the capture's first sample.
+/// Determines frequency and zero crossing: as specified, else from the envelope, else assumed with a finding. `start_s` is the
+/// time of the capture's first sample.
 pub fn find(
     envelopes: &[Envelope],
     specified_hz: Option<f64>,
@@ -129,7 +128,7 @@ pub fn find(
     let measured = seen.then(|| fit(&envelopes, specified_hz, free)).flatten();
     if let (Some(specified_hz), true) = (specified_hz, free && seen) {
         let own = fit(&envelopes, None, true);
-        // Half-cycles with pauses between them fit several frequencies alike.
+        // Half-cycles with pauses between them fit several frequencies equally well.
         let as_told = measured.map_or(1.0, |told| told.unexplained);
         let better =
             |own: &Fit| as_told > WELL_EXPLAINED && own.unexplained < CLEARLY_BETTER * as_told;
@@ -146,9 +145,9 @@ pub fn find(
         .unwrap_or(NOMINAL_HZ[0]);
     let crossing_s = specified_crossing_s.or(measured.map(|m| m.t0_s));
     let source = |specified: bool| match (specified, measured) {
-        (true, _) => Source::Specified,
-        (false, Some(_)) => Source::Measured,
-        (false, None) => Source::Assumed,
+        (true, _) => MainsSource::Specified,
+        (false, Some(_)) => MainsSource::Measured,
+        (false, None) => MainsSource::Assumed,
     };
     let mut mains = Mains {
         hz,
@@ -164,7 +163,8 @@ pub fn find(
             .copied();
         mains.zero_crossing_s = first.unwrap_or(mains.zero_crossing_s);
     }
-    if mains.hz_source == Source::Assumed || mains.zero_crossing_source == Source::Assumed {
+    if mains.hz_source == MainsSource::Assumed || mains.zero_crossing_source == MainsSource::Assumed
+    {
         findings.push(Finding::MainsUnknown {
             assumed_hz: hz,
             half_cycles,
@@ -174,7 +174,7 @@ pub fn find(
     mains
 }
 
-/// Means over [`SPACING_S`].
+/// Means of an envelope over [`SPACING_S`].
 fn thinned(envelope: &Envelope) -> Envelope {
     let n = envelope.t_s.len().min(envelope.level.len());
     let every = match (envelope.t_s.first(), envelope.t_s.get(1)) {
@@ -194,7 +194,7 @@ fn extent(envelopes: &[Envelope]) -> (f64, f64) {
     let (from, to) = all().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &t| {
         (a.min(t), b.max(t))
     });
-    // The deepest piece counts: another one may be short.
+    // The deepest piece counts, because others may be short.
     let depth = envelopes.iter().map(|e| {
         let (low, high) = e
             .level
@@ -205,17 +205,17 @@ fn extent(envelopes: &[Envelope]) -> (f64, f64) {
     ((to - from).max(0.0), depth.fold(0.0, f64::max))
 }
 
-/// A fit of the envelope.
+/// Fit of the envelope.
 #[derive(Clone, Copy, Debug)]
 struct Fit {
     hz: f64,
-    /// Zero crossing near the middle of what was fitted, in seconds.
+    /// Zero crossing near the middle of the fitted part, in seconds.
     t0_s: f64,
     /// Sum of squared residuals over that about the pieces' means.
     unexplained: f64,
 }
 
-/// Grid over the beginning, then a search that doubles its view; `free`: any frequency in range.
+/// Fits by a grid over the beginning, then by a search with a doubling view; `free` allows any frequency in range.
 fn fit(envelopes: &[Envelope], specified_hz: Option<f64>, free: bool) -> Option<Fit> {
     let start_s = envelopes.iter().find_map(|e| e.t_s.first()).copied()?;
     let end_s = envelopes.iter().rev().find_map(|e| e.t_s.last()).copied()?;
@@ -249,7 +249,7 @@ fn fit(envelopes: &[Envelope], specified_hz: Option<f64>, free: bool) -> Option<
     let mut best = best?;
     for _ in 0..MOST_VIEWS {
         best = refined(envelopes, start_s..start_s + look_s, best, free, law);
-        // Not `start_s + look_s >= end_s`: rounded, that may never be.
+        // Not `start_s + look_s >= end_s`, which may never hold after rounding.
         if look_s >= end_s - start_s {
             break;
         }
@@ -262,7 +262,7 @@ fn fit(envelopes: &[Envelope], specified_hz: Option<f64>, free: bool) -> Option<
 fn refined(envelopes: &[Envelope], view: Range<f64>, from: Fit, free: bool, law: Law) -> Fit {
     let half_s = 0.5 / from.hz;
     let (look_s, end_s) = (view.end - view.start, view.end);
-    // The crossing nearest to the middle: there it does not depend on the frequency.
+    // The crossing nearest to the middle does not depend on the frequency.
     let middle_s = view.start + 0.5 * look_s;
     let t0_s = from.t0_s + ((middle_s - from.t0_s) / half_s).round() * half_s;
     let mut best = Fit {
@@ -298,7 +298,7 @@ fn refined(envelopes: &[Envelope], view: Range<f64>, from: Fit, free: bool, law:
     best
 }
 
-/// How the amplitude follows the bus.
+/// Law of the amplitude over the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Law {
     /// c0 + c1 s + c2 s².
@@ -307,7 +307,7 @@ enum Law {
     ThroughZero,
 }
 
-/// Share of the envelopes' variance that the model leaves, points after `end_s` aside.
+/// Share of the envelopes' variance that the model leaves, without points after `end_s`.
 fn residual(envelopes: &[Envelope], end_s: f64, hz: f64, t0_s: f64, law: Law) -> f64 {
     let (mut left, mut all) = (0.0, 0.0);
     for envelope in envelopes {
@@ -318,7 +318,7 @@ fn residual(envelopes: &[Envelope], end_s: f64, hz: f64, t0_s: f64, law: Law) ->
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
         let (mut square, mut sum) = (0.0, 0.0);
         for (t, e) in envelope.t_s[..n].iter().zip(&envelope.level) {
-            // |sin| repeats with the half-cycle: the angle is kept small.
+            // |sin| repeats with the half-cycle, so that the angle can be kept small.
             let angle = PI * ((t - t0_s) * 2.0 * hz).rem_euclid(1.0);
             let s = libm::sin(angle);
             let row = match law {
@@ -402,7 +402,7 @@ mod tests {
         flat.level.fill(10.0);
         for e in [flat, envelope(50.0, 0.0, 4e-3, 6e-3, 0.0)] {
             let (m, findings) = found(&[e]);
-            assert_eq!(m.hz_source, Source::Assumed);
+            assert_eq!(m.hz_source, MainsSource::Assumed);
             assert!(matches!(findings[..], [Finding::MainsUnknown { .. }]));
         }
     }
@@ -424,7 +424,7 @@ mod tests {
         let e = [envelope(50.0, 0.0, 0.0, 40e-3, 0.0)];
         for hz in [1e-150, 1e-3, 1e19] {
             let m = find(&e, Some(hz), None, 0.0, &mut Vec::new());
-            assert_eq!((m.hz, m.zero_crossing_source), (hz, Source::Assumed));
+            assert_eq!((m.hz, m.zero_crossing_source), (hz, MainsSource::Assumed));
         }
     }
 
@@ -443,7 +443,7 @@ mod tests {
             let m = find(&windows(hz), Some(hz), Some(0.0), 0.0, &mut findings);
             assert_eq!((m.hz, findings), (hz, Vec::new()));
         }
-        // What really differs is told still.
+        // A real difference is still reported.
         let mut findings = Vec::new();
         let e = [envelope(52.0, 0.0, 0.0, 60e-3, 0.0)];
         find(&e, Some(50.0), None, 0.0, &mut findings);

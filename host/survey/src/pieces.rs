@@ -1,4 +1,4 @@
-//! A capture in pieces of one switching frequency.
+//! Division of a capture into pieces of one switching frequency.
 
 use ihd_signal::segment::MIN_PERIODS;
 use ihd_signal::{Capture, FrequencyStep};
@@ -14,13 +14,13 @@ use super::track::{self, Track};
 /// Relative difference of frequencies that is reported.
 const DIFFERS: f64 = 5e-3;
 
-/// Left-out pieces below this length in all are not worth a word, in seconds.
+/// Total length in seconds below which left-out pieces are not reported.
 const SCRAPS_S: f64 = 0.5e-3;
 
-/// Frequency difference between neighbouring spans that is a step, in hertz.
+/// Difference of frequency between neighbouring spans that counts as a step, in hertz.
 const STEP_HZ: f64 = 50.0;
 
-/// Pieces of one switching frequency, the frequency refined, with their phasors.
+/// Finds the pieces of one switching frequency, with refined frequency and phasors.
 pub(super) fn find(
     capture: &Capture,
     hints: &Hints,
@@ -51,11 +51,11 @@ pub(super) fn find(
     let mut scraps = (0, 0.0);
     let shows = |run: &Run| 2.0 * band.0 * run.dt_s < 1.0;
     for run in specified_parts(capture, runs).into_iter().filter(shows) {
-        let found = carrier::find(capture, &run, band);
-        for (from_s, to_s) in found.off_s {
+        let carrier_pieces = carrier::find_pieces(capture, &run, band);
+        for (from_s, to_s) in carrier_pieces.off_s {
             findings.push(Finding::CarrierAbsent { from_s, to_s });
         }
-        for piece in found.pieces {
+        for piece in carrier_pieces.pieces {
             if piece.run.duration_s() * piece.f_hz < MIN_PERIODS {
                 scraps = (scraps.0 + 1, scraps.1 + piece.run.duration_s());
                 continue;
@@ -77,7 +77,7 @@ pub(super) fn find(
     Ok((pieces, tracks))
 }
 
-/// Runs cut where the capture states another switching frequency.
+/// Cuts runs where the capture states another switching frequency.
 fn specified_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
     let mut out = Vec::new();
     let steps = lone_steps(&capture.f_sw);
@@ -90,7 +90,7 @@ fn specified_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
             if at > guard && at + guard < run.samples.len() as f64 {
                 let (at, guard) = (run.samples.start + at as usize, guard as usize);
                 out.push(run.part(start..at.saturating_sub(guard)));
-                // A file may tell its steps in any order.
+                // A file may list its steps in any order.
                 start = start.max(at + guard);
             }
         }
@@ -100,7 +100,7 @@ fn specified_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
     out
 }
 
-/// Stated changes of the frequency between which it stays; where they follow upon each other it moves.
+/// Stated steps after which the frequency stays; steps in quick succession are a motion and are left out.
 fn lone_steps(stated: &[FrequencyStep]) -> Vec<FrequencyStep> {
     let near = |a: &FrequencyStep, b: &FrequencyStep| {
         (b.t_s - a.t_s).abs() < MIN_PERIODS / a.f_sw_hz.max(b.f_sw_hz)
@@ -114,11 +114,11 @@ fn lone_steps(stated: &[FrequencyStep]) -> Vec<FrequencyStep> {
         .collect()
 }
 
-/// Why no piece was found.
+/// Error for a capture without pieces.
 fn no_carrier(capture: &Capture, hints: &Hints, run: &Run, band: (f64, f64)) -> SurveyError {
     let name = capture.name.clone();
     if let Some(specified_hz) = hints.f_sw_hz {
-        let elsewhere = carrier::find(capture, run, carrier::band(None));
+        let elsewhere = carrier::find_pieces(capture, run, carrier::band(None));
         if let Some(piece) = elsewhere.pieces.first() {
             return SurveyError::NotAtHint {
                 name,
@@ -135,16 +135,16 @@ fn no_carrier(capture: &Capture, hints: &Hints, run: &Run, band: (f64, f64)) -> 
     }
 }
 
-/// The frequency from the slope of the phase, and the phasors at it.
+/// Refines a piece's frequency by the slope of the phase, and computes its phasors.
 fn refined(capture: &Capture, piece: Piece) -> (Piece, Track) {
     if piece.sweep.is_some() {
         let track = track::track(capture, &piece.run, piece.f_hz);
         return (piece, track);
     }
-    // To the hertz, so that rounding in the spectrum, which differs between machines, is forgotten.
+    // Rounded to hertz, to remove rounding of the spectrum, which differs between machines.
     let f_hz = piece.f_hz.round();
     let rough = track::track(capture, &piece.run, f_hz);
-    // Frames are at least a period and a half apart: what turns faster than that can tell is noise.
+    // Frames are at least one and a half periods apart: a faster rotation is ambiguous and therefore noise.
     let off_hz = rough.frequency_error_hz();
     let f_hz = if off_hz.abs() < f_hz / 3.0 {
         f_hz + off_hz
@@ -155,7 +155,7 @@ fn refined(capture: &Capture, piece: Piece) -> (Piece, Track) {
     (Piece { f_hz, ..piece }, track)
 }
 
-/// Sweeps and steps of the frequency, and where it is not the one specified.
+/// Adds findings on sweeps and steps of the frequency, and on differences from the one specified.
 pub(super) fn frequency_findings(
     capture: &Capture,
     hints: &Hints,

@@ -5,21 +5,21 @@ mod bad_input;
 use ihd_sim::inverter::harmonic_analyser::HarmonicAnalyser;
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{Change, Event, LoadKind, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
 
 use super::*;
 
-fn settings(f_sw_hz: f64, duration_s: f64) -> Settings {
-    Settings {
+fn settings(f_sw_hz: f64, duration_s: f64) -> CaptureSpec {
+    CaptureSpec {
         load: LoadKind::Behavioural,
         f_sw_hz,
         duration_s,
-        ..Settings::default()
+        ..CaptureSpec::default()
     }
 }
 
 /// A capture that states nothing but its samples.
-fn capture(settings: &Settings) -> Capture {
+fn capture(settings: &CaptureSpec) -> Capture {
     let recording = record(settings, |_| ()).unwrap();
     Capture {
         f_sw: Vec::new(),
@@ -35,7 +35,7 @@ fn survey(capture: &Capture) -> Survey {
 }
 
 /// How far a time is from the nearest zero crossing of a mains whose crossing is at `-start_s`.
-fn off_crossing_s(t_s: f64, settings: &Settings) -> f64 {
+fn off_crossing_s(t_s: f64, settings: &CaptureSpec) -> f64 {
     let half_s = 0.5 / settings.mains_hz;
     let phase = (t_s + settings.start_s).rem_euclid(half_s);
     phase.min(half_s - phase)
@@ -367,7 +367,7 @@ fn json_keeps_the_keys_that_users_have() {
     };
     let json = serde_json::to_value(finding).unwrap();
     assert_eq!(json["told_hz"], 60.0);
-    let source = serde_json::to_value(mains::Source::Specified).unwrap();
+    let source = serde_json::to_value(mains::MainsSource::Specified).unwrap();
     assert_eq!(source, "told");
 }
 

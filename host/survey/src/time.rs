@@ -1,4 +1,4 @@
-//! Runs: parts of a capture in which samples are numbers, evenly spaced and without gaps.
+//! Runs: parts of a capture with finite, evenly spaced samples and without gaps.
 
 use std::ops::Range;
 
@@ -6,10 +6,10 @@ use ihd_signal::{Capture, TimeBase};
 
 use super::finding::Finding;
 
-/// Evenly sampled, without a gap.
+/// Evenly sampled part of a capture without a gap.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
-    /// Indices in the capture.
+    /// Indices of the samples in the capture.
     pub samples: Range<usize>,
     /// Time of the first sample in seconds.
     pub t0_s: f64,
@@ -18,7 +18,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// Time of sample `k` of the capture in seconds; meant for `k` within the run.
+    /// Time of sample `k` of the capture in seconds, for `k` within the run.
     pub fn t_s(&self, k: usize) -> f64 {
         self.t0_s + (k as f64 - self.samples.start as f64) * self.dt_s
     }
@@ -28,7 +28,7 @@ impl Run {
         self.samples.len() as f64 * self.dt_s
     }
 
-    /// A part of the run; indices beyond it are cut off.
+    /// Returns a part of the run; indices beyond it are cut off.
     pub fn part(&self, samples: Range<usize>) -> Self {
         let end = samples.end.min(self.samples.end);
         let start = samples.start.max(self.samples.start).min(end);
@@ -40,11 +40,11 @@ impl Run {
     }
 }
 
-/// Steps from stamp to stamp whose mean is compared with the next ones: long enough to average
-/// over stamps with few digits, short against the time between changes of frequency.
+/// Steps between stamps that are averaged before comparison: enough to average over stamps with few digits, and short
+/// against the time between changes of frequency.
 const BLOCK: usize = 64;
 
-/// Cuts a capture into runs; reports what it had to cut.
+/// Cuts a capture into runs and adds findings on the cuts.
 ///
 /// The channels and stamps must be of one length.
 pub fn runs(capture: &Capture, findings: &mut Vec<Finding>) -> Vec<Run> {
@@ -62,13 +62,13 @@ pub fn runs(capture: &Capture, findings: &mut Vec<Finding>) -> Vec<Run> {
     }
 }
 
-/// Ranges of samples whose voltage and current are numbers.
+/// Ranges of samples with finite voltage and current.
 fn finite(capture: &Capture, findings: &mut Vec<Finding>) -> Vec<Range<usize>> {
     let mut pieces = Vec::new();
     let mut start = 0;
     let (mut bad, mut first) = (0, 0);
     for (k, (v, i)) in capture.v_v.iter().zip(&capture.i_a).enumerate() {
-        // The sum of two numbers of f32 is one of f64.
+        // The sum of two finite f32 is finite in f64.
         if !(f64::from(*v) + f64::from(*i)).is_finite() {
             if bad == 0 {
                 first = k;
@@ -92,8 +92,7 @@ fn finite(capture: &Capture, findings: &mut Vec<Finding>) -> Vec<Range<usize>> {
     pieces
 }
 
-/// Runs of stamped samples: cut where time does not ascend, where samples are missing, and where the
-/// rate changes.
+/// Runs of stamped samples: cut where time does not ascend, where samples are missing, and where the rate changes.
 fn stamped(t_s: &[f64], pieces: Vec<Range<usize>>, findings: &mut Vec<Finding>) -> Vec<Run> {
     let mut ascending = Ascending::default();
     let mut gaps = Gaps::default();
@@ -118,7 +117,7 @@ fn stamped(t_s: &[f64], pieces: Vec<Range<usize>>, findings: &mut Vec<Finding>) 
     out
 }
 
-/// What is known about time going back.
+/// Collected finding on time that does not ascend.
 #[derive(Default)]
 struct Ascending(Option<Finding>);
 
@@ -136,18 +135,18 @@ impl Ascending {
     }
 }
 
-/// What is known about gaps.
+/// Collected finding on gaps.
 #[derive(Default)]
 struct Gaps(Option<Finding>);
 
 impl Gaps {
-    /// Whether there is a gap before sample `k`: a step half again as long as the median of the
-    /// three steps before and of the three after. Where the rate falls, the ones after are as long.
+    /// Returns `true` if there is a gap before sample `k`: a step half again as long as the median of the three steps before and
+    /// of the three after. After a fall of the sampling rate the following steps are as long.
     fn note(&mut self, t_s: &[f64], k: usize, piece: &Range<usize>) -> bool {
-        // Two stamps may lie further apart than a number can tell.
+        // The difference of two finite stamps may be infinite.
         let step = |n: usize| (t_s[n] - t_s[n - 1]).min(f64::MAX);
         let near = |n: usize| n > piece.start && n < piece.end;
-        // Two samples alone have no other step to compare theirs with.
+        // Two samples alone have no other step to compare with.
         let neighbour = [k + 1, k - 1].into_iter().find(|&n| near(n));
         let Some(neighbour) = neighbour.map(step) else {
             return false;
@@ -188,8 +187,7 @@ impl Gaps {
     }
 }
 
-/// Cuts where the mean step from stamp to stamp changes for good: a board's rate follows its
-/// switching frequency.
+/// Cuts where the mean step between stamps changes permanently: a board's rate follows its switching frequency.
 fn rate_runs(t_s: &[f64], range: Range<usize>, out: &mut Vec<Run>) {
     let mean = |from: usize, to: usize| (t_s[to] - t_s[from]) / (to - from) as f64;
     let mut push = |from: usize, to: usize| {
@@ -213,7 +211,7 @@ fn rate_runs(t_s: &[f64], range: Range<usize>, out: &mut Vec<Run>) {
     let jumps = change.clone();
     let middle = change.len() / 2;
     let (_, usual, _) = change.select_nth_unstable_by(middle, f64::total_cmp);
-    // Six deviations of what rounding of the stamps gives, and at least 1e-5 of the step.
+    // Six deviations of the stamps' rounding, and at least 1e-5 of the step.
     let tolerance = (9.0 * *usual).max(1e-5 * slope[0]);
     let mut start = range.start;
     let mut b = 0;
@@ -229,7 +227,7 @@ fn rate_runs(t_s: &[f64], range: Range<usize>, out: &mut Vec<Run>) {
         }
         let (k_before, k_after) = (range.start + first * BLOCK, range.start + b * BLOCK);
         let (before, after) = (slope[first], slope[b]);
-        // Where the two lines of stamps meet.
+        // Intersection of the two lines of stamps.
         let run = (k_after - k_before) as f64;
         let meet = (t_s[k_after] - t_s[k_before] - after * run) / (before - after);
         let cut = k_before + (meet.round().clamp(0.0, run) as usize);

@@ -1,4 +1,4 @@
-//! Phasors of harmonics through time: Hann-windowed frames of a few switching periods.
+//! Phasors of harmonics over time, from Hann-windowed frames of a few switching periods.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -9,15 +9,14 @@ use nalgebra::{Complex, Matrix4, Vector4};
 
 use super::time::Run;
 
-/// Orders that are followed: a half-bridge has no even ones.
+/// Orders of the phasors; a half-bridge has no even ones.
 pub const ORDERS: [u32; 4] = [1, 3, 5, 7];
 
-/// Switching periods a frame may have; of these the one whose length is nearest to a whole number of
-/// samples, so that the window's nulls lie on the other harmonics.
+/// Possible switching periods per frame. The one whose length is nearest to a whole number of samples is used, so that the
+/// window's nulls lie on the other harmonics.
 const PERIODS: Range<u32> = 3..8;
 
-/// Phasors at the middles of frames: x(t) = Σ Re(X_h e^{jhω(t − t0)}), amplitudes, and `t0` the first
-/// sample's time.
+/// Phasors at the middles of frames: x(t) = Σ Re(X_h e^{jhω(t − t0)}), amplitudes, with `t0` the time of the first sample.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
     /// Switching frequency in hertz.
@@ -26,22 +25,22 @@ pub struct Track {
     pub t_s: Vec<f64>,
     /// Voltage in volt, one vector an order of [`ORDERS`] that the rate can show.
     pub v_v: Vec<Vec<Complex<f64>>>,
-    /// Current in ampere, likewise.
+    /// Current in ampere, one vector an order of [`ORDERS`] that the rate can show.
     pub i_a: Vec<Vec<Complex<f64>>>,
-    /// Samples a frame.
+    /// Samples per frame.
     pub frame: usize,
 }
 
-/// The fundamental alone.
+/// Phasors of the current's fundamental.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fundamental {
     /// Times in seconds.
     pub t_s: Vec<f64>,
-    /// Its phasors, amplitudes in ampere.
+    /// Phasors of the current, amplitudes in ampere.
     pub i_a: Vec<Complex<f64>>,
 }
 
-/// The Hann window, periodic: `n` weights whose sum is n/2.
+/// Periodic Hann window: `n` weights whose sum is n/2.
 pub fn hann(n: usize) -> Vec<f64> {
     (0..n)
         .map(|k| 0.5 - 0.5 * libm::cos(TAU * k as f64 / n as f64))
@@ -72,7 +71,7 @@ pub fn track(capture: &Capture, run: &Run, f_hz: f64) -> Track {
     }
 }
 
-/// The current's fundamental, two periods a frame and a frame every half period.
+/// Phasors of the current's fundamental, two periods per frame and a frame every half period.
 pub fn fundamental(capture: &Capture, run: &Run, f_hz: f64) -> Fundamental {
     let per_period = 1.0 / (f_hz * run.dt_s);
     let frame = (2.0 * per_period).round() as usize;
@@ -84,7 +83,7 @@ pub fn fundamental(capture: &Capture, run: &Run, f_hz: f64) -> Fundamental {
     }
 }
 
-/// Times of the frames' middles, and their phasors, one vector an order.
+/// Times of the frames' middles, and their phasors, one vector per order.
 fn channel(
     x: &[f32],
     run: &Run,
@@ -98,7 +97,7 @@ fn channel(
     let window = hann(frame);
     let middle = 0.5 * frame as f64;
     let step = TAU * f_hz * run.dt_s;
-    // Window times e^{-jhωt} from the frame's first sample; what is left is one turn a frame.
+    // Window times e^{-jhωt} from the frame's first sample; the remaining factor is one rotation per frame.
     let tables: Vec<(Vec<f64>, Vec<f64>)> = orders
         .iter()
         .map(|&h| {
@@ -126,7 +125,7 @@ fn channel(
                     less_mean(buffer, &x[*start..start + frame]);
                 }
                 sums.fill([[0.0; 2]; ORDERS.len()]);
-                // A stretch of the tables stays in the cache for all these frames.
+                // A part of the tables stays in the cache for all these frames.
                 let mut from = 0;
                 while from < frame {
                     let to = frame.min(from + STRETCH);
@@ -152,11 +151,11 @@ fn channel(
     (t_s, out)
 }
 
-/// Frames that are correlated together, and samples of the tables at a time.
+/// Frames that are correlated together; then samples of the tables per pass.
 const TOGETHER: usize = 8;
 const STRETCH: usize = 256;
 
-/// The samples as doubles, their mean taken off.
+/// Converts samples to doubles without their mean.
 #[inline(always)]
 fn less_mean(buffer: &mut [f64], x: &[f32]) {
     let mut sums = [0.0; 8];
@@ -170,7 +169,7 @@ fn less_mean(buffer: &mut [f64], x: &[f32]) {
     buffer.iter_mut().for_each(|y| *y -= mean);
 }
 
-/// Sums of products with two weights, in eight lanes, so that the compiler may use them side by side.
+/// Sums of products with two weights in eight lanes, which the compiler can vectorise.
 #[inline(always)]
 fn weighed(x: &[f64], [re, im]: [&[f64]; 2]) -> [f64; 2] {
     const LANES: usize = 8;
@@ -192,12 +191,10 @@ fn weighed(x: &[f64], [re, im]: [&[f64]; 2]) -> [f64; 2] {
 }
 
 impl Track {
-    /// How much the switching frequency differs from the track's, in hertz: slope of the current's
-    /// phase.
+    /// Difference of the switching frequency from the track's, in hertz, by the slope of the current's phase.
     ///
-    /// The load turns the phase as its R and L follow the current, by a law of the amplitude: so
-    /// amplitude and its square are fitted along, and the slope stays free of them in a capture that
-    /// is no whole number of half-cycles.
+    /// The load turns the phase as its R and L follow the current, by a law of the amplitude. The amplitude and its square are
+    /// therefore fitted as well, which keeps the slope free of them in a capture that is no whole number of half-cycles.
     pub fn frequency_error_hz(&self) -> f64 {
         let Some(i_a) = self.i_a.first().filter(|i| i.len() >= 2) else {
             return 0.0;
@@ -224,7 +221,7 @@ impl Track {
             normal += row * row.transpose() * weight;
             right += row * ((i * mean.conj()).arg() * weight);
         }
-        // A steady amplitude leaves its columns undetermined: a little weight keeps them at zero.
+        // A steady amplitude does not determine its columns: a small weight keeps them at zero.
         let ridge = 1e-9 * normal[(0, 0)];
         normal[(2, 2)] += ridge;
         normal[(3, 3)] += ridge;
@@ -235,8 +232,8 @@ impl Track {
     }
 }
 
-/// Frequency of a phasor track in hertz from the phase of its autocorrelation, at lags that double
-/// so that none turns by more than half a circle.
+/// Frequency of a phasor track in hertz from the phase of its autocorrelation, at lags that double, so that none turns by more
+/// than half a circle.
 fn pulse_pair_hz(x: &[Complex<f64>], hop_s: f64) -> f64 {
     let mut f_hz = 0.0;
     let mut lag = 1;

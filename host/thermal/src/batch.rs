@@ -1,11 +1,11 @@
-//! Half-cycles at one operating point, averaged.
+//! Means of half-cycles at one operating point.
 
 use ihd_shared::wire::messages::{State, Telemetry};
 
-/// What telemetry says of a half-cycle.
+/// Measurements over one half-cycle, from telemetry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HalfCycle {
-    /// When it ended, in seconds from any start.
+    /// End of the half-cycle in seconds, from any origin.
     pub t_s: f64,
     /// Switching frequency in hertz.
     pub f_hz: f64,
@@ -17,13 +17,13 @@ pub struct HalfCycle {
     pub l_h: f64,
     /// Mean power in watt.
     pub power_w: f64,
-    /// It heats: R and L are those of a pot in operation.
+    /// Set if the hob heats: R and L are those of a pot in operation.
     pub heats: bool,
 }
 
 impl HalfCycle {
-    /// Of what a device told, at a time in seconds from any start.
-    pub fn told(t: &Telemetry, t_s: f64) -> Self {
+    /// Converts telemetry, at a time in seconds from any origin.
+    pub fn from_telemetry(t: &Telemetry, t_s: f64) -> Self {
         Self {
             t_s,
             f_hz: f64::from(t.f_sw_hz),
@@ -36,25 +36,25 @@ impl HalfCycle {
     }
 }
 
-/// Half-cycles of a batch: half a second at 50 Hz, in which no base warms by more than 3 K.
+/// Half-cycles of a full batch: half a second at 50 Hz, in which no base warms by more than 3 K.
 const HALF_CYCLES: usize = 50;
 
-/// A batch of fewer than these tells nothing, and is dropped when the operating point moves on.
+/// Fewest half-cycles of a usable batch; a smaller one is dropped when the operating point changes.
 const FEWEST: usize = 8;
 
-/// Relative change of frequency or current that begins another batch.
+/// Relative change of frequency or current that ends a batch.
 const MOVED: f64 = 0.02;
 
-/// Half-cycles that are left out after it, in which the device's filter settles.
+/// Half-cycles that are left out after a change of operating point, while the device's filter settles.
 const SETTLING: usize = 3;
 
-/// What white noise does not explain, relative, of R and of L: aliasing that changes with the frequency within a batch.
+/// Relative errors of R and of L beside white noise: aliasing that changes with the frequency within a batch.
 const FLOOR: (f64, f64) = (3e-4, 1.5e-4);
 
-/// Half-cycles at one operating point.
+/// Means over half-cycles at one operating point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Batch {
-    /// Its middle, in seconds.
+    /// Middle of the batch in seconds.
     pub t_s: f64,
     /// Mean switching frequency in hertz.
     pub f_hz: f64,
@@ -70,7 +70,7 @@ pub struct Batch {
     pub l_sigma: f64,
 }
 
-/// Gathers batches.
+/// Collects half-cycles into batches.
 #[derive(Clone, Debug, Default)]
 pub struct Batches {
     first: Option<HalfCycle>,
@@ -80,7 +80,7 @@ pub struct Batches {
 }
 
 impl Batches {
-    /// A half-cycle that heats; a batch when one is full, or has ended because the operating point moved.
+    /// Adds a half-cycle that heats; returns a batch when one is full, or when the operating point changed.
     pub fn push(&mut self, h: &HalfCycle) -> Option<Batch> {
         let usable = [h.f_hz, h.i_a, h.r_ohm, h.l_h]
             .iter()
@@ -110,12 +110,12 @@ impl Batches {
             return None;
         }
         let batch = self.mean();
-        // Nothing has moved: no settling.
+        // The operating point is the same: nothing has to settle.
         (self.first, self.count, self.sums) = (Some(*h), 0, [0.0; 7]);
         batch
     }
 
-    /// The batch so far; the next begins anew.
+    /// Returns the batch so far and begins the next.
     fn end(&mut self) -> Option<Batch> {
         let batch = self.mean();
         *self = Self::default();

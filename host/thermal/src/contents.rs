@@ -1,74 +1,75 @@
-//! What is in the pot takes the heat, and may boil: two physical models on the same curve of ΔT, and which explains it.
+//! Detection of boiling: two physical models of the contents are fitted to the curve of ΔT and compared.
 //!
-//! Both have a base, contents above it, and losses. In the first the contents boil: bubbles carry the heat from the base once
-//! its face is above the boiling point (Rohsenow: flux ∝ superheat³), and the bulk stays there. In the second nothing ever boils, and the
-//! losses may grow with temperature as they like: oil, food, an empty pot, a simmer that comes to rest. Boiling is said only where the
-//! second explains the curve much worse.
+//! Both have a base, contents above it, and losses. In the first the contents boil: once the base's face is above the boiling point,
+//! bubbles carry its heat (Rohsenow: flux ∝ superheat³), and the bulk stays at that point. In the second nothing boils, and the losses
+//! may grow with temperature: oil, food, an empty pot, a simmer that comes to rest. Boiling is reported only if the second model
+//! explains the curve much worse.
 
-use crate::gauss_newton::{Fitted, Prior, fit};
+use crate::gauss_newton::{FitResult, Prior, fit};
 
-/// Step of the models at first, in seconds; twice as long whenever there are too many.
+/// Initial step of the models in seconds; doubled when there are too many steps.
 const STEP_S: f64 = 2.0;
 
-/// Steps at most: half an hour at first. A fit takes some milliseconds with them.
+/// Most steps: half an hour of initial ones. A fit takes some milliseconds with them.
 const MOST: usize = 900;
 
-/// Standard deviation of a step's ΔT against its model, in kelvin: noise of ΔT at 2 s is below 1 K; errors that last for
-/// many steps count as often.
+/// Standard deviation of a step's ΔT against its model, in kelvin. Noise of ΔT at 2 s is below 1 K; the rest stands for errors
+/// that last for many steps.
 const SIGMA_K: f64 = 2.0;
 
-/// χ² by which the model without boiling must be worse. By Wilks' theorem an excess beyond 25 of two more
-/// parameters has a probability of 4e-6 a look; looks of one pot share their data.
+/// χ² by which the model without boiling must be worse. By Wilks' theorem an excess beyond 25 of two more parameters has a
+/// probability of 4e-6 per evaluation; evaluations of one pot share their data.
 const EVIDENCE: f64 = 25.0;
 
-/// χ² a step above which a model does not explain the curve: it is fitted from elsewhere, and a pot that boils is none.
+/// χ² per step above which a model does not explain the curve: it is fitted from other starts, and boiling is not reported.
 const UNEXPLAINED: f64 = 1.0;
 
-/// Where the model without boiling begins too, J/K and W/m²K^(4/3): nothing in the pot, oil, soup.
+/// Additional starts of the model without boiling, in J/K and W/m²K^(4/3): empty pot, oil, soup.
 const OTHER_STARTS: [(f64, f64); 3] = [(150.0, 10.0), (1e3, 40.0), (1e4, 200.0)];
 
-/// The bulk is taken for boiling so many kelvin below the fitted boiling point, which is known no better: it is said as often
-/// too early as too late.
+/// Distance in kelvin below the fitted boiling point from which the bulk counts as boiling. The boiling point is no more precise, so
+/// that reports are early as often as late.
 const NEAR_BOIL_K: f64 = 2.0;
 
 /// Steps between two fits.
 const EVERY: usize = 3;
 
-/// No boil is said within this time of placement, in steps: nothing but bases heats so quickly.
+/// Steps after placement in which no boiling is reported: only bases heat so quickly.
 const EARLIEST: usize = 15;
 
 /// Nucleate boiling, W/m²K³ (Rohsenow, water on polished steel).
 const NUCLEATE: f64 = 131.0;
 
-/// What takes the heat with the base in J/m²K: 5 mm of steel.
+/// Heat capacity of the base in J/m²K: 5 mm of steel.
 pub(crate) const BASE_J_PER_M2K: f64 = 17.5e3;
 
-/// The lower wall, which heats with it, in J/K.
+/// Heat capacity of the lower wall, which heats with the base, in J/K.
 pub(crate) const WALL_J_PER_K: f64 = 100.0;
 
-/// From the base to the glass, which is the hob's own and known: W/K. Its heat capacity in J/K, and what it loses in W/K.
+/// Conductance from the base to the glass in W/K, which belongs to the hob and is known. Then the glass's heat capacity in J/K and
+/// its losses in W/K.
 const BELOW_W_PER_K: f64 = 8.0;
 const GLASS_J_PER_K: f64 = 280.0;
 const GLASS_W_PER_K: f64 = 1.5;
 
-/// From wall and lid to the room over the base's area, in W/m²K: a pot 0.6 times as high as wide, 10 W/m²K. Times the losses' factor.
+/// Losses of wall and lid to the room over the base's area, in W/m²K: a pot 0.6 times as high as wide, 10 W/m²K. The fit scales them.
 const AROUND_W_PER_M2K: f64 = 34.0;
 
-/// Parameters of a model, the same places in both: ln of the contents' J/K, ln of the convection's factor in W/m²K^(4/3), ln of the
-/// losses' factor, ln of the base's J/K, then rise at which the contents boil in K and ln of the resistance through the base in m²K/W; or
-/// growth of the losses in 1/K and the same.
+/// Parameters of a model, at the same index in both: ln of the contents' J/K, ln of the convection's factor in W/m²K^(4/3), ln of
+/// the losses' factor, ln of the base's J/K. The model with boiling adds the boiling point's rise in K and ln of the resistance
+/// through the base in m²K/W; the other adds growth of the losses in 1/K and the same resistance.
 type Parameters = [f64; 6];
 
-/// What the contents do.
+/// State of the contents.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Verdict {
-    /// Bubbles carry most of the heat: the base is on its plateau.
+pub struct ContentsState {
+    /// Set if bubbles carry most of the heat: the base is on its plateau.
     pub bubbles: bool,
-    /// All of the contents boil.
+    /// Set if all of the contents boil.
     pub boils: bool,
-    /// When they began to, on the clock of the half-cycles, in seconds.
+    /// Beginning of boiling in seconds on the clock of the half-cycles; `None` if they do not boil.
     pub boils_since_s: Option<f64>,
-    /// χ² by which a pot that does not boil explains the curve worse.
+    /// χ² by which the model without boiling explains the curve worse.
     pub evidence: f64,
 }
 
@@ -76,11 +77,11 @@ pub struct Verdict {
 #[derive(Clone, Copy, Debug)]
 struct Step {
     power_w: f64,
-    /// Mean of ΔT in kelvin, where it was known.
+    /// Mean of ΔT in kelvin; `None` if it is unknown.
     rise_k: Option<f64>,
 }
 
-/// The curve since placement, and the models' fits.
+/// Curve of ΔT since placement, and the fits of both models.
 #[derive(Clone, Debug)]
 pub struct Contents {
     area_m2: f64,
@@ -91,11 +92,11 @@ pub struct Contents {
     sums: (f64, f64, usize),
     boiling: Option<Parameters>,
     dry: Option<Parameters>,
-    verdict: Verdict,
+    state: ContentsState,
     agreed: u32,
 }
 
-/// Where a model is.
+/// State of a model at one step.
 #[derive(Clone, Copy, Debug, Default)]
 struct State {
     base_k: f64,
@@ -106,7 +107,7 @@ struct State {
 }
 
 impl Contents {
-    /// A pot with a base of this radius in metre, put on at `t_s`.
+    /// Creates the curve of a pot with a base of this radius in metre, put on at `t_s`.
     pub fn new(radius_m: f64, t_s: f64) -> Self {
         Self {
             area_m2: std::f64::consts::PI * radius_m * radius_m,
@@ -117,17 +118,17 @@ impl Contents {
             sums: (0.0, 0.0, 0),
             boiling: None,
             dry: None,
-            verdict: Verdict::default(),
+            state: ContentsState::default(),
             agreed: 0,
         }
     }
 
-    /// What the contents do, as far as is known.
-    pub fn verdict(&self) -> Verdict {
-        self.verdict
+    /// State of the contents as of the last evaluation.
+    pub fn state(&self) -> ContentsState {
+        self.state
     }
 
-    /// So much energy in joule until `t_s`, and ΔT in kelvin then, where it is known.
+    /// Adds energy in joule until `t_s`, and ΔT in kelvin at that time if it is known.
     pub fn push(&mut self, t_s: f64, energy_j: f64, rise_k: Option<f64>) {
         self.energy_j += energy_j;
         if let Some(rise_k) = rise_k {
@@ -146,12 +147,12 @@ impl Contents {
             });
             (self.energy_j, self.sums) = (0.0, (0.0, 0.0, 0));
             if self.steps.len() >= EARLIEST && self.steps.len().is_multiple_of(EVERY) {
-                self.look();
+                self.evaluate();
             }
         }
     }
 
-    /// Steps twice as long, and half as many.
+    /// Doubles the steps' length and halves their number.
     fn halve(&mut self) {
         let pairs = self.steps.chunks(2).map(|pair| {
             let known: Vec<f64> = pair.iter().filter_map(|s| s.rise_k).collect();
@@ -165,7 +166,7 @@ impl Contents {
         self.step_s *= 2.0;
     }
 
-    fn look(&mut self) {
+    fn evaluate(&mut self) {
         let boiling = self.fitted(true);
         let dry = self.fitted(false);
         (self.boiling, self.dry) = (Some(boiling.x), Some(dry.x));
@@ -181,10 +182,10 @@ impl Contents {
         let explained = boiling.chi2 < UNEXPLAINED * self.known();
         let sure = explained && evidence > EVIDENCE;
         let (bubbles, boils) = (sure && state.bubbles > 0.5, sure && boils_at.is_some());
-        // Twice in a row.
+        // Reported only after two evaluations agree.
         self.agreed = if bubbles { self.agreed + 1 } else { 0 };
         let agreed = self.agreed >= 2;
-        self.verdict = Verdict {
+        self.state = ContentsState {
             bubbles: bubbles && agreed,
             boils: boils && agreed,
             boils_since_s: boils_at
@@ -194,20 +195,20 @@ impl Contents {
         };
     }
 
-    fn fitted(&self, boils: bool) -> Fitted<6> {
+    fn fitted(&self, boils: bool) -> FitResult<6> {
         let prior = |mean, sigma| Prior { mean, sigma };
         let base = (BASE_J_PER_M2K * self.area_m2 + WALL_J_PER_K).ln();
-        // 5 mm of steel; cores of aluminium and copper conduct tenfold.
+        // 5 mm of steel; cores of aluminium and copper conduct ten times better.
         let through = prior(1.5e-4f64.ln(), 0.7);
         let priors = match boils {
             true => [
                 // 0.2 to 6 litre of water.
                 prior(6e3f64.ln(), 0.9),
-                // Water at 20 °C (Nu = 0.15 Ra^1/3), and what stirs it.
+                // Water at 20 °C (Nu = 0.15 Ra^1/3); the factor covers stirring.
                 prior(218f64.ln(), 0.3),
                 prior(0.0, 0.25),
                 prior(base, 0.25),
-                // From 5 to 35 °C, and a metal's coefficient that is off by a tenth.
+                // From 5 to 35 °C, with a metal's coefficient that is wrong by a tenth.
                 prior(80.0, 12.0),
                 through,
             ],
@@ -235,7 +236,7 @@ impl Contents {
         };
         let fresh = priors.map(|p| p.mean);
         let mut best = from(before.unwrap_or(fresh));
-        // The last look's valley may be the wrong one.
+        // The minimum of the last evaluation may be the wrong one.
         let mut starts = vec![fresh];
         if !boils {
             starts.extend(OTHER_STARTS.map(|(contents, factor)| {
@@ -255,17 +256,17 @@ impl Contents {
         best
     }
 
-    /// Steps whose ΔT is known.
+    /// Number of steps with a known ΔT.
     fn known(&self) -> f64 {
         self.steps.iter().filter(|s| s.rise_k.is_some()).count() as f64
     }
 
-    /// Runs a model over the powers; `each` hears where it is after each step.
+    /// Runs a model over the powers; `each` receives its state after each step.
     fn run(&self, x: &Parameters, boils: bool, mut each: impl FnMut(usize, State)) {
         let (contents, factor, losses) = (x[0].exp(), x[1].exp(), x[2].exp());
         let (base, through) = (x[3].exp(), self.area_m2 / x[5].exp());
         let (below, around) = (BELOW_W_PER_K, losses * AROUND_W_PER_M2K * self.area_m2);
-        // What a base without bubbles gives to the air beside its contents.
+        // Heat that a base without bubbles loses to the air beside its contents.
         let dry = losses;
         let boil_k = if boils { x[4] } else { f64::INFINITY };
         let growth = if boils { 0.0 } else { x[4].max(0.0) };
@@ -276,7 +277,7 @@ impl Contents {
             let glass = GLASS_J_PER_K + self.step_s * (below + GLASS_W_PER_K);
             s.glass_k += (down_w - GLASS_W_PER_K * s.glass_k) * self.step_s / glass;
             let out_w = up_w + down_w + dry * growth * s.base_k * s.base_k.max(0.0);
-            // Linearly implicit: stable whatever the parameters are.
+            // Linearly implicit, which is stable for all parameters.
             let stiff = slope + below + 2.0 * dry * growth * s.base_k.max(0.0);
             s.base_k += (step.power_w - out_w) * self.step_s / (base + self.step_s * stiff);
             let lost_w = around * (1.0 + growth * s.bulk_k.max(0.0)) * s.bulk_k;
@@ -287,7 +288,8 @@ impl Contents {
         }
     }
 
-    /// The base's inner face settles; heat into the contents in W, and its slope over the base's temperature in W/K.
+    /// Iterates the base's inner face to equilibrium; returns heat into the contents in W, and its slope over the base's temperature
+    /// in W/K.
     fn settle(&self, s: &mut State, factor: f64, through: f64, boil_k: f64) -> (f64, f64) {
         let (mut q, mut slope, mut bubbles) = (0.0, 1.0, 0.0);
         for _ in 0..4 {

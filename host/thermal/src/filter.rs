@@ -1,8 +1,9 @@
-//! ΔT and lift from R and L: a Kalman filter on what the pot's physics predicts at the operating point.
+//! Kalman filter for ΔT and lift, from R and L and the pot's physics at the operating point.
 //!
-//! State: rise in K, its rate in K/s, lift since placement in mm, what the pot's model leaves of ln R and ln L in ‰, and how that grows
-//! with ln f (the current follows the frequency). The latter four move with the operating point alone, and heat moves the rise by some kelvin a
-//! second at most: so that a step of power carries the rise over, and teaches the model's error at the new point.
+//! State: rise in K, its rate in K/s, lift since placement in mm, error of the pot's model in ln R and ln L in ‰, and the slope of
+//! that error over ln f (the current follows the frequency). The last four change with the operating point alone, while heat changes
+//! the rise by some kelvin a second at most. At a step of power the rise is therefore kept, and the model's error at the new point
+//! is learned.
 
 use ihd_map::PotModel;
 use nalgebra::{SMatrix, SVector};
@@ -13,56 +14,57 @@ use crate::metal::MetalLaw;
 type Vector = SVector<f64, 7>;
 type Matrix = SMatrix<f64, 7, 7>;
 
-/// Rates of a rise: 2.2 kW on a base of 600 J/K are 3.7 K/s at first, some tenths once the contents take it.
+/// Standard deviation of the rate: 2.2 kW on a base of 600 J/K are 3.7 K/s at first, some tenths once the contents take the heat.
 const RATE_K_PER_S: f64 = 0.8;
 
-/// How long a rate lasts, in seconds.
+/// Correlation time of the rate in seconds.
 const RATE_LASTS_S: f64 = 30.0;
 
-/// A power that changes by this share changes the rate at once, by its change over the base's heat capacity; how well that is known.
+/// Relative change of power that changes the rate at once, by the change over the base's heat capacity; and that capacity's
+/// relative error.
 const POWER_STEP: (f64, f64) = (0.05, 0.4);
 
-/// A base that bows, in mm over the root of a second: 0.2 mm in two minutes.
+/// Random walk of lift by a base that bows, in mm per root of a second: 0.2 mm in two minutes.
 const BOWING_MM: f64 = 0.02;
 
-/// What the model leaves of ln R and ln L beside its slope, in ‰: over the root of an e-fold of frequency or current. The device's own bias
-/// swings by so much (docs/accuracy.md, aliasing).
+/// Random walk of the model's error in ln R and ln L beside its slope, in ‰ per root of an e-fold of frequency or current. The
+/// device's own bias varies by as much (docs/accuracy.md, aliasing).
 const MODEL: (f64, f64) = (3.0, 1.5);
 
-/// The slope of what it leaves, in ‰ an e-fold of frequency: describing function against waveform, a fit of physics to a pot that is none of
-/// its kind.
+/// Slope of the model's error in ‰ per e-fold of frequency: describing function against waveform, or physics fitted to a pot of
+/// another kind.
 const SLOPE: (f64, f64) = (20.0, 10.0);
 
-/// The same at first.
+/// Initial error of the model in ‰.
 const MODEL_AT_FIRST: f64 = 30.0;
 
-/// Deviation of a rise that was taken for one beyond the turn, over the distance of both.
+/// Deviation of a rise after a change of side at the turn, as a share of the distance between both sides.
 const ACROSS: f64 = 0.3;
 
-/// χ² of two residuals that chance does not give: 3e-7 of batches.
+/// Limit of χ² of two residuals, which chance exceeds in 3e-7 of batches.
 const UNLIKELY: f64 = 30.0;
 
-/// Lift and model, in mm and ‰, that a pot which is moved may change by.
+/// Changes of lift in mm and of the model in ‰ that a move may cause.
 const MOVED: (f64, f64) = (2.0, 30.0);
 
-/// Less than this, in mm and ‰, is not told as a move.
-const TOLD: (f64, f64) = (0.15, 8.0);
+/// Least changes in mm and ‰ that are reported as a move.
+const REPORTED: (f64, f64) = (0.15, 8.0);
 
-/// What a batch showed.
+/// Motion of the pot that a batch shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Seen {
-    /// The pot as before.
+pub enum PotMotion {
+    /// Not moved.
     Same,
-    /// The pot was moved: lift in mm since before, and whether lift alone explains it.
+    /// Moved.
     Moved {
         /// Change of lift in mm.
         lift_mm: f64,
-        /// Lift alone explains R and L; else it was shifted, too.
+        /// Set if lift alone explains R and L; else the pot was shifted, too.
         straight: bool,
     },
 }
 
-/// The filter.
+/// Kalman filter of one pot.
 #[derive(Clone, Debug)]
 pub struct Filter {
     pot: PotModel,
@@ -99,8 +101,8 @@ impl Innovation {
 }
 
 impl Filter {
-    /// A pot that was put on at `t_s`, has risen by about so many kelvin since, and rises at about this rate in K/s.
-    /// Its base keeps so many J/K.
+    /// Creates the filter of a pot put on at `t_s`, with its estimated rise in K and rate in K/s since, and its base's heat
+    /// capacity in J/K.
     pub fn new(
         pot: PotModel,
         metal: MetalLaw,
@@ -145,32 +147,32 @@ impl Filter {
         (self.x[2], self.p[(2, 2)].max(0.0).sqrt())
     }
 
-    /// The metal's law.
+    /// Law of the metal.
     pub fn metal(&self) -> &MetalLaw {
         &self.metal
     }
 
-    /// The rise is another one with the same R and L, beyond the turn or back.
+    /// Sets the rise to the one with the same R and L on the other side of the turn.
     pub fn set_rise(&mut self, rise_k: f64) {
         let off = rise_k - self.x[0];
         self.x[0] = rise_k;
         self.x[1] = -self.x[1];
-        // Nothing is known of how far it went meanwhile.
+        // The rise meanwhile is unknown.
         self.p[(0, 0)] += (ACROSS * off) * (ACROSS * off);
     }
 
-    /// Passes time, with the mean power in watt now.
+    /// Predicts the state at a time, with the present mean power in watt.
     pub fn advance(&mut self, t_s: f64, power_w: f64) {
         let dt_s = (t_s - self.t_s).clamp(0.0, 3600.0);
         self.t_s = self.t_s.max(t_s);
-        let kept = (-dt_s / RATE_LASTS_S).exp();
-        let lasted_s = RATE_LASTS_S * (1.0 - kept);
+        let decay = (-dt_s / RATE_LASTS_S).exp();
+        let lasted_s = RATE_LASTS_S * (1.0 - decay);
         let mut f = Matrix::identity();
         f[(0, 1)] = lasted_s;
-        f[(1, 1)] = kept;
+        f[(1, 1)] = decay;
         self.x = f * self.x;
         self.p = f * self.p * f.transpose();
-        let rate_var = RATE_K_PER_S * RATE_K_PER_S * (1.0 - kept * kept);
+        let rate_var = RATE_K_PER_S * RATE_K_PER_S * (1.0 - decay * decay);
         self.p[(1, 1)] += rate_var;
         self.p[(0, 0)] += rate_var * dt_s * dt_s / 3.0;
         self.p[(2, 2)] += BOWING_MM * BOWING_MM * dt_s;
@@ -187,8 +189,8 @@ impl Filter {
         }
     }
 
-    /// What a batch says; [`Filter::advance`] comes first.
-    pub fn update(&mut self, batch: &Batch) -> Seen {
+    /// Updates the state with a batch; [`Filter::advance`] must be called first.
+    pub fn update(&mut self, batch: &Batch) -> PotMotion {
         let at = (batch.f_hz.ln(), batch.i_a.ln());
         let moved = self
             .at
@@ -199,13 +201,13 @@ impl Filter {
         let first = *self.first_ln_f.get_or_insert(at.0);
         let innovation = self.innovation(batch, at.0 - first);
         if !innovation.r.iter().all(|r| r.is_finite()) {
-            return Seen::Same;
+            return PotMotion::Same;
         }
         if innovation.chi2(&self.p) < UNLIKELY {
             self.correct(&innovation);
-            return Seen::Same;
+            return PotMotion::Same;
         }
-        // Quicker than heat: it was moved.
+        // Faster than heat can be: the pot was moved.
         let before = self.x;
         self.p[(2, 2)] += MOVED.0 * MOVED.0;
         let straight = innovation.chi2(&self.p) < UNLIKELY;
@@ -215,13 +217,14 @@ impl Filter {
         }
         self.correct(&innovation);
         let change = self.x - before;
-        let told = change[2].abs() > TOLD.0 || change[3].abs().max(change[4].abs()) > TOLD.1;
-        match told {
-            true => Seen::Moved {
+        let reported =
+            change[2].abs() > REPORTED.0 || change[3].abs().max(change[4].abs()) > REPORTED.1;
+        match reported {
+            true => PotMotion::Moved {
                 lift_mm: change[2],
                 straight,
             },
-            false => Seen::Same,
+            false => PotMotion::Same,
         }
     }
 
@@ -239,7 +242,7 @@ impl Filter {
         let mut h = SMatrix::<f64, 2, 7>::zeros();
         h[(0, 0)] = permille * heat.ln_r * slope;
         h[(1, 0)] = permille * heat.ln_l * slope;
-        // Per metre is ‰ per mm.
+        // Per metre equals ‰ per mm.
         h[(0, 2)] = lift.ln_r;
         h[(1, 2)] = lift.ln_l;
         h[(0, 3)] = 1.0;
@@ -270,7 +273,7 @@ impl Filter {
         };
         let gain = self.p * h.transpose() * inverse;
         self.x += gain * r;
-        // Joseph's form: stays a covariance.
+        // Joseph's form keeps it a covariance.
         let left = Matrix::identity() - gain * h;
         self.p = left * self.p * left.transpose() + gain * noise * gain.transpose();
     }

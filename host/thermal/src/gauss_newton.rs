@@ -1,30 +1,30 @@
-//! Least squares with Gaussian priors, damped (Levenberg-Marquardt), with a numeric Jacobian.
+//! Damped least squares (Levenberg-Marquardt) with Gaussian priors and a numeric Jacobian.
 
 use nalgebra::{SMatrix, SVector};
 
-/// A parameter's expectation: mean and standard deviation. A thousandth of the latter is the step of its derivative.
+/// Prior of a parameter: mean and standard deviation. A thousandth of the latter is the step of its derivative.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Prior {
     pub mean: f64,
     pub sigma: f64,
 }
 
-/// A fit.
+/// Result of a fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Fitted<const N: usize> {
+pub(crate) struct FitResult<const N: usize> {
     pub x: [f64; N],
-    /// Σ of squared residuals, the priors' included.
+    /// Sum of squared residuals, including the priors.
     pub chi2: f64,
 }
 
-/// Fits `residuals` (each over its σ, written to the buffer) from `start`, with at most `steps` steps. A point at which a
-/// residual is not finite is never taken.
+/// Fits `residuals` (each over its σ, written to the buffer) from `start`, with at most `steps` steps. Points at which a
+/// residual is not finite are rejected.
 pub(crate) fn fit<const N: usize>(
     priors: &[Prior; N],
     start: [f64; N],
     steps: usize,
     mut residuals: impl FnMut(&[f64; N], &mut Vec<f64>),
-) -> Fitted<N> {
+) -> FitResult<N> {
     let (mut here, mut there) = (Vec::new(), Vec::new());
     let mut at = |x: &[f64; N], out: &mut Vec<f64>| {
         out.clear();
@@ -35,7 +35,7 @@ pub(crate) fn fit<const N: usize>(
         let sum: f64 = out.iter().map(|r| r * r).sum();
         if sum.is_finite() { sum } else { f64::INFINITY }
     };
-    let mut best = Fitted {
+    let mut best = FitResult {
         x: start,
         chi2: at(&start, &mut here),
     };
@@ -70,7 +70,7 @@ pub(crate) fn fit<const N: usize>(
             let x = std::array::from_fn(|k| best.x[k] + change[k]);
             let chi2 = at(&x, &mut there);
             if chi2 < best.chi2 {
-                best = Fitted { x, chi2 };
+                best = FitResult { x, chi2 };
                 std::mem::swap(&mut here, &mut there);
                 damping = (0.2 * damping).max(1e-9);
                 break;

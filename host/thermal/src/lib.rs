@@ -1,12 +1,12 @@
-//! How much warmer a pot is than when it was put on, whether it boils, overheats or was moved.
+//! Temperature rise of a pot since it was put on, and detection of boiling, overheating and movement.
 //!
 //! ```text
-//! half-cycles (f, I, R, L, P) ─► batches ─► placement: which pot is it
-//!                                   └─────► filter: ΔT, lift ─► contents: does it boil
+//! half-cycles (f, I, R, L, P) ─► batches ─► placement: metal and size of the pot
+//!                                   └─────► filter: ΔT, lift ─► contents: boiling
 //! ```
 //!
-//! Heat acts on R and L through one number, the metal's resistivity times its saturation; lift moves R and L apart: two
-//! measured numbers, two unknowns. Never an absolute temperature, and never an input of protection.
+//! Heat acts on R and L through one number, the metal's resistivity times its saturation. Lift changes R and L in a different
+//! ratio, so that both can be found from two measured values. The temperature is never absolute, and never an input of protection.
 
 pub mod batch;
 pub mod contents;
@@ -15,7 +15,7 @@ mod gauss_newton;
 pub mod metal;
 pub mod placement;
 pub mod thermometer;
-pub mod turning;
+pub mod turnover;
 
 pub use batch::HalfCycle;
 pub use metal::MetalLaw;

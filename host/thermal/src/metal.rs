@@ -1,24 +1,24 @@
-//! What heat does to a pot's metal.
+//! Effect of heat on a pot's metal.
 
 use ihd_map::PotModel;
 use serde::{Deserialize, Serialize};
 
-/// Resistivity times saturation over temperature, both over their value at the start.
+/// Law of resistivity times saturation over temperature, both relative to their values at the start.
 ///
-/// Coefficients of a class of metals: those of a pot's own alloy are unknown, see [`MetalLaw::SPREAD`].
+/// The coefficients are those of a class of metals. Those of a pot's own alloy are unknown, see [`MetalLaw::SPREAD`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MetalLaw {
-    /// Rise of the resistivity in 1/K, over that at the start.
+    /// Slope of the resistivity in 1/K, relative to that at the start.
     pub resistivity_per_k: f64,
     /// Curie point less the start's temperature in kelvin; `None` for a metal that is not ferromagnetic.
     pub curie_rise_k: Option<f64>,
     /// ln α and ln s of the class ([`PotModel`]) at room temperature.
     pub ln_alpha: f64,
-    /// See `ln_alpha`.
+    /// ln s of the class at room temperature.
     pub ln_s: f64,
 }
 
-/// Where the slope is nothing, the sides of the turn are this far apart, in kelvin.
+/// Largest deviation in kelvin: where the slope is zero, both sides of the turn are this far apart.
 const MOST_SIGMA_K: f64 = 60.0;
 
 impl MetalLaw {
@@ -38,14 +38,14 @@ impl MetalLaw {
         ln_s: -11.074,
     };
 
-    /// Classes that a hob heats.
+    /// Classes that a hob can heat.
     pub const ALL: [Self; 2] = [Self::FERRITIC, Self::CAST_IRON];
 
-    /// Relative standard deviation of what heat does to an unknown alloy of the class: steels differ by so much in the slope
-    /// of their resistivity.
+    /// Relative standard deviation of the effect of heat within a class: steels differ by as much in the slope of their
+    /// resistivity.
     pub const SPREAD: f64 = 0.12;
 
-    /// The class whose metal is nearest to a pot's.
+    /// Returns the class whose metal is nearest to a pot's.
     pub fn of(pot: &PotModel) -> Self {
         let off = |law: &Self| (pot.ln_alpha - law.ln_alpha).abs();
         if off(&Self::CAST_IRON) < off(&Self::FERRITIC) {
@@ -55,10 +55,10 @@ impl MetalLaw {
         }
     }
 
-    /// Change of ln s that a rise in kelvin makes, and its slope in 1/K. s² ∝ resistivity · saturation, the saturation
-    /// falls as 1 − (rise/Curie rise)²: the slope turns near 200 K.
+    /// Change of ln s by a rise in kelvin, and its slope in 1/K. s² ∝ resistivity · saturation, and the saturation falls as
+    /// 1 − (rise/Curie rise)², so that the slope changes sign near 200 K.
     pub fn ln_s_change(&self, rise_k: f64) -> (f64, f64) {
-        // A metal that is frozen or molten is none that stands on a hob.
+        // Metals on a hob are neither frozen nor molten.
         let rise_k = rise_k.clamp(-200.0, 1000.0);
         let resistivity = (1.0 + self.resistivity_per_k * rise_k).max(0.1);
         let mut change = 0.5 * resistivity.ln();
@@ -72,17 +72,17 @@ impl MetalLaw {
         (change, slope)
     }
 
-    /// The same where not even the class is known: cast iron changes 1.7 times as much as ferritic steel.
+    /// Relative standard deviation if the class is unknown, too: cast iron changes 1.7 times as much as ferritic steel.
     pub const CLASS_SPREAD: f64 = 0.5;
 
-    /// Standard deviation in kelvin of a rise that an unknown alloy leaves whose effect has this relative one: near the turn the same R
-    /// and L may be many rises.
+    /// Standard deviation of a rise in kelvin by an unknown alloy, whose effect has the relative deviation `spread`. Near the turn
+    /// the same R and L belong to a wide range of rises.
     pub fn alloy_sigma_k(&self, rise_k: f64, spread: f64) -> f64 {
         let (change, slope) = self.ln_s_change(rise_k);
         (spread * (change / slope).abs()).min(MOST_SIGMA_K)
     }
 
-    /// Rise in kelvin at which R and L stop rising and begin to fall; infinite where they never do.
+    /// Rise in kelvin at which R and L stop rising and begin to fall; infinite if they never do.
     pub fn turning_rise_k(&self) -> f64 {
         // d ln ρ = −d ln B: a/(1 + a t) = 2t/(c² − t²), the root of 3a t² + 2t − a c² = 0.
         let a = self.resistivity_per_k;
@@ -111,7 +111,7 @@ mod tests {
         }
     }
 
-    /// Against the simulator's metals, which are written for themselves.
+    /// Comparison with the simulator's metals, which are written independently.
     #[test]
     fn classes_are_the_simulators_metals() {
         use ihd_sim::pot::Metal;

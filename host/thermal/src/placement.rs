@@ -1,4 +1,4 @@
-//! Which pot was put on: [`PotModel`] from the operating points that heating begins with.
+//! Identification of the pot that was put on: [`PotModel`] from the first operating points of heating.
 
 use ihd_map::PotModel;
 
@@ -6,52 +6,52 @@ use crate::batch::HalfCycle;
 use crate::gauss_newton::{Prior, fit};
 use crate::metal::MetalLaw;
 
-/// Operating points that are kept at most.
+/// Most operating points that are kept.
 const MOST: usize = 40;
 
-/// A point is another one when frequency or current have moved by so much.
+/// Relative change of frequency or current that begins another point.
 const APART: f64 = 0.04;
 
 /// Relative errors of the device's R and L at one half-cycle, noise and bias: docs/accuracy.md has .5 and .3 % in the
 /// middle of a settled half-cycle; after a frequency step they are larger.
 const SIGMA: (f64, f64) = (0.01, 0.006);
 
-/// Steps of the fit at most.
+/// Most steps of the fit.
 const STEPS: usize = 30;
 
-/// Winding and leads of the hob's coil, in ohm, and how well it is known.
+/// Resistance of winding and leads of the hob's coil in ohm, and its standard deviation.
 const WINDING_OHM: (f64, f64) = (0.1, 0.02);
 
-/// An operating point.
+/// Mean of half-cycles at one operating point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Point {
     f_hz: f64,
     i_a: f64,
     ln_r: f64,
     ln_l: f64,
-    /// How many half-cycles it is the mean of.
+    /// Number of half-cycles in the mean.
     weight: f64,
 }
 
-/// Gathers operating points of a pot that was just put on.
+/// Collects operating points of a pot that was just put on.
 #[derive(Clone, Debug, Default)]
 pub struct Placement {
     points: Vec<Point>,
 }
 
-/// The pot that was put on.
+/// Identified pot.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Placed {
-    /// Its physics.
+pub struct PlacedPot {
+    /// Physics of the pot.
     pub pot: PotModel,
-    /// Its class of metals.
+    /// Class of its metal.
     pub metal: MetalLaw,
-    /// χ² of the other class less this one's: above 10 there is no doubt.
+    /// Excess of χ² of the other class over that of this one; above 10 the class is certain.
     pub margin: f64,
 }
 
 impl Placement {
-    /// A half-cycle that heats.
+    /// Adds a half-cycle that heats.
     pub fn push(&mut self, h: &HalfCycle) {
         let usable = [h.f_hz, h.i_a, h.r_ohm, h.l_h]
             .iter()
@@ -64,7 +64,7 @@ impl Placement {
         };
         let (ln_r, ln_l) = (h.r_ohm.ln(), h.l_h.ln());
         if let Some(p) = self.points.iter_mut().find(near) {
-            // The mean of all: bias stays, noise goes.
+            // In the mean over all half-cycles noise falls, bias does not.
             p.weight += 1.0;
             for (mean, x) in [
                 (&mut p.f_hz, h.f_hz),
@@ -85,13 +85,13 @@ impl Placement {
         }
     }
 
-    /// Operating points so far.
+    /// Number of operating points so far.
     pub fn points(&self) -> usize {
         self.points.len()
     }
 
-    /// The pot that explains the points best; `None` without any.
-    pub fn place(&self) -> Option<Placed> {
+    /// Fits the pot that explains the points best; `None` if there are none.
+    pub fn place(&self) -> Option<PlacedPot> {
         if self.points.is_empty() {
             return None;
         }
@@ -101,7 +101,7 @@ impl Placement {
         });
         fits.sort_by(|a, b| a.1.1.total_cmp(&b.1.1));
         let [(metal, (pot, chi2)), (_, (_, other))] = fits;
-        chi2.is_finite().then_some(Placed {
+        chi2.is_finite().then_some(PlacedPot {
             pot,
             metal,
             margin: other - chi2,
@@ -111,11 +111,11 @@ impl Placement {
     fn fit(&self, metal: &MetalLaw) -> (PotModel, f64) {
         let prior = |mean, sigma| Prior { mean, sigma };
         let priors = [
-            // Alloys of a class.
+            // Spread of alloys in a class.
             prior(metal.ln_alpha, 0.2),
             prior(metal.ln_s, 0.1),
             prior(0.09, 0.02),
-            // Bases that are not flat, feet of a pot.
+            // Lift by a base that is not flat, or by feet of a pot.
             prior(0.5e-3, 0.7e-3),
             prior(WINDING_OHM.0, WINDING_OHM.1),
         ];
@@ -128,17 +128,17 @@ impl Placement {
             winding_r_ohm: x[4],
             ..PotModel::PAPER
         };
-        let found = fit(&priors, start, STEPS, |x, out| {
+        let fitted = fit(&priors, start, STEPS, |x, out| {
             let model = pot(x);
             for p in &self.points {
                 let z = model.impedance(p.f_hz, p.i_a);
-                // Many half-cycles at a point leave its bias.
+                // The mean of many half-cycles at one point keeps their bias.
                 let shrink = (1.0 / p.weight).sqrt().max(0.3);
                 out.push((p.ln_r - z.r_ohm.ln()) / (SIGMA.0 * shrink));
                 out.push((p.ln_l - z.l_h.ln()) / (SIGMA.1 * shrink));
             }
         });
-        (pot(&found.x), found.chi2)
+        (pot(&fitted.x), fitted.chi2)
     }
 }
 
@@ -146,8 +146,8 @@ impl Placement {
 mod tests {
     use super::*;
 
-    /// Met at one operating point, as when heating began before.
-    fn placed(ln_alpha: f64, ln_s: f64) -> Placed {
+    /// Pot identified from one operating point, as if heating had begun before.
+    fn placed(ln_alpha: f64, ln_s: f64) -> PlacedPot {
         let pot = PotModel {
             ln_alpha,
             ln_s,

@@ -1,131 +1,131 @@
-//! The whole: half-cycles in, ΔT with its deviation and what happened out.
+//! Thermometer of one coil: half-cycles in; ΔT with its deviation, and events, out.
 
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Batches, HalfCycle};
 use crate::contents::{BASE_J_PER_M2K, Contents, WALL_J_PER_K};
-use crate::filter::{Filter, Seen};
+use crate::filter::{Filter, PotMotion};
 use crate::metal::MetalLaw;
 use crate::placement::Placement;
-use crate::turning::Turning;
+use crate::turnover::TurnoverDetector;
 
-/// Half-cycles further apart than this, in seconds, are not of one run: the device was away, or its clock began anew.
+/// Gap in seconds between half-cycles that ends a run: the device was away, or its clock was reset.
 const GAP_S: f64 = 120.0;
 
-/// Time between two looks at the curve, in seconds.
+/// Period in seconds in which the curve is updated.
 const TICK_S: f64 = 0.5;
 
-/// Memory of the mean power in seconds, with bursts, which come once a second, and without; and how long after the last of them.
+/// Time constant of the mean power in seconds, used during bursts, which come once a second, and for as long after the last one.
 const MEAN_S: f64 = 2.0;
 const SHORT_S: f64 = 0.05;
 const BURST_S: f64 = 3.0;
 
-/// ΔT above which nothing that holds water can be, in kelvin: said as overheating; and below which it is over.
+/// ΔT in kelvin above which overheating is reported, because nothing that holds water gets so hot; and below which it ends.
 const OVERHEATS_K: (f64, f64) = (180.0, 150.0);
 
-/// ΔT above which the contents are not looked at any more, in kelvin: water that was put on at 0 °C holds a base below 120 K
-/// of rise, with an alloy that is off by a tenth below this. What is hotter has no water in it.
+/// ΔT in kelvin above which boiling is not searched for. Water put on at 0 °C keeps the rise of its base below 120 K, and below
+/// this limit with an alloy that differs by a tenth. A hotter pot has no water in it.
 const NO_WATER_K: f64 = 140.0;
 
-/// χ² by which the other class of metals has to be worse, for this one to be sure: 3 σ.
+/// χ² by which the other class of metals must be worse for this one to be certain: 3 σ.
 const SURE: f64 = 9.0;
 
-/// A deviation beyond which ΔT says nothing, in kelvin.
+/// Deviation in kelvin above which ΔT is not used.
 const UNKNOWN_K: f64 = 40.0;
 
-/// What is known of a pot now.
+/// Present state of a pot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
-    /// On the clock of the half-cycles, in seconds.
+    /// Time in seconds on the clock of the half-cycles.
     pub t_s: f64,
     /// Rise of the base's temperature since the pot was put on, in kelvin.
     pub rise_k: f64,
-    /// Its standard deviation, the unknown alloy included, in kelvin.
+    /// Standard deviation of the rise in kelvin, including the unknown alloy.
     pub sigma_k: f64,
     /// Lift since the pot was put on, in mm.
     pub lift_mm: f64,
-    /// Its standard deviation in mm.
+    /// Standard deviation of the lift in mm.
     pub lift_sigma_mm: f64,
-    /// Bubbles carry most of the heat from the base: it is on its plateau.
+    /// Set if bubbles carry most of the heat: the base is on its plateau.
     pub bubbles: bool,
-    /// All of the contents boil.
+    /// Set if all of the contents boil.
     pub boils: bool,
-    /// Nothing with water in it is so much warmer than it was.
+    /// Set if the pot is too hot to contain water.
     pub overheats: bool,
 }
 
-/// Something that happened to a pot.
+/// Event of a pot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "what", rename_all = "kebab-case")]
 pub enum PotEvent {
-    /// A pot was put on, and ΔT begins at 0.
+    /// A pot was put on; ΔT begins at 0.
     Placed {
-        /// Diameter of its base in metre, as far as R and L tell.
+        /// Diameter of its base in metre, as far as R and L determine it.
         diameter_m: f64,
-        /// Its metal is taken for cast iron; else for ferritic steel.
+        /// Set if its metal is closer to cast iron than to ferritic steel.
         is_cast_iron: bool,
-        /// The other one would fit much worse; else R and L are between both, or were seen at too few operating points.
+        /// Set if the class of metal is certain; else R and L lie between both, or were measured at too few operating points.
         is_sure: bool,
     },
-    /// The geometry changed: R and L moved apart, quicker than heat can.
+    /// The pot was moved: R and L changed faster than heat can change them.
     Moved {
         /// Change of lift in mm.
         lift_mm: f64,
-        /// Lift alone explains it; else it was shifted, too.
+        /// Set if lift alone explains the change; else the pot was shifted, too.
         straight: bool,
     },
-    /// The base is on its plateau: bubbles carry the heat.
+    /// The base reached its plateau: bubbles carry the heat.
     Bubbles,
-    /// The contents boil.
+    /// All of the contents boil.
     Boils {
-        /// Since when, on the clock of the half-cycles, in seconds.
+        /// Beginning of boiling in seconds on the clock of the half-cycles.
         since_s: f64,
     },
-    /// ΔT is beyond what water allows.
+    /// ΔT is higher than with water in the pot.
     Overheats {
         /// ΔT in kelvin.
         rise_k: f64,
-        /// It is beyond the turn where R and L fall with heat: toward the Curie point.
+        /// Set beyond the turn, where R and L fall with heat: toward the Curie point.
         toward_curie: bool,
     },
 }
 
-/// Follows the pot on one coil.
+/// Thermometer of the pot on one coil.
 #[derive(Clone, Debug, Default)]
 pub struct Thermometer {
     last: Option<HalfCycle>,
     batches: Batches,
     placement: Placement,
-    /// Energy since the pot was put on, until it is known, in joule.
+    /// Energy in joule since the pot was put on, until it is identified.
     energy_j: f64,
-    tracked: Option<Box<Tracked>>,
+    tracked: Option<Box<TrackedPot>>,
     events: Vec<PotEvent>,
 }
 
 #[derive(Clone, Debug)]
-struct Tracked {
+struct TrackedPot {
     filter: Filter,
     contents: Contents,
     tick_s: f64,
     energy_j: f64,
-    /// Mean power in watt, over some bursts.
+    /// Mean power over some bursts, in watt.
     mean_w: f64,
-    /// When it was off last.
+    /// Time at which the hob was off last, in seconds.
     off_s: f64,
-    /// What is told once.
+    /// States whose events were already reported.
     bubbles: bool,
     boils: bool,
     overheats: bool,
     toward_curie: bool,
-    turning: Turning,
-    /// Relative standard deviation of what heat does to its metal.
+    turnover: TurnoverDetector,
+    /// Relative standard deviation of the effect of heat on its metal.
     spread: f64,
-    /// It was too hot for water.
+    /// Set once the pot was too hot to contain water.
     no_water: bool,
 }
 
 impl Thermometer {
-    /// The pot was taken away, or another one may stand there: ΔT begins anew.
+    /// Starts anew with ΔT = 0, for a pot that was taken away or may be another one.
     pub fn begin_anew(&mut self) {
         let events = std::mem::take(&mut self.events);
         *self = Self {
@@ -134,7 +134,7 @@ impl Thermometer {
         };
     }
 
-    /// A half-cycle. Time that goes backwards, or a gap of two minutes, begins anew.
+    /// Adds a half-cycle. Time that goes backwards, or a gap of two minutes, starts anew.
     pub fn push(&mut self, h: &HalfCycle) {
         if !h.t_s.is_finite() {
             return;
@@ -143,7 +143,7 @@ impl Thermometer {
         if !(0.0..=GAP_S).contains(&dt_s) {
             self.begin_anew();
         }
-        // Where half-cycles were lost, the power went on as it was.
+        // The power is held over lost half-cycles.
         let power_w = match h.power_w.is_finite() {
             true => h.power_w.max(0.0),
             false => 0.0,
@@ -164,7 +164,7 @@ impl Thermometer {
                 tracked.mean_power(h.t_s, dt_s, power_w);
                 if let Some(batch) = batch {
                     tracked.filter.advance(batch.t_s, tracked.mean_w);
-                    if let Seen::Moved { lift_mm, straight } = tracked.filter.update(&batch) {
+                    if let PotMotion::Moved { lift_mm, straight } = tracked.filter.update(&batch) {
                         self.events.push(PotEvent::Moved { lift_mm, straight });
                     }
                 }
@@ -180,7 +180,7 @@ impl Thermometer {
             return;
         };
         let is_sure = placed.margin > SURE;
-        // At first the base keeps what it gets.
+        // At first all heat stays in the base.
         let radius_m = placed.pot.radius_m;
         let area_m2 = std::f64::consts::PI * radius_m * radius_m;
         let base_j_per_k = BASE_J_PER_M2K * area_m2 + WALL_J_PER_K;
@@ -193,7 +193,7 @@ impl Thermometer {
         });
         let mut contents = Contents::new(placed.pot.radius_m, t_s);
         contents.push(t_s, self.energy_j, Some(rise_k));
-        self.tracked = Some(Box::new(Tracked {
+        self.tracked = Some(Box::new(TrackedPot {
             filter: Filter::new(
                 placed.pot,
                 placed.metal,
@@ -210,7 +210,7 @@ impl Thermometer {
             boils: false,
             overheats: false,
             toward_curie: false,
-            turning: Turning::default(),
+            turnover: TurnoverDetector::default(),
             spread: match is_sure {
                 true => MetalLaw::SPREAD,
                 false => MetalLaw::CLASS_SPREAD,
@@ -219,7 +219,7 @@ impl Thermometer {
         }));
     }
 
-    /// What is known now; `None` before a pot is.
+    /// Present state of the pot; `None` until it is identified.
     pub fn reading(&self) -> Option<Reading> {
         let tracked = self.tracked.as_ref()?;
         let (rise_k, filter_k) = tracked.filter.rise_k();
@@ -237,20 +237,20 @@ impl Thermometer {
         })
     }
 
-    /// Evidence for boiling: χ² by which a pot that does not boil explains the curve worse.
+    /// Evidence for boiling: χ² by which the model without boiling explains the curve worse.
     pub fn evidence(&self) -> f64 {
         let tracked = self.tracked.as_ref();
-        tracked.map_or(0.0, |t| t.contents.verdict().evidence)
+        tracked.map_or(0.0, |t| t.contents.state().evidence)
     }
 
-    /// What happened since it was last asked.
+    /// Returns the events since the last call.
     pub fn take_events(&mut self) -> Vec<PotEvent> {
         std::mem::take(&mut self.events)
     }
 }
 
-impl Tracked {
-    /// The power between bursts and within them is their mean; without bursts it is that of the half-cycle.
+impl TrackedPot {
+    /// Updates the mean power: the mean over bursts if there are any, else that of the half-cycle.
     fn mean_power(&mut self, t_s: f64, dt_s: f64, power_w: f64) {
         if power_w < 1.0 {
             self.off_s = t_s;
@@ -267,13 +267,13 @@ impl Tracked {
         self.filter.advance(t_s, self.mean_w);
         let (rise_k, _) = self.filter.rise_k();
         let across = self
-            .turning
-            .look(self.filter.metal(), t_s, rise_k, self.mean_w);
+            .turnover
+            .update(self.filter.metal(), t_s, rise_k, self.mean_w);
         if let Some(rise_k) = across {
             self.filter.set_rise(rise_k);
         }
         let (rise_k, sigma_k) = self.filter.rise_k();
-        self.look_for_heat(rise_k, sigma_k, events);
+        self.check_overheating(rise_k, sigma_k, events);
         let energy_j = std::mem::take(&mut self.energy_j);
         self.no_water |= rise_k > NO_WATER_K;
         if self.no_water {
@@ -282,22 +282,22 @@ impl Tracked {
         }
         let known = (sigma_k < UNKNOWN_K).then_some(rise_k);
         self.contents.push(t_s, energy_j, known);
-        let verdict = self.contents.verdict();
-        if verdict.bubbles && !self.bubbles {
+        let state = self.contents.state();
+        if state.bubbles && !self.bubbles {
             events.push(PotEvent::Bubbles);
         }
-        self.bubbles = verdict.bubbles;
-        if let Some(since_s) = verdict.boils_since_s.filter(|_| !self.boils) {
+        self.bubbles = state.bubbles;
+        if let Some(since_s) = state.boils_since_s.filter(|_| !self.boils) {
             events.push(PotEvent::Boils { since_s });
         }
-        self.boils = verdict.boils;
+        self.boils = state.boils;
     }
 
-    fn look_for_heat(&mut self, rise_k: f64, sigma_k: f64, events: &mut Vec<PotEvent>) {
+    fn check_overheating(&mut self, rise_k: f64, sigma_k: f64, events: &mut Vec<PotEvent>) {
         let sigma_k = sigma_k.hypot(self.filter.metal().alloy_sigma_k(rise_k, self.spread));
         let (above_k, over_k) = OVERHEATS_K;
         let turn_k = self.filter.metal().turning_rise_k();
-        let curie = self.turning.is_beyond() || rise_k - sigma_k > turn_k;
+        let curie = self.turnover.is_beyond() || rise_k - sigma_k > turn_k;
         let overheats = rise_k - sigma_k > above_k;
         if (overheats && !self.overheats) || (curie && !self.toward_curie) {
             events.push(PotEvent::Overheats {

@@ -1,4 +1,4 @@
-//! What this build's controller keeps to, for whoever draws it: the firmware's own limits in physical units.
+//! Limits of this build's power control in physical units, for figures and pages.
 
 use ihd_firmware::limits::{PLANNED_CURRENT_MA, RESONANCE_MARGIN_PERCENT};
 
@@ -7,8 +7,8 @@ pub fn planned_current_a() -> f64 {
     f64::from(PLANNED_CURRENT_MA) * 1e-3
 }
 
-/// How far above the resonance frequency power control stays, as a factor: the firmware's margin is the tank's reactance as a part of the
-/// coil's, 1 − (f₀/f)².
+/// Lowest switching frequency over the resonance frequency. The firmware states the margin as the tank's reactance over that of the
+/// coil, 1 − (f₀/f)².
 pub fn resonance_margin() -> f64 {
     let part = RESONANCE_MARGIN_PERCENT as f64 * 1e-2;
     1.0 / (1.0 - part).sqrt()

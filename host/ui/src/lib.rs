@@ -1,4 +1,4 @@
-//! The files of the page, and what a browser has to know of each.
+//! Files of the page, with the metadata for a browser.
 
 use std::borrow::Cow;
 use std::hash::{DefaultHasher, Hasher};
@@ -7,20 +7,20 @@ use include_dir::{Dir, include_dir};
 
 static PAGE: Dir<'static> = include_dir!("$CARGO_MANIFEST_DIR/page");
 
-/// A file of the page.
+/// File of the page.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct File {
-    /// What it holds.
+    /// Contents.
     pub bytes: Cow<'static, [u8]>,
-    /// Its type, as the header `content-type` wants it.
+    /// Media type for the header `content-type`.
     pub mime: &'static str,
-    /// Differs where `bytes` differ, in the form of the header `etag`. Weak: whoever serves it may compress it.
+    /// Changes with `bytes`; in the form of the header `etag`. Weak, as the server may compress the file.
     pub etag: String,
 }
 
-/// The file of this path below `page/`, as `js/main.js`; none where there is none, or where it has no type that is known.
+/// Returns the file of this path below `page/`, such as `js/main.js`; `None` if there is none, or its type is unknown.
 ///
-/// In the dev profile what is on disk now, where the checkout still is; otherwise what was there when this was built.
+/// In the dev profile the file on disk is used while the checkout exists, otherwise the one of the build.
 pub fn file(path: &str) -> Option<File> {
     let mime = mime(path)?;
     let bytes = on_disk(path).or_else(|| Some(embedded(path)?.into()))?;
@@ -34,7 +34,7 @@ fn embedded(path: &str) -> Option<&'static [u8]> {
     Some(PAGE.get_file(path)?.contents())
 }
 
-/// Pages are edited without building.
+/// Lets pages be edited without building.
 #[cfg(debug_assertions)]
 fn on_disk(path: &str) -> Option<Cow<'static, [u8]>> {
     let plain = |part: &str| {
@@ -52,7 +52,7 @@ fn on_disk(_: &str) -> Option<Cow<'static, [u8]>> {
     None
 }
 
-/// By what the name ends in. With `nosniff` a browser believes this and nothing else.
+/// Type by the ending of the name. With `nosniff` a browser uses this type only.
 fn mime(path: &str) -> Option<&'static str> {
     let name = path.rsplit('/').next()?;
     let Some((_, ending)) = name.rsplit_once('.') else {

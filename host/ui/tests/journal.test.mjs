@@ -57,6 +57,7 @@ test("what comes several times a second is not told; everything else is, in word
   assert.equal(say({ event: "fault", fault: 4, text: "over current" }).text, "4: over current");
   assert.equal(isAlarm(say({ event: "fault", fault: 4, text: "over current" })), true);
   assert.equal(isAlarm(say({ event: "fault", fault: 0, text: "no fault" })), false);
+  assert.equal(say({ event: "lease", holder: "", taken_from: "", why: "it has run out" }).text, "nobody commands it: it has run out");
   assert.equal(say({ event: "lease", holder: "ada", taken_from: "bob" }).text, "ada commands it, taken from bob");
   assert.match(say({ event: "command", holder: "ada", text: "power 1200 W", ok: false }).text, /not carried out/);
   assert.equal(say({ event: "recording", phase: "begun", text: "begun by a fault", file: "a.mcap" }).kind, "recording");

@@ -25,7 +25,7 @@ const CRC_AT: usize = OBSERVED_AT + OBSERVED_BYTES;
 /// Length of a lookup in bytes.
 pub const LEN: usize = CRC_AT + 4;
 
-/// Why bytes are not a lookup that firmware would use.
+/// Reason that bytes are not a lookup that firmware would use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BlobError {
     /// Not [`LEN`] bytes.

@@ -22,7 +22,7 @@ pub const HENRY_PER_CODE: f64 = 64e-6 / 65_536.0;
 /// Bytes of the observed-cell bitmap.
 pub const OBSERVED_BYTES: usize = CELLS.div_ceil(8);
 
-/// How far above the active version a new one may be: one of 2³² − 1, whatever is in it, would leave no
+/// Largest step from the active version to a new one: version 2³² − 1 would leave no
 /// room for a later one.
 pub const LOOKUP_VERSION_STEP: u32 = 1_000;
 
@@ -36,7 +36,7 @@ pub struct RlLookup {
     /// Inductance, [`HENRY_PER_CODE`] each.
     pub l: [[u16; CURRENTS]; FREQUENCIES],
     /// Bit `cell % 8` of byte `cell / 8` is set where the cell rests on observations: of itself, or of others
-    /// from which it follows closely. The others hold the prior, or a prediction nobody should rely on.
+    /// from which it follows closely. The others hold the prior, or a prediction that is not to be relied on.
     pub observed: [u8; OBSERVED_BYTES],
 }
 
@@ -51,7 +51,7 @@ impl RlLookup {
         self.at_frequency(f_sw_hz).interpolate(i_ma)
     }
 
-    /// What the lookup holds at one switching frequency, for several currents.
+    /// The lookup at one switching frequency, for several currents.
     pub fn at_frequency(&self, f_sw_hz: u32) -> AtFrequency<'_> {
         let (row, weight) = grid::split(grid::frequency_coordinate(f_sw_hz), FREQUENCIES);
         AtFrequency {
@@ -61,7 +61,7 @@ impl RlLookup {
         }
     }
 
-    /// Whether the cell rests on observations.
+    /// Returns `true` if the cell rests on observations.
     pub fn is_observed(&self, frequency: usize, current: usize) -> bool {
         let cell = frequency * CURRENTS + current;
         self.observed
@@ -69,7 +69,7 @@ impl RlLookup {
             .is_some_and(|byte| byte & (1 << (cell % 8)) != 0)
     }
 
-    /// Whether the cell nearest to a switching frequency and a current's amplitude rests on
+    /// Returns `true` if the cell nearest to a switching frequency and a current's amplitude rests on
     /// observations.
     pub fn is_observed_at(&self, f_sw_hz: u32, i_ma: u32) -> bool {
         let nearest = |coordinate: u64| ((coordinate + grid::ONE / 2) >> 16) as usize;
@@ -98,12 +98,12 @@ impl RlLookup {
 pub struct AtFrequency<'a> {
     lookup: &'a RlLookup,
     row: usize,
-    /// Of the row above, in 16-bit fixed point.
+    /// Weight of the row above, in 16-bit fixed point.
     weight: u64,
 }
 
 impl AtFrequency<'_> {
-    /// As [`RlLookup::interpolate`].
+    /// Same as [`RlLookup::interpolate`].
     pub fn interpolate(&self, i_ma: u32) -> (MicroOhm, PicoHenry) {
         let (kf, wf) = (self.row, self.weight);
         let (ki, wi) = grid::split(grid::current_coordinate(i_ma), CURRENTS);

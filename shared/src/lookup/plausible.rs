@@ -1,4 +1,4 @@
-//! What a lookup must look like before firmware believes it: physics' signs and bounded slopes.
+//! Plausibility of a lookup, which firmware checks before use: physics' signs and bounded slopes.
 //!
 //! With frequency the skin depth falls, so R rises and L falls. With current a ferromagnetic load
 //! saturates, so both fall. Measured tables are noisy, so a little of the wrong way is allowed;
@@ -23,10 +23,10 @@ pub const MAX_RATIO_Q10: u32 = 1_638;
 /// of a full-size pot differs from the prior by 1.7 at small currents, a small pot by 4.
 pub const MAX_SEAM_RATIO_Q10: u32 = 2_560;
 
-/// How far a neighbour may run the wrong way, in 1/1024: 4 %.
+/// Ratio of a cell to its neighbour in the wrong direction, at most, in 1/1024: 4 %.
 pub const WRONG_WAY_Q10: u32 = 1_065;
 
-/// Why a lookup is not plausible, and at which cell (`frequency · CURRENTS + current`).
+/// Reason that a lookup is not plausible, and the cell (`frequency · CURRENTS + current`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Implausible {
     /// R or L outside its range.

@@ -13,7 +13,7 @@ pub struct Deframer {
     counters: Counters,
 }
 
-/// What a deframer has seen since it was made.
+/// Counts of a deframer since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Frames with a correct CRC.
@@ -46,7 +46,7 @@ impl Deframer {
         }
     }
 
-    /// What it has seen so far.
+    /// Counts so far.
     pub fn counters(&self) -> Counters {
         self.counters
     }
@@ -56,7 +56,7 @@ impl Deframer {
         self.expected_seq = None;
     }
 
-    /// Takes one byte; at the end of a frame gives the frame, or says why it was none.
+    /// Takes one byte; at the end of a frame gives the frame, or the reason that it was none.
     pub fn push(&mut self, byte: u8) -> Option<Result<Frame<'_>, FrameError>> {
         if byte != 0 {
             if self.used < self.buffer.len() {
@@ -67,6 +67,39 @@ impl Deframer {
             }
             return None;
         }
+        self.frame()
+    }
+
+    /// Takes bytes up to the end of a frame; returns how many, and whether they end one. Then comes [`Self::frame`] or [`Self::skip`].
+    pub fn collect(&mut self, bytes: &[u8]) -> (usize, bool) {
+        let end = bytes.iter().position(|&byte| byte == 0);
+        let part = &bytes[..end.unwrap_or(bytes.len())];
+        let room = self.buffer.len() - self.used;
+        let kept = &part[..part.len().min(room)];
+        self.buffer[self.used..self.used + kept.len()].copy_from_slice(kept);
+        self.used += kept.len();
+        self.overlong |= kept.len() < part.len();
+        (part.len() + usize::from(end.is_some()), end.is_some())
+    }
+
+    /// Id of the frame that has ended, before anything of it is checked.
+    pub fn id(&self) -> Option<u8> {
+        // The first byte of stuffing says how far it is to the next zero.
+        match self.buffer[..self.used] {
+            [0 | 1, ..] | [_] | [] => None,
+            [_, id, ..] => Some(id),
+        }
+    }
+
+    /// Forgets the frame that has ended, unchecked. What is missing before the next one is not known then.
+    pub fn skip(&mut self) {
+        self.used = 0;
+        self.overlong = false;
+        self.expected_seq = None;
+    }
+
+    /// The frame that has ended, or why it was none.
+    pub fn frame(&mut self) -> Option<Result<Frame<'_>, FrameError>> {
         let (used, overlong) = (self.used, self.overlong);
         self.used = 0;
         self.overlong = false;
@@ -85,7 +118,7 @@ impl Deframer {
             }
         };
         self.counters.good = self.counters.good.wrapping_add(1);
-        // A hello begins a conversation, and a sequence: whoever sent before is gone.
+        // A hello begins a conversation, and a sequence: the sender before it is gone.
         if let Some(expected) = self.expected_seq.filter(|_| frame.id != Hello::ID) {
             let gap = frame.seq.wrapping_sub(expected);
             // A gap of more than half the range is a repeated or reordered frame, not a loss.
@@ -111,6 +144,27 @@ mod tests {
         let mut out = [0; MAX_ENCODED];
         let n = encode_numbered(&SetPower { power_w }, Number::FIRST, seq, &mut out).unwrap();
         out[..n].to_vec()
+    }
+
+    /// As [`good`], of a stream that comes in runs of these lengths.
+    fn good_of_runs(stream: &[u8], runs: &[usize]) -> Vec<(u8, u16, Vec<u8>)> {
+        let mut deframer = Deframer::new();
+        let mut found = Vec::new();
+        let mut rest = stream;
+        for run in runs.iter().copied().chain([usize::MAX]) {
+            let (mut bytes, later) = rest.split_at(run.min(rest.len()));
+            rest = later;
+            while !bytes.is_empty() {
+                let (taken, is_end) = deframer.collect(bytes);
+                bytes = &bytes[taken..];
+                let id = deframer.id();
+                if is_end && let Some(Ok(f)) = deframer.frame() {
+                    assert_eq!(id.unwrap_or(0), f.id);
+                    found.push((f.id, f.seq, f.payload.to_vec()));
+                }
+            }
+        }
+        found
     }
 
     /// Every good frame's (id, seq, payload) that a stream holds.
@@ -146,6 +200,29 @@ mod tests {
         // 12, 13 are missing; the repeated 14 is "one behind"; 15..=65534 is a gap of more than
         // half the range, so it is read as going back.
         assert_eq!((c.good, c.bad, c.lost), (6, 0, 2));
+    }
+
+    #[test]
+    fn a_frame_is_known_by_its_id_and_may_be_skipped() {
+        let mut deframer = Deframer::new();
+        let stream = [framed(1, 7), framed(2, 8), framed(3, 9)].concat();
+        let (mut at, mut seen) = (0, Vec::new());
+        while at < stream.len() {
+            let (taken, is_end) = deframer.collect(&stream[at..]);
+            at += taken;
+            if !is_end || deframer.id().is_none() {
+                continue;
+            }
+            assert_eq!(deframer.id(), Some(SetPower::ID));
+            if at > stream.len() / 3 && at <= 2 * stream.len() / 3 {
+                deframer.skip();
+            } else {
+                seen.push(deframer.frame().unwrap().unwrap().seq);
+            }
+        }
+        assert_eq!(seen, [7, 9]);
+        let counters = deframer.counters();
+        assert_eq!((counters.good, counters.bad, counters.lost), (2, 0, 0));
     }
 
     #[test]
@@ -195,7 +272,10 @@ mod tests {
     proptest! {
         /// Whatever stands between them, every well-formed frame is found, in order, unchanged.
         #[test]
-        fn every_well_formed_frame_is_found(pieces in prop::collection::vec(piece(), 0..12)) {
+        fn every_well_formed_frame_is_found(
+            pieces in prop::collection::vec(piece(), 0..12),
+            runs in prop::collection::vec(1..900usize, 0..30),
+        ) {
             let mut stream = Vec::new();
             let mut sent = Vec::new();
             for p in pieces {
@@ -215,6 +295,7 @@ mod tests {
                 }
             }
             let found = good(&stream);
+            prop_assert_eq!(&found, &good_of_runs(&stream, &runs));
             let mut rest = found.as_slice();
             for frame in &sent {
                 let at = rest.iter().position(|f| f == frame);

@@ -33,7 +33,7 @@ pub type Digest = crc::Digest<'static, u32, Table>;
 
 type Table = crc::Table<1>;
 
-/// Why a message could not be framed.
+/// Reason that a message could not be framed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EncodeError {
     /// The message is longer than [`MAX_PAYLOAD`].
@@ -68,10 +68,10 @@ pub fn encode<M: Message>(message: &M, seq: u16, out: &mut [u8]) -> Result<usize
     encode_message(message, &[], seq, out)
 }
 
-/// As [`encode`], for any message: a request and the answer to it carry the number, and no other does.
+/// Encodes any message as [`encode`] does: a request and the answer to it carry the number, and no other does.
 ///
 /// # Errors
-/// As [`encode`].
+/// Same as [`encode`].
 pub fn encode_numbered<M: Message>(
     message: &M,
     number: Number,
@@ -102,11 +102,11 @@ fn encode_message<M: Message>(
     encode_body(M::ID, seq, number.len() + used, &mut body, out)
 }
 
-/// As [`encode`], for a payload that is already bytes. For tests and tools that send what no
+/// Encodes a payload that is already bytes. For tests and tools that send what no
 /// message table would.
 ///
 /// # Errors
-/// As [`encode`].
+/// Same as [`encode`].
 pub fn encode_raw(id: u8, seq: u16, payload: &[u8], out: &mut [u8]) -> Result<usize, EncodeError> {
     let mut body = [0u8; MAX_BODY];
     body.get_mut(HEADER..HEADER + payload.len())
@@ -161,7 +161,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Why bytes between two zeros are not a frame.
+/// Reason that bytes between two zeros are not a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
     /// Longer than any frame.

@@ -20,7 +20,7 @@ pub const ROLE_HOST: u8 = 0;
 /// Role of a device in [`Hello::role`].
 pub const ROLE_DEVICE: u8 = 1;
 
-/// Why two ends cannot talk.
+/// Reason that two ends do not fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mismatch {
     /// The peer's hello does not carry [`MAGIC`].
@@ -91,7 +91,7 @@ fn cut<const N: usize>(text: &str) -> heapless::String<N> {
     s
 }
 
-/// Whether the peer's hello fits ours.
+/// Checks that the peer's hello fits ours.
 ///
 /// # Errors
 /// The [`Mismatch`] that keeps the two from talking.

@@ -14,9 +14,9 @@ pub fn fill(seq: u32, data: &mut [u8]) {
     }
 }
 
-/// Counts what comes.
+/// Counts of the frames of a test of the link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Received {
+pub struct LinkTestCounts {
     frames: u32,
     bytes: u32,
     bad: u32,
@@ -24,7 +24,7 @@ pub struct Received {
     next: u32,
 }
 
-impl Received {
+impl LinkTestCounts {
     /// Nothing yet.
     pub const NONE: Self = Self {
         frames: 0,
@@ -47,7 +47,7 @@ impl Received {
         }
     }
 
-    /// What has come.
+    /// Counts so far.
     pub fn counts(&self) -> LinkTested {
         LinkTested {
             frames: self.frames,
@@ -68,14 +68,14 @@ mod tests {
     use super::*;
     use crate::wire::messages::Raw;
 
-    fn take(received: &mut Received, seq: u32, data: &[u8]) {
+    fn take(received: &mut LinkTestCounts, seq: u32, data: &[u8]) {
         let data = Raw(data);
         received.take(&LinkData { seq, data });
     }
 
     #[test]
     fn what_is_missing_late_or_wrong_is_counted() {
-        let mut received = Received::default();
+        let mut received = LinkTestCounts::default();
         let mut data = [0; 300];
         for seq in [0, 1, 5, 6, 4] {
             fill(seq, &mut data);

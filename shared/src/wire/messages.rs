@@ -40,13 +40,13 @@ pub trait Message: Serialize {
 pub trait Request: Message {
     /// Answer where the request is carried out; [`Reply`] where it is not.
     type Answer<'a>: Message + Deserialize<'a>;
-    /// Whether it is sent once only. Any other is sent again, under its number, while its answer stays away: a device
+    /// `true` if it is sent once only. Any other is sent again, under its number, while its answer stays away: a device
     /// carries it out once.
     const IS_SENT_ONCE: bool;
 }
 
 wire_enum! {
-    /// What the controller is doing.
+    /// State of the controller.
     pub enum State {
         /// Inverter off, waiting for a power request.
         Idle = 0,
@@ -57,7 +57,7 @@ wire_enum! {
         /// Inverter off for good: its tries are used up, or the controller itself is faulty. A person
         /// switches off and on.
         LockedOut = 3,
-        /// No suitable pot; looks for one from time to time.
+        /// No suitable pot; probes for one from time to time.
         WaitingForPot = 4,
         /// Inverter off after a trip, or without good mains; starts again by itself.
         Pausing = 5,
@@ -65,9 +65,9 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// What holds the power below what was asked for.
+    /// Limit that holds the power below the request.
     pub enum Limit {
-        /// Nothing: it is what was asked for, or the inverter is off.
+        /// Nothing: it is the request, or the inverter is off.
         None = 0,
         /// An end of the frequency range.
         Frequency = 1,
@@ -91,9 +91,9 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// What stands on the coil.
+    /// Pot on the coil.
     pub enum Pot {
-        /// Not looked at yet.
+        /// Not judged yet.
         Unknown = 0,
         /// Nothing.
         Absent = 1,
@@ -147,7 +147,7 @@ wire_enum! {
         /// A setting outside its range, and none was changed; `detail` is the field's place in its
         /// message, from 0.
         OutOfRange = 17,
-        /// The inverter must be off for this: power is asked for, or flows.
+        /// The inverter must be off for this: power is requested, or flows.
         NotIdle = 18,
         /// This device has not what it takes: a simulated hob has no ROM bootloader, no comparators and no log.
         Unavailable = 19,
@@ -173,7 +173,7 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// What runs after a `Restart`.
+    /// Program after a `Restart`.
     pub enum Program {
         /// The firmware, from its beginning.
         Firmware = 0,
@@ -280,7 +280,7 @@ macro_rules! message_table {
     (@once once) => { true };
 }
 
-/// Whether a frame of this id begins with a request's number: any that is not known does, as it may be a newer request.
+/// Returns `true` if a frame of this id begins with a request's number: any that is not known does, as it may be a newer request.
 pub const fn is_numbered(id: u8) -> bool {
     match part_of(id) {
         Some(part) => part.is_numbered(),
@@ -313,7 +313,7 @@ message_table! { 'a;
         role: u8,
         /// Incompatible when different.
         protocol_major: u16,
-        /// The higher one knows more messages.
+        /// The higher one has more messages.
         protocol_minor: u16,
         /// Hash of the message table; must agree where major and minor do.
         schema_hash: u64,
@@ -330,7 +330,7 @@ message_table! { 'a;
         /// Board or host name.
         board: String<32>,
     }
-    /// Asks for power; 0 switches off. A device that hears no frame but `ResendWindow` for 10 s switches off by itself.
+    /// Requests power; 0 switches off. A device that receives no frame but `ResendWindow` for 10 s switches off by itself.
     0x02 Request SetPower -> Reply {
         /// Mean power over a half-cycle, in watt.
         power_w: u16,
@@ -353,7 +353,7 @@ message_table! { 'a;
     }
     /// Asks for the active lookup.
     0x06 Request ReadLookup -> LookupBlob<'a> {}
-    /// Leaves the safe state after a fault; power must be asked for again.
+    /// Leaves the safe state after a fault; power must be requested again.
     0x07 Request ClearFault -> Reply {}
     /// Enters replay mode: samples come from `ReplayBlocks`, those of the ADC are ignored, and the
     /// power outputs are locked off. The estimator begins anew.
@@ -376,7 +376,7 @@ message_table! { 'a;
         #[serde(borrow)]
         data: Raw<'a>,
     }
-    /// Leaves replay mode; power must be asked for again.
+    /// Leaves replay mode; power must be requested again.
     0x0a Request ReplayEnd -> ReplayMode {}
     /// Asks for a `Utilisation`.
     0x0b Request GetUtilisation -> Utilisation {}
@@ -385,9 +385,9 @@ message_table! { 'a;
     0x0c Request ResetLookup -> Reply {}
     /// Settings, kept until the next boot.
     0x0d Request Configure -> Reply {
-        /// How long the device looks for a pot before it gives up, in seconds: 60 to 600.
+        /// Longest wait for a pot, in seconds: 60 to 600.
         give_up_s: u16,
-        /// How far the switching frequency is moved to either side from half-cycle to half-cycle, in
+        /// Dither: the switching frequency moves to either side from half-cycle to half-cycle, in
         /// permille: 0 (not at all) to 10. Never within a window.
         dither_permille: u8,
     }
@@ -400,16 +400,16 @@ message_table! { 'a;
     0x0f Notice ResendWindow {
         /// Window.
         seq: u32,
-        /// What is asked for.
+        /// Requested piece.
         piece: Piece,
         /// Index of a chunk's first pair or entry; else 0.
         offset: u16,
     }
-    /// Ends the program that runs, for one that begins anew. Only with the inverter off and no power asked for,
+    /// Ends the program that runs, for one that begins anew. Only with the inverter off and no power requested,
     /// else `NotIdle`. After `Ok` the device goes, [`super::timing::RESTART_AFTER_MS`] later; sent again, it would meet the
     /// next program.
     0x10 Request Restart -> Reply once {
-        /// What runs next.
+        /// Program that runs next.
         into: Program,
     }
     /// Asks for a `Board`.
@@ -432,10 +432,10 @@ message_table! { 'a;
     }
     /// Sends what the firmware logs, from the oldest that is still kept on, in `Log`s; or no more. A `Hello` ends it.
     0x15 Request StreamLog -> Reply {
-        /// Whether.
+        /// `true` to stream the log.
         on: bool,
     }
-    /// Looks at the measuring channels. Only with the inverter off and no power asked for, else `Reply` with `NotIdle`; with
+    /// Measures offset and noise of the channels. Only with the inverter off and no power requested, else `Reply` with `NotIdle`; with
     /// `Busy` while another test of the board runs. Answered within a second.
     0x16 Request TestChannels -> Channels {}
     /// Trips both comparators by moving their thresholds. As `TestChannels`.
@@ -444,20 +444,20 @@ message_table! { 'a;
     0x18 Request TestClocks -> Clocks {}
     /// Answer to a request that has no other, and to any that is not carried out.
     0x80 Answer Reply {
-        /// What became of it.
+        /// Outcome of the request.
         outcome: Outcome,
         /// See the outcome.
         detail: u32,
     }
     /// The controller now, and everything it has counted since boot.
     0x81 Answer Status {
-        /// What the controller is doing.
+        /// State of the controller.
         state: State,
         /// Active fault.
         fault: Fault,
-        /// What stands on the coil.
+        /// Pot on the coil.
         pot: Pot,
-        /// Power asked for, in watt.
+        /// Requested power, in watt.
         asked_w: u16,
         /// Mean power of the last half-cycle, in milliwatt.
         delivered_mw: u32,
@@ -479,7 +479,7 @@ message_table! { 'a;
         frames_lost: u32,
         /// Sample pairs at the end of the ADC's range.
         saturated_pairs: u32,
-        /// What holds the power below what was asked for.
+        /// Limit that holds the power below the request.
         limit: Limit,
         /// Restarts left after a trip before the inverter stays off.
         tries_left: u8,
@@ -489,11 +489,11 @@ message_table! { 'a;
         glass_c: i16,
         /// Coil, in °C; −300 without a sensor.
         coil_c: i16,
-        /// Whether the fan runs.
+        /// `true` while the fan runs.
         fan: bool,
         /// Level chosen at the panel, 0 to 9; 255 where no panel was ever touched.
         panel_level: u8,
-        /// Whether the panel's keys are locked.
+        /// `true` while the panel's keys are locked.
         key_locked: bool,
     }
     /// One half-cycle in numbers.
@@ -504,11 +504,11 @@ message_table! { 'a;
         dropped: u32,
         /// Half-cycle since boot.
         half_cycle: u32,
-        /// What the controller is doing.
+        /// State of the controller.
         state: State,
         /// Active fault.
         fault: Fault,
-        /// What stands on the coil.
+        /// Pot on the coil.
         pot: Pot,
         /// Switching frequency in hertz; 0 with the inverter off.
         f_sw_hz: u32,
@@ -525,9 +525,9 @@ message_table! { 'a;
         phase_mrad: i16,
         /// Version of the active lookup.
         lookup_version: u32,
-        /// Power asked for, in watt.
+        /// Requested power, in watt.
         asked_w: u16,
-        /// What holds the power below what was asked for.
+        /// Limit that holds the power below the request.
         limit: Limit,
         /// Highest bus voltage of the half-cycle, in decivolt.
         bus_peak_dv: u16,
@@ -606,14 +606,14 @@ message_table! { 'a;
         /// The fault.
         fault: Fault,
     }
-    /// Whether samples come from a host; the power outputs are locked off while they do.
+    /// `true` while samples come from a host; the power outputs are locked off while they do.
     0x89 Answer ReplayMode {
         /// Replay mode.
         active: bool,
         /// Blocks replayed since it was entered.
         blocks: u32,
     }
-    /// What the estimator made of the blocks of one `ReplayBlocks`.
+    /// Estimates from the blocks of one `ReplayBlocks`.
     0x8a Answer ReplayEstimates<'a> {
         /// Blocks replayed before these.
         first: u32,
@@ -622,7 +622,7 @@ message_table! { 'a;
         #[serde(borrow)]
         data: Raw<'a>,
     }
-    /// How busy the controller was since `GetUtilisation` was asked last.
+    /// Load of the controller since the last `GetUtilisation`.
     0x8b Answer Utilisation {
         /// Blocks of samples whose processing was measured; 0 on a board that cannot measure it.
         blocks: u32,
@@ -634,25 +634,25 @@ message_table! { 'a;
         /// watchdog, in microseconds.
         longest_gap_us: u32,
     }
-    /// What the codes of the device's channels stand for.
+    /// Scales of the codes of the device's channels.
     0x8c Answer FrontEnd {
         /// Half the input range of the coil voltage's channel, in millivolt.
         v_full_scale_mv: u32,
         /// Half the input range of the coil current's channel, in milliampere.
         i_full_scale_ma: u32,
-        /// Largest bus voltage that can be told, in millivolt; its channel begins at 0.
+        /// Largest bus voltage that can be shown, in millivolt; its channel begins at 0.
         bus_full_scale_mv: u32,
         /// Half the input range of the mains voltage's channel, in millivolt.
         mains_full_scale_mv: u32,
         /// Bits of a code.
         bits: u8,
     }
-    /// What the device is, as far as its chip and its program know. A simulated hob has no chip: its numbers are 0, its
+    /// Identity of the device, from its chip and its program. A simulated hob has no chip: its numbers are 0, its
     /// option bytes as they should be.
     0x8d Answer Board<'a> {
         /// DBGMCU_IDCODE: which chip, and its revision.
         id_code: u32,
-        /// Flash, in KiB, as the chip says (FLASHSIZE).
+        /// Flash, in KiB, by the chip (FLASHSIZE).
         flash_kib: u16,
         /// FLASH_OPTR, the user option bytes in force.
         option_bytes: u32,
@@ -673,9 +673,9 @@ message_table! { 'a;
         #[serde(borrow)]
         chip: Raw<'a>,
     }
-    /// What the measuring channels show with the bridge open. Codes are in 1/256, those of the pairs from mid-scale on.
+    /// Offset and noise of the measuring channels with the bridge open. Codes are in 1/256, those of the pairs from mid-scale on.
     0x8e Answer Channels {
-        /// Pairs of coil voltage and current that were looked at.
+        /// Pairs of coil voltage and current that were measured.
         samples: u32,
         /// Mean of the coil voltage's codes.
         v_mean: i32,
@@ -685,7 +685,7 @@ message_table! { 'a;
         i_mean: i32,
         /// Root mean square of the same about the mean.
         i_rms: u32,
-        /// Codes of bus and mains that were looked at.
+        /// Codes of bus and mains that were measured.
         slow_samples: u32,
         /// Mean of the bus voltage's codes, which begin at 0.
         bus_mean: i32,
@@ -700,20 +700,20 @@ message_table! { 'a;
         /// The analogue supply by it, in millivolt; 0 where it was not measured.
         vdda_mv: u16,
     }
-    /// Whether the trip in hardware works, from the thresholds to the fault inputs, with the bridge open.
+    /// Result of a test of the trip in hardware, from the thresholds to the fault inputs, with the bridge open.
     0x8f Answer Comparators {
         /// With its threshold at 0 V the comparator of positive current reached its fault input.
         positive_tripped: bool,
         /// With its threshold back it is quiet.
         positive_quiet: bool,
-        /// As for positive current.
+        /// The same for negative current.
         negative_tripped: bool,
-        /// As for positive current.
+        /// The same for negative current.
         negative_quiet: bool,
     }
     /// The clocks, counted against each other.
     0x90 Answer Clocks {
-        /// What the main clock's frequency should be, in hertz.
+        /// Nominal frequency of the main clock, in hertz.
         main_hz: u32,
         /// Periods of the low-speed oscillator that were counted; 0 where it stands still.
         lsi_periods: u32,
@@ -723,27 +723,27 @@ message_table! { 'a;
         usb_frames: u16,
         /// Main clock's cycles meanwhile.
         usb_main_cycles: u32,
-        /// How many periods too many the 48 MHz oscillator had in the USB host's last frame, of 48 000; 0 without one.
+        /// Excess periods of the 48 MHz oscillator in the USB host's last frame, of 48 000; 0 without one.
         hsi48_off: i16,
         /// Its trim, 0 to 127, which follows a USB host.
         hsi48_trim: u8,
     }
-    /// What has come of a test of the link.
+    /// Result of a test of the link.
     0x91 Answer LinkTested {
         /// `LinkData` received since the last `TestLink`.
         frames: u32,
         /// Bytes of their data.
         bytes: u32,
-        /// Of the frames, those whose data was not what their number says.
+        /// Frames with data that is not that of their number.
         bad: u32,
         /// Frames missing from their sequence.
         lost: u32,
     }
-    /// What the firmware has logged.
+    /// Log of the firmware.
     0x92 Event Log<'a> {
         /// Bytes sent in `Log`s before this one, since boot: a gap was lost on the way.
         seq: u32,
-        /// Of the firmware's log frames, those that found no room, since boot.
+        /// Log frames of the firmware that found no room, since boot.
         dropped: u32,
         /// Whole log frames of defmt as they leave over RTT: rzCOBS, each ends with 0. The image's own table decodes them.
         #[serde(borrow)]
@@ -757,7 +757,7 @@ message_table! { 'a;
 }
 
 impl WindowStart {
-    /// What its codes stand for.
+    /// Scales of its codes.
     pub fn scales(&self) -> Scales {
         Scales {
             v_full_scale_mv: self.v_full_scale_mv,
@@ -767,7 +767,7 @@ impl WindowStart {
 }
 
 impl FrontEnd {
-    /// What the codes of coil voltage and current stand for.
+    /// Scales of the codes of coil voltage and current.
     pub fn scales(&self) -> Scales {
         Scales {
             v_full_scale_mv: self.v_full_scale_mv,
@@ -777,7 +777,7 @@ impl FrontEnd {
 }
 
 impl Configure {
-    /// What a device begins with: a minute, and a frequency that stays.
+    /// Settings of a device at start: a minute, and a frequency that stays.
     pub const DEFAULT: Self = Self {
         give_up_s: 60,
         dither_permille: 0,
@@ -789,10 +789,10 @@ impl Configure {
     /// Accepted values of [`Configure::dither_permille`].
     pub const DITHER_PERMILLE: RangeInclusive<u8> = 0..=10;
 
-    /// Whether every setting is within its range.
+    /// Checks that every setting is within its range.
     ///
     /// # Errors
-    /// The place of the first field that is not, as [`Outcome::OutOfRange`] tells it.
+    /// The place of the first field that is not, for [`Outcome::OutOfRange`].
     pub fn check(&self) -> Result<(), u32> {
         if !Self::GIVE_UP_S.contains(&self.give_up_s) {
             return Err(0);
@@ -804,10 +804,10 @@ impl Configure {
     }
 }
 
-/// What a temperature of [`Status`] holds where no sensor is fitted.
+/// Value of a temperature of [`Status`] if no sensor is fitted.
 pub const NO_SENSOR_C: i16 = -300;
 
-/// What [`Status::panel_level`] holds where no panel was ever touched.
+/// Value of [`Status::panel_level`] if no panel was ever touched.
 pub const NO_PANEL: u8 = u8::MAX;
 
 /// Every enumeration that messages use.
@@ -837,7 +837,7 @@ pub const SCHEMA_HASH: u64 = {
     hash
 };
 
-/// Why a payload is not a message.
+/// Reason that a payload is not a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DecodeError {
     /// No message has this id.
@@ -854,7 +854,7 @@ pub enum DecodeError {
     Trailing {
         /// The id.
         id: u8,
-        /// How many.
+        /// Number of bytes left.
         bytes: usize,
     },
 }

@@ -28,7 +28,7 @@ pub enum Part {
 }
 
 impl Part {
-    /// Whether the message carries a request's number.
+    /// `true` if the message carries a request's number.
     pub const fn is_numbered(self) -> bool {
         matches!(self, Self::Request | Self::Answer)
     }
@@ -54,7 +54,7 @@ pub struct Entry {
     pub part: Option<Part>,
     /// Answer that a request gets where it is carried out.
     pub answer: Option<&'static str>,
-    /// Whether the request is sent once only.
+    /// `true` if the request is sent once only.
     pub is_sent_once: bool,
     /// Type name.
     pub name: &'static str,

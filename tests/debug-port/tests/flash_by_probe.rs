@@ -4,9 +4,11 @@ use ihd_debug_port::chip::Mishap;
 use ihd_debug_port::probe::Desk;
 use ihd_debug_port::{Chip, Contact};
 use ihd_flash::fake::SampleImage;
-use ihd_flash::install::{Before, InstallError, Installed, Plan, install};
+use ihd_flash::install::{FlashContents, InstallError, InstallPlan, InstallReport, install};
 use ihd_flash::probe::{ProbeProgrammer, Probes};
-use ihd_flash::{Doing, Erase, Image, LogSource, OptionBytes, ProgramError, Programmer, Progress};
+use ihd_flash::{
+    Erase, FlashStep, Image, LogSource, OptionBytes, ProgramError, Programmer, Progress,
+};
 use ihd_shared::image::{FLASH_ADDRESS, LOOKUP_ADDRESS, PAGE_BYTES};
 use std::time::Duration;
 
@@ -27,17 +29,17 @@ fn image() -> Image {
     sample.image()
 }
 
-fn plan(image: &Image) -> Plan<'_> {
-    Plan {
+fn plan(image: &Image) -> InstallPlan<'_> {
+    InstallPlan {
         image,
         erase: Erase::Image,
         set_options: false,
-        heard_within: Duration::ZERO,
-        must_be_heard: false,
+        hello_within: Duration::ZERO,
+        hello_required: false,
     }
 }
 
-fn flash(desk: &Desk<Chip>, plan: Plan<'_>) -> Result<Installed, InstallError> {
+fn flash(desk: &Desk<Chip>, plan: InstallPlan<'_>) -> Result<InstallReport, InstallError> {
     let mut programmer = attach(desk)?;
     install(&mut programmer, None, plan, &mut |_| ())
 }
@@ -108,7 +110,7 @@ fn an_image_is_flashed_verified_and_started_and_the_lookup_stays() {
 fn erase_all_takes_the_lookup_too() {
     let (desk, image) = (desk(), image());
     put(&desk, LOOKUP_ADDRESS, b"a learned lookup");
-    let all = Plan {
+    let all = InstallPlan {
         erase: Erase::All,
         ..plan(&image)
     };
@@ -120,7 +122,10 @@ fn erase_all_takes_the_lookup_too() {
 #[test]
 fn what_is_on_the_chip_is_named() {
     let (desk, image) = (desk(), image());
-    assert_eq!(flash(&desk, plan(&image)).unwrap().before, Before::Empty);
+    assert_eq!(
+        flash(&desk, plan(&image)).unwrap().before,
+        FlashContents::Empty
+    );
     let again = flash(&desk, plan(&image)).unwrap().before;
     assert_eq!(
         again.describe(),
@@ -225,7 +230,7 @@ fn protection_elsewhere_is_no_matter() {
     let wrp = [0xFF00_FFFF, 0xFF00_FFFF, 0xFF7F_FF7E, 0xFF00_FFFF];
     desk.with(|chip| chip.flash = std::mem::take(&mut chip.flash).with_options(0xFEEF_FCAA, wrp));
     flash(&desk, plan(&image)).unwrap();
-    let all = Plan {
+    let all = InstallPlan {
         erase: Erase::All,
         ..plan(&image)
     };
@@ -246,7 +251,7 @@ fn option_bytes_are_set_loaded_and_read_back() {
     desk.with(|chip| {
         chip.flash = std::mem::take(&mut chip.flash).with_options(delivered.optr, delivered.wrp)
     });
-    let asked = Plan {
+    let asked = InstallPlan {
         set_options: true,
         ..plan(&image)
     };
@@ -283,10 +288,10 @@ fn mishap(after: u64, mishap: Mishap) -> ProgramError {
 #[test]
 fn a_probe_that_is_pulled_is_told_and_a_second_run_mends_it() {
     for (after, doing) in [
-        (0, Doing::Erasing),
-        (20, Doing::Erasing),
-        (44, Doing::Programming),
-        (5_000, Doing::Programming),
+        (0, FlashStep::Erasing),
+        (20, FlashStep::Erasing),
+        (44, FlashStep::Programming),
+        (5_000, FlashStep::Programming),
     ] {
         let why = mishap(after, Mishap::ProbePulled);
         assert!(
@@ -300,10 +305,10 @@ fn a_probe_that_is_pulled_is_told_and_a_second_run_mends_it() {
 #[test]
 fn a_loss_of_power_is_told_and_a_second_run_mends_it() {
     for (after, doing) in [
-        (0, Doing::Erasing),
-        (43, Doing::Erasing),
-        (44, Doing::Programming),
-        (9_000, Doing::Programming),
+        (0, FlashStep::Erasing),
+        (43, FlashStep::Erasing),
+        (44, FlashStep::Programming),
+        (9_000, FlashStep::Programming),
     ] {
         let why = mishap(after, Mishap::PowerLost);
         assert!(
@@ -332,7 +337,7 @@ fn a_controller_that_stays_busy_is_told() {
         matches!(
             why,
             ProgramError::Stuck {
-                doing: Doing::Erasing,
+                doing: FlashStep::Erasing,
                 address: 0x0800_5000,
                 ..
             }
@@ -345,7 +350,7 @@ fn a_controller_that_stays_busy_is_told() {
         matches!(
             why,
             ProgramError::Stuck {
-                doing: Doing::Programming,
+                doing: FlashStep::Programming,
                 ..
             }
         ),
@@ -423,7 +428,7 @@ impl Ring {
             written: 0,
         };
         ring.put(Self::NAME, b"defmt\0");
-        ring.words(
+        ring.put_words(
             Self::BLOCK + 16,
             &[1, 0, Self::NAME, Self::BUFFER, Self::BYTES, 0, 0, 0],
         );
@@ -436,7 +441,7 @@ impl Ring {
             .with(|chip| chip.ram(address, bytes.len()).copy_from_slice(bytes));
     }
 
-    fn words(&self, address: u32, words: &[u32]) {
+    fn put_words(&self, address: u32, words: &[u32]) {
         let bytes: Vec<_> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
         self.put(address, &bytes);
     }
@@ -447,7 +452,7 @@ impl Ring {
             self.put(Self::BUFFER + self.written, &[byte]);
             self.written = (self.written + 1) % Self::BYTES;
         }
-        self.words(Self::BLOCK + 36, &[self.written]);
+        self.put_words(Self::BLOCK + 36, &[self.written]);
     }
 }
 
@@ -511,7 +516,7 @@ fn the_firmwares_own_image_is_flashed_and_named() {
     flash(&desk, plan(&image)).unwrap();
     let again = flash(&desk, plan(&image)).unwrap();
     assert_eq!(again.before.describe(), image.describe());
-    let Before::Firmware(found) = again.before else {
+    let FlashContents::Firmware(found) = again.before else {
         panic!("{:?}", again.before);
     };
     assert!(found.whole);

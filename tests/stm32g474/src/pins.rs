@@ -2,8 +2,8 @@
 
 use std::collections::VecDeque;
 
-use ihd_firmware::drive;
-use ihd_firmware::mains::MAINS_FULL_SCALE_V;
+use ihd_firmware::drive::bridge;
+use ihd_firmware::sense::mains::MAINS_FULL_SCALE_V;
 use ihd_shared::sampling::{
     AMPERE_PER_CODE, CODE_HALF_RANGE, CODE_MAX, CODE_MIN, Pair, VOLT_PER_CODE,
 };
@@ -104,11 +104,11 @@ impl Pins {
     pub fn drive(&mut self, bridge: Bridge, f_sw_hz: f64) {
         self.bridge = bridge;
         let state = match bridge {
-            Bridge::Open => drive::Bridge::Open,
-            Bridge::LowerClosed => drive::Bridge::LowerOn,
-            Bridge::Switching { .. } => drive::Bridge::Switching,
+            Bridge::Open => bridge::Bridge::Open,
+            Bridge::LowerClosed => bridge::Bridge::LowerOn,
+            Bridge::Switching { .. } => bridge::Bridge::Switching,
         };
-        self.plant.set_drive(drive::Drive {
+        self.plant.set_drive(bridge::Drive {
             f_sw_hz: f_sw_hz.round() as u32,
             bridge: state,
         });

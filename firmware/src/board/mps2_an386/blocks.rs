@@ -5,7 +5,8 @@ use core::ptr;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_executor::InterruptExecutor;
-use ihd_firmware::realtime::{Block, Drive};
+use ihd_firmware::drive::bridge::Drive;
+use ihd_firmware::sampling::path::AdcBlock;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 
 use crate::board::sampling::SampleSource;
@@ -44,7 +45,7 @@ extern "C" fn TIMER0() {
     unsafe { SAMPLING_EXECUTOR.on_interrupt() }
 }
 
-/// An ADC that hears nothing.
+/// An ADC without a signal.
 pub struct SilentAdc {
     block: u32,
 }
@@ -59,7 +60,7 @@ impl SilentAdc {
 }
 
 impl SampleSource for SilentAdc {
-    fn next(&mut self, take: impl FnOnce(&Block<'_>) -> Drive) -> bool {
+    fn next(&mut self, take: impl FnOnce(&AdcBlock<'_>) -> Drive) -> bool {
         let due = DUE.load(Ordering::Acquire);
         if due == 0 {
             return false;
@@ -71,7 +72,7 @@ impl SampleSource for SilentAdc {
             self.block = 0;
         }
         // There is no bridge to drive.
-        let _ = take(&Block {
+        let _ = take(&AdcBlock {
             pairs: &SILENCE,
             zero_crossing: crossing.then_some(0),
             bus_dv: 0,

@@ -7,11 +7,12 @@ use cortex_m::Peripherals;
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m_semihosting::{debug, hprintln};
-use ihd_firmware::demod::{Demodulator, Phasors, correlate};
-use ihd_firmware::ekf::{Ekf, Noise};
+use ihd_firmware::estimate::ekf::{Ekf, Noise};
 use ihd_firmware::fixed::Complex;
-use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::realtime::{Access, Block, RealTime};
+use ihd_firmware::link::housekeeping::Housekeeping;
+use ihd_firmware::sampling::path::{AdcBlock, SamplingLock, SamplingPath};
+use ihd_firmware::sense::correlation::correlate;
+use ihd_firmware::sense::demodulator::{Demodulator, Phasors};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
@@ -160,7 +161,7 @@ fn sampling_path() {
     };
     let pairs = block();
     path.with(|rt| {
-        rt.set_windows_every(1);
+        rt.recorder().set_period(1);
         rt.set_replay(true, 70_000, r, l);
         take(rt, &pairs, Some(0));
         report("block", tenths(|_| take(rt, &pairs, None)));
@@ -172,8 +173,8 @@ fn sampling_path() {
     });
 }
 
-fn take(rt: &mut RealTime, pairs: &[Pair; ADC_LOCK_P], zero_crossing: Option<u8>) {
-    black_box(rt.replay_block(&Block {
+fn take(rt: &mut SamplingPath, pairs: &[Pair; ADC_LOCK_P], zero_crossing: Option<u8>) {
+    black_box(rt.replay_block(&AdcBlock {
         pairs,
         zero_crossing,
         bus_dv: 3_000,

@@ -1,7 +1,7 @@
 //! Fault injection: accidents on demand, named by QEMU's `-semihosting-config arg=`, so that a test
 //! sees what the next start reports. Only at power-on, or they would repeat for ever.
 
-use ihd_firmware::reset::CrashRecord;
+use ihd_firmware::retained::reset::CrashRecord;
 
 use crate::board::crash;
 

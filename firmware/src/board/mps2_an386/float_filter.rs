@@ -5,7 +5,7 @@ use core::f32::consts::TAU;
 
 type Complex = [f32; 2];
 
-/// Variances as in `ihd_firmware::ekf::Noise::TUNED`, in A² and ohm².
+/// Variances as in `ihd_firmware::estimate::ekf::Noise::TUNED`, in A² and ohm².
 const MEASUREMENT: f32 = 0.05 * 0.05;
 const CURRENT: f32 = 0.02 * 0.02;
 const IMPEDANCE: f32 = 0.01 * 0.01;

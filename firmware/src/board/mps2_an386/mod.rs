@@ -18,12 +18,4 @@ mod uart;
 #[cfg(not(feature = "instruction-counts"))]
 mod vectors;
 
-/// There are no outputs; the crash handler calls it on every board.
-pub fn outputs_off() {}
-
-/// Stays for ever.
-pub fn stay(_fault: u16) -> ! {
-    loop {
-        cortex_m::asm::wfe();
-    }
-}
+pub mod safe_state;

@@ -3,9 +3,9 @@
 use cortex_m::peripheral::NVIC;
 use embassy_executor::Executor;
 use embassy_executor::raw::TaskStorage;
-use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::reset::{self, Flags};
-use ihd_firmware::service::NoFacilities;
+use ihd_firmware::link::housekeeping::Housekeeping;
+use ihd_firmware::link::service::NoBoardServices;
+use ihd_firmware::retained::reset::{self, ResetFlags};
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
@@ -43,9 +43,9 @@ fn main() -> ! {
 fn hello(last: Option<reset::CrashRecord>) -> Hello {
     // The absence of a crash record indicates power-on; every other start follows a reset
     // that this program asked for.
-    let flags = Flags {
+    let flags = ResetFlags {
         software: last.is_some(),
-        ..Flags::default()
+        ..ResetFlags::default()
     };
     let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
     let boot_id = last.map_or(0, |record| u32::from(record.starts) + 1);
@@ -76,7 +76,7 @@ async fn link_task(hello: Hello, path: ThreadSide) -> ! {
     let housekeeping = HOUSEKEEPING.init_with(|| Housekeeping::new(hello));
     let ports = uart::start();
     let tick = |housekeeping: &mut Housekeeping, path: &mut ThreadSide| {
-        housekeeping.serve(path, &mut NoFacilities);
+        housekeeping.serve(path, &mut NoBoardServices);
     };
     link::run(ports, (NoPort, NoPort), housekeeping, path, tick).await
 }

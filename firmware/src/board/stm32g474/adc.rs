@@ -7,11 +7,12 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
-use ihd_firmware::channels::SlowCodes;
-use ihd_firmware::mains::{ZeroCrossing, bus_dv};
-use ihd_firmware::pwm::Periods;
-use ihd_firmware::realtime::{Block, Bridge, Drive};
-use ihd_firmware::ring::Ring;
+use ihd_firmware::drive::bridge::{Bridge, Drive};
+use ihd_firmware::drive::pwm::Periods;
+use ihd_firmware::link::channel_test::SlowCodes;
+use ihd_firmware::sampling::path::AdcBlock;
+use ihd_firmware::sense::dma_buffer::DmaDoubleBuffer;
+use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 
 use super::registers::{adc, bridge, dma};
@@ -43,7 +44,7 @@ pub fn written_by_dma() -> [Range<usize>; 2] {
     ]
 }
 
-/// What bus and mains were converted to last.
+/// Last codes of bus and mains.
 #[inline(always)]
 pub fn slow_codes() -> SlowCodes {
     let codes = SLOW.0.get().cast::<i16>();
@@ -86,11 +87,11 @@ fn block_cycles(periods: Periods) -> u32 {
 
 /// The ADCs, and the bridge they are locked to.
 pub struct Adc {
-    ring: Ring,
-    mains: ZeroCrossing,
+    ring: DmaDoubleBuffer,
+    mains: ZeroCrossingDetector,
     drive: Drive,
     block_cycles: u32,
-    /// Of the block that is taken, a word each.
+    /// Pairs of the block that is taken, a word each.
     pairs: [u32; ADC_LOCK_P],
 }
 
@@ -106,8 +107,8 @@ impl Adc {
         }
         bridge::run_timers();
         Self {
-            ring: Ring::default(),
-            mains: ZeroCrossing::default(),
+            ring: DmaDoubleBuffer::default(),
+            mains: ZeroCrossingDetector::default(),
             drive: Drive::OFF,
             block_cycles: block_cycles(periods),
             pairs: [0; ADC_LOCK_P],
@@ -150,7 +151,7 @@ impl Adc {
 }
 
 impl SampleSource for Adc {
-    fn next(&mut self, take: impl FnOnce(&Block<'_>) -> Drive) -> bool {
+    fn next(&mut self, take: impl FnOnce(&AdcBlock<'_>) -> Drive) -> bool {
         let Some(half) = self.ring.take(dma::filled()) else {
             return false;
         };
@@ -163,7 +164,7 @@ impl SampleSource for Adc {
         let sampled = sampled_cycles().wrapping_add(self.block_cycles);
         SAMPLED_CYCLES.store(sampled, Ordering::Relaxed);
         let slow = slow_codes();
-        let drive = take(&Block {
+        let drive = take(&AdcBlock {
             pairs: Pair::of_words(&self.pairs),
             zero_crossing: self.mains.on_block(slow.mains.into()),
             bus_dv: bus_dv(slow.bus),

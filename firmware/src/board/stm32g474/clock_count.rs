@@ -1,13 +1,13 @@
 //! The clocks counted against each other, for a host that asks: the low-speed oscillator by what TIM16 captures, a USB
 //! host's frames by their number, HSI48 by what CRS found.
 
-use ihd_firmware::self_test::clock::{COUNTS_PER_S, Captured, PERIODS};
+use ihd_firmware::self_test::clock::{COUNTS_PER_S, ClockCapture, PERIODS};
 use ihd_shared::wire::messages::Clocks;
 
 use super::registers::clocks::{CORE_MHZ, hsi48};
 use super::registers::usb_frame;
 
-/// How long is counted: 0.5 s.
+/// Duration of the count: 0.5 s.
 const COUNTED_CYCLES: u32 = CORE_MHZ * 500_000;
 
 /// Cycles of the main clock to one of the timer that captures.
@@ -16,8 +16,8 @@ const CYCLES_PER_COUNT: u32 = CORE_MHZ * 1_000_000 / COUNTS_PER_S;
 /// Frame numbers of USB have 11 bits.
 const FRAME_MASK: u16 = 0x7FF;
 
-/// What has been counted.
-pub struct Counting {
+/// Counts so far.
+pub struct ClockCount {
     began: u32,
     /// The last capture, while none was overtaken since.
     last: Option<u16>,
@@ -31,7 +31,7 @@ pub struct Counting {
     latest: (u16, u32),
 }
 
-impl Counting {
+impl ClockCount {
     /// From now on.
     pub fn begin(now: u32) -> Self {
         let frame = usb_frame::number();
@@ -47,16 +47,16 @@ impl Counting {
     }
 
     /// Takes what has been captured and the frame's number, once a block.
-    pub fn take(&mut self, captured: Captured, now: u32) {
+    pub fn take(&mut self, captured: ClockCapture, now: u32) {
         match (captured, self.last) {
-            (Captured::At(at), Some(last)) => {
+            (ClockCapture::At(at), Some(last)) => {
                 self.periods += PERIODS;
                 self.counts += u32::from(at.wrapping_sub(last));
                 self.last = Some(at);
             }
-            (Captured::At(at), None) => self.last = Some(at),
-            (Captured::Overtaken, _) => self.last = None,
-            (Captured::Nothing, _) => {}
+            (ClockCapture::At(at), None) => self.last = Some(at),
+            (ClockCapture::Overtaken, _) => self.last = None,
+            (ClockCapture::Nothing, _) => {}
         }
         let frame = usb_frame::number();
         if frame != self.frame {
@@ -66,7 +66,7 @@ impl Counting {
         }
     }
 
-    /// What it came to, once it has lasted.
+    /// Result, once the count has lasted.
     pub fn result(&self, now: u32) -> Option<Clocks> {
         if now.wrapping_sub(self.began) < COUNTED_CYCLES {
             return None;

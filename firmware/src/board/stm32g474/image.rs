@@ -1,4 +1,4 @@
-//! What the image says of itself where it lies in flash (shared/src/image.rs, firmware/ccm.x).
+//! Header of the image in flash (shared/src/image.rs, firmware/ccm.x).
 
 use ihd_shared::image::{FORMAT, HEADER_BYTES, Header, MAGIC, NOTE_BYTES, VERSION_BYTES, build_id};
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};

@@ -9,13 +9,13 @@
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 
-use ihd_firmware::log_ring::{Frame, LogRing, LogSource};
-use ihd_firmware::transmit_queue::LOG_BYTES;
+use ihd_firmware::link::log_ring::{Frame, LogRing, LogSource};
+use ihd_firmware::link::log_sender::LOG_BYTES;
 
 /// Bytes for the probe: half of what defmt-rtt takes, the other half is the link's.
 const RTT_BYTES: usize = 512;
 
-/// As RTT's readers find it in memory.
+/// Layout of a channel in memory, by which RTT's readers find it.
 #[repr(C)]
 struct Channel {
     name: *const u8,
@@ -37,7 +37,7 @@ struct ControlBlock {
 // SAFETY: the pointers are to statics, and are read by a debug probe alone; all else is atomic.
 unsafe impl Sync for ControlBlock {}
 
-/// What does not fit is left out whole ("skip").
+/// Mode "skip": a frame that does not fit is left out whole.
 const MODE_SKIP: u32 = 0;
 
 /// In RAM, where a probe reads it while the flash is busy.
@@ -86,20 +86,20 @@ fn link() -> LogRing<'static> {
 }
 
 /// A frame on its way into both.
-struct Writing {
+struct FrameInProgress {
     encoder: defmt::Encoder,
     rtt: Frame,
     link: Frame,
 }
 
-/// Reached only by whoever holds [`TAKEN`].
-struct Place(UnsafeCell<Writing>);
+/// Reached only while [`TAKEN`] is held.
+struct Place(UnsafeCell<FrameInProgress>);
 
 // SAFETY: one processor; `TAKEN` lets one context in at a time, and another that finds it taken stays out.
 unsafe impl Sync for Place {}
 
 static TAKEN: AtomicBool = AtomicBool::new(false);
-static WRITING: Place = Place(UnsafeCell::new(Writing {
+static WRITING: Place = Place(UnsafeCell::new(FrameInProgress {
     encoder: defmt::Encoder::new(),
     rtt: Frame::NONE,
     link: Frame::NONE,
@@ -114,7 +114,7 @@ fn drop_one() {
     );
 }
 
-impl Writing {
+impl FrameInProgress {
     fn start(&mut self) {
         (self.rtt, self.link) = (rtt().begin(), link().begin());
         let Self { encoder, rtt, link } = self;
@@ -146,7 +146,7 @@ fn add(probe: &mut Frame, host: &mut Frame, bytes: &[u8]) {
 }
 
 /// Runs `f` on the frame that this context writes; not where it met another's.
-fn writing(f: impl FnOnce(&mut Writing)) {
+fn writing(f: impl FnOnce(&mut FrameInProgress)) {
     if STRANGERS.load(Ordering::Relaxed) == 0 {
         // SAFETY: this context took `TAKEN` in `acquire`. One that interrupts it finds that taken, counts itself a
         // stranger until it is done, and comes by here without entering.
@@ -166,7 +166,7 @@ unsafe impl defmt::Logger for Logger {
             STRANGERS.store(STRANGERS.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
             drop_one();
         } else {
-            writing(Writing::start);
+            writing(FrameInProgress::start);
         }
     }
 
@@ -177,7 +177,7 @@ unsafe impl defmt::Logger for Logger {
         if strangers > 0 {
             STRANGERS.store(strangers - 1, Ordering::Relaxed);
         } else {
-            writing(Writing::end);
+            writing(FrameInProgress::end);
             TAKEN.store(false, Ordering::Release);
         }
     }

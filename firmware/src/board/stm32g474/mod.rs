@@ -25,6 +25,7 @@ mod led;
 mod log;
 mod nonvolatile;
 mod registers;
+pub mod safe_state;
 mod self_test;
 mod serial;
 mod service;
@@ -32,26 +33,3 @@ mod start;
 mod start_up;
 mod temperatures;
 mod usb;
-
-use ihd_shared::fault::Fault;
-
-/// Both switches off, at once, whatever else goes on.
-#[inline(always)]
-pub fn outputs_off() {
-    registers::bridge::open();
-}
-
-/// Which of the chip's system faults has left a flag.
-pub fn system_fault() -> Option<Fault> {
-    registers::faults::system_fault()
-}
-
-/// Whether an NMI is about a page of the lookup that is being read, and done with.
-pub fn is_damaged_page() -> bool {
-    nonvolatile::is_damaged_page()
-}
-
-/// Stays for ever, and says by its LED which fault there was.
-pub fn stay(fault: u16) -> ! {
-    led::flash_for_ever(fault)
-}

@@ -7,7 +7,7 @@ use embassy_futures::select::{Either, select};
 use embassy_stm32::flash::{Async, Error, Flash};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
-use ihd_firmware::nonvolatile::{self, RECORD_BYTES};
+use ihd_firmware::retained::nonvolatile::{self, RECORD_BYTES};
 use ihd_shared::lookup::RlLookup;
 
 use super::registers;
@@ -61,7 +61,7 @@ static READING: AtomicBool = AtomicBool::new(false);
 /// A word with two wrong bits was found in it.
 static DAMAGED: AtomicBool = AtomicBool::new(false);
 
-/// Whether an NMI is about a page that is being read, which the reader takes for an empty one from then on:
+/// Returns `true` if an NMI is about a page that is being read, which the reader takes for an empty one from then on:
 /// the power went while a word was being written or erased. Nothing else is in the second bank.
 pub fn is_damaged_page() -> bool {
     let ours = READING.load(Ordering::Relaxed) && registers::supply::take_error_in_bank_2();

@@ -7,15 +7,15 @@ use core::{ptr, slice};
 use embassy_stm32::Peri;
 use embassy_stm32::crc::{Config, Crc, InputReverseConfig, PolySize};
 use embassy_stm32::peripherals::CRC;
-use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::self_test::clock::{Captured, ClockCheck};
+use ihd_firmware::link::housekeeping::Housekeeping;
+use ihd_firmware::self_test::clock::{ClockCapture, ClockCheck};
 use ihd_firmware::self_test::flow::{Counts, Flow, ProgramFlow, Task};
 use ihd_firmware::self_test::image::{CopyCheck, Crc32, ImageCheck};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::Clocks;
 
 use super::adc::{sampled_cycles, written_by_dma};
-use super::clock_count::Counting;
+use super::clock_count::ClockCount;
 use super::nonvolatile::{ASKED, answers};
 use super::registers::clocks::CORE_MHZ;
 use super::registers::low_speed;
@@ -87,19 +87,19 @@ impl Crc32 for Unit {
 
 /// The program's length and its CRC, as it should be and as it was found at start.
 #[derive(Clone, Copy, Default)]
-pub struct Sealed {
+pub struct ImageSeal {
     /// Bytes before the CRC.
     pub bytes: u32,
-    /// As written there.
+    /// CRC-32 as written there.
     pub sealed_crc: u32,
-    /// As worked out.
+    /// CRC-32 as calculated.
     pub crc: u32,
 }
 
-/// What is tested, and how far it has come.
+/// Tests under way and their progress.
 pub struct SelfTest {
-    sealed: Sealed,
-    counting: Option<Counting>,
+    sealed: ImageSeal,
+    counting: Option<ClockCount>,
     unit: Option<Unit>,
     image: ImageCheck,
     copies: [CopyCheck; 2],
@@ -129,7 +129,7 @@ impl SelfTest {
             (image, ptr::read_volatile(&raw const __image_crc), copies)
         };
         let mut this = Self {
-            sealed: Sealed {
+            sealed: ImageSeal {
                 bytes: size_of_val(image) as u32,
                 sealed_crc: crc,
                 crc: 0,
@@ -163,16 +163,16 @@ impl SelfTest {
     }
 
     /// The program's length and CRC.
-    pub fn sealed(&self) -> Sealed {
+    pub fn sealed(&self) -> ImageSeal {
         self.sealed
     }
 
     /// Begins to count the clocks, beside the tests.
     pub fn begin_clocks(&mut self) {
-        self.counting = Some(Counting::begin(cycles::now()));
+        self.counting = Some(ClockCount::begin(cycles::now()));
     }
 
-    /// What was counted, once it is enough.
+    /// Counts of the clocks, once they are long enough.
     pub fn clocks(&mut self) -> Option<Clocks> {
         let clocks = self.counting.as_ref()?.result(cycles::now());
         if clocks.is_some() {
@@ -189,7 +189,7 @@ impl SelfTest {
         ASKED.signal(());
     }
 
-    /// Whether each task ran at its rate in the last window.
+    /// Returns `true` if each task ran at its rate in the last window.
     pub fn is_flow_right(&self) -> bool {
         self.flow.is_right()
     }
@@ -231,7 +231,7 @@ impl SelfTest {
         let wanted = self.looks_at_clock || self.counting.is_some();
         let captured = match wanted {
             true => low_speed::captured(),
-            false => Captured::Nothing,
+            false => ClockCapture::Nothing,
         };
         if let Some(counting) = &mut self.counting {
             counting.take(captured, now);
@@ -286,7 +286,7 @@ impl SelfTest {
     }
 }
 
-/// Whether every bit of a piece of RAM takes both values; it is left as it was. Registers alone hold what stands there: the
+/// Returns `true` if every bit of a piece of RAM takes both values; it is left as it was. Registers alone hold what stands there: the
 /// stack may be what is tested. DSB and ISB: what is read comes from the RAM.
 fn keeps_both_values(words: core::ops::Range<usize>) -> bool {
     let mut wrong = 0usize;
@@ -323,7 +323,7 @@ fn keeps_both_values(words: core::ops::Range<usize>) -> bool {
     wrong == 0
 }
 
-/// Whether the end of the stack is as start-up painted it (cortex-m-rt, `paint-stack`).
+/// Returns `true` if the end of the stack is as start-up painted it (cortex-m-rt, `paint-stack`).
 fn is_canary_alive() -> bool {
     let end = &raw const _stack_end;
     (0..CANARY_WORDS).all(|k| {

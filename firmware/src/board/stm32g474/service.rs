@@ -1,9 +1,10 @@
-//! What a host may ask of the board (`ihd_firmware::service`).
+//! Tests and facts of the board for a host (`ihd_firmware::link::service`).
 
 use embassy_stm32::uid;
-use ihd_firmware::channels::{Reference, SlowCodes};
-use ihd_firmware::reset::CrashRecord;
-use ihd_firmware::service::{Facilities, Identity};
+use ihd_firmware::link::channel_test::{Reference, SlowCodes};
+use ihd_firmware::link::identity::DeviceIdentity;
+use ihd_firmware::link::service::BoardServices;
+use ihd_firmware::retained::reset::CrashRecord;
 use ihd_shared::wire::messages::{Clocks, Comparators, Program};
 
 use super::registers::{comparators, supply};
@@ -12,15 +13,15 @@ use super::temperatures::Temperatures;
 use super::{adc, image};
 use crate::board::crash;
 
-/// The board's parts that are asked.
-pub struct Asked<'a> {
+/// The board's parts for its services.
+pub struct ChipServices<'a> {
     /// Has the clocks.
     pub self_test: &'a mut SelfTest,
     /// Has the reference.
     pub temperatures: &'a Temperatures,
 }
 
-impl Facilities for Asked<'_> {
+impl BoardServices for ChipServices<'_> {
     fn has_program(&self, _: Program) -> bool {
         true
     }
@@ -51,11 +52,15 @@ impl Facilities for Asked<'_> {
     }
 }
 
-/// What chip and program say of themselves. `reset_flags` is RCC_CSR as it was found, `last` what the last run left.
-pub fn identity(reset_flags: u32, last: Option<CrashRecord>, self_test: &SelfTest) -> Identity {
+/// Identity of chip and program. `reset_flags` is RCC_CSR as it was found, `last` what the last run left.
+pub fn identity(
+    reset_flags: u32,
+    last: Option<CrashRecord>,
+    self_test: &SelfTest,
+) -> DeviceIdentity {
     let sealed = self_test.sealed();
     let before = last.map_or(0, |record| record.starts.saturating_add(1));
-    Identity {
+    DeviceIdentity {
         id_code: supply::id_code(),
         flash_kib: supply::flash_kib(),
         option_bytes: supply::option_bytes(),

@@ -12,10 +12,11 @@ use embassy_stm32::usb::Driver;
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Peri, Peripherals, bind_interrupts, interrupt, peripherals, uid};
 use embassy_usb::UsbDevice;
-use ihd_firmware::health::Heartbeat;
-use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::realtime::{Access, Bridge};
-use ihd_firmware::{nonvolatile, reset};
+use ihd_firmware::drive::bridge::Bridge;
+use ihd_firmware::link::housekeeping::Housekeeping;
+use ihd_firmware::retained::{nonvolatile, reset};
+use ihd_firmware::sampling::path::SamplingLock;
+use ihd_firmware::self_test::heartbeat::Heartbeat;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
@@ -28,7 +29,7 @@ use super::led::Led;
 use super::log::LinkLog;
 use super::nonvolatile::{self as nonvolatile_pages, LookupPages, TO_KEEP};
 use super::self_test::SelfTest;
-use super::service::{self, Asked};
+use super::service::{self, ChipServices};
 use super::temperatures::Temperatures;
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
@@ -54,7 +55,7 @@ static HOUSEKEEPING: StaticCell<Housekeeping> = StaticCell::new();
 
 type UsbDriver = Driver<'static, USB>;
 
-/// What the link task owns besides the link itself.
+/// Parts that the link task owns besides the link itself.
 struct Board {
     watchdog: IndependentWatchdog<'static, IWDG>,
     led: Led,
@@ -94,7 +95,7 @@ fn main() -> ! {
     })
 }
 
-fn hello(flags: reset::Flags, last: Option<reset::CrashRecord>) -> Hello {
+fn hello(flags: reset::ResetFlags, last: Option<reset::CrashRecord>) -> Hello {
     let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
     // Starts since power-on, made different from other boards' by the chip's number.
     let starts = last.map_or(0, |record| u32::from(record.starts) + 1);
@@ -120,7 +121,7 @@ fn start(
     let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_US);
     let housekeeping = HOUSEKEEPING.init_with(|| Housekeeping::new(hello));
     if !option_bytes_ok() {
-        thread_side.with(|rt| rt.raise_standing(Fault::OPTION_BYTES));
+        thread_side.with(|rt| rt.latch_fault(Fault::OPTION_BYTES));
     }
     let mut self_test = self_test(p.CRC, &mut thread_side, watchdog_fault);
     housekeeping.set_identity(service::identity(reset_flags, last, &self_test));
@@ -156,7 +157,7 @@ fn start(
     }
     defmt::info!("timers and ADCs run, faults armed");
     if !is_sound(&registers::comparators::trip()) {
-        thread_side.with(|rt| rt.raise_standing(Fault::COMPARATOR_TEST));
+        thread_side.with(|rt| rt.latch_fault(Fault::COMPARATOR_TEST));
     }
     let driver = Driver::new(p.USB, Irqs, p.PA12, p.PA11);
     let (device, usb_receiver, usb_sender) = usb::start(driver, uid::uid_hex());
@@ -190,7 +191,7 @@ fn is_sound(found: &Comparators) -> bool {
     found.positive_tripped && found.positive_quiet && found.negative_tripped && found.negative_quiet
 }
 
-/// What is tested at start, and goes on while the program runs.
+/// Self-tests at start that go on while the program runs.
 fn self_test(
     unit: Peri<'static, CRC>,
     path: &mut ThreadSide,
@@ -199,7 +200,7 @@ fn self_test(
     let (self_test, found) = SelfTest::at_start(unit);
     for fault in found.into_iter().chain([watchdog_fault]).flatten() {
         defmt::error!("self-test: fault {=u16}", fault.number());
-        path.with(|rt| rt.raise_standing(fault));
+        path.with(|rt| rt.latch_fault(fault));
     }
     self_test
 }
@@ -299,7 +300,7 @@ async fn link_task(
 }
 
 impl Board {
-    /// What the hardware has to say, and what it has to know, after each block.
+    /// Exchanges faults, temperatures and the fan with the hardware after each block.
     fn after_block(&mut self, housekeeping: &mut Housekeeping, path: &mut ThreadSide) {
         let tripped = registers::faults::hardware_fault();
         let blocks = path.with(|rt| {
@@ -320,13 +321,13 @@ impl Board {
         }
         let found = self.self_test.after_block(housekeeping, blocks);
         if let Some(fault) = found {
-            path.with(|rt| rt.raise_standing(fault));
+            path.with(|rt| rt.latch_fault(fault));
         }
-        let mut asked = Asked {
+        let mut services = ChipServices {
             self_test: &mut self.self_test,
             temperatures: &self.temperatures,
         };
-        housekeeping.serve(path, &mut asked);
+        housekeeping.serve(path, &mut services);
         let is_open = path.with(|rt| rt.drive().bridge == Bridge::Open);
         if self.heartbeat.beat(blocks) && (self.self_test.is_flow_right() || is_open) {
             self.watchdog.pet();

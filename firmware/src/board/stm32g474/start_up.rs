@@ -3,10 +3,10 @@
 
 use core::arch::global_asm;
 
-use ihd_firmware::reset::{CrashRecord, NEXT_BOOTLOADER};
+use ihd_firmware::retained::reset::{CrashRecord, NEXT_BOOTLOADER};
 use ihd_shared::fault::Fault;
 
-/// What is left in the crash record where the RAM is broken: the fault, for a start that finds it whole.
+/// Crash record of a start that finds the RAM broken: the fault, for a start that finds it whole.
 const BROKEN_RAM: [u32; 4] = CrashRecord {
     reason: None,
     fault: Fault::RAM_TEST.number(),

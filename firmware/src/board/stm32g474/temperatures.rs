@@ -1,8 +1,8 @@
 //! Three thermistors and the chip's reference voltage on ADC4, which does nothing else: the others convert pairs, bus and mains at each trigger, and a fourth
 //! channel among those would come between.
 
-use ihd_firmware::channels::Reference;
-use ihd_firmware::temperature::TemperatureCodes;
+use ihd_firmware::control::temperature::TemperatureCodes;
+use ihd_firmware::link::channel_test::Reference;
 
 use super::registers::clocks::CORE_MHZ;
 use super::registers::{adc, supply};
@@ -14,7 +14,7 @@ const CHANNELS: [u8; 4] = [3, 4, 5, 18];
 /// From one conversion to the next: 1 ms, so each is looked at every 4 ms.
 const EVERY_CYCLES: u32 = CORE_MHZ * 1_000;
 
-/// What stands for a converter that is silent: an open thermistor, which is a fault.
+/// Code of a converter that is silent: an open thermistor, which is a fault.
 const OPEN: u16 = 4_095;
 
 /// Looks at a conversion of 6 µs before the converter is taken to be silent.

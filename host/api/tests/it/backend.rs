@@ -194,6 +194,7 @@ fn report() -> DeviceReport {
         recording_now: None,
         pot_temperature: None,
         connections: 3,
+        frames_beyond: 0,
     }
 }
 

@@ -8,6 +8,7 @@ mod events;
 mod fleet;
 mod greedy;
 mod http;
+mod http2;
 mod live;
 mod page;
 mod past;

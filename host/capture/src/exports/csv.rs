@@ -1,4 +1,4 @@
-//! CSV with the heading `time_s,v_V,i_A`, which every reader of tables understands.
+//! CSV with the heading `time_s,v_V,i_A`.
 
 use std::io::{self, Write};
 
@@ -6,11 +6,11 @@ use ihd_signal::{Capture, TimeBase};
 
 use super::{REPORT_EVERY, time_s};
 
-/// Name of the columns.
+/// Heading of the columns.
 pub const HEADING: &str = "time_s,v_V,i_A";
 
-/// Writes time, voltage and current; times of an even grid to a thousandth of its interval, all
-/// else with as many figures as it has.
+/// Writes time, voltage and current. Times of an even grid are rounded to a thousandth of the interval; all other numbers are
+/// exact.
 ///
 /// # Errors
 /// What the operating system reports.
@@ -38,7 +38,7 @@ pub fn write(
     Ok(())
 }
 
-/// Decimals that show a thousandth of an interval.
+/// Number of decimals that show a thousandth of an interval.
 fn decimals(dt_s: f64) -> usize {
     libm::ceil(3.0 - libm::log10(dt_s)).clamp(3.0, 18.0) as usize
 }

@@ -1,4 +1,4 @@
-//! Captures to files for other programs: CSV, NPZ, Parquet.
+//! Export of captures to files of other programs: CSV, NPZ, Parquet.
 
 pub mod csv;
 pub mod npz;
@@ -15,18 +15,18 @@ use ihd_signal::{Capture, TimeBase};
 use super::formats::Progress;
 use super::mcap::McapFileError;
 
-/// Why a capture was not written.
+/// Error of writing a capture.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
-    /// The ending names no format.
+    /// The file's ending names no format.
     #[error("{}: the ending must be one of {known}", path.display())]
     Ending {
         /// The file.
         path: PathBuf,
-        /// The endings that do.
+        /// Endings of the formats that can be written.
         known: String,
     },
-    /// Parquet is not compiled in.
+    /// This build has no Parquet.
     #[error("{}: this ihd was built without Parquet; build it with --features parquet", path.display())]
     WithoutParquet {
         /// The file.
@@ -37,7 +37,7 @@ pub enum ExportError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the operating system or the format's library reports.
+        /// Error of the operating system or of the format's library.
         what: String,
     },
     /// Writing an MCAP failed.
@@ -50,7 +50,7 @@ pub(super) fn write_csv(
     path: &Path,
     progress: Progress<'_>,
 ) -> Result<(), ExportError> {
-    whole(
+    remove_if_failed(
         path,
         buffered(path, |out| csv::write(capture, out, progress)),
     )
@@ -61,7 +61,7 @@ pub(super) fn write_npz(
     path: &Path,
     progress: Progress<'_>,
 ) -> Result<(), ExportError> {
-    created(path, |file| npz::write(capture, file, progress))
+    write_new_file(path, |file| npz::write(capture, file, progress))
 }
 
 #[cfg(feature = "parquet")]
@@ -70,22 +70,22 @@ pub(super) fn write_parquet(
     path: &Path,
     progress: Progress<'_>,
 ) -> Result<(), ExportError> {
-    created(path, |file| parquet::write(capture, file, progress))
+    write_new_file(path, |file| parquet::write(capture, file, progress))
 }
 
-/// Writes into a new file of that name.
-fn created<E: Into<Box<dyn std::error::Error + Send + Sync>>>(
+/// Writes a new file at this path.
+fn write_new_file<E: Into<Box<dyn std::error::Error + Send + Sync>>>(
     path: &Path,
     write: impl FnOnce(File) -> Result<(), E>,
 ) -> Result<(), ExportError> {
     let written = File::create(path).and_then(|file| write(file).map_err(io::Error::other));
-    whole(path, written)
+    remove_if_failed(path, written)
 }
 
-/// Removes what was written of a file when it failed: a part would pass for the whole.
-fn whole(path: &Path, written: io::Result<()>) -> Result<(), ExportError> {
+/// Removes the file if writing failed: an incomplete file would be taken for a complete one.
+fn remove_if_failed(path: &Path, written: io::Result<()>) -> Result<(), ExportError> {
     written.map_err(|e| {
-        // That it cannot be removed either is of no use here.
+        // An error of the removal changes nothing.
         let _ = std::fs::remove_file(path);
         ExportError::Write {
             path: path.to_owned(),
@@ -103,10 +103,10 @@ fn buffered(
     out.flush()
 }
 
-/// Samples between two reports of progress.
+/// Number of samples between two progress reports.
 const REPORT_EVERY: usize = 1 << 16;
 
-/// Time of sample `k`; stamps are as many as samples.
+/// Time of sample `k` in seconds; there is one stamp per sample.
 fn time_s(time: &TimeBase, k: usize) -> f64 {
     time.at(k).unwrap_or(f64::NAN)
 }

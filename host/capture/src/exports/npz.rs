@@ -1,4 +1,4 @@
-//! NumPy's NPZ: `numpy.load` opens it. docs/import.md lists the arrays.
+//! Export to NumPy's NPZ, for `numpy.load`. docs/import.md lists the arrays.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -12,23 +12,23 @@ use zip::{CompressionMethod, ZipWriter};
 /// Deflate's level: the higher ones take four times as long for 5 % less.
 const LEVEL: i64 = 3;
 
-/// Values encoded at a time.
+/// Number of values encoded at a time.
 const CHUNK: usize = 1 << 13;
 
-/// The archive being written.
+/// Archive being written.
 pub(super) struct Archive {
     zip: ZipWriter<BufWriter<File>>,
 }
 
 impl Archive {
-    /// An archive without arrays.
+    /// Creates an archive without arrays.
     pub(super) fn new(file: File) -> Self {
         Self {
             zip: ZipWriter::new(BufWriter::with_capacity(1 << 16, file)),
         }
     }
 
-    /// Writes an array whose numbers stand in `from`.
+    /// Writes an array of the numbers in `from`.
     pub(super) fn copied(
         &mut self,
         name: &str,
@@ -40,7 +40,7 @@ impl Archive {
         io::copy(&mut from, &mut self.zip).map(drop)
     }
 
-    /// Ends the archive with notes.
+    /// Completes the archive with notes.
     pub(super) fn finish(mut self, notes: &BTreeMap<String, String>) -> io::Result<()> {
         self.begin("metadata.json")?;
         serde_json::to_writer_pretty(&mut self.zip, notes)?;
@@ -56,7 +56,7 @@ impl Archive {
         self.zip.start_file(name, options).map_err(io::Error::other)
     }
 
-    /// Begins an array and writes its header (NPY format 1.0).
+    /// Starts an array by writing its header (NPY format 1.0).
     fn header(&mut self, name: &str, descr: &str, shape: &str) -> io::Result<()> {
         self.begin(&format!("{name}.npy"))?;
         let mut text =
@@ -127,7 +127,7 @@ impl Archive {
     }
 }
 
-/// Writes everything that the capture holds.
+/// Writes the whole capture.
 ///
 /// # Errors
 /// What the operating system reports.

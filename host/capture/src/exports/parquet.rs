@@ -1,4 +1,4 @@
-//! Apache Parquet: columns `time_s`, `v_V`, `i_A`; the metadata of the capture as the file's.
+//! Export to Apache Parquet: columns `time_s`, `v_V`, `i_A`; the capture's metadata become the file's.
 
 use std::fs::File;
 use std::sync::Arc;
@@ -14,14 +14,14 @@ use parquet::schema::parser::parse_message_type;
 
 use super::time_s;
 
-/// Rows of a group, which is held in memory while it is written.
+/// Rows of a group, which is buffered in memory.
 const GROUP: usize = 1 << 18;
 
-/// The columns.
+/// Schema of the columns.
 const SCHEMA: &str =
     "message capture { required double time_s; required float v_V; required float i_A; }";
 
-/// Writes time, voltage and current, and what is known of the mains and the frequency as metadata.
+/// Writes time, voltage and current; mains and switching frequency become metadata.
 ///
 /// # Errors
 /// What the operating system or the library reports.

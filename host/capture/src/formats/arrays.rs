@@ -1,4 +1,4 @@
-//! Files of named arrays (MAT, NPZ): which is the time, which are channels.
+//! Files of named arrays (MAT, NPZ): choice of the time and of the channels.
 //!
 //! Time is a vector named like it, or start and interval as scalars; channels are the vectors as
 //! long as the time, or without one the longest. Units are taken from names (`v_V`, `time_us`).
@@ -10,7 +10,7 @@ use ihd_signal::{FrequencyStep, TimeBase};
 
 use super::time::time_base;
 use super::unit::{Quantity, Unit};
-use super::{Channel, Known, Progress, Samples, Source};
+use super::{Channel, FileFacts, Progress, Samples, Source};
 use crate::error::FormatError;
 
 /// One array, as the file's directory describes it.
@@ -18,9 +18,9 @@ use crate::error::FormatError;
 pub struct Array {
     /// Its name.
     pub name: String,
-    /// Number of elements of a vector; 0 for a matrix and what is no number.
+    /// Number of elements of a vector; 0 for a matrix and for anything that is not numeric.
     pub length: u64,
-    /// Where it begins in the file, for messages.
+    /// Offset in the file, for messages.
     pub offset: u64,
     /// Value of an array with one element.
     pub scalar: Option<f64>,
@@ -30,7 +30,7 @@ pub struct Array {
 
 /// Access to the numbers of arrays.
 pub trait Arrays {
-    /// Hands all numbers of array `index` to `each`.
+    /// Passes all numbers of array `index` to `each`.
     ///
     /// # Errors
     /// [`FormatError`] when they are not all there.
@@ -56,7 +56,7 @@ enum Clock {
 
 /// Names of a time vector, in lower case; a unit may follow.
 const TIME: [&str; 5] = ["time", "t", "timestamp", "x", "zeit"];
-/// How the names of what a simulation knows of its load begin.
+/// Prefix of the arrays that hold a simulation's truth.
 const TRUTH: &str = "truth_";
 /// Names of the sampling interval, in lower case: ours, Tektronix', PicoScope's.
 const INTERVAL: [&str; 5] = [
@@ -135,7 +135,7 @@ impl<A: Arrays> ArraySource<A> {
         })
     }
 
-    /// What a simulation knows of its load; nothing where the arrays of it are not all there.
+    /// Reads the truth of a simulation; empty if any of its arrays is missing.
     fn truth(&mut self) -> Result<Vec<PeriodTruth>, FormatError> {
         let [
             Some(t_s),
@@ -179,23 +179,23 @@ impl<A: Arrays> ArraySource<A> {
         Ok((0..n).map(period).collect())
     }
 
-    /// All numbers of the array of that name, row by row; `None` where there is none.
+    /// Reads all numbers of the named array, row by row; `None` if there is none.
     fn column(&mut self, name: &str) -> Result<Option<Vec<f64>>, FormatError> {
         let Some(index) = self.arrays.iter().position(|a| a.name == name) else {
             return Ok(None);
         };
         let mut numbers = Vec::new();
-        // Without current there is no impedance: what is no number here is none.
+        // Impedance is undefined without current: values that are not finite are allowed.
         self.reader.numbers(index, &mut |x| numbers.push(x))?;
         Ok(Some(numbers))
     }
 
-    /// Reads one vector; `keep` takes each number.
+    /// Reads one vector; `keep` is called with each number.
     fn vector(&mut self, index: usize, mut keep: impl FnMut(f64)) -> Result<(), FormatError> {
         let mut bad = None;
         let mut k = 0u64;
         self.reader.numbers(index, &mut |x| {
-            // As a sample it is f32, and may be too large for it.
+            // Samples are f32; the value may be too large for it.
             if !(x as f32).is_finite() && bad.is_none() {
                 bad = Some(k);
             }
@@ -244,7 +244,7 @@ impl<A: Arrays> Source for ArraySource<A> {
         self.metadata.clone()
     }
 
-    fn known(&mut self) -> Result<Known, FormatError> {
+    fn facts(&mut self) -> Result<FileFacts, FormatError> {
         let scalar = |name: &str| {
             let array = self.arrays.iter().find(|a| a.name == name)?;
             array.scalar.filter(|x| x.is_finite())
@@ -253,7 +253,7 @@ impl<A: Arrays> Source for ArraySource<A> {
         let at_s = self.column("f_sw_t_s")?.unwrap_or_default();
         let f_sw_hz = self.column("f_sw_hz")?.unwrap_or_default();
         let step = |(t_s, f_sw_hz)| FrequencyStep { t_s, f_sw_hz };
-        Ok(Known {
+        Ok(FileFacts {
             truth: self.truth()?,
             f_sw: at_s.into_iter().zip(f_sw_hz).map(step).collect(),
             mains_hz,
@@ -261,7 +261,7 @@ impl<A: Arrays> Source for ArraySource<A> {
         })
     }
 
-    fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
         let time =
             match self.clock {
                 Clock::Missing => None,
@@ -276,9 +276,9 @@ impl<A: Arrays> Source for ArraySource<A> {
                     })?)
                 }
             };
-        let mut columns = Vec::with_capacity(wanted.len());
-        for (done, channel) in wanted.iter().enumerate() {
-            progress(done as f64 / wanted.len() as f64);
+        let mut columns = Vec::with_capacity(selected.len());
+        for (done, channel) in selected.iter().enumerate() {
+            progress(done as f64 / selected.len() as f64);
             let Some(&index) = self.columns.get(*channel) else {
                 continue;
             };
@@ -291,17 +291,16 @@ impl<A: Arrays> Source for ArraySource<A> {
     }
 }
 
-/// Numbers that room is made for before they are seen: a length is only a claim.
+/// Numbers allocated in advance at most: a declared length may be wrong.
 const RESERVED: usize = 1 << 16;
 
-/// Largest ratio of a compressed array's sizes that is believed beyond [`SMALL`]: samples with noise
-/// reach 20, deflate's limit is 1032.
+/// Largest accepted compression ratio of arrays above [`SMALL`]: samples with noise reach 20, deflate's limit is 1032.
 const LARGEST_RATIO: u64 = 256;
 
-/// Bytes that are believed whatever their ratio.
+/// Size in bytes below which any compression ratio is accepted.
 const SMALL: u64 = 1 << 24;
 
-/// Whether `unpacked` bytes may come from `packed` ones; memory is bounded by it.
+/// Returns `true` if `packed` bytes can plausibly unpack to `unpacked` bytes; this bounds memory.
 pub fn plausible(packed: u64, unpacked: u64) -> bool {
     unpacked <= SMALL || unpacked / LARGEST_RATIO <= packed
 }

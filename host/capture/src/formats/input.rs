@@ -1,16 +1,16 @@
-//! A file being read: typed values in either byte order, bounded, with the offset for messages.
+//! File input: typed values in either byte order, bounded, with the offset for messages.
 
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
 use super::Progress;
 use crate::error::FormatError;
 
-/// Anything that can be read and sought: a file, or bytes in memory.
+/// Readable and seekable source: a file, or bytes in memory.
 pub trait ReadSeek: Read + Seek {}
 
 impl<T: Read + Seek> ReadSeek for T {}
 
-/// Order of the bytes in a number.
+/// Byte order of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Endian {
     /// Least significant first.
@@ -19,7 +19,7 @@ pub enum Endian {
     Big,
 }
 
-/// How one sample is stored.
+/// Storage type of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Signed 8 bit.
@@ -45,7 +45,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Bytes of one sample.
+    /// Size of one sample in bytes.
     pub const fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -71,13 +71,13 @@ impl Kind {
     }
 }
 
-/// Bytes decoded at a time.
+/// Number of bytes decoded at a time.
 const CHUNK: usize = 1 << 16;
 
-/// Samples between two reports of progress.
+/// Number of samples between two progress reports.
 const PART: u64 = 1 << 18;
 
-/// A file being read from front to back, with jumps.
+/// File read from front to back, with jumps.
 pub struct Input {
     bytes: BufReader<Box<dyn ReadSeek>>,
     offset: u64,
@@ -85,7 +85,7 @@ pub struct Input {
 }
 
 impl Input {
-    /// Begins at the first byte of `source`.
+    /// Creates an input at the first byte of `source`.
     ///
     /// # Errors
     /// [`FormatError`] when the length cannot be found.
@@ -103,7 +103,7 @@ impl Input {
         })
     }
 
-    /// Where the next byte is read.
+    /// Offset of the next byte.
     pub fn offset(&self) -> u64 {
         self.offset
     }
@@ -113,17 +113,17 @@ impl Input {
         self.length
     }
 
-    /// Bytes from here to the end.
+    /// Number of bytes up to the end.
     pub fn remaining(&self) -> u64 {
         self.length.saturating_sub(self.offset)
     }
 
-    /// Something wrong at this offset.
+    /// Creates an error at this offset.
     pub fn wrong(&self, what: impl Into<String>) -> FormatError {
         FormatError::at_byte(self.offset, what)
     }
 
-    /// Goes to an offset from the beginning.
+    /// Seeks to an offset from the beginning.
     ///
     /// # Errors
     /// [`FormatError`] at the present offset when it lies behind the file's end.
@@ -142,7 +142,7 @@ impl Input {
         Ok(())
     }
 
-    /// Leaves `bytes` out.
+    /// Skips `bytes`.
     ///
     /// # Errors
     /// [`FormatError`] when they are not all there.
@@ -151,7 +151,7 @@ impl Input {
         self.seek(self.offset + bytes)
     }
 
-    /// Checks that `bytes` more are there, before anything is allocated for them.
+    /// Checks that `bytes` more are available, before allocating memory for them.
     ///
     /// # Errors
     /// [`FormatError`] at this offset, with both numbers.
@@ -176,7 +176,7 @@ impl Input {
         Ok(())
     }
 
-    /// The next `N` bytes.
+    /// Reads the next `N` bytes.
     ///
     /// # Errors
     /// [`FormatError`] when the file ends before.
@@ -186,7 +186,7 @@ impl Input {
         Ok(bytes)
     }
 
-    /// The next `length` bytes as text up to the first NUL, Latin-1.
+    /// Reads the next `length` bytes as Latin-1 text up to the first NUL.
     ///
     /// # Errors
     /// [`FormatError`] when the file ends before.
@@ -198,7 +198,7 @@ impl Input {
         Ok(until_nul.iter().map(|b| char::from(*b)).collect())
     }
 
-    /// The next number.
+    /// Reads the next number.
     ///
     /// # Errors
     /// [`FormatError`] when the file ends before.
@@ -211,7 +211,7 @@ impl Input {
         Ok(value)
     }
 
-    /// Hands `count` numbers to `each`, one after the other.
+    /// Passes `count` numbers to `each`, one by one.
     ///
     /// # Errors
     /// [`FormatError`] when they are not all there: then none is handed over.

@@ -1,4 +1,4 @@
-//! Tektronix ISF: the answer to `WAVFRM?` or `SAVE:WAVEFORM` as a file, one channel.
+//! Tektronix ISF: the response to `WAVFRM?` or `SAVE:WAVEFORM` as a file, one channel.
 //!
 //! After the programmer manuals of the TDS, DPO and MSO series (WFMPRE, WFMOUTPRE and CURVE
 //! commands): a text of `KEY VALUE;` pairs, in long or short form, then `:CURVE #`, the number of
@@ -14,10 +14,10 @@ use super::unit::Unit;
 use super::{Channel, Progress, Samples, Source, single_channel};
 use crate::error::FormatError;
 
-/// Longest text before the samples.
+/// Limit of the text before the samples, in bytes.
 const LONGEST_HEADER: usize = 16 * 1024;
 
-/// Whether a file with this beginning is an ISF.
+/// Returns `true` if a file with this beginning is an ISF.
 pub fn is_isf(head: &[u8]) -> bool {
     let begin = head.get(..256.min(head.len())).unwrap_or(head);
     let text = String::from_utf8_lossy(begin).to_uppercase();
@@ -37,7 +37,7 @@ pub struct IsfSource {
     metadata: BTreeMap<String, String>,
 }
 
-/// The pairs of the header.
+/// Key-value pairs of the header.
 struct Header {
     pairs: Vec<(String, String)>,
 }
@@ -74,7 +74,7 @@ impl Header {
     }
 }
 
-/// Parts between semicolons that stand outside quotes: the waveform's name may hold one.
+/// Splits at semicolons outside quotes: the waveform's name may contain one.
 fn split_outside_quotes(text: &str) -> impl Iterator<Item = &str> {
     let mut quoted = false;
     text.split(move |c| {
@@ -187,7 +187,7 @@ impl IsfSource {
     }
 }
 
-/// Length of a block (IEEE 488.2) whose `#` has been read; `#0` runs to the end of the file.
+/// Reads the length of a block (IEEE 488.2) whose `#` has been read; `#0` extends to the end of the file.
 fn block_length(input: &mut Input) -> Result<u64, FormatError> {
     let [digits] = input.array::<1>()?;
     match digits {
@@ -210,7 +210,7 @@ impl Source for IsfSource {
         self.metadata.clone()
     }
 
-    fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
         let at = self.input.offset();
         let values = self.input.samples(
             self.samples,
@@ -221,6 +221,6 @@ impl Source for IsfSource {
             progress,
         )?;
         self.input.seek(at)?;
-        Ok(single_channel(values, self.time.clone(), wanted))
+        Ok(single_channel(values, self.time.clone(), selected))
     }
 }

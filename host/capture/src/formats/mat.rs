@@ -12,7 +12,7 @@ use super::arrays::{Array, ArraySource, Arrays, plausible};
 use super::input::{Endian, Input, Kind, decode_from};
 use crate::error::FormatError;
 
-/// Bytes of the file's header.
+/// Size of the file's header in bytes.
 pub const HEADER: usize = 128;
 
 const MI_MATRIX: u32 = 14;
@@ -21,13 +21,13 @@ const MX_CHAR: u8 = 4;
 /// Classes of double to uint64 arrays.
 const MX_NUMBERS: std::ops::RangeInclusive<u8> = 6..=15;
 
-/// Longest name or text, in bytes.
+/// Limit of a name or text, in bytes.
 const LONGEST_TEXT: u32 = 256;
 
-/// Arrays that a file may have.
+/// Limit of arrays in a file.
 const MOST_ARRAYS: usize = 10_000;
 
-/// Byte order of a version 5 file with this beginning.
+/// Byte order of a version 5 file with this beginning; `None` for other files.
 pub fn endian(head: &[u8]) -> Option<Endian> {
     match head.get(124..HEADER)? {
         [0x00, 0x01, b'I', b'M'] => Some(Endian::Little),
@@ -43,7 +43,7 @@ pub struct MatArrays {
     elements: Vec<Element>,
 }
 
-/// One element of the file: an array, perhaps compressed.
+/// Element of the file: an array, possibly compressed.
 #[derive(Clone, Copy)]
 struct Element {
     at: u64,
@@ -96,7 +96,7 @@ impl Arrays for MatArrays {
     }
 }
 
-/// A matrix being read from front to back.
+/// Matrix read from front to back.
 struct Matrix<'a> {
     bytes: Box<dyn Read + 'a>,
     endian: Endian,
@@ -151,7 +151,7 @@ impl<'a> Matrix<'a> {
         })
     }
 
-    /// Type and length of the next element, and the data of a small one.
+    /// Reads type and length of the next element, and the data of a small one.
     fn tag(&mut self) -> Result<(u32, u32, Option<[u8; 4]>), FormatError> {
         let word = self.number()?;
         // A small element has its length in the upper half, and its data in four bytes.
@@ -165,7 +165,7 @@ impl<'a> Matrix<'a> {
         Ok((word & 0xFFFF, length, Some(self.take()?)))
     }
 
-    /// The bytes of the next element, padding included; at most `most`.
+    /// Reads the bytes of the next element, padding included; at most `most`.
     fn short(&mut self, most: u32) -> Result<Vec<u8>, FormatError> {
         let (_, length, small) = self.tag()?;
         if let Some(small) = small {
@@ -183,7 +183,7 @@ impl<'a> Matrix<'a> {
         Ok(bytes)
     }
 
-    /// What the array is, and how many elements it declares.
+    /// Reads the description of the array and its declared number of elements.
     fn describe(&mut self) -> Result<(Description, u64), FormatError> {
         let flags = self.short(8)?;
         let word = match self.endian {
@@ -211,7 +211,7 @@ impl<'a> Matrix<'a> {
         Ok((description, count as u64))
     }
 
-    /// The array for the directory; `None` for what is neither numbers nor text.
+    /// Returns the array for the directory; `None` if it is neither numeric nor text.
     fn array(mut self) -> Result<Option<Array>, FormatError> {
         let (description, count) = self.describe()?;
         let mut array = Array {
@@ -238,14 +238,14 @@ impl<'a> Matrix<'a> {
             self.numbers(1, &mut |x| value = x)?;
             array.scalar = Some(value);
         } else {
-            // Only its length is looked at: it must be there.
+            // Only its length is checked here.
             self.storage(count)?;
         }
         array.length = count;
         Ok(Some(array))
     }
 
-    /// How the `count` numbers of the real part are stored, in how many bytes, and the data of a small element.
+    /// Returns storage type and size in bytes of the `count` numbers of the real part, and the data of a small element.
     fn storage(&mut self, count: u64) -> Result<(Kind, u64, Option<[u8; 4]>), FormatError> {
         let (code, length, small) = self.tag()?;
         let kind = match code {
@@ -276,7 +276,7 @@ impl<'a> Matrix<'a> {
         Ok((kind, bytes, small))
     }
 
-    /// The `count` numbers of the real part.
+    /// Passes the `count` numbers of the real part to `each`.
     fn numbers(&mut self, count: u64, each: &mut dyn FnMut(f64)) -> Result<(), FormatError> {
         let (kind, bytes, small) = self.storage(count)?;
         match small {
@@ -292,7 +292,7 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// A read that failed within the element at `at`.
+/// Converts an I/O error within the element at `at`.
 fn broken(at: u64, source: &std::io::Error) -> FormatError {
     match source.kind() {
         std::io::ErrorKind::UnexpectedEof => {

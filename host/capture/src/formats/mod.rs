@@ -1,7 +1,7 @@
-//! Readers of what scopes and programs write, one module a format.
+//! Readers of the files of scopes and programs, one module per format.
 //!
-//! A reader looks at the header first and lists the channels; samples are read only of the channels
-//! that are wanted. Every declared length is compared with the file's before anything is allocated.
+//! A reader parses the header first and lists the channels; only the samples of selected channels are read. Every declared length
+//! is compared with the file's size before memory is allocated.
 
 pub mod arrays;
 pub mod csv;
@@ -22,31 +22,30 @@ use ihd_signal::{FrequencyStep, TimeBase};
 use self::unit::Unit;
 use super::error::FormatError;
 
-/// One channel, as its file describes it.
+/// Channel as its file describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Channel {
     /// Name in the file; may be empty.
     pub name: String,
-    /// Unit where the file states it.
+    /// Unit; `None` if the file states none.
     pub unit: Option<Unit>,
-    /// Largest magnitude the channel can show, in [`Channel::unit`], where the file states
-    /// it.
+    /// Largest magnitude that the channel can show, in [`Channel::unit`]; `None` if the file does not state it.
     pub full_scale: Option<f64>,
 }
 
-/// Samples of the channels that were asked for.
+/// Samples of the selected channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Samples {
-    /// When they were taken; `None` where the file does not state it.
+    /// Times of the samples; `None` if the file does not state them.
     pub time: Option<TimeBase>,
-    /// One column a wanted channel in the order asked for, in the channel's unit; equal lengths.
+    /// One column for each selected channel in the order requested, in the channel's unit; equal lengths.
     pub columns: Vec<Vec<f32>>,
 }
 
-/// The samples of a file with one channel, repeated for each time it is wanted.
-fn single_channel(values: Vec<f32>, time: TimeBase, wanted: &[usize]) -> Samples {
-    let mut columns = vec![values; wanted.len().min(1)];
-    while columns.len() < wanted.len() {
+/// Samples of a file with one channel, repeated for each time it is selected.
+fn single_channel(values: Vec<f32>, time: TimeBase, selected: &[usize]) -> Samples {
+    let mut columns = vec![values; selected.len().min(1)];
+    while columns.len() < selected.len() {
         columns.extend(columns.first().cloned());
     }
     Samples {
@@ -55,10 +54,10 @@ fn single_channel(values: Vec<f32>, time: TimeBase, wanted: &[usize]) -> Samples
     }
 }
 
-/// What a file knows beside its samples, as a capture holds it.
+/// Facts that a file holds beside its samples, in the form of a capture.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Known {
-    /// What a simulation knows of its load.
+pub struct FileFacts {
+    /// Truth of a simulation.
     pub truth: Vec<PeriodTruth>,
     /// Steps of the switching frequency.
     pub f_sw: Vec<FrequencyStep>,
@@ -68,28 +67,28 @@ pub struct Known {
     pub zero_crossing_s: Option<f64>,
 }
 
-/// Hears how far a file has been read, from 0 to 1.
+/// Called with the share of a file that has been read, from 0 to 1.
 pub type Progress<'a> = &'a mut dyn FnMut(f64);
 
-/// A file whose header has been read.
+/// File whose header has been read.
 pub trait Source {
     /// Its channels, at least one.
     fn channels(&self) -> &[Channel];
 
-    /// What else the header states, as text: the format, the instrument.
+    /// Other facts in the header, as text: the format, the instrument.
     fn metadata(&self) -> BTreeMap<String, String>;
 
-    /// What the file knows beside the samples; nothing where it is of another program.
+    /// Facts beside the samples; empty for files of other programs.
     ///
     /// # Errors
-    /// [`FormatError`] where it is damaged.
-    fn known(&mut self) -> Result<Known, FormatError> {
-        Ok(Known::default())
+    /// [`FormatError`] if they are damaged.
+    fn facts(&mut self) -> Result<FileFacts, FormatError> {
+        Ok(FileFacts::default())
     }
 
     /// Reads the samples of the channels with these indices into [`Source::channels`].
     ///
     /// # Errors
     /// [`FormatError`] where the samples are damaged, not finite or not in order of time.
-    fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError>;
+    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError>;
 }

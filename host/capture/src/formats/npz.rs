@@ -13,10 +13,10 @@ use crate::error::FormatError;
 
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
-/// Longest header of an array.
+/// Limit of an array's header, in bytes.
 const LONGEST_HEADER: usize = 4096;
 
-/// Arrays that a file may have.
+/// Limit of arrays in a file.
 const MOST_ARRAYS: usize = 10_000;
 
 /// Ending of an array's name in the archive.
@@ -25,7 +25,7 @@ const ENDING: &str = ".npy";
 /// The arrays of an archive.
 pub struct NpzArrays {
     archive: ZipArchive<Box<dyn ReadSeek>>,
-    /// Index in the archive of each array.
+    /// Index of each array in the archive.
     members: Vec<usize>,
 }
 
@@ -106,7 +106,7 @@ impl Arrays for NpzArrays {
         };
         let bytes = header.count.saturating_mul(kind.bytes() as u64);
         decode_from(&mut member, bytes, kind, endian, each).map_err(|e| wrong(e.to_string()))?;
-        // The end of the member is where its checksum is compared.
+        // The checksum is compared at the end of the member.
         match std::io::copy(&mut member, &mut std::io::sink()) {
             Ok(_) => Ok(()),
             Err(e) => Err(wrong(e.to_string())),
@@ -117,13 +117,13 @@ impl Arrays for NpzArrays {
 /// The header of an array.
 #[derive(Debug, PartialEq)]
 struct Header {
-    /// How numbers are stored; `None` for texts, complex numbers and objects.
+    /// Storage of numbers; `None` for texts, complex numbers and objects.
     kind: Option<(Kind, Endian)>,
     /// Number of elements.
     count: u64,
-    /// One dimension, or several of which all but one are 1.
+    /// Set if it has one dimension, or several of which all but one are 1.
     vector: bool,
-    /// Bytes of the header.
+    /// Size of the header in bytes.
     bytes: u64,
 }
 
@@ -185,7 +185,7 @@ impl Header {
     }
 }
 
-/// The storage that a type code means: `<f8`, `>i2`, `|u1`.
+/// Storage type of a type code: `<f8`, `>i2`, `|u1`.
 fn number(code: &str) -> Option<(Kind, Endian)> {
     let endian = match code.chars().next()? {
         '>' => Endian::Big,

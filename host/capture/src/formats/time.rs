@@ -1,19 +1,19 @@
-//! From time stamps to a time base: even where the stamps are even within their resolution.
+//! Conversion of time stamps to a time base: even if the stamps are even within their resolution.
 
 use ihd_signal::TimeBase;
 
-/// Largest deviation from an even grid, as a share of the sampling interval.
+/// Largest deviation from an even grid, as a fraction of the sampling interval.
 const JITTER: f64 = 1e-3;
 
-/// Stamps that do not ascend.
+/// Error for stamps that do not ascend.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("time does not ascend: sample {sample} is at {t_s:e} s, the one before at {before_s:e} s")]
 pub struct NotAscending {
-    /// The sample whose time is not later than the one before.
+    /// Index of the sample whose time is not later than the one before.
     pub sample: usize,
-    /// Time of the sample before, in seconds.
+    /// Time of the preceding sample, in seconds.
     pub before_s: f64,
-    /// Its own time in seconds.
+    /// Time of the sample, in seconds.
     pub t_s: f64,
 }
 
@@ -36,7 +36,7 @@ pub fn time_base(
     };
     let intervals = stamps.len().saturating_sub(1).max(1) as f64;
     let mean_s = (last - first) / intervals;
-    // Rounding makes stamps equal, but never turns them.
+    // Rounding makes stamps equal but never reverses them.
     let descends = stamps.windows(2).any(|pair| pair[1] < pair[0]);
     for dt_s in declared_s.into_iter().chain([mean_s]) {
         let rounding = f64::EPSILON * first.abs().max(last.abs());

@@ -16,10 +16,10 @@ use crate::error::FormatError;
 /// Name at the descriptor's beginning.
 const DESCRIPTOR: &[u8] = b"WAVEDESC";
 
-/// Bytes in which the descriptor must begin: a block's length may stand before it.
+/// Range in bytes within which the descriptor must begin: the length of a block may precede it.
 const LEAD: usize = 64;
 
-/// Least bytes of a descriptor.
+/// Smallest size of a descriptor, in bytes.
 const LEAST_DESCRIPTOR: u64 = 346;
 
 /// Offsets of the descriptor's fields.
@@ -50,7 +50,7 @@ mod field {
     pub const WAVE_SOURCE: u64 = 344;
 }
 
-/// Where the descriptor begins in a file with this beginning.
+/// Offset of the descriptor in a file with this beginning; `None` if there is none.
 pub fn descriptor(head: &[u8]) -> Option<usize> {
     let lead = head.get(..LEAD.min(head.len()))?;
     lead.windows(DESCRIPTOR.len()).position(|w| w == DESCRIPTOR)
@@ -70,7 +70,7 @@ pub struct TrcSource {
     metadata: BTreeMap<String, String>,
 }
 
-/// The descriptor's fields.
+/// Fields of the descriptor.
 struct Descriptor<'a> {
     input: &'a mut Input,
     begin: u64,
@@ -94,7 +94,7 @@ impl Descriptor<'_> {
         Ok(self.input.text(length)?.trim().to_owned())
     }
 
-    /// A length or count: a positive 32-bit integer.
+    /// Reads a length or count: a positive 32-bit integer.
     fn count(&mut self, field: u64) -> Result<u64, FormatError> {
         let value = self.number(field, Kind::I32)?;
         if value < 0.0 {
@@ -146,7 +146,7 @@ impl TrcSource {
     }
 }
 
-/// Where the samples are, and what they mean.
+/// Place and meaning of the samples.
 struct Layout {
     kind: Kind,
     at: u64,
@@ -248,7 +248,7 @@ impl Source for TrcSource {
         self.metadata.clone()
     }
 
-    fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
         self.input.seek(self.at)?;
         let values = self.input.samples(
             self.samples,
@@ -258,6 +258,6 @@ impl Source for TrcSource {
             self.offset,
             progress,
         )?;
-        Ok(single_channel(values, self.time.clone(), wanted))
+        Ok(single_channel(values, self.time.clone(), selected))
     }
 }

@@ -1,8 +1,8 @@
-//! Units as scopes and table headers write them: `V`, `(mV)`, `Amps`, `µs`.
+//! Units as written by scopes and table headers: `V`, `(mV)`, `Amps`, `µs`.
 
 use std::fmt;
 
-/// What a column measures.
+/// Quantity that a column measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
     /// Voltage, base unit volt.
@@ -13,12 +13,12 @@ pub enum Quantity {
     Time,
 }
 
-/// A unit: a quantity and the size of one unit in its base unit.
+/// Unit: a quantity and the size of one unit in its base unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unit {
-    /// What it measures.
+    /// Quantity.
     pub quantity: Quantity,
-    /// Base units in one of it: 1e-3 for mV.
+    /// Size of one unit in the base unit: 1e-3 for mV.
     pub scale: f64,
 }
 
@@ -39,7 +39,7 @@ impl Unit {
         scale: 1.0,
     };
 
-    /// Reads a unit, with or without brackets; `None` for anything else.
+    /// Parses a unit, with or without brackets; `None` for anything else.
     pub fn parse(text: &str) -> Option<Self> {
         let bare = text
             .trim()

@@ -24,18 +24,18 @@ use crate::error::FormatError;
 pub const LITTLE: [u8; 2] = [0x0F, 0x0F];
 /// Byte-order mark of big-endian files.
 pub const BIG: [u8; 2] = [0xF0, 0xF0];
-/// What follows the byte-order mark, up to the version's digit.
+/// Text after the byte-order mark, up to the digit of the version.
 pub const VERSION: &[u8] = b":WFM#00";
 
-/// Bytes of the second explicit dimension's description, and of the fields that are skipped.
+/// Size of the second explicit dimension's description, and of the fields that are skipped.
 const EXPLICIT_BYTES: u64 = 100;
 const IMPLICIT_BYTES: u64 = 76;
 const TIME_BASE_BYTES: u64 = 12;
 
-/// The trigger's place between two samples where tm_data_types writes it.
+/// Trigger position between two samples that tm_data_types writes for "unknown".
 const NOT_KNOWN: f64 = 0.5;
 
-/// Longest text in the metadata that is kept.
+/// Limit of a text in the metadata, in bytes.
 const LONGEST_TEXT: u64 = 256;
 
 /// A WFM file whose header has been read.
@@ -49,7 +49,7 @@ pub struct WfmSource {
     dt_s: f64,
 }
 
-/// Where the samples are, and how they are stored.
+/// Place and storage of the samples.
 struct Curve {
     at: u64,
     samples: u64,
@@ -183,7 +183,7 @@ impl WfmSource {
 }
 
 impl Vertical {
-    /// Largest magnitude: the extent where the file gives one, else the integers' range.
+    /// Largest magnitude: the file's extent if given, else the range of the integers.
     fn full_scale(&self, kind: Kind) -> Option<f64> {
         let value = |code: f64| (self.scale * code + self.offset).abs();
         if self.extent.1 > self.extent.0 {
@@ -221,7 +221,7 @@ fn vertical(input: &mut Input, endian: Endian) -> Result<Vertical, FormatError> 
     })
 }
 
-/// The data format's code; 6 and 7 came with version 3.
+/// Storage type of the data format's code; 6 and 7 came with version 3.
 fn kind(format: u32, version: u8, point_bytes: u64) -> Result<Kind, String> {
     let kind = match (format, version) {
         (0, _) if point_bytes == 1 => Kind::I8,
@@ -248,7 +248,7 @@ fn kind(format: u32, version: u8, point_bytes: u64) -> Result<Kind, String> {
     }
 }
 
-/// Key and value pairs behind the samples (`tekmeta!`); absent in older files.
+/// Key-value pairs after the samples (`tekmeta!`); absent in older files.
 fn metadata(input: &mut Input, endian: Endian) -> Result<BTreeMap<String, String>, FormatError> {
     let mut all = BTreeMap::new();
     // A checksum of 8 bytes comes first.
@@ -282,7 +282,7 @@ fn metadata(input: &mut Input, endian: Endian) -> Result<BTreeMap<String, String
     Ok(all)
 }
 
-/// A text behind its length; only the beginning of a long one is kept.
+/// Reads a text with its length; a long one is truncated.
 fn sized_text(input: &mut Input, endian: Endian) -> Result<String, FormatError> {
     let length = input.number(Kind::U32, endian)? as u64;
     input.need(length)?;
@@ -301,7 +301,7 @@ impl Source for WfmSource {
         self.metadata.clone()
     }
 
-    fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
         let curve = &self.curve;
         self.input.seek(curve.at)?;
         let values = self.input.samples(
@@ -316,6 +316,6 @@ impl Source for WfmSource {
             t0_s: self.t0_s,
             dt_s: self.dt_s,
         };
-        Ok(single_channel(values, time, wanted))
+        Ok(single_channel(values, time, selected))
     }
 }

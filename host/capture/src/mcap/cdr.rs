@@ -1,26 +1,26 @@
-//! Samples and truth as CDR, the encoding of ROS 2: little-endian, every number aligned to its own
-//! size after four bytes of header. `topics` has the layouts.
+//! CDR encoding (ROS 2) of samples and truth: little-endian, every number aligned to its own size after a header of four bytes.
+//! `topics` has the layouts.
 
 use ihd_signal::truth::{ORDERS, PeriodTruth};
 
-/// CDR, little-endian, no options.
+/// Header: CDR, little-endian, no options.
 const HEADER: [u8; 4] = [0, 1, 0, 0];
 
-/// Where the samples of one message lie in time.
+/// Times of the samples of one message.
 #[derive(Clone, Debug, PartialEq)]
-pub enum When<'a> {
-    /// Evenly spaced: time of the first pair and from one to the next, in seconds.
+pub enum BatchTime<'a> {
+    /// Evenly spaced samples.
     Even {
         /// Time of the first pair in seconds.
         t0_s: f64,
-        /// Time from one pair to the next in seconds.
+        /// Time between two pairs in seconds.
         dt_s: f64,
     },
-    /// The time of each pair in seconds.
+    /// Time of each pair in seconds.
     Stamps(&'a [f64]),
 }
 
-impl When<'_> {
+impl BatchTime<'_> {
     /// Time of the first pair in seconds.
     pub fn t0_s(&self) -> f64 {
         match *self {
@@ -30,19 +30,19 @@ impl When<'_> {
     }
 }
 
-/// The pairs of one message.
+/// Pairs of one message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Pairs {
-    /// Codes v, i, v, i, …, and volt and ampere of one code.
+    /// ADC codes with their scales.
     Codes {
-        /// Volt of one voltage code.
+        /// Volt per voltage code.
         volt_per_code: f64,
-        /// Ampere of one current code.
+        /// Ampere per current code.
         ampere_per_code: f64,
-        /// v, i, v, i, …
+        /// Codes in the order v, i, v, i, …
         vi: Vec<i16>,
     },
-    /// Volt and ampere: v, i, v, i, …
+    /// Volt and ampere in the order v, i, v, i, …
     Single(Vec<f32>),
 }
 
@@ -51,11 +51,11 @@ pub enum Pairs {
 pub struct Samples {
     /// Time of the first pair in seconds.
     pub t0_s: f64,
-    /// Time from one pair to the next in seconds; 0 with stamps.
+    /// Time between two pairs in seconds; 0 with stamps.
     pub dt_s: f64,
     /// The pairs.
     pub pairs: Pairs,
-    /// Empty, or the time of each pair in seconds.
+    /// Time of each pair in seconds; empty if they are evenly spaced.
     pub t_s: Vec<f64>,
 }
 
@@ -68,7 +68,7 @@ impl Samples {
         }
     }
 
-    /// Whether it holds no pair.
+    /// Returns `true` if it holds no pair.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -101,9 +101,9 @@ impl Samples {
     }
 }
 
-struct Out(Vec<u8>);
+struct CdrWriter(Vec<u8>);
 
-impl Out {
+impl CdrWriter {
     fn new(capacity: usize) -> Self {
         let mut bytes = Vec::with_capacity(capacity + 2 * HEADER.len());
         bytes.extend(HEADER);
@@ -132,52 +132,52 @@ impl Out {
     }
 }
 
-fn begin(when: &When<'_>, pair_bytes: usize, pairs: usize) -> Out {
-    let (dt_s, stamps) = match *when {
-        When::Even { dt_s, .. } => (dt_s, 0),
-        When::Stamps(t_s) => (0.0, t_s.len()),
+fn begin(time: &BatchTime<'_>, pair_bytes: usize, pairs: usize) -> CdrWriter {
+    let (dt_s, stamps) = match *time {
+        BatchTime::Even { dt_s, .. } => (dt_s, 0),
+        BatchTime::Stamps(t_s) => (0.0, t_s.len()),
     };
-    let mut out = Out::new(64 + pairs * pair_bytes + 8 * stamps);
-    out.double(when.t0_s());
+    let mut out = CdrWriter::new(64 + pairs * pair_bytes + 8 * stamps);
+    out.double(time.t0_s());
     out.double(dt_s);
     out
 }
 
-fn end(mut out: Out, when: &When<'_>) -> Vec<u8> {
-    match when {
-        When::Even { .. } => out.stamps(&[]),
-        When::Stamps(t_s) => out.stamps(t_s),
+fn end(mut out: CdrWriter, time: &BatchTime<'_>) -> Vec<u8> {
+    match time {
+        BatchTime::Even { .. } => out.stamps(&[]),
+        BatchTime::Stamps(t_s) => out.stamps(t_s),
     }
     out.0
 }
 
-/// A message of codes; `pairs` gives v and i.
+/// Encodes a message of codes; `pairs` yields v and i.
 pub fn codes(
-    when: &When<'_>,
+    time: &BatchTime<'_>,
     [volt_per_code, ampere_per_code]: [f64; 2],
     pairs: impl ExactSizeIterator<Item = [i16; 2]>,
 ) -> Vec<u8> {
-    let mut out = begin(when, 4, pairs.len());
+    let mut out = begin(time, 4, pairs.len());
     out.double(volt_per_code);
     out.double(ampere_per_code);
     out.count(2 * pairs.len());
     pairs
         .flatten()
         .for_each(|code| out.0.extend(code.to_le_bytes()));
-    end(out, when)
+    end(out, time)
 }
 
-/// A message of volt and ampere; `pairs` gives v and i.
-pub fn singles(when: &When<'_>, pairs: impl ExactSizeIterator<Item = [f32; 2]>) -> Vec<u8> {
-    let mut out = begin(when, 8, pairs.len());
+/// Encodes a message of volt and ampere; `pairs` yields v and i.
+pub fn singles(time: &BatchTime<'_>, pairs: impl ExactSizeIterator<Item = [f32; 2]>) -> Vec<u8> {
+    let mut out = begin(time, 8, pairs.len());
     out.count(2 * pairs.len());
     pairs.flatten().for_each(|x| out.0.extend(x.to_le_bytes()));
-    end(out, when)
+    end(out, time)
 }
 
-/// A message of `/truth`.
+/// Encodes a message of `/truth`.
 pub fn truth(t: &PeriodTruth) -> Vec<u8> {
-    let mut out = Out::new(8 * (5 + 2 * ORDERS.len()));
+    let mut out = CdrWriter::new(8 * (5 + 2 * ORDERS.len()));
     out.double(t.t_s);
     out.double(t.f_sw_hz);
     t.r_ohm.iter().for_each(|&r| out.double(r));
@@ -188,29 +188,29 @@ pub fn truth(t: &PeriodTruth) -> Vec<u8> {
     out.0
 }
 
-/// What is wrong with a message.
+/// Error of decoding a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CdrError {
-    /// Not little-endian CDR.
+    /// The header is not little-endian CDR.
     #[error("it does not begin as little-endian CDR")]
     Header,
-    /// Shorter than it declares.
+    /// The message is shorter than it declares.
     #[error("it is shorter than it declares")]
     Short,
-    /// An odd number of values, or not one time a pair.
+    /// An odd number of values, or not one time per pair.
     #[error("its pairs and times do not match")]
     Uneven,
-    /// Times that are not finite.
+    /// A time is not finite.
     #[error("its times are not finite")]
     Time,
 }
 
-struct In<'a> {
+struct CdrReader<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-impl<'a> In<'a> {
+impl<'a> CdrReader<'a> {
     fn new(message: &'a [u8]) -> Result<Self, CdrError> {
         let bytes = message.strip_prefix(&HEADER).ok_or(CdrError::Header)?;
         Ok(Self { bytes, at: 0 })
@@ -249,12 +249,12 @@ impl<'a> In<'a> {
     }
 }
 
-/// Reads a message of `/samples`; `as_codes` selects which of its two layouts it has.
+/// Decodes a message of `/samples`; `as_codes` selects one of its two layouts.
 ///
 /// # Errors
 /// [`CdrError`] when it is not of this layout.
 pub fn read_samples(message: &[u8], as_codes: bool) -> Result<Samples, CdrError> {
-    let mut input = In::new(message)?;
+    let mut input = CdrReader::new(message)?;
     let (t0_s, dt_s) = (input.double()?, input.double()?);
     let pairs = if as_codes {
         Pairs::Codes {
@@ -284,12 +284,12 @@ pub fn read_samples(message: &[u8], as_codes: bool) -> Result<Samples, CdrError>
     })
 }
 
-/// Reads a message of `/truth`.
+/// Decodes a message of `/truth`.
 ///
 /// # Errors
 /// [`CdrError`] when it is not of this layout.
 pub fn read_truth(message: &[u8]) -> Result<PeriodTruth, CdrError> {
-    let mut input = In::new(message)?;
+    let mut input = CdrReader::new(message)?;
     Ok(PeriodTruth {
         t_s: input.double()?,
         f_sw_hz: input.double()?,
@@ -307,11 +307,11 @@ mod tests {
 
     #[test]
     fn codes_lie_where_the_documentation_says() {
-        let when = When::Even {
+        let time = BatchTime::Even {
             t0_s: 1.0,
             dt_s: 1e-6,
         };
-        let message = codes(&when, [0.5, 0.25], [[1, -2], [3, 4]].into_iter());
+        let message = codes(&time, [0.5, 0.25], [[1, -2], [3, 4]].into_iter());
         let double = |at: usize| f64::from_le_bytes(message[at..at + 8].try_into().unwrap());
         assert_eq!(
             [double(4), double(12), double(20), double(28)],
@@ -325,10 +325,10 @@ mod tests {
     #[test]
     fn stamps_are_aligned_to_eight_bytes_and_read_back() {
         let t_s = [0.0, 1e-6, 3e-6];
-        let when = When::Stamps(&t_s);
+        let time = BatchTime::Stamps(&t_s);
         for (message, as_codes) in [
-            (codes(&when, [1.0; 2], [[1, 2]; 3].into_iter()), true),
-            (singles(&when, [[1.0, 2.0]; 3].into_iter()), false),
+            (codes(&time, [1.0; 2], [[1, 2]; 3].into_iter()), true),
+            (singles(&time, [[1.0, 2.0]; 3].into_iter()), false),
         ] {
             let back = read_samples(&message, as_codes).unwrap();
             assert_eq!(back.t_s, t_s);
@@ -341,7 +341,7 @@ mod tests {
     #[test]
     fn every_cut_message_is_refused() {
         let t_s = [0.0, 1e-6];
-        let whole = codes(&When::Stamps(&t_s), [1.0; 2], [[1, 2]; 2].into_iter());
+        let whole = codes(&BatchTime::Stamps(&t_s), [1.0; 2], [[1, 2]; 2].into_iter());
         for cut in 0..whole.len() {
             assert!(read_samples(&whole[..cut], true).is_err(), "{cut}");
         }

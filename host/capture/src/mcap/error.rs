@@ -1,4 +1,4 @@
-//! Why a capture file cannot be written or read.
+//! Errors of writing and reading a capture file.
 
 use std::io;
 use std::path::PathBuf;
@@ -7,40 +7,40 @@ use ihd_shared::wire::hello::Mismatch;
 
 use super::topics::PROFILE;
 
-/// Why a capture file cannot be written or read; names the file and, where there is one, the place.
+/// Error of writing or reading a capture file, with the file and, if known, the place.
 #[derive(Debug, thiserror::Error)]
 pub enum McapFileError {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{} at byte {offset}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// How far it was read or written.
+        /// Offset up to which it was read or written.
         offset: u64,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// The file exists already.
+    /// The file already exists.
     #[error("{} exists already; a recording is never overwritten", path.display())]
     Exists {
         /// The file.
         path: PathBuf,
     },
-    /// A directory, a pipe or a device.
+    /// The path is a directory, a pipe or a device.
     #[error("{} is {what}; a capture must be a regular file", path.display())]
     NotAFile {
-        /// What was named.
+        /// Path given.
         path: PathBuf,
-        /// What it is.
+        /// Kind of the path.
         what: &'static str,
     },
-    /// The file does not begin as an MCAP file does.
+    /// The file does not begin like an MCAP file.
     #[error("{} is no MCAP file: it begins with other bytes", path.display())]
     NotMcap {
         /// The file.
         path: PathBuf,
     },
-    /// An MCAP file of something else, or of a later ihd.
+    /// The MCAP file has another profile, or comes from a newer ihd.
     #[error(
         "{} is an MCAP file of profile {found:?}; this ihd reads {PROFILE:?}{hint}",
         path.display()
@@ -48,12 +48,12 @@ pub enum McapFileError {
     Profile {
         /// The file.
         path: PathBuf,
-        /// Its profile.
+        /// Profile of the file.
         found: String,
-        /// What to do about it; begins with "; " or is empty.
+        /// Advice; begins with "; " or is empty.
         hint: &'static str,
     },
-    /// A declared size that no capture has.
+    /// A declared size exceeds the limit.
     #[error(
         "{} at byte {offset}: {what} declares {declared} bytes, more than the {limit} allowed",
         path.display()
@@ -61,16 +61,16 @@ pub enum McapFileError {
     TooLong {
         /// The file.
         path: PathBuf,
-        /// Where the record begins.
+        /// Offset of the record.
         offset: u64,
-        /// What declares the size.
+        /// Field that declares the size.
         what: &'static str,
         /// The declared size.
         declared: u64,
         /// The largest size allowed.
         limit: u64,
     },
-    /// More pairs than a capture in memory may have.
+    /// The file has more pairs than a capture in memory may hold.
     #[error(
         "{} holds more than {limit} pairs of samples; cut it first, for instance with `mcap filter`",
         path.display()
@@ -81,30 +81,30 @@ pub enum McapFileError {
         /// The largest number allowed.
         limit: usize,
     },
-    /// A record that does not hold what it should.
+    /// A record is damaged.
     #[error("{} at byte {offset}: {what}", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// Where the record, or the chunk that holds it, begins.
+        /// Offset of the record, or of its chunk.
         offset: u64,
-        /// What is wrong with it.
+        /// Description of the damage.
         what: String,
     },
-    /// The file does not hold what was asked of it.
+    /// The file lacks the requested data.
     #[error("{} {what}", path.display())]
     Missing {
         /// The file.
         path: PathBuf,
-        /// What it lacks, as the end of a sentence.
+        /// Missing data, as the end of a sentence.
         what: &'static str,
     },
-    /// The session was recorded from a device that this host does not understand.
+    /// The session comes from a device of an incompatible protocol.
     #[error("{} was recorded from a device that does not fit this host: {why}", path.display())]
     Mismatch {
         /// The file.
         path: PathBuf,
-        /// What differs.
+        /// Difference of the protocols.
         why: Mismatch,
     },
     /// Writing failed.
@@ -112,12 +112,12 @@ pub enum McapFileError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What went wrong.
+        /// Error of the writer.
         source: ::mcap::McapError,
     },
 }
 
-/// What the operating system reports, where it is that: the crate's own words leave it out.
+/// Error of the operating system, if that is the cause: the crate's own message omits it.
 fn cause(source: &::mcap::McapError) -> String {
     match source {
         ::mcap::McapError::Io(error) => error.to_string(),
@@ -126,7 +126,7 @@ fn cause(source: &::mcap::McapError) -> String {
 }
 
 impl McapFileError {
-    /// Whether a part of the file is damaged, behind which it may be read on.
+    /// Returns `true` for a damaged part of the file, after which reading can continue.
     pub fn is_damage(&self) -> bool {
         matches!(self, Self::Damaged { .. } | Self::TooLong { .. })
     }

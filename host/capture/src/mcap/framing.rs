@@ -1,7 +1,7 @@
-//! Records of an MCAP file, one after the other, in bounded memory.
+//! Records of an MCAP file in sequence, in bounded memory.
 //!
-//! The framing is done here and not by the `mcap` crate, whose readers trust the lengths within a
-//! chunk: a hostile one makes them allocate or panic. Records themselves are parsed by the crate.
+//! The `mcap` crate's readers trust the lengths within a chunk: a hostile file makes them allocate without limit or panic.
+//! Therefore the framing is done here; the records themselves are parsed by the crate.
 
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
@@ -13,36 +13,35 @@ use ::mcap::records::op;
 use super::McapFileError;
 use super::records::{self, CHUNK_HEADER, PACKING_AT, ZSTD};
 
-/// Largest record, and largest chunk unpacked, that is read: `Writer` makes chunks of 1 MiB, other
-/// tools of up to some 10 MiB.
+/// Limit of a record and of an unpacked chunk, in bytes: `Writer` makes chunks of 1 MiB, other tools up to some 10 MiB.
 pub const MAX_RECORD: u64 = 64 << 20;
 
-/// Bytes read at once when a chunk is searched for.
+/// Number of bytes read at once when searching for a chunk.
 const SEARCH_BLOCK: u64 = 1 << 16;
 
-/// Bytes of a record's opcode and length.
+/// Size of a record's opcode and length, in bytes.
 const PREFIX: u64 = 9;
 
-/// Bytes of a chunk header up to its message times.
+/// Size of a chunk header up to its message times, in bytes.
 const CHUNK_TIMES: usize = 16;
 
-/// One record as it lies in the file or in a chunk.
-pub struct Raw<'a> {
-    /// What kind of record.
+/// Record as it lies in the file or in a chunk.
+pub struct RawRecord<'a> {
+    /// Kind of record.
     pub opcode: u8,
-    /// Its bytes.
+    /// Contents.
     pub body: &'a [u8],
 }
 
-/// What [`Frames::step`] found.
+/// Result of [`Frames::step`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
+pub enum FrameStep {
     /// A record outside a chunk: see [`Frames::record`].
     Record(u8),
     /// A chunk, unpacked and checked: see [`Frames::chunk`].
     Chunk,
-    /// Something that is not needed; it was passed over.
-    Passed,
+    /// A record that was skipped.
+    Skipped,
     /// The end of the data, or of the file.
     End,
 }
@@ -52,22 +51,21 @@ pub struct Frames {
     input: BufReader<File>,
     path: PathBuf,
     length: u64,
-    /// Where the next record begins.
+    /// Offset of the next record.
     next: u64,
-    /// Where the record that was read last began.
+    /// Offset of the record read last.
     at: u64,
-    /// Where the first of the records began that were passed over since the last one that was read: their lengths
-    /// are believed unchecked.
+    /// Offset of the first record skipped since the last one read: the lengths of skipped records are not checked.
     passed: Option<u64>,
     body: Vec<u8>,
     chunk: Vec<u8>,
     /// Message times of the last chunk, in nanoseconds.
     times_ns: (u64, u64),
     cut: bool,
-    /// The end was found: where the input stands then means nothing.
+    /// Set at the end; the position of the input then has no meaning.
     ended: bool,
-    /// Chunks that hold nothing between these times, in nanoseconds, are passed over.
-    pub wanted_ns: (u64, u64),
+    /// Time range in nanoseconds; chunks outside it are skipped.
+    pub time_range_ns: (u64, u64),
 }
 
 impl Frames {
@@ -78,7 +76,7 @@ impl Frames {
             offset: 0,
             source,
         };
-        // Before it is opened: to open a pipe waits for its other end.
+        // Checked before opening: opening a pipe would block.
         let found = std::fs::metadata(path).map_err(failed)?;
         if !found.is_file() {
             let what = if found.is_dir() {
@@ -108,32 +106,31 @@ impl Frames {
             times_ns: (0, 0),
             cut: false,
             ended: false,
-            wanted_ns: (0, u64::MAX),
+            time_range_ns: (0, u64::MAX),
         })
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Whether the file ends within a record or without its end mark: a recorder that was killed,
-    /// or a copy that was cut.
+    /// Returns `true` if the file ends within a record or without its end mark: the recorder was killed, or the copy is incomplete.
     pub fn is_cut(&self) -> bool {
         self.cut
     }
 
-    /// The unpacked chunk's records.
+    /// Records of the unpacked chunk.
     pub fn chunk(&self) -> &[u8] {
         &self.chunk
     }
 
-    /// The record outside a chunk that was read last.
+    /// Record outside a chunk that was read last.
     pub fn record(&self) -> &[u8] {
         &self.body
     }
 
-    /// An error at the record that was read last.
+    /// Creates an error at the record read last.
     pub fn damaged(&self, what: impl ToString) -> McapFileError {
         McapFileError::Damaged {
             path: self.path.clone(),
@@ -160,31 +157,31 @@ impl Frames {
         }
     }
 
-    /// Where the record that was read last began.
+    /// Offset of the record read last.
     pub fn at(&self) -> u64 {
         self.at
     }
 
-    /// Goes on to the next record. After an error that [`McapFileError::is_damage`] the next call goes on
-    /// behind the damage, after the end it finds the end again.
-    pub fn step(&mut self) -> Result<Step, McapFileError> {
+    /// Advances to the next record. After an error that [`McapFileError::is_damage`] the next call continues after the damage;
+    /// after the end it returns the end again.
+    pub fn step(&mut self) -> Result<FrameStep, McapFileError> {
         if self.ended {
-            return Ok(Step::End);
+            return Ok(FrameStep::End);
         }
         let step = self.next_step();
-        self.ended = matches!(step, Ok(Step::End));
+        self.ended = matches!(step, Ok(FrameStep::End));
         if step.as_ref().is_err_and(McapFileError::is_damage) {
             self.resume()?;
         }
         step
     }
 
-    /// Behind a damaged record: the next one where its length says, or else, as the length may be what is wrong,
-    /// the next chunk that can be found.
+    /// Finds the next record after a damaged one: where its length says, or, since the length itself may be damaged, at the next
+    /// recognisable chunk.
     fn resume(&mut self) -> Result<(), McapFileError> {
-        if self.next <= self.at || !self.begins_a_record(self.next)? {
+        if self.next <= self.at || !self.is_record_at(self.next)? {
             let found = self.chunk_from(self.unchecked() + 1)?;
-            // With its end mark a file is damaged here, and not cut.
+            // A file with its end mark is damaged, not cut.
             self.ended = found.is_none() && self.has_end_mark()?;
             self.next = found.unwrap_or(self.length);
         }
@@ -192,12 +189,12 @@ impl Frames {
         self.seek(self.next)
     }
 
-    /// Where what may be damaged begins: a wrong length shows in what it leads to.
+    /// Offset from which data may be damaged: a wrong length only shows at the place that it leads to.
     fn unchecked(&self) -> u64 {
         self.passed.unwrap_or(self.at)
     }
 
-    /// Whether the file ends as a whole one does.
+    /// Returns `true` if the file has the end mark of a complete file.
     fn has_end_mark(&mut self) -> Result<bool, McapFileError> {
         let mut end = [0; MAGIC.len()];
         self.seek(self.length.saturating_sub(MAGIC.len() as u64))?;
@@ -210,8 +207,8 @@ impl Frames {
         sought.map(drop).map_err(|e| self.failed(e))
     }
 
-    /// Whether a record that this format has begins there and ends within the file.
-    fn begins_a_record(&mut self, at: u64) -> Result<bool, McapFileError> {
+    /// Returns `true` if a record of a known kind begins at this offset and ends within the file.
+    fn is_record_at(&mut self, at: u64) -> Result<bool, McapFileError> {
         let Some(left) = self.length.checked_sub(at + PREFIX) else {
             return Ok(at == self.length);
         };
@@ -225,9 +222,9 @@ impl Frames {
         Ok(known && u64::from_le_bytes(length) <= left)
     }
 
-    /// Where the first chunk packed with zstd begins from `from` on.
+    /// Offset of the first chunk packed with zstd from `from` on.
     fn chunk_from(&mut self, from: u64) -> Result<Option<u64>, McapFileError> {
-        /// From a record's beginning to the name of its packing.
+        /// Distance from a record's beginning to the name of its packing.
         const TO_PACKING: usize = PREFIX as usize + PACKING_AT;
         const WHOLE: usize = PREFIX as usize + CHUNK_HEADER;
         self.seek(from)?;
@@ -255,15 +252,14 @@ impl Frames {
             if read == 0 {
                 return Ok(None);
             }
-            // What may be the beginning of one is looked at again.
+            // The tail may be the beginning of a chunk: it is searched again.
             let keep = window.len().min(WHOLE - 1);
             at += (window.len() - keep) as u64;
             window.drain(..window.len() - keep);
         }
     }
 
-    /// The records of the summary at the end of a whole file, which repeats schemas and channels. Nothing where
-    /// there is none.
+    /// Records of the summary at the end of a complete file, which repeats schemas and channels; empty if there is none.
     pub fn summary(&mut self) -> Result<Vec<u8>, McapFileError> {
         const FOOTER: u64 = PREFIX + 20;
         let end = self.length.saturating_sub(FOOTER + MAGIC.len() as u64);
@@ -286,13 +282,13 @@ impl Frames {
         Ok(summary)
     }
 
-    fn next_step(&mut self) -> Result<Step, McapFileError> {
+    fn next_step(&mut self) -> Result<FrameStep, McapFileError> {
         self.at = self.next;
         let left = self.length.saturating_sub(self.at);
         if left < PREFIX {
-            // The end mark has come with the footer already.
+            // The footer already implies the end mark.
             self.cut = true;
-            return Ok(Step::End);
+            return Ok(FrameStep::End);
         }
         let mut prefix = [0; PREFIX as usize];
         self.input
@@ -301,7 +297,7 @@ impl Frames {
         let [opcode, length @ ..] = prefix;
         let declared = u64::from_le_bytes(length);
         match (opcode, declared) {
-            (op::DATA_END, 4) | (op::FOOTER, 20) => return Ok(Step::End),
+            (op::DATA_END, 4) | (op::FOOTER, 20) => return Ok(FrameStep::End),
             (op::DATA_END | op::FOOTER, _) => {
                 return Err(self.damaged(format!("an end mark of {declared} bytes")));
             }
@@ -315,7 +311,7 @@ impl Frames {
             return Err(self.too_long("a record", declared));
         }
         if declared > left - PREFIX {
-            // Cut here, or the length is wrong: then there is more behind.
+            // The file is cut here, or the length is wrong: then more data follows.
             let mut found = self.chunk_from(self.unchecked() + 1)?;
             if found == Some(self.at) {
                 found = self.chunk_from(self.at + 1)?;
@@ -327,7 +323,7 @@ impl Frames {
                 return Err(self.damaged(what));
             }
             self.cut = true;
-            return Ok(Step::End);
+            return Ok(FrameStep::End);
         }
         self.next = self.at + PREFIX + declared;
         match opcode {
@@ -338,10 +334,10 @@ impl Frames {
             _ if needed => {
                 self.passed = None;
                 self.read_body(declared)?;
-                Ok(Step::Record(opcode))
+                Ok(FrameStep::Record(opcode))
             }
             _ => {
-                self.look_for_a_chunk(declared)?;
+                self.reject_damaged_chunk(declared)?;
                 self.passed.get_or_insert(self.at);
                 self.pass()
             }
@@ -350,20 +346,20 @@ impl Frames {
 
     fn read_body(&mut self, length: u64) -> Result<(), McapFileError> {
         self.body.clear();
-        // At most MAX_RECORD, and the file holds that much.
+        // At most MAX_RECORD, and not beyond the end of the file.
         self.body.resize(length as usize, 0);
         let read = self.input.read_exact(&mut self.body);
         read.map_err(|e| self.failed(e))
     }
 
-    fn pass(&mut self) -> Result<Step, McapFileError> {
+    fn pass(&mut self) -> Result<FrameStep, McapFileError> {
         let sought = self.input.seek(SeekFrom::Start(self.next));
         sought.map_err(|e| self.failed(e))?;
-        Ok(Step::Passed)
+        Ok(FrameStep::Skipped)
     }
 
-    /// What nothing is known of must not be a chunk whose kind is damaged.
-    fn look_for_a_chunk(&mut self, length: u64) -> Result<(), McapFileError> {
+    /// Checks that a record of an unknown kind is not a chunk with a damaged opcode.
+    fn reject_damaged_chunk(&mut self, length: u64) -> Result<(), McapFileError> {
         if length < CHUNK_HEADER as u64 {
             return Ok(());
         }
@@ -377,11 +373,11 @@ impl Frames {
         Ok(())
     }
 
-    fn take_chunk(&mut self, length: u64) -> Result<Step, McapFileError> {
+    fn take_chunk(&mut self, length: u64) -> Result<FrameStep, McapFileError> {
         if length >= CHUNK_TIMES as u64 {
             let times = peek_times(&mut self.input).map_err(|e| self.failed(e))?;
             self.times_ns = times;
-            if times.0 > self.wanted_ns.1 || times.1 < self.wanted_ns.0 {
+            if times.0 > self.time_range_ns.1 || times.1 < self.time_range_ns.0 {
                 return self.pass();
             }
         }
@@ -392,21 +388,21 @@ impl Frames {
         }
         let unpacked = unpack(&chunk, &mut self.chunk);
         unpacked.map_err(|why| self.damaged(why))?;
-        Ok(Step::Chunk)
+        Ok(FrameStep::Chunk)
     }
 }
 
-/// Where to begin reading for everything from `at_ns` on: a message carries the time of its first
-/// pair, and so may begin in the chunk before the last one that begins by then.
+/// Offset from which everything from `at_ns` on can be read. A message carries the time of its first pair, so it may begin in the
+/// chunk before the last one that begins by then.
 pub fn lead_in(path: &Path, at_ns: u64) -> Result<u64, McapFileError> {
     let mut frames = Frames::open(path)?;
-    // Nothing: only the chunks' times are read.
-    frames.wanted_ns = (u64::MAX, 0);
+    // Only the times of the chunks are read.
+    frames.time_range_ns = (u64::MAX, 0);
     let mut starts = [0, 0];
     loop {
         match frames.step()? {
-            Step::End => return Ok(starts[0]),
-            Step::Passed if frames.times_ns.0 <= at_ns && frames.times_ns.0 > starts[1] => {
+            FrameStep::End => return Ok(starts[0]),
+            FrameStep::Skipped if frames.times_ns.0 <= at_ns && frames.times_ns.0 > starts[1] => {
                 starts = [starts[1], frames.times_ns.0];
             }
             _ => {}
@@ -414,7 +410,7 @@ pub fn lead_in(path: &Path, at_ns: u64) -> Result<u64, McapFileError> {
     }
 }
 
-/// The message times of a chunk in nanoseconds, without moving on.
+/// Message times of a chunk in nanoseconds; the position is restored.
 fn peek_times(input: &mut BufReader<File>) -> std::io::Result<(u64, u64)> {
     let mut times = [0; CHUNK_TIMES];
     input.read_exact(&mut times)?;
@@ -452,14 +448,14 @@ fn unpack(chunk: &records::Chunk<'_>, into: &mut Vec<u8>) -> Result<(), String> 
 }
 
 fn crc32(bytes: &[u8]) -> u32 {
-    /// The wire's, with sixteen tables in place of one: a capture has hundreds of megabytes.
+    /// CRC-32 of the wire with sixteen tables instead of one: a capture has hundreds of megabytes.
     static CRC32: crc::Crc<u32, crc::Table<16>> =
         crc::Crc::<u32, crc::Table<16>>::new(ihd_shared::wire::frame::CRC32.algorithm);
     CRC32.checksum(bytes)
 }
 
-/// The record at `at` of an unpacked chunk, and where the next begins; `None` at the end.
-pub fn record_at(chunk: &[u8], at: usize) -> Result<Option<(Raw<'_>, usize)>, &'static str> {
+/// Record at `at` of an unpacked chunk, and the offset of the next; `None` at the end.
+pub fn record_at(chunk: &[u8], at: usize) -> Result<Option<(RawRecord<'_>, usize)>, &'static str> {
     let rest = chunk.get(at..).unwrap_or_default();
     let Some((&[opcode, ref length @ ..], behind)) = rest.split_first_chunk::<9>() else {
         return if rest.is_empty() {
@@ -472,5 +468,5 @@ pub fn record_at(chunk: &[u8], at: usize) -> Result<Option<(Raw<'_>, usize)>, &'
     let body = behind.get(..length);
     let body = body.ok_or("a record within its chunk is longer than the chunk")?;
     let next = at + PREFIX as usize + length;
-    Ok(Some((Raw { opcode, body }, next)))
+    Ok(Some((RawRecord { opcode, body }, next)))
 }

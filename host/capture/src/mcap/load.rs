@@ -1,4 +1,4 @@
-//! Whole captures, or parts of them, from the file.
+//! Reading of whole captures, or parts of them.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,22 +14,22 @@ use super::save::key;
 use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
 use super::writer::nanoseconds;
 
-/// Most pairs of a capture in memory: 2.7 s of 50 MS/s, 1 GiB.
+/// Limit of pairs of a capture in memory: 2.7 s of 50 MS/s, 1 GiB.
 pub const MAX_PAIRS: usize = 1 << 27;
 
-/// What of a file could not be read.
+/// Parts of a file that could not be read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Losses {
-    /// Where what is whole ends, in bytes, of a file without its end mark.
+    /// Offset up to which a file without its end mark is complete; `None` if it has one.
     pub cut_at: Option<u64>,
-    /// Damaged records, each a chunk at most, that were passed over.
+    /// Number of damaged records that were skipped, each a chunk at most.
     pub damaged: u32,
-    /// The first of them: file, byte and what is wrong.
+    /// First of them: file, byte and description.
     pub first_damage: Option<String>,
 }
 
 impl Losses {
-    /// Whether the file was read whole.
+    /// Returns `true` if the whole file was read.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
@@ -60,16 +60,16 @@ impl fmt::Display for Losses {
     }
 }
 
-/// What could be read of a file, and what could not.
+/// Readable part of a file, and the losses.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Salvaged {
-    /// What could be read.
+pub struct SalvagedCapture {
+    /// Readable part.
     pub capture: Capture,
-    /// What could not.
+    /// Unreadable parts.
     pub losses: Losses,
 }
 
-/// Reads a whole capture. A file that was cut gives what is whole.
+/// Reads a whole capture; of a cut file the complete part.
 ///
 /// # Errors
 /// [`McapFileError`].
@@ -79,11 +79,11 @@ pub fn read(path: &Path) -> Result<Capture, McapFileError> {
     Ok(salvaged.capture)
 }
 
-/// Reads what is whole of a capture: a damaged chunk costs itself, a cut what lies behind it.
+/// Reads the undamaged part of a capture: a damaged chunk is skipped, data after a cut is missing.
 ///
 /// # Errors
 /// [`McapFileError`] when the file cannot be read, is none, or holds nothing but damage.
-pub fn salvage(path: &Path) -> Result<Salvaged, McapFileError> {
+pub fn salvage(path: &Path) -> Result<SalvagedCapture, McapFileError> {
     let all = (f64::NEG_INFINITY, f64::INFINITY);
     let mut losses = Losses::default();
     let mut first = None;
@@ -103,8 +103,7 @@ pub fn salvage(path: &Path) -> Result<Salvaged, McapFileError> {
     Ok(salvaged)
 }
 
-/// Reads the samples and events from `from_s` to `to_s`, in seconds after the capture's beginning,
-/// without unpacking the rest.
+/// Reads samples and events from `from_s` to `to_s`, in seconds after the capture's beginning, without unpacking the rest.
 ///
 /// # Errors
 /// [`McapFileError`].
@@ -114,24 +113,24 @@ pub fn read_between(path: &Path, from_s: f64, to_s: f64) -> Result<Capture, Mcap
     Ok(gather(reader, (from_s, to_s), &mut Err)?.capture)
 }
 
-/// A capture being put together.
-struct Gathered {
+/// Capture under construction.
+struct CaptureBuilder {
     capture: Capture,
-    /// Times of the pairs from the first irregularity on; until then the spacing is even.
+    /// Times of the pairs; `None` while the spacing is even.
     stamps: Option<Vec<f64>>,
     t0_s: f64,
     dt_s: f64,
 }
 
-/// What to do about an error: end with it, or go on.
+/// Handler of an error: ends with it, or continues.
 type OnError<'a> = &'a mut dyn FnMut(McapFileError) -> Result<(), McapFileError>;
 
 fn gather(
     mut reader: Reader,
     (from_s, to_s): (f64, f64),
     on_error: OnError<'_>,
-) -> Result<Salvaged, McapFileError> {
-    let mut gathered = Gathered {
+) -> Result<SalvagedCapture, McapFileError> {
+    let mut builder = CaptureBuilder {
         capture: Capture {
             name: reader.path().display().to_string(),
             time: TimeBase::Even {
@@ -159,13 +158,13 @@ fn gather(
                 on_error(error)?;
                 continue;
             }
-            Ok(Some(Item::Metadata { name, entries })) => gathered.take_metadata(&name, entries),
-            Ok(Some(Item::Message(message))) => gathered.take_message(message, from_s, to_s),
+            Ok(Some(Item::Metadata { name, entries })) => builder.take_metadata(&name, entries),
+            Ok(Some(Item::Message(message))) => builder.take_message(message, from_s, to_s),
         };
         if let Err(why) = result {
             on_error(reader.damaged(why))?;
         }
-        if gathered.capture.len() > MAX_PAIRS {
+        if builder.capture.len() > MAX_PAIRS {
             return Err(McapFileError::TooManyPairs {
                 path: reader.path().into(),
                 limit: MAX_PAIRS,
@@ -176,13 +175,13 @@ fn gather(
         cut_at: reader.is_cut().then(|| reader.at()),
         ..Losses::default()
     };
-    Ok(Salvaged {
-        capture: gathered.finish(),
+    Ok(SalvagedCapture {
+        capture: builder.finish(),
         losses,
     })
 }
 
-impl Gathered {
+impl CaptureBuilder {
     fn take_metadata(
         &mut self,
         name: &str,
@@ -224,7 +223,7 @@ impl Gathered {
             Topic::FSw => {
                 let step: FSw = serde_json::from_slice(m.data).map_err(|e| wrong(&e))?;
                 let f_sw = &mut self.capture.f_sw;
-                // A recorder repeats it, so that a part of the file holds it too.
+                // The recorder repeats the frequency so that each part of the file has it.
                 if f_sw.last().is_none_or(|last| last.f_sw_hz != step.f_sw_hz) {
                     f_sw.push(FrequencyStep {
                         t_s: step.t_s,
@@ -292,20 +291,20 @@ impl Gathered {
 mod tests {
     use ihd_sim::recording::run::record;
     use ihd_sim::recording::sensing::Rate;
-    use ihd_sim::recording::settings::{Change, Event, LoadKind, Settings};
+    use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
 
     use super::super::write;
     use super::*;
 
     fn capture(rate: Rate) -> Capture {
-        let mut settings = Settings {
+        let mut settings = CaptureSpec {
             load: LoadKind::Behavioural,
             duration_s: 4e-3,
             events: vec![Event {
                 t_s: 2e-3,
                 change: Change::Frequency(50e3),
             }],
-            ..Settings::default()
+            ..CaptureSpec::default()
         };
         settings.sensing.rate = rate;
         let recording = record(&settings, |_| ()).unwrap();

@@ -23,7 +23,7 @@ pub mod topics;
 pub mod writer;
 
 pub use error::McapFileError;
-pub use load::{Losses, Salvaged, read, read_between, salvage};
+pub use load::{Losses, SalvagedCapture, read, read_between, salvage};
 pub use notes::link_counters;
 pub use reader::Reader;
 pub use save::write;

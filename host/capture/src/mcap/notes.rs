@@ -1,4 +1,4 @@
-//! What a device sends, as the file's JSON messages: SI units and words in place of codes.
+//! Conversion of a device's messages to the file's JSON messages: SI units and names instead of codes.
 
 use ihd_link::{Counters, Window, WindowDefect};
 use ihd_shared::fault::Fault;
@@ -10,14 +10,14 @@ use ihd_shared::wire::messages;
 
 use super::topics::{FaultNote, LinkCounters, Lookup, Telemetry, WholeWindow, WindowNote};
 
-/// A fault's name, or its number where it is newer than this version.
+/// Name of a fault, or its number if this version does not know it.
 fn fault_name(fault: Fault) -> String {
     fault
         .name()
         .map_or_else(|| fault.number().to_string(), str::to_owned)
 }
 
-/// A telemetry.
+/// Converts a telemetry message.
 pub fn telemetry(t: &messages::Telemetry) -> Telemetry {
     Telemetry {
         seq: t.seq,
@@ -41,7 +41,7 @@ pub fn telemetry(t: &messages::Telemetry) -> Telemetry {
     }
 }
 
-/// A fault.
+/// Converts a fault.
 pub fn fault(f: &messages::FaultEvent) -> FaultNote {
     FaultNote {
         half_cycle: f.half_cycle,
@@ -50,7 +50,7 @@ pub fn fault(f: &messages::FaultEvent) -> FaultNote {
     }
 }
 
-/// A window that was rejected.
+/// Converts a rejected window.
 pub fn rejected(seq: u32, reason: &WindowDefect) -> WindowNote {
     WindowNote {
         seq,
@@ -59,7 +59,7 @@ pub fn rejected(seq: u32, reason: &WindowDefect) -> WindowNote {
     }
 }
 
-/// A whole window whose zero crossing lies at a time in seconds.
+/// Converts a complete window whose zero crossing is at a time in seconds.
 pub fn window(w: &Window, zero_crossing_s: f64) -> WindowNote {
     WindowNote {
         seq: w.seq,
@@ -80,7 +80,7 @@ pub fn window(w: &Window, zero_crossing_s: f64) -> WindowNote {
     }
 }
 
-/// A lookup by its bytes; `None` for bytes that are none.
+/// Converts a lookup from its bytes; `None` if they are invalid.
 pub fn lookup(what: &str, blob: &[u8]) -> Option<Lookup> {
     let lookup = RlLookup::from_bytes(blob).ok()?;
     let scaled = |cells: &[[u16; CURRENTS]; FREQUENCIES], unit: f64| {
@@ -98,7 +98,7 @@ pub fn lookup(what: &str, blob: &[u8]) -> Option<Lookup> {
     })
 }
 
-/// What a link has counted.
+/// Converts the counters of a link.
 pub fn link_counters(c: &Counters) -> LinkCounters {
     LinkCounters {
         bytes: c.bytes,

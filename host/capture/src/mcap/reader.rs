@@ -1,4 +1,4 @@
-//! A capture file, message by message, up to the last whole chunk.
+//! Capture file read message by message, up to the last complete chunk.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -6,57 +6,57 @@ use std::path::Path;
 use ::mcap::records::op;
 
 use super::McapFileError;
-use super::framing::{Frames, Step, record_at};
+use super::framing::{FrameStep, Frames, record_at};
 use super::records;
 use super::topics::{Layout, PROFILE, SAMPLES_I16, Topic};
 
-/// What our own writer puts into the header: its files have every channel in their first chunk.
+/// Library name that our own writer puts into the header: its files have every channel in the first chunk.
 const OUR_LIBRARY: &str = "ihd ";
 
-/// One thing in the file.
+/// Item of a capture file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item<'a> {
-    /// A named table of text.
+    /// Named table of text.
     Metadata {
-        /// Its name.
+        /// Name of the table.
         name: String,
-        /// Its entries.
+        /// Entries.
         entries: BTreeMap<String, String>,
     },
-    /// A message of a known topic.
+    /// Message of a known topic.
     Message(Message<'a>),
 }
 
 /// A message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Message<'a> {
-    /// Which topic it belongs to.
+    /// Topic.
     pub topic: Topic,
-    /// Whether samples are codes (or f32).
+    /// Set if samples are codes; otherwise they are f32.
     pub as_codes: bool,
     /// Nanoseconds after the beginning of the capture.
     pub log_time_ns: u64,
-    /// Its bytes, laid out as in [`super::topics`].
+    /// Contents, laid out as in [`super::topics`].
     pub data: &'a [u8],
 }
 
-/// A channel that this version knows.
+/// Channel that this version knows.
 #[derive(Clone, Copy)]
 struct Channel {
     topic: Topic,
     as_codes: bool,
 }
 
-/// A capture file being read. What it does not know it passes over.
+/// Capture file being read. Unknown contents are skipped.
 pub struct Reader {
     frames: Frames,
     schemas: BTreeMap<u16, String>,
     channels: BTreeMap<u16, Option<Channel>>,
-    /// Where the next record of the unpacked chunk begins; `None` between chunks.
+    /// Offset of the next record in the unpacked chunk; `None` between chunks.
     in_chunk: Option<usize>,
-    /// Parts of the file may be passed over.
+    /// Set if parts of the file may be skipped.
     indexed: bool,
-    wanted_ns: (u64, u64),
+    time_range_ns: (u64, u64),
 }
 
 impl Reader {
@@ -71,10 +71,10 @@ impl Reader {
             channels: BTreeMap::new(),
             in_chunk: None,
             indexed: false,
-            wanted_ns: (0, u64::MAX),
+            time_range_ns: (0, u64::MAX),
         };
         match reader.frames.step()? {
-            Step::Record(op::HEADER) => {}
+            FrameStep::Record(op::HEADER) => {}
             _ => return Err(McapFileError::NotMcap { path: path.into() }),
         }
         let header = records::header(reader.frames.record());
@@ -96,39 +96,39 @@ impl Reader {
         Ok(reader)
     }
 
-    /// Reads only samples and truth from `from_ns` to `to_ns` after the beginning of the capture;
-    /// chunks that hold nothing of that time are not even read from disk.
+    /// Restricts reading to samples and truth from `from_ns` to `to_ns` after the beginning of the capture; other chunks are not
+    /// read from disk.
     pub fn between(mut self, from_ns: u64, to_ns: u64) -> Self {
-        self.wanted_ns = (from_ns, to_ns);
+        self.time_range_ns = (from_ns, to_ns);
         self
     }
 
-    /// Whether the file ends before its end mark; what is whole has been read.
+    /// Returns `true` if the file ends without its end mark; the complete part was read.
     pub fn is_cut(&self) -> bool {
         self.frames.is_cut()
     }
 
-    /// Bytes from the file's beginning to where the record that was read last begins.
+    /// Offset of the record read last, in bytes.
     pub fn at(&self) -> u64 {
         self.frames.at()
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         self.frames.path()
     }
 
-    /// An error at the place that was read last.
+    /// Creates an error at the place read last.
     pub fn damaged(&self, what: impl ToString) -> McapFileError {
         self.frames.damaged(what)
     }
 
-    /// The next item; `None` at the end.
+    /// Returns the next item; `None` at the end.
     ///
     /// # Errors
-    /// [`McapFileError`]. After one that [`McapFileError::is_damage`] the next call goes on behind the damage.
+    /// [`McapFileError`]. After one that [`McapFileError::is_damage`] the next call continues after the damage.
     pub fn next_item(&mut self) -> Result<Option<Item<'_>>, McapFileError> {
-        let found = loop {
+        let message_place = loop {
             if let Some(at) = self.in_chunk {
                 match self.advance_in_chunk(at)? {
                     Some(message) => break message,
@@ -136,16 +136,16 @@ impl Reader {
                 }
             }
             match self.step()? {
-                Step::End => return Ok(None),
-                Step::Passed => {}
-                Step::Chunk => self.in_chunk = Some(0),
-                Step::Record(op::METADATA) => return self.metadata().map(Some),
-                Step::Record(opcode) => {
+                FrameStep::End => return Ok(None),
+                FrameStep::Skipped => {}
+                FrameStep::Chunk => self.in_chunk = Some(0),
+                FrameStep::Record(op::METADATA) => return self.metadata().map(Some),
+                FrameStep::Record(opcode) => {
                     let body = self.frames.record();
                     let taken = take(opcode, body, &mut self.schemas, &mut self.channels);
                     let taken = taken.map_err(|why| self.frames.damaged(why))?;
                     if let Some(message) = taken.filter(|m| self.wants(m)) {
-                        break Found {
+                        break MessagePlace {
                             from: self.frames.record().len() - message.data_len,
                             to: self.frames.record().len(),
                             in_chunk: false,
@@ -155,21 +155,21 @@ impl Reader {
                 }
             }
         };
-        let bytes = if found.in_chunk {
+        let bytes = if message_place.in_chunk {
             self.frames.chunk()
         } else {
             self.frames.record()
         };
         Ok(Some(Item::Message(Message {
-            topic: found.message.channel.topic,
-            as_codes: found.message.channel.as_codes,
-            log_time_ns: found.message.log_time_ns,
-            data: &bytes[found.from..found.to],
+            topic: message_place.message.channel.topic,
+            as_codes: message_place.message.channel.as_codes,
+            log_time_ns: message_place.message.log_time_ns,
+            data: &bytes[message_place.from..message_place.to],
         })))
     }
 
-    /// The next record or chunk. Channels that a damaged chunk held are taken from the summary, where there is one.
-    fn step(&mut self) -> Result<Step, McapFileError> {
+    /// Reads the next record or chunk. Channels lost with a damaged chunk are taken from the summary, if there is one.
+    fn step(&mut self) -> Result<FrameStep, McapFileError> {
         let step = self.frames.step();
         if self.channels.is_empty() && step.as_ref().is_err_and(McapFileError::is_damage) {
             let summary = self.frames.summary()?;
@@ -177,7 +177,7 @@ impl Reader {
             while let Ok(Some((raw, next))) = record_at(&summary, at) {
                 at = next;
                 if matches!(raw.opcode, op::SCHEMA | op::CHANNEL) {
-                    // The damage is reported already.
+                    // The damage has been reported.
                     let _ = take(raw.opcode, raw.body, &mut self.schemas, &mut self.channels);
                 }
             }
@@ -190,11 +190,11 @@ impl Reader {
             message.channel.topic,
             Topic::Samples | Topic::CleanSamples | Topic::Truth
         );
-        !bulk || (self.wanted_ns.0..=self.wanted_ns.1).contains(&message.log_time_ns)
+        !bulk || (self.time_range_ns.0..=self.time_range_ns.1).contains(&message.log_time_ns)
     }
 
-    /// The chunk's record at `at`, if it is a message that is wanted.
-    fn advance_in_chunk(&mut self, at: usize) -> Result<Option<Found>, McapFileError> {
+    /// Returns the chunk's record at `at` if it is a selected message.
+    fn advance_in_chunk(&mut self, at: usize) -> Result<Option<MessagePlace>, McapFileError> {
         let record = record_at(self.frames.chunk(), at);
         let record = match record {
             Ok(record) => record,
@@ -205,16 +205,16 @@ impl Reader {
         };
         let Some((raw, next)) = record else {
             self.in_chunk = None;
-            // From now on every channel is known.
+            // Every channel is known from here on.
             if self.indexed {
-                self.frames.wanted_ns = self.wanted_ns;
+                self.frames.time_range_ns = self.time_range_ns;
             }
             return Ok(None);
         };
         self.in_chunk = Some(next);
         let taken = take(raw.opcode, raw.body, &mut self.schemas, &mut self.channels);
         let taken = taken.map_err(|why| self.frames.damaged(why))?;
-        Ok(taken.filter(|m| self.wants(m)).map(|message| Found {
+        Ok(taken.filter(|m| self.wants(m)).map(|message| MessagePlace {
             from: next - message.data_len,
             to: next,
             in_chunk: true,
@@ -229,22 +229,22 @@ impl Reader {
     }
 }
 
-/// A message by its place.
-struct Found {
+/// Place of a message.
+struct MessagePlace {
     from: usize,
     to: usize,
     in_chunk: bool,
     message: Header,
 }
 
-/// A message without its bytes, which are the last of its record.
+/// Message without its contents, which are the last bytes of its record.
 struct Header {
     channel: Channel,
     log_time_ns: u64,
     data_len: usize,
 }
 
-/// Takes a schema or a channel; a message of a known channel is returned.
+/// Registers a schema or a channel; returns a message of a known channel.
 fn take(
     opcode: u8,
     body: &[u8],
@@ -278,7 +278,7 @@ fn take(
     Ok(None)
 }
 
-/// A channel by its topic; `None` for one that this version does not know.
+/// Channel of a topic; `None` for one that this version does not know.
 fn known(name: &str, schema: &str) -> Result<Option<Channel>, String> {
     let Some(topic) = Topic::named(name) else {
         return Ok(None);

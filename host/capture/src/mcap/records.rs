@@ -1,55 +1,55 @@
-//! The records of MCAP that are read, out of bytes that nobody vouches for.
+//! Parser of the MCAP records that are read, for untrusted bytes.
 //!
 //! The `mcap` crate's own parser reserves what a text's length declares before it looks whether the bytes are there
 //! (4 GiB in a file of 270 kB). Here a length is held against what is left first.
 
 use std::collections::BTreeMap;
 
-/// Longest header of a chunk: times, size, CRC, length of the name of its packing, `zstd`, length of its records.
+/// Limit of a chunk's header: times, size, CRC, length of the name of its packing, `zstd`, length of its records.
 pub const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 4 + 8;
 
-/// Where the name of the packing begins within a chunk, its length included.
+/// Offset of the packing's name within a chunk, length included.
 pub const PACKING_AT: usize = 8 + 8 + 8 + 4;
 
-/// The name of the packing as it stands in a chunk, its length before it.
+/// Name of the packing as it appears in a chunk, after its length.
 pub const ZSTD: [u8; 8] = *b"\x04\0\0\0zstd";
 
 /// A channel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Channel {
-    /// Its number in the file.
+    /// Number of the channel in the file.
     pub id: u16,
-    /// The number of its schema; 0 for none.
+    /// Number of its schema; 0 for none.
     pub schema_id: u16,
     /// Its topic.
     pub topic: String,
 }
 
-/// A message's head; its data lie behind.
+/// Header of a message; its data follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Message {
-    /// The number of its channel.
+    /// Number of its channel.
     pub channel_id: u16,
-    /// Its time in nanoseconds.
+    /// Time in nanoseconds.
     pub log_time_ns: u64,
-    /// Bytes of its data.
+    /// Size of its data in bytes.
     pub data_len: usize,
 }
 
-/// A chunk as it lies in the file.
+/// Chunk as it lies in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Chunk<'a> {
-    /// Bytes that it unpacks to.
+    /// Size of the unpacked bytes.
     pub unpacked: u64,
-    /// CRC-32 of those; 0 for none.
+    /// CRC-32 of the unpacked bytes; 0 for none.
     pub crc: u32,
-    /// How it is packed.
+    /// Name of the packing.
     pub packing: &'a str,
-    /// The packed bytes.
+    /// Packed bytes.
     pub data: &'a [u8],
 }
 
-/// Bytes of a record that are read from front to back.
+/// Bytes of a record, read from front to back.
 struct Bytes<'a>(&'a [u8]);
 
 impl<'a> Bytes<'a> {
@@ -91,19 +91,19 @@ impl<'a> Bytes<'a> {
     }
 }
 
-/// Profile and library of a header.
+/// Parses profile and library of a header.
 pub fn header(body: &[u8]) -> Result<(String, String), String> {
     let mut bytes = Bytes(body);
     Ok((bytes.text()?.to_owned(), bytes.text()?.to_owned()))
 }
 
-/// Number and name of a schema.
+/// Parses number and name of a schema.
 pub fn schema(body: &[u8]) -> Result<(u16, String), String> {
     let mut bytes = Bytes(body);
     Ok((bytes.u16()?, bytes.text()?.to_owned()))
 }
 
-/// A channel.
+/// Parses a channel.
 pub fn channel(body: &[u8]) -> Result<Channel, String> {
     let mut bytes = Bytes(body);
     Ok(Channel {
@@ -113,7 +113,7 @@ pub fn channel(body: &[u8]) -> Result<Channel, String> {
     })
 }
 
-/// A message's head.
+/// Parses the header of a message.
 pub fn message(body: &[u8]) -> Result<Message, String> {
     let mut bytes = Bytes(body);
     let (channel_id, _sequence) = (bytes.u16()?, bytes.u32()?);
@@ -125,7 +125,7 @@ pub fn message(body: &[u8]) -> Result<Message, String> {
     })
 }
 
-/// Name and entries of a table of text.
+/// Parses name and entries of a table of text.
 pub fn metadata(body: &[u8]) -> Result<(String, BTreeMap<String, String>), String> {
     let mut bytes = Bytes(body);
     let name = bytes.text()?.to_owned();
@@ -137,7 +137,7 @@ pub fn metadata(body: &[u8]) -> Result<(String, BTreeMap<String, String>), Strin
     Ok((name, entries))
 }
 
-/// A chunk.
+/// Parses a chunk.
 pub fn chunk(body: &[u8]) -> Result<Chunk<'_>, String> {
     let mut bytes = Bytes(body);
     bytes.take(16)?;
@@ -157,7 +157,7 @@ pub fn chunk(body: &[u8]) -> Result<Chunk<'_>, String> {
     })
 }
 
-/// Whether the body of a record, as far as it is given, begins as a chunk packed with zstd of `length` bytes does.
+/// Returns `true` if the given beginning of a record's body fits a chunk of `length` bytes packed with zstd.
 pub fn begins_as_chunk(head: &[u8], length: u64) -> bool {
     let Some((times, rest)) = head.split_at_checked(PACKING_AT) else {
         return false;

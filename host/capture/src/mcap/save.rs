@@ -1,4 +1,4 @@
-//! Whole captures to the file, and the pieces that other writers of captures share.
+//! Writing of whole captures, and the parts that other writers of captures share.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -6,16 +6,16 @@ use std::path::Path;
 use ihd_signal::{Capture, TimeBase};
 
 use super::McapFileError;
-use super::cdr::{self, When};
+use super::cdr::{self, BatchTime};
 use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
 use super::writer::{Existing, PAIRS_PER_MESSAGE, Writer};
 
-/// How far a sample may be from its evenly spaced place, in seconds, and still count as even.
+/// Largest deviation of a sample from an even spacing, in seconds, that still counts as even.
 const EVEN_WITHIN_S: f64 = 1e-12;
 
 /// Keys of the table [`META_CAPTURE`].
 pub mod key {
-    /// Where the capture comes from.
+    /// Origin of the capture.
     pub const NAME: &str = "name";
     /// Largest magnitude of the voltage channel in volt.
     pub const V_FULL_SCALE: &str = "v_full_scale_v";
@@ -23,8 +23,7 @@ pub mod key {
     pub const I_FULL_SCALE: &str = "i_full_scale_a";
 }
 
-/// Writes a capture, its samples as f32: what is read back is the same, times of uneven samples to
-/// within a picosecond.
+/// Writes a capture, its samples as f32. Reading it returns the same values; times of uneven samples are exact within a picosecond.
 ///
 /// # Errors
 /// [`McapFileError`].
@@ -34,15 +33,14 @@ pub fn write(capture: &Capture, path: &Path) -> Result<(), McapFileError> {
     let pair = |k: usize| [capture.v_v[k], capture.i_a[k]];
     for batch in batches(&capture.time, capture.len().min(capture.i_a.len())) {
         let pairs = (batch.from..batch.to).map(pair);
-        let message = cdr::singles(&batch.when, pairs);
-        writer.message(Topic::Samples, batch.when.t0_s(), &message)?;
+        let message = cdr::singles(&batch.time, pairs);
+        writer.message(Topic::Samples, batch.time.t0_s(), &message)?;
     }
     write_truth(&mut writer, capture)?;
     writer.finish()
 }
 
-/// The table [`META_CAPTURE`]: where the capture comes from, and the full scales of voltage in volt
-/// and current in ampere.
+/// Contents of table [`META_CAPTURE`]: origin of the capture, and full scales of voltage in volt and current in ampere.
 pub fn describe(name: &str, full_scale: [Option<f64>; 2]) -> BTreeMap<String, String> {
     let mut table = BTreeMap::from([(key::NAME.to_owned(), name.to_owned())]);
     for (key, value) in [key::V_FULL_SCALE, key::I_FULL_SCALE]
@@ -54,7 +52,7 @@ pub fn describe(name: &str, full_scale: [Option<f64>; 2]) -> BTreeMap<String, St
     table
 }
 
-/// Everything of a capture that comes before its samples.
+/// Writes everything of a capture that precedes its samples.
 pub fn write_head(writer: &mut Writer, capture: &Capture) -> Result<(), McapFileError> {
     let full_scale = [capture.v_full_scale_v, capture.i_full_scale_a];
     writer.metadata(META_CAPTURE, describe(&capture.name, full_scale))?;
@@ -78,7 +76,7 @@ pub fn write_head(writer: &mut Writer, capture: &Capture) -> Result<(), McapFile
     Ok(())
 }
 
-/// The truth of a capture.
+/// Writes the truth of a capture.
 pub fn write_truth(writer: &mut Writer, capture: &Capture) -> Result<(), McapFileError> {
     for truth in &capture.truth {
         writer.message(Topic::Truth, truth.t_s, &cdr::truth(truth))?;
@@ -90,40 +88,39 @@ pub fn write_truth(writer: &mut Writer, capture: &Capture) -> Result<(), McapFil
 pub struct Batch<'a> {
     /// Index of the first pair.
     pub from: usize,
-    /// Index behind the last pair.
+    /// Index after the last pair.
     pub to: usize,
-    /// When they were taken.
-    pub when: When<'a>,
+    /// Times of the samples.
+    pub time: BatchTime<'a>,
 }
 
-/// Cuts `n` pairs into messages of at most [`PAIRS_PER_MESSAGE`], each evenly spaced where its
-/// samples are.
+/// Cuts `n` pairs into messages of at most [`PAIRS_PER_MESSAGE`], each evenly spaced if its samples are.
 pub fn batches(time: &TimeBase, n: usize) -> Vec<Batch<'_>> {
     let mut batches = Vec::new();
     let mut from = 0;
     while from < n {
         let full = (from + PAIRS_PER_MESSAGE).min(n);
-        let (to, when) = match time {
+        let (to, time) = match time {
             TimeBase::Even { t0_s, dt_s } => {
                 let t0_s = t0_s + from as f64 * dt_s;
-                (full, When::Even { t0_s, dt_s: *dt_s })
+                (full, BatchTime::Even { t0_s, dt_s: *dt_s })
             }
             TimeBase::Stamps(t_s) => stamped(t_s.get(from..full).unwrap_or_default(), from),
         };
-        // Fewer stamps than pairs: the rest has no time and is not written.
+        // Pairs without a stamp have no time and are not written.
         if to == from {
             break;
         }
-        batches.push(Batch { from, to, when });
+        batches.push(Batch { from, to, time });
         from = to;
     }
     batches
 }
 
-/// The beginning of `t_s` as one batch: even as far as it goes, else with its stamps.
-fn stamped(t_s: &[f64], from: usize) -> (usize, When<'_>) {
+/// First batch of `t_s`: evenly spaced as far as that holds, else with its stamps.
+fn stamped(t_s: &[f64], from: usize) -> (usize, BatchTime<'_>) {
     let (Some(&first), Some(&second)) = (t_s.first(), t_s.get(1)) else {
-        return (from + t_s.len(), When::Stamps(t_s));
+        return (from + t_s.len(), BatchTime::Stamps(t_s));
     };
     let step_s = second - first;
     // A step is known to the rounding of the times.
@@ -133,10 +130,10 @@ fn stamped(t_s: &[f64], from: usize) -> (usize, When<'_>) {
     let evenly = &t_s[..even];
     let dt_s = (evenly[even - 1] - first) / (even - 1) as f64;
     let fits = |(k, t): (usize, &f64)| (first + k as f64 * dt_s - t).abs() <= EVEN_WITHIN_S;
-    // Short runs of jittering times would cost a message each.
+    // Each batch costs a message: short even runs among jittering times are not separated.
     if even >= t_s.len().min(16) && evenly.iter().enumerate().all(fits) {
-        (from + even, When::Even { t0_s: first, dt_s })
+        (from + even, BatchTime::Even { t0_s: first, dt_s })
     } else {
-        (from + t_s.len(), When::Stamps(t_s))
+        (from + t_s.len(), BatchTime::Stamps(t_s))
     }
 }

@@ -1,8 +1,7 @@
-//! A session with a device: every byte as it came over the link, and what the bytes mean.
+//! Recording of a session with a device: every byte of the link, and the decoded messages.
 //!
-//! The bytes are the record that loses nothing: [`SessionReader`] makes the same windows,
-//! rejections and counts of them that the live client saw. The decoded topics beside them are for
-//! [`super::read`] and for other tools.
+//! The bytes are complete: [`SessionReader`] derives from them the same windows, rejections and counts as the live client. The
+//! decoded topics beside them are for [`super::read`] and for other tools.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
@@ -11,7 +10,7 @@ use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
-use ihd_link::incoming::Incoming;
+use ihd_link::receiver::Receiver;
 use ihd_link::{Counters, Event, FrameSink, Window, older};
 use ihd_shared::wire::PROTOCOL_MAJOR;
 use ihd_shared::wire::deframer::Deframer;
@@ -28,64 +27,64 @@ use super::save::{batches, describe};
 use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
 use super::writer::{Existing, Writer};
 
-/// What a recorder that is killed may lose, on the transport's clock.
-const FLUSH_EVERY: Duration = Duration::from_millis(250);
+/// Longest time on the transport's clock that a killed recorder may lose.
+const FLUSH_PERIOD: Duration = Duration::from_millis(250);
 
-/// What it may lose on the wall's clock, where that is the transport's too: also when nothing comes any more.
-const FLUSH_EVERY_WALL: Duration = Duration::from_millis(500);
+/// Longest wall time that a killed recorder may lose if the transport's clock is the wall's, also when no more bytes come.
+const WALL_CLOCK_FLUSH_PERIOD: Duration = Duration::from_millis(500);
 
-/// Half-cycles that are remembered for their window: two seconds.
-const TOLD: usize = 256;
+/// Number of half-cycles remembered for their windows: two seconds.
+const REMEMBERED_HALF_CYCLES: usize = 256;
 
-/// How often the wall's clock is looked at.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Period at which the wall's clock is polled.
+const WALL_CLOCK_POLL: Duration = Duration::from_millis(100);
 
-/// A session being recorded.
+/// Recorder of a session.
 pub struct SessionRecorder {
     recording: Arc<Mutex<Recording>>,
-    /// Dropped, it ends the thread that flushes.
+    /// Dropping it ends the thread that flushes.
     flushing: Option<mpsc::Sender<()>>,
 }
 
-/// The file, and what is known of the session so far.
+/// File and state of the session so far.
 struct Recording {
     writer: Writer,
-    /// When what is not yet in the file began to gather.
+    /// Wall time of the oldest data not yet in the file.
     unflushed_since: Option<Instant>,
-    /// Why the last flush by the wall's clock failed.
+    /// Error of the last flush by the wall's clock.
     failed: Option<McapFileError>,
-    incoming: Incoming,
-    /// The host's frames, for what they push.
+    receiver: Receiver,
+    /// Deframer of the host's frames, for the lookups pushed.
     outgoing: Deframer,
-    /// The transport's clock at the beginning.
+    /// Transport's clock at the beginning.
     began: Option<Duration>,
     flushed: Duration,
-    grid: Option<Grid>,
-    /// The last half-cycles, and when their telemetry came.
-    told: VecDeque<(u32, f64)>,
+    grid: Option<HalfCycleGrid>,
+    /// Numbers of the last half-cycles, with the times in seconds of their telemetry.
+    half_cycle_ends: VecDeque<(u32, f64)>,
 }
 
-/// Half-cycles of the device in the time of the capture.
+/// HalfCycleGrid of the device's half-cycles in the capture's time.
 #[derive(Clone, Copy)]
-struct Grid {
+struct HalfCycleGrid {
     half_cycle: u32,
     zero_crossing_s: f64,
     half_cycle_s: f64,
 }
 
 impl SessionRecorder {
-    /// Begins a recording of the device that sent `hello` and `front_end`.
+    /// Starts a recording of the device that sent `hello` and `front_end`.
     ///
     /// # Errors
-    /// [`McapFileError::Exists`] when there is such a file, else what the operating system reports.
+    /// [`McapFileError::Exists`] if the file exists, else the error of the operating system.
     pub fn create(path: &Path, hello: &Hello, front_end: &FrontEnd) -> Result<Self, McapFileError> {
         Self::with_notes(path, hello, front_end, BTreeMap::new())
     }
 
-    /// As [`SessionRecorder::create`], with notes of one's own beside those on the device.
+    /// Starts a recording like [`SessionRecorder::create`], with additional notes.
     ///
     /// # Errors
-    /// As [`SessionRecorder::create`].
+    /// Any error of [`SessionRecorder::create`].
     pub fn with_notes(
         path: &Path,
         hello: &Hello,
@@ -120,12 +119,12 @@ impl SessionRecorder {
             writer,
             unflushed_since: None,
             failed: None,
-            incoming: Incoming::default(),
+            receiver: Receiver::default(),
             outgoing: Deframer::new(),
             began: None,
             flushed: Duration::ZERO,
             grid: None,
-            told: VecDeque::new(),
+            half_cycle_ends: VecDeque::new(),
         };
         Ok(Self {
             recording: Arc::new(Mutex::new(recording)),
@@ -133,24 +132,23 @@ impl SessionRecorder {
         })
     }
 
-    /// Times count from `at` on the transport's clock, not from the first byte that comes.
+    /// Sets the time origin to `at` on the transport's clock, instead of the first byte received.
     #[must_use]
-    pub fn beginning_at(self, at: Duration) -> Self {
+    pub fn starting_at(self, at: Duration) -> Self {
         locked(&self.recording).began = Some(at);
         self
     }
 
-    /// Flushes by the wall's clock too, on a thread of its own, so that what came last is in the file even when
-    /// nothing comes after it. Not for a hob simulated in process: there the same session gives the same bytes, and a
-    /// flush ends a chunk.
+    /// Adds a thread that flushes by the wall's clock, so that the last data reaches the file even if nothing follows. Not for a
+    /// hob simulated in process: there the same session gives the same bytes, and a flush ends a chunk.
     #[must_use]
-    pub fn flushed_by_the_wall_clock(mut self) -> Self {
+    pub fn with_wall_clock_flush(mut self) -> Self {
         let (flushing, ended) = mpsc::channel();
         let recording = Arc::downgrade(&self.recording);
-        // Without the thread the file is flushed by what comes, as before.
+        // Without the thread the file is still flushed by incoming data.
         let thread = std::thread::Builder::new().name("recorder".into());
         let started = thread.spawn(move || {
-            while let Err(mpsc::RecvTimeoutError::Timeout) = ended.recv_timeout(LOOK_EVERY) {
+            while let Err(mpsc::RecvTimeoutError::Timeout) = ended.recv_timeout(WALL_CLOCK_POLL) {
                 match recording.upgrade() {
                     Some(recording) => locked(&recording).flush_by_the_wall_clock(),
                     None => return,
@@ -161,20 +159,20 @@ impl SessionRecorder {
         self
     }
 
-    /// How large the file is by now, in bytes, to be asked from anywhere.
+    /// Size of the file in bytes, readable from any thread.
     pub fn size(&self) -> Arc<AtomicU64> {
         locked(&self.recording).writer.size()
     }
 }
 
-/// A panic of the other thread leaves the recording as it was before its last message.
+/// Poisoning is ignored: the recording is as before its last message.
 fn locked(recording: &Mutex<Recording>) -> MutexGuard<'_, Recording> {
     recording.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Recording {
     fn flush_by_the_wall_clock(&mut self) {
-        let due = |since: Instant| since.elapsed() >= FLUSH_EVERY_WALL;
+        let due = |since: Instant| since.elapsed() >= WALL_CLOCK_FLUSH_PERIOD;
         if self.failed.is_none() && self.unflushed_since.is_some_and(due) {
             self.failed = self.flush().err();
         }
@@ -191,33 +189,33 @@ impl Recording {
     }
 
     fn take(&mut self, at: Duration, bytes: &[u8]) -> Result<(), McapFileError> {
-        self.still_well()?;
+        self.check_flush()?;
         let t_s = self.seconds(at);
         self.writer.message(Topic::FromDevice, t_s, bytes)?;
         for &byte in bytes {
-            // Bad frames are in the counters, and in the bytes.
-            let _ = self.incoming.push(byte);
+            // Bad frames are counted, and the bytes are kept.
+            let _ = self.receiver.push(byte);
         }
-        while let Some(answer) = self.incoming.answers.pop_front() {
+        while let Some(answer) = self.receiver.answers.pop_front() {
             if let Some(LookupBlob { blob }) = answer.decode()
                 && let Some(note) = notes::lookup("active", blob.0)
             {
                 self.writer.json(Topic::Lookup, t_s, &note)?;
             }
         }
-        while let Some(event) = self.incoming.events.pop_front() {
+        while let Some(event) = self.receiver.events.pop_front() {
             self.event(t_s, &event)?;
         }
         self.flush_when_due(at, t_s)
     }
 
-    /// What failed first says why; the writer says then only that it has.
-    fn still_well(&mut self) -> Result<(), McapFileError> {
+    /// Returns the error of an earlier flush, which has the reason; the writer would only report that it failed.
+    fn check_flush(&mut self) -> Result<(), McapFileError> {
         self.failed.take().map_or(Ok(()), Err)
     }
 
     fn give(&mut self, at: Duration, bytes: &[u8]) -> Result<(), McapFileError> {
-        self.still_well()?;
+        self.check_flush()?;
         let t_s = self.seconds(at);
         self.writer.message(Topic::ToDevice, t_s, bytes)?;
         for &byte in bytes {
@@ -233,20 +231,20 @@ impl Recording {
     }
 
     fn flush_when_due(&mut self, at: Duration, t_s: f64) -> Result<(), McapFileError> {
-        if at.saturating_sub(self.flushed) < FLUSH_EVERY {
+        if at.saturating_sub(self.flushed) < FLUSH_PERIOD {
             self.unflushed_since.get_or_insert_with(Instant::now);
             return Ok(());
         }
         self.flushed = at;
-        let counters = notes::link_counters(&self.incoming.counters());
+        let counters = notes::link_counters(&self.receiver.counters());
         self.writer.json(Topic::LinkCounters, t_s, &counters)?;
         self.flush()
     }
 
     fn finish(&mut self) -> Result<(), McapFileError> {
-        self.still_well()?;
+        self.check_flush()?;
         self.unflushed_since = None;
-        let counters = notes::link_counters(&self.incoming.counters());
+        let counters = notes::link_counters(&self.receiver.counters());
         let began = self.began.unwrap_or_default();
         let t_s = self.flushed.saturating_sub(began).as_secs_f64();
         self.writer.json(Topic::LinkCounters, t_s, &counters)?;
@@ -256,7 +254,7 @@ impl Recording {
     fn event(&mut self, t_s: f64, event: &Event) -> Result<(), McapFileError> {
         match event {
             Event::Telemetry(t) => {
-                self.tell(t.half_cycle, t_s);
+                self.note_half_cycle_end(t.half_cycle, t_s);
                 self.writer
                     .json(Topic::Telemetry, t_s, &notes::telemetry(t))
             }
@@ -266,21 +264,25 @@ impl Recording {
                 self.writer.json(Topic::Window, t_s, &note)
             }
             Event::Window(window) => self.window(t_s, window),
-            // Only the image's own table decodes it; the link's bytes hold it.
+            // Decoding needs the table of the device's image; the link's bytes hold the log.
             Event::Log { .. } => Ok(()),
         }
     }
 
-    /// Remembers when a half-cycle was over, until its window has come.
-    fn tell(&mut self, half_cycle: u32, t_s: f64) {
-        if self.told.back().is_some_and(|last| last.0 > half_cycle) {
-            // The device began anew.
-            self.told.clear();
+    /// Stores the time at which a half-cycle ended, until its window has come.
+    fn note_half_cycle_end(&mut self, half_cycle: u32, t_s: f64) {
+        if self
+            .half_cycle_ends
+            .back()
+            .is_some_and(|last| last.0 > half_cycle)
+        {
+            // The device restarted.
+            self.half_cycle_ends.clear();
         }
-        if self.told.len() == TOLD {
-            self.told.pop_front();
+        if self.half_cycle_ends.len() == REMEMBERED_HALF_CYCLES {
+            self.half_cycle_ends.pop_front();
         }
-        self.told.push_back((half_cycle, t_s));
+        self.half_cycle_ends.push_back((half_cycle, t_s));
     }
 
     fn window(&mut self, t_s: f64, window: &Window) -> Result<(), McapFileError> {
@@ -305,42 +307,47 @@ impl Recording {
             let pairs = window.pairs[batch.from..batch.to]
                 .iter()
                 .map(|p| [p.v, p.i]);
-            let t0_s = batch.when.t0_s();
-            let message = cdr::codes(&batch.when, per_code, pairs);
+            let t0_s = batch.time.t0_s();
+            let message = cdr::codes(&batch.time, per_code, pairs);
             self.writer.message(Topic::Samples, t0_s, &message)?;
         }
         let note = notes::window(window, zero_crossing_s);
         self.writer.json(Topic::Window, t_s, &note)
     }
 
-    /// Windows lie on the device's own half-cycles, as it counts them. No message carries an absolute time: the first one
-    /// was over when its half-cycle's telemetry arrived, or else when it arrived itself, which takes some half-cycles. A
-    /// grid that proves too late by whole half-cycles is moved by them, so that its phase stays.
+    /// Time of a window's zero crossing, on the grid of the device's half-cycles. No message carries an absolute time: the first
+    /// window ended when the telemetry of its half-cycle arrived, or else when the window itself arrived, which takes some
+    /// half-cycles. A grid that proves too late by whole half-cycles is moved by them, so its phase stays.
     fn zero_crossing_s(&mut self, arrived_s: f64, window: &Window) -> f64 {
-        let of_window = |told: &&(u32, f64)| told.0 == window.half_cycle;
-        let told_s = self.told.iter().rev().find(of_window).map(|told| told.1);
-        let over_s = told_s.unwrap_or(arrived_s);
+        let of_window = |end: &&(u32, f64)| end.0 == window.half_cycle;
+        let ended_s = self
+            .half_cycle_ends
+            .iter()
+            .rev()
+            .find(of_window)
+            .map(|end| end.1);
+        let over_s = ended_s.unwrap_or(arrived_s);
         let duration_s = f64::from(window.half_cycle_ns) * 1e-9;
-        let fresh = |not_before_s: f64| Grid {
+        let fresh = |not_before_s: f64| HalfCycleGrid {
             half_cycle: window.half_cycle,
             zero_crossing_s: (over_s - duration_s).max(not_before_s),
             half_cycle_s: duration_s,
         };
         let mut grid = match self.grid {
-            Some(grid) if window.half_cycle > grid.half_cycle => Grid {
+            Some(grid) if window.half_cycle > grid.half_cycle => HalfCycleGrid {
                 half_cycle: window.half_cycle,
                 zero_crossing_s: grid.zero_crossing_s
                     + f64::from(window.half_cycle - grid.half_cycle) * grid.half_cycle_s,
                 ..grid
             },
-            // The device began anew.
+            // The device restarted.
             Some(grid) => fresh(grid.zero_crossing_s + grid.half_cycle_s),
             None => fresh(0.0),
         };
-        if let Some(told_s) = told_s
+        if let Some(ended_s) = ended_s
             && grid.half_cycle_s > 0.0
         {
-            let late = (grid.zero_crossing_s + duration_s - told_s) / grid.half_cycle_s;
+            let late = (grid.zero_crossing_s + duration_s - ended_s) / grid.half_cycle_s;
             grid.zero_crossing_s -= libm::floor(late).max(0.0) * grid.half_cycle_s;
             grid.zero_crossing_s = grid.zero_crossing_s.max(0.0);
         }
@@ -367,20 +374,20 @@ impl FrameSink for SessionRecorder {
     }
 }
 
-/// A run of recorded bytes that is no frame.
+/// Run of recorded bytes that is no frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkDamage {
-    /// Bytes that the device had sent before it, the hello included.
+    /// Number of bytes from the device before it, the hello included.
     pub offset: u64,
-    /// What is wrong with it.
+    /// Defect.
     pub reason: FrameError,
 }
 
-/// A recorded session being read.
+/// Reader of a recorded session.
 pub struct SessionReader {
     reader: Reader,
     hello: Hello,
-    incoming: Incoming,
+    receiver: Receiver,
     bytes: VecDeque<u8>,
     offset: u64,
     run_start: u64,
@@ -400,7 +407,7 @@ impl SessionReader {
         let mut session = Self {
             reader: Reader::open(path)?,
             hello: us.clone(),
-            incoming: Incoming::default(),
+            receiver: Receiver::default(),
             bytes: VecDeque::new(),
             offset: 0,
             run_start: 0,
@@ -412,20 +419,20 @@ impl SessionReader {
             path: path.into(),
             what: "holds no session of a device: its bytes do not begin with a device's hello",
         };
-        while session.incoming.counters().frames_good == 0 {
+        while session.receiver.counters().frames_good == 0 {
             let damaged = session.first_damage.is_some() || session.file_damage.is_some();
             if damaged || session.offset > MAX_ENCODED as u64 || !session.step()? {
                 return Err(none());
             }
         }
-        let first = session.incoming.answers.pop_front();
+        let first = session.receiver.answers.pop_front();
         match first.and_then(|answer| answer.decode::<Hello>()) {
             Some(hello) if hello.role == ROLE_DEVICE => session.hello = hello,
             _ => return Err(none()),
         }
         let mut readable = session.hello.clone();
         if older::is_older(readable.protocol_major) {
-            session.incoming.set_major(readable.protocol_major);
+            session.receiver.set_major(readable.protocol_major);
             (readable.protocol_major, readable.schema_hash) = (PROTOCOL_MAJOR, us.schema_hash);
         }
         check(&us, &readable).map_err(|why| McapFileError::Mismatch {
@@ -433,53 +440,52 @@ impl SessionReader {
             why,
         })?;
         // The recording may have begun long after the device.
-        session.incoming.restart_sequence();
+        session.receiver.restart_sequence();
         Ok(session)
     }
 
-    /// How the recorded device describes itself.
+    /// Hello of the recorded device.
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
 
-    /// Everything read and missed so far, the hello included.
+    /// Counters so far, the hello included.
     pub fn counters(&self) -> Counters {
-        self.incoming.counters()
+        self.receiver.counters()
     }
 
-    /// The first run of bytes so far that is no frame; [`SessionReader::counters`] counts how many
-    /// there are.
+    /// First run of bytes so far that is no frame; [`SessionReader::counters`] has their number. `None` if there was none.
     pub fn first_damage(&self) -> Option<LinkDamage> {
         self.first_damage
     }
 
-    /// The first damage of the file itself that was passed over.
+    /// First damage of the file that was skipped; `None` if there was none.
     pub fn file_damage(&self) -> Option<&McapFileError> {
         self.file_damage.as_ref()
     }
 
-    /// Whether the file ends before its end mark.
+    /// Returns `true` if the file ends without its end mark.
     pub fn is_cut(&self) -> bool {
         self.reader.is_cut()
     }
 
-    /// The next event; `None` at the end of the file.
+    /// Returns the next event; `None` at the end of the file.
     ///
     /// # Errors
     /// [`McapFileError::Io`] when the file cannot be read on.
     pub fn next_event(&mut self) -> Result<Option<Event>, McapFileError> {
         loop {
-            if let Some(event) = self.incoming.events.pop_front() {
+            if let Some(event) = self.receiver.events.pop_front() {
                 return Ok(Some(event));
             }
-            self.incoming.answers.clear();
-            if !self.step()? && self.incoming.events.is_empty() {
+            self.receiver.answers.clear();
+            if !self.step()? && self.receiver.events.is_empty() {
                 return Ok(None);
             }
         }
     }
 
-    /// Takes one byte; false at the end of the file.
+    /// Processes one byte; returns `false` at the end of the file.
     fn step(&mut self) -> Result<bool, McapFileError> {
         if self.bytes.is_empty() {
             self.refill()?;
@@ -491,17 +497,16 @@ impl SessionReader {
         }
         if !self.ended {
             self.ended = true;
-            // A frame cut by the end of the file is no frame, and counts.
+            // A frame cut by the end of the file counts as bad.
             if self.run_start < self.offset {
                 self.push(0);
             }
-            self.incoming.finish();
+            self.receiver.finish();
         }
         Ok(false)
     }
 
-    /// The bytes of the next message. A damaged chunk is passed over; the frame that it cuts is
-    /// counted as every other.
+    /// Loads the bytes of the next message. A damaged chunk is skipped; the frame that it cuts counts as bad.
     fn refill(&mut self) -> Result<(), McapFileError> {
         while self.bytes.is_empty() {
             match self.reader.next_item() {
@@ -520,7 +525,7 @@ impl SessionReader {
     }
 
     fn push(&mut self, byte: u8) {
-        if let Err(reason) = self.incoming.push(byte) {
+        if let Err(reason) = self.receiver.push(byte) {
             let offset = self.run_start;
             self.first_damage
                 .get_or_insert(LinkDamage { offset, reason });

@@ -1,10 +1,10 @@
-//! Profile, topics and layouts: the one home of the file's names. docs/capture.md explains them.
+//! Profile, topics and layouts of the file, with all their names. docs/capture.md explains them.
 
 use schemars::{JsonSchema, SchemaGenerator};
 use serde::{Deserialize, Serialize};
 
-/// Profile of the MCAP header: kind and version. The version rises when a reader of the old one
-/// would misunderstand; new topics and new fields do not raise it.
+/// Profile of the MCAP header: kind and version. The version rises if a reader of the old one would misunderstand the file; new
+/// topics and fields do not raise it.
 pub const PROFILE: &str = "ihd-capture 1";
 
 /// Name of the MCAP metadata record that describes the whole capture: its name and full scales.
@@ -13,7 +13,7 @@ pub const META_CAPTURE: &str = "ihd-capture";
 /// Name of the MCAP metadata record of free text.
 pub const META_FREE: &str = "notes";
 
-/// A kind of message.
+/// Kind of message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Topic {
     /// Pairs as codes or as f32.
@@ -36,19 +36,19 @@ pub enum Topic {
     Lookup,
     /// [`LinkCounters`].
     LinkCounters,
-    /// Bytes a device sent, in order.
+    /// Bytes from a device, in order.
     FromDevice,
-    /// Bytes a host sent, in order.
+    /// Bytes from a host, in order.
     ToDevice,
 }
 
-/// How a topic's messages are described.
+/// Description of a topic's messages.
 pub enum Layout {
-    /// CDR, with the `ros2msg` schemas that it may have: name and text.
+    /// CDR, with the names and texts of its possible `ros2msg` schemas.
     Cdr(&'static [(&'static str, &'static str)]),
-    /// JSON, with its schema: name and text.
+    /// JSON, with name and text of its schema.
     Json(&'static str, fn() -> String),
-    /// Bytes of the link.
+    /// Raw bytes of the link.
     Link,
 }
 
@@ -98,7 +98,7 @@ fn schema_of<T: JsonSchema>() -> String {
 }
 
 impl Topic {
-    /// Every topic.
+    /// All topics.
     pub const ALL: [Self; 12] = [
         Self::Samples,
         Self::CleanSamples,
@@ -114,7 +114,7 @@ impl Topic {
         Self::ToDevice,
     ];
 
-    /// Its name in the file.
+    /// Name of the topic in the file.
     pub fn name(self) -> &'static str {
         match self {
             Self::Samples => "/samples",
@@ -132,12 +132,12 @@ impl Topic {
         }
     }
 
-    /// The topic of a name; `None` for one that this version does not know.
+    /// Topic of a name; `None` for one that this version does not know.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|topic| topic.name() == name)
     }
 
-    /// How its messages are described.
+    /// Layout of its messages.
     pub fn layout(self) -> Layout {
         match self {
             Self::Samples | Self::CleanSamples => Layout::Cdr(SAMPLES),

@@ -1,5 +1,5 @@
-//! Writes a capture file, message by message. Each chunk reaches the file whole, so a process that
-//! is killed leaves everything up to the last [`Writer::flush`].
+//! Writer of a capture file, message by message. Each chunk is written at once: after a process is killed, everything up to the
+//! last [`Writer::flush`] is readable.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -23,29 +23,29 @@ const CHUNK_BYTES: u64 = 1 << 20;
 /// messages.
 pub const PAIRS_PER_MESSAGE: usize = 8192;
 
-/// What happens to a file that is there already.
+/// Treatment of an existing file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
-    /// It is replaced.
+    /// Replace it.
     Replace,
-    /// It stays, and the new one is not begun.
+    /// Keep it and fail.
     Keep,
 }
 
-/// Counts the bytes that go to the file.
-struct Counted {
+/// Writer that counts the bytes of the file.
+struct CountingWriter {
     file: Buffered,
     bytes: Arc<AtomicU64>,
 }
 
-/// The file, of the MCAP writer and of [`Writer::end`]: the former leaves its last bytes in the buffer.
+/// File shared by the MCAP writer and [`Writer::end`]: the former leaves its last bytes in the buffer.
 type Buffered = Arc<Mutex<BufWriter<File>>>;
 
 fn locked(file: &Buffered) -> MutexGuard<'_, BufWriter<File>> {
     file.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Write for Counted {
+impl Write for CountingWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let n = locked(&self.file).write(bytes)?;
         self.bytes.fetch_add(n as u64, Ordering::Relaxed);
@@ -57,9 +57,9 @@ impl Write for Counted {
     }
 }
 
-/// A capture file being written.
+/// Capture file being written.
 pub struct Writer {
-    mcap: ::mcap::Writer<NoSeek<Counted>>,
+    mcap: ::mcap::Writer<NoSeek<CountingWriter>>,
     path: PathBuf,
     channels: BTreeMap<Topic, (u16, u32)>,
     file: Buffered,
@@ -69,10 +69,10 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Begins a file. `single`: samples are f32, else codes.
+    /// Creates a file. With `single` samples are f32, else codes.
     ///
     /// # Errors
-    /// [`McapFileError::Exists`] when it is to be kept, else what the operating system reports.
+    /// [`McapFileError::Exists`] if an existing file is to be kept, else the error of the operating system.
     pub fn create(path: &Path, existing: Existing, single: bool) -> Result<Self, McapFileError> {
         let mut options = OpenOptions::new();
         options.write(true);
@@ -92,14 +92,14 @@ impl Writer {
             .profile(PROFILE)
             .library(concat!("ihd ", env!("CARGO_PKG_VERSION")))
             .compression(Some(Compression::Zstd))
-            // Chunks are written here, one after the other: the same bytes on every machine.
+            // Chunks are compressed on this thread, in sequence: the same bytes on every machine.
             .compression_threads(0)
             .chunk_size(Some(CHUNK_BYTES))
-            // A chunk is gathered in memory and written at once: whole or not at all.
+            // A chunk is buffered in memory and written at once, completely or not at all.
             .disable_seeking(true);
         let bytes = Arc::new(AtomicU64::new(0));
         let file = Arc::new(Mutex::new(BufWriter::new(file)));
-        let counted = Counted {
+        let counted = CountingWriter {
             file: Arc::clone(&file),
             bytes: Arc::clone(&bytes),
         };
@@ -126,18 +126,17 @@ impl Writer {
         })
     }
 
-    /// Whether samples are f32, else codes.
+    /// Returns `true` if samples are f32, `false` if they are codes.
     pub fn is_single(&self) -> bool {
         self.single
     }
 
-    /// How large the file is by now, in bytes; the chunk under way is not counted. It goes on
-    /// counting when the writer has been handed to somebody else.
+    /// Size of the file in bytes, without the current chunk. It stays valid when the writer is moved.
     pub fn size(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.bytes)
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -145,7 +144,7 @@ impl Writer {
     /// Writes a named table of text.
     ///
     /// # Errors
-    /// As [`Writer::message`].
+    /// Any error of [`Writer::message`].
     pub fn metadata(
         &mut self,
         name: &str,
@@ -159,17 +158,17 @@ impl Writer {
         self.written(result)
     }
 
-    /// Every channel stands in the first chunk, so that a reader may pass over any later one.
+    /// Registers every channel in the first chunk, so that a reader may skip any later one.
     fn begin(&mut self) -> Result<(), McapFileError> {
         self.begun = true;
         for topic in Topic::ALL {
             let (encoding, schema) = match topic.layout() {
                 Layout::Cdr(layouts) => {
-                    let wanted = layouts
+                    let layout = layouts
                         .iter()
                         .find(|(name, _)| (*name == SAMPLES_F32) == self.is_f32(topic))
                         .or(layouts.first());
-                    let schema = wanted
+                    let schema = layout
                         .map(|(name, text)| self.mcap.add_schema(name, "ros2msg", text.as_bytes()));
                     ("cdr", schema)
                 }
@@ -189,7 +188,7 @@ impl Writer {
         Ok(())
     }
 
-    /// Clean samples are f32 always.
+    /// Returns `true` if a topic's samples are f32; clean samples always are.
     fn is_f32(&self, topic: Topic) -> bool {
         topic == Topic::CleanSamples || self.single
     }
@@ -217,10 +216,10 @@ impl Writer {
         self.written(result)
     }
 
-    /// Writes a message of a topic that is JSON.
+    /// Writes a message of a JSON topic.
     ///
     /// # Errors
-    /// As [`Writer::message`].
+    /// Any error of [`Writer::message`].
     pub fn json(
         &mut self,
         topic: Topic,
@@ -234,24 +233,24 @@ impl Writer {
         self.message(topic, t_s, &text)
     }
 
-    /// Closes the chunk and hands it to the operating system.
+    /// Closes the chunk and passes it to the operating system.
     ///
     /// # Errors
-    /// As [`Writer::message`].
+    /// Any error of [`Writer::message`].
     pub fn flush(&mut self) -> Result<(), McapFileError> {
         let result = self.mcap.flush();
         self.written(result)
     }
 
-    /// Ends the file with its index; a file without this end is read all the same.
+    /// Completes the file with its index; a file without it is still readable.
     ///
     /// # Errors
-    /// As [`Writer::message`].
+    /// Any error of [`Writer::message`].
     pub fn finish(mut self) -> Result<(), McapFileError> {
         self.end()
     }
 
-    /// As [`Writer::finish`]; after it nothing more may be written.
+    /// Completes the file like [`Writer::finish`]; nothing may be written after it.
     pub(super) fn end(&mut self) -> Result<(), McapFileError> {
         if !self.begun {
             self.begin()?;
@@ -268,7 +267,7 @@ impl Writer {
     }
 }
 
-/// Nanoseconds after the beginning of the capture; a time before it is the beginning.
+/// Nanoseconds after the beginning of the capture; 0 for an earlier time.
 pub fn nanoseconds(t_s: f64) -> u64 {
     // The cast saturates.
     libm::round(t_s * 1e9) as u64

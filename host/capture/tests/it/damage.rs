@@ -8,15 +8,15 @@ use ihd_capture::mcap;
 use ihd_signal::Capture;
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{LoadKind, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 
 /// 4 MB in memory, five chunks in the file.
 pub fn capture() -> Capture {
     static CAPTURE: LazyLock<Capture> = LazyLock::new(|| {
-        let mut settings = Settings {
+        let mut settings = CaptureSpec {
             load: LoadKind::Behavioural,
             duration_s: 10e-3,
-            ..Settings::default()
+            ..CaptureSpec::default()
         };
         settings.sensing.rate = Rate::Hz(50e6);
         let mut capture = record(&settings, |_| ()).unwrap().capture("whole");

@@ -30,7 +30,7 @@ fn recorder(path: &Path) -> SessionRecorder {
 fn on_a_link_what_came_last_is_in_the_file_within_a_second_though_nothing_follows() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.mcap");
-    let mut recorder = recorder(&path).flushed_by_the_wall_clock();
+    let mut recorder = recorder(&path).with_wall_clock_flush();
     // The transport's clock stands still: nothing but the wall's can flush.
     recorder.received(Duration::ZERO, &[1, 2, 3, 0]).unwrap();
     assert_eq!(in_file(&path), 0);

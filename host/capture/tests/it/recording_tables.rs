@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use ihd_capture::exports::recording::{
-    Limits, TableError, half_cycles_csv, recording_npz, samples_csv,
+    ExportLimits, TableError, half_cycles_csv, recording_npz, samples_csv,
 };
 use ihd_capture::mcap::{self, SessionReader, SessionRecorder};
 use ihd_capture::{OpenOptions, open};
@@ -21,8 +21,8 @@ const TRIGGER_S: f64 = 0.75;
 
 static NEVER: AtomicBool = AtomicBool::new(false);
 
-fn generous(stop: &AtomicBool) -> Limits<'_> {
-    Limits {
+fn generous(stop: &AtomicBool) -> ExportLimits<'_> {
+    ExportLimits {
         bytes: 1 << 30,
         until: Instant::now() + Duration::from_secs(300),
         stop,
@@ -39,7 +39,7 @@ fn recorded(dir: &Path, power_w: u16) -> PathBuf {
     let notes = BTreeMap::from([("trigger_s".to_owned(), TRIGGER_S.to_string())]);
     let (hello, front_end) = (client.hello(), client.front_end());
     let recorder = SessionRecorder::with_notes(&path, hello, front_end, notes).unwrap();
-    client.record_to(recorder.beginning_at(client.clock()));
+    client.record_to(recorder.starting_at(client.clock()));
     let until = client.clock() + Duration::from_millis(1_500);
     while client.clock() < until {
         client.next_event(until - client.clock()).unwrap();
@@ -222,8 +222,8 @@ fn limits_hold_and_a_cut_file_gives_what_is_whole() {
     let dir = tempfile::tempdir().unwrap();
     let path = recorded(dir.path(), 1_000);
     let whole = std::fs::read(&path).unwrap();
-    let export = |limits: &Limits<'_>| samples_csv(&path, Vec::new(), limits).unwrap_err();
-    let small = Limits {
+    let export = |limits: &ExportLimits<'_>| samples_csv(&path, Vec::new(), limits).unwrap_err();
+    let small = ExportLimits {
         bytes: 10_000,
         ..generous(&NEVER)
     };
@@ -235,7 +235,7 @@ fn limits_hold_and_a_cut_file_gives_what_is_whole() {
     let npz = File::create(dir.path().join("a.npz")).unwrap();
     let refused = recording_npz(&path, npz, &spool, &small).unwrap_err();
     assert!(matches!(refused, TableError::TooLarge { .. }), "{refused}");
-    let late = Limits {
+    let late = ExportLimits {
         until: Instant::now() - Duration::from_millis(1),
         ..generous(&NEVER)
     };

@@ -70,7 +70,7 @@ impl Session<'_> {
             Command::LookupPush { blob } => match RlLookup::from_bytes(&blob) {
                 Ok(lookup) => {
                     // Answered when the device uses it.
-                    let lookup = Lookup::unfounded(lookup);
+                    let lookup = Lookup::without_confidence(lookup);
                     let _ = self.push(lookup, "pushed by hand", Some(answer)).await;
                     return Ok(());
                 }

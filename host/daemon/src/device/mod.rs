@@ -234,7 +234,9 @@ impl DeviceTask {
     }
 
     fn learner_refused(&self, version: u32) {
-        self.context.learner.refused(&self.face.name, version);
+        self.context
+            .learner
+            .lookup_refused(&self.face.name, version);
     }
 
     async fn keep_session(
@@ -298,5 +300,6 @@ fn lease_ended(face: &Face, holder: &str) {
     face.tell(What::Lease {
         holder: String::new(),
         taken_from: String::new(),
+        why: "it has run out".to_owned(),
     });
 }

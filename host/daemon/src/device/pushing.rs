@@ -42,13 +42,15 @@ impl Session<'_> {
             self.owes_mending = true;
             return Ok(());
         };
-        self.context.learner.device_has(&self.face.name, on_device);
+        self.context
+            .learner
+            .set_device_version(&self.face.name, on_device);
         for step in mend(&lookup, &rows) {
             match step {
                 Mend::Nothing => {}
                 Mend::Activate(_) | Mend::Adopt => self.adopt(&lookup).await,
                 Mend::Push(lookup, why) => {
-                    let lookup = Lookup::unfounded(*lookup);
+                    let lookup = Lookup::without_confidence(*lookup);
                     let _ = self.push(lookup, why, None).await;
                 }
             }
@@ -197,7 +199,9 @@ impl Session<'_> {
             Some(push) => push.is_learned = push.lookup.version == version,
             None => {
                 debug_assert!(pushed.is_err());
-                self.context.learner.refused(&self.face.name, version);
+                self.context
+                    .learner
+                    .lookup_refused(&self.face.name, version);
             }
         }
     }
@@ -211,8 +215,8 @@ impl Session<'_> {
         self.adopt(&push.lookup).await;
         let (learner, name) = (&self.context.learner, &self.face.name);
         match push.is_learned {
-            true => learner.accepted(name, version),
-            false => learner.device_has(name, version),
+            true => learner.lookup_accepted(name, version),
+            false => learner.set_device_version(name, version),
         }
         if let Some(answer) = push.answer {
             let _ = answer.send(Ok(Done {
@@ -229,7 +233,9 @@ impl Session<'_> {
         };
         let version = push.lookup.version;
         if push.is_learned {
-            self.context.learner.refused(&self.face.name, version);
+            self.context
+                .learner
+                .lookup_refused(&self.face.name, version);
         }
         let why = "the device took it and does not use it";
         tracing::warn!(device = self.face.name, version, why, "lookup");
@@ -256,10 +262,10 @@ impl Session<'_> {
         self.forget_push();
         self.news = None;
         self.context.learner.forget(&self.face.name);
-        self.context.learner.device_has(&self.face.name, 0);
+        self.context.learner.set_device_version(&self.face.name, 0);
         if let Some(device) = self.device {
             let forgotten = self.context.in_store(move |store| {
-                store.forget_learned(device)?;
+                store.forget_learner_state(device)?;
                 store.adopt_lookup(device, &prior())
             });
             self.owes_mending = forgotten.await.is_none();

@@ -19,6 +19,7 @@ impl Session<'_> {
             let (hello, front_end) = (client.hello().clone(), client.front_end().clone());
             let sink = recorder.connected(&hello, &front_end, client.clock());
             client.record_to(sink);
+            client.limit_floods();
         });
         listening.await
     }

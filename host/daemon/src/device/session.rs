@@ -4,11 +4,11 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_link::{AsyncClient, Client, Event, HEARD_EVERY, LinkError, Window};
+use ihd_link::{AsyncClient, Client, Counters, Event, KEEPALIVE_PERIOD, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{NO_PANEL, Pot, State, Status, Telemetry};
 use ihd_signal::truth::Truth;
-use ihd_store::{CurveOf, DeviceId, SessionId};
+use ihd_store::{CurveSource, DeviceId, SessionId};
 use ihd_thermal::PotEvent;
 use ihd_train::WINDOWS_EVERY;
 use tokio::runtime::Handle;
@@ -22,8 +22,8 @@ use super::{Context, Order, lease_ended};
 use crate::TruthOf;
 use crate::clocks::{Allowance, Clocks};
 use crate::face::Face;
-use crate::learning::{Lookup, Task, Work, curve_of};
-use crate::lease::{LeaseId, LeaseOver};
+use crate::learning::{LearnInput, LearnJob, Lookup, truth_curve};
+use crate::lease::{LeaseId, LeaseOver, Lost};
 use crate::ledger::Arrival;
 use crate::model::{DeviceState, Record, What};
 use crate::pot_watch::words;
@@ -110,11 +110,15 @@ pub struct Session<'a> {
     /// When the device was heard last, and heard from us.
     heard: Instant,
     told: Instant,
+    /// When the lease's power was compared with the device's last.
+    compared: Instant,
     looked: Instant,
     unanswered: u32,
     shown_half_cycle: Option<u32>,
     /// Jumps of the window numbers that were told.
     jumps: u32,
+    /// Frames beyond what a hob sends that were counted.
+    frames_beyond: u64,
     /// Store and device may hold different lookups: to be compared again.
     pub(super) owes_mending: bool,
     tried_again: Instant,
@@ -151,10 +155,12 @@ impl<'a> Session<'a> {
             clocks: Clocks::new(&context.machine),
             heard: now,
             told: now,
+            compared: now,
             looked: now,
             unanswered: 0,
             shown_half_cycle: None,
             jumps: 0,
+            frames_beyond: 0,
             owes_mending: false,
             tried_again: now,
             windows_allowed: Allowance::new(WINDOWS_A_SECOND),
@@ -266,7 +272,7 @@ impl<'a> Session<'a> {
             let session = store.begin_session(device, &hello, &front_end)?;
             let learned = match is_resumed {
                 true => None,
-                false => store.learned(device)?,
+                false => store.learner_state(device)?,
             };
             Ok((device, session, learned))
         });
@@ -482,18 +488,23 @@ impl<'a> Session<'a> {
                 let (_, due) = kept?;
                 face.tell(What::WindowStored { boot, seq });
                 if let Some(truth) = &truth {
-                    store.keep_curve(session, seq, CurveOf::Truth, &curve_of(truth, &window))?;
+                    store.keep_curve(
+                        session,
+                        seq,
+                        CurveSource::Truth,
+                        &truth_curve(truth, &window),
+                    )?;
                 }
                 if !teaches {
                     face.lock().ledger.fates.unfit += 1;
                 } else if !(due && trust.holds()) {
                     // Else the fleet learns from it. What it makes room for, the learner counts.
-                    learner.offer(Task {
+                    learner.offer(LearnJob {
                         device: face.name.clone(),
                         device_id,
                         session,
                         boot,
-                        work: Work::Window(window),
+                        input: LearnInput::Window(window),
                         power_w,
                         truth,
                         stored: None,
@@ -544,7 +555,7 @@ impl<'a> Session<'a> {
     async fn stay_in_touch(&mut self) -> Result<(), Ended> {
         let heats_for_us = self.face.lock().lease.heats(Instant::now());
         let silent = self.heard.elapsed();
-        let is_due = heats_for_us && self.told.elapsed() >= HEARD_EVERY;
+        let is_due = heats_for_us && self.compared.elapsed() >= KEEPALIVE_PERIOD;
         let is_silent = silent >= SILENT && self.told.elapsed() >= SILENT;
         if !is_due && !is_silent {
             return Ok(());
@@ -555,15 +566,15 @@ impl<'a> Session<'a> {
                 &format!("nothing came for {:.0} s", silent.as_secs_f64()),
             );
         }
-        match self.ask(Client::status).await {
-            Ok(_) if is_silent => {
+        match self.compare_power().await {
+            Ok(()) if is_silent => {
                 self.unanswered += 1;
                 // It answers, and streams nothing: as after a hello that we do not know of.
                 let again = self.ask(|client| client.stream(1, WINDOWS_EVERY)).await;
                 again.map_err(|error| Ended::Link(error.to_string()))?;
             }
             // Whoever switched off has its answer.
-            Ok(_) | Err(LinkError::GaveWay { .. }) => self.unanswered = 0,
+            Ok(()) | Err(LinkError::Preempted { .. }) => self.unanswered = 0,
             Err(error @ LinkError::NoAnswer { .. }) if self.unanswered < UNANSWERED => {
                 self.unanswered += 1;
                 tracing::debug!(device = self.face.name, %error, "no answer");
@@ -576,6 +587,43 @@ impl<'a> Session<'a> {
             ));
         }
         Ok(())
+    }
+
+    /// Asks the device what it is asked for: another host's hello, or a hand at the panel, ends power that a lease still answers for.
+    async fn compare_power(&mut self) -> Result<(), LinkError> {
+        self.compared = Instant::now();
+        let (face, runtime) = (Arc::clone(self.face), Handle::current());
+        let compare = move |client: &mut Client| -> Result<_, LinkError> {
+            let status = client.status()?;
+            // On the link's thread, where power is asked for: what both know is of one moment.
+            let _in_runtime = runtime.enter();
+            let has_panel = status.panel_level != NO_PANEL;
+            let lost = face.lock().lease.device_has(status.asked_w, has_panel);
+            Ok(lost.map(|lost| (lost, status.asked_w)))
+        };
+        if let Some((lost, asked_w)) = self.ask(compare).await? {
+            self.tell_lost(&lost, asked_w);
+        }
+        Ok(())
+    }
+
+    /// Tells that a lease ended because the device has `asked_w` in place of its power.
+    fn tell_lost(&self, lost: &Lost, asked_w: u16) {
+        let Lost { holder, power_w } = lost;
+        let has = match asked_w {
+            0 => "is asked for no power any more".to_owned(),
+            asked_w => format!("is asked for {asked_w} W"),
+        };
+        let why = format!(
+            "the hob {has}, and not for the {power_w} W of {holder}: another host spoke to it, or it was switched off there"
+        );
+        tracing::warn!(device = self.face.name, holder, why, "the lease has ended");
+        self.note("lease", &why);
+        self.face.tell(What::Lease {
+            holder: String::new(),
+            taken_from: String::new(),
+            why,
+        });
     }
 
     /// Publishes the last half-cycle, and the state that it shows.
@@ -605,17 +653,21 @@ impl<'a> Session<'a> {
 
     /// What the link counts, what failed beside it.
     async fn look(&mut self) -> Result<(), Ended> {
-        let counted = self.client.with(|client| client.counters().windows).await;
-        match counted {
-            Ok(windows) if windows.received > 0 || windows.missing > 0 => self
-                .face
-                .lock()
-                .ledger
-                .dropped_by_device(windows.dropped_by_device),
-            Ok(_) => {}
-            Err(_) => return Err(self.why_ended()),
+        let counted = self.client.with(|client| client.counters()).await;
+        let Ok(Counters {
+            windows,
+            frames_beyond,
+            ..
+        }) = counted
+        else {
+            return Err(self.why_ended());
+        };
+        if windows.received > 0 || windows.missing > 0 {
+            let mut inner = self.face.lock();
+            inner.ledger.dropped_by_device(windows.dropped_by_device);
         }
-        let unlearned = self.context.learner.unlearned(&self.face.name);
+        self.tell_flood(frames_beyond);
+        let unlearned = self.context.learner.dropped_count(&self.face.name);
         let jumps = {
             let mut inner = self.face.lock();
             inner.ledger.fates.unlearned = unlearned;
@@ -641,6 +693,20 @@ impl<'a> Session<'a> {
             self.try_store_again().await?;
         }
         Ok(())
+    }
+
+    /// Counts what the device sent beyond what a hob sends, of this link `frames_beyond` so far; tells of it once a connection.
+    fn tell_flood(&mut self, frames_beyond: u64) {
+        let more = frames_beyond - std::mem::replace(&mut self.frames_beyond, frames_beyond);
+        if more == 0 {
+            return;
+        }
+        self.face.lock().frames_beyond += more;
+        if more == frames_beyond {
+            let text = "it sends more than a hob does: what is beyond that is dropped and counted";
+            tracing::warn!(device = self.face.name, frames = more, "{text}");
+            self.note("flood", text);
+        }
     }
 
     /// What the store could not do when it was asked.

@@ -14,7 +14,8 @@ use ihd_link::Window;
 use ihd_map::library::{Library, PotEntry, Provenance};
 use ihd_shared::lookup::RlLookup;
 use ihd_store::{
-    DeviceId, Due, DueWindow, EventRow, FleetMark, FleetState, FleetTally, GivenUp, Sent, SessionId,
+    DeliveryState, DeviceId, DueWindow, EventRow, FleetMark, FleetState, FleetTally, GiveUpReason,
+    OutboxItem, SessionId,
 };
 use ihd_train::learning::Contradiction;
 use tokio::sync::oneshot;
@@ -22,7 +23,7 @@ use tokio::time::Instant;
 
 pub use self::config::{FleetConfig, host_name};
 use crate::daemon::{Daemon, lock};
-use crate::learning::{Answer, InUse, Task, Work, WorkerFigures, power_w};
+use crate::learning::{LearnInput, LearnJob, LearningInUse, WorkerAnswer, WorkerFigures, power_w};
 use crate::printable::printable;
 use crate::store_thread::StoreTrouble;
 
@@ -120,10 +121,10 @@ impl Daemon {
     /// What the store reports.
     pub async fn due(&self, limit: usize) -> Result<Vec<DueWindow>, StoreTrouble> {
         let learner = self.learner();
-        let held = learner.as_ref().map_or(0, |learner| learner.at_most_held());
+        let held = learner.as_ref().map_or(0, |learner| learner.most_pending());
         let mut due = self.in_store(move |store| store.due(limit + held)).await?;
         if let Some(learner) = learner {
-            due.retain(|w| !learner.holds(&w.device, w.boot, w.seq));
+            due.retain(|w| !learner.is_pending(&w.device, w.boot, w.seq));
         }
         due.truncate(limit);
         Ok(due)
@@ -141,7 +142,7 @@ impl Daemon {
     ///
     /// # Errors
     /// What the store reports.
-    pub async fn read_due(&self, due: DueWindow) -> Result<Due, StoreTrouble> {
+    pub async fn read_due(&self, due: DueWindow) -> Result<OutboxItem, StoreTrouble> {
         self.in_store(move |store| store.read_due(&due)).await
     }
 
@@ -149,8 +150,8 @@ impl Daemon {
     ///
     /// # Errors
     /// What the store reports.
-    pub async fn sent(&self, sent: Vec<(DueWindow, Sent)>) -> Result<(), StoreTrouble> {
-        self.in_store(move |store| store.sent(&sent)).await
+    pub async fn sent(&self, sent: Vec<(DueWindow, DeliveryState)>) -> Result<(), StoreTrouble> {
+        self.in_store(move |store| store.mark_sent(&sent)).await
     }
 
     /// Windows that the fleet got before a time (milliseconds since 1970, UTC) and never answered are due again. How many.
@@ -158,7 +159,8 @@ impl Daemon {
     /// # Errors
     /// What the store reports.
     pub async fn due_again(&self, before_ms: i64) -> Result<u64, StoreTrouble> {
-        self.in_store(move |store| store.due_again(before_ms)).await
+        self.in_store(move |store| store.requeue_unanswered(before_ms))
+            .await
     }
 
     /// Windows that the fleet got before a time (milliseconds since 1970, UTC) and has not answered: so many behind the first `skip`.
@@ -181,8 +183,10 @@ impl Daemon {
     /// What the store reports.
     pub async fn given_up(&self, window: &DueWindow, why: &str) -> Result<(), StoreTrouble> {
         let (window, why) = (window.clone(), printable(why));
-        self.in_store(move |store| store.given_up(&window.device, window.boot, window.seq, &why))
-            .await
+        self.in_store(move |store| {
+            store.mark_given_up(&window.device, window.boot, window.seq, &why)
+        })
+        .await
     }
 
     /// All windows in the store by their progress with the fleet. Day by day, so that nothing else waits for long.
@@ -252,7 +256,7 @@ impl Daemon {
         match learner.contradiction(device, lookup) {
             Ok(None) => Advice::Agrees,
             Ok(Some(place)) => Advice::Contradicts(place),
-            Err(InUse) => Advice::Later,
+            Err(LearningInUse) => Advice::Later,
         }
     }
 
@@ -269,7 +273,8 @@ impl Daemon {
     /// # Errors
     /// What the store reports.
     pub async fn events_sent(&self, up_to: i64) -> Result<(), StoreTrouble> {
-        self.in_store(move |store| store.events_sent(up_to)).await
+        self.in_store(move |store| store.mark_events_sent(up_to))
+            .await
     }
 
     /// Learns from a worker's answer, if the window that it answers was sent, is in the store, and confirms it; else from the window itself.
@@ -282,7 +287,7 @@ impl Daemon {
         device: &str,
         boot: u32,
         seq: u32,
-        answer: Answer,
+        answer: WorkerAnswer,
     ) -> Result<Received, ReceiveError> {
         let Some(handle) = self.handle_of(device) else {
             return Ok(Received::Foreign);
@@ -293,31 +298,33 @@ impl Daemon {
             Err(received) => return Ok(received),
         };
         let learner = self.learner().ok_or(ReceiveError::NoRoom)?;
-        if !learner.knows(device) {
+        if !learner.has_device(device) {
             // Not connected since the daemon began: what was learned before must not be begun anew.
             let device_id = asked.device_id;
-            let learned = self.in_store(move |store| store.learned(device_id)).await?;
-            if !learner.knows(device)
+            let learned = self
+                .in_store(move |store| store.learner_state(device_id))
+                .await?;
+            if !learner.has_device(device)
                 && let Err(why) = learner.add(device, learned.as_deref())
             {
                 tracing::warn!(device, %why, "what was learned is lost");
             }
         }
         let (stored, is_stored) = oneshot::channel();
-        learner.offer(Task {
+        learner.offer(LearnJob {
             device: device.to_owned(),
             device_id: asked.device_id,
             session: asked.session,
             boot,
             power_w: power_w(&asked.window.segment()),
-            work: Work::Answered(asked.window, Box::new(answer)),
+            input: LearnInput::Answered(asked.window, Box::new(answer)),
             truth: None,
             stored: Some(stored),
         });
         drop(learner);
         is_stored.await.map_err(|_| ReceiveError::NoRoom)?;
         let name = device.to_owned();
-        self.in_store(move |store| store.answered(&name, boot, seq))
+        self.in_store(move |store| store.mark_answered(&name, boot, seq))
             .await?;
         Ok(Received::Stored)
     }
@@ -333,7 +340,7 @@ impl Daemon {
         let name = device.to_owned();
         let asked = self.in_store(move |store| {
             if store.has_result(&name, boot, seq)? {
-                store.answered(&name, boot, seq)?;
+                store.mark_answered(&name, boot, seq)?;
                 return Ok(Err(Received::Known));
             }
             let Some(session) = store.session_of_boot(&name, boot)? else {
@@ -344,11 +351,12 @@ impl Daemon {
                 Some(FleetState::Answered | FleetState::LearnedHere) => {
                     return Ok(Err(Received::Known));
                 }
-                Some(FleetState::NotForFleet | FleetState::GivenUp(GivenUp::NoSamples)) | None => {
+                Some(FleetState::NotForFleet | FleetState::GivenUp(GiveUpReason::NoSamples))
+                | None => {
                     return Ok(Err(Received::Unasked));
                 }
                 // One that was given up there may have been replayed.
-                Some(FleetState::Sent | FleetState::GivenUp(GivenUp::Dead)) => {}
+                Some(FleetState::Sent | FleetState::GivenUp(GiveUpReason::Dead)) => {}
             }
             let Some(window) = store.stored_window(&name, boot, seq)? else {
                 return Ok(Err(Received::Unasked));

@@ -1,35 +1,35 @@
-//! A worker's answer to one window (docs/fleet.md): R(t) and L(t) as it states them. Frequency, current, power, sensors and
-//! verdict are no part of it: the device's daemon takes them from the window itself.
+//! A worker's answer to one window (docs/fleet.md): R(t) and L(t) as stated. Frequency, current, power, sensors and
+//! verdict are not part of it: the device's daemon computes them from the window itself.
 
 use std::time::{Duration, Instant};
 
-use ihd_gate::claim::{Claim, Confirmed};
+use ihd_gate::claim::{Claim, Confirmation};
 use ihd_link::Window;
 use ihd_signal::Segment;
 use ihd_store::Curve;
 use ihd_survey::calibration::blind::Correction;
 use ihd_train::NetworkConfig;
-use ihd_train::learning::identify_alone;
+use ihd_train::learning::analyse_window;
 
-use super::outcome::{Course, Numbers, weighted_mean};
+use super::fit::{FitSummary, FitTrace, weighted_mean};
 use crate::model::{FitRemark, FitStep};
 
 /// A worker's answer to one window.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Answer {
+pub struct WorkerAnswer {
     /// The worker's name.
     pub by: String,
     /// Skew in seconds that was taken out of the window's current.
     pub skew_s: Option<f64>,
-    /// R(t) and L(t), or why there are none.
-    pub found: Result<Stated, String>,
-    /// Time that it took.
+    /// R(t) and L(t), or the reason for which there are none.
+    pub found: Result<StatedLoad, String>,
+    /// Duration of the computation.
     pub busy: Duration,
 }
 
-/// R(t) and L(t) as stated, thinned. The lists are equally long; those of the deviations may be empty.
+/// R(t) and L(t) as stated by a worker, thinned. The lists are equally long; those of the deviations may be empty.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Stated {
+pub struct StatedLoad {
     /// Seconds after the mains zero crossing.
     pub t_s: Vec<f64>,
     /// R in ohm.
@@ -40,38 +40,43 @@ pub struct Stated {
     pub r_sigma_ohm: Vec<f64>,
     /// Standard deviation of L in henry.
     pub l_sigma_h: Vec<f64>,
-    /// Steps of the optimiser.
+    /// Number of optimiser steps.
     pub iterations: u32,
-    /// Some of these steps.
+    /// Selected steps of the optimiser.
     pub steps: Vec<FitStep>,
     /// Remarks on window and result.
     pub remarks: Vec<FitRemark>,
 }
 
-impl Answer {
-    /// Identifies a window from nothing but it and the skew in seconds that is to be taken out of its current: the same on
-    /// every machine.
-    pub fn find(by: String, window: &Window, skew_s: Option<f64>, network: NetworkConfig) -> Self {
+impl WorkerAnswer {
+    /// Identifies a window. The answer depends only on the window, the skew in seconds to remove from its current, and the network, so that
+    /// it is the same on every machine.
+    pub fn compute(
+        by: String,
+        window: &Window,
+        skew_s: Option<f64>,
+        network: NetworkConfig,
+    ) -> Self {
         let began = Instant::now();
         let correction = skew_s.map(|skew_s| Correction {
             skew_s,
             ..Correction::default()
         });
-        let alone = identify_alone(window, correction.as_ref(), network);
-        let found = match (alone.identified, alone.refused) {
+        let analysis = analyse_window(window, correction.as_ref(), network);
+        let found = match (analysis.identified, analysis.refused) {
             (Some(identified), None) => {
-                let course = Course::of(Some(&identified), &alone.findings, None);
-                let numbers = Numbers::of(&identified);
-                let curve = course.curve.unwrap_or_default();
-                Ok(Stated {
+                let trace = FitTrace::of(Some(&identified), &analysis.findings, None);
+                let summary = FitSummary::of(&identified);
+                let curve = trace.curve.unwrap_or_default();
+                Ok(StatedLoad {
                     t_s: curve.t_s,
                     r_ohm: curve.r_ohm,
                     l_h: curve.l_h,
                     r_sigma_ohm: curve.r_sigma_ohm,
                     l_sigma_h: curve.l_sigma_h,
-                    iterations: numbers.iterations,
-                    steps: course.steps,
-                    remarks: course.remarks,
+                    iterations: summary.iterations,
+                    steps: trace.steps,
+                    remarks: trace.remarks,
                 })
             }
             (_, why) => Err(why.unwrap_or_default()),
@@ -85,8 +90,8 @@ impl Answer {
     }
 }
 
-impl Stated {
-    /// The statement that is held against the samples.
+impl StatedLoad {
+    /// Returns the claim that is checked against the samples.
     pub fn claim(&self) -> Claim<'_> {
         Claim {
             t_s: &self.t_s,
@@ -95,8 +100,8 @@ impl Stated {
         }
     }
 
-    /// The window's numbers: values as stated, currents of the samples, deviations no smaller than noise allows.
-    pub fn numbers(&self, confirmed: &Confirmed) -> Numbers {
+    /// Returns the summary: values as stated, current from the samples, deviations no smaller than the noise allows.
+    pub fn summary(&self, confirmed: &Confirmation) -> FitSummary {
         let i_a = &confirmed.i_amplitude_a;
         let sigma_pct = |sigma: &[f64], value: &[f64], least: f64| {
             let relative: Vec<f64> = sigma
@@ -110,7 +115,7 @@ impl Stated {
             }
         };
         let [least_r_pct, least_l_pct] = confirmed.sigma_pct;
-        Numbers {
+        FitSummary {
             i_crest_a: i_a.iter().copied().fold(0.0, f64::max),
             r_ohm: weighted_mean(i_a, &self.r_ohm),
             l_h: weighted_mean(i_a, &self.l_h),
@@ -120,9 +125,9 @@ impl Stated {
         }
     }
 
-    /// R(t) and L(t) for the store, with the current of the samples.
-    pub fn into_course(self, confirmed: Confirmed) -> Course {
-        Course {
+    /// Returns the trace with R(t) and L(t) as stated and the current from the samples.
+    pub fn into_trace(self, confirmed: Confirmation) -> FitTrace {
+        FitTrace {
             steps: self.steps,
             remarks: self.remarks,
             curve: Some(Curve {
@@ -133,12 +138,12 @@ impl Stated {
                 r_sigma_ohm: self.r_sigma_ohm,
                 l_sigma_h: self.l_sigma_h,
             }),
-            ..Course::default()
+            ..FitTrace::default()
         }
     }
 }
 
-/// Mean power of a window's half-cycle in watt, from its samples.
+/// Returns the mean power of a window's half-cycle in watt, from its samples.
 pub fn power_w(segment: &Segment) -> Option<f64> {
     let products = segment
         .v_v

@@ -1,33 +1,33 @@
-//! How busy learning is.
+//! Figures of the learner's load.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Fits that the percentiles are taken of: the last ones.
+/// Number of last fits that the percentiles are taken of.
 const REMEMBERED: usize = 512;
 
-/// How busy learning is, since it began.
+/// Figures of the learner's load since its start.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LearnerFigures {
-    /// Threads that train.
+    /// Running threads; fewer than configured only if one has ended.
     pub threads: usize,
     /// Windows that wait.
     pub waiting: usize,
-    /// Windows that were looked at.
+    /// Windows that were identified or refused.
     pub learned: u64,
-    /// Windows that were dropped before anybody could look at them.
+    /// Windows that were dropped from the queue.
     pub unlearned: u64,
     /// Windows whose training panicked.
     pub panics: u64,
-    /// Time that the threads trained, all together, in seconds.
+    /// Busy time of all threads together, in seconds.
     pub busy_s: f64,
-    /// Half of the last fits took no longer, in seconds; none before the first.
+    /// Median duration of the last fits in seconds; `None` before the first.
     pub fit_p50_s: Option<f64>,
-    /// All but one in a hundred took no longer, in seconds.
+    /// 99th percentile of the duration of the last fits in seconds; `None` before the first.
     pub fit_p99_s: Option<f64>,
 }
 
-/// What is counted.
+/// Counters of the learner.
 #[derive(Debug, Default)]
 pub struct Meter {
     pub learned: u64,
@@ -38,8 +38,8 @@ pub struct Meter {
 }
 
 impl Meter {
-    /// A window was looked at.
-    pub fn count(&mut self, took: Duration) {
+    /// Counts a window and its duration.
+    pub fn add_fit(&mut self, took: Duration) {
         self.learned += 1;
         self.busy = self.busy.saturating_add(took);
         if self.last.len() == REMEMBERED {
@@ -48,11 +48,11 @@ impl Meter {
         self.last.push_back(took);
     }
 
-    /// The figures.
+    /// Computes the figures.
     pub fn figures(&self, threads: usize, waiting: usize) -> LearnerFigures {
         let mut sorted: Vec<_> = self.last.iter().collect();
         sorted.sort();
-        // The smallest that so many percent do not exceed.
+        // The smallest duration that `percent` percent of the fits do not exceed.
         let percentile = |percent: usize| {
             let rank = (sorted.len() * percent).div_ceil(100);
             sorted.get(rank.saturating_sub(1)).map(|t| t.as_secs_f64())
@@ -79,14 +79,14 @@ mod tests {
         let mut meter = Meter::default();
         assert_eq!(meter.figures(1, 0).fit_p50_s, None);
         for ms in 1..=100 {
-            meter.count(Duration::from_millis(ms));
+            meter.add_fit(Duration::from_millis(ms));
         }
         let f = meter.figures(1, 3);
         assert_eq!((f.fit_p50_s, f.fit_p99_s), (Some(0.05), Some(0.099)));
         assert_eq!((f.learned, f.waiting), (100, 3));
         assert!((f.busy_s - 5.05).abs() < 1e-9);
         for _ in 0..REMEMBERED {
-            meter.count(Duration::from_millis(7));
+            meter.add_fit(Duration::from_millis(7));
         }
         assert_eq!(meter.figures(1, 0).fit_p99_s, Some(7e-3));
     }

@@ -1,34 +1,43 @@
-//! Learning from the windows of all devices: a queue, threads that train, and what they found.
+//! Learning from the windows of all devices: a queue, threads that identify, and their results.
 //!
 //! ```text
-//! offer ─► Queue (bounded, a turn a device) ─► threads: Learning::observe ─► Learned (bounded channel)
-//!          queue.rs                             learner.rs                    outcome.rs
+//! offer ─► Queue ─► threads ─► identify ─► settle ─► LearnResult ─► store, device
+//!          bounded,            the network, notes of the            (routing.rs)
+//!          devices in turn     or a worker's device applied
+//!                              answer
 //! ```
 //!
-//! Every window of a heating device teaches, settled or not: a window holds one switching frequency
-//! throughout (the firmware discards one in which it changes), and R and L over current at a frequency do not
-//! depend on what the power control is about to do next. Windows of a hob that probes, or that carry too little
-//! current to tell R and L from noise, are refused by the gate.
+//! Every window of a heating device is learned from, settled or not. A window has one switching frequency throughout: the
+//! firmware discards one in which it changes. R and L over current at a frequency do not depend on the next step of power
+//! control. The gate refuses windows of a hob that probes, and those with too little current to separate R and L from noise.
 
 mod answer;
-mod answers;
 mod figures;
+mod fit;
+mod identify;
+mod job;
 mod learner;
-mod outcome;
 mod queue;
+mod settle;
+mod shared;
+#[cfg(any(test, feature = "simulation"))]
+mod simulated;
 #[cfg(test)]
 mod tests;
+mod threads;
+mod workers;
 
 use ihd_shared::wire::messages::{State, Telemetry};
 
-pub use self::answer::{Answer, Stated, power_w};
-pub use self::answers::{Standing, WorkerFigures};
+pub use self::answer::{StatedLoad, WorkerAnswer, power_w};
 pub use self::figures::LearnerFigures;
-pub use self::learner::{InUse, Learner, LearnerError, LearnerSettings};
-pub use self::outcome::{Course, Learned, Lookup, Numbers, Task, Work, curve_of};
-pub use self::queue::Dropped;
+pub use self::fit::{FitSummary, FitTrace, truth_curve};
+pub use self::job::{LearnInput, LearnJob, LearnResult, Lookup};
+pub use self::learner::{Learner, LearnerError, LearnerSettings, LearningInUse};
+pub use self::queue::DroppedWindow;
+pub use self::workers::{AnswerVerdict, WorkerFigures};
 
-/// Whether the windows of a device that says this are worth learning from.
-pub fn teaches(telemetry: &Telemetry) -> bool {
+/// Returns `true` if the windows of a device in this state are worth learning from: it heats.
+pub fn is_worth_learning(telemetry: &Telemetry) -> bool {
     telemetry.state == State::Heating
 }

@@ -1,4 +1,4 @@
-//! Who is next: one window of a device at a time, in their order, the devices in turn.
+//! Queue of windows: one window of a device at a time, in their order, the devices in turn.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -7,66 +7,66 @@ use std::time::{Duration, Instant};
 use ihd_map::library::Library;
 use ihd_train::Learning;
 
-use super::outcome::Task;
+use super::job::LearnJob;
 
 /// A window that was dropped from the queue.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Dropped {
-    /// The device's name.
+pub struct DroppedWindow {
+    /// Name of the device.
     pub device: String,
-    /// Its boot.
+    /// Boot of the device.
     pub boot: u32,
-    /// The window's number.
+    /// Number of the window.
     pub seq: u32,
 }
 
-/// What a device's learning is told between two windows.
+/// Event that is applied to a device's learning between two windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Note {
-    /// The device uses this version.
-    DeviceHas(u32),
-    /// It has made a lookup its own.
-    Accepted(u32),
-    /// It has refused one.
-    Refused(u32),
-    /// What was learned is forgotten.
+pub enum LearningEvent {
+    /// The device uses the lookup of this version.
+    DeviceVersion(u32),
+    /// The device has accepted the lookup of this version.
+    LookupAccepted(u32),
+    /// The device has refused the lookup of this version.
+    LookupRefused(u32),
+    /// The load is to be forgotten.
     Forget,
 }
 
-impl Note {
-    /// Tells it.
-    pub fn tell(self, learning: &mut Learning) {
+impl LearningEvent {
+    /// Applies the event.
+    pub fn apply(self, learning: &mut Learning) {
         match self {
-            Self::DeviceHas(version) => learning.device_has(version),
-            Self::Accepted(version) => learning.accepted(version),
-            Self::Refused(version) => learning.refused(version),
+            Self::DeviceVersion(version) => learning.set_device_version(version),
+            Self::LookupAccepted(version) => learning.lookup_accepted(version),
+            Self::LookupRefused(version) => learning.lookup_refused(version),
             Self::Forget => learning.forget(),
         }
     }
 }
 
-/// What was learned of a device, and when that went to the store.
+/// Learning of a device, with the time of its last save.
 #[derive(Clone)]
-pub struct Known {
-    /// What was learned.
+pub struct DeviceLearning {
+    /// The device's learning.
     pub learning: Learning,
     saved: Instant,
     curves_saved: usize,
 }
 
-impl Known {
+impl DeviceLearning {
     fn new(learning: Learning) -> Self {
         Self {
             saved: Instant::now(),
-            curves_saved: learning.curves(),
+            curves_saved: learning.curve_count(),
             learning,
         }
     }
 
-    /// The bytes for the store, where something new was learned, or nothing was stored for `every`.
-    pub fn take_due_save(&mut self, is_news: bool, every: Duration) -> Option<Vec<u8>> {
-        let curves = self.learning.curves();
-        if !is_news && curves == self.curves_saved && self.saved.elapsed() < every {
+    /// Returns the bytes for the store if the lookup or the number of curves has changed, or the last save is `every` ago.
+    pub fn take_due_save(&mut self, lookup_changed: bool, every: Duration) -> Option<Vec<u8>> {
+        let curves = self.learning.curve_count();
+        if !lookup_changed && curves == self.curves_saved && self.saved.elapsed() < every {
             return None;
         }
         (self.saved, self.curves_saved) = (Instant::now(), curves);
@@ -74,82 +74,82 @@ impl Known {
     }
 }
 
-/// A device's windows, and what they have taught.
+/// Queue and learning of one device.
 struct Slot {
-    /// None while a thread has it.
-    known: Option<Box<Known>>,
+    /// `None` while a thread has it.
+    known: Option<Box<DeviceLearning>>,
     /// Boot and number of the window that a thread has.
-    studied: Option<(u32, u32)>,
-    /// What the sensors' windows have shown, of before a thread took what is known.
+    in_progress: Option<(u32, u32)>,
+    /// Skew in seconds before a thread took the learning.
     skew_s: Option<f64>,
-    notes: Vec<Note>,
-    /// Each with its place in the order in which all came.
-    tasks: VecDeque<(u64, Task)>,
+    events: Vec<LearningEvent>,
+    /// Waiting windows, each with its place in the order of all.
+    jobs: VecDeque<(u64, LearnJob)>,
     unlearned: u64,
 }
 
-fn skew_s(known: &Known) -> Option<f64> {
+fn skew_s(known: &DeviceLearning) -> Option<f64> {
     known
         .learning
         .correction()
         .map(|correction| correction.skew_s)
 }
 
-/// The windows that wait.
+/// Queue of the windows of all devices.
 #[derive(Default)]
 pub struct Queue {
     devices: HashMap<String, Slot>,
     /// Devices with a window that can be learned now; the one whose turn is longest ago is the first.
     turns: VecDeque<String>,
     waiting: usize,
-    came: u64,
-    /// Pots that other hobs know.
+    arrivals: u64,
+    /// Library of other hobs' pots.
     library: Option<Arc<Library>>,
 }
 
 impl Queue {
-    /// Windows that wait.
+    /// Returns the number of windows that wait.
     pub fn waiting(&self) -> usize {
         self.waiting
     }
 
-    /// A device that is new, or begins anew: what waits of it stays.
-    pub fn put(&mut self, device: &str, learning: Learning) {
-        let mut known = Known::new(learning);
+    /// Adds a device, or replaces its learning; its waiting windows stay.
+    pub fn insert(&mut self, device: &str, learning: Learning) {
+        let mut known = DeviceLearning::new(learning);
         if let Some(library) = &self.library {
             known.learning.use_library(Arc::clone(library));
         }
         let slot = self.slot(device);
-        slot.notes.clear();
+        slot.events.clear();
         slot.known = Some(Box::new(known));
     }
 
-    /// Whether the device is known.
-    pub fn knows(&self, device: &str) -> bool {
+    /// Returns `true` if the device is known.
+    pub fn has_device(&self, device: &str) -> bool {
         self.devices.contains_key(device)
     }
 
-    /// Windows of a device that were dropped.
-    pub fn unlearned(&self, device: &str) -> u64 {
+    /// Returns the number of a device's windows that were dropped.
+    pub fn dropped_count(&self, device: &str) -> u64 {
         self.devices.get(device).map_or(0, |slot| slot.unlearned)
     }
 
-    /// Tells a device's learning something, now or after the window that it is at.
-    pub fn note(&mut self, device: &str, note: Note) {
+    /// Applies an event to a device's learning, now or after its current window.
+    pub fn post(&mut self, device: &str, event: LearningEvent) {
         if let Some(slot) = self.devices.get_mut(device) {
             match &mut slot.known {
-                Some(known) => note.tell(&mut known.learning),
-                None => slot.notes.push(note),
+                Some(known) => event.apply(&mut known.learning),
+                None => slot.events.push(event),
             }
         }
     }
 
-    /// A device's learning, while no thread has it.
+    /// Returns a device's learning; `None` if the device is unknown or a thread has it.
     pub fn learning(&self, device: &str) -> Option<&Learning> {
         Some(&self.devices.get(device)?.known.as_ref()?.learning)
     }
 
-    /// The skew in seconds that is to be taken out of a device's windows.
+    /// Returns the skew in seconds to remove from the current of a device's windows; `None` if there is none.
     pub fn skew_s(&self, device: &str) -> Option<f64> {
         let slot = self.devices.get(device)?;
         slot.known.as_deref().map_or(slot.skew_s, skew_s)
@@ -160,24 +160,24 @@ impl Queue {
             .entry(device.to_owned())
             .or_insert_with(|| Slot {
                 known: None,
-                studied: None,
+                in_progress: None,
                 skew_s: None,
-                notes: Vec::new(),
-                tasks: VecDeque::new(),
+                events: Vec::new(),
+                jobs: VecDeque::new(),
                 unlearned: 0,
             })
     }
 
     /// Adds a window of a known device. Beyond `limit` windows in all, the oldest of the device that has most
-    /// of them waiting is dropped: so that one that sends much costs the others nothing. With devices alike
+    /// of them waiting is dropped, so that a device that sends much costs the others nothing. With equal devices
     /// that is the oldest of all.
-    pub fn push(&mut self, task: Task, limit: usize) -> Option<Dropped> {
-        let device = task.device.clone();
-        let came = self.came;
+    pub fn push(&mut self, job: LearnJob, limit: usize) -> Option<DroppedWindow> {
+        let device = job.device.clone();
+        let arrivals = self.arrivals;
         let slot = self.devices.get_mut(&device)?;
-        self.came += 1;
-        let was_idle = slot.known.is_some() && slot.tasks.is_empty();
-        slot.tasks.push_back((came, task));
+        self.arrivals += 1;
+        let was_idle = slot.known.is_some() && slot.jobs.is_empty();
+        slot.jobs.push_back((arrivals, job));
         self.waiting += 1;
         if was_idle {
             self.turns.push_back(device);
@@ -188,67 +188,70 @@ impl Queue {
         self.drop_one()
     }
 
-    fn drop_one(&mut self) -> Option<Dropped> {
+    fn drop_one(&mut self) -> Option<DroppedWindow> {
         let most = self.devices.iter_mut().max_by_key(|(_, slot)| {
-            let oldest = slot.tasks.front().map_or(u64::MAX, |(came, _)| *came);
-            (slot.tasks.len(), std::cmp::Reverse(oldest))
+            let oldest = slot
+                .jobs
+                .front()
+                .map_or(u64::MAX, |(arrivals, _)| *arrivals);
+            (slot.jobs.len(), std::cmp::Reverse(oldest))
         });
         let (name, slot) = most?;
-        let (_, task) = slot.tasks.pop_front()?;
+        let (_, job) = slot.jobs.pop_front()?;
         slot.unlearned += 1;
         self.waiting -= 1;
-        if slot.tasks.is_empty() {
+        if slot.jobs.is_empty() {
             let name = name.clone();
             self.turns.retain(|turn| *turn != name);
         }
-        Some(Dropped {
-            device: task.device,
-            boot: task.boot,
-            seq: task.work.seq(),
+        Some(DroppedWindow {
+            device: job.device,
+            boot: job.boot,
+            seq: job.input.window().seq,
         })
     }
 
-    /// The next window, and what its device has learned; the device is left alone until [`Queue::back`].
-    pub fn next(&mut self) -> Option<(Task, Box<Known>)> {
+    /// Takes the next window with its device's learning; the device's other windows wait until [`Queue::return_learning`].
+    pub fn next(&mut self) -> Option<(LearnJob, Box<DeviceLearning>)> {
         let device = self.turns.pop_front()?;
         let slot = self.devices.get_mut(&device)?;
         let known = slot.known.take()?;
         slot.skew_s = skew_s(&known);
-        let Some((_, task)) = slot.tasks.pop_front() else {
+        let Some((_, job)) = slot.jobs.pop_front() else {
             slot.known = Some(known);
             return None;
         };
-        slot.studied = Some((task.boot, task.work.seq()));
+        slot.in_progress = Some((job.boot, job.input.window().seq));
         self.waiting -= 1;
-        Some((task, known))
+        Some((job, known))
     }
 
-    /// What a device was told since [`Queue::next`].
-    pub fn take_notes(&mut self, device: &str) -> Vec<Note> {
+    /// Takes the events of a device since [`Queue::next`].
+    pub fn take_events(&mut self, device: &str) -> Vec<LearningEvent> {
         let slot = self.devices.get_mut(device);
-        slot.map(|slot| std::mem::take(&mut slot.notes))
+        slot.map(|slot| std::mem::take(&mut slot.events))
             .unwrap_or_default()
     }
 
-    /// A device's learning, back from a thread: its next window may be learned.
-    pub fn back(&mut self, device: &str, mut known: Box<Known>) {
-        for note in self.take_notes(device) {
-            note.tell(&mut known.learning);
+    /// Returns a device's learning from a thread, so that its next window can be learned from.
+    pub fn return_learning(&mut self, device: &str, mut known: Box<DeviceLearning>) {
+        for event in self.take_events(device) {
+            event.apply(&mut known.learning);
         }
         if let Some(library) = &self.library {
             known.learning.use_library(Arc::clone(library));
         }
         if let Some(slot) = self.devices.get_mut(device) {
-            slot.studied = None;
-            // Put anew meanwhile, that one counts.
+            slot.in_progress = None;
+            // One that was inserted meanwhile takes precedence.
             slot.known.get_or_insert(known);
-            if !slot.tasks.is_empty() && !self.turns.iter().any(|turn| turn == device) {
+            if !slot.jobs.is_empty() && !self.turns.iter().any(|turn| turn == device) {
                 self.turns.push_back(device.to_owned());
             }
         }
     }
 
-    /// Pots that other hobs know; false where they are those of before. A device whose window is being learned gets them behind it.
+    /// Sets the library of other hobs' pots; returns `false` if it has not changed. A device at a thread gets it after its window.
     pub fn use_library(&mut self, library: Arc<Library>) -> bool {
         if self.library.as_ref() == Some(&library) {
             return false;
@@ -262,21 +265,21 @@ impl Queue {
         true
     }
 
-    /// Whether this window waits, or a thread has it.
-    pub fn holds(&self, device: &str, boot: u32, seq: u32) -> bool {
+    /// Returns `true` if this window waits, or a thread has it.
+    pub fn is_pending(&self, device: &str, boot: u32, seq: u32) -> bool {
         let slot = self.devices.get(device);
         slot.is_some_and(|slot| {
-            let mut tasks = slot.tasks.iter();
-            slot.studied == Some((boot, seq))
-                || tasks.any(|(_, task)| task.boot == boot && task.work.seq() == seq)
+            let mut jobs = slot.jobs.iter();
+            slot.in_progress == Some((boot, seq))
+                || jobs.any(|(_, job)| job.boot == boot && job.input.window().seq == seq)
         })
     }
 
-    /// Drops all that waits; returns how many.
+    /// Drops all waiting windows; returns their number.
     pub fn clear(&mut self) -> usize {
         for slot in self.devices.values_mut() {
-            slot.unlearned += slot.tasks.len() as u64;
-            slot.tasks.clear();
+            slot.unlearned += slot.jobs.len() as u64;
+            slot.jobs.clear();
         }
         self.turns.clear();
         std::mem::take(&mut self.waiting)

@@ -12,7 +12,7 @@ use ihd_shared::wire::messages::Telemetry;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 use ihd_train::NetworkConfig;
-use ihd_train::learning::{Learning, Outcome};
+use ihd_train::learning::{Learning, WindowOutcome};
 use tokio::sync::mpsc;
 
 use super::*;
@@ -47,21 +47,21 @@ fn window(seq: u32) -> Box<Window> {
     })
 }
 
-fn task(device: &str, window: Box<Window>) -> Task {
-    Task {
+fn task(device: &str, window: Box<Window>) -> LearnJob {
+    LearnJob {
         device: device.to_owned(),
         device_id: 1,
         session: 2,
         boot: 3,
-        work: Work::Window(window),
+        input: LearnInput::Window(window),
         power_w: Some(1_000.0),
         truth: None,
         stored: None,
     }
 }
 
-fn unfit() -> Outcome {
-    Outcome::Unfit {
+fn unfit() -> WindowOutcome {
+    WindowOutcome::Refused {
         why: "a test".into(),
         identified: None,
         findings: Vec::new(),
@@ -78,7 +78,7 @@ struct Bench {
 }
 
 impl Bench {
-    fn study(self: &Arc<Self>) -> Box<super::learner::Study> {
+    fn study(self: &Arc<Self>) -> Box<super::shared::ObserveFn> {
         let bench = Arc::clone(self);
         Box::new(move |_: &mut Learning, window: &Window| {
             let running = bench.running.fetch_add(1, Ordering::SeqCst) + 1;
@@ -94,7 +94,7 @@ impl Bench {
     }
 }
 
-fn take(outcomes: &mut mpsc::Receiver<Learned>, n: usize) -> Vec<Learned> {
+fn take(outcomes: &mut mpsc::Receiver<LearnResult>, n: usize) -> Vec<LearnResult> {
     (0..n)
         .map(|_| outcomes.blocking_recv().expect("an outcome"))
         .collect()
@@ -128,7 +128,7 @@ fn a_device_that_sends_much_neither_starves_the_others_nor_costs_them_windows() 
     let seqs: Vec<u32> = dropped.iter().map(|d| d.seq).collect();
     assert_eq!(seqs, (1..=86).collect::<Vec<_>>());
     assert_eq!(
-        (learner.unlearned("fast"), learner.unlearned("slow")),
+        (learner.dropped_count("fast"), learner.dropped_count("slow")),
         (86, 0)
     );
     assert_eq!(learner.figures().waiting, 16);
@@ -203,11 +203,11 @@ fn what_another_machine_says_ends_no_thread() {
     bench.open.store(true, Ordering::SeqCst);
     let (to, mut outcomes) = mpsc::channel(8);
     let learner = Learner::start_with(settings(1, 64), to, bench.study()).unwrap();
-    let stated = |t_s: &[f64], r_ohm: &[f64]| Stated {
+    let stated = |t_s: &[f64], r_ohm: &[f64]| StatedLoad {
         t_s: t_s.to_vec(),
         r_ohm: r_ohm.to_vec(),
         l_h: vec![20e-6; t_s.len()],
-        ..Stated::default()
+        ..StatedLoad::default()
     };
     let ramp: Vec<f64> = (0..100).map(|k| 1e-4 * f64::from(k)).collect();
     let lies = [
@@ -218,14 +218,14 @@ fn what_another_machine_says_ends_no_thread() {
         stated(&[f64::INFINITY; 100], &[3.0; 1]),
     ];
     for (seq, lie) in (0..).zip(lies) {
-        let answer = Answer {
+        let answer = WorkerAnswer {
             by: "liar".to_owned(),
             skew_s: Some(f64::NAN),
             found: Ok(lie),
             busy: Duration::MAX,
         };
-        learner.offer(Task {
-            work: Work::Answered(window(seq), Box::new(answer)),
+        learner.offer(LearnJob {
+            input: LearnInput::Answered(window(seq), Box::new(answer)),
             ..task("a", window(0))
         });
     }
@@ -277,7 +277,7 @@ fn windows(warming: bool, powers_w: &[u16], of_each: usize) -> Vec<Box<Window>> 
         let mut found = 0;
         while found < of_each {
             match client.next_event(Duration::from_secs(1)).unwrap() {
-                Some(Event::Window(w)) if telemetry.as_ref().is_some_and(teaches) => {
+                Some(Event::Window(w)) if telemetry.as_ref().is_some_and(is_worth_learning) => {
                     windows.push(w);
                     found += 1;
                 }
@@ -305,7 +305,7 @@ fn windows_of_a_hob_become_results_and_lookups_whatever_ends_the_learner_between
                 learner.offer(task("hob", window.clone()));
                 let learned = outcomes.blocking_recv().expect("an outcome");
                 passed += usize::from(learned.result.pass);
-                assert_eq!(learned.result.changed_lookup, learned.news.is_some());
+                assert_eq!(learned.result.changed_lookup, learned.new_lookup.is_some());
                 if learned.result.pass {
                     let r = &learned.result;
                     println!(
@@ -320,9 +320,9 @@ fn windows_of_a_hob_become_results_and_lookups_whatever_ends_the_learner_between
                         learned.busy.as_secs_f64() * 1e3
                     );
                 }
-                if let Some(built) = learned.news {
+                if let Some(built) = learned.new_lookup {
                     assert!(learned.state.is_some(), "a lookup without its state");
-                    learner.accepted("hob", built.lookup.version);
+                    learner.lookup_accepted("hob", built.lookup.version);
                     lookups.push(built.lookup);
                 }
                 // The thread gives the learning back after the outcome.

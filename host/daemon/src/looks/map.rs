@@ -6,7 +6,7 @@ use ihd_shared::lookup::grid::{
 };
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
-use ihd_store::{Confidence, LookupRow, LookupState, ResultId, Taught};
+use ihd_store::{Confidence, LastAccepted, LookupRow, LookupState, ResultId};
 
 use crate::board::now_ms;
 use crate::daemon::{Daemon, DaemonError, lock};
@@ -22,7 +22,7 @@ pub struct Ages {
 impl Ages {
     /// Results that passed. A window of one frequency tells of all currents up to its crest, for the rows below and
     /// above the frequency.
-    fn add(&mut self, taught: &[Taught]) {
+    fn add(&mut self, taught: &[LastAccepted]) {
         for result in taught {
             self.last = self.last.max(result.last);
             let (row, weight) = split(frequency_coordinate(result.f_sw_hz), FREQUENCIES);
@@ -75,7 +75,7 @@ impl Daemon {
             let version = version.or(on_device).or(active.map(|row| row.version));
             let version = version.unwrap_or(0);
             let mut ages = ages;
-            ages.add(&reader.taught(device, ages.last)?);
+            ages.add(&reader.last_accepted(device, ages.last)?);
             let confidence = reader.confidence(device, version)?;
             let row = newest(&rows, version).cloned();
             Ok((version, row, confidence, ages))
@@ -189,7 +189,7 @@ mod tests {
     #[test]
     fn a_result_is_news_for_the_rows_around_it_up_to_its_crest() {
         let mut ages = Ages::default();
-        let taught = |last, at_ms, f_sw_hz, i_crest_a| Taught {
+        let taught = |last, at_ms, f_sw_hz, i_crest_a| LastAccepted {
             last,
             at_ms,
             f_sw_hz,

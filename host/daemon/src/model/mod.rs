@@ -123,7 +123,7 @@ pub struct WindowCounts {
     pub refused: u64,
     /// Dropped by the device, whose recorder was busy.
     pub dropped_by_device: u64,
-    /// Lost on the link.
+    /// Lost on the link, or dropped there: one of more than a hob sends.
     pub lost: u64,
     /// Arrived whole, and dropped because the store could not keep up or was full.
     pub not_stored: u64,
@@ -199,6 +199,9 @@ pub struct DeviceReport {
     pub pot_temperature: Option<PotTemperature>,
     /// Connections that were made since the daemon began.
     pub connections: u32,
+    /// Frames that were dropped since then because they were more than a hob sends.
+    #[serde(default)]
+    pub frames_beyond: u64,
 }
 
 /// What is asked of a device. All but [`Command::Off`] and recordings need the lease.
@@ -393,6 +396,9 @@ pub enum What {
         holder: String,
         /// From whom it was taken by force, empty otherwise.
         taken_from: String,
+        /// Why it ended by itself, empty otherwise.
+        #[serde(default)]
+        why: String,
     },
     /// A command was carried out, or not.
     Command {

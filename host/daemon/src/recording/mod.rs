@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 
 use ihd_link::FrameSink;
 use ihd_shared::wire::deframer::Deframer;
-use ihd_shared::wire::messages::{AnyMessage, FrontEnd, Hello};
+use ihd_shared::wire::messages::{AnyMessage, FaultEvent, FrontEnd, Hello, Message, Telemetry};
 
 use crate::board::now_ms;
 use crate::model::{RecordSettings, RecordingNow, RecordingPhase, Trigger};
@@ -520,8 +520,19 @@ impl State {
         };
         let mut trigger = armed.as_ref().map(|settings| &settings.trigger);
         let mut began = None;
-        for &byte in bytes {
-            let Some(Ok(frame)) = self.deframer.push(byte) else {
+        let mut rest = bytes;
+        while !rest.is_empty() {
+            let (taken, is_end) = self.deframer.collect(rest);
+            rest = &rest[taken..];
+            if !is_end {
+                continue;
+            }
+            // Of all others, which are most of the bytes, nothing is wanted.
+            if !matches!(self.deframer.id(), Some(Telemetry::ID | FaultEvent::ID)) {
+                self.deframer.skip();
+                continue;
+            }
+            let Some(Ok(frame)) = self.deframer.frame() else {
                 continue;
             };
             let cause = match AnyMessage::decode(frame.id, frame.split().1) {

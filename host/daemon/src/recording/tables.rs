@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use ihd_capture::exports::recording::{
-    Limits, TableError, half_cycles_csv, recording_npz, samples_csv,
+    ExportLimits, TableError, half_cycles_csv, recording_npz, samples_csv,
 };
 
 /// Largest table, in bytes: half an hour of a hob that heats.
@@ -40,7 +40,7 @@ pub enum Table {
 pub fn table(recording: &Path, which: Table, stop: &AtomicBool) -> Result<File, TableError> {
     let folder = recording.parent().unwrap_or(Path::new("."));
     let spool = || tempfile::tempfile_in(folder);
-    let limits = Limits {
+    let limits = ExportLimits {
         bytes: MOST_BYTES,
         until: Instant::now() + MADE_WITHIN,
         stop,

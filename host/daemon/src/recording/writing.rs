@@ -177,7 +177,7 @@ fn write(
     let file = create(&path, &hello, &front_end, notes).map_err(|e| e.to_string())?;
     let first = before.iter().find(|piece| piece.from_device);
     let mut file = Feed {
-        file: Box::new(file.beginning_at(at).flushed_by_the_wall_clock()),
+        file: Box::new(file.starting_at(at).with_wall_clock_flush()),
         in_step: !first.map_or(mid_frame, |first| first.mid_frame),
     };
     waiting.tell(|progress| progress.begun = true);

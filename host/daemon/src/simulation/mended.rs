@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_store::{Reader, ResultFilter, WindowFilter};
+use ihd_store::{Reader, ResultFilter, ResultRow, WindowFilter, WindowRow};
 use tokio::time::{Instant, sleep};
 
 use super::faults::greet;
@@ -17,6 +17,10 @@ use crate::model::{Command, DeviceState};
 /// From when nothing fails any more until all has to work again: the longest wait between two tries to connect, what a
 /// hello and a silent device take, and what the store is asked again after.
 pub const MENDED_WITHIN: Duration = Duration::from_secs(40);
+
+/// The same for all windows to come back from the fleet: one that a dead worker had comes again after 30 s, and so does a result that a dead
+/// edge had; what was late when the faults ended may be so for 30 s more.
+const SETTLED_WITHIN: Duration = Duration::from_secs(120);
 
 /// Between two looks at a board's world for whether all works again.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
@@ -73,6 +77,53 @@ pub async fn check_mended(world: &Arc<World>, daemon: &Daemon) {
     }
 }
 
+/// Checks that the fleet owes nothing, now that nothing fails: each window has come to its end, most of them with one result, and the states of
+/// windows add up to those that are stored.
+pub async fn check_settled(world: &World, daemon: &Daemon, store: &Path) {
+    let began = Instant::now();
+    loop {
+        let why = match daemon.fleet_tally().await {
+            Ok(tally) if tally.due + tally.sent > 0 => {
+                format!("windows are still at the fleet: {tally:?}")
+            }
+            Ok(tally) => match in_store(store) {
+                // No window came between: the store's task did not run.
+                Ok((windows, results))
+                    if windows.len() as u64 == tally.stored()
+                        && results.len() as u64 == tally.answered + tally.learned_here =>
+                {
+                    return world.note(&format!("all have come back: {tally:?}"));
+                }
+                Ok((windows, results)) => format!(
+                    "{} windows and {} results are stored: {tally:?}",
+                    windows.len(),
+                    results.len()
+                ),
+                Err(why) => why,
+            },
+            Err(why) => format!("windows cannot be counted: {why}"),
+        };
+        if began.elapsed() >= SETTLED_WITHIN {
+            return world.note_broken(why);
+        }
+        sleep(2 * LOOK_EVERY).await;
+    }
+}
+
+fn in_store(folder: &Path) -> Result<(Vec<WindowRow>, Vec<ResultRow>), String> {
+    let unread = |e: ihd_store::StoreError| {
+        let why = format!("the store cannot be read: {e}");
+        why.chars().take(300).collect::<String>()
+    };
+    let reader = Reader::open(folder).map_err(unread)?;
+    let windows = reader.windows(&WindowFilter::default()).map_err(unread)?;
+    let results = reader.results(&ResultFilter {
+        limit: Some(u32::MAX),
+        ..ResultFilter::default()
+    });
+    Ok((windows, results.map_err(unread)?))
+}
+
 /// Checks that each window that was announced is counted in one place.
 fn check_windows(world: &World, daemon: &Daemon, name: &str) {
     let Some(report) = daemon.device(name) else {
@@ -105,22 +156,9 @@ async fn check_lookup(world: &World, daemon: &Daemon, hob: usize) {
 
 /// Checks that what was acknowledged is in the store.
 pub fn check_store(world: &World, folder: &Path) {
-    let reader = match Reader::open(folder) {
-        Ok(reader) => reader,
-        Err(error) => return world.note_broken(format!("the store cannot be read: {error}")),
-    };
-    let windows = reader.windows(&WindowFilter::default());
-    let limit = Some(u32::MAX);
-    let results = reader.results(&ResultFilter {
-        limit,
-        ..ResultFilter::default()
-    });
-    let (windows, results) = match (windows, results) {
-        (Ok(windows), Ok(results)) => (windows, results),
-        (windows, results) => {
-            let why = format!("the store cannot be read: {windows:?} {results:?}");
-            return world.note_broken(why.chars().take(300).collect());
-        }
+    let (windows, results) = match in_store(folder) {
+        Ok(found) => found,
+        Err(why) => return world.note_broken(why),
     };
     let key = |device: &str, boot, seq| {
         let hob = HOBS.iter().position(|hob| *hob == device)?;

@@ -17,6 +17,13 @@ const UNHELD_AT_MOST: Duration = Duration::from_secs(11);
 /// The same where nothing fails: a lease that ran out is seen at the next tick.
 const UNHELD_WHERE_CALM: Duration = Duration::from_millis(500);
 
+/// The daemon tells of power that a hob has not for so long at most: what it compares after, two links that do not answer, and the longest wait
+/// between two tries to connect.
+const WRONG_AT_MOST: Duration = Duration::from_secs(20);
+
+/// The same where nothing but a stranger's hello happens: KEEPALIVE_PERIOD, and a tick.
+const WRONG_WHERE_CALM: Duration = Duration::from_millis(2_500);
+
 /// Orders that may wait for the store.
 const STORE_WAITING: usize = DAEMON + RESERVE + HOBS.len() * (DEVICE + RESERVE);
 
@@ -43,6 +50,33 @@ struct Place {
     off: Option<u64>,
     /// Since when it heats, or would, without a living lease.
     unheld_since: Option<Duration>,
+    /// Since when the daemon tells of a power that it has not.
+    wrong_since: Option<Duration>,
+}
+
+impl Place {
+    /// Says what is wrong where the daemon has told for too long of power, `told_w`, that the hob has not.
+    fn is_wrong(
+        &mut self,
+        told_w: u16,
+        asked_w: u16,
+        now: Duration,
+        is_calm: bool,
+    ) -> Option<String> {
+        if told_w == 0 || told_w == asked_w {
+            self.wrong_since = None;
+            return None;
+        }
+        let since = *self.wrong_since.get_or_insert(now);
+        let bound = match is_calm {
+            true => WRONG_WHERE_CALM,
+            false => WRONG_AT_MOST,
+        };
+        (now - since > bound).then(|| {
+            let since_s = since.as_secs_f64();
+            format!("a lease tells of {told_w} W since {since_s:.3} s, and the hob has {asked_w} W")
+        })
+    }
 }
 
 impl Promises {
@@ -146,11 +180,22 @@ impl World {
         }
         for (hob, name) in HOBS.iter().enumerate() {
             let handle = daemon.as_ref().and_then(|daemon| daemon.handle_of(name));
-            let is_held =
-                handle.is_some_and(|handle| handle.face.lock().lease.heats(Instant::now()));
+            let told_w = handle.map_or(0, |handle| {
+                let lease = &handle.face.lock().lease;
+                match lease.heats(Instant::now()) {
+                    true => lease.asked_w(),
+                    false => 0,
+                }
+            });
+            let is_held = told_w > 0;
             let state = &mut *self.lock();
             let socket = &mut state.sockets[hob];
             socket.hob.live_until(now);
+            let asked_w = socket.hob.asked_w();
+            let place = &mut state.promises.places[hob];
+            if let Some(wrong) = place.is_wrong(told_w, asked_w, now, self.is_calm) {
+                state.promises.note_broken(format!("{name}: {wrong}"));
+            }
             let place = &mut state.promises.places[hob];
             if socket.hob.asked_w() == 0 || is_held {
                 place.unheld_since = None;

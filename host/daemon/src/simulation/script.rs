@@ -3,13 +3,13 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use ihd_firmware::conversation::{Conversation, Turn};
+use ihd_firmware::link::conversation::{Conversation, RequestOrder};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup, prior::prior};
-use ihd_shared::sampling::{I_FULL_SCALE_MA, Pair, V_FULL_SCALE_MV};
+use ihd_shared::sampling::{I_FULL_SCALE_MA, V_FULL_SCALE_MV};
 use ihd_shared::units::{MicroOhm, PicoHenry};
-use ihd_shared::window::TrajectoryEntry;
+use ihd_shared::window::{CHUNK_BYTES, PAIR_BYTES, TrajectoryEntry};
 use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, check, ours};
 use ihd_shared::wire::messages::{
@@ -20,6 +20,7 @@ use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
 use super::hob::{Hob, read};
+use super::samples;
 
 /// One half-cycle at 50 Hz.
 const HALF_CYCLE: Duration = Duration::from_millis(10);
@@ -30,6 +31,9 @@ const TELEMETRY_EVERY: u32 = 10;
 /// Half-cycles between two windows.
 const WINDOW_EVERY: u32 = 70;
 
+/// The same of a hob whose windows show its load, which cost a hundred times as much.
+const LOADED_WINDOW_EVERY: u32 = 200;
+
 /// The hob.
 pub struct Script {
     /// Differs from boot to boot.
@@ -39,6 +43,8 @@ pub struct Script {
     lookup: RlLookup,
     /// Windows made in this boot.
     windows: u32,
+    /// Its windows show [`samples::LOAD`] while it heats.
+    is_loaded: bool,
     hello: Hello,
     half_cycle: u32,
     /// World's time of half-cycle 0.
@@ -66,6 +72,7 @@ impl Script {
             asked_w: 0,
             lookup: prior(),
             windows: 0,
+            is_loaded: false,
             hello: ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, "script 1.0", "script"),
             half_cycle: 0,
             began: now,
@@ -81,6 +88,11 @@ impl Script {
             answer: None,
             sent: VecDeque::new(),
         }
+    }
+
+    /// Windows show a load while it heats.
+    pub fn loaded(self, is_loaded: bool) -> Self {
+        Self { is_loaded, ..self }
     }
 
     fn now(&self) -> Duration {
@@ -137,17 +149,13 @@ impl Script {
         self.send(&telemetry);
     }
 
-    /// A window of one block.
     fn send_window(&mut self) {
         let seq = self.windows;
         self.windows += 1;
-        let pair = |k: usize| {
-            let phase = k as f64 * std::f64::consts::TAU * 3.0 / 61.0;
-            let [v, i] = [1_000.0 * phase.sin(), 600.0 * (phase - 0.7).sin()]
-                .map(|x| (x as i16).to_le_bytes());
-            Pair::from_le_bytes([v[0], v[1], i[0], i[1]])
+        let pairs = match self.is_loaded && self.asked_w > 0 {
+            true => samples::of_load(),
+            false => samples::of_no_load(),
         };
-        let pairs: Vec<u8> = (0..61).flat_map(|k| pair(k).to_le_bytes()).collect();
         let entry = TrajectoryEntry {
             r: MicroOhm(4_000_000),
             l: PicoHenry(50_000_000),
@@ -157,26 +165,28 @@ impl Script {
             seq,
             dropped: 0,
             half_cycle: self.half_cycle,
-            f_sw_hz: 45_000,
+            f_sw_hz: samples::F_SW_HZ,
             half_cycle_ns: 10_000_000,
             first_pair_ns: 1_000,
             first_trajectory_ns: 40_000,
-            pairs: 61,
+            pairs: u16::try_from(pairs.len() / PAIR_BYTES).expect("a half-cycle"),
             trajectory: 1,
             saturated: 0,
             lookup_version: self.lookup.version,
             v_full_scale_mv: V_FULL_SCALE_MV,
             i_full_scale_ma: I_FULL_SCALE_MA,
         });
-        let offset = 0;
-        self.send(&WindowChunk {
-            seq,
-            offset,
-            data: Raw(&pairs),
-        });
+        for (k, chunk) in pairs.chunks(CHUNK_BYTES).enumerate() {
+            let offset = k * CHUNK_BYTES / PAIR_BYTES;
+            self.send(&WindowChunk {
+                seq,
+                offset: u16::try_from(offset).expect("a half-cycle"),
+                data: Raw(chunk),
+            });
+        }
         self.send(&TrajectoryChunk {
             seq,
-            offset,
+            offset: 0,
             data: Raw(&trajectory),
         });
         let mut digest = CRC32.digest();
@@ -197,13 +207,13 @@ impl Script {
             return;
         }
         match self.conversation.turn(number) {
-            Turn::New => self.carry_out(number, message),
-            Turn::Again => {
+            RequestOrder::New => self.carry_out(number, message),
+            RequestOrder::Again => {
                 let at = self.now();
                 self.sent
                     .extend(self.answer.clone().map(|frame| (at, frame)));
             }
-            Turn::Past | Turn::Unnumbered => {}
+            RequestOrder::Past | RequestOrder::Unnumbered => {}
         }
     }
 
@@ -333,7 +343,7 @@ impl Hob for Script {
     /// All is forgotten but its lookup, which lies in flash.
     fn reboot(&mut self, now: Duration) {
         let lookup = self.lookup.clone();
-        *self = Self::new(self.boot_id + 1, now);
+        *self = Self::new(self.boot_id + 1, now).loaded(self.is_loaded);
         self.lookup = lookup;
     }
 
@@ -370,7 +380,11 @@ impl Hob for Script {
                 if self.half_cycle.is_multiple_of(TELEMETRY_EVERY) {
                     self.send_telemetry();
                 }
-                if self.half_cycle.is_multiple_of(WINDOW_EVERY) {
+                let window_every = match self.is_loaded {
+                    true => LOADED_WINDOW_EVERY,
+                    false => WINDOW_EVERY,
+                };
+                if self.half_cycle.is_multiple_of(window_every) {
                     self.send_window();
                 }
             }

@@ -10,7 +10,6 @@ use tokio::time::Instant;
 
 use super::board::Board;
 use super::disk::Disk;
-use super::fleet::Fleet;
 use super::hob::Hob;
 use super::promises::Promises;
 use super::script::Script;
@@ -41,7 +40,8 @@ pub struct World {
     pub left: Left,
     /// The daemon is an edge of a fleet.
     pub is_edge: bool,
-    fleet: Mutex<Fleet>,
+    /// Windows of hobs that heat show [`super::LOAD`]; else they show none.
+    pub is_loaded: bool,
     /// Nothing fails any more.
     is_mended: AtomicBool,
     /// Microseconds that passed before this daemon's life.
@@ -85,10 +85,12 @@ pub struct Socket {
 
 impl World {
     /// Of this seed.
-    pub fn new(seed: u64, left: Left) -> Arc<Self> {
+    pub fn new(seed: u64, left: Left, is_edge: bool) -> Arc<Self> {
         let is_calm = seed.is_multiple_of(4);
+        let is_loaded = is_edge && seed.is_multiple_of(3);
+        let script = |boot_id| Script::new(boot_id, Duration::ZERO).loaded(is_loaded);
         let left_hob: Box<dyn Hob> = match left {
-            Left::Script => Box::new(Script::new(100, Duration::ZERO)),
+            Left::Script => Box::new(script(100)),
             Left::Board => Box::new(Board::new(100, Duration::ZERO)),
         };
         let socket = |hob| Socket {
@@ -104,18 +106,15 @@ impl World {
             disk: Arc::default(),
             is_calm,
             left,
-            is_edge: left == Left::Script && seed % 3 == 1,
-            fleet: Mutex::default(),
+            is_edge,
+            is_loaded,
             is_mended: AtomicBool::new(false),
             before_us: AtomicU64::new(0),
             life_began: Mutex::new(None),
             clock_offset_ms: AtomicI64::new(0),
             state: Mutex::new(State {
                 rng: ChaCha8Rng::seed_from_u64(seed),
-                sockets: [
-                    socket(left_hob),
-                    socket(Box::new(Script::new(200, Duration::ZERO))),
-                ],
+                sockets: [socket(left_hob), socket(Box::new(script(200)))],
                 promises: Promises::default(),
                 course: Vec::new(),
             }),
@@ -182,11 +181,6 @@ impl World {
     /// The daemon, while one lives.
     pub fn daemon(&self) -> Option<Daemon> {
         lock(&self.daemon).clone()
-    }
-
-    /// The fleet's server.
-    pub fn fleet(&self) -> MutexGuard<'_, Fleet> {
-        lock(&self.fleet)
     }
 
     /// Something may fail now.

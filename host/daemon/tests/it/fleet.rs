@@ -4,11 +4,12 @@ use std::time::Duration;
 
 use ihd_daemon::Daemon;
 use ihd_daemon::fleet::{Advice, FleetConfig, ReceiveError, Received, TRUSTED_FOR};
-use ihd_daemon::learning::Answer;
+use ihd_daemon::learning::WorkerAnswer;
 use ihd_daemon::model::DeviceState;
+use ihd_link::Window;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
-use ihd_store::{Due, DueWindow, ResultFilter, Sent};
+use ihd_store::{DeliveryState, DueWindow, OutboxItem, ResultFilter};
 use ihd_train::NetworkConfig;
 use tokio::time::Instant;
 
@@ -51,8 +52,8 @@ async fn heat_until_due(daemon: &Daemon, count: usize) -> Vec<DueWindow> {
 }
 
 /// An answer of a worker that found nothing.
-fn nothing() -> Answer {
-    Answer {
+fn nothing() -> WorkerAnswer {
+    WorkerAnswer {
         by: "w".to_owned(),
         skew_s: None,
         found: Err("nothing found".to_owned()),
@@ -60,16 +61,22 @@ fn nothing() -> Answer {
     }
 }
 
+/// A window that is due, as a worker gets it.
+async fn read(daemon: &Daemon, due: &DueWindow) -> Box<Window> {
+    match daemon.read_due(due.clone()).await.unwrap() {
+        OutboxItem::Window(window) => window,
+        other => panic!("{due:?} is {other:?}"),
+    }
+}
+
 /// An honest worker's answer to a window that is due.
-async fn honest(daemon: &Daemon, due: &DueWindow) -> Answer {
-    let Due::Window(window) = daemon.read_due(due.clone()).await.unwrap() else {
-        panic!("{due:?} is not there");
-    };
+async fn honest(daemon: &Daemon, due: &DueWindow) -> WorkerAnswer {
+    let window = read(daemon, due).await;
     let network = NetworkConfig {
         deterministic: true,
         ..NetworkConfig::default()
     };
-    Answer::find("w".to_owned(), &window, daemon.skew_s("bench"), network)
+    WorkerAnswer::compute("w".to_owned(), &window, daemon.skew_s("bench"), network)
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -88,7 +95,10 @@ async fn an_answer_counts_only_if_its_window_was_sent() {
     let all = ResultFilter::default();
     assert_eq!(daemon.results(all.clone()).await.unwrap().len(), 0);
 
-    let sent = due.iter().map(|due| (due.clone(), Sent::Window)).collect();
+    let sent = due
+        .iter()
+        .map(|due| (due.clone(), DeliveryState::Window))
+        .collect();
     daemon.sent(sent).await.unwrap();
     let asked = daemon.receive("bench", boot, seq, nothing()).await;
     assert_eq!(asked.unwrap(), Received::Stored);
@@ -102,7 +112,7 @@ async fn an_answer_counts_only_if_its_window_was_sent() {
 }
 
 /// Makes a lie of an honest answer.
-type Lie = fn(&mut Answer);
+type Lie = fn(&mut WorkerAnswer);
 
 /// Lies about windows that were asked for: what stands in the store is the same as without a worker.
 #[tokio::test(flavor = "multi_thread")]
@@ -122,6 +132,8 @@ async fn a_lie_is_refuted_named_and_identified_here() {
     ];
     let mut told = Vec::new();
     for (k, due) in due[..6].iter().enumerate() {
+        let i_a = read(&daemon, due).await.segment().i_a;
+        let i_rms_a = (i_a.iter().map(|i| i * i).sum::<f64>() / i_a.len() as f64).sqrt();
         let truth = honest(&daemon, due).await;
         let mut answer = truth.clone();
         // Each liar lies once, beside an honest worker: nobody is known for it yet.
@@ -131,12 +143,12 @@ async fn a_lie_is_refuted_named_and_identified_here() {
             println!("{name}");
         }
         daemon
-            .sent(vec![(due.clone(), Sent::Window)])
+            .sent(vec![(due.clone(), DeliveryState::Window)])
             .await
             .unwrap();
         let received = daemon.receive("bench", due.boot, due.seq, answer).await;
         assert_eq!(received.unwrap(), Received::Stored);
-        told.push((due.seq, truth.found.unwrap()));
+        told.push((due.seq, i_rms_a, truth.found.unwrap()));
     }
     let workers = daemon.workers();
     assert_eq!((workers["w"].confirmed, workers["w"].refuted), (2, 0));
@@ -146,15 +158,20 @@ async fn a_lie_is_refuted_named_and_identified_here() {
         assert!(!liar.why.is_empty());
     }
     let results = daemon.results(ResultFilter::default()).await.unwrap();
-    for (seq, stated) in told {
+    for (seq, i_rms_a, stated) in told {
         let result = results.iter().find(|r| r.seq == seq).expect("stored");
         let crest = stated.r_ohm[stated.r_ohm.len() / 2];
         assert!(
             result.pass && (result.r_ohm / crest - 1.0).abs() < 0.1,
             "{result:?}"
         );
+        // P = R·I², whatever the power regulation was at: L takes none over a half-cycle.
+        let expected_w = result.r_ohm * i_rms_a * i_rms_a;
         let power_w = result.power_w.expect("a window knows its power");
-        assert!((800.0..1_200.0).contains(&power_w), "{power_w} W");
+        assert!(
+            (power_w / expected_w - 1.0).abs() < 0.03,
+            "{power_w} W, not {expected_w} W"
+        );
     }
     daemon.stop().await;
 }
@@ -176,7 +193,7 @@ async fn a_lookup_from_elsewhere_must_not_contradict_what_the_hob_has_shown() {
     for due in heat_until_due(&daemon, 2).await {
         let answer = honest(&daemon, &due).await;
         daemon
-            .sent(vec![(due.clone(), Sent::Window)])
+            .sent(vec![(due.clone(), DeliveryState::Window)])
             .await
             .unwrap();
         let received = daemon.receive("bench", due.boot, due.seq, answer).await;
@@ -202,7 +219,7 @@ async fn a_lookup_from_elsewhere_must_not_contradict_what_the_hob_has_shown() {
     daemon.stop().await;
 }
 
-fn each(answer: &mut Answer, change: impl Fn(&mut f64, &mut f64)) {
+fn each(answer: &mut WorkerAnswer, change: impl Fn(&mut f64, &mut f64)) {
     let stated = answer.found.as_mut().expect("an honest answer");
     let values = stated.r_ohm.iter_mut().zip(&mut stated.l_h);
     values.for_each(|(r, l)| change(r, l));
@@ -215,7 +232,7 @@ async fn an_edge_that_was_started_again_goes_on_sending() {
     let daemon = edge(&rig).await;
     for due in heat_until_due(&daemon, 1).await {
         daemon
-            .sent(vec![(due.clone(), Sent::Window)])
+            .sent(vec![(due.clone(), DeliveryState::Window)])
             .await
             .unwrap();
         let received = daemon.receive("bench", due.boot, due.seq, nothing()).await;
@@ -226,7 +243,10 @@ async fn an_edge_that_was_started_again_goes_on_sending() {
     let daemon = edge(&rig).await;
     // Those that came while it was switched off.
     let late = daemon.due(100).await.unwrap();
-    let late = late.into_iter().map(|due| (due, Sent::Result)).collect();
+    let late = late
+        .into_iter()
+        .map(|due| (due, DeliveryState::Result))
+        .collect();
     daemon.sent(late).await.unwrap();
     assert_eq!(daemon.due(100).await.unwrap(), []);
     assert!(!heat_until_due(&daemon, 1).await.is_empty());

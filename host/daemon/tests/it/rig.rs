@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use ihd_daemon::model::{Command, CommandError, DeviceReport, DeviceState, Done, Notice, What};
 use ihd_daemon::{Config, Daemon, OpenDevice, Opened, TruthOf};
-use ihd_firmware::request::PanelEvent;
+use ihd_firmware::control::request::PanelEvent;
 use ihd_link::{DeviceSpec, LinkError, Transport};
 use ihd_sim::hob::{HobConfig, SimHob};
 use tokio::sync::broadcast::{self, error::TryRecvError};

@@ -1,41 +1,41 @@
-//! Clocks, channels, supply, comparators, temperatures: numbers beside their limits.
+//! Checks of clocks, channels, supply, comparators and temperatures against limits.
 
 use ihd_shared::sampling::CODE_HALF_RANGE;
 use ihd_shared::wire::messages::{Channels, Clocks, Comparators, FrontEnd, NO_SENSOR_C, Status};
 
 use crate::{Check, Evidence};
 
-/// What a code of a message is multiplied with.
+/// Factor by which a message scales codes.
 const PARTS: f64 = 256.0;
 
-/// Offset that docs/first-power-up.md D1 allows: 10 mV at the pin, in codes of 0.8 mV.
+/// Limit of the offset by docs/first-power-up.md D1: 10 mV at the pin, in codes of 0.8 mV.
 pub(crate) const OFFSET_CODES: f64 = 12.0;
 
-/// Noise of a channel in codes rms. The converter's own is 0.9 (SNR of 64 dB, DS12288); 4 codes are 0.16 A, which over
-/// the 0.2 ms of the demodulator leave 1 % of a current of 1.5 A, the least that is judged.
+/// Limit of a channel's noise in codes rms. The converter's own noise is 0.9 (SNR of 64 dB, DS12288). 4 codes are 0.16 A; after
+/// averaging over the demodulator's 0.2 ms this is 1 % of 1.5 A, the smallest current judged.
 const NOISE_CODES: f64 = 4.0;
 
-/// Less is no converter but a channel that stands still.
+/// Lower limit of the noise in codes rms: below it the channel does not convert.
 const LEAST_NOISE_CODES: f64 = 0.05;
 
-/// Nominal low-speed oscillator in hertz, and by how much the main clock's count in its periods may differ, in percent
-/// (docs/self-tests.md: both oscillators over temperature and supply, and some margin).
+/// Nominal frequency of the low-speed oscillator in hertz, and the limit in percent for the main clock's count in its periods
+/// (docs/self-tests.md: both oscillators over temperature and supply, with some margin).
 const LSI_HZ: f64 = 32_000.0;
 const LSI_PCT: (f64, f64) = (-8.0, 9.8);
 
-/// HSI16 from 0 to 85 °C, in percent, seen by the crystal of a USB host.
+/// Tolerance of HSI16 from 0 to 85 °C in percent, against the crystal of a USB host.
 const HSI_PCT: f64 = 1.0;
 
-/// What USB full speed allows its clock: 0.25 % of 48 000 periods in a frame.
+/// Tolerance of the clock by USB full speed: 0.25 % of 48 000 periods in a frame.
 const HSI48_PERIODS: f64 = 120.0;
 
-/// Analogue supply in millivolt: 3.3 V of a NUCLEO to 5 %. All scales are ratios to it.
+/// Range of the analogue supply in millivolt: 3.3 V of a NUCLEO ± 5 %. All scales are ratios to it.
 const VDDA_MV: (f64, f64) = (3_135.0, 3_465.0);
 
-/// What a cold board may have, in degrees.
+/// Range of a cold board's temperatures in degrees Celsius.
 const TEMPERATURE_C: (f64, f64) = (-20.0, 85.0);
 
-/// The clocks against each other.
+/// Compares the clocks with each other.
 pub(super) fn clocks(c: &Clocks) -> Check {
     const NAME: &str = "clocks";
     let remedy = "Another controller: one of the oscillators is off (docs/self-tests.md)";
@@ -50,7 +50,7 @@ pub(super) fn clocks(c: &Clocks) -> Check {
     let by_lsi = off_pct(c.lsi_main_cycles, periods / LSI_HZ);
     let mut evidence = vec![
         Evidence::between("main clock by LSI", by_lsi, "%", LSI_PCT.0, LSI_PCT.1),
-        Evidence::told("LSI", lsi_khz, "kHz"),
+        Evidence::informative("LSI", lsi_khz, "kHz"),
     ];
     if c.usb_frames > 0 {
         let by_usb = off_pct(c.usb_main_cycles, f64::from(c.usb_frames) * 1e-3);
@@ -64,7 +64,7 @@ pub(super) fn clocks(c: &Clocks) -> Check {
                 -HSI48_PERIODS,
                 HSI48_PERIODS,
             ),
-            Evidence::told("HSI48 trim", c.hsi48_trim.into(), ""),
+            Evidence::informative("HSI48 trim", c.hsi48_trim.into(), ""),
         ]);
     }
     let finding = format!(
@@ -78,7 +78,7 @@ pub(super) fn clocks(c: &Clocks) -> Check {
     Check::measured(NAME, finding, evidence, remedy)
 }
 
-/// Means of the channels with no current and no voltage.
+/// Checks the means of the channels without current and voltage.
 pub(super) fn offsets(c: &Channels, scales: &FrontEnd) -> Check {
     const NAME: &str = "channels";
     if c.samples == 0 {
@@ -95,9 +95,9 @@ pub(super) fn offsets(c: &Channels, scales: &FrontEnd) -> Check {
     let evidence = vec![
         Evidence::between("coil voltage", v, "codes", -OFFSET_CODES, OFFSET_CODES),
         Evidence::between("coil current", i, "codes", -OFFSET_CODES, OFFSET_CODES),
-        Evidence::told("bus", bus_v, "V"),
-        Evidence::told("mains", mains_v, "V rms"),
-        Evidence::told("pairs", c.samples.into(), ""),
+        Evidence::informative("bus", bus_v, "V"),
+        Evidence::informative("mains", mains_v, "V rms"),
+        Evidence::informative("pairs", c.samples.into(), ""),
     ];
     let finding = format!(
         "offsets {v:+.1} codes ({:+.2} V) and {i:+.1} codes ({:+.3} A); bus {bus_v:.1} V, mains {mains_v:.0} V",
@@ -112,13 +112,13 @@ pub(super) fn offsets(c: &Channels, scales: &FrontEnd) -> Check {
     )
 }
 
-/// Volt on the bus.
+/// Bus voltage in volt.
 pub(crate) fn bus_volt(c: &Channels, scales: &FrontEnd) -> f64 {
     let codes = 2.0 * f64::from(CODE_HALF_RANGE);
     f64::from(c.bus_mean) / PARTS / codes * f64::from(scales.bus_full_scale_mv) / 1e3
 }
 
-/// Noise of the fast channels.
+/// Checks the noise of the fast channels.
 pub(super) fn noise(c: &Channels) -> Check {
     let of = |name, rms: u32| {
         let codes = f64::from(rms) / PARTS;
@@ -135,7 +135,7 @@ pub(super) fn noise(c: &Channels) -> Check {
     )
 }
 
-/// The analogue supply by the chip's own reference.
+/// Checks the analogue supply by the chip's own reference.
 pub(super) fn supply(c: &Channels) -> Check {
     const NAME: &str = "supply";
     if c.vdda_mv == 0 || c.reference == 0 {
@@ -144,7 +144,7 @@ pub(super) fn supply(c: &Channels) -> Check {
     let vdda = f64::from(c.vdda_mv);
     let evidence = vec![
         Evidence::between("VDDA", vdda, "mV", VDDA_MV.0, VDDA_MV.1),
-        Evidence::told("reference", c.reference.into(), "codes"),
+        Evidence::informative("reference", c.reference.into(), "codes"),
     ];
     Check::measured(
         NAME,
@@ -154,7 +154,7 @@ pub(super) fn supply(c: &Channels) -> Check {
     )
 }
 
-/// The trip in hardware.
+/// Checks the trip in hardware.
 pub(super) fn comparators(c: &Comparators) -> Check {
     const NAME: &str = "comparators";
     let seen = [
@@ -193,7 +193,7 @@ pub(super) fn comparators(c: &Comparators) -> Check {
     }
 }
 
-/// Heat sink, glass, coil.
+/// Checks the temperatures of heat sink, glass and coil.
 pub(super) fn temperatures(status: &Status) -> Check {
     const NAME: &str = "temperatures";
     let all = [

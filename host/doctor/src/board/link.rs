@@ -1,4 +1,4 @@
-//! What the link carries, how long an answer takes, and how busy the processor is.
+//! Checks of the link's rate and latency, and of the processor's load.
 
 use std::time::Duration;
 
@@ -8,33 +8,34 @@ use ihd_shared::wire::messages::{LinkTested, Utilisation};
 
 use crate::{Check, Evidence};
 
-/// Questions whose answers are waited for.
+/// Number of requests timed.
 const QUESTIONS: usize = 100;
 
-/// An answer later than this may be taken for that of the next question, in milliseconds.
+/// Limit of the latency in milliseconds: a later answer could be taken for that of the next request.
 const P99_MS: f64 = 50.0;
 const P50_MS: f64 = 10.0;
 
-/// Frames each way: a second on the slowest link.
+/// Number of frames each way: a second on the slowest link.
 const FRAMES: u16 = 100;
 
-/// What a link must carry, in kB/s. From the device: a window of 57 kB every 1.5 s; its serial port could 92. To it: a lookup.
+/// Required rates in kB/s. From the device: a window of 57 kB every 1.5 s (its serial port carries up to 92). To the device: a
+/// lookup.
 const FROM_DEVICE_KB_S: f64 = 40.0;
 const TO_DEVICE_KB_S: f64 = 5.0;
 
-/// A rate is not worked out of less time: in process no time passes while bytes are sent.
+/// Shortest time from which a rate is computed: in process no time passes while bytes are sent.
 const SHORTEST: Duration = Duration::from_millis(10);
 
-/// Longest time in which the watchdog may not be fed is 60 ms: half of it.
+/// Limit of the time between two feedings of the watchdog: half of the 60 ms that it allows.
 const LONGEST_GAP_MS: f64 = 30.0;
 
-/// Largest share of the processor's time for a block of samples, in percent: the budget of docs/board.md.
+/// Limit of the processor's load by a block of samples in percent: the budget of docs/board.md.
 const WORST_PCT: f64 = 80.0;
 
 const CABLE: &str = "Another cable, no hub, a shorter way; over a serial port the ST-LINK's firmware. docs/protocol.md says what a frame loses";
 
-/// How long each of a hundred answers took, on the transport's clock.
-pub(super) fn waits(client: &mut Client) -> Result<Vec<Duration>, LinkError> {
+/// Measures the times of a hundred answers on the transport's clock.
+pub(super) fn answer_times(client: &mut Client) -> Result<Vec<Duration>, LinkError> {
     (0..QUESTIONS)
         .map(|_| {
             let begin = client.clock();
@@ -44,7 +45,7 @@ pub(super) fn waits(client: &mut Client) -> Result<Vec<Duration>, LinkError> {
         .collect()
 }
 
-/// The median, and what one of a hundred exceeds.
+/// Checks the median and the 99th percentile.
 pub(super) fn latency(mut waits: Vec<Duration>) -> Check {
     waits.sort();
     let at = |share: f64| {
@@ -67,12 +68,12 @@ pub(super) fn latency(mut waits: Vec<Duration>) -> Check {
     )
 }
 
-/// Bytes that are known, both ways.
-pub(super) fn test(client: &mut Client) -> Result<LinkTest, LinkError> {
+/// Runs the link test in both directions.
+pub(super) fn run_test(client: &mut Client) -> Result<LinkTest, LinkError> {
     client.test_link(FRAMES, CHUNK_BYTES as u16)
 }
 
-/// Towards the device.
+/// Checks the direction to the device.
 pub(super) fn to_device(test: &LinkTest) -> Check {
     direction(
         "link_to_device",
@@ -82,7 +83,7 @@ pub(super) fn to_device(test: &LinkTest) -> Check {
     )
 }
 
-/// From the device.
+/// Checks the direction from the device.
 pub(super) fn from_device(test: &LinkTest) -> Check {
     direction(
         "link_from_device",
@@ -106,7 +107,7 @@ fn direction(name: &'static str, tested: &LinkTested, took: Duration, least_kb_s
     Check::measured(name, finding, evidence, CABLE)
 }
 
-/// How busy the processor was.
+/// Checks the processor's load.
 pub(super) fn processor(used: &Utilisation) -> Check {
     const NAME: &str = "processor";
     let gap_ms = f64::from(used.longest_gap_us) * 1e-3;
@@ -121,7 +122,7 @@ pub(super) fn processor(used: &Utilisation) -> Check {
         NAME,
         format!("a block of samples takes {mean:.1} % on average, {worst:.1} % at worst"),
         vec![
-            Evidence::told("mean", mean, "%"),
+            Evidence::informative("mean", mean, "%"),
             Evidence::at_most("worst", worst, "%", WORST_PCT),
             Evidence::at_most("longest gap", gap_ms, "ms", LONGEST_GAP_MS),
         ],

@@ -1,4 +1,4 @@
-//! The board's self-test with the bridge off.
+//! Self-test of a board with the bridge open.
 
 mod electrical;
 mod link;
@@ -10,9 +10,9 @@ use ihd_link::{BoardFacts, Client};
 use ihd_shared::wire::messages::{State, Status};
 
 use crate::Check;
-use crate::asking::Asking;
+use crate::check_session::CheckSession;
 
-/// What is asked of every board, in this order; each check is there whatever comes of it.
+/// Checks of a board, in this order; each is in the report in any case.
 pub const NAMES: [&str; 16] = [
     "idle",
     "reset_cause",
@@ -32,112 +32,115 @@ pub const NAMES: [&str; 16] = [
     "link_from_device",
 ];
 
-/// Why a device that heats is asked nothing.
+/// Reason for not examining a device that heats.
 pub const HEATS: &str = "it heats";
 
-/// What a board said.
+/// Result of an examination.
 #[derive(Debug)]
-pub struct Examined {
-    /// The checks, all of [`NAMES`].
+pub struct BoardExamination {
+    /// Checks, one for each of [`NAMES`].
     pub checks: Vec<Check>,
-    /// What the device says of itself, or why not.
+    /// Identity reported by the device, or the reason why there is none.
     pub facts: Result<BoardFacts, String>,
-    /// Why it ended before its end.
+    /// Reason for the early end; `None` if it is complete.
     pub lost: Option<String>,
 }
 
-/// Whether a device is off, and stays so by itself.
+/// Returns `true` if a device is off and does not switch on by itself.
 pub(crate) fn is_off(status: &Status) -> bool {
     status.asked_w == 0 && !matches!(status.state, State::Probing | State::Heating)
 }
 
-/// Examines a board whose bridge is off. While it heats nothing is asked of it.
-pub fn examine(client: &mut Client) -> Examined {
+/// Examines a board whose bridge is open. A board that heats is not examined.
+pub fn examine(client: &mut Client) -> BoardExamination {
     let hello = client.hello().clone();
     let scales = client.front_end().clone();
-    let mut asking = Asking::of(client);
-    let status = asking.ask("idle", Client::status);
+    let mut session = CheckSession::new(client);
+    let status = session.check_answer("idle", Client::status);
     match &status {
         Some(status) if !is_off(status) => {
-            asking.add(Check::fail(
+            session.add(Check::fail(
                 "idle",
                 format!("it is {:?}, asked for {} W", status.state, status.asked_w),
                 "Nothing is tested while it heats. Switch it off: ihd device DEV off",
             ));
-            asking.stop(HEATS);
+            session.skip_rest(HEATS);
         }
-        Some(status) => asking.add(Check::pass(
+        Some(status) => session.add(Check::pass(
             "idle",
             format!("{:?}, no power asked for", status.state),
         )),
         None => {}
     }
-    // What needs no further answer is not lost with the link.
-    asking.add(start::reset_cause(&hello));
+    // Checks without a request do not depend on the link.
+    session.add(start::reset_cause(&hello));
     match &status {
-        Some(status) => asking.add(start::fault(status)),
-        None => asking.add(Check::not_tested("fault", "the device did not tell")),
+        Some(status) => session.add(start::fault(status)),
+        None => session.add(Check::not_tested("fault", "the device did not report it")),
     }
-    let facts = asking.ask("chip", Client::board);
+    let facts = session.check_answer("chip", Client::board);
     match &facts {
         Some(facts) => {
-            asking.add(start::chip(facts));
-            asking.add(start::option_bytes(facts));
-            asking.add(start::flash_crc(facts));
+            session.add(start::chip(facts));
+            session.add(start::option_bytes(facts));
+            session.add(start::flash_crc(facts));
         }
         None => {
             for name in ["option_bytes", "flash_crc"] {
-                asking.add(Check::not_tested(name, "the device did not tell"));
+                session.add(Check::not_tested(name, "the device did not report it"));
             }
         }
     }
-    if let Some(clocks) = asking.ask("clocks", Client::clocks) {
-        asking.add(electrical::clocks(&clocks));
+    if let Some(clocks) = session.check_answer("clocks", Client::clocks) {
+        session.add(electrical::clocks(&clocks));
     }
-    match asking.ask("channels", Client::channels) {
+    match session.check_answer("channels", Client::channels) {
         Some(found) => {
-            asking.add(electrical::offsets(&found, &scales));
-            asking.add(electrical::noise(&found));
-            asking.add(electrical::supply(&found));
+            session.add(electrical::offsets(&found, &scales));
+            session.add(electrical::noise(&found));
+            session.add(electrical::supply(&found));
         }
         None => {
             for name in ["noise", "supply"] {
-                asking.add(Check::not_tested(name, "the channels were not looked at"));
+                session.add(Check::not_tested(name, "the channels were not measured"));
             }
         }
     }
-    if let Some(found) = asking.ask("comparators", Client::comparators) {
-        asking.add(electrical::comparators(&found));
+    if let Some(found) = session.check_answer("comparators", Client::comparators) {
+        session.add(electrical::comparators(&found));
     }
     match &status {
-        Some(status) => asking.add(electrical::temperatures(status)),
-        None => asking.add(Check::not_tested("temperatures", "the device did not tell")),
+        Some(status) => session.add(electrical::temperatures(status)),
+        None => session.add(Check::not_tested(
+            "temperatures",
+            "the device did not report it",
+        )),
     }
-    if let Some(used) = asking.ask("processor", Client::utilisation) {
-        asking.add(link::processor(&used));
+    if let Some(used) = session.check_answer("processor", Client::utilisation) {
+        session.add(link::processor(&used));
     }
-    if let Some(waits) = asking.ask("latency", link::waits) {
-        asking.add(link::latency(waits));
+    if let Some(waits) = session.check_answer("latency", link::answer_times) {
+        session.add(link::latency(waits));
     }
-    match asking.ask("link_to_device", link::test) {
+    match session.check_answer("link_to_device", link::run_test) {
         Some(test) => {
-            asking.add(link::to_device(&test));
-            asking.add(link::from_device(&test));
+            session.add(link::to_device(&test));
+            session.add(link::from_device(&test));
         }
-        None => asking.add(Check::not_tested(
+        None => session.add(Check::not_tested(
             "link_from_device",
             "the link was not tested",
         )),
     }
-    let (checks, lost) = asking.end();
+    let (checks, lost) = session.finish();
     let facts = facts.ok_or_else(|| {
         let chip = checks.iter().find(|check| check.name == "chip");
         chip.map_or_else(
-            || "the device did not tell".to_owned(),
+            || "the device did not report it".to_owned(),
             |c| c.finding.clone(),
         )
     });
-    Examined {
+    BoardExamination {
         checks,
         facts,
         lost,

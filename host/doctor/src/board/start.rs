@@ -1,4 +1,4 @@
-//! How it started, and what it is.
+//! Checks of the last start and of the identity of chip and program.
 
 use ihd_flash::OptionBytes;
 use ihd_link::BoardFacts;
@@ -8,10 +8,10 @@ use ihd_shared::wire::messages::{Hello, Status};
 
 use crate::{Check, Evidence};
 
-/// KiB of flash that the image and its lookups are laid out for.
+/// Flash size in KiB that the image and its lookups are laid out for.
 const FLASH_KIB: u16 = (FLASH_BYTES / 1024) as u16;
 
-/// Why it started, and what was wrong before.
+/// Checks the reason of the last start, and the fault before it.
 pub(super) fn reset_cause(hello: &Hello) -> Check {
     const NAME: &str = "reset_cause";
     let before = Fault::from_number(hello.fault_before_reset);
@@ -47,12 +47,12 @@ pub(super) fn reset_cause(hello: &Hello) -> Check {
     }
 }
 
-/// What is wrong now.
+/// Checks the active fault.
 pub(super) fn fault(status: &Status) -> Check {
     const NAME: &str = "fault";
     match status.fault {
         Fault::NONE => Check::pass(NAME, "none"),
-        // Right on a bench without mains, and no fault of the board.
+        // Expected on a bench without mains.
         Fault::MAINS_LOST => {
             Check::not_tested(NAME, "10, no mains: nothing else is seen before there is")
                 .with_remedy(
@@ -67,7 +67,7 @@ pub(super) fn fault(status: &Status) -> Check {
     }
 }
 
-/// Which chip.
+/// Checks the type of the chip.
 pub(super) fn chip(facts: &BoardFacts) -> Check {
     const NAME: &str = "chip";
     if facts.id_code == 0 {
@@ -85,21 +85,21 @@ pub(super) fn chip(facts: &BoardFacts) -> Check {
         facts.flash_kib,
         number
     );
-    let told = vec![
-        Evidence::told("starts since power-on", facts.starts.into(), ""),
-        Evidence::told("image", facts.image_bytes.into(), "bytes"),
+    let numbers = vec![
+        Evidence::informative("starts since power-on", facts.starts.into(), ""),
+        Evidence::informative("image", facts.image_bytes.into(), "bytes"),
     ];
     if facts.id_code & 0xFFF == DEVICE_ID && facts.flash_kib == FLASH_KIB {
-        return Check::pass(NAME, finding).with_evidence(told);
+        return Check::pass(NAME, finding).with_evidence(numbers);
     }
     let remedy = "The firmware is for an STM32G474 with 512 KiB; what runs on another is untested";
-    Check::fail(NAME, finding, remedy).with_evidence(told)
+    Check::fail(NAME, finding, remedy).with_evidence(numbers)
 }
 
-/// FLASH_OPTR against what the firmware wants.
+/// Compares FLASH_OPTR with the firmware's requirements.
 pub(super) fn option_bytes(facts: &BoardFacts) -> Check {
     const NAME: &str = "option_bytes";
-    // Write protection is not in what the device tells: 0 would be page 0 of each bank.
+    // The device does not report write protection: 0 would be page 0 of each bank.
     let options = OptionBytes {
         optr: facts.option_bytes,
         ..OptionBytes::default()
@@ -110,21 +110,21 @@ pub(super) fn option_bytes(facts: &BoardFacts) -> Check {
         of.map(|d| format!("{} is {} instead of {} ({})", d.name, d.is, d.wanted, d.why))
             .collect()
     };
-    let (needed, wanted) = (text(true), text(false));
+    let (needed, advised) = (text(true), text(false));
     let finding = format!("FLASH_OPTR {:#010x}", facts.option_bytes);
     let remedy = "ihd flash --set-option-bytes";
-    match (needed.is_empty(), wanted.is_empty()) {
+    match (needed.is_empty(), advised.is_empty()) {
         (true, true) => Check::pass(NAME, format!("{finding}, as the firmware wants them")),
         (true, false) => Check::pass(
             NAME,
-            format!("{finding}; with less margin: {}", wanted.join("; ")),
+            format!("{finding}; with less margin: {}", advised.join("; ")),
         )
         .with_remedy(remedy),
-        _ => Check::fail(NAME, [needed, wanted].concat().join("; "), remedy),
+        _ => Check::fail(NAME, [needed, advised].concat().join("; "), remedy),
     }
 }
 
-/// The program in flash against its own CRC.
+/// Checks the program in flash against its own CRC.
 pub(super) fn flash_crc(facts: &BoardFacts) -> Check {
     const NAME: &str = "flash_crc";
     if facts.image_bytes == 0 {

@@ -1,51 +1,51 @@
-//! First switching, from a current-limited bench supply: a few seconds of the least power, and what the samples show.
+//! First switching, from a current-limited bench supply: a few seconds at the lowest power, and checks of the samples.
 //!
-//! Whatever happens, power is asked off at the end, and that is a check of its own.
+//! In any case the power is switched off at the end, which is a check of its own.
 
 mod period;
-mod shown;
+mod window_checks;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ihd_link::{Client, Event, HEARD_EVERY, LinkError, Window};
+use ihd_link::{Client, Event, KEEPALIVE_PERIOD, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{FrontEnd, Status};
 use ihd_survey::calibration::Reference;
 
 use crate::Check;
-use crate::asking::Asking;
 use crate::board::{bus_volt, is_off};
+use crate::check_session::CheckSession;
 
-/// What is asked for, in watt. It is less than the highest frequency gives, where any load is harmless: bursts of that.
+/// Requested power in watt. The highest frequency, which is harmless with any load, gives more; hence bursts at that frequency.
 const POWER_W: u16 = 1;
 
-/// Bus voltages at which this is done, in volt. Above 60 V it is dangerous to touch; below 25 V there is no supply.
+/// Range of bus voltages for this test, in volt. Above 60 V it is dangerous to touch; below 25 V there is no supply.
 pub const BUS_V: (f64, f64) = (25.0, 60.0);
 
-/// What a bus voltage is measured to: 1 % of its divider and of VDDA, as far as it matters at 60 V.
+/// Error of the bus voltage: 1 % of divider and VDDA, at 60 V.
 const MEASURED_TO_V: f64 = 0.6;
 
-/// Bus voltage at which it ends, in volt: a crest of ripple and noise above what it began with is none.
+/// Bus voltage at which the test ends, in volt; above the range by the crest of ripple and noise.
 const MOST_BUS_V: f64 = 66.0;
 
-/// Amplitude of the current at which it ends, in ampere: at 60 V a pot takes 2.7 A, an aluminium pan 9.
+/// Amplitude of the current at which the test ends, in ampere: at 60 V a pot takes 2.7 A, an aluminium pan 9 A.
 const MOST_A: f64 = 5.0;
 
-/// How long it may switch, and what is enough.
+/// Time limit of switching, and the number of windows that suffice.
 const SWITCHES_FOR: Duration = Duration::from_secs(5);
 const WINDOWS: usize = 5;
 
-/// A window every so many half-cycles: of a burst's few, each that the link has time for.
+/// Period of the windows in half-cycles: of a burst's few half-cycles, each that the link has time for.
 const WINDOW_EVERY: u8 = 1;
 
-/// How long the device may take to show that it is off.
+/// Time limit for the device to report that it is off.
 const OFF_WITHIN: Duration = Duration::from_secs(2);
 
-/// Between two looks at ^C.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Period of polling for Ctrl-C.
+const STOP_POLL_PERIOD: Duration = Duration::from_millis(50);
 
-/// What is made of the samples, in this order; each check is there whatever comes of it.
+/// Checks of the samples, in this order; each is in the report in any case.
 pub const NAMES: [&str; 9] = [
     "bench_supply",
     "switching",
@@ -58,67 +58,71 @@ pub const NAMES: [&str; 9] = [
     "skew",
 ];
 
-/// What was seen while it switched.
+/// Observations while it switched.
 #[derive(Debug, Default)]
-struct Seen {
+struct SwitchingRecord {
     windows: Vec<Window>,
-    /// Highest bus voltage of the last half-cycle that told one, in volt.
+    /// Highest bus voltage of the last half-cycle that reported one, in volt.
     bus_v: f64,
     /// Largest amplitude of the current, in ampere.
     i_a: f64,
-    /// Why it ended early.
+    /// Reason for the early end; `None` if there was none.
     ended_by: Option<String>,
 }
 
-/// Switches, looks and switches off. `reference` is the load, where something is known of it. `stop` ends it early.
-/// Also says why it ended before its end, where the link was lost.
+/// Switches on, checks the samples and switches off. `reference` is the load, if known; `stop` ends the test early. The second
+/// result is the reason for an early end if the link was lost.
 pub fn run(
     client: &mut Client,
     reference: Option<Reference>,
     stop: &AtomicBool,
 ) -> (Vec<Check>, Option<String>) {
     let scales = client.front_end().clone();
-    let mut asking = Asking::of(client);
-    let before = asking.ask("bench_supply", |client| {
+    let mut session = CheckSession::new(client);
+    let before = session.check_answer("bench_supply", |client| {
         let status = client.status()?;
         Ok((status, client.channels()?))
     });
     let Some((status, channels)) = before else {
-        return rest(asking, 1, "the bus was not measured");
+        return not_tested_from(session, 1, "the bus was not measured");
     };
     let supply = bench_supply(&status, bus_volt(&channels, &scales));
     let may_switch = supply.verdict == crate::Verdict::Pass;
-    asking.add(supply);
+    session.add(supply);
     if !may_switch {
-        return rest(asking, 1, "nothing was switched on");
+        return not_tested_from(session, 1, "nothing was switched on");
     }
-    let mut seen = Seen::default();
-    let switched = asking.ask("switching", |client| switch(client, stop, &mut seen));
+    let mut seen = SwitchingRecord::default();
+    let switched = session.check_answer("switching", |client| switch(client, stop, &mut seen));
     if switched.is_some() {
-        asking.add(shown::switching(&seen));
+        session.add(window_checks::switching(&seen));
     }
-    asking.always(power_off);
-    // That of the highest frequency: its samples lie closest.
+    session.check_always(power_off);
+    // The window at the highest frequency: its samples are closest together.
     match seen.windows.iter().max_by_key(|window| window.f_sw_hz) {
         Some(window) => {
-            for check in shown::window(window, &scales, seen.bus_v, reference) {
-                asking.add(check);
+            for check in window_checks::window(window, &scales, seen.bus_v, reference) {
+                session.add(check);
             }
-            asking.end()
+            session.finish()
         }
-        None => rest(asking, 3, "no window of samples came"),
+        None => not_tested_from(session, 3, "no window of samples came"),
     }
 }
 
-/// Every check from `from` on is not tested.
-fn rest(mut asking: Asking<'_>, from: usize, why: &str) -> (Vec<Check>, Option<String>) {
+/// Adds all checks from `from` on as not tested.
+fn not_tested_from(
+    mut session: CheckSession<'_>,
+    from: usize,
+    why: &str,
+) -> (Vec<Check>, Option<String>) {
     for name in NAMES.into_iter().skip(from) {
-        asking.add(Check::not_tested(name, why));
+        session.add(Check::not_tested(name, why));
     }
-    asking.end()
+    session.finish()
 }
 
-/// Whether this bus may be switched.
+/// Checks that this bus may be switched.
 fn bench_supply(status: &Status, bus_v: f64) -> Check {
     const NAME: &str = "bench_supply";
     let (least_v, most_v) = BUS_V;
@@ -148,8 +152,12 @@ fn bench_supply(status: &Status, bus_v: f64) -> Check {
     Check::pass(NAME, format!("{bus_v:.1} V on the bus"))
 }
 
-/// Switches on, and takes what comes until it is enough.
-fn switch(client: &mut Client, stop: &AtomicBool, seen: &mut Seen) -> Result<(), LinkError> {
+/// Switches on and collects events until they suffice.
+fn switch(
+    client: &mut Client,
+    stop: &AtomicBool,
+    seen: &mut SwitchingRecord,
+) -> Result<(), LinkError> {
     if stop.load(Ordering::Relaxed) {
         seen.ended_by = Some("^C".to_owned());
         return Ok(());
@@ -163,11 +171,11 @@ fn switch(client: &mut Client, stop: &AtomicBool, seen: &mut Seen) -> Result<(),
             seen.ended_by = Some("^C".to_owned());
             break;
         }
-        if client.clock().saturating_sub(heard) >= HEARD_EVERY {
+        if client.clock().saturating_sub(heard) >= KEEPALIVE_PERIOD {
             heard = client.clock();
             client.status()?;
         }
-        seen.take(client.next_event(LOOK_EVERY)?);
+        seen.take(client.next_event(STOP_POLL_PERIOD)?);
         if seen.ended_by.is_some() {
             break;
         }
@@ -175,7 +183,7 @@ fn switch(client: &mut Client, stop: &AtomicBool, seen: &mut Seen) -> Result<(),
     Ok(())
 }
 
-impl Seen {
+impl SwitchingRecord {
     fn take(&mut self, event: Option<Event>) {
         match event {
             Some(Event::Window(window)) => self.windows.push(*window),
@@ -198,38 +206,38 @@ impl Seen {
     }
 }
 
-/// Switches off, and looks whether it is. Tried whatever was lost before.
+/// Switches off and checks that the device is off. Tried even if the link was lost.
 fn power_off(client: &mut Client) -> Check {
     const NAME: &str = "power_off";
     const REMEDY: &str = "Switch the supply off. The device switches off by itself 10 s after it last heard of a host";
     let off = client.set_power(0);
-    // Whatever becomes of the stream, the power is what counts.
+    // An error of the stream is ignored: switching off matters more.
     let _ = client.stream(0, 0);
     if let Err(error) = off {
-        return Check::fail(NAME, format!("it was not told: {error}"), REMEDY);
+        return Check::fail(NAME, format!("the request failed: {error}"), REMEDY);
     }
     let begin = client.clock();
     loop {
         match client.status() {
             Ok(status) if is_off(&status) => {
-                return Check::pass(NAME, "it is off, by its own word");
+                return Check::pass(NAME, "the device reports that it is off");
             }
             Ok(status) if client.clock().saturating_sub(begin) > OFF_WITHIN => {
-                let finding = format!("it was told, and is {:?}", status.state);
+                let finding = format!("after the request it is {:?}", status.state);
                 return Check::fail(NAME, finding, REMEDY);
             }
             Ok(_) => {
                 // Lets time pass on the device's clock.
-                let _ = client.next_event(LOOK_EVERY);
+                let _ = client.next_event(STOP_POLL_PERIOD);
             }
             Err(error) => {
-                return Check::fail(NAME, format!("it was told, and then: {error}"), REMEDY);
+                return Check::fail(NAME, format!("after the request: {error}"), REMEDY);
             }
         }
     }
 }
 
-/// What the codes of the device's bus and coil stand for, in what `shown` needs of it.
+/// Volt per code of bus and coil.
 fn code_v(scales: &FrontEnd) -> (f64, f64) {
     let scales = scales.scales();
     (scales.volt_per_code(), scales.ampere_per_code())

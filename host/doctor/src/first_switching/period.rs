@@ -1,5 +1,5 @@
-//! One switching period out of many: 61 pairs lie over three periods, so pair k has phase 3k/61 of a period, and a
-//! window's pairs are 61 phases of one period, each some two hundred times.
+//! One switching period, averaged from many: 61 pairs cover three periods, so pair k has phase 3k/61 of a period. A window's pairs
+//! are thus 61 phases of one period, each some two hundred times.
 
 use std::f64::consts::TAU;
 
@@ -7,7 +7,7 @@ use ihd_link::Window;
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, ANTI_ALIAS_HZ};
 
-/// Phases of a period.
+/// Number of phases in a period.
 pub(crate) const PHASES: usize = ADC_LOCK_P;
 
 /// Time constant of the channels' anti-alias filter in seconds.
@@ -15,21 +15,21 @@ fn filter_s() -> f64 {
     1.0 / (TAU * f64::from(ANTI_ALIAS_HZ))
 }
 
-/// Duration from 10 to 90 % of a step behind that filter, in time constants: ln 9.
+/// Duration from 10 to 90 % of a step after that filter, in time constants: ln 9.
 const STEP_10_90: f64 = 2.197_224_577;
 
-/// Samples on either side of an edge from which its levels are taken: beyond five time constants of the filter, and
-/// well before the next edge.
+/// Distance in samples from an edge at which its levels are taken: more than five time constants of the filter, and well before the
+/// next edge.
 const LEVEL_FROM: usize = 8;
 const LEVEL_TO: usize = 11;
 
-/// Least current whose impedance is worth a number, in ampere: a code is 0.04 A.
+/// Smallest current for which an impedance is computed, in ampere: a code is 0.04 A.
 const LEAST_A: f64 = 0.05;
 
-/// A period, averaged.
+/// Averaged period.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Period {
-    /// Its duration in seconds.
+    /// Duration in seconds.
     pub(crate) period_s: f64,
     /// Coil voltage at each phase in volt.
     pub(crate) v_v: [f64; PHASES],
@@ -37,14 +37,14 @@ pub(crate) struct Period {
     pub(crate) i_a: [f64; PHASES],
 }
 
-/// An edge of the bridge's node.
+/// Edge of the bridge's node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Edge {
-    /// Where it is half done, as a share of the period from the first sample.
+    /// Position of its middle, as a fraction of the period from the first sample.
     pub(crate) at: f64,
-    /// What it steps over, in volt; negative downwards.
+    /// Height in volt; negative if it falls.
     pub(crate) step_v: f64,
-    /// From beginning to end at the bridge in seconds, the filter's share taken out; 0 where it is lost in that.
+    /// Duration at the bridge in seconds, without the filter's share; 0 if it is too short to be resolved.
     pub(crate) own_s: f64,
 }
 
@@ -60,7 +60,7 @@ pub(crate) struct Impedance {
 }
 
 impl Period {
-    /// The period of a window; `None` where it has not seen each phase, or holds no frequency.
+    /// Averages the pairs of a window; `None` if a phase has no pair, or the window has no frequency.
     pub(crate) fn of(window: &Window) -> Option<Self> {
         if window.f_sw_hz == 0 {
             return None;
@@ -85,7 +85,7 @@ impl Period {
         })
     }
 
-    /// From one phase to the next, in seconds: what an edge is seen to.
+    /// Time between two phases in seconds: the resolution of an edge.
     pub(crate) fn resolution_s(&self) -> f64 {
         self.period_s / PHASES as f64
     }
@@ -96,7 +96,7 @@ impl Period {
         (mean(&self.v_v), mean(&self.i_a))
     }
 
-    /// The steepest rise and the steepest fall of the bridge's node; `None` where there is no edge to speak of.
+    /// Steepest rise and steepest fall of the bridge's node; `None` if there is no clear edge.
     pub(crate) fn edges(&self) -> Option<[Edge; 2]> {
         let node = self.node_v();
         let slope = |k: usize| at(&node, k + 1) - at(&node, k);
@@ -109,8 +109,8 @@ impl Period {
         ])
     }
 
-    /// Voltage of the bridge's node about its mean: the coil's, and the resonance capacitor's by the current's integral,
-    /// which moves by more between two edges than an edge's level may.
+    /// Voltage of the bridge's node about its mean: the coil's, plus the resonance capacitor's as the current's integral. The
+    /// latter moves by more between two edges than an edge's level may.
     fn node_v(&self) -> [f64; PHASES] {
         let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
         let volt_per_ampere = self.resolution_s() / c_f;
@@ -125,7 +125,7 @@ impl Period {
         })
     }
 
-    /// The edge of the node that is steepest between samples `k` and `k` + 1.
+    /// Edge of the node that is steepest between samples `k` and `k` + 1.
     fn edge(&self, node: &[f64; PHASES], k: usize) -> Option<Edge> {
         let k = k + PHASES;
         let level = |from: usize, to: usize| {
@@ -134,14 +134,14 @@ impl Period {
         let before = level(k - LEVEL_TO, k - LEVEL_FROM);
         let after = level(k + 1 + LEVEL_FROM, k + 1 + LEVEL_TO);
         let step_v = after - before;
-        // A share of the step at a sample.
+        // Fraction of the step at a sample.
         let share = |n: usize| (at(node, n) - before) / step_v;
-        // Where a share is passed, between two samples around the edge.
-        let passed = |wanted: f64| {
+        // Position at which a fraction is passed, between two samples around the edge.
+        let passed = |level: f64| {
             let mut around = k - LEVEL_FROM..k + 1 + LEVEL_FROM;
-            let n = around.find(|&n| share(n) < wanted && share(n + 1) >= wanted)?;
+            let n = around.find(|&n| share(n) < level && share(n + 1) >= level)?;
             let near = [n - 1, n, n + 1, n + 2].map(share);
-            Some(n as f64 + between(near, wanted))
+            Some(n as f64 + between(near, level))
         };
         let (from, middle, to) = (passed(0.1)?, passed(0.5)?, passed(0.9)?);
         let sampled_s = (to - from) * self.resolution_s();
@@ -155,10 +155,10 @@ impl Period {
         edge.own_s.is_finite().then_some(edge)
     }
 
-    /// R and L of the fundamental. Both channels have the same filter, which leaves their ratio as it is. `None` without
-    /// a current.
+    /// R and L of the fundamental; `None` without a current. Both channels have the same filter, which leaves their ratio
+    /// unchanged.
     pub(crate) fn impedance(&self) -> Option<Impedance> {
-        // The sum of x e^(-j phi), as real and imaginary part.
+        // Sum of x e^(-j phi), as real and imaginary part.
         let phasor = |x: &[f64; PHASES]| {
             x.iter().enumerate().fold((0.0, 0.0), |(re, im), (k, x)| {
                 let phi = TAU * k as f64 / PHASES as f64;
@@ -177,9 +177,9 @@ impl Period {
     }
 }
 
-/// Where the cubic through four equidistant values (Catmull and Rom's) passes a value between the second, which is
-/// below it, and the third: 0 to 1. A line would come late on what is left of an edge behind a filter.
-fn between([a, b, c, d]: [f64; 4], wanted: f64) -> f64 {
+/// Position, 0 to 1, at which the cubic through four equidistant values (Catmull-Rom) passes a value between the second, which is
+/// below it, and the third. Linear interpolation would be late on an edge rounded by a filter.
+fn between([a, b, c, d]: [f64; 4], level: f64) -> f64 {
     let cubic = |x: f64| {
         let (p, q) = (3.0 * (b - c) + d - a, 2.0 * a - 5.0 * b + 4.0 * c - d);
         b + 0.5 * x * (c - a + x * (q + x * p))
@@ -187,7 +187,7 @@ fn between([a, b, c, d]: [f64; 4], wanted: f64) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..32 {
         let middle = 0.5 * (low + high);
-        match cubic(middle) < wanted {
+        match cubic(middle) < level {
             true => low = middle,
             false => high = middle,
         }
@@ -195,7 +195,7 @@ fn between([a, b, c, d]: [f64; 4], wanted: f64) -> f64 {
     0.5 * (low + high)
 }
 
-/// Value at a phase, counted on beyond the period's end.
+/// Value at a phase, periodically continued.
 fn at(of: &[f64; PHASES], k: usize) -> f64 {
     of.get(k % PHASES).copied().unwrap_or(f64::NAN)
 }

@@ -1,12 +1,12 @@
-//! Whether this person may use what is plugged in.
+//! Checks that the user may access the connected devices.
 
 use std::io::{self, ErrorKind};
 
 use super::presence::named;
-use super::{Kind, Os, Port, System, UsbDevice, kind};
+use super::{Os, Port, System, UsbDevice, UsbKind, kind};
 use crate::Check;
 
-/// Device nodes, serial ports, ModemManager, Windows' driver.
+/// Checks device nodes, serial ports, ModemManager and the driver of Windows.
 pub(super) fn checks(
     system: &dyn System,
     usb: &Result<Vec<UsbDevice>, String>,
@@ -109,7 +109,7 @@ fn modem_manager(system: &dyn System, ports: &[&Port]) -> Check {
             "ModemManager runs, and there is no port that it would take",
         );
     };
-    // The rule tells it to keep off; a rule that is not ours is not known to.
+    // The rule makes ModemManager ignore the board; the contents of foreign rules are unknown.
     match super::udev::is_current(system) {
         true => Check::pass(
             NAME,
@@ -128,7 +128,7 @@ fn modem_manager(system: &dyn System, ports: &[&Port]) -> Check {
 
 fn driver(usb: &[&UsbDevice]) -> Check {
     const NAME: &str = "usb_driver";
-    let own = |d: &&&UsbDevice| matches!(kind(d), Some(Kind::Board | Kind::Bootloader));
+    let own = |d: &&&UsbDevice| matches!(kind(d), Some(UsbKind::Board | UsbKind::Bootloader));
     let Some(device) = usb.iter().find(own) else {
         return Check::not_tested(NAME, "no board and no bootloader on USB");
     };

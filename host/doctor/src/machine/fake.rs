@@ -1,10 +1,10 @@
-//! A machine for tests.
+//! Fake machine for tests.
 
 use std::io::{self, ErrorKind};
 
 use super::{Os, Port, System, UsbDevice};
 
-/// A machine that has what it is told to have.
+/// Machine with the given devices and files.
 pub(crate) struct FakeSystem {
     pub(crate) os: Os,
     pub(crate) usb: Vec<UsbDevice>,
@@ -33,7 +33,7 @@ impl Default for FakeSystem {
     }
 }
 
-/// A device with ids and a serial number.
+/// Creates a device with ids and a serial number.
 pub(crate) fn device(vendor: u16, product: u16, name: &str, serial: &str) -> UsbDevice {
     UsbDevice {
         vendor,
@@ -44,12 +44,12 @@ pub(crate) fn device(vendor: u16, product: u16, name: &str, serial: &str) -> Usb
     }
 }
 
-/// A NUCLEO's ST-LINK.
+/// Creates a NUCLEO's ST-LINK.
 pub(crate) fn stlink() -> UsbDevice {
     device(0x0483, 0x374E, "STLINK-V3", "0045")
 }
 
-/// A serial port of a device.
+/// Creates a serial port of a device.
 pub(crate) fn port(path: &str, usb: UsbDevice) -> Port {
     Port {
         path: path.into(),

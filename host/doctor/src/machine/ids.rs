@@ -1,12 +1,12 @@
-//! What a device on USB is, by its ids and its name.
+//! Classification of a USB device by its ids and name.
 
 use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
 
 use super::UsbDevice;
 
-/// What matters here.
+/// Kind of a USB device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum UsbKind {
     /// An ihd controller on its own USB socket.
     Board,
     /// The bootloader in the chip's ROM, of this or any other STM32.
@@ -19,9 +19,9 @@ pub enum Kind {
     JLink,
 }
 
-impl Kind {
-    /// In words.
-    pub fn word(self) -> &'static str {
+impl UsbKind {
+    /// Name of the kind.
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Board => "ihd controller",
             Self::Bootloader => "STM32 bootloader",
@@ -31,28 +31,28 @@ impl Kind {
         }
     }
 
-    /// Whether it is a debug probe.
+    /// Returns `true` for a debug probe.
     pub fn is_probe(self) -> bool {
         matches!(self, Self::StLink | Self::CmsisDap | Self::JLink)
     }
 }
 
-/// ST's vendor id, SEGGER's.
+/// Vendor ids of ST and SEGGER.
 const ST: u16 = 0x0483;
 const SEGGER: u16 = 0x1366;
 
-/// What a device is; `None` for what does not matter here.
-pub fn kind(device: &UsbDevice) -> Option<Kind> {
+/// Classifies a device; `None` for one of no interest.
+pub fn kind(device: &UsbDevice) -> Option<UsbKind> {
     match (device.vendor, device.product) {
-        // pid.codes' id of prototypes is shared: the name decides where there is one.
+        // The id of pid.codes for prototypes is shared: the name decides if there is one.
         (VENDOR_ID, PRODUCT_ID) => {
             let ours = device.name.is_empty() || device.name.starts_with(PRODUCT);
-            ours.then_some(Kind::Board)
+            ours.then_some(UsbKind::Board)
         }
-        (ST, 0xDF11) => Some(Kind::Bootloader),
-        (ST, 0x3742..=0x375F) => Some(Kind::StLink),
-        (SEGGER, 0x0101..=0x01FF | 0x1001..=0x10FF) => Some(Kind::JLink),
-        _ if device.name.contains("CMSIS-DAP") => Some(Kind::CmsisDap),
+        (ST, 0xDF11) => Some(UsbKind::Bootloader),
+        (ST, 0x3742..=0x375F) => Some(UsbKind::StLink),
+        (SEGGER, 0x0101..=0x01FF | 0x1001..=0x10FF) => Some(UsbKind::JLink),
+        _ if device.name.contains("CMSIS-DAP") => Some(UsbKind::CmsisDap),
         _ => None,
     }
 }
@@ -73,22 +73,32 @@ mod tests {
     #[test]
     fn probes_boards_and_bootloaders_are_known() {
         for (vendor, product, name, expected) in [
-            (0x1209, 1, "ihd induction-hob controller", Some(Kind::Board)),
-            (0x1209, 1, "", Some(Kind::Board)),
+            (
+                0x1209,
+                1,
+                "ihd induction-hob controller",
+                Some(UsbKind::Board),
+            ),
+            (0x1209, 1, "", Some(UsbKind::Board)),
             (0x1209, 1, "somebody else's prototype", None),
-            (0x0483, 0xDF11, "STM32  BOOTLOADER", Some(Kind::Bootloader)),
-            (0x0483, 0x3748, "STM32 STLink", Some(Kind::StLink)),
-            (0x0483, 0x374B, "STM32 STLink", Some(Kind::StLink)),
-            (0x0483, 0x374E, "STLINK-V3", Some(Kind::StLink)),
-            (0x0483, 0x3752, "", Some(Kind::StLink)),
-            (0x0483, 0x3754, "", Some(Kind::StLink)),
+            (
+                0x0483,
+                0xDF11,
+                "STM32  BOOTLOADER",
+                Some(UsbKind::Bootloader),
+            ),
+            (0x0483, 0x3748, "STM32 STLink", Some(UsbKind::StLink)),
+            (0x0483, 0x374B, "STM32 STLink", Some(UsbKind::StLink)),
+            (0x0483, 0x374E, "STLINK-V3", Some(UsbKind::StLink)),
+            (0x0483, 0x3752, "", Some(UsbKind::StLink)),
+            (0x0483, 0x3754, "", Some(UsbKind::StLink)),
             (0x0483, 0x5740, "STM32 Virtual ComPort", None),
-            (0x1366, 0x0105, "J-Link", Some(Kind::JLink)),
+            (0x1366, 0x0105, "J-Link", Some(UsbKind::JLink)),
             (
                 0x2E8A,
                 0x000C,
                 "Debug Probe (CMSIS-DAP)",
-                Some(Kind::CmsisDap),
+                Some(UsbKind::CmsisDap),
             ),
             (0x046D, 0xC52B, "USB Receiver", None),
         ] {

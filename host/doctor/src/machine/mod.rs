@@ -1,15 +1,15 @@
-//! What is plugged into this machine, and whether this person may use it.
+//! Devices connected to this machine, and the user's access to them.
 //!
-//! [`System`] is what is asked of a machine, [`Here`] this one, and [`checks`] what is made of the answers.
+//! [`System`] is the interface to a machine, [`LocalSystem`] this one, and [`checks`] derives the checks.
 
 mod access;
-mod here;
 mod ids;
+mod local_system;
 mod presence;
 mod udev;
 
-pub use here::Here;
-pub use ids::{Kind, kind};
+pub use ids::{UsbKind, kind};
+pub use local_system::LocalSystem;
 pub use udev::{FixError, RULE, RULE_NAME, install};
 
 use std::io;
@@ -17,93 +17,93 @@ use std::path::PathBuf;
 
 use crate::Check;
 
-/// An operating system, as far as it matters here.
+/// Operating system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Os {
-    /// Device nodes, groups, udev.
+    /// With device nodes, groups and udev.
     Linux,
-    /// No set-up needed.
+    /// Needs no set-up.
     Mac,
-    /// A driver a device.
+    /// Needs a driver for each device.
     Windows,
-    /// Something else.
+    /// Any other.
     Other,
 }
 
-/// A device on USB. Strings come from the device: escape them.
+/// Device on USB. Its strings are not trusted: escape them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct UsbDevice {
     /// Vendor id.
     pub vendor: u16,
     /// Product id.
     pub product: u16,
-    /// What it calls itself; empty where it does not.
+    /// Product name; empty if it has none.
     pub name: String,
-    /// Its serial number; empty where it has none.
+    /// Serial number; empty if it has none.
     pub serial: String,
-    /// Driver in use, where the system tells (Windows).
+    /// Driver in use; `None` if the system does not report it (all but Windows).
     pub driver: Option<String>,
-    /// Its device node, where there are such.
+    /// Device node; `None` if the system has none.
     pub node: Option<PathBuf>,
 }
 
-/// A serial port.
+/// Serial port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Port {
-    /// As `serial:PATH` takes it.
+    /// Path as in `serial:PATH`.
     pub path: String,
-    /// The USB device that it belongs to.
+    /// USB device that it belongs to; `None` if unknown.
     pub usb: Option<UsbDevice>,
-    /// The group that owns it, where there are such.
+    /// Group that owns it; `None` if the system has none.
     pub group: Option<String>,
 }
 
-/// What is asked of a machine.
+/// Interface to a machine.
 pub trait System {
-    /// Which it is.
+    /// Returns the operating system.
     fn os(&self) -> Os;
 
-    /// The devices on USB.
+    /// Lists the devices on USB.
     ///
     /// # Errors
-    /// Where the system has none, or does not let us look.
+    /// The system has no USB or denies access.
     fn usb(&self) -> io::Result<Vec<UsbDevice>>;
 
-    /// The serial ports that are on USB, or may be.
+    /// Lists the serial ports that are or may be on USB.
     ///
     /// # Errors
-    /// As [`System::usb`].
+    /// Any error of [`System::usb`].
     fn ports(&self) -> io::Result<Vec<Port>>;
 
-    /// Opens a device on USB, and lets it go.
+    /// Opens a device on USB and closes it.
     ///
     /// # Errors
-    /// Why it cannot be opened.
+    /// The reason why it cannot be opened.
     fn open_usb(&self, device: &UsbDevice) -> io::Result<()>;
 
-    /// Opens a serial port, and lets it go.
+    /// Opens a serial port and closes it.
     ///
     /// # Errors
-    /// Why it cannot be opened; `ResourceBusy` where another program has it.
+    /// The reason why it cannot be opened; `ResourceBusy` if another program has it.
     fn open_port(&self, port: &Port) -> io::Result<()>;
 
-    /// Whether udev runs.
+    /// Returns `true` if udev runs.
     fn has_udev(&self) -> bool;
 
-    /// Rules of udev whose file name ends as ours: file name and content, in the order udev reads them.
+    /// Returns file name and content of the udev rules whose file name ends like ours, in the order udev reads them.
     ///
     /// # Errors
-    /// Where a file is there and cannot be read.
+    /// A file cannot be read.
     fn rules(&self) -> io::Result<Vec<(String, String)>>;
 
-    /// Whether a program of this name runs.
+    /// Returns `true` if a program of this name runs.
     fn runs(&self, program: &str) -> bool;
 
-    /// Command line that repeats this one with more rights, to be shown to a person.
+    /// Command line that repeats this one with more rights, for display.
     fn as_root(&self) -> String;
 }
 
-/// Everything about the machine.
+/// Makes all checks of the machine.
 pub fn checks(system: &dyn System) -> Vec<Check> {
     let usb = system.usb().map_err(|e| e.to_string());
     let ports = system.ports().map_err(|e| e.to_string());
@@ -113,11 +113,11 @@ pub fn checks(system: &dyn System) -> Vec<Check> {
     checks
 }
 
-/// Where the one board that is plugged in is reached: `usb:SERIAL` or `serial:PATH`; all of them where there are more.
-/// A board on its own USB socket counts before an ST-LINK's serial port, which may be the same board's.
+/// Addresses of the connected boards, `usb:SERIAL` or `serial:PATH`. Boards on their own USB socket exclude serial ports of
+/// ST-LINKs, which may belong to the same boards.
 pub fn boards(system: &dyn System) -> Vec<String> {
     let usb = system.usb().unwrap_or_default();
-    let boards = usb.iter().filter(|d| kind(d) == Some(Kind::Board));
+    let boards = usb.iter().filter(|d| kind(d) == Some(UsbKind::Board));
     let address = |d: &UsbDevice| match d.serial.as_str() {
         "" => "usb".to_owned(),
         serial => format!("usb:{serial}"),
@@ -125,7 +125,7 @@ pub fn boards(system: &dyn System) -> Vec<String> {
     let mut found: Vec<String> = boards.map(address).collect();
     if found.is_empty() {
         let ports = system.ports().unwrap_or_default();
-        let of_stlink = |p: &&Port| p.usb.as_ref().and_then(kind) == Some(Kind::StLink);
+        let of_stlink = |p: &&Port| p.usb.as_ref().and_then(kind) == Some(UsbKind::StLink);
         let ports = ports.iter().filter(of_stlink);
         found.extend(ports.map(|p| format!("serial:{}", p.path)));
     }

@@ -1,11 +1,11 @@
-//! What is plugged in.
+//! Checks of the connected devices.
 
-use super::{Kind, Port, UsbDevice, kind};
+use super::{Port, UsbDevice, UsbKind, kind};
 use crate::Check;
 
-/// A device in words; escaped by [`Check`].
+/// Describes a device; [`Check`] escapes the text.
 pub(super) fn named(device: &UsbDevice) -> String {
-    let kind = kind(device).map_or("device", Kind::word);
+    let kind = kind(device).map_or("device", UsbKind::as_str);
     let ids = format!("{:04x}:{:04x}", device.vendor, device.product);
     match device.serial.as_str() {
         "" => format!("{kind} {ids}"),
@@ -17,7 +17,7 @@ fn list<'a>(devices: impl Iterator<Item = &'a UsbDevice>) -> Vec<String> {
     devices.map(named).collect()
 }
 
-/// A board, a debug probe, a bootloader, serial ports.
+/// Checks for a board, a debug probe, a bootloader and serial ports.
 pub(super) fn checks(
     usb: &Result<Vec<UsbDevice>, String>,
     ports: &Result<Vec<Port>, String>,
@@ -37,7 +37,7 @@ pub(super) fn checks(
 fn board(usb: &[UsbDevice]) -> Check {
     let boards: Vec<_> = usb
         .iter()
-        .filter(|d| kind(d) == Some(Kind::Board))
+        .filter(|d| kind(d) == Some(UsbKind::Board))
         .collect();
     match boards.as_slice() {
         [] => Check::not_tested(
@@ -52,7 +52,7 @@ fn board(usb: &[UsbDevice]) -> Check {
 }
 
 fn probe(usb: &[UsbDevice]) -> Check {
-    let is_probe = |d: &&UsbDevice| kind(d).is_some_and(Kind::is_probe);
+    let is_probe = |d: &&UsbDevice| kind(d).is_some_and(UsbKind::is_probe);
     let probes = list(usb.iter().filter(is_probe));
     match probes.is_empty() {
         true => Check::not_tested("debug_probe", "no ST-LINK, CMSIS-DAP or J-Link").with_remedy(
@@ -64,7 +64,7 @@ fn probe(usb: &[UsbDevice]) -> Check {
 }
 
 fn bootloader(usb: &[UsbDevice]) -> Check {
-    let found = list(usb.iter().filter(|d| kind(d) == Some(Kind::Bootloader)));
+    let found = list(usb.iter().filter(|d| kind(d) == Some(UsbKind::Bootloader)));
     match found.is_empty() {
         true => Check::pass("bootloader", "no chip is in its bootloader"),
         false => Check::fail(
@@ -85,12 +85,12 @@ fn serial_ports(ports: &Result<Vec<Port>, String>) -> Check {
     };
     let named = |p: &Port| match p.usb.as_ref() {
         Some(usb) => match kind(usb) {
-            Some(kind) => format!("{} of the {}", p.path, kind.word()),
+            Some(kind) => format!("{} of the {}", p.path, kind.as_str()),
             None => format!("{} of {:04x}:{:04x}", p.path, usb.vendor, usb.product),
         },
         None => p.path.clone(),
     };
-    let of_stlink = |p: &Port| p.usb.as_ref().and_then(kind) == Some(Kind::StLink);
+    let of_stlink = |p: &Port| p.usb.as_ref().and_then(kind) == Some(UsbKind::StLink);
     let texts: Vec<_> = ports.iter().map(named).collect();
     match (ports.is_empty(), ports.iter().any(of_stlink)) {
         (true, _) => Check::not_tested("serial_ports", "there is none"),

@@ -211,7 +211,7 @@ fn sysfs_tells_whose_port_it_is() {
         format!("other:x:99999:\nuucp:x:{gid}:me\n"),
     )
     .unwrap();
-    let here = Here::under(root.path().to_owned(), String::new());
+    let here = LocalSystem::with_root(root.path().to_owned(), String::new());
     let ports = here.ports_of_sysfs().unwrap();
     assert_eq!(
         ports,
@@ -231,14 +231,16 @@ fn processes_are_known_by_their_names() {
         fs::create_dir_all(&folder).unwrap();
         fs::write(folder.join("comm"), format!("{name}\n")).unwrap();
     }
-    let here = Here::under(root.path().to_owned(), String::new());
+    let here = LocalSystem::with_root(root.path().to_owned(), String::new());
     assert!(here.runs("ModemManager"));
     assert!(!here.runs("x"), "no process");
     assert!(!here.runs("Modem"));
 }
 
 fn rules_of(root: &Path) -> Vec<(String, String)> {
-    Here::under(root.to_owned(), String::new()).rules().unwrap()
+    LocalSystem::with_root(root.to_owned(), String::new())
+        .rules()
+        .unwrap()
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The udev rule: whether it is there, is this one, and comes early enough; and its installation.
+//! The udev rule: check of its presence, content and order; and its installation.
 
 use std::fs;
 use std::io::{self, ErrorKind, Write};
@@ -7,20 +7,20 @@ use std::path::{Path, PathBuf};
 use super::{Os, System};
 use crate::Check;
 
-/// The rule. Its one home is docs/.
+/// Content of the rule, kept in docs/.
 pub const RULE: &str = include_str!("../../../../docs/70-ihd.rules");
 
-/// The name of its file. Tags are acted on by 73-seat-late.rules: a later rule has no effect.
+/// Name of its file. Tags are processed by 73-seat-late.rules: a later rule has no effect.
 pub const RULE_NAME: &str = "70-ihd.rules";
 
-/// What a rule's file name must be before, to have an effect.
+/// File name that a rule's must sort before to have an effect.
 const TOO_LATE: &str = "73-seat-late.rules";
 
-/// Where rules of the machine's owner are.
+/// Folder of the rules of the machine's owner.
 const RULES: &str = "etc/udev/rules.d";
 
-/// A rule that says what ours says: comments and blank lines aside.
-fn says_the_same(content: &str) -> bool {
+/// Returns `true` if a rule equals ours apart from comments and blank lines.
+fn equals_ours(content: &str) -> bool {
     let lines = |text: &str| -> Vec<String> {
         let lines = text.lines().map(str::trim);
         let lines = lines.filter(|line| !line.is_empty() && !line.starts_with('#'));
@@ -29,15 +29,15 @@ fn says_the_same(content: &str) -> bool {
     lines(content) == lines(RULE)
 }
 
-/// Whether the rule is installed, is this one, and has an effect.
+/// Returns `true` if the rule is installed, up to date and effective.
 pub(super) fn is_current(system: &dyn System) -> bool {
     system.rules().is_ok_and(|rules| {
         let mut rules = rules.iter();
-        rules.any(|(name, content)| name.as_str() < TOO_LATE && says_the_same(content))
+        rules.any(|(name, content)| name.as_str() < TOO_LATE && equals_ours(content))
     })
 }
 
-/// The rule, as a check.
+/// Checks the rule.
 pub(super) fn check(system: &dyn System) -> Check {
     const NAME: &str = "udev_rule";
     if system.os() != Os::Linux {
@@ -64,33 +64,33 @@ pub(super) fn check(system: &dyn System) -> Check {
     Check::fail(NAME, finding, system.as_root())
 }
 
-/// Why the rule could not be installed.
+/// Error of installing the rule.
 #[derive(Debug, thiserror::Error)]
 pub enum FixError {
     /// A file could not be written or removed.
     #[error("cannot write {path}: {source}; run as root: {as_root}")]
     Write {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: io::Error,
-        /// The command line that may.
+        /// Command line that has the rights.
         as_root: String,
     },
-    /// The rule is there, and udev was not told.
+    /// The rule is written, but udev could not be notified.
     #[error(
         "the rule is written, but {command} failed: {source}; unplug the board and plug it in again"
     )]
     Reload {
-        /// What was run.
+        /// Command that failed.
         command: String,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: io::Error,
     },
 }
 
-/// Installs the rule under `root` (`/`), and has `run` tell udev: a program and its arguments. Rules of ours under a
-/// name that has no effect are removed. Returns the rule's path. Interrupted anywhere it leaves the old rule or the new.
+/// Installs the rule under `root` (`/`), and calls `run` with the programs and arguments that notify udev. Our rules under an
+/// ineffective name are removed. Returns the rule's path. If interrupted, either the old or the new rule is in place.
 ///
 /// # Errors
 /// [`FixError`] with what to do.
@@ -109,7 +109,7 @@ pub fn install(
             as_root: as_root.to_owned(),
         }
     };
-    // udev reads what ends in .rules alone.
+    // udev reads files ending in .rules only.
     let new = folder.join(format!("{RULE_NAME}.new"));
     let written = fs::create_dir_all(&folder).and_then(|()| {
         let mut file = fs::File::create(&new)?;

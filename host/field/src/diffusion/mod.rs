@@ -1,83 +1,28 @@
 //! Time stepping of the field inside the load, all rings side by side.
 //!
-//! Under ring j: σ ∂B/∂t = ∂²H/∂z², B = B(H). Finite volumes along depth, second-order backward
-//! differences (BDF2) in time, and one Newton step per time step from the extrapolated field: the
-//! extrapolation is off by (dt²) already, so Newton's remainder is of order dt⁴ (the tests compare
-//! with iterating to the end). Rings form the innermost index, so that the compiler works on
-//! several at once.
+//! Under ring j: σ ∂B/∂t = ∂²H/∂z², B = B(H). Finite volumes along depth, second-order backward differences (BDF2) in time, and
+//! one Newton step per time step from the extrapolated field. The extrapolation is wrong by O(dt²), so that Newton's remainder
+//! is O(dt⁴); the tests compare with a converged iteration. Rings are the innermost index, so that the compiler vectorises over
+//! them.
 //!
-//! A step has two halves, because the current of the new instant is the circuit's to find:
+//! A step has two halves, because the circuit determines the current of the new instant:
 //! [`FieldLoad::predict`] eliminates the field down to λ = λ0 + L i, [`FieldLoad::commit`] takes
 //! the current and finishes the field.
 
+mod state;
 mod step;
 
 use pulp::Arch;
 
+pub use self::state::{FieldLoad, FluxLine};
+use self::state::{History, Surface};
 use self::step::{Commit, Predict};
 use super::error::FieldError;
-use super::material::{BhCurve, Material};
+use super::material::Material;
 use super::model::FieldModel;
 
-/// Flux linkage at the next instant as a function of the current then: λ = λ0 + L i.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FluxLine {
-    /// λ0 in weber.
-    pub lambda0_wb: f64,
-    /// L in henry.
-    pub l_h: f64,
-}
-
-/// The last three instants of a quantity enter a step: the two known ones.
-#[derive(Clone, Debug)]
-struct History<T> {
-    now: T,
-    before: T,
-}
-
-/// State of the load in time; `N` rings.
-#[derive(Clone, Debug)]
-pub struct FieldLoad<const N: usize> {
-    arch: Arch,
-    /// Coefficients per depth node: 1.5 σ cell/dt.
-    storage: Vec<f64>,
-    /// 1/step to the next node.
-    conductance: Vec<f64>,
-    sigma: f64,
-    curve: BhCurve,
-    /// dt/(1.5 σ) in s·m/S.
-    dt_over_sigma: f64,
-    l0_h: f64,
-    p: [f64; N],
-    w: [f64; N],
-    s: [[f64; N]; N],
-    /// H per depth node (surface first), in A/m.
-    h: History<Vec<[f64; N]>>,
-    /// B per depth node, in tesla.
-    b: History<Vec<[f64; N]>>,
-    /// Flux that crossed the surface beyond the surface half cell, in Wb/m.
-    a_inner: History<[f64; N]>,
-    /// H_n = e H_{n−1} + f after elimination.
-    e: Vec<[f64; N]>,
-    f: Vec<[f64; N]>,
-    /// Predicted slope and offset of B at each node: B = slope·H + offset.
-    slope: Vec<[f64; N]>,
-    offset: Vec<[f64; N]>,
-    surface: Surface<N>,
-}
-
-/// Result of [`FieldLoad::predict`], kept for `commit`: A = a0 + a1 i = base + gain H.
-#[derive(Clone, Copy, Debug)]
-struct Surface<const N: usize> {
-    a0: [f64; N],
-    a1: [f64; N],
-    base: [f64; N],
-    gain: [f64; N],
-    inner_base: [f64; N],
-}
-
 impl<const N: usize> FieldLoad<N> {
-    /// An unmagnetised load, stepped with `dt_s`. The model must have `N` rings.
+    /// Creates an unmagnetised load that is stepped with `dt_s` seconds. The model must have `N` rings.
     pub fn new(model: &FieldModel, dt_s: f64) -> Result<Self, FieldError> {
         super::error::in_range("dt_s", dt_s, 1e-10, 1e-6, "0.1 ns to 1 µs")?;
         let rings = |v: &[f64]| -> Result<[f64; N], FieldError> {
@@ -134,9 +79,8 @@ impl<const N: usize> FieldLoad<N> {
         })
     }
 
-    /// Changes the time step, in second; the next step takes the old instants as if they had been
-    /// this far apart. For steps within a percent of each other, as a change of the switching
-    /// frequency makes them.
+    /// Changes the time step, in second; the next step treats the old instants as if they had the new distance. For steps within
+    /// a percent of each other, as a change of the switching frequency makes them.
     pub fn set_dt(&mut self, dt_s: f64) -> Result<(), FieldError> {
         super::error::in_range("dt_s", dt_s, 1e-10, 1e-6, "0.1 ns to 1 µs")?;
         let ratio = dt_s / (self.dt_over_sigma * 1.5 * self.sigma);
@@ -208,12 +152,12 @@ impl<const N: usize> FieldLoad<N> {
 mod tests {
     use super::super::harmonic;
     use super::super::material::Knee;
-    use super::super::model::Settings;
+    use super::super::model::FieldSettings;
     use super::super::tank::ImpressedCurrent;
     use super::*;
 
     fn model() -> FieldModel {
-        FieldModel::new(&Settings::paper()).unwrap()
+        FieldModel::new(&FieldSettings::paper()).unwrap()
     }
 
     /// Current of 30 A amplitude at 45 kHz with a third harmonic, as a bridge gives.
@@ -244,12 +188,12 @@ mod tests {
         assert!(worst < 1e-5 * peak, "{:e}", worst / peak);
     }
 
-    /// The waveform of the other laws against their describing function: at no current the same, and at 30 A as
-    /// far off as Fröhlich's.
+    /// Waveform of the other laws against their describing function: equal at no current, and at 30 A as different as
+    /// Fröhlich's.
     #[test]
     fn other_laws_diffuse_as_their_describing_function_says() {
         for (knee, tail_mu_r) in [(Knee::Froehlich, 10.0), (Knee::Sharp, 0.0)] {
-            let mut settings = Settings::paper();
+            let mut settings = FieldSettings::paper();
             settings.material = Material::Saturating {
                 knee,
                 alpha_a_per_m: 1500.0,
@@ -306,7 +250,7 @@ mod tests {
 
     #[test]
     fn a_model_with_another_ring_count_is_refused() {
-        let mut s = Settings::paper();
+        let mut s = FieldSettings::paper();
         s.rings = 20;
         let e = FieldLoad::<16>::new(&FieldModel::new(&s).unwrap(), 20e-9).unwrap_err();
         assert!(e.to_string().contains("rings"));

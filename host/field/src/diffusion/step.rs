@@ -3,7 +3,7 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::{FieldLoad, FluxLine};
+use super::state::{FieldLoad, FluxLine};
 use crate::material::Knee;
 use crate::spd;
 

@@ -1,4 +1,4 @@
-//! A chip behind its bootloader: pages, blocks, verification, option bytes.
+//! Chip behind its bootloader: pages, blocks, verification, option bytes.
 
 use std::time::Duration;
 
@@ -7,44 +7,44 @@ use ihd_shared::image::{FLASH_ADDRESS, FLASH_BYTES, PAGE_BYTES};
 use ihd_signal::printable;
 
 use super::layout::Memory;
-use super::protocol::{Protocol, Rom, Trouble};
+use super::protocol::{BootloaderIo, DfuError, Protocol};
 use crate::image::Image;
 use crate::options::{OPTION_BYTES_ADDRESS, OptionBytes, ReadProtection, SECOND_BANK};
-use crate::programmer::{Chip, Doing, Erase, ProgramError, Programmer, Progress};
+use crate::programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, Progress};
 
 /// Alternate settings.
 const MAIN_FLASH: u8 = 0;
 const OPTIONS: u8 = 1;
 
-/// Bytes of a bank's option bytes, and how many there are at least: bootloaders are known that give 40.
+/// Size of a bank's option bytes, and the smallest accepted size: some bootloaders report 40.
 const OPTION_BYTES: usize = 48;
 const OPTION_BYTES_NEEDED: usize = 40;
-/// Where among them are FLASH_OPTR and the two areas that are protected against writing (RM0440, 3.4.1).
+/// Offsets of FLASH_OPTR and of the two write-protected areas in them (RM0440, 3.4.1).
 const OPTR: usize = 0;
 const WRP: [usize; 2] = [24, 32];
 /// FLASH_OPTR, bits 7:0.
 const RDP: u32 = 0xFF;
-/// A double word: what is written at once.
+/// Size of a double word: the unit of writing.
 const DOUBLE_WORD: usize = 8;
 
-/// What a chip needs from a reset until its bootloader is on the bus again.
+/// Time limit from a reset until the chip's bootloader is on the bus again.
 const PATIENCE: Duration = Duration::from_secs(8);
 
-/// Finds the same chip's bootloader again; none within this time.
-pub type Again<IO> = Box<dyn FnMut(Duration) -> Result<Option<IO>, ProgramError>>;
+/// Reopens the same chip's bootloader; `None` if it does not appear within this time.
+pub type Reopen<IO> = Box<dyn FnMut(Duration) -> Result<Option<IO>, ProgramError>>;
 
-/// A way to a chip by its bootloader over USB.
-pub struct Dfu<IO: Rom> {
+/// Access to a chip through its bootloader over USB.
+pub struct Dfu<IO: BootloaderIo> {
     protocol: Protocol<IO>,
-    again: Again<IO>,
+    reopen: Reopen<IO>,
 }
 
-impl<IO: Rom> Dfu<IO> {
-    /// A bootloader, and how it is found again when the chip has restarted.
-    pub fn new(io: IO, again: Again<IO>) -> Self {
+impl<IO: BootloaderIo> Dfu<IO> {
+    /// Creates one from an open bootloader and a function that reopens it after the chip has restarted.
+    pub fn new(io: IO, reopen: Reopen<IO>) -> Self {
         Self {
             protocol: Protocol::new(io),
-            again,
+            reopen,
         }
     }
 
@@ -58,7 +58,7 @@ impl<IO: Rom> Dfu<IO> {
         bytes.ok_or_else(|| self.other("names no length of a block that could be used"))
     }
 
-    /// It is another chip's bootloader, or none.
+    /// Error for another chip's bootloader, or none.
     fn other(&self, why: &str) -> ProgramError {
         let layouts = self.io().layouts().join("; ");
         ProgramError::OtherBootloader {
@@ -66,7 +66,7 @@ impl<IO: Rom> Dfu<IO> {
         }
     }
 
-    /// Bytes of the flash, of a layout that only the STM32G47x and G48x have: option bytes in two banks.
+    /// Size of the flash in bytes. Only the layout of the STM32G47x and G48x is accepted: option bytes in two banks.
     fn flash_bytes(&self) -> Result<u64, ProgramError> {
         let memory = |alternate: u8| {
             let text = self.io().layouts().get(usize::from(alternate));
@@ -87,8 +87,8 @@ impl<IO: Rom> Dfu<IO> {
         }
     }
 
-    /// Reads of one memory. Whole blocks follow each other; the rest is read from an address of its own, since a
-    /// block's address counts in its length.
+    /// Reads from one memory. Whole blocks are read in sequence; the rest is read from its own address, since a block's address
+    /// depends on its length.
     fn read_from(
         &self,
         alternate: u8,
@@ -98,7 +98,7 @@ impl<IO: Rom> Dfu<IO> {
     ) -> Result<(), ProgramError> {
         let block = self.block_bytes()?;
         let place = |done: usize| address + done as u32;
-        let fails = |done: usize| move |trouble| failed(Doing::Reading, place(done), trouble);
+        let fails = |done: usize| move |trouble| failed(FlashStep::Reading, place(done), trouble);
         self.protocol.begin(alternate).map_err(fails(0))?;
         let mut done = 0;
         for (index, part) in out.chunks_mut(block).enumerate() {
@@ -113,7 +113,11 @@ impl<IO: Rom> Dfu<IO> {
             let bytes = self.protocol.read_block(index, part).map_err(fails(done))?;
             if bytes != part.len() {
                 let why = format!("the bootloader gave {bytes} bytes of {}", part.len());
-                return Err(failed(Doing::Reading, place(done), Trouble::Strange(why)));
+                return Err(failed(
+                    FlashStep::Reading,
+                    place(done),
+                    DfuError::Strange(why),
+                ));
             }
             done += bytes;
             read(done);
@@ -121,10 +125,10 @@ impl<IO: Rom> Dfu<IO> {
         self.protocol.make_idle().map_err(fails(done))
     }
 
-    /// A bank's option bytes as they lie in the flash: words, each with its complement.
+    /// A bank's option bytes as stored in flash: words, each with its complement.
     fn bank_options(&self, bank: u32) -> Result<Vec<u8>, ProgramError> {
         let address = OPTION_BYTES_ADDRESS + bank * SECOND_BANK;
-        let fails = |trouble| failed(Doing::Reading, address, trouble);
+        let fails = |trouble| failed(FlashStep::Reading, address, trouble);
         let mut bytes = vec![0; OPTION_BYTES];
         let protocol = &self.protocol;
         protocol.begin(OPTIONS).map_err(fails)?;
@@ -134,26 +138,26 @@ impl<IO: Rom> Dfu<IO> {
         protocol.make_idle().map_err(fails)?;
         bytes.truncate(read / DOUBLE_WORD * DOUBLE_WORD);
         if bytes.len() < OPTION_BYTES_NEEDED {
-            return Err(fails(Trouble::Strange(format!(
+            return Err(fails(DfuError::Strange(format!(
                 "the bootloader gave {read} option bytes, of which {OPTION_BYTES_NEEDED} are needed"
             ))));
         }
         Ok(bytes)
     }
 
-    /// Writes a bank's option bytes; the chip loads them, which resets it. Waits for the bootloader.
+    /// Writes a bank's option bytes and waits for the bootloader: the chip loads them, which resets it.
     fn write_bank_options(&mut self, bank: u32, bytes: &[u8]) -> Result<(), ProgramError> {
         let address = OPTION_BYTES_ADDRESS + bank * SECOND_BANK;
-        let fails = |trouble| failed(Doing::SettingOptions, address, trouble);
+        let fails = |trouble| failed(FlashStep::SettingOptions, address, trouble);
         self.protocol.begin(OPTIONS).map_err(fails)?;
         self.protocol.set_address(address).map_err(fails)?;
         match self.protocol.write_block(0, bytes) {
-            // It still is where it was; what was written is seen when it is read.
+            // No restart: reading back shows the result.
             Ok(()) => Ok(()),
-            // It restarts in the middle of an answer: whatever becomes of that.
-            Err(Trouble::Gone(_) | Trouble::Strange(_)) => {
-                let again = (self.again)(PATIENCE)?;
-                let io = again.ok_or(ProgramError::NotBack {
+            // The restart may cut an answer; its error is ignored.
+            Err(DfuError::Gone(_) | DfuError::Strange(_)) => {
+                let reopened = (self.reopen)(PATIENCE)?;
+                let io = reopened.ok_or(ProgramError::NotBack {
                     seconds: PATIENCE.as_secs(),
                 })?;
                 self.protocol = Protocol::new(io);
@@ -163,7 +167,7 @@ impl<IO: Rom> Dfu<IO> {
         }
     }
 
-    /// Refuses what cannot be written, before anything is.
+    /// Checks that the flash can be written, before anything is.
     fn check_writable(&mut self, pages: u32) -> Result<(), ProgramError> {
         let options = self.option_bytes()?;
         if !options.has_two_banks() {
@@ -184,7 +188,7 @@ impl<IO: Rom> Dfu<IO> {
         pages: u32,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), ProgramError> {
-        let fails = |address| move |trouble| failed(Doing::Erasing, address, trouble);
+        let fails = |address| move |trouble| failed(FlashStep::Erasing, address, trouble);
         if erase == Erase::All {
             let total = FLASH_BYTES;
             progress(Progress::Erasing { done: 0, total });
@@ -194,7 +198,7 @@ impl<IO: Rom> Dfu<IO> {
         }
         let total = pages * PAGE_BYTES;
         progress(Progress::Erasing { done: 0, total });
-        // The first one first: from then on no program starts.
+        // The first page first: from then on no program starts.
         for page in 0..pages {
             let address = FLASH_ADDRESS + page * PAGE_BYTES;
             self.protocol.erase_page(address).map_err(fails(address))?;
@@ -204,7 +208,7 @@ impl<IO: Rom> Dfu<IO> {
         Ok(())
     }
 
-    /// The first double word, which is the stack pointer and the entry, comes last: what is interrupted does not start.
+    /// Programs the flash. The first double word, stack pointer and entry, comes last: an interrupted program does not start.
     fn program(
         &self,
         bytes: &[u8],
@@ -221,8 +225,8 @@ impl<IO: Rom> Dfu<IO> {
         parts.retain(|(_, part)| !part.is_empty());
         for (turn, (offset, part)) in parts.into_iter().enumerate() {
             let address = FLASH_ADDRESS + offset as u32;
-            let fails = |trouble| failed(Doing::Programming, address, trouble);
-            // A block's address counts in its length: what is shorter has an address of its own.
+            let fails = |trouble| failed(FlashStep::Programming, address, trouble);
+            // A block's address depends on its length: a shorter one needs its own address.
             let whole = part.len() == block;
             if !whole {
                 self.protocol.set_address(address).map_err(fails)?;
@@ -249,7 +253,7 @@ impl<IO: Rom> Dfu<IO> {
         let all = self.read_from(MAIN_FLASH, FLASH_ADDRESS, &mut found, &mut read);
         all.map_err(|error| match error {
             ProgramError::Lost { why, .. } => ProgramError::Lost {
-                doing: Doing::Verifying,
+                doing: FlashStep::Verifying,
                 why,
             },
             other => other,
@@ -258,9 +262,9 @@ impl<IO: Rom> Dfu<IO> {
         let Some(place) = differs else {
             return Ok(());
         };
-        // What is not what was wanted shall not start.
+        // A wrong program must not start.
         let erased = self.protocol.erase_page(FLASH_ADDRESS);
-        erased.map_err(|trouble| failed(Doing::Verifying, FLASH_ADDRESS, trouble))?;
+        erased.map_err(|trouble| failed(FlashStep::Verifying, FLASH_ADDRESS, trouble))?;
         let shown = place..bytes.len().min(place + DOUBLE_WORD);
         Err(ProgramError::Verify {
             address: FLASH_ADDRESS + place as u32,
@@ -270,13 +274,13 @@ impl<IO: Rom> Dfu<IO> {
     }
 }
 
-impl<IO: Rom> Programmer for Dfu<IO> {
+impl<IO: BootloaderIo> Programmer for Dfu<IO> {
     fn describe(&self) -> String {
         let serial = printable(self.io().serial());
         format!("USB bootloader 0483:df11 ({serial})")
     }
 
-    /// The bootloader reads neither `DBGMCU_IDCODE` nor the unique number: the chip is known by its memories.
+    /// Identifies the chip by its memories: the bootloader reads neither `DBGMCU_IDCODE` nor the unique number.
     fn identify(&mut self) -> Result<Chip, ProgramError> {
         let flash_kib = u16::try_from(self.flash_bytes()? / 1024).unwrap_or(u16::MAX);
         if u32::from(flash_kib) * 1024 < FLASH_BYTES {
@@ -293,7 +297,7 @@ impl<IO: Rom> Programmer for Dfu<IO> {
         }
     }
 
-    /// Never: the bootloader runs, and it drives none of the inverter's pins.
+    /// Returns `false`: the bootloader drives none of the inverter's pins.
     fn is_switching(&mut self) -> Result<Option<bool>, ProgramError> {
         Ok(Some(false))
     }
@@ -370,13 +374,13 @@ impl<IO: Rom> Programmer for Dfu<IO> {
         };
         self.check_writable(touched)?;
         let begun = self.protocol.begin(MAIN_FLASH);
-        begun.map_err(|trouble| failed(Doing::Reading, FLASH_ADDRESS, trouble))?;
+        begun.map_err(|trouble| failed(FlashStep::Reading, FLASH_ADDRESS, trouble))?;
         self.erase(erase, pages, progress)?;
         self.program(&bytes, progress)?;
         self.verify(&bytes, progress)
     }
 
-    /// Leaves the bootloader, which begins the program.
+    /// Leaves the bootloader, which starts the program.
     fn reset(&mut self) -> Result<(), ProgramError> {
         let protocol = &self.protocol;
         let leave = || {
@@ -384,7 +388,7 @@ impl<IO: Rom> Programmer for Dfu<IO> {
             protocol.set_address(FLASH_ADDRESS)?;
             protocol.leave()
         };
-        leave().map_err(|trouble| failed(Doing::Resetting, FLASH_ADDRESS, trouble))
+        leave().map_err(|trouble| failed(FlashStep::Resetting, FLASH_ADDRESS, trouble))
     }
 }
 
@@ -393,7 +397,7 @@ fn word(bytes: &[u8], at: usize) -> u32 {
     word.map_or(u32::MAX, |word| u32::from_le_bytes(*word))
 }
 
-/// A word of option bytes, and its complement behind it.
+/// Sets a word of option bytes, and its complement after it.
 fn set_word(bytes: &mut [u8], at: usize, value: u32) {
     let both = [value.to_le_bytes(), (!value).to_le_bytes()].concat();
     if let Some(place) = bytes.get_mut(at..at + DOUBLE_WORD) {
@@ -401,15 +405,15 @@ fn set_word(bytes: &mut [u8], at: usize, value: u32) {
     }
 }
 
-/// What became of an operation, in the words of all programmers.
-fn failed(doing: Doing, address: u32, trouble: Trouble) -> ProgramError {
+/// Converts the bootloader's error to that of all programmers.
+fn failed(doing: FlashStep, address: u32, trouble: DfuError) -> ProgramError {
     let why = match trouble {
-        Trouble::Gone(why) => return ProgramError::Lost { doing, why },
-        Trouble::Refused(Status::ErrVendor) => {
+        DfuError::Gone(why) => return ProgramError::Lost { doing, why },
+        DfuError::Refused(Status::ErrVendor) => {
             let level = ReadProtection::Level1;
             return ProgramError::ReadProtected { level };
         }
-        Trouble::Refused(status) => {
+        DfuError::Refused(status) => {
             let why = format!("the bootloader says: {status}");
             return ProgramError::Failed {
                 doing,
@@ -417,11 +421,11 @@ fn failed(doing: Doing, address: u32, trouble: Trouble) -> ProgramError {
                 why,
             };
         }
-        Trouble::Stuck(time) => format!(
+        DfuError::Stuck(time) => format!(
             "the bootloader is still busy after {:.0} s",
             time.as_secs_f64()
         ),
-        Trouble::Strange(why) => why,
+        DfuError::Strange(why) => why,
     };
     ProgramError::Bootloader {
         doing,

@@ -1,13 +1,13 @@
-//! What an alternate setting's string says of a memory: `@Internal Flash   /0x08000000/256*02Kg`.
+//! Parser of an alternate setting's string, which describes a memory: `@Internal Flash   /0x08000000/256*02Kg`.
 
 use std::num::ParseIntError;
 
-/// A memory, by its parts.
+/// Memory with its regions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Memory {
-    /// `Internal Flash`.
+    /// Name: `Internal Flash`.
     pub name: String,
-    /// Where it lies.
+    /// Regions.
     pub regions: Vec<Region>,
 }
 
@@ -16,41 +16,41 @@ pub struct Memory {
 pub struct Region {
     /// First address.
     pub address: u32,
-    /// Sectors, one kind after the other.
+    /// Sectors, in order of address.
     pub sectors: Vec<Sectors>,
 }
 
-/// Sectors of a kind.
+/// Sectors of the same kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sectors {
-    /// How many.
+    /// Number of sectors.
     pub count: u32,
-    /// Bytes of each.
+    /// Size of each in bytes.
     pub bytes: u32,
-    /// Can be read.
+    /// `true` if they can be read.
     pub readable: bool,
-    /// Can be erased.
+    /// `true` if they can be erased.
     pub erasable: bool,
-    /// Can be written.
+    /// `true` if they can be written.
     pub writable: bool,
 }
 
-/// What is no layout.
+/// Error for a text that is no layout.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LayoutError {
-    /// The parts are not there.
+    /// A part is missing.
     #[error("no name, address and sectors in {0:?}")]
     Shape(String),
-    /// A number is none, or too large.
+    /// A number is invalid or too large.
     #[error("no number: {0:?}")]
     Number(String),
 }
 
 impl Memory {
-    /// Of a string.
+    /// Parses a layout.
     ///
     /// # Errors
-    /// [`LayoutError`] where it is none.
+    /// [`LayoutError`] if it is none.
     pub fn parse(text: &str) -> Result<Self, LayoutError> {
         let shape = || LayoutError::Shape(text.to_owned());
         let mut parts = text.strip_prefix('@').ok_or_else(shape)?.split('/');
@@ -64,7 +64,7 @@ impl Memory {
                 address,
                 sectors: sectors.collect::<Result<_, _>>()?,
             };
-            // It ends within 32 bits.
+            // It must end within 32 bits.
             if u64::from(address) + region.bytes() > 1 << 32 {
                 return Err(LayoutError::Number(text.to_owned()));
             }
@@ -76,12 +76,12 @@ impl Memory {
         Ok(Self { name, regions })
     }
 
-    /// Whether one of its regions begins here.
+    /// Returns `true` if one of its regions begins at this address.
     pub fn begins_at(&self, address: u32) -> bool {
         self.regions.iter().any(|region| region.address == address)
     }
 
-    /// Whether it holds all of these bytes.
+    /// Returns `true` if it contains all of these bytes.
     pub fn holds(&self, address: u32, bytes: usize) -> bool {
         self.regions.iter().any(|region| {
             let offset = u64::from(address).checked_sub(region.address.into());
@@ -91,7 +91,7 @@ impl Memory {
 }
 
 impl Region {
-    /// Bytes in all.
+    /// Total size in bytes.
     pub fn bytes(&self) -> u64 {
         let bytes = |s: &Sectors| u64::from(s.count) * u64::from(s.bytes);
         self.sectors.iter().map(bytes).fold(0, u64::saturating_add)
@@ -104,7 +104,7 @@ fn hexadecimal(text: &str) -> Result<u32, LayoutError> {
     u32::from_str_radix(digits, 16).map_err(|_| wrong())
 }
 
-/// `256*02Kg`: count, bytes, unit, and what can be done: bit 0 read, bit 1 erase, bit 2 write.
+/// Parses `256*02Kg`: count, size, unit, and access rights: bit 0 read, bit 1 erase, bit 2 write.
 fn sectors_of(text: &str) -> Result<Sectors, LayoutError> {
     let wrong = || LayoutError::Number(text.to_owned());
     let number = |digits: &str| -> Result<u32, LayoutError> {

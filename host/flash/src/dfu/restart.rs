@@ -1,4 +1,4 @@
-//! From the running firmware into the bootloader: asked over the link, and then waited for on USB.
+//! Restart from the running firmware into the bootloader: requested over the link, then awaited on USB.
 
 use std::time::Duration;
 
@@ -9,16 +9,16 @@ use super::chip::Dfu;
 use super::usb::{self, Usb};
 use crate::programmer::ProgramError;
 
-/// From the answer until the bootloader is known to the system: it measures the clock by its first frames.
+/// Time limit from the answer until the system lists the bootloader, which measures its clock by the first frames.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Why a chip is not in its bootloader.
+/// Error of starting a chip's bootloader.
 #[derive(Debug, thiserror::Error)]
 pub enum EnterError {
-    /// USB, or what is there.
+    /// Error of USB or of the devices on it.
     #[error(transparent)]
     Program(#[from] ProgramError),
-    /// The firmware does not do it.
+    /// The firmware did not restart into the bootloader.
     #[error(
         "the board was not sent into its bootloader: {0}; nothing was written. A board whose firmware does not do that is \
          put there by hand: hold BOOT0 high, press reset"
@@ -26,16 +26,15 @@ pub enum EnterError {
     Link(#[from] LinkError),
 }
 
-/// The bootloader that is meant: the one that is plugged in, or that with the serial number. Where there is none and none
-/// was named, the firmware on USB is sent there. Where `device` is named and answers, always that is.
+/// Opens the only bootloader, or the one with the serial number. If there is none and none was named, restarts the firmware on USB
+/// into its bootloader. If `device` is given and answers, always restarts that.
 ///
-/// # Errors
 /// [`EnterError`]; a board that heats refuses.
 pub fn reach(serial: Option<&str>, device: Option<&DeviceSpec>) -> Result<Dfu<Usb>, EnterError> {
-    let present = usb::found()?;
+    let present = usb::bootloaders()?;
     match device {
         None if !present.is_empty() => Ok(usb::open(serial)?),
-        // What there is not is told with what to do. A serial number is a bootloader's: no board is sent away for it.
+        // A serial number belongs to a bootloader: no board is restarted for it.
         None if serial.is_some() || ihd_link::usb::boards()?.is_empty() => Ok(usb::open(serial)?),
         None => enter(&DeviceSpec::Usb(None)),
         Some(device) => match enter(device) {
@@ -52,7 +51,10 @@ fn enter(device: &DeviceSpec) -> Result<Dfu<Usb>, EnterError> {
     if *device == DeviceSpec::Sim {
         return Err(not_found("a simulated hob has no bootloader".to_owned()));
     }
-    let before: Vec<_> = usb::found()?.into_iter().map(|one| one.serial).collect();
+    let before: Vec<_> = usb::bootloaders()?
+        .into_iter()
+        .map(|one| one.serial)
+        .collect();
     let transport = device.open(|| unreachable!("a simulated hob was refused"))?;
     send_into_bootloader(transport)?;
     let fresh = usb::wait_for_other_than(&before, PATIENCE)?;
@@ -80,10 +82,10 @@ fn not_seen(device: &DeviceSpec) -> String {
     )
 }
 
-/// Asks the firmware to make place for the bootloader.
+/// Requests the restart into the bootloader.
 ///
 /// # Errors
-/// [`LinkError::Refused`] while it heats, and as every command.
+/// [`LinkError::Refused`] while it heats, else any error of [`Client::request`].
 pub fn send_into_bootloader(transport: Box<dyn Transport>) -> Result<(), LinkError> {
     let mut client = Client::connect(transport)?;
     client.restart(Program::Bootloader)

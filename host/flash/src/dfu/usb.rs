@@ -12,37 +12,37 @@ use nusb::transfer::TransferError;
 use nusb::{ErrorKind, MaybeFuture};
 
 use super::chip::Dfu;
-use super::protocol::{Refusal, Rom};
-use crate::programmer::{Doing, ProgramError};
+use super::protocol::{BootloaderIo, TransferFailure};
+use crate::programmer::{FlashStep, ProgramError};
 
-/// STMicroelectronics.
+/// Vendor id of STMicroelectronics.
 pub const VENDOR_ID: u16 = 0x0483;
-/// The bootloader of every STM32 that has one on USB.
+/// Product id of the USB bootloader of every STM32.
 pub const PRODUCT_ID: u16 = 0xDF11;
 
-/// Its only interface.
+/// Number of its only interface.
 const INTERFACE: u8 = 0;
-/// For a descriptor.
+/// Time limit for reading a descriptor.
 const TIMEOUT: Duration = Duration::from_secs(3);
-/// Between two looks at what is plugged in.
-const GLANCE: Duration = Duration::from_millis(100);
-/// From a reset until the system has noticed.
+/// Period of polling the connected devices.
+const POLL_PERIOD: Duration = Duration::from_millis(100);
+/// Time from a reset until the system has noticed it.
 const GOING: Duration = Duration::from_millis(500);
-/// English, where a device names no language.
+/// English, for a device that names no language.
 const ENGLISH: u16 = 0x0409;
 
-/// By what one of several is chosen.
+/// Option that chooses one of several.
 const OPTION: &str = "--dfu=SERIAL";
 
-/// A bootloader that is plugged in.
+/// Connected bootloader.
 #[derive(Clone, Debug)]
-pub struct Found {
-    /// Its serial number, its own words; twelve digits made of the chip's unique number.
+pub struct BootloaderDevice {
+    /// Serial number, untrusted; twelve digits derived from the chip's unique number.
     pub serial: String,
     info: nusb::DeviceInfo,
 }
 
-/// A bootloader that was opened.
+/// Opened bootloader.
 pub struct Usb {
     dfu: DfuNusb,
     interface: nusb::Interface,
@@ -50,18 +50,18 @@ pub struct Usb {
     serial: String,
 }
 
-/// The bootloaders that are plugged in, in order of their serial numbers.
+/// Lists the connected bootloaders by serial number.
 ///
 /// # Errors
-/// [`ProgramError::NotFound`] where the system does not tell what is plugged in.
-pub fn found() -> Result<Vec<Found>, ProgramError> {
+/// [`ProgramError::NotFound`] if the system does not list its devices.
+pub fn bootloaders() -> Result<Vec<BootloaderDevice>, ProgramError> {
     let devices = nusb::list_devices().wait();
     let devices = devices.map_err(|why| ProgramError::NotFound {
         what: format!("cannot look for USB devices: {why}; is USB available here?"),
     })?;
     let ours = devices.filter(|d| (d.vendor_id(), d.product_id()) == (VENDOR_ID, PRODUCT_ID));
     let mut all: Vec<_> = ours
-        .map(|info| Found {
+        .map(|info| BootloaderDevice {
             serial: info.serial_number().unwrap_or_default().to_owned(),
             info,
         })
@@ -70,7 +70,7 @@ pub fn found() -> Result<Vec<Found>, ProgramError> {
     Ok(all)
 }
 
-/// The one that is meant: the only one, or that with the serial number; `None` where there is none at all.
+/// Picks the only one, or the one with the serial number; `None` if there is none at all.
 fn choose<T>(
     mut all: Vec<T>,
     wanted: Option<&str>,
@@ -103,7 +103,7 @@ fn choose<T>(
 /// # Errors
 /// [`ProgramError::NotFound`], [`ProgramError::Several`], [`ProgramError::Open`] with the rights or the driver that lack.
 pub fn open(serial: Option<&str>) -> Result<Dfu<Usb>, ProgramError> {
-    match choose(found()?, serial, |one| &one.serial)? {
+    match choose(bootloaders()?, serial, |one| &one.serial)? {
         Some(one) => Ok(one.open()?.into_programmer()),
         None => Err(ProgramError::NotFound {
             what: "no chip in its USB bootloader (0483:df11) is plugged in. It needs a cable to the chip's own USB pins \
@@ -114,34 +114,37 @@ pub fn open(serial: Option<&str>) -> Result<Dfu<Usb>, ProgramError> {
     }
 }
 
-/// Opens a bootloader as soon as there is one that was not there before; `None` when the time is over.
+/// Opens a bootloader as soon as there is a new one; `None` if the time is over.
 ///
 /// # Errors
-/// As [`open`].
+/// Any error of [`open`].
 pub(super) fn wait_for_other_than(
     before: &[String],
     patience: Duration,
 ) -> Result<Option<Dfu<Usb>>, ProgramError> {
-    let fresh = |one: &Found| !before.contains(&one.serial);
+    let fresh = |one: &BootloaderDevice| !before.contains(&one.serial);
     Ok(wait(&fresh, patience)?.map(Usb::into_programmer))
 }
 
-fn wait(wanted: &dyn Fn(&Found) -> bool, patience: Duration) -> Result<Option<Usb>, ProgramError> {
+fn wait(
+    wanted: &dyn Fn(&BootloaderDevice) -> bool,
+    patience: Duration,
+) -> Result<Option<Usb>, ProgramError> {
     let deadline = Instant::now() + patience;
     loop {
         let late = Instant::now() >= deadline;
-        let first = found()?.into_iter().find(wanted);
+        let first = bootloaders()?.into_iter().find(wanted);
         match first.map(|one| one.open()).transpose() {
             Ok(Some(usb)) => return Ok(Some(usb)),
             Ok(None) if late => return Ok(None),
-            // Just plugged in: udev may not have given it away yet, or it is still going.
+            // Just connected: udev may not have set its rights yet, or it is about to disconnect.
             Err(error) if late => return Err(error),
-            Ok(None) | Err(_) => thread::sleep(GLANCE),
+            Ok(None) | Err(_) => thread::sleep(POLL_PERIOD),
         }
     }
 }
 
-impl Found {
+impl BootloaderDevice {
     fn open(&self) -> Result<Usb, ProgramError> {
         let refused = |kind: ErrorKind, why: &dyn std::fmt::Display| ProgramError::Open {
             what: format!("the USB bootloader {}", printable(&self.serial)),
@@ -154,14 +157,15 @@ impl Found {
         });
         let (device, interface) = claimed.map_err(|error| refused(error.kind(), &error))?;
         let layouts = layouts(&device, &interface);
-        let dfu = dfu(device, interface.clone()).map_err(|error| match Usb::refusal(error) {
-            Refusal::Gone(why) => ProgramError::Lost {
-                doing: Doing::Attaching,
-                why,
-            },
-            Refusal::Stalled => refused(ErrorKind::Other, &"it refuses a request"),
-            Refusal::Failed(why) => refused(ErrorKind::Other, &why),
-        })?;
+        let dfu =
+            dfu(device, interface.clone()).map_err(|error| match Usb::transfer_failure(error) {
+                TransferFailure::Gone(why) => ProgramError::Lost {
+                    doing: FlashStep::Attaching,
+                    why,
+                },
+                TransferFailure::Stalled => refused(ErrorKind::Other, &"it refuses a request"),
+                TransferFailure::Failed(why) => refused(ErrorKind::Other, &why),
+            })?;
         Ok(Usb {
             dfu,
             interface,
@@ -171,7 +175,7 @@ impl Found {
     }
 }
 
-/// What to do against this.
+/// Remedy for an error of opening.
 fn remedy(kind: ErrorKind) -> &'static str {
     match kind {
         ErrorKind::PermissionDenied if cfg!(target_os = "linux") => {
@@ -185,7 +189,7 @@ fn remedy(kind: ErrorKind) -> &'static str {
     }
 }
 
-/// The alternate settings' strings; empty where there is none.
+/// Strings of the alternate settings; empty if there are none.
 fn layouts(device: &nusb::Device, interface: &nusb::Interface) -> Vec<String> {
     let languages = device.get_string_descriptor_supported_languages(TIMEOUT);
     let language = languages.wait().ok().and_then(|mut all| all.next());
@@ -202,8 +206,8 @@ fn layouts(device: &nusb::Device, interface: &nusb::Interface) -> Vec<String> {
         .collect()
 }
 
-/// dfu-nusb opens in the background of an async runtime only. On a thread of its own, since this may be called from
-/// within another one.
+/// Opens the interface through dfu-nusb, which needs the background of an async runtime; on a thread of its own, since the caller
+/// may be within a runtime.
 fn dfu(device: nusb::Device, interface: nusb::Interface) -> Result<DfuNusb, Error> {
     let open = || {
         let runtime = tokio::runtime::Builder::new_current_thread().build()?;
@@ -216,12 +220,12 @@ fn dfu(device: nusb::Device, interface: nusb::Interface) -> Result<DfuNusb, Erro
 impl Usb {
     fn into_programmer(self) -> Dfu<Self> {
         let serial = self.serial.clone();
-        let again = move |patience| {
-            // The system lists for a moment what has gone already.
+        let reopen = move |patience| {
+            // The system still lists the disconnected device for a moment.
             thread::sleep(GOING);
             wait(&|one| one.serial == serial, patience)
         };
-        Dfu::new(self, Box::new(again))
+        Dfu::new(self, Box::new(reopen))
     }
 }
 
@@ -266,7 +270,7 @@ impl DfuIo for Usb {
     }
 }
 
-impl Rom for Usb {
+impl BootloaderIo for Usb {
     fn select(&self, alternate: u8) -> Result<(), Error> {
         Ok(self.interface.set_alt_setting(alternate).wait()?)
     }
@@ -279,17 +283,19 @@ impl Rom for Usb {
         &self.serial
     }
 
-    fn refusal(error: Error) -> Refusal {
+    fn transfer_failure(error: Error) -> TransferFailure {
         let why = error.to_string();
         match error {
-            Error::Transfer(TransferError::Stall) => Refusal::Stalled,
-            Error::Transfer(TransferError::Disconnected) => Refusal::Gone(why),
-            Error::Nusb(error) if error.kind() == ErrorKind::Disconnected => Refusal::Gone(why),
-            Error::DeviceNotFound => Refusal::Gone(why),
-            Error::Transfer(TransferError::Cancelled) => {
-                Refusal::Failed("no answer within 3 s".to_owned())
+            Error::Transfer(TransferError::Stall) => TransferFailure::Stalled,
+            Error::Transfer(TransferError::Disconnected) => TransferFailure::Gone(why),
+            Error::Nusb(error) if error.kind() == ErrorKind::Disconnected => {
+                TransferFailure::Gone(why)
             }
-            _ => Refusal::Failed(why),
+            Error::DeviceNotFound => TransferFailure::Gone(why),
+            Error::Transfer(TransferError::Cancelled) => {
+                TransferFailure::Failed("no answer within 3 s".to_owned())
+            }
+            _ => TransferFailure::Failed(why),
         }
     }
 

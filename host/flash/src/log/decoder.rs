@@ -1,28 +1,28 @@
-//! From the bytes of a log to messages, and to what of them is none.
+//! Decoder from the bytes of a log to messages.
 
-use super::frames::{Frames, Stretch};
+use super::frames::{Frames, LogFrame};
 use super::message::Message;
 use super::table::Table;
 
-/// What came in a log.
+/// Decoded item of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Found {
+pub enum Decoded {
     /// A message.
     Message(Message),
-    /// A frame that is no message of the image: damaged, or longer than any.
+    /// Frame that is no message of the image: damaged or too long.
     Malformed,
-    /// A frame that nobody can read: there is no table.
+    /// Frame without a table to decode it.
     Unread,
 }
 
-/// Decodes a log. It holds one frame at most, of [`super::frames::MAX_FRAME`] bytes.
+/// Decoder of a log. It buffers one frame at most, of [`super::frames::MAX_FRAME`] bytes.
 pub struct Decoder {
     table: Option<Table>,
     frames: Frames,
 }
 
 impl Decoder {
-    /// A decoder of the log of one image; without its table it counts.
+    /// Creates a decoder for the log of one image; without a table it only counts.
     pub fn new(table: Option<Table>) -> Self {
         Self {
             table,
@@ -30,26 +30,26 @@ impl Decoder {
         }
     }
 
-    /// The table that it reads with.
+    /// Table of the image.
     pub fn table(&self) -> Option<&Table> {
         self.table.as_ref()
     }
 
-    /// Takes bytes of the log, and gives what they complete.
-    pub fn push(&mut self, bytes: &[u8], mut each: impl FnMut(Found)) {
+    /// Decodes bytes of the log and passes completed items to `each`.
+    pub fn push(&mut self, bytes: &[u8], mut each: impl FnMut(Decoded)) {
         let table = &self.table;
         self.frames.push(bytes, |stretch| {
             each(match (stretch, table) {
-                (Stretch::Overlong, _) => Found::Malformed,
-                (Stretch::Frame(_), None) => Found::Unread,
-                (Stretch::Frame(frame), Some(table)) => {
-                    table.decode(frame).map_or(Found::Malformed, Found::Message)
-                }
+                (LogFrame::Overlong, _) => Decoded::Malformed,
+                (LogFrame::Frame(_), None) => Decoded::Unread,
+                (LogFrame::Frame(frame), Some(table)) => table
+                    .decode(frame)
+                    .map_or(Decoded::Malformed, Decoded::Message),
             });
         });
     }
 
-    /// Frames were lost here, as a whole: what was begun is no frame.
+    /// Reports a loss of whole frames: the frame under way is dropped.
     pub fn lost(&mut self) {
         self.frames.gap(true);
     }

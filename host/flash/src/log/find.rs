@@ -1,19 +1,19 @@
-//! The table of the image that runs on a board, wherever it is.
+//! Search for the table of the image that runs on a board.
 
 use std::path::Path;
 
-use super::kept::Kept;
-use super::running::Running;
+use super::image_cache::ImageCache;
+use super::running::RunningProgram;
 use super::table::{Table, TableError};
 use crate::image::{Image, ImageError, OF_CHECKOUT};
 
-/// Why a board's log cannot be read.
+/// Error of finding a board's table.
 #[derive(Debug, thiserror::Error)]
-pub enum NoTable {
-    /// The image that was given cannot be read.
+pub enum TableLookupError {
+    /// The given image cannot be read.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// It is of another image than the one that runs.
+    /// The given image is not the one that runs.
     #[error(
         "{given} is not what runs on the board: it is {image}, the board runs {running}. A log is read with its own image \
          alone: give that one, or flash this one"
@@ -21,18 +21,18 @@ pub enum NoTable {
     Another {
         /// The file.
         given: String,
-        /// What it is.
+        /// Description of the given image.
         image: String,
-        /// What runs.
+        /// Description of the running program.
         running: String,
     },
-    /// The board told nothing by which its image is known.
+    /// The board reported nothing that identifies its image.
     #[error(
         "the board does not say which image it runs (a simulated hob has none, a firmware before protocol 2.2 does not \
          tell), so its log cannot be read; frames are counted"
     )]
     Nameless,
-    /// It is nowhere.
+    /// No copy of the image is available.
     #[error(
         "the texts of {running} are not here, so its log cannot be read; frames are counted. Looked in {}. Give its file \
          with --image: the release archive has it, a checkout of the same commit builds it (`cargo xtask firmware`), and \
@@ -40,37 +40,36 @@ pub enum NoTable {
         looked.join(", ")
     )]
     Nowhere {
-        /// What runs.
+        /// Description of the running program.
         running: String,
-        /// Where it was looked for.
+        /// Places searched.
         looked: Vec<String>,
     },
-    /// It is there, and its messages cannot be read.
+    /// The image was found, but its messages cannot be read.
     #[error(transparent)]
     Table(#[from] TableError),
 }
 
-/// Where images are looked for.
+/// Places to search for images.
 #[derive(Clone, Debug, Default)]
 pub struct Places<'a> {
-    /// The file that was named: then nowhere else.
+    /// File given by the user; if set, no other place is searched.
     pub given: Option<&'a Path>,
-    /// What was flashed from here.
-    pub kept: Option<Kept>,
+    /// Cache of the images flashed from this machine.
+    pub cache: Option<ImageCache>,
 }
 
 impl Places<'_> {
-    /// The table of what runs: of the file that was named; else of the image that this program carries, of the
-    /// checkout's, or of one that was flashed from here.
+    /// Returns the table of the running program: from the given file; else from the built-in image, the checkout's, or the cache.
     ///
     /// # Errors
-    /// [`NoTable`].
-    pub fn table(&self, running: &Running) -> Result<Table, NoTable> {
+    /// [`TableLookupError`].
+    pub fn table(&self, running: &RunningProgram) -> Result<Table, TableLookupError> {
         if let Some(path) = self.given {
             return of_given(path, running);
         }
         if (running.build_id, running.crc) == (None, None) {
-            return Err(NoTable::Nameless);
+            return Err(TableLookupError::Nameless);
         }
         let built_in = Image::built_in();
         let mut looked = Vec::new();
@@ -79,16 +78,16 @@ impl Places<'_> {
         }
         let of_checkout = || Image::of_checkout().and_then(Result::ok);
         looked.push(OF_CHECKOUT.to_owned());
-        let of_kept = || self.kept.as_ref()?.find(running);
-        if let Some(kept) = &self.kept {
-            looked.push(kept.folder().display().to_string());
+        let of_cache = || self.cache.as_ref()?.find(running);
+        if let Some(cache) = &self.cache {
+            looked.push(cache.folder().display().to_string());
         }
         let is = |image: &Image| running.is(image);
         let found = built_in.and_then(Result::ok).filter(is);
-        let found = found.or_else(|| of_checkout().filter(is)).or_else(of_kept);
+        let found = found.or_else(|| of_checkout().filter(is)).or_else(of_cache);
         match found {
             Some(image) => Ok(table_of(&image)?),
-            None => Err(NoTable::Nowhere {
+            None => Err(TableLookupError::Nowhere {
                 running: running.describe(),
                 looked,
             }),
@@ -96,13 +95,13 @@ impl Places<'_> {
     }
 }
 
-fn of_given(path: &Path, running: &Running) -> Result<Table, NoTable> {
+fn of_given(path: &Path, running: &RunningProgram) -> Result<Table, TableLookupError> {
     let image = Image::read(path)?;
     if (running.build_id, running.crc) == (None, None) {
-        return Err(NoTable::Nameless);
+        return Err(TableLookupError::Nameless);
     }
     if !running.is(&image) {
-        return Err(NoTable::Another {
+        return Err(TableLookupError::Another {
             given: path.display().to_string(),
             image: image.describe(),
             running: running.describe(),
@@ -122,8 +121,8 @@ mod tests {
     use crate::fake::SampleImage;
     use crate::image::BuildId;
 
-    fn running(id: u8) -> Running {
-        Running {
+    fn running(id: u8) -> RunningProgram {
+        RunningProgram {
             build: "ihd-firmware 9.8.7".into(),
             build_id: Some(BuildId([id; 20])),
             crc: None,
@@ -137,10 +136,10 @@ mod tests {
         std::fs::write(&path, SampleImage::default().elf()).unwrap();
         let places = Places {
             given: Some(&path),
-            kept: None,
+            cache: None,
         };
         let why = places.table(&running(7)).err().unwrap();
-        assert!(matches!(why, NoTable::Another { .. }), "{why}");
+        assert!(matches!(why, TableLookupError::Another { .. }), "{why}");
         let text = why.to_string();
         assert!(
             text.contains("b1b1b1b1") && text.contains("07070707"),
@@ -149,11 +148,11 @@ mod tests {
         // The right one, but it logs nothing.
         let why = places.table(&running(0xB1)).err().unwrap();
         assert!(
-            matches!(why, NoTable::Table(TableError::None { .. })),
+            matches!(why, TableLookupError::Table(TableError::None { .. })),
             "{why}"
         );
-        let why = places.table(&Running::default()).err().unwrap();
-        assert!(matches!(why, NoTable::Nameless), "{why}");
+        let why = places.table(&RunningProgram::default()).err().unwrap();
+        assert!(matches!(why, TableLookupError::Nameless), "{why}");
     }
 
     #[test]
@@ -161,7 +160,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let places = Places {
             given: None,
-            kept: Some(Kept::at(folder.path())),
+            cache: Some(ImageCache::at(folder.path())),
         };
         let why = places.table(&running(7)).err().unwrap().to_string();
         for word in [

@@ -1,4 +1,4 @@
-//! Follows a board's log for as long as somebody listens: through lost cables, resets and new firmware.
+//! Following a board's log through lost cables, resets and new firmware, until stopped.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
@@ -7,27 +7,27 @@ use std::time::{Duration, Instant};
 use ihd_link::LinkError;
 use ihd_shared::wire::messages::Outcome;
 
-use super::decoder::{Decoder, Found};
-use super::find::{NoTable, Places};
-use super::running::Running;
+use super::decoder::{Decoded, Decoder};
+use super::find::{Places, TableLookupError};
+use super::running::RunningProgram;
 use crate::programmer::ProgramError;
 
-/// How long one look for bytes may take: ^C is seen after it.
-const LOOK: Duration = Duration::from_millis(100);
+/// Time limit of one read; Ctrl-C is noticed after it.
+const READ_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// Between two tries to come back.
-const TRY_EVERY: Duration = Duration::from_millis(500);
+/// Pause between two attempts to reconnect.
+const RETRY_PERIOD: Duration = Duration::from_millis(500);
 
-/// Why a log is not to be had.
+/// Error of reading a log.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
-    /// The link.
+    /// Error of the link.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// The debug probe, or the chip behind it.
+    /// Error of the debug probe, or of the chip behind it.
     #[error(transparent)]
     Probe(#[from] ProgramError),
-    /// The board's program began anew.
+    /// The board's program restarted.
     #[error("{device} was reset")]
     Reset {
         /// The device.
@@ -36,7 +36,7 @@ pub enum LogError {
 }
 
 impl LogError {
-    /// Whether a cable, a power switch or a reset may be behind it, so that it is worth waiting.
+    /// Returns `true` if a cable, a power switch or a reset may be the cause, so that reconnecting is worth a try.
     pub fn may_pass(&self) -> bool {
         match self {
             Self::Reset { .. } => true,
@@ -46,7 +46,7 @@ impl LogError {
                 | LinkError::Io { .. }
                 | LinkError::NoAnswer { .. },
             ) => true,
-            // A device that was reset has forgotten that we said hello.
+            // A reset device has forgotten the handshake.
             Self::Link(LinkError::Refused { outcome, .. }) => *outcome == Outcome::NotPaired,
             Self::Link(_) => false,
             Self::Probe(
@@ -61,87 +61,87 @@ impl LogError {
     }
 }
 
-/// What came since the last look.
+/// Data received since the last read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Chunk {
-    /// Messages that the board had no room for, before these bytes.
+    /// Messages lost before these bytes because the board had no room.
     pub lost_messages: u64,
-    /// Bytes of log that were lost on the way, before these bytes.
+    /// Bytes lost in transmission before these bytes.
     pub lost_bytes: u64,
     /// Bytes of the log.
     pub bytes: Vec<u8>,
 }
 
-/// A log that is open.
+/// Open log.
 pub trait OpenLog {
-    /// The device in words, fit to be shown.
+    /// Device in words, printable.
     fn device(&self) -> String;
 
-    /// What runs there.
-    fn running(&self) -> Running;
+    /// Program that the device runs.
+    fn running(&self) -> RunningProgram;
 
-    /// Waits up to `wait` for something to come; an empty chunk where nothing did.
+    /// Waits up to `wait` for data; returns an empty chunk if there is none.
     ///
     /// # Errors
-    /// Whatever ended it.
+    /// The reason why the log ended.
     fn read(&mut self, wait: Duration) -> Result<Chunk, LogError>;
 
-    /// Nobody listens any more.
+    /// Ends the log.
     fn close(&mut self) {}
 }
 
-/// A way to a log, which may be opened again after its end.
-pub trait Way {
-    /// Opens it.
+/// Access to a log, which can be reopened.
+pub trait LogOpener {
+    /// Opens the log.
     ///
     /// # Errors
-    /// What is in the way.
+    /// The reason why it cannot be opened.
     fn open(&mut self) -> Result<Box<dyn OpenLog>, LogError>;
 }
 
-/// What happens to somebody who listens.
+/// Event of a followed log.
 #[derive(Debug)]
-pub enum Happening<'a> {
-    /// A board is there.
+pub enum LogEvent<'a> {
+    /// A board is connected.
     Began {
         /// The device in words.
         device: &'a str,
-        /// What it runs.
-        running: &'a Running,
-        /// The image whose texts are used.
-        table: Result<&'a str, &'a NoTable>,
+        /// Program that it runs.
+        running: &'a RunningProgram,
+        /// Image whose table is used, or the reason why there is none.
+        table: Result<&'a str, &'a TableLookupError>,
     },
-    /// It is back, with what it ran before.
+    /// The board is back and runs the same program.
     Back {
-        /// So long was it away.
+        /// Duration of the interruption.
         away: Duration,
     },
-    /// It is gone.
+    /// The board is disconnected.
     Away {
-        /// Why.
+        /// Reason.
         why: &'a LogError,
     },
-    /// Something is missing before what comes next.
+    /// Messages are missing before the next event.
     Lost {
-        /// Messages that the board had no room for.
+        /// Messages for which the board had no room.
         messages: u64,
-        /// Bytes that were lost on the way.
+        /// Bytes lost in transmission.
         bytes: u64,
     },
-    /// Something came.
-    Found(Found),
+    /// A decoded item.
+    Decoded(Decoded),
 }
 
 /// Follows a log until `stop`.
 ///
 /// # Errors
-/// What keeps it from being opened at first, and what no waiting mends: [`LogError`], [`NoTable`] for an image that was
-/// given and is not what runs; and what `tell` returns.
-pub fn follow<E: From<LogError> + From<NoTable>>(
-    way: &mut dyn Way,
+/// The error of the first opening, and every error that reconnecting does not cure: [`LogError`]; [`TableLookupError`] for a given image
+/// that is not the one that runs; and the error of `report`.
+pub fn follow<E: From<LogError> + From<TableLookupError>>(
+    way: &mut dyn LogOpener,
     places: &Places<'_>,
     stop: &AtomicBool,
-    mut tell: impl FnMut(Happening<'_>) -> Result<(), E>,
+    mut report: impl FnMut(LogEvent<'_>) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut log = way.open()?;
     let mut before = log.running();
@@ -149,30 +149,30 @@ pub fn follow<E: From<LogError> + From<NoTable>>(
     if places.given.is_some() && table.is_err() {
         return table.map(drop).map_err(E::from);
     }
-    let mut decoder = began(log.as_ref(), table, &mut tell)?;
+    let mut decoder = began(log.as_ref(), table, &mut report)?;
     while !stop.load(Ordering::Relaxed) {
-        let why = match log.read(LOOK) {
+        let why = match log.read(READ_TIMEOUT) {
             Ok(chunk) => {
-                take(&chunk, &mut decoder, &mut tell)?;
+                take(&chunk, &mut decoder, &mut report)?;
                 continue;
             }
             Err(why) if why.may_pass() => why,
             Err(why) => return Err(why.into()),
         };
         let since = Instant::now();
-        tell(Happening::Away { why: &why })?;
-        // Before it is opened anew: a probe and a serial port are held by one alone.
+        report(LogEvent::Away { why: &why })?;
+        // Closed before reopening: a probe and a serial port are exclusive.
         drop(log);
         let Some(again) = await_again(way, stop)? else {
             return Ok(());
         };
         log = again;
         let away = since.elapsed();
-        tell(Happening::Back { away })?;
+        report(LogEvent::Back { away })?;
         decoder.lost();
         let now = log.running();
         if now != before {
-            decoder = began(log.as_ref(), places.table(&now), &mut tell)?;
+            decoder = began(log.as_ref(), places.table(&now), &mut report)?;
             before = now;
         }
     }
@@ -182,10 +182,10 @@ pub fn follow<E: From<LogError> + From<NoTable>>(
 
 fn began<E>(
     log: &dyn OpenLog,
-    table: Result<super::table::Table, NoTable>,
-    tell: &mut impl FnMut(Happening<'_>) -> Result<(), E>,
+    table: Result<super::table::Table, TableLookupError>,
+    report: &mut impl FnMut(LogEvent<'_>) -> Result<(), E>,
 ) -> Result<Decoder, E> {
-    tell(Happening::Began {
+    report(LogEvent::Began {
         device: &log.device(),
         running: &log.running(),
         table: table.as_ref().map(|table| table.image()),
@@ -196,30 +196,33 @@ fn began<E>(
 fn take<E>(
     chunk: &Chunk,
     decoder: &mut Decoder,
-    tell: &mut impl FnMut(Happening<'_>) -> Result<(), E>,
+    report: &mut impl FnMut(LogEvent<'_>) -> Result<(), E>,
 ) -> Result<(), E> {
     let (messages, bytes) = (chunk.lost_messages, chunk.lost_bytes);
     if messages > 0 || bytes > 0 {
         decoder.lost();
-        tell(Happening::Lost { messages, bytes })?;
+        report(LogEvent::Lost { messages, bytes })?;
     }
     let mut told = Ok(());
     decoder.push(&chunk.bytes, |found| {
         if told.is_ok() {
-            told = tell(Happening::Found(found));
+            told = report(LogEvent::Decoded(found));
         }
     });
     told
 }
 
-fn await_again(way: &mut dyn Way, stop: &AtomicBool) -> Result<Option<Box<dyn OpenLog>>, LogError> {
+fn await_again(
+    way: &mut dyn LogOpener,
+    stop: &AtomicBool,
+) -> Result<Option<Box<dyn OpenLog>>, LogError> {
     loop {
-        let until = Instant::now() + TRY_EVERY;
+        let until = Instant::now() + RETRY_PERIOD;
         while Instant::now() < until {
             if stop.load(Ordering::Relaxed) {
                 return Ok(None);
             }
-            sleep(LOOK.min(until.saturating_duration_since(Instant::now())));
+            sleep(READ_TIMEOUT.min(until.saturating_duration_since(Instant::now())));
         }
         match way.open() {
             Ok(log) => return Ok(Some(log)),
@@ -259,8 +262,8 @@ mod tests {
             "scripted".into()
         }
 
-        fn running(&self) -> Running {
-            Running {
+        fn running(&self) -> RunningProgram {
+            RunningProgram {
                 build: "ihd-firmware 1".into(),
                 build_id: Some(BuildId([self.id; 20])),
                 crc: None,
@@ -283,7 +286,7 @@ mod tests {
         }
     }
 
-    impl Way for Script<'static> {
+    impl LogOpener for Script<'static> {
         fn open(&mut self) -> Result<Box<dyn OpenLog>, LogError> {
             let (id, acts) = self.opens.pop_front().expect("the script goes on")?;
             let stop = self.stop;
@@ -300,8 +303,8 @@ mod tests {
         }
     }
 
-    impl From<NoTable> for Ended {
-        fn from(why: NoTable) -> Self {
+    impl From<TableLookupError> for Ended {
+        fn from(why: TableLookupError) -> Self {
             Self(why.to_string())
         }
     }
@@ -324,13 +327,13 @@ mod tests {
         let places = Places::default();
         let ended = follow(&mut script, &places, stop, |happening| {
             told.push(match happening {
-                Happening::Began { running, table, .. } => {
+                LogEvent::Began { running, table, .. } => {
                     format!("began {} {}", running.describe(), table.is_ok())
                 }
-                Happening::Back { .. } => "back".into(),
-                Happening::Away { why } => format!("away {why}"),
-                Happening::Lost { messages, .. } => format!("lost {messages}"),
-                Happening::Found(found) => format!("{found:?}"),
+                LogEvent::Back { .. } => "back".into(),
+                LogEvent::Away { why } => format!("away {why}"),
+                LogEvent::Lost { messages, .. } => format!("lost {messages}"),
+                LogEvent::Decoded(found) => format!("{found:?}"),
             });
             Ok(())
         });

@@ -1,38 +1,38 @@
-//! Cuts a stream of log bytes into frames, whatever the stream is.
+//! Split of a stream of log bytes into frames, for any input.
 
-/// Longest frame that is taken, in bytes: four times the device's whole buffer. What is longer is no frame of it.
+/// Limit of a frame in bytes: four times the device's whole buffer. Longer ones are invalid.
 pub const MAX_FRAME: usize = 4096;
 
-/// A stretch of bytes between two zeros.
+/// Bytes between two zeros.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stretch<'a> {
-    /// A frame, still encoded, without its zero.
+pub enum LogFrame<'a> {
+    /// Encoded frame, without its zero.
     Frame(&'a [u8]),
-    /// One of more than [`MAX_FRAME`] bytes, which were not kept.
+    /// Frame of more than [`MAX_FRAME`] bytes, which were dropped.
     Overlong,
 }
 
-/// What has come since the last zero: never more than [`MAX_FRAME`] bytes.
+/// Splitter; it buffers at most [`MAX_FRAME`] bytes since the last zero.
 #[derive(Debug, Default)]
 pub struct Frames {
     begun: Vec<u8>,
     overlong: bool,
-    /// The beginning of what comes is not there: up to the next zero it is no frame.
+    /// Set if the beginning of the current frame is missing: the bytes up to the next zero are dropped.
     headless: bool,
 }
 
 impl Frames {
-    /// Takes bytes, and gives each stretch that they complete.
-    pub fn push(&mut self, bytes: &[u8], mut each: impl FnMut(Stretch<'_>)) {
+    /// Splits bytes and passes each completed frame to `each`.
+    pub fn push(&mut self, bytes: &[u8], mut each: impl FnMut(LogFrame<'_>)) {
         let mut rest = bytes;
         while let Some(end) = rest.iter().position(|&byte| byte == 0) {
             let (stretch, behind) = rest.split_at(end);
             rest = behind.get(1..).unwrap_or_default();
             self.append(stretch);
             if self.overlong {
-                each(Stretch::Overlong);
+                each(LogFrame::Overlong);
             } else if !self.begun.is_empty() && !self.headless {
-                each(Stretch::Frame(&self.begun));
+                each(LogFrame::Frame(&self.begun));
             }
             self.begun.clear();
             (self.overlong, self.headless) = (false, false);
@@ -40,8 +40,8 @@ impl Frames {
         self.append(rest);
     }
 
-    /// Bytes are missing behind what has come: what was begun is dropped. `whole` where frames are lost as a whole, so
-    /// that what comes next begins one.
+    /// Reports missing bytes: the frame under way is dropped. `whole` is `true` if whole frames are missing, so the next byte
+    /// begins one.
     pub fn gap(&mut self, whole: bool) {
         self.begun.clear();
         self.overlong = false;
@@ -71,8 +71,8 @@ mod tests {
         for chunk in chunks {
             frames.push(chunk, |stretch| {
                 found.push(match stretch {
-                    Stretch::Frame(bytes) => Some(bytes.to_vec()),
-                    Stretch::Overlong => None,
+                    LogFrame::Frame(bytes) => Some(bytes.to_vec()),
+                    LogFrame::Overlong => None,
                 });
             });
         }
@@ -114,7 +114,7 @@ mod tests {
             frames.push(&[1], |_| ());
             frames.gap(whole);
             frames.push(&[2, 0, 3, 0], |stretch| {
-                if let Stretch::Frame(bytes) = stretch {
+                if let LogFrame::Frame(bytes) = stretch {
                     found.push(bytes.to_vec());
                 }
             });

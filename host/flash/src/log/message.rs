@@ -1,27 +1,27 @@
-//! A decoded message.
+//! Decoded message.
 
 use std::fmt;
 
 use serde::{Serialize, Serializer};
 
-/// How much a message matters.
+/// Severity of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
     /// Every step.
     Trace,
-    /// For whoever looks for a defect.
+    /// Information for debugging.
     Debug,
-    /// What happens.
+    /// Normal event.
     Info,
-    /// What should not happen, and is dealt with.
+    /// Unexpected event that the firmware handles.
     Warn,
-    /// What a person should know.
+    /// Error that a user should know of.
     Error,
 }
 
 impl Level {
-    /// All, the least first.
+    /// All levels, the lowest first.
     pub const ALL: [Self; 5] = [
         Self::Trace,
         Self::Debug,
@@ -30,8 +30,8 @@ impl Level {
         Self::Error,
     ];
 
-    /// In one word: `info`.
-    pub fn word(self) -> &'static str {
+    /// Name of the level: `info`.
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Trace => "trace",
             Self::Debug => "debug",
@@ -55,14 +55,14 @@ impl From<defmt_parser::Level> for Level {
     }
 }
 
-/// Where in the firmware's text a message stands.
+/// Place of a message in the firmware's source.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Place {
-    /// The module: `ihd_firmware::board::start`.
+    /// Module: `ihd_firmware::board::start`.
     pub module: String,
-    /// The file, from the checkout's root or with its crate.
+    /// File, relative to the checkout's root or with its crate.
     pub file: String,
-    /// The line, from 1.
+    /// Line, from 1.
     pub line: u64,
 }
 
@@ -78,15 +78,15 @@ impl Serialize for Place {
     }
 }
 
-/// A message of a board. Its texts are fit to be shown: what a terminal would obey is escaped.
+/// Message of a board. Its texts are printable: control characters are escaped.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Message {
-    /// How much it matters; none where the firmware prints without a level.
+    /// Severity; `None` if the firmware prints without a level.
     pub level: Option<Level>,
-    /// What it says.
+    /// Text.
     pub text: String,
-    /// The board's time, where it sends it.
+    /// Time of the board; `None` if it sends none.
     pub uptime: Option<String>,
-    /// Where it stands; none where the image has no debug information.
+    /// Place in the source; `None` if the image has no debug information.
     pub place: Option<Place>,
 }

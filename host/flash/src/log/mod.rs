@@ -1,11 +1,11 @@
-//! What a board logs: frames of numbers and values (defmt), over a debug probe or the link, and the texts for them, which
-//! stay in the image's file.
+//! A board's log: frames of numbers and values (defmt), over a debug probe or the link, and the texts for
+//! them, which stay in the image's file.
 //!
 //! ```text
-//! bytes ─► frames ─► rzcobs ─► walk (are the lengths true?) ─► table ─► Message
+//! bytes ─► frames ─► rzcobs ─► walk (check of the lengths) ─► table ─► Message
 //! ```
 //!
-//! [`follow`](follow::follow) does all of it for as long as somebody listens.
+//! [`follow`](follow::follow) runs all stages until it is stopped.
 
 #[cfg(feature = "log")]
 pub mod decoder;
@@ -15,7 +15,7 @@ pub mod find;
 pub mod follow;
 #[cfg(feature = "log")]
 pub mod frames;
-pub mod kept;
+pub mod image_cache;
 #[cfg(feature = "log")]
 pub mod message;
 #[cfg(feature = "log")]

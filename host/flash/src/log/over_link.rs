@@ -1,4 +1,4 @@
-//! A board's log over its link: a low-priority message with the frames that would leave over RTT.
+//! Log of a board over its link: a low-priority message carries the frames of the RTT log.
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -6,53 +6,53 @@ use std::time::Duration;
 
 use ihd_link::{Client, Event, LinkError, Transport};
 
-use super::follow::{Chunk, LogError, OpenLog, Way};
-use super::running::Running;
+use super::follow::{Chunk, LogError, LogOpener, OpenLog};
+use super::running::RunningProgram;
 use crate::image::BuildId;
 
-/// How often the device is asked whether it is still there, and hears from us.
-const ASK_EVERY: Duration = Duration::from_secs(5);
+/// Period of the requests that check the connection.
+const KEEPALIVE_PERIOD: Duration = Duration::from_secs(5);
 
-/// How long the device has to say that it logs no more.
+/// Time limit of the device for ending the log.
 const CLOSES_WITHIN: Duration = Duration::from_millis(300);
 
-/// A device behind a link that `open` opens.
-pub struct LinkWay<F> {
+/// Access through a link that `open` opens.
+pub struct LinkLogOpener<F> {
     open: F,
-    /// Boot and dropped frames that were told, so that a cable that comes back tells nothing twice.
-    told: Rc<Cell<(u32, u32)>>,
+    /// Boot and drop count reported last, so that reconnecting repeats nothing.
+    reported: Rc<Cell<(u32, u32)>>,
 }
 
-impl<F: FnMut() -> Result<Box<dyn Transport>, LinkError>> LinkWay<F> {
-    /// A way over the link that `open` opens, each time anew.
+impl<F: FnMut() -> Result<Box<dyn Transport>, LinkError>> LinkLogOpener<F> {
+    /// Creates one; `open` opens the link each time.
     pub fn new(open: F) -> Self {
         Self {
             open,
-            told: Rc::default(),
+            reported: Rc::default(),
         }
     }
 }
 
-impl<F: FnMut() -> Result<Box<dyn Transport>, LinkError>> Way for LinkWay<F> {
+impl<F: FnMut() -> Result<Box<dyn Transport>, LinkError>> LogOpener for LinkLogOpener<F> {
     fn open(&mut self) -> Result<Box<dyn OpenLog>, LogError> {
         let mut client = Client::connect((self.open)()?)?;
         let board = client.board()?;
-        let running = Running {
+        let running = RunningProgram {
             build: client.hello().build.as_str().to_owned(),
             build_id: BuildId::of(&board.build_id),
             crc: Some(board.sealed_crc).filter(|_| board.image_bytes > 0),
         };
         client.stream_log(true)?;
         let boot = client.hello().boot_id;
-        if self.told.get().0 != boot {
-            self.told.set((boot, 0));
+        if self.reported.get().0 != boot {
+            self.reported.set((boot, 0));
         }
-        let ask_at = client.clock() + ASK_EVERY;
+        let ask_at = client.clock() + KEEPALIVE_PERIOD;
         Ok(Box::new(LinkLog {
             client,
             running,
             ask_at,
-            told: Rc::clone(&self.told),
+            reported: Rc::clone(&self.reported),
             next: None,
         }))
     }
@@ -60,18 +60,18 @@ impl<F: FnMut() -> Result<Box<dyn Transport>, LinkError>> Way for LinkWay<F> {
 
 struct LinkLog {
     client: Client,
-    running: Running,
+    running: RunningProgram,
     ask_at: Duration,
-    told: Rc<Cell<(u32, u32)>>,
-    /// Bytes of log that the device will have sent before what comes next.
+    reported: Rc<Cell<(u32, u32)>>,
+    /// Offset of the next byte of the log; `None` before the first.
     next: Option<u32>,
 }
 
 impl LinkLog {
-    /// What is missing before bytes that the device numbers so.
+    /// Determines the loss before bytes of this offset.
     fn chunk(&mut self, seq: u32, dropped: u32, bytes: Vec<u8>) -> Chunk {
-        let (boot, before) = self.told.get();
-        self.told.set((boot, dropped));
+        let (boot, before) = self.reported.get();
+        self.reported.set((boot, dropped));
         let lost_bytes = self.next.map_or(0, |next| seq.wrapping_sub(next));
         self.next = Some(seq.wrapping_add(bytes.len() as u32));
         Chunk {
@@ -87,25 +87,25 @@ impl OpenLog for LinkLog {
         self.client.describe()
     }
 
-    fn running(&self) -> Running {
+    fn running(&self) -> RunningProgram {
         self.running.clone()
     }
 
     fn read(&mut self, wait: Duration) -> Result<Chunk, LogError> {
         if self.client.clock() >= self.ask_at {
             self.client.status()?;
-            self.ask_at = self.client.clock() + ASK_EVERY;
+            self.ask_at = self.client.clock() + KEEPALIVE_PERIOD;
         }
         match self.client.next_event(wait)? {
             Some(Event::Log { seq, dropped, data }) => Ok(self.chunk(seq, dropped, data)),
-            // Nobody asked for the rest.
+            // The rest belongs to an earlier request.
             Some(_) | None => Ok(Chunk::default()),
         }
     }
 
     fn close(&mut self) {
         self.client.set_timeout(CLOSES_WITHIN);
-        // A device that is gone logs to nobody either.
+        // An error is ignored: the device may be disconnected.
         let _ = self.client.stream_log(false);
     }
 }

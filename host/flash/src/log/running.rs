@@ -1,20 +1,20 @@
-//! Which image runs on a board: what decides by which table its log is read.
+//! Identity of the program that runs on a board, which selects the table of its log.
 
 use crate::image::{BuildId, Image};
 
-/// What a board says of its program.
+/// Identity of a running program.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Running {
-    /// Package and version, fit to be shown; empty where that was not to be had.
+pub struct RunningProgram {
+    /// Package and version, printable; empty if unknown.
     pub build: String,
-    /// Its build id; none on a simulated hob.
+    /// Build id; `None` on a simulated hob.
     pub build_id: Option<BuildId>,
-    /// CRC-32 of its flash, where it told.
+    /// CRC-32 of its flash; `None` if not reported.
     pub crc: Option<u32>,
 }
 
-impl Running {
-    /// Whether this is the image that runs: by the build id, else by the CRC. What tells neither runs no image.
+impl RunningProgram {
+    /// Returns `true` if this image runs: by the build id, else by the CRC; `false` if neither is known.
     pub fn is(&self, image: &Image) -> bool {
         match (self.build_id, self.crc) {
             (Some(id), _) => id == image.build_id,
@@ -23,7 +23,7 @@ impl Running {
         }
     }
 
-    /// In words: `ihd-firmware 0.1.0 (build 1f2e3d4c)`.
+    /// Description: `ihd-firmware 0.1.0 (build 1f2e3d4c)`.
     pub fn describe(&self) -> String {
         let build = match self.build.as_str() {
             "" => "a firmware",

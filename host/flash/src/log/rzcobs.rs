@@ -1,42 +1,42 @@
-//! defmt's frames on the wire: reverse zero-compressing COBS, and zeros between them.
+//! Encoding of defmt's frames: reverse zero-compressing COBS, separated by zeros.
 
-/// What is not the encoding of anything.
+/// Error for bytes that are not a valid encoding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct NotRzcobs;
+pub(crate) struct RzcobsError;
 
-/// Decodes one frame, without the zero at its end. What was encoded may be followed by up to six zeros: the encoding does
-/// not keep its length.
+/// Decodes one frame, without the zero at its end. The result may end in up to six additional zeros: the encoding does not preserve
+/// the length.
 ///
-/// A byte stands for at most seven, so the result has at most seven times the frame's bytes.
-pub(crate) fn decode(frame: &[u8]) -> Result<Vec<u8>, NotRzcobs> {
+/// A byte encodes at most seven bytes, so the result has at most seven times the frame's length.
+pub(crate) fn decode(frame: &[u8]) -> Result<Vec<u8>, RzcobsError> {
     let mut decoded = Vec::with_capacity(frame.len());
-    // The codes stand behind the bytes that they describe.
+    // The codes follow the bytes that they describe.
     let mut rest = frame.iter().rev().copied();
     while let Some(code) = rest.next() {
         match code {
-            0 => return Err(NotRzcobs),
-            // A bit for each of seven bytes, 1 where it was zero.
+            0 => return Err(RzcobsError),
+            // One bit for each of seven bytes, 1 for a zero byte.
             0x01..=0x7f => {
                 for bit in (0..7).rev() {
                     let is_zero = code & (1 << bit) != 0;
                     decoded.push(if is_zero {
                         0
                     } else {
-                        rest.next().ok_or(NotRzcobs)?
+                        rest.next().ok_or(RzcobsError)?
                     });
                 }
             }
-            // A zero behind 7 to 133 bytes.
+            // A zero after 7 to 133 bytes.
             0x80..=0xfe => {
                 decoded.push(0);
                 for _ in 0..code - 0x80 + 7 {
-                    decoded.push(rest.next().ok_or(NotRzcobs)?);
+                    decoded.push(rest.next().ok_or(RzcobsError)?);
                 }
             }
             // 134 bytes without a zero.
             0xff => {
                 for _ in 0..134 {
-                    decoded.push(rest.next().ok_or(NotRzcobs)?);
+                    decoded.push(rest.next().ok_or(RzcobsError)?);
                 }
             }
         }
@@ -73,7 +73,7 @@ pub(crate) fn encode(bytes: &[u8]) -> Vec<u8> {
             }
         }
     }
-    // As defmt's logger ends a frame: what is missing of seven were zeros.
+    // defmt's logger pads the last seven bytes with zeros.
     match run {
         0 => {}
         1..=6 => out.push((zeros | (0xff << run)) & 0x7f),
@@ -115,7 +115,7 @@ mod tests {
     #[test]
     fn what_is_cut_off_is_refused() {
         for frame in [&[1, 0x80][..], &[0x01], &[0xff], &[1, 2, 3, 0xfe]] {
-            assert_eq!(decode(frame), Err(NotRzcobs), "{frame:?}");
+            assert_eq!(decode(frame), Err(RzcobsError), "{frame:?}");
         }
     }
 

@@ -1,8 +1,8 @@
-//! An ELF file with nothing in it but log messages, for tests and for the fuzzer.
+//! ELF file with log messages only, for tests and for the fuzzer.
 
 use super::rzcobs;
 
-/// Messages and their parts: tag and format string, as defmt writes them.
+/// Messages and their parts: tag and format string, as written by defmt.
 #[derive(Clone, Debug)]
 pub struct Sample {
     strings: Vec<(&'static str, &'static str)>,
@@ -10,7 +10,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// A file with these strings, numbered from 1.
+    /// Creates a file with these strings, numbered from 1.
     pub fn new(strings: &[(&'static str, &'static str)]) -> Self {
         Self {
             strings: strings.to_vec(),
@@ -18,7 +18,7 @@ impl Sample {
         }
     }
 
-    /// One of each kind of value that there is, numbered from 1: what a fuzzer needs.
+    /// Creates one message of each kind of value, numbered from 1, for the fuzzer.
     pub fn of_everything() -> Self {
         Self::new(&[
             ("defmt_info", "watchdog runs: {=u32} µs"),
@@ -51,19 +51,19 @@ impl Sample {
         ])
     }
 
-    /// Encoded in another way than ours.
+    /// Sets another encoding.
     pub fn encoded_as(mut self, encoding: &'static str) -> Self {
         self.encoding = encoding;
         self
     }
 
-    /// The frame of a message by its number, with its values, as it leaves a board.
+    /// Returns the frame of a message with its values, as sent by a board.
     pub fn frame(number: u16, values: &[u8]) -> Vec<u8> {
         let bytes = [&number.to_le_bytes(), values].concat();
         [rzcobs::encode(&bytes), vec![0]].concat()
     }
 
-    /// The file, with nothing else in it.
+    /// Returns the file with nothing else in it.
     pub fn elf(&self) -> Vec<u8> {
         let mut elf = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
         // An executable for Arm.
@@ -79,7 +79,7 @@ impl Sample {
         self.within(elf)
     }
 
-    /// Another ELF file without sections, with these messages in it.
+    /// Adds these messages to another ELF file without sections.
     pub fn within(&self, mut elf: Vec<u8>) -> Vec<u8> {
         let mut headers = vec![0; 40];
         // Name, type, link, info, alignment, entry size.
@@ -100,7 +100,7 @@ impl Sample {
         }
         elf.resize(elf.len().next_multiple_of(4), 0);
         let place = elf.len() as u32;
-        // Where the section headers lie; their size, number, and which holds the names.
+        // Offset of the section headers; their size, number, and the index of the names.
         elf.splice(32..36, place.to_le_bytes());
         let halves = [40u16, 5, 4].map(u16::to_le_bytes);
         elf.splice(46..52, halves.concat());

@@ -1,4 +1,4 @@
-//! What an image's log messages say: the texts stay in its file, and what a board sends is their number and values.
+//! Texts of an image's log messages: they stay in its file, and a board sends their numbers and values.
 
 use std::path::Path;
 
@@ -11,10 +11,10 @@ use super::rzcobs;
 use super::walk::{self, Format, Formats};
 use ihd_signal::printable;
 
-/// Why a file's messages cannot be read.
+/// Error of reading a file's messages.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
-    /// It logs nothing in this way.
+    /// The file has no log messages.
     #[error(
         "{image} has no log messages (defmt): is it the file that `cargo xtask firmware` writes, not stripped?"
     )]
@@ -22,25 +22,25 @@ pub enum TableError {
         /// The file.
         image: String,
     },
-    /// They cannot be read.
+    /// The messages are damaged.
     #[error("the log messages of {image} cannot be read: {why}")]
     Damaged {
         /// The file.
         image: String,
-        /// Why.
+        /// Reason.
         why: String,
     },
-    /// They say what is not decoded here.
+    /// The messages use an unsupported feature.
     #[error("{image} logs with {what}, which `ihd log` does not decode")]
     Unsupported {
         /// The file.
         image: String,
-        /// What.
+        /// Feature.
         what: &'static str,
     },
 }
 
-/// The messages of one image.
+/// Messages of one image.
 pub struct Table {
     defmt: defmt_decoder::Table,
     locations: Locations,
@@ -50,7 +50,7 @@ pub struct Table {
 }
 
 impl Table {
-    /// The messages of an ELF file; `image` names it in what people read.
+    /// Reads the messages of an ELF file; `image` is its name in texts.
     ///
     /// # Errors
     /// [`TableError`].
@@ -73,14 +73,14 @@ impl Table {
         }
         let (formats, timestamp) = formats(elf).map_err(|why| damaged(&why))?;
         let texts = formats.values().map(|format| &format.text);
-        // The decoder panics on a date that there is not.
+        // The decoder panics on an invalid date.
         if texts
             .chain(&timestamp)
             .any(|text| text.contains(":iso8601"))
         {
             return Err(unsupported("dates ({:iso8601…})"));
         }
-        // Without debug information there are none, and the messages are the same.
+        // Without debug information the places are missing, the messages are the same.
         let locations = defmt.get_locations(elf).unwrap_or_default();
         Ok(Self {
             defmt,
@@ -91,23 +91,23 @@ impl Table {
         })
     }
 
-    /// The image that they are of, for people.
+    /// Name of the image.
     pub fn image(&self) -> &str {
         &self.image
     }
 
-    /// Messages that the image can log.
+    /// Number of messages.
     pub fn len(&self) -> usize {
         let formats = self.formats.values();
         formats.filter(|format| format.is_message).count()
     }
 
-    /// Whether it can log none.
+    /// Returns `true` if there are no messages.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The message of a frame, still encoded; `None` where it is none of this image's.
+    /// Decodes an encoded frame; `None` if it is no message of this image.
     pub fn decode(&self, frame: &[u8]) -> Option<Message> {
         let bytes = rzcobs::decode(frame).ok()?;
         if !walk::fits(&self.formats, self.timestamp.as_deref(), &bytes) {
@@ -130,7 +130,7 @@ impl Table {
     }
 }
 
-/// A path as people know it: a crate of a registry by its name, a file of the checkout from its root.
+/// Shortens a path: a registry's crate to its name, a file of the checkout to its path from the root.
 fn shortened(path: &Path) -> String {
     let path = path.to_string_lossy().replace('\\', "/");
     let of_registry = path.split_once("/registry/src/").map(|(_, rest)| rest);
@@ -140,14 +140,14 @@ fn shortened(path: &Path) -> String {
     printable(short.unwrap_or(&path)).to_string()
 }
 
-/// A symbol in the section `.defmt` is named by JSON, and its address is the message's number.
+/// Name of a symbol in the section `.defmt`, as JSON; the symbol's address is the number of the message.
 #[derive(Deserialize, Serialize)]
 struct Symbol {
     tag: String,
     data: String,
 }
 
-/// The format strings by number, and the time stamp's.
+/// Format strings by number, and that of the time stamp.
 fn formats(elf: &[u8]) -> Result<(Formats, Option<String>), object::Error> {
     let file = object::File::parse(elf)?;
     let section = file

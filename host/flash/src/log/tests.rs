@@ -3,7 +3,7 @@
 use ihd_signal::printable::is_shown;
 use proptest::prelude::*;
 
-use super::decoder::{Decoder, Found};
+use super::decoder::{Decoded, Decoder};
 use super::message::{Level, Message};
 use super::sample::Sample;
 use super::table::{Table, TableError};
@@ -13,7 +13,7 @@ fn decoder() -> Decoder {
     Decoder::new(Some(table))
 }
 
-fn found(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Found> {
+fn found(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Decoded> {
     let mut all = Vec::new();
     decoder.push(bytes, |one| all.push(one));
     all
@@ -21,7 +21,7 @@ fn found(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Found> {
 
 fn message(number: u16, values: &[u8]) -> Message {
     match found(&mut decoder(), &Sample::frame(number, values)).as_slice() {
-        [Found::Message(message)] => message.clone(),
+        [Decoded::Message(message)] => message.clone(),
         other => panic!("{other:?}"),
     }
 }
@@ -101,7 +101,7 @@ fn what_is_no_message_is_counted_and_the_next_one_found() {
         let stream = [&bad[..], &good].concat();
         let all = found(&mut decoder, &stream);
         assert!(
-            matches!(all.as_slice(), [Found::Malformed, Found::Message(_)]),
+            matches!(all.as_slice(), [Decoded::Malformed, Decoded::Message(_)]),
             "{bad:?}: {all:?}"
         );
     }
@@ -115,7 +115,7 @@ fn behind_a_loss_what_was_begun_is_no_frame() {
     decoder.lost();
     assert!(matches!(
         found(&mut decoder, &frame).as_slice(),
-        [Found::Message(_)]
+        [Decoded::Message(_)]
     ));
 }
 
@@ -123,7 +123,7 @@ fn behind_a_loss_what_was_begun_is_no_frame() {
 fn without_a_table_frames_are_counted() {
     let mut decoder = Decoder::new(None);
     let stream = Sample::frame(1, &[1, 0, 0, 0]).repeat(3);
-    assert_eq!(found(&mut decoder, &stream), vec![Found::Unread; 3]);
+    assert_eq!(found(&mut decoder, &stream), vec![Decoded::Unread; 3]);
 }
 
 #[test]
@@ -154,7 +154,7 @@ proptest! {
     ) {
         let all = found(&mut decoder(), &Sample::frame(number, &values));
         prop_assert_eq!(all.len(), 1);
-        if let Found::Message(message) = &all[0] {
+        if let Decoded::Message(message) = &all[0] {
             prop_assert!(message.text.chars().all(is_shown));
         }
     }

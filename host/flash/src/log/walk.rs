@@ -1,29 +1,28 @@
-//! Walks through a frame as its format strings say, before anything is made of it: a device may lie about lengths, and
-//! the decoder believes it.
+//! Check of a frame against its format strings before decoding: a device may send wrong lengths, which the decoder would trust.
 
 use std::collections::BTreeMap;
 
 use defmt_parser::{DisplayHint, Fragment, Parameter, ParserMode, Type, get_max_bitfield_range};
 
-/// Values that one frame may hold, those inside of others included.
+/// Limit of values in one frame, nested ones included.
 const MOST_VALUES: u32 = 4096;
 
-/// How deep values may lie in each other.
+/// Limit of the nesting depth.
 const DEEPEST: u32 = 32;
 
-/// A format string of the image.
+/// Format string of the image.
 #[derive(Clone, Debug)]
 pub(super) struct Format {
-    /// As in the program's text: `watchdog runs: {=u32} µs`.
+    /// Text as in the source: `watchdog runs: {=u32} µs`.
     pub text: String,
-    /// Whether it is a message's, not a part of one.
+    /// `true` if it is a whole message, not part of one.
     pub is_message: bool,
 }
 
-/// The format strings by their index.
+/// Format strings by index.
 pub(super) type Formats = BTreeMap<u64, Format>;
 
-/// Whether a frame is what its format strings say, with nothing but zeros behind it: the encoding adds up to six.
+/// Returns `true` if a frame matches its format strings, followed by at most six zeros, which the encoding adds.
 pub(super) fn fits(formats: &Formats, timestamp: Option<&str>, frame: &[u8]) -> bool {
     let mut walk = Walk {
         formats,
@@ -57,7 +56,7 @@ impl<'a> Walk<'a> {
         Some(taken)
     }
 
-    /// Of up to eight bytes, the lowest first.
+    /// Reads a number of up to eight bytes, least significant first.
     fn number(&mut self, bytes: usize) -> Option<u64> {
         let number = self.take(bytes)?.iter().rev();
         Some(number.fold(0, |sum, &byte| sum << 8 | u64::from(byte)))
@@ -110,7 +109,7 @@ impl<'a> Walk<'a> {
         self.take(bytes).map(drop)
     }
 
-    /// An index in the frame, and the format string there.
+    /// Reads an index and returns the format string of that number.
     fn part(&mut self) -> Option<&'a str> {
         let formats = self.formats;
         let format = formats.get(&self.number(2)?)?;
@@ -123,7 +122,7 @@ impl<'a> Walk<'a> {
         (0..elements).try_for_each(|_| self.variant_of(format, depth))
     }
 
-    /// The value's own format, or, of an enumeration's, the one of its variant: `Idle|Heating {=u16}`.
+    /// Returns the value's format, or for an enumeration the one of its variant: `Idle|Heating {=u16}`.
     fn variant_of(&mut self, format: &str, depth: u32) -> Option<()> {
         let Some(last) = format.matches('|').count().checked_sub(1) else {
             return self.values_of(format, depth + 1);
@@ -145,13 +144,13 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// What a format string's values are, in the order of the frame: by their number, each once, bit fields of one together.
+/// Types of a format string's values in the order of the frame: by their number, each once, bit fields of one together.
 fn types(format: &str) -> Option<Vec<Type>> {
     let fragments = defmt_parser::parse(format, ParserMode::ForwardsCompatible).ok()?;
     let mut by_number: BTreeMap<usize, Vec<Parameter>> = BTreeMap::new();
     for fragment in fragments {
         if let Fragment::Parameter(parameter) = fragment {
-            // What shows it (cbor-edn 0.0.6) panics on an empty string of no known length, and recurses without end.
+            // The formatter (cbor-edn 0.0.6) panics on an empty string of indefinite length, and recurses without limit.
             if parameter.hint == Some(DisplayHint::Cbor) {
                 return None;
             }

@@ -1,129 +1,37 @@
-//! A chip behind a debug probe.
+//! Programmer for a chip behind a debug probe.
 
 use ihd_shared::image::{DEVICE_ID, FLASH_ADDRESS, FLASH_BYTES, PAGE_BYTES};
-use probe_rs::{Core, MemoryInterface, Session};
 
-use super::quiet::Quiet;
+use super::connection::ProbeConnection;
 use super::registers as reg;
-use super::{FoundProbe, Probes, errors, flashing, option_registers};
+use super::running_target::RunningTarget;
+use super::{ProbeInfo, Probes, flashing, option_registers};
 use crate::image::Image;
 use crate::options::{OptionBytes, ReadProtection};
-use crate::programmer::{Chip, Doing, Erase, ProgramError, Programmer, Progress};
+use crate::programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, Progress};
 
-/// KiB of flash that the firmware needs: the lookup's pages lie at the end of them.
+/// Flash size in KiB that the firmware needs: the lookup's pages are at its end.
 const FLASH_KIB: u16 = 512;
-
-/// How the probe is connected now.
-#[derive(Debug)]
-enum Connection {
-    /// Not at all: a reset may have cut it. The next access connects.
-    None,
-    /// The debug port alone; the program runs on.
-    Quiet(Quiet),
-    /// A session of probe-rs, which halts the core at both its ends.
-    Session(Box<Session>),
-}
 
 /// See [`Probes::attach`].
 #[derive(Debug)]
 pub struct ProbeProgrammer {
-    probes: Probes,
-    found: FoundProbe,
-    connection: Connection,
+    connection: ProbeConnection,
 }
 
 impl ProbeProgrammer {
-    pub(super) fn new(probes: Probes, found: FoundProbe, quiet: Quiet) -> Self {
+    pub(super) fn new(probes: Probes, found: ProbeInfo, target: RunningTarget) -> Self {
         Self {
-            probes,
-            found,
-            connection: Connection::Quiet(quiet),
+            connection: ProbeConnection::new(probes, found, target),
         }
     }
 
     /// The probe.
-    pub fn probe(&self) -> &FoundProbe {
-        &self.found
+    pub fn probe(&self) -> &ProbeInfo {
+        self.connection.probe()
     }
 
-    /// For what changes the chip: the core is halted.
-    pub(super) fn session(&mut self) -> Result<&mut Session, ProgramError> {
-        if !matches!(self.connection, Connection::Session(_)) {
-            self.open_bridge()?;
-            // A probe is opened once at a time.
-            self.detach();
-            let session = self.probes.session(&self.found)?;
-            self.connection = Connection::Session(Box::new(session));
-        }
-        match &mut self.connection {
-            Connection::Session(session) => Ok(session),
-            _ => unreachable!("it was just made"),
-        }
-    }
-
-    /// Switches the timer's outputs off. Whoever comes here has seen them off, but a program that runs may have begun since,
-    /// and a session halts it with what is on left on.
-    fn open_bridge(&mut self) -> Result<(), ProgramError> {
-        if self.word(Doing::Attaching, reg::APB2ENR)? & reg::HRTIM1EN == 0 {
-            return Ok(());
-        }
-        match &mut self.connection {
-            Connection::Quiet(quiet) => {
-                let opened = quiet.set_word(reg::ODISR, reg::OUTPUTS);
-                opened.map_err(|why| errors::access(Doing::Attaching, &why))
-            }
-            _ => Ok(()),
-        }
-    }
-
-    /// Lets the probe go; the next access connects anew.
-    pub(super) fn detach(&mut self) {
-        self.connection = Connection::None;
-    }
-
-    /// Does something with the core, in a session.
-    pub(super) fn core<T>(
-        &mut self,
-        doing: Doing,
-        work: impl FnOnce(&mut Core<'_>) -> Result<T, probe_rs::Error>,
-    ) -> Result<T, ProgramError> {
-        let session = self.session()?;
-        let done = session.core(0).and_then(|mut core| work(&mut core));
-        done.map_err(|why| errors::access(doing, &why))
-    }
-
-    fn read_while(
-        &mut self,
-        doing: Doing,
-        address: u32,
-        out: &mut [u8],
-    ) -> Result<(), ProgramError> {
-        if matches!(self.connection, Connection::None) {
-            self.connection = Connection::Quiet(self.probes.quiet(&self.found)?);
-        }
-        match &mut self.connection {
-            Connection::Quiet(quiet) => {
-                let read = quiet.read(address, out);
-                read.map_err(|why| errors::access(doing, &why))
-            }
-            _ => self.core(doing, |core| core.read(address.into(), out)),
-        }
-    }
-
-    pub(super) fn word(&mut self, doing: Doing, address: u32) -> Result<u32, ProgramError> {
-        if matches!(self.connection, Connection::None) {
-            self.connection = Connection::Quiet(self.probes.quiet(&self.found)?);
-        }
-        match &mut self.connection {
-            Connection::Quiet(quiet) => {
-                let read = quiet.word(address);
-                read.map_err(|why| errors::access(doing, &why))
-            }
-            _ => self.core(doing, |core| core.read_word_32(address.into())),
-        }
-    }
-
-    /// Refuses a chip whose option bytes forbid what is wanted, before anything is erased.
+    /// Checks that the option bytes allow programming, before anything is erased.
     fn check_writable(&mut self, image: &Image, erase: Erase) -> Result<(), ProgramError> {
         let options = self.option_bytes()?;
         match options.read_protection() {
@@ -150,12 +58,12 @@ impl ProbeProgrammer {
 
 impl Programmer for ProbeProgrammer {
     fn describe(&self) -> String {
-        self.found.describe()
+        self.probe().describe()
     }
 
     fn identify(&mut self) -> Result<Chip, ProgramError> {
-        let doing = Doing::Reading;
-        let found = self.word(doing, reg::IDCODE)?;
+        let doing = FlashStep::Reading;
+        let found = self.connection.read_word(doing, reg::IDCODE)?;
         if found & 0xFFF != DEVICE_ID {
             return Err(ProgramError::WrongChip { found });
         }
@@ -163,7 +71,7 @@ impl Programmer for ProbeProgrammer {
             ReadProtection::None => {}
             level => return Err(ProgramError::ReadProtected { level }),
         }
-        let flash_kib = self.word(doing, reg::FLASH_SIZE)? as u16;
+        let flash_kib = self.connection.read_word(doing, reg::FLASH_SIZE)? as u16;
         if flash_kib < FLASH_KIB {
             return Err(ProgramError::SmallChip { flash_kib });
         }
@@ -177,23 +85,23 @@ impl Programmer for ProbeProgrammer {
     }
 
     fn is_switching(&mut self) -> Result<Option<bool>, ProgramError> {
-        let doing = Doing::Reading;
-        // Without its clock the timer reads as nothing in particular.
-        let clocked = self.word(doing, reg::APB2ENR)? & reg::HRTIM1EN != 0;
-        let on = clocked && self.word(doing, reg::OENR)? & reg::OUTPUTS != 0;
+        let doing = FlashStep::Reading;
+        // Without its clock the timer's registers read as arbitrary values.
+        let clocked = self.connection.read_word(doing, reg::APB2ENR)? & reg::HRTIM1EN != 0;
+        let on = clocked && self.connection.read_word(doing, reg::OENR)? & reg::OUTPUTS != 0;
         Ok(Some(on))
     }
 
     fn read(&mut self, address: u32, out: &mut [u8]) -> Result<(), ProgramError> {
-        self.read_while(Doing::Reading, address, out)
+        self.connection.read(FlashStep::Reading, address, out)
     }
 
     fn option_bytes(&mut self) -> Result<OptionBytes, ProgramError> {
-        option_registers::read(self)
+        option_registers::read(&mut self.connection)
     }
 
     fn set_option_bytes(&mut self, wanted: &OptionBytes) -> Result<(), ProgramError> {
-        option_registers::write(self, wanted)
+        option_registers::write(&mut self.connection, wanted)
     }
 
     fn flash(
@@ -203,14 +111,15 @@ impl Programmer for ProbeProgrammer {
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), ProgramError> {
         self.check_writable(image, erase)?;
-        flashing::flash(self, image, erase, progress)?;
-        flashing::verify(self, FLASH_ADDRESS, &image.flat(), progress)
+        flashing::flash(&mut self.connection, image, erase, progress)?;
+        flashing::verify(&mut self.connection, FLASH_ADDRESS, &image.flat(), progress)
     }
 
     fn reset(&mut self) -> Result<(), ProgramError> {
-        self.core(Doing::Resetting, |core| core.reset())?;
-        // The session's end halts the core once more: now, while the program starts, and not when it may heat.
-        self.detach();
+        self.connection
+            .core(FlashStep::Resetting, |core| core.reset())?;
+        // The session's end halts the core once more: now, while the program starts, not later when it may heat.
+        self.connection.detach();
         Ok(())
     }
 }

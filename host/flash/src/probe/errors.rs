@@ -1,4 +1,4 @@
-//! probe-rs's errors as ours: its own say what its layers saw, not what to do.
+//! Conversion of probe-rs's errors: its texts describe its layers, not the remedy.
 
 use std::error::Error as StdError;
 
@@ -7,10 +7,10 @@ use probe_rs::Error;
 use probe_rs::flashing::FlashError;
 use probe_rs::probe::DebugProbeError;
 
-use super::FoundProbe;
-use crate::programmer::{Doing, ProgramError};
+use super::ProbeInfo;
+use crate::programmer::{FlashStep, ProgramError};
 
-/// An error and its causes, each once.
+/// Text of an error and its causes, each once.
 pub fn chain(error: &dyn StdError) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -21,12 +21,12 @@ pub fn chain(error: &dyn StdError) -> String {
         }
         cause = one.source();
     }
-    // probe-rs's sentences have line ends and full stops of their own.
+    // Texts of probe-rs contain line ends and full stops.
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
     printable(text.trim_end_matches('.')).to_string()
 }
 
-/// Whether the probe itself is gone, not the chip behind it.
+/// Returns `true` if the probe itself is disconnected, not the chip behind it.
 fn is_gone(error: &(dyn StdError + 'static)) -> bool {
     let mut next = Some(error);
     while let Some(one) = next {
@@ -41,14 +41,14 @@ fn is_gone(error: &(dyn StdError + 'static)) -> bool {
     false
 }
 
-/// What went wrong before there was a session.
-pub fn attaching(found: &FoundProbe, error: &Error) -> ProgramError {
+/// Error of attaching.
+pub fn attaching(found: &ProbeInfo, error: &Error) -> ProgramError {
     match error {
         Error::Probe(DebugProbeError::ProbeCouldNotBeCreated(_)) => ProgramError::Open {
             what: found.describe(),
             why: chain(error),
         },
-        _ if is_gone(error) => lost(Doing::Attaching, error),
+        _ if is_gone(error) => lost(FlashStep::Attaching, error),
         _ => ProgramError::NoChip {
             probe: found.describe(),
             why: chain(error),
@@ -56,8 +56,8 @@ pub fn attaching(found: &FoundProbe, error: &Error) -> ProgramError {
     }
 }
 
-/// An access that failed while something was done.
-pub fn access(doing: Doing, error: &Error) -> ProgramError {
+/// Error of an access during an operation.
+pub fn access(doing: FlashStep, error: &Error) -> ProgramError {
     if is_gone(error) {
         lost(doing, error)
     } else {
@@ -68,24 +68,24 @@ pub fn access(doing: Doing, error: &Error) -> ProgramError {
     }
 }
 
-/// The connection is gone.
-pub fn lost(doing: Doing, error: &dyn StdError) -> ProgramError {
+/// Error for a lost connection.
+pub fn lost(doing: FlashStep, error: &dyn StdError) -> ProgramError {
     ProgramError::Lost {
         doing,
         why: chain(error),
     }
 }
 
-/// Where flashing stopped, as far as probe-rs tells: what was done, at which address.
-pub fn place(error: &FlashError) -> Option<(Doing, u32)> {
+/// Operation and address at which flashing stopped; `None` if probe-rs does not tell.
+pub fn place(error: &FlashError) -> Option<(FlashStep, u32)> {
     match error {
         FlashError::EraseFailed { sector_address, .. } => {
-            Some((Doing::Erasing, *sector_address as u32))
+            Some((FlashStep::Erasing, *sector_address as u32))
         }
         FlashError::PageWrite { page_address, .. } => {
-            Some((Doing::Programming, *page_address as u32))
+            Some((FlashStep::Programming, *page_address as u32))
         }
-        FlashError::ChipEraseFailed { .. } => Some((Doing::Erasing, 0x0800_0000)),
+        FlashError::ChipEraseFailed { .. } => Some((FlashStep::Erasing, 0x0800_0000)),
         _ => None,
     }
 }

@@ -9,25 +9,25 @@ use probe_rs::flashing::{
     self, DownloadOptions, FlashError, FlashProgress, ProgressEvent, ProgressOperation,
 };
 
-use super::attached::ProbeProgrammer;
+use super::connection::ProbeConnection;
 use super::errors;
 use super::registers as reg;
 use crate::image::Image;
-use crate::programmer::{Doing, Erase, ProgramError, Progress};
+use crate::programmer::{Erase, FlashStep, ProgramError, Progress};
 
-/// Bytes that are read at once for comparing.
+/// Number of bytes read at once for comparing.
 const READ_BYTES: usize = 4_096;
 
-/// Bytes around a difference that a message shows.
+/// Number of bytes after a difference that a message shows.
 const SHOWN_BYTES: usize = 8;
 
-/// Until the core stands.
+/// Time limit for halting the core.
 const HALTED_WITHIN: Duration = Duration::from_millis(500);
 
-/// How far it is, from probe-rs's events.
+/// Progress, from probe-rs's events.
 struct Meter<'a> {
     report: &'a mut dyn FnMut(Progress),
-    doing: Doing,
+    doing: FlashStep,
     totals: [u32; 2],
     done: [u32; 2],
 }
@@ -40,7 +40,7 @@ impl<'a> Meter<'a> {
         };
         Self {
             report,
-            doing: Doing::Erasing,
+            doing: FlashStep::Erasing,
             totals: [erased, image.bytes],
             done: [0; 2],
         }
@@ -51,7 +51,7 @@ impl<'a> Meter<'a> {
             ProgressEvent::Progress {
                 operation, size, ..
             } => self.advance(*operation, u32::try_from(*size).unwrap_or(u32::MAX)),
-            // An erasure of the whole chip is one step; programming has two parts.
+            // Erasing the whole chip is one step; programming has two parts.
             ProgressEvent::Finished(operation @ ProgressOperation::Erase) => {
                 self.advance(*operation, u32::MAX);
             }
@@ -60,7 +60,7 @@ impl<'a> Meter<'a> {
         }
     }
 
-    /// The last page of the algorithm is filled up: it counts for what it holds.
+    /// Adds progress. The algorithm pads the last page: only the image's bytes count.
     fn advance(&mut self, operation: ProgressOperation, bytes: u32) {
         let ([erased, programmed], [to_erase, to_program]) = (&mut self.done, self.totals);
         match operation {
@@ -70,7 +70,7 @@ impl<'a> Meter<'a> {
                 (self.report)(Progress::Erasing { done, total });
             }
             ProgressOperation::Program => {
-                self.doing = Doing::Programming;
+                self.doing = FlashStep::Programming;
                 *programmed = programmed.saturating_add(bytes).min(to_program);
                 let (done, total) = (*programmed, to_program);
                 (self.report)(Progress::Programming { done, total });
@@ -79,20 +79,20 @@ impl<'a> Meter<'a> {
         }
     }
 
-    /// What is done now, and where, as far as it was told.
-    fn place(&self) -> (Doing, u32) {
+    /// Current operation and address, as far as reported.
+    fn place(&self) -> (FlashStep, u32) {
         let [erased, programmed] = self.done;
         match self.doing {
-            Doing::Erasing => (Doing::Erasing, FLASH_ADDRESS + erased),
+            FlashStep::Erasing => (FlashStep::Erasing, FLASH_ADDRESS + erased),
             doing => (doing, FLASH_ADDRESS + programmed),
         }
     }
 }
 
-/// Erases and programs, the first page last: what is interrupted has no vectors, and the core does not begin with half a
+/// Erases and programs, the first page last: after an interruption there are no vectors, so the core does not start an incomplete
 /// program.
 pub fn flash(
-    chip: &mut ProbeProgrammer,
+    chip: &mut ProbeConnection,
     image: &Image,
     erase: Erase,
     progress: &mut dyn FnMut(Progress),
@@ -149,25 +149,25 @@ fn program(
     loader.commit(session, options)
 }
 
-/// Compares the chip's bytes with the image's, by reading them: probe-rs's own says no more than that something differs.
+/// Compares the chip's bytes with the image's by reading them: probe-rs only reports that something differs.
 pub fn verify(
-    chip: &mut ProbeProgrammer,
+    chip: &mut ProbeConnection,
     address: u32,
-    wanted: &[u8],
+    expected: &[u8],
     progress: &mut dyn FnMut(Progress),
 ) -> Result<(), ProgramError> {
-    let doing = Doing::Verifying;
-    // After a reset no cache of the flash holds what was there before.
+    let doing = FlashStep::Verifying;
+    // A reset invalidates the caches of the flash.
     chip.core(doing, |core| core.reset_and_halt(HALTED_WITHIN))?;
-    let total = wanted.len() as u32;
+    let total = expected.len() as u32;
     let mut next = address;
-    for part in wanted.chunks(READ_BYTES) {
+    for part in expected.chunks(READ_BYTES) {
         let mut found = vec![0; part.len()];
         chip.core(doing, |core| core.read(next.into(), &mut found))?;
         if let Some(at) = part
             .iter()
             .zip(&found)
-            .position(|(wanted, found)| wanted != found)
+            .position(|(expected, found)| expected != found)
         {
             let shown = |bytes: &[u8]| bytes.iter().skip(at).take(SHOWN_BYTES).copied().collect();
             return Err(ProgramError::Verify {
@@ -183,8 +183,12 @@ pub fn verify(
     Ok(())
 }
 
-/// What probe-rs's error means: the flash's controller tells, where it can still be reached.
-fn diagnose(chip: &mut ProbeProgrammer, place: (Doing, u32), error: &FlashError) -> ProgramError {
+/// Finds the reason of probe-rs's error in the flash controller's status, if that can still be read.
+fn diagnose(
+    chip: &mut ProbeConnection,
+    place: (FlashStep, u32),
+    error: &FlashError,
+) -> ProgramError {
     let (doing, address) = errors::place(error).unwrap_or(place);
     let status = chip.core(doing, |core| {
         core.halt(HALTED_WITHIN)?;

@@ -1,12 +1,13 @@
-//! Debug probes, ST-LINK, CMSIS-DAP and J-Link, through probe-rs.
+//! Debug probes (ST-LINK, CMSIS-DAP and J-Link) through probe-rs.
 
 mod attached;
+mod connection;
 mod errors;
 mod flashing;
 mod option_registers;
-mod quiet;
 mod registers;
 mod rtt;
+mod running_target;
 
 use std::rc::Rc;
 
@@ -16,37 +17,37 @@ use probe_rs::probe::{DebugProbeSelector, Probe, WireProtocol};
 use probe_rs::{Permissions, Session};
 use serde::Serialize;
 
-use self::quiet::Quiet;
+use self::running_target::RunningTarget;
 
 pub use attached::ProbeProgrammer;
 pub use rtt::RttSource;
 
-use crate::programmer::{Doing, ProgramError};
+use crate::programmer::{FlashStep, ProgramError};
 
-/// The family's description, cut from probe-rs's own: all of them are 5 MB.
+/// Description of the chip's family, cut from probe-rs's, which has 5 MB for all chips.
 const TARGET: &str = include_str!("../../targets/STM32G474.yaml");
 
-/// Its name there; stands for each package.
+/// Name of the chip there; used for every package.
 const CHIP: &str = "STM32G474RE";
 
-/// A probe that is plugged in.
+/// Connected probe.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct FoundProbe {
-    /// Its name.
+pub struct ProbeInfo {
+    /// Name.
     pub name: String,
     /// USB vendor id.
     pub vendor_id: u16,
     /// USB product id.
     pub product_id: u16,
-    /// Its serial number.
+    /// Serial number; `None` if it has none.
     pub serial: Option<String>,
-    /// What `--probe` takes: `0483:374e:0042…`.
+    /// Selector for `--probe`: `0483:374e:0042…`.
     pub selector: String,
-    /// Whether this user may open it.
+    /// `true` if this user may open it.
     pub accessible: bool,
 }
 
-impl FoundProbe {
+impl ProbeInfo {
     fn of(item: &ProbeListItem) -> Self {
         let info = &item.info;
         let serial = info.serial_number.clone();
@@ -70,49 +71,49 @@ impl FoundProbe {
     }
 }
 
-/// The probes of this machine, or of a test.
+/// Probes of this machine, or of a test.
 #[derive(Clone, Debug)]
 pub struct Probes {
     lister: Rc<Lister>,
 }
 
 impl Default for Probes {
-    /// Those of this machine.
+    /// Probes of this machine.
     fn default() -> Self {
         Self::with(Lister::new())
     }
 }
 
 impl Probes {
-    /// Those of a lister; what drives them does not know the difference.
+    /// Probes of a lister.
     pub fn with(lister: Lister) -> Self {
         Self {
             lister: Rc::new(lister),
         }
     }
 
-    /// All that are plugged in.
-    pub fn list(&self) -> Vec<FoundProbe> {
+    /// Lists the connected probes.
+    pub fn list(&self) -> Vec<ProbeInfo> {
         let found = self.lister.list_all_with_access();
-        found.iter().map(FoundProbe::of).collect()
+        found.iter().map(ProbeInfo::of).collect()
     }
 
-    /// The way to the chip behind a probe. The chip is neither reset nor halted by this, nor by what only reads.
+    /// Connects to the chip behind a probe. Neither this nor reading resets or halts the chip.
     ///
     /// # Errors
     /// [`ProgramError::NotFound`], [`ProgramError::Several`] without a selector (`VID:PID` or `VID:PID:SERIAL`),
     /// [`ProgramError::Open`], [`ProgramError::NoChip`].
     pub fn attach(&self, selector: Option<&str>) -> Result<ProbeProgrammer, ProgramError> {
         let found = self.choose(selector)?;
-        let quiet = self.quiet(&found)?;
-        Ok(ProbeProgrammer::new(self.clone(), found, quiet))
+        let target = self.attach_running(&found)?;
+        Ok(ProbeProgrammer::new(self.clone(), found, target))
     }
 
-    /// The log behind a probe: of the block at an address, where the image names it (`_SEGGER_RTT`), else it is searched
-    /// for in RAM. The chip is not reset, and needs not be there yet.
+    /// Opens the log behind a probe: from the block at an address, if the image names it (`_SEGGER_RTT`); otherwise RAM is searched
+    /// for it. The chip is not reset, and may be absent at first.
     ///
     /// # Errors
-    /// As [`Probes::attach`], for the probe alone.
+    /// Any error of [`Probes::attach`] that concerns the probe.
     pub fn log(
         &self,
         selector: Option<&str>,
@@ -122,7 +123,7 @@ impl Probes {
         Ok(RttSource::new(self.clone(), found, block))
     }
 
-    fn choose(&self, selector: Option<&str>) -> Result<FoundProbe, ProgramError> {
+    fn choose(&self, selector: Option<&str>) -> Result<ProbeInfo, ProgramError> {
         let parsed = selector.map(|text| {
             text.parse::<DebugProbeSelector>()
                 .map_err(|why| not_found(format!("`{text}` names no probe ({why}); it is VID:PID or VID:PID:SERIAL, as `ihd doctor` lists them")))
@@ -136,38 +137,38 @@ impl Probes {
                 return Err(ProgramError::Several {
                     found: several
                         .iter()
-                        .map(|item| FoundProbe::of(item).describe())
+                        .map(|item| ProbeInfo::of(item).describe())
                         .collect(),
                     option: "--probe VID:PID:SERIAL",
                 });
             }
         };
-        Ok(FoundProbe::of(item))
+        Ok(ProbeInfo::of(item))
     }
 
-    /// Opens a probe, wherever it is plugged in now.
-    fn open(&self, found: &FoundProbe) -> Result<Probe, ProgramError> {
+    /// Opens a probe, on whatever port it is now.
+    fn open(&self, found: &ProbeInfo) -> Result<Probe, ProgramError> {
         let items = self.lister.list_all_with_access();
-        let item = items.iter().find(|item| FoundProbe::of(item) == *found);
+        let item = items.iter().find(|item| ProbeInfo::of(item) == *found);
         let item = item.ok_or_else(|| not_found(none_found(Some(&found.selector))))?;
         let probe = self.lister.open(&item.info);
         let mut probe = probe.map_err(|why| ProgramError::Open {
             what: found.describe(),
             why: errors::chain(&why),
         })?;
-        // Some probes know but one.
+        // Some probes have one protocol only.
         let _ = probe.select_protocol(WireProtocol::Swd);
         Ok(probe)
     }
 
     /// Connects without touching the core.
-    fn quiet(&self, found: &FoundProbe) -> Result<Quiet, ProgramError> {
+    fn attach_running(&self, found: &ProbeInfo) -> Result<RunningTarget, ProgramError> {
         let probe = self.open(found)?;
-        Quiet::connect(probe).map_err(|why| errors::attaching(found, &why))
+        RunningTarget::connect(probe).map_err(|why| errors::attaching(found, &why))
     }
 
-    /// Connects for flashing: the core is halted now and then.
-    fn session(&self, found: &FoundProbe) -> Result<Session, ProgramError> {
+    /// Connects for flashing: the core is halted at times.
+    fn session(&self, found: &ProbeInfo) -> Result<Session, ProgramError> {
         let (probe, registry) = (self.open(found)?, registry()?);
         let session = probe.attach_with_registry(CHIP, Permissions::new(), &registry);
         session.map_err(|why| errors::attaching(found, &why))
@@ -193,7 +194,7 @@ fn registry() -> Result<Registry, ProgramError> {
     let mut registry = Registry::new();
     let added = registry.add_target_family_from_yaml(TARGET);
     added.map(|_| registry).map_err(|why| ProgramError::Probe {
-        doing: Doing::Attaching,
+        doing: FlashStep::Attaching,
         why: errors::chain(&why),
     })
 }

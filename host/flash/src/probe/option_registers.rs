@@ -1,39 +1,39 @@
-//! Option bytes by the flash controller's registers (RM0440, 3.4.2).
+//! Access to the option bytes through the flash controller's registers (RM0440, 3.4.2).
 
 use std::thread;
 use std::time::{Duration, Instant};
 
 use probe_rs::MemoryInterface;
 
-use super::attached::ProbeProgrammer;
+use super::connection::ProbeConnection;
 use super::registers as reg;
 use crate::options::OptionBytes;
-use crate::programmer::{Doing, ProgramError, Programmer};
+use crate::programmer::{FlashStep, ProgramError};
 
-/// Writing them takes some 25 ms (DS12288, "Flash memory characteristics").
+/// Time limit of writing them; it takes some 25 ms (DS12288, "Flash memory characteristics").
 const WRITTEN_WITHIN: Duration = Duration::from_millis(500);
 
-/// The chip and its debug port are back this long after they were loaded.
+/// Time limit for the chip and its debug port to return after loading them.
 const BACK_WITHIN: Duration = Duration::from_secs(2);
 
-/// Until the core stands.
+/// Time limit for halting the core.
 const HALTED_WITHIN: Duration = Duration::from_millis(500);
 
-/// What they are.
-pub fn read(chip: &mut ProbeProgrammer) -> Result<OptionBytes, ProgramError> {
+/// Reads the option bytes.
+pub fn read(chip: &mut ProbeConnection) -> Result<OptionBytes, ProgramError> {
     let mut options = OptionBytes {
-        optr: chip.word(Doing::Reading, reg::OPTR)?,
+        optr: chip.read_word(FlashStep::Reading, reg::OPTR)?,
         wrp: [0; 4],
     };
     for (area, address) in options.wrp.iter_mut().zip(reg::WRP) {
-        *area = chip.word(Doing::Reading, address)?;
+        *area = chip.read_word(FlashStep::Reading, address)?;
     }
     Ok(options)
 }
 
-/// Writes and loads them; protection against reading is never changed, as neither direction can be undone.
-pub fn write(chip: &mut ProbeProgrammer, wanted: &OptionBytes) -> Result<(), ProgramError> {
-    let doing = Doing::SettingOptions;
+/// Writes and loads the option bytes. The read protection is never changed, as neither direction can be undone.
+pub fn write(chip: &mut ProbeConnection, wanted: &OptionBytes) -> Result<(), ProgramError> {
+    let doing = FlashStep::SettingOptions;
     let now = read(chip)?;
     if (now.optr ^ wanted.optr) & 0xFF != 0 {
         return Err(ProgramError::Unsupported {
@@ -42,7 +42,7 @@ pub fn write(chip: &mut ProbeProgrammer, wanted: &OptionBytes) -> Result<(), Pro
             instead: "use ST's programmer: one direction erases the chip, the other may be for ever",
         });
     }
-    // Halted, no program uses the flash's controller; after a reset it is locked, and takes the keys.
+    // While halted, no program uses the flash's controller; after a reset it is locked and accepts the keys.
     chip.core(doing, |core| core.reset_and_halt(HALTED_WITHIN))?;
     chip.core(doing, |core| {
         for (register, keys) in [(reg::KEYR, reg::KEYS), (reg::OPTKEYR, reg::OPTION_KEYS)] {
@@ -60,7 +60,7 @@ pub fn write(chip: &mut ProbeProgrammer, wanted: &OptionBytes) -> Result<(), Pro
         core.write_word_32(reg::CR.into(), reg::OPTSTRT)
     })?;
     await_written(chip)?;
-    // The reset comes before the answer does: what this reports means nothing.
+    // The reset cuts the answer: the error has no meaning.
     let _ = chip.core(doing, |core| {
         core.write_word_32(reg::CR.into(), reg::OBL_LAUNCH)
     });
@@ -76,11 +76,11 @@ pub fn write(chip: &mut ProbeProgrammer, wanted: &OptionBytes) -> Result<(), Pro
     }
 }
 
-fn await_written(chip: &mut ProbeProgrammer) -> Result<(), ProgramError> {
-    let (doing, address) = (Doing::SettingOptions, reg::OPTR);
+fn await_written(chip: &mut ProbeConnection) -> Result<(), ProgramError> {
+    let (doing, address) = (FlashStep::SettingOptions, reg::OPTR);
     let deadline = Instant::now() + WRITTEN_WITHIN;
     loop {
-        let status = chip.word(doing, reg::SR)?;
+        let status = chip.read_word(doing, reg::SR)?;
         if status & reg::BSY == 0 {
             return match status & reg::ERRORS {
                 0 => Ok(()),
@@ -102,11 +102,11 @@ fn await_written(chip: &mut ProbeProgrammer) -> Result<(), ProgramError> {
     }
 }
 
-/// What the chip says once it is back.
-fn reattached(chip: &mut ProbeProgrammer) -> Result<OptionBytes, ProgramError> {
+/// Reads the option bytes once the chip is back.
+fn reattached(chip: &mut ProbeConnection) -> Result<OptionBytes, ProgramError> {
     let deadline = Instant::now() + BACK_WITHIN;
     loop {
-        match chip.option_bytes() {
+        match read(chip) {
             Ok(options) => return Ok(options),
             Err(why) if Instant::now() > deadline => return Err(why),
             Err(_) => {

@@ -1,40 +1,40 @@
-//! A board's log through RTT: a ring in its RAM that the probe reads while the program runs.
+//! Log of a board through RTT: a ring in its RAM that the probe reads while the program runs.
 //!
-//! probe-rs has a reader as well, which wants a session, and a session halts the core (see [`super::quiet`]).
+//! The reader of probe-rs needs a session, which halts the core (see [`super::running_target`]).
 
-use super::quiet::Quiet;
-use super::{FoundProbe, Probes, errors};
+use super::running_target::RunningTarget;
+use super::{ProbeInfo, Probes, errors};
 use crate::log_source::LogSource;
-use crate::programmer::{Doing, ProgramError};
+use crate::programmer::{FlashStep, ProgramError};
 
-/// Variables of the program (memory.x): between the stack and the crash record.
+/// Address range of the program's variables (memory.x): between the stack and the crash record.
 const VARIABLES: std::ops::Range<u32> = 0x2000_4000..0x2001_7FE0;
 
-/// What a control block begins with.
+/// First bytes of a control block.
 const MAGIC: [u8; 16] = *b"SEGGER RTT\0\0\0\0\0\0";
 
-/// Words of a block up to the end of the first ring: the magic, the numbers of rings to and from the host, then of the ring
-/// name, buffer, size, written, read, flags.
+/// Number of words of a block up to the end of the first ring: the magic, the numbers of rings to and from the host, then name,
+/// buffer, size, written, read and flags of the ring.
 const BLOCK_WORDS: usize = 12;
 
-/// Where in the block the host says how far it has read.
+/// Offset in the block of the host's read position.
 const READ: u32 = 40;
 
-/// Largest ring that is believed: the RAM has no more.
+/// Limit of a plausible ring: the size of the RAM.
 const MOST_BYTES: u32 = 64 << 10;
 
-/// See [`Probes::log`]. A chip that is reset or whose program has not come as far yet is waited for: reading gives nothing
-/// meanwhile. A probe or a supply that goes away is an error, which [`LogSource::resume`] mends once it is back.
+/// See [`Probes::log`]. While a chip is in reset or its program has not initialised the log, reading returns nothing. A
+/// disconnected probe or supply is an error, which [`LogSource::resume`] cures once it is back.
 #[derive(Debug)]
 pub struct RttSource {
     probes: Probes,
-    found: FoundProbe,
+    found: ProbeInfo,
     named: Option<u32>,
-    quiet: Option<Quiet>,
+    target: Option<RunningTarget>,
     block: Option<u32>,
 }
 
-/// A ring's state, checked: what a chip says is not believed.
+/// Validated state of a ring: the chip's values are not trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Ring {
     buffer: u32,
@@ -64,7 +64,7 @@ impl Ring {
         })
     }
 
-    /// What is unread: up to two stretches, address and length.
+    /// Unread bytes: up to two ranges, address and length.
     fn unread(self) -> [(u32, u32); 2] {
         let at = self.buffer + self.read;
         if self.read <= self.written {
@@ -76,60 +76,60 @@ impl Ring {
 }
 
 impl RttSource {
-    pub(super) fn new(probes: Probes, found: FoundProbe, block: Option<u32>) -> Self {
+    pub(super) fn new(probes: Probes, found: ProbeInfo, block: Option<u32>) -> Self {
         Self {
             probes,
             found,
             named: block,
-            quiet: None,
+            target: None,
             block: None,
         }
     }
 
-    /// Reads memory beside the log.
+    /// Reads memory while following the log.
     ///
     /// # Errors
-    /// As [`LogSource::read`].
+    /// Any error of [`LogSource::read`].
     pub fn memory(&mut self, address: u32, out: &mut [u8]) -> Result<(), ProgramError> {
-        if self.quiet.is_none() {
+        if self.target.is_none() {
             self.resume()?;
         }
-        let Some(quiet) = &mut self.quiet else {
+        let Some(target) = &mut self.target else {
             return Ok(());
         };
-        quiet.read(address, out).map_err(|why| self.lost(&why))
+        target.read(address, out).map_err(|why| self.lost(&why))
     }
 
     fn lost(&mut self, why: &probe_rs::Error) -> ProgramError {
-        (self.quiet, self.block) = (None, None);
-        errors::lost(Doing::Reading, why)
+        (self.target, self.block) = (None, None);
+        errors::lost(FlashStep::Reading, why)
     }
 }
 
-/// Where a control block begins: at the named place or in the program's variables.
-fn find(quiet: &mut Quiet, named: Option<u32>) -> Result<Option<u32>, probe_rs::Error> {
+/// Address of a control block: at the named place, or found in the program's variables.
+fn find(target: &mut RunningTarget, named: Option<u32>) -> Result<Option<u32>, probe_rs::Error> {
     if let Some(named) = named {
         let mut magic = [0; MAGIC.len()];
-        quiet.read(named, &mut magic)?;
+        target.read(named, &mut magic)?;
         return Ok((magic == MAGIC && named.is_multiple_of(4)).then_some(named));
     }
     let mut ram = vec![0; VARIABLES.len()];
-    quiet.read(VARIABLES.start, &mut ram)?;
-    // A word's boundary: the magic's own text in a constant may lie anywhere.
+    target.read(VARIABLES.start, &mut ram)?;
+    // Words are aligned: a copy of the magic in a constant may be anywhere.
     let mut words = ram.windows(MAGIC.len()).step_by(4);
     let at = words.position(|bytes| bytes == MAGIC);
     Ok(at.map(|word| VARIABLES.start + 4 * word as u32))
 }
 
-/// Reads what is unread of the first ring; `None` where there is no sane one (any more).
+/// Reads the unread bytes of the first ring; `None` if there is no valid one.
 fn drain(
-    quiet: &mut Quiet,
+    target: &mut RunningTarget,
     block: u32,
     out: &mut Vec<u8>,
 ) -> Result<Option<usize>, probe_rs::Error> {
-    // In one go, as each has a cost of its own: this is asked fifty times a second.
+    // One transfer, as each has a cost: this runs fifty times a second.
     let mut words = [0; BLOCK_WORDS];
-    quiet.read_words(block, &mut words)?;
+    target.read_words(block, &mut words)?;
     let Some(ring) = Ring::of(&words) else {
         return Ok(None);
     };
@@ -137,12 +137,12 @@ fn drain(
     for (address, length) in ring.unread() {
         let mut stretch = vec![0; length as usize];
         if !stretch.is_empty() {
-            quiet.read(address, &mut stretch)?;
+            target.read(address, &mut stretch)?;
         }
         bytes.extend(stretch);
     }
     if !bytes.is_empty() {
-        quiet.set_word(block + READ, ring.written)?;
+        target.set_word(block + READ, ring.written)?;
     }
     out.extend_from_slice(&bytes);
     Ok(Some(bytes.len()))
@@ -154,17 +154,17 @@ impl LogSource for RttSource {
     }
 
     fn read(&mut self, out: &mut Vec<u8>) -> Result<usize, ProgramError> {
-        if self.quiet.is_none() {
+        if self.target.is_none() {
             self.resume()?;
         }
-        let Some(quiet) = &mut self.quiet else {
+        let Some(target) = &mut self.target else {
             return Ok(0);
         };
         let read = match self.block {
-            Some(block) => drain(quiet, block, out),
-            None => find(quiet, self.named).and_then(|found| {
+            Some(block) => drain(target, block, out),
+            None => find(target, self.named).and_then(|found| {
                 self.block = found;
-                found.map_or(Ok(None), |block| drain(quiet, block, out))
+                found.map_or(Ok(None), |block| drain(target, block, out))
             }),
         };
         match read {
@@ -178,9 +178,9 @@ impl LogSource for RttSource {
     }
 
     fn resume(&mut self) -> Result<(), ProgramError> {
-        // The old connection first: a probe is opened once at a time.
-        (self.quiet, self.block) = (None, None);
-        self.quiet = Some(self.probes.quiet(&self.found)?);
+        // Disconnects first: a probe is exclusive.
+        (self.target, self.block) = (None, None);
+        self.target = Some(self.probes.attach_running(&self.found)?);
         Ok(())
     }
 }

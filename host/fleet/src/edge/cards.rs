@@ -38,7 +38,7 @@ struct Told {
 }
 
 /// Tells until the edge ends.
-pub async fn run(link: Arc<Link>) {
+pub async fn run(link: Arc<Link>, context: Context) {
     let mut told = Told::default();
     let mut report = FleetReport::default();
     let mut reported: Option<Instant> = None;
@@ -48,19 +48,19 @@ pub async fn run(link: Arc<Link>) {
     loop {
         own.look(&link).await;
         if link.reaches() {
-            match tell(&link, &mut told, &own).await {
+            match tell(&link, &context, &mut told, &own).await {
                 Ok(()) => link.works("cards"),
                 Err(why) => link.failed("cards", &why),
             }
             if reported.is_none_or(|at| at.elapsed() >= REPORT_EVERY) {
                 reported = Some(Instant::now());
-                (report, partly) = look(&link, report).await;
+                (report, partly) = look(&link, &context, report).await;
             }
         } else {
             told = Told::default();
             reported = None;
         }
-        report.server.clone_from(&link.server);
+        report.server.clone_from(&link.address);
         report.edge.clone_from(&link.edge);
         report.connected = link.state().connected;
         report.outbox = own.states.due;
@@ -117,8 +117,8 @@ fn caught((name, figures): (&String, &WorkerFigures)) -> Option<String> {
 }
 
 /// The whole fleet, where this edge's key may look at it; else its own hobs, and why.
-async fn look(link: &Link, before: FleetReport) -> (FleetReport, String) {
-    match status::report(&link.context, &link.server).await {
+async fn look(link: &Link, context: &Context, before: FleetReport) -> (FleetReport, String) {
+    match status::report(context, &link.address).await {
         Ok(report) => (report, String::new()),
         Err(why) => own_hobs(link, before, &why),
     }
@@ -139,7 +139,12 @@ fn own_hobs(link: &Link, before: FleetReport, why: &EngineError) -> (FleetReport
 }
 
 /// Tells of the edge and its hobs; where its name is another one's, of that alone.
-async fn tell(link: &Link, told: &mut Told, own: &Own) -> Result<(), EngineError> {
+async fn tell(
+    link: &Link,
+    context: &Context,
+    told: &mut Told,
+    own: &Own,
+) -> Result<(), EngineError> {
     let is_due = |since: Option<Instant>| since.is_none_or(|at| at.elapsed() >= RENEW_EVERY);
     let standing = link.state().standing.clone();
     let key = match standing {
@@ -161,7 +166,7 @@ async fn tell(link: &Link, told: &mut Told, own: &Own) -> Result<(), EngineError
             || is_due(Some(*at))
     };
     if told.edge.as_ref().is_none_or(is_news) {
-        put(&link.context, names::EDGES, &key, &mine).await?;
+        put(context, names::EDGES, &key, &mine).await?;
         told.edge = Some((mine, Instant::now()));
     }
     if standing != Standing::Held {
@@ -176,7 +181,7 @@ async fn tell(link: &Link, told: &mut Told, own: &Own) -> Result<(), EngineError
         if known.is_some_and(|(before, since)| same(before, &card) && !is_due(Some(*since))) {
             continue;
         }
-        put(&link.context, names::HOBS, &device.name, &card).await?;
+        put(context, names::HOBS, &device.name, &card).await?;
         told.hobs.insert(device.name, (card, Instant::now()));
     }
     Ok(())

@@ -4,12 +4,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use async_nats::jetstream::message::PublishMessage;
 use ihd_store::EventRow;
 use serde::{Deserialize, Serialize};
 
 use super::{Link, TRY_AGAIN};
 use crate::names;
+use crate::server::{Outgoing, UnderWay};
 
 /// Events under way at once.
 const BATCH: usize = 128;
@@ -89,11 +89,7 @@ async fn send_some(link: &Link) -> Result<usize, String> {
     failed.map_or(Ok(count), Err)
 }
 
-async fn send(
-    link: &Link,
-    number: i64,
-    event: EventRow,
-) -> Result<Option<async_nats::jetstream::context::PublishAckFuture>, String> {
+async fn send(link: &Link, number: i64, event: EventRow) -> Result<Option<UnderWay>, String> {
     let Some(hob) = event.device.filter(|hob| ihd_daemon::config::is_name(hob)) else {
         return Ok(None);
     };
@@ -105,9 +101,12 @@ async fn send(
         text: event.text,
     };
     let payload = serde_json::to_vec(&message).map_err(|e| e.to_string())?;
-    let message = PublishMessage::build()
-        .payload(payload.into())
-        .message_id(format!("{}-event-{number}", link.edge));
-    let sent = link.context.send_publish(names::event(hob), message).await;
+    let message = Outgoing {
+        subject: names::event(hob),
+        payload: payload.into(),
+        number: Some(format!("{}-event-{number}", link.edge)),
+        after: None,
+    };
+    let sent = link.server.publish(message).await;
     sent.map(Some).map_err(|e| e.to_string())
 }

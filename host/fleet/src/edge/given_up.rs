@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::{Link, now_ms};
+use super::Link;
 use crate::dead;
 
 /// Between two looks.
@@ -37,13 +37,13 @@ pub async fn run(link: Arc<Link>) {
 
 /// Asks for those behind the first `passed` that are not answered; behind how many the next look begins.
 async fn look(link: &Link, passed: usize) -> Result<usize, String> {
-    let before_ms = now_ms() - ASKED_AFTER_MS;
+    let before_ms = link.daemon.now_ms() - ASKED_AFTER_MS;
     let windows = link.daemon.unanswered(before_ms, passed, AT_ONCE).await;
     let windows = windows.map_err(|e| e.to_string())?;
     let (mut still, count) = (0, windows.len());
     for window in windows {
         let (hob, boot, seq) = (&window.device, window.boot, window.seq);
-        let why = dead::why(&link.context, hob, boot, seq).await;
+        let why = dead::why(&link.server, hob, boot, seq).await;
         let Some(why) = why.map_err(|e| e.to_string())? else {
             still += 1;
             continue;

@@ -4,17 +4,16 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use async_nats::jetstream::consumer::{Consumer, pull};
-use async_nats::jetstream::{self, AckKind};
 use futures_util::StreamExt;
 use ihd_daemon::fleet::Received;
-use ihd_daemon::learning::Answer;
+use ihd_daemon::learning::WorkerAnswer;
 use ihd_store::FleetMark;
 use tokio::time::Instant;
 
-use super::{Link, TRY_AGAIN, lock, now_ms, outbox};
-use crate::engine::{self, EngineError};
+use super::{Link, TRY_AGAIN, lock, outbox};
+use crate::engine::EngineError;
 use crate::names;
+use crate::server::{Incoming, Results};
 use crate::wire::AnswerMessage;
 
 /// Results that are taken in at once.
@@ -57,12 +56,12 @@ async fn take(link: &Link) -> Result<(), EngineError> {
     if hobs.is_empty() {
         return Ok(());
     }
-    let consumer = consumer(link, &hobs).await?;
-    known_server(link, &consumer).await?;
+    let results = link.server.results(&link.edge, &hobs).await?;
+    known_server(link, &results).await?;
     // The first request may wait for its whole time.
     heard(link);
     while link.hobs() == hobs && link.is_admitted() {
-        take_some(link, &consumer).await?;
+        take_some(link, &results).await?;
         heard(link);
         link.works("results");
     }
@@ -76,12 +75,10 @@ fn heard(link: &Link) {
 }
 
 /// Takes in the results that one request brings.
-async fn take_some(link: &Link, consumer: &Consumer<pull::Config>) -> Result<(), EngineError> {
+async fn take_some(link: &Link, results: &Results) -> Result<(), EngineError> {
     let failed = |why: String| EngineError::new(names::RESULTS, why);
     let asked = Instant::now();
-    let fetched = consumer.fetch().max_messages(AT_ONCE).expires(ASK_FOR);
-    let fetched = fetched.messages().await;
-    let fetched = fetched.map_err(|e| failed(e.to_string()))?;
+    let fetched = results.fetch(AT_ONCE, ASK_FOR).await.map_err(failed)?;
     let (came, broken) = (AtomicBool::new(false), Mutex::new(None));
     let taken = fetched.for_each_concurrent(AT_ONCE, |message| async {
         match message {
@@ -90,7 +87,7 @@ async fn take_some(link: &Link, consumer: &Consumer<pull::Config>) -> Result<(),
                 take_one(link, message).await;
             }
             // The server has lost the consumer, or the connection has ended.
-            Err(why) => *lock(&broken) = Some(why.to_string()),
+            Err(why) => *lock(&broken) = Some(why),
         }
     });
     taken.await;
@@ -104,9 +101,8 @@ async fn take_some(link: &Link, consumer: &Consumer<pull::Config>) -> Result<(),
 }
 
 /// Sends again what is not answered where the consumer is not the one of before: the server has lost that, and with it what else it had.
-async fn known_server(link: &Link, consumer: &Consumer<pull::Config>) -> Result<(), EngineError> {
-    let made = consumer.cached_info().created.unix_timestamp_nanos() / 1_000;
-    let made = i64::try_from(made).unwrap_or(0);
+async fn known_server(link: &Link, results: &Results) -> Result<(), EngineError> {
+    let made = results.made_us();
     let noted = async {
         let before = link.daemon.fleet_mark(FleetMark::ConsumerMade).await?;
         if before.is_some_and(|before| before != made) {
@@ -123,35 +119,18 @@ async fn known_server(link: &Link, consumer: &Consumer<pull::Config>) -> Result<
     noted.map_err(|e| EngineError::new("store", e))
 }
 
-/// The one that the operator has made; on a server where every key may do all, it is made and kept up to date.
-async fn consumer(link: &Link, hobs: &[String]) -> Result<Consumer<pull::Config>, EngineError> {
-    let config = engine::edge_consumer(&link.edge, hobs);
-    let context = &link.context;
-    let made = context.create_consumer_on_stream(config, names::RESULTS);
-    if let Ok(consumer) = made.await {
-        return Ok(consumer);
-    }
-    let name = names::edge_consumer(&link.edge);
-    let found = context.get_consumer_from_stream(&name, names::RESULTS);
-    found.await.map_err(|e| {
-        let (edge, hobs) = (&link.edge, hobs.join(","));
-        let why = format!("{e}: the operator makes it, `ihd fleet init --edge {edge}={hobs}`");
-        EngineError::new(&name, why)
-    })
-}
-
-async fn take_one(link: &Link, message: jetstream::Message) {
+async fn take_one(link: &Link, message: Incoming) {
     let AnswerMessage {
         hob,
         boot,
         seq,
         answer,
         ..
-    } = match read(&message) {
+    } = match read(link, &message) {
         Ok(read) => read,
         Err(why) => {
-            tracing::warn!(subject = %message.subject, why, "an answer cannot be used");
-            let _ = message.ack_with(AckKind::Term).await;
+            tracing::warn!(subject = message.subject(), why, "an answer cannot be used");
+            message.end().await;
             return;
         }
     };
@@ -181,27 +160,27 @@ async fn take_one(link: &Link, message: jetstream::Message) {
                 }
             }
             // Where this is lost, it comes again and is known.
-            let _ = message.ack().await;
+            message.ack().await;
         }
         Err(why) => {
             tracing::debug!(%why, "an answer is taken in later");
-            let _ = message.ack_with(AckKind::Nak(Some(AGAIN_AFTER))).await;
+            message.again(AGAIN_AFTER).await;
         }
     }
 }
 
 /// Reads an answer, whose subject says for which window it is. One that cannot be read is an answer without R and L: the window is
 /// identified here.
-fn read(message: &jetstream::Message) -> Result<AnswerMessage, String> {
+fn read(link: &Link, message: &Incoming) -> Result<AnswerMessage, String> {
     let (hob, boot, seq) =
-        names::window_of_result(&message.subject).ok_or("its subject names no window")?;
+        names::window_of_result(message.subject()).ok_or("its subject names no window")?;
     let unread = |why: String| AnswerMessage {
         hob: hob.clone(),
         boot,
         seq,
         window_at_ms: 0,
-        at_ms: now_ms(),
-        answer: Answer {
+        at_ms: link.daemon.now_ms(),
+        answer: WorkerAnswer {
             by: UNREADABLE.to_owned(),
             skew_s: None,
             found: Err(why),
@@ -209,7 +188,7 @@ fn read(message: &jetstream::Message) -> Result<AnswerMessage, String> {
         },
     };
     let read =
-        AnswerMessage::from_bytes(&message.payload).unwrap_or_else(|e| unread(e.to_string()));
+        AnswerMessage::from_bytes(message.payload()).unwrap_or_else(|e| unread(e.to_string()));
     match (&read.hob, read.boot, read.seq) == (&hob, boot, seq) {
         true => Ok(read),
         false => Ok(unread("it says that it is another window's".to_owned())),

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use async_nats::jetstream::kv;
+use async_nats::jetstream::{Context, kv};
 use futures_util::stream::{SelectAll, StreamExt};
 use ihd_daemon::fleet::Advice;
 use ihd_daemon::model::{Command, What};
@@ -26,10 +26,10 @@ const HOLDER: &str = "fleet";
 const LOOK_EVERY: Duration = Duration::from_secs(5);
 
 /// Follows both until the edge ends.
-pub async fn run(link: Arc<Link>) {
+pub async fn run(link: Arc<Link>, context: Context) {
     loop {
         if link.is_admitted() {
-            match link.unless_stopping(follow(&link)).await {
+            match link.unless_stopping(follow(&link, &context)).await {
                 None => return,
                 Some(Err(why)) => link.failed("lookups", &why),
                 Some(Ok(())) => {}
@@ -41,11 +41,11 @@ pub async fn run(link: Arc<Link>) {
     }
 }
 
-async fn follow(link: &Link) -> Result<(), String> {
-    let bucket = engine::bucket(&link.context, names::LOOKUPS).await;
+async fn follow(link: &Link, context: &Context) -> Result<(), String> {
+    let bucket = engine::bucket(context, names::LOOKUPS).await;
     let bucket = bucket.map_err(|e| e.to_string())?;
     let hobs = link.hobs();
-    let client = link.context.client();
+    let client = context.client();
     // A hint alone: refused puts are heard, too, and all before the server has stored them.
     let mut hints = SelectAll::new();
     for hob in &hobs {

@@ -30,7 +30,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use async_nats::Event;
-use async_nats::jetstream::Context;
 use ihd_daemon::Daemon;
 use ihd_daemon::fleet::FleetConfig;
 use tokio::sync::{Notify, watch};
@@ -41,6 +40,7 @@ use self::faults::Faults;
 use self::trust::{Answers, Signs};
 use crate::access::{Access, AccessError};
 use crate::claims::Standing;
+use crate::server::Server;
 
 pub use self::events::EventMessage;
 pub use self::states::StateMessage;
@@ -60,10 +60,10 @@ pub struct Edge {
 /// What the tasks of an edge share.
 pub(crate) struct Link {
     pub daemon: Daemon,
-    pub context: Context,
+    pub server: Server,
     pub edge: String,
-    pub server: String,
-    access: Access,
+    /// Address of the server, without secrets.
+    pub address: String,
     state: Arc<Mutex<State>>,
     /// Somebody who waits may find something to do.
     stirred: Notify,
@@ -91,39 +91,50 @@ impl Edge {
     pub async fn start(daemon: Daemon, config: &FleetConfig) -> Result<Self, AccessError> {
         let access = Access::from(config);
         let edge = config.edge_name();
-        let state = Arc::new(Mutex::new(State {
-            away: "the server has not answered yet".to_owned(),
-            ..State::default()
-        }));
+        let state = State::begin();
         let told = Arc::clone(&state);
         let on_event = move |event: Event| hear(&told, &event);
         let context = access.keep_connected(&edge, Box::new(on_event)).await?;
+        let address = access.shown();
+        tracing::info!(edge, server = address, "edge of a fleet");
+        let server = Server::JetStream(Box::new(context.clone()), access);
+        let (link, mut this) = Self::begin(daemon, edge, address, server, state);
+        let tasks = &mut this.tasks;
+        tasks.spawn(lookups::run(Arc::clone(&link), context.clone()));
+        tasks.spawn(pots::run(Arc::clone(&link), context.clone()));
+        tasks.spawn(cards::run(Arc::clone(&link), context.clone()));
+        tasks.spawn(states::run(Arc::clone(&link), context.client()));
+        if config.captures {
+            tasks.spawn(crate::captures::follow(link, context));
+        }
+        Ok(this)
+    }
+
+    /// Begins the tasks that windows and results pass through.
+    pub(crate) fn begin(
+        daemon: Daemon,
+        edge: String,
+        address: String,
+        server: Server,
+        state: Arc<Mutex<State>>,
+    ) -> (Arc<Link>, Self) {
         let (stop, stopped) = watch::channel(false);
         let link = Arc::new(Link {
             daemon,
-            context,
-            server: access.shown(),
-            access,
+            server,
+            address,
             edge,
             state,
             stirred: Notify::new(),
             stop: stopped,
         });
-        tracing::info!(edge = link.edge, server = link.server, "edge of a fleet");
         let mut tasks = JoinSet::new();
         tasks.spawn(name::run(Arc::clone(&link)));
         tasks.spawn(outbox::run(Arc::clone(&link)));
         tasks.spawn(events::run(Arc::clone(&link)));
         tasks.spawn(inbox::run(Arc::clone(&link)));
         tasks.spawn(given_up::run(Arc::clone(&link)));
-        tasks.spawn(lookups::run(Arc::clone(&link)));
-        tasks.spawn(pots::run(Arc::clone(&link)));
-        tasks.spawn(cards::run(Arc::clone(&link)));
-        tasks.spawn(states::run(Arc::clone(&link)));
-        if config.captures {
-            tasks.spawn(crate::captures::follow(Arc::clone(&link)));
-        }
-        Ok(Self { stop, tasks })
+        (link, Self { stop, tasks })
     }
 
     /// Ends it: before the daemon, whose store it uses.
@@ -139,21 +150,39 @@ impl Edge {
 fn hear(state: &Mutex<State>, event: &Event) {
     let mut state = lock(state);
     match event {
-        Event::Connected => {
-            state.connected = true;
-            state.away.clear();
-            tracing::info!("the fleet's server answers");
-        }
+        Event::Connected => state.connect(),
         Event::Disconnected | Event::LameDuckMode | Event::Draining | Event::Closed => {
-            if state.connected {
-                tracing::warn!("the fleet's server is away: this daemon goes on by itself");
-            }
-            state.connected = false;
-            state.away = "the server does not answer".to_owned();
+            state.disconnect();
         }
         Event::ClientError(error) => state.away = error.to_string(),
         Event::ServerError(error) => state.away = error.to_string(),
         Event::SlowConsumer(_) => {}
+    }
+}
+
+impl State {
+    /// State of an edge that begins.
+    pub fn begin() -> Arc<Mutex<Self>> {
+        Arc::new(Mutex::new(Self {
+            away: "the server has not answered yet".to_owned(),
+            ..Self::default()
+        }))
+    }
+
+    /// Notes that the server answers.
+    pub fn connect(&mut self) {
+        self.connected = true;
+        self.away.clear();
+        tracing::info!("the fleet's server answers");
+    }
+
+    /// Notes that the server does not answer any more.
+    pub fn disconnect(&mut self) {
+        if self.connected {
+            tracing::warn!("the fleet's server is away: this daemon goes on by itself");
+        }
+        self.connected = false;
+        self.away = "the server does not answer".to_owned();
     }
 }
 
@@ -218,7 +247,7 @@ impl Link {
         if !self.state().connected {
             return false;
         }
-        match self.access.check(&self.context.client()) {
+        match self.server.check() {
             Ok(()) => {
                 self.works("server");
                 true

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ihd_daemon::fleet::host_name;
 
-use super::{Link, TRY_AGAIN, now_ms};
+use super::{Link, TRY_AGAIN};
 use crate::claims::{self, Claim, Standing, Verdict};
 use crate::engine::EngineError;
 use crate::identity::Identity;
@@ -42,7 +42,7 @@ async fn look(link: &Link, mine: &mut Option<Claim>) -> Result<(), EngineError> 
     let Some(mine) = mine else { return Ok(()) };
     // Somebody may be faster, once; who that is, is seen then.
     for _ in 0..2 {
-        let (there, number) = claims::of_edge(&link.context, &link.edge).await?;
+        let (there, number) = claims::of_edge(&link.server, &link.edge).await?;
         let standing = link.state().standing.clone();
         match mine.judge(&link.edge, there.as_ref(), &standing) {
             Verdict::Stands(standing) => {
@@ -50,8 +50,8 @@ async fn look(link: &Link, mine: &mut Option<Claim>) -> Result<(), EngineError> 
                 return Ok(());
             }
             Verdict::Take => {
-                mine.at_ms = now_ms();
-                if claims::put(&link.context, &link.edge, mine, number).await? {
+                mine.at_ms = link.daemon.now_ms();
+                if claims::put(&link.server, &link.edge, mine, number).await? {
                     tracing::info!(edge = link.edge, "the edge's name is this store's");
                     stand(link, Standing::Held);
                     return Ok(());
@@ -71,7 +71,7 @@ async fn claim(link: &Link) -> Result<Claim, EngineError> {
         identity: Identity::new(secret).public(),
         host: host_name(),
         store: folder.display().to_string(),
-        at_ms: now_ms(),
+        at_ms: link.daemon.now_ms(),
     })
 }
 

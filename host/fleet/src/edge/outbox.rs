@@ -4,20 +4,18 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use async_nats::jetstream::context::{PublishAckFuture, PublishError, PublishErrorKind};
-use async_nats::jetstream::message::PublishMessage;
-use async_nats::jetstream::publish::PublishAck;
 use ihd_daemon::StoreTrouble;
-use ihd_daemon::learning::Answer;
+use ihd_daemon::learning::WorkerAnswer;
 use ihd_daemon::model::What;
-use ihd_store::{Due, DueWindow, FleetMark, Sent};
+use ihd_store::{DeliveryState, DueWindow, FleetMark, OutboxItem};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::Instant;
 
-use super::acknowledged::{UnderWay, all_until};
-use super::{Link, TRY_AGAIN, now_ms};
+use super::acknowledged::{self, all_until};
+use super::{Link, TRY_AGAIN};
 use crate::identity::Identity;
 use crate::names;
+use crate::server::{Acknowledged, Outgoing, PublishTrouble, UnderWay};
 use crate::wire::{AnswerMessage, MessageError, WindowMessage};
 
 /// Windows under way at once.
@@ -43,8 +41,8 @@ enum SendError {
     Store(#[from] StoreTrouble),
     #[error(transparent)]
     Message(#[from] MessageError),
-    #[error("{0}")]
-    Publish(#[from] PublishError),
+    #[error(transparent)]
+    Publish(#[from] PublishTrouble),
     #[error("no acknowledgement within {} s", BATCH_WITHIN.as_secs())]
     Late,
 }
@@ -112,7 +110,11 @@ pub async fn run(link: Arc<Link>) {
 
 /// What was never answered is sent again.
 async fn send_again(link: &Link) {
-    match link.daemon.due_again(now_ms() - ANSWERED_WITHIN_MS).await {
+    match link
+        .daemon
+        .due_again(link.daemon.now_ms() - ANSWERED_WITHIN_MS)
+        .await
+    {
         Ok(0) => {}
         Ok(windows) => {
             tracing::warn!(windows, "never answered by the fleet: they are sent again");
@@ -158,13 +160,17 @@ async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError>
     failed.map_or(Ok(count), Err)
 }
 
-type Acknowledged = (DueWindow, Sent, Result<PublishAck, PublishError>);
+type Heard = (
+    DueWindow,
+    DeliveryState,
+    Result<Acknowledged, PublishTrouble>,
+);
 
 /// Outcome of a batch so far.
 #[derive(Default)]
 struct Batch {
-    under_way: UnderWay<Acknowledged>,
-    sent: Vec<(DueWindow, Sent)>,
+    under_way: acknowledged::UnderWay<Heard>,
+    sent: Vec<(DueWindow, DeliveryState)>,
     /// Numbers in the queue of windows that came there for the first time.
     numbers: Vec<u64>,
 }
@@ -180,11 +186,10 @@ impl Batch {
         for due in due {
             match send(link, identity, &due).await? {
                 Some((what, acknowledged)) => {
-                    // The client waits for each of them as long as for any.
                     let acknowledged = async move { (due, what, acknowledged.await) };
                     self.under_way.push(Box::pin(acknowledged));
                 }
-                None => self.sent.push((due, Sent::Nothing)),
+                None => self.sent.push((due, DeliveryState::Nothing)),
             }
         }
         Ok(())
@@ -193,18 +198,17 @@ impl Batch {
     fn heard(
         &mut self,
         due: DueWindow,
-        what: Sent,
-        acknowledged: Result<PublishAck, PublishError>,
+        what: DeliveryState,
+        acknowledged: Result<Acknowledged, PublishTrouble>,
     ) -> Result<(), SendError> {
         match acknowledged {
             Ok(message) => {
-                if what == Sent::Window && !message.duplicate {
-                    self.numbers.push(message.sequence);
+                if what == DeliveryState::Window && !message.is_duplicate {
+                    self.numbers.push(message.number);
                 }
             }
             // Another one has published a result of this window before.
-            Err(why)
-                if what == Sent::Result && why.kind() == PublishErrorKind::WrongLastSequence => {}
+            Err(PublishTrouble::Occupied) if what == DeliveryState::Result => {}
             Err(why) => return Err(why.into()),
         }
         self.sent.push((due, what));
@@ -225,7 +229,11 @@ impl Batch {
             link.daemon.mark_fleet(FleetMark::LastWindow, last).await?;
         }
         let now = Instant::now();
-        for (due, _) in self.sent.iter().filter(|(_, what)| *what == Sent::Window) {
+        for (due, _) in self
+            .sent
+            .iter()
+            .filter(|(_, what)| *what == DeliveryState::Window)
+        {
             let key = (due.device.clone(), due.boot, due.seq);
             link.state().answers.sent(key, now);
         }
@@ -238,10 +246,10 @@ async fn send(
     link: &Link,
     identity: &Identity,
     due: &DueWindow,
-) -> Result<Option<(Sent, PublishAckFuture)>, SendError> {
+) -> Result<Option<(DeliveryState, UnderWay)>, SendError> {
     let (hob, boot, seq) = (&due.device, due.boot, due.seq);
-    let (subject, message, what) = match link.daemon.read_due(due.clone()).await? {
-        Due::Window(window) => {
+    let (message, what) = match link.daemon.read_due(due.clone()).await? {
+        OutboxItem::Window(window) => {
             let message = WindowMessage {
                 hob: hob.clone(),
                 boot,
@@ -250,24 +258,30 @@ async fn send(
                 not_for: link.daemon.distrusted(),
                 window: *window,
             };
-            let message = PublishMessage::build()
-                .payload(message.to_bytes()?.into())
-                .message_id(identity.of_window(hob, boot, seq));
-            (names::window(hob), message, Sent::Window)
+            let message = Outgoing {
+                subject: names::window(hob),
+                payload: message.to_bytes()?.into(),
+                number: Some(identity.of_window(hob, boot, seq)),
+                after: None,
+            };
+            (message, DeliveryState::Window)
         }
-        Due::Result(_) => {
+        OutboxItem::Result(_) => {
             let message = identified_here(link, due);
-            let message = PublishMessage::build()
-                .payload(message.to_bytes()?.into())
-                .expected_last_subject_sequence(0);
-            (names::result(hob, boot, seq), message, Sent::Result)
+            let message = Outgoing {
+                subject: names::result(hob, boot, seq),
+                payload: message.to_bytes()?.into(),
+                number: None,
+                after: Some(0),
+            };
+            (message, DeliveryState::Result)
         }
-        Due::Gone => {
+        OutboxItem::Gone => {
             tracing::warn!(hob, boot, seq, "its samples are gone: it is given up");
             return Ok(None);
         }
     };
-    let under_way = link.context.send_publish(subject, message).await?;
+    let under_way = link.server.publish(message).await?;
     Ok(Some((what, under_way)))
 }
 
@@ -278,8 +292,8 @@ fn identified_here(link: &Link, due: &DueWindow) -> AnswerMessage {
         boot: due.boot,
         seq: due.seq,
         window_at_ms: due.at_ms,
-        at_ms: now_ms(),
-        answer: Answer {
+        at_ms: link.daemon.now_ms(),
+        answer: WorkerAnswer {
             by: link.edge.clone(),
             skew_s: None,
             found: Err("its edge has identified it".to_owned()),

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use async_nats::jetstream::Context;
 use ihd_map::library::{Library, LibraryError, MOST_OF_ONE_HOB, PotEntry, Provenance};
 
 use super::{Link, TRY_AGAIN, now_ms};
@@ -14,10 +15,10 @@ use crate::names;
 const LOOK_EVERY: Duration = Duration::from_secs(60);
 
 /// Gives and takes until the edge ends.
-pub async fn run(link: Arc<Link>) {
+pub async fn run(link: Arc<Link>, context: Context) {
     loop {
         let pause = match link.is_admitted() {
-            true => match exchange(&link).await {
+            true => match exchange(&link, &context).await {
                 Ok(()) => {
                     link.works("pots");
                     LOOK_EVERY
@@ -35,8 +36,8 @@ pub async fn run(link: Arc<Link>) {
     }
 }
 
-async fn exchange(link: &Link) -> Result<(), EngineError> {
-    let there = engine::entries(&link.context, names::POTS).await?;
+async fn exchange(link: &Link, context: &Context) -> Result<(), EngineError> {
+    let there = engine::entries(context, names::POTS).await?;
     let mut libraries: BTreeMap<String, Library> = BTreeMap::new();
     for (hob, bytes) in &there {
         match of_hob(hob, bytes) {
@@ -62,7 +63,7 @@ async fn exchange(link: &Link) -> Result<(), EngineError> {
         }
         let bytes = mine.to_bytes();
         if there.get(&hob).is_none_or(|known| *known != bytes) {
-            engine::put(&link.context, names::POTS, &hob, bytes).await?;
+            engine::put(context, names::POTS, &hob, bytes).await?;
         }
     }
     let mut all = Library::default();

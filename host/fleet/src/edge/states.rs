@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use async_nats::Client;
 use futures_util::StreamExt;
 use ihd_daemon::model::DeviceReport;
 use serde::{Deserialize, Serialize};
@@ -62,10 +63,10 @@ impl StateMessage {
 }
 
 /// Tells until the edge ends; what Home Assistant asks for at its start, too.
-pub async fn run(link: Arc<Link>) {
+pub async fn run(link: Arc<Link>, client: Client) {
     loop {
         if link.is_admitted() {
-            let told = link.unless_stopping(tell(&link)).await;
+            let told = link.unless_stopping(tell(&link, &client)).await;
             match told {
                 None => return,
                 Some(Err(why)) => link.failed("states", &why),
@@ -78,8 +79,7 @@ pub async fn run(link: Arc<Link>) {
     }
 }
 
-async fn tell(link: &Link) -> Result<(), String> {
-    let client = link.context.client();
+async fn tell(link: &Link, client: &Client) -> Result<(), String> {
     let births = client.subscribe(discovery::STATUS).await;
     let mut births = births.map_err(|e| e.to_string())?;
     let mut discovered = Vec::new();

@@ -1,10 +1,10 @@
 //! A worker's answer on its way to the window's edge. Nothing in it is believed without the window
-//! ([`ihd_daemon::learning::Answer`]).
+//! ([`ihd_daemon::learning::WorkerAnswer`]).
 
 use std::time::Duration;
 
 use ihd_daemon::config::is_name;
-use ihd_daemon::learning::{Answer, Stated};
+use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
 use ihd_daemon::model::{FitRemark, FitStep};
 use ihd_store::MAX_POINTS;
 use serde::{Deserialize, Serialize};
@@ -35,7 +35,7 @@ pub struct AnswerMessage {
     /// Time of the answer, in milliseconds since 1970, UTC.
     pub at_ms: i64,
     /// The answer.
-    pub answer: Answer,
+    pub answer: WorkerAnswer,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -136,7 +136,7 @@ impl AnswerMessage {
             seq: fields.seq,
             window_at_ms: fields.window_at_ms,
             at_ms: fields.at_ms,
-            answer: Answer {
+            answer: WorkerAnswer {
                 by: worker(fields.by)?,
                 skew_s: fields.skew_s.filter(|skew_s| skew_s.is_finite()),
                 found,
@@ -147,7 +147,7 @@ impl AnswerMessage {
 }
 
 impl Load {
-    fn of(stated: &Stated) -> Self {
+    fn of(stated: &StatedLoad) -> Self {
         let step = |s: &FitStep| Step(s.step, s.loss as f32, s.change.map(|c| c as f32));
         let remark = |r: &FitRemark| Remark {
             code: r.code.clone(),
@@ -166,7 +166,7 @@ impl Load {
         }
     }
 
-    fn read(self) -> Result<Stated, MessageError> {
+    fn read(self) -> Result<StatedLoad, MessageError> {
         let numbers = |field, list: &Singles| list.read(field, MAX_POINTS);
         let t_s = numbers("t_s", &self.t_s)?;
         let of_times = |field, list: &Singles, may_miss: bool| {
@@ -204,7 +204,7 @@ impl Load {
             })
         };
         let remarks = self.remarks.into_iter().map(remark);
-        Ok(Stated {
+        Ok(StatedLoad {
             r_ohm,
             l_h,
             r_sigma_ohm,

@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use ciborium::Value;
-use ihd_daemon::learning::{Answer, Stated};
+use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
 use ihd_daemon::model::{FitRemark, FitStep};
 use ihd_link::Window;
 use ihd_shared::sampling::{Pair, Scales};
@@ -48,10 +48,10 @@ fn answer() -> AnswerMessage {
         seq: 4_711,
         window_at_ms: 1_795_000_000_000,
         at_ms: 1_795_000_000_120,
-        answer: Answer {
+        answer: WorkerAnswer {
             by: "lab-3".into(),
             skew_s: Some(-60e-9),
-            found: Ok(Stated {
+            found: Ok(StatedLoad {
                 t_s: vec![0.0, 0.25, 0.5],
                 r_ohm: vec![3.5, 3.25, 3.0],
                 l_h: vec![0.5, 0.25, 0.125],

@@ -1,9 +1,9 @@
 //! The paper's filter exactly as eq. (15)-(19) and section V print it: raw units, x̂₀ = 0,
 //! Σ_x,0 = 10³·I, Σ_v = 1 for either measurement.
 //!
-//! What cannot be right as written, and is left so: Σ_w is indefinite (its cross term 10⁻⁵ exceeds
+//! Three errors in print are kept: Σ_w is indefinite (its cross term 10⁻⁵ exceeds
 //! √(10⁻⁷·10⁻⁶)), x̂₀ = 0 is a saddle, and (17) makes x2 a rate in A/s while (18) multiplies it by
-//! L/T_s. The estimate notes which of these showed.
+//! L/T_s. The estimate notes which of these had an effect.
 
 use std::time::Instant;
 
@@ -32,7 +32,7 @@ const START: Filter = Filter {
 /// Runs the paper's filter over the segment; L = x4·T_s, as the paper defines x4.
 ///
 /// # Errors
-/// [`IdentifyError::Diverged`] when an estimate is no finite number.
+/// [`IdentifyError::Diverged`] if an estimate is not finite.
 pub fn identify(segment: &Segment) -> Result<Estimate, IdentifyError> {
     let started = Instant::now();
     let model = model(segment.dt_s);

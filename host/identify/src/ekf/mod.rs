@@ -1,8 +1,8 @@
-//! The paper's extended Kalman filter, eq. (15)-(19): literally, repaired, and smoothed.
+//! The paper's extended Kalman filter, eq. (15)-(19): literal, repaired, and smoothed.
 //!
-//! The repaired filter works in units of the capture's own rms current and voltage, so that a probe
-//! of another ratio changes nothing but the units of the result, and takes the measurement noise
-//! from the capture ([`WhiteNoise`]). docs/estimators.md gives the reasons of its tuning.
+//! The repaired filter works in units of the capture's own rms current and voltage, so that a probe of another ratio changes only
+//! the units of the result. It takes the measurement noise from the capture ([`WhiteNoise`]). The reasons for its tuning are in
+//! docs/estimators.md.
 
 pub mod literal;
 pub mod rts;
@@ -18,13 +18,13 @@ use serde::{Deserialize, Serialize};
 
 use self::step::{Filter, Model, State};
 use self::waveforms::{PeriodMeans, Waveforms};
-use super::{Estimate, IdentifyError, Method, Settings};
+use super::{Estimate, IdentifyError, IdentifyOptions, Method};
 
 /// Noise model of the repaired filter, in units of the capture's rms current and voltage.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Tuning {
-    /// Standard deviation of what i does beyond x2 in a sample of 20 ns: Euler's error, in I_rms.
+pub struct EkfTuning {
+    /// Standard deviation of the change of i beyond x2 in a sample of 20 ns: Euler's error, in I_rms.
     pub current: f64,
     /// Standard deviation of the change of x2 in a sample of 20 ns: an edge of the bridge, in I_rms.
     pub slope: f64,
@@ -38,7 +38,7 @@ pub struct Tuning {
     pub voltage_floor: f64,
 }
 
-impl Default for Tuning {
+impl Default for EkfTuning {
     fn default() -> Self {
         Self {
             current: 4e-4,
@@ -51,12 +51,12 @@ impl Default for Tuning {
     }
 }
 
-/// Sampling interval at which [`Tuning`] is stated, in seconds: the paper's 50 MS/s.
+/// Sampling interval at which [`EkfTuning`] is stated, in seconds: the paper's 50 MS/s.
 const REFERENCE_S: f64 = 20e-9;
 
 /// A segment in units of its rms current and voltage, and the filter for it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Prepared {
+pub struct PreparedSegment {
     /// Current, sample by sample, in I_rms.
     pub i: Vec<f64>,
     /// Voltage in the middle between each sample and the next, in V_rms.
@@ -64,9 +64,9 @@ pub struct Prepared {
     /// Ampere and volt of one unit.
     i_unit_a: f64,
     v_unit_v: f64,
-    /// Noise and transition.
+    /// Noise and transition of the filter.
     pub model: Model,
-    /// Where the filter starts.
+    /// Initial state of the filter.
     pub start: Filter,
 }
 
@@ -74,11 +74,11 @@ fn rms(x: &[f64]) -> f64 {
     (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt()
 }
 
-impl Prepared {
+impl PreparedSegment {
     /// Measures units, noise and start of a segment that passes [`Segment::check`].
-    pub fn new(segment: &Segment, settings: &Settings) -> Self {
+    pub fn new(segment: &Segment, settings: &IdentifyOptions) -> Self {
         let (i_unit_a, v_unit_v) = (rms(&segment.i_a), rms(&segment.v_v));
-        // x2 is the change to the next sample, so R·i + L·di/dt belongs to the middle between the two.
+        // x2 is the change to the next sample, so that R·i + L·di/dt belongs to the middle between the two.
         let last = segment.v_v.last().copied();
         let next = segment.v_v.iter().skip(1).copied().chain(last);
         let half = segment.v_v.iter().zip(next);
@@ -87,7 +87,7 @@ impl Prepared {
         let tuning = &settings.ekf;
         let ratio = segment.dt_s / REFERENCE_S;
         let omega_dt = std::f64::consts::TAU * segment.f_sw_hz * segment.dt_s;
-        // Random walks grow with √T_s; x2 = T_s·di/dt brings a T_s more, x4 = L/T_s one less.
+        // Random walks grow with √T_s; x2 = T_s·di/dt has one T_s more, x4 = L/T_s one less.
         let deviation = [
             tuning.current * ratio.sqrt(),
             tuning.slope * ratio.sqrt() * ratio,
@@ -154,10 +154,10 @@ fn inductance(x: &State) -> f64 {
 /// Runs the repaired filter once over the segment.
 ///
 /// # Errors
-/// [`IdentifyError::Diverged`] when state or covariance stop being sound.
-pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, IdentifyError> {
+/// [`IdentifyError::Diverged`] if state or covariance become unsound.
+pub fn identify(segment: &Segment, settings: &IdentifyOptions) -> Result<Estimate, IdentifyError> {
     let started = Instant::now();
-    let prepared = Prepared::new(segment, settings);
+    let prepared = PreparedSegment::new(segment, settings);
     let mut means = PeriodMeans::new(segment, prepared.units(segment));
     let mut waves = Waveforms::new(segment.len(), prepared.i_unit_a, prepared.v_unit_v);
     let mut filter = prepared.start;
@@ -181,15 +181,15 @@ pub fn identify(segment: &Segment, settings: &Settings) -> Result<Estimate, Iden
 /// Runs the repaired filter forward and the smoother backward.
 ///
 /// # Errors
-/// [`IdentifyError::Diverged`] when the estimates stop being finite numbers.
+/// [`IdentifyError::Diverged`] if the estimates are not finite.
 pub fn identify_smoothed(
     segment: &Segment,
-    settings: &Settings,
+    settings: &IdentifyOptions,
 ) -> Result<Estimate, IdentifyError> {
     let started = Instant::now();
-    let prepared = Prepared::new(segment, settings);
+    let prepared = PreparedSegment::new(segment, settings);
     let n = segment.len();
-    // The smoother comes from the end: its means are those of the reversed segment.
+    // The smoother runs from the end: its means are those of the reversed segment.
     let mut means = PeriodMeans::backward(segment, prepared.units(segment));
     let mut waves = Waveforms::new(n, prepared.i_unit_a, prepared.v_unit_v);
     rts::smooth(

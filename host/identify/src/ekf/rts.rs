@@ -12,7 +12,7 @@ use super::step::{Covariance, Filter, Innovation, Model, State};
 /// Samples between two kept states: 1 MB of innovations, which stay in the cache.
 pub const CHUNK: usize = 4096;
 
-/// Runs forward and backward; `visit` hears, last sample first, its index, the smoothed state and the
+/// Runs forward and backward. `visit` receives, from the last sample to the first, its index, the smoothed state and the
 /// smoothed variances of R and x4.
 pub fn smooth(
     model: &Model,
@@ -22,16 +22,16 @@ pub fn smooth(
     mut visit: impl FnMut(usize, &State, [f64; 2]),
 ) {
     let mut filter = start;
-    let mut kept = Vec::with_capacity(i.len() / CHUNK + 1);
+    let mut states = Vec::with_capacity(i.len() / CHUNK + 1);
     for (i, v) in i.chunks(CHUNK).zip(v.chunks(CHUNK)) {
-        kept.push(filter);
+        states.push(filter);
         for (i, v) in i.iter().zip(v) {
             filter.step(model, *i, *v);
         }
     }
     let mut backward = Backward::default();
     let mut steps: Vec<(Filter, Innovation)> = Vec::with_capacity(CHUNK);
-    for (chunk, start) in kept.iter().enumerate().rev() {
+    for (chunk, start) in states.iter().enumerate().rev() {
         let from = chunk * CHUNK;
         let to = (from + CHUNK).min(i.len());
         let mut filter = *start;
@@ -48,7 +48,7 @@ pub fn smooth(
     }
 }
 
-/// λ and Λ of the pass backwards.
+/// λ and Λ of the backward pass.
 #[derive(Clone, Copy, Debug, Default)]
 struct Backward {
     l: State,
@@ -73,7 +73,7 @@ fn dot(a: &State, b: &State) -> f64 {
 }
 
 impl Backward {
-    /// The smoothed state, and the smoothed variances of x3 and x4.
+    /// Smoothed state, and smoothed variances of x3 and x4.
     #[inline(always)]
     fn smoothed(&self, after: &Filter) -> (State, [f64; 2]) {
         let correction = times(&after.p, &self.l);
@@ -84,7 +84,7 @@ impl Backward {
         (x, [left(&row3, p[7]), left(&row4, p[9])])
     }
 
-    /// Through both measurements of a sample, the voltage first, and the transition before it.
+    /// Passes both measurements of a sample, the voltage first, and the transition before it.
     #[inline(always)]
     fn pass(&mut self, n: &Innovation, f12: f64) {
         self.voltage(&n.h, &n.k[1], n.weighted[1], n.by_s[1]);
@@ -115,7 +115,7 @@ impl Backward {
         }
     }
 
-    /// The current's gradient is (1, 0, 0, 0).
+    /// Passes the measurement of the current, whose gradient is (1, 0, 0, 0).
     #[inline(always)]
     fn current(&mut self, k: &State, weighted: f64, by_s: f64) {
         let mk = times(&self.m, k);
@@ -139,7 +139,7 @@ mod tests {
         Matrix4::new(a, b, c, d, b, e, f, g, c, f, h, i, d, g, i, j)
     }
 
-    /// The textbook recursion: x_s = x + P Fᵀ P⁻¹_pred (x_s' − F x), over more than one chunk.
+    /// Comparison with the textbook recursion x_s = x + P Fᵀ P⁻¹_pred (x_s' − F x), over more than one chunk.
     #[test]
     fn it_is_the_recursion_of_rauch_tung_and_striebel() {
         let model = Model {

@@ -1,11 +1,11 @@
 //! One step of the paper's four-state filter, eq. (15)-(18), as sparse products.
 //!
 //! State x = (i, change of i, R, L/T_s). The transition only adds x2 to x1, the first measurement
-//! sees x1 alone, and the second (v = x1·x3 + x2·x4) has the gradient (x3, x4, x1, x2): nothing needs
-//! a 4×4 product. Both measurements are linearised at the prediction and taken together; the
-//! second's gain is found from sums that wait neither for the prediction nor for the first's division.
+//! depends on x1 alone, and the second (v = x1·x3 + x2·x4) has the gradient (x3, x4, x1, x2), so that no
+//! 4×4 product is needed. Both measurements are linearised at the prediction and applied together. The
+//! second's gain is computed from sums that depend neither on the prediction nor on the first's division.
 
-/// State.
+/// State of the filter.
 pub type State = [f64; 4];
 
 /// Symmetric covariance, upper triangle by rows: 11 12 13 14 22 23 24 33 34 44.
@@ -14,7 +14,7 @@ pub type Covariance = [f64; 10];
 /// Noise and transition of the filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Model {
-    /// What x1 gains of x2 in a step: 1 with x2 a change per sample, T_s with x2 a rate.
+    /// Factor with which x2 adds to x1 in a step: 1 with x2 a change per sample, T_s with x2 a rate.
     pub f12: f64,
     /// Process variances of one step.
     pub q: [f64; 4],
@@ -24,30 +24,30 @@ pub struct Model {
     pub r: [f64; 2],
 }
 
-/// The filter between two samples.
+/// State of the filter between two samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Filter {
-    /// Estimate.
+    /// Estimated state.
     pub x: State,
-    /// Its covariance.
+    /// Covariance of the state.
     pub p: Covariance,
 }
 
-/// What a smoother needs to know of a step.
+/// Values of a step that the smoother needs.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Innovation {
-    /// Gradient of the voltage, at the prediction.
+    /// Gradient of the voltage at the prediction.
     pub h: State,
     /// Gains of current and voltage.
     pub k: [State; 2],
-    /// Innovation over its variance, likewise.
+    /// Innovations of current and voltage over their variances.
     pub weighted: [f64; 2],
-    /// One over the variance of the innovation, likewise.
+    /// Reciprocal variances of the innovations of current and voltage.
     pub by_s: [f64; 2],
 }
 
 impl Filter {
-    /// Predicts one sample ahead and takes its current and voltage.
+    /// Predicts one sample ahead and applies its current and voltage.
     #[inline(always)]
     pub fn step(&mut self, model: &Model, i: f64, v: f64) -> Innovation {
         let [x1, x2, x3, x4] = self.x;
@@ -55,7 +55,7 @@ impl Filter {
         let (f, q) = (model.f12, &model.q);
         let x1 = x1 + f * x2;
         // u = P⁻h and s = hᵀP⁻h + r of the voltage, with P⁻ = F P Fᵀ + Q and g = Fᵀh: from the old P,
-        // so that they need not wait for the prediction.
+        // so that they do not wait for the prediction.
         let h = [x3, x4, x1, x2];
         let g = [h[0], h[1] + f * h[0], h[2], h[3]];
         let w = [
@@ -87,7 +87,7 @@ impl Filter {
         let p33 = p33 + q[2];
         let p34 = p34 + model.q34;
         let p44 = p44 + q[3];
-        // Current first: what its update leaves of u and s, and of the voltage's innovation.
+        // Current first: the remaining u and s after its update, and the voltage's innovation.
         let by_s1 = 1.0 / (p11 + model.r[0]);
         let k1 = [p11 * by_s1, p12 * by_s1, p13 * by_s1, p14 * by_s1];
         let e1 = i - x1;
@@ -128,13 +128,13 @@ impl Filter {
         }
     }
 
-    /// The voltage that the state means: x1·x3 + x2·x4.
+    /// Voltage that the state implies: x1·x3 + x2·x4.
     #[inline(always)]
     pub fn v(&self) -> f64 {
         self.x[0] * self.x[2] + self.x[1] * self.x[3]
     }
 
-    /// Whether state and covariance are finite numbers, and the variances positive.
+    /// Returns `true` if state and covariance are finite, and the variances positive.
     pub fn is_sound(&self) -> bool {
         let diagonal = [0, 4, 7, 9].map(|k| self.p[k]);
         self.x.iter().chain(&self.p).all(|x| x.is_finite()) && diagonal.iter().all(|d| *d > 0.0)

@@ -1,11 +1,11 @@
-//! From a filter's state at every sample to an estimate: means over switching periods.
+//! Conversion of a filter's states at every sample to an estimate, by means over switching periods.
 
 use ihd_signal::Segment;
 
 use super::step::Filter;
 use crate::{Estimate, IdentifyError, Method};
 
-/// Means of R and x4 over each switching period: the ripple within one is no estimate of anything.
+/// Means of R and x4 over each switching period; the ripple within a period is no estimate.
 pub struct PeriodMeans {
     t0_s: f64,
     dt_s: f64,
@@ -22,7 +22,7 @@ pub struct PeriodMeans {
 }
 
 impl PeriodMeans {
-    /// For samples that come in their order; `units` are the factors to ohm and henry.
+    /// Creates means for samples in ascending order; `units` are the factors to ohm and henry.
     pub fn new(segment: &Segment, units: [f64; 2]) -> Self {
         Self {
             t0_s: segment.t0_s,
@@ -40,7 +40,7 @@ impl PeriodMeans {
         }
     }
 
-    /// For samples that come last first.
+    /// Creates means for samples in descending order.
     pub fn backward(segment: &Segment, units: [f64; 2]) -> Self {
         Self {
             backward: true,
@@ -48,7 +48,7 @@ impl PeriodMeans {
         }
     }
 
-    /// Takes the next sample's R, x4 and their variances.
+    /// Adds the next sample's R, x4 and their variances.
     #[inline(always)]
     pub fn push(&mut self, r: f64, x4: f64, variance: [f64; 2]) {
         self.sums[0] += r;
@@ -84,7 +84,7 @@ impl PeriodMeans {
         self.sums = [0.0; 4];
     }
 
-    /// The means as an estimate, in order of time.
+    /// Converts the means to an estimate, in order of time.
     pub fn finish(mut self, method: Method) -> Estimate {
         if self.backward {
             self.rows.reverse();
@@ -106,7 +106,7 @@ pub struct Waveforms {
 }
 
 impl Waveforms {
-    /// Room for `samples` samples in units of so many ampere and volt.
+    /// Reserves room for `samples` samples in units of so many ampere and volt.
     pub fn new(samples: usize, i_unit_a: f64, v_unit_v: f64) -> Self {
         Self {
             i_unit_a,
@@ -116,34 +116,34 @@ impl Waveforms {
         }
     }
 
-    /// Takes the next sample.
+    /// Adds the next sample.
     #[inline(always)]
     pub fn push(&mut self, i: f64, v: f64) {
         self.i_a.push((i * self.i_unit_a) as f32);
         self.v_v.push((v * self.v_unit_v) as f32);
     }
 
-    /// Turns the order of the samples round.
+    /// Reverses the order of the samples.
     pub fn reverse(&mut self) {
         self.i_a.reverse();
         self.v_v.reverse();
     }
 
-    /// Takes the voltages as those of the middles between samples, and puts them on the samples.
+    /// Moves the voltages from the middles between samples to the samples.
     pub fn centre_voltage(&mut self) {
         for k in (1..self.v_v.len()).rev() {
             self.v_v[k] = 0.5 * (self.v_v[k] + self.v_v[k - 1]);
         }
     }
 
-    /// Hands them to the estimate.
+    /// Moves the waveforms to the estimate.
     pub fn finish(self, estimate: &mut Estimate) {
         estimate.i_hat_a = self.i_a;
         estimate.v_hat_v = self.v_v;
     }
 }
 
-/// An error when the filter's last state cannot be trusted: what went wrong stays wrong.
+/// Returns an error if the filter's last state is unsound; an earlier fault persists until then.
 pub fn sound(filter: &Filter, segment: &Segment, method: Method) -> Result<(), IdentifyError> {
     if filter.is_sound() {
         return Ok(());
@@ -151,7 +151,7 @@ pub fn sound(filter: &Filter, segment: &Segment, method: Method) -> Result<(), I
     Err(diverged(method, segment.t_s(segment.len() - 1)))
 }
 
-/// An error when an estimate holds what is no number.
+/// Returns an error if a number of the estimate is not finite.
 pub fn finite(estimate: &Estimate, segment: &Segment) -> Result<(), IdentifyError> {
     let bad = estimate
         .points()

@@ -1,9 +1,9 @@
 //! R(t) and ωL(t) as B-splines through the fundamental's phasors: V = R·I + ωL·(jI + I'/ω).
 //!
-//! A Gaussian prior on the second differences of the coefficients keeps noise from bending R and L;
-//! its weight against the data comes from the noise measured in the capture and vanishes without.
-//! R and L are functions of the current's amplitude whose slopes are largest at small currents, so
-//! the expected bend grows as the current falls. The posterior's covariance gives the error bars.
+//! A Gaussian prior on the second differences of the coefficients keeps noise from bending R and L. Its weight against the data
+//! follows from the noise measured in the capture, and is zero without noise. R and L are functions of the current's amplitude
+//! with their largest slopes at small currents, so that the expected bend grows as the current falls. The posterior's
+//! covariance gives the error bars.
 
 use std::f64::consts::TAU;
 
@@ -17,22 +17,22 @@ use super::{LeastSquaresSettings, intervals};
 use crate::model_residual::ModelResidual;
 use crate::{Estimate, IdentifyError, Method};
 
-/// Phasors that are compared in each interval.
+/// Phasors that are used per interval.
 const PER_INTERVAL: usize = 4;
 
-/// Least relative noise that is assumed: what the splines of the phasors leave over.
+/// Least assumed relative noise: the residual of the phasors' splines.
 const NOISE_FLOOR: f64 = 1e-6;
 
-/// Mean square of the bends, in units of what is expected, that loads stay below (the loads of the simulator: 7).
+/// Largest mean square of the bends of a load, in units of the expected ones (the loads of the simulator: 7).
 const MOST_RIPPLE: f64 = 20.0;
 
-/// Bends on either side over which it is taken: more than two periods of what the splines can follow.
+/// Bends on either side that are averaged: more than two periods of the fastest change that the splines follow.
 const RIPPLE_REACH: usize = 4;
 
 /// Largest expected bend, as a share of the impedance.
 const MOST_BEND: f64 = 0.3;
 
-/// Appends R and L of a stretch, one a switching period.
+/// Appends R and L of a stretch, one value per switching period.
 pub fn fit(
     segment: &Segment,
     phasors: &Fit,
@@ -96,7 +96,7 @@ pub fn fit(
         let chi2 = chi2.max(ripple.chi2_at(tau_s / duration_s));
         let ripple = ripple.square_at(tau_s / duration_s);
         let square = phasors.at(tau_s).i.norm_sqr();
-        // Of an aliased harmonic, half is in phase with the current.
+        // Half of an aliased harmonic is in phase with the current.
         let aliased = 0.5 * phasors.aliased_v(tau_s).powi(2) / square.max(1e-9 * largest);
         let sigma = sigma.map(|s| (s * s * chi2 + ripple + aliased).sqrt());
         let relative = [sigma[0] / found[0], sigma[1] / found[1]];
@@ -111,10 +111,10 @@ pub fn fit(
     Ok(())
 }
 
-/// Bends of R and ωL that no load has: in units of what is expected, more than [`MOST_RIPPLE`] over [`RIPPLE_REACH`].
+/// Bends of R and ωL that no load has: more than [`MOST_RIPPLE`] times the expected ones over [`RIPPLE_REACH`].
 struct Ripple {
-    /// Mean square of the bends that are expected, and of those that are found beyond them, in Ω²; one a function
-    /// of the spline.
+    /// Mean square of the expected bends, and of the excess of the measured ones, in Ω²; one pair per function of the
+    /// spline.
     squares: Vec<[f64; 2]>,
 }
 
@@ -133,7 +133,7 @@ impl Ripple {
         self.near(share)[1]
     }
 
-    /// The bends squared over the expected ones, where there are more than a load has; else 0.
+    /// Squared bends over the expected ones if they exceed those of a load, else 0.
     fn chi2_at(&self, share: f64) -> f64 {
         let [expected, beyond] = self.near(share);
         beyond / expected
@@ -205,7 +205,7 @@ impl Problem {
 }
 
 impl Solution {
-    /// The coefficients' second differences against the expected ones, `bends` in ohm.
+    /// Second differences of the coefficients relative to the expected ones, `bends` in ohm.
     fn ripple(&self, bends: &[f64]) -> Ripple {
         let c = |j: usize, quantity: usize| self.coefficients[2 * j + quantity];
         let square = |(k, bend): (usize, &f64)| {

@@ -1,8 +1,8 @@
 //! Banded least squares: phasors of the switching harmonics as B-splines in slow time, then R(t) and
-//! L(t) as B-splines through the phasors of the fundamental. Two linear solves a mains half-cycle,
+//! L(t) as B-splines through the phasors of the fundamental. Two linear solves per mains half-cycle,
 //! no iteration, no start value.
 //!
-//! Splines are smooth; R and L have their kinks at the mains zero crossings. So each half-cycle is
+//! Splines are smooth, but R and L have kinks at the mains zero crossings. Each half-cycle is therefore
 //! a problem of its own.
 
 mod impedance;
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use super::model_residual::ModelResidual;
 use super::{Estimate, IdentifyError, Method};
 
-/// Settings of the fit.
+/// Options of the fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LeastSquaresSettings {
@@ -27,8 +27,8 @@ pub struct LeastSquaresSettings {
     pub phasor_intervals: usize,
     /// B-spline intervals of R and L in a mains half-cycle.
     pub impedance_intervals: usize,
-    /// Expected second difference of the coefficients of R and ωL at full current, as a share of
-    /// the impedance: what noise may not bend. It grows where the current is small.
+    /// Expected second difference of the coefficients of R and ωL at full current, as a share of the impedance, which limits
+    /// bends by noise. It grows where the current is small.
     pub bend: f64,
 }
 
@@ -42,11 +42,11 @@ impl Default for LeastSquaresSettings {
     }
 }
 
-/// Fits every half-cycle of the segment that is long enough; one estimate a switching period.
+/// Fits every half-cycle of the segment that is long enough; one estimate per switching period.
 ///
 /// # Errors
-/// [`SegmentError::TooShort`] when no half-cycle is long enough, [`IdentifyError::Unfit`] when the
-/// sampling cannot tell the harmonics apart.
+/// [`SegmentError::TooShort`] if no half-cycle is long enough, [`IdentifyError::Unfit`] if the
+/// samples cannot distinguish the harmonics.
 pub fn identify(
     segment: &Segment,
     settings: &LeastSquaresSettings,
@@ -74,11 +74,11 @@ pub fn identify(
     Ok(estimate)
 }
 
-/// Spline intervals for a stretch of so many seconds.
+/// Number of spline intervals for a stretch of this duration.
 fn intervals(per_half_cycle: usize, duration_s: f64, segment: &Segment) -> usize {
     let share = (duration_s / segment.half_cycle_s()).min(1.0);
-    let wanted = (per_half_cycle as f64 * share).round().max(1.0);
-    // Three switching periods an interval at least, or the harmonics cannot be told apart.
+    let ideal = (per_half_cycle as f64 * share).round().max(1.0);
+    // At least three switching periods per interval, because fewer cannot distinguish the harmonics.
     let most = (duration_s * segment.f_sw_hz / 3.0).floor().max(1.0);
-    wanted.min(most) as usize
+    ideal.min(most) as usize
 }

@@ -13,27 +13,27 @@ use nalgebra::Complex;
 use super::{LeastSquaresSettings, intervals};
 use crate::{IdentifyError, Method};
 
-/// Fewest switching periods of a spline's interval: fewer cannot tell the harmonics apart.
+/// Fewest switching periods of a spline's interval: fewer cannot distinguish the harmonics.
 const LEAST_PERIODS: f64 = 3.0;
 
 /// Duration of the bridge's edges in seconds, from the hob's ratings.
 const EDGE_S: f64 = ihd_shared::hob::EDGE_NS as f64 * 1e-9;
 
-/// How far the edges' duration may be off, relative.
+/// Relative uncertainty of the edges' duration.
 const EDGE_SPREAD: f64 = 0.1;
 
-/// Harmonics that are fitted. R and L come from the first; the others are there because their
-/// modulation reaches over to it.
+/// Harmonics that are fitted. R and L come from the first; the others are needed because their modulation overlaps with
+/// it.
 const ORDERS: [u32; 4] = [1, 3, 5, 7];
 
-/// Blocks of a switching period: see [`ihd_spline::harmonic`].
+/// Blocks per switching period, see [`ihd_spline::harmonic`].
 const BLOCKS_PER_PERIOD: f64 = 16.0;
 
 type Phasor = Complex<f64>;
 
-/// The fitted harmonics of a stretch.
+/// Fitted harmonics of a stretch.
 pub struct Fit {
-    /// The splines' basis, in seconds after the first sample.
+    /// Basis of the splines, in seconds after the first sample.
     pub spline: CubicSpline,
     /// Samples of one interval.
     pub samples_per_interval: f64,
@@ -41,11 +41,11 @@ pub struct Fit {
     pub t0_s: f64,
     /// Duration of the stretch in seconds.
     pub duration_s: f64,
-    /// What the fit leaves of the fundamental beyond white noise.
+    /// Residual of the fit at the fundamental beyond white noise.
     pub excess: Excess,
-    /// Amplitude of what the sampling folds onto the fundamental, over that of an edge's fundamental.
+    /// Amplitude that the sampling folds onto the fundamental, over that of an edge's fundamental.
     aliased: f64,
-    /// The third harmonic over its share of an edge's.
+    /// Third harmonic over its share of an edge.
     third: f64,
     orders: usize,
     v: Vec<f64>,
@@ -58,7 +58,7 @@ pub struct Fundamental {
     pub v: Phasor,
     /// Coil current in ampere.
     pub i: Phasor,
-    /// Its slope without the rotation, in ampere per second.
+    /// Slope of `i` without the rotation, in ampere per second.
     pub i_slope: Phasor,
 }
 
@@ -66,7 +66,7 @@ impl Fit {
     /// Fits a range of samples within one mains half-cycle.
     ///
     /// # Errors
-    /// [`IdentifyError::Unfit`] when the sampling cannot distinguish the harmonics.
+    /// [`IdentifyError::Unfit`] if the samples cannot distinguish the harmonics.
     pub fn new(
         segment: &Segment,
         range: Range<usize>,
@@ -132,8 +132,8 @@ impl Fit {
         })
     }
 
-    /// Amplitude in volt of the edges' harmonics that the sampling may have folded onto the fundamental, without an
-    /// anti-alias filter: their strength is that of the third harmonic, which the current hardly has.
+    /// Amplitude in volt of the edges' harmonics that the sampling may have folded onto the fundamental, without an anti-alias
+    /// filter. Their strength is taken from the third harmonic, of which the current has hardly any.
     pub fn aliased_v(&self, tau_s: f64) -> f64 {
         if self.orders < 2 {
             return self.at(tau_s).v.norm() * self.aliased;
@@ -168,8 +168,8 @@ fn sinc(x: f64) -> f64 {
     }
 }
 
-/// Root of the sum of squares of the edges' odd harmonics that lie within `band_hz` of the fundamental once sampled,
-/// 1/h · sinc(h f t_e), with the mean square over what t_e may be.
+/// Root of the sum of squares of the edges' odd harmonics that lie within `band_hz` of the fundamental after sampling,
+/// 1/h · sinc(h f t_e), as mean square over the possible t_e.
 fn aliased(f_sw_hz: f64, per_period: f64, band_hz: f64) -> f64 {
     let last = (2.0 / (f_sw_hz * EDGE_S)) as u32;
     let folded = |h: &u32| {

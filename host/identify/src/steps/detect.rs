@@ -1,21 +1,21 @@
-//! Where R or L steps: the impedance of a few periods before against that of a few after.
+//! Detection of steps of R or L: the impedance of a few periods before is compared with that of a few after.
 //!
-//! What moves by nature moves slowly, and the noise is the same everywhere but for the amplitude: a step stands out against
-//! both. Beside the mains zero crossings, where R and L have kinks, nothing is judged.
+//! Natural changes are slow, and the noise depends only on the amplitude, so that a step exceeds both. Positions near the mains
+//! zero crossings, where R and L have kinks, are not judged.
 
 use std::f64::consts::TAU;
 
 use ihd_signal::correlation::{Correlator, weighted_sums};
 use ihd_signal::noise::median;
-use ihd_signal::{Raw, Samples, Segment};
+use ihd_signal::{RawSamples, Samples, Segment};
 use nalgebra::Complex;
 
 use crate::lockin::r_l;
 
-/// A step of the load.
+/// Step of the load.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Step {
-    /// When, in seconds on the segment's clock.
+    /// Time of the step in seconds on the segment's clock.
     pub t_s: f64,
     /// R before and after in ohm.
     pub r_ohm: (f64, f64),
@@ -23,19 +23,19 @@ pub(super) struct Step {
     pub l_h: (f64, f64),
 }
 
-/// Frames, one a switching period, on either side whose mean is compared.
+/// Frames, one per switching period, that are averaged on either side.
 const BESIDE: usize = 5;
 
-/// Frames between the two sides: a frame and the slope at it reach two periods far.
+/// Frames between the two sides: a frame and its slope extend over two periods.
 const BETWEEN: usize = 4;
 
-/// Frames from a position to the outermost that it looks at.
+/// Frames from a position to the outermost one that is used.
 const REACH: usize = BESIDE + BETWEEN / 2;
 
-/// Switching periods on either side of a position within which the step is looked for.
+/// Switching periods on either side of a position in which the step is located.
 const NEAR_PERIODS: f64 = 4.0;
 
-/// Share of the largest current below which nothing is judged.
+/// Share of the largest current below which positions are not judged.
 const LEAST_CURRENT: f64 = 0.12;
 
 /// Least step that is reported, as a share of the impedance.
@@ -44,10 +44,10 @@ const LEAST: f64 = 0.06;
 /// Frames on either side of a step that show a part of it.
 const BLURRED: usize = 2;
 
-/// Times the median of what noise gives: 7.5 standard deviations.
+/// Least ratio to the median effect of noise: 7.5 standard deviations.
 const OVER_NOISE: f64 = 6.5;
 
-/// Times what R and L change by nature nearby.
+/// Least ratio to the natural change of R and L nearby.
 const OVER_TREND: f64 = 5.0;
 
 /// Steps in order of time.
@@ -66,24 +66,24 @@ pub(super) fn steps(segment: &Segment) -> Vec<Step> {
     };
     let mut candidates: Vec<usize> = (0..differences.len()).filter(stands_out).collect();
     candidates.sort_by(|a, b| differences[*b].total_cmp(&differences[*a]));
-    let mut found: Vec<usize> = Vec::new();
+    let mut positions: Vec<usize> = Vec::new();
     for k in candidates {
-        if found
+        if positions
             .iter()
             .all(|other| k.abs_diff(*other) > REACH + BLURRED)
         {
-            found.push(k);
+            positions.push(k);
         }
     }
-    found.sort_unstable();
-    let mut steps: Vec<Step> = found.iter().map(|k| frames.step(segment, *k)).collect();
-    // A shadow of a step is found where the step is.
+    positions.sort_unstable();
+    let mut steps: Vec<Step> = positions.iter().map(|k| frames.step(segment, *k)).collect();
+    // Echoes of a step are located at the step itself.
     let apart_s = BLURRED as f64 * frames.step_s;
     steps.dedup_by(|b, a| b.t_s - a.t_s < apart_s);
     steps
 }
 
-/// What R and L change by nature around a position: the lower quartile, of which a step nearby is no part.
+/// Natural change of R and L around a position: the lower quartile, which a step nearby does not affect.
 fn trend(differences: &[f64], k: usize) -> f64 {
     let near =
         |j: &usize| j.abs_diff(k) > REACH && j.abs_diff(k) <= 3 * REACH && differences[*j] > 0.0;
@@ -96,11 +96,11 @@ fn trend(differences: &[f64], k: usize) -> f64 {
     x.get(x.len() / 4).copied().unwrap_or(0.0)
 }
 
-/// A Hann window times e^(−jωt).
+/// Hann window times e^(−jωt).
 struct Window {
     re: Vec<f64>,
     im: Vec<f64>,
-    /// Their sums, which an offset is worth.
+    /// Sums of the weights, the response to an offset of one.
     mean: Complex<f64>,
 }
 
@@ -114,7 +114,7 @@ impl Window {
         Self { re, im, mean }
     }
 
-    /// Of samples less an offset.
+    /// Weighted sum of samples less an offset.
     fn sum<T: Copy + Into<f64>>(&self, x: &[T], offset: f64) -> Complex<f64> {
         let [re, im] = weighted_sums(x, [&self.re, &self.im]);
         Complex::new(re, im) - self.mean * offset
@@ -135,8 +135,8 @@ struct Frames {
 }
 
 impl Frames {
-    /// Frames of two periods under a Hann window, which sees neither a mean nor harmonics; the slope is that from the frame
-    /// before to the one after.
+    /// Computes frames of two periods under a Hann window, which suppresses offset and harmonics; the slope is taken from the
+    /// frame before to the one after.
     fn of(segment: &Segment) -> Self {
         let per_period = segment.samples_per_period();
         let (length, hop) = (
@@ -149,8 +149,8 @@ impl Frames {
         let turns = Correlator::new(segment, 1, [1.0]);
         let phasor = |x: &Samples, first: usize| {
             let sum = match x.raw() {
-                Raw::Doubles(x) => window.sum(&x[first..first + length], 0.0),
-                Raw::Singles(x, offset) => window.sum(&x[first..first + length], offset),
+                RawSamples::Doubles(x) => window.sum(&x[first..first + length], 0.0),
+                RawSamples::Singles(x, offset) => window.sum(&x[first..first + length], offset),
             };
             sum * turns.turn(first)[0]
         };
@@ -181,7 +181,7 @@ impl Frames {
         }
     }
 
-    /// Frames before and after the one at `k`, as far as it looks; `None` at the ends.
+    /// Frames before and after the one at `k`; `None` near the ends.
     fn sides(&self, k: usize) -> Option<[std::ops::Range<usize>; 2]> {
         let before = k.checked_sub(REACH)?..k - BETWEEN / 2;
         let after = k + BETWEEN / 2 + 1..k + REACH + 1;
@@ -201,7 +201,7 @@ impl Frames {
         reach.map_or(0.0, |r| self.i[r].iter().copied().fold(1.0, f64::min))
     }
 
-    /// How far the impedance after frame `k` is from that before, as a share of the smaller; 0 where nothing is judged.
+    /// Difference of the impedances before and after frame `k`, as a share of the smaller; 0 where positions are not judged.
     fn difference(&self, k: usize) -> f64 {
         let Some([before, after]) = self.sides(k).filter(|_| self.current(k) > LEAST_CURRENT)
         else {
@@ -217,7 +217,7 @@ impl Frames {
         let mut k = k;
         let near_s = self.time_s(k);
         let mut t_s = near_s;
-        // With a better time the means are those of the loads themselves, and so the time is better.
+        // A better time improves the means, which improve the time.
         for _ in 0..2 {
             let (a, b) = self.means(k);
             t_s = self.place(segment, near_s, a, b);
@@ -236,7 +236,7 @@ impl Frames {
         self.t0_s + k as f64 * self.step_s
     }
 
-    /// Mean impedance in ohm before and after frame `k`; at the ends, of what there is.
+    /// Mean impedance in ohm before and after frame `k`; fewer frames near the ends.
     fn means(&self, k: usize) -> (Complex<f64>, Complex<f64>) {
         let last = self.z.len().saturating_sub(REACH + 1);
         let k = k.clamp(REACH.min(last), last);
@@ -244,8 +244,8 @@ impl Frames {
         (self.mean(before), self.mean(after))
     }
 
-    /// Time in seconds near `near_s` until which the impedance `a` explains the samples, and from which on `b` does: of
-    /// v = R·i + L·di/dt each sixth of a period leaves an error, and their squares are least there.
+    /// Locates the step near `near_s`: the time in seconds up to which the impedance `a` explains the samples, and after which `b`
+    /// does. Minimises the squared errors of v = R·i + L·di/dt over sixths of a period.
     fn place(&self, segment: &Segment, near_s: f64, a: Complex<f64>, b: Complex<f64>) -> f64 {
         let index = |t_s: f64| ((t_s - segment.t0_s) / segment.dt_s).round().max(0.0) as usize;
         let reach_s = NEAR_PERIODS * self.step_s;
@@ -254,7 +254,7 @@ impl Frames {
         let length = (segment.samples_per_period() / 6.0).round().max(1.0) as usize;
         let near = segment.part(from, to);
         let error = |k: usize, z: Complex<f64>| {
-            // Over an interval the current's slope is the difference of its ends, and noise counts little.
+            // Over an interval the current's slope is the difference of its ends, with little noise.
             let mean = |x: &[f64]| {
                 let inner: f64 = x[k + 1..k + length].iter().sum();
                 (inner + 0.5 * (x[k] + x[k + length])) / length as f64

@@ -1,5 +1,5 @@
-//! Steps of the load inside a half-cycle: a pot that is lifted or put down. Estimators whose R and L are smooth would bend
-//! them over a step, so the segment is cut there, the pieces are identified for themselves and joined.
+//! Steps of the load inside a half-cycle: a pot that is lifted or put down. Estimators with smooth R and L would bend
+//! them over a step. The segment is therefore cut there, and the pieces are identified separately and joined.
 
 mod detect;
 
@@ -8,12 +8,12 @@ use std::ops::Range;
 use ihd_signal::{Remark, Segment, Severity};
 
 use self::detect::Step;
-use super::{Estimate, IdentifyError, Method, Settings};
+use super::{Estimate, IdentifyError, IdentifyOptions, Method};
 
-/// Switching periods that are left out on either side of a step: what is known of its time is half a period.
+/// Switching periods that are left out on either side of a step; its time is known to half a period.
 const GUARD_PERIODS: f64 = 2.0;
 
-/// The same beside a piece that is short.
+/// Switching periods that are left out beside a short piece.
 const LEAST_GUARD_PERIODS: f64 = 1.0;
 
 /// Fewest switching periods of a piece that is identified.
@@ -29,29 +29,29 @@ impl Steps {
     }
 }
 
-/// Identifies a segment in which the load may step, at `known` steps or where they are found, piece by piece with `identify` where the method's R and L are smooth;
-/// `clock` tells the capture's time, in seconds, at one of the segment's.
+/// Identifies a segment with steps of the load, at `known` steps or detected ones. If the method's R and L are smooth, `identify`
+/// runs on each piece. `clock` converts the segment's time to the capture's, in seconds.
 ///
 /// # Errors
-/// What `identify` gives for a segment without steps; the last piece's where none could be identified.
+/// Error of `identify` for a segment without steps; that of the last piece if none could be identified.
 pub(super) fn identify(
     method: Method,
     segment: &Segment,
     known: Option<&Steps>,
-    settings: &Settings,
+    settings: &IdentifyOptions,
     clock: &dyn Fn(f64) -> f64,
-    mut identify: impl FnMut(&Segment, &Settings) -> Result<Estimate, IdentifyError>,
+    mut identify: impl FnMut(&Segment, &IdentifyOptions) -> Result<Estimate, IdentifyError>,
 ) -> Result<Estimate, IdentifyError> {
-    // These follow what the firmware follows, or what the paper prints.
+    // These methods reproduce the firmware, or the paper as printed.
     if matches!(method, Method::Firmware | Method::EkfPaper) {
         return identify(segment, settings);
     }
-    let found;
+    let detected;
     let Steps(steps) = match known {
         Some(known) => known,
         None => {
-            found = Steps::of(segment);
-            &found
+            detected = Steps::of(segment);
+            &detected
         }
     };
     if steps.is_empty() {
@@ -66,17 +66,17 @@ pub(super) fn identify(
     joined(method, segment, settings, steps, clock, identify)
 }
 
-/// What a filter makes of a step.
+/// Remark on filters that pass a step.
 const FOLLOWS: &str = "this filter takes its time to follow";
 
-/// The pieces between the steps, identified and put together in order of time.
+/// Identifies the pieces between the steps and joins them in order of time.
 fn joined(
     method: Method,
     segment: &Segment,
-    settings: &Settings,
+    settings: &IdentifyOptions,
     steps: &[Step],
     clock: &dyn Fn(f64) -> f64,
-    mut identify: impl FnMut(&Segment, &Settings) -> Result<Estimate, IdentifyError>,
+    mut identify: impl FnMut(&Segment, &IdentifyOptions) -> Result<Estimate, IdentifyError>,
 ) -> Result<Estimate, IdentifyError> {
     let mut whole = Estimate::new(method, segment.f_sw_hz);
     let mut failed = None;
@@ -84,7 +84,7 @@ fn joined(
         let (from_s, to_s) = piece.between_s;
         let part = segment.part(piece.samples.start, piece.samples.end);
         let periods = part.len() as f64 / part.samples_per_period();
-        let found = if periods < LEAST_PERIODS {
+        let result = if periods < LEAST_PERIODS {
             Err(ihd_signal::SegmentError::TooShort {
                 periods,
                 needed: LEAST_PERIODS,
@@ -93,8 +93,8 @@ fn joined(
         } else {
             identify(&part, &shortened(settings, &part))
         };
-        match found {
-            Ok(found) => append(&mut whole, found, from_s, to_s),
+        match result {
+            Ok(result) => append(&mut whole, result, from_s, to_s),
             Err(e) => {
                 let text = format!(
                     "between steps of the load, {:.3} to {:.3} ms, there is no R and L: {e}",
@@ -118,11 +118,11 @@ fn joined(
     Ok(whole)
 }
 
-/// A stretch between two steps, or between a step and an end.
+/// Part of a segment between two steps, or between a step and an end.
 struct Piece {
-    /// Its samples, without what is left out beside the steps.
+    /// Samples of the piece, without those left out beside the steps.
     samples: Range<usize>,
-    /// From and to in seconds, up to the steps.
+    /// Beginning and end in seconds, up to the steps.
     between_s: (f64, f64),
 }
 
@@ -140,7 +140,7 @@ fn pieces(segment: &Segment, steps: &[Step]) -> Vec<Piece> {
             let (from, to) = (at(between[0]), at(between[1]).min(segment.len()));
             let sides = usize::from(k > 0) + usize::from(k < last);
             let periods = (to - from) as f64 / per_period;
-            // A sample a side for rounding.
+            // One sample more on either side for rounding.
             let needed = LEAST_PERIODS + 2.0 / per_period;
             let spare = (periods - needed) / sides.max(1) as f64;
             let guard = spare.clamp(LEAST_GUARD_PERIODS, GUARD_PERIODS) * per_period;
@@ -154,8 +154,8 @@ fn pieces(segment: &Segment, steps: &[Step]) -> Vec<Piece> {
         .collect()
 }
 
-/// Settings for a piece: boxcars that fit into it, and phasors that follow the current while it settles after a step.
-fn shortened(settings: &Settings, piece: &Segment) -> Settings {
+/// Options for a piece: boxcars that fit into it, and phasors that follow the current's settling after a step.
+fn shortened(settings: &IdentifyOptions, piece: &Segment) -> IdentifyOptions {
     let mut settings = settings.clone();
     let periods = piece.len() as f64 / piece.samples_per_period();
     // Two boxcars, which may become a quarter longer, and three periods.
@@ -165,17 +165,17 @@ fn shortened(settings: &Settings, piece: &Segment) -> Settings {
     settings
 }
 
-/// Appends what was found in a piece; its first and last values hold up to the steps.
-fn append(whole: &mut Estimate, found: Estimate, from_s: f64, to_s: f64) {
-    let (Some(first), Some(last)) = (found.t_s.first(), found.t_s.last()) else {
+/// Appends the estimate of a piece; its first and last values are held up to the steps.
+fn append(whole: &mut Estimate, piece: Estimate, from_s: f64, to_s: f64) {
+    let (Some(first), Some(last)) = (piece.t_s.first(), piece.t_s.last()) else {
         return;
     };
-    // Steps take no time, but times ascend.
+    // Steps take no time, but the times of an estimate must ascend.
     let apart_s = 1e-9;
     let before = (from_s + apart_s < *first).then_some((from_s + apart_s, 0));
-    let after = (to_s - apart_s > *last).then_some((to_s - apart_s, found.t_s.len() - 1));
+    let after = (to_s - apart_s > *last).then_some((to_s - apart_s, piece.t_s.len() - 1));
     let copies = |x: &[f64]| -> Vec<f64> {
-        if x.len() != found.t_s.len() {
+        if x.len() != piece.t_s.len() {
             return Vec::new();
         }
         let at = |end: Option<(f64, usize)>| end.map(|(_, k)| x[k]);
@@ -186,19 +186,19 @@ fn append(whole: &mut Estimate, found: Estimate, from_s: f64, to_s: f64) {
             .collect()
     };
     whole.t_s.extend(before.map(|b| b.0));
-    whole.t_s.extend(&found.t_s);
+    whole.t_s.extend(&piece.t_s);
     whole.t_s.extend(after.map(|a| a.0));
-    whole.r_ohm.extend(copies(&found.r_ohm));
-    whole.l_h.extend(copies(&found.l_h));
-    whole.r_sigma_ohm.extend(copies(&found.r_sigma_ohm));
-    whole.l_sigma_h.extend(copies(&found.l_sigma_h));
-    whole.r_power_ohm.extend(copies(&found.r_power_ohm));
-    whole.elapsed += found.elapsed;
-    whole.notes.extend(found.notes);
-    whole.remarks.extend(found.remarks);
+    whole.r_ohm.extend(copies(&piece.r_ohm));
+    whole.l_h.extend(copies(&piece.l_h));
+    whole.r_sigma_ohm.extend(copies(&piece.r_sigma_ohm));
+    whole.l_sigma_h.extend(copies(&piece.l_sigma_h));
+    whole.r_power_ohm.extend(copies(&piece.r_power_ohm));
+    whole.elapsed += piece.elapsed;
+    whole.notes.extend(piece.notes);
+    whole.remarks.extend(piece.remarks);
 }
 
-/// The step in words, at its time on the capture's clock in seconds; `how` says what was made of it.
+/// Remark on a step at a time on the capture's clock in seconds; `how` describes its treatment.
 fn remark(step: &Step, t_s: f64, how: &str) -> Remark {
     let times = |(before, after): (f64, f64)| after / before;
     let text = format!(

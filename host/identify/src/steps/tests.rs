@@ -1,7 +1,7 @@
 use ihd_signal::Segment;
 use ihd_sim::recording::run::{Recording, record};
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{Change, Event, LoadKind, Settings as Recorded};
+use ihd_sim::recording::settings::{CaptureSpec as Recorded, Change, Event, LoadKind};
 
 use super::*;
 use crate::{accuracy, run};
@@ -70,7 +70,7 @@ fn the_pieces_are_identified_and_joined_in_order_of_time() {
     for steps in [&LIFTED[..], &SPOON[..]] {
         let (recording, segment) = recorded(steps, 11.37e6, Some(50.0));
         for method in [Method::LeastSquares, Method::Lockin] {
-            let estimate = run(method, &segment, &Settings::default()).unwrap();
+            let estimate = run(method, &segment, &IdentifyOptions::default()).unwrap();
             assert!(estimate.t_s.windows(2).all(|t| t[0] < t[1]));
             let said = estimate.remarks.iter().filter(|r| r.code == "load_step");
             assert_eq!(said.count(), steps.len());
@@ -81,7 +81,7 @@ fn the_pieces_are_identified_and_joined_in_order_of_time() {
                 "{method}: {found:?}"
             );
         }
-        let whole = run(Method::Rls, &segment, &Settings::default()).unwrap();
+        let whole = run(Method::Rls, &segment, &IdentifyOptions::default()).unwrap();
         let warns = |r: &Remark| r.code == "load_step" && r.severity == Severity::Warning;
         assert!(whole.remarks.iter().any(warns));
     }

@@ -30,7 +30,7 @@ pub struct CalibrateArgs {
     capture: CaptureArgs,
     #[command(flatten)]
     hints: HintArgs,
-    /// What was captured: no-pot (the empty coil), no-pot,r=OHM,l=HENRY, a load with r=, l= or both, or blind: any load,
+    /// Reference load of the capture: no-pot (the empty coil), no-pot,r=OHM,l=HENRY, a load with r=, l= or both, or blind: any load,
     /// by the plateaus between the bridge's edges
     #[arg(long, value_name = "WHAT", value_parser = against)]
     reference: Against,
@@ -45,16 +45,16 @@ pub struct CalibrateArgs {
     json: bool,
 }
 
-/// What a capture is calibrated against.
+/// Reference of a calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Against {
-    /// A load of which something is known.
+    /// Load with known properties.
     Known(Reference),
     /// The plateaus between the bridge's edges, with any load.
     Plateaus,
 }
 
-/// Reads `blind`, or a reference.
+/// Parses `blind` or a reference.
 fn against(text: &str) -> Result<Against> {
     match text {
         "blind" => Ok(Against::Plateaus),
@@ -62,7 +62,7 @@ fn against(text: &str) -> Result<Against> {
     }
 }
 
-/// Reads `no-pot`, `no-pot,r=0.1,l=72u`, `r=3.3,l=25u`.
+/// Parses `no-pot`, `no-pot,r=0.1,l=72u`, `r=3.3,l=25u`.
 pub(super) fn reference(text: &str) -> Result<Reference> {
     let (mut no_pot, mut r_ohm, mut l_h) = (false, None, None);
     for word in text.split(',').map(str::trim) {
@@ -89,10 +89,10 @@ pub(super) fn reference(text: &str) -> Result<Reference> {
 }
 
 impl CalibrateArgs {
-    /// Opens, surveys, calibrates, writes.
+    /// Opens and surveys the capture, calibrates and writes the result.
     ///
     /// # Errors
-    /// What the capture's reader, the survey or the calibration reports; a file that cannot be written.
+    /// Any error of the capture's reader, the survey or the calibration; a file that cannot be written.
     pub fn run(&self) -> Result<()> {
         let loaded = self.capture.open()?;
         loaded.finish(self.calibrate(&loaded.capture))
@@ -101,35 +101,35 @@ impl CalibrateArgs {
     fn calibrate(&self, capture: &Capture) -> Result<()> {
         let hints = self.capture.hints(self.hints.hints());
         let survey = Survey::of(capture, &hints)?;
-        let found = match self.reference {
+        let calibration = match self.reference {
             Against::Known(reference) => estimate(capture, &survey, reference)?,
             Against::Plateaus => {
-                let found = blind::estimate(capture, &survey, self.resonance_capacitance)?;
-                for remark in found.remarks(true) {
+                let calibration = blind::estimate(capture, &survey, self.resonance_capacitance)?;
+                for remark in calibration.remarks(true) {
                     output::complain(format_args!("{remark}"));
                 }
-                Calibration::of_plateaus(&found, &survey)
+                Calibration::from_self_calibration(&calibration, &survey)
             }
         };
-        for doubt in found.doubts() {
+        for doubt in calibration.doubts() {
             output::complain(format_args!("warning: {doubt}"));
         }
         if let Some(path) = &self.out {
-            // What is there may be of another chain, or no calibration at all: then there is nothing to compare.
+            // An existing file may be of another chain or no calibration; the comparison is then skipped.
             if let Ok(before) = Calibration::read(path) {
-                for what in found.contradicts(&before) {
+                for what in calibration.contradicts(&before) {
                     let path = path.display();
                     output::complain(format_args!(
                         "warning: {path}, which this replaces, says otherwise: {what}"
                     ));
                 }
             }
-            found.write(path)?;
+            calibration.write(path)?;
         }
         if self.json {
-            return output::json(&found);
+            return output::json(&calibration);
         }
-        output::text(&summary(&found))?;
+        output::text(&summary(&calibration))?;
         match &self.out {
             Some(path) => say!("written    {}", path.display()),
             None => Ok(()),
@@ -137,24 +137,24 @@ impl CalibrateArgs {
     }
 }
 
-/// The calibration for a person.
-fn summary(found: &Calibration) -> String {
+/// Describes the calibration.
+fn summary(calibration: &Calibration) -> String {
     format!(
         "skew       {:.2} ± {:.2} ns (current later)\n{}\
          gain       voltage over current {:.5} ± {:.5}\n\
          offsets    {:.4} V, {:.5} A\n\
          assumed    {}\n",
-        found.skew_s * 1e9,
-        found.skew_sigma_s * 1e9,
-        match found.response.is_none() {
+        calibration.skew_s * 1e9,
+        calibration.skew_sigma_s * 1e9,
+        match calibration.response.is_none() {
             true => String::new(),
-            false => format!("response   {}\n", found.response),
+            false => format!("response   {}\n", calibration.response),
         },
-        found.gain_ratio,
-        found.gain_ratio_sigma,
-        found.v_offset_v,
-        found.i_offset_a,
-        found.assumed.join("; ")
+        calibration.gain_ratio,
+        calibration.gain_ratio_sigma,
+        calibration.v_offset_v,
+        calibration.i_offset_a,
+        calibration.assumed.join("; ")
     )
 }
 

@@ -1,4 +1,4 @@
-//! The arguments of every command that takes a capture.
+//! Arguments of every command that takes a capture.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use ihd_capture::channels::{ChannelOptions, ChannelRef};
 use ihd_capture::formats::unit::Unit;
-use ihd_capture::mcap::{Losses, Salvaged};
+use ihd_capture::mcap::{Losses, SalvagedCapture};
 use ihd_capture::open::salvage_with;
 use ihd_capture::{CaptureError, OpenOptions};
 use ihd_signal::Capture;
@@ -16,16 +16,16 @@ use ihd_survey::{Hints, SurveyError};
 use super::output;
 use super::simulate::quantity::{list, quantity};
 
-/// Whose sign to change.
+/// Channel whose sign is changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Invert {
-    /// The voltage's.
+    /// Voltage.
     V,
-    /// The current's.
+    /// Current.
     I,
 }
 
-/// A capture and what the user knows of it. Formats and detection: docs/import.md.
+/// Capture with the user's specifications. Formats and detection: docs/import.md.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Capture")]
 pub struct CaptureArgs {
@@ -80,17 +80,17 @@ fn units(text: &str) -> Result<[Unit; 2], String> {
 }
 
 impl CaptureArgs {
-    /// The file, or the first of two.
+    /// Path of the file, or of the first of two.
     pub fn path(&self) -> &Path {
         &self.file
     }
 
-    /// The file, or both.
+    /// Path of the file, or of both.
     pub fn paths(&self) -> impl Iterator<Item = &Path> {
         std::iter::once(self.path()).chain(self.second.as_deref())
     }
 
-    /// What the arguments mean.
+    /// Converts the arguments to options.
     pub fn options(&self) -> OpenOptions {
         // The table then has these two channels, in this order.
         let first_two = [ChannelRef::Number(1), ChannelRef::Number(2)];
@@ -110,7 +110,7 @@ impl CaptureArgs {
         }
     }
 
-    /// What the user knows, beside the arguments of `hints`.
+    /// User's specifications, in addition to the arguments of `hints`.
     pub fn hints(&self, hints: Hints) -> Hints {
         Hints {
             swapped: self.swap,
@@ -128,7 +128,7 @@ impl CaptureArgs {
         self.open_with(&mut |_| ())
     }
 
-    /// Whether the values can be, before a file is looked at.
+    /// Checks the values before a file is read.
     ///
     /// # Errors
     /// [`Usage`](super::usage::Usage), naming the argument.
@@ -143,13 +143,13 @@ impl CaptureArgs {
         Ok(())
     }
 
-    /// Opens the capture; `progress` hears how far the file has been read, from 0 to 1.
+    /// Opens the capture; `progress` is called with the share read, from 0 to 1.
     ///
     /// # Errors
-    /// As [`CaptureArgs::open`].
+    /// Any error of [`CaptureArgs::open`].
     pub fn open_with(&self, progress: &mut dyn FnMut(f64)) -> Result<Loaded> {
         self.check()?;
-        let Salvaged {
+        let SalvagedCapture {
             mut capture,
             losses,
         } = salvage_with(&self.file, &self.options(), progress)?;
@@ -171,14 +171,14 @@ impl CaptureArgs {
     }
 }
 
-/// A capture, and what of its file could not be read.
+/// Capture, and the losses of its file.
 pub struct Loaded {
-    /// What could be read.
+    /// Readable part.
     pub capture: Capture,
     losses: Losses,
 }
 
-/// A part of the file could not be read; what could be was worked on.
+/// Error for a file of which a part could not be read; the rest was processed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{file}: {losses}; {pairs} pairs of samples were read, {ms:.3} ms from first to last{but}")]
 pub struct Incomplete {
@@ -190,7 +190,7 @@ pub struct Incomplete {
 }
 
 impl Loaded {
-    /// What could not be read, in words; `None` for a whole file.
+    /// Description of the losses; `None` for a complete file.
     pub fn incomplete(&self) -> Option<Incomplete> {
         let last = self.capture.time.at(self.capture.len().saturating_sub(1));
         let span = self.capture.time.at(0).zip(last);
@@ -203,11 +203,9 @@ impl Loaded {
         })
     }
 
-    /// What a command ends with that made `result` of the capture: a file that was not read whole is told whatever
-    /// came of it.
+    /// Result of a command that computed `result` from the capture: losses of the file are reported in any case.
     ///
-    /// # Errors
-    /// `result`'s, or [`Incomplete`] where that would be no error, or says no more than that the rest is not enough.
+    /// The error of `result`, or [`Incomplete`] if that would be no error, or would only say that the rest is not enough.
     pub fn finish(&self, result: Result<()>) -> Result<()> {
         let Some(incomplete) = self.incomplete() else {
             return result;

@@ -1,4 +1,4 @@
-//! `ihd completions`: what a shell needs to complete the command line.
+//! `ihd completions`: completion scripts for shells.
 
 use anyhow::Result;
 use clap::{Args, CommandFactory};
@@ -21,10 +21,10 @@ pub struct CompletionsArgs {
 }
 
 impl CompletionsArgs {
-    /// Prints them.
+    /// Prints the script.
     ///
     /// # Errors
-    /// When standard output cannot be written.
+    /// If standard output cannot be written.
     pub fn run(&self) -> Result<()> {
         let mut script = Vec::new();
         clap_complete::generate(self.shell, &mut Cli::command(), "ihd", &mut script);

@@ -1,4 +1,4 @@
-//! `--config`: which configuration, and how the daemon that it describes is asked.
+//! `--config`: choice of the configuration, and connection to the daemon that it describes.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
@@ -10,22 +10,22 @@ use ihd_api::client::ClientError;
 use ihd_api::{ApiClient, Settings, tls::Certificate};
 use ihd_daemon::config::Config;
 
-/// The configuration that is read when none is named and it is there.
+/// Configuration that is read if none is named and it exists.
 const HERE: &str = "ihd.toml";
 
-/// Where nobody takes the call within this, no daemon is there.
+/// Time limit for connecting to a daemon; after it none is running.
 const THERE_WITHIN: Duration = Duration::from_millis(300);
 
-/// Who took the call has this long to say that he is a daemon: a busy one holds devices too, which must not be taken from it.
+/// Time limit for the daemon's answer: a busy daemon holds devices too, which must not be taken from it.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(5);
 
-/// Token for a daemon whose token file cannot be read from here.
+/// Environment variable with the token of a daemon whose token file cannot be read.
 const TOKEN: &str = "IHD_TOKEN";
 
-/// The configuration of `--config`, else that of `ihd.toml` in the working folder, else the built-in one.
+/// Reads the configuration of `--config`, else `ihd.toml` in the working folder, else uses the built-in one.
 ///
 /// # Errors
-/// When it cannot be read, or a key or value is none.
+/// If it cannot be read, or has an invalid key or value.
 pub fn config(path: Option<&Path>) -> Result<Config> {
     let here = Path::new(HERE);
     let path = path.or_else(|| here.exists().then_some(here));
@@ -35,12 +35,12 @@ pub fn config(path: Option<&Path>) -> Result<Config> {
     })
 }
 
-/// Folder of what belongs to TLS.
+/// Folder of the TLS files.
 fn tls_folder(config: &Config) -> PathBuf {
     config.store.join("tls")
 }
 
-/// How the daemon's API is set up.
+/// Options of the daemon's API server.
 pub fn server_settings(config: &Config) -> Settings {
     let tls = config
         .tls
@@ -63,10 +63,10 @@ pub fn server_settings(config: &Config) -> Settings {
     }
 }
 
-/// A client of the daemon that the configuration describes, where one answers.
+/// Connects to the daemon that the configuration describes; `None` if none is running.
 ///
 /// # Errors
-/// When somebody is there who does not say who he is, or the certificate or token cannot be read.
+/// If the address is in use by a program that does not identify itself, or certificate or token cannot be read.
 pub fn daemon(config: &Config) -> Result<Option<ApiClient>> {
     let reached = reached_at(config.listen);
     if std::net::TcpStream::connect_timeout(&reached, THERE_WITHIN).is_err() {
@@ -93,13 +93,13 @@ pub fn daemon(config: &Config) -> Result<Option<ApiClient>> {
     }
 }
 
-/// The URL of a daemon of this machine that says it listens at `url`, as a browser here reaches it.
+/// URL at which a browser on this machine reaches a daemon that listens at `url`.
 pub fn reached(url: &str, listen: SocketAddr) -> String {
     let scheme = url.split_once(':').map_or("http", |(scheme, _)| scheme);
     format!("{scheme}://{}", reached_at(listen))
 }
 
-/// Where a daemon on this machine that listens there is reached.
+/// Address at which a daemon on this machine that listens there is reached.
 fn reached_at(listen: SocketAddr) -> SocketAddr {
     let ip = match listen.ip() {
         IpAddr::V4(ip) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.into(),
@@ -109,7 +109,7 @@ fn reached_at(listen: SocketAddr) -> SocketAddr {
     SocketAddr::new(ip, listen.port())
 }
 
-/// The lowest token that may command, else one that may look; none where the daemon has no tokens.
+/// Token of the lowest role that may command, else of one that may read; `None` if the daemon has no tokens.
 fn token(config: &Config) -> Result<Option<String>> {
     if let Ok(token) = std::env::var(TOKEN) {
         return Ok(Some(token));
@@ -124,7 +124,7 @@ fn token(config: &Config) -> Result<Option<String>> {
     Ok(token.map(str::to_owned))
 }
 
-/// Who asks: the person, and the process, for one person may have two terminals.
+/// Name of the client: user and process, since a user may have two terminals.
 fn holder() -> String {
     let person = ["USER", "LOGNAME", "USERNAME"]
         .iter()

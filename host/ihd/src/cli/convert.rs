@@ -1,4 +1,4 @@
-//! `ihd convert`: a capture from one format to another.
+//! `ihd convert`: conversion of a capture to another format.
 
 use std::path::PathBuf;
 
@@ -36,12 +36,12 @@ pub struct ConvertArgs {
 }
 
 impl ConvertArgs {
-    /// Reads, writes and reports what was converted.
+    /// Reads and writes the capture, and reports the conversion.
     ///
     /// # Errors
     /// [`ihd_capture::CaptureError`] or [`ihd_capture::exports::ExportError`].
     pub fn run(&self) -> Result<()> {
-        // A wrong ending is refused before a long file is read.
+        // A wrong ending is rejected before a long file is read.
         format::check(&self.out).map_err(Usage::of)?;
         for input in self.capture.paths() {
             let same = input.canonicalize().ok().zip(self.out.canonicalize().ok());

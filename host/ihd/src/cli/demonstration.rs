@@ -1,4 +1,4 @@
-//! `ihd trainer --ui`: a hob that heats by itself, so that the page has something to show, until somebody takes it over.
+//! `ihd trainer --ui`: a simulated hob that heats by itself, as an example for the page, until a user commands it.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -10,30 +10,30 @@ use ihd_link::DeviceSpec;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep};
 
-/// Who heats.
+/// Name of the demonstration as a client.
 const HOLDER: &str = "demonstration";
 
-/// Between two renewals; the lease lasts 10 s.
-const RENEW_EVERY: Duration = Duration::from_secs(3);
+/// Period of renewing the lease, which lasts 10 s.
+const RENEW_PERIOD: Duration = Duration::from_secs(3);
 
-/// Between two looks.
-const LOOK_EVERY: Duration = Duration::from_millis(500);
+/// Polling period.
+const POLL_PERIOD: Duration = Duration::from_millis(500);
 
-/// From the beginning of a sweep to that of the next at least: a hob that will not heat is not asked without end.
+/// Shortest time between the beginnings of two sweeps, so that a hob that does not heat is not commanded continuously.
 const SWEEP_LASTS: Duration = Duration::from_secs(10);
 
-/// What is demonstrated.
+/// Configuration of a demonstration.
 #[derive(Debug)]
 pub struct Demonstration {
     /// The device.
     pub device: DeviceSpec,
-    /// Options of the simulated hob, as a configuration has them.
+    /// Options of the simulated hob, in the form of a configuration.
     pub sim: toml::Table,
-    /// Powers to heat with one after the other, in watt.
+    /// Powers of the sweep, in watt.
     pub powers_w: Vec<u16>,
     /// Folder of the store.
     pub store: PathBuf,
-    /// Settings of the network, as a configuration has them.
+    /// Settings of the network, in the form of a configuration.
     pub network: Option<toml::Table>,
 }
 
@@ -46,8 +46,8 @@ impl Demonstration {
         }
     }
 
-    /// Where somebody has a configuration, it says where the daemon listens and what it keeps; else it listens on a free port of the
-    /// loopback. The device is the demonstration's.
+    /// Returns the daemon's configuration with the demonstration's device: the user's, if there is one, else one that listens on a
+    /// free port of the loopback.
     pub fn config(&self, of_file: Option<Config>) -> Config {
         let base = of_file.unwrap_or_else(|| Config {
             listen: ([127, 0, 0, 1], 0).into(),
@@ -68,22 +68,22 @@ impl Demonstration {
     }
 }
 
-/// Heats a device with one power after the other, again and again; returns who commands it instead.
+/// Heats a device with the powers in turn, repeatedly; returns the name of another client that takes over.
 pub async fn heat(daemon: Daemon, device: &str, powers_w: Vec<u16>) -> String {
     let mut notices = daemon.watch();
-    let mut look = interval(LOOK_EVERY);
-    look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut poll = interval(POLL_PERIOD);
+    poll.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut sweep: Option<Instant> = None;
     let mut renewed = Instant::now();
     loop {
         let somebody = tokio::select! {
             notice = notices.recv() => match notice {
                 Ok(notice) => commander(&notice, device),
-                // A notice that was missed is seen in the lease.
+                // The lease shows a missed event.
                 Err(RecvError::Lagged(_)) => None,
                 Err(RecvError::Closed) => return sleep_for_ever().await,
             },
-            _ = look.tick() => {
+            _ = poll.tick() => {
                 let due = match sweep {
                     None => true,
                     Some(began) => began.elapsed() > SWEEP_LASTS && is_over(&daemon, device),
@@ -93,12 +93,12 @@ pub async fn heat(daemon: Daemon, device: &str, powers_w: Vec<u16>) -> String {
                     renewed = Instant::now();
                     let powers_w = powers_w.clone();
                     let asked = daemon.command(device, HOLDER, Command::Sweep { powers_w }).await;
-                    // It is not there yet, or its panel is off: it is asked again.
+                    // The device is not connected yet, or its panel is off: retry.
                     if let Err(CommandError::NotConnected { .. }) = asked {
                         sweep = None;
                     }
                     other(asked)
-                } else if renewed.elapsed() > RENEW_EVERY {
+                } else if renewed.elapsed() > RENEW_PERIOD {
                     renewed = Instant::now();
                     other(daemon.take_lease(device, HOLDER, false).await)
                 } else {
@@ -107,7 +107,7 @@ pub async fn heat(daemon: Daemon, device: &str, powers_w: Vec<u16>) -> String {
             }
         };
         if let Some(somebody) = somebody {
-            // Theirs is not given back, and what was asked for under ours ends with it.
+            // The new owner's lease is kept; the demonstration's request ended with its own.
             let _ = daemon.release_lease(device, HOLDER).await;
             return somebody;
         }
@@ -120,13 +120,13 @@ async fn sleep_for_ever() -> String {
     }
 }
 
-/// Whether nothing of a sweep is left.
+/// Returns `true` if the sweep is over.
 fn is_over(daemon: &Daemon, device: &str) -> bool {
     let report = daemon.device(device);
     report.is_none_or(|r| r.sweep_left_w.is_empty() && r.asked_by_daemon_w == 0)
 }
 
-/// Who holds the lease, where it is not us.
+/// Holder of the lease if it is another client.
 fn other<T>(outcome: Result<T, CommandError>) -> Option<String> {
     match outcome {
         Err(CommandError::Leased { holder, .. }) => Some(holder),
@@ -134,11 +134,13 @@ fn other<T>(outcome: Result<T, CommandError>) -> Option<String> {
     }
 }
 
-/// Who commands the device by what a notice says, where it is not us.
+/// Client that commands the device according to an event, if it is another one.
 fn commander(notice: &Notice, device: &str) -> Option<String> {
     let holder = match &notice.what {
         What::Command { holder, ok, .. } if *ok => holder,
-        What::Lease { holder, taken_from } if taken_from == HOLDER => holder,
+        What::Lease {
+            holder, taken_from, ..
+        } if taken_from == HOLDER => holder,
         _ => return None,
     };
     (notice.device == device && holder != HOLDER).then(|| holder.clone())
@@ -174,6 +176,7 @@ mod tests {
         let lease = |from: &str| What::Lease {
             holder: "Ada".into(),
             taken_from: from.into(),
+            why: String::new(),
         };
         assert_eq!(commander(&notice("a", lease(HOLDER)), "a"), ada);
         assert_eq!(commander(&notice("a", lease("Bob")), "a"), None);

@@ -1,4 +1,4 @@
-//! A capture's switching and mains as given by the user.
+//! Switching and mains frequency of a capture as given by the user.
 
 use clap::Args;
 use ihd_survey::Hints;
@@ -20,7 +20,7 @@ pub struct HintArgs {
 }
 
 impl HintArgs {
-    /// As the survey takes them.
+    /// Converts the arguments for the survey.
     pub fn hints(&self) -> Hints {
         Hints {
             f_sw_hz: self.fsw,

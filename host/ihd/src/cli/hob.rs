@@ -1,4 +1,4 @@
-//! `ihd hob`: the simulated hob as a process of its own.
+//! `ihd hob`: simulated hob as a process of its own.
 
 use std::io::BufRead;
 use std::path::PathBuf;
@@ -11,13 +11,13 @@ use ihd_sim::hob::{PanelEvent, SimHob};
 use ihd_sim::scenario::ScenarioError;
 use ihd_sim::scenario::file::Scenario;
 use ihd_sim::scenario::script::Script;
-use ihd_sim::server::{Ended, Server, ServerEvent};
+use ihd_sim::server::{DisconnectReason, Server, ServerEvent};
 
 use super::interrupt;
 use super::output::complain;
 use super::simulated::SimulatedHobArgs;
 
-/// Fastest that is asked for; the machine may not get there, and the hob says so.
+/// Limit of the speed; the machine may not reach it, which the hob reports.
 const FASTEST: f64 = 1000.0;
 
 /// Runs a simulated hob, controlled by the firmware itself, behind a TCP port.
@@ -55,21 +55,21 @@ pub struct HobArgs {
     /// heat
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:4711")]
     listen: String,
-    /// How much faster than real time the hob runs, up to 1000. Where the machine is too slow for it, the hob says so
+    /// Speed of the hob relative to real time, up to 1000. Where the machine is too slow for it, the hob says so
     /// once a minute
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     speed: f64,
     /// Switch it on at its panel at the start: power level 1 to 9
     #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(u8).range(1..=9))]
     panel: Option<u8>,
-    /// What happens to pot, mains and panel, over and over; the file's head also describes the hob
+    /// Events of pot, mains and panel, repeated; the file's head also describes the hob
     #[arg(
         long,
         value_name = "FILE.toml",
         conflicts_with_all = ["pot", "load", "warming", "contents", "mains", "snr", "anti_alias"]
     )]
     script: Option<PathBuf>,
-    /// Take what happens to pot, mains and panel from standard input, an event a line
+    /// Read events of pot, mains and panel from standard input, one per line
     #[arg(long)]
     stdin: bool,
     #[command(flatten)]
@@ -80,7 +80,7 @@ impl HobArgs {
     /// Runs until interrupted.
     ///
     /// # Errors
-    /// A script that cannot be read or played, a port that cannot be listened on.
+    /// An invalid script, or a port that cannot be listened on.
     pub fn run(&self) -> Result<()> {
         ensure_usage!(
             self.speed.is_finite() && self.speed > 0.0 && self.speed <= FASTEST,
@@ -94,7 +94,7 @@ impl HobArgs {
         let pot = hob.pot();
         let mut server = Server::bind(&self.listen, hob)?;
         if let Some(script) = script {
-            server.play(script);
+            server.set_script(script);
         }
         say!(
             "simulated hob with {pot} on tcp:{}; stop with ^C",
@@ -102,36 +102,39 @@ impl HobArgs {
         )?;
         if !server.address().ip().is_loopback() {
             complain(format_args!(
-                "warning: {} is not loopback, and there is no authentication: whoever reaches this port commands the hob",
+                "warning: {} is not loopback, and there is no authentication: any host that reaches this port can command the hob",
                 server.address()
             ));
         }
         if self.stdin {
-            server.listen_to(wishes());
+            server.receive_scenarios(stdin_scenarios());
         }
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let speed = self.speed;
-        server.run(speed, stop, |event| tell(speed, event))?;
+        server.run(speed, stop, |event| print_event(speed, event))?;
         Ok(())
     }
 
     fn hob(&self) -> Result<(SimHob, Option<Script>)> {
         let Some(path) = &self.script else {
-            return Ok((SimHob::new(&self.simulated.config()?.booted_now()), None));
+            return Ok((
+                SimHob::new(&self.simulated.config()?.with_unique_boot()),
+                None,
+            ));
         };
         let of_script = || format!("script {}", path.display());
         let scenario = Scenario::read(path).with_context(of_script)?;
         let mut config = scenario.file.hob();
         config.seed = self.simulated.seed().unwrap_or(config.seed);
-        let mut hob = SimHob::assemble(&config.booted_now()).with_context(of_script)?;
+        let mut hob = SimHob::assemble(&config.with_unique_boot()).with_context(of_script)?;
         let script = Script::new(&scenario, &mut hob).with_context(of_script)?;
         Ok((hob, Some(script)))
     }
 }
 
-/// What is written to standard input, from a thread that ends with it or with the process.
-fn wishes() -> Receiver<Scenario> {
-    let (tell, wishes) = channel();
+/// Receives scenarios from standard input; the thread ends with it or with the process.
+fn stdin_scenarios() -> Receiver<Scenario> {
+    let (sender, scenarios) = channel();
     thread::spawn(move || {
         for line in std::io::stdin().lock().lines() {
             let Ok(line) = line else { return };
@@ -140,7 +143,7 @@ fn wishes() -> Receiver<Scenario> {
             }
             match event(&line) {
                 Ok(event) => {
-                    if tell.send(event).is_err() {
+                    if sender.send(event).is_err() {
                         return;
                     }
                 }
@@ -150,24 +153,24 @@ fn wishes() -> Receiver<Scenario> {
             }
         }
     });
-    wishes
+    scenarios
 }
 
-/// A scenario of one event, now.
+/// Parses a scenario of one immediate event.
 fn event(line: &str) -> Result<Scenario, ScenarioError> {
     let text = format!("duration_s = 1\n[[event]]\nat_s = 0\n{line}\n");
     Scenario::parse(&text, PathBuf::new())
 }
 
-/// One line an event. A hob whose lines nobody can take goes on.
-fn tell(speed: f64, event: ServerEvent) {
+/// Prints one line per event; errors of the output are ignored.
+fn print_event(speed: f64, event: ServerEvent) {
     let _ = match event {
         ServerEvent::Connected(from) => say!("{from} connected"),
         ServerEvent::TurnedAway(from) => say!("{from} turned away: one host at a time"),
         ServerEvent::Disconnected { why, asked_w } => {
             let why = match why {
-                Ended::Left => "",
-                Ended::NoHello => ": no hello that fits within 5 s",
+                DisconnectReason::Left => "",
+                DisconnectReason::NoHello => ": no hello that fits within 5 s",
             };
             match asked_w {
                 0 => say!("disconnected{why}"),

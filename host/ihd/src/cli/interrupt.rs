@@ -1,4 +1,4 @@
-//! ^C as a flag, so that a command ends in order: hob off, files complete.
+//! Ctrl-C as a flag, so that a command ends in order: hob off, files complete.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread::sleep;
@@ -7,20 +7,19 @@ use std::time::Duration;
 static STOP: AtomicBool = AtomicBool::new(false);
 static SIGNALS: AtomicU32 = AtomicU32::new(0);
 
-/// How long a command may still take to end in order after a second ^C.
+/// Time limit for ending in order after a second Ctrl-C.
 const IN_ORDER_WITHIN: Duration = Duration::from_secs(3);
 
-/// A flag that ^C or a termination signal raises. A second one leaves the command 3 s to switch the hob off,
-/// a third ends the process at once.
+/// Returns a flag that Ctrl-C or a termination signal raises. A second one leaves the command 3 s to switch the hob off, a third
+/// ends the process at once.
 ///
-/// # Errors
-/// When the handler cannot be installed.
+/// If the handler cannot be installed.
 pub fn flag() -> Result<&'static AtomicBool, ctrlc::Error> {
     ctrlc::set_handler(|| {
         STOP.store(true, Ordering::Relaxed);
         match SIGNALS.fetch_add(1, Ordering::Relaxed) {
             0 => {}
-            // The handler has a thread of its own, which a third one must find free.
+            // The handler has a thread of its own, which must be free for a third one.
             1 => drop(std::thread::spawn(|| {
                 sleep(IN_ORDER_WITHIN);
                 std::process::exit(130);

@@ -1,4 +1,4 @@
-//! `ihd log`: what a board logs, in words.
+//! `ihd log`: a board's log as text.
 
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -7,9 +7,9 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Context, Result};
 use clap::Args;
 use ihd_flash::log::find::Places;
-use ihd_flash::log::follow::{Way, follow};
-use ihd_flash::log::kept::Kept;
-use ihd_flash::log::over_link::LinkWay;
+use ihd_flash::log::follow::{LogOpener, follow};
+use ihd_flash::log::image_cache::ImageCache;
+use ihd_flash::log::over_link::LinkLogOpener;
 
 use self::screen::Screen;
 use super::interrupt;
@@ -17,7 +17,7 @@ use super::interrupt;
 mod screen;
 mod way;
 
-/// Show what a board logs, as it logs it, until ^C: over the link, or over a debug probe (RTT) without resetting it.
+/// Show a board's log until ^C: over the link, or over a debug probe (RTT) without resetting it.
 ///
 /// Texts and places come from the image that runs, found by its build id: the one that this program carries, the
 /// checkout's, or one that `ihd flash` has flashed from here. A board that goes away is waited for.
@@ -50,20 +50,20 @@ pub struct LogArgs {
 }
 
 impl LogArgs {
-    /// Listens until ^C.
+    /// Shows the log until Ctrl-C.
     ///
     /// # Errors
-    /// A device, probe or image that is not there or does not fit; standard output that cannot be written.
+    /// A device, probe or image that is missing or does not fit; standard output that cannot be written.
     pub fn run(&self) -> Result<()> {
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let mut way = self.way()?;
         self.show(way.as_mut(), stop)
     }
 
-    fn show(&self, way: &mut dyn Way, stop: &AtomicBool) -> Result<()> {
+    fn show(&self, way: &mut dyn LogOpener, stop: &AtomicBool) -> Result<()> {
         let places = Places {
             given: self.image.as_deref(),
-            kept: Kept::of_user(),
+            cache: ImageCache::of_user(),
         };
         let coloured = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
         let mut screen = Screen::new(self.json, coloured);
@@ -72,7 +72,7 @@ impl LogArgs {
         ended.and(told)
     }
 
-    fn way(&self) -> Result<Box<dyn Way>> {
+    fn way(&self) -> Result<Box<dyn LogOpener>> {
         if let Some(probe) = &self.probe {
             return way::by_probe(Some(probe.as_str()).filter(|probe| !probe.is_empty()));
         }
@@ -85,11 +85,11 @@ impl LogArgs {
         }
     }
 
-    fn by_link(&self, device: &str) -> Result<Box<dyn Way>> {
+    fn by_link(&self, device: &str) -> Result<Box<dyn LogOpener>> {
         #[cfg(feature = "daemon")]
         let open = super::device::direct_opener(self.config.as_deref(), device)?;
         #[cfg(not(feature = "daemon"))]
         let open = way::opener(device)?;
-        Ok(Box::new(LinkWay::new(open)))
+        Ok(Box::new(LinkLogOpener::new(open)))
     }
 }

@@ -1,4 +1,4 @@
-//! `ihd man`: the manual pages.
+//! `ihd man`: manual pages.
 
 use std::fs;
 use std::path::PathBuf;
@@ -15,16 +15,16 @@ use super::Cli;
     sudo ihd man --out /usr/local/share/man/man1\n\n\
     Exit codes: 0 done, 1 failed, 2 wrong usage")]
 pub struct ManArgs {
-    /// The folder; made where there is none, pages of the same names are written anew
+    /// Folder of the pages; it is created if missing, and pages of the same names are replaced
     #[arg(long, short, value_name = "DIR")]
     out: PathBuf,
 }
 
 impl ManArgs {
-    /// Writes them.
+    /// Writes the pages.
     ///
     /// # Errors
-    /// When the folder or a page cannot be written.
+    /// If the folder or a page cannot be written.
     pub fn run(&self) -> Result<()> {
         let failed = || format!("cannot write manual pages to {}", self.out.display());
         fs::create_dir_all(&self.out).with_context(failed)?;

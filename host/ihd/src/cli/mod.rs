@@ -39,7 +39,6 @@ pub mod simulate;
 pub mod simulated;
 #[cfg(feature = "daemon")]
 pub mod store;
-pub mod study;
 #[cfg(feature = "daemon")]
 pub mod supervised;
 #[cfg(feature = "pinn")]
@@ -94,7 +93,6 @@ enum Command {
     Simulate(Box<simulate::SimulateArgs>),
     #[cfg(feature = "daemon")]
     Store(Box<store::StoreArgs>),
-    Study(study::StudyArgs),
     #[cfg(feature = "daemon")]
     Watch(watch::WatchArgs),
     #[cfg(feature = "fleet")]
@@ -105,7 +103,7 @@ impl Cli {
     /// Runs the chosen subcommand.
     ///
     /// # Errors
-    /// Whatever ends it early, with the context that a person needs.
+    /// Any error that ends it early, with its context.
     pub fn run(&self) -> Result<()> {
         match &self.command {
             Command::Calibrate(args) => args.run(),
@@ -131,7 +129,6 @@ impl Cli {
             Command::Simulate(args) => args.run(),
             #[cfg(feature = "daemon")]
             Command::Store(args) => args.run(),
-            Command::Study(args) => args.run(),
             #[cfg(feature = "daemon")]
             Command::Watch(args) => args.run(),
             #[cfg(feature = "fleet")]
@@ -140,9 +137,15 @@ impl Cli {
     }
 }
 
-/// The exit code of an error: 2 wrong usage, 3 device or link, 4 the device does not heat, 5 nothing fit for the
-/// lookup, 6 a replay that differs, 7 a capture that is unfit for identification, empty, cut or damaged, 1 anything
-/// else. What clap refuses is 2 too.
+/// Exit code of an error:
+///
+/// - 2: wrong usage (also reported by clap)
+/// - 3: device or link
+/// - 4: the device does not heat
+/// - 5: nothing fit for the lookup
+/// - 6: a replay that differs
+/// - 7: a capture that is unfit for identification, empty, cut or damaged
+/// - 1: anything else
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     if error.chain().any(|cause| cause.is::<usage::Usage>()) {
         return 2;
@@ -152,7 +155,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         return 2;
     }
     #[cfg(feature = "pinn")]
-    if let Some(failed) = error.downcast_ref::<ihd_train::Failed>() {
+    if let Some(failed) = error.downcast_ref::<ihd_train::RunFailure>() {
         use ihd_train::TrainerError as E;
         return match &failed.error {
             E::Link(LinkError::Recording(_)) | E::Interrupted => 1,
@@ -181,15 +184,15 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         return 3;
     }
     #[cfg(feature = "fleet")]
-    if error.is::<fleet::Amiss>() {
+    if error.is::<fleet::StatusCheckFailed>() {
         return 7;
     }
     #[cfg(feature = "daemon")]
     if let Some(code) = device::exit_code(error) {
         return code;
     }
-    if let Some(unwell) = error.downcast_ref::<doctor::Unwell>() {
-        return unwell.exit_code();
+    if let Some(failure) = error.downcast_ref::<doctor::ChecksFailed>() {
+        return failure.exit_code();
     }
     if error.is::<ihd_flash::install::InstallError>()
         || error.is::<ihd_flash::ProgramError>()
@@ -197,7 +200,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     {
         return 3;
     }
-    if error.is::<replay::Differs>() {
+    if error.is::<replay::ReplayDiffers>() {
         return 6;
     }
     #[cfg(feature = "log")]
@@ -237,7 +240,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     }
 }
 
-/// An error and its causes in one line, each once: many messages quote their cause already.
+/// Error and its causes in one line, each once: many messages quote their cause already.
 pub fn message(error: &anyhow::Error) -> String {
     let mut text = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {

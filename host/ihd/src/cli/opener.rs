@@ -1,4 +1,4 @@
-//! Opens what a configuration names: links to boards, and simulated hobs, which live on between connections.
+//! Opener of a configuration's devices: links to boards, and simulated hobs, which persist between connections.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,11 +14,11 @@ use ihd_sim::transport::{PacedHob, SharedHob};
 use super::simulated::SimulatedHobArgs;
 use super::usage::Usage;
 
-/// A simulated hob of a configuration: its options are those of `ihd hob`, and `speed`.
+/// Simulated hob of a configuration: the options of `ihd hob`, and `speed`.
 #[derive(Clone, Debug)]
 struct Simulated {
     hob: HobConfig,
-    /// Times real time.
+    /// Speed as a multiple of real time.
     speed: f64,
 }
 
@@ -51,7 +51,7 @@ impl Simulated {
             speed.is_finite() && speed > 0.0 && speed <= 100.0,
             "sim: speed = {speed}, but must lie between 0 and 100"
         );
-        // The options' names, values and messages are those of the command line.
+        // Names, values and messages of the options are those of the command line.
         let command = SimulatedHobArgs::augment_args(Command::new("sim").disable_help_flag(true));
         let options = command
             .try_get_matches_from(words)
@@ -69,13 +69,14 @@ fn first_line(message: &str) -> &str {
     line.trim_start_matches("error: ")
 }
 
-/// Marks a simulated hob in its options with the device's name: no two devices share one.
+/// Key that marks a simulated hob's options with the device's name: no two devices share one.
 const NAME: &str = "name";
 
-/// Opens what a configuration names. The simulated hobs are checked here, before anything runs, and marked in `config`.
+/// Returns an opener of the configuration's devices. The options of simulated hobs are checked here, before anything runs, and
+/// marked in `config`.
 ///
 /// # Errors
-/// Naming the device and the option that is none.
+/// For an invalid option, with the names of device and option.
 pub fn opener(config: &mut Config) -> Result<Arc<OpenDevice>> {
     let mut hobs: BTreeMap<String, Simulated> = BTreeMap::new();
     for device in &mut config.devices {
@@ -100,7 +101,7 @@ pub fn opener(config: &mut Config) -> Result<Arc<OpenDevice>> {
             let mut running = running.lock().unwrap_or_else(PoisonError::into_inner);
             let hob = running
                 .entry(name)
-                .or_insert_with(|| SharedHob::new(SimHob::new(&simulated.hob.booted_now())));
+                .or_insert_with(|| SharedHob::new(SimHob::new(&simulated.hob.with_unique_boot())));
             let knows = hob.clone();
             truth = Some(Arc::new(move |half_cycle| knows.truth(half_cycle)));
             Box::new(PacedHob::new(hob.clone(), simulated.speed)) as Box<dyn Transport>

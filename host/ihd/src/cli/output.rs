@@ -1,5 +1,5 @@
-//! Standard output and standard error: a reader that is gone or a disk that is full is an error and
-//! no panic, and nothing that a device or a file holds reaches a terminal raw.
+//! Standard output and standard error. A closed reader or a full disk is an error, not a panic, and text of a device or a file is
+//! escaped.
 
 use std::fmt::Arguments;
 use std::io::Write;
@@ -8,7 +8,8 @@ use anyhow::{Context, Result};
 use ihd_signal::printable::is_shown;
 use serde::Serialize;
 
-/// Prints a line. Usable as `println!`, but for what it returns.
+/// Prints a line like `println!`, and returns the error.
+#[macro_export]
 macro_rules! say {
     ($($argument:tt)*) => {
         $crate::cli::output::line(format_args!($($argument)*))
@@ -18,7 +19,7 @@ macro_rules! say {
 /// Writes a line to standard output, control characters escaped.
 ///
 /// # Errors
-/// When standard output cannot be written.
+/// If standard output cannot be written.
 pub fn line(arguments: Arguments<'_>) -> Result<()> {
     text(&format!("{arguments}\n"))
 }
@@ -26,7 +27,7 @@ pub fn line(arguments: Arguments<'_>) -> Result<()> {
 /// Writes text to standard output, control characters but line ends and tabs escaped.
 ///
 /// # Errors
-/// When standard output cannot be written.
+/// If standard output cannot be written.
 pub fn text(text: &str) -> Result<()> {
     raw(escaped(text).as_bytes())
 }
@@ -34,7 +35,7 @@ pub fn text(text: &str) -> Result<()> {
 /// Writes a value as JSON to standard output, on several lines.
 ///
 /// # Errors
-/// When it cannot be written.
+/// If it cannot be written.
 pub fn json(value: &impl Serialize) -> Result<()> {
     raw(json_text(&serde_json::to_string_pretty(value)?).as_bytes())
 }
@@ -42,37 +43,37 @@ pub fn json(value: &impl Serialize) -> Result<()> {
 /// Writes a value as one line of JSON to standard output.
 ///
 /// # Errors
-/// When it cannot be written.
+/// If it cannot be written.
 pub fn json_line(value: &impl Serialize) -> Result<()> {
     raw(json_text(&serde_json::to_string(value)?).as_bytes())
 }
 
-/// A line on standard error. What cannot even be said there is not said.
+/// Prints a line on standard error; errors are ignored.
 pub fn complain(arguments: Arguments<'_>) {
     let text = escaped(&format!("{arguments}\n"));
     let _ = std::io::stderr().write_all(text.as_bytes());
 }
 
-/// A colour on a terminal.
+/// Colour on a terminal.
 #[cfg(feature = "log")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Colour {
-    /// The terminal's own.
+    /// Default colour.
     Plain,
-    /// What one looks over.
+    /// For secondary information.
     Dim,
-    /// As it should be.
+    /// For a good state.
     Green,
-    /// Look here.
+    /// For a warning.
     Yellow,
-    /// Look here first.
+    /// For an alarm.
     Red,
 }
 
 /// Writes a line of parts to standard output, each in its colour where `coloured`; control characters escaped.
 ///
 /// # Errors
-/// When standard output cannot be written.
+/// If standard output cannot be written.
 #[cfg(feature = "log")]
 pub fn parts(coloured: bool, parts: &[(Colour, String)]) -> Result<()> {
     raw(parts_text(coloured, parts).as_bytes())
@@ -106,7 +107,7 @@ fn raw(bytes: &[u8]) -> Result<()> {
         .context("cannot write to standard output")
 }
 
-/// Control characters but line ends and tabs as `\u{1b}`.
+/// Escapes control characters other than line ends and tabs as `\u{1b}`.
 pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -119,7 +120,7 @@ pub fn escaped(text: &str) -> String {
     out
 }
 
-/// JSON with a line end. Its own escapes leave DEL and U+0080 to U+009F as they are.
+/// Returns JSON with a line end. JSON's own escapes leave DEL and U+0080 to U+009F as they are.
 fn json_text(json: &str) -> String {
     let mut out = String::with_capacity(json.len() + 1);
     for c in json.chars() {

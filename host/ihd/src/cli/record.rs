@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use clap::{Args, FromArgMatches};
 use ihd_capture::mcap::SessionRecorder;
 use ihd_capture::mcap::topics::LinkCounters;
-use ihd_link::{Client, DeviceSpec, Event, HEARD_EVERY, Transport};
+use ihd_link::{Client, DeviceSpec, Event, KEEPALIVE_PERIOD, Transport};
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::{Status, Utilisation};
 use ihd_sim::hob::SimHob;
@@ -22,8 +22,8 @@ use super::simulated::SimulatedHobArgs;
 use super::{interrupt, output};
 use crate::report::utilisation;
 
-/// How long an event may take before limits and ^C are looked at again.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Time limit of waiting for an event before limits and Ctrl-C are checked.
+const POLL_PERIOD: Duration = Duration::from_millis(100);
 
 /// Record what a device streams: telemetry, windows of samples, faults, and the link byte for byte.
 ///
@@ -47,7 +47,7 @@ pub struct RecordArgs {
     /// End when the file has this size in bytes (10M)
     #[arg(long, value_name = "BYTES", value_parser = quantity)]
     max_size: Option<f64>,
-    /// Ask for this power in watt meanwhile; without it the device does what it did
+    /// Request this power in watt meanwhile; without it the device's power is not changed
     #[arg(long, value_name = "W")]
     power: Option<u16>,
     /// A telemetry every so many half-cycles; 0 for none
@@ -64,7 +64,7 @@ pub struct RecordArgs {
     simulated: SimulatedHobArgs,
 }
 
-/// What was recorded.
+/// Summary of a recording.
 #[derive(Debug, Serialize)]
 struct Report {
     file: PathBuf,
@@ -72,7 +72,7 @@ struct Report {
     v_full_scale_v: f64,
     i_full_scale_a: f64,
     bits: u8,
-    /// duration, size, interrupt or error.
+    /// Reason of the end: duration, size, interrupt or error.
     ended_by: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
@@ -80,20 +80,20 @@ struct Report {
     bytes: u64,
     faults: u32,
     link: LinkCounters,
-    /// None where the device could not be asked.
+    /// Windows dropped by the device; `None` if it did not answer.
     device_windows_dropped: Option<u32>,
     device_telemetry_dropped: Option<u32>,
-    /// While it recorded.
+    /// Processor load during the recording.
     processor: serde_json::Value,
     #[serde(skip)]
     processor_line: String,
 }
 
 impl RecordArgs {
-    /// Connects, records, reports.
+    /// Connects, records and prints the report.
     ///
     /// # Errors
-    /// When the device or the file fails; what was recorded until then is in the file.
+    /// If the device or the file fails; the data recorded until then are in the file.
     pub fn run(&self) -> Result<()> {
         self.check()?;
         let config = self.simulated.config()?;
@@ -102,7 +102,7 @@ impl RecordArgs {
         self.record_from(client, !matches!(self.device, DeviceSpec::Sim))
     }
 
-    /// The recording of a device that somebody else opens.
+    /// Arguments of a recording of a device that the caller opens.
     ///
     /// # Errors
     /// Never, unless the options of this command change.
@@ -120,15 +120,15 @@ impl RecordArgs {
         )?)
     }
 
-    /// Records and reports; by the wall's clock where the device has it, not simulated time.
+    /// Records and prints the report; flushes by wall time if the device has no simulated clock.
     ///
     /// # Errors
-    /// As [`RecordArgs::run`].
+    /// Any error of [`RecordArgs::run`].
     pub fn record_from(&self, mut client: Client, has_wall_clock: bool) -> Result<()> {
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let mut recorder = SessionRecorder::create(&self.out, client.hello(), client.front_end())?;
         if has_wall_clock {
-            recorder = recorder.flushed_by_the_wall_clock();
+            recorder = recorder.with_wall_clock_flush();
         }
         let size = recorder.size();
         client.record_to(recorder);
@@ -136,7 +136,7 @@ impl RecordArgs {
         let mut report = self.report(&client);
         let recorded = self.record(&mut client, stop, &size, &bar, &mut report);
         if recorded.is_err() {
-            // What fails with the recording must not keep the device from being switched off.
+            // An error of the recording must not keep the device from being switched off.
             let _ = client.finish_recording();
         }
         let left = self.leave(&mut client);
@@ -155,12 +155,12 @@ impl RecordArgs {
             report.ended_by = "error";
             report.error = Some(super::message(error));
         }
-        // Whatever ended it, what was recorded is told.
+        // The report is printed in any case.
         let printed = self.print(&report);
         done.and(printed)
     }
 
-    /// The report before anything was recorded.
+    /// Report before anything was recorded.
     fn report(&self, client: &Client) -> Report {
         let front_end = client.front_end();
         Report {
@@ -206,7 +206,7 @@ impl RecordArgs {
         if let Some(power_w) = self.power {
             client.set_power(power_w)?;
         }
-        // What it counts from here on is of this recording.
+        // Resets the device's counts.
         client.utilisation()?;
         let began = client.clock();
         let mut heard = began;
@@ -223,10 +223,10 @@ impl RecordArgs {
             if self.max_size.is_some_and(|max| bytes as f64 >= max) {
                 break "size";
             }
-            if let Some(Event::Fault(_)) = client.next_event(LOOK_EVERY)? {
+            if let Some(Event::Fault(_)) = client.next_event(POLL_PERIOD)? {
                 report.faults += 1;
             }
-            if client.clock().saturating_sub(heard) >= HEARD_EVERY {
+            if client.clock().saturating_sub(heard) >= KEEPALIVE_PERIOD {
                 heard = client.clock();
                 client.status()?;
             }
@@ -235,14 +235,14 @@ impl RecordArgs {
         Ok(())
     }
 
-    /// Leaves the device silent, and off where it was switched on; takes what is on its way.
+    /// Stops the stream, switches the device off if it was switched on here, and processes remaining data.
     fn leave(&self, client: &mut Client) -> Result<(Status, Option<Utilisation>)> {
         let used = client.utilisation()?;
         if self.power.is_some() {
             client.set_power(0)?;
         }
         client.stream(0, 0)?;
-        while client.next_event(LOOK_EVERY)?.is_some() {}
+        while client.next_event(POLL_PERIOD)?.is_some() {}
         Ok((client.status()?, Some(used)))
     }
 

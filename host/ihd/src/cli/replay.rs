@@ -9,7 +9,7 @@ use ihd_signal::Capture;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
-use ihd_train::replay::{Outcome, Settings, run};
+use ihd_train::replay::{ReplayOptions, ReplayReport, run};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::capture_args::CaptureArgs;
@@ -34,7 +34,7 @@ pub struct ReplayArgs {
     /// The device: sim, tcp:HOST:PORT, usb, usb:SERIAL or serial:PATH
     #[arg(long, value_name = "DEVICE", default_value = "sim")]
     device: DeviceSpec,
-    /// How much faster than the capture's own time; without it as fast as the link allows
+    /// Speed relative to the capture's own time; without it as fast as the link allows
     #[arg(long, value_name = "FACTOR")]
     speed: Option<f64>,
     /// Switching frequency in Hz, where the capture states none
@@ -51,19 +51,19 @@ pub struct ReplayArgs {
     json: bool,
 }
 
-/// The device does not compute what this build does.
+/// Error for a device whose results differ from this build's.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 #[error(
     "the device differs from this build of its firmware in {0} values; is it the same version? \
      Flash the firmware that belongs to this host"
 )]
-pub struct Differs(pub usize);
+pub struct ReplayDiffers(pub usize);
 
 impl ReplayArgs {
-    /// Replays, compares, reports.
+    /// Replays, compares and prints the report.
     ///
     /// # Errors
-    /// [`Differs`] when the device computes something else; else what keeps it from being compared.
+    /// [`ReplayDiffers`] if the device's results differ; else the reason why they cannot be compared.
     pub fn run(&self) -> Result<()> {
         ensure_usage!(
             self.speed
@@ -83,15 +83,15 @@ impl ReplayArgs {
         });
         let survey = Survey::of(capture, &hints)?;
         let segments = survey.segments(capture);
-        let settings = Settings {
+        let settings = ReplayOptions {
             speed: self.speed,
-            ..Settings::default()
+            ..ReplayOptions::default()
         };
         let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
         let mut connect = || {
             let transport = self.device.open(|| Box::new(hob.clone()))?;
             let mut client = Client::connect(transport)?;
-            // A lost answer is asked for again, so there is no need to wait long for it.
+            // Lost answers are requested again: a short time limit suffices.
             client.set_timeout(Duration::from_secs(1));
             Ok(client)
         };
@@ -112,13 +112,13 @@ impl ReplayArgs {
         if outcome.is_identical() {
             Ok(())
         } else {
-            Err(Differs(outcome.differences).into())
+            Err(ReplayDiffers(outcome.differences).into())
         }
     }
 }
 
-fn text(o: &Outcome) -> String {
-    let counted = |c: ihd_train::replay::compare::Compared| match c.lost {
+fn text(o: &ReplayReport) -> String {
+    let counted = |c: ihd_train::replay::compare::MessageCounts| match c.lost {
         0 => format!("{} compared", c.compared),
         lost => format!("{} compared, {lost} lost on the link", c.compared),
     };

@@ -1,11 +1,11 @@
-//! `ihd scenario`: the firmware against a file of events, in simulated time.
+//! `ihd scenario`: the firmware in simulated time with a file of events.
 
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
 use ihd_sim::scenario::file::Scenario;
-use ihd_sim::scenario::limits::Checked;
+use ihd_sim::scenario::limits::LimitCheck;
 use ihd_sim::scenario::run::run;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -46,22 +46,22 @@ pub struct ScenarioArgs {
     plot: Option<PathBuf>,
 }
 
-/// Limits of the file that the record does not meet; it was printed.
+/// Error for limits of the file that the record does not meet, after it was printed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{} of {of} limits missed: {}", missed.len(), missed.join("; "))]
 pub struct MissedLimits {
-    /// Each with value and allowed range.
+    /// Missed limits, each with value and allowed range.
     pub missed: Vec<String>,
     /// Number of limits.
     pub of: usize,
 }
 
 impl ScenarioArgs {
-    /// Reads, runs, reports.
+    /// Reads and runs the scenario, and prints the report.
     ///
     /// # Errors
-    /// A file that cannot be read, with line, field and what is allowed; a figure that cannot be written;
-    /// [`MissedLimits`] after the report.
+    /// A file that cannot be read, with line, field and allowed values; a figure that cannot be written; [`MissedLimits`] after the
+    /// report.
     pub fn run(&self) -> Result<()> {
         let path = self.file.display();
         let scenario = Scenario::read(&self.file).with_context(|| format!("scenario {path}"))?;
@@ -79,7 +79,7 @@ impl ScenarioArgs {
             true => output::json_line(&record)?,
             false => output::text(&report::text(&record, &checked))?,
         }
-        let missed = checked.iter().filter(|c| !c.ok).map(Checked::to_string);
+        let missed = checked.iter().filter(|c| !c.ok).map(LimitCheck::to_string);
         let missed: Vec<String> = missed.collect();
         match missed.is_empty() {
             true => Ok(()),

@@ -1,23 +1,23 @@
-//! What to do about the sensors of a capture.
+//! Treatment of a capture's sensors.
 
 use clap::{Args, ValueEnum};
-use ihd_survey::calibration::blind::{Ask, Mode};
+use ihd_survey::calibration::blind::{BlindOptions, CalibrationMode};
 
 use super::simulate::quantity::quantity;
 
-/// What to do about the sensors.
+/// Treatment of the sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum ModeWord {
     /// Correct skew, bandwidth and droop where the capture shows them
     #[default]
     Auto,
-    /// Tell of them and correct nothing
+    /// Report them and correct nothing
     Report,
-    /// Do not look
+    /// Skip the analysis
     Off,
 }
 
-/// Sensors: judged by the capture itself, without a reference.
+/// Sensors, judged by the capture itself, without a reference.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Sensors")]
 pub struct SensorArgs {
@@ -30,22 +30,22 @@ pub struct SensorArgs {
 }
 
 impl SensorArgs {
-    /// As the survey takes it.
+    /// Converts the arguments for the survey.
     ///
     /// # Errors
-    /// [`Usage`](super::usage::Usage): a capacitance that is none.
-    pub fn ask(&self) -> anyhow::Result<Ask> {
+    /// [`Usage`](super::usage::Usage) for an invalid capacitance.
+    pub fn options(&self) -> anyhow::Result<BlindOptions> {
         if let Some(c_f) = self.resonance_capacitance {
             ensure_usage!(
                 c_f.is_finite() && c_f > 0.0,
                 "--resonance-capacitance is {c_f}, but a capacitance is positive, as in 1080n"
             );
         }
-        Ok(Ask {
+        Ok(BlindOptions {
             mode: match self.self_calibrate {
-                ModeWord::Auto => Mode::Auto,
-                ModeWord::Report => Mode::Report,
-                ModeWord::Off => Mode::Off,
+                ModeWord::Auto => CalibrationMode::Auto,
+                ModeWord::Report => CalibrationMode::Report,
+                ModeWord::Off => CalibrationMode::Off,
             },
             capacitance_f: self.resonance_capacitance,
         })

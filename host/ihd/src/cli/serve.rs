@@ -1,4 +1,4 @@
-//! `ihd trainer --daemon`: runs until told to stop, and leaves the hobs off.
+//! `ihd trainer --daemon`: runs until stopped, and leaves the hobs off.
 
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -22,38 +22,41 @@ use super::demonstration::{self, Demonstration};
 use super::opener::opener;
 use super::{configured, supervised, ui};
 
-/// Longest that an orderly end may take: a hob that does not answer is switched off by itself after 10 s.
+/// Time limit of an orderly end: a hob that does not answer switches itself off after 10 s.
 const END_WITHIN: Duration = Duration::from_secs(30);
 
-/// What a second ^C leaves for switching off, which the first has begun.
+/// Time left for switching off after a second Ctrl-C; the first has started it.
 const AT_ONCE: Duration = Duration::from_secs(1);
 
-/// Exit code after a second ^C, as shells have it.
+/// Threads of the server: while one converts a recording or thins out a stream, the other answers.
+const SERVER_THREADS: usize = 2;
+
+/// Exit code after a second Ctrl-C, as used by shells.
 const INTERRUPTED: i32 = 130;
 
-/// Where a daemon is asked for.
+/// Arguments of the daemon.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Daemon")]
 pub struct ServeArgs {
-    /// The same as --daemon.
+    /// Same as --daemon.
     #[arg(value_name = "serve", conflicts_with_all = ALONE)]
     serve: Option<Serve>,
     /// Run until told to stop: find devices, store, learn from whatever heating goes on, take commands (`ihd device`)
     #[arg(long, conflicts_with_all = ALONE)]
     daemon: bool,
     /// Open the daemon's page in a browser. Without --daemon, a demonstration: a daemon whose simulated hob heats with --power, again
-    /// and again, until somebody commands it
+    /// and again, until a client commands it
     #[arg(long, conflicts_with_all = ["replay", "no_store", "follow", "json"])]
     ui: bool,
     /// Configuration of the daemon; without one ihd.toml of this folder, or what is built in (docs/daemon.md)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// How log lines are written, on standard error
+    /// Format of log lines, on standard error
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
 }
 
-/// Options of `ihd trainer` that say nothing to a daemon: devices have theirs in the configuration.
+/// Options of `ihd trainer` that do not apply to the daemon, whose devices are in the configuration.
 const ALONE: [&str; 12] = [
     "device", "power", "replay", "backend", "network", "store", "no_store", "follow", "json",
     "pot", "warming", "contents",
@@ -64,48 +67,48 @@ enum Serve {
     Serve,
 }
 
-/// How log lines are written.
+/// Format of log lines.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum LogFormat {
-    /// A line an event, for people.
+    /// One line of text per event.
     Text,
-    /// A JSON object an event.
+    /// One JSON object per event.
     Json,
 }
 
-/// What is asked for beside what `ihd trainer` does itself.
+/// Mode requested beside the trainer itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Asked {
-    /// Nothing.
-    Nothing,
-    /// The daemon.
+pub enum ServeMode {
+    /// None.
+    None,
+    /// Daemon.
     Daemon,
-    /// The page with a hob that heats by itself.
+    /// Page with a hob that heats by itself.
     Demonstration,
 }
 
 impl ServeArgs {
-    /// What is asked for.
+    /// Returns the requested mode.
     ///
     /// # Errors
-    /// When it is nothing, and the daemon's configuration is given all the same.
-    pub fn asked(&self) -> Result<Asked> {
-        let asked = match self.daemon || self.serve.is_some() {
-            true => Asked::Daemon,
-            false if self.ui => Asked::Demonstration,
-            false => Asked::Nothing,
+    /// If none is requested but the daemon's configuration is given.
+    pub fn mode(&self) -> Result<ServeMode> {
+        let mode = match self.daemon || self.serve.is_some() {
+            true => ServeMode::Daemon,
+            false if self.ui => ServeMode::Demonstration,
+            false => ServeMode::None,
         };
         ensure_usage!(
-            asked != Asked::Nothing || self.config.is_none(),
+            mode != ServeMode::None || self.config.is_none(),
             "--config is the daemon's, with --daemon or --ui; settings of the network stand in --network FILE"
         );
-        Ok(asked)
+        Ok(mode)
     }
 
-    /// Runs until told to stop.
+    /// Runs until stopped.
     ///
     /// # Errors
-    /// A configuration that cannot work, a port in use, a store that cannot be opened.
+    /// An invalid configuration, a port in use, a store that cannot be opened.
     pub fn run(&self) -> Result<()> {
         let config = configured::config(self.config.as_deref())?;
         if self.ui
@@ -118,10 +121,10 @@ impl ServeArgs {
         self.start(config, tracing::Level::INFO, None)
     }
 
-    /// Runs a daemon with a hob that heats by itself until told to stop.
+    /// Runs a daemon with a hob that heats by itself until stopped.
     ///
     /// # Errors
-    /// As [`Self::run`].
+    /// Any error of [`Self::run`].
     pub fn demonstrate(&self, demonstration: Demonstration) -> Result<()> {
         let of_file = self.config.as_deref().map(Config::read).transpose()?;
         let config = demonstration.config(of_file);
@@ -140,14 +143,22 @@ impl ServeArgs {
             .enable_all()
             .build()
             .context("cannot start the daemon's threads")?;
-        runtime.block_on(serve(config, open, self.ui, demonstration))
+        // Threads of their own: a request to switch off waits behind no event of any device.
+        let of_server = runtime::Builder::new_multi_thread()
+            .worker_threads(SERVER_THREADS)
+            .thread_name("ihd-server")
+            .enable_all()
+            .build()
+            .context("cannot start the server's threads")?;
+        let serving = serve(config, open, of_server.handle(), self.ui, demonstration);
+        runtime.block_on(serving)
     }
 }
 
 /// Starts the log on standard error.
 ///
 /// # Errors
-/// $RUST_LOG cannot be read.
+/// If $RUST_LOG cannot be parsed.
 pub fn start_log(format: LogFormat, level: tracing::Level) -> Result<()> {
     let wanted = EnvFilter::builder()
         .with_default_directive(level.into())
@@ -167,15 +178,17 @@ pub fn start_log(format: LogFormat, level: tracing::Level) -> Result<()> {
 async fn serve(
     config: Config,
     open: Arc<ihd_daemon::OpenDevice>,
+    of_server: &runtime::Handle,
     shows: bool,
     demonstration: Option<Demonstration>,
 ) -> Result<()> {
-    // Before anything heats or is opened: from here on ^C ends in order.
+    // Installed before anything heats or is opened, so that Ctrl-C ends in order.
     let mut signals = supervised::Signals::new().context("cannot catch ^C")?;
     let settings = configured::server_settings(&config);
     let (store, devices) = (config.store.clone(), config.devices.len());
     let fleet = config.fleet.clone();
-    let server = Server::bind(&settings).await?;
+    let binding = of_server.spawn(async move { Server::bind(&settings).await });
+    let server = binding.await.context("the server's threads")??;
     let daemon = Daemon::start(config, open).await.with_context(|| {
         format!(
             "the store {}: set `store` to a folder that may be written, or mend it",
@@ -194,10 +207,10 @@ async fn serve(
     let edge = edge(&daemon, fleet).await?;
     let (stop, stopping) = watch::channel(false);
     let backend = Arc::new(DaemonBackend::new(daemon.clone()));
-    let serving = tokio::spawn(server.run(backend, stopping));
+    let serving = of_server.spawn(server.run(backend, stopping));
     let watched = tokio::spawn(supervised::ready_and_alive(daemon.clone()));
     if shows {
-        say!("{}", words(&page, demonstration.as_ref()))?;
+        say!("{}", page_text(&page, demonstration.as_ref()))?;
         ui::open(&page);
     }
     let heating = demonstration.map(|d| tokio::spawn(heat_until_taken(daemon.clone(), d)));
@@ -208,10 +221,10 @@ async fn serve(
     tracing::info!(signal, "stopping: hobs off, windows under way stored");
     supervised::stopping();
     watched.abort();
-    // Hobs first: nobody waits for a connection.
+    // Hobs first: they do not wait for connections.
     let ending = async {
         stop.send_replace(true);
-        // Whatever the fleet does, nobody's hob waits for it.
+        // Hobs do not wait for the fleet.
         tokio::join!(end(edge), daemon.stop());
         let _ = serving.await;
     };
@@ -233,7 +246,7 @@ async fn serve(
     Ok(())
 }
 
-/// The daemon as an edge of a fleet, where it is configured as one.
+/// Starts the daemon as an edge of a fleet, if configured.
 #[cfg(feature = "fleet")]
 async fn edge(daemon: &Daemon, fleet: Option<FleetConfig>) -> Result<Option<ihd_fleet::Edge>> {
     let Some(config) = fleet else { return Ok(None) };
@@ -260,8 +273,8 @@ async fn edge(_: &Daemon, fleet: Option<FleetConfig>) -> Result<Option<std::conv
 #[cfg(not(feature = "fleet"))]
 async fn end(_: Option<std::convert::Infallible>) {}
 
-/// What a person is told who asked for the page.
-fn words(page: &str, demonstration: Option<&Demonstration>) -> String {
+/// Text for a user who requested the page.
+fn page_text(page: &str, demonstration: Option<&Demonstration>) -> String {
     match demonstration {
         None => format!("the page is {page}"),
         Some(d) => {
@@ -270,7 +283,7 @@ fn words(page: &str, demonstration: Option<&Demonstration>) -> String {
                 device => format!("the hob at {device}"),
             };
             format!(
-                "the page is {page} and shows {hob} that heats by itself until somebody commands it; ^C ends it"
+                "the page is {page} and shows {hob} that heats by itself until a client commands it; ^C ends it"
             )
         }
     }
@@ -278,6 +291,6 @@ fn words(page: &str, demonstration: Option<&Demonstration>) -> String {
 
 async fn heat_until_taken(daemon: Daemon, d: Demonstration) {
     let somebody = demonstration::heat(daemon, d.name(), d.powers_w).await;
-    // Nobody may read it: that is no reason to end.
+    // An error of the output is no reason to end.
     let _ = say!("{somebody} commands the hob now: it heats no more by itself");
 }

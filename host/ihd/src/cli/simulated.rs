@@ -13,12 +13,11 @@ use super::simulate::LoadWord;
 use super::simulate::quantity::quantity;
 use super::usage::Usage;
 
-/// The simulated hob.
+/// Options of the simulated hob.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Simulated hob")]
 pub struct SimulatedHobArgs {
-    /// What stands on the coil: METAL-DIAMETER with ferritic, cast-iron, stainless or aluminium and 5 to 26
-    /// cm, or none.
+    /// Pot on the coil: METAL-DIAMETER with ferritic, cast-iron, stainless or aluminium and 5 to 26 cm, or none.
     #[arg(long, value_name = "POT", default_value = "ferritic-21")]
     pot: Pot,
     /// Lift the pot, in m (5mm).
@@ -34,21 +33,21 @@ pub struct SimulatedHobArgs {
     /// (docs/simulator.md).
     #[arg(long, value_name = "NAME")]
     perturb: Option<Perturbation>,
-    /// How the load is modelled: field is the electromagnetic model (35 to 70 times slower than
-    /// real time), reduced a table fitted to it.
+    /// Load model: field is the electromagnetic model (35 to 70 times slower than real time), reduced a table fitted to it.
     #[arg(long, value_name = "MODEL", default_value = "behavioural")]
     load: LoadWord,
     /// Let the pot warm up: R and L drift over minutes of simulated time.
     #[arg(long)]
     warming: bool,
-    /// What is in the pot, which then warms up: water-LITRE or oil-LITRE with 0.05 to 10 litre, empty, or food (the one lump of --warming)
+    /// Contents of the pot, which then warms up: water-LITRE or oil-LITRE with 0.05 to 10 litre, empty, or food (the one lump of
+    /// --warming)
     #[arg(long, value_name = "CONTENTS")]
     contents: Option<Contents>,
     /// Mains frequency in hertz.
     #[arg(long, value_name = "HZ", default_value_t = 50.0)]
     mains: f64,
-    /// A bench supply of so many volt DC feeds the bus, and a transformer of 24 V the mains' detector, as for a first
-    /// switching on a desk (docs/first-power-up.md, section E); without it the mains of 230 V.
+    /// Voltage of a bench supply that feeds the bus instead of the mains of 230 V. A transformer of 24 V then feeds the mains'
+    /// detector, as for a first switching on a desk (docs/first-power-up.md, section E).
     #[arg(long, value_name = "V")]
     bench_supply: Option<f64>,
     /// White noise on both channels as a signal-to-noise ratio in decibel at 45 kHz and full
@@ -63,12 +62,12 @@ pub struct SimulatedHobArgs {
     seed: Option<u64>,
 }
 
-/// Rms voltage and current at 45 kHz, full power: what `--snr` refers to (measured on
-/// tests/fixtures/half_cycle, and close to the paper's Table 4).
+/// Rms voltage and current at 45 kHz and full power, which `--snr` refers to (measured on tests/fixtures/half_cycle, and close to
+/// the paper's Table 4).
 pub const RATED_RMS: (f64, f64) = (179.1, 27.7);
 
 impl SimulatedHobArgs {
-    /// The pot.
+    /// Pot.
     pub fn pot(&self) -> Pot {
         Pot {
             lift_m: self.lift,
@@ -79,12 +78,12 @@ impl SimulatedHobArgs {
         }
     }
 
-    /// The seed, where one was given.
+    /// Seed; `None` if not given.
     pub fn seed(&self) -> Option<u64> {
         self.seed
     }
 
-    /// These options as `sim` in the daemon's configuration has them.
+    /// Options in the form of `sim` in the daemon's configuration.
     #[cfg(feature = "daemon")]
     pub fn table(&self) -> toml::Table {
         use clap::ValueEnum;
@@ -111,10 +110,10 @@ impl SimulatedHobArgs {
         texts.chain([warming]).collect()
     }
 
-    /// The configuration.
+    /// Converts the options to a configuration.
     ///
     /// # Errors
-    /// When a value is out of its range.
+    /// If a value is out of its range.
     pub fn config(&self) -> Result<HobConfig> {
         ensure_usage!(
             (45.0..=65.0).contains(&self.mains),

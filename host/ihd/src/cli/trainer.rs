@@ -1,4 +1,4 @@
-//! `ihd trainer`: teaches a hob its load.
+//! `ihd trainer`: identifies a hob's load and updates its lookup.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -17,18 +17,20 @@ use ihd_signal::printable::printable;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
-use ihd_train::{Failed, Progress, Recorded, Report, Settings, Source, TruthSource, run};
+use ihd_train::{
+    RecordedHalfCycle, RunFailure, RunOptions, RunProgress, RunReport, Source, TruthSource, run,
+};
 use indicatif::{ProgressBar, ProgressStyle};
 
 #[cfg(feature = "daemon")]
 use super::demonstration::Demonstration;
 #[cfg(feature = "daemon")]
-use super::serve::Asked;
+use super::serve::ServeMode;
 use super::simulated::SimulatedHobArgs;
 use super::{interrupt, output};
 use crate::report::{trained, training};
 
-/// Most runs in one store.
+/// Limit of runs in one store.
 const MAX_RUNS: u32 = 9_999;
 
 /// Identifies the load of a hob with a PINN and pushes the R, L lookup to its controller.
@@ -59,7 +61,7 @@ pub struct TrainerArgs {
     /// Instead of heating, replay the half-cycles of this capture through the device, its power outputs locked off
     #[arg(long, value_name = "FILE", conflicts_with_all = ["power", "follow"])]
     replay: Option<PathBuf>,
-    /// What computes the network: fused (own code) or ndarray (burn).
+    /// Backend of the network: fused (own code) or ndarray (burn).
     #[arg(long, value_name = "NAME")]
     backend: Option<Backend>,
     /// TOML file with the network's settings over the preset that it names; what it leaves out keeps
@@ -91,10 +93,10 @@ impl TrainerArgs {
     /// Connects, trains, reports.
     pub fn run(&self) -> Result<()> {
         #[cfg(feature = "daemon")]
-        match self.serve.asked()? {
-            Asked::Daemon => return self.serve.run(),
-            Asked::Demonstration => return self.demonstrate(),
-            Asked::Nothing => {}
+        match self.serve.mode()? {
+            ServeMode::Daemon => return self.serve.run(),
+            ServeMode::Demonstration => return self.demonstrate(),
+            ServeMode::None => {}
         }
         self.check_powers()?;
         let pinn = self.pinn_config()?;
@@ -119,7 +121,7 @@ impl TrainerArgs {
             let complain = |why: &_| line(&bar, &format!("the map is not judged: {why}"));
             truth.inspect_err(complain).ok()
         };
-        let settings = Settings {
+        let settings = RunOptions {
             source: self.source(scales)?,
             pinn,
             store: if self.no_store {
@@ -137,10 +139,10 @@ impl TrainerArgs {
         });
         bar.finish_and_clear();
         match ended {
-            Ok(report) => self.tell(&report, None, settings.store.as_deref()),
+            Ok(report) => self.print_report(&report, None, settings.store.as_deref()),
             Err(failed) => {
                 let failed = *failed;
-                self.tell(&failed.report, Some(&failed), settings.store.as_deref())?;
+                self.print_report(&failed.report, Some(&failed), settings.store.as_deref())?;
                 Err(failed.into())
             }
         }
@@ -156,11 +158,11 @@ impl TrainerArgs {
         Ok(())
     }
 
-    /// The page with a hob that heats by itself.
+    /// Shows the page with a hob that heats by itself.
     #[cfg(feature = "daemon")]
     fn demonstrate(&self) -> Result<()> {
         self.check_powers()?;
-        // With the messages of the command line, before anything runs.
+        // Checked before anything runs, for the messages of the command line.
         self.simulated.config()?;
         let network = match (&self.network, self.backend) {
             (None, None) => None,
@@ -188,7 +190,7 @@ impl TrainerArgs {
         })
     }
 
-    /// A new link to the same device; a simulated hob in this process has none.
+    /// Opens a new link to the same device; a simulated hob in this process has none.
     fn reopen(&self) -> Result<Client, LinkError> {
         let device = self.device.to_string();
         let mut gone = false;
@@ -202,8 +204,13 @@ impl TrainerArgs {
         Client::connect(transport)
     }
 
-    /// Prints and keeps what was found; `failed` where the run ended early.
-    fn tell(&self, report: &Report, failed: Option<&Failed>, store: Option<&Path>) -> Result<()> {
+    /// Prints and stores the results; `failed` is the error of a run that ended early.
+    fn print_report(
+        &self,
+        report: &RunReport,
+        failed: Option<&RunFailure>,
+        store: Option<&Path>,
+    ) -> Result<()> {
         let found = !report.points.is_empty();
         if self.json {
             let mut json = training::json(report);
@@ -223,7 +230,7 @@ impl TrainerArgs {
         ) {
             (Ok(()), _) => {}
             (Err(why), None) => return Err(why.into()),
-            // The run's own failure is told.
+            // The run's own error is reported.
             (Err(_), Some(_)) => return Ok(()),
         }
         if !self.json {
@@ -244,7 +251,7 @@ impl TrainerArgs {
         let segments = survey.segments(&capture);
         let half_cycles: Vec<_> = segments
             .iter()
-            .flat_map(|segment| Recorded::half_cycles(segment, scales, &capture.truth))
+            .flat_map(|segment| RecordedHalfCycle::half_cycles(segment, scales, &capture.truth))
             .collect();
         ensure!(
             !half_cycles.is_empty(),
@@ -272,7 +279,7 @@ impl TrainerArgs {
     }
 }
 
-/// Makes the first `run-NNN` that does not exist yet, so that no run writes over another.
+/// Creates the first `run-NNN` that does not exist yet, so that no run overwrites another.
 fn new_run_folder(store: &Path) -> Result<PathBuf> {
     let cannot = |path: &Path| format!("cannot make the folder {}", path.display());
     fs::create_dir_all(store).with_context(|| cannot(store))?;
@@ -292,7 +299,7 @@ fn new_run_folder(store: &Path) -> Result<PathBuf> {
 
 fn progress_bar() -> ProgressBar {
     let bar = ProgressBar::new_spinner();
-    // The template is a constant; a broken one would show in every test of this command.
+    // The template is a constant; an invalid one would show in every test of this command.
     if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed:>4} {wide_msg}") {
         bar.set_style(style);
     }
@@ -300,7 +307,7 @@ fn progress_bar() -> ProgressBar {
     bar
 }
 
-/// A line above the bar, or on standard error where nobody sees a bar.
+/// Prints a line above the bar, or on standard error if there is no bar.
 fn line(bar: &ProgressBar, text: &str) {
     if bar.is_hidden() {
         output::complain(format_args!("{text}"));
@@ -309,7 +316,7 @@ fn line(bar: &ProgressBar, text: &str) {
     }
 }
 
-/// Why the device does not heat, for a person.
+/// Reason why the device does not heat.
 fn waiting(t: &Telemetry) -> String {
     match (t.state, t.pot, t.fault) {
         (State::WaitingForPot, Pot::Unsuitable, _) => {
@@ -321,9 +328,9 @@ fn waiting(t: &Telemetry) -> String {
     }
 }
 
-fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
+fn show(bar: &ProgressBar, follow: bool, progress: RunProgress<'_>) {
     match progress {
-        Progress::Settling {
+        RunProgress::Settling {
             asked_w,
             telemetry: t,
         } => bar.set_message(format!(
@@ -333,22 +340,22 @@ fn show(bar: &ProgressBar, follow: bool, progress: Progress<'_>) {
             f64::from(t.f_sw_hz) * 1e-3,
             t.pot
         )),
-        Progress::Waiting {
+        RunProgress::Waiting {
             asked_w,
             telemetry: t,
         } => line(bar, &format!("{asked_w} W: {}", waiting(t))),
-        Progress::AwaitingWindow { point } => {
+        RunProgress::AwaitingWindow { point } => {
             bar.set_message(format!("{point}: waiting for a window"));
         }
-        Progress::Training { seq, step } => bar.set_message(format!(
+        RunProgress::Training { seq, step } => bar.set_message(format!(
             "window {seq}: step {}, loss {:.3e}, change of R, L {:.1e}",
             step.iteration, step.loss, step.change
         )),
-        Progress::Note { text } => line(bar, text),
-        Progress::Rejected { seq, why } => {
+        RunProgress::Note { text } => line(bar, text),
+        RunProgress::Rejected { seq, why } => {
             line(bar, &format!("window {seq} not used: {why}"));
         }
-        Progress::LookupActive {
+        RunProgress::LookupActive {
             version,
             observed_cells,
         } => {

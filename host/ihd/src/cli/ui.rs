@@ -1,8 +1,8 @@
-//! The page of a daemon in a browser, where this machine has a screen to show one on.
+//! Opening of a daemon's page in a browser, if this machine has a screen.
 
 use std::process::{Command, Stdio};
 
-/// Opens the page; silently not where there is no screen or no browser, for its address is said anyway. Waits for nothing.
+/// Opens the page without waiting; does nothing if there is no screen or no browser, since the address is printed in any case.
 pub fn open(url: &str) {
     if !has_screen() {
         return;
@@ -12,11 +12,11 @@ pub fn open(url: &str) {
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::null());
-    // ^C in this terminal is not meant for the browser.
+    // Ctrl-C in this terminal must not reach the browser.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     if let Ok(mut child) = command.spawn() {
-        // Somebody has to take its exit code; the browser may be open for longer than this process.
+        // A thread collects its exit code; the browser may outlive this process.
         std::thread::spawn(move || drop(child.wait()));
     }
 }
@@ -31,7 +31,7 @@ fn opener(url: &str) -> Command {
 #[cfg(windows)]
 fn opener(url: &str) -> Command {
     let mut command = Command::new("cmd");
-    // What stands first in quotes is the window's title.
+    // The first text in quotes is the window's title.
     command.args(["/C", "start", "", url]);
     command
 }
@@ -43,7 +43,7 @@ fn opener(url: &str) -> Command {
     command
 }
 
-/// Without one xdg-open may start a browser in the terminal, which waits there.
+/// Returns `true` if there is a screen; without one xdg-open may start a browser in the terminal and block.
 #[cfg(not(any(target_os = "macos", windows)))]
 fn has_screen() -> bool {
     let set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());

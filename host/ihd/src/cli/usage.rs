@@ -1,18 +1,19 @@
-//! Wrong usage that clap cannot see: values out of range, names that there are not.
+//! Wrong usage that clap does not detect: values out of range, unknown names.
 
-/// What is wrong with the arguments; `ihd` exits with 2.
+/// Error of the arguments; `ihd` exits with 2.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Usage(pub String);
 
 impl Usage {
-    /// Any error whose message names the argument.
+    /// Wraps any error whose message names the argument.
     pub fn of(error: impl std::fmt::Display) -> Self {
         Self(error.to_string())
     }
 }
 
 /// Returns [`Usage`] with a message unless the condition holds.
+#[macro_export]
 macro_rules! ensure_usage {
     ($condition:expr, $($message:tt)+) => {
         if !$condition {

@@ -41,7 +41,7 @@ pub struct WorkerArgs {
     /// Pretend to work so many milliseconds a window instead: to measure a server
     #[arg(long, value_name = "MS", hide = true)]
     pretend_ms: Option<u64>,
-    /// How log lines are written, on standard error
+    /// Format of log lines, on standard error
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
 }
@@ -92,7 +92,7 @@ impl WorkerArgs {
                     stop.send_replace(true);
                     tokio::select! {
                         ended = &mut working => ended,
-                        // Whatever it is at goes to another worker.
+                        // Another worker gets the windows under way.
                         _ = signals.next() => Ok(()),
                     }
                 }

@@ -1,4 +1,4 @@
-//! The figure of `ihd identify`: R(t), L(t) and the waveforms, by every method.
+//! Figure of `ihd identify`: R(t), L(t) and the waveforms, by every method.
 
 use std::ops::Range;
 use std::path::Path;
@@ -9,21 +9,21 @@ use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
 use plotters::prelude::*;
 
-use super::FigureError;
-use super::plot::legend::header;
-use super::plot::{self, Axis, Curve, Drawn, Entry, GREY, Panel, Pen, span};
+use ihd_plot::FigureError;
+use ihd_plot::legend::header;
+use ihd_plot::{self as plot, Axis, Curve, DrawResult, Entry, GREY, Panel, Pen, span};
 
-/// Switching periods of the close-up.
+/// Number of switching periods in the close-up.
 const CLOSE_UP_PERIODS: f64 = 3.0;
 
-/// Share of the values at either end that may lie outside the frame: a filter's first steps, and
-/// what an estimator makes of the zero crossings, must not flatten everything else.
+/// Share of the values at either end that may lie outside the frame: the initial transient of a filter and the estimates at zero
+/// crossings must not flatten everything else.
 const OUTLIERS: f64 = 0.02;
 
-/// How far beyond what was measured a reconstructed waveform is shown, in spans of it.
+/// Range in which a reconstructed waveform is shown beyond the measured one, in spans of it.
 const REACH: f64 = 1.0;
 
-/// What is known or measured: wide, so that it shows under what was found.
+/// Pen of known or measured curves: wide, so that they show under the estimates.
 const KNOWN: Pen = Pen::Line(5);
 
 fn colour(method: Method) -> RGBColor {
@@ -43,8 +43,7 @@ fn colour(method: Method) -> RGBColor {
 /// Draws R and L over time with the truth where there is one, and a close-up of the measured and
 /// reconstructed waveforms at the largest current.
 ///
-/// # Errors
-/// [`FigureError`] when there is nothing to draw or the file cannot be written.
+/// [`FigureError`] if there is nothing to draw or the file cannot be written.
 pub fn draw(
     name: &str,
     segments: &[Segment],
@@ -61,7 +60,7 @@ fn draw_all(
     estimates: &[&Estimate],
     truth: &[PeriodTruth],
     path: &Path,
-) -> Drawn {
+) -> DrawResult {
     let drawn = estimates.iter().any(|e| !e.t_s.is_empty());
     if !drawn {
         return Err("no method found anything".into());
@@ -69,7 +68,7 @@ fn draw_all(
     let panels = panels(segments, estimates, truth);
     let root = SVGBackend::new(path, (1100, 800)).into_drawing_area();
     root.fill(&WHITE)?;
-    let beyond = panels.iter().any(Framed::has_more);
+    let beyond = panels.iter().any(FramedPanel::has_more);
     let below = header(&root, name, &entries(estimates, !truth.is_empty(), beyond))?;
     let places = below.split_evenly((2, 2));
     for (area, framed) in places.iter().zip(&panels) {
@@ -80,14 +79,14 @@ fn draw_all(
     Ok(())
 }
 
-/// A panel with its axes.
-struct Framed {
+/// Panel with its axes.
+struct FramedPanel {
     title: &'static str,
     panel: Panel,
     curves: Vec<Curve>,
 }
 
-impl Framed {
+impl FramedPanel {
     fn new(
         title: &'static str,
         label: &str,
@@ -106,7 +105,7 @@ impl Framed {
         })
     }
 
-    /// Whether a curve goes on outside.
+    /// Returns `true` if a curve extends beyond the frame.
     fn has_more(&self) -> bool {
         let frame = self.panel.y.scale.ends();
         let mut points = self.curves.iter().flat_map(Curve::points);
@@ -114,8 +113,12 @@ impl Framed {
     }
 }
 
-/// R, L, and where there is a segment the waveforms.
-fn panels(segments: &[Segment], estimates: &[&Estimate], truth: &[PeriodTruth]) -> Vec<Framed> {
+/// Panels of R, L and, if there is a segment, the waveforms.
+fn panels(
+    segments: &[Segment],
+    estimates: &[&Estimate],
+    truth: &[PeriodTruth],
+) -> Vec<FramedPanel> {
     let truth = fundamental(truth);
     let curves = |values: fn(&Estimate) -> &Vec<f64>, known: &[f64], unit: f64| {
         let mut curves = Vec::new();
@@ -143,19 +146,29 @@ fn panels(segments: &[Segment], estimates: &[&Estimate], truth: &[PeriodTruth]) 
     let r = curves(|e| &e.r_ohm, &truth.r_ohm, 1.0);
     let l = curves(|e| &e.l_h, &truth.l_h, 1e-6);
     let mut all = vec![
-        Framed::new("Resistance", "R / Ω", r, frame),
-        Framed::new("Inductance", "L / µH", l, frame),
+        FramedPanel::new("Resistance", "R / Ω", r, frame),
+        FramedPanel::new("Inductance", "L / µH", l, frame),
     ];
     if let Some((segment, range)) = close_up(segments) {
         let v = waves(segment, &range, estimates, &segment.v_v, |e| &e.v_hat_v);
         let i = waves(segment, &range, estimates, &segment.i_a, |e| &e.i_hat_a);
-        all.push(Framed::new("Voltage, reconstructed", "v / V", v, whole));
-        all.push(Framed::new("Current, reconstructed", "i / A", i, whole));
+        all.push(FramedPanel::new(
+            "Voltage, reconstructed",
+            "v / V",
+            v,
+            whole,
+        ));
+        all.push(FramedPanel::new(
+            "Current, reconstructed",
+            "i / A",
+            i,
+            whole,
+        ));
     }
     all.into_iter().flatten().collect()
 }
 
-/// What was measured, and what the estimators make of it.
+/// Measured waveforms and their reconstructions.
 fn waves(
     segment: &Segment,
     range: &Range<usize>,
@@ -177,10 +190,10 @@ fn waves(
     curves
 }
 
-/// The longest segment and its samples around the largest current.
+/// Longest segment, and its samples around the largest current.
 fn close_up(segments: &[Segment]) -> Option<(&Segment, Range<usize>)> {
     let segment = segments.iter().max_by_key(|s| s.len())?;
-    // In the second half, where filters have settled.
+    // In the second half, after the filters have settled.
     let half = segment.len() / 2;
     let late = segment.i_a[half..].iter().enumerate();
     let largest = late.max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))?.0 + half;
@@ -189,9 +202,9 @@ fn close_up(segments: &[Segment]) -> Option<(&Segment, Range<usize>)> {
     Some((segment, from..(largest + reach).min(segment.len())))
 }
 
-/// The range of the values without the outermost.
+/// Range of the values without the outermost.
 fn frame(curves: &[Curve]) -> Option<Range<f64>> {
-    // The paper's literal preset runs away, which arrows at the frame's edge show.
+    // The paper's literal preset diverges; arrows at the frame's edge show that.
     let literal = |c: &&Curve| c.name == Method::EkfPaper.name();
     let alone = curves.iter().all(|c| literal(&c));
     let framed = curves.iter().filter(|c| alone || !literal(c));
@@ -203,14 +216,14 @@ fn frame(curves: &[Curve]) -> Option<Range<f64>> {
     y.sort_unstable_by(f64::total_cmp);
     let cut = (OUTLIERS * y.len() as f64) as usize;
     let (mut low, mut high) = (*y.get(cut)?, *y.get(y.len() - 1 - cut)?);
-    // What is known is shown whole.
+    // Known curves are shown completely.
     if let Some(known) = known(curves) {
         (low, high) = (low.min(known.0), high.max(known.1));
     }
     Some(with_air(low, high))
 }
 
-/// The range of all values, a runaway's within reason of what was measured.
+/// Range of all values; a diverging one is limited to the neighbourhood of the measurement.
 fn whole(curves: &[Curve]) -> Option<Range<f64>> {
     let (low, high) = known(curves)?;
     let reach = REACH * (high - low);
@@ -218,7 +231,7 @@ fn whole(curves: &[Curve]) -> Option<Range<f64>> {
     Some(with_air(all.0.max(low - reach), all.1.min(high + reach)))
 }
 
-/// The range of what is known or measured.
+/// Range of known and measured values.
 fn known(curves: &[Curve]) -> Option<(f64, f64)> {
     let known = curves.iter().filter(|c| c.pen == KNOWN);
     span(known.flat_map(Curve::points).map(|p| p.1))
@@ -239,15 +252,15 @@ fn entries(estimates: &[&Estimate], truth: bool, beyond: bool) -> Vec<Entry> {
         }
     }
     if beyond {
-        entries.push(Entry::words("▲▼ goes on outside"));
+        entries.push(Entry::text_only("▲▼ goes on outside"));
     }
     entries
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::plot::svg::Picture;
     use super::*;
+    use ihd_plot::svg::Picture;
 
     /// A segment at 50 kHz, and a reconstruction that overshoots by half at every edge, once by a thousand.
     fn overshooting(by: f32) -> (Segment, Estimate) {

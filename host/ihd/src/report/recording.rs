@@ -1,4 +1,4 @@
-//! A figure of a recording, after the paper's Fig. 4 (waveforms) and Fig. 5 (R and L).
+//! Figure of a recording, after the paper's Fig. 4 (waveforms) and Fig. 5 (R and L).
 
 use std::ops::Range;
 use std::path::Path;
@@ -7,12 +7,14 @@ use ihd_signal::truth::PeriodTruth;
 use ihd_sim::recording::run::Recording;
 use plotters::prelude::*;
 
-use super::FigureError;
-use super::plot::legend::header;
-use super::plot::two_axes::{self, Side, Trace, Under, Zero};
-use super::plot::{self, Area, Axis, BLUE, Curve, Drawn, Entry, Panel, Pen, RED, envelope, span};
+use ihd_plot::FigureError;
+use ihd_plot::legend::header;
+use ihd_plot::two_axes::{self, Side, Trace, Underlay, Zero};
+use ihd_plot::{
+    self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, Panel, Pen, RED, envelope, span,
+};
 
-/// Columns of a panel; each shows the least and the largest.
+/// Columns of a panel; each shows minimum and maximum.
 const COLUMNS: usize = 420;
 
 /// Switching periods in the close-up.
@@ -34,7 +36,7 @@ pub fn write(recording: &Recording, path: &Path) -> Result<(), FigureError> {
     draw(recording, peak, path).map_err(|why| FigureError::new(path, &why))
 }
 
-fn draw(recording: &Recording, peak: &PeriodTruth, path: &Path) -> Drawn {
+fn draw(recording: &Recording, peak: &PeriodTruth, path: &Path) -> DrawResult {
     let root = SVGBackend::new(path, (1100, 760)).into_drawing_area();
     root.fill(&WHITE)?;
     let panels = root.split_evenly((2, 2));
@@ -72,14 +74,14 @@ fn waves(
     recording: &Recording,
     range: Range<usize>,
     peak: &PeriodTruth,
-) -> Drawn {
+) -> DrawResult {
     let dense = range.len() > 2 * COLUMNS;
     let at = |k: usize| recording.t_s[k] * 1e3;
     let between = recording.t_s.get(1).zip(recording.t_s.first());
     let dt_s = between.map_or(f64::INFINITY, |(b, a)| b - a);
     let side = |label: &str, colour, value: &dyn Fn(usize) -> f64| {
         let trace = if dense {
-            // In the close-up a period is far wider than a column, and a column is enough.
+            // In the close-up a period is far wider than a column, so single columns suffice.
             let period = 1.0 / (peak.f_sw_hz * dt_s);
             let many = range.len() as f64 / period > 2.0 * CLOSE_UP_PERIODS;
             let period = if many { period } else { 0.0 };
@@ -101,11 +103,11 @@ fn waves(
         Entry::line("current (right)", RED, Pen::Line(1)),
     ];
     let below = header(area, title, &entries)?;
-    two_axes::draw(&below, "t / ms", Zero::Middle, &sides, &Under::default())
+    two_axes::draw(&below, "t / ms", Zero::Middle, &sides, &Underlay::default())
 }
 
 /// R or L over time, from zero.
-fn load(area: &Area<'_>, title: &str, label: &str, curves: &[Curve]) -> Drawn {
+fn load(area: &Area<'_>, title: &str, label: &str, curves: &[Curve]) -> DrawResult {
     let points = || curves.iter().flat_map(Curve::points);
     let Some((from, to)) = span(points().map(|p| p.0)) else {
         return Ok(());
@@ -117,7 +119,7 @@ fn load(area: &Area<'_>, title: &str, label: &str, curves: &[Curve]) -> Drawn {
         x: Axis::linear("t / ms", from..to),
         y: Axis::linear(label, bottom..high + air),
     };
-    let entries: Vec<Entry> = curves.iter().map(Curve::entry).collect();
+    let entries: Vec<Entry> = curves.iter().map(Entry::of).collect();
     let below = header(area, title, &entries)?;
     plot::draw(&below, &panel, curves)?;
     Ok(())
@@ -126,16 +128,16 @@ fn load(area: &Area<'_>, title: &str, label: &str, curves: &[Curve]) -> Drawn {
 #[cfg(test)]
 mod tests {
     use ihd_sim::recording::run::record;
-    use ihd_sim::recording::settings::{Change, Event, LoadKind, Settings};
+    use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
 
     use super::*;
 
     #[test]
     fn a_recording_becomes_a_small_svg_with_its_four_panels() {
-        let s = Settings {
+        let s = CaptureSpec {
             load: LoadKind::Behavioural,
             duration_s: 10e-3,
-            ..Settings::default()
+            ..CaptureSpec::default()
         };
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.svg");
@@ -161,11 +163,11 @@ mod tests {
             t_s: 0.0,
             change: Change::Off,
         };
-        let s = Settings {
+        let s = CaptureSpec {
             load: LoadKind::Behavioural,
             duration_s: 1e-3,
             events: vec![off],
-            ..Settings::default()
+            ..CaptureSpec::default()
         };
         let path = Path::new("/nonexistent/a.svg");
         assert!(matches!(

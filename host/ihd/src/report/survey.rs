@@ -1,4 +1,4 @@
-//! The figure of a survey: the whole capture, a few periods, the spectra, what was found.
+//! Figure of a survey: the whole capture, a few periods, the spectra, the findings.
 
 use std::ops::Range;
 use std::path::Path;
@@ -8,27 +8,29 @@ use ihd_survey::spectrum::amplitude_db;
 use ihd_survey::{Severity, Span, Survey};
 use plotters::prelude::*;
 
-use super::FigureError;
-use super::plot::legend::header;
-use super::plot::two_axes::{self, Side, Trace, Under, Zero};
-use super::plot::{self, Area, Axis, BLUE, Curve, Drawn, Entry, Panel, Pen, RED, envelope, scale};
+use ihd_plot::FigureError;
+use ihd_plot::legend::header;
+use ihd_plot::two_axes::{self, Side, Trace, Underlay, Zero};
+use ihd_plot::{
+    self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, Panel, Pen, RED, envelope, scale,
+};
 
 /// Switching periods in the close-up.
 const CLOSE_UP_PERIODS: f64 = 2.0;
 
-/// The spectrum begins at this share of the switching frequency: below it are mains and drift.
+/// Lower end of the spectrum as a share of the switching frequency: below it are mains and drift.
 const SPECTRUM_FROM: f64 = 0.05;
 
-/// Columns of a panel of the whole width, and of one of half of it.
+/// Columns of a panel of full width, and of one of half width.
 const COLUMNS: (usize, usize) = (1040, 470);
 
-/// Letters in a line of findings.
+/// Number of letters in a line of findings.
 const LINE: usize = 150;
 
 /// Height of the panels in pixels.
 const WAVES_PX: u32 = 660;
 
-/// Of which the overview.
+/// Height of the overview among them, in pixels.
 const OVERVIEW_PX: u32 = 310;
 
 /// Height of a line of text in pixels.
@@ -39,12 +41,12 @@ const LEFT_OUT: RGBColor = RGBColor(225, 225, 225);
 /// Writes the figure as SVG.
 ///
 /// # Errors
-/// [`FigureError`] when the file cannot be written.
+/// [`FigureError`] if the file cannot be written.
 pub fn write(capture: &Capture, survey: &Survey, path: &Path) -> Result<(), FigureError> {
     draw(capture, survey, path).map_err(|why| FigureError::new(path, &why))
 }
 
-fn draw(capture: &Capture, survey: &Survey, path: &Path) -> Drawn {
+fn draw(capture: &Capture, survey: &Survey, path: &Path) -> DrawResult {
     let text = lines(survey);
     let height = WAVES_PX + LINE_PX * (text.len() as u32 + 1);
     let root = SVGBackend::new(path, (1200, height)).into_drawing_area();
@@ -62,7 +64,7 @@ fn draw(capture: &Capture, survey: &Survey, path: &Path) -> Drawn {
     Ok(())
 }
 
-/// The span with the largest current, and the sample of it.
+/// Span with the largest current, and the index of its sample.
 fn strongest<'a>(capture: &Capture, survey: &'a Survey) -> Option<(&'a Span, usize)> {
     let peak = |span: &Span| {
         let range = span.first..span.first + span.samples;
@@ -76,7 +78,7 @@ fn strongest<'a>(capture: &Capture, survey: &'a Survey) -> Option<(&'a Span, usi
     all.max_by(|a, b| size(a.1).total_cmp(&size(b.1)))
 }
 
-/// Voltage and current of a range of samples; `period` in samples, where there are more of those than columns.
+/// Voltage and current of a range of samples; `period` in samples, if there are more of those than columns.
 fn waves(
     capture: &Capture,
     range: Range<usize>,
@@ -103,12 +105,12 @@ fn waves(
     ]
 }
 
-/// Names of the two channels, and how they are drawn.
+/// Names and signs of the two channels.
 fn names(dense: bool) -> Vec<Entry> {
     let entry = |name: &str, colour: RGBColor| {
         if dense {
             let RGBColor(r, g, b) = colour;
-            // As the band's fill on white.
+            // Colour of the band's fill on white.
             let pale = |c: u8| (0.45 * f64::from(c) + 0.55 * 255.0) as u8;
             Entry::shade(name, RGBColor(pale(r), pale(g), pale(b)))
         } else {
@@ -118,7 +120,7 @@ fn names(dense: bool) -> Vec<Entry> {
     vec![entry("voltage (left)", BLUE), entry("current (right)", RED)]
 }
 
-fn overview_panel(area: &Area<'_>, capture: &Capture, survey: &Survey) -> Drawn {
+fn overview_panel(area: &Area<'_>, capture: &Capture, survey: &Survey) -> DrawResult {
     let at = |k: usize| capture.time.at(k).unwrap_or(f64::NAN) * 1e3;
     let (from_s, to_s) = (survey.start_s, survey.start_s + survey.duration_s);
     let mut shaded = Vec::new();
@@ -131,11 +133,11 @@ fn overview_panel(area: &Area<'_>, capture: &Capture, survey: &Survey) -> Drawn 
     shaded.retain(|(a, b, _)| b > a);
     let mut marks = survey.mains.crossings_s(from_s, to_s);
     marks.iter_mut().for_each(|t| *t *= 1e3);
-    // More than this would be a wall.
+    // More would fill the area.
     if marks.len() > 200 {
         marks.clear();
     }
-    // The longest of the periods: what is shorter is whole in its columns too.
+    // Longest of the periods: shorter ones are complete in its columns, too.
     let periods = survey.spans.iter().map(|s| 1.0 / (s.f_sw_hz * s.dt_s));
     let period = periods.filter(|p| p.is_finite()).fold(0.0, f64::max);
     let sides = waves(capture, 0..capture.len(), COLUMNS.0, period, at);
@@ -153,7 +155,7 @@ fn overview_panel(area: &Area<'_>, capture: &Capture, survey: &Survey) -> Drawn 
         survey.rate_hz * 1e-6
     );
     let below = header(area, &title, &entries)?;
-    let under = Under {
+    let under = Underlay {
         shaded,
         marks,
         alarms: Vec::new(),
@@ -161,13 +163,13 @@ fn overview_panel(area: &Area<'_>, capture: &Capture, survey: &Survey) -> Drawn 
     two_axes::draw(&below, "t / ms", Zero::Middle, &sides, &under)
 }
 
-fn close_up_panel(area: &Area<'_>, capture: &Capture, span: &Span, peak: usize) -> Drawn {
+fn close_up_panel(area: &Area<'_>, capture: &Capture, span: &Span, peak: usize) -> DrawResult {
     let half = (0.5 * CLOSE_UP_PERIODS / (span.f_sw_hz * span.dt_s)).ceil() as usize;
     let end = span.first + span.samples;
     let range = peak.saturating_sub(half).max(span.first)..(peak + half + 1).min(end);
     let first = range.start;
     let at = |k: usize| (k - first) as f64 * span.dt_s * 1e6;
-    // No carrier to gather: two periods are wider than that.
+    // No envelope: two periods are wider than that.
     let sides = waves(capture, range, COLUMNS.1, 0.0, at);
     let at_ms = span.run().t_s(first) * 1e3;
     let title = format!(
@@ -175,11 +177,11 @@ fn close_up_panel(area: &Area<'_>, capture: &Capture, span: &Span, peak: usize) 
         span.f_sw_hz * 1e-3
     );
     let below = header(area, &title, &names(false))?;
-    two_axes::draw(&below, "t / µs", Zero::Middle, &sides, &Under::default())
+    two_axes::draw(&below, "t / µs", Zero::Middle, &sides, &Underlay::default())
 }
 
-/// Both spectra up to half the sampling rate: in each column of pixels the largest line and the least.
-fn spectrum_panel(area: &Area<'_>, capture: &Capture, span: &Span) -> Drawn {
+/// Both spectra up to half the sampling rate: in each column of pixels the largest and the smallest line.
+fn spectrum_panel(area: &Area<'_>, capture: &Capture, span: &Span) -> DrawResult {
     let to_hz = 0.5 / span.dt_s;
     let range = span.first..span.first + span.samples;
     let lines = |x: &[f32]| amplitude_db(x.get(range.clone()).unwrap_or(&[]), span.dt_s, to_hz);
@@ -194,7 +196,7 @@ fn spectrum_panel(area: &Area<'_>, capture: &Capture, span: &Span) -> Drawn {
     let curve = |name: &str, colour, points: &[(f64, f64)]| {
         let x = &panel.x.scale;
         let columns = envelope::of_points(points, COLUMNS.1, |f| x.unit(f), |u| x.value(u));
-        // From the least to the largest and on to the next column: noise is a band.
+        // From minimum to maximum and on to the next column: noise becomes a band.
         let points = columns.iter().flat_map(|c| [(c.at, c.min), (c.at, c.max)]);
         Curve::new(name, colour, Pen::Line(1), points.collect())
     };
@@ -202,13 +204,13 @@ fn spectrum_panel(area: &Area<'_>, capture: &Capture, span: &Span) -> Drawn {
         curve("voltage", BLUE, &all[0]),
         curve("current", RED, &all[1]),
     ];
-    let entries: Vec<Entry> = curves.iter().map(Curve::entry).collect();
+    let entries: Vec<Entry> = curves.iter().map(Entry::of).collect();
     let below = header(area, "Spectra", &entries)?;
     plot::draw(&below, &panel, &curves)?;
     Ok(())
 }
 
-/// A frequency before its unit: `25 M`, `312.5 k`.
+/// Frequency before its unit: `25 M`, `312.5 k`.
 fn mega(hz: f64) -> String {
     let rounded = |x: f64| scale::plain((x * 1e3).round() / 1e3);
     if hz >= 1e6 {
@@ -219,7 +221,7 @@ fn mega(hz: f64) -> String {
 }
 
 /// Numbers and findings as text.
-fn findings(area: &Area<'_>, text: Vec<(RGBColor, String)>) -> Drawn {
+fn findings(area: &Area<'_>, text: Vec<(RGBColor, String)>) -> DrawResult {
     for (row, (colour, text)) in text.into_iter().enumerate() {
         let style = ("sans-serif", 14).into_font().color(&colour);
         area.draw_text(&text, &style, (16, LINE_PX as i32 * row as i32 + 8))?;
@@ -255,7 +257,7 @@ fn lines(survey: &Survey) -> Vec<(RGBColor, String)> {
     out
 }
 
-/// Breaks between words; what goes on is indented.
+/// Wraps at spaces; continuation lines are indented.
 fn wrapped(text: &str) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in text.split_whitespace() {

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-/// Rows of cells under a heading, columns as wide as their widest cell, numbers to the right.
+/// Rows of cells under a heading; columns are as wide as their widest cell, numbers are right-aligned.
 #[derive(Clone, Debug, Default)]
 pub struct Table {
     rows: Vec<Vec<String>>,

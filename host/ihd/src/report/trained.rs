@@ -1,22 +1,22 @@
-//! The trainer's figure: R(t) and L(t) of the last window, by everyone who estimates them.
+//! Figure of the trainer: R(t) and L(t) of the last window, by every estimator.
 
 use std::ops::Range;
 use std::path::Path;
 
 use ihd_link::Window;
 use ihd_signal::truth::Truth;
-use ihd_train::Report;
+use ihd_train::RunReport;
 use plotters::prelude::*;
 
-use super::FigureError;
-use super::plot::legend::header;
-use super::plot::{self, Axis, BLUE, Curve, Drawn, Entry, GREY, Panel, Pen, RED, span};
+use ihd_plot::FigureError;
+use ihd_plot::legend::header;
+use ihd_plot::{self as plot, Axis, BLUE, Curve, DrawResult, Entry, GREY, Panel, Pen, RED, span};
 
 /// Writes an SVG with R above L. Nothing is written when the report has no window.
 ///
 /// # Errors
-/// [`FigureError`] when the file cannot be written.
-pub fn write(report: &Report, path: &Path) -> Result<(), FigureError> {
+/// [`FigureError`] if the file cannot be written.
+pub fn write(report: &RunReport, path: &Path) -> Result<(), FigureError> {
     let Some((window, identified, truth)) = &report.last else {
         return Ok(());
     };
@@ -45,7 +45,7 @@ pub fn write(report: &Report, path: &Path) -> Result<(), FigureError> {
     ihd_signal::atomic::write(path, svg.as_bytes()).map_err(|why| FigureError::new(path, &why))
 }
 
-/// What is compared: (ms, ohm or µH).
+/// Curves of truth, filter and network: (ms, ohm or µH).
 fn curves(truth: Vec<(f64, f64)>, filter: Vec<(f64, f64)>, network: Vec<(f64, f64)>) -> Vec<Curve> {
     let mut curves = vec![
         Curve::new("firmware's EKF", BLUE, Pen::Dots, filter),
@@ -76,11 +76,11 @@ fn known(truth: Option<&Truth>, values: fn(&Truth) -> &Vec<f64>, unit: f64) -> V
     })
 }
 
-fn draw(svg: &mut String, title: &str, panels: &[(&str, Vec<Curve>)]) -> Drawn {
+fn draw(svg: &mut String, title: &str, panels: &[(&str, Vec<Curve>)]) -> DrawResult {
     let root = SVGBackend::with_string(svg, (900, 640)).into_drawing_area();
     root.fill(&WHITE)?;
     let entries: Vec<Entry> = panels.first().map_or(Vec::new(), |(_, curves)| {
-        curves.iter().map(Curve::entry).collect()
+        curves.iter().map(Entry::of).collect()
     });
     let below = header(&root, title, &entries)?;
     for (area, (label, curves)) in below.split_evenly((panels.len(), 1)).iter().zip(panels) {
@@ -97,7 +97,7 @@ fn draw(svg: &mut String, title: &str, panels: &[(&str, Vec<Curve>)]) -> Drawn {
     Ok(())
 }
 
-/// The range of all points, with a share of it as air.
+/// Range of all points, extended by a share of it.
 fn range(curves: &[Curve], of: fn((f64, f64)) -> f64, air: f64) -> Range<f64> {
     let (low, high) = span(curves.iter().flat_map(Curve::points).map(of)).unwrap_or((0.0, 1.0));
     let air = air * (high - low).max(1e-6);

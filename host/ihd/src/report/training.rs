@@ -1,4 +1,4 @@
-//! The trainer's report: a table for people, JSON for programs.
+//! Report of the trainer: a table as text, or JSON.
 
 use std::fmt::Write;
 
@@ -6,15 +6,15 @@ use ihd_shared::lookup::grid::CELLS;
 use ihd_shared::wire::messages::Status;
 use ihd_signal::Load;
 use ihd_signal::printable::printable;
-use ihd_train::lookup::{Built, CellErrors, MapError};
-use ihd_train::{Point, Report};
+use ihd_train::lookup::{BuiltLookup, CellErrors, LookupAccuracy};
+use ihd_train::{PointReport, RunReport};
 use serde::Serialize;
 
 use super::table::Table;
 use super::utilisation;
 
 /// The report as text.
-pub fn text(report: &Report) -> String {
+pub fn text(report: &RunReport) -> String {
     let mut out = String::new();
     let _ = writeln!(out, "{}\n", printable(&report.device));
     out.push_str(&points(&report.points));
@@ -49,10 +49,10 @@ pub fn text(report: &Report) -> String {
     out
 }
 
-/// The device at the end.
-fn device(s: &Status, built: Option<&Built>) -> String {
+/// State of the device at the end.
+fn device(s: &Status, built: Option<&BuiltLookup>) -> String {
     let known = built.map_or(0, |b| b.lookup.observed_cells());
-    let seen = built.map_or(0, Built::seen_cells);
+    let seen = built.map_or(0, BuiltLookup::seen_cells);
     format!(
         "lookup   version {} active on the device; {known} of {CELLS} cells known: {seen} seen, the others follow \
          from the pot's physics\n\
@@ -68,8 +68,8 @@ fn device(s: &Status, built: Option<&Built>) -> String {
     )
 }
 
-/// Errors of the lookup where the hob comes, in one line.
-pub fn map_error(error: &MapError) -> String {
+/// Errors of the lookup in the reached cells, in one line.
+pub fn map_error(error: &LookupAccuracy) -> String {
     let of = |name: &str, e: &CellErrors| {
         let pair = |mean: Option<f64>, worst: Option<f64>| match (mean, worst) {
             (Some(mean), Some(worst)) => format!("{mean:.2} % mean, {worst:.2} % worst"),
@@ -92,7 +92,7 @@ pub fn map_error(error: &MapError) -> String {
     )
 }
 
-fn link(report: &Report) -> String {
+fn link(report: &RunReport) -> String {
     let c = &report.counters;
     format!(
         "{} windows and {} telemetry received; {} windows dropped by the device, {} rejected, {} \
@@ -107,7 +107,7 @@ fn link(report: &Report) -> String {
     )
 }
 
-fn points(points: &[Point]) -> String {
+fn points(points: &[PointReport]) -> String {
     let mut t = Table::new(&[
         "asked W",
         "got W",
@@ -144,7 +144,7 @@ fn points(points: &[Point]) -> String {
     format!("At the crest of the current:\n{}", t.render())
 }
 
-fn accuracy(points: &[Point]) -> String {
+fn accuracy(points: &[PointReport]) -> String {
     let mut t = Table::new(&[
         "f_sw kHz",
         "PINN R",
@@ -173,7 +173,7 @@ fn accuracy(points: &[Point]) -> String {
 }
 
 /// The report as one JSON object.
-pub fn json(report: &Report) -> serde_json::Value {
+pub fn json(report: &RunReport) -> serde_json::Value {
     #[derive(Serialize)]
     struct Windows {
         received: u32,
@@ -189,7 +189,7 @@ pub fn json(report: &Report) -> serde_json::Value {
         "points": report.points,
         "lookup_version": s.map(|s| s.lookup_version).or(built.map(|b| b.lookup.version)),
         "observed_cells": built.map_or(0, |b| b.lookup.observed_cells()),
-        "seen_cells": built.map_or(0, Built::seen_cells),
+        "seen_cells": built.map_or(0, BuiltLookup::seen_cells),
         "map_error": report.map_error,
         "asked_w": s.map(|s| s.asked_w),
         "delivered_w": s.map(|s| f64::from(s.delivered_mw) * 1e-3),

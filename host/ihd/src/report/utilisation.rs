@@ -1,11 +1,11 @@
-//! How busy a device is, in one line and as JSON.
+//! Processor load of a device, as one line and as JSON.
 
 use ihd_shared::wire::messages::Utilisation;
 
-/// In words; `None` is a device that does not know the question.
+/// Text; `None` stands for a device that does not know the request.
 pub fn line(used: Option<&Utilisation>) -> String {
     let Some(used) = used else {
-        return "not told: the device's firmware is older than protocol 1.3".into();
+        return "not reported: the device's firmware is older than protocol 1.3".into();
     };
     let gap_ms = f64::from(used.longest_gap_us) * 1e-3;
     let shares = if used.blocks == 0 {
@@ -21,8 +21,7 @@ pub fn line(used: Option<&Utilisation>) -> String {
     format!("{shares}; housekeeping's longest gap {gap_ms:.2} ms")
 }
 
-/// As a JSON object; null of a device that does not know the question, and null shares of a board
-/// that cannot measure them.
+/// JSON object; null for a device that does not know the request, and null shares for a board that cannot measure them.
 pub fn json(used: Option<&Utilisation>) -> serde_json::Value {
     let Some(used) = used else {
         return serde_json::Value::Null;

@@ -91,7 +91,8 @@ impl Bench {
         }
         let [(median, worst), (answer, latest)] = [reached, answered].map(of);
         println!(
-            "| {what} | {offs} | {median:.1} | {worst:.1} | {answer:.1} | {latest:.1} | {again} |"
+            "| {what} | {offs} | {median:.1} | {worst:.1} | {answer:.1} | {latest:.1} | {again} | {} |",
+            load()
         );
     }
 
@@ -171,16 +172,48 @@ fn hostile(to: SocketAddr) -> Meanwhile {
     })
 }
 
+/// Whether a part of the table is wanted: `IHD_OFF_WHILE` names those that are, by a word of theirs.
+fn is_wanted(what: &str) -> bool {
+    std::env::var("IHD_OFF_WHILE").map_or(true, |word| what.contains(&word))
+}
+
+/// Load of the machine in the last minute, as it says it itself.
+fn load() -> String {
+    let said = fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    said.split(' ').next().unwrap_or_default().to_owned()
+}
+
 #[test]
 #[ignore = "full tier: a benchmark of minutes, which judges nothing"]
 fn off_reaches_a_device_whatever_goes_on() {
     let tapes = Arc::new(vec![Tape::record(3, &[700, 1_200, 1_800], 2)]);
-    let folder = || tempfile::tempdir().unwrap();
     println!(
-        "| while | offs | reached, median ms | worst | answered, median ms | worst | tried again |"
+        "| while | offs | reached, median ms | worst | answered, median ms | worst | tried again | load |"
     );
-    println!("|---|---|---|---|---|---|---|");
-    let mut bench = Bench::start(&tapes, 1, 1.0, folder());
+    println!("|---|---|---|---|---|---|---|---|");
+    if is_wanted("one device") {
+        with_one_device(&tapes);
+    }
+    if is_wanted("a full disk") {
+        with_a_full_disk(&tapes);
+    }
+    let many = setting("IHD_MANY", 32.0) as usize;
+    for (what, count, speed) in [
+        ("its link full of windows", 1, FULL),
+        ("32 devices as they are", many, 1.0),
+        ("32 devices that flood", many, FLOOD),
+    ] {
+        if is_wanted(what) {
+            let mut bench = Bench::start(&tapes, count, speed, tempfile::tempdir().unwrap());
+            bench.measure(what);
+            assert!(bench.daemon.stop(), "{}", bench.daemon.log_tail());
+        }
+    }
+}
+
+/// Rows of a device as it is, while something else is attacked.
+fn with_one_device(tapes: &Arc<Vec<Tape>>) {
+    let mut bench = Bench::start(tapes, 1, 1.0, tempfile::tempdir().unwrap());
     bench.measure("nothing else");
     let sockets = hostile(bench.daemon.address);
     sockets.until(HOSTILE);
@@ -202,34 +235,19 @@ fn off_reaches_a_device_whatever_goes_on() {
     bench.measure("the database locked");
     drop(lock);
     assert!(bench.daemon.stop(), "{}", bench.daemon.log_tail());
+}
 
-    let on_disk = folder();
-    let at = on_disk.path().join("store");
+fn with_a_full_disk(tapes: &Arc<Vec<Tape>>) {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path().join("store");
     fs::create_dir_all(&at).unwrap();
-    match Disk::mount(&at.clone(), 64) {
-        None => {
-            println!("| a full disk | not measured: no file system may be mounted here | | | | | |")
-        }
-        Some(disk) => {
-            let mut bench = Bench::start(&tapes, 1, 1.0, on_disk);
-            disk.fill(true);
-            bench.measure("a full disk");
-            disk.fill(false);
-            assert!(bench.daemon.stop(), "{}", bench.daemon.log_tail());
-        }
-    }
-
-    let mut bench = Bench::start(&tapes, 1, FULL, folder());
-    bench.measure("its link full of windows");
+    let Some(disk) = Disk::mount(&at, 64) else {
+        println!("| a full disk | not measured: no file system may be mounted here | | | | | | |");
+        return;
+    };
+    let mut bench = Bench::start(tapes, 1, 1.0, folder);
+    disk.fill(true);
+    bench.measure("a full disk");
+    disk.fill(false);
     assert!(bench.daemon.stop(), "{}", bench.daemon.log_tail());
-
-    let many = setting("IHD_MANY", 32.0) as usize;
-    for (what, speed) in [
-        ("32 devices as they are", 1.0),
-        ("32 devices that flood", FLOOD),
-    ] {
-        let mut bench = Bench::start(&tapes, many, speed, folder());
-        bench.measure(what);
-        assert!(bench.daemon.stop(), "{}", bench.daemon.log_tail());
-    }
 }

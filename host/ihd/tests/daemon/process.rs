@@ -30,7 +30,8 @@ pub fn ihd_with_limits(folder: &Path) -> Command {
 
 /// A process that does not outlive its owner.
 pub struct Process {
-    child: Child,
+    /// The process.
+    pub child: Child,
     /// Most memory that it was seen to have, in bytes.
     pub peak_rss: u64,
 }

@@ -3,7 +3,7 @@
 
 use async_nats::jetstream::{self, consumer::PullConsumer};
 use futures_util::StreamExt;
-use ihd_daemon::learning::{Answer, Stated};
+use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
 use ihd_fleet::names;
 use ihd_fleet::wire::{AnswerMessage, WindowMessage};
 use ihd_store::{Reader, ResultFilter};
@@ -15,7 +15,7 @@ use super::site::{PATIENCE, Site, fleet, init, until};
 /// Makes the bytes that a worker publishes of an honest answer.
 type Lie = fn(AnswerMessage) -> Vec<u8>;
 
-fn stated(mut message: AnswerMessage, change: impl Fn(&mut Stated)) -> Vec<u8> {
+fn stated(mut message: AnswerMessage, change: impl Fn(&mut StatedLoad)) -> Vec<u8> {
     change(message.answer.found.as_mut().expect("an honest answer"));
     message.to_bytes().expect("packed")
 }
@@ -101,7 +101,7 @@ async fn lie(url: &str) -> Vec<(u32, f64)> {
             ..NetworkConfig::default()
         };
         let by = if honest.is_empty() { "honest" } else { "liar" };
-        let answer = Answer::find(by.to_owned(), &window.window, window.skew_s, network);
+        let answer = WorkerAnswer::compute(by.to_owned(), &window.window, window.skew_s, network);
         honest.push((window.window.seq, mean_r_ohm(&answer)));
         let answer = AnswerMessage {
             hob: window.hob.clone(),
@@ -126,7 +126,7 @@ async fn lie(url: &str) -> Vec<(u32, f64)> {
 }
 
 /// Mean of R weighted with the squared current, which follows the bus to a percent of R: sin² of the mains' phase.
-fn mean_r_ohm(answer: &Answer) -> f64 {
+fn mean_r_ohm(answer: &WorkerAnswer) -> f64 {
     let stated = answer.found.as_ref().expect("an honest answer");
     let weight = |t_s: &f64| (std::f64::consts::PI * t_s / 10e-3).sin().powi(2);
     let weights: f64 = stated.t_s.iter().map(weight).sum();

@@ -6,6 +6,7 @@
 #[path = "../daemon/chance.rs"]
 mod chance;
 mod cut;
+mod hour;
 mod keyed;
 mod lab;
 mod lies;

@@ -93,7 +93,7 @@ impl Server {
             starts: 1,
         };
         server.wait_until_ready();
-        server.port = server.port_of_file();
+        server.port = server.port_of_file("nats");
         server.mqtt_port = server.mqtt_port_of_log();
         server
     }
@@ -224,8 +224,13 @@ impl Server {
         }
     }
 
-    /// The port that it found for itself, from the file that it leaves for that.
-    fn port_of_file(&self) -> u16 {
+    /// Where it answers for its monitoring: for a configuration with `http`.
+    pub fn monitoring_port(&self) -> u16 {
+        self.port_of_file("monitoring")
+    }
+
+    /// A port that it found for itself, from the file that it leaves for that.
+    fn port_of_file(&self, of: &str) -> u16 {
         let end = format!("_{}.ports", self.pid());
         let deadline = Instant::now() + PATIENCE;
         loop {
@@ -236,7 +241,7 @@ impl Server {
             let text = file.and_then(|file| fs::read_to_string(file).ok());
             let found = text.and_then(|text| {
                 let urls = serde_json::from_str::<serde_json::Value>(&text).ok()?;
-                let url = urls["nats"][0].as_str()?.to_owned();
+                let url = urls[of][0].as_str()?.to_owned();
                 url.rsplit(':').next()?.parse().ok()
             });
             if let Some(port) = found {

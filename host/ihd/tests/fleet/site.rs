@@ -286,6 +286,14 @@ impl Worker {
         self.process.kill();
     }
 
+    pub fn pid(&self) -> u32 {
+        self.process.child.id()
+    }
+
+    pub fn processor_s(&self) -> f64 {
+        self.process.processor_s()
+    }
+
     pub fn has_ended(&mut self) -> bool {
         self.process.ended().is_some()
     }

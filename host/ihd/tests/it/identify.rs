@@ -1,4 +1,4 @@
-//! `ihd identify` and `ihd study` as a person or a program calls them.
+//! `ihd identify` and `ihd-study` as a person or a program calls them.
 
 use std::path::Path;
 
@@ -12,9 +12,9 @@ fn ihd() -> Command {
 /// A mains cycle of the behavioural reference load, 50 kHz, 5 MS/s, 50 dB, as a table with other column names.
 fn table(folder: &Path) -> (std::path::PathBuf, Vec<f64>) {
     use ihd_sim::recording::sensing::{Rate, Sensing};
-    use ihd_sim::recording::settings::{LoadKind, Settings};
+    use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
     use ihd_sim::trial::Trial;
-    let settings = Settings {
+    let settings = CaptureSpec {
         load: LoadKind::Behavioural,
         f_sw_hz: 50e3,
         sensing: Sensing {
@@ -22,7 +22,7 @@ fn table(folder: &Path) -> (std::path::PathBuf, Vec<f64>) {
             allow_aliasing: true,
             ..Sensing::default()
         },
-        ..Settings::default()
+        ..CaptureSpec::default()
     };
     let trial = Trial::record(&settings).expect("the preset simulates");
     let noisy = trial.noisy(Some(50.0), 3);
@@ -139,15 +139,12 @@ fn what_cannot_be_identified_is_reported_and_fails() {
 }
 
 #[test]
-fn the_help_of_both_commands_has_an_example() {
-    for args in [
-        ["identify", "--help"].as_slice(),
-        &["study", "estimators", "--help"],
-        &["study", "hostile", "--help"],
-    ] {
-        let output = ihd().args(args).output().expect("it runs");
-        assert!(String::from_utf8_lossy(&output.stdout).contains("Examples:"));
-    }
+fn its_help_has_an_example() {
+    let output = ihd()
+        .args(["identify", "--help"])
+        .output()
+        .expect("it runs");
+    assert!(String::from_utf8_lossy(&output.stdout).contains("Examples:"));
 }
 
 /// A coil beside this one: the result is printed with its findings, the command ends with 7, and with 0 on request.

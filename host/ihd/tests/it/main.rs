@@ -1,4 +1,4 @@
-//! The `ihd` command as a user calls it, and the accuracy that its studies promise.
+//! The `ihd` command as a user calls it.
 
 #[cfg(feature = "pinn")]
 mod command_line;
@@ -10,7 +10,6 @@ mod doctor;
 mod exit_codes;
 mod flash;
 mod identify;
-mod identify_accuracy;
 mod inspect;
 #[cfg(all(feature = "log", unix))]
 mod log;
@@ -19,10 +18,5 @@ mod record_replay;
 mod simulate;
 #[cfg(feature = "daemon")]
 mod store;
-mod study_hostile;
-#[cfg(feature = "pinn")]
-mod study_map;
-#[cfg(feature = "pinn")]
-mod study_paper;
 #[cfg(feature = "pinn")]
 mod trainer;

@@ -6,7 +6,7 @@ use assert_cmd::Command;
 use ihd_capture::mcap;
 use ihd_sim::recording::file::SETTINGS_KEY;
 use ihd_sim::recording::run::record;
-use ihd_sim::recording::settings::Settings;
+use ihd_sim::recording::settings::CaptureSpec;
 
 fn simulate(dir: &Path, args: &[&str]) -> std::process::Output {
     let mut command = Command::cargo_bin("ihd").expect("the ihd binary is built with its tests");
@@ -39,7 +39,7 @@ fn writes_a_recording_and_a_figure_and_repeats_to_the_last_digit() {
     assert_eq!(read("a.mcap"), read("b.mcap"));
     let stored = mcap::read(&dir.path().join("a.mcap")).unwrap();
     assert_eq!(stored.v_v.len(), 50_000);
-    let settings: Settings = serde_json::from_str(&stored.metadata[SETTINGS_KEY]).unwrap();
+    let settings: CaptureSpec = serde_json::from_str(&stored.metadata[SETTINGS_KEY]).unwrap();
     assert_eq!(settings.mains_hz, 60.0);
     assert_eq!(settings.pot.diameter_m, 0.18);
     assert!(String::from_utf8(read("a.svg")).unwrap().contains("<svg"));
@@ -49,9 +49,9 @@ fn writes_a_recording_and_a_figure_and_repeats_to_the_last_digit() {
 /// machine has to print them too. A change of the model changes them on purpose.
 #[test]
 fn the_digits_are_the_same_on_every_machine() {
-    let settings = Settings {
+    let settings = CaptureSpec {
         duration_s: 0.5e-3,
-        ..Settings::default()
+        ..CaptureSpec::default()
     };
     let truth = record(&settings, |_| ()).unwrap().truth;
     let last = truth.last().unwrap();
@@ -92,7 +92,7 @@ fn disturbances_are_what_the_options_say() {
     let stderr = String::from_utf8_lossy(&result.stderr);
     assert!(result.status.success(), "{stderr}");
     let stored = mcap::read(&dir.path().join("a.mcap")).unwrap();
-    let s: Settings = serde_json::from_str(&stored.metadata[SETTINGS_KEY]).unwrap();
+    let s: CaptureSpec = serde_json::from_str(&stored.metadata[SETTINGS_KEY]).unwrap();
     let sweep = s.sweep.map(|s| (s.deviation_hz, s.rate_hz));
     let neighbour = s.neighbour.map(|n| (n.offset_hz, n.v));
     assert_eq!((sweep, neighbour), (Some((1e3, 500.0)), Some((1.2e3, 8.0))));

@@ -101,3 +101,21 @@ fn following_survives_a_hob_that_comes_back_and_a_signal_is_its_ordinary_end() {
     );
     assert_eq!(hob.left_with_w(), 0);
 }
+
+/// The report of a run with a simulated hob: the map that it taught itself, against the load's own law.
+#[test]
+fn it_reports_the_maps_error() {
+    let args = "trainer --no-store --json --power 1500,1000 --load reduced --lift 2mm";
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ihd"));
+    let output = command.args(args.split(' ')).output().expect("ihd runs");
+    let error = &report(&String::from_utf8_lossy(&output.stdout))["map_error"];
+    let number = |place: &str| {
+        let found = error.pointer(place).and_then(Value::as_f64);
+        found.unwrap_or_else(|| panic!("no number at {place} in {error:#}"))
+    };
+    assert!(number("/observed/cells") > 9.0, "{error:#}");
+    assert!(number("/observed/r_mean_pct") < 2.0, "{error:#}");
+    assert!(number("/observed/l_mean_pct") < 1.0, "{error:#}");
+    assert!(number("/unseen/cells") > 0.0, "{error:#}");
+    assert!(number("/unseen/r_worst_pct") >= number("/unseen/r_mean_pct"));
+}

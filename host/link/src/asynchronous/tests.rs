@@ -2,11 +2,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use ihd_shared::wire::messages::{AnyMessage, FaultEvent, SetPower, Telemetry};
 
-use super::super::fake::{Fake, Sent, hello};
+use super::super::fake::{FakeDevice, FakeOutput, hello};
 use super::*;
 
 /// Answers hellos, and says "done" to `SetPower`.
-fn obedient(message: &AnyMessage<'_>, sent: &mut Sent) {
+fn obedient(message: &AnyMessage<'_>, sent: &mut FakeOutput) {
     match message {
         AnyMessage::Hello(_) => sent.greet(),
         AnyMessage::SetPower(_) => sent.done(),
@@ -26,14 +26,14 @@ fn telemetry(seq: u32) -> Telemetry {
     telemetry
 }
 
-fn opened(fake: Fake) -> impl FnOnce() -> Result<Box<dyn Transport>, LinkError> + Send {
+fn opened(fake: FakeDevice) -> impl FnOnce() -> Result<Box<dyn Transport>, LinkError> + Send {
     move || Ok(Box::new(fake) as _)
 }
 
 #[tokio::test]
 async fn orders_and_events_take_turns() {
     let mut told = 0;
-    let fake = Fake::new(obedient, move |sent| {
+    let fake = FakeDevice::new(obedient, move |sent| {
         told += 1;
         sent.message(&fault(told));
     });
@@ -57,7 +57,7 @@ async fn orders_and_events_take_turns() {
 
 #[tokio::test]
 async fn the_reason_outlives_the_thread() {
-    let fake = Fake::new(obedient, {
+    let fake = FakeDevice::new(obedient, {
         let mut waited = 0;
         move |sent| {
             waited += 1;
@@ -86,7 +86,7 @@ async fn what_cannot_be_opened_is_said() {
     let error = AsyncClient::connect(closed, sender).await.err().unwrap();
     assert!(error.to_string().contains("nowhere"), "{error}");
     let (sender, _events) = mpsc::channel(4);
-    let mute = Fake::new(|_, _| {}, |_| {});
+    let mute = FakeDevice::new(|_, _| {}, |_| {});
     let error = AsyncClient::connect(opened(mute), sender).await.err();
     assert!(
         matches!(error, Some(LinkError::NoAnswer { .. })),
@@ -97,7 +97,7 @@ async fn what_cannot_be_opened_is_said() {
 #[tokio::test]
 async fn a_reader_that_sleeps_costs_telemetry_and_nothing_else() {
     let mut told = 0;
-    let fake = Fake::new(obedient, move |sent| {
+    let fake = FakeDevice::new(obedient, move |sent| {
         if told < 1_000 {
             sent.message(&telemetry(told));
             if told.is_multiple_of(10) {
@@ -125,7 +125,7 @@ async fn a_reader_that_sleeps_costs_telemetry_and_nothing_else() {
 #[tokio::test]
 async fn all_events_that_are_neither_dropped_nor_counted_arrive() {
     let (mut told, all) = (0, 3_000);
-    let fake = Fake::new(obedient, move |sent| {
+    let fake = FakeDevice::new(obedient, move |sent| {
         if told < all {
             sent.message(&telemetry(told));
             sent.message(&fault(told));
@@ -155,7 +155,7 @@ async fn all_events_that_are_neither_dropped_nor_counted_arrive() {
 #[tokio::test]
 async fn a_dropped_client_closes_its_transport() {
     static OPEN: AtomicBool = AtomicBool::new(false);
-    struct Watched(Fake);
+    struct Watched(FakeDevice);
     impl Drop for Watched {
         fn drop(&mut self) {
             OPEN.store(false, Ordering::SeqCst);
@@ -174,7 +174,7 @@ async fn a_dropped_client_closes_its_transport() {
     }
     let open = || {
         OPEN.store(true, Ordering::SeqCst);
-        Ok(Box::new(Watched(Fake::new(obedient, |_| {}))) as _)
+        Ok(Box::new(Watched(FakeDevice::new(obedient, |_| {}))) as _)
     };
     let (sender, mut events) = mpsc::channel(4);
     let client = AsyncClient::connect(open, sender).await.unwrap();
@@ -187,7 +187,7 @@ async fn a_dropped_client_closes_its_transport() {
 #[tokio::test]
 async fn an_order_that_panics_ends_the_thread_with_a_reason() {
     let (sender, mut events) = mpsc::channel(4);
-    let fake = Fake::new(obedient, |_| {});
+    let fake = FakeDevice::new(obedient, |_| {});
     let client = AsyncClient::connect(opened(fake), sender).await.unwrap();
     let order = client.with(|_| panic!("on purpose")).await;
     assert!(matches!(order, Err(LinkError::Closed { .. })));
@@ -202,7 +202,7 @@ async fn an_order_that_panics_ends_the_thread_with_a_reason() {
 async fn an_order_that_was_given_up_is_not_done_later() {
     static DONE: AtomicBool = AtomicBool::new(false);
     let (sender, _events) = mpsc::channel(4);
-    let fake = Fake::new(obedient, |_| {});
+    let fake = FakeDevice::new(obedient, |_| {});
     let client = AsyncClient::connect(opened(fake), sender).await.unwrap();
     let slow = client.with(|_| std::thread::sleep(Duration::from_millis(200)));
     let late = async {
@@ -221,16 +221,16 @@ type Told = Arc<Mutex<Vec<(&'static str, u16)>>>;
 /// A device that notes what it is told and answers hellos and offs alone. Its clock stands still until it is switched off: whoever waits
 /// for another answer waits for ever.
 struct Stubborn {
-    device: Fake,
+    device: FakeDevice,
     told: Told,
-    is_off: Arc<AtomicBool>,
+    runs_off: Arc<AtomicBool>,
 }
 
 impl Stubborn {
     fn new() -> Self {
-        let (told, is_off) = (Told::default(), Arc::new(AtomicBool::new(false)));
-        let (noted, off) = (Arc::clone(&told), Arc::clone(&is_off));
-        let on_message = move |message: &AnyMessage<'_>, sent: &mut Sent| match message {
+        let (told, runs_off) = (Told::default(), Arc::new(AtomicBool::new(false)));
+        let (noted, off) = (Arc::clone(&told), Arc::clone(&runs_off));
+        let on_message = move |message: &AnyMessage<'_>, sent: &mut FakeOutput| match message {
             AnyMessage::SetPower(SetPower { power_w }) => {
                 lock(&noted).push(("SetPower", *power_w));
                 if *power_w == 0 {
@@ -242,9 +242,9 @@ impl Stubborn {
             other => obedient(other, sent),
         };
         Self {
-            device: Fake::new(on_message, |_| {}),
+            device: FakeDevice::new(on_message, |_| {}),
             told,
-            is_off,
+            runs_off,
         }
     }
 }
@@ -263,7 +263,7 @@ impl Transport for Stubborn {
     }
 
     fn clock(&self) -> Duration {
-        match self.is_off.load(Ordering::Relaxed) {
+        match self.runs_off.load(Ordering::Relaxed) {
             true => self.device.clock(),
             false => Duration::ZERO,
         }
@@ -307,7 +307,7 @@ async fn off_overtakes_the_orders_that_wait_and_the_one_whose_answer_stays_away(
     let mut gave_way = 0;
     for status in asked {
         let error = status.await.unwrap().unwrap_err();
-        gave_way += u32::from(matches!(error, LinkError::GaveWay { .. }));
+        gave_way += u32::from(matches!(error, LinkError::Preempted { .. }));
     }
     assert_eq!(gave_way, 1, "the others had their turn afterwards");
 }
@@ -326,7 +326,7 @@ async fn power_that_an_off_overtakes_is_not_asked_for_again() {
     let off = client.off(|| ());
     let _ = tokio::time::timeout(Duration::ZERO, off).await;
     let error = power.await.unwrap().unwrap_err();
-    assert!(matches!(error, LinkError::GaveWay { .. }), "{error}");
+    assert!(matches!(error, LinkError::Preempted { .. }), "{error}");
     client.with(|_| ()).await.unwrap();
     let off = ("SetPower", 0);
     assert_eq!(*lock(&told), [("SetPower", 900), off, off]);

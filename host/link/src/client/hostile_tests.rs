@@ -4,11 +4,11 @@ use ihd_shared::wire::messages::{
     AnyMessage, Raw, Telemetry, WindowChunk, WindowEnd, WindowGone, WindowStart,
 };
 
-use super::super::fake::{Fake, Sent, front_end};
+use super::super::fake::{FakeDevice, FakeOutput, front_end};
 use super::*;
 
 /// Greets, and answers nothing else.
-fn deaf(message: &AnyMessage<'_>, sent: &mut Sent) {
+fn deaf(message: &AnyMessage<'_>, sent: &mut FakeOutput) {
     if let AnyMessage::Hello(_) = message {
         sent.greet();
     }
@@ -39,7 +39,7 @@ fn telemetry(seq: u32) -> Telemetry {
 }
 
 /// A whole window of zeros.
-fn window(seq: u32, sent: &mut Sent) {
+fn window(seq: u32, sent: &mut FakeOutput) {
     sent.message(&start(seq, 960));
     for offset in [0, 240, 480, 720] {
         let data = Raw(&[0; 960]);
@@ -49,10 +49,10 @@ fn window(seq: u32, sent: &mut Sent) {
     sent.message(&WindowEnd { seq, crc32 });
 }
 
-type Flood = Box<dyn FnMut(&mut Sent) + Send>;
+type Flood = Box<dyn FnMut(&mut FakeOutput) + Send>;
 
 /// As [`Flood`], told how often it was called.
-fn counted(mut flood: impl FnMut(u32, &mut Sent) + Send + 'static) -> Flood {
+fn counted(mut flood: impl FnMut(u32, &mut FakeOutput) + Send + 'static) -> Flood {
     let mut calls = 0;
     Box::new(move |sent| {
         flood(calls, sent);
@@ -121,17 +121,17 @@ fn floods() -> Vec<(&'static str, Flood)> {
 }
 
 fn check_bounds(client: &Client, what: &str) {
-    let incoming = &client.incoming;
-    assert!(incoming.events.len() <= MAX_EVENTS, "{what}");
+    let receiver = &client.receiver;
+    assert!(receiver.events.len() <= MAX_EVENTS, "{what}");
     // Those of one read.
-    assert!(incoming.answers.len() <= 2_000, "{what}");
+    assert!(receiver.answers.len() <= 2_000, "{what}");
 }
 
 #[test]
 fn no_wait_outlasts_its_time_whatever_comes() {
     let wait = Duration::from_millis(500);
     for (what, flood) in floods() {
-        let mut client = Client::connect(Box::new(Fake::new(deaf, flood))).unwrap();
+        let mut client = Client::connect(Box::new(FakeDevice::new(deaf, flood))).unwrap();
         let began = client.clock();
         while client.clock() - began < Duration::from_secs(3) {
             let at = client.clock();
@@ -151,7 +151,7 @@ fn no_wait_outlasts_its_time_whatever_comes() {
 #[test]
 fn no_command_outlasts_its_time_whatever_comes() {
     for (what, flood) in floods() {
-        let mut client = Client::connect(Box::new(Fake::new(deaf, flood))).unwrap();
+        let mut client = Client::connect(Box::new(FakeDevice::new(deaf, flood))).unwrap();
         client.set_timeout(Duration::from_millis(500));
         for _ in 0..3 {
             let at = client.clock();
@@ -173,7 +173,7 @@ fn of_too_many_events_telemetry_goes_first_and_nothing_uncounted() {
             window(call, sent);
         }
     });
-    let mut client = Client::connect(Box::new(Fake::new(deaf, flood))).unwrap();
+    let mut client = Client::connect(Box::new(FakeDevice::new(deaf, flood))).unwrap();
     client.set_timeout(Duration::from_secs(30));
     assert!(client.status().is_err());
     let counters = client.counters();
@@ -198,7 +198,7 @@ fn of_too_many_events_telemetry_goes_first_and_nothing_uncounted() {
 fn what_may_come_twice_is_asked_again() {
     for lost in 0..4 {
         let mut asked = 0;
-        let hard_of_hearing = move |message: &AnyMessage<'_>, sent: &mut Sent| match message {
+        let hard_of_hearing = move |message: &AnyMessage<'_>, sent: &mut FakeOutput| match message {
             AnyMessage::Hello(_) => sent.greet(),
             AnyMessage::SetPower(_) => {
                 asked += 1;
@@ -208,7 +208,8 @@ fn what_may_come_twice_is_asked_again() {
             }
             _ => {}
         };
-        let mut client = Client::connect(Box::new(Fake::new(hard_of_hearing, |_| {}))).unwrap();
+        let mut client =
+            Client::connect(Box::new(FakeDevice::new(hard_of_hearing, |_| {}))).unwrap();
         let at = client.clock();
         let outcome = client.set_power(700);
         let took = client.clock() - at;
@@ -219,4 +220,34 @@ fn what_may_come_twice_is_asked_again() {
         }
         assert!(took >= DEFAULT_TIMEOUT / 3 * lost.min(3));
     }
+}
+
+/// What is beyond a hob's rates is counted and nothing else, and answers come among it.
+#[test]
+fn of_a_flood_a_hobs_share_is_decoded() {
+    let mut power_w = 0;
+    let flood = counted(move |call, sent| {
+        (0..100).for_each(|k| sent.message(&telemetry(100 * call + k)));
+    });
+    let answers = |message: &AnyMessage<'_>, sent: &mut FakeOutput| match message {
+        AnyMessage::Hello(_) => sent.greet(),
+        AnyMessage::SetPower(_) => sent.done(),
+        _ => {}
+    };
+    let mut client = Client::connect(Box::new(FakeDevice::new(answers, flood))).unwrap();
+    let before = client.counters().telemetry.received;
+    client.limit_floods();
+    let began = client.clock();
+    while client.clock() - began < Duration::from_secs(3) {
+        client.next_event(Duration::from_millis(100)).unwrap();
+        client.set_power(power_w).unwrap();
+        power_w = 1 - power_w;
+    }
+    let passed_s = (client.clock() - began).as_secs_f64();
+    let counters = client.counters();
+    let decoded = counters.telemetry.received - before;
+    assert!(f64::from(decoded) <= 240.0 * (passed_s + 2.0), "{decoded}");
+    assert!(f64::from(decoded) >= 239.0 * passed_s, "{decoded}");
+    assert!(counters.frames_beyond > 1_000, "{counters:?}");
+    assert_eq!((counters.frames_bad, counters.frames_lost), (0, 0));
 }

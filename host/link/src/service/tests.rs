@@ -1,28 +1,28 @@
-use ihd_shared::wire::link_test::Received;
+use ihd_shared::wire::link_test::LinkTestCounts;
 use ihd_shared::wire::messages::{AnyMessage, Log, Outcome};
 
 use super::*;
 use crate::Event;
-use crate::fake::{Fake, Sent};
+use crate::fake::{FakeDevice, FakeOutput};
 
 /// A client of a device that greets, and that `answer` answers for.
-fn client(mut answer: impl FnMut(&AnyMessage<'_>, &mut Sent) + Send + 'static) -> Client {
-    let on_message = move |message: &AnyMessage<'_>, sent: &mut Sent| match message {
+fn client(mut answer: impl FnMut(&AnyMessage<'_>, &mut FakeOutput) + Send + 'static) -> Client {
+    let on_message = move |message: &AnyMessage<'_>, sent: &mut FakeOutput| match message {
         AnyMessage::Hello(_) => sent.greet(),
         _ => answer(message, sent),
     };
-    Client::connect(Box::new(Fake::new(on_message, |_| {}))).unwrap()
+    Client::connect(Box::new(FakeDevice::new(on_message, |_| {}))).unwrap()
 }
 
 /// Counts what comes and sends what is asked for, but for the frames of the numbers in `swallowed`.
-fn link_tester(swallowed: &'static [u32]) -> impl FnMut(&AnyMessage<'_>, &mut Sent) + Send {
-    let mut received = Received::default();
+fn link_tester(swallowed: &'static [u32]) -> impl FnMut(&AnyMessage<'_>, &mut FakeOutput) + Send {
+    let mut received = LinkTestCounts::default();
     move |message, sent| match message {
         AnyMessage::LinkData(frame) if swallowed.contains(&frame.seq) => {}
         AnyMessage::LinkData(frame) => received.take(frame),
         AnyMessage::TestLink(test) => {
             sent.message(&received.counts());
-            received = Received::NONE;
+            received = LinkTestCounts::NONE;
             let mut data = vec![0; usize::from(test.bytes)];
             for seq in (0..u32::from(test.frames)).filter(|seq| !swallowed.contains(seq)) {
                 fill(seq, &mut data);

@@ -1,4 +1,4 @@
-//! One pot as one or more hobs know it.
+//! Entry of the library: one pot as one or more hobs measured it.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -8,65 +8,65 @@ use super::shape::{self, KeptShape, Range};
 use crate::PotModel;
 use crate::parameters::{self, COUNT, OF_POT};
 
-/// The layout of [`PotEntry`].
+/// Version of the layout of [`PotEntry`].
 pub const ENTRY_VERSION: u32 = 1;
 
-/// Bytes of an entry at most.
+/// Most bytes of an entry.
 pub const MOST_ENTRY_BYTES: usize = 2_048;
 
-/// Bytes of a name at most: of an entry, a hob, a build.
+/// Most bytes of the name of an entry, a hob or a build.
 const MOST_NAME: usize = 48;
 
-/// Hobs that an entry names at most.
+/// Most hobs that an entry names.
 pub(crate) const MOST_HOBS: usize = 8;
 
 /// Numbers of a lower triangle.
 const TRIANGLE: usize = COUNT * (COUNT + 1) / 2;
 
-/// Deviation of a pot's own numbers, in spreads of any pot, from which nothing is gained by telling others.
+/// Deviation of a pot's own numbers, in spreads of any pot, above which an entry is not worth sharing.
 const WORTH_TELLING: f64 = 1.0;
 
-/// Switching frequencies in hertz and currents in ampere that a hob can have.
+/// Ranges of switching frequencies in hertz and currents in ampere that a hob can have.
 const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
 const CURRENTS_A: std::ops::RangeInclusive<f64> = 0.0..=500.0;
 
-/// Who saw a pot, and when.
+/// Hob and build that measured a pot, and the time.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Provenance {
-    /// Name of the hob: letters, digits, `-`, `_` and `.`. Whoever takes an entry from others sets it to the name under which that hob
-    /// proved itself, not to what the entry says.
+    /// Name of the hob: letters, digits, `-`, `_` and `.`. A receiver replaces it by the name under which the sender authenticated,
+    /// because an entry may state any name.
     pub hob: String,
-    /// Build of the program that fitted it.
+    /// Build of the program that fitted the entry.
     pub build: String,
-    /// When, in seconds since 1970.
+    /// Time of the fit in seconds since 1970.
     pub t_unix_s: u64,
 }
 
-/// What a pot was seen at.
+/// Range of operating points at which a pot was measured.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SeenAt {
     /// Lowest and highest switching frequency in hertz.
     pub f_sw_hz: [f64; 2],
     /// Lowest and highest amplitude of the current in ampere.
     pub i_a: [f64; 2],
-    /// Switching frequencies.
+    /// Number of switching frequencies.
     pub curves: u32,
-    /// Windows of them.
+    /// Number of windows.
     pub windows: u32,
 }
 
-/// What a pot is made of, as far as two numbers tell.
+/// Class of a pot's metal, as far as two numbers determine it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MetalClass {
     /// Ferritic steel.
     Ferritic,
     /// Grey cast iron.
     CastIron,
-    /// It does not saturate: austenitic steel, aluminium.
+    /// Metal without saturation: austenitic steel, aluminium.
     NotMagnetic,
 }
 
-/// A pot in the library.
+/// One pot of the library.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PotEntry {
     pub(super) version: u32,
@@ -75,7 +75,7 @@ pub struct PotEntry {
     /// Lower triangle L, row by row, of the seven numbers' covariance L Lᵀ, in their units, in the order of `parameters`.
     pub(super) factor: Vec<f64>,
     pub(super) misfit: [f64; 2],
-    /// What the map is beside the model, in units of 1e-5.
+    /// Map less the model in ln R and ln L, in units of 1e-5.
     pub(super) shape: Vec<i16>,
     pub(super) seen: SeenAt,
     pub(super) label: Option<String>,
@@ -84,19 +84,19 @@ pub struct PotEntry {
     pub(super) t_unix_s: u64,
 }
 
-/// What a hob found of a pot.
+/// Result of a hob's own fit.
 pub(crate) struct Found {
     pub model: PotModel,
-    /// Lower triangle of the numbers' covariance.
+    /// Lower triangle of the factor L of the numbers' covariance L Lᵀ.
     pub factor: DMatrix<f64>,
     pub misfit: [f64; 2],
-    /// The map less the model, at [`super::shape_places`].
+    /// ln of the map less ln of the model, at [`super::shape_places`].
     pub beside: DVector<f64>,
     pub seen: SeenAt,
 }
 
 impl PotEntry {
-    /// Of a fit; `None` where a number is none that an entry can have.
+    /// Creates an entry from a fit; `None` if a number is outside the range of entries.
     pub(crate) fn of(found: &Found, by: Provenance) -> Option<Self> {
         let Found {
             model,
@@ -122,7 +122,7 @@ impl PotEntry {
         entry.check().is_ok().then_some(entry)
     }
 
-    /// The same with a name that people gave the pot.
+    /// Returns the entry with a label that users gave the pot.
     #[must_use]
     pub fn labelled(self, label: &str) -> Self {
         Self {
@@ -131,32 +131,32 @@ impl PotEntry {
         }
     }
 
-    /// Its name: that of the hob that saw it first, and when.
+    /// Name of the entry: that of the hob that saw the pot first, and the time.
     pub fn id(&self) -> &str {
         &self.id
     }
 
-    /// What people call it.
+    /// Label that users gave the pot.
     pub fn label(&self) -> Option<&str> {
         self.label.as_deref()
     }
 
-    /// The pot where the last hob saw it: lift, offset, turns and winding are that place's and that coil's.
+    /// Pot as the last hob measured it: lift and offset depend on its place, turns and winding on that hob's coil.
     pub fn model(&self) -> &PotModel {
         &self.model
     }
 
-    /// Deviations of ln R and ln L around the physics: how well it fits.
+    /// Deviations of ln R and ln L around the physics.
     pub fn misfit(&self) -> [f64; 2] {
         self.misfit
     }
 
-    /// What it was seen at.
+    /// Range of operating points at which the pot was measured.
     pub fn seen(&self) -> SeenAt {
         self.seen
     }
 
-    /// Hobs that saw it, the first one first; at most eight.
+    /// Hobs that measured it, the first one first; at most eight.
     pub fn hobs(&self) -> &[String] {
         &self.hobs
     }
@@ -166,18 +166,18 @@ impl PotEntry {
         &self.build
     }
 
-    /// When it was fitted last, in seconds since 1970.
+    /// Time of the last fit in seconds since 1970.
     pub fn t_unix_s(&self) -> u64 {
         self.t_unix_s
     }
 
-    /// Diameter of its base in metre, with its deviation.
+    /// Diameter of its base in metre, and its deviation.
     pub fn diameter_m(&self) -> (f64, f64) {
         let deviation_m = self.covariance()[(2, 2)].sqrt();
         (2.0 * self.model.radius_m, 2.0 * deviation_m)
     }
 
-    /// What it is made of: from α and s, which no heat and no place changes by as much as metals differ.
+    /// Class of the metal, from α and s, which heat and place change less than metals differ.
     pub fn metal(&self) -> MetalClass {
         // Between the classes of `parameters`, in ln α and ln s: 304 and aluminium let a tenth through of what iron does.
         if self.model.ln_s < 4e-6_f64.ln() {
@@ -189,16 +189,16 @@ impl PotEntry {
         }
     }
 
-    /// As bytes: JSON, below [`MOST_ENTRY_BYTES`].
+    /// Serialises as JSON, below [`MOST_ENTRY_BYTES`].
     pub fn to_bytes(&self) -> Vec<u8> {
         // Text and numbers: nothing of it can fail to be JSON.
         serde_json::to_vec(self).unwrap_or_default()
     }
 
-    /// From bytes that anybody may have made.
+    /// Reads and checks bytes from an untrusted source.
     ///
     /// # Errors
-    /// [`LibraryError`]; nothing of such bytes is used.
+    /// [`LibraryError`] if the bytes are no entry that a hob can have produced.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LibraryError> {
         #[derive(Deserialize)]
         struct Version {
@@ -219,10 +219,10 @@ impl PotEntry {
         Ok(entry)
     }
 
-    /// Whether a hob can have found these numbers.
+    /// Checks that a hob can have found these numbers.
     ///
     /// # Errors
-    /// [`LibraryError`] with what is wrong.
+    /// [`LibraryError`] with the number that is wrong.
     pub fn check(&self) -> Result<(), LibraryError> {
         let unsound = |what| Err(LibraryError::Unsound(what));
         if self.version != ENTRY_VERSION {
@@ -263,7 +263,7 @@ impl PotEntry {
         Ok(())
     }
 
-    /// What it is beside the physics, and where that was found.
+    /// Shape beside the physics, and the range in which it was measured.
     pub(crate) fn shape(&self) -> KeptShape {
         let range = Range {
             f_sw_hz: self.seen.f_sw_hz,
@@ -286,7 +286,7 @@ impl PotEntry {
         Vector3::from_fn(|k, _| all[k])
     }
 
-    /// Of α, s and radius.
+    /// Covariance of α, s and radius.
     pub(super) fn covariance(&self) -> Matrix3<f64> {
         let l = Matrix3::from_fn(|row, k| if k <= row { self.row(row)[k] } else { 0.0 });
         l * l.transpose()

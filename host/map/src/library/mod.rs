@@ -1,13 +1,13 @@
-//! Pots that hobs know, for hobs that see one of them for the first time.
+//! Library of pots that hobs share, for a hob that sees one of them for the first time.
 //!
 //! ```text
 //! hob 1: PotMap ─► PotEntry ─► Library ─► hob 2: PotMap, whose first fit begins with that pot
 //!        pot_map.rs entry.rs    here             hypotheses.rs
 //! ```
 //!
-//! α, s and radius are the pot's and go with it; lift and offset are where it stands, turns and winding the coil: each hob finds
-//! those anew. An entry comes from another machine and may be wrong or a lie. It is never more than one hypothesis beside
-//! "none of them", which keeps a share however well an entry fits ([`crate::PotMap::with_library`]).
+//! α, s and radius are the pot's own numbers and are shared. Lift and offset depend on its place, turns and winding on the coil:
+//! each hob fits those itself. An entry comes from another machine and may be wrong or forged. It is therefore only a
+//! hypothesis beside "any pot", which keeps half however well an entry fits ([`crate::PotMap::with_library`]).
 
 mod entry;
 mod shape;
@@ -27,51 +27,51 @@ pub(crate) use shape::{KeptShape, Shape};
 
 pub use entry::{ENTRY_VERSION, MOST_ENTRY_BYTES, MetalClass, PotEntry, Provenance, SeenAt};
 
-/// The layout of [`Library::to_bytes`].
+/// Version of the layout of [`Library::to_bytes`].
 pub const LIBRARY_VERSION: u32 = 1;
 
-/// Entries of a library at most: a pot is looked for among all of them in a tenth of a second.
+/// Most entries of a library: searching all of them takes a tenth of a second.
 pub const MOST_ENTRIES: usize = 128;
 
-/// Of these that rest on one hob alone: one that sends many makes room among its own.
+/// Most entries of one hob alone: a hob that sends many displaces its own.
 pub const MOST_OF_ONE_HOB: usize = 16;
 
-/// Why bytes are no entry or no library.
+/// Reason why bytes are no entry or no library.
 #[derive(Debug, thiserror::Error)]
 pub enum LibraryError {
-    /// More than there can be.
+    /// Larger than allowed.
     #[error("{bytes} bytes are more than the {most} that a pot or a library can have")]
     TooLarge {
-        /// How many.
+        /// Size in bytes.
         bytes: usize,
-        /// How many there may be.
+        /// Largest size in bytes.
         most: usize,
     },
-    /// No JSON of this layout.
+    /// Not JSON of this layout.
     #[error("a pot of the library cannot be read: {0}")]
     Json(#[from] serde_json::Error),
-    /// Of another build.
+    /// Layout of another build.
     #[error(
         "a pot of the library has layout {0}, this build reads layout {ENTRY_VERSION}: bring both hobs to one build"
     )]
     Version(u32),
-    /// No hob can have found it.
+    /// A number that no hob can have found.
     #[error("a pot of the library is refused: no hob can have found {0} like this")]
     Unsound(&'static str),
 }
 
-/// What became of an entry.
+/// Result of adding an entry.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Added {
-    /// A pot that was not known.
+    /// The pot was not in the library.
     New,
-    /// The entry of this name knows the pot better now.
+    /// The pot was known under this name; the entry was improved.
     Merged(String),
-    /// The entry of this name knew the pot from this hob already; where it rests on that hob alone, the newer one counts.
+    /// The pot was known under this name from this hob; an entry of that hob alone is replaced by the newer one.
     Again(String),
 }
 
-/// Pots that hobs know.
+/// Set of pots that hobs share.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Library {
     entries: Vec<PotEntry>,
@@ -84,16 +84,16 @@ struct Saved {
 }
 
 impl Library {
-    /// The pots.
+    /// Entries in the library.
     pub fn entries(&self) -> &[PotEntry] {
         &self.entries
     }
 
-    /// Takes an entry in. The same pot seen by another hob is merged; where there is no room, an old one of whoever fills the
-    /// library goes.
+    /// Adds an entry. A pot that another hob measured is merged; in a full library an old entry of the hob with most entries is
+    /// removed.
     ///
     /// # Errors
-    /// [`LibraryError`] when no hob can have found it.
+    /// [`LibraryError`] if no hob can have found the entry.
     pub fn add(&mut self, entry: PotEntry) -> Result<Added, LibraryError> {
         entry.check()?;
         let nearest = self.entries.iter_mut().find(|e| e.is_same(&entry));
@@ -117,7 +117,7 @@ impl Library {
         Ok(Added::New)
     }
 
-    /// Removes what one more entry of this hob has no room beside.
+    /// Removes entries so that one more of this hob has room.
     fn make_room(&mut self, hob: &str) {
         let alone = |e: &PotEntry, hob: &str| e.hobs().len() == 1 && e.hobs()[0] == hob;
         let count = |hob: &str| self.entries.iter().filter(|e| alone(e, hob)).count();
@@ -139,7 +139,7 @@ impl Library {
         }
     }
 
-    /// As bytes: JSON.
+    /// Serialises as JSON.
     pub fn to_bytes(&self) -> Vec<u8> {
         let saved = Saved {
             version: LIBRARY_VERSION,
@@ -148,10 +148,10 @@ impl Library {
         serde_json::to_vec(&saved).unwrap_or_default()
     }
 
-    /// From bytes that anybody may have made.
+    /// Reads and checks bytes from an untrusted source.
     ///
     /// # Errors
-    /// [`LibraryError`]; nothing of such bytes is used.
+    /// [`LibraryError`] if the bytes are no library that hobs can have produced.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LibraryError> {
         let most = MOST_ENTRIES * MOST_ENTRY_BYTES;
         if bytes.len() > most {
@@ -173,14 +173,14 @@ impl Library {
         })
     }
 
-    /// Entries that may be the pot that was seen, the likeliest first: the physics of each is laid through a few of the data, with
-    /// lift, turns and winding free. That is what an unknown pot is recognised by, whatever the coil and the place.
+    /// Entries that may be the measured pot, the likeliest first. The physics of each is fitted to a few data with lift, turns and
+    /// winding free, so that a pot is recognised on any coil and in any place.
     pub(crate) fn candidates(&self, data: &[Datum]) -> Vec<Candidate> {
-        /// Data that are looked at, of which the first look needs no more.
+        /// Number of data in the first fit, which needs no more.
         const LOOKED_AT: usize = 8;
         const MISFIT: [f64; 2] = [0.016, 0.008];
         const LOOKS: usize = 3;
-        /// Candidates that are worth a whole fit.
+        /// Most candidates that get a complete fit.
         const MOST: usize = 3;
         let every = data.len().div_ceil(LOOKED_AT).max(1);
         let few: Vec<Datum> = data.iter().copied().step_by(every).collect();
@@ -198,7 +198,7 @@ impl Library {
     }
 }
 
-/// An entry as a hypothesis.
+/// Entry as a hypothesis.
 #[derive(Clone, Debug)]
 pub(crate) struct Candidate {
     pub id: String,
@@ -215,13 +215,13 @@ impl Candidate {
         }
     }
 
-    /// What the physics alone would have shown.
+    /// Data that the physics alone would have given.
     pub fn without_shape(&self, data: &[Datum]) -> Vec<Datum> {
         without(&self.shape, data)
     }
 }
 
-/// Data less a shape.
+/// Subtracts a shape from data.
 pub(crate) fn without(shape: &Shape, data: &[Datum]) -> Vec<Datum> {
     let less = |datum: &Datum| {
         let beside = shape.at(datum.f_hz, datum.i_a);

@@ -1,7 +1,7 @@
-//! What a pot is beside the physics of seven numbers: ln R and ln L of its map less those of its model, over frequency and current.
+//! Shape of a pot beside the physics of seven numbers: ln R and ln L of its map less those of its model, over frequency and
+//! current.
 //!
-//! Harmonics of the current and the shape of B(H) make it. They are the metal's, at the current that makes the field, and go with
-//! the pot.
+//! It comes from harmonics of the current and the shape of B(H). Both belong to the metal, so that the shape is shared with the pot.
 
 use std::sync::LazyLock;
 
@@ -10,25 +10,25 @@ use serde::{Deserialize, Serialize};
 
 use crate::misfit::{Place, current_of_knots};
 
-/// Frequencies in hertz and knots of the lookup's current axis at which it is kept: nearer together than the misfit's memory.
+/// Frequencies in hertz of the stored shape; like the knots of its current axis they are closer than the misfit's correlation.
 const FREQUENCIES_HZ: [f64; 4] = [32e3, 44e3, 60e3, 82e3];
 const KNOTS: [f64; 4] = [1.5, 6.0, 10.5, 15.0];
 
 const POINTS: usize = FREQUENCIES_HZ.len() * KNOTS.len();
 
-/// What one counts: 1e-5 of R or L, so that it ends at a third.
+/// Unit of the stored values: 1e-5 of R or L, which limits them to a third.
 const UNIT: f64 = 1e-5;
 
-/// Deviation below which none counts: what is linear around the fit and what is not differ by some of it.
+/// Least misfit with which a shape is used: the linearisation around the fit has an error of this size.
 const LEAST_MISFIT: f64 = 0.004;
 
-/// Variance, in shares of the misfit's, that keeps the interpolation from going far beyond its points.
+/// Variance as a share of the misfit's, which keeps the interpolation bounded far from its points.
 const NUGGET: f64 = 1e-3;
 
-/// Share of the misfit that does not go with a pot to another coil and lift (docs/pots.md).
+/// Share of the misfit that changes with coil and lift (docs/pots.md).
 const TRANSFER: f64 = 0.1;
 
-/// Where the shape of a pot is kept, as frequency in hertz and current in ampere; places of one frequency lie together.
+/// Places of the stored shape as frequency in hertz and current in ampere; places of one frequency are adjacent.
 pub fn places() -> Vec<(f64, f64)> {
     let of = |f_hz: f64| KNOTS.map(move |knots| (f_hz, current_of_knots(knots)));
     FREQUENCIES_HZ.into_iter().flat_map(of).collect()
@@ -47,17 +47,17 @@ static FACTOR: LazyLock<Option<Cholesky<f64, Dyn>>> = LazyLock::new(|| {
     .cholesky()
 });
 
-/// Numbers that are kept: of R and then of L.
+/// Number of stored values: of R, then of L.
 const NUMBERS: usize = 2 * POINTS;
 
-/// ln R and ln L at [`places`] as they are kept.
+/// Stored values of ln R and ln L at [`places`].
 pub(crate) fn codes(ln: &DVector<f64>) -> Vec<i16> {
     let limit = f64::from(i16::MAX);
     let code = |x: &f64| (x / UNIT).round().clamp(-limit, limit) as i16;
     ln.iter().map(code).collect()
 }
 
-/// Where the hob that found it saw the pot, and how large what the physics leaves was there.
+/// Range in which the finding hob measured the pot, and its misfit there.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Range {
     pub f_sw_hz: [f64; 2],
@@ -65,7 +65,7 @@ pub(crate) struct Range {
     pub misfit: [f64; 2],
 }
 
-/// A shape as it is kept.
+/// Stored form of a shape.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct KeptShape {
     pub codes: Vec<i16>,
@@ -73,7 +73,7 @@ pub(crate) struct KeptShape {
 }
 
 impl KeptShape {
-    /// Of the right length, and finite.
+    /// Returns `true` if it has the right length and finite values.
     pub fn is_sound(&self) -> bool {
         let Range {
             f_sw_hz,
@@ -89,7 +89,7 @@ impl KeptShape {
         numbers && rises && self.codes.len() == NUMBERS
     }
 
-    /// Whether a misfit of this deviation can leave it: four of them, or of the least one that there is.
+    /// Returns `true` if a misfit of this deviation can cause the shape: within four deviations, or four of the least misfit.
     pub fn is_likely(&self) -> bool {
         let within = |(k, code): (usize, &i16)| {
             let most = 4.0 * self.range.misfit[k / POINTS].max(LEAST_MISFIT) / UNIT;
@@ -99,7 +99,7 @@ impl KeptShape {
     }
 }
 
-/// A shape at any place.
+/// Shape interpolated to any place.
 #[derive(Clone, Debug)]
 pub(crate) struct Shape {
     kept: KeptShape,
@@ -107,7 +107,7 @@ pub(crate) struct Shape {
 }
 
 impl Shape {
-    /// From what was kept and is sound.
+    /// Interpolates a stored shape, which must be sound.
     pub fn of(kept: KeptShape) -> Self {
         let weights = [0, 1].map(|x| {
             let code = |k: usize| kept.codes.get(x * POINTS + k).copied().unwrap_or(0);
@@ -118,7 +118,7 @@ impl Shape {
         Self { kept, weights }
     }
 
-    /// What is to be kept.
+    /// Stored form.
     pub fn kept(&self) -> &KeptShape {
         &self.kept
     }
@@ -130,7 +130,7 @@ impl Shape {
         [0, 1].map(|x| near.dot(&self.weights[x]))
     }
 
-    /// Variance that ln R and ln L have there because another hob found the shape, and where it did not see the pot.
+    /// Variance of ln R and ln L there: the transfer between hobs, and more outside the range that was measured.
     pub fn variance(&self, f_hz: f64, i_a: f64) -> [f64; 2] {
         let Range {
             f_sw_hz: [low_hz, high_hz],

@@ -1,28 +1,28 @@
-//! One pot on two hobs: what of it goes with it, when two entries are one pot, and what both know of it together.
+//! Transfer of a pot between hobs: its prior on another hob, the test whether two entries are one pot, and their merging.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::PotEntry;
 use crate::parameters::{self, COUNT, OF_POT, PotSpread, Prior};
 
-/// How far α (its ln), s (its ln) and the base's radius in metre, as two hobs find them, may differ beside what each says of its
-/// own. ln s: a pot is taught warm and met cold, half of 1.1e-3 to 1.9e-3 a kelvin (ferritic steel, cast iron) over some 80 K.
-/// The others are what a coil that is not the paper's shifts (docs/pots.md, "What transfers").
+/// Deviations between two hobs of α (its ln), s (its ln) and the base's radius in metre, beside the deviations of each entry.
+/// ln s: a pot may be taught warm and met cold, half of 1.1e-3 to 1.9e-3 per kelvin (ferritic steel, cast iron) over some 80 K.
+/// The others come from coils that differ from the paper's (docs/pots.md, "What transfers").
 const TRANSFER: [f64; OF_POT] = [0.06, 0.06, 1.5e-3];
 
-/// Squares of the distance of two pots from which they are two: 1 % of chance with three numbers.
+/// Squared distance above which two pots differ: chance exceeds it in 1 % with three numbers.
 const SAME_POT: f64 = 11.34;
 
-/// By how much the shapes of one pot seen twice differ less, in units of 1e-5: two percent.
+/// Largest difference of the shapes of one pot measured twice, in units of 1e-5: two percent.
 const SAME_SHAPE: u16 = 2_000;
 
 impl PotEntry {
-    /// Of α, s and radius as another hob would find them.
+    /// Covariance of α, s and radius as another hob would find them.
     fn elsewhere(&self) -> Matrix3<f64> {
         self.covariance() + transfer()
     }
 
-    /// What is believed of this pot on another coil, in another place.
+    /// Prior of this pot on another coil, in another place.
     pub(crate) fn prior(&self) -> Prior {
         let l = self.elsewhere().cholesky().map(|c| c.unpack());
         // A sum of squares and a positive diagonal has a factor.
@@ -42,7 +42,7 @@ impl PotEntry {
         }
     }
 
-    /// Whether both may be one pot.
+    /// Returns `true` if both entries may be one pot.
     pub fn is_same(&self, other: &Self) -> bool {
         let shapes = self.shape.iter().zip(&other.shape);
         let alike = shapes
@@ -51,15 +51,15 @@ impl PotEntry {
         alike && self.squares_to(other).is_some_and(|d2| d2 < SAME_POT)
     }
 
-    /// Squares of the distance of the pots' own numbers: about 3 for one pot seen twice. What is known badly counts as known as
-    /// well as it transfers, or all pots would be one.
+    /// Squared distance of the pots' own numbers: about 3 for one pot measured twice. Deviations beyond the transfer's are limited
+    /// to it, because otherwise all badly known pots would be one.
     fn squares_to(&self, other: &Self) -> Option<f64> {
         let apart = self.numbers() - other.numbers();
         let all = (self.known_well() + other.known_well() + transfer()).cholesky()?;
         Some(apart.dot(&all.solve(&apart)))
     }
 
-    /// Covariance of α, s and radius, none of them wider than its transfer.
+    /// Covariance of α, s and radius, each limited to its transfer.
     fn known_well(&self) -> Matrix3<f64> {
         let covariance = self.covariance();
         let shrink = Vector3::from_fn(|k, _| (TRANSFER[k] / covariance[(k, k)].sqrt()).min(1.0));
@@ -67,8 +67,8 @@ impl PotEntry {
         shrink * covariance * shrink
     }
 
-    /// Takes in what another hob found of the same pot: the mean of both by their weights, in which nobody counts for more than the
-    /// transfer allows, however certain he says that he is.
+    /// Merges another hob's entry of the same pot: the mean of both by their weights. No weight exceeds what the transfer
+    /// allows, however small the deviation that an entry states.
     pub(crate) fn merge(&mut self, other: &Self) -> Option<()> {
         let hobs = self.hobs.len() as f64;
         // The transfer's share of a mean of several hobs is theirs divided by their number.

@@ -1,4 +1,4 @@
-//! R(t) and L(t) of the last pass: the RL-MLP and the splines on top of it, with what σ has to hold beside noise.
+//! R(t) and L(t) of the last pass: the RL-MLP with its correction, and the part of σ beside noise.
 
 use ihd_spline::CubicSpline;
 use ihd_spline::residual::Excess;
@@ -12,8 +12,8 @@ use crate::parameters::{OUTPUTS, Parameters};
 /// Slow times on either side over which the residual of eq. (1) is averaged.
 const REACH: usize = 6;
 
-/// The trained network with its correction.
-pub(super) struct Corrected<'a> {
+/// Trained network with its correction.
+pub(super) struct CorrectedNetwork<'a> {
     pass: &'a Pass<'a>,
     network: &'a Parameters,
     correction: Option<Correction>,
@@ -27,8 +27,8 @@ pub(super) struct Corrected<'a> {
     z_squared: f64,
 }
 
-impl<'a> Corrected<'a> {
-    /// `branch` is fitted to the data alone: eq. (7)'s own has bent towards the network.
+impl<'a> CorrectedNetwork<'a> {
+    /// Creates the correction; `branch` is fitted to the data alone, because the fit of eq. (7) is biased towards the network.
     pub fn new(pass: &'a Pass<'a>, branch: &HarmonicBranch, network: &'a Parameters) -> Self {
         let (samples, config) = (pass.inputs.samples, pass.inputs.config);
         let times = slow_times_s(samples.duration_s(), config.slow_points);
@@ -45,7 +45,7 @@ impl<'a> Corrected<'a> {
         let outputs: Vec<_> = physics.tau_s.iter().map(at).collect();
         let residuals = physics.residuals(&outputs);
         let intervals = branch.basis.spline.functions().saturating_sub(3).max(1);
-        // Uniform: each interval has slow times enough, also the first.
+        // Uniform knots: each interval has enough slow times, also the first.
         let uniform = CubicSpline::new(intervals, samples.duration_s());
         let problem = Problem {
             physics: &physics,
@@ -91,7 +91,7 @@ impl<'a> Corrected<'a> {
         0.5 * (square(0) + square(1))
     }
 
-    /// What the correction adds to the outputs, and its variances.
+    /// Values that the correction adds to the outputs, and their variances.
     fn added(&self, tau_s: f64) -> ([f64; OUTPUTS], [f64; OUTPUTS]) {
         let at = |c: &Correction| c.at(tau_s);
         self.correction.as_ref().map_or(Default::default(), at)
@@ -107,7 +107,7 @@ impl<'a> Corrected<'a> {
         )
     }
 
-    /// Raises the standard deviations of R (ohm) and L (H) by the correction's and by what is left of the
+    /// Raises the standard deviations of R (ohm) and L (H) by those of the correction and by the residual at the
     /// fundamental beyond noise; returns its χ².
     pub fn raise(&self, tau_s: f64, sigmas: [&mut f64; OUTPUTS]) -> f64 {
         let chi2 = self.chi2(tau_s);

@@ -7,33 +7,21 @@
 //! the data terms (5), (6) alone.
 
 mod corrected;
+mod inputs;
 mod pass;
 mod result;
 mod setup;
 
-pub(crate) use self::pass::Descent;
-
+use self::inputs::Inputs;
 use self::pass::Pass;
-use crate::impedance_law::AtHarmonic;
 use crate::progress::Log;
 use crate::vi_system::{DataSystem, PhysicsTerm};
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 use crate::{Config, Identified, PinnError};
-
-/// What all passes share.
-struct Inputs<'a> {
-    samples: &'a Normalised,
-    config: &'a Config,
-    system: &'a DataSystem,
-    /// n of the impedance law Z(s) = s L_0 + K s^n.
-    order: f64,
-    /// That law at each physics harmonic.
-    laws: Vec<AtHarmonic>,
-}
 
 /// Identifies R(t) and L(t) of one window.
 pub(crate) fn hybrid(
-    samples: &Normalised,
+    samples: &NormalisedWaveform,
     config: &Config,
     mut log: Log<'_>,
 ) -> Result<Identified, PinnError> {

@@ -8,33 +8,26 @@
 
 use nalgebra::DMatrix;
 
-use super::Inputs;
+use super::inputs::Inputs;
 use crate::harmonic_branch::HarmonicBranch;
 use crate::levenberg_marquardt::{Evaluation, LeastSquares, Prior, minimise};
 use crate::loss::{SlowPhysics, slow_times_s};
 use crate::noise::{noise_variance, white_noise};
+use crate::optimiser::Descent;
 use crate::parameters::Parameters;
 use crate::progress::{Log, StoppedBecause, relative_change};
 use crate::slow_model::SlowModel;
 use crate::vi_system::Impedance;
 use crate::{Optimiser, PinnError, adam};
 
-/// Converged when a pass changes R and L by less than this part of the standard deviation that noise would
-/// leave for a constant load: what is below it is noise.
+/// Convergence limit of a pass: the share of the standard deviation that noise would leave for a constant load. Smaller changes
+/// of R and L are noise.
 const SHARE_OF_NOISE: f64 = 0.1;
 
-/// Where an optimiser ended.
-pub(crate) struct Descent {
-    pub parameters: Parameters,
-    /// |e|² there.
-    pub squares: f64,
-    pub stopped: StoppedBecause,
-}
-
-/// The RL-MLP's problem with one VI branch.
+/// Problem of the RL-MLP with one VI branch.
 pub(super) struct Pass<'a> {
     pub inputs: &'a Inputs<'a>,
-    /// The network at the start of the pass.
+    /// Network at the start of the pass.
     start: Parameters,
     pub model: SlowModel,
     /// Variance of the white noise of the normalised points, (v, i).
@@ -44,7 +37,7 @@ pub(super) struct Pass<'a> {
     pub noise: f64,
     /// L_i1 and L_i2 of the branch, eqs. (5) and (6).
     pub data_losses: (f64, f64),
-    /// The part of `w_f L_f` that the network cannot change.
+    /// Part of `w_f L_f` that the network cannot change.
     pub floor: f64,
     /// Relative change of R and L below which they have converged; 0 never.
     pub tolerance: f64,
@@ -52,7 +45,7 @@ pub(super) struct Pass<'a> {
 }
 
 impl<'a> Pass<'a> {
-    /// `network` is that of the pass before, or an outline without layers, which gets its first weights.
+    /// Creates a pass from the network of the last one, or from an outline without layers, which gets initial weights.
     pub fn new(inputs: &'a Inputs<'a>, branch: &HarmonicBranch, network: Parameters) -> Self {
         let (samples, config) = (inputs.samples, inputs.config);
         let times = slow_times_s(samples.duration_s(), config.slow_points);
@@ -94,7 +87,7 @@ impl<'a> Pass<'a> {
         }
     }
 
-    /// Trains the network until R and L have converged, or a limit of the log.
+    /// Trains the network until R and L have converged, or a limit of the log is reached.
     pub fn train(&self, log: &mut Log<'_>) -> Result<Descent, PinnError> {
         let config = self.inputs.config;
         log.data_loss = config.w_i * (self.data_losses.0 + self.data_losses.1);
@@ -111,19 +104,19 @@ impl<'a> Pass<'a> {
 
     fn levenberg_marquardt(&self, log: &mut Log<'_>) -> Result<Descent, PinnError> {
         let flat = self.start.flat();
-        let found = minimise(self, flat, &self.prior, self.tolerance, log)?;
-        if found.stopped == StoppedBecause::RolledBack {
-            // Only a warm start can be that far off: the constant network is the last good one.
+        let minimum = minimise(self, flat, &self.prior, self.tolerance, log)?;
+        if minimum.stopped == StoppedBecause::RolledBack {
+            // Only a warm start can fail so early: the constant network is the last good one.
             return Ok(Descent {
                 squares: self.evaluate(&self.prior.centre)?.squares(),
                 parameters: self.start.with_flat(&self.prior.centre),
-                stopped: found.stopped,
+                stopped: minimum.stopped,
             });
         }
         Ok(Descent {
-            parameters: self.start.with_flat(&found.theta),
-            squares: found.squares,
-            stopped: found.stopped,
+            parameters: self.start.with_flat(&minimum.theta),
+            squares: minimum.squares,
+            stopped: minimum.stopped,
         })
     }
 
@@ -139,7 +132,7 @@ impl<'a> Pass<'a> {
         both.flat_map(|(r, l)| [r, l]).collect()
     }
 
-    /// R and L of `parameters` at the slow times, as the VI branch wants them.
+    /// R and L of `parameters` at the slow times, normalised for the VI branch.
     pub fn impedances(&self, parameters: &Parameters) -> Vec<Impedance> {
         let samples = self.inputs.samples;
         let scale = samples.impedance_scale();

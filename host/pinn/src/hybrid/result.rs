@@ -1,8 +1,9 @@
 //! The result of the last pass: R(t), L(t) at evenly spaced times, their standard deviations, the losses.
 
-use super::corrected::Corrected;
-use super::pass::{Descent, Pass};
+use super::corrected::CorrectedNetwork;
+use super::pass::Pass;
 use crate::harmonic_branch::HarmonicBranch;
+use crate::optimiser::Descent;
 use crate::progress::Log;
 use crate::result::{Reconstruction, nmse_pct, result_times_s};
 use crate::uncertainty::laplace;
@@ -19,7 +20,7 @@ pub(super) fn assemble(
     let t_s: Vec<f64> = tau_s.iter().map(|tau| samples.t0_s + tau).collect();
     let losses = losses(pass, &descent);
     let parameters = descent.parameters;
-    let corrected = Corrected::new(pass, by_data, &parameters);
+    let corrected = CorrectedNetwork::new(pass, by_data, &parameters);
     let (r_ohm, l_h) = tau_s.iter().map(|tau| corrected.r_l_at(*tau)).unzip();
     let strength = pass.prior.strength;
     let sigmas = laplace(&pass.model, &parameters, pass.noise, strength, &t_s)?;
@@ -55,7 +56,7 @@ pub(super) fn assemble(
     })
 }
 
-/// The terms of eq. (7) where the network ended.
+/// Terms of eq. (7) at the final parameters.
 fn losses(pass: &Pass<'_>, descent: &Descent) -> Losses {
     let config = pass.inputs.config;
     let (l_i1, l_i2) = pass.data_losses;

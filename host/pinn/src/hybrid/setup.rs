@@ -1,27 +1,27 @@
-//! What the first pass starts from: the VI branch's functions, the network's outline, the impedance law.
+//! Setup of the first pass: functions of the VI branch, outline of the network, impedance law.
 
 use std::f64::consts::TAU;
 
 use ihd_spline::{CubicSpline, quiet_interval_s};
 
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
-use crate::impedance_law::{self, AtHarmonic, ImpedanceOrder, Named};
+use crate::impedance_law::{self, AtHarmonic, ImpedanceOrder, NamedOrder};
 use crate::loss::{SlowPhysics, slow_times_s};
 use crate::parameters::Parameters;
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 use crate::{Config, PinnError};
 
-/// Switching periods of a spline's interval that tell the harmonics apart.
+/// Fewest switching periods of a spline's interval, so that the harmonics can be distinguished.
 const LEAST_PERIODS: f64 = 3.0;
 
-/// The VI branch's functions, if the sampling can tell them apart.
+/// Functions of the VI branch; an error if the samples cannot distinguish them.
 pub(super) fn harmonic_basis(
-    samples: &Normalised,
+    samples: &NormalisedWaveform,
     config: &Config,
 ) -> Result<HarmonicBasis, PinnError> {
     let half_cycle_s = 0.5 / samples.f_mains_hz;
     let share = samples.duration_s() / half_cycle_s;
-    // Of a piece between two steps of the load there may be ten periods, three an interval.
+    // A piece between two steps of the load may have ten periods, with three per interval.
     let periods = samples.len() as f64 * samples.omega * samples.dt_s / TAU;
     let least = ((periods / 3.0) as usize).clamp(1, 4);
     let intervals = ((config.spline_intervals as f64 * share).ceil() as usize).max(least);
@@ -36,8 +36,8 @@ pub(super) fn harmonic_basis(
     Ok(basis)
 }
 
-/// Knots denser toward the zero crossings, as far as the measured noise allows.
-fn spline(samples: &Normalised, intervals: usize, config: &Config) -> CubicSpline {
+/// Spline with knots denser toward the zero crossings, as far as the measured noise allows.
+fn spline(samples: &NormalisedWaveform, intervals: usize, config: &Config) -> CubicSpline {
     let duration_s = samples.duration_s();
     let half_cycle_s = 0.5 / samples.f_mains_hz;
     let noise = config.noise.unwrap_or([f64::INFINITY; 2]);
@@ -54,8 +54,8 @@ fn spline(samples: &Normalised, intervals: usize, config: &Config) -> CubicSplin
     CubicSpline::graded(intervals, duration_s, quiet_s.fold(least_s, f64::max))
 }
 
-/// Two samples a period of the highest harmonic, at least.
-fn check_rate(samples: &Normalised, config: &Config) -> Result<(), PinnError> {
+/// Checks for at least two samples per period of the highest harmonic.
+fn check_rate(samples: &NormalisedWaveform, config: &Config) -> Result<(), PinnError> {
     let (f_sw_hz, f_adc_hz) = (samples.omega / TAU, 1.0 / samples.dt_s);
     let harmonic = config.harmonics.iter().copied().max().unwrap_or(1);
     let needed_hz = 2.0 * f64::from(harmonic) * f_sw_hz;
@@ -70,9 +70,9 @@ fn check_rate(samples: &Normalised, config: &Config) -> Result<(), PinnError> {
     })
 }
 
-/// Points enough for the unknowns, in the whole and within each spline interval.
+/// Checks for enough points, in total and within each spline interval.
 fn check_length(
-    samples: &Normalised,
+    samples: &NormalisedWaveform,
     basis: &HarmonicBasis,
     intervals: usize,
 ) -> Result<(), PinnError> {
@@ -92,10 +92,10 @@ fn check_length(
     Ok(())
 }
 
-/// The parameters to start from, or the network's scales with no layers yet.
-pub(super) fn network_outline(samples: &Normalised, config: &Config) -> Parameters {
+/// Start parameters, or the network's scales without layers.
+pub(super) fn network_outline(samples: &NormalisedWaveform, config: &Config) -> Parameters {
     match &config.start {
-        // The window at hand has the last word on the mains frequency.
+        // The mains frequency is always that of the present window.
         Some(start) => Parameters {
             f_mains_hz: samples.f_mains_hz,
             ..start.clone()
@@ -112,7 +112,7 @@ pub(super) fn network_outline(samples: &Normalised, config: &Config) -> Paramete
     }
 }
 
-/// The law of this order at the physics harmonics.
+/// Impedance law of this order at the physics harmonics.
 pub(super) fn laws(order: f64, basis: &HarmonicBasis, config: &Config) -> Vec<AtHarmonic> {
     let covered = |h: &u32| config.physics_harmonics.contains(h);
     let all = basis.harmonics.iter().enumerate();
@@ -121,17 +121,17 @@ pub(super) fn laws(order: f64, basis: &HarmonicBasis, config: &Config) -> Vec<At
         .collect()
 }
 
-/// The order as given, or the one with which R and L of each slow time leave least of the physics
+/// Order as given, or the order with which R and L of each slow time leave least of the physics
 /// term, before any network.
 pub(super) fn impedance_order(
     branch: &HarmonicBranch,
-    samples: &Normalised,
+    samples: &NormalisedWaveform,
     parameters: &Parameters,
     config: &Config,
 ) -> f64 {
     match config.impedance_order {
         ImpedanceOrder::Given(order) => return order,
-        ImpedanceOrder::Named(Named::Identified) => {}
+        ImpedanceOrder::Named(NamedOrder::Identified) => {}
     }
     let misfit = |order: f64| {
         let times = slow_times_s(samples.duration_s(), config.slow_points);

@@ -3,20 +3,12 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::{Point, Prior};
+use super::problem::Prior;
 use crate::normal_matrix::{Factor, gram, times, transposed_times};
 
-impl Prior {
-    /// θ − c.
-    pub(super) fn distance(&self, theta: &[f64]) -> DVector<f64> {
-        let differences = theta.iter().zip(&self.centre).map(|(x, c)| x - c);
-        DVector::from_iterator(theta.len(), differences)
-    }
-}
-
-/// The residuals around one point, `e + J d`, and the prior's pull.
-pub(super) struct Linearised {
-    /// J, a row a residual.
+/// Linearised residuals around one point, `e + J d`, with the prior.
+pub(super) struct LinearModel {
+    /// J, one row per residual.
     jacobian: DMatrix<f64>,
     /// Half the gradient of F: `Jᵀe + s (θ − c)`.
     gradient: DVector<f64>,
@@ -28,11 +20,11 @@ pub(super) struct Linearised {
     pub scale: f64,
 }
 
-impl Linearised {
-    /// Around `at`, with J there.
-    pub fn new(jacobian: DMatrix<f64>, at: &Point, prior: &Prior) -> Self {
-        let pull = prior.distance(&at.theta) * prior.strength;
-        let gradient = transposed_times(&jacobian, &at.value.residuals) + pull;
+impl LinearModel {
+    /// Linearises around `theta`, where the residuals and their Jacobian are known.
+    pub fn new(jacobian: DMatrix<f64>, theta: &[f64], residuals: &[f64], prior: &Prior) -> Self {
+        let pull = prior.distance(theta) * prior.strength;
+        let gradient = transposed_times(&jacobian, residuals) + pull;
         let wide = jacobian.ncols() > jacobian.nrows();
         let product = if wide {
             gram(&jacobian.transpose())
@@ -50,12 +42,12 @@ impl Linearised {
         }
     }
 
-    /// The model with a damping of `mu`, or nothing if rounding forbids it.
-    pub fn damped(&self, mu: f64) -> Option<Damped<'_>> {
+    /// Adds a damping of `mu`; `None` if rounding makes the matrix indefinite.
+    pub fn damped(&self, mu: f64) -> Option<DampedModel<'_>> {
         let ridge = self.strength + mu;
         let factor = Factor::new(&self.product, ridge)?;
         let model = self;
-        Some(Damped {
+        Some(DampedModel {
             model,
             factor,
             ridge,
@@ -69,20 +61,20 @@ impl Linearised {
 }
 
 /// JᵀJ + (s + µ) I, factorised.
-pub(super) struct Damped<'a> {
-    model: &'a Linearised,
+pub(super) struct DampedModel<'a> {
+    model: &'a LinearModel,
     factor: Factor,
     ridge: f64,
 }
 
-impl Damped<'_> {
-    /// The step.
+impl DampedModel<'_> {
+    /// Step of the damped model.
     pub fn step(&self) -> DVector<f64> {
         self.against(&self.model.gradient)
     }
 
-    /// Second order of the step: with residuals that bend by `bend` along it, d²e/dx² for θ + x d, what has to be
-    /// added to keep to the path of steepest descent (Transtrum and Sethna 2012, arXiv:1201.5885, eq. (9)).
+    /// Second order of the step: for residuals with the second derivative `bend` along it, d²e/dx² for θ + x d, the change
+    /// that keeps to the path of steepest descent (Transtrum and Sethna 2012, arXiv:1201.5885, eq. (9)).
     pub fn acceleration(&self, bend: &[f64]) -> DVector<f64> {
         self.against(&transposed_times(&self.model.jacobian, bend))
     }

@@ -7,71 +7,32 @@
 //! and Tingleff, Methods for Non-Linear Least Squares Problems, 2004, section 3.2).
 
 mod linearised;
+mod problem;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
-use self::linearised::{Damped, Linearised};
+use self::linearised::{DampedModel, LinearModel};
+pub(crate) use self::problem::{Evaluation, LeastSquares, Prior};
 use crate::progress::{Log, Settling, StoppedBecause};
 
-/// First damping, compared with the largest diagonal entry of JᵀJ.
+/// Initial damping relative to the largest diagonal entry of JᵀJ.
 const FIRST_DAMPING: f64 = 1e-3;
-/// Last damping tried, compared with the same entry: a step damped so is below rounding.
+/// Largest damping relative to the same entry: a step damped so much is below rounding.
 const LAST_DAMPING: f64 = 1e12;
-/// Share of a step after which the bend of the residuals is looked at: long enough to be above rounding.
+/// Share of a step at which the second derivative of the residuals is computed: long enough to be above rounding.
 const PROBE: f64 = 0.1;
-/// Largest second order of a step compared with it (Transtrum and Sethna's α).
+/// Largest second order of a step relative to it (Transtrum and Sethna's α).
 const MOST_BENT: f64 = 0.75;
 /// Steps over which the outputs' change is compared with the tolerance.
 const SETTLING_STEPS: usize = 5;
 
-/// A sum of squares to minimise.
-pub(crate) trait LeastSquares {
-    /// Why it cannot be computed.
-    type Error;
-
-    /// The residuals and outputs at these parameters; numbers that are not finite only shorten the step.
-    fn evaluate(&self, theta: &[f64]) -> Result<Evaluation, Self::Error>;
-
-    /// ∂e/∂θ at these parameters, a row a residual.
-    fn jacobian(&self, theta: &[f64]) -> Result<DMatrix<f64>, Self::Error>;
-}
-
-/// A problem at one set of parameters.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Evaluation {
-    /// e.
-    pub residuals: Vec<f64>,
-    /// What must converge: R, L alternating, in units of their scales.
-    pub outputs: Vec<f64>,
-}
-
-impl Evaluation {
-    /// |e|².
-    pub fn squares(&self) -> f64 {
-        self.residuals.iter().map(|e| e * e).sum()
-    }
-}
-
-/// What is expected of the parameters before any sample is seen.
-///
-/// With a strength of (variance of a residual) / (variance of a parameter) the minimum is the most probable
-/// set of parameters for normal noise and normal parameters. Without noise the strength vanishes and the
-/// residuals alone decide; with noise it keeps R and L from following it where the current is small.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Prior {
-    /// s.
-    pub strength: f64,
-    /// c, as long as θ.
-    pub centre: Vec<f64>,
-}
-
-/// Where the search ended.
+/// Result of the search.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Minimum {
     pub theta: Vec<f64>,
-    /// |e|² there, without the prior.
+    /// |e|² at `theta`, without the prior.
     pub squares: f64,
     /// [`StoppedBecause::Settled`]: the outputs' mean relative change over [`SETTLING_STEPS`] steps is below
     /// the tolerance. [`StoppedBecause::NoDescent`]: no damping up to [`LAST_DAMPING`] gives a smaller F.
@@ -100,7 +61,12 @@ pub(crate) fn minimise<P: LeastSquares>(
         if let Some(limit) = log.exhausted() {
             return Ok(at.ends(limit));
         }
-        let model = Linearised::new(problem.jacobian(&at.theta)?, &at, prior);
+        let model = LinearModel::new(
+            problem.jacobian(&at.theta)?,
+            &at.theta,
+            &at.value.residuals,
+            prior,
+        );
         let Some(next) = damping.search(problem, prior, &at, &model)? else {
             return Ok(at.ends(StoppedBecause::NoDescent));
         };
@@ -113,7 +79,7 @@ pub(crate) fn minimise<P: LeastSquares>(
     }
 }
 
-/// One set of parameters and what it gives.
+/// Set of parameters with its residuals and cost.
 struct Point {
     theta: Vec<f64>,
     value: Evaluation,
@@ -147,7 +113,7 @@ impl Point {
     }
 }
 
-/// µ and how fast it grows. Nielsen's rule: the ratio of actual to predicted descent sets µ, so that it moves
+/// µ and its growth. Nielsen's rule: the ratio of actual to predicted descent sets µ, which therefore changes
 /// smoothly instead of by factors of ten.
 struct Damping {
     mu: Option<f64>,
@@ -164,23 +130,23 @@ impl Default for Damping {
 }
 
 impl Damping {
-    /// Damps more and more until a step descends; nothing if none does.
+    /// Increases the damping until a step descends; `None` if none does.
     fn search<P: LeastSquares>(
         &mut self,
         problem: &P,
         prior: &Prior,
         at: &Point,
-        model: &Linearised,
+        model: &LinearModel,
     ) -> Result<Option<Point>, P::Error> {
         let mut mu = self.mu.unwrap_or(FIRST_DAMPING * model.scale);
         while mu < LAST_DAMPING * model.scale {
-            // No step: JᵀJ + µI lost its definiteness to rounding.
+            // No step if JᵀJ + µI lost its definiteness to rounding.
             if let Some(damped) = model.damped(mu) {
                 let step = damped.step();
                 let path = bent(problem, at, &damped, &step)?;
                 let next = Point::new(problem, prior, at.moved(&path, 1.0))?;
                 let gain = (at.cost - next.cost) / model.predicted_descent(&step, mu);
-                // A NaN or infinite cost fails this too, and so is never accepted.
+                // The comparison is false for a NaN cost, which is therefore never accepted.
                 if gain > 0.0 && next.cost < at.cost {
                     self.mu = Some(mu * (1.0 - (2.0 * gain - 1.0).powi(3)).max(1.0 / 3.0));
                     self.growth = 2.0;
@@ -194,11 +160,11 @@ impl Damping {
     }
 }
 
-/// The step with its second order, where that is small against it: else neither holds that far.
+/// Step with its second order if that is small relative to it; else the expansion does not hold so far.
 fn bent<P: LeastSquares>(
     problem: &P,
     at: &Point,
-    damped: &Damped<'_>,
+    damped: &DampedModel<'_>,
     step: &DVector<f64>,
 ) -> Result<DVector<f64>, P::Error> {
     let ahead = problem.evaluate(&at.moved(step, PROBE))?.residuals;
@@ -210,7 +176,7 @@ fn bent<P: LeastSquares>(
         .map(|(ahead, (here, slope))| 2.0 / PROBE * ((ahead - here) / PROBE - slope))
         .collect();
     let acceleration = damped.acceleration(&bend);
-    // A NaN fails this too.
+    // The comparison is false for NaN.
     if 2.0 * acceleration.norm() <= MOST_BENT * step.norm() {
         return Ok(step + acceleration * 0.5);
     }

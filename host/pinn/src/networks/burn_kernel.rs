@@ -21,7 +21,7 @@ struct Networks {
     rl: Vec<Dense>,
 }
 
-/// The points of a batch as tensors, a row a point.
+/// Points of a batch as tensors, one row per point.
 #[derive(Debug, Clone)]
 struct Batch {
     fast: Tensor<2>,
@@ -31,7 +31,7 @@ struct Batch {
     i: Tensor<2>,
 }
 
-/// Outputs of both networks and the tangent of i, a column each.
+/// Outputs of both networks and the tangent of i, one column each.
 struct Outputs {
     v: Tensor<2>,
     i: Tensor<2>,
@@ -45,12 +45,12 @@ pub(crate) struct Burn {
     backend: Backend,
     device: Device,
     dtype: DType,
-    /// The last batch: with full batches, every one.
+    /// Last batch; with full batches, the only one.
     batch: Option<(Range<usize>, Batch)>,
 }
 
 impl Burn {
-    /// In single precision on `device`, which stands for `backend`.
+    /// Creates the kernel in single precision on `device`, which belongs to `backend`.
     pub fn new(backend: Backend, device: Device) -> Self {
         Self {
             backend,
@@ -60,7 +60,7 @@ impl Burn {
         }
     }
 
-    /// The same in double precision.
+    /// Creates the kernel in double precision.
     #[cfg(test)]
     pub fn double(backend: Backend, device: Device) -> Self {
         Self {
@@ -178,15 +178,15 @@ impl Kernel for Burn {
         let l_i2 = mean(outputs.i - batch.i);
         let data = l_i1.clone() + l_i2.clone();
         let total = l_f.clone() * weights.w_f + data * weights.w_i;
-        let found = total.backward();
+        let gradients = total.backward();
         let layers = networks.vi.iter().chain(&networks.rl);
         for (place, layer) in problem.shape.layers().zip(layers) {
             // A parameter that the loss does not depend on has no gradient: zero.
             gradient[place.weights.start..place.biases.end].fill(0.0);
-            if let Some(by_weight) = layer.weight.grad(&found) {
+            if let Some(by_weight) = layer.weight.grad(&gradients) {
                 gradient[place.weights.clone()].copy_from_slice(&self.read(by_weight)?);
             }
-            if let Some(by_bias) = layer.bias.grad(&found) {
+            if let Some(by_bias) = layer.bias.grad(&gradients) {
                 gradient[place.biases.clone()].copy_from_slice(&self.read(by_bias)?);
             }
         }

@@ -1,4 +1,4 @@
-//! Training state as a burnpack file, from which a training goes on exactly as if never stopped.
+//! Training state as a burnpack file, from which a training continues as if it had not stopped.
 
 use std::path::Path;
 
@@ -6,10 +6,10 @@ use burn_pack::{Bytes, DType, Reader, Tensor, Writer};
 
 use crate::adam::Adam;
 use crate::progress::Progress;
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 use crate::{Config, PinnError, ViMlp};
 
-/// Everything that the next epoch depends on, and what was recorded so far.
+/// State that the next epoch depends on, with the history so far.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct State {
     pub epoch: usize,
@@ -21,35 +21,40 @@ pub(crate) struct State {
     /// Factor on the learning rate: halved by every rollback.
     pub rate_factor: f64,
     pub rollbacks: u32,
-    /// Weight of the physics term: loss balancing moves it.
+    /// Weight of the physics term, which loss balancing changes.
     pub w_f: f64,
-    /// R, L at the slow times of the last looks, oldest first.
+    /// R, L at the slow times of the last checks, oldest first.
     pub past: Vec<Vec<f64>>,
     pub history: Vec<Progress>,
 }
 
-/// Name under which the fingerprint of window and configuration is kept.
+/// Name of the fingerprint of window and configuration in the file.
 const FINGERPRINT: &str = "ihd-fingerprint";
 
 /// Columns of a history row.
 const HISTORY_WIDTH: usize = 9;
 
-/// Where a training is kept, if anywhere.
+/// File of a training; without a path nothing is stored.
 pub(crate) struct Checkpoint<'a> {
     path: Option<&'a Path>,
     fingerprint: String,
 }
 
 impl<'a> Checkpoint<'a> {
-    /// Of a training on this window with this configuration.
-    pub fn new(path: Option<&'a Path>, samples: &Normalised, config: &Config, vi: &ViMlp) -> Self {
+    /// Creates the checkpoint of a training on this window with this configuration.
+    pub fn new(
+        path: Option<&'a Path>,
+        samples: &NormalisedWaveform,
+        config: &Config,
+        vi: &ViMlp,
+    ) -> Self {
         Self {
             path,
             fingerprint: fingerprint(samples, config, vi),
         }
     }
 
-    /// The state in the file, or `first` where there is no file.
+    /// Reads the state from the file; returns `first` if there is no file.
     ///
     /// # Errors
     /// [`PinnError::Checkpoint`] for a file of another window or configuration, or a damaged one.
@@ -72,7 +77,7 @@ impl<'a> Checkpoint<'a> {
         Err(broken(path, &partial))
     }
 
-    /// Writes the state; a crash on the way leaves the old file.
+    /// Writes the state; after a crash meanwhile the old file is intact.
     pub fn save(&self, state: impl FnOnce() -> State) -> Result<(), PinnError> {
         let Some(path) = self.path else {
             return Ok(());
@@ -105,11 +110,11 @@ impl<'a> Checkpoint<'a> {
     }
 }
 
-/// Differs for every window and configuration, so that no checkpoint is mistaken.
-fn fingerprint(samples: &Normalised, config: &Config, vi: &ViMlp) -> String {
+/// Fingerprint of window and configuration, which protects against a wrong checkpoint.
+fn fingerprint(samples: &NormalisedWaveform, config: &Config, vi: &ViMlp) -> String {
     let crc = crc::Crc::<u64>::new(&crc::CRC_64_XZ);
     let mut digest = crc.digest();
-    // Limits may change between two sittings; nothing else.
+    // Only limits may change when a training continues.
     let settings = Config {
         // A rate that falls over all epochs depends on their number.
         max_iterations: match vi.last_rate {
@@ -132,7 +137,7 @@ fn fingerprint(samples: &Normalised, config: &Config, vi: &ViMlp) -> String {
     format!("{:016x}", digest.finalize())
 }
 
-/// All tensors of the file, if it is one of this fingerprint.
+/// All tensors of the file; an error if its fingerprint differs.
 fn tensors(path: &Path, fingerprint: &str) -> Result<Vec<Tensor>, PinnError> {
     let reader = Reader::from_file(path).map_err(|e| broken(path, &e))?;
     if reader.metadata().get(FINGERPRINT).map(String::as_str) != Some(fingerprint) {
@@ -142,12 +147,12 @@ fn tensors(path: &Path, fingerprint: &str) -> Result<Vec<Tensor>, PinnError> {
     reader.into_tensors().map_err(|e| broken(path, &e))
 }
 
-/// The state that the tensors hold; Adam's constants are those of `like`.
+/// State in the tensors; Adam's constants are those of `like`.
 fn restored(path: &Path, tensors: &[Tensor], like: &State) -> Result<State, PinnError> {
     let values = |name: &str| -> Result<Vec<f64>, PinnError> {
-        let found = tensors.iter().find(|t| t.name == name);
-        let found = found.ok_or_else(|| broken(path, &format!("has no tensor {name}")))?;
-        let bytes = found.to_bytes().map_err(|e| broken(path, &e))?;
+        let tensor = tensors.iter().find(|t| t.name == name);
+        let tensor = tensor.ok_or_else(|| broken(path, &format!("has no tensor {name}")))?;
+        let bytes = tensor.to_bytes().map_err(|e| broken(path, &e))?;
         let (chunks, _) = bytes.as_chunks::<8>();
         Ok(chunks.iter().map(|c| f64::from_le_bytes(*c)).collect())
     };

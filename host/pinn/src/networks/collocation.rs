@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 use crate::{SlowEmbedding, ViMlp};
 
 /// All collocation points of a window, one row each.
@@ -16,11 +16,11 @@ use crate::{SlowEmbedding, ViMlp};
 /// values are: `d/dt = omega d/dtheta`.
 #[derive(Debug, Clone)]
 pub(crate) struct Collocation {
-    /// Inputs of the VI-MLP and their derivatives, `fast_width` a row.
+    /// Inputs of the VI-MLP and their derivatives, `fast_width` per row.
     pub fast: Vec<f32>,
     pub fast_rate: Vec<f32>,
     pub fast_width: usize,
-    /// Inputs of the RL-MLP, `slow_width` a row.
+    /// Inputs of the RL-MLP, `slow_width` per row.
     pub slow: Vec<f32>,
     pub slow_width: usize,
     /// Normalised samples.
@@ -40,9 +40,9 @@ pub(crate) struct Impedances {
 }
 
 impl Collocation {
-    /// Every `vi.downsampling`-th sample, in an order shuffled by `seed` if minibatches are asked
-    /// for: each stretch of the list is then a random subset.
-    pub fn new(samples: &Normalised, vi: &ViMlp, slow: &SlowEmbedding, seed: u64) -> Self {
+    /// Takes every `vi.downsampling`-th sample, in an order shuffled by `seed` if there are minibatches:
+    /// each stretch of the list is then a random subset.
+    pub fn new(samples: &NormalisedWaveform, vi: &ViMlp, slow: &SlowEmbedding, seed: u64) -> Self {
         let mut sample: Vec<usize> = (0..samples.len()).step_by(vi.downsampling).collect();
         if vi.minibatch.is_some() {
             sample.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
@@ -64,7 +64,7 @@ impl Collocation {
         points
     }
 
-    fn push(&mut self, samples: &Normalised, vi: &ViMlp, slow: &SlowEmbedding, n: usize) {
+    fn push(&mut self, samples: &NormalisedWaveform, vi: &ViMlp, slow: &SlowEmbedding, n: usize) {
         let t_s = samples.t0_s + n as f64 * samples.dt_s;
         let single = |x: &f64| *x as f32;
         let (values, rates) = vi.features(t_s, samples.omega / TAU, samples.f_mains_hz);

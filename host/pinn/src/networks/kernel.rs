@@ -1,4 +1,4 @@
-//! What computes eq. (7) and its gradient: the fused kernel, or burn on one of its backends.
+//! Interface of the kernels that compute eq. (7) and its gradient: the fused one, or burn on one of its backends.
 
 use std::ops::Range;
 
@@ -9,13 +9,13 @@ use crate::PinnError;
 /// Weights of eq. (7).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Weights {
-    /// Of the physics term.
+    /// Weight of the physics term.
     pub w_f: f32,
-    /// Of each data term.
+    /// Weight of each data term.
     pub w_i: f32,
 }
 
-/// Means over the points of a batch: eqs. (4), (5), (6).
+/// Terms of the loss as means over the points of a batch: eqs. (4), (5), (6).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Terms {
     pub l_f: f64,
@@ -24,13 +24,13 @@ pub(crate) struct Terms {
 }
 
 impl Terms {
-    /// Eq. (7).
+    /// Total loss, eq. (7).
     pub fn total(&self, weights: Weights) -> f64 {
         f64::from(weights.w_f) * self.l_f + f64::from(weights.w_i) * (self.l_i1 + self.l_i2)
     }
 }
 
-/// What stays the same through a training.
+/// Inputs that stay the same during a training.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Problem<'a> {
     pub shape: &'a Shape,
@@ -38,7 +38,7 @@ pub(crate) struct Problem<'a> {
     pub impedances: Impedances,
 }
 
-/// Computes the loss.
+/// Kernel that computes the loss.
 pub(crate) trait Kernel {
     /// Terms of the loss over the points of `batch`, and the gradient of eq. (7) by `theta`,
     /// written to `gradient`.

@@ -17,7 +17,7 @@ pub(crate) struct LayerPlace {
     pub biases: Range<usize>,
 }
 
-/// Where the layers of VI-MLP and RL-MLP lie, in this order.
+/// Positions of the layers of VI-MLP and RL-MLP, in this order, in the flat vector.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Shape {
     pub vi: Vec<LayerPlace>,
@@ -27,7 +27,7 @@ pub(crate) struct Shape {
 }
 
 impl Shape {
-    /// Both networks have two outputs: v, i and R, L.
+    /// Creates the shape; both networks have two outputs: v, i and R, L.
     pub fn new(vi: (usize, &[usize]), rl: (usize, &[usize])) -> Self {
         let mut len = 0;
         let mut place = |(mut inputs, hidden): (usize, &[usize])| {
@@ -83,7 +83,7 @@ impl Shape {
         places.iter().map(layer).collect()
     }
 
-    /// Writes `layers` to `places`; those of another shape are refused with `false`.
+    /// Writes `layers` to `places`; returns `false` if their shapes differ.
     pub fn insert(places: &[LayerPlace], layers: &[Layer], theta: &mut [f32]) -> bool {
         let fits = |(p, l): (&LayerPlace, &Layer)| {
             (p.inputs, p.outputs) == (l.inputs, l.outputs)

@@ -18,26 +18,26 @@ use crate::loss::slow_times_s;
 use crate::parameters::Parameters;
 use crate::progress::{Log, Settling, StoppedBecause};
 use crate::result::assemble_networks;
-use crate::waveform::Normalised;
+use crate::waveform::NormalisedWaveform;
 use crate::{Config, Identified, Losses, PinnError, ViMlp};
 
-/// Epochs between two looks at R and L.
-const LOOK_EVERY: usize = 10;
-/// Looks over which the change of R and L is compared with the tolerance: 200 epochs.
-const SETTLING_LOOKS: usize = 20;
+/// Epochs between two checks of R and L.
+const CHECK_EVERY: usize = 10;
+/// Checks over which the change of R and L is compared with the tolerance: 200 epochs.
+const SETTLING_CHECKS: usize = 20;
 /// Epochs between two checkpoints.
 const CHECKPOINT_EVERY: usize = 100;
-/// Rollbacks after which a training is given up.
+/// Most rollbacks of a training.
 const MAX_ROLLBACKS: u32 = 5;
 /// Adam's epsilon: PyTorch's default, which the paper used.
 const EPSILON: f64 = 1e-8;
-/// How far one balancing step moves the physics term's weight towards its goal (Wang et al. 2021).
+/// Share by which one balancing step moves the physics term's weight towards its goal (Wang et al. 2021).
 const BALANCE_STEP: f64 = 0.1;
 
-/// Identifies R(t) and L(t) with the paper's two networks; goes on from `checkpoint` where there is
-/// one, and keeps it up to date.
+/// Identifies R(t) and L(t) with the paper's two networks; continues from `checkpoint` if it exists, and keeps it up to
+/// date.
 pub(crate) fn identify(
-    samples: &Normalised,
+    samples: &NormalisedWaveform,
     config: &Config,
     vi: &ViMlp,
     checkpoint: Option<&Path>,
@@ -58,7 +58,7 @@ pub(crate) fn identify(
     log.resume(&mut state.history);
     log.pass = 1;
     let mut training = Training {
-        settling: Settling::from_past(SETTLING_LOOKS, std::mem::take(&mut state.past)),
+        settling: Settling::from_past(SETTLING_CHECKS, std::mem::take(&mut state.past)),
         tau_s: slow_times_s(samples.duration_s(), config.slow_points),
         samples,
         config,
@@ -76,7 +76,7 @@ pub(crate) fn identify(
 }
 
 /// R and ω L of outputs 1, normalised.
-fn impedances(samples: &Normalised, config: &Config) -> Impedances {
+fn impedances(samples: &NormalisedWaveform, config: &Config) -> Impedances {
     let scale = samples.impedance_scale();
     Impedances {
         r: (config.r_scale_ohm * scale) as f32,
@@ -84,7 +84,7 @@ fn impedances(samples: &Normalised, config: &Config) -> Impedances {
     }
 }
 
-/// Fresh weights from the seed, or those of the warm start.
+/// Initial weights from the seed, or those of the warm start.
 fn first_state(shape: &Shape, config: &Config) -> Result<State, PinnError> {
     let mut theta = shape.xavier(config.seed);
     if let Some(start) = &config.start {
@@ -113,9 +113,9 @@ fn first_state(shape: &Shape, config: &Config) -> Result<State, PinnError> {
     })
 }
 
-/// A training under way.
+/// Running training.
 struct Training<'a> {
-    samples: &'a Normalised,
+    samples: &'a NormalisedWaveform,
     config: &'a Config,
     vi: &'a ViMlp,
     problem: Problem<'a>,
@@ -127,7 +127,7 @@ struct Training<'a> {
 }
 
 impl Training<'_> {
-    /// Epochs until one gives a reason to stop, or a limit of the log; kept at the end as well.
+    /// Runs epochs until one gives a reason to stop, or a limit of the log is reached; writes the checkpoint at the end, too.
     fn run(
         &mut self,
         file: &Checkpoint<'_>,
@@ -148,7 +148,7 @@ impl Training<'_> {
         Ok(stopped)
     }
 
-    /// One epoch: all batches once; the reason to stop if there is one.
+    /// Runs one epoch over all batches; returns the reason to stop if there is one.
     fn epoch(&mut self, log: &mut Log<'_>) -> Result<Option<StoppedBecause>, PinnError> {
         let before = (self.state.theta.clone(), self.state.adam.clone());
         self.balance()?;
@@ -163,27 +163,27 @@ impl Training<'_> {
             return Ok(given_up.then_some(StoppedBecause::RolledBack));
         }
         if loss < self.state.best_loss {
-            // The loss is that before the step.
+            // This is the loss before the step.
             self.state.best_loss = loss;
             self.state.best = before.0;
         }
         self.state.epoch += 1;
         let outputs = self.outputs(&self.state.theta);
         let mut change = log.history.last().map_or(f64::INFINITY, |p| p.change);
-        if self.state.epoch.is_multiple_of(LOOK_EVERY) {
+        if self.state.epoch.is_multiple_of(CHECK_EVERY) {
             change = self.settling.change(outputs.clone());
         }
         log.record_terms(terms.l_f, terms.l_i1 + terms.l_i2, change, &outputs);
         Ok((change < self.config.tolerance).then_some(StoppedBecause::Settled))
     }
 
-    /// A gradient step per batch; the terms are their means before each step.
+    /// Runs a gradient step per batch; the terms are means of those before each step.
     fn all_batches(&mut self) -> Result<Terms, PinnError> {
         let count = self.problem.points.len();
         let size = self.vi.minibatch.unwrap_or(count).clamp(1, count.max(1));
         let mut starts: Vec<usize> = (0..count).step_by(size).collect();
         if starts.len() > 1 {
-            // Seeded by the epoch, so that a resumed training sees the same order.
+            // The seed contains the epoch, so that a continued training has the same order.
             let seed = self.config.seed ^ (self.state.epoch as u64).rotate_left(32);
             starts.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
         }
@@ -212,7 +212,7 @@ impl Training<'_> {
             .loss(&self.problem, &theta, batch, weights, &mut self.gradient)
     }
 
-    /// Falls geometrically from the first epoch to the last.
+    /// Learning rate, which falls geometrically from the first epoch to the last.
     fn learning_rate(&self) -> f64 {
         let progress = self.state.epoch as f64 / self.config.max_iterations as f64;
         self.config.learning_rate * self.state.rate_factor * self.vi.last_rate.powf(progress)
@@ -225,7 +225,7 @@ impl Training<'_> {
         }
     }
 
-    /// Moves w_f towards the ratio of the data terms' gradient to the physics term's, by length
+    /// Moves w_f towards the ratio of the lengths of the data terms' gradient and the physics term's
     /// (after Wang, Teng and Perdikaris 2021).
     fn balance(&mut self) -> Result<(), PinnError> {
         let every = self.vi.balance_every;
@@ -281,7 +281,7 @@ impl Training<'_> {
         }
     }
 
-    /// The result: the parameters of the least loss.
+    /// Result of the training: the parameters of the least loss.
     fn finish(mut self, stopped: StoppedBecause, log: Log<'_>) -> Result<Identified, PinnError> {
         self.state.theta = self.state.best.clone();
         let all = 0..self.problem.points.len();

@@ -1,4 +1,4 @@
-//! What only the whole crate shows, in one binary: errors against an exact load, trainings that stop
+//! Tests of the whole crate in one binary: errors against an exact load, trainings that stop
 //! and go on, presets by name, and what is refused.
 
 mod identify;

@@ -11,7 +11,7 @@ fn repaired(change: impl FnOnce(&mut ViMlp)) -> Config {
     config
 }
 
-/// What each ablation is, written in Rust: their digits are in docs/pinn.md.
+/// Settings of each ablation, written in Rust: their digits are in docs/pinn.md.
 fn ablations() -> [(&'static str, Config); 8] {
     let hybrid = Config::default;
     [

@@ -1,4 +1,4 @@
-//! What `identify` refuses, and whether it says what, where and what to do.
+//! Errors of `identify`: each says what is wrong, where, and what to do.
 
 use crate::truth::{Hob, Recording};
 use ihd_pinn::{Backend, Config, Optimiser, PinnError, Waveform, identify};

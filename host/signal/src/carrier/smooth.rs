@@ -1,6 +1,6 @@
-//! Whittaker's smoother: the sequence that is near to values where they are worth something, and bends little.
+//! Whittaker's smoother: a smooth sequence close to weighted values.
 
-/// Minimises Σ w·(f − y)² + stiffness·Σ (second difference of f)². Where nothing has weight it is a straight line.
+/// Minimises Σ w·(f − y)² + stiffness·Σ (second difference of f)²; a straight line wherever the weights are zero.
 pub(super) fn whittaker(y: &[f64], weight: &[f64], stiffness: f64) -> Vec<f64> {
     let n = y.len();
     if n < 3 {
@@ -9,7 +9,7 @@ pub(super) fn whittaker(y: &[f64], weight: &[f64], stiffness: f64) -> Vec<f64> {
     // Lower band of the matrix: the diagonal and two below it.
     let mut band = vec![[0.0; 3]; n];
     let mut x: Vec<f64> = y.iter().zip(weight).map(|(y, w)| y * w).collect();
-    // So little that it decides only where nothing else does.
+    // Small enough to matter only where all weights are zero.
     let least = 1e-12 * stiffness.max(1.0);
     for (row, w) in band.iter_mut().zip(weight) {
         row[0] = w + least;

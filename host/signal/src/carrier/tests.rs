@@ -5,6 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::*;
+use crate::warp::Warp;
 
 /// 290 V and 42 A under a mains envelope of 50 Hz, the current half a radian late, with a third harmonic.
 fn swept(rate_hz: f64, f: impl Fn(f64) -> f64, snr_db: Option<f64>) -> Segment {

@@ -1,44 +1,42 @@
 //! The half-bridge's output node: gates, dead time, edges.
 
 use super::InverterError;
-use super::node::{Commutations, Gate};
+use super::node::{Commutations, GateTimes, SwitchNode};
 
-/// How the node moves.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Edge {
-    /// Linearly, in this time in seconds whatever the current.
+/// Motion of the node.
+#[derive(Clone, Debug, PartialEq)]
+enum Edge {
+    /// Linear, with this duration in seconds, independent of the current.
     Fixed(f64),
-    /// By the current into this capacitance in farad, see [`super::node`].
-    Node(f64),
+    /// By the current into the node's capacitance.
+    Node(SwitchNode),
 }
 
-/// Node voltage as a share of the bus, 0 to 1.
+/// Half-bridge; its level is the node voltage as a share of the bus, 0 to 1.
 ///
-/// In a period of T: upper gate on from the dead time to duty · T, lower gate from duty · T + dead
-/// time to T; the duty is one half unless set. With both off, the coil current moves the node: out of the node (positive) pulls it to 0,
-/// into it lifts it to 1; without current it stays until the next gate switches hard. Either every
-/// move is a linear edge of a given duration (paper: 0.2 µs), and a current too small to finish its edge
+/// In a period T the upper gate is on from the dead time to duty · T, the lower gate from duty · T + dead time to T; the duty is
+/// one half unless set. With both off, the coil current moves the node: out of the node (positive) it pulls to 0, into the node it
+/// lifts to 1. Without current the node stays until the next gate switches hard.
+///
+/// There are two models of an edge. Either it is linear with a given duration (paper: 0.2 µs), and a current too small to finish it
 /// within the dead time is not modelled; or the current charges the node's capacitance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HalfBridge {
-    pub(super) dead_s: f64,
-    pub(super) duty: f64,
-    pub(super) edge: Edge,
-    pub(super) level: f64,
-    /// Only kept with a node capacitance.
-    pub(super) gate: Option<Gate>,
-    pub(super) commutations: Commutations,
+    dead_s: f64,
+    duty: f64,
+    edge: Edge,
+    level: f64,
 }
 
 impl HalfBridge {
-    /// A bridge at rest, low. Durations in seconds: dead time 0 to 2 µs, edge 10 ns to 2 µs.
+    /// Creates a bridge at rest, low. Durations in seconds: dead time 0 to 2 µs, edge 10 ns to 2 µs.
     pub fn new(dead_s: f64, edge_s: f64) -> Result<Self, InverterError> {
         super::in_range("dead_s", dead_s, 0.0, 2e-6, "0 to 2 µs")?;
         super::in_range("edge_s", edge_s, 10e-9, 2e-6, "10 ns to 2 µs")?;
         Ok(Self::at_rest(dead_s, Edge::Fixed(edge_s)))
     }
 
-    /// A bridge at rest, low, whose node has a capacitance in farad, 1 to 100 nF; dead time 0 to 2 µs.
+    /// Creates a bridge at rest, low, whose node has a capacitance in farad, 1 to 100 nF; dead time 0 to 2 µs.
     pub fn with_node(dead_s: f64, capacitance_f: f64) -> Result<Self, InverterError> {
         super::in_range("dead_s", dead_s, 0.0, 2e-6, "0 to 2 µs")?;
         super::in_range(
@@ -48,10 +46,11 @@ impl HalfBridge {
             100e-9,
             "1 to 100 nF",
         )?;
-        Ok(Self::at_rest(dead_s, Edge::Node(capacitance_f)))
+        let node = SwitchNode::new(capacitance_f);
+        Ok(Self::at_rest(dead_s, Edge::Node(node)))
     }
 
-    /// The same bridge with its upper switch on for this share of the period, 0.2 to 0.8, dead time included.
+    /// Sets the share of the period in which the upper switch is on, 0.2 to 0.8, dead time included.
     pub fn with_duty(self, duty: f64) -> Result<Self, InverterError> {
         super::in_range("duty", duty, 0.2, 0.8, "0.2 to 0.8")?;
         Ok(Self { duty, ..self })
@@ -63,18 +62,24 @@ impl HalfBridge {
             duty: 0.5,
             edge,
             level: 0.0,
-            gate: None,
-            commutations: Commutations::default(),
         }
     }
 
-    /// Share of the bus now.
+    /// Returns and resets the observations of the switches' edges; empty for edges of fixed duration.
+    pub fn take_commutations(&mut self) -> Commutations {
+        match &mut self.edge {
+            Edge::Fixed(_) => Commutations::default(),
+            Edge::Node(node) => node.take_commutations(),
+        }
+    }
+
+    /// Node voltage as a share of the bus.
     pub fn level(&self) -> f64 {
         self.level
     }
 
-    /// Moves from `from_s` to `to_s` after the start of a period of `period_s` with coil current
-    /// `i_a` and a bus of `bus_v`; returns the mean level on the way. Not `on` means: lower switch on.
+    /// Advances from `from_s` to `to_s` after the start of a period of `period_s` with coil current `i_a` and bus voltage `bus_v`;
+    /// returns the mean level. With `on` unset the lower switch is on.
     pub fn advance(
         &mut self,
         on: bool,
@@ -83,14 +88,19 @@ impl HalfBridge {
         i_a: f64,
         bus_v: f64,
     ) -> f64 {
-        let edge_s = match self.edge {
-            Edge::Fixed(edge_s) => edge_s,
-            Edge::Node(capacitance_f) => {
-                let charge_c = capacitance_f * bus_v;
-                return self.advance_node(on, period_s, (from_s, to_s), i_a, charge_c);
+        let half_s = self.duty * period_s;
+        let edge_s = match &mut self.edge {
+            Edge::Fixed(edge_s) => *edge_s,
+            Edge::Node(node) => {
+                let gates = GateTimes {
+                    on,
+                    dead_s: self.dead_s,
+                    half_s,
+                    period_s,
+                };
+                return node.advance(&mut self.level, &gates, (from_s, to_s), i_a, bus_v);
             }
         };
-        let half_s = self.duty * period_s;
         if on && self.level == 1.0 && from_s >= self.dead_s && to_s <= half_s {
             return 1.0;
         }
@@ -125,25 +135,29 @@ impl HalfBridge {
         sum / (to_s - from_s)
     }
 
-    /// Moves for a duration with both switches open, to the side whose diode conducts; returns the
-    /// mean level on the way. `i_a` is the coil's current, `bus_v` the bus.
+    /// Advances by a duration with both switches open, towards the side whose diode conducts; returns the mean level. `i_a` is the
+    /// coil's current, `bus_v` the bus voltage.
     pub(super) fn freewheel(&mut self, upper: bool, duration_s: f64, i_a: f64, bus_v: f64) -> f64 {
-        self.gate = None;
-        let edge_s = match self.edge {
-            Edge::Fixed(edge_s) => edge_s,
-            // Smallest currents: the diode conducts, and what it carries decays.
-            Edge::Node(c_f) => (c_f * bus_v / i_a.abs().max(0.1)).max(1e-12),
+        let edge_s = match &mut self.edge {
+            Edge::Fixed(edge_s) => *edge_s,
+            // At the smallest currents the diode conducts, and its current decays.
+            Edge::Node(node) => {
+                node.open_gates();
+                (node.capacitance_f() * bus_v / i_a.abs().max(0.1)).max(1e-12)
+            }
         };
         self.ramp(f64::from(u8::from(upper)), duration_s, edge_s) / duration_s
     }
 
-    /// Takes the level where the node stands with both switches open and without current.
+    /// Sets the level at which the node floats with both switches open and without current.
     pub(super) fn float_at(&mut self, level: f64) {
-        self.gate = None;
+        if let Edge::Node(node) = &mut self.edge {
+            node.open_gates();
+        }
         self.level = level.clamp(0.0, 1.0);
     }
 
-    /// Moves towards `target` for a duration; returns the integral of the level.
+    /// Advances towards `target` for a duration; returns the integral of the level.
     fn ramp(&mut self, target: f64, duration_s: f64, edge_s: f64) -> f64 {
         let distance = target - self.level;
         let moving_s = (distance.abs() * edge_s).min(duration_s);

@@ -6,11 +6,10 @@ use crate::mains::Mains;
 /// Resistance of line, fuse and rectifier, in ohm; only matters with a bus capacitor.
 const SOURCE_R_OHM: f64 = 0.2;
 
-/// The mains is computed at multiples of this and linear in between, in seconds: off by
-/// (ω dt)²/8 = 5e-8 of the peak.
+/// Period in seconds at which the mains is computed, linear in between: the error is (ω dt)²/8 = 5e-8 of the peak.
 const MAINS_STEP_S: f64 = 2e-6;
 
-/// Bus voltage over time. With a bench supply that is it, whatever the mains. Without capacitance it is the rectified mains; with it, the rectifier
+/// Bus voltage over time. A bench supply determines it alone. Without capacitance it is the rectified mains; with it, the rectifier
 /// charges the capacitor through the source resistance and the inverter discharges it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bus {
@@ -44,18 +43,18 @@ impl Bus {
         })
     }
 
-    /// A bench supply of so many volt feeds the bus from now on, and the rectifier does not.
+    /// Feeds the bus from a bench supply of this voltage from now on, instead of the rectifier.
     pub fn set_supply(&mut self, supply_v: f64) {
         self.supply_v = Some(supply_v);
         self.v = supply_v;
     }
 
-    /// The mains behind it.
+    /// The mains.
     pub fn mains(&self) -> Mains {
         self.mains
     }
 
-    /// Another mains from now on.
+    /// Replaces the mains.
     pub fn set_mains(&mut self, mains: Mains) {
         self.mains = mains;
         self.piece.0 = -1.0;
@@ -66,8 +65,8 @@ impl Bus {
         self.v
     }
 
-    /// Moves to time `t_s`, `dt_s` later, while the bridge draws `i_a`; returns the new voltage.
-    /// The diode is decided by the old voltage, the rest is implicit: stable for any step.
+    /// Advances by `dt_s` to time `t_s`, while the bridge draws `i_a`; returns the new voltage. The old voltage decides whether the
+    /// diode conducts, the rest is implicit: stable for any step.
     pub fn advance(&mut self, t_s: f64, dt_s: f64, i_a: f64) -> f64 {
         let rectified = match self.supply_v {
             Some(supply_v) => supply_v,
@@ -91,7 +90,7 @@ impl Bus {
     fn rectified_v(&mut self, t_s: f64) -> f64 {
         let at = t_s / MAINS_STEP_S;
         let (number, ..) = self.piece;
-        // Faster than asking for the floor at every step.
+        // Faster than computing the floor at every step.
         if !(number..number + 1.0).contains(&at) {
             let number = at.floor();
             let v = |n: f64| self.mains.mains_v(n * MAINS_STEP_S);

@@ -2,19 +2,18 @@
 
 use std::f64::consts::TAU;
 
-/// A sliding Fourier sum over the last switching period: a load that follows it follows the
-/// envelope, not the carrier.
+/// Sliding Fourier sum over the last switching period: a load that follows it follows the envelope, not the carrier.
 #[derive(Clone, Debug)]
 pub struct Envelope {
     cos_sin: Vec<(f64, f64)>,
     ring: Vec<(f64, f64)>,
     sum: (f64, f64),
-    /// Currents of zero in a row.
+    /// Number of zero currents in a row.
     zeros: usize,
 }
 
 impl Envelope {
-    /// For a period of `steps` integration steps.
+    /// Creates one for a period of `steps` integration steps.
     pub fn new(steps: usize) -> Self {
         let step = TAU / steps as f64;
         Self {
@@ -27,7 +26,7 @@ impl Envelope {
         }
     }
 
-    /// The same phasor in a period of another number of steps: the switching frequency changed.
+    /// Returns the same phasor for another number of steps in a period, after a change of the switching frequency.
     pub fn resized(&self, steps: usize) -> Self {
         let scale = 2.0 / self.ring.len() as f64;
         let (re, im) = (self.sum.0 * scale, self.sum.1 * scale);
@@ -39,7 +38,7 @@ impl Envelope {
         new
     }
 
-    /// Takes the current in ampere at step `n` of the period.
+    /// Adds the current in ampere at step `n` of the period.
     pub fn push(&mut self, n: usize, i_a: f64) {
         self.zeros = if i_a == 0.0 { self.zeros + 1 } else { 0 };
         let (c, s) = self.cos_sin[n];
@@ -48,7 +47,7 @@ impl Envelope {
         self.sum.0 += new.0 - old.0;
         self.sum.1 += new.1 - old.1;
         if n == 0 {
-            // Once a period anew, so that rounding does not pile up over minutes.
+            // Recomputed once a period, so that rounding errors do not accumulate over minutes.
             self.sum = self
                 .ring
                 .iter()
@@ -56,7 +55,7 @@ impl Envelope {
         }
     }
 
-    /// Whether no current has flowed for a whole period.
+    /// Returns `true` if no current has flowed for a whole period.
     pub fn is_empty(&self) -> bool {
         self.zeros >= self.ring.len()
     }

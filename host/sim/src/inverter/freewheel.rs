@@ -1,21 +1,21 @@
-//! Both switches open: the current goes on through a diode, then the coil floats.
+//! Both switches open: the current continues through a diode, then the coil floats.
 //!
-//! Out of the node it flows from ground through the lower diode, into the node through the upper one
-//! back into the bus; either way the tank loses energy, until the current reaches zero and no diode
-//! lets it turn. Then the coil's voltage is what its flux still induces (nothing for a law), and the node
-//! stands that far from the capacitor's voltage. When the bus falls below the node, or the capacitor
-//! stands below ground, a diode conducts again: so the capacitor follows the mains to its next zero.
-//! The ringing of the coil with the node's few nanofarad is not modelled.
+//! A current out of the node flows from ground through the lower diode, a current into the node through the upper one back into the
+//! bus. Either way the tank loses energy until the current reaches zero; the diode then blocks. The coil's voltage is then what its
+//! flux still induces (zero for a law), and the node differs by that from the capacitor's voltage.
+//!
+//! When the bus falls below the node, or the capacitor is below ground, a diode conducts again: so the capacitor follows the mains
+//! to its next zero. The ringing of the coil with the node's few nanofarad is not modelled.
 
 use super::load::FluxStep;
 use super::{Instant, Inverter};
 
-/// How far below the bus the capacitor must be for the upper diode to block for a microsecond, in volt: the
-/// steepest mains falls by 0.15 V.
+/// Margin of the capacitor below the bus with which the upper diode blocks for a microsecond, in volt: the steepest mains falls by
+/// 0.15 V.
 const REST_MARGIN_V: f64 = 1.0;
 
 impl Inverter {
-    /// One step with both switches open.
+    /// Advances one step with both switches open.
     pub(super) fn freewheel(&mut self) {
         let (dt_s, i_a) = (self.dt_s(), self.circuit.i_a);
         let to_s = self.period_start_s + (self.step + 1) as f64 * dt_s;
@@ -37,15 +37,15 @@ impl Inverter {
         self.finish(&flux);
     }
 
-    /// Whether the power stage is at rest and stays so for a microsecond: both switches open, no current within the
-    /// last period, and a capacitor that no diode lets go. Only a law can be: a field goes on moving.
+    /// Returns `true` if the power stage is at rest and stays so for a microsecond: both switches open, no current within the last
+    /// period, and a capacitor voltage at which no diode conducts. Only for a law: a field continues to move.
     pub fn is_at_rest(&self) -> bool {
         let v_c_v = self.circuit.v_c_v;
         let blocks = (0.0..self.bus.v() - REST_MARGIN_V).contains(&v_c_v);
         self.floating_v.is_some() && self.circuit.i_a == 0.0 && blocks && self.load.is_at_rest()
     }
 
-    /// As many steps at rest as one; only while [`Inverter::is_at_rest`].
+    /// Advances several steps at rest at once; only while [`Inverter::is_at_rest`].
     pub fn rest(&mut self, steps: usize) -> Instant {
         let to_s = self.period_start_s + (self.step + steps) as f64 * self.dt_s;
         self.float(self.circuit.v_c_v, to_s);
@@ -72,7 +72,7 @@ impl Inverter {
         self.step_loop(mean_v, flux);
         let circuit = &mut self.circuit;
         if (circuit.i_a < 0.0) != upper {
-            // The diode blocks: within this step the current ends.
+            // The diode blocks: the current ends within this step.
             *circuit = before;
             circuit.end_current(dt_s);
         }
@@ -82,7 +82,7 @@ impl Inverter {
     fn float(&mut self, open_v: f64, to_s: f64) {
         let bus_v = self.bus.advance(to_s, self.dt_s(), 0.0);
         self.floating_v = Some(open_v);
-        // From here the next edge begins.
+        // The next edge begins here.
         self.bridge
             .float_at(if bus_v > 0.0 { open_v / bus_v } else { 0.0 });
     }
@@ -90,7 +90,7 @@ impl Inverter {
 
 #[cfg(test)]
 mod tests {
-    use ihd_firmware::drive::Bridge;
+    use ihd_firmware::drive::bridge::Bridge;
     use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 
     use crate::behavioural::{BehaviouralLoad, PotKind};
@@ -100,7 +100,7 @@ mod tests {
     use crate::inverter::{Instant, Inverter};
     use crate::mains::Mains;
     use ihd_field::FieldModel;
-    use ihd_field::model::Settings;
+    use ihd_field::model::FieldSettings;
 
     const F_HZ: f64 = 50e3;
     const STEPS: usize = 488;
@@ -156,7 +156,7 @@ mod tests {
             );
         }
         let field = || {
-            let model = FieldModel::new(&Settings::paper()).unwrap();
+            let model = FieldModel::new(&FieldSettings::paper()).unwrap();
             LoadState::field(&[(1.0, model)], 1.0 / (F_HZ * STEPS as f64)).unwrap()
         };
         opened(field, |_, now, periods| {

@@ -21,7 +21,7 @@ pub struct HarmonicAnalyser {
     i_start_a: f64,
 }
 
-/// What is summed over a period, each once plainly and once with a weight that rises from 0 to 1.
+/// Sums over a period, each plain and with a weight that rises from 0 to 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PeriodSums {
     steps: usize,
@@ -38,7 +38,7 @@ struct Sums {
 }
 
 impl Sums {
-    /// `a` times these and `b` times others.
+    /// Linear combination: `a` times these and `b` times the others.
     fn mixed(&self, a: f64, other: &Self, b: f64) -> Self {
         let phasors = |x: &[Complex<f64>; ORDERS.len()], y: &[Complex<f64>; ORDERS.len()]| {
             core::array::from_fn(|k| x[k] * a + y[k] * b)
@@ -51,8 +51,7 @@ impl Sums {
         }
     }
 
-    /// The truth from sums that stand for one period of `steps`, `growth` being what D_h has beside
-    /// jhω I_h.
+    /// Truth from the sums of a period of `steps`; `growth` is the part of D_h beside jhω I_h.
     fn truth(
         &self,
         t_s: f64,
@@ -66,7 +65,7 @@ impl Sums {
         })
     }
 
-    /// Likewise from the phasors D_h themselves.
+    /// Truth from the phasors D_h themselves.
     fn truth_of_rate(
         &self,
         t_s: f64,
@@ -109,11 +108,11 @@ impl PeriodSums {
         triangle.truth(t_s, f_sw_hz, steps, growth)
     }
 
-    /// Likewise where the periods have the frequencies `f_hz`, with `i_a` the current between them: a carrier
-    /// that moves from period to period.
+    /// Truth like [`PeriodSums::across`] for periods of the frequencies `f_hz`, with `i_a` the current between them: a carrier that
+    /// moves from period to period.
     ///
-    /// The sums run over the carrier's phase, in which di/dt is f · di/dτ, so each period gives its own
-    /// frequency to jhω I_h and to the growth; what the triangle's top leaves is (f1 − f2) times `i_a`.
+    /// The sums run over the carrier's phase, in which di/dt is f · di/dτ. Each period thus contributes its own frequency to jhω
+    /// I_h and to the growth; the triangle's top leaves (f1 − f2) times `i_a`.
     pub fn across_change(&self, next: &Self, t_s: f64, f_hz: [f64; 2], i_a: f64) -> PeriodTruth {
         let scale = 2.0 / self.steps as f64;
         let falling = next.plain.mixed(1.0, &next.rising, -1.0);
@@ -128,14 +127,14 @@ impl PeriodSums {
         triangle.truth_of_rate(t_s, f_sw_hz, self.steps as f64, rate)
     }
 
-    /// Whether both are of periods of as many steps.
+    /// Returns `true` if both periods have the same number of steps.
     pub fn fits(&self, other: &Self) -> bool {
         self.steps == other.steps
     }
 }
 
 impl HarmonicAnalyser {
-    /// For a period of `steps` integration steps.
+    /// Creates one for a period of `steps` integration steps.
     pub fn new(steps: usize) -> Self {
         let turn = (0..=steps)
             .map(|n| {
@@ -155,8 +154,7 @@ impl HarmonicAnalyser {
         }
     }
 
-    /// Takes coil voltage and current at boundary `n` of the period, 0 and `steps` included: the
-    /// sum is the trapezoidal rule.
+    /// Adds coil voltage and current at boundary `n` of the period, 0 and `steps` included: the sum is the trapezoidal rule.
     pub fn push(&mut self, n: usize, v_v: f64, i_a: f64) {
         let steps = self.sums.steps;
         let weight = if n == 0 || n == steps { 0.5 } else { 1.0 };
@@ -178,14 +176,14 @@ impl HarmonicAnalyser {
         add(&mut self.sums.rising, n as f64 / steps as f64);
     }
 
-    /// The period's truth, after the push of its last boundary; `t_s` is its middle.
+    /// Truth of the period, after its last boundary; `t_s` is its middle.
     pub fn truth(&self, t_s: f64, f_sw_hz: f64, i_end_a: f64) -> PeriodTruth {
         let jump = Complex::new((i_end_a - self.i_start_a) * 2.0 * f_sw_hz, 0.0);
         let steps = self.sums.steps as f64;
         self.sums.plain.truth(t_s, f_sw_hz, steps, |_| jump)
     }
 
-    /// The period's sums, after the push of its last boundary.
+    /// Sums of the period, after its last boundary.
     pub fn sums(&self) -> &PeriodSums {
         &self.sums
     }

@@ -1,4 +1,4 @@
-//! The load as the circuit sees it: a law for R and L, or the field model.
+//! Load as seen by the circuit: a law for R and L, or the field model.
 
 use super::InverterError;
 use super::envelope::Envelope;
@@ -7,19 +7,18 @@ use crate::pot::{Metal, Pot};
 use crate::surrogate::SurrogateLoad;
 use ihd_field::{FieldLoad, FieldModel};
 
-/// Rings of the time-domain field model.
+/// Number of rings of the time-domain field model.
 pub const RINGS: usize = ihd_field::model::RINGS;
 
-/// Steps for which a law's R and L are held: 0.3 µs at 20 ns, in which the envelope of the mains
-/// moves by 1e-4 at most.
+/// Number of steps for which a law's R and L are held: 0.3 µs at 20 ns, in which the envelope of the mains moves by 1e-4 at most.
 const LAW_STEPS: u32 = 16;
 
-/// Flux linkage over one step: change = `change0_wb` + `l_h` · i(new), and the resistance beside.
+/// Change of the flux linkage over one step, `change0_wb` + `l_h` · i(new), and the resistance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FluxStep {
     /// Part of the change that does not depend on the new current, in weber.
     pub change0_wb: f64,
-    /// Part that does, in henry.
+    /// Part of the change proportional to the new current, in henry.
     pub l_h: f64,
     /// Series resistance in ohm.
     pub r_ohm: f64,
@@ -44,8 +43,8 @@ impl Law {
     }
 }
 
-/// What heat does to R and L of a law: a hot load is the cold one at a lower frequency, with R and X of the load
-/// larger by the ratio of both ([`Metal::heat_factor`]). The winding stays as it is.
+/// Effect of heat on R and L of a law: a hot load is the cold one at a lower frequency, with R and X of the load larger by the
+/// ratio of both ([`Metal::heat_factor`]). The winding is not affected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warmth {
     factor: f64,
@@ -62,7 +61,7 @@ impl Default for Warmth {
 }
 
 impl Warmth {
-    /// With a heat factor, for a law that includes `winding_r_ohm`.
+    /// Creates one with a heat factor, for a law that includes `winding_r_ohm`.
     pub fn new(factor: f64, winding_r_ohm: f64) -> Self {
         Self {
             factor,
@@ -70,13 +69,13 @@ impl Warmth {
         }
     }
 
-    /// For a law of a metal at the first of two temperatures in °C, heated to the second.
+    /// Creates one for a law of a metal at the first of two temperatures in °C, heated to the second.
     pub fn of(metal: Metal, (law_c, hot_c): (f64, f64), winding_r_ohm: f64) -> Self {
         let factor = metal.heat_factor(hot_c) / metal.heat_factor(law_c);
         Self::new(factor, winding_r_ohm)
     }
 
-    /// Where the cold law is to be taken, for a switching frequency in hertz.
+    /// Frequency in hertz at which the cold law is evaluated, for a switching frequency in hertz.
     pub fn law_hz(&self, f_sw_hz: f64) -> f64 {
         f_sw_hz / self.factor
     }
@@ -88,37 +87,37 @@ impl Warmth {
     }
 }
 
-/// A load in operation.
+/// Load in operation.
 #[derive(Clone, Debug)]
 pub enum LoadState {
     /// v = R i + L di/dt with R and L from a law of the envelope.
     Law {
         /// The law.
         law: Law,
-        /// The envelope it follows.
+        /// Envelope that it follows.
         envelope: Envelope,
-        /// R in ohm and L in henry, as last asked for.
+        /// R in ohm and L in henry at the last evaluation.
         held: (f64, f64),
-        /// Steps until the law is asked again.
+        /// Number of steps until the next evaluation.
         hold: u32,
-        /// How the load's temperature bends the law.
+        /// Effect of the load's temperature on the law.
         warmth: Warmth,
-        /// Factors of R and L on what the law says.
+        /// Factors of R and L on the law's.
         factors: (f64, f64),
     },
-    /// The field model; several for a pot off centre.
+    /// Field model; several for a pot off centre.
     Field {
         /// Weight and state of each sector.
         sectors: Vec<(f64, FieldLoad<RINGS>)>,
         /// Winding resistance in ohm.
         winding_r_ohm: f64,
-        /// Flux linkage now, in weber; `None` before the first step.
+        /// Present flux linkage, in weber; `None` before the first step.
         lambda_wb: Option<f64>,
     },
 }
 
 impl LoadState {
-    /// A law at rest; `steps` integration steps a period.
+    /// Creates a law at rest; `steps` integration steps a period.
     pub fn law(law: Law, steps: usize) -> Self {
         Self::following(law, Envelope::new(steps))
     }
@@ -134,8 +133,8 @@ impl LoadState {
         }
     }
 
-    /// Unmagnetised field models with their weights; the winding is the first one's. A current that
-    /// already flows goes on flowing: the pot is put on within one step.
+    /// Creates unmagnetised field models with their weights; the winding is the first one's. A current that already flows
+    /// continues: the pot is put on within one step.
     pub fn field(models: &[(f64, FieldModel)], dt_s: f64) -> Result<Self, InverterError> {
         let mut sectors = Vec::with_capacity(models.len());
         for (weight, model) in models {
@@ -149,7 +148,7 @@ impl LoadState {
         })
     }
 
-    /// Another law under the same envelope and factors, in a period of `steps` steps.
+    /// Returns another law with the same envelope and factors, in a period of `steps` steps.
     pub fn with_law(&self, law: Law, steps: usize) -> Self {
         match self {
             Self::Law {
@@ -163,22 +162,21 @@ impl LoadState {
         }
     }
 
-    /// Exchanges a law for that of another frequency, in a period of as many steps; nothing for the field.
+    /// Replaces a law by that of another frequency, in a period of as many steps; no effect on the field.
     pub fn set_law(&mut self, new: Law) {
         if let Self::Law { law, hold, .. } = self {
             (*law, *hold) = (new, 0);
         }
     }
 
-    /// From now on R and L are so many times the law's, in place of earlier factors; nothing for the
-    /// field model, which has no such numbers.
+    /// Sets the factors of R and L on the law's; no effect on the field model.
     pub fn scale(&mut self, r_factor: f64, l_factor: f64) {
         if let Self::Law { factors, hold, .. } = self {
             (*factors, *hold) = ((r_factor, l_factor), 0);
         }
     }
 
-    /// Heats a law: from now on it is `new`, that of [`Warmth::law_hz`], bent; nothing for the field.
+    /// Heats a law: from now on it is `new`, that of [`Warmth::law_hz`], bent; no effect on the field.
     pub fn set_hot_law(&mut self, new: Law, by: Warmth) {
         if let Self::Law { warmth, .. } = self {
             *warmth = by;
@@ -186,7 +184,7 @@ impl LoadState {
         }
     }
 
-    /// Sets the field's temperature in °C; nothing for a law, whose heat is [`LoadState::set_hot_law`].
+    /// Sets the field's temperature in °C; no effect on a law, which uses [`LoadState::set_hot_law`].
     ///
     /// # Errors
     /// For a temperature that no metal has.
@@ -202,12 +200,12 @@ impl LoadState {
         Ok(())
     }
 
-    /// Whether this is the field model.
+    /// Returns `true` for the field model.
     pub fn is_field(&self) -> bool {
         matches!(self, Self::Field { .. })
     }
 
-    /// Whether no current has flowed for a period; never so for the field model.
+    /// Returns `true` if no current has flowed for a period; `false` for the field model.
     pub fn is_at_rest(&self) -> bool {
         matches!(self, Self::Law { envelope, .. } if envelope.is_empty())
     }
@@ -239,8 +237,8 @@ impl LoadState {
         Some((factors.0 * r_ohm, factors.1 * l_h))
     }
 
-    /// Changes the time step of the field model and keeps its state; `false` for a law, which has
-    /// none but knows its frequency.
+    /// Changes the time step of the field model and keeps its state; returns `false` for a law, which depends on the frequency
+    /// instead.
     pub fn set_dt(&mut self, dt_s: f64) -> Result<bool, InverterError> {
         let Self::Field { sectors, .. } = self else {
             return Ok(false);
@@ -251,7 +249,7 @@ impl LoadState {
         Ok(true)
     }
 
-    /// Before a step: what the circuit needs, with `i_a` the current now.
+    /// Inputs of the circuit for the next step, with `i_a` the present current.
     pub fn predict(&mut self, i_a: f64) -> FluxStep {
         match self {
             Self::Law {
@@ -294,7 +292,7 @@ impl LoadState {
         }
     }
 
-    /// After the step whose prediction was `step`: the new current at boundary `n` of the period.
+    /// Completes the step whose prediction was `step`, with the new current at boundary `n` of the period.
     pub fn commit(&mut self, step: &FluxStep, n: usize, i_a: f64) {
         match self {
             Self::Law { envelope, .. } => envelope.push(n, i_a),

@@ -1,5 +1,4 @@
-//! The power stage: bus, half-bridge, resonance capacitor and load, in steps of a whole fraction
-//! of the switching period.
+//! Power stage: bus, half-bridge, resonance capacitor and load, in steps of a whole fraction of the switching period.
 
 pub mod bridge;
 pub mod bus;
@@ -11,7 +10,8 @@ pub mod node;
 
 use std::f64::consts::TAU;
 
-use ihd_firmware::drive::Bridge;
+use ihd_firmware::drive::bridge::Bridge;
+use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
 use thiserror::Error;
 
 use self::bridge::HalfBridge;
@@ -20,7 +20,16 @@ use self::load::{FluxStep, LoadState};
 use super::circuit::Circuit;
 use ihd_field::FieldError;
 
-/// Refused settings of the power stage.
+/// Integration steps between two ADC samples: 45 ns at 45 kHz. A multiple of q, so that a switching
+/// period is a whole number of steps too.
+pub const STEPS_PER_SAMPLE: usize = 24;
+
+/// Integration steps of one switching period.
+pub const STEPS_PER_PERIOD: usize = STEPS_PER_SAMPLE * ADC_LOCK_P / ADC_LOCK_Q as usize;
+
+const _: () = assert!(STEPS_PER_SAMPLE.is_multiple_of(ADC_LOCK_Q as usize));
+
+/// Error of the power stage's settings.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum InverterError {
     /// A number is NaN or outside its range.
@@ -28,12 +37,12 @@ pub enum InverterError {
     OutOfRange {
         /// Name of the setting, with its unit.
         field: &'static str,
-        /// What was given.
+        /// Value given.
         value: f64,
-        /// The allowed range, in words.
+        /// Allowed range as text.
         allowed: &'static str,
     },
-    /// The load's field model refused its settings.
+    /// Error of the load's field model.
     #[error(transparent)]
     Field(#[from] FieldError),
 }
@@ -74,8 +83,8 @@ pub struct Instant {
     pub induced_v: f64,
 }
 
-/// A sine that another coil's field induces in this one: a voltage in series with the load's, inside the
-/// coil's terminals, so that both the coil's voltage and its current show it.
+/// Sine induced by another coil's field: a voltage in series with the load's, inside the coil's terminals, so that both the coil's
+/// voltage and its current show it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tone {
     /// Frequency in hertz.
@@ -84,7 +93,7 @@ pub struct Tone {
     pub v: f64,
 }
 
-/// The power stage in operation.
+/// Power stage in operation.
 #[derive(Clone, Debug)]
 pub struct Inverter {
     /// Supply.
@@ -95,9 +104,9 @@ pub struct Inverter {
     pub circuit: Circuit,
     /// Load.
     pub load: LoadState,
-    /// Resistance of whichever switch or diode conducts, in ohm: in the loop, outside the coil.
+    /// Resistance of the conducting switch or diode, in ohm: in the loop, outside the coil.
     pub bridge_r_ohm: f64,
-    /// What another field induces in the coil.
+    /// Voltage induced by another field.
     pub induced: Option<Tone>,
     f_sw_hz: f64,
     dt_s: f64,
@@ -111,7 +120,7 @@ pub struct Inverter {
 }
 
 impl Inverter {
-    /// A power stage at rest at `t_s`, with `steps` integration steps a period.
+    /// Creates a power stage at rest at `t_s`, with `steps` integration steps a period.
     pub fn new(
         bus: Bus,
         bridge: HalfBridge,
@@ -169,8 +178,7 @@ impl Inverter {
         self.f_sw_hz
     }
 
-    /// From now on another frequency, load and number of steps; the period starts anew. Current
-    /// and capacitor keep their values.
+    /// Sets another frequency, load and number of steps; the period starts again. Current and capacitor keep their values.
     pub fn restart(&mut self, load: LoadState, f_sw_hz: f64, steps: usize) {
         self.period_start_s = self.now_s();
         self.step = 0;
@@ -183,7 +191,7 @@ impl Inverter {
         self.period_start_s + self.step as f64 * self.dt_s()
     }
 
-    /// The quantities now.
+    /// Present quantities.
     pub fn instant(&self) -> Instant {
         let driven_v = self.bus.v() * self.bridge.level() - self.bridge_r_ohm * self.circuit.i_a;
         let bridge_v = self.floating_v.unwrap_or(driven_v);
@@ -197,13 +205,13 @@ impl Inverter {
         }
     }
 
-    /// What another field induces at `t_s`, in volt.
+    /// Voltage induced by another field at `t_s`, in volt.
     fn induced_v(&self, t_s: f64) -> f64 {
         self.induced
             .map_or(0.0, |tone| tone.v * libm::sin(TAU * tone.f_hz * t_s))
     }
 
-    /// One step of the loop under a mean voltage `node_v` of the driven node behind its switches.
+    /// Advances the loop by one step under a mean voltage `node_v` of the driven node behind its switches.
     fn step_loop(&mut self, node_v: f64, flux: &FluxStep) {
         let dt_s = self.dt_s;
         let induced_v = self.induced_v(self.now_s() + 0.5 * dt_s);
@@ -212,7 +220,7 @@ impl Inverter {
             .step_flux(node_v - induced_v, r_ohm, flux.change0_wb, flux.l_h, dt_s);
     }
 
-    /// One step.
+    /// Advances by one step.
     pub fn advance(&mut self, bridge: Bridge) -> Instant {
         match bridge {
             Bridge::Open => self.freewheel(),
@@ -222,7 +230,7 @@ impl Inverter {
         self.instant()
     }
 
-    /// One step with the bridge switching, or with its lower switch on.
+    /// Advances by one step with the bridge switching, or with its lower switch on.
     fn drive(&mut self, on: bool) {
         self.floating_v = None;
         let dt_s = self.dt_s();
@@ -247,7 +255,7 @@ impl Inverter {
         self.finish(&flux);
     }
 
-    /// Counts the energy of a step with a mean voltage of the node behind its switches, from `before` until now.
+    /// Adds the energy of a step with a mean voltage of the node behind its switches, from `before` until now.
     fn meter_energy(&mut self, node_v: f64, before: Circuit, dt_s: f64) {
         let now = self.circuit;
         let mean_a = 0.5 * (before.i_a + now.i_a);
@@ -255,7 +263,7 @@ impl Inverter {
         self.load_energy_j += coil_v * mean_a * dt_s;
     }
 
-    /// Hands the new current to the load, and counts the step.
+    /// Passes the new current to the load, and counts the step.
     fn finish(&mut self, flux: &FluxStep) {
         self.step += 1;
         self.load
@@ -274,7 +282,7 @@ mod tests {
     use super::*;
     use crate::behavioural::{BehaviouralLoad, PotKind};
     use crate::mains::Mains;
-    use ihd_field::model::Settings;
+    use ihd_field::model::FieldSettings;
     use ihd_field::{FieldModel, harmonic};
 
     /// Truth of the last of `periods` periods, and the amplitude's law there.
@@ -322,7 +330,7 @@ mod tests {
 
     #[test]
     fn field_in_the_circuit_has_the_describing_functions_fundamental() {
-        let model = FieldModel::new(&Settings::paper()).unwrap();
+        let model = FieldModel::new(&FieldSettings::paper()).unwrap();
         let dt = 1.0 / (45e3 * 1111.0);
         let load = LoadState::field(&[(1.0, model.clone())], dt).unwrap();
         let truth = run(load, 45e3, 1111, 150, 50.0);

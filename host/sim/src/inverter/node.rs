@@ -1,17 +1,15 @@
-//! Commutation with the capacitance of the bridge's node: what zero-voltage switching lives from.
+//! Commutation with the capacitance of the bridge's node, on which zero-voltage switching depends.
 //!
 //! In the dead time the coil's current charges the capacitance of both switches, dv/dt = −i/C, until a
 //! diode conducts. When it reverses or is too small, a voltage is left when the next gate comes, and that
 //! switch closes onto it: a hard edge.
 
-use super::bridge::{Edge, HalfBridge};
-
-/// A voltage left at a switch below this is no hard edge: 30 V on 15 nF are 7 µJ.
+/// Voltage above which a closing switch counts as a hard edge: 30 V on 15 nF are 7 µJ.
 pub const HARD_EDGE_V: f64 = 30.0;
 
-/// The switch that conducts.
+/// Conducting switch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Gate {
+enum Gate {
     /// To the bus.
     Upper,
     /// To ground.
@@ -27,33 +25,78 @@ impl Gate {
     }
 }
 
-/// What was seen at the switches' edges.
+/// Observations at the switches' edges.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Commutations {
-    /// A switch that closed onto more than [`HARD_EDGE_V`].
+    /// Number of switches that closed onto more than [`HARD_EDGE_V`].
     pub hard_edges: u32,
     /// Smallest current when a switch opened, in ampere, positive in the direction that moves the node
     /// to the other rail; of edges at a bus above [`HARD_EDGE_V`]. `None` without any.
     pub turn_off_min_a: Option<f64>,
 }
 
-impl HalfBridge {
-    /// What was seen since this was asked last; nothing for edges of fixed duration.
+/// Gate signals of a switching period.
+pub(super) struct GateTimes {
+    /// `true` while the bridge switches; otherwise the lower switch is on.
+    pub on: bool,
+    /// Dead time in seconds.
+    pub dead_s: f64,
+    /// End of the upper switch's part of the period, in seconds.
+    pub half_s: f64,
+    /// Period in seconds.
+    pub period_s: f64,
+}
+
+/// Node of the bridge: its capacitance, the conducting switch, and the observations of the edges.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct SwitchNode {
+    capacitance_f: f64,
+    gate: Option<Gate>,
+    commutations: Commutations,
+}
+
+impl SwitchNode {
+    /// Creates a node with a capacitance in farad, both switches open.
+    pub fn new(capacitance_f: f64) -> Self {
+        Self {
+            capacitance_f,
+            gate: None,
+            commutations: Commutations::default(),
+        }
+    }
+
+    /// Capacitance in farad.
+    pub fn capacitance_f(&self) -> f64 {
+        self.capacitance_f
+    }
+
+    /// Opens both switches.
+    pub fn open_gates(&mut self) {
+        self.gate = None;
+    }
+
+    /// Returns and resets the observations of the edges.
     pub fn take_commutations(&mut self) -> Commutations {
         std::mem::take(&mut self.commutations)
     }
 
-    /// As [`HalfBridge::advance`], `charge_c` being what lifts the node from ground to the bus.
-    pub(super) fn advance_node(
+    /// Moves the node's `level` from `from_s` to `to_s` after the start of a period; returns its mean on the way.
+    pub fn advance(
         &mut self,
-        on: bool,
-        period_s: f64,
+        level: &mut f64,
+        gates: &GateTimes,
         (from_s, to_s): (f64, f64),
         i_a: f64,
-        charge_c: f64,
+        bus_v: f64,
     ) -> f64 {
-        let half_s = self.duty * period_s;
-        let (lower_s, dead_s) = (half_s + self.dead_s, self.dead_s);
+        let &GateTimes {
+            on,
+            dead_s,
+            half_s,
+            period_s,
+        } = gates;
+        let charge_c = self.capacitance_f * bus_v;
+        let lower_s = half_s + dead_s;
         match self.gate {
             Some(Gate::Upper) if on && from_s >= dead_s && to_s <= half_s => return 1.0,
             Some(Gate::Lower) if !on || (from_s >= lower_s && to_s <= period_s) => return 0.0,
@@ -72,21 +115,21 @@ impl HalfBridge {
                 t if t < half_s => Some(Gate::Upper),
                 _ => Some(Gate::Lower),
             };
-            self.set_gate(gate, i_a, charge_c);
+            self.set_gate(level, gate, i_a, charge_c);
             sum += match gate {
-                Some(_) => self.level * (end_s - at_s),
-                None => self.slew(i_a, charge_c, end_s - at_s),
+                Some(_) => *level * (end_s - at_s),
+                None => slew(level, i_a, charge_c, end_s - at_s),
             };
             at_s = end_s;
         }
         sum / (to_s - from_s)
     }
 
-    fn set_gate(&mut self, gate: Option<Gate>, i_a: f64, charge_c: f64) {
+    fn set_gate(&mut self, level: &mut f64, gate: Option<Gate>, i_a: f64, charge_c: f64) {
         if gate == self.gate {
             return;
         }
-        let volts = charge_c / self.capacitance_f();
+        let volts = charge_c / self.capacitance_f;
         if let Some(opens) = self.gate
             && volts > HARD_EDGE_V
         {
@@ -98,38 +141,32 @@ impl HalfBridge {
             self.commutations.turn_off_min_a = Some(least_a.min(commutating_a));
         }
         if let Some(closes) = gate {
-            if (closes.level() - self.level).abs() * volts > HARD_EDGE_V {
+            if (closes.level() - *level).abs() * volts > HARD_EDGE_V {
                 self.commutations.hard_edges += 1;
             }
-            self.level = closes.level();
+            *level = closes.level();
         }
         self.gate = gate;
     }
+}
 
-    fn capacitance_f(&self) -> f64 {
-        match self.edge {
-            Edge::Node(capacitance_f) => capacitance_f,
-            Edge::Fixed(_) => f64::INFINITY,
-        }
-    }
-
-    /// Both switches open for a duration; returns the integral of the level.
-    fn slew(&mut self, i_a: f64, charge_c: f64, duration_s: f64) -> f64 {
-        let before = self.level;
-        // Without a bus there is no distance.
-        let change = -i_a * duration_s / charge_c.max(1e-12);
-        self.level = (before + change).clamp(0.0, 1.0);
-        let moved = self.level - before;
-        let moving_s = match change {
-            0.0 => 0.0,
-            _ => duration_s * moved / change,
-        };
-        0.5 * (before + self.level) * moving_s + self.level * (duration_s - moving_s)
-    }
+/// Moves the level with both switches open for a duration; returns the integral of the level.
+fn slew(level: &mut f64, i_a: f64, charge_c: f64, duration_s: f64) -> f64 {
+    let before = *level;
+    // Without a bus the charge is 0.
+    let change = -i_a * duration_s / charge_c.max(1e-12);
+    *level = (before + change).clamp(0.0, 1.0);
+    let moved = *level - before;
+    let moving_s = match change {
+        0.0 => 0.0,
+        _ => duration_s * moved / change,
+    };
+    0.5 * (before + *level) * moving_s + *level * (duration_s - moving_s)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::bridge::HalfBridge;
     use super::*;
 
     const T: f64 = 20e-6;

@@ -2,7 +2,7 @@
 
 use super::prepared::surrogate_pot;
 use super::run::record;
-use super::settings::{LoadKind, Settings};
+use super::settings::{CaptureSpec, LoadKind};
 use crate::inverter::InverterError;
 
 /// Smallest current amplitude that counts, in ampere.
@@ -11,19 +11,19 @@ const SMALLEST_A: f64 = 2.0;
 /// Mean relative deviations in percent over the second half-cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Deviation {
-    /// Of R: the table at the field model's current, against the waveform's fundamental.
+    /// Deviation of R: the table at the field model's current, against the waveform's fundamental.
     pub r_pct: f64,
-    /// Of L, likewise.
+    /// Deviation of L: the table at the field model's current, against the waveform's fundamental.
     pub l_pct: f64,
-    /// Of the current amplitude, each model in its own circuit.
+    /// Deviation of the current amplitude, each model in its own circuit.
     pub i_pct: f64,
-    /// Of P/I_rms² against R of the fundamental, field model alone.
+    /// Deviation of P/I_rms² from R of the fundamental, field model alone.
     pub power_r_pct: f64,
 }
 
 /// Runs both models with the same settings.
-pub fn surrogate_against_field(settings: &Settings) -> Result<Deviation, InverterError> {
-    let of_kind = |load| Settings {
+pub fn surrogate_against_field(settings: &CaptureSpec) -> Result<Deviation, InverterError> {
+    let of_kind = |load| CaptureSpec {
         load,
         duration_s: 1.0 / settings.mains_hz,
         ..settings.clone()
@@ -53,10 +53,10 @@ mod tests {
 
     #[test]
     fn the_reduced_model_is_close_to_the_field_in_operation() {
-        let settings = Settings {
+        let settings = CaptureSpec {
             f_sw_hz: 60e3,
             dt_s: 50e-9,
-            ..Settings::default()
+            ..CaptureSpec::default()
         };
         let d = surrogate_against_field(&settings).unwrap();
         println!("{d:?}");

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use ihd_capture::mcap::McapFileError;
 use ihd_capture::mcap::cdr;
-use ihd_capture::mcap::cdr::When;
+use ihd_capture::mcap::cdr::BatchTime;
 use ihd_capture::mcap::save::{Batch, batches, write_head, write_truth};
 use ihd_capture::mcap::topics::Topic;
 use ihd_capture::mcap::writer::{Existing, Writer};
@@ -15,14 +15,12 @@ use super::run::Recording;
 /// Key of the settings among a capture's metadata, as JSON.
 pub const SETTINGS_KEY: &str = "simulation";
 
-/// Key of what wrote the file.
+/// Key of the name of the writing program.
 const MADE_BY_KEY: &str = "made_by";
 
-/// Writes a recording over whatever was there; `clean` adds the waveforms without noise and
-/// quantising.
+/// Writes a recording, replacing an existing file; `clean` adds the waveforms without noise and quantising.
 ///
-/// # Errors
-/// [`McapFileError`] when the file cannot be written.
+/// [`McapFileError`] if the file cannot be written.
 pub fn write(recording: &Recording, path: &Path, clean: bool) -> Result<(), McapFileError> {
     let s = &recording.settings;
     let name = format!("ihd simulate: {} at {} kHz", s.pot, s.f_sw_hz / 1e3);
@@ -37,13 +35,13 @@ pub fn write(recording: &Recording, path: &Path, clean: bool) -> Result<(), Mcap
     let mut writer = Writer::create(path, Existing::Replace, false)?;
     write_head(&mut writer, &capture)?;
     let units = [recording.volt_per_code(), recording.ampere_per_code()];
-    for Batch { from, to, when } in batches(&capture.time, capture.len()) {
-        let t0_s = when.t0_s();
+    for Batch { from, to, time } in batches(&capture.time, capture.len()) {
+        let t0_s = time.t0_s();
         let code = |k: usize| [recording.v_code[k], recording.i_code[k]];
-        let message = cdr::codes(&when, units, (from..to).map(code));
+        let message = cdr::codes(&time, units, (from..to).map(code));
         writer.message(Topic::Samples, t0_s, &message)?;
         if clean {
-            let message = clean_samples(recording, &when, from, to);
+            let message = clean_samples(recording, &time, from, to);
             writer.message(Topic::CleanSamples, t0_s, &message)?;
         }
     }
@@ -51,9 +49,9 @@ pub fn write(recording: &Recording, path: &Path, clean: bool) -> Result<(), Mcap
     writer.finish()
 }
 
-fn clean_samples(recording: &Recording, when: &When<'_>, from: usize, to: usize) -> Vec<u8> {
+fn clean_samples(recording: &Recording, time: &BatchTime<'_>, from: usize, to: usize) -> Vec<u8> {
     let pair = |k: usize| [&recording.v_clean_v, &recording.i_clean_a].map(|x| x[k] as f32);
-    cdr::singles(when, (from..to).map(pair))
+    cdr::singles(time, (from..to).map(pair))
 }
 
 #[cfg(test)]
@@ -65,14 +63,14 @@ mod tests {
 
     use super::super::run::record;
     use super::super::sensing::Rate;
-    use super::super::settings::{LoadKind, Settings};
+    use super::super::settings::{CaptureSpec, LoadKind};
     use super::*;
 
     fn short(rate: Rate) -> Recording {
-        let mut s = Settings {
+        let mut s = CaptureSpec {
             load: LoadKind::Behavioural,
             duration_s: 1e-3,
-            ..Settings::default()
+            ..CaptureSpec::default()
         };
         s.sensing.rate = rate;
         s.sensing.snr_db = Some(40.0);
@@ -95,7 +93,7 @@ mod tests {
                 (back.f_sw, back.mains_hz),
                 (expected.f_sw, expected.mains_hz)
             );
-            let settings: Settings = serde_json::from_str(&back.metadata[SETTINGS_KEY]).unwrap();
+            let settings: CaptureSpec = serde_json::from_str(&back.metadata[SETTINGS_KEY]).unwrap();
             assert_eq!(settings, r.settings);
             let exact =
                 (0..back.v_v.len()).all(|k| (back.time.at(k).unwrap() - r.t_s[k]).abs() < 1e-12);

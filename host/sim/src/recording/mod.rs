@@ -1,4 +1,4 @@
-//! A simulated recording: what an oscilloscope or the board would have captured, and the truth.
+//! Simulated recording: data as an oscilloscope or the board would capture them, and the truth.
 
 pub mod comparison;
 pub mod file;

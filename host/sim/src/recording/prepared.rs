@@ -1,4 +1,4 @@
-//! Pots made ready for a load model.
+//! Pots prepared for a load model.
 
 use super::settings::LoadKind;
 use crate::behavioural;
@@ -11,7 +11,7 @@ use ihd_field::FieldModel;
 use ihd_field::gap::GapOperator;
 use ihd_field::geometry::Geometry;
 
-/// A pot made ready for one kind of load model, at any frequency.
+/// Pot prepared for one kind of load model, at any frequency.
 #[derive(Clone, Debug)]
 pub enum PreparedLoad {
     /// Field models with their weights.
@@ -23,19 +23,19 @@ pub enum PreparedLoad {
 }
 
 impl PreparedLoad {
-    /// Solves what has to be solved once for a pot: some 10 ms for the field, 200 ms for the table.
+    /// Prepares a pot: some 10 ms for the field, 200 ms for the table.
     pub fn new(kind: LoadKind, pot: &Pot, winding_r_ohm: f64) -> Result<Self, InverterError> {
         if kind == LoadKind::Behavioural {
             return Ok(Self::Behavioural(behavioural_kind(pot)));
         }
         Ok(match field_models(pot, winding_r_ohm)? {
-            // Nothing nonlinear is left without a pot.
+            // Without a pot the load is linear.
             models if kind == LoadKind::Field && !models.is_empty() => Self::Field(models),
             _ => Self::Surrogate(Box::new(surrogate_pot(pot, winding_r_ohm)?)),
         })
     }
 
-    /// The load at rest for a switching frequency, or carrying on from `before`.
+    /// Returns the load at rest for a switching frequency, or continuing from `before`.
     pub fn start(
         &self,
         f_sw_hz: f64,
@@ -93,7 +93,7 @@ pub fn surrogate_pot(pot: &Pot, winding_r_ohm: f64) -> Result<SurrogatePot, Inve
     Ok(SurrogatePot::new(&models)?)
 }
 
-/// The formulas know five loads; sizes go to the nearer of the two ferromagnetic ones.
+/// Load of the formulas for a pot: there are five; sizes go to the nearer of the two ferromagnetic ones.
 fn behavioural_kind(pot: &Pot) -> PotKind {
     match pot.metal {
         None => PotKind::None,

@@ -1,26 +1,26 @@
-//! Runs the power stage and records it.
+//! Simulation of the power stage with a recording.
 
 use std::collections::BTreeMap;
 
-use ihd_firmware::drive::Bridge;
+use ihd_firmware::drive::bridge::Bridge;
 use ihd_signal::truth::PeriodTruth;
 use ihd_signal::{Capture, FrequencyStep, Segment, TimeBase};
 
 use super::prepared::PreparedLoad;
 use super::sampler::{Sampler, convert};
 use super::sensing::Rate;
-use super::settings::{Change, Settings};
+use super::settings::{CaptureSpec, Change};
 use crate::inverter::bridge::HalfBridge;
 use crate::inverter::bus::Bus;
 use crate::inverter::harmonic_analyser::{HarmonicAnalyser, PeriodSums};
 use crate::inverter::{Inverter, InverterError, Tone};
 use crate::mains::Mains;
 
-/// What came out.
+/// Result of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recording {
-    /// What went in.
-    pub settings: Settings,
+    /// Specification.
+    pub settings: CaptureSpec,
     /// Sampling instants of the voltage, in seconds after the recording's start.
     pub t_s: Vec<f64>,
     /// Voltage codes.
@@ -29,7 +29,7 @@ pub struct Recording {
     pub i_code: Vec<i16>,
     /// Voltage after the analogue chain without noise, in volt.
     pub v_clean_v: Vec<f64>,
-    /// Current likewise, in ampere.
+    /// Current after the analogue chain without noise, in ampere.
     pub i_clean_a: Vec<f64>,
     /// Truth of every switching period.
     pub truth: Vec<PeriodTruth>,
@@ -48,12 +48,12 @@ impl Recording {
         s.i_full_scale_a / f64::from(1u32 << (s.bits - 1))
     }
 
-    /// The same waveforms and truth with another seed's noise and spikes.
+    /// Returns the same waveforms and truth with another seed's noise and spikes.
     pub fn with_seed(&self, seed: u64) -> Self {
         let sensing = &self.settings.sensing;
         let (v_code, i_code) = convert(sensing, &self.t_s, &self.v_clean_v, &self.i_clean_a, seed);
         Self {
-            settings: Settings {
+            settings: CaptureSpec {
                 seed,
                 ..self.settings.clone()
             },
@@ -63,7 +63,7 @@ impl Recording {
         }
     }
 
-    /// The recording as a capture, named `name`.
+    /// Converts the recording to a capture named `name`.
     pub fn capture(&self, name: &str) -> Capture {
         let settings = &self.settings;
         let scaled = |codes: &[i16], unit: f64| {
@@ -84,7 +84,7 @@ impl Recording {
             i_a: scaled(&self.i_code, self.ampere_per_code()),
             v_full_scale_v: Some(settings.sensing.v_full_scale_v),
             i_full_scale_a: Some(settings.sensing.i_full_scale_a),
-            // A moving carrier has no steps to state.
+            // A moving carrier has no steps.
             f_sw: match settings.sweep {
                 Some(_) => Vec::new(),
                 None => FrequencyStep::of_truth(&self.truth),
@@ -96,8 +96,7 @@ impl Recording {
         }
     }
 
-    /// The waveforms without noise and quantising as a segment; of a recording with a fixed
-    /// sampling rate.
+    /// Waveforms without noise and quantising as a segment; for a recording with a fixed sampling rate.
     pub fn clean_segment(&self) -> Segment {
         let t_s = &self.t_s;
         let span_s = t_s.last().copied().unwrap_or(0.0) - t_s.first().copied().unwrap_or(0.0);
@@ -113,9 +112,9 @@ impl Recording {
     }
 }
 
-/// Simulates; `progress` hears the finished share, 0 to 1, once a switching period.
+/// Simulates; `progress` is called with the share done, 0 to 1, once a switching period.
 pub fn record(
-    settings: &Settings,
+    settings: &CaptureSpec,
     mut progress: impl FnMut(f64),
 ) -> Result<Recording, InverterError> {
     settings.check()?;
@@ -174,8 +173,8 @@ pub fn record(
     })
 }
 
-/// The power stage at rest, with the load `prepared`.
-fn power_stage(settings: &Settings, prepared: &PreparedLoad) -> Result<Inverter, InverterError> {
+/// Creates the power stage at rest, with the load `prepared`.
+fn power_stage(settings: &CaptureSpec, prepared: &PreparedLoad) -> Result<Inverter, InverterError> {
     let mains = Mains::new(settings.mains_hz).with_harmonics(settings.mains_harmonics);
     let steps = settings.steps(settings.f_sw_hz);
     let mut inverter = Inverter::new(
@@ -194,10 +193,10 @@ fn power_stage(settings: &Settings, prepared: &PreparedLoad) -> Result<Inverter,
     Ok(inverter)
 }
 
-/// Takes truth from the waveform, period by period.
+/// Computes the truth from the waveform, period by period.
 struct Periods {
     analyser: HarmonicAnalyser,
-    /// Sums and frequency in hertz of the period before, where it goes with the next.
+    /// Sums and frequency in hertz of the period before; `None` if the next does not continue it.
     before: Option<(PeriodSums, f64)>,
 }
 
@@ -209,8 +208,8 @@ impl Periods {
         }
     }
 
-    /// One switching period; returns the truth at its start, from it and the period before, or that of
-    /// its middle where there is none to go with it. What a neighbour induces is no part of the load.
+    /// Simulates one switching period; returns the truth at its start, from it and the period before, or that of its middle if
+    /// there is none before. The voltage induced by a neighbour is no part of the load.
     fn record(
         &mut self,
         inverter: &mut Inverter,
@@ -242,7 +241,7 @@ impl Periods {
     }
 }
 
-/// A period of another length in as many steps; everything else goes on.
+/// Changes the period's length, with as many steps; everything else continues.
 fn sweep_to(
     inverter: &mut Inverter,
     prepared: &PreparedLoad,
@@ -260,12 +259,12 @@ fn sweep_to(
     Ok(())
 }
 
-/// The field keeps its state across a change of frequency, only its time step moves a little.
+/// Changes the frequency. The field keeps its state; its time step moves a little.
 fn change_frequency(
     inverter: &mut Inverter,
     prepared: &PreparedLoad,
     f_sw_hz: f64,
-    settings: &Settings,
+    settings: &CaptureSpec,
 ) -> Result<(), InverterError> {
     let steps = settings.steps(f_sw_hz);
     let mut load = inverter.load.clone();
@@ -286,11 +285,11 @@ mod tests {
     use ihd_field::gap::GapOperator;
     use ihd_field::geometry::Geometry;
 
-    fn behavioural(duration_s: f64) -> Settings {
-        Settings {
+    fn behavioural(duration_s: f64) -> CaptureSpec {
+        CaptureSpec {
             load: LoadKind::Behavioural,
             duration_s,
-            ..Settings::default()
+            ..CaptureSpec::default()
         }
     }
 
@@ -351,9 +350,9 @@ mod tests {
 
     #[test]
     fn taking_the_pot_off_the_field_model_leaves_the_bare_coil() {
-        let mut s = Settings {
+        let mut s = CaptureSpec {
             duration_s: 4e-3,
-            ..Settings::default()
+            ..CaptureSpec::default()
         };
         s.events = vec![
             Event {
@@ -385,7 +384,7 @@ mod tests {
     fn dead_time_is_invisible_to_lagging_current() {
         let a = record(&behavioural(3e-3), |_| ()).unwrap();
         let b = record(
-            &Settings {
+            &CaptureSpec {
                 dead_s: 1e-6,
                 ..behavioural(3e-3)
             },
@@ -399,7 +398,7 @@ mod tests {
     #[test]
     fn a_bus_capacitor_keeps_current_flowing_at_the_zero_crossing() {
         let with = |bus_capacitance_f| {
-            let s = Settings {
+            let s = CaptureSpec {
                 bus_capacitance_f,
                 f_sw_hz: 70e3,
                 ..behavioural(10.5e-3)
@@ -417,7 +416,7 @@ mod tests {
     /// Every period has its own frequency, and the law's R and L there.
     #[test]
     fn a_swept_carrier_has_its_frequency_and_load_in_every_period() {
-        let s = Settings {
+        let s = CaptureSpec {
             sweep: Some(Sweep {
                 deviation_hz: 3e3,
                 rate_hz: 500.0,
@@ -451,7 +450,7 @@ mod tests {
     #[test]
     fn the_bridges_resistance_is_no_part_of_the_coil() {
         let with = |bridge_r_ohm| {
-            let s = Settings {
+            let s = CaptureSpec {
                 bridge_r_ohm,
                 start_s: 3e-3,
                 ..behavioural(4e-3)
@@ -485,7 +484,7 @@ mod tests {
     /// What R and L leave of the coil's voltage is the neighbour's tone, in amplitude and frequency.
     #[test]
     fn a_neighbour_is_what_r_and_l_leave_unexplained() {
-        let s = Settings {
+        let s = CaptureSpec {
             load: LoadKind::Behavioural,
             pot: Pot::NONE,
             start_s: 2e-3,
@@ -494,7 +493,7 @@ mod tests {
                 offset_hz: 1.2e3,
                 v: 8.0,
             }),
-            ..Settings::default()
+            ..CaptureSpec::default()
         };
         let r = record(&s, |_| ()).unwrap();
         let law = behavioural::BehaviouralLoad::new(PotKind::None, 45e3);
@@ -524,7 +523,7 @@ mod tests {
             t_s,
             change: Change::Load { r_factor, l_factor },
         };
-        let s = Settings {
+        let s = CaptureSpec {
             events: vec![step(4e-3, 0.6, 1.35), step(6e-3, 1.0, 1.0)],
             ..behavioural(8e-3)
         };
@@ -566,7 +565,7 @@ mod tests {
 
     #[test]
     fn a_mains_of_47_hertz_has_its_zero_crossings_there() {
-        let s = Settings {
+        let s = CaptureSpec {
             mains_hz: 47.0,
             ..behavioural(22e-3)
         };
@@ -582,7 +581,7 @@ mod tests {
     #[test]
     fn a_distorted_mains_has_a_flatter_crest() {
         let at_crest = |mains_harmonics| {
-            let s = Settings {
+            let s = CaptureSpec {
                 mains_harmonics,
                 ..behavioural(5.2e-3)
             };

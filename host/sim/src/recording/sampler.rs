@@ -1,4 +1,4 @@
-//! From coil voltage and current to ADC codes: disturbances, filter, sampling, noise, quantising.
+//! Conversion of coil voltage and current to ADC codes: disturbances, filter, sampling, noise, quantising.
 
 use std::f64::consts::TAU;
 
@@ -13,8 +13,8 @@ use crate::adc::Noise;
 use crate::inverter::Instant;
 use crate::low_pass::LowPass;
 
-/// Samples the running simulation; noise and codes come at the end, because the paper's noise is
-/// relative to the whole record.
+/// Sampler of the running simulation. Noise and codes are added at the end, because the paper's noise is relative to the whole
+/// record.
 #[derive(Clone, Debug)]
 pub struct Sampler {
     sensing: Sensing,
@@ -34,7 +34,7 @@ pub struct Sampler {
 }
 
 impl Sampler {
-    /// Starts at the given instant, which is the first sample.
+    /// Creates a sampler whose first sample is the given instant.
     pub fn new(sensing: &Sensing, start: Instant) -> Self {
         Self {
             sensing: sensing.clone(),
@@ -50,7 +50,7 @@ impl Sampler {
         }
     }
 
-    /// Takes the next instant of the simulation.
+    /// Adds the next instant of the simulation.
     pub fn push(&mut self, now: Instant, f_sw_hz: f64) {
         let dt_s = now.t_s - self.last.t_s;
         let before = self.filters.map(|f| f.output());
@@ -79,7 +79,7 @@ impl Sampler {
         self.last = now;
     }
 
-    /// Damped oscillation kicked by the bridge's edges; its value is the imaginary part.
+    /// Advances the damped oscillation that the bridge's edges excite; its value is the imaginary part.
     fn advance_ringing(&mut self, edge_v: f64, dt_s: f64) {
         if self.sensing.ringing == 0.0 {
             return;
@@ -92,7 +92,7 @@ impl Sampler {
         self.ring = (re * c - im * s, re * s + im * c);
     }
 
-    /// Forgets what was sampled from `end_s` on.
+    /// Removes samples from `end_s` on.
     pub fn cut(&mut self, end_s: f64) {
         let before = self.t_s.partition_point(|t| *t < end_s);
         let n = before.min(self.v_v.len()).min(self.i_a.len());
@@ -101,17 +101,17 @@ impl Sampler {
         self.i_a.truncate(n);
     }
 
-    /// Adds gain, offset, noise and spikes, and converts: codes of voltage and current.
+    /// Adds gain, offset, noise and spikes, and converts to codes of voltage and current.
     pub fn finish(&self, seed: u64) -> (Vec<i16>, Vec<i16>) {
         convert(&self.sensing, &self.t_s, &self.v_v, &self.i_a, seed)
     }
 }
 
-/// What each channel has before its anti-alias filter.
+/// Input stages of the channels before the anti-alias filters.
 #[derive(Clone, Copy, Debug)]
 struct Probes {
     poles: [LowPass; 2],
-    /// What the droop takes away: its low-passed input.
+    /// Low-passed input, which the droop subtracts.
     droop: LowPass,
 }
 
@@ -146,8 +146,8 @@ fn saturated(i_a: f64, saturation_a: f64) -> f64 {
     }
 }
 
-/// Gain, offset, noise and spikes by `seed`, and conversion of what the analogue chain of `s` puts out at
-/// `t_s`: codes of voltage and current.
+/// Adds gain, offset, noise and spikes by `seed` to the output of the analogue chain of `s` at `t_s`, and converts to codes of
+/// voltage and current.
 pub fn convert(
     s: &Sensing,
     t_s: &[f64],

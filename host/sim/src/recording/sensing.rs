@@ -1,11 +1,11 @@
-//! Settings of everything between the coil and the numbers, and their limits.
+//! Settings of the sensing chain, and their limits.
 
 use ihd_shared::sampling::{I_FULL_SCALE_A, V_FULL_SCALE_V};
 use serde::{Deserialize, Serialize};
 
 use crate::inverter::{InverterError, in_range};
 
-/// When the converters sample.
+/// Sampling rate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rate {
@@ -15,13 +15,13 @@ pub enum Rate {
     Hz(f64),
 }
 
-/// Everything between the coil and the numbers. What a file does not state is as in [`Sensing::default`].
+/// Sensing chain between the coil and the numbers. Fields missing in a file have the values of [`Sensing::default`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Sensing {
     /// Sampling.
     pub rate: Rate,
-    /// Accept a fixed rate that cannot show the voltage's edges.
+    /// `true` to accept a fixed rate that cannot show the voltage's edges.
     pub allow_aliasing: bool,
     /// Resolution, 8 to 16 bits.
     pub bits: u32,
@@ -42,7 +42,7 @@ pub struct Sensing {
     /// Corner of a first-order low pass that the voltage channel alone has, in hertz, 10 kHz to
     /// 100 MHz: a probe's bandwidth; 0: none.
     pub v_pole_hz: f64,
-    /// Likewise of the current channel.
+    /// Corner of a first-order low pass that the current channel alone has, in hertz, 10 kHz to 100 MHz; 0: none.
     pub i_pole_hz: f64,
     /// Corner of a first-order high pass in the current channel in hertz, 1 Hz to 50 kHz: the droop of
     /// a current transformer or a Rogowski coil's integrator; 0: none.
@@ -50,7 +50,7 @@ pub struct Sensing {
     /// Soft saturation of the current probe: it shows s·tanh(i/s), with s this in ampere, 1 to 10000;
     /// 0: none.
     pub i_saturation_a: f64,
-    /// How much later the current is sampled than the voltage, in seconds.
+    /// Delay of the current's samples after the voltage's, in seconds.
     pub skew_s: f64,
     /// White noise on both channels: SNR in decibel, σ² = P_signal/10^(SNR/10) (paper, section V).
     pub snr_db: Option<f64>,

@@ -1,4 +1,4 @@
-//! Settings of a recording, the paper's presets, and their limits.
+//! Specification of a recording, the paper's presets, and their limits.
 
 use std::f64::consts::TAU;
 
@@ -9,7 +9,7 @@ use super::sensing::Sensing;
 use crate::inverter::{InverterError, in_range};
 use crate::pot::{Metal, Pot};
 
-/// Which model stands for the load.
+/// Load model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LoadKind {
@@ -23,7 +23,7 @@ pub enum LoadKind {
     Behavioural,
 }
 
-/// Something that happens while recording.
+/// Change during a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Change {
@@ -35,7 +35,7 @@ pub enum Change {
     Off,
     /// Bridge on.
     On,
-    /// R and L of a law are so many times the law's from now on, until the next such change.
+    /// Sets the factors of a law's R and L until the next such change.
     Load {
         /// Factor of R, 0.1 to 10.
         r_factor: f64,
@@ -44,17 +44,16 @@ pub enum Change {
     },
 }
 
-/// A carrier that moves: f_sw(t) = f + deviation · sin(2π · rate · t), t since the recording's start,
-/// constant within a switching period.
+/// Moving carrier: f_sw(t) = f + deviation · sin(2π · rate · t), t since the recording's start, constant within a switching period.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sweep {
     /// Largest deviation in hertz, 0 to 10 kHz.
     pub deviation_hz: f64,
-    /// How often it goes up and down, in hertz, 1 to 5000.
+    /// Frequency of the modulation in hertz, 1 to 5000.
     pub rate_hz: f64,
 }
 
-/// A hob zone nearby, whose field induces a sine in the coil.
+/// Nearby hob zone whose field induces a sine in the coil.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Neighbour {
     /// Its frequency less that of the recording's start, in hertz, -50 to 50 kHz.
@@ -63,29 +62,28 @@ pub struct Neighbour {
     pub v: f64,
 }
 
-/// A change and its time in seconds after the recording's start; it takes effect at the next
-/// period of the switching frequency.
+/// Change at a time in seconds after the recording's start; it takes effect at the next period of the switching frequency.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Event {
-    /// When, in seconds.
+    /// Time in seconds.
     pub t_s: f64,
-    /// What.
+    /// Change.
     pub change: Change,
 }
 
-/// Everything that determines a recording. What a file does not state is as in [`Settings::default`].
+/// Complete specification of a recording. Fields missing in a file have the values of [`CaptureSpec::default`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Settings {
+pub struct CaptureSpec {
     /// Switching frequency in hertz, 20 to 100 kHz.
     pub f_sw_hz: f64,
-    /// Moves the switching frequency around where it stands.
+    /// Modulation of the switching frequency.
     pub sweep: Option<Sweep>,
     /// Share of the period in which the upper switch is on, 0.2 to 0.8; 0.5 is the hob's.
     pub duty: f64,
-    /// Resistance of the bridge's switches in ohm, 0 to 1: in the loop, and no part of the coil.
+    /// Resistance of the bridge's switches in ohm, 0 to 1: in the loop, outside the coil.
     pub bridge_r_ohm: f64,
-    /// Another zone's field in the coil.
+    /// Neighbouring zone whose field acts on the coil.
     pub neighbour: Option<Neighbour>,
     /// Mains frequency in hertz, 50 or 60 usually.
     pub mains_hz: f64,
@@ -97,9 +95,9 @@ pub struct Settings {
     pub dead_s: f64,
     /// Duration of the bridge's edges in seconds.
     pub edge_s: f64,
-    /// What stands on the coil at the start.
+    /// Pot on the coil at the start.
     pub pot: Pot,
-    /// How the load is modelled.
+    /// Load model.
     pub load: LoadKind,
     /// Resistance of winding and leads in ohm, in series with a field model or its surrogate.
     pub winding_r_ohm: f64,
@@ -109,7 +107,7 @@ pub struct Settings {
     pub duration_s: f64,
     /// Integration step in seconds; rounded so that a switching period is a whole number of steps.
     pub dt_s: f64,
-    /// What happens meanwhile, in order of time.
+    /// Changes, in order of time.
     pub events: Vec<Event>,
     /// Sensing chain.
     pub sensing: Sensing,
@@ -117,7 +115,7 @@ pub struct Settings {
     pub seed: u64,
 }
 
-impl Default for Settings {
+impl Default for CaptureSpec {
     /// The paper's time-domain simulation at 45 kHz: two mains half-cycles, no losses in the
     /// winding, no dead time, no noise.
     fn default() -> Self {
@@ -153,13 +151,13 @@ pub const PRESETS: [(&str, f64); 4] = [
     ("paper-70", 70e3),
 ];
 
-/// A preset's name that means nothing.
+/// A name that denotes no preset.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("unknown preset `{0}`: use paper-45, paper-50, paper-60 or paper-70")]
 pub struct UnknownPreset(String);
 
-impl Settings {
-    /// One of [`PRESETS`].
+impl CaptureSpec {
+    /// Returns one of [`PRESETS`].
     pub fn preset(name: &str) -> Result<Self, UnknownPreset> {
         let found = PRESETS.iter().find(|(preset, _)| *preset == name);
         let (_, f_sw_hz) = found.ok_or_else(|| UnknownPreset(name.to_owned()))?;
@@ -174,14 +172,14 @@ impl Settings {
         libm::round(1.0 / (f_sw_hz * self.dt_s)).max(8.0) as usize
     }
 
-    /// Switching frequency in hertz at `t_s` after the start, where the hob is set to `f_sw_hz`.
+    /// Switching frequency in hertz at `t_s` after the start, if the hob is set to `f_sw_hz`.
     pub fn swept_hz(&self, f_sw_hz: f64, t_s: f64) -> f64 {
         self.sweep.map_or(f_sw_hz, |s| {
             f_sw_hz + s.deviation_hz * libm::sin(TAU * s.rate_hz * t_s)
         })
     }
 
-    /// Checks everything that is not checked where it is used; names the field.
+    /// Checks all values that are not checked at their use; the error names the field.
     pub fn check(&self) -> Result<(), InverterError> {
         self.check_frequency("f_sw_hz", self.f_sw_hz)?;
         self.check_disturbances()?;
@@ -210,7 +208,7 @@ impl Settings {
         self.sensing.check(self.edge_s)
     }
 
-    /// A switching frequency, with the sweep around it.
+    /// Checks a switching frequency, with the modulation around it.
     fn check_frequency(&self, field: &'static str, f_sw_hz: f64) -> Result<(), InverterError> {
         let deviation_hz = self.sweep.map_or(0.0, |s| s.deviation_hz);
         let (from_hz, to_hz) = (20e3 + deviation_hz, 100e3 - deviation_hz);
@@ -271,12 +269,12 @@ mod tests {
     #[test]
     fn presets_are_the_papers_frequencies_and_others_are_refused() {
         for (name, f) in PRESETS {
-            let s = Settings::preset(name).unwrap();
+            let s = CaptureSpec::preset(name).unwrap();
             assert_eq!(s.f_sw_hz, f);
             assert_eq!(s.check(), Ok(()));
         }
         assert!(
-            Settings::preset("paper-55")
+            CaptureSpec::preset("paper-55")
                 .unwrap_err()
                 .to_string()
                 .contains("paper-60")
@@ -285,14 +283,14 @@ mod tests {
 
     #[test]
     fn settings_from_before_the_disturbances_are_read_as_without_them() {
-        let mut old = serde_json::to_value(Settings::default()).unwrap();
+        let mut old = serde_json::to_value(CaptureSpec::default()).unwrap();
         let fields = old.as_object_mut().unwrap();
         for new in ["sweep", "duty", "bridge_r_ohm", "neighbour"] {
             assert!(fields.remove(new).is_some(), "{new}");
         }
-        let back: Settings = serde_json::from_value(old).unwrap();
-        assert_eq!(back, Settings::default());
-        let all = Settings {
+        let back: CaptureSpec = serde_json::from_value(old).unwrap();
+        assert_eq!(back, CaptureSpec::default());
+        let all = CaptureSpec {
             sweep: Some(Sweep {
                 deviation_hz: 5e3,
                 rate_hz: 100.0,
@@ -309,17 +307,17 @@ mod tests {
                     l_factor: 1.35,
                 },
             }],
-            ..Settings::default()
+            ..CaptureSpec::default()
         };
         assert_eq!(all.check(), Ok(()));
         let text = serde_json::to_string(&all).unwrap();
-        assert_eq!(serde_json::from_str::<Settings>(&text).unwrap(), all);
+        assert_eq!(serde_json::from_str::<CaptureSpec>(&text).unwrap(), all);
     }
 
     #[test]
     fn impossible_disturbances_are_refused_by_name() {
-        let field = |change: fn(&mut Settings)| {
-            let mut s = Settings::default();
+        let field = |change: fn(&mut CaptureSpec)| {
+            let mut s = CaptureSpec::default();
             change(&mut s);
             s.check().unwrap_err().to_string()
         };
@@ -357,8 +355,8 @@ mod tests {
 
     #[test]
     fn bad_numbers_are_refused_by_name() {
-        let field = |change: fn(&mut Settings)| {
-            let mut s = Settings::default();
+        let field = |change: fn(&mut CaptureSpec)| {
+            let mut s = CaptureSpec::default();
             change(&mut s);
             s.check().unwrap_err().to_string()
         };

@@ -1,4 +1,4 @@
-//! The file of a scenario, as it is written.
+//! Format of a scenario file.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,17 +17,17 @@ use crate::injection::{Channel, InjectionKind};
 use crate::pot::Pot;
 use crate::recording::settings::LoadKind;
 
-/// A scenario. Unknown fields are refused.
+/// Scenario. Unknown fields are rejected.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScenarioFile {
-    /// What it shows, for a table of scenarios.
+    /// Title for a table of scenarios.
     #[serde(default)]
     pub title: String,
     /// Length, in seconds.
     #[serde(deserialize_with = "number::duration_s")]
     pub duration_s: f64,
-    /// How the load is modelled.
+    /// Load model.
     #[serde(default = "reduced")]
     pub load: LoadKind,
     /// Seed of the noise.
@@ -36,55 +36,55 @@ pub struct ScenarioFile {
     /// The mains at the start.
     #[serde(default)]
     pub mains: MainsField,
-    /// What stands on the coil at the start.
+    /// Pot on the coil at the start.
     #[serde(default)]
     pub pot: PotField,
-    /// Whether the pot warms up.
+    /// `true` if the pot warms up.
     #[serde(default)]
     pub warming: bool,
-    /// What is in the pot, which then warms up: `water-1.5`, `oil-0.5`, `food`, `empty`.
+    /// Contents of the pot, which then warms up: `water-1.5`, `oil-0.5`, `food`, `empty`.
     #[serde(default)]
     pub contents: Option<Contents>,
     /// Bus capacitance in microfarad, 0 for none.
     #[serde(default, deserialize_with = "number::bus_uf")]
     pub bus_capacitance_uf: f64,
-    /// Whether the board has a sensor of the DC link's current.
+    /// `true` if the board has a sensor of the DC link's current.
     #[serde(default)]
     pub dc_link: bool,
-    /// Whether a panel is fitted: without one no event may touch it.
+    /// `true` if a panel is fitted; without one, events of the panel are invalid.
     #[serde(default = "yes")]
     pub panel: bool,
-    /// Whether heat sink, glass and coil have temperature sensors; without it, they have.
+    /// `true` if heat sink, glass and coil have temperature sensors; default: they have.
     #[serde(default)]
     pub ntc: Option<bool>,
-    /// Temperature around the hob in °C; without it 25.
+    /// Temperature around the hob in °C; default 25.
     #[serde(default, deserialize_with = "number::some_temperature_c")]
     pub ambient_c: Option<f64>,
     /// Corner of the anti-alias filters in hertz, 0 for none.
     #[serde(default, deserialize_with = "number::some_corner_hz")]
     pub anti_alias_hz: Option<f64>,
-    /// Noise of the fast channels; without it half a code.
+    /// Noise of the fast channels; default half a code.
     #[serde(default)]
     pub noise: Option<NoiseField>,
-    /// How long the device looks for a pot, in seconds; without it the device's default.
+    /// Time limit of the device's search for a pot, in seconds; default: the device's.
     #[serde(default, deserialize_with = "number::some_give_up_s")]
     pub give_up_s: Option<f64>,
-    /// How far the frequency is moved from half-cycle to half-cycle, in permille; without it not at all.
+    /// Change of the frequency between half-cycles, in permille; default: none.
     #[serde(default, deserialize_with = "number::some_permille")]
     pub dither_permille: Option<f64>,
-    /// What happens, in any order.
+    /// Events, in any order.
     #[serde(default)]
     pub event: Vec<Spanned<EventField>>,
     /// Limits on the record.
     #[serde(default)]
     pub limits: Limits,
-    /// Values that [`variants`](super::variants::read) puts into the file, by path; a run leaves them aside.
+    /// Values that [`variants`](super::variants::read) inserts into the file, by path; ignored by a run.
     #[serde(default)]
     pub matrix: Vec<BTreeMap<String, Vec<toml::Value>>>,
 }
 
 impl ScenarioFile {
-    /// The hob of the file's head.
+    /// Configuration of the hob from the file's head.
     pub fn hob(&self) -> HobConfig {
         let usual = HobConfig::default();
         HobConfig {
@@ -125,15 +125,15 @@ fn one() -> u64 {
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NoiseField {
-    /// Of the voltage channel, in volt.
+    /// Standard deviation of the voltage channel, in volt.
     #[serde(default, deserialize_with = "number::noise_v")]
     pub v_v: f64,
-    /// Of the current channel, in ampere.
+    /// Standard deviation of the current channel, in ampere.
     #[serde(default, deserialize_with = "number::noise_a")]
     pub i_a: f64,
 }
 
-/// The mains; what is not given stays as it is.
+/// Mains; missing fields keep their values.
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MainsField {
@@ -143,17 +143,17 @@ pub struct MainsField {
     /// Frequency in hertz.
     #[serde(default, deserialize_with = "number::some_hz")]
     pub hz: Option<f64>,
-    /// In an event: for how long, in seconds; then as before.
+    /// In an event: duration in seconds, then restored.
     #[serde(default, deserialize_with = "number::some_time_s")]
     pub for_s: Option<f64>,
 }
 
-/// A pot and its place: a table, or just its name.
+/// Pot and its place: a table, or just its name.
 #[derive(Clone, Copy, Debug)]
 pub struct PotField {
     /// The pot.
     pub pot: Pot,
-    /// In an event: for how long, in seconds; then as before.
+    /// In an event: duration in seconds, then restored.
     pub for_s: Option<f64>,
 }
 
@@ -225,72 +225,72 @@ impl<'de> Deserialize<'de> for PotField {
     }
 }
 
-/// What the host does.
+/// Action of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HostWord {
-    /// Sends nothing any more, until the next event that makes it.
+    /// Sends nothing until the next event that makes it send.
     Silent,
     /// Clears the fault.
     ClearFault,
-    /// Clears the fault again and again, every `every_s`.
+    /// Clears the fault repeatedly, every `every_s`.
     ClearFaultEvery,
     /// Pushes a lookup from `file`, one of a constant `r_ohm` and `l_uh`, or that of the pot `of_pot`.
     PushLookup,
-    /// Sends the device back to its built-in lookup.
+    /// Restores the device's built-in lookup.
     ResetLookup,
-    /// Asks for `power_w` again and again, every `every_s`; with `toggle` for 0 in between.
+    /// Requests `power_w` repeatedly, every `every_s`; with `toggle` alternating with 0.
     SetPowerEvery,
 }
 
-/// Something that happens: a time and at least one more field.
+/// Event: a time and at least one more field.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EventField {
-    /// When, in seconds after the start.
+    /// Time in seconds after the start.
     #[serde(deserialize_with = "number::time_s")]
     pub at_s: f64,
-    /// For how long, of mains, pot, inject and what a host repeats; then as before.
+    /// Duration in seconds, for mains, pot, inject and repeated actions of the host; then restored.
     #[serde(default, deserialize_with = "number::some_time_s")]
     pub for_s: Option<f64>,
-    /// The host asks for power, in watt.
+    /// Power requested by the host, in watt.
     #[serde(default, deserialize_with = "number::some_power_w")]
     pub power_w: Option<f64>,
-    /// Another pot, or the same elsewhere.
+    /// New pot, or the same at another place.
     pub pot: Option<PotField>,
-    /// Another mains.
+    /// New mains.
     pub mains: Option<MainsField>,
-    /// A person touches the panel: power level 0 (off) to 9.
+    /// A user sets the panel's power level: 0 (off) to 9.
     #[serde(default, deserialize_with = "number::some_level")]
     pub panel: Option<f64>,
-    /// A person locks the panel's keys, or unlocks them.
+    /// A user locks the panel's keys (`true`) or unlocks them.
     pub key_lock: Option<bool>,
-    /// Another temperature around the hob, in °C.
+    /// New temperature around the hob, in °C.
     #[serde(default, deserialize_with = "number::some_temperature_c")]
     pub ambient_c: Option<f64>,
-    /// The heat sink is now so hot, in °C.
+    /// New temperature of the heat sink, in °C.
     #[serde(default, deserialize_with = "number::some_temperature_c")]
     pub heat_sink_c: Option<f64>,
-    /// The glass is now so hot, in °C.
+    /// New temperature of the glass, in °C.
     #[serde(default, deserialize_with = "number::some_temperature_c")]
     pub glass_c: Option<f64>,
-    /// A fault of sensors or sampling.
+    /// Fault of sensors or sampling.
     pub inject: Option<InjectionKind>,
-    /// Its number.
+    /// Value of the fault.
     pub value: Option<f64>,
-    /// Its channel.
+    /// Channel of the fault.
     pub channel: Option<Channel>,
-    /// What the host does.
+    /// Action of the host.
     pub host: Option<HostWord>,
-    /// Period of what the host repeats, in seconds.
+    /// Period of a repeated action of the host, in seconds.
     #[serde(default, deserialize_with = "number::some_time_s")]
     pub every_s: Option<f64>,
-    /// Whether a repeated power alternates with 0 W.
+    /// `true` if a repeated power alternates with 0 W.
     #[serde(default)]
     pub toggle: bool,
-    /// A lookup's file, relative to the scenario's.
+    /// File of a lookup, relative to the scenario's.
     pub file: Option<PathBuf>,
-    /// The pot that a lookup describes exactly, by name.
+    /// Name of the pot that a lookup describes exactly.
     #[serde(default, deserialize_with = "some_named_pot")]
     pub of_pot: Option<Pot>,
     /// Resistance of a lookup, in ohm.
@@ -299,11 +299,11 @@ pub struct EventField {
     /// Inductance of a lookup, in microhenry.
     #[serde(default, deserialize_with = "number::some_l_uh")]
     pub l_uh: Option<f64>,
-    /// Version of a lookup; without it the number of pushes so far, plus 1.
+    /// Version of a lookup; default: the number of pushes so far, plus 1.
     pub version: Option<u32>,
 }
 
-/// Text of a file.
+/// Reads the text of a file.
 pub(super) fn text(path: &Path) -> Result<String, ScenarioError> {
     std::fs::read_to_string(path).map_err(|source| ScenarioError::Read {
         path: path.to_owned(),
@@ -311,19 +311,19 @@ pub(super) fn text(path: &Path) -> Result<String, ScenarioError> {
     })
 }
 
-/// Directory of a file, which the files that it names are relative to.
+/// Folder of a file; paths in the file are relative to it.
 pub(super) fn directory(path: &Path) -> PathBuf {
     path.parent().map(PathBuf::from).unwrap_or_default()
 }
 
-/// A file read.
+/// Parsed file.
 #[derive(Clone, Debug)]
 pub struct Scenario {
     /// Its content.
     pub file: ScenarioFile,
     /// Line on which each event begins.
     pub lines: Vec<usize>,
-    /// Where files are relative to.
+    /// Folder that paths in the file are relative to.
     pub directory: PathBuf,
 }
 
@@ -336,7 +336,7 @@ impl Scenario {
         Self::parse(&text(path)?, directory(path))
     }
 
-    /// Reads text; files that it names are relative to a directory.
+    /// Parses text; paths in it are relative to a folder.
     ///
     /// # Errors
     /// [`ScenarioError::Syntax`].

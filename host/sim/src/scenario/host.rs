@@ -1,4 +1,4 @@
-//! The host of a scenario: says hello, asks for power, keeps the link alive, and repeats itself if told so.
+//! Host of a scenario: sends hello, requests power, keeps the link alive, and repeats requests if configured.
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
@@ -8,18 +8,18 @@ use ihd_shared::wire::messages::{
 };
 use ihd_shared::wire::number::Number;
 
-use super::timeline::Repeated;
+use super::timeline::RepeatedRequest;
 use crate::hob::SimHob;
 
-/// How often an idle host asks for the status, in seconds.
+/// Period at which an idle host requests the status, in seconds.
 const KEEP_ALIVE_S: f64 = 1.0;
 
 struct Repeat {
-    what: Repeated,
+    what: RepeatedRequest,
     every_s: f64,
     until_s: f64,
     next_s: f64,
-    /// Whether a power that alternates is 0 next.
+    /// `true` if an alternating power is 0 next.
     zero_next: bool,
 }
 
@@ -34,7 +34,7 @@ pub(super) struct Host {
 }
 
 impl Host {
-    /// Says hello.
+    /// Creates the host and sends its hello.
     pub(super) fn new(hob: &mut SimHob) -> Self {
         let mut host = Self {
             seq: 0,
@@ -48,7 +48,7 @@ impl Host {
         host
     }
 
-    /// Power asked for last, in watt.
+    /// Power requested last, in watt.
     pub(super) fn asked_w(&self) -> u16 {
         self.asked_w
     }
@@ -85,13 +85,13 @@ impl Host {
         self.send(hob, settings);
     }
 
-    /// Nothing more, until told otherwise.
+    /// Stops sending until the next request.
     pub(super) fn fall_silent(&mut self) {
         self.silent = true;
         self.repeats.clear();
     }
 
-    pub(super) fn repeat(&mut self, what: Repeated, every_s: f64, until_s: f64, now_s: f64) {
+    pub(super) fn repeat(&mut self, what: RepeatedRequest, every_s: f64, until_s: f64, now_s: f64) {
         self.silent = false;
         self.repeats.push(Repeat {
             what,
@@ -102,7 +102,7 @@ impl Host {
         });
     }
 
-    /// After each block: what is due, and nothing heard is kept.
+    /// Runs after each block: sends due requests and discards received bytes.
     pub(super) fn turn(&mut self, hob: &mut SimHob) {
         let mut heard = [0; 1024];
         while hob.receive(&mut heard) > 0 {}
@@ -119,15 +119,15 @@ impl Host {
         for r in self.repeats.iter_mut().filter(|r| now_s >= r.next_s) {
             r.next_s += r.every_s;
             due.push(match r.what {
-                Repeated::Power(_, true) if r.zero_next => Repeated::Power(0, true),
+                RepeatedRequest::Power(_, true) if r.zero_next => RepeatedRequest::Power(0, true),
                 what => what,
             });
             r.zero_next = !r.zero_next;
         }
         for what in due {
             match what {
-                Repeated::Power(power_w, _) => self.set_power(hob, power_w),
-                Repeated::ClearFault => self.clear_fault(hob),
+                RepeatedRequest::Power(power_w, _) => self.set_power(hob, power_w),
+                RepeatedRequest::ClearFault => self.clear_fault(hob),
             }
         }
     }

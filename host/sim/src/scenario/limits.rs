@@ -10,7 +10,7 @@ use super::measured::{MEANS, Mean, NUMBERS, Number, WORDS, Word};
 use super::record::Record;
 use super::summary::within;
 
-/// Why `[limits]` cannot be used.
+/// Error of `[limits]`.
 #[derive(Debug, thiserror::Error)]
 pub enum LimitError {
     /// A name that no quantity of this form has.
@@ -45,7 +45,7 @@ pub struct Limits(Vec<Limit>);
 #[derive(Clone, Debug)]
 struct Limit {
     name: &'static str,
-    /// As in the file.
+    /// Allowed values, as in the file.
     allowed: String,
     bound: Bound,
 }
@@ -62,18 +62,18 @@ enum Bound {
 
 /// A limit and what was measured.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Checked {
+pub struct LimitCheck {
     /// Name of the limit.
     pub name: &'static str,
     /// Allowed values, as in the file.
     pub allowed: String,
     /// Measured values.
-    pub measured: Measured,
+    pub measured: MeasuredValues,
     /// `true` if the limit is met.
     pub ok: bool,
 }
 
-impl fmt::Display for Checked {
+impl fmt::Display for LimitCheck {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { name, allowed, .. } = self;
         write!(f, "{name} is {}, allowed {allowed}", self.measured)
@@ -82,14 +82,14 @@ impl fmt::Display for Checked {
 
 /// Values that a limit is compared with.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Measured {
+pub enum MeasuredValues {
     /// Numbers; NaN for what never happened.
     Numbers(Vec<f64>),
     /// A word or a truth.
     Word(String),
 }
 
-impl fmt::Display for Measured {
+impl fmt::Display for MeasuredValues {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Numbers(numbers) if numbers.is_empty() => f.write_str("never"),
@@ -116,7 +116,7 @@ pub fn three_digits(number: f64) -> String {
 
 impl Limits {
     /// Compares every limit with a record, in order of their names.
-    pub fn check(&self, record: &Record) -> Vec<Checked> {
+    pub fn check(&self, record: &Record) -> Vec<LimitCheck> {
         self.0.iter().map(|limit| limit.check(record)).collect()
     }
 }
@@ -167,18 +167,18 @@ impl Limit {
         })
     }
 
-    fn check(&self, record: &Record) -> Checked {
+    fn check(&self, record: &Record) -> LimitCheck {
         let (measured, ok) = match &self.bound {
             Bound::Words(word, allowed) => {
                 let word = word(record);
                 let ok = allowed.contains(&word);
-                (Measured::Word(word), ok)
+                (MeasuredValues::Word(word), ok)
             }
             Bound::Range(number, range) => {
                 let numbers = number(record);
                 // A limit on nothing would be met by a record that lacks what it is about.
                 let ok = !numbers.is_empty() && numbers.iter().all(|n| range.contains(n));
-                (Measured::Numbers(numbers), ok)
+                (MeasuredValues::Numbers(numbers), ok)
             }
             Bound::Rows(mean, rows) => {
                 let over = |&[from_s, to_s, ..]: &[f64; 4]| {
@@ -188,10 +188,10 @@ impl Limit {
                 // NaN, of a row without any half-cycle, is outside of every range.
                 let ok = |(n, [_, _, least, most]): (&f64, &[f64; 4])| (least..=most).contains(&n);
                 let ok = means.iter().zip(rows).all(ok);
-                (Measured::Numbers(means), ok)
+                (MeasuredValues::Numbers(means), ok)
             }
         };
-        Checked {
+        LimitCheck {
             name: self.name,
             allowed: self.allowed.clone(),
             measured,

@@ -1,4 +1,4 @@
-//! Scenarios: the firmware lib in simulated time against a file of events, and what came of it.
+//! Scenarios: runs of the firmware lib in simulated time by a file of events, with a record of the results.
 //!
 //! ```text
 //! FILE.toml ─► variants ─► file ─► timeline ─► run ─► record, summary ─► limits, JSON
@@ -25,32 +25,31 @@ use std::path::PathBuf;
 
 use crate::inverter::InverterError;
 
-/// Why a scenario cannot be run.
+/// Error of a scenario.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
     /// A file cannot be read.
     #[error("cannot read {path}: {source}")]
     Read {
-        /// Which one.
+        /// Path of the file.
         path: PathBuf,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// The file is not TOML, or has a field or value that no scenario has; names line, field and what is
-    /// allowed.
+    /// The file is no TOML, or has an invalid field or value; names line, field and allowed values.
     #[error(transparent)]
     Syntax(Box<toml::de::Error>),
-    /// An event asks for what cannot be.
+    /// An event is invalid.
     #[error("event {number} (line {line}): {why}")]
     Event {
-        /// Counted from 1.
+        /// Number of the event, from 1.
         number: usize,
         /// Line of the file on which the event begins.
         line: usize,
-        /// What is wrong and what is allowed.
+        /// Defect and allowed values.
         why: String,
     },
-    /// A `[[matrix]]` that cannot be put into its file.
+    /// A `[[matrix]]` cannot be inserted into its file.
     #[error("matrix {path}: {why}")]
     Matrix {
         /// Path of names and numbers, separated by dots.
@@ -58,7 +57,7 @@ pub enum ScenarioError {
         /// Place at which it ends, and what is there.
         why: String,
     },
-    /// A setting of the file's head that cannot be.
+    /// A setting in the file's head is invalid.
     #[error(transparent)]
     Plant(#[from] InverterError),
 }

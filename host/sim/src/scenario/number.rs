@@ -1,4 +1,4 @@
-//! Numbers of a scenario file that know their range: the error comes from where the number stands.
+//! Numbers of a scenario file with their ranges: an error names the place of the number.
 
 use serde::{Deserialize, Deserializer, de::Error};
 
@@ -14,7 +14,7 @@ fn within<'de, D: Deserializer<'de>>(
     Err(D::Error::custom(format!("{value}: must be {allowed}")))
 }
 
-/// For each: a function for a field that must be there, and one for a field that may.
+/// Defines two functions for each: one for a required field, one for an optional field.
 macro_rules! numbers {
     ($($name:ident $or_none:ident $min:literal $max:literal $allowed:literal;)+) => {$(
         pub(super) fn $name<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {

@@ -1,4 +1,4 @@
-//! What a scenario leaves behind: the names of the JSON.
+//! Results of a scenario, with the names of the JSON.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 pub struct HalfCycle {
     /// Its start, in seconds.
     pub t_s: f64,
-    /// Power asked for by the host at its end, in watt.
+    /// Power requested by the host at its end, in watt.
     pub asked_w: f64,
     /// Power into the load over it, by the true wattmeter, in watt.
     pub power_w: f64,
@@ -19,7 +19,7 @@ pub struct HalfCycle {
     pub state: String,
     /// The firmware's fault at its end, `None` without.
     pub fault: String,
-    /// What the firmware takes the pot for.
+    /// Class of the pot determined by the firmware.
     pub pot: String,
     /// The firmware's estimate at the crest, in ohm.
     pub r_ohm: f64,
@@ -29,79 +29,79 @@ pub struct HalfCycle {
     pub i_peak_a: f64,
     /// Largest coil voltage, in volt.
     pub v_coil_peak_v: f64,
-    /// Smallest current at turn-off in the direction that commutates, in ampere; null without an edge.
+    /// Smallest commutating current at turn-off, in ampere; null without an edge.
     pub i_turn_off_min_a: Option<f64>,
-    /// Switches that closed onto more than 30 V.
+    /// Number of switches that closed onto more than 30 V.
     pub hard_edges: u32,
-    /// Whether the bridge was switching at any time.
+    /// `true` if the bridge was switching at any time.
     pub bridge_on: bool,
 }
 
-/// A fault of the device.
+/// Fault of the device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FaultRecord {
-    /// When it became active, in seconds.
+    /// Time at which it became active, in seconds.
     pub t_s: f64,
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// From the injection that is behind it, or else from the fault, until both switches were open, in
-    /// seconds; null if they never were.
+    /// Time from the injection that caused it, or else from the fault, until both switches were open, in seconds; null if they
+    /// never were.
     pub off_after_s: Option<f64>,
 }
 
-/// What came of one power step.
+/// Result of one power step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Step {
-    /// When it was asked for, in seconds.
+    /// Time of the request, in seconds.
     pub at_s: f64,
-    /// What was asked for, in watt.
+    /// Power requested, in watt.
     pub power_w: f64,
-    /// As in [`Summary::settled_after_s`].
+    /// Settling time; see [`Summary::settled_after_s`].
     pub settled_after_s: Option<f64>,
-    /// How far the power went beyond what was asked for, in percent of it; null for a step down.
+    /// Overshoot in percent of the requested power; null for a step down.
     pub overshoot_pct: Option<f64>,
-    /// Deviation of the mean power of its last 0.2 s, in percent of what was asked for; null for 0 W.
+    /// Deviation of the mean power of its last 0.2 s, in percent of the requested power; null for 0 W.
     pub error_pct: Option<f64>,
 }
 
-/// A mains or pot event that is over, and what it took to get back.
+/// Recovery after a mains or pot event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Recovery {
-    /// When it was over, in seconds.
+    /// End of the event, in seconds.
     pub at_s: f64,
-    /// Time until the power stays within 5 % of what is asked for; null if never.
+    /// Time until the power stays within 5 % of the requested one; null if never.
     pub after_s: Option<f64>,
 }
 
-/// The scenario in numbers.
+/// Figures of a scenario.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
-    /// One per power step: time until the power stays within 5 % (5 W below 100 W) of what was asked for, until
-    /// the next event; null if never.
+    /// For each power step, the time until the power stays within 5 % (5 W below 100 W) of the requested one, until the next event;
+    /// null if never.
     pub settled_after_s: Vec<Option<f64>>,
     /// Largest of all steps upwards, in percent.
     pub overshoot_pct: f64,
     /// Largest of all steps, in percent.
     pub error_pct: f64,
-    /// Whether power is still asked for at the end, and the device is in its safe state.
+    /// `true` if power is still requested at the end and the device is in its safe state.
     pub latched: bool,
     /// Energy into the load, in joule.
     pub energy_j: f64,
     /// The power steps.
     pub steps: Vec<Step>,
-    /// Mains and pot events.
+    /// Recoveries after mains and pot events.
     pub recoveries: Vec<Recovery>,
-    /// How often the watchdog would have reset the controller.
+    /// Number of times that the watchdog would have reset the controller.
     pub watchdog_bites: u32,
 }
 
-/// Everything.
+/// Record of a scenario.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// Half-cycles in order of time.
     pub half_cycles: Vec<HalfCycle>,
     /// Faults in order of time.
     pub faults: Vec<FaultRecord>,
-    /// The numbers.
+    /// Figures.
     pub summary: Summary,
 }

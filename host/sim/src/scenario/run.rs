@@ -1,6 +1,6 @@
-//! Runs a scenario block by block.
+//! Run of a scenario, block by block.
 
-use ihd_firmware::request::PanelEvent;
+use ihd_firmware::control::request::PanelEvent;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Configure, State};
 
@@ -10,13 +10,13 @@ use super::host::Host;
 use super::record::{FaultRecord, HalfCycle, Record};
 use super::summary::{self, Kind, Mark};
 use super::surroundings::Surroundings;
-use super::timeline::{Change, Repeated, Timed, timeline};
+use super::timeline::{Change, RepeatedRequest, TimedChange, timeline};
 use crate::hob::SimHob;
 
-/// Runs it; `progress` hears the finished share, 0 to 1, once a half-cycle.
+/// Runs a scenario; `progress` is called with the share done, 0 to 1, once a half-cycle.
 ///
 /// # Errors
-/// [`ScenarioError`] for events and settings that cannot be, before anything runs.
+/// [`ScenarioError`] for invalid events and settings, before anything runs.
 pub fn run(scenario: &Scenario, mut progress: impl FnMut(f64)) -> Result<Record, ScenarioError> {
     let events = timeline(scenario)?;
     let mut run = Run::new(scenario)?;
@@ -38,21 +38,21 @@ pub fn run(scenario: &Scenario, mut progress: impl FnMut(f64)) -> Result<Record,
     Ok(run.finish(duration_s))
 }
 
-/// A scenario under way.
+/// Scenario under way.
 struct Run {
     hob: SimHob,
     host: Host,
     half_cycles: Vec<HalfCycle>,
     faults: Vec<FaultRecord>,
     active_fault: Fault,
-    /// When what may lead to the next fault was injected.
+    /// Time of the injection that may cause the next fault, in seconds.
     cause_s: Option<f64>,
-    /// Fault whose bridge is not open yet, and since when its time counts.
+    /// Fault whose bridge is not open yet, and the time from which its delay counts.
     opening: Option<(usize, f64)>,
     marks: Vec<Mark>,
     surroundings: Surroundings,
     energy_j: f64,
-    /// The panel's level, once a person has touched it.
+    /// Level of the panel; `None` before a user has touched it.
     panel_level: Option<u8>,
 }
 
@@ -89,7 +89,7 @@ impl Run {
         })
     }
 
-    fn apply(&mut self, timed: &Timed) -> Result<(), ScenarioError> {
+    fn apply(&mut self, timed: &TimedChange) -> Result<(), ScenarioError> {
         self.surroundings.apply(&mut self.hob, timed)?;
         let (hob, host) = (&mut self.hob, &mut self.host);
         let now_s = hob.t_s();
@@ -121,7 +121,7 @@ impl Run {
                 every_s,
                 until_s,
             } => {
-                if let Repeated::Power(power_w, false) = what {
+                if let RepeatedRequest::Power(power_w, false) = what {
                     kind = Kind::Power(*power_w);
                 }
                 host.repeat(*what, *every_s, *until_s, now_s);
@@ -131,7 +131,7 @@ impl Run {
         Ok(())
     }
 
-    /// Notes a fault that has become active, and when its bridge opens.
+    /// Records a fault that has become active, and the time at which its bridge opens.
     fn watch_fault(&mut self) {
         let fault = self.hob.realtime().fault();
         let now_s = self.hob.t_s();
@@ -150,7 +150,7 @@ impl Run {
         }
     }
 
-    /// Records the half-cycle that has ended in this block, if one has.
+    /// Records the half-cycle that ended in this block; returns `false` if none did.
     fn take_half_cycle(&mut self) -> bool {
         let Some(reading) = self.hob.take_reading() else {
             return false;
@@ -165,7 +165,7 @@ impl Run {
         let (seen, control) = (housekeeping.summary(), housekeeping.control());
         self.half_cycles.push(HalfCycle {
             t_s: reading.t_s,
-            // With a panel the firmware weighs it against the host.
+            // With a panel the firmware combines it with the host's request.
             asked_w: f64::from(match self.panel_level {
                 Some(_) => control.asked_w(),
                 None => self.host.asked_w(),

@@ -1,27 +1,27 @@
-//! A scenario's events around a hob that somebody else is the host of, over and over.
+//! Events of a scenario applied to a hob with another host, repeatedly.
 
 use super::ScenarioError;
 use super::file::Scenario;
 use super::surroundings::Surroundings;
-use super::timeline::{Timed, timeline};
+use super::timeline::{TimedChange, timeline};
 use crate::hob::SimHob;
 
-/// What happens to pot, mains and panel of a hob that is behind a link.
+/// Changes of pot, mains and panel of a hob behind a link.
 pub struct Script {
-    events: Vec<Timed>,
+    events: Vec<TimedChange>,
     duration_s: f64,
-    /// When this round of it began, in seconds of simulated time.
+    /// Start of this repetition, in seconds of simulated time.
     began_s: f64,
     next: usize,
     surroundings: Surroundings,
 }
 
 impl Script {
-    /// The events of a scenario for a hob, from its time now on; after the scenario's duration they begin anew.
+    /// Creates a script of a scenario's events for a hob, from its present time on; they repeat after the scenario's duration.
     ///
     /// # Errors
-    /// [`ScenarioError::Event`] for events that cannot be, and for those of a host: whoever connects is the
-    /// host. [`ScenarioError::Plant`] for a pot that has no model.
+    /// [`ScenarioError::Event`] for invalid events, and for those of a host, which is whoever connects. [`ScenarioError::Plant`]
+    /// for a pot without a model.
     pub fn new(scenario: &Scenario, hob: &mut SimHob) -> Result<Self, ScenarioError> {
         let events = timeline(scenario)?;
         if let Some(timed) = events.iter().find(|timed| timed.change.is_of_host()) {
@@ -43,10 +43,10 @@ impl Script {
         })
     }
 
-    /// The same once, instead of over and over.
+    /// Creates a script that runs once.
     ///
     /// # Errors
-    /// As [`Script::new`].
+    /// Any error of [`Script::new`].
     pub fn once(scenario: &Scenario, hob: &mut SimHob) -> Result<Self, ScenarioError> {
         Ok(Self {
             duration_s: f64::INFINITY,
@@ -54,12 +54,12 @@ impl Script {
         })
     }
 
-    /// Whether all has happened; never of one that begins anew.
+    /// Returns `true` if all events are over; always `false` for a repeating script.
     pub fn is_over(&self) -> bool {
         self.duration_s.is_infinite() && self.next == self.events.len()
     }
 
-    /// Carries out what is due; to be called between any two steps.
+    /// Applies due events; called between any two steps.
     pub fn turn(&mut self, hob: &mut SimHob) {
         let mut at_s = hob.t_s() - self.began_s;
         if at_s >= self.duration_s && self.next == self.events.len() {
@@ -69,7 +69,7 @@ impl Script {
         }
         while let Some(timed) = self.events.get(self.next).filter(|e| e.at_s <= at_s) {
             self.next += 1;
-            // Pots that have no model were refused when the script was made.
+            // Pots without a model were rejected when the script was made.
             let _ = self.surroundings.apply(hob, timed);
         }
     }

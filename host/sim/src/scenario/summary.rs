@@ -4,48 +4,48 @@ use ihd_firmware::limits::{BURST_PERIOD_MS, BURST_POWER_W};
 
 use super::record::{HalfCycle, Recovery, Step, Summary};
 
-/// Settled: this near to what is asked for, as a share of it.
+/// Tolerance of a settled power, as a share of the requested one.
 const SETTLED: f64 = 0.05;
 
-/// And never asked to be nearer than this, in watt.
+/// Smallest tolerance, in watt.
 const SETTLED_LEAST_W: f64 = 5.0;
 
-/// The end of a step over which its error is taken, in seconds.
+/// Time before the end of a step over which its error is averaged, in seconds.
 const ERROR_OVER_S: f64 = 0.2;
 
-/// Less than this, in watt, may be given in bursts.
+/// Power in watt below which bursts are used.
 const BURSTS_BELOW_W: f64 = BURST_POWER_W as f64;
 
-/// What counts in bursts is the mean over this, in seconds: two periods.
+/// Averaging time in bursts, in seconds: two periods.
 const BURSTS_OVER_S: f64 = 2e-3 * BURST_PERIOD_MS as f64;
 
-/// What an event was to the power.
+/// Kind of an event with respect to the power.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Kind {
-    /// Asked for anew, in watt.
+    /// Power requested, in watt.
     Power(u16),
-    /// Mains or pot changed.
+    /// Change of mains or pot.
     Disturbed,
-    /// Something else; ends a step too.
+    /// Other event; also ends a step.
     Other,
 }
 
-/// An event and its time in seconds.
+/// Event with its time in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Mark {
     pub(super) at_s: f64,
     pub(super) kind: Kind,
 }
 
-/// Half-cycles that lie within a time, their ends with them.
+/// Half-cycles within a time, including their ends.
 pub(super) fn within(half_cycles: &[HalfCycle], from_s: f64, to_s: f64) -> &[HalfCycle] {
     let from = half_cycles.partition_point(|h| h.t_s < from_s);
     let to = half_cycles.partition_point(|h| h.t_s < to_s).max(from);
     &half_cycles[from..to]
 }
 
-/// The power that counts, with the start of its half-cycle: of every one, or in bursts the mean of those before it.
-/// The last half-cycle of `span` may reach beyond it and is left out.
+/// Powers that are judged, with the start of their half-cycles: each one, or in bursts the mean of those before. The last
+/// half-cycle of `span` may extend beyond it and is skipped.
 fn counting(span: &[HalfCycle], asked_w: f64) -> Vec<(f64, f64)> {
     let whole = &span[..span.len().saturating_sub(1)];
     if !is_in_bursts(span, asked_w) {
@@ -60,7 +60,7 @@ fn counting(span: &[HalfCycle], asked_w: f64) -> Vec<(f64, f64)> {
     .collect()
 }
 
-/// Whether it heats, and is off in between.
+/// Returns `true` if it heats in bursts.
 fn is_in_bursts(span: &[HalfCycle], asked_w: f64) -> bool {
     let pauses = |h: &HalfCycle| h.state == "Heating" && !h.bridge_on;
     asked_w > 0.0 && asked_w < BURSTS_BELOW_W && span.iter().any(pauses)
@@ -71,7 +71,7 @@ fn mean_w(span: &[HalfCycle]) -> Option<f64> {
     (!span.is_empty()).then(|| sum_w / span.len() as f64)
 }
 
-/// Time after `from_s` from which on the power stays near.
+/// Time after `from_s` from which on the power stays within the tolerance.
 fn settled_after_s(counting: &[(f64, f64)], from_s: f64, asked_w: f64) -> Option<f64> {
     let tolerance_w = (SETTLED * asked_w).max(SETTLED_LEAST_W);
     let near = |(_, power_w): &&(f64, f64)| (power_w - asked_w).abs() <= tolerance_w;
@@ -91,7 +91,7 @@ fn error_pct(span: &[HalfCycle], to_s: f64, asked_w: f64) -> Option<f64> {
     Some(100.0 * (mean_w - asked_w).abs() / asked_w)
 }
 
-/// All of it but what the run itself knows.
+/// Computes the summary, except for the fields that only the run knows.
 pub(super) fn of(half_cycles: &[HalfCycle], marks: &[Mark], duration_s: f64) -> Summary {
     let (mut steps, mut recoveries) = (Vec::new(), Vec::new());
     let mut asked_w = 0.0;

@@ -1,14 +1,14 @@
-//! What happens around the hob: pot, mains, panel, heat, faults of sensors, and what ends after a while.
+//! Changes around the hob: pot, mains, panel, heat, faults of sensors, and their restoration.
 
 use std::collections::BTreeMap;
 
 use super::file::MainsField;
-use super::timeline::{Change, Timed};
+use super::timeline::{Change, TimedChange};
 use crate::hob::SimHob;
 use crate::inverter::InverterError;
 use crate::pot::Pot;
 
-/// What was there before each event that ends.
+/// State before each event that is restored later.
 #[derive(Default)]
 pub(super) struct Surroundings {
     pots: BTreeMap<usize, Pot>,
@@ -17,11 +17,11 @@ pub(super) struct Surroundings {
 }
 
 impl Surroundings {
-    /// Makes every pot of the events ready, so that putting it on takes no time.
+    /// Prepares every pot of the events, so that putting it on takes no time.
     ///
     /// # Errors
-    /// When there is no model of a pot.
-    pub(super) fn prepare(hob: &mut SimHob, events: &[Timed]) -> Result<(), InverterError> {
+    /// If there is no model of a pot.
+    pub(super) fn prepare(hob: &mut SimHob, events: &[TimedChange]) -> Result<(), InverterError> {
         for timed in events {
             if let Change::Pot(pot) = &timed.change {
                 hob.prepare(pot)?;
@@ -30,11 +30,15 @@ impl Surroundings {
         Ok(())
     }
 
-    /// Carries out a change; one of the host's does nothing.
+    /// Applies a change; one of the host's has no effect.
     ///
     /// # Errors
-    /// When there is no model of a pot; the old one stays.
-    pub(super) fn apply(&mut self, hob: &mut SimHob, timed: &Timed) -> Result<(), InverterError> {
+    /// If there is no model of a pot; the old one stays.
+    pub(super) fn apply(
+        &mut self,
+        hob: &mut SimHob,
+        timed: &TimedChange,
+    ) -> Result<(), InverterError> {
         let event = timed.event;
         match &timed.change {
             Change::Pot(pot) => {

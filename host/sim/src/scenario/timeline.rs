@@ -1,8 +1,8 @@
-//! The events of a file in order of time, what ends after a while included.
+//! Events of a file in order of time, with the restorations.
 
 use std::path::Path;
 
-use ihd_firmware::request::PanelEvent;
+use ihd_firmware::control::request::PanelEvent;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::grid::{self, CURRENTS, FREQUENCIES};
 use ihd_shared::lookup::prior::prior;
@@ -15,24 +15,24 @@ use crate::load_library::WINDING_R_OHM;
 use crate::pot::Pot;
 use crate::recording::prepared::surrogate_pot;
 
-/// Something that changes.
+/// Change.
 #[derive(Clone, Debug)]
 pub enum Change {
-    /// The host asks for power, in watt.
+    /// Power requested by the host, in watt.
     Power(u16),
-    /// Another pot.
+    /// New pot.
     Pot(Pot),
-    /// The pot as it was before the event of this number.
+    /// Pot as before the event of this number.
     PotBack(usize),
-    /// Another voltage or frequency.
+    /// New voltage or frequency.
     Mains(MainsField),
-    /// The mains as it was before the event of this number.
+    /// Mains as before the event of this number.
     MainsBack(usize),
-    /// A fault begins.
+    /// Start of a fault.
     Inject(Injection),
-    /// The fault of the event of this number ends.
+    /// End of the fault of the event of this number.
     InjectEnd(usize),
-    /// A person touches the panel.
+    /// User's action on the panel.
     Panel(PanelEvent),
     /// Ambient temperature in °C.
     Ambient(f64),
@@ -40,27 +40,27 @@ pub enum Change {
     HeatSink(f64),
     /// The glass's temperature in °C.
     Glass(f64),
-    /// The host falls silent.
+    /// The host stops sending.
     Silent,
     /// The host clears the fault.
     ClearFault,
-    /// The host sends the device back to its built-in lookup.
+    /// The host restores the built-in lookup.
     ResetLookup,
     /// The host pushes a lookup.
     PushLookup(Box<RlLookup>),
-    /// The host sends the same every so many seconds, until a time in seconds.
+    /// The host repeats a request until a time in seconds.
     Repeat {
-        /// What.
-        what: Repeated,
-        /// How often, in seconds.
+        /// Request.
+        what: RepeatedRequest,
+        /// Period in seconds.
         every_s: f64,
-        /// Until when, in seconds.
+        /// End in seconds.
         until_s: f64,
     },
 }
 
 impl Change {
-    /// Whether it is the host that does it.
+    /// Returns `true` for a change made by the host.
     pub fn is_of_host(&self) -> bool {
         matches!(
             self,
@@ -74,31 +74,31 @@ impl Change {
     }
 }
 
-/// What a host repeats.
+/// Repeated request of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Repeated {
-    /// A power in watt; alternating with 0 if so.
+pub enum RepeatedRequest {
+    /// Power in watt; `true` to alternate with 0.
     Power(u16, bool),
-    /// Clearing the fault.
+    /// Clears the fault.
     ClearFault,
 }
 
-/// A change with its time.
+/// Change with its time.
 #[derive(Clone, Debug)]
-pub struct Timed {
-    /// When, in seconds.
+pub struct TimedChange {
+    /// Time in seconds.
     pub at_s: f64,
     /// Number of its event in the file, from 0.
     pub event: usize,
-    /// What.
+    /// Change.
     pub change: Change,
 }
 
-/// Everything that happens, in order of time and, at one time, of the file.
+/// Returns all changes in order of time and, at the same time, of the file.
 ///
 /// # Errors
-/// [`ScenarioError::Event`] for fields that do not go together.
-pub fn timeline(scenario: &Scenario) -> Result<Vec<Timed>, ScenarioError> {
+/// [`ScenarioError::Event`] for inconsistent fields.
+pub fn timeline(scenario: &Scenario) -> Result<Vec<TimedChange>, ScenarioError> {
     let mut all = Vec::new();
     let mut versions = 0;
     for (event, field) in scenario.file.event.iter().enumerate() {
@@ -133,16 +133,16 @@ pub fn timeline(scenario: &Scenario) -> Result<Vec<Timed>, ScenarioError> {
     Ok(all)
 }
 
-/// The changes of one event.
+/// Changes of one event.
 struct Changes<'a> {
     event: usize,
     field: &'a EventField,
-    all: &'a mut Vec<Timed>,
+    all: &'a mut Vec<TimedChange>,
 }
 
 impl Changes<'_> {
     fn push(&mut self, at_s: f64, change: Change) {
-        self.all.push(Timed {
+        self.all.push(TimedChange {
             at_s,
             event: self.event,
             change,
@@ -231,14 +231,14 @@ impl Changes<'_> {
             Some(HostWord::ClearFault) => Change::ClearFault,
             Some(HostWord::ResetLookup) => Change::ResetLookup,
             Some(HostWord::ClearFaultEvery) => Change::Repeat {
-                what: Repeated::ClearFault,
+                what: RepeatedRequest::ClearFault,
                 every_s: every_s()?,
                 until_s,
             },
             Some(HostWord::SetPowerEvery) => {
                 let power_w = power_w.ok_or(format!("give power_w = 0 to {RATED_POWER_W}"))?;
                 Change::Repeat {
-                    what: Repeated::Power(power_w, field.toggle),
+                    what: RepeatedRequest::Power(power_w, field.toggle),
                     every_s: every_s()?,
                     until_s,
                 }
@@ -253,7 +253,7 @@ impl Changes<'_> {
     }
 }
 
-/// The lookup of an event: the constant one is observed everywhere.
+/// Lookup of an event; a constant one counts as observed everywhere.
 fn lookup(field: &EventField, directory: &Path, version: u32) -> Result<RlLookup, String> {
     let code = |value: f64, unit: f64| (value / unit).round().clamp(0.0, 65_535.0) as u16;
     let mut lookup = prior();

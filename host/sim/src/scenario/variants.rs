@@ -10,10 +10,10 @@ use toml::{Table, Value};
 use super::ScenarioError;
 use super::file::{Scenario, directory, text};
 
-/// One run of a file.
+/// Variant of a file.
 #[derive(Clone, Debug)]
 pub struct Variant {
-    /// Values that were put in, in words; empty for a file without matrix.
+    /// Inserted values as text; empty for a file without matrix.
     pub name: String,
     /// The file with these values.
     pub scenario: Scenario,
@@ -28,7 +28,7 @@ pub fn read(path: &Path) -> Result<Vec<Variant>, ScenarioError> {
 }
 
 fn parse(text: &str, directory: PathBuf) -> Result<Vec<Variant>, ScenarioError> {
-    // The file as it is written, for errors that name its lines.
+    // Parsed as written, for errors that name its lines.
     let matrix = Scenario::parse(text, directory.clone())?.file.matrix;
     let syntax = |e| ScenarioError::Syntax(Box::new(e));
     let mut file: Table = toml::from_str(text).map_err(syntax)?;
@@ -52,7 +52,7 @@ fn parse(text: &str, directory: PathBuf) -> Result<Vec<Variant>, ScenarioError> 
     all.into_iter().map(variant).collect()
 }
 
-/// Every file with every value at a path.
+/// Combines every file with every value at a path.
 fn combine(
     files: &[(String, Table)],
     path: &str,
@@ -66,7 +66,7 @@ fn combine(
                 path: path.to_owned(),
                 why,
             })?;
-            // Limits are shown as limits.
+            // Limits are shown with their own format.
             let name = match path.starts_with("limits.") {
                 true => name.clone(),
                 false => format!("{name} {}", in_words(value)),
@@ -88,7 +88,7 @@ fn in_words(value: &Value) -> String {
     }
 }
 
-/// Puts a value at a path of names and, in lists, numbers from 0.
+/// Inserts a value at a path of names and, in lists, numbers from 0.
 fn put(file: &mut Table, path: &str, value: &Value) -> Result<(), String> {
     let (places, last) = path.rsplit_once('.').unwrap_or(("", path));
     let mut place = file;

@@ -1,4 +1,4 @@
-//! The host at the port: bytes both ways without waiting. It stays for as long as it is there, as on a board's USB.
+//! Connection to the host at the port: bytes both ways without waiting. It stays as long as it exists, as on a board's USB.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -11,44 +11,43 @@ use socket2::{SockRef, TcpKeepalive};
 
 use crate::hob::SimHob;
 
-/// How long a host may take to say hello.
+/// Time limit of a host's hello.
 const HANDSHAKE: Duration = Duration::from_secs(5);
 
-/// After so long without anything from the host's machine the operating system asks whether it is there, so often.
+/// Idle time after which the operating system probes the host's machine, and the period of the probes.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(5);
 
-/// After so long without an answer, or without acknowledgement of what was sent, the machine is gone. Shorter, and a host that is
-/// stopped for a while and reads nothing would be cut off, which no board does.
+/// Time without an answer or an acknowledgement after which the machine counts as disconnected. A shorter time would cut off a host
+/// that is paused for a while, which no board does.
 #[cfg(target_os = "linux")]
 pub(super) const GONE: Duration = Duration::from_secs(120);
 
-/// Bytes from the host that may wait for the firmware; the rest waits in the operating system, and then at
-/// the host.
+/// Limit of bytes from the host that wait for the firmware; the rest waits in the operating system, and then at the host.
 const INBOUND: usize = 16 * 1024;
 
-/// Why a host is let go.
+/// Reason for closing a host's connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ended {
-    /// It went away, or its machine is not there any more.
+pub enum DisconnectReason {
+    /// The host disconnected, or its machine is unreachable.
     Left,
-    /// It did not say hello in time, or spoke another protocol.
+    /// It sent no hello in time, or of another protocol.
     NoHello,
 }
 
-/// A connected host.
+/// Connected host.
 pub(super) struct Guest {
     stream: TcpStream,
-    /// Bytes that its socket had no room for.
+    /// Bytes for which its socket had no room.
     unsent: Vec<u8>,
-    /// Listens in.
+    /// Deframer of the host's frames, to detect its hello.
     deframer: Deframer,
     shaken: bool,
     since: Instant,
 }
 
 impl Guest {
-    /// Takes a connection.
+    /// Accepts a connection.
     pub(super) fn new(stream: TcpStream, now: Instant) -> io::Result<Self> {
         stream.set_nonblocking(true)?;
         stream.set_nodelay(true)?;
@@ -62,18 +61,22 @@ impl Guest {
         })
     }
 
-    /// Its connection.
+    /// The connection.
     #[cfg(test)]
     pub(super) fn stream(&self) -> &TcpStream {
         &self.stream
     }
 
     /// Moves bytes both ways without waiting.
-    pub(super) fn exchange(&mut self, hob: &mut SimHob, now: Instant) -> Result<(), Ended> {
-        self.take(hob).map_err(|_| Ended::Left)?;
-        self.give(hob).map_err(|_| Ended::Left)?;
+    pub(super) fn exchange(
+        &mut self,
+        hob: &mut SimHob,
+        now: Instant,
+    ) -> Result<(), DisconnectReason> {
+        self.take(hob).map_err(|_| DisconnectReason::Left)?;
+        self.give(hob).map_err(|_| DisconnectReason::Left)?;
         if !self.shaken && now.saturating_duration_since(self.since) >= HANDSHAKE {
-            return Err(Ended::NoHello);
+            return Err(DisconnectReason::NoHello);
         }
         Ok(())
     }
@@ -127,14 +130,14 @@ impl Guest {
     }
 }
 
-/// A machine that lost its power, or its network, says nothing: the operating system finds it out.
+/// Enables keep-alive probes: only the operating system notices a machine without power or network.
 fn watch_for_the_machine(stream: &TcpStream) -> io::Result<()> {
     let socket = SockRef::from(stream);
     let keep_alive = TcpKeepalive::new()
         .with_time(KEEP_ALIVE)
         .with_interval(KEEP_ALIVE_EVERY);
     socket.set_tcp_keepalive(&keep_alive)?;
-    // Nothing is asked while bytes are under way.
+    // No probes are sent while bytes are under way.
     #[cfg(target_os = "linux")]
     socket.set_tcp_user_timeout(Some(GONE))?;
     Ok(())

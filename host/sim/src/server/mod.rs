@@ -1,7 +1,7 @@
-//! The simulated hob behind a TCP port: the same bytes as in process, in real time.
+//! Simulated hob behind a TCP port: the same bytes as in process, in real time.
 //!
-//! One host at a time, as on a cable. Nothing grows with what a host sends or leaves unread: what the firmware
-//! cannot send it drops and counts itself, as on a board, and what it cannot take in waits at the host.
+//! It serves one host at a time, as on a cable. No buffer grows with what a host sends or leaves unread: the firmware drops and
+//! counts what it cannot send, as on a board, and what it cannot receive waits at the host.
 
 mod guest;
 #[cfg(test)]
@@ -14,7 +14,7 @@ use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::{Duration, Instant};
 
-pub use guest::Ended;
+pub use guest::DisconnectReason;
 use guest::{Guest, would_wait};
 
 use super::hob::SimHob;
@@ -23,29 +23,29 @@ use super::scenario::ScenarioError;
 use super::scenario::file::Scenario;
 use super::scenario::script::Script;
 
-/// Wall time between two looks at the port: short against the link's time-outs, long against a sleep.
+/// Wall time between two checks of the port: short against the link's time-outs, long against a sleep.
 const SLICE: Duration = Duration::from_millis(2);
 
-/// Blocks simulated between two looks at the clock.
+/// Number of blocks simulated between two readings of the clock.
 const STEPS: usize = 8;
 
-/// Why the hob cannot be served.
+/// Error of serving the hob.
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
     /// The address cannot be listened on.
     #[error("cannot listen on {address}: {source}{hint}", hint = hint(.source))]
     Listen {
-        /// The address asked for.
+        /// Address given.
         address: String,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// A client could not be accepted.
+    /// A connection could not be accepted.
     #[error("cannot accept a client on {address}: {source}")]
     Accept {
         /// The address listened on.
         address: SocketAddr,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: io::Error,
     },
 }
@@ -61,41 +61,41 @@ fn hint(source: &io::Error) -> &'static str {
     }
 }
 
-/// What happens at the port, for whoever watches.
+/// Event at the port, for display.
 #[derive(Debug)]
 pub enum ServerEvent {
     /// A host connected.
     Connected(SocketAddr),
-    /// It was let go.
+    /// A host's connection was closed.
     Disconnected {
-        /// Why.
-        why: Ended,
-        /// Power that it has left asked for, in watt.
+        /// Reason.
+        why: DisconnectReason,
+        /// Power still requested, in watt.
         asked_w: u16,
     },
-    /// A second host was turned away; the link has one host at a time.
+    /// A second host was rejected; the link has one host at a time.
     TurnedAway(SocketAddr),
-    /// The machine is too slow: of the last minute this share, 0 to 1, was not simulated.
+    /// The machine is too slow: this share of the last minute, 0 to 1, was not simulated.
     Lagging(f64),
-    /// What somebody wanted to happen cannot.
+    /// A requested event is not possible.
     Impossible(ScenarioError),
 }
 
-/// A hob and its port.
+/// Hob and its port.
 pub struct Server {
     listener: TcpListener,
     address: SocketAddr,
     hob: SimHob,
     guest: Option<Guest>,
     scripts: Vec<Script>,
-    wishes: Option<Receiver<Scenario>>,
+    scenarios: Option<Receiver<Scenario>>,
 }
 
 impl Server {
-    /// Listens on an address such as `127.0.0.1:4711`; port 0 lets the system choose.
+    /// Listens on an address such as `127.0.0.1:4711`; with port 0 the system chooses one.
     ///
     /// # Errors
-    /// [`ServerError::Listen`] when the port is taken or the address is not ours.
+    /// [`ServerError::Listen`] if the port is in use or the address is not local.
     pub fn bind(address: &str, mut hob: SimHob) -> Result<Self, ServerError> {
         let listen = |source| ServerError::Listen {
             address: address.to_owned(),
@@ -111,34 +111,34 @@ impl Server {
             hob,
             guest: None,
             scripts: Vec::new(),
-            wishes: None,
+            scenarios: None,
         })
     }
 
-    /// The address that clients connect to.
+    /// Address that clients connect to.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// The hob, to touch its panel before it runs.
+    /// The hob, for operating its panel before it runs.
     pub fn hob(&mut self) -> &mut SimHob {
         &mut self.hob
     }
 
-    /// What happens to pot, mains and panel meanwhile.
-    pub fn play(&mut self, script: Script) {
+    /// Sets the events of pot, mains and panel during the run.
+    pub fn set_script(&mut self, script: Script) {
         self.scripts.push(script);
     }
 
-    /// What somebody else wants to happen while it runs: each once, from when it comes.
-    pub fn listen_to(&mut self, wishes: Receiver<Scenario>) {
-        self.wishes = Some(wishes);
+    /// Receives scenarios during the run; each is run once, from its arrival.
+    pub fn receive_scenarios(&mut self, scenarios: Receiver<Scenario>) {
+        self.scenarios = Some(scenarios);
     }
 
     /// Runs the hob until `stop`, `speed` times as fast as real time, or as fast as the machine can.
     ///
     /// # Errors
-    /// [`ServerError::Accept`]; a client that goes away is none.
+    /// [`ServerError::Accept`]; a disconnecting client is no error.
     pub fn run(
         &mut self,
         speed: f64,
@@ -153,7 +153,7 @@ impl Server {
             let early = self.simulate(due_s, began);
             let now = Instant::now();
             self.exchange(now, &mut watch);
-            // After the exchange, which sees that the last client is gone: the next one may be here.
+            // After the exchange, which notices that the last client has disconnected: the next one may be waiting.
             self.accept(now, &mut watch)?;
             if let Some(share) = pace.lag(now) {
                 watch(ServerEvent::Lagging(share));
@@ -167,7 +167,7 @@ impl Server {
 
     fn begin_wishes(&mut self, watch: &mut impl FnMut(ServerEvent)) {
         self.scripts.retain(|script| !script.is_over());
-        while let Some(Ok(wish)) = self.wishes.as_ref().map(Receiver::try_recv) {
+        while let Some(Ok(wish)) = self.scenarios.as_ref().map(Receiver::try_recv) {
             match Script::once(&wish, &mut self.hob) {
                 Ok(script) => self.scripts.push(script),
                 Err(why) => watch(ServerEvent::Impossible(why)),
@@ -175,7 +175,7 @@ impl Server {
         }
     }
 
-    /// Simulates up to `due_s`, or until it is time to look at the port again; whether it got there.
+    /// Simulates up to `due_s`, or until the next check of the port; returns `true` if it got there.
     fn simulate(&mut self, due_s: f64, began: Instant) -> bool {
         while self.hob.t_s() < due_s {
             if began.elapsed() >= SLICE {
@@ -199,7 +199,7 @@ impl Server {
         match self.listener.accept() {
             Ok((stream, from)) => self.admit(stream, from, now, watch),
             Err(e) if would_wait(&e) => {}
-            // It came and went.
+            // The client has disconnected already.
             Err(e) if e.kind() == io::ErrorKind::ConnectionAborted => {}
             Err(source) => {
                 return Err(ServerError::Accept {
@@ -228,7 +228,7 @@ impl Server {
         }
     }
 
-    /// While nobody listens, the hob's bytes are thrown away, as a board's are.
+    /// Discards the hob's bytes while no host is connected, as on a board.
     fn discard(&mut self) {
         let mut buf = [0; 16 * 1024];
         while self.hob.receive(&mut buf) > 0 {}

@@ -4,7 +4,9 @@ use std::fs;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
-use ihd_store::{Keep, Kept, Reader, ResultFilter, Settings, Store, StoreError, WindowFilter};
+use ihd_store::{
+    InsertOutcome, Reader, ResultFilter, SamplePolicy, Settings, Store, StoreError, WindowFilter,
+};
 
 use super::fixture::*;
 
@@ -47,7 +49,10 @@ fn outlived(folder: &Path, name: &str, words: &str) {
     );
     let mut store = opened.store;
     let new = session(&mut store);
-    assert_eq!(store.keep_window(new, &window(77)).unwrap(), Kept::New);
+    assert_eq!(
+        store.keep_window(new, &window(77)).unwrap(),
+        InsertOutcome::New
+    );
     store.record_result(&result(new, 77), Some(b"{}")).unwrap();
     drop(store);
     let reader = Reader::open(folder).unwrap();
@@ -213,7 +218,10 @@ fn an_empty_day_under_way_is_set_aside_and_windows_go_on() {
     let mut store = opened.unwrap().store;
     let new = session(&mut store);
     fs::write(folder.path().join("windows-2026-11-22.db"), "").unwrap();
-    assert_eq!(store.keep_window(new, &window(1)).unwrap(), Kept::New);
+    assert_eq!(
+        store.keep_window(new, &window(1)).unwrap(),
+        InsertOutcome::New
+    );
     let events = Reader::open(folder.path()).unwrap().events(10).unwrap();
     assert!(
         events
@@ -307,7 +315,10 @@ fn tables_of_a_later_version_are_refused_by_name_and_left_alone() {
 fn a_day_that_breaks_under_way() {
     let folder = tempfile::tempdir().unwrap();
     // More rows than SQLite keeps in memory.
-    let mut store = open(folder.path(), &keeping(Keep::OneIn(1 << 30), 1 << 30, None));
+    let mut store = open(
+        folder.path(),
+        &keeping(SamplePolicy::OneIn(1 << 30), 1 << 30, None),
+    );
     let new = session(&mut store);
     for seq in 0..40_000 {
         store.keep_window(new, &sized(seq, 0)).unwrap();
@@ -320,8 +331,8 @@ fn a_day_that_breaks_under_way() {
     let path = folder.path().join(name.unwrap());
     let length = fs::metadata(&path).unwrap().len();
     write_at(&path, 4_096, &vec![0xA5; length as usize - 4_096]);
-    let broken =
-        (0..40_000).find(|seq| store.keep_window(new, &sized(*seq, 0)).unwrap() == Kept::New);
+    let broken = (0..40_000)
+        .find(|seq| store.keep_window(new, &sized(*seq, 0)).unwrap() == InsertOutcome::New);
     assert!(broken.is_some());
     store.keep_window(new, &sized(50_000, 0)).unwrap();
     let names = files(folder.path());

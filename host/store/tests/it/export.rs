@@ -6,7 +6,7 @@ use ihd_capture::mcap::SessionReader;
 use ihd_capture::{OpenOptions, open as open_capture};
 use ihd_link::{Event, Window};
 use ihd_store::export::{Format, windows};
-use ihd_store::{Keep, Reader, Settings, StoreError, WindowFilter};
+use ihd_store::{Reader, SamplePolicy, Settings, StoreError, WindowFilter};
 
 use super::fixture::*;
 
@@ -83,7 +83,10 @@ fn a_recording_of_a_boot_gives_its_windows_back() {
 #[test]
 fn each_window_is_a_file_of_its_own() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &keeping(Keep::OneIn(2), 1 << 30, None));
+    let mut store = open(
+        folder.path(),
+        &keeping(SamplePolicy::OneIn(2), 1 << 30, None),
+    );
     let bench = session(&mut store);
     for seq in 0..4 {
         store.keep_window(bench, &window(seq)).unwrap();

@@ -11,7 +11,7 @@ use ihd_shared::window::TrajectoryEntry;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{FrontEnd, Hello};
 use ihd_store::clock::Clock;
-use ihd_store::{Keep, NewResult, Retention, SessionId, Settings, Store};
+use ihd_store::{NewResult, Retention, SamplePolicy, SessionId, Settings, Store};
 
 /// 2026-11-22T12:00:00Z.
 pub const NOON_MS: i64 = 1_795_348_800_000;
@@ -96,7 +96,7 @@ pub fn result(session: SessionId, seq: u32) -> NewResult {
     }
 }
 
-pub fn keeping(keep: Keep, max_bytes: u64, max_age_days: Option<u32>) -> Settings {
+pub fn keeping(keep: SamplePolicy, max_bytes: u64, max_age_days: Option<u32>) -> Settings {
     Settings {
         retention: Retention {
             max_age_days,

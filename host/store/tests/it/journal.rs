@@ -3,7 +3,7 @@
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::{
-    Confidence, Curve, CurveOf, JournalFilter, Keep, NewEvent, Reader, Settings, Store,
+    Confidence, Curve, CurveSource, JournalFilter, NewEvent, Reader, SamplePolicy, Settings, Store,
 };
 
 use super::fixture::*;
@@ -134,7 +134,10 @@ fn confidence_goes_with_its_lookup() {
 #[test]
 fn curves_stay_and_go_with_their_windows_samples() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &keeping(Keep::Telling, 1 << 30, None));
+    let mut store = open(
+        folder.path(),
+        &keeping(SamplePolicy::Telling, 1 << 30, None),
+    );
     let session = session(&mut store);
     let ramp = |n: usize| (0..n).map(|k| 1.0 + k as f64).collect::<Vec<_>>();
     let curve = |n: usize| Curve {
@@ -147,18 +150,18 @@ fn curves_stay_and_go_with_their_windows_samples() {
     for seq in [1, 2] {
         store.keep_window(session, &sized(seq, 300)).unwrap();
         store
-            .keep_curve(session, seq, CurveOf::Truth, &curve(900))
+            .keep_curve(session, seq, CurveSource::Truth, &curve(900))
             .unwrap();
     }
     // Told in another length, and told again.
     store
-        .keep_curve(session, 1, CurveOf::Network, &curve(50))
+        .keep_curve(session, 1, CurveSource::Network, &curve(50))
         .unwrap();
     store
-        .keep_curve(session, 1, CurveOf::Network, &curve(60))
+        .keep_curve(session, 1, CurveSource::Network, &curve(60))
         .unwrap();
     store
-        .keep_curve(session, 9, CurveOf::Network, &curve(50))
+        .keep_curve(session, 9, CurveSource::Network, &curve(50))
         .unwrap();
     let reader = Reader::open(folder.path()).unwrap();
     let (row, window, curves) = reader.whole_window("bench", 7, 1).unwrap().unwrap();
@@ -177,7 +180,7 @@ fn curves_stay_and_go_with_their_windows_samples() {
     store.record_result(&result(session, 2), None).unwrap();
     assert!(reader.whole_window("bench", 7, 2).unwrap().is_none());
     store
-        .keep_curve(session, 2, CurveOf::Network, &curve(50))
+        .keep_curve(session, 2, CurveSource::Network, &curve(50))
         .unwrap();
     let rows = reader.last_windows("bench", 10, false).unwrap();
     assert_eq!(rows.iter().map(|r| r.seq).collect::<Vec<_>>(), [2, 1]);
@@ -232,7 +235,7 @@ fn results_of_a_stretch_are_thinned_evenly_in_time() {
     );
     assert!(reader.result_of("bench", 7, 100).unwrap().is_none());
     // The last one that passed of each ampere.
-    let taught = reader.taught("bench", 0).unwrap();
+    let taught = reader.last_accepted("bench", 0).unwrap();
     let mut last: Vec<_> = taught
         .iter()
         .map(|t| (t.i_crest_a as i64, (t.at_ms - NOON_MS) / 1_000))
@@ -240,5 +243,5 @@ fn results_of_a_stretch_are_thinned_evenly_in_time() {
     last.sort_unstable();
     assert_eq!(last, [(10, 96), (11, 97), (12, 98)]);
     let newest = taught.iter().map(|t| t.last).max().unwrap();
-    assert!(reader.taught("bench", newest).unwrap().is_empty());
+    assert!(reader.last_accepted("bench", newest).unwrap().is_empty());
 }

@@ -136,7 +136,7 @@ fn whole(folder: &Path, acknowledged: &HashSet<(String, u32)>, kill: usize) {
     // What was learned is of the last result: they are one transaction.
     if let Some(last) = results.first() {
         let device = lookups.first().map(|_| 1);
-        let learned = device.map(|device| store.learned(device).unwrap().unwrap());
+        let learned = device.map(|device| store.learner_state(device).unwrap().unwrap());
         assert!(learned.is_none_or(|l| l == format!("learned {last}").as_bytes()));
     }
     let unique: HashSet<&u32> = windows.iter().collect();

@@ -10,6 +10,7 @@ mod journal;
 mod kill;
 mod lookups;
 mod outbox;
+mod power_cut;
 mod retention;
 mod room;
 mod telemetry;

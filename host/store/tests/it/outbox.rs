@@ -1,6 +1,9 @@
 //! What a fleet has not got: kept with the window, over restarts and days, until it is answered.
 
-use ihd_store::{Due, FleetMark, FleetState, FleetTally, GivenUp, Keep, Sent, Settings, Store};
+use ihd_store::{
+    DeliveryState, FleetMark, FleetState, FleetTally, GiveUpReason, OutboxItem, SamplePolicy,
+    Settings, Store,
+};
 
 use super::fixture::*;
 
@@ -35,36 +38,41 @@ fn windows_are_due_in_their_order_until_the_fleet_has_them_over_restarts_and_day
     let due = store.due(3).unwrap();
     // Without a result its samples, with one that.
     store.record_result(&result(of, 3), None).unwrap();
-    let Due::Window(read) = store.read_due(&due[0]).unwrap() else {
+    let OutboxItem::Window(read) = store.read_due(&due[0]).unwrap() else {
         panic!("a window that nobody has identified");
     };
     assert_eq!(*read, window(2));
-    assert!(matches!(store.read_due(&due[1]).unwrap(), Due::Result(row) if row.seq == 3));
+    assert!(matches!(store.read_due(&due[1]).unwrap(), OutboxItem::Result(row) if row.seq == 3));
     store
-        .sent(&[
-            (due[0].clone(), Sent::Window),
-            (due[1].clone(), Sent::Result),
+        .mark_sent(&[
+            (due[0].clone(), DeliveryState::Window),
+            (due[1].clone(), DeliveryState::Result),
         ])
         .unwrap();
     assert_eq!(numbers(&mut store, 10), [4, 5]);
     let last = store.due(2).unwrap();
     store
-        .sent(&[
-            (last[0].clone(), Sent::Window),
-            (last[1].clone(), Sent::Window),
+        .mark_sent(&[
+            (last[0].clone(), DeliveryState::Window),
+            (last[1].clone(), DeliveryState::Window),
         ])
         .unwrap();
-    store.answered(&last[1].device, last[1].boot, 5).unwrap();
+    store
+        .mark_answered(&last[1].device, last[1].boot, 5)
+        .unwrap();
     assert_eq!(numbers(&mut store, 10), [] as [u32; 0]);
     // Sent, and never answered: 2 and 4, not 3 and 5. Only what was sent, not stored, before the time that is asked for.
     let now_ms = clock.clock();
-    assert_eq!(store.due_again(now_ms()).unwrap(), 0);
+    assert_eq!(store.requeue_unanswered(now_ms()).unwrap(), 0);
     clock.forward(1);
     let sent = store.unanswered(now_ms(), 0, 10).unwrap();
     assert_eq!(sent, [due[0].clone(), last[0].clone()]);
     assert_eq!(store.unanswered(now_ms(), 1, 10).unwrap(), sent[1..]);
     assert_eq!(store.unanswered(now_ms(), 0, 1).unwrap(), sent[..1]);
-    assert_eq!(store.due_again(now_ms()).unwrap(), 2);
+    // A clock that was put back has not made them younger.
+    clock.forward(-DAY_MS / 2);
+    assert_eq!(store.unanswered(now_ms() - 1, 0, 10).unwrap(), sent);
+    assert_eq!(store.requeue_unanswered(now_ms() - 1).unwrap(), 2);
     assert_eq!(numbers(&mut store, 10), [2, 4]);
     assert_eq!(store.unanswered(i64::MAX, 0, 10).unwrap(), []);
 }
@@ -99,22 +107,26 @@ fn states_add_up_to_the_windows_stored() {
     let due = store.due(10).unwrap();
     clock.forward(1_000);
     let ends = [
-        Sent::Result,
-        Sent::Nothing,
-        Sent::Window,
-        Sent::Window,
-        Sent::Window,
-        Sent::Window,
+        DeliveryState::Result,
+        DeliveryState::Nothing,
+        DeliveryState::Window,
+        DeliveryState::Window,
+        DeliveryState::Window,
+        DeliveryState::Window,
     ];
     let sent: Vec<_> = due.into_iter().zip(ends).collect();
-    store.sent(&sent).unwrap();
-    store.answered("bench", 7, 3).unwrap();
-    store.given_up("bench", 7, 4, "no worker could").unwrap();
-    store.given_up("bench", 7, 5, "no worker could").unwrap();
+    store.mark_sent(&sent).unwrap();
+    store.mark_answered("bench", 7, 3).unwrap();
+    store
+        .mark_given_up("bench", 7, 4, "no worker could")
+        .unwrap();
+    store
+        .mark_given_up("bench", 7, 5, "no worker could")
+        .unwrap();
     // Somebody replayed it. What has ended otherwise stays as it is.
-    store.answered("bench", 7, 5).unwrap();
-    store.answered("bench", 7, 1).unwrap();
-    store.given_up("bench", 7, 3, "too late").unwrap();
+    store.mark_answered("bench", 7, 5).unwrap();
+    store.mark_answered("bench", 7, 1).unwrap();
+    store.mark_given_up("bench", 7, 3, "too late").unwrap();
     let expected = FleetTally {
         not_for_fleet: 1,
         due: 1,
@@ -131,19 +143,19 @@ fn states_add_up_to_the_windows_stored() {
     let expected = [
         FleetState::NotForFleet,
         FleetState::LearnedHere,
-        FleetState::GivenUp(GivenUp::NoSamples),
+        FleetState::GivenUp(GiveUpReason::NoSamples),
         FleetState::Answered,
-        FleetState::GivenUp(GivenUp::Dead),
+        FleetState::GivenUp(GiveUpReason::Dead),
         FleetState::Answered,
         FleetState::Sent,
         FleetState::Due,
     ];
     assert_eq!(states, expected);
-    store.due_again(i64::MAX).unwrap();
+    store.requeue_unanswered(i64::MAX).unwrap();
     let now = tally(&mut store);
     assert_eq!((now.due, now.sent, now.stored()), (2, 0, 8));
     // Its own result came back before the acknowledgement.
-    store.answered("bench", 7, 7).unwrap();
+    store.mark_answered("bench", 7, 7).unwrap();
     assert_eq!(state(&mut store, 7), FleetState::LearnedHere);
 }
 
@@ -185,7 +197,7 @@ fn a_day_of_an_earlier_ihd_keeps_its_progress() {
         ..FleetTally::default()
     };
     assert_eq!(tally(&mut store), expected);
-    assert_eq!(store.due_again(NOON_MS + 1).unwrap(), 1);
+    assert_eq!(store.requeue_unanswered(NOON_MS + 1).unwrap(), 1);
     assert_eq!(numbers(&mut store, 10), [1, 2]);
 }
 
@@ -220,9 +232,11 @@ fn a_store_that_owed_nothing_when_it_was_opened_owes_what_comes_next() {
     let state = |store: &mut Store, seq| store.fleet_state("bench", 7, seq).unwrap();
     assert_eq!(state(&mut store, 1), Some(FleetState::Due));
     let due = store.due(1).unwrap().remove(0);
-    store.sent(&[(due.clone(), Sent::Window)]).unwrap();
+    store
+        .mark_sent(&[(due.clone(), DeliveryState::Window)])
+        .unwrap();
     assert_eq!(state(&mut store, 1), Some(FleetState::Sent));
-    store.answered(&due.device, due.boot, due.seq).unwrap();
+    store.mark_answered(&due.device, due.boot, due.seq).unwrap();
     assert_eq!(state(&mut store, 1), Some(FleetState::Answered));
     assert_eq!(state(&mut store, 2), None);
     drop(store);
@@ -243,7 +257,7 @@ fn a_store_that_owed_nothing_when_it_was_opened_owes_what_comes_next() {
 fn what_has_no_samples_is_not_due_and_retention_tells_what_the_fleet_never_got() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS - 3 * DAY_MS);
-    let settings = keeping(Keep::OneIn(2), 1 << 30, Some(1));
+    let settings = keeping(SamplePolicy::OneIn(2), 1 << 30, Some(1));
     let opened = Store::open_with_clock(folder.path(), &settings, clock.clock());
     let mut store = opened.unwrap().store;
     let of = session(&mut store);
@@ -264,7 +278,7 @@ fn what_has_no_samples_is_not_due_and_retention_tells_what_the_fleet_never_got()
     store.event(None, "store", "later").unwrap();
     let events = store.due_events(10).unwrap();
     assert_eq!(events.len(), 1);
-    store.events_sent(events[0].0).unwrap();
+    store.mark_events_sent(events[0].0).unwrap();
     assert!(store.due_events(10).unwrap().is_empty());
 }
 

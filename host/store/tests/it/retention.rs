@@ -1,6 +1,6 @@
 //! Days are deleted by age, windows are thinned for room, the newest last; what grows for ever does not.
 
-use ihd_store::{Keep, NewResult, Reader, ResultFilter, Settings, Store, WindowFilter};
+use ihd_store::{NewResult, Reader, ResultFilter, SamplePolicy, Settings, Store, WindowFilter};
 
 use super::fixture::*;
 
@@ -54,7 +54,7 @@ fn bytes(folder: &std::path::Path) -> u64 {
 #[test]
 fn days_that_are_too_old_are_deleted_with_their_logs() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = keeping(Keep::All, 1 << 30, Some(1));
+    let settings = keeping(SamplePolicy::All, 1 << 30, Some(1));
     let (mut store, clock) = filled(folder.path(), &settings, 1);
     store.collect_garbage().unwrap();
     live(&mut store, &clock, 2 * DAY_MS - 3_600_000);
@@ -75,7 +75,7 @@ fn days_that_are_too_old_are_deleted_with_their_logs() {
 #[test]
 fn no_jump_of_the_clock_deletes_a_day() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = keeping(Keep::All, 1 << 30, Some(2));
+    let settings = keeping(SamplePolicy::All, 1 << 30, Some(2));
     let (mut store, clock) = filled(folder.path(), &settings, 3);
     let there = days(folder.path());
     let mut session = session(&mut store);
@@ -105,8 +105,11 @@ fn the_newest_windows_stay_when_there_is_no_room_for_all() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS);
     let max = 2_400_000;
-    let opened =
-        Store::open_with_clock(folder.path(), &keeping(Keep::All, max, None), clock.clock());
+    let opened = Store::open_with_clock(
+        folder.path(),
+        &keeping(SamplePolicy::All, max, None),
+        clock.clock(),
+    );
     let mut store = opened.unwrap().store;
     let session = session(&mut store);
     for seq in 0..200 {
@@ -141,7 +144,7 @@ fn the_newest_windows_stay_when_there_is_no_room_for_all() {
 fn older_windows_are_thinned_to_changes_then_to_minutes_and_the_last_hour_is_whole() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS);
-    let all = keeping(Keep::All, 1 << 30, None);
+    let all = keeping(SamplePolicy::All, 1 << 30, None);
     let mut store = Store::open_with_clock(folder.path(), &all, clock.clock())
         .unwrap()
         .store;
@@ -176,7 +179,7 @@ fn older_windows_are_thinned_to_changes_then_to_minutes_and_the_last_hour_is_who
     let changed: Vec<u32> = [0].into_iter().chain((30..60).step_by(2)).collect();
     let last_hour: Vec<u32> = (100..280).collect();
     // Room for all of the last hour and of the changes.
-    let mut settings = keeping(Keep::All, each * (180 + 17) + 100_000, None);
+    let mut settings = keeping(SamplePolicy::All, each * (180 + 17) + 100_000, None);
     let mut store = again(store, folder.path(), &settings, &clock);
     store.collect_garbage().unwrap();
     assert_eq!(
@@ -228,7 +231,7 @@ fn older_windows_are_thinned_to_changes_then_to_minutes_and_the_last_hour_is_who
 #[test]
 fn a_day_that_cannot_shrink_goes_whole() {
     let folder = tempfile::tempdir().unwrap();
-    let (store, clock) = filled(folder.path(), &keeping(Keep::All, 1 << 30, None), 2);
+    let (store, clock) = filled(folder.path(), &keeping(SamplePolicy::All, 1 << 30, None), 2);
     drop(store);
     let old = folder.path().join("windows-2026-11-21.db");
     let plain = rusqlite::Connection::open(&old).unwrap();
@@ -239,7 +242,7 @@ fn a_day_that_cannot_shrink_goes_whole() {
     let size = std::fs::metadata(folder.path().join("windows-2026-11-22.db"))
         .unwrap()
         .len();
-    let settings = keeping(Keep::All, size + 50_000, None);
+    let settings = keeping(SamplePolicy::All, size + 50_000, None);
     let mut store = Store::open_with_clock(folder.path(), &settings, clock.clock())
         .unwrap()
         .store;
@@ -251,7 +254,10 @@ fn a_day_that_cannot_shrink_goes_whole() {
 #[test]
 fn room_that_was_freed_is_used_again() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &keeping(Keep::Telling, 600_000, None));
+    let mut store = open(
+        folder.path(),
+        &keeping(SamplePolicy::Telling, 600_000, None),
+    );
     let session = session(&mut store);
     for seq in 0..200 {
         store.keep_window(session, &window(seq)).unwrap();
@@ -269,7 +275,7 @@ fn damaged_days_count_and_go_too() {
         .path()
         .join("windows-2026-11-01.db.damaged-20261102T000000Z");
     std::fs::write(&damaged, vec![0; 500_000]).unwrap();
-    let (mut store, _) = filled(folder.path(), &keeping(Keep::All, 400_000, None), 1);
+    let (mut store, _) = filled(folder.path(), &keeping(SamplePolicy::All, 400_000, None), 1);
     store.collect_garbage().unwrap();
     assert!(!damaged.exists());
     assert_eq!(days(folder.path()), ["windows-2026-11-22.db"]);

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ihd_store::{Kept, Reader, ResultFilter, Settings, WindowFilter};
+use ihd_store::{InsertOutcome, Reader, ResultFilter, Settings, WindowFilter};
 
 use super::fixture::*;
 use super::fixture_process::{FOLDER, writer};
@@ -19,8 +19,8 @@ fn a_writer_that_is_limited() {
     let mut stored = 0;
     let full = loop {
         match store.keep_window(session, &window(stored)) {
-            Ok(Kept::New) => stored += 1,
-            Ok(Kept::Known) => panic!("{stored} was known"),
+            Ok(InsertOutcome::New) => stored += 1,
+            Ok(InsertOutcome::Known) => panic!("{stored} was known"),
             Err(error) => break error,
         }
     };

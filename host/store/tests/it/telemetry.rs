@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use ihd_store::{Keep, Reader, Settings, Spread, Store, TelemetrySecond, TelemetrySpan};
+use ihd_store::{Reader, SamplePolicy, Settings, Spread, Store, TelemetrySecond, TelemetrySpan};
 use rusqlite::Connection;
 
 use super::fixture::*;
@@ -48,7 +48,7 @@ fn seconds_and_minutes_say_the_same_and_devices_stand_alone() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS);
     // Windows are not kept at all, telemetry is.
-    let settings = keeping(Keep::OneIn(1_000), 0, None);
+    let settings = keeping(SamplePolicy::OneIn(1_000), 0, None);
     let opened = Store::open_with_clock(folder.path(), &settings, clock.clock()).unwrap();
     let mut store = opened.store;
     let seconds: Vec<_> = (0..90)
@@ -104,7 +104,7 @@ fn midnight_is_passed_and_retention_takes_the_day() {
     let folder = tempfile::tempdir().unwrap();
     let midnight_s = NOON_S + 12 * 3_600;
     let clock = SetClock::at(NOON_MS);
-    let settings = keeping(Keep::All, 1 << 30, Some(1));
+    let settings = keeping(SamplePolicy::All, 1 << 30, Some(1));
     let opened = Store::open_with_clock(folder.path(), &settings, clock.clock()).unwrap();
     let mut store = opened.store;
     store

@@ -4,7 +4,9 @@ use ihd_link::Window;
 use ihd_shared::sampling::{Pair, Scales};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
-use ihd_store::{Keep, Kept, Reader, ResultFilter, Settings, Store, StoreError, WindowFilter};
+use ihd_store::{
+    InsertOutcome, Reader, ResultFilter, SamplePolicy, Settings, Store, StoreError, WindowFilter,
+};
 use proptest::prelude::*;
 
 use super::fixture::*;
@@ -52,7 +54,7 @@ fn any_window_comes_back_bit_for_bit() {
     let store = std::cell::RefCell::new(store);
     let stored = runner.run(&any_window(), |window| {
         let kept = store.borrow_mut().keep_window(session, &window).unwrap();
-        if kept == Kept::New {
+        if kept == InsertOutcome::New {
             let back = reader.window("bench", 7, window.seq).unwrap();
             prop_assert_eq!(back, Some(window));
         }
@@ -71,24 +73,45 @@ fn a_window_that_comes_twice_is_stored_once_across_sessions_restarts_and_midnigh
     };
     let mut store = open();
     let first = session(&mut store);
-    assert_eq!(store.keep_window(first, &window(5)).unwrap(), Kept::New);
-    assert_eq!(store.keep_window(first, &window(5)).unwrap(), Kept::Known);
+    assert_eq!(
+        store.keep_window(first, &window(5)).unwrap(),
+        InsertOutcome::New
+    );
+    assert_eq!(
+        store.keep_window(first, &window(5)).unwrap(),
+        InsertOutcome::Known
+    );
     let second = session(&mut store);
-    assert_eq!(store.keep_window(second, &window(5)).unwrap(), Kept::Known);
+    assert_eq!(
+        store.keep_window(second, &window(5)).unwrap(),
+        InsertOutcome::Known
+    );
     clock.forward(DAY_MS);
-    assert_eq!(store.keep_window(second, &window(5)).unwrap(), Kept::Known);
+    assert_eq!(
+        store.keep_window(second, &window(5)).unwrap(),
+        InsertOutcome::Known
+    );
     assert_eq!(store.figures().windows_known, 3);
     drop(store);
     let mut store = open();
     let third = session(&mut store);
-    assert_eq!(store.keep_window(third, &window(5)).unwrap(), Kept::Known);
+    assert_eq!(
+        store.keep_window(third, &window(5)).unwrap(),
+        InsertOutcome::Known
+    );
     // Another boot counts anew, and another device does.
     let device = store.device("bench", "usb:1").unwrap();
     let boot = store.begin_session(device, &hello(8), &FRONT_END).unwrap();
-    assert_eq!(store.keep_window(boot, &window(5)).unwrap(), Kept::New);
+    assert_eq!(
+        store.keep_window(boot, &window(5)).unwrap(),
+        InsertOutcome::New
+    );
     let device = store.device("kitchen", "usb:2").unwrap();
     let other = store.begin_session(device, &hello(7), &FRONT_END).unwrap();
-    assert_eq!(store.keep_window(other, &window(5)).unwrap(), Kept::New);
+    assert_eq!(
+        store.keep_window(other, &window(5)).unwrap(),
+        InsertOutcome::New
+    );
     let rows = Reader::open(folder.path())
         .unwrap()
         .windows(&WindowFilter::default())
@@ -103,7 +126,10 @@ fn a_window_that_comes_twice_is_stored_once_across_sessions_restarts_and_midnigh
 #[test]
 fn of_windows_that_are_not_kept_there_is_a_row() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &keeping(Keep::OneIn(3), 1 << 30, None));
+    let mut store = open(
+        folder.path(),
+        &keeping(SamplePolicy::OneIn(3), 1 << 30, None),
+    );
     let session = session(&mut store);
     for seq in 0..9 {
         // Every second one comes twice: a repetition is none of the three.
@@ -111,7 +137,7 @@ fn of_windows_that_are_not_kept_there_is_a_row() {
         if seq % 2 == 0 {
             assert_eq!(
                 store.keep_window(session, &window(seq)).unwrap(),
-                Kept::Known
+                InsertOutcome::Known
             );
         }
     }
@@ -138,7 +164,7 @@ fn of_windows_that_are_not_kept_there_is_a_row() {
 fn samples_that_tell_nothing_go_when_the_verdict_comes() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS);
-    let settings = keeping(Keep::Telling, 1 << 30, None);
+    let settings = keeping(SamplePolicy::Telling, 1 << 30, None);
     let mut store = Store::open_with_clock(folder.path(), &settings, clock.clock())
         .unwrap()
         .store;
@@ -167,7 +193,7 @@ fn samples_that_tell_nothing_go_when_the_verdict_comes() {
     assert_eq!(reader.windows(&WindowFilter::default()).unwrap().len(), 6);
     drop(store);
     // A process that ends between verdict and dropping leaves it to the next collection.
-    let mut store = open(folder.path(), &keeping(Keep::All, 1 << 30, None));
+    let mut store = open(folder.path(), &keeping(SamplePolicy::All, 1 << 30, None));
     store.record_result(&verdict(5, true, false), None).unwrap();
     assert!(there(5));
     drop(store);
@@ -244,21 +270,21 @@ fn result_and_what_was_learned_are_one_and_learning_again_replaces() {
     let mut store = open(folder.path(), &Settings::default());
     let session = session(&mut store);
     let device = store.device("bench", "elsewhere").unwrap();
-    assert_eq!(store.learned(device).unwrap(), None);
+    assert_eq!(store.learner_state(device).unwrap(), None);
     let first = store
         .record_result(&result(session, 1), Some(b"state 1"))
         .unwrap();
-    assert_eq!(store.learned(device).unwrap().unwrap(), b"state 1");
+    assert_eq!(store.learner_state(device).unwrap().unwrap(), b"state 1");
     let again = ihd_store::NewResult {
         r_ohm: 3.0,
         ..result(session, 1)
     };
     assert_eq!(store.record_result(&again, None).unwrap(), first);
-    assert_eq!(store.learned(device).unwrap().unwrap(), b"state 1");
+    assert_eq!(store.learner_state(device).unwrap().unwrap(), b"state 1");
     let rows = store.results(&ResultFilter::default()).unwrap();
     assert_eq!((rows.len(), rows[0].r_ohm), (1, 3.0));
-    store.forget_learned(device).unwrap();
-    assert_eq!(store.learned(device).unwrap(), None);
+    store.forget_learner_state(device).unwrap();
+    assert_eq!(store.learner_state(device).unwrap(), None);
     assert_eq!(store.results(&ResultFilter::default()).unwrap().len(), 1);
     // Of a session that there is not, nothing is stored.
     let nobodys = store.record_result(&result(99, 2), Some(b"state 2"));
@@ -274,7 +300,7 @@ fn result_and_what_was_learned_are_one_and_learning_again_replaces() {
         store.end_session(99, ""),
         Err(StoreError::NoSession { .. })
     ));
-    assert_eq!(store.learned(device).unwrap(), None);
+    assert_eq!(store.learner_state(device).unwrap(), None);
 }
 
 #[test]

@@ -1,9 +1,9 @@
-//! Delay by a part of a sample.
+//! Delay by a fraction of a sample.
 
 use std::f64::consts::{PI, TAU};
 
-/// Samples on each side that an interpolated one comes from: up to a third of the sampling rate
-/// the error stays below 1e-3, at a fundamental of a twentieth of it below 1e-5.
+/// Samples on each side that an interpolated one uses: up to a third of the sampling rate the error stays below 1e-3, at a
+/// fundamental of a twentieth of it below 1e-5.
 const HALF: usize = 16;
 
 /// Delays by `by` samples, whole or not, negative for earlier: y(k) = x(k − by), by a sinc under a
@@ -17,7 +17,7 @@ pub(super) fn delay(x: &mut [f32], by: f64) {
     let part = by - whole;
     let mut taps: Vec<f64> = (0..2 * HALF)
         .map(|j| {
-            // Distance of tap j's sample from the point that is sought.
+            // Distance of tap j's sample from the interpolated point.
             let d = j as f64 - HALF as f64 + part;
             let phase = d / HALF as f64;
             let window = 0.42 + 0.5 * libm::cos(PI * phase) + 0.08 * libm::cos(TAU * phase);
@@ -33,7 +33,7 @@ pub(super) fn delay(x: &mut [f32], by: f64) {
     taps.iter_mut().for_each(|t| *t /= sum);
     let last = x.len() - 1;
     let whole = whole.clamp(-(x.len() as f64), x.len() as f64) as isize;
-    // The samples with their ends repeated far enough.
+    // The samples, with their ends repeated as far as the taps reach.
     let reach = HALF as isize;
     let first = -whole - reach;
     let source: Vec<f64> = (0..x.len() as isize + 2 * reach)

@@ -1,4 +1,4 @@
-//! The calibration that a capture of a reference gives.
+//! Calibration from a capture of a reference.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -6,23 +6,23 @@ use ihd_signal::Capture;
 use nalgebra::Complex;
 
 use super::{CONTRADICT, Calibration, Reference, WELL_KNOWN_S};
-use crate::impedance::{Wiring, of_order};
+use crate::impedance::{Wiring, load_of_order};
 use crate::track::{ORDERS, Track, track};
 use crate::{Finding, Severity, Survey, SurveyError};
 
-/// Why a capture gives no calibration.
+/// Reason why a capture gives no calibration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CalibrateError {
-    /// Nothing to work on.
+    /// The capture cannot be surveyed.
     #[error(transparent)]
     Survey(#[from] SurveyError),
-    /// Something would make it wrong.
+    /// A fault of the capture would falsify the calibration.
     #[error("{name}: {finding}")]
     Unfit {
-        /// The capture.
+        /// Name of the capture.
         name: String,
-        /// What is wrong.
+        /// Finding that prevents it.
         finding: Finding,
     },
     /// R and skew cannot be separated.
@@ -31,17 +31,17 @@ pub enum CalibrateError {
          (no-pot,r=0.1), or capture several switching frequencies"
     )]
     OneFrequency {
-        /// The capture.
+        /// Name of the capture.
         name: String,
-        /// The frequency in kilohertz.
+        /// Only frequency in the capture, in kilohertz.
         khz: f64,
     },
     /// The capture cannot come from the reference.
     #[error("{name}: {what}: is this the reference, and are the probe ratios right?")]
     NotTheReference {
-        /// The capture.
+        /// Name of the capture.
         name: String,
-        /// Why.
+        /// Contradiction to the reference, as text.
         what: String,
     },
 }
@@ -53,27 +53,27 @@ struct Point {
     z: Complex<f64>,
     /// Standard deviation of its phase in radian, and of ln |z|: white noise gives both the same.
     sigma: f64,
-    /// Whether it is the fundamental.
+    /// `true` for the fundamental.
     first: bool,
 }
 
 /// Phase noise above which a harmonic is left out, in radian.
 const NOISIEST: f64 = 0.02;
 
-/// Angle of the impedance's phase from 0 or 90° below which one of R and L does not give it.
+/// Least angle of the impedance's phase from 0 or 90° at which one of R and L determines it.
 const STEEP: f64 = 0.15;
 
-/// Finds the calibration of the channels from a capture of `reference`.
+/// Estimates the calibration of the channels from a capture of `reference`.
 ///
 /// # Errors
-/// [`CalibrateError`]: a capture without switching, clipped or wrongly connected; too little seen to
-/// separate skew from the load; a load that cannot be the reference.
+/// [`CalibrateError`]: a capture without switching, clipped or wrongly connected; too little data to separate skew from the
+/// load; a load that cannot be the reference.
 pub fn estimate(
     capture: &Capture,
     survey: &Survey,
     reference: Reference,
 ) -> Result<Calibration, CalibrateError> {
-    // A negative R is what a skew looks like here; everything else of this severity is wrong.
+    // A negative R is no obstacle, because a skew causes it; every other finding of this severity is.
     let unfit = |f: &&Finding| {
         f.severity() == Severity::Error && !matches!(f, Finding::NegativeResistance { .. })
     };
@@ -85,34 +85,34 @@ pub fn estimate(
     }
     let points = points(capture, survey);
     let mut assumed = vec!["no direct current in the coil (offsets)".to_owned()];
-    let found = match reference {
+    let result = match reference {
         Reference::NoPot { r_ohm, l_h } => no_pot(survey, &points, r_ohm, l_h, &mut assumed)?,
         Reference::Load { r_ohm, l_h } => load(survey, &points, r_ohm, l_h, &mut assumed)?,
     };
     Ok(Calibration {
-        skew_s: found.skew.0,
-        skew_sigma_s: found.skew.1,
-        gain_ratio: found.gain.0,
-        gain_ratio_sigma: found.gain.1,
+        skew_s: result.skew.0,
+        skew_sigma_s: result.skew.1,
+        gain_ratio: result.gain.0,
+        gain_ratio_sigma: result.gain.1,
         v_offset_v: survey.voltage.mean,
         i_offset_a: survey.current.mean,
         response: super::Correction::default(),
         reference: reference.to_string(),
         assumed,
         capture: survey.name.clone(),
-        contradictions: found.contradiction.into_iter().collect(),
+        contradictions: result.contradiction.into_iter().collect(),
     })
 }
 
 /// Skew in seconds and gain ratio, each with its standard deviation.
-struct Found {
+struct SkewGain {
     skew: (f64, f64),
     gain: (f64, f64),
-    /// In what the capture's own frequencies disagree.
+    /// Contradiction between the capture's own frequencies, as text; `None` if there is none.
     contradiction: Option<String>,
 }
 
-/// Impedances of every span at every harmonic that stands out of the noise.
+/// Impedances of every span at every harmonic that exceeds the noise.
 fn points(capture: &Capture, survey: &Survey) -> Vec<Point> {
     let noise = [survey.voltage.noise, survey.current.noise].map(|n| n.unwrap_or(0.0));
     let mut out = Vec::new();
@@ -120,7 +120,7 @@ fn points(capture: &Capture, survey: &Survey) -> Vec<Point> {
         let run = span.run();
         let track = track(capture, &run, span.f_sw_hz);
         for (order, h) in ORDERS.into_iter().enumerate() {
-            let Some(z) = of_order(&track, order, Wiring::default()) else {
+            let Some(z) = load_of_order(&track, order, Wiring::default()) else {
                 continue;
             };
             let omega = TAU * span.f_sw_hz * f64::from(h);
@@ -138,8 +138,8 @@ fn points(capture: &Capture, survey: &Survey) -> Vec<Point> {
     out
 }
 
-/// Standard deviation of an impedance's phase: of a sine of amplitude A in N samples of noise σ the
-/// phase has the variance σ²/(N A²/2) (Cramér-Rao bound); both channels add.
+/// Standard deviation of an impedance's phase. For a sine of amplitude A in N samples of noise σ the phase has the variance
+/// σ²/(N A²/2) (Cramér-Rao bound); both channels add.
 fn phase_sigma(track: &Track, order: usize, noise: [f64; 2]) -> f64 {
     let hop = (track.frame / 2) as f64;
     let energy = |x: Option<&Vec<Complex<f64>>>| -> f64 {
@@ -159,14 +159,14 @@ fn phase_sigma(track: &Track, order: usize, noise: [f64; 2]) -> f64 {
 /// Exponents of R ∝ f^p that a winding may have, from direct current to a full skin effect.
 const SKIN: [f64; 2] = [0.0, 0.5];
 
-/// From the empty coil: phase = 90° − (R/L)(ω/ω₁)^p/ω − ω·skew.
+/// Skew from the empty coil: phase = 90° − (R/L)(ω/ω₁)^p/ω − ω·skew.
 fn no_pot(
     survey: &Survey,
     points: &[Point],
     r_ohm: Option<f64>,
     l_h: Option<f64>,
     assumed: &mut Vec<String>,
-) -> Result<Found, CalibrateError> {
+) -> Result<SkewGain, CalibrateError> {
     let least = points.iter().map(|p| p.omega).fold(f64::INFINITY, f64::min);
     let most = points.iter().map(|p| p.omega).fold(0.0, f64::max);
     let firsts = || points.iter().filter(|p| p.first);
@@ -194,7 +194,7 @@ fn no_pot(
     assumed.push("constant L of the empty coil".to_owned());
     assumed.push("R of the empty coil growing as f^0 to f^0.5".to_owned());
     let fits = SKIN.map(|p| {
-        // What is missing to 90° of each point, in radian: a·ρ + ω·skew, a = (ω/ω₁)^p/ω.
+        // Difference of each point's phase from 90° in radian: a·ρ + ω·skew, a = (ω/ω₁)^p/ω.
         let rows = points.iter().map(|point| {
             let a = (point.omega / least).powf(p) / point.omega;
             let missing = FRAC_PI_2 - point.z.im.atan2(point.z.re);
@@ -211,17 +211,17 @@ fn no_pot(
     let systematic = 0.5 * (a - b).abs();
     let skew = (0.5 * (a + b), sigma_a.max(sigma_b).hypot(systematic));
     let known = r_ohm.map(|r_ohm| r_ohm / l_own_h);
-    Ok(Found {
+    Ok(SkewGain {
         skew,
         gain,
         contradiction: contradiction(points, least, skew, known),
     })
 }
 
-/// Whether one skew and one R/L explain what every frequency shows. A channel with a narrow band delays each harmonic
-/// otherwise, and turns R negative: no single number takes that out.
+/// Checks whether one skew and one R/L explain all frequencies; returns the contradiction as text if not. A channel with a
+/// narrow band delays each harmonic differently, and turns R negative: no single number corrects that.
 ///
-/// `known`: R over L at the lowest frequency, in 1/s, where given; else it is that which explains most.
+/// `known` is R over L at the lowest frequency, in 1/s; if `None`, the value that explains most is used.
 fn contradiction(
     points: &[Point],
     least: f64,
@@ -241,7 +241,7 @@ fn contradiction(
     let off = |p: &Point, exponent: f64, rho: f64| {
         (missing(p) - (p.omega / least).powf(exponent) / p.omega * rho) / p.omega - skew_s
     };
-    // The exponent under which less is left.
+    // The exponent with the smaller residual.
     let worst = |exponent: f64| {
         let rho = rho_of(exponent);
         let each = points.iter().map(|p| {
@@ -270,7 +270,7 @@ fn contradiction(
             skew_s * 1e9
         ));
     }
-    // Far below zero, or more of it than an empty coil has.
+    // Far below zero, or larger than an empty coil's.
     (known.is_none() && !(-0.01 * least..0.2 * least).contains(&rho)).then(|| {
         format!(
             "with a skew of {:.1} ns the empty coil would have R of {:.3} times its reactance: that is no skew of \
@@ -281,7 +281,7 @@ fn contradiction(
     })
 }
 
-/// Weighted least squares of y = a ρ + b s; s and its standard deviation.
+/// Weighted least squares of y = a ρ + b s; returns s and its standard deviation.
 fn two_parameters(rows: impl Iterator<Item = (f64, f64, f64, f64)>) -> (f64, f64) {
     let (mut aa, mut ab, mut bb, mut ay, mut by) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for (a, b, y, sigma) in rows {
@@ -305,14 +305,14 @@ fn weighted(values: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
     (sum / weight, 1.0 / weight.sqrt())
 }
 
-/// From a load whose R, L or both are known, by the fundamental alone.
+/// Skew from a load whose R, L or both are known, by the fundamental alone.
 fn load(
     survey: &Survey,
     points: &[Point],
     r_ohm: Option<f64>,
     l_h: Option<f64>,
     assumed: &mut Vec<String>,
-) -> Result<Found, CalibrateError> {
+) -> Result<SkewGain, CalibrateError> {
     let wrong = |what: String| CalibrateError::NotTheReference {
         name: survey.name.clone(),
         what,
@@ -322,7 +322,7 @@ fn load(
     for p in points.iter().filter(|p| p.first) {
         let measured = p.z.im.atan2(p.z.re);
         let magnitude = p.z.norm();
-        // Phase of the reference, and how much that depends on |z|: dθ/d ln|z|.
+        // Phase of the reference, and its dependence on |z|: dθ/d ln|z|.
         let (theta, steep) = match (r_ohm, l_h) {
             (Some(r), Some(l)) => {
                 let z = Complex::new(r, p.omega * l);
@@ -370,7 +370,7 @@ fn load(
             skew.0 * 1e6
         )));
     }
-    // The fundamentals of several frequencies must say the same.
+    // The fundamentals of several frequencies must agree.
     let off = |s: &(f64, f64)| (s.0 - skew.0).abs() / s.1.hypot(skew.1).max(WELL_KNOWN_S);
     let worst = skews.iter().max_by(|a, b| off(a).total_cmp(&off(b)));
     let contradiction = worst.filter(|s| off(s) > CONTRADICT).map(|s| {
@@ -381,7 +381,7 @@ fn load(
             skew.0 * 1e9
         )
     });
-    Ok(Found {
+    Ok(SkewGain {
         skew,
         gain,
         contradiction,

@@ -1,12 +1,11 @@
-//! Skew, gain and offset of the two channels: found from a reference, kept in a file, applied to
-//! captures.
+//! Skew, gain and offset of the two channels: estimated from a reference, stored in a file, applied to captures.
 //!
-//! What a capture of a known load shows, and what it does not:
+//! Information in a capture of a known load:
 //! - **skew** (how much later the current is sampled) turns the impedance by −ω·skew. It is separable
-//!   from the load's own phase when that is known, or when several frequencies are seen: the phase
+//!   from the load's own phase if that is known, or if there are several frequencies: the phase
 //!   of R/(ωL) falls with frequency, that of a skew grows.
-//! - **gain** shows as the ratio of both channels' gains alone, and only against a known |Z|.
-//!   The current's is taken for right, so the voltage is corrected.
+//! - **gain** shows only as the ratio of both channels' gains, and only against a known |Z|.
+//!   The current's is assumed right, so the voltage is corrected.
 //! - **offsets** are the channels' means: the resonance capacitor carries no direct current, and a
 //!   coil without direct current has no mean voltage.
 
@@ -27,87 +26,87 @@ use serde::{Deserialize, Serialize};
 
 use crate::time::runs;
 
-/// Corrections of a measuring chain, and how well they are known.
+/// Corrections of a measuring chain, and their uncertainties.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
-    /// How much later the current is sampled than the voltage, in seconds.
+    /// Time by which the current is sampled later than the voltage, in seconds.
     pub skew_s: f64,
-    /// Its standard deviation in seconds: noise, and what is not known of the reference.
+    /// Standard deviation of the skew in seconds: noise, and the uncertainty of the reference.
     pub skew_sigma_s: f64,
     /// Gain of the voltage channel over that of the current channel; 1 is right.
     pub gain_ratio: f64,
-    /// Its standard deviation; 0 where the ratio is assumed.
+    /// Standard deviation of the gain ratio; 0 if the ratio is assumed.
     pub gain_ratio_sigma: f64,
     /// Offset of the voltage channel in volt.
     pub v_offset_v: f64,
     /// Offset of the current channel in ampere.
     pub i_offset_a: f64,
-    /// Bandwidths and droop, where there are any; its own skew is 0.
+    /// Bandwidths and droop, if any; its own skew is 0.
     #[serde(default, skip_serializing_if = "Correction::is_none")]
     pub response: Correction,
-    /// What it was measured against.
+    /// Description of the reference.
     pub reference: String,
-    /// What was taken for granted.
+    /// Assumptions that were made.
     pub assumed: Vec<String>,
-    /// The capture it comes from.
+    /// Name of the capture.
     pub capture: String,
-    /// What in that capture contradicts it, in words.
+    /// Contradictions within that capture, as texts.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub contradictions: Vec<String>,
 }
 
-/// Standard deviations by which two numbers differ that contradict each other.
+/// Standard deviations from which a difference of two numbers is a contradiction.
 const CONTRADICT: f64 = 5.0;
 
-/// Why a calibration file could not be used.
+/// Reason why a calibration file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrationFileError {
-    /// The file system refused.
+    /// The file system reported an error.
     #[error("{path}: {source}")]
     Io {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// It does not hold a calibration.
+    /// The file does not hold a calibration.
     #[error("{path} is no calibration: {what}; write one with `ihd calibrate`")]
     Content {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// Description of the fault.
         what: String,
     },
 }
 
-/// What a skew is known to that costs next to nothing, in seconds: docs/accuracy.md.
+/// Uncertainty of a skew in seconds that costs next to nothing (docs/accuracy.md).
 const WELL_KNOWN_S: f64 = 1e-9;
 
-/// Largest skew in seconds that is believed; the simulator's limit.
+/// Largest plausible skew in seconds; the simulator's limit.
 const LARGEST_SKEW_S: f64 = 10e-6;
 
 impl Calibration {
-    /// From what a capture shows of its own sensors, whatever its load.
-    pub fn of_plateaus(found: &SelfCalibration, survey: &Survey) -> Self {
-        let alike = found.alike();
+    /// Creates a calibration from a self-calibration, with any load.
+    pub fn from_self_calibration(sensors: &SelfCalibration, survey: &Survey) -> Self {
+        let alike = sensors.full_correction();
         let mut contradictions = Vec::new();
-        if !found.is_sound() {
-            let faults = found.remarks(false).into_iter();
+        if !sensors.is_sound() {
+            let faults = sensors.remarks(false).into_iter();
             let worse = faults.filter(|r| r.severity > ihd_signal::Severity::Info);
             contradictions.extend(worse.map(|r| r.text));
         }
         Self {
-            skew_s: match found.response {
+            skew_s: match sensors.response {
                 Response::Right => 0.0,
                 _ => alike.skew_s,
             },
-            skew_sigma_s: found.lag_s.sigma,
-            gain_ratio: found
+            skew_sigma_s: sensors.lag_s.sigma,
+            gain_ratio: sensors
                 .known_capacitance_f
-                .map_or(1.0, |c_f| c_f / found.capacitance_f.value),
-            gain_ratio_sigma: match found.known_capacitance_f {
-                Some(_) => found.capacitance_f.sigma / found.capacitance_f.value,
+                .map_or(1.0, |c_f| c_f / sensors.capacitance_f.value),
+            gain_ratio_sigma: match sensors.known_capacitance_f {
+                Some(_) => sensors.capacitance_f.sigma / sensors.capacitance_f.value,
                 None => 0.0,
             },
             v_offset_v: survey.voltage.mean,
@@ -151,7 +150,7 @@ impl Calibration {
     /// Writes a file: JSON if it is named so, else TOML.
     ///
     /// # Errors
-    /// [`CalibrationFileError::Io`] when the file cannot be written.
+    /// [`CalibrationFileError::Io`] if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), CalibrationFileError> {
         let content = |what: String| CalibrationFileError::Content {
             path: path.to_owned(),
@@ -200,11 +199,11 @@ impl Calibration {
         Ok(())
     }
 
-    /// Why it is not to be trusted, in words: what its capture contradicted, and a skew that is known worse than
-    /// it is large.
+    /// Reasons to distrust the calibration, as texts: contradictions in its capture, and a skew whose uncertainty exceeds its
+    /// value.
     pub fn doubts(&self) -> Vec<String> {
         let mut doubts = self.contradictions.clone();
-        // A skew that is known to a nanosecond is known, however small it is.
+        // A skew that is known to a nanosecond is precise enough, however small it is.
         if self.skew_sigma_s > self.skew_s.abs() && self.skew_sigma_s > WELL_KNOWN_S {
             doubts.push(format!(
                 "a skew of {:.1} ± {:.1} ns cannot be told from none: capture longer, with more current or a known r=",
@@ -221,12 +220,12 @@ impl Calibration {
         doubts
     }
 
-    /// In what another calibration of the same chain says otherwise, beyond what both claim to know.
+    /// Differences from another calibration of the same chain beyond the uncertainties of both, as texts.
     pub fn contradicts(&self, other: &Self) -> Vec<String> {
-        let mut found = Vec::new();
+        let mut differences = Vec::new();
         let sigma_s = self.skew_sigma_s.hypot(other.skew_sigma_s);
         if (self.skew_s - other.skew_s).abs() > CONTRADICT * sigma_s.max(0.1 * WELL_KNOWN_S) {
-            found.push(format!(
+            differences.push(format!(
                 "a skew of {:.2} ± {:.2} ns, now {:.2} ± {:.2} ns",
                 other.skew_s * 1e9,
                 other.skew_sigma_s * 1e9,
@@ -235,19 +234,19 @@ impl Calibration {
             ));
         }
         let sigma = self.gain_ratio_sigma.hypot(other.gain_ratio_sigma);
-        // 0 stands for a ratio that was assumed, which says nothing.
+        // 0 stands for an assumed ratio, which cannot contradict.
         let both = self.gain_ratio_sigma > 0.0 && other.gain_ratio_sigma > 0.0;
         if both && (self.gain_ratio - other.gain_ratio).abs() > CONTRADICT * sigma {
-            found.push(format!(
+            differences.push(format!(
                 "a ratio of the gains of {:.5}, now {:.5}",
                 other.gain_ratio, self.gain_ratio
             ));
         }
-        found
+        differences
     }
 
-    /// Takes offsets, gain and skew out of a capture: what it then holds was measured at the times of
-    /// the voltage's samples.
+    /// Removes offsets, gain error and skew from a capture; all samples then belong to the times of the
+    /// voltage's samples.
     ///
     /// The current is interpolated within each run; its first and last
     /// samples repeat beyond the ends.

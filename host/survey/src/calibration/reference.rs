@@ -1,22 +1,22 @@
-//! What a calibration is measured against.
+//! Reference loads of a calibration.
 
 use std::fmt;
 
-/// A load about which something is known.
+/// Load with known properties.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Reference {
-    /// The coil without a pot: its R is small and grows no faster than √f, its L is constant.
+    /// Coil without a pot: its R is small and grows no faster than √f, its L is constant.
     NoPot {
-        /// Its R in ohm at the lowest frequency, where known.
+        /// R in ohm at the lowest frequency; `None` if unknown.
         r_ohm: Option<f64>,
-        /// Its L in henry, where known.
+        /// L in henry; `None` if unknown.
         l_h: Option<f64>,
     },
-    /// A load whose R, L or both are known at the switching frequency.
+    /// Load whose R, L or both are known at the switching frequency.
     Load {
-        /// R in ohm.
+        /// R in ohm; `None` if unknown.
         r_ohm: Option<f64>,
-        /// L in henry.
+        /// L in henry; `None` if unknown.
         l_h: Option<f64>,
     },
 }

@@ -4,7 +4,7 @@ use ihd_sim::behavioural::{BehaviouralLoad, PotKind};
 use ihd_sim::pot::{Metal, Pot};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{Change, Event, LoadKind, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
 
 use super::*;
 use crate::{Hints, Survey};
@@ -24,18 +24,18 @@ fn chain(snr_db: Option<f64>) -> Sensing {
     }
 }
 
-fn settings(pot: Pot, sensing: Sensing, seed: u64) -> Settings {
-    Settings {
+fn settings(pot: Pot, sensing: Sensing, seed: u64) -> CaptureSpec {
+    CaptureSpec {
         load: LoadKind::Behavioural,
         pot,
         duration_s: 10e-3,
         sensing,
         seed,
-        ..Settings::default()
+        ..CaptureSpec::default()
     }
 }
 
-fn capture(settings: &Settings) -> Capture {
+fn capture(settings: &CaptureSpec) -> Capture {
     record(settings, |_| ()).unwrap().capture("reference")
 }
 
@@ -253,7 +253,7 @@ fn what_gives_no_calibration_is_refused_with_the_reason() {
     assert!(matches!(e, CalibrateError::Unfit { .. }), "{e}");
 }
 
-/// What a current probe of 100 kHz shows of the empty coil is a delay that changes with frequency.
+/// A current probe of 100 kHz on the empty coil shows a delay that changes with frequency.
 #[test]
 fn a_probe_with_too_little_bandwidth_contradicts_itself() {
     let mut c = capture(&settings(Pot::NONE, chain(Some(60.0)), 4));

@@ -10,7 +10,7 @@ use ihd_sim::transport::SharedHob;
 use ihd_thermal::{HalfCycle, Thermometer};
 
 fn half_cycle(t: &Telemetry) -> HalfCycle {
-    HalfCycle::told(t, f64::from(t.half_cycle) * 0.01)
+    HalfCycle::from_telemetry(t, f64::from(t.half_cycle) * 0.01)
 }
 
 /// The firmware's own control, filter and link; the load is the field's table.
@@ -61,7 +61,7 @@ fn the_firmwares_telemetry_shows_how_warm_the_pot_is_at_length() {
     assert!(rms_k < 5.0, "{rms_k} K");
 }
 
-/// What the tables' cooking takes for the firmware's noise and bias (host/sim/src/cooking.rs).
+/// Noise and bias of the firmware that the tables' cooking assumes (host/sim/src/cooking.rs).
 #[test]
 fn noise_and_bias_of_the_firmwares_r_and_l() {
     for (pot, power_w) in [("ferritic-21", 1500), ("cast-iron-18", 1500)] {

@@ -1,6 +1,6 @@
 //! Cooking from tables of the field, with pots, noise and bias that the thermometer does not know.
 
-use ihd_sim::cooking::{Cooked, Cooking, Deviation};
+use ihd_sim::cooking::{Cooking, CookingReport, Deviation};
 use ihd_sim::pot::Pot;
 use ihd_thermal::{HalfCycle, PotEvent, Thermometer};
 
@@ -12,7 +12,7 @@ const ODD: Deviation = Deviation {
     bow_m: 0.1e-3,
 };
 
-fn seen(c: &Cooked) -> HalfCycle {
+fn seen(c: &CookingReport) -> HalfCycle {
     HalfCycle {
         t_s: c.t_s,
         f_hz: c.f_hz,
@@ -28,7 +28,7 @@ struct Kitchen {
     cooking: Cooking,
     thermometer: Thermometer,
     events: Vec<(f64, PotEvent)>,
-    /// Σ of squared errors of ΔT in K², and of those over σ, and how many, with the base below 150 °C.
+    /// Sums of squared errors of ΔT in K², and of those over σ, and their number, with the base below 150 °C.
     squares: (f64, f64, u32),
     boils_s: Option<f64>,
     bubbles_s: Option<f64>,

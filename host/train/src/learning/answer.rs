@@ -1,88 +1,95 @@
-//! Windows that another machine identifies: its part ([`identify_alone`]), which any machine does alike, and the device's
-//! ([`Learning::take`]), which believes nothing that the window's own samples do not confirm.
+//! Windows that another machine identifies.
+//!
+//! [`analyse_window`] runs there, with the same result on every machine. [`Learning::learn_from_answer`] runs at the device's daemon and
+//! accepts only what the window's own samples confirm.
 
-use ihd_gate::claim::{self, Claim, ClaimError, Confirmed};
+use ihd_gate::claim::{self, Claim, ClaimError, Confirmation};
 use ihd_link::Window;
-use ihd_map::{Curve, Seen};
+use ihd_map::{Curve, CurveMatch};
 use ihd_pinn::{Config, Identified};
 use ihd_signal::{Remark, Segment};
 use ihd_survey::calibration::blind::Correction;
 
 use super::sensors::{Evidence, corrected};
-use super::{Learning, Taught, judge, network, time_s};
+use super::{Learning, LookupUpdate, judge, network, time_s};
 
-/// Time in seconds of the device by which a window may be older than the newest that was learned: waiting for a worker,
-/// coming out of order. An older one may be of a pot that is gone.
-const LATEST_S: f64 = 30.0;
+/// Largest age of a window in seconds of device time, against the newest learned one: answers are late and out of order. An older window
+/// may show a pot that has been removed.
+const OLDEST_S: f64 = 30.0;
 
-/// Windows after a boot that are all asked what they show of the sensors, and of how many later ones one is: that takes five times as long
+/// Windows after a boot that are all checked for sensor errors. Afterwards one of [`ONE_CHECKED_OF`] is: the check takes five times as long
 /// as the rest, and a mean over 200 windows needs no more.
-const ALL_ASKED: u32 = 32;
-const ONE_ASKED_OF: u32 = 16;
+const ALL_CHECKED: u32 = 32;
+const ONE_CHECKED_OF: u32 = 16;
 
-/// Result of one window, from nothing but its samples.
+/// Identification and verdict of one window, from its samples alone.
 #[derive(Clone, Debug)]
-pub struct Alone {
-    /// R(t) and L(t); none where the network came to no end.
+pub struct WindowAnalysis {
+    /// R(t) and L(t); `None` if the network did not finish.
     pub identified: Option<Box<Identified>>,
     /// Findings, worst first.
     pub findings: Vec<Remark>,
-    /// Reason for which the window may not teach; none where it may.
+    /// Reason of the gate's refusal; `None` if the window passes.
     pub refused: Option<String>,
 }
 
-/// An answer that the samples confirm, and its meaning for the device.
+/// Answer that the window's samples confirm, and its effect on the device's map.
 #[derive(Clone, Debug)]
-pub struct Believed {
-    /// Figures of the samples at the times of the answer.
-    pub confirmed: Confirmed,
-    /// Pot that was seen; none where the window came too late to teach.
-    pub seen: Option<Seen>,
-    /// Meaning for the lookup.
-    pub taught: Taught,
+pub struct ConfirmedAnswer {
+    /// Current, χ² and least deviations of the samples at the times of the answer.
+    pub confirmed: Confirmation,
+    /// Comparison with the known pot; `None` if the window is too old to be learned.
+    pub seen: Option<CurveMatch>,
+    /// Effect on the lookup.
+    pub taught: LookupUpdate,
     /// Remarks on the device's sensors.
     pub findings: Vec<Remark>,
 }
 
-/// Reason for which an answer is not believed. Nothing was learned from it, nor from its window.
+/// Reason for which an answer is rejected. Nothing was learned from it, nor from its window.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Disbelief {
-    /// The samples say otherwise.
+pub enum AnswerError {
+    /// The window's samples contradict it.
     #[error(transparent)]
     Refuted(#[from] ClaimError),
-    /// It was found with another correction of the sensors than the device's own.
+    /// It was computed with another sensor correction than the device's own.
     #[error("it was found with other corrections of the sensors than are known now")]
     Outdated,
-    /// The window's own sensors do not allow an answer.
+    /// The window shows a sensor fault.
     #[error("the window shows a fault of its sensors: {0}")]
     Sensors(String),
 }
 
-/// Identifies a window and judges it, from nothing but it, the correction of its samples and the network's settings: the
-/// same on every machine.
-pub fn identify_alone(window: &Window, correction: Option<&Correction>, config: Config) -> Alone {
+/// Identifies a window and judges it. The result depends on the window, the sensor correction and the network's settings only, so that it
+/// is the same on every machine.
+pub fn analyse_window(
+    window: &Window,
+    correction: Option<&Correction>,
+    config: Config,
+) -> WindowAnalysis {
     let segment = corrected(&window.segment(), correction);
-    let (identified, findings, verdict) = alone(window, &segment, config, Vec::new(), &mut |_| ());
-    Alone {
+    let (identified, findings, verdict) =
+        analyse_segment(window, &segment, config, Vec::new(), &mut |_| ());
+    WindowAnalysis {
         identified,
         findings,
         refused: verdict.err(),
     }
 }
 
-/// Identifies a corrected segment and judges it; `said` are the remarks on its sensors.
-pub(super) fn alone(
+/// Identifies a corrected segment and judges it; `sensor_remarks` come first in the findings.
+pub(super) fn analyse_segment(
     window: &Window,
     segment: &Segment,
     config: Config,
-    said: Vec<Remark>,
+    sensor_remarks: Vec<Remark>,
     on_step: &mut dyn FnMut(&ihd_pinn::Progress),
 ) -> (Option<Box<Identified>>, Vec<Remark>, Result<Curve, String>) {
     let identified = match network::identify_window(segment, config, on_step) {
         Ok(identified) => Box::new(identified),
-        Err(why) => return (None, said, Err(why.to_string())),
+        Err(why) => return (None, sensor_remarks, Err(why.to_string())),
     };
-    let judgement = judge(segment, &identified, &said);
+    let judgement = judge(segment, &identified, &sensor_remarks);
     let verdict = match judgement.gate.refuses() {
         true => Err(judgement.gate.why.join("; ")),
         false => Ok(network::curve(
@@ -95,54 +102,54 @@ pub(super) fn alone(
 }
 
 impl Learning {
-    /// Correction of the device's next window before it is identified.
+    /// Returns the sensor correction for the device's next window; `None` if there is none.
     pub fn correction(&self) -> Option<Correction> {
         self.sensors.correction()
     }
 
-    /// Learns from an answer to a window of this boot of the device, if the window's samples confirm it. Windows of one
-    /// boot may come in any order.
+    /// Learns from another machine's answer to a window of this boot, if the window's samples confirm it. Windows of one boot may come in
+    /// any order.
     ///
     /// # Errors
-    /// [`Disbelief`]; the window is then to be identified here ([`Learning::observe`]).
-    pub fn take(
+    /// [`AnswerError`]; the caller then identifies the window itself ([`Learning::observe`]).
+    pub fn learn_from_answer(
         &mut self,
         boot: u32,
         window: &Window,
         claim: &Claim<'_>,
-    ) -> Result<Believed, Disbelief> {
+    ) -> Result<ConfirmedAnswer, AnswerError> {
         let raw = window.segment();
-        let is_asked = window.seq < ALL_ASKED || window.seq.is_multiple_of(ONE_ASKED_OF);
-        let evidence = match is_asked {
+        let is_checked = window.seq < ALL_CHECKED || window.seq.is_multiple_of(ONE_CHECKED_OF);
+        let evidence = match is_checked {
             true => Evidence::of(&raw),
             false => Evidence::default(),
         };
         if let Some(fault) = evidence.remarks.first() {
-            return Err(Disbelief::Sensors(fault.text.clone()));
+            return Err(AnswerError::Sensors(fault.text.clone()));
         }
         let mut sensors = self.sensors;
-        let findings = sensors.count(&evidence);
+        let findings = sensors.add(&evidence);
         let before = self.sensors.correction();
         if before.is_some() != sensors.correction().is_some() {
-            return Err(Disbelief::Outdated);
+            return Err(AnswerError::Outdated);
         }
         let segment = corrected(&raw, before.as_ref());
         let confirmed = claim::confirm(&segment, claim)?;
-        let found = network::Found {
+        let trajectory = network::LoadTrajectory {
             i_amplitude_a: &confirmed.i_amplitude_a,
             r_ohm: claim.r_ohm,
             l_h: claim.l_h,
             chi2: &confirmed.chi2,
         };
-        let mut curve = network::curve(&segment, &found, time_s(window));
+        let mut curve = network::curve(&segment, &trajectory, time_s(window));
         self.sensors = sensors;
         let newest_s = self.map.newest_s();
         if self.boot == Some(boot) && newest_s.is_finite() {
-            if curve.t_s < newest_s - LATEST_S {
-                return Ok(Believed {
+            if curve.t_s < newest_s - OLDEST_S {
+                return Ok(ConfirmedAnswer {
                     confirmed,
                     seen: None,
-                    taught: Taught::Known,
+                    taught: LookupUpdate::Unchanged,
                     findings,
                 });
             }
@@ -150,7 +157,7 @@ impl Learning {
         }
         self.boot = Some(boot);
         let (seen, taught) = self.learn(curve, false);
-        Ok(Believed {
+        Ok(ConfirmedAnswer {
             confirmed,
             seen: Some(seen),
             taught,
@@ -158,14 +165,14 @@ impl Learning {
         })
     }
 
-    /// Counts a window's evidence on the sensors; where that begins or ends a correction, the map begins anew.
-    pub(super) fn hear(&mut self, evidence: &Evidence) -> Vec<Remark> {
+    /// Adds a window's evidence on the sensors. If that begins or ends a correction, the map is cleared.
+    pub(super) fn count_evidence(&mut self, evidence: &Evidence) -> Vec<Remark> {
         let before = self.sensors.correction().is_some();
-        let said = self.sensors.count(evidence);
+        let remarks = self.sensors.add(evidence);
         if before != self.sensors.correction().is_some() {
-            // Its curves were seen through other sensors.
+            // Its curves were measured with another correction.
             self.map = self.map.forgotten();
         }
-        said
+        remarks
     }
 }

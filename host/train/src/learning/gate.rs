@@ -1,18 +1,16 @@
-//! Which identified window may teach the lookup: the judge of `ihd identify`, and what a lookup asks beyond it.
+//! Gate of the lookup: the judgement of `ihd identify` with two findings raised to errors.
 
-use ihd_gate::{Evidence, Judgement, Witness};
+use ihd_gate::{Evidence, Judgement, Reference};
 use ihd_identify::network::append;
 use ihd_identify::{Estimate, Method};
 use ihd_pinn::Identified;
 use ihd_signal::{Remark, Segment, Severity};
 
-/// Findings that are warnings for who looks at a load, and errors for a lookup: its cells could not hold such values,
-/// and the device would refuse it.
+/// Findings that are warnings in `ihd identify` and errors for a lookup: its cells cannot hold such values, and the device would refuse
+/// it.
 const ERRORS_FOR_A_LOOKUP: [&str; 2] = ["implausible_load", "not_covered"];
 
-/// Judges an identified window.
-///
-/// `sensors`: what is to be said of the device's.
+/// Judges an identified window; `sensors` are the remarks on the device's sensors.
 pub fn judge(segment: &Segment, identified: &Identified, sensors: &[Remark]) -> Judgement {
     let mut estimate = Estimate::new(Method::Pinn, segment.f_sw_hz);
     append(identified, segment.zero_crossing_s, &mut estimate);
@@ -20,7 +18,7 @@ pub fn judge(segment: &Segment, identified: &Identified, sensors: &[Remark]) -> 
         remarks: sensors,
         segment,
         estimate: &estimate,
-        witness: &Witness::of(segment),
+        reference: &Reference::compute(segment),
     });
     let mut findings = judgement.findings;
     for finding in &mut findings {

@@ -1,24 +1,23 @@
-//! By how much R and L follow the current's amplitude: where they do, their values at one current differ between the
-//! rising and the falling flank of the half-cycle.
+//! Lag of R and L behind the current's amplitude. With a lag, their values at one current differ between the rising and the falling flank
+//! of the half-cycle.
 //!
-//! A load that diffuses remembers a part of a switching period; the simulator's laws see the amplitude of the period
-//! before. 14 µs are .4 % of R where it falls by a quarter in a millisecond.
+//! Eddy currents in the pot make R and L depend on a part of the switching period before; the simulator's laws use the amplitude of the
+//! period before. A lag of 14 µs is 0.4 % of R where R falls by a quarter within a millisecond.
 
 use ihd_map::Predicted;
 use ihd_pinn::Identified;
 use serde::{Deserialize, Serialize};
 
 /// Share of the past that counts at the next window, as in the map's curves.
-const KEPT: f64 = 0.98;
+const FORGETTING: f64 = 0.98;
 
-/// Longest lag in seconds: three switching periods at 30 kHz. A load with more memory than that is no function of its
-/// current.
+/// Longest lag in seconds: three switching periods at 30 kHz. A load that lags more is no function of its current.
 const LONGEST_S: f64 = 100e-6;
 
-/// Currents as a share of the largest from which a time counts.
+/// Share of the largest current from which a time counts.
 const COUNTS_FROM: f64 = 0.05;
 
-/// What windows say of it: least squares of the deviations from the law against the law's slope in time.
+/// Least-squares estimate of the lag over windows: deviations from the map's law against the law's slope in time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lag {
@@ -27,8 +26,8 @@ pub struct Lag {
 }
 
 impl Lag {
-    /// Takes a window in; `law` is R and L at its currents as if nothing lagged.
-    pub fn look(&mut self, identified: &Identified, law: &[Predicted]) {
+    /// Adds a window; `law` is R and L at its currents without lag.
+    pub fn add_window(&mut self, identified: &Identified, law: &[Predicted]) {
         let most_a = identified.i_amplitude_a.iter().copied().fold(0.0, f64::max);
         let (mut product, mut square) = (0.0, 0.0);
         for k in 1..law.len().min(identified.t_s.len()).saturating_sub(1) {
@@ -37,9 +36,9 @@ impl Lag {
                 continue;
             }
             let step_s = identified.t_s[k + 1] - identified.t_s[k - 1];
-            let of = |found: f64, law: [f64; 3], share: f64| {
+            let of = |measured: f64, law: [f64; 3], share: f64| {
                 let slope = (law[2] / law[0]).ln() / step_s;
-                let off = (found / law[1]).ln();
+                let off = (measured / law[1]).ln();
                 // Noise of R and of L is as V over I: relative to them, as Z over each.
                 let weight = (i_a * share).powi(2);
                 (-weight * off * slope, weight * slope * slope)
@@ -49,7 +48,7 @@ impl Lag {
                 [k - 1, k, k + 1].map(|n| law[n].r_ohm),
                 law[k].r_ohm,
             );
-            // Near 50 kHz: only the balance of both hangs on it.
+            // ωL near 50 kHz; it only weighs L against R.
             let x_ohm = 3e5 * law[k].l_h;
             let l = of(
                 identified.l_h[k],
@@ -60,23 +59,23 @@ impl Lag {
             square += r.1 + l.1;
         }
         if product.is_finite() && square.is_finite() {
-            self.weighted_s = KEPT * self.weighted_s + product;
-            self.weight = KEPT * self.weight + square;
+            self.weighted_s = FORGETTING * self.weighted_s + product;
+            self.weight = FORGETTING * self.weight + square;
         }
     }
 
-    /// In seconds; none before a window came.
+    /// Returns the lag in seconds; 0 before the first window.
     pub fn seconds(&self) -> f64 {
-        let found = if self.weight > 0.0 {
+        let lag_s = if self.weight > 0.0 {
             self.weighted_s / self.weight
         } else {
             0.0
         };
-        found.clamp(0.0, LONGEST_S)
+        lag_s.clamp(0.0, LONGEST_S)
     }
 
-    /// The current's amplitudes that R and L belong to at the times of a window.
-    pub fn behind(&self, identified: &Identified) -> Vec<f64> {
+    /// Returns the amplitudes in ampere, one lag earlier, that R and L belong to at the times of a window.
+    pub fn lagged_currents_a(&self, identified: &Identified) -> Vec<f64> {
         let (t_s, i_a) = (&identified.t_s, &identified.i_amplitude_a);
         let (Some(first), Some(last), true) = (t_s.first(), t_s.last(), t_s.len() > 1) else {
             return i_a.clone();
@@ -91,7 +90,7 @@ impl Lag {
         (0..t_s.len()).map(at).collect()
     }
 
-    /// Numbers that a window can have taught.
+    /// Returns `true` if the sums are finite and the weight is not negative.
     pub fn is_sound(&self) -> bool {
         self.weighted_s.is_finite() && self.weight.is_finite() && self.weight >= 0.0
     }

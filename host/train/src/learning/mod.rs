@@ -1,19 +1,20 @@
-//! What is learned of one device's load: one window after the other, until a lookup is worth pushing.
+//! Learning of one device's load, window by window, until a lookup is worth pushing.
 //!
 //! ```text
 //! Window ─► network ─► gate ─► Curve ─► PotMap ─► worth pushing? ─► lookup to push
-//!           network.rs gate.rs          ihd-map   news.rs           version.rs
+//!           network.rs gate.rs          ihd-map   significance.rs   version.rs
 //! ```
 //!
-//! [`Learning`] talks to no device: whoever does pushes what [`Learning::observe`] builds, and tells it
-//! what became of that. Its state is bytes ([`Learning::to_bytes`]), so that a restart learns nothing anew.
+//! [`Learning`] has no connection to a device: the caller pushes the lookup that [`Learning::observe`] builds and reports the device's
+//! reply ([`Learning::lookup_accepted`], [`Learning::lookup_refused`]). Its state is stored as bytes ([`Learning::to_bytes`]), so that
+//! nothing is lost in a restart.
 
 mod answer;
 mod gate;
 mod lag;
 mod network;
-mod news;
 mod sensors;
+mod significance;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -22,90 +23,90 @@ mod version;
 use std::sync::Arc;
 
 use ihd_link::Window;
-use ihd_map::{Curve, Library, PotMap, Predicted, Seen};
+use ihd_map::{Curve, CurveMatch, Library, PotMap, Predicted};
 use ihd_pinn::{Config, Identified, Parameters};
 use ihd_shared::lookup::RlLookup;
 use ihd_signal::Remark;
 
-use self::answer::alone;
+use self::answer::analyse_segment;
 use self::lag::Lag;
 use self::sensors::corrected;
 use self::version::Versions;
-use crate::lookup::Built;
+use crate::lookup::BuiltLookup;
 
-pub use self::answer::{Alone, Believed, Disbelief, identify_alone};
+pub use self::answer::{AnswerError, ConfirmedAnswer, WindowAnalysis, analyse_window};
 pub use self::gate::judge;
-pub use self::network::{Found, curve, identify_window};
-pub use self::news::Contradiction;
+pub use self::network::{LoadTrajectory, curve, identify_window};
 pub use self::sensors::{Evidence, SELF_CALIBRATED, Sensors};
-pub use self::state::DamagedState;
+pub use self::significance::Contradiction;
+pub use self::state::StateError;
 
-/// Most windows that are learned in silence after a device has refused lookups one after the other: at
-/// five windows a second some three minutes.
+/// Longest pause between two offered lookups, in windows, after consecutive refusals by the device: some three minutes at five windows a
+/// second.
 const LONGEST_SILENCE: u32 = 1_024;
 
-/// What one device's windows have taught.
+/// State learned from one device's windows: the pot's map, the sensors, and the lookups offered so far.
 #[derive(Clone, Debug)]
 pub struct Learning {
     network: Config,
     map: PotMap,
     lag: Lag,
     sensors: Sensors,
-    /// The network of the last window that was fit, which the next one starts from.
+    /// Network parameters of the last accepted window, from which the next one starts.
     warm: Option<Parameters>,
-    /// The lookup that was built last, which the next window is compared with.
+    /// Lookup that was built last, with which the next window is compared.
     offered: Option<RlLookup>,
     versions: Versions,
     /// Lookups that the device refused in a row.
     refusals: u32,
-    /// Windows that are still to be learned before the next lookup is offered.
+    /// Windows to learn before the next lookup is offered.
     silence: u32,
-    /// The device's boot that a window was taken of last ([`Learning::take`]).
+    /// Boot of the device in the last confirmed answer ([`Learning::learn_from_answer`]).
     boot: Option<u32>,
 }
 
-/// What became of a window.
+/// Result of a window.
 #[derive(Clone, Debug)]
-pub enum Outcome {
-    /// It may teach.
-    Fit(Box<Fit>),
-    /// It may not, and nothing was learned.
-    Unfit {
-        /// Why.
+pub enum WindowOutcome {
+    /// The gate accepts it, and it was learned.
+    Accepted(Box<AcceptedWindow>),
+    /// The gate refuses it, and nothing was learned.
+    Refused {
+        /// Reason of the refusal.
         why: String,
-        /// What the network found, where it came to an end.
+        /// R(t) and L(t); `None` if the network did not finish.
         identified: Option<Box<Identified>>,
-        /// What is to be said of it, worst first.
+        /// Findings, worst first.
         findings: Vec<Remark>,
     },
 }
 
-/// A window that may teach.
+/// Window that the gate accepts.
 #[derive(Clone, Debug)]
-pub struct Fit {
-    /// R(t) and L(t), with all that the network says of them.
+pub struct AcceptedWindow {
+    /// R(t) and L(t), with the network's figures.
     pub identified: Identified,
-    /// What is to be said of them beside, worst first; no errors.
+    /// Findings, worst first; none is an error.
     pub findings: Vec<Remark>,
-    /// Whether it is the pot that was known.
-    pub seen: Seen,
-    /// What it means for the lookup.
-    pub taught: Taught,
+    /// Comparison with the known pot: the same one, or another.
+    pub seen: CurveMatch,
+    /// Effect on the lookup.
+    pub taught: LookupUpdate,
 }
 
-/// What a window means for the lookup.
+/// Effect of a window on the lookup.
 #[derive(Clone, Debug)]
-pub enum Taught {
-    /// Nothing new: the lookup that was built last says the same.
-    Known,
-    /// A lookup to push.
-    News(Box<Built>),
-    /// No lookup that a device would take rests on this window; it is forgotten.
+pub enum LookupUpdate {
+    /// The lookup that was built last still holds.
+    Unchanged,
+    /// New lookup to push.
+    New(Box<BuiltLookup>),
+    /// No lookup that a device would accept follows from this window; the text is the reason.
     Refused(String),
 }
 
 impl Learning {
-    /// Knows nothing yet.
+    /// Creates the state of an unknown device.
     pub fn new(network: Config) -> Self {
         Self {
             network: Config {
@@ -124,9 +125,9 @@ impl Learning {
         }
     }
 
-    /// The device uses the lookup of this version, which is what counts where another was offered: after
-    /// a handshake, and after a reset of its lookup.
-    pub fn device_has(&mut self, version: u32) {
+    /// Sets the version of the lookup that the device uses, after a handshake and after a reset of its lookup. An offered lookup of another
+    /// version is dropped.
+    pub fn set_device_version(&mut self, version: u32) {
         self.versions.device = version;
         if self.offered.as_ref().is_some_and(|l| l.version != version) {
             self.offered = None;
@@ -135,16 +136,16 @@ impl Learning {
         self.silence = 0;
     }
 
-    /// The device has made an offered lookup its own.
-    pub fn accepted(&mut self, version: u32) {
+    /// Records that the device has accepted an offered lookup.
+    pub fn lookup_accepted(&mut self, version: u32) {
         self.versions.device = version;
         self.refusals = 0;
         self.silence = 0;
     }
 
-    /// The device has refused an offered lookup. The next one is offered after a pause that doubles from
-    /// refusal to refusal.
-    pub fn refused(&mut self, version: u32) {
+    /// Records that the device has refused an offered lookup. The next one is offered after a pause that doubles with every refusal in a
+    /// row.
+    pub fn lookup_refused(&mut self, version: u32) {
         if self.offered.as_ref().is_some_and(|l| l.version == version) {
             self.offered = None;
         }
@@ -153,85 +154,85 @@ impl Learning {
         self.silence = pause.min(LONGEST_SILENCE);
     }
 
-    /// Forgets the load, not the versions: no two lookups of a device have one number.
+    /// Forgets the load. The versions stay, so that no two lookups of a device have the same number.
     pub fn forget(&mut self) {
         *self = Self {
             versions: self.versions,
-            // The load is forgotten, the board is the same, and so is what others know.
+            // The board is the same, and the map keeps the library of other hobs' pots.
             sensors: self.sensors,
             map: self.map.forgotten(),
             ..Self::new(self.network.clone())
         };
     }
 
-    /// Asks these pots, which other hobs know, when it sees one for the first time. They are no part of [`Learning::to_bytes`]:
-    /// whoever restores a state gives them again.
+    /// Sets the library of pots that other hobs know, for use with a pot that is new here. It is no part of [`Learning::to_bytes`] and must
+    /// be set again after [`Learning::from_bytes`].
     pub fn use_library(&mut self, library: Arc<Library>) {
         self.map = std::mem::take(&mut self.map).with_library(library);
     }
 
-    /// What the windows showed of the device's sensors.
+    /// Returns the estimates of the device's sensor errors.
     pub fn sensors(&self) -> &Sensors {
         &self.sensors
     }
 
-    /// The first place at which somebody else's lookup contradicts what the device's windows showed of its pot.
+    /// Returns the first place at which a lookup contradicts the device's windows.
     pub fn contradiction(&self, lookup: &RlLookup) -> Option<Contradiction> {
         let curves = self.map.curves().iter();
         curves
             .into_iter()
-            .find_map(|curve| news::contradiction(curve, lookup))
+            .find_map(|curve| significance::contradiction(curve, lookup))
     }
 
-    /// The next window's network starts from nothing.
+    /// Discards the network parameters, so that the next window starts cold.
     pub fn start_cold(&mut self) {
         self.warm = None;
     }
 
-    /// Switching frequencies at which the pot was seen.
-    pub fn curves(&self) -> usize {
+    /// Returns the number of switching frequencies at which the pot was observed.
+    pub fn curve_count(&self) -> usize {
         self.map.curves().len()
     }
 
-    /// What is known of the pot.
+    /// Returns the pot's map.
     pub fn map(&self) -> &PotMap {
         &self.map
     }
 
-    /// R(t) and L(t) of a window from all windows of this pot, at the times of what the network found; empty where there
-    /// was none.
-    pub fn learned(&self, window: &Window, identified: &Identified) -> Vec<Predicted> {
+    /// Returns the map's R(t) and L(t) for a window, at the times of `identified`; empty if the map holds no window.
+    pub fn predict(&self, window: &Window, identified: &Identified) -> Vec<Predicted> {
         let (f_hz, now_s) = (f64::from(window.f_sw_hz), time_s(window));
-        self.map.along(f_hz, &self.lag.behind(identified), now_s)
+        self.map
+            .along(f_hz, &self.lag.lagged_currents_a(identified), now_s)
     }
 
-    /// Cells of the lookup that was built last that rest on observations.
+    /// Returns the number of observed cells of the lookup that was built last.
     pub fn observed_cells(&self) -> u32 {
         self.offered.as_ref().map_or(0, RlLookup::observed_cells)
     }
 
-    /// Learns from a window. `always` builds a lookup even of what is no news; `on_step` hears of each step
-    /// of the network.
+    /// Learns from a window. `always` builds a lookup even if nothing has changed; `on_step` is called after each step of the network.
     pub fn observe(
         &mut self,
         window: &Window,
         always: bool,
         on_step: &mut dyn FnMut(&ihd_pinn::Progress),
-    ) -> Outcome {
+    ) -> WindowOutcome {
         let config = Config {
             start: self.warm.take(),
             ..self.network.clone()
         };
         let raw = window.segment();
         let evidence = Evidence::of(&raw);
-        let mut said = evidence.remarks.clone();
-        said.extend(self.hear(&evidence));
+        let mut sensor_remarks = evidence.remarks.clone();
+        sensor_remarks.extend(self.count_evidence(&evidence));
         let segment = corrected(&raw, self.sensors.correction().as_ref());
-        let (identified, findings, verdict) = alone(window, &segment, config, said, on_step);
+        let (identified, findings, verdict) =
+            analyse_segment(window, &segment, config, sensor_remarks, on_step);
         let (identified, curve) = match (identified, verdict) {
             (Some(identified), Ok(curve)) => (*identified, curve),
             (identified, verdict) => {
-                return Outcome::Unfit {
+                return WindowOutcome::Refused {
                     why: verdict.err().unwrap_or_default(),
                     identified,
                     findings,
@@ -242,8 +243,8 @@ impl Learning {
         let (seen, taught) = self.learn(curve, always);
         let (f_hz, now_s) = (f64::from(window.f_sw_hz), time_s(window));
         let law = self.map.along(f_hz, &identified.i_amplitude_a, now_s);
-        self.lag.look(&identified, &law);
-        Outcome::Fit(Box::new(Fit {
+        self.lag.add_window(&identified, &law);
+        WindowOutcome::Accepted(Box::new(AcceptedWindow {
             identified,
             findings,
             seen,
@@ -251,49 +252,51 @@ impl Learning {
         }))
     }
 
-    fn learn(&mut self, curve: Curve, always: bool) -> (Seen, Taught) {
-        let (now_s, before) = (curve.t_s, self.curves());
+    fn learn(&mut self, curve: Curve, always: bool) -> (CurveMatch, LookupUpdate) {
+        let (now_s, before) = (curve.t_s, self.curve_count());
         self.map.rebase(now_s);
         let differs = self
             .offered
             .as_ref()
-            .is_none_or(|l| news::differs(&curve, l));
+            .is_none_or(|l| significance::curve_changed(&curve, l));
         let seen = self.map.observe(curve);
         self.silence = self.silence.saturating_sub(1);
-        // Another frequency tells of cells that nobody saw.
-        let says_more = self.curves() != before;
+        // A new frequency changes predicted cells too.
+        let says_more = self.curve_count() != before;
         if !always && ((!differs && !says_more) || self.silence > 0) {
-            return (seen, Taught::Known);
+            return (seen, LookupUpdate::Unchanged);
         }
         (seen, self.build(now_s, always || differs))
     }
 
-    fn build(&mut self, now_s: f64, whatever: bool) -> Taught {
+    fn build(&mut self, now_s: f64, force: bool) -> LookupUpdate {
         self.map.refresh(now_s);
         let Some(cells) = self.map.cells(now_s) else {
-            return Taught::Refused("the window shows no load".to_owned());
+            return LookupUpdate::Refused("the window shows no load".to_owned());
         };
         let Some(version) = self.versions.next() else {
-            return Taught::Refused(format!(
+            return LookupUpdate::Refused(format!(
                 "the device's lookup has version {}, the highest that there is; reset it",
                 self.versions.device
             ));
         };
-        let built = match Built::of(cells, version) {
+        let built = match BuiltLookup::from_cells(cells, version) {
             Ok(built) => built,
-            Err(why) => return Taught::Refused(why.to_string()),
+            Err(why) => return LookupUpdate::Refused(why.to_string()),
         };
         let known = self.offered.as_ref();
-        if !whatever && known.is_some_and(|offered| !news::cells_differ(&built.lookup, offered)) {
-            return Taught::Known;
+        if !force
+            && known.is_some_and(|offered| !significance::cells_changed(&built.lookup, offered))
+        {
+            return LookupUpdate::Unchanged;
         }
         self.versions.offered = version;
         self.offered = Some(built.lookup.clone());
-        Taught::News(Box::new(built))
+        LookupUpdate::New(Box::new(built))
     }
 }
 
-/// Time of a window in seconds since its device was reset.
+/// Time of a window in seconds since its device's reset.
 fn time_s(window: &Window) -> f64 {
     1e-9 * f64::from(window.half_cycle) * f64::from(window.half_cycle_ns)
 }

@@ -1,53 +1,53 @@
-//! From a window to R(t) and L(t), and to R and L over current: the network on one half-cycle of the device.
+//! The network on one half-cycle of the device: a window to R(t) and L(t), and these to R and L over current.
 
 use std::f64::consts::TAU;
 
-use ihd_identify::network::{informed, waveform};
+use ihd_identify::network::{waveform, with_measured_noise};
 use ihd_map::{Curve, MeasuredPoint};
 use ihd_pinn::{Config, Identified, PinnError, identify};
 use ihd_shared::lookup::grid::I_MAX_MA;
 use ihd_signal::Segment;
 use ihd_signal::noise::WhiteNoise;
 
-/// Trains the network on a window's segment; `on_step` hears of each step. Times of the result count from the
-/// window's mains zero crossing, in seconds.
+/// Trains the network on a window's segment and calls `on_step` after each step. Times of the result are seconds after the window's mains
+/// zero crossing.
 ///
 /// # Errors
-/// [`PinnError`] when the window or the configuration cannot be used.
+/// [`PinnError`] if the window or the configuration cannot be used.
 pub fn identify_window(
     segment: &Segment,
     config: Config,
     on_step: &mut dyn FnMut(&ihd_pinn::Progress),
 ) -> Result<Identified, PinnError> {
-    let config = informed(config, segment);
+    let config = with_measured_noise(config, segment);
     let waveform = waveform(segment, (0, segment.len()), segment.zero_crossing_s);
     identify(&waveform, &config, on_step)
 }
 
-/// Currents below this, in ampere, are left out: the network, weighted with the squared current, leaves what is there to
-/// its neighbours.
+/// Lowest current of the curve, in ampere: the network weighs samples with the squared current, so that values below follow from their
+/// neighbours.
 const LOWEST_A: f64 = 1.0;
 
-/// Currents above this, in ampere, are left out: no hob has them, only a device that lies.
+/// Highest current of the curve, in ampere: twice the lookup's last knot, which no hob reaches. It bounds what a faulty device can report.
 const HIGHEST_A: f64 = 2e-3 * I_MAX_MA as f64;
 
-/// Least noise that is assumed, relative to the largest current: what quantising to 12 bit leaves of a period's mean.
+/// Least noise that is assumed, relative to the largest current: the rest of 12-bit quantisation in a period's mean.
 const LEAST_NOISE: f64 = 1e-4;
 
-/// R(t) and L(t) of a window, with what the map needs beside: lists of equal length, evenly spaced in time.
+/// R(t) and L(t) of a window with current and misfit: lists of equal length, evenly spaced in time.
 #[derive(Clone, Copy, Debug)]
-pub struct Found<'a> {
+pub struct LoadTrajectory<'a> {
     /// Amplitude of the current's fundamental in ampere.
     pub i_amplitude_a: &'a [f64],
     /// R in ohm.
     pub r_ohm: &'a [f64],
     /// L in henry.
     pub l_h: &'a [f64],
-    /// χ² of what R and L leave against white noise; 1 where the list ends.
+    /// χ² of the residual against white noise; 1 is assumed beyond the list's end.
     pub chi2: &'a [f64],
 }
 
-impl<'a> From<&'a Identified> for Found<'a> {
+impl<'a> From<&'a Identified> for LoadTrajectory<'a> {
     fn from(identified: &'a Identified) -> Self {
         Self {
             i_amplitude_a: &identified.i_amplitude_a,
@@ -58,22 +58,26 @@ impl<'a> From<&'a Identified> for Found<'a> {
     }
 }
 
-/// R and L over current, for the map; `t_s` is the window's time in seconds of the device.
+/// Builds R and L over current for the map; `t_s` is the window's time in seconds of the device.
 ///
-/// The deviations are those that the samples behind each time allow, |Z| and the noise of both channels over the
-/// current, times what the model leaves: neighbours in time do not share them, so that sums over times and windows are
-/// right. The network's own say how far a whole stretch may be off, and would count as often as there are times.
-pub fn curve(segment: &Segment, found: &Found<'_>, t_s: f64) -> Curve {
+/// The deviation at each time is that of the samples behind it, |Z| and the noise of both channels over the current, times the model's
+/// misfit. Such deviations are independent from time to time, so that sums over times and windows are right. The network's own
+/// deviations are common to the whole window and would be counted once for each time.
+pub fn curve(segment: &Segment, trajectory: &LoadTrajectory<'_>, t_s: f64) -> Curve {
     let noise = WhiteNoise::measure(segment);
-    let per_time = segment.len() as f64 / found.r_ohm.len().max(1) as f64;
+    let per_time = segment.len() as f64 / trajectory.r_ohm.len().max(1) as f64;
     let omega = TAU * segment.f_sw_hz;
-    let most_a = found.i_amplitude_a.iter().copied().fold(0.0, f64::max);
+    let most_a = trajectory.i_amplitude_a.iter().copied().fold(0.0, f64::max);
     let point = |k: usize| {
-        let (i_a, r_ohm, l_h) = (found.i_amplitude_a[k], found.r_ohm[k], found.l_h[k]);
+        let (i_a, r_ohm, l_h) = (
+            trajectory.i_amplitude_a[k],
+            trajectory.r_ohm[k],
+            trajectory.l_h[k],
+        );
         let z2 = r_ohm * r_ohm + (omega * l_h).powi(2);
         let white = noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a;
         let least = z2 * (LEAST_NOISE * most_a).powi(2);
-        let left = found.chi2.get(k).copied().unwrap_or(1.0);
+        let left = trajectory.chi2.get(k).copied().unwrap_or(1.0);
         let sigma_v = (2.0 * (white * left + least) / per_time).sqrt();
         MeasuredPoint {
             i_a,
@@ -83,7 +87,7 @@ pub fn curve(segment: &Segment, found: &Found<'_>, t_s: f64) -> Curve {
             l_sigma_h: sigma_v / (i_a * omega),
         }
     };
-    let shown = (0..found.r_ohm.len())
+    let shown = (0..trajectory.r_ohm.len())
         .map(point)
         .filter(|p| (LOWEST_A..=HIGHEST_A).contains(&p.i_a));
     Curve::new(segment.f_sw_hz, t_s, shown)

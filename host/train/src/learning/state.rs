@@ -1,6 +1,6 @@
-//! What was learned, as bytes: JSON, every number exact.
+//! Serialised state of [`Learning`]: JSON, every number exact.
 
-use ihd_map::{Kept, PotMap};
+use ihd_map::{PotMap, PotMapState};
 use ihd_pinn::{Config, Parameters};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::blob::BlobError;
@@ -11,28 +11,28 @@ use super::lag::Lag;
 use super::sensors::Sensors;
 use super::version::Versions;
 
-/// The layout of [`Saved`].
+/// Format number of [`Saved`].
 const FORMAT: u32 = 3;
 
-/// The oldest one that is read: 1 knew nothing of the sensors, 2 kept load curves without deviations, which teach no map.
+/// Oldest format that is read. Format 1 has no sensors; format 2 has load curves without deviations, which the map does not use.
 const OLDEST: u32 = 1;
 
-/// Why bytes are no state of [`Learning`].
+/// Reason for which bytes are not a state of [`Learning`].
 #[derive(Debug, thiserror::Error)]
-pub enum DamagedState {
-    /// No JSON of this layout.
+pub enum StateError {
+    /// Not JSON of this layout.
     #[error("what was learned cannot be read: {0}")]
     Json(#[from] serde_json::Error),
-    /// Of a later build.
+    /// Written by a later build.
     #[error("what was learned is of format {0}, this build reads format {FORMAT}")]
     Format(u32),
-    /// The lookup that was built last does not pass the checks.
+    /// The stored lookup does not pass the checks.
     #[error("the lookup that was learned is damaged: {0}")]
     Lookup(#[from] BlobError),
-    /// Numbers that no sensor has.
+    /// Impossible numbers of the sensors.
     #[error("what was learned of the sensors is damaged")]
     Sensors,
-    /// Numbers that nothing could have taught.
+    /// Impossible load curves or lag.
     #[error("what was learned holds a curve that is no load's")]
     Curves,
 }
@@ -46,7 +46,7 @@ struct Saved {
     offered: Option<Vec<u8>>,
     warm: Option<Parameters>,
     #[serde(default)]
-    map: Kept,
+    map: PotMapState,
     #[serde(default)]
     lag: Lag,
     #[serde(default)]
@@ -54,7 +54,7 @@ struct Saved {
 }
 
 impl Learning {
-    /// All that was learned; the network's settings are not part of it.
+    /// Serialises the state; the network's settings are not part of it.
     pub fn to_bytes(&self) -> Vec<u8> {
         let saved = Saved {
             format: FORMAT,
@@ -63,27 +63,26 @@ impl Learning {
             silence: self.silence,
             offered: self.offered.as_ref().map(|l| l.to_bytes().to_vec()),
             warm: self.warm.clone(),
-            map: self.map.kept(),
+            map: self.map.state(),
             lag: self.lag,
             sensors: self.sensors,
         };
-        // Maps with text as keys and numbers: nothing of it can fail to be JSON.
+        // Cannot fail: maps have text as keys, and the rest are numbers.
         serde_json::to_vec(&saved).unwrap_or_default()
     }
 
-    /// Goes on where [`Learning::to_bytes`] was called. A start for the network that does not fit its
-    /// settings any more is left out.
+    /// Restores the state that [`Learning::to_bytes`] wrote. Start parameters that do not fit the network's settings any more are left out.
     ///
     /// # Errors
-    /// [`DamagedState`]; nothing of such bytes is used.
-    pub fn from_bytes(bytes: &[u8], network: Config) -> Result<Self, DamagedState> {
+    /// [`StateError`] if the bytes are damaged; nothing of them is used.
+    pub fn from_bytes(bytes: &[u8], network: Config) -> Result<Self, StateError> {
         #[derive(Deserialize)]
         struct Format {
             format: u32,
         }
         let Format { format } = serde_json::from_slice(bytes)?;
         if !(OLDEST..=FORMAT).contains(&format) {
-            return Err(DamagedState::Format(format));
+            return Err(StateError::Format(format));
         }
         let saved: Saved = serde_json::from_slice(bytes)?;
         let offered = saved
@@ -92,14 +91,14 @@ impl Learning {
             .transpose()?;
         Ok(Self {
             warm: saved.warm.filter(|start| fits(start, &network)),
-            map: PotMap::from_kept(saved.map).ok_or(DamagedState::Curves)?,
+            map: PotMap::from_state(saved.map).ok_or(StateError::Curves)?,
             lag: Some(saved.lag)
                 .filter(Lag::is_sound)
-                .ok_or(DamagedState::Curves)?,
+                .ok_or(StateError::Curves)?,
             offered,
             sensors: Some(saved.sensors)
                 .filter(Sensors::is_sound)
-                .ok_or(DamagedState::Sensors)?,
+                .ok_or(StateError::Sensors)?,
             versions: saved.versions,
             refusals: saved.refusals,
             silence: saved.silence,

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use ihd_gate::claim::{Claim, ClaimError, confirm};
 use ihd_link::{Client, Event, Window};
-use ihd_map::{PotMap, Seen};
+use ihd_map::{CurveMatch, PotMap};
 use ihd_pinn::{Config, Identified, StoppedBecause};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{State, Telemetry};
@@ -17,8 +17,8 @@ use ihd_sim::trial::Trial;
 
 use super::lag::Lag;
 use super::network::identify_window;
-use super::{Disbelief, Learning, Outcome, Taught, identify_alone, judge};
-use crate::lookup::Built;
+use super::{AnswerError, Learning, LookupUpdate, WindowOutcome, analyse_window, judge};
+use crate::lookup::BuiltLookup;
 
 fn network() -> Config {
     Config {
@@ -67,12 +67,12 @@ impl Kitchen {
 
 fn news(learning: &mut Learning, window: &Window) -> Option<RlLookup> {
     match learning.observe(window, false, &mut |_| ()) {
-        Outcome::Fit(fit) => match fit.taught {
-            Taught::Known => None,
-            Taught::News(built) => Some(built.lookup),
-            Taught::Refused(why) => panic!("window {}: {why}", window.seq),
+        WindowOutcome::Accepted(fit) => match fit.taught {
+            LookupUpdate::Unchanged => None,
+            LookupUpdate::New(built) => Some(built.lookup),
+            LookupUpdate::Refused(why) => panic!("window {}: {why}", window.seq),
         },
-        Outcome::Unfit { why, .. } => {
+        WindowOutcome::Refused { why, .. } => {
             println!("window {}: {why}", window.seq);
             None
         }
@@ -94,7 +94,7 @@ fn restored_after_any_window_it_learns_the_same() {
     for window in &windows {
         let lookup = news(&mut whole, window);
         if let Some(lookup) = &lookup {
-            whole.accepted(lookup.version);
+            whole.lookup_accepted(lookup.version);
         }
         lookups.push(lookup);
         states.push(whole.to_bytes());
@@ -107,12 +107,12 @@ fn restored_after_any_window_it_learns_the_same() {
         let lookup = news(&mut restored, window);
         assert_eq!(lookup, lookups[k], "window {k}");
         if let Some(lookup) = &lookup {
-            restored.accepted(lookup.version);
+            restored.lookup_accepted(lookup.version);
         }
         assert!(restored.to_bytes() == states[k + 1], "window {k}");
     }
     let bytes = states.last().map_or(0, Vec::len);
-    println!("{} curves, {bytes} bytes", whole.curves());
+    println!("{} curves, {bytes} bytes", whole.curve_count());
 }
 
 /// Heats a warming pot with changing powers, each for some seconds, and follows it; largest errors of the active lookup at the working
@@ -134,7 +134,7 @@ fn follow_a_warming_pot(minutes: f64, at_each_s: f64) -> (f64, f64, u32) {
             now_s = at_s;
             if let Some(lookup) = news(&mut learning, &window) {
                 kitchen.client.push_lookup(&lookup).unwrap();
-                learning.accepted(lookup.version);
+                learning.lookup_accepted(lookup.version);
                 active = Some(lookup);
                 pushed += 1;
             }
@@ -153,7 +153,7 @@ fn follow_a_warming_pot(minutes: f64, at_each_s: f64) -> (f64, f64, u32) {
         }
         println!(
             "{now_s:.0} s, {power_w} W: {pushed} lookups, {} curves, worst R {worst_r:.2} %, L {worst_l:.2} %",
-            learning.curves()
+            learning.curve_count()
         );
     }
     (worst_r, worst_l, pushed)
@@ -227,7 +227,7 @@ fn fits_of_a_core() {
     for window in windows.iter().cycle().take(60) {
         let before = processor_s().expect("Linux");
         if let Some(lookup) = news(&mut learning, window) {
-            learning.accepted(lookup.version);
+            learning.lookup_accepted(lookup.version);
         }
         times.push(processor_s().expect("Linux") - before);
     }
@@ -261,7 +261,7 @@ fn cost_of_an_answer() {
         let correction = learning.correction();
         let mut found = None;
         timed(&mut worker_s, &mut || {
-            found = identify_alone(window, correction.as_ref(), network()).identified;
+            found = analyse_window(window, correction.as_ref(), network()).identified;
         });
         let found = found.expect("a heating hob's window");
         let segment = window.segment();
@@ -269,7 +269,9 @@ fn cost_of_an_answer() {
             confirm(&segment, &claim_of(&found)).unwrap();
         });
         timed(&mut edge_s, &mut || {
-            learning.take(7, window, &claim_of(&found)).unwrap();
+            learning
+                .learn_from_answer(7, window, &claim_of(&found))
+                .unwrap();
         });
     }
     let ms = |sum: f64| 1e3 * sum / 16.0;
@@ -306,14 +308,14 @@ fn learn_at_30_db(load: LoadKind, f_sw_hz: f64, windows: u64) -> Vec<[Both; 2]> 
         let identified = identify_window(&segment, network(), &mut |_| ()).unwrap();
         let t_s = 0.2 * seed as f64;
         let seen = map.observe(super::network::curve(&segment, &(&identified).into(), t_s));
-        let same = matches!(seen, Seen::First | Seen::Same { .. });
+        let same = matches!(seen, CurveMatch::First | CurveMatch::Same { .. });
         assert!(same, "window {seed}: {seen:?}");
         map.refresh(t_s);
-        lag.look(
+        lag.add_window(
             &identified,
             &map.along(f_sw_hz, &identified.i_amplitude_a, t_s),
         );
-        let learned = map.along(f_sw_hz, &lag.behind(&identified), t_s);
+        let learned = map.along(f_sw_hz, &lag.lagged_currents_a(&identified), t_s);
         let truth = {
             let of = trial
                 .truth
@@ -394,7 +396,7 @@ fn an_answer_teaches_as_if_it_had_been_found_here() {
     let mut answers = Vec::new();
     for window in &windows {
         news(&mut here, window);
-        let alone = identify_alone(window, there.correction().as_ref(), network());
+        let alone = analyse_window(window, there.correction().as_ref(), network());
         if alone.refused.is_none() {
             answers.push((window, alone.identified.unwrap()));
         }
@@ -404,12 +406,15 @@ fn an_answer_teaches_as_if_it_had_been_found_here() {
     answers.swap(4, 5);
     answers.swap(6, 8);
     for (window, found) in &answers {
-        let believed = there.take(7, window, &claim_of(found)).unwrap();
+        let believed = there
+            .learn_from_answer(7, window, &claim_of(found))
+            .unwrap();
         assert!(believed.seen.is_some(), "seconds are not too late");
     }
     let now_s = here.map().newest_s();
     let cells = |learning: &Learning| learning.map().cells(now_s).unwrap();
-    let lookups = [&here, &there].map(|learning| Built::of(cells(learning), 1).unwrap().lookup);
+    let lookups =
+        [&here, &there].map(|learning| BuiltLookup::from_cells(cells(learning), 1).unwrap().lookup);
     for f_hz in [40_000, 50_000, 60_000] {
         let [a, b] = lookups.each_ref().map(|l| l.interpolate(f_hz, 20_000));
         let r = b.0.ohm() / a.0.ohm() - 1.0;
@@ -420,10 +425,12 @@ fn an_answer_teaches_as_if_it_had_been_found_here() {
     let (last, found) = answers.last().unwrap();
     let mut later = (**last).clone();
     later.half_cycle += 6_000;
-    there.take(7, &later, &claim_of(found)).unwrap();
+    there
+        .learn_from_answer(7, &later, &claim_of(found))
+        .unwrap();
     let before = there.map().clone();
     let (first, found) = &answers[0];
-    let believed = there.take(7, first, &claim_of(found)).unwrap();
+    let believed = there.learn_from_answer(7, first, &claim_of(found)).unwrap();
     assert!(believed.seen.is_none());
     assert_eq!(there.map().curves(), before.curves());
 }
@@ -455,9 +462,11 @@ fn a_lie_is_refuted_by_the_samples_and_moves_nothing() {
         kitchen.client.set_power(power_w).unwrap();
         let windows: Vec<_> = (0..6).map(|_| kitchen.window().0).collect();
         for window in &windows[3..] {
-            let found = identify_alone(window, learning.correction().as_ref(), network());
+            let found = analyse_window(window, learning.correction().as_ref(), network());
             let found = *found.identified.unwrap();
-            let believed = learning.take(7, window, &claim_of(&found)).unwrap();
+            let believed = learning
+                .learn_from_answer(7, window, &claim_of(&found))
+                .unwrap();
             println!(
                 "{power_w} W: honest, differs {:.3?} %",
                 believed.confirmed.differs_pct
@@ -470,9 +479,11 @@ fn a_lie_is_refuted_by_the_samples_and_moves_nothing() {
                     let x = k as f64 / n as f64 - 0.5;
                     lie(x, &mut told.r_ohm[k], &mut told.l_h[k]);
                 }
-                let why = learning.take(7, window, &claim_of(&told)).unwrap_err();
+                let why = learning
+                    .learn_from_answer(7, window, &claim_of(&told))
+                    .unwrap_err();
                 println!("  {name}: {why}");
-                assert!(matches!(why, Disbelief::Refuted(_)), "{name}: {why}");
+                assert!(matches!(why, AnswerError::Refuted(_)), "{name}: {why}");
                 assert_eq!(learning.to_bytes(), before, "{name}");
             }
             let half = Claim {
@@ -480,9 +491,9 @@ fn a_lie_is_refuted_by_the_samples_and_moves_nothing() {
                 r_ohm: &found.r_ohm[..found.t_s.len() / 2],
                 l_h: &found.l_h[..found.t_s.len() / 2],
             };
-            let why = learning.take(7, window, &half).unwrap_err();
+            let why = learning.learn_from_answer(7, window, &half).unwrap_err();
             assert!(
-                matches!(why, Disbelief::Refuted(ClaimError::NotCovered { .. })),
+                matches!(why, AnswerError::Refuted(ClaimError::NotCovered { .. })),
                 "{why}"
             );
         }

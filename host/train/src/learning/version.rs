@@ -1,9 +1,9 @@
-//! Numbers of lookups.
+//! Version numbers of lookups.
 
 use ihd_shared::lookup::LOOKUP_VERSION_STEP;
 use serde::{Deserialize, Serialize};
 
-/// What numbers are taken.
+/// Version numbers in use.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Versions {
     /// Version of the lookup that the device uses.
@@ -13,8 +13,8 @@ pub struct Versions {
 }
 
 impl Versions {
-    /// The next lookup's version: newer than the device's, not so much that it would refuse it, and not
-    /// that of a lookup built before where that can be. `None` beyond the last number there is.
+    /// Returns the next lookup's version: newer than the device's by a step that it accepts, and if possible not that of a lookup built
+    /// before. `None` after the last number.
     pub fn next(self) -> Option<u32> {
         let highest = self.device.saturating_add(LOOKUP_VERSION_STEP);
         if (self.device..highest).contains(&self.offered) {

@@ -1,10 +1,10 @@
-//! How far a lookup is from the truth, where the hob comes.
+//! Errors of a lookup against the truth, over the cells that the hob reaches.
 
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE};
 use ihd_signal::truth::MapTruth;
 use serde::Serialize;
 
-use super::Built;
+use super::BuiltLookup;
 
 /// One cell beside its truth.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -13,47 +13,47 @@ pub struct JudgedCell {
     pub frequency: usize,
     /// Knot of its current.
     pub current: usize,
-    /// Whether it rests on observations; the others are predicted.
+    /// `true` if it rests on observations; otherwise it is predicted.
     pub observed: bool,
     /// R of the lookup less the true one, in percent of the true one.
     pub r_pct: f64,
-    /// L likewise.
+    /// L of the lookup less the true one, in percent of the true one.
     pub l_pct: f64,
-    /// Standard deviation that the cell states of R, in percent of the true one.
+    /// Stated standard deviation of R, in percent of the true R.
     pub r_sigma_pct: f64,
-    /// That of L.
+    /// Stated standard deviation of L, in percent of the true L.
     pub l_sigma_pct: f64,
 }
 
-/// Errors of some cells: none without cells.
+/// Errors over a set of cells; `None` if it is empty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct CellErrors {
-    /// How many.
+    /// Number of cells.
     pub cells: usize,
     /// Mean of the absolute errors of R in percent.
     pub r_mean_pct: Option<f64>,
-    /// Largest of them.
+    /// Largest absolute error of R in percent.
     pub r_worst_pct: Option<f64>,
     /// Mean of the absolute errors of L in percent.
     pub l_mean_pct: Option<f64>,
-    /// Largest of them.
+    /// Largest absolute error of L in percent.
     pub l_worst_pct: Option<f64>,
 }
 
-/// Errors of a lookup over the cells that the hob reaches with its load.
+/// Accuracy of a lookup over the cells that the hob reaches with its load.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct MapError {
-    /// Of the cells that rest on observations.
+pub struct LookupAccuracy {
+    /// Errors of the cells that rest on observations.
     pub observed: CellErrors,
-    /// Of the others.
+    /// Errors of the predicted cells.
     pub unseen: CellErrors,
-    /// Root mean square of (cell − truth)/σ over R and L of every reached cell: 1 is honest, more claims too much.
-    /// `None` without cells.
+    /// Root mean square of (cell − truth)/σ over R and L of every reached cell: 1 if the stated deviations are right, more if they are too
+    /// small. `None` without cells.
     pub z_rms: Option<f64>,
 }
 
-/// Every reached cell beside its truth, by rising frequency and current: what the device has of it, in codes.
-pub fn judged(built: &Built, truth: &MapTruth) -> Vec<JudgedCell> {
+/// Compares every reached cell, as quantised for the device, with its truth; by rising frequency and current.
+pub fn judge_cells(built: &BuiltLookup, truth: &MapTruth) -> Vec<JudgedCell> {
     let mut judged = Vec::with_capacity(truth.reached());
     for (frequency, row) in truth.cells.iter().enumerate() {
         for (current, is) in row.iter().enumerate() {
@@ -85,7 +85,7 @@ impl CellErrors {
         };
         let worst = |pct: fn(&JudgedCell) -> f64| {
             let all = cells.clone().map(|c| pct(c).abs());
-            // A cell that is not a number is the worst that there is.
+            // `total_cmp` ranks NaN highest: a cell that is not a number is the worst.
             all.max_by(f64::total_cmp)
         };
         Self {
@@ -98,8 +98,8 @@ impl CellErrors {
     }
 }
 
-impl MapError {
-    /// Of cells beside their truth.
+impl LookupAccuracy {
+    /// Computes the accuracy over judged cells.
     pub fn of(cells: &[JudgedCell]) -> Self {
         let z = |c: &JudgedCell| [c.r_pct / c.r_sigma_pct, c.l_pct / c.l_sigma_pct];
         let z: Vec<f64> = cells.iter().flat_map(z).collect();
@@ -126,7 +126,7 @@ mod tests {
     };
 
     /// A lookup of 4 ohm and 25 µH everywhere, with deviations of one percent; nothing is observed.
-    fn built(change: impl FnOnce(&mut Cells)) -> Built {
+    fn built(change: impl FnOnce(&mut Cells)) -> BuiltLookup {
         let value = Predicted {
             r_ohm: Z.r_ohm,
             l_h: Z.l_h,
@@ -140,7 +140,7 @@ mod tests {
         };
         let mut cells = [[cell; CURRENTS]; FREQUENCIES];
         change(&mut cells);
-        Built::of(cells, 1).expect("a plausible lookup")
+        BuiltLookup::from_cells(cells, 1).expect("a plausible lookup")
     }
 
     /// That load as truth in some cells.
@@ -163,7 +163,7 @@ mod tests {
             cells[0][16].value.r_sigma = 1.0;
         });
         let truth = truth(&[(2, 3), (2, 4), (5, 1)]);
-        let error = MapError::of(&judged(&built, &truth));
+        let error = LookupAccuracy::of(&judge_cells(&built, &truth));
         assert_eq!((error.observed.cells, error.unseen.cells), (1, 2));
         let near = |is: Option<f64>, pct: f64| (is.unwrap() - pct).abs() < 0.02;
         assert!(near(error.observed.r_mean_pct, 3.0) && near(error.observed.r_worst_pct, 3.0));
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn without_reached_cells_there_are_no_numbers() {
-        let error = MapError::of(&judged(&built(|_| ()), &MapTruth::UNREACHED));
+        let error = LookupAccuracy::of(&judge_cells(&built(|_| ()), &MapTruth::UNREACHED));
         assert_eq!(error.unseen, CellErrors::default());
         let json = serde_json::to_value(error).unwrap();
         assert!(json["unseen"]["r_mean_pct"].is_null() && json["z_rms"].is_null());
@@ -190,7 +190,7 @@ mod tests {
             r_ohm: f64::NAN,
             l_h: 1.0,
         });
-        let error = MapError::of(&judged(&built(|_| ()), &truth));
+        let error = LookupAccuracy::of(&judge_cells(&built(|_| ()), &truth));
         assert!(error.unseen.r_worst_pct.unwrap().is_nan());
     }
 }

@@ -1,7 +1,7 @@
-//! The RL lookup of what is known of a pot.
+//! RL lookup built from a pot's map.
 //!
-//! Every cell is the map's: observed, or predicted by the pot's physics and what it left where it was taught. A cell
-//! is marked for the device where its deviation is small, whoever it comes from.
+//! Every cell is the map's: observed, or predicted by the pot's physics and the residual at the observed cells. A cell is marked for the
+//! device if its deviation is small, observed or not.
 
 pub mod error;
 
@@ -10,34 +10,35 @@ use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
 use ihd_shared::lookup::plausible::{self, Implausible, L_CODES, R_CODES};
 use ihd_shared::lookup::{HENRY_PER_CODE, OBSERVED_BYTES, OHM_PER_CODE, RlLookup};
 
-pub use error::{CellErrors, JudgedCell, MapError, judged};
+pub use error::{CellErrors, JudgedCell, LookupAccuracy, judge_cells};
 
-/// Largest relative deviation of R at which a cell is marked: what the power of a step may be off by.
+/// Largest relative deviation of R at which a cell is marked: the tolerable error of the power after a step.
 const MARKED_R: f64 = 0.03;
 
-/// The same of L, half of it: near resonance the power goes with the square of the detuning.
+/// Largest relative deviation of L at which a cell is marked, half that of R: near resonance the power goes with the square of the
+/// detuning.
 const MARKED_L: f64 = 0.015;
 
-/// A lookup, and what it was made of.
+/// A lookup with the cells that it was built from.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Built {
+pub struct BuiltLookup {
     /// The lookup; cells whose deviation is small are marked.
     pub lookup: RlLookup,
-    /// R and L of each cell with their deviations, what they rest on, and how old that is.
+    /// R and L of each cell with deviation, confidence and age.
     pub cells: Box<Cells>,
 }
 
-/// A device would refuse the lookup.
+/// Lookup that a device would refuse.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("no lookup of this pot is one that a device takes: {0}")]
-pub struct NotTeachable(#[from] Implausible);
+pub struct ImplausibleLookup(#[from] Implausible);
 
-impl Built {
-    /// The lookup of what is known.
+impl BuiltLookup {
+    /// Builds the lookup of this version from the map's cells.
     ///
     /// # Errors
-    /// [`NotTeachable`], with the cell.
-    pub fn of(cells: Cells, version: u32) -> Result<Self, NotTeachable> {
+    /// [`ImplausibleLookup`] if a device would refuse it, with the cell.
+    pub fn from_cells(cells: Cells, version: u32) -> Result<Self, ImplausibleLookup> {
         let mut lookup = RlLookup {
             version,
             r: [[0; CURRENTS]; FREQUENCIES],
@@ -54,7 +55,7 @@ impl Built {
                     lookup.mark_observed(f, i);
                     (lookup.r[f][i], lookup.l[f][i]) = (r, l);
                 } else {
-                    // Nobody relies on it; a device would refuse all for its sake.
+                    // Power control ignores unmarked cells, but one out of range would make the device refuse the whole lookup.
                     lookup.r[f][i] = r.clamp(*R_CODES.start(), *R_CODES.end());
                     lookup.l[f][i] = l.clamp(*L_CODES.start(), *L_CODES.end());
                 }
@@ -65,7 +66,7 @@ impl Built {
         Ok(Self { lookup, cells })
     }
 
-    /// Cells that were seen themselves; the others follow from them.
+    /// Returns the number of observed cells.
     pub fn seen_cells(&self) -> usize {
         self.cells
             .iter()
@@ -74,7 +75,7 @@ impl Built {
             .count()
     }
 
-    /// How well each cell is founded on observations: 0, never observed, to 1.
+    /// Returns the confidence of each cell: 0 if never observed, to 1.
     pub fn confidence(&self) -> [[f64; CURRENTS]; FREQUENCIES] {
         self.cells.map(|row| row.map(|cell| cell.confidence))
     }
@@ -106,7 +107,7 @@ mod tests {
         let mut known = cells(4.0, 0.001);
         known[7][16].value.r_sigma = 0.2;
         known[7][15].value.r_sigma = 0.2;
-        let built = Built::of(known, 3).unwrap();
+        let built = BuiltLookup::from_cells(known, 3).unwrap();
         assert_eq!(
             (built.lookup.version, built.lookup.observed_cells()),
             (3, 134)
@@ -114,15 +115,22 @@ mod tests {
         assert!(!built.lookup.is_observed(7, 16));
         let (r, l) = built.lookup.interpolate(50_000, 20_000);
         assert!((r.ohm() - 4.0).abs() < 1e-3 && (l.henry() - 25e-6).abs() < 1e-9);
-        assert!(Built::of(cells(1e3, 0.5), 1).is_ok());
+        assert!(BuiltLookup::from_cells(cells(1e3, 0.5), 1).is_ok());
     }
 
     #[test]
     fn what_no_device_takes_is_refused_with_its_cell() {
-        let why = Built::of(cells(1e3, 0.001), 1).unwrap_err().to_string();
+        let why = BuiltLookup::from_cells(cells(1e3, 0.001), 1)
+            .unwrap_err()
+            .to_string();
         assert!(why.contains("cell 0"), "{why}");
         let mut steep = cells(4.0, 0.001);
         steep[3][5].value.r_ohm = 9.0;
-        assert!(Built::of(steep, 1).unwrap_err().to_string().contains("1.6"));
+        assert!(
+            BuiltLookup::from_cells(steep, 1)
+                .unwrap_err()
+                .to_string()
+                .contains("1.6")
+        );
     }
 }

@@ -1,18 +1,18 @@
-//! What two devices made of the same blocks, value by value.
+//! Comparison of two devices' results for the same blocks, value by value.
 
 use ihd_link::Window;
 use ihd_shared::wire::messages::Telemetry;
 use serde::Serialize;
 
-/// Differences that are kept; the rest is counted.
-pub const KEPT: usize = 20;
+/// Differences that are listed; the rest is only counted.
+pub const MOST_LISTED: usize = 20;
 
 /// One value on which device and host do not agree.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// When, in seconds on the capture's clock.
+    /// Time in seconds on the capture's clock.
     pub t_s: f64,
-    /// What: `R`, `L`, `window track`, …
+    /// Name of the value: `R`, `L`, `window track`, …
     pub what: String,
     /// The device's value.
     pub device: String,
@@ -20,73 +20,73 @@ pub struct Difference {
     pub host: String,
 }
 
-/// Compared and lost messages of one kind.
+/// Numbers of compared and lost messages of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Compared {
-    /// Compared.
+pub struct MessageCounts {
+    /// Messages that were compared.
     pub compared: u32,
-    /// Lost on the link, so that there was nothing to compare.
+    /// Messages that the link lost, which were not compared.
     pub lost: u32,
 }
 
-/// What a replay gave.
+/// Result of a replay.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Outcome {
-    /// The device, in words.
+pub struct ReplayReport {
+    /// Description of the device.
     pub device: String,
-    /// Stretches of one frequency.
+    /// Stretches replayed, each of one frequency.
     pub stretches: usize,
     /// Blocks of 61 pairs replayed.
     pub blocks: usize,
-    /// Estimates of R and L compared; every block's is.
+    /// Estimates of R and L compared, one a block.
     pub estimates: usize,
-    /// Windows.
-    pub windows: Compared,
-    /// Half-cycles' telemetry: state, fault, R and L at the crest, current, power, phase.
-    pub telemetry: Compared,
-    /// Messages sent or asked after again because the link lost something.
+    /// Windows compared and lost.
+    pub windows: MessageCounts,
+    /// Telemetry of half-cycles compared and lost: state, fault, R and L at the crest, current, power, phase.
+    pub telemetry: MessageCounts,
+    /// Messages sent or requested again because the link lost something.
     pub repeats: u32,
-    /// Times the link was made anew.
+    /// Reconnections of the link.
     pub reconnects: u32,
-    /// All differences, in number.
+    /// Number of differences.
     pub differences: usize,
-    /// The first of them.
+    /// First differences, at most [`MOST_LISTED`].
     pub first: Vec<Difference>,
     /// Wall time in seconds.
     pub seconds: f64,
 }
 
-impl Outcome {
-    /// Whether nothing differs.
+impl ReplayReport {
+    /// Returns `true` if nothing differs.
     pub fn is_identical(&self) -> bool {
         self.differences == 0
     }
 
-    /// Notes a value, if it differs.
-    pub fn value<T: PartialEq>(
+    /// Compares a value and records a difference; `text` formats it.
+    pub fn compare_value<T: PartialEq>(
         &mut self,
         t_s: f64,
         what: &str,
         device: T,
         host: T,
-        words: impl Fn(&T) -> String,
+        text: impl Fn(&T) -> String,
     ) {
         if device == host {
             return;
         }
         self.differences += 1;
-        if self.first.len() < KEPT {
+        if self.first.len() < MOST_LISTED {
             self.first.push(Difference {
                 t_s,
                 what: what.to_owned(),
-                device: words(&device),
-                host: words(&host),
+                device: text(&device),
+                host: text(&host),
             });
         }
     }
 
     /// Compares two windows of one half-cycle.
-    pub fn windows(&mut self, t_s: f64, device: &Window, host: &Window) {
+    pub fn compare_windows(&mut self, t_s: f64, device: &Window, host: &Window) {
         self.windows.compared += 1;
         let head = |w: &Window| {
             (
@@ -97,7 +97,7 @@ impl Outcome {
                 w.saturated,
             )
         };
-        self.value(t_s, "window header", head(device), head(host), |h| {
+        self.compare_value(t_s, "window header", head(device), head(host), |h| {
             format!("{h:?}")
         });
         let unequal = |a: usize, b: usize, at: Option<usize>| match at {
@@ -111,7 +111,7 @@ impl Outcome {
                 .zip(&host.pairs)
                 .position(|(a, b)| a != b);
             let text = unequal(device.pairs.len(), host.pairs.len(), at);
-            self.value(t_s, "window pairs", text, String::new(), Clone::clone);
+            self.compare_value(t_s, "window pairs", text, String::new(), Clone::clone);
         }
         if device.trajectory != host.trajectory {
             let at = device
@@ -120,12 +120,12 @@ impl Outcome {
                 .zip(&host.trajectory)
                 .position(|(a, b)| a != b);
             let text = unequal(device.trajectory.len(), host.trajectory.len(), at);
-            self.value(t_s, "window track", text, String::new(), Clone::clone);
+            self.compare_value(t_s, "window track", text, String::new(), Clone::clone);
         }
     }
 
-    /// Compares two telemetries of one half-cycle; counters and the lookup in force may differ.
-    pub fn telemetries(&mut self, t_s: f64, device: &Telemetry, host: &Telemetry) {
+    /// Compares two telemetry messages of one half-cycle; counters and the active lookup may differ.
+    pub fn compare_telemetry(&mut self, t_s: f64, device: &Telemetry, host: &Telemetry) {
         self.telemetry.compared += 1;
         let debug = |x: &i64| x.to_string();
         let states = |t: &Telemetry| {
@@ -134,7 +134,7 @@ impl Outcome {
                 t.state, t.fault, t.pot, t.limit
             )
         };
-        self.value(t_s, "state", states(device), states(host), Clone::clone);
+        self.compare_value(t_s, "state", states(device), states(host), Clone::clone);
         for (what, field) in [
             ("f_sw, Hz", (|t| t.f_sw_hz.into()) as fn(&Telemetry) -> i64),
             ("R at the crest, µΩ", |t| t.r.0.into()),
@@ -146,7 +146,7 @@ impl Outcome {
             ("coil voltage, dV", |t| t.v_coil_peak_dv.into()),
             ("turn-off, mA", |t| t.i_turn_off_min_ma.into()),
         ] {
-            self.value(t_s, what, field(device), field(host), debug);
+            self.compare_value(t_s, what, field(device), field(host), debug);
         }
     }
 }

@@ -1,9 +1,8 @@
-//! Replay in the loop: a capture through a device's own firmware, and through the host's build of the
-//! same firmware, compared bit for bit.
+//! Replay of a capture through a device's own firmware and through this build of the same firmware, compared bit for bit.
 //!
 //! ```text
 //!  capture ─► stretches of blocks ─┬─► link ─► device's firmware ─► R, L, windows, states ─┐
-//!                                  └─► ReferenceDevice (this build) ─► the same ────────────┴─► Outcome
+//!                                  └─► ReferenceDevice (this build) ─► the same ────────────┴─► ReplayReport
 //! ```
 
 pub mod compare;
@@ -11,6 +10,6 @@ pub mod reference;
 pub mod run;
 pub mod stretch;
 
-pub use compare::{Difference, Outcome};
-pub use run::{ReplayError, Settings, run};
+pub use compare::{Difference, ReplayReport};
+pub use run::{ReplayError, ReplayOptions, run};
 pub use stretch::Stretch;

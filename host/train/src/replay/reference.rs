@@ -1,10 +1,9 @@
-//! The firmware as this build compiled it, as a device without hardware: no time passes, and what it
-//! has to say is there at once.
+//! This build's firmware as a device without hardware: no time passes, and every reply is available at once.
 
 use std::time::Duration;
 
-use ihd_firmware::housekeeping::Housekeeping;
-use ihd_firmware::realtime::RealTime;
+use ihd_firmware::link::housekeeping::Housekeeping;
+use ihd_firmware::sampling::path::SamplingPath;
 use ihd_link::{LinkError, Transport};
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
@@ -14,7 +13,7 @@ use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 /// Firmware and the device's end of a link.
 pub struct ReferenceDevice {
     housekeeping: Housekeeping,
-    realtime: Box<RealTime>,
+    realtime: Box<SamplingPath>,
     to_host: Vec<u8>,
 }
 
@@ -24,7 +23,7 @@ impl Default for ReferenceDevice {
         let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
         Self {
             housekeeping: Housekeeping::new(ours(ROLE_DEVICE, CAP_SIMULATED, 0, build, "host")),
-            realtime: Box::new(RealTime::new(r, l)),
+            realtime: Box::new(SamplingPath::new(r, l)),
             to_host: Vec::new(),
         }
     }

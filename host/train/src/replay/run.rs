@@ -1,10 +1,10 @@
-//! Sends the stretches to a device and to this build of its firmware, and compares what comes back.
+//! Run of a replay: sends the stretches to a device and to this build of its firmware, and compares the results.
 
 use std::collections::VecDeque;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use ihd_link::replay::{PAIRS_PER_MESSAGE, persist};
+use ihd_link::replay::{PAIRS_PER_MESSAGE, retry_unanswered};
 use ihd_link::{Client, Event, LinkError};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::prior::prior;
@@ -12,30 +12,29 @@ use ihd_shared::sampling::{ADC_LOCK_P, Pair, Scales};
 use ihd_shared::window::TrajectoryEntry;
 use ihd_signal::Segment;
 
-use super::compare::Outcome;
+use super::compare::ReplayReport;
 use super::reference::ReferenceDevice;
 use super::stretch::{BUS_DV, Stretch};
 
-/// Times that a link which ended is made anew.
+/// Most reconnections of the link.
 const RECONNECTS: u32 = 8;
 
-/// How long to wait before the link is made anew.
+/// Pause before a reconnection.
 const RECONNECT_AFTER: Duration = Duration::from_millis(200);
 
-/// How long a window may take: 57 kB on a serial line of 115 200 baud take 5 s.
+/// Longest wait for a window: 57 kB take 5 s on a serial line of 115 200 baud.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// How a replay runs.
+/// Options of a replay.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Settings {
-    /// How much faster than the capture's own time; `None`: as fast as the link allows. It does not
-    /// change the result.
+pub struct ReplayOptions {
+    /// Speed as a multiple of the capture's own time; `None` for as fast as the link allows. It does not change the result.
     pub speed: Option<f64>,
-    /// How long a window or telemetry that this build made may stay away on the device.
+    /// Longest wait for a window or telemetry of the device that this build has produced; `None` for 10 s.
     pub patience: Option<Duration>,
 }
 
-/// Why a replay gave no result.
+/// Failure of a replay.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
     /// The link failed.
@@ -48,10 +47,10 @@ pub enum ReplayError {
     NotLocked {
         /// The device.
         device: String,
-        /// What it switches at, in hertz.
+        /// Its switching frequency, in hertz.
         f_sw_hz: u32,
     },
-    /// The device's codes mean something else than this build's, so that the same codes give other R and L.
+    /// The device's ADC codes have other scales than this build's, so that the same codes give other R and L.
     #[error(
         "{device} has a front end of {theirs}, this build's firmware one of {}: only a device of the same \
          scales can be compared bit for bit",
@@ -63,7 +62,7 @@ pub enum ReplayError {
         /// Its scales.
         theirs: Scales,
     },
-    /// There is nothing to replay.
+    /// No stretch of the capture can be replayed.
     #[error(
         "nothing to replay: no stretch of the capture is a block long (three switching periods) at a \
          switching frequency of a hob (34 to 80 kHz)"
@@ -71,7 +70,7 @@ pub enum ReplayError {
     Nothing,
 }
 
-/// A message under way: pairs and the crossing in them.
+/// Pairs of one message, and the crossing in them.
 struct Part<'a> {
     pairs: &'a [Pair],
     crossing: Option<usize>,
@@ -82,25 +81,25 @@ struct Run<'a> {
     connect: &'a mut dyn FnMut() -> Result<Client, LinkError>,
     device: Client,
     host: Client,
-    settings: Settings,
-    outcome: Outcome,
-    /// What this build has said and the device still owes.
-    owed: VecDeque<Event>,
-    /// The device's half-cycles less this build's.
+    settings: ReplayOptions,
+    outcome: ReplayReport,
+    /// Events of this build that the device has not sent yet.
+    expected: VecDeque<Event>,
+    /// Half-cycle number of the device less that of this build; `None` before the first telemetry.
     half_cycles: Option<u32>,
 }
 
-/// Replays the segments on the device that `connect` reaches, again whenever the link ends, in codes of its
-/// scales; `progress` hears how many blocks are done, and of how many.
+/// Replays the segments on the device that `connect` reaches, in codes of its scales, with a new connection whenever the link ends.
+/// `progress` is called with the blocks done and their total.
 ///
 /// # Errors
-/// [`ReplayError`] when there is no whole result; a difference is no error.
+/// [`ReplayError`] if there is no complete result; a difference is no error.
 pub fn run(
     segments: &[Segment],
-    settings: Settings,
+    settings: ReplayOptions,
     connect: &mut dyn FnMut() -> Result<Client, LinkError>,
     progress: &mut dyn FnMut(usize, usize),
-) -> Result<Outcome, ReplayError> {
+) -> Result<ReplayReport, ReplayError> {
     let started = Instant::now();
     let device = connect()?;
     let scales = device.front_end().scales();
@@ -117,16 +116,16 @@ pub fn run(
     }
     let all = stretches.iter().map(Stretch::blocks).sum();
     let mut run = Run {
-        outcome: Outcome {
+        outcome: ReplayReport {
             device: format!("{} ({})", device.describe(), device.hello().build),
             stretches: stretches.len(),
-            ..Outcome::default()
+            ..ReplayReport::default()
         },
         connect,
         device,
         host: Client::connect(Box::new(ReferenceDevice::default()))?,
         settings,
-        owed: VecDeque::new(),
+        expected: VecDeque::new(),
         half_cycles: None,
     };
     for (k, stretch) in stretches.iter().enumerate() {
@@ -135,7 +134,7 @@ pub fn run(
         }
         let outcome = run.stretch(stretch, &mut |done| progress(done, all));
         if outcome.is_err() {
-            // Whatever failed, the device gets its power outputs back only through this.
+            // Even after a failure: only this unlocks the device's power outputs.
             let _ = run.device.continue_replay(0).end();
         }
         outcome?;
@@ -146,11 +145,11 @@ pub fn run(
 }
 
 impl Run<'_> {
-    /// A fault that the last stretch led to must not keep the next one from beginning.
+    /// Clears faults of the last stretch, which would prevent the next one.
     fn clear_faults(&mut self) -> Result<(), LinkError> {
         for client in [&mut self.device, &mut self.host] {
-            if persist(|| client.status())?.fault != Fault::NONE {
-                persist(|| client.clear_fault())?;
+            if retry_unanswered(|| client.status())?.fault != Fault::NONE {
+                retry_unanswered(|| client.clear_fault())?;
             }
         }
         Ok(())
@@ -162,14 +161,14 @@ impl Run<'_> {
         progress: &mut dyn FnMut(usize),
     ) -> Result<(), ReplayError> {
         let (r, l) = prior().interpolate(stretch.f_sw_hz, 0);
-        self.owed.clear();
+        self.expected.clear();
         self.half_cycles = None;
         for client in [&mut self.device, &mut self.host] {
             client.start_replay(stretch.f_sw_hz, r, l)?;
             while client.next_event(Duration::ZERO)?.is_some() {}
-            persist(|| client.stream(1, 1))?;
+            retry_unanswered(|| client.stream(1, 1))?;
         }
-        let status = persist(|| self.device.status())?;
+        let status = retry_unanswered(|| self.device.status())?;
         if status.f_sw_hz != 0 {
             return Err(ReplayError::NotLocked {
                 device: self.device.describe(),
@@ -196,8 +195,8 @@ impl Run<'_> {
             progress(self.outcome.blocks);
         }
         for (client, taken) in [&mut self.device, &mut self.host].into_iter().zip(taken) {
-            // Its own idle half-cycles are none of ours.
-            persist(|| client.stream(0, 0))?;
+            // Idle half-cycles after the replay are not compared.
+            retry_unanswered(|| client.stream(0, 0))?;
             client.continue_replay(taken).end()?;
         }
         Ok(())
@@ -211,7 +210,7 @@ impl Run<'_> {
         thread::sleep(due.saturating_sub(began.elapsed()));
     }
 
-    /// One message through the device, over as many links as it takes.
+    /// Sends one message through the device, with as many reconnections as it takes.
     fn on_device(
         &mut self,
         part: &Part<'_>,
@@ -232,7 +231,7 @@ impl Run<'_> {
         }
     }
 
-    /// The device stays in replay mode while the link is away, so the replay goes on where it was.
+    /// Reconnects. The device stays in replay mode meanwhile, so that the replay continues where it was.
     fn reconnect(&mut self, error: LinkError) -> Result<(), LinkError> {
         if self.outcome.reconnects >= RECONNECTS {
             return Err(error);
@@ -240,7 +239,7 @@ impl Run<'_> {
         self.outcome.reconnects += 1;
         thread::sleep(RECONNECT_AFTER);
         self.device = (self.connect)()?;
-        persist(|| self.device.stream(1, 1))
+        retry_unanswered(|| self.device.stream(1, 1))
     }
 
     fn estimates(
@@ -257,24 +256,24 @@ impl Run<'_> {
             };
             let words = |x: &Option<i64>| x.map_or("none".to_owned(), |x| x.to_string());
             let ([r, r_host], [l, l_host]) = (number(|e| e.r.0), number(|e| e.l.0));
-            self.outcome.value(t_s, "R, µΩ", r, r_host, words);
-            self.outcome.value(t_s, "L, pH", l, l_host, words);
+            self.outcome.compare_value(t_s, "R, µΩ", r, r_host, words);
+            self.outcome.compare_value(t_s, "L, pH", l, l_host, words);
             self.outcome.estimates += 1;
         }
     }
 
-    /// Takes what this build says now and waits for the device to say the same.
+    /// Collects this build's events and waits for those of the device.
     fn events(&mut self, t_s: f64) -> Result<(), LinkError> {
         while let Some(event) = self.host.next_event(Duration::ZERO)? {
-            self.owed.push_back(event);
+            self.expected.push_back(event);
         }
         let patience = self.settings.patience.unwrap_or(PATIENCE);
-        while !self.owed.is_empty() {
+        while !self.expected.is_empty() {
             match self.device.next_event(patience) {
                 Ok(Some(event)) => self.event(t_s, &event),
                 // The rest is lost; a link that ended shows at the next message.
                 Ok(None) | Err(LinkError::Closed { .. } | LinkError::Io { .. }) => {
-                    while let Some(lost) = self.owed.pop_front() {
+                    while let Some(lost) = self.expected.pop_front() {
                         self.lost(&lost);
                     }
                 }
@@ -284,16 +283,15 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// What the device says and this build has no counterpart of: a window that the link has damaged
-    /// or both reject, or a fault that only the device has. A window of a half-cycle that this build
-    /// did not record is none of either.
+    /// Handles an event of the device without a counterpart of this build: a window that the link has damaged or both reject, or a fault
+    /// of the device alone. A window of a half-cycle that this build did not record is ignored.
     fn unmatched(&mut self, t_s: f64, device: &Event) {
         match device {
             Event::WindowRejected { reason, .. } => {
                 let window =
                     |e: &Event| matches!(e, Event::Window(_) | Event::WindowRejected { .. });
-                let at = self.owed.iter().position(window);
-                match at.and_then(|at| self.owed.remove(at)) {
+                let at = self.expected.iter().position(window);
+                match at.and_then(|at| self.expected.remove(at)) {
                     Some(Event::WindowRejected { reason: host, .. }) if host == *reason => {
                         self.outcome.windows.compared += 1;
                     }
@@ -303,13 +301,13 @@ impl Run<'_> {
             }
             Event::Fault(f) => {
                 self.outcome
-                    .value(t_s, "fault", f.fault, Fault::NONE, |f| format!("{f:?}"));
+                    .compare_value(t_s, "fault", f.fault, Fault::NONE, |f| format!("{f:?}"));
             }
             Event::Window(_) | Event::Telemetry(_) | Event::Log { .. } => {}
         }
     }
 
-    /// On a link that lost nothing, what the device did not send is a difference.
+    /// Counts messages that the device did not send as a difference, if the link lost nothing.
     fn judge_lost(&mut self) {
         let (c, o) = (self.device.counters(), &self.outcome);
         let whole = (c.frames_bad, c.frames_lost, o.repeats, o.reconnects) == (0, 0, 0, 0);
@@ -317,7 +315,7 @@ impl Run<'_> {
         if whole {
             let words = |n: &u32| format!("{n} messages missing");
             self.outcome
-                .value(0.0, "windows and telemetry", lost, 0, words);
+                .compare_value(0.0, "windows and telemetry", lost, 0, words);
         }
     }
 
@@ -329,8 +327,7 @@ impl Run<'_> {
         }
     }
 
-    /// Compares an event of the device with this build's of the same kind and half-cycle; what was
-    /// due before it is lost.
+    /// Compares an event of the device with this build's of the same kind and half-cycle.
     fn event(&mut self, t_s: f64, device: &Event) {
         let same = |host: &Event| match (device, host) {
             (Event::Window(a), Event::Window(b)) => Some((a.half_cycle, b.half_cycle)),
@@ -344,23 +341,23 @@ impl Run<'_> {
                 .is_none_or(|known| known == by)
                 .then_some(by)
         };
-        let found = self.owed.iter().enumerate();
+        let found = self.expected.iter().enumerate();
         let found = found.filter_map(|(k, host)| Some((k, same(host).and_then(fits)?)));
         let Some((at, by)) = found.min() else {
             return self.unmatched(t_s, device);
         };
-        let Some(host) = self.owed.remove(at) else {
+        let Some(host) = self.expected.remove(at) else {
             return;
         };
         match (device, &host) {
-            (Event::Window(a), Event::Window(b)) => self.outcome.windows(t_s, a, b),
+            (Event::Window(a), Event::Window(b)) => self.outcome.compare_windows(t_s, a, b),
             (Event::Telemetry(a), Event::Telemetry(b)) => {
                 self.half_cycles = Some(by);
-                self.outcome.telemetries(t_s, a, b);
+                self.outcome.compare_telemetry(t_s, a, b);
             }
             (Event::Fault(a), Event::Fault(b)) => {
                 self.outcome
-                    .value(t_s, "fault", a.fault, b.fault, |f| format!("{f:?}"));
+                    .compare_value(t_s, "fault", a.fault, b.fault, |f| format!("{f:?}"));
             }
             _ => {}
         }

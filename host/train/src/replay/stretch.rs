@@ -1,4 +1,4 @@
-//! A capture as blocks for a device: one stretch of pairs on the ADC's grid for every frequency.
+//! Blocks of a capture for a device: one stretch of pairs on the ADC's grid for every frequency.
 
 use ihd_shared::hob::{BUS_PEAK_V, F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair, Scales};
@@ -6,8 +6,8 @@ use ihd_signal::Segment;
 use ihd_signal::TimeBase;
 use ihd_signal::resample::{AdcGrid, adc_pairs};
 
-/// A capture at a rate this close to the ADC's own is taken sample by sample: over a half-cycle it
-/// drifts by less than a sample.
+/// Relative difference of a capture's rate from the ADC's up to which it is not resampled: over a half-cycle it drifts by less than a
+/// sample.
 const SAME_RATE: f64 = 1e-4;
 
 /// Whole blocks of pairs at one switching frequency.
@@ -26,7 +26,8 @@ pub struct Stretch {
 }
 
 impl Stretch {
-    /// Resamples a segment, in codes of the given scales, those of the device that gets them; `None` for less than a block, or a frequency outside the hob's ratings.
+    /// Resamples a segment to codes of the device's scales; `None` if it is shorter than a block, or its frequency is outside the hob's
+    /// ratings.
     pub fn of(segment: &Segment, scales: Scales) -> Option<Self> {
         let f_sw_hz = segment.f_sw_hz.round() as u32;
         if !(F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&f_sw_hz) {
@@ -62,17 +63,17 @@ impl Stretch {
         })
     }
 
-    /// Blocks in all.
+    /// Returns the number of blocks.
     pub fn blocks(&self) -> usize {
         self.pairs.len() / ADC_LOCK_P
     }
 
-    /// Time of a block's first pair in seconds, on the capture's clock.
+    /// Returns the time of a block's first pair in seconds, on the capture's clock.
     pub fn block_s(&self, block: usize) -> f64 {
         self.t0_s + (block * ADC_LOCK_P) as f64 * self.dt_s
     }
 
-    /// The crossing within pairs `from` to `to`, counted from `from`.
+    /// Returns the crossing within pairs `from` to `to`, counted from `from`; `None` if there is none.
     pub fn crossing_in(&self, from: usize, to: usize) -> Option<usize> {
         let at = self.crossings.partition_point(|&at| at < from);
         let found = self.crossings.get(at).filter(|&&at| at < to);

@@ -1,79 +1,81 @@
-//! A device as the trainer uses it: power that settles, windows that count, a lookup that becomes
-//! active.
+//! Device of a training run: sets a power and waits until it is steady, receives windows, pushes a lookup.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ihd_firmware::pwm;
-use ihd_link::{Client, Counters, Event, HEARD_EVERY, LinkError, Window};
+use ihd_firmware::drive::pwm;
+use ihd_link::{Client, Counters, Event, KEEPALIVE_PERIOD, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::messages::{Outcome, State, Telemetry};
 use ihd_signal::truth::Truth;
 
-use super::{OperatingPoint, Progress, Recorded, TrainerError};
+use super::{OperatingPoint, RecordedHalfCycle, RunProgress, TrainerError};
 
 /// Half-cycles at one frequency after which it counts as settled.
 pub const SETTLED_AFTER: u32 = 5;
 
-/// How long an operating point may take to settle while it heats, on the device's clock.
+/// Longest time for an operating point to settle while it heats, in half-cycles of 50 Hz mains: the device's time, since a simulated hob
+/// on a busy machine is slower than the host's clock.
 pub const SETTLE_WITHIN: Duration = Duration::from_secs(6);
+
+/// Half-cycle of 50 Hz mains.
+const HALF_CYCLE: Duration = Duration::from_millis(10);
 
 /// Half-cycles between two windows: a window of 57 kB takes 140 ms on a link of 400 kB/s.
 pub const WINDOWS_EVERY: u8 = 20;
 
-/// How long an event may take before ^C is looked at again.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Longest wait for an event between two checks for ^C.
+const STOP_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
-/// Device time to wait for anything.
+/// Longest wait for an event or a window, in device time.
 pub(super) const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Times that a command is sent which does the same when it comes twice.
+/// Times that an idempotent command is sent.
 const TRIES: usize = 3;
 
-/// The truth of a half-cycle, counted as the device counts it, from whoever knows it; none where
-/// nobody does, as on a real hob.
+/// Truth by half-cycle number of the device, from a simulated hob; `None` on a real one.
 pub type TruthSource = Option<Box<dyn Fn(u32) -> Option<Truth>>>;
 
-/// A device that is being trained on. Dropping it, in a panic too, switches off what it had asked for.
+/// Device in a training run. Dropping it, in a panic too, switches off a power that it has requested.
 pub struct Device<'a> {
-    /// None while the link is cut.
+    /// `None` while the link is cut.
     client: Option<Client>,
     truth: TruthSource,
-    progress: &'a mut dyn FnMut(Progress<'_>),
+    progress: &'a mut dyn FnMut(RunProgress<'_>),
     stop: Option<&'a AtomicBool>,
     pub(super) last: Option<Telemetry>,
-    /// Power that we have asked for and not taken back, in watt.
+    /// Requested power in watt; 0 if none.
     asked_w: u16,
-    /// When the device heard from us last, on its clock.
-    heard: Duration,
-    /// When it said something last.
-    spoke: Duration,
-    /// Half-cycles show the power that was asked for last: what they say is about it.
-    is_asked: bool,
-    /// The device waits, and whoever watches knows.
+    /// Time of the last command to the device, on its clock.
+    last_sent: Duration,
+    /// Time of the last event from the device, on its clock.
+    last_received: Duration,
+    /// Set if telemetry shows the power that was requested last.
+    is_confirmed: bool,
+    /// Set if the device waits for a pot or pauses, and that was reported.
     is_waiting: bool,
-    /// The recording's first failure.
+    /// First failure of the recording.
     pub(super) not_recorded: Option<LinkError>,
 }
 
-/// What a half-cycle's state means to the trainer.
+/// Heating state of a half-cycle.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Heats {
+enum HeatingState {
     /// It heats, or is about to.
-    Yes,
-    /// Not now, but it will by itself.
-    Later,
+    Heats,
+    /// It waits for a pot or pauses, and heats again by itself.
+    Waits,
 }
 
 impl<'a> Device<'a> {
-    /// Starts the streams.
+    /// Takes over a connected device.
     pub fn start(
         client: Client,
         truth: TruthSource,
         stop: Option<&'a AtomicBool>,
-        progress: &'a mut dyn FnMut(Progress<'_>),
+        progress: &'a mut dyn FnMut(RunProgress<'_>),
     ) -> Self {
         let now = client.clock();
         Self {
@@ -83,32 +85,32 @@ impl<'a> Device<'a> {
             stop,
             last: None,
             asked_w: 0,
-            heard: now,
-            spoke: now,
-            is_asked: false,
+            last_sent: now,
+            last_received: now,
+            is_confirmed: false,
             is_waiting: false,
             not_recorded: None,
         }
     }
 
-    /// Lets go of the device, whose link is cut.
-    pub fn let_go(&mut self) {
+    /// Drops the client, whose link is cut, and ends its recording.
+    pub fn detach(&mut self) {
         if let Some(mut client) = self.client.take() {
-            // What was recorded until now is complete.
+            // The file is complete up to here.
             if let Err(why) = client.finish_recording() {
                 self.note_recording(why);
             }
         }
     }
 
-    /// Takes the device again over a new link.
-    pub fn take(&mut self, client: Client) {
-        (self.heard, self.spoke) = (client.clock(), client.clock());
+    /// Continues with the device over a new link.
+    pub fn attach(&mut self, client: Client) {
+        (self.last_sent, self.last_received) = (client.clock(), client.clock());
         self.client = Some(client);
         self.last = None;
     }
 
-    /// The client.
+    /// Returns the client.
     ///
     /// # Errors
     /// [`LinkError::Closed`] while the link is cut.
@@ -119,7 +121,7 @@ impl<'a> Device<'a> {
         Ok(self.client.as_mut().ok_or_else(closed)?)
     }
 
-    /// What the link has counted since it was made.
+    /// Returns the link's counters since it was made; zeros while it is cut.
     pub fn counters(&self) -> Counters {
         self.client
             .as_ref()
@@ -127,7 +129,7 @@ impl<'a> Device<'a> {
             .unwrap_or_default()
     }
 
-    /// Sends what does the same when it comes twice, until it is answered.
+    /// Sends an idempotent command until it is answered, three times at most.
     pub fn command<T>(
         &mut self,
         mut command: impl FnMut(&mut Client) -> Result<T, LinkError>,
@@ -138,7 +140,7 @@ impl<'a> Device<'a> {
             match command(client) {
                 Err(LinkError::NoAnswer { .. }) if tries < TRIES => tries += 1,
                 answer => {
-                    self.heard = client.clock();
+                    self.last_sent = client.clock();
                     return Ok(answer?);
                 }
             }
@@ -150,27 +152,31 @@ impl<'a> Device<'a> {
         self.command(|client| client.stream(1, WINDOWS_EVERY))
     }
 
-    /// Asks for a power in watt.
-    pub fn ask(&mut self, asked_w: u16) -> Result<(), TrainerError> {
-        // Even where no answer comes: the command may have.
+    /// Requests a power in watt.
+    pub fn request_power(&mut self, asked_w: u16) -> Result<(), TrainerError> {
+        // Set before the answer: the command may have arrived without one.
         self.asked_w = asked_w;
-        self.is_asked = false;
+        self.is_confirmed = false;
         self.command(|client| client.set_power(asked_w))
     }
 
-    /// Whether it is time to end.
+    /// Returns `true` if the run is to end.
     pub fn is_stopped(&self) -> bool {
         self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
     }
 
-    /// What a half-cycle of an operating point says beside its numbers. Where the device only waits, this
-    /// is reported once.
-    fn heed(&mut self, t: &Telemetry, point: OperatingPoint) -> Result<Heats, TrainerError> {
+    /// Checks the state in a half-cycle's telemetry: locked out, without pot and switched off are errors. A device that waits is reported
+    /// once.
+    fn check_telemetry(
+        &mut self,
+        t: &Telemetry,
+        point: OperatingPoint,
+    ) -> Result<HeatingState, TrainerError> {
         let seen_before = self.last.replace(t.clone());
         let Some(asked_w) = point.asked_w() else {
-            return Ok(Heats::Yes);
+            return Ok(HeatingState::Heats);
         };
-        self.is_asked |= t.asked_w == asked_w;
+        self.is_confirmed |= t.asked_w == asked_w;
         match t.state {
             State::LockedOut => Err(TrainerError::Fault {
                 fault: t.fault,
@@ -179,15 +185,15 @@ impl<'a> Device<'a> {
             State::WaitingForPot | State::Pausing => {
                 if !self.is_waiting {
                     self.is_waiting = true;
-                    self.report(Progress::Waiting {
+                    self.report(RunProgress::Waiting {
                         asked_w,
                         telemetry: t,
                     });
                 }
-                Ok(Heats::Later)
+                Ok(HeatingState::Waits)
             }
             // Half-cycles from before the power was asked for may still be on their way.
-            State::Idle if self.is_asked && t.asked_w == 0 => Err(match seen_before {
+            State::Idle if self.is_confirmed && t.asked_w == 0 => Err(match seen_before {
                 Some(Telemetry {
                     state: State::WaitingForPot,
                     pot,
@@ -197,47 +203,50 @@ impl<'a> Device<'a> {
             }),
             State::Idle | State::Probing | State::Heating => {
                 self.is_waiting = false;
-                Ok(Heats::Yes)
+                Ok(HeatingState::Heats)
             }
         }
     }
 
-    /// Reports to whoever watches.
-    pub fn report(&mut self, progress: Progress<'_>) {
+    /// Reports progress to the caller.
+    pub fn report(&mut self, progress: RunProgress<'_>) {
         (self.progress)(progress);
     }
 
-    /// The truth of a window's half-cycle.
+    /// Returns the truth of a window's half-cycle; `None` if it is not known.
     pub fn truth_of(&self, window: &Window) -> Option<Truth> {
         self.truth.as_ref()?(window.half_cycle)
     }
 
-    /// Asks for power and waits until it stays; returns the half-cycle since which it does. Time in which
-    /// the device waits does not count.
+    /// Requests a power and waits until it is steady; returns the half-cycle in which it was found steady. Time in which the device waits
+    /// for a pot does not count.
     pub fn settle(&mut self, asked_w: u16) -> Result<u32, TrainerError> {
-        self.ask(asked_w)?;
+        self.request_power(asked_w)?;
         let point = OperatingPoint::Heating { asked_w };
         let mut steady = 0;
         let mut f_sw_hz = 0;
-        let mut before = self.client()?.clock();
+        let mut last_telemetry = self.client()?.clock();
+        let mut half_cycle = None;
         let mut heated = Duration::ZERO;
         while heated < SETTLE_WITHIN {
             let Some(telemetry) = self.next_telemetry(point)? else {
-                // Nothing else that a device sends stands for it.
-                if self.client()?.clock().saturating_sub(before) >= PATIENCE {
+                // Other events do not replace telemetry.
+                if self.client()?.clock().saturating_sub(last_telemetry) >= PATIENCE {
                     return Err(self.silent("telemetry"));
                 }
                 continue;
             };
-            let now = self.client()?.clock();
-            let passed = now.saturating_sub(before);
-            before = now;
-            if self.heed(&telemetry, point)? == Heats::Later {
+            last_telemetry = self.client()?.clock();
+            let last = half_cycle.replace(telemetry.half_cycle);
+            let passed = telemetry
+                .half_cycle
+                .saturating_sub(last.unwrap_or(telemetry.half_cycle));
+            if self.check_telemetry(&telemetry, point)? == HeatingState::Waits {
                 steady = 0;
                 continue;
             }
-            heated += passed;
-            self.report(Progress::Settling {
+            heated += HALF_CYCLE * passed;
+            self.report(RunProgress::Settling {
                 asked_w,
                 telemetry: &telemetry,
             });
@@ -251,8 +260,7 @@ impl<'a> Device<'a> {
             let power_w = f64::from(telemetry.power_mw) * 1e-3;
             let close = (power_w / f64::from(asked_w) - 1.0).abs() < 0.05;
             let at_limit = f_sw_hz <= pwm::LOWEST_HZ || f_sw_hz >= pwm::HIGHEST_HZ;
-            // What the load cannot take ends at a limit of frequency, or at the resonance margin,
-            // where the frequency stays and the power with it.
+            // A power that the load cannot take ends at a limit of frequency or at the resonance margin: steady, but not close.
             if steady >= SETTLED_AFTER && (close || at_limit || steady >= 10 * SETTLED_AFTER) {
                 return Ok(telemetry.half_cycle);
             }
@@ -268,13 +276,13 @@ impl<'a> Device<'a> {
         })
     }
 
-    /// The next telemetry, `None` for another event or none yet; silence is an error.
+    /// Returns the next telemetry, `None` for another event or none yet. Silence is an error.
     fn next_telemetry(&mut self, point: OperatingPoint) -> Result<Option<Telemetry>, TrainerError> {
         match self.next_event("telemetry")? {
             Some(Event::Telemetry(t)) => Ok(Some(t)),
             Some(Event::Fault(f)) => self.note_fault(f.fault, point).map(|()| None),
             Some(Event::WindowRejected { seq, reason }) => {
-                self.report(Progress::Rejected {
+                self.report(RunProgress::Rejected {
                     seq,
                     why: &reason.to_string(),
                 });
@@ -284,8 +292,8 @@ impl<'a> Device<'a> {
         }
     }
 
-    /// Heating begins again by itself after most faults, and the half-cycles' state says when not; a
-    /// replay ends with any.
+    /// Handles a fault. While heating it is ignored: the device starts again by itself after most faults, and telemetry shows a lock-out.
+    /// A replay ends with any fault.
     fn note_fault(&self, fault: Fault, point: OperatingPoint) -> Result<(), TrainerError> {
         if fault != Fault::NONE && point.asked_w().is_none() {
             return Err(TrainerError::Fault { fault, point });
@@ -293,24 +301,26 @@ impl<'a> Device<'a> {
         Ok(())
     }
 
-    /// The next whole window that began after a half-cycle. Time in which the device waits does not count.
+    /// Waits for the next complete window that began after a half-cycle. Time in which the device waits for a pot does not count.
     pub fn window_after(
         &mut self,
         half_cycle: u32,
         point: OperatingPoint,
     ) -> Result<Box<Window>, TrainerError> {
-        self.report(Progress::AwaitingWindow { point });
+        self.report(RunProgress::AwaitingWindow { point });
         let mut since = self.client()?.clock();
         loop {
             match self.next_event("a window")? {
                 Some(Event::Window(window)) if window.half_cycle > half_cycle => return Ok(window),
                 Some(Event::WindowRejected { seq, reason }) => {
-                    self.report(Progress::Rejected {
+                    self.report(RunProgress::Rejected {
                         seq,
                         why: &reason.to_string(),
                     });
                 }
-                Some(Event::Telemetry(t)) if self.heed(&t, point)? == Heats::Later => {
+                Some(Event::Telemetry(t))
+                    if self.check_telemetry(&t, point)? == HeatingState::Waits =>
+                {
                     since = self.client()?.clock();
                 }
                 Some(Event::Fault(f)) => self.note_fault(f.fault, point)?,
@@ -322,9 +332,12 @@ impl<'a> Device<'a> {
         }
     }
 
-    /// The window that the device records while a half-cycle is replayed to it: twice, because the
-    /// zero crossing that begins the second run ends the first.
-    pub fn replayed_window(&mut self, recorded: &Recorded) -> Result<Box<Window>, TrainerError> {
+    /// Replays a half-cycle to the device and returns the window that it records. The half-cycle is sent twice: the zero crossing that
+    /// begins the second run ends the first.
+    pub fn replayed_window(
+        &mut self,
+        recorded: &RecordedHalfCycle,
+    ) -> Result<Box<Window>, TrainerError> {
         let f_sw_hz = recorded.f_sw_hz;
         let (r, l) = prior().interpolate(f_sw_hz, 0);
         let client = self.client()?;
@@ -347,16 +360,15 @@ impl<'a> Device<'a> {
         Ok(window)
     }
 
-    /// The next event, `None` where none has come yet. Keeps the device listening, and looks whether it is
-    /// time to end.
+    /// Returns the next event, `None` if none has come yet. Sends a command from time to time, without which the device would switch off.
     ///
     /// # Errors
-    /// [`TrainerError::Interrupted`]; [`TrainerError::Silent`] where nothing has come for long.
+    /// [`TrainerError::Interrupted`] if the run is to end; [`TrainerError::Silent`] if nothing has come for 10 s.
     pub fn next_event(&mut self, what: &'static str) -> Result<Option<Event>, TrainerError> {
         if self.is_stopped() {
             return Err(TrainerError::Interrupted);
         }
-        let event = match self.client()?.next_event(LOOK_EVERY) {
+        let event = match self.client()?.next_event(STOP_CHECK_PERIOD) {
             Err(why @ LinkError::Recording(_)) => {
                 self.note_recording(why);
                 None
@@ -364,20 +376,20 @@ impl<'a> Device<'a> {
             event => event?,
         };
         let now = self.client()?.clock();
-        if now.saturating_sub(self.heard) >= HEARD_EVERY {
+        if now.saturating_sub(self.last_sent) >= KEEPALIVE_PERIOD {
             self.command(|client| client.status())?;
         }
         if event.is_some() {
-            self.spoke = now;
-        } else if now.saturating_sub(self.spoke) >= PATIENCE {
+            self.last_received = now;
+        } else if now.saturating_sub(self.last_received) >= PATIENCE {
             return Err(self.silent(what));
         }
         Ok(event)
     }
 
-    /// The recording fails once; the hob does not wait for it.
+    /// Keeps the recording's first failure; the run goes on without a recording.
     fn note_recording(&mut self, why: LinkError) {
-        self.report(Progress::Note {
+        self.report(RunProgress::Note {
             text: &why.to_string(),
         });
         self.not_recorded.get_or_insert(why);
@@ -403,13 +415,13 @@ impl<'a> Device<'a> {
         self.push(lookup)?;
         for _ in 0..20 {
             if self.command(|client| client.status())?.lookup_version == lookup.version {
-                self.report(Progress::LookupActive {
+                self.report(RunProgress::LookupActive {
                     version: lookup.version,
                     observed_cells: lookup.observed_cells(),
                 });
                 return Ok(());
             }
-            // It waits for the half-cycle boundary: let one pass.
+            // A lookup becomes active at a half-cycle boundary.
             match self.client()?.next_event(Duration::from_millis(20)) {
                 Err(why @ LinkError::Recording(_)) => self.note_recording(why),
                 event => drop(event?),
@@ -421,7 +433,7 @@ impl<'a> Device<'a> {
         )))
     }
 
-    /// Sent again where no answer came, a lookup that did arrive is not newer any more.
+    /// Pushes a lookup. In a repetition after a lost answer, `LookupStale` means that the first one arrived.
     fn push(&mut self, lookup: &RlLookup) -> Result<(), TrainerError> {
         let mut sent = 0;
         self.command(|client| {
@@ -436,13 +448,13 @@ impl<'a> Device<'a> {
         })
     }
 
-    /// Leaves the hob off, and the recording complete.
+    /// Switches the hob off and stops the streams.
     pub fn finish(&mut self) -> Result<(), TrainerError> {
-        self.ask(0)?;
+        self.request_power(0)?;
         self.command(|client| client.stream(0, 0))
     }
 
-    /// Ends the recording; its first failure.
+    /// Ends the recording; returns its first failure.
     pub fn finish_recording(&mut self) -> Option<LinkError> {
         let ended = self
             .client
@@ -455,7 +467,7 @@ impl<'a> Device<'a> {
 impl Drop for Device<'_> {
     fn drop(&mut self) {
         if self.asked_w > 0 {
-            // Nobody is left to tell; the device switches off by itself when it hears nothing.
+            // No caller is left for an error; the device switches off by itself 10 s after the last command.
             let _ = self.finish();
         }
     }

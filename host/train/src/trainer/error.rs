@@ -1,13 +1,13 @@
-//! What ends a training run.
+//! Errors that end a training run.
 
 use ihd_capture::mcap::McapFileError;
 use ihd_link::LinkError;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::Pot;
 
-use super::{OperatingPoint, Report};
+use super::{OperatingPoint, RunReport};
 
-/// Why a training run ended early. The device keeps the last lookup that it accepted.
+/// Reason for which a training run ended early. The device keeps the last lookup that it accepted.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainerError {
     /// The link failed, or the device refused a command.
@@ -18,7 +18,7 @@ pub enum TrainerError {
     Fault {
         /// The fault.
         fault: Fault,
-        /// Where it happened.
+        /// Operating point.
         point: OperatingPoint,
     },
     /// The device waited for a pot, and gave up.
@@ -27,15 +27,15 @@ pub enum TrainerError {
          ferromagnetic one on and start again"
     )]
     NoPot {
-        /// What it saw last.
+        /// Last pot state.
         pot: Pot,
-        /// Where it happened.
+        /// Operating point.
         point: OperatingPoint,
     },
-    /// Somebody else switched the device off.
+    /// The device was switched off at its panel or by another host.
     #[error("the device was switched off at {point}, at its panel or by another host")]
     SwitchedOff {
-        /// Where it happened.
+        /// Operating point.
         point: OperatingPoint,
     },
     /// The power did not settle.
@@ -50,34 +50,34 @@ pub enum TrainerError {
         last_w: f64,
         /// Last switching frequency, in hertz.
         f_sw_hz: u32,
-        /// How long it heated, in seconds.
+        /// Time that it heated, in seconds.
         seconds: u64,
     },
-    /// Nothing came any more.
+    /// The device or its windows stopped coming.
     #[error("{what} did not come within {seconds} s of device time; windows: {windows}")]
     Silent {
-        /// What was waited for.
+        /// Expected message.
         what: &'static str,
-        /// How long, in seconds.
+        /// Time waited, in seconds.
         seconds: u64,
-        /// What the window counters say.
+        /// Window counters, as text.
         windows: String,
     },
     /// Several windows in a row were not fit for the lookup.
     #[error("no window at {point} was fit for the lookup; the last one: {why}")]
     NoFit {
-        /// Where.
+        /// Operating point.
         point: OperatingPoint,
-        /// What the gate said.
+        /// The gate's reason for the last one.
         why: String,
     },
-    /// The lookup that the windows give is not one that a device would accept.
+    /// A device would not accept the lookup that follows from the windows.
     #[error("the identified lookup is not pushed: {0}")]
     Lookup(String),
     /// ^C, or a signal to end.
     #[error("interrupted")]
     Interrupted,
-    /// The recording of the session could not be begun.
+    /// The recording of the session could not be started.
     #[error(transparent)]
     Store(#[from] McapFileError),
     /// A file of the store could not be written.
@@ -85,27 +85,27 @@ pub enum TrainerError {
     Write {
         /// The file.
         path: String,
-        /// What the operating system says.
+        /// The operating system's error.
         source: std::io::Error,
     },
 }
 
-/// A run that ended early, with all that it had found.
+/// Failure of a run, with the report up to then.
 #[derive(thiserror::Error)]
 #[error("{error}{}", .left_on.as_ref().map_or(String::new(), |why| format!(
     "; the hob could not be switched off ({why}): it switches itself off 10 s after it has last heard from us"
 )))]
-pub struct Failed {
-    /// What was found until then.
-    pub report: Report,
-    /// Why it ended.
+pub struct RunFailure {
+    /// Report up to the failure.
+    pub report: RunReport,
+    /// Reason of the failure.
     #[source]
     pub error: TrainerError,
-    /// Why the hob was not switched off; none where it was.
+    /// Reason for which the hob was not switched off; `None` if it was.
     pub left_on: Option<String>,
 }
 
-impl std::fmt::Debug for Failed {
+impl std::fmt::Debug for RunFailure {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{self} ({} points)", self.report.points.len())
     }

@@ -1,5 +1,5 @@
-//! Following a load: every window is learned from until somebody ends it. What keeps the hob from heating is
-//! told and ends nothing; a link that is cut is made again.
+//! Continuous learning from a heating hob until the run is stopped. A state in which the hob does not heat is reported and does not end
+//! the run; a cut link is made again.
 
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -9,16 +9,16 @@ use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Outcome, State, Telemetry};
 
 use super::run::Run;
-use super::{OperatingPoint, Progress, TrainerError};
+use super::{OperatingPoint, RunProgress, TrainerError};
 
-/// How long a cut link is tried again.
+/// Longest time for reconnecting a cut link.
 const RECONNECT_WITHIN: Duration = Duration::from_secs(60);
 
-/// Between two tries.
+/// Pause between two attempts to reconnect.
 const RECONNECT_EVERY: Duration = Duration::from_secs(1);
 
 impl Run<'_, '_> {
-    /// Learns from every window until told to stop.
+    /// Learns from every window until the run is stopped.
     pub(super) fn follow(&mut self, asked_w: u16) -> Result<(), TrainerError> {
         let last = self.report.last.as_ref();
         let mut since = last.map_or(0, |(window, _, _)| window.half_cycle);
@@ -51,32 +51,32 @@ impl Run<'_, '_> {
     ) -> Result<Option<Box<Window>>, TrainerError> {
         match self.device.next_event("telemetry")? {
             Some(Event::Window(window)) if window.half_cycle > since => return Ok(Some(window)),
-            Some(Event::Telemetry(t)) => self.tell(t, asked_w),
+            Some(Event::Telemetry(t)) => self.report_state_change(t, asked_w),
             Some(Event::WindowRejected { seq, reason }) => {
                 let why = &reason.to_string();
-                self.device.report(Progress::Rejected { seq, why });
+                self.device.report(RunProgress::Rejected { seq, why });
             }
-            // The half-cycles' state says what a fault means.
+            // Telemetry shows the effect of a fault.
             Some(Event::Window(_) | Event::Fault(_) | Event::Log { .. }) | None => {}
         }
         Ok(None)
     }
 
-    /// A refused window or lookup is told where it happens, and ends nothing.
+    /// Learns from a window; a refused window or lookup is reported and does not end the run.
     fn learn_followed(&mut self, window: Box<Window>, asked_w: u16) -> Result<(), TrainerError> {
         let at = OperatingPoint::Heating { asked_w };
         match self.learn(window, at, None, false) {
             Ok(_) => Ok(()),
             Err(TrainerError::Lookup(text)) => {
-                self.device.report(Progress::Note { text: &text });
+                self.device.report(RunProgress::Note { text: &text });
                 Ok(())
             }
             Err(why) => Err(why),
         }
     }
 
-    /// What has changed since the half-cycle before, in a line.
-    fn tell(&mut self, t: Telemetry, asked_w: u16) {
+    /// Reports a change of state or fault since the half-cycle before, in a line.
+    fn report_state_change(&mut self, t: Telemetry, asked_w: u16) {
         let before = self.device.last.replace(t.clone());
         let same = |b: &Telemetry| b.state == t.state && b.fault == t.fault;
         if before.as_ref().is_some_and(same) {
@@ -85,7 +85,7 @@ impl Run<'_, '_> {
         let text = match t.state {
             State::WaitingForPot | State::Pausing => {
                 let telemetry = &t;
-                return self.device.report(Progress::Waiting { asked_w, telemetry });
+                return self.device.report(RunProgress::Waiting { asked_w, telemetry });
             }
             State::LockedOut => format!("{}: off until a person switches it off and on", t.fault),
             State::Idle if t.fault != Fault::NONE => format!("off: {}", t.fault),
@@ -97,22 +97,22 @@ impl Run<'_, '_> {
             }
             State::Heating | State::Probing => return,
         };
-        self.device.report(Progress::Note { text: &text });
+        self.device.report(RunProgress::Note { text: &text });
     }
 
-    /// Makes the link again, for a minute at most.
+    /// Reconnects; gives up after [`RECONNECT_WITHIN`].
     fn reconnect(&mut self, why: &TrainerError, asked_w: u16) -> Result<Boot, TrainerError> {
-        let before = Before {
+        let before = BootMark {
             boot_id: self.boot_id,
             half_cycle: self.device.last.as_ref().map_or(0, |t| t.half_cycle),
         };
         let until = Instant::now() + RECONNECT_WITHIN;
         let seconds = RECONNECT_WITHIN.as_secs();
-        self.device.report(Progress::Note {
+        self.device.report(RunProgress::Note {
             text: &format!("{why}; trying again for {seconds} s"),
         });
         loop {
-            self.device.let_go();
+            self.device.detach();
             self.open_again(until)?;
             match self.resume(&before, asked_w) {
                 Err(why) if is_cut(&why) && Instant::now() < until => {}
@@ -121,20 +121,20 @@ impl Run<'_, '_> {
         }
     }
 
-    fn resume(&mut self, before: &Before, asked_w: u16) -> Result<Boot, TrainerError> {
+    fn resume(&mut self, before: &BootMark, asked_w: u16) -> Result<Boot, TrainerError> {
         let status = self.device.command(|client| client.status())?;
-        self.learning.device_has(status.lookup_version);
+        self.learning.set_device_version(status.lookup_version);
         self.device.stream()?;
         let mut boot = Boot::Same;
         let is_younger = status.half_cycles < before.half_cycle;
         let text = if self.boot_id != before.boot_id || is_younger {
             boot = Boot::Another;
-            // A person has had a hand in it, or it has reset itself for a reason.
+            // A person has restarted it, or it has reset itself for a reason.
             "connected again; it has started anew and is not switched on again".into()
         } else if status.state == State::LockedOut || status.asked_w == asked_w {
             "connected again".into()
         } else {
-            match self.device.ask(asked_w) {
+            match self.device.request_power(asked_w) {
                 Ok(()) => format!("connected again, {asked_w} W asked for again"),
                 Err(TrainerError::Link(why @ LinkError::Refused { .. })) => {
                     format!("connected again; {why}")
@@ -142,7 +142,7 @@ impl Run<'_, '_> {
                 Err(why) => return Err(why),
             }
         };
-        self.device.report(Progress::Note { text: &text });
+        self.device.report(RunProgress::Note { text: &text });
         Ok(boot)
     }
 
@@ -170,20 +170,20 @@ impl Run<'_, '_> {
     }
 }
 
-/// What tells a boot from the one before: a simulated hob has the same number in each.
-struct Before {
+/// Mark of a boot. The half-cycle is needed too: a simulated hob has the same boot number every time.
+struct BootMark {
     boot_id: u32,
     half_cycle: u32,
 }
 
-/// Whether the device has started anew meanwhile.
+/// Boot of a device after a reconnection: the same, or another one.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Boot {
     Same,
     Another,
 }
 
-/// Whether another link may help.
+/// Returns `true` if a new link may help.
 fn is_cut(why: &TrainerError) -> bool {
     match why {
         TrainerError::Silent { .. } => true,

@@ -10,9 +10,9 @@ mod source;
 mod store;
 
 pub use self::device::{SETTLE_WITHIN, SETTLED_AFTER, TruthSource, WINDOWS_EVERY};
-pub use self::error::{Failed, TrainerError};
-pub use self::point::Point;
-pub use self::progress::Progress;
-pub use self::run::{Report, Settings, run};
-pub use self::source::{OperatingPoint, Recorded, Source};
+pub use self::error::{RunFailure, TrainerError};
+pub use self::point::PointReport;
+pub use self::progress::RunProgress;
+pub use self::run::{RunOptions, RunReport, run};
+pub use self::source::{OperatingPoint, RecordedHalfCycle, Source};
 pub use ihd_pinn::Config as NetworkConfig;

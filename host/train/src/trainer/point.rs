@@ -1,4 +1,4 @@
-//! One operating point: what the estimators say, beside the truth where it is known.
+//! Report of one operating point: the estimators' results, and the truth if it is known.
 
 use ihd_link::Window;
 use ihd_pinn::Identified;
@@ -8,23 +8,23 @@ use serde::Serialize;
 
 /// Mean relative errors in percent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Errors {
-    /// Of R over the whole half-cycle.
+pub struct RelativeErrors {
+    /// Error of R over the whole half-cycle.
     pub r_whole_pct: f64,
-    /// Of L over the whole half-cycle.
+    /// Error of L over the whole half-cycle.
     pub l_whole_pct: f64,
-    /// Of R over the middle 80 %.
+    /// Error of R over the middle 80 % of the half-cycle.
     pub r_middle_pct: f64,
-    /// Of L over the middle 80 %.
+    /// Error of L over the middle 80 % of the half-cycle.
     pub l_middle_pct: f64,
 }
 
-/// One operating point.
+/// Results at one operating point.
 #[derive(Clone, Debug, Serialize)]
-pub struct Point {
-    /// Power asked for, in watt; none in a replay.
+pub struct PointReport {
+    /// Requested power in watt; `None` in a replay.
     pub asked_w: Option<u16>,
-    /// Power of the half-cycle before the window arrived, in watt; none in a replay.
+    /// Power in watt of the last half-cycle before the window arrived; `None` in a replay.
     pub delivered_w: Option<f64>,
     /// Switching frequency in hertz.
     pub f_sw_hz: u32,
@@ -38,12 +38,12 @@ pub struct Point {
     pub ekf: Option<Load>,
     /// The simulation's R and L at the crest.
     pub truth: Option<Load>,
-    /// The network against the truth.
-    pub pinn_errors: Option<Errors>,
-    /// What all windows of this pot say, the map at this window's currents, against the truth.
-    pub learned_errors: Option<Errors>,
-    /// The firmware filter against the truth.
-    pub ekf_errors: Option<Errors>,
+    /// Errors of the network against the truth.
+    pub pinn_errors: Option<RelativeErrors>,
+    /// Errors of the map, which holds all windows of this pot, at this window's currents.
+    pub learned_errors: Option<RelativeErrors>,
+    /// Errors of the firmware filter against the truth.
+    pub ekf_errors: Option<RelativeErrors>,
     /// Time the network took, in seconds.
     pub training_s: f64,
     /// Optimiser steps.
@@ -52,7 +52,7 @@ pub struct Point {
     pub lookup_version: u32,
 }
 
-/// The crest of the current: its time and amplitude in seconds and ampere.
+/// Returns time and amplitude of the current's crest, in seconds and ampere.
 pub fn crest(identified: &Identified) -> (f64, f64) {
     identified
         .t_s
@@ -62,21 +62,21 @@ pub fn crest(identified: &Identified) -> (f64, f64) {
         .fold((0.0, 0.0), |best, p| if p.1 > best.1 { p } else { best })
 }
 
-/// The firmware filter's track: (time, R, L) in seconds, ohm, henry.
+/// Returns the firmware filter's (time, R, L) in seconds, ohm, henry.
 pub fn track(window: &Window) -> impl Iterator<Item = (f64, f64, f64)> {
     let entries = window.trajectory.iter().enumerate();
     entries.map(|(k, e)| (window.trajectory_time_s(k), e.r.ohm(), e.l.henry()))
 }
 
-/// Errors of estimates over a half-cycle of the given duration in seconds.
+/// Computes the errors of estimates over a half-cycle of the given duration in seconds.
 pub fn errors(
     truth: &Truth,
     estimates: impl Iterator<Item = (f64, f64, f64)> + Clone,
     half_cycle_s: f64,
-) -> Option<Errors> {
+) -> Option<RelativeErrors> {
     let whole = Mre::of(truth, estimates.clone(), 0.0, half_cycle_s)?;
     let middle = Mre::of(truth, estimates, 0.1 * half_cycle_s, 0.9 * half_cycle_s)?;
-    Some(Errors {
+    Some(RelativeErrors {
         r_whole_pct: whole.r_pct,
         l_whole_pct: whole.l_pct,
         r_middle_pct: middle.r_pct,
@@ -84,14 +84,13 @@ pub fn errors(
     })
 }
 
-/// Compares a window's estimates with each other and with the truth; `power` is the asked and the
-/// delivered one, in watt.
+/// Compares a window's estimates with each other and with the truth; `power` is the requested and the delivered one, in watt.
 pub fn compare(
     window: &Window,
     identified: &Identified,
     truth: Option<&Truth>,
     power: Option<(u16, f64)>,
-) -> Point {
+) -> PointReport {
     let half_cycle_s = f64::from(window.half_cycle_ns) * 1e-9;
     let (crest_s, i_crest_a) = crest(identified);
     let nearest =
@@ -103,7 +102,7 @@ pub fn compare(
         .zip(&identified.l_h);
     let network = network.map(|((&t, &r), &l)| (t, r, l));
     let track: Vec<_> = track(window).collect();
-    Point {
+    PointReport {
         asked_w: power.map(|p| p.0),
         delivered_w: power.map(|p| p.1),
         f_sw_hz: window.f_sw_hz,

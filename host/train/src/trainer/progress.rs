@@ -1,44 +1,44 @@
-//! What the trainer is doing, for whoever watches.
+//! Progress of a training run.
 
 use ihd_shared::wire::messages::Telemetry;
 
 use super::OperatingPoint;
 
-/// What the trainer is doing, for whoever watches.
+/// Progress of a training run, as passed to the caller.
 #[derive(Clone, Copy, Debug)]
-pub enum Progress<'a> {
+pub enum RunProgress<'a> {
     /// A half-cycle of an operating point that is not settled yet.
     Settling {
-        /// Power asked for, in watt.
+        /// Requested power in watt.
         asked_w: u16,
-        /// The half-cycle.
+        /// Telemetry of the half-cycle.
         telemetry: &'a Telemetry,
     },
-    /// The device does not heat now and will by itself: it waits for a pot, or pauses after a trip or for
-    /// the mains. Reported once each time.
+    /// The device does not heat and will again by itself: it waits for a pot, or pauses after a trip or for the mains. Reported once each
+    /// time.
     Waiting {
-        /// Power asked for, in watt.
+        /// Requested power in watt.
         asked_w: u16,
-        /// The half-cycle in which it began.
+        /// Telemetry of the half-cycle in which it began.
         telemetry: &'a Telemetry,
     },
     /// Settled; a window is on its way.
     AwaitingWindow {
-        /// Where.
+        /// Operating point.
         point: OperatingPoint,
     },
     /// The network trains.
     Training {
-        /// Window.
+        /// Number of the window.
         seq: u32,
         /// The optimiser's state.
         step: &'a ihd_pinn::Progress,
     },
     /// A window was not used.
     Rejected {
-        /// Window.
+        /// Number of the window.
         seq: u32,
-        /// Why.
+        /// Reason.
         why: &'a str,
     },
     /// A lookup is active on the device.
@@ -48,9 +48,9 @@ pub enum Progress<'a> {
         /// Cells that rest on observations.
         observed_cells: u32,
     },
-    /// Something that a person wants to know and that ends nothing.
+    /// Message for the user that does not end the run.
     Note {
-        /// What.
+        /// Text of the message.
         text: &'a str,
     },
 }

@@ -1,4 +1,4 @@
-//! A whole training run: one operating point after the other, and the report.
+//! Training run: one operating point after the other, and the report.
 
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use ihd_capture::mcap::SessionRecorder;
 use ihd_link::{Client, Counters, DeviceSpec, LinkError, Window};
-use ihd_map::Seen;
+use ihd_map::CurveMatch;
 use ihd_pinn::{Config, Identified};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Status, Utilisation};
@@ -14,48 +14,47 @@ use ihd_signal::truth::{MapTruth, Truth};
 use ihd_signal::{Remark, Severity};
 
 use super::device::{Device, TruthSource};
-use super::error::Failed;
-use super::point::{self, Point};
-use super::{OperatingPoint, Progress, Source, TrainerError, store};
+use super::error::RunFailure;
+use super::point::{self, PointReport};
+use super::{OperatingPoint, RunProgress, Source, TrainerError, store};
 use crate::learning::SELF_CALIBRATED;
-use crate::learning::{Fit, Learning, Outcome, Taught};
-use crate::lookup::{Built, MapError, judged};
+use crate::learning::{AcceptedWindow, Learning, LookupUpdate, WindowOutcome};
+use crate::lookup::{BuiltLookup, LookupAccuracy, judge_cells};
 
-/// Windows tried at one operating point before it is given up.
+/// Windows that are tried at one operating point before the run fails.
 const TRIES: usize = 3;
 
-/// What a run does.
-pub struct Settings<'a> {
+/// Options of a run.
+pub struct RunOptions<'a> {
     /// Operating points.
     pub source: Source,
     /// The network's settings.
     pub pinn: Config,
-    /// An existing folder for the recording, the lookups and the figure; `None` keeps nothing.
+    /// Existing folder for the recording, the lookups and the figure; `None` writes nothing.
     pub store: Option<PathBuf>,
-    /// Go on heating after the last power until `stop` becomes true.
+    /// Set to go on heating and learning after the last power until `stop` becomes true.
     pub follow: bool,
-    /// Ends the run when it becomes true; it is looked at every 100 ms, and the hob is switched off first.
+    /// Flag that ends the run when it becomes true. It is checked every 100 ms; the hob is switched off first.
     pub stop: Option<&'a AtomicBool>,
-    /// Makes the link again where it is cut while following; `None` ends the run then.
+    /// Function that makes a cut link again after the last power; `None` ends the run instead.
     pub reopen: Option<&'a dyn Fn() -> Result<Client, LinkError>>,
-    /// The truth of the lookup for the load at the end, from whoever knows it; it is asked once. `None` as on a
-    /// real hob.
+    /// Truth of the lookup for the load at the end, called once; `None` on a real hob.
     pub map_truth: Option<&'a dyn Fn() -> Option<MapTruth>>,
 }
 
-/// What a run found.
-pub struct Report {
-    /// The device, in words.
+/// Report of a run.
+pub struct RunReport {
+    /// Description of the device.
     pub device: String,
     /// One entry per operating point.
-    pub points: Vec<Point>,
-    /// The last lookup.
-    pub built: Option<Built>,
-    /// The device at the end; none where it could not be asked any more.
+    pub points: Vec<PointReport>,
+    /// Last lookup; `None` if none was pushed.
+    pub built: Option<BuiltLookup>,
+    /// Status of the device at the end; `None` if it did not answer.
     pub status: Option<Status>,
-    /// How busy it was; `None` before protocol 1.3.
+    /// Processor load of the device; `None` before protocol 1.3.
     pub utilisation: Option<Utilisation>,
-    /// What the link counted since it was made last.
+    /// Counters of the last link.
     pub counters: Counters,
     /// Windows that the gate refused.
     pub refused: u32,
@@ -65,42 +64,41 @@ pub struct Report {
     pub total_s: f64,
     /// The last window and its identification, for the figure.
     pub last: Option<(Box<Window>, Identified, Option<Truth>)>,
-    /// The last lookup against the truth, where somebody knows it.
-    pub map_error: Option<MapError>,
+    /// Accuracy of the last lookup; `None` if the truth is not known.
+    pub map_error: Option<LookupAccuracy>,
 }
 
 pub(super) struct Run<'s, 'p> {
     pub(super) device: Device<'p>,
-    pub(super) settings: &'s Settings<'s>,
+    pub(super) settings: &'s RunOptions<'s>,
     pub(super) learning: Learning,
-    pub(super) report: Report,
-    /// Of the device that was connected last.
+    pub(super) report: RunReport,
+    /// Boot of the device at the last connection.
     pub(super) boot_id: u32,
-    /// Recordings that were begun.
+    /// Recordings that were started.
     recordings: u32,
-    /// The first file that could not be written; it ends nothing before the end.
-    not_kept: Option<TrainerError>,
+    /// First failure to write a file; reported at the end of the run.
+    write_error: Option<TrainerError>,
     started: Instant,
 }
 
-/// Runs the trainer on a connected device; switches the hob off at the end, whatever happened, a panic
-/// included.
+/// Runs the trainer on a connected device. The hob is switched off at the end in every case, a panic included.
 ///
 /// # Errors
-/// [`Failed`] with what was found until then; the device keeps the last lookup that it accepted.
+/// [`RunFailure`] with the report up to then; the device keeps the last lookup that it accepted.
 pub fn run<'a>(
     client: Client,
     truth: TruthSource,
-    settings: &'a Settings<'a>,
-    progress: &'a mut dyn FnMut(Progress<'_>),
-) -> Result<Report, Box<Failed>> {
+    settings: &'a RunOptions<'a>,
+    progress: &'a mut dyn FnMut(RunProgress<'_>),
+) -> Result<RunReport, Box<RunFailure>> {
     let name = format!("{} ({})", client.describe(), client.hello().build);
     let mut run = Run {
         boot_id: client.hello().boot_id,
         device: Device::start(client, truth, settings.stop, progress),
         settings,
         learning: Learning::new(settings.pinn.clone()),
-        report: Report {
+        report: RunReport {
             device: name,
             points: Vec::new(),
             built: None,
@@ -114,7 +112,7 @@ pub fn run<'a>(
             map_error: None,
         },
         recordings: 0,
-        not_kept: None,
+        write_error: None,
         started: Instant::now(),
     };
     let outcome = run.prepare().and_then(|()| run.all_points());
@@ -128,24 +126,24 @@ impl Run<'_, '_> {
         if status.fault != Fault::NONE {
             self.device.command(|client| client.clear_fault())?;
         }
-        let version = self.make_room(status.lookup_version)?;
-        self.learning.device_has(version);
+        let version = self.reset_highest_version(status.lookup_version)?;
+        self.learning.set_device_version(version);
         self.device.stream()
     }
 
-    /// After the highest version that there is no device takes another lookup, except after a reset.
-    fn make_room(&mut self, version: u32) -> Result<u32, TrainerError> {
+    /// Resets a lookup that has the highest version, after which the device would accept no other.
+    fn reset_highest_version(&mut self, version: u32) -> Result<u32, TrainerError> {
         if version < u32::MAX {
             return Ok(version);
         }
-        self.device.report(Progress::Note {
+        self.device.report(RunProgress::Note {
             text: "the device's lookup has the highest version that there is: it is reset",
         });
         self.device.command(|client| client.reset_lookup())?;
         Ok(0)
     }
 
-    /// Everything from now on goes into a file of its own.
+    /// Starts a recording of the session in a file of its own.
     fn record(&mut self) -> Result<(), TrainerError> {
         let Some(store) = &self.settings.store else {
             return Ok(());
@@ -158,57 +156,57 @@ impl Run<'_, '_> {
         let client = self.device.client()?;
         let mut recorder = SessionRecorder::create(&path, client.hello(), client.front_end())?;
         if client.describe() != DeviceSpec::Sim.to_string() {
-            recorder = recorder.flushed_by_the_wall_clock();
+            recorder = recorder.with_wall_clock_flush();
         }
         client.record_to(recorder);
         Ok(())
     }
 
-    /// A new link to the device.
+    /// Continues with a new link to the device.
     pub(super) fn connected(&mut self, client: Client) {
         self.boot_id = client.hello().boot_id;
-        self.device.take(client);
+        self.device.attach(client);
         if let Err(why) = self.record() {
-            self.not_kept(why);
+            self.note_write_error(why);
         }
     }
 
     /// Notes that a file could not be written.
-    fn not_kept(&mut self, why: TrainerError) {
-        self.device.report(Progress::Note {
+    fn note_write_error(&mut self, why: TrainerError) {
+        self.device.report(RunProgress::Note {
             text: &why.to_string(),
         });
-        self.not_kept.get_or_insert(why);
+        self.write_error.get_or_insert(why);
     }
 
-    /// Switches off; the report, or why there is no whole one.
-    fn end(mut self, outcome: Result<(), TrainerError>) -> Result<Report, Box<Failed>> {
+    /// Switches the hob off and completes the report.
+    fn end(mut self, outcome: Result<(), TrainerError>) -> Result<RunReport, Box<RunFailure>> {
         if outcome.is_ok() {
-            self.look_back();
+            self.read_final_status();
         }
-        // After a failure before everything else.
+        // After a failure, switching off comes first.
         let off = match self.device.finish() {
-            // It says no because it is off already.
+            // Refused because it is off already.
             Err(TrainerError::Link(LinkError::Refused { .. })) => Ok(()),
             off => off,
         };
         let left_on = off.as_ref().err().map(ToString::to_string);
         if outcome.is_err() && left_on.is_none() {
-            self.look_back();
+            self.read_final_status();
         }
         if let Some(why) = self.device.finish_recording() {
-            self.not_kept.get_or_insert(why.into());
+            self.write_error.get_or_insert(why.into());
         }
         self.report.counters = self.device.counters();
         self.report.total_s = self.started.elapsed().as_secs_f64();
-        // Who asked to stop waits for no field model.
+        // The field model takes long; skipped after ^C.
         if outcome.is_ok() || !self.device.is_stopped() {
             self.judge_map();
         }
-        let not_kept = self.not_kept.take().map_or(Ok(()), Err);
-        match outcome.and(off).and(not_kept) {
+        let write_error = self.write_error.take().map_or(Ok(()), Err);
+        match outcome.and(off).and(write_error) {
             Ok(()) => Ok(self.report),
-            Err(error) => Err(Box::new(Failed {
+            Err(error) => Err(Box::new(RunFailure {
                 report: self.report,
                 error,
                 left_on,
@@ -216,19 +214,19 @@ impl Run<'_, '_> {
         }
     }
 
-    /// The last lookup against the truth. The recorded load of a replay is not the one on the coil.
+    /// Compares the last lookup with the truth; not after a replay, whose recorded load is not the one on the coil.
     fn judge_map(&mut self) {
         let (Some(truth), Some(built)) = (self.settings.map_truth, &self.report.built) else {
             return;
         };
         if let Source::Powers(_) = self.settings.source {
-            let judge = |truth| MapError::of(&judged(built, &truth));
+            let judge = |truth| LookupAccuracy::of(&judge_cells(built, &truth));
             self.report.map_error = truth().map(judge);
         }
     }
 
-    /// What the device says of the run.
-    fn look_back(&mut self) {
+    /// Reads status and processor load of the device.
+    fn read_final_status(&mut self) {
         self.report.status = self.device.command(|client| client.status()).ok();
         self.report.utilisation = self.device.command(|client| client.utilisation()).ok();
     }
@@ -259,7 +257,7 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// One window that passes the gate, identified, in the lookup and reported.
+    /// Learns from the first window that passes the gate, of three at most.
     fn point(
         &mut self,
         point: OperatingPoint,
@@ -277,8 +275,8 @@ impl Run<'_, '_> {
         Err(TrainerError::NoFit { point, why })
     }
 
-    /// Learns from a window, and pushes the lookup where that says something new. Within: why the window is
-    /// not fit, reported and counted.
+    /// Learns from a window, and pushes the lookup if it has changed. The inner `Err` is the reason for which the gate refused the window,
+    /// already reported and counted.
     pub(super) fn learn(
         &mut self,
         window: Box<Window>,
@@ -288,35 +286,35 @@ impl Run<'_, '_> {
     ) -> Result<Result<(), String>, TrainerError> {
         let (device, seq) = (&mut self.device, window.seq);
         let outcome = self.learning.observe(&window, always, &mut |step| {
-            device.report(Progress::Training { seq, step });
+            device.report(RunProgress::Training { seq, step });
         });
-        let Fit {
+        let AcceptedWindow {
             identified,
             findings,
             seen,
             taught,
         } = match outcome {
-            Outcome::Fit(fit) => *fit,
-            Outcome::Unfit { why, .. } => {
+            WindowOutcome::Accepted(accepted) => *accepted,
+            WindowOutcome::Refused { why, .. } => {
                 self.report.refused += 1;
-                self.device.report(Progress::Rejected { seq, why: &why });
+                self.device.report(RunProgress::Rejected { seq, why: &why });
                 return Ok(Err(why));
             }
         };
-        let told = |f: &&Remark| f.severity > Severity::Info || f.code == SELF_CALIBRATED;
-        for finding in findings.iter().filter(told) {
+        let noteworthy = |f: &&Remark| f.severity > Severity::Info || f.code == SELF_CALIBRATED;
+        for finding in findings.iter().filter(noteworthy) {
             let text = format!("window {seq}: {finding}");
-            self.device.report(Progress::Note { text: &text });
+            self.device.report(RunProgress::Note { text: &text });
         }
-        if let Seen::Another { r, l, .. } = seen {
+        if let CurveMatch::Another { r, l, .. } = seen {
             let text = format!(
                 "window {seq}: another pot, or the same one moved: R is {:.1} % and L {:.1} % from what was known, which is forgotten",
                 100.0 * r,
                 100.0 * l
             );
-            self.device.report(Progress::Note { text: &text });
+            self.device.report(RunProgress::Note { text: &text });
         }
-        // The simulated hob knows nothing of a load that was recorded elsewhere.
+        // In a replay the truth is the recording's, not the simulated hob's.
         let simulated = at.asked_w().and_then(|_| self.device.truth_of(&window));
         let truth = truth.cloned().or(simulated);
         let last = self.device.last.as_ref();
@@ -324,7 +322,7 @@ impl Run<'_, '_> {
         let power = at.asked_w().zip(delivered_w);
         let mut point = point::compare(&window, &identified, truth.as_ref(), power);
         point.learned_errors = truth.as_ref().and_then(|truth| {
-            let learned = self.learning.learned(&window, &identified);
+            let learned = self.learning.predict(&window, &identified);
             let known = identified.t_s.iter().zip(&learned);
             let half_cycle_s = f64::from(window.half_cycle_ns) * 1e-9;
             point::errors(
@@ -333,14 +331,14 @@ impl Run<'_, '_> {
                 half_cycle_s,
             )
         });
-        let (news, pushed) = match taught {
-            Taught::Known => (false, Ok(())),
-            Taught::News(built) => (true, self.push(*built)),
-            Taught::Refused(why) => (always, Err(TrainerError::Lookup(why))),
+        let (changed, pushed) = match taught {
+            LookupUpdate::Unchanged => (false, Ok(())),
+            LookupUpdate::New(built) => (true, self.push(*built)),
+            LookupUpdate::Refused(why) => (always, Err(TrainerError::Lookup(why))),
         };
         point.lookup_version = self.report.built.as_ref().map_or(0, |b| b.lookup.version);
-        if !news {
-            // Following an unchanged load: the newest window stands for all of them.
+        if !changed {
+            // An unchanged load: the newest window replaces the one before in the report.
             self.report.points.pop();
         }
         self.report.points.push(point);
@@ -348,10 +346,10 @@ impl Run<'_, '_> {
         pushed.map(Ok)
     }
 
-    fn push(&mut self, built: Built) -> Result<(), TrainerError> {
+    fn push(&mut self, built: BuiltLookup) -> Result<(), TrainerError> {
         let version = built.lookup.version;
         if let Err(why) = self.device.update_lookup(&built.lookup) {
-            self.learning.refused(version);
+            self.learning.lookup_refused(version);
             return match why {
                 TrainerError::Link(why @ LinkError::Refused { .. }) => {
                     Err(TrainerError::Lookup(why.to_string()))
@@ -359,14 +357,14 @@ impl Run<'_, '_> {
                 why => Err(why),
             };
         }
-        self.learning.accepted(version);
+        self.learning.lookup_accepted(version);
         if self.report.first_lookup_s.is_none() {
             self.report.first_lookup_s = Some(self.started.elapsed().as_secs_f64());
         }
         if let Some(store) = &self.settings.store
             && let Err(why) = store::save(store, &built)
         {
-            self.not_kept(why);
+            self.note_write_error(why);
         }
         self.report.built = Some(built);
         Ok(())

@@ -1,4 +1,4 @@
-//! Where a training run's windows come from.
+//! Source of a training run's windows.
 
 use std::fmt;
 
@@ -8,35 +8,34 @@ use ihd_signal::truth::{PeriodTruth, Truth};
 
 use crate::replay::stretch::{BUS_DV, Stretch};
 
-/// Share of a half-cycle that must be there for the lookup to learn from it.
+/// Least share of a half-cycle that a recording must hold to be replayed.
 const WHOLE: f64 = 0.99;
 
 /// Operating points, in order.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Source {
-    /// The hob heats with these powers, in watt.
+    /// Powers in watt that the hob heats with.
     Powers(Vec<u16>),
-    /// Recorded half-cycles go through the device's own sampling path in place of its ADC; its power
-    /// outputs are locked off meanwhile.
-    Replay(Vec<Recorded>),
+    /// Recorded half-cycles that replace the samples of the device's ADC; its power outputs are locked off meanwhile.
+    Replay(Vec<RecordedHalfCycle>),
 }
 
 /// One mains half-cycle on the device's ADC grid, from its zero crossing on.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Recorded {
+pub struct RecordedHalfCycle {
     /// Switching frequency in hertz.
     pub f_sw_hz: u32,
     /// Whole blocks of sample pairs at f_sw·61/3.
     pub pairs: Vec<Pair>,
     /// Bus voltage at the crest in decivolt.
     pub bus_dv: u16,
-    /// The load's truth, in seconds from the first pair on; none where the capture holds none.
+    /// Truth of the load, in seconds from the first pair on; `None` if the capture holds none.
     pub truth: Option<Truth>,
 }
 
-impl Recorded {
-    /// The whole mains half-cycles of a stretch, resampled to the ADC's grid in codes of the device's scales;
-    /// `truth` is the whole capture's, empty where it holds none.
+impl RecordedHalfCycle {
+    /// Returns the complete mains half-cycles of a segment, resampled to the ADC's grid in codes of the device's scales. `truth` is that of
+    /// the whole capture, empty if it holds none.
     pub fn half_cycles(segment: &Segment, scales: Scales, truth: &[PeriodTruth]) -> Vec<Self> {
         let whole = WHOLE * segment.half_cycle_s() / segment.dt_s;
         let bounds = segment.half_cycles().into_iter();
@@ -53,7 +52,7 @@ impl Recorded {
     }
 }
 
-/// The part of a capture's truth that lies within a stretch.
+/// Returns the part of a capture's truth within a stretch; `None` if there is none.
 fn truth_of(stretch: &Stretch, truth: &[PeriodTruth]) -> Option<Truth> {
     let from = truth.partition_point(|t| t.t_s < stretch.t0_s);
     let end_s = stretch.t0_s + stretch.pairs.len() as f64 * stretch.dt_s;
@@ -70,12 +69,12 @@ fn truth_of(stretch: &Stretch, truth: &[PeriodTruth]) -> Option<Truth> {
     })
 }
 
-/// An operating point by name.
+/// Operating point of a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OperatingPoint {
-    /// Heating with a power.
+    /// Heating with a requested power.
     Heating {
-        /// Power asked for, in watt.
+        /// Requested power in watt.
         asked_w: u16,
     },
     /// A recorded half-cycle.
@@ -86,7 +85,7 @@ pub enum OperatingPoint {
 }
 
 impl OperatingPoint {
-    /// Power asked for in watt; none in a replay.
+    /// Returns the requested power in watt; `None` in a replay.
     pub fn asked_w(self) -> Option<u16> {
         match self {
             Self::Heating { asked_w } => Some(asked_w),

@@ -1,4 +1,4 @@
-//! What a run leaves in its folder beside the recording.
+//! Files of a run beside the recording: the pushed lookups.
 
 use std::path::Path;
 
@@ -8,14 +8,13 @@ use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE};
 use serde::Serialize;
 
 use super::TrainerError;
-use crate::lookup::Built;
+use crate::lookup::BuiltLookup;
 
-/// Writes a lookup: its bytes as they were pushed (`lookup-vN.bin`), and the same for people
-/// (`lookup-vN.json`).
+/// Writes a lookup: its bytes as they were pushed (`lookup-vN.bin`), and readable (`lookup-vN.json`).
 ///
 /// # Errors
 /// [`TrainerError::Write`] naming the file.
-pub fn save(store: &Path, built: &Built) -> Result<(), TrainerError> {
+pub fn save(store: &Path, built: &BuiltLookup) -> Result<(), TrainerError> {
     #[derive(Serialize)]
     struct Readable<'a> {
         version: u32,
@@ -28,7 +27,7 @@ pub fn save(store: &Path, built: &Built) -> Result<(), TrainerError> {
         /// Relative standard deviations.
         r_sigma: Vec<Vec<f64>>,
         l_sigma: Vec<Vec<f64>>,
-        /// Seconds since a cell was observed last; none where it never was.
+        /// Seconds since a cell was observed last; `None` if it never was.
         age_s: Vec<Vec<Option<f64>>>,
     }
     let cells = |cells: &[[u16; CURRENTS]; FREQUENCIES], unit: f64| {

@@ -57,7 +57,7 @@ export function fromNotice(notice) {
     case "window-refused":
       return entry("window", `window ${notice.seq} refused: ${notice.why}`);
     case "lease": {
-      const who = notice.holder ? `${notice.holder} commands it` : "nobody commands it";
+      const who = notice.holder ? `${notice.holder} commands it` : `nobody commands it${notice.why ? `: ${notice.why}` : ""}`;
       return entry("lease", notice.taken_from ? `${who}, taken from ${notice.taken_from}` : who);
     }
     case "recording":

@@ -189,6 +189,7 @@ export class Leases {
     if (notice.event === "lease" && notice.taken_from === api.holder()) {
       this.#step(notice.device, { type: "taken", by: notice.holder || "somebody" });
     }
+    if (notice.event === "lease" && !notice.holder && notice.why) this.#ended(notice.device, notice.why);
     if (notice.event === "command" && notice.ok && notice.holder !== api.holder() && /^off\b/.test(notice.text)) {
       this.#ended(notice.device, `${notice.holder} switched it off`);
     }

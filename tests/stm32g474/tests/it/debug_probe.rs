@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use ihd_debug_port::Contact;
 use ihd_debug_port::probe::Desk;
-use ihd_flash::install::{InstallError, Installed, Plan, install};
+use ihd_flash::install::{InstallError, InstallPlan, InstallReport, install};
 use ihd_flash::probe::Probes;
 use ihd_flash::{Erase, Image, ProgramError, Progress};
 use ihd_shared::image::FLASH_ADDRESS;
@@ -37,17 +37,17 @@ fn flash(
     desk: &Desk<DebuggedBoard>,
     image: &Image,
     on: &mut dyn FnMut(Progress),
-) -> Result<Installed, InstallError> {
+) -> Result<InstallReport, InstallError> {
     let mut programmer = Probes::with(desk.lister()).attach(None)?;
-    let plan = Plan {
+    let plan = InstallPlan {
         image,
         erase: Erase::Image,
         set_options: false,
-        heard_within: Duration::ZERO,
-        must_be_heard: false,
+        hello_within: Duration::ZERO,
+        hello_required: false,
     };
     install(&mut programmer, None, plan, &mut |step| {
-        if let ihd_flash::install::Step::Flash(progress) = step {
+        if let ihd_flash::install::InstallStep::Flash(progress) = step {
             on(progress);
         }
     })

@@ -16,7 +16,7 @@ fn examine(bench: &Bench) -> Vec<Check> {
         println!(
             "{:<17} {:<10} {}",
             check.name,
-            check.verdict.word(),
+            check.verdict.as_str(),
             check.finding
         );
     }

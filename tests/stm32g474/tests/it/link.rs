@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ihd_firmware::realtime::{Block, RealTime};
+use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_link::{Client, Event, Window};
 use ihd_shared::sampling::{ADC_LOCK_P, CODE_HALF_RANGE, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
@@ -123,14 +123,14 @@ const START: (MicroOhm, PicoHenry) = (MicroOhm(4_000_000), PicoHenry(25_000_000)
 
 #[test]
 fn a_replay_gives_the_bits_that_the_library_gives_here() {
-    let mut here = Box::new(RealTime::new(START.0, START.1));
+    let mut here = Box::new(SamplingPath::new(START.0, START.1));
     here.set_replay(true, F_SW_HZ, START.0, START.1);
     let expected: Vec<Option<TrajectoryEntry>> = blocks()
         .iter()
         .enumerate()
         .map(|(k, pairs)| {
             let zero_crossing = (k == 0).then_some(0);
-            here.replay_block(&Block {
+            here.replay_block(&AdcBlock {
                 pairs,
                 zero_crossing,
                 bus_dv: BUS_DV,

@@ -4,12 +4,12 @@ use std::time::Duration;
 
 use ihd_debug_port::probe::Desk;
 use ihd_flash::Image;
-use ihd_flash::log::decoder::{Decoder, Found};
+use ihd_flash::log::decoder::{Decoded, Decoder};
 use ihd_flash::log::find::Places;
-use ihd_flash::log::follow::Way;
+use ihd_flash::log::follow::LogOpener;
 use ihd_flash::log::message::{Level, Message};
-use ihd_flash::log::over_link::LinkWay;
-use ihd_flash::log::over_probe::ProbeWay;
+use ihd_flash::log::over_link::LinkLogOpener;
+use ihd_flash::log::over_probe::ProbeLogOpener;
 use ihd_flash::probe::Probes;
 use ihd_sim::behavioural::PotKind;
 use ihd_stm32g474::debugged::DebuggedBoard;
@@ -31,11 +31,11 @@ fn line_of(message: &Message) -> String {
 }
 
 /// Listens until something has come and a while longer.
-fn listen(way: &mut dyn Way) -> Vec<Found> {
+fn listen(way: &mut dyn LogOpener) -> Vec<Decoded> {
     let mut log = way.open().expect("the log opens");
     let places = Places {
         given: Some(&IMAGE),
-        kept: None,
+        cache: None,
     };
     let table = places.table(&log.running()).expect("the image runs");
     let mut decoder = Decoder::new(Some(table));
@@ -50,18 +50,18 @@ fn listen(way: &mut dyn Way) -> Vec<Found> {
     found
 }
 
-fn messages(found: &[Found]) -> Vec<&Message> {
+fn messages(found: &[Decoded]) -> Vec<&Message> {
     found
         .iter()
         .map(|one| match one {
-            Found::Message(message) => message,
+            Decoded::Message(message) => message,
             other => panic!("{other:?}"),
         })
         .collect()
 }
 
 /// The start of the board, in order, with where it stands in the firmware's text.
-fn assert_tells_the_start(found: &[Found]) {
+fn assert_tells_the_start(found: &[Decoded]) {
     let messages = messages(found);
     let place = |text: &str| {
         messages
@@ -104,7 +104,7 @@ fn assert_tells_the_start(found: &[Found]) {
 fn over_the_link_it_tells_the_start() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let serial = bench.clone();
-    let mut way = LinkWay::new(move || Ok(Box::new(serial.serial())));
+    let mut way = LinkLogOpener::new(move || Ok(Box::new(serial.serial())));
     let found = listen(&mut way);
     assert_tells_the_start(&found);
     assert_no_violations(&bench);
@@ -116,7 +116,7 @@ fn over_rtt_it_tells_the_start_and_the_program_goes_on() {
     bench.run_s(0.1);
     let before = bench.with(|machine| machine.resets.len());
     let desk = Desk::new(DebuggedBoard::new(bench.clone()));
-    let found = listen(&mut ProbeWay::new(Probes::with(desk.lister()), None));
+    let found = listen(&mut ProbeLogOpener::new(Probes::with(desk.lister()), None));
     assert_tells_the_start(&found);
     assert_eq!(bench.with(|machine| machine.resets.len()), before);
     assert_no_violations(&bench);
@@ -128,12 +128,12 @@ fn what_runs_is_known_by_its_build_id_both_ways() {
     let image = Image::read(&IMAGE).expect("the image under test");
     let bench = with_pot(PotKind::Ferromagnetic);
     let serial = bench.clone();
-    let over_link = LinkWay::new(move || Ok(Box::new(serial.serial())))
+    let over_link = LinkLogOpener::new(move || Ok(Box::new(serial.serial())))
         .open()
         .expect("the log opens")
         .running();
     let desk = Desk::new(DebuggedBoard::new(bench));
-    let over_probe = ProbeWay::new(Probes::with(desk.lister()), None)
+    let over_probe = ProbeLogOpener::new(Probes::with(desk.lister()), None)
         .open()
         .expect("the log opens")
         .running();

@@ -1,6 +1,6 @@
 //! From power-on to the first answer; what a wrong option byte does.
 
-use ihd_firmware::pwm::DEAD_TIME_NS;
+use ihd_firmware::drive::pwm::DEAD_TIME_NS;
 use ihd_shared::wire::messages::State;
 use ihd_sim::behavioural::PotKind;
 

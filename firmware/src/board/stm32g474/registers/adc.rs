@@ -171,7 +171,7 @@ pub fn convert(channel: u8) {
     start(pac::ADC4);
 }
 
-/// What ADC4 has converted since this was asked last; reading ADC_DR clears EOC.
+/// Takes the conversion of ADC4 since the last call; reading ADC_DR clears EOC.
 pub fn converted() -> Option<u16> {
     let done = pac::ADC4.isr().read().eoc();
     done.then(|| pac::ADC4.dr().read().rdata())

@@ -2,7 +2,7 @@
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::hrtim::vals::Fault as FaultState;
-use ihd_firmware::pwm::{DEAD_TIME_NS, Periods};
+use ihd_firmware::drive::pwm::{DEAD_TIME_NS, Periods};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
 
 use super::clocks::CORE_MHZ;
@@ -15,7 +15,7 @@ const PRESCALER: u8 = 2;
 const DEAD_TIME_STEPS: u16 = (DEAD_TIME_NS * CORE_MHZ).div_ceil(1_000) as u16;
 const _: () = assert!(DEAD_TIME_STEPS > 0 && DEAD_TIME_STEPS < 512);
 
-/// What TIMxREP holds: one less than the periods between two repetition events. 61 of the sampling timer
+/// Value of TIMxREP: one less than the periods between two repetition events. 61 of the sampling timer
 /// are as long as 3 of the bridge's, so both timers' come at the same tick, for ever.
 const REPETITION: [(usize, u8); 2] = [
     (BRIDGE, ADC_LOCK_Q as u8 - 1),

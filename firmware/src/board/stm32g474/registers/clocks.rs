@@ -3,7 +3,7 @@
 //! embassy-stm32 0.6 cannot do this alone on this part (docs/upstream.md): the metapac has
 //! PWR_CR5.R1MODE at bit 0 instead of 8, and `rcc/g4.rs` writes HPRE together with the switch. Its
 //! `init` also resets PWR, so nothing that is set there before lasts. So it is asked for the PLL without
-//! the switch to it, and that is here. It goes on to believe in 16 MHz; what it drives with a frequency
+//! the switch to it, and that is here. It goes on to calculate with 16 MHz; what it drives with a frequency
 //! of its own takes none of the bus clocks: LPUART1 runs from HSI16, USB from HSI48, the watchdog from
 //! LSI.
 

@@ -5,7 +5,7 @@ use embassy_stm32::pac;
 use embassy_stm32::pac::comp::vals::{Hysteresis, Inm, Polarity};
 use embassy_stm32::pac::dac::vals::Mode;
 use embassy_stm32::{peripherals, rcc};
-use ihd_firmware::protection::TRIP_CODE;
+use ihd_firmware::sense::codes::TRIP_CODE;
 use ihd_shared::wire::messages::Comparators;
 
 use super::clocks::CORE_MHZ;
@@ -61,7 +61,7 @@ pub fn start() {
     }
 }
 
-/// Whether the trip works, from the threshold to HRTIM's fault inputs: with both at 0 V both comparators must trip, as the
+/// Tests the trip, from the threshold to HRTIM's fault inputs: with both at 0 V both comparators must trip, as the
 /// current's zero is at mid-scale, and with both back where they belong none may. To be called once the fault inputs are
 /// armed, with the bridge open; it stays so, as an output is enabled by software alone.
 pub fn trip() -> Comparators {

@@ -4,7 +4,7 @@ use core::sync::atomic::{Ordering, compiler_fence};
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::bdma::vals::{Dir, Pl, Size};
-use ihd_firmware::ring::Filled;
+use ihd_firmware::sense::dma_buffer::DmaHalves;
 
 /// DMAMUX inputs (DMAMUX, table "DMAMUX: assignment of multiplexer inputs to resources").
 const REQUEST_ADC1: u8 = 5;
@@ -61,10 +61,10 @@ fn connect(channel: usize, request: u8, from: u32, to: u32, length: u16) {
     compiler_fence(Ordering::SeqCst);
 }
 
-/// DMA, DMA_ISR and DMA_IFCR: halves filled since this was asked last.
-pub fn filled() -> Filled {
+/// DMA, DMA_ISR and DMA_IFCR: halves filled since the last call.
+pub fn filled() -> DmaHalves {
     let isr = pac::DMA1.isr().read();
-    let filled = Filled {
+    let filled = DmaHalves {
         first: isr.htif(PAIRS),
         second: isr.tcif(PAIRS),
     };

@@ -1,4 +1,4 @@
-//! What opens the bridge without software, and what it leaves behind.
+//! Faults that open the bridge without software, and the flags that they leave.
 
 use embassy_stm32::pac;
 use ihd_shared::fault::Fault;
@@ -82,7 +82,7 @@ pub fn clear() {
     pac::EXTI.pr(0).write(|w| w.set_line(PVD_LINE, true));
 }
 
-/// What has switched the bridge off in hardware (HRTIM, HRTIM_ISR: FLT1, FLT4, SYSFLT).
+/// Fault that has switched the bridge off in hardware (HRTIM, HRTIM_ISR: FLT1, FLT4, SYSFLT).
 pub fn hardware_fault() -> Option<Fault> {
     let isr = pac::HRTIM1.isr().read();
     if isr.sysflt() {
@@ -95,14 +95,14 @@ pub fn hardware_fault() -> Option<Fault> {
     }
 }
 
-/// Which of the two fault inputs of [`INPUTS`] have tripped (HRTIM, HRTIM_ISR): that of the inverted current, that of the
+/// Reads the two fault inputs of [`INPUTS`], `true` if tripped (HRTIM, HRTIM_ISR): that of the inverted current, that of the
 /// current.
 pub fn comparators_tripped() -> [bool; 2] {
     let isr = pac::HRTIM1.isr().read();
     INPUTS.map(|input| isr.flt(input))
 }
 
-/// Which of the causes of HRTIM's system fault has left a flag: FLASH, FLASH_ECCR (ECCD, ECCD2: two
+/// Cause of HRTIM's system fault that has left a flag: FLASH, FLASH_ECCR (ECCD, ECCD2: two
 /// wrong bits in either half of a word of two banks); SYSCFG, SYSCFG_CFGR2 (SPF); PWR, PWR_SR2
 /// (PVDO, which goes when the supply is back) and EXTI, EXTI_PR1 ([`PVD_LINE`], which stays).
 pub fn system_fault() -> Option<Fault> {

@@ -3,7 +3,7 @@
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::vals::{CcmrInputCcs, FilterValue};
 use embassy_stm32::{peripherals, rcc};
-use ihd_firmware::self_test::clock::{COUNTS_PER_S, Captured, PERIODS};
+use ihd_firmware::self_test::clock::{COUNTS_PER_S, ClockCapture, PERIODS};
 
 use super::clocks::CORE_MHZ;
 
@@ -32,18 +32,18 @@ pub fn start() {
     timer.cr1().write(|w| w.set_cen(true));
 }
 
-/// What has been captured since this was asked last: TIM16_SR, whose flags are cleared by writing 0, and TIM16_CCR1, whose
+/// Takes the captures since the last call: TIM16_SR, whose flags are cleared by writing 0, and TIM16_CCR1, whose
 /// reading clears CC1IF.
-pub fn captured() -> Captured {
+pub fn captured() -> ClockCapture {
     let timer = pac::TIM16;
     let flags = timer.sr().read();
     if !flags.ccif(0) {
-        return Captured::Nothing;
+        return ClockCapture::Nothing;
     }
     let at = timer.ccr(0).read().ccr();
     if flags.ccof(0) {
         timer.sr().modify(|w| w.set_ccof(0, false));
-        return Captured::Overtaken;
+        return ClockCapture::Overtaken;
     }
-    Captured::At(at)
+    ClockCapture::At(at)
 }

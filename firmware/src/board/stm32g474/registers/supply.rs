@@ -1,15 +1,15 @@
 //! Resets, option bytes, and the memories' own guards.
 
 use embassy_stm32::pac;
-use ihd_firmware::reset::Flags;
+use ihd_firmware::retained::reset::ResetFlags;
 
 /// RCC, RCC_CSR: why the controller started, also as it was read, cleared for the next time; and whether the watchdog is sound. After power-on
 /// start-up lets it run out once (`start_up.rs`), which is no end of the program: both flags are set then.
-pub fn reset_flags() -> (Flags, u32, bool) {
+pub fn reset_flags() -> (ResetFlags, u32, bool) {
     let csr = pac::RCC.csr().read();
     let bit_by_watchdog = csr.iwdgrstf() || csr.wwdgrstf();
     let is_sound = bit_by_watchdog || !csr.borrstf();
-    let flags = Flags {
+    let flags = ResetFlags {
         watchdog: bit_by_watchdog && !csr.borrstf(),
         software: csr.sftrstf(),
         brown_out: csr.borrstf(),

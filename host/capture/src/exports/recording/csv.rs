@@ -1,25 +1,29 @@
-//! A recording as one table: the samples of all windows, or a line a half-cycle.
+//! Export of a recording to a CSV table: the samples of all windows, or one line per half-cycle.
 
 use std::fmt::Write as _;
 use std::io::Write;
 use std::path::Path;
 
-use super::{Counted, Limits, Row, TableError, nothing, rows};
+use super::{ExportLimits, LimitedWriter, Row, TableError, nothing, rows};
 use crate::mcap::topics::Telemetry;
 
-/// Columns of the samples; the last is the device's number of the window.
+/// Heading of the samples; the last column is the device's number of the window.
 const SAMPLES: &str = "time_s,v_V,i_A,window\n";
 
-/// Columns of half-cycles.
+/// Heading of the half-cycles.
 const HALF_CYCLES: &str = "time_s,half_cycle,state,pot,fault,limit,asked_W,power_W,f_sw_Hz,i_crest_A,R_ohm,L_H,\
     phase_deg,bus_peak_V,v_coil_peak_V,i_turn_off_min_A,lookup_version\n";
 
-/// Writes the samples of all windows, one after the other: time, voltage, current, number of the window.
+/// Writes the samples of all windows in sequence: time, voltage, current, number of the window.
 ///
 /// # Errors
 /// [`TableError`]; what was written until then is no table.
-pub fn samples_csv(path: &Path, out: impl Write, limits: &Limits<'_>) -> Result<(), TableError> {
-    let mut out = Counted::new(out, limits);
+pub fn samples_csv(
+    path: &Path,
+    out: impl Write,
+    limits: &ExportLimits<'_>,
+) -> Result<(), TableError> {
+    let mut out = LimitedWriter::new(out, limits);
     let mut windows = 0;
     let mut text = String::from(SAMPLES);
     rows(path, limits, &mut |row| {
@@ -42,16 +46,16 @@ pub fn samples_csv(path: &Path, out: impl Write, limits: &Limits<'_>) -> Result<
     Ok(out.out.flush()?)
 }
 
-/// Writes a line a half-cycle: what the device told of it.
+/// Writes one line per half-cycle: the device's telemetry.
 ///
 /// # Errors
-/// As [`samples_csv`].
+/// Any error of [`samples_csv`].
 pub fn half_cycles_csv(
     path: &Path,
     out: impl Write,
-    limits: &Limits<'_>,
+    limits: &ExportLimits<'_>,
 ) -> Result<(), TableError> {
-    let mut out = Counted::new(out, limits);
+    let mut out = LimitedWriter::new(out, limits);
     let mut count = 0;
     out.put(HALF_CYCLES.as_bytes())?;
     rows(path, limits, &mut |row| {
@@ -72,10 +76,10 @@ pub fn half_cycles_csv(
 }
 
 fn line(t_s: f64, t: &Telemetry) -> String {
-    // Words of this program, made plain for files of others.
-    let word = |text: &str| -> String { text.chars().filter(|c| c.is_alphanumeric()).collect() };
-    let [state, pot, fault, limit] = [&t.state, &t.pot, &t.fault, &t.limit].map(|text| word(text));
-    // With the inverter off there is neither.
+    // Text of a message, reduced to plain characters for other programs.
+    let plain = |text: &str| -> String { text.chars().filter(|c| c.is_alphanumeric()).collect() };
+    let [state, pot, fault, limit] = [&t.state, &t.pot, &t.fault, &t.limit].map(|text| plain(text));
+    // R and L are absent while the inverter is off.
     let (r, l) = match t.f_sw_hz {
         0 => (String::new(), String::new()),
         _ => (format!("{:.6}", t.r_ohm), format!("{:.12}", t.l_h)),

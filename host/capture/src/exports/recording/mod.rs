@@ -1,6 +1,6 @@
-//! Recordings of a device as tables and arrays, however long they are: one window is in memory at a time.
+//! Export of a device's recording to tables and arrays of any length: one window is in memory at a time.
 //!
-//! Times count from the trigger where the recording had one, as on a scope: what came before is negative.
+//! Times count from the trigger if the recording had one, as on a scope: earlier ones are negative.
 
 mod csv;
 mod npz;
@@ -19,72 +19,72 @@ use crate::mcap::{McapFileError, Reader};
 pub use csv::{half_cycles_csv, samples_csv};
 pub use npz::recording_npz;
 
-/// Pairs that may wait for their window's end: a device's windows have some 20 000.
+/// Limit of buffered pairs of a window without an end; a device's windows have about 20 000.
 const MOST_PAIRS: usize = 1 << 18;
 
-/// Note of a recording: its trigger, in seconds after its beginning.
+/// Note of a recording: time of its trigger, in seconds after its beginning.
 const TRIGGER_S: &str = "trigger_s";
 
-/// What an export may take.
+/// ExportLimits of an export.
 #[derive(Debug)]
-pub struct Limits<'a> {
-    /// Most bytes that are written, before a ZIP packs them.
+pub struct ExportLimits<'a> {
+    /// Limit of bytes written, before compression.
     pub bytes: u64,
-    /// When it has to be done.
+    /// Deadline.
     pub until: Instant,
-    /// Becomes true when nobody wants it any more.
+    /// Set to cancel the export.
     pub stop: &'a AtomicBool,
 }
 
-/// Why a recording was not exported.
+/// Error of exporting a recording.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
-    /// It cannot be read.
+    /// The recording cannot be read.
     #[error(transparent)]
     Recording(#[from] McapFileError),
     /// The table cannot be written.
     #[error("cannot write the table: {0}")]
     Write(#[from] io::Error),
-    /// There is nothing of this kind in it.
+    /// The recording has no such data.
     #[error("{file} holds no {what}: {hint}")]
     Nothing {
         /// The recording.
         file: String,
-        /// What it lacks.
+        /// Missing data.
         what: &'static str,
-        /// What to do instead.
+        /// Advice.
         hint: &'static str,
     },
-    /// It would become too large.
+    /// The export exceeds the limit of bytes.
     #[error("it would become larger than {} MB; download the MCAP file, and convert it with `ihd convert`", .bytes / 1_000_000)]
     TooLarge {
         /// The limit in bytes.
         bytes: u64,
     },
-    /// It takes too long.
+    /// The export missed its deadline.
     #[error("it takes too long here; download the MCAP file, and convert it with `ihd convert`")]
     TooLong,
-    /// Nobody wants it any more.
-    #[error("nobody waits for it any more")]
+    /// The export was cancelled.
+    #[error("the export was cancelled")]
     Stopped,
 }
 
-/// A thing of a recording, in the order of the file.
+/// Item of a recording, in the order of the file.
 enum Row<'a> {
-    /// What the file tells of itself.
+    /// Notes of the file.
     Notes(&'a BTreeMap<String, String>),
-    /// A half-cycle that came at a time.
+    /// Half-cycle, with the time in seconds at which its telemetry came.
     HalfCycle(f64, Box<Telemetry>),
     /// A fault that tripped or was cleared.
     Fault(f64, FaultNote),
-    /// A window, its beginning, and its pairs: time, voltage, current.
+    /// Window with its number, its beginning in seconds, its header, and its pairs: time, voltage, current.
     Window(u32, f64, Box<WholeWindow>, &'a [(f64, f32, f32)]),
 }
 
 type EachRow<'a> = &'a mut dyn FnMut(Row<'_>) -> Result<(), TableError>;
 
-/// Reads a recording, or what is whole of it: a damaged part costs itself.
-fn rows(path: &Path, limits: &Limits<'_>, each: EachRow<'_>) -> Result<(), TableError> {
+/// Reads a recording; damaged parts are skipped.
+fn rows(path: &Path, limits: &ExportLimits<'_>, each: EachRow<'_>) -> Result<(), TableError> {
     let mut reader = Reader::open(path)?;
     let mut table = Rows::default();
     loop {
@@ -103,7 +103,7 @@ fn rows(path: &Path, limits: &Limits<'_>, each: EachRow<'_>) -> Result<(), Table
             }
             Ok(Some(Item::Metadata { .. })) => {}
             Ok(Some(Item::Message(message))) => table.take(&message, each)?,
-            // Of the window that it cut, nothing is told.
+            // A window cut by the damage is dropped.
             Err(damage) if damage.is_damage() => table.pairs.clear(),
             Err(other) => return Err(other.into()),
         }
@@ -113,7 +113,7 @@ fn rows(path: &Path, limits: &Limits<'_>, each: EachRow<'_>) -> Result<(), Table
 #[derive(Default)]
 struct Rows {
     trigger_s: f64,
-    /// Of the window whose end has not come.
+    /// Pairs of the window whose end has not come.
     pairs: Vec<(f64, f32, f32)>,
 }
 
@@ -165,20 +165,20 @@ impl Rows {
     }
 }
 
-/// A message in JSON; one that is none is passed over as every damage is.
+/// Parses a JSON message; `None` if it is damaged, and thus skipped.
 fn parsed<T: serde::de::DeserializeOwned>(m: &Message<'_>) -> Option<T> {
     serde_json::from_slice(m.data).ok()
 }
 
-/// Counts bytes against the limit.
-struct Counted<'a, W> {
+/// Writer that checks the limits.
+struct LimitedWriter<'a, W> {
     out: W,
     left: u64,
-    limits: &'a Limits<'a>,
+    limits: &'a ExportLimits<'a>,
 }
 
-impl<'a, W: Write> Counted<'a, W> {
-    fn new(out: W, limits: &'a Limits<'a>) -> Self {
+impl<'a, W: Write> LimitedWriter<'a, W> {
+    fn new(out: W, limits: &'a ExportLimits<'a>) -> Self {
         let left = limits.bytes;
         Self { out, left, limits }
     }

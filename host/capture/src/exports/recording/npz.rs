@@ -1,4 +1,4 @@
-//! A recording as NumPy's NPZ: samples, windows, half-cycles and faults, an array each.
+//! Export of a recording to NumPy's NPZ: arrays of samples, windows, half-cycles and faults.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -6,16 +6,16 @@ use std::io::{self, BufReader, BufWriter, Seek, Write};
 use std::path::Path;
 
 use super::super::npz::Archive;
-use super::{Limits, Row, TableError, nothing, rows};
+use super::{ExportLimits, Row, TableError, nothing, rows};
 use crate::mcap::topics::{Telemetry, WholeWindow};
 
-/// Characters of a word: the longest name of a fault has 24.
+/// Length of a text: the longest name of a fault has 24 characters.
 const WORD: usize = 24;
 
-/// NumPy's type of a [`WORD`].
+/// NumPy's type of a text of [`WORD`] characters.
 const WORDS: &str = "<U24";
 
-/// Makes a file for what an array holds until its length is known.
+/// Creates a temporary file for an array whose length is not known yet.
 pub type Spool<'a> = &'a dyn Fn() -> io::Result<File>;
 
 /// Writes a recording as arrays.
@@ -26,7 +26,7 @@ pub fn recording_npz(
     path: &Path,
     out: File,
     spool: Spool<'_>,
-    limits: &Limits<'_>,
+    limits: &ExportLimits<'_>,
 ) -> Result<(), TableError> {
     let mut arrays = Arrays {
         spool,
@@ -46,7 +46,7 @@ pub fn recording_npz(
     Ok(arrays.pack(out)?)
 }
 
-/// Numbers of one kind, whose count is not known yet.
+/// Column of numbers of one type, whose length is not known yet.
 struct Column {
     name: &'static str,
     descr: &'static str,
@@ -58,7 +58,7 @@ struct Arrays<'a> {
     spool: Spool<'a>,
     columns: Vec<Column>,
     left: u64,
-    limits: &'a Limits<'a>,
+    limits: &'a ExportLimits<'a>,
     notes: BTreeMap<String, String>,
 }
 
@@ -73,7 +73,7 @@ impl Arrays<'_> {
             Row::Fault(t_s, fault) => {
                 self.double("fault_t_s", t_s)?;
                 self.put("fault_number", "<u2", &fault.number.to_le_bytes())?;
-                self.word("fault_name", &fault.fault)
+                self.text("fault_name", &fault.fault)
             }
             Row::Window(number, begins_s, window, pairs) => {
                 self.window(number, begins_s, &window)?;
@@ -118,17 +118,17 @@ impl Arrays<'_> {
         let [number, version] = [t.half_cycle, t.lookup_version].map(u32::to_le_bytes);
         self.put("half_cycle_number", "<u4", &number)?;
         self.put("half_cycle_lookup_version", "<u4", &version)?;
-        self.word("half_cycle_state", &t.state)?;
-        self.word("half_cycle_pot", &t.pot)?;
-        self.word("half_cycle_fault", &t.fault)?;
-        self.word("half_cycle_limit", &t.limit)
+        self.text("half_cycle_state", &t.state)?;
+        self.text("half_cycle_pot", &t.pot)?;
+        self.text("half_cycle_fault", &t.fault)?;
+        self.text("half_cycle_limit", &t.limit)
     }
 
     fn double(&mut self, name: &'static str, x: f64) -> Result<(), TableError> {
         self.put(name, "<f8", &x.to_le_bytes())
     }
 
-    fn word(&mut self, name: &'static str, text: &str) -> Result<(), TableError> {
+    fn text(&mut self, name: &'static str, text: &str) -> Result<(), TableError> {
         let mut bytes = [0; 4 * WORD];
         for (to, c) in bytes.chunks_exact_mut(4).zip(text.chars()) {
             to.copy_from_slice(&u32::from(c).to_le_bytes());

@@ -1,4 +1,4 @@
-//! What the prelude of a table states, in the dialects of scopes; docs/import.md shows each.
+//! Interpretation of a table's prelude, in the dialects of scopes; docs/import.md shows each.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use crate::channels::ChannelRef;
 use crate::error::FormatError;
 use crate::formats::Channel;
 
-/// Where the time of a sample comes from.
+/// Source of the samples' times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TimeColumn {
     /// A column, times its scale in seconds.
@@ -27,11 +27,11 @@ pub enum TimeColumn {
         /// Interval in seconds.
         dt_s: f64,
     },
-    /// Nowhere.
+    /// The table states no times.
     Missing,
 }
 
-/// What the columns mean.
+/// Meaning of the columns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
     /// The clock.
@@ -96,7 +96,7 @@ impl Layout {
         })
     }
 
-    /// Checks the rows that were read against what the prelude declares; `end` is where they end.
+    /// Checks the number of rows read against the prelude; `end` is the place after the last one.
     ///
     /// # Errors
     /// [`FormatError`] when there are fewer, or less than two.
@@ -112,7 +112,7 @@ impl Layout {
     }
 }
 
-/// Checks what Tektronix' CSV states of its kind: analogue, and then with its length.
+/// Checks the waveform type that Tektronix' CSV states: analogue, with its length.
 fn check_waveform_type(prelude: &Prelude) -> Result<(), FormatError> {
     let wrong = |what: String| Err(FormatError::at_line(1, what));
     match prelude.value(&["waveform type"]) {
@@ -126,7 +126,7 @@ fn check_waveform_type(prelude: &Prelude) -> Result<(), FormatError> {
     }
 }
 
-/// Index of a column that the user names, with its unit or without: `coil_V` or `coil`.
+/// Index of a column specified by the user, with its unit or without: `coil_V` or `coil`.
 fn find(
     prelude: &Prelude,
     headings: &[Heading],
@@ -152,7 +152,7 @@ fn clock_at(headings: &[Heading], index: usize) -> TimeColumn {
     }
 }
 
-/// The clock, and the columns that are no channels because of it.
+/// Returns the clock, and the columns that it occupies.
 fn clock(prelude: &Prelude, headings: &[Heading]) -> (TimeColumn, Vec<usize>) {
     if let Some((t0_s, dt_s, columns)) = start_and_increment(prelude, headings) {
         return (TimeColumn::Even { t0_s, dt_s }, columns);
@@ -171,8 +171,8 @@ fn clock(prelude: &Prelude, headings: &[Heading]) -> (TimeColumn, Vec<usize>) {
     (TimeColumn::Missing, Vec::new())
 }
 
-/// Rigol: time of the first sample and interval stand in the heading, as `Start,Increment` with the
-/// numbers below or as `t0 = -1e-3, tInc = 1e-6`; gives them and the columns that are no channels.
+/// Parses Rigol's heading with the time of the first sample and the interval, either `Start,Increment` with the numbers below, or
+/// `t0 = -1e-3, tInc = 1e-6`. Returns them and the columns that are no channels.
 fn start_and_increment(prelude: &Prelude, headings: &[Heading]) -> Option<(f64, f64, Vec<usize>)> {
     let number = |text: &str| {
         prelude
@@ -200,7 +200,7 @@ fn start_and_increment(prelude: &Prelude, headings: &[Heading]) -> Option<(f64, 
     Some((number(values.get(start)?)?, dt_s, columns))
 }
 
-/// Whether a column can be a channel: it has a name, or there are no names at all.
+/// Returns `true` if a column can be a channel: it has a name, or no column has one.
 fn is_channel(prelude: &Prelude, headings: &[Heading], column: usize) -> bool {
     if prelude.beside {
         return column == 4;
@@ -225,7 +225,7 @@ fn metadata(prelude: &Prelude, headings: &[Heading]) -> BTreeMap<String, String>
     all
 }
 
-/// Who made the table, where its prelude shows it.
+/// Maker of the instrument; `None` if the prelude does not show it.
 fn maker(prelude: &Prelude, headings: &[Heading]) -> Option<&'static str> {
     let first = prelude.rows.first()?.first()?.to_lowercase();
     let heading = |name: &str| {

@@ -1,16 +1,16 @@
-//! The names and units above the columns.
+//! Names and units above the columns of a table.
 
 use super::prelude::Prelude;
 use crate::formats::unit::{Quantity, Unit};
 
-/// The heading of one column.
+/// Heading of one column.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Heading {
-    /// Name without its unit, may be empty.
+    /// Name without its unit; may be empty.
     pub name: String,
-    /// The cell as the file has it.
+    /// Text of the cell.
     pub text: String,
-    /// Unit where the file states it.
+    /// Unit; `None` if the file states none.
     pub unit: Option<Unit>,
 }
 
@@ -37,7 +37,7 @@ impl Heading {
         }
     }
 
-    /// Whether the column is the time.
+    /// Returns `true` if the column is the time.
     pub fn is_time(&self) -> bool {
         const NAMES: [&str; 8] = [
             "time",
@@ -54,7 +54,7 @@ impl Heading {
     }
 }
 
-/// One heading for each of the table's columns.
+/// Returns the heading of each column.
 ///
 /// The last row of the prelude has the names, or the units with the names in the row before; makers
 /// that state units under a key (`Vertical Units`) are asked after that.
@@ -82,7 +82,7 @@ pub fn headings(prelude: &Prelude) -> Vec<Heading> {
     all
 }
 
-/// Whether a row holds units: the first is one, or counts samples, and so is another.
+/// Returns `true` if a row holds units: its first cell is one or counts samples, and another is one.
 fn is_units(row: &[String]) -> bool {
     let unit = |text: &&String| Unit::parse(text).is_some() && text.len() > 1;
     let counts = |text: &&String| text.eq_ignore_ascii_case("sequence");
@@ -93,8 +93,7 @@ fn is_units(row: &[String]) -> bool {
     (first || letters) && row.iter().skip(1).any(known)
 }
 
-/// Units that stand under a key: `Vertical Units,V,A` in the order of the channels, or
-/// `Vertical Units,CH1:V,CH2:A` by name.
+/// Takes units from a key: `Vertical Units,V,A` in the order of the channels, or `Vertical Units,CH1:V,CH2:A` by name.
 fn from_keys(prelude: &Prelude, all: &mut [Heading]) {
     let horizontal = prelude.value(&["horizontal units", "xunits"]);
     let vertical = prelude.values(&["vertical units", "yunits"]).unwrap_or(&[]);

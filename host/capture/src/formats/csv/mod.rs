@@ -1,7 +1,7 @@
-//! CSV as scopes, programs and people write it, tab- and semicolon-separated text included.
+//! CSV as written by scopes, programs and people, including tab- and semicolon-separated text.
 //!
 //! Lines before the first row of numbers are the prelude ([`dialect`] understands it); after it only
-//! the wanted columns are read. A line has a largest length, so that memory is bounded whatever the
+//! the selected columns are read. The length of a line is limited, so that memory is bounded whatever the
 //! file holds.
 
 pub mod dialect;
@@ -97,9 +97,9 @@ impl Source for CsvSource {
         self.layout.metadata.clone()
     }
 
-    fn read(&mut self, wanted: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
         let begin = self.rows.position();
-        let columns = self.columns(wanted, progress)?;
+        let columns = self.columns(selected, progress)?;
         self.layout.check_rows(columns.rows, self.rows.position())?;
         let time = match self.layout.time {
             TimeColumn::Even { t0_s, dt_s } => Some(TimeBase::Even { t0_s, dt_s }),
@@ -123,11 +123,11 @@ impl Source for CsvSource {
 impl CsvSource {
     fn columns(
         &mut self,
-        wanted: &[usize],
+        selected: &[usize],
         progress: Progress<'_>,
     ) -> Result<Columns, FormatError> {
         let of_channel = |k: &usize| self.layout.columns.get(*k).copied();
-        let picked: Vec<usize> = wanted.iter().filter_map(of_channel).collect();
+        let picked: Vec<usize> = selected.iter().filter_map(of_channel).collect();
         let clock = match self.layout.time {
             TimeColumn::Column { index, scale } => Some((index, scale)),
             TimeColumn::Even { .. } | TimeColumn::Missing => None,

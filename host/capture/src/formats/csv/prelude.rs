@@ -1,33 +1,33 @@
-//! The lines of a table before its numbers.
+//! Lines of a table before its numbers.
 
 use csv::{ByteRecord, Position};
 
 use super::rows::{Rows, Syntax, text};
 use crate::error::FormatError;
 
-/// Lines that a prelude may have.
+/// Limit of lines in a prelude.
 const LINES: usize = 1000;
 
-/// Rows with samples in which keys are looked for, in the layout that has both in a row.
+/// Rows with samples that are searched for keys, in the layout that has both in a row.
 const BESIDE_ROWS: usize = 20;
 
 /// The prelude, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prelude {
-    /// How the text is written.
+    /// Delimiter and decimal sign.
     pub syntax: Syntax,
-    /// Fields of each line that is not empty, without quotes.
+    /// Fields of each non-empty line, without quotes.
     pub rows: Vec<Vec<String>>,
-    /// Whether each row also has a sample, in columns four and five (Tektronix TDS, TPS).
+    /// For each row, set if it also has a sample, in columns four and five (Tektronix TDS, TPS).
     pub beside: bool,
     /// Fields of the first row of numbers.
     pub width: usize,
-    /// Where the first row of numbers begins.
+    /// Place of the first row of numbers.
     pub end: Position,
 }
 
 impl Prelude {
-    /// Reads it from the beginning of a file.
+    /// Reads the prelude from the beginning of a file.
     ///
     /// # Errors
     /// [`FormatError`] when no row of numbers follows.
@@ -68,7 +68,7 @@ impl Prelude {
         }
     }
 
-    /// The values behind a key, which is compared in lower case without a closing colon.
+    /// Values after a key; the key is compared in lower case without a closing colon.
     pub fn values(&self, keys: &[&str]) -> Option<&[String]> {
         let of_row = |row: &'_ &Vec<String>| {
             let key = row.first().map(|k| k.trim_end_matches(':').to_lowercase());
@@ -77,21 +77,21 @@ impl Prelude {
         self.rows.iter().find(of_row).and_then(|row| row.get(1..))
     }
 
-    /// The first value behind a key; what stands before a colon (Siglent's `Analog:`) is left out.
+    /// First value after a key; text before a colon (Siglent's `Analog:`) is dropped.
     pub fn value(&self, keys: &[&str]) -> Option<&str> {
         let first = self.values(keys)?.first()?;
         let bare = first.rsplit_once(':').map_or(first.as_str(), |(_, v)| v);
         Some(bare.trim()).filter(|v| !v.is_empty())
     }
 
-    /// The first value behind a key as a number.
+    /// First value after a key, as a number.
     pub fn number(&self, keys: &[&str]) -> Option<f64> {
         let number = self.syntax.number(self.value(keys)?.as_bytes())?;
         number.is_finite().then_some(number)
     }
 }
 
-/// Whether a row has a key in its first column and a sample in the fourth and fifth.
+/// Returns `true` if a row has a key in its first column and a sample in the fourth and fifth.
 fn is_beside(row: &ByteRecord, syntax: Syntax) -> bool {
     let number = |k: usize| row.get(k).is_some_and(|f| syntax.number(f).is_some());
     let key = row.get(0).map(text).unwrap_or_default();

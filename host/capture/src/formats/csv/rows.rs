@@ -1,4 +1,4 @@
-//! Rows of a delimited text, one at a time, with their line for messages.
+//! Rows of a delimited text, with their line numbers for messages.
 
 use std::io::{self, BufRead, Read};
 
@@ -6,10 +6,10 @@ use csv::{ByteRecord, Position};
 
 use crate::error::FormatError;
 
-/// Longest line that is read, in bytes: 10 000 columns of 100 characters.
+/// Limit of a line's length in bytes: 10 000 columns of 100 characters.
 pub const LONGEST_LINE: usize = 1 << 20;
 
-/// The error text for a longer line.
+/// Error text for a longer line.
 pub fn too_long() -> String {
     format!("a line of more than {LONGEST_LINE} bytes: this is no table")
 }
@@ -17,15 +17,14 @@ pub fn too_long() -> String {
 /// Delimiter and decimal sign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Syntax {
-    /// Between two fields.
+    /// Delimiter between fields.
     pub delimiter: u8,
-    /// Decimals are written with a comma.
+    /// Set if decimals are written with a comma.
     pub decimal_comma: bool,
 }
 
 impl Syntax {
-    /// Finds both in the last complete line of the file's beginning: tab before semicolon before
-    /// comma.
+    /// Detects both from the last complete line of the file's beginning; tab before semicolon before comma.
     pub fn detect(head: &[u8]) -> Self {
         let complete = head.strip_suffix(b"\n").unwrap_or(head);
         let mut lines = complete
@@ -44,7 +43,7 @@ impl Syntax {
         }
     }
 
-    /// The number in a field, whether finite or not.
+    /// Number in a field, finite or not; `None` if it is no number.
     pub fn number(self, field: &[u8]) -> Option<f64> {
         let text = std::str::from_utf8(field).ok()?;
         // Most fields are a bare number.
@@ -58,8 +57,8 @@ impl Syntax {
         text.parse().ok()
     }
 
-    /// Whether all fields of a row are numbers or empty, and one is a number. An overflow that a scope
-    /// marks (`∞`) counts as one: it is refused as a sample, not taken for a heading.
+    /// Returns `true` if all fields of a row are numbers or empty, and at least one is a number. An overflow mark of a scope (`∞`)
+    /// counts as a number: it is rejected as a sample, and is not a heading.
     pub fn is_numbers(self, row: &ByteRecord) -> bool {
         let mut any = false;
         row.iter().all(|field| {
@@ -76,14 +75,14 @@ fn is_overflow(field: &[u8]) -> bool {
     std::str::from_utf8(field).is_ok_and(|t| t.trim().trim_matches(sign) == "∞")
 }
 
-/// A field as text, whatever its encoding, without quotes and byte-order mark.
+/// Field as text in any encoding, without quotes and byte-order mark.
 pub fn text(field: &[u8]) -> String {
     let text = String::from_utf8_lossy(field);
     let text = text.trim_start_matches('\u{feff}').trim();
     text.trim_matches('"').trim().to_owned()
 }
 
-/// Place value of a number's last digit: 1e-15 of `-9.99966406e-07`; 0 when it is not written so.
+/// Place value of a number's last digit: 1e-15 for `-9.99966406e-07`; 0 if it cannot be derived.
 pub fn resolution(field: &[u8]) -> f64 {
     let text = text(field);
     let (mantissa, exponent) = text.split_once(['e', 'E']).unwrap_or((&text, "0"));
@@ -102,12 +101,12 @@ pub struct Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    /// All its fields.
+    /// Returns all its fields.
     pub fn record(&self) -> &'a ByteRecord {
         self.record
     }
 
-    /// Checks that the row has not more than `width` fields.
+    /// Checks that the row has at most `width` fields.
     ///
     /// # Errors
     /// [`FormatError`] with both numbers.
@@ -119,7 +118,7 @@ impl<'a> Row<'a> {
         Ok(())
     }
 
-    /// The field in column `index`.
+    /// Returns the field in column `index`.
     ///
     /// # Errors
     /// [`FormatError`] when the row is shorter.
@@ -134,13 +133,13 @@ impl<'a> Row<'a> {
         })
     }
 
-    /// The finite number in a field.
+    /// Returns the finite number in a field.
     ///
     /// # Errors
     /// [`FormatError`] for anything else, overflow included.
     pub fn number(&self, field: &[u8]) -> Result<f64, FormatError> {
         match self.syntax.number(field) {
-            // As a sample it is f32.
+            // Samples are f32.
             Some(value) if (value as f32).is_finite() => Ok(value),
             Some(_) => Err(self.wrong(field, "not finite, or beyond f32")),
             None if is_overflow(field) => Err(self.wrong(field, "beyond the scope's range")),
@@ -156,16 +155,16 @@ impl<'a> Row<'a> {
 
 /// The rows of a text, front to back; empty lines are skipped.
 pub struct Rows {
-    reader: csv::Reader<Bounded>,
+    reader: csv::Reader<LineLimited>,
     record: ByteRecord,
     syntax: Syntax,
     begin: Position,
 }
 
 impl Rows {
-    /// `source` stands at `begin` in its file.
+    /// Creates a reader; `source` is positioned at `begin` of its file.
     pub fn new(source: Box<dyn BufRead>, syntax: Syntax, begin: Position) -> Self {
-        let bounded = Bounded { source, in_line: 0 };
+        let bounded = LineLimited { source, in_line: 0 };
         // Quoting is off: an unclosed quote would swallow the rest of the file.
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
@@ -182,7 +181,7 @@ impl Rows {
         }
     }
 
-    /// Byte and line behind the row that was read last, in the file.
+    /// Position in the file after the row read last.
     pub fn position(&self) -> Position {
         let here = self.reader.position();
         let mut position = Position::new();
@@ -192,7 +191,7 @@ impl Rows {
         position
     }
 
-    /// The next row; `None` at the end.
+    /// Returns the next row; `None` at the end.
     ///
     /// # Errors
     /// [`FormatError`] when reading fails or a line is too long.
@@ -211,13 +210,13 @@ impl Rows {
     }
 }
 
-/// Bytes of a text whose lines are not longer than [`LONGEST_LINE`].
-struct Bounded {
+/// Reader that fails on lines longer than [`LONGEST_LINE`].
+struct LineLimited {
     source: Box<dyn BufRead>,
     in_line: usize,
 }
 
-impl Read for Bounded {
+impl Read for LineLimited {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let read = self.source.read(buffer)?;
         let bytes = buffer.get(..read).unwrap_or(&[]);

@@ -140,7 +140,7 @@ fn what_runs_is_asked_for_and_what_is_missing_is_counted_once() {
     const FIRST: &[Logged] = &[(70, 2, &[1, 0]), (72, 2, &[2, 0]), (80, 5, &[3, 0])];
     const AGAIN: &[Logged] = &[(90, 6, &[4, 0])];
     let mut devices = [FIRST, AGAIN].into_iter();
-    let mut way = LinkWay::new(|| Ok(Device::boxed(devices.next().unwrap())));
+    let mut way = LinkLogOpener::new(|| Ok(Device::boxed(devices.next().unwrap())));
     let mut log = way.open().unwrap();
     let running = log.running();
     assert_eq!(running.build_id, Some(BuildId([7; 20])));
@@ -157,7 +157,7 @@ fn what_runs_is_asked_for_and_what_is_missing_is_counted_once() {
 
 #[test]
 fn a_device_that_says_nothing_is_asked_and_is_gone_then() {
-    let mut way = LinkWay::new(|| Ok(Device::boxed(&[])));
+    let mut way = LinkLogOpener::new(|| Ok(Device::boxed(&[])));
     let mut log = way.open().unwrap();
     let mut waited = Duration::ZERO;
     let why = loop {
@@ -169,6 +169,6 @@ fn a_device_that_says_nothing_is_asked_and_is_gone_then() {
     };
     assert!(why.may_pass(), "{why}");
     assert!(why.to_string().contains("GetStatus"), "{why}");
-    let asked = ASK_EVERY..ASK_EVERY + Duration::from_secs(1);
+    let asked = KEEPALIVE_PERIOD..KEEPALIVE_PERIOD + Duration::from_secs(1);
     assert!(asked.contains(&waited), "{waited:?}");
 }

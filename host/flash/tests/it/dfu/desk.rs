@@ -6,7 +6,7 @@ use std::time::Duration;
 use dfu_core::functional_descriptor::FunctionalDescriptor;
 use dfu_core::memory_layout::MemoryLayout;
 use dfu_core::{DfuIo, DfuProtocol};
-use ihd_flash::dfu::{Dfu, Refusal, Rom};
+use ihd_flash::dfu::{BootloaderIo, Dfu, TransferFailure};
 use ihd_rom_bootloader::{Bootloader, Chip, Refused};
 
 /// Time never stands still where something is flashed.
@@ -75,14 +75,14 @@ impl Desk {
     /// Opens it.
     pub fn programmer(&self) -> Dfu<Wire> {
         let desk = self.clone();
-        let again = move |_| {
+        let reopen = move |_| {
             let comes_back = desk.state.lock().unwrap().comes_back;
             Ok(comes_back.then(|| {
                 desk.with(Bootloader::restart);
                 desk.wire()
             }))
         };
-        Dfu::new(self.wire(), Box::new(again))
+        Dfu::new(self.wire(), Box::new(reopen))
     }
 
     fn wire(&self) -> Wire {
@@ -174,7 +174,7 @@ impl DfuIo for Wire {
     }
 }
 
-impl Rom for Wire {
+impl BootloaderIo for Wire {
     fn select(&self, alternate: u8) -> Result<(), Error> {
         let setup = [1, 11, alternate, 0, 0, 0, 0, 0];
         self.desk.control(setup, &[]).map(drop)
@@ -188,11 +188,11 @@ impl Rom for Wire {
         &self.serial
     }
 
-    fn refusal(error: Error) -> Refusal {
+    fn transfer_failure(error: Error) -> TransferFailure {
         match error {
-            Error::Refused(Refused::Gone) => Refusal::Gone("no device".to_owned()),
-            Error::Refused(Refused::Stall) => Refusal::Stalled,
-            Error::Core(error) => Refusal::Failed(error.to_string()),
+            Error::Refused(Refused::Gone) => TransferFailure::Gone("no device".to_owned()),
+            Error::Refused(Refused::Stall) => TransferFailure::Stalled,
+            Error::Core(error) => TransferFailure::Failed(error.to_string()),
         }
     }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use dfu_core::functional_descriptor::FunctionalDescriptor;
 use dfu_core::memory_layout::MemoryLayout;
 use dfu_core::{DfuIo, DfuProtocol};
-use ihd_flash::dfu::{Refusal, Rom};
+use ihd_flash::dfu::{BootloaderIo, TransferFailure};
 
 /// Requests after which nobody may go on.
 const ENOUGH: usize = 100_000;
@@ -98,7 +98,7 @@ impl DfuIo for Liar {
     }
 }
 
-impl Rom for Liar {
+impl BootloaderIo for Liar {
     fn select(&self, _alternate: u8) -> Result<(), dfu_core::Error> {
         self.next().map(drop)
     }
@@ -111,10 +111,10 @@ impl Rom for Liar {
         "\u{7}"
     }
 
-    fn refusal(error: dfu_core::Error) -> Refusal {
+    fn transfer_failure(error: dfu_core::Error) -> TransferFailure {
         match error {
-            dfu_core::Error::OutOfCapabilities => Refusal::Stalled,
-            error => Refusal::Failed(error.to_string()),
+            dfu_core::Error::OutOfCapabilities => TransferFailure::Stalled,
+            error => TransferFailure::Failed(error.to_string()),
         }
     }
 

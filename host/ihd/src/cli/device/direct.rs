@@ -1,4 +1,4 @@
-//! A device with no daemon between: the link, and what the daemon would say.
+//! Device without a daemon: the link, with reports in the daemon's form.
 
 use std::time::{Duration, Instant};
 
@@ -14,13 +14,13 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{State, Status, Telemetry};
 use ihd_signal::printable;
 
-use super::hob::address_of;
+use super::address::address_of;
 use crate::cli::opener::opener;
 
-/// A lookup that the device took is active at the next half-cycle; a link takes longer.
+/// Time limit for an accepted lookup to become active: the next half-cycle, plus the link's latency.
 const ACTIVE_WITHIN: Duration = Duration::from_secs(2);
 
-/// A link and its device.
+/// Link and its device.
 pub(super) struct Direct {
     client: Client,
     config: Config,
@@ -54,18 +54,18 @@ impl Direct {
         &mut self.client
     }
 
-    /// The link, for who goes on with it alone.
+    /// Returns the link.
     pub(super) fn into_client(self) -> Client {
         self.client
     }
 
-    /// The device hears from us, and goes on heating.
+    /// Sends a request, so that the device continues to heat.
     pub(super) fn keep_alive(&mut self) -> Result<()> {
         self.client.status()?;
         Ok(())
     }
 
-    /// What the device says of itself, in the daemon's words.
+    /// Reads the device's report in the daemon's form.
     pub(super) fn report(&mut self) -> Result<DeviceReport> {
         let status = self.client.status()?;
         self.take_events()?;
@@ -101,10 +101,11 @@ impl Direct {
             recording_now: None,
             pot_temperature: None,
             connections: 1,
+            frames_beyond: 0,
         })
     }
 
-    /// Half-cycles from now on, for R and L in the reports.
+    /// Starts or stops the stream of half-cycles, which gives R and L for the reports.
     pub(super) fn stream(&mut self, on: bool) -> Result<()> {
         self.client.stream(u8::from(on), 0)?;
         self.streams = on;
@@ -122,7 +123,7 @@ impl Direct {
         Ok(())
     }
 
-    /// Carries out what needs no daemon.
+    /// Carries out a command that needs no daemon.
     pub(super) fn command(&mut self, command: &Command) -> Result<Done> {
         let text = match command {
             Command::Power { power_w } => {
@@ -176,7 +177,7 @@ impl Direct {
         ))
     }
 
-    /// The lookup that the store holds as active before the one that the device uses, under a new version.
+    /// Returns the lookup before the active one from the store, under a new version.
     fn before(&mut self) -> Result<RlLookup> {
         let on_device = self.client.status()?.lookup_version;
         let folder = &self.config.store;
@@ -202,7 +203,7 @@ impl Direct {
     }
 }
 
-/// What the daemon would call it, but for learning: nobody does.
+/// State in the daemon's terms, without learning.
 fn state(status: &Status) -> DeviceState {
     match status.state {
         _ if status.fault != Fault::NONE => DeviceState::Faulted,
@@ -213,7 +214,7 @@ fn state(status: &Status) -> DeviceState {
     }
 }
 
-/// R, L and the crest come with half-cycles alone.
+/// R, L and the crest are only known from half-cycles.
 fn live(status: &Status, telemetry: Option<&Telemetry>) -> Live {
     let of = |number: fn(&Telemetry) -> f64| telemetry.map_or(f64::NAN, number);
     Live {

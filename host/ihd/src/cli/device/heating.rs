@@ -1,4 +1,4 @@
-//! Heating in the foreground: the lease is renewed, the hob is shown, and off at the end, whatever ends it.
+//! Heating in the foreground: renews the lease, shows the hob, and switches it off at the end in any case.
 
 use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,27 +11,27 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use thiserror::Error;
 
-use super::hob::{Hob, is_somebody_elses};
+use super::hob::{Hob, is_leased_elsewhere};
 use super::text::{of_live, one_line};
 use crate::cli::usage::Usage;
 use crate::cli::{interrupt, output};
 
-/// Between two renewals; the lease lasts 10 s.
-const RENEW_EVERY: Duration = Duration::from_secs(3);
+/// Period of renewing the lease, which lasts 10 s.
+const RENEW_PERIOD: Duration = Duration::from_secs(3);
 
-/// Between two looks.
-const LOOK_EVERY: Duration = Duration::from_millis(500);
+/// Polling period.
+const POLL_PERIOD: Duration = Duration::from_millis(500);
 
-/// A lost answer is no end; the lease is, after 10 s.
+/// Time without an answer after which heating ends; the lease ends after 10 s.
 const SILENCE: Duration = Duration::from_secs(8);
 
-/// Between two lines where nobody looks at a terminal.
-const LINE_EVERY: Duration = Duration::from_secs(10);
+/// Period of output lines if standard output is no terminal.
+const LINE_PERIOD: Duration = Duration::from_secs(10);
 
-/// How long each power of a sweep lasts without a daemon, which would wait for windows.
+/// Duration of each power of a sweep without a daemon, which would wait for windows.
 const STEP: Duration = Duration::from_secs(5);
 
-/// The device was asked to heat, and did not.
+/// Error of a device that was commanded to heat and does not.
 #[derive(Debug, Error)]
 #[error("{name} did not heat as asked: {why}")]
 pub struct DoesNotHeat {
@@ -39,12 +39,12 @@ pub struct DoesNotHeat {
     why: String,
 }
 
-/// How heating ended that nobody here ended.
+/// Text for heating that was ended elsewhere.
 const ELSEWHERE: &str = "switched off elsewhere, or its link was cut";
 
-/// What became of it.
+/// Summary of a heating.
 #[derive(Debug, Default, Serialize)]
-struct Heated {
+struct HeatingSummary {
     device: String,
     asked_w: Vec<u16>,
     seconds: f64,
@@ -54,13 +54,13 @@ struct Heated {
     last: Option<DeviceReport>,
 }
 
-/// After a command until its device shows it.
+/// Time limit for the device to show a command's effect.
 const SHOWN_WITHIN: Duration = Duration::from_secs(2);
 
-/// Heats with one power until ^C or the time is over.
+/// Heats with one power until Ctrl-C or the end of the time.
 pub(super) fn power(hob: &mut Hob, power_w: u16, for_s: Option<f64>, json: bool) -> Result<()> {
     let time = for_s.map(Duration::try_from_secs_f64).transpose();
-    let time = time.map_err(|_| Usage("--for is longer than anybody waits".into()))?;
+    let time = time.map_err(|_| Usage("--for is out of range".into()))?;
     let command = Command::Power { power_w };
     let mut end = |elapsed: Duration, hob: &mut Hob, report: &DeviceReport| {
         if elapsed > SHOWN_WITHIN && asked_w(hob, report) == 0 {
@@ -71,7 +71,7 @@ pub(super) fn power(hob: &mut Hob, power_w: u16, for_s: Option<f64>, json: bool)
     run(hob, &command, &[power_w], &mut end, json)
 }
 
-/// What is asked of the device by whoever commands it from here.
+/// Power that this client has requested of the device, in watt.
 fn asked_w(hob: &Hob, report: &DeviceReport) -> u16 {
     match hob {
         Hob::Daemon { .. } => report.asked_by_daemon_w,
@@ -79,7 +79,7 @@ fn asked_w(hob: &Hob, report: &DeviceReport) -> u16 {
     }
 }
 
-/// Heats with one power after the other.
+/// Heats with the powers in turn.
 pub(super) fn sweep(hob: &mut Hob, powers_w: &[u16], json: bool) -> Result<()> {
     if let Hob::Direct(_) = hob {
         return sweep_directly(hob, powers_w, json);
@@ -87,7 +87,7 @@ pub(super) fn sweep(hob: &mut Hob, powers_w: &[u16], json: bool) -> Result<()> {
     let command = Command::Sweep {
         powers_w: powers_w.to_vec(),
     };
-    // The daemon has begun it when it answers; the last power is the last that is left.
+    // The daemon has started the sweep when it answers; the last power is the last remaining one.
     let mut left = powers_w.len();
     let mut end = |_: Duration, _: &mut Hob, report: &DeviceReport| {
         let before = std::mem::replace(&mut left, report.sweep_left_w.len());
@@ -99,7 +99,7 @@ pub(super) fn sweep(hob: &mut Hob, powers_w: &[u16], json: bool) -> Result<()> {
     run(hob, &command, powers_w, &mut end, json)
 }
 
-/// Nobody learns from it; R and L are the device's own.
+/// Sweeps without a daemon: nothing is learned, and R and L are the device's own.
 fn sweep_directly(hob: &mut Hob, powers_w: &[u16], json: bool) -> Result<()> {
     let mut next = 1;
     let mut end = |elapsed: Duration, hob: &mut Hob, report: &DeviceReport| {
@@ -117,7 +117,7 @@ fn sweep_directly(hob: &mut Hob, powers_w: &[u16], json: bool) -> Result<()> {
         }
     };
     if !json {
-        say!("without a daemon nobody learns from a sweep; what the device itself finds:")?;
+        say!("without a daemon nothing is learned from a sweep; the device's own results:")?;
     }
     let first = Command::Power {
         power_w: powers_w.first().copied().unwrap_or(0),
@@ -136,38 +136,38 @@ fn run(
 ) -> Result<()> {
     let stop = interrupt::flag().context("cannot catch ^C")?;
     hob.take_lease(false)?;
-    let mut heated = Heated {
+    let mut summary = HeatingSummary {
         device: hob.name().to_owned(),
         asked_w: powers_w.to_vec(),
-        ..Heated::default()
+        ..HeatingSummary::default()
     };
     let bar = bar(json);
-    let ended = begin(hob, command).and_then(|()| hold(hob, stop, end, &mut heated, &bar, json));
-    // A lease that is somebody else's now: so is the heating.
+    let ended = begin(hob, command).and_then(|()| hold(hob, stop, end, &mut summary, &bar, json));
+    // If another client has taken the lease, the heating is its own, too.
     let off = match &ended {
-        Err(error) if is_somebody_elses(error) => Ok(()),
+        Err(error) if is_leased_elsewhere(error) => Ok(()),
         _ => switch_off(hob),
     };
     bar.finish_and_clear();
     if json {
-        output::json(&heated)?;
+        output::json(&summary)?;
     } else {
         say!(
             "{}: {} after {:.0} s, of which it heated {:.0} s, {:.1} Wh",
-            heated.device,
+            summary.device,
             if off.is_ok() && ended.is_ok() {
                 "off"
             } else {
                 "ended"
             },
-            heated.seconds,
-            heated.heating_seconds,
-            heated.energy_wh
+            summary.seconds,
+            summary.heating_seconds,
+            summary.energy_wh
         )?;
     }
     ended?;
     off?;
-    did_it_heat(&heated)
+    did_it_heat(&summary)
 }
 
 fn begin(hob: &mut Hob, command: &Command) -> Result<()> {
@@ -177,14 +177,14 @@ fn begin(hob: &mut Hob, command: &Command) -> Result<()> {
     hob.command(command).map(drop)
 }
 
-/// Off, and the lease back; an off that is not answered is tried again, for it harms nobody.
+/// Switches off and releases the lease; an unanswered request to switch off is repeated.
 fn switch_off(hob: &mut Hob) -> Result<()> {
     let off = hob
         .command(&Command::Off)
         .or_else(|_| hob.command(&Command::Off))
         .context("cannot be switched off from here: it ends by itself within 10 s");
     if let Hob::Direct(direct) = hob {
-        // Silence is for who comes next.
+        // Restores the stream for the next client.
         let _ = direct.stream(false);
     }
     let given_back = hob.release_lease();
@@ -192,74 +192,75 @@ fn switch_off(hob: &mut Hob) -> Result<()> {
     given_back
 }
 
-/// Until it ends; an error is one that lasts.
+/// Runs until the heating ends; a lasting error is returned.
 fn hold(
     hob: &mut Hob,
     stop: &AtomicBool,
     end: &mut End<'_>,
-    heated: &mut Heated,
+    summary: &mut HeatingSummary,
     bar: &ProgressBar,
     json: bool,
 ) -> Result<()> {
     let began = Instant::now();
-    let (mut renewed, mut heard, mut said, mut looked) = (began, began, None::<Instant>, began);
+    let (mut renewed, mut heard, mut printed, mut polled) = (began, began, None::<Instant>, began);
     loop {
         if stop.load(Ordering::Relaxed) {
-            heated.ended_by = "interrupt";
+            summary.ended_by = "interrupt";
             return Ok(());
         }
         let now = Instant::now();
-        let turn = look(hob, now.duration_since(renewed) >= RENEW_EVERY);
+        let turn = poll(hob, now.duration_since(renewed) >= RENEW_PERIOD);
         match turn {
             Ok((report, again)) => {
                 heard = now;
                 if again {
                     renewed = now;
                 }
-                count(heated, &report, began, now.duration_since(looked));
+                count(summary, &report, began, now.duration_since(polled));
                 let line = status_line(&report, began.elapsed());
-                if !json && bar.is_hidden() && said.is_none_or(|at| now - at >= LINE_EVERY) {
-                    said = Some(now);
+                if !json && bar.is_hidden() && printed.is_none_or(|at| now - at >= LINE_PERIOD) {
+                    printed = Some(now);
                     say!("{line}")?;
                 }
                 bar.set_message(line);
                 let over = end(began.elapsed(), hob, &report)?;
-                heated.last = Some(report);
+                summary.last = Some(report);
                 if let Some(by) = over {
-                    heated.ended_by = by;
+                    summary.ended_by = by;
                     return Ok(());
                 }
             }
             Err(error) if lasts(&error, heard.elapsed()) => {
-                heated.ended_by = "error";
+                summary.ended_by = "error";
                 return Err(error);
             }
             Err(error) => bar.set_message(one_line(&crate::cli::message(&error))),
         }
-        looked = now;
-        sleep(LOOK_EVERY.saturating_sub(now.elapsed()));
+        polled = now;
+        sleep(POLL_PERIOD.saturating_sub(now.elapsed()));
     }
 }
 
-/// Returns `true` if an error ends the heating: the lease is somebody else's, or nothing was heard for longer than [`SILENCE`].
+/// Returns `true` if an error ends the heating: another client holds the lease, or nothing was received for longer than
+/// [`SILENCE`].
 fn lasts(error: &anyhow::Error, silent: Duration) -> bool {
-    is_somebody_elses(error) || silent > SILENCE
+    is_leased_elsewhere(error) || silent > SILENCE
 }
 
-/// The hob now, and whether the lease was renewed.
-fn look(hob: &mut Hob, renew: bool) -> Result<(DeviceReport, bool)> {
+/// Reads the hob's report, and renews the lease; the second result is `true` if it was renewed.
+fn poll(hob: &mut Hob, renew: bool) -> Result<(DeviceReport, bool)> {
     if renew {
         hob.take_lease(false)?;
     }
     Ok((hob.report()?, renew))
 }
 
-fn count(heated: &mut Heated, report: &DeviceReport, began: Instant, since: Duration) {
-    heated.seconds = began.elapsed().as_secs_f64();
+fn count(summary: &mut HeatingSummary, report: &DeviceReport, began: Instant, since: Duration) {
+    summary.seconds = began.elapsed().as_secs_f64();
     let power_w = report.live.as_ref().map_or(0.0, |live| live.power_w);
     if power_w > 0.0 {
-        heated.heating_seconds += since.as_secs_f64();
-        heated.energy_wh += power_w * since.as_secs_f64() / 3_600.0;
+        summary.heating_seconds += since.as_secs_f64();
+        summary.energy_wh += power_w * since.as_secs_f64() / 3_600.0;
     }
 }
 
@@ -276,12 +277,12 @@ fn status_line(report: &DeviceReport, elapsed: Duration) -> String {
     ))
 }
 
-fn did_it_heat(heated: &Heated) -> Result<()> {
-    let early = heated.ended_by == ELSEWHERE;
-    if !early && (heated.heating_seconds > 0.0 || heated.ended_by == "interrupt") {
+fn did_it_heat(summary: &HeatingSummary) -> Result<()> {
+    let early = summary.ended_by == ELSEWHERE;
+    if !early && (summary.heating_seconds > 0.0 || summary.ended_by == "interrupt") {
         return Ok(());
     }
-    let why = heated.last.as_ref().map_or(String::new(), |report| {
+    let why = summary.last.as_ref().map_or(String::new(), |report| {
         let live = report.live.as_ref().map_or(String::new(), of_live);
         format!("{} ({live})", report.detail)
     });
@@ -290,7 +291,7 @@ fn did_it_heat(heated: &Heated) -> Result<()> {
     } else {
         why
     };
-    let name = heated.device.clone();
+    let name = summary.device.clone();
     Err(DoesNotHeat { name, why }.into())
 }
 

@@ -1,58 +1,59 @@
-//! A device, behind the daemon or not.
+//! Device, through the daemon or directly.
 
 #[cfg(feature = "log")]
 use std::path::Path;
 use std::str::FromStr;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use ihd_api::ApiClient;
 use ihd_api::client::ClientError;
-use ihd_daemon::config::{Address, Config};
+use ihd_daemon::config::Config;
 use ihd_daemon::model::{Command, CommandError, DeviceReport, Done};
 use ihd_link::DeviceSpec;
 #[cfg(feature = "log")]
 use ihd_link::{LinkError, Transport};
 
+use super::address::address_of;
 use super::direct::Direct;
 use crate::cli::configured;
 #[cfg(feature = "log")]
 use crate::cli::opener::opener;
 use crate::cli::usage::Usage;
 
-/// A device that answers.
+/// Connected device.
 pub(super) enum Hob {
     /// Through the daemon.
     Daemon { client: ApiClient, name: String },
-    /// With no daemon between.
+    /// Without a daemon.
     Direct(Box<Direct>),
 }
 
 impl Hob {
-    /// The device of a name of the configuration, or of an address.
-    pub(super) fn find(config: Config, wanted: &str) -> Result<Self> {
+    /// Connects to the device with a name of the configuration, or an address.
+    pub(super) fn find(config: Config, device: &str) -> Result<Self> {
         let daemon = configured::daemon(&config)?;
         if let Some(client) = daemon {
             let devices = client.devices()?;
             let known = devices
                 .iter()
-                .find(|d| d.name == wanted)
-                .or_else(|| devices.iter().find(|d| d.address == wanted));
+                .find(|d| d.name == device)
+                .or_else(|| devices.iter().find(|d| d.address == device));
             if let Some(device) = known {
                 let name = device.name.clone();
                 return Ok(Self::Daemon { client, name });
             }
-            if DeviceSpec::from_str(wanted).is_err() && !is_configured(&config, wanted) {
-                let name = wanted.to_owned();
+            if DeviceSpec::from_str(device).is_err() && !is_configured(&config, device) {
+                let name = device.to_owned();
                 return Err(CommandError::NoDevice { name }.into());
             }
         }
-        let (config, address) = configured_or_address(config, wanted)?;
+        let (config, address) = configured_or_address(config, device)?;
         Ok(Self::Direct(Box::new(Direct::open(
-            config, address, wanted,
+            config, address, device,
         )?)))
     }
 
-    /// Its name.
+    /// Name of the device.
     pub(super) fn name(&self) -> &str {
         match self {
             Self::Daemon { name, .. } => name,
@@ -60,7 +61,7 @@ impl Hob {
         }
     }
 
-    /// What it does.
+    /// Reads its report.
     pub(super) fn report(&mut self) -> Result<DeviceReport> {
         match self {
             Self::Daemon { client, name } => Ok(client.device(name)?),
@@ -76,7 +77,7 @@ impl Hob {
         }
     }
 
-    /// Takes or renews the lease; without a daemon the link itself is one, which the device hears.
+    /// Acquires or renews the lease; without a daemon it keeps the link alive, which has the same effect.
     pub(super) fn take_lease(&mut self, force: bool) -> Result<()> {
         match self {
             Self::Daemon { client, name } => {
@@ -87,7 +88,7 @@ impl Hob {
         Ok(())
     }
 
-    /// Gives the lease back.
+    /// Releases the lease.
     pub(super) fn release_lease(&mut self) -> Result<()> {
         match self {
             Self::Daemon { client, name } => Ok(client.release_lease(name)?),
@@ -96,22 +97,22 @@ impl Hob {
     }
 }
 
-/// How the device of a name of the configuration, or of an address, is opened without a daemon, each time anew.
+/// Returns a function that opens a device by its name or address without a daemon, each time it is called.
 ///
 /// # Errors
-/// Where a daemon has it: a link has one host.
+/// If a daemon uses it: a link has one host.
 #[cfg(feature = "log")]
 pub fn direct_opener(
     config: Option<&Path>,
-    wanted: &str,
+    device: &str,
 ) -> Result<impl FnMut() -> Result<Box<dyn Transport>, LinkError> + use<>> {
     let config = configured::config(config)?;
-    let (mut config, address) = configured_or_address(config, wanted)?;
+    let (mut config, address) = configured_or_address(config, device)?;
     let place = address_of(&config, &address)?;
     if let Some(client) = configured::daemon(&config)? {
         let devices = client.devices()?;
         let at = place.to_string();
-        let theirs = devices.iter().find(|d| d.name == wanted || d.address == at);
+        let theirs = devices.iter().find(|d| d.name == device || d.address == at);
         if let Some(device) = theirs {
             bail!(
                 "the daemon at {} has {}, and a link has one host: stop the daemon, or take the device out of its \
@@ -122,13 +123,13 @@ pub fn direct_opener(
         }
     }
     let open = opener(&mut config)?;
-    // Marked by the opener, where it is a simulated hob.
+    // The opener has marked simulated hobs.
     let place = address_of(&config, &address)?;
     Ok(move || open(&place).map(|opened| opened.transport))
 }
 
-/// Whether somebody else commands the device now.
-pub(super) fn is_somebody_elses(error: &anyhow::Error) -> bool {
+/// Returns `true` if another client commands the device.
+pub(super) fn is_leased_elsewhere(error: &anyhow::Error) -> bool {
     matches!(
         error.downcast_ref(),
         Some(ClientError::Command(CommandError::Leased { .. }))
@@ -139,17 +140,17 @@ fn is_configured(config: &Config, name: &str) -> bool {
     config.devices.iter().any(|device| device.name == name)
 }
 
-fn configured_or_address(config: Config, wanted: &str) -> Result<(Config, String)> {
-    if is_configured(&config, wanted) {
-        return Ok((config, wanted.to_owned()));
+fn configured_or_address(config: Config, device: &str) -> Result<(Config, String)> {
+    if is_configured(&config, device) {
+        return Ok((config, device.to_owned()));
     }
-    match DeviceSpec::from_str(wanted) {
+    match DeviceSpec::from_str(device) {
         Ok(DeviceSpec::Sim) => bail!(Usage(
             "a simulated hob lives in the daemon or in `ihd hob`: name one of the configuration, \
              or tcp:HOST:PORT"
                 .into()
         )),
-        Ok(_) => Ok((config, wanted.to_owned())),
+        Ok(_) => Ok((config, device.to_owned())),
         Err(error) => {
             let names: Vec<&str> = config.devices.iter().map(|d| d.name.as_str()).collect();
             let names = match names.as_slice() {
@@ -159,13 +160,4 @@ fn configured_or_address(config: Config, wanted: &str) -> Result<(Config, String
             Err(Usage(format!("{error}; {names}")).into())
         }
     }
-}
-
-/// The address of a device of the configuration, or what is one already.
-pub(super) fn address_of(config: &Config, wanted: &str) -> Result<Address> {
-    if let Some(device) = config.devices.iter().find(|d| d.name == wanted) {
-        return Ok(device.address.clone());
-    }
-    let spec = DeviceSpec::from_str(wanted).context("no device")?;
-    Ok(spec.into())
 }

@@ -11,14 +11,14 @@ use serde::Serialize;
 use super::text::one_line;
 use crate::cli::{configured, output};
 
-/// A store that hangs is said after five seconds.
+/// Time limit of the daemon's health check; it reports a hanging store after five seconds.
 const HEALTH_WITHIN: Duration = Duration::from_secs(10);
 
 #[derive(Serialize)]
 struct Listed {
     name: String,
     address: String,
-    /// What it is to the daemon; none without one.
+    /// State in the daemon; `None` without one.
     state: Option<&'static str>,
     detail: String,
 }
@@ -34,7 +34,7 @@ impl From<&DeviceReport> for Listed {
     }
 }
 
-/// Prints the devices of the daemon, else those that there may be.
+/// Prints the daemon's devices, else the known ones.
 pub(super) fn print(config: &Config, json: bool) -> Result<()> {
     let daemon = configured::daemon(config)?;
     let listed: Vec<Listed> = match &daemon {
@@ -97,7 +97,7 @@ fn without_daemon(config: &Config) -> Vec<Listed> {
                 });
             }
         }
-        // A machine without USB has no boards there.
+        // A machine without USB has no boards on it.
         Err(error) => output::complain(format_args!("ihd: {error}")),
     }
     listed

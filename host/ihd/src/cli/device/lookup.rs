@@ -12,10 +12,10 @@ use super::hob::Hob;
 use super::text::one_line;
 use crate::cli::output;
 
-/// More than any lookup has, in bytes.
+/// Limit of a lookup file's size, in bytes.
 const MAX_FILE: u64 = 4_096;
 
-/// The bytes of a file, for the device to judge.
+/// Reads a file's bytes; the device checks them.
 pub(in crate::cli) fn read(file: &Path) -> Result<Vec<u8>> {
     let cannot = || format!("cannot read {}", file.display());
     let opened = std::fs::File::open(file).with_context(cannot)?;
@@ -33,7 +33,7 @@ pub(in crate::cli) fn read(file: &Path) -> Result<Vec<u8>> {
     Ok(blob)
 }
 
-/// Prints the lookup that the device uses, and what the store knows of others.
+/// Prints the active lookup, and the versions in the store.
 pub(super) fn show(hob: &mut Hob, json: bool) -> Result<()> {
     let (lookup, stored) = match hob {
         Hob::Direct(direct) => (Some(direct.client().read_lookup()?), Vec::new()),
@@ -86,7 +86,7 @@ fn cells(lookup: &RlLookup) -> Value {
     })
 }
 
-/// R and L over frequency (down) and current (across, every fourth); what was observed has a star.
+/// Table of R and L over frequency (down) and current (across, every fourth); observed cells have a star.
 fn table(lookup: &RlLookup) -> String {
     let shown: Vec<usize> = (0..CURRENTS).step_by(4).collect();
     let built_in = if lookup.version == 0 {

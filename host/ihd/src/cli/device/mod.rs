@@ -1,5 +1,6 @@
-//! `ihd device`: asks and commands devices, through the daemon where one runs, directly where not.
+//! `ihd device`: queries and commands devices, through the daemon if one is running, else directly.
 
+mod address;
 mod direct;
 mod heating;
 mod hob;
@@ -25,9 +26,9 @@ use hob::Hob;
 #[cfg(feature = "log")]
 pub use hob::direct_opener;
 pub(in crate::cli) use text::{of_pot, one_line};
-pub(in crate::cli) use watch::words;
+pub(in crate::cli) use watch::event_text;
 
-/// Ask and command devices: through the daemon where one runs, directly where not.
+/// Query and command devices: through the daemon if one is running, else directly.
 ///
 /// DEV is a name of the configuration, or an address: tcp:HOST:PORT, usb:SERIAL, serial:PATH.
 #[derive(Debug, Args)]
@@ -56,7 +57,7 @@ pub struct DeviceArgs {
     /// Print JSON
     #[arg(long, global = true)]
     json: bool,
-    /// Take the lease from whoever commands the device; he is told
+    /// Take the lease from the client that commands the device; it is notified
     #[arg(long, global = true)]
     force: bool,
 }
@@ -65,7 +66,7 @@ pub struct DeviceArgs {
 enum Action {
     /// The devices: the daemon's; without one those of the configuration, and boards on USB
     List,
-    /// What the device does
+    /// State of the device
     Status,
     /// Heat with a mean power until ^C, and switch off
     Power {
@@ -80,7 +81,7 @@ enum Action {
     Off,
     /// Leave the safe state after a fault
     ClearFault,
-    /// The lookup of R and L
+    /// Lookup of R and L
     Lookup {
         #[command(subcommand)]
         action: LookupAction,
@@ -100,7 +101,7 @@ enum Action {
         /// End after this long, in s
         #[arg(long, value_name = "S", value_parser = quantity)]
         duration: Option<f64>,
-        /// What begins it: now, fault, or a level that is crossed, as level:power>1000 (W), level:current>40 (A),
+        /// Trigger: now, fault, or a level that is crossed, as level:power>1000 (W), level:current>40 (A),
         /// level:resistance<2 (ohm), level:inductance<25 (µH), level:frequency<30 (kHz)
         #[arg(long, value_name = "WHAT", default_value = "now", value_parser = trigger::trigger)]
         trigger: Trigger,
@@ -108,12 +109,12 @@ enum Action {
         #[arg(long, value_name = "S", default_value = "0", value_parser = quantity)]
         pre_trigger: f64,
     },
-    /// What happens, as it happens, until ^C
+    /// Print events as they occur, until ^C
     Watch,
 }
 
-/// The exit code of an error of this command, where it has one of its own: 3 device, link or no daemon any more, 4 the device
-/// does not heat.
+/// Exit code of an error of this command, if it has its own: 3 for device, link or a daemon that is not running, 4 for a device
+/// that does not heat.
 pub fn exit_code(error: &anyhow::Error) -> Option<u8> {
     if error.is::<DoesNotHeat>() {
         return Some(4);
@@ -150,10 +151,10 @@ enum LookupAction {
 }
 
 impl DeviceArgs {
-    /// Asks or commands, and prints.
+    /// Queries or commands, and prints the result.
     ///
     /// # Errors
-    /// Whatever the daemon, the device or the configuration says.
+    /// Any error of daemon, device or configuration.
     pub fn run(&self) -> Result<()> {
         let config = configured::config(self.config.as_deref())?;
         if let (Action::List, None) = (&self.action, &self.device) {

@@ -1,4 +1,4 @@
-//! `ihd device DEV record`: by the daemon into its store, or here. Both ways with the daemon's recorder.
+//! `ihd device DEV record`: a recording by the daemon into its store, or by this process. Both use the daemon's recorder.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -12,7 +12,7 @@ use anyhow::{Context, Result, bail};
 use ihd_api::ApiClient;
 use ihd_daemon::model::{Command, RecordSettings, RecordingPhase, Trigger};
 use ihd_daemon::recording::{Recorder, Told};
-use ihd_link::{Client, HEARD_EVERY};
+use ihd_link::{Client, KEEPALIVE_PERIOD};
 use ihd_train::WINDOWS_EVERY;
 use serde_json::json;
 
@@ -21,13 +21,13 @@ use super::hob::Hob;
 use super::text::one_line;
 use crate::cli::{interrupt, output, record};
 
-/// Between two looks at ^C, the time and the daemon.
-const LOOK_EVERY: Duration = Duration::from_millis(200);
+/// Period of polling for Ctrl-C, the time and the daemon.
+const POLL_PERIOD: Duration = Duration::from_millis(200);
 
-/// How long a file that has ended may take to be complete.
+/// Time limit for an ended file to be complete.
 const COMPLETE_WITHIN: Duration = Duration::from_secs(10);
 
-/// Records until ^C or the time is over.
+/// Records until Ctrl-C or the end of the time.
 pub(super) fn record(
     hob: Hob,
     out: Option<&Path>,
@@ -64,7 +64,7 @@ fn by_daemon(
     }
     let mut known = began.file.is_some();
     while !stop.load(Ordering::Relaxed) {
-        sleep(LOOK_EVERY);
+        sleep(POLL_PERIOD);
         let Some(now) = client.device(name)?.recording_now else {
             break;
         };
@@ -75,7 +75,7 @@ fn by_daemon(
         }
     }
     if stop.load(Ordering::Relaxed) {
-        // Where it has ended by itself meanwhile there is nothing to stop.
+        // If it has ended by itself, there is nothing to stop.
         let _ = client.command(name, &Command::RecordStop);
     }
     let recorded = complete(client, name, &before)?;
@@ -93,14 +93,14 @@ fn by_daemon(
     print(&shown, json)
 }
 
-/// Recordings of a device, and whether each is complete.
+/// Recordings of a device, each with `true` if it is complete.
 fn files(client: &ApiClient, device: &str) -> Result<Vec<(String, bool)>> {
     let mut all = client.recordings()?;
     all.retain(|recording| recording.device == device);
     Ok(all.into_iter().map(|r| (r.file, !r.under_way)).collect())
 }
 
-/// The files that there are more than `before`, once they are complete; oldest first.
+/// New files compared with `before`, once they are complete; oldest first.
 fn complete(client: &ApiClient, device: &str, before: &BTreeSet<String>) -> Result<Vec<String>> {
     let began = Instant::now();
     loop {
@@ -114,11 +114,11 @@ fn complete(client: &ApiClient, device: &str, before: &BTreeSet<String>) -> Resu
         if began.elapsed() > COMPLETE_WITHIN {
             bail!("{device}: its recording is still being written; the daemon's disk is slow");
         }
-        sleep(LOOK_EVERY);
+        sleep(POLL_PERIOD);
     }
 }
 
-/// Brings recordings here: the first one under its name, the others with a number.
+/// Downloads recordings: the first one with the given name, the others with a number.
 fn download(client: &ApiClient, recorded: &[String], out: &Path) -> Result<Vec<PathBuf>> {
     let mut here = Vec::new();
     for (k, file) in recorded.iter().enumerate() {
@@ -177,7 +177,7 @@ fn directly(
     if settings.trigger == Trigger::Now {
         ensure_usage!(
             settings.pre_trigger_s == 0.0,
-            "without a daemon nobody has listened before: --pre-trigger needs --trigger, or `ihd trainer --daemon`"
+            "without a daemon there is no data from before: --pre-trigger needs --trigger, or `ihd trainer --daemon`"
         );
         return record::RecordArgs::of_device(out, settings.duration_s, json)?
             .record_from(direct.into_client(), true);
@@ -200,52 +200,52 @@ fn directly(
     if !json {
         say!("{}; ^C ends it", started.text)?;
     }
-    let mut heard = Heard::default();
-    let listened = listen(&mut client, &recorder, stop, || heard.take(&told, json));
-    // Where it has ended by itself there is nothing to stop.
+    let mut progress = RecorderProgress::default();
+    let listened = listen(&mut client, &recorder, stop, || progress.take(&told, json));
+    // If it has ended by itself, there is nothing to stop.
     let _ = recorder.stop("ended by hand");
     let left = client.stream(0, 0);
     let began = Instant::now();
     while !recorder.incomplete().is_empty() && began.elapsed() < COMPLETE_WITHIN {
-        sleep(LOOK_EVERY);
+        sleep(POLL_PERIOD);
     }
-    heard.take(&told, true)?;
-    print(&heard.files, json)?;
+    progress.take(&told, true)?;
+    print(&progress.files, json)?;
     listened?;
-    if let Some(why) = heard.failed {
+    if let Some(why) = progress.failed {
         bail!("{why}");
     }
     Ok(left?)
 }
 
-/// Listens until ^C, or until the recording has ended.
+/// Prints progress until Ctrl-C, or until the recording has ended.
 fn listen(
     client: &mut Client,
     recorder: &Recorder,
     stop: &AtomicBool,
     mut look: impl FnMut() -> Result<()>,
 ) -> Result<()> {
-    let mut heard = client.clock();
+    let mut contact = client.clock();
     while !stop.load(Ordering::Relaxed) && recorder.now().is_some() {
-        client.next_event(LOOK_EVERY)?;
+        client.next_event(POLL_PERIOD)?;
         recorder.tick();
         look()?;
-        if client.clock().saturating_sub(heard) >= HEARD_EVERY {
-            heard = client.clock();
+        if client.clock().saturating_sub(contact) >= KEEPALIVE_PERIOD {
+            contact = client.clock();
             client.status()?;
         }
     }
     Ok(())
 }
 
-/// What the recorder has told.
+/// Status reports of the recorder.
 #[derive(Default)]
-struct Heard {
+struct RecorderProgress {
     files: Vec<PathBuf>,
     failed: Option<String>,
 }
 
-impl Heard {
+impl RecorderProgress {
     fn take(&mut self, told: &mpsc::Receiver<Told>, silently: bool) -> Result<()> {
         while let Ok(what) = told.try_recv() {
             match (what.phase, what.file) {
@@ -262,7 +262,7 @@ impl Heard {
     }
 }
 
-/// An address as the name of a file.
+/// Converts an address to a file name.
 fn file_name(name: &str) -> String {
     let plain = |c: char| {
         if c.is_ascii_alphanumeric() || "-_.".contains(c) {

@@ -1,4 +1,4 @@
-//! Devices in words. What a device or a daemon says is escaped where it is printed.
+//! Texts about devices. Strings of a device or a daemon are escaped at output.
 
 use anyhow::Result;
 use ihd_daemon::model::{DeviceReport, Live, PotTemperature};
@@ -13,7 +13,7 @@ pub(super) fn print(report: &DeviceReport, json: bool) -> Result<()> {
     output::text(&of_report(report))
 }
 
-/// A half-cycle in some words.
+/// Text of a half-cycle.
 pub(super) fn of_live(live: &Live) -> String {
     let mut text = format!("{}, {:.0} W", live.state, live.power_w);
     if live.asked_w > 0 {
@@ -33,7 +33,7 @@ pub(super) fn of_live(live: &Live) -> String {
     text
 }
 
-/// How warm a pot is, in some words.
+/// Text of a pot's temperature.
 pub(in crate::cli) fn of_pot(pot: &PotTemperature) -> String {
     let mut text = format!(
         "{:+.0} ± {:.0} K since it was put on",
@@ -75,7 +75,7 @@ fn of_report(r: &DeviceReport) -> String {
             ),
         );
     }
-    // Where that is why it is not connected, the state says it.
+    // If the update is the reason for being disconnected, the state has it.
     if !r.updates_needed.is_empty() && r.updates_needed != r.detail {
         line("update", r.updates_needed.clone());
     }
@@ -114,6 +114,10 @@ fn of_report(r: &DeviceReport) -> String {
             ),
         );
     }
+    if r.frames_beyond > 0 {
+        let text = format!("{} frames more than a hob sends: dropped", r.frames_beyond);
+        line("floods", text);
+    }
     if let Some(lease) = &r.lease {
         line(
             "commanded",
@@ -135,7 +139,7 @@ fn of_report(r: &DeviceReport) -> String {
     text
 }
 
-/// A line stays one, whatever it holds.
+/// Joins the text to one line.
 pub(in crate::cli) fn one_line(text: &str) -> String {
     output::escaped(text)
         .replace('\n', "\\n")
@@ -190,6 +194,7 @@ mod tests {
             recording_now: None,
             pot_temperature: None,
             connections: 0,
+            frames_beyond: 0,
         };
         let text = of_report(&report);
         assert!(

@@ -1,4 +1,4 @@
-//! What begins a recording, on the command line: `fault`, `level:power>1000`.
+//! Trigger of a recording on the command line: `fault`, `level:power>1000`.
 
 use ihd_daemon::model::{Quantity, Trigger};
 
@@ -10,10 +10,10 @@ const QUANTITIES: [Quantity; 5] = [
     Quantity::Frequency,
 ];
 
-/// Reads a trigger.
+/// Parses a trigger.
 ///
 /// # Errors
-/// What is wrong with it, and how one is written.
+/// A description of the defect and of the syntax.
 pub(super) fn trigger(text: &str) -> Result<Trigger, String> {
     match text.split_once(':') {
         None if text == "now" => Ok(Trigger::Now),

@@ -1,4 +1,4 @@
-//! `ihd device DEV watch`: what happens, as it happens.
+//! `ihd device DEV watch`: events as they occur.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -14,15 +14,15 @@ use super::hob::Hob;
 use super::text::{of_live, one_line};
 use crate::cli::{interrupt, output};
 
-/// Of so many half-cycles one is shown.
+/// Number of half-cycles of which one is shown.
 const ONE_IN: u32 = 100;
 
-/// Prints a line for each event: JSON or words.
+/// Prints a line for each event: JSON or text.
 pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
     match hob {
         Hob::Direct(direct) => watch_directly(direct, json),
         Hob::Daemon { client, name } => {
-            // Nothing is to be switched off: ^C ends the process.
+            // Nothing needs to be switched off: Ctrl-C ends the process.
             let mut shown_ms = i64::MIN;
             for event in client.events(Some(name.as_str()))? {
                 let cut = |e: std::io::Error| ClientError::Unreachable {
@@ -46,7 +46,7 @@ pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
     }
 }
 
-/// Half-cycles once a second, everything else at once.
+/// Prints half-cycles once a second, everything else at once.
 fn show(notice: &Notice, shown_ms: &mut i64) -> Result<()> {
     let text = match &notice.what {
         What::Telemetry { .. } if notice.at_ms.saturating_sub(*shown_ms) < 1_000 => return Ok(()),
@@ -54,13 +54,13 @@ fn show(notice: &Notice, shown_ms: &mut i64) -> Result<()> {
             *shown_ms = notice.at_ms;
             of_live(live)
         }
-        what => words(what).unwrap_or_default(),
+        what => event_text(what).unwrap_or_default(),
     };
     say!("{}", one_line(&text))
 }
 
-/// What happened, in words; none of a half-cycle, which is no event to a person.
-pub(in crate::cli) fn words(what: &What) -> Option<String> {
+/// Text of an event; `None` for a half-cycle, which is not shown as an event.
+pub(in crate::cli) fn event_text(what: &What) -> Option<String> {
     Some(match what {
         What::Telemetry { .. } => return None,
         What::State { state: now, detail } if detail.is_empty() => now.word().to_owned(),
@@ -97,11 +97,18 @@ pub(in crate::cli) fn words(what: &What) -> Option<String> {
         What::Fault { fault: 0, .. } => "fault cleared".to_owned(),
         What::Fault { fault, text } => format!("fault {fault}: {text}"),
         What::Pot { text, .. } | What::PotTemperature { text, .. } => format!("pot {text}"),
-        What::Lease { holder, .. } if holder.is_empty() => "nobody commands it now".to_owned(),
-        What::Lease { holder, taken_from } if taken_from.is_empty() => {
+        What::Lease { holder, why, .. } if holder.is_empty() => match why.as_str() {
+            "" => "nobody commands it now".to_owned(),
+            why => format!("nobody commands it now: {why}"),
+        },
+        What::Lease {
+            holder, taken_from, ..
+        } if taken_from.is_empty() => {
             format!("{holder} commands it")
         }
-        What::Lease { holder, taken_from } => {
+        What::Lease {
+            holder, taken_from, ..
+        } => {
             format!("{holder} has taken command from {taken_from}")
         }
         What::Command { holder, text, ok } => {

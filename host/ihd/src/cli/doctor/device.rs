@@ -1,4 +1,4 @@
-//! Which device, and the way to it.
+//! Choice of the device to examine, and connection to it.
 
 use anyhow::Result;
 use ihd_link::{Client, DeviceSpec, Transport};
@@ -8,11 +8,11 @@ use ihd_sim::transport::SharedHob;
 use crate::cli::simulated::SimulatedHobArgs;
 use crate::cli::usage::Usage;
 
-/// A device that is to be examined.
-pub(super) enum Wanted {
-    /// By its address.
+/// Device to examine.
+pub(super) enum DeviceChoice {
+    /// By address.
     Spec(DeviceSpec),
-    /// By its name in a configuration.
+    /// By name in a configuration.
     #[cfg(feature = "daemon")]
     Configured {
         config: Box<ihd_daemon::config::Config>,
@@ -20,34 +20,34 @@ pub(super) enum Wanted {
     },
 }
 
-/// The device of an address, or of a name of the configuration.
+/// Returns the device with an address, or with a name of the configuration.
 #[cfg(feature = "daemon")]
-pub(super) fn of_name(name: &str, config: Option<&std::path::Path>) -> Result<Wanted> {
+pub(super) fn of_name(name: &str, config: Option<&std::path::Path>) -> Result<DeviceChoice> {
     let of_spec = name.parse::<DeviceSpec>();
     if let (Ok(spec), None) = (&of_spec, config) {
-        return Ok(Wanted::Spec(spec.clone()));
+        return Ok(DeviceChoice::Spec(spec.clone()));
     }
     let mut config = crate::cli::configured::config(config)?;
-    // Also checks the simulated hobs' options, and marks whose they are.
+    // Checks the options of the simulated hobs, and marks their devices.
     crate::cli::opener::opener(&mut config)?;
     let named = config.devices.iter().find(|device| device.name == name);
     match (named, of_spec) {
-        (Some(device), _) => Ok(Wanted::Configured {
+        (Some(device), _) => Ok(DeviceChoice::Configured {
             address: Box::new(device.address.clone()),
             config: Box::new(config),
         }),
-        (None, Ok(spec)) => Ok(Wanted::Spec(spec)),
+        (None, Ok(spec)) => Ok(DeviceChoice::Spec(spec)),
         (None, Err(error)) => Err(Usage(format!("{error}, or a name of the configuration")).into()),
     }
 }
 
-/// The device of an address.
+/// Returns the device with an address.
 #[cfg(not(feature = "daemon"))]
-pub(super) fn of_name(name: &str) -> Result<Wanted> {
-    Ok(Wanted::Spec(name.parse().map_err(Usage::of)?))
+pub(super) fn of_name(name: &str) -> Result<DeviceChoice> {
+    Ok(DeviceChoice::Spec(name.parse().map_err(Usage::of)?))
 }
 
-impl Wanted {
+impl DeviceChoice {
     /// Connects.
     pub(super) fn connect(self, simulated: &SimulatedHobArgs) -> Result<Client> {
         match self {

@@ -1,4 +1,4 @@
-//! `ihd doctor`: what is wrong with a board, and with the machine it is plugged into.
+//! `ihd doctor`: diagnosis of a board and of the machine it is connected to.
 
 mod device;
 #[cfg(feature = "daemon")]
@@ -12,8 +12,8 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use ihd_doctor::machine::{self, Here, System};
-use ihd_doctor::{Check, Group, Report, board, firmware, first_switching};
+use ihd_doctor::machine::{self, LocalSystem, System};
+use ihd_doctor::{Check, CheckGroup, Report, board, firmware, first_switching};
 use ihd_flash::{Image, ImageError};
 use ihd_link::Client;
 use ihd_survey::calibration::Reference;
@@ -48,7 +48,7 @@ pub struct DoctorArgs {
     /// Do not ask before the first switching
     #[arg(long, requires = "first_switching")]
     yes: bool,
-    /// What is known of the load, for the skew of the channels: r=OHM,l=HENRY, or no-pot,r=OHM
+    /// Known load, for the skew of the channels: r=OHM,l=HENRY, or no-pot,r=OHM
     #[arg(long, value_name = "REF", value_parser = super::calibrate::reference, requires = "first_switching")]
     reference: Option<Reference>,
     /// The image that should run; without one what this program carries, or the checkout's
@@ -65,19 +65,19 @@ pub struct DoctorArgs {
     simulated: SimulatedHobArgs,
 }
 
-/// What ends the command with another exit code than 0, once the report is printed.
+/// Error with the exit code of the command, after the report was printed.
 #[derive(Debug, thiserror::Error)]
-pub enum Unwell {
-    /// Exit code 1.
+pub enum ChecksFailed {
+    /// Checks failed: exit code 1.
     #[error("{0} of the checks failed")]
     Failed(usize),
-    /// Exit code 3.
+    /// No device: exit code 3.
     #[error("{0}")]
     NoDevice(String),
 }
 
-impl Unwell {
-    /// The exit code.
+impl ChecksFailed {
+    /// Exit code.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Failed(_) => 1,
@@ -87,12 +87,12 @@ impl Unwell {
 }
 
 impl DoctorArgs {
-    /// Looks, and reports.
+    /// Makes the checks and prints the report.
     ///
     /// # Errors
-    /// [`Unwell`] where something failed or no device was found; wrong usage; what `--fix` could not do.
+    /// [`ChecksFailed`] if a check failed or no device was found; wrong usage; errors of `--fix`.
     pub fn run(&self) -> Result<()> {
-        // Before anything is looked at: an image that was asked for is there, and DEV is a device.
+        // Checked first: a requested image exists, and DEV is valid.
         let image = match &self.image {
             Some(path) => Image::read(path).map_err(anyhow::Error::from).map(Ok)?,
             None => Image::choose(None).map_err(|why| match why {
@@ -102,57 +102,57 @@ impl DoctorArgs {
                 why => why.to_string(),
             }),
         };
-        let wanted = self.wanted()?;
-        let here = Here::new(as_root());
+        let choice = self.device_choice()?;
+        let system = LocalSystem::new(as_root());
         if self.fix {
-            fix(&here, self.json)?;
+            fix(&system, self.json)?;
         }
         if self.first_switching && !self.yes && !confirmed(self.json)? {
             return Ok(());
         }
         let stop = interrupt::flag().context("cannot catch ^C")?;
-        let found = match &wanted {
+        let found = match &choice {
             Some(_) => Vec::new(),
-            None => machine::boards(&here),
+            None => machine::boards(&system),
         };
         let name = self.device.clone().or_else(|| match found.as_slice() {
             [one] => Some(one.clone()),
             _ => None,
         });
-        let mut report = Report::of(name.clone());
+        let mut report = Report::new(name.clone());
         #[cfg_attr(not(feature = "daemon"), expect(unused_mut))]
-        let mut checks = machine::checks(&here);
+        let mut checks = machine::checks(&system);
         #[cfg(feature = "daemon")]
         checks.push(store::check(self.config.as_deref()));
-        report.add(Group {
+        report.add(CheckGroup {
             name: "machine",
             checks,
         });
-        let none = self.examine(&mut report, wanted, &found, &image, stop);
+        let none = self.examine(&mut report, choice, &found, &image, stop);
         self.print(&report)?;
         if let Some(why) = none {
-            return Err(Unwell::NoDevice(why).into());
+            return Err(ChecksFailed::NoDevice(why).into());
         }
         match report.counts.fail {
             0 => Ok(()),
-            failed => Err(Unwell::Failed(failed).into()),
+            failed => Err(ChecksFailed::Failed(failed).into()),
         }
     }
 
-    /// The groups of the device; why there is none, or why it is no more.
+    /// Groups of the device; with the reason why there is none, or why it was lost.
     fn examine(
         &self,
         report: &mut Report,
-        wanted: Option<device::Wanted>,
+        choice: Option<device::DeviceChoice>,
         found: &[String],
         image: &Result<Image, String>,
         stop: &AtomicBool,
     ) -> Option<String> {
-        let wanted = match (wanted, found) {
-            (Some(wanted), _) => Ok(wanted),
+        let choice = match (choice, found) {
+            (Some(choice), _) => Ok(choice),
             (None, [one]) => one
                 .parse()
-                .map(device::Wanted::Spec)
+                .map(device::DeviceChoice::Spec)
                 .map_err(|e| format!("{e}")),
             (None, []) => Err("no board was found: ihd doctor DEV names one".to_owned()),
             (None, all) => Err(format!(
@@ -160,8 +160,8 @@ impl DoctorArgs {
                 all.join(", ")
             )),
         };
-        let connected = wanted.and_then(|wanted| {
-            let connected = wanted.connect(&self.simulated);
+        let connected = choice.and_then(|choice| {
+            let connected = choice.connect(&self.simulated);
             connected.map_err(|error| super::message(&error))
         });
         let mut client = match connected {
@@ -179,11 +179,11 @@ impl DoctorArgs {
             facts,
             image.as_ref().map_err(String::as_str),
         ));
-        report.add(Group {
+        report.add(CheckGroup {
             name: "firmware",
             checks,
         });
-        report.add(Group {
+        report.add(CheckGroup {
             name: "board",
             checks: examined.checks,
         });
@@ -195,7 +195,7 @@ impl DoctorArgs {
         lost
     }
 
-    /// The first switching, unless something speaks against it.
+    /// Makes the first switching, unless a check forbids it.
     fn switch(
         &self,
         report: &mut Report,
@@ -220,14 +220,14 @@ impl DoctorArgs {
             }
             None => first_switching::run(client, self.reference, stop),
         };
-        report.add(Group {
+        report.add(CheckGroup {
             name: "first_switching",
             checks,
         });
         ended
     }
 
-    /// What would have been asked of the device.
+    /// Adds the device's checks as not tested.
     fn not_connected(&self, report: &mut Report, why: &str) {
         let connection = match self.device.is_some() || report.device.is_some() {
             true => Check::fail(
@@ -240,31 +240,31 @@ impl DoctorArgs {
         let mut checks = vec![connection];
         let none = |name| Check::not_tested(name, "no device");
         checks.extend(["protocol", "version", "image"].map(none));
-        report.add(Group {
+        report.add(CheckGroup {
             name: "firmware",
             checks,
         });
-        report.add(Group {
+        report.add(CheckGroup {
             name: "board",
             checks: board::NAMES.map(none).into(),
         });
         if self.first_switching {
-            report.add(Group {
+            report.add(CheckGroup {
                 name: "first_switching",
                 checks: first_switching::NAMES.map(none).into(),
             });
         }
     }
 
-    fn wanted(&self) -> Result<Option<device::Wanted>> {
+    fn device_choice(&self) -> Result<Option<device::DeviceChoice>> {
         let Some(name) = &self.device else {
             return Ok(None);
         };
         #[cfg(feature = "daemon")]
-        let wanted = device::of_name(name, self.config.as_deref())?;
+        let choice = device::of_name(name, self.config.as_deref())?;
         #[cfg(not(feature = "daemon"))]
-        let wanted = device::of_name(name)?;
-        Ok(Some(wanted))
+        let choice = device::of_name(name)?;
+        Ok(Some(choice))
     }
 
     fn print(&self, report: &Report) -> Result<()> {
@@ -275,16 +275,16 @@ impl DoctorArgs {
     }
 }
 
-/// What a person runs as root to have the rule installed: `sudo` finds no program of a person's own folder.
+/// Command line for installing the rule as root: `sudo` does not search a user's own folders for programs.
 fn as_root() -> String {
     let program = std::env::current_exe();
     let program = program.map_or_else(|_| "ihd".to_owned(), |path| path.display().to_string());
     format!("sudo {program} doctor --fix")
 }
 
-fn fix(here: &Here, json: bool) -> Result<()> {
+fn fix(system: &LocalSystem, json: bool) -> Result<()> {
     ensure_usage!(
-        here.os() == machine::Os::Linux,
+        system.os() == machine::Os::Linux,
         "--fix installs a udev rule, which only Linux has; `ihd doctor` says what else to do"
     );
     let mut run = |program: &str, arguments: &[&str]| {
@@ -294,20 +294,20 @@ fn fix(here: &Here, json: bool) -> Result<()> {
             false => Err(std::io::Error::other(status.to_string())),
         }
     };
-    let path = machine::install(Path::new("/"), &here.as_root(), &mut run)?;
+    let path = machine::install(Path::new("/"), &system.as_root(), &mut run)?;
     let text = format!(
         "installed {}; plug boards and probes in again",
         path.display()
     );
     match json {
-        // What is printed there is one document.
+        // Standard output carries the JSON document only.
         true => complain(format_args!("ihd: {text}")),
         false => say!("{text}")?,
     }
     Ok(())
 }
 
-/// What must be so before a bridge switches for the first time.
+/// Conditions of the first switching.
 const BEFORE: &str = "First switching: the bridge will switch for up to 5 s with the least power, at 80 kHz.\n\
     \n  \
     - DC supply of 30 to 60 V, limit 1 A, isolated output, on DC+ and DC-; not the mains, F1 out\n  \
@@ -317,7 +317,7 @@ const BEFORE: &str = "First switching: the bridge will switch for up to 5 s with
     - sections A to D of docs/first-power-up.md are done\n\n\
     ^C switches off. Type `switch` to go on: ";
 
-/// Whether a person says that it may switch.
+/// Asks the user for permission to switch; returns `true` if granted.
 fn confirmed(json: bool) -> Result<bool> {
     ensure_usage!(
         stdin().is_terminal() && !json,

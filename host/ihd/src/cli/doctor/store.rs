@@ -1,4 +1,4 @@
-//! The check `store`: of a running daemon by its own word, without one by a trial of the folder.
+//! Check `store`: reported by a running daemon, or a trial of the folder.
 
 use std::path::Path;
 use std::time::Duration;
@@ -13,10 +13,10 @@ use crate::cli::configured;
 
 const NAME: &str = "store";
 
-/// A store that hangs is said after five seconds.
+/// Time limit of the daemon's health check; it reports a hanging store after five seconds.
 const HEALTH_WITHIN: Duration = Duration::from_secs(10);
 
-/// Looks at the store of a configuration.
+/// Checks the store of a configuration.
 pub(super) fn check(path: Option<&Path>) -> Check {
     let config = match configured::config(path) {
         Ok(config) => config,
@@ -44,7 +44,7 @@ pub(super) fn check(path: Option<&Path>) -> Check {
     }
 }
 
-/// The running daemon's own word.
+/// Check from the running daemon's report.
 fn of_daemon(config: &Config, is_well: bool, failure: Option<StoreFailure>) -> Check {
     let at = format!("the daemon at {}", config.listen);
     let Some(failure) = failure else {
@@ -71,11 +71,11 @@ fn of_daemon(config: &Config, is_well: bool, failure: Option<StoreFailure>) -> C
         ("lost_events", lost.events as f64, ""),
         ("lost_audits", lost.audits as f64, ""),
     ];
-    let told = evidence.map(|(name, value, unit)| Evidence::told(name, value, unit));
-    Check::fail(NAME, finding, failure.advice).with_evidence(told.into())
+    let numbers = evidence.map(|(name, value, unit)| Evidence::informative(name, value, unit));
+    Check::fail(NAME, finding, failure.advice).with_evidence(numbers.into())
 }
 
-/// A folder that no daemon of this configuration writes to.
+/// Checks a folder that no daemon of this configuration writes to.
 fn of_folder(folder: &Path) -> Check {
     match try_folder(folder) {
         Ok(tried) => Check::pass(
@@ -86,8 +86,8 @@ fn of_folder(folder: &Path) -> Check {
             ),
         )
         .with_evidence(vec![
-            Evidence::told("databases", tried.databases as f64, ""),
-            Evidence::told("checked", tried.checked as f64, ""),
+            Evidence::informative("databases", tried.databases as f64, ""),
+            Evidence::informative("checked", tried.checked as f64, ""),
         ]),
         Err(StoreError::NoStore { folder }) => Check::not_tested(
             NAME,
@@ -95,7 +95,7 @@ fn of_folder(folder: &Path) -> Check {
         ),
         Err(error) => match cause_of(&error) {
             Some(cause) => Check::fail(NAME, format!("{}: {error}", cause.text()), cause.advice()),
-            // Another process has it, or it is of a later version: its words say what to do.
+            // Used by another process, or of a later version: the error has the remedy.
             None => Check::fail(
                 NAME,
                 error.to_string(),

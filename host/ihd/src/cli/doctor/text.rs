@@ -1,16 +1,16 @@
-//! The report for people.
+//! The report as text.
 
 use std::fmt::Write;
 
-use ihd_doctor::{Check, Group, Report, Verdict};
+use ihd_doctor::{Check, CheckGroup, Report, Verdict};
 
-/// What stands before a finding.
+/// Width of the column before a finding.
 const INDENT: usize = 32;
 
-/// Widest line.
+/// Limit of a line's width.
 const WIDTH: usize = 118;
 
-/// A report as text.
+/// Formats a report.
 pub(super) fn of(report: &Report) -> String {
     let mut text = String::new();
     for group in &report.groups {
@@ -25,7 +25,7 @@ pub(super) fn of(report: &Report) -> String {
     text
 }
 
-fn of_group(text: &mut String, group: &Group, device: Option<&str>) {
+fn of_group(text: &mut String, group: &CheckGroup, device: Option<&str>) {
     let heading = match (group.name, device) {
         ("machine", _) | (_, None) => group.name.replace('_', " "),
         (name, Some(device)) => format!("{}: {device}", name.replace('_', " ")),
@@ -41,16 +41,16 @@ fn of_group(text: &mut String, group: &Group, device: Option<&str>) {
     text.push('\n');
 }
 
-/// Whether two were not tested for the same reason, which is then told once.
+/// Returns `true` if two checks were not tested for the same reason, which is then printed once.
 fn are_alike(a: &Check, b: &Check) -> bool {
     a.verdict == Verdict::NotTested && (a.verdict, &a.finding) == (b.verdict, &b.finding)
 }
 
-/// Checks that were not tested for one reason.
+/// Formats checks that were not tested for the same reason.
 fn of_alike(text: &mut String, checks: &[Check], first: &Check) {
     let names: Vec<_> = checks.iter().map(|check| check.name).collect();
     let line = format!("{}: {}", first.finding, names.join(", "));
-    let head = format!("  {:<17} {:<10}", "…", first.verdict.word());
+    let head = format!("  {:<17} {:<10}", "…", first.verdict.as_str());
     for (n, line) in wrapped(&line).iter().enumerate() {
         let before = if n == 0 { head.as_str() } else { "" };
         let _ = writeln!(text, "{before:<INDENT$}{line}");
@@ -58,7 +58,7 @@ fn of_alike(text: &mut String, checks: &[Check], first: &Check) {
 }
 
 fn of_check(text: &mut String, check: &Check) {
-    let head = format!("  {:<17} {:<10}", check.name, check.verdict.word());
+    let head = format!("  {:<17} {:<10}", check.name, check.verdict.as_str());
     let mut lines = wrapped(&check.finding);
     if let Some(remedy) = check
         .remedy
@@ -73,7 +73,7 @@ fn of_check(text: &mut String, check: &Check) {
     }
 }
 
-/// Text in lines that fit beside what is before them.
+/// Wraps text to the width of the findings.
 fn wrapped(text: &str) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in text.split(' ') {
@@ -98,10 +98,10 @@ mod tests {
 
     #[test]
     fn what_was_not_tested_for_one_reason_is_told_once() {
-        let mut report = Report::of(None);
+        let mut report = Report::new(None);
         let none = |name| Check::not_tested(name, "no device");
         let checks = ["idle", "clocks", "noise"].map(none).into();
-        report.add(Group {
+        report.add(CheckGroup {
             name: "board",
             checks,
         });
@@ -112,9 +112,9 @@ mod tests {
 
     #[test]
     fn what_failed_says_what_to_do_and_lines_fit() {
-        let mut report = Report::of(Some("usb:A1".into()));
+        let mut report = Report::new(Some("usb:A1".into()));
         let long = "a very long finding of many words ".repeat(8);
-        report.add(Group {
+        report.add(CheckGroup {
             name: "board",
             checks: vec![
                 Check::fail("clocks", long.trim(), "turn it"),

@@ -1,29 +1,29 @@
-//! The link to a board that is flashed: opened anew for each question, as the board is reset in between.
+//! Link to a board that is flashed; opened for each request, as the board is reset in between.
 
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
 use ihd_flash::BuildId;
-use ihd_flash::install::{Heard, Link};
+use ihd_flash::install::{Link, RunningBoard};
 use ihd_link::{Client, DeviceSpec, LinkError};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{State, Status};
 
-/// Where Linux names serial ports by what is plugged in.
+/// Folder in which Linux names serial ports by device.
 const BY_ID: &str = "/dev/serial/by-id";
 
-/// How long a command waits: a board answers within milliseconds.
+/// Time limit of a request: a board answers within milliseconds.
 const TIMEOUT: Duration = Duration::from_millis(500);
 
-/// One link that was named, or all that this board may have.
+/// Given link, or all links that this board may have.
 #[derive(Debug)]
 pub struct BoardLink {
     links: Vec<DeviceSpec>,
 }
 
 impl BoardLink {
-    /// `given`, or USB and the serial port of the probe with that serial number.
+    /// Creates one from `given`, or from USB and the serial port of the probe with that serial number.
     pub fn new(given: Option<DeviceSpec>, probe_serial: Option<&str>) -> Self {
         let links = match given {
             Some(given) => vec![given],
@@ -38,7 +38,7 @@ impl BoardLink {
 }
 
 impl Link for BoardLink {
-    fn ask(&mut self) -> Result<Heard, String> {
+    fn ask(&mut self) -> Result<RunningBoard, String> {
         let mut silent = Vec::new();
         for spec in &self.links {
             match ask(spec) {
@@ -50,15 +50,15 @@ impl Link for BoardLink {
     }
 }
 
-fn ask(spec: &DeviceSpec) -> Result<Heard, LinkError> {
-    // `ihd flash` refuses a simulated hob: none is opened here.
+fn ask(spec: &DeviceSpec) -> Result<RunningBoard, LinkError> {
+    // `ihd flash` rejects a simulated hob: none is opened here.
     let transport = spec.open(|| unreachable!("a simulated hob was refused"))?;
     let mut client = Client::connect(transport)?;
     client.set_timeout(TIMEOUT);
     let status = client.status()?;
     let facts = client.board()?;
     let hello = client.hello();
-    Ok(Heard {
+    Ok(RunningBoard {
         link: spec.to_string(),
         build: hello.build.to_string(),
         build_id: BuildId::of(&facts.build_id),
@@ -72,7 +72,7 @@ fn ask(spec: &DeviceSpec) -> Result<Heard, LinkError> {
     })
 }
 
-/// Power is on, or asked for: whoever asked expects it to go on.
+/// Returns `true` if power is on or requested, so that flashing would interrupt it.
 fn heats(status: &Status) -> bool {
     status.asked_w > 0
         || matches!(
@@ -81,7 +81,7 @@ fn heats(status: &Status) -> bool {
         )
 }
 
-/// The serial port of a USB device with this serial number.
+/// Serial port of a USB device with this serial number.
 fn port_of(folder: &Path, serial: &str) -> Option<String> {
     let names = fs::read_dir(folder).ok()?.flatten();
     let mut ports = names.filter(|entry| {

@@ -1,12 +1,12 @@
-//! `ihd flash --dfu`: the way through the chip's own bootloader.
+//! `ihd flash --dfu`: access through the chip's own bootloader.
 
 use anyhow::Result;
 use ihd_flash::Programmer;
 use ihd_flash::dfu::reach;
 use ihd_link::DeviceSpec;
 
-/// The bootloader that is plugged in, or the one with the serial number; where there is none, the firmware of the board on
-/// USB is sent there, and that behind `device` always.
+/// Opens the only bootloader, or the one with the serial number. If there is none, the firmware of the board on USB is restarted
+/// into it; the firmware behind `device` always is.
 ///
 /// # Errors
 /// [`ihd_flash::dfu::EnterError`].

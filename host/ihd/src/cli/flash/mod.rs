@@ -1,4 +1,4 @@
-//! `ihd flash`: the firmware's image onto a board.
+//! `ihd flash`: installation of the firmware's image on a board.
 
 mod board_link;
 mod dfu;
@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use clap::Args;
-use ihd_flash::install::{Plan, install};
-use ihd_flash::log::kept::Kept;
+use ihd_flash::install::{InstallPlan, install};
+use ihd_flash::log::image_cache::ImageCache;
 use ihd_flash::{Erase, Image, Programmer};
 use ihd_link::DeviceSpec;
 
@@ -19,8 +19,8 @@ use self::report::Screen;
 use super::output::complain;
 use super::usage::Usage;
 
-/// From reset to hello a board takes 65 ms, and its USB a second or two to be known to the system.
-const HEARD_WITHIN: Duration = Duration::from_secs(10);
+/// Time limit from reset to hello: a board takes 65 ms, and the system a second or two to list its USB.
+const HELLO_WITHIN: Duration = Duration::from_secs(10);
 
 /// Put the firmware on a board, through a debug probe or the chip's own USB.
 ///
@@ -56,7 +56,7 @@ pub struct FlashArgs {
     /// Erase the whole flash, with the learned lookup
     #[arg(long)]
     erase_all: bool,
-    /// Set option bytes as the firmware wants them, where they differ; without it they are only told
+    /// Set option bytes that differ from the firmware's requirement; without it they are only reported
     #[arg(long)]
     set_option_bytes: bool,
     /// Print the report as JSON
@@ -65,10 +65,10 @@ pub struct FlashArgs {
 }
 
 impl FlashArgs {
-    /// Flashes, and reports.
+    /// Flashes the board and prints the report.
     ///
     /// # Errors
-    /// Whatever keeps the image from being on the board and heard.
+    /// Any error that keeps the image from running on the board.
     pub fn run(&self) -> Result<()> {
         ensure_usage!(
             !matches!(self.device, Some(DeviceSpec::Sim | DeviceSpec::Tcp(_))),
@@ -82,7 +82,7 @@ impl FlashArgs {
             ),
             None => self.programmer()?,
         };
-        let plan = Plan {
+        let plan = InstallPlan {
             image: &image,
             erase: if self.erase_all {
                 Erase::All
@@ -90,8 +90,8 @@ impl FlashArgs {
                 Erase::Image
             },
             set_options: self.set_option_bytes,
-            heard_within: HEARD_WITHIN,
-            must_be_heard: self.device.is_some(),
+            hello_within: HELLO_WITHIN,
+            hello_required: self.device.is_some(),
         };
         let mut link = BoardLink::new(self.device.clone(), serial.as_deref());
         let mut screen = Screen::new(self.json)?;
@@ -104,7 +104,7 @@ impl FlashArgs {
         screen.end(&image, &done?, begun.elapsed())
     }
 
-    /// The way to the chip, and the probe's serial number.
+    /// Access to the chip, and the probe's serial number.
     #[cfg(feature = "probe")]
     fn programmer(&self) -> Result<(Box<dyn Programmer>, Option<String>)> {
         let probes = ihd_flash::probe::Probes::default();
@@ -119,20 +119,20 @@ impl FlashArgs {
     }
 }
 
-/// Keeps a copy by build id, in which `ihd log` finds the texts of what the board logs.
+/// Stores a copy by build id, in which `ihd log` finds the texts of the board's log.
 fn keep(image: &Image) {
-    let Some(kept) = Kept::of_user() else {
+    let Some(cache) = ImageCache::of_user() else {
         return;
     };
-    if let Err(why) = kept.keep(image) {
+    if let Err(why) = cache.keep(image) {
         complain(format_args!(
             "warning: no copy of the image in {} ({why}): `ihd log` will want it as --image",
-            kept.folder().display()
+            cache.folder().display()
         ));
     }
 }
 
-/// What to do with a program that knows no probes.
+/// Remedy for a build without probes.
 #[cfg_attr(
     feature = "probe",
     expect(dead_code, reason = "this program knows them")

@@ -1,9 +1,9 @@
-//! What `ihd flash` shows.
+//! Output of `ihd flash`.
 
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use ihd_flash::install::{Installed, Step};
+use ihd_flash::install::{InstallReport, InstallStep};
 use ihd_flash::options::Deviation;
 use ihd_flash::{Image, Progress};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -11,12 +11,12 @@ use serde::Serialize;
 
 use crate::cli::output;
 
-/// The report for programs.
+/// Report as JSON.
 #[derive(Serialize)]
 struct Report<'a> {
     image: Flashed<'a>,
     #[serde(flatten)]
-    installed: &'a Installed,
+    installed: &'a InstallReport,
     took_s: f64,
 }
 
@@ -30,17 +30,17 @@ struct Flashed<'a> {
     crc: u32,
 }
 
-/// The terminal.
+/// Output to the terminal.
 pub struct Screen {
     bar: ProgressBar,
     json: bool,
 }
 
 impl Screen {
-    /// With `json` nothing but the report is written.
+    /// Creates one; with `json` only the report is printed.
     ///
     /// # Errors
-    /// None that a user could cause.
+    /// Only for an internal defect.
     pub fn new(json: bool) -> Result<Self> {
         let bar = ProgressBar::new(0);
         let style =
@@ -49,10 +49,10 @@ impl Screen {
         Ok(Self { bar, json })
     }
 
-    /// The way and the image, before the chip is looked at.
+    /// Prints access and image, before the chip is accessed.
     ///
     /// # Errors
-    /// When standard output cannot be written.
+    /// If standard output cannot be written.
     pub fn begin(&self, way: &str, image: &Image) -> Result<()> {
         if self.json {
             return Ok(());
@@ -71,25 +71,25 @@ impl Screen {
         )
     }
 
-    /// A step. What cannot be shown is not a reason to stop half-way.
-    pub fn on(&mut self, step: &Step<'_>) {
+    /// Shows a step; an error of the output does not interrupt flashing.
+    pub fn on(&mut self, step: &InstallStep<'_>) {
         if self.json {
             return;
         }
         let shown = match step {
-            Step::Found(chip, before) => say!(
+            InstallStep::Identified(chip, before) => say!(
                 "chip       STM32G474, {} KiB\nreplaces   {}",
                 chip.flash_kib,
                 before.describe()
             ),
-            Step::Options(deviations, set) => deviations
+            InstallStep::Options(deviations, set) => deviations
                 .iter()
-                .try_for_each(|one| say!("{}", told(one, *set))),
-            Step::Flash(progress) => {
+                .try_for_each(|one| say!("{}", deviation_text(one, *set))),
+            InstallStep::Flash(progress) => {
                 self.advance(*progress);
                 Ok(())
             }
-            Step::Waiting => {
+            InstallStep::Waiting => {
                 self.bar.finish_and_clear();
                 say!("verified; the board starts")
             }
@@ -108,11 +108,11 @@ impl Screen {
         self.bar.set_position(done.into());
     }
 
-    /// The report.
+    /// Prints the report.
     ///
     /// # Errors
-    /// When standard output cannot be written.
-    pub fn end(&self, image: &Image, installed: &Installed, took: Duration) -> Result<()> {
+    /// If standard output cannot be written.
+    pub fn end(&self, image: &Image, installed: &InstallReport, took: Duration) -> Result<()> {
         self.bar.finish_and_clear();
         if self.json {
             return output::json(&Report {
@@ -138,7 +138,7 @@ impl Drop for Screen {
     }
 }
 
-fn told(one: &Deviation, set: bool) -> String {
+fn deviation_text(one: &Deviation, set: bool) -> String {
     let then = match (set, one.needed) {
         (true, _) => "is set now".into(),
         (false, true) => format!(
@@ -153,7 +153,7 @@ fn told(one: &Deviation, set: bool) -> String {
     )
 }
 
-fn text(done: &Installed, took: Duration) -> String {
+fn text(done: &InstallReport, took: Duration) -> String {
     let lookup = if done.lookup_kept {
         "the learned lookup was kept"
     } else {

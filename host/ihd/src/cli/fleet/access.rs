@@ -1,4 +1,4 @@
-//! Where the fleet is, for commands that are no daemon.
+//! Address and credentials of the fleet, for commands other than the daemon.
 
 use std::path::PathBuf;
 
@@ -35,10 +35,10 @@ pub struct AccessArgs {
 }
 
 impl AccessArgs {
-    /// Who is asked for, and as whom.
+    /// Returns address and credentials.
     ///
     /// # Errors
-    /// When nobody says where the fleet is.
+    /// If the fleet's address is not given.
     pub fn access(&self) -> Result<Access> {
         let given = self.url.clone();
         let given = given.or_else(|| std::env::var("IHD_FLEET_URL").ok());
@@ -62,10 +62,10 @@ impl AccessArgs {
         Ok(access)
     }
 
-    /// Does something with the fleet.
+    /// Connects to the fleet and runs `what`.
     ///
     /// # Errors
-    /// [`ihd_fleet::AccessError`], or what was done.
+    /// [`ihd_fleet::AccessError`], or the error of `what`.
     pub fn with<T>(&self, what: impl AsyncFnOnce(&Access, Context) -> Result<T>) -> Result<T> {
         let access = self.access()?;
         Runtime::new()?.block_on(async {

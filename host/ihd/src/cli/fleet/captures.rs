@@ -21,17 +21,17 @@ pub struct CapturesArgs {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// What is there
+    /// List the captures
     Ls {
-        /// As JSON
+        /// Print JSON
         #[arg(long)]
         json: bool,
     },
-    /// Put a file there
+    /// Upload a file
     Put {
         /// The file
         file: PathBuf,
-        /// Its name there; the file's own without
+        /// Its name in the fleet; default: the file's own
         #[arg(long)]
         name: Option<String>,
     },
@@ -39,7 +39,7 @@ enum Command {
     Get {
         /// Its name, as `ls` shows it
         name: String,
-        /// A file that is not there yet
+        /// File to write; it must not exist
         file: PathBuf,
     },
 }

@@ -8,7 +8,7 @@ use ihd_fleet::dead::{self, DeadFilter};
 use super::{AccessArgs, ago};
 use crate::report::table::Table;
 
-/// Windows that were given up, and why
+/// Windows that were given up, with the reasons
 #[derive(Debug, Args)]
 pub struct DeadArgs {
     #[command(flatten)]
@@ -16,7 +16,7 @@ pub struct DeadArgs {
     /// Delete them for good
     #[arg(long)]
     delete: bool,
-    /// As JSON
+    /// Print JSON
     #[arg(long, conflicts_with = "delete")]
     json: bool,
 }
@@ -31,10 +31,10 @@ pub struct ReplayArgs {
 
 #[derive(Debug, Args)]
 struct Which {
-    /// Those of this hob
+    /// Only windows of this hob
     #[arg(long, value_name = "HOB")]
     hob: Option<String>,
-    /// That of this number, as `ihd fleet dead` shows it
+    /// The window of this number, as `ihd fleet dead` shows it
     #[arg(long, value_name = "N")]
     number: Option<u64>,
 }

@@ -52,7 +52,7 @@ fn edge_name(text: &str) -> Result<String, String> {
     }
 }
 
-/// `EDGE=HOB,HOB`.
+/// Parses `EDGE=HOB,HOB`.
 fn edge(text: &str) -> Result<(String, Vec<String>), String> {
     let wrong = || format!("{text:?} is not EDGE=HOB,HOB: names have a-z, 0-9, - and _");
     let (edge, hobs) = text.split_once('=').ok_or_else(wrong)?;

@@ -10,7 +10,7 @@ use ihd_shared::lookup::RlLookup;
 use super::{AccessArgs, ago};
 use crate::report::table::Table;
 
-/// Lookups in the fleet: what each hob uses, what it used before, and one that it is to use
+/// Lookups in the fleet: the present one of each hob, its history, and one to be used
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd fleet lookups ls\n  \
@@ -23,9 +23,9 @@ pub struct LookupsArgs {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// The last of each hob
+    /// The latest of each hob
     Ls {
-        /// As JSON
+        /// Print JSON
         #[arg(long)]
         json: bool,
     },
@@ -33,7 +33,7 @@ enum Command {
     History {
         /// The hob
         hob: String,
-        /// As JSON
+        /// Print JSON
         #[arg(long)]
         json: bool,
     },

@@ -14,7 +14,7 @@ use clap::{Args, Subcommand};
 
 pub use access::AccessArgs;
 
-/// Many hobs, many workers: set up a fleet on a NATS server, look at it, bring back what was given up.
+/// Many hobs, many workers: set up a fleet on a NATS server, show its state, bring back what was given up.
 ///
 /// A daemon with `[fleet] url = "nats://…"` is an edge: its windows go to the fleet, results and lookups come back. `ihd worker` identifies.
 /// docs/fleet.md has a fleet in four commands.
@@ -49,16 +49,16 @@ enum Command {
     ServerConfig(server_config::ServerConfigArgs),
 }
 
-/// Something in the fleet needs somebody: what `ihd fleet status --check` ends with.
+/// Error of `ihd fleet status --check`: the fleet needs attention.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-pub struct Amiss(pub String);
+pub struct StatusCheckFailed(pub String);
 
 impl FleetArgs {
-    /// Does what was asked.
+    /// Runs the command.
     ///
     /// # Errors
-    /// The server cannot be reached, or says no; a wrong usage.
+    /// The server cannot be reached or refuses; wrong usage.
     pub fn run(&self) -> Result<()> {
         let access = &self.access;
         match &self.command {
@@ -76,7 +76,7 @@ impl FleetArgs {
     }
 }
 
-/// How long ago something was, for people.
+/// Text of the time since something.
 fn ago(at_ms: i64) -> String {
     if at_ms == 0 {
         return "never".to_owned();

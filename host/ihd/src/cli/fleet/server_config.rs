@@ -39,15 +39,15 @@ pub struct ServerConfigArgs {
     /// Folder of the server's data, as the server sees it
     #[arg(long, value_name = "DIR", default_value = "/var/lib/nats")]
     store: PathBuf,
-    /// Where the server listens
+    /// Address to listen on
     #[arg(long, value_name = "ADDRESS", default_value = "0.0.0.0:4222")]
     listen: String,
-    /// Where it listens for MQTT (docs/mqtt.md)
+    /// Address to listen on for MQTT (docs/mqtt.md)
     #[arg(long, value_name = "ADDRESS")]
     mqtt: Option<String>,
 }
 
-/// `SITE/EDGE=HOB,HOB`.
+/// Parses `SITE/EDGE=HOB,HOB`.
 fn edge(text: &str) -> Result<(Option<String>, Edge), ConfigError> {
     match text.split_once('/') {
         Some((site, edge)) => Ok((Some(site.to_owned()), edge.parse()?)),
@@ -68,7 +68,7 @@ impl ServerConfigArgs {
                 key: folder.join("key.pem"),
             }),
         };
-        // Before any key is made.
+        // Checked before any key is made.
         sites.iter().try_for_each(server_config::check_site)?;
         let has_mqtt = self.mqtt.is_some();
         let names: Vec<String> = sites
@@ -109,7 +109,7 @@ impl ServerConfigArgs {
     }
 }
 
-/// The site that is named, or the only one.
+/// Returns the named site, or the only one.
 fn find<'a>(sites: &'a mut [Site], name: Option<&str>) -> Result<&'a mut Site> {
     let named = match name {
         Some(name) => sites.iter_mut().find(|site| site.name == name),

@@ -6,16 +6,16 @@ use ihd_daemon::model::{FleetEdge, FleetReport};
 use ihd_fleet::{names, status};
 use serde::Serialize;
 
-use super::{AccessArgs, Amiss, ago};
+use super::{AccessArgs, StatusCheckFailed, ago};
 use crate::report::table::Table;
 
-/// After how long a hob or an edge that was not heard of is amiss, in milliseconds.
+/// Time in milliseconds after which a silent hob or edge counts as lost.
 const SILENT_MS: i64 = 60_000;
 
-/// What is where: windows, results, backlog, dead, workers, edges
+/// State of the fleet: windows, results, backlog, dead, workers, edges
 #[derive(Debug, Args)]
 pub struct StatusArgs {
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
     /// End with code 7 where windows are dead, no worker is there for a backlog, an edge was not heard of for a minute, or one has an alarm:
@@ -30,7 +30,7 @@ pub struct DevicesArgs {
     /// Only those whose firmware differs from that of most of their board, or from `ihd fleet init --build`
     #[arg(long)]
     outdated: bool,
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
@@ -38,7 +38,7 @@ pub struct DevicesArgs {
 /// Windows that wait for a worker, by hob
 #[derive(Debug, Args)]
 pub struct BacklogArgs {
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
@@ -52,10 +52,10 @@ impl StatusArgs {
         let report = report(access)?;
         match self.json {
             true => say!("{}", serde_json::to_string_pretty(&report)?)?,
-            false => say!("{}", words(&report).trim_end())?,
+            false => say!("{}", report_text(&report).trim_end())?,
         }
         match amiss(&report) {
-            Some(why) if self.check => Err(Amiss(why).into()),
+            Some(why) if self.check => Err(StatusCheckFailed(why).into()),
             _ => Ok(()),
         }
     }
@@ -91,7 +91,7 @@ fn alarms(report: &FleetReport) -> impl Iterator<Item = String> {
     report.edges.iter().flat_map(of)
 }
 
-fn words(report: &FleetReport) -> String {
+fn report_text(report: &FleetReport) -> String {
     let mut text = format!(
         "{}: {} windows ever, {} results, {} in the backlog, {} dead\n",
         report.server, report.windows, report.results, report.backlog, report.dead

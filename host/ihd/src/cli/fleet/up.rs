@@ -13,16 +13,16 @@ use ihd_fleet::server_config::{self, Edge, Server, Site, Tls};
 use ihd_fleet::{Access, Context};
 use tokio::runtime::Runtime;
 
-/// Names the program where it is not on the PATH.
+/// Environment variable with the server program's path, if it is not on the PATH.
 const PROGRAM: &str = "IHD_NATS_SERVER";
 
-/// Name of the only site, as it stands in the keys' names.
+/// Name of the only site, as used in the keys' names.
 const SITE: &str = "fleet";
 
-/// Between two looks at the server's process.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Period of polling the server's process.
+const POLL_PERIOD: Duration = Duration::from_millis(100);
 
-/// Lines of the server's log that are shown where it ends by itself.
+/// Number of lines of the server's log shown if it ends by itself.
 const LINES_SHOWN: usize = 10;
 
 /// Run a NATS server for a fleet, secured: makes its configuration, a key for each edge and worker, and what the fleet needs on it
@@ -39,7 +39,7 @@ pub struct UpArgs {
     /// Workers, worker-1 and so on, each with a key of its own
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: u32,
-    /// Where the server listens; beyond this machine only with --tls
+    /// Address to listen on; other than this machine only with --tls
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:4222")]
     listen: SocketAddr,
     /// Folder with certificate.pem and key.pem
@@ -66,7 +66,7 @@ impl UpArgs {
         });
         let site = Site::new(SITE, edges.collect(), self.workers);
         self.write_config(&folder, &site)?;
-        // Another server there would be taken for this one.
+        // A server that already listens there would be taken for this one.
         TcpListener::bind(self.listen)
             .with_context(|| format!("--listen {}: is a server running there?", self.listen))?;
         let mut server = Running::start(&folder)?;
@@ -112,7 +112,7 @@ impl UpArgs {
         format!("{scheme}://{}", self.listen)
     }
 
-    /// Makes streams, buckets and consumers once the server answers.
+    /// Creates streams, buckets and consumers once the server answers.
     async fn make(&self, folder: &Path, server: &mut Running) -> Result<()> {
         let access = Access {
             url: self.url(),
@@ -164,15 +164,15 @@ fn key(folder: &Path, role: &str) -> PathBuf {
 async fn connected(access: &Access, server: &mut Running) -> Result<Context> {
     loop {
         server.check()?;
-        // It is still starting; where it cannot, it ends and says why.
+        // It may still be starting; if it cannot, it ends with the reason.
         if let Ok(context) = access.connect("ihd-fleet-up").await {
             return Ok(context);
         }
-        tokio::time::sleep(LOOK_EVERY).await;
+        tokio::time::sleep(POLL_PERIOD).await;
     }
 }
 
-/// The server's command line; what it says goes to its log.
+/// Command line of the server; its output goes to its log.
 fn command(folder: &Path) -> Result<Command> {
     let program = std::env::var_os(PROGRAM).unwrap_or_else(|| "nats-server".into());
     let log = log(folder);
@@ -191,7 +191,7 @@ fn log(folder: &Path) -> PathBuf {
     folder.join("nats.log")
 }
 
-/// Goes on as the server, so that whoever ends this process ends it.
+/// Replaces this process by the server, so that ending this process ends it.
 #[cfg(unix)]
 fn become_server(folder: &Path) -> Result<()> {
     let why = std::os::unix::process::CommandExt::exec(&mut command(folder)?);
@@ -207,7 +207,7 @@ fn become_server(folder: &Path) -> Result<()> {
     ended.success().then_some(()).context("nats-server failed")
 }
 
-/// The server's process while what a fleet needs is made on it.
+/// Process of the server during the set-up.
 struct Running {
     child: Child,
     log: PathBuf,
@@ -228,12 +228,12 @@ impl Running {
     /// Checks that it runs.
     ///
     /// # Errors
-    /// Its exit status and the end of its log.
+    /// If it has ended, with its exit status and the end of its log.
     fn check(&mut self) -> Result<()> {
         let Some(status) = self.child.try_wait()? else {
             return Ok(());
         };
-        // Its own words, as far as they can be read.
+        // End of its log, as far as it can be read.
         let text = fs::read_to_string(&self.log).unwrap_or_default();
         let lines: Vec<&str> = text.lines().collect();
         let end = lines[lines.len().saturating_sub(LINES_SHOWN)..].join("\n");
@@ -243,7 +243,7 @@ impl Running {
         )
     }
 
-    /// Ends it; what it has acknowledged is on the disk.
+    /// Ends it; acknowledged data are on the disk.
     fn end(mut self) -> Result<()> {
         // It may have ended by itself.
         let _ = self.child.kill();

@@ -1,4 +1,4 @@
-//! `ihd identify`: R(t) and L(t) of a capture, by one estimator or all of them.
+//! `ihd identify`: R(t) and L(t) of a capture, by one or all estimators.
 
 mod report;
 
@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use ihd_gate::{Examined, Reconstruct, Request, examine};
+use ihd_gate::{Examination, ExamineOptions, Reconstruct, examine};
 use ihd_identify::pinn::preset_names;
-use ihd_identify::{Method, Settings};
+use ihd_identify::{IdentifyOptions, Method};
 use ihd_signal::{Capture, Severity};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -55,7 +55,7 @@ pub struct IdentifyArgs {
         help = format!("With the method pinn: preset of the network: {}", preset_names())
     )]
     preset: Option<String>,
-    /// With the method pinn: what computes the network, fused or ndarray
+    /// With the method pinn: backend of the network, fused or ndarray
     #[arg(long, value_name = "NAME")]
     backend: Option<String>,
     /// With the method pinn: no wall-clock limit, so that two runs give the same digits
@@ -73,7 +73,7 @@ pub struct IdentifyArgs {
     /// Draw R, L and the reconstructed waveforms to this file (SVG)
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
-    // Last: their heading in the help is that of all that follows.
+    // Last: its heading in the help applies to everything after it.
     #[command(flatten)]
     capture: CaptureArgs,
     #[command(flatten)]
@@ -82,27 +82,27 @@ pub struct IdentifyArgs {
     sensors: SensorArgs,
 }
 
-/// Results that the gate refuses; they were printed.
+/// Error for results that the gate refuses, after they were printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{refused} of {of} results are refused: R or L would be wrong")]
 pub struct RefusedResults {
-    /// How many.
+    /// Number of refused results.
     pub refused: usize,
-    /// Of how many.
+    /// Number of results.
     pub of: usize,
 }
 
-/// A method, or all of this build.
+/// Method, or all of this build.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MethodWord {
     /// Every method of this build.
     All,
-    /// One.
+    /// One method.
     One(Method),
 }
 
 impl MethodWord {
-    /// The methods that a list of words means, in the order of tables.
+    /// Methods denoted by a list of words, in the order of tables.
     pub fn chosen(words: &[Self]) -> Vec<Method> {
         let chosen = |m: &Method| {
             let in_build = cfg!(feature = "pinn") || *m != Method::Pinn;
@@ -135,7 +135,7 @@ impl ValueEnum for MethodWord {
 }
 
 impl IdentifyArgs {
-    /// Opens, surveys, identifies, reports.
+    /// Opens and surveys the capture, identifies, and prints the results.
     pub fn run(&self) -> Result<()> {
         let settings = self.settings()?;
         let methods = MethodWord::chosen(&self.method);
@@ -153,10 +153,15 @@ impl IdentifyArgs {
         loaded.finish(self.identify(&loaded.capture, &settings, &methods))
     }
 
-    fn identify(&self, capture: &Capture, settings: &Settings, methods: &[Method]) -> Result<()> {
-        let request = Request {
+    fn identify(
+        &self,
+        capture: &Capture,
+        settings: &IdentifyOptions,
+        methods: &[Method],
+    ) -> Result<()> {
+        let request = ExamineOptions {
             hints: self.capture.hints(self.hints.hints()),
-            sensors: self.sensors.ask()?,
+            sensors: self.sensors.options()?,
             methods,
             settings,
             reconstruct: if self.plot.is_some() {
@@ -187,7 +192,7 @@ impl IdentifyArgs {
             }
         }
         let from_s = self.from.unwrap_or(f64::NEG_INFINITY);
-        let reported = report::Reported::of(capture, &examined, from_s);
+        let reported = report::ReportedCapture::of(capture, &examined, from_s);
         if let Some(path) = &self.csv {
             report::write_csv(&examined.outcomes, path)?;
         }
@@ -205,8 +210,8 @@ impl IdentifyArgs {
         self.verdict(&examined)
     }
 
-    /// How the command ends, after everything was printed.
-    fn verdict(&self, examined: &Examined) -> Result<()> {
+    /// Result of the command, after everything was printed.
+    fn verdict(&self, examined: &Examination) -> Result<()> {
         let outcomes = &examined.outcomes;
         if outcomes.iter().all(|o| o.result.is_err()) {
             bail!("no method could identify {}", self.capture.path().display());
@@ -223,10 +228,10 @@ impl IdentifyArgs {
         .context("mend the capture as advised, or go on with --anyway")
     }
 
-    fn settings(&self) -> Result<Settings> {
+    fn settings(&self) -> Result<IdentifyOptions> {
         let mut settings = match &self.config {
             Some(path) => read_settings(path)?,
-            None => Settings::default(),
+            None => IdentifyOptions::default(),
         };
         let pinn = &mut settings.pinn;
         pinn.preset = self.preset.clone().or(pinn.preset.take());
@@ -236,7 +241,7 @@ impl IdentifyArgs {
     }
 }
 
-fn read_settings(path: &Path) -> Result<Settings> {
+fn read_settings(path: &Path) -> Result<IdentifyOptions> {
     let text =
         std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     toml::from_str(&text).with_context(|| format!("{} holds no settings", path.display()))

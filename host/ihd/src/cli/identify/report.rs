@@ -1,10 +1,10 @@
-//! What `ihd identify` prints: text, JSON, CSV.
+//! Output of `ihd identify`: text, JSON, CSV.
 
 use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use ihd_gate::{Examined, Gate, Outcome};
+use ihd_gate::{Examination, Gate, MethodResult};
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::{Estimate, Method};
 use ihd_signal::{Capture, Remark, Segment, Severity};
@@ -12,15 +12,15 @@ use serde::Serialize;
 
 use crate::report::table::Table;
 
-/// What was made of a capture, with the errors where it carries the truth.
-pub struct Reported<'a> {
+/// Results of a capture, with their errors if it has the truth.
+pub struct ReportedCapture<'a> {
     capture: &'a Capture,
-    examined: &'a Examined,
-    /// One an outcome.
+    examined: &'a Examination,
+    /// One entry per outcome.
     accuracy: Vec<Option<Accuracy>>,
 }
 
-/// One object of the JSON array.
+/// Object of the JSON array.
 #[derive(Serialize)]
 pub struct Entry<'a> {
     method: Method,
@@ -43,16 +43,16 @@ pub struct Entry<'a> {
     nmse_i_pct: Option<f64>,
     elapsed_s: f64,
     notes: &'a [String],
-    /// What is to be said of the result, worst first.
+    /// Findings on the result, worst first.
     findings: &'a [Remark],
-    /// Whether it can be used.
+    /// Verdict of the gate.
     gate: &'a Gate,
 }
 
-impl<'a> Reported<'a> {
+impl<'a> ReportedCapture<'a> {
     /// Compares with the capture's truth from `from_s` seconds on.
-    pub fn of(capture: &'a Capture, examined: &'a Examined, from_s: f64) -> Self {
-        let accuracy = |o: &Outcome| {
+    pub fn of(capture: &'a Capture, examined: &'a Examination, from_s: f64) -> Self {
+        let accuracy = |o: &MethodResult| {
             let segment = examined.segments.get(o.segment)?;
             Accuracy::of(o.result.as_ref().ok()?, segment, &capture.truth, from_s)
         };
@@ -63,19 +63,19 @@ impl<'a> Reported<'a> {
         }
     }
 
-    /// The outcomes as JSON; a method that failed has an `error` and empty vectors.
+    /// Outcomes as JSON; a failed method has an `error` and empty vectors.
     pub fn json(&self) -> Vec<Entry<'a>> {
         let outcomes = self.examined.outcomes.iter().zip(&self.accuracy);
         outcomes.map(|(o, a)| self.entry(o, *a)).collect()
     }
 
-    /// Whether the sensors were corrected by what the capture shows.
+    /// Returns `true` if the sensors were corrected by self-calibration.
     fn self_calibrated(&self) -> bool {
         let mut sensors = self.examined.sensors.iter();
         sensors.any(|remark| remark.code == "self_calibrated")
     }
 
-    fn entry(&self, o: &'a Outcome, accuracy: Option<Accuracy>) -> Entry<'a> {
+    fn entry(&self, o: &'a MethodResult, accuracy: Option<Accuracy>) -> Entry<'a> {
         let found = o.result.as_ref().ok();
         let of = |values: fn(&Estimate) -> &Vec<f64>| found_slice(o, values);
         let segment = self.examined.segments.get(o.segment);
@@ -100,9 +100,9 @@ impl<'a> Reported<'a> {
         }
     }
 
-    /// The outcomes as text: a table a stretch, then what is to be said of each result.
+    /// Outcomes as text: a table per stretch, then the findings on each result.
     pub fn text(&self) -> String {
-        let Examined {
+        let Examination {
             survey, segments, ..
         } = self.examined;
         let mut out = String::new();
@@ -121,14 +121,14 @@ impl<'a> Reported<'a> {
             let outcomes: Vec<_> = outcomes.filter(|(o, _)| o.segment == index).collect();
             out.push_str(&stretch(segment, &outcomes));
             for (outcome, _) in outcomes {
-                said(outcome, self.examined, &mut out);
+                findings_text(outcome, self.examined, &mut out);
             }
         }
         match (self.capture.metadata.get("calibration"), survey.skew_note()) {
             (Some(calibration), _) => {
                 let _ = writeln!(out, "calibrated: {calibration}");
             }
-            // What was done instead was said.
+            // The correction was reported instead.
             (None, Some(_)) if self.self_calibrated() => {}
             (None, Some(note)) => {
                 let _ = writeln!(out, "not calibrated: {note}");
@@ -139,9 +139,9 @@ impl<'a> Reported<'a> {
     }
 }
 
-/// A result's notes, its verdict, and the findings that are no reason for it; those of the capture and its sensors were said once for
+/// A result's notes, its verdict, and findings that are not its reasons; those on the capture and its sensors were printed once for
 /// all methods.
-fn said(outcome: &Outcome, examined: &Examined, out: &mut String) {
+fn findings_text(outcome: &MethodResult, examined: &Examination, out: &mut String) {
     let method = outcome.method;
     match &outcome.result {
         Ok(estimate) => {
@@ -168,15 +168,15 @@ fn said(outcome: &Outcome, examined: &Examined, out: &mut String) {
     let _ = writeln!(out, "{method}: gate: {}", outcome.judgement.gate);
 }
 
-fn found_slice(outcome: &Outcome, values: fn(&Estimate) -> &Vec<f64>) -> &[f64] {
+fn found_slice(outcome: &MethodResult, values: fn(&Estimate) -> &Vec<f64>) -> &[f64] {
     outcome
         .result
         .as_ref()
         .map_or(&[], |e| values(e).as_slice())
 }
 
-/// Writes every estimate as a row: method, f_sw, time, R, L, their standard deviations and P/I_rms².
-pub fn write_csv(outcomes: &[Outcome], path: &Path) -> Result<()> {
+/// Writes each estimate as a row: method, f_sw, time, R, L, their standard deviations and P/I_rms².
+pub fn write_csv(outcomes: &[MethodResult], path: &Path) -> Result<()> {
     let cannot = || format!("cannot write {}", path.display());
     let mut writer = csv::Writer::from_path(path).with_context(cannot)?;
     let heading = [
@@ -210,7 +210,7 @@ pub fn write_csv(outcomes: &[Outcome], path: &Path) -> Result<()> {
     writer.flush().with_context(cannot)
 }
 
-fn stretch(segment: &Segment, outcomes: &[(&Outcome, &Option<Accuracy>)]) -> String {
+fn stretch(segment: &Segment, outcomes: &[(&MethodResult, &Option<Accuracy>)]) -> String {
     let truth = outcomes.iter().any(|(_, accuracy)| accuracy.is_some());
     let mut heading = vec![
         "method",
@@ -263,7 +263,7 @@ fn stretch(segment: &Segment, outcomes: &[(&Outcome, &Option<Accuracy>)]) -> Str
     table.render()
 }
 
-/// The estimate nearest to the middle of the last half-cycle that is whole: the current's crest.
+/// Estimate nearest to the middle of the last complete half-cycle: the current's crest.
 fn crest(segment: &Segment, estimate: &Estimate) -> Option<usize> {
     let half_s = segment.half_cycle_s();
     let off = |t: f64| (segment.since_crossing_s(t) - 0.5 * half_s).abs();

@@ -1,4 +1,4 @@
-//! `ihd inspect`: what is in a capture, and what is wrong with it.
+//! `ihd inspect`: contents and defects of a capture.
 
 mod report;
 
@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use ihd_capture::open::{LoneChannel, lone_channel};
-use ihd_survey::calibration::blind::look;
+use ihd_survey::calibration::blind::calibrate;
 use ihd_survey::{Finding, Severity};
 
 use super::capture_args::{CaptureArgs, Loaded};
@@ -16,7 +16,7 @@ use super::output;
 use super::sensor_args::SensorArgs;
 use crate::report::survey;
 
-/// Show what is in a capture: channels, rate, switching frequency, mains, noise, and what is wrong.
+/// Show the contents of a capture: channels, rate, switching frequency, mains, noise, and defects.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd inspect capture.csv\n  \
@@ -40,12 +40,12 @@ pub struct InspectArgs {
     plot: Option<PathBuf>,
 }
 
-/// The capture has findings that make R and L wrong.
+/// Error for a capture with findings that make R and L wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("R and L of this capture would be wrong: {0} findings of severity error")]
 pub struct UnfitCapture(pub usize);
 
-/// One channel gives neither R nor L.
+/// Error for a file with one channel, which gives neither R nor L.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{0} holds one channel: R and L need the file with the other one too, as in `ihd inspect {0} OTHER`"
@@ -53,10 +53,10 @@ pub struct UnfitCapture(pub usize);
 pub struct SingleChannel(pub String);
 
 impl InspectArgs {
-    /// Opens, surveys, reports.
+    /// Opens and surveys the capture, and prints the report.
     ///
     /// # Errors
-    /// What the capture's reader or the survey reports; [`UnfitCapture`] after the report.
+    /// Any error of the capture's reader or the survey; [`UnfitCapture`] after the report.
     pub fn run(&self) -> Result<()> {
         self.capture.check()?;
         if let Some(lone) = lone_channel(self.capture.path(), &self.capture.options())? {
@@ -66,7 +66,7 @@ impl InspectArgs {
         loaded.finish(self.inspect(&loaded))
     }
 
-    /// A file of one channel: what it is. R and L need the other one.
+    /// Describes a file of one channel; R and L need the other one.
     fn single(&self, lone: &LoneChannel) -> Result<()> {
         if self.json {
             output::json(&report::lone_json(lone))?;
@@ -78,12 +78,12 @@ impl InspectArgs {
 
     fn inspect(&self, loaded: &Loaded) -> Result<()> {
         let hints = self.capture.hints(self.hints.hints());
-        let looked = look(&loaded.capture, &hints, self.sensors.ask()?)?;
-        let remarks = looked.remarks();
-        let (capture, survey) = (looked.capture.as_ref(), &looked.survey);
+        let calibrated = calibrate(&loaded.capture, &hints, self.sensors.options()?)?;
+        let remarks = calibrated.remarks();
+        let (capture, survey) = (calibrated.capture.as_ref(), &calibrated.survey);
         let incomplete = loaded.incomplete().map(|what| what.to_string());
         if self.json {
-            output::json(&report::json(&looked, &remarks, incomplete))?;
+            output::json(&report::json(&calibrated, &remarks, incomplete))?;
         } else {
             output::text(&report::text(capture, survey, &remarks))?;
         }

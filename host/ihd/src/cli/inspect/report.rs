@@ -1,50 +1,50 @@
-//! What `ihd inspect` prints.
+//! Output of `ihd inspect`.
 
 use std::fmt::Write;
 
 use ihd_capture::open::LoneChannel;
 use ihd_signal::{Capture, Remark};
-use ihd_survey::calibration::blind::{Correction, Looked, SelfCalibration};
-use ihd_survey::mains::Source;
+use ihd_survey::calibration::blind::{CalibratedCapture, Correction, SelfCalibration};
+use ihd_survey::mains::MainsSource;
 use ihd_survey::{ChannelSurvey, Finding, Severity, Survey};
 use serde::Serialize;
 
 use crate::report::table::Table;
 
-/// A finding with its words.
+/// Finding with its text.
 #[derive(Serialize)]
-struct Reported<'a> {
+struct ReportedFinding<'a> {
     severity: Severity,
     message: String,
     #[serde(flatten)]
     finding: &'a Finding,
 }
 
-/// The survey as one JSON object; its numbers in the units that their names state.
+/// Survey as one JSON object; its numbers in the units in their names.
 pub fn json<'a>(
-    looked: &'a Looked<'a>,
+    calibrated: &'a CalibratedCapture<'a>,
     sensors: &'a [Remark],
     incomplete: Option<String>,
 ) -> impl Serialize + 'a {
-    let survey = &looked.survey;
+    let survey = &calibrated.survey;
     #[derive(Serialize)]
     struct Report<'a> {
         #[serde(flatten)]
         survey: &'a Survey,
-        findings: Vec<Reported<'a>>,
-        /// What the capture shows of its own sensors.
+        findings: Vec<ReportedFinding<'a>>,
+        /// Self-calibration of the sensors.
         #[serde(skip_serializing_if = "Option::is_none")]
         self_calibration: Option<&'a SelfCalibration>,
-        /// What was taken out.
+        /// Correction applied.
         #[serde(skip_serializing_if = "Option::is_none")]
         correction: Option<Correction>,
-        /// What is to be said of the sensors.
+        /// Findings on the sensors.
         sensors: &'a [Remark],
-        /// What of the file could not be read.
+        /// Losses of the file.
         #[serde(skip_serializing_if = "Option::is_none")]
         incomplete: Option<String>,
     }
-    let reported = |finding| Reported {
+    let reported = |finding| ReportedFinding {
         severity: Finding::severity(finding),
         message: finding.to_string(),
         finding,
@@ -52,8 +52,8 @@ pub fn json<'a>(
     Report {
         survey,
         findings: survey.findings.iter().map(reported).collect(),
-        self_calibration: looked.sensors.as_ref().and_then(|s| s.as_ref().ok()),
-        correction: looked.correction,
+        self_calibration: calibrated.sensors.as_ref().and_then(|s| s.as_ref().ok()),
+        correction: calibrated.correction,
         sensors,
         incomplete,
     }
@@ -77,7 +77,7 @@ pub fn lone_json(lone: &LoneChannel) -> impl Serialize {
     })
 }
 
-/// One channel for a person.
+/// One channel as text.
 pub fn lone_text(lone: &LoneChannel) -> String {
     let unit = lone.unit.as_deref().unwrap_or("(no unit)");
     let name = if lone.name.is_empty() {
@@ -104,7 +104,7 @@ pub fn lone_text(lone: &LoneChannel) -> String {
     )
 }
 
-/// The survey for a person.
+/// Survey as text.
 pub fn text(capture: &Capture, survey: &Survey, sensors: &[Remark]) -> String {
     let mut out = String::new();
     let mut line = |name: &str, text: String| {
@@ -187,23 +187,23 @@ fn channel(c: &ChannelSurvey, unit: &str, full_scale: Option<f64>) -> String {
 
 fn mains(survey: &Survey) -> String {
     let word = |source| match source {
-        Source::Specified => "given",
-        Source::Measured => "measured",
-        Source::Assumed => "assumed",
+        MainsSource::Specified => "given",
+        MainsSource::Measured => "measured",
+        MainsSource::Assumed => "assumed",
     };
     let m = &survey.mains;
     format!(
         "{:.2} Hz ({}), zero crossing at {:.3} ms ({}), {} whole half-cycles",
         m.hz,
         word(m.hz_source),
-        // No minus before a zero.
+        // Avoids a minus before a zero.
         m.zero_crossing_s * 1e3 + 0.0,
         word(m.zero_crossing_source),
         survey.half_cycles_s.len()
     )
 }
 
-/// One row a stretch.
+/// One row per stretch.
 fn spans(survey: &Survey) -> String {
     let mut table = Table::new(&["from ms", "to ms", "f_sw kHz", "S/period", "R ohm", "L µH"]);
     for span in &survey.spans {

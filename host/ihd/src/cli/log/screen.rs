@@ -1,36 +1,35 @@
-//! A log's lines, for people or for programs.
+//! Output of a log, as text or JSON.
 
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use ihd_flash::log::decoder::Found;
-use ihd_flash::log::follow::Happening;
+use ihd_flash::log::decoder::Decoded;
+use ihd_flash::log::follow::LogEvent;
 use ihd_flash::log::message::{Level, Message, Place};
 use jiff::Timestamp;
 use serde::Serialize;
 
 use crate::cli::output::{self, Colour, complain};
 
-/// Frames that are no message are told this often at most: a hostile board sends a hundred thousand a second.
-const TELL_EVERY: Duration = Duration::from_secs(5);
+/// Period of reporting invalid frames: a hostile board sends a hundred thousand a second.
+const REPORT_PERIOD: Duration = Duration::from_secs(5);
 
-/// Prints messages to standard output, and what happens to the connection beside it: as JSON to standard output too, in
-/// words to standard error.
+/// Prints messages to standard output. Events of the connection go to standard output as JSON, or to standard error as text.
 pub(super) struct Screen {
     json: bool,
     coloured: bool,
-    /// Lost messages and bytes, and frames that were none, since the last message.
+    /// Lost messages and bytes, and invalid frames, since the last message.
     lost: u64,
     lost_bytes: u64,
     malformed: u64,
-    /// Frames without texts since they were told last.
+    /// Frames without texts since the last report.
     unread: u64,
-    told: Instant,
+    reported_at: Instant,
 }
 
 #[derive(Serialize)]
 struct Line<'a> {
-    /// The host's time.
+    /// Time of the host.
     t: String,
     level: Option<Level>,
     message: &'a str,
@@ -38,15 +37,14 @@ struct Line<'a> {
     location: Option<&'a Place>,
     #[serde(skip_serializing_if = "Option::is_none")]
     uptime: Option<&'a str>,
-    /// Messages that the board had no room for, bytes of log that the way lost, and frames that were no message of this
-    /// image, before this one.
+    /// Messages that the board had no room for, bytes lost in transmission, and invalid frames before this message.
     dropped: u64,
     lost_bytes: u64,
     malformed: u64,
 }
 
 impl Screen {
-    /// A screen; coloured where it is a terminal that wants it.
+    /// Creates one; coloured for a terminal that supports it.
     pub(super) fn new(json: bool, coloured: bool) -> Self {
         Self {
             json,
@@ -55,14 +53,14 @@ impl Screen {
             lost_bytes: 0,
             malformed: 0,
             unread: 0,
-            told: Instant::now(),
+            reported_at: Instant::now(),
         }
     }
 
-    /// Shows what happened.
-    pub(super) fn show(&mut self, what: Happening<'_>) -> Result<()> {
+    /// Shows an event.
+    pub(super) fn show(&mut self, what: LogEvent<'_>) -> Result<()> {
         match what {
-            Happening::Began {
+            LogEvent::Began {
                 device,
                 running,
                 table,
@@ -82,41 +80,41 @@ impl Screen {
                 }
                 Ok(())
             }
-            Happening::Away { why } if self.json => {
+            LogEvent::Away { why } if self.json => {
                 event(serde_json::json!({"event": "away", "why": why.to_string()}))
             }
-            Happening::Away { why } => {
+            LogEvent::Away { why } => {
                 complain(format_args!("ihd: {why}; waiting for it, ^C ends"));
                 Ok(())
             }
-            Happening::Back { away } if self.json => {
+            LogEvent::Back { away } if self.json => {
                 event(serde_json::json!({"event": "back", "away_s": away.as_secs_f64()}))
             }
-            Happening::Back { away } => {
+            LogEvent::Back { away } => {
                 let away_s = away.as_secs_f64();
                 complain(format_args!("ihd: back after {away_s:.1} s"));
                 Ok(())
             }
-            Happening::Lost { messages, bytes } => {
+            LogEvent::Lost { messages, bytes } => {
                 self.lost = self.lost.saturating_add(messages);
                 self.lost_bytes = self.lost_bytes.saturating_add(bytes);
                 Ok(())
             }
-            Happening::Found(Found::Message(message)) => self.message(&message),
-            Happening::Found(Found::Malformed) => {
+            LogEvent::Decoded(Decoded::Message(message)) => self.message(&message),
+            LogEvent::Decoded(Decoded::Malformed) => {
                 self.malformed = self.malformed.saturating_add(1);
                 self.tell_now_and_then()
             }
-            Happening::Found(Found::Unread) => {
+            LogEvent::Decoded(Decoded::Unread) => {
                 self.unread = self.unread.saturating_add(1);
                 self.tell_now_and_then()
             }
         }
     }
 
-    /// What was counted and not told.
+    /// Reports the remaining counts.
     pub(super) fn end(&mut self) -> Result<()> {
-        self.tell()
+        self.report_counts()
     }
 
     fn message(&mut self, message: &Message) -> Result<()> {
@@ -135,18 +133,18 @@ impl Screen {
             };
             return output::json_line(&line);
         }
-        self.tell()?;
+        self.report_counts()?;
         output::parts(self.coloured, &parts(&written(t), message))
     }
 
     fn tell_now_and_then(&mut self) -> Result<()> {
-        if self.told.elapsed() < TELL_EVERY {
+        if self.reported_at.elapsed() < REPORT_PERIOD {
             return Ok(());
         }
-        self.tell()
+        self.report_counts()
     }
 
-    fn tell(&mut self) -> Result<()> {
+    fn report_counts(&mut self) -> Result<()> {
         let counts = [
             &mut self.lost,
             &mut self.lost_bytes,
@@ -154,7 +152,7 @@ impl Screen {
             &mut self.unread,
         ];
         let [lost, lost_bytes, malformed, unread] = counts.map(std::mem::take);
-        self.told = Instant::now();
+        self.reported_at = Instant::now();
         if [lost, lost_bytes, malformed, unread] == [0; 4] {
             return Ok(());
         }
@@ -188,18 +186,18 @@ fn event(mut what: serde_json::Value) -> Result<()> {
     output::json_line(&what)
 }
 
-/// To the millisecond, in UTC.
+/// Formats a time to the millisecond, in UTC.
 fn written(t: Timestamp) -> String {
     format!("{t:.3}")
 }
 
-/// A message's line: time, level, module, text, place.
+/// Parts of a message's line: time, level, module, text, place.
 fn parts(t: &str, message: &Message) -> Vec<(Colour, String)> {
     let (colour, word) = match message.level {
         Some(Level::Error) => (Colour::Red, "error"),
         Some(Level::Warn) => (Colour::Yellow, "warn"),
         Some(Level::Info) => (Colour::Green, "info"),
-        Some(level) => (Colour::Dim, level.word()),
+        Some(level) => (Colour::Dim, level.as_str()),
         None => (Colour::Plain, "-"),
     };
     let mut parts = vec![

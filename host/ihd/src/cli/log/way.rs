@@ -1,12 +1,12 @@
-//! Ways to a board's log: a debug probe, the board on USB, a link without a configuration.
+//! Access to a board's log: a debug probe, the board on USB, or a link without a configuration.
 
 use anyhow::Result;
-use ihd_flash::log::follow::Way;
+use ihd_flash::log::follow::LogOpener;
 use ihd_link::usb;
 
-/// The only board on USB by its address; none where there is none.
+/// Address of the only board on USB; `None` if there is none.
 pub(super) fn only_board() -> Result<Option<String>> {
-    // A machine without USB has no boards there.
+    // A machine without USB has no boards on it.
     let boards = usb::boards().unwrap_or_default();
     let addresses: Vec<String> = boards.iter().map(|b| format!("usb:{}", b.serial)).collect();
     ensure_usage!(
@@ -18,9 +18,9 @@ pub(super) fn only_board() -> Result<Option<String>> {
     Ok(addresses.into_iter().next())
 }
 
-/// Through the debug probe with this name, or the only one.
+/// Access through the debug probe with this selector, or the only one.
 #[cfg(not(feature = "probe"))]
-pub(super) fn by_probe(_: Option<&str>) -> Result<Box<dyn Way>> {
+pub(super) fn by_probe(_: Option<&str>) -> Result<Box<dyn LogOpener>> {
     Err(super::super::usage::Usage(
         "this program was built without debug probes, and no board is on USB: name a device (ihd log serial:PATH), or \
          take the program of the release archive, or `cargo run --release --features probe -- log --probe`"
@@ -29,15 +29,15 @@ pub(super) fn by_probe(_: Option<&str>) -> Result<Box<dyn Way>> {
     .into())
 }
 
-/// Through the debug probe with this name, or the only one.
+/// Access through the debug probe with this selector, or the only one.
 #[cfg(feature = "probe")]
-pub(super) fn by_probe(selector: Option<&str>) -> Result<Box<dyn Way>> {
-    use ihd_flash::log::over_probe::ProbeWay;
+pub(super) fn by_probe(selector: Option<&str>) -> Result<Box<dyn LogOpener>> {
+    use ihd_flash::log::over_probe::ProbeLogOpener;
     use ihd_flash::probe::Probes;
-    Ok(Box::new(ProbeWay::new(Probes::default(), selector)))
+    Ok(Box::new(ProbeLogOpener::new(Probes::default(), selector)))
 }
 
-/// Opens an address, each time anew.
+/// Returns a function that opens an address, each time it is called.
 #[cfg(not(feature = "daemon"))]
 pub(super) fn opener(
     device: &str,

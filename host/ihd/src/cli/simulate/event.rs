@@ -4,7 +4,7 @@ use ihd_sim::recording::settings::{Change, Event};
 
 use super::quantity::{list, quantity};
 
-/// An event that could not be read.
+/// Error for a text that is no event.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{text}` is no event: {why}; write TIME:fsw=60k, TIME:pot=none, TIME:load=0.6,1.35, TIME:off or TIME:on"
@@ -14,7 +14,7 @@ pub struct NotAnEvent {
     why: String,
 }
 
-/// Reads one event.
+/// Parses one event.
 pub fn event(text: &str) -> Result<Event, NotAnEvent> {
     let wrong = |why: String| NotAnEvent {
         text: text.to_owned(),

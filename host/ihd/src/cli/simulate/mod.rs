@@ -1,4 +1,4 @@
-//! `ihd simulate`: a recording of the simulated power stage, with its truth.
+//! `ihd simulate`: recording of the simulated power stage, with its truth.
 
 mod event;
 pub mod quantity;
@@ -11,7 +11,7 @@ use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use ihd_sim::pot::Pot;
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{Event, LoadKind, Neighbour, Settings, Sweep};
+use ihd_sim::recording::settings::{CaptureSpec, Event, LoadKind, Neighbour, Sweep};
 use ihd_sim::recording::{file, run};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -20,7 +20,7 @@ use self::quantity::{list, quantity};
 use crate::cli::usage::Usage;
 use crate::report::recording;
 
-/// Load models, as words on the command line.
+/// Load models on the command line.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum LoadWord {
     /// Electromagnetic field model, in time.
@@ -96,7 +96,7 @@ pub struct SimulateArgs {
     /// Temperature of the pot in °C
     #[arg(long, default_value = "20")]
     temperature: f64,
-    /// How the load is modelled
+    /// Load model
     #[arg(long)]
     load: Option<LoadWord>,
     /// Winding resistance in ohm
@@ -129,12 +129,12 @@ pub struct SimulateArgs {
     /// Draw waveforms, R and L to this file (SVG)
     #[arg(long)]
     plot: Option<PathBuf>,
-    /// List what each approximation of the field model costs, and do nothing else
+    /// List the cost of each approximation of the field model, and do nothing else
     #[arg(long)]
     approximations: bool,
 }
 
-/// The sensing chain.
+/// Sensing chain.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Sensing")]
 struct SensingArgs {
@@ -171,7 +171,7 @@ struct SensingArgs {
     /// Half the ranges of the channels in V and A
     #[arg(long, value_parser = list::<2>, value_name = "V,I")]
     full_scale: Option<[f64; 2]>,
-    /// How much later the current is sampled, in s
+    /// Delay of the current's samples after the voltage's, in s
     #[arg(long, value_parser = quantity)]
     skew: Option<f64>,
     /// Ringing on the voltage after each edge, as a share of the edge
@@ -190,7 +190,7 @@ fn rate(text: &str) -> Result<Rate, quantity::NotANumber> {
     }
 }
 
-/// Puts a value in place where one was given.
+/// Replaces the value if one was given.
 fn set<T>(slot: &mut T, value: Option<T>) {
     if let Some(value) = value {
         *slot = value;
@@ -198,9 +198,9 @@ fn set<T>(slot: &mut T, value: Option<T>) {
 }
 
 impl SimulateArgs {
-    /// The settings that the arguments mean.
-    pub fn settings(&self) -> Result<Settings> {
-        let mut s = Settings::preset(&self.preset).map_err(Usage::of)?;
+    /// Converts the arguments to a specification.
+    pub fn settings(&self) -> Result<CaptureSpec> {
+        let mut s = CaptureSpec::preset(&self.preset).map_err(Usage::of)?;
         set(&mut s.f_sw_hz, self.fsw);
         s.sweep = self.sweep.map(|[deviation_hz, rate_hz]| Sweep {
             deviation_hz,
@@ -232,7 +232,7 @@ impl SimulateArgs {
         Ok(s)
     }
 
-    /// Simulates, writes what was asked for and prints a summary.
+    /// Simulates, writes the requested files and prints a summary.
     pub fn run(&self) -> Result<()> {
         if self.approximations {
             return report::approximations();
@@ -259,7 +259,7 @@ impl SimulateArgs {
 }
 
 impl SensingArgs {
-    fn apply(&self, s: &mut Settings) {
+    fn apply(&self, s: &mut CaptureSpec) {
         let sensing = &mut s.sensing;
         set(&mut sensing.rate, self.rate);
         sensing.allow_aliasing = self.allow_aliasing;

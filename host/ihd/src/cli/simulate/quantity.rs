@@ -1,22 +1,22 @@
 //! Numbers with SI prefixes on the command line: `45k`, `50M`, `20ms`, `0.2us`.
 
-/// A number that could not be read.
+/// Error for a text that is no number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotANumber {
-    /// Not one number.
+    /// It is not a single number.
     #[error("`{0}` is no number: write it like 45k, 50M, 20ms, 0.2us, 1080n")]
     One(String),
-    /// Not as many numbers as wanted.
+    /// It has a wrong count of numbers.
     #[error("`{0}` must be {1} numbers with commas between them")]
     List(String, usize),
 }
 
-/// Reads a number with an optional SI prefix and an optional unit after it, which is ignored.
+/// Parses a number with an optional SI prefix and an optional unit after it, which is ignored.
 pub fn quantity(text: &str) -> Result<f64, NotANumber> {
     let wrong = || NotANumber::One(text.to_owned());
     let digits = |c: char| c.is_ascii_digit() || matches!(c, '.' | '-' | '+');
     let mut end = text.find(|c| !digits(c)).unwrap_or(text.len());
-    // An exponent counts to the number only if digits follow it.
+    // An exponent belongs to the number only if digits follow it.
     let rest = &text[end..];
     if let Some(exponent) = rest.strip_prefix(['e', 'E']) {
         let sign = usize::from(exponent.starts_with(['-', '+']));
@@ -47,7 +47,7 @@ pub fn quantity(text: &str) -> Result<f64, NotANumber> {
     }
 }
 
-/// Reads `N` numbers with commas between them.
+/// Parses `N` numbers with commas between them.
 pub fn list<const N: usize>(text: &str) -> Result<[f64; N], NotANumber> {
     let numbers: Vec<f64> = text.split(',').map(quantity).collect::<Result<_, _>>()?;
     numbers

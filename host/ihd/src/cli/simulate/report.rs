@@ -1,4 +1,4 @@
-//! What `ihd simulate` prints.
+//! Output of `ihd simulate`.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use ihd_signal::truth::{ORDERS, PeriodTruth};
 use ihd_sim::recording::comparison;
 use ihd_sim::recording::prepared;
 use ihd_sim::recording::run::Recording;
-use ihd_sim::recording::settings::{LoadKind, PRESETS, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind, PRESETS};
 
 /// Smallest current amplitude whose R and L are printed, in ampere.
 const SMALLEST_A: f64 = 0.5;
@@ -23,7 +23,7 @@ fn range(truth: &[&PeriodTruth], value: impl Fn(&PeriodTruth) -> f64) -> (f64, f
         })
 }
 
-/// Operating point, truth, resonance interval and speed.
+/// Summary with operating point, truth, resonance interval and speed.
 pub fn summary(recording: &Recording, took: Duration) -> Result<()> {
     let s = &recording.settings;
     say!(
@@ -104,7 +104,7 @@ fn table_error(recording: &Recording) -> Result<()> {
     Ok(())
 }
 
-/// The list of the field model's approximations and their cost.
+/// List of the field model's approximations and their cost.
 pub fn approximations() -> Result<()> {
     say!(
         "{:<54} {:>7} {:>6} {:>9} {:>9}",
@@ -134,7 +134,7 @@ pub fn approximations() -> Result<()> {
         "P/I2 - R"
     )?;
     for (name, _) in PRESETS {
-        let d = comparison::surrogate_against_field(&Settings::preset(name)?)?;
+        let d = comparison::surrogate_against_field(&CaptureSpec::preset(name)?)?;
         say!(
             "{name:<10} {:>12.2} {:>12.2} {:>12.2} {:>12.2}",
             d.r_pct,

@@ -10,10 +10,10 @@ use serde_json::json;
 use super::super::output;
 use super::place::Place;
 
-/// Bytes of a window where there are too few to measure it (docs/store.md).
+/// Bytes of a window if there are too few to measure it (docs/store.md).
 const BYTES_A_WINDOW: f64 = 30.8e3;
 
-/// A check found the store damaged.
+/// Error for a damaged store.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the store is damaged: {0}; docs/store.md says what to do")]
 pub struct DamagedStore(String);
@@ -95,7 +95,7 @@ impl CheckArgs {
         }
     }
 
-    /// `ihd.db` itself is none.
+    /// Reports that `ihd.db` itself cannot be read.
     fn unreadable(&self, error: &StoreError) -> Result<()> {
         if self.json {
             output::json(&json!({
@@ -107,7 +107,7 @@ impl CheckArgs {
     }
 }
 
-/// Room that windows take, and how long it lasts.
+/// Prints the room that windows take, and the time that it lasts.
 fn say_space(days: &[DaySpace], max_bytes: u64) -> Result<()> {
     const GB: f64 = 1e9;
     let (bytes, may) = (
@@ -124,13 +124,13 @@ fn say_space(days: &[DaySpace], max_bytes: u64) -> Result<()> {
     }
     let whole: u64 = days.iter().map(|day| day.with_samples).sum();
     let all: u64 = days.iter().map(|day| day.windows).sum();
-    // Tables, and rows without samples, are the most of a day with few windows.
+    // With few windows, tables and rows without samples make up most of a day.
     let each = if whole < 1_000.max(all / 2) {
         BYTES_A_WINDOW
     } else {
         bytes / whole as f64
     };
-    // Half-cycles of a mains of 50 Hz.
+    // Half-cycles at a mains frequency of 50 Hz.
     let a_second = 100.0 / f64::from(ihd_train::WINDOWS_EVERY);
     let a_day = bytes_a_day(each, a_second, 1.0);
     say!(
@@ -144,7 +144,7 @@ fn say_space(days: &[DaySpace], max_bytes: u64) -> Result<()> {
 
 impl GcArgs {
     pub fn run(&self, place: &Place) -> Result<()> {
-        // A store is not made by cleaning it.
+        // Fails if there is no store: cleaning does not create one.
         drop(Reader::open(&place.folder)?);
         let opened = Store::open(&place.folder, &place.settings)?;
         let mut store = opened.store;

@@ -93,7 +93,7 @@ fn in_words(row: &ResultRow) -> String {
     }
 }
 
-/// A result as JSON; what was not finite is null.
+/// A result as JSON; numbers that are not finite become null.
 fn entry(row: &ResultRow) -> Value {
     json!({
         "id": row.id,

@@ -1,4 +1,4 @@
-//! `ihd store`: what the daemon has kept.
+//! `ihd store`: contents of the daemon's store.
 
 mod care;
 mod export;
@@ -11,7 +11,7 @@ use clap::{Args, Subcommand};
 pub use care::DamagedStore;
 use place::PlaceArgs;
 
-/// Look into the daemon's store: results, windows, lookups; export, check, back up, collect.
+/// Query the daemon's store: results, windows, lookups; export, check, back up, collect.
 ///
 /// All but `gc` work beside a running daemon. docs/store.md has the tables, and queries in SQL, Python and MATLAB.
 #[derive(Debug, Args)]
@@ -41,7 +41,7 @@ enum Command {
 }
 
 impl StoreArgs {
-    /// Does what was asked.
+    /// Runs the command.
     ///
     /// # Errors
     /// [`ihd_store::StoreError`]; [`DamagedStore`] after the report of a check.

@@ -1,4 +1,4 @@
-//! What comes from the daemon, on threads of its own: a daemon that is slow or gone must not keep a key waiting.
+//! Data from the daemon, on threads of its own: a slow or stopped daemon must not delay keys.
 
 use std::collections::BTreeSet;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -11,126 +11,128 @@ use ihd_daemon::model::{Command, DeviceReport, History, Notice};
 
 use super::trend::SPAN_S;
 
-/// Between two looks at all devices.
-const REPORTS_EVERY: Duration = Duration::from_secs(1);
+/// Period of reading the reports of all devices.
+const REPORT_PERIOD: Duration = Duration::from_secs(1);
 
-/// Between two tries of a daemon that is gone, at first and at most.
-const AGAIN: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(5));
+/// First and longest pause between two attempts to reconnect.
+const RETRY_PAUSE: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(5));
 
-/// What is new.
+/// Update from the daemon.
 #[derive(Debug)]
-pub(super) enum News {
-    /// All devices, as they are now.
+pub(super) enum FeedUpdate {
+    /// Reports of all devices.
     Devices(Vec<DeviceReport>),
-    /// Something happened.
+    /// Event.
     Notice(Box<Notice>),
-    /// So many events were dropped: this reader was too slow.
+    /// Number of dropped events: this reader was too slow.
     Missed(u64),
-    /// A device's last minutes, from the store.
+    /// Last minutes of a device, from the store.
     History(String, Box<History>),
-    /// The daemon does not answer, and why.
+    /// The daemon does not answer; with the reason.
     Gone(String),
-    /// What became of a command, and whether it was carried out.
+    /// Result of a command; `true` if it was carried out.
     Answer(String, bool),
 }
 
-/// Threads that ask the daemon, and commands to it.
+/// Threads that read from the daemon, and commands to it.
 pub(super) struct Feed {
     client: ApiClient,
-    news: Sender<News>,
+    updates: Sender<FeedUpdate>,
 }
 
 impl Feed {
-    /// Starts to ask; `only` is the device that is looked at, where it is one.
-    pub(super) fn start(client: ApiClient, only: Option<String>) -> (Self, Receiver<News>) {
-        let (news, receiver) = channel();
-        let (own, sender) = (client.clone(), news.clone());
-        let wanted = only.clone();
-        thread::spawn(move || reports(&own, wanted.as_deref(), &sender));
-        let (own, sender) = (client.clone(), news.clone());
-        thread::spawn(move || events(&own, only.as_deref(), &sender));
-        (Self { client, news }, receiver)
+    /// Starts reading; `only` restricts it to one device.
+    pub(super) fn start(client: ApiClient, only: Option<String>) -> (Self, Receiver<FeedUpdate>) {
+        let (updates, receiver) = channel();
+        let (own, sender) = (client.clone(), updates.clone());
+        let device = only.clone();
+        thread::spawn(move || read_reports(&own, device.as_deref(), &sender));
+        let (own, sender) = (client.clone(), updates.clone());
+        thread::spawn(move || forward_events(&own, only.as_deref(), &sender));
+        (Self { client, updates }, receiver)
     }
 
-    /// Switches a device off, whoever commands it.
+    /// Switches a device off, whichever client commands it.
     pub(super) fn switch_off(&self, device: String) {
-        let (client, news) = (self.client.clone(), self.news.clone());
+        let (client, updates) = (self.client.clone(), self.updates.clone());
         thread::spawn(move || {
             let answer = match client.command(&device, &Command::Off) {
-                Ok(done) => News::Answer(format!("{device}: {}", done.text), true),
-                Err(error) => News::Answer(format!("{device} NOT switched off: {error}"), false),
+                Ok(done) => FeedUpdate::Answer(format!("{device}: {}", done.text), true),
+                Err(error) => {
+                    FeedUpdate::Answer(format!("{device} NOT switched off: {error}"), false)
+                }
             };
-            let _ = news.send(answer);
+            let _ = updates.send(answer);
         });
     }
 }
 
-/// Asks for all devices again and again, and for the last minutes of each that is new; ends when nobody listens.
-fn reports(client: &ApiClient, only: Option<&str>, news: &Sender<News>) {
+/// Reads the reports of all devices periodically, and the last minutes of each new one; ends when the receiver is dropped.
+fn read_reports(client: &ApiClient, only: Option<&str>, updates: &Sender<FeedUpdate>) {
     let mut filled = BTreeSet::new();
-    let mut pause = AGAIN.0;
+    let mut pause = RETRY_PAUSE.0;
     loop {
-        let told = match client.devices() {
+        let sent = match client.devices() {
             Ok(devices) => {
-                pause = AGAIN.0;
+                pause = RETRY_PAUSE.0;
                 let names: Vec<String> = devices
                     .iter()
                     .map(|d| d.name.clone())
                     .filter(|name| only.is_none_or(|only| only == name))
                     .collect();
-                let mut told = news.send(News::Devices(devices));
+                let mut sent = updates.send(FeedUpdate::Devices(devices));
                 for name in names {
-                    if told.is_ok() && filled.insert(name.clone()) {
-                        told = history(client, name, news);
+                    if sent.is_ok() && filled.insert(name.clone()) {
+                        sent = history(client, name, updates);
                     }
                 }
-                told.is_ok().then_some(REPORTS_EVERY)
+                sent.is_ok().then_some(REPORT_PERIOD)
             }
             Err(error) => {
-                // Its store may be another one when it is back.
+                // The store may be another one after a restart.
                 filled.clear();
                 let wait = pause;
-                pause = (2 * pause).min(AGAIN.1);
-                let told = news.send(News::Gone(error.to_string()));
-                told.is_ok().then_some(wait)
+                pause = (2 * pause).min(RETRY_PAUSE.1);
+                let sent = updates.send(FeedUpdate::Gone(error.to_string()));
+                sent.is_ok().then_some(wait)
             }
         };
-        match told {
+        match sent {
             Some(wait) => sleep(wait),
             None => return,
         }
     }
 }
 
-/// The last minutes, where the daemon has them: an older one does not.
+/// Last minutes of a device; none from an older daemon that does not have them.
 fn history(
     client: &ApiClient,
     name: String,
-    news: &Sender<News>,
-) -> Result<(), std::sync::mpsc::SendError<News>> {
+    updates: &Sender<FeedUpdate>,
+) -> Result<(), std::sync::mpsc::SendError<FeedUpdate>> {
     match client.history(&name, SPAN_S as u32 * 1000, SPAN_S as u32) {
-        Ok(history) => news.send(News::History(name, Box::new(history))),
+        Ok(history) => updates.send(FeedUpdate::History(name, Box::new(history))),
         Err(_) => Ok(()),
     }
 }
 
-/// Events, as they come; connects anew when they are cut off.
-fn events(client: &ApiClient, only: Option<&str>, news: &Sender<News>) {
+/// Forwards events; reconnects after an interruption.
+fn forward_events(client: &ApiClient, only: Option<&str>, updates: &Sender<FeedUpdate>) {
     loop {
         if let Ok(events) = client.events(only) {
             for event in events {
-                let told = match event {
-                    Ok(Watched::Notice(notice)) => news.send(News::Notice(notice)),
-                    Ok(Watched::Missed(n)) => news.send(News::Missed(n)),
+                let sent = match event {
+                    Ok(Watched::Notice(notice)) => updates.send(FeedUpdate::Notice(notice)),
+                    Ok(Watched::Missed(n)) => updates.send(FeedUpdate::Missed(n)),
                     Ok(Watched::Heartbeat | Watched::Unknown(_)) => Ok(()),
-                    // The reports say that the daemon is gone.
+                    // The reports show that the daemon has stopped.
                     Err(_) => break,
                 };
-                if told.is_err() {
+                if sent.is_err() {
                     return;
                 }
             }
         }
-        sleep(AGAIN.0);
+        sleep(RETRY_PAUSE.0);
     }
 }

@@ -1,12 +1,12 @@
 //! `ihd watch`: the dashboard in a terminal, through the daemon.
 //!
 //! ```text
-//! feed (threads: reports, events, off) ── News ─► Seen (what is known) ─► screen (one frame)
+//! feed (threads: reports, events, off) ── FeedUpdate ─► Dashboard (state) ─► screen (one frame)
 //! ```
 
+mod dashboard;
 mod feed;
 mod screen;
-mod seen;
 mod trend;
 
 use std::io::IsTerminal;
@@ -23,15 +23,15 @@ use ihd_daemon::model::CommandError;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event};
 
-use self::feed::{Feed, News};
-use self::seen::{Act, Seen};
+use self::dashboard::{Dashboard, KeyAction};
+use self::feed::{Feed, FeedUpdate};
 use super::usage::Usage;
 use super::{configured, interrupt};
 
-/// Between two frames at least: a terminal over ssh is slow.
+/// Shortest time between two frames: a terminal over ssh is slow.
 const FRAME: Duration = Duration::from_millis(100);
 
-/// Between two looks at keys and news.
+/// Period of polling keys and updates.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Watch devices in a terminal: power, R and L over the last minutes, states, faults, events.
@@ -54,10 +54,10 @@ pub struct WatchArgs {
 }
 
 impl WatchArgs {
-    /// Draws until q, ^C or a signal.
+    /// Draws until q, Ctrl-C or a signal.
     ///
     /// # Errors
-    /// When this is no terminal, no daemon answers at the beginning, or it has no such device.
+    /// If this is no terminal, no daemon answers at the beginning, or it has no such device.
     pub fn run(&self) -> Result<()> {
         if !(std::io::stdout().is_terminal() && std::io::stdin().is_terminal()) {
             let device = self.device.as_deref().unwrap_or("DEV");
@@ -79,12 +79,12 @@ impl WatchArgs {
             return Err(CommandError::NoDevice { name }.into());
         }
         let stop = interrupt::flag().context("cannot catch ^C")?;
-        let mut seen = Seen::new(client.url(), self.device.clone());
-        seen.hear(News::Devices(devices), now_ms());
-        let (feed, news) = Feed::start(client, self.device.clone());
-        // From here on a panic restores the terminal before it is told.
+        let mut dashboard = Dashboard::new(client.url(), self.device.clone());
+        dashboard.apply(FeedUpdate::Devices(devices), now_ms());
+        let (feed, updates) = Feed::start(client, self.device.clone());
+        // From here on a panic restores the terminal before its message is printed.
         let mut terminal = ratatui::try_init().context("cannot set up this terminal")?;
-        let ended = watch(&mut terminal, &mut seen, &feed, &news, stop);
+        let ended = watch(&mut terminal, &mut dashboard, &feed, &updates, stop);
         ratatui::try_restore().context("cannot restore this terminal")?;
         ended
     }
@@ -92,9 +92,9 @@ impl WatchArgs {
 
 fn watch(
     terminal: &mut DefaultTerminal,
-    seen: &mut Seen,
+    dashboard: &mut Dashboard,
     feed: &Feed,
-    news: &Receiver<News>,
+    updates: &Receiver<FeedUpdate>,
     stop: &AtomicBool,
 ) -> Result<()> {
     let (mut due, mut drawn) = (true, None::<Instant>);
@@ -102,14 +102,14 @@ fn watch(
     while !stop.load(Ordering::Relaxed) {
         if event::poll(LOOK).context("the terminal is gone")? {
             match event::read().context("the terminal is gone")? {
-                Event::Key(key) => match seen.key(key) {
-                    Act::Nothing => {}
-                    Act::Draw => due = true,
-                    Act::Off(device) => {
+                Event::Key(key) => match dashboard.key(key) {
+                    KeyAction::Nothing => {}
+                    KeyAction::Draw => due = true,
+                    KeyAction::Off(device) => {
                         feed.switch_off(device);
                         due = true;
                     }
-                    Act::End => return Ok(()),
+                    KeyAction::End => return Ok(()),
                 },
                 Event::Resize(..) => due = true,
                 _ => {}
@@ -118,14 +118,14 @@ fn watch(
         let now_ms = now_ms();
         let mut heard = now_ms / 1000 != second;
         second = now_ms / 1000;
-        while let Ok(news) = news.try_recv() {
-            seen.hear(news, now_ms);
+        while let Ok(updates) = updates.try_recv() {
+            dashboard.apply(updates, now_ms);
             heard = true;
         }
-        due |= heard && !seen.paused();
+        due |= heard && !dashboard.paused();
         if due && drawn.is_none_or(|at| at.elapsed() >= FRAME) {
             terminal
-                .draw(|frame| screen::draw(frame, seen, now_ms))
+                .draw(|frame| screen::draw(frame, dashboard, now_ms))
                 .context("cannot draw on this terminal")?;
             (due, drawn) = (false, Some(Instant::now()));
         }

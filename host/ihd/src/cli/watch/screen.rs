@@ -1,4 +1,4 @@
-//! A frame: devices, the chosen one in full, its last minutes, what happened. What does not fit is left out, from below.
+//! Frame: devices, the chosen one in full, its last minutes, events. If the terminal is too small, parts are omitted from below.
 
 use ihd_daemon::model::{DeviceReport, DeviceState, Live};
 use ratatui::Frame;
@@ -10,43 +10,43 @@ use ratatui::widgets::{
     Axis, Block, Borders, Chart, Dataset, GraphType, Paragraph, Row, Sparkline, Table,
 };
 
-use super::seen::{Grade, Seen};
+use super::dashboard::{Dashboard, Grade};
 use super::trend::{Quantity, SPAN_S, Trend};
 use crate::cli::device::{of_pot, one_line};
 
-/// Devices in the list at most; of more, those around the chosen one are shown.
+/// Limit of devices in the list; of more, those around the chosen one are shown.
 const LISTED: usize = 9;
 
-/// From this width on the three trends stand beside each other.
+/// Width from which on the three trends are side by side.
 const WIDE: u16 = 110;
 
-/// From this height on a trend has axes; below it is a line of bars.
+/// Height from which on a trend has axes; below it is a line of bars.
 const CHART_ROWS: u16 = 5;
 
 /// Steps of a bar: eight to a row.
 const BAR_STEPS: f64 = 64.0;
 
 /// Draws everything.
-pub(super) fn draw(frame: &mut Frame<'_>, seen: &Seen, now_ms: i64) {
-    let [title, list, detail, trends, events, footer] = places(frame.area(), seen);
-    frame.render_widget(title_line(seen, now_ms), title);
-    frame.render_widget(footer_line(seen), footer);
-    let stale = seen.stale_ms(now_ms).is_some();
-    device_list(frame, list, seen, stale);
-    if let Some(device) = seen.chosen() {
+pub(super) fn draw(frame: &mut Frame<'_>, dashboard: &Dashboard, now_ms: i64) {
+    let [title, list, detail, trends, events, footer] = places(frame.area(), dashboard);
+    frame.render_widget(title_line(dashboard, now_ms), title);
+    frame.render_widget(footer_line(dashboard), footer);
+    let stale = dashboard.stale_ms(now_ms).is_some();
+    device_list(frame, list, dashboard, stale);
+    if let Some(device) = dashboard.chosen() {
         frame.render_widget(Paragraph::new(details(device, stale)), detail);
-        if let Some(trend) = seen.trends.get(&device.name) {
+        if let Some(trend) = dashboard.trends.get(&device.name) {
             draw_trends(frame, trends, trend, now_ms);
         }
-    } else if seen.devices.is_empty() {
+    } else if dashboard.devices.is_empty() {
         let text = "the daemon has no device: plug one in, or name one in its configuration";
         frame.render_widget(Paragraph::new(text), detail);
     }
-    draw_events(frame, events, seen);
+    draw_events(frame, events, dashboard);
 }
 
-/// Title, list, details, trends, events, footer: what comes first has its room first.
-fn places(area: Rect, seen: &Seen) -> [Rect; 6] {
+/// Areas of title, list, details, trends, events and footer, in order of priority.
+fn places(area: Rect, dashboard: &Dashboard) -> [Rect; 6] {
     let mut left = area.height;
     let mut take = |wanted: u16| {
         let rows = wanted.min(left);
@@ -55,7 +55,7 @@ fn places(area: Rect, seen: &Seen) -> [Rect; 6] {
     };
     let title = take(1);
     let footer = take(1);
-    let list = take(1 + seen.devices.len().clamp(1, LISTED) as u16);
+    let list = take(1 + dashboard.devices.len().clamp(1, LISTED) as u16);
     let detail = take(5);
     let rest = take(u16::MAX);
     let events = if rest >= 6 {
@@ -67,7 +67,7 @@ fn places(area: Rect, seen: &Seen) -> [Rect; 6] {
     Layout::vertical(heights.map(Constraint::Length)).areas(area)
 }
 
-fn title_line(seen: &Seen, now_ms: i64) -> Line<'static> {
+fn title_line(dashboard: &Dashboard, now_ms: i64) -> Line<'static> {
     let bold = Style::new().add_modifier(Modifier::BOLD);
     let mut spans = vec![Span::styled(
         format!("ihd watch  {}  ", clock(now_ms)),
@@ -76,28 +76,28 @@ fn title_line(seen: &Seen, now_ms: i64) -> Line<'static> {
     let alarm = Style::new()
         .fg(Color::Red)
         .add_modifier(Modifier::BOLD | Modifier::REVERSED);
-    if seen.paused() {
+    if dashboard.paused() {
         let style = Style::new().add_modifier(Modifier::REVERSED);
         spans.push(Span::styled(" PAUSED ", style));
         spans.push(" ".into());
     }
-    if let Some(silent_ms) = seen.stale_ms(now_ms) {
-        let text = match &seen.gone {
+    if let Some(silent_ms) = dashboard.stale_ms(now_ms) {
+        let text = match &dashboard.gone {
             Some(why) => format!(" NO DAEMON for {} s: {why} ", silent_ms / 1000),
             None => format!(" STALE: nothing heard for {} s ", silent_ms / 1000),
         };
         spans.push(Span::styled(text, alarm));
     } else {
-        spans.push(seen.url.clone().into());
-        if seen.missed > 0 {
-            spans.push(format!("  {} events missed", seen.missed).into());
+        spans.push(dashboard.url.clone().into());
+        if dashboard.missed > 0 {
+            spans.push(format!("  {} events missed", dashboard.missed).into());
         }
     }
     Line::from(spans)
 }
 
-fn footer_line(seen: &Seen) -> Line<'static> {
-    if let Some((text, ok)) = &seen.answer {
+fn footer_line(dashboard: &Dashboard) -> Line<'static> {
+    if let Some((text, ok)) = &dashboard.answer {
         let style = if *ok {
             Style::new().add_modifier(Modifier::BOLD)
         } else {
@@ -106,14 +106,16 @@ fn footer_line(seen: &Seen) -> Line<'static> {
         let keys = Span::styled("  q ends, o off", Style::new().add_modifier(Modifier::DIM));
         return Line::from(vec![Span::styled(text.clone(), style), keys]);
     }
-    let chosen = seen.chosen().map_or("it".into(), |d| one_line(&d.name));
+    let chosen = dashboard
+        .chosen()
+        .map_or("it".into(), |d| one_line(&d.name));
     Line::styled(
         format!("o or Esc: {chosen} off   arrows, 1-9: choose   p: pause   q: end"),
         Style::new().add_modifier(Modifier::DIM),
     )
 }
 
-fn device_list(frame: &mut Frame<'_>, area: Rect, seen: &Seen, stale: bool) {
+fn device_list(frame: &mut Frame<'_>, area: Rect, dashboard: &Dashboard, stale: bool) {
     let head = [
         "  device",
         "state",
@@ -125,11 +127,11 @@ fn device_list(frame: &mut Frame<'_>, area: Rect, seen: &Seen, stale: bool) {
         "pot, fault",
     ];
     let bold = Style::new().add_modifier(Modifier::BOLD);
-    let chosen = seen.place();
-    // The list scrolls so that the chosen one is in it.
+    let chosen = dashboard.place();
+    // The list scrolls so that the chosen device is visible.
     let shown = usize::from(area.height.saturating_sub(1)).max(1);
     let first = chosen.map_or(0, |place| (place + 1).saturating_sub(shown));
-    let listed = seen.devices.iter().enumerate().skip(first).take(shown);
+    let listed = dashboard.devices.iter().enumerate().skip(first).take(shown);
     let rows = listed.map(|(k, device)| device_row(k, device, chosen == Some(k), stale));
     let widths = [
         Constraint::Length(16),
@@ -185,7 +187,7 @@ fn device_row(place: usize, device: &DeviceReport, chosen: bool, stale: bool) ->
     row.style(style)
 }
 
-/// Whether what it said last is still so.
+/// Returns `true` if the device's last report is current.
 fn is_heard(state: DeviceState) -> bool {
     !matches!(
         state,
@@ -193,7 +195,7 @@ fn is_heard(state: DeviceState) -> bool {
     )
 }
 
-/// A colour beside the word, never instead of it.
+/// The colour supplements the text and never replaces it.
 fn state_style(device: &DeviceReport, known: Option<&Live>) -> Style {
     let faulted = known.is_some_and(|live| live.fault != 0);
     match device.state {
@@ -206,7 +208,7 @@ fn state_style(device: &DeviceReport, known: Option<&Live>) -> Style {
     }
 }
 
-/// The chosen device in five lines.
+/// Details of the chosen device in five lines.
 fn details(device: &DeviceReport, stale: bool) -> Vec<Line<'static>> {
     let mut state = format!(
         "{}: {} for {}",
@@ -264,7 +266,7 @@ fn now_words(live: &Live) -> String {
     text
 }
 
-/// How warm its pot is, before what else is said.
+/// Temperature of its pot, before other text.
 fn pot_words(device: &DeviceReport) -> String {
     let pot = device.pot_temperature.as_ref();
     pot.map_or(String::new(), |pot| format!("pot {}; ", of_pot(pot)))
@@ -340,7 +342,7 @@ fn draw_trends(frame: &mut Frame<'_>, area: Rect, trend: &Trend, now_ms: i64) {
     }
 }
 
-/// The ends of the axis: power from 0, R and L with a little air.
+/// Ends of the axis: power from 0, R and L with some margin.
 fn ends(quantity: Quantity, (low, high): (f64, f64)) -> (f64, f64) {
     match quantity {
         Quantity::Power => (0.0, (1.05 * high).max(1.0)),
@@ -399,13 +401,13 @@ fn bars(frame: &mut Frame<'_>, area: Rect, trend: &Trend, quantity: Quantity, no
     frame.render_widget(line, bars);
 }
 
-fn draw_events(frame: &mut Frame<'_>, area: Rect, seen: &Seen) {
+fn draw_events(frame: &mut Frame<'_>, area: Rect, dashboard: &Dashboard) {
     if area.height == 0 {
         return;
     }
     let rows = usize::from(area.height.saturating_sub(1));
-    let skipped = seen.events.len().saturating_sub(rows);
-    let lines = seen.events.iter().skip(skipped).map(|event| {
+    let skipped = dashboard.events.len().saturating_sub(rows);
+    let lines = dashboard.events.iter().skip(skipped).map(|event| {
         let who = if event.device.is_empty() {
             "daemon"
         } else {
@@ -426,13 +428,13 @@ fn graded(grade: Grade) -> Style {
     }
 }
 
-/// The time of day, UTC.
+/// Time of day, UTC.
 fn clock(at_ms: i64) -> String {
     let s = at_ms.div_euclid(1000).rem_euclid(86_400);
     format!("{:02}:{:02}:{:02} UTC", s / 3600, s / 60 % 60, s % 60)
 }
 
-/// A duration with the units that it needs.
+/// Formats a duration with the necessary units.
 fn duration(s: u64) -> String {
     match s {
         0..60 => format!("{s} s"),
@@ -447,21 +449,21 @@ mod tests {
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
 
-    use super::super::feed::News;
-    use super::super::seen::tests::{notice, report};
+    use super::super::dashboard::tests::{notice, report};
+    use super::super::feed::FeedUpdate;
     use super::*;
 
     const NOW_MS: i64 = 43_200_000;
 
     /// Five minutes of a bench that heats with 1200 W from the second minute on, and a lab that is gone.
-    fn seen() -> Seen {
-        let mut seen = Seen::new("http://127.0.0.1:8731", None);
+    fn dashboard() -> Dashboard {
+        let mut dashboard = Dashboard::new("http://127.0.0.1:8731", None);
         let mut bench = report("bench", "learning");
         bench.detail = "heats with 1200 W".into();
         let mut lab = report("lab", "searching");
         lab.detail = "no answer at tcp:10.0.0.7:4711".into();
         lab.lease = None;
-        seen.hear(News::Devices(vec![bench.clone(), lab]), NOW_MS);
+        dashboard.apply(FeedUpdate::Devices(vec![bench.clone(), lab]), NOW_MS);
         let live = bench.live.unwrap();
         for s in 0..=300_i64 {
             let mut live = live.clone();
@@ -470,7 +472,7 @@ mod tests {
             live.f_sw_hz = if on { 51_020 } else { 0 };
             live.r_ohm = 3.27 - 0.001 * (s as f64 - 60.0);
             let what = What::Telemetry { live };
-            seen.hear(notice(NOW_MS - 300_000 + s * 1000, "bench", what), NOW_MS);
+            dashboard.apply(notice(NOW_MS - 300_000 + s * 1000, "bench", what), NOW_MS);
         }
         let fault = What::Fault {
             fault: 4,
@@ -480,14 +482,16 @@ mod tests {
             version: 5,
             observed_cells: 47,
         };
-        seen.hear(notice(NOW_MS - 90_000, "lab", fault), NOW_MS);
-        seen.hear(notice(NOW_MS - 2_000, "bench", active), NOW_MS);
-        seen
+        dashboard.apply(notice(NOW_MS - 90_000, "lab", fault), NOW_MS);
+        dashboard.apply(notice(NOW_MS - 2_000, "bench", active), NOW_MS);
+        dashboard
     }
 
-    fn drawn(width: u16, height: u16, seen: &Seen, now_ms: i64) -> String {
+    fn drawn(width: u16, height: u16, dashboard: &Dashboard, now_ms: i64) -> String {
         let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
-        terminal.draw(|frame| draw(frame, seen, now_ms)).unwrap();
+        terminal
+            .draw(|frame| draw(frame, dashboard, now_ms))
+            .unwrap();
         terminal.backend().to_string()
     }
 
@@ -512,7 +516,7 @@ mod tests {
 
     #[test]
     fn a_bench_and_a_lab_at_80_by_24() {
-        let text = drawn(80, 24, &seen(), NOW_MS);
+        let text = drawn(80, 24, &dashboard(), NOW_MS);
         all_of(
             &text,
             &[
@@ -544,7 +548,7 @@ mod tests {
 
     #[test]
     fn the_same_with_room_at_160_by_45_has_axes() {
-        let text = drawn(160, 45, &seen(), NOW_MS);
+        let text = drawn(160, 45, &dashboard(), NOW_MS);
         let axes = ["-5 min", "now", "1266 W", "0 W", "3.006 Ω", "3.294 Ω"];
         all_of(&text, &axes);
         all_of(&text, &["P over 5 min", "R over 5 min", "L over 5 min"]);
@@ -552,16 +556,19 @@ mod tests {
 
     #[test]
     fn a_daemon_that_is_gone_and_a_faulted_device() {
-        let mut seen = seen();
+        let mut dashboard = dashboard();
         let mut bench = report("bench", "faulted");
         let live = bench.live.as_mut().unwrap();
         (live.fault, live.fault_text) = (4, "current beyond the limit".into());
         (live.f_sw_hz, live.power_w, live.r_ohm) = (0, 0.0, f64::NAN);
         bench.lease = None;
-        seen.hear(News::Devices(vec![bench]), NOW_MS);
-        seen.hear(News::Gone("connection refused".into()), NOW_MS + 2_000);
-        seen.hear(News::Answer("bench: off".into(), true), NOW_MS);
-        let text = drawn(80, 24, &seen, NOW_MS + 12_000);
+        dashboard.apply(FeedUpdate::Devices(vec![bench]), NOW_MS);
+        dashboard.apply(
+            FeedUpdate::Gone("connection refused".into()),
+            NOW_MS + 2_000,
+        );
+        dashboard.apply(FeedUpdate::Answer("bench: off".into(), true), NOW_MS);
+        let text = drawn(80, 24, &dashboard, NOW_MS + 12_000);
         all_of(
             &text,
             &[
@@ -578,15 +585,15 @@ mod tests {
 
     #[test]
     fn any_size_is_drawn_without_a_panic_and_the_first_lines_first() {
-        let mut all = vec![seen(), Seen::new("http://127.0.0.1:8731", None)];
-        let mut many = Seen::new("http://x", None);
+        let mut all = vec![dashboard(), Dashboard::new("http://127.0.0.1:8731", None)];
+        let mut many = Dashboard::new("http://x", None);
         let crowd = (0..40).map(|k| report(&format!("dev-{k}"), "idle"));
-        many.hear(News::Devices(crowd.collect()), NOW_MS);
+        many.apply(FeedUpdate::Devices(crowd.collect()), NOW_MS);
         all.push(many);
-        for seen in &all {
+        for dashboard in &all {
             for width in [1, 2, 7, 20, 40, 79, 80, 109, 110, 300] {
                 for height in [1, 2, 3, 4, 5, 8, 11, 13, 16, 24, 30, 90] {
-                    drawn(width, height, seen, NOW_MS);
+                    drawn(width, height, dashboard, NOW_MS);
                 }
             }
         }
@@ -597,19 +604,19 @@ mod tests {
 
     #[test]
     fn the_chosen_one_of_many_is_in_the_list() {
-        let mut seen = Seen::new("http://x", None);
+        let mut dashboard = Dashboard::new("http://x", None);
         let crowd = (0..40).map(|k| report(&format!("dev-{k}"), "idle"));
-        seen.hear(News::Devices(crowd.collect()), NOW_MS);
+        dashboard.apply(FeedUpdate::Devices(crowd.collect()), NOW_MS);
         use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
-        seen.key(KeyEvent::new(KeyCode::Up, KeyModifiers::NONE));
-        assert!(drawn(80, 24, &seen, NOW_MS).contains("dev-39: idle"));
-        assert!(drawn(80, 24, &seen, NOW_MS).contains(">  dev-39"));
+        dashboard.key(KeyEvent::new(KeyCode::Up, KeyModifiers::NONE));
+        assert!(drawn(80, 24, &dashboard, NOW_MS).contains("dev-39: idle"));
+        assert!(drawn(80, 24, &dashboard, NOW_MS).contains(">  dev-39"));
     }
 
     /// Beyond what a device says of itself nothing may reach the terminal raw.
     #[test]
     fn what_devices_say_is_escaped() {
-        let mut seen = seen();
+        let mut dashboard = dashboard();
         let evil = "\u{1b}]0;owned\u{7}\u{202e}";
         let mut device = report("bench", "faulted");
         device.detail = evil.into();
@@ -618,8 +625,8 @@ mod tests {
         let live = device.live.as_mut().unwrap();
         (live.fault, live.fault_text) = (9, evil.into());
         (live.pot, live.state) = (evil.into(), evil.into());
-        seen.hear(News::Devices(vec![device]), NOW_MS);
-        let text = drawn(200, 40, &seen, NOW_MS);
+        dashboard.apply(FeedUpdate::Devices(vec![device]), NOW_MS);
+        let text = drawn(200, 40, &dashboard, NOW_MS);
         assert!(text.chars().all(|c| c == '\n' || !c.is_control()));
         assert!(!text.contains('\u{202e}'));
     }

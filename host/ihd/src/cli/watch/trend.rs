@@ -4,10 +4,10 @@ use std::collections::VecDeque;
 
 use ihd_daemon::model::{History, Live};
 
-/// How far back is looked, in seconds.
+/// Length of the trend in seconds.
 pub(super) const SPAN_S: i64 = 300;
 
-/// What is drawn over time.
+/// Quantity of a trend.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Quantity {
     /// Mean power in watt.
@@ -22,7 +22,7 @@ impl Quantity {
     /// All, in the order in which they are drawn.
     pub(super) const ALL: [Self; 3] = [Self::Power, Self::R, Self::L];
 
-    /// Its letter.
+    /// Letter of the quantity.
     pub(super) fn letter(self) -> &'static str {
         match self {
             Self::Power => "P",
@@ -61,7 +61,7 @@ impl Mean {
     }
 }
 
-/// A second.
+/// Means of one second.
 #[derive(Clone, Copy, Debug)]
 struct Bucket {
     at_s: i64,
@@ -77,17 +77,17 @@ impl Bucket {
     }
 }
 
-/// The last minutes.
+/// Last minutes of a device.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Trend {
     buckets: VecDeque<Bucket>,
 }
 
 impl Trend {
-    /// A half-cycle, heard at `at_ms`.
+    /// Adds a half-cycle received at `at_ms`.
     pub(super) fn add(&mut self, live: &Live, at_ms: i64) {
         let at_s = at_ms.div_euclid(1000);
-        // A clock that was set back begins anew.
+        // A clock that was set back starts the trend again.
         if self.buckets.back().is_some_and(|b| b.at_s > at_s + 1) {
             self.buckets.clear();
         }
@@ -106,7 +106,7 @@ impl Trend {
         }
     }
 
-    /// What was before the first half-cycle that was heard here.
+    /// Adds the time before the first half-cycle received here.
     pub(super) fn fill(&mut self, history: &History) {
         let first_s = self.buckets.front().map_or(i64::MAX, |b| b.at_s);
         let value = |list: &[Option<f64>], k: usize| list.get(k).copied().flatten();
@@ -128,7 +128,7 @@ impl Trend {
         }
     }
 
-    /// Means of `columns` equal stretches of the last [`SPAN_S`], oldest first; none where nothing is known.
+    /// Means of `columns` equal parts of the last [`SPAN_S`], oldest first; `None` without data.
     pub(super) fn columns(
         &self,
         quantity: Quantity,
@@ -152,7 +152,7 @@ impl Trend {
         means.into_iter().map(Mean::get).collect()
     }
 
-    /// Runs of seconds that follow each other, as (seconds before now, value): a line breaks where nothing was heard.
+    /// Runs of consecutive seconds, as (seconds before now, value): a line breaks at missing data.
     pub(super) fn runs(&self, quantity: Quantity, now_ms: i64) -> Vec<Vec<(f64, f64)>> {
         let now_s = now_ms.div_euclid(1000);
         let mut runs: Vec<Vec<(f64, f64)>> = Vec::new();
@@ -171,7 +171,7 @@ impl Trend {
         runs
     }
 
-    /// The least and the largest second of the last [`SPAN_S`].
+    /// Smallest and largest second of the last [`SPAN_S`].
     pub(super) fn range(&self, quantity: Quantity, now_ms: i64) -> Option<(f64, f64)> {
         let from_s = now_ms.div_euclid(1000) - SPAN_S;
         let recent = self.buckets.iter().filter(|b| b.at_s >= from_s);

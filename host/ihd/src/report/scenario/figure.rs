@@ -1,24 +1,24 @@
-//! A scenario over time: power, frequency, crests, and what the firmware thought.
+//! Figure of a scenario over time: power, frequency, crests, and the firmware's states.
 
 use std::path::Path;
 
 use ihd_sim::scenario::record::{HalfCycle, Record};
 use plotters::prelude::*;
 
-use crate::report::FigureError;
-use crate::report::plot::legend::header;
-use crate::report::plot::two_axes::{self, Side, Trace, Under, Zero};
-use crate::report::plot::{
-    self, Area, Axis, BLUE, Curve, Drawn, Entry, GREY, Panel, Pen, RED, span,
+use ihd_plot::FigureError;
+use ihd_plot::legend::header;
+use ihd_plot::two_axes::{self, Side, Trace, Underlay, Zero};
+use ihd_plot::{
+    self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, GREY, Panel, Pen, RED, span,
 };
 
-/// What the crests' right axis takes, and what the others leave, so that the times of all panels stand below each other.
+/// Width of the crests' right axis, left free in the other panels, so that their times are aligned.
 const RIGHT_AXIS_PX: i32 = 54;
 
 /// Draws a record to an SVG file.
 ///
 /// # Errors
-/// [`FigureError`] when there is no half-cycle or the file cannot be written.
+/// [`FigureError`] if there is no half-cycle or the file cannot be written.
 pub fn write(record: &Record, path: &Path) -> Result<(), FigureError> {
     if record.half_cycles.is_empty() {
         return Err(FigureError::Empty);
@@ -26,7 +26,7 @@ pub fn write(record: &Record, path: &Path) -> Result<(), FigureError> {
     draw(record, path).map_err(|why| FigureError::new(path, &why))
 }
 
-fn draw(record: &Record, path: &Path) -> Drawn {
+fn draw(record: &Record, path: &Path) -> DrawResult {
     let root = SVGBackend::new(path, (1000, 860)).into_drawing_area();
     root.fill(&WHITE)?;
     let (curves, bands) = root.split_vertically(690);
@@ -56,15 +56,21 @@ fn end_s(record: &Record) -> f64 {
     record.half_cycles.last().map_or(1.0, |h| h.t_s).max(1e-3)
 }
 
-/// What faults look like, where there is one.
+/// Legend entry of faults; `None` if there are none.
 fn alarm(record: &Record) -> Option<Entry> {
     let fault = Entry::line("fault", RED, Pen::Line(1));
     (!record.faults.is_empty()).then_some(fault)
 }
 
-fn chart(area: &Area<'_>, title: &str, label: &str, record: &Record, curves: &[Curve]) -> Drawn {
+fn chart(
+    area: &Area<'_>,
+    title: &str,
+    label: &str,
+    record: &Record,
+    curves: &[Curve],
+) -> DrawResult {
     let values = curves.iter().flat_map(Curve::points).map(|p| p.1);
-    // What rings back into the supply is a little below zero.
+    // Power that rings back into the supply is slightly negative.
     let (low, high) = span(values).unwrap_or((0.0, 1.0));
     let (bottom, top) = (1.08 * low.min(0.0), 1.08 * high.max(1.0));
     let panel = Panel {
@@ -72,7 +78,7 @@ fn chart(area: &Area<'_>, title: &str, label: &str, record: &Record, curves: &[C
         y: Axis::linear(label, bottom..top),
     };
     let named = curves.iter().filter(|c| !c.name.is_empty());
-    let mut entries: Vec<Entry> = named.map(Curve::entry).collect();
+    let mut entries: Vec<Entry> = named.map(Entry::of).collect();
     entries.extend(alarm(record));
     // Under the curves.
     let alarms = record
@@ -91,8 +97,8 @@ fn chart(area: &Area<'_>, title: &str, label: &str, record: &Record, curves: &[C
     Ok(())
 }
 
-/// The largest current at the left axis, the coil's largest voltage at the right one.
-fn crests(area: &Area<'_>, record: &Record) -> Drawn {
+/// Largest current at the left axis, the coil's largest voltage at the right one.
+fn crests(area: &Area<'_>, record: &Record) -> DrawResult {
     let side = |label: &str, colour, value: fn(&HalfCycle) -> f64| Side {
         label: label.into(),
         colour,
@@ -112,9 +118,9 @@ fn crests(area: &Area<'_>, record: &Record) -> Drawn {
         Entry::line("current (left)", RED, Pen::Line(1)),
         Entry::line("coil voltage (right)", BLUE, Pen::Line(1)),
     ];
-    let under = Under {
+    let under = Underlay {
         alarms: record.faults.iter().map(|fault| fault.t_s).collect(),
-        ..Under::default()
+        ..Underlay::default()
     };
     let below = header(area, "Largest of each half-cycle", &entries)?;
     two_axes::draw(&below, "", Zero::Bottom, &sides, &under)
@@ -152,7 +158,7 @@ fn draw_bands(area: &Area<'_>, record: &Record) -> Result<(), String> {
             chart
                 .draw_series([Rectangle::new(corners, fill.filled())])
                 .map_err(|e| text(&e))?;
-            // A word needs room.
+            // A text needs room.
             if share > 0.013 * word.len() as f64 {
                 let at = (from_s + 0.004 * end_s(record), y + 0.68);
                 chart
@@ -170,7 +176,7 @@ fn draw_bands(area: &Area<'_>, record: &Record) -> Result<(), String> {
     Ok(())
 }
 
-/// The same word has the same colour in every figure.
+/// Colour of a text, the same in every figure.
 fn shade(word: &str) -> RGBColor {
     match word {
         "None" | "Idle" | "Unknown" => RGBColor(235, 235, 235),

@@ -1,19 +1,19 @@
-//! A scenario's record for a person.
+//! Record of a scenario as text.
 
 pub mod figure;
 
 use std::fmt::Write;
 
-use ihd_sim::scenario::limits::Checked;
+use ihd_sim::scenario::limits::LimitCheck;
 use ihd_sim::scenario::record::{HalfCycle, Record};
 
 use super::table::Table;
 
-/// Changes of state, pot, fault or request that are listed; a host that repeats itself makes many.
+/// Limit of listed changes of state, pot, fault or request; a host that repeats itself makes many.
 const ROWS: usize = 60;
 
 /// Power steps, states with their largest values, faults, energy, and the limits of the file.
-pub fn text(record: &Record, checked: &[Checked]) -> String {
+pub fn text(record: &Record, checked: &[LimitCheck]) -> String {
     let summary = &record.summary;
     let mut text = String::new();
     let number = |value: Option<f64>, digits: usize| match value {
@@ -111,7 +111,7 @@ pub fn text(record: &Record, checked: &[Checked]) -> String {
     text
 }
 
-/// Half-cycles that share a row.
+/// Returns `true` if two half-cycles share a row.
 fn alike(a: &HalfCycle, b: &HalfCycle) -> bool {
     a.state == b.state && a.pot == b.pot && a.fault == b.fault && a.asked_w == b.asked_w
 }

@@ -107,7 +107,7 @@ fn a_sweep_shows_what_the_device_finds() {
             .map(str::to_owned)
             .into()
     });
-    assert!(stdout.contains("nobody learns"), "{stdout}");
+    assert!(stdout.contains("nothing is learned"), "{stdout}");
     assert!(stdout.contains("of 1500 W"), "{stdout}");
     for _ in 0..=times.ilog2() {
         assert_eq!(bench.hob.left_with_w(), 0);

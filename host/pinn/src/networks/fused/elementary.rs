@@ -14,7 +14,7 @@ const ROUND: f32 = 12_582_912.0;
 /// integers up to 2^11 are exact.
 const PI_PARTS: [f32; 3] = [3.140_625, 9.675_026e-4, 1.509_958e-7];
 
-/// ln 2 likewise.
+/// ln 2 as a sum of two numbers, of which the first has few bits.
 const LN_2_PARTS: [f32; 2] = [0.693_115_23, 3.194_618_3e-5];
 
 /// Taylor coefficients of (sin r)/r in r^2; the next one is below 6e-8 for r up to pi/2.
@@ -95,14 +95,14 @@ fn exp<S: Simd>(s: S, x: S::f32s) -> S::f32s {
 /// tanh x = 1 - 2 / (e^2x + 1).
 #[inline(always)]
 pub(super) fn tanh<S: Simd>(s: S, x: S::f32s) -> S::f32s {
-    // Beyond 10 it is 1 to f32's last bit.
+    // Beyond 10 the result is 1 to f32's last bit.
     let bounded = s.max_f32s(s.min_f32s(x, s.splat_f32s(10.0)), s.splat_f32s(-10.0));
     let e = exp(s, s.add_f32s(bounded, bounded));
     let one = s.splat_f32s(1.0);
     s.sub_f32s(one, s.div_f32s(s.splat_f32s(2.0), s.add_f32s(e, one)))
 }
 
-/// `(ln(1 + e^x), 1 / (1 + e^-x))`: softplus and its slope, in scalars; both are needed only once a
+/// `(ln(1 + e^x), 1 / (1 + e^-x))`: softplus and its slope, in scalars, because they are needed only once per
 /// point.
 pub(super) fn softplus(x: f32) -> (f32, f32) {
     let e = (-x.abs()).exp();

@@ -15,7 +15,7 @@ use super::kernel::{Kernel, Problem, Terms, Weights};
 use super::shape::Shape;
 use crate::PinnError;
 
-/// Points of a block: what their activations need fits the second-level cache.
+/// Points per block, whose activations fit the second-level cache.
 const BLOCK: usize = 64;
 
 /// Both networks with their buffers.
@@ -29,7 +29,7 @@ pub(crate) struct Fused {
 }
 
 impl Fused {
-    /// Buffers for networks of this shape.
+    /// Allocates the buffers for networks of this shape.
     pub fn new(shape: &Shape) -> Self {
         Self {
             arch: Arch::new(),
@@ -119,8 +119,8 @@ impl WithSimd for Pass<'_> {
     }
 }
 
-/// The three residuals at one point; puts the loss's derivatives in place of the networks'
-/// outputs.
+/// The three residuals at one point; replaces the networks' outputs by the loss's derivatives by
+/// them.
 #[inline(always)]
 fn differentiate(
     problem: &Problem<'_>,

@@ -20,13 +20,13 @@ struct Hidden {
     b: Vec<f32>,
     g_w: Vec<f32>,
     g_b: Vec<f32>,
-    /// Before the activation; of the sine, the cosine takes the value's place.
+    /// Values before the activation; the backward pass of the sine stores the cosine here.
     pre: Vec<f32>,
-    /// After it.
+    /// Values after the activation.
     act: Vec<f32>,
 }
 
-/// The two linear outputs.
+/// Output layer with two linear outputs.
 struct Output {
     place: LayerPlace,
     w: [Vec<f32>; OUTPUTS],
@@ -52,7 +52,7 @@ pub(super) struct Net<const RATE: bool> {
 }
 
 impl<const RATE: bool> Net<RATE> {
-    /// Buffers for blocks of up to `block` points.
+    /// Allocates buffers for blocks of up to `block` points.
     pub fn new(places: &[LayerPlace], block: usize) -> Self {
         let rows = if RATE { 2 * block } else { block };
         let (last, hidden) = places.split_last().expect("a network has an output layer");
@@ -96,7 +96,7 @@ impl<const RATE: bool> Net<RATE> {
         }
     }
 
-    /// Takes the weights from the flat vector and forgets the gradient.
+    /// Reads the weights from the flat vector and clears the gradient.
     pub fn load(&mut self, theta: &[f32]) {
         for layer in &mut self.hidden {
             let weights = &theta[layer.place.weights.clone()];

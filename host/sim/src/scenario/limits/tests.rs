@@ -33,7 +33,7 @@ fn record() -> Record {
     }
 }
 
-fn check(limits: &str, record: &Record) -> Vec<Checked> {
+fn check(limits: &str, record: &Record) -> Vec<LimitCheck> {
     toml::from_str::<Limits>(limits).unwrap().check(record)
 }
 

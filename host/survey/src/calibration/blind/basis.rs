@@ -1,7 +1,7 @@
-//! Polynomials that are orthonormal on evenly spaced samples, and what integration and differentiation make of them.
+//! Polynomials that are orthonormal on evenly spaced samples, with their integrals and derivatives.
 //!
 //! Between two edges the coil's current is smooth: a polynomial of degree 8 follows half a period to 1e-5. Its integral and
-//! its derivatives are then exact, at seven samples as at a thousand, and white noise on the samples is white noise of the
+//! its derivatives are then exact, at seven samples as at a thousand. White noise on the samples is white noise of the
 //! same deviation on the coefficients.
 
 use std::collections::BTreeMap;
@@ -12,24 +12,24 @@ use nalgebra::{DMatrix, DVector};
 /// Highest degree.
 const DEGREE: usize = 8;
 
-/// Fewest samples that say something beside the polynomial's own freedom.
+/// Fewest samples, so that they are more than the polynomials' own freedom.
 pub(super) const FEWEST: usize = 6;
 
-/// Orthonormal polynomials on so many samples.
+/// Orthonormal polynomials on a number of samples.
 #[derive(Debug)]
 pub(super) struct Basis {
-    /// One row a sample, one column a polynomial.
+    /// Values; one row per sample, one column per polynomial.
     values: DMatrix<f64>,
-    /// Coefficients of the integral, of a step of one half of the samples' extent.
+    /// Coefficients of the integral, for a time unit of half the samples' extent.
     integral: DMatrix<f64>,
-    /// Coefficients of the derivative, likewise.
+    /// Coefficients of the derivative, for a time unit of half the samples' extent.
     derivative: DMatrix<f64>,
     /// Coefficients of the straight line from −1 to 1.
     pub line: DVector<f64>,
 }
 
 impl Basis {
-    /// For so many samples, [`FEWEST`] at least.
+    /// Creates the basis for a number of samples, at least [`FEWEST`].
     fn new(samples: usize) -> Self {
         let m = DEGREE.min(samples - 2) + 1;
         let at = |k: usize| 2.0 * k as f64 / (samples - 1) as f64 - 1.0;
@@ -59,7 +59,7 @@ impl Basis {
         }
     }
 
-    /// Polynomials.
+    /// Number of polynomials.
     pub fn len(&self) -> usize {
         self.values.ncols()
     }
@@ -88,12 +88,12 @@ impl Basis {
     }
 }
 
-/// Orthonormal columns of the same span, and the matrix that makes them of the given ones.
+/// Orthonormal columns of the same span, and the matrix that converts the given columns to them.
 fn orthonormal(columns: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>) {
     let (mut q, m) = (columns.clone(), columns.ncols());
     let mut turn = DMatrix::identity(m, m);
     for j in 0..m {
-        // Twice is enough.
+        // A second pass removes the rounding errors of the first.
         for _ in 0..2 {
             for l in 0..j {
                 let along = q.column(l).dot(&q.column(j));
@@ -109,12 +109,12 @@ fn orthonormal(columns: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>) {
     (q, turn)
 }
 
-/// Bases by their number of samples: plateaus have two or three different ones.
+/// Bases by their number of samples; plateaus have two or three different ones.
 #[derive(Debug, Default)]
 pub(super) struct Bases(BTreeMap<usize, Rc<Basis>>);
 
 impl Bases {
-    /// That of so many samples.
+    /// Returns the basis for a number of samples.
     pub fn of(&mut self, samples: usize) -> Rc<Basis> {
         let samples = samples.max(FEWEST);
         let new = || Rc::new(Basis::new(samples));

@@ -1,47 +1,50 @@
-//! Which plateaus, which guards, which model: by what the capture itself shows.
+//! Choice of plateaus, guards and sensor model, by the capture itself.
 
-use super::BlindError;
 use super::basis::Bases;
 use super::edges::Stretch;
-use super::fit::{Fit, Found, Model, Scope};
+use super::error::BlindError;
+use super::fit::{Estimate, Fit, Model, Scope};
 use super::plateau::{Guards, Plateau, of_stretch};
 
-/// What was chosen, and what was found.
+/// Chosen model and its results.
 #[derive(Clone, Debug)]
-pub(super) struct Chosen {
+pub(super) struct ModelChoice {
     pub fit: Fit,
-    /// The plateaus that were used: of both sides, or of the one whose level is ground.
+    /// Side of the plateaus that were used: the one whose level is ground; `None` for both.
     pub side: Option<usize>,
-    /// Relative change of the charge at the largest current by the cubed current.
-    pub bend: Found,
-    /// By how many squared deviations a skew explains less than what was chosen.
+    /// Relative change of the charge at the largest current, proportional to the cubed current.
+    pub bend: Estimate,
+    /// Squared deviations that the chosen model explains beyond a skew.
     pub beyond_skew: f64,
     pub plateaus: usize,
-    /// Samples of a plateau in the mean.
+    /// Mean number of samples per plateau.
     pub samples: f64,
     /// Largest amplitude of the current in ampere.
     pub i_a: f64,
-    /// The lag as a skew, whatever it comes from.
-    pub skew_s: Found,
+    /// Lag expressed as a skew, whatever its cause.
+    pub skew_s: Estimate,
 }
 
-/// Guards that are tried, in order: an edge of 0.2 µs that swings; a filter of 500 kHz that settles; the slowest that
+/// Guards after an edge in seconds, tried in order: an edge of 0.2 µs with ringing; a filter of 500 kHz; the slowest that
 /// leaves half a plateau.
 const AFTER_S: [f64; 5] = [0.3e-6, 0.7e-6, 1.2e-6, 1.8e-6, 2.6e-6];
 
-/// Guard before an edge in seconds: what the phase is uncertain by.
+/// Guard before an edge in seconds: the uncertainty of the phase.
 const BEFORE_S: f64 = 0.1e-6;
 
-/// Fewest plateaus of a side.
+/// Fewest plateaus per side.
 const FEWEST: usize = 20;
 
-/// Least gain in squared deviations, of a model of equal freedom over a skew, to be told apart from it.
+/// Least gain in squared deviations over a skew, for a model of equal freedom, to distinguish it from a skew.
 pub(super) const TOLD_APART: f64 = 12.0;
 
-/// Finds what the plateaus of the stretches show. `settling_s`: a filter of this time constant, which both channels share,
-/// leaves a tail after each edge.
-pub(super) fn choose(stretches: &[Stretch], settling_s: Option<f64>) -> Result<Chosen, BlindError> {
-    let mut best: Option<Chosen> = None;
+/// Chooses a model for the plateaus of the stretches. `settling_s` is the time constant of a filter that both channels
+/// share, which leaves a tail after each edge.
+pub(super) fn choose(
+    stretches: &[Stretch],
+    settling_s: Option<f64>,
+) -> Result<ModelChoice, BlindError> {
+    let mut best: Option<ModelChoice> = None;
     let mut bases = Bases::default();
     let mut most = 0;
     let edges: Vec<_> = stretches
@@ -49,7 +52,7 @@ pub(super) fn choose(stretches: &[Stretch], settling_s: Option<f64>) -> Result<C
         .filter_map(|s| Some((s, s.edges()?)))
         .collect();
     for after_s in AFTER_S {
-        // Edges are found to a third of a sample.
+        // Edges are located to a third of a sample.
         let of = |s: &Stretch| Guards {
             before_s: BEFORE_S + 0.4 * s.dt_s,
             after_s,
@@ -63,7 +66,7 @@ pub(super) fn choose(stretches: &[Stretch], settling_s: Option<f64>) -> Result<C
             continue;
         };
         let fits = now.is_flat();
-        let better = |b: &Chosen| now.fit.misfit.share < 0.7 * b.fit.misfit.share;
+        let better = |b: &ModelChoice| now.fit.misfit.share < 0.7 * b.fit.misfit.share;
         if fits || best.as_ref().is_none_or(better) {
             best = Some(now);
         }
@@ -77,11 +80,11 @@ pub(super) fn choose(stretches: &[Stretch], settling_s: Option<f64>) -> Result<C
     })
 }
 
-/// Largest share of the capacitor's voltage that may be left with the same shape in every plateau.
+/// Largest share of the capacitor's voltage that may remain with the same shape in every plateau.
 const MISFIT: f64 = 2e-3;
 
-impl Chosen {
-    /// Whether the plateaus are flat but for noise, or nearly.
+impl ModelChoice {
+    /// Returns `true` if the plateaus are flat except for noise and a small misfit.
     pub fn is_flat(&self) -> bool {
         let (chi_square, kinds) = self.fit.misfit.chi_square;
         let usual = kinds as f64 + 5.0 * (2.0 * kinds as f64).sqrt();
@@ -89,12 +92,12 @@ impl Chosen {
     }
 }
 
-/// How far the two sides may differ, in standard deviations, of 1/C relatively, and in seconds.
+/// Largest difference of the two sides in standard deviations: of 1/C relatively, and of the time in seconds.
 const SIDES_SIGMAS: f64 = 3.5;
 const SIDES_SHARE: f64 = 2e-3;
 const SIDES_S: f64 = 1.5e-9;
 
-fn judge(plateaus: &[Plateau], settling_s: Option<f64>) -> Option<Chosen> {
+fn judge(plateaus: &[Plateau], settling_s: Option<f64>) -> Option<ModelChoice> {
     let scope = |side| Scope {
         plateaus,
         side,
@@ -109,7 +112,7 @@ fn judge(plateaus: &[Plateau], settling_s: Option<f64>) -> Option<Chosen> {
     let sides = [of_side(0), of_side(1)];
     let side = match &sides {
         [Some(a), Some(b)] if agree(a, b) => None,
-        // The level that does not follow the mains is ground; a bus gives way to the current that it feeds.
+        // The level that does not follow the mains is ground; a bus sags under the current that it feeds.
         [Some(a), Some(b)] => {
             let still = |f: &Fit, side: usize| f.follows_bus[side].abs();
             Some(usize::from(still(b, 1) < still(a, 0)))
@@ -123,12 +126,14 @@ fn judge(plateaus: &[Plateau], settling_s: Option<f64>) -> Option<Chosen> {
     scope.cubic = true;
     let used = || plateaus.iter().filter(|p| side.is_none_or(|s| s == p.side));
     let i_a = used().map(|p| p.carrier.i_a).fold(0.0, f64::max);
-    let bend = scope.fit(fit.model).map_or(Found::default(), |f| Found {
-        value: 0.75 * f.cubic.value * i_a * i_a,
-        sigma: 0.75 * f.cubic.sigma * i_a * i_a,
-    });
+    let bend = scope
+        .fit(fit.model)
+        .map_or(Estimate::default(), |f| Estimate {
+            value: 0.75 * f.cubic.value * i_a * i_a,
+            sigma: 0.75 * f.cubic.sigma * i_a * i_a,
+        });
     let count = used().count();
-    Some(Chosen {
+    Some(ModelChoice {
         fit,
         side,
         bend,
@@ -141,7 +146,7 @@ fn judge(plateaus: &[Plateau], settling_s: Option<f64>) -> Option<Chosen> {
 }
 
 fn agree(a: &Fit, b: &Fit) -> bool {
-    let within = |a: Found, b: Found, least: f64| {
+    let within = |a: Estimate, b: Estimate, least: f64| {
         let apart = (a.value - b.value).abs();
         apart <= least.max(SIDES_SIGMAS * a.sigma.hypot(b.sigma))
     };
@@ -149,9 +154,9 @@ fn agree(a: &Fit, b: &Fit) -> bool {
         && within(a.time_s, b.time_s, SIDES_S)
 }
 
-/// The model with the least Bayesian information criterion; the skew that stands for it; and by how many squared deviations
-/// it explains more than that.
-fn best_model(scope: &Scope) -> Option<(Fit, Found, f64)> {
+/// Model with the least Bayesian information criterion; the equivalent skew; and the squared deviations that the model
+/// explains beyond a skew.
+fn best_model(scope: &Scope) -> Option<(Fit, Estimate, f64)> {
     let all: Vec<Fit> = [
         Model::Right,
         Model::Skew,
@@ -177,7 +182,7 @@ fn best_model(scope: &Scope) -> Option<(Fit, Found, f64)> {
     Some((fit, skew.time_s, beyond))
 }
 
-/// Time constants and corners are positive, and a corner is far below the carrier: 10 Hz to 20 kHz.
+/// Returns `true` if time constant and corner are positive, and the corner is far below the carrier: 10 Hz to 20 kHz.
 fn is_physical(fit: &Fit) -> bool {
     let tau = matches!(fit.model, Model::SlowCurrent | Model::SlowCurrentAndDroop);
     let droop = fit.droop.value == 0.0 || (60.0..1.3e5).contains(&fit.droop.value);

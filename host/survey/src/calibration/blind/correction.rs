@@ -1,7 +1,7 @@
-//! Taking a sensor's fault out: the other channel gets it too.
+//! Correction of a sensor's fault by applying the same fault to the other channel.
 //!
-//! What both channels share changes neither R nor L, and a filter that is applied amplifies no noise, as its inverse would.
-//! In the frequency domain, because at 20 samples a period a recursion in time is off by a percent.
+//! A response that both channels share changes neither R nor L, and unlike its inverse it amplifies no noise. Filters are
+//! applied in the frequency domain, because at 20 samples per period a recursion in time has an error of a percent.
 
 use std::f64::consts::TAU;
 
@@ -14,27 +14,27 @@ use serde::{Deserialize, Serialize};
 use super::super::delay::delay;
 use crate::time::runs;
 
-/// What makes two channels alike. Zero: nothing to do.
+/// Filters that make two channels equal; all zero if there is nothing to do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Correction {
-    /// How much later the current was sampled, in seconds: it is delayed by that.
+    /// Time by which the current is sampled later than the voltage, in seconds; the current is shifted by it.
     pub skew_s: f64,
-    /// Time constant of the current's first-order low-pass in seconds: the voltage gets it.
+    /// Time constant of the current's first-order low-pass in seconds, which is applied to the voltage.
     pub i_tau_s: f64,
-    /// Time constant of the voltage's first-order low-pass in seconds: the current gets it.
+    /// Time constant of the voltage's first-order low-pass in seconds, which is applied to the current.
     pub v_tau_s: f64,
-    /// Corner of the current's first-order high-pass in hertz: the voltage gets it.
+    /// Corner of the current's first-order high-pass in hertz, which is applied to the voltage.
     pub i_droop_hz: f64,
 }
 
 impl Correction {
-    /// Whether there is nothing to do.
+    /// Returns `true` if there is nothing to do.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Makes the channels of a capture alike, run by run.
+    /// Equalises the channels of a capture, run by run.
     pub fn apply(&self, capture: &mut Capture) {
         if self.is_none() {
             return;
@@ -59,7 +59,7 @@ impl Correction {
             .insert("self_calibration".to_owned(), self.to_string());
     }
 
-    /// Makes the channels of a segment alike.
+    /// Returns a segment with equalised channels.
     #[must_use]
     pub fn applied(&self, segment: &Segment) -> Segment {
         let (mut v_v, mut i_a) = (segment.v_v.to_vec(), segment.i_a.to_vec());
@@ -94,37 +94,37 @@ impl Correction {
 impl std::fmt::Display for Correction {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let khz = |tau_s: f64| 1e-3 / (TAU * tau_s);
-        let mut said = Vec::new();
+        let mut parts = Vec::new();
         if self.skew_s != 0.0 {
-            said.push(format!("current delayed by {:.1} ns", self.skew_s * 1e9));
+            parts.push(format!("current delayed by {:.1} ns", self.skew_s * 1e9));
         }
         if self.i_tau_s > 0.0 {
             let (khz, ns) = (khz(self.i_tau_s), self.i_tau_s * 1e9);
-            said.push(format!(
+            parts.push(format!(
                 "voltage given the current's bandwidth of {khz:.4} kHz ({ns:.1} ns)"
             ));
         }
         if self.v_tau_s > 0.0 {
             let (khz, ns) = (khz(self.v_tau_s), self.v_tau_s * 1e9);
-            said.push(format!(
+            parts.push(format!(
                 "current given the voltage's bandwidth of {khz:.4} kHz ({ns:.1} ns)"
             ));
         }
         if self.i_droop_hz > 0.0 {
-            said.push(format!(
+            parts.push(format!(
                 "voltage given the current's droop of {:.0} Hz",
                 self.i_droop_hz
             ));
         }
-        f.write_str(&said.join(", "))
+        f.write_str(&parts.join(", "))
     }
 }
 
-/// Time constants that the ends are continued by, and samples at least.
+/// Time constants, and least samples, by which the ends are extended.
 const PADDING: f64 = 12.0;
 const PADDING_SAMPLES: usize = 64;
 
-/// Filters by a transfer function of the angular frequency. At either end the signal goes on mirrored, without a step.
+/// Filters by a transfer function of the angular frequency. Both ends are extended by mirror images, without a step.
 fn filtered(x: &mut [f64], dt_s: f64, memory_s: f64, transfer: impl Fn(f64) -> Complex<f64>) {
     let n = x.len();
     if n < 2 {
@@ -132,7 +132,7 @@ fn filtered(x: &mut [f64], dt_s: f64, memory_s: f64, transfer: impl Fn(f64) -> C
     }
     let pad = ((PADDING * memory_s / dt_s) as usize + PADDING_SAMPLES).min(4 * n);
     let length = smooth_length(n + 2 * pad);
-    // Mirrored at both ends, as often as it takes.
+    // Mirrored at both ends, repeatedly if needed.
     let mirrored = |k: usize| {
         let period = 2 * (n - 1);
         let at = (k as i64 - pad as i64).rem_euclid(period as i64) as usize;
@@ -150,7 +150,7 @@ fn filtered(x: &mut [f64], dt_s: f64, memory_s: f64, transfer: impl Fn(f64) -> C
     for (k, value) in spectrum.iter_mut().enumerate() {
         let omega = TAU * k as f64 / (length as f64 * dt_s);
         *value *= transfer(omega) * scale;
-        // What a real signal has no imaginary part at.
+        // The first and last bin of a real signal have no imaginary part.
         if k == 0 || (k == last && length.is_multiple_of(2)) {
             value.im = 0.0;
         }
@@ -160,7 +160,7 @@ fn filtered(x: &mut [f64], dt_s: f64, memory_s: f64, transfer: impl Fn(f64) -> C
     }
 }
 
-/// The next length whose transform is quick.
+/// Smallest length of at least `least` whose transform is fast.
 fn smooth_length(least: usize) -> usize {
     let is_smooth = |mut n: usize| {
         for p in [2, 3, 5] {

@@ -1,37 +1,37 @@
-//! Where the bridge switches: the phase of the carrier, and at which phases the edges lie.
+//! Phase of the carrier, and the phases at which the bridge switches.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
 
 use nalgebra::Complex;
 
-/// A stretch of a capture with one carrier, evenly sampled.
+/// Evenly sampled stretch of a capture with one carrier.
 #[derive(Clone, Debug)]
 pub(super) struct Stretch {
     /// Coil voltage in volt, without its mean.
     pub v_v: Vec<f64>,
-    /// Coil current in ampere, without its mean, positive where it takes power from positive voltage.
+    /// Coil current in ampere, without its mean; positive if positive voltage feeds power into the coil.
     pub i_a: Vec<f64>,
     /// Time from sample to sample in seconds.
     pub dt_s: f64,
-    /// Switching frequency in hertz; the phase is followed from there.
+    /// Approximate switching frequency in hertz, from which the phase is tracked.
     pub f_sw_hz: f64,
 }
 
-/// What the carrier does at one sample.
+/// State of the carrier at one sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Carrier {
-    /// Periods since some start.
+    /// Periods since an arbitrary origin.
     pub periods: f64,
     /// Amplitude of the bridge's voltage in volt.
     pub v_v: f64,
-    /// Its change in volt per second.
+    /// Rate of change of `v_v` in volt per second.
     pub v_per_s: f64,
     /// Amplitude of the current in ampere.
     pub i_a: f64,
 }
 
-/// The carrier along a stretch: linear between frames.
+/// Carrier along a stretch, linear between frames.
 #[derive(Clone, Debug)]
 pub(super) struct Track {
     hop: f64,
@@ -39,27 +39,27 @@ pub(super) struct Track {
     frames: Vec<Carrier>,
 }
 
-/// A carrier, and the phases between its edges in periods.
+/// Carrier, and the phases between its edges in periods.
 pub(super) type Edges = (Track, [Range<f64>; 2]);
 
 /// Switching periods in a frame, and from frame to frame.
 const FRAME: f64 = 4.0;
 const HOP: f64 = 2.0;
 
-/// Frames over which the change of the bus is taken.
+/// Frames over which the change of the bus is computed.
 const BUS_FRAMES: usize = 3;
 
-/// Steps of this share of a period are compared: an edge is shorter, and noise of a single sample at 125 MS/s is
-/// more than a fiftieth of an edge.
+/// Length of compared steps as a share of a period: an edge is longer, and noise of a single sample at 125 MS/s is more
+/// than a fiftieth of an edge.
 const STEP: f64 = 0.01;
 
 impl Stretch {
-    /// Samples of a period.
+    /// Number of samples per period.
     pub fn per_period(&self) -> f64 {
         1.0 / (self.f_sw_hz * self.dt_s)
     }
 
-    /// Charge in coulomb since the first sample, by trapezoids: good enough to find edges.
+    /// Charge in coulomb since the first sample, by the trapezoidal rule, which is accurate enough to find edges.
     fn charge_c(&self) -> Vec<f64> {
         let mut sum = 0.0;
         let steps = self.i_a.windows(2).map(|w| 0.5 * (w[0] + w[1]) * self.dt_s);
@@ -71,7 +71,7 @@ impl Stretch {
             .collect()
     }
 
-    /// Charge in coulomb without what is slower than the carrier: less its mean over three periods.
+    /// Charge in coulomb at the carrier's frequency: less its mean over three periods.
     pub fn swinging_charge_c(&self) -> Vec<f64> {
         let q_c = self.charge_c();
         let half = ((1.5 * self.per_period()).round() as usize).max(1);
@@ -89,8 +89,8 @@ impl Stretch {
         q_c.iter().enumerate().map(|(k, q)| q - mean(k)).collect()
     }
 
-    /// 1/C in 1/farad: what most steps of the voltage have in common with the charge that flowed. The median is not
-    /// moved by the few steps that hold an edge.
+    /// 1/C in 1/farad: the median ratio of voltage steps to the charge that flowed. The few steps that contain an edge do not
+    /// change the median.
     fn elastance(&self) -> Option<f64> {
         let q_c = self.charge_c();
         let m = ((0.05 * self.per_period()) as usize).max(1);
@@ -111,7 +111,7 @@ impl Stretch {
         middle.map(|s| s.0).filter(|e| e.is_finite())
     }
 
-    /// Follows the phase of v + q/C, which is the bridge's; `None` where there are too few periods.
+    /// Tracks the phase of v + q/C, which is the bridge's; `None` if there are too few periods.
     fn track(&self, elastance: f64) -> Option<Track> {
         let samples = |periods: f64| (periods * self.per_period()).round() as usize;
         let (frame, hop) = (samples(FRAME), samples(HOP).max(1));
@@ -161,7 +161,7 @@ impl Stretch {
         })
     }
 
-    /// Root mean square of steps of v + q/C by phase, each relative to the bridge's amplitude then.
+    /// Root mean square of steps of v + q/C by phase, each relative to the bridge's amplitude at that time.
     fn fold(&self, track: &Track, elastance: f64, least_v: f64) -> Fold {
         let bins = (3.0 * self.per_period()).clamp(24.0, 512.0) as usize;
         let m = ((STEP * self.per_period()).round() as usize).max(1);
@@ -181,7 +181,7 @@ impl Stretch {
             .iter()
             .map(|(sum, n)| (*n > 0).then(|| (sum / f64::from(*n)).sqrt()))
             .collect();
-        // A locked rate meets few phases; what it never meets belongs to the next that it does.
+        // At a sampling rate locked to f_sw only few phases occur; the others take the value of the next one.
         for k in (0..2 * bins).rev() {
             rms[k % bins] = rms[k % bins].or(rms[(k + 1) % bins]);
         }
@@ -191,7 +191,7 @@ impl Stretch {
         }
     }
 
-    /// The carrier, and the phases between its edges; `None` where nothing switches.
+    /// Carrier, and the phases between its edges; `None` if nothing switches.
     pub fn edges(&self) -> Option<Edges> {
         let elastance = self.elastance()?;
         let track = self.track(elastance)?;
@@ -199,15 +199,15 @@ impl Stretch {
         Some((track, between))
     }
 
-    /// Phases between the edges, as parts of a period: from the end of one to the beginning of the next; the second may
-    /// exceed 1. `None` where no two edges stand out.
+    /// Phases between the edges in periods, from the end of one to the beginning of the next; the second may exceed 1. `None` if
+    /// no two edges are found.
     fn between_edges(&self, track: &Track, elastance: f64) -> Option<[Range<f64>; 2]> {
         self.fold(track, elastance, LEAST * track.largest_v())
             .between_edges()
     }
 }
 
-/// Share of the largest amplitude of the bridge's voltage from which a plateau is taken: what is weaker weighs little.
+/// Share of the largest amplitude of the bridge's voltage from which a plateau is used: weaker ones have little weight.
 pub(super) const LEAST: f64 = 0.1;
 
 /// Steps of v + q/C by phase.
@@ -217,10 +217,10 @@ struct Fold {
     step: f64,
 }
 
-/// How far a step must exceed the usual one to be part of an edge, as a share of the largest.
+/// Least excess of a step over the usual one, as a share of the largest, to be part of an edge.
 const EDGE: f64 = 0.12;
 
-/// How many times the usual step the largest must be for edges to be there at all.
+/// Least ratio of the largest step to the usual one for edges to be detected.
 const STANDS_OUT: f64 = 3.0;
 
 impl Fold {
@@ -239,7 +239,7 @@ impl Fold {
         let mut quiet: Vec<Range<f64>> = busy
             .iter()
             .zip(next)
-            // A step ends at its bin's phase: the edge ended a step before.
+            // A step is stored at its end, so that the edge ended one step before.
             .map(|(a, b)| {
                 let of = |bin: usize| bin as f64 / bins as f64;
                 of(a + 1) - self.step..of(b)
@@ -251,13 +251,13 @@ impl Fold {
     }
 }
 
-/// Newton's steps to the place of a phase: the frequency is within a few percent of the mean, so each gives two digits.
+/// Newton steps to the position of a phase: the frequency is within a few percent of the mean, so that each gives two digits.
 const PLACE_STEPS: usize = 6;
 
 impl Track {
-    /// Where the phase passes a number of periods, in samples from the first one.
+    /// Position at which the phase reaches a number of periods, in samples from the first one.
     pub fn place(&self, periods: f64, per_period: f64) -> f64 {
-        // Between frames the phase is straight, and near to its mean slope everywhere.
+        // The phase is linear between frames, with a slope close to its mean everywhere.
         let mut k = (periods - self.between(0.0).periods) * per_period;
         for _ in 0..PLACE_STEPS {
             k += (periods - self.between(k).periods) * per_period;
@@ -265,19 +265,19 @@ impl Track {
         k
     }
 
-    /// What the carrier does at sample `k`.
+    /// State of the carrier at sample `k`.
     pub fn at(&self, k: usize) -> Carrier {
         self.between(k as f64)
     }
 
-    /// What it does at a time in samples; at either end the last frames go on.
+    /// State of the carrier at a time in samples; extrapolated at both ends.
     fn between(&self, sample: f64) -> Carrier {
         let place = (sample - self.first) / self.hop;
         let last = self.frames.len().saturating_sub(2);
         let n = (place.max(0.0) as usize).min(last);
         let w = place - n as f64;
         let (a, b) = (self.frames[n], self.frames[n + 1]);
-        // The phase goes on, amplitudes do not.
+        // The phase is extrapolated, amplitudes are held.
         let held = w.clamp(0.0, 1.0);
         Carrier {
             periods: a.periods + w * (b.periods - a.periods),

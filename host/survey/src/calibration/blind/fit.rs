@@ -1,13 +1,13 @@
-//! The regression: v = level − (1/C) ∫ (current behind its sensor) between edges, under several kinds of sensor.
+//! Regression of v = level − (1/C) ∫ (current behind its sensor) between edges, with several models of the sensor.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::plateau::Plateau;
 
-/// What may be wrong with a sensor, as far as plateaus show it.
+/// Fault of a sensor that plateaus can show.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Model {
-    /// Nothing.
+    /// No fault.
     Right,
     /// The current is sampled later.
     Skew,
@@ -22,7 +22,7 @@ pub(super) enum Model {
 }
 
 impl Model {
-    /// Numbers that it has beside 1/C: a time in seconds first, then a corner in radian per second.
+    /// Number of parameters beside 1/C: a time in seconds first, then a corner in radian per second.
     pub fn parameters(self) -> usize {
         match self {
             Self::Right => 0,
@@ -42,7 +42,7 @@ impl Model {
         )
     }
 
-    /// Shares of current and its derivatives in the charge, of a time constant or skew; and their derivatives.
+    /// Coefficients of current and its derivatives in the charge, for a time constant or skew; and the coefficients' derivatives.
     fn expansion(self, t_s: f64) -> [(f64, f64); 3] {
         match self {
             Self::Right | Self::Droop => [(0.0, 0.0); 3],
@@ -57,57 +57,57 @@ impl Model {
     }
 }
 
-/// A number and its standard deviation.
+/// Value and its standard deviation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Found {
-    /// The number.
+pub struct Estimate {
+    /// Estimated value.
     pub value: f64,
-    /// Its standard deviation.
+    /// Standard deviation of the value.
     pub sigma: f64,
 }
 
-/// What a model makes of the plateaus.
+/// Fit of a model to the plateaus.
 #[derive(Clone, Debug)]
 pub(super) struct Fit {
     pub model: Model,
     /// 1/C in 1/farad.
-    pub elastance: Found,
+    pub elastance: Estimate,
     /// Skew or time constant in seconds.
-    pub time_s: Found,
+    pub time_s: Estimate,
     /// Corner of the high-pass in radian per second.
-    pub droop: Found,
-    /// Coefficient of the integral of the cubed current, where asked for, over 1/C.
-    pub cubic: Found,
-    /// Change of each side's level over that of the bridge's amplitude.
+    pub droop: Estimate,
+    /// Coefficient of the integral of the cubed current over 1/C; zero unless it was fitted.
+    pub cubic: Estimate,
+    /// Change of each side's level per change of the bridge's amplitude.
     pub follows_bus: [f64; 2],
-    /// Sum of squares that is left, and of how many numbers.
+    /// Sum of squared residuals, and their number.
     pub left: (f64, usize),
-    /// What is left of each polynomial per volt of the bridge, its standard deviation, and the same in the mean.
+    /// Residual with the same shape in every plateau.
     pub misfit: Misfit,
 }
 
-/// What is left with the same shape in plateau after plateau.
+/// Residual with the same shape in plateau after plateau.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Misfit {
     /// Chi square of the shape's coefficients, and how many there are.
     pub chi_square: (f64, usize),
-    /// Root mean square of the shape beyond what noise makes, over that of the capacitor's share in the plateau.
+    /// Root mean square of the shape beyond noise, over that of the capacitor's share in the plateau.
     pub share: f64,
 }
 
-/// Which plateaus, and what beside the model.
+/// Selection of plateaus, and terms beside the model.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Scope<'a> {
     pub plateaus: &'a [Plateau],
-    /// Both sides, or one.
+    /// Side of the plateaus; `None` for both.
     pub side: Option<usize>,
-    /// Also fit the integral of the cubed current.
+    /// Set to fit the integral of the cubed current, too.
     pub cubic: bool,
-    /// A filter's tail after each edge, of this time constant in seconds.
+    /// Time constant in seconds of a filter's tail after each edge; `None` if there is none.
     pub settling_s: Option<f64>,
 }
 
-/// Steps of the Gauss-Newton iteration: it is nearly linear.
+/// Steps of the Gauss-Newton iteration, which is nearly linear.
 const STEPS: usize = 6;
 
 impl Scope<'_> {
@@ -118,7 +118,7 @@ impl Scope<'_> {
             .filter(move |p| side.is_none_or(|s| s == p.side))
     }
 
-    /// Columns: 1/C, those of the model, the cubed current; of each side the slope, the bus's, the tail.
+    /// Number of columns: 1/C, those of the model, the cubed current; for each side the slope, the bus, the tail.
     fn columns(&self, model: Model) -> usize {
         1 + model.parameters() + usize::from(self.cubic) + 2 * self.of_a_side()
     }
@@ -127,7 +127,7 @@ impl Scope<'_> {
         2 + usize::from(self.settling_s.is_some())
     }
 
-    /// One plateau's rows: regressors in columns, the voltage last.
+    /// Rows of one plateau: regressors in columns, the voltage last.
     fn rows(&self, p: &Plateau, model: Model, e: f64, t_s: f64, droop: f64) -> DMatrix<f64> {
         let columns = self.columns(model);
         let mut rows = DMatrix::zeros(p.v.len(), columns + 1);
@@ -165,13 +165,13 @@ impl Scope<'_> {
         rows
     }
 
-    /// Fits a model; `None` where the plateaus do not determine it.
+    /// Fits a model; `None` if the plateaus do not determine it.
     pub fn fit(&self, model: Model) -> Option<Fit> {
         let columns = self.columns(model);
         let (mut e, mut t_s, mut droop) = (1e6, 0.0, 0.0);
         let mut solved = None;
         for step in 0..STEPS {
-            // 1/C first, from the right sensor.
+            // The first step fits 1/C with a sensor without fault.
             let model = if step == 0 { Model::Right } else { model };
             let normal = self.normal(model, e, t_s, droop)?;
             let x = normal.solution()?;
@@ -187,26 +187,26 @@ impl Scope<'_> {
             solved = Some((normal, x));
         }
         let (normal, mut x) = solved?;
-        // The last step's change of the model's numbers is taken, so it is no residual any more.
+        // The last change of the parameters was applied, so that it is no residual.
         (1..=model.parameters()).for_each(|k| x[k] = 0.0);
         let (cov, left, misfit) = self.spread(model, (e, t_s, droop), &normal, &x)?;
         let sigma = |k: usize| cov[(k, k)].max(0.0).sqrt();
-        let found = |has: bool, k: usize, value: f64| match has {
-            true => Found {
+        let estimate = |has: bool, k: usize, value: f64| match has {
+            true => Estimate {
                 value,
                 sigma: sigma(k),
             },
-            false => Found::default(),
+            false => Estimate::default(),
         };
         let nuisance = columns - 2 * self.of_a_side();
         Some(Fit {
             model,
-            elastance: found(true, 0, e),
-            time_s: found(model.has_time(), 1, t_s),
-            droop: found(model.has_droop(), 1 + usize::from(model.has_time()), droop),
+            elastance: estimate(true, 0, e),
+            time_s: estimate(model.has_time(), 1, t_s),
+            droop: estimate(model.has_droop(), 1 + usize::from(model.has_time()), droop),
             cubic: match self.cubic {
-                true => found(true, nuisance - 1, x[nuisance - 1]),
-                false => Found::default(),
+                true => estimate(true, nuisance - 1, x[nuisance - 1]),
+                false => Estimate::default(),
             },
             follows_bus: [x[nuisance + 1], x[nuisance + self.of_a_side() + 1]],
             left,
@@ -224,7 +224,7 @@ impl Scope<'_> {
         Normal::of(&all)
     }
 
-    /// Covariance from what is left plateau by plateau, whatever its colour; what is left; its shape.
+    /// Covariance from the residuals plateau by plateau, whatever their spectrum; the residuals; and their common shape.
     fn spread(
         &self,
         model: Model,
@@ -262,7 +262,7 @@ impl Scope<'_> {
         let seen = shape.iter().filter(|s| s.1 > 0.0);
         let chi_square = seen.clone().map(|(r, w)| r * r / w / variance).sum();
         let kinds = seen.count();
-        // Of the shape's square per squared volt, what noise does not make.
+        // The part of the shape's square per squared volt that noise does not explain.
         let beyond: f64 = shape
             .iter()
             .filter(|s| s.1 > 0.0)
@@ -280,10 +280,10 @@ impl Scope<'_> {
     }
 }
 
-/// Longest time constant or skew that the expansion holds for, in seconds.
+/// Largest time constant or skew in seconds for which the expansion holds.
 const MOST_S: f64 = 4e-6;
 
-/// Normal equations, columns scaled to one.
+/// Normal equations with columns scaled to one.
 struct Normal {
     scale: DVector<f64>,
     matrix: DMatrix<f64>,
@@ -293,7 +293,7 @@ struct Normal {
 impl Normal {
     fn of(all: &DMatrix<f64>) -> Option<Self> {
         let n = all.nrows() - 1;
-        // A column without content, such as the slope of a steady bus, gets no say.
+        // A column without content, such as the slope of a steady bus, stays unscaled.
         let scale = DVector::from_fn(n, |k, _| match all[(k, k)].sqrt() {
             s if s > 0.0 => 1.0 / s,
             _ => 0.0,
@@ -326,5 +326,5 @@ impl Normal {
     }
 }
 
-/// Keeps columns that say the same apart, of the unit that a column has.
+/// Regularisation that separates equal columns, in units of a column.
 const RIDGE: f64 = 1e-12;

@@ -1,4 +1,4 @@
-//! Plateaus: what voltage and current do between two edges, as coefficients of polynomials.
+//! Plateaus: voltage and current between two edges, as coefficients of polynomials.
 
 use std::rc::Rc;
 
@@ -7,23 +7,23 @@ use nalgebra::DVector;
 use super::basis::{Bases, Basis, FEWEST};
 use super::edges::{Carrier, Edges, LEAST, Stretch};
 
-/// Time that is left out before and after an edge, in seconds.
+/// Times in seconds that are left out around edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Guards {
-    /// Before the next edge.
+    /// Time before the next edge.
     pub before_s: f64,
-    /// After the last one: ringing, a filter that settles.
+    /// Time after the last edge, for ringing and filters.
     pub after_s: f64,
 }
 
-/// Voltage and current between two edges. Every list has one entry a polynomial, without the constant: the level is free.
+/// Voltage and current between two edges. Every list has one entry per polynomial, without the constant: the level is free.
 #[derive(Clone, Debug)]
 pub(super) struct Plateau {
-    /// 0 or 1: the two halves of a period.
+    /// Half of the period, 0 or 1.
     pub side: usize,
-    /// The carrier at its middle.
+    /// Carrier at the plateau's middle.
     pub carrier: Carrier,
-    /// Samples.
+    /// Number of samples.
     pub samples: usize,
     /// Voltage in volt.
     pub v: Vec<f64>,
@@ -45,7 +45,7 @@ pub(super) struct Plateau {
 }
 
 impl Plateau {
-    /// An exponential that began at the edge, such as a filter of this time constant leaves.
+    /// Exponential decay from the edge with this time constant, as a filter leaves it.
     pub fn settling(&self, tau_s: f64) -> Vec<f64> {
         let at = |k: usize| libm::exp(-(self.since_edge_s + k as f64 * self.dt_s) / tau_s);
         without_level(&self.basis.project(at))
@@ -56,10 +56,10 @@ fn without_level(coefficients: &DVector<f64>) -> Vec<f64> {
     coefficients.as_slice().get(1..).unwrap_or(&[]).to_vec()
 }
 
-/// Most plateaus that are taken of a stretch, evenly: more is not known better than the model is right.
+/// Most plateaus of a stretch, taken evenly: with more, errors of the model dominate.
 const MOST: usize = 6_000;
 
-/// The plateaus of a stretch, between edges that were found.
+/// Plateaus of a stretch, between given edges.
 pub(super) fn of_stretch(
     stretch: &Stretch,
     (track, between): &Edges,
@@ -84,7 +84,7 @@ pub(super) fn of_stretch(
         if to <= from {
             continue;
         }
-        // The sample at which the phase passes a number of periods: it is nearly straight.
+        // The sample at which the phase, nearly linear, reaches a number of periods.
         let place = |periods: f64| track.place(periods, stretch.per_period());
         let (first, last) = ((begin - from).ceil() as i64, (end - to).floor() as i64);
         for n in (first..=last).step_by(every) {
@@ -127,7 +127,7 @@ fn plateau(
     let smooth = basis.at_samples(&i);
     let cubes = basis.project(|k| smooth[k].powi(3));
     let mut charge = basis.integrated(&i, half_s);
-    // Its level matters to its integral.
+    // The charge's level enters its integral.
     charge[0] = basis.project(|k| charge_c[from + k])[0];
     let slope = basis.derived(&i, half_s);
     Plateau {

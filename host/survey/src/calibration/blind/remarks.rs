@@ -1,19 +1,20 @@
-//! What there is to say of it.
+//! Remarks on a self-calibration.
 
 use std::f64::consts::TAU;
 
 use ihd_signal::{Remark, Severity};
 
-use super::{BlindError, Response, SelfCalibration};
+use super::error::BlindError;
+use super::self_calibration::{Response, SelfCalibration};
 
-/// Error of R in percent from which a lag that is not taken out is worth a warning.
+/// Error of R in percent from which an uncorrected lag is a warning.
 const COSTLY_PCT: f64 = 0.5;
 
-/// By how much C may differ from the one that was told, as a share, beside its standard deviations.
+/// Largest relative difference of C from the one given, beside its standard deviations.
 const GAIN: f64 = 0.01;
 
 impl BlindError {
-    /// It as a remark: R and L are wrong where the wrong voltage was measured; else it costs nothing but certainty.
+    /// Converts to a remark: an error if the wrong voltage was measured, else an information.
     pub fn remark(&self) -> Remark {
         match self {
             Self::BridgeVoltage => Remark::new("bridge_voltage", Severity::Error, self.to_string()),
@@ -27,7 +28,7 @@ impl BlindError {
 }
 
 impl SelfCalibration {
-    /// What is to be said of the sensors; `corrected`: the correction was applied.
+    /// Remarks on the sensors; `corrected` says that the correction was applied.
     pub fn remarks(&self, corrected: bool) -> Vec<Remark> {
         let mut out = Vec::new();
         out.extend(self.model_remarks());
@@ -36,7 +37,7 @@ impl SelfCalibration {
         out
     }
 
-    /// Tests that failed.
+    /// Remarks on failed tests of the model.
     fn model_remarks(&self) -> Vec<Remark> {
         let mut out = Vec::new();
         let bend = self.tests.bend;
@@ -94,7 +95,7 @@ impl SelfCalibration {
         if corrected {
             let text = format!(
                 "self-calibrated: {what}{cost}; {}. A resistance of the bridge of 10 mohm would be {:.0} ns of it",
-                self.alike(),
+                self.full_correction(),
                 0.01 * self.capacitance_f.value * 1e9
             );
             return Remark::new("self_calibrated", Severity::Info, text).with(ns, None);
@@ -118,7 +119,7 @@ impl SelfCalibration {
         Remark::new(code, severity, format!("{what}{cost}{why}")).with(ns, Some(3.0 * sigma))
     }
 
-    /// The response's code and what it is, with the numbers.
+    /// Code of the response, and its description with numbers.
     fn in_words(&self) -> (&'static str, String) {
         let (lag, sigma) = (self.lag_s.value * 1e9, self.lag_s.sigma * 1e9);
         let band = |whose: &str, tau_s: f64| {

@@ -1,83 +1,84 @@
-//! What reaches over the edges: a slow voltage, whose edges have tails, and a skew longer than the guards. The capture gets the
-//! correction, and what is left is looked for again, until nothing is.
+//! Search for faults that reach over the edges: a slow voltage, whose edges have tails, and a skew longer than the guards. The
+//! capture is corrected and the rest estimated again, until nothing is left.
 
 use super::super::delay::delay;
-use super::choose::{Chosen, choose};
+use super::choose::{ModelChoice, choose};
+use super::correction::Correction;
 use super::edges::Stretch;
-use super::{BlindError, Correction};
+use super::error::BlindError;
 
-/// What is left when that has been matched, and what it was: both 0 where there is none.
-pub(super) struct Settled {
-    pub chosen: Chosen,
+/// Result after such a correction; both times are 0 if there was none.
+pub(super) struct SettledChoice {
+    pub chosen: ModelChoice,
     /// Time constant of the voltage in seconds.
     pub v_tau_s: f64,
-    /// Skew that was taken out before, in seconds.
+    /// Skew that was corrected before, in seconds.
     pub skew_s: f64,
 }
 
-/// Least skew that may be something else, in seconds: a voltage's bandwidth of 2.7 MHz.
+/// Least skew in seconds that may have another cause: a voltage bandwidth of 2.7 MHz.
 const LEAST_S: f64 = 60e-9;
 
-/// Shares of the skew that a slow voltage's search begins with: the tails make it look slower.
+/// Start values for the time constant of a slow voltage, as shares of the skew: the tails make it look slower.
 const STARTS: [f64; 4] = [1.0, 0.75, 0.55, 0.4];
 
-/// Share of what a skew leaves that another explanation may leave at most.
+/// Largest residual of another explanation, as a share of a skew's residual.
 const BETTER: f64 = 0.5;
 
-/// Rounds of a search, and the change in seconds that ends it.
+/// Most rounds of a search; the second constant is the change in seconds that ends it.
 const ROUNDS: usize = 6;
 const ROUND_S: f64 = 0.2e-9;
 
-/// Chooses, and where a skew explains too little, looks for what reaches over the edges.
+/// Chooses a model, and searches for faults that reach over the edges if a skew explains too little.
 pub(super) fn settle(
     stretches: &[Stretch],
     settling_s: Option<f64>,
-) -> Result<Settled, BlindError> {
+) -> Result<SettledChoice, BlindError> {
     let plain = choose(stretches, settling_s)?;
-    let found = plain.skew_s;
-    let nothing = |chosen| Settled {
+    let skew = plain.skew_s;
+    let nothing = |chosen| SettledChoice {
         chosen,
         v_tau_s: 0.0,
         skew_s: 0.0,
     };
-    // Where it explains everything, it is as good.
-    if plain.is_flat() || found.value.abs() < LEAST_S.max(10.0 * found.sigma) {
+    // A skew that explains everything is preferred.
+    if plain.is_flat() || skew.value.abs() < LEAST_S.max(10.0 * skew.sigma) {
         return Ok(nothing(plain));
     }
-    let skewed = refined(found.value, |skew_s| {
+    let skewed = refined(skew.value, |skew_s| {
         let alike = Correction {
             skew_s,
             ..Correction::default()
         };
-        looked(stretches, &alike, settling_s)
+        choose_corrected(stretches, &alike, settling_s)
     });
-    // A slow voltage seems to be behind; a filter that both share has been told of.
-    let slow = (found.value > 0.0 && settling_s.is_none()).then(|| {
+    // A slow voltage looks late; not searched if a shared filter is known.
+    let slow = (skew.value > 0.0 && settling_s.is_none()).then(|| {
         let matched = |v_tau_s: f64| {
             let alike = Correction {
                 v_tau_s,
                 ..Correction::default()
             };
-            looked(stretches, &alike, Some(v_tau_s))
+            choose_corrected(stretches, &alike, Some(v_tau_s))
         };
         let tried = STARTS
             .into_iter()
-            .filter_map(|share| Some((share * found.value, matched(share * found.value)?)));
+            .filter_map(|share| Some((share * skew.value, matched(share * skew.value)?)));
         let best = tried.min_by(|a, b| share(&a.1).total_cmp(&share(&b.1)))?;
         refined(best.0, matched)
     });
     let slow = slow.flatten().filter(|(tau_s, _)| *tau_s > 0.0);
     let limit = BETTER * share(&plain);
-    let good = |found: &(f64, Chosen)| found.1.is_flat() || share(&found.1) < limit;
+    let good = |choice: &(f64, ModelChoice)| choice.1.is_flat() || share(&choice.1) < limit;
     let of_slow = slow.as_ref().map_or(f64::INFINITY, |s| share(&s.1));
     let of_skew = skewed.as_ref().map_or(f64::INFINITY, |s| share(&s.1));
     Ok(match (slow.filter(good), skewed.filter(good)) {
-        (Some((v_tau_s, chosen)), other) if of_slow < of_skew || other.is_none() => Settled {
+        (Some((v_tau_s, chosen)), other) if of_slow < of_skew || other.is_none() => SettledChoice {
             chosen,
             v_tau_s,
             skew_s: 0.0,
         },
-        (_, Some((skew_s, chosen))) => Settled {
+        (_, Some((skew_s, chosen))) => SettledChoice {
             chosen,
             v_tau_s: 0.0,
             skew_s,
@@ -86,17 +87,21 @@ pub(super) fn settle(
     })
 }
 
-fn share(chosen: &Chosen) -> f64 {
+fn share(chosen: &ModelChoice) -> f64 {
     chosen.fit.misfit.share
 }
 
-fn looked(stretches: &[Stretch], alike: &Correction, settling_s: Option<f64>) -> Option<Chosen> {
+fn choose_corrected(
+    stretches: &[Stretch],
+    alike: &Correction,
+    settling_s: Option<f64>,
+) -> Option<ModelChoice> {
     let corrected: Vec<Stretch> = stretches.iter().map(|s| s.corrected(alike)).collect();
     choose(&corrected, settling_s).ok()
 }
 
-/// Adds the skew that is left to the number, for as long as that becomes smaller.
-fn refined(start: f64, look: impl Fn(f64) -> Option<Chosen>) -> Option<(f64, Chosen)> {
+/// Adds the remaining skew to the value as long as it becomes smaller.
+fn refined(start: f64, look: impl Fn(f64) -> Option<ModelChoice>) -> Option<(f64, ModelChoice)> {
     let (mut number, mut now) = (start, look(start)?);
     for _ in 0..ROUNDS {
         let left = now.skew_s.value;

@@ -1,12 +1,16 @@
 //! Against the simulator's sensing chain, whose settings are the truth.
 
+use std::f64::consts::TAU;
+
+use ihd_signal::segment::Segment;
+use ihd_signal::{Capture, Load};
 use ihd_sim::pot::{Metal, Pot};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{LoadKind, Settings};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 
 use super::*;
-use crate::{Hints, Survey};
+use crate::{Hints, Severity, Survey};
 
 /// A scope of 12.5 MS/s and 12 bits with 30 dB on both channels.
 fn scope() -> Sensing {
@@ -18,18 +22,18 @@ fn scope() -> Sensing {
     }
 }
 
-fn settings(sensing: Sensing, seed: u64) -> Settings {
-    Settings {
+fn settings(sensing: Sensing, seed: u64) -> CaptureSpec {
+    CaptureSpec {
         load: LoadKind::Behavioural,
         pot: Pot::new(Metal::Ferritic, 0.21),
         duration_s: 20e-3,
         sensing,
         seed,
-        ..Settings::default()
+        ..CaptureSpec::default()
     }
 }
 
-fn capture(settings: &Settings) -> Capture {
+fn capture(settings: &CaptureSpec) -> Capture {
     record(settings, |_| ()).unwrap().capture("any load")
 }
 
@@ -57,7 +61,7 @@ fn low_pass(x: &mut [f32], dt_s: f64, tau_s: f64) {
     }
 }
 
-/// What a low-pass leaves.
+/// High-pass, as the rest that a low-pass leaves.
 fn high_pass(x: &mut [f32], corner_hz: f64) {
     let mut slow = x.to_vec();
     low_pass(&mut slow, DT_S, 1.0 / (TAU * corner_hz));
@@ -94,7 +98,7 @@ fn a_skew_is_found_from_any_load_and_none_where_there_is_none() {
 
 #[test]
 fn the_deviation_told_is_that_of_many_seeds() {
-    let seen: Vec<Found> = (0..12)
+    let seen: Vec<Estimate> = (0..12)
         .map(|seed| {
             let sensing = Sensing {
                 skew_s: 30e-9,
@@ -165,7 +169,7 @@ fn a_slow_voltage_probe_and_a_droop_are_taken_out_too() {
     }
 }
 
-/// What leaves tails over half a plateau is not explained, and not corrected either: a warning.
+/// A probe with tails over half a plateau is neither explained nor corrected: a warning.
 #[test]
 fn a_very_slow_voltage_probe_is_warned_of_or_taken_out() {
     let mut c = capture(&settings(scope(), 9));
@@ -196,7 +200,7 @@ fn bus_ripple_dead_time_ringing_and_few_bits_do_not_hide_it() {
         ringing: 0.1,
         ..scope()
     };
-    let s = Settings {
+    let s = CaptureSpec {
         bus_capacitance_f: 5e-6,
         dead_s: 1e-6,
         ..settings(sensing, 4)
@@ -310,7 +314,7 @@ fn a_window_of_a_board_knows_a_skew_to_some_nanoseconds() {
         for skew_s in [0.0, 30e-9] {
             let seen: Vec<_> = (0..6)
                 .map(|seed| {
-                    of_segment(
+                    estimate_segment(
                         &window(skew_s, snr_db, 200 + seed),
                         None,
                         None,

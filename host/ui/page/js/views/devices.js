@@ -102,7 +102,8 @@ class Card {
     this.state.className = `state ${stateClass(report.state)}`;
     setAttribute(this.root, "data-state", report.state);
     const sweep = report.sweep_left_w.length ? ` Sweep: ${report.sweep_left_w.map((/** @type {number} */ w) => fixed(w)).join(", ")} W to come.` : "";
-    setText(this.detail, `${report.detail}${sweep}${report.recording ? ` Recording ${report.recording}.` : ""}`);
+    const flood = report.frames_beyond ? ` It has sent ${report.frames_beyond} frames more than a hob does: dropped.` : "";
+    setText(this.detail, `${report.detail}${sweep}${flood}${report.recording ? ` Recording ${report.recording}.` : ""}`);
     setText(cells.firmware, firmwareText(report));
     cells.firmware.className = report.updates_needed ? "cell-firmware bad" : "cell-firmware";
     setText(cells.lookup, lookupText(report));

@@ -1,0 +1,299 @@
+use super::*;
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use std::boxed::Box;
+
+/// R in ohm, L in µH and crest current in ampere at 80 kHz: R carries √(80/45) = 1.33.
+type Load = (f64, f64, f64);
+
+const POT: Load = (5.9, 22.0, 16.0);
+const AIR: Load = (0.13, 70.0, 6.0);
+const ALUMINIUM: Load = (0.3, 17.0, 30.0);
+
+/// A bridge that follows its request at the next half-cycle of 10 ms.
+struct Bench {
+    control: Box<Control>,
+    drive: Drive,
+    wanted: Drive,
+    fault: Fault,
+    ms: u32,
+    load: Load,
+    off_at_crossing: bool,
+    probe_requested: bool,
+    probes: u32,
+}
+
+impl Bench {
+    fn new(load: Load) -> Self {
+        Self {
+            control: Box::default(),
+            drive: Drive::OFF,
+            wanted: Drive::OFF,
+            fault: Fault::NONE,
+            ms: 0,
+            load,
+            off_at_crossing: false,
+            probe_requested: false,
+            probes: 0,
+        }
+    }
+
+    fn status(&self) -> SamplingStatus {
+        SamplingStatus {
+            now_ms: self.ms,
+            fault: self.fault,
+            requested: self.wanted,
+            switching: self.drive.is_switching(),
+            replaying: false,
+        }
+    }
+
+    fn act(&mut self, action: Action) {
+        match action {
+            Action::Keep => {}
+            Action::Drive(drive) => self.wanted = drive,
+            Action::OffAtCrossing => self.off_at_crossing = true,
+            Action::ProbePot => {
+                self.probe_requested = true;
+                self.probes += 1;
+            }
+            Action::Fault(fault) => self.fault = fault,
+            Action::ClearFault => {
+                self.fault = Fault::NONE;
+                self.wanted = Drive::OFF;
+            }
+        }
+        if self.fault != Fault::NONE {
+            self.wanted = Drive::OFF;
+        }
+        if !self.wanted.is_switching() {
+            self.drive = Drive::OFF;
+        }
+    }
+
+    fn half_cycle(&mut self) {
+        let ends = core::mem::take(&mut self.off_at_crossing);
+        for _ in 0..10 {
+            self.ms += 1;
+            let action = self.control.tick(&self.status());
+            self.act(action);
+        }
+        if core::mem::take(&mut self.probe_requested) {
+            let probe = HalfCycle {
+                is_pot_probe: true,
+                ..self.summary(true)
+            };
+            let action = self.control.on_half_cycle(&probe, &self.status());
+            self.act(action);
+        }
+        let summary = self.summary(self.drive.is_switching());
+        let action = self.control.on_half_cycle(&summary, &self.status());
+        self.act(action);
+        for _ in 0..crate::control::power::STEPS_PER_SEARCH {
+            let action = self.control.advance(&prior(), &self.status());
+            self.act(action);
+        }
+        if ends {
+            self.wanted = Drive::OFF;
+        }
+        self.drive = self.wanted;
+        self.control.plausibility.reset();
+    }
+
+    fn summary(&self, on: bool) -> HalfCycle {
+        let (r, l, i) = self.load;
+        HalfCycle {
+            f_sw_hz: if on { self.drive.f_sw_hz } else { 0 },
+            duration_ns: 10_000_000,
+            r: MicroOhm((r * 1e6) as i32),
+            l: PicoHenry((l * 1e6) as i32),
+            i_crest_ma: if on { (i * 1e3) as u32 } else { 0 },
+            power_mw: if on { 400_000 } else { 0 },
+            bus_peak_dv: 3_253,
+            ..HalfCycle::default()
+        }
+    }
+
+    fn run(&mut self, half_cycles: u32) {
+        for _ in 0..half_cycles {
+            self.half_cycle();
+        }
+    }
+
+    fn ask(&mut self, power_w: u16) {
+        let action = self.control.host(power_w).expect("no panel");
+        self.act(action);
+    }
+
+    fn trip(&mut self, fault: Fault) {
+        self.act(Action::Fault(fault));
+    }
+}
+
+fn heating() -> Bench {
+    let mut bench = Bench::new(POT);
+    bench.ask(1_500);
+    bench.run(5);
+    assert_eq!(bench.control.state(), State::Heating);
+    bench
+}
+
+#[test]
+fn a_pot_is_looked_at_then_heated() {
+    let bench = heating();
+    assert_eq!(bench.control.pot(), Pot::Ferromagnetic);
+    assert!(bench.drive.is_switching() && bench.drive.f_sw_hz < pwm::HIGHEST_HZ);
+}
+
+#[test]
+fn what_cannot_be_heated_is_waited_for() {
+    for (load, pot) in [(AIR, Pot::Absent), (ALUMINIUM, Pot::Unsuitable)] {
+        let mut bench = Bench::new(load);
+        bench.ask(1_500);
+        bench.run(5);
+        assert_eq!(
+            (bench.control.state(), bench.control.pot(), bench.fault),
+            (State::WaitingForPot, pot, Fault::NONE)
+        );
+        assert!(!bench.drive.is_switching());
+        // A pot comes; a look finds it within 0.7 s.
+        bench.load = POT;
+        bench.run(72);
+        assert_eq!(bench.control.state(), State::Heating);
+    }
+}
+
+#[test]
+fn a_pot_taken_away_is_waited_for_and_given_up() {
+    let mut bench = heating();
+    bench.load = AIR;
+    bench.run(1);
+    assert_eq!(bench.control.state(), State::Heating, "one may err");
+    bench.run(1);
+    assert_eq!(bench.control.state(), State::WaitingForPot);
+    bench.run(5_990);
+    assert_eq!(bench.control.state(), State::WaitingForPot);
+    bench.run(20);
+    assert_eq!(
+        (bench.control.state(), bench.control.asked_w()),
+        (State::Idle, 0)
+    );
+    bench.load = POT;
+    bench.run(200);
+    assert_eq!(bench.control.state(), State::Idle);
+}
+
+#[test]
+fn switched_off_means_off() {
+    for load in [POT, AIR] {
+        let mut bench = Bench::new(load);
+        bench.ask(1_500);
+        bench.run(5);
+        bench.ask(0);
+        assert_eq!(
+            (bench.control.state(), bench.wanted),
+            (State::Idle, Drive::OFF)
+        );
+        bench.run(200);
+        assert!(!bench.drive.is_switching());
+    }
+}
+
+#[test]
+fn a_trip_is_followed_by_three_tries_and_only_a_person_ends_the_lock_out() {
+    let mut bench = heating();
+    for tries_left in [2, 1, 0] {
+        bench.trip(Fault::OVER_CURRENT);
+        bench.run(10);
+        assert_eq!(bench.control.state(), State::Pausing);
+        assert_eq!(bench.control.restart().tries_left(), tries_left);
+        bench.run(420);
+        assert_eq!(
+            (bench.control.state(), bench.fault),
+            (State::Heating, Fault::NONE)
+        );
+    }
+    bench.trip(Fault::OVER_CURRENT);
+    bench.run(2_000);
+    assert_eq!(bench.control.state(), State::LockedOut);
+    for _ in 0..20 {
+        let action = bench.control.clear_fault();
+        bench.act(action);
+        bench.ask(0);
+        bench.ask(2_000);
+        bench.run(20);
+        assert_eq!(bench.control.state(), State::LockedOut);
+    }
+    for level in [0, 6] {
+        let action = bench.control.panel(PanelEvent::Level(level));
+        bench.act(action);
+        bench.run(10);
+    }
+    assert_eq!(
+        (bench.control.state(), bench.fault),
+        (State::Heating, Fault::NONE)
+    );
+}
+
+#[test]
+fn a_fault_of_the_mains_passes_with_it() {
+    let mut bench = heating();
+    for _ in 0..10 {
+        bench.trip(Fault::MAINS_LOST);
+        bench.run(45);
+        assert_eq!(bench.control.state(), State::Heating);
+    }
+}
+
+#[test]
+fn a_fault_that_comes_again_at_once_is_seen_again() {
+    let mut bench = heating();
+    for _ in 0..60 {
+        bench.trip(Fault::SENSOR_SATURATED);
+        bench.run(100);
+    }
+    assert_eq!(bench.control.state(), State::LockedOut);
+}
+
+/// However a host toggles, the bridge is not on for long without a pot.
+#[test]
+fn a_host_that_repeats_itself_gets_no_more_looks() {
+    let mut bench = Bench::new(AIR);
+    for k in 0..2_000 {
+        bench.ask(if k % 2 == 0 { 2_500 } else { 0 });
+        let action = bench.control.clear_fault();
+        bench.act(action);
+        bench.ask(2_500);
+        bench.half_cycle();
+    }
+    // One in 200 ms.
+    assert!(
+        (90..=101).contains(&bench.probes),
+        "{} in 20 s",
+        bench.probes
+    );
+}
+
+#[test]
+fn little_power_comes_in_bursts_of_whole_cycles() {
+    let mut bench = Bench::new(POT);
+    bench.ask(200);
+    bench.run(5);
+    // From the end of the first burst on.
+    while bench.drive.is_switching() {
+        bench.half_cycle();
+    }
+    let (mut on, mut length) = (0, 0);
+    for _ in 0..1_000 {
+        bench.half_cycle();
+        let switching = bench.drive.is_switching();
+        on += u32::from(switching);
+        if !switching {
+            assert_eq!(length % 2, 0);
+        }
+        length = if switching { length + 1 } else { 0 };
+    }
+    // 400 W, half of the time.
+    assert!((450..=550).contains(&on), "{on}");
+    assert_eq!(bench.control.state(), State::Heating);
+}

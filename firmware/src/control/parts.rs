@@ -1,0 +1,63 @@
+//! Parts of control that outlive a state: requests, restart policy, temperatures, power control, and the pot.
+
+use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::wire::messages::{Limit, Pot};
+
+use crate::control::power::PowerControl;
+use crate::control::request::PowerRequest;
+use crate::control::restart::RestartPolicy;
+use crate::control::temperature::Temperatures;
+use crate::drive::pwm;
+use crate::limits::SMALL_POT_PERCENT;
+
+/// Parts that every state reads and changes.
+#[derive(Clone, Debug)]
+pub struct ControlParts {
+    /// Panel and host.
+    pub request: PowerRequest,
+    /// Tries and pauses.
+    pub restart: RestartPolicy,
+    /// Heat sink, glass, coil and fan.
+    pub temperatures: Temperatures,
+    /// Search for the frequency.
+    pub power: PowerControl,
+    /// The pot that was judged last.
+    pub pot: Pot,
+    /// Frequency at which a pot was heated last, in hertz.
+    pub heated_hz: u32,
+}
+
+impl Default for ControlParts {
+    fn default() -> Self {
+        Self {
+            request: PowerRequest::default(),
+            restart: RestartPolicy::default(),
+            temperatures: Temperatures::default(),
+            power: PowerControl::default(),
+            pot: Pot::Unknown,
+            heated_hz: pwm::HIGHEST_HZ,
+        }
+    }
+}
+
+impl ControlParts {
+    /// Granted part of the requested power, in watt, and the limit that holds it below.
+    pub fn granted_w(&self) -> (u16, Limit) {
+        let asked_w = self.request.power_w();
+        let hot_w =
+            (u32::from(RATED_POWER_W) * u32::from(self.temperatures.power_percent()) / 100) as u16;
+        let pot_w = if self.pot == Pot::Small {
+            (u32::from(RATED_POWER_W) * u32::from(SMALL_POT_PERCENT) / 100) as u16
+        } else {
+            RATED_POWER_W
+        };
+        let limit = if asked_w > hot_w {
+            Limit::Temperature
+        } else if asked_w > pot_w {
+            Limit::SmallPot
+        } else {
+            Limit::None
+        };
+        (asked_w.min(pot_w).min(hot_w), limit)
+    }
+}

@@ -1,0 +1,289 @@
+//! Readings that contradict physics or each other, half-cycle by half-cycle.
+//!
+//! The coil's voltage and that of the resonance capacitor, I/(jωC), add up to the bridge's, whose
+//! fundamental is 2/π of the bus. That ties the gains of three sensors together without a fourth: with
+//! X_L and X_C the two reactances, a current that reads g times too much moves the sum by
+//! (g − 1)·X_C, a voltage by (g − 1)·|R + jX_L|, the bus directly. Near 80 kHz X_C is a tenth of X_L
+//! and an error of the current's gain is lost in the tolerances; a sensor of the DC link sees it there.
+//!
+//! A capacitor in series lets no direct current through, and a winding holds no direct voltage: the
+//! means over whole periods are zero, bridge on or off.
+
+use ihd_shared::fault::Fault;
+
+use crate::estimate::tank::TankAt;
+use crate::fixed::Complex;
+use crate::limits::{
+    BALANCE_HIGH_PERCENT, BALANCE_PERCENT, BUS_AT_CROSSING_PERCENT, BUS_MIN_DV, COMPARED_FROM_DV,
+    CURRENT_OFFSET_MA, HALF_CYCLE_MAX_NS, HALF_CYCLE_MIN_NS, IMPLAUSIBLE_HALF_CYCLES,
+    IRREGULAR_HALF_CYCLES, POT_CURRENT_MIN_MA, POWER_BALANCE_PERCENT, VOLTAGE_OFFSET_DV,
+};
+use crate::sampling::half_cycle::HalfCycle;
+use crate::sense::demodulator::amplitude_dv;
+
+/// From this frequency on [`BALANCE_HIGH_PERCENT`] counts.
+const HIGH_HZ: u32 = 60_000;
+
+/// A bus that a bench supply holds up, 60 V at most, is no zero crossing out of place.
+const BENCH_BUS_DV: u32 = 600;
+
+/// Below this power the two powers are not compared: 200 W.
+const POWER_FROM_MW: u32 = 200_000;
+
+/// Contradictions between the measurements, each counted in half-cycles that it lasts.
+#[derive(Clone, Debug, Default)]
+pub struct Plausibility {
+    balance: ContradictionCount,
+    offset: ContradictionCount,
+    current: ContradictionCount,
+    power: ContradictionCount,
+    bus: ContradictionCount,
+    /// A bit for each of the last eight half-cycles that was not as it must be.
+    irregular: u8,
+}
+
+/// Half-cycles in a row.
+#[derive(Clone, Copy, Debug, Default)]
+struct ContradictionCount(u8);
+
+impl ContradictionCount {
+    fn push(&mut self, bad: bool) -> bool {
+        self.push_if(true, bad)
+    }
+
+    /// A half-cycle that shows nothing neither counts nor ends the count.
+    fn push_if(&mut self, shows: bool, bad: bool) -> bool {
+        if shows {
+            self.0 = if bad { self.0.saturating_add(1) } else { 0 };
+        }
+        self.0 >= IMPLAUSIBLE_HALF_CYCLES
+    }
+}
+
+impl Plausibility {
+    /// Takes a half-cycle; the fault that has lasted long enough.
+    pub fn on_half_cycle(&mut self, summary: &HalfCycle) -> Option<Fault> {
+        let steady = summary.f_sw_hz > 0 && !summary.disturbed;
+        // Without current the soft limits disturb every half-cycle.
+        let on_bus = summary.f_sw_hz > 0 && summary.bus_peak_dv >= COMPARED_FROM_DV;
+        let flows = summary.i_crest_ma >= POT_CURRENT_MIN_MA;
+        let seen = steady && on_bus && flows;
+        let checks = [
+            (self.offset.push(has_offset(summary)), Fault::SENSOR_OFFSET),
+            (
+                self.balance.push_if(seen, !is_balanced(summary)),
+                Fault::BRIDGE_BALANCE,
+            ),
+            (
+                self.power.push_if(steady, !is_power_balanced(summary)),
+                Fault::POWER_BALANCE,
+            ),
+            (self.current.push_if(on_bus, !flows), Fault::NO_COIL_CURRENT),
+            (
+                // On a bench without power the bridge may switch.
+                self.bus
+                    .push_if(summary.f_sw_hz > 0, summary.bus_peak_dv < BUS_MIN_DV),
+                Fault::BUS_RANGE,
+            ),
+            (self.is_irregular(summary), Fault::MAINS_IRREGULAR),
+        ];
+        checks
+            .into_iter()
+            .find_map(|(bad, fault)| bad.then_some(fault))
+    }
+
+    /// Forgets what was counted.
+    pub fn reset(&mut self) {
+        *self = Self::default();
+    }
+
+    fn is_irregular(&mut self, summary: &HalfCycle) -> bool {
+        let in_time = (HALF_CYCLE_MIN_NS..=HALF_CYCLE_MAX_NS).contains(&summary.duration_ns);
+        // A link that nothing discharges stays up, so only a bridge that switches shows its zero.
+        let limit_dv = u32::from(summary.bus_peak_dv) * BUS_AT_CROSSING_PERCENT / 100;
+        let in_place = summary.f_sw_hz == 0
+            || u32::from(summary.bus_at_crossing_dv) <= limit_dv.max(BENCH_BUS_DV);
+        self.irregular = self.irregular << 1 | u8::from(!(in_time && in_place));
+        self.irregular.count_ones() >= IRREGULAR_HALF_CYCLES
+    }
+}
+
+fn has_offset(summary: &HalfCycle) -> bool {
+    summary.i_offset_ma.unsigned_abs() >= CURRENT_OFFSET_MA
+        || summary.v_offset_dv.unsigned_abs() >= VOLTAGE_OFFSET_DV
+}
+
+/// |V + I/(jωC)| against 2/π of the bus.
+fn is_balanced(summary: &HalfCycle) -> bool {
+    let bridge_dv = bridge_dv(summary);
+    let expected_dv = u32::from(summary.bus_peak_dv) * 6_366 / 10_000;
+    let percent = if summary.f_sw_hz < HIGH_HZ {
+        BALANCE_PERCENT
+    } else {
+        BALANCE_HIGH_PERCENT
+    };
+    bridge_dv.abs_diff(expected_dv) * 100 <= expected_dv * percent
+}
+
+/// Amplitude of the bridge's fundamental by coil voltage and current, in decivolt.
+fn bridge_dv(summary: &HalfCycle) -> u32 {
+    let x_c_mohm = TankAt::new(summary.f_sw_hz).x_c_mohm();
+    let (v, i) = (summary.crest.v, summary.crest.i);
+    // −jX·(a + jb) = bX − jaX; mantissas of 16 A and 32 V, so an ohm counts half.
+    let part = |v: i32, i: i32| (i64::from(v) + i64::from(i) * x_c_mohm / 2_000) as i32;
+    let sum = Complex {
+        re: part(v.re, i.im),
+        im: part(v.im, -i.re),
+    };
+    amplitude_dv(sum.norm_squared())
+}
+
+fn is_power_balanced(summary: &HalfCycle) -> bool {
+    let Some(dc_link_mw) = summary.dc_link_mw else {
+        return true;
+    };
+    let more = dc_link_mw.max(summary.power_mw);
+    more < POWER_FROM_MW
+        || u64::from(dc_link_mw.abs_diff(summary.power_mw)) * 100
+            <= u64::from(more) * u64::from(POWER_BALANCE_PERCENT)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sense::demodulator::{AMPERE_PER_UNIT, Phasors, STATE_BITS, VOLT_PER_UNIT};
+    use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
+    use std::f64::consts::{FRAC_2_PI, TAU};
+
+    /// What sensors of the given gains show of a load at a bus of 325 V.
+    fn seen(
+        f_hz: f64,
+        (r, l_uh): (f64, f64),
+        v_gain: f64,
+        i_gain: f64,
+        bus_gain: f64,
+    ) -> HalfCycle {
+        let x_l = TAU * f_hz * l_uh * 1e-6;
+        let x_c = 1e9 / (TAU * f_hz * f64::from(RESONANCE_CAPACITANCE_NF));
+        let v1 = FRAC_2_PI * 325.0;
+        let z2 = r * r + (x_l - x_c).powi(2);
+        // I = V1/Z with V1 real, V = I·(R + jX_L).
+        let i = (v1 * r / z2, -v1 * (x_l - x_c) / z2);
+        let v = (i.0 * r - i.1 * x_l, i.0 * x_l + i.1 * r);
+        let mantissa = |x: f64, unit: f64| (x / unit * f64::from(1u32 << STATE_BITS)) as i32;
+        let complex = |(re, im): (f64, f64), gain: f64, unit: f64| Complex {
+            re: mantissa(re * gain, unit),
+            im: mantissa(im * gain, unit),
+        };
+        HalfCycle {
+            f_sw_hz: f_hz as u32,
+            duration_ns: 10_000_000,
+            i_crest_ma: (i.0.hypot(i.1) * i_gain * 1e3) as u32,
+            power_mw: 1_000_000,
+            bus_peak_dv: (3_250.0 * bus_gain) as u16,
+            crest: Phasors {
+                v: complex(v, v_gain, VOLT_PER_UNIT),
+                i: complex(i, i_gain, AMPERE_PER_UNIT),
+            },
+            ..HalfCycle::default()
+        }
+    }
+
+    const POT: (f64, f64) = (3.6, 24.0);
+    const SMALL: (f64, f64) = (1.0, 45.0);
+    const AIR: (f64, f64) = (0.1, 60.0);
+
+    fn fault_of(summary: HalfCycle) -> Option<Fault> {
+        let mut plausibility = Plausibility::default();
+        (0..10).find_map(|_| plausibility.on_half_cycle(&summary))
+    }
+
+    #[test]
+    fn honest_sensors_pass_within_their_tolerances() {
+        for load in [POT, SMALL, AIR] {
+            for f_hz in [38e3, 47e3, 60e3, 79e3] {
+                for (v, i, bus) in [(1.0, 1.0, 1.0), (1.01, 0.99, 0.99), (0.99, 1.01, 1.01)] {
+                    assert_eq!(
+                        fault_of(seen(f_hz, load, v, i, bus)),
+                        None,
+                        "{f_hz} {load:?}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_wrong_gain_is_seen_within_four_half_cycles() {
+        for (v, i, bus) in [
+            (0.8, 1.0, 1.0),
+            (1.25, 1.0, 1.0),
+            (1.0, 0.8, 1.0),
+            (1.0, 1.25, 1.0),
+            (1.0, 1.0, 1.25),
+            (1.0, 1.0, 0.5),
+        ] {
+            for f_hz in [38e3, 47e3] {
+                let summary = seen(f_hz, POT, v, i, bus);
+                assert_eq!(
+                    fault_of(summary),
+                    Some(Fault::BRIDGE_BALANCE),
+                    "{v} {i} {bus}"
+                );
+            }
+        }
+    }
+
+    /// docs/control.md: a current that reads four fifths at the probe frequency.
+    #[test]
+    fn what_the_balance_cannot_see_the_dc_link_does() {
+        let mut summary = seen(79e3, (5.9, 22.0), 1.0, 0.8, 1.0);
+        assert_eq!(fault_of(summary), None);
+        summary.dc_link_mw = Some(1_250_000);
+        assert_eq!(fault_of(summary), Some(Fault::POWER_BALANCE));
+        summary.dc_link_mw = Some(1_050_000);
+        assert_eq!(fault_of(summary), None);
+    }
+
+    #[test]
+    fn offsets_and_missing_current_have_names() {
+        let good = seen(47e3, POT, 1.0, 1.0, 1.0);
+        let with = |change: fn(&mut HalfCycle)| {
+            let mut summary = good;
+            change(&mut summary);
+            fault_of(summary)
+        };
+        assert_eq!(with(|s| s.i_offset_ma = -5_000), Some(Fault::SENSOR_OFFSET));
+        assert_eq!(with(|s| s.v_offset_dv = 400), Some(Fault::SENSOR_OFFSET));
+        assert_eq!(with(|s| s.i_crest_ma = 200), Some(Fault::NO_COIL_CURRENT));
+        assert_eq!(with(|s| s.bus_peak_dv = 0), Some(Fault::BUS_RANGE));
+    }
+
+    #[test]
+    fn the_mains_must_be_regular_but_may_stumble() {
+        let mut plausibility = Plausibility::default();
+        let mut after = |duration_ns: u32, bus_at_crossing_dv: u16| {
+            plausibility.on_half_cycle(&HalfCycle {
+                duration_ns,
+                bus_at_crossing_dv,
+                ..seen(47e3, POT, 1.0, 1.0, 1.0)
+            })
+        };
+        for _ in 0..4 {
+            // A dropout, now and then.
+            assert_eq!(after(29_000_000, 0), None);
+            for _ in 0..8 {
+                assert_eq!(after(10_000_000, 40), None);
+            }
+        }
+        // Every other crossing missing.
+        assert_eq!([after(20_000_000, 0), after(20_000_000, 0)], [None; 2]);
+        assert_eq!(after(20_000_000, 0), Some(Fault::MAINS_IRREGULAR));
+        for _ in 0..8 {
+            after(10_000_000, 40);
+        }
+        // A millisecond late: sin 18° of the peak.
+        let late: [_; 3] = core::array::from_fn(|_| after(10_000_000, 1_004));
+        assert_eq!(late, [None, None, Some(Fault::MAINS_IRREGULAR)]);
+    }
+}

@@ -1,0 +1,102 @@
+//! Pot detection: the estimate at the crest against what the built-in prior expects there. A lookup
+//! that was pushed has no say: whatever it holds, a pot is the same pot.
+//!
+//! At 45 kHz (R, L): ferromagnetic 21 cm 6.6-3.7 ohm / 37-24 µH, 12 cm 1.4-0.84 / 52-49, aluminium
+//! 0.22 / 17, stainless 304 0.76 / 18, none 0.1 / 55-90. All scale alike with frequency, so ratios
+//! to the prior at the same frequency and current separate them: R below half of the expected is
+//! no full pot, and below 30 % L separates air (above) from a non-magnetic plate (below). A steel that
+//! covers half of the coil lies between.
+
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::wire::messages::Pot;
+
+use crate::limits::{BUS_MIN_DV, POT_CURRENT_MIN_MA};
+use crate::sampling::half_cycle::HalfCycle;
+
+/// R and L of a full-size pot before any was measured.
+pub static PRIOR: RlLookup = prior();
+
+/// R of a full-size pot, at least this percentage of the prior's.
+const FULL_R_PERCENT: i64 = 50;
+
+/// The same for a pot that was small before, so that one at the border does not change its class with
+/// its power.
+const FULL_AFTER_SMALL_R_PERCENT: i64 = 56;
+
+/// R of steel that covers a part of the coil; a non-magnetic plate has at most 20 %.
+const PART_R_PERCENT: i64 = 30;
+
+/// R of any ferromagnetic pot worth heating, at least this percentage of the prior's.
+const SMALL_R_PERCENT: i64 = 10;
+
+/// L above this percentage of the prior's means an empty coil.
+const AIR_L_PERCENT: i64 = 125;
+
+/// Judges the pot by a half-cycle; `before` is the pot that was judged before. [`Pot::Unknown`] if current or mains is too
+/// low.
+pub fn classify(summary: &HalfCycle, before: Pot) -> Pot {
+    if summary.f_sw_hz == 0
+        || summary.i_crest_ma < POT_CURRENT_MIN_MA
+        || summary.bus_peak_dv < BUS_MIN_DV
+    {
+        return Pot::Unknown;
+    }
+    let (r, l) = PRIOR.interpolate(summary.f_sw_hz, summary.i_crest_ma);
+    let percent = |is: i32, of: i32| i64::from(is) * 100 / i64::from(of.max(1));
+    let (r, l) = (percent(summary.r.0, r.0), percent(summary.l.0, l.0));
+    let full = if before == Pot::Small {
+        FULL_AFTER_SMALL_R_PERCENT
+    } else {
+        FULL_R_PERCENT
+    };
+    if r >= full {
+        Pot::Ferromagnetic
+    } else if r >= PART_R_PERCENT || (l >= AIR_L_PERCENT && r >= SMALL_R_PERCENT) {
+        Pot::Small
+    } else if l < AIR_L_PERCENT {
+        Pot::Unsuitable
+    } else {
+        Pot::Absent
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ihd_shared::units::{MicroOhm, PicoHenry};
+
+    /// R at 45 kHz in ohm, L in µH, current in ampere; R ∝ √f.
+    fn seen(f_sw_hz: u32, r: f64, l: f64, i: f64) -> Pot {
+        let r = r * (f64::from(f_sw_hz) / 45e3).sqrt();
+        let summary = HalfCycle {
+            f_sw_hz,
+            r: MicroOhm((r * 1e6) as i32),
+            l: PicoHenry((l * 1e6) as i32),
+            i_crest_ma: (i * 1e3) as u32,
+            bus_peak_dv: 3_253,
+            ..HalfCycle::default()
+        };
+        classify(&summary, Pot::Unknown)
+    }
+
+    #[test]
+    fn loads_of_the_design_are_distinguished() {
+        for f in [36_000, 45_000, 60_000, 80_000] {
+            assert_eq!(seen(f, 3.7, 24.0, 40.0), Pot::Ferromagnetic);
+            assert_eq!(seen(f, 5.0, 30.0, 10.0), Pot::Ferromagnetic);
+            assert_eq!(seen(f, 3.1, 19.6, 54.0), Pot::Ferromagnetic);
+            assert_eq!(seen(f, 1.2, 50.0, 8.0), Pot::Small);
+            assert_eq!(seen(f, 0.22, 17.0, 30.0), Pot::Unsuitable);
+            assert_eq!(seen(f, 0.76, 18.0, 25.0), Pot::Unsuitable);
+            assert_eq!(seen(f, 0.1, 55.0, 8.0), Pot::Absent);
+            assert_eq!(seen(f, 0.1, 90.0, 5.0), Pot::Absent);
+        }
+    }
+
+    #[test]
+    fn no_current_indicates_nothing() {
+        assert_eq!(seen(45_000, 3.0, 20.0, 1.0), Pot::Unknown);
+        assert_eq!(seen(0, 3.0, 20.0, 10.0), Pot::Unknown);
+    }
+}

@@ -1,0 +1,174 @@
+//! Bounds that a frequency must keep: current, coil voltage, distance from resonance, soft switching.
+//!
+//! Predicted at the crest of the mains for the load as it was measured last: the built-in prior's R and
+//! L, each times the ratio of the measured to the prior's. No lookup has a say in it.
+
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::wire::messages::Limit;
+
+use crate::control::pot::PRIOR;
+use crate::drive::bridge::fundamental_uv;
+use crate::estimate::tank::{Tank, TankAt};
+use crate::limits::{
+    PLANNED_COIL_VOLTAGE_DV, PLANNED_CURRENT_MA, RESONANCE_MARGIN_PERCENT, TURN_OFF_PERCENT,
+};
+use crate::protect::soft_limit::turn_off_need_ma;
+use crate::sampling::half_cycle::HalfCycle;
+
+/// Rounds of the fixed point: from the measured current in proportion to the bus, four leave 1 %.
+const ROUNDS: u32 = 4;
+
+/// The load and the bus that bound the frequency.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Bounds {
+    /// Measured R and L over the prior's at the same frequency and current, in 1/1024.
+    r_q10: u32,
+    l_q10: u32,
+    i_ma: u32,
+    bus_dv: u16,
+}
+
+impl Bounds {
+    /// For the load of a half-cycle, on a bus of `bus_dv` at the crest.
+    pub fn new(summary: &HalfCycle, bus_dv: u16) -> Self {
+        let (r, l) = PRIOR.interpolate(summary.f_sw_hz, summary.i_crest_ma);
+        // 10 mohm and 1 µH at least stand for an estimate at its bound.
+        let ratio = |is: i32, of: i32| ((i64::from(is.max(1)) << 10) / i64::from(of.max(1))) as u32;
+        Self {
+            r_q10: ratio(summary.r.0, r.0).clamp(2, 8 << 10),
+            l_q10: ratio(summary.l.0, l.0).clamp(2, 8 << 10),
+            i_ma: summary.i_crest_ma,
+            bus_dv,
+        }
+    }
+
+    /// L over the prior's, in 1/1024.
+    pub fn l_q10(&self) -> u32 {
+        self.l_q10
+    }
+
+    /// Limit that forbids a frequency; [`Limit::None`] if none does.
+    pub fn limit_at(&self, f_sw_hz: u32) -> Limit {
+        let v1_uv = fundamental_uv(self.bus_dv);
+        let (prior, tank_at) = (PRIOR.at_frequency(f_sw_hz), TankAt::new(f_sw_hz));
+        let tank = |i_ma: u32| {
+            let (r, l) = prior.interpolate(i_ma);
+            let scaled = |x: i32, q10: u32| ((i64::from(x) * i64::from(q10)) >> 10) as i32;
+            tank_at.with_load(
+                MicroOhm(scaled(r.0, self.r_q10)),
+                PicoHenry(scaled(l.0, self.l_q10)),
+            )
+        };
+        let mut i_ma = self.i_ma;
+        for _ in 0..ROUNDS {
+            i_ma = v1_uv / tank(i_ma).z_mohm().clamp(1, u64::from(u32::MAX)) as u32;
+        }
+        let tank = tank(i_ma);
+        // The coil's largest voltage: half the bus and the capacitor's, whose extreme falls into it.
+        let coil_dv =
+            u64::from(self.bus_dv / 2) + u64::from(i_ma) * tank.x_c_mohm.unsigned_abs() / 100_000;
+        // The fundamental's part of the current at the turn-off: I·sin φ.
+        let turn_off_ma = i64::from(i_ma) * tank.x_mohm() / tank.z_mohm().max(1) as i64;
+        let need_ma = turn_off_need_ma(self.bus_dv) * TURN_OFF_PERCENT / 100;
+        if crest_ma(&tank, i_ma, v1_uv) > i64::from(PLANNED_CURRENT_MA) {
+            Limit::Current
+        } else if coil_dv > u64::from(PLANNED_COIL_VOLTAGE_DV) {
+            Limit::CoilVoltage
+        } else if !tank.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
+            Limit::Resonance
+        } else if turn_off_ma < i64::from(need_ma) {
+            Limit::SoftSwitching
+        } else {
+            Limit::None
+        }
+    }
+}
+
+/// The largest current: I1 − I3·sin 3φ, as at the fundamental's crest the third harmonic of a square
+/// wave, a third of it behind nearly its reactance alone, stands there. It flattens the crest of a good
+/// pot's current (φ = 40°) and sharpens a small one's (75°).
+fn crest_ma(tank: &Tank, i_ma: u32, v1_uv: u32) -> i64 {
+    let sine_q10 = (tank.x_mohm() << 10) / tank.z_mohm().max(1) as i64;
+    let triple_q10 = 3 * sine_q10 - ((4 * sine_q10 * sine_q10 * sine_q10) >> 20);
+    let x3_mohm = 3 * tank.x_l_mohm - tank.x_c_mohm / 3;
+    let i3_ma = i64::from(v1_uv / 3) / x3_mohm.max(1);
+    i64::from(i_ma) - ((i3_ma * triple_q10) >> 10)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
+    use std::f64::consts::{FRAC_2_PI, TAU};
+
+    fn summary(f_hz: u32, r: f64, l_uh: f64, i_a: f64) -> HalfCycle {
+        HalfCycle {
+            f_sw_hz: f_hz,
+            r: MicroOhm((r * 1e6) as i32),
+            l: PicoHenry((l_uh * 1e6) as i32),
+            i_crest_ma: (i_a * 1e3) as u32,
+            ..HalfCycle::default()
+        }
+    }
+
+    /// The oracle in f64, for a load of constant ratio to the prior's own law.
+    fn oracle(f_hz: f64, r_ratio: f64, l_ratio: f64, bus_v: f64) -> [f64; 4] {
+        let x = f_hz / 45e3;
+        let (mut i, mut r, mut x_l) = (10.0, 0.0, 0.0);
+        let x_c = 1e9 / (TAU * f_hz * f64::from(RESONANCE_CAPACITANCE_NF));
+        for _ in 0..200 {
+            r = r_ratio * (3.0 + 4.0 / (1.0 + i / 9.0)) * x.sqrt();
+            let l = l_ratio * (20.5 + 18.0 / (1.0 + i / 10.0)) * 1e-6 * x.powf(-0.3);
+            x_l = TAU * f_hz * l;
+            i = 0.5 * (i + FRAC_2_PI * bus_v / r.hypot(x_l - x_c));
+        }
+        let x = x_l - x_c;
+        let phi = x.atan2(r);
+        let i3 = FRAC_2_PI * bus_v / 3.0 / (3.0 * x_l - x_c / 3.0);
+        let crest = i - i3 * (3.0 * phi).sin();
+        [crest, bus_v / 2.0 + i * x_c, x / x_l, i * phi.sin()]
+    }
+
+    /// Going down in frequency, the first limit is the oracle's, within 2 % of its quantity.
+    #[test]
+    fn the_first_limit_is_that_of_the_physics() {
+        for (r_ratio, l_ratio) in [(1.0, 1.0), (0.3, 1.3), (0.2, 0.7), (1.3, 0.85)] {
+            for bus_v in [255.0, 325.0, 375.0] {
+                let x = 79e3 / 45e3_f64;
+                let r = r_ratio * (3.0 + 4.0 / (1.0 + 15.0 / 9.0)) * x.sqrt();
+                let l = l_ratio * (20.5 + 18.0 / (1.0 + 1.5)) * x.powf(-0.3);
+                let bounds = Bounds::new(&summary(79_000, r, l, 15.0), (bus_v * 10.0) as u16);
+                let mut f_hz = 79_000;
+                while f_hz > 34_000 && bounds.limit_at(f_hz) == Limit::None {
+                    f_hz -= 100;
+                }
+                let [i_a, coil_v, margin, turn_off_a] =
+                    oracle(f64::from(f_hz), r_ratio, l_ratio, bus_v);
+                match bounds.limit_at(f_hz) {
+                    Limit::Current => assert!((i_a / 70.0 - 1.0).abs() < 0.03, "{i_a}"),
+                    Limit::CoilVoltage => assert!((coil_v / 540.0 - 1.0).abs() < 0.03, "{coil_v}"),
+                    Limit::Resonance => assert!((margin - 0.12).abs() < 0.01, "{margin}"),
+                    // 15 nF within a microsecond, half as much again.
+                    Limit::SoftSwitching => {
+                        let need_a = 1.5 * 15e-3 * bus_v;
+                        assert!((turn_off_a / need_a - 1.0).abs() < 0.03, "{turn_off_a}");
+                    }
+                    other => assert_eq!(other, Limit::None),
+                }
+                assert!(i_a < 72.0 && coil_v < 555.0 && margin > 0.11);
+            }
+        }
+    }
+
+    #[test]
+    fn a_recovered_mains_bounds_more_than_a_sagging_one() {
+        let load = summary(40_000, 3.4, 24.0, 30.0);
+        let lowest = |bus_dv| {
+            let bounds = Bounds::new(&load, bus_dv);
+            (34_000..80_000)
+                .step_by(50)
+                .find(|&f_hz| bounds.limit_at(f_hz) == Limit::None)
+        };
+        assert!(lowest(1_950) < lowest(3_740));
+    }
+}

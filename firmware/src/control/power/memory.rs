@@ -1,0 +1,213 @@
+//! Recent events of mains and pot that may be undone in the next instant.
+//!
+//! - A mains that sags comes back: limits count at the bus voltage that it had, and while it is well
+//!   below that, the power is not raised.
+//! - A pot that is lifted comes back: L has jumped up, and for two seconds the frequency stays where the
+//!   pot was heated. It comes back to the power that it left.
+//! - A soft limit acted: for 0.6 s the frequency stays above that place.
+
+use ihd_shared::wire::messages::Limit;
+
+use super::bounds::Bounds;
+use crate::limits::{LIFT_REMEMBERED_MS, SAG_FORGOTTEN_MS, SAG_PERCENT, SOFT_REMEMBERED_MS};
+use crate::sampling::half_cycle::HalfCycle;
+
+/// A jump of L over the prior's within a half-cycle that is no drift: 4 %, 0.7 mm of lift.
+const JUMP_Q10: u32 = 1_065;
+
+/// A bus that was higher by this share was a swell.
+const SWELL_PERCENT: u32 = 108;
+
+/// A frequency that must not be gone below, in hertz, and why.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrequencyFloor {
+    /// Frequency, in hertz; 0 for none.
+    pub f_sw_hz: u32,
+    /// Reason for the floor.
+    pub limit: Limit,
+}
+
+/// The bus that was, and the floor.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct OperatingMemory {
+    bus_dv: u16,
+    bus_seen_ms: u32,
+    /// L over the prior's of the last half-cycle, and its frequency.
+    last: Option<(u32, u32)>,
+    /// L over the prior's before it jumped; 0 when it has not.
+    before_jump_q10: u32,
+    floor: FrequencyFloor,
+    floor_since_ms: u32,
+    /// The bus at which the floor was raised, in decivolt.
+    floor_bus_dv: u16,
+}
+
+impl OperatingMemory {
+    /// Takes note of a half-cycle.
+    pub fn note(&mut self, summary: &HalfCycle, now_ms: u32) {
+        self.note_bus(summary.bus_peak_dv, now_ms);
+        let lasts_ms = if self.before_jump_q10 > 0 {
+            LIFT_REMEMBERED_MS
+        } else {
+            SOFT_REMEMBERED_MS
+        };
+        let is_old = now_ms.wrapping_sub(self.floor_since_ms) >= lasts_ms;
+        // A swell that is over takes what it led to with it.
+        let swell_is_over = self.floor.limit == Limit::Current
+            && u32::from(summary.bus_peak_dv) * SWELL_PERCENT < u32::from(self.floor_bus_dv) * 100;
+        if self.floor.f_sw_hz > 0 && (is_old || swell_is_over) {
+            self.forget_floor();
+        }
+        if summary.f_sw_hz > 0 && summary.limit != Limit::None {
+            self.last = None;
+            self.raise_floor(summary, summary.f_sw_hz, summary.limit, now_ms);
+        } else if summary.disturbed || summary.f_sw_hz == 0 {
+            self.last = None;
+        } else {
+            self.note_load(summary, now_ms);
+        }
+    }
+
+    fn note_bus(&mut self, bus_dv: u16, now_ms: u32) {
+        let near = u32::from(bus_dv) * 100 >= u32::from(self.bus_dv) * SAG_PERCENT;
+        let forgotten = now_ms.wrapping_sub(self.bus_seen_ms) >= SAG_FORGOTTEN_MS;
+        if near {
+            // Slowly after a mains that varies within what is no sag.
+            self.bus_dv = bus_dv.max(self.bus_dv - self.bus_dv / 256);
+            self.bus_seen_ms = now_ms;
+        } else if forgotten {
+            self.bus_dv = bus_dv;
+            self.bus_seen_ms = now_ms;
+        }
+    }
+
+    fn note_load(&mut self, summary: &HalfCycle, now_ms: u32) {
+        let l_q10 = Bounds::new(summary, summary.bus_peak_dv).l_q10();
+        let f_sw_hz = summary.f_sw_hz;
+        let above = |is: u32, than: u32| is << 10 > than * JUMP_Q10;
+        if let Some((last_q10, last_hz)) = self.last
+            // The prior's shape is not the load's: over a step of frequency a ratio may move.
+            && last_hz.abs_diff(f_sw_hz) <= last_hz / 32
+            && above(l_q10, last_q10)
+        {
+            if self.before_jump_q10 == 0 {
+                self.before_jump_q10 = last_q10;
+            }
+            self.raise_floor(summary, last_hz.max(f_sw_hz), Limit::Resonance, now_ms);
+        } else if self.before_jump_q10 > 0 && !above(l_q10, self.before_jump_q10) {
+            self.forget_floor();
+        }
+        self.last = Some((l_q10, f_sw_hz));
+    }
+
+    fn raise_floor(&mut self, summary: &HalfCycle, f_sw_hz: u32, limit: Limit, now_ms: u32) {
+        self.floor_bus_dv = summary.bus_peak_dv;
+        self.floor = FrequencyFloor { f_sw_hz, limit };
+        self.floor_since_ms = now_ms;
+    }
+
+    fn forget_floor(&mut self) {
+        self.floor = FrequencyFloor::default();
+        self.before_jump_q10 = 0;
+    }
+
+    /// The bus voltage at the crest that limits count at, in decivolt.
+    pub fn bus_dv(&self) -> u16 {
+        self.bus_dv
+    }
+
+    /// Lowest frequency permitted after a half-cycle.
+    pub fn floor_hz(&self, summary: &HalfCycle) -> FrequencyFloor {
+        let sags = u32::from(summary.bus_peak_dv) * 100 < u32::from(self.bus_dv) * SAG_PERCENT;
+        if sags && summary.f_sw_hz > self.floor.f_sw_hz {
+            FrequencyFloor {
+                f_sw_hz: summary.f_sw_hz,
+                limit: Limit::Mains,
+            }
+        } else {
+            self.floor
+        }
+    }
+
+    /// Only what is known of the mains.
+    pub fn of_mains(&self) -> Self {
+        Self {
+            bus_dv: self.bus_dv,
+            bus_seen_ms: self.bus_seen_ms,
+            ..Self::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ihd_shared::units::{MicroOhm, PicoHenry};
+
+    fn half_cycle(l_uh: f64, bus_dv: u16) -> HalfCycle {
+        HalfCycle {
+            f_sw_hz: 45_000,
+            r: MicroOhm(3_500_000),
+            l: PicoHenry((l_uh * 1e6) as i32),
+            i_crest_ma: 30_000,
+            bus_peak_dv: bus_dv,
+            ..HalfCycle::default()
+        }
+    }
+
+    #[test]
+    fn a_sag_holds_the_frequency_and_is_forgotten_after_ten_seconds() {
+        let mut memory = OperatingMemory::default();
+        memory.note(&half_cycle(24.0, 3_250), 0);
+        let sag = half_cycle(24.0, 1_950);
+        for ms in (10..10_000).step_by(10) {
+            memory.note(&sag, ms);
+            assert_eq!(
+                (memory.bus_dv(), memory.floor_hz(&sag).limit),
+                (3_250, Limit::Mains)
+            );
+        }
+        memory.note(&sag, 10_000);
+        assert_eq!(
+            (memory.bus_dv(), memory.floor_hz(&sag)),
+            (1_950, FrequencyFloor::default())
+        );
+    }
+
+    #[test]
+    fn a_lifted_pot_holds_the_frequency_until_it_is_back() {
+        let mut memory = OperatingMemory::default();
+        memory.note(&half_cycle(24.0, 3_250), 0);
+        assert_eq!(
+            memory.floor_hz(&half_cycle(24.0, 3_250)),
+            FrequencyFloor::default()
+        );
+        for ms in (10..1_000).step_by(10) {
+            let lifted = half_cycle(31.0, 3_250);
+            memory.note(&lifted, ms);
+            assert_eq!(memory.floor_hz(&lifted).f_sw_hz, 45_000);
+        }
+        let back = half_cycle(24.1, 3_250);
+        memory.note(&back, 1_000);
+        assert_eq!(memory.floor_hz(&back), FrequencyFloor::default());
+    }
+
+    #[test]
+    fn a_soft_limit_is_remembered_for_a_while() {
+        let mut memory = OperatingMemory::default();
+        let limited = HalfCycle {
+            limit: Limit::Current,
+            disturbed: true,
+            f_sw_hz: 48_000,
+            ..half_cycle(24.0, 3_250)
+        };
+        memory.note(&limited, 0);
+        let floor = memory.floor_hz(&half_cycle(24.0, 3_250));
+        assert_eq!((floor.f_sw_hz, floor.limit), (48_000, Limit::Current));
+        memory.note(&half_cycle(24.0, 3_250), SOFT_REMEMBERED_MS);
+        assert_eq!(
+            memory.floor_hz(&half_cycle(24.0, 3_250)),
+            FrequencyFloor::default()
+        );
+    }
+}

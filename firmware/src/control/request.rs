@@ -1,0 +1,192 @@
+//! Requests of power: from the panel on the hob and from a host.
+//!
+//! - Off at the panel switches off, and stays: a host is refused until the panel requests power again.
+//! - Off from the host switches off whatever the panel shows; panel or host may switch on again.
+//! - With both asking, the lower power counts: a host never heats more than the person chose.
+//! - A panel that was never touched (a bare board has none) leaves everything to the host.
+//! - The key lock keeps the panel from asking for more; off always works, locked or not.
+//! - Switching on at the panel after switching off there is what a person does to end a lock-out.
+
+use ihd_shared::hob::RATED_POWER_W;
+
+/// Power of the panel's levels 0 to 9, in watt.
+pub const LEVEL_POWER_W: [u16; 10] = [
+    0,
+    100,
+    200,
+    350,
+    500,
+    700,
+    1_000,
+    1_400,
+    1_900,
+    RATED_POWER_W,
+];
+
+/// Touch of the panel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PanelEvent {
+    /// Power level 0 (off) to 9; a higher one counts as 9.
+    Level(u8),
+    /// Locks the keys, or unlocks them.
+    KeyLock(bool),
+}
+
+/// The requests of panel and host.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PowerRequest {
+    /// `None` until the panel is touched.
+    level: Option<u8>,
+    key_locked: bool,
+    host_w: Option<u16>,
+}
+
+/// Result of a touch of the panel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PanelResult {
+    /// The keys are locked, or nothing changed.
+    Nothing,
+    /// Another power, or the lock.
+    Changed,
+    /// On, after off at the panel: a person is there.
+    SwitchedOn,
+}
+
+impl PowerRequest {
+    /// Takes a touch of the panel.
+    pub fn panel(&mut self, event: PanelEvent) -> PanelResult {
+        match event {
+            PanelEvent::KeyLock(locked) => {
+                self.key_locked = locked;
+                PanelResult::Changed
+            }
+            PanelEvent::Level(0) => {
+                self.level = Some(0);
+                self.host_w = None;
+                PanelResult::Changed
+            }
+            PanelEvent::Level(_) if self.key_locked => PanelResult::Nothing,
+            PanelEvent::Level(level) => {
+                let was_off = self.level == Some(0);
+                self.level = Some(level.min(9));
+                if was_off {
+                    PanelResult::SwitchedOn
+                } else {
+                    PanelResult::Changed
+                }
+            }
+        }
+    }
+
+    /// Takes the host's request, in watt; returns `false` if the panel is off.
+    pub fn host(&mut self, power_w: u16) -> bool {
+        if power_w == 0 {
+            self.switch_off();
+            return true;
+        }
+        if self.level == Some(0) {
+            return false;
+        }
+        self.host_w = Some(power_w);
+        true
+    }
+
+    /// Ends the host's request: it is silent, or another one says hello. The panel's stays.
+    pub fn host_lost(&mut self) {
+        self.host_w = None;
+    }
+
+    /// Returns `true` if the host requests power.
+    pub fn is_of_host(&self) -> bool {
+        self.host_w.is_some()
+    }
+
+    /// Switches off for a reason of the hob's own; panel or host may request power again.
+    pub fn switch_off(&mut self) {
+        self.host_w = None;
+        // A level of 0 is a person's: it alone refuses the host.
+        self.level = self.level.filter(|&level| level == 0);
+    }
+
+    /// Requested power, in watt.
+    pub fn power_w(&self) -> u16 {
+        let panel_w = self.level.map(|level| LEVEL_POWER_W[usize::from(level)]);
+        match (panel_w, self.host_w) {
+            (Some(panel_w), Some(host_w)) => panel_w.min(host_w),
+            (panel_w, host_w) => panel_w.or(host_w).unwrap_or(0),
+        }
+    }
+
+    /// Returns `true` if the panel holds the power below the host's request.
+    pub fn is_held_by_panel(&self) -> bool {
+        self.host_w.is_some_and(|host_w| self.power_w() < host_w)
+    }
+
+    /// The panel's level; `None` until it is touched.
+    pub fn level(&self) -> Option<u8> {
+        self.level
+    }
+
+    /// Returns `true` if the keys are locked.
+    pub fn is_key_locked(&self) -> bool {
+        self.key_locked
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hob_heats_without_any_host() {
+        let mut request = PowerRequest::default();
+        assert_eq!(request.power_w(), 0);
+        request.panel(PanelEvent::Level(7));
+        assert_eq!(request.power_w(), 1_400);
+        request.host_lost();
+        assert_eq!(request.power_w(), 1_400);
+    }
+
+    #[test]
+    fn off_at_the_panel_wins_over_the_host_until_it_is_on_again() {
+        let mut request = PowerRequest::default();
+        assert!(request.host(2_000));
+        request.panel(PanelEvent::Level(0));
+        assert_eq!(request.power_w(), 0);
+        assert!(!request.host(2_000));
+        assert_eq!(request.power_w(), 0);
+        assert_eq!(request.panel(PanelEvent::Level(9)), PanelResult::SwitchedOn);
+        assert!(request.host(2_000));
+        assert_eq!(request.power_w(), 2_000);
+    }
+
+    #[test]
+    fn the_lower_of_both_counts_and_off_from_the_host_stays_off() {
+        let mut request = PowerRequest::default();
+        request.panel(PanelEvent::Level(5));
+        assert!(request.host(2_000));
+        assert_eq!(request.power_w(), 700);
+        assert!(request.is_held_by_panel());
+        assert!(request.host(300));
+        assert_eq!(request.power_w(), 300);
+        assert!(request.host(0));
+        assert_eq!(request.power_w(), 0);
+        request.host_lost();
+        assert_eq!(request.power_w(), 0, "the panel's level must not come back");
+    }
+
+    #[test]
+    fn locked_keys_only_switch_off() {
+        let mut request = PowerRequest::default();
+        request.panel(PanelEvent::Level(3));
+        request.panel(PanelEvent::KeyLock(true));
+        assert_eq!(request.panel(PanelEvent::Level(9)), PanelResult::Nothing);
+        assert_eq!(request.power_w(), 350);
+        request.panel(PanelEvent::Level(0));
+        assert_eq!(request.power_w(), 0);
+        assert_eq!(request.panel(PanelEvent::Level(9)), PanelResult::Nothing);
+        request.panel(PanelEvent::KeyLock(false));
+        assert_eq!(request.panel(PanelEvent::Level(1)), PanelResult::SwitchedOn);
+        assert_eq!(request.power_w(), 100);
+    }
+}

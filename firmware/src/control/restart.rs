@@ -1,0 +1,221 @@
+//! The one restart policy: when the bridge may be started, and after what it may not.
+//!
+//! | class of fault (ihd_shared::fault) | what follows |
+//! |---|---|
+//! | mains, or a condition that passes | a short pause, then again, as often as it takes |
+//! | trip | a pause that doubles each time, [`TRIES`] times, then lock-out |
+//! | the controller itself | lock-out at once |
+//!
+//! Every start passes [`RestartPolicy::permits`], from panel and host alike. A lock-out ends when a person switches off
+//! and on at the panel, or takes the mains away; nothing that comes over the link ends it, brings a
+//! try back or makes a pause shorter. Thirty seconds of heating without a trip give the tries back.
+
+use ihd_shared::fault::{Fault, RestartClass};
+
+use crate::limits::{FIRST_PAUSE_MS, GOOD_RUN_MS, MAINS_PAUSE_MS, QUICK_PROBE_MS, TRIES};
+
+/// Consequence of a fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RestartVerdict {
+    /// Try again, once [`RestartPolicy::permits`] does.
+    Pause,
+    /// Only a person can go on.
+    LockOut,
+}
+
+/// Tries used up, and pauses under way.
+#[derive(Clone, Debug, Default)]
+pub struct RestartPolicy {
+    tries_used: u8,
+    locked_out: bool,
+    /// No start before this, while set.
+    not_before_ms: Option<u32>,
+    heating_since_ms: Option<u32>,
+}
+
+impl RestartPolicy {
+    /// Returns `true` if the bridge may be started now.
+    pub fn permits(&mut self, now_ms: u32) -> bool {
+        if self.not_before_ms.is_some_and(|at| is_reached(now_ms, at)) {
+            self.not_before_ms = None;
+        }
+        !self.locked_out && self.not_before_ms.is_none()
+    }
+
+    /// The bridge is started to look for a pot: whatever becomes of it, the next start is not sooner
+    /// than the next quick look.
+    pub fn started(&mut self, now_ms: u32) {
+        self.not_before(now_ms, QUICK_PROBE_MS);
+    }
+
+    /// A fault tripped.
+    pub fn tripped(&mut self, fault: Fault, now_ms: u32) -> RestartVerdict {
+        self.heating_since_ms = None;
+        match fault.class() {
+            RestartClass::Passing => self.not_before(now_ms, MAINS_PAUSE_MS),
+            RestartClass::Trip if self.tries_used < TRIES => {
+                self.not_before(now_ms, FIRST_PAUSE_MS << self.tries_used);
+                self.tries_used += 1;
+            }
+            RestartClass::Trip | RestartClass::Standing => self.locked_out = true,
+        }
+        if self.locked_out {
+            RestartVerdict::LockOut
+        } else {
+            RestartVerdict::Pause
+        }
+    }
+
+    /// A pot is heated, each half-cycle.
+    pub fn heating(&mut self, now_ms: u32) {
+        let since = *self.heating_since_ms.get_or_insert(now_ms);
+        if now_ms.wrapping_sub(since) >= GOOD_RUN_MS {
+            self.tries_used = 0;
+        }
+    }
+
+    /// Heating ended without a trip.
+    pub fn stopped(&mut self) {
+        self.heating_since_ms = None;
+    }
+
+    /// A person switched off and on.
+    pub fn forgive(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Returns `true` if only a person at the panel can end it.
+    pub fn is_locked_out(&self) -> bool {
+        self.locked_out
+    }
+
+    /// Starts after trips that are left.
+    pub fn tries_left(&self) -> u8 {
+        if self.locked_out {
+            0
+        } else {
+            TRIES - self.tries_used
+        }
+    }
+
+    /// Never makes a pause shorter.
+    fn not_before(&mut self, now_ms: u32, pause_ms: u32) {
+        let at = now_ms.wrapping_add(pause_ms);
+        if self
+            .not_before_ms
+            .is_none_or(|before| is_reached(at, before))
+        {
+            self.not_before_ms = Some(at);
+        }
+    }
+}
+
+/// Returns `true` if a time has come; the clock wraps after 49 days.
+pub(crate) fn is_reached(now_ms: u32, at_ms: u32) -> bool {
+    now_ms.wrapping_sub(at_ms) < 1 << 31
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// When the bridge may be started, by a clock of a millisecond.
+    fn permitted_after(restart: &mut RestartPolicy, from_ms: u32) -> u32 {
+        (0..)
+            .find(|&ms| restart.permits(from_ms.wrapping_add(ms)))
+            .expect("a pause ends")
+    }
+
+    #[test]
+    fn three_tries_with_growing_pauses_then_nothing() {
+        let mut restart = RestartPolicy::default();
+        let mut now_ms = u32::MAX - 2_500;
+        for pause_ms in [1_000, 2_000, 4_000] {
+            assert_eq!(
+                restart.tripped(Fault::OVER_CURRENT, now_ms),
+                RestartVerdict::Pause
+            );
+            assert_eq!(permitted_after(&mut restart, now_ms), pause_ms);
+            now_ms = now_ms.wrapping_add(pause_ms);
+        }
+        assert_eq!(
+            restart.tripped(Fault::OVER_CURRENT, now_ms),
+            RestartVerdict::LockOut
+        );
+        assert!(!restart.permits(now_ms.wrapping_add(1_000_000)));
+        restart.forgive();
+        assert!(restart.permits(now_ms) && restart.tries_left() == TRIES);
+    }
+
+    #[test]
+    fn a_good_run_gives_the_tries_back_and_a_short_one_does_not() {
+        let mut restart = RestartPolicy::default();
+        restart.tripped(Fault::OVER_CURRENT, 0);
+        for now_ms in (1_000..1_000 + GOOD_RUN_MS).step_by(10) {
+            restart.heating(now_ms);
+        }
+        assert_eq!(restart.tries_left(), TRIES - 1);
+        restart.heating(1_000 + GOOD_RUN_MS);
+        assert_eq!(restart.tries_left(), TRIES);
+    }
+
+    #[test]
+    fn what_passes_counts_no_try_and_the_controllers_own_faults_have_none() {
+        let mut restart = RestartPolicy::default();
+        for k in 0..100 {
+            let now_ms = k * 1_000;
+            assert_eq!(
+                restart.tripped(Fault::MAINS_LOST, now_ms),
+                RestartVerdict::Pause
+            );
+            assert_eq!(permitted_after(&mut restart, now_ms), MAINS_PAUSE_MS);
+        }
+        assert_eq!(restart.tries_left(), TRIES);
+        for fault in [
+            Fault::OPTION_BYTES,
+            Fault::FLASH_CRC,
+            Fault::COMPARATOR_TEST,
+        ] {
+            let mut restart = RestartPolicy::default();
+            assert_eq!(restart.tripped(fault, 100_000), RestartVerdict::LockOut);
+        }
+    }
+
+    #[test]
+    fn a_start_never_shortens_a_pause() {
+        let mut restart = RestartPolicy::default();
+        restart.tripped(Fault::OVER_CURRENT, 0);
+        restart.started(10);
+        assert_eq!(permitted_after(&mut restart, 0), FIRST_PAUSE_MS);
+    }
+
+    #[test]
+    fn heating_that_stopped_between_is_no_good_run() {
+        let mut restart = RestartPolicy::default();
+        restart.tripped(Fault::OVER_CURRENT, 0);
+        restart.heating(1_000);
+        restart.stopped();
+        restart.heating(1_000 + GOOD_RUN_MS);
+        assert_eq!(restart.tries_left(), TRIES - 1);
+        restart.heating(1_000 + 2 * GOOD_RUN_MS);
+        assert_eq!(restart.tries_left(), TRIES);
+    }
+
+    #[test]
+    fn only_the_last_try_locks_out() {
+        let mut restart = RestartPolicy::default();
+        for k in 0..TRIES {
+            assert!(!restart.is_locked_out());
+            restart.tripped(Fault::OVER_CURRENT, 100_000 * u32::from(k));
+        }
+        assert!(!restart.is_locked_out());
+        restart.tripped(Fault::OVER_CURRENT, 1_000_000);
+        assert!(restart.is_locked_out() && restart.tries_left() == 0);
+    }
+
+    #[test]
+    fn half_of_the_clock_lies_ahead() {
+        assert!(is_reached(5, 5) && is_reached(4 + (1 << 31), 5));
+        assert!(!is_reached(4, 5) && !is_reached(5 + (1 << 31), 5));
+    }
+}

@@ -1,0 +1,240 @@
+//! Temperatures of heat sink, glass and coil: from NTC codes to °C, to the power that is left, to the
+//! fan.
+//!
+//! Each NTC lies between the converter's input and ground, with 10 kohm to the converter's reference.
+//! The heat sink's has 10 kohm at 25 °C, the hotter glass's and coil's 100 kohm; B = 3950 K for all.
+//! A line between table entries of 10 K is off by less than 0.5 K.
+
+use ihd_shared::fault::Fault;
+
+use crate::limits::{
+    COIL_DERATE_C, COIL_OFF_C, FAN_OFF_C, FAN_ON_C, GLASS_DERATE_C, GLASS_OFF_C, SINK_DERATE_C,
+    SINK_OFF_C,
+};
+
+/// B of the NTCs, in kelvin.
+const B_K: f64 = 3_950.0;
+
+/// Resistor to the reference, in ohm.
+const PULL_UP_OHM: f64 = 10_000.0;
+
+/// First temperature of the tables, their step and length.
+const FROM_C: i16 = -40;
+const STEP_C: i16 = 10;
+const ENTRIES: usize = 37;
+
+/// Shorter than any NTC at 320 °C, or a wire to ground.
+const SHORT_BELOW: [u16; 2] = [2, 20];
+
+/// Codes of one sensor; `None` where none is fitted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TemperatureCodes {
+    /// Heat sink's sensor, code of 12 bit; `None` if not fitted.
+    pub heat_sink: Option<u16>,
+    /// Glass's sensor.
+    pub glass: Option<u16>,
+    /// Coil's sensor.
+    pub coil: Option<u16>,
+}
+
+/// Temperatures in °C, and what follows from them.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Temperatures {
+    heat_sink_c: Option<i16>,
+    glass_c: Option<i16>,
+    coil_c: Option<i16>,
+    fault: Fault,
+    fan: bool,
+}
+
+impl Temperatures {
+    /// Takes new codes.
+    pub fn update(&mut self, codes: TemperatureCodes) {
+        self.fault = Fault::NONE;
+        self.heat_sink_c = self.read(codes.heat_sink, Ntc::Of10K);
+        self.glass_c = self.read(codes.glass, Ntc::Of100K);
+        self.coil_c = self.read(codes.coil, Ntc::Of100K);
+        match self.heat_sink_c {
+            Some(c) if c >= FAN_ON_C => self.fan = true,
+            Some(c) if c >= FAN_OFF_C => {}
+            // An unknown heat sink is cooled as soon as a sensor that should be there fails.
+            _ => self.fan = self.fault != Fault::NONE,
+        }
+    }
+
+    fn read(&mut self, code: Option<u16>, ntc: Ntc) -> Option<i16> {
+        match ntc.celsius(code?) {
+            Ok(celsius) => Some(celsius),
+            Err(fault) => {
+                self.fault = fault;
+                None
+            }
+        }
+    }
+
+    /// [`Fault::NTC_OPEN`], [`Fault::NTC_SHORT`] or [`Fault::OVER_TEMPERATURE`], while it lasts.
+    pub fn fault(&self) -> Fault {
+        match self.fault {
+            Fault::NONE if self.power_percent() == 0 => Fault::OVER_TEMPERATURE,
+            fault => fault,
+        }
+    }
+
+    /// Share of the rating that the hottest part leaves, in percent: all of it below the temperature
+    /// where derating begins, none where it ends.
+    pub fn power_percent(&self) -> u16 {
+        let left = |celsius: Option<i16>, from_c: i16, off_c: i16| {
+            let above = celsius.unwrap_or(from_c).clamp(from_c, off_c) - from_c;
+            100 - (i32::from(above) * 100 / i32::from(off_c - from_c)) as u16
+        };
+        left(self.heat_sink_c, SINK_DERATE_C, SINK_OFF_C)
+            .min(left(self.glass_c, GLASS_DERATE_C, GLASS_OFF_C))
+            .min(left(self.coil_c, COIL_DERATE_C, COIL_OFF_C))
+    }
+
+    /// Returns `true` while the fan runs.
+    pub fn fan(&self) -> bool {
+        self.fan
+    }
+
+    /// Heat sink, glass and coil, in °C.
+    pub fn celsius(&self) -> [Option<i16>; 3] {
+        [self.heat_sink_c, self.glass_c, self.coil_c]
+    }
+}
+
+#[derive(Clone, Copy)]
+enum Ntc {
+    Of10K,
+    Of100K,
+}
+
+impl Ntc {
+    /// Temperature of a code in °C, or what is wrong with the wire.
+    fn celsius(self, code: u16) -> Result<i16, Fault> {
+        let table = &TABLES[self as usize];
+        if code > table[0] {
+            return Err(Fault::NTC_OPEN);
+        }
+        if code < SHORT_BELOW[self as usize] {
+            return Err(Fault::NTC_SHORT);
+        }
+        // Codes fall with temperature.
+        let above = table.partition_point(|&entry| entry >= code);
+        let Some((&low, &high)) = table.get(above).zip(table.get(above.wrapping_sub(1))) else {
+            return Ok(FROM_C + STEP_C * (ENTRIES as i16 - 1));
+        };
+        let share = i32::from(STEP_C) * i32::from(high - code) / i32::from((high - low).max(1));
+        Ok(FROM_C + STEP_C * (above as i16 - 1) + share as i16)
+    }
+}
+
+/// Codes of [`Ntc::Of10K`] and [`Ntc::Of100K`].
+static TABLES: [[u16; ENTRIES]; 2] = [table(10_000.0), table(100_000.0)];
+
+const fn table(ohm_at_25c: f64) -> [u16; ENTRIES] {
+    let mut codes = [0; ENTRIES];
+    let mut k = 0;
+    while k < ENTRIES {
+        let kelvin = 273.15 + (FROM_C + STEP_C * k as i16) as f64;
+        let ohm = ohm_at_25c * exp(B_K * (1.0 / kelvin - 1.0 / 298.15));
+        codes[k] = (4_096.0 * ohm / (ohm + PULL_UP_OHM) + 0.5) as u16;
+        k += 1;
+    }
+    codes
+}
+
+/// e^x for |x| below 16, by the series of x/64.
+const fn exp(x: f64) -> f64 {
+    let small = x / 64.0;
+    let (mut sum, mut term, mut k) = (1.0, 1.0, 1);
+    while k < 16 {
+        term *= small / k as f64;
+        sum += term;
+        k += 1;
+    }
+    let mut squarings = 0;
+    while squarings < 6 {
+        sum *= sum;
+        squarings += 1;
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn code(ohm_at_25c: f64, celsius: f64) -> u16 {
+        let ohm = ohm_at_25c * (3_950.0 * (1.0 / (celsius + 273.15) - 1.0 / 298.15)).exp();
+        (4_096.0 * ohm / (ohm + 10_000.0)).round() as u16
+    }
+
+    fn of_sink(celsius: f64) -> TemperatureCodes {
+        TemperatureCodes {
+            heat_sink: Some(code(10_000.0, celsius)),
+            ..TemperatureCodes::default()
+        }
+    }
+
+    #[test]
+    fn codes_become_degrees() {
+        for celsius in (-20..=130).step_by(3) {
+            let got = Ntc::Of10K.celsius(code(10_000.0, f64::from(celsius)));
+            let error = f64::from(got.expect("in range")) - f64::from(celsius);
+            assert!(error.abs() <= 1.5, "{celsius}: {error}");
+        }
+        for celsius in (20..=300).step_by(7) {
+            let got = Ntc::Of100K.celsius(code(100_000.0, f64::from(celsius)));
+            let error = f64::from(got.expect("in range")) - f64::from(celsius);
+            assert!(error.abs() <= 3.0, "{celsius}: {error}");
+        }
+    }
+
+    #[test]
+    fn broken_and_shorted_wires_are_faults() {
+        let with = |code| {
+            let mut t = Temperatures::default();
+            t.update(TemperatureCodes {
+                glass: Some(code),
+                ..TemperatureCodes::default()
+            });
+            t.fault()
+        };
+        assert_eq!(with(4_095), Fault::NTC_OPEN);
+        assert_eq!(with(0), Fault::NTC_SHORT);
+        assert_eq!(with(code(100_000.0, 25.0)), Fault::NONE);
+    }
+
+    #[test]
+    fn no_sensor_takes_nothing_away() {
+        let mut t = Temperatures::default();
+        t.update(TemperatureCodes::default());
+        assert_eq!((t.power_percent(), t.fault()), (100, Fault::NONE));
+    }
+
+    #[test]
+    fn power_falls_from_85_degrees_and_is_gone_at_105() {
+        let percent = |celsius| {
+            let mut t = Temperatures::default();
+            t.update(of_sink(celsius));
+            (t.power_percent(), t.fault())
+        };
+        assert_eq!(percent(80.0), (100, Fault::NONE));
+        assert!((40..=60).contains(&percent(95.0).0));
+        assert_eq!(percent(108.0), (0, Fault::OVER_TEMPERATURE));
+    }
+
+    #[test]
+    fn the_fan_has_hysteresis() {
+        let mut t = Temperatures::default();
+        let mut at = |celsius| {
+            t.update(of_sink(celsius));
+            t.fan()
+        };
+        assert!(!at(46.0));
+        assert!(at(52.0));
+        assert!(at(46.0));
+        assert!(!at(39.0));
+    }
+}

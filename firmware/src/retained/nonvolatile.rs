@@ -1,0 +1,263 @@
+//! Non-volatile pages: the last good lookup, kept through the loss of power in two pages of flash, of
+//! which one is always whole.
+//!
+//! ```text
+//! record: sequence u32 · !sequence u32 · lookup (its own CRC-32 at the end) · padding to 8 bytes
+//! ```
+//!
+//! A save erases the older page, writes the lookup, and its sequence last. Wherever the power goes,
+//! the other page still holds what it held.
+
+use core::future::Future;
+
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::blob::LEN;
+
+/// Bytes that the flash writes at a time.
+pub const WORD: usize = 8;
+
+/// Bytes of a record, at the beginning of its page.
+pub const RECORD_BYTES: usize = WORD + LEN.div_ceil(WORD) * WORD;
+
+/// Two pages of at least [`RECORD_BYTES`], each erased on its own.
+pub trait Flash {
+    /// Error that the hardware reports.
+    type Error;
+    /// Reads a page's record.
+    fn read(&mut self, page: usize, out: &mut [u8; RECORD_BYTES]);
+    /// Sets every bit of a page. Takes tens of milliseconds, in which others run.
+    ///
+    /// # Errors
+    /// What the hardware reports.
+    fn erase(&mut self, page: usize) -> impl Future<Output = Result<(), Self::Error>>;
+    /// Writes whole words at an offset that is one's multiple, once after each erasure.
+    ///
+    /// # Errors
+    /// What the hardware reports.
+    fn write(
+        &mut self,
+        page: usize,
+        offset: usize,
+        bytes: &[u8],
+    ) -> impl Future<Output = Result<(), Self::Error>>;
+}
+
+/// Reason that a lookup was not kept. The one kept before is still there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SaveError<E> {
+    /// Error that the hardware reports.
+    Flash(E),
+    /// It reported nothing, but the page does not hold what was written.
+    NotThere,
+}
+
+/// Sequence and lookup of a page; `None` if it is not whole.
+fn read<F: Flash>(flash: &mut F, page: usize) -> Option<(u32, RlLookup)> {
+    let mut bytes = [0; RECORD_BYTES];
+    flash.read(page, &mut bytes);
+    let [a, b, c, d, e, f, g, h, rest @ ..] = &bytes;
+    let sequence = u32::from_le_bytes([*a, *b, *c, *d]);
+    if u32::from_le_bytes([*e, *f, *g, *h]) != !sequence {
+        return None;
+    }
+    let lookup = RlLookup::from_bytes(rest.get(..LEN)?).ok()?;
+    Some((sequence, lookup))
+}
+
+/// Page and content of the newer whole one.
+fn newest<F: Flash>(flash: &mut F) -> Option<(usize, u32, RlLookup)> {
+    match (read(flash, 0), read(flash, 1)) {
+        (Some((a, lookup)), Some((b, _))) if a.wrapping_sub(b) < 1 << 31 => Some((0, a, lookup)),
+        (_, Some((b, lookup))) => Some((1, b, lookup)),
+        (Some((a, lookup)), None) => Some((0, a, lookup)),
+        (None, None) => None,
+    }
+}
+
+/// The last good lookup, checked as if it came over the link.
+pub fn load<F: Flash>(flash: &mut F) -> Option<RlLookup> {
+    newest(flash).map(|(_, _, lookup)| lookup)
+}
+
+/// Keeps a lookup, and reads it back: embassy-stm32's asynchronous driver clears an error before it reads it.
+///
+/// # Errors
+/// [`SaveError`]; the lookup kept before is still there.
+pub async fn save<F: Flash>(flash: &mut F, lookup: &RlLookup) -> Result<(), SaveError<F::Error>> {
+    let (page, sequence) = match newest(flash) {
+        Some((page, sequence, _)) => (1 - page, sequence.wrapping_add(1)),
+        None => (0, 0),
+    };
+    let mut bytes = [0xFF; RECORD_BYTES - WORD];
+    bytes[..LEN].copy_from_slice(&lookup.to_bytes());
+    let mut head = [0; WORD];
+    head[..4].copy_from_slice(&sequence.to_le_bytes());
+    head[4..].copy_from_slice(&(!sequence).to_le_bytes());
+    flash.erase(page).await.map_err(SaveError::Flash)?;
+    flash
+        .write(page, WORD, &bytes)
+        .await
+        .map_err(SaveError::Flash)?;
+    flash
+        .write(page, 0, &head)
+        .await
+        .map_err(SaveError::Flash)?;
+    match read(flash, page) {
+        Some((found, kept)) if found == sequence && kept == *lookup => Ok(()),
+        _ => Err(SaveError::NotThere),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use core::pin::pin;
+    use core::task::{Context, Poll, Waker};
+
+    use super::*;
+    use ihd_shared::lookup::prior::prior;
+
+    /// Flash whose power goes after some words; what is being erased or written then is damaged.
+    struct CutFlash {
+        pages: [[u8; RECORD_BYTES]; 2],
+        words_left: usize,
+    }
+
+    #[derive(Debug, PartialEq)]
+    struct PowerGone;
+
+    impl CutFlash {
+        fn spend(&mut self) -> Result<(), PowerGone> {
+            self.words_left = self.words_left.checked_sub(1).ok_or(PowerGone)?;
+            Ok(())
+        }
+    }
+
+    impl Flash for CutFlash {
+        type Error = PowerGone;
+        fn read(&mut self, page: usize, out: &mut [u8; RECORD_BYTES]) {
+            *out = self.pages[page];
+        }
+        async fn erase(&mut self, page: usize) -> Result<(), PowerGone> {
+            for word in 0..RECORD_BYTES / WORD {
+                if self.spend().is_err() {
+                    // Half erased: some bits set, some not.
+                    self.pages[page][word * WORD] |= 0xA5;
+                    return Err(PowerGone);
+                }
+                self.pages[page][word * WORD..][..WORD].fill(0xFF);
+            }
+            Ok(())
+        }
+        async fn write(
+            &mut self,
+            page: usize,
+            offset: usize,
+            bytes: &[u8],
+        ) -> Result<(), PowerGone> {
+            for (k, word) in bytes.chunks(WORD).enumerate() {
+                let place = &mut self.pages[page][offset + k * WORD..][..WORD];
+                assert!(place.iter().all(|&b| b == 0xFF), "written twice");
+                place[..WORD / 2].copy_from_slice(&word[..WORD / 2]);
+                self.spend()?;
+                self.pages[page][offset + k * WORD..][..WORD].copy_from_slice(word);
+            }
+            Ok(())
+        }
+    }
+
+    /// This flash never waits.
+    fn save<F: Flash>(flash: &mut F, lookup: &RlLookup) -> Result<(), SaveError<F::Error>> {
+        let saving = pin!(super::save(flash, lookup));
+        match saving.poll(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(saved) => saved,
+            Poll::Pending => unreachable!("it never waits"),
+        }
+    }
+
+    fn lookup(version: u32) -> RlLookup {
+        RlLookup { version, ..prior() }
+    }
+
+    fn blank() -> CutFlash {
+        CutFlash {
+            pages: [[0xFF; RECORD_BYTES]; 2],
+            words_left: usize::MAX,
+        }
+    }
+
+    #[test]
+    fn what_is_saved_is_loaded() {
+        let mut flash = blank();
+        assert_eq!(load(&mut flash), None);
+        for version in 1..6 {
+            save(&mut flash, &lookup(version)).unwrap();
+            assert_eq!(load(&mut flash), Some(lookup(version)));
+        }
+    }
+
+    #[test]
+    fn a_cut_at_any_word_leaves_the_old_or_the_new() {
+        let words = 2 * RECORD_BYTES / WORD;
+        let mut kept = [0; 3];
+        for cut in 0..=words {
+            let mut flash = blank();
+            save(&mut flash, &lookup(1)).unwrap();
+            save(&mut flash, &lookup(2)).unwrap();
+            flash.words_left = cut;
+            let saved = save(&mut flash, &lookup(3));
+            flash.words_left = usize::MAX;
+            let version = load(&mut flash).expect("one of them").version;
+            assert_eq!(saved.is_ok(), cut == words, "cut after {cut} of {words}");
+            assert!(
+                version == 3 || (version == 2 && saved.is_err()),
+                "{version}"
+            );
+            kept[version as usize - 1] += 1;
+            // And it goes on from there.
+            save(&mut flash, &lookup(4)).unwrap();
+            assert_eq!(load(&mut flash), Some(lookup(4)));
+        }
+        assert_eq!((kept[0], kept[2]), (0, 1));
+    }
+
+    /// Flash that takes everything and keeps nothing, in silence.
+    struct DeafFlash;
+
+    impl Flash for DeafFlash {
+        type Error = PowerGone;
+        fn read(&mut self, _: usize, out: &mut [u8; RECORD_BYTES]) {
+            out.fill(0xFF);
+        }
+        async fn erase(&mut self, _: usize) -> Result<(), PowerGone> {
+            Ok(())
+        }
+        async fn write(&mut self, _: usize, _: usize, _: &[u8]) -> Result<(), PowerGone> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn what_is_not_there_afterwards_was_not_kept() {
+        assert_eq!(save(&mut DeafFlash, &lookup(1)), Err(SaveError::NotThere));
+    }
+
+    #[test]
+    fn the_sequence_may_wrap() {
+        let mut flash = blank();
+        for (page, sequence) in [(0, u32::MAX), (1, 0u32)] {
+            let bytes = &mut flash.pages[page];
+            bytes[..4].copy_from_slice(&sequence.to_le_bytes());
+            bytes[4..8].copy_from_slice(&(!sequence).to_le_bytes());
+            bytes[8..8 + LEN].copy_from_slice(&lookup(page as u32 + 1).to_bytes());
+        }
+        assert_eq!(load(&mut flash), Some(lookup(2)));
+    }
+
+    #[test]
+    fn a_damaged_lookup_is_not_loaded() {
+        let mut flash = blank();
+        save(&mut flash, &lookup(1)).unwrap();
+        flash.pages[0][100] ^= 1;
+        assert_eq!(load(&mut flash), None);
+    }
+}

@@ -1,0 +1,550 @@
+//! The sampling path, once per block of 61 pairs, in the sampling interrupt.
+//!
+//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 430
+//! instructions of it, 33 %: 61 times at most 14.6 to correlate, 225 for the boxcars, 726 for the
+//! estimator, the rest for protection, soft limits and recording. firmware/budget.toml holds these ceilings,
+//! docs/performance.md what was counted, and an estimate in cycles that exceeds 36 %. A block that
+//! comes late is counted as lost; the third of a half-cycle trips [`Fault::SAMPLES_LOST`].
+//! Nothing here waits, allocates, divides by a variable of 64 bit, uses
+//! floating point or can panic.
+
+use ihd_shared::fault::Fault;
+use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+use ihd_shared::units::{MicroOhm, PicoHenry};
+use ihd_shared::window::TrajectoryEntry;
+use ihd_shared::wire::messages::Limit;
+
+use crate::drive::bridge::Drive;
+use crate::drive::sequencer::{BlockConditions, DriveSequencer};
+use crate::estimate::ekf::{Ekf, Noise};
+use crate::limits::PROBE_NS;
+use crate::protect::fault_latch::FaultLatch;
+use crate::protect::soft_limit::SoftLimits;
+use crate::protect::trips::TripChecks;
+use crate::sampling::half_cycle::{HalfCycleSums, HalfCycles};
+use crate::sampling::mains_clock::MainsClock;
+use crate::sampling::recorder::Recorder;
+use crate::sampling::utilisation::{HousekeepingGap, Utilisation};
+use crate::sense::correlation::{BlockSums, correlate};
+use crate::sense::demodulator::Demodulator;
+
+/// One block as the board delivers it.
+#[derive(Clone, Copy, Debug)]
+pub struct AdcBlock<'a> {
+    /// Sample pairs of three switching periods.
+    pub pairs: &'a [Pair; ADC_LOCK_P],
+    /// Index of the first pair after a mains zero crossing, if one fell into the block.
+    pub zero_crossing: Option<u8>,
+    /// Bus voltage, in decivolt.
+    pub bus_dv: u16,
+    /// Mean current out of the DC link, in milliampere, where a sensor is fitted.
+    pub dc_link_ma: Option<u32>,
+    /// Blocks lost since the last one (DMA overrun).
+    pub lost: u32,
+}
+
+/// Exclusive use of the sampling path for the duration of a closure. The board takes a critical
+/// section; every closure is short (the longest copies one 960-byte chunk).
+pub trait SamplingLock {
+    /// Runs `f` on the sampling path.
+    fn with<R>(&mut self, f: impl FnOnce(&mut SamplingPath) -> R) -> R;
+}
+
+impl SamplingLock for SamplingPath {
+    fn with<R>(&mut self, f: impl FnOnce(&mut SamplingPath) -> R) -> R {
+        f(self)
+    }
+}
+
+/// Everything the sampling interrupt owns.
+pub struct SamplingPath {
+    clock: MainsClock,
+    sequencer: DriveSequencer,
+    demodulator: Demodulator,
+    ekf: Ekf,
+    protection: TripChecks,
+    soft_limits: SoftLimits,
+    faults: FaultLatch,
+    half_cycles: HalfCycles,
+    recorder: Recorder,
+    /// Samples come from a host; the bridge is off, whatever the sequencer's drive.
+    replaying: bool,
+    /// Pairs at the end of the ADC's range since boot.
+    saturated_pairs: u32,
+    utilisation: Utilisation,
+    housekeeping_gap: HousekeepingGap,
+}
+
+impl SamplingPath {
+    /// Bridge off; the estimator expects the given load.
+    pub fn new(r: MicroOhm, l: PicoHenry) -> Self {
+        let mut new = Self::blank();
+        new.begin(r, l);
+        new
+    }
+
+    /// All bits zero: 68 KiB that a board places in its cleared memory and that never cross a
+    /// stack. [`SamplingPath::begin`] comes before anything else.
+    pub const fn blank() -> Self {
+        Self {
+            clock: MainsClock::blank(),
+            sequencer: DriveSequencer::blank(),
+            demodulator: Demodulator::blank(),
+            ekf: Ekf::blank(),
+            protection: TripChecks::blank(),
+            soft_limits: SoftLimits::blank(),
+            faults: FaultLatch::new(),
+            half_cycles: HalfCycles::blank(),
+            recorder: Recorder::new(),
+            replaying: false,
+            saturated_pairs: 0,
+            utilisation: Utilisation::blank(),
+            housekeeping_gap: HousekeepingGap::blank(),
+        }
+    }
+
+    /// Makes a blank path ready: bridge off, the estimator expects the given load.
+    pub fn begin(&mut self, r: MicroOhm, l: PicoHenry) {
+        self.sequencer.begin();
+        self.clock.set_frequency(Drive::OFF.f_sw_hz);
+        self.demodulator = Demodulator::new(Drive::OFF.f_sw_hz);
+        self.ekf = Ekf::new(Drive::OFF.f_sw_hz, r, l, Noise::TUNED);
+    }
+
+    /// Takes one block from the ADC; returns the drive from the next block on. In
+    /// replay mode the block is ignored and the bridge is off.
+    pub fn on_block(&mut self, block: &AdcBlock<'_>) -> Drive {
+        self.clock.count_block();
+        self.housekeeping_gap.add(self.clock.block_ns());
+        if !self.replaying {
+            self.take_block(block);
+        }
+        self.drive()
+    }
+
+    /// Takes one block from a host; returns the estimate it led to; `None` outside replay mode or before the first.
+    pub fn replay_block(&mut self, block: &AdcBlock<'_>) -> Option<TrajectoryEntry> {
+        if self.replaying {
+            self.take_block(block)
+        } else {
+            None
+        }
+    }
+}
+
+/// Requests of control and link, between two blocks.
+impl SamplingPath {
+    /// Requests another drive: off at once, anything else at the next zero crossing, at the nearest
+    /// frequency of the grid; out of off, the lower switch closes first, at once ([`crate::drive::bridge`]). Ignored while a
+    /// fault is active.
+    pub fn request(&mut self, drive: Drive) {
+        self.sequencer.request(drive);
+    }
+
+    /// Requests a pot probe: a pulse at the highest frequency, from the next zero crossing to
+    /// before the crest.
+    pub fn request_pot_probe(&mut self) {
+        self.sequencer.request_pot_probe();
+    }
+
+    /// Requests that both switches open at the next zero crossing.
+    pub fn request_off_at_crossing(&mut self) {
+        self.sequencer.request_off_at_crossing();
+    }
+
+    /// The last request, or what a soft limit has made of it.
+    pub fn requested_drive(&self) -> Drive {
+        self.sequencer.requested()
+    }
+
+    /// Varies the switching frequency from half-cycle to half-cycle, in permille, at most
+    /// [`crate::limits::DITHER_MAX_PERMILLE`], outside windows: +, 0, −, 0.
+    pub fn set_dither(&mut self, permille: u8) {
+        self.sequencer.set_dither(permille);
+    }
+
+    /// The drive in force at the bridge.
+    pub fn drive(&self) -> Drive {
+        if self.replaying {
+            Drive::OFF
+        } else {
+            self.sequencer.drive()
+        }
+    }
+
+    /// Enters or leaves replay mode. Either way the bridge is off and the estimator begins anew
+    /// with the given load; in replay mode it sees a bridge that runs at `f_sw_hz`.
+    pub fn set_replay(&mut self, replay: bool, f_sw_hz: u32, r: MicroOhm, l: PicoHenry) {
+        let drive = if replay && !self.faults.is_active() {
+            Drive::switching(f_sw_hz)
+        } else {
+            Drive::OFF
+        };
+        self.replaying = replay;
+        self.sequencer.force(drive);
+        self.clock.set_frequency(drive.f_sw_hz);
+        self.clock.restart_half_cycle();
+        self.demodulator = Demodulator::new(drive.f_sw_hz);
+        self.ekf = Ekf::new(drive.f_sw_hz, r, l, Noise::TUNED);
+        self.protection.set_frequency(drive.f_sw_hz);
+        self.soft_limits
+            .set_frequency(drive.f_sw_hz, self.protection.l_min());
+        self.protection.reset();
+        self.half_cycles.restart();
+        self.recorder.interrupt();
+    }
+
+    /// Returns `true` if samples come from a host.
+    pub fn is_replaying(&self) -> bool {
+        self.replaying
+    }
+
+    /// Enters the safe state for a reason that lies outside the samples: the pot, the hardware.
+    pub fn raise(&mut self, fault: Fault) {
+        self.faults.trip(fault, self.clock.half_cycle());
+    }
+
+    /// Enters the safe state for good: the board is not as it must be, and clearing does not help.
+    pub fn latch_fault(&mut self, fault: Fault) {
+        self.faults.latch(fault, self.clock.half_cycle());
+    }
+
+    /// The active fault.
+    pub fn fault(&self) -> Fault {
+        self.faults.active()
+    }
+
+    /// The half-cycle in which the active fault tripped; the present one without a fault.
+    pub fn fault_half_cycle(&self) -> u32 {
+        let present = self.clock.half_cycle();
+        self.faults.half_cycle().unwrap_or(present)
+    }
+
+    /// Leaves the safe state, but for a standing fault; the bridge stays off until it is requested
+    /// again.
+    pub fn clear_fault(&mut self) {
+        self.faults.clear();
+        self.sequencer.withdraw();
+        self.protection.reset();
+    }
+
+    /// The last half-cycle, once; the thread works out its summary.
+    pub fn take_half_cycle(&mut self) -> Option<HalfCycleSums> {
+        self.half_cycles.take()
+    }
+
+    /// The window recorder, for the link to set and read.
+    pub fn recorder(&mut self) -> &mut Recorder {
+        &mut self.recorder
+    }
+
+    /// Time since boot, in milliseconds; wraps after 49 days.
+    pub fn now_ms(&self) -> u32 {
+        self.clock.now_ms()
+    }
+
+    /// Blocks from the ADC since boot.
+    pub fn blocks(&self) -> u32 {
+        self.clock.blocks()
+    }
+
+    /// Half-cycles since boot.
+    pub fn half_cycles(&self) -> u32 {
+        self.clock.half_cycle()
+    }
+
+    /// Sample pairs at the end of the ADC's range since boot.
+    pub fn saturated_pairs(&self) -> u32 {
+        self.saturated_pairs
+    }
+
+    /// Share of the processor's time, for the board to add each block to.
+    pub fn utilisation(&mut self) -> &mut Utilisation {
+        &mut self.utilisation
+    }
+
+    /// Time between two turns of housekeeping.
+    pub fn housekeeping_gap(&mut self) -> &mut HousekeepingGap {
+        &mut self.housekeeping_gap
+    }
+}
+
+/// Steps of a block.
+impl SamplingPath {
+    /// Takes one block; returns the estimate it led to; `None` while the demodulator fills.
+    fn take_block(&mut self, block: &AdcBlock<'_>) -> Option<TrajectoryEntry> {
+        let sums = correlate(block.pairs);
+        self.saturated_pairs = self.saturated_pairs.wrapping_add(u32::from(sums.saturated));
+        let crossing = block.zero_crossing.filter(|_| self.clock.may_cross());
+        let at_crossing = crossing.is_some();
+        let block_ns = self.clock.block_ns();
+        let running = &mut self.half_cycles.running;
+        running.add_block(&sums, block.bus_dv, block.dc_link_ma);
+        running.add_offsets(block.pairs);
+        let tripped = self.protection.check_block(
+            &sums,
+            block.bus_dv,
+            block.lost,
+            block_ns,
+            at_crossing,
+            // A recording may repeat itself.
+            self.sequencer.drive().is_switching() && !self.replaying,
+        );
+        if let Some(fault) = tripped {
+            self.raise(fault);
+        }
+        match crossing {
+            Some(at) => self.cross_zero(block, usize::from(at).min(ADC_LOCK_P)),
+            None => self.recorder.push(block.pairs, sums.saturated == 0),
+        }
+        let estimate = self.estimate(&sums);
+        self.recorder.advance(block_ns);
+        self.clock.advance();
+        self.sequencer
+            .watch_bus(block.bus_dv, at_crossing, block_ns);
+        if self.sequencer.drive().is_switching() {
+            self.limit_within_block(block, &sums);
+            self.end_pot_probe(block.bus_dv);
+        }
+        self.take_drive(at_crossing, block.bus_dv);
+        estimate
+    }
+
+    /// Ends a half-cycle before pair `at` of the block and begins the next with it.
+    fn cross_zero(&mut self, block: &AdcBlock<'_>, at: usize) {
+        let (before, after) = block.pairs.split_at(at);
+        let over = self.clock.cross_zero(at);
+        self.recorder.push(before, false);
+        self.recorder.end(over.duration_ns);
+        self.finish_half_cycle(over.half_cycle, over.duration_ns, block.bus_dv, false);
+        let drive = self.sequencer.drive();
+        let half_cycle = self.clock.half_cycle();
+        // A window has one frequency throughout, so none begins at a frequency step.
+        if self.recorder.is_due(half_cycle)
+            && drive.is_switching()
+            && self.sequencer.requested() == drive
+        {
+            self.recorder
+                .begin(half_cycle, drive.f_sw_hz, over.block_start_ns);
+            self.recorder.push(after, false);
+        }
+    }
+
+    #[inline]
+    fn finish_half_cycle(
+        &mut self,
+        half_cycle: u32,
+        duration_ns: u32,
+        bus_dv: u16,
+        is_pot_probe: bool,
+    ) {
+        let f_sw_hz = self.sequencer.f_sw_hz();
+        let finished =
+            self.half_cycles
+                .running
+                .finish(half_cycle, f_sw_hz, duration_ns, bus_dv, is_pot_probe);
+        self.half_cycles.keep(finished);
+    }
+
+    /// Demodulates and estimates while the bridge switches, and checks the estimate.
+    #[inline]
+    fn estimate(&mut self, sums: &BlockSums) -> Option<TrajectoryEntry> {
+        if !self.sequencer.drive().is_switching() {
+            return None;
+        }
+        let phasors = self.demodulator.push(sums)?;
+        self.ekf.step(&phasors);
+        self.half_cycles.running.add_estimate(&phasors, &self.ekf);
+        let entry = TrajectoryEntry {
+            r: self.ekf.r(),
+            l: self.ekf.l(),
+        };
+        let delay_blocks = self.demodulator.delay_blocks();
+        self.recorder
+            .estimate(entry, self.clock.block_ns(), delay_blocks);
+        if !self.ekf.is_held()
+            && let Some(fault) = self.protection.check_estimate(&self.ekf)
+        {
+            self.raise(fault);
+        }
+        Some(entry)
+    }
+
+    /// Acts within a block while the bridge switches: on the soft limits, and on a mains that is away,
+    /// which opens both switches until its next zero crossing.
+    fn limit_within_block(&mut self, block: &AdcBlock<'_>, sums: &BlockSums) {
+        let checked = self.soft_limits.check(sums, block.pairs, block.bus_dv);
+        self.half_cycles.running.add_check(&checked);
+        // A recording's drive is what it was.
+        if self.replaying {
+            return;
+        }
+        let limited = checked.limit != Limit::None && !self.faults.is_active();
+        let next = match self.sequencer.without_mains() {
+            None if limited => self.sequencer.raise_frequency(),
+            off => off,
+        };
+        if let Some(next) = next {
+            self.half_cycles.running.disturb();
+            self.change_drive(next);
+        }
+    }
+
+    /// Ends a pot probe once it has lasted, and hands over its measurements.
+    fn end_pot_probe(&mut self, bus_dv: u16) {
+        if !self.sequencer.is_probing() || self.clock.since_crossing_ns() < i64::from(PROBE_NS) {
+            return;
+        }
+        self.finish_half_cycle(self.clock.half_cycle(), PROBE_NS, bus_dv, true);
+        self.half_cycles.running.disturb();
+        self.request(Drive::OFF);
+    }
+
+    /// Takes the sequencer's drive from the next block on.
+    fn take_drive(&mut self, at_crossing: bool, bus_dv: u16) {
+        let half_cycle = self.clock.half_cycle();
+        // A window begins at a frequency that was there before.
+        let may_dither = at_crossing
+            && self.sequencer.is_dithering()
+            && !self.recorder.is_due(half_cycle)
+            && !self.recorder.is_due(half_cycle.wrapping_add(1));
+        let next = self.sequencer.next(&BlockConditions {
+            at_crossing,
+            bus_dv,
+            block_ns: self.clock.block_ns(),
+            is_faulty: self.faults.is_active(),
+            dithered_half_cycle: may_dither.then_some(half_cycle),
+        });
+        if let Some(next) = next {
+            if next.within_half_cycle {
+                self.half_cycles.running.disturb();
+            }
+            self.change_drive(next.drive);
+        }
+    }
+
+    fn change_drive(&mut self, next: Drive) {
+        let before = self.sequencer.drive();
+        if next.f_sw_hz != before.f_sw_hz {
+            self.clock.set_frequency(next.f_sw_hz);
+            self.ekf.set_frequency(next.f_sw_hz);
+            self.protection.set_frequency(next.f_sw_hz);
+        }
+        if !before.is_switching() {
+            self.ekf.restart();
+        }
+        self.soft_limits
+            .set_frequency(next.f_sw_hz, self.protection.l_min());
+        self.demodulator.restart(next.f_sw_hz);
+        self.recorder.interrupt();
+        self.sequencer.apply(next);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drive::bridge::Bridge;
+    use crate::limits::BOOTSTRAP_CHARGE_NS;
+    use std::boxed::Box;
+    use std::vec::Vec;
+
+    /// 37.5 µs at 80 kHz: blocks of a half-cycle of 50 Hz.
+    const HALF_CYCLE: u32 = 266;
+
+    struct Board {
+        realtime: Box<SamplingPath>,
+        block: u32,
+    }
+
+    impl Board {
+        fn new() -> Self {
+            let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
+            Self {
+                realtime: Box::new(SamplingPath::new(r, l)),
+                block: 0,
+            }
+        }
+
+        /// The bridge after each of so many blocks.
+        fn run(&mut self, blocks: u32) -> Vec<Bridge> {
+            (0..blocks)
+                .map(|_| {
+                    self.block += 1;
+                    let crossing = self.block.is_multiple_of(HALF_CYCLE);
+                    // No two blocks are alike, or they would be frozen.
+                    let i = (self.block % 7) as i16;
+                    let block = AdcBlock {
+                        pairs: &core::array::from_fn::<_, ADC_LOCK_P, _>(|k| Pair {
+                            v: 0,
+                            i: if k == 0 { i } else { 0 },
+                        }),
+                        zero_crossing: crossing.then_some(0),
+                        bus_dv: 300,
+                        dc_link_ma: None,
+                        lost: 0,
+                    };
+                    self.realtime.on_block(&block).bridge
+                })
+                .collect()
+        }
+
+        fn heat(&mut self) {
+            self.realtime.request(Drive::switching(60_000));
+        }
+    }
+
+    /// Whenever power is requested, the lower switch is closed for a millisecond before the upper
+    /// one may be, and switching begins at a zero crossing.
+    #[test]
+    fn the_bootstrap_capacitor_is_charged_before_the_bridge_switches() {
+        for asked_at in [1, 30, HALF_CYCLE - 60, HALF_CYCLE - 28, HALF_CYCLE - 20] {
+            let mut board = Board::new();
+            assert!(board.run(asked_at).iter().all(|b| *b == Bridge::Open));
+            board.heat();
+            let seen = board.run(2 * HALF_CYCLE);
+            let lower_on = seen.iter().take_while(|b| **b == Bridge::LowerOn).count() as u32;
+            assert!(
+                seen[lower_on as usize..]
+                    .iter()
+                    .all(|b| *b == Bridge::Switching)
+            );
+            // The first block's answer counts from the next one.
+            assert!(lower_on * 37_500 >= BOOTSTRAP_CHARGE_NS, "{lower_on}");
+            assert!(lower_on <= HALF_CYCLE + 27, "{lower_on}");
+            assert_eq!((asked_at + lower_on + 1) % HALF_CYCLE, 0);
+        }
+    }
+
+    #[test]
+    fn off_and_faults_open_both_switches_at_once_from_any_state() {
+        for blocks in [5, 2 * HALF_CYCLE] {
+            let mut board = Board::new();
+            board.heat();
+            assert_ne!(board.run(blocks).pop(), Some(Bridge::Open));
+            board.realtime.request(Drive::OFF);
+            assert_eq!(board.run(1), [Bridge::Open]);
+
+            let mut board = Board::new();
+            board.heat();
+            board.run(blocks);
+            board.realtime.raise(Fault::HARDWARE_OVER_CURRENT);
+            assert_eq!(board.run(3), [Bridge::Open; 3]);
+            // Cleared, it stays open until power is requested; then it charges again, once the mains has
+            // passed its zero if it switched.
+            board.realtime.clear_fault();
+            assert_eq!(board.run(3), [Bridge::Open; 3]);
+            board.heat();
+            let switched = blocks > HALF_CYCLE;
+            let to_crossing = if switched {
+                HALF_CYCLE - board.block % HALF_CYCLE
+            } else {
+                1
+            };
+            let waited = board.run(to_crossing);
+            let (last, before) = waited.split_last().expect("at least one");
+            assert!(before.iter().all(|b| *b == Bridge::Open));
+            assert_eq!(*last, Bridge::LowerOn);
+        }
+    }
+}

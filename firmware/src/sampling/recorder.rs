@@ -1,0 +1,499 @@
+//! Window recorder: every pair of one half-cycle, and the estimator's trajectory through it.
+//!
+//! One slot. While the link drains it, windows that are due are counted and dropped; the sampling
+//! path never waits. The trajectory lags the pairs by the demodulator's delay, so a window is ready a
+//! few blocks after its half-cycle has ended.
+
+use core::hint::black_box;
+
+use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+use ihd_shared::window::{
+    MAX_PAIRS, MAX_TRAJECTORY, PAIR_BYTES, TRAJECTORY_ENTRY_BYTES, TrajectoryEntry,
+};
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Empty.
+    Free,
+    /// Taking pairs and trajectory.
+    Recording,
+    /// The half-cycle is over; the last trajectory entries are on their way.
+    Tail,
+    /// Complete; the link may read it.
+    Ready,
+}
+
+/// Description of a window beside its pairs and trajectory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WindowHeader {
+    /// Counts every window that was due, recorded or not.
+    pub seq: u32,
+    /// Half-cycle since boot.
+    pub half_cycle: u32,
+    /// Switching frequency, in hertz.
+    pub f_sw_hz: u32,
+    /// Duration of the half-cycle, in nanoseconds.
+    pub half_cycle_ns: u32,
+    /// Time of the first pair after the zero crossing, in nanoseconds.
+    pub first_pair_ns: i32,
+    /// Time of the first trajectory entry after the zero crossing, in nanoseconds.
+    pub first_trajectory_ns: i32,
+    /// Pairs recorded.
+    pub pairs: u16,
+    /// Trajectory entries recorded.
+    pub trajectory: u16,
+    /// Pairs at the end of the ADC's range.
+    pub saturated: u16,
+    /// Version of the lookup that was active when the half-cycle began.
+    pub lookup_version: u32,
+}
+
+/// Counters since boot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WindowCounters {
+    /// Windows that were due.
+    pub due: u32,
+    /// Windows recorded completely.
+    pub recorded: u32,
+    /// Windows that found the slot taken, or that a frequency step cut short.
+    pub dropped: u32,
+}
+
+/// The recorder and its one slot.
+pub struct Recorder {
+    stage: Stage,
+    /// The slot records no half-cycle, but pairs that are read meanwhile.
+    raw: bool,
+    header: WindowHeader,
+    counters: WindowCounters,
+    /// Half-cycles from window to window; 0 for none.
+    period: u8,
+    /// Version of the active lookup, for the windows' headers.
+    lookup_version: u32,
+    /// Time of the current block's first pair since the window's zero crossing.
+    block_start_ns: i64,
+    pairs: [Pair; MAX_PAIRS],
+    trajectory: [TrajectoryEntry; MAX_TRAJECTORY],
+}
+
+impl Default for Recorder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Recorder {
+    /// An empty recorder.
+    pub const fn new() -> Self {
+        const NO_ENTRY: TrajectoryEntry = TrajectoryEntry {
+            r: ihd_shared::units::MicroOhm(0),
+            l: ihd_shared::units::PicoHenry(0),
+        };
+        Self {
+            stage: Stage::Free,
+            raw: false,
+            header: WindowHeader {
+                seq: 0,
+                half_cycle: 0,
+                f_sw_hz: 0,
+                half_cycle_ns: 0,
+                first_pair_ns: 0,
+                first_trajectory_ns: 0,
+                pairs: 0,
+                trajectory: 0,
+                saturated: 0,
+                lookup_version: 0,
+            },
+            counters: WindowCounters {
+                due: 0,
+                recorded: 0,
+                dropped: 0,
+            },
+            period: 0,
+            lookup_version: 0,
+            block_start_ns: 0,
+            pairs: [Pair { v: 0, i: 0 }; MAX_PAIRS],
+            trajectory: [NO_ENTRY; MAX_TRAJECTORY],
+        }
+    }
+
+    /// Counters since boot.
+    pub fn counters(&self) -> WindowCounters {
+        self.counters
+    }
+
+    /// Sets the half-cycles from window to window; 0 for none.
+    pub fn set_period(&mut self, half_cycles: u8) {
+        self.period = half_cycles;
+    }
+
+    /// Sets the version of the lookup that is active from the next window on.
+    pub fn set_lookup_version(&mut self, version: u32) {
+        self.lookup_version = version;
+    }
+
+    /// Returns `true` if a window of this half-cycle is due.
+    #[inline]
+    pub fn is_due(&self, half_cycle: u32) -> bool {
+        let period = u32::from(self.period);
+        period > 0 && half_cycle.is_multiple_of(period)
+    }
+
+    /// Begins a window that is due. The sequence number counts before the slot is claimed, so that a drop shows
+    /// as a gap. `block_start_ns` is the time of the current block's first pair (≤ 0).
+    pub fn begin(&mut self, half_cycle: u32, f_sw_hz: u32, block_start_ns: i64) {
+        let seq = self.counters.due;
+        self.counters.due = seq.wrapping_add(1);
+        if self.stage != Stage::Free {
+            self.counters.dropped = self.counters.dropped.wrapping_add(1);
+            return;
+        }
+        self.stage = Stage::Recording;
+        self.block_start_ns = block_start_ns;
+        self.header = WindowHeader {
+            seq,
+            half_cycle,
+            f_sw_hz,
+            lookup_version: self.lookup_version,
+            ..WindowHeader::default()
+        };
+    }
+
+    /// Adds pairs of the half-cycle, in order. `ordinary` when the caller knows that none of them is
+    /// saturated.
+    #[inline(always)]
+    pub fn push(&mut self, pairs: &[Pair], ordinary: bool) {
+        if self.stage == Stage::Recording {
+            self.take(pairs, ordinary);
+        }
+    }
+
+    #[inline(never)]
+    fn take(&mut self, pairs: &[Pair], ordinary: bool) {
+        let at = usize::from(self.header.pairs);
+        let Some(free) = self.pairs.get_mut(at..) else {
+            return;
+        };
+        let room = pairs.len().min(free.len());
+        if let (Some(free), Some(pairs)) = (free.get_mut(..room), pairs.get(..room)) {
+            copy(pairs, free);
+        }
+        if !ordinary {
+            let recorded = pairs.iter().take(room);
+            self.header.saturated += recorded.filter(|p| p.is_saturated()).count() as u16;
+        }
+        self.header.pairs += room as u16;
+    }
+
+    /// The half-cycle is over.
+    pub fn end(&mut self, half_cycle_ns: u32) {
+        if self.stage == Stage::Recording && !self.raw {
+            self.stage = Stage::Tail;
+            self.header.half_cycle_ns = half_cycle_ns;
+        }
+    }
+
+    /// Adds the estimate made with the current block; it belongs `delay_blocks` earlier.
+    pub fn estimate(&mut self, entry: TrajectoryEntry, block_ns: u32, delay_blocks: u32) {
+        if !matches!(self.stage, Stage::Recording | Stage::Tail) {
+            return;
+        }
+        let centre = self.block_start_ns + i64::from(block_ns) / 2
+            - i64::from(delay_blocks) * i64::from(block_ns);
+        if self.stage == Stage::Tail && centre >= i64::from(self.header.half_cycle_ns) {
+            self.complete();
+            return;
+        }
+        let at = usize::from(self.header.trajectory);
+        if centre >= 0
+            && let Some(slot) = self.trajectory.get_mut(at)
+        {
+            if at == 0 {
+                self.header.first_trajectory_ns = centre as i32;
+            }
+            *slot = entry;
+            self.header.trajectory += 1;
+        }
+    }
+
+    /// The block is over.
+    pub fn advance(&mut self, block_ns: u32) {
+        self.block_start_ns = self.block_start_ns.saturating_add(i64::from(block_ns));
+    }
+
+    /// The estimator starts anew (frequency step, inverter off): a window in its tail is complete
+    /// with the trajectory it has, one in the middle is worthless.
+    pub fn interrupt(&mut self) {
+        match self.stage {
+            Stage::Tail => self.complete(),
+            Stage::Recording if self.raw => self.end_raw(),
+            Stage::Recording => {
+                self.stage = Stage::Free;
+                self.counters.dropped = self.counters.dropped.wrapping_add(1);
+            }
+            Stage::Free | Stage::Ready => {}
+        }
+    }
+
+    fn complete(&mut self) {
+        self.stage = Stage::Ready;
+        self.counters.recorded = self.counters.recorded.wrapping_add(1);
+    }
+
+    /// The complete window, if there is one.
+    pub fn ready(&self) -> Option<&WindowHeader> {
+        (self.stage == Stage::Ready).then_some(&self.header)
+    }
+
+    /// Copies pairs from `offset` on as wire bytes; returns how many pairs fitted.
+    pub fn read_pairs(&self, offset: u16, out: &mut [u8]) -> u16 {
+        let all = &self.pairs[..usize::from(self.header.pairs).min(MAX_PAIRS)];
+        let rest = all.get(usize::from(offset)..).unwrap_or(&[]);
+        let room = rest.len().min(out.len() / PAIR_BYTES);
+        let (rest, out) = (&rest[..room], &mut out[..room * PAIR_BYTES]);
+        // Word by word where the bytes begin at a word: the sampling path waits meanwhile.
+        if let Some(slots) = Pair::on_bytes(out) {
+            copy(rest, slots);
+        } else {
+            let (slots, _) = out.as_chunks_mut();
+            for (pair, slot) in rest.iter().zip(slots) {
+                *slot = pair.to_le_bytes();
+            }
+        }
+        room as u16
+    }
+
+    /// Copies trajectory entries from `offset` on as wire bytes; returns how many entries fitted.
+    pub fn read_trajectory(&self, offset: u16, out: &mut [u8]) -> u16 {
+        let all = &self.trajectory[..usize::from(self.header.trajectory).min(MAX_TRAJECTORY)];
+        let rest = all.get(usize::from(offset)..).unwrap_or(&[]);
+        let room = rest.len().min(out.len() / TRAJECTORY_ENTRY_BYTES);
+        let (rest, out) = (&rest[..room], &mut out[..room * TRAJECTORY_ENTRY_BYTES]);
+        if let Some(slots) = TrajectoryEntry::on_bytes(out) {
+            copy(rest, slots);
+        } else {
+            let (slots, _) = out.as_chunks_mut();
+            for (entry, slot) in rest.iter().zip(slots) {
+                *slot = entry.to_le_bytes();
+            }
+        }
+        room as u16
+    }
+
+    /// Frees the slot after the window was sent.
+    pub fn release(&mut self) {
+        if self.stage == Stage::Ready {
+            self.stage = Stage::Free;
+        }
+    }
+
+    /// Takes pairs from the next block on, whatever the half-cycle, until the slot is full. [`Recorder::read_pairs`]
+    /// reads them meanwhile. Only while the bridge is open, as nothing else is recorded then. False where a window has
+    /// the slot.
+    pub fn begin_raw(&mut self) -> bool {
+        let free = self.stage == Stage::Free;
+        if free {
+            self.raw = true;
+            self.stage = Stage::Recording;
+            self.header = WindowHeader::default();
+        }
+        free
+    }
+
+    /// Returns `true` while pairs are taken by [`Recorder::begin_raw`].
+    pub fn is_raw(&self) -> bool {
+        self.raw
+    }
+
+    /// Frees the slot if pairs are in it and no window.
+    pub fn end_raw(&mut self) {
+        if self.raw {
+            self.raw = false;
+            self.stage = Stage::Free;
+        }
+    }
+
+    /// Frees the slot: the host that requested the window is gone.
+    pub fn abandon(&mut self) {
+        self.end_raw();
+        if matches!(self.stage, Stage::Recording | Stage::Tail) {
+            self.counters.dropped = self.counters.dropped.wrapping_add(1);
+        }
+        self.stage = Stage::Free;
+    }
+}
+
+/// Copies, twelve at a time, as much as both have. What the compiler sees to be a copy becomes a call of the library's, of
+/// seven cycles a word: the sampling path copies a block of 61, and stands still while the thread copies a chunk of 240.
+/// `black_box` hides it.
+fn copy<T: Copy>(from: &[T], to: &mut [T]) {
+    let (twelves, rest) = from.as_chunks::<12>();
+    let (room_for_twelves, room) = to.as_chunks_mut::<12>();
+    for (twelve, room) in twelves.iter().zip(room_for_twelves) {
+        *black_box(room) = *twelve;
+    }
+    for (one, room) in rest.iter().zip(room) {
+        *black_box(room) = *one;
+    }
+}
+
+const _: () = assert!(MAX_PAIRS <= u16::MAX as usize && ADC_LOCK_P <= u8::MAX as usize);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ihd_shared::units::{MicroOhm, PicoHenry};
+    use std::boxed::Box;
+    use std::vec::Vec;
+
+    fn recorder() -> Box<Recorder> {
+        Box::new(Recorder::new())
+    }
+
+    fn entry(k: i32) -> TrajectoryEntry {
+        TrajectoryEntry {
+            r: MicroOhm(k),
+            l: PicoHenry(-k),
+        }
+    }
+
+    #[test]
+    fn raw_pairs_are_taken_through_crossings_and_are_no_window() {
+        let mut recorder = Box::new(Recorder::new());
+        assert!(recorder.begin_raw() && !recorder.begin_raw());
+        let pair = |v| Pair { v, i: 7 };
+        recorder.push(&[pair(1), pair(2)], true);
+        recorder.end(10_000_000);
+        recorder.push(&[pair(3)], true);
+        let mut raw = [0; 16];
+        assert_eq!(recorder.read_pairs(1, &mut raw), 2);
+        assert_eq!(raw[..4], pair(2).to_le_bytes());
+        assert!(recorder.is_raw() && recorder.ready().is_none());
+        // The bridge begins to switch, and a window is due.
+        recorder.interrupt();
+        assert!(!recorder.is_raw());
+        recorder.begin(1, 45_000, 0);
+        assert!(!recorder.begin_raw());
+        recorder.end_raw();
+        recorder.push(&[pair(4)], true);
+        assert_eq!(recorder.read_pairs(0, &mut raw), 1);
+        assert_eq!(recorder.counters().dropped, 0);
+    }
+
+    #[test]
+    fn a_half_cycle_goes_in_and_comes_out() {
+        let mut r = recorder();
+        r.begin(5, 45_000, -10_000);
+        let pairs: [Pair; ADC_LOCK_P] = core::array::from_fn(|k| Pair {
+            v: k as i16,
+            i: 2047,
+        });
+        r.push(&pairs[9..], false);
+        for k in 0..4 {
+            r.estimate(entry(k), 66_667, 2);
+            r.advance(66_667);
+            r.push(&pairs, false);
+        }
+        // Centres: -10000 + 33333 - 133334 < 0 for two blocks, then 23.3 µs and 90 µs.
+        r.end(200_000);
+        assert!(r.ready().is_none(), "the trajectory's tail is missing");
+        r.estimate(entry(4), 66_667, 2);
+        r.advance(66_667);
+        r.estimate(entry(5), 66_667, 2); // 223 µs: beyond the end
+        let header = *r.ready().unwrap();
+        assert_eq!(header.pairs, 52 + 4 * 61);
+        assert_eq!(header.saturated, header.pairs);
+        assert_eq!((header.trajectory, header.first_trajectory_ns), (3, 23_333));
+        let mut bytes = [0; 8];
+        assert_eq!(r.read_pairs(0, &mut bytes), 2);
+        assert_eq!(bytes, [9, 0, 255, 7, 10, 0, 255, 7]);
+        assert_eq!(r.read_trajectory(2, &mut bytes), 1);
+        assert_eq!(bytes[..4], 4i32.to_le_bytes());
+        assert_eq!(r.read_trajectory(3, &mut bytes), 0);
+    }
+
+    /// A chunk that begins at a word is copied another way than one that does not.
+    #[test]
+    fn a_chunk_is_the_same_wherever_its_bytes_lie() {
+        let mut r = recorder();
+        r.begin(0, 45_000, 0);
+        let pairs: [Pair; ADC_LOCK_P] = core::array::from_fn(|k| Pair {
+            v: k as i16 - 30,
+            i: 2_047 - 3 * k as i16,
+        });
+        r.push(&pairs, true);
+        for k in 0..31 {
+            r.estimate(entry(k), 60_000, 0);
+        }
+        r.end(1);
+        let mut bytes = [0xAA; 4 * ADC_LOCK_P + 8];
+        let at = bytes.as_ptr().align_offset(4);
+        for (shift, offset) in [(0, 0), (1, 0), (0, 7), (3, 7), (2, 60), (0, 61)] {
+            let out = &mut bytes[at + shift..][..4 * ADC_LOCK_P];
+            out.fill(0xAA);
+            let expected = pairs[usize::from(offset)..].iter();
+            let expected: Vec<u8> = expected.flat_map(|pair| pair.to_le_bytes()).collect();
+            assert_eq!(usize::from(r.read_pairs(offset, out)) * 4, expected.len());
+            assert_eq!(out[..expected.len()], expected);
+            assert!(out[expected.len()..].iter().all(|&byte| byte == 0xAA));
+            let n = usize::from(r.read_trajectory(2, out));
+            let expected: Vec<u8> = (2..2 + n as i32)
+                .flat_map(|k| entry(k).to_le_bytes())
+                .collect();
+            assert_eq!((n, &out[..8 * n]), (29, &expected[..]));
+        }
+    }
+
+    #[test]
+    fn a_busy_slot_counts_and_drops() {
+        let mut r = recorder();
+        r.begin(0, 45_000, 0);
+        r.end(1);
+        r.interrupt();
+        r.begin(1, 45_000, 0);
+        r.begin(2, 45_000, 0);
+        assert_eq!(
+            r.counters(),
+            WindowCounters {
+                due: 3,
+                recorded: 1,
+                dropped: 2
+            }
+        );
+        assert_eq!(r.ready().map(|h| h.seq), Some(0));
+        r.release();
+        r.begin(3, 45_000, 0);
+        r.end(1);
+        r.interrupt();
+        assert_eq!(
+            r.ready().map(|h| h.seq),
+            Some(3),
+            "drops must show as a gap"
+        );
+    }
+
+    #[test]
+    fn a_frequency_step_in_the_middle_drops_the_window() {
+        let mut r = recorder();
+        r.begin(0, 45_000, 0);
+        r.interrupt();
+        assert_eq!(r.counters().dropped, 1);
+        assert!(r.ready().is_none());
+    }
+
+    #[test]
+    fn an_endless_half_cycle_fills_up_and_stops() {
+        let mut r = recorder();
+        r.begin(0, 80_000, 0);
+        for _ in 0..400 {
+            r.push(&[Pair::default(); ADC_LOCK_P], true);
+            r.estimate(entry(1), 37_500, 0);
+            r.advance(37_500);
+        }
+        r.end(1);
+        r.estimate(entry(1), 37_500, 0);
+        let header = r.ready().unwrap();
+        assert_eq!(usize::from(header.pairs), MAX_PAIRS);
+        assert_eq!(usize::from(header.trajectory), MAX_TRAJECTORY);
+    }
+}

@@ -1,0 +1,235 @@
+//! Correlation of a block with the fundamental: three loops over 61 sample pairs.
+//!
+//! A block spans exactly q = 3 switching periods, so the sum of its pairs times a 61-entry table of e^(−jθ) is the block's
+//! fundamental, every other harmonic at a zero of the sum.
+//!
+//! Budget: one pair costs five multiply-accumulates of 16-bit halves and four
+//! instructions to see if it is out of the ordinary. Sums are exact integers.
+
+use core::hint::black_box;
+
+use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_MAX, CODE_MIN, Pair};
+
+use crate::fixed::Complex;
+use crate::sense::codes::{SOFT_CURRENT_CODE, SOFT_VOLTAGE_CODE};
+
+/// Fractional bits of the heterodyne table. 14, because 61 · 2^11 · 2^14 still fits an i32.
+pub const TABLE_BITS: u32 = 14;
+
+/// cos (low half) and −sin (high half) of 2π·q·k/p, as one load brings them.
+static TABLE: [u32; ADC_LOCK_P] = packed(table());
+
+/// Sine of 2π·n/d for 0 ≤ n < d, by its Taylor series after folding to ±π/2, at compile time.
+const fn sine_of_turns(n: u32, d: u32) -> f64 {
+    let mut turns = n as f64 / d as f64;
+    if turns > 0.75 {
+        turns -= 1.0;
+    } else if turns > 0.25 {
+        turns = 0.5 - turns;
+    }
+    let x = turns * 2.0 * core::f64::consts::PI;
+    let mut term = x;
+    let mut sum = x;
+    let mut k = 1.0;
+    while k < 12.0 {
+        term *= -x * x / ((2.0 * k) * (2.0 * k + 1.0));
+        sum += term;
+        k += 1.0;
+    }
+    sum
+}
+
+const fn rounded_q14(x: f64) -> i16 {
+    let scaled = x * (1 << TABLE_BITS) as f64;
+    (if scaled >= 0.0 {
+        scaled + 0.5
+    } else {
+        scaled - 0.5
+    }) as i16
+}
+
+const fn table() -> [(i16, i16); ADC_LOCK_P] {
+    let p = ADC_LOCK_P as u32;
+    let mut t = [(0, 0); ADC_LOCK_P];
+    let mut k = 0;
+    while k < ADC_LOCK_P {
+        // cos x = sin(x + π/2): work in quarters of 1/p turns.
+        let quarter_turns = 4 * (ADC_LOCK_Q * k as u32 % p);
+        t[k].0 = rounded_q14(sine_of_turns((quarter_turns + p) % (4 * p), 4 * p));
+        t[k].1 = rounded_q14(-sine_of_turns(quarter_turns, 4 * p));
+        k += 1;
+    }
+    t
+}
+
+const fn packed(table: [(i16, i16); ADC_LOCK_P]) -> [u32; ADC_LOCK_P] {
+    let mut words = [0; ADC_LOCK_P];
+    let mut k = 0;
+    while k < ADC_LOCK_P {
+        words[k] = halves(table[k].0, table[k].1);
+        k += 1;
+    }
+    words
+}
+
+const fn halves(low: i16, high: i16) -> u32 {
+    low as u16 as u32 | (high as u16 as u32) << 16
+}
+
+#[inline(always)]
+fn low(word: u32) -> i32 {
+    i32::from(word as u16 as i16)
+}
+
+#[inline(always)]
+fn high(word: u32) -> i32 {
+    word as i32 >> 16
+}
+
+/// Codes from here on are out of the ordinary: the soft limits, below any trip level.
+const ALARM_I: i16 = SOFT_CURRENT_CODE as i16;
+const ALARM_V: i16 = SOFT_VOLTAGE_CODE as i16;
+
+/// Sums and peaks of a block's pairs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BlockSums {
+    /// Σ v·e^(−jθ), codes in 14 fractional bits.
+    pub v: Complex,
+    /// Σ i·e^(−jθ), codes in 14 fractional bits.
+    pub i: Complex,
+    /// Σ v·i in codes squared: mean power times pairs, all harmonics included.
+    pub vi: i64,
+    /// Largest magnitude of a current code, where one reaches its soft limit; else 0.
+    pub i_peak: u16,
+    /// The same of the voltage.
+    pub v_peak: u16,
+    /// Pairs at the end of either channel's range.
+    pub saturated: u16,
+}
+
+/// Adding ABOVE or BELOW to a packed pair sets a half-word's sign bit when its code reaches the
+/// soft limit. A carry may make the current's act one code early; `find_peaks` then checks exactly.
+const ABOVE: u32 = halves(
+    i16::MIN.wrapping_sub(ALARM_V),
+    i16::MIN.wrapping_sub(ALARM_I),
+);
+const BELOW: u32 = halves(ALARM_V - 1, ALARM_I - 2);
+const SIGNS: u32 = 0x8000_8000;
+
+/// Correlates one block with the fundamental. Two loops run per sample, and a third one for a block that holds a sample out
+/// of the ordinary.
+#[inline(never)]
+pub fn correlate(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
+    let words = Pair::words(pairs);
+    let mut sums = Correlation::default();
+    for (&pair, &phase) in words.iter().zip(&TABLE) {
+        sums.add(pair, phase);
+    }
+    let mut s = BlockSums {
+        v: sums.v,
+        i: sums.i,
+        ..BlockSums::default()
+    };
+    let (vi, alarm) = power_and_alarm(words);
+    s.vi = i64::from(vi);
+    if alarm {
+        find_peaks(pairs, &mut s);
+    }
+    s
+}
+
+/// The sums of a block under way.
+#[derive(Default)]
+struct Correlation {
+    v: Complex,
+    i: Complex,
+}
+
+impl Correlation {
+    #[inline(always)]
+    fn add(&mut self, pair: u32, phase: u32) {
+        self.v.re = self.v.re.wrapping_add(low(pair) * low(phase));
+        self.v.im = self.v.im.wrapping_add(low(pair) * high(phase));
+        self.i.re = self.i.re.wrapping_add(high(pair) * low(phase));
+        self.i.im = self.i.im.wrapping_add(high(pair) * high(phase));
+    }
+}
+
+/// Σ v·i, and whether any pair is out of the ordinary. A loop of its own: one for all would need more
+/// registers than there are.
+#[inline(never)]
+fn power_and_alarm(words: &[u32; ADC_LOCK_P]) -> (i32, bool) {
+    let look = |word: u32| word.wrapping_add(ABOVE) | word.wrapping_add(BELOW);
+    let add = |(vi, alarm): (i32, u32), word: u32| {
+        (
+            vi.wrapping_add(low(word).wrapping_mul(high(word))),
+            alarm | look(word),
+        )
+    };
+    let (by_twelve, rest) = words.as_chunks::<12>();
+    let mut both = rest.iter().fold((0, 0), |both, &word| add(both, word));
+    for twelve in by_twelve {
+        // Unrolled no further than this.
+        let twelve = black_box(twelve);
+        both = twelve.iter().fold(both, |both, &word| add(both, word));
+    }
+    let (vi, alarm) = both;
+    (vi, alarm & SIGNS != 0)
+}
+
+/// Peak and saturated pairs, exactly. Codes that no 12-bit converter gives, which only a replay can
+/// hold, come here too: their products may not fit the sum above.
+#[cold]
+#[inline(never)]
+fn find_peaks(pairs: &[Pair; ADC_LOCK_P], s: &mut BlockSums) {
+    s.vi = 0;
+    let (mut v_peak, mut i_peak) = (0, 0);
+    for pair in pairs {
+        s.vi += i64::from(i32::from(pair.v) * i32::from(pair.i));
+        v_peak = pair.v.unsigned_abs().max(v_peak);
+        i_peak = pair.i.unsigned_abs().max(i_peak);
+        s.saturated += u16::from(pair.is_saturated());
+    }
+    if v_peak >= SOFT_VOLTAGE_CODE {
+        s.v_peak = v_peak;
+    }
+    if i_peak >= SOFT_CURRENT_CODE {
+        s.i_peak = i_peak;
+    }
+}
+
+// The sums above cannot wrap: 61 codes of 12 bit times 14-bit table entries stay below 2^31.
+const _: () = assert!(
+    (ADC_LOCK_P as i64) * -(CODE_MIN as i64) * (1 << TABLE_BITS) <= i32::MAX as i64
+        && CODE_MAX < -CODE_MIN
+        // A block's v·i with no half beyond its bounds.
+        && (ADC_LOCK_P as i64) * (CODE_MIN as i64) * (CODE_MIN as i64) <= i32::MAX as i64
+);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Packed halves against the plain definition, over every code of either
+    /// channel next to codes of either sign on the other.
+    #[test]
+    fn no_sample_out_of_the_ordinary_is_missed() {
+        for code in i16::MIN..=i16::MAX {
+            for other in [-1_000, -1, 0, 1, 1_000] {
+                for pair in [Pair { v: code, i: other }, Pair { v: other, i: code }] {
+                    let mut pairs = [Pair::default(); ADC_LOCK_P];
+                    pairs[17] = pair;
+                    let s = correlate(&pairs);
+                    assert_eq!(s.saturated, u16::from(pair.is_saturated()), "{pair:?}");
+                    let from = |code: i16, limit: u16| {
+                        let peak = code.unsigned_abs();
+                        if peak >= limit { peak } else { 0 }
+                    };
+                    assert_eq!(s.i_peak, from(pair.i, SOFT_CURRENT_CODE), "{pair:?}");
+                    assert_eq!(s.v_peak, from(pair.v, SOFT_VOLTAGE_CODE), "{pair:?}");
+                    assert_eq!(s.vi, i64::from(i32::from(pair.v) * i32::from(pair.i)));
+                }
+            }
+        }
+    }
+}

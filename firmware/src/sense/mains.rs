@@ -1,0 +1,99 @@
+//! Mains zero crossings and bus voltage from one sample of each per block.
+
+use ihd_shared::sampling::ADC_LOCK_P;
+
+/// The voltage must have been this far from zero, in codes, before a change of its sign counts: a
+/// twelfth of the crest of 230 V on the range of [`MAINS_FULL_SCALE_MV`].
+const ARMED_AT: i32 = 140;
+
+/// Decivolt at the end of the bus converter's range: 500 V over 12 bit.
+pub const BUS_DV_FULL_SCALE: u32 = 5_000;
+
+/// Half the input range of the mains voltage's channel, in millivolt.
+pub const MAINS_FULL_SCALE_MV: u32 = 400_000;
+
+/// Half the input range of the mains voltage's channel, in volt.
+pub const MAINS_FULL_SCALE_V: f64 = MAINS_FULL_SCALE_MV as f64 / 1e3;
+
+/// Bus voltage of a code, in decivolt.
+pub fn bus_dv(code: u16) -> u16 {
+    (u32::from(code) * BUS_DV_FULL_SCALE / 4_096) as u16
+}
+
+/// Finds the zero crossings.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ZeroCrossingDetector {
+    last: i32,
+    /// Sign of the half-cycle that is going on, 0 before the first.
+    sign: i32,
+}
+
+impl ZeroCrossingDetector {
+    /// Takes the mains voltage at the end of a block, as a signed code; the index of the block's
+    /// first pair after a zero crossing, if one fell into it.
+    ///
+    /// A crossing is where a straight line through the last two samples crosses zero. A half-cycle
+    /// that has not risen to `ARMED_AT` cannot end: noise around zero gives one crossing.
+    pub fn on_block(&mut self, code: i32) -> Option<u8> {
+        let before = self.last;
+        self.last = code;
+        let armed = self.sign != 0;
+        let crossed = armed && code.signum() * self.sign < 0;
+        if crossed {
+            self.sign = 0;
+        } else if !armed && code.abs() >= ARMED_AT {
+            self.sign = code.signum();
+        }
+        if !crossed {
+            return None;
+        }
+        let (from, span) = (before.abs(), before.abs() + code.abs());
+        // |code| ≥ 1, so the span is; before may be zero, when it crossed at the block's beginning.
+        let pairs = ADC_LOCK_P as i32;
+        let at = (from * pairs + span - 1) / span.max(1);
+        Some(at.min(pairs - 1) as u8)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    /// Crossings of a noisy 50 Hz sine, as times in blocks of 42.9 µs.
+    fn crossings(noise: i32) -> Vec<f64> {
+        let mut z = ZeroCrossingDetector::default();
+        let mut found = Vec::new();
+        let mut random = 1u32;
+        for block in 0..2_400u32 {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let jitter = (random >> 16) as i32 % (2 * noise + 1) - noise;
+            let t = f64::from(block + 1) * 42.857e-6;
+            let code = 1_664.0 * (core::f64::consts::TAU * 50.0 * t + 0.3).sin();
+            if let Some(at) = z.on_block(code as i32 + jitter) {
+                found.push(f64::from(block) + f64::from(at) / 61.0);
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn each_half_cycle_has_one_crossing_at_its_time() {
+        for (noise, tolerance) in [(0, 0.05), (20, 1.5)] {
+            let found = crossings(noise);
+            assert_eq!(found.len(), 10, "noise {noise}: {found:?}");
+            for pair in found.windows(2) {
+                let distance = pair[1] - pair[0];
+                assert!((distance - 233.33).abs() < tolerance, "{distance}");
+            }
+        }
+    }
+
+    #[test]
+    fn noise_without_mains_is_no_crossing() {
+        let mut z = ZeroCrossingDetector::default();
+        for k in 0..1_000 {
+            assert_eq!(z.on_block(if k % 2 == 0 { 100 } else { -100 }), None);
+        }
+    }
+}

@@ -1,0 +1,13 @@
+//! Sense: samples to phasors, zero crossings and bus voltage, once a block of 61 sample pairs.
+//!
+//! ```text
+//! ADC ─► dma_buffer ─► correlation ─► demodulator ─► phasors of coil voltage and current ─► estimate
+//!        (two halves)       └───────► power, peaks in ADC codes ─► protect, sampling
+//! slow ADC ─► mains ─► zero crossing, bus voltage
+//! ```
+
+pub mod codes;
+pub mod correlation;
+pub mod demodulator;
+pub mod dma_buffer;
+pub mod mains;

@@ -1,0 +1,179 @@
+//! Identification of one window: from a worker's answer if the window confirms it, otherwise by the network here.
+
+use std::time::Duration;
+
+use ihd_link::Window;
+use ihd_signal::truth::Truth;
+use ihd_train::learning::{AnswerError, ConfirmedAnswer, LookupUpdate, WindowOutcome};
+
+use super::answer::{StatedLoad, WorkerAnswer};
+use super::fit::{FitSummary, FitTrace, fit_remark};
+use super::job::{LearnInput, LearnJob};
+use super::queue::DeviceLearning;
+use super::shared::{Shared, guarded};
+use super::workers::AnswerVerdict;
+
+/// Identifies a window: by a worker's answer if the window confirms it, otherwise by the network here.
+pub(super) fn identify(
+    shared: &Shared,
+    known: &mut DeviceLearning,
+    job: &LearnJob,
+) -> WindowResult {
+    if let LearnInput::Answered(window, answer) = &job.input
+        && let Some(found) = learn_from_answer(shared, known, job.boot, window, answer)
+    {
+        return found;
+    }
+    let window = job.input.window();
+    let outcome = (shared.observe)(&mut known.learning, window);
+    WindowResult::from_outcome(window, outcome, job.truth.as_deref())
+}
+
+/// Learns from a worker's answer if the window confirms it; `None` if it does not. The verdict is recorded for the worker either way.
+fn learn_from_answer(
+    shared: &Shared,
+    known: &mut DeviceLearning,
+    boot: u32,
+    window: &Window,
+    answer: &WorkerAnswer,
+) -> Option<WindowResult> {
+    let record = |verdict| record_answer(shared, answer, window.seq, verdict);
+    let stated = match &answer.found {
+        _ if shared.lock().workers.is_distrusted(&answer.by) => {
+            record(AnswerVerdict::Distrusted);
+            return None;
+        }
+        Err(_) => {
+            record(AnswerVerdict::Unidentified);
+            return None;
+        }
+        Ok(stated) => stated,
+    };
+    let skew_s = known.learning.correction().map(|c| c.skew_s);
+    let learned = guarded(shared, known, |known| {
+        known
+            .learning
+            .learn_from_answer(boot, window, &stated.claim())
+    });
+    let verdict = match learned {
+        Ok(Ok(confirmed)) => {
+            record(AnswerVerdict::Confirmed);
+            return Some(WindowResult::from_answer(
+                window,
+                stated.clone(),
+                confirmed,
+                answer.busy,
+            ));
+        }
+        Ok(Err(AnswerError::Refuted(why))) if !skews_differ(skew_s, answer.skew_s) => {
+            AnswerVerdict::Refuted(why.to_string())
+        }
+        Ok(Err(_)) => AnswerVerdict::Outdated,
+        Err(panic) => AnswerVerdict::Refuted(panic),
+    };
+    record(verdict);
+    None
+}
+
+/// Largest difference of two skews in seconds at which R and L still agree within the check's limits.
+const SAME_SKEW_S: f64 = 1e-9;
+
+fn skews_differ(a: Option<f64>, b: Option<f64>) -> bool {
+    (a.unwrap_or(0.0) - b.unwrap_or(0.0)).abs() > SAME_SKEW_S
+}
+
+fn record_answer(shared: &Shared, answer: &WorkerAnswer, seq: u32, verdict: AnswerVerdict) {
+    let by = &answer.by;
+    if let AnswerVerdict::Refuted(why) = &verdict {
+        tracing::warn!(
+            worker = by,
+            seq,
+            why,
+            "a worker's answer is refuted by its window"
+        );
+    }
+    if shared.lock().workers.record(by, verdict) {
+        tracing::error!(
+            worker = by,
+            "a worker was caught too often: its answers are not looked at any more"
+        );
+    }
+}
+
+/// Result of a window, before it is stored.
+pub(super) struct WindowResult {
+    pub(super) seq: u32,
+    pub(super) half_cycle: u32,
+    pub(super) f_sw_hz: u32,
+    pub(super) summary: FitSummary,
+    pub(super) trace: FitTrace,
+    pub(super) refused: Option<String>,
+    pub(super) taught: LookupUpdate,
+    pub(super) busy: Duration,
+}
+
+impl WindowResult {
+    fn from_outcome(window: &Window, outcome: WindowOutcome, truth: Option<&Truth>) -> Self {
+        let (identified, findings, refused, taught) = match outcome {
+            WindowOutcome::Accepted(fit) => (Some(fit.identified), fit.findings, None, fit.taught),
+            WindowOutcome::Refused {
+                why,
+                identified,
+                findings,
+            } => (
+                identified.map(|i| *i),
+                findings,
+                Some(why),
+                LookupUpdate::Unchanged,
+            ),
+        };
+        let identified = identified.as_ref();
+        Self {
+            seq: window.seq,
+            half_cycle: window.half_cycle,
+            f_sw_hz: window.f_sw_hz,
+            summary: identified.map_or(FitSummary::NONE, FitSummary::of),
+            trace: FitTrace::of(identified, &findings, truth),
+            refused,
+            taught,
+            busy: Duration::ZERO,
+        }
+    }
+
+    /// Creates the result of a window whose identification panicked.
+    pub(super) fn unfit(window: &Window, why: String, busy: Duration) -> Self {
+        let unfit = WindowOutcome::Refused {
+            why,
+            identified: None,
+            findings: Vec::new(),
+        };
+        Self {
+            busy,
+            ..Self::from_outcome(window, unfit, None)
+        }
+    }
+
+    fn from_answer(
+        window: &Window,
+        mut stated: StatedLoad,
+        answer: ConfirmedAnswer,
+        busy: Duration,
+    ) -> Self {
+        stated
+            .remarks
+            .extend(answer.findings.iter().map(fit_remark));
+        if answer.seen.is_none() {
+            tracing::info!(seq = window.seq, "an answer came too late to teach");
+        }
+        Self {
+            seq: window.seq,
+            half_cycle: window.half_cycle,
+            f_sw_hz: window.f_sw_hz,
+            summary: stated.summary(&answer.confirmed),
+            trace: stated.into_trace(answer.confirmed),
+            refused: None,
+            taught: answer.taught,
+            busy,
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! Deterministic simulation of an edge's part in the fleet: its own tasks (edge/) beside the product's daemon in the daemon's simulation
+//! (`ihd_daemon::simulation`), with a server in memory and workers.
+//!
+//! ```text
+//!  hobs, users, disk, clock, kills ──► Daemon ◄──► edge's tasks ──► line.rs ──► server.rs ◄── workers.rs
+//!                                                  outbox, inbox,   stalls, cuts, lost      honest, lying, silent,
+//!                                                  trust, name …    and late messages       slow, saying things twice
+//! ```
+//!
+//! `IHD_SEED=4711 cargo nextest run -p ihd-fleet simulation --no-capture` runs one seed again and prints its course; `IHD_SEEDS=10000` runs
+//! so many.
+
+mod line;
+mod server;
+mod watch;
+mod weather;
+mod workers;
+
+use std::sync::Arc;
+
+use ihd_daemon::simulation::{Course, Left, Life, Part, of_environment, run, run_all};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+pub use line::{Delivered, Line, Results};
+use server::Memory;
+
+use crate::edge::{Edge, State};
+use crate::server::Server;
+
+/// Seeds of the short form.
+const SEEDS: u64 = 24;
+
+/// Name of the edge, as its daemon is configured.
+const EDGE: &str = "kitchen";
+
+/// Runs one seed: server and workers outlive the daemons.
+fn course(seed: u64) -> Course {
+    let memory = Memory::new();
+    let part: Box<Part> = Box::new(move |life| Box::pin(take_part(Arc::clone(&memory), life)));
+    run(seed, Left::Script, Some(&*part))
+}
+
+async fn take_part(memory: Arc<Memory>, life: Life) {
+    let Life {
+        world,
+        daemon,
+        seed,
+        ended,
+    } = life;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let state = State::begin();
+    let line = Line::new(
+        Arc::clone(&world),
+        Arc::clone(&memory),
+        Arc::clone(&state),
+        rng.random(),
+    );
+    let address = "nats://simulated".to_owned();
+    let server = Server::Simulated(line.clone());
+    let (_, edge) = Edge::begin(daemon.clone(), EDGE.to_owned(), address, server, state);
+    let beside = [
+        tokio::spawn(weather::change(line.clone(), rng.random())),
+        tokio::spawn(workers::work(line.clone(), rng.random())),
+        tokio::spawn(watch::watch(line.clone(), daemon.clone())),
+    ];
+    // The sender has gone: that is the end.
+    let _ = ended.await;
+    edge.stop().await;
+    watch::check_results(&line, &daemon);
+    for task in beside {
+        task.abort();
+    }
+}
+
+#[test]
+fn every_window_comes_back_once_whatever_fails() {
+    let seeds = of_environment("IHD_SEEDS").unwrap_or(SEEDS);
+    run_all(0..seeds, course);
+}
+
+#[test]
+fn one_seed_gives_one_course() {
+    for seed in 1..4 {
+        let [first, second] = [(), ()].map(|()| course(seed).text());
+        assert!(first.lines().count() > 20, "something happens");
+        let mut lines = first.lines().zip(second.lines());
+        let differ = lines.find(|(first, second)| first != second);
+        assert_eq!(differ, None, "seed {seed}");
+        assert_eq!(first, second);
+    }
+}

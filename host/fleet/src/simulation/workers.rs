@@ -1,0 +1,179 @@
+//! Workers: some answer, some lie, some die over a window, and some say things twice.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
+use ihd_daemon::simulation::LOAD;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tokio::time::sleep;
+
+use super::line::Line;
+use super::server::Message;
+use crate::dead;
+use crate::engine::MOST_DELIVERIES;
+use crate::names;
+use crate::server::{Outgoing, PublishTrouble};
+use crate::wire::{AnswerMessage, WindowMessage};
+
+/// Between two looks into the queue.
+const TURN: Duration = Duration::from_millis(200);
+
+/// Windows that are taken in one turn.
+const AT_ONCE: usize = 8;
+
+/// Workers of these names lie, and by how much of R at least.
+pub const LIAR: &str = "liar";
+const LEAST_LIE: f64 = 0.005;
+
+/// Takes windows until the daemon's life ends.
+pub async fn work(line: Line, seed: u64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let are_silent = line.world.may_fail() && rng.random_bool(0.1);
+    if are_silent {
+        line.world.note("no worker answers until all is mended");
+    }
+    loop {
+        sleep(TURN).await;
+        if are_silent && line.world.may_fail() {
+            continue;
+        }
+        let now = line.world.now();
+        let (given, disk) = {
+            let mut disk = line.memory.disk();
+            (disk.give_windows(now, AT_ONCE), disk.before)
+        };
+        for (number, message, times) in given {
+            let (line, seed) = (line.clone(), rng.random());
+            let place = Place { disk, number };
+            tokio::spawn(deal(line, place, message, times, seed));
+        }
+    }
+}
+
+/// Place of a window in the queue.
+#[derive(Clone, Copy)]
+struct Place {
+    disk: u32,
+    number: u64,
+}
+
+async fn deal(line: Line, place: Place, message: Message, times: u32, seed: u64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let fails = line.world.may_fail();
+    let Ok(window) = WindowMessage::from_bytes(&message.payload) else {
+        return line.world.note_broken("a window cannot be read".to_owned());
+    };
+    sleep(Duration::from_millis(rng.random_range(50..500))).await;
+    let of = format!("{} {}", window.boot, window.window.seq);
+    line.world
+        .note(&format!("a worker has {of} of {}", window.hob));
+    if fails && rng.random_bool(0.1) {
+        return line.world.note(&format!("a worker dies over {of}"));
+    }
+    if i64::from(times) > MOST_DELIVERIES || fails && rng.random_bool(0.05) {
+        line.world.note(&format!("{of} is given up"));
+        return bury(&line, place, &message, &window);
+    }
+    if fails && rng.random_bool(0.1) {
+        // Longer than it has.
+        sleep(Duration::from_millis(rng.random_range(1_000..45_000))).await;
+    }
+    if fails && rng.random_bool(0.1) {
+        let unasked = window.window.seq + 100_000;
+        publish(&line, answer(&mut rng, &window, unasked), Some(0));
+    }
+    let result = answer(&mut rng, &window, window.window.seq);
+    if fails && rng.random_bool(0.1) {
+        // Whoever says nothing of the one before replaces it.
+        publish(&line, result.clone(), None);
+    }
+    publish(&line, result, Some(0));
+    if fails && rng.random_bool(0.1) {
+        // Killed before it could say so.
+        return;
+    }
+    done(&line, place);
+}
+
+fn done(line: &Line, place: Place) {
+    let mut disk = line.memory.disk();
+    if disk.before == place.disk {
+        disk.windows.ack(place.number);
+        disk.stream(names::WINDOWS).messages.remove(&place.number);
+    }
+}
+
+fn publish(line: &Line, (subject, payload): (String, Bytes), after: Option<u64>) {
+    let now = line.world.now();
+    let published = line.memory.disk().publish(
+        now,
+        Outgoing {
+            subject,
+            payload,
+            number: None,
+            after,
+        },
+    );
+    if let Err(PublishTrouble::Other(why)) = published {
+        line.world.note_broken(why);
+    }
+}
+
+fn bury(line: &Line, place: Place, message: &Message, window: &WindowMessage) {
+    let subject = names::dead(&window.hob, window.boot, window.window.seq);
+    publish(line, (subject.clone(), message.payload.clone()), Some(0));
+    let mut disk = line.memory.disk();
+    let found = disk.stream(names::DEAD).messages.values_mut();
+    for dead in found.filter(|dead| dead.subject == subject) {
+        dead.headers.insert(dead::WHY, "nobody could identify it");
+        dead.headers.insert(dead::BY, "worker-1");
+    }
+    drop(disk);
+    done(line, place);
+}
+
+/// The load that a window shows, nothing where it shows none, a lie, or what nobody can read.
+fn answer(rng: &mut ChaCha8Rng, window: &WindowMessage, seq: u32) -> (String, Bytes) {
+    let subject = names::result(&window.hob, window.boot, seq);
+    if rng.random_bool(0.05) {
+        return (subject, Bytes::from_static(b"no answer"));
+    }
+    let shows = window.window.pairs.len() > 61;
+    let lies = rng.random_bool(0.4);
+    let lie = match rng.random_bool(0.5) {
+        true => rng.random_range(LEAST_LIE..1.0),
+        false => -rng.random_range(LEAST_LIE..0.5),
+    };
+    let stated = |factor: f64| {
+        let t_s: Vec<f64> = (0..64).map(|k| 10e-3 / 63.0 * f64::from(k)).collect();
+        StatedLoad {
+            r_ohm: vec![factor * LOAD.r_ohm; t_s.len()],
+            l_h: vec![LOAD.l_h; t_s.len()],
+            t_s,
+            ..StatedLoad::default()
+        }
+    };
+    let found = match (lies, shows) {
+        (true, _) => Ok(stated(1.0 + lie)),
+        (false, true) => Ok(stated(1.0)),
+        (false, false) => Err("it shows nothing".to_owned()),
+    };
+    let name = if lies { LIAR } else { "worker" };
+    let message = AnswerMessage {
+        hob: window.hob.clone(),
+        boot: window.boot,
+        seq,
+        window_at_ms: window.at_ms,
+        at_ms: 0,
+        answer: WorkerAnswer {
+            by: format!("{name}-{}", rng.random_range(0..9)),
+            skew_s: None,
+            found,
+            busy: Duration::from_millis(60),
+        },
+    };
+    let payload = message.to_bytes().expect("an answer that can be packed");
+    (subject, payload.into())
+}

@@ -1,0 +1,74 @@
+//! Reference results for a segment, independent of the method to judge: least squares, the lock-in as a check of least
+//! squares, and foreign tones.
+
+use ihd_identify::{
+    Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, run, run_preprocessed,
+};
+use ihd_signal::{Remark, Segment};
+
+use crate::interference;
+
+/// Reference results for a segment, computed once and used for every method's estimate.
+#[derive(Clone, Debug)]
+pub struct Reference {
+    /// Least squares with its default options, or the error with which it failed.
+    pub least_squares: Result<Estimate, IdentifyError>,
+    /// Least squares on the segment without foreign tones; `None` if there are none.
+    pub cleaned: Option<Estimate>,
+    /// Lock-in with its default options, without foreign tones, which it follows further than any other method. It shares
+    /// neither splines nor prior with least squares.
+    pub lockin: Result<Estimate, IdentifyError>,
+    /// Remarks on the segment itself.
+    pub remarks: Vec<Remark>,
+}
+
+impl Reference {
+    /// Result of a method with these options if it is known already.
+    pub fn result_of(
+        &self,
+        method: Method,
+        settings: &IdentifyOptions,
+    ) -> Option<Result<Estimate, IdentifyError>> {
+        let default = IdentifyOptions::default();
+        match method {
+            Method::LeastSquares if settings.least_squares == default.least_squares => {
+                Some(self.least_squares.clone())
+            }
+            _ => None,
+        }
+    }
+
+    /// Computes the reference results of a segment.
+    pub fn compute(segment: &Segment) -> Self {
+        let settings = IdentifyOptions::default();
+        let preprocessing = Preprocessing::new(segment);
+        let by = |method: Method| match &preprocessing {
+            Ok(preprocessing) => run_preprocessed(method, segment, preprocessing, &settings),
+            Err(e) => Err(e.clone().into()),
+        };
+        let least_squares = by(Method::LeastSquares);
+        let tones = match &least_squares {
+            Ok(least_squares) => interference::find_tones(segment, least_squares),
+            Err(_) => Vec::new(),
+        };
+        if tones.is_empty() {
+            return Self {
+                lockin: by(Method::Lockin),
+                least_squares,
+                cleaned: None,
+                remarks: Vec::new(),
+            };
+        }
+        let clean = interference::remove_tones(segment, &tones);
+        let cleaned = run(Method::LeastSquares, &clean, &settings).ok();
+        let both = least_squares.as_ref().ok().zip(cleaned.as_ref());
+        let remark =
+            both.and_then(|(with, without)| interference::remark(segment, &tones, with, without));
+        Self {
+            lockin: run(Method::Lockin, &clean, &settings),
+            least_squares,
+            cleaned,
+            remarks: remark.into_iter().collect(),
+        }
+    }
+}

@@ -1,0 +1,17 @@
+//! Inputs of all passes.
+
+use crate::Config;
+use crate::impedance_law::AtHarmonic;
+use crate::vi_system::DataSystem;
+use crate::waveform::NormalisedWaveform;
+
+/// Inputs that all passes share.
+pub(super) struct Inputs<'a> {
+    pub(super) samples: &'a NormalisedWaveform,
+    pub(super) config: &'a Config,
+    pub(super) system: &'a DataSystem,
+    /// Exponent n of the impedance law Z(s) = s L_0 + K s^n.
+    pub(super) order: f64,
+    /// Impedance law at each physics harmonic.
+    pub(super) laws: Vec<AtHarmonic>,
+}

@@ -1,0 +1,21 @@
+//! Figures as SVG: axes, curves that end where the frame does, envelopes, legends beside the curves.
+//!
+//! ```text
+//! shapes ◄─ clip, envelope, scale ◄─ legend, panel ◄─ two_axes
+//! ```
+
+pub mod clip;
+pub mod envelope;
+mod figure_error;
+pub mod legend;
+pub mod panel;
+pub mod scale;
+mod shapes;
+pub mod svg;
+pub mod two_axes;
+
+pub use figure_error::FigureError;
+pub use legend::Entry;
+pub use panel::{Panel, draw};
+pub use scale::Scale;
+pub use shapes::{Area, Axis, BLUE, Curve, DrawResult, GREY, Pen, RED, span};

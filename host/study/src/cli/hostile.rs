@@ -1,0 +1,104 @@
+//! `ihd-study hostile`.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use clap::Args;
+use ihd::ensure_usage;
+use serde::Serialize;
+
+use crate::document::write_into;
+use crate::hostile::table::{self, Sum};
+use crate::hostile::{Plan, Run, study};
+use ihd::cli::identify::MethodWord;
+use ihd::cli::output;
+
+/// Estimators of a run without `--method`.
+const DEFAULT: &str = "least-squares,pinn,lockin,firmware,kf";
+
+/// Try to fool the identification: sound and faulty captures, and whether what is wrong was said.
+///
+/// Every capture goes the way of `ihd identify`, without hints. Ends with 1 where a result is wrong without a word, or
+/// more than 2 % of the sound captures are refused.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd-study hostile --short\n  \
+    ihd-study hostile --only skew --method least-squares --seeds 1\n  \
+    ihd-study hostile --docs docs/accuracy.md")]
+pub struct HostileArgs {
+    /// Estimators, with commas between them, or all
+    #[arg(
+        long,
+        short,
+        alias = "methods",
+        value_name = "NAME,…",
+        value_delimiter = ',',
+        default_value = DEFAULT
+    )]
+    method: Vec<MethodWord>,
+    /// Seeds of the noise [default: 3, and 1 in the short form]
+    #[arg(long)]
+    seeds: Option<u64>,
+    /// Only captures whose name contains this
+    #[arg(long, value_name = "TEXT")]
+    only: Option<String>,
+    /// Some twenty captures
+    #[arg(long)]
+    short: bool,
+    /// Print the runs as JSON
+    #[arg(long)]
+    json: bool,
+    /// Write the tables into this document, between its marks
+    #[arg(long, value_name = "FILE")]
+    docs: Option<PathBuf>,
+}
+
+/// Results as JSON.
+#[derive(Serialize)]
+struct Answer<'a> {
+    sum: Sum,
+    met: bool,
+    runs: &'a [Run],
+}
+
+impl HostileArgs {
+    /// Runs the study.
+    pub fn run(&self) -> Result<()> {
+        let plan = Plan {
+            methods: MethodWord::chosen(&self.method),
+            seeds: self.seeds.unwrap_or(if self.short { 1 } else { 3 }),
+            only: self.only.clone(),
+            short: self.short,
+        };
+        ensure_usage!(plan.seeds > 0, "--seeds is 0: give one at least");
+        ensure_usage!(!plan.cases().is_empty(), "no capture has that in its name");
+        let bar = super::bar(plan.cases().len() as u64, "captures")?;
+        let runs = study(&plan, &|done, _| bar.set_position(done as u64))?;
+        bar.finish_and_clear();
+        let section = table::markdown(&runs, plan.seeds);
+        if let Some(path) = &self.docs {
+            write_into(path, (table::BEGIN, table::END), &section)?;
+        }
+        let sum = Sum::of(&runs);
+        if self.json {
+            output::json(&Answer {
+                sum,
+                met: sum.is_met(),
+                runs: &runs,
+            })?;
+        } else {
+            output::text(&section)?;
+        }
+        if sum.is_met() {
+            return Ok(());
+        }
+        bail!(
+            "goals missed: {} of {} results are wrong without a word (0), {:.1} % of the sound captures are refused (at \
+             most {} %)",
+            sum.silent,
+            sum.clean + sum.faulty,
+            sum.false_refusals_pct(),
+            table::FALSE_REFUSALS_PCT
+        )
+    }
+}

@@ -1,0 +1,273 @@
+//! The study as Markdown, for docs/accuracy.md, and its verdict.
+
+use std::collections::BTreeSet;
+use std::fmt::Write;
+
+use ihd_identify::Method;
+use serde::Serialize;
+
+use super::case::Group;
+use super::run::Run;
+use super::score::{Errors, Judgement, LIMIT_L_PCT, LIMIT_R_PCT};
+
+/// First line of the section in docs/accuracy.md.
+pub const BEGIN: &str = "<!-- ihd-study hostile: begin -->";
+
+/// Last line of the section.
+pub const END: &str = "<!-- ihd-study hostile: end -->";
+
+/// Largest share of false refusals, in percent.
+pub const FALSE_REFUSALS_PCT: f64 = 2.0;
+
+/// Sums of the study, of one method or all.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Sum {
+    /// Number of runs of clean captures.
+    pub clean: usize,
+    /// Number of clean runs refused although correct.
+    pub falsely_refused: usize,
+    /// Number of clean runs that were correct and passed with a warning.
+    pub warned: usize,
+    /// Number of runs of faulty captures.
+    pub faulty: usize,
+    /// Number of all runs that were wrong without a finding.
+    pub silent: usize,
+    /// Largest error over σ without a finding.
+    pub worst_per_sigma: Option<f64>,
+}
+
+impl Sum {
+    /// Sums some runs.
+    pub fn of<'a>(runs: impl IntoIterator<Item = &'a Run>) -> Self {
+        let mut sum = Self::default();
+        for run in runs {
+            let clean = run.group == Group::Clean;
+            sum.clean += usize::from(clean);
+            sum.faulty += usize::from(!clean);
+            sum.falsely_refused += usize::from(run.judged == Judgement::FalselyRefused);
+            sum.warned += usize::from(clean && run.judged == Judgement::Warned);
+            sum.silent += usize::from(run.judged == Judgement::Silent);
+            sum.worst_per_sigma = match (sum.worst_per_sigma, run.unsaid_per_sigma) {
+                (Some(a), Some(b)) => Some(a.max(b)),
+                (a, b) => a.or(b),
+            };
+        }
+        sum
+    }
+
+    /// False refusals among clean captures in percent.
+    pub fn false_refusals_pct(&self) -> f64 {
+        share_pct(self.falsely_refused, self.clean)
+    }
+
+    /// Returns `true` if the goals are met.
+    pub fn is_met(&self) -> bool {
+        self.silent == 0 && self.false_refusals_pct() <= FALSE_REFUSALS_PCT
+    }
+}
+
+fn share_pct(part: usize, whole: usize) -> f64 {
+    100.0 * part as f64 / whole.max(1) as f64
+}
+
+/// Section without its marks.
+pub fn markdown(runs: &[Run], seeds: u64) -> String {
+    let methods: Vec<Method> = (Method::ALL.into_iter())
+        .filter(|m| runs.iter().any(|r| r.method == *m))
+        .collect();
+    let mut out = String::new();
+    let _ = writeln!(
+        out,
+        "{} captures × {seeds} seeds of noise. A cell is the error of R/L in % over the middle 80 % of the worst half-cycle, \
+         then |error|/σ (rms, the larger of R and L), both the worst of all seeds, and what came of it: nothing right and passed, \
+         w right and warned, s wrong and said (warned or refused), c right but refused, of a faulty capture, **F** right but refused, \
+         of a clean one, **SILENT** wrong ({LIMIT_R_PCT} % of R, {LIMIT_L_PCT} % of L) without a word; – no estimate.\n",
+        cases(runs).len()
+    );
+    out.push_str(&sums(runs, &methods));
+    for (group, title) in [
+        (Group::Clean, "Nothing wrong"),
+        (Group::Faulty, "Something wrong"),
+    ] {
+        let own: Vec<&Run> = runs.iter().filter(|r| r.group == group).collect();
+        if !own.is_empty() {
+            let _ = writeln!(out, "\n### {title}\n");
+            out.push_str(&matrix(&own, &methods));
+        }
+    }
+    out
+}
+
+/// Names of the cases, in order.
+fn cases(runs: &[Run]) -> Vec<&str> {
+    let mut names: Vec<&str> = runs.iter().map(|r| r.case.as_str()).collect();
+    names.dedup();
+    names
+}
+
+/// One line per method, and one for all.
+fn sums(runs: &[Run], methods: &[Method]) -> String {
+    let mut out = String::from(
+        "| method | false refusals | warned of, clean and right | silent | worst error/σ without a word |\n\
+         |---|---:|---:|---:|---:|\n",
+    );
+    let mut line = |name: &str, sum: &Sum| {
+        let _ = writeln!(
+            out,
+            "| {name} | {} of {} ({:.1} %) | {} ({:.1} %) | {} of {} | {} |",
+            sum.falsely_refused,
+            sum.clean,
+            sum.false_refusals_pct(),
+            sum.warned,
+            share_pct(sum.warned, sum.clean),
+            sum.silent,
+            sum.clean + sum.faulty,
+            sum.worst_per_sigma.map_or("–".to_owned(), number),
+        );
+    };
+    for &method in methods {
+        line(
+            method.name(),
+            &Sum::of(runs.iter().filter(|r| r.method == method)),
+        );
+    }
+    line("all", &Sum::of(runs));
+    out
+}
+
+fn matrix(runs: &[&Run], methods: &[Method]) -> String {
+    let mut out = String::from("| capture |");
+    methods.iter().for_each(|m| {
+        let _ = write!(out, " {m} |");
+    });
+    out.push_str(" said |\n|---|");
+    out.push_str(&"---:|".repeat(methods.len()));
+    out.push_str("---|\n");
+    let mut names: Vec<&str> = runs.iter().map(|r| r.case.as_str()).collect();
+    names.dedup();
+    for name in names {
+        let own: Vec<&Run> = runs.iter().copied().filter(|r| r.case == name).collect();
+        let _ = write!(out, "| {name} |");
+        for method in methods {
+            let of_method: Vec<&Run> = own
+                .iter()
+                .copied()
+                .filter(|r| r.method == *method)
+                .collect();
+            let _ = write!(out, " {} |", cell(&of_method));
+        }
+        let said: BTreeSet<&str> = own
+            .iter()
+            .flat_map(|r| r.said.iter().map(String::as_str))
+            .collect();
+        let said: Vec<&str> = said.into_iter().collect();
+        let _ = writeln!(out, " {} |", said.join(", "));
+    }
+    out
+}
+
+/// All seeds of a method on a case.
+fn cell(runs: &[&Run]) -> String {
+    let errors = runs
+        .iter()
+        .filter_map(|r| r.errors)
+        .reduce(Errors::or_worse);
+    let mut text = match errors {
+        Some(e) => {
+            let per_sigma = e
+                .per_sigma
+                .map_or(String::new(), |x| format!(" {}σ", number(x)));
+            format!("{}/{}{per_sigma}", number(e.r_pct), number(e.l_pct))
+        }
+        None => "–".to_owned(),
+    };
+    if let Some(worst) = runs.iter().map(|r| r.judged).max() {
+        let count = runs.iter().filter(|r| r.judged == worst).count();
+        let mark = match worst {
+            Judgement::Right => return text,
+            Judgement::Warned => "w",
+            Judgement::Said => "s",
+            Judgement::Careful => "c",
+            Judgement::FalselyRefused => "**F**",
+            Judgement::Silent => "**SILENT**",
+        };
+        let _ = match count == runs.len() {
+            true => write!(text, " {mark}"),
+            false => write!(text, " {mark} {count}/{}", runs.len()),
+        };
+    }
+    text
+}
+
+/// Formats two significant digits.
+fn number(x: f64) -> String {
+    match x {
+        x if !x.is_finite() => "∞".to_owned(),
+        x if x >= 1e4 => "> 10⁴".to_owned(),
+        x if x >= 9.95 => format!("{x:.0}"),
+        x if x >= 0.995 => format!("{x:.1}"),
+        x => format!("{x:.2}").trim_start_matches('0').to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::document::replaced;
+
+    fn run(group: Group, seed: u64, r_pct: f64, judged: Judgement) -> Run {
+        Run {
+            case: "a".into(),
+            group,
+            seed,
+            method: Method::Lockin,
+            stretches: 1,
+            errors: Some(Errors {
+                r_pct,
+                l_pct: 0.1,
+                per_sigma: Some(2.0),
+            }),
+            refused: false,
+            said: vec!["skew".into()],
+            judged,
+            unsaid_per_sigma: None,
+            why: None,
+            elapsed_s: 0.0,
+        }
+    }
+
+    #[test]
+    fn the_goals_allow_two_percent_of_false_refusals_and_no_silent_error() {
+        let mut runs: Vec<_> = (0..50)
+            .map(|s| run(Group::Clean, s, 0.1, Judgement::Right))
+            .collect();
+        runs[0].judged = Judgement::FalselyRefused;
+        assert!(Sum::of(&runs).is_met(), "2 %");
+        runs[1].judged = Judgement::FalselyRefused;
+        assert!(!Sum::of(&runs).is_met(), "4 %");
+        let silent = [run(Group::Faulty, 1, 3.0, Judgement::Silent)];
+        assert_eq!(Sum::of(&silent).silent, 1);
+        assert!(!Sum::of(&silent).is_met());
+    }
+
+    #[test]
+    fn a_cell_shows_the_worst_seed_and_how_many_it_befell() {
+        let runs = [
+            run(Group::Faulty, 1, 0.5, Judgement::Right),
+            run(Group::Faulty, 2, 2.0, Judgement::Silent),
+        ];
+        let text = markdown(&runs, 2);
+        assert!(
+            text.contains("| a | 2.0/.10 2.0σ **SILENT** 1/2 | skew |"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn a_section_is_replaced_and_the_rest_kept() {
+        let document = format!("a\n{BEGIN}\nold\n{END}\nb\n");
+        let new = replaced(&document, (BEGIN, END), "new\n").unwrap();
+        assert_eq!(new, format!("a\n{BEGIN}\nnew\n{END}\nb\n"));
+        assert_eq!(replaced("nothing", (BEGIN, END), "new"), None);
+    }
+}

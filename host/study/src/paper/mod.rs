@@ -1,0 +1,278 @@
+//! Study of the paper's Tables 1 to 3 with this project's PINN presets, least squares, EKF and lock-in. Every cell is stored in a
+//! file, so that an interrupted study can be continued.
+
+mod cell;
+mod comparison;
+mod figure;
+mod job;
+mod lowpass;
+mod nmse;
+pub mod published;
+pub mod report;
+mod waveforms;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use ihd_identify::IdentifyError;
+use ihd_pinn::{Config, PinnError, PresetLibrary};
+use ihd_signal::truth::Mre;
+use ihd_signal::truth::PeriodTruth;
+use ihd_sim::inverter::InverterError;
+use ihd_sim::recording::settings::LoadKind;
+use ihd_sim::trial::Trial;
+use serde::{Deserialize, Serialize};
+
+pub use self::job::{Contender, Job};
+use ihd_plot::FigureError;
+
+/// One entry of a loss curve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LossAt {
+    /// Step or epoch.
+    pub step: usize,
+    /// Physics term, the paper's eq. (4).
+    pub l_f: f64,
+    /// Data terms, the paper's eqs. (5) and (6), together.
+    pub l_i: f64,
+}
+
+/// Errors in percent.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Errors {
+    /// Mean relative error of R in percent.
+    pub r_pct: f64,
+    /// Mean relative error of L in percent.
+    pub l_pct: f64,
+}
+
+impl From<Mre> for Errors {
+    fn from(mre: Mre) -> Self {
+        Self {
+            r_pct: mre.r_pct,
+            l_pct: mre.l_pct,
+        }
+    }
+}
+
+/// Result of a cell.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Cell {
+    /// Job.
+    pub job: Job,
+    /// Settings of a preset from a folder, whose file may change between two runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub settings: Option<Config>,
+    /// Errors over the last mains half-cycle.
+    pub whole: Errors,
+    /// Errors over its middle 80 %.
+    pub middle: Errors,
+    /// Errors on the field model over the whole half-cycle against the describing function, which holds for a sinusoidal current.
+    #[serde(default)]
+    pub describing: Option<Errors>,
+    /// Order of the impedance law that the network was given or has found.
+    #[serde(default)]
+    pub impedance_order: Option<f64>,
+    /// NMSE of v and i against the waveforms without noise in percent, if it reconstructs them.
+    pub nmse_pct: Option<(f64, f64)>,
+    /// NMSE against these waveforms after the paper's low-pass: its Table 3.
+    #[serde(default)]
+    pub nmse_filtered_pct: Option<(f64, f64)>,
+    /// NMSE with the reconstruction after the low-pass, too.
+    #[serde(default)]
+    pub nmse_both_filtered_pct: Option<(f64, f64)>,
+    /// NMSE of the waveforms without noise themselves by the definition of Table 3: the harmonics that the low-pass removes from
+    /// the reference.
+    #[serde(default)]
+    pub nmse_unfiltered_itself_pct: Option<(f64, f64)>,
+    /// P/I_rms² against the waveform's own, mean weighted with I², in percent; PINN only.
+    pub power_r_pct: Option<f64>,
+    /// P/I_rms² against R of the describing function, on the field model, in percent.
+    #[serde(default)]
+    pub power_describing_pct: Option<f64>,
+    /// Wall-clock time in seconds.
+    pub elapsed_s: f64,
+    /// Steps or epochs; 0 for estimators that do not iterate.
+    pub steps: usize,
+    /// Reason of the stop.
+    pub stopped: String,
+    /// (time in seconds, R in ohm, L in henry) of the estimate.
+    #[serde(rename = "track")]
+    pub trajectory: Vec<(f64, f64, f64)>,
+    /// Trajectory of the truth.
+    pub truth: Vec<(f64, f64, f64)>,
+    /// Contribution of the noise of single samples to the data terms, normalised like them; `None` without noise.
+    #[serde(default)]
+    pub noise_in_samples: Option<f64>,
+    /// Loss curve.
+    pub losses: Vec<LossAt>,
+}
+
+/// Error of the study.
+#[derive(Debug, thiserror::Error)]
+pub enum PaperStudyError {
+    /// The simulator reported an error.
+    #[error(transparent)]
+    Simulation(#[from] InverterError),
+    /// An estimator reported an error.
+    #[error("{cell}: {source}")]
+    Identify {
+        /// Name of the cell.
+        cell: String,
+        /// Error.
+        source: IdentifyError,
+    },
+    /// The network reported an error.
+    #[error("{cell}: {source}")]
+    Pinn {
+        /// Name of the cell.
+        cell: String,
+        /// Error.
+        source: PinnError,
+    },
+    /// An estimate has no time in common with the truth.
+    #[error("{0}: no estimate within the last mains half-cycle")]
+    Nothing(String),
+    /// A file of the study cannot be read or written.
+    #[error("{path}: {why}; remove it, or choose another --out")]
+    File {
+        /// Path of the file.
+        path: String,
+        /// Reason.
+        why: String,
+    },
+    /// A figure cannot be drawn.
+    #[error(transparent)]
+    Figure(#[from] FigureError),
+}
+
+/// Operating point, which is simulated once.
+struct Point {
+    trial: Trial,
+    /// Voltage in volt and current in ampere without noise, after the paper's low-pass.
+    filtered: (Vec<f64>, Vec<f64>),
+    describing: Option<Vec<PeriodTruth>>,
+}
+
+impl Point {
+    fn simulate(job: &Job) -> Result<Self, InverterError> {
+        let trial = Trial::simulate(job.load, job.f_sw_hz)?;
+        let describing = match job.load {
+            LoadKind::Field => Some(trial.describing()?),
+            LoadKind::Behavioural | LoadKind::Surrogate => None,
+        };
+        let filtered = |x: &[f64]| lowpass::zero_phase(x, trial.clean.dt_s);
+        Ok(Self {
+            filtered: (filtered(&trial.clean.v_v), filtered(&trial.clean.i_a)),
+            trial,
+            describing,
+        })
+    }
+}
+
+/// Runs the jobs in order; a cell with a file in `folder` is read instead. `progress` is called with the number of finished cells
+/// and the network's reports.
+///
+/// # Errors
+/// [`PaperStudyError`].
+pub fn study(
+    jobs: &[Job],
+    presets: &PresetLibrary,
+    folder: &Path,
+    progress: &mut dyn FnMut(usize, &str),
+) -> Result<Vec<Cell>, PaperStudyError> {
+    let mut cells = Vec::with_capacity(jobs.len());
+    let mut simulated: Option<(LoadKind, f64, Point)> = None;
+    for job in jobs {
+        let stem = job.file_stem();
+        let path = folder.join(format!("{stem}.json"));
+        let done = cells.len();
+        progress(done, &stem);
+        let settings = folder_settings(job, presets);
+        if let Some(cell) = stored_cell(&path)? {
+            if cell.settings != settings {
+                return Err(broken(&path, &"is of other settings of this preset"));
+            }
+            cells.push(cell);
+            continue;
+        }
+        let point = match simulated.take() {
+            Some((load, f, point)) if (load, f) == (job.load, job.f_sw_hz) => point,
+            _ => Point::simulate(job)?,
+        };
+        let checkpoint = folder.join(format!("{stem}.bpk"));
+        let cell = cell::run(job, presets, &point, &checkpoint, &mut |text| {
+            progress(done, &format!("{stem}: {text}"));
+        })?;
+        write(
+            &path,
+            &serde_json::to_vec(&cell).map_err(|e| broken(&path, &e))?,
+        )?;
+        // The file of the cell holds everything from here on.
+        if checkpoint.exists() {
+            fs::remove_file(&checkpoint).map_err(|e| broken(&checkpoint, &e))?;
+        }
+        cells.push(cell);
+        simulated = Some((job.load, job.f_sw_hz, point));
+    }
+    Ok(cells)
+}
+
+/// Writes report.md, cells.json and the figures into `folder`; returns the report's path. `presets` has their descriptions.
+///
+/// # Errors
+/// [`PaperStudyError`].
+pub fn publish(
+    cells: &[Cell],
+    presets: &PresetLibrary,
+    folder: &Path,
+) -> Result<PathBuf, PaperStudyError> {
+    let json = folder.join("cells.json");
+    let text = serde_json::to_vec_pretty(cells).map_err(|e| broken(&json, &e))?;
+    write(&json, &text)?;
+    let figures = figure::all(cells, folder)?;
+    let path = folder.join("report.md");
+    write(&path, report::markdown(cells, presets, &figures).as_bytes())?;
+    Ok(path)
+}
+
+/// Settings of the job's preset from a folder; `None` if it is built in.
+fn folder_settings(job: &Job, presets: &PresetLibrary) -> Option<Config> {
+    let Contender::Pinn(name) = &job.contender else {
+        return None;
+    };
+    let from_folder = presets.folder_names().any(|own| own == name);
+    let preset = presets.get(name).ok().filter(|_| from_folder);
+    preset.map(|preset| preset.config)
+}
+
+fn stored_cell(path: &Path) -> Result<Option<Cell>, PaperStudyError> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let bytes = fs::read(path).map_err(|e| broken(path, &e))?;
+    let cell = serde_json::from_slice(&bytes).map_err(|e| broken(path, &e))?;
+    Ok(Some(cell))
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), PaperStudyError> {
+    fs::write(path, bytes).map_err(|e| broken(path, &e))
+}
+
+fn broken(path: &Path, why: &dyn std::fmt::Display) -> PaperStudyError {
+    PaperStudyError::File {
+        path: path.display().to_string(),
+        why: why.to_string(),
+    }
+}
+
+/// Distinct values of a quantity in the cells, in their order.
+fn distinct<T: PartialEq>(cells: &[&Cell], of: impl Fn(&Cell) -> T) -> Vec<T> {
+    let mut values = Vec::new();
+    for value in cells.iter().map(|c| of(c)) {
+        if !values.contains(&value) {
+            values.push(value);
+        }
+    }
+    values
+}

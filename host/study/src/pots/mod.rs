@@ -1,0 +1,288 @@
+//! Study of a pot library's benefit: one hob knows a pot, another gets it for the first time, with its own lift, winding, gain and
+//! noise. It runs with and without the first hob's knowledge, and with a wrong library.
+
+pub mod hobs;
+pub mod lie;
+pub mod table;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use ihd_map::{Library, PotEntry, PotMap};
+use ihd_pinn::PinnError;
+use ihd_sim::inverter::InverterError;
+use ihd_sim::perturbation::Perturbation;
+use ihd_sim::recording::settings::LoadKind;
+use ihd_train::lookup::{BuiltLookup, LookupAccuracy, judge_cells};
+use serde::Serialize;
+
+use self::hobs::{SecondHob, entry};
+use super::map::places::Placed;
+use super::parallel::{WorkerLost, in_parallel};
+
+/// Plan of the study.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// Pots in their places on the second hob; the first one knows them centred, cold and at their usual height.
+    pub pots: Vec<Placed>,
+    /// Departures of the pots from the standard model; `None` for the standard one.
+    pub perturbations: Vec<Option<Perturbation>>,
+    /// Other pots that the first hob knows.
+    pub others: Vec<Placed>,
+    /// Load model.
+    pub load: LoadKind,
+    /// Seeds of the noise; at least one.
+    pub seeds: u64,
+}
+
+/// Contents of the second hob's library.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LibraryContents {
+    /// Empty.
+    Nothing,
+    /// The pot alone.
+    Same,
+    /// The pot among all others.
+    Among,
+    /// The others only.
+    Others,
+    /// An entry that fits the first window and is a little wrong everywhere else.
+    NearMiss,
+    /// An entry that fits the first window and is very wrong elsewhere.
+    Lie,
+}
+
+impl LibraryContents {
+    /// All contents.
+    pub const ALL: [Self; 6] = [
+        Self::Nothing,
+        Self::Same,
+        Self::Among,
+        Self::Others,
+        Self::NearMiss,
+        Self::Lie,
+    ];
+}
+
+/// Lookup after a number of windows.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TaughtLookup {
+    /// Number of windows.
+    pub windows: u32,
+    /// Errors; `None` if no device would accept it.
+    pub error: Option<LookupAccuracy>,
+    /// Share of the reached cells that are marked as known.
+    pub known: f64,
+    /// Largest error of R and of L in marked cells, in percent.
+    pub worst_known_pct: [f64; 2],
+    /// Weight of the library in the map's hypotheses.
+    pub recognised: f64,
+}
+
+/// One pot, one departure, one library, one seed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Run {
+    /// Name of the pot and its place on the second hob.
+    pub pot: String,
+    /// Departure from the standard model.
+    pub perturbation: Option<Perturbation>,
+    /// Contents of the library.
+    pub library: LibraryContents,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// Number of cells that the hob reaches.
+    pub reached: usize,
+    /// `true` if the first hob had an entry for this pot.
+    pub told: bool,
+    /// Lookups after each window.
+    pub after: Vec<TaughtLookup>,
+}
+
+/// Error of the study.
+#[derive(Debug, thiserror::Error)]
+pub enum PotsStudyError {
+    /// The simulator reported an error for a pot.
+    #[error("{pot}: {source}")]
+    Simulation {
+        /// Name of the pot.
+        pot: String,
+        /// Error.
+        source: InverterError,
+    },
+    /// The network could not be trained on a window.
+    #[error("{pot}: {source}")]
+    Network {
+        /// Name of the pot.
+        pot: String,
+        /// Error.
+        source: PinnError,
+    },
+    /// A worker ended without its results.
+    #[error(transparent)]
+    Workers(#[from] WorkerLost),
+}
+
+/// Error of studying one pot.
+#[derive(Debug, thiserror::Error)]
+pub enum PotError {
+    /// The simulator reported an error.
+    #[error(transparent)]
+    Simulation(#[from] InverterError),
+    /// The network could not be trained on a window.
+    #[error(transparent)]
+    Network(#[from] PinnError),
+}
+
+impl PotError {
+    fn of(self, pot: &str) -> PotsStudyError {
+        let pot = pot.to_owned();
+        match self {
+            Self::Simulation(source) => PotsStudyError::Simulation { pot, source },
+            Self::Network(source) => PotsStudyError::Network { pot, source },
+        }
+    }
+}
+
+/// Runs the plan on all cores; the result does not depend on their number. `progress` is called with the numbers of finished and of
+/// all pots. Runs are ordered by pot, departure, seed and library.
+///
+/// # Errors
+/// [`PotsStudyError`].
+pub fn study(
+    plan: &Plan,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<Vec<Run>, PotsStudyError> {
+    let jobs: Vec<_> = plan
+        .pots
+        .iter()
+        .flat_map(|pot| plan.perturbations.iter().map(move |p| (pot, *p)))
+        .collect();
+    let total = plan.others.len() + jobs.len();
+    let done = AtomicUsize::new(0);
+    let finished = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+    let found = in_parallel(&plan.others, |other| {
+        let entry = entry(plan.load, &other.pot, &other.name, OTHERS_SEED);
+        finished();
+        entry
+    })?;
+    let mut others = Vec::new();
+    for (other, entry) in plan.others.iter().zip(found) {
+        let entry = entry.map_err(|why| why.of(&other.name))?;
+        others.extend(entry.map(|e| (other, e)));
+    }
+    let results = in_parallel(&jobs, |(pot, perturbation)| {
+        let runs = runs(plan, pot, *perturbation, &others);
+        finished();
+        runs
+    })?;
+    let mut runs = Vec::new();
+    for ((pot, _), result) in jobs.iter().zip(results) {
+        runs.extend(result.map_err(|why| why.of(&pot.name))?);
+    }
+    Ok(runs)
+}
+
+/// Seed of the noise with which the first hob learned the others.
+const OTHERS_SEED: u64 = 99;
+
+fn runs(
+    plan: &Plan,
+    placed: &Placed,
+    perturbation: Option<Perturbation>,
+    others: &[(&Placed, PotEntry)],
+) -> Result<Vec<Run>, PotError> {
+    let hob = SecondHob::new(plan.load, placed, perturbation)?;
+    let mut runs = Vec::new();
+    for seed in 1..=plan.seeds {
+        let known = ihd_sim::pot::Pot {
+            perturbation,
+            ..hobs::at_home(&placed.pot)
+        };
+        let same = match hob.is_heated() {
+            true => entry(plan.load, &known, "the-pot", seed)?,
+            false => None,
+        };
+        // The same metal and size count as the same pot.
+        let is_other =
+            |other: &Placed| perturbation.is_some() || !hobs::is_same(&other.pot, &known);
+        let strangers: Vec<_> = others
+            .iter()
+            .filter(|(other, _)| is_other(other))
+            .map(|(_, e)| e.clone())
+            .collect();
+        let curves = hob.curves(seed)?;
+        for library in LibraryContents::ALL {
+            let first_hz = curves.first().map_or(0.0, |c| c.f_sw_hz);
+            let lies = |by| {
+                let forged = same
+                    .iter()
+                    .filter_map(|e| lie::forged_entry(e, first_hz, by));
+                forged.collect::<Vec<_>>()
+            };
+            let entries = match library {
+                LibraryContents::Nothing => Vec::new(),
+                LibraryContents::Same => same.iter().cloned().collect(),
+                LibraryContents::Among => same.iter().chain(&strangers).cloned().collect(),
+                LibraryContents::Others => strangers.clone(),
+                LibraryContents::NearMiss => lies(lie::SMALL),
+                LibraryContents::Lie => lies(lie::LARGE),
+            };
+            let mut shelf = Library::default();
+            for entry in entries {
+                // A rejected entry is missing in the library; the runs show the effect.
+                let _refused = shelf.add(entry).is_err();
+            }
+            let mut map = PotMap::default().with_library(Arc::new(shelf));
+            let after = curves.iter().map(|curve| {
+                map.observe(curve.clone());
+                map.refresh(curve.t_s);
+                hob.judge(&map, curve.t_s)
+            });
+            runs.push(Run {
+                pot: placed.name.clone(),
+                perturbation,
+                library,
+                seed,
+                reached: hob.truth().reached(),
+                told: same.is_some(),
+                after: after.collect(),
+            });
+        }
+    }
+    Ok(runs)
+}
+
+impl SecondHob {
+    /// Compares the lookup of a map with the truth.
+    fn judge(&self, map: &PotMap, now_s: f64) -> TaughtLookup {
+        let windows = map.curves().iter().map(|c| c.windows).sum();
+        let recognised = map.recognised().map(|(_, share)| share).sum();
+        let nothing = TaughtLookup {
+            windows,
+            error: None,
+            known: 0.0,
+            worst_known_pct: [0.0; 2],
+            recognised,
+        };
+        let built = map
+            .cells(now_s)
+            .map(|cells| BuiltLookup::from_cells(cells, 1));
+        let Some(Ok(built)) = built else {
+            return nothing;
+        };
+        let cells = judge_cells(&built, self.truth());
+        let known = cells
+            .iter()
+            .filter(|c| built.lookup.is_observed(c.frequency, c.current));
+        let worst = |pct: [f64; 2], c: &ihd_train::lookup::JudgedCell| {
+            [pct[0].max(c.r_pct.abs()), pct[1].max(c.l_pct.abs())]
+        };
+        TaughtLookup {
+            error: Some(LookupAccuracy::of(&cells)),
+            known: known.clone().count() as f64 / cells.len().max(1) as f64,
+            worst_known_pct: known.fold([0.0; 2], worst),
+            ..nothing
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! One complete boil with the firmware itself, its control, filter and link, as a check of the simulation by tables.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use ihd_link::{Client, Event};
+use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::recording::settings::LoadKind;
+use ihd_sim::transport::SharedHob;
+use ihd_thermal::{HalfCycle, PotEvent, Thermometer};
+use serde::Serialize;
+
+/// Time evaluated after the boil, in seconds.
+const AFTER_S: f64 = 40.0;
+
+/// Limit of a run in seconds.
+const LONGEST_S: f64 = 600.0;
+
+/// Result of the run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Outcome {
+    /// Length in seconds of the hob.
+    pub duration_s: f64,
+    /// ΔT in K rms.
+    pub rms_k: f64,
+    /// Largest true rise in K.
+    pub largest_k: f64,
+    /// Time at which all of the water boiled, in seconds.
+    pub boils_s: Option<f64>,
+    /// Time at which the boil was reported, in seconds.
+    pub boils_said_s: Option<f64>,
+    /// Time at which bubbles carried half of the heat, in seconds.
+    pub bubbles_s: Option<f64>,
+    /// Time at which bubbles were reported, in seconds.
+    pub bubbles_said_s: Option<f64>,
+    /// Number of reported moves; there was none.
+    pub moves: u32,
+}
+
+/// Runs 0.3 litre in a ferritic pot of 15 cm at 1000 W, from tables of the field; some minutes. `progress` is called with the hob's
+/// seconds.
+///
+/// # Errors
+/// If the hob does not answer.
+pub fn run(progress: &dyn Fn(f64)) -> Result<Outcome> {
+    let hob = SharedHob::new(SimHob::new(&HobConfig {
+        load: LoadKind::Surrogate,
+        pot: "ferritic-15".parse()?,
+        warming: true,
+        contents: "water-0.3".parse()?,
+        ..HobConfig::default()
+    }));
+    let mut client = Client::connect(Box::new(hob.clone()))?;
+    client.stream(1, 0)?;
+    client.set_power(1000)?;
+    let mut thermometer = Thermometer::default();
+    let mut out = Outcome::default();
+    let (mut squares, mut looks) = (0.0, 0u32);
+    loop {
+        let event = client.next_event(Duration::from_secs(5))?;
+        let Event::Telemetry(t) = event.context("the hob is silent")? else {
+            continue;
+        };
+        // The device switches off ten seconds after the host's last message.
+        if t.half_cycle.is_multiple_of(300) {
+            client.status()?;
+        }
+        thermometer.push(&HalfCycle::from_telemetry(
+            &t,
+            f64::from(t.half_cycle) * 0.01,
+        ));
+        let (t_s, truth) = {
+            let sim = hob.lock();
+            (sim.t_s(), sim.thermal().copied())
+        };
+        let Some(truth) = truth else {
+            bail!("the simulated pot does not warm up");
+        };
+        if truth.bubble_share() > 0.5 {
+            out.bubbles_s.get_or_insert(t_s);
+        }
+        if truth.is_boiling() {
+            out.boils_s.get_or_insert(t_s);
+        }
+        for event in thermometer.take_events() {
+            match event {
+                PotEvent::Bubbles => drop(out.bubbles_said_s.get_or_insert(t_s)),
+                PotEvent::Boils { .. } => drop(out.boils_said_s.get_or_insert(t_s)),
+                PotEvent::Moved { .. } => out.moves += 1,
+                PotEvent::Placed { .. } | PotEvent::Overheats { .. } => {}
+            }
+        }
+        if let Some(found) = thermometer.reading() {
+            let rise_k = truth.temperature_c() - 20.0;
+            squares += (found.rise_k - rise_k) * (found.rise_k - rise_k);
+            looks += 1;
+            out.largest_k = out.largest_k.max(rise_k);
+        }
+        out.duration_s = t_s;
+        progress(t_s);
+        if t_s > LONGEST_S || out.boils_s.is_some_and(|boils_s| t_s > boils_s + AFTER_S) {
+            break;
+        }
+    }
+    out.rms_k = (squares / f64::from(looks.max(1))).sqrt();
+    Ok(out)
+}
+
+impl Outcome {
+    /// Text for the document.
+    pub fn text(&self) -> String {
+        let of = |x: Option<f64>| x.map_or("never".to_owned(), |x| format!("{x:.0} s"));
+        format!(
+            "With the firmware itself (0.3 l, ferritic-15, 1000 W, {:.0} s): ΔT {:.1} K rms up to {:.0} K; plateau at {}, said at {}; boil at {}, \
+             said at {}; moves told: {}.\n",
+            self.duration_s,
+            self.rms_k,
+            self.largest_k,
+            of(self.bubbles_s),
+            of(self.bubbles_said_s),
+            of(self.boils_s),
+            of(self.boils_said_s),
+            self.moves,
+        )
+    }
+}

@@ -1,0 +1,145 @@
+//! One run: the pot on the hob, and the temperature estimator.
+
+use ihd_sim::cooking::{Cooking, CookingReport};
+use ihd_sim::inverter::InverterError;
+use ihd_thermal::{HalfCycle, PotEvent, Reading, Thermometer};
+
+use super::{Job, Kind, Run};
+
+/// Time after a move in seconds within which it must be reported.
+const MOVE_TOLD_S: f64 = 3.0;
+
+/// Range of the base's temperature in °C in which errors count.
+const RANGE_C: (f64, f64) = (10.0, 150.0);
+
+/// Truth and estimate, once a second.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Time in seconds.
+    pub t_s: f64,
+    /// True rise of the base in kelvin.
+    pub rise_k: f64,
+    /// Estimate.
+    pub found: Reading,
+}
+
+fn half_cycle(c: &CookingReport) -> HalfCycle {
+    HalfCycle {
+        t_s: c.t_s,
+        f_hz: c.f_hz,
+        i_a: c.i_a,
+        r_ohm: c.r_ohm,
+        l_h: c.l_h,
+        power_w: c.power_w,
+        heats: c.f_hz > 0.0,
+    }
+}
+
+/// Power requested by the cook, in watt.
+fn asked_w(job: &Job, t_s: f64, base_c: f64) -> f64 {
+    let p = job.power_w;
+    match job.kind {
+        Kind::Boil | Kind::FoodToRest => p,
+        // Once, to between 60 and 100 %.
+        Kind::BoilInSteps if t_s > 0.25 * job.duration_s => {
+            p * (0.6 + 0.4 * super::share(job.seed, 20))
+        }
+        Kind::BoilInSteps => p,
+        Kind::OilSwitched if base_c > 160.0 => 0.0,
+        Kind::OilSwitched => p,
+        Kind::OilHeld => (p - 12.0 * (base_c - 120.0).max(0.0)).max(100.0),
+        Kind::EmptyHeld => (p - 12.0 * (base_c - 100.0).max(0.0)).max(80.0),
+        Kind::Simmer if t_s > 120.0 => 150.0,
+        Kind::Simmer => p,
+        Kind::Restless => [800.0, p.max(1100.0)][(t_s / 20.0) as usize % 2],
+    }
+}
+
+/// Simulates the cooking; `each` is called with a sample every second.
+///
+/// # Errors
+/// If there is no model of the pot.
+pub fn cook(job: &Job, mut each: impl FnMut(Sample)) -> Result<Run, InverterError> {
+    let mut cooking = Cooking::new(job.pot, job.contents, job.deviation, job.seed)?;
+    let mut thermometer = Thermometer::default();
+    let start_c = job.pot.temperature_c;
+    let moved_mm = job
+        .moved
+        .map_or(0.0, |(_, to_m)| 1e3 * (to_m - job.pot.lift_m));
+    let mut run = Run {
+        seed: job.seed,
+        kind: job.kind,
+        pot: job.pot.to_string(),
+        contents: job.contents.to_string(),
+        power_w: job.power_w,
+        squares_k2: 0.0,
+        looks: 0,
+        z_squares: 0.0,
+        worst_k: 0.0,
+        bubbles_s: None,
+        bubbles_said_s: None,
+        boils_s: None,
+        boils_said_s: None,
+        moved_mm,
+        moves_told: 0,
+        moves_wrong: 0,
+        overheats_said: false,
+        hottest_c: start_c,
+    };
+    let (mut move_due, mut look_s) = (job.moved, 0.0);
+    while cooking.t_s() < job.duration_s {
+        let (t_s, base_c) = (cooking.t_s(), cooking.thermal().temperature_c());
+        if let Some((_, to_m)) = move_due.filter(|(at_s, _)| t_s >= *at_s) {
+            cooking.set_lift(to_m);
+            move_due = None;
+        }
+        cooking.set_power(asked_w(job, t_s, base_c));
+        let cooked = cooking.half_cycle();
+        thermometer.push(&half_cycle(&cooked));
+        let thermal = cooking.thermal();
+        if thermal.bubble_share() > 0.5 {
+            run.bubbles_s.get_or_insert(t_s);
+        }
+        if thermal.is_boiling() {
+            run.boils_s.get_or_insert(t_s);
+        }
+        run.hottest_c = run.hottest_c.max(base_c);
+        for event in thermometer.take_events() {
+            hear(&mut run, job, t_s, event);
+        }
+        let Some(found) = thermometer.reading().filter(|_| t_s >= look_s) else {
+            continue;
+        };
+        look_s = t_s + 1.0;
+        let rise_k = base_c - start_c;
+        if (RANGE_C.0..=RANGE_C.1).contains(&base_c) {
+            let off_k = found.rise_k - rise_k;
+            run.squares_k2 += off_k * off_k;
+            run.z_squares += (off_k / found.sigma_k).powi(2);
+            run.worst_k = run.worst_k.max(off_k.abs());
+            run.looks += 1;
+        }
+        each(Sample { t_s, rise_k, found });
+    }
+    Ok(run)
+}
+
+fn hear(run: &mut Run, job: &Job, t_s: f64, event: PotEvent) {
+    match event {
+        PotEvent::Placed { .. } => {}
+        PotEvent::Moved { .. } => {
+            let is_due = |(at_s, _): (f64, f64)| (at_s..at_s + MOVE_TOLD_S).contains(&t_s);
+            match job.moved.is_some_and(is_due) {
+                true => run.moves_told += 1,
+                false => run.moves_wrong += 1,
+            }
+        }
+        PotEvent::Bubbles => {
+            run.bubbles_said_s.get_or_insert(t_s);
+        }
+        PotEvent::Boils { .. } => {
+            run.boils_said_s.get_or_insert(t_s);
+        }
+        PotEvent::Overheats { .. } => run.overheats_said = true,
+    }
+}

@@ -1,0 +1,259 @@
+//! Study of the estimation of a pot's temperature: cooking from tables of the field, with pots, alloys and bias unknown to the
+//! estimator; and of false reports of a boil.
+
+pub mod closed_loop;
+pub mod figure;
+mod kitchen;
+pub mod table;
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use ihd_sim::contents::Contents;
+use ihd_sim::cooking::Deviation;
+use ihd_sim::inverter::InverterError;
+use ihd_sim::pot::{Metal, Pot};
+use serde::Serialize;
+
+use super::parallel::{WorkerLost, in_parallel};
+pub use kitchen::{Sample, cook};
+
+/// Pots of the study: metal, diameter in metre, and the largest power, in watt.
+const POTS: [(Metal, f64, f64); 4] = [
+    (Metal::Ferritic, 0.15, 1200.0),
+    (Metal::Ferritic, 0.18, 1800.0),
+    (Metal::Ferritic, 0.21, 2200.0),
+    (Metal::CastIron, 0.21, 2200.0),
+];
+
+/// Range of a pot's lift when it is put on or moved, in metre.
+const LIFT_M: f64 = 1e-3;
+
+/// Kind of cooking.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// Water at one power, until it has boiled for some minutes.
+    Boil,
+    /// Water at a power that the cook changes once.
+    BoilInSteps,
+    /// Oil held at 160 °C by switching off and on.
+    OilSwitched,
+    /// Oil held at 160 °C by less power.
+    OilHeld,
+    /// An empty pot held at 150 °C by less power.
+    EmptyHeld,
+    /// Food that comes to rest at one power.
+    FoodToRest,
+    /// Water that simmers below its boiling point.
+    Simmer,
+    /// Water with a power that changes every 20 s, moved once, taken off before it boils.
+    Restless,
+}
+
+impl Kind {
+    /// Kinds that boil.
+    pub const BOILS: [Self; 2] = [Self::Boil, Self::BoilInSteps];
+
+    /// Kinds that never boil.
+    pub const QUIET: [Self; 6] = [
+        Self::OilSwitched,
+        Self::OilHeld,
+        Self::EmptyHeld,
+        Self::FoodToRest,
+        Self::Simmer,
+        Self::Restless,
+    ];
+
+    /// Name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Boil => "water",
+            Self::BoilInSteps => "water, power changed",
+            Self::OilSwitched => "oil, switched at 160 °C",
+            Self::OilHeld => "oil, held near 160 °C",
+            Self::EmptyHeld => "empty pot, held near 150 °C",
+            Self::FoodToRest => "food, comes to rest",
+            Self::Simmer => "water, simmers",
+            Self::Restless => "water, power every 20 s, moved",
+        }
+    }
+}
+
+/// Plan of the study.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plan {
+    /// Number of runs that boil, and as many that do not.
+    pub runs: u64,
+    /// First seed.
+    pub seed: u64,
+    /// Largest deviation of an alloy's heat coefficients from those of its class, as a share.
+    pub alloy: f64,
+}
+
+/// Specification of a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Job {
+    /// Seed.
+    pub seed: u64,
+    /// Kind.
+    pub kind: Kind,
+    /// Pot with its lift and its temperature.
+    pub pot: Pot,
+    /// Contents of the pot.
+    pub contents: Contents,
+    /// Deviation of the pot from the physical prediction.
+    pub deviation: Deviation,
+    /// Power in watt.
+    pub power_w: f64,
+    /// Length in seconds.
+    pub duration_s: f64,
+    /// Time of its move in seconds, and the new lift in metre; `None` if it is not moved.
+    pub moved: Option<(f64, f64)>,
+}
+
+/// Result of a run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Run {
+    /// Seed.
+    pub seed: u64,
+    /// Kind.
+    pub kind: Kind,
+    /// Name of the pot.
+    pub pot: String,
+    /// Contents of the pot.
+    pub contents: String,
+    /// Power in watt.
+    pub power_w: f64,
+    /// Σ of ΔT's squared errors in K², one a second, with the base from 20 to 150 °C.
+    pub squares_k2: f64,
+    /// Number of these errors.
+    pub looks: u32,
+    /// Σ of squared errors over the stated variance.
+    pub z_squares: f64,
+    /// Largest error in K.
+    pub worst_k: f64,
+    /// True time at which bubbles carried half of the heat, in seconds.
+    pub bubbles_s: Option<f64>,
+    /// Time at which bubbles were reported, in seconds.
+    pub bubbles_said_s: Option<f64>,
+    /// True time at which all of the water boiled, in seconds.
+    pub boils_s: Option<f64>,
+    /// Time at which the boil was reported, in seconds.
+    pub boils_said_s: Option<f64>,
+    /// Distance of the pot's move in mm; 0 without a move.
+    pub moved_mm: f64,
+    /// Number of moves reported within 3 s.
+    pub moves_told: u32,
+    /// Number of reported moves that did not happen.
+    pub moves_wrong: u32,
+    /// `true` if overheating was reported.
+    pub overheats_said: bool,
+    /// Highest true temperature of the base in °C.
+    pub hottest_c: f64,
+}
+
+/// Error of the study.
+#[derive(Debug, thiserror::Error)]
+pub enum StudyError {
+    /// The simulator reported an error.
+    #[error(transparent)]
+    Simulation(#[from] InverterError),
+    /// A worker ended without its results.
+    #[error(transparent)]
+    Workers(#[from] WorkerLost),
+}
+
+/// Number from 0 to 1 for a seed and a purpose, the same on every machine.
+fn share(seed: u64, purpose: u64) -> f64 {
+    let mut x = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15)
+        ^ purpose.wrapping_add(1).wrapping_mul(0xD1B5_4A32_D192_ED03);
+    for _ in 0..3 {
+        x ^= x >> 30;
+        x = x.wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        x ^= x >> 27;
+    }
+    (x >> 11) as f64 / (1u64 << 53) as f64
+}
+
+impl Plan {
+    /// Runs of the plan.
+    pub fn jobs(&self) -> Vec<Job> {
+        let of = |kinds: &'static [Kind], offset: u64| {
+            (0..self.runs).map(move |k| {
+                let kind = kinds[(k % kinds.len() as u64) as usize];
+                self.job(self.seed + offset + k, kind)
+            })
+        };
+        of(&Kind::BOILS, 0)
+            .chain(of(&Kind::QUIET, 1_000_000))
+            .collect()
+    }
+
+    fn job(&self, seed: u64, kind: Kind) -> Job {
+        let u = |purpose| share(seed, purpose);
+        let around = |purpose, most: f64| most * (2.0 * u(purpose) - 1.0);
+        let (metal, diameter_m, most_w) = POTS[(u(0) * POTS.len() as f64) as usize];
+        let most_w = if Kind::BOILS.contains(&kind) {
+            most_w
+        } else {
+            1400f64.min(most_w)
+        };
+        let power_w = 800.0 + (most_w - 800.0) * u(1);
+        let litre = 0.5 + 2.5 * u(2);
+        let contents = match kind {
+            Kind::OilSwitched | Kind::OilHeld => Contents::Oil(0.3 + u(2)),
+            Kind::EmptyHeld => Contents::Empty,
+            Kind::FoodToRest => Contents::Food,
+            Kind::Simmer | Kind::Restless => Contents::Water(1.0 + 0.8 * litre),
+            Kind::Boil | Kind::BoilInSteps => Contents::Water(litre),
+        };
+        let duration_s = match kind {
+            // Time for heating the water at the least power, and some minutes of boiling.
+            Kind::Boil => litre * 4186.0 * 80.0 / power_w * 1.6 + 120.0,
+            Kind::BoilInSteps => litre * 4186.0 * 80.0 / power_w * 2.2 + 120.0,
+            Kind::FoodToRest => 600.0,
+            Kind::Restless => 250.0,
+            _ => 900.0,
+        };
+        let moves = matches!(kind, Kind::Restless) || u(3) < 0.5;
+        Job {
+            seed,
+            kind,
+            pot: Pot {
+                lift_m: LIFT_M * u(4),
+                temperature_c: 20.0 + around(5, 5.0),
+                ..Pot::new(metal, diameter_m)
+            },
+            contents,
+            deviation: Deviation {
+                scale: (around(6, 0.02), around(7, 0.01)),
+                slope: (around(8, 0.02), around(9, 0.01)),
+                alloy: around(10, self.alloy),
+                bow_m: around(11, 0.1e-3),
+            },
+            power_w,
+            duration_s,
+            moved: moves.then(|| (30.0 + (duration_s - 60.0) * u(12), LIFT_M * u(13))),
+        }
+    }
+}
+
+/// Runs the plan on all cores. `progress` is called with the numbers of finished and of all runs.
+///
+/// # Errors
+/// [`StudyError`].
+pub fn study(
+    plan: &Plan,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<Vec<Run>, StudyError> {
+    let jobs = plan.jobs();
+    let done = AtomicUsize::new(0);
+    let runs = in_parallel(&jobs, |job| {
+        let run = cook(job, |_| ());
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1, jobs.len());
+        run
+    })?;
+    runs.into_iter()
+        .collect::<Result<_, _>>()
+        .map_err(StudyError::from)
+}

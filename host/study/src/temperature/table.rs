@@ -1,0 +1,289 @@
+//! Tables of the study.
+
+use std::fmt::Write;
+
+use serde::Serialize;
+
+use super::{Kind, Run};
+
+/// First line of the section.
+pub const BEGIN: &str = "<!-- ihd-study temperature: begin -->";
+
+/// Last line of the section.
+pub const END: &str = "<!-- ihd-study temperature: end -->";
+
+/// Goals: ΔT in K rms, distance of the reported from the true boil in seconds, number of false boils (issue 19).
+pub const GOALS: (f64, f64, usize) = (5.0, 20.0, 0);
+
+/// Smallest move that must be reported, in mm: 0.5 % of R and 1.2 % of L.
+const MOVE_MM: f64 = 0.2;
+
+/// Time before the true boil from which on an early report counts as false, in seconds.
+const FALSE_BEFORE_S: f64 = 60.0;
+
+/// Sums of all runs with one spread of alloys.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Sum {
+    /// Number of runs.
+    pub runs: usize,
+    /// ΔT in K rms, over the runs that boil; `None` without any.
+    pub boiling_rms_k: Option<f64>,
+    /// ΔT in K rms, over the runs that do not boil.
+    pub quiet_rms_k: Option<f64>,
+    /// Errors over the stated deviations, rms.
+    pub z_rms: Option<f64>,
+    /// Number of boils.
+    pub boils: usize,
+    /// Number of reported boils.
+    pub boils_found: usize,
+    /// Median time from the true to the reported boil, in seconds.
+    pub boil_median_s: Option<f64>,
+    /// 90th percentile of its magnitude.
+    pub boil_p90_s: Option<f64>,
+    /// Largest magnitude.
+    pub boil_worst_s: Option<f64>,
+    /// Number of boils reported within 20 s.
+    pub boils_within_goal: usize,
+    /// Median time from the true plateau (bubbles carry half of the heat) to its report, in seconds.
+    pub bubbles_median_s: Option<f64>,
+    /// Largest magnitude of it.
+    pub bubbles_worst_s: Option<f64>,
+    /// Number of boils reported without one, or more than a minute too early.
+    pub false_boils: usize,
+    /// Number of moves of more than 0.2 mm.
+    pub moves: usize,
+    /// Number of reported moves.
+    pub moves_found: usize,
+    /// Number of reported moves that did not happen.
+    pub false_moves: usize,
+    /// Number of runs with overheating reported below 170 °C.
+    pub false_overheats: usize,
+}
+
+fn rms(square: f64, looks: u32) -> Option<f64> {
+    (looks > 0).then(|| (square / f64::from(looks)).sqrt())
+}
+
+/// Value below which a share of the values lies.
+fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let last = values.len().checked_sub(1)?;
+    values.get((share * last as f64).round() as usize).copied()
+}
+
+fn is_false_boil(run: &Run) -> bool {
+    run.boils_said_s.is_some_and(|said| {
+        run.boils_s
+            .is_none_or(|truth| said < truth - FALSE_BEFORE_S)
+    })
+}
+
+impl Sum {
+    /// Sums the runs.
+    pub fn of(runs: &[Run]) -> Self {
+        let over = |boils: bool| {
+            let of = runs
+                .iter()
+                .filter(|r| Kind::BOILS.contains(&r.kind) == boils);
+            of.fold((0.0, 0), |(s, n), r| (s + r.squares_k2, n + r.looks))
+        };
+        let (boiling, quiet) = (over(true), over(false));
+        let z: f64 = runs.iter().map(|r| r.z_squares).sum();
+        let off = |truth: fn(&Run) -> Option<f64>, said: fn(&Run) -> Option<f64>| -> Vec<f64> {
+            let of = |r: &Run| Some(said(r)? - truth(r)?);
+            runs.iter()
+                .filter(|r| !is_false_boil(r))
+                .filter_map(of)
+                .collect()
+        };
+        let boils = off(|r| r.boils_s, |r| r.boils_said_s);
+        let bubbles = off(|r| r.bubbles_s, |r| r.bubbles_said_s);
+        let apart = |x: &[f64]| x.iter().map(|x| x.abs()).collect::<Vec<_>>();
+        let has_moved = |r: &&Run| r.moved_mm.abs() > MOVE_MM;
+        Self {
+            runs: runs.len(),
+            boiling_rms_k: rms(boiling.0, boiling.1),
+            quiet_rms_k: rms(quiet.0, quiet.1),
+            z_rms: rms(z, boiling.1 + quiet.1),
+            boils: runs.iter().filter(|r| r.boils_s.is_some()).count(),
+            boils_found: boils.len(),
+            boil_median_s: quantile(boils.clone(), 0.5),
+            boil_p90_s: quantile(apart(&boils), 0.9),
+            boil_worst_s: quantile(apart(&boils), 1.0),
+            boils_within_goal: boils.iter().filter(|x| x.abs() <= GOALS.1).count(),
+            bubbles_median_s: quantile(bubbles.clone(), 0.5),
+            bubbles_worst_s: quantile(apart(&bubbles), 1.0),
+            false_boils: runs.iter().filter(|r| is_false_boil(r)).count(),
+            moves: runs.iter().filter(has_moved).count(),
+            moves_found: runs
+                .iter()
+                .filter(has_moved)
+                .filter(|r| r.moves_told > 0)
+                .count(),
+            false_moves: runs.iter().map(|r| r.moves_wrong as usize).sum(),
+            false_overheats: runs
+                .iter()
+                .filter(|r| r.overheats_said && r.hottest_c < 170.0)
+                .count(),
+        }
+    }
+}
+
+fn number(x: Option<f64>, digits: usize) -> String {
+    x.map_or("—".to_owned(), |x| format!("{x:.digits$}"))
+}
+
+/// Section: sums side by side, and a line for each kind of the first.
+pub fn markdown(sums: &[(String, Vec<Run>)]) -> String {
+    let mut out = String::new();
+    let all: Vec<(&String, Sum)> = sums
+        .iter()
+        .map(|(name, runs)| (name, Sum::of(runs)))
+        .collect();
+    let row = |what: &str, of: &dyn Fn(&Sum) -> String, goal: &str| {
+        let cells: Vec<String> = all.iter().map(|(_, sum)| of(sum)).collect();
+        format!("| {what} | {} | {goal} |\n", cells.join(" | "))
+    };
+    let names: Vec<&str> = all.iter().map(|(name, _)| name.as_str()).collect();
+    let _ = writeln!(out, "| | {} | goal |", names.join(" | "));
+    let _ = writeln!(out, "|---|{}---:|", "---:|".repeat(names.len()));
+    out += &row("runs", &|s| s.runs.to_string(), "");
+    out += &row(
+        "ΔT from 20 to 150 °C, runs that boil, K rms",
+        &|s| number(s.boiling_rms_k, 1),
+        "5",
+    );
+    out += &row(
+        "ΔT, runs that do not, K rms",
+        &|s| number(s.quiet_rms_k, 1),
+        "5",
+    );
+    out += &row(
+        "error over the σ that is said, rms",
+        &|s| number(s.z_rms, 2),
+        "1",
+    );
+    out += &row(
+        "boils found",
+        &|s| format!("{} of {}", s.boils_found, s.boils),
+        "all",
+    );
+    out += &row(
+        "boil, said after the true one: median s",
+        &|s| number(s.boil_median_s, 0),
+        "",
+    );
+    out += &row(
+        "boil, away from the true one: 90 % · worst s",
+        &|s| {
+            format!(
+                "{} · {}",
+                number(s.boil_p90_s, 0),
+                number(s.boil_worst_s, 0)
+            )
+        },
+        "20",
+    );
+    out += &row(
+        "boils within 20 s",
+        &|s| s.boils_within_goal.to_string(),
+        "all",
+    );
+    out += &row(
+        "plateau of the base, said after it began: median · worst s",
+        &|s| {
+            format!(
+                "{} · {}",
+                number(s.bubbles_median_s, 0),
+                number(s.bubbles_worst_s, 0)
+            )
+        },
+        "",
+    );
+    out += &row("false boils", &|s| s.false_boils.to_string(), "0");
+    out += &row(
+        "moves of 0.2 mm and more found",
+        &|s| format!("{} of {}", s.moves_found, s.moves),
+        "",
+    );
+    out += &row(
+        "moves told that were none",
+        &|s| s.false_moves.to_string(),
+        "",
+    );
+    out += &row(
+        "said to overheat below 170 °C",
+        &|s| s.false_overheats.to_string(),
+        "",
+    );
+    if let Some((name, runs)) = sums.first() {
+        let _ = writeln!(
+            out,
+            "\n| {name} | runs | ΔT K rms | worst K | boils said | true |"
+        );
+        let _ = writeln!(out, "|---|---:|---:|---:|---:|---:|");
+        for kind in Kind::BOILS.into_iter().chain(Kind::QUIET) {
+            let of: Vec<&Run> = runs.iter().filter(|r| r.kind == kind).collect();
+            let looks = of.iter().map(|r| r.looks).sum();
+            let square = of.iter().map(|r| r.squares_k2).sum();
+            let _ = writeln!(
+                out,
+                "| {} | {} | {} | {} | {} | {} |",
+                kind.name(),
+                of.len(),
+                number(rms(square, looks), 1),
+                number(quantile(of.iter().map(|r| r.worst_k).collect(), 1.0), 0),
+                of.iter().filter(|r| r.boils_said_s.is_some()).count(),
+                of.iter().filter(|r| r.boils_s.is_some()).count(),
+            );
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(truth_s: Option<f64>, said_s: Option<f64>) -> Run {
+        Run {
+            seed: 1,
+            kind: Kind::Boil,
+            pot: String::new(),
+            contents: String::new(),
+            power_w: 1000.0,
+            squares_k2: 400.0,
+            looks: 100,
+            z_squares: 100.0,
+            worst_k: 3.0,
+            bubbles_s: None,
+            bubbles_said_s: None,
+            boils_s: truth_s,
+            boils_said_s: said_s,
+            moved_mm: 0.3,
+            moves_told: 0,
+            moves_wrong: 1,
+            overheats_said: true,
+            hottest_c: 120.0,
+        }
+    }
+
+    #[test]
+    fn false_and_missed_boils_are_counted_as_such() {
+        let runs = [
+            run(Some(300.0), Some(310.0)),
+            run(Some(300.0), Some(260.0)),
+            run(Some(300.0), Some(100.0)),
+            run(Some(300.0), None),
+            run(None, Some(50.0)),
+            run(None, None),
+        ];
+        let sum = Sum::of(&runs);
+        assert_eq!((sum.boils, sum.boils_found, sum.false_boils), (4, 2, 2));
+        assert_eq!((sum.boils_within_goal, sum.boil_worst_s), (1, Some(40.0)));
+        assert_eq!((sum.boiling_rms_k, sum.z_rms), (Some(2.0), Some(1.0)));
+        assert_eq!((sum.moves, sum.moves_found, sum.false_moves), (6, 0, 6));
+        assert_eq!(sum.false_overheats, 6);
+        assert!(markdown(&[("a".into(), runs.to_vec())]).contains("| false boils | 2 | 0 |"));
+    }
+}

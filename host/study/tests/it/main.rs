@@ -1,0 +1,7 @@
+//! `ihd-study` as a user calls it, and the accuracy that its studies promise.
+
+mod accuracy;
+mod hostile;
+mod map;
+mod paper;
+mod usage;

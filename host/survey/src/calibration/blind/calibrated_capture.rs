@@ -1,0 +1,91 @@
+//! Survey of a capture with self-calibrated sensors, the first stage of every command that works on one.
+
+use std::borrow::Cow;
+
+use ihd_signal::{Capture, Remark};
+
+use super::correction::Correction;
+use super::error::BlindError;
+use super::estimate::estimate;
+use super::self_calibration::SelfCalibration;
+use crate::{Hints, Survey, SurveyError};
+
+/// Extent of the self-calibration.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CalibrationMode {
+    /// Estimate, and correct if the result is significant and sound.
+    #[default]
+    Auto,
+    /// Estimate and report, without correction.
+    Report,
+    /// No self-calibration.
+    Off,
+}
+
+/// Options of the self-calibration.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BlindOptions {
+    /// Extent of the self-calibration.
+    pub mode: CalibrationMode,
+    /// Capacitance of the resonance capacitor in farad, to a percent; `None` if unknown.
+    pub capacitance_f: Option<f64>,
+}
+
+/// Surveyed capture, and the self-calibration of its sensors.
+#[derive(Clone, Debug)]
+pub struct CalibratedCapture<'a> {
+    /// Capture, corrected if a correction was applied.
+    pub capture: Cow<'a, Capture>,
+    /// Survey of `capture`.
+    pub survey: Survey,
+    /// Result of the self-calibration; `None` with [`CalibrationMode::Off`].
+    pub sensors: Option<Result<SelfCalibration, BlindError>>,
+    /// Correction that was applied; `None` if there was none.
+    pub correction: Option<Correction>,
+}
+
+impl CalibratedCapture<'_> {
+    /// Remarks on the sensors.
+    pub fn remarks(&self) -> Vec<Remark> {
+        match &self.sensors {
+            None => Vec::new(),
+            Some(Ok(sensors)) => sensors.remarks(self.correction.is_some()),
+            Some(Err(why)) => vec![why.remark()],
+        }
+    }
+}
+
+/// Surveys a capture and calibrates its sensors; surveys it again after a correction.
+///
+/// # Errors
+/// [`SurveyError`] if the capture holds nothing that can be identified.
+pub fn calibrate<'a>(
+    capture: &'a Capture,
+    hints: &Hints,
+    options: BlindOptions,
+) -> Result<CalibratedCapture<'a>, SurveyError> {
+    let survey = Survey::of(capture, hints)?;
+    let sensors = (options.mode != CalibrationMode::Off)
+        .then(|| estimate(capture, &survey, options.capacitance_f));
+    let correction = match &sensors {
+        Some(Ok(sensors)) if options.mode == CalibrationMode::Auto => sensors.correction(),
+        _ => None,
+    };
+    let Some(correction) = correction else {
+        return Ok(CalibratedCapture {
+            capture: Cow::Borrowed(capture),
+            survey,
+            sensors,
+            correction: None,
+        });
+    };
+    let mut corrected = capture.clone();
+    correction.apply(&mut corrected);
+    let survey = Survey::of(&corrected, hints)?;
+    Ok(CalibratedCapture {
+        capture: Cow::Owned(corrected),
+        survey,
+        sensors,
+        correction: Some(correction),
+    })
+}

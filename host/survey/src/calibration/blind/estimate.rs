@@ -1,0 +1,201 @@
+//! Self-calibration of a capture or a segment: from its stretches to the result.
+
+use std::f64::consts::TAU;
+
+use ihd_signal::segment::Segment;
+use ihd_signal::{Capture, Load};
+
+use super::choose::{ModelChoice, TOLD_APART};
+use super::edges::Stretch;
+use super::error::BlindError;
+use super::fit::{Estimate, Model};
+use super::self_calibration::{ModelTests, Response, SIGNIFICANT, SelfCalibration};
+use super::settle::{SettledChoice, settle};
+use crate::{Finding, Severity, Survey};
+
+/// Lag in seconds that cables and samplers do not cause.
+const LONG_S: f64 = 100e-9;
+
+/// Most samples of a stretch: 20 ms at 125 MS/s.
+const LONGEST: usize = 2_500_000;
+
+/// Estimates the errors of a capture's sensors.
+///
+/// # Errors
+/// [`BlindError`] if no inverter with a series capacitor is visible, or too little of it.
+pub fn estimate(
+    capture: &Capture,
+    survey: &Survey,
+    known_capacitance_f: Option<f64>,
+) -> Result<SelfCalibration, BlindError> {
+    // A negative R is no obstacle, because a lag causes it.
+    let unfit = |f: &&Finding| {
+        matches!(f, Finding::Swapped { .. } | Finding::Dead { .. })
+            || (f.severity() == Severity::Error && matches!(f, Finding::Clipping { .. }))
+    };
+    if let Some(finding) = survey.findings.iter().find(unfit) {
+        return Err(BlindError::Unfit(finding.clone()));
+    }
+    let sign = if survey.wiring.inverted { -1.0 } else { 1.0 };
+    let mut room = LONGEST;
+    let mut stretches = Vec::new();
+    // The longest spans first, because the number of samples is limited.
+    let mut spans: Vec<_> = survey.spans.iter().collect();
+    spans.sort_by_key(|s| std::cmp::Reverse(s.samples));
+    for span in &spans {
+        let taken = span.samples.min(room);
+        room -= taken;
+        let range = span.first..span.first + taken;
+        let (Some(v), Some(i)) = (capture.v_v.get(range.clone()), capture.i_a.get(range)) else {
+            continue;
+        };
+        let wide = |x: &[f32], sign: f64| x.iter().map(|x| sign * f64::from(*x)).collect();
+        stretches.push(stretch(
+            wide(v, 1.0),
+            wide(i, sign),
+            span.dt_s,
+            span.f_sw_hz,
+        ));
+    }
+    let strongest = spans.first();
+    let f_sw_hz = strongest.map_or(45e3, |s| s.f_sw_hz);
+    let load = strongest.and_then(|s| s.load);
+    judged(&stretches, f_sw_hz, load, known_capacitance_f, None)
+}
+
+/// Estimates the errors of the sensors from a segment, for example a device's window. `settling_s` is the time constant in
+/// seconds of a filter that both channels share.
+///
+/// # Errors
+/// As [`estimate`].
+pub fn estimate_segment(
+    segment: &Segment,
+    load: Option<Load>,
+    known_capacitance_f: Option<f64>,
+    settling_s: Option<f64>,
+) -> Result<SelfCalibration, BlindError> {
+    let n = segment.v_v.len().min(segment.i_a.len()).min(LONGEST);
+    let (v_v, i_a) = (segment.v_v[..n].to_vec(), segment.i_a[..n].to_vec());
+    let one = [stretch(v_v, i_a, segment.dt_s, segment.f_sw_hz)];
+    judged(&one, segment.f_sw_hz, load, known_capacitance_f, settling_s)
+}
+
+fn stretch(v_v: Vec<f64>, i_a: Vec<f64>, dt_s: f64, f_sw_hz: f64) -> Stretch {
+    let less_mean = |x: Vec<f64>| {
+        let mean = x.iter().sum::<f64>() / x.len().max(1) as f64;
+        x.into_iter().map(|x| x - mean).collect()
+    };
+    Stretch {
+        v_v: less_mean(v_v),
+        i_a: less_mean(i_a),
+        dt_s,
+        f_sw_hz,
+    }
+}
+
+fn judged(
+    stretches: &[Stretch],
+    f_sw_hz: f64,
+    load: Option<Load>,
+    known_capacitance_f: Option<f64>,
+    settling_s: Option<f64>,
+) -> Result<SelfCalibration, BlindError> {
+    let settled = settle(stretches, settling_s)?;
+    let (chosen, v_tau_s) = (&settled.chosen, settled.v_tau_s);
+    let e = chosen.fit.elastance;
+    let omega = TAU * f_sw_hz;
+    if e.value < SIGNIFICANT * e.sigma || e.value <= 0.0 {
+        // The smallest voltage of a capacitor that would have been visible, against the bridge's.
+        let hidden_v = SIGNIFICANT * e.sigma.max(e.value.abs()) * chosen.i_a / omega;
+        return Err(match hidden_v < HIDDEN_V {
+            true => BlindError::BridgeVoltage,
+            false => BlindError::TooNoisy {
+                per_farad: e.value,
+                sigma: e.sigma,
+            },
+        });
+    }
+    let response = response(&settled);
+    let mut lag_s = lag(chosen, omega);
+    lag_s.value -= v_tau_s + settled.skew_s;
+    let cost_pct = load.map(|z| {
+        let angle = omega * lag_s.value.abs();
+        let (r, x) = (z.r_ohm.abs(), omega * z.l_h);
+        (100.0 * angle * x / r, 100.0 * angle * r / x)
+    });
+    Ok(SelfCalibration {
+        capacitance_f: Estimate {
+            value: 1.0 / e.value,
+            sigma: e.sigma / (e.value * e.value),
+        },
+        lag_s,
+        as_skew_s: Estimate {
+            value: chosen.skew_s.value + v_tau_s + settled.skew_s,
+            sigma: chosen.skew_s.sigma,
+        },
+        response,
+        told_apart: v_tau_s > 0.0 || chosen.beyond_skew > TOLD_APART,
+        tests: ModelTests {
+            misfit: chosen.fit.misfit.share,
+            flat: chosen.is_flat(),
+            bend: chosen.bend,
+            sides_agree: chosen.side.is_none(),
+        },
+        known_capacitance_f,
+        cost_pct,
+        plateaus: chosen.plateaus,
+        samples: chosen.samples,
+        i_a: chosen.i_a,
+    })
+}
+
+/// Amplitude of a capacitor's voltage in volt that would have been visible.
+const HIDDEN_V: f64 = 10.0;
+
+fn response(settled: &SettledChoice) -> Response {
+    let (chosen, v_tau_s, before_s) = (&settled.chosen, settled.v_tau_s, settled.skew_s);
+    if v_tau_s > 0.0 {
+        return Response::SlowVoltage { tau_s: v_tau_s };
+    }
+    let (t_s, corner_hz) = (chosen.fit.time_s.value, chosen.fit.droop.value / TAU);
+    let droop = |skew_s, tau_s| Response::Droop {
+        corner_hz,
+        skew_s: before_s + skew_s,
+        tau_s,
+    };
+    let skew = |skew_s| Response::Skew {
+        skew_s: before_s + skew_s,
+    };
+    match chosen.fit.model {
+        Model::Right if before_s == 0.0 => Response::Right,
+        Model::Right => skew(0.0),
+        Model::Skew => skew(t_s),
+        // So long a lag comes from a probe rather than a delay, unless the delay explains more.
+        Model::SlowCurrent
+            if before_s == 0.0 && (chosen.beyond_skew > TOLD_APART || t_s > LONG_S) =>
+        {
+            Response::SlowCurrent { tau_s: t_s }
+        }
+        // A skew explains it as well and needs no filter.
+        Model::SlowCurrent => skew(-t_s),
+        Model::Droop => droop(0.0, 0.0),
+        Model::SkewAndDroop => droop(t_s, 0.0),
+        Model::SlowCurrentAndDroop => droop(0.0, t_s),
+    }
+}
+
+fn lag(chosen: &ModelChoice, omega: f64) -> Estimate {
+    let (time, skew) = (chosen.fit.time_s, chosen.skew_s);
+    let droop_s = chosen.fit.droop.value / (omega * omega);
+    let value = match chosen.fit.model {
+        Model::Right | Model::Skew => -skew.value,
+        Model::SlowCurrent => time.value,
+        Model::SlowCurrentAndDroop => time.value - droop_s,
+        Model::Droop | Model::SkewAndDroop => -time.value - droop_s,
+    };
+    // Time and corner are estimated together: their sum is as precise as a skew.
+    Estimate {
+        value,
+        sigma: skew.sigma,
+    }
+}

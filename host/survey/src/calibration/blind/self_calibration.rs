@@ -1,0 +1,173 @@
+//! Result of a self-calibration, and the correction that follows from it.
+
+use serde::Serialize;
+
+use super::correction::Correction;
+use super::fit::Estimate;
+
+/// Response of the sensors.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Response {
+    /// Both channels are equal.
+    Right,
+    /// The current is sampled later; or both channels have different delays for any reason.
+    Skew {
+        /// Skew in seconds; negative if the current is earlier.
+        skew_s: f64,
+    },
+    /// The current goes through a first-order low-pass.
+    SlowCurrent {
+        /// Time constant in seconds.
+        tau_s: f64,
+    },
+    /// The voltage goes through a first-order low-pass.
+    SlowVoltage {
+        /// Time constant in seconds.
+        tau_s: f64,
+    },
+    /// The current goes through a first-order high-pass.
+    Droop {
+        /// Corner in hertz.
+        corner_hz: f64,
+        /// Skew in seconds; positive if the current is sampled later.
+        skew_s: f64,
+        /// Time constant of a first-order low-pass of the current in seconds.
+        tau_s: f64,
+    },
+}
+
+/// Tests of the underlying model.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ModelTests {
+    /// Root mean square of the residual with the same shape in every plateau, as a share of the capacitor's voltage.
+    pub misfit: f64,
+    /// `true` if the misfit is within noise or below its limit.
+    pub flat: bool,
+    /// Relative change of the current sensor's gain at the largest current; positive for a saturating sensor.
+    pub bend: Estimate,
+    /// `true` if both sides of the bridge agree; else the one at ground was used.
+    pub sides_agree: bool,
+}
+
+/// Result of a self-calibration.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SelfCalibration {
+    /// Series capacitance in farad, times gain of the current over gain of the voltage.
+    pub capacitance_f: Estimate,
+    /// Lag of the current behind the voltage in seconds, to first order at the switching frequency: the time constant of a slow
+    /// current, a negative skew, and the bridge's resistance times C.
+    pub lag_s: Estimate,
+    /// Lag as a pure skew in seconds, positive if the current is later; its deviation contains no choice of model.
+    pub as_skew_s: Estimate,
+    /// Sensor response that explains it.
+    pub response: Response,
+    /// `true` if the capture distinguishes that response from a mere skew of the same lag.
+    pub told_apart: bool,
+    /// Tests of the model.
+    pub tests: ModelTests,
+    /// Capacitance that the user gave, in farad; `None` if unknown.
+    pub known_capacitance_f: Option<f64>,
+    /// Errors of R and of L in percent by an uncorrected lag; `None` without a load.
+    pub cost_pct: Option<(f64, f64)>,
+    /// Number of plateaus that were used.
+    pub plateaus: usize,
+    /// Mean number of samples per plateau.
+    pub samples: f64,
+    /// Largest amplitude of the current in ampere.
+    pub i_a: f64,
+}
+
+/// Largest plausible resistance of a bridge in ohm: IGBTs drop 1.5 V at 40 A.
+const BRIDGE_R_OHM: f64 = 0.05;
+
+/// Lag in seconds below which no correction is made.
+const LEAST_LAG_S: f64 = 0.5e-9;
+
+/// Lag beside droop, in seconds, below which it may be a bridge's resistance.
+const LEAST_BESIDE_DROOP_S: f64 = 3e-9;
+
+/// Standard deviations from which a lag is significant.
+pub(super) const SIGNIFICANT: f64 = 3.0;
+
+/// Relative change of the current's gain above which the sensor is not linear.
+const BENT: f64 = 4e-3;
+const BENT_SIGMAS: f64 = 5.0;
+
+impl SelfCalibration {
+    /// Returns `true` if the plateaus follow the model, so that its numbers are meaningful.
+    pub fn is_sound(&self) -> bool {
+        self.tests.flat && !self.is_bent()
+    }
+
+    /// Returns `true` if the current's sensor is not linear.
+    pub fn is_bent(&self) -> bool {
+        let bend = self.tests.bend;
+        bend.value.abs() > BENT && bend.value.abs() > BENT_SIGMAS * bend.sigma
+    }
+
+    /// Returns `true` if the channels differ by more than noise.
+    pub fn is_significant(&self) -> bool {
+        let lag = self.lag_s;
+        self.response != Response::Right
+            && lag.value.abs() > (SIGNIFICANT * lag.sigma).max(LEAST_LAG_S)
+    }
+
+    /// Returns `true` if a resistance of the bridge could explain the whole lag, droop aside: the current seems late by no more
+    /// than a bridge's resistance causes, and no sensor fault is distinguished.
+    pub fn may_be_the_bridge(&self) -> bool {
+        let least_s = match self.response {
+            Response::Skew { .. } => 0.0,
+            // Less precise, because it is estimated together with the corner.
+            Response::Droop { .. } => LEAST_BESIDE_DROOP_S,
+            _ => return false,
+        };
+        (least_s..BRIDGE_R_OHM * self.capacitance_f.value).contains(&self.beside_droop_s())
+    }
+
+    /// Resistance of the bridge in ohm that would cause this lag, droop aside.
+    pub fn bridge_r_ohm(&self) -> f64 {
+        self.beside_droop_s() / self.capacitance_f.value
+    }
+
+    /// Lag of the current without droop's share, in seconds.
+    fn beside_droop_s(&self) -> f64 {
+        match self.response {
+            Response::Droop { skew_s, tau_s, .. } => tau_s - skew_s,
+            _ => self.lag_s.value,
+        }
+    }
+
+    /// Correction of the channels; `None` if the lag is not significant, not sound, or could be the bridge's resistance.
+    pub fn correction(&self) -> Option<Correction> {
+        (self.is_significant() && self.is_sound() && !self.may_be_the_bridge())
+            .then(|| self.full_correction())
+    }
+
+    /// Correction of the channels on the assumption that the whole lag comes from the sensors.
+    pub fn full_correction(&self) -> Correction {
+        let none = Correction::default();
+        match self.response {
+            Response::Right => none,
+            Response::Skew { skew_s } => Correction { skew_s, ..none },
+            Response::SlowCurrent { tau_s } => Correction {
+                i_tau_s: tau_s,
+                ..none
+            },
+            Response::SlowVoltage { tau_s } => Correction {
+                v_tau_s: tau_s,
+                ..none
+            },
+            Response::Droop {
+                corner_hz,
+                skew_s,
+                tau_s,
+            } => Correction {
+                skew_s,
+                i_tau_s: tau_s,
+                i_droop_hz: corner_hz,
+                ..none
+            },
+        }
+    }
+}
