@@ -1,4 +1,4 @@
-//! The emulated STM32G474 in tests/stm32g474, outside the main workspace since Unicorn is GPL: its build wants cmake and libclang.
+//! The emulated STM32G474 in tests/stm32g474, outside the main workspace since Unicorn is GPL: its build needs cmake and libclang.
 
 use std::fs;
 use std::path::{Path, PathBuf};

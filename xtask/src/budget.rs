@@ -170,8 +170,8 @@ fn by_module(elf: &object::File<'_>) -> anyhow::Result<BTreeMap<String, ModuleBy
     let mut modules = BTreeMap::<_, ModuleBytes>::new();
     for symbol in elf.symbols() {
         let sized = symbol.size() > 0;
-        let kept = sized && matches!(symbol.kind(), SymbolKind::Text | SymbolKind::Data);
-        if let Some(index) = symbol.section_index().filter(|_| kept) {
+        let counted = sized && matches!(symbol.kind(), SymbolKind::Text | SymbolKind::Data);
+        if let Some(index) = symbol.section_index().filter(|_| counted) {
             let bytes = modules.entry(module(symbol.name()?)).or_default();
             bytes.add(elf.section_by_index(index)?.name()?, symbol.size());
         }

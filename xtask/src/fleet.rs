@@ -36,8 +36,8 @@ pub fn server(on: &Workspace) -> anyhow::Result<PathBuf> {
         .join("bin")
         .join(PROGRAM)
         .with_extension(std::env::consts::EXE_EXTENSION);
-    let found = usable(PROGRAM.into()).or_else(|_| usable(installed.clone()));
-    found.or_else(|_| {
+    let present = usable(PROGRAM.into()).or_else(|_| usable(installed.clone()));
+    present.or_else(|_| {
         from_pypi(&folder).with_context(|| {
             let [major, minor, patch] = OLDEST;
             format!(

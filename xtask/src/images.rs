@@ -74,11 +74,11 @@ impl Image {
         // Cargo gives each image the same name.
         let target = on.target.join("firmware");
         let built = target.join(TARGET).join("firmware/ihd-firmware");
-        let kept = target.join("images").join(self.name);
-        let kept = kept.with_extension("elf");
+        let image = target.join("images").join(self.name);
+        let image = image.with_extension("elf");
         fs::create_dir_all(target.join("images"))?;
-        fs::copy(&built, &kept).with_context(|| format!("could not copy {}", built.display()))?;
-        seal::seal(&kept)?;
-        Ok(kept)
+        fs::copy(&built, &image).with_context(|| format!("could not copy {}", built.display()))?;
+        seal::seal(&image)?;
+        Ok(image)
     }
 }

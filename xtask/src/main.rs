@@ -93,14 +93,14 @@ enum Chore {
     },
     /// Run the tests that are for the controller itself (firmware/on-target): in QEMU, and on a board behind a debug probe.
     ///
-    /// The board's part wants probe-rs and is skipped, with a line that says so, where either is missing. It overwrites
+    /// The board's part needs probe-rs and is skipped, with a message, where either is missing. It overwrites
     /// the board's program: `ihd flash` brings it back.
     #[command(after_help = "Example:\n  cargo xtask target-tests")]
     TargetTests,
     /// Run the board's image on an emulated STM32G474 with the simulated power stage, its link on TCP.
     ///
     /// Every `ihd` command then works against the very bytes that are flashed: `--device tcp:ADDRESS`. It is slower than
-    /// real time and says by how much. What stands behind `--` goes to it: `-- --help` lists its options.
+    /// real time and reports by how much. Arguments after `--` go to it: `-- --help` lists its options.
     #[command(after_help = "Examples:\n  \
         cargo xtask hob\n  \
         cargo xtask hob --image old.elf -- --listen 127.0.0.1:4712 --pot aluminium")]

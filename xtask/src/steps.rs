@@ -229,14 +229,14 @@ fn none_broken(broken: &[String]) -> anyhow::Result<()> {
 /// # Errors
 /// If it is unknown, with all names and their subjects.
 pub fn parse(name: &str) -> anyhow::Result<&'static str> {
-    let found = STEPS.iter().find(|step| step.name == name);
+    let step = STEPS.iter().find(|step| step.name == name);
     let list = || {
         STEPS
             .iter()
             .map(|step| format!("\n  {:<10} {}", step.name, step.about))
     };
-    let found = found.with_context(|| format!("there are{}", list().collect::<String>()))?;
-    Ok(found.name)
+    let step = step.with_context(|| format!("there are{}", list().collect::<String>()))?;
+    Ok(step.name)
 }
 
 /// Returns the steps to run: those of `only`, or all of the tier, without those of `skip`; always in their own order.

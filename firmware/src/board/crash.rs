@@ -3,7 +3,7 @@
 
 #![cfg_attr(
     feature = "instruction-counts",
-    expect(dead_code, reason = "nothing is reported that nobody asks for")
+    expect(dead_code, reason = "this build reports no crash")
 )]
 
 use core::panic::PanicInfo;
@@ -47,8 +47,8 @@ fn count_end() -> u32 {
 }
 
 fn set_ends(ends: u32) {
-    for (kept, word) in ENDS.iter().zip([ends, !ends]) {
-        kept.store(word, Ordering::Relaxed);
+    for (slot, word) in ENDS.iter().zip([ends, !ends]) {
+        slot.store(word, Ordering::Relaxed);
     }
 }
 
@@ -58,7 +58,7 @@ fn set_ends(ends: u32) {
 pub fn count_start(flags: ResetFlags) {
     if flags.watchdog {
         if count_end() > MOST_ENDS {
-            stay(kept().fault);
+            stay(stored_record().fault);
         }
     } else if flags.brown_out || (flags.pin && !flags.software) {
         set_ends(0);
@@ -74,8 +74,8 @@ pub fn ran_well() {
 /// Reads the record that the last run left, and counts this start.
 pub fn read_crash_record() -> Option<CrashRecord> {
     let mut words = [0; WORDS];
-    for (word, kept) in words.iter_mut().zip(&CRASH_RECORD) {
-        *word = kept.load(Ordering::Relaxed);
+    for (word, slot) in words.iter_mut().zip(&CRASH_RECORD) {
+        *word = slot.load(Ordering::Relaxed);
     }
     let last = CrashRecord::from_words(words);
     write(CrashRecord {
@@ -89,24 +89,24 @@ pub fn read_crash_record() -> Option<CrashRecord> {
 pub fn note_fault(number: u16) {
     let record = CrashRecord {
         fault: number,
-        ..kept()
+        ..stored_record()
     };
-    if record != kept() {
+    if record != stored_record() {
         write(record);
     }
 }
 
-fn kept() -> CrashRecord {
+fn stored_record() -> CrashRecord {
     let mut words = [0; WORDS];
-    for (word, kept) in words.iter_mut().zip(&CRASH_RECORD) {
-        *word = kept.load(Ordering::Relaxed);
+    for (word, slot) in words.iter_mut().zip(&CRASH_RECORD) {
+        *word = slot.load(Ordering::Relaxed);
     }
     CrashRecord::from_words(words).unwrap_or_default()
 }
 
 fn write(record: CrashRecord) {
-    for (kept, word) in CRASH_RECORD.iter().zip(record.to_words()) {
-        kept.store(word, Ordering::Relaxed);
+    for (slot, word) in CRASH_RECORD.iter().zip(record.to_words()) {
+        slot.store(word, Ordering::Relaxed);
     }
 }
 
@@ -116,16 +116,16 @@ pub fn restart(into: Program) -> ! {
     outputs_off();
     write(CrashRecord {
         reason: Some(ResetReason::Software),
-        ..kept()
+        ..stored_record()
     });
     let words = match into {
         Program::Firmware => [0; 2],
         Program::Bootloader => [NEXT_BOOTLOADER, !NEXT_BOOTLOADER],
     };
-    // SAFETY: two words of RAM that nobody else uses.
+    // SAFETY: two words of RAM that nothing else uses.
     let next_program = unsafe { &__next_program };
-    for (kept, word) in next_program.iter().zip(words) {
-        kept.store(word, Ordering::Relaxed);
+    for (slot, word) in next_program.iter().zip(words) {
+        slot.store(word, Ordering::Relaxed);
     }
     cortex_m::peripheral::SCB::sys_reset()
 }
@@ -134,10 +134,10 @@ fn end(reason: ResetReason) -> ! {
     outputs_off();
     write(CrashRecord {
         reason: Some(reason),
-        ..kept()
+        ..stored_record()
     });
     if count_end() > MOST_ENDS {
-        stay(kept().fault);
+        stay(stored_record().fault);
     }
     cortex_m::peripheral::SCB::sys_reset()
 }

@@ -45,7 +45,7 @@ pub fn split(r: MicroOhm, l: PicoHenry) -> Option<(InterruptSide, ThreadSide)> {
     if TAKEN.swap(true, Ordering::AcqRel) {
         return None;
     }
-    // SAFETY: the flag lets one caller through, before either side exists; nobody else has a
+    // SAFETY: the flag lets one caller through, before either side exists; nothing else has a
     // reference.
     unsafe { (*PLACE.0.get()).begin(r, l) };
     Some((InterruptSide(()), ThreadSide(())))

@@ -11,7 +11,7 @@
 //!
 //! 0 W leads from Probing, Heating and WaitingForPot to Idle at once; it comes from panel and host
 //! ([`request`]), from a host that is silent for 10 s, and from replay mode. A fault leads from
-//! any state to Pausing or LockedOut, as [`restart`] says, which every start passes too. In
+//! any state to Pausing or LockedOut, as [`restart`] decides, which every start passes too. In
 //! Heating the bridge is off between bursts ([`burst`]).
 //!
 //! ```text

@@ -91,7 +91,7 @@ impl PowerRequest {
         true
     }
 
-    /// Ends the host's request: it is silent, or another one says hello. The panel's stays.
+    /// Ends the host's request: the host is silent, or another one sends its hello. The panel's stays.
     pub fn host_lost(&mut self) {
         self.host_w = None;
     }

@@ -28,8 +28,8 @@ impl Default for ActiveLookup {
 }
 
 impl ActiveLookup {
-    /// Starts from a lookup that was kept, in place of the prior. Version 0 says that it was
-    /// reset: this build's prior stays, which may be a newer one.
+    /// Starts from a lookup that was kept, in place of the prior. Version 0 marks a
+    /// reset lookup: this build's prior stays, which may be a newer one.
     pub fn restore(&mut self, lookup: RlLookup) {
         if lookup.version > 0 {
             self.active = GuardedLookup::new(lookup);

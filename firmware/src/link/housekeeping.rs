@@ -219,7 +219,7 @@ impl Housekeeping {
         self.queue.respond(number, response);
     }
 
-    /// Pairs with a host that says hello: it starts from a silent device that heats for no host.
+    /// Pairs with a host that sends its hello: it starts from a silent device that heats for no host.
     fn pair(&mut self, lock: &mut impl SamplingLock, theirs: &Hello) {
         self.end_host_power(lock);
         let fits = check(self.queue.hello(), theirs).is_ok();
@@ -368,11 +368,11 @@ impl Housekeeping {
     /// frequency is the longest it does.
     #[inline(never)]
     pub fn poll(&mut self, lock: &mut impl SamplingLock) {
-        let (gathered, status) = lock.with(|rt| {
+        let (sums, status) = lock.with(|rt| {
             rt.housekeeping_gap().end();
             (rt.take_half_cycle(), SamplingStatus::read(rt))
         });
-        let action = match gathered.map(|half_cycle| half_cycle.evaluate()) {
+        let action = match sums.map(|half_cycle| half_cycle.evaluate()) {
             Some(probe) if probe.is_pot_probe => self.control.on_half_cycle(&probe, &status),
             Some(summary) => self.on_half_cycle(lock, &summary, &status),
             None => self.control.advance(&self.lookup, &status),

@@ -2,7 +2,7 @@
 //!
 //! It is how a host proves that a board estimates what the host's own build of this crate does, bit
 //! for bit. [`crate::sampling::path::SamplingPath`] ignores the ADC and keeps the bridge off for as long as it lasts; the
-//! hello says so ([`ihd_shared::wire::hello::CAP_REPLAYING`]).
+//! hello reports it ([`ihd_shared::wire::hello::CAP_REPLAYING`]).
 
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};

@@ -197,15 +197,15 @@ impl ServiceJob {
                 if !measuring.step(now_ms, lock, board.slow_codes()) {
                     return Step::Next(Self::Channels(measuring));
                 }
-                let found = measuring.result(board.reference()).map(Response::Channels);
+                let response = measuring.result(board.reference()).map(Response::Channels);
                 // A window that no host releases occupies the recorder.
-                return Step::Response(found.unwrap_or(Response::outcome(Outcome::Busy)));
+                return Step::Response(response.unwrap_or(Response::outcome(Outcome::Busy)));
             }
             Self::Clocks(since_ms) => match board.clocks() {
                 None if now_ms.wrapping_sub(since_ms) < CLOCKS_WITHIN_MS => {
                     return Step::Next(Self::Clocks(since_ms));
                 }
-                found => found.map(Response::Clocks),
+                counts => counts.map(Response::Clocks),
             },
         };
         Step::Response(response.unwrap_or(Response::outcome(Outcome::Unavailable)))

@@ -194,6 +194,15 @@ mod tests {
         }
     }
 
+    #[test]
+    fn resonance_is_checked_from_3_a_on() {
+        let l_h = 1e9 / f64::from(RESONANCE_CAPACITANCE_NF) / (TAU * 50e3).powi(2) / 0.98;
+        for (i_a, limit) in [(2.9, Limit::None), (3.1, Limit::Resonance)] {
+            let pairs = block(50e3, 4.0, l_h, i_a, 0.2);
+            assert_eq!(check(50_000, &pairs, 0).limit, limit, "{i_a}");
+        }
+    }
+
     /// 15 nF at 300 V are 4.5 µC, which 4.5 A move in a microsecond.
     #[test]
     fn the_turn_off_current_must_move_the_nodes_charge() {

@@ -1,5 +1,5 @@
-//! One connection: TLS where there is, a head that must come, a token that must be shown, writes that must go. Each stage has its time,
-//! and until the last one the connection gives way to others ([`crate::places`]).
+//! One connection: TLS handshake, request head, admission, writes. Each stage has its time limit, and the connection may be evicted in
+//! favour of others ([`crate::slots`]).
 
 use std::convert::Infallible;
 use std::future::Future;
@@ -25,78 +25,72 @@ use tokio::sync::watch;
 use tokio::time::{Sleep, sleep, timeout};
 use tokio_rustls::TlsAcceptor;
 
-use crate::places::Place;
+use crate::slots::Slot;
 use crate::tls::HTTP2;
-use crate::traffic::{Traffic, UnderWay};
+use crate::traffic::{HEAD_TIMEOUT, STALL_TIMEOUT, TrackedBody, Traffic};
 
-/// Longest until the head of a request is there: from the connection's beginning, or from the answer before.
-pub(crate) const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// Longest TLS handshake.
+/// Maximum duration of the TLS handshake.
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Longest until a request is let in: the page and the health are there for strangers, too.
-pub(crate) const STRANGER_TIMEOUT: Duration = Duration::from_secs(60);
+/// Maximum time until a request is admitted; the page and `/healthz` are served before that.
+pub(crate) const ADMISSION_TIMEOUT: Duration = Duration::from_secs(60);
 
-/// Longest that a reader may take nothing of what is written to him.
-pub(crate) const STALL_TIMEOUT: Duration = Duration::from_secs(30);
+/// Time that requests in progress have when the server ends.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How long requests under way have when the server ends.
-const FAREWELL: Duration = Duration::from_secs(1);
-
-/// Largest head of a request, and most that is buffered of a connection, in bytes.
+/// Maximum size of a request head and of the buffer of a connection, in bytes.
 const MAX_BUFFER: usize = 16_384;
 
-/// Requests of one connection at a time, over HTTP/2: more than a browser's windows have.
+/// Maximum number of simultaneous requests of an HTTP/2 connection; more than the windows of a browser need.
 const MAX_STREAMS: u32 = 32;
 
-/// Requests of a connection that its other end has called back and that nobody has looked at yet, and those that break HTTP/2's rules:
-/// whoever goes on so loses the connection.
+/// Maximum number of requests that the client has reset before they were accepted, and of requests that violate HTTP/2. One more ends the
+/// connection.
 const MAX_RESET_STREAMS: usize = 20;
 
-/// Of a request's body, what may come before it is read, in bytes: as much as a body may have.
+/// Flow-control window of a request body, in bytes: the maximum body size.
 const BODY_WINDOW: u32 = 65_536;
 
-/// What the system may hold of a connection that it has not sent: what lies there is old when it comes, and a display wants what is new.
-const UNSENT: usize = 16_384;
+/// Maximum of unsent data that the system may buffer for a connection, in bytes: buffered telemetry is old when it arrives.
+const MAX_UNSENT: usize = 16_384;
 
-/// Whether somebody who reads a connection has not taken yet what was written; its routes find it among a request's extensions.
+/// State of a connection's writes, for its routes; among the extensions of each request.
 #[derive(Clone, Default)]
-pub(crate) struct Stalled(Arc<AtomicBool>);
+pub(crate) struct WriteStall(Arc<AtomicBool>);
 
-impl Stalled {
-    /// Whether it is so now.
+impl WriteStall {
+    /// Returns `true` while a write waits for the client to read.
     pub(crate) fn is_stalled(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-/// Serves a connection until it ends, for whatever reason; none of them is worth a log line.
+/// Serves a connection until it ends. The reason is not logged.
 pub(crate) async fn serve(
     stream: TcpStream,
-    place: Place,
+    slot: Slot,
     tls: Option<TlsAcceptor>,
     router: Router,
     stopping: watch::Receiver<bool>,
 ) {
-    // Events are small and must not wait for the next.
+    // Events are small and must not wait for the next one (Nagle).
     let _ = stream.set_nodelay(true);
-    hold_little(&stream);
-    let watched = Watched::new(stream, Some(place.clone()));
-    let each = Each {
-        stalled: watched.stalled.clone(),
-        place: place.clone(),
+    limit_unsent(&stream);
+    let stream = MonitoredStream::new(stream, Some(slot.clone()));
+    let handler = RequestHandler {
+        stall: stream.stall.clone(),
+        slot: slot.clone(),
         traffic: Traffic::default(),
         routes: TowerToHyperService::new(router),
     };
     let serving = async {
         match tls {
-            None => speak(watched, each, stopping).await,
+            None => serve_http1(stream, handler, stopping).await,
             Some(tls) => {
-                if let Ok(Ok(stream)) = timeout(HANDSHAKE_TIMEOUT, tls.accept(watched)).await {
+                if let Ok(Ok(stream)) = timeout(HANDSHAKE_TIMEOUT, tls.accept(stream)).await {
                     match stream.get_ref().1.alpn_protocol() {
-                        Some(HTTP2) => speak_http2(stream, each, stopping).await,
-                        _ => speak(stream, each, stopping).await,
+                        Some(HTTP2) => serve_http2(stream, handler, stopping).await,
+                        _ => serve_http1(stream, handler, stopping).await,
                     }
                 }
             }
@@ -104,60 +98,60 @@ pub(crate) async fn serve(
     };
     tokio::select! {
         () = serving => {}
-        () = place.gives_way() => {}
-        () = remains_a_stranger(&place) => {}
+        () = slot.evicted() => {}
+        () = admission_timed_out(&slot) => {}
     }
 }
 
-/// Ready where nothing was let in for too long.
-async fn remains_a_stranger(place: &Place) {
-    sleep(STRANGER_TIMEOUT).await;
-    if place.is_known() {
+/// Completes if no request was admitted within [`ADMISSION_TIMEOUT`].
+async fn admission_timed_out(slot: &Slot) {
+    sleep(ADMISSION_TIMEOUT).await;
+    if slot.is_admitted() {
         std::future::pending().await
     }
 }
 
-/// Connection of a request, for its routes.
+/// Passes the requests of a connection to the routes.
 #[derive(Clone)]
-struct Each {
-    stalled: Stalled,
-    place: Place,
+struct RequestHandler {
+    stall: WriteStall,
+    slot: Slot,
     traffic: Traffic,
     routes: TowerToHyperService<Router>,
 }
 
-impl Each {
-    /// Has a request answered.
-    fn answer(
+impl RequestHandler {
+    /// Returns the response to a request.
+    fn handle(
         &self,
         mut request: hyper::Request<Incoming>,
-    ) -> impl Future<Output = Result<hyper::Response<UnderWay>, Infallible>> + use<> {
-        request.extensions_mut().insert(self.stalled.clone());
-        request.extensions_mut().insert(self.place.clone());
-        let (place, passing) = (self.place.request(), self.traffic.begin());
-        let answering = self.routes.call(request);
+    ) -> impl Future<Output = Result<hyper::Response<TrackedBody>, Infallible>> + use<> {
+        request.extensions_mut().insert(self.stall.clone());
+        request.extensions_mut().insert(self.slot.clone());
+        let (slot, active) = (self.slot.begin_request(), self.traffic.begin());
+        let responding = self.routes.call(request);
         async move {
-            let answer = answering.await?;
-            Ok(answer.map(|body| UnderWay::new(body, passing, place)))
+            let response = responding.await?;
+            Ok(response.map(|body| TrackedBody::new(body, active, slot)))
         }
     }
 }
 
-/// Without it a slow reader gets megabytes of the past first. Where the system does not take it, he does.
-fn hold_little(stream: &TcpStream) {
+/// Limits unsent data of a connection: without it a slow client first receives megabytes of old data. Best effort.
+fn limit_unsent(stream: &TcpStream) {
     let socket = SockRef::from(stream);
     #[cfg(any(target_os = "android", target_os = "linux"))]
-    let _ = socket.set_tcp_notsent_lowat(UNSENT as u32);
+    let _ = socket.set_tcp_notsent_lowat(MAX_UNSENT as u32);
     #[cfg(not(any(target_os = "android", target_os = "linux")))]
-    let _ = socket.set_send_buffer_size(4 * UNSENT);
+    let _ = socket.set_send_buffer_size(4 * MAX_UNSENT);
 }
 
-/// HTTP/1.1: one request after the other.
-async fn speak<S>(stream: S, each: Each, mut stopping: watch::Receiver<bool>)
+/// Serves HTTP/1.1: one request after the other.
+async fn serve_http1<S>(stream: S, handler: RequestHandler, mut stopping: watch::Receiver<bool>)
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
-    let service = service_fn(move |request| each.answer(request));
+    let service = service_fn(move |request| handler.handle(request));
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_TIMEOUT)
@@ -169,24 +163,24 @@ where
         _ = stopping.wait_for(|stopping| *stopping) => {}
     }
     connection.as_mut().graceful_shutdown();
-    let _ = timeout(FAREWELL, connection).await;
+    let _ = timeout(SHUTDOWN_TIMEOUT, connection).await;
 }
 
-/// HTTP/2: requests beside each other, of which no one keeps another waiting. What HTTP/1.1 has by itself is added: a connection without a
-/// request under way ends, and so does one whose reader takes nothing of an answer.
-async fn speak_http2<S>(stream: S, each: Each, mut stopping: watch::Receiver<bool>)
+/// Serves HTTP/2: simultaneous requests. Adds two limits that HTTP/1.1 has already: a connection ends if it has no request in progress, or
+/// if its client does not read a response.
+async fn serve_http2<S>(stream: S, handler: RequestHandler, mut stopping: watch::Receiver<bool>)
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
-    let traffic = each.traffic.clone();
+    let traffic = handler.traffic.clone();
     let service = service_fn(move |mut request: hyper::Request<_>| {
-        // Its name stands where HTTP/1.1 has the header, which the routes read.
+        // HTTP/2 has the host name in `:authority`; the routes read the header `Host`.
         let name = request.uri().authority().map(|name| name.as_str());
         let name = name.and_then(|name| HeaderValue::from_str(name).ok());
         if let Some(name) = name {
             request.headers_mut().insert(HOST, name);
         }
-        each.answer(request)
+        handler.handle(request)
     });
     let connection = http2::Builder::new(TokioExecutor::new())
         .timer(TokioTimer::new())
@@ -196,61 +190,62 @@ where
         .max_local_error_reset_streams(MAX_RESET_STREAMS)
         .initial_stream_window_size(BODY_WINDOW)
         .initial_connection_window_size(2 * BODY_WINDOW)
-        .max_send_buf_size(UNSENT)
+        .max_send_buf_size(MAX_UNSENT)
         .serve_connection(TokioIo::new(stream), service);
     let mut connection = std::pin::pin!(connection);
     tokio::select! {
         _ = connection.as_mut() => return,
         _ = stopping.wait_for(|stopping| *stopping) => {}
-        () = traffic.rests() => {}
-        () = traffic.stalls() => return,
+        () = traffic.idle() => {}
+        () = traffic.stalled() => return,
     }
     connection.as_mut().graceful_shutdown();
-    let _ = timeout(FAREWELL, connection).await;
+    let _ = timeout(SHUTDOWN_TIMEOUT, connection).await;
 }
 
-/// A stream that breaks when its reader takes nothing for [`STALL_TIMEOUT`].
-struct Watched<S> {
+/// Stream whose writes fail once the client has read nothing for [`STALL_TIMEOUT`].
+struct MonitoredStream<S> {
     stream: S,
-    patience: Option<Pin<Box<Sleep>>>,
-    stalled: Stalled,
-    /// Until the first byte has come.
-    silent: Option<Place>,
+    /// Time limit of a write that waits.
+    deadline: Option<Pin<Box<Sleep>>>,
+    stall: WriteStall,
+    /// `Some` until the first byte is received.
+    silent: Option<Slot>,
 }
 
-impl<S> Watched<S> {
-    fn new(stream: S, silent: Option<Place>) -> Self {
+impl<S> MonitoredStream<S> {
+    fn new(stream: S, silent: Option<Slot>) -> Self {
         Self {
             stream,
-            patience: None,
-            stalled: Stalled::default(),
+            deadline: None,
+            stall: WriteStall::default(),
             silent,
         }
     }
 
-    /// Hands on what became of a write; an error when it waits for too long.
-    fn judge<T>(
+    /// Returns the result of a write, or an error if it has waited for [`STALL_TIMEOUT`].
+    fn limit_wait<T>(
         &mut self,
         cx: &mut Context<'_>,
         written: Poll<io::Result<T>>,
     ) -> Poll<io::Result<T>> {
         let waits = written.is_pending();
-        self.stalled.0.store(waits, Ordering::Relaxed);
+        self.stall.0.store(waits, Ordering::Relaxed);
         if !waits {
-            self.patience = None;
+            self.deadline = None;
             return written;
         }
-        let patience = self
-            .patience
+        let deadline = self
+            .deadline
             .get_or_insert_with(|| Box::pin(sleep(STALL_TIMEOUT)));
-        match patience.as_mut().poll(cx) {
+        match deadline.as_mut().poll(cx) {
             Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
             Poll::Pending => Poll::Pending,
         }
     }
 }
 
-impl<S: AsyncRead + Unpin> AsyncRead for Watched<S> {
+impl<S: AsyncRead + Unpin> AsyncRead for MonitoredStream<S> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -259,22 +254,22 @@ impl<S: AsyncRead + Unpin> AsyncRead for Watched<S> {
         let before = buffer.filled().len();
         let read = Pin::new(&mut self.stream).poll_read(cx, buffer);
         if buffer.filled().len() > before
-            && let Some(place) = self.silent.take()
+            && let Some(slot) = self.silent.take()
         {
-            place.speaks();
+            slot.first_byte_received();
         }
         read
     }
 }
 
-impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
+impl<S: AsyncWrite + Unpin> AsyncWrite for MonitoredStream<S> {
     fn poll_write(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
         let written = Pin::new(&mut self.stream).poll_write(cx, bytes);
-        self.judge(cx, written)
+        self.limit_wait(cx, written)
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -294,19 +289,19 @@ mod tests {
 
     use super::*;
 
-    /// Takes a byte each time its `rest` has passed.
+    /// Accepts one byte after each `rest`.
     struct Slow {
         rest: Duration,
         next: Pin<Box<Sleep>>,
     }
 
     impl Slow {
-        fn new(rest: Duration) -> Watched<Self> {
+        fn new(rest: Duration) -> MonitoredStream<Self> {
             let slow = Self {
                 rest,
                 next: Box::pin(sleep(rest)),
             };
-            Watched::new(slow, None)
+            MonitoredStream::new(slow, None)
         }
     }
 
@@ -330,11 +325,11 @@ mod tests {
         }
     }
 
-    async fn write(stream: &mut Watched<Slow>) -> io::Result<usize> {
+    async fn write(stream: &mut MonitoredStream<Slow>) -> io::Result<usize> {
         poll_fn(|cx| Pin::new(&mut *stream).poll_write(cx, b"x")).await
     }
 
-    /// On the runtime's own clock, which jumps ahead while everybody waits.
+    /// On the runtime's paused clock, which jumps ahead while all tasks wait.
     #[tokio::test(start_paused = true)]
     async fn a_reader_that_takes_nothing_loses_the_connection() {
         let began = Instant::now();

@@ -1,38 +1,38 @@
-//! The daemon itself behind the routes.
+//! [`Backend`] of a real daemon, with its metrics.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_daemon::board::now_ms;
+use ihd_daemon::event_bus::now_ms;
 use ihd_daemon::learning::LearnerFigures;
 use ihd_daemon::model::{
-    Command, CommandError, DeviceReport, Done, Fit, FleetReport, History, Hob, JournalEntry, Lease,
-    LiveTelemetry, Map, Notice, PotCurve, RecordingFile, Scope, StoreFailure, WindowSummary,
-    WindowWanted,
+    Command, CommandError, CommandReply, DaemonEvent, DeviceReport, Fit, FleetReport, History, Hob,
+    JournalEntry, Lease, LiveTelemetry, Map, PotCurve, RecordingFile, Scope, StoreFailure,
+    WindowQuery, WindowSummary,
 };
 use ihd_daemon::{Daemon, DaemonError, JournalFilter, LiveTap};
 use ihd_store::{LookupRow, ResultFilter, ResultRow};
 use tokio::sync::{Mutex, broadcast};
 use tokio::time::{Instant, timeout};
 
-use crate::backend::{Alive, Answer, Backend, Figure, Tap};
+use crate::backend::{Backend, BackendFuture, LiveSource, Liveness, Metric};
 use crate::model::{StoredLookup, StoredResult};
 
-/// A store that does not answer a question within this is not alive.
-const STORE_ANSWERS: Duration = Duration::from_secs(5);
+/// Maximum response time of a store that counts as alive.
+const STORE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How long an answer about health holds: whoever asks often does not load the store.
-const HEALTH_HOLDS: Duration = Duration::from_secs(1);
+/// Lifetime of a cached health result: frequent requests must not load the store.
+const HEALTH_CACHED: Duration = Duration::from_secs(1);
 
-/// A [`Daemon`] as a [`Backend`].
+/// [`Backend`] of a [`Daemon`].
 pub struct DaemonBackend {
     daemon: Daemon,
-    health: Mutex<Option<(Instant, Alive)>>,
+    health: Mutex<Option<(Instant, Liveness)>>,
 }
 
 impl DaemonBackend {
-    /// The daemon, for the server.
+    /// Wraps a daemon for [`Server::run`](crate::Server::run).
     pub fn new(daemon: Daemon) -> Self {
         Self {
             daemon,
@@ -40,7 +40,7 @@ impl DaemonBackend {
         }
     }
 
-    fn known(&self, device: &str) -> Result<(), CommandError> {
+    fn require_device(&self, device: &str) -> Result<(), CommandError> {
         match self.daemon.device(device) {
             Some(_) => Ok(()),
             None => Err(CommandError::NoDevice {
@@ -50,18 +50,18 @@ impl DaemonBackend {
     }
 }
 
-/// Whether the daemon's store answers at all, well or not.
+/// Returns `true` if the daemon's store responds in time, even with an error.
 pub async fn store_answers(daemon: &Daemon) -> bool {
     let nothing = ResultFilter {
         limit: Some(1),
         ..ResultFilter::default()
     };
-    timeout(STORE_ANSWERS, daemon.results(nothing))
+    timeout(STORE_TIMEOUT, daemon.results(nothing))
         .await
         .is_ok()
 }
 
-/// Messages of the store name files, which are nobody's business but the log's.
+/// Converts an error for the client. Errors of the store contain file names, which go to the log only.
 fn failed(error: &DaemonError) -> CommandError {
     if let DaemonError::NoDevice(name) = error {
         let name = name.clone();
@@ -73,8 +73,8 @@ fn failed(error: &DaemonError) -> CommandError {
     }
 }
 
-impl Tap for LiveTap {
-    fn take(&mut self) -> LiveTelemetry {
+impl LiveSource for LiveTap {
+    fn collect(&mut self) -> LiveTelemetry {
         LiveTap::take(self)
     }
 }
@@ -101,7 +101,7 @@ impl Backend for DaemonBackend {
         device: &'a str,
         holder: &'a str,
         command: Command,
-    ) -> Answer<'a, Done> {
+    ) -> BackendFuture<'a, CommandReply> {
         Box::pin(self.daemon.command(device, holder, command))
     }
 
@@ -110,19 +110,19 @@ impl Backend for DaemonBackend {
         device: &'a str,
         holder: &'a str,
         force: bool,
-    ) -> Answer<'a, Lease> {
+    ) -> BackendFuture<'a, Lease> {
         Box::pin(self.daemon.take_lease(device, holder, force))
     }
 
-    fn release_lease<'a>(&'a self, device: &'a str, holder: &'a str) -> Answer<'a, ()> {
+    fn release_lease<'a>(&'a self, device: &'a str, holder: &'a str) -> BackendFuture<'a, ()> {
         Box::pin(self.daemon.release_lease(device, holder))
     }
 
-    fn watch(&self) -> broadcast::Receiver<Arc<Notice>> {
+    fn watch(&self) -> broadcast::Receiver<Arc<DaemonEvent>> {
         self.daemon.watch()
     }
 
-    fn live(&self, every: Duration) -> Box<dyn Tap> {
+    fn live(&self, every: Duration) -> Box<dyn LiveSource> {
         Box::new(self.daemon.live().every(every))
     }
 
@@ -131,9 +131,9 @@ impl Backend for DaemonBackend {
         device: &'a str,
         limit: u32,
         since_ms: Option<i64>,
-    ) -> Answer<'a, Vec<StoredResult>> {
+    ) -> BackendFuture<'a, Vec<StoredResult>> {
         Box::pin(async move {
-            self.known(device)?;
+            self.require_device(device)?;
             let filter = ResultFilter {
                 device: Some(device.into()),
                 since_ms,
@@ -145,16 +145,16 @@ impl Backend for DaemonBackend {
         })
     }
 
-    fn lookups<'a>(&'a self, device: &'a str) -> Answer<'a, Vec<StoredLookup>> {
+    fn lookups<'a>(&'a self, device: &'a str) -> BackendFuture<'a, Vec<StoredLookup>> {
         Box::pin(async move {
-            self.known(device)?;
+            self.require_device(device)?;
             let rows = self.daemon.lookups(device).await;
             let rows = rows.map_err(|error| failed(&error))?;
             Ok(rows.into_iter().rev().map(StoredLookup::from).collect())
         })
     }
 
-    fn recordings(&self) -> Answer<'_, Vec<RecordingFile>> {
+    fn recordings(&self) -> BackendFuture<'_, Vec<RecordingFile>> {
         Box::pin(async move {
             let all = self.daemon.recordings().await;
             all.map_err(|error| failed(&error))
@@ -171,22 +171,30 @@ impl Backend for DaemonBackend {
         from_ms: i64,
         to_ms: i64,
         columns: usize,
-    ) -> Answer<'a, History> {
+    ) -> BackendFuture<'a, History> {
         let history = self.daemon.history(device, from_ms, to_ms, columns);
         Box::pin(async { history.await.map_err(|error| failed(&error)) })
     }
 
-    fn windows<'a>(&'a self, device: &'a str, limit: usize) -> Answer<'a, Vec<WindowSummary>> {
+    fn windows<'a>(
+        &'a self,
+        device: &'a str,
+        limit: usize,
+    ) -> BackendFuture<'a, Vec<WindowSummary>> {
         let windows = self.daemon.windows(device, limit);
         Box::pin(async { windows.await.map_err(|error| failed(&error)) })
     }
 
-    fn scope<'a>(&'a self, device: &'a str, wanted: WindowWanted) -> Answer<'a, Option<Scope>> {
-        let scope = self.daemon.scope(device, wanted);
+    fn scope<'a>(
+        &'a self,
+        device: &'a str,
+        query: WindowQuery,
+    ) -> BackendFuture<'a, Option<Scope>> {
+        let scope = self.daemon.scope(device, query);
         Box::pin(async { scope.await.map_err(|error| failed(&error)) })
     }
 
-    fn training<'a>(&'a self, device: &'a str, limit: usize) -> Answer<'a, Vec<Fit>> {
+    fn training<'a>(&'a self, device: &'a str, limit: usize) -> BackendFuture<'a, Vec<Fit>> {
         let training = self.daemon.training(device, limit);
         Box::pin(async { training.await.map_err(|error| failed(&error)) })
     }
@@ -195,42 +203,42 @@ impl Backend for DaemonBackend {
         self.daemon.pot_curve(device)
     }
 
-    fn map<'a>(&'a self, device: &'a str, version: Option<u32>) -> Answer<'a, Option<Map>> {
+    fn map<'a>(&'a self, device: &'a str, version: Option<u32>) -> BackendFuture<'a, Option<Map>> {
         let map = self.daemon.map(device, version);
         Box::pin(async { map.await.map_err(|error| failed(&error)) })
     }
 
-    fn journal(&self, filter: JournalFilter) -> Answer<'_, Vec<JournalEntry>> {
+    fn journal(&self, filter: JournalFilter) -> BackendFuture<'_, Vec<JournalEntry>> {
         let journal = self.daemon.journal(filter);
         Box::pin(async { journal.await.map_err(|error| failed(&error)) })
     }
 
-    fn backup(&self, to: PathBuf) -> Answer<'_, ()> {
+    fn backup(&self, to: PathBuf) -> BackendFuture<'_, ()> {
         Box::pin(async move {
-            let done = match to.parent() {
+            let created = match to.parent() {
                 Some(folder) => std::fs::create_dir_all(folder),
                 None => Ok(()),
             };
-            if let Err(error) = done {
+            if let Err(error) = created {
                 tracing::warn!(%error, "the folder for backups cannot be made");
             }
             self.daemon.backup(to).await.map_err(|error| failed(&error))
         })
     }
 
-    fn figures(&self) -> Vec<Figure> {
+    fn metrics(&self) -> Vec<Metric> {
         let f = self.daemon.figures();
         let mut all = vec![
             gauge("up_seconds", "Seconds since the daemon began", f.up_s),
             gauge("devices", "Devices", f.devices as f64),
             gauge(
                 "store_well",
-                "1 while the store takes all records",
+                "1 while the store accepts all records",
                 f64::from(u8::from(f.store_failure.is_none())),
             ),
             gauge(
                 "store_failing_since_seconds",
-                "When the store's present failure began, in seconds since 1970; 0 while it takes all records",
+                "When the store's present failure began, in seconds since 1970; 0 while it accepts all records",
                 f.store_failure
                     .map_or(0.0, |failure| failure.since_ms as f64 * 1e-3),
             ),
@@ -258,55 +266,55 @@ impl Backend for DaemonBackend {
         ];
         all.push(counter(
             "audit_lost_total",
-            "Commands that were carried out and that the audit does not have",
+            "Commands that were executed and are missing in the audit",
             f.audits_lost as f64,
         ));
-        all.extend(f.store_dropped.by_kind().map(|(kind, n)| Figure {
+        all.extend(f.store_dropped.by_kind().map(|(kind, n)| Metric {
             label: Some(("record", kind)),
             ..counter(
                 "store_dropped_total",
-                "Records that are in no store because it did not take them, by kind; telemetry in seconds of a device",
+                "Records that the store did not accept and that are lost, by kind; telemetry in seconds of a device",
                 n as f64,
             )
         }));
-        all.extend(learner_figures(&f.learner));
+        all.extend(learner_metrics(&f.learner));
         if let Some(fleet) = self.daemon.fleet() {
-            all.extend(fleet_figures(&fleet));
+            all.extend(fleet_metrics(&fleet));
         }
         if let Some(bytes) = f.rss_bytes {
-            let help = "Memory of the daemon that is resident";
+            let help = "Resident memory of the daemon";
             all.push(gauge("resident_memory_bytes", help, bytes as f64));
         }
         all
     }
 
-    fn alive(&self) -> Answer<'_, Alive> {
+    fn liveness(&self) -> BackendFuture<'_, Liveness> {
         Box::pin(async move {
-            // Held while the store is asked: who asks meanwhile waits for the same answer.
+            // Held during the query: concurrent requests wait for the same result.
             let mut health = self.health.lock().await;
-            if let Some((at, alive)) = &*health
-                && at.elapsed() < HEALTH_HOLDS
+            if let Some((at, liveness)) = &*health
+                && at.elapsed() < HEALTH_CACHED
             {
-                return Ok(alive.clone());
+                return Ok(liveness.clone());
             }
             let answers = store_answers(&self.daemon).await;
             let figures = self.daemon.figures();
             let failure = figures.store_failure;
-            let alive = Alive {
+            let liveness = Liveness {
                 store_failure: failure
                     .or_else(|| (!answers).then(|| StoreFailure::silent(now_ms()))),
-                audit: figures.audit_is_well,
-                // Its tasks run on the threads that answer this.
+                audit: figures.audit_is_healthy,
+                // Its tasks run on the threads that serve this request.
                 supervisor: true,
             };
-            *health = Some((Instant::now(), alive.clone()));
-            Ok(alive)
+            *health = Some((Instant::now(), liveness.clone()));
+            Ok(liveness)
         })
     }
 }
 
-fn gauge(name: &'static str, help: &'static str, value: f64) -> Figure {
-    Figure {
+fn gauge(name: &'static str, help: &'static str, value: f64) -> Metric {
+    Metric {
         name,
         help,
         label: None,
@@ -315,58 +323,66 @@ fn gauge(name: &'static str, help: &'static str, value: f64) -> Figure {
     }
 }
 
-fn counter(name: &'static str, help: &'static str, value: f64) -> Figure {
-    Figure {
+fn counter(name: &'static str, help: &'static str, value: f64) -> Metric {
+    Metric {
         counter: true,
         ..gauge(name, help, value)
     }
 }
 
-fn learner_figures(f: &LearnerFigures) -> Vec<Figure> {
+fn learner_metrics(f: &LearnerFigures) -> Vec<Metric> {
     let mut all = vec![
         gauge("learner_threads", "Threads that train", f.threads as f64),
         gauge(
             "learner_queue",
-            "Windows that wait to be learned from",
+            "Windows that wait for the learner",
             f.waiting as f64,
         ),
         counter(
             "learner_windows_total",
-            "Windows that were looked at",
+            "Windows that were processed",
             f.learned as f64,
         ),
         counter(
             "learner_dropped_total",
-            "Windows that were dropped before they were looked at",
+            "Windows that were dropped before they were processed",
             f.unlearned as f64,
         ),
         counter(
             "learner_panics_total",
-            "Windows whose training failed within",
+            "Windows whose training panicked",
             f.panics as f64,
         ),
         counter(
             "learner_busy_seconds_total",
-            "Seconds that the threads trained, all together",
+            "Seconds that the threads trained, in total",
             f.busy_s,
         ),
     ];
-    let p50 = f
-        .fit_p50_s
-        .map(|s| gauge("learner_fit_p50_seconds", "Half of the last fits", s));
-    let p99 = f
-        .fit_p99_s
-        .map(|s| gauge("learner_fit_p99_seconds", "99 % of the last fits", s));
+    let p50 = f.fit_p50_s.map(|s| {
+        gauge(
+            "learner_fit_p50_seconds",
+            "Median duration of the last fits",
+            s,
+        )
+    });
+    let p99 = f.fit_p99_s.map(|s| {
+        gauge(
+            "learner_fit_p99_seconds",
+            "99th percentile of the duration of the last fits",
+            s,
+        )
+    });
     all.extend(p50.into_iter().chain(p99));
     all
 }
 
-/// Of the fleet as this edge knew it last; `fleet_connected` says whether that is now.
-fn fleet_figures(fleet: &FleetReport) -> Vec<Figure> {
+/// Returns the metrics of the fleet from the last report; that is current if `fleet_connected` is 1.
+fn fleet_metrics(fleet: &FleetReport) -> Vec<Metric> {
     let mut all = vec![
         gauge(
             "fleet_connected",
-            "1 where the fleet's server answers; else the others are what they were last",
+            "1 while the fleet's server responds; else the other fleet metrics are old",
             f64::from(u8::from(fleet.connected)),
         ),
         gauge(
@@ -376,7 +392,7 @@ fn fleet_figures(fleet: &FleetReport) -> Vec<Figure> {
         ),
         gauge(
             "fleet_backlog",
-            "Windows in the fleet that nobody has identified yet",
+            "Windows in the fleet that no worker has identified yet",
             fleet.backlog as f64,
         ),
         gauge(
@@ -386,35 +402,35 @@ fn fleet_figures(fleet: &FleetReport) -> Vec<Figure> {
         ),
         gauge(
             "fleet_workers",
-            "Workers that the fleet knows",
+            "Workers of the fleet",
             fleet.workers.len() as f64,
         ),
         gauge(
             "fleet_alarms",
-            "What needs somebody at this edge: windows that stay in a state for too long, a name that is another store's, a worker whose answers are refuted",
+            "Alarms of this edge: windows that stay in a state for too long, a name used by another store, a worker with refuted results",
             fleet.alarms.len() as f64,
         ),
     ];
-    all.extend(fleet.states.by_name().map(|(state, n)| Figure {
+    all.extend(fleet.states.by_name().map(|(state, n)| Metric {
         label: Some(("state", state)),
         ..gauge(
             "fleet_windows",
-            "Windows in this edge's store by their progress with the fleet: together all",
+            "Windows in this edge's store by fleet state; their sum is the number of stored windows",
             n as f64,
         )
     }));
-    all.extend(fleet.answers.by_name().map(|(outcome, n)| Figure {
+    all.extend(fleet.answers.by_name().map(|(outcome, n)| Metric {
         label: Some(("outcome", outcome)),
         ..gauge(
             "fleet_answers",
-            "Workers' answers to this edge's windows by what the windows made of them",
+            "Workers' results for windows of this edge, by outcome",
             n as f64,
         )
     }));
     all
 }
 
-/// JSON has no NaN.
+/// Returns `None` for values that JSON cannot represent.
 fn finite(x: f64) -> Option<f64> {
     x.is_finite().then_some(x)
 }

@@ -1,12 +1,12 @@
-//! The daemon over HTTP, and the client that the command uses.
+//! HTTP API of the daemon, and its client.
 //!
 //! ```text
 //!  socket ── limits, TLS ──► Host ──► cross-site ──► token, role ──► route ──► Backend
 //!  server.rs  connection.rs   access/hosts.rs   tower-http   access/guard.rs  routes/  backend.rs
 //! ```
 //!
-//! Safe by default: loopback only, and elsewhere nothing without tokens and TLS. `GET` changes nothing. Whoever is slow, greedy
-//! or a stranger loses his own connection and nobody else's.
+//! Safe by default: the server listens on loopback only; any other address requires tokens and TLS. `GET` changes nothing. A client that is
+//! slow, sends too much or has no token can lose its own connection only.
 
 pub mod access;
 pub mod backend;
@@ -15,19 +15,20 @@ mod connection;
 pub mod daemon_backend;
 pub mod model;
 mod percent;
-mod places;
+mod problem;
 mod prometheus;
 mod routes;
 pub mod server;
+mod slots;
 pub mod tls;
 mod traffic;
 
 pub use backend::Backend;
 pub use client::ApiClient;
 pub use daemon_backend::DaemonBackend;
-pub use server::{Server, ServerError, Settings};
+pub use server::{Server, ServerError, ServerOptions};
 
-/// The API's description in OpenAPI 3.1, as `GET /api/v1/openapi.json` answers it.
+/// Returns the OpenAPI 3.1 description of the API, as `GET /api/v1/openapi.json` does.
 pub fn openapi() -> utoipa::openapi::OpenApi {
     routes::described().1
 }

@@ -1,4 +1,4 @@
-//! What only the API says; the rest is [`ihd_daemon::model`].
+//! Messages of the API itself; those of the daemon are in [`ihd_daemon::model`].
 
 use std::collections::BTreeMap;
 
@@ -6,56 +6,57 @@ use ihd_daemon::model::{CommandError, StoreFailure};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::access::Role;
+use crate::access::role::Role;
 
-/// Header that names who asks: 1 to 64 printable ASCII characters. It is told to others, and proves nothing.
+/// Header with the name of the client: 1 to 64 printable ASCII characters. It is shown to other clients and is not authenticated.
 pub const HOLDER_HEADER: &str = "ihd-holder";
 
-/// Who holds or wants the lease of a device.
+/// Request for the lease of a device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LeaseRequest {
-    /// Take it from whoever has it.
+    /// Revoke the lease of another holder.
     #[serde(default)]
     pub force: bool,
 }
 
-/// A token that a browser shows once. It has no `Debug`: it belongs in no message.
+/// Token that opens a browser session.
+// No `Debug`: a token must not appear in a message.
 #[derive(Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SessionRequest {
-    /// A token of the token file.
+    /// Token from the token file.
     pub token: String,
 }
 
-/// What whoever asks may do.
+/// Rights of the client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct SessionReport {
-    /// The highest role that he has.
+    /// Highest role of the client.
     pub role: Role,
-    /// Whether the daemon wants tokens at all.
+    /// `true` if the daemon requires tokens.
     pub token_needed: bool,
-    /// Whether it is an edge of a fleet, of which `/fleet` tells.
+    /// `true` if the daemon is an edge of a fleet, which `/fleet` reports.
     #[serde(default)]
     pub fleet: bool,
 }
 
-/// Where a backup goes.
+/// Request for a backup.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BackupRequest {
-    /// Name of a folder or file that does not exist yet, in the folder `backups` of the store.
+    /// Name of the backup in the folder `backups` of the store; must not exist yet.
     pub to: String,
 }
 
-/// A backup that was made.
+/// Finished backup.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct BackupMade {
-    /// Its path on the daemon's machine.
+    /// Path on the daemon's machine.
     pub path: String,
 }
 
-/// A result of the store: what one window taught. Numbers that came out as none are left empty.
+/// Stored result of one window. Numbers are `null` if they are not finite.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StoredResult {
     /// Name of the device.
@@ -72,78 +73,78 @@ pub struct StoredResult {
     pub f_sw_hz: u32,
     /// Largest amplitude of the current's fundamental, in ampere.
     pub i_crest_a: Option<f64>,
-    /// Mean power, in watt, where it was known.
+    /// Mean power in watt; `null` if unknown.
     pub power_w: Option<f64>,
-    /// Mean of R weighted with the squared current, in ohm.
+    /// Mean of R, weighted with the squared current, in ohm.
     pub r_ohm: Option<f64>,
-    /// The same of L, in henry.
+    /// Mean of L, weighted with the squared current, in henry.
     pub l_h: Option<f64>,
     /// Standard deviation of R in percent.
     pub sigma_r_pct: Option<f64>,
     /// Standard deviation of L in percent.
     pub sigma_l_pct: Option<f64>,
-    /// Whether the gate let it pass.
+    /// `true` if the gate accepted the window.
     pub pass: bool,
-    /// Why not; empty where it did.
+    /// Reason for which the gate rejected it; empty if it did not.
     pub why: String,
-    /// Whether the lookup is another one for it.
+    /// `true` if the window changed the lookup.
     pub changed_lookup: bool,
 }
 
-/// A lookup of the store.
+/// Stored lookup.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct StoredLookup {
-    /// Its version.
+    /// Version.
     pub version: u32,
     /// `pending`, `active`, `superseded` or `refused`.
     pub state: String,
-    /// Milliseconds since 1970, UTC, of its last change of state.
+    /// Time of its last change of state, in milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// Who built it: `host`, or `device` where it was found there.
+    /// Origin: `host`, or `device` if it was read from there.
     pub origin: String,
-    /// Why it was built, or refused.
+    /// Reason for which it was built or refused.
     pub why: String,
-    /// Its bytes ([`ihd_daemon::model::Command::LookupPush`] takes them).
+    /// Bytes, as in [`ihd_daemon::model::Command::LookupPush`].
     pub blob: Vec<u8>,
 }
 
-/// Whether the daemon works.
+/// Health of the daemon.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Health {
-    /// Always `ihd`: how the command knows that it found a daemon.
+    /// Always `ihd`; identifies the daemon.
     pub service: String,
-    /// Whether the store takes what it is given.
+    /// `true` while the store accepts records.
     pub store: bool,
-    /// Why it does not, since when, what was dropped since then, and what to do; `null` while it does.
+    /// Failure of the store, with its cause, its time, the records lost since then and advice; `null` while there is none.
     #[serde(default)]
     pub store_failure: Option<StoreFailure>,
-    /// Whether devices are looked after.
+    /// `true` while devices are supervised.
     pub supervisor: bool,
-    /// All commands so far are in the audit, or on their way to it.
+    /// `true` while all commands so far are in the audit or queued for it.
     pub audit: bool,
 }
 
-/// What a watcher that reads too slowly has missed; the event `missed`.
+/// Data of the event `missed`: the client reads too slowly.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct Missed {
-    /// Notices that were dropped for this watcher.
+pub struct MissedEvents {
+    /// Number of events that were dropped for this subscriber.
     pub missed: u64,
 }
 
-/// Why a request was not carried out.
+/// Error of a request.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Problem {
-    /// A word to branch on: `no-device`, `leased`, `role`, …
+    /// Error code: `no-device`, `leased`, `role`, …
     pub error: String,
-    /// What was wrong and what to do, for a person.
+    /// Description of the error and advice, for users.
     pub message: String,
-    /// What else belongs to the error: `holder`, `expires_in_s`, …
+    /// Further fields of the error: `holder`, `expires_in_s`, …
     #[serde(flatten)]
     pub fields: BTreeMap<String, serde_json::Value>,
 }
 
 impl Problem {
-    /// A problem without further fields.
+    /// Creates a problem without further fields.
     pub fn new(error: &str, message: impl Into<String>) -> Self {
         Self {
             error: error.into(),
@@ -152,7 +153,7 @@ impl Problem {
         }
     }
 
-    /// The daemon's own error, where it is one.
+    /// Returns the daemon's error; `None` if the server itself refused the request.
     pub fn command_error(&self) -> Option<CommandError> {
         serde_json::from_value(serde_json::to_value(self).ok()?).ok()
     }
@@ -164,12 +165,12 @@ impl From<&CommandError> for Problem {
             Ok(serde_json::Value::Object(fields)) => fields,
             _ => serde_json::Map::new(),
         };
-        let word = match fields.remove("error") {
-            Some(serde_json::Value::String(word)) => word,
+        let code = match fields.remove("error") {
+            Some(serde_json::Value::String(code)) => code,
             _ => "failed".into(),
         };
         Self {
-            error: word,
+            error: code,
             message: error.to_string(),
             fields: fields.into_iter().collect(),
         }

@@ -1,6 +1,6 @@
-//! Text where only some characters may stand.
+//! Percent encoding.
 
-/// ASCII letters, digits and the bytes of `plain` as they are, every other byte as `%` and two digits.
+/// Encodes every byte but ASCII letters, digits and those of `plain` as `%` and two hexadecimal digits.
 pub(crate) fn encoded(text: &str, plain: &[u8]) -> String {
     let mut written = String::new();
     for byte in text.bytes() {

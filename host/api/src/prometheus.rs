@@ -1,23 +1,23 @@
-//! Prometheus' text format: <https://prometheus.io/docs/instrumenting/exposition_formats>
+//! Text format of Prometheus: <https://prometheus.io/docs/instrumenting/exposition_formats>
 
 use std::fmt::Write;
 
-/// In front of every name.
+/// Prefix of every metric name.
 const PREFIX: &str = "ihd_";
 
-/// A page of numbers.
+/// Text for one scrape.
 #[derive(Default)]
 pub(crate) struct Exposition(String);
 
 impl Exposition {
-    /// Opens a family; its samples follow at once.
+    /// Writes the head of a family; its samples must follow directly.
     pub(crate) fn family(&mut self, name: &str, help: &str, kind: &str) {
         let help = help.replace('\\', r"\\").replace('\n', r"\n");
         self.line(format_args!("# HELP {PREFIX}{name} {help}"));
         self.line(format_args!("# TYPE {PREFIX}{name} {kind}"));
     }
 
-    /// One number of the family.
+    /// Writes one sample of the family.
     pub(crate) fn sample(&mut self, name: &str, labels: &[(&str, &str)], value: f64) {
         let labels: Vec<String> = labels
             .iter()
@@ -31,13 +31,13 @@ impl Exposition {
         self.line(format_args!("{PREFIX}{name}{labels} {}", number(value)));
     }
 
-    /// The page.
+    /// Returns the text.
     pub(crate) fn into_text(self) -> String {
         self.0
     }
 
     fn line(&mut self, line: std::fmt::Arguments<'_>) {
-        // Writing to a string does not fail.
+        // Writing to a string cannot fail.
         let _ = self.0.write_fmt(format_args!("{line}\n"));
     }
 }
@@ -61,7 +61,7 @@ fn number(value: f64) -> String {
 mod tests {
     use super::*;
 
-    /// From the format's own description.
+    /// Example of the format's specification.
     #[test]
     fn labels_are_escaped_and_numbers_written_as_the_format_says() {
         let mut text = Exposition::default();

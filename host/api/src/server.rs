@@ -1,4 +1,4 @@
-//! The server: where it listens, whom it lets in, how it ends.
+//! Server: address, access, accepting connections, shutdown.
 
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
@@ -20,110 +20,109 @@ use crate::access::sessions::Sessions;
 use crate::access::tokens::{TokenError, Tokens};
 use crate::backend::Backend;
 use crate::connection;
-pub use crate::places::MAX_CONNECTIONS;
-use crate::places::Places;
-use crate::routes::{self, App, Counts, MAX_WATCHERS};
+use crate::routes::{self, App, Counts, MAX_SUBSCRIBERS};
+use crate::slots::ConnectionSlots;
+pub use crate::slots::MAX_CONNECTIONS;
 use crate::tls::{Certificate, ServerTls, TlsError};
 
-/// Rest after the system refused to accept (no more descriptors).
-const AFTER_REFUSAL: Duration = Duration::from_millis(200);
+/// Pause after `accept` has failed, for example without a free file descriptor.
+const ACCEPT_RETRY: Duration = Duration::from_millis(200);
 
-/// How the server is set up.
+/// Configuration of a server.
 #[derive(Clone, Debug)]
-pub struct Settings {
-    /// `HOST:PORT`; port 0 lets the system choose.
+pub struct ServerOptions {
+    /// Address to listen on, `HOST:PORT`; the system chooses the port if it is 0.
     pub listen: String,
-    /// Names beside loopback's and the address itself by which it may be called.
+    /// Host names accepted besides those of loopback and the address itself.
     pub allowed_hosts: Vec<String>,
-    /// The token file; made where it is not there.
+    /// Token file, created if it is missing; `None`: no tokens.
     pub token_file: Option<PathBuf>,
-    /// TLS, where it is spoken.
+    /// Certificate for TLS; `None`: plain HTTP.
     pub tls: Option<Certificate>,
     /// Folder for backups.
     pub backups: PathBuf,
 }
 
-/// Why there is no server.
+/// Error of [`Server::bind`].
 #[derive(Debug, Error)]
 pub enum ServerError {
-    /// The address is none.
+    /// `listen` is not an address.
     #[error("listen = {listen:?} is no address: {source}; write HOST:PORT, as 127.0.0.1:8731")]
     Address {
-        /// As configured.
+        /// Configured address.
         listen: String,
-        /// Why.
+        /// Error of the system.
         source: io::Error,
     },
-    /// The address can be reached from elsewhere.
+    /// The address can be reached from other machines, and tokens or TLS are missing.
     #[error(
         "listen = {listen:?} can be reached from other machines, which needs tokens and TLS: \
          set token_file = \"PATH\" and [tls] (with certificate and key, or empty for a generated one), \
          or listen = \"127.0.0.1:8731\""
     )]
     Reachable {
-        /// As configured.
+        /// Configured address.
         listen: String,
     },
-    /// Nobody could call it.
+    /// The server listens on all addresses without `allowed_hosts`.
     #[error(
-        "listen = {listen:?} is every address of this machine, so that nobody knows by which name \
-         it may be called: set allowed_hosts = [\"NAME or ADDRESS\", …]"
+        "listen = {listen:?} is every address of this machine, so that its host name is unknown: set allowed_hosts = [\"NAME or ADDRESS\", …]"
     )]
     Nameless {
-        /// As configured.
+        /// Configured address.
         listen: String,
     },
-    /// Somebody else has the port.
+    /// Another process uses the port.
     #[error(
         "another process has {listen}: is a daemon running already (`ihd device list` asks it)? \
          End it, or set another `listen`"
     )]
     InUse {
-        /// As configured.
+        /// Configured address.
         listen: String,
     },
-    /// The address cannot be listened on.
+    /// The system does not allow listening on the address.
     #[error("cannot listen on {listen}: {source}")]
     Bind {
-        /// As configured.
+        /// Configured address.
         listen: String,
-        /// Why.
+        /// Error of the system.
         source: io::Error,
     },
-    /// The token file.
+    /// The token file cannot be used.
     #[error(transparent)]
     Token(#[from] TokenError),
-    /// The certificate.
+    /// The certificate cannot be used.
     #[error("TLS: {0}")]
     Tls(#[from] TlsError),
 }
 
-/// A server that listens, and does not serve yet.
+/// Server that listens, but does not accept connections before [`Server::run`].
 pub struct Server {
     listener: TcpListener,
     address: SocketAddr,
     tls: Option<ServerTls>,
     access: Access,
     backups: PathBuf,
-    made_tokens: Option<PathBuf>,
+    created_tokens: Option<PathBuf>,
 }
 
 impl Server {
-    /// Takes the port, reads or makes tokens and certificate.
+    /// Binds the port; reads tokens and certificate, or creates them.
     ///
     /// # Errors
-    /// [`ServerError`]: an address that others can reach without tokens and TLS among them.
-    pub async fn bind(settings: &Settings) -> Result<Self, ServerError> {
-        let listen = settings.listen.clone();
-        let wanted = resolve(&listen)?;
-        let loopback = wanted.ip().is_loopback();
-        if !loopback && (settings.token_file.is_none() || settings.tls.is_none()) {
+    /// [`ServerError`], also for an address that other machines can reach without tokens and TLS.
+    pub async fn bind(options: &ServerOptions) -> Result<Self, ServerError> {
+        let listen = options.listen.clone();
+        let requested = resolve(&listen)?;
+        let loopback = requested.ip().is_loopback();
+        if !loopback && (options.token_file.is_none() || options.tls.is_none()) {
             return Err(ServerError::Reachable { listen });
         }
-        if wanted.ip().is_unspecified() && settings.allowed_hosts.is_empty() {
+        if requested.ip().is_unspecified() && options.allowed_hosts.is_empty() {
             return Err(ServerError::Nameless { listen });
         }
-        let listener = TcpListener::bind(wanted).await.map_err(|source| {
+        let listener = TcpListener::bind(requested).await.map_err(|source| {
             let listen = listen.clone();
             match source.kind() {
                 io::ErrorKind::AddrInUse => ServerError::InUse { listen },
@@ -134,62 +133,62 @@ impl Server {
             listen: listen.clone(),
             source,
         })?;
-        let mut made_tokens = None;
-        let tokens = match &settings.token_file {
+        let mut created_tokens = None;
+        let tokens = match &options.token_file {
             None => None,
             Some(path) => {
-                let (tokens, made) = Tokens::read_or_make(path)?;
-                made_tokens = made.then(|| path.clone());
+                let (tokens, made) = Tokens::read_or_create(path)?;
+                created_tokens = made.then(|| path.clone());
                 Some(tokens)
             }
         };
         Ok(Self {
             listener,
             address,
-            tls: load_tls(settings, wanted)?,
+            tls: load_tls(options, requested)?,
             access: Access {
-                hosts: AllowedHosts::new(wanted.ip(), &settings.allowed_hosts),
+                hosts: AllowedHosts::new(requested.ip(), &options.allowed_hosts),
                 tokens,
                 sessions: Sessions::default(),
             },
-            backups: settings.backups.clone(),
-            made_tokens,
+            backups: options.backups.clone(),
+            created_tokens,
         })
     }
 
-    /// Where it listens.
+    /// Returns the address on which it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Its address as a client writes it.
+    /// Returns its URL.
     pub fn url(&self) -> String {
         let scheme = if self.tls.is_some() { "https" } else { "http" };
         format!("{scheme}://{}", self.address)
     }
 
-    /// SHA-256 and file of its certificate, where it speaks TLS.
+    /// Returns SHA-256 fingerprint and file of its certificate; `None` without TLS.
     pub fn certificate(&self) -> Option<(&str, &Path)> {
         let tls = self.tls.as_ref()?;
         Some((&tls.fingerprint, &tls.certificate))
     }
 
-    /// The token file, where it was made just now.
-    pub fn made_tokens(&self) -> Option<&Path> {
-        self.made_tokens.as_deref()
+    /// Returns the token file if [`Server::bind`] has created it.
+    pub fn created_tokens(&self) -> Option<&Path> {
+        self.created_tokens.as_deref()
     }
 
-    /// Serves until `stopping` is true, then gives requests under way a second.
+    /// Serves until `stopping` is `true`; requests in progress then have one second to end.
     pub async fn run(self, backend: Arc<dyn Backend>, mut stopping: watch::Receiver<bool>) {
         let app = Arc::new(App {
             backend,
-            access: self.access,
+            access: Arc::new(self.access),
             tls: self.tls.is_some(),
             backups: self.backups,
             stopping: stopping.clone(),
-            watchers: Arc::new(Semaphore::new(MAX_WATCHERS)),
+            subscribers: Arc::new(Semaphore::new(MAX_SUBSCRIBERS)),
             counts: Counts::default(),
-            places: Places::default(),
+            slots: ConnectionSlots::default(),
         });
         let router = routes::router(app.clone());
         let tls = self.tls.map(|tls| TlsAcceptor::from(tls.config));
@@ -204,16 +203,16 @@ impl Server {
                 Ok((stream, _)) => stream,
                 Err(error) => {
                     tracing::warn!(%error, "cannot accept a connection");
-                    tokio::time::sleep(AFTER_REFUSAL).await;
+                    tokio::time::sleep(ACCEPT_RETRY).await;
                     continue;
                 }
             };
             app.counts.connections.fetch_add(1, Ordering::Relaxed);
-            let place = app.places.take();
+            let slot = app.slots.assign();
             let (router, tls, stopping): (Router, _, _) =
                 (router.clone(), tls.clone(), stopping.clone());
-            connections.spawn(connection::serve(stream, place, tls, router, stopping));
-            // It shows what it has brought before others push it out.
+            connections.spawn(connection::serve(stream, slot, tls, router, stopping));
+            // The connection's first byte is read before another one can evict it.
             tokio::task::yield_now().await;
         }
         drop(self.listener);
@@ -226,17 +225,20 @@ fn resolve(listen: &str) -> Result<SocketAddr, ServerError> {
         listen: listen.into(),
         source,
     };
-    let mut found = listen.to_socket_addrs().map_err(cannot)?;
-    found
+    let mut addresses = listen.to_socket_addrs().map_err(cannot)?;
+    addresses
         .next()
         .ok_or_else(|| cannot(io::Error::other("the name has no address")))
 }
 
-fn load_tls(settings: &Settings, address: SocketAddr) -> Result<Option<ServerTls>, ServerError> {
-    let Some(certificate) = &settings.tls else {
+fn load_tls(
+    options: &ServerOptions,
+    address: SocketAddr,
+) -> Result<Option<ServerTls>, ServerError> {
+    let Some(certificate) = &options.tls else {
         return Ok(None);
     };
-    let mut names = settings.allowed_hosts.clone();
+    let mut names = options.allowed_hosts.clone();
     if !address.ip().is_unspecified() {
         names.push(address.ip().to_string());
     }
@@ -247,8 +249,8 @@ fn load_tls(settings: &Settings, address: SocketAddr) -> Result<Option<ServerTls
 mod tests {
     use super::*;
 
-    fn settings(listen: &str) -> Settings {
-        Settings {
+    fn options(listen: &str) -> ServerOptions {
+        ServerOptions {
             listen: listen.into(),
             allowed_hosts: Vec::new(),
             token_file: None,
@@ -257,8 +259,8 @@ mod tests {
         }
     }
 
-    async fn refused(settings: &Settings) -> String {
-        Server::bind(settings).await.err().unwrap().to_string()
+    async fn refused(options: &ServerOptions) -> String {
+        Server::bind(options).await.err().unwrap().to_string()
     }
 
     #[tokio::test]
@@ -266,13 +268,13 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         for listen in ["0.0.0.0:0", "[::]:0", "192.0.2.1:0"] {
             for (token, tls) in [(false, false), (true, false), (false, true)] {
-                let mut settings = settings(listen);
+                let mut options = options(listen);
                 let file = dir.path().join("tokens");
-                settings.token_file = token.then(|| file.clone());
-                settings.tls = tls.then(|| Certificate::Made {
+                options.token_file = token.then(|| file.clone());
+                options.tls = tls.then(|| Certificate::Generated {
                     folder: dir.path().into(),
                 });
-                let error = refused(&settings).await;
+                let error = refused(&options).await;
                 assert!(error.contains("token_file"), "{listen}: {error}");
                 assert!(!file.exists(), "nothing is made for a refused address");
             }
@@ -282,26 +284,26 @@ mod tests {
     #[tokio::test]
     async fn every_address_needs_names() {
         let dir = tempfile::tempdir().unwrap();
-        let mut settings = settings("0.0.0.0:0");
-        settings.token_file = Some(dir.path().join("tokens"));
-        settings.tls = Some(Certificate::Made {
+        let mut options = options("0.0.0.0:0");
+        options.token_file = Some(dir.path().join("tokens"));
+        options.tls = Some(Certificate::Generated {
             folder: dir.path().into(),
         });
-        let error = refused(&settings).await;
+        let error = refused(&options).await;
         assert!(error.contains("allowed_hosts"), "{error}");
-        settings.allowed_hosts = vec!["hob.lan".into()];
-        let server = Server::bind(&settings).await.unwrap();
+        options.allowed_hosts = vec!["hob.lan".into()];
+        let server = Server::bind(&options).await.unwrap();
         assert!(server.url().starts_with("https://"));
-        assert!(server.made_tokens().is_some());
+        assert!(server.created_tokens().is_some());
         assert!(server.certificate().is_some());
     }
 
     #[tokio::test]
     async fn a_port_in_use_and_no_address_say_what_to_do() {
-        let first = Server::bind(&settings("127.0.0.1:0")).await.unwrap();
-        let error = refused(&settings(&first.address().to_string())).await;
+        let first = Server::bind(&options("127.0.0.1:0")).await.unwrap();
+        let error = refused(&options(&first.address().to_string())).await;
         assert!(error.contains("running already"), "{error}");
-        let error = refused(&settings("8731")).await;
+        let error = refused(&options("8731")).await;
         assert!(error.contains("HOST:PORT"), "{error}");
     }
 }

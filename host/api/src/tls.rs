@@ -1,4 +1,4 @@
-//! The certificate: its owner's, or one that is made here.
+//! Certificate of the server: the user's own, or a generated one.
 
 use std::fs;
 use std::io::{self, Write};
@@ -11,27 +11,27 @@ use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use thiserror::Error;
 
-/// HTTP/2 as two ends of TLS agree on it.
+/// ALPN name of HTTP/2.
 pub(crate) const HTTP2: &[u8] = b"h2";
 
-/// Where certificate and key come from.
+/// Source of certificate and key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Certificate {
-    /// PEM files of their owner.
+    /// PEM files of the user.
     Files {
-        /// The certificate, and those that lead to its issuer.
+        /// Certificate, with the chain to its issuer.
         certificate: PathBuf,
-        /// Its private key.
+        /// Private key of the certificate.
         key: PathBuf,
     },
-    /// Made once and kept in this folder, as `certificate.pem` and `key.pem`.
-    Made {
+    /// Self-signed, generated once and stored as `certificate.pem` and `key.pem`.
+    Generated {
         /// The folder.
         folder: PathBuf,
     },
 }
 
-/// Why TLS cannot be had.
+/// Error of certificate or key.
 #[derive(Debug, Error)]
 pub enum TlsError {
     /// A file cannot be read or written.
@@ -39,61 +39,61 @@ pub enum TlsError {
     Io {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Error of the system.
         source: io::Error,
     },
-    /// A file holds no PEM of the kind.
+    /// A file contains no PEM section of the kind.
     #[error("{} holds no {what} in PEM: {why}", path.display())]
     Pem {
         /// The file.
         path: PathBuf,
-        /// What was looked for.
+        /// Kind of the expected section.
         what: &'static str,
-        /// Why.
+        /// Reason.
         why: String,
     },
-    /// Certificate and key do not fit, or one is unusable.
+    /// Certificate and key do not match, or one is unusable.
     #[error("certificate {} and key {} cannot be used: {source}", certificate.display(), key.display())]
     Unusable {
         /// The certificate.
         certificate: PathBuf,
         /// The key.
         key: PathBuf,
-        /// Why.
+        /// Error of rustls.
         source: rustls::Error,
     },
-    /// No certificate can be made.
-    #[error("no certificate can be made for {names:?}: {source}")]
-    Make {
-        /// The names that it should be good for.
+    /// No certificate can be generated.
+    #[error("no certificate can be generated for {names:?}: {source}")]
+    Generate {
+        /// Host names of the certificate.
         names: Vec<String>,
-        /// Why.
+        /// Error of rcgen.
         source: rcgen::Error,
     },
 }
 
-/// TLS as a server speaks it.
+/// TLS configuration of a server.
 pub struct ServerTls {
-    /// For the acceptor.
+    /// Configuration of the acceptor.
     pub config: Arc<ServerConfig>,
-    /// SHA-256 of the certificate, in hexadecimal with colons: what a client compares.
+    /// SHA-256 fingerprint of the certificate, in hexadecimal with colons, for comparison by a client.
     pub fingerprint: String,
-    /// The certificate's file, which a client takes as `--ca`.
+    /// File of the certificate, for a client's `--ca`.
     pub certificate: PathBuf,
 }
 
 impl Certificate {
-    /// Reads certificate and key; makes them for `names` where they are to be made and not there.
+    /// Reads certificate and key; generates missing ones for `names` if the source is [`Certificate::Generated`].
     ///
     /// # Errors
     /// [`TlsError`].
     pub fn load(&self, names: &[String]) -> Result<ServerTls, TlsError> {
         let (certificate, key) = match self {
             Self::Files { certificate, key } => (certificate.clone(), key.clone()),
-            Self::Made { folder } => {
+            Self::Generated { folder } => {
                 let paths = (folder.join("certificate.pem"), folder.join("key.pem"));
                 if !paths.0.exists() || !paths.1.exists() {
-                    make(folder, &paths.0, &paths.1, names)?;
+                    generate(folder, &paths.0, &paths.1, names)?;
                 }
                 paths
             }
@@ -147,8 +147,13 @@ fn read_chain(path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
     Ok(chain)
 }
 
-/// Makes certificate and key; the key first and for its owner alone, so that a certificate never stands without.
-fn make(folder: &Path, certificate: &Path, key: &Path, names: &[String]) -> Result<(), TlsError> {
+/// Generates certificate and key. The key is written first, so that there is never a certificate without one.
+fn generate(
+    folder: &Path,
+    certificate: &Path,
+    key: &Path,
+    names: &[String],
+) -> Result<(), TlsError> {
     let mut all: Vec<String> = ["localhost", "127.0.0.1", "::1"].map(Into::into).into();
     all.extend(
         names
@@ -157,21 +162,21 @@ fn make(folder: &Path, certificate: &Path, key: &Path, names: &[String]) -> Resu
             .cloned()
             .collect::<Vec<_>>(),
     );
-    let made = rcgen::generate_simple_self_signed(all.clone())
-        .map_err(|source| TlsError::Make { names: all, source })?;
+    let generated = rcgen::generate_simple_self_signed(all.clone())
+        .map_err(|source| TlsError::Generate { names: all, source })?;
     fs::create_dir_all(folder).map_err(|source| TlsError::Io {
         path: folder.into(),
         source,
     })?;
-    write_new(key, &made.signing_key.serialize_pem())?;
-    write_new(certificate, &made.cert.pem())
+    write_new(key, &generated.signing_key.serialize_pem())?;
+    write_new(certificate, &generated.cert.pem())
 }
 
-/// Writes beside, for the owner alone, and renames: half a file is never seen.
+/// Writes a file for its owner only, under another name first, so that no incomplete file is ever visible.
 fn write_new(path: &Path, text: &str) -> Result<(), TlsError> {
-    let beside = path.with_extension("new");
+    let temporary = path.with_extension("new");
     let write = || {
-        match fs::remove_file(&beside) {
+        match fs::remove_file(&temporary) {
             Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
             _ => {}
         }
@@ -179,10 +184,10 @@ fn write_new(path: &Path, text: &str) -> Result<(), TlsError> {
         options.write(true).create_new(true);
         #[cfg(unix)]
         std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-        let mut file = options.open(&beside)?;
+        let mut file = options.open(&temporary)?;
         file.write_all(text.as_bytes())?;
         file.sync_all()?;
-        fs::rename(&beside, path)
+        fs::rename(&temporary, path)
     };
     write().map_err(|source| TlsError::Io {
         path: path.into(),
@@ -190,7 +195,7 @@ fn write_new(path: &Path, text: &str) -> Result<(), TlsError> {
     })
 }
 
-/// SHA-256 of a certificate.
+/// Returns the SHA-256 fingerprint of a certificate.
 fn fingerprint(certificate: &CertificateDer<'_>) -> String {
     let Some(suite) = cipher_suite::TLS13_AES_128_GCM_SHA256.tls13() else {
         return String::new();
@@ -208,12 +213,12 @@ mod tests {
     fn a_certificate_is_made_once_and_its_key_is_its_owners() {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path().join("tls");
-        let made = Certificate::Made {
+        let source = Certificate::Generated {
             folder: folder.clone(),
         };
-        let first = made.load(&["hob.lan".into()]).unwrap();
+        let first = source.load(&["hob.lan".into()]).unwrap();
         assert_eq!(first.fingerprint.split(':').count(), 32);
-        assert_eq!(made.load(&[]).unwrap().fingerprint, first.fingerprint);
+        assert_eq!(source.load(&[]).unwrap().fingerprint, first.fingerprint);
         #[cfg(unix)]
         {
             use std::os::unix::fs::PermissionsExt;
@@ -228,7 +233,9 @@ mod tests {
     fn files_that_are_wrong_are_named() {
         let dir = tempfile::tempdir().unwrap();
         let path = |name: &str| dir.path().join(name);
-        Certificate::Made { folder: path("a") }.load(&[]).unwrap();
+        Certificate::Generated { folder: path("a") }
+            .load(&[])
+            .unwrap();
         fs::write(path("empty.pem"), "").unwrap();
         for (certificate, key, word) in [
             ("gone.pem", "a/key.pem", "gone.pem"),
@@ -243,7 +250,9 @@ mod tests {
             assert!(error.contains(word), "{error}");
         }
         // A key of another certificate.
-        Certificate::Made { folder: path("b") }.load(&[]).unwrap();
+        Certificate::Generated { folder: path("b") }
+            .load(&[])
+            .unwrap();
         let mixed = Certificate::Files {
             certificate: path("a/certificate.pem"),
             key: path("b/key.pem"),

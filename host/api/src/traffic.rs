@@ -1,146 +1,153 @@
-//! Requests of one connection: whether one is under way, and whether somebody takes what is answered.
+//! Requests of one connection: detects that none is in progress, and that the client reads no response.
 //!
-//! Over HTTP/1.1 the head of the next request has its time, and a reader who takes nothing stops the socket. Over HTTP/2 several requests
-//! share the socket and each has a window of its own, so that both are seen here alone.
+//! Over HTTP/1.1 hyper limits the time until the next request head, and a client that reads nothing blocks the socket. Over HTTP/2 several
+//! requests share the socket, each with its own flow-control window, so that both states can only be detected here.
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
+use std::time::Duration;
 
 use axum::body::{Body, Bytes, HttpBody};
 use hyper::body::{Frame, SizeHint};
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep, timeout};
 
-use crate::connection::{HEAD_TIMEOUT, STALL_TIMEOUT};
-use crate::places::Request;
+use crate::slots::RequestGuard;
+
+/// Maximum time until a request head is complete, from the start of the connection or from the previous response.
+pub(crate) const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Maximum time for which a client may read nothing of what is written to it.
+pub(crate) const STALL_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Requests of a connection.
 #[derive(Clone)]
 pub(crate) struct Traffic(Arc<Shared>);
 
 struct Shared {
-    /// Number of those under way.
-    under_way: watch::Sender<u32>,
-    untaken: Mutex<Untaken>,
+    /// Number of requests in progress.
+    active: watch::Sender<u32>,
+    unread: Mutex<UnreadResponses>,
 }
 
-/// Answers of which a part was handed out and the next is not asked for yet, since when.
+/// Responses with a frame that was handed out and a next one that was not requested yet.
 #[derive(Default)]
-struct Untaken {
-    next: u64,
+struct UnreadResponses {
+    next_id: u64,
+    /// Time of that frame, by request.
     since: BTreeMap<u64, Instant>,
 }
 
 impl Default for Traffic {
     fn default() -> Self {
         Self(Arc::new(Shared {
-            under_way: watch::channel(0).0,
-            untaken: Mutex::default(),
+            active: watch::channel(0).0,
+            unread: Mutex::default(),
         }))
     }
 }
 
 impl Traffic {
-    /// A request, under way until it is dropped.
-    pub(crate) fn begin(&self) -> Passing {
-        self.0.under_way.send_modify(|count| *count += 1);
-        let mut untaken = self.untaken();
-        untaken.next += 1;
-        Passing {
+    /// Begins a request, which is in progress until the returned value is dropped.
+    pub(crate) fn begin(&self) -> ActiveRequest {
+        self.0.active.send_modify(|count| *count += 1);
+        let mut unread = self.unread();
+        unread.next_id += 1;
+        ActiveRequest {
             traffic: self.clone(),
-            id: untaken.next,
+            id: unread.next_id,
         }
     }
 
-    fn untaken(&self) -> MutexGuard<'_, Untaken> {
-        // Every change is complete in itself.
-        let untaken = &self.0.untaken;
-        untaken.lock().unwrap_or_else(PoisonError::into_inner)
+    fn unread(&self) -> MutexGuard<'_, UnreadResponses> {
+        // Poisoning is ignored: no lock scope leaves a half-written value.
+        let unread = &self.0.unread;
+        unread.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Ready once no request was under way for [`HEAD_TIMEOUT`].
-    pub(crate) async fn rests(&self) {
-        let mut under_way = self.0.under_way.subscribe();
+    /// Completes once no request was in progress for [`HEAD_TIMEOUT`].
+    pub(crate) async fn idle(&self) {
+        let mut active = self.0.active.subscribe();
         loop {
-            // The sender is here.
-            let _ = under_way.wait_for(|&count| count == 0).await;
-            let next = under_way.wait_for(|&count| count > 0);
+            // `self` holds the sender: the wait cannot fail.
+            let _ = active.wait_for(|&count| count == 0).await;
+            let next = active.wait_for(|&count| count > 0);
             if timeout(HEAD_TIMEOUT, next).await.is_err() {
                 return;
             }
         }
     }
 
-    /// Ready once nothing was taken of an answer for [`STALL_TIMEOUT`], or up to half of it later.
-    pub(crate) async fn stalls(&self) {
+    /// Completes once a response was not read for [`STALL_TIMEOUT`], or up to half of it later.
+    pub(crate) async fn stalled(&self) {
         loop {
             sleep(STALL_TIMEOUT / 2).await;
             let now = Instant::now();
-            let waits = |since: &Instant| now.saturating_duration_since(*since) >= STALL_TIMEOUT;
-            if self.untaken().since.values().any(waits) {
+            let is_over = |since: &Instant| now.saturating_duration_since(*since) >= STALL_TIMEOUT;
+            if self.unread().since.values().any(is_over) {
                 return;
             }
         }
     }
 }
 
-/// A request under way.
-pub(crate) struct Passing {
+/// Request in progress.
+pub(crate) struct ActiveRequest {
     traffic: Traffic,
     id: u64,
 }
 
-impl Passing {
-    fn handed_out(&self) {
-        self.traffic.untaken().since.insert(self.id, Instant::now());
+impl ActiveRequest {
+    fn frame_sent(&self) {
+        self.traffic.unread().since.insert(self.id, Instant::now());
     }
 
-    fn is_taken(&self) {
-        self.traffic.untaken().since.remove(&self.id);
+    fn frame_read(&self) {
+        self.traffic.unread().since.remove(&self.id);
     }
 }
 
-impl Drop for Passing {
+impl Drop for ActiveRequest {
     fn drop(&mut self) {
-        self.is_taken();
-        self.traffic.0.under_way.send_modify(|count| *count -= 1);
+        self.frame_read();
+        self.traffic.0.active.send_modify(|count| *count -= 1);
     }
 }
 
-/// The body of an answer, with which its request ends.
-pub(crate) struct UnderWay {
+/// Body of a response; its request ends when it is dropped.
+pub(crate) struct TrackedBody {
     body: Body,
-    passing: Passing,
-    _place: Request,
+    request: ActiveRequest,
+    _slot: RequestGuard,
 }
 
-impl UnderWay {
-    pub(crate) fn new(body: Body, passing: Passing, place: Request) -> Self {
+impl TrackedBody {
+    pub(crate) fn new(body: Body, request: ActiveRequest, slot: RequestGuard) -> Self {
         Self {
             body,
-            passing,
-            _place: place,
+            request,
+            _slot: slot,
         }
     }
 }
 
-impl HttpBody for UnderWay {
+impl HttpBody for TrackedBody {
     type Data = Bytes;
     type Error = axum::Error;
 
-    /// Is asked for more only when there is room for it.
+    /// hyper polls only if there is room for the next frame: the frame before was read.
     fn poll_frame(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        self.passing.is_taken();
-        let part = Pin::new(&mut self.body).poll_frame(cx);
-        if let Poll::Ready(Some(_)) = part {
-            self.passing.handed_out();
+        self.request.frame_read();
+        let frame = Pin::new(&mut self.body).poll_frame(cx);
+        if let Poll::Ready(Some(_)) = frame {
+            self.request.frame_sent();
         }
-        part
+        frame
     }
 
     fn is_end_stream(&self) -> bool {
@@ -156,12 +163,12 @@ impl HttpBody for UnderWay {
 mod tests {
     use super::*;
 
-    /// Seconds until the first of both is ready, on the runtime's own clock, which jumps ahead while everybody waits.
+    /// Seconds until the first of both completes, on the runtime's paused clock, which jumps ahead while all tasks wait.
     async fn ends_after_s(traffic: &Traffic) -> u64 {
         let began = Instant::now();
         tokio::select! {
-            () = traffic.rests() => {}
-            () = traffic.stalls() => {}
+            () = traffic.idle() => {}
+            () = traffic.stalled() => {}
         }
         began.elapsed().as_secs()
     }
@@ -181,12 +188,12 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn an_answer_that_nobody_takes_ends_it_and_a_silent_one_does_not() {
+    async fn an_unread_response_ends_the_connection_and_a_silent_one_does_not() {
         let traffic = Traffic::default();
         let (silent, stalled) = (traffic.begin(), traffic.begin());
-        silent.handed_out();
-        silent.is_taken();
-        stalled.handed_out();
+        silent.frame_sent();
+        silent.frame_read();
+        stalled.frame_sent();
         let after_s = ends_after_s(&traffic).await;
         let limit_s = STALL_TIMEOUT.as_secs();
         assert!((limit_s..=limit_s * 3 / 2).contains(&after_s), "{after_s}");

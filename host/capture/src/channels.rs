@@ -5,7 +5,7 @@ use std::fmt;
 
 use ihd_signal::printable;
 
-use super::formats::Channel;
+use super::formats::channel::Channel;
 use super::formats::unit::{Quantity, Unit};
 
 /// A channel as the user names it: by its number, the first is 1, or by its name.
@@ -70,21 +70,21 @@ pub struct ChosenChannel {
 }
 
 /// Chooses voltage and current.
-/// Chooses voltage and current.
+///
 /// # Errors
-/// What is open, with the channels and the flag that settles it.
+/// The ambiguity, with the channels and the flag that resolves it.
 pub fn choose(
     channels: &[Channel],
     options: &ChannelOptions,
 ) -> Result<[ChosenChannel; 2], String> {
-    let mut found = match &options.channels {
+    let mut pair = match &options.channels {
         Some([v, i]) => [named(channels, v)?, named(channels, i)?],
         None => detected(channels, options.swap)?,
     };
     if options.swap {
-        found.reverse();
+        pair.reverse();
     }
-    let [v, i] = found;
+    let [v, i] = pair;
     if v == i {
         return Err(format!(
             "voltage and current would both be channel {}; {}",
@@ -150,8 +150,8 @@ fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
 /// Quantity that a channel's name indicates; `None` if it indicates none.
 pub fn quantity_of_name(name: &str) -> Option<Quantity> {
     let lower = name.to_lowercase();
-    let words = || lower.split(|c: char| !c.is_alphabetic());
-    let is = |list: &[&str]| words().any(|word| list.contains(&word));
+    let parts = || lower.split(|c: char| !c.is_alphabetic());
+    let is = |list: &[&str]| parts().any(|part| list.contains(&part));
     if is(&[
         "current", "amp", "amps", "ampere", "strom", "i", "icoil", "ic", "il",
     ]) {

@@ -270,8 +270,8 @@ fn opener(head: &[u8]) -> Result<&'static Opener, &'static str> {
         return Err("it is text in UTF-16: save it as UTF-8");
     }
     let mut readers = FORMATS.iter().filter_map(|format| format.reading.as_ref());
-    let found = readers.find(|reading| (reading.recognises)(head));
-    found
+    let reader = readers.find(|reading| (reading.recognises)(head));
+    reader
         .map(|reading| &reading.open)
         .ok_or("it is binary and begins like none of them")
 }

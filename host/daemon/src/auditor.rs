@@ -1,7 +1,7 @@
-//! Commands on their way to the audit: each behind the answer that it was given, in their order.
+//! Queue of commands for the audit, written in order after each response.
 //!
-//! A command never waits for the disk. What the store cannot write is tried again until it can; what is dropped, because too many wait or
-//! the daemon stops, is counted.
+//! A command never waits for the disk. A failed write is retried until it succeeds. Commands dropped because the queue is full or the
+//! daemon stops are counted.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -10,18 +10,18 @@ use std::time::Duration;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
-use crate::daemon::lock;
-use crate::face::Face;
-use crate::model::Record;
-use crate::store_thread::{StoreThread, StoreTrouble};
+use crate::device_record::DeviceRecord;
+use crate::locking::lock;
+use crate::model::RecordKind;
+use crate::store_thread::{StoreThread, StoreThreadError};
 
-/// Commands that may wait: with a database that is locked for ten minutes, two a second.
-const WAITING: usize = 1_024;
+/// Capacity of the queue: two commands per second while the database is locked for ten minutes.
+const CAPACITY: usize = 1_024;
 
-/// Between two tries of what the store could not write.
-const TRY_AGAIN: Duration = Duration::from_secs(5);
+/// Pause before a failed write is retried.
+const RETRY_DELAY: Duration = Duration::from_secs(5);
 
-/// A command, and what became of it.
+/// Audit entry: a command and its outcome.
 #[derive(Clone)]
 struct Audit {
     at_ms: i64,
@@ -32,15 +32,15 @@ struct Audit {
     outcome: String,
 }
 
-/// State of the audit.
+/// State of the audit, shared with the writer.
 #[derive(Default)]
-struct Gauge {
+struct AuditState {
     lost: AtomicU64,
     is_late: AtomicBool,
 }
 
-impl Gauge {
-    fn lose(&self, why: &str) {
+impl AuditState {
+    fn count_lost(&self, why: &str) {
         if self.lost.fetch_add(1, Ordering::Relaxed) == 0 {
             tracing::error!(
                 why,
@@ -50,36 +50,36 @@ impl Gauge {
     }
 }
 
-/// The way of commands to the audit.
+/// Writer of the audit, on a task of its own.
 pub struct Auditor {
     commands: Mutex<Option<mpsc::Sender<Audit>>>,
     writing: Mutex<Option<JoinHandle<()>>>,
-    gauge: Arc<Gauge>,
+    state: Arc<AuditState>,
 }
 
 impl Auditor {
-    /// Starts to write into this store.
+    /// Starts the writing task.
     pub fn start(store: StoreThread, stopped: watch::Receiver<bool>) -> Self {
-        let (commands, waiting) = mpsc::channel(WAITING);
-        let gauge = Arc::new(Gauge::default());
+        let (commands, waiting) = mpsc::channel(CAPACITY);
+        let state = Arc::new(AuditState::default());
         let writer = Writer {
             store,
             stopped,
-            gauge: Arc::clone(&gauge),
+            state: Arc::clone(&state),
         };
         Self {
             commands: Mutex::new(Some(commands)),
             writing: Mutex::new(Some(tokio::spawn(writer.run(waiting)))),
-            gauge,
+            state,
         }
     }
 
-    /// Takes a command that was answered; never waits.
-    pub fn take(&self, face: &Face, holder: String, command: String, outcome: String) {
+    /// Queues an answered command; never waits.
+    pub fn record(&self, device: &DeviceRecord, holder: String, command: String, outcome: String) {
         let audit = Audit {
-            at_ms: face.board.now_ms(),
-            device: face.name.clone(),
-            address: face.address.clone(),
+            at_ms: device.event_bus.now_ms(),
+            device: device.name.clone(),
+            address: device.address.clone(),
             holder,
             command,
             outcome,
@@ -87,26 +87,26 @@ impl Auditor {
         let commands = lock(&self.commands);
         let has_room = |commands: &mpsc::Sender<Audit>| commands.try_send(audit).is_ok();
         if !commands.as_ref().is_some_and(has_room) {
-            self.gauge.lose("too many wait for the store");
+            self.state.count_lost("too many wait for the store");
         }
     }
 
-    /// Commands that the audit does not have and will not get.
+    /// Returns the number of commands lost to the audit.
     pub fn lost(&self) -> u64 {
-        self.gauge.lost.load(Ordering::Relaxed)
+        self.state.lost.load(Ordering::Relaxed)
     }
 
-    /// Returns `true` if all commands so far are written, or on their way to a store that writes.
-    pub fn is_well(&self) -> bool {
-        self.lost() == 0 && !self.gauge.is_late.load(Ordering::Relaxed)
+    /// Returns `true` if no command was lost and writing does not fail.
+    pub fn is_healthy(&self) -> bool {
+        self.lost() == 0 && !self.state.is_late.load(Ordering::Relaxed)
     }
 
-    /// Takes no more, and writes what waits, as far as the store can; the daemon has to be stopping.
+    /// Closes the queue and waits until it is written or lost; the daemon has to be stopping.
     pub async fn close(&self) {
         lock(&self.commands).take();
         let writing = lock(&self.writing).take();
         if let Some(writing) = writing {
-            // Its panics are told where they happen.
+            // Panics are logged where they happen.
             let _ = writing.await;
         }
     }
@@ -115,36 +115,37 @@ impl Auditor {
 struct Writer {
     store: StoreThread,
     stopped: watch::Receiver<bool>,
-    gauge: Arc<Gauge>,
+    state: Arc<AuditState>,
 }
 
 impl Writer {
     async fn run(self, mut waiting: mpsc::Receiver<Audit>) {
         while let Some(audit) = waiting.recv().await {
             while let Err(error) = self.write(audit.clone()).await {
-                let is_first = !self.gauge.is_late.swap(true, Ordering::Relaxed);
+                let is_first = !self.state.is_late.swap(true, Ordering::Relaxed);
                 if is_first {
                     tracing::error!(%error, "audit: commands wait to be written");
                 }
-                if *self.stopped.borrow() || !matches!(error, StoreTrouble::Store(_)) {
-                    self.gauge.lose(&error.to_string());
+                if *self.stopped.borrow() || !matches!(error, StoreThreadError::Store(_)) {
+                    self.state.count_lost(&error.to_string());
                     break;
                 }
                 let mut stopped = self.stopped.clone();
                 // Ends at once when the daemon stops.
-                let _ = tokio::time::timeout(TRY_AGAIN, stopped.wait_for(|&stopped| stopped)).await;
+                let _ =
+                    tokio::time::timeout(RETRY_DELAY, stopped.wait_for(|&stopped| stopped)).await;
             }
-            if *self.stopped.borrow() && self.gauge.is_late.load(Ordering::Relaxed) {
-                // Each would take as long to fail.
+            if *self.stopped.borrow() && self.state.is_late.load(Ordering::Relaxed) {
+                // Each of the others would take as long to fail.
                 while waiting.recv().await.is_some() {
-                    self.gauge
-                        .lose("the store could not write when the daemon stopped");
+                    self.state
+                        .count_lost("the store could not write when the daemon stopped");
                 }
             }
         }
     }
 
-    async fn write(&self, audit: Audit) -> Result<(), StoreTrouble> {
+    async fn write(&self, audit: Audit) -> Result<(), StoreThreadError> {
         let write = move |store: &mut ihd_store::Store| {
             let device = store.device(&audit.device, &audit.address)?;
             let Audit {
@@ -156,9 +157,9 @@ impl Writer {
             } = &audit;
             store.audit(*at_ms, Some(device), holder, command, outcome)
         };
-        let store = self.store.writing(Record::Audits);
+        let store = self.store.writing(RecordKind::Audits);
         store.run(write).await?;
-        if self.gauge.is_late.swap(false, Ordering::Relaxed) {
+        if self.state.is_late.swap(false, Ordering::Relaxed) {
             tracing::info!("audit: commands are written again");
         }
         Ok(())
@@ -169,19 +170,19 @@ impl Writer {
 mod tests {
     use std::time::Instant;
 
-    use ihd_store::{Reader, Settings, Store};
+    use ihd_store::{Reader, Store, StoreOptions};
 
     use super::*;
-    use crate::board::Board;
+    use crate::event_bus::EventBus;
     use crate::machine::Machine;
     use crate::recording::Recorder;
 
     /// Longest wait for another thread; it only ends a hang.
     const PATIENCE: Duration = Duration::from_secs(300);
 
-    async fn until(wanted: impl Fn() -> bool) {
+    async fn until(condition: impl Fn() -> bool) {
         let began = Instant::now();
-        while !wanted() {
+        while !condition() {
             assert!(began.elapsed() < PATIENCE, "it does not happen");
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
@@ -190,13 +191,15 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn what_the_store_cannot_write_is_written_later_or_counted() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path(), &Settings::default()).unwrap();
-        let store = StoreThread::start(store.store, Board::default(), &Machine::default()).unwrap();
+        let store = Store::open(folder.path(), &StoreOptions::default()).unwrap();
+        let store =
+            StoreThread::start(store.store, EventBus::default(), &Machine::default()).unwrap();
         let (stop, stopped) = watch::channel(false);
         let auditor = Auditor::start(store.clone(), stopped);
         let recorder = Recorder::new(|_| panic!("nothing is recorded"), |_| ());
-        let face = Face::new("hob".into(), "sim".into(), Board::default(), recorder);
-        let take = |command: &str| auditor.take(&face, "a".into(), command.into(), "done".into());
+        let record = DeviceRecord::new("hob".into(), "sim".into(), EventBus::default(), recorder);
+        let audit =
+            |command: &str| auditor.record(&record, "a".into(), command.into(), "done".into());
         let database = rusqlite::Connection::open(folder.path().join("ihd.db")).unwrap();
         let break_it = || database.execute_batch("ALTER TABLE audit RENAME TO elsewhere");
         let mend_it = || database.execute_batch("ALTER TABLE elsewhere RENAME TO audit");
@@ -206,26 +209,26 @@ mod tests {
             commands.collect::<Vec<_>>()
         };
         break_it().unwrap();
-        take("first");
-        take("second");
-        until(|| !auditor.is_well()).await;
+        audit("first");
+        audit("second");
+        until(|| !auditor.is_healthy()).await;
         mend_it().unwrap();
-        until(|| auditor.is_well()).await;
-        take("third");
+        until(|| auditor.is_healthy()).await;
+        audit("third");
         until(|| written().len() == 3).await;
         assert_eq!(written(), ["first", "second", "third"]);
         assert_eq!(auditor.lost(), 0);
 
         break_it().unwrap();
-        for _ in 0..WAITING + 10 {
-            take("never");
+        for _ in 0..CAPACITY + 10 {
+            audit("never");
         }
         assert!(auditor.lost() >= 9, "there is no room for all");
         stop.send_replace(true);
         auditor.close().await;
-        assert_eq!(auditor.lost(), WAITING as u64 + 10);
-        take("after the end");
-        assert_eq!(auditor.lost(), WAITING as u64 + 11);
+        assert_eq!(auditor.lost(), CAPACITY as u64 + 10);
+        audit("after the end");
+        assert_eq!(auditor.lost(), CAPACITY as u64 + 11);
         mend_it().unwrap();
         assert_eq!(written().len(), 3);
         store.close().await;

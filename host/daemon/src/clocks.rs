@@ -1,4 +1,4 @@
-//! Whether this machine was asleep, and when to try again.
+//! Detection of suspend, rate limits, and back-off between attempts.
 
 use std::time::Duration;
 
@@ -6,17 +6,17 @@ use tokio::time::Instant;
 
 use crate::machine::Machine;
 
-/// A turn that comes this late was not merely busy: the machine slept, or this process was stopped.
-const SLEPT: Duration = Duration::from_secs(5);
+/// Delay beyond which the machine was suspended or this process stopped, not just busy.
+const SUSPENDED: Duration = Duration::from_secs(5);
 
-/// Watches the clocks for time in which nothing ran.
-pub struct Clocks {
+/// Detector of time in which this process did not run.
+pub struct SuspendDetector {
     uptime: Duration,
     wall_ms: i64,
 }
 
-impl Clocks {
-    /// From now on.
+impl SuspendDetector {
+    /// Starts at the present time.
     pub fn new(machine: &Machine) -> Self {
         Self {
             uptime: machine.uptime(),
@@ -24,79 +24,81 @@ impl Clocks {
         }
     }
 
-    /// To be called many times a second; how long nothing ran, where that was long.
-    pub fn turn(&mut self, machine: &Machine) -> Option<Duration> {
-        self.turn_at(machine.uptime(), machine.now_ms())
+    /// Compares the clocks, to be called several times per second. Returns the time without running if it exceeds 5 s.
+    pub fn poll(&mut self, machine: &Machine) -> Option<Duration> {
+        self.poll_at(machine.uptime(), machine.now_ms())
     }
 
-    /// The clock that counts turns stands still while most machines sleep, the wall's goes on; that of a
-    /// process that was stopped goes on as well.
-    fn turn_at(&mut self, uptime: Duration, wall_ms: i64) -> Option<Duration> {
+    /// In suspend the monotonic clock stands still on most machines and the wall clock goes on; for a stopped process both
+    /// go on.
+    fn poll_at(&mut self, uptime: Duration, wall_ms: i64) -> Option<Duration> {
         let awake = uptime.saturating_sub(self.uptime);
         let passed_ms = wall_ms.saturating_sub(self.wall_ms).max(0);
         let passed = Duration::from_millis(passed_ms.unsigned_abs());
         (self.uptime, self.wall_ms) = (uptime, wall_ms);
-        if awake >= SLEPT {
+        if awake >= SUSPENDED {
             return Some(awake.max(passed));
         }
-        (passed.saturating_sub(awake) >= SLEPT).then_some(passed)
+        (passed.saturating_sub(awake) >= SUSPENDED).then_some(passed)
     }
 }
 
-/// So many a second, and what is beyond that is counted.
-pub struct Allowance {
-    a_second: u32,
+/// Limit of events per second, with a count of the rejected ones.
+pub struct RateLimit {
+    per_second: u32,
     began: Instant,
     used: u32,
-    beyond: u64,
+    rejected: u64,
 }
 
-impl Allowance {
-    /// `a_second` of them.
-    pub fn new(a_second: u32) -> Self {
+impl RateLimit {
+    /// Allows `per_second` events in each second.
+    pub fn new(per_second: u32) -> Self {
         Self {
-            a_second,
+            per_second,
             began: Instant::now(),
             used: 0,
-            beyond: 0,
+            rejected: 0,
         }
     }
 
-    /// Whether one more is allowed.
-    pub fn take(&mut self) -> bool {
-        self.take_at(Instant::now())
+    /// Counts an event. Returns `true` if it is within the limit.
+    pub fn allow(&mut self) -> bool {
+        self.allow_at(Instant::now())
     }
 
-    fn take_at(&mut self, now: Instant) -> bool {
+    fn allow_at(&mut self, now: Instant) -> bool {
         if now.saturating_duration_since(self.began) >= Duration::from_secs(1) {
             self.began = now;
             self.used = 0;
         }
-        let allowed = self.used < self.a_second;
+        let allowed = self.used < self.per_second;
         match allowed {
             true => self.used += 1,
-            false => self.beyond += 1,
+            false => self.rejected += 1,
         }
         allowed
     }
 
-    /// How many were beyond it since this was asked last.
-    pub fn take_beyond(&mut self) -> u64 {
-        std::mem::take(&mut self.beyond)
+    /// Returns the number of rejected events since the last call.
+    pub fn take_rejected(&mut self) -> u64 {
+        std::mem::take(&mut self.rejected)
     }
 }
 
-/// Waits between two tries: longer each time, and not at the same time for every device.
+/// Exponential back-off with jitter, so that devices do not retry at the same time.
 pub struct Backoff {
     next: Duration,
     state: u64,
 }
 
+/// First wait.
 const SHORTEST: Duration = Duration::from_millis(200);
+/// Longest wait, before jitter.
 const LONGEST: Duration = Duration::from_secs(5);
 
 impl Backoff {
-    /// From a seed, so that a run can be repeated.
+    /// Creates a back-off from a seed, so that a run is reproducible.
     pub fn new(seed: u64) -> Self {
         Self {
             next: SHORTEST,
@@ -104,7 +106,7 @@ impl Backoff {
         }
     }
 
-    /// The next wait: 75 to 125 % of 0.2 s doubled each time, up to 5 s.
+    /// Returns the next wait: 0.2 s doubled each time up to 5 s, with ±25 % jitter.
     pub fn wait(&mut self) -> Duration {
         // splitmix64.
         self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
@@ -119,7 +121,7 @@ impl Backoff {
         wait
     }
 
-    /// It went well: the next wait is short again.
+    /// Resets the wait to the shortest, after success.
     pub fn reset(&mut self) {
         self.next = SHORTEST;
     }
@@ -132,7 +134,7 @@ mod tests {
     #[test]
     fn sleep_and_stops_are_seen_and_a_clock_that_is_set_back_is_not() {
         let s = Duration::from_secs;
-        let at = |uptime| Clocks { uptime, wall_ms: 0 };
+        let at = |uptime| SuspendDetector { uptime, wall_ms: 0 };
         for (awake_s, wall_s, slept) in [
             (1, 1, None),
             (4, 4, None),
@@ -141,20 +143,20 @@ mod tests {
             (50, 0, Some(s(50))),
             (1, -3_600, None),
         ] {
-            let mut clocks = at(s(100));
-            let turn = clocks.turn_at(s(100 + awake_s), 1_000 * wall_s);
-            assert_eq!(turn, slept, "{awake_s} s awake, {wall_s} s by the wall");
+            let mut detector = at(s(100));
+            let found = detector.poll_at(s(100 + awake_s), 1_000 * wall_s);
+            assert_eq!(found, slept, "{awake_s} s awake, {wall_s} s by the wall");
         }
     }
 
     #[test]
     fn what_is_beyond_the_allowance_is_counted() {
-        let mut allowance = Allowance::new(3);
+        let mut allowance = RateLimit::new(3);
         let now = Instant::now();
-        let taken = (0..10).filter(|_| allowance.take_at(now)).count();
-        assert_eq!((taken, allowance.take_beyond()), (3, 7));
-        assert!(allowance.take_at(now + Duration::from_secs(1)));
-        assert_eq!(allowance.take_beyond(), 0);
+        let taken = (0..10).filter(|_| allowance.allow_at(now)).count();
+        assert_eq!((taken, allowance.take_rejected()), (3, 7));
+        assert!(allowance.allow_at(now + Duration::from_secs(1)));
+        assert_eq!(allowance.take_rejected(), 0);
     }
 
     #[test]

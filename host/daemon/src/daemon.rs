@@ -1,8 +1,8 @@
-//! The daemon as its users see it: devices, commands, leases, what happens.
+//! Interface of the daemon: devices, commands, leases, events.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ihd_store::{DeviceId, LookupRow, ResultFilter, ResultRow, Store, StoreError};
@@ -12,74 +12,79 @@ use tokio::time::Instant;
 
 use crate::OpenDevice;
 use crate::auditor::Auditor;
-use crate::board::Board;
 use crate::config::Config;
-use crate::device::{Context, Order, absent};
-use crate::face::Face;
+use crate::context::Context;
+use crate::device::{DeviceRequest, not_connected_error};
+use crate::device_record::DeviceRecord;
+use crate::event_bus::EventBus;
+use crate::event_log;
 use crate::figures::{Figures, rss_bytes};
-use crate::fleet::Trust;
+use crate::fleet::delegation::Delegation;
 use crate::fleet_view::FleetView;
-use crate::history::{self, Seconds};
-use crate::journalist;
+use crate::history::{self, TelemetryBuffer};
 use crate::learning::{Learner, LearnerError, LearnerSettings};
-use crate::lease::{LeaseId, Taken};
+use crate::lease::{LeaseGrant, LeaseId};
 use crate::live::LiveTap;
-use crate::looks::{Ages, READERS};
+use crate::locking::lock;
 use crate::machine::Machine;
 use crate::model::{
-    Command, CommandError, DeviceReport, Done, Lease, Notice, PotCurve, Record, RecordingFile,
-    Trigger, What,
+    Command, CommandError, CommandReply, DaemonEvent, DeviceReport, EventKind, Lease, PotCurve,
+    RecordKind, RecordingFile, Trigger,
 };
 use crate::printable::printable;
 use crate::recording::{list, name_of};
 use crate::routing::route;
-use crate::store_thread::{StoreThread, StoreTrouble};
+use crate::store_thread::{StoreThread, StoreThreadError};
 use crate::store_watch;
 use crate::supervisor::{Devices, Handle, follow_usb};
 use crate::switching_off::switch_off;
+use crate::view::cell_ages::CellAges;
 
-/// How long a command may take, whatever the device does.
-const COMMAND_WITHIN: Duration = Duration::from_secs(15);
+/// Time limit of a command.
+const COMMAND_TIMEOUT: Duration = Duration::from_secs(15);
 
-/// Between two looks at what the store may delete.
-const GARBAGE_EVERY: Duration = Duration::from_secs(600);
+/// Period of the store's garbage collection.
+const GARBAGE_PERIOD: Duration = Duration::from_secs(600);
 
-/// Outcomes of learning that may wait for the store.
-const LEARNED: usize = 64;
+/// Capacity of the queue of learning results for the store.
+const RESULTS: usize = 64;
 
-/// How long the threads that learn have for the window that each is at.
-const LEARNED_WITHIN: Duration = Duration::from_secs(10);
+/// Time limit at the stop for the learner's fits under way.
+const LEARNER_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Longest name of a holder.
+/// Longest name of a holder, in characters.
 const LONGEST_HOLDER: usize = 128;
 
-/// Why the daemon cannot start, or cannot answer.
+/// Largest number of concurrent readers of the store; further ones wait.
+const READERS: usize = 4;
+
+/// Error at the start of the daemon or in a query.
 #[derive(Debug, thiserror::Error)]
 pub enum DaemonError {
-    /// The store.
+    /// Error of the store.
     #[error(transparent)]
     Store(#[from] ihd_store::StoreError),
-    /// The store's thread.
+    /// Error of the store's thread.
     #[error(transparent)]
-    StoreThread(#[from] StoreTrouble),
-    /// No thread for the store.
+    StoreThread(#[from] StoreThreadError),
+    /// The store's thread could not be started.
     #[error("no thread could be started for the store: {0}")]
     NoThread(std::io::Error),
-    /// No thread for learning.
+    /// The learner could not be started.
     #[error(transparent)]
     Learner(#[from] LearnerError),
-    /// A value of the configuration.
+    /// Invalid value in the configuration.
     #[error("the configuration: {0}")]
     Config(String),
-    /// No such device.
+    /// Unknown device.
     #[error("there is no device {0:?}")]
     NoDevice(String),
-    /// The folder of recordings.
+    /// The folder of recordings cannot be read.
     #[error("the recordings in {}: {source}", folder.display())]
     Recordings {
         /// The folder.
         folder: PathBuf,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: std::io::Error,
     },
 }
@@ -92,26 +97,26 @@ pub struct Daemon {
 
 pub(crate) struct Inner {
     machine: Machine,
-    board: Board,
+    event_bus: EventBus,
     store: StoreThread,
     auditor: Auditor,
     recordings: PathBuf,
-    /// Of the store, for those who read it.
+    /// Folder of the store, for readers.
     pub(crate) folder: PathBuf,
     pub(crate) readers: Semaphore,
     pub(crate) devices: Arc<Devices>,
-    /// What devices did and the store does not know yet.
-    pub(crate) seconds: Arc<Seconds>,
-    /// Of the cells of each device's lookup.
-    pub(crate) ages: Mutex<BTreeMap<String, Ages>>,
-    /// What is known of the fleet, where this is an edge of one.
+    /// Telemetry that is not stored yet.
+    pub(crate) telemetry: Arc<TelemetryBuffer>,
+    /// Ages of the lookup cells, by device.
+    pub(crate) ages: Mutex<BTreeMap<String, CellAges>>,
+    /// Last report of the fleet.
     pub(crate) fleet: FleetView,
     learner: Mutex<Option<Arc<Learner>>>,
-    pub(crate) trust: Arc<Trust>,
+    pub(crate) delegation: Arc<Delegation>,
     routing: Mutex<Option<JoinHandle<()>>>,
     stop: watch::Sender<bool>,
     began: Instant,
-    /// Set aside at the start, told to whoever asks.
+    /// Damaged files set aside at the start, as text.
     damage: Mutex<Vec<String>>,
 }
 
@@ -119,17 +124,17 @@ impl Daemon {
     /// Opens the store and starts a task for each device. Heats nothing.
     ///
     /// # Errors
-    /// [`DaemonError`] where there is no store, or another process has it.
+    /// [`DaemonError`] if the store cannot be opened or another process uses it.
     pub async fn start(config: Config, open: Arc<OpenDevice>) -> Result<Self, DaemonError> {
         Self::start_on(Machine::default(), config, open).await
     }
 
-    /// The wall's clock, in milliseconds since 1970, UTC.
+    /// Returns the wall clock in milliseconds since 1970, UTC.
     pub fn now_ms(&self) -> i64 {
         self.inner.machine.now_ms()
     }
 
-    /// As [`Daemon::start`], on this machine.
+    /// Starts the daemon on a given machine; see [`Daemon::start`].
     ///
     /// # Errors
     /// As [`Daemon::start`].
@@ -138,63 +143,63 @@ impl Daemon {
         config: Config,
         open: Arc<OpenDevice>,
     ) -> Result<Self, DaemonError> {
-        let board = Board::new(machine.clone());
+        let event_bus = EventBus::new(machine.clone());
         let network = config.network().map_err(DaemonError::Config)?;
         let (folder, settings) = (config.store.clone(), config.store_settings());
         let clock = machine.clock();
         let opening = machine
             .spawn_blocking(move || Store::open_with_clock(&folder, &settings, clock))
             .await;
-        let opened = opening.map_err(|_| StoreTrouble::Gone("opening it panicked"))??;
+        let opened = opening.map_err(|_| StoreThreadError::Gone("opening it panicked"))??;
         let mut damage = Vec::new();
-        for found in opened.damage {
+        for file in opened.damage {
             let text = format!(
                 "{} was damaged ({}), and is {} now",
-                found.from.display(),
-                printable(&found.why),
-                found.to.display()
+                file.from.display(),
+                printable(&file.why),
+                file.to.display()
             );
             tracing::error!(text, "store: a damaged file was set aside");
             damage.push(text);
         }
-        let store = StoreThread::start(opened.store, board.clone(), &machine)
+        let store = StoreThread::start(opened.store, event_bus.clone(), &machine)
             .map_err(DaemonError::NoThread)?;
         let (stop, stopped) = watch::channel(false);
-        let (outcomes, learned) = mpsc::channel(LEARNED);
+        let (results, learned) = mpsc::channel(RESULTS);
         let settings = LearnerSettings {
             threads: config.learning.threads,
             queue: config.learning.queue,
             network,
         };
-        let learner = Arc::new(Learner::start_on(&machine, settings, outcomes)?);
-        let seconds = Arc::new(Seconds::default());
-        let trust = Arc::new(Trust::new(config.fleet.is_some()));
+        let learner = Arc::new(Learner::start_on(&machine, settings, results)?);
+        let telemetry = Arc::new(TelemetryBuffer::default());
+        let delegation = Arc::new(Delegation::new(config.fleet.is_some()));
         let recordings = config.store.join("recordings");
         let auditor = Auditor::start(store.clone(), stopped.clone());
         let context = Context {
             machine: machine.clone(),
             store: store.clone(),
-            seconds: Arc::clone(&seconds),
+            telemetry: Arc::clone(&telemetry),
             learner: Arc::clone(&learner),
-            trust: Arc::clone(&trust),
+            delegation: Arc::clone(&delegation),
             open,
             recordings: recordings.clone(),
             stop: stopped,
         };
         let devices = Arc::new(Devices::default());
-        // Before the first notice.
-        devices.beside(journalist::take_down(context.clone(), board.watch()));
-        devices.beside(history::keep(context.clone()));
+        // Subscribed before the first event is published.
+        devices.spawn(event_log::run(context.clone(), event_bus.subscribe()));
+        devices.spawn(history::write_periodically(context.clone()));
         for device in &config.devices {
             let (name, address) = (device.name.clone(), device.address.clone());
-            devices.start(name, address, &context, &board);
+            devices.start(name, address, &context, &event_bus);
         }
         if config.discovers_usb() {
-            let following = follow_usb(Arc::clone(&devices), context.clone(), board.clone());
-            devices.beside(following);
+            let following = follow_usb(Arc::clone(&devices), context.clone(), event_bus.clone());
+            devices.spawn(following);
         }
-        devices.beside(store_watch::watch(context.clone()));
-        devices.beside(keep_tidy(context));
+        devices.spawn(store_watch::watch(context.clone()));
+        devices.spawn(collect_garbage(context));
         let routing = tokio::spawn(route(
             learned,
             Arc::clone(&devices),
@@ -205,18 +210,18 @@ impl Daemon {
         Ok(Self {
             inner: Arc::new(Inner {
                 machine,
-                board,
+                event_bus,
                 store,
                 auditor,
                 recordings,
                 folder: config.store,
                 readers: Semaphore::new(READERS),
                 devices,
-                seconds,
+                telemetry,
                 ages: Mutex::default(),
                 fleet: FleetView::default(),
                 learner: Mutex::new(Some(learner)),
-                trust,
+                delegation,
                 routing: Mutex::new(Some(routing)),
                 stop,
                 began: Instant::now(),
@@ -225,23 +230,23 @@ impl Daemon {
         })
     }
 
-    /// Every device, by name.
+    /// Returns the reports of all devices, sorted by name.
     pub fn devices(&self) -> Vec<DeviceReport> {
         let all = self.inner.devices.all();
-        all.iter().map(|handle| handle.face.report()).collect()
+        all.iter().map(|handle| handle.record.report()).collect()
     }
 
-    /// The device of this name.
+    /// Returns the report of a device; `None` if it is unknown.
     pub fn device(&self, name: &str) -> Option<DeviceReport> {
-        Some(self.inner.devices.get(name)?.face.report())
+        Some(self.inner.devices.get(name)?.record.report())
     }
 
-    /// How warm the pot on the device of this name is, over the last hour.
+    /// Returns the temperature curve of a device's pot over the last hour; `None` if the device is unknown.
     pub fn pot_curve(&self, name: &str) -> Option<PotCurve> {
-        Some(self.inner.devices.get(name)?.face.pot_curve().clone())
+        Some(self.inner.devices.get(name)?.record.pot_curve().clone())
     }
 
-    /// Who learns; none once the daemon stops.
+    /// Returns the learner; `None` once the daemon stops.
     pub(crate) fn learner(&self) -> Option<Arc<Learner>> {
         lock(&self.inner.learner).clone()
     }
@@ -250,57 +255,57 @@ impl Daemon {
         self.inner.devices.get(name)
     }
 
-    /// Runs `f` with the store.
+    /// Runs `f` on the store's thread.
     pub(crate) async fn in_store<T: Send + 'static>(
         &self,
         f: impl FnOnce(&mut Store) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreTrouble> {
+    ) -> Result<T, StoreThreadError> {
         self.inner.store.run(f).await
     }
 
     fn handle(&self, name: &str) -> Result<Handle, CommandError> {
-        let found = self.handle_of(name);
-        found.ok_or_else(|| CommandError::NoDevice {
+        let handle = self.handle_of(name);
+        handle.ok_or_else(|| CommandError::NoDevice {
             name: printable(name),
         })
     }
 
-    /// Carries out a command. All but [`Command::Off`] and recordings need the lease: one that is free is taken by the command,
-    /// for as long as it takes, and for [`crate::lease::LEASE_S`] where it heats. [`Command::Off`] waits for no other command, and
-    /// what was asked for before it heats no more. The audit is written behind the answer.
+    /// Carries out a command. All but [`Command::Off`] and recordings need the lease. A free lease is taken for the duration of the
+    /// command, and for [`crate::lease::LEASE_S`] if it heats. [`Command::Off`] waits for no other command and cancels earlier power
+    /// requests. The audit is written after the response.
     ///
     /// # Errors
-    /// [`CommandError`].
+    /// [`CommandError`] if the command was not carried out.
     pub async fn command(
         &self,
         device: &str,
         holder: &str,
         command: Command,
-    ) -> Result<Done, CommandError> {
+    ) -> Result<CommandReply, CommandError> {
         let handle = self.handle(device)?;
         let holder = holder_name(holder);
-        let text = words(&command);
+        let text = describe(&command);
         let outcome = self.carry_out(&handle, &holder, command).await;
-        let said = match &outcome {
-            Ok(done) => done.text.clone(),
+        let response = match &outcome {
+            Ok(reply) => reply.text.clone(),
             Err(error) => error.to_string(),
         };
         let ok = outcome.is_ok();
         tracing::info!(
-            device = handle.face.name,
+            device = handle.record.name,
             holder,
             command = text,
             ok,
-            said,
+            response,
             "command"
         );
-        handle.face.tell(What::Command {
+        handle.record.publish(EventKind::Command {
             holder: holder.clone(),
             text: text.clone(),
             ok,
         });
         let auditor = &self.inner.auditor;
-        auditor.take(&handle.face, holder, text, said);
+        auditor.record(&handle.record, holder, text, response);
         outcome
     }
 
@@ -309,82 +314,82 @@ impl Daemon {
         handle: &Handle,
         holder: &str,
         command: Command,
-    ) -> Result<Done, CommandError> {
-        let face = &handle.face;
+    ) -> Result<CommandReply, CommandError> {
+        let record = &handle.record;
         let lease = match command {
             Command::Off => return self.off(handle).await,
-            // Who records looks, whoever commands.
+            // A recording only observes and needs no lease.
             Command::RecordStart(_) | Command::RecordStop => None,
-            _ => Some(self.borrow_lease(face, holder)?),
+            _ => Some(self.borrow_lease(record, holder)?),
         };
         let outcome = match command {
             Command::Power { power_w: 0 } => self.off(handle).await,
-            _ => self.order(handle, command, lease).await,
+            _ => self.request(handle, command, lease).await,
         };
-        if lease.is_some_and(|id| face.lock().lease.end_command(id)) {
-            self.tell_lease(face, "", "");
+        if lease.is_some_and(|id| record.lock().lease.end_command(id)) {
+            self.publish_lease(record, "", "");
         }
         outcome
     }
 
-    /// Has the device's task carry out a command.
-    async fn order(
+    /// Sends a command to the device's task and waits for its outcome.
+    async fn request(
         &self,
         handle: &Handle,
         command: Command,
         lease: Option<LeaseId>,
-    ) -> Result<Done, CommandError> {
-        let (answer, answered) = oneshot::channel();
-        let order = Order::Command {
+    ) -> Result<CommandReply, CommandError> {
+        let (reply, replied) = oneshot::channel();
+        let request = DeviceRequest::Command {
             command,
             lease,
-            answer,
+            reply,
         };
-        let outcome = tokio::time::timeout(COMMAND_WITHIN, async {
-            handle.orders.send(order).await.ok()?;
-            answered.await.ok()
+        let outcome = tokio::time::timeout(COMMAND_TIMEOUT, async {
+            handle.requests.send(request).await.ok()?;
+            replied.await.ok()
         });
         match outcome.await {
             Ok(Some(outcome)) => outcome,
-            // The device's task has panicked, or is ending.
+            // The device's task panicked or is ending.
             Ok(None) => Err(CommandError::Failed {
                 why: format!(
                     "{}: the command was not carried out: its task ended",
-                    handle.face.name
+                    handle.record.name
                 ),
             }),
-            Err(_) => Err(not_in_time(&handle.face)),
+            Err(_) => Err(timed_out(&handle.record)),
         }
     }
 
-    /// Switches off at once, whatever the device's task and its link are at, and voids what was asked for before.
-    async fn off(&self, handle: &Handle) -> Result<Done, CommandError> {
-        let face = &handle.face;
+    /// Switches off at once, ahead of all other requests, and cancels earlier power requests.
+    async fn off(&self, handle: &Handle) -> Result<CommandReply, CommandError> {
+        let record = &handle.record;
         let client = {
-            let mut inner = face.lock();
+            let mut inner = record.lock();
             inner.lease.off();
             inner.sweep_left_w.clear();
             inner.client.clone()
         };
-        let client = client.ok_or_else(|| absent(face))?;
-        let off = tokio::time::timeout(COMMAND_WITHIN, switch_off(face, &client));
-        let off = off.await.map_err(|_| not_in_time(face))?;
-        // Until the device confirms, its task goes on trying.
+        let client = client.ok_or_else(|| not_connected_error(record))?;
+        let off = tokio::time::timeout(COMMAND_TIMEOUT, switch_off(record, &client));
+        let off = off.await.map_err(|_| timed_out(record))?;
+        // After an error the device's task tries again until the device confirms.
         off.map_err(|error| CommandError::Refused {
-            name: face.name.clone(),
+            name: record.name.clone(),
             why: printable(&error.to_string()),
         })?;
-        Ok(Done {
+        Ok(CommandReply {
             text: "off".to_owned(),
             file: None,
         })
     }
 
-    /// Takes the lease or renews it. With `force` it is taken from whoever has it, who is told, and whose
-    /// heating ends.
+    /// Takes the lease or renews it. With `force` it is also taken from another holder; that is published, and the
+    /// heating of the other ends.
     ///
     /// # Errors
-    /// [`CommandError::Leased`] where another has it.
+    /// [`CommandError::Leased`] if another holder has it.
     pub async fn take_lease(
         &self,
         device: &str,
@@ -393,107 +398,107 @@ impl Daemon {
     ) -> Result<Lease, CommandError> {
         let handle = self.handle(device)?;
         let holder = holder_name(holder);
-        let face = &handle.face;
-        let taken = face.lock().lease.take(&holder, force, Instant::now());
-        let taken = taken.map_err(|lease| leased(face, lease))?;
-        self.tell_grant(face, &holder, &taken);
-        if let Taken::From(other) = taken {
+        let record = &handle.record;
+        let grant = record.lock().lease.take(&holder, force, Instant::now());
+        let grant = grant.map_err(|lease| leased_error(record, lease))?;
+        self.publish_grant(record, &holder, &grant);
+        if let LeaseGrant::From(other) = grant {
             let why = format!("{holder} has taken the lease from {other}");
-            tracing::warn!(device = face.name, "{why}");
+            tracing::warn!(device = record.name, "{why}");
             let command = "take-lease --force".to_owned();
             let auditor = &self.inner.auditor;
-            auditor.take(face, holder.clone(), command, why.clone());
+            auditor.record(record, holder.clone(), command, why.clone());
             self.end_heating(&handle, why).await;
         }
         let now = Instant::now();
-        let lease = face.lock().lease.current(now);
+        let lease = record.lock().lease.current(now);
         lease.ok_or_else(|| CommandError::Failed {
-            why: format!("{}: the lease ran out meanwhile", face.name),
+            why: format!("{}: the lease ran out meanwhile", record.name),
         })
     }
 
-    /// The lease for one command: the holder's own, or one that is free.
-    fn borrow_lease(&self, face: &Face, holder: &str) -> Result<LeaseId, CommandError> {
-        let begun = face.lock().lease.begin_command(holder, Instant::now());
-        let (id, taken) = begun.map_err(|lease| leased(face, lease))?;
-        self.tell_grant(face, holder, &taken);
+    /// Takes or renews the lease for one command.
+    fn borrow_lease(&self, record: &DeviceRecord, holder: &str) -> Result<LeaseId, CommandError> {
+        let begun = record.lock().lease.begin_command(holder, Instant::now());
+        let (id, grant) = begun.map_err(|lease| leased_error(record, lease))?;
+        self.publish_grant(record, holder, &grant);
         Ok(id)
     }
 
-    fn tell_grant(&self, face: &Face, holder: &str, taken: &Taken) {
-        match taken {
-            Taken::Renewed => {}
-            Taken::New => self.tell_lease(face, holder, ""),
-            Taken::From(other) => self.tell_lease(face, holder, other),
+    fn publish_grant(&self, record: &DeviceRecord, holder: &str, grant: &LeaseGrant) {
+        match grant {
+            LeaseGrant::Renewed => {}
+            LeaseGrant::New => self.publish_lease(record, holder, ""),
+            LeaseGrant::From(other) => self.publish_lease(record, holder, other),
         }
     }
 
-    fn tell_lease(&self, face: &Face, holder: &str, taken_from: &str) {
-        face.tell(What::Lease {
+    fn publish_lease(&self, record: &DeviceRecord, holder: &str, taken_from: &str) {
+        record.publish(EventKind::Lease {
             holder: holder.to_owned(),
             taken_from: taken_from.to_owned(),
             why: String::new(),
         });
     }
 
-    /// Gives the lease back; what was asked for under it is switched off.
+    /// Releases the lease and switches off its power.
     ///
     /// # Errors
-    /// [`CommandError::Leased`] where another has it.
+    /// [`CommandError::Leased`] if another holder has it.
     pub async fn release_lease(&self, device: &str, holder: &str) -> Result<(), CommandError> {
         let handle = self.handle(device)?;
         let holder = holder_name(holder);
-        let face = &handle.face;
+        let record = &handle.record;
         let now = Instant::now();
         let (released, other) = {
-            let mut inner = face.lock();
+            let mut inner = record.lock();
             (inner.lease.release(&holder), inner.lease.current(now))
         };
         if let Some(other) = other {
-            return Err(leased(face, other));
+            return Err(leased_error(record, other));
         }
         if released {
-            self.tell_lease(face, "", "");
+            self.publish_lease(record, "", "");
             self.end_heating(&handle, format!("{holder} has given the lease back"))
                 .await;
         }
         Ok(())
     }
 
-    /// Switches off what the lease that is over has left.
+    /// Switches off the power of a lease that has ended.
     async fn end_heating(&self, handle: &Handle, why: String) {
-        let face = &handle.face;
+        let record = &handle.record;
         let client = {
-            let inner = face.lock();
-            let must_end = inner.lease.must_end(Instant::now());
-            inner.client.clone().filter(|_| must_end)
+            let inner = record.lock();
+            let must_switch_off = inner.lease.must_switch_off(Instant::now());
+            inner.client.clone().filter(|_| must_switch_off)
         };
         let Some(client) = client else { return };
-        tracing::info!(device = face.name, why, "off");
-        let (name, address) = (face.name.clone(), face.address.clone());
-        // What the store has no room for is in the log.
-        let store = self.inner.store.writing_once(Record::Events);
+        tracing::info!(device = record.name, why, "off");
+        let (name, address) = (record.name.clone(), record.address.clone());
+        // Without room in the store the event is in the log only.
+        let store = self.inner.store.writing_once(RecordKind::Events);
         store.offer(move |store| {
             let device = store.device(&name, &address)?;
             store.event(Some(device), "off", &why)
         });
-        let off = tokio::time::timeout(COMMAND_WITHIN, switch_off(face, &client));
+        let off = tokio::time::timeout(COMMAND_TIMEOUT, switch_off(record, &client));
         if !matches!(off.await, Ok(Ok(()))) {
-            tracing::warn!(device = face.name, "was not switched off in time");
+            tracing::warn!(device = record.name, "was not switched off in time");
         }
     }
 
-    /// Everything that happens, from now on.
-    pub fn watch(&self) -> broadcast::Receiver<Arc<Notice>> {
-        self.inner.board.watch()
+    /// Subscribes to all events from now on.
+    pub fn watch(&self) -> broadcast::Receiver<Arc<DaemonEvent>> {
+        self.inner.event_bus.subscribe()
     }
 
-    /// What the devices do, from now on, at the pace of one watcher.
+    /// Returns a tap of the devices' telemetry, polled at the rate of its reader.
     pub fn live(&self) -> LiveTap {
         LiveTap::new(Arc::clone(&self.inner.devices))
     }
 
-    /// The daemon in numbers.
+    /// Returns the figures of the daemon.
     pub fn figures(&self) -> Figures {
         let learner = self.learner();
         Figures {
@@ -501,34 +506,34 @@ impl Daemon {
             devices: self.inner.devices.all().len(),
             up_s: self.inner.began.elapsed().as_secs_f64(),
             rss_bytes: rss_bytes(),
-            audit_is_well: self.inner.auditor.is_well(),
+            audit_is_healthy: self.inner.auditor.is_healthy(),
             audits_lost: self.inner.auditor.lost(),
-            ..Figures::of_store(&self.inner.store)
+            ..Figures::from_store(&self.inner.store)
         }
     }
 
-    /// Files of the store that were found damaged at the start and set aside, in words.
+    /// Returns the files of the store that were damaged at the start and set aside, as text.
     pub fn damage(&self) -> Vec<String> {
         lock(&self.inner.damage).clone()
     }
 
-    /// Results, newest first.
+    /// Returns results, newest first.
     ///
     /// # Errors
-    /// What the store reports.
+    /// Error of the store.
     pub async fn results(&self, filter: ResultFilter) -> Result<Vec<ResultRow>, DaemonError> {
         let results = self.inner.store.run(move |store| store.results(&filter));
         Ok(results.await?)
     }
 
-    /// Every lookup of a device, oldest first.
+    /// Returns all lookups of a device, oldest first.
     ///
     /// # Errors
-    /// [`DaemonError::NoDevice`], or what the store reports.
+    /// [`DaemonError::NoDevice`], or an error of the store.
     pub async fn lookups(&self, device: &str) -> Result<Vec<LookupRow>, DaemonError> {
         let handle = self.inner.devices.get(device);
         let handle = handle.ok_or_else(|| DaemonError::NoDevice(printable(device)))?;
-        let (name, address) = (handle.face.name.clone(), handle.face.address.clone());
+        let (name, address) = (handle.record.name.clone(), handle.record.address.clone());
         let lookups = self.inner.store.run(move |store| {
             let device: DeviceId = store.device(&name, &address)?;
             store.lookups(device)
@@ -536,19 +541,19 @@ impl Daemon {
         Ok(lookups.await?)
     }
 
-    /// The folder that devices are recorded into.
+    /// Returns the folder of recordings.
     pub fn recordings_folder(&self) -> &Path {
         &self.inner.recordings
     }
 
-    /// The recordings that there are, newest first.
+    /// Returns all recordings, newest first.
     ///
     /// # Errors
-    /// [`DaemonError::Recordings`] where their folder cannot be read.
+    /// [`DaemonError::Recordings`] if their folder cannot be read.
     pub async fn recordings(&self) -> Result<Vec<RecordingFile>, DaemonError> {
         let handles = self.inner.devices.all();
-        let devices: Vec<String> = handles.iter().map(|h| h.face.name.clone()).collect();
-        let writing = handles.iter().flat_map(|h| h.face.recorder.incomplete());
+        let devices: Vec<String> = handles.iter().map(|h| h.record.name.clone()).collect();
+        let writing = handles.iter().flat_map(|h| h.record.recorder.incomplete());
         let writing: Vec<String> = writing.map(|path| name_of(&path)).collect();
         let folder = self.inner.recordings.clone();
         let failed = |source| DaemonError::Recordings {
@@ -559,74 +564,69 @@ impl Daemon {
         listed.map_err(|e| failed(e.into()))?.map_err(failed)
     }
 
-    /// Copies the store while it is used.
+    /// Copies the store while it is in use.
     ///
     /// # Errors
-    /// What the store reports.
+    /// Error of the store.
     pub async fn backup(&self, to: PathBuf) -> Result<(), DaemonError> {
-        // Beside the store's thread, which windows wait for.
+        // Not on the store's thread, which would delay windows.
         let from = self.inner.folder.clone();
         let backup = tokio::task::spawn_blocking(move || ihd_store::backup(&from, &to)).await;
-        Ok(backup.map_err(|_| StoreTrouble::Gone("the backup panicked"))??)
+        Ok(backup.map_err(|_| StoreThreadError::Gone("the backup panicked"))??)
     }
 
-    /// Switches off what was asked for through the daemon, stores what is under way, closes the store.
+    /// Stops the daemon: switches off the power requested through it, stores pending data, closes the store.
     pub async fn stop(self) {
         self.inner.stop.send_replace(true);
-        self.inner.devices.ended().await;
+        self.inner.devices.join().await;
         self.inner.auditor.close().await;
         let now_ms = self.inner.machine.now_ms();
-        history::write(&self.inner.seconds, &self.inner.store, now_ms, true).await;
-        // Windows under way hold the learner.
+        history::write(&self.inner.telemetry, &self.inner.store, now_ms, true).await;
+        // Store jobs of windows hold the learner.
         self.inner.store.idle().await;
         drop(lock(&self.inner.learner).take());
         let routing = lock(&self.inner.routing).take();
         if let Some(routing) = routing {
-            // It ends when the threads that learn have, with the window that each is at.
-            let _ = tokio::time::timeout(LEARNED_WITHIN, routing).await;
+            // Ends once the learner's threads have finished their fits.
+            let _ = tokio::time::timeout(LEARNER_TIMEOUT, routing).await;
         }
         self.inner.store.close().await;
     }
 }
 
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Every change is complete in itself.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Deletes what the store need not keep any more.
-async fn keep_tidy(context: Context) {
+/// Collects the store's garbage periodically.
+async fn collect_garbage(context: Context) {
     loop {
-        // The store's trouble is told by its thread.
-        let store = context.store.writing(Record::State);
+        // Errors of the store are reported by its thread.
+        let store = context.store.writing(RecordKind::State);
         let _ = store.run(Store::collect_garbage).await;
         tokio::select! {
             biased;
             () = context.stopping() => return,
-            () = tokio::time::sleep(GARBAGE_EVERY) => {}
+            () = tokio::time::sleep(GARBAGE_PERIOD) => {}
         }
     }
 }
 
-fn not_in_time(face: &Face) -> CommandError {
+fn timed_out(record: &DeviceRecord) -> CommandError {
     CommandError::Failed {
         why: format!(
             "{}: the command was not carried out within {} s",
-            face.name,
-            COMMAND_WITHIN.as_secs()
+            record.name,
+            COMMAND_TIMEOUT.as_secs()
         ),
     }
 }
 
-fn leased(face: &Face, lease: Lease) -> CommandError {
+fn leased_error(record: &DeviceRecord, lease: Lease) -> CommandError {
     CommandError::Leased {
-        name: face.name.clone(),
+        name: record.name.clone(),
         holder: lease.holder,
         expires_in_s: lease.expires_in_s,
     }
 }
 
-/// Names come over the API: they end in logs and terminals.
+/// Returns a holder's name from the API as printable, limited text for logs and terminals.
 fn holder_name(holder: &str) -> String {
     let name: String = printable(holder).chars().take(LONGEST_HOLDER).collect();
     match name.trim() {
@@ -635,8 +635,8 @@ fn holder_name(holder: &str) -> String {
     }
 }
 
-/// A command in words, for logs and the audit.
-fn words(command: &Command) -> String {
+/// Describes a command for logs and the audit.
+fn describe(command: &Command) -> String {
     match command {
         Command::Power { power_w } => format!("power {power_w} W"),
         Command::Off => "off".to_owned(),

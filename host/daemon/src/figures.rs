@@ -1,45 +1,45 @@
-//! The daemon in numbers.
+//! Figures of the daemon's operation.
 
 use std::sync::atomic::Ordering;
 
 use crate::learning::LearnerFigures;
-use crate::model::{Dropped, StoreFailure};
+use crate::model::{DroppedRecords, StoreFailure};
 use crate::store_thread::StoreThread;
 
-/// How the daemon does, since it began.
+/// Figures of the daemon since its start.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Figures {
-    /// Devices.
+    /// Number of devices.
     pub devices: usize,
-    /// Seconds since the daemon began.
+    /// Uptime in seconds.
     pub up_s: f64,
     /// The store's failure; `None` while it takes all records.
     pub store_failure: Option<StoreFailure>,
-    /// Records dropped since the daemon began.
-    pub store_dropped: Dropped,
-    /// Jobs that wait for the store.
+    /// Records dropped since the start.
+    pub store_dropped: DroppedRecords,
+    /// Jobs waiting for the store.
     pub store_waiting: usize,
-    /// Jobs that the store has done, failures included.
+    /// Jobs completed by the store, including failures.
     pub store_jobs: u64,
-    /// Those that failed.
+    /// Failed jobs of the store.
     pub store_failures: u64,
-    /// Seconds that the store was busy.
+    /// Busy time of the store in seconds.
     pub store_busy_s: f64,
-    /// Seconds of its longest job.
+    /// Duration of the store's longest job in seconds.
     pub store_longest_s: f64,
-    /// Learning.
+    /// Figures of the learner.
     pub learner: LearnerFigures,
-    /// All commands so far are in the audit, or on their way to a store that writes.
-    pub audit_is_well: bool,
-    /// Commands that the audit does not have and will not get.
+    /// `true` if no command is missing in the audit and the store accepts audits.
+    pub audit_is_healthy: bool,
+    /// Commands lost to the audit.
     pub audits_lost: u64,
-    /// Memory in use, in bytes; none where the system does not say.
+    /// Resident memory in bytes; `None` if the system does not report it.
     pub rss_bytes: Option<u64>,
 }
 
 impl Figures {
-    /// What the store's thread counts.
-    pub(crate) fn of_store(store: &StoreThread) -> Self {
+    /// Returns the figures of the store's thread; the others are zero.
+    pub(crate) fn from_store(store: &StoreThread) -> Self {
         let gauge = store.gauge();
         let seconds = |us: u64| us as f64 * 1e-6;
         Self {
@@ -55,7 +55,7 @@ impl Figures {
     }
 }
 
-/// Resident memory of this process, in bytes, where Linux says it.
+/// Returns the resident memory of this process in bytes; `None` except on Linux.
 pub(crate) fn rss_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:"))?;

@@ -1,15 +1,15 @@
-//! Whether a device's firmware fits this daemon, in words for whoever has to update one of them.
+//! Match of a device's firmware with this daemon, and update advice.
 
 use std::cmp::Ordering;
 
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
-/// What to update where a device speaks this minor version of the daemon's protocol; empty where it fits.
+/// Returns update advice for a device with this minor protocol version; empty if it matches.
 pub fn updates_needed(minor: u16) -> String {
-    between(minor, PROTOCOL_MINOR)
+    advice(minor, PROTOCOL_MINOR)
 }
 
-fn between(theirs: u16, ours: u16) -> String {
+fn advice(theirs: u16, ours: u16) -> String {
     let older = theirs.cmp(&ours);
     let [theirs, ours] = [theirs, ours].map(|minor| format!("{PROTOCOL_MAJOR}.{minor}"));
     match older {
@@ -23,7 +23,7 @@ fn between(theirs: u16, ours: u16) -> String {
     }
 }
 
-/// The serial number of the USB device that an address names; none for other addresses, and for `usb`, which is any.
+/// Returns the USB serial number in an address; `None` for other addresses and for `usb`, which means any board.
 pub fn usb_serial(address: &str) -> Option<&str> {
     address
         .strip_prefix("usb:")
@@ -37,8 +37,8 @@ mod tests {
     #[test]
     fn the_older_side_is_the_one_to_update() {
         assert_eq!(updates_needed(PROTOCOL_MINOR), "");
-        assert!(between(1, 2).contains("ihd flash"));
-        assert!(between(2, 1).contains("update ihd"));
+        assert!(advice(1, 2).contains("ihd flash"));
+        assert!(advice(2, 1).contains("update ihd"));
     }
 
     #[test]

@@ -1,35 +1,24 @@
-//! What an edge knows of its fleet, kept for whoever asks the daemon.
+//! Last report of the fleet, for API and terminal.
 
 use std::sync::{Arc, Mutex};
 
-use crate::daemon::{Daemon, lock};
+use crate::locking::lock;
 use crate::model::FleetReport;
 use crate::printable::printable;
 
-/// The last report, none while the daemon belongs to no fleet.
+/// Last fleet report; `None` while the daemon belongs to no fleet.
 #[derive(Debug, Default)]
 pub(crate) struct FleetView(Mutex<Option<Arc<FleetReport>>>);
 
 impl FleetView {
-    fn get(&self) -> Option<Arc<FleetReport>> {
+    /// Returns the last report.
+    pub fn get(&self) -> Option<Arc<FleetReport>> {
         lock(&self.0).clone()
     }
 
-    fn set(&self, report: FleetReport) {
-        *lock(&self.0) = Some(Arc::new(report));
-    }
-}
-
-impl Daemon {
-    /// What is known of the fleet; none where this daemon is no edge of one.
-    pub fn fleet(&self) -> Option<Arc<FleetReport>> {
-        self.inner.fleet.get()
-    }
-
-    /// Takes what is known of the fleet now, in place of what was known: from here on this daemon is an edge. Names and
-    /// words in it are other machines': what a terminal or a page could stumble over is replaced, what is very long is cut.
-    pub fn tell_fleet(&self, report: FleetReport) {
-        self.inner.fleet.set(made_printable(report));
+    /// Replaces the report. Its texts come from other machines: control characters are escaped, long texts cut.
+    pub fn set(&self, report: FleetReport) {
+        *lock(&self.0) = Some(Arc::new(made_printable(report)));
     }
 }
 

@@ -1,4 +1,4 @@
-//! What every hob of this build has: the ratings, and what its controller keeps to.
+//! Ratings and controller limits of this build's hob.
 
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RATED_POWER_W};
 use ihd_train::limits;
@@ -7,7 +7,7 @@ use crate::lease::LEASE_S;
 use crate::model::Hob;
 use crate::tank;
 
-/// The hob that this daemon knows; an incompatible device may have another one.
+/// Returns the ratings of this build's hob; those of an incompatible device may differ.
 pub fn hob() -> Hob {
     Hob {
         rated_power_w: RATED_POWER_W,

@@ -1,20 +1,20 @@
-//! The lease of a device, and the power that was asked for under it.
+//! The lease of a device, and the power requested under it.
 //!
-//! One name at a time holds the lease, for [`LEASE_S`] from when it was taken or renewed last. Each grant has an identity of its own
-//! ([`LeaseId`]): a command can end the grant that it began, and no other.
+//! One holder at a time has the lease, for [`LEASE_S`] after it was taken or renewed. Each grant has its own [`LeaseId`]: a command
+//! can end only the grant that it began.
 //!
 //! ```text
-//!            take, begin_command                    ask
+//!            take, begin_command                request_power
 //!   free ─────────────────────────► held, no power ─────► held, with power
-//!    ▲                                  │                    │ released, expired, void, taken by force
-//!    │            switched_off          ▼                    ▼
-//!    └───────────────────────────────── ◄──────────────── power that has to end ◄── off, which leaves the lease
+//!    ▲                                  │                    │ released, expired, revoked, taken by force
+//!    │            confirm_off           ▼                    ▼
+//!    └───────────────────────────────── ◄──────────────── power to switch off ◄── off, which keeps the lease
 //! ```
 //!
-//! An `off` needs no lease, and ends none: what was asked for before it may heat no more, whoever's it is ([`LeaseBook::off`]).
+//! An `off` needs no lease and ends none: it cancels every earlier power request, of any holder ([`LeaseBook::off`]).
 //!
-//! Power is a part of the held lease, so that there is none without a holder. Where the lease ends first, what the device still heats
-//! with is a debt ([`LeaseBook::must_end`]): it is switched off before anything else is asked of it.
+//! Power is a part of the held lease, so there is none without a holder. If the lease ends first, its power remains to be switched
+//! off ([`LeaseBook::must_switch_off`]), before any other request to the device.
 
 use std::time::Duration;
 
@@ -22,77 +22,77 @@ use tokio::time::Instant;
 
 use crate::model::Lease;
 
-/// Duration of a lease that nobody renews, in seconds.
+/// Duration of a lease without renewal, in seconds.
 pub const LEASE_S: u64 = 10;
 
-/// Identity of one grant, as it was between two `off`s.
+/// Identity of one grant between two `off`s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LeaseId {
     grant: u64,
-    /// `off`s that came before.
+    /// Number of `off`s before it.
     offs: u64,
 }
 
-/// The lease of one device, with its power.
+/// Lease of one device, with its power.
 #[derive(Debug, Default)]
 pub struct LeaseBook {
-    held: Option<Held>,
-    /// Power in watt that the device may still heat with, of a lease that is over.
+    held: Option<ActiveLease>,
+    /// Power of an ended lease that the device may still heat with, in watt.
     ending_w: u16,
     grants: u64,
     offs: u64,
 }
 
 #[derive(Debug)]
-struct Held {
+struct ActiveLease {
     grant: u64,
     holder: String,
     until: Instant,
-    /// Power that was asked for under it, in watt.
+    /// Power requested under it, in watt.
     power_w: u16,
     /// Commands under way that use it.
     commands: u32,
-    /// It was taken as such, or for a sweep: it outlives the commands that use it.
+    /// `true` if it outlives its commands: taken explicitly, or for a sweep.
     is_kept: bool,
 }
 
-/// Lease of which the device has not the power.
+/// Lease that ended because the device has another power.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Lost {
-    /// Its holder.
+pub struct LostLease {
+    /// Name of the holder.
     pub holder: String,
-    /// Power that was asked for under it, in watt.
+    /// Power requested under it, in watt.
     pub power_w: u16,
 }
 
-/// Change of holder that a grant made.
+/// Change of holder by a grant.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Taken {
-    /// It was free.
+pub enum LeaseGrant {
+    /// The lease was free.
     New,
-    /// It was the holder's own, and lasts anew.
+    /// The holder had it already; its time restarts.
     Renewed,
-    /// It was somebody else's, by name.
+    /// Taken from another holder, by name.
     From(String),
 }
 
-/// Reason for which something cannot be done under a lease.
+/// Reason that a lease does not permit a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum LeaseOver {
-    /// The lease is over.
+pub enum LeaseError {
+    /// The lease has ended.
     #[error("its lease was over before it could be carried out")]
     Ended,
-    /// An `off` was asked for later.
+    /// An `off` came after the grant.
     #[error("an `off` came before it could be carried out")]
     Off,
 }
 
 impl LeaseBook {
-    /// Takes the lease until it is released or runs out, or renews it; with `force` from somebody else, too.
+    /// Takes the lease until it is released or expires, or renews it; with `force` also from another holder.
     ///
     /// # Errors
-    /// The lease of the other, without `force`.
-    pub fn take(&mut self, holder: &str, force: bool, now: Instant) -> Result<Taken, Lease> {
+    /// The lease of the other holder, without `force`.
+    pub fn take(&mut self, holder: &str, force: bool, now: Instant) -> Result<LeaseGrant, Lease> {
         let taken = self.grant(holder, force, now)?;
         if let Some(held) = &mut self.held {
             held.is_kept = true;
@@ -103,8 +103,12 @@ impl LeaseBook {
     /// Takes or renews the lease for one command, which ends it with [`LeaseBook::end_command`].
     ///
     /// # Errors
-    /// The lease of somebody else.
-    pub fn begin_command(&mut self, holder: &str, now: Instant) -> Result<(LeaseId, Taken), Lease> {
+    /// The lease of the other holder.
+    pub fn begin_command(
+        &mut self,
+        holder: &str,
+        now: Instant,
+    ) -> Result<(LeaseId, LeaseGrant), Lease> {
         let taken = self.grant(holder, false, now)?;
         let id = LeaseId {
             grant: self.grants,
@@ -116,8 +120,8 @@ impl LeaseBook {
         Ok((id, taken))
     }
 
-    /// Ends a command. Returns `true` if the lease ended with it: no other command uses it, nobody took it as such, and nothing heats
-    /// under it.
+    /// Ends a command. Returns `true` if the lease ended with it: no other command uses it, it was not taken explicitly, and it has no
+    /// power.
     pub fn end_command(&mut self, id: LeaseId) -> bool {
         let Some(held) = self.held.as_mut().filter(|held| held.grant == id.grant) else {
             return false;
@@ -130,21 +134,21 @@ impl LeaseBook {
         ends
     }
 
-    fn grant(&mut self, holder: &str, force: bool, now: Instant) -> Result<Taken, Lease> {
+    fn grant(&mut self, holder: &str, force: bool, now: Instant) -> Result<LeaseGrant, Lease> {
         let taken = match self.current(now) {
-            None => Taken::New,
-            Some(lease) if lease.holder == holder => Taken::Renewed,
-            Some(lease) if force => Taken::From(lease.holder),
+            None => LeaseGrant::New,
+            Some(lease) if lease.holder == holder => LeaseGrant::Renewed,
+            Some(lease) if force => LeaseGrant::From(lease.holder),
             Some(lease) => return Err(lease),
         };
         let until = now + Duration::from_secs(LEASE_S);
-        if let (Taken::Renewed, Some(held)) = (&taken, &mut self.held) {
+        if let (LeaseGrant::Renewed, Some(held)) = (&taken, &mut self.held) {
             held.until = until;
             return Ok(taken);
         }
         self.end();
         self.grants += 1;
-        self.held = Some(Held {
+        self.held = Some(ActiveLease {
             grant: self.grants,
             holder: holder.to_owned(),
             until,
@@ -155,20 +159,20 @@ impl LeaseBook {
         Ok(taken)
     }
 
-    /// Whatever was asked for under it has to end.
+    /// Ends the lease; its power remains to be switched off. Returns the holder.
     fn end(&mut self) -> Option<String> {
         let held = self.held.take()?;
         self.ending_w = self.ending_w.max(held.power_w);
         Some(held.holder)
     }
 
-    /// Gives the lease back; `true` if it was the holder's.
+    /// Releases the lease. Returns `true` if `holder` had it.
     pub fn release(&mut self, holder: &str) -> bool {
         let own = self.held.as_ref().is_some_and(|h| h.holder == holder);
         own && self.end().is_some()
     }
 
-    /// The name whose lease has run out, once.
+    /// Ends an expired lease and returns its holder, once.
     pub fn expired(&mut self, now: Instant) -> Option<String> {
         match self.held.as_ref().is_some_and(|held| held.until <= now) {
             true => self.end(),
@@ -176,12 +180,12 @@ impl LeaseBook {
         }
     }
 
-    /// Ends the lease, whoever has it: time has passed that no clock of ours has seen.
-    pub fn void(&mut self) -> Option<String> {
+    /// Ends the lease of any holder, after time in which this process did not run. Returns the holder.
+    pub fn revoke(&mut self) -> Option<String> {
         self.end()
     }
 
-    /// The lease, where there is one.
+    /// Returns the lease; `None` if there is none or it has expired.
     pub fn current(&self, now: Instant) -> Option<Lease> {
         let held = self.held.as_ref()?;
         let left = held.until.checked_duration_since(now)?;
@@ -191,57 +195,63 @@ impl LeaseBook {
         })
     }
 
-    fn living(&mut self, id: LeaseId, now: Instant) -> Result<&mut Held, LeaseOver> {
+    /// Returns the lease of a grant that has not ended or expired.
+    fn living(&mut self, id: LeaseId, now: Instant) -> Result<&mut ActiveLease, LeaseError> {
         let held = self.held.as_mut();
         held.filter(|held| held.grant == id.grant && held.until > now)
-            .ok_or(LeaseOver::Ended)
+            .ok_or(LeaseError::Ended)
     }
 
-    /// As [`LeaseBook::living`], for what is to heat.
-    fn heating(&mut self, id: LeaseId, now: Instant) -> Result<&mut Held, LeaseOver> {
+    /// Returns the lease of a grant that has not ended and that no `off` has followed.
+    fn heating(&mut self, id: LeaseId, now: Instant) -> Result<&mut ActiveLease, LeaseError> {
         let is_off = id.offs != self.offs;
         let held = self.living(id, now)?;
         match is_off {
-            true => Err(LeaseOver::Off),
+            true => Err(LeaseError::Off),
             false => Ok(held),
         }
     }
 
-    /// Checks that this grant still lives.
+    /// Checks that this grant has not ended.
     ///
     /// # Errors
-    /// [`LeaseOver`].
-    pub fn check(&mut self, id: LeaseId, now: Instant) -> Result<(), LeaseOver> {
+    /// [`LeaseError`].
+    pub fn check(&mut self, id: LeaseId, now: Instant) -> Result<(), LeaseError> {
         self.living(id, now).map(drop)
     }
 
-    /// Checks that power may be asked for under this grant.
+    /// Checks that power may be requested under this grant.
     ///
     /// # Errors
-    /// [`LeaseOver`].
-    pub fn may_heat(&mut self, id: LeaseId, now: Instant) -> Result<(), LeaseOver> {
+    /// [`LeaseError`].
+    pub fn check_heating(&mut self, id: LeaseId, now: Instant) -> Result<(), LeaseError> {
         self.heating(id, now).map(drop)
     }
 
-    /// Lets this grant outlive the command that began it, for what asks for power later.
+    /// Keeps this grant beyond the command that began it, for later power requests.
     ///
     /// # Errors
-    /// [`LeaseOver`].
-    pub fn keep(&mut self, id: LeaseId, now: Instant) -> Result<(), LeaseOver> {
+    /// [`LeaseError`].
+    pub fn keep_after_command(&mut self, id: LeaseId, now: Instant) -> Result<(), LeaseError> {
         self.heating(id, now)?.is_kept = true;
         Ok(())
     }
 
-    /// Writes down that this power in watt is asked for under this grant. Returns what was asked for before.
+    /// Records a power request in watt under this grant. Returns the power before.
     ///
     /// # Errors
-    /// [`LeaseOver`]: nothing may be asked for.
-    pub fn ask(&mut self, id: LeaseId, power_w: u16, now: Instant) -> Result<u16, LeaseOver> {
+    /// [`LeaseError`] if no power may be requested.
+    pub fn request_power(
+        &mut self,
+        id: LeaseId,
+        power_w: u16,
+        now: Instant,
+    ) -> Result<u16, LeaseError> {
         let held = self.heating(id, now)?;
         Ok(std::mem::replace(&mut held.power_w, power_w))
     }
 
-    /// `off` was asked for, by whomever: what was asked for before it may heat no more, and what the device heats with has to end.
+    /// Applies an `off` of any user: earlier grants may no longer heat, and present power has to be switched off.
     pub fn off(&mut self) {
         self.offs += 1;
         if let Some(held) = &mut self.held {
@@ -249,25 +259,25 @@ impl LeaseBook {
         }
     }
 
-    /// Power in watt that was asked for and not taken back, under a lease or of one that is over.
+    /// Returns the requested power in watt, of the lease or of an ended one that is not yet switched off.
     pub fn asked_w(&self) -> u16 {
         let held_w = self.held.as_ref().map_or(0, |held| held.power_w);
         held_w.max(self.ending_w)
     }
 
-    /// Returns `true` if power was asked for that no living lease answers for: the device has to be switched off.
-    pub fn must_end(&self, now: Instant) -> bool {
+    /// Returns `true` if power was requested that no valid lease covers: the device has to be switched off.
+    pub fn must_switch_off(&self, now: Instant) -> bool {
         self.ending_w > 0 || (self.asked_w() > 0 && self.current(now).is_none())
     }
 
-    /// Returns `true` if a living lease has power, for which the device has to hear its host.
+    /// Returns `true` if a valid lease has power, for which the device needs keep-alive messages.
     pub fn heats(&self, now: Instant) -> bool {
-        !self.must_end(now) && self.asked_w() > 0
+        !self.must_switch_off(now) && self.asked_w() > 0
     }
 
-    /// Compares the lease with what the device says that it is asked for, in watt; a panel may hold it below. Where the device has
-    /// something else than was asked for under the lease, the lease ends: returns it.
-    pub fn device_has(&mut self, asked_w: u16, has_panel: bool) -> Option<Lost> {
+    /// Compares the lease's power with the request that the device reports, in watt; a panel may lower it. On any other difference the
+    /// lease ends and is returned.
+    pub fn check_device_power(&mut self, asked_w: u16, has_panel: bool) -> Option<LostLease> {
         let power_w = self.held.as_ref()?.power_w;
         if power_w == 0 || asked_w == power_w || (has_panel && asked_w > 0) {
             return None;
@@ -276,11 +286,11 @@ impl LeaseBook {
         if asked_w == 0 {
             self.ending_w = 0;
         }
-        Some(Lost { holder, power_w })
+        Some(LostLease { holder, power_w })
     }
 
-    /// The device has confirmed that it is off.
-    pub fn switched_off(&mut self) {
+    /// Records the device's confirmation that it is off.
+    pub fn confirm_off(&mut self) {
         self.ending_w = 0;
         if let Some(held) = &mut self.held {
             held.power_w = 0;
@@ -297,45 +307,45 @@ mod tests {
         let mut book = LeaseBook::default();
         let t0 = Instant::now();
         let at = |s: u64| t0 + Duration::from_secs(s);
-        assert_eq!(book.take("a", false, t0), Ok(Taken::New));
+        assert_eq!(book.take("a", false, t0), Ok(LeaseGrant::New));
         let other = book.take("b", false, at(3)).unwrap_err();
         assert_eq!((other.holder.as_str(), other.expires_in_s), ("a", 7));
-        assert_eq!(book.take("a", false, at(8)), Ok(Taken::Renewed));
+        assert_eq!(book.take("a", false, at(8)), Ok(LeaseGrant::Renewed));
         assert_eq!(book.expired(at(17)), None);
         assert_eq!(book.expired(at(18)), Some("a".to_owned()));
         assert_eq!(book.expired(at(18)), None);
-        assert_eq!(book.take("b", false, at(18)), Ok(Taken::New));
+        assert_eq!(book.take("b", false, at(18)), Ok(LeaseGrant::New));
     }
 
     #[test]
     fn power_that_the_device_has_not_ends_the_lease() {
         let now = Instant::now();
-        // What the device says, whether a panel has a say, whether the lease ends, what is left to switch off.
+        // Power that the device reports, panel present, lease ends, power left to switch off.
         for (asked_w, has_panel, ends, left_w) in [
             (900, false, false, 900),
             (900, true, false, 900),
             (500, true, false, 900),
             (0, false, true, 0),
             (0, true, true, 0),
-            // Somebody else asks it.
+            // Another host's request.
             (500, false, true, 900),
         ] {
             let mut book = LeaseBook::default();
             let (id, _) = book.begin_command("a", now).unwrap();
             assert_eq!(
-                book.device_has(asked_w, has_panel),
+                book.check_device_power(asked_w, has_panel),
                 None,
                 "it asks for nothing"
             );
-            book.ask(id, 900, now).unwrap();
-            let lost = book.device_has(asked_w, has_panel);
-            let expected = ends.then(|| Lost {
+            book.request_power(id, 900, now).unwrap();
+            let lost = book.check_device_power(asked_w, has_panel);
+            let expected = ends.then(|| LostLease {
                 holder: "a".to_owned(),
                 power_w: 900,
             });
             assert_eq!(lost, expected, "{asked_w} {has_panel}");
             assert_eq!(book.asked_w(), left_w, "{asked_w} {has_panel}");
-            assert_eq!(book.must_end(now), ends && left_w > 0);
+            assert_eq!(book.must_switch_off(now), ends && left_w > 0);
             assert_eq!(book.current(now).is_none(), ends);
         }
     }
@@ -345,7 +355,10 @@ mod tests {
         let mut book = LeaseBook::default();
         let now = Instant::now();
         book.take("a", false, now).unwrap();
-        assert_eq!(book.take("b", true, now), Ok(Taken::From("a".to_owned())));
+        assert_eq!(
+            book.take("b", true, now),
+            Ok(LeaseGrant::From("a".to_owned()))
+        );
         assert!(!book.release("a"), "it is not theirs any more");
         assert!(book.release("b"));
         assert_eq!(book.current(now), None);
@@ -358,7 +371,7 @@ mod tests {
         book.take("a", false, now).unwrap();
         let later = now + Duration::from_secs(LEASE_S);
         assert_eq!(book.current(later), None);
-        assert_eq!(book.take("b", false, later), Ok(Taken::New));
+        assert_eq!(book.take("b", false, later), Ok(LeaseGrant::New));
     }
 
     /// Every order of two commands' beginnings, executions and ends, of one holder and of two: a device that was asked for power has
@@ -395,9 +408,9 @@ mod tests {
                             ids[which] = begun.ok().map(|(id, _)| id);
                         }
                         (1, Some(id)) if heats[which] => {
-                            let before = book.ask(id, 1_000, now).unwrap();
+                            let before = book.request_power(id, 1_000, now).unwrap();
                             if refused && which == 0 {
-                                book.ask(id, before, now).unwrap();
+                                book.request_power(id, before, now).unwrap();
                             }
                         }
                         (2, Some(id)) => drop(book.end_command(id)),
@@ -406,7 +419,7 @@ mod tests {
                     step[which] += 1;
                     let living = book.current(now).is_some();
                     assert!(book.asked_w() == 0 || living, "{order:?} {case}: {book:?}");
-                    assert!(!book.must_end(now), "{order:?} {case}: {book:?}");
+                    assert!(!book.must_switch_off(now), "{order:?} {case}: {book:?}");
                 }
                 heated += u32::from(book.asked_w() > 0);
             }
@@ -419,13 +432,13 @@ mod tests {
         let now = Instant::now();
         let mut book = LeaseBook::default();
         let (heating, _) = book.begin_command("a", now).unwrap();
-        assert_eq!(book.ask(heating, 700, now), Ok(0));
+        assert_eq!(book.request_power(heating, 700, now), Ok(0));
         let (waiting, _) = book.begin_command("a", now).unwrap();
         book.off();
-        assert!(book.must_end(now) && !book.heats(now));
+        assert!(book.must_switch_off(now) && !book.heats(now));
         for id in [heating, waiting] {
-            assert_eq!(book.ask(id, 900, now), Err(LeaseOver::Off));
-            assert_eq!(book.keep(id, now), Err(LeaseOver::Off));
+            assert_eq!(book.request_power(id, 900, now), Err(LeaseError::Off));
+            assert_eq!(book.keep_after_command(id, now), Err(LeaseError::Off));
             assert_eq!(
                 book.check(id, now),
                 Ok(()),
@@ -433,12 +446,12 @@ mod tests {
             );
         }
         assert_eq!(book.asked_w(), 700);
-        book.switched_off();
-        assert_eq!((book.asked_w(), book.must_end(now)), (0, false));
+        book.confirm_off();
+        assert_eq!((book.asked_w(), book.must_switch_off(now)), (0, false));
         let lease = book.current(now).unwrap();
         assert_eq!(lease.holder, "a", "the lease is not what ended");
         let (later, _) = book.begin_command("a", now).unwrap();
-        assert_eq!(book.ask(later, 900, now), Ok(0));
+        assert_eq!(book.request_power(later, 900, now), Ok(0));
         assert!(book.heats(now));
         assert!(!book.end_command(waiting) && !book.end_command(later));
     }
@@ -450,23 +463,26 @@ mod tests {
         for end in 0..5 {
             let mut book = LeaseBook::default();
             let (id, _) = book.begin_command("a", now).unwrap();
-            assert_eq!(book.ask(id, 700, now), Ok(0));
+            assert_eq!(book.request_power(id, 700, now), Ok(0));
             assert!(!book.end_command(id), "it heats");
             assert!(book.heats(now));
             let now = match end {
                 0 => book.release("a").then_some(now),
                 1 => book.expired(late).map(|_| late),
-                2 => book.void().map(|_| now),
+                2 => book.revoke().map(|_| now),
                 3 => book.take("b", true, now).ok().map(|_| now),
-                // Nobody has looked since.
+                // Not polled since.
                 _ => Some(late),
             };
             let now = now.expect("it has ended");
-            assert!(book.must_end(now) && !book.heats(now), "{end}: {book:?}");
-            assert_eq!(book.ask(id, 900, now), Err(LeaseOver::Ended));
+            assert!(
+                book.must_switch_off(now) && !book.heats(now),
+                "{end}: {book:?}"
+            );
+            assert_eq!(book.request_power(id, 900, now), Err(LeaseError::Ended));
             assert_eq!(book.asked_w(), 700);
-            book.switched_off();
-            assert!(!book.must_end(now));
+            book.confirm_off();
+            assert!(!book.must_switch_off(now));
             assert_eq!(book.asked_w(), 0);
         }
     }

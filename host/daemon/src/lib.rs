@@ -1,38 +1,36 @@
-//! The daemon: devices that come and go, windows that are stored and learned from, lookups that are pushed,
-//! and one who commands.
+//! The daemon: connects to devices, stores their windows, learns from them, pushes lookups and carries out commands.
 //!
 //! ```text
-//!  Daemon (daemon.rs) ── orders ──► a task a device (device/) ── AsyncClient ──► device
-//!     │                                 │ windows
-//!     │ watch, reports (board, face)    ▼
-//!     └──────────────────────── store_thread.rs ──► learner ──► lookups, pushed by the device's task
+//!  Daemon (daemon.rs) ── requests ──► one task per device (device/) ── AsyncClient ──► device
+//!     │                                   │ windows
+//!     │ events, reports                   ▼
+//!     │ (event_bus.rs, device_record.rs)  store_thread.rs ──► learner ──► lookups, pushed by the device's task
 //! ```
 //!
-//! It heats nothing by itself. Power that was asked for through it belongs to one lease ([`lease`]), and ends
-//! with it.
+//! The daemon never heats by itself. Power requested through it belongs to one lease ([`lease`]) and ends with it.
 
 mod auditor;
-pub mod board;
 mod clocks;
 pub mod config;
+mod context;
 pub mod daemon;
 mod device;
-mod face;
+mod device_record;
+pub mod event_bus;
+mod event_log;
 mod figures;
 pub mod firmware;
 pub mod fleet;
 mod fleet_view;
 mod history;
 mod hob;
-mod journalist;
 pub mod learning;
 pub mod lease;
-mod ledger;
 pub mod live;
-mod looks;
+mod locking;
 mod machine;
 pub mod model;
-mod pot_watch;
+mod pot_tracker;
 mod printable;
 pub mod recording;
 mod routing;
@@ -46,6 +44,8 @@ mod store_watch;
 mod supervisor;
 mod switching_off;
 mod tank;
+mod view;
+mod window_accounting;
 
 use std::sync::Arc;
 
@@ -59,22 +59,22 @@ pub use hob::hob;
 pub use ihd_store::JournalFilter;
 pub use live::LiveTap;
 pub use store_health::cause_of;
-pub use store_thread::StoreTrouble;
+pub use store_thread::StoreThreadError;
 
-/// The truth of a half-cycle that is over and not too long ago, counted as the device counts them. It may wait for
-/// the simulation, a moment.
-pub type TruthOf = dyn Fn(u32) -> Option<Truth> + Send + Sync;
+/// Source of the true R and L of a recent half-cycle, by the device's half-cycle count; may block briefly on the
+/// simulation.
+pub type TruthFn = dyn Fn(u32) -> Option<Truth> + Send + Sync;
 
-/// A device that was opened.
-pub struct Opened {
-    /// The way to it.
+/// Opened device: its transport and, if simulated, its true R and L.
+pub struct OpenedDevice {
+    /// Transport to the device.
     pub transport: Box<dyn Transport>,
-    /// What R and L truly are, where whoever opened it simulates it.
-    pub truth: Option<Arc<TruthOf>>,
+    /// True R and L; `None` unless the device is simulated.
+    pub truth: Option<Arc<TruthFn>>,
 }
 
-impl Opened {
-    /// A device whose truth nobody knows.
+impl OpenedDevice {
+    /// Returns a device without a known truth.
     pub fn real(transport: Box<dyn Transport>) -> Self {
         Self {
             transport,
@@ -83,5 +83,5 @@ impl Opened {
     }
 }
 
-/// Opens an address: whoever brings it may know a simulator. It may block; it runs on a thread of the link.
-pub type OpenDevice = dyn Fn(&config::Address) -> Result<Opened, LinkError> + Send + Sync;
+/// Function that opens an address, possibly of a simulator. It may block; it runs on a thread of the link.
+pub type OpenDevice = dyn Fn(&config::Address) -> Result<OpenedDevice, LinkError> + Send + Sync;

@@ -1,7 +1,7 @@
-//! The machine that the daemon runs on: its clock, and where work runs that blocks.
+//! The machine that the daemon runs on: clock, threads and connections.
 //!
-//! A simulated machine has no threads. Store, links and learner are then tasks of the one runtime, on its paused clock, so that one seed
-//! gives one course of events (simulation/).
+//! A simulated machine has no threads: store, links and learner are tasks of one runtime on a paused clock, so that a seed determines
+//! the course of events (simulation/).
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -12,9 +12,9 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
 #[cfg(any(test, feature = "simulation"))]
-use crate::simulation::Disk;
+use crate::simulation::disk::Disk;
 
-/// The machine.
+/// Real or simulated machine; cheap to clone.
 #[derive(Clone)]
 pub struct Machine {
     clock: Clock,
@@ -32,7 +32,7 @@ struct Simulated {
 }
 
 impl Default for Machine {
-    /// The one that this process runs on.
+    /// Returns the real machine.
     fn default() -> Self {
         Self {
             clock: of_the_machine(),
@@ -44,7 +44,7 @@ impl Default for Machine {
 }
 
 impl Machine {
-    /// A machine without threads, with this clock and this disk, on the runtime that calls.
+    /// Returns a machine without threads, on the calling runtime.
     #[cfg(any(test, feature = "simulation"))]
     pub fn simulated(clock: Clock, disk: Arc<Disk>) -> Self {
         Self {
@@ -57,18 +57,18 @@ impl Machine {
         }
     }
 
-    /// The simulated disk, where the machine is simulated.
+    /// Returns the simulated disk; `None` on a real machine.
     #[cfg(any(test, feature = "simulation"))]
     pub fn disk(&self) -> Option<&Arc<Disk>> {
         self.simulated.as_ref().map(|simulated| &simulated.disk)
     }
 
-    /// Milliseconds since 1970, UTC.
+    /// Returns milliseconds since 1970, UTC.
     pub fn now_ms(&self) -> i64 {
         (self.clock)()
     }
 
-    /// Time for which it was awake since the daemon began.
+    /// Returns the time since the start of the daemon, on most systems without time in suspend.
     pub fn uptime(&self) -> Duration {
         #[cfg(any(test, feature = "simulation"))]
         if let Some(simulated) = &self.simulated {
@@ -77,12 +77,12 @@ impl Machine {
         self.began.elapsed()
     }
 
-    /// The clock, for the store.
+    /// Returns the wall clock, for the store.
     pub fn clock(&self) -> Clock {
         Arc::clone(&self.clock)
     }
 
-    /// Runs work that takes its time.
+    /// Runs blocking work on a thread for it; on a simulated machine as a task.
     pub fn spawn_blocking<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> T + Send + 'static,
@@ -94,7 +94,7 @@ impl Machine {
         tokio::task::spawn_blocking(work)
     }
 
-    /// Opens a transport and shakes hands with the device behind it.
+    /// Opens a transport and performs the handshake with the device.
     ///
     /// # Errors
     /// As [`AsyncClient::connect`].

@@ -1,9 +1,9 @@
-//! Text from outside, made fit for terminals, logs and JSON, and no longer than a person reads.
+//! Sanitising of external text for terminals, logs and JSON.
 
-/// Longest text of a device that is passed on, in characters.
+/// Longest text passed on, in characters.
 const LONGEST: usize = 300;
 
-/// `text` fit to be shown, and cut where it is very long.
+/// Returns `text` with control characters escaped, cut to 300 characters.
 pub fn printable(text: &str) -> String {
     ihd_signal::printable::cut(text, LONGEST)
 }

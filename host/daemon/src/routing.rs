@@ -1,4 +1,4 @@
-//! From what was learned to the store, and to the device.
+//! Routing of learning results to the store and to the device.
 
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -6,15 +6,16 @@ use std::time::Duration;
 use ihd_store::{Confidence, CurveSource, NewResult};
 use tokio::sync::mpsc;
 
-use crate::device::Order;
+use crate::device::DeviceRequest;
 use crate::learning::{FitTrace, LearnResult, Learner, Lookup};
 use crate::machine::Machine;
-use crate::model::{Fit, Record, What};
+use crate::model::{EventKind, Fit, RecordKind};
 use crate::printable::printable;
 use crate::store_thread::StoreThread;
 use crate::supervisor::Devices;
+use crate::window_accounting::WindowOutcome;
 
-/// Takes what was learned until nobody learns any more.
+/// Stores and publishes results, and pushes their lookups, until the learner ends.
 pub async fn route(
     mut outcomes: mpsc::Receiver<LearnResult>,
     devices: Arc<Devices>,
@@ -23,9 +24,9 @@ pub async fn route(
     machine: Machine,
 ) {
     while let Some(learned) = outcomes.recv().await {
-        let (device, news) = (learned.device.clone(), learned.new_lookup.clone());
-        settle(learned, &devices, &store, machine.now_ms()).await;
-        let Some(built) = news else { continue };
+        let (device, new_lookup) = (learned.device.clone(), learned.new_lookup.clone());
+        store_result(learned, &devices, &store, machine.now_ms()).await;
+        let Some(built) = new_lookup else { continue };
         let version = built.lookup.version;
         let lookup = Lookup {
             confidence: Some(Confidence::of(&built.confidence())),
@@ -34,24 +35,24 @@ pub async fn route(
         if !push(&devices, &device, lookup)
             && let Some(learner) = learner.upgrade()
         {
-            // It is built again from what comes next.
+            // The learner builds it again from the next result.
             learner.lookup_refused(&device, version);
         }
     }
 }
 
-/// Counts it, stores it, tells it.
-async fn settle(learned: LearnResult, devices: &Devices, store: &StoreThread, at_ms: i64) {
+/// Counts, stores and publishes a result.
+async fn store_result(learned: LearnResult, devices: &Devices, store: &StoreThread, at_ms: i64) {
     let handle = devices.get(&learned.device);
     if let Some(handle) = &handle {
-        let mut inner = handle.face.lock();
+        let mut inner = handle.record.lock();
         match learned.result.pass {
-            true => inner.ledger.fates.learned += 1,
-            false => inner.ledger.fates.unfit += 1,
+            true => inner.windows.count(WindowOutcome::Learned),
+            false => inner.windows.count(WindowOutcome::Unfit),
         }
     }
     let result = learned.result;
-    let what = What::ResultStored {
+    let kind = EventKind::ResultStored {
         boot: learned.boot,
         seq: result.seq,
         f_sw_hz: result.f_sw_hz,
@@ -67,11 +68,11 @@ async fn settle(learned: LearnResult, devices: &Devices, store: &StoreThread, at
     if let Some(why) = &no_lookup {
         tracing::info!(device = learned.device, why, "no lookup");
     }
-    let store = store.writing_once(Record::Results);
+    let store = store.writing_once(RecordKind::Results);
     let stored = store.run(move |store| {
         store.record_result(&result, state.as_deref())?;
         if let Some(curve) = curve {
-            // Where the samples are not kept there is nothing to look at it with.
+            // Skipped by the store if the samples of the window are not kept.
             store.keep_curve(result.session, result.seq, CurveSource::Network, &curve)?;
         }
         match no_lookup {
@@ -79,21 +80,21 @@ async fn settle(learned: LearnResult, devices: &Devices, store: &StoreThread, at
             None => Ok(()),
         }
     });
-    // The store's trouble is told by its thread.
+    // Errors of the store are reported by its thread.
     if stored.await.is_err() {
         return;
     }
-    if let Some(told) = learned.stored {
-        // Whoever left meanwhile hears of it again.
-        let _ = told.send(());
+    if let Some(confirmation) = learned.stored {
+        // A requester that left meanwhile asks again.
+        let _ = confirmation.send(());
     }
     if let Some(handle) = handle {
-        handle.face.fits().push(fit);
-        handle.face.tell(what);
+        handle.record.fits().push(fit);
+        handle.record.publish(kind);
     }
 }
 
-/// A result with how the network came to it.
+/// Returns the report of a fit with its trace.
 fn fit(at_ms: i64, boot: u32, result: &NewResult, trace: &FitTrace, busy: Duration) -> Fit {
     let finite = |x: f64| x.is_finite().then_some(x);
     Fit {
@@ -117,9 +118,9 @@ fn fit(at_ms: i64, boot: u32, result: &NewResult, trace: &FitTrace, busy: Durati
     }
 }
 
-/// Gives a lookup to the device's task; false where it is not there, or has too much to do.
+/// Sends a lookup to the device's task. Returns `false` if there is no such task or its queue is full.
 fn push(devices: &Devices, device: &str, lookup: Lookup) -> bool {
-    let order = Order::News(Box::new(lookup));
+    let request = DeviceRequest::PushLookup(Box::new(lookup));
     let handle = devices.get(device);
-    handle.is_some_and(|handle| handle.orders.try_send(order).is_ok())
+    handle.is_some_and(|handle| handle.requests.try_send(request).is_ok())
 }

@@ -1,12 +1,12 @@
-//! What a half-cycle says about the state of a device.
+//! Device state and live report from a half-cycle.
 
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Limit, Pot, State, Telemetry};
 
 use crate::model::{DeviceState, Live};
 
-/// The state, and why, that a half-cycle shows. Looks at the coil do not change it: they end in another.
-pub fn of_telemetry(t: &Telemetry, before: DeviceState) -> (DeviceState, String) {
+/// Returns the device state and its reason from a half-cycle; a pot probe keeps the state `before`.
+pub fn device_state(t: &Telemetry, before: DeviceState) -> (DeviceState, String) {
     let fault = t.fault != Fault::NONE;
     match t.state {
         State::LockedOut => (
@@ -44,7 +44,7 @@ fn pot_text(pot: Pot) -> &'static str {
     }
 }
 
-/// What happened to the pot, by what stands on the coil now.
+/// Describes a change of the pot, from the present detection.
 pub fn pot_change(pot: Pot) -> &'static str {
     match pot {
         Pot::Absent => "lifted",
@@ -58,13 +58,13 @@ pub fn pot_change(pot: Pot) -> &'static str {
 fn limit_text(t: &Telemetry) -> String {
     match t.limit {
         Limit::None => String::new(),
-        // Which changes with every half-cycle near it.
+        // Near these limits it changes with every half-cycle.
         Limit::Frequency | Limit::Resonance | Limit::SoftSwitching => String::new(),
         limit => format!("{limit:?} keeps the power down"),
     }
 }
 
-/// A half-cycle as it is shown.
+/// Returns the report of a half-cycle in SI units.
 pub fn live(t: &Telemetry) -> Live {
     let fault = t.fault.number();
     Live {
@@ -92,7 +92,7 @@ pub mod tests {
 
     use super::*;
 
-    /// A half-cycle in which a device does nothing.
+    /// Telemetry of an idle half-cycle.
     pub fn telemetry(state: State) -> Telemetry {
         Telemetry {
             seq: 0,
@@ -138,7 +138,7 @@ pub mod tests {
         ] {
             let mut t = telemetry(state);
             t.fault = fault;
-            let (now, detail) = of_telemetry(&t, before);
+            let (now, detail) = device_state(&t, before);
             assert_eq!(now, after, "{state:?} {fault:?} after {before:?}");
             assert!(
                 now != D::Faulted || !detail.is_empty(),

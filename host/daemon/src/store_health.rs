@@ -1,60 +1,62 @@
-//! Condition of the store, from the outcomes of its jobs. No clock and no I/O: times are given.
+//! Condition of the store, from the outcomes of its jobs. No clock and no I/O: times are arguments.
 //!
-//! Each kind of record fails and recovers for itself: an event that is written says nothing of windows that are not. A kind is well
-//! again when a record of it is written, or when a trial shows that its cause is gone, as for a hob that was switched off meanwhile.
+//! Each kind of record fails and recovers independently: a written event does not show that windows can be written. A kind
+//! recovers when one of its records is written. It also recovers when a trial shows that the cause is gone, as no window comes
+//! from a hob that was switched off meanwhile.
 
 use std::collections::BTreeMap;
 
 use ihd_store::StoreError;
 
-use crate::model::{Dropped, Record, StoreCause, StoreFailure};
+use crate::model::{DroppedRecords, RecordKind, StoreCause, StoreFailure};
 
-/// Looks without a record that found no room, after which the store is fast enough again.
-const QUIET_LOOKS: u32 = 6;
+/// Successive polls without a full queue after which the store is fast enough again.
+const QUIET_POLLS: u32 = 6;
 
-/// A kind of record that is not written.
+/// Failure of one kind of record.
 #[derive(Clone, Debug)]
-struct Trouble {
+struct RecordFailure {
     cause: StoreCause,
-    /// The error, with paths: for the log.
+    /// Error with paths, for the log.
     detail: String,
 }
 
-/// A change of condition, to be told once.
+/// Change of condition, to be published once.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// It fails, or fails for another cause.
+    /// The store fails, or fails for another cause.
     Failing {
-        /// The failure.
+        /// Failure for reports.
         failure: StoreFailure,
-        /// The error, with paths.
+        /// Error with paths.
         detail: String,
     },
-    /// It takes all records again.
-    Well {
-        /// Since when it had failed, in milliseconds since 1970, UTC.
+    /// The store accepts all records again.
+    Recovered {
+        /// Start of the failure, in milliseconds since 1970, UTC.
         since_ms: i64,
-        /// Records that were dropped meanwhile.
-        dropped: Dropped,
+        /// Records dropped during the failure.
+        dropped: DroppedRecords,
     },
 }
 
 /// Condition of the store.
 #[derive(Debug, Default)]
 pub struct StoreHealth {
-    troubles: BTreeMap<Record, Trouble>,
-    /// Looks since a record found no room in its queue; `None` if all had.
-    crowded: Option<u32>,
+    failures: BTreeMap<RecordKind, RecordFailure>,
+    /// Polls since a queue was full; `None` after `QUIET_POLLS` of them.
+    polls_since_full: Option<u32>,
     is_silent: bool,
-    /// When the present failure began, and what had been dropped before.
-    began: Option<(i64, Dropped)>,
-    dropped: Dropped,
-    /// The failure that is over, since when it had lasted and what it cost.
-    ended: Option<(i64, Dropped)>,
-    told: Option<StoreCause>,
+    /// Start of the present failure in milliseconds since 1970, UTC, and the records dropped before it.
+    began: Option<(i64, DroppedRecords)>,
+    dropped: DroppedRecords,
+    /// Start of the last failure that is over, and the records dropped during it.
+    ended: Option<(i64, DroppedRecords)>,
+    /// Cause of the last published change.
+    reported: Option<StoreCause>,
 }
 
-/// The cause of an error; `None` if the store is not at fault.
+/// Returns the cause of an error; `None` if the store is not at fault.
 pub fn cause_of(error: &StoreError) -> Option<StoreCause> {
     let cause = if error.is_full() {
         StoreCause::DiskFull
@@ -71,17 +73,17 @@ pub fn cause_of(error: &StoreError) -> Option<StoreCause> {
 }
 
 impl StoreHealth {
-    /// A record of this kind was written.
-    pub fn written(&mut self, record: Record) {
+    /// Clears the failure of this kind, because a record of it was written.
+    pub fn written(&mut self, record: RecordKind) {
         self.is_silent = false;
-        self.troubles.remove(&record);
-        self.end_if_well();
+        self.failures.remove(&record);
+        self.end_if_recovered();
     }
 
-    /// A record of this kind was not written, and `lost` of them are dropped.
+    /// Sets the failure of this kind: a record could not be written, and `lost` of them are dropped.
     pub fn failed(
         &mut self,
-        record: Record,
+        record: RecordKind,
         cause: StoreCause,
         detail: &str,
         lost: u64,
@@ -91,50 +93,52 @@ impl StoreHealth {
         self.is_silent = false;
         self.dropped.add(record, lost);
         let detail = detail.to_owned();
-        self.troubles.insert(record, Trouble { cause, detail });
+        self.failures
+            .insert(record, RecordFailure { cause, detail });
     }
 
-    /// Records of this kind are dropped, because there was no room for them to wait.
-    pub fn found_no_room(&mut self, record: Record, lost: u64, now_ms: i64) {
+    /// Counts `lost` records of this kind that were dropped because their queue was full.
+    pub fn count_no_room(&mut self, record: RecordKind, lost: u64, now_ms: i64) {
         self.begin(now_ms);
         self.dropped.add(record, lost);
-        self.crowded = Some(0);
+        self.polls_since_full = Some(0);
     }
 
-    /// The store has been at one job since the last look, or is at another one now.
-    pub fn answers(&mut self, answers: bool, now_ms: i64) {
-        if !answers {
+    /// Sets the response state: `false` if the store has been busy with one job since the last poll.
+    pub fn set_responding(&mut self, is_responding: bool, now_ms: i64) {
+        if !is_responding {
             self.begin(now_ms);
         }
-        self.is_silent = !answers;
-        self.end_if_well();
+        self.is_silent = !is_responding;
+        self.end_if_recovered();
     }
 
-    /// A trial has written to every database and found room.
-    pub fn proved(&mut self) {
+    /// Clears failures after a trial has written to every database.
+    pub fn trial_succeeded(&mut self) {
         self.is_silent = false;
-        self.troubles.retain(|_, trouble| !is_proved(trouble.cause));
-        self.end_if_well();
+        self.failures
+            .retain(|_, failure| !is_cleared_by_trial(failure.cause));
+        self.end_if_recovered();
     }
 
-    /// A look, every ten seconds; returns `true` if a trial may end what is wrong.
-    pub fn look(&mut self) -> bool {
-        if let Some(quiet) = &mut self.crowded {
-            *quiet += 1;
-            if *quiet > QUIET_LOOKS {
-                self.crowded = None;
+    /// Polls the condition, every ten seconds. Returns `true` if a trial can clear a failure.
+    pub fn poll(&mut self) -> bool {
+        if let Some(polls) = &mut self.polls_since_full {
+            *polls += 1;
+            if *polls > QUIET_POLLS {
+                self.polls_since_full = None;
             }
         }
-        self.end_if_well();
-        self.troubles
+        self.end_if_recovered();
+        self.failures
             .values()
-            .any(|trouble| is_proved(trouble.cause))
+            .any(|failure| is_cleared_by_trial(failure.cause))
     }
 
-    /// The failure; `None` while all records are taken.
+    /// Returns the failure; `None` while all records are accepted.
     pub fn failure(&self) -> Option<StoreFailure> {
         let (since_ms, before) = self.began?;
-        let cause = self.gravest()?;
+        let cause = self.worst_cause()?;
         Some(StoreFailure::new(
             cause,
             since_ms,
@@ -142,8 +146,8 @@ impl StoreHealth {
         ))
     }
 
-    /// Records dropped since the daemon began.
-    pub fn dropped(&self) -> Dropped {
+    /// Returns the records dropped since the start of the daemon.
+    pub fn dropped(&self) -> DroppedRecords {
         self.dropped
     }
 
@@ -151,29 +155,29 @@ impl StoreHealth {
     pub fn take_change(&mut self) -> Option<Change> {
         let failure = self.failure();
         let cause = failure.as_ref().map(|failure| failure.cause);
-        if cause == self.told {
+        if cause == self.reported {
             return None;
         }
-        self.told = cause;
+        self.reported = cause;
         let Some(failure) = failure else {
             let (since_ms, dropped) = self.ended?;
-            return Some(Change::Well { since_ms, dropped });
+            return Some(Change::Recovered { since_ms, dropped });
         };
         let detail = self.detail(failure.cause);
         Some(Change::Failing { failure, detail })
     }
 
-    fn gravest(&self) -> Option<StoreCause> {
-        let of_kinds = self.troubles.values().map(|trouble| trouble.cause);
+    fn worst_cause(&self) -> Option<StoreCause> {
+        let of_kinds = self.failures.values().map(|failure| failure.cause);
         let silent = self.is_silent.then_some(StoreCause::Silent);
-        let crowded = self.crowded.map(|_| StoreCause::TooSlow);
-        of_kinds.chain(silent).chain(crowded).min()
+        let too_slow = self.polls_since_full.map(|_| StoreCause::TooSlow);
+        of_kinds.chain(silent).chain(too_slow).min()
     }
 
     fn detail(&self, cause: StoreCause) -> String {
-        let mut troubles = self.troubles.values();
-        let of_cause = troubles.find(|trouble| trouble.cause == cause);
-        of_cause.map_or_else(String::new, |trouble| trouble.detail.clone())
+        let mut failures = self.failures.values();
+        let of_cause = failures.find(|failure| failure.cause == cause);
+        of_cause.map_or_else(String::new, |failure| failure.detail.clone())
     }
 
     fn begin(&mut self, now_ms: i64) {
@@ -182,8 +186,8 @@ impl StoreHealth {
         }
     }
 
-    fn end_if_well(&mut self) {
-        if self.gravest().is_none()
+    fn end_if_recovered(&mut self) {
+        if self.worst_cause().is_none()
             && let Some((since_ms, before)) = self.began.take()
         {
             self.ended = Some((since_ms, self.dropped.since(&before)));
@@ -191,8 +195,9 @@ impl StoreHealth {
     }
 }
 
-/// Causes that a trial of writing shows to be gone. Damage and faults of this program may lie in one kind of record alone.
-fn is_proved(cause: StoreCause) -> bool {
+/// Returns `true` if a successful trial shows that the cause is gone. Damage and faults of this program may affect one kind of
+/// record alone.
+fn is_cleared_by_trial(cause: StoreCause) -> bool {
     use StoreCause as C;
     matches!(
         cause,
@@ -214,39 +219,48 @@ mod tests {
     fn a_kind_that_is_written_hides_none_that_is_not() {
         let mut health = StoreHealth::default();
         assert_eq!((health.failure(), health.take_change()), (None, None));
-        health.failed(Record::Windows, FULL, "/store/windows.db: full", 1, 1_000);
+        health.failed(
+            RecordKind::Windows,
+            FULL,
+            "/store/windows.db: full",
+            1,
+            1_000,
+        );
         let Some(Change::Failing { failure, detail }) = health.take_change() else {
-            panic!("a failure is told");
+            panic!("a failure is published");
         };
         assert_eq!(
             (failure.cause, failure.since_ms, detail.as_str()),
             (FULL, 1_000, "/store/windows.db: full")
         );
         // Events fit where windows do not.
-        for record in [Record::Events, Record::State, Record::Telemetry] {
+        for record in [RecordKind::Events, RecordKind::State, RecordKind::Telemetry] {
             health.written(record);
             assert_eq!(cause(&health), Some(FULL));
         }
-        health.failed(Record::Windows, FULL, "", 1, 2_000);
-        health.failed(Record::Audits, FULL, "", 1, 3_000);
-        assert_eq!(health.take_change(), None, "told once");
+        health.failed(RecordKind::Windows, FULL, "", 1, 2_000);
+        health.failed(RecordKind::Audits, FULL, "", 1, 3_000);
+        assert_eq!(health.take_change(), None, "published once");
         let failure = health.failure().unwrap();
-        let dropped = Dropped {
+        let dropped = DroppedRecords {
             windows: 2,
             audits: 1,
-            ..Dropped::default()
+            ..DroppedRecords::default()
         };
         assert_eq!((failure.since_ms, failure.dropped), (1_000, dropped));
-        health.written(Record::Windows);
+        health.written(RecordKind::Windows);
         assert_eq!(cause(&health), Some(FULL), "the audit is not written yet");
-        health.written(Record::Audits);
-        let well = Change::Well {
+        health.written(RecordKind::Audits);
+        let recovered = Change::Recovered {
             since_ms: 1_000,
             dropped,
         };
-        assert_eq!((health.failure(), health.take_change()), (None, Some(well)));
+        assert_eq!(
+            (health.failure(), health.take_change()),
+            (None, Some(recovered))
+        );
         // The next failure counts anew, the daemon's own count goes on.
-        health.failed(Record::Windows, FULL, "", 1, 9_000);
+        health.failed(RecordKind::Windows, FULL, "", 1, 9_000);
         let failure = health.failure().unwrap();
         assert_eq!(
             (
@@ -261,49 +275,49 @@ mod tests {
     #[test]
     fn a_trial_ends_what_it_proves_and_nothing_else() {
         let mut health = StoreHealth::default();
-        health.failed(Record::Windows, FULL, "", 1, 0);
-        health.failed(Record::State, StoreCause::Locked, "", 0, 0);
-        assert!(health.look());
-        health.proved();
+        health.failed(RecordKind::Windows, FULL, "", 1, 0);
+        health.failed(RecordKind::State, StoreCause::Locked, "", 0, 0);
+        assert!(health.poll());
+        health.trial_succeeded();
         assert_eq!(health.failure(), None);
-        health.failed(Record::Audits, StoreCause::Defect, "", 1, 0);
+        health.failed(RecordKind::Audits, StoreCause::Defect, "", 1, 0);
         assert!(
-            !health.look(),
+            !health.poll(),
             "no trial shows that a fault of this program is gone"
         );
-        health.proved();
+        health.trial_succeeded();
         assert_eq!(cause(&health), Some(StoreCause::Defect));
-        health.written(Record::Audits);
+        health.written(RecordKind::Audits);
         assert_eq!(health.failure(), None);
     }
 
     #[test]
     fn a_store_is_fast_enough_again_after_a_minute_in_which_all_found_room() {
         let mut health = StoreHealth::default();
-        health.found_no_room(Record::Windows, 1, 0);
-        health.written(Record::Windows);
-        for _ in 0..QUIET_LOOKS {
-            health.look();
+        health.count_no_room(RecordKind::Windows, 1, 0);
+        health.written(RecordKind::Windows);
+        for _ in 0..QUIET_POLLS {
+            health.poll();
             assert_eq!(cause(&health), Some(StoreCause::TooSlow));
         }
-        health.found_no_room(Record::Events, 1, 0);
-        for _ in 0..QUIET_LOOKS {
-            health.look();
+        health.count_no_room(RecordKind::Events, 1, 0);
+        for _ in 0..QUIET_POLLS {
+            health.poll();
         }
         let dropped = health.failure().unwrap().dropped;
         assert_eq!((dropped.windows, dropped.events), (1, 1));
-        health.look();
+        health.poll();
         assert_eq!(health.failure(), None);
     }
 
     #[test]
     fn the_gravest_cause_is_told_and_each_change_of_it() {
         let mut health = StoreHealth::default();
-        health.found_no_room(Record::Windows, 1, 0);
-        health.answers(false, 10);
+        health.count_no_room(RecordKind::Windows, 1, 0);
+        health.set_responding(false, 10);
         assert_eq!(cause(&health), Some(StoreCause::Silent));
         assert!(matches!(health.take_change(), Some(Change::Failing { .. })));
-        health.failed(Record::Windows, FULL, "", 1, 20);
+        health.failed(RecordKind::Windows, FULL, "", 1, 20);
         assert_eq!(cause(&health), Some(FULL));
         assert!(matches!(health.take_change(), Some(Change::Failing { .. })));
         assert_eq!(health.take_change(), None);

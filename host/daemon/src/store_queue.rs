@@ -1,53 +1,54 @@
-//! Jobs that wait for the store: a lane for each device and one for the daemon, served in turn. Plain data, driven by a thread or by a
+//! Queue of jobs for the store: a lane for each device and one for the daemon, served in turn. Plain data, driven by a thread or by a
 //! simulation.
 //!
-//! A device that floods fills its own lane and no other: what does not fit is its own, and every lane is served once before any is
-//! served twice. Memory is bounded: [`ALL_DEVICES`] jobs, and [`GUARANTEED`] and [`RESERVE`] for each device.
+//! A device that floods fills its own lane only and loses its own jobs. Every lane is served once before any is served twice. Memory
+//! is bounded: [`ALL_DEVICES`] jobs, and [`GUARANTEED`] and [`RESERVE`] for each device.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// Jobs of the daemon itself that may wait.
+/// Capacity of the daemon's own lane.
 pub const DAEMON: usize = 128;
 
-/// Jobs of one device that may wait: its windows of some ten seconds, 4.5 MB.
+/// Largest capacity of one device's lane: its windows of some ten seconds, 4.5 MB.
 pub const DEVICE: usize = 64;
 
-/// Jobs of all devices that may wait, 36 MB of windows, shared evenly by the devices that have some.
+/// Capacity of all devices' lanes together, 36 MB of windows, shared evenly by the devices with jobs.
 pub const ALL_DEVICES: usize = 512;
 
-/// Jobs of a device that may wait whatever the others have.
+/// Capacity of a device's lane that other devices cannot use.
 pub const GUARANTEED: usize = 4;
 
-/// Room of a lane for what is not a window: a flood of windows must not cost the fault that explains it.
+/// Further capacity of a lane for jobs other than windows, so that a flood of windows does not displace the fault that explains it.
 pub const RESERVE: usize = 8;
 
-/// The owner of jobs that are done in order.
+/// Owner of jobs that are done in order.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Lane {
-    /// The daemon: commands, results, telemetry, what is read.
+    /// Daemon: commands, results, telemetry, queries.
     Daemon,
-    /// A device, by name.
+    /// Device, by name.
     Device(Arc<str>),
 }
 
 /// Share of its lane that a job may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Room {
-    /// The lane's share.
+    /// Share of the lane only.
     Share,
-    /// The lane's share and its reserve.
+    /// Share and reserve of the lane.
     Reserve,
 }
 
-/// Jobs that wait.
+/// Waiting jobs.
 #[derive(Debug)]
 pub struct StoreQueue<J> {
-    /// Lanes with jobs, no others.
+    /// Lanes that have jobs.
     lanes: BTreeMap<Lane, VecDeque<J>>,
-    /// The same lanes, the next one first.
+    /// The same lanes in the order of service, the next one first.
     turns: VecDeque<Lane>,
-    of_devices: usize,
+    /// Number of jobs in all devices' lanes.
+    device_jobs: usize,
 }
 
 impl<J> Default for StoreQueue<J> {
@@ -55,7 +56,7 @@ impl<J> Default for StoreQueue<J> {
         Self {
             lanes: BTreeMap::new(),
             turns: VecDeque::new(),
-            of_devices: 0,
+            device_jobs: 0,
         }
     }
 }
@@ -66,11 +67,11 @@ impl<J> StoreQueue<J> {
     /// # Errors
     /// The job, if its lane has no room.
     pub fn push(&mut self, lane: &Lane, room: Room, job: J) -> Result<(), J> {
-        if self.len_of(lane) >= self.limit(lane, room) {
+        if self.lane_len(lane) >= self.limit(lane, room) {
             return Err(job);
         }
         if let Lane::Device(_) = lane {
-            self.of_devices += 1;
+            self.device_jobs += 1;
         }
         if let Some(jobs) = self.lanes.get_mut(lane) {
             jobs.push_back(job);
@@ -81,7 +82,7 @@ impl<J> StoreQueue<J> {
         Ok(())
     }
 
-    /// Takes the next job: the first of the lane whose turn it is.
+    /// Removes the next job: the first of the next lane.
     pub fn next(&mut self) -> Option<J> {
         let lane = self.turns.pop_front()?;
         let jobs = self.lanes.get_mut(&lane)?;
@@ -92,14 +93,14 @@ impl<J> StoreQueue<J> {
             self.turns.push_back(lane.clone());
         }
         if let Lane::Device(_) = lane {
-            self.of_devices -= 1;
+            self.device_jobs -= 1;
         }
         job
     }
 
-    /// Jobs that wait.
+    /// Returns the number of waiting jobs.
     pub fn len(&self) -> usize {
-        self.of_devices + self.len_of(&Lane::Daemon)
+        self.device_jobs + self.lane_len(&Lane::Daemon)
     }
 
     /// Returns `true` if no job waits.
@@ -107,12 +108,12 @@ impl<J> StoreQueue<J> {
         self.turns.is_empty()
     }
 
-    /// Jobs of one lane that wait.
-    pub fn len_of(&self, lane: &Lane) -> usize {
+    /// Returns the number of waiting jobs in a lane.
+    pub fn lane_len(&self, lane: &Lane) -> usize {
         self.lanes.get(lane).map_or(0, VecDeque::len)
     }
 
-    /// Jobs that may wait in a lane now.
+    /// Returns the present capacity of a lane.
     fn limit(&self, lane: &Lane, room: Room) -> usize {
         let reserve = match room {
             Room::Share => 0,
@@ -121,7 +122,7 @@ impl<J> StoreQueue<J> {
         if *lane == Lane::Daemon {
             return DAEMON + reserve;
         }
-        if self.of_devices >= ALL_DEVICES {
+        if self.device_jobs >= ALL_DEVICES {
             return GUARANTEED + reserve;
         }
         let others = self.lanes.keys().filter(|other| *other != lane);
@@ -138,7 +139,7 @@ mod tests {
         Lane::Device(name.into())
     }
 
-    /// Pushes for as long as there is room; how many were taken.
+    /// Pushes until there is no room. Returns the number of accepted jobs.
     fn flood(queue: &mut StoreQueue<Lane>, lane: &Lane) -> usize {
         (0..10_000)
             .take_while(|_| queue.push(lane, Room::Share, lane.clone()).is_ok())
@@ -157,15 +158,15 @@ mod tests {
                 lost += usize::from(queue.push(&loud, Room::Share, loud.clone()).is_err());
             }
             if turn % 3 == 0 {
-                let before = queue.len_of(&quiet);
+                let before = queue.lane_len(&quiet);
                 assert_eq!(before, 0, "it never waits for a second job of another lane");
                 queue.push(&quiet, Room::Share, quiet.clone()).unwrap();
             }
             served.extend(queue.next());
         }
         assert_eq!(served.iter().filter(|lane| **lane == quiet).count(), 100);
-        assert!((DEVICE - 1..=DEVICE).contains(&queue.len_of(&loud)));
-        assert_eq!(lost, 3_000 - 200 - queue.len_of(&loud));
+        assert!((DEVICE - 1..=DEVICE).contains(&queue.lane_len(&loud)));
+        assert_eq!(lost, 3_000 - 200 - queue.lane_len(&loud));
     }
 
     #[test]
@@ -211,6 +212,6 @@ mod tests {
         assert_eq!(served, given);
         assert!(queue.is_empty());
         queue.push(&lane, Room::Share, 1).unwrap();
-        assert_eq!((queue.len(), queue.len_of(&lane)), (1, 1));
+        assert_eq!((queue.len(), queue.lane_len(&lane)), (1, 1));
     }
 }

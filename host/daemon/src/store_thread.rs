@@ -1,41 +1,44 @@
-//! The store on a thread of its own: jobs of each device in order, and the store's condition.
+//! Thread of the store: runs the jobs of each device in order and tracks the store's condition.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use ihd_store::{Store, StoreError};
 use tokio::sync::{Notify, oneshot};
 
-use crate::board::Board;
+use crate::event_bus::EventBus;
+use crate::locking::lock;
 use crate::machine::Machine;
-use crate::model::{Dropped, Record, StoreCause, StoreFailure, What};
+use crate::model::{DroppedRecords, EventKind, RecordKind, StoreCause, StoreFailure};
 use crate::store_health::{Change, StoreHealth, cause_of};
 use crate::store_queue::{Lane, Room, StoreQueue};
 
-type Work = Box<dyn FnOnce(&mut Store) -> Result<(), Failed> + Send>;
+type Work = Box<dyn FnOnce(&mut Store) -> Result<(), JobFailure> + Send>;
 
-/// A job, and what its failure costs.
+/// Job of the store, with the record that it writes.
 struct Job {
-    writes: Option<Writes>,
+    record: Option<JobRecord>,
     work: Work,
 }
 
-/// The record that a job writes, and how many of them are lost if it fails.
+/// Record that a job writes.
 #[derive(Clone, Copy, Debug)]
-struct Writes {
-    record: Record,
+struct JobRecord {
+    kind: RecordKind,
+    /// Records lost if the job fails.
     lost: u64,
 }
 
-/// Why a job failed; no cause if the store is not at fault.
-struct Failed {
+/// Failure of a job.
+struct JobFailure {
+    /// Cause; `None` if the store is not at fault.
     cause: Option<StoreCause>,
     detail: String,
 }
 
-impl From<&StoreError> for Failed {
+impl From<&StoreError> for JobFailure {
     fn from(error: &StoreError) -> Self {
         Self {
             cause: cause_of(error),
@@ -44,10 +47,10 @@ impl From<&StoreError> for Failed {
     }
 }
 
-/// Why a job of the store was not done.
+/// Error of a job of the store.
 #[derive(Debug, thiserror::Error)]
-pub enum StoreTrouble {
-    /// The store said no.
+pub enum StoreThreadError {
+    /// Error of the store.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// The job panicked, or the thread has ended.
@@ -55,77 +58,74 @@ pub enum StoreTrouble {
     Gone(&'static str),
 }
 
-/// Work of the store so far.
+/// Counters of the store's jobs.
 #[derive(Debug, Default)]
 pub struct StoreGauge {
-    /// Jobs done.
+    /// Completed jobs, including failures.
     pub jobs: AtomicU64,
-    /// Jobs that failed.
+    /// Failed jobs.
     pub failures: AtomicU64,
-    /// Microseconds spent on jobs.
+    /// Time spent on jobs, in microseconds.
     pub busy_us: AtomicU64,
-    /// Microseconds of the longest job.
+    /// Duration of the longest job, in microseconds.
     pub longest_us: AtomicU64,
 }
 
-/// The queue, and whether anybody may give and is at a job.
+/// Queue, with the state of its two ends.
 #[derive(Default)]
-struct Waiting {
+struct QueueState {
     queue: StoreQueue<Job>,
+    /// `true` once no more jobs are accepted.
     is_closed: bool,
+    /// `true` while a job is being done.
     is_busy: bool,
 }
 
 #[derive(Default)]
 struct Shared {
-    waiting: Mutex<Waiting>,
-    /// A job was given, or the queue was closed: for the thread.
-    given: Condvar,
-    /// The same, for the task that is the thread of a simulated machine.
+    state: Mutex<QueueState>,
+    /// Signal to the thread: a job was queued, or the queue was closed.
+    job_added: Condvar,
+    /// Same signal, to the task that is the thread of a simulated machine.
     #[cfg(any(test, feature = "simulation"))]
-    given_to_task: Notify,
-    /// A job was taken or done: for those who wait for room or for the end.
-    moved: Notify,
+    job_added_task: Notify,
+    /// Signal to callers that wait for room or for the end: a job was taken or done.
+    progress: Notify,
     health: Mutex<StoreHealth>,
     gauge: StoreGauge,
-    board: Board,
+    event_bus: EventBus,
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Every change is complete in itself.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Runs the jobs.
-enum Running {
+/// Handle of the thread or task that runs the jobs.
+enum WorkerHandle {
     Thread(std::thread::JoinHandle<()>),
     #[cfg(any(test, feature = "simulation"))]
     Task(tokio::task::JoinHandle<()>),
 }
 
-/// The store's thread; cheap to clone.
+/// Handle of the store's thread; cheap to clone.
 #[derive(Clone)]
 pub struct StoreThread {
     shared: Arc<Shared>,
-    running: Arc<Mutex<Option<Running>>>,
+    running: Arc<Mutex<Option<WorkerHandle>>>,
 }
 
-/// The way to the store for one owner and one kind of record; cheap to clone.
+/// Access to the store for one owner and one kind of record; cheap to clone.
 #[derive(Clone)]
 pub struct StoreAccess {
     shared: Arc<Shared>,
     lane: Lane,
-    writes: Option<Writes>,
+    record: Option<JobRecord>,
 }
 
 impl StoreThread {
-    /// Starts it.
+    /// Starts the thread.
     ///
     /// # Errors
-    /// What the operating system says where there is no thread to be had.
-    pub fn start(store: Store, board: Board, machine: &Machine) -> std::io::Result<Self> {
+    /// Error of the operating system.
+    pub fn start(store: Store, event_bus: EventBus, machine: &Machine) -> std::io::Result<Self> {
         let shared = Arc::new(Shared {
-            board,
+            event_bus,
             ..Shared::default()
         });
         let worker = StoreWorker {
@@ -143,11 +143,11 @@ impl StoreThread {
         StoreAccess {
             shared: Arc::clone(&self.shared),
             lane: Lane::Daemon,
-            writes: None,
+            record: None,
         }
     }
 
-    /// The way to the store for a device, whose jobs wait in a lane of their own.
+    /// Returns access to the store for a device, in the device's own lane.
     pub fn of_device(&self, name: &str) -> StoreAccess {
         StoreAccess {
             lane: Lane::Device(name.into()),
@@ -155,104 +155,106 @@ impl StoreThread {
         }
     }
 
-    /// The daemon's [`StoreAccess::writing`].
-    pub fn writing(&self, record: Record) -> StoreAccess {
+    /// Returns access in the daemon's lane, as [`StoreAccess::writing`].
+    pub fn writing(&self, record: RecordKind) -> StoreAccess {
         self.access().writing(record)
     }
 
-    /// The daemon's [`StoreAccess::writing_once`].
-    pub fn writing_once(&self, record: Record) -> StoreAccess {
+    /// Returns access in the daemon's lane, as [`StoreAccess::writing_once`].
+    pub fn writing_once(&self, record: RecordKind) -> StoreAccess {
         self.access().writing_once(record)
     }
 
-    /// Runs `f` in the daemon's lane: [`StoreAccess::run`].
+    /// Runs `f` in the daemon's lane, as [`StoreAccess::run`].
     ///
     /// # Errors
-    /// Those of [`StoreAccess::run`].
+    /// As [`StoreAccess::run`].
     pub async fn run<T: Send + 'static>(
         &self,
         f: impl FnOnce(&mut Store) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreTrouble> {
+    ) -> Result<T, StoreThreadError> {
         self.access().run(f).await
     }
 
-    /// Counts records that were dropped before they came here, because the store does not keep up.
-    pub fn dropped(&self, record: Record, n: u64) {
+    /// Counts `n` records that were dropped before they were offered, because the store is too slow.
+    pub fn count_dropped(&self, kind: RecordKind, n: u64) {
         if n > 0 {
             self.shared
-                .change_health(|health, now_ms| health.found_no_room(record, n, now_ms));
+                .change_health(|health, now_ms| health.count_no_room(kind, n, now_ms));
         }
     }
 
-    /// Jobs that wait.
+    /// Returns the number of waiting jobs.
     pub fn waiting(&self) -> usize {
-        lock(&self.shared.waiting).queue.len()
+        lock(&self.shared.state).queue.len()
     }
 
-    /// Work so far.
+    /// Returns the counters of jobs.
     pub fn gauge(&self) -> &StoreGauge {
         &self.shared.gauge
     }
 
-    /// The store's failure; `None` while it takes all records.
+    /// Returns the store's failure; `None` while it accepts all records.
     pub fn failure(&self) -> Option<StoreFailure> {
         lock(&self.shared.health).failure()
     }
 
-    /// Records dropped since the daemon began.
-    pub fn all_dropped(&self) -> Dropped {
+    /// Returns the records dropped since the start of the daemon.
+    pub fn all_dropped(&self) -> DroppedRecords {
         lock(&self.shared.health).dropped()
     }
 
-    /// Looks after the condition, every ten seconds. `before` is what the last look returned: the job that was being done.
-    pub async fn look(&self, before: Option<u64>, within: Duration) -> Option<u64> {
-        let is_busy = lock(&self.shared.waiting).is_busy;
+    /// Polls the condition, every ten seconds, and tries to write if that can clear a failure, for at most `timeout`. Returns the number
+    /// of the present job; `before` is the number from the last poll.
+    pub async fn poll_health(&self, before: Option<u64>, timeout: Duration) -> Option<u64> {
+        let is_busy = lock(&self.shared.state).is_busy;
         let now = is_busy.then(|| self.shared.gauge.jobs.load(Ordering::Relaxed));
-        let answers = now.is_none() || now != before;
+        let is_responding = now.is_none() || now != before;
         let mut may_try = false;
         self.shared.change_health(|health, now_ms| {
-            health.answers(answers, now_ms);
-            may_try = health.look();
+            health.set_responding(is_responding, now_ms);
+            may_try = health.poll();
         });
-        if may_try && answers {
-            let store = self.writing(Record::State);
+        if may_try && is_responding {
+            let store = self.writing(RecordKind::State);
             let trial = store.run(Store::try_writing);
-            if let Ok(Ok(())) = tokio::time::timeout(within, trial).await {
-                self.shared.change_health(|health, _| health.proved());
+            if let Ok(Ok(())) = tokio::time::timeout(timeout, trial).await {
+                self.shared
+                    .change_health(|health, _| health.trial_succeeded());
             }
         }
         now
     }
 
-    /// Ready when no job waits and none is being done.
+    /// Returns once no job is waiting or being done.
     pub async fn idle(&self) {
         loop {
-            let moved = self.shared.moved.notified();
+            let progress = self.shared.progress.notified();
             {
-                let waiting = lock(&self.shared.waiting);
-                if waiting.queue.is_empty() && !waiting.is_busy {
+                let state = lock(&self.shared.state);
+                if state.queue.is_empty() && !state.is_busy {
                     return;
                 }
             }
-            moved.await;
+            progress.await;
         }
     }
 
-    /// Ends the thread when all jobs that were given are done, and closes the store.
+    /// Ends the thread once all queued jobs are done, and closes the store.
     pub async fn close(&self) {
-        lock(&self.shared.waiting).is_closed = true;
-        self.shared.given.notify_all();
+        lock(&self.shared.state).is_closed = true;
+        self.shared.job_added.notify_all();
         #[cfg(any(test, feature = "simulation"))]
-        self.shared.given_to_task.notify_one();
-        self.shared.moved.notify_waiters();
+        self.shared.job_added_task.notify_one();
+        self.shared.progress.notify_waiters();
         let running = lock(&self.running).take();
-        // Its panics are caught in it.
+        // Panics of jobs are caught in the thread.
         match running {
-            Some(Running::Thread(thread)) => {
+            Some(WorkerHandle::Thread(thread)) => {
                 let _ = tokio::task::spawn_blocking(move || thread.join()).await;
             }
             #[cfg(any(test, feature = "simulation"))]
-            Some(Running::Task(task)) => {
+            Some(WorkerHandle::Task(task)) => {
                 let _ = task.await;
             }
             None => {}
@@ -261,99 +263,99 @@ impl StoreThread {
 }
 
 impl StoreAccess {
-    /// The way for records of this kind, which their owner keeps and gives again if they are not written.
-    pub fn writing(mut self, record: Record) -> Self {
-        self.writes = Some(Writes { record, lost: 0 });
+    /// Returns access for records of this kind that their owner keeps and writes again if a job fails.
+    pub fn writing(mut self, kind: RecordKind) -> Self {
+        self.record = Some(JobRecord { kind, lost: 0 });
         self
     }
 
-    /// The way for records of this kind that are lost if they are not written at once: each job is one of them.
-    pub fn writing_once(mut self, record: Record) -> Self {
-        self.writes = Some(Writes { record, lost: 1 });
+    /// Returns access for records of this kind, one per job, that are lost if the job fails.
+    pub fn writing_once(mut self, kind: RecordKind) -> Self {
+        self.record = Some(JobRecord { kind, lost: 1 });
         self
     }
 
-    /// Runs `f` with the store, after what its owner gave before, and gives what it returned.
+    /// Runs `f` with the store, after the earlier jobs of the same lane. Returns its outcome.
     ///
     /// # Errors
-    /// What `f` returned; [`StoreTrouble::Gone`] once the thread has ended, or where `f` panicked.
+    /// Error of `f`; [`StoreThreadError::Gone`] if the thread has ended or `f` panicked.
     pub async fn run<T: Send + 'static>(
         &self,
         f: impl FnOnce(&mut Store) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreTrouble> {
+    ) -> Result<T, StoreThreadError> {
         let (answer, answered) = oneshot::channel();
         let mut job = self.job(Box::new(move |store| {
             let outcome = f(store);
-            let told = outcome.as_ref().map(drop).map_err(Failed::from);
-            // Whoever left meanwhile does not want to know.
+            let result = outcome.as_ref().map(drop).map_err(JobFailure::from);
+            // Fails only if the caller has left.
             let _ = answer.send(outcome);
-            told
+            result
         }));
         loop {
-            let moved = self.shared.moved.notified();
-            match self.shared.give(&self.lane, Room::Share, job)? {
+            let progress = self.shared.progress.notified();
+            match self.shared.enqueue(&self.lane, Room::Share, job)? {
                 None => break,
-                Some(waits) => job = waits,
+                Some(refused) => job = refused,
             }
-            moved.await;
+            progress.await;
         }
-        let panicked = |_| StoreTrouble::Gone("a fault of this program, in the log");
+        let panicked = |_| StoreThreadError::Gone("a fault of this program, in the log");
         Ok(answered.await.map_err(panicked)??)
     }
 
-    /// Gives `f` to the store if there is room for it; returns `false` if there is none, which is counted as a loss. Never waits.
+    /// Queues `f` without waiting. Returns `false`, and counts the loss, if there is no room.
     pub fn offer(
         &self,
         f: impl FnOnce(&mut Store) -> Result<(), StoreError> + Send + 'static,
     ) -> bool {
-        let room = match self.writes {
-            Some(Writes {
-                record: Record::Windows,
+        let room = match self.record {
+            Some(JobRecord {
+                kind: RecordKind::Windows,
                 ..
             }) => Room::Share,
             _ => Room::Reserve,
         };
         let job = self.job(Box::new(move |store| {
-            f(store).map_err(|e| Failed::from(&e))
+            f(store).map_err(|e| JobFailure::from(&e))
         }));
-        let taken = matches!(self.shared.give(&self.lane, room, job), Ok(None));
-        if let (false, Some(Writes { record, lost })) = (taken, self.writes) {
+        let is_queued = matches!(self.shared.enqueue(&self.lane, room, job), Ok(None));
+        if let (false, Some(JobRecord { kind, lost })) = (is_queued, self.record) {
             self.shared
-                .change_health(|health, now_ms| health.found_no_room(record, lost, now_ms));
+                .change_health(|health, now_ms| health.count_no_room(kind, lost, now_ms));
         }
-        taken
+        is_queued
     }
 
     fn job(&self, work: Work) -> Job {
-        let writes = self.writes;
-        Job { writes, work }
+        let record = self.record;
+        Job { record, work }
     }
 }
 
 impl Shared {
-    /// Appends a job; gives it back if its lane has no room.
-    fn give(&self, lane: &Lane, room: Room, job: Job) -> Result<Option<Job>, StoreTrouble> {
-        let mut waiting = lock(&self.waiting);
-        if waiting.is_closed {
-            return Err(StoreTrouble::Gone("it is stopping"));
+    /// Appends a job; returns it if its lane has no room.
+    fn enqueue(&self, lane: &Lane, room: Room, job: Job) -> Result<Option<Job>, StoreThreadError> {
+        let mut state = lock(&self.state);
+        if state.is_closed {
+            return Err(StoreThreadError::Gone("it is stopping"));
         }
-        let refused = waiting.queue.push(lane, room, job).err();
-        drop(waiting);
-        self.given.notify_one();
+        let refused = state.queue.push(lane, room, job).err();
+        drop(state);
+        self.job_added.notify_one();
         #[cfg(any(test, feature = "simulation"))]
-        self.given_to_task.notify_one();
+        self.job_added_task.notify_one();
         Ok(refused)
     }
 
-    /// Changes the condition, and tells what that changes for others.
+    /// Changes the condition, and publishes a change of the failure.
     fn change_health(&self, change: impl FnOnce(&mut StoreHealth, i64)) {
-        let now_ms = self.board.now_ms();
+        let now_ms = self.event_bus.now_ms();
         let mut health = lock(&self.health);
         change(&mut health, now_ms);
         let Some(change) = health.take_change() else {
             return;
         };
-        // Told under the lock, so that changes are told in order.
+        // Published under the lock, so that changes are published in order.
         let (text, ok) = match change {
             Change::Failing { failure, detail } => {
                 let text = failure.text.clone();
@@ -361,7 +363,7 @@ impl Shared {
                 tracing::error!(text, detail, advice, "store: devices go on without it");
                 (text, false)
             }
-            Change::Well { since_ms, dropped } => {
+            Change::Recovered { since_ms, dropped } => {
                 let (seconds, dropped) = ((now_ms - since_ms) / 1_000, dropped.text());
                 let text = format!(
                     "the store works again after {seconds} s; dropped meanwhile: {dropped}"
@@ -370,11 +372,11 @@ impl Shared {
                 (text, true)
             }
         };
-        self.board.tell("", What::Store { text, ok });
+        self.event_bus.publish("", EventKind::Store { text, ok });
     }
 }
 
-/// The end of the queue that does the jobs: on the store's thread, or step by step in a simulation.
+/// Worker that runs the jobs: on the store's thread, or step by step in a simulation.
 pub struct StoreWorker {
     store: Store,
     shared: Arc<Shared>,
@@ -382,34 +384,34 @@ pub struct StoreWorker {
 
 impl StoreWorker {
     #[cfg(any(test, feature = "simulation"))]
-    fn start(self, machine: &Machine) -> std::io::Result<Running> {
+    fn start(self, machine: &Machine) -> std::io::Result<WorkerHandle> {
         match machine.disk().cloned() {
-            Some(disk) => Ok(Running::Task(tokio::spawn(self.serve_simulated(disk)))),
+            Some(disk) => Ok(WorkerHandle::Task(tokio::spawn(self.serve_simulated(disk)))),
             None => self.start_thread(),
         }
     }
 
     #[cfg(not(any(test, feature = "simulation")))]
-    fn start(self, _: &Machine) -> std::io::Result<Running> {
+    fn start(self, _: &Machine) -> std::io::Result<WorkerHandle> {
         self.start_thread()
     }
 
-    fn start_thread(mut self) -> std::io::Result<Running> {
+    fn start_thread(mut self) -> std::io::Result<WorkerHandle> {
         let thread = std::thread::Builder::new().name("ihd-store".to_owned());
         let serve = move || while self.wait_for_job() && self.do_next() {};
-        Ok(Running::Thread(thread.spawn(serve)?))
+        Ok(WorkerHandle::Thread(thread.spawn(serve)?))
     }
 
     #[cfg(any(test, feature = "simulation"))]
-    async fn serve_simulated(mut self, disk: Arc<crate::simulation::Disk>) {
+    async fn serve_simulated(mut self, disk: Arc<crate::simulation::disk::Disk>) {
         loop {
             let (is_empty, is_closed) = {
-                let waiting = lock(&self.shared.waiting);
-                (waiting.queue.is_empty(), waiting.is_closed)
+                let state = lock(&self.shared.state);
+                (state.queue.is_empty(), state.is_closed)
             };
             match (is_empty, is_closed) {
                 (true, true) => return,
-                (true, false) => self.shared.given_to_task.notified().await,
+                (true, false) => self.shared.job_added_task.notified().await,
                 (false, _) => {
                     disk.wait().await;
                     disk.apply_to(&self.store);
@@ -419,40 +421,40 @@ impl StoreWorker {
         }
     }
 
-    /// Waits for a job; `false` once the queue is closed and empty.
+    /// Waits for a job. Returns `false` once the queue is closed and empty.
     fn wait_for_job(&self) -> bool {
-        let waiting = lock(&self.shared.waiting);
-        let idle = |waiting: &mut Waiting| waiting.queue.is_empty() && !waiting.is_closed;
-        let waited = self.shared.given.wait_while(waiting, idle);
-        let waiting = waited.unwrap_or_else(PoisonError::into_inner);
-        !waiting.queue.is_empty()
+        let state = lock(&self.shared.state);
+        let idle = |state: &mut QueueState| state.queue.is_empty() && !state.is_closed;
+        let waited = self.shared.job_added.wait_while(state, idle);
+        let state = waited.unwrap_or_else(PoisonError::into_inner);
+        !state.queue.is_empty()
     }
 
-    /// Does the next job; `false` if there is none. Never waits.
+    /// Runs the next job without waiting for one. Returns `false` if there is none.
     pub fn do_next(&mut self) -> bool {
         let job = {
-            let mut waiting = lock(&self.shared.waiting);
-            let job = waiting.queue.next();
-            waiting.is_busy = job.is_some();
+            let mut state = lock(&self.shared.state);
+            let job = state.queue.next();
+            state.is_busy = job.is_some();
             job
         };
-        let Some(Job { writes, work }) = job else {
+        let Some(Job { record, work }) = job else {
             return false;
         };
-        self.shared.moved.notify_waiters();
+        self.shared.progress.notify_waiters();
         let began = Instant::now();
-        // A transaction that a panic leaves is rolled back.
+        // After a panic the store rolls the transaction back.
         let outcome = catch_unwind(AssertUnwindSafe(|| work(&mut self.store)));
         let outcome = outcome.unwrap_or_else(|_| {
-            Err(Failed {
+            Err(JobFailure {
                 cause: Some(StoreCause::Defect),
                 detail: "a fault of this program".to_owned(),
             })
         });
         self.shared.gauge.count(began.elapsed(), outcome.is_ok());
-        self.shared.note(writes, outcome);
-        lock(&self.shared.waiting).is_busy = false;
-        self.shared.moved.notify_waiters();
+        self.shared.record_outcome(record, outcome);
+        lock(&self.shared.state).is_busy = false;
+        self.shared.progress.notify_waiters();
         true
     }
 }
@@ -468,24 +470,24 @@ impl StoreGauge {
 }
 
 impl Shared {
-    /// A job's outcome for the condition. One that writes nothing proves nothing if it succeeds.
-    fn note(&self, writes: Option<Writes>, outcome: Result<(), Failed>) {
-        let Writes { record, lost } = match (writes, &outcome) {
-            (Some(writes), _) => writes,
+    /// Updates the condition from a job's outcome. The success of a job without a record changes nothing.
+    fn record_outcome(&self, record: Option<JobRecord>, outcome: Result<(), JobFailure>) {
+        let JobRecord { kind, lost } = match (record, &outcome) {
+            (Some(record), _) => record,
             (None, Ok(())) => return,
-            (None, Err(_)) => Writes {
-                record: Record::State,
+            (None, Err(_)) => JobRecord {
+                kind: RecordKind::State,
                 lost: 0,
             },
         };
-        let Err(Failed { cause, detail }) = outcome else {
-            return self.change_health(|health, _| health.written(record));
+        let Err(JobFailure { cause, detail }) = outcome else {
+            return self.change_health(|health, _| health.written(kind));
         };
-        // What the store refuses, as a lookup that it does not hold, is no failure of it unless a record is lost.
+        // A refusal, such as of an unknown lookup, is no failure of the store unless a record is lost.
         let Some(cause) = cause.or((lost > 0).then_some(StoreCause::Defect)) else {
             return;
         };
-        self.change_health(|health, now_ms| health.failed(record, cause, &detail, lost, now_ms));
+        self.change_health(|health, now_ms| health.failed(kind, cause, &detail, lost, now_ms));
     }
 }
 

@@ -1,132 +1,133 @@
-//! The tasks of all devices: started, watched, started again after a panic; and boards that come and go on
-//! USB.
+//! Supervision of the device tasks: start, restart after a panic, and tasks for boards plugged into USB.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ihd_link::{DeviceSpec, usb};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
-use crate::board::Board;
 use crate::config::Address;
-use crate::device::{Context, DeviceTask, Order};
-use crate::face::Face;
-use crate::model::{DeviceState, RecordingPhase, What};
+use crate::context::Context;
+use crate::device::{DeviceRequest, DeviceTask};
+use crate::device_record::DeviceRecord;
+use crate::event_bus::EventBus;
+use crate::locking::lock;
+use crate::model::{DeviceState, EventKind, RecordingPhase};
 use crate::printable::printable;
-use crate::recording::{Recorder, Told, file_name, name_of};
+use crate::recording::{Recorder, RecordingStatus, file_name, name_of};
 use crate::switching_off::switch_off;
 
-/// Orders that may wait for a device's task.
-const ORDERS: usize = 16;
+/// Capacity of a device task's request queue.
+const REQUESTS: usize = 16;
 
-/// After a panic of a device's task.
-const AFTER_PANIC: Duration = Duration::from_secs(1);
+/// Pause before the restart of a device task that panicked.
+const RESTART_DELAY: Duration = Duration::from_secs(1);
 
-/// How long a device has to switch off after its task has panicked.
-const OFF_WITHIN: Duration = Duration::from_secs(5);
+/// Time limit for switching off after a panic of the device's task.
+const OFF_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Between two looks at USB.
-const USB_EVERY: Duration = Duration::from_secs(1);
+/// Period of listing the boards on USB.
+const USB_PERIOD: Duration = Duration::from_secs(1);
 
-/// A device and the way to its task.
+/// Shared record of a device and the sender to its task.
 #[derive(Clone)]
 pub struct Handle {
-    /// The device as others see it.
-    pub face: Arc<Face>,
-    /// What its task is told.
-    pub orders: mpsc::Sender<Order>,
+    /// Shared record of the device.
+    pub record: Arc<DeviceRecord>,
+    /// Sender of requests to its task.
+    pub requests: mpsc::Sender<DeviceRequest>,
 }
 
-/// All devices.
+/// Registry of all devices and tasks.
 #[derive(Default)]
 pub struct Devices {
     handles: Mutex<BTreeMap<String, Handle>>,
     tasks: Mutex<Vec<JoinHandle<()>>>,
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Every change is complete in itself.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Devices {
-    /// The device of this name.
+    /// Returns the device of this name; `None` if there is none.
     pub fn get(&self, name: &str) -> Option<Handle> {
         lock(&self.handles).get(name).cloned()
     }
 
-    /// All of them, by name.
+    /// Returns all devices, sorted by name.
     pub fn all(&self) -> Vec<Handle> {
         lock(&self.handles).values().cloned().collect()
     }
 
     /// Starts the task of a device.
-    pub fn start(&self, name: String, address: Address, context: &Context, board: &Board) {
-        let (orders, taken) = mpsc::channel(ORDERS);
-        let recorder = recorder(&name, context, board);
-        let face = Face::new(name.clone(), address.to_string(), board.clone(), recorder);
-        let face = Arc::new(face);
+    pub fn start(&self, name: String, address: Address, context: &Context, event_bus: &EventBus) {
+        let (requests, received) = mpsc::channel(REQUESTS);
+        let recorder = recorder(&name, context, event_bus);
+        let record = DeviceRecord::new(
+            name.clone(),
+            address.to_string(),
+            event_bus.clone(),
+            recorder,
+        );
+        let record = Arc::new(record);
         let handle = Handle {
-            face: Arc::clone(&face),
-            orders,
+            record: Arc::clone(&record),
+            requests,
         };
         lock(&self.handles).insert(name, handle);
         let task = DeviceTask {
-            face,
+            record,
             address,
             context: context.clone(),
         };
-        let face = Arc::clone(&task.face);
-        let (task, taken) = (Arc::new(task), Arc::new(tokio::sync::Mutex::new(taken)));
-        let watched = tokio::spawn(keep_running(face, move || {
-            let (task, orders) = (Arc::clone(&task), Arc::clone(&taken));
-            async move { task.run(&mut *orders.lock().await).await }
+        let record = Arc::clone(&task.record);
+        let (task, received) = (Arc::new(task), Arc::new(tokio::sync::Mutex::new(received)));
+        let running = tokio::spawn(keep_running(record, move || {
+            let (task, requests) = (Arc::clone(&task), Arc::clone(&received));
+            async move { task.run(&mut *requests.lock().await).await }
         }));
         let mut tasks = lock(&self.tasks);
         tasks.retain(|task| !task.is_finished());
-        tasks.push(watched);
+        tasks.push(running);
     }
 
-    /// A task beside the devices', which ends with them.
-    pub fn beside(&self, task: impl Future<Output = ()> + Send + 'static) {
+    /// Spawns a further task, which [`Devices::join`] waits for.
+    pub fn spawn(&self, task: impl Future<Output = ()> + Send + 'static) {
         lock(&self.tasks).push(tokio::spawn(task));
     }
 
-    /// Forgets a device; its task ends by itself.
+    /// Removes a device; its task ends by its own stop signal.
     fn forget(&self, name: &str) {
         lock(&self.handles).remove(name);
     }
 
     /// Waits until all tasks have ended.
-    pub async fn ended(&self) {
+    pub async fn join(&self) {
         let tasks = std::mem::take(&mut *lock(&self.tasks));
         for task in tasks {
-            // Their panics are told where they happen.
+            // Panics are logged where they happen.
             let _ = task.await;
         }
     }
 }
 
-/// The recorder of a device: into the store's folder, told to whoever watches and the log.
-fn recorder(device: &str, context: &Context, board: &Board) -> Recorder {
+/// Creates the recorder of a device: files in the store's folder, status to the log and the event bus.
+fn recorder(device: &str, context: &Context, event_bus: &EventBus) -> Recorder {
     let (folder, name) = (context.recordings.clone(), device.to_owned());
     let machine = context.machine.clone();
     let named = move |_| folder.join(file_name(&name, machine.now_ms()));
-    let (device, board) = (device.to_owned(), board.clone());
-    Recorder::new(named, move |Told { phase, text, file }| {
+    let (device, event_bus) = (device.to_owned(), event_bus.clone());
+    Recorder::new(named, move |RecordingStatus { phase, text, file }| {
         let (text, file) = (printable(&text), file.as_deref().map(name_of));
         match phase {
             RecordingPhase::Failed => tracing::warn!(device, file, text, "recording"),
             _ => tracing::info!(device, file, text, "recording"),
         }
-        board.tell(&device, What::Recording { phase, text, file });
+        event_bus.publish(&device, EventKind::Recording { phase, text, file });
     })
 }
 
-/// Runs a device's task, and once more after a panic: the hob off first.
-async fn keep_running<F>(face: Arc<Face>, run: impl Fn() -> F)
+/// Runs a device's task and, after a panic, switches the hob off and restarts the task.
+async fn keep_running<F>(record: Arc<DeviceRecord>, run: impl Fn() -> F)
 where
     F: Future<Output = ()> + Send + 'static,
 {
@@ -134,62 +135,61 @@ where
         let Err(panicked) = tokio::spawn(run()).await else {
             return;
         };
-        after_panic(&face, &panicked.to_string()).await;
-        tokio::time::sleep(AFTER_PANIC).await;
+        recover_from_panic(&record, &panicked.to_string()).await;
+        tokio::time::sleep(RESTART_DELAY).await;
     }
 }
 
-/// The task of a device is gone: the hob is switched off where we had asked for power.
-async fn after_panic(face: &Arc<Face>, why: &str) {
+/// Switches the hob off after a panic of its task, if the daemon had requested power.
+async fn recover_from_panic(record: &Arc<DeviceRecord>, why: &str) {
     let why = printable(why);
-    face.recorder.disconnected();
+    record.recorder.disconnected();
     tracing::error!(
-        device = face.name,
+        device = record.name,
         why,
         "its task panicked: this is a fault of this program; it begins anew"
     );
     let (client, asked_w) = {
-        let mut inner = face.lock();
+        let mut inner = record.lock();
         inner.sweep_left_w.clear();
         (inner.client.take(), inner.lease.asked_w())
     };
     if let Some(client) = client
         && asked_w > 0
     {
-        let _ = tokio::time::timeout(OFF_WITHIN, switch_off(face, &client)).await;
+        let _ = tokio::time::timeout(OFF_TIMEOUT, switch_off(record, &client)).await;
     }
-    face.enter(
+    record.enter(
         DeviceState::Searching,
         "its task failed: this is a fault of this program, in the log; it begins anew",
     );
 }
 
-/// Boards on USB that no configured device names: each gets a task when it appears, which ends when it is
-/// unplugged.
-pub async fn follow_usb(devices: Arc<Devices>, context: Context, board: Board) {
+/// Starts a task for each board on USB that is not a configured device, and ends it when the board is unplugged.
+pub async fn follow_usb(devices: Arc<Devices>, context: Context, event_bus: EventBus) {
     let mut plugged: BTreeMap<String, watch::Sender<bool>> = BTreeMap::new();
-    let mut complained = false;
+    let mut is_failing = false;
     loop {
-        // Listing blocks, for a moment.
+        // Listing blocks for a moment.
         let listed = tokio::task::spawn_blocking(usb::boards).await;
         match listed {
             Ok(Ok(boards)) => {
-                complained = false;
+                is_failing = false;
                 let serials: Vec<_> = boards.into_iter().map(|b| b.serial).collect();
                 unplug(&devices, &mut plugged, &serials);
                 for serial in serials {
-                    plug(&devices, &mut plugged, serial, &context, &board);
+                    plug(&devices, &mut plugged, serial, &context, &event_bus);
                 }
             }
-            Ok(Err(error)) if !complained => {
-                complained = true;
+            Ok(Err(error)) if !is_failing => {
+                is_failing = true;
                 tracing::warn!(%error, "USB");
             }
             _ => {}
         }
         tokio::select! {
             () = context.stopping() => break,
-            () = tokio::time::sleep(USB_EVERY) => {}
+            () = tokio::time::sleep(USB_PERIOD) => {}
         }
     }
     for stop in plugged.values() {
@@ -218,13 +218,13 @@ fn plug(
     plugged: &mut BTreeMap<String, watch::Sender<bool>>,
     serial: String,
     context: &Context,
-    board: &Board,
+    event_bus: &EventBus,
 ) {
     let spec = DeviceSpec::Usb(Some(serial.clone()));
     let is_configured = devices
         .all()
         .iter()
-        .any(|handle| handle.face.address == printable(&spec.to_string()));
+        .any(|handle| handle.record.address == printable(&spec.to_string()));
     if plugged.contains_key(&serial) || is_configured {
         return;
     }
@@ -234,7 +234,7 @@ fn plug(
         ..context.clone()
     };
     tracing::info!(device = usb_name(&serial), "plugged in");
-    devices.start(usb_name(&serial), spec.into(), &context, board);
+    devices.start(usb_name(&serial), spec.into(), &context, event_bus);
     plugged.insert(serial, stop);
 }
 
@@ -262,17 +262,17 @@ mod tests {
         let client = Arc::new(client.unwrap());
         client.with(|c| c.set_power(900)).await.unwrap().unwrap();
         let recorder = Recorder::new(|_| panic!("nothing is recorded"), |_| ());
-        let face = Face::new("a".into(), "sim".into(), Board::default(), recorder);
-        let face = Arc::new(face);
+        let record = DeviceRecord::new("a".into(), "sim".into(), EventBus::default(), recorder);
+        let record = Arc::new(record);
         {
-            let (now, mut inner) = (Instant::now(), face.lock());
+            let (now, mut inner) = (Instant::now(), record.lock());
             let (lease, _) = inner.lease.begin_command("somebody", now).unwrap();
-            inner.lease.ask(lease, 900, now).unwrap();
+            inner.lease.request_power(lease, 900, now).unwrap();
         }
-        face.lock().client = Some(client);
+        record.lock().client = Some(client);
         let runs = Arc::new(AtomicU32::new(0));
         let counted = Arc::clone(&runs);
-        keep_running(Arc::clone(&face), move || {
+        keep_running(Arc::clone(&record), move || {
             let counted = Arc::clone(&counted);
             async move {
                 assert!(
@@ -284,7 +284,7 @@ mod tests {
         .await;
         assert_eq!(runs.load(Ordering::Relaxed), 2);
         assert_eq!(hob.lock().housekeeping().control().asked_w(), 0);
-        assert_eq!(face.lock().lease.asked_w(), 0);
-        assert!(face.detail().contains("fault of this program"));
+        assert_eq!(record.lock().lease.asked_w(), 0);
+        assert!(record.detail().contains("fault of this program"));
     }
 }

@@ -1,19 +1,19 @@
-//! Switching a device off: on a lane of its own, whatever its task and its link are at.
+//! Switching a device off, ahead of all other requests on its link.
 
 use std::sync::Arc;
 
 use ihd_link::{AsyncClient, LinkError};
 
-use crate::face::Face;
+use crate::device_record::DeviceRecord;
 
-/// Switches the device off, once more where no answer came, and writes it down before anything else is asked of the device.
+/// Switches the device off, repeated once without an answer, and records it in the lease before any other request to the device.
 ///
 /// # Errors
-/// What the link reports.
-pub async fn switch_off(face: &Arc<Face>, client: &AsyncClient) -> Result<(), LinkError> {
+/// Error of the link.
+pub async fn switch_off(record: &Arc<DeviceRecord>, client: &AsyncClient) -> Result<(), LinkError> {
     let written = || {
-        let face = Arc::clone(face);
-        move || face.lock().lease.switched_off()
+        let record = Arc::clone(record);
+        move || record.lock().lease.confirm_off()
     };
     match client.off(written()).await {
         Err(LinkError::NoAnswer { .. }) => client.off(written()).await,

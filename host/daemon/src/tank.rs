@@ -1,14 +1,14 @@
-//! The series resonance tank that the coil, the pot and the capacitor make.
+//! Series resonance tank of coil, pot and capacitor.
 
 use std::f64::consts::TAU;
 
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 
-/// The resonance capacitor, in farad.
+/// Capacitance of the resonance capacitor in farad.
 pub const C_F: f64 = RESONANCE_CAPACITANCE_NF as f64 * 1e-9;
 
-/// Phase of the inverter's voltage before its current in degree, from R in ohm, L in henry and a switching
-/// frequency in hertz; none without a frequency.
+/// Returns the phase lead of the inverter's voltage over its current in degree, from R in ohm, L in henry and the switching
+/// frequency in hertz; `None` if the frequency is not positive.
 pub fn phase_deg(r_ohm: f64, l_h: f64, f_sw_hz: f64) -> Option<f64> {
     let omega = TAU * f_sw_hz;
     let reactance_ohm = omega * l_h - (omega * C_F).recip();
@@ -16,7 +16,7 @@ pub fn phase_deg(r_ohm: f64, l_h: f64, f_sw_hz: f64) -> Option<f64> {
     (f_sw_hz > 0.0 && phase.is_finite()).then_some(phase)
 }
 
-/// Resonance frequency in hertz with L in henry; none where L is not positive.
+/// Returns the resonance frequency in hertz from L in henry; `None` if L is not positive.
 pub fn resonance_hz(l_h: f64) -> Option<f64> {
     (l_h > 0.0).then(|| (TAU * (l_h * C_F).sqrt()).recip())
 }

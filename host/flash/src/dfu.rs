@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! usb       finds and opens 0483:df11, through dfu-nusb
-//! layout    which memories the device says it has
+//! layout    memories that the device reports
 //! protocol  blocks, commands and status, on dfu-core's DfuIo: a device, or a model of one
 //! chip      Programmer: pages, blocks, verification, option bytes
 //! restart   from the running firmware into the bootloader

@@ -63,19 +63,19 @@ impl SampleImage {
         let next = self.place + first.len() as u32 + self.gap;
         let headers = 52 + 2 * 32;
         let mut elf = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
-        let halves = |elf: &mut Vec<u8>, values: &[u16]| {
+        let push_halves = |elf: &mut Vec<u8>, values: &[u16]| {
             elf.extend(values.iter().flat_map(|value| value.to_le_bytes()));
         };
-        let words = |elf: &mut Vec<u8>, values: &[u32]| {
+        let push_words = |elf: &mut Vec<u8>, values: &[u32]| {
             elf.extend(values.iter().flat_map(|value| value.to_le_bytes()));
         };
-        halves(&mut elf, &[2, self.machine]);
-        words(&mut elf, &[1, self.entry, 52, 0, 0x0500_0200]);
-        halves(&mut elf, &[52, 32, 2, 0, 0, 0]);
+        push_halves(&mut elf, &[2, self.machine]);
+        push_words(&mut elf, &[1, self.entry, 52, 0, 0x0500_0200]);
+        push_halves(&mut elf, &[52, 32, 2, 0, 0, 0]);
         let mut offset = headers as u32;
         for (address, bytes) in [(self.place, first), (next, second)] {
             let length = bytes.len() as u32;
-            words(
+            push_words(
                 &mut elf,
                 &[1, offset, address, address, length, length, 5, 4],
             );
@@ -157,7 +157,7 @@ impl Default for FakeProgrammer {
         Self {
             id_code: 0x2003_6000 | DEVICE_ID,
             flash: vec![0xFF; FLASH_BYTES as usize],
-            options: OptionBytes::default().as_wanted(),
+            options: OptionBytes::default().with_requirements(),
             switching: Some(false),
             failure: None,
             resets: 0,
@@ -229,8 +229,8 @@ impl Programmer for FakeProgrammer {
         self.calls.push("identify");
         self.lose(FlashStep::Reading)?;
         if self.id_code & 0xFFF != DEVICE_ID {
-            let found = self.id_code;
-            return Err(ProgramError::WrongChip { found });
+            let id_code = self.id_code;
+            return Err(ProgramError::WrongChip { id_code });
         }
         match self.options.read_protection() {
             ReadProtection::None => Ok(Chip {
@@ -261,10 +261,10 @@ impl Programmer for FakeProgrammer {
         Ok(self.options)
     }
 
-    fn set_option_bytes(&mut self, wanted: &OptionBytes) -> Result<(), ProgramError> {
+    fn set_option_bytes(&mut self, target: &OptionBytes) -> Result<(), ProgramError> {
         self.calls.push("set_option_bytes");
         self.lose(FlashStep::SettingOptions)?;
-        self.options = *wanted;
+        self.options = *target;
         self.resets += 1;
         Ok(())
     }
@@ -295,12 +295,12 @@ impl Programmer for FakeProgrammer {
             self.flash[1_000] ^= 1;
         }
         self.lose(FlashStep::Verifying)?;
-        let found = &self.flash[..flat.len()];
-        if let Some(at) = (0..flat.len()).find(|&at| found[at] != flat[at]) {
+        let actual = &self.flash[..flat.len()];
+        if let Some(at) = (0..flat.len()).find(|&at| actual[at] != flat[at]) {
             return Err(ProgramError::Verify {
                 address: FLASH_ADDRESS + at as u32,
-                wanted: vec![flat[at]],
-                found: vec![found[at]],
+                expected: vec![flat[at]],
+                actual: vec![actual[at]],
             });
         }
         progress(Progress::Verifying { done: total, total });

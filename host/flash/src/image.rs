@@ -88,14 +88,14 @@ pub enum ImageError {
     },
     /// The last word is not the CRC of the bytes before it.
     #[error(
-        "image {path} is not sealed: its CRC is {found:#010x}, but {computed:#010x} would be right. What cargo leaves in \
+        "image {path} is not sealed: its CRC is {stored:#010x}, but {computed:#010x} would be right. What cargo leaves in \
          its own folder has none; flash {OF_CHECKOUT}, which `cargo xtask firmware` writes"
     )]
     Unsealed {
         /// The file.
         path: String,
         /// CRC in the file.
-        found: u32,
+        stored: u32,
         /// Computed CRC.
         computed: u32,
     },
@@ -261,10 +261,10 @@ impl Image {
             let roots = path.ancestors().map(Path::to_owned).collect::<Vec<_>>();
             roots.into_iter()
         });
-        let found = roots.find(|root| {
+        let root = roots.find(|root| {
             root.join("firmware/Cargo.toml").is_file() && root.join(OF_CHECKOUT).is_file()
         })?;
-        Some(Self::read(&found.join(OF_CHECKOUT)))
+        Some(Self::read(&root.join(OF_CHECKOUT)))
     }
 
     /// Returns the image of the given file; without one the built-in image, else the checkout's.
@@ -338,23 +338,23 @@ fn slice(flat: &[u8], address: u32, bytes: usize) -> Option<&[u8]> {
     flat.get(at..at.checked_add(bytes)?)
 }
 
-fn word(flat: &[u8], address: u32) -> Option<u32> {
+fn read_word(flat: &[u8], address: u32) -> Option<u32> {
     let bytes = slice(flat, address, 4)?;
     Some(u32::from_le_bytes(bytes.try_into().ok()?))
 }
 
 /// Returns the CRC if it is right.
 fn sealed(flat: &[u8], header: &Header, name: &dyn Fn() -> String) -> Result<u32, ImageError> {
-    let found =
-        word(flat, header.crc_address).ok_or_else(|| ImageError::NoHeader { path: name() })?;
+    let stored =
+        read_word(flat, header.crc_address).ok_or_else(|| ImageError::NoHeader { path: name() })?;
     let covered = (header.crc_address - FLASH_ADDRESS) as usize;
     let computed = CRC32.checksum(flat.get(..covered).unwrap_or_default());
-    if found == computed {
-        Ok(found)
+    if stored == computed {
+        Ok(stored)
     } else {
         Err(ImageError::Unsealed {
             path: name(),
-            found,
+            stored,
             computed,
         })
     }
@@ -365,8 +365,8 @@ fn check_vectors(
     header: &Header,
     name: &dyn Fn() -> String,
 ) -> Result<(), ImageError> {
-    let stack = word(flat, FLASH_ADDRESS).unwrap_or_default();
-    let entry = word(flat, FLASH_ADDRESS + 4).unwrap_or_default();
+    let stack = read_word(flat, FLASH_ADDRESS).unwrap_or_default();
+    let entry = read_word(flat, FLASH_ADDRESS + 4).unwrap_or_default();
     let code = FLASH_ADDRESS..header.crc_address;
     if RAM.contains(&stack) && stack.is_multiple_of(4) && entry & 1 == 1 && code.contains(&entry) {
         Ok(())

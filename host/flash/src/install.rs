@@ -167,7 +167,7 @@ pub enum InstallError {
     },
     /// Another board or program answers.
     #[error(
-        "the image was written and verified, but what answers on {link} has another {what}: {found} instead of {wanted}. Is it another board?"
+        "the image was written and verified, but what answers on {link} has another {what}: {actual} instead of {expected}. Is it another board?"
     )]
     Other {
         /// Link in words.
@@ -175,9 +175,9 @@ pub enum InstallError {
         /// Name of the difference: build, build id or protocol.
         what: &'static str,
         /// Value of the image.
-        wanted: String,
+        expected: String,
         /// Value of the board.
-        found: String,
+        actual: String,
     },
 }
 
@@ -201,7 +201,7 @@ pub fn install(
     let mut deviations = options.deviations();
     report(InstallStep::Options(&deviations, plan.set_options));
     if plan.set_options && !deviations.is_empty() {
-        programmer.set_option_bytes(&options.as_wanted())?;
+        programmer.set_option_bytes(&options.with_requirements())?;
         // The chip was reset, and its old program runs again.
         refuse_while_heating(programmer, None)?;
         options = programmer.option_bytes()?;
@@ -330,13 +330,16 @@ fn fits(heard: RunningBoard, image: &Image) -> Result<RunningBoard, InstallError
             versions(heard.protocol),
         ),
     ];
-    match facts.into_iter().find(|(_, wanted, found)| wanted != found) {
+    match facts
+        .into_iter()
+        .find(|(_, expected, actual)| expected != actual)
+    {
         None => Ok(heard),
-        Some((what, wanted, found)) => Err(InstallError::Other {
+        Some((what, expected, actual)) => Err(InstallError::Other {
             link: heard.link,
             what,
-            wanted,
-            found,
+            expected,
+            actual,
         }),
     }
 }
@@ -492,7 +495,7 @@ mod tests {
         };
         let done = run(&mut fake, None, asked).unwrap();
         assert_eq!(done.deviations, []);
-        assert_eq!(fake.options, OptionBytes::default().as_wanted());
+        assert_eq!(fake.options, OptionBytes::default().with_requirements());
         let at = |name| fake.calls.iter().rposition(|call| *call == name);
         assert!(at("set_option_bytes") < at("flash"), "{:?}", fake.calls);
     }

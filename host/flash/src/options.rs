@@ -35,7 +35,8 @@ pub struct Deviation {
     /// Value on the chip.
     pub is: u32,
     /// Required value.
-    pub wanted: u32,
+    #[serde(rename = "wanted")]
+    pub required: u32,
     /// `true` if the firmware does not heat without it, `false` if it works with less margin.
     pub needed: bool,
     /// Purpose.
@@ -108,51 +109,53 @@ impl OptionBytes {
             Deviation {
                 name: "DBANK",
                 is: bit(DBANK),
-                wanted: 1,
+                required: 1,
                 needed: true,
                 why: "a lookup is kept in the second bank while the program runs from the first",
             },
             Deviation {
                 name: "SRAM_PE",
                 is: bit(SRAM_PE),
-                wanted: 0,
+                required: 0,
                 needed: true,
                 why: "parity guards the RAM that holds code and data of the sampling path",
             },
             Deviation {
                 name: "BFB2",
                 is: bit(BFB2),
-                wanted: 0,
+                required: 0,
                 needed: true,
                 why: "the program begins in the first bank",
             },
             Deviation {
                 name: "nBOOT0",
                 is: bit(N_BOOT0),
-                wanted: 1,
+                required: 1,
                 needed: !self.boots_by_pin(),
                 why: "with 0 the chip starts its bootloader instead of the program where nSWBOOT0 is 0",
             },
             Deviation {
                 name: "nSWBOOT0",
                 is: bit(N_SWBOOT0),
-                wanted: 1,
+                required: 1,
                 needed: false,
                 why: "the pin BOOT0 reaches the bootloader when a program does not run",
             },
             Deviation {
                 name: "BOR_LEV",
                 is: self.bor_level(),
-                wanted: 4,
+                required: 4,
                 needed: false,
                 why: "below 2.8 V the chip stays in reset, its outputs open",
             },
         ];
-        all.into_iter().filter(|one| one.is != one.wanted).collect()
+        all.into_iter()
+            .filter(|one| one.is != one.required)
+            .collect()
     }
 
     /// Returns these values with all requirements met; protections stay.
-    pub fn as_wanted(&self) -> Self {
+    pub fn with_requirements(&self) -> Self {
         let set = DBANK | N_BOOT0 | N_SWBOOT0 | 4 << 8;
         let clear = SRAM_PE | BFB2 | BOR_LEV;
         Self {
@@ -179,9 +182,9 @@ mod tests {
         assert_eq!(names(delivered), [("SRAM_PE", true), ("BOR_LEV", false)]);
         assert_eq!(delivered.read_protection(), ReadProtection::None);
         assert_eq!(delivered.protected_pages(), []);
-        let wanted = delivered.as_wanted();
-        assert_eq!(wanted.optr, 0xFEEF_FCAA);
-        assert_eq!(names(wanted), []);
+        let corrected = delivered.with_requirements();
+        assert_eq!(corrected.optr, 0xFEEF_FCAA);
+        assert_eq!(names(corrected), []);
     }
 
     #[test]
@@ -191,9 +194,12 @@ mod tests {
             optr: 0xF3EF_FCAA & !SRAM_PE,
             ..Default::default()
         };
-        let found = options.deviations();
-        let found: Vec<_> = found.iter().map(|one| (one.name, one.needed)).collect();
-        assert_eq!(found, [("nBOOT0", true), ("nSWBOOT0", false)]);
+        let deviations = options.deviations();
+        let names: Vec<_> = deviations
+            .iter()
+            .map(|one| (one.name, one.needed))
+            .collect();
+        assert_eq!(names, [("nBOOT0", true), ("nSWBOOT0", false)]);
     }
 
     #[test]
@@ -204,7 +210,7 @@ mod tests {
         };
         assert_eq!(options.read_protection(), ReadProtection::Level1);
         assert_eq!(options.protected_pages(), [(0, 0, 3), (1, 126, 127)]);
-        assert_eq!(options.as_wanted().wrp, options.wrp);
+        assert_eq!(options.with_requirements().wrp, options.wrp);
         let forever = OptionBytes {
             optr: 0xFFEF_F8CC,
             ..options

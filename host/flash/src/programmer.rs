@@ -109,10 +109,10 @@ pub enum ProgramError {
         what: String,
     },
     /// Several were found, and none was chosen.
-    #[error("there are {}: {}; choose one with {option}", found.len(), found.join(", "))]
+    #[error("there are {}: {}; choose one with {option}", choices.len(), choices.join(", "))]
     Several {
         /// Descriptions.
-        found: Vec<String>,
+        choices: Vec<String>,
         /// Option that chooses one.
         option: &'static str,
     },
@@ -137,10 +137,10 @@ pub enum ProgramError {
         why: String,
     },
     /// It is another chip.
-    #[error("this chip is no STM32G474: DBGMCU_IDCODE is {found:#010x}, device {:#05x} instead of {:#05x}; nothing was written. Is this the right board?", found & 0xFFF, ihd_shared::image::DEVICE_ID)]
+    #[error("this chip is no STM32G474: DBGMCU_IDCODE is {id_code:#010x}, device {:#05x} instead of {:#05x}; nothing was written. Is this the right board?", id_code & 0xFFF, ihd_shared::image::DEVICE_ID)]
     WrongChip {
         /// Its `DBGMCU_IDCODE`.
-        found: u32,
+        id_code: u32,
     },
     /// The chip has too little flash.
     #[error(
@@ -158,8 +158,8 @@ pub enum ProgramError {
     },
     /// Pages are protected against writing.
     #[error(
-        "pages {first} to {last} of bank {} are write-protected by option bytes (WRP{}A or B); nothing was written. Somebody \
-         wanted that; to lift it: STM32_Programmer_CLI -c port=SWD -ob WRP{}A_STRT=0x7F WRP{}A_END=0, the same with B, then \
+        "pages {first} to {last} of bank {} are write-protected by option bytes (WRP{}A or B); nothing was written. To \
+         lift the protection: STM32_Programmer_CLI -c port=SWD -ob WRP{}A_STRT=0x7F WRP{}A_END=0, the same with B, then \
          run this again",
         bank + 1, bank + 1, bank + 1, bank + 1
     )]
@@ -198,15 +198,15 @@ pub enum ProgramError {
     },
     /// The flash differs from the image after writing.
     #[error(
-        "verifying failed at {address:#010x}: {wanted:02x?} was written, {found:02x?} is there. Check the supply and the wires of the probe and run this again; if it fails at the same place, the flash there is worn out"
+        "verifying failed at {address:#010x}: {expected:02x?} was written, {actual:02x?} is there. Check the supply and the wires of the probe and run this again; if it fails at the same place, the flash there is worn out"
     )]
     Verify {
         /// Address of the first difference.
         address: u32,
         /// Bytes of the image.
-        wanted: Vec<u8>,
+        expected: Vec<u8>,
         /// Bytes of the chip.
-        found: Vec<u8>,
+        actual: Vec<u8>,
     },
     /// Probe, cable or power was disconnected.
     #[error("the connection was lost while {}: {why}; {}. Check cable and power, and run the same command again: it begins anew", doing.describe(), doing.chip_state())]
@@ -218,13 +218,13 @@ pub enum ProgramError {
     },
     /// The option bytes differ from those written.
     #[error(
-        "option bytes were written but are {found:#010x} instead of {wanted:#010x}: power the board off and on and run this again"
+        "option bytes were written but are {actual:#010x} instead of {expected:#010x}: power the board off and on and run this again"
     )]
     Options {
         /// Value written.
-        wanted: u32,
+        expected: u32,
         /// Value read back.
-        found: u32,
+        actual: u32,
     },
     /// This access does not support the operation.
     #[error("{what} is not possible {way}; {instead}")]
@@ -318,7 +318,7 @@ pub trait Programmer {
     ///
     /// # Errors
     /// [`ProgramError::Options`], or any error of an access.
-    fn set_option_bytes(&mut self, wanted: &OptionBytes) -> Result<(), ProgramError>;
+    fn set_option_bytes(&mut self, target: &OptionBytes) -> Result<(), ProgramError>;
 
     /// Erases, programs and verifies. The chip stays halted until [`Programmer::reset`].
     ///
@@ -351,7 +351,10 @@ mod tests {
         let text = lost.to_string();
         assert!(text.contains("no whole program"), "{text}");
         assert!(text.contains("run the same command again"), "{text}");
-        let wrong = ProgramError::WrongChip { found: 0x2003_6468 }.to_string();
+        let wrong = ProgramError::WrongChip {
+            id_code: 0x2003_6468,
+        }
+        .to_string();
         assert!(wrong.contains("0x468 instead of 0x469"), "{wrong}");
         let protected = ProgramError::WriteProtected {
             bank: 0,

@@ -1,4 +1,4 @@
-//! How the server is reached, and who one is there.
+//! Connection to the server: addresses, credentials, version check.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -9,16 +9,16 @@ use ihd_daemon::fleet::FleetConfig;
 
 use crate::server_config::{Key, KeyError};
 
-/// Longest wait for a connection, and for an answer.
+/// Time-out of a connection and of a request.
 const WITHIN: Duration = Duration::from_secs(5);
 
-/// Oldest server that has what is needed: several filters of a consumer, and that a stream refuses a subject's second message.
+/// Oldest supported server: it has several filters of a consumer, and streams that refuse a second message of a subject.
 const OLDEST: (u64, u64, u64) = (2, 10, 23);
 
-/// Between two pings of a server that says nothing: three without an answer end the connection.
+/// Period of pings on an idle connection; three without an answer end it.
 const PING_EVERY: Duration = Duration::from_secs(5);
 
-/// Published messages whose acknowledgement may be outstanding.
+/// Most published messages without acknowledgement.
 const IN_FLIGHT: usize = 256;
 
 /// Address and credentials.
@@ -30,7 +30,7 @@ pub struct Access {
     pub nkey_file: Option<PathBuf>,
     /// File with a token.
     pub token_file: Option<PathBuf>,
-    /// PEM file of the authority that the server's certificate is of; that of the system without.
+    /// PEM file of the authority that signed the server's certificate; `None` for those of the system.
     pub ca: Option<PathBuf>,
 }
 
@@ -45,51 +45,51 @@ impl From<&FleetConfig> for Access {
     }
 }
 
-/// Why there is no connection.
+/// Error of a connection.
 #[derive(Debug, thiserror::Error)]
 pub enum AccessError {
-    /// An address that is none.
+    /// Invalid address.
     #[error("{url:?} is no address of a NATS server: nats://HOST:PORT or tls://HOST:PORT")]
     Address {
-        /// As it was given.
+        /// The given address.
         url: String,
     },
-    /// A file of credentials.
+    /// Unreadable file of credentials.
     #[error("cannot read {}: {source}", path.display())]
     File {
         /// The file.
         path: PathBuf,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// A key that cannot be used.
+    /// Unusable key.
     #[error(transparent)]
     Key(#[from] KeyError),
-    /// Nobody answers, or says no.
+    /// No answer, or a refusal.
     #[error("{url} cannot be reached: {source}")]
     Connect {
         /// The address, without secrets.
         url: String,
-        /// What the client reports.
+        /// Error of the client.
         source: async_nats::ConnectError,
     },
-    /// The server lacks what is needed.
+    /// Server that is too old.
     #[error(
         "{url} is nats-server {version}: ihd needs 2.10.23 or later, 2.12 is recommended (docs/fleet.md)"
     )]
     Old {
         /// The address, without secrets.
         url: String,
-        /// As the server says.
+        /// Version that the server reports.
         version: String,
     },
 }
 
-/// How the connection is watched.
+/// Callback for events of the connection.
 pub type OnEvent = dyn Fn(Event) + Send + Sync;
 
 impl Access {
-    /// The addresses without what is secret in them.
+    /// Returns the addresses without user, password and token.
     pub fn shown(&self) -> String {
         let shown = |url: &str| match (url.split_once("://"), url.rsplit_once('@')) {
             (Some((scheme, _)), Some((_, host))) => format!("{scheme}://{host}"),
@@ -123,14 +123,14 @@ impl Access {
             options = options.token(read(path)?.trim().to_owned());
         }
         if let Some(path) = &self.ca {
-            // Looked at here: the client would only say that the connection failed.
+            // Read here: the client would only report that the connection failed.
             read(path)?;
             options = options.add_root_certificates(path.clone());
         }
         Ok(options)
     }
 
-    /// Connects, once; `name` is how the connection is called, and in whose inbox its answers come.
+    /// Connects once; `name` names the connection and the inbox of its answers.
     ///
     /// # Errors
     /// [`AccessError`].
@@ -144,10 +144,10 @@ impl Access {
         Ok(context(client))
     }
 
-    /// A connection that is made as soon as it can be, and again whenever it is cut; `on_event` hears of it.
+    /// Connects as soon as the server answers, and again whenever the connection ends; `on_event` receives each event.
     ///
     /// # Errors
-    /// [`AccessError`] where the files or the address cannot work.
+    /// [`AccessError`] if a file or an address is unusable.
     pub async fn keep_connected(
         &self,
         name: &str,
@@ -167,7 +167,7 @@ impl Access {
         Ok(context(client))
     }
 
-    /// Whether the server has what is needed.
+    /// Checks that the server is new enough.
     ///
     /// # Errors
     /// [`AccessError::Old`].

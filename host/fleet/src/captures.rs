@@ -1,9 +1,6 @@
 //! Captures in the fleet's object store.
 
-use std::collections::BTreeSet;
 use std::path::Path;
-use std::sync::Arc;
-use std::time::Duration;
 
 use async_nats::jetstream::Context;
 use async_nats::jetstream::object_store::ObjectStore;
@@ -11,69 +8,65 @@ use futures_util::StreamExt;
 use serde::Serialize;
 use tokio::io::AsyncWriteExt;
 
-use crate::edge::Link;
-use crate::engine::{self, EngineError};
+use crate::jetstream::{self, JetStreamError};
 use crate::names;
-
-/// Between two looks for a recording that is finished.
-const LOOK_EVERY: Duration = Duration::from_secs(10);
 
 /// A capture in the fleet.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Capture {
+pub struct FleetCapture {
     /// Its name.
     pub name: String,
-    /// Bytes.
+    /// Size in bytes.
     pub bytes: u64,
-    /// When it was put there, in seconds since 1970, UTC; none where the server does not say.
+    /// Time of the upload in seconds since 1970, UTC; `None` if the server does not report it.
     pub at_s: Option<i64>,
 }
 
-async fn store(context: &Context) -> Result<ObjectStore, EngineError> {
+async fn store(context: &Context) -> Result<ObjectStore, JetStreamError> {
     let store = context.get_object_store(names::CAPTURES).await;
-    store.map_err(|e| engine::missing(names::CAPTURES, e))
+    store.map_err(|e| jetstream::missing(names::CAPTURES, e))
 }
 
-fn failed<E: std::fmt::Display>(e: E) -> EngineError {
-    EngineError::new(names::CAPTURES, e)
+fn failed<E: std::fmt::Display>(e: E) -> JetStreamError {
+    JetStreamError::new(names::CAPTURES, e)
 }
 
-/// What is there, by name.
+/// Lists the captures, sorted by name.
 ///
 /// # Errors
-/// [`EngineError`].
-pub async fn list(context: &Context) -> Result<Vec<Capture>, EngineError> {
-    let mut found = Vec::new();
+/// [`JetStreamError`].
+pub async fn list(context: &Context) -> Result<Vec<FleetCapture>, JetStreamError> {
+    let mut captures = Vec::new();
     let store = store(context).await?;
     let mut list = store.list().await.map_err(failed)?;
     while let Some(info) = list.next().await {
         let info = info.map_err(failed)?;
-        found.push(Capture {
+        captures.push(FleetCapture {
             name: info.name,
             bytes: info.size as u64,
             at_s: info.modified.map(|at| at.unix_timestamp()),
         });
     }
-    found.sort_by(|a, b| a.name.cmp(&b.name));
-    Ok(found)
+    captures.sort_by(|a, b| a.name.cmp(&b.name));
+    Ok(captures)
 }
 
-/// Puts a file there, under its own name or `name`.
+/// Uploads a file as `name`; returns its size in bytes.
 ///
 /// # Errors
-/// [`EngineError`]: the file cannot be read, or the server refuses it.
-pub async fn put(context: &Context, path: &Path, name: &str) -> Result<u64, EngineError> {
+/// [`JetStreamError`] if the file cannot be read or the server refuses it.
+pub async fn put(context: &Context, path: &Path, name: &str) -> Result<u64, JetStreamError> {
     let store = store(context).await?;
     let mut file = tokio::fs::File::open(path).await.map_err(failed)?;
     let info = store.put(name, &mut file).await.map_err(failed)?;
     Ok(info.size as u64)
 }
 
-/// Gets one into a file that is not there yet. A part of one stays under another name, and is deleted at the next try.
+/// Downloads a capture into a new file; returns its size in bytes. A partial download stays as `PATH.part` and is overwritten by the next try.
 ///
 /// # Errors
-/// [`EngineError`]: there is none of that name, it is damaged, or the file cannot be written.
-pub async fn get(context: &Context, name: &str, path: &Path) -> Result<u64, EngineError> {
+/// [`JetStreamError`] if there is no capture of that name, it is damaged, or the file exists or cannot be written.
+pub async fn get(context: &Context, name: &str, path: &Path) -> Result<u64, JetStreamError> {
     if path.exists() {
         return Err(failed(format!("{} is there already", path.display())));
     }
@@ -89,47 +82,4 @@ pub async fn get(context: &Context, name: &str, path: &Path) -> Result<u64, Engi
     file.sync_all().await.map_err(failed)?;
     tokio::fs::rename(&part, path).await.map_err(failed)?;
     Ok(bytes)
-}
-
-/// Puts every recording of an edge there that is finished, once, as `EDGE/FILE`.
-pub(crate) async fn follow(link: Arc<Link>, context: Context) {
-    let mut there: BTreeSet<String> = BTreeSet::new();
-    let mut known = false;
-    loop {
-        if link.is_admitted() {
-            if !known {
-                let listed = list(&context).await;
-                known = listed.is_ok();
-                there.extend(listed.unwrap_or_default().into_iter().map(|c| c.name));
-            }
-            if known {
-                match put_new(&link, &context, &mut there).await {
-                    Ok(()) => link.works("captures"),
-                    Err(why) => link.failed("captures", &why),
-                }
-            }
-        }
-        if !link.wait(LOOK_EVERY).await {
-            return;
-        }
-    }
-}
-
-async fn put_new(
-    link: &Link,
-    context: &Context,
-    there: &mut BTreeSet<String>,
-) -> Result<(), EngineError> {
-    let recordings = link.daemon.recordings().await.map_err(failed)?;
-    for recording in recordings.into_iter().filter(|r| !r.under_way) {
-        let name = format!("{}/{}", link.edge, recording.file);
-        if there.contains(&name) {
-            continue;
-        }
-        let path = link.daemon.recordings_folder().join(&recording.file);
-        let bytes = put(context, &path, &name).await?;
-        tracing::info!(name, bytes, "a recording is in the fleet");
-        there.insert(name);
-    }
-    Ok(())
 }

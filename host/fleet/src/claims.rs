@@ -1,45 +1,36 @@
-//! Names of edges, each of one store: who has claimed a name keeps it, wherever his store goes, until an operator frees it.
+//! Names of edges, each of one store: a store that has claimed a name keeps it, wherever the store is moved, until an operator frees it.
 //!
-//! A claim is a key of the bucket `ihd_claims`. It is put by compare-and-set: of two who claim a name at once the server refuses one.
+//! A claim is a key of the bucket `ihd_claims`. It is put by compare-and-set: of two simultaneous claims the server refuses one.
 
 use async_nats::jetstream::Context;
 use serde::{Deserialize, Serialize};
 
-use crate::engine::{self, EngineError};
+use crate::jetstream::{self, JetStreamError};
 use crate::names;
-use crate::server::{self, Kept, Outgoing, PublishTrouble, Server};
+use crate::server::{self, Server};
+use crate::stream_message::{Outgoing, PublishFailure, StoredMessage};
+
+pub use crate::standing::Standing;
 
 /// A name's owner (JSON).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Claim {
-    /// Public part of what only the owner's store knows.
+    /// Public identity of the owner's store ([`crate::Identity::public`]).
     pub identity: String,
     /// Host of the daemon.
     pub host: String,
     /// Folder of the store there.
     pub store: String,
-    /// Time at which it was put, in milliseconds since 1970, UTC.
+    /// Time of the claim in milliseconds since 1970, UTC.
     pub at_ms: i64,
 }
 
-/// Right of a daemon to its configured name.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Standing {
-    /// The server has not said yet.
-    #[default]
-    Unknown,
-    /// The name is this store's.
-    Held,
-    /// It is another one's: why, in words, with both places.
-    Refused(String),
-}
-
-/// Consequence of the claim that the server has.
+/// Consequence of the claim on the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// The name is free, or this store's of before: it is to be claimed from here.
-    Take,
-    /// As in [`Standing`].
+    /// The name is free, or this store claimed it at another place: this daemon claims it.
+    MustClaim,
+    /// Standing, without a new claim.
     Stands(Standing),
 }
 
@@ -52,11 +43,11 @@ impl Claim {
         (&self.host, &self.store) == (&other.host, &other.store)
     }
 
-    /// Judges the claim of the name `edge` against the one that the server has. A store that was moved takes its name along: the daemon that began
-    /// last has it, and the place of before hears of that.
+    /// Compares this claim of the name `edge` with the one on the server. A store that was moved keeps its name: the daemon that started
+    /// last holds it, and a daemon at the former place is refused.
     pub fn judge(&self, edge: &str, there: Option<&Self>, standing: &Standing) -> Verdict {
         let Some(there) = there else {
-            return Verdict::Take;
+            return Verdict::MustClaim;
         };
         let (mine, other) = (self.place(), there.place());
         if there.identity != self.identity {
@@ -67,7 +58,7 @@ impl Claim {
         }
         match standing {
             _ if there.is_at_place_of(self) => Verdict::Stands(Standing::Held),
-            Standing::Unknown => Verdict::Take,
+            Standing::Unknown => Verdict::MustClaim,
             Standing::Held | Standing::Refused(_) => Verdict::Stands(Standing::Refused(format!(
                 "the edge name {edge:?} was taken along to {other}, by a copy of {mine}: stop one of the two"
             ))),
@@ -75,9 +66,11 @@ impl Claim {
     }
 }
 
-/// Claim of a name and the number of its entry, 0 without one.
-fn read(found: Result<Option<Kept>, String>) -> Result<(Option<Claim>, u64), EngineError> {
-    let Some(message) = found.map_err(failed)? else {
+/// Decodes the claim of a name and the number of its entry, 0 without one.
+fn read(
+    entry: Result<Option<StoredMessage>, String>,
+) -> Result<(Option<Claim>, u64), JetStreamError> {
+    let Some(message) = entry.map_err(failed)? else {
         return Ok((None, 0));
     };
     let claim = match message.headers.get("KV-Operation") {
@@ -87,28 +80,28 @@ fn read(found: Result<Option<Kept>, String>) -> Result<(Option<Claim>, u64), Eng
     Ok((claim, message.number))
 }
 
-/// Claim of a name and the number of its entry, 0 without one.
+/// Returns the claim of a name and the number of its entry, 0 without one.
 ///
 /// # Errors
-/// [`EngineError`].
-pub(crate) async fn of_edge(
+/// [`JetStreamError`].
+pub(crate) async fn read_claim(
     server: &Server,
     edge: &str,
-) -> Result<(Option<Claim>, u64), EngineError> {
+) -> Result<(Option<Claim>, u64), JetStreamError> {
     let bucket = names::bucket_stream(names::CLAIMS);
     read(server.last(&bucket, names::key(names::CLAIMS, edge)).await)
 }
 
-/// Claims a name that had the entry of this number; false where somebody was faster.
+/// Claims a name whose entry has the number `after`; returns `false` if another claim was first.
 ///
 /// # Errors
-/// [`EngineError`].
+/// [`JetStreamError`].
 pub(crate) async fn put(
     server: &Server,
     edge: &str,
     claim: &Claim,
     after: u64,
-) -> Result<bool, EngineError> {
+) -> Result<bool, JetStreamError> {
     let claim = serde_json::to_vec(claim).map_err(failed)?;
     let message = Outgoing {
         subject: names::key(names::CLAIMS, edge),
@@ -118,32 +111,32 @@ pub(crate) async fn put(
     };
     match server.publish(message).await.map_err(failed)?.await {
         Ok(_) => Ok(true),
-        Err(PublishTrouble::Occupied) => Ok(false),
+        Err(PublishFailure::Occupied) => Ok(false),
         Err(why) => Err(failed(why)),
     }
 }
 
-/// Frees a name, for the next who claims it; who had it, none where nobody had.
+/// Frees a name for the next claim; returns the former claim, `None` without one.
 ///
 /// # Errors
-/// [`EngineError`].
-pub async fn free(context: &Context, edge: &str) -> Result<Option<Claim>, EngineError> {
+/// [`JetStreamError`].
+pub async fn free(context: &Context, edge: &str) -> Result<Option<Claim>, JetStreamError> {
     let bucket = names::bucket_stream(names::CLAIMS);
     let (claim, _) = read(server::last(context, &bucket, names::key(names::CLAIMS, edge)).await)?;
     if claim.is_some() {
-        let bucket = engine::bucket(context, names::CLAIMS).await?;
+        let bucket = jetstream::bucket(context, names::CLAIMS).await?;
         bucket.delete(edge).await.map_err(failed)?;
     }
     Ok(claim)
 }
 
-fn failed(why: impl std::fmt::Display) -> EngineError {
+fn failed(why: impl std::fmt::Display) -> JetStreamError {
     let why = why.to_string();
-    // How the server says that it has no such stream, to a request and to what is published.
+    // Messages of the server for a missing stream, to a request and to a publication.
     let none = ["no responders", "no stream found"];
     match none.iter().any(|text| why.contains(text)) {
-        true => engine::missing(names::CLAIMS, "not found"),
-        false => engine::missing(names::CLAIMS, why),
+        true => jetstream::missing(names::CLAIMS, "not found"),
+        false => jetstream::missing(names::CLAIMS, why),
     }
 }
 
@@ -171,7 +164,7 @@ mod tests {
     fn a_name_is_of_one_store() {
         let mine = claim("a", "cellar");
         let judge = |there: Option<&Claim>, standing| mine.judge("lab-1", there, &standing);
-        assert_eq!(judge(None, Standing::Unknown), Verdict::Take);
+        assert_eq!(judge(None, Standing::Unknown), Verdict::MustClaim);
         let held = Verdict::Stands(Standing::Held);
         assert_eq!(judge(Some(&mine), Standing::Unknown), held);
         assert_eq!(judge(Some(&mine), Standing::Held), held);
@@ -182,15 +175,18 @@ mod tests {
             }
         }
         // Freed, or the server lost it.
-        assert_eq!(judge(None, Standing::Refused(String::new())), Verdict::Take);
-        assert_eq!(judge(None, Standing::Held), Verdict::Take);
+        assert_eq!(
+            judge(None, Standing::Refused(String::new())),
+            Verdict::MustClaim
+        );
+        assert_eq!(judge(None, Standing::Held), Verdict::MustClaim);
     }
 
     #[test]
     fn a_store_that_was_moved_takes_its_name_along_and_the_old_place_hears_of_it() {
         let (before, after) = (claim("a", "cellar"), claim("a", "attic"));
         let moved = after.judge("lab-1", Some(&before), &Standing::Unknown);
-        assert_eq!(moved, Verdict::Take);
+        assert_eq!(moved, Verdict::MustClaim);
         let why = refusal(before.judge("lab-1", Some(&after), &Standing::Held));
         assert!(why.contains("cellar") && why.contains("attic"), "{why}");
         let still = before.judge("lab-1", Some(&after), &Standing::Refused(why.clone()));

@@ -1,38 +1,38 @@
-//! By what Home Assistant finds a hob's quantities over MQTT (docs/mqtt.md): one sensor a quantity, all of one device.
+//! MQTT discovery for Home Assistant (docs/mqtt.md): one sensor for each quantity of a hob, all of one device.
 //!
-//! Keys and classes are those of Home Assistant's documents "MQTT discovery" and "MQTT sensor". What a NATS client publishes is not
-//! retained for MQTT, so an edge sends these at its start and whenever Home Assistant says that it has started.
+//! Keys and classes are those of Home Assistant's documents "MQTT discovery" and "MQTT sensor". MQTT does not retain what a NATS
+//! client publishes, so an edge sends these messages at its start and at each start of Home Assistant.
 
 use serde_json::{Value, json};
 
 use crate::names;
 
-/// Where Home Assistant says `online` when it has started, and `offline` before it ends.
+/// Subject on which Home Assistant publishes `online` at its start and `offline` at its end.
 pub const STATUS: &str = "homeassistant.status";
 
-/// Seconds without a state after which Home Assistant shows a value as unavailable: states come once a second.
+/// Time in seconds without a state after which Home Assistant shows a value as unavailable; states come once a second.
 pub const EXPIRES_AFTER_S: u32 = 10;
 
-/// A sensor. Where a field is `null`, its template makes `None` of it, which Home Assistant shows as unknown.
+/// A sensor. The template makes `None` of a field that is `null`, which Home Assistant shows as unknown.
 struct Quantity {
     /// Its field in the state's message, and the end of its id.
     field: &'static str,
-    /// As people read it.
+    /// Displayed name.
     name: &'static str,
-    /// What of the message is shown; the field itself without.
+    /// Template of the displayed value; `None` for the field itself.
     template: Option<&'static str>,
-    /// Home Assistant's class where it has one.
+    /// Home Assistant's class of the quantity, if any.
     device_class: Option<&'static str>,
-    /// Of what is shown; a text without.
+    /// Unit of the displayed value; `None` for text.
     unit: Option<&'static str>,
-    /// Decimals that are shown.
+    /// Displayed decimals.
     decimals: Option<u8>,
-    /// Whether it is for who looks for a fault.
+    /// Shown among the diagnostic entities.
     is_diagnostic: bool,
 }
 
-/// A number with its unit.
-const fn number(
+/// Returns a number with its unit.
+const fn number_quantity(
     field: &'static str,
     name: &'static str,
     unit: &'static str,
@@ -49,8 +49,8 @@ const fn number(
     }
 }
 
-/// A word.
-const fn word(field: &'static str, name: &'static str) -> Quantity {
+/// Returns a text quantity.
+const fn text_quantity(field: &'static str, name: &'static str) -> Quantity {
     Quantity {
         field,
         name,
@@ -63,36 +63,36 @@ const fn word(field: &'static str, name: &'static str) -> Quantity {
 }
 
 const QUANTITIES: [Quantity; 9] = [
-    word("state", "State"),
-    word("pot", "Pot"),
+    text_quantity("state", "State"),
+    text_quantity("pot", "Pot"),
     Quantity {
         device_class: Some("power"),
-        ..number("power_w", "Power", "W", 0)
+        ..number_quantity("power_w", "Power", "W", 0)
     },
     Quantity {
         device_class: Some("power"),
-        ..number("asked_w", "Power asked for", "W", 0)
+        ..number_quantity("asked_w", "Power asked for", "W", 0)
     },
     Quantity {
         device_class: Some("frequency"),
-        ..number("f_sw_hz", "Switching frequency", "Hz", 0)
+        ..number_quantity("f_sw_hz", "Switching frequency", "Hz", 0)
     },
-    number("r_ohm", "Load resistance", "Ω", 3),
+    number_quantity("r_ohm", "Load resistance", "Ω", 3),
     Quantity {
-        // Nobody reads 0.0000783 H.
+        // 78.3 µH instead of 0.0000783 H.
         template: Some("{{ value_json.l_h * 1000000 if value_json.l_h is number else none }}"),
-        ..number("l_h", "Load inductance", "µH", 2)
+        ..number_quantity("l_h", "Load inductance", "µH", 2)
     },
-    // No class `temperature`: Home Assistant would make degrees Celsius of a difference in kelvin.
-    number("pot_rise_k", "Pot's rise in temperature", "K", 0),
+    // No class `temperature`: Home Assistant would convert a difference in kelvin to degrees Celsius.
+    number_quantity("pot_rise_k", "Pot's rise in temperature", "K", 0),
     Quantity {
         is_diagnostic: true,
-        ..word("lookup_version", "Version of the lookup")
+        ..text_quantity("lookup_version", "Version of the lookup")
     },
 ];
 
-/// Subjects and messages (JSON) by which Home Assistant finds a hob, named as in its subjects.
-pub fn of_hob(hob: &str) -> Vec<(String, Vec<u8>)> {
+/// Returns subjects and discovery messages (JSON) of a hob.
+pub fn sensor_messages(hob: &str) -> Vec<(String, Vec<u8>)> {
     let message = |quantity: &Quantity| {
         let subject = format!("homeassistant.sensor.ihd_{hob}.{}.config", quantity.field);
         (subject, config(hob, quantity).to_string().into_bytes())
@@ -100,12 +100,12 @@ pub fn of_hob(hob: &str) -> Vec<(String, Vec<u8>)> {
     QUANTITIES.iter().map(message).collect()
 }
 
-/// Fields of the state's message that are shown.
+/// Returns the displayed fields of the state message.
 pub fn fields() -> impl Iterator<Item = &'static str> {
     QUANTITIES.iter().map(|quantity| quantity.field)
 }
 
-/// The topic of MQTT that a subject is: their levels are apart by slashes.
+/// Returns the MQTT topic of a subject: levels are separated by slashes.
 pub fn topic(subject: &str) -> String {
     subject.replace('.', "/")
 }
@@ -148,7 +148,7 @@ mod tests {
 
     use super::*;
 
-    /// What the document "MQTT sensor" knows, as far as it may stand in a message of discovery.
+    /// Keys of the document "MQTT sensor" that a discovery message may have.
     const KEYS: [&str; 27] = [
         "availability",
         "availability_mode",
@@ -179,7 +179,7 @@ mod tests {
         "value_template",
     ];
 
-    /// Units that Home Assistant knows for a class; of another one it says that it is wrong.
+    /// Units that Home Assistant accepts for a class.
     const UNITS: [(&str, &[&str]); 2] = [
         ("power", &["mW", "W", "kW", "MW", "GW", "TW"]),
         ("frequency", &["Hz", "kHz", "MHz", "GHz"]),
@@ -188,7 +188,7 @@ mod tests {
     fn configs(hob: &str) -> Vec<(String, Value)> {
         let parse =
             |(subject, json): (String, Vec<u8>)| (subject, serde_json::from_slice(&json).unwrap());
-        of_hob(hob).into_iter().map(parse).collect()
+        sensor_messages(hob).into_iter().map(parse).collect()
     }
 
     #[test]
@@ -200,7 +200,7 @@ mod tests {
                 keys.keys().all(|key| KEYS.contains(&key.as_str())),
                 "{config}"
             );
-            // Needed: where the value is, who it is, whose it is, and who says so.
+            // Required: state topic, id, device and origin.
             assert_eq!(config["state_topic"], "ihd/v1/hob-a/state");
             assert!(text(&config["unique_id"]).is_some() && text(&config["name"]).is_some());
             assert_eq!(config["device"]["identifiers"], json!(["ihd_hob-a"]));
@@ -214,7 +214,7 @@ mod tests {
             if let Some(category) = config.get("entity_category") {
                 assert!(["config", "diagnostic"].contains(&category.as_str().unwrap()));
             }
-            // Only what has a unit is a measurement with a history of means.
+            // Only a quantity with a unit is a measurement with a history of means.
             let has_unit = config.get("unit_of_measurement").is_some();
             assert_eq!(config.get("state_class").is_some(), has_unit, "{subject}");
         }
@@ -248,8 +248,8 @@ mod tests {
     fn each_value_is_taken_from_its_own_field() {
         for (quantity, (_, config)) in QUANTITIES.iter().zip(configs("h")) {
             let template = config["value_template"].as_str().unwrap().to_owned();
-            let wanted = format!("value_json.{} ", quantity.field);
-            assert!(template.contains(&wanted), "{template}");
+            let expected = format!("value_json.{} ", quantity.field);
+            assert!(template.contains(&expected), "{template}");
             assert!(template.starts_with("{{ ") && template.ends_with(" }}"));
         }
     }

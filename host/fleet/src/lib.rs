@@ -2,29 +2,32 @@
 //!
 //! ```text
 //!  Edge (edge/): a daemon ── windows ──► IHD_WINDOWS (work queue) ──► worker.rs ──► IHD_RESULTS ──► the edge again
-//!                                                                       └─► IHD_DEAD (dead.rs): given up
+//!                                                                       └─► IHD_DEAD (dead_letters.rs): given up
 //!  names of edges: claims.rs
-//!  operator: engine.rs makes all that, status.rs looks at it, captures.rs keeps files
+//!  operator: jetstream.rs makes streams and buckets, status.rs reports, captures.rs stores files
 //! ```
 //!
-//! A window is published under a number of its own and stays in its edge's store until it is acknowledged; a result has a subject of its
-//! own, which the server gives out once. So nothing is lost and nothing counts twice, whoever is killed.
+//! A window is published under a number of its own and stays in its edge's store until it is acknowledged. A result has a subject of its
+//! own, on which the server accepts one message. So no window is lost or counted twice if any process is killed.
 
 mod access;
 pub mod captures;
 pub mod claims;
-pub mod dead;
+mod clock;
+pub mod dead_letters;
 pub mod discovery;
 mod edge;
-pub mod engine;
 mod identity;
+pub mod jetstream;
 pub mod lookups;
 pub mod names;
 mod server;
 pub mod server_config;
 #[cfg(test)]
 mod simulation;
+mod standing;
 pub mod status;
+mod stream_message;
 pub mod wire;
 pub mod worker;
 

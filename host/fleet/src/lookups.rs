@@ -1,31 +1,31 @@
-//! Lookups in the fleet, for whoever looks at them or wants one used.
+//! Lookups in the fleet: present one, history, request of another.
 
 use async_nats::jetstream::{Context, kv};
 use futures_util::StreamExt;
 use ihd_shared::lookup::RlLookup;
 use serde::{Deserialize, Serialize};
 
-use crate::edge::now_ms;
-use crate::engine::{self, EngineError};
+use crate::clock::now_ms;
+use crate::jetstream::{self, JetStreamError};
 use crate::names;
 
-/// A lookup in the fleet (JSON): the value of a hob's key.
+/// Lookup in the fleet (JSON): the value of a hob's key.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LookupMessage {
     /// Its version.
     pub version: u32,
-    /// Who put it there: the edge whose hob uses it, or who wants it used.
+    /// Author: the edge whose hob uses it, or the operator who requests it.
     pub by: String,
-    /// Whether the hob uses it; else it is to.
+    /// `true` if the hob uses it, `false` if it is requested.
     pub in_use: bool,
-    /// When, in milliseconds since 1970, UTC.
+    /// Time in milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// As it is pushed, in hexadecimal digits.
+    /// Serialised lookup, in hexadecimal digits.
     pub blob: String,
 }
 
 impl LookupMessage {
-    /// Of a lookup.
+    /// Creates the message of a lookup, with the present time.
     pub fn new(lookup: &RlLookup, by: &str, in_use: bool) -> Self {
         let bytes = lookup.to_bytes();
         Self {
@@ -37,10 +37,10 @@ impl LookupMessage {
         }
     }
 
-    /// The lookup, as it is pushed.
+    /// Returns the serialised lookup.
     ///
     /// # Errors
-    /// Why it is none.
+    /// Text if the digits or the lookup are invalid.
     pub fn blob(&self) -> Result<Vec<u8>, String> {
         let digits = self.blob.as_bytes();
         let byte = |pair: &[u8]| {
@@ -54,67 +54,70 @@ impl LookupMessage {
     }
 }
 
-/// A lookup of the history.
+/// Lookup of the history.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Entry {
+pub struct LookupEntry {
     /// The hob's name.
     pub hob: String,
-    /// Its number in the bucket.
+    /// Revision in the bucket.
     pub revision: u64,
     /// The lookup.
     pub lookup: LookupMessage,
 }
 
-fn failed<E: std::fmt::Display>(e: E) -> EngineError {
-    EngineError::new(names::LOOKUPS, e)
+fn failed<E: std::fmt::Display>(e: E) -> JetStreamError {
+    JetStreamError::new(names::LOOKUPS, e)
 }
 
-/// The last lookup of each hob, by name.
+/// Returns the last lookup of each hob, sorted by name.
 ///
 /// # Errors
-/// [`EngineError`].
-pub async fn all(context: &Context) -> Result<Vec<Entry>, EngineError> {
-    let mut found = Vec::new();
-    for hob in engine::entries(context, names::LOOKUPS).await?.into_keys() {
-        found.extend(history(context, &hob).await?.pop());
+/// [`JetStreamError`].
+pub async fn all(context: &Context) -> Result<Vec<LookupEntry>, JetStreamError> {
+    let mut entries = Vec::new();
+    for hob in jetstream::entries(context, names::LOOKUPS)
+        .await?
+        .into_keys()
+    {
+        entries.extend(history(context, &hob).await?.pop());
     }
-    Ok(found)
+    Ok(entries)
 }
 
-/// The lookups of a hob that are remembered, oldest first.
+/// Returns the history of a hob, oldest first.
 ///
 /// # Errors
-/// [`EngineError`].
-pub async fn history(context: &Context, hob: &str) -> Result<Vec<Entry>, EngineError> {
-    let bucket = engine::bucket(context, names::LOOKUPS).await?;
+/// [`JetStreamError`].
+pub async fn history(context: &Context, hob: &str) -> Result<Vec<LookupEntry>, JetStreamError> {
+    let bucket = jetstream::bucket(context, names::LOOKUPS).await?;
     let mut history = bucket.history(hob).await.map_err(failed)?;
-    let mut found = Vec::new();
+    let mut entries = Vec::new();
     while let Some(entry) = history.next().await {
         let entry = entry.map_err(failed)?;
         let read = serde_json::from_slice(&entry.value);
         let (kv::Operation::Put, Ok(lookup)) = (entry.operation, read) else {
             continue;
         };
-        found.push(Entry {
+        entries.push(LookupEntry {
             hob: hob.to_owned(),
             revision: entry.revision,
             lookup,
         });
     }
-    Ok(found)
+    Ok(entries)
 }
 
-/// Has a hob use a lookup: its edge pushes it. The entry's new revision.
+/// Requests that a hob uses a lookup: its edge pushes it. Returns the entry's new revision.
 ///
 /// # Errors
-/// [`EngineError`]: the server says no, or somebody else has put one meanwhile.
-pub async fn want(
+/// [`JetStreamError`] if the server refuses it or another lookup was put meanwhile.
+pub async fn request(
     context: &Context,
     hob: &str,
     lookup: &RlLookup,
     by: &str,
-) -> Result<u64, EngineError> {
-    let bucket = engine::bucket(context, names::LOOKUPS).await?;
+) -> Result<u64, JetStreamError> {
+    let bucket = jetstream::bucket(context, names::LOOKUPS).await?;
     let entry = bucket.entry(hob).await.map_err(failed)?;
     let revision = entry.map_or(0, |entry| entry.revision);
     let value = serde_json::to_vec(&LookupMessage::new(lookup, by, false)).map_err(failed)?;

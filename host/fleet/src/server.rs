@@ -1,23 +1,21 @@
-//! The calls of a NATS server that an edge makes: JetStream's, or those of the simulated server (simulation/).
+//! Calls of the server that an edge makes: JetStream, or the simulated server (simulation/).
 
 use std::time::Duration;
 
-use async_nats::HeaderMap;
 use async_nats::jetstream::consumer::{Consumer, pull};
-use async_nats::jetstream::context::{PublishError, PublishErrorKind};
 use async_nats::jetstream::message::PublishMessage;
 use async_nats::jetstream::stream::DirectGetErrorKind;
-use async_nats::jetstream::{self, AckKind, Context};
+use async_nats::jetstream::{AckKind, Context, Message};
 use bytes::Bytes;
 use futures_util::StreamExt;
-use futures_util::future::BoxFuture;
 use futures_util::stream::BoxStream;
 
 use crate::access::{Access, AccessError};
-use crate::engine::{self, EngineError};
+use crate::jetstream::{self, JetStreamError};
 use crate::names;
 #[cfg(test)]
-use crate::simulation;
+use crate::simulation::line;
+use crate::stream_message::{Acknowledged, Outgoing, PendingAck, PublishFailure, StoredMessage};
 
 /// A server.
 pub enum Server {
@@ -25,65 +23,11 @@ pub enum Server {
     JetStream(Box<Context>, Access),
     /// One in memory.
     #[cfg(test)]
-    Simulated(simulation::Line),
-}
-
-/// A message for a stream.
-pub struct Outgoing {
-    /// Its subject.
-    pub subject: String,
-    /// Its bytes.
-    pub payload: Bytes,
-    /// Number by which the server knows it if it comes twice.
-    pub number: Option<String>,
-    /// Number in the stream of the last message of its subject, 0 without one; else it is refused.
-    pub after: Option<u64>,
-}
-
-/// Word of the server that it has a message.
-pub struct Acknowledged {
-    /// Its number in the stream.
-    pub number: u64,
-    /// It was there before.
-    pub is_duplicate: bool,
-}
-
-/// Word of the server, in time or not.
-pub type UnderWay = BoxFuture<'static, Result<Acknowledged, PublishTrouble>>;
-
-/// Reason for which a message is not acknowledged.
-#[derive(Debug, thiserror::Error)]
-pub enum PublishTrouble {
-    /// [`Outgoing::after`] is not so.
-    #[error("another message of its subject was first")]
-    Occupied,
-    /// Any other.
-    #[error("{0}")]
-    Other(String),
-}
-
-impl From<PublishError> for PublishTrouble {
-    fn from(why: PublishError) -> Self {
-        match why.kind() {
-            PublishErrorKind::WrongLastSequence => Self::Occupied,
-            _ => Self::Other(why.to_string()),
-        }
-    }
-}
-
-/// A message of a stream.
-#[derive(Clone, Debug)]
-pub struct Kept {
-    /// Its number there.
-    pub number: u64,
-    /// Its headers.
-    pub headers: HeaderMap,
-    /// Its bytes.
-    pub payload: Bytes,
+    Simulated(line::Line),
 }
 
 impl Server {
-    /// Looks whether the server is new enough.
+    /// Checks that the server is new enough.
     ///
     /// # Errors
     /// [`AccessError::Old`].
@@ -95,11 +39,11 @@ impl Server {
         }
     }
 
-    /// Sends a message.
+    /// Publishes a message; the acknowledgement is awaited apart.
     ///
     /// # Errors
-    /// The client cannot send it.
-    pub async fn publish(&self, message: Outgoing) -> Result<UnderWay, PublishTrouble> {
+    /// [`PublishFailure`] if the client cannot send it.
+    pub async fn publish(&self, message: Outgoing) -> Result<PendingAck, PublishFailure> {
         match self {
             Self::JetStream(context, _) => publish(context, message).await,
             #[cfg(test)]
@@ -107,11 +51,15 @@ impl Server {
         }
     }
 
-    /// The last message of a subject.
+    /// Returns the last message of a subject.
     ///
     /// # Errors
-    /// In words.
-    pub async fn last(&self, stream: &str, subject: String) -> Result<Option<Kept>, String> {
+    /// Text of the client's error.
+    pub async fn last(
+        &self,
+        stream: &str,
+        subject: String,
+    ) -> Result<Option<StoredMessage>, String> {
         match self {
             Self::JetStream(context, _) => last(context, stream, subject).await,
             #[cfg(test)]
@@ -119,12 +67,11 @@ impl Server {
         }
     }
 
-    /// The consumer of an edge's results: the one that the operator has made; on a server where every key may do all, it is made and kept up
-    /// to date.
+    /// Returns the consumer of an edge's results: the operator's, or on a server without keys one that is made and kept up to date here.
     ///
     /// # Errors
-    /// [`EngineError`].
-    pub async fn results(&self, edge: &str, hobs: &[String]) -> Result<Results, EngineError> {
+    /// [`JetStreamError`].
+    pub async fn results(&self, edge: &str, hobs: &[String]) -> Result<Results, JetStreamError> {
         match self {
             Self::JetStream(context, _) => {
                 let consumer = consumer(context, edge, hobs).await?;
@@ -136,7 +83,7 @@ impl Server {
     }
 }
 
-async fn publish(context: &Context, message: Outgoing) -> Result<UnderWay, PublishTrouble> {
+async fn publish(context: &Context, message: Outgoing) -> Result<PendingAck, PublishFailure> {
     let mut built = PublishMessage::build().payload(message.payload);
     if let Some(number) = message.number {
         built = built.message_id(number);
@@ -144,7 +91,7 @@ async fn publish(context: &Context, message: Outgoing) -> Result<UnderWay, Publi
     if let Some(after) = message.after {
         built = built.expected_last_subject_sequence(after);
     }
-    // The client waits for each acknowledgement as long as for any.
+    // The client applies its own time-out to each acknowledgement.
     let acknowledged = context.send_publish(message.subject, built).await?;
     Ok(Box::pin(async move {
         let acknowledged = acknowledged.await?;
@@ -155,19 +102,19 @@ async fn publish(context: &Context, message: Outgoing) -> Result<UnderWay, Publi
     }))
 }
 
-/// The last message of a subject, on a server with JetStream.
+/// Returns the last message of a subject, on a server with JetStream.
 ///
 /// # Errors
-/// In words.
+/// Text of the client's error.
 pub async fn last(
     context: &Context,
     stream: &str,
     subject: String,
-) -> Result<Option<Kept>, String> {
+) -> Result<Option<StoredMessage>, String> {
     let stream = context.get_stream_no_info(stream).await;
     let stream = stream.map_err(|e| e.to_string())?;
     match stream.direct_get_last_for_subject(subject).await {
-        Ok(message) => Ok(Some(Kept {
+        Ok(message) => Ok(Some(StoredMessage {
             number: message.sequence,
             headers: message.headers,
             payload: message.payload,
@@ -181,32 +128,32 @@ async fn consumer(
     context: &Context,
     edge: &str,
     hobs: &[String],
-) -> Result<Consumer<pull::Config>, EngineError> {
-    let config = engine::edge_consumer(edge, hobs);
+) -> Result<Consumer<pull::Config>, JetStreamError> {
+    let config = jetstream::edge_consumer(edge, hobs);
     let made = context.create_consumer_on_stream(config, names::RESULTS);
     if let Ok(consumer) = made.await {
         return Ok(consumer);
     }
     let name = names::edge_consumer(edge);
-    let found = context.get_consumer_from_stream(&name, names::RESULTS);
-    found.await.map_err(|e| {
+    let consumer = context.get_consumer_from_stream(&name, names::RESULTS);
+    consumer.await.map_err(|e| {
         let hobs = hobs.join(",");
         let why = format!("{e}: the operator makes it, `ihd fleet init --edge {edge}={hobs}`");
-        EngineError::new(&name, why)
+        JetStreamError::new(&name, why)
     })
 }
 
-/// The consumer of an edge's results.
+/// Consumer of an edge's results.
 pub enum Results {
     /// JetStream's.
     JetStream(Box<Consumer<pull::Config>>),
     /// One in memory.
     #[cfg(test)]
-    Simulated(simulation::Results),
+    Simulated(line::Results),
 }
 
 impl Results {
-    /// When it was made, in microseconds since 1970, by the server's clock: another time is another consumer.
+    /// Returns the time of its creation in microseconds since 1970, by the server's clock; it identifies the consumer.
     pub fn made_us(&self) -> i64 {
         match self {
             Self::JetStream(consumer) => {
@@ -218,10 +165,10 @@ impl Results {
         }
     }
 
-    /// Asks for results, and waits for the first so long. An error in their stream ends the consumer or the connection.
+    /// Requests up to `most` results, waiting for the first up to `wait`. An error in the stream means that the consumer or the connection has ended.
     ///
     /// # Errors
-    /// In words.
+    /// Text of the client's error.
     pub async fn fetch(
         &self,
         most: usize,
@@ -238,22 +185,26 @@ impl Results {
                 Ok(incoming.boxed())
             }
             #[cfg(test)]
-            Self::Simulated(results) => results.fetch(most, wait).await,
+            Self::Simulated(results) => {
+                let delivered = results.fetch(most, wait).await?;
+                let incoming = delivered.map(|message| message.map(Incoming::Simulated));
+                Ok(incoming.boxed())
+            }
         }
     }
 }
 
-/// A result that came.
+/// Result received from the server.
 pub enum Incoming {
     /// JetStream's.
-    JetStream(Box<jetstream::Message>),
+    JetStream(Box<Message>),
     /// One in memory.
     #[cfg(test)]
-    Simulated(simulation::Delivered),
+    Simulated(line::Delivered),
 }
 
 impl Incoming {
-    /// Its subject.
+    /// Returns its subject.
     pub fn subject(&self) -> &str {
         match self {
             Self::JetStream(message) => &message.subject,
@@ -262,7 +213,7 @@ impl Incoming {
         }
     }
 
-    /// Its bytes.
+    /// Returns its bytes.
     pub fn payload(&self) -> &Bytes {
         match self {
             Self::JetStream(message) => &message.payload,
@@ -271,28 +222,28 @@ impl Incoming {
         }
     }
 
-    /// It is taken in. Where this is lost, it comes again.
+    /// Acknowledges it. If this is lost, it comes again.
     pub async fn ack(&self) {
-        self.settle(AckKind::Ack).await;
+        self.acknowledge_as(AckKind::Ack).await;
     }
 
-    /// It is to come again after so long.
-    pub async fn again(&self, after: Duration) {
-        self.settle(AckKind::Nak(Some(after))).await;
+    /// Requests a redelivery after a time.
+    pub async fn redeliver(&self, after: Duration) {
+        self.acknowledge_as(AckKind::Nak(Some(after))).await;
     }
 
-    /// It is not to come again.
-    pub async fn end(&self) {
-        self.settle(AckKind::Term).await;
+    /// Refuses it for good.
+    pub async fn terminate(&self) {
+        self.acknowledge_as(AckKind::Term).await;
     }
 
-    async fn settle(&self, kind: AckKind) {
+    async fn acknowledge_as(&self, kind: AckKind) {
         match self {
             Self::JetStream(message) => {
                 let _ = message.ack_with(kind).await;
             }
             #[cfg(test)]
-            Self::Simulated(delivered) => delivered.settle(kind).await,
+            Self::Simulated(delivered) => delivered.acknowledge_as(kind).await,
         }
     }
 }

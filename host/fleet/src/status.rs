@@ -1,4 +1,4 @@
-//! The whole fleet in numbers.
+//! Report of the whole fleet.
 
 use std::collections::BTreeMap;
 
@@ -7,29 +7,29 @@ use ihd_daemon::model::{FleetDevice, FleetEdge, FleetReport, FleetWorker};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::edge::now_ms;
-use crate::engine::{self, EngineError};
+use crate::clock::now_ms;
+use crate::jetstream::{self, JetStreamError};
 use crate::names;
 
-/// What an edge tells of a hob: the value of its key (JSON).
+/// Card of a hob, published by its edge: the value of its key (JSON).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct HobCard {
-    /// The board, as its firmware says.
+    /// Board, as reported by the firmware.
     #[serde(default)]
     pub board: String,
-    /// What is shown of it.
+    /// Displayed data of the hob.
     pub device: FleetDevice,
 }
 
-/// The fleet as the server has it now.
+/// Reads the present state of the fleet from the server.
 ///
 /// # Errors
-/// [`EngineError`]: the server does not answer, this key may not look, or the fleet was never made.
-pub async fn report(context: &Context, server: &str) -> Result<FleetReport, EngineError> {
+/// [`JetStreamError`] if the server does not answer, this key may not read, or the fleet was not initialised.
+pub async fn report(context: &Context, server: &str) -> Result<FleetReport, JetStreamError> {
     let count = async |name| {
-        let stream = engine::stream(context, name).await?;
+        let stream = jetstream::stream(context, name).await?;
         let state = &stream.cached_info().state;
-        Ok::<_, EngineError>((state.messages, state.last_sequence))
+        Ok::<_, JetStreamError>((state.messages, state.last_sequence))
     };
     let (backlog, windows) = count(names::WINDOWS).await?;
     let (_, results) = count(names::RESULTS).await?;
@@ -37,9 +37,9 @@ pub async fn report(context: &Context, server: &str) -> Result<FleetReport, Engi
     let workers: BTreeMap<String, FleetWorker> = cards(context, names::WORKER_CARDS).await?;
     let edges: BTreeMap<String, FleetEdge> = cards(context, names::EDGES).await?;
     let hobs: BTreeMap<String, HobCard> = cards(context, names::HOBS).await?;
-    let wanted = engine::entries(context, names::SETTINGS).await?;
-    let wanted = wanted.get(names::BUILD);
-    let wanted = wanted.map(|build| String::from_utf8_lossy(build).into_owned());
+    let expected_build = jetstream::entries(context, names::SETTINGS).await?;
+    let expected_build = expected_build.get(names::BUILD);
+    let expected_build = expected_build.map(|build| String::from_utf8_lossy(build).into_owned());
     Ok(FleetReport {
         server: server.to_owned(),
         connected: true,
@@ -50,17 +50,17 @@ pub async fn report(context: &Context, server: &str) -> Result<FleetReport, Engi
         dead,
         workers: workers.into_values().collect(),
         edges: edges.into_values().collect(),
-        devices: outdated(hobs, wanted.as_deref()),
+        devices: outdated(hobs, expected_build.as_deref()),
         ..FleetReport::default()
     })
 }
 
-/// What a bucket holds; what cannot be read is left out.
+/// Returns the cards of a bucket without the unreadable ones.
 async fn cards<T: DeserializeOwned>(
     context: &Context,
     bucket: &str,
-) -> Result<BTreeMap<String, T>, EngineError> {
-    let entries = engine::entries(context, bucket).await?;
+) -> Result<BTreeMap<String, T>, JetStreamError> {
+    let entries = jetstream::entries(context, bucket).await?;
     let read = |(key, value): (String, bytes::Bytes)| {
         let card = serde_json::from_slice(&value);
         card.map_err(|why| tracing::debug!(bucket, key, %why, "a card cannot be read"))
@@ -70,8 +70,8 @@ async fn cards<T: DeserializeOwned>(
     Ok(entries.into_iter().filter_map(read).collect())
 }
 
-/// Marks who has another build than is wanted, or, where nobody says, than most hobs of its board.
-pub fn outdated(hobs: BTreeMap<String, HobCard>, wanted: Option<&str>) -> Vec<FleetDevice> {
+/// Marks hobs as outdated whose build differs from the expected one or, if that is `None`, from the most frequent one of their board.
+pub fn outdated(hobs: BTreeMap<String, HobCard>, expected_build: Option<&str>) -> Vec<FleetDevice> {
     let mut counts: BTreeMap<(String, String), usize> = BTreeMap::new();
     for card in hobs.values().filter(|card| !card.device.build.is_empty()) {
         let of = (card.board.clone(), card.device.build.clone());
@@ -79,15 +79,17 @@ pub fn outdated(hobs: BTreeMap<String, HobCard>, wanted: Option<&str>) -> Vec<Fl
     }
     let usual = |board: &str| {
         let of_board = counts.iter().filter(|((b, _), _)| b == board);
-        // Of two that are as frequent the later by name, which is the later version.
+        // Of two equally frequent builds the later by name, which is the later version.
         let most = of_board.max_by_key(|((_, build), count)| (**count, build.clone()));
         most.map(|((_, build), _)| build.clone())
     };
     let device = |(name, card): (String, HobCard)| {
-        let build = wanted.map(str::to_owned).or_else(|| usual(&card.board));
+        let build = expected_build
+            .map(str::to_owned)
+            .or_else(|| usual(&card.board));
         let known = !card.device.build.is_empty();
         FleetDevice {
-            // Whoever may write the key is who it says.
+            // The key, not the card: only the hob's edge may write it.
             name,
             outdated: known && build.is_some_and(|build| build != card.device.build),
             ..card.device
@@ -110,10 +112,10 @@ mod tests {
         }
     }
 
-    fn of(cards: &[(&str, &str)], wanted: Option<&str>) -> Vec<bool> {
+    fn outdated_flags(cards: &[(&str, &str)], expected_build: Option<&str>) -> Vec<bool> {
         let hobs = cards.iter().enumerate();
         let hobs = hobs.map(|(k, (board, build))| (format!("hob-{k}"), card(board, build)));
-        let devices = outdated(hobs.collect(), wanted);
+        let devices = outdated(hobs.collect(), expected_build);
         devices.iter().map(|device| device.outdated).collect()
     }
 
@@ -126,7 +128,13 @@ mod tests {
             ("b", "1.0"),
             ("a", ""),
         ];
-        assert_eq!(of(&cards, None), [false, true, false, false, false]);
-        assert_eq!(of(&cards, Some("1.0")), [true, false, true, false, false]);
+        assert_eq!(
+            outdated_flags(&cards, None),
+            [false, true, false, false, false]
+        );
+        assert_eq!(
+            outdated_flags(&cards, Some("1.0")),
+            [true, false, true, false, false]
+        );
     }
 }

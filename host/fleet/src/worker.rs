@@ -1,5 +1,5 @@
-//! Who identifies: takes windows from the queue, finds R(t) and L(t), publishes what it found. A worker keeps nothing: killed at any moment, its
-//! windows go to another one, and of two results of one window the server takes the first.
+//! Worker: takes windows from the queue, identifies R(t) and L(t), publishes the results. A worker has no state: if it is killed, its
+//! windows go to another one, and of two results of one window the server accepts the first.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
@@ -8,7 +8,7 @@ use std::time::Duration;
 use async_nats::jetstream::consumer::{Consumer, pull};
 use async_nats::jetstream::context::PublishErrorKind;
 use async_nats::jetstream::message::PublishMessage;
-use async_nats::jetstream::{self, AckKind, Context};
+use async_nats::jetstream::{AckKind, Context, Message};
 use futures_util::StreamExt;
 use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
 use ihd_daemon::model::FleetWorker;
@@ -18,99 +18,99 @@ use ihd_train::NetworkConfig;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
 
-use crate::dead;
-use crate::edge::now_ms;
-use crate::engine::{self, ACK_WAIT, EngineError, MOST_DELIVERIES, PER_THREAD};
+use crate::clock::now_ms;
+use crate::dead_letters;
+use crate::jetstream::{self, ACK_WAIT, JetStreamError, MOST_DELIVERIES, PER_THREAD};
 use crate::names;
 use crate::wire::{AnswerMessage, WindowMessage};
 
-/// How long one request for windows waits.
-const ASK_FOR: Duration = Duration::from_secs(5);
+/// Duration of one request for windows.
+const REQUEST_TIME: Duration = Duration::from_secs(5);
 
-/// Between two tries after something failed.
+/// Pause after a failure.
 const TRY_AGAIN: Duration = Duration::from_secs(2);
 
-/// When a window that could not be dealt with goes to the next worker.
+/// Delay after which a failed window goes to the next worker.
 const AGAIN_AFTER: Duration = Duration::from_secs(1);
 
-/// Time for which a window is left to others whose edge does not believe this worker.
-const LEFT_FOR: Duration = Duration::from_secs(10);
+/// Delay of a window whose edge does not accept answers of this worker.
+const LEFT_TO_OTHERS_FOR: Duration = Duration::from_secs(10);
 
-/// How often the worker tells how it does.
-const TELL_EVERY: Duration = Duration::from_secs(10);
+/// Period of the worker's card.
+const PUBLISH_PERIOD: Duration = Duration::from_secs(10);
 
-/// What a worker may use.
+/// Settings of a worker.
 #[derive(Clone, Debug)]
 pub struct WorkerSettings {
     /// Its name in the fleet.
     pub name: String,
-    /// Threads that identify, at least one.
+    /// Number of threads, at least one.
     pub threads: usize,
     /// The network's settings.
     pub network: NetworkConfig,
-    /// Pretends to work for so long instead of identifying: to measure the rest.
+    /// Simulated work of this duration instead of an identification, to measure everything else.
     pub pretend: Option<Duration>,
 }
 
-/// What a worker has done.
+/// Counts of a worker.
 #[derive(Debug, Default)]
-pub struct Figures {
-    /// Windows that it is at.
+pub struct WorkerCounts {
+    /// Windows in progress.
     pub busy: AtomicU32,
-    /// Results that it was the first to publish.
+    /// Results published first by this worker.
     pub done: AtomicU64,
-    /// Results that another one had published before.
+    /// Results that another worker had published before.
     pub known: AtomicU64,
-    /// Windows that it failed at.
+    /// Failed windows.
     pub failed: AtomicU64,
-    /// Windows that it gave up for good.
+    /// Windows given up for good.
     pub dead: AtomicU64,
-    /// Windows that it left to others, since their edge has refuted answers of it.
+    /// Windows left to other workers, because their edge has refuted answers of this one.
     pub distrusted: AtomicU64,
 }
 
 struct Worker {
     context: Context,
     settings: WorkerSettings,
-    figures: Arc<Figures>,
+    counts: Arc<WorkerCounts>,
     threads: Semaphore,
 }
 
-/// Works until `stop` becomes true, with what it is at finished.
+/// Runs until `stop` becomes `true`; windows in progress are finished.
 ///
 /// # Errors
-/// [`EngineError`] where the fleet was never made; what fails later is tried again.
+/// [`JetStreamError`] if the fleet was not initialised; later failures are retried.
 pub async fn run(
     context: Context,
     settings: WorkerSettings,
-    figures: Arc<Figures>,
+    counts: Arc<WorkerCounts>,
     mut stop: watch::Receiver<bool>,
-) -> Result<(), EngineError> {
-    // A fleet that was never made is told at once.
-    let mut found = Some(consumer(&context).await?);
+) -> Result<(), JetStreamError> {
+    // Reports a fleet that was not initialised at once.
+    let mut known_consumer = Some(consumer(&context).await?);
     let threads = settings.threads.max(1);
     let slots = Arc::new(Semaphore::new(threads * PER_THREAD));
     let worker = Arc::new(Worker {
         threads: Semaphore::new(threads),
         context,
         settings,
-        figures,
+        counts,
     });
     let mut tasks = JoinSet::new();
-    let telling = tokio::spawn(tell(Arc::clone(&worker)));
+    let publishing = tokio::spawn(publish_cards(Arc::clone(&worker)));
     let stopped = async {
         let _ = stop.wait_for(|&stopping| stopping).await;
     };
     tokio::pin!(stopped);
     loop {
         let working = async {
-            let consumer = match found.take() {
+            let consumer = match known_consumer.take() {
                 Some(consumer) => consumer,
                 None => consumer(&worker.context).await?,
             };
-            take(&worker, &consumer, &slots, &mut tasks).await?;
-            found = Some(consumer);
-            Ok::<(), EngineError>(())
+            fetch_windows(&worker, &consumer, &slots, &mut tasks).await?;
+            known_consumer = Some(consumer);
+            Ok::<(), JetStreamError>(())
         };
         let worked = tokio::select! {
             () = &mut stopped => break,
@@ -124,34 +124,39 @@ pub async fn run(
             }
         }
     }
-    // What waits for a thread goes to another worker at once; what is studied is finished.
+    // Windows that wait for a thread go to another worker at once; the others are finished.
     worker.threads.close();
     while tasks.join_next().await.is_some() {}
-    telling.abort();
-    worker.leave().await;
+    publishing.abort();
+    worker.remove_card().await;
     Ok(())
 }
 
-async fn consumer(context: &Context) -> Result<Consumer<pull::Config>, EngineError> {
-    let found = context.get_consumer_from_stream(names::WORKERS, names::WINDOWS);
-    found.await.map_err(|e| engine::missing(names::WINDOWS, e))
+async fn consumer(context: &Context) -> Result<Consumer<pull::Config>, JetStreamError> {
+    let consumer = context.get_consumer_from_stream(names::WORKERS, names::WINDOWS);
+    consumer
+        .await
+        .map_err(|e| jetstream::missing(names::WINDOWS, e))
 }
 
-/// Takes as many windows as there is room for.
-async fn take(
+/// Fetches as many windows as there are free slots.
+async fn fetch_windows(
     worker: &Arc<Worker>,
     consumer: &Consumer<pull::Config>,
     slots: &Arc<Semaphore>,
     tasks: &mut JoinSet<()>,
-) -> Result<(), EngineError> {
-    let failed = |e: String| EngineError::new(names::WINDOWS, e);
+) -> Result<(), JetStreamError> {
+    let failed = |e: String| JetStreamError::new(names::WINDOWS, e);
     let first = Arc::clone(slots).acquire_owned().await;
     let first = first.map_err(|e| failed(e.to_string()))?;
     let mut free = vec![first];
     while let Ok(permit) = Arc::clone(slots).try_acquire_owned() {
         free.push(permit);
     }
-    let fetched = consumer.fetch().max_messages(free.len()).expires(ASK_FOR);
+    let fetched = consumer
+        .fetch()
+        .max_messages(free.len())
+        .expires(REQUEST_TIME);
     let mut fetched = fetched
         .messages()
         .await
@@ -159,22 +164,22 @@ async fn take(
     while let Some(message) = fetched.next().await {
         let message = message.map_err(|e| failed(e.to_string()))?;
         let Some(permit) = free.pop() else {
-            // More than was asked for: another one's turn.
+            // More than requested: another worker gets it.
             let _ = message.ack_with(AckKind::Nak(None)).await;
             continue;
         };
-        tasks.spawn(deal_with(Arc::clone(worker), message, permit));
+        tasks.spawn(process(Arc::clone(worker), message, permit));
     }
     while tasks.try_join_next().is_some() {}
     Ok(())
 }
 
-async fn deal_with(worker: Arc<Worker>, message: jetstream::Message, permit: OwnedSemaphorePermit) {
-    worker.figures.busy.fetch_add(1, Relaxed);
-    let outcome = worker.deal(&message).await;
-    worker.figures.busy.fetch_sub(1, Relaxed);
+async fn process(worker: Arc<Worker>, message: Message, permit: OwnedSemaphorePermit) {
+    worker.counts.busy.fetch_add(1, Relaxed);
+    let outcome = worker.process(&message).await;
+    worker.counts.busy.fetch_sub(1, Relaxed);
     if let Err(why) = outcome {
-        worker.figures.failed.fetch_add(1, Relaxed);
+        worker.counts.failed.fetch_add(1, Relaxed);
         tracing::warn!(%why, subject = %message.subject, "a window goes to the next worker");
         let _ = message.ack_with(AckKind::Nak(Some(AGAIN_AFTER))).await;
     }
@@ -182,8 +187,8 @@ async fn deal_with(worker: Arc<Worker>, message: jetstream::Message, permit: Own
 }
 
 impl Worker {
-    /// Deals with a window, for good where this returns `Ok`.
-    async fn deal(&self, message: &jetstream::Message) -> Result<(), String> {
+    /// Processes a window; on `Ok` it is done for good.
+    async fn process(&self, message: &Message) -> Result<(), String> {
         let delivered = message.info().map_err(|e| e.to_string())?.delivered;
         let read = WindowMessage::from_bytes(&message.payload);
         let window = match read {
@@ -222,26 +227,28 @@ impl Worker {
             hob: window.hob,
         };
         self.publish(&result).await?;
-        // Where this is lost the window comes again, and its result is known.
+        // If this is lost, the window comes again and its result is refused as a duplicate.
         message.double_ack().await.map_err(|e| e.to_string())
     }
 
-    /// Leaves a window to others: the edge has refuted answers of this worker.
-    async fn leave_to_others(&self, message: &jetstream::Message, hob: &str) {
-        if self.figures.distrusted.fetch_add(1, Relaxed) == 0 {
+    /// Returns a window to the queue: its edge has refuted answers of this worker.
+    async fn leave_to_others(&self, message: &Message, hob: &str) {
+        if self.counts.distrusted.fetch_add(1, Relaxed) == 0 {
             tracing::error!(
                 hob,
                 "its edge has refuted answers of this worker: `ihd fleet status` says why; windows of it are left to others"
             );
         }
-        let _ = message.ack_with(AckKind::Nak(Some(LEFT_FOR))).await;
+        let _ = message
+            .ack_with(AckKind::Nak(Some(LEFT_TO_OTHERS_FOR)))
+            .await;
     }
 
-    /// Identifies on a thread of its own, and tells the server meanwhile that it goes on; none where the worker is ending.
+    /// Identifies a window on a thread of its own and extends the server's time-out meanwhile; `None` if the worker is stopping.
     async fn answer(
         &self,
         window: &WindowMessage,
-        message: &jetstream::Message,
+        message: &Message,
     ) -> Result<Option<WorkerAnswer>, String> {
         let waiting = async {
             let permit = self.threads.acquire().await.ok()?;
@@ -250,22 +257,22 @@ impl Worker {
             if let Some(time) = self.settings.pretend {
                 tokio::time::sleep(time).await;
             }
-            let find = match self.settings.pretend {
+            let fitting = match self.settings.pretend {
                 None => tokio::task::spawn_blocking(move || {
                     WorkerAnswer::compute(by, &window, skew_s, network)
                 }),
-                Some(_) => tokio::task::spawn_blocking(move || pretended(by, &window)),
+                Some(_) => tokio::task::spawn_blocking(move || simulated_fit(by, &window)),
             };
-            let found = find.await;
+            let fit = fitting.await;
             drop(permit);
-            Some(found.map_err(|_| "identifying it panicked".to_owned()))
+            Some(fit.map_err(|_| "identifying it panicked".to_owned()))
         };
         tokio::pin!(waiting);
         let mut progress = tokio::time::interval(ACK_WAIT / 3);
         progress.tick().await;
         loop {
             tokio::select! {
-                found = &mut waiting => return found.transpose(),
+                fit = &mut waiting => return fit.transpose(),
                 _ = progress.tick() => {
                     let _ = message.ack_with(AckKind::Progress).await;
                 }
@@ -282,68 +289,68 @@ impl Worker {
         let sent = self.context.send_publish(subject, message).await;
         match sent.map_err(|e| e.to_string())?.await {
             Ok(_) => {
-                self.figures.done.fetch_add(1, Relaxed);
+                self.counts.done.fetch_add(1, Relaxed);
                 Ok(())
             }
             Err(why) if why.kind() == PublishErrorKind::WrongLastSequence => {
-                self.figures.known.fetch_add(1, Relaxed);
+                self.counts.known.fetch_add(1, Relaxed);
                 Ok(())
             }
             Err(why) => Err(format!("its result is not published: {why}")),
         }
     }
 
-    /// Gives a window up: it goes to the dead, with why.
+    /// Gives a window up: publishes it as a dead letter, with the reason.
     async fn bury(
         &self,
-        message: &jetstream::Message,
+        message: &Message,
         key: Option<(u32, u32)>,
         why: &str,
     ) -> Result<(), String> {
         tracing::error!(subject = %message.subject, why, "a window is given up");
-        dead::bury(&self.context, message, key, &self.settings.name, why).await?;
-        self.figures.dead.fetch_add(1, Relaxed);
+        dead_letters::bury(&self.context, message, key, &self.settings.name, why).await?;
+        self.counts.dead.fetch_add(1, Relaxed);
         message.double_ack().await.map_err(|e| e.to_string())
     }
 
     fn card(&self) -> FleetWorker {
-        let figures = &self.figures;
+        let counts = &self.counts;
         FleetWorker {
             name: self.settings.name.clone(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             threads: u32::try_from(self.settings.threads).unwrap_or(u32::MAX),
-            busy: figures.busy.load(Relaxed),
-            done: figures.done.load(Relaxed),
-            failed: figures.failed.load(Relaxed) + figures.dead.load(Relaxed),
+            busy: counts.busy.load(Relaxed),
+            done: counts.done.load(Relaxed),
+            failed: counts.failed.load(Relaxed) + counts.dead.load(Relaxed),
             last_seen_ms: now_ms(),
         }
     }
 
-    async fn leave(&self) {
-        if let Ok(bucket) = engine::bucket(&self.context, names::WORKER_CARDS).await {
-            // Else the entry goes by itself.
+    async fn remove_card(&self) {
+        if let Ok(bucket) = jetstream::bucket(&self.context, names::WORKER_CARDS).await {
+            // On failure the entry expires.
             let _ = bucket.delete(&self.settings.name).await;
         }
     }
 }
 
-/// Tells the fleet that there is a worker, and how it does.
-async fn tell(worker: Arc<Worker>) {
+/// Publishes the worker's card periodically.
+async fn publish_cards(worker: Arc<Worker>) {
     loop {
         if let Ok(card) = serde_json::to_vec(&worker.card()) {
             let (context, name) = (&worker.context, &worker.settings.name);
-            // The next one comes soon.
-            let _ = engine::put(context, names::WORKER_CARDS, name, card).await;
+            // A failure is repaired by the next card.
+            let _ = jetstream::put(context, names::WORKER_CARDS, name, card).await;
         }
-        tokio::time::sleep(TELL_EVERY).await;
+        tokio::time::sleep(PUBLISH_PERIOD).await;
     }
 }
 
-/// The lock-in's R(t) and L(t), in place of the network's.
-fn pretended(by: String, window: &ihd_link::Window) -> WorkerAnswer {
+/// Returns R(t) and L(t) of the lock-in, in place of the network's.
+fn simulated_fit(by: String, window: &ihd_link::Window) -> WorkerAnswer {
     let segment = window.segment();
     let estimate = ihd_identify::run(Method::Lockin, &segment, &IdentifyOptions::default());
-    let found = estimate.map_err(|e| e.to_string()).map(|estimate| {
+    let load = estimate.map_err(|e| e.to_string()).map(|estimate| {
         let curve = Curve {
             t_s: estimate.t_s,
             r_ohm: estimate.r_ohm,
@@ -361,7 +368,7 @@ fn pretended(by: String, window: &ihd_link::Window) -> WorkerAnswer {
     WorkerAnswer {
         by,
         skew_s: None,
-        found,
+        load,
         busy: Duration::ZERO,
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ihd_pinn::{Config, Identified, PinnError, Progress, SlowInputs, Task, TruthAt, Waveform};
+use ihd_pinn::{Config, Identification, PinnError, Progress, SlowInputs, Task, TruthAt, Waveform};
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
 
@@ -62,7 +62,7 @@ pub fn identify_half_cycle(
     checkpoint: Option<&Path>,
     sink: &mut ProgressSink<'_>,
     estimate: &mut Estimate,
-) -> Result<Identified, PinnError> {
+) -> Result<Identification, PinnError> {
     let crossing_s = segment.crossing_of_s(range);
     let truth_at = |t_s: f64| {
         let at = sink.truth.and_then(|truth| truth.at(t_s + crossing_s));
@@ -87,7 +87,7 @@ pub fn identify_half_cycle(
 
 /// Appends the result for the half-cycle that begins at `crossing_s` in seconds, and a remark if the training did not
 /// converge.
-pub fn append(identified: &Identified, crossing_s: f64, estimate: &mut Estimate) {
+pub fn append(identified: &Identification, crossing_s: f64, estimate: &mut Estimate) {
     let times_s = identified.t_s.iter().map(|t| t + crossing_s);
     estimate.t_s.extend(times_s);
     estimate.r_ohm.extend(&identified.r_ohm);
@@ -106,7 +106,7 @@ pub fn append(identified: &Identified, crossing_s: f64, estimate: &mut Estimate)
     }
 }
 
-fn model_residual(identified: &Identified) -> ModelResidual {
+fn model_residual(identified: &Identification) -> ModelResidual {
     let mut residual = ModelResidual::default();
     for (k, chi2) in identified.chi2.iter().enumerate() {
         let relative = [
@@ -128,7 +128,7 @@ fn state(p: &Progress) -> String {
 }
 
 /// P/I_rms² at the crest beside R of the fundamental, and the order of the impedance law.
-fn physics(identified: &Identified) -> String {
+fn physics(identified: &Identification) -> String {
     let largest = |a: &usize, b: &usize| {
         let i = &identified.i_amplitude_a;
         i[*a].total_cmp(&i[*b])

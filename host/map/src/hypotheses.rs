@@ -2,24 +2,24 @@
 //! data.
 //!
 //! Cells are the mixture's mean, and their deviations contain the spread between hypotheses. "Any pot" keeps a share whatever
-//! the evidence: windows of one frequency cannot tell pots apart that differ at others.
+//! the evidence: windows of one frequency cannot separate pots that differ at others.
 
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
 use crate::curve::{Curve, Mean};
-use crate::ended::Ended;
 use crate::fit::Datum;
-use crate::knowledge::{Knowledge, Predicted};
-use crate::library::{Candidate, KeptShape, Library, Shape, shape_places, without};
+use crate::library::{Candidate, Library, Shape, ShapeState, shape_places, without};
+use crate::posterior::{Posterior, Prediction};
+use crate::pot_fit::PotFit;
 
 /// Prior share of each entry: one of forty pots that may come. All entries together have half at most.
 const OF_AN_ENTRY: f64 = 1.0 / 40.0;
 const OF_ALL_ENTRIES: f64 = 0.5;
 
-/// Share of "any pot" at least, whatever the evidence. An entry is advice: it may be another pot or a lie that fits all that this hob
-/// has seen. With [`BELIEVABLE`], all entries together then move the map by at most one of this hob's own deviations in the mean
+/// Least share of "any pot", whatever the evidence. An entry is advice: it may be another pot, or forged to fit all that this hob
+/// has measured. With [`BELIEVABLE`], all entries together then move the map by at most one of this hob's own deviations in the mean
 /// of the squares, and what they add to the deviations keeps a wrong cell from being marked (docs/pots.md).
 const LEAST_ANY: f64 = 0.5;
 
@@ -35,44 +35,45 @@ const DROPPED: f64 = 0.01;
 
 /// Hypothesis that the pot is one of the library's.
 #[derive(Clone, Debug)]
-struct Recognised {
+struct LibraryHypothesis {
     entry: String,
     share: f64,
     shape: Shape,
     /// Fit of the physics to the data less the entry's shape.
-    known: Knowledge,
+    posterior: Posterior,
 }
 
 /// Weighted hypotheses on one pot.
 #[derive(Clone, Debug)]
 pub(crate) struct Hypotheses {
     /// Hypothesis that it is any pot.
-    any: Knowledge,
-    others: Vec<Recognised>,
+    any: Posterior,
+    others: Vec<LibraryHypothesis>,
 }
 
 /// Stored form of a library hypothesis.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct KeptRecognised {
+pub(crate) struct LibraryHypothesisState {
     entry: String,
     share: f64,
-    shape: KeptShape,
-    ended: Ended,
+    shape: ShapeState,
+    #[serde(rename = "ended")]
+    fit: PotFit,
 }
 
-impl Recognised {
+impl LibraryHypothesis {
     fn candidate(&self) -> Candidate {
         Candidate {
             id: self.entry.clone(),
-            prior: self.known.ended().prior(),
+            prior: self.posterior.fit().prior(),
             shape: self.shape.clone(),
         }
     }
 
     /// Returns `true` if the entry's map lies within the deviations of this hob's own map, in cells measured or not. An honest
     /// entry knows more and contradicts nothing; one made to fit the first measurements and to be wrong elsewhere does not pass.
-    fn is_believable(&self, alone: &[Predicted]) -> bool {
-        let square = |(value, alone): (&Predicted, &Predicted)| {
+    fn is_believable(&self, alone: &[Prediction]) -> bool {
+        let square = |(value, alone): (&Prediction, &Prediction)| {
             let r = (value.r_ohm / alone.r_ohm).ln() / alone.r_sigma.hypot(LEAST_SIGMA[0]);
             let l = (value.l_h / alone.l_h).ln() / alone.l_sigma.hypot(LEAST_SIGMA[1]);
             0.5 * (r * r + l * l)
@@ -82,8 +83,8 @@ impl Recognised {
         squares < BELIEVABLE * BELIEVABLE * alone.len() as f64
     }
 
-    fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Predicted> {
-        let mut all = self.known.at(places, ahead_s);
+    fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Prediction> {
+        let mut all = self.posterior.at(places, ahead_s);
         for (value, &(f_hz, i_a)) in all.iter_mut().zip(places) {
             let beside = self.shape.at(f_hz, i_a);
             let variance = self.shape.variance(f_hz, i_a);
@@ -95,7 +96,7 @@ impl Recognised {
         all
     }
 
-    fn compare(&self, f_hz: f64, means: &[Mean], ahead_s: f64) -> Option<Compared> {
+    fn compare(&self, f_hz: f64, means: &[Mean], ahead_s: f64) -> Option<Comparison> {
         let less = |m: &Mean| {
             let (beside, variance) = (self.shape.at(f_hz, m.i_a), self.shape.variance(f_hz, m.i_a));
             Mean {
@@ -105,19 +106,19 @@ impl Recognised {
             }
         };
         let means: Vec<_> = means.iter().map(less).collect();
-        compare(&self.known, f_hz, &means, ahead_s)
+        compare(&self.posterior, f_hz, &means, ahead_s)
     }
 }
 
-impl KeptRecognised {
+impl LibraryHypothesisState {
     fn is_sound(&self) -> bool {
-        self.ended.is_sound() && self.shape.is_sound() && self.share > 0.0
+        self.fit.is_sound() && self.shape.is_sound() && self.share > 0.0
     }
 }
 
 /// Comparison of a window with the expectation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Compared {
+pub(crate) struct Comparison {
     /// Mean square in variances under the hypothesis that expected the window best.
     pub chi2: f64,
     /// Mean relative differences of R and L from that expectation.
@@ -128,46 +129,46 @@ pub(crate) struct Compared {
 
 impl Hypotheses {
     /// Fits all hypotheses to the data; `before` is the last result, and `again` queries the library anew. `None` under the
-    /// conditions of [`Knowledge::of`].
+    /// conditions of [`Posterior::of`].
     pub fn of(
         data: Vec<Datum>,
         library: Option<&Library>,
         before: Option<&Self>,
         again: bool,
     ) -> Option<Self> {
-        let any = Knowledge::of(data.clone(), None, before.map(|b| b.any.ended()))?;
-        let known = before.map_or(&[][..], |b| &b.others);
+        let any = Posterior::of(data.clone(), None, before.map(|b| b.any.fit()))?;
+        let last = before.map_or(&[][..], |b| &b.others);
         let candidates = match library {
             Some(library) if again => library.candidates(&data),
-            _ => known.iter().map(Recognised::candidate).collect(),
+            _ => last.iter().map(LibraryHypothesis::candidate).collect(),
         };
-        let recognised = candidates.into_iter().filter_map(|candidate| {
-            let start = known.iter().find(|r| r.entry == candidate.id);
-            let start = start.map(|r| r.known.ended());
+        let others = candidates.into_iter().filter_map(|candidate| {
+            let start = last.iter().find(|r| r.entry == candidate.id);
+            let start = start.map(|r| r.posterior.fit());
             let alone = without(&candidate.shape, &data);
-            Some(Recognised {
-                known: Knowledge::of(alone, Some(&candidate.prior), start)?,
+            Some(LibraryHypothesis {
+                posterior: Posterior::of(alone, Some(&candidate.prior), start)?,
                 entry: candidate.id,
                 share: 0.0,
                 shape: candidate.shape,
             })
         });
         let entries = library.map_or(1, |l| l.entries().len()).max(1) as f64;
-        Some(Self::weighed(any, recognised.collect(), entries))
+        Some(Self::weight(any, others.collect(), entries))
     }
 
     /// Computes the shares from the evidence.
-    fn weighed(any: Knowledge, mut others: Vec<Recognised>, entries: f64) -> Self {
+    fn weight(any: Posterior, mut others: Vec<LibraryHypothesis>, entries: f64) -> Self {
         if !others.is_empty() {
             let alone = any.at(&shape_places(), 0.0);
             others.retain(|r| r.is_believable(&alone));
         }
-        let highest = others.iter().map(|r| r.known.evidence());
+        let highest = others.iter().map(|r| r.posterior.evidence());
         let highest = highest.fold(any.evidence(), f64::max);
         let of_all = OF_ALL_ENTRIES.min(entries * OF_AN_ENTRY);
         let none = (1.0 - of_all) * (any.evidence() - highest).exp();
         for r in &mut others {
-            r.share = of_all / entries * (r.known.evidence() - highest).exp();
+            r.share = of_all / entries * (r.posterior.evidence() - highest).exp();
         }
         let sum: f64 = none + others.iter().map(|r| r.share).sum::<f64>();
         others.retain(|r| r.share >= DROPPED * sum);
@@ -178,28 +179,32 @@ impl Hypotheses {
     }
 
     /// Stored form of the library's hypotheses.
-    pub fn kept(&self) -> Vec<KeptRecognised> {
-        let kept = |r: &Recognised| KeptRecognised {
+    pub fn state(&self) -> Vec<LibraryHypothesisState> {
+        let state = |r: &LibraryHypothesis| LibraryHypothesisState {
             entry: r.entry.clone(),
             share: r.share,
-            shape: r.shape.kept().clone(),
-            ended: *r.known.ended(),
+            shape: r.shape.state().clone(),
+            fit: *r.posterior.fit(),
         };
-        self.others.iter().map(kept).collect()
+        self.others.iter().map(state).collect()
     }
 
     /// Restores hypotheses from their stored form and the data; `None` if no data can have produced them.
-    pub fn from_kept(any: Ended, others: Vec<KeptRecognised>, data: Vec<Datum>) -> Option<Self> {
+    pub fn from_state(
+        any: PotFit,
+        others: Vec<LibraryHypothesisState>,
+        data: Vec<Datum>,
+    ) -> Option<Self> {
         let sum: f64 = others.iter().map(|r| r.share).sum();
         // A share that is no number is none either.
         let within = sum < 1.0;
-        if !within || !any.is_sound() || !others.iter().all(KeptRecognised::is_sound) {
+        if !within || !any.is_sound() || !others.iter().all(LibraryHypothesisState::is_sound) {
             return None;
         }
         let restored = others.into_iter().map(|r| {
             let shape = Shape::of(r.shape);
-            Some(Recognised {
-                known: Knowledge::conditioned(r.ended, without(&shape, &data))?,
+            Some(LibraryHypothesis {
+                posterior: Posterior::conditioned(r.fit, without(&shape, &data))?,
                 entry: r.entry,
                 share: r.share,
                 shape,
@@ -207,12 +212,12 @@ impl Hypotheses {
         });
         Some(Self {
             others: restored.collect::<Option<_>>()?,
-            any: Knowledge::conditioned(any, data)?,
+            any: Posterior::conditioned(any, data)?,
         })
     }
 
     /// Hypothesis "any pot": the result of this hob's own windows.
-    pub fn any(&self) -> &Knowledge {
+    pub fn any(&self) -> &Posterior {
         &self.any
     }
 
@@ -231,29 +236,29 @@ impl Hypotheses {
         self.likeliest().misfit()
     }
 
-    fn likeliest(&self) -> &Knowledge {
+    fn likeliest(&self) -> &Posterior {
         let best = self
             .others
             .iter()
             .max_by(|a, b| a.share.total_cmp(&b.share));
         let best = best.filter(|r| r.share > self.share_of_any());
-        best.map_or(&self.any, |r| &r.known)
+        best.map_or(&self.any, |r| &r.posterior)
     }
 
     /// Pot under the likeliest hypothesis.
     pub fn model(&self) -> PotModel {
-        self.likeliest().ended().model()
+        self.likeliest().fit().model()
     }
 
     /// R and L with their deviations at places, `ahead_s` seconds after the last datum.
-    pub fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Predicted> {
+    pub fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Prediction> {
         if self.others.is_empty() {
             return self.any.at(places, ahead_s);
         }
         let others = self.others.iter();
         let mut each: Vec<_> = others.map(|r| (r.share, r.at(places, ahead_s))).collect();
         each.push((self.share_of_any(), self.any.at(places, ahead_s)));
-        let mixed = |k: usize, x: fn(&Predicted) -> (f64, f64)| {
+        let mixed = |k: usize, x: fn(&Prediction) -> (f64, f64)| {
             let of = each.iter().map(|(share, all)| (*share, x(&all[k])));
             let mean: f64 = of.clone().map(|(share, (x, _))| share * x.ln()).sum();
             let variance: f64 = of
@@ -265,7 +270,7 @@ impl Hypotheses {
             .map(|k| {
                 let (r_ohm, r_sigma) = mixed(k, |p| (p.r_ohm, p.r_sigma));
                 let (l_h, l_sigma) = mixed(k, |p| (p.l_h, p.l_sigma));
-                Predicted {
+                Prediction {
                     r_ohm,
                     l_h,
                     r_sigma,
@@ -277,16 +282,16 @@ impl Hypotheses {
 
     /// Compares a window's `means` with the expectation of each hypothesis; `None` if none has an expectation.
     ///
-    /// The best one counts: the pot is another one only if every hypothesis says so. A wrong entry therefore never makes a pot
-    /// forgotten.
-    pub fn compare(&self, curve: &Curve, means: &[Mean], ahead_s: f64) -> Option<Compared> {
+    /// The best one counts: the pot is another one only if it differs under every hypothesis. A wrong entry therefore never
+    /// discards a map.
+    pub fn compare(&self, curve: &Curve, means: &[Mean], ahead_s: f64) -> Option<Comparison> {
         let f_hz = curve.f_sw_hz;
         let others = self.others.iter();
         let others = others.filter_map(|r| r.compare(f_hz, means, ahead_s));
         let any = compare(&self.any, f_hz, means, ahead_s);
         any.into_iter().chain(others).reduce(|a, b| {
             let best = if b.chi2 < a.chi2 { b } else { a };
-            Compared {
+            Comparison {
                 most_chi2: a.most_chi2.max(b.most_chi2),
                 ..best
             }
@@ -294,9 +299,9 @@ impl Hypotheses {
     }
 }
 
-fn compare(known: &Knowledge, f_hz: f64, means: &[Mean], ahead_s: f64) -> Option<Compared> {
+fn compare(posterior: &Posterior, f_hz: f64, means: &[Mean], ahead_s: f64) -> Option<Comparison> {
     let places: Vec<_> = means.iter().map(|m| (f_hz, m.i_a)).collect();
-    let (expected, mut covariance) = known.joint(&places, ahead_s);
+    let (expected, mut covariance) = posterior.joint(&places, ahead_s);
     let count = means.len();
     let off = DVector::from_fn(2 * count, |k, _| {
         means[k % count].ln[k / count] - expected[k]
@@ -306,7 +311,7 @@ fn compare(known: &Knowledge, f_hz: f64, means: &[Mean], ahead_s: f64) -> Option
     }
     let mean_square = |x: usize| off.rows(x * count, count).norm_squared() / count as f64;
     let chi2 = off.dot(&covariance.cholesky()?.solve(&off)) / (2 * count) as f64;
-    Some(Compared {
+    Some(Comparison {
         chi2,
         off: [0, 1].map(|x| mean_square(x).sqrt()),
         most_chi2: chi2,

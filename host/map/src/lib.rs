@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! window ─► R(I), L(I) ─► Curve ─► PotMap ─► physics fitted + misfit ─► Cells of a lookup, each R, L ± σ and age
-//!                         curve.rs pot_map.rs fit.rs  knowledge.rs
+//!                         curve.rs pot_map.rs pot_fit.rs, posterior.rs
 //! ```
 //!
 //! The physics ([`PotModel`]) is seven numbers of coil and pot. Its error (the misfit) is a smooth normal process over
@@ -10,22 +10,22 @@
 //! does not, they follow the measured curves, and their deviations are larger.
 
 pub mod curve;
-mod ended;
 mod fit;
 pub mod gap_table;
 mod hypotheses;
-mod knowledge;
 pub mod library;
 mod misfit;
 mod parameters;
+mod posterior;
 mod pot_export;
+mod pot_fit;
 pub mod pot_map;
 pub mod pot_model;
 mod surface_table;
 
 pub use curve::{Curve, Mean, MeasuredPoint};
-pub use knowledge::Predicted;
 pub use library::{Library, LibraryError, PotEntry, Provenance};
 pub use misfit::current_knots;
+pub use posterior::Prediction;
 pub use pot_map::{Cell, Cells, CurveMatch, PotMap, PotMapState};
 pub use pot_model::PotModel;

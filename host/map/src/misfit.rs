@@ -9,8 +9,8 @@ const REACH_LN_F: f64 = 0.5;
 /// Correlation length of the misfit in knots of the current axis: half of it.
 const REACH_KNOTS: f64 = 8.0;
 
-/// Share of the misfit's variance that is rougher over frequency; the next constant says how many times. A perfectly smooth
-/// process would claim too much certainty between and beside measured frequencies.
+/// Share of the misfit's variance that is rougher over frequency, by the factor `FINER`. A perfectly smooth process would make
+/// the deviations between and beside measured frequencies too small.
 const ROUGH: f64 = 1e-3;
 const FINER: f64 = 4.0;
 

@@ -2,7 +2,7 @@
 
 use nalgebra::DVector;
 
-use crate::library::{Found, PotEntry, Provenance, SeenAt, shape_places};
+use crate::library::{ExportedFit, MeasuredRange, PotEntry, Provenance, shape_places};
 use crate::{PotMap, PotModel};
 
 /// Least number of frequencies at which a pot must have been measured; the next constant is the least ratio of the highest to
@@ -15,33 +15,33 @@ impl PotMap {
     /// quarter of an octave above the lowest. Knowledge from the library itself is not exported. `None` if the pot is known less
     /// well, or `by` holds no valid names.
     pub fn entry(&self, by: Provenance) -> Option<PotEntry> {
-        let known = self.found_alone()?;
-        let seen = self.seen_at()?;
+        let posterior = self.own_posterior()?;
+        let seen = self.measured_range()?;
         if seen.curves < LEAST_CURVES || seen.f_sw_hz[1] < LEAST_RATIO * seen.f_sw_hz[0] {
             return None;
         }
-        let factor = known.factor_of_numbers()?;
-        let (model, places) = (known.ended().model(), shape_places());
-        let (map, _) = known.joint(&places, 0.0);
+        let factor = posterior.factor_of_numbers()?;
+        let (model, places) = (posterior.fit().model(), shape_places());
+        let (map, _) = posterior.joint(&places, 0.0);
         let physics = physics(&model, &places);
-        let found = Found {
+        let fit = ExportedFit {
             model,
             factor,
-            misfit: known.misfit(),
+            misfit: posterior.misfit(),
             beside: map - physics,
             seen,
         };
-        PotEntry::of(&found, by)
+        PotEntry::of(&fit, by)
     }
 
-    fn seen_at(&self) -> Option<SeenAt> {
+    fn measured_range(&self) -> Option<MeasuredRange> {
         let span = |all: &mut dyn Iterator<Item = f64>| {
             let none = [f64::INFINITY, f64::NEG_INFINITY];
             let [low, high] = all.fold(none, |[a, b], x| [a.min(x), b.max(x)]);
             (low <= high).then_some([low, high])
         };
         let currents = self.curves().iter().flat_map(|c| c.means().map(|m| m.i_a));
-        Some(SeenAt {
+        Some(MeasuredRange {
             f_sw_hz: span(&mut self.curves().iter().map(|c| c.f_sw_hz))?,
             i_a: span(&mut { currents })?,
             curves: self.curves().len() as u32,

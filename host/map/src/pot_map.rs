@@ -9,18 +9,18 @@ use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
 use crate::curve::Curve;
-use crate::ended::{Ended, MISFIT_WARNING};
 use crate::fit::Datum;
-use crate::hypotheses::{Compared, Hypotheses, KeptRecognised};
-use crate::knowledge::{Knowledge, Predicted};
+use crate::hypotheses::{Comparison, Hypotheses, LibraryHypothesisState};
 use crate::library::Library;
 use crate::misfit::{current_knots, current_of_knots};
+use crate::posterior::{Posterior, Prediction};
+use crate::pot_fit::{MISFIT_WARNING, PotFit};
 use crate::surface_table::lagrange;
 
 /// Relative difference below which two switching frequencies share a curve; R and L are converted by the pot's own law.
 const SAME_FREQUENCY: f64 = 5e-3;
 
-/// Most curves of a map: more than the eight rows of a lookup can tell apart.
+/// Most curves of a map: more than the eight rows of a lookup can resolve.
 pub const MOST_CURVES: usize = 10;
 
 /// Mean square in expected variances above which a window belongs to another pot: chance gives 2 once in a million for
@@ -70,7 +70,7 @@ pub enum CurveMatch {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cell {
     /// Predicted R and L, with relative deviations.
-    pub value: Predicted,
+    pub value: Prediction,
     /// 0 (never observed) to 1.
     pub confidence: f64,
     /// Seconds since the cell was observed last; `None` if never.
@@ -98,7 +98,7 @@ pub struct PotMap {
 /// Last fit, its curves, and its time.
 #[derive(Clone, Debug)]
 struct LastFit {
-    known: Hypotheses,
+    hypotheses: Hypotheses,
     curves: Vec<Curve>,
     at_s: f64,
 }
@@ -112,10 +112,11 @@ pub struct PotMapState {
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct LastFitState {
-    ended: Ended,
+    #[serde(rename = "ended")]
+    fit: PotFit,
     /// Pots of the library that it may be; builds before the library ignore them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    recognised: Vec<KeptRecognised>,
+    recognised: Vec<LibraryHypothesisState>,
     curves: Vec<Curve>,
     at_s: f64,
 }
@@ -126,8 +127,8 @@ impl PotMap {
         PotMapState {
             curves: self.curves.clone(),
             learned: self.learned.as_ref().map(|l| LastFitState {
-                ended: *l.known.any().ended(),
-                recognised: l.known.kept(),
+                fit: *l.hypotheses.any().fit(),
+                recognised: l.hypotheses.state(),
                 curves: l.curves.clone(),
                 at_s: l.at_s,
             }),
@@ -144,7 +145,7 @@ impl PotMap {
         let learned = match state.learned {
             None => None,
             Some(l) if sound(&l.curves) && l.at_s.is_finite() => Some(LastFit {
-                known: Hypotheses::from_kept(l.ended, l.recognised, data(&l.curves, l.at_s))?,
+                hypotheses: Hypotheses::from_state(l.fit, l.recognised, data(&l.curves, l.at_s))?,
                 curves: l.curves,
                 at_s: l.at_s,
             }),
@@ -181,12 +182,12 @@ impl PotMap {
 
     /// Names of the library's pots that it may be, with their shares; the rest to 1 is any other pot.
     pub fn recognised(&self) -> impl Iterator<Item = (&str, f64)> {
-        self.learned.iter().flat_map(|l| l.known.recognised())
+        self.learned.iter().flat_map(|l| l.hypotheses.recognised())
     }
 
     /// Result of this hob's own windows alone; `None` before the first window.
-    pub(crate) fn found_alone(&self) -> Option<&Knowledge> {
-        self.learned.as_ref().map(|l| l.known.any())
+    pub(crate) fn own_posterior(&self) -> Option<&Posterior> {
+        self.learned.as_ref().map(|l| l.hypotheses.any())
     }
 
     /// Curves, one per switching frequency.
@@ -200,17 +201,17 @@ impl PotMap {
         if !curve.is_sound() || curve.means().next().is_none() {
             return CurveMatch::Nothing;
         }
-        let (seen, off) = self.compare(&curve);
-        let another = matches!(seen, CurveMatch::Another { .. });
+        let (comparison, differs) = self.compare(&curve);
+        let another = matches!(comparison, CurveMatch::Another { .. });
         if another {
             self.curves.clear();
         }
         let now_s = curve.t_s;
-        let windows = self.take(curve);
-        if off || windows.is_power_of_two() {
+        let windows = self.fuse(curve);
+        if differs || windows.is_power_of_two() {
             self.fit(now_s, another);
         }
-        seen
+        comparison
     }
 
     /// Compares a window with the prediction; the second value is `true` if a new fit is worthwhile.
@@ -222,10 +223,10 @@ impl PotMap {
         let compared = match means.is_empty() {
             true => None,
             false => learned
-                .known
+                .hypotheses
                 .compare(curve, &means, curve.t_s - learned.at_s),
         };
-        let Some(Compared {
+        let Some(Comparison {
             chi2,
             off: [r, l],
             most_chi2,
@@ -244,9 +245,15 @@ impl PotMap {
     }
 
     /// Fuses a curve with that of its frequency, and returns the number of windows in it.
-    fn take(&mut self, curve: Curve) -> u32 {
+    fn fuse(&mut self, curve: Curve) -> u32 {
         let away = |c: &Curve| (c.f_sw_hz / curve.f_sw_hz - 1.0).abs();
-        let ratio_to = |f_hz| carried(self.learned.as_ref().map(|l| &l.known), curve.f_sw_hz, f_hz);
+        let ratio_to = |f_hz| {
+            frequency_ratio(
+                self.learned.as_ref().map(|l| &l.hypotheses),
+                curve.f_sw_hz,
+                f_hz,
+            )
+        };
         let nearest = (0..self.curves.len())
             .filter(|k| away(&self.curves[*k]) < SAME_FREQUENCY)
             .min_by(|a, b| away(&self.curves[*a]).total_cmp(&away(&self.curves[*b])));
@@ -296,9 +303,9 @@ impl PotMap {
         let again = another || before.is_none_or(|l| l.curves.len() != self.curves.len());
         let library = self.library.as_deref();
         let all = data(&self.curves, now_s);
-        let known = Hypotheses::of(all, library, before.map(|l| &l.known), again);
-        self.learned = known.map(|known| LastFit {
-            known,
+        let known = Hypotheses::of(all, library, before.map(|l| &l.hypotheses), again);
+        self.learned = known.map(|hypotheses| LastFit {
+            hypotheses,
             curves: self.curves.clone(),
             at_s: now_s,
         });
@@ -306,24 +313,24 @@ impl PotMap {
 
     /// Fitted physics; `None` before the first window.
     pub fn model(&self) -> Option<PotModel> {
-        self.learned.as_ref().map(|l| l.known.model())
+        self.learned.as_ref().map(|l| l.hypotheses.model())
     }
 
     /// Returns `Some(true)` if the physics describes the pot, which may fail far off centre or for a pot made of parts;
     /// `None` before the first window.
     pub fn is_described(&self) -> Option<bool> {
-        let misfit = self.learned.as_ref()?.known.misfit();
+        let misfit = self.learned.as_ref()?.hypotheses.misfit();
         Some(
             misfit
                 .iter()
                 .zip(MISFIT_WARNING)
-                .all(|(found, most)| *found < most),
+                .all(|(misfit, most)| *misfit < most),
         )
     }
 
     /// Predicts R and L along a half-cycle: at a switching frequency in hertz and many currents in ampere, interpolated
     /// between a few. Empty before the first window.
-    pub fn along(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<Predicted> {
+    pub fn along(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<Prediction> {
         /// Points per knot of the lookup's current axis: a cubic through them is within 1e-5 of R and L.
         const PER_KNOT: f64 = 1.5;
         let most_a = currents_a.iter().copied().fold(0.0, f64::max);
@@ -339,10 +346,10 @@ impl PotMap {
             let x = current_knots(*i_a) * PER_KNOT;
             let first = (x as usize).saturating_sub(1).min(count - 4);
             let weights = lagrange([0.0, 1.0, 2.0, 3.0], x - first as f64);
-            let mix = |of: fn(&Predicted) -> f64| {
+            let mix = |of: fn(&Prediction) -> f64| {
                 (0..4).map(|k| weights[k] * of(&nodes[first + k])).sum()
             };
-            Predicted {
+            Prediction {
                 r_ohm: mix(|p| p.r_ohm),
                 l_h: mix(|p| p.l_h),
                 r_sigma: f64::max(mix(|p| p.r_sigma), 0.0),
@@ -353,9 +360,9 @@ impl PotMap {
     }
 
     /// Predicts R and L at a switching frequency in hertz and currents in ampere. Empty before the first window.
-    pub fn at(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<Predicted> {
+    pub fn at(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<Prediction> {
         let places: Vec<_> = currents_a.iter().map(|i| (f_hz, *i)).collect();
-        let of = |l: &LastFit| l.known.at(&places, now_s - l.at_s);
+        let of = |l: &LastFit| l.hypotheses.at(&places, now_s - l.at_s);
         self.learned.as_ref().map(of).unwrap_or_default()
     }
 
@@ -365,7 +372,7 @@ impl PotMap {
         let places: Vec<_> = (0..FREQUENCIES)
             .flat_map(|f| (0..CURRENTS).map(move |i| (frequency_hz(f), current_a(i))))
             .collect();
-        let values = learned.known.at(&places, now_s - learned.at_s);
+        let values = learned.hypotheses.at(&places, now_s - learned.at_s);
         let (mass, last_s) = self.mass();
         Some(std::array::from_fn(|f| {
             std::array::from_fn(|i| Cell {
@@ -429,7 +436,7 @@ fn data(curves: &[Curve], now_s: f64) -> Vec<Datum> {
 }
 
 /// Ratio of R and of L between two close frequencies, by the pot's law at a medium current.
-fn carried(known: Option<&Hypotheses>, from_hz: f64, to_hz: f64) -> [f64; 2] {
+fn frequency_ratio(known: Option<&Hypotheses>, from_hz: f64, to_hz: f64) -> [f64; 2] {
     const I_A: f64 = 15.0;
     let Some(known) = known else {
         // R follows the square root of f by the skin effect.

@@ -73,8 +73,8 @@ impl PotModel {
     }
 
     /// Model at one frequency for several currents; rising currents are quickest.
-    pub fn at_frequency(&self, f_hz: f64) -> AtFrequency {
-        AtFrequency::new(&self.gaps(), self, f_hz)
+    pub fn at_frequency(&self, f_hz: f64) -> FrequencyModel {
+        FrequencyModel::new(&self.gaps(), self, f_hz)
     }
 
     /// Gap in each direction.
@@ -119,7 +119,7 @@ impl PotModel {
 
 /// Pot at one switching frequency; keeps the field of the last current as the start for the next.
 #[derive(Clone, Debug)]
-pub struct AtFrequency {
+pub struct FrequencyModel {
     omega: f64,
     /// s √(2/ω) in H/m · m.
     surface: f64,
@@ -138,7 +138,7 @@ struct Sector {
     i_a: f64,
 }
 
-impl AtFrequency {
+impl FrequencyModel {
     fn new(gaps: &[Gap], model: &PotModel, f_hz: f64) -> Self {
         let omega = TAU * f_hz;
         let sector = |gap: &Gap| Sector {

@@ -4,7 +4,7 @@
 use crate::PinnError;
 use crate::optimiser::Descent;
 use crate::parameters::Parameters;
-use crate::progress::{Log, Settling, StoppedBecause};
+use crate::progress::{Log, Settling, StopReason};
 use crate::slow_model::SlowModel;
 
 /// Decay of the mean gradient and of the mean square, with the usual values of Kingma and Ba.
@@ -69,12 +69,12 @@ pub(crate) fn descend(
     let mut best = Descent {
         parameters,
         squares: f64::INFINITY,
-        stopped: StoppedBecause::RolledBack,
+        stopped: StopReason::RolledBack,
     };
     loop {
         let now = physics.gradient(&at)?;
         if !now.squares.is_finite() {
-            best.stopped = StoppedBecause::RolledBack;
+            best.stopped = StopReason::RolledBack;
             return Ok(best);
         }
         if now.squares < best.squares {
@@ -88,7 +88,7 @@ pub(crate) fn descend(
         let change = settling.change(now.outputs.clone());
         log.record(now.squares, change, &now.outputs);
         if change < tolerance {
-            best.stopped = StoppedBecause::Settled;
+            best.stopped = StopReason::Settled;
             return Ok(best);
         }
         adam.step(learning_rate, &mut theta, now.values);

@@ -93,14 +93,14 @@ pub enum PinnError {
     },
     /// The parameters of the warm start do not fit the configured network.
     #[error(
-        "config: warm start has layers {found}, but hidden_layers asks for {wanted}; \
+        "config: warm start has layers {given}, but hidden_layers asks for {configured}; \
          set hidden_layers to match or drop the warm start"
     )]
     WarmStart {
         /// Layer widths of the warm start.
-        found: String,
+        given: String,
         /// Layer widths of the configuration.
-        wanted: String,
+        configured: String,
     },
     /// The normal equations of the VI branch are singular.
     #[error(

@@ -11,7 +11,7 @@ use ihd_spline::residual::Excess;
 use ihd_spline::{BasisValues, CubicSpline};
 use nalgebra::Complex;
 
-use crate::networks::Signals;
+use crate::networks::signals::Signals;
 use crate::waveform::NormalisedWaveform;
 
 /// Functions of the VI branch: spline times (cos, sin) of each harmonic.

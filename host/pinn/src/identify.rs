@@ -6,7 +6,7 @@ use crate::hybrid::hybrid;
 use crate::loss::slow_times_s;
 use crate::progress::Log;
 use crate::waveform::NormalisedWaveform;
-use crate::{Config, Identified, PinnError, Progress, Waveform, networks, uncertainty};
+use crate::{Config, Identification, PinnError, Progress, Waveform, networks, uncertainty};
 
 /// Truth of R (ohm) and L (H) at a time in seconds after the mains zero crossing.
 pub type TruthAt<'a> = &'a dyn Fn(f64) -> (f64, f64);
@@ -31,12 +31,12 @@ pub struct Task<'a> {
 ///
 /// # Errors
 /// [`PinnError`] if the window or the configuration cannot be used. A limit that is reached, or a
-/// loss that is not finite, is no error but a [`crate::StoppedBecause`].
+/// loss that is not finite, is no error but a [`crate::StopReason`].
 pub fn identify(
     window: &Waveform<'_>,
     config: &Config,
     progress: &mut dyn FnMut(&Progress),
-) -> Result<Identified, PinnError> {
+) -> Result<Identification, PinnError> {
     let task = Task {
         window: *window,
         config,
@@ -52,7 +52,7 @@ impl Task<'_> {
     ///
     /// # Errors
     /// As [`identify`], and [`PinnError::Checkpoint`] for a checkpoint of another training.
-    pub fn run(&self, progress: &mut dyn FnMut(&Progress)) -> Result<Identified, PinnError> {
+    pub fn run(&self, progress: &mut dyn FnMut(&Progress)) -> Result<Identification, PinnError> {
         self.config.validate()?;
         let mut samples = self.window.normalise()?;
         if self.config.vi_mlp.is_none() {
@@ -84,14 +84,14 @@ impl Task<'_> {
 }
 
 /// Member with the least loss; its uncertainty is the members' spread.
-fn best_of(mut members: Vec<Identified>) -> Identified {
-    let spread = |of: fn(&Identified) -> &[f64]| {
+fn best_of(mut members: Vec<Identification>) -> Identification {
+    let spread = |of: fn(&Identification) -> &[f64]| {
         let values: Vec<&[f64]> = members.iter().map(of).collect();
         uncertainty::spread(&values)
     };
     let sigmas = (members.len() > 1).then(|| (spread(|m| &m.r_ohm), spread(|m| &m.l_h)));
     let total_s = members.iter().map(|m| m.elapsed_s).sum();
-    let order = |a: &Identified, b: &Identified| a.losses.total.total_cmp(&b.losses.total);
+    let order = |a: &Identification, b: &Identification| a.losses.total.total_cmp(&b.losses.total);
     members.sort_by(order);
     let mut best = members.swap_remove(0);
     best.elapsed_s = total_s;

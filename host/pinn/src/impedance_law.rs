@@ -64,7 +64,7 @@ impl Default for ImpedanceOrder {
 
 /// Law of one order at one harmonic, without R and L.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct AtHarmonic {
+pub(crate) struct HarmonicLaw {
     /// Position of the harmonic in the basis.
     pub index: usize,
     /// ∂Z/∂R.
@@ -76,7 +76,7 @@ pub(crate) struct AtHarmonic {
     omega: f64,
 }
 
-impl AtHarmonic {
+impl HarmonicLaw {
     /// Creates the law of order `n` at the harmonic in position `index` of the basis.
     pub fn new(n: f64, basis: &HarmonicBasis, index: usize) -> Self {
         let (h, omega) = (f64::from(basis.harmonics[index]), basis.omega);
@@ -154,7 +154,7 @@ mod tests {
             let (r, l) = (fundamental.re, fundamental.im / omega);
             for (index, h) in [1.0, 3.0, 5.0, 7.0].into_iter().enumerate() {
                 let s = Complex::new(0.0, h * omega);
-                let (found, slope) = AtHarmonic::new(n, &basis(omega), index).impedance(r, l);
+                let (found, slope) = HarmonicLaw::new(n, &basis(omega), index).impedance(r, l);
                 let right = z(s, l_0, k, n);
                 assert!((found - right).norm() < 1e-9 * right.norm());
                 let step = Complex::new(0.0, 1e-4 * omega);
@@ -166,7 +166,7 @@ mod tests {
 
     #[test]
     fn order_zero_is_the_papers_equation() {
-        let law = AtHarmonic::new(0.0, &basis(3e5), 2);
+        let law = HarmonicLaw::new(0.0, &basis(3e5), 2);
         let (z, slope) = law.impedance(4.0, 20e-6);
         assert_eq!((z, slope.re), (Complex::new(4.0, 5.0 * 3e5 * 20e-6), 20e-6));
         assert_eq!(slope.im, 0.0);
@@ -174,7 +174,7 @@ mod tests {
 
     #[test]
     fn the_columns_are_the_derivatives_of_the_voltage() {
-        let law = AtHarmonic::new(0.4, &basis(3e5), 1);
+        let law = HarmonicLaw::new(0.4, &basis(3e5), 1);
         let at = Phasors {
             v: Complex::new(0.0, 0.0),
             i: Complex::new(0.3, -0.7),

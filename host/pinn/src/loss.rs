@@ -15,7 +15,7 @@ use nalgebra::Complex;
 use crate::PinnError;
 use crate::backend::Backend;
 use crate::harmonic_branch::HarmonicBranch;
-use crate::impedance_law::AtHarmonic;
+use crate::impedance_law::HarmonicLaw;
 use crate::levenberg_marquardt::Evaluation;
 use crate::parameters::{OUTPUTS, Parameters};
 use crate::rl_mlp::{RlMlp, matrix, read};
@@ -51,7 +51,7 @@ impl SlowPhysics {
         branch: &HarmonicBranch,
         samples: &NormalisedWaveform,
         parameters: &Parameters,
-        harmonics: &[AtHarmonic],
+        harmonics: &[HarmonicLaw],
         w_f: f64,
         tau_s: Vec<f64>,
     ) -> Self {

@@ -33,7 +33,7 @@ pub struct Progress {
 /// Reason why the optimiser stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum StoppedBecause {
+pub enum StopReason {
     /// R and L have converged.
     Settled,
     /// No damping gives a smaller loss: a minimum to working precision.
@@ -46,7 +46,7 @@ pub enum StoppedBecause {
     RolledBack,
 }
 
-impl StoppedBecause {
+impl StopReason {
     /// Returns `true` if the parameters are a minimum and not just the best so far.
     #[must_use]
     pub fn is_converged(self) -> bool {
@@ -54,7 +54,7 @@ impl StoppedBecause {
     }
 }
 
-impl fmt::Display for StoppedBecause {
+impl fmt::Display for StopReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Settled => "R and L settled",
@@ -149,11 +149,11 @@ impl<'a> Log<'a> {
     }
 
     /// Limit that is reached; `None` if there is none.
-    pub fn exhausted(&self) -> Option<StoppedBecause> {
+    pub fn exhausted(&self) -> Option<StopReason> {
         if self.iteration >= self.max_iterations {
-            Some(StoppedBecause::IterationLimit)
+            Some(StopReason::IterationLimit)
         } else if !self.deterministic && self.started.elapsed() >= self.time_limit {
-            Some(StoppedBecause::TimeLimit)
+            Some(StopReason::TimeLimit)
         } else {
             None
         }

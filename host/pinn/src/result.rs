@@ -6,10 +6,10 @@ use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
 
 use crate::harmonic_branch::HarmonicBranch;
-use crate::networks::Signals;
+use crate::networks::signals::Signals;
 use crate::progress::Log;
 use crate::waveform::NormalisedWaveform;
-use crate::{Config, Parameters, Progress, StoppedBecause};
+use crate::{Config, Parameters, Progress, StopReason};
 
 /// Terms of the paper's loss at the end, in the paper's normalised units.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -83,7 +83,7 @@ impl Reconstruction {
 
 /// R(t) and L(t) of one window, with the details of the training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Identified {
+pub struct Identification {
     /// Times after the mains zero crossing, evenly spaced from the first to the last pair, s.
     pub t_s: Vec<f64>,
     /// R at those times, ohm.
@@ -114,7 +114,7 @@ pub struct Identified {
     /// Alternations between VI branch and RL-MLP.
     pub passes: usize,
     /// Reason why the optimiser stopped.
-    pub stopped_because: StoppedBecause,
+    pub stopped_because: StopReason,
     /// Wall-clock time of the call, and of earlier runs if it continued from a checkpoint, s.
     pub elapsed_s: f64,
     /// 100 * sum((v_hat - v)^2) / sum(v^2) over the fitted points, %.
@@ -128,7 +128,7 @@ pub struct Identified {
     pub parameters: Parameters,
 }
 
-impl Identified {
+impl Identification {
     /// R at `t_s` seconds after the mains zero crossing, ohm.
     #[must_use]
     pub fn r_at(&self, t_s: f64) -> f64 {
@@ -207,9 +207,9 @@ pub(crate) fn assemble_networks(
     parameters: Parameters,
     signals: Signals,
     losses: Losses,
-    stopped: StoppedBecause,
+    stopped: StopReason,
     log: Log<'_>,
-) -> Identified {
+) -> Identification {
     let tau_s = result_times_s(samples, config);
     let (r_ohm, l_h) = tau_s
         .iter()
@@ -217,12 +217,12 @@ pub(crate) fn assemble_networks(
         .unzip();
     let (mut i_amplitude_a, mut r_power_ohm) = (Vec::new(), Vec::new());
     for tau in &tau_s {
-        let around = Around::of(samples, &signals, *tau);
+        let around = LocalMeans::of(samples, &signals, *tau);
         i_amplitude_a.push(around.amplitude * samples.i_max_ampere);
         r_power_ohm.push(around.power_ratio / samples.impedance_scale());
     }
     let at_points = |x: &[f64]| -> Vec<f64> { signals.sample.iter().map(|n| x[*n]).collect() };
-    Identified {
+    Identification {
         impedance_order: 0.0,
         nmse_v_pct: nmse_pct(losses.l_i1, &at_points(&samples.v)),
         nmse_i_pct: nmse_pct(losses.l_i2, &at_points(&samples.i)),
@@ -245,18 +245,18 @@ pub(crate) fn assemble_networks(
     }
 }
 
-/// Switching periods on either side of a time that [`Around`] covers.
+/// Switching periods on either side of a time that [`LocalMeans`] covers.
 const PERIODS: f64 = 2.0;
 
 /// Current and power of the signals around one time.
-struct Around {
+struct LocalMeans {
     /// Amplitude of the current's fundamental, normalised.
     amplitude: f64,
     /// Mean of v i over mean of i^2, normalised.
     power_ratio: f64,
 }
 
-impl Around {
+impl LocalMeans {
     fn of(samples: &NormalisedWaveform, signals: &Signals, tau_s: f64) -> Self {
         let reach_s = PERIODS * TAU / samples.omega;
         let time = |n: &usize| *n as f64 * samples.dt_s;

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
-use crate::impedance_law::AtHarmonic;
+use crate::impedance_law::HarmonicLaw;
 use crate::loss::{SlowPhysics, slow_times_s};
 use crate::parameters::Parameters;
 use crate::vi_system::DataSystem;
@@ -57,8 +57,8 @@ pub(crate) fn basis(samples: &NormalisedWaveform) -> HarmonicBasis {
 }
 
 /// Impedance law of this order at these positions of the basis; 0 is eq. (1).
-pub(crate) fn laws(order: f64, basis: &HarmonicBasis, indices: &[usize]) -> Vec<AtHarmonic> {
-    let law = |index: &usize| AtHarmonic::new(order, basis, *index);
+pub(crate) fn laws(order: f64, basis: &HarmonicBasis, indices: &[usize]) -> Vec<HarmonicLaw> {
+    let law = |index: &usize| HarmonicLaw::new(order, basis, *index);
     indices.iter().map(law).collect()
 }
 

@@ -8,7 +8,7 @@ use ihd_spline::harmonic::{HarmonicFit, NormalEquations};
 
 use crate::PinnError;
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
-use crate::impedance_law::AtHarmonic;
+use crate::impedance_law::HarmonicLaw;
 use crate::waveform::NormalisedWaveform;
 
 /// R and L at one slow time, normalised by the waveform's maxima.
@@ -30,7 +30,7 @@ pub(crate) struct PhysicsTerm<'a> {
     /// R and L on the slow collocation grid.
     pub impedance: &'a [Impedance],
     /// Impedance law at each harmonic that the term covers.
-    pub harmonics: &'a [AtHarmonic],
+    pub harmonics: &'a [HarmonicLaw],
 }
 
 /// Normal equations of the data terms. Voltage and current share the matrix, because times and functions are the
@@ -182,7 +182,7 @@ mod tests {
     use crate::trial;
 
     /// L_f by Parseval, eq. (4), for a constant normalised impedance.
-    fn l_f(branch: &HarmonicBranch, laws: &[AtHarmonic], impedance: &[Impedance]) -> f64 {
+    fn l_f(branch: &HarmonicBranch, laws: &[HarmonicLaw], impedance: &[Impedance]) -> f64 {
         let sum: f64 = impedance
             .iter()
             .flat_map(|z| laws.iter().map(move |law| (law, z)))

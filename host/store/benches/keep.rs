@@ -2,7 +2,7 @@
 //! `TMPDIR` names.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use ihd_store::{Settings, Store};
+use ihd_store::{Store, StoreOptions};
 
 #[path = "../tests/it/fixture.rs"]
 #[allow(dead_code, reason = "the tests use all of it")]
@@ -10,7 +10,7 @@ mod fixture;
 
 fn commits(c: &mut Criterion) {
     let folder = tempfile::tempdir().expect("a folder");
-    let opened = Store::open(folder.path(), &Settings::default());
+    let opened = Store::open(folder.path(), &StoreOptions::default());
     let mut store = opened.expect("a store").store;
     let session = fixture::session(&mut store);
     let mut group = c.benchmark_group("store");

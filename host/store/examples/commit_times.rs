@@ -5,7 +5,7 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use ihd_store::{Reader, Settings, Store};
+use ihd_store::{Reader, Store, StoreOptions};
 
 #[path = "../tests/it/fixture.rs"]
 #[allow(dead_code, reason = "the tests use all of it")]
@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .nth(1)
         .map_or_else(std::env::temp_dir, PathBuf::from);
     let folder = tempfile::tempdir_in(parent)?;
-    let mut store = Store::open(folder.path(), &Settings::default())?.store;
+    let mut store = Store::open(folder.path(), &StoreOptions::default())?.store;
     let session = fixture::session(&mut store);
     let learned = vec![b'x'; 20_000];
     let (mut windows, mut results) = (Vec::new(), Vec::new());
@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     drop(store);
     let began = Instant::now();
-    drop(Store::open(folder.path(), &Settings::default())?);
+    drop(Store::open(folder.path(), &StoreOptions::default())?);
     println!(
         "a start checks {} MB in {:?}",
         collected.bytes_left / 1_000_000,

@@ -114,9 +114,9 @@ impl Reader {
 /// Adds the faults of SQLite's own check.
 fn note(
     wrong: &mut Vec<String>,
-    found: Result<IntegrityCheck, StoreError>,
+    result: Result<IntegrityCheck, StoreError>,
 ) -> Result<(), StoreError> {
-    match or_wrong(wrong, found)? {
+    match or_wrong(wrong, result)? {
         Some(IntegrityCheck::Corrupt(why)) => wrong.push(why),
         Some(IntegrityCheck::TimedOut) => wrong.push("not checked to the end".to_owned()),
         Some(IntegrityCheck::Ok) | None => {}

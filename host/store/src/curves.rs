@@ -179,11 +179,11 @@ impl Day {
              SET {points_of} = excluded.{points_of}, {packed_of} = excluded.{packed_of}"
         );
         let points = curve.t_s.len() as i64;
-        let kept = self
+        let rows = self
             .connection
             .execute(&sql, params![device, boot, seq, points, packed])
             .map_err(StoreError::database(self.path(), "storing a curve"))?;
-        Ok(kept > 0)
+        Ok(rows > 0)
     }
 
     /// Returns the curves of a window.
@@ -197,14 +197,14 @@ impl Day {
         let packed = |row: &Row<'_>, k: usize| -> rusqlite::Result<Packed> {
             Ok(row.get::<_, Option<u32>>(k)?.zip(row.get(k + 1)?))
         };
-        let found = self
+        let curves = self
             .connection
             .query_row(sql, params![device, boot, seq], |row| {
                 Ok((packed(row, 0)?, packed(row, 2)?))
             })
             .optional()
             .map_err(StoreError::database(self.path(), "reading a curve"))?;
-        let Some((network, truth)) = found else {
+        let Some((network, truth)) = curves else {
             return Ok(Curves::default());
         };
         let unpack = |packed: Packed| {

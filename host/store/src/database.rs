@@ -105,8 +105,8 @@ pub fn try_writing(
     within: Duration,
 ) -> Result<IntegrityCheck, StoreError> {
     let connection = open_to_read(path, schema)?;
-    let found = quick_check(&connection, path, within)?;
-    if let IntegrityCheck::Corrupt(why) = found {
+    let integrity = quick_check(&connection, path, within)?;
+    if let IntegrityCheck::Corrupt(why) = integrity {
         return Err(damaged(path, why));
     }
     drop(connection);
@@ -116,7 +116,7 @@ pub fn try_writing(
         connection.execute_batch("BEGIN IMMEDIATE; ROLLBACK")
     });
     begun.map_err(as_error(path, "a trial of writing"))?;
-    Ok(found)
+    Ok(integrity)
 }
 
 fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<(), StoreError> {
@@ -158,7 +158,7 @@ fn version(connection: &Connection, path: &Path, schema: &Schema) -> Result<i64,
             .pragma_query_value(None, name, |row| row.get::<_, i64>(0))
             .map_err(as_error(path, "opening"))
     };
-    let (application, found) = (pragma("application_id")?, pragma("user_version")?);
+    let (application, version) = (pragma("application_id")?, pragma("user_version")?);
     let known = schema.steps.len() as i64;
     let any: i64 = connection
         .query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))
@@ -166,15 +166,19 @@ fn version(connection: &Connection, path: &Path, schema: &Schema) -> Result<i64,
     if any > 0 && application != i64::from(schema.application_id) {
         return Err(damaged(path, "it is another program's database".to_owned()));
     }
-    if found > known {
+    if version > known {
         let file = path.to_owned();
-        return Err(StoreError::Newer { file, found, known });
+        return Err(StoreError::Newer {
+            file,
+            version,
+            known,
+        });
     }
-    if found < 0 || (found == 0) != (any == 0) {
-        let why = format!("its tables are of version {found}, and there are {any} of them");
+    if version < 0 || (version == 0) != (any == 0) {
+        let why = format!("its tables are of version {version}, and there are {any} of them");
         return Err(damaged(path, why));
     }
-    Ok(found)
+    Ok(version)
 }
 
 fn migrate(
@@ -207,14 +211,14 @@ fn tables(
 ) -> Result<(), StoreError> {
     let made = usize::try_from(version).unwrap_or(0);
     for table in schema.tables.iter().take(made).copied().flatten() {
-        let found: i64 = connection
+        let count: i64 = connection
             .query_row(
                 "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = ?1",
                 [table],
                 |row| row.get(0),
             )
             .map_err(as_error(path, "opening"))?;
-        if found == 0 {
+        if count == 0 {
             return Err(damaged(path, format!("a table is missing: {table}")));
         }
     }

@@ -28,14 +28,14 @@ pub enum StoreError {
     },
     /// The database was written by a later ihd.
     #[error(
-        "{}: version {found} of its tables, and this ihd knows {known}: use the ihd that wrote it, or a newer one",
+        "{}: version {version} of its tables, and this ihd knows {known}: use the ihd that wrote it, or a newer one",
         file.display()
     )]
     Newer {
         /// The database.
         file: PathBuf,
         /// Its version.
-        found: i64,
+        version: i64,
         /// The latest known.
         known: i64,
     },
@@ -253,7 +253,7 @@ pub(crate) fn write_beside(file: &Path, bytes: usize) -> io::Result<()> {
         file.write_all(&vec![0; bytes])?;
         file.sync_all()
     });
-    // A failure to remove it says nothing about room.
+    // A failure to remove it does not concern the room.
     let _ = fs::remove_file(&path);
     tried
 }

@@ -178,19 +178,19 @@ impl Store {
         mut skip: usize,
         limit: usize,
     ) -> Result<Vec<DueWindow>, StoreError> {
-        let (mut found, now_ms) = (Vec::new(), self.now());
+        let (mut due, now_ms) = (Vec::new(), self.now());
         for file in folder::days(self.folder())? {
-            let left = limit - found.len();
+            let left = limit - due.len();
             let of_day =
                 self.on_day(file, |day| day.unanswered((before_ms, now_ms), skip + left))?;
             let skipped = skip.min(of_day.len());
             skip -= skipped;
-            found.extend(of_day.into_iter().skip(skipped));
-            if found.len() >= limit {
+            due.extend(of_day.into_iter().skip(skipped));
+            if due.len() >= limit {
                 break;
             }
         }
-        Ok(found)
+        Ok(due)
     }
 
     /// Returns the state of a window of any day in the fleet; `None` if the store does not hold the window.
@@ -212,10 +212,10 @@ impl Store {
     /// Errors of the database.
     pub fn fleet_mark(&self, mark: FleetMark) -> Result<Option<i64>, StoreError> {
         let sql = "SELECT value FROM fleet WHERE what = ?1";
-        let found = self
+        let value = self
             .records()
             .query_row(sql, [mark.name()], |row| row.get(0));
-        found
+        value
             .optional()
             .map_err(self.failed("looking for what a fleet was"))
     }

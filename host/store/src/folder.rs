@@ -77,14 +77,14 @@ pub fn days(folder: &Path) -> Result<Vec<DayFile>, StoreError> {
 /// # Errors
 /// Errors of the operating system.
 pub fn damaged_days(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
-    let mut found: Vec<PathBuf> = names(folder)?
+    let mut names: Vec<PathBuf> = names(folder)?
         .into_iter()
         .filter(|name| name.starts_with("windows-") && name.contains(DAMAGED))
         .filter(|name| !BESIDE.iter().any(|beside| name.ends_with(beside)))
         .map(|name| folder.join(name))
         .collect();
-    found.sort();
-    Ok(found)
+    names.sort();
+    Ok(names)
 }
 
 /// Returns the names of all damaged databases that were set aside.
@@ -92,10 +92,10 @@ pub fn damaged_days(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
 /// # Errors
 /// Errors of the operating system.
 pub fn set_aside_names(folder: &Path) -> Result<Vec<String>, StoreError> {
-    let mut found = names(folder)?;
-    found.retain(|name| name.contains(DAMAGED) && !BESIDE.iter().any(|b| name.ends_with(b)));
-    found.sort();
-    Ok(found)
+    let mut names = names(folder)?;
+    names.retain(|name| name.contains(DAMAGED) && !BESIDE.iter().any(|b| name.ends_with(b)));
+    names.sort();
+    Ok(names)
 }
 
 fn names(folder: &Path) -> Result<Vec<String>, StoreError> {

@@ -177,14 +177,14 @@ impl Store {
     /// [`StoreError::NoLookup`], or an error of the database.
     pub fn activate_lookup(&mut self, device: DeviceId, version: u32) -> Result<(), StoreError> {
         let at_ms = self.now();
-        let found = self.change("activating a lookup", |change| {
-            let found = newest(change, device, version)?;
-            if let Some((id, _)) = found {
+        let lookup = self.change("activating a lookup", |change| {
+            let lookup = newest(change, device, version)?;
+            if let Some((id, _)) = lookup {
                 make_active(change, device, id, at_ms)?;
             }
-            Ok(found)
+            Ok(lookup)
         })?;
-        found.map(drop).ok_or(StoreError::NoLookup { version })
+        lookup.map(drop).ok_or(StoreError::NoLookup { version })
     }
 
     /// Marks the lookup of this version as refused by the device.
@@ -199,17 +199,17 @@ impl Store {
         why: &str,
     ) -> Result<(), StoreError> {
         let (at_ms, why) = (self.now(), printable(why));
-        let found = self.change("refusing a lookup", |change| {
-            let found = newest(change, device, version)?;
-            if let Some((id, LookupState::Pending)) = found {
+        let lookup = self.change("refusing a lookup", |change| {
+            let lookup = newest(change, device, version)?;
+            if let Some((id, LookupState::Pending)) = lookup {
                 change.execute(
                     "UPDATE lookups SET state = 'refused', at_ms = ?2, why = ?3 WHERE id = ?1",
                     params![id, at_ms, why],
                 )?;
             }
-            Ok(found)
+            Ok(lookup)
         })?;
-        match found {
+        match lookup {
             None => Err(StoreError::NoLookup { version }),
             Some((_, LookupState::Pending | LookupState::Refused)) => Ok(()),
             Some((_, state)) => Err(StoreError::LookupState { version, state }),

@@ -37,11 +37,11 @@ impl Store {
         for file in self.days_with_due()? {
             let left = limit - due.len();
             let day = file.day.clone();
-            let found = self.on_day(file, |day| day.due(left))?;
-            if found.is_empty() && due.is_empty() {
+            let of_day = self.on_day(file, |day| day.due(left))?;
+            if of_day.is_empty() && due.is_empty() {
                 self.none_due_to = Some(day);
             }
-            due.extend(found);
+            due.extend(of_day);
             if due.len() >= limit {
                 break;
             }
@@ -118,10 +118,10 @@ impl Store {
     ) -> Result<Option<SessionId>, StoreError> {
         let sql = "SELECT sessions.id FROM sessions JOIN devices ON devices.id = sessions.device
             WHERE devices.name = ?1 AND boot = ?2 ORDER BY sessions.id DESC LIMIT 1";
-        let found = self
+        let session = self
             .records()
             .query_row(sql, params![device, boot], |row| row.get(0));
-        found
+        session
             .optional()
             .map_err(self.failed("looking for a session"))
     }
@@ -142,11 +142,11 @@ impl Store {
     /// Searches the days, the newest first, until one has a result.
     pub(crate) fn on_newest_day<T>(
         &self,
-        look: impl Fn(&Day) -> Result<Option<T>, StoreError>,
+        read: impl Fn(&Day) -> Result<Option<T>, StoreError>,
     ) -> Result<Option<T>, StoreError> {
         let days = folder::days(self.folder())?;
-        let mut found = days.into_iter().rev().map(|file| self.on_day(file, &look));
-        found.find_map(Result::transpose).transpose()
+        let mut results = days.into_iter().rev().map(|file| self.on_day(file, &read));
+        results.find_map(Result::transpose).transpose()
     }
 
     /// Returns `true` if there is a result of this window.
@@ -154,9 +154,9 @@ impl Store {
     /// # Errors
     /// Errors of the database.
     pub fn has_result(&self, device: &str, boot: u32, seq: u32) -> Result<bool, StoreError> {
-        let found = results::of_window(self.records(), device, boot, seq);
-        let found = found.map_err(self.failed("reading a result"))?;
-        Ok(found.is_some())
+        let result = results::of_window(self.records(), device, boot, seq);
+        let result = result.map_err(self.failed("reading a result"))?;
+        Ok(result.is_some())
     }
 
     /// Returns events that the fleet has not acknowledged, oldest first, with their numbers; if none was ever sent, only those from now on.
@@ -212,7 +212,7 @@ impl Store {
         let mut secret = [0; 16];
         for (half, what) in secret.chunks_mut(8).zip(["secret 1", "secret 2"]) {
             let made = chance();
-            let kept: i64 = self.change("making a secret", |change| {
+            let stored: i64 = self.change("making a secret", |change| {
                 change.execute(
                     "INSERT INTO fleet (what, value) VALUES (?1, ?2) ON CONFLICT DO NOTHING",
                     params![what, made],
@@ -221,7 +221,7 @@ impl Store {
                     row.get(0)
                 })
             })?;
-            half.copy_from_slice(&kept.to_be_bytes());
+            half.copy_from_slice(&stored.to_be_bytes());
         }
         Ok(secret)
     }

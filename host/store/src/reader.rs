@@ -159,8 +159,8 @@ impl Reader {
     /// Errors of the database.
     pub fn session(&self, id: SessionId) -> Result<Option<SessionRow>, StoreError> {
         let sql = format!("{SESSIONS} WHERE sessions.id = ?1");
-        let found = self.records.query_row(&sql, [id], session_row).optional();
-        found.map_err(self.failed("reading a session"))
+        let row = self.records.query_row(&sql, [id], session_row).optional();
+        row.map_err(self.failed("reading a session"))
     }
 
     /// Returns the last session of a device's boot; `None` if there is none.
@@ -172,8 +172,8 @@ impl Reader {
             "{SESSIONS} WHERE devices.name = ?1 AND boot = ?2 ORDER BY sessions.id DESC LIMIT 1"
         );
         let of = rusqlite::params![device, boot];
-        let found = self.records.query_row(&sql, of, session_row).optional();
-        found.map_err(self.failed("reading a session"))
+        let row = self.records.query_row(&sql, of, session_row).optional();
+        row.map_err(self.failed("reading a session"))
     }
 
     /// Returns the confidence of a device's lookup of this version; `None` if it is not known.
@@ -228,8 +228,8 @@ impl Reader {
     ) -> Result<Vec<Option<i64>>, StoreError> {
         let mut times = vec![None; windows.len()];
         for day in self.days_between(from_ms, to_ms)? {
-            for (time, found) in times.iter_mut().zip(day.times(device, windows)?) {
-                *time = time.or(found);
+            for (time, stored) in times.iter_mut().zip(day.times(device, windows)?) {
+                *time = time.or(stored);
             }
         }
         Ok(times)
@@ -349,18 +349,18 @@ impl Reader {
     pub(crate) fn days_between(&self, from_ms: i64, to_ms: i64) -> Result<Vec<Day>, StoreError> {
         let [first, last] = [from_ms, to_ms].map(|at_ms| super::clock::day(at_ms.max(0)));
         let days = folder::days(&self.folder)?.into_iter();
-        let wanted = days.filter(|file| file.day >= first && file.day <= last);
-        wanted.map(Day::open_to_read).collect()
+        let selected = days.filter(|file| file.day >= first && file.day <= last);
+        selected.map(Day::open_to_read).collect()
     }
 
     /// Opens the days with windows of that time or later, oldest first.
     pub(crate) fn days_since(&self, since_ms: Option<i64>) -> Result<Vec<Day>, StoreError> {
         let first = since_ms.map(super::clock::day);
         let days = folder::days(&self.folder)?;
-        let wanted = days
+        let selected = days
             .into_iter()
             .filter(|file| first.as_ref().is_none_or(|first| file.day >= *first));
-        wanted.map(Day::open_to_read).collect()
+        selected.map(Day::open_to_read).collect()
     }
 }
 

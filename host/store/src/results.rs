@@ -300,7 +300,7 @@ impl Store {
             Ok(id)
         })?;
         let is_informative = !result.pass || result.changed_lookup;
-        if self.settings().keep == SamplePolicy::Telling && !is_informative {
+        if self.options().keep == SamplePolicy::Informative && !is_informative {
             self.drop_samples(&name, boot, result.seq, SampleDropReason::Uninformative);
         }
         Ok(id)

@@ -21,7 +21,7 @@ pub struct CollectionReport {
     pub deleted: Vec<PathBuf>,
     /// Bytes that they took.
     pub bytes: u64,
-    /// Windows whose samples were deleted by [`SamplePolicy::Telling`].
+    /// Windows whose samples were deleted by [`SamplePolicy::Informative`].
     pub samples_dropped: u64,
     /// Rows of results, events and commands that were too many.
     pub rows: u64,
@@ -47,14 +47,14 @@ impl DeletedFiles {
 
 impl Store {
     /// Deletes days of windows that are too old, today's never; thins windows that take too much room (thinning.rs); deletes samples
-    /// without information if the policy is [`SamplePolicy::Telling`]; checkpoints the databases' logs, so that sizes are right.
+    /// without information if the policy is [`SamplePolicy::Informative`]; checkpoints the databases' logs, so that sizes are right.
     ///
     /// # Errors
     /// Errors of the database or the operating system; deletions up to then are done.
     pub fn collect_garbage(&mut self) -> Result<CollectionReport, StoreError> {
         let mut collected = CollectionReport::default();
         self.grow_older()?;
-        if self.settings().keep == SamplePolicy::Telling {
+        if self.options().keep == SamplePolicy::Informative {
             collected.samples_dropped = self.drop_uninformative_samples()?;
         }
         for table in ["results", "events", "audit"] {
@@ -133,7 +133,7 @@ impl Store {
         let mut deleted = DeletedFiles::default();
         let today = clock::day(self.now());
         self.age_of(&today)?;
-        let Some(days) = self.settings().retention.max_age_days else {
+        let Some(days) = self.options().retention.max_age_days else {
             return Ok(deleted);
         };
         // The day itself, and `days` more.

@@ -3,7 +3,7 @@
 use rusqlite::params;
 
 use super::folder::{self, DayFile};
-use super::thinning::{Candidate, Cursor, Identified, Tier};
+use super::thinning::{Candidate, Cursor, ImpedanceEstimate, Tier};
 use super::windows::{Day, SampleDropReason};
 use super::{Store, StoreError, clock};
 
@@ -24,7 +24,7 @@ impl Store {
     /// Returns the bytes of windows beyond their limit.
     pub(crate) fn excess_bytes(&self) -> Result<u64, StoreError> {
         let bytes = self.other_days_bytes.saturating_add(self.today_bytes()?);
-        Ok(bytes.saturating_sub(self.settings().retention.max_bytes))
+        Ok(bytes.saturating_sub(self.options().retention.max_bytes))
     }
 
     /// Makes room until all windows fit, for one round at most; the next stored window continues.
@@ -161,16 +161,19 @@ impl Store {
     }
 
     /// Returns R and L of a window if the gate accepts it, and `true` if there is any result.
-    fn identified(&self, window: &Candidate) -> Result<(Option<Identified>, bool), StoreError> {
+    fn identified(
+        &self,
+        window: &Candidate,
+    ) -> Result<(Option<ImpedanceEstimate>, bool), StoreError> {
         use rusqlite::OptionalExtension;
         let of = params![window.device, window.boot, window.seq];
         let mut statement = self
             .records()
             .prepare(IDENTIFIED)
             .map_err(self.failed("looking for a result"))?;
-        let found = statement.query_row(of, |row| {
+        let result = statement.query_row(of, |row| {
             let real = |k: usize| row.get::<_, Option<f64>>(k);
-            let identified = Identified {
+            let identified = ImpedanceEstimate {
                 r_ohm: real(0)?.unwrap_or(f64::NAN),
                 l_h: real(1)?.unwrap_or(f64::NAN),
                 sigma_r_pct: real(2)?.unwrap_or(f64::NAN),
@@ -179,10 +182,10 @@ impl Store {
             let is_good = row.get(4)? && identified.r_ohm.is_finite() && identified.l_h.is_finite();
             Ok(is_good.then_some(identified))
         });
-        let found = found
+        let result = result
             .optional()
             .map_err(self.failed("looking for a result"))?;
-        Ok((found.flatten(), found.is_some()))
+        Ok((result.flatten(), result.is_some()))
     }
 
     /// Takes a day's database out of the open ones, or opens it; returns it with its place.

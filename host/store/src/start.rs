@@ -11,7 +11,7 @@ use super::clock::{self, Clock};
 use super::database::{self, IntegrityCheck};
 use super::folder::{self, Damage, Lock};
 use super::schema::{RECORDS, Schema, WINDOWS};
-use super::{Settings, Store, StoreError};
+use super::{Store, StoreError, StoreOptions};
 
 /// Time limit of the check of `ihd.db` at a start.
 const CHECK_RECORDS: Duration = Duration::from_secs(30);
@@ -35,8 +35,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::InUse`] if another process has the store, [`StoreError::Newer`] if a later ihd
     /// wrote it, or an error of the database or the operating system.
-    pub fn open(folder: &Path, settings: &Settings) -> Result<OpenedStore, StoreError> {
-        Self::open_with_clock(folder, settings, clock::of_the_machine())
+    pub fn open(folder: &Path, options: &StoreOptions) -> Result<OpenedStore, StoreError> {
+        Self::open_with_clock(folder, options, clock::of_the_machine())
     }
 
     /// Opens the store with another clock than the machine's; see [`Store::open`].
@@ -45,7 +45,7 @@ impl Store {
     /// The same as for [`Store::open`].
     pub fn open_with_clock(
         folder: &Path,
-        settings: &Settings,
+        options: &StoreOptions,
         clock: Clock,
     ) -> Result<OpenedStore, StoreError> {
         fs::create_dir_all(folder).map_err(StoreError::files(folder, "making the folder"))?;
@@ -57,11 +57,11 @@ impl Store {
         let path = folder.join(folder::RECORDS);
         let (records, _) = whole(&path, &RECORDS, CHECK_RECORDS, at_ms, &mut damage)?;
         check_days(folder, at_ms, &mut damage)?;
-        let mut store = Store::new(folder, settings, clock, records, lock)?;
+        let mut store = Store::new(folder, options, clock, records, lock)?;
         store.end_sessions_that_were_cut_off()?;
         store.resume_recent()?;
-        for found in &damage {
-            store.event(None, "damage", &describe(found))?;
+        for file in &damage {
+            store.event(None, "damage", &describe(file))?;
         }
         Ok(OpenedStore { store, damage })
     }
@@ -82,13 +82,13 @@ fn check_days(folder: &Path, at_ms: i64, damage: &mut Vec<Damage>) -> Result<(),
     for day in folder::days(folder)?.iter().rev() {
         let left = CHECK_WINDOWS.saturating_sub(began.elapsed());
         let before = damage.len();
-        let (connection, found) = whole(&day.path, &WINDOWS, left, at_ms, damage)?;
+        let (connection, integrity) = whole(&day.path, &WINDOWS, left, at_ms, damage)?;
         drop(connection);
         if damage.len() > before {
             // No windows of that day are left: no file is clearer than an empty one.
             folder::delete(&day.path)?;
         }
-        if found == IntegrityCheck::TimedOut {
+        if integrity == IntegrityCheck::TimedOut {
             tracing::warn!(file = %day.path.display(), "too long to check at a start; `ihd store check` checks it whole");
         }
     }
@@ -104,15 +104,15 @@ fn whole(
     damage: &mut Vec<Damage>,
 ) -> Result<(Connection, IntegrityCheck), StoreError> {
     let why = match checked(path, schema, within) {
-        Ok((connection, found @ (IntegrityCheck::Ok | IntegrityCheck::TimedOut))) => {
-            return Ok((connection, found));
+        Ok((connection, integrity @ (IntegrityCheck::Ok | IntegrityCheck::TimedOut))) => {
+            return Ok((connection, integrity));
         }
         Ok((_, IntegrityCheck::Corrupt(why))) | Err(StoreError::Damaged { why, .. }) => why,
         Err(error) => return Err(error),
     };
-    let found = folder::set_aside(path, why, at_ms)?;
-    tracing::error!("{}", describe(&found));
-    damage.push(found);
+    let set_aside = folder::set_aside(path, why, at_ms)?;
+    tracing::error!("{}", describe(&set_aside));
+    damage.push(set_aside);
     Ok((database::open(path, schema)?, IntegrityCheck::Ok))
 }
 
@@ -122,6 +122,6 @@ fn checked(
     within: Duration,
 ) -> Result<(Connection, IntegrityCheck), StoreError> {
     let connection = database::open(path, schema)?;
-    let found = database::quick_check(&connection, path, within)?;
-    Ok((connection, found))
+    let integrity = database::quick_check(&connection, path, within)?;
+    Ok((connection, integrity))
 }

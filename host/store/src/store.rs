@@ -16,13 +16,13 @@ use super::retention::{DeletedFiles, checkpoint};
 use super::text::printable;
 use super::thinning::Thinning;
 use super::windows::{Day, InsertOutcome, OpenDays, SampleDropReason};
-use super::{DeviceId, SamplePolicy, SessionId, Settings, StoreError, start};
+use super::{DeviceId, SamplePolicy, SessionId, StoreError, StoreOptions, start};
 
 /// A store opened for writing. Its methods block; when one has returned `Ok`, its change is committed.
 pub struct Store {
     folder: PathBuf,
     path: PathBuf,
-    settings: Settings,
+    options: StoreOptions,
     clock: Clock,
     records: Connection,
     pub(crate) days: OpenDays,
@@ -94,7 +94,7 @@ JOIN devices ON devices.id = sessions.device WHERE sessions.id = ?1";
 impl Store {
     pub(crate) fn new(
         folder: &Path,
-        settings: &Settings,
+        options: &StoreOptions,
         clock: Clock,
         records: Connection,
         lock: Lock,
@@ -102,7 +102,7 @@ impl Store {
         Ok(Self {
             folder: folder.to_owned(),
             path: folder.join(folder::RECORDS),
-            settings: *settings,
+            options: *options,
             clock,
             records,
             days: OpenDays::default(),
@@ -146,8 +146,8 @@ impl Store {
         &mut self.figures
     }
 
-    pub(crate) fn settings(&self) -> &Settings {
-        &self.settings
+    pub(crate) fn options(&self) -> &StoreOptions {
+        &self.options
     }
 
     pub(crate) fn records(&self) -> &Connection {
@@ -269,7 +269,7 @@ impl Store {
         match self.sessions.entry(session) {
             Entry::Occupied(known) => Ok(known.into_mut()),
             Entry::Vacant(vacant) => {
-                let found = self
+                let row = self
                     .records
                     .query_row(SESSION, [session], |row| {
                         Ok(Session {
@@ -281,8 +281,8 @@ impl Store {
                     })
                     .optional()
                     .map_err(StoreError::database(&self.path, "reading a session"))?;
-                let found = found.ok_or(StoreError::NoSession { session })?;
-                Ok(vacant.insert(found))
+                let row = row.ok_or(StoreError::NoSession { session })?;
+                Ok(vacant.insert(row))
             }
         }
     }
@@ -315,7 +315,7 @@ impl Store {
                 self.set_today_aside(&error)?;
                 self.keep(session, window, for_fleet)
             }
-            kept => kept,
+            result => result,
         }
     }
 
@@ -345,26 +345,26 @@ impl Store {
                 folder: self.folder.clone(),
             });
         };
-        let kept = today.insert(&name, boot, at_ms, window, not_kept, for_fleet)?;
+        let outcome = today.insert(&name, boot, at_ms, window, not_kept, for_fleet)?;
         let is_due = for_fleet && not_kept.is_none();
         if is_due && self.none_due_to.as_ref() >= Some(&today.file.day) {
             self.none_due_to = None;
         }
-        if kept == InsertOutcome::New {
+        if outcome == InsertOutcome::New {
             self.tallies.remove(&today.file.day);
             let row = today.connection.last_insert_rowid();
             self.recent.note(&today.file.day, row, at_ms);
         }
-        self.count(kept, not_kept);
-        if kept == InsertOutcome::New {
+        self.count(outcome, not_kept);
+        if outcome == InsertOutcome::New {
             self.session(session)?.windows = windows.wrapping_add(1);
         }
-        Ok((kept, is_due))
+        Ok((outcome, is_due))
     }
 
     /// Returns the reason for which a window's samples are not stored; `windows` of its session came before.
     fn sample_drop_reason(&mut self, windows: u32) -> Result<Option<SampleDropReason>, StoreError> {
-        if let SamplePolicy::OneIn(n) = self.settings.keep
+        if let SamplePolicy::OneIn(n) = self.options.keep
             && !windows.is_multiple_of(n.max(1))
         {
             return Ok(Some(SampleDropReason::Policy));
@@ -372,7 +372,7 @@ impl Store {
         if let Err(error) = self.make_room() {
             tracing::warn!(%error, "room for newer windows could not be made");
         }
-        let max = self.settings.retention.max_bytes;
+        let max = self.options.retention.max_bytes;
         if self.excess_bytes()? <= max / BEYOND {
             return Ok(None);
         }
@@ -388,9 +388,9 @@ impl Store {
         Ok(Some(SampleDropReason::Size))
     }
 
-    fn count(&mut self, kept: InsertOutcome, not_kept: Option<SampleDropReason>) {
+    fn count(&mut self, outcome: InsertOutcome, not_kept: Option<SampleDropReason>) {
         let figures = &mut self.figures;
-        match (kept, not_kept) {
+        match (outcome, not_kept) {
             (InsertOutcome::Known, _) => {
                 figures.windows_known += 1;
                 return;

@@ -276,8 +276,8 @@ impl Day {
     /// Returns `true` if the day has this table; days of earlier versions lack some.
     pub(crate) fn has_table(&self, table: &str) -> Result<bool, StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = ?1)";
-        let found = self.connection.query_row(sql, [table], |row| row.get(0));
-        found.map_err(StoreError::database(self.path(), "looking for a table"))
+        let exists = self.connection.query_row(sql, [table], |row| row.get(0));
+        exists.map_err(StoreError::database(self.path(), "looking for a table"))
     }
 }
 
@@ -293,14 +293,14 @@ impl Store {
                 self.set_today_aside(&error)?;
                 self.keep_seconds(seconds)
             }
-            kept => kept,
+            result => result,
         }
     }
 
     fn keep_seconds(&mut self, seconds: &[TelemetrySecond]) -> Result<usize, StoreError> {
         let today = clock::day(self.now());
         self.turn_to(&today)?;
-        let mut kept = 0;
+        let mut stored = 0;
         for day in self.days.each() {
             let of_day = |second: &&TelemetrySecond| {
                 let at_ms = second.span.at_s.saturating_mul(1_000);
@@ -309,10 +309,10 @@ impl Store {
             let its: Vec<_> = seconds.iter().filter(of_day).collect();
             if !its.is_empty() {
                 day.keep_telemetry(&its)?;
-                kept += its.len();
+                stored += its.len();
             }
         }
-        Ok(kept)
+        Ok(stored)
     }
 }
 

@@ -34,19 +34,19 @@ pub(crate) struct Candidate {
 
 /// R and L of a window, with their standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Identified {
+pub(crate) struct ImpedanceEstimate {
     pub(crate) r_ohm: f64,
     pub(crate) l_h: f64,
     pub(crate) sigma_r_pct: f64,
     pub(crate) sigma_l_pct: f64,
 }
 
-impl Identified {
+impl ImpedanceEstimate {
     /// Returns `true` if R or L differs from that of another window by more than a standard deviation of this one.
-    fn differs(&self, kept: &Self) -> bool {
+    fn differs(&self, last: &Self) -> bool {
         // Without a standard deviation every difference counts.
-        let beyond = |x: f64, kept: f64, sigma_pct: f64| {
-            (x - kept).abs()
+        let beyond = |x: f64, last: f64, sigma_pct: f64| {
+            (x - last).abs()
                 > x.abs()
                     * 1e-2
                     * if sigma_pct.is_finite() {
@@ -55,12 +55,12 @@ impl Identified {
                         0.0
                     }
         };
-        beyond(self.r_ohm, kept.r_ohm, self.sigma_r_pct)
-            || beyond(self.l_h, kept.l_h, self.sigma_l_pct)
+        beyond(self.r_ohm, last.r_ohm, self.sigma_r_pct)
+            || beyond(self.l_h, last.l_h, self.sigma_l_pct)
     }
 }
 
-/// Progress of a tier, with the last window kept of each device.
+/// Progress of a tier, with the last stored window of each device.
 #[derive(Debug)]
 pub(crate) struct Cursor {
     pub(crate) tier: Tier,
@@ -68,12 +68,12 @@ pub(crate) struct Cursor {
     pub(crate) day: String,
     /// Last row passed there.
     pub(crate) after: i64,
-    kept: BTreeMap<String, LastKept>,
+    last: BTreeMap<String, LastStored>,
 }
 
 #[derive(Debug)]
-struct LastKept {
-    identified: Option<Identified>,
+struct LastStored {
+    identified: Option<ImpedanceEstimate>,
     minute: i64,
 }
 
@@ -83,7 +83,7 @@ impl Cursor {
             tier,
             day: String::new(),
             after: 0,
-            kept: BTreeMap::new(),
+            last: BTreeMap::new(),
         }
     }
 
@@ -94,21 +94,25 @@ impl Cursor {
     }
 
     /// Passes a window; returns `true` if its samples stay.
-    pub(crate) fn pass(&mut self, window: &Candidate, identified: Option<Identified>) -> bool {
+    pub(crate) fn pass(
+        &mut self,
+        window: &Candidate,
+        identified: Option<ImpedanceEstimate>,
+    ) -> bool {
         self.after = window.id;
         let minute = window.at_ms.div_euclid(60_000);
-        let before = self.kept.get(&window.device);
+        let before = self.last.get(&window.device);
         let keeps = match self.tier {
-            Tier::Changes => match (identified, before.and_then(|kept| kept.identified)) {
+            Tier::Changes => match (identified, before.and_then(|last| last.identified)) {
                 (Some(now), Some(before)) => now.differs(&before),
                 (now, _) => now.is_some(),
             },
-            Tier::Minutes => before.is_none_or(|kept| kept.minute != minute),
+            Tier::Minutes => before.is_none_or(|last| last.minute != minute),
             Tier::Nothing => false,
         };
         if keeps {
-            let kept = LastKept { identified, minute };
-            self.kept.insert(window.device.clone(), kept);
+            let last = LastStored { identified, minute };
+            self.last.insert(window.device.clone(), last);
         }
         keeps
     }
@@ -145,8 +149,8 @@ mod tests {
         }
     }
 
-    fn identified(r_ohm: f64, l_h: f64) -> Option<Identified> {
-        Some(Identified {
+    fn identified(r_ohm: f64, l_h: f64) -> Option<ImpedanceEstimate> {
+        Some(ImpedanceEstimate {
             r_ohm,
             l_h,
             sigma_r_pct: 1.0,
@@ -168,7 +172,7 @@ mod tests {
         assert!(!keeps(6, "a", identified(2.03, l * 1.004)));
         assert!(keeps(7, "a", identified(2.03, l * 1.006)));
         assert!(!keeps(8, "a", None));
-        let without = Identified {
+        let without = ImpedanceEstimate {
             sigma_r_pct: f64::NAN,
             ..identified(2.031, l * 1.006).unwrap()
         };

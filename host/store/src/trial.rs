@@ -44,9 +44,9 @@ pub fn try_folder(folder: &Path) -> Result<TrialReport, StoreError> {
     let mut tried = TrialReport::default();
     for (path, schema) in once((records, &schema::RECORDS)).chain(days) {
         let left = CHECKS.saturating_sub(began.elapsed());
-        let found = database::try_writing(&path, schema, left)?;
+        let integrity = database::try_writing(&path, schema, left)?;
         tried.databases += 1;
-        tried.checked += usize::from(found == IntegrityCheck::Ok);
+        tried.checked += usize::from(integrity == IntegrityCheck::Ok);
     }
     Ok(tried)
 }

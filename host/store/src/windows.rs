@@ -188,12 +188,12 @@ impl Day {
 
     /// Returns `true` if it holds a window, with samples or without.
     pub(crate) fn holds(&self, device: &str, boot: u32, seq: u32) -> Result<bool, StoreError> {
-        let found = self.connection.query_row(
+        let exists = self.connection.query_row(
             "SELECT EXISTS (SELECT 1 FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3)",
             params![device, boot, seq],
             |row| row.get(0),
         );
-        found.map_err(self.failed("looking for a window"))
+        exists.map_err(self.failed("looking for a window"))
     }
 
     /// Returns the time at which each of these windows of a device (boot and number) was stored; `None` if it is not of this day.
@@ -207,8 +207,8 @@ impl Day {
                 "SELECT at_ms FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3",
             )?;
             let mut time = |(boot, seq): &(u32, u32)| {
-                let found = statement.query_row(params![device, boot, seq], |row| row.get(0));
-                found.optional()
+                let time = statement.query_row(params![device, boot, seq], |row| row.get(0));
+                time.optional()
             };
             windows
                 .iter()
@@ -424,7 +424,7 @@ impl Day {
         let stored = self
             .connection
             .query_row(WHOLE, params![device, boot, seq], |row| {
-                Stored::read(row, seq)
+                StoredWindow::read(row, seq)
             })
             .optional()
             .map_err(self.failed("reading a window"))?;
@@ -444,8 +444,8 @@ impl Day {
     /// Returns device, boot and number of every window with samples.
     pub(crate) fn keys(&self) -> Result<Vec<(String, u32, u32)>, StoreError> {
         let rows = self.rows(&WindowFilter::default())?;
-        let kept = rows.into_iter().filter(|row| row.not_kept.is_none());
-        Ok(kept.map(|row| (row.device, row.boot, row.seq)).collect())
+        let stored = rows.into_iter().filter(|row| row.not_kept.is_none());
+        Ok(stored.map(|row| (row.device, row.boot, row.seq)).collect())
     }
 
     pub(crate) fn path(&self) -> &Path {
@@ -468,13 +468,13 @@ fn window_row(row: &Row<'_>) -> rusqlite::Result<WindowRow> {
 }
 
 /// Stored row of a window.
-struct Stored {
+struct StoredWindow {
     window: Window,
     counts: [usize; 2],
     packed: [Vec<u8>; 2],
 }
 
-impl Stored {
+impl StoredWindow {
     /// Reads a row; `None` if its samples are not stored.
     fn read(row: &Row<'_>, seq: u32) -> rusqlite::Result<Option<Self>> {
         let (Some(pairs), Some(trajectory)) = (row.get(11)?, row.get(12)?) else {

@@ -185,7 +185,9 @@ fn another_chip_is_refused() {
     assert!(
         matches!(
             why,
-            InstallError::Program(ProgramError::WrongChip { found: 0x2003_6468 })
+            InstallError::Program(ProgramError::WrongChip {
+                id_code: 0x2003_6468
+            })
         ),
         "{why}"
     );
@@ -256,7 +258,7 @@ fn option_bytes_are_set_loaded_and_read_back() {
         ..plan(&image)
     };
     let done = flash(&desk, asked).unwrap();
-    assert_eq!(done.options, delivered.as_wanted());
+    assert_eq!(done.options, delivered.with_requirements());
     desk.with(|chip| assert_eq!(chip.flash.optr, 0xFEEF_FCAA));
     // Protection against reading is not this program's to change.
     let mut programmer = attach(&desk).unwrap();
@@ -367,15 +369,15 @@ fn a_bit_that_stays_is_found_and_its_place_is_told() {
     let why = mishap(44 + 1_000, Mishap::BitStays);
     let ProgramError::Verify {
         address,
-        wanted,
-        found,
+        expected,
+        actual,
     } = &why
     else {
         panic!("{why}");
     };
     // The first page comes last.
     assert_eq!(*address, FLASH_ADDRESS + PAGE_BYTES + 8_003);
-    assert_eq!(wanted[0] ^ found[0], 0x10);
+    assert_eq!(expected[0] ^ actual[0], 0x10);
 }
 
 #[test]

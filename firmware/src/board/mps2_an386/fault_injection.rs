@@ -23,8 +23,8 @@ pub fn if_asked(last: Option<CrashRecord>) {
             overflow(&line);
         }
         Some("processor-fault") => {
-            // SAFETY: not sound, on purpose: nothing answers at this address, and the fault that
-            // follows is what the test wants.
+            // SAFETY: not sound, on purpose: nothing answers at this address, and the test needs the
+            // fault that follows.
             unsafe { core::ptr::read_volatile(0xA000_0000 as *const u32) };
         }
         _ => {}

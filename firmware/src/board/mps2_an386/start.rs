@@ -56,7 +56,7 @@ fn hello(last: Option<reset::CrashRecord>) -> Hello {
 }
 
 fn start_sampling(path: InterruptSide) {
-    // SAFETY: before any interrupt is unmasked, nobody else uses the NVIC.
+    // SAFETY: before any interrupt is unmasked, nothing else uses the NVIC.
     let mut nvic: NVIC = unsafe { core::mem::transmute(()) };
     for (interrupt, priority) in [
         (Interrupt::Timer0, 1 << 5),

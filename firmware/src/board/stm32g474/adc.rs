@@ -100,7 +100,7 @@ impl Adc {
     pub fn start() -> Self {
         let periods = Periods::nearest(Drive::OFF.f_sw_hz);
         bridge::prepare_timers(periods);
-        // SAFETY: both are static, and nobody writes them but the DMA.
+        // SAFETY: both are static, and only the DMA writes them.
         unsafe {
             adc::start_slow(BUS, MAINS, SLOW.0.get().cast());
             adc::start_pairs(VOLTAGE, CURRENT, PAIRS.0.get().cast(), WORDS as u16);
@@ -160,7 +160,7 @@ impl SampleSource for Adc {
         if !self.ring.is_whole(half, at) {
             return true;
         }
-        // Nobody else writes it.
+        // This interrupt is the only writer.
         let sampled = sampled_cycles().wrapping_add(self.block_cycles);
         SAMPLED_CYCLES.store(sampled, Ordering::Relaxed);
         let slow = slow_codes();

@@ -20,7 +20,7 @@ struct InFlash {
     version: [u8; VERSION_BYTES],
 }
 
-// SAFETY: nobody follows the pointer.
+// SAFETY: the pointer is never dereferenced.
 unsafe impl Sync for InFlash {}
 
 const _: () = assert!(size_of::<InFlash>() == HEADER_BYTES && size_of::<Header>() <= HEADER_BYTES);

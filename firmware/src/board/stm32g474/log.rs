@@ -1,7 +1,7 @@
 //! defmt's logger: each frame goes into two rings of whole frames, one for a debug probe (RTT), one for the link.
 //!
-//! Never waits: a frame that finds a ring full, or another one being written, is dropped and counted. Nobody logs in the
-//! sampling path, and nothing here masks an interrupt.
+//! Never waits: a frame that finds a ring full, or another one being written, is dropped and counted. The sampling
+//! path does not log, and nothing here masks an interrupt.
 //!
 //! The control block is laid out as SEGGER's RTT describes it, and as defmt-rtt had it: one channel up, called "defmt". A
 //! probe that sets it to block is not obeyed.

@@ -52,11 +52,11 @@ unsafe extern "C" {
     static __crash_record: u32;
 }
 
-/// The words from one symbol of the linker to another.
-fn words(begin: *const u32, end: *const u32) -> &'static [u32] {
+/// Words from one symbol of the linker to another.
+fn section_words(begin: *const u32, end: *const u32) -> &'static [u32] {
     let length = (end as usize).saturating_sub(begin as usize) / size_of::<u32>();
-    // SAFETY: both are symbols of the same section in flash, CCM SRAM or RAM, which holds code and constants that nobody
-    // writes once start-up has copied them.
+    // SAFETY: both are symbols of the same section in flash, CCM SRAM or RAM, which holds code and constants that are
+    // not written after start-up has copied them.
     unsafe { slice::from_raw_parts(begin, length) }
 }
 
@@ -108,20 +108,21 @@ pub struct SelfTest {
     turns: u32,
     sliced_at: u32,
     second_at: u32,
-    looks_at_clock: bool,
+    checks_clock: bool,
     ram_at: usize,
 }
 
 impl SelfTest {
-    /// Tests flash and clock; what is wrong with them.
+    /// Tests flash and clock; returns the faults.
     pub fn at_start(unit: Peri<'static, CRC>) -> (Self, [Option<Fault>; 2]) {
         // SAFETY: the linker's symbols; the CRC is read once, and is no variable.
         let (image, crc, copies) = unsafe {
-            let image = words(&raw const __vector_table, &raw const __image_crc);
-            let ccm = words(&raw const __sccm, &raw const __eccm);
-            let tables = words(&raw const __stables, &raw const __etables);
-            let end_of =
-                |begin: *const u32, copy: &[u32]| words(begin, begin.wrapping_add(copy.len()));
+            let image = section_words(&raw const __vector_table, &raw const __image_crc);
+            let ccm = section_words(&raw const __sccm, &raw const __eccm);
+            let tables = section_words(&raw const __stables, &raw const __etables);
+            let end_of = |begin: *const u32, copy: &[u32]| {
+                section_words(begin, begin.wrapping_add(copy.len()))
+            };
             let copies = [
                 CopyCheck::new(ccm, end_of(&raw const __siccm, ccm)),
                 CopyCheck::new(tables, end_of(&raw const __sitables, tables)),
@@ -143,7 +144,7 @@ impl SelfTest {
             turns: 0,
             sliced_at: 0,
             second_at: 0,
-            looks_at_clock: false,
+            checks_clock: false,
             ram_at: &raw const _stack_end as usize,
         };
         let whole = this.unit.as_mut().is_some_and(|unit| this.image.run(unit));
@@ -155,11 +156,11 @@ impl SelfTest {
                 break agree;
             }
         };
-        let found = [
+        let faults = [
             (!whole).then_some(Fault::FLASH_CRC),
             (!agree).then_some(Fault::CLOCK),
         ];
-        (this, found)
+        (this, faults)
     }
 
     /// The program's length and CRC.
@@ -227,25 +228,25 @@ impl SelfTest {
     }
 
     fn each_second(&mut self, housekeeping: &Housekeeping, now: u32) -> Option<Fault> {
-        // What is captured is there once.
-        let wanted = self.looks_at_clock || self.counting.is_some();
-        let captured = match wanted {
+        // A capture can be read once.
+        let in_use = self.checks_clock || self.counting.is_some();
+        let captured = match in_use {
             true => low_speed::captured(),
             false => ClockCapture::Nothing,
         };
         if let Some(counting) = &mut self.counting {
             counting.take(captured, now);
         }
-        if self.looks_at_clock {
+        if self.checks_clock {
             let agree = self.clock.take(captured, PATIENCE)?;
-            self.looks_at_clock = false;
+            self.checks_clock = false;
             return (!agree).then_some(Fault::CLOCK);
         }
         if now.wrapping_sub(self.second_at) < SECOND_CYCLES {
             return None;
         }
         self.second_at = now;
-        self.looks_at_clock = true;
+        self.checks_clock = true;
         (!housekeeping.is_lookup_intact()).then_some(Fault::DATA_CRC)
     }
 
@@ -286,12 +287,12 @@ impl SelfTest {
     }
 }
 
-/// Returns `true` if every bit of a piece of RAM takes both values; it is left as it was. Registers alone hold what stands there: the
-/// stack may be what is tested. DSB and ISB: what is read comes from the RAM.
+/// Returns `true` if every bit of a piece of RAM takes both values; its contents are restored. They are held in registers only, as the
+/// stack may be under test. DSB and ISB make each read come from the RAM.
 fn keeps_both_values(words: core::ops::Range<usize>) -> bool {
     let mut wrong = 0usize;
     critical_section::with(|_| {
-        // SAFETY: RAM from end to end, on word boundaries; with interrupts masked nobody else looks at it but a DMA, whose
+        // SAFETY: RAM from end to end, on word boundaries; with interrupts masked only a DMA may access it, whose
         // memory the caller leaves out. Each word is put back before the next.
         unsafe {
             asm!(
@@ -327,7 +328,7 @@ fn keeps_both_values(words: core::ops::Range<usize>) -> bool {
 fn is_canary_alive() -> bool {
     let end = &raw const _stack_end;
     (0..CANARY_WORDS).all(|k| {
-        // SAFETY: inside the stack's memory, which is 16 KiB; volatile, as it is written by nobody who is known.
+        // SAFETY: inside the stack's memory, which is 16 KiB; volatile, as the compiler knows no writer.
         let word = unsafe { ptr::read_volatile(end.wrapping_add(k)) };
         word == cortex_m_rt::STACK_PAINT_VALUE
     })

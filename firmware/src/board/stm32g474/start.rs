@@ -186,9 +186,9 @@ fn start(
     }
 }
 
-/// Each tripped, and neither still does.
-fn is_sound(found: &Comparators) -> bool {
-    found.positive_tripped && found.positive_quiet && found.negative_tripped && found.negative_quiet
+/// Returns `true` if each comparator tripped, and neither still does.
+fn is_sound(test: &Comparators) -> bool {
+    test.positive_tripped && test.positive_quiet && test.negative_tripped && test.negative_quiet
 }
 
 /// Self-tests at start that go on while the program runs.
@@ -197,8 +197,8 @@ fn self_test(
     path: &mut ThreadSide,
     watchdog_fault: Option<Fault>,
 ) -> SelfTest {
-    let (self_test, found) = SelfTest::at_start(unit);
-    for fault in found.into_iter().chain([watchdog_fault]).flatten() {
+    let (self_test, faults) = SelfTest::at_start(unit);
+    for fault in faults.into_iter().chain([watchdog_fault]).flatten() {
         defmt::error!("self-test: fault {=u16}", fault.number());
         path.with(|rt| rt.latch_fault(fault));
     }
@@ -319,8 +319,8 @@ impl Board {
             housekeeping.set_temperatures(self.temperatures.codes());
             self.fan.set_level(housekeeping.fan().into());
         }
-        let found = self.self_test.after_block(housekeeping, blocks);
-        if let Some(fault) = found {
+        let failed = self.self_test.after_block(housekeeping, blocks);
+        if let Some(fault) = failed {
             path.with(|rt| rt.latch_fault(fault));
         }
         let mut services = ChipServices {

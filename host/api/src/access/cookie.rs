@@ -1,18 +1,18 @@
-//! The cookie that holds the key of a browser's session, which the page's scripts cannot read.
+//! Cookie with the key of a browser session; scripts of the page cannot read it.
 
 use axum::http::HeaderMap;
 use axum::http::header::COOKIE;
 
-/// Its name.
+/// Name of the cookie.
 const NAME: &str = "ihd-session";
 
-/// The header that sets it. `Strict`: no other site's page or link brings it along.
-pub(crate) fn given(key: &str, tls: bool) -> String {
+/// Returns the `Set-Cookie` value that sets it. `SameSite=Strict`: requests from other sites' pages do not carry it.
+pub(crate) fn set_header(key: &str, tls: bool) -> String {
     format!("{NAME}={key}; {}", attributes(tls))
 }
 
-/// The header that deletes it.
-pub(crate) fn taken_back(tls: bool) -> String {
+/// Returns the `Set-Cookie` value that deletes it.
+pub(crate) fn delete_header(tls: bool) -> String {
     format!("{NAME}=; Max-Age=0; {}", attributes(tls))
 }
 
@@ -24,7 +24,7 @@ fn attributes(tls: bool) -> &'static str {
     }
 }
 
-/// Every key in the cookies of a request; other servers of this machine, on other ports, may have set one of this name too.
+/// Returns all session keys of a request. There may be several: servers on other ports of this machine share the cookie name.
 pub(crate) fn keys(headers: &HeaderMap) -> impl Iterator<Item = &str> {
     let lists = headers.get_all(COOKIE).into_iter();
     lists
@@ -37,7 +37,7 @@ pub(crate) fn keys(headers: &HeaderMap) -> impl Iterator<Item = &str> {
 mod tests {
     use super::*;
 
-    fn of(cookies: &[&str]) -> Vec<String> {
+    fn keys_of(cookies: &[&str]) -> Vec<String> {
         let mut headers = HeaderMap::new();
         for cookie in cookies {
             headers.append(COOKIE, cookie.parse().unwrap());
@@ -47,20 +47,20 @@ mod tests {
 
     #[test]
     fn a_key_comes_back_as_it_went() {
-        let header = given("0123abc", true);
+        let header = set_header("0123abc", true);
         let (pair, attributes) = header.split_once("; ").unwrap();
-        assert_eq!(of(&[pair]), ["0123abc"], "{header}");
+        assert_eq!(keys_of(&[pair]), ["0123abc"], "{header}");
         for word in ["HttpOnly", "SameSite=Strict", "Path=/", "Secure"] {
             assert!(attributes.split("; ").any(|a| a == word), "{header}");
         }
-        assert!(!given("x", false).contains("Secure"));
-        assert!(taken_back(false).contains("Max-Age=0"));
+        assert!(!set_header("x", false).contains("Secure"));
+        assert!(delete_header(false).contains("Max-Age=0"));
     }
 
     #[test]
     fn cookies_of_others_are_left_alone() {
-        assert_eq!(of(&["a=1; ihd-session=x; b=2"]), ["x"]);
-        assert_eq!(of(&["ihd-session=x", "a=1;ihd-session=y"]), ["x", "y"]);
+        assert_eq!(keys_of(&["a=1; ihd-session=x; b=2"]), ["x"]);
+        assert_eq!(keys_of(&["ihd-session=x", "a=1;ihd-session=y"]), ["x", "y"]);
         for none in [
             "",
             "ihd-session",
@@ -68,7 +68,7 @@ mod tests {
             "ihd-sessions=x",
             "xihd-session=x",
         ] {
-            assert_eq!(of(&[none]), [""; 0], "{none}");
+            assert_eq!(keys_of(&[none]), [""; 0], "{none}");
         }
     }
 }

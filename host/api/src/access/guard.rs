@@ -1,4 +1,4 @@
-//! What every request passes before a route sees it.
+//! Checks of every request before its route: host name, origin, role, duration.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,48 +14,50 @@ use super::sessions::Sessions;
 use super::tokens::Tokens;
 use super::{Role, cookie};
 use crate::model::Problem;
-use crate::places::Place;
-use crate::routes::App;
-use crate::routes::problem::refusal;
+use crate::problem::refusal;
+use crate::slots::Slot;
 
-/// Longest that a request may take, its body included; events stream for as long as they like.
+/// Maximum duration of a request until its response begins, reading its body included; the body of a response is not limited.
 pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_secs(20);
 
-/// Copying a store of 2 GB takes longer than other requests.
+/// The same of a backup: copying a store of 2 GB takes longer than other requests.
 pub(crate) const BACKUP_TIMEOUT: Duration = Duration::from_secs(600);
 
-/// Making a table of a recording, too; its download is not cut off.
+/// The same of a recording: its conversion to a table takes longer, too.
 pub(crate) const RECORDING_TIMEOUT: Duration = Duration::from_secs(330);
 
-/// Below this lie the page's files, which are the same for everybody.
+/// Prefix of the page's files, which need no token.
 const PAGE: &str = "/page/";
 
-/// Where a browser shows its token.
+/// Path of browser sessions.
 const SESSION: &str = "/api/v1/session";
 
-/// Who may come in.
+/// Access control of a server.
 pub(crate) struct Access {
     pub(crate) hosts: AllowedHosts,
-    /// None on loopback without a token file: there the machine is the fence.
+    /// `None` on loopback without a token file: each local user has access.
     pub(crate) tokens: Option<Tokens>,
-    /// Sessions of browsers that showed a token.
+    /// Sessions of browsers that have presented a token.
     pub(crate) sessions: Sessions,
 }
 
 impl Access {
-    /// The role of whoever sends these headers; none where a token is needed, and none that is known is there.
+    /// Returns the role of a request with these headers; `None` if a token is required and no valid one is present.
     pub(crate) fn role(&self, headers: &HeaderMap) -> Option<Role> {
         let Some(tokens) = &self.tokens else {
             return Some(Role::Operate);
         };
-        // Whoever shows a token in the header means that one.
+        // The header outranks the cookie.
         match headers.get(AUTHORIZATION) {
             Some(header) => tokens.role(bearer(header)?),
             None => cookie::keys(headers).find_map(|key| self.sessions.role(key)),
         }
     }
 
-    /// Whether whoever sends these headers has the role.
+    /// Checks that a request with these headers has the role.
+    ///
+    /// # Errors
+    /// The response to send instead: 401 or 403.
     fn allow(&self, headers: &HeaderMap, needed: Role) -> Result<(), Box<Response>> {
         match self.role(headers) {
             None => {
@@ -93,10 +95,14 @@ fn role_missing(needed: Role) -> Box<Response> {
     Box::new(refusal(StatusCode::FORBIDDEN, "role", &text))
 }
 
-/// Turns away requests to a name that is not this machine's.
-pub(crate) async fn host(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+/// Rejects requests whose `Host` is no name of this machine.
+pub(crate) async fn check_host(
+    State(access): State<Arc<Access>>,
+    request: Request,
+    next: Next,
+) -> Response {
     let (parts, body) = request.into_parts();
-    if !app.access.hosts.allows(&parts) {
+    if !access.hosts.allows(&parts) {
         return refusal(
             StatusCode::MISDIRECTED_REQUEST,
             "host",
@@ -106,10 +112,10 @@ pub(crate) async fn host(State(app): State<Arc<App>>, request: Request, next: Ne
     next.run(Request::from_parts(parts, body)).await
 }
 
-/// Turns away what other pages' scripts ask for, reading included; a link that is followed passes.
-pub(crate) async fn foreign_page(request: Request, next: Next) -> Response {
+/// Rejects requests of other sites' scripts, reads included. Following a link from another site is allowed.
+pub(crate) async fn check_origin(request: Request, next: Next) -> Response {
     if is_foreign_script(request.headers()) {
-        return cross_site();
+        return cross_site_refused();
     }
     next.run(request).await
 }
@@ -120,8 +126,8 @@ fn is_foreign_script(headers: &HeaderMap) -> bool {
     foreign && header("sec-fetch-mode") != Some(b"navigate")
 }
 
-/// The answer to another page.
-pub(crate) fn cross_site() -> Response {
+/// Returns the response to a request of another site's page.
+pub(crate) fn cross_site_refused() -> Response {
     refusal(
         StatusCode::FORBIDDEN,
         "cross-site",
@@ -129,36 +135,40 @@ pub(crate) fn cross_site() -> Response {
     )
 }
 
-/// Turns away who lacks the role.
-pub(crate) async fn role(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
-    let place = request.extensions().get::<Place>();
-    if let Some(place) = place.filter(|_| app.access.role(request.headers()).is_some()) {
-        place.is_let_in();
+/// Rejects requests without the required role; admits the connection of one that has any role.
+pub(crate) async fn check_role(
+    State(access): State<Arc<Access>>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let slot = request.extensions().get::<Slot>();
+    if let Some(slot) = slot.filter(|_| access.role(request.headers()).is_some()) {
+        slot.admit();
     }
-    let Some(needed) = needed(request.method(), request.uri().path()) else {
+    let Some(needed) = required_role(request.method(), request.uri().path()) else {
         return next.run(request).await;
     };
-    match app.access.allow(request.headers(), needed) {
+    match access.allow(request.headers(), needed) {
         Ok(()) => next.run(request).await,
         Err(response) => *response,
     }
 }
 
-/// The role that a request needs: looking needs read, everything else operate. None for what is open to everybody: the health,
-/// which a service manager asks for, the page, without which nobody could show a token, and showing and forgetting it.
-fn needed(method: &Method, path: &str) -> Option<Role> {
-    let looks = matches!(*method, Method::GET | Method::HEAD);
-    let shows = matches!(*method, Method::POST | Method::DELETE);
+/// Returns the role that a request requires: read for `GET` and `HEAD`, else operate. `None` for requests that need no token: `/healthz`,
+/// for service managers; the page, which asks for the token; opening and closing a session.
+fn required_role(method: &Method, path: &str) -> Option<Role> {
+    let reads = matches!(*method, Method::GET | Method::HEAD);
+    let opens_or_closes = matches!(*method, Method::POST | Method::DELETE);
     match path {
-        "/healthz" | "/" if looks => None,
-        page if looks && page.starts_with(PAGE) => None,
-        SESSION if shows => None,
-        _ if looks => Some(Role::Read),
+        "/healthz" | "/" if reads => None,
+        page if reads && page.starts_with(PAGE) => None,
+        SESSION if opens_or_closes => None,
+        _ if reads => Some(Role::Read),
         _ => Some(Role::Operate),
     }
 }
 
-/// Ends what takes too long, so that nobody holds a place for ever.
+/// Ends requests that take too long, so that their connections can be evicted.
 pub(crate) async fn deadline(request: Request, next: Next) -> Response {
     let path = request.uri().path();
     let limit = if path.ends_with("/store/backup") {
@@ -215,7 +225,7 @@ mod tests {
     #[test]
     fn a_token_is_good_for_its_role_and_those_below() {
         let dir = tempfile::tempdir().unwrap();
-        let (tokens, _) = Tokens::read_or_make(&dir.path().join("tokens")).unwrap();
+        let (tokens, _) = Tokens::read_or_create(&dir.path().join("tokens")).unwrap();
         let of = |role| format!("Bearer {}", tokens.at_least(role).unwrap());
         let given = Role::ALL.map(of);
         let access = access(Some(tokens));

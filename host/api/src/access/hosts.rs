@@ -1,16 +1,16 @@
-//! Names by which this machine may be called: without the list, any page could rename itself to 127.0.0.1 (DNS rebinding).
+//! Accepted values of the header `Host`: without this check, any web page could reach the server by DNS rebinding.
 
 use std::net::IpAddr;
 
 use axum::http::header::HOST;
 use axum::http::request::Parts;
 
-/// The names and addresses that a request may be addressed to, in lower case, without port.
+/// Accepted host names and addresses, in lower case, without port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AllowedHosts(Vec<String>);
 
 impl AllowedHosts {
-    /// Loopback's names, the address that is listened on, and `others`.
+    /// Accepts the names of loopback, the address `listen` and `others`.
     pub fn new(listen: IpAddr, others: &[String]) -> Self {
         let mut names: Vec<String> = ["localhost", "127.0.0.1", "[::1]"].map(Into::into).into();
         if !listen.is_unspecified() {
@@ -23,24 +23,25 @@ impl AllowedHosts {
         Self(names)
     }
 
-    /// Whether the request calls this machine, and it alone, by a name of the list.
+    /// Returns `true` if the request has exactly one `Host`, and it is accepted.
     pub fn allows(&self, request: &Parts) -> bool {
         let mut hosts = request.headers.get_all(HOST).iter();
         let (Some(host), None) = (hosts.next(), hosts.next()) else {
             return false;
         };
-        // A request line may name a host of its own, which outranks the header.
+        // An absolute URI in the request line outranks the header.
         let target = request.uri.authority().map(|a| a.as_str());
-        host.to_str().is_ok_and(|host| self.names(host)) && target.is_none_or(|t| self.names(t))
+        host.to_str().is_ok_and(|host| self.contains(host))
+            && target.is_none_or(|t| self.contains(t))
     }
 
-    fn names(&self, host: &str) -> bool {
+    fn contains(&self, host: &str) -> bool {
         let name = without_port(host).to_ascii_lowercase();
         self.0.contains(&name)
     }
 }
 
-/// `[::1]:80` is `[::1]`, `localhost:80` is `localhost`.
+/// Returns the host without port: `[::1]:80` → `[::1]`, `localhost:80` → `localhost`.
 fn without_port(host: &str) -> &str {
     match host.rsplit_once(':') {
         Some((name, port)) if !port.ends_with(']') && port.bytes().all(|b| b.is_ascii_digit()) => {

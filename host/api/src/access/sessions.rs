@@ -1,4 +1,4 @@
-//! Sessions of browsers that showed a token: each has a key of its own, which is good for nothing once the session or the daemon has ended.
+//! Sessions of browsers that have presented a token. Each has its own key, valid until the session or the daemon ends.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -9,11 +9,11 @@ use tokio::time::Instant;
 use super::Role;
 use super::tokens::{TokenError, random_token};
 
-/// Life of a session that nobody uses.
-pub(crate) const LASTS: Duration = Duration::from_secs(12 * 3600);
+/// Lifetime of an unused session.
+pub(crate) const LIFETIME: Duration = Duration::from_secs(12 * 3600);
 
-/// Sessions at a time; one more ends the one that was used longest ago.
-const MOST: usize = 256;
+/// Maximum number of sessions; one more ends the least recently used one.
+const MAX_SESSIONS: usize = 256;
 
 struct Session {
     key: String,
@@ -21,28 +21,28 @@ struct Session {
     used: Instant,
 }
 
-/// All sessions, in memory alone. Their keys appear in no message.
+/// All sessions, in memory only. Their keys appear in no message.
 #[derive(Default)]
 pub(crate) struct Sessions(Mutex<Vec<Session>>);
 
 impl Sessions {
-    /// Those that have not ended.
+    /// Locks the sessions and removes those that have expired.
     fn lock(&self) -> MutexGuard<'_, Vec<Session>> {
-        // Every change is complete in itself.
+        // Poisoning is ignored: no lock scope leaves a half-written value.
         let mut sessions = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let now = Instant::now();
-        sessions.retain(|session| now.saturating_duration_since(session.used) < LASTS);
+        sessions.retain(|session| now.saturating_duration_since(session.used) < LIFETIME);
         sessions
     }
 
-    /// Begins a session of this role; returns its key.
+    /// Opens a session of this role and returns its key.
     ///
     /// # Errors
-    /// [`TokenError::Random`].
+    /// [`TokenError::Random`] if the system has no random numbers.
     pub(crate) fn open(&self, role: Role) -> Result<String, TokenError> {
         let key = random_token()?;
         let mut sessions = self.lock();
-        if sessions.len() >= MOST {
+        if sessions.len() >= MAX_SESSIONS {
             let by_use = sessions.iter().enumerate();
             let oldest = by_use
                 .min_by_key(|(_, session)| session.used)
@@ -57,14 +57,14 @@ impl Sessions {
         Ok(key)
     }
 
-    /// The role of a session, which lasts anew from now on.
+    /// Returns the role of a session and restarts its lifetime; `None` if there is no such session.
     pub(crate) fn role(&self, key: &str) -> Option<Role> {
         let mut sessions = self.lock();
-        let found = sessions
+        let session = sessions
             .iter_mut()
             .find(|session| is_same(&session.key, key))?;
-        found.used = Instant::now();
-        Some(found.role)
+        session.used = Instant::now();
+        Some(session.role)
     }
 
     /// Ends a session.
@@ -73,7 +73,7 @@ impl Sessions {
     }
 }
 
-/// Takes as long for a wrong key as for a right one.
+/// Compares in constant time.
 fn is_same(key: &str, given: &str) -> bool {
     key.as_bytes().ct_eq(given.as_bytes()).into()
 }
@@ -92,13 +92,13 @@ mod tests {
         assert_eq!(sessions.role(&closed), Some(Role::Read));
         sessions.close(&closed);
         assert_eq!(sessions.role(&closed), None);
-        let nearly = LASTS - Duration::from_secs(1);
+        let nearly = LIFETIME - Duration::from_secs(1);
         for _ in 0..3 {
             tokio::time::advance(nearly).await;
             assert_eq!(sessions.role(&used), Some(Role::Operate));
         }
         assert_eq!(sessions.role(&idle), None);
-        tokio::time::advance(LASTS).await;
+        tokio::time::advance(LIFETIME).await;
         assert_eq!(sessions.role(&used), None);
         assert_eq!(sessions.role(""), None);
     }
@@ -107,7 +107,7 @@ mod tests {
     async fn too_many_end_the_one_that_was_used_longest_ago() {
         let sessions = Sessions::default();
         let mut keys = Vec::new();
-        for _ in 0..MOST {
+        for _ in 0..MAX_SESSIONS {
             keys.push(sessions.open(Role::Read).unwrap());
             tokio::time::advance(Duration::from_secs(1)).await;
         }

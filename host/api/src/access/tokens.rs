@@ -1,4 +1,4 @@
-//! The token file: a line `role token` for each token, readable by its owner alone.
+//! Token file: one line `role token` per token, readable by its owner only.
 
 use std::fs;
 use std::io::{self, Write};
@@ -10,27 +10,27 @@ use thiserror::Error;
 
 use super::Role;
 
-/// Random bytes of a token that is made here; it is written in hexadecimal.
+/// Random bytes of a generated token, which is written in hexadecimal.
 const TOKEN_BYTES: usize = 32;
 
-/// Fewest characters of a token that somebody wrote himself.
+/// Minimum length of a token in the file, in characters.
 const MIN_CHARACTERS: usize = 32;
 
-/// Largest token file that is read.
+/// Maximum number of bytes read from a token file.
 const MAX_FILE_BYTES: u64 = 65_536;
 
-/// Why a token file cannot be used.
+/// Error of a token file.
 #[derive(Debug, Error)]
 pub enum TokenError {
-    /// It cannot be made, read or judged.
+    /// It cannot be created or read, or its permissions cannot be read.
     #[error("token file {}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Error of the system.
         source: io::Error,
     },
-    /// Others may read it.
+    /// Other users may read it.
     #[error(
         "token file {} can be read by others than its owner (mode {mode:03o}): \
          run `chmod 600` on it, and replace its tokens if they may have been seen",
@@ -39,7 +39,7 @@ pub enum TokenError {
     Open {
         /// The file.
         path: PathBuf,
-        /// Its permission bits.
+        /// Permission bits.
         mode: u32,
     },
     /// A line is not `role token`.
@@ -47,32 +47,32 @@ pub enum TokenError {
     Line {
         /// The file.
         path: PathBuf,
-        /// Counted from 1.
+        /// Line number, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// Error in the line.
         why: &'static str,
     },
-    /// It holds no token.
+    /// It contains no token.
     #[error("token file {} holds no token: delete it, and a new one is made", path.display())]
     Empty {
         /// The file.
         path: PathBuf,
     },
-    /// The system gives no random numbers.
+    /// The system has no random numbers.
     #[error("no random numbers for a token")]
     Random,
 }
 
-/// The tokens that are good for something. They appear in no message.
+/// Valid tokens with their roles. They appear in no message.
 pub struct Tokens(Vec<(Role, String)>);
 
 impl Tokens {
-    /// Reads the token file; makes it, with a token of each role, where there is none. Says whether it was made.
+    /// Reads the token file, or creates it with a token of each role if it is missing. The second value is `true` if it was created.
     ///
     /// # Errors
-    /// [`TokenError`]; nothing of a file that is refused is used.
-    pub fn read_or_make(path: &Path) -> Result<(Self, bool), TokenError> {
-        match Self::make(path) {
+    /// [`TokenError`]; no token of a rejected file is used.
+    pub fn read_or_create(path: &Path) -> Result<(Self, bool), TokenError> {
+        match Self::create(path) {
             Ok(tokens) => Ok((tokens, true)),
             Err(TokenError::Io { source, .. }) if source.kind() == io::ErrorKind::AlreadyExists => {
                 Ok((Self::read(path)?, false))
@@ -84,14 +84,14 @@ impl Tokens {
     /// Reads the token file.
     ///
     /// # Errors
-    /// As [`Tokens::read_or_make`].
+    /// As [`Tokens::read_or_create`].
     pub fn read(path: &Path) -> Result<Self, TokenError> {
         let io = |source| TokenError::Io {
             path: path.into(),
             source,
         };
         let mut file = fs::File::open(path).map_err(io)?;
-        // Of the file that is open, not of what the path may name by now.
+        // Checks the open file: the path may name another one by now.
         refuse_if_open_to_others(&file, path)?;
         let mut text = String::new();
         io::Read::read_to_string(&mut io::Read::take(&mut file, MAX_FILE_BYTES), &mut text)
@@ -99,7 +99,7 @@ impl Tokens {
         Self::parse(&text, path)
     }
 
-    fn make(path: &Path) -> Result<Self, TokenError> {
+    fn create(path: &Path) -> Result<Self, TokenError> {
         let io = |source| TokenError::Io {
             path: path.into(),
             source,
@@ -154,19 +154,19 @@ impl Tokens {
         Ok(Self(tokens))
     }
 
-    /// The highest role of a token. Takes as long for a wrong one as for a right one of the same length.
+    /// Returns the highest role of a token; `None` if it is not valid. Takes the same time for all tokens of a length.
     pub fn role(&self, given: &str) -> Option<Role> {
-        // 0 is no role; what is found is kept without a branch.
-        let mut found = 0u8;
+        // 0 is no role; selected without a branch.
+        let mut highest = 0u8;
         for (role, token) in &self.0 {
             let same: Choice = token.as_bytes().ct_eq(given.as_bytes());
-            let higher = found.max(*role as u8 + 1);
-            found = u8::conditional_select(&found, &higher, same);
+            let higher = highest.max(*role as u8 + 1);
+            highest = u8::conditional_select(&highest, &higher, same);
         }
-        Role::ALL.get(usize::from(found).wrapping_sub(1)).copied()
+        Role::ALL.get(usize::from(highest).wrapping_sub(1)).copied()
     }
 
-    /// The lowest token that reaches a role, for a client that owns the file.
+    /// Returns the token of the lowest sufficient role, for a client that owns the file; `None` if there is none.
     pub fn at_least(&self, role: Role) -> Option<&str> {
         self.0
             .iter()
@@ -176,7 +176,7 @@ impl Tokens {
     }
 }
 
-/// Random bytes as a token is written.
+/// Returns a new random token.
 pub(crate) fn random_token() -> Result<String, TokenError> {
     let mut bytes = [0; TOKEN_BYTES];
     ring::default_provider()
@@ -207,7 +207,7 @@ fn refuse_if_open_to_others(file: &fs::File, path: &Path) -> Result<(), TokenErr
     Ok(())
 }
 
-/// Elsewhere the folder's access list has to do it (docs/daemon.md).
+/// On other systems the folder's access list must restrict access (docs/daemon.md).
 #[cfg(not(unix))]
 fn refuse_if_open_to_others(_: &fs::File, _: &Path) -> Result<(), TokenError> {
     Ok(())
@@ -225,14 +225,14 @@ mod tests {
     fn a_file_that_is_made_holds_a_different_token_of_each_role_for_its_owner_alone() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("tokens");
-        let (made, new) = Tokens::read_or_make(&path).unwrap();
+        let (made, new) = Tokens::read_or_create(&path).unwrap();
         assert!(new);
         for (role, token) in &made.0 {
             assert_eq!(token.len(), 64);
             assert_eq!(made.role(token), Some(*role));
         }
         assert_ne!(made.0[0].1, made.0[1].1);
-        let (read, new) = Tokens::read_or_make(&path).unwrap();
+        let (read, new) = Tokens::read_or_create(&path).unwrap();
         assert!(!new);
         assert_eq!(read.0, made.0);
         #[cfg(unix)]
@@ -245,7 +245,7 @@ mod tests {
             );
             for open in [0o640, 0o604, 0o620] {
                 mode(open);
-                let refused = Tokens::read_or_make(&path).err().unwrap().to_string();
+                let refused = Tokens::read_or_create(&path).err().unwrap().to_string();
                 assert!(refused.contains("chmod 600"), "{refused}");
             }
         }

@@ -2,28 +2,28 @@
 
 use std::io::{self, BufRead, BufReader, Read};
 
-use ihd_daemon::model::Notice;
+use ihd_daemon::model::DaemonEvent;
 use serde::Deserialize as _;
 
-use crate::model::Missed;
+use crate::model::MissedEvents;
 
-/// Longest line, in bytes; no notice is near.
+/// Maximum length of a line, in bytes; far above that of any event.
 const MAX_LINE: u64 = 1 << 20;
 
-/// What a watcher gets.
+/// Item of an event stream.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Watched {
-    /// Something happened.
-    Notice(Box<Notice>),
-    /// So many notices were dropped, for this reader was too slow.
+pub enum StreamItem {
+    /// Event of the daemon.
+    Event(Box<DaemonEvent>),
+    /// Number of events that were dropped because this client reads too slowly.
     Missed(u64),
-    /// Nothing happened for a while, and the daemon is there.
+    /// Comment without an event: the connection is alive.
     Heartbeat,
-    /// Something that this version does not know, as JSON: a newer daemon's.
+    /// Event of a newer daemon that this version does not know, as JSON.
     Unknown(String),
 }
 
-/// Events until the daemon ends or the link is cut; the last item says which.
+/// Events until the stream ends; the last item is an error if the connection was lost.
 pub struct Events {
     lines: BufReader<Box<dyn Read + Send>>,
     ended: bool,
@@ -37,8 +37,8 @@ impl Events {
         }
     }
 
-    /// The next event; `None` when the stream ended in order.
-    fn read(&mut self) -> io::Result<Option<Watched>> {
+    /// Reads the next item; `None` at the regular end of the stream.
+    fn read(&mut self) -> io::Result<Option<StreamItem>> {
         let (mut kind, mut data, mut comment) = (String::new(), String::new(), false);
         loop {
             let mut line = String::new();
@@ -55,7 +55,7 @@ impl Events {
                     return event(&kind, &data).map(Some);
                 }
                 if comment {
-                    return Ok(Some(Watched::Heartbeat));
+                    return Ok(Some(StreamItem::Heartbeat));
                 }
                 continue;
             }
@@ -71,27 +71,27 @@ impl Events {
     }
 }
 
-fn event(kind: &str, data: &str) -> io::Result<Watched> {
-    let strange = |e: serde_json::Error| io::Error::new(io::ErrorKind::InvalidData, e);
+fn event(kind: &str, data: &str) -> io::Result<StreamItem> {
+    let invalid = |e: serde_json::Error| io::Error::new(io::ErrorKind::InvalidData, e);
     match kind {
         "missed" => {
-            let missed: Missed = serde_json::from_str(data).map_err(strange)?;
-            Ok(Watched::Missed(missed.missed))
+            let missed: MissedEvents = serde_json::from_str(data).map_err(invalid)?;
+            Ok(StreamItem::Missed(missed.missed))
         }
         _ => {
-            // As a value first: defmt's decoder switches serde_json's arbitrary_precision on, with which no float is found in
-            // what is flattened or tagged, unless it comes from a value.
-            let value: serde_json::Value = serde_json::from_str(data).map_err(strange)?;
-            Ok(match Notice::deserialize(&value) {
-                Ok(notice) => Watched::Notice(Box::new(notice)),
-                Err(_) => Watched::Unknown(value.to_string()),
+            // Parsed to a value first: defmt's decoder enables the feature arbitrary_precision of serde_json, with which floats in
+            // flattened or tagged types can be deserialised from a value only.
+            let value: serde_json::Value = serde_json::from_str(data).map_err(invalid)?;
+            Ok(match DaemonEvent::deserialize(&value) {
+                Ok(event) => StreamItem::Event(Box::new(event)),
+                Err(_) => StreamItem::Unknown(value.to_string()),
             })
         }
     }
 }
 
 impl Iterator for Events {
-    type Item = io::Result<Watched>;
+    type Item = io::Result<StreamItem>;
 
     fn next(&mut self) -> Option<Self::Item> {
         if self.ended {
@@ -105,7 +105,7 @@ impl Iterator for Events {
 
 #[cfg(test)]
 mod tests {
-    use ihd_daemon::model::What;
+    use ihd_daemon::model::EventKind;
 
     use super::*;
 
@@ -115,11 +115,11 @@ mod tests {
             data: {\"at_ms\":1,\"device\":\"a\",\"event\":\"fault\",\"fault\":0,\"text\":\"\"}\n\n\
             event: missed\r\ndata: {\"missed\":3}\r\n\r\n\
             :\n\n";
-        let seen: Vec<Watched> = Events::new(text.as_bytes()).map(Result::unwrap).collect();
-        let notice = Notice {
+        let seen: Vec<StreamItem> = Events::new(text.as_bytes()).map(Result::unwrap).collect();
+        let notice = DaemonEvent {
             at_ms: 1,
             device: "a".into(),
-            what: What::Fault {
+            kind: EventKind::Fault {
                 fault: 0,
                 text: String::new(),
             },
@@ -127,15 +127,15 @@ mod tests {
         assert_eq!(
             seen,
             [
-                Watched::Heartbeat,
-                Watched::Notice(Box::new(notice)),
-                Watched::Missed(3),
-                Watched::Heartbeat
+                StreamItem::Heartbeat,
+                StreamItem::Event(Box::new(notice)),
+                StreamItem::Missed(3),
+                StreamItem::Heartbeat
             ]
         );
     }
 
-    /// Whatever features of serde_json another crate of the build has switched on.
+    /// With any features of serde_json that another crate of the build has enabled.
     #[test]
     fn floats_of_what_is_flattened_are_found() {
         let live = ihd_daemon::model::Live {
@@ -152,22 +152,22 @@ mod tests {
             r_ohm: 3.274,
             l_h: 19.1e-6,
         };
-        let notice = Notice {
+        let notice = DaemonEvent {
             at_ms: 1,
             device: "a".into(),
-            what: What::Telemetry { live },
+            kind: EventKind::Telemetry { live },
         };
         let text = format!("data: {}\n\n", serde_json::to_string(&notice).unwrap());
         let mut events = Events::new(io::Cursor::new(text));
         let seen = events.next().unwrap().unwrap();
-        assert_eq!(seen, Watched::Notice(Box::new(notice)));
+        assert_eq!(seen, StreamItem::Event(Box::new(notice)));
     }
 
     #[test]
     fn nonsense_ends_the_events_with_an_error_and_news_do_not() {
         let text = "data: {\"event\":\"explosion\"}\n\ndata: {\n\ndata: {}\n\n";
         let mut events = Events::new(text.as_bytes());
-        assert!(matches!(events.next(), Some(Ok(Watched::Unknown(_)))));
+        assert!(matches!(events.next(), Some(Ok(StreamItem::Unknown(_)))));
         assert!(events.next().unwrap().is_err());
         assert!(events.next().is_none());
     }

@@ -1,14 +1,14 @@
-//! What a device did, as the client asks for it.
+//! History of a device.
 
 use ihd_daemon::model::History;
 
 use super::{ApiClient, ClientError, device};
 
 impl ApiClient {
-    /// Telemetry of a device's last `last_ms` milliseconds in at most `columns` columns.
+    /// Returns telemetry of a device's last `last_ms` milliseconds in at most `columns` columns.
     ///
     /// # Errors
-    /// [`ClientError`]; [`ClientError::Refused`] of a daemon that is too old to know the question.
+    /// [`ClientError`]; [`ClientError::Refused`] if the daemon is too old for this request.
     pub fn history(&self, name: &str, last_ms: u32, columns: u32) -> Result<History, ClientError> {
         let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
         let to_ms = now.map_or(0, |now| now.as_millis() as i64);

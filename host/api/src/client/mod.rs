@@ -1,4 +1,4 @@
-//! The client, blocking: what `ihd device` asks a daemon with.
+//! Blocking client, used by `ihd device` and `ihd watch`.
 
 pub mod events;
 mod history;
@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use ihd_daemon::model::{
-    Command, CommandError, DeviceReport, Done, FleetReport, Lease, RecordingFile,
+    Command, CommandError, CommandReply, DeviceReport, FleetReport, Lease, RecordingFile,
 };
 use rustls::crypto::ring;
 use serde::Serialize;
@@ -26,48 +26,48 @@ use crate::model::{
 use crate::percent;
 use events::Events;
 
-/// Longest that an answer may take; the daemon gives up earlier.
+/// Maximum response time; that of the daemon is shorter.
 const TIMEOUT: Duration = Duration::from_secs(25);
 
-/// Longest that a backup may take.
+/// Maximum duration of a backup.
 const BACKUP_TIMEOUT: Duration = Duration::from_secs(610);
 
-/// Silence after which events are taken for cut off: three heartbeats.
+/// Time without an event or comment after which the connection counts as lost: three heartbeats.
 const SILENCE: Duration = Duration::from_secs(45);
 
-/// Largest answer, in bytes.
-const MAX_ANSWER: u64 = 64 << 20;
+/// Maximum size of a response, in bytes.
+const MAX_RESPONSE_BYTES: u64 = 64 << 20;
 
-/// Why a daemon did not do what was asked.
+/// Error of a request to a daemon.
 #[derive(Debug, Error)]
 pub enum ClientError {
-    /// It said why.
+    /// Error of the daemon.
     #[error("{0}")]
     Command(CommandError),
-    /// The server in front of it refused.
+    /// The API server refused the request.
     #[error("the daemon at {url} refused: {}", problem.message)]
     Refused {
-        /// The daemon.
+        /// URL of the daemon.
         url: String,
         /// HTTP status.
         status: u16,
-        /// What it said.
+        /// Error in the response.
         problem: Problem,
     },
-    /// Nobody answers.
+    /// There is no response.
     #[error("no answer from the daemon at {url}: {why}")]
     Unreachable {
-        /// Its address.
+        /// URL of the daemon.
         url: String,
-        /// Why.
+        /// Reason.
         why: String,
     },
-    /// What answers speaks otherwise.
+    /// The response is not one of a daemon of this version.
     #[error("{url} does not answer as a daemon of this version: {why}")]
-    Strange {
-        /// Its address.
+    UnexpectedResponse {
+        /// URL of the daemon.
         url: String,
-        /// Why.
+        /// Reason.
         why: String,
     },
     /// The certificate file cannot be used.
@@ -75,12 +75,12 @@ pub enum ClientError {
     Certificate {
         /// The file.
         path: String,
-        /// Why.
+        /// Reason.
         why: String,
     },
 }
 
-/// A daemon.
+/// Client of one daemon.
 #[derive(Clone)]
 pub struct ApiClient {
     agent: Agent,
@@ -90,25 +90,25 @@ pub struct ApiClient {
 }
 
 impl ApiClient {
-    /// A client for the daemon at `url` (`http://127.0.0.1:8731`), which asks as `holder`. `ca` is the certificate that is trusted
-    /// with `https`: the daemon's own, or its issuer's.
+    /// Creates a client for the daemon at `url` (`http://127.0.0.1:8731`) with the name `holder`. `ca` is the only certificate trusted with
+    /// `https`: that of the daemon or of its issuer. Nothing is sent yet.
     ///
     /// # Errors
-    /// [`ClientError::Certificate`] when `ca` cannot be read. Nothing is sent yet.
+    /// [`ClientError::Certificate`] if `ca` cannot be read.
     pub fn new(
         url: &str,
         holder: &str,
         token: Option<String>,
         ca: Option<&Path>,
     ) -> Result<Self, ClientError> {
-        // Nobody but `ca` is trusted: no authority of the web vouches for a hob.
+        // Public certificate authorities are not trusted.
         let roots = ca.map_or(Ok(Vec::new()), read_roots)?;
         let tls = TlsConfig::builder()
             .unversioned_rustls_crypto_provider(Arc::new(ring::default_provider()))
             .root_certs(RootCerts::Specific(Arc::new(roots)));
         let agent = Agent::config_builder()
             .tls_config(tls.build())
-            // Nobody between: a proxy of the environment must not see the token.
+            // A proxy of the environment must not see the token.
             .proxy(None)
             .max_redirects(0)
             .http_status_as_error(false)
@@ -124,20 +124,20 @@ impl ApiClient {
         })
     }
 
-    /// Where the daemon is.
+    /// Returns the URL of the daemon.
     pub fn url(&self) -> &str {
         &self.url
     }
 
-    /// Who asks.
+    /// Returns the name of this client.
     pub fn holder(&self) -> &str {
         &self.holder
     }
 
-    /// Whether a daemon answers within `within`.
+    /// Returns the health of the daemon, with `within` as the time limit.
     ///
     /// # Errors
-    /// [`ClientError::Unreachable`] when nobody does, [`ClientError::Strange`] when somebody else has the port.
+    /// [`ClientError::Unreachable`] if there is no response, [`ClientError::UnexpectedResponse`] if another program uses the port.
     pub fn health(&self, within: Duration) -> Result<Health, ClientError> {
         let request = self
             .agent
@@ -146,17 +146,17 @@ impl ApiClient {
             .timeout_global(Some(within))
             .build();
         let response = request.call().map_err(|e| self.unreachable(&e))?;
-        // A daemon whose store is dead says so with a status of its own: it is a daemon.
-        let text = read_text(response).map_err(|why| self.strange(&why))?;
+        // The status is ignored: a daemon with a failed store responds with 503.
+        let text = read_text(response).map_err(|why| self.unexpected(&why))?;
         let health: Health =
-            serde_json::from_str(&text).map_err(|e| self.strange(&e.to_string()))?;
+            serde_json::from_str(&text).map_err(|e| self.unexpected(&e.to_string()))?;
         if health.service != "ihd" {
-            return Err(self.strange("its health is another service's"));
+            return Err(self.unexpected("its health is another service's"));
         }
         Ok(health)
     }
 
-    /// Every device.
+    /// Returns the reports of all devices.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -164,7 +164,7 @@ impl ApiClient {
         self.get("/devices")
     }
 
-    /// One device.
+    /// Returns the report of a device.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -172,15 +172,15 @@ impl ApiClient {
         self.get(&device(name, ""))
     }
 
-    /// The fleet, as the daemon knew it last.
+    /// Returns the last report of the fleet.
     ///
     /// # Errors
-    /// [`ClientError`]; [`ClientError::Refused`] with status 404 where the daemon is no edge of one.
+    /// [`ClientError`]; [`ClientError::Refused`] with status 404 if the daemon is not an edge of one.
     pub fn fleet(&self) -> Result<FleetReport, ClientError> {
         self.get("/fleet")
     }
 
-    /// Lookups of a device, newest first.
+    /// Returns the lookups of a device, newest first.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -188,7 +188,7 @@ impl ApiClient {
         self.get(&device(name, "/lookups"))
     }
 
-    /// Results of a device, newest first.
+    /// Returns at most `limit` results of a device, newest first, none before `since_ms` (milliseconds since 1970, UTC).
     ///
     /// # Errors
     /// [`ClientError`].
@@ -202,7 +202,7 @@ impl ApiClient {
         self.get(&device(name, &format!("/results?limit={limit}{since}")))
     }
 
-    /// Recordings, newest first.
+    /// Returns the recordings, newest first.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -210,10 +210,10 @@ impl ApiClient {
         self.get("/recordings")
     }
 
-    /// Writes a recording, as it is on disk, to `to`, however long that takes; its length in bytes.
+    /// Downloads a recording to `to`, without a time limit, and returns its length in bytes.
     ///
     /// # Errors
-    /// [`ClientError`]; what was written until then is in `to`.
+    /// [`ClientError`]; `to` then has the part before the error.
     pub fn download_recording(
         &self,
         file: &str,
@@ -227,15 +227,15 @@ impl ApiClient {
         })
     }
 
-    /// Asks something of a device.
+    /// Sends a command to a device.
     ///
     /// # Errors
     /// [`ClientError`].
-    pub fn command(&self, name: &str, command: &Command) -> Result<Done, ClientError> {
+    pub fn command(&self, name: &str, command: &Command) -> Result<CommandReply, ClientError> {
         self.post(&device(name, "/commands"), command, TIMEOUT)
     }
 
-    /// Takes the lease of a device, or renews it.
+    /// Acquires or renews the lease of a device; `force` revokes that of another client.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -251,7 +251,7 @@ impl ApiClient {
         self.json(answer.map_err(|e| self.unreachable(&e))?)
     }
 
-    /// Gives the lease of a device back.
+    /// Releases the lease of a device.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -267,16 +267,16 @@ impl ApiClient {
         self.checked(response).map(drop)
     }
 
-    /// Copies the store under a name in its folder `backups`.
+    /// Copies the store to a new backup named `to`.
     ///
     /// # Errors
     /// [`ClientError`].
     pub fn backup(&self, to: &str) -> Result<BackupMade, ClientError> {
-        let wanted = BackupRequest { to: to.into() };
-        self.post("/store/backup", &wanted, BACKUP_TIMEOUT)
+        let request = BackupRequest { to: to.into() };
+        self.post("/store/backup", &request, BACKUP_TIMEOUT)
     }
 
-    /// Everything that happens from now on, of one device or of all.
+    /// Subscribes to the events of one device, or of all if `of` is `None`.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -286,7 +286,7 @@ impl ApiClient {
         Ok(Events::new(answer.into_body().into_reader()))
     }
 
-    /// An answer that may take as long as it likes, as long as something comes.
+    /// Requests a response of any duration; it ends only after [`SILENCE`].
     fn stream(&self, path: &str) -> Result<Response<Body>, ClientError> {
         let mut request = self
             .agent
@@ -339,10 +339,10 @@ impl ApiClient {
         self.json(answer.map_err(|e| self.unreachable(&e))?)
     }
 
-    /// The answer where it is a success.
+    /// Deserialises the body of a successful response.
     fn json<T: DeserializeOwned>(&self, response: Response<Body>) -> Result<T, ClientError> {
-        let text = read_text(self.checked(response)?).map_err(|why| self.strange(&why))?;
-        serde_json::from_str(&text).map_err(|e| self.strange(&e.to_string()))
+        let text = read_text(self.checked(response)?).map_err(|why| self.unexpected(&why))?;
+        serde_json::from_str(&text).map_err(|e| self.unexpected(&e.to_string()))
     }
 
     fn checked(&self, response: Response<Body>) -> Result<Response<Body>, ClientError> {
@@ -350,9 +350,9 @@ impl ApiClient {
         if status.is_success() {
             return Ok(response);
         }
-        let text = read_text(response).map_err(|why| self.strange(&why))?;
+        let text = read_text(response).map_err(|why| self.unexpected(&why))?;
         let problem: Problem = serde_json::from_str(&text)
-            .map_err(|_| self.strange(&format!("HTTP status {}", status.as_u16())))?;
+            .map_err(|_| self.unexpected(&format!("HTTP status {}", status.as_u16())))?;
         Err(match problem.command_error() {
             Some(error) => ClientError::Command(error),
             None => ClientError::Refused {
@@ -370,8 +370,8 @@ impl ApiClient {
         }
     }
 
-    fn strange(&self, why: &str) -> ClientError {
-        ClientError::Strange {
+    fn unexpected(&self, why: &str) -> ClientError {
+        ClientError::UnexpectedResponse {
             url: self.url.clone(),
             why: why.into(),
         }
@@ -383,49 +383,49 @@ fn read_text(response: Response<Body>) -> Result<String, String> {
     let read = response
         .into_body()
         .into_reader()
-        .take(MAX_ANSWER)
+        .take(MAX_RESPONSE_BYTES)
         .read_to_string(&mut text);
     read.map(|_| text).map_err(|e| e.to_string())
 }
 
 fn read_roots(path: &Path) -> Result<Vec<Certificate<'static>>, ClientError> {
-    let wrong = |why: String| ClientError::Certificate {
+    let error = |why: String| ClientError::Certificate {
         path: path.display().to_string(),
         why,
     };
-    let pem = std::fs::read(path).map_err(|e| wrong(e.to_string()))?;
+    let pem = std::fs::read(path).map_err(|e| error(e.to_string()))?;
     let mut roots = Vec::new();
     for item in parse_pem(&pem) {
-        if let ureq::tls::PemItem::Certificate(root) = item.map_err(|e| wrong(e.to_string()))? {
+        if let ureq::tls::PemItem::Certificate(root) = item.map_err(|e| error(e.to_string()))? {
             roots.push(root);
         }
     }
     if roots.is_empty() {
-        return Err(wrong("it holds no certificate in PEM".into()));
+        return Err(error("it holds no certificate in PEM".into()));
     }
     Ok(roots)
 }
 
-/// The path of a device.
+/// Returns the path of a device.
 fn device(name: &str, rest: &str) -> String {
     format!("/devices/{}{rest}", encoded(name))
 }
 
-/// A name as one segment of a path, which a dot could make another one.
+/// Encodes a name as one path segment; dots, too: `..` is another path.
 fn encoded(name: &str) -> String {
     percent::encoded(name, b"-_~")
 }
 
-/// What a header may hold.
+/// Replaces characters that a header cannot hold, and limits the length to 64.
 fn printable_ascii(name: &str) -> String {
-    let kept = name.chars().map(|c| {
+    let printable = name.chars().map(|c| {
         if c == ' ' || c.is_ascii_graphic() {
             c
         } else {
             '?'
         }
     });
-    let name: String = kept.take(64).collect();
+    let name: String = printable.take(64).collect();
     match name.trim() {
         "" => "somebody".into(),
         name => name.into(),

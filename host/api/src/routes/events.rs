@@ -1,4 +1,4 @@
-//! Everything that happens, as Server-Sent Events.
+//! Events of the daemon as Server-Sent Events.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use std::time::Duration;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event, KeepAlive, KeepAliveStream, Sse};
-use ihd_daemon::model::Notice;
+use ihd_daemon::model::DaemonEvent;
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::{self, error::RecvError};
 use tokio::sync::{OwnedSemaphorePermit, mpsc, watch};
@@ -16,78 +16,82 @@ use tokio_stream::wrappers::ReceiverStream;
 use utoipa::IntoParams;
 
 use super::App;
-use super::problem::{Asked, Failed};
-use crate::model::{Missed, Problem};
+use crate::model::{MissedEvents, Problem};
+use crate::problem::{ApiQuery, ErrorResponse};
 
-/// A comment this often where nothing happens, so that both ends notice a dead link.
+/// Period of comments without events, by which both ends detect a dead connection.
 const HEARTBEAT: Duration = Duration::from_secs(15);
 
-/// Events that wait for the socket; what comes after is counted as missed.
-const WAITING: usize = 16;
+/// Maximum number of events that wait for the socket; more wait in the event bus, where the oldest are dropped and counted as missed.
+const QUEUE_LENGTH: usize = 16;
 
-type Notices = ReceiverStream<Result<Event, Infallible>>;
+type EventStream = ReceiverStream<Result<Event, Infallible>>;
 
-/// Which events.
+/// Query parameters of the event stream.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct WhichEvents {
-    /// Of this device and of the daemon itself; of all where it is left out.
+pub(super) struct EventParameters {
+    /// Events of this device and of the daemon only; default: of all devices.
     device: Option<String>,
 }
 
-/// Everything that happens from now on. A message holds a Notice; a message of type `missed` says how many were dropped because
-/// this reader was too slow. Nothing is kept for a reader that comes back.
-#[utoipa::path(get, path = "/events", tag = "daemon", params(WhichEvents),
-    responses((status = 200, description = "Server-Sent Events", content_type = "text/event-stream", body = Notice),
-        (status = 503, description = "Too many watchers", body = Problem)))]
+/// Streams all events from now on. A message holds a Notice; a message of type `missed` holds the number of events that were dropped
+/// because the client was too slow. Events are not repeated after a reconnection.
+#[utoipa::path(get, path = "/events", tag = "daemon", params(EventParameters),
+    responses((status = 200, description = "Server-Sent Events", content_type = "text/event-stream", body = DaemonEvent),
+        (status = 503, description = "Too many event streams", body = Problem)))]
 pub(super) async fn events(
     State(app): State<Arc<App>>,
-    Asked(which): Asked<WhichEvents>,
+    ApiQuery(parameters): ApiQuery<EventParameters>,
     headers: HeaderMap,
-) -> Result<Sse<KeepAliveStream<Notices>>, Failed> {
-    let place = place(&app)?;
-    let (tx, rx) = mpsc::channel(WAITING);
-    let watcher = Watcher {
-        notices: app.backend.watch(),
-        device: which.device,
+) -> Result<Sse<KeepAliveStream<EventStream>>, ErrorResponse> {
+    let permit = subscriber_permit(&app)?;
+    let (tx, rx) = mpsc::channel(QUEUE_LENGTH);
+    let subscriber = Subscriber {
+        events: app.backend.watch(),
+        device: parameters.device,
         tx,
         app: app.clone(),
         stopping: app.stopping.clone(),
-        _place: place,
+        _permit: permit,
     };
     let greeting = if headers.contains_key("last-event-id") {
         "nothing is kept of what happened before; devices and results have it"
     } else {
         "watching"
     };
-    tokio::spawn(watcher.run(greeting));
+    tokio::spawn(subscriber.run(greeting));
     let heartbeat = KeepAlive::new().interval(HEARTBEAT).text("");
     Ok(Sse::new(ReceiverStream::new(rx)).keep_alive(heartbeat))
 }
 
-/// A place among the watchers, until it is dropped.
-pub(super) fn place(app: &App) -> Result<OwnedSemaphorePermit, Failed> {
-    app.watchers.clone().try_acquire_owned().map_err(|_| {
-        Failed::new(
+/// Reserves one of the event streams until the permit is dropped.
+///
+/// # Errors
+/// 503 if all are in use.
+pub(super) fn subscriber_permit(app: &App) -> Result<OwnedSemaphorePermit, ErrorResponse> {
+    app.subscribers.clone().try_acquire_owned().map_err(|_| {
+        ErrorResponse::new(
             StatusCode::SERVICE_UNAVAILABLE,
             "watchers",
-            "as many watch already as there are places for",
+            "the maximum number of event streams is in use",
         )
     })
 }
 
-struct Watcher {
-    notices: broadcast::Receiver<Arc<Notice>>,
+/// Task behind one event stream.
+struct Subscriber {
+    events: broadcast::Receiver<Arc<DaemonEvent>>,
     device: Option<String>,
     tx: mpsc::Sender<Result<Event, Infallible>>,
     app: Arc<App>,
     stopping: watch::Receiver<bool>,
-    _place: OwnedSemaphorePermit,
+    _permit: OwnedSemaphorePermit,
 }
 
-impl Watcher {
-    /// Until the reader goes or the server ends.
+impl Subscriber {
+    /// Sends events until the client disconnects or the server ends.
     async fn run(mut self, greeting: &str) {
         if self
             .tx
@@ -101,14 +105,14 @@ impl Watcher {
             let received = tokio::select! {
                 () = self.tx.closed() => return,
                 _ = self.stopping.wait_for(|stopping| *stopping) => return,
-                received = self.notices.recv() => received,
+                received = self.events.recv() => received,
             };
             let event = match received {
-                Ok(notice) if self.concerns(&notice) => json(None, &*notice),
+                Ok(event) if self.is_selected(&event) => json(None, &*event),
                 Ok(_) => continue,
                 Err(RecvError::Lagged(missed)) => {
                     self.app.counts.missed.fetch_add(missed, Ordering::Relaxed);
-                    json(Some("missed"), &Missed { missed })
+                    json(Some("missed"), &MissedEvents { missed })
                 }
                 Err(RecvError::Closed) => return,
             };
@@ -120,14 +124,14 @@ impl Watcher {
         }
     }
 
-    fn concerns(&self, notice: &Notice) -> bool {
-        let wanted = self.device.as_deref();
-        notice.device.is_empty() || wanted.is_none_or(|wanted| wanted == notice.device)
+    fn is_selected(&self, event: &DaemonEvent) -> bool {
+        let selected = self.device.as_deref();
+        event.device.is_empty() || selected.is_none_or(|device| device == event.device)
     }
 }
 
 fn json(kind: Option<&str>, data: &impl Serialize) -> Option<Event> {
-    // A number that JSON cannot hold is written as null; nothing else can fail.
+    // Cannot fail: a number that JSON cannot hold is written as null.
     let event = Event::default().json_data(data).ok()?;
     Some(match kind {
         Some(kind) => event.event(kind),

@@ -1,4 +1,4 @@
-//! The fleet that the daemon is an edge of.
+//! Fleet of which the daemon is an edge.
 
 use std::sync::Arc;
 
@@ -9,21 +9,25 @@ use axum::response::{IntoResponse, Response};
 use ihd_daemon::model::FleetReport;
 
 use super::App;
-use super::problem::Failed;
 use crate::model::Problem;
+use crate::problem::ErrorResponse;
 
-/// What a daemon says that is no edge.
+/// Error message of a daemon that is not an edge.
 const NO_FLEET: &str =
     "this daemon belongs to no fleet: [fleet] url in ihd.toml makes it an edge (docs/fleet.md)";
 
-/// The fleet, as this edge knew it last: devices, edges, workers, and what waits.
+/// Returns the last report of the fleet: devices, edges, workers, queues.
 #[utoipa::path(get, path = "/fleet", tag = "fleet",
     responses((status = 200, body = FleetReport),
-        (status = 404, description = "The daemon is no edge", body = Problem)))]
-pub(super) async fn fleet(State(app): State<Arc<App>>) -> Result<Response, Failed> {
+        (status = 404, description = "The daemon is not an edge", body = Problem)))]
+pub(super) async fn fleet(State(app): State<Arc<App>>) -> Result<Response, ErrorResponse> {
     match app.backend.fleet() {
-        // Written from where it is: a thousand devices are not copied for each that asks.
+        // Serialised in place: a report of a thousand devices is not copied for each request.
         Some(report) => Ok(Json(&*report).into_response()),
-        None => Err(Failed::new(StatusCode::NOT_FOUND, "no-fleet", NO_FLEET)),
+        None => Err(ErrorResponse::new(
+            StatusCode::NOT_FOUND,
+            "no-fleet",
+            NO_FLEET,
+        )),
     }
 }

@@ -1,4 +1,4 @@
-//! For service managers and for Prometheus.
+//! Health for service managers, metrics for Prometheus.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -8,29 +8,29 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
-use ihd_daemon::board::now_ms;
+use ihd_daemon::event_bus::now_ms;
 use ihd_daemon::model::{DeviceReport, DeviceState, StoreFailure};
 
 use super::App;
-use crate::backend::Alive;
+use crate::backend::Liveness;
 use crate::model::{Health, Problem};
 use crate::prometheus::Exposition;
 
-/// Health of the daemon; needs no token. A store that drops records says why, since when, which, and what to do.
+/// Returns the health of the daemon; needs no token. A failure of the store has its cause, its time, the lost records and advice.
 #[utoipa::path(get, path = "/healthz", tag = "daemon",
     responses((status = 200, body = Health), (status = 503, body = Health)))]
 pub(super) async fn healthz(State(app): State<Arc<App>>) -> (StatusCode, Json<Health>) {
-    let alive = app.backend.alive().await.unwrap_or_else(|_| Alive {
+    let liveness = app.backend.liveness().await.unwrap_or_else(|_| Liveness {
         store_failure: Some(StoreFailure::silent(now_ms())),
         supervisor: false,
         audit: false,
     });
     let health = Health {
         service: "ihd".into(),
-        store: alive.store_failure.is_none(),
-        store_failure: alive.store_failure,
-        supervisor: alive.supervisor,
-        audit: alive.audit,
+        store: liveness.store_failure.is_none(),
+        store_failure: liveness.store_failure,
+        supervisor: liveness.supervisor,
+        audit: liveness.audit,
     };
     let status = if health.store && health.supervisor {
         StatusCode::OK
@@ -40,21 +40,21 @@ pub(super) async fn healthz(State(app): State<Arc<App>>) -> (StatusCode, Json<He
     (status, Json(health))
 }
 
-/// Numbers in the text format of Prometheus.
+/// Returns metrics in the text format of Prometheus.
 #[utoipa::path(get, path = "/metrics", tag = "daemon",
     responses((status = 200, description = "Prometheus text", content_type = "text/plain", body = String),
         (status = 401, body = Problem)))]
 pub(super) async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
     let mut text = Exposition::default();
     let mut family = "";
-    for figure in app.backend.figures() {
-        let kind = if figure.counter { "counter" } else { "gauge" };
-        if figure.name != std::mem::replace(&mut family, figure.name) {
-            text.family(figure.name, figure.help, kind);
+    for metric in app.backend.metrics() {
+        let kind = if metric.counter { "counter" } else { "gauge" };
+        if metric.name != std::mem::replace(&mut family, metric.name) {
+            text.family(metric.name, metric.help, kind);
         }
-        text.sample(figure.name, figure.label.as_slice(), figure.value);
+        text.sample(metric.name, metric.label.as_slice(), metric.value);
     }
-    own(&mut text, &app);
+    server(&mut text, &app);
     devices(&mut text, &app.backend.devices());
     (
         [(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")],
@@ -62,8 +62,8 @@ pub(super) async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
     )
 }
 
-/// The server's own.
-fn own(text: &mut Exposition, app: &App) {
+/// Writes the metrics of the server.
+fn server(text: &mut Exposition, app: &App) {
     let counts = &app.counts;
     for (name, help, count) in [
         (
@@ -73,12 +73,12 @@ fn own(text: &mut Exposition, app: &App) {
         ),
         (
             "http_given_way_total",
-            "Connections that gave way to others, all places being taken",
-            app.places.given_way(),
+            "Connections that were closed in favour of others at the maximum number of connections",
+            app.slots.evictions(),
         ),
         (
             "events_missed_total",
-            "Notices that slow watchers missed",
+            "Events that were dropped for slow subscribers",
             counts.missed.load(Ordering::Relaxed),
         ),
     ] {
@@ -108,7 +108,7 @@ fn state_name(state: DeviceState) -> String {
 fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
     text.family(
         "device_state",
-        "1 for the state that a device is in",
+        "1 for the present state of a device",
         "gauge",
     );
     for device in devices {
@@ -123,12 +123,12 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
     }
     text.family(
         "windows_total",
-        "Windows of a device since the daemon began, by what became of them",
+        "Windows of a device since the start of the daemon, by outcome",
         "counter",
     );
     for device in devices {
         let w = &device.windows;
-        for (fate, count) in [
+        for (outcome, count) in [
             ("announced", w.announced),
             ("stored", w.stored),
             ("refused", w.refused),
@@ -139,11 +139,11 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
             ("unfit", w.unfit),
             ("unlearned", w.unlearned),
         ] {
-            let labels = [("device", device.name.as_str()), ("fate", fate)];
+            let labels = [("device", device.name.as_str()), ("fate", outcome)];
             text.sample("windows_total", &labels, count as f64);
         }
     }
-    each(
+    family_of_devices(
         text,
         devices,
         "connections_total",
@@ -151,7 +151,7 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
         "counter",
         |d| f64::from(d.connections),
     );
-    each(
+    family_of_devices(
         text,
         devices,
         "power_watts",
@@ -159,7 +159,7 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
         "gauge",
         |d| d.live.as_ref().map_or(0.0, |live| live.power_w),
     );
-    each(
+    family_of_devices(
         text,
         devices,
         "lookup_version",
@@ -167,17 +167,18 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
         "gauge",
         |d| d.lookup.on_device.map_or(f64::NAN, f64::from),
     );
-    each(
+    family_of_devices(
         text,
         devices,
         "lookup_observed_cells",
-        "Cells of the active lookup that rest on observations",
+        "Observed cells of the active lookup",
         "gauge",
         |d| f64::from(d.lookup.observed_cells),
     );
 }
 
-fn each(
+/// Writes a family with one sample per device.
+fn family_of_devices(
     text: &mut Exposition,
     devices: &[DeviceReport],
     name: &str,

@@ -1,4 +1,4 @@
-//! What every hob of this build has.
+//! Ratings of the hob.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use ihd_daemon::model::Hob;
 
 use super::App;
 
-/// Ratings, limits and the resonance capacitor: what a display draws in.
+/// Returns ratings, limits and the resonance capacitor of all hobs of this build, for the scales of a display.
 #[utoipa::path(get, path = "/hob", tag = "daemon", responses((status = 200, body = Hob)))]
 pub(super) async fn hob(State(app): State<Arc<App>>) -> Json<Hob> {
     Json(app.backend.hob())

@@ -1,7 +1,7 @@
-//! What devices do now, for a display: pulled at its pace, newest first, never behind.
+//! Live telemetry for a display, at the pace of the client.
 //!
-//! A watcher has one event on its way. The next is made when the socket has taken it, of what is there then: whoever is slow gets
-//! fewer events, not older ones, and is told how many intervals each stands for.
+//! At most one event per subscriber waits for the socket. The next one is made from current data once the socket has accepted it: a slow
+//! client receives fewer events, not older ones. Each event has the number of intervals that were skipped.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -13,8 +13,8 @@ use axum::Extension;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::sse::{Event, Sse};
-use ihd_daemon::board::now_ms;
-use ihd_daemon::model::{DeviceReport, LiveTelemetry, Notice, What, WindowCounts};
+use ihd_daemon::event_bus::now_ms;
+use ihd_daemon::model::{DaemonEvent, DeviceReport, EventKind, LiveTelemetry, WindowCounts};
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::{self, error::RecvError};
 use tokio::sync::{OwnedSemaphorePermit, mpsc, watch};
@@ -23,163 +23,165 @@ use tokio_stream::wrappers::ReceiverStream;
 use utoipa::IntoParams;
 
 use super::App;
-use super::events::place;
-use super::problem::{Asked, Failed};
-use crate::backend::Tap;
-use crate::connection::Stalled;
-use crate::model::{Missed, Problem};
+use super::events::subscriber_permit;
+use crate::backend::LiveSource;
+use crate::connection::WriteStall;
+use crate::model::{MissedEvents, Problem};
+use crate::problem::{ApiQuery, ErrorResponse};
 
-/// Between two events of telemetry, unless told otherwise, in milliseconds.
+/// Default interval between telemetry events, in milliseconds.
 const DEFAULT_INTERVAL_MS: u32 = 200;
 
-/// A person sees no more.
-const LEAST_INTERVAL_MS: u32 = 100;
+/// Minimum interval, in milliseconds; a person cannot follow faster ones.
+const MIN_INTERVAL_MS: u32 = 100;
 
-/// Beyond it `/devices` does as well.
-const LARGEST_INTERVAL_MS: u32 = 5_000;
+/// Maximum interval, in milliseconds; for longer ones `/devices` is sufficient.
+const MAX_INTERVAL_MS: u32 = 5_000;
 
-/// How long nothing may come: whoever hears nothing for longer knows that the link is dead.
+/// Maximum time without an event, by which the client detects a dead connection.
 const SILENCE: Duration = Duration::from_secs(1);
 
-/// Devices are told again this often, changed or not.
-const DEVICES_EVERY: Duration = Duration::from_secs(2);
+/// Period of `devices` without a change.
+const DEVICES_PERIOD: Duration = Duration::from_secs(2);
 
-/// Notices that wait for a slow watcher; of what is beyond, the oldest are missed.
-const WAITING: usize = 256;
+/// Maximum number of notices that wait for a slow client; beyond it the oldest are dropped.
+const QUEUE_LENGTH: usize = 256;
 
-type Events = ReceiverStream<Result<Event, Infallible>>;
+type EventStream = ReceiverStream<Result<Event, Infallible>>;
 
-/// How often.
+/// Query parameters of the live stream.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct HowOften {
-    /// Milliseconds between two events of telemetry, 100 to 5000; 200 unless told.
+pub(super) struct LiveParameters {
+    /// Interval between telemetry events in milliseconds, 100 to 5000; default 200.
     interval_ms: Option<u32>,
 }
 
-/// What devices do, for a display: `telemetry` (what happened since the last one; at least once a second, then without devices),
-/// `devices` (every device, when something changed and every 2 s), `notice` (all but telemetry) and `missed`. Whoever is slow gets
-/// fewer, never older ones.
-#[utoipa::path(get, path = "/live", tag = "daemon", params(HowOften),
-    responses((status = 200, description = "Server-Sent Events; those named `telemetry` hold this", content_type = "text/event-stream",
+/// Streams live data for a display: `telemetry` (data since the last one; at least once per second, if need be without devices),
+/// `devices` (all reports, after a change and every 2 s), `notice` (all events but telemetry) and `missed`. A slow client receives
+/// fewer, never older events.
+#[utoipa::path(get, path = "/live", tag = "daemon", params(LiveParameters),
+    responses((status = 200, description = "Server-Sent Events; schema of the event `telemetry`", content_type = "text/event-stream",
             body = LiveTelemetry),
-        (status = 400, body = Problem), (status = 503, description = "Too many watchers", body = Problem)))]
+        (status = 400, body = Problem), (status = 503, description = "Too many event streams", body = Problem)))]
 pub(super) async fn live(
     State(app): State<Arc<App>>,
-    Asked(how): Asked<HowOften>,
-    stalled: Option<Extension<Stalled>>,
-) -> Result<Sse<Events>, Failed> {
-    let interval_ms = how.interval_ms.unwrap_or(DEFAULT_INTERVAL_MS);
-    if !(LEAST_INTERVAL_MS..=LARGEST_INTERVAL_MS).contains(&interval_ms) {
+    ApiQuery(parameters): ApiQuery<LiveParameters>,
+    stall: Option<Extension<WriteStall>>,
+) -> Result<Sse<EventStream>, ErrorResponse> {
+    let interval_ms = parameters.interval_ms.unwrap_or(DEFAULT_INTERVAL_MS);
+    if !(MIN_INTERVAL_MS..=MAX_INTERVAL_MS).contains(&interval_ms) {
         let text = format!(
-            "interval_ms is {interval_ms}, but must lie between {LEAST_INTERVAL_MS} and {LARGEST_INTERVAL_MS}"
+            "interval_ms is {interval_ms}, but must lie between {MIN_INTERVAL_MS} and {MAX_INTERVAL_MS}"
         );
-        return Err(Failed::new(StatusCode::BAD_REQUEST, "query", text));
+        return Err(ErrorResponse::new(StatusCode::BAD_REQUEST, "query", text));
     }
     let every = Duration::from_millis(interval_ms.into());
-    let place = place(&app)?;
+    let permit = subscriber_permit(&app)?;
     let (tx, rx) = mpsc::channel(1);
-    let watcher = Watcher {
-        tap: app.backend.live(every),
-        notices: app.backend.watch(),
+    let subscriber = Subscriber {
+        source: app.backend.live(every),
+        events: app.backend.watch(),
         stopping: app.stopping.clone(),
         app,
-        stalled: stalled.map(|Extension(stalled)| stalled),
+        stall: stall.map(|Extension(stall)| stall),
         every,
         outbox: Outbox::default(),
         tx,
-        _place: place,
+        _permit: permit,
     };
-    tokio::spawn(watcher.run());
+    tokio::spawn(subscriber.run());
     Ok(Sse::new(ReceiverStream::new(rx)))
 }
 
-/// What waits to be told.
+/// Data that waits to be sent.
 #[derive(Default)]
 struct Outbox {
-    /// Telemetry is due: it is made when it goes out.
+    /// `true` if telemetry is due; it is collected when it is sent.
     telemetry: bool,
-    notices: VecDeque<Arc<Notice>>,
+    notices: VecDeque<Arc<DaemonEvent>>,
+    /// Number of dropped notices.
     missed: u64,
-    /// Devices as they were told last, without what changes all the time, and when.
+    /// Reports of the last `devices`, without the fields that always change, and its time; `None` before the first.
     devices: Option<(Vec<DeviceReport>, Instant)>,
-    /// When anything was told last.
-    told: Option<Instant>,
+    /// Time of the last event; `None` before the first.
+    last_sent: Option<Instant>,
 }
 
 impl Outbox {
-    fn take_in(&mut self, notice: Arc<Notice>) {
-        // Which comes in events of its own.
-        if matches!(notice.what, What::Telemetry { .. }) {
+    fn push(&mut self, notice: Arc<DaemonEvent>) {
+        // Telemetry has events of its own.
+        if matches!(notice.kind, EventKind::Telemetry { .. }) {
             return;
         }
-        if self.notices.len() == WAITING {
+        if self.notices.len() == QUEUE_LENGTH {
             self.notices.pop_front();
             self.missed += 1;
         }
         self.notices.push_back(notice);
     }
 
-    fn waits(&self) -> bool {
+    fn is_pending(&self) -> bool {
         self.telemetry || self.missed > 0 || !self.notices.is_empty()
     }
 
     fn silent_for(&self, now: Instant) -> Duration {
-        self.told
-            .map_or(Duration::MAX, |told| now.duration_since(told))
+        self.last_sent
+            .map_or(Duration::MAX, |sent| now.duration_since(sent))
     }
 }
 
-struct Watcher {
-    tap: Box<dyn Tap>,
-    notices: broadcast::Receiver<Arc<Notice>>,
+/// Task behind one live stream.
+struct Subscriber {
+    source: Box<dyn LiveSource>,
+    events: broadcast::Receiver<Arc<DaemonEvent>>,
     app: Arc<App>,
     stopping: watch::Receiver<bool>,
-    stalled: Option<Stalled>,
+    stall: Option<WriteStall>,
     every: Duration,
     outbox: Outbox,
     tx: mpsc::Sender<Result<Event, Infallible>>,
-    _place: OwnedSemaphorePermit,
+    _permit: OwnedSemaphorePermit,
 }
 
-impl Watcher {
-    /// Until the reader goes or the server ends.
+impl Subscriber {
+    /// Sends events until the client disconnects or the server ends.
     async fn run(mut self) {
         let mut telemetry = ticks(self.every);
         let mut silence = ticks(self.every.min(SILENCE));
         let (tx, mut stopping) = (self.tx.clone(), self.stopping.clone());
         loop {
-            let takes = !self.stalled.as_ref().is_some_and(Stalled::is_stalled);
+            let is_writable = !self.stall.as_ref().is_some_and(WriteStall::is_stalled);
             tokio::select! {
                 () = tx.closed() => return,
                 _ = stopping.wait_for(|stopping| *stopping) => return,
-                received = self.notices.recv() => match received {
-                    Ok(notice) => self.outbox.take_in(notice),
+                received = self.events.recv() => match received {
+                    Ok(notice) => self.outbox.push(notice),
                     Err(RecvError::Lagged(missed)) => self.outbox.missed += missed,
                     Err(RecvError::Closed) => return,
                 },
                 _ = telemetry.tick() => self.outbox.telemetry = true,
-                // A socket that is free again is seen here.
+                // Wakes the loop, which then sees that a stalled socket is writable again.
                 _ = silence.tick() => {}
-                place = tx.reserve(), if takes && self.is_due() => {
-                    let Ok(place) = place else { return };
+                permit = tx.reserve(), if is_writable && self.is_due() => {
+                    let Ok(permit) = permit else { return };
                     if let Some(event) = self.next() {
-                        self.outbox.told = Some(Instant::now());
-                        place.send(Ok(event));
+                        self.outbox.last_sent = Some(Instant::now());
+                        permit.send(Ok(event));
                     }
                 }
             }
         }
     }
 
-    /// Whether there may be something to tell.
+    /// Returns `true` if an event may be due.
     fn is_due(&self) -> bool {
         let silent = self.outbox.silent_for(Instant::now()) >= SILENCE;
-        self.outbox.waits() || silent || self.outbox.devices.is_none()
+        self.outbox.is_pending() || silent || self.outbox.devices.is_none()
     }
 
-    /// The next event, made of what is there now.
+    /// Returns the next event, made from current data; `None` if none is due.
     fn next(&mut self) -> Option<Event> {
         if let Some(devices) = self.devices() {
             return json("devices", &devices);
@@ -187,7 +189,7 @@ impl Watcher {
         let now = Instant::now();
         if self.outbox.telemetry {
             self.outbox.telemetry = false;
-            let telemetry = self.tap.take();
+            let telemetry = self.source.collect();
             if !telemetry.devices.is_empty() {
                 return json("telemetry", &telemetry);
             }
@@ -195,34 +197,34 @@ impl Watcher {
         if self.outbox.missed > 0 {
             let missed = std::mem::take(&mut self.outbox.missed);
             self.app.counts.missed.fetch_add(missed, Ordering::Relaxed);
-            return json("missed", &Missed { missed });
+            return json("missed", &MissedEvents { missed });
         }
         if let Some(notice) = self.outbox.notices.pop_front() {
             return json("notice", &*notice);
         }
-        (self.outbox.silent_for(now) >= SILENCE).then(|| json("telemetry", &silence()))?
+        (self.outbox.silent_for(now) >= SILENCE).then(|| json("telemetry", &empty_telemetry()))?
     }
 
-    /// Devices where they have to be told: at the beginning, when something changed, and every 2 s. Not twice in an
-    /// interval: what changes all the time must not keep telemetry back.
+    /// Returns the reports if they are due: first, after a change, and every [`DEVICES_PERIOD`]; at most once per interval, so that frequent
+    /// changes do not delay telemetry.
     fn devices(&mut self) -> Option<Vec<DeviceReport>> {
         let devices = self.app.backend.devices();
-        let lasting: Vec<_> = devices.iter().map(lasting).collect();
+        let stable: Vec<_> = devices.iter().map(stable_fields).collect();
         let now = Instant::now();
-        let told = self.outbox.devices.as_ref();
-        match told.map(|(told, when)| (*told == lasting, now.duration_since(*when))) {
+        let last = self.outbox.devices.as_ref();
+        match last.map(|(sent, at)| (*sent == stable, now.duration_since(*at))) {
             Some((_, ago)) if ago < self.every => None,
-            Some((true, ago)) if ago < DEVICES_EVERY => None,
+            Some((true, ago)) if ago < DEVICES_PERIOD => None,
             _ => {
-                self.outbox.devices = Some((lasting, now));
+                self.outbox.devices = Some((stable, now));
                 Some(devices)
             }
         }
     }
 }
 
-/// What of a device does not change all the time; windows are counted as they come.
-fn lasting(device: &DeviceReport) -> DeviceReport {
+/// Returns a report without the fields that always change.
+fn stable_fields(device: &DeviceReport) -> DeviceReport {
     let mut device = device.clone();
     device.live = None;
     device.pot_temperature = None;
@@ -237,8 +239,8 @@ fn lasting(device: &DeviceReport) -> DeviceReport {
     device
 }
 
-/// Nobody was heard.
-fn silence() -> LiveTelemetry {
+/// Returns telemetry without devices.
+fn empty_telemetry() -> LiveTelemetry {
     LiveTelemetry {
         at_ms: now_ms(),
         ..LiveTelemetry::default()
@@ -252,6 +254,6 @@ fn ticks(every: Duration) -> Interval {
 }
 
 fn json(kind: &str, data: &impl Serialize) -> Option<Event> {
-    // A number that JSON cannot hold is written as null; nothing else can fail.
+    // Cannot fail: a number that JSON cannot hold is written as null.
     Event::default().event(kind).json_data(data).ok()
 }

@@ -1,4 +1,4 @@
-//! The routes, and what lies in front of them.
+//! Routes, and the checks in front of them.
 
 mod devices;
 mod events;
@@ -8,7 +8,6 @@ mod hob;
 mod live;
 mod page;
 mod past;
-pub(crate) mod problem;
 mod recordings;
 mod session;
 mod store;
@@ -31,50 +30,51 @@ use utoipa_axum::routes;
 
 use crate::access::guard::{self, Access};
 use crate::backend::Backend;
-use crate::places::Places;
-use problem::refusal;
+use crate::problem::refusal;
+use crate::slots::ConnectionSlots;
 
-/// Largest body of a request, in bytes; a lookup as JSON takes 3 kB.
+/// Maximum size of a request body, in bytes; a lookup as JSON has 3 kB.
 pub(crate) const MAX_BODY_BYTES: usize = 65_536;
 
-/// Most watchers of events at a time: places of other connections are left for other requests.
-pub(crate) const MAX_WATCHERS: usize = 64;
+/// Maximum number of simultaneous event streams; leaves connections for other requests.
+pub(crate) const MAX_SUBSCRIBERS: usize = 64;
 
-/// What the routes share.
+/// State shared by the routes.
 pub(crate) struct App {
     pub(crate) backend: Arc<dyn Backend>,
-    pub(crate) access: Access,
-    /// Whether TLS is spoken.
+    pub(crate) access: Arc<Access>,
+    /// `true` if the server uses TLS.
     pub(crate) tls: bool,
-    /// Where backups go.
+    /// Folder for backups.
     pub(crate) backups: PathBuf,
-    /// True when the server ends.
+    /// `true` once the server ends.
     pub(crate) stopping: watch::Receiver<bool>,
-    pub(crate) watchers: Arc<Semaphore>,
+    /// A permit for each event stream.
+    pub(crate) subscribers: Arc<Semaphore>,
     pub(crate) counts: Counts,
-    pub(crate) places: Places,
+    pub(crate) slots: ConnectionSlots,
 }
 
-/// What the server counts.
+/// Counters of the server.
 #[derive(Default)]
 pub(crate) struct Counts {
-    /// Connections that were accepted.
+    /// Accepted connections.
     pub(crate) connections: AtomicU64,
-    /// Notices that slow watchers missed.
+    /// Events that were dropped for slow subscribers.
     pub(crate) missed: AtomicU64,
 }
 
 #[derive(OpenApi)]
 #[openapi(info(
     title = "ihd",
-    description = "The daemon of ihd: induction hobs that are watched, taught and commanded. \
-                   Commands name who asks in the header `ihd-holder`. Errors are a Problem.",
+    description = "The daemon of ihd, which monitors and controls induction hobs and trains their lookups. \
+                   Commands name the client in the header `ihd-holder`. Errors are a Problem.",
     version = "1",
     license(name = "MIT OR Apache-2.0")
 ))]
 struct Description;
 
-/// The routes and their description.
+/// Returns the routes and their OpenAPI description.
 pub(crate) fn described() -> (Router<Arc<App>>, utoipa::openapi::OpenApi) {
     let api = OpenApiRouter::new()
         .routes(routes!(devices::all))
@@ -104,43 +104,44 @@ pub(crate) fn described() -> (Router<Arc<App>>, utoipa::openapi::OpenApi) {
         .routes(routes!(health::healthz))
         .routes(routes!(health::metrics))
         .split_for_parts();
-    // The macro takes the crate's version and licence for the API's.
+    // The derive macro takes contact from the crate's authors.
     openapi.info.contact = None;
     (router, openapi)
 }
 
-/// The API's description.
+/// Returns the OpenAPI description of this API.
 #[utoipa::path(get, path = "/openapi.json", tag = "daemon",
     responses((status = 200, description = "This document", body = serde_json::Value)))]
 async fn description() -> Json<utoipa::openapi::OpenApi> {
     Json(described().1)
 }
 
-/// Everything, guarded.
+/// Returns all routes with the checks in front of them.
 pub(crate) fn router(app: Arc<App>) -> Router {
+    let access = app.access.clone();
     described()
         .0
         .route("/", get(page::index))
         .route("/page/{*path}", get(page::file))
         .fallback(not_found)
         .method_not_allowed_fallback(wrong_method)
-        // From here outwards: the last is what a request meets first.
+        // A request passes the last layer first.
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
         .layer(page::compression())
         .layer(from_fn(guard::deadline))
-        .layer(from_fn_with_state(app.clone(), guard::role))
-        .layer(CsrfLayer::new().with_rejection_response(|_| guard::cross_site()))
-        .layer(from_fn(guard::foreign_page))
-        .layer(from_fn_with_state(app.clone(), guard::host))
+        .layer(from_fn_with_state(access.clone(), guard::check_role))
+        .layer(CsrfLayer::new().with_rejection_response(|_| guard::cross_site_refused()))
+        .layer(from_fn(guard::check_origin))
+        .layer(from_fn_with_state(access, guard::check_host))
         .layer(from_fn(page::protect))
         .with_state(app)
 }
 
 async fn not_found() -> Response {
-    nothing_here()
+    no_route()
 }
 
-fn nothing_here() -> Response {
+fn no_route() -> Response {
     refusal(
         StatusCode::NOT_FOUND,
         "no-route",

@@ -1,4 +1,4 @@
-//! The page for a browser: its files, and what every answer tells a browser about itself.
+//! Page for browsers: its files, and the security headers of all responses.
 
 use axum::extract::{Path, Request};
 use axum::http::header::{
@@ -12,45 +12,45 @@ use tower_http::compression::CompressionLayer;
 use tower_http::compression::CompressionLevel;
 use tower_http::compression::predicate::{NotForContentType, Predicate, SizeAbove};
 
-/// Nothing but this server's own files, no inline script or style, and in nobody's frame.
+/// Content security policy: files of this server only, no inline script or style, no embedding in frames.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
     img-src 'self' data: blob:; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 const CORP: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
-/// What is smaller fits a packet as it is.
+/// Minimum size of a compressed response, in bytes; a smaller one fits a packet.
 const COMPRESSED_ABOVE: u64 = 1_400;
 
-/// The page itself.
+/// Returns the page.
 pub(super) async fn index(headers: HeaderMap) -> Response {
-    answer("index.html", &headers)
+    serve("index.html", &headers)
 }
 
-/// A file of the page.
+/// Returns a file of the page.
 pub(super) async fn file(Path(path): Path<String>, headers: HeaderMap) -> Response {
-    answer(&path, &headers)
+    serve(&path, &headers)
 }
 
-fn answer(path: &str, headers: &HeaderMap) -> Response {
+fn serve(path: &str, headers: &HeaderMap) -> Response {
     let Some(file) = ihd_ui::file(path) else {
-        return super::nothing_here();
+        return super::no_route();
     };
-    // Asked again each time: a page of yesterday does not talk to a daemon of today.
-    let kept = [(CACHE_CONTROL, "no-cache"), (ETAG, &file.etag)];
-    if holds(headers, &file.etag) {
-        return (StatusCode::NOT_MODIFIED, kept).into_response();
+    // Revalidated each time: an old page must not run with a newer daemon.
+    let caching = [(CACHE_CONTROL, "no-cache"), (ETAG, &file.etag)];
+    if is_cached(headers, &file.etag) {
+        return (StatusCode::NOT_MODIFIED, caching).into_response();
     }
-    (kept, [(CONTENT_TYPE, file.mime)], file.bytes).into_response()
+    (caching, [(CONTENT_TYPE, file.mime)], file.bytes).into_response()
 }
 
-/// Whether the browser has it already.
-fn holds(headers: &HeaderMap, etag: &str) -> bool {
+/// Returns `true` if the browser has this version of the file.
+fn is_cached(headers: &HeaderMap, etag: &str) -> bool {
     let lists = headers.get_all(IF_NONE_MATCH).into_iter();
     let mut tags = lists.flat_map(|list| list.to_str().unwrap_or_default().split(','));
     tags.any(|tag| tag.trim() == etag || tag.trim() == "*")
 }
 
-/// What a browser may do with an answer, whichever it is.
+/// Adds the security headers to every response, and forbids caching unless a route allows it.
 pub(super) async fn protect(request: Request, next: Next) -> Response {
     let mut response = next.run(request).await;
     let headers = response.headers_mut();
@@ -62,15 +62,14 @@ pub(super) async fn protect(request: Request, next: Next) -> Response {
     ] {
         headers.insert(name, HeaderValue::from_static(value));
     }
-    // What a device does now is nothing to keep.
-    let never = HeaderValue::from_static("no-store");
-    headers.entry(CACHE_CONTROL).or_insert(never);
+    let no_store = HeaderValue::from_static("no-store");
+    headers.entry(CACHE_CONTROL).or_insert(no_store);
     response
 }
 
-/// Text, where it is asked for compressed. Not events, which must not wait, and not downloads, whose length is told.
+/// Compresses text if the client accepts it. Excludes events, which must not wait, and downloads, which have a `Content-Length`.
 pub(super) fn compression() -> CompressionLayer<impl Predicate> {
-    let other = [
+    let excluded = [
         "application/octet-stream",
         "application/zip",
         "text/csv",
@@ -78,7 +77,7 @@ pub(super) fn compression() -> CompressionLayer<impl Predicate> {
         "font/",
     ];
     let all = SizeAbove::new(COMPRESSED_ABOVE).and(NotForContentType::SSE);
-    let [octets, zip, csv, png, font] = other.map(NotForContentType::const_new);
+    let [octets, zip, csv, png, font] = excluded.map(NotForContentType::const_new);
     let all = all.and(octets).and(zip).and(csv).and(png).and(font);
     CompressionLayer::new()
         .quality(CompressionLevel::Fastest)

@@ -1,4 +1,4 @@
-//! What the store has of a device, as a display wants it: history, windows, fits, maps; and the journal.
+//! Stored data for a display: history, windows, fits and maps of a device, and the journal.
 
 use std::sync::Arc;
 
@@ -6,74 +6,82 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use ihd_daemon::JournalFilter;
-use ihd_daemon::board::now_ms;
+use ihd_daemon::event_bus::now_ms;
 use ihd_daemon::model::{
-    Fit, History, JournalEntry, Map, PotCurve, Scope, WindowSummary, WindowWanted,
+    Fit, History, JournalEntry, Map, PotCurve, Scope, WindowQuery, WindowSummary,
 };
 use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::App;
-use super::problem::{Asked, Failed};
 use crate::model::Problem;
+use crate::problem::{ApiQuery, ErrorResponse};
 
-/// Columns of a history, unless told otherwise.
+/// Default number of columns of a history.
 const HISTORY_COLUMNS: u32 = 600;
 
-/// Columns of a window, unless told otherwise.
+/// Default number of columns of a window.
 const WINDOW_COLUMNS: u32 = 1_200;
 
-/// No display is wider.
+/// Maximum number of columns; no display is wider.
 const MAX_COLUMNS: u32 = 4_000;
 
-/// How far back a history reaches, unless told otherwise.
+/// Default span of a history, in milliseconds.
 const HISTORY_MS: i64 = 300_000;
 
-/// Most rows in an answer.
+/// Maximum number of rows in a response.
 const MAX_ROWS: u32 = 10_000;
 
-/// A number that was asked for, or what it is without a word; an error outside of 1 to `most`.
-fn within(name: &str, asked: Option<u32>, otherwise: u32, most: u32) -> Result<usize, Failed> {
-    match asked.unwrap_or(otherwise) {
-        n if (1..=most).contains(&n) => Ok(n as usize),
-        n => Err(wrong(format!(
-            "{name} is {n}, but must lie between 1 and {most}"
+/// Returns `value`, or `default` if it is `None`.
+///
+/// # Errors
+/// 400 if it is not in 1 to `max`.
+fn checked_count(
+    name: &str,
+    value: Option<u32>,
+    default: u32,
+    max: u32,
+) -> Result<usize, ErrorResponse> {
+    match value.unwrap_or(default) {
+        n if (1..=max).contains(&n) => Ok(n as usize),
+        n => Err(bad_query(format!(
+            "{name} is {n}, but must lie between 1 and {max}"
         ))),
     }
 }
 
-fn wrong(text: String) -> Failed {
-    Failed::new(StatusCode::BAD_REQUEST, "query", text)
+fn bad_query(text: String) -> ErrorResponse {
+    ErrorResponse::new(StatusCode::BAD_REQUEST, "query", text)
 }
 
-/// Which stretch of time.
+/// Query parameters of a history.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct WhichHistory {
-    /// Where it begins, in milliseconds since 1970, UTC; 5 minutes before its end unless told.
+pub(super) struct HistoryParameters {
+    /// Start, in milliseconds since 1970, UTC; default: 5 minutes before the end.
     from: Option<i64>,
-    /// Where it ends; now unless told.
+    /// End, in milliseconds since 1970, UTC; default: now.
     to: Option<i64>,
-    /// At most so many columns, 1 to 4000; 600 unless told.
+    /// Maximum number of columns, 1 to 4000; default 600.
     columns: Option<u32>,
 }
 
-/// What a device did, over minutes to months, in columns of a display.
+/// Returns telemetry of a device over minutes to months, in columns of a display.
 #[utoipa::path(get, path = "/devices/{name}/history", tag = "past",
-    params(("name" = String, Path, description = "Name of the device"), WhichHistory),
+    params(("name" = String, Path, description = "Name of the device"), HistoryParameters),
     responses((status = 200, body = History), (status = 400, body = Problem),
         (status = 404, body = Problem)))]
 pub(super) async fn history(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
-    Asked(which): Asked<WhichHistory>,
-) -> Result<Json<History>, Failed> {
-    let columns = within("columns", which.columns, HISTORY_COLUMNS, MAX_COLUMNS)?;
-    let to_ms = which.to.unwrap_or_else(now_ms);
-    let from_ms = which.from.unwrap_or(to_ms.saturating_sub(HISTORY_MS));
+    ApiQuery(parameters): ApiQuery<HistoryParameters>,
+) -> Result<Json<History>, ErrorResponse> {
+    let columns = checked_count("columns", parameters.columns, HISTORY_COLUMNS, MAX_COLUMNS)?;
+    let to_ms = parameters.to.unwrap_or_else(now_ms);
+    let from_ms = parameters.from.unwrap_or(to_ms.saturating_sub(HISTORY_MS));
     if from_ms >= to_ms {
-        return Err(wrong(format!(
+        return Err(bad_query(format!(
             "from is {from_ms} and to is {to_ms}: from must lie before to"
         )));
     }
@@ -81,78 +89,78 @@ pub(super) async fn history(
     Ok(Json(history.await?))
 }
 
-/// How much warmer the pot is than when it was put on, over the last hour, with its standard deviation. Never an absolute
-/// temperature, never an input of protection.
+/// Returns the rise of the pot temperature since the pot was placed, over the last hour, with its standard deviation. It is not an
+/// absolute temperature, and protection does not use it.
 #[utoipa::path(get, path = "/devices/{name}/pot-temperature", tag = "past",
     params(("name" = String, Path, description = "Name of the device")),
     responses((status = 200, body = PotCurve), (status = 404, body = Problem)))]
 pub(super) async fn pot_temperature(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
-) -> Result<Json<PotCurve>, Failed> {
+) -> Result<Json<PotCurve>, ErrorResponse> {
     let curve = app.backend.pot_curve(&name);
-    Ok(Json(curve.ok_or_else(|| Failed::no_device(&name))?))
+    Ok(Json(curve.ok_or_else(|| ErrorResponse::no_device(&name))?))
 }
 
-/// How many.
+/// Query parameters of lists.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct HowMany {
-    /// At most so many, 1 to 10 000; unless told 100 windows, 50 fits.
+pub(super) struct LimitParameters {
+    /// Maximum number of entries, 1 to 10 000; default 100 for windows, 50 for fits.
     limit: Option<u32>,
 }
 
-/// Windows that the store has of a device, newest first.
+/// Returns the stored windows of a device, newest first.
 #[utoipa::path(get, path = "/devices/{name}/windows", tag = "past",
-    params(("name" = String, Path, description = "Name of the device"), HowMany),
+    params(("name" = String, Path, description = "Name of the device"), LimitParameters),
     responses((status = 200, body = [WindowSummary]), (status = 400, body = Problem),
         (status = 404, body = Problem)))]
 pub(super) async fn windows(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
-    Asked(how): Asked<HowMany>,
-) -> Result<Json<Vec<WindowSummary>>, Failed> {
-    let limit = within("limit", how.limit, 100, MAX_ROWS)?;
+    ApiQuery(parameters): ApiQuery<LimitParameters>,
+) -> Result<Json<Vec<WindowSummary>>, ErrorResponse> {
+    let limit = checked_count("limit", parameters.limit, 100, MAX_ROWS)?;
     Ok(Json(app.backend.windows(&name, limit).await?))
 }
 
-/// Which window, and how much of it.
+/// Query parameters of a window.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct WhichWindow {
-    /// Boot of the device, with `seq`; without both the newest that has samples.
+pub(super) struct WindowParameters {
+    /// Boot of the device, together with `seq`; default: the newest window with samples.
     boot: Option<u32>,
     /// Number of the window since that boot.
     seq: Option<u32>,
-    /// Where the view begins, in seconds after the window's first pair; its beginning unless told.
+    /// Start of the view, in seconds after the window's first pair; default 0.
     from_s: Option<f64>,
-    /// Where the view ends; its end unless told.
+    /// End of the view, in seconds after the first pair; default: end of the window.
     to_s: Option<f64>,
-    /// At most so many columns, 1 to 4000; 1200 unless told.
+    /// Maximum number of columns, 1 to 4000; default 1200.
     columns: Option<u32>,
 }
 
-impl WhichWindow {
-    fn wanted(&self) -> Result<WindowWanted, Failed> {
-        let columns = within("columns", self.columns, WINDOW_COLUMNS, MAX_COLUMNS)?;
+impl WindowParameters {
+    fn query(&self) -> Result<WindowQuery, ErrorResponse> {
+        let columns = checked_count("columns", self.columns, WINDOW_COLUMNS, MAX_COLUMNS)?;
         let which = match (self.boot, self.seq) {
             (Some(boot), Some(seq)) => Some((boot, seq)),
             (None, None) => None,
-            _ => return Err(wrong("boot and seq go together".into())),
+            _ => return Err(bad_query("boot and seq go together".into())),
         };
         let (from_s, to_s) = (
             self.from_s.unwrap_or(0.0),
             self.to_s.unwrap_or(f64::INFINITY),
         );
-        // Neither is true of NaN.
+        // Rejects NaN, for which both comparisons are false.
         if !(from_s.is_finite() && from_s < to_s) {
-            return Err(wrong(format!(
+            return Err(bad_query(format!(
                 "from_s is {from_s} and to_s is {to_s}: from_s must lie before to_s"
             )));
         }
-        Ok(WindowWanted {
+        Ok(WindowQuery {
             which,
             from_s,
             to_s,
@@ -161,96 +169,96 @@ impl WhichWindow {
     }
 }
 
-/// Voltage and current of a window as a scope shows them, and R and L over it.
+/// Returns voltage and current of a window for a scope view, and R and L over it.
 #[utoipa::path(get, path = "/devices/{name}/window", tag = "past",
-    params(("name" = String, Path, description = "Name of the device"), WhichWindow),
+    params(("name" = String, Path, description = "Name of the device"), WindowParameters),
     responses((status = 200, body = Scope), (status = 400, body = Problem),
         (status = 404, description = "No such device, or no such window with samples", body = Problem)))]
 pub(super) async fn window(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
-    Asked(which): Asked<WhichWindow>,
-) -> Result<Json<Scope>, Failed> {
-    let scope = app.backend.scope(&name, which.wanted()?).await?;
+    ApiQuery(parameters): ApiQuery<WindowParameters>,
+) -> Result<Json<Scope>, ErrorResponse> {
+    let scope = app.backend.scope(&name, parameters.query()?).await?;
     scope.map(Json).ok_or_else(|| {
         let text = "the store has no such window with its samples: the device has not heated yet, or `keep` dropped it";
-        Failed::new(StatusCode::NOT_FOUND, "no-window", text)
+        ErrorResponse::new(StatusCode::NOT_FOUND, "no-window", text)
     })
 }
 
-/// How the network came to what it says of a device, newest first.
+/// Returns the fits of the network for a device, newest first.
 #[utoipa::path(get, path = "/devices/{name}/training", tag = "past",
-    params(("name" = String, Path, description = "Name of the device"), HowMany),
+    params(("name" = String, Path, description = "Name of the device"), LimitParameters),
     responses((status = 200, body = [Fit]), (status = 400, body = Problem),
         (status = 404, body = Problem)))]
 pub(super) async fn training(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
-    Asked(how): Asked<HowMany>,
-) -> Result<Json<Vec<Fit>>, Failed> {
-    let limit = within("limit", how.limit, 50, MAX_ROWS)?;
+    ApiQuery(parameters): ApiQuery<LimitParameters>,
+) -> Result<Json<Vec<Fit>>, ErrorResponse> {
+    let limit = checked_count("limit", parameters.limit, 50, MAX_ROWS)?;
     Ok(Json(app.backend.training(&name, limit).await?))
 }
 
-/// Which lookup.
+/// Query parameters of a map.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct WhichMap {
-    /// Its version; 0 is the built-in one. That of the device unless told.
+pub(super) struct MapParameters {
+    /// Version of the lookup; 0 is the built-in one. Default: the lookup of the device.
     version: Option<u32>,
 }
 
-/// A lookup in ohm and henry, with what each cell rests on.
+/// Returns a lookup in ohm and henry, with the origin of each cell.
 #[utoipa::path(get, path = "/devices/{name}/map", tag = "past",
-    params(("name" = String, Path, description = "Name of the device"), WhichMap),
+    params(("name" = String, Path, description = "Name of the device"), MapParameters),
     responses((status = 200, body = Map), (status = 400, body = Problem),
         (status = 404, description = "No such device or version", body = Problem)))]
 pub(super) async fn map(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
-    Asked(which): Asked<WhichMap>,
-) -> Result<Json<Map>, Failed> {
-    let map = app.backend.map(&name, which.version).await?;
+    ApiQuery(parameters): ApiQuery<MapParameters>,
+) -> Result<Json<Map>, ErrorResponse> {
+    let map = app.backend.map(&name, parameters.version).await?;
     map.map(Json).ok_or_else(|| {
-        let text = match which.version {
+        let text = match parameters.version {
             Some(version) => format!("the store has no lookup of version {version} of {name}; its lookups list those that there are"),
             None => format!("it is not known which lookup {name} uses; version=0 is the built-in one"),
         };
-        Failed::new(StatusCode::NOT_FOUND, "no-version", text)
+        ErrorResponse::new(StatusCode::NOT_FOUND, "no-version", text)
     })
 }
 
-/// Which of what happened.
+/// Query parameters of the journal.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct WhichEntries {
-    /// Of this device; of all where it is left out.
+pub(super) struct JournalParameters {
+    /// Entries of this device; default: of all.
     device: Option<String>,
-    /// Of this kind: `fault`, `pot`, `state`, `command`, …
+    /// Entries of this kind: `fault`, `pot`, `state`, `command`, …; default: all.
     kind: Option<String>,
-    /// None before this, in milliseconds since 1970, UTC.
+    /// Time of the oldest entry, in milliseconds since 1970, UTC.
     since: Option<i64>,
-    /// Only before this: the `at_ms` of the last entry of a page gives the next.
+    /// Only entries before this time, in milliseconds since 1970, UTC; the `at_ms` of the last entry gives the next page.
     before: Option<i64>,
-    /// At most so many, 1 to 10 000; 200 unless told.
+    /// Maximum number of entries, 1 to 10 000; default 200.
     limit: Option<u32>,
 }
 
-/// What happened and what was commanded, newest first.
-#[utoipa::path(get, path = "/journal", tag = "past", params(WhichEntries),
+/// Returns events and commands, newest first.
+#[utoipa::path(get, path = "/journal", tag = "past", params(JournalParameters),
     responses((status = 200, body = [JournalEntry]), (status = 400, body = Problem)))]
 pub(super) async fn journal(
     State(app): State<Arc<App>>,
-    Asked(which): Asked<WhichEntries>,
-) -> Result<Json<Vec<JournalEntry>>, Failed> {
-    let limit = within("limit", which.limit, 200, MAX_ROWS)?;
+    ApiQuery(parameters): ApiQuery<JournalParameters>,
+) -> Result<Json<Vec<JournalEntry>>, ErrorResponse> {
+    let limit = checked_count("limit", parameters.limit, 200, MAX_ROWS)?;
     let filter = JournalFilter {
-        device: which.device,
-        kind: which.kind,
-        since_ms: which.since,
-        before_ms: which.before,
+        device: parameters.device,
+        kind: parameters.kind,
+        since_ms: parameters.since,
+        before_ms: parameters.before,
         limit: Some(limit as u32),
     };
     Ok(Json(app.backend.journal(filter).await?))

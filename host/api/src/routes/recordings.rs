@@ -1,4 +1,4 @@
-//! Recordings: which there are, and their download as they are or as tables.
+//! Recordings: list, download as files or as tables.
 
 use std::fs::{File, Metadata};
 use std::io::{self, Read, Seek, SeekFrom};
@@ -26,126 +26,130 @@ use tokio_stream::wrappers::ReceiverStream;
 use utoipa::IntoParams;
 
 use super::App;
-use super::problem::{Asked, Failed};
 use crate::model::Problem;
+use crate::problem::{ApiQuery, ErrorResponse};
 
-/// Tables that are made at a time, by the whole process: each keeps a core busy.
+/// Limits simultaneous conversions of the process: each keeps a core busy.
 static CONVERSIONS: Semaphore = Semaphore::const_new(2);
 
-/// Bytes that are read at a time.
+/// Bytes per read.
 const CHUNK: usize = 1 << 17;
 
-/// Chunks that wait for the socket.
+/// Maximum number of chunks that wait for the socket.
 const CHUNKS: usize = 2;
 
 const BYTES: &str = "application/octet-stream";
 const CSV: &str = "text/csv; charset=utf-8";
 
-/// The recordings that there are, newest first.
+/// Returns the recordings, newest first.
 #[utoipa::path(get, path = "/recordings", operation_id = "recordings", tag = "recordings",
     responses((status = 200, body = [RecordingFile])))]
-pub(super) async fn all(State(app): State<Arc<App>>) -> Result<Json<Vec<RecordingFile>>, Failed> {
+pub(super) async fn all(
+    State(app): State<Arc<App>>,
+) -> Result<Json<Vec<RecordingFile>>, ErrorResponse> {
     Ok(Json(app.backend.recordings().await?))
 }
 
-/// In which form.
+/// Format of a download.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-enum Form {
-    /// The file itself.
+enum Format {
+    /// MCAP file as stored.
     #[default]
     Mcap,
-    /// The samples of all windows, with the window's number.
+    /// Samples of all windows, with the number of the window.
     Csv,
-    /// A line a half-cycle.
+    /// One line per half-cycle.
     HalfCycles,
-    /// Everything as arrays.
+    /// All data as NumPy arrays.
     Npz,
 }
 
-/// How a recording is wanted.
+/// Query parameters of a download.
 #[derive(Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct Wanted {
-    /// `mcap` (the file itself, without a word), `csv` (samples of all windows), `half-cycles` (a line each, CSV) or
-    /// `npz` (all of it, for NumPy).
+pub(super) struct RecordingParameters {
+    /// `mcap` (the file as stored; default), `csv` (samples of all windows), `half-cycles` (CSV, one line each) or `npz` (all data, for
+    /// NumPy).
     #[serde(default)]
     #[param(value_type = Option<String>)]
-    format: Form,
+    format: Format,
 }
 
-/// A recording. Of one under way what is on disk. The file itself comes in parts, too (`Range`, `If-Range`), so that a broken download
-/// goes on.
+/// Downloads a recording; of an active one, the part on disk. MCAP files support `Range` and `If-Range`, so that an interrupted download
+/// can be resumed.
 ///
-/// Times of tables count from the trigger. CSV has the columns `time_s,v_V,i_A,window`.
+/// Times in tables are relative to the trigger. CSV has the columns `time_s,v_V,i_A,window`.
 #[utoipa::path(get, path = "/recordings/{file}", operation_id = "recording", tag = "recordings",
-    params(("file" = String, Path, description = "Name of the recording"), Wanted),
+    params(("file" = String, Path, description = "Name of the recording"), RecordingParameters),
     responses((status = 200, description = "The file", content_type = "application/octet-stream", body = Vec<u8>),
-        (status = 206, description = "The part of it that was asked for", content_type = "application/octet-stream", body = Vec<u8>),
-        (status = 416, description = "It has no such part", body = Problem),
+        (status = 206, description = "The requested part", content_type = "application/octet-stream", body = Vec<u8>),
+        (status = 416, description = "The file has no such part", body = Problem),
         (status = 400, body = Problem), (status = 404, body = Problem),
-        (status = 409, description = "It holds nothing of that kind, or is damaged", body = Problem),
-        (status = 413, description = "It would become too large", body = Problem),
-        (status = 503, description = "Two are being converted already", body = Problem)))]
+        (status = 409, description = "The recording contains no such data, or is damaged", body = Problem),
+        (status = 413, description = "The table would be too large", body = Problem),
+        (status = 503, description = "Two conversions are already in progress", body = Problem)))]
 pub(super) async fn one(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
-    Asked(wanted): Asked<Wanted>,
-    asked: HeaderMap,
-) -> Result<Response, Failed> {
+    ApiQuery(parameters): ApiQuery<RecordingParameters>,
+    request_headers: HeaderMap,
+) -> Result<Response, ErrorResponse> {
     if !is_plain_name(&name) {
         return Err(unknown(&name));
     }
     let path = app.backend.recordings_folder().join(&name);
-    let is_file = path.symlink_metadata().is_ok_and(|about| about.is_file());
+    let is_file = path
+        .symlink_metadata()
+        .is_ok_and(|metadata| metadata.is_file());
     if !is_file {
         return Err(unknown(&name));
     }
     let stem = name.strip_suffix(".mcap").unwrap_or(&name);
-    let (kind, name, table) = match wanted.format {
-        Form::Mcap => (BYTES, name.clone(), None),
-        Form::Csv => (CSV, format!("{stem}.csv"), Some(Table::Samples)),
-        Form::HalfCycles => (
+    let (kind, name, table) = match parameters.format {
+        Format::Mcap => (BYTES, name.clone(), None),
+        Format::Csv => (CSV, format!("{stem}.csv"), Some(Table::Samples)),
+        Format::HalfCycles => (
             CSV,
             format!("{stem}.half-cycles.csv"),
             Some(Table::HalfCycles),
         ),
-        Form::Npz => (BYTES, format!("{stem}.npz"), Some(Table::Arrays)),
+        Format::Npz => (BYTES, format!("{stem}.npz"), Some(Table::Arrays)),
     };
-    let is_itself = table.is_none();
+    let is_stored_file = table.is_none();
     let file = match table {
         None => blocking(move || File::open(path))
             .await
-            .map_err(|e| unread(&e))?,
+            .map_err(|e| unreadable(&e))?,
         Some(which) => converted(path, which).await?,
     };
-    let about = file.metadata().map_err(|e| unread(&e))?;
+    let metadata = file.metadata().map_err(|e| unreadable(&e))?;
     let mut headers = HeaderMap::new();
-    let part = match is_itself {
+    let part = match is_stored_file {
         true => {
-            let etag = etag(&about);
-            let part = part(&asked, &etag, about.len())?;
+            let etag = etag(&metadata);
+            let part = requested_part(&request_headers, &etag, metadata.len())?;
             headers.insert(ETAG, etag);
             headers.insert(ACCEPT_RANGES, HeaderValue::from_static("bytes"));
             part
         }
-        // It is made anew each time.
+        // A table is generated for each request.
         false => None,
     };
     let disposition = format!("attachment; filename=\"{name}\"");
-    // A plain name is plain in a header.
+    // Cannot fail: a plain name is valid in a header.
     let disposition = HeaderValue::from_str(&disposition).map_err(|_| unknown(&name))?;
     headers.insert(CONTENT_DISPOSITION, disposition);
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(kind));
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     let (status, from, length) = match part {
-        None => (StatusCode::OK, 0, about.len()),
+        None => (StatusCode::OK, 0, metadata.len()),
         Some(part) => {
-            let of = format!("bytes {}-{}/{}", part.start(), part.end(), about.len());
-            let of = HeaderValue::from_str(&of).map_err(|_| unknown(&name))?;
-            headers.insert(CONTENT_RANGE, of);
+            let range = format!("bytes {}-{}/{}", part.start(), part.end(), metadata.len());
+            let range = HeaderValue::from_str(&range).map_err(|_| unknown(&name))?;
+            headers.insert(CONTENT_RANGE, range);
             let length = part.end() - part.start() + 1;
             (StatusCode::PARTIAL_CONTENT, *part.start(), length)
         }
@@ -154,28 +158,28 @@ pub(super) async fn one(
     Ok((status, headers, streamed(file, from, length)).into_response())
 }
 
-/// Differs where the file does: one under way grows.
-fn etag(about: &Metadata) -> HeaderValue {
-    let modified = about.modified().ok();
+/// Returns an ETag from time of change and length: the file of an active recording grows.
+fn etag(metadata: &Metadata) -> HeaderValue {
+    let modified = metadata.modified().ok();
     let since = modified.and_then(|at| at.duration_since(UNIX_EPOCH).ok());
     let tag = format!(
         "\"{:x}-{:x}\"",
         since.unwrap_or_default().as_nanos(),
-        about.len()
+        metadata.len()
     );
-    // Quotes, digits and letters.
+    // Cannot fail: quotes, digits and letters.
     HeaderValue::from_str(&tag).unwrap_or(HeaderValue::from_static("\"\""))
 }
 
-/// The part of a file that is asked for; none where all of it is: several parts at once, or parts of another file, are not had.
-fn part(
-    asked: &HeaderMap,
+/// Returns the requested part of a file; `None` for the whole file, also if several parts or a part of another version are requested.
+fn requested_part(
+    headers: &HeaderMap,
     etag: &HeaderValue,
     length: u64,
-) -> Result<Option<RangeInclusive<u64>>, Failed> {
-    let range = asked.get(RANGE).and_then(|range| range.to_str().ok());
-    let is_of_another = asked.get(IF_RANGE).is_some_and(|of| of != etag);
-    let Some(range) = range.filter(|_| !is_of_another) else {
+) -> Result<Option<RangeInclusive<u64>>, ErrorResponse> {
+    let range = headers.get(RANGE).and_then(|range| range.to_str().ok());
+    let is_outdated = headers.get(IF_RANGE).is_some_and(|tag| tag != etag);
+    let Some(range) = range.filter(|_| !is_outdated) else {
         return Ok(None);
     };
     let Ok(ranges) = parse_range_header(range) else {
@@ -183,7 +187,7 @@ fn part(
     };
     let ranges = ranges.validate(length).map_err(|_| {
         let text = format!("the recording has {length} bytes: it has no part {range:?}");
-        Failed::new(StatusCode::RANGE_NOT_SATISFIABLE, "range", text)
+        ErrorResponse::new(StatusCode::RANGE_NOT_SATISFIABLE, "range", text)
     })?;
     Ok(match &ranges[..] {
         [one] => Some(one.clone()),
@@ -191,16 +195,16 @@ fn part(
     })
 }
 
-fn unknown(name: &str) -> Failed {
+fn unknown(name: &str) -> ErrorResponse {
     let text =
         format!("there is no recording {name:?}; /api/v1/recordings lists those that there are");
-    Failed::new(StatusCode::NOT_FOUND, "no-recording", text)
+    ErrorResponse::new(StatusCode::NOT_FOUND, "no-recording", text)
 }
 
-fn unread(error: &io::Error) -> Failed {
+fn unreadable(error: &io::Error) -> ErrorResponse {
     tracing::warn!(%error, "a recording cannot be read");
     let text = "the recording cannot be read; the daemon's log says why";
-    Failed::new(StatusCode::INTERNAL_SERVER_ERROR, "recording", text)
+    ErrorResponse::new(StatusCode::INTERNAL_SERVER_ERROR, "recording", text)
 }
 
 async fn blocking<T: Send + 'static>(
@@ -210,9 +214,9 @@ async fn blocking<T: Send + 'static>(
     done.unwrap_or_else(|panicked| Err(panicked.into()))
 }
 
-/// So many bytes of a file from one on, as the socket takes them: it may grow meanwhile.
+/// Returns `length` bytes of a file from offset `from` as a body, read as the socket accepts them; the file may grow meanwhile.
 fn streamed(mut file: File, from: u64, length: u64) -> Body {
-    let (chunks, coming) = mpsc::channel::<io::Result<Bytes>>(CHUNKS);
+    let (chunks, receiver) = mpsc::channel::<io::Result<Bytes>>(CHUNKS);
     tokio::spawn(async move {
         let sought = blocking(move || {
             file.seek(SeekFrom::Start(from))?;
@@ -233,7 +237,7 @@ fn streamed(mut file: File, from: u64, length: u64) -> Body {
                 Err(error) => (None, Err(error)),
             };
             let is_end = matches!(&chunk, Ok(bytes) if bytes.is_empty());
-            // Whoever left wants no more.
+            // An error means that the client is gone.
             if is_end || chunks.send(chunk).await.is_err() {
                 return;
             }
@@ -243,42 +247,42 @@ fn streamed(mut file: File, from: u64, length: u64) -> Body {
             }
         }
     });
-    Body::from_stream(ReceiverStream::new(coming))
+    Body::from_stream(ReceiverStream::new(receiver))
 }
 
-/// Tells a conversion that nobody waits for it any more, when the request is dropped.
-struct Abandoned(Arc<AtomicBool>);
+/// Stops a conversion when its request is dropped.
+struct StopOnDrop(Arc<AtomicBool>);
 
-impl Drop for Abandoned {
+impl Drop for StopOnDrop {
     fn drop(&mut self) {
         self.0.store(true, Ordering::Relaxed);
     }
 }
 
-/// A table, in a file that goes with its last reader.
-async fn converted(path: PathBuf, which: Table) -> Result<File, Failed> {
-    let place = CONVERSIONS.try_acquire().map_err(|_| {
-        Failed::new(
+/// Converts a recording to a table, in a temporary file.
+async fn converted(path: PathBuf, which: Table) -> Result<File, ErrorResponse> {
+    let permit = CONVERSIONS.try_acquire().map_err(|_| {
+        ErrorResponse::new(
             StatusCode::SERVICE_UNAVAILABLE,
             "conversions",
             "two recordings are being converted already: try again in a minute, or download the MCAP file",
         )
     })?;
     let stop = Arc::new(AtomicBool::new(false));
-    let _abandoned = Abandoned(Arc::clone(&stop));
+    let _stop_on_drop = StopOnDrop(Arc::clone(&stop));
     let converting = tokio::task::spawn_blocking(move || {
-        let _place = place;
+        let _permit = permit;
         table(&path, which, &stop)
     });
     match converting.await {
         Ok(Ok(file)) => Ok(file),
-        Ok(Err(error)) => Err(refused(&error)),
-        Err(panicked) => Err(unread(&panicked.into())),
+        Ok(Err(error)) => Err(conversion_error(&error)),
+        Err(panicked) => Err(unreadable(&panicked.into())),
     }
 }
 
-fn refused(error: &TableError) -> Failed {
-    let (status, word) = match error {
+fn conversion_error(error: &TableError) -> ErrorResponse {
+    let (status, code) = match error {
         TableError::Nothing { .. } => (StatusCode::CONFLICT, "nothing"),
         TableError::TooLarge { .. } | TableError::TooLong => {
             (StatusCode::PAYLOAD_TOO_LARGE, "too-large")
@@ -286,10 +290,10 @@ fn refused(error: &TableError) -> Failed {
         TableError::Recording(why) => {
             tracing::warn!(%why, "a recording cannot be converted");
             let text = "the recording is damaged; download the MCAP file: `ihd inspect` says what of it is whole";
-            return Failed::new(StatusCode::CONFLICT, "damaged", text);
+            return ErrorResponse::new(StatusCode::CONFLICT, "damaged", text);
         }
-        TableError::Write(why) => return unread(why),
+        TableError::Write(why) => return unreadable(why),
         TableError::Stopped => (StatusCode::REQUEST_TIMEOUT, "time-out"),
     };
-    Failed::new(status, word, error.to_string())
+    ErrorResponse::new(status, code, error.to_string())
 }

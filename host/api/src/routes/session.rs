@@ -1,4 +1,4 @@
-//! A browser that shows its token once: the cookie, and what it is good for.
+//! Browser sessions: a token is exchanged for a cookie.
 
 use std::sync::Arc;
 
@@ -9,19 +9,19 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{AppendHeaders, IntoResponse, Response};
 
 use super::App;
-use super::problem::{Body, Failed};
 use crate::access::{Role, cookie};
 use crate::model::{Problem, SessionReport, SessionRequest};
+use crate::problem::{ErrorResponse, JsonBody};
 
-/// What whoever asks may do.
+/// Returns the rights of the client.
 #[utoipa::path(get, path = "/session", tag = "session",
     responses((status = 200, body = SessionReport),
         (status = 401, description = "A token is needed", body = Problem)))]
 pub(super) async fn session(
     State(app): State<Arc<App>>,
     headers: HeaderMap,
-) -> Result<Json<SessionReport>, Failed> {
-    // The guard has let in nobody without a role.
+) -> Result<Json<SessionReport>, ErrorResponse> {
+    // The guard has rejected requests without a role.
     let role = app.access.role(&headers).unwrap_or(Role::Read);
     let token_needed = app.access.tokens.is_some();
     let fleet = app.backend.fleet().is_some();
@@ -32,56 +32,56 @@ pub(super) async fn session(
     }))
 }
 
-/// Shows a token, and gets the cookie of a session that has its role: until it is closed, nobody has used it for 12 h, or the daemon ends. Where no
-/// token is needed, there is no cookie.
+/// Opens a session with the role of a token and sets its cookie. The session ends when it is closed, when it was not used for 12 h, or with
+/// the daemon. No cookie is set if the daemon requires no tokens.
 #[utoipa::path(post, path = "/session", tag = "session", request_body = SessionRequest,
-    responses((status = 204), (status = 401, description = "The token is not known", body = Problem)))]
+    responses((status = 204), (status = 401, description = "The token is not valid", body = Problem)))]
 pub(super) async fn open(
     State(app): State<Arc<App>>,
     headers: HeaderMap,
-    Body(request): Body<SessionRequest>,
-) -> Result<Response, Failed> {
+    JsonBody(request): JsonBody<SessionRequest>,
+) -> Result<Response, ErrorResponse> {
     let Some(tokens) = &app.access.tokens else {
         return Ok(StatusCode::NO_CONTENT.into_response());
     };
     let Some(role) = tokens.role(request.token.trim()) else {
         let text = "this token is not known here; the daemon's token file has those that are";
-        return Err(Failed::new(StatusCode::UNAUTHORIZED, "token", text));
+        return Err(ErrorResponse::new(StatusCode::UNAUTHORIZED, "token", text));
     };
     let key = app.access.sessions.open(role).map_err(|error| {
-        Failed::new(
+        ErrorResponse::new(
             StatusCode::INTERNAL_SERVER_ERROR,
             "session",
             error.to_string(),
         )
     })?;
-    end(&app, &headers);
-    Ok(with_cookie(&cookie::given(&key, app.tls)))
+    close_sessions(&app, &headers);
+    Ok(with_cookie(&cookie::set_header(&key, app.tls)))
 }
 
-/// Ends the sessions that a request brings along.
-fn end(app: &App, headers: &HeaderMap) {
+/// Closes the sessions of a request.
+fn close_sessions(app: &App, headers: &HeaderMap) {
     for key in cookie::keys(headers) {
         app.access.sessions.close(key);
     }
 }
 
-/// Ends the session: its cookie is good for nothing any more, whoever has it.
+/// Closes the session; copies of its cookie become invalid, too.
 #[utoipa::path(delete, path = "/session", tag = "session", responses((status = 204)))]
 pub(super) async fn close(State(app): State<Arc<App>>, headers: HeaderMap) -> Response {
-    end(&app, &headers);
-    with_cookie(&cookie::taken_back(app.tls))
+    close_sessions(&app, &headers);
+    with_cookie(&cookie::delete_header(app.tls))
 }
 
 fn with_cookie(text: &str) -> Response {
     match HeaderValue::from_str(text) {
         Ok(mut cookie) => {
-            // Whatever logs headers leaves this one out.
+            // Excludes it from logs of headers.
             cookie.set_sensitive(true);
             let headers = AppendHeaders([(SET_COOKIE, cookie)]);
             (StatusCode::NO_CONTENT, headers).into_response()
         }
-        // Its value is encoded: it has no byte that a header cannot hold.
+        // Does not occur: the value is hexadecimal.
         Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
     }
 }

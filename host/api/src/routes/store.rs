@@ -1,4 +1,4 @@
-//! The store, as far as the API reaches it.
+//! Backup of the store.
 
 use std::sync::Arc;
 
@@ -7,36 +7,36 @@ use axum::extract::State;
 use axum::http::StatusCode;
 
 use super::App;
-use super::problem::{Body, Failed};
 use crate::model::{BackupMade, BackupRequest, Problem};
+use crate::problem::{ErrorResponse, JsonBody};
 
-/// Longest name of a backup.
+/// Maximum length of the name of a backup, in bytes.
 const MAX_NAME: usize = 100;
 
 /// Copies the store while it is in use.
 ///
-/// Into the folder `backups` of the store only: who may ask need not be who owns the daemon's files.
+/// The copy goes to the folder `backups` of the store only: a client with this right need not own the daemon's files.
 #[utoipa::path(post, path = "/store/backup", tag = "store", request_body = BackupRequest,
     responses((status = 200, body = BackupMade), (status = 400, body = Problem),
-        (status = 409, description = "There is one of that name", body = Problem),
+        (status = 409, description = "There is a backup of that name already", body = Problem),
         (status = 500, body = Problem)))]
 pub(super) async fn backup(
     State(app): State<Arc<App>>,
-    Body(wanted): Body<BackupRequest>,
-) -> Result<Json<BackupMade>, Failed> {
-    if !is_plain_name(&wanted.to) {
-        return Err(Failed::new(
+    JsonBody(request): JsonBody<BackupRequest>,
+) -> Result<Json<BackupMade>, ErrorResponse> {
+    if !is_plain_name(&request.to) {
+        return Err(ErrorResponse::new(
             StatusCode::BAD_REQUEST,
             "name",
             "`to` is a name in the store's folder `backups`: letters, digits, `-`, `_` and `.`, not first",
         ));
     }
-    let path = app.backups.join(&wanted.to);
+    let path = app.backups.join(&request.to);
     if path.exists() {
-        return Err(Failed::new(
+        return Err(ErrorResponse::new(
             StatusCode::CONFLICT,
             "exists",
-            format!("there is a backup {} already", wanted.to),
+            format!("there is a backup {} already", request.to),
         ));
     }
     app.backend.backup(path.clone()).await?;

@@ -1,7 +1,7 @@
-//! Who is refused, with which status and words.
+//! Refused requests, with status and message.
 
 use ihd_api::access::{Role, tokens::Tokens};
-use ihd_daemon::model::{Dropped, StoreCause, StoreFailure};
+use ihd_daemon::model::{DroppedRecords, StoreCause, StoreFailure};
 
 use crate::backend::Running;
 use crate::http::{ask, raw};
@@ -11,7 +11,7 @@ const JSON: &str = "Content-Type: application/json";
 const ME: &str = "ihd-holder: test";
 const COMMANDS: &str = "POST /api/v1/devices/serial%3A%2Fdev%2Ftty%20%C3%A4/commands";
 
-/// Every route, with a method that it has.
+/// All routes, each with a method that it has.
 const ROUTES: [&str; 25] = [
     "GET /",
     "GET /healthz",
@@ -40,7 +40,7 @@ const ROUTES: [&str; 25] = [
     "GET /page/index.html",
 ];
 
-/// Those that need no token: for a service manager, and for whoever has yet to show his.
+/// Routes that need no token.
 const OPEN: [&str; 5] = [
     "GET /",
     "GET /healthz",
@@ -148,7 +148,7 @@ fn without_the_right_token_nothing_but_health() {
     }
     let read = bearer(Role::Read);
     assert_eq!(ask(server.address, "GET /metrics", &[&read], "").0, 200);
-    // Looking is not commanding.
+    // The role read does not include commands.
     let changes = |r: &&&str| !r.starts_with("GET") && !OPEN.contains(r);
     for route in ROUTES.iter().filter(changes) {
         let (status, body) = ask(server.address, route, &[&read, JSON, ME], OFF);
@@ -249,9 +249,9 @@ fn health_says_what_is_dropped_why_and_what_to_do() {
     };
     let (status, well) = health();
     assert_eq!((status, well.store, well.store_failure), (200, true, None));
-    let dropped = Dropped {
+    let dropped = DroppedRecords {
         windows: 7,
-        ..Dropped::default()
+        ..DroppedRecords::default()
     };
     let failure = StoreFailure::new(StoreCause::DiskFull, 1_795_348_800_000, dropped);
     server.fake.asked.lock().unwrap().store_failure = Some(failure.clone());

@@ -1,18 +1,19 @@
-//! A daemon of one hob without a hob, and a server in front of it.
+//! Fake daemon with one device, and a server in front of it.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ihd_api::backend::{Alive, Answer, Backend, Figure, Tap};
+use ihd_api::backend::{Backend, BackendFuture, LiveSource, Liveness, Metric};
 use ihd_api::model::{StoredLookup, StoredResult};
-use ihd_api::{Server, Settings};
+use ihd_api::{Server, ServerOptions};
 use ihd_daemon::JournalFilter;
 use ihd_daemon::model::{
-    Command, CommandError, DeviceReport, DeviceState, Done, Fit, FleetReport, History, Hob,
-    JournalEntry, Lease, Live, LiveDevice, LiveTelemetry, LookupReport, Map, Notice, PotCurve,
-    PotPoint, RecordingFile, Scope, StoreFailure, WindowCounts, WindowSummary, WindowWanted,
+    Command, CommandError, CommandReply, DaemonEvent, DeviceReport, DeviceState, Fit, FleetReport,
+    History, Hob, JournalEntry, Lease, Live, LiveDevice, LiveTelemetry, LookupReport, Map,
+    PotCurve, PotPoint, RecordingFile, Scope, StoreFailure, WindowCounts, WindowQuery,
+    WindowSummary,
 };
 use tokio::runtime::Runtime;
 use tokio::sync::{broadcast, mpsc, watch};
@@ -20,62 +21,62 @@ use tokio::time::Instant;
 
 use crate::http::PATIENCE;
 
-/// The only device, whose name a path cannot hold as it is.
+/// Name of the only device; must be percent-encoded in a path.
 pub const NAME: &str = "serial:/dev/tty ä";
 
-/// What was asked for, and who has the lease.
+/// Requests that the fake has received, and its state.
 #[derive(Default)]
-pub struct Asked {
+pub struct Requests {
     pub commands: Vec<(String, Command)>,
     pub lease: Option<String>,
     pub backups: Vec<PathBuf>,
     pub results: Vec<(u32, Option<i64>)>,
     pub histories: Vec<(i64, i64, usize)>,
     pub windows: Vec<usize>,
-    pub scopes: Vec<WindowWanted>,
+    pub scopes: Vec<WindowQuery>,
     pub trainings: Vec<usize>,
     pub maps: Vec<Option<u32>>,
     pub journals: Vec<JournalFilter>,
     pub store_failure: Option<StoreFailure>,
-    /// What it knows of a fleet; none at first.
+    /// Report of the fleet; initially `None`.
     pub fleet: Option<Arc<FleetReport>>,
 }
 
 #[derive(Clone)]
 pub struct Fake {
-    pub asked: Arc<Mutex<Asked>>,
-    pub notices: broadcast::Sender<Arc<Notice>>,
+    pub asked: Arc<Mutex<Requests>>,
+    pub notices: broadcast::Sender<Arc<DaemonEvent>>,
     pub recordings: Arc<tempfile::TempDir>,
     pub world: Arc<World>,
 }
 
-/// What devices do, and how often somebody looked.
+/// Simulated devices, with counters of the queries.
 #[derive(Default)]
 pub struct World {
-    /// Half-cycles that each device was heard of.
+    /// Half-cycles of each device so far.
     pub half_cycles: AtomicU64,
-    /// Looks of all watchers.
-    pub looks: AtomicU64,
-    /// Devices that are heard.
+    /// Calls of `collect` by all subscribers.
+    pub collections: AtomicU64,
+    /// Number of devices that send telemetry.
     pub devices: AtomicU64,
-    /// Whether each report differs from the one before.
+    /// `true` if each report differs from the one before.
     pub restless: AtomicBool,
-    /// Reports that were made.
+    /// Number of reports so far.
     pub reports: AtomicU32,
 }
 
-struct FakeTap {
+struct FakeSource {
     world: Arc<World>,
     every: Duration,
     seen: u64,
-    looked: Instant,
+    collected: Instant,
 }
 
-impl Tap for FakeTap {
-    fn take(&mut self) -> LiveTelemetry {
-        self.world.looks.fetch_add(1, Ordering::Relaxed);
+impl LiveSource for FakeSource {
+    fn collect(&mut self) -> LiveTelemetry {
+        self.world.collections.fetch_add(1, Ordering::Relaxed);
         let came = self.world.half_cycles.load(Ordering::Relaxed);
-        let passed = self.looked.elapsed().as_secs_f64() / self.every.as_secs_f64();
+        let passed = self.collected.elapsed().as_secs_f64() / self.every.as_secs_f64();
         let device = LiveDevice {
             half_cycles: came - self.seen,
             skipped: (passed.round() as u32).saturating_sub(1),
@@ -87,14 +88,14 @@ impl Tap for FakeTap {
             l_h: None,
             f_sw_hz: None,
         };
-        (self.seen, self.looked) = (came, Instant::now());
-        let heard = match device.half_cycles {
+        (self.seen, self.collected) = (came, Instant::now());
+        let count = match device.half_cycles {
             0 => 0,
             _ => self.world.devices.load(Ordering::Relaxed),
         };
         LiveTelemetry {
-            at_ms: ihd_daemon::board::now_ms(),
-            devices: (0..heard)
+            at_ms: ihd_daemon::event_bus::now_ms(),
+            devices: (0..count)
                 .map(|k| (format!("device-{k:03}"), device.clone()))
                 .collect(),
         }
@@ -198,7 +199,7 @@ fn report() -> DeviceReport {
     }
 }
 
-fn answer<'a, T: Send + 'a>(answer: Result<T, CommandError>) -> Answer<'a, T> {
+fn answer<'a, T: Send + 'a>(answer: Result<T, CommandError>) -> BackendFuture<'a, T> {
     Box::pin(async move { answer })
 }
 
@@ -219,12 +220,12 @@ impl Backend for Fake {
         self.asked.lock().unwrap().fleet.clone()
     }
 
-    fn live(&self, every: Duration) -> Box<dyn Tap> {
-        Box::new(FakeTap {
+    fn live(&self, every: Duration) -> Box<dyn LiveSource> {
+        Box::new(FakeSource {
             world: self.world.clone(),
             every,
             seen: self.world.half_cycles.load(Ordering::Relaxed),
-            looked: Instant::now(),
+            collected: Instant::now(),
         })
     }
 
@@ -233,12 +234,12 @@ impl Backend for Fake {
         device: &'a str,
         holder: &'a str,
         command: Command,
-    ) -> Answer<'a, Done> {
+    ) -> BackendFuture<'a, CommandReply> {
         let known = Self::known(device).and_then(|()| self.leased(holder));
         answer(known.map(|()| {
             let mut asked = self.asked.lock().unwrap();
             asked.commands.push((holder.into(), command));
-            Done {
+            CommandReply {
                 text: "done".into(),
                 file: None,
             }
@@ -250,7 +251,7 @@ impl Backend for Fake {
         device: &'a str,
         holder: &'a str,
         force: bool,
-    ) -> Answer<'a, Lease> {
+    ) -> BackendFuture<'a, Lease> {
         let free = if force { Ok(()) } else { self.leased(holder) };
         answer(Self::known(device).and(free).map(|()| {
             self.asked.lock().unwrap().lease = Some(holder.into());
@@ -261,12 +262,12 @@ impl Backend for Fake {
         }))
     }
 
-    fn release_lease<'a>(&'a self, device: &'a str, holder: &'a str) -> Answer<'a, ()> {
+    fn release_lease<'a>(&'a self, device: &'a str, holder: &'a str) -> BackendFuture<'a, ()> {
         let free = Self::known(device).and_then(|()| self.leased(holder));
         answer(free.map(|()| self.asked.lock().unwrap().lease = None))
     }
 
-    fn watch(&self) -> broadcast::Receiver<Arc<Notice>> {
+    fn watch(&self) -> broadcast::Receiver<Arc<DaemonEvent>> {
         self.notices.subscribe()
     }
 
@@ -275,12 +276,12 @@ impl Backend for Fake {
         device: &'a str,
         limit: u32,
         since_ms: Option<i64>,
-    ) -> Answer<'a, Vec<StoredResult>> {
+    ) -> BackendFuture<'a, Vec<StoredResult>> {
         self.asked.lock().unwrap().results.push((limit, since_ms));
         answer(Self::known(device).map(|()| vec![]))
     }
 
-    fn lookups<'a>(&'a self, device: &'a str) -> Answer<'a, Vec<StoredLookup>> {
+    fn lookups<'a>(&'a self, device: &'a str) -> BackendFuture<'a, Vec<StoredLookup>> {
         answer(Self::known(device).map(|()| {
             vec![StoredLookup {
                 version: 3,
@@ -293,7 +294,7 @@ impl Backend for Fake {
         }))
     }
 
-    fn recordings(&self) -> Answer<'_, Vec<RecordingFile>> {
+    fn recordings(&self) -> BackendFuture<'_, Vec<RecordingFile>> {
         let listed = ihd_daemon::recording::list(&self.recordings_folder(), &[NAME.into()], &[]);
         answer(listed.map_err(|e| CommandError::Failed { why: e.to_string() }))
     }
@@ -308,9 +309,9 @@ impl Backend for Fake {
         from_ms: i64,
         to_ms: i64,
         columns: usize,
-    ) -> Answer<'a, History> {
-        let wanted = (from_ms, to_ms, columns);
-        self.asked.lock().unwrap().histories.push(wanted);
+    ) -> BackendFuture<'a, History> {
+        let query = (from_ms, to_ms, columns);
+        self.asked.lock().unwrap().histories.push(query);
         answer(Self::known(device).map(|()| History {
             from_ms,
             to_ms,
@@ -318,30 +319,38 @@ impl Backend for Fake {
         }))
     }
 
-    fn windows<'a>(&'a self, device: &'a str, limit: usize) -> Answer<'a, Vec<WindowSummary>> {
+    fn windows<'a>(
+        &'a self,
+        device: &'a str,
+        limit: usize,
+    ) -> BackendFuture<'a, Vec<WindowSummary>> {
         self.asked.lock().unwrap().windows.push(limit);
         answer(Self::known(device).map(|()| vec![]))
     }
 
-    /// There is one window: number 5 of boot 7.
-    fn scope<'a>(&'a self, device: &'a str, wanted: WindowWanted) -> Answer<'a, Option<Scope>> {
-        self.asked.lock().unwrap().scopes.push(wanted);
+    /// The only window is number 5 of boot 7.
+    fn scope<'a>(
+        &'a self,
+        device: &'a str,
+        query: WindowQuery,
+    ) -> BackendFuture<'a, Option<Scope>> {
+        self.asked.lock().unwrap().scopes.push(query);
         let scope = Scope {
             boot: 7,
             seq: 5,
             ..Scope::default()
         };
-        let is_there = wanted.which.is_none_or(|which| which == (7, 5));
+        let is_there = query.which.is_none_or(|which| which == (7, 5));
         answer(Self::known(device).map(|()| is_there.then_some(scope)))
     }
 
-    fn training<'a>(&'a self, device: &'a str, limit: usize) -> Answer<'a, Vec<Fit>> {
+    fn training<'a>(&'a self, device: &'a str, limit: usize) -> BackendFuture<'a, Vec<Fit>> {
         self.asked.lock().unwrap().trainings.push(limit);
         answer(Self::known(device).map(|()| vec![]))
     }
 
-    /// There are versions 0 to 3; the device uses the third.
-    fn map<'a>(&'a self, device: &'a str, version: Option<u32>) -> Answer<'a, Option<Map>> {
+    /// Versions are 0 to 3; the device uses 3.
+    fn map<'a>(&'a self, device: &'a str, version: Option<u32>) -> BackendFuture<'a, Option<Map>> {
         self.asked.lock().unwrap().maps.push(version);
         let version = version.unwrap_or(3);
         let map = Map {
@@ -363,25 +372,25 @@ impl Backend for Fake {
         })
     }
 
-    fn journal(&self, filter: JournalFilter) -> Answer<'_, Vec<JournalEntry>> {
+    fn journal(&self, filter: JournalFilter) -> BackendFuture<'_, Vec<JournalEntry>> {
         self.asked.lock().unwrap().journals.push(filter);
         answer(Ok(vec![]))
     }
 
-    fn backup(&self, to: PathBuf) -> Answer<'_, ()> {
+    fn backup(&self, to: PathBuf) -> BackendFuture<'_, ()> {
         self.asked.lock().unwrap().backups.push(to);
         answer(Ok(()))
     }
 
-    fn figures(&self) -> Vec<Figure> {
-        let queue = Figure {
+    fn metrics(&self) -> Vec<Metric> {
+        let queue = Metric {
             name: "store_queue",
             help: "Jobs that wait for the store",
             label: None,
             counter: false,
             value: 2.0,
         };
-        let dropped = |kind, value| Figure {
+        let dropped = |kind, value| Metric {
             name: "store_dropped_total",
             help: "Records that are in no store",
             label: Some(("record", kind)),
@@ -391,8 +400,8 @@ impl Backend for Fake {
         vec![queue, dropped("windows", 7.0), dropped("audits", 0.0)]
     }
 
-    fn alive(&self) -> Answer<'_, Alive> {
-        answer(Ok(Alive {
+    fn liveness(&self) -> BackendFuture<'_, Liveness> {
+        answer(Ok(Liveness {
             store_failure: self.asked.lock().unwrap().store_failure.clone(),
             supervisor: true,
             audit: true,
@@ -400,16 +409,16 @@ impl Backend for Fake {
     }
 }
 
-/// Turns of the runtime in which everything that a moved clock has made due is done.
+/// Scheduler turns within which all work that became due by moving the clock is done.
 const TURNS: u32 = 32;
 
-/// The clock of a server, which stands still between two calls of [`Clock::pass`].
+/// Clock of a server, paused between calls of [`Clock::pass`].
 pub struct Clock {
     moves: mpsc::UnboundedSender<(Duration, std::sync::mpsc::Sender<()>)>,
 }
 
 impl Clock {
-    /// Stops the clock of a runtime with one thread, and drives that runtime until the clock is dropped.
+    /// Pauses the clock of a single-threaded runtime and drives that runtime until the clock is dropped.
     fn stop(runtime: Runtime) -> Self {
         let (moves, mut moved) =
             mpsc::unbounded_channel::<(Duration, std::sync::mpsc::Sender<()>)>();
@@ -435,7 +444,7 @@ impl Clock {
         Self { moves }
     }
 
-    /// Lets this much time pass, and the millisecond that timers are rounded up by; returns when the server has done what became due.
+    /// Advances the clock by `time` and one millisecond (timers round up); returns when the server has done all work that became due.
     pub fn pass(&self, time: Duration) {
         let (passed, has_passed) = std::sync::mpsc::channel();
         let time = time + Duration::from_millis(1);
@@ -444,7 +453,7 @@ impl Clock {
     }
 }
 
-/// A server that ends with the test.
+/// Server that ends with the test.
 pub struct Running {
     pub fake: Fake,
     pub address: std::net::SocketAddr,
@@ -457,32 +466,32 @@ pub struct Running {
 }
 
 impl Running {
-    /// On loopback without tokens.
+    /// Starts it on loopback without tokens.
     pub fn start() -> Self {
         Self::with(|_, _| {})
     }
 
-    /// With settings of one's own; the path is a folder for files.
-    pub fn with(set: impl FnOnce(&mut Settings, &std::path::Path)) -> Self {
+    /// Starts it with options changed by `set`; the path is a folder for files.
+    pub fn with(set: impl FnOnce(&mut ServerOptions, &std::path::Path)) -> Self {
         Self::on(Runtime::new().unwrap(), set)
     }
 
-    /// On loopback without tokens, on a clock that the test moves.
+    /// Starts it on loopback without tokens, with a clock moved by the test.
     pub fn with_clock() -> (Self, Clock) {
         Self::with_clock_and(|_, _| {})
     }
 
-    /// On a clock that the test moves, with settings of one's own.
-    pub fn with_clock_and(set: impl FnOnce(&mut Settings, &std::path::Path)) -> (Self, Clock) {
+    /// Starts it with options changed by `set` and a clock moved by the test.
+    pub fn with_clock_and(set: impl FnOnce(&mut ServerOptions, &std::path::Path)) -> (Self, Clock) {
         let mut builder = tokio::runtime::Builder::new_current_thread();
         let mut server = Self::on(builder.enable_all().build().unwrap(), set);
         let runtime = server.runtime.take().expect("it was just built");
         (server, Clock::stop(runtime))
     }
 
-    fn on(runtime: Runtime, set: impl FnOnce(&mut Settings, &std::path::Path)) -> Self {
+    fn on(runtime: Runtime, set: impl FnOnce(&mut ServerOptions, &std::path::Path)) -> Self {
         let dir = tempfile::tempdir().unwrap();
-        let mut settings = Settings {
+        let mut settings = ServerOptions {
             listen: "127.0.0.1:0".into(),
             allowed_hosts: vec![],
             token_file: None,
@@ -508,7 +517,7 @@ impl Running {
         }
     }
 
-    /// Ends the server, and waits for it.
+    /// Stops the server and waits for its end.
     pub fn stop(&self) {
         self.stop.send(true).unwrap();
         let deadline = std::time::Instant::now() + PATIENCE;

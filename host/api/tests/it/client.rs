@@ -87,13 +87,13 @@ fn nobody_and_somebody_else_are_told_apart() {
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = port.local_addr().unwrap();
     let client = ApiClient::new(&format!("http://{address}"), "me", None, None).unwrap();
-    // Somebody who takes the call and says nothing.
+    // A server that accepts the connection and sends nothing.
     let silent = client.health(Duration::from_millis(300)).unwrap_err();
     assert!(
         matches!(silent, ClientError::Unreachable { .. }),
         "{silent}"
     );
-    // Somebody who speaks HTTP and is no daemon.
+    // An HTTP server that is not a daemon.
     let other = std::thread::spawn(move || {
         for _ in 0..2 {
             let (mut stream, _) = port.accept().unwrap();
@@ -103,9 +103,12 @@ fn nobody_and_somebody_else_are_told_apart() {
             let _ = stream.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 2\r\n\r\n{}");
         }
     });
-    // The first takes the call that nobody answered.
+    // The first connection is that of the unanswered request.
     let strange = client.health(Duration::from_millis(2000)).unwrap_err();
-    assert!(matches!(strange, ClientError::Strange { .. }), "{strange}");
+    assert!(
+        matches!(strange, ClientError::UnexpectedResponse { .. }),
+        "{strange}"
+    );
     other.join().unwrap();
     let nobody = client.health(Duration::from_millis(300)).unwrap_err();
     assert!(
@@ -118,7 +121,7 @@ fn nobody_and_somebody_else_are_told_apart() {
 fn over_tls_with_its_certificate_and_a_token_and_not_without() {
     let server = Running::with(|settings, dir| {
         settings.token_file = Some(dir.join("tokens"));
-        settings.tls = Some(Certificate::Made {
+        settings.tls = Some(Certificate::Generated {
             folder: dir.join("tls"),
         });
     });
@@ -141,14 +144,14 @@ fn over_tls_with_its_certificate_and_a_token_and_not_without() {
         }
         other => panic!("{other}"),
     }
-    // An issuer that nobody knows.
+    // Without `ca` the certificate is not trusted.
     let stranger = ApiClient::new(&server.url, "Eve", token(Role::Read), None).unwrap();
     let refused = stranger.devices().unwrap_err();
     assert!(
         matches!(refused, ClientError::Unreachable { .. }),
         "{refused}"
     );
-    // Speaking plainly to TLS ends without an answer.
+    // Plain HTTP to a TLS port gets no response.
     let plain = server.url.replace("https", "http");
     let plain = ApiClient::new(&plain, "Eve", None, None).unwrap();
     assert!(plain.devices().is_err());

@@ -1,4 +1,4 @@
-//! The OpenAPI document: every route is in it, every reference leads somewhere, and a change is seen.
+//! OpenAPI document: complete, all references valid, no unintended change.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +14,7 @@ fn document() -> Value {
     serde_json::from_str(&body).unwrap()
 }
 
-/// What the API promises. A line that vanishes or changes breaks those who use it: /api/v2 is for that.
+/// Stable routes of the API. Removing or changing a line breaks clients and requires /api/v2.
 const ROUTES: &str = "\
 GET /api/v1/devices -> 200
 GET /api/v1/devices/{name} -> 200 404
@@ -69,7 +69,7 @@ fn the_routes_are_those_that_were_promised() {
     assert_eq!(lines, expected);
 }
 
-/// Calls `see` with every object of a document.
+/// Calls `see` for every object of a document.
 fn walk<'a>(value: &'a Value, see: &mut impl FnMut(&'a serde_json::Map<String, Value>)) {
     match value {
         Value::Object(map) => {
@@ -123,8 +123,8 @@ fn every_parameter_of_a_path_and_every_operation_is_described() {
     let mut names = BTreeSet::new();
     for (path, operations) in document["paths"].as_object().unwrap() {
         for operation in operations.as_object().unwrap().values() {
-            let words = |key: &str| operation[key].as_str().is_some_and(|w| !w.is_empty());
-            assert!(words("summary"), "{path}: {operation:#}");
+            let has_text = |key: &str| operation[key].as_str().is_some_and(|w| !w.is_empty());
+            assert!(has_text("summary"), "{path}: {operation:#}");
             let id = operation["operationId"].as_str().unwrap();
             assert!(names.insert(id.to_owned()), "{id} twice");
             let given: Vec<&str> = operation["parameters"]
@@ -134,11 +134,11 @@ fn every_parameter_of_a_path_and_every_operation_is_described() {
                 .filter(|p| p["in"] == "path")
                 .filter_map(|p| p["name"].as_str())
                 .collect();
-            let wanted: Vec<&str> = path
+            let expected: Vec<&str> = path
                 .split('/')
                 .filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'))
                 .collect();
-            assert_eq!(given, wanted, "{path}");
+            assert_eq!(given, expected, "{path}");
         }
     }
 }
@@ -149,7 +149,7 @@ fn every_route_of_the_document_is_there() {
     for line in ROUTES.lines() {
         let (request, _) = line.split_once(" -> ").unwrap();
         if request.ends_with("/events") || request.ends_with("/live") {
-            continue; // They stream until they are cut; the modules of their names have them.
+            continue; // Endless streams; tested in the modules of these names.
         }
         let (status, body) = ask(server.address, &request.replace("{name}", "x"), &[], "");
         assert!(

@@ -1,20 +1,20 @@
-//! Events arrive, and who is too slow is told what he missed.
+//! Events arrive; a slow client is sent the number of missed events.
 
 use std::io::{Read, Write};
 use std::sync::Arc;
 
 use ihd_api::ApiClient;
-use ihd_api::client::events::Watched;
-use ihd_daemon::model::{Notice, What};
+use ihd_api::client::events::StreamItem;
+use ihd_daemon::model::{DaemonEvent, EventKind};
 
 use crate::backend::Running;
 use crate::http::connect;
 
-fn stored(device: &str, seq: u32) -> Arc<Notice> {
-    Arc::new(Notice {
+fn stored(device: &str, seq: u32) -> Arc<DaemonEvent> {
+    Arc::new(DaemonEvent {
         at_ms: 1_700_000_000_000,
         device: device.into(),
-        what: What::WindowStored { boot: 7, seq },
+        kind: EventKind::WindowStored { boot: 7, seq },
     })
 }
 
@@ -22,11 +22,11 @@ fn client(server: &Running) -> ApiClient {
     ApiClient::new(&server.url, "test", None, None).unwrap()
 }
 
-/// The next that is no heartbeat.
-fn next(events: &mut ihd_api::client::events::Events) -> Watched {
+/// Returns the next item that is not a heartbeat.
+fn next(events: &mut ihd_api::client::events::Events) -> StreamItem {
     loop {
         match events.next().expect("not ended").expect("no error") {
-            Watched::Heartbeat => {}
+            StreamItem::Heartbeat => {}
             other => return other,
         }
     }
@@ -38,8 +38,8 @@ fn notices_arrive_in_order_and_the_filter_holds() {
     let mut all = client(&server).events(None).unwrap();
     let mut bench = client(&server).events(Some("bench ä")).unwrap();
     // Subscribed once the greeting is there.
-    assert_eq!(all.next().unwrap().unwrap(), Watched::Heartbeat);
-    assert_eq!(bench.next().unwrap().unwrap(), Watched::Heartbeat);
+    assert_eq!(all.next().unwrap().unwrap(), StreamItem::Heartbeat);
+    assert_eq!(bench.next().unwrap().unwrap(), StreamItem::Heartbeat);
     for (device, seq) in [
         ("kitchen", 1),
         ("bench ä", 2),
@@ -52,8 +52,8 @@ fn notices_arrive_in_order_and_the_filter_holds() {
     let seqs = |events: &mut _, n| -> Vec<u32> {
         (0..n)
             .map(|_| match next(events) {
-                Watched::Notice(notice) => match notice.what {
-                    What::WindowStored { seq, .. } => seq,
+                StreamItem::Event(notice) => match notice.kind {
+                    EventKind::WindowStored { seq, .. } => seq,
                     other => panic!("{other:?}"),
                 },
                 other => panic!("{other:?}"),
@@ -68,8 +68,8 @@ fn notices_arrive_in_order_and_the_filter_holds() {
 fn a_slow_reader_is_told_and_everything_is_accounted_for() {
     let server = Running::start();
     let mut events = client(&server).events(None).unwrap();
-    assert_eq!(events.next().unwrap().unwrap(), Watched::Heartbeat);
-    // More than sockets, queue and channel hold together.
+    assert_eq!(events.next().unwrap().unwrap(), StreamItem::Heartbeat);
+    // More than sockets, queue and channel can buffer.
     const SENT: u64 = 200_000;
     for seq in 0..SENT {
         server
@@ -81,8 +81,8 @@ fn a_slow_reader_is_told_and_everything_is_accounted_for() {
     let (mut received, mut missed) = (0, 0);
     while received + missed < SENT {
         match next(&mut events) {
-            Watched::Notice(_) => received += 1,
-            Watched::Missed(n) => missed += n,
+            StreamItem::Event(_) => received += 1,
+            StreamItem::Missed(n) => missed += n,
             other => panic!("{other:?}"),
         }
     }
@@ -97,8 +97,8 @@ fn a_slow_reader_is_told_and_everything_is_accounted_for() {
 fn the_end_of_the_server_ends_the_events_at_once() {
     let (server, _clock) = Running::with_clock();
     let mut events = client(&server).events(None).unwrap();
-    assert_eq!(events.next().unwrap().unwrap(), Watched::Heartbeat);
-    // At once, as its clock stands still.
+    assert_eq!(events.next().unwrap().unwrap(), StreamItem::Heartbeat);
+    // At once: its clock is paused.
     server.stop();
     assert!(events.next().is_none());
 }

@@ -1,4 +1,4 @@
-//! What the daemon tells of a fleet, over a socket and by the client.
+//! Report of the fleet, over a socket and by the client.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use crate::http::ask;
 const FLEET: &str = "GET /api/v1/fleet";
 const SESSION: &str = "GET /api/v1/session";
 
-/// Two hobs of one edge, one worker; numbers that only 64 bits hold.
+/// Report with two hobs of one edge and one worker, and numbers that need 64 bits.
 fn report() -> FleetReport {
     let device = |name: &str, outdated| FleetDevice {
         name: name.into(),
@@ -65,7 +65,7 @@ fn report() -> FleetReport {
             name: "cellar".into(),
             version: "0.1.0".into(),
             outbox: 3,
-            trusts_fleet: true,
+            delegates: true,
             states: FleetStates::default(),
             alarms: vec!["3 windows are due for too long".into()],
             last_seen_ms: 1_795_000_000_900,
@@ -103,7 +103,7 @@ fn a_daemon_without_a_fleet_says_how_it_would_have_one() {
     }
 }
 
-/// As devices are: who may read may read it, who has no token may not.
+/// The role read is required, as for devices.
 #[test]
 fn it_is_read_by_whoever_may_read() {
     let server = Running::with(|settings, dir| settings.token_file = Some(dir.join("tokens")));
@@ -121,7 +121,7 @@ fn it_is_read_by_whoever_may_read() {
     assert_eq!(ask(server.address, other, &[&bearer], "").0, 403);
 }
 
-/// A daemon without a hob, on a store of its own.
+/// Starts a daemon without devices, with its own store.
 async fn daemon(folder: &tempfile::TempDir) -> Daemon {
     let mut config = Config::parse("discover_usb = false", "test").unwrap();
     config.store = folder.path().join("store");
@@ -130,7 +130,7 @@ async fn daemon(folder: &tempfile::TempDir) -> Daemon {
 }
 
 fn figures_of_a_fleet(backend: &DaemonBackend) -> Vec<(&'static str, f64)> {
-    let figures = backend.figures().into_iter();
+    let figures = backend.metrics().into_iter();
     let named = figures.filter(|f| f.name.starts_with("fleet"));
     named
         .map(|f| (f.label.map_or(f.name, |(_, state)| state), f.value))
@@ -144,8 +144,8 @@ async fn a_daemon_tells_what_it_was_told_last_and_counts_it() {
     let backend = DaemonBackend::new(daemon.clone());
     assert_eq!(backend.fleet(), None);
     assert_eq!(figures_of_a_fleet(&backend), []);
-    daemon.tell_fleet(report());
-    daemon.tell_fleet(FleetReport {
+    daemon.set_fleet_report(report());
+    daemon.set_fleet_report(FleetReport {
         connected: true,
         outbox: 2,
         backlog: 3,
@@ -179,15 +179,15 @@ async fn a_daemon_tells_what_it_was_told_last_and_counts_it() {
     daemon.stop().await;
 }
 
-/// A terminal's escape, a line break and a megabyte, wherever another machine can put a text.
+/// Every string of the report has an escape sequence, a line break and a megabyte.
 #[tokio::test]
 async fn no_text_of_another_machine_is_passed_on_as_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let daemon = daemon(&folder).await;
-    let mut told = serde_json::to_value(report()).unwrap();
+    let mut hostile_report = serde_json::to_value(report()).unwrap();
     let bad = format!("\u{1b}[2J\n{}", "x".repeat(1 << 20));
-    let hostile = texts(&mut told, &mut |text| text.clone_from(&bad));
-    daemon.tell_fleet(serde_json::from_value(told).unwrap());
+    let hostile = texts(&mut hostile_report, &mut |text| text.clone_from(&bad));
+    daemon.set_fleet_report(serde_json::from_value(hostile_report).unwrap());
     let known = daemon.fleet().unwrap();
     let mut known = serde_json::to_value(&*known).unwrap();
     let seen = texts(&mut known, &mut |text| {
@@ -199,7 +199,7 @@ async fn no_text_of_another_machine_is_passed_on_as_it_is() {
     daemon.stop().await;
 }
 
-/// Calls `see` with every text of a document; how many there were.
+/// Calls `see` for every string of a document; returns their number.
 fn texts(value: &mut Value, see: &mut impl FnMut(&mut String)) -> usize {
     match value {
         Value::String(text) => {

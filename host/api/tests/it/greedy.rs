@@ -1,4 +1,4 @@
-//! Those who send too much, too slowly, or too often: they lose, and the others are served.
+//! Clients that send too much, too slowly or too often lose their connection; others are served.
 
 use std::collections::VecDeque;
 use std::io::{Read, Write};
@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 
 use ihd_api::ApiClient;
 use ihd_api::access::{Role, tokens::Tokens};
-use ihd_api::client::events::{Events, Watched};
+use ihd_api::client::events::{Events, StreamItem};
 use ihd_api::server::MAX_CONNECTIONS;
 use ihd_api::tls::Certificate;
-use ihd_daemon::model::{Command, Notice, What};
+use ihd_daemon::model::{Command, DaemonEvent, EventKind};
 
 use crate::backend::{NAME, Running};
 use crate::http::{PATIENCE, ask, connect};
@@ -51,7 +51,7 @@ fn a_head_that_never_ends_is_cut_off_however_it_trickles() {
     trickle
         .write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\n")
         .unwrap();
-    // A head that came whole is answered after nearly all of the ten seconds.
+    // A head that is complete just before the limit of ten seconds is answered.
     let mut slow = connect(server.address);
     slow.write_all(&healthy[..20]).unwrap();
     for _ in 0..9 {
@@ -69,7 +69,7 @@ fn a_head_that_never_ends_is_cut_off_however_it_trickles() {
     }
 }
 
-/// Reads the answer of `/healthz`, whose connection stays.
+/// Reads one response of `/healthz` from a kept connection.
 fn one_answer(stream: &mut TcpStream) {
     let mut answer = Vec::new();
     while !answer.ends_with(b"}") {
@@ -91,38 +91,38 @@ fn a_head_of_a_megabyte_is_refused() {
     assert_eq!(ask(server.address, "GET /healthz", &many, "").0, 431);
 }
 
-/// Connections of those who are not let in, or idle: many times what there are places for. Ten thousand: host/ihd/tests/daemon/off_latency.rs.
+/// Unadmitted or idle connections: many times the maximum number. Ten thousand: host/ihd/tests/daemon/off_latency.rs.
 const HOSTILE: usize = 1_000;
 
-/// Number of these that the other end holds open, too.
+/// Number of these that the clients hold open.
 const HELD: usize = 500;
 
 fn watch(client: &ApiClient) -> Events {
     let mut events = client.events(None).unwrap();
-    assert_eq!(events.next().unwrap().unwrap(), Watched::Heartbeat);
+    assert_eq!(events.next().unwrap().unwrap(), StreamItem::Heartbeat);
     events
 }
 
-/// Checks that a stream of events still has its place.
+/// Checks that an event stream is still connected.
 fn hears(server: &Running, events: &mut Events) {
-    let notice = Notice {
+    let notice = DaemonEvent {
         at_ms: 1_700_000_000_000,
         device: NAME.into(),
-        what: What::WindowStored { boot: 7, seq: 1 },
+        kind: EventKind::WindowStored { boot: 7, seq: 1 },
     };
     server.fake.notices.send(Arc::new(notice.clone())).unwrap();
     let heard = events.next().unwrap().unwrap();
-    assert_eq!(heard, Watched::Notice(Box::new(notice)));
+    assert_eq!(heard, StreamItem::Event(Box::new(notice)));
 }
 
-/// The clock stands still: no time-out frees a place. The hostile say nothing, or something that is no request, or ask for what is open
-/// to everybody.
+/// The clock is paused: no time-out frees a slot. The hostile connections send nothing, an incomplete request, or a request that needs no
+/// token.
 #[test]
 fn a_thousand_strangers_keep_nobody_out_who_has_a_token() {
     for tls in [false, true] {
         let (server, clock) = Running::with_clock_and(|settings, dir| {
             settings.token_file = Some(dir.join("tokens"));
-            settings.tls = tls.then(|| Certificate::Made {
+            settings.tls = tls.then(|| Certificate::Generated {
                 folder: dir.join("tls"),
             });
         });
@@ -130,20 +130,20 @@ fn a_thousand_strangers_keep_nobody_out_who_has_a_token() {
         let token = tokens.at_least(Role::Operate).map(str::to_owned);
         let ca = server.certificate.as_deref();
         let client = |name| ApiClient::new(&server.url, name, token.clone(), ca).unwrap();
-        // Keeps its connection from before.
+        // Connected before the others.
         let known = client("Ada");
         known.command(NAME, &Command::Off).unwrap();
         let mut watched = watch(&known);
         let mut held = VecDeque::new();
         for k in 0..HOSTILE {
             let mut stream = connect(server.address);
-            let said: &[u8] = match k % 4 {
+            let request: &[u8] = match k % 4 {
                 0 => b"G",
                 1 => b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n",
                 _ => b"",
             };
-            // It may have lost its place already.
-            let _ = stream.write_all(said);
+            // The connection may be closed already.
+            let _ = stream.write_all(request);
             held.push_back(stream);
             if held.len() > HELD {
                 held.pop_front();
@@ -154,7 +154,7 @@ fn a_thousand_strangers_keep_nobody_out_who_has_a_token() {
         let asked = server.fake.asked.lock().unwrap().commands.len();
         assert_eq!(asked, 3, "TLS: {tls}");
         hears(&server, &mut watched);
-        // Those that are left lose their places with time.
+        // The rest is closed by the time limit.
         clock.pass(Duration::from_secs(61));
         for stream in &mut held {
             let _ = stream.read_to_end(&mut Vec::new());
@@ -162,7 +162,7 @@ fn a_thousand_strangers_keep_nobody_out_who_has_a_token() {
     }
 }
 
-/// Without tokens a request is what shows that somebody means it; one that asks and then idles gives way, too.
+/// Without tokens any request is admitted; an idle connection can be evicted also after a request.
 #[test]
 fn on_plain_loopback_a_thousand_that_idle_keep_nobody_out() {
     let (server, _clock) = Running::with_clock();
@@ -215,7 +215,7 @@ fn watchers_leave_places_for_others() {
     assert_eq!(statuses.iter().filter(|s| **s == 200).count(), 64);
     assert_eq!(statuses.iter().filter(|s| **s == 503).count(), 1);
     assert_eq!(ask(server.address, "GET /healthz", &[], "").0, 200);
-    // A place is free again when the server has seen that its watcher went.
+    // A stream is available again once the server has detected that a client is gone.
     watching.clear();
     let deadline = Instant::now() + PATIENCE;
     loop {

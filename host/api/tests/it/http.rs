@@ -1,25 +1,25 @@
-//! HTTP by hand: what no well-behaved client would send.
+//! Raw HTTP/1.1, also malformed.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
-/// Longest wait for an event; it only ends a hang.
+/// Time limit of a read; only ends a hanging test.
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
-/// Sends a request as it is; gives status and body of the answer. `Host: localhost` and `Connection: close` are added.
+/// Sends a request with `Host: localhost` and `Connection: close`; returns status and body of the response.
 pub fn ask(to: SocketAddr, request_line: &str, headers: &[&str], body: &str) -> (u16, String) {
     let mut all = vec!["Host: localhost"];
     all.extend(headers);
     raw(to, request_line, &all, body)
 }
 
-/// As [`ask`], without a host of its own.
+/// Does the same as [`ask`], without `Host`.
 pub fn raw(to: SocketAddr, request_line: &str, headers: &[&str], body: &str) -> (u16, String) {
     answer(&mut sent(to, request_line, headers, body))
 }
 
-/// As [`ask`], with the answer's head in lower case and its body as bytes.
+/// Does the same as [`ask`]; returns status, head in lower case, and body as bytes.
 pub fn whole(
     to: SocketAddr,
     request_line: &str,
@@ -35,7 +35,7 @@ pub fn whole(
     (status(&head), head, body.to_vec())
 }
 
-/// The value of a header in a head of [`whole`].
+/// Returns the value of a header in a head from [`whole`].
 pub fn header<'a>(head: &'a str, name: &str) -> Option<&'a str> {
     let of = |line: &'a str| line.strip_prefix(name)?.strip_prefix(": ");
     head.split("\r\n").find_map(of)
@@ -62,7 +62,7 @@ pub fn connect(to: SocketAddr) -> TcpStream {
     stream
 }
 
-/// Reads until the other end closes.
+/// Reads a response until the server closes the connection.
 pub fn answer(stream: &mut TcpStream) -> (u16, String) {
     let text = String::from_utf8_lossy(&read_all(stream)).into_owned();
     let (head, body) = text.split_once("\r\n\r\n").unwrap_or((&text, ""));

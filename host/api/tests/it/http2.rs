@@ -1,4 +1,4 @@
-//! HTTP/2 over TLS: what a browser's windows share one connection for, and the same limits.
+//! HTTP/2 over TLS: several streams in one connection, with the limits of HTTP/1.1.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,13 +24,13 @@ const OFF: &str = "/api/v1/devices/serial%3A%2Fdev%2Ftty%20%C3%A4/commands";
 fn server() -> (Running, Clock) {
     Running::with_clock_and(|settings, dir| {
         settings.token_file = Some(dir.join("tokens"));
-        settings.tls = Some(Certificate::Made {
+        settings.tls = Some(Certificate::Generated {
             folder: dir.join("tls"),
         });
     })
 }
 
-/// One connection.
+/// Connection of a client.
 struct Connection {
     requests: SendRequest<Bytes>,
     token: String,
@@ -93,7 +93,7 @@ impl Connection {
         answer.await
     }
 
-    /// Status and body of an answer that ends.
+    /// Returns status and body of a finite response.
     async fn whole(&self, method: &str, path: &str, body: &str) -> (u16, String) {
         let answer = self.ask(method, path, body).await.unwrap();
         let status = answer.status().as_u16();
@@ -111,7 +111,7 @@ impl Connection {
     }
 }
 
-/// More streams than HTTP/1.1 has connections, and the seventh request is answered.
+/// A browser opens at most six HTTP/1.1 connections; here a seventh request is answered.
 #[test]
 fn six_streams_of_events_and_off_share_one_connection() {
     let (server, _clock) = server();
@@ -154,7 +154,7 @@ fn a_name_that_is_not_the_servers_is_refused() {
     });
 }
 
-/// The clock stands still: no time-out frees a place.
+/// The clock is paused: no time-out frees a slot.
 #[test]
 fn strangers_give_way_to_who_has_a_token() {
     let (server, _clock) = server();
@@ -194,7 +194,7 @@ fn a_connection_without_a_request_ends_after_its_time_and_one_with_a_stream_stay
         let answer = watching.ask("GET", "/api/v1/live", "").await.unwrap();
         let mut live = answer.into_body();
         for _ in 0..60 {
-            // It is read, so that nothing but the rest of the other can end.
+            // Reading keeps this connection; only the idle one can end.
             let part = live.data().await.unwrap().unwrap();
             live.flow_control().release_capacity(part.len()).unwrap();
             clock.pass(Duration::from_secs(1));
@@ -204,7 +204,7 @@ fn a_connection_without_a_request_ends_after_its_time_and_one_with_a_stream_stay
     });
 }
 
-/// Its window stays shut, which its socket does not show.
+/// The flow-control window of the stream stays closed, while the socket is read.
 #[test]
 fn a_reader_that_takes_nothing_loses_the_connection() {
     let (server, clock) = server();
@@ -214,7 +214,7 @@ fn a_reader_that_takes_nothing_loses_the_connection() {
         let page = Connection::with(&server, &shut).await;
         let answer = page.ask("GET", "/api/v1/live", "").await.unwrap();
         let _untaken = answer.into_body();
-        // Until then it is asked for more, which does not count as taking.
+        // Further requests on the connection do not count as reading.
         let mut passed_s = 0;
         while page.ask("GET", "/healthz", "").await.is_ok() {
             clock.pass(Duration::from_secs(1));
@@ -225,7 +225,7 @@ fn a_reader_that_takes_nothing_loses_the_connection() {
     });
 }
 
-/// Requests that are called back at once cost the server its work and their sender nothing (CVE-2023-44487): he loses the connection.
+/// Requests that are reset at once cost the server work and the client nothing (CVE-2023-44487): the connection is closed.
 #[test]
 fn a_flood_of_requests_that_are_called_back_ends_its_connection() {
     let (server, _clock) = server();

@@ -1,4 +1,4 @@
-//! What devices do now, at the pace of whoever watches: nobody is ever shown the past, and nothing is lost unsaid.
+//! Live telemetry at the pace of the client: no old data, and losses are reported.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::Duration;
 
-use ihd_daemon::model::{DeviceReport, LiveDevice, Notice, What};
+use ihd_daemon::model::{DaemonEvent, DeviceReport, EventKind, LiveDevice};
 use serde::Deserialize as _;
 use serde_json::Value;
 use socket2::{Domain, Socket, Type};
@@ -15,7 +15,7 @@ use socket2::{Domain, Socket, Type};
 use crate::backend::{Clock, NAME, Running, live};
 use crate::http::{PATIENCE, ask, connect};
 
-/// Events of `/live`, by their names.
+/// Events of `/live` with their names.
 struct Watching(BufReader<TcpStream>);
 
 impl Watching {
@@ -29,7 +29,7 @@ impl Watching {
         Self(BufReader::new(stream))
     }
 
-    /// The next event; none at the end.
+    /// Returns the next event; `None` at the end.
     fn next(&mut self) -> Option<(String, Value)> {
         let (mut kind, mut line) = (String::new(), String::new());
         loop {
@@ -46,36 +46,36 @@ impl Watching {
         }
     }
 
-    /// The next of a name.
-    fn next_of(&mut self, wanted: &str) -> Value {
+    /// Returns the next event of a name.
+    fn next_of(&mut self, name: &str) -> Value {
         loop {
             let (kind, data) = self.next().expect("not ended");
-            if kind == wanted {
+            if kind == name {
                 return data;
             }
         }
     }
 }
 
-fn stored(seq: u32) -> Arc<Notice> {
-    let what = What::WindowStored { boot: 7, seq };
+fn stored(seq: u32) -> Arc<DaemonEvent> {
+    let kind = EventKind::WindowStored { boot: 7, seq };
     let device = NAME.into();
-    Arc::new(Notice {
+    Arc::new(DaemonEvent {
         at_ms: 1,
         device,
-        what,
+        kind,
     })
 }
 
-/// Between two events of telemetry of most of these watchers.
+/// Interval of telemetry in most of these tests.
 const INTERVAL: Duration = Duration::from_millis(100);
 
-/// So many devices are heard from now on.
+/// Sets the number of devices that send telemetry.
 fn devices(server: &Running, count: u64) {
     server.fake.world.devices.store(count, Ordering::Relaxed);
 }
 
-/// Lets an interval pass in which each device is heard ten times; how often each was heard so far.
+/// Lets an interval pass with ten half-cycles of each device; returns the half-cycles of each so far.
 fn interval(server: &Running, clock: &Clock) -> u64 {
     let came = server
         .fake
@@ -122,7 +122,7 @@ fn devices_come_first_and_telemetry_accounts_for_each_half_cycle() {
 
 #[test]
 fn where_nobody_is_heard_something_comes_each_second_all_the_same() {
-    // Devices are told again every two seconds, and not twice in an interval.
+    // Reports are repeated every two seconds, at most once per interval.
     for (query, kinds) in [
         ("", &["telemetry", "devices", "telemetry", "devices"][..]),
         (
@@ -182,13 +182,13 @@ fn every_notice_but_telemetry_comes_in_order() {
     watching.next_of("devices");
     for seq in 0..50 {
         server.fake.notices.send(stored(seq)).unwrap();
-        let telemetry = Notice {
+        let telemetry = DaemonEvent {
             at_ms: 1,
             device: NAME.into(),
-            what: What::Telemetry { live: live(1) },
+            kind: EventKind::Telemetry { live: live(1) },
         };
         server.fake.notices.send(Arc::new(telemetry)).unwrap();
-        // The channel of this test's daemon holds 64: the server takes them out.
+        // The channel of the fake holds 64 events: the server must empty it.
         clock.pass(Duration::ZERO);
     }
     for seq in 0..50 {
@@ -198,7 +198,7 @@ fn every_notice_but_telemetry_comes_in_order() {
     }
 }
 
-/// A reader whose own system holds next to nothing for him.
+/// Connects with a small receive buffer.
 fn narrow(server: &Running) -> TcpStream {
     let socket = Socket::new(Domain::IPV4, Type::STREAM, None).unwrap();
     socket.set_recv_buffer_size(8_192).unwrap();
@@ -215,23 +215,27 @@ fn who_reads_nothing_costs_nothing_and_then_sees_what_is_new() {
     devices(&server, 64);
     let mut watching = Watching::on(narrow(&server), "?interval_ms=100");
     watching.next_of("devices");
-    let looks = || server.fake.world.looks.load(Ordering::Relaxed);
-    // Until all that the two ends of the connection hold is full.
-    let (mut before, mut unchanged, mut filling) = (looks(), 0, 0);
+    let collections = || server.fake.world.collections.load(Ordering::Relaxed);
+    // Until the buffers of both ends are full.
+    let (mut before, mut unchanged, mut filling) = (collections(), 0, 0);
     while unchanged < 10 {
         interval(&server, &clock);
         filling += 1;
         assert!(filling < 100, "events are made that nobody takes");
-        unchanged = if looks() == before { unchanged + 1 } else { 0 };
-        before = looks();
+        unchanged = if collections() == before {
+            unchanged + 1
+        } else {
+            0
+        };
+        before = collections();
     }
     let mut came = 0;
     for _ in 0..60 {
         came = interval(&server, &clock);
     }
-    let made = looks() - before;
+    let made = collections() - before;
     assert!(made <= 2, "{made} events were made that nobody took");
-    // Notices meanwhile: those beyond what waits are counted.
+    // Notices meanwhile: those that do not fit the queue are counted.
     let mut sent = 0;
     for seq in 0..1_000 {
         server.fake.notices.send(stored(seq)).unwrap();
@@ -240,7 +244,7 @@ fn who_reads_nothing_costs_nothing_and_then_sees_what_is_new() {
             clock.pass(Duration::ZERO);
         }
     }
-    // From now on the clock goes on by itself: a socket that is free again is seen by it.
+    // From now on the clock advances by itself, so that the server sees that the socket is writable again.
     let is_read = Arc::new(AtomicBool::new(false));
     let ends = Arc::clone(&is_read);
     let going_on = std::thread::spawn(move || {

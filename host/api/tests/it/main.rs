@@ -1,4 +1,4 @@
-//! The API as it is met over a socket: by its client, by strangers, by browsers of other sites.
+//! Tests of the API over a socket: its client, clients without a token, pages of other sites.
 
 mod access;
 mod backend;

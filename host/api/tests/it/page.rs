@@ -1,4 +1,4 @@
-//! The page: every file of it and none beside, and what a browser is told with it.
+//! Page: all its files, no others, and the security headers.
 
 use std::fs;
 use std::path::Path;
@@ -6,24 +6,24 @@ use std::path::Path;
 use crate::backend::Running;
 use crate::http::{ask, header, whole};
 
-fn below(folder: &Path, prefix: &str, found: &mut Vec<(String, Vec<u8>)>) {
+fn read_below(folder: &Path, prefix: &str, files: &mut Vec<(String, Vec<u8>)>) {
     for entry in fs::read_dir(folder).unwrap().map(Result::unwrap) {
         let path = format!("{prefix}{}", entry.file_name().to_str().unwrap());
         if entry.file_type().unwrap().is_dir() {
-            below(&entry.path(), &format!("{path}/"), found);
+            read_below(&entry.path(), &format!("{path}/"), files);
         } else {
-            found.push((path, fs::read(entry.path()).unwrap()));
+            files.push((path, fs::read(entry.path()).unwrap()));
         }
     }
 }
 
-/// Every file of host/ui/page.
+/// Returns all files of host/ui/page.
 fn files() -> Vec<(String, Vec<u8>)> {
-    let mut found = Vec::new();
+    let mut files = Vec::new();
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../ui/page");
-    below(&page, "", &mut found);
-    assert!(!found.is_empty());
-    found
+    read_below(&page, "", &mut files);
+    assert!(!files.is_empty());
+    files
 }
 
 #[test]
@@ -158,7 +158,7 @@ fn text_is_compressed_where_it_is_asked_for() {
         packed.len(),
         plain.len()
     );
-    // What is small is sent as it is.
+    // Small responses are not compressed.
     let (_, head, _) = whole(server.address, "GET /api/v1/devices", &gzip, "");
     assert_eq!(header(&head, "content-encoding"), None);
 }

@@ -1,8 +1,8 @@
-//! What the store has, as a display asks for it: what is asked arrives, what cannot be asked is refused with words.
+//! Stored data for a display: parameters reach the backend, invalid ones are refused.
 
 use ihd_daemon::JournalFilter;
-use ihd_daemon::board::now_ms;
-use ihd_daemon::model::WindowWanted;
+use ihd_daemon::event_bus::now_ms;
+use ihd_daemon::model::WindowQuery;
 use serde_json::Value;
 
 use crate::backend::Running;
@@ -44,14 +44,14 @@ fn a_window_is_the_newest_or_the_one_that_is_named() {
     let (status, body) = get(&server, &format!("{DEVICE}/window?boot=7&seq=6"));
     assert_eq!((status, body["error"].as_str()), (404, Some("no-window")));
     let asked = server.fake.asked.lock().unwrap();
-    let whole = WindowWanted {
+    let whole = WindowQuery {
         which: None,
         from_s: 0.0,
         to_s: f64::INFINITY,
         columns: 1_200,
     };
     assert_eq!(asked.scopes[0], whole);
-    let part = WindowWanted {
+    let part = WindowQuery {
         which: Some((7, 5)),
         from_s: 0.001,
         to_s: 0.002,
@@ -161,7 +161,7 @@ fn what_cannot_be_asked_is_refused_before_the_store_is_asked() {
     let asked = server.fake.asked.lock().unwrap();
     assert!(asked.histories.is_empty() && asked.scopes.is_empty() && asked.journals.is_empty());
     drop(asked);
-    // The ends of what numbers there are.
+    // Limits of the integer type.
     let far = format!("history?from={}&to={}", i64::MIN, i64::MAX);
     assert_eq!(get(&server, &format!("{DEVICE}/{far}")).0, 200);
     let far = format!("history?to={}", i64::MIN);

@@ -1,4 +1,4 @@
-//! Recordings: listed, downloaded, made into tables; names that lead elsewhere, readers that take their time.
+//! Recordings: list, download, tables; path traversal, slow clients.
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -19,7 +19,7 @@ use crate::http::{ask, connect, header, whole};
 
 const NAME: &str = "bench-2026-11-22T08-30-00.123.mcap";
 
-/// Half a second of a simulated hob, as a recording of the server's folder.
+/// Records half a second of a simulated hob into the server's folder.
 fn recorded(server: &Running, power_w: u16) -> PathBuf {
     let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
     let mut client = Client::connect(Box::new(hob)).unwrap();
@@ -36,7 +36,7 @@ fn recorded(server: &Running, power_w: u16) -> PathBuf {
     path
 }
 
-/// A GET, whose answer may be anything: its head, and its body as bytes.
+/// Sends a GET; returns head in lower case and body as bytes.
 fn get(server: &Running, path: &str) -> (String, Vec<u8>) {
     let mut stream = connect(server.address);
     let request = format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
@@ -121,7 +121,7 @@ fn a_broken_download_goes_on_where_it_was_unless_the_file_is_another() {
         let (status, head, body) = get(&[&format!("Range: {whole}")]);
         assert!(status == 200 && body == bytes, "{whole}: {head}");
     }
-    // It has grown: its first part may be another.
+    // The file has changed: its first part may differ.
     fs::write(&path, &bytes[..999_999]).unwrap();
     let (status, head, body) = get(&["Range: bytes=400000-", &same]);
     assert!(status == 200 && body == bytes[..999_999], "{head}");
@@ -184,7 +184,7 @@ fn what_cannot_be_had_says_why() {
     refused(&of("xlsx"), 400, "query");
     fs::write(&path, b"no recording at all").unwrap();
     refused(&of("npz"), 409, "damaged");
-    // Names that lead elsewhere: the token file, the folder above, another file.
+    // Names of other files: the token file, the folder above, a folder.
     fs::write(server.fake.recordings.path().join("tokens"), "secret").unwrap();
     fs::create_dir(server.fake.recordings.path().join("folder.mcap")).unwrap();
     for name in [
@@ -234,12 +234,12 @@ fn a_download_that_takes_longer_than_a_request_may_is_not_cut() {
     while taken < BYTES / 2 {
         taken += stream.read(&mut buffer).unwrap() as u64;
     }
-    // Whatever grows meanwhile is not sent: its length was told.
+    // Bytes appended meanwhile are not sent: `Content-Length` was sent before.
     let file = File::options()
         .append(true)
         .open(server.fake.recordings.path().join(NAME));
     file.unwrap().write_all(&[1; 100]).unwrap();
-    // Six minutes, more than any request of a recording may take, of a reader who never rests for long.
+    // Six minutes, more than the time limit of a recording request; the client never pauses for long.
     for _ in 0..18 {
         clock.pass(Duration::from_secs(20));
         stream.read_exact(&mut buffer).unwrap();

@@ -1,4 +1,4 @@
-//! A browser's token: shown once, kept in a cookie that no script and no other site gets at.
+//! Browser sessions: a token is presented once; the cookie is inaccessible to scripts and other sites.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ fn with_tokens() -> (Running, Tokens) {
     (server, tokens)
 }
 
-/// Shows a token; gives the header `Cookie` of a browser from then on.
+/// Presents a token; returns the header `Cookie` for further requests.
 fn cookie(server: &Running, token: &str) -> String {
     let body = format!("{{\"token\":\"{token}\"}}");
     let line = format!("POST {SESSION}");
@@ -84,7 +84,7 @@ fn a_wrong_token_gets_no_cookie_and_is_not_told_again() {
         ask(server.address, &format!("GET {SESSION}"), &[], "").0,
         401
     );
-    // Neither is a token a key of the address, where logs and histories would keep it.
+    // A token in the URL is not accepted: it would appear in logs and histories.
     let line = format!("GET /api/v1/devices?token={right}");
     assert_eq!(ask(server.address, &line, &[], "").0, 401);
 }
@@ -114,32 +114,32 @@ fn forgetting_ends_the_session_and_deletes_the_cookie() {
         gone != other && !gone.contains(token),
         "a session is no token"
     );
-    let looks = |cookie: &str| ask(server.address, "GET /api/v1/devices", &[cookie], "").0;
-    assert_eq!((looks(&gone), looks(&other)), (200, 200));
+    let status_of = |cookie: &str| ask(server.address, "GET /api/v1/devices", &[cookie], "").0;
+    assert_eq!((status_of(&gone), status_of(&other)), (200, 200));
     let line = format!("DELETE {SESSION}");
     let (status, head, _) = whole(server.address, &line, &[&gone], "");
     assert_eq!(status, 204);
     let set = header(&head, "set-cookie").unwrap();
     assert!(set.starts_with("ihd-session=; max-age=0"), "{set}");
-    // Whoever has copied the cookie has nothing.
-    assert_eq!((looks(&gone), looks(&other)), (401, 200));
-    // Whoever shows his token once more leaves no session behind.
+    // A copy of the cookie is invalid, too.
+    assert_eq!((status_of(&gone), status_of(&other)), (401, 200));
+    // Presenting the token once more closes the previous session.
     let body = format!("{{\"token\":\"{token}\"}}");
     let line = format!("POST {SESSION}");
     assert_eq!(ask(server.address, &line, &[JSON, &other], &body).0, 204);
-    assert_eq!(looks(&other), 401);
+    assert_eq!(status_of(&other), 401);
 }
 
 #[test]
 fn a_cookie_lets_another_sites_page_command_and_read_nothing() {
-    // A browser sends this one to no other site's requests; one that did it all the same is turned away.
+    // A browser does not send this cookie with requests of other sites; if one does, the request is refused.
     let (server, tokens) = with_tokens();
     let cookie = cookie(&server, tokens.at_least(Role::Operate).unwrap());
     for foreign in [
         "Origin: https://evil.example",
         "Origin: null",
         "Sec-Fetch-Site: cross-site",
-        // Another server on this machine is the same site: its page's requests bring the cookie.
+        // Another server on this machine is the same site: requests of its page carry the cookie.
         "Sec-Fetch-Site: same-site",
         "Origin: http://localhost:1",
     ] {
@@ -150,7 +150,7 @@ fn a_cookie_lets_another_sites_page_command_and_read_nothing() {
             let (status, body) = ask(server.address, COMMANDS, &headers, OFF);
             assert_eq!(status, 403, "{foreign}: {body}");
         }
-        // Nor may it make this browser somebody else's.
+        // It must not open a session with another token either (login CSRF).
         let body = format!("{{\"token\":\"{}\"}}", tokens.at_least(Role::Read).unwrap());
         let line = format!("POST {SESSION}");
         assert_eq!(ask(server.address, &line, &[JSON, foreign], &body).0, 403);
@@ -191,7 +191,7 @@ fn without_tokens_there_is_nothing_to_show() {
 fn under_tls_the_cookie_goes_nowhere_else() {
     let server = Running::with(|settings, dir| {
         settings.token_file = Some(dir.join("tokens"));
-        settings.tls = Some(ihd_api::tls::Certificate::Made {
+        settings.tls = Some(ihd_api::tls::Certificate::Generated {
             folder: dir.join("tls"),
         });
     });

@@ -108,8 +108,8 @@ impl<A: Arrays> ArraySource<A> {
         };
         // Tektronix' MAT has one vector, and its unit as a text.
         let text_of = |name: &str| {
-            let found = arrays.iter().find(|a| a.name.eq_ignore_ascii_case(name));
-            found.and_then(|a| a.text.as_deref())
+            let array = arrays.iter().find(|a| a.name.eq_ignore_ascii_case(name));
+            array.and_then(|a| a.text.as_deref())
         };
         let unit_stated = text_of("verticalUnits").filter(|_| columns.len() == 1);
         let channel = |k: &usize| {

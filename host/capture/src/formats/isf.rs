@@ -58,17 +58,17 @@ impl Header {
 
     /// Value of the key that begins with `short`, its shortest form.
     fn get(&self, short: &str) -> Option<&str> {
-        let found = self.pairs.iter().find(|(key, _)| key.starts_with(short));
-        found.map(|(_, value)| value.as_str())
+        let pair = self.pairs.iter().find(|(key, _)| key.starts_with(short));
+        pair.map(|(_, value)| value.as_str())
     }
 
     fn number(&self, short: &str) -> Result<f64, FormatError> {
         let value = self.get(short).and_then(|v| v.parse::<f64>().ok());
         value.filter(|x| x.is_finite()).ok_or_else(|| {
-            let found = self.get(short).unwrap_or("nothing");
+            let text = self.get(short).unwrap_or("nothing");
             FormatError::at_byte(
                 0,
-                format!("{short} in the header must be a number, is `{found}`"),
+                format!("{short} in the header must be a number, is `{text}`"),
             )
         })
     }

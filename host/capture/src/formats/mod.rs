@@ -4,6 +4,7 @@
 //! is compared with the file's size before memory is allocated.
 
 pub mod arrays;
+pub mod channel;
 pub mod csv;
 pub mod input;
 pub mod isf;
@@ -19,19 +20,8 @@ use std::collections::BTreeMap;
 use ihd_signal::truth::PeriodTruth;
 use ihd_signal::{FrequencyStep, TimeBase};
 
-use self::unit::Unit;
+pub use self::channel::Channel;
 use super::error::FormatError;
-
-/// Channel as its file describes it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Channel {
-    /// Name in the file; may be empty.
-    pub name: String,
-    /// Unit; `None` if the file states none.
-    pub unit: Option<Unit>,
-    /// Largest magnitude that the channel can show, in [`Channel::unit`]; `None` if the file does not state it.
-    pub full_scale: Option<f64>,
-}
 
 /// Samples of the selected channels.
 #[derive(Clone, Debug, PartialEq)]

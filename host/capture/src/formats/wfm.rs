@@ -286,9 +286,9 @@ fn metadata(input: &mut Input, endian: Endian) -> Result<BTreeMap<String, String
 fn sized_text(input: &mut Input, endian: Endian) -> Result<String, FormatError> {
     let length = input.number(Kind::U32, endian)? as u64;
     input.need(length)?;
-    let kept = length.min(LONGEST_TEXT);
-    let text = input.text(kept as usize)?;
-    input.skip(length - kept)?;
+    let read = length.min(LONGEST_TEXT);
+    let text = input.text(read as usize)?;
+    input.skip(length - read)?;
     Ok(text)
 }
 

@@ -42,14 +42,14 @@ pub enum McapFileError {
     },
     /// The MCAP file has another profile, or comes from a newer ihd.
     #[error(
-        "{} is an MCAP file of profile {found:?}; this ihd reads {PROFILE:?}{hint}",
+        "{} is an MCAP file of profile {profile:?}; this ihd reads {PROFILE:?}{hint}",
         path.display()
     )]
     Profile {
         /// The file.
         path: PathBuf,
         /// Profile of the file.
-        found: String,
+        profile: String,
         /// Advice; begins with "; " or is empty.
         hint: &'static str,
     },

@@ -77,9 +77,9 @@ impl Frames {
             source,
         };
         // Checked before opening: opening a pipe would block.
-        let found = std::fs::metadata(path).map_err(failed)?;
-        if !found.is_file() {
-            let what = if found.is_dir() {
+        let metadata = std::fs::metadata(path).map_err(failed)?;
+        if !metadata.is_file() {
+            let what = if metadata.is_dir() {
                 "a directory"
             } else {
                 "a pipe or a device"
@@ -97,7 +97,7 @@ impl Frames {
         Ok(Self {
             input,
             path: path.into(),
-            length: found.len(),
+            length: metadata.len(),
             next: MAGIC.len() as u64,
             at: 0,
             passed: None,
@@ -180,10 +180,10 @@ impl Frames {
     /// recognisable chunk.
     fn resume(&mut self) -> Result<(), McapFileError> {
         if self.next <= self.at || !self.is_record_at(self.next)? {
-            let found = self.chunk_from(self.unchecked() + 1)?;
+            let chunk = self.chunk_from(self.unchecked() + 1)?;
             // A file with its end mark is damaged, not cut.
-            self.ended = found.is_none() && self.has_end_mark()?;
-            self.next = found.unwrap_or(self.length);
+            self.ended = chunk.is_none() && self.has_end_mark()?;
+            self.next = chunk.unwrap_or(self.length);
         }
         self.passed = None;
         self.seek(self.next)
@@ -312,11 +312,11 @@ impl Frames {
         }
         if declared > left - PREFIX {
             // The file is cut here, or the length is wrong: then more data follows.
-            let mut found = self.chunk_from(self.unchecked() + 1)?;
-            if found == Some(self.at) {
-                found = self.chunk_from(self.at + 1)?;
+            let mut chunk = self.chunk_from(self.unchecked() + 1)?;
+            if chunk == Some(self.at) {
+                chunk = self.chunk_from(self.at + 1)?;
             }
-            if found.is_some() || self.has_end_mark()? {
+            if chunk.is_some() || self.has_end_mark()? {
                 let left = left - PREFIX;
                 let what =
                     format!("a record declares {declared} bytes, {left} are left in the file");

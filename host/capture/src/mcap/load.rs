@@ -315,7 +315,7 @@ mod tests {
         capture
     }
 
-    /// No assert_eq: nobody wants to read what differs.
+    /// Without assert_eq, whose output would be unreadably long.
     fn assert_same(a: &Capture, b: &Capture, path: &Path) {
         let b = &Capture {
             name: path.display().to_string(),

@@ -88,7 +88,7 @@ impl Reader {
             };
             return Err(McapFileError::Profile {
                 path: path.into(),
-                found: profile,
+                profile,
                 hint,
             });
         }

@@ -1,4 +1,4 @@
-//! What is asked of a device, carried out.
+//! Execution of commands on a connected device.
 
 use ihd_link::{Client, LinkError};
 use ihd_shared::hob::RATED_POWER_W;
@@ -6,33 +6,37 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use tokio::time::Instant;
 
-use super::lookups::before_this;
+use super::heating::HeatError;
+use super::lookups::previous_lookup;
 use super::recording;
-use super::session::{Ended, HeatError, Session};
+use super::request::{DeviceRequest, ReplySender};
+use super::session::{Session, SessionEnd};
 use super::sweep::Sweep;
-use super::{Answer, Order};
 use crate::learning::Lookup;
-use crate::lease::{LeaseId, LeaseOver};
-use crate::looks::newest;
-use crate::model::{Command, CommandError, Done};
+use crate::lease::{LeaseError, LeaseId};
+use crate::model::{Command, CommandError, CommandReply};
 use crate::printable::printable;
+use crate::view::stored_lookup::newest;
 
-/// Powers of one sweep, at most.
-const LONGEST_SWEEP: usize = 64;
+/// Largest number of powers in a sweep.
+const MAX_SWEEP_POWERS: usize = 64;
 
 impl Session<'_> {
-    /// Carries out an order; an error is the session's end.
-    pub(super) async fn on_order(&mut self, order: Order) -> Result<(), Ended> {
-        match order {
-            Order::News(lookup) => {
-                self.on_news(lookup).await;
+    /// Carries out a request.
+    ///
+    /// # Errors
+    /// The end of the session.
+    pub(super) async fn on_request(&mut self, request: DeviceRequest) -> Result<(), SessionEnd> {
+        match request {
+            DeviceRequest::PushLookup(lookup) => {
+                self.on_learned_lookup(lookup).await;
                 Ok(())
             }
-            Order::Command {
+            DeviceRequest::Command {
                 command,
                 lease,
-                answer,
-            } => self.on_command(command, lease, answer).await,
+                reply,
+            } => self.on_command(command, lease, reply).await,
         }
     }
 
@@ -40,46 +44,46 @@ impl Session<'_> {
         &mut self,
         command: Command,
         lease: Option<LeaseId>,
-        answer: Answer,
-    ) -> Result<(), Ended> {
-        let mut ended = Ok(());
-        // It may have waited longer than its lease lived.
+        reply: ReplySender,
+    ) -> Result<(), SessionEnd> {
+        let mut session = Ok(());
+        // The lease may have ended while the command waited.
         let is_off = matches!(command, Command::Power { power_w: 0 });
         if let Some(id) = lease.filter(|_| !is_off) {
-            let living = self.face.lock().lease.check(id, Instant::now());
-            if let Err(over) = living {
-                let _ = answer.send(Err(self.refused(&over.to_string())));
+            let checked = self.record.lock().lease.check(id, Instant::now());
+            if let Err(error) = checked {
+                let _ = reply.send(Err(self.refused_error(&error.to_string())));
                 return Ok(());
             }
         }
         let outcome = match command {
             Command::Off | Command::Power { power_w: 0 } => {
                 let off = self.off().await;
-                let done = off.as_ref().map(|()| "off".to_owned()).map_err(words);
-                ended = off.map_err(|error| Ended::Link(error.to_string()));
+                let done = off.as_ref().map(|()| "off".to_owned()).map_err(describe);
+                session = off.map_err(|error| SessionEnd::Link(error.to_string()));
                 done
             }
             Command::Power { power_w } => self.power(lease, power_w).await,
             Command::Sweep { powers_w } => self.start_sweep(lease, &powers_w),
             Command::ClearFault => {
-                let cleared = self.ask(Client::clear_fault).await;
+                let cleared = self.request(Client::clear_fault).await;
                 cleared
                     .map(|()| "fault cleared".to_owned())
-                    .map_err(|e| words(&e))
+                    .map_err(|e| describe(&e))
             }
             Command::LookupPush { blob } => match RlLookup::from_bytes(&blob) {
                 Ok(lookup) => {
-                    // Answered when the device uses it.
+                    // The reply is sent once the device uses the lookup.
                     let lookup = Lookup::without_confidence(lookup);
-                    let _ = self.push(lookup, "pushed by hand", Some(answer)).await;
+                    let _ = self.push(lookup, "pushed by hand", Some(reply)).await;
                     return Ok(());
                 }
                 Err(why) => Err(why.to_string()),
             },
-            Command::LookupRollback { version } => match self.earlier(version).await {
+            Command::LookupRollback { version } => match self.find_lookup(version).await {
                 Ok(lookup) => {
                     let why = format!("rolled back to version {}", lookup.lookup.version);
-                    let _ = self.push(lookup, &why, Some(answer)).await;
+                    let _ = self.push(lookup, &why, Some(reply)).await;
                     return Ok(());
                 }
                 Err(why) => Err(why),
@@ -87,61 +91,64 @@ impl Session<'_> {
             Command::LookupReset => {
                 let reset = self.reset_lookup().await;
                 let done = "back to the built-in lookup; what was learned is forgotten";
-                reset.map(|()| done.to_owned()).map_err(|e| words(&e))
+                reset.map(|()| done.to_owned()).map_err(|e| describe(&e))
             }
             Command::RecordStart(settings) => {
-                self.start_recording(settings, answer).await;
+                self.start_recording(settings, reply).await;
                 return Ok(());
             }
             Command::RecordStop => {
-                recording::stop(self.face, answer);
+                recording::stop(self.record, reply);
                 return Ok(());
             }
         };
-        let _ = answer.send(match outcome {
-            Ok(text) => Ok(Done { text, file: None }),
-            Err(why) => Err(self.refused(&why)),
+        let _ = reply.send(match outcome {
+            Ok(text) => Ok(CommandReply { text, file: None }),
+            Err(why) => Err(self.refused_error(&why)),
         });
-        ended
+        session
     }
 
-    /// A lookup of the store's: of this version, or the one that was active before.
-    async fn earlier(&self, version: Option<u32>) -> Result<Lookup, String> {
-        let on_device = self.face.lock().lookup.on_device.unwrap_or(0);
-        let rows = self.rows().await.ok_or("the store does not answer")?;
+    /// Returns the stored lookup of this version; for `None` the one that was active before the present one.
+    async fn find_lookup(&self, version: Option<u32>) -> Result<Lookup, String> {
+        let on_device = self.record.lock().lookup.on_device.unwrap_or(0);
+        let rows = self
+            .stored_lookups()
+            .await
+            .ok_or("the store does not answer")?;
         let lookup = match version {
-            // Whose cells are those of the device's own.
+            // The built-in lookup, which the store may not hold.
             Some(0) => Some(prior()),
             Some(version) => {
                 newest(&rows, version).and_then(|r| RlLookup::from_bytes(&r.blob).ok())
             }
-            None => before_this(on_device, &rows),
+            None => previous_lookup(on_device, &rows),
         };
         let lookup = lookup.ok_or_else(|| match version {
             Some(version) => format!("the store holds no lookup of version {version}"),
             None => "the store holds no lookup that was active before".to_owned(),
         })?;
-        let (name, of) = (self.face.name.clone(), lookup.version);
+        let (name, version) = (self.record.name.clone(), lookup.version);
         let confidence = self
             .context
-            .in_store(move |store| store.confidence(&name, of));
+            .in_store(move |store| store.confidence(&name, version));
         Ok(Lookup {
             confidence: confidence.await.flatten(),
             lookup,
         })
     }
 
-    fn refused(&self, why: &str) -> CommandError {
+    fn refused_error(&self, why: &str) -> CommandError {
         CommandError::Refused {
-            name: self.face.name.clone(),
+            name: self.record.name.clone(),
             why: printable(why),
         }
     }
 
     async fn power(&mut self, lease: Option<LeaseId>, power_w: u16) -> Result<String, String> {
-        let lease = lease.ok_or_else(|| LeaseOver::Ended.to_string())?;
+        let lease = lease.ok_or_else(|| LeaseError::Ended.to_string())?;
         self.sweep = None;
-        self.face.lock().sweep_left_w.clear();
+        self.record.lock().sweep_left_w.clear();
         match self.heat(lease, power_w).await {
             Ok(()) => Ok(format!("{power_w} W asked for")),
             Err(error) => {
@@ -150,7 +157,7 @@ impl Session<'_> {
                     HeatError::Link(_) => true,
                 };
                 if is_unknown {
-                    // It may heat, and must not.
+                    // The device may heat without a valid request.
                     let _ = self.off().await;
                 }
                 Err(error.to_string())
@@ -159,18 +166,18 @@ impl Session<'_> {
     }
 
     fn start_sweep(&mut self, lease: Option<LeaseId>, powers_w: &[u16]) -> Result<String, String> {
-        let lease = lease.ok_or_else(|| LeaseOver::Ended.to_string())?;
-        if powers_w.is_empty() || powers_w.len() > LONGEST_SWEEP {
-            return Err(format!("a sweep has 1 to {LONGEST_SWEEP} powers"));
+        let lease = lease.ok_or_else(|| LeaseError::Ended.to_string())?;
+        if powers_w.is_empty() || powers_w.len() > MAX_SWEEP_POWERS {
+            return Err(format!("a sweep has 1 to {MAX_SWEEP_POWERS} powers"));
         }
-        if let Some(wrong) = powers_w.iter().find(|&&w| w == 0 || w > RATED_POWER_W) {
-            return Err(format!("{wrong} W is not 1 to {RATED_POWER_W} W"));
+        if let Some(invalid) = powers_w.iter().find(|&&w| w == 0 || w > RATED_POWER_W) {
+            return Err(format!("{invalid} W is not 1 to {RATED_POWER_W} W"));
         }
         let sweep = Sweep::new(powers_w);
         {
-            let mut inner = self.face.lock();
-            let kept = inner.lease.keep(lease, Instant::now());
-            kept.map_err(|over| over.to_string())?;
+            let mut inner = self.record.lock();
+            let extended = inner.lease.keep_after_command(lease, Instant::now());
+            extended.map_err(|error| error.to_string())?;
             inner.sweep_left_w = sweep.left_w();
         }
         self.sweep = Some((lease, sweep));
@@ -181,6 +188,6 @@ impl Session<'_> {
     }
 }
 
-fn words(error: &LinkError) -> String {
+fn describe(error: &LinkError) -> String {
     error.to_string()
 }

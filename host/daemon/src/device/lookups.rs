@@ -1,67 +1,67 @@
-//! The lookup on the device and the one in the store: which of the two is right.
+//! Reconciliation of the lookup on the device with those in the store.
 //!
-//! A lookup is pending in the store before it is pushed, and active when the device says so. Whatever was cut
-//! in between, a connection finds both sides again:
+//! A lookup is pending in the store before it is pushed, and active once the device reports it. After an interruption
+//! at any point, the next connection reconciles both sides:
 //!
-//! | on the device | in the store | then |
+//! | on the device | in the store | step |
 //! |---|---|---|
-//! | the pending one | pending | it is active |
-//! | the active one | active, and a newer one pending | that one is pushed again |
+//! | the pending one | pending | it becomes active |
+//! | the active one | active, and a newer one pending | the newer one is pushed again |
 //! | the built-in one | active | the device has lost it: it is pushed again |
-//! | another one | whatever | the device's is adopted, and what was pending is not pushed |
+//! | another one | any | the device's is adopted; a pending one is not pushed |
 
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
 use ihd_store::{LookupRow, LookupState};
 
-/// What brings both sides together.
+/// Step that makes device and store agree.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Mend {
-    /// They agree.
+pub enum Reconcile {
+    /// No step: they agree.
     Nothing,
-    /// The device uses this version, which the store holds.
+    /// Mark this pending version as active, because the device uses it.
     Activate(u32),
-    /// The store did not know that the device uses what it uses.
+    /// Store the device's lookup as the active one.
     Adopt,
-    /// Push this one, under a version of its own; why.
+    /// Push this lookup to the device, for this reason.
     Push(Box<RlLookup>, &'static str),
 }
 
-/// Compares the lookup that a device uses with what the store holds of it, oldest first.
-pub fn mend(on_device: &RlLookup, rows: &[LookupRow]) -> Vec<Mend> {
-    let of = |state| rows.iter().rev().find(|row| row.state == state);
-    let (active, pending) = (of(LookupState::Active), of(LookupState::Pending));
+/// Compares the device's lookup with its lookups in the store, oldest first. Returns the steps in order.
+pub fn reconcile(on_device: &RlLookup, rows: &[LookupRow]) -> Vec<Reconcile> {
+    let newest = |state| rows.iter().rev().find(|row| row.state == state);
+    let (active, pending) = (newest(LookupState::Active), newest(LookupState::Pending));
     let bytes = on_device.to_bytes();
-    let is = |row: &LookupRow| row.blob == bytes;
-    let again = |row: &LookupRow, why| {
-        // What the store holds was checked when it went in; if it is broken, it is not pushed.
+    let is_on_device = |row: &LookupRow| row.blob == bytes;
+    let push_again = |row: &LookupRow, why| {
+        // Checked when it was stored; if it is damaged since, it is not pushed.
         RlLookup::from_bytes(&row.blob)
             .ok()
-            .map(|lookup| Mend::Push(Box::new(lookup), why))
+            .map(|lookup| Reconcile::Push(Box::new(lookup), why))
     };
     match (active, pending) {
-        (_, Some(pending)) if is(pending) => vec![Mend::Activate(pending.version)],
-        (Some(active), pending) if is(active) => {
+        (_, Some(pending)) if is_on_device(pending) => vec![Reconcile::Activate(pending.version)],
+        (Some(active), pending) if is_on_device(active) => {
             let newer = pending.filter(|p| p.version > active.version);
-            let pushed = newer.and_then(|p| again(p, "it was pending when the link was cut"));
-            vec![pushed.unwrap_or(Mend::Nothing)]
+            let pushed = newer.and_then(|p| push_again(p, "it was pending when the link was cut"));
+            vec![pushed.unwrap_or(Reconcile::Nothing)]
         }
         (None, Some(pending)) if on_device.version == 0 => {
-            let pushed = again(pending, "it was pending when the link was cut");
-            std::iter::once(Mend::Adopt).chain(pushed).collect()
+            let pushed = push_again(pending, "it was pending when the link was cut");
+            std::iter::once(Reconcile::Adopt).chain(pushed).collect()
         }
         (Some(active), _) if on_device.version == 0 => {
-            let pushed = again(active, "the device has lost it");
-            vec![pushed.unwrap_or(Mend::Adopt)]
+            let pushed = push_again(active, "the device has lost it");
+            vec![pushed.unwrap_or(Reconcile::Adopt)]
         }
-        _ => vec![Mend::Adopt],
+        _ => vec![Reconcile::Adopt],
     }
 }
 
-/// The version that a new lookup gets: above that of the device and, where the device would still take it,
-/// above all of the store's.
+/// Returns the version of a new lookup: above that of the device and, as far as the device would accept it, above all
+/// of the store.
 ///
 /// # Errors
-/// What to do where the device's leaves no room.
+/// Advice if the device's version is the largest.
 pub fn next_version(on_device: u32, rows: &[LookupRow]) -> Result<u32, String> {
     let next = on_device.checked_add(1).ok_or_else(|| {
         format!(
@@ -77,8 +77,8 @@ pub fn next_version(on_device: u32, rows: &[LookupRow]) -> Result<u32, String> {
     Ok(next.max(used.map_or(0, |v| v + 1)))
 }
 
-/// The lookup that was active before the present one, newest first.
-pub fn before_this(on_device: u32, rows: &[LookupRow]) -> Option<RlLookup> {
+/// Returns the newest lookup that was active before the present one; `None` if there is none.
+pub fn previous_lookup(on_device: u32, rows: &[LookupRow]) -> Option<RlLookup> {
     let superseded = rows.iter().rev();
     superseded
         .filter(|row| row.state == LookupState::Superseded && row.version != on_device)
@@ -110,28 +110,32 @@ mod tests {
     #[test]
     fn whatever_was_cut_both_sides_come_together() {
         use LookupState::{Active, Pending, Refused, Superseded};
-        let push = |v, why| Mend::Push(Box::new(lookup(v)), why);
+        let push = |v, why| Reconcile::Push(Box::new(lookup(v)), why);
         let (cut, lost) = (
             "it was pending when the link was cut",
             "the device has lost it",
         );
         for (on_device, rows, expected) in [
             // Nothing was ever learned: the built-in one is what the device uses.
-            (0, vec![], vec![Mend::Adopt]),
-            (0, vec![row(0, Active)], vec![Mend::Nothing]),
+            (0, vec![], vec![Reconcile::Adopt]),
+            (0, vec![row(0, Active)], vec![Reconcile::Nothing]),
             // Killed between the push and the answer.
             (
                 5,
                 vec![row(4, Active), row(5, Pending)],
-                vec![Mend::Activate(5)],
+                vec![Reconcile::Activate(5)],
             ),
             // Killed between the store and the push.
             (4, vec![row(4, Active), row(5, Pending)], vec![push(5, cut)]),
-            (0, vec![row(1, Pending)], vec![Mend::Adopt, push(1, cut)]),
+            (
+                0,
+                vec![row(1, Pending)],
+                vec![Reconcile::Adopt, push(1, cut)],
+            ),
             (
                 4,
                 vec![row(4, Active), row(5, Refused)],
-                vec![Mend::Nothing],
+                vec![Reconcile::Nothing],
             ),
             // Flash erased.
             (
@@ -140,15 +144,23 @@ mod tests {
                 vec![push(4, lost)],
             ),
             // Somebody else pushed.
-            (9, vec![row(4, Active), row(5, Pending)], vec![Mend::Adopt]),
+            (
+                9,
+                vec![row(4, Active), row(5, Pending)],
+                vec![Reconcile::Adopt],
+            ),
             (
                 3,
                 vec![row(3, Superseded), row(4, Active)],
-                vec![Mend::Adopt],
+                vec![Reconcile::Adopt],
             ),
-            (u32::MAX, vec![row(4, Active)], vec![Mend::Adopt]),
+            (u32::MAX, vec![row(4, Active)], vec![Reconcile::Adopt]),
         ] {
-            assert_eq!(mend(&lookup(on_device), &rows), expected, "{on_device}");
+            assert_eq!(
+                reconcile(&lookup(on_device), &rows),
+                expected,
+                "{on_device}"
+            );
         }
     }
 
@@ -156,7 +168,10 @@ mod tests {
     fn the_same_version_with_other_cells_is_another_lookup() {
         let mut other = lookup(4);
         other.mark_observed(1, 1);
-        assert_eq!(mend(&other, &[row(4, LookupState::Active)]), [Mend::Adopt]);
+        assert_eq!(
+            reconcile(&other, &[row(4, LookupState::Active)]),
+            [Reconcile::Adopt]
+        );
     }
 
     #[test]
@@ -187,7 +202,7 @@ mod tests {
             row(4, Refused),
             row(5, Active),
         ];
-        assert_eq!(before_this(5, &rows).map(|l| l.version), Some(3));
-        assert_eq!(before_this(5, &[row(5, Active)]), None);
+        assert_eq!(previous_lookup(5, &rows).map(|l| l.version), Some(3));
+        assert_eq!(previous_lookup(5, &[row(5, Active)]), None);
     }
 }

@@ -1,10 +1,10 @@
-//! One power after the other: settled, a few windows of each, then off.
+//! Sweep: sets one power after the other, waits until it has settled, takes a few windows, then switches off.
 //!
 //! ```text
-//!  asked ──► settling ──► windows ──► the next power … ──► off
-//!               │ 6 s of heating: as it is, with a line in the log
-//!               │ no pot, a pause after a trip: waits, the clock stands still
-//!               └ off at the panel, locked out: the sweep ends
+//!  requested ──► settling ──► windows ──► next power … ──► off
+//!                   │ after 6 s of heating: windows are taken unsettled, logged
+//!                   │ no pot, or a pause after a trip: waits; the 6 s do not run
+//!                   └ off at the panel, or locked out: the sweep ends
 //! ```
 
 use std::collections::VecDeque;
@@ -15,19 +15,19 @@ use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_train::{SETTLE_WITHIN, SETTLED_AFTER};
 use tokio::time::Instant;
 
-/// Windows of each power.
-const WINDOWS: u32 = 3;
+/// Windows at each power.
+const WINDOWS_PER_POWER: u32 = 3;
 
-/// How long they may take to come.
-const WINDOWS_WITHIN: Duration = Duration::from_secs(5);
+/// Time limit for the windows at one power.
+const WINDOWS_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// A half-cycle that comes later than this after the last one does not count in full.
-const LONGEST_HALF_CYCLE: Duration = Duration::from_millis(100);
+/// Limit of the heating time that one half-cycle adds, so that a gap in telemetry is not counted in full.
+const MAX_HALF_CYCLE: Duration = Duration::from_millis(100);
 
-/// A device that was asked shows it within this time.
-const SHOWN_WITHIN: Duration = Duration::from_secs(2);
+/// Time limit until telemetry shows the requested power.
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// A sweep under way.
+/// State of a sweep.
 pub struct Sweep {
     left: VecDeque<u16>,
     asked_w: u16,
@@ -35,12 +35,12 @@ pub struct Sweep {
 }
 
 enum Phase {
-    /// The next power is to be asked for.
+    /// The next power is due.
     Next,
     Settling(Settling),
     Windows {
         after: u32,
-        got: u32,
+        received: u32,
         until: Instant,
     },
 }
@@ -49,28 +49,28 @@ struct Settling {
     since: Instant,
     last: Instant,
     heating: Duration,
-    /// A half-cycle has shown the power that was asked for.
+    /// `true` once telemetry has shown a requested power.
     is_shown: bool,
     is_waiting: bool,
     steady: u32,
     f_sw_hz: u32,
 }
 
-/// What is to be done for a sweep.
+/// Action that a sweep requests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Nothing now.
+    /// No action.
     Nothing,
-    /// Ask for this power, in watt.
-    Ask(u16),
-    /// Say this.
-    Say(String),
-    /// It is over, for this reason: switch off.
-    Over(String),
+    /// Set this power, in watt.
+    SetPower(u16),
+    /// Log this text.
+    Log(String),
+    /// Switch off: the sweep has ended, for this reason.
+    End(String),
 }
 
 impl Sweep {
-    /// Through these powers, in watt.
+    /// Creates a sweep through these powers, in watt.
     pub fn new(powers_w: &[u16]) -> Self {
         Self {
             left: powers_w.iter().copied().collect(),
@@ -79,7 +79,7 @@ impl Sweep {
         }
     }
 
-    /// Powers that are still to come, the present one first.
+    /// Returns the remaining powers in watt, the present one first.
     pub fn left_w(&self) -> Vec<u16> {
         let present = match self.phase {
             Phase::Next => None,
@@ -91,15 +91,17 @@ impl Sweep {
             .collect()
     }
 
-    /// Time has passed.
+    /// Processes the time.
     pub fn tick(&mut self, now: Instant) -> Step {
         match &self.phase {
             Phase::Next => self.next(now),
-            Phase::Windows { until, got, .. } if now >= *until => {
-                let (asked_w, got) = (self.asked_w, *got);
+            Phase::Windows {
+                until, received, ..
+            } if now >= *until => {
+                let (asked_w, received) = (self.asked_w, *received);
                 self.phase = Phase::Next;
-                Step::Say(format!(
-                    "sweep: {got} of {WINDOWS} windows came at {asked_w} W; on to the next power"
+                Step::Log(format!(
+                    "sweep: {received} of {WINDOWS_PER_POWER} windows came at {asked_w} W; on to the next power"
                 ))
             }
             _ => Step::Nothing,
@@ -108,7 +110,7 @@ impl Sweep {
 
     fn next(&mut self, now: Instant) -> Step {
         let Some(power_w) = self.left.pop_front() else {
-            return Step::Over("done".to_owned());
+            return Step::End("done".to_owned());
         };
         self.asked_w = power_w;
         self.phase = Phase::Settling(Settling {
@@ -120,60 +122,62 @@ impl Sweep {
             steady: 0,
             f_sw_hz: 0,
         });
-        Step::Ask(power_w)
+        Step::SetPower(power_w)
     }
 
-    /// A window has come.
+    /// Processes a window of this half-cycle.
     pub fn window(&mut self, half_cycle: u32) {
-        if let Phase::Windows { after, got, .. } = &mut self.phase
+        if let Phase::Windows {
+            after, received, ..
+        } = &mut self.phase
             && half_cycle > *after
         {
-            *got += 1;
-            if *got >= WINDOWS {
+            *received += 1;
+            if *received >= WINDOWS_PER_POWER {
                 self.phase = Phase::Next;
             }
         }
     }
 
-    /// A half-cycle has come.
+    /// Processes a half-cycle.
     pub fn telemetry(&mut self, t: &Telemetry, now: Instant) -> Step {
         if t.state == State::LockedOut {
-            return Step::Over(format!("locked out: {}", t.fault.text()));
+            return Step::End(format!("locked out: {}", t.fault.text()));
         }
         let asked_w = self.asked_w;
         let Phase::Settling(settling) = &mut self.phase else {
-            return self.off_meanwhile(t);
+            return self.check_interruption(t);
         };
         settling.is_shown |= t.asked_w > 0;
         if settling.is_shown && t.state == State::Idle && t.asked_w == 0 {
-            return Step::Over("switched off at the device".to_owned());
+            return Step::End("switched off at the device".to_owned());
         }
-        if !settling.is_shown && now.saturating_duration_since(settling.since) > SHOWN_WITHIN {
-            return Step::Over("the device took the power and does not show it".to_owned());
+        if !settling.is_shown && now.saturating_duration_since(settling.since) > RESPONSE_TIMEOUT {
+            return Step::End("the device took the power and does not show it".to_owned());
         }
-        let (settled, said) = settling.take(t, asked_w, now);
+        let (settled, message) = settling.update(t, asked_w, now);
         if settled {
             self.phase = Phase::Windows {
                 after: t.half_cycle,
-                got: 0,
-                until: now + WINDOWS_WITHIN,
+                received: 0,
+                until: now + WINDOWS_TIMEOUT,
             };
         }
-        said.map_or(Step::Nothing, Step::Say)
+        message.map_or(Step::Nothing, Step::Log)
     }
 
-    /// While windows are awaited: the panel may end it, a pot may be lifted.
-    fn off_meanwhile(&mut self, t: &Telemetry) -> Step {
+    /// Checks, while waiting for windows, for switch-off at the panel and a lifted pot.
+    fn check_interruption(&mut self, t: &Telemetry) -> Step {
         if matches!(self.phase, Phase::Next) {
             return Step::Nothing;
         }
         match t.state {
-            State::Idle if t.asked_w == 0 => Step::Over("switched off at the device".to_owned()),
+            State::Idle if t.asked_w == 0 => Step::End("switched off at the device".to_owned()),
             State::WaitingForPot | State::Pausing => {
-                // Settle once more when it heats again.
+                // The power must settle again.
                 self.left.push_front(self.asked_w);
                 self.phase = Phase::Next;
-                Step::Say(format!("sweep: {:?} at {} W", t.state, self.asked_w))
+                Step::Log(format!("sweep: {:?} at {} W", t.state, self.asked_w))
             }
             _ => Step::Nothing,
         }
@@ -181,8 +185,8 @@ impl Sweep {
 }
 
 impl Settling {
-    /// Whether the power has settled, and what is to be said.
-    fn take(&mut self, t: &Telemetry, asked_w: u16, now: Instant) -> (bool, Option<String>) {
+    /// Processes a half-cycle. Returns `true` if windows may be taken, and a text for the log.
+    fn update(&mut self, t: &Telemetry, asked_w: u16, now: Instant) -> (bool, Option<String>) {
         let elapsed = now.saturating_duration_since(self.last);
         self.last = now;
         if matches!(t.state, State::WaitingForPot | State::Pausing) {
@@ -194,7 +198,7 @@ impl Settling {
             );
         }
         self.is_waiting = false;
-        self.heating += elapsed.min(LONGEST_HALF_CYCLE);
+        self.heating += elapsed.min(MAX_HALF_CYCLE);
         if self.heating >= SETTLE_WITHIN {
             let power_w = t.power_mw / 1_000;
             return (
@@ -205,7 +209,7 @@ impl Settling {
                 )),
             );
         }
-        // Between two bursts of a low power.
+        // Low powers are reached by bursts; this half-cycle lies between two.
         if t.state != State::Heating || t.f_sw_hz == 0 {
             return (false, None);
         }
@@ -217,8 +221,8 @@ impl Settling {
         let power_w = f64::from(t.power_mw) * 1e-3;
         let close = (power_w / f64::from(asked_w) - 1.0).abs() < 0.05;
         let at_limit = t.f_sw_hz <= F_SW_MIN_HZ || t.f_sw_hz >= F_SW_MAX_HZ;
-        // What the load cannot take ends at a limit of frequency, or at the resonance margin, where the
-        // frequency stays and the power with it.
+        // A power beyond what the load can take settles at a frequency limit, or at the resonance margin with a constant
+        // frequency.
         let settled = self.steady >= SETTLED_AFTER
             && (close || at_limit || self.steady >= 10 * SETTLED_AFTER);
         (settled, None)
@@ -237,8 +241,8 @@ mod tests {
         now: Instant,
         half_cycle: u32,
         asked: Vec<u16>,
-        said: Vec<String>,
-        over: Option<String>,
+        log: Vec<String>,
+        end: Option<String>,
     }
 
     impl Rig {
@@ -248,30 +252,30 @@ mod tests {
                 now: Instant::now(),
                 half_cycle: 0,
                 asked: Vec::new(),
-                said: Vec::new(),
-                over: None,
+                log: Vec::new(),
+                end: None,
             }
         }
 
-        fn heed(&mut self, step: Step) {
+        fn apply(&mut self, step: Step) {
             match step {
                 Step::Nothing => {}
-                Step::Ask(w) => self.asked.push(w),
-                Step::Say(text) => self.said.push(text),
-                Step::Over(why) => self.over = Some(why),
+                Step::SetPower(w) => self.asked.push(w),
+                Step::Log(text) => self.log.push(text),
+                Step::End(why) => self.end = Some(why),
             }
         }
 
-        /// Half-cycles of a device that does what it is asked, or `state`.
+        /// Feeds half-cycles in `state`, at the requested power if heating.
         fn run(&mut self, half_cycles: u32, state: State, windows: bool) {
             for _ in 0..half_cycles {
-                if self.over.is_some() {
+                if self.end.is_some() {
                     return;
                 }
                 self.now += HALF_CYCLE;
                 self.half_cycle += 1;
                 let step = self.sweep.tick(self.now);
-                self.heed(step);
+                self.apply(step);
                 let mut t = telemetry(state);
                 t.half_cycle = self.half_cycle;
                 if state != State::Idle {
@@ -282,7 +286,7 @@ mod tests {
                     t.power_mw = u32::from(t.asked_w) * 1_000;
                 }
                 let step = self.sweep.telemetry(&t, self.now);
-                self.heed(step);
+                self.apply(step);
                 if windows && self.half_cycle.is_multiple_of(20) {
                     self.sweep.window(self.half_cycle);
                 }
@@ -299,8 +303,8 @@ mod tests {
         assert_eq!(rig.sweep.left_w(), [700, 1_000]);
         rig.run(400, State::Heating, true);
         assert_eq!(rig.asked, [700, 1_000]);
-        assert_eq!(rig.over.as_deref(), Some("done"));
-        assert!(rig.said.is_empty(), "{:?}", rig.said);
+        assert_eq!(rig.end.as_deref(), Some("done"));
+        assert!(rig.log.is_empty(), "{:?}", rig.log);
     }
 
     #[test]
@@ -308,9 +312,9 @@ mod tests {
         let mut rig = Rig::new(&[700]);
         rig.run(3, State::Heating, true);
         rig.run(6_000, State::WaitingForPot, true);
-        assert_eq!((rig.over.clone(), rig.said.len()), (None, 1));
+        assert_eq!((rig.end.clone(), rig.log.len()), (None, 1));
         rig.run(400, State::Heating, true);
-        assert_eq!(rig.over.as_deref(), Some("done"));
+        assert_eq!(rig.end.as_deref(), Some("done"));
     }
 
     #[test]
@@ -321,7 +325,7 @@ mod tests {
         assert_eq!(rig.sweep.left_w(), [700]);
         rig.run(400, State::Heating, true);
         assert_eq!(
-            (rig.asked, rig.over.as_deref()),
+            (rig.asked, rig.end.as_deref()),
             (vec![700, 700], Some("done"))
         );
     }
@@ -331,7 +335,7 @@ mod tests {
         let mut rig = Rig::new(&[700, 1_000]);
         rig.run(3, State::Heating, true);
         rig.run(1, State::Idle, true);
-        assert_eq!(rig.over.as_deref(), Some("switched off at the device"));
+        assert_eq!(rig.end.as_deref(), Some("switched off at the device"));
         assert_eq!(rig.asked, [700]);
     }
 
@@ -339,25 +343,25 @@ mod tests {
     fn windows_that_do_not_come_do_not_hold_it_up_for_ever() {
         let mut rig = Rig::new(&[700]);
         rig.run(700, State::Heating, false);
-        assert_eq!(rig.over.as_deref(), Some("done"));
-        assert!(rig.said[0].contains("0 of 3 windows"), "{:?}", rig.said);
+        assert_eq!(rig.end.as_deref(), Some("done"));
+        assert!(rig.log[0].contains("0 of 3 windows"), "{:?}", rig.log);
     }
 
     #[test]
     fn a_device_that_never_settles_is_taken_as_it_is() {
         let mut sweep = Sweep::new(&[700]);
         let mut now = Instant::now();
-        assert_eq!(sweep.tick(now), Step::Ask(700));
-        let mut said = Vec::new();
+        assert_eq!(sweep.tick(now), Step::SetPower(700));
+        let mut log = Vec::new();
         for k in 0..700u32 {
             now += HALF_CYCLE;
             let mut t = telemetry(State::Heating);
             (t.asked_w, t.half_cycle, t.f_sw_hz) = (700, k, 40_000 + k);
-            if let Step::Say(text) = sweep.telemetry(&t, now) {
-                said.push((k, text));
+            if let Step::Log(text) = sweep.telemetry(&t, now) {
+                log.push((k, text));
             }
         }
-        assert_eq!(said.len(), 1);
-        assert!((590..=610).contains(&said[0].0), "{said:?}");
+        assert_eq!(log.len(), 1);
+        assert!((590..=610).contains(&log[0].0), "{log:?}");
     }
 }

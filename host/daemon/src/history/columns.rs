@@ -1,4 +1,4 @@
-//! Seconds and minutes as the columns of a display.
+//! Stored seconds and minutes as the columns of a display.
 
 use ihd_shared::wire::messages::{Pot, State};
 use ihd_store::{Spread, TelemetrySpan};
@@ -6,35 +6,35 @@ use ihd_store::{Spread, TelemetrySpan};
 use crate::model::{Envelope, History, HistoryResults};
 use crate::tank;
 
-/// Seconds of a minute, from which on minutes are read in place of seconds.
+/// Column width in seconds from which on minutes are read instead of seconds.
 const MINUTE_S: i64 = 60;
 
-/// Most columns of an answer.
+/// Largest number of columns in a response.
 pub const MAX_COLUMNS: usize = 4_000;
 
-/// The end of the year 9999: later days have no file.
+/// End of the year 9999 in milliseconds since 1970, UTC: later days have no file.
 const LATEST_MS: i64 = 253_402_300_799_000;
 
-/// Where the columns of a stretch of time lie: on whole seconds, or whole minutes where they are that wide.
+/// Columns of an interval, aligned to whole seconds; from one minute of width on, to whole minutes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grid {
-    /// Where the first begins, in seconds since 1970, UTC.
+    /// Start of the first column, in seconds since 1970, UTC.
     pub from_s: i64,
-    /// Where the last ends.
+    /// End of the interval, in seconds since 1970, UTC.
     pub to_s: i64,
     /// Width of a column, in seconds.
     pub step_s: i64,
 }
 
 impl Grid {
-    /// At most so many columns over a stretch in milliseconds. They begin at a multiple of their width, so that those
-    /// of a stretch that moves with the time stay the same.
+    /// Divides an interval in milliseconds since 1970, UTC, into at most `columns` columns. Each starts at a multiple of the
+    /// width, so that an interval that moves with time keeps its columns.
     pub fn new(from_ms: i64, to_ms: i64, columns: usize) -> Self {
         let columns = columns.clamp(1, MAX_COLUMNS) as i64;
         let [from_ms, to_ms] = [from_ms, to_ms].map(|at_ms| at_ms.clamp(0, LATEST_MS));
         let from_s = from_ms / 1_000;
         let to_s = ((to_ms + 999) / 1_000).max(from_s + 1);
-        // One column is for the piece before the stretch that the first one begins with.
+        // One column is reserved, because the first one starts before the interval.
         let least_s = match columns {
             1 => to_s - from_s + MINUTE_S,
             _ => (to_s - from_s + columns - 2) / (columns - 1),
@@ -49,8 +49,8 @@ impl Grid {
         }
     }
 
-    /// Whether minutes are enough.
-    pub fn minutes(&self) -> bool {
+    /// Returns `true` if the columns are read from minutes instead of seconds.
+    pub fn uses_minutes(&self) -> bool {
         self.step_s >= MINUTE_S
     }
 
@@ -60,14 +60,14 @@ impl Grid {
     }
 }
 
-/// What was read so far.
+/// Columns, filled while the store is read.
 pub struct Columns {
     grid: Grid,
     spans: Vec<Option<TelemetrySpan>>,
 }
 
 impl Columns {
-    /// Nothing yet.
+    /// Creates empty columns.
     pub fn new(grid: Grid) -> Self {
         let columns = (grid.to_s - grid.from_s + grid.step_s - 1) / grid.step_s;
         Self {
@@ -76,7 +76,7 @@ impl Columns {
         }
     }
 
-    /// Takes a second or a minute in, in the order of time.
+    /// Adds a second or a minute, in the order of time.
     pub fn add(&mut self, span: &TelemetrySpan) {
         let column = self.grid.column(span.at_s);
         let column = column.and_then(|k| self.spans.get_mut(k));
@@ -87,7 +87,7 @@ impl Columns {
         }
     }
 
-    /// As it is shown.
+    /// Returns the history from `from_ms` to `to_ms` with these results.
     pub fn history(self, (from_ms, to_ms): (i64, i64), results: HistoryResults) -> History {
         let mut history = History {
             from_ms,
@@ -136,10 +136,10 @@ fn push(history: &mut History, at_ms: i64, span: &TelemetrySpan) {
 }
 
 fn envelope(envelope: &mut Envelope, spread: &Spread, unit: f64) {
-    let of = spread.min_mean_max().map(|of| of.map(|x| x * unit));
-    envelope.min.push(of.map(|[min, _, _]| min));
-    envelope.mean.push(of.map(|[_, mean, _]| mean));
-    envelope.max.push(of.map(|[_, _, max]| max));
+    let scaled = spread.min_mean_max().map(|values| values.map(|x| x * unit));
+    envelope.min.push(scaled.map(|[min, _, _]| min));
+    envelope.mean.push(scaled.map(|[_, mean, _]| mean));
+    envelope.max.push(scaled.map(|[_, _, max]| max));
 }
 
 #[cfg(test)]
@@ -163,7 +163,7 @@ mod tests {
             assert_eq!(grid.step_s, step_s, "{span_s} s in {columns}");
             assert!(Columns::new(grid).spans.len() <= columns);
             assert!(grid.from_s <= NOON_MS / 1_000 && grid.to_s >= NOON_MS / 1_000 + span_s);
-            assert_eq!(grid.minutes(), step_s >= 60);
+            assert_eq!(grid.uses_minutes(), step_s >= 60);
         }
         // Whatever is asked for.
         for from in [i64::MIN, -1, 0, 1, NOON_MS, NOON_MS + 1_234_567, i64::MAX] {

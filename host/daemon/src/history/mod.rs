@@ -1,15 +1,15 @@
-//! What devices did, second by second, on its way to the store and back.
+//! Telemetry of devices by seconds: to the store, and from it to the columns of a display.
 //!
 //! ```text
-//! session ─► Seconds (memory, bounded) ── every 5 s ─► store ─► Columns ─► History
-//!            seconds.rs                    keeper.rs            columns.rs
-//!               └──────── seconds that are not written yet ───────┘
+//! session ─► TelemetryBuffer (bounded) ── every 5 s ─► store ─► Columns ─► History
+//!            telemetry_buffer.rs          writer.rs             columns.rs
+//!               └──────────── seconds not written yet ─────────────┘
 //! ```
 
 mod columns;
-mod keeper;
-mod seconds;
+pub(crate) mod telemetry_buffer;
+mod writer;
 
 pub use columns::{Columns, Grid, MAX_COLUMNS};
-pub use keeper::{keep, write};
-pub use seconds::Seconds;
+pub use telemetry_buffer::TelemetryBuffer;
+pub use writer::{write, write_periodically};

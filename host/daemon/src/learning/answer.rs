@@ -22,7 +22,7 @@ pub struct WorkerAnswer {
     /// Skew in seconds that was taken out of the window's current.
     pub skew_s: Option<f64>,
     /// R(t) and L(t), or the reason for which there are none.
-    pub found: Result<StatedLoad, String>,
+    pub load: Result<StatedLoad, String>,
     /// Duration of the computation.
     pub busy: Duration,
 }
@@ -63,10 +63,10 @@ impl WorkerAnswer {
             ..Correction::default()
         });
         let analysis = analyse_window(window, correction.as_ref(), network);
-        let found = match (analysis.identified, analysis.refused) {
+        let load = match (analysis.identified, analysis.refused) {
             (Some(identified), None) => {
-                let trace = FitTrace::of(Some(&identified), &analysis.findings, None);
-                let summary = FitSummary::of(&identified);
+                let trace = FitTrace::new(Some(&identified), &analysis.findings, None);
+                let summary = FitSummary::from_identified(&identified);
                 let curve = trace.curve.unwrap_or_default();
                 Ok(StatedLoad {
                     t_s: curve.t_s,
@@ -84,7 +84,7 @@ impl WorkerAnswer {
         Self {
             by,
             skew_s,
-            found,
+            load,
             busy: began.elapsed(),
         }
     }

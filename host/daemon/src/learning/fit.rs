@@ -1,7 +1,7 @@
 //! Fit of a window: its summary, and its trace for store and API.
 
 use ihd_link::Window;
-use ihd_pinn::{Identified, Progress};
+use ihd_pinn::{Identification, Progress};
 use ihd_signal::Remark;
 use ihd_signal::truth::Truth;
 use ihd_store::{Curve, MAX_POINTS};
@@ -30,7 +30,11 @@ const MAX_STEPS: usize = 256;
 
 impl FitTrace {
     /// Builds the trace of a window.
-    pub fn of(identified: Option<&Identified>, findings: &[Remark], truth: Option<&Truth>) -> Self {
+    pub fn new(
+        identified: Option<&Identification>,
+        findings: &[Remark],
+        truth: Option<&Truth>,
+    ) -> Self {
         let remarks = findings.iter().map(fit_remark).collect();
         let Some(identified) = identified else {
             return Self {
@@ -73,7 +77,7 @@ fn steps(history: &[Progress]) -> Vec<FitStep> {
         .collect()
 }
 
-fn curve(identified: &Identified) -> Curve {
+fn curve(identified: &Identification) -> Curve {
     let curve = Curve {
         t_s: identified.t_s.clone(),
         r_ohm: identified.r_ohm.clone(),
@@ -86,7 +90,7 @@ fn curve(identified: &Identified) -> Curve {
 }
 
 /// Returns the errors of the means of R and L, weighted with the squared current, against the truth at the same times, in percent.
-fn errors_pct(identified: &Identified, truth: &Truth) -> Option<(f64, f64)> {
+fn errors_pct(identified: &Identification, truth: &Truth) -> Option<(f64, f64)> {
     let (mut r, mut l, mut all) = (0.0, 0.0, 0.0);
     for (t_s, i_a) in identified.t_s.iter().zip(&identified.i_amplitude_a) {
         let (r_ohm, l_h) = truth.at(*t_s)?;
@@ -94,7 +98,7 @@ fn errors_pct(identified: &Identified, truth: &Truth) -> Option<(f64, f64)> {
         l += i_a * i_a * l_h;
         all += i_a * i_a;
     }
-    let summary = FitSummary::of(identified);
+    let summary = FitSummary::from_identified(identified);
     let error = |x: f64, sum: f64| 100.0 * (x / (sum / all) - 1.0);
     let (r, l) = (error(summary.r_ohm, r), error(summary.l_h, l));
     (r.is_finite() && l.is_finite()).then_some((r, l))
@@ -160,7 +164,7 @@ impl FitSummary {
     };
 
     /// Summarises a result.
-    pub fn of(identified: &Identified) -> Self {
+    pub fn from_identified(identified: &Identification) -> Self {
         let i_a = &identified.i_amplitude_a;
         let (sigma_r_pct, sigma_l_pct) = identified
             .relative_sigma_pct()

@@ -16,29 +16,29 @@ use super::workers::AnswerVerdict;
 /// Identifies a window: by a worker's answer if the window confirms it, otherwise by the network here.
 pub(super) fn identify(
     shared: &Shared,
-    known: &mut DeviceLearning,
+    device_learning: &mut DeviceLearning,
     job: &LearnJob,
 ) -> WindowResult {
     if let LearnInput::Answered(window, answer) = &job.input
-        && let Some(found) = learn_from_answer(shared, known, job.boot, window, answer)
+        && let Some(result) = learn_from_answer(shared, device_learning, job.boot, window, answer)
     {
-        return found;
+        return result;
     }
     let window = job.input.window();
-    let outcome = (shared.observe)(&mut known.learning, window);
+    let outcome = (shared.observe)(&mut device_learning.learning, window);
     WindowResult::from_outcome(window, outcome, job.truth.as_deref())
 }
 
 /// Learns from a worker's answer if the window confirms it; `None` if it does not. The verdict is recorded for the worker either way.
 fn learn_from_answer(
     shared: &Shared,
-    known: &mut DeviceLearning,
+    device_learning: &mut DeviceLearning,
     boot: u32,
     window: &Window,
     answer: &WorkerAnswer,
 ) -> Option<WindowResult> {
     let record = |verdict| record_answer(shared, answer, window.seq, verdict);
-    let stated = match &answer.found {
+    let stated = match &answer.load {
         _ if shared.lock().workers.is_distrusted(&answer.by) => {
             record(AnswerVerdict::Distrusted);
             return None;
@@ -49,9 +49,9 @@ fn learn_from_answer(
         }
         Ok(stated) => stated,
     };
-    let skew_s = known.learning.correction().map(|c| c.skew_s);
-    let learned = guarded(shared, known, |known| {
-        known
+    let skew_s = device_learning.learning.correction().map(|c| c.skew_s);
+    let learned = guarded(shared, device_learning, |device_learning| {
+        device_learning
             .learning
             .learn_from_answer(boot, window, &stated.claim())
     });
@@ -95,7 +95,7 @@ fn record_answer(shared: &Shared, answer: &WorkerAnswer, seq: u32, verdict: Answ
     if shared.lock().workers.record(by, verdict) {
         tracing::error!(
             worker = by,
-            "a worker was caught too often: its answers are not looked at any more"
+            "too many of a worker's answers were refuted: it is ignored from now on"
         );
     }
 }
@@ -108,13 +108,13 @@ pub(super) struct WindowResult {
     pub(super) summary: FitSummary,
     pub(super) trace: FitTrace,
     pub(super) refused: Option<String>,
-    pub(super) taught: LookupUpdate,
+    pub(super) update: LookupUpdate,
     pub(super) busy: Duration,
 }
 
 impl WindowResult {
     fn from_outcome(window: &Window, outcome: WindowOutcome, truth: Option<&Truth>) -> Self {
-        let (identified, findings, refused, taught) = match outcome {
+        let (identified, findings, refused, update) = match outcome {
             WindowOutcome::Accepted(fit) => (Some(fit.identified), fit.findings, None, fit.taught),
             WindowOutcome::Refused {
                 why,
@@ -132,10 +132,10 @@ impl WindowResult {
             seq: window.seq,
             half_cycle: window.half_cycle,
             f_sw_hz: window.f_sw_hz,
-            summary: identified.map_or(FitSummary::NONE, FitSummary::of),
-            trace: FitTrace::of(identified, &findings, truth),
+            summary: identified.map_or(FitSummary::NONE, FitSummary::from_identified),
+            trace: FitTrace::new(identified, &findings, truth),
             refused,
-            taught,
+            update,
             busy: Duration::ZERO,
         }
     }
@@ -163,7 +163,10 @@ impl WindowResult {
             .remarks
             .extend(answer.findings.iter().map(fit_remark));
         if answer.seen.is_none() {
-            tracing::info!(seq = window.seq, "an answer came too late to teach");
+            tracing::info!(
+                seq = window.seq,
+                "an answer came too late to update the lookup"
+            );
         }
         Self {
             seq: window.seq,
@@ -172,7 +175,7 @@ impl WindowResult {
             summary: stated.summary(&answer.confirmed),
             trace: stated.into_trace(answer.confirmed),
             refused: None,
-            taught: answer.taught,
+            update: answer.taught,
             busy,
         }
     }

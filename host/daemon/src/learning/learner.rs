@@ -33,7 +33,7 @@ pub struct LearnerSettings {
 #[derive(Debug, thiserror::Error)]
 pub enum LearnerError {
     /// A thread could not be started.
-    #[error("cannot begin a thread that learns: {0}")]
+    #[error("cannot start a learner thread: {0}")]
     Thread(#[from] std::io::Error),
 }
 

@@ -35,7 +35,7 @@ pub use self::fit::{FitSummary, FitTrace, truth_curve};
 pub use self::job::{LearnInput, LearnJob, LearnResult, Lookup};
 pub use self::learner::{Learner, LearnerError, LearnerSettings, LearningInUse};
 pub use self::queue::DroppedWindow;
-pub use self::workers::{AnswerVerdict, WorkerFigures};
+pub use self::workers::{AnswerVerdict, WorkerFigures, sum_answers};
 
 /// Returns `true` if the windows of a device in this state are worth learning from: it heats.
 pub fn is_worth_learning(telemetry: &Telemetry) -> bool {

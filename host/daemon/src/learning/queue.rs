@@ -77,7 +77,7 @@ impl DeviceLearning {
 /// Queue and learning of one device.
 struct Slot {
     /// `None` while a thread has it.
-    known: Option<Box<DeviceLearning>>,
+    device_learning: Option<Box<DeviceLearning>>,
     /// Boot and number of the window that a thread has.
     in_progress: Option<(u32, u32)>,
     /// Skew in seconds before a thread took the learning.
@@ -88,8 +88,8 @@ struct Slot {
     unlearned: u64,
 }
 
-fn skew_s(known: &DeviceLearning) -> Option<f64> {
-    known
+fn skew_s(device_learning: &DeviceLearning) -> Option<f64> {
+    device_learning
         .learning
         .correction()
         .map(|correction| correction.skew_s)
@@ -115,13 +115,13 @@ impl Queue {
 
     /// Adds a device, or replaces its learning; its waiting windows stay.
     pub fn insert(&mut self, device: &str, learning: Learning) {
-        let mut known = DeviceLearning::new(learning);
+        let mut device_learning = DeviceLearning::new(learning);
         if let Some(library) = &self.library {
-            known.learning.use_library(Arc::clone(library));
+            device_learning.learning.use_library(Arc::clone(library));
         }
         let slot = self.slot(device);
         slot.events.clear();
-        slot.known = Some(Box::new(known));
+        slot.device_learning = Some(Box::new(device_learning));
     }
 
     /// Returns `true` if the device is known.
@@ -137,8 +137,8 @@ impl Queue {
     /// Applies an event to a device's learning, now or after its current window.
     pub fn post(&mut self, device: &str, event: LearningEvent) {
         if let Some(slot) = self.devices.get_mut(device) {
-            match &mut slot.known {
-                Some(known) => event.apply(&mut known.learning),
+            match &mut slot.device_learning {
+                Some(device_learning) => event.apply(&mut device_learning.learning),
                 None => slot.events.push(event),
             }
         }
@@ -146,20 +146,20 @@ impl Queue {
 
     /// Returns a device's learning; `None` if the device is unknown or a thread has it.
     pub fn learning(&self, device: &str) -> Option<&Learning> {
-        Some(&self.devices.get(device)?.known.as_ref()?.learning)
+        Some(&self.devices.get(device)?.device_learning.as_ref()?.learning)
     }
 
     /// Returns the skew in seconds to remove from the current of a device's windows; `None` if there is none.
     pub fn skew_s(&self, device: &str) -> Option<f64> {
         let slot = self.devices.get(device)?;
-        slot.known.as_deref().map_or(slot.skew_s, skew_s)
+        slot.device_learning.as_deref().map_or(slot.skew_s, skew_s)
     }
 
     fn slot(&mut self, device: &str) -> &mut Slot {
         self.devices
             .entry(device.to_owned())
             .or_insert_with(|| Slot {
-                known: None,
+                device_learning: None,
                 in_progress: None,
                 skew_s: None,
                 events: Vec::new(),
@@ -176,7 +176,7 @@ impl Queue {
         let arrivals = self.arrivals;
         let slot = self.devices.get_mut(&device)?;
         self.arrivals += 1;
-        let was_idle = slot.known.is_some() && slot.jobs.is_empty();
+        let was_idle = slot.device_learning.is_some() && slot.jobs.is_empty();
         slot.jobs.push_back((arrivals, job));
         self.waiting += 1;
         if was_idle {
@@ -215,15 +215,15 @@ impl Queue {
     pub fn next(&mut self) -> Option<(LearnJob, Box<DeviceLearning>)> {
         let device = self.turns.pop_front()?;
         let slot = self.devices.get_mut(&device)?;
-        let known = slot.known.take()?;
-        slot.skew_s = skew_s(&known);
+        let device_learning = slot.device_learning.take()?;
+        slot.skew_s = skew_s(&device_learning);
         let Some((_, job)) = slot.jobs.pop_front() else {
-            slot.known = Some(known);
+            slot.device_learning = Some(device_learning);
             return None;
         };
         slot.in_progress = Some((job.boot, job.input.window().seq));
         self.waiting -= 1;
-        Some((job, known))
+        Some((job, device_learning))
     }
 
     /// Takes the events of a device since [`Queue::next`].
@@ -234,17 +234,17 @@ impl Queue {
     }
 
     /// Returns a device's learning from a thread, so that its next window can be learned from.
-    pub fn return_learning(&mut self, device: &str, mut known: Box<DeviceLearning>) {
+    pub fn return_learning(&mut self, device: &str, mut device_learning: Box<DeviceLearning>) {
         for event in self.take_events(device) {
-            event.apply(&mut known.learning);
+            event.apply(&mut device_learning.learning);
         }
         if let Some(library) = &self.library {
-            known.learning.use_library(Arc::clone(library));
+            device_learning.learning.use_library(Arc::clone(library));
         }
         if let Some(slot) = self.devices.get_mut(device) {
             slot.in_progress = None;
             // One that was inserted meanwhile takes precedence.
-            slot.known.get_or_insert(known);
+            slot.device_learning.get_or_insert(device_learning);
             if !slot.jobs.is_empty() && !self.turns.iter().any(|turn| turn == device) {
                 self.turns.push_back(device.to_owned());
             }
@@ -257,8 +257,8 @@ impl Queue {
             return false;
         }
         for slot in self.devices.values_mut() {
-            if let Some(known) = &mut slot.known {
-                known.learning.use_library(Arc::clone(&library));
+            if let Some(device_learning) = &mut slot.device_learning {
+                device_learning.learning.use_library(Arc::clone(&library));
             }
         }
         self.library = Some(library);

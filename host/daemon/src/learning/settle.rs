@@ -24,65 +24,65 @@ const HAND_OVER_PERIOD: Duration = Duration::from_millis(5);
 /// Applies the events queued during the identification and builds the result for the store.
 pub(super) fn settle(
     shared: &Shared,
-    known: &mut DeviceLearning,
+    device_learning: &mut DeviceLearning,
     job: &LearnJob,
-    found: WindowResult,
+    window_result: WindowResult,
 ) -> LearnResult {
-    let (mut new_lookup, no_lookup) = match found.taught {
+    let (mut new_lookup, no_lookup) = match window_result.update {
         LookupUpdate::Unchanged => (None, None),
         LookupUpdate::New(built) => (Some(built), None),
         LookupUpdate::Refused(why) => (None, Some(why)),
     };
     let events = {
         let mut state = shared.lock();
-        state.meter.add_fit(found.busy);
+        state.meter.add_fit(window_result.busy);
         state.queue.take_events(&job.device)
     };
     for event in events {
-        event.apply(&mut known.learning);
+        event.apply(&mut device_learning.learning);
         if event == LearningEvent::Forget {
             new_lookup = None;
         }
     }
-    let state = known.take_due_save(new_lookup.is_some(), SAVE_EVERY);
-    let summary = found.summary;
+    let state = device_learning.take_due_save(new_lookup.is_some(), SAVE_EVERY);
+    let summary = window_result.summary;
     LearnResult {
         device: job.device.clone(),
         device_id: job.device_id,
         boot: job.boot,
         result: NewResult {
             session: job.session,
-            seq: found.seq,
-            half_cycle: found.half_cycle,
-            f_sw_hz: found.f_sw_hz,
+            seq: window_result.seq,
+            half_cycle: window_result.half_cycle,
+            f_sw_hz: window_result.f_sw_hz,
             i_crest_a: summary.i_crest_a,
             power_w: job.power_w,
             r_ohm: summary.r_ohm,
             l_h: summary.l_h,
             sigma_r_pct: summary.sigma_r_pct,
             sigma_l_pct: summary.sigma_l_pct,
-            pass: found.refused.is_none(),
-            why: found.refused.unwrap_or_default(),
+            pass: window_result.refused.is_none(),
+            why: window_result.refused.unwrap_or_default(),
             changed_lookup: new_lookup.is_some(),
             iterations: summary.iterations,
         },
         new_lookup,
         no_lookup,
         state,
-        busy: found.busy,
-        trace: Box::new(found.trace),
+        busy: window_result.busy,
+        trace: Box::new(window_result.trace),
         stored: None,
     }
 }
 
 /// Sends a result and waits for room in the channel. Gives up if the receiver is gone, or [`HAND_OVER_WITHIN`] after the learner was
 /// closed.
-pub(super) fn hand_over(shared: &Shared, mut learned: LearnResult) {
+pub(super) fn hand_over(shared: &Shared, mut result: LearnResult) {
     let mut closing_since = None;
     loop {
-        match shared.outcomes.try_send(learned) {
+        match shared.outcomes.try_send(result) {
             Ok(()) | Err(TrySendError::Closed(_)) => return,
-            Err(TrySendError::Full(back)) => learned = back,
+            Err(TrySendError::Full(back)) => result = back,
         }
         if shared.lock().closing {
             let since: Instant = *closing_since.get_or_insert_with(Instant::now);

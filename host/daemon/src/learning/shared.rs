@@ -43,18 +43,18 @@ impl Shared {
 /// Calls a function with a copy of a device's learning, which replaces the original. A panic is returned as an error; the original stays.
 pub(super) fn guarded<T>(
     shared: &Shared,
-    known: &mut DeviceLearning,
-    work: impl FnOnce(&mut DeviceLearning) -> T,
+    device_learning: &mut DeviceLearning,
+    f: impl FnOnce(&mut DeviceLearning) -> T,
 ) -> Result<T, String> {
-    let mut working = known.clone();
-    let worked = catch_unwind(AssertUnwindSafe(|| {
-        let done = work(&mut working);
-        (working, done)
+    let mut working = device_learning.clone();
+    let outcome = catch_unwind(AssertUnwindSafe(|| {
+        let value = f(&mut working);
+        (working, value)
     }));
-    match worked {
-        Ok((working, done)) => {
-            *known = working;
-            Ok(done)
+    match outcome {
+        Ok((working, value)) => {
+            *device_learning = working;
+            Ok(value)
         }
         Err(panic) => {
             shared.lock().meter.panics += 1;

@@ -42,10 +42,10 @@ impl Learner {
             return false;
         }
         let next = self.shared.lock().queue.next();
-        let Some((job, known)) = next else {
+        let Some((job, device_learning)) = next else {
             return false;
         };
-        learn(&self.shared, job, known);
+        learn(&self.shared, job, device_learning);
         true
     }
 }

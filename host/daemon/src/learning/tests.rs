@@ -1,4 +1,4 @@
-//! The queue's promises with a study that is told what to do, and learning itself on windows of the
+//! Tests of the queue with a scripted identification, and of learning on windows of the
 //! simulated hob.
 
 use std::collections::HashMap;
@@ -47,7 +47,7 @@ fn window(seq: u32) -> Box<Window> {
     })
 }
 
-fn task(device: &str, window: Box<Window>) -> LearnJob {
+fn job(device: &str, window: Box<Window>) -> LearnJob {
     LearnJob {
         device: device.to_owned(),
         device_id: 1,
@@ -68,7 +68,7 @@ fn unfit() -> WindowOutcome {
     }
 }
 
-/// A study that waits for a gate, and notes who is studied with whom at once.
+/// Identification that waits for a gate and counts concurrent calls.
 #[derive(Default)]
 struct Bench {
     open: AtomicBool,
@@ -78,7 +78,7 @@ struct Bench {
 }
 
 impl Bench {
-    fn study(self: &Arc<Self>) -> Box<super::shared::ObserveFn> {
+    fn observe_fn(self: &Arc<Self>) -> Box<super::shared::ObserveFn> {
         let bench = Arc::clone(self);
         Box::new(move |_: &mut Learning, window: &Window| {
             let running = bench.running.fetch_add(1, Ordering::SeqCst) + 1;
@@ -94,14 +94,14 @@ impl Bench {
     }
 }
 
-fn take(outcomes: &mut mpsc::Receiver<LearnResult>, n: usize) -> Vec<LearnResult> {
+fn receive(outcomes: &mut mpsc::Receiver<LearnResult>, n: usize) -> Vec<LearnResult> {
     (0..n)
         .map(|_| outcomes.blocking_recv().expect("an outcome"))
         .collect()
 }
 
-/// The first window is at a thread, where it waits.
-fn occupied(bench: &Arc<Bench>) {
+/// Waits until a thread has taken the first window.
+fn wait_until_busy(bench: &Arc<Bench>) {
     let until = Instant::now() + PATIENCE;
     while bench.running.load(Ordering::SeqCst) == 0 {
         assert!(Instant::now() < until, "no thread took the window");
@@ -113,17 +113,17 @@ fn occupied(bench: &Arc<Bench>) {
 fn a_device_that_sends_much_neither_starves_the_others_nor_costs_them_windows() {
     let bench = Arc::new(Bench::default());
     let (to, mut outcomes) = mpsc::channel(256);
-    let learner = Learner::start_with(settings(1, 16), to, bench.study()).unwrap();
-    assert_eq!(learner.offer(task("fast", window(0))), None);
-    occupied(&bench);
+    let learner = Learner::start_with(settings(1, 16), to, bench.observe_fn()).unwrap();
+    assert_eq!(learner.offer(job("fast", window(0))), None);
+    wait_until_busy(&bench);
     let mut dropped = Vec::new();
     for seq in 1..=100 {
-        dropped.extend(learner.offer(task("fast", window(seq))));
+        dropped.extend(learner.offer(job("fast", window(seq))));
         if seq % 50 == 0 {
-            dropped.extend(learner.offer(task("slow", window(1_000 + seq))));
+            dropped.extend(learner.offer(job("slow", window(1_000 + seq))));
         }
     }
-    // Its own oldest ones, in order.
+    // Its oldest windows, in order.
     assert!(dropped.iter().all(|d| d.device == "fast"), "{dropped:?}");
     let seqs: Vec<u32> = dropped.iter().map(|d| d.seq).collect();
     assert_eq!(seqs, (1..=86).collect::<Vec<_>>());
@@ -133,15 +133,15 @@ fn a_device_that_sends_much_neither_starves_the_others_nor_costs_them_windows() 
     );
     assert_eq!(learner.figures().waiting, 16);
     bench.open.store(true, Ordering::SeqCst);
-    let learned = take(&mut outcomes, 17);
-    let of = |name: &str| -> Vec<u32> {
-        let of = learned.iter().filter(|l| l.device == name);
-        of.map(|l| l.result.seq).collect()
+    let learned = receive(&mut outcomes, 17);
+    let seqs_of = |name: &str| -> Vec<u32> {
+        let results = learned.iter().filter(|l| l.device == name);
+        results.map(|l| l.result.seq).collect()
     };
-    assert_eq!(of("slow"), [1_050, 1_100]);
+    assert_eq!(seqs_of("slow"), [1_050, 1_100]);
     let fast: Vec<u32> = std::iter::once(0).chain(87..=100).collect();
-    assert_eq!(of("fast"), fast);
-    // In turn: both slow ones among the first that came after the one under way.
+    assert_eq!(seqs_of("fast"), fast);
+    // In turn: both windows of `slow` are among the first after the one in progress.
     let last_slow = learned.iter().rposition(|l| l.device == "slow");
     assert!(last_slow <= Some(4), "{last_slow:?}");
     let figures = learner.stop();
@@ -152,22 +152,22 @@ fn a_device_that_sends_much_neither_starves_the_others_nor_costs_them_windows() 
 fn windows_of_a_device_are_learned_one_at_a_time_and_in_order_on_many_threads() {
     let bench = Arc::new(Bench::default());
     let (to, mut outcomes) = mpsc::channel(8);
-    let learner = Learner::start_with(settings(4, 64), to, bench.study()).unwrap();
+    let learner = Learner::start_with(settings(4, 64), to, bench.observe_fn()).unwrap();
     for seq in 0..10 {
-        learner.offer(task("a", window(seq)));
+        learner.offer(job("a", window(seq)));
     }
-    occupied(&bench);
+    wait_until_busy(&bench);
     bench.open.store(true, Ordering::SeqCst);
-    let learned = take(&mut outcomes, 10);
+    let learned = receive(&mut outcomes, 10);
     assert!(learned.iter().map(|l| l.result.seq).eq(0..10));
     assert_eq!(bench.most.load(Ordering::SeqCst), 1);
     for seq in 0..4 {
         for name in ["a", "b", "c"] {
-            learner.offer(task(name, window(seq)));
+            learner.offer(job(name, window(seq)));
         }
     }
     let mut by_device: HashMap<String, Vec<u32>> = HashMap::new();
-    for l in take(&mut outcomes, 12) {
+    for l in receive(&mut outcomes, 12) {
         by_device.entry(l.device).or_default().push(l.result.seq);
     }
     assert!(
@@ -182,11 +182,11 @@ fn a_panic_costs_its_window_alone() {
     let bench = Arc::new(Bench::default());
     bench.open.store(true, Ordering::SeqCst);
     let (to, mut outcomes) = mpsc::channel(8);
-    let learner = Learner::start_with(settings(1, 64), to, bench.study()).unwrap();
+    let learner = Learner::start_with(settings(1, 64), to, bench.observe_fn()).unwrap();
     for seq in [665, 666, 667] {
-        learner.offer(task("a", window(seq)));
+        learner.offer(job("a", window(seq)));
     }
-    let learned = take(&mut outcomes, 3);
+    let learned = receive(&mut outcomes, 3);
     assert!(learned.iter().map(|l| l.result.seq).eq(665..668));
     assert!(
         learned[1].result.why.contains("number of the beast"),
@@ -196,13 +196,13 @@ fn a_panic_costs_its_window_alone() {
     assert_eq!(learner.stop().panics, 1);
 }
 
-/// Whatever a worker says of a window, its thread goes on, the window is identified here, and the worker is known for it.
+/// Wrong answers end no thread, their windows are identified here, and their worker becomes distrusted.
 #[test]
-fn what_another_machine_says_ends_no_thread() {
+fn wrong_answers_end_no_thread() {
     let bench = Arc::new(Bench::default());
     bench.open.store(true, Ordering::SeqCst);
     let (to, mut outcomes) = mpsc::channel(8);
-    let learner = Learner::start_with(settings(1, 64), to, bench.study()).unwrap();
+    let learner = Learner::start_with(settings(1, 64), to, bench.observe_fn()).unwrap();
     let stated = |t_s: &[f64], r_ohm: &[f64]| StatedLoad {
         t_s: t_s.to_vec(),
         r_ohm: r_ohm.to_vec(),
@@ -221,16 +221,16 @@ fn what_another_machine_says_ends_no_thread() {
         let answer = WorkerAnswer {
             by: "liar".to_owned(),
             skew_s: Some(f64::NAN),
-            found: Ok(lie),
+            load: Ok(lie),
             busy: Duration::MAX,
         };
         learner.offer(LearnJob {
             input: LearnInput::Answered(window(seq), Box::new(answer)),
-            ..task("a", window(0))
+            ..job("a", window(0))
         });
     }
-    learner.offer(task("a", window(5)));
-    let learned = take(&mut outcomes, 6);
+    learner.offer(job("a", window(5)));
+    let learned = receive(&mut outcomes, 6);
     assert!(learned.iter().map(|l| l.result.seq).eq(0..6));
     let liar = &learner.workers()["liar"];
     assert!(liar.is_distrusted(), "{liar:?}");
@@ -239,29 +239,29 @@ fn what_another_machine_says_ends_no_thread() {
 }
 
 #[test]
-fn a_daemon_that_is_slow_or_gone_blocks_nobody_who_offers() {
+fn a_slow_or_missing_receiver_does_not_block_offer() {
     let bench = Arc::new(Bench::default());
     bench.open.store(true, Ordering::SeqCst);
     let (to, mut outcomes) = mpsc::channel(1);
-    let learner = Learner::start_with(settings(2, 4), to, bench.study()).unwrap();
+    let learner = Learner::start_with(settings(2, 4), to, bench.observe_fn()).unwrap();
     let mut dropped = 0;
-    // Who waited here would wait for ever: nobody takes outcomes yet.
+    // Nothing receives outcomes yet: an `offer` that waits would never return.
     for seq in 0..1_000 {
-        dropped += usize::from(learner.offer(task("a", window(seq))).is_some());
+        dropped += usize::from(learner.offer(job("a", window(seq))).is_some());
     }
     assert!((990..=996).contains(&dropped), "{dropped}");
     let left = 1_000 - dropped;
-    let first = take(&mut outcomes, left);
+    let first = receive(&mut outcomes, left);
     assert_eq!(first.len() + dropped, 1_000);
     for seq in 0..4 {
-        learner.offer(task("b", window(seq)));
+        learner.offer(job("b", window(seq)));
     }
-    // Nobody takes what is left, and the end comes all the same.
+    // Nothing receives the remaining outcomes; the learner ends all the same.
     learner.stop();
     drop(outcomes);
 }
 
-/// Windows of a simulated hob heating at some powers, each settled or not.
+/// Returns windows of a simulated hob at several powers.
 #[expect(clippy::vec_box, reason = "as the link hands them over")]
 fn windows(warming: bool, powers_w: &[u16], of_each: usize) -> Vec<Box<Window>> {
     let hob = SharedHob::new(SimHob::new(&HobConfig {
@@ -274,12 +274,12 @@ fn windows(warming: bool, powers_w: &[u16], of_each: usize) -> Vec<Box<Window>> 
     let mut telemetry: Option<Telemetry> = None;
     for power_w in powers_w {
         client.set_power(*power_w).unwrap();
-        let mut found = 0;
-        while found < of_each {
+        let mut count = 0;
+        while count < of_each {
             match client.next_event(Duration::from_secs(1)).unwrap() {
                 Some(Event::Window(w)) if telemetry.as_ref().is_some_and(is_worth_learning) => {
                     windows.push(w);
-                    found += 1;
+                    count += 1;
                 }
                 Some(Event::Telemetry(t)) => telemetry = Some(t),
                 Some(_) => {}
@@ -302,7 +302,7 @@ fn windows_of_a_hob_become_results_and_lookups_whatever_ends_the_learner_between
             let learner = Learner::start(settings(1, 64), to).unwrap();
             learner.add("hob", saved.as_deref()).unwrap();
             for window in some {
-                learner.offer(task("hob", window.clone()));
+                learner.offer(job("hob", window.clone()));
                 let learned = outcomes.blocking_recv().expect("an outcome");
                 passed += usize::from(learned.result.pass);
                 assert_eq!(learned.result.changed_lookup, learned.new_lookup.is_some());
@@ -347,12 +347,12 @@ fn windows_of_a_hob_become_results_and_lookups_whatever_ends_the_learner_between
 }
 
 #[test]
-fn damaged_bytes_begin_anew_and_say_so() {
+fn damaged_bytes_are_an_error_and_learning_restarts() {
     let (to, mut outcomes) = mpsc::channel(8);
     let learner = Learner::start(settings(1, 4), to).unwrap();
     assert!(learner.add("hob", Some(b"{\"format\":1")).is_err());
     let mut one = windows(false, &[1_500], 1);
-    learner.offer(task("hob", one.remove(0)));
+    learner.offer(job("hob", one.remove(0)));
     assert!(outcomes.blocking_recv().is_some_and(|l| l.result.pass));
     learner.stop();
 }

@@ -11,8 +11,8 @@ use super::shared::{Shared, guarded};
 
 /// Learns from one window after the other until the learner is closed.
 pub(super) fn run_thread(shared: &Shared) {
-    while let Some((job, known)) = next_job(shared) {
-        learn(shared, job, known);
+    while let Some((job, device_learning)) = next_job(shared) {
+        learn(shared, job, device_learning);
     }
 }
 
@@ -34,23 +34,23 @@ fn next_job(shared: &Shared) -> Option<(LearnJob, Box<DeviceLearning>)> {
 }
 
 /// Learns from one window and hands its result over. After a panic the window counts as refused, and the device's learning stays as it was.
-pub(super) fn learn(shared: &Shared, mut job: LearnJob, mut known: Box<DeviceLearning>) {
+pub(super) fn learn(shared: &Shared, mut job: LearnJob, mut device_learning: Box<DeviceLearning>) {
     let began = Instant::now();
     let stored = job.stored.take();
-    let learned = guarded(shared, &mut known, |known| {
-        let mut found = identify(shared, known, &job);
-        found.busy = found.busy.max(began.elapsed());
-        settle(shared, known, &job, found)
+    let result = guarded(shared, &mut device_learning, |device_learning| {
+        let mut window_result = identify(shared, device_learning, &job);
+        window_result.busy = window_result.busy.max(began.elapsed());
+        settle(shared, device_learning, &job, window_result)
     });
-    let learned = learned.unwrap_or_else(|why| {
+    let result = result.unwrap_or_else(|why| {
         // The network's start parameters may have caused the panic.
-        known.learning.start_cold();
-        let found = WindowResult::unfit(job.input.window(), why, began.elapsed());
-        settle(shared, &mut known, &job, found)
+        device_learning.learning.start_cold();
+        let window_result = WindowResult::unfit(job.input.window(), why, began.elapsed());
+        settle(shared, &mut device_learning, &job, window_result)
     });
-    hand_over(shared, LearnResult { stored, ..learned });
+    hand_over(shared, LearnResult { stored, ..result });
     let mut state = shared.lock();
-    state.queue.return_learning(&job.device, known);
+    state.queue.return_learning(&job.device, device_learning);
     drop(state);
     shared.changed.notify_one();
 }

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use crate::model::FleetAnswers;
+
 /// Most workers in the records; beyond it, the one with the fewest refuted answers and the oldest last answer is removed.
 const MOST_WORKERS: usize = 256;
 
@@ -47,6 +49,17 @@ impl WorkerFigures {
     pub fn is_distrusted(&self) -> bool {
         self.refuted >= MOST_REFUTED
     }
+}
+
+/// Sums the answers of workers.
+pub fn sum_answers<'a>(workers: impl Iterator<Item = &'a WorkerFigures>) -> FleetAnswers {
+    workers.fold(FleetAnswers::default(), |sum, worker| FleetAnswers {
+        confirmed: sum.confirmed + worker.confirmed,
+        refuted: sum.refuted + worker.refuted,
+        outdated: sum.outdated + worker.outdated,
+        unidentified: sum.unidentified + worker.unidentified,
+        distrusted: sum.distrusted + worker.distrusted,
+    })
 }
 
 /// Records of all workers.
@@ -112,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn the_third_refuted_answer_is_the_last_that_is_looked_at() {
+    fn a_worker_is_distrusted_after_three_refuted_answers() {
         let mut records = WorkerRecords::default();
         for k in 1..=3 {
             assert!(!records.is_distrusted("liar"));
@@ -124,9 +137,9 @@ mod tests {
         assert!(!records.record("liar", AnswerVerdict::Distrusted));
     }
 
-    /// A liar that takes a new name for each answer fills no memory and drives nobody out who was caught.
+    /// A worker that takes a new name for each answer neither fills the memory nor removes the record of a distrusted one.
     #[test]
-    fn names_without_end_are_forgotten_and_who_was_caught_is_not() {
+    fn the_number_of_records_is_bounded_and_distrusted_workers_stay() {
         let mut records = WorkerRecords::default();
         for _ in 0..3 {
             records.record("liar", refuted());

@@ -1,13 +1,12 @@
-//! What devices do now, for whoever watches: a bounded ring of extremes a device, which each watcher empties at
-//! its own pace, and which waits for none.
+//! Live telemetry: a bounded ring of extremes per device, which each reader polls at its own rate. No reader delays a
+//! session.
 //!
 //! ```text
-//! session ─► LiveRing (600 buckets of 0.1 s) ◄─ LiveTap of a watcher: what is new since it last asked
-//!            ring.rs                             tap.rs
+//! session ─► LiveRing (600 buckets of 0.1 s) ◄─ LiveTap of a reader: extremes since its last poll
+//!            ring.rs                            tap.rs
 //! ```
 
-mod ring;
+pub(crate) mod ring;
 mod tap;
 
-pub use ring::{LiveRing, heats};
 pub use tap::LiveTap;

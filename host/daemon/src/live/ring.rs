@@ -1,4 +1,4 @@
-//! The last minute of a device in buckets of 0.1 s.
+//! Last minute of a device's telemetry in buckets of 0.1 s.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -9,39 +9,39 @@ use tokio::time::Instant;
 /// Width of a bucket.
 const BUCKET: Duration = Duration::from_millis(100);
 
-/// Buckets that are kept: a minute of a device that speaks without a pause, some 50 kB.
+/// Capacity in buckets: one minute of uninterrupted telemetry, some 50 kB.
 const BUCKETS: usize = 600;
 
-/// The least and the largest of a quantity.
+/// Minimum and maximum of a quantity.
 pub type Extremes = [f64; 2];
 
-/// Whether R, L and a switching frequency can be told from a half-cycle.
+/// Returns `true` if a half-cycle has R, L and a switching frequency.
 pub fn heats(t: &Telemetry) -> bool {
     t.state == State::Heating && t.f_sw_hz > 0
 }
 
-fn widen(have: &mut Option<Extremes>, with: Extremes) {
-    *have = Some(match have {
-        None => with,
-        Some([least, largest]) => [least.min(with[0]), largest.max(with[1])],
+fn widen(range: &mut Option<Extremes>, other: Extremes) {
+    *range = Some(match range {
+        None => other,
+        Some([min, max]) => [min.min(other[0]), max.max(other[1])],
     });
 }
 
 /// Extremes of some half-cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Extent {
-    /// Of the power, in watt.
+    /// Power in watt; `None` if there is no half-cycle.
     pub power_w: Option<Extremes>,
-    /// Of R, in ohm; none where it did not heat.
+    /// R in ohm; `None` if the hob did not heat.
     pub r_ohm: Option<Extremes>,
-    /// Of L, in henry; none where it did not heat.
+    /// L in henry; `None` if the hob did not heat.
     pub l_h: Option<Extremes>,
-    /// Of the switching frequency, in hertz; none where it did not heat.
+    /// Switching frequency in hertz; `None` if the hob did not heat.
     pub f_sw_hz: Option<Extremes>,
 }
 
 impl Extent {
-    fn of(t: &Telemetry) -> Self {
+    fn from_telemetry(t: &Telemetry) -> Self {
         let one = |x: f64| Some([x, x]);
         let heating = |x: f64| heats(t).then_some([x, x]);
         Self {
@@ -53,45 +53,45 @@ impl Extent {
     }
 
     fn add(&mut self, other: &Self) {
-        for (have, with) in [
+        for (range, other) in [
             (&mut self.power_w, other.power_w),
             (&mut self.r_ohm, other.r_ohm),
             (&mut self.l_h, other.l_h),
             (&mut self.f_sw_hz, other.f_sw_hz),
         ] {
-            if let Some(with) = with {
-                widen(have, with);
+            if let Some(other) = other {
+                widen(range, other);
             }
         }
     }
 }
 
-/// Half-cycles of a tenth of a second.
+/// Extremes over a tenth of a second.
 #[derive(Clone, Copy, Debug)]
 struct Bucket {
     began: Instant,
-    /// Half-cycles that came until its end, since the ring began.
-    until: u64,
+    /// Count of the ring's half-cycles at the end of the bucket.
+    count_at_end: u64,
     extent: Extent,
 }
 
-/// The last minute of a device.
+/// Last minute of a device's telemetry.
 #[derive(Debug, Default)]
 pub struct LiveRing {
     buckets: VecDeque<Bucket>,
-    /// Half-cycles that came since the ring began.
-    came: u64,
+    /// Count of half-cycles since the ring was created.
+    half_cycles: u64,
 }
 
 impl LiveRing {
-    /// A half-cycle came.
+    /// Adds a half-cycle received at `now`.
     pub fn push(&mut self, t: &Telemetry, now: Instant) {
-        self.came += 1;
-        let (extent, until) = (Extent::of(t), self.came);
+        self.half_cycles += 1;
+        let (extent, count_at_end) = (Extent::from_telemetry(t), self.half_cycles);
         match self.buckets.back_mut() {
             Some(last) if now.saturating_duration_since(last.began) < BUCKET => {
                 last.extent.add(&extent);
-                last.until = until;
+                last.count_at_end = count_at_end;
             }
             _ => {
                 if self.buckets.len() == BUCKETS {
@@ -100,30 +100,30 @@ impl LiveRing {
                 let began = now;
                 self.buckets.push_back(Bucket {
                     began,
-                    until,
+                    count_at_end,
                     extent,
                 });
             }
         }
     }
 
-    /// Half-cycles that came since the ring began.
-    pub fn came(&self) -> u64 {
-        self.came
+    /// Returns the count of half-cycles since the ring was created.
+    pub fn half_cycles(&self) -> u64 {
+        self.half_cycles
     }
 
-    /// Extremes of all but the first `seen` half-cycles, as far as they are kept, and of those that share a bucket
-    /// with them.
+    /// Returns the extremes of all but the first `seen` half-cycles, within the last minute, and of those that share a
+    /// bucket with them.
     pub fn since(&self, seen: u64) -> Extent {
         let mut extent = Extent::default();
         let new = self.buckets.iter().rev();
-        for bucket in new.take_while(|bucket| bucket.until > seen) {
+        for bucket in new.take_while(|bucket| bucket.count_at_end > seen) {
             extent.add(&bucket.extent);
         }
         extent
     }
 
-    /// Buckets that are held.
+    /// Returns the number of buckets.
     #[cfg(test)]
     fn len(&self) -> usize {
         self.buckets.len()
@@ -151,7 +151,7 @@ mod tests {
             let power_w = if k == 359_500 { 1_500 } else { 1_000 };
             ring.push(&heating(power_w), start + Duration::from_millis(10 * k));
         }
-        assert_eq!((ring.came(), ring.len()), (360_000, BUCKETS));
+        assert_eq!((ring.half_cycles(), ring.len()), (360_000, BUCKETS));
         let taken = ring.since(359_500);
         assert_eq!(taken.power_w, Some([1_000.0, 1_500.0]));
         assert_eq!(ring.since(359_600).power_w, Some([1_000.0, 1_000.0]));

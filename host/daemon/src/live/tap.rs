@@ -1,4 +1,4 @@
-//! One watcher's look at all devices.
+//! One reader's view of the live telemetry of all devices.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,65 +7,65 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::ring::{Extent, heats};
-use crate::board::now_ms;
-use crate::face::Face;
+use crate::device_record::DeviceRecord;
+use crate::event_bus::now_ms;
 use crate::model::{LiveDevice, LiveTelemetry};
 use crate::states::live;
 use crate::supervisor::Devices;
 use crate::tank;
 
-/// What one watcher has seen of the devices.
+/// Tap of the live telemetry for one reader.
 pub struct LiveTap {
     devices: Arc<Devices>,
-    /// Half-cycles that were seen of each device.
+    /// Count of half-cycles at the last poll, by device.
     seen: BTreeMap<String, u64>,
     interval: Option<Duration>,
-    taken: Instant,
+    last_poll: Instant,
 }
 
 impl LiveTap {
-    /// From now on.
+    /// Creates a tap of telemetry from now on.
     pub(crate) fn new(devices: Arc<Devices>) -> Self {
-        let faces = devices.all().into_iter().map(|handle| handle.face);
-        let seen = faces.map(|face| (face.name.clone(), face.ring().came()));
+        let records = devices.all().into_iter().map(|handle| handle.record);
+        let seen = records.map(|record| (record.name.clone(), record.ring().half_cycles()));
         Self {
             seen: seen.collect(),
             devices,
             interval: None,
-            taken: Instant::now(),
+            last_poll: Instant::now(),
         }
     }
 
-    /// The watcher means to ask this often, so that it is told how many times it did not.
+    /// Sets the reader's polling interval, from which [`LiveTap::take`] counts skipped polls.
     #[must_use]
     pub fn every(mut self, interval: Duration) -> Self {
         self.interval = Some(interval);
         self
     }
 
-    /// What is new since it was asked last, or since the tap was made; never waits.
+    /// Returns the extremes since the last poll or the creation of the tap; never waits.
     pub fn take(&mut self) -> LiveTelemetry {
         let now = Instant::now();
-        let skipped = skipped(self.interval, now.saturating_duration_since(self.taken));
-        self.taken = now;
+        let skipped = skipped(self.interval, now.saturating_duration_since(self.last_poll));
+        self.last_poll = now;
         let handles = self.devices.all();
         self.seen
-            .retain(|name, _| handles.iter().any(|handle| handle.face.name == *name));
+            .retain(|name, _| handles.iter().any(|handle| handle.record.name == *name));
         let mut devices = BTreeMap::new();
         for handle in &handles {
-            let face = &handle.face;
-            let seen = self.seen.entry(face.name.clone()).or_insert(0);
-            let (came, extent) = {
-                let ring = face.ring();
-                // A device of that name that was unplugged and plugged in again began anew.
-                let before = if ring.came() < *seen { 0 } else { *seen };
-                *seen = ring.came();
-                (ring.came() - before, ring.since(before))
+            let record = &handle.record;
+            let seen = self.seen.entry(record.name.clone()).or_insert(0);
+            let (half_cycles, extent) = {
+                let ring = record.ring();
+                // The count of a board that was unplugged and plugged in again restarts.
+                let before = if ring.half_cycles() < *seen { 0 } else { *seen };
+                *seen = ring.half_cycles();
+                (ring.half_cycles() - before, ring.since(before))
             };
-            if came > 0
-                && let Some(device) = device(face, came, skipped, &extent)
+            if half_cycles > 0
+                && let Some(device) = device(record, half_cycles, skipped, &extent)
             {
-                devices.insert(face.name.clone(), device);
+                devices.insert(record.name.clone(), device);
             }
         }
         let at_ms = now_ms();
@@ -73,19 +73,24 @@ impl LiveTap {
     }
 }
 
-/// Intervals that passed without being taken.
+/// Returns the number of intervals without a poll.
 fn skipped(interval: Option<Duration>, passed: Duration) -> u32 {
     let Some(interval) = interval.filter(|interval| !interval.is_zero()) else {
         return 0;
     };
-    // Half an interval late is late, and nothing was skipped.
+    // A poll late by up to half an interval skips none.
     let intervals = (passed.as_secs_f64() / interval.as_secs_f64()).round();
     (intervals as u32).saturating_sub(1)
 }
 
-/// What a device did; none where it has said nothing since it was found.
-fn device(face: &Face, half_cycles: u64, skipped: u32, extent: &Extent) -> Option<LiveDevice> {
-    let last = face.lock().last.clone()?;
+/// Returns the report of a device; `None` before its first telemetry.
+fn device(
+    record: &DeviceRecord,
+    half_cycles: u64,
+    skipped: u32,
+    extent: &Extent,
+) -> Option<LiveDevice> {
+    let last = record.lock().last.clone()?;
     let (r_ohm, l_h, f_sw_hz) = (last.r.ohm(), last.l.henry(), f64::from(last.f_sw_hz));
     let heats = heats(&last);
     Some(LiveDevice {

@@ -1,82 +1,80 @@
-//! What a daemon that is an edge of a fleet knows of the whole (docs/fleet.md).
+//! State of a fleet, as an edge or `ihd fleet status` reports it (docs/fleet.md).
 
 use ihd_store::FleetTally;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::learning::WorkerFigures;
-
-/// The fleet, as one edge or `ihd fleet status` sees it.
+/// State of a fleet.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FleetReport {
-    /// Address of the server, without what is secret in it.
+    /// Address of the server, without secrets.
     pub server: String,
-    /// Name of the edge that tells this; empty where it is none.
+    /// Name of the reporting edge; empty if the reporter is no edge.
     pub edge: String,
-    /// Whether the server answers; the numbers are those of `at_ms` where it does not.
+    /// `true` while the server answers; otherwise the numbers are those of `at_ms`.
     pub connected: bool,
-    /// Why not, in words; empty where it does.
+    /// Reason why the server does not answer; empty if it does.
     pub why: String,
-    /// When the numbers were true, in milliseconds since 1970, UTC; 0 where they never were.
+    /// Time of the numbers, in milliseconds since 1970, UTC; 0 if the server has never answered.
     pub at_ms: i64,
-    /// Windows and results in this edge's store that the fleet has not acknowledged yet.
+    /// Number of windows and results in this edge's store that the fleet has not acknowledged yet.
     pub outbox: u64,
-    /// All windows in this edge's store by their progress; all 0 where this is none.
+    /// All windows in this edge's store by their progress; all 0 if the reporter is no edge.
     #[serde(default)]
     pub states: FleetStates,
-    /// Alarms of this edge, in words.
+    /// Alarms of this edge, as texts.
     #[serde(default)]
     pub alarms: Vec<String>,
-    /// Answers that this edge has got since its daemon began.
+    /// Answers that this edge has received since its daemon started.
     #[serde(default)]
     pub answers: FleetAnswers,
-    /// Windows that the fleet has acknowledged, ever.
+    /// Number of windows that the fleet has acknowledged since it was set up.
     pub windows: u64,
-    /// Results in the fleet, each of another window.
+    /// Number of windows with a result in the fleet.
     pub results: u64,
-    /// Windows in the fleet that nobody has identified yet.
+    /// Number of windows in the fleet that no worker has identified yet.
     pub backlog: u64,
-    /// Windows that were given up, until somebody replays or deletes them.
+    /// Number of windows that were given up and neither replayed nor deleted since.
     pub dead: u64,
-    /// Who identifies.
+    /// Workers of the fleet.
     pub workers: Vec<FleetWorker>,
-    /// Daemons with hobs.
+    /// Edges of the fleet: daemons with hobs.
     pub edges: Vec<FleetEdge>,
-    /// Hobs, by name.
+    /// Hobs of the fleet, sorted by name.
     pub devices: Vec<FleetDevice>,
 }
 
-/// Windows of an edge by their progress with the fleet: together all in its store.
+/// Windows of an edge by their progress with the fleet; their sum is all windows in its store.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
 pub struct FleetStates {
-    /// The fleet is not to have them: stored without samples or before there was a fleet, or not heating.
+    /// Not meant for the fleet: stored without samples or before there was a fleet, or not heating.
     pub not_for_fleet: u64,
-    /// The fleet has acknowledged neither them nor their results.
+    /// Due: the fleet has acknowledged neither them nor their results.
     pub due: u64,
-    /// The fleet has them, and owes results.
+    /// Sent: acknowledged by the fleet, results pending.
     pub sent: u64,
-    /// The fleet's results are here.
+    /// Answered: the fleet's results are stored.
     pub answered: u64,
-    /// Their results were found here, and the fleet has those.
+    /// Identified by this daemon; the fleet has acknowledged the results.
     pub learned_here: u64,
-    /// Given up: their samples went before they were sent.
+    /// Given up: their samples were deleted before they were sent.
     pub no_samples: u64,
     /// Given up: no worker could identify them.
     pub dead: u64,
-    /// Since when the first of those that are due is, in milliseconds since 1970, UTC; none without one.
+    /// Time since which the first due window is due, in milliseconds since 1970, UTC; `None` if none is due.
     pub due_since_ms: Option<i64>,
-    /// The same of those that are sent.
+    /// Time since which the first sent window waits for its result, in milliseconds since 1970, UTC; `None` if none waits.
     pub sent_since_ms: Option<i64>,
 }
 
 impl FleetStates {
-    /// All windows.
+    /// Returns the number of all windows.
     pub fn stored(&self) -> u64 {
         self.by_name().iter().map(|(_, windows)| windows).sum()
     }
 
-    /// States of windows, each with its name.
+    /// Returns the number of windows in each state, with the state's name.
     pub fn by_name(&self) -> [(&'static str, u64); 7] {
         [
             ("not for fleet", self.not_for_fleet),
@@ -106,34 +104,23 @@ impl From<FleetTally> for FleetStates {
     }
 }
 
-/// Workers' answers to this edge's windows since the daemon began, by what the windows made of them.
+/// Workers' answers to this edge's windows since the daemon started, by the verdict of the check against the samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct FleetAnswers {
-    /// Confirmed by the window's samples: learned from.
+    /// Answers confirmed by the window's samples; the lookup is updated with them.
     pub confirmed: u64,
-    /// Refuted by them.
+    /// Answers refuted by the window's samples.
     pub refuted: u64,
-    /// Found with other corrections of the sensors than are known now.
+    /// Answers computed with another sensor correction than the current one.
     pub outdated: u64,
-    /// Empty or unreadable.
+    /// Answers without a result, or unreadable.
     pub unidentified: u64,
-    /// Not looked at: their worker was caught too often.
+    /// Answers ignored because too many of their worker's answers were refuted.
     pub distrusted: u64,
 }
 
 impl FleetAnswers {
-    /// Sums the records of workers.
-    pub fn of<'a>(workers: impl Iterator<Item = &'a WorkerFigures>) -> Self {
-        workers.fold(Self::default(), |sum, worker| Self {
-            confirmed: sum.confirmed + worker.confirmed,
-            refuted: sum.refuted + worker.refuted,
-            outdated: sum.outdated + worker.outdated,
-            unidentified: sum.unidentified + worker.unidentified,
-            distrusted: sum.distrusted + worker.distrusted,
-        })
-    }
-
-    /// Numbers of answers, each with its name.
+    /// Returns the number of answers of each verdict, with the verdict's name.
     pub fn by_name(&self) -> [(&'static str, u64); 5] {
         [
             ("confirmed", self.confirmed),
@@ -145,65 +132,66 @@ impl FleetAnswers {
     }
 }
 
-/// A worker.
+/// Worker of a fleet.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FleetWorker {
-    /// Its name.
+    /// Name of the worker.
     pub name: String,
-    /// Version of its ihd.
+    /// Version of its `ihd`.
     pub version: String,
-    /// Threads that identify.
+    /// Number of threads that identify windows.
     pub threads: u32,
-    /// Windows that it is at.
+    /// Number of windows in progress.
     pub busy: u32,
-    /// Windows that it has identified since it began.
+    /// Number of windows that it has identified since its start.
     pub done: u64,
-    /// Windows that it has failed at.
+    /// Number of windows that it failed to identify.
     pub failed: u64,
-    /// When it was heard of last, in milliseconds since 1970, UTC.
+    /// Time of its last message, in milliseconds since 1970, UTC.
     pub last_seen_ms: i64,
 }
 
-/// A daemon with hobs.
+/// Edge of a fleet: a daemon with hobs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FleetEdge {
-    /// Its name.
+    /// Name of the edge.
     pub name: String,
-    /// Version of its ihd.
+    /// Version of its `ihd`.
     pub version: String,
-    /// Windows and results in its store that the fleet has not acknowledged.
+    /// Number of windows and results in its store that the fleet has not acknowledged.
     pub outbox: u64,
-    /// Whether it leaves its windows to the fleet now; else it learns by itself.
-    pub trusts_fleet: bool,
+    /// `true` while it leaves its windows to the fleet; otherwise it learns by itself.
+    #[serde(rename = "trusts_fleet")]
+    pub delegates: bool,
     /// All windows in its store by their progress.
     #[serde(default)]
     pub states: FleetStates,
-    /// Alarms there, in words.
+    /// Its alarms, as texts.
     #[serde(default)]
     pub alarms: Vec<String>,
-    /// When it was heard of last, in milliseconds since 1970, UTC.
+    /// Time of its last message, in milliseconds since 1970, UTC.
     pub last_seen_ms: i64,
 }
 
-/// A hob.
+/// Hob of a fleet.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FleetDevice {
-    /// Its name, unique in the site.
+    /// Name of the hob, unique in the site.
     pub name: String,
-    /// The edge that it hangs on.
+    /// Name of its edge.
     pub edge: String,
-    /// State, in the words of [`super::DeviceState`].
+    /// State, as serialised by [`super::DeviceState`].
     pub state: String,
-    /// What stands on the coil; empty where that is not known.
+    /// Pot on the coil; empty if unknown.
     pub pot: String,
-    /// Its firmware's build; empty where it was never shaken hands with.
+    /// Build of its firmware; empty before the first handshake.
     pub build: String,
-    /// Protocol, major and minor.
+    /// Protocol version, major and minor.
     pub protocol: (u16, u16),
-    /// Version of its lookup.
+    /// Version of its active lookup.
     pub lookup_version: u32,
-    /// Whether its build differs from the one that most hobs of its board have or `ihd fleet init --build` names.
+    /// `true` if its build differs from the most frequent one of its board or from the one set by `ihd fleet init --build`.
     pub outdated: bool,
-    /// When it was heard of last, in milliseconds since 1970, UTC.
+    /// Time of its last message, in milliseconds since 1970, UTC.
     pub last_seen_ms: i64,
 }

@@ -1,19 +1,19 @@
-//! What happened, as the store has it.
+//! Journal: stored events and commands.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Something that happened, or a command.
+/// Event or command of the journal.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct JournalEntry {
-    /// Milliseconds since 1970, UTC.
+    /// Time in milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// The device; empty where the daemon itself speaks.
+    /// Name of the device; empty for events of the daemon.
     pub device: String,
-    /// A word for its kind: `fault`, `pot`, `state`, `command`, …
+    /// Kind: `fault`, `pot`, `state`, `command`, …
     pub kind: String,
-    /// Who asked, for a command; empty otherwise.
+    /// Holder that issued a command; empty for events.
     pub holder: String,
-    /// What, in words; for a command what became of it too.
+    /// Description; for a command with its outcome.
     pub text: String,
 }

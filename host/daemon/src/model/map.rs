@@ -1,20 +1,20 @@
-//! The lookup as a map over switching frequency and current.
+//! Lookup as a map over switching frequency and current.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// A lookup in ohm and henry. Tables are `[frequency][current]`.
+/// Lookup in ohm and henry. Tables are `[frequency][current]`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Map {
-    /// Its version; 0 is the built-in prior.
+    /// Version; 0 is the built-in prior.
     pub version: u32,
     /// `prior`, `pending`, `active`, `superseded` or `refused`.
     pub state: String,
-    /// Milliseconds since 1970, UTC, of its last change of state; 0 for the prior.
+    /// Time of its last change of state, in milliseconds since 1970, UTC; 0 for the prior.
     pub at_ms: i64,
-    /// Who built it: `host`, `device` where it was found there, `firmware` for the prior.
+    /// Origin: `host`, `device` if it was read from there, `firmware` for the prior.
     pub origin: String,
-    /// Why it was built, or refused.
+    /// Reason why it was built, or refused.
     pub why: String,
     /// Switching frequencies of the rows, in hertz.
     pub f_sw_hz: Vec<f64>,
@@ -24,17 +24,17 @@ pub struct Map {
     pub r_ohm: Vec<Vec<f64>>,
     /// L in henry.
     pub l_h: Vec<Vec<f64>>,
-    /// Power at that amplitude, R I² / 2, in watt: over some switching periods, not over a mains half-cycle.
+    /// Power at that amplitude, R I² / 2, in watt: mean over switching periods, not over a mains half-cycle.
     pub power_w: Vec<Vec<f64>>,
-    /// Whether the cell rests on observations.
+    /// `true` for cells that rest on observations.
     pub observed: Vec<Vec<bool>>,
-    /// Confidence of each cell, 0 to 1; none where it is not known (a lookup of before the daemon's start).
+    /// Confidence of each cell, 0 to 1; `None` if unknown (a lookup from before the daemon's start).
     pub confidence: Option<Vec<Vec<f64>>>,
-    /// Seconds since something near the cell was last learned from; none where never.
+    /// Seconds since the last accepted result near the cell; `None` if there was none.
     pub age_s: Vec<Vec<Option<f64>>>,
 }
 
-/// What every hob of this build has, and the controller's limits.
+/// Ratings of every hob of this build, and limits of the controller.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Hob {
     /// Rated mean power over a mains half-cycle, in watt.
@@ -45,10 +45,10 @@ pub struct Hob {
     pub f_sw_max_hz: u32,
     /// Series resonance capacitor, in farad.
     pub resonance_capacitance_f: f64,
-    /// How far above the resonance frequency the controller stays at least, as a factor.
+    /// Smallest ratio of switching to resonance frequency that the controller allows.
     pub resonance_margin: f64,
-    /// Largest amplitude of the coil's current that the controller asks for, in ampere.
+    /// Largest amplitude of the coil's current that the controller requests, in ampere.
     pub i_limit_a: f64,
-    /// How long a lease lasts, in seconds.
+    /// Duration of a lease in seconds.
     pub lease_s: u32,
 }

@@ -1,6 +1,6 @@
-//! What the daemon tells and is told: the types behind the API, the event stream and the commands.
+//! Data model of the daemon: reports, events and commands, as serialised by the API.
 //!
-//! Text that came from a device is made printable before it is put in here.
+//! Text received from a device is made printable before it is stored in these types.
 
 mod fleet;
 mod history;
@@ -23,37 +23,37 @@ pub use live::{LiveDevice, LiveTelemetry};
 pub use map::{Hob, Map};
 pub use pot_temperature::{PotCurve, PotPoint, PotTemperature};
 pub use recording::{
-    Quantity, RecordSettings, RecordingFile, RecordingNow, RecordingPhase, Trigger,
+    ActiveRecording, Quantity, RecordSettings, RecordingFile, RecordingPhase, Trigger,
 };
-pub use store::{Dropped, Record, StoreCause, StoreFailure};
+pub use store::{DroppedRecords, RecordKind, StoreCause, StoreFailure};
 pub use training::{Fit, FitRemark, FitStep};
-pub use window::{Measured, Scope, Trajectory, WindowSummary, WindowWanted};
+pub use window::{Scope, ScopeMeasurement, Trajectory, WindowQuery, WindowSummary};
 
-/// What a device is to the daemon.
+/// State of a device in the daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum DeviceState {
-    /// Nobody answers at its address; the daemon tries again.
+    /// No device answers at the address; the daemon tries again.
     Searching,
-    /// Shaken hands with, nothing known of it yet.
+    /// Handshake done, no telemetry yet.
     Connected,
-    /// Asked to heat, and it waits for a pot.
+    /// Requested to heat, and waiting for a pot.
     WaitingForPot,
-    /// It heats, and its windows teach.
+    /// Heating; the lookup is updated from its windows.
     Learning,
-    /// It does not heat.
+    /// Connected and not heating.
     Idle,
-    /// A fault keeps it off.
+    /// Off because of a fault.
     Faulted,
-    /// Connected, but silent or set aside: it was suspended, or the host was.
+    /// Connected, but silent or suspended: the device or the host was asleep.
     Suspended,
-    /// It speaks another protocol; `detail` says what to update.
+    /// Incompatible protocol; `detail` names what to update.
     Incompatible,
 }
 
 impl DeviceState {
-    /// Its word in logs and on terminals: that of the API.
-    pub fn word(self) -> &'static str {
+    /// Returns the name for logs and terminals, which is that of the API.
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Searching => "searching",
             Self::Connected => "connected",
@@ -67,362 +67,365 @@ impl DeviceState {
     }
 }
 
-/// Who a device is.
+/// Identity of a device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Identity {
-    /// Name and version of its firmware's build.
+    /// Name and version of the firmware's build.
     pub build: String,
-    /// Its board.
+    /// Board.
     pub board: String,
-    /// Protocol, major and minor.
+    /// Protocol version, major and minor.
     pub protocol: (u16, u16),
-    /// Differs from boot to boot.
+    /// Number of the boot; differs from boot to boot.
     pub boot_id: u32,
-    /// Number of the reset's reason ([`ihd_shared::wire::hello`]).
+    /// Number of the reset reason ([`ihd_shared::wire::hello`]).
     pub reset_reason: u8,
 }
 
-/// The last half-cycle that a device told of.
+/// Last half-cycle reported by a device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Live {
-    /// Half-cycle since its boot.
+    /// Number of the half-cycle since the boot.
     pub half_cycle: u32,
-    /// What its controller does, in the words of `ihd_shared::wire::messages::State`.
+    /// State of the controller, as named by `ihd_shared::wire::messages::State`.
     pub state: String,
-    /// What stands on the coil.
+    /// Pot on the coil.
     pub pot: String,
-    /// Number of the active fault, 0 for none.
+    /// Number of the active fault; 0 if none.
     pub fault: u16,
-    /// The fault in words, empty for none.
+    /// Description of the fault; empty if none.
     pub fault_text: String,
-    /// What holds the power below what was asked for.
+    /// Limit that holds the power below the requested value.
     pub limit: String,
-    /// Power asked for, in watt.
+    /// Requested power, in watt.
     pub asked_w: u16,
     /// Mean power of the half-cycle, in watt.
     pub power_w: f64,
-    /// Switching frequency in hertz, 0 with the inverter off.
+    /// Switching frequency in hertz; 0 if the inverter is off.
     pub f_sw_hz: u32,
     /// Largest amplitude of the current's fundamental, in ampere.
     pub i_crest_a: f64,
-    /// The device's own R at the crest of the current, in ohm.
+    /// The device's estimate of R at the crest of the current, in ohm.
     pub r_ohm: f64,
-    /// The device's own L at the crest of the current, in henry.
+    /// The device's estimate of L at the crest of the current, in henry.
     pub l_h: f64,
 }
 
-/// Where every window that a device announced has gone. `announced` = `stored` + `refused` + `lost`
-/// + those on their way.
+/// Outcomes of all windows that a device has announced: `announced` is the sum of `stored`, `refused`,
+/// `dropped_by_device`, `lost`, `not_stored` and the windows in transit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct WindowCounts {
-    /// Windows that were due on the device, by its own numbers, since the daemon began.
+    /// Windows recorded by the device, by its own numbering, since the daemon started.
     pub announced: u64,
-    /// In the store.
+    /// Windows in the store.
     pub stored: u64,
-    /// Arrived with a defect, and refused for it.
+    /// Windows that arrived with a defect and were refused.
     pub refused: u64,
-    /// Dropped by the device, whose recorder was busy.
+    /// Windows dropped by the device because its recorder was busy.
     pub dropped_by_device: u64,
-    /// Lost on the link, or dropped there: one of more than a hob sends.
+    /// Windows lost on the link, or dropped there as being beyond the rate of a hob.
     pub lost: u64,
-    /// Arrived whole, and dropped because the store could not keep up or was full.
+    /// Windows that arrived whole and were dropped because the store was too slow or full.
     pub not_stored: u64,
-    /// Learned from.
+    /// Stored windows that passed the gate.
     pub learned: u64,
-    /// Looked at and found unfit to learn from, by the gate.
+    /// Stored windows that the gate refused.
     pub unfit: u64,
-    /// Stored, and dropped from the queue before anybody could learn from them.
+    /// Stored windows that were dropped from the learner's queue.
     pub unlearned: u64,
 }
 
-/// The lookup of a device, on both sides.
+/// Lookup versions on a device and in the store.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct LookupReport {
-    /// Version that the device uses, as it said last; 0 is the built-in prior.
+    /// Version that the device reported last; 0 is the built-in prior.
     pub on_device: Option<u32>,
-    /// Version that the store holds as active.
+    /// Version marked active in the store.
     pub active: Option<u32>,
-    /// Version that the store holds as pending: pushed, or about to be.
+    /// Version marked pending in the store: pushed, or about to be pushed.
     pub pending: Option<u32>,
-    /// Cells of the active one that rest on observations.
+    /// Number of cells of the active lookup that rest on observations.
     pub observed_cells: u32,
 }
 
-/// Who may command a device.
+/// Lease: the right to command a device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Lease {
     /// Name of the holder.
     pub holder: String,
-    /// Seconds until it ends unless it is renewed.
+    /// Seconds until the lease ends unless it is renewed.
     pub expires_in_s: u32,
 }
 
-/// A device as the daemon sees it.
+/// Report of a device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct DeviceReport {
-    /// Its name in the configuration, or its address where it has none.
+    /// Name in the configuration, or address if it has none.
     pub name: String,
-    /// Where it is: `tcp:HOST:PORT`, `usb:SERIAL`, `serial:PATH`, `sim`.
+    /// Address: `tcp:HOST:PORT`, `usb:SERIAL`, `serial:PATH`, `sim`.
     pub address: String,
-    /// Serial number of its USB device where it is addressed by one, else its name: what marks it in scripts.
+    /// USB serial number if the device is addressed by it, otherwise the name: identifies the device in scripts.
     #[serde(default)]
     pub serial: String,
-    /// What to update where its firmware does not fit this daemon, and why; empty where it fits.
+    /// Update needed for firmware and daemon to fit, and the reason; empty if they fit.
     #[serde(default)]
     pub updates_needed: String,
-    /// What it is to the daemon.
+    /// State of the device.
     pub state: DeviceState,
     /// Seconds since the state was entered.
     pub since_s: u64,
-    /// Why it is in this state, or what to do about it; may be empty.
+    /// Reason of the state, or advice; may be empty.
     pub detail: String,
-    /// Who it is; none before the first handshake.
+    /// Identity; `None` before the first handshake.
     pub identity: Option<Identity>,
-    /// Its last half-cycle; none before the first telemetry.
+    /// Last half-cycle; `None` before the first telemetry.
     pub live: Option<Live>,
-    /// Its lookup.
+    /// Lookup versions.
     pub lookup: LookupReport,
-    /// Its windows.
+    /// Outcomes of its windows.
     pub windows: WindowCounts,
-    /// Power that the daemon has asked of it, in watt; 0 where it has not.
+    /// Power requested through the daemon, in watt; 0 if none.
     pub asked_by_daemon_w: u16,
-    /// Who may command it now; none where nobody does.
+    /// Current lease; `None` if the device is free.
     pub lease: Option<Lease>,
-    /// A sweep under way: powers that are still to come, in watt.
+    /// Remaining powers of the running sweep, in watt; empty without one.
     pub sweep_left_w: Vec<u16>,
-    /// File that is being recorded into.
+    /// File of the running recording; `None` without one.
     pub recording: Option<String>,
-    /// The recording that waits for its trigger, or is under way.
-    pub recording_now: Option<RecordingNow>,
-    /// How much warmer its pot is than when it was put on; none where nothing is known of it.
+    /// Recording that is armed or running; `None` without one.
+    pub recording_now: Option<ActiveRecording>,
+    /// Temperature rise of its pot since it was put on; `None` if unknown.
     #[serde(default)]
     pub pot_temperature: Option<PotTemperature>,
-    /// Connections that were made since the daemon began.
+    /// Number of connections since the daemon started.
     pub connections: u32,
-    /// Frames that were dropped since then because they were more than a hob sends.
+    /// Number of frames dropped since then as being beyond the rate of a hob.
     #[serde(default)]
     pub frames_beyond: u64,
 }
 
-/// What is asked of a device. All but [`Command::Off`] and recordings need the lease.
+/// Command to a device. All but [`Command::Off`] and recordings need the lease.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "command", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Command {
     /// Heat with a mean power; ends with the lease.
     Power {
-        /// In watt.
+        /// Mean power, in watt.
         power_w: u16,
     },
-    /// Switch off, and end a sweep. Anybody may.
+    /// Switch off, and end a sweep. Needs no lease.
     Off,
     /// Leave the safe state after a fault.
     ClearFault,
-    /// Offer the bytes of a lookup ([`ihd_shared::lookup::RlLookup::to_bytes`]).
+    /// Push a lookup ([`ihd_shared::lookup::RlLookup::to_bytes`]).
     LookupPush {
-        /// The bytes.
+        /// Bytes of the lookup.
         blob: Vec<u8>,
     },
-    /// Offer an earlier lookup of the store's, under a new version.
+    /// Push an earlier lookup of the store under a new version.
     LookupRollback {
-        /// Its version; without, the one that was active before.
+        /// Its version; `None` for the previously active one.
         #[serde(default)]
         version: Option<u32>,
     },
-    /// Back to the built-in lookup; what was learned is forgotten.
+    /// Reset to the built-in lookup; the learned state is discarded.
     LookupReset,
-    /// Heat with one power after the other, a window of each.
+    /// Heat with one power after the other and record windows of each.
     Sweep {
-        /// In watt.
+        /// Powers, in watt.
         powers_w: Vec<u16>,
     },
-    /// Record everything that comes into an MCAP file of the store's folder `recordings`: now, or when something happens.
+    /// Record all messages into an MCAP file in the store's folder `recordings`, now or on a trigger.
     RecordStart(RecordSettings),
-    /// End the recording, or wait no longer for its trigger.
+    /// End the recording, or disarm it.
     RecordStop,
 }
 
-/// What became of a command.
+/// Outcome of a command that was carried out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct Done {
-    /// In words: `1200 W asked for`.
+#[schema(as = Done)]
+pub struct CommandReply {
+    /// Description: `1200 W asked for`.
     pub text: String,
-    /// File that was written, where one was.
+    /// File that was written; `None` if none.
     pub file: Option<String>,
 }
 
-/// Why a command was not carried out.
+/// Reason why a command was not carried out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema, thiserror::Error)]
 #[serde(tag = "error", rename_all = "kebab-case")]
 pub enum CommandError {
-    /// There is no such device.
+    /// No device of this name.
     #[error("there is no device {name:?}; `ihd device list` shows those that there are")]
     NoDevice {
-        /// The name.
+        /// Requested name.
         name: String,
     },
-    /// The device is not there now.
+    /// The device is not connected.
     #[error("{name} is not connected: {detail}")]
     NotConnected {
-        /// The device.
+        /// Name of the device.
         name: String,
-        /// Its state's detail.
+        /// Detail of its state.
         detail: String,
     },
-    /// Somebody else commands it.
+    /// Another client holds the lease.
     #[error(
         "{holder} commands {name}, for {expires_in_s} s more unless it is renewed; --force takes it over"
     )]
     Leased {
-        /// The device.
+        /// Name of the device.
         name: String,
-        /// Who holds the lease.
+        /// Holder of the lease.
         holder: String,
-        /// Seconds until it ends unless it is renewed.
+        /// Seconds until the lease ends unless it is renewed.
         expires_in_s: u32,
     },
-    /// The device said no, or did not answer.
+    /// The device refused, or did not answer.
     #[error("{name}: {why}")]
     Refused {
-        /// The device.
+        /// Name of the device.
         name: String,
-        /// Its reason.
+        /// Reason.
         why: String,
     },
-    /// The daemon itself could not.
+    /// The daemon failed.
     #[error("{why}")]
     Failed {
-        /// Why.
+        /// Reason.
         why: String,
     },
 }
 
-/// Something that happened, for everybody who watches. What is `…Stored` is on disk.
+/// Event for all subscribers. Records of `…Stored` events are on disk.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct Notice {
-    /// Milliseconds since 1970, UTC.
+#[schema(as = Notice)]
+pub struct DaemonEvent {
+    /// Time in milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// The device, empty where the daemon itself speaks.
+    /// Name of the device; empty for events of the daemon.
     pub device: String,
-    /// What.
+    /// Kind of the event, with its data.
     #[serde(flatten)]
-    pub what: What,
+    pub kind: EventKind,
 }
 
-/// What happened.
+/// Kind of an event, with its data.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "event", rename_all = "kebab-case")]
-pub enum What {
-    /// A device's state changed.
+#[schema(as = What)]
+pub enum EventKind {
+    /// The state of the device changed.
     State {
-        /// The new state.
+        /// New state.
         state: DeviceState,
-        /// Why.
+        /// Reason of the change.
         detail: String,
     },
-    /// A half-cycle; only as many as a person can see are sent (ten a second).
+    /// A half-cycle; at most ten a second are sent, as many as a display can show.
     Telemetry {
         /// The half-cycle.
         live: Live,
     },
-    /// A window is in the store.
+    /// A window was stored.
     WindowStored {
         /// Boot of the device.
         boot: u32,
-        /// Its number since that boot.
+        /// Number of the window since that boot.
         seq: u32,
     },
-    /// A window arrived with a defect.
+    /// A window arrived with a defect and was refused.
     WindowRefused {
-        /// Its number.
+        /// Number of the window since the boot.
         seq: u32,
-        /// Why.
+        /// Defect.
         why: String,
     },
-    /// A result is in the store.
+    /// A result was stored.
     ResultStored {
         /// Boot of the device.
         boot: u32,
-        /// The window's number.
+        /// Number of its window since that boot.
         seq: u32,
         /// Switching frequency in hertz.
         f_sw_hz: u32,
         /// Mean of R weighted with the squared current, in ohm.
         r_ohm: f64,
-        /// The same of L, in henry.
+        /// Mean of L weighted with the squared current, in henry.
         l_h: f64,
-        /// Whether the gate let it pass.
+        /// `true` if it passed the gate.
         pass: bool,
-        /// Why not; empty where it did.
+        /// Reason of the refusal; empty if it passed.
         why: String,
     },
-    /// A lookup is active on the device, and in the store.
+    /// A lookup became active on the device and in the store.
     LookupActive {
-        /// Its version.
+        /// Version of the lookup.
         version: u32,
-        /// Cells that rest on observations.
+        /// Number of cells that rest on observations.
         observed_cells: u32,
     },
     /// The device refused a lookup.
     LookupRefused {
-        /// Its version.
+        /// Version of the lookup.
         version: u32,
-        /// The device's reason.
+        /// Reason given by the device.
         why: String,
     },
     /// A fault tripped, or was cleared (number 0).
     Fault {
-        /// Its number.
+        /// Number of the fault; 0 if it was cleared.
         fault: u16,
-        /// In words.
+        /// Description.
         text: String,
     },
-    /// What stands on the coil is another thing: a pot was lifted, or put on.
+    /// The pot on the coil changed: it was lifted, or put on.
     Pot {
-        /// In the words of [`Live::pot`].
+        /// Pot on the coil, as in [`Live::pot`].
         pot: String,
-        /// In words.
+        /// Description.
         text: String,
     },
-    /// What R and L show of a pot: it is followed, was moved, boils, overheats.
+    /// The estimate of a pot's temperature rise changed: it is followed, was moved, boils, overheats.
     PotTemperature {
-        /// In words.
+        /// Description.
         text: String,
-        /// It is too hot.
+        /// `true` if it is too hot.
         overheats: bool,
     },
-    /// Somebody took, lost or gave back the lease.
+    /// The lease was taken, released or lost.
     Lease {
-        /// The new holder, empty for nobody.
+        /// New holder; empty if none.
         holder: String,
-        /// From whom it was taken by force, empty otherwise.
+        /// Previous holder if the lease was taken by force; otherwise empty.
         taken_from: String,
-        /// Why it ended by itself, empty otherwise.
+        /// Reason if it ended without a release; otherwise empty.
         #[serde(default)]
         why: String,
     },
-    /// A command was carried out, or not.
+    /// A command was carried out, or failed.
     Command {
-        /// Who asked.
+        /// Holder that issued it.
         holder: String,
-        /// The command in words.
+        /// Description of the command.
         text: String,
-        /// Whether it was carried out.
+        /// `true` if it was carried out.
         ok: bool,
     },
-    /// A recording waits for its trigger, has begun, or has ended.
+    /// A recording was armed, has begun, or has ended.
     Recording {
-        /// Which of it.
+        /// New phase.
         phase: RecordingPhase,
-        /// In words: by what it was begun, why it ended.
+        /// Description: trigger, or reason of the end.
         text: String,
-        /// Its file's name in the store's folder `recordings`, once it has one.
+        /// Name of its file in the store's folder `recordings`; `None` before it has one.
         file: Option<String>,
     },
-    /// The store had a problem, or is well again.
+    /// The store failed, or works again.
     Store {
-        /// In words.
+        /// Description.
         text: String,
-        /// Whether it is well.
+        /// `true` if it works.
         ok: bool,
     },
 }

@@ -1,9 +1,9 @@
-//! Recordings of a device: what begins them, and what there is.
+//! Recordings of a device: settings, triggers, files.
 
 use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
-/// A quantity of a half-cycle that a level can be set on.
+/// Quantity of a half-cycle that a trigger level can be set on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Quantity {
@@ -11,52 +11,52 @@ pub enum Quantity {
     Power,
     /// Largest amplitude of the current's fundamental, in ampere.
     Current,
-    /// The device's own R at the crest, in ohm.
+    /// The device's estimate of R at the crest, in ohm.
     Resistance,
-    /// The device's own L at the crest, in microhenry.
+    /// The device's estimate of L at the crest, in microhenry.
     Inductance,
     /// Switching frequency, in kilohertz.
     Frequency,
 }
 
-/// What begins a recording.
+/// Trigger of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "on", rename_all = "kebab-case")]
 pub enum Trigger {
-    /// The command itself.
+    /// The command itself: the recording begins at once.
     #[default]
     Now,
-    /// A fault that trips.
+    /// A fault.
     Fault,
     /// A quantity that crosses a level.
     Level {
-        /// Which.
+        /// The quantity.
         quantity: Quantity,
-        /// The level, in the quantity's unit.
+        /// Level, in the quantity's unit.
         #[serde(deserialize_with = "number")]
         level: f64,
-        /// Upwards; downwards where false.
+        /// `true` for an upward crossing, `false` for a downward one.
         rising: bool,
     },
 }
 
-/// How a recording is made.
+/// Settings of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordSettings {
-    /// What begins it.
+    /// Trigger.
     pub trigger: Trigger,
-    /// Seconds before the trigger that are recorded too, 0 to 60.
+    /// Seconds before the trigger that are also recorded, 0 to 60.
     #[serde(deserialize_with = "number")]
     pub pre_trigger_s: f64,
-    /// Seconds after the trigger at which it ends by itself; none until it is told to.
+    /// Seconds after the trigger at which it ends; `None` to record until the stop command.
     #[serde(deserialize_with = "number_or_none")]
     pub duration_s: Option<f64>,
 }
 
-/// A number within a tagged type: serde buffers those, and serde_json's numbers of any length are then no floats.
+/// Reads a number within a tagged type: serde buffers those, and serde_json's arbitrary-precision numbers are then no floats.
 fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
-    let wrong = || serde::de::Error::custom("a number is wanted here");
+    let wrong = || serde::de::Error::custom("a number is expected here");
     number_or_none(from)?.ok_or_else(wrong)
 }
 
@@ -65,52 +65,53 @@ fn number_or_none<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::
         serde_json::Value::Null => Ok(None),
         serde_json::Value::Number(number) if number.as_f64().is_some() => Ok(number.as_f64()),
         other => {
-            let why = format!("a number is wanted here, not {other}");
+            let why = format!("a number is expected here, not {other}");
             Err(serde::de::Error::custom(why))
         }
     }
 }
 
-/// Where a recording is.
+/// Phase of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum RecordingPhase {
-    /// It waits for its trigger.
+    /// Waiting for the trigger.
     Armed,
-    /// It was told to stop before its trigger came.
+    /// Stopped before the trigger.
     Disarmed,
-    /// It has begun, or goes on in a second file after the link was away.
+    /// Begun, or continued in another file after a break of the link.
     Begun,
-    /// Its file is complete; where the link went away, it goes on in a second one when that is back.
+    /// File complete; after a break of the link the recording continues in another file.
     Ended,
-    /// It could not be written on. What was written until then is in its file.
+    /// Writing failed. The file holds what was written until then.
     Failed,
 }
 
-/// A recording that waits for its trigger, or is under way.
+/// Recording that is armed or running.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct RecordingNow {
-    /// How it is made.
+#[schema(as = RecordingNow)]
+pub struct ActiveRecording {
+    /// Settings.
     pub settings: RecordSettings,
-    /// Its file's name in the store's folder `recordings`, or the last one's while the link is away; none while it waits for
-    /// its trigger.
+    /// Name of its file in the store's folder `recordings`, or of the last one while the link is down; `None` before the
+    /// trigger.
     pub file: Option<String>,
-    /// Seconds since it was asked for, or since its trigger.
+    /// Seconds since it was requested, or since its trigger.
     pub since_s: f64,
 }
 
-/// A recording that there is.
+/// Stored recording.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct RecordingFile {
-    /// Its name in the store's folder `recordings`.
+    /// File name in the store's folder `recordings`.
     pub file: String,
-    /// Its device, where it is known.
+    /// Name of its device; empty if unknown.
     pub device: String,
-    /// When it was last written, in milliseconds since 1970, UTC.
+    /// Time of the last write, in milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// Its size in bytes.
+    /// Size in bytes.
     pub bytes: u64,
-    /// Whether it is being written.
+    /// `true` while it is being written.
     pub under_way: bool,
 }
 
@@ -134,14 +135,14 @@ mod tests {
                 level: value,
                 rising: true,
             };
-            let wanted = Command::RecordStart(RecordSettings {
+            let expected = Command::RecordStart(RecordSettings {
                 trigger,
                 pre_trigger_s: value,
                 duration_s: Some(30.0),
             });
-            assert_eq!(read(&text).unwrap(), wanted, "{text}");
-            let written = serde_json::to_string(&wanted).unwrap();
-            assert_eq!(read(&written).unwrap(), wanted, "{written}");
+            assert_eq!(read(&text).unwrap(), expected, "{text}");
+            let written = serde_json::to_string(&expected).unwrap();
+            assert_eq!(read(&written).unwrap(), expected, "{written}");
         }
         for wrong in [
             r#"{"command":"record-start","pre_triger_s":5}"#,

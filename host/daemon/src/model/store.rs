@@ -1,28 +1,29 @@
-//! Condition of the store.
+//! State of the store: failures and dropped records.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Kinds of records, told apart where they are lost.
+/// Kind of a record, by which losses are counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Record {
+pub enum RecordKind {
     /// Windows of devices.
     Windows,
     /// Results of identification.
     Results,
     /// Seconds of telemetry.
     Telemetry,
-    /// Events: faults, notices.
+    /// Events: faults, changes of state.
     Events,
     /// Commands and their outcomes.
     Audits,
-    /// Connections, lookups, progress with a fleet: written again until it is done.
+    /// Connections, lookups, progress with a fleet: retried until written.
     State,
 }
 
-/// Records that are in no store, by kind.
+/// Numbers of records that were dropped unstored, by kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct Dropped {
+#[schema(as = Dropped)]
+pub struct DroppedRecords {
     /// Windows.
     pub windows: u64,
     /// Results of identification.
@@ -31,25 +32,25 @@ pub struct Dropped {
     pub telemetry_s: u64,
     /// Events.
     pub events: u64,
-    /// Commands that the audit lacks.
+    /// Commands missing in the audit.
     pub audits: u64,
 }
 
-impl Dropped {
-    /// Counts `n` records; [`Record::State`] is never dropped.
-    pub(crate) fn add(&mut self, record: Record, n: u64) {
+impl DroppedRecords {
+    /// Counts `n` records; [`RecordKind::State`] is never dropped.
+    pub(crate) fn add(&mut self, record: RecordKind, n: u64) {
         let count = match record {
-            Record::Windows => &mut self.windows,
-            Record::Results => &mut self.results,
-            Record::Telemetry => &mut self.telemetry_s,
-            Record::Events => &mut self.events,
-            Record::Audits => &mut self.audits,
-            Record::State => return,
+            RecordKind::Windows => &mut self.windows,
+            RecordKind::Results => &mut self.results,
+            RecordKind::Telemetry => &mut self.telemetry_s,
+            RecordKind::Events => &mut self.events,
+            RecordKind::Audits => &mut self.audits,
+            RecordKind::State => return,
         };
         *count = count.saturating_add(n);
     }
 
-    /// Counts of all kinds, each with its name.
+    /// Returns the number of each kind, with the kind's name.
     pub fn by_kind(&self) -> [(&'static str, u64); 5] {
         [
             ("windows", self.windows),
@@ -60,7 +61,7 @@ impl Dropped {
         ]
     }
 
-    /// Records dropped since an earlier count.
+    /// Returns the numbers dropped since an earlier count.
     pub(crate) fn since(&self, before: &Self) -> Self {
         Self {
             windows: self.windows - before.windows,
@@ -71,7 +72,7 @@ impl Dropped {
         }
     }
 
-    /// Text such as `3 windows, 1 event`.
+    /// Formats the numbers, such as `3 windows, 1 event`.
     pub fn text(&self) -> String {
         let counts = [
             (self.windows, "window", "windows"),
@@ -95,30 +96,30 @@ impl Dropped {
     }
 }
 
-/// Why the store does not take records, the gravest first.
+/// Cause of a store failure, the gravest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum StoreCause {
-    /// No room on the disk, in a quota, or below a limit of a file's size.
+    /// No room on the disk, in a quota, or within the limit of a file's size.
     DiskFull,
-    /// Files that may not be written.
+    /// No permission to write the files.
     NoPermission,
-    /// A broken database.
+    /// Damaged database.
     Damaged,
-    /// A database that another program holds.
+    /// Database locked by another program.
     Locked,
-    /// No answer.
+    /// No answer of the store.
     Silent,
     /// Another error of the disk or the database.
     Failing,
-    /// A fault of this program.
+    /// Defect of this program.
     Defect,
-    /// More records than the disk takes.
+    /// More records than the disk can take.
     TooSlow,
 }
 
 impl StoreCause {
-    /// The cause in plain words. No path is in it: `/healthz` needs no token.
+    /// Describes the cause, without any path: `/healthz` needs no token.
     pub fn text(self) -> &'static str {
         match self {
             Self::DiskFull => "the store's disk is full",
@@ -132,7 +133,7 @@ impl StoreCause {
         }
     }
 
-    /// Advice to a person.
+    /// Returns advice for the operator.
     pub fn advice(self) -> &'static str {
         match self {
             Self::DiskFull => {
@@ -161,29 +162,29 @@ impl StoreCause {
     }
 }
 
-/// A store that does not take all records.
+/// Failure of the store to take all records.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct StoreFailure {
-    /// The gravest cause.
+    /// Gravest cause.
     pub cause: StoreCause,
-    /// The cause in plain words.
+    /// Description of the cause.
     pub text: String,
-    /// Advice to a person.
+    /// Advice for the operator.
     pub advice: String,
-    /// Since when, in milliseconds since 1970, UTC.
+    /// Start of the failure, in milliseconds since 1970, UTC.
     pub since_ms: i64,
     /// Records dropped since then.
-    pub dropped: Dropped,
+    pub dropped: DroppedRecords,
 }
 
 impl StoreFailure {
-    /// A store that does not answer at all.
+    /// Creates the failure of a store that does not answer.
     pub fn silent(now_ms: i64) -> Self {
-        Self::new(StoreCause::Silent, now_ms, Dropped::default())
+        Self::new(StoreCause::Silent, now_ms, DroppedRecords::default())
     }
 
-    /// A failure of this cause.
-    pub fn new(cause: StoreCause, since_ms: i64, dropped: Dropped) -> Self {
+    /// Creates a failure of this cause.
+    pub fn new(cause: StoreCause, since_ms: i64, dropped: DroppedRecords) -> Self {
         Self {
             cause,
             text: cause.text().to_owned(),

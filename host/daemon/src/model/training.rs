@@ -1,65 +1,65 @@
-//! How the network came to what it says.
+//! Training: fits of windows by the network, step by step.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// A step of the optimiser.
+/// Step of the optimiser.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FitStep {
-    /// Its number, from 1.
+    /// Number of the step, from 1.
     pub step: u32,
-    /// The loss.
+    /// Loss after the step.
     pub loss: f64,
-    /// Mean relative change of R and L (the larger) over the last few steps, 0.01 being 1 %; none for the first few.
+    /// Mean relative change of R and L (the larger of both) over the last few steps, 0.01 being 1 %; `None` for the first few.
     pub change: Option<f64>,
 }
 
-/// What somebody remarks on a window or its result, in the codes of docs/gate.md.
+/// Remark on a window or its result; codes in docs/gate.md.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct FitRemark {
-    /// Its code.
+    /// Code of the remark.
     pub code: String,
     /// `info`, `warning` or `error`.
     pub severity: String,
-    /// In words.
+    /// Description.
     pub text: String,
 }
 
-/// A window that was learned from, or refused.
+/// Fit of a window: accepted, or refused by the gate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Fit {
     /// Boot of the device.
     pub boot: u32,
     /// Number of the window since that boot.
     pub seq: u32,
-    /// When the result was stored, in milliseconds since 1970, UTC.
+    /// Time at which the result was stored, in milliseconds since 1970, UTC.
     pub at_ms: i64,
     /// Switching frequency in hertz.
     pub f_sw_hz: u32,
     /// Mean of R weighted with the squared current, in ohm.
     pub r_ohm: Option<f64>,
-    /// The same of L, in henry.
+    /// Mean of L weighted with the squared current, in henry.
     pub l_h: Option<f64>,
     /// Standard deviation of R in percent.
     pub sigma_r_pct: Option<f64>,
     /// Standard deviation of L in percent.
     pub sigma_l_pct: Option<f64>,
-    /// Whether the gate let it pass.
+    /// `true` if it passed the gate.
     pub pass: bool,
-    /// Why not; empty where it did.
+    /// Reason of the refusal; empty if it passed.
     pub why: String,
-    /// What was remarked on it; empty for fits of before the daemon's start.
+    /// Remarks on it; empty for fits from before the daemon's start.
     pub remarks: Vec<FitRemark>,
-    /// Whether the lookup is another one for it.
+    /// `true` if it changed the lookup.
     pub changed_lookup: bool,
-    /// Steps of the optimiser.
+    /// Number of optimiser steps.
     pub iterations: u32,
-    /// Seconds that it took; none for fits of before the daemon's start.
+    /// Duration in seconds; `None` for fits from before the daemon's start.
     pub seconds: Option<f64>,
-    /// Its steps; empty for fits of before the daemon's start.
+    /// Selected steps; empty for fits from before the daemon's start.
     pub steps: Vec<FitStep>,
-    /// Error of R against the truth, in percent of it, where the device is simulated in the daemon itself.
+    /// Relative error of R in percent of the truth; `None` unless the device is simulated in the daemon.
     pub r_error_pct: Option<f64>,
-    /// The same of L.
+    /// Relative error of L in percent of the truth; `None` unless the device is simulated in the daemon.
     pub l_error_pct: Option<f64>,
 }

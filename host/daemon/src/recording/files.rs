@@ -1,4 +1,4 @@
-//! The recordings that there are.
+//! Names and list of the recordings in their folder.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -8,31 +8,31 @@ use std::time::UNIX_EPOCH;
 
 use crate::model::RecordingFile;
 
-/// The ending of recordings.
-const ENDING: &str = ".mcap";
+/// File extension of recordings.
+const EXTENSION: &str = ".mcap";
 
-/// Length of `-2026-11-22T08-30-00.123`.
-const TIME: usize = 24;
+/// Length of `-2026-11-22T08-30-00.123`, in bytes.
+const TIMESTAMP: usize = 24;
 
-/// Longest name of a recording.
-const LONGEST_NAME: usize = 200;
+/// Longest name of a recording, in bytes.
+const MAX_NAME: usize = 200;
 
-/// `bench-2026-11-22T08-30-00.123.mcap`.
+/// Returns the file name of a recording that begins at `at_ms`, as `bench-2026-11-22T08-30-00.123.mcap`.
 pub fn file_name(device: &str, at_ms: i64) -> String {
     let time = jiff::Timestamp::from_millisecond(at_ms)
         .map_or_else(|_| at_ms.to_string(), |time| format!("{time:.3}"));
     let time = time.replace(':', "-");
     let name = format!(
-        "{}-{}{ENDING}",
-        of_device(device),
+        "{}-{}{EXTENSION}",
+        file_safe_name(device),
         time.trim_end_matches('Z')
     );
     debug_assert!(Path::new(&name).components().count() == 1);
     name
 }
 
-/// A device's name as it stands in file names.
-fn of_device(device: &str) -> String {
+/// Returns a device's name with all characters replaced that are unsafe in file names.
+fn file_safe_name(device: &str) -> String {
     let plain = |c: char| match c {
         'a'..='z' | 'A'..='Z' | '0'..='9' | '-' | '_' => c,
         _ => '-',
@@ -40,26 +40,27 @@ fn of_device(device: &str) -> String {
     device.chars().map(plain).collect()
 }
 
-/// Whether a name is that of a recording in its folder, and not a way out of it.
+/// Returns `true` if a name can be that of a recording, and is no path out of the folder.
 pub fn is_plain_name(name: &str) -> bool {
     let plain = |b: u8| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'_' | b'.');
-    name.len() <= LONGEST_NAME
-        && name.len() > ENDING.len()
-        && name.ends_with(ENDING)
+    name.len() <= MAX_NAME
+        && name.len() > EXTENSION.len()
+        && name.ends_with(EXTENSION)
         && !name.starts_with('.')
         && name.bytes().all(plain)
 }
 
-/// The recordings of a folder, newest first. `devices` are known, `writing` the names of files under way.
+/// Lists the recordings of a folder, newest first. `devices` are the known devices, `under_way` the names of incomplete
+/// files. A missing folder is empty.
 ///
 /// # Errors
-/// What the operating system reports; a folder that is not there holds none.
+/// Error of the operating system.
 pub fn list(
     folder: &Path,
     devices: &[String],
-    writing: &[String],
+    under_way: &[String],
 ) -> io::Result<Vec<RecordingFile>> {
-    let known: BTreeMap<String, &String> = devices.iter().map(|d| (of_device(d), d)).collect();
+    let known: BTreeMap<String, &String> = devices.iter().map(|d| (file_safe_name(d), d)).collect();
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries?,
@@ -70,22 +71,27 @@ pub fn list(
         let Ok(file) = entry.file_name().into_string() else {
             continue;
         };
-        // Deleted meanwhile, or no file at all.
-        let Ok(about) = entry.metadata() else {
+        // Fails if the file was deleted meanwhile.
+        let Ok(metadata) = entry.metadata() else {
             continue;
         };
-        if !is_plain_name(&file) || !about.is_file() {
+        if !is_plain_name(&file) || !metadata.is_file() {
             continue;
         }
-        let written = about.modified()?.duration_since(UNIX_EPOCH);
-        let stem = file.strip_suffix(ENDING).unwrap_or(&file);
-        let device = stem.len().checked_sub(TIME).and_then(|n| stem.get(..n));
-        let device = device.filter(|_| is_time(stem)).unwrap_or_default();
+        let written = metadata.modified()?.duration_since(UNIX_EPOCH);
+        let stem = file.strip_suffix(EXTENSION).unwrap_or(&file);
+        let device = stem
+            .len()
+            .checked_sub(TIMESTAMP)
+            .and_then(|n| stem.get(..n));
+        let device = device
+            .filter(|_| ends_with_timestamp(stem))
+            .unwrap_or_default();
         all.push(RecordingFile {
             device: known.get(device).map_or(device, |name| name).to_owned(),
             at_ms: written.map_or(0, |since| since.as_millis() as i64),
-            bytes: about.len(),
-            under_way: writing.contains(&file),
+            bytes: metadata.len(),
+            under_way: under_way.contains(&file),
             file,
         });
     }
@@ -93,10 +99,13 @@ pub fn list(
     Ok(all)
 }
 
-/// Whether a name ends as [`file_name`] makes it.
-fn is_time(stem: &str) -> bool {
+/// Returns `true` if a name without extension ends with a timestamp as in [`file_name`].
+fn ends_with_timestamp(stem: &str) -> bool {
     let pattern = b"-dddd-dd-ddTdd-dd-dd.ddd";
-    let tail = stem.len().checked_sub(TIME).map(|n| &stem.as_bytes()[n..]);
+    let tail = stem
+        .len()
+        .checked_sub(TIMESTAMP)
+        .map(|n| &stem.as_bytes()[n..]);
     tail.is_some_and(|tail| {
         let fits = |(p, b): (&u8, &u8)| {
             if *p == b'd' {
@@ -168,7 +177,7 @@ mod tests {
             std::slice::from_ref(&new),
         )
         .unwrap();
-        let wanted = |file: &str, device: &str, at_ms, bytes, under_way| RecordingFile {
+        let expected = |file: &str, device: &str, at_ms, bytes, under_way| RecordingFile {
             file: file.to_owned(),
             device: device.to_owned(),
             at_ms,
@@ -179,8 +188,8 @@ mod tests {
             (all[0].file.as_str(), all[0].device.as_str()),
             ("copied.mcap", "")
         );
-        assert_eq!(all[1], wanted(&new, "gone", 1_001_000, 20, true));
-        assert_eq!(all[2], wanted(&old, "usb:12", 1_000_000, 10, false));
+        assert_eq!(all[1], expected(&new, "gone", 1_001_000, 20, true));
+        assert_eq!(all[2], expected(&old, "usb:12", 1_000_000, 10, false));
         assert_eq!(all.len(), 3);
     }
 }

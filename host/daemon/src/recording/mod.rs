@@ -1,19 +1,19 @@
-//! Recordings of a device: begun by hand, by a fault or by a level, with what came before.
+//! Recordings of a device: begun by hand, by a fault or by a level, with a pre-trigger.
 //!
 //! ```text
-//!  link's thread ── pieces ──► Recorder: a ring of the last minute, the trigger (trigger.rs)
+//!  link's thread ── chunks ──► Recorder: ring of the last minute (ring.rs), trigger (trigger.rs)
 //!                                 │ armed ──► begun ──► ended: by time, by hand
-//!                                 └ once begun: the ring, then every piece ──► the file's thread (writing.rs)
+//!                                 └ once begun: the ring, then every chunk ──► the file's thread (writer.rs)
 //! ```
 //!
-//! A recorder outlives connections. While it is armed it stays so; what happened while the link was away counts with
-//! the first half-cycle after. A recording under way goes on in a second file when the link is back.
+//! A recorder outlives connections. An armed trigger stays armed; a change while the device was not connected is judged
+//! with the first half-cycle after. A recording under way continues in a second file after a reconnect.
 
 mod files;
 mod ring;
 mod tables;
 mod trigger;
-mod writing;
+mod writer;
 
 use std::collections::BTreeMap;
 use std::io;
@@ -25,62 +25,62 @@ use ihd_link::FrameSink;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::messages::{AnyMessage, FaultEvent, FrontEnd, Hello, Message, Telemetry};
 
-use crate::board::now_ms;
-use crate::model::{RecordSettings, RecordingNow, RecordingPhase, Trigger};
+use crate::event_bus::now_ms;
+use crate::model::{ActiveRecording, RecordSettings, RecordingPhase, Trigger};
 
 pub use files::{file_name, is_plain_name, list};
 pub use ihd_capture::exports::recording::TableError;
-use ring::{Piece, Ring};
+use ring::{Chunk, Ring};
 pub use tables::{Table, table};
-use trigger::Known;
 pub use trigger::LONGEST_PRE_TRIGGER_S;
-use writing::{Beginning, Waiting, Writing};
+use trigger::TriggerState;
+use writer::{FileStart, PendingWrite, RecordingWriter};
 
-/// How long whoever begins or ends a recording waits for the disk.
-const DISK_WITHIN: Duration = Duration::from_secs(10);
+/// Time limit for waiting for the disk at the start and end of a recording.
+const DISK_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// A link that says nothing for this long does not end a recording by its clock: the wall's does.
-const SILENT: Duration = Duration::from_secs(1);
+/// Time without data after which the system clock ends a recording instead of the transport's.
+const SILENCE_LIMIT: Duration = Duration::from_secs(1);
 
-/// What became of a recording, for whoever is told.
+/// Status of a recording, as published.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Told {
-    /// Where it is now.
+pub struct RecordingStatus {
+    /// Phase of the recording.
     pub phase: RecordingPhase,
-    /// By what it was begun, or why it ended.
+    /// Cause of its start or end.
     pub text: String,
-    /// Its file, once it has one.
+    /// File of the recording; `None` before it has begun.
     pub file: Option<PathBuf>,
 }
 
-/// Names the next file; the number is 1 for the first one of a recording.
+/// Function that names the next file; the number is 1 for the first one of a recording.
 type Name = dyn Fn(u32) -> PathBuf + Send + Sync;
 
-/// Hears what becomes of a recording, on whichever thread it happens; must not wait.
-type Tell = dyn Fn(Told) + Send + Sync;
+/// Function that publishes a status, on any thread; must not block.
+type Publish = dyn Fn(RecordingStatus) + Send + Sync;
 
-/// The recorder of one device; cheap to clone.
+/// Recorder of one device; cheap to clone.
 #[derive(Clone)]
 pub struct Recorder(Arc<Shared>);
 
 struct Shared {
     name: Box<Name>,
-    tell: Box<Tell>,
+    publish: Box<Publish>,
     state: Mutex<State>,
 }
 
 #[derive(Default)]
 struct State {
     device: Option<(Hello, FrontEnd)>,
-    /// Counts connections: what comes from one that is over is not taken.
+    /// Number of the present connection; data of earlier ones are ignored.
     connection: u64,
     ring: Ring,
     deframer: Deframer,
-    known: Known,
-    /// The device's last byte lay within a frame.
+    trigger_state: TriggerState,
+    /// `true` if the device's last byte lies within a frame.
     mid_frame: bool,
     phase: Phase,
-    /// Files that nothing comes into any more, and that are not complete yet.
+    /// Files that receive no more data and are not complete yet.
     finishing: Vec<PathBuf>,
 }
 
@@ -95,104 +95,105 @@ enum Phase {
     Recording(Box<Recording>),
 }
 
-/// A recording that has begun.
+/// Recording that has begun.
 struct Recording {
     settings: RecordSettings,
     began: Instant,
-    /// When its trigger came, and when it ends, on the transport's clock.
+    /// Time of the trigger, on the transport's clock.
     triggered_at: Duration,
+    /// End on the transport's clock; `None` if it ends by hand.
     until: Option<Duration>,
-    heard: Instant,
+    last_data: Instant,
     cause: String,
     part: u32,
     path: PathBuf,
-    /// None while the link is away.
-    writing: Option<Writing>,
+    /// Writer of its file; `None` while the device is not connected.
+    writer: Option<RecordingWriter>,
 }
 
-/// A recording that was asked for.
-pub struct Started {
-    /// Its file, where it has begun.
+/// Recording that was started or armed.
+pub struct StartedRecording {
+    /// File of the recording; `None` if it is armed.
     pub file: Option<PathBuf>,
-    /// What it waits for, or that it has begun.
+    /// Description for the requester.
     pub text: String,
-    waiting: Option<Waiting>,
+    pending: Option<PendingWrite>,
 }
 
-impl Started {
-    /// Waits until its file is there.
+impl StartedRecording {
+    /// Waits until the file has begun.
     ///
     /// # Errors
-    /// Why it is not.
+    /// Reason why it has not.
     pub fn wait(&self) -> Result<(), String> {
-        match &self.waiting {
-            Some(waiting) => waiting.begun(DISK_WITHIN),
+        match &self.pending {
+            Some(pending) => pending.wait_begun(DISK_TIMEOUT),
             None => Ok(()),
         }
     }
 }
 
-/// A recording that was ended, or never begun.
-pub struct Stopped {
-    /// Its file; none where its trigger never came.
+/// Recording that was ended or disarmed.
+pub struct StoppedRecording {
+    /// File of the recording; `None` if it never began.
     pub file: Option<PathBuf>,
-    waiting: Option<Waiting>,
+    pending: Option<PendingWrite>,
 }
 
-impl Stopped {
-    /// Waits until its file is complete.
+impl StoppedRecording {
+    /// Waits until the file is complete.
     ///
     /// # Errors
-    /// Why it is not.
+    /// Reason why it is not.
     pub fn wait(&self) -> Result<(), String> {
-        match &self.waiting {
-            Some(waiting) => waiting.ended(DISK_WITHIN),
+        match &self.pending {
+            Some(pending) => pending.wait_complete(DISK_TIMEOUT),
             None => Ok(()),
         }
     }
 }
 
 impl Recorder {
-    /// A recorder that names its files, and tells what becomes of its recordings, in these ways.
+    /// Creates a recorder with functions that name its files and publish its status.
     pub fn new(
         name: impl Fn(u32) -> PathBuf + Send + Sync + 'static,
-        tell: impl Fn(Told) + Send + Sync + 'static,
+        publish: impl Fn(RecordingStatus) + Send + Sync + 'static,
     ) -> Self {
         Self(Arc::new(Shared {
             name: Box::new(name),
-            tell: Box::new(tell),
+            publish: Box::new(publish),
             state: Mutex::default(),
         }))
     }
 
-    /// A device has shaken hands: the bytes of its link go to what is returned, from `at` on the transport's clock. A
-    /// recording under way goes on.
+    /// Starts a connection after the handshake, at `at` on the transport's clock. Returns the sink for the bytes of the link.
+    /// A recording under way continues in its next file.
     pub fn connected(&self, hello: &Hello, front_end: &FrontEnd, at: Duration) -> RecorderSink {
         self.disconnected();
         let mut state = self.0.lock();
         state.device = Some((hello.clone(), front_end.clone()));
         state.connection += 1;
         let connection = state.connection;
-        let mut told = None;
+        let mut status = None;
         let phase = std::mem::take(&mut state.phase);
         if let Phase::Recording(mut recording) = phase {
             let passed = recording.began.elapsed();
             if at < recording.triggered_at {
-                // Another clock than before.
+                // The clock of this transport started later.
                 recording.triggered_at = at;
                 let left = |s: f64| Duration::from_secs_f64(s).saturating_sub(passed);
                 recording.until = recording.settings.duration_s.map(|s| at + left(s));
             }
-            recording.heard = Instant::now();
+            recording.last_data = Instant::now();
             recording.part += 1;
             let cause = format!("goes on in its file {}: the link is back", recording.part);
-            told = Some(self.0.begin_file(&mut state, recording, at, &cause));
+            status = Some(self.0.begin_file(&mut state, recording, at, &cause));
         } else {
             state.phase = phase;
         }
         drop(state);
-        if let Some(told) = told {
-            (self.0.tell)(told);
+        if let Some(status) = status {
+            (self.0.publish)(status);
         }
         RecorderSink {
             shared: Arc::clone(&self.0),
@@ -200,7 +201,7 @@ impl Recorder {
         }
     }
 
-    /// The link is gone. A file under way is completed; its recording, and one that is armed, wait for the link.
+    /// Ends the connection. A file under way is completed; its recording, and an armed one, wait for the next connection.
     pub fn disconnected(&self) {
         let mut state = self.0.lock();
         state.device = None;
@@ -209,19 +210,23 @@ impl Recorder {
         state.deframer = Deframer::new();
         state.mid_frame = false;
         if let Phase::Recording(recording) = &mut state.phase
-            && let Some(writing) = recording.writing.take()
+            && let Some(writer) = recording.writer.take()
         {
             let path = recording.path.clone();
             state.finishing.push(path);
-            writing.finish("the link went away; it goes on in a second file when that is back");
+            writer.finish("the link went away; it goes on in a second file when that is back");
         }
     }
 
-    /// Begins a recording, or waits for its trigger from now on, which is `at` on the transport's clock.
+    /// Begins a recording or arms its trigger, at `at` on the transport's clock.
     ///
     /// # Errors
-    /// Settings that cannot be, one that is armed or under way already, or no device.
-    pub fn start(&self, settings: RecordSettings, at: Duration) -> Result<Started, String> {
+    /// Invalid settings, a recording that is armed or under way, or no connected device.
+    pub fn start(
+        &self,
+        settings: RecordSettings,
+        at: Duration,
+    ) -> Result<StartedRecording, String> {
         settings.check()?;
         let mut state = self.0.lock();
         match &state.phase {
@@ -252,15 +257,15 @@ impl Recorder {
                 since: now,
             };
             drop(state);
-            (self.0.tell)(Told {
+            (self.0.publish)(RecordingStatus {
                 phase: RecordingPhase::Armed,
                 text: text.clone(),
                 file: None,
             });
-            return Ok(Started {
+            return Ok(StartedRecording {
                 file: None,
                 text,
-                waiting: None,
+                pending: None,
             });
         }
         let recording = Recording {
@@ -268,117 +273,118 @@ impl Recorder {
             began: now,
             triggered_at: at,
             until: until.map(|s| at + Duration::from_secs_f64(s)),
-            heard: now,
+            last_data: now,
             cause: "by hand".to_owned(),
             part: 1,
             path: PathBuf::new(),
-            writing: None,
+            writer: None,
         };
-        let told = self
+        let status = self
             .0
             .begin_file(&mut state, Box::new(recording), at, "begun by hand");
-        let waiting = match &state.phase {
-            Phase::Recording(recording) => recording.writing.as_ref().map(|w| w.waiting.clone()),
+        let pending = match &state.phase {
+            Phase::Recording(recording) => recording.writer.as_ref().map(|w| w.pending.clone()),
             _ => None,
         };
         drop(state);
-        let (file, failed) = (told.file.clone(), told.phase == RecordingPhase::Failed);
-        let text = told.text.clone();
-        (self.0.tell)(told);
+        let (file, failed) = (status.file.clone(), status.phase == RecordingPhase::Failed);
+        let text = status.text.clone();
+        (self.0.publish)(status);
         match failed {
             true => Err(text),
-            false => Ok(Started {
+            false => Ok(StartedRecording {
                 file,
                 text: "recording".to_owned(),
-                waiting,
+                pending,
             }),
         }
     }
 
-    /// Ends the recording, or waits no longer for its trigger.
+    /// Ends the recording or disarms its trigger.
     ///
     /// # Errors
-    /// Where there is none.
-    pub fn stop(&self, why: &str) -> Result<Stopped, String> {
+    /// Nothing is armed or under way.
+    pub fn stop(&self, why: &str) -> Result<StoppedRecording, String> {
         let mut state = self.0.lock();
         match std::mem::take(&mut state.phase) {
             Phase::Idle => Err("nothing is being recorded".to_owned()),
             Phase::Armed { settings, .. } => {
                 drop(state);
                 let text = format!("{why}: {} did not come", settings.trigger);
-                (self.0.tell)(Told {
+                (self.0.publish)(RecordingStatus {
                     phase: RecordingPhase::Disarmed,
                     text,
                     file: None,
                 });
-                Ok(Stopped {
+                Ok(StoppedRecording {
                     file: None,
-                    waiting: None,
+                    pending: None,
                 })
             }
             Phase::Recording(recording) => {
                 let path = recording.path;
-                let waiting = recording.writing.map(|writing| {
+                let pending = recording.writer.map(|writer| {
                     state.finishing.push(path.clone());
-                    writing.finish(why)
+                    writer.finish(why)
                 });
-                Ok(Stopped {
+                Ok(StoppedRecording {
                     file: Some(path),
-                    waiting,
+                    pending,
                 })
             }
         }
     }
 
-    /// Ends by the wall's clock what a silent link does not end.
+    /// Ends a recording by the system clock while the link is silent. To be called periodically.
     pub fn tick(&self) {
         let mut state = self.0.lock();
         let Phase::Recording(recording) = &state.phase else {
             return;
         };
         let is_over = |s| recording.began.elapsed().as_secs_f64() >= s;
-        let is_silent = recording.writing.is_none() || recording.heard.elapsed() >= SILENT;
+        let is_silent =
+            recording.writer.is_none() || recording.last_data.elapsed() >= SILENCE_LIMIT;
         if !is_silent || !recording.settings.duration_s.is_some_and(is_over) {
             return;
         }
-        let away = recording.writing.is_none().then(|| Told {
+        let away = recording.writer.is_none().then(|| RecordingStatus {
             phase: RecordingPhase::Ended,
             text: "its time is over, and the link is not back".to_owned(),
             file: Some(recording.path.clone()),
         });
         state.end_by_time();
         drop(state);
-        if let Some(told) = away {
-            (self.0.tell)(told);
+        if let Some(status) = away {
+            (self.0.publish)(status);
         }
     }
 
-    /// What is armed or under way.
-    pub fn now(&self) -> Option<RecordingNow> {
+    /// Returns the recording that is armed or under way; `None` if there is none.
+    pub fn active(&self) -> Option<ActiveRecording> {
         let state = self.0.lock();
         let (settings, since, file) = match &state.phase {
             Phase::Idle => return None,
             Phase::Armed { settings, since } => (*settings, *since, None),
             Phase::Recording(r) => (r.settings, r.began, Some(name_of(&r.path))),
         };
-        Some(RecordingNow {
+        Some(ActiveRecording {
             settings,
             file,
             since_s: since.elapsed().as_secs_f64(),
         })
     }
 
-    /// The files that are not complete.
+    /// Returns the files that are not complete.
     pub fn incomplete(&self) -> Vec<PathBuf> {
         let mut files = self.0.lock().finishing.clone();
         files.extend(self.path());
         files
     }
 
-    /// The file that is being written.
+    /// Returns the file of the recording under way; `None` while nothing is written.
     pub fn path(&self) -> Option<PathBuf> {
         match &self.0.lock().phase {
-            Phase::Recording(r) if r.writing.is_some() => Some(r.path.clone()),
+            Phase::Recording(r) if r.writer.is_some() => Some(r.path.clone()),
             _ => None,
         }
     }
@@ -386,26 +392,26 @@ impl Recorder {
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, State> {
-        // Every change is complete in itself.
+        // Poisoning is ignored: no lock scope leaves a half-written value.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// The last part of a path.
+/// Returns the last component of a path.
 pub fn name_of(path: &Path) -> String {
     let name = path.file_name().unwrap_or(path.as_os_str());
     name.to_string_lossy().into_owned()
 }
 
 impl Shared {
-    /// Begins the recording's next file at `at`; what is to be told.
+    /// Begins the recording's next file at `at`. Returns the status to be published.
     fn begin_file(
         self: &Arc<Self>,
         state: &mut State,
         mut recording: Box<Recording>,
         at: Duration,
         cause: &str,
-    ) -> Told {
+    ) -> RecordingStatus {
         let mut before = Vec::new();
         if recording.part == 1 {
             let pre_trigger = Duration::from_secs_f64(recording.settings.pre_trigger_s);
@@ -414,7 +420,7 @@ impl Shared {
         let begins_at = before.first().map_or(at, |first| first.at);
         recording.path = (self.name)(recording.part);
         let path = recording.path.clone();
-        let failed = |why: String| Told {
+        let failed = |why: String| RecordingStatus {
             phase: RecordingPhase::Failed,
             text: why,
             file: Some(path.clone()),
@@ -422,7 +428,7 @@ impl Shared {
         let Some((hello, front_end)) = state.device.clone() else {
             return failed("the device is not connected".to_owned());
         };
-        let beginning = Beginning {
+        let start = FileStart {
             path: path.clone(),
             hello,
             front_end,
@@ -432,12 +438,12 @@ impl Shared {
             mid_frame: state.mid_frame,
         };
         let (shared, written) = (Arc::downgrade(self), path.clone());
-        match Writing::begin(beginning, move |ended| has_ended(&shared, &written, ended)) {
+        match RecordingWriter::begin(start, move |ended| on_file_end(&shared, &written, ended)) {
             Err(why) => failed(why),
-            Ok(writing) => {
-                recording.writing = Some(writing);
+            Ok(writer) => {
+                recording.writer = Some(writer);
                 state.phase = Phase::Recording(recording);
-                Told {
+                RecordingStatus {
                     phase: RecordingPhase::Begun,
                     text: cause.to_owned(),
                     file: Some(path),
@@ -446,74 +452,80 @@ impl Shared {
         }
     }
 
-    fn take(self: &Arc<Self>, connection: u64, at: Duration, from_device: bool, bytes: &[u8]) {
+    fn record_chunk(
+        self: &Arc<Self>,
+        connection: u64,
+        at: Duration,
+        from_device: bool,
+        bytes: &[u8],
+    ) {
         let mut state = self.lock();
         if state.connection != connection {
             return;
         }
-        let piece = Piece {
+        let chunk = Chunk {
             at,
             from_device,
             mid_frame: from_device && state.mid_frame,
             bytes: bytes.into(),
         };
-        state.record(&piece);
-        state.ring.push(piece);
-        let mut told = None;
+        state.write_chunk(&chunk);
+        state.ring.push(chunk);
+        let mut status = None;
         if from_device {
             state.mid_frame = bytes.last().map_or(state.mid_frame, |&b| b != 0);
-            if let Some((settings, cause)) = state.judge(bytes) {
+            if let Some((settings, cause)) = state.check_trigger(bytes) {
                 let recording = Box::new(Recording {
                     settings,
                     began: Instant::now(),
                     triggered_at: at,
                     until: settings.duration_s.map(|s| at + Duration::from_secs_f64(s)),
-                    heard: Instant::now(),
+                    last_data: Instant::now(),
                     cause: cause.clone(),
                     part: 1,
                     path: PathBuf::new(),
-                    writing: None,
+                    writer: None,
                 });
                 let cause = format!("begun by {cause}");
-                told = Some(self.begin_file(&mut state, recording, at, &cause));
+                status = Some(self.begin_file(&mut state, recording, at, &cause));
             }
         }
         drop(state);
-        if let Some(told) = told {
-            (self.tell)(told);
+        if let Some(status) = status {
+            (self.publish)(status);
         }
     }
 }
 
 impl State {
-    /// A piece for the recording under way, or its end.
-    fn record(&mut self, piece: &Piece) {
+    /// Writes a chunk to the recording under way, or ends it.
+    fn write_chunk(&mut self, chunk: &Chunk) {
         let Phase::Recording(recording) = &mut self.phase else {
             return;
         };
-        recording.heard = Instant::now();
-        if recording.until.is_some_and(|until| piece.at > until) {
+        recording.last_data = Instant::now();
+        if recording.until.is_some_and(|until| chunk.at > until) {
             self.end_by_time();
-        } else if let Some(writing) = &recording.writing
-            && !writing.take(piece.clone())
+        } else if let Some(writer) = &recording.writer
+            && !writer.write(chunk.clone())
         {
-            // Its thread tells why.
+            // The writer's thread publishes the reason.
             self.phase = Phase::Idle;
         }
     }
 
     fn end_by_time(&mut self) {
         if let Phase::Recording(recording) = std::mem::take(&mut self.phase)
-            && let Some(writing) = recording.writing
+            && let Some(writer) = recording.writer
         {
             let s = recording.settings.duration_s.unwrap_or_default();
             self.finishing.push(recording.path);
-            writing.finish(&format!("{s} s are over"));
+            writer.finish(&format!("{s} s are over"));
         }
     }
 
-    /// Looks at what the device says; where that begins a recording, the armed settings and why. It is armed no more.
-    fn judge(&mut self, bytes: &[u8]) -> Option<(RecordSettings, String)> {
+    /// Checks the device's bytes for the armed trigger. If it has come, disarms it and returns the settings and the cause.
+    fn check_trigger(&mut self, bytes: &[u8]) -> Option<(RecordSettings, String)> {
         let armed = match &self.phase {
             Phase::Armed { settings, .. } => Some(*settings),
             _ => None,
@@ -522,12 +534,12 @@ impl State {
         let mut began = None;
         let mut rest = bytes;
         while !rest.is_empty() {
-            let (taken, is_end) = self.deframer.collect(rest);
-            rest = &rest[taken..];
+            let (used, is_end) = self.deframer.collect(rest);
+            rest = &rest[used..];
             if !is_end {
                 continue;
             }
-            // Of all others, which are most of the bytes, nothing is wanted.
+            // All other messages, which are most of the bytes, are skipped undecoded.
             if !matches!(self.deframer.id(), Some(Telemetry::ID | FaultEvent::ID)) {
                 self.deframer.skip();
                 continue;
@@ -536,8 +548,8 @@ impl State {
                 continue;
             };
             let cause = match AnyMessage::decode(frame.id, frame.split().1) {
-                Ok(AnyMessage::Telemetry(t)) => self.known.telemetry(t, trigger),
-                Ok(AnyMessage::FaultEvent(event)) => self.known.fault(&event, trigger),
+                Ok(AnyMessage::Telemetry(t)) => self.trigger_state.telemetry(t, trigger),
+                Ok(AnyMessage::FaultEvent(event)) => self.trigger_state.fault(&event, trigger),
                 _ => None,
             };
             if let Some(cause) = cause {
@@ -551,7 +563,7 @@ impl State {
 }
 
 impl Recording {
-    /// What a file that begins at `begins_at` tells of itself when it is `at`.
+    /// Returns the metadata of a file that begins at `begins_at`, if the present time is `at`, both on the transport's clock.
     fn notes(&self, begins_at: Duration, at: Duration) -> BTreeMap<String, String> {
         let seconds = |to: Duration, from: Duration| to.as_secs_f64() - from.as_secs_f64();
         let utc = |after: Duration| {
@@ -579,8 +591,8 @@ impl Recording {
     }
 }
 
-/// A file is complete, or failed: its recording is over where it went on into it.
-fn has_ended(shared: &Weak<Shared>, path: &Path, ended: &Result<String, String>) {
+/// Publishes the end or failure of a file, and ends the recording if it was being written to that file.
+fn on_file_end(shared: &Weak<Shared>, path: &Path, ended: &Result<String, String>) {
     let Some(shared) = shared.upgrade() else {
         return;
     };
@@ -593,19 +605,19 @@ fn has_ended(shared: &Weak<Shared>, path: &Path, ended: &Result<String, String>)
         state.finishing.retain(|file| file != path);
         if let Phase::Recording(recording) = &state.phase
             && recording.path == path
-            && recording.writing.is_some()
+            && recording.writer.is_some()
         {
             state.phase = Phase::Idle;
         }
     }
-    (shared.tell)(Told {
+    (shared.publish)(RecordingStatus {
         phase,
         text: text.clone(),
         file: Some(path.to_owned()),
     });
 }
 
-/// The end of a link that a recorder listens at.
+/// Sink of a recorder for the bytes of one connection.
 pub struct RecorderSink {
     shared: Arc<Shared>,
     connection: u64,
@@ -613,12 +625,12 @@ pub struct RecorderSink {
 
 impl FrameSink for RecorderSink {
     fn received(&mut self, at: Duration, bytes: &[u8]) -> io::Result<()> {
-        self.shared.take(self.connection, at, true, bytes);
+        self.shared.record_chunk(self.connection, at, true, bytes);
         Ok(())
     }
 
     fn sent(&mut self, at: Duration, frame: &[u8]) -> io::Result<()> {
-        self.shared.take(self.connection, at, false, frame);
+        self.shared.record_chunk(self.connection, at, false, frame);
         Ok(())
     }
 

@@ -1,41 +1,41 @@
-//! What came over a link in the last minute, in case somebody wants to know what was before.
+//! Ring of the last minute of a link's data, for pre-triggers.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-/// What is kept of a link: the longest pre-trigger.
-const KEPT: Duration = Duration::from_secs(60);
+/// Longest retention: the longest pre-trigger.
+const RETENTION: Duration = Duration::from_secs(60);
 
-/// Most bytes of one link: a minute of a hob that heats is 11 MB.
-const MOST_BYTES: usize = 16 << 20;
+/// Largest size for one link; a minute of a heating hob is 11 MB.
+const MAX_BYTES: usize = 16 << 20;
 
-/// Most bytes of all links of this process together; each has an equal share.
-const MOST_BYTES_OF_ALL: usize = 128 << 20;
+/// Largest size for all links of this process together; each has an equal share.
+const MAX_TOTAL_BYTES: usize = 128 << 20;
 
-/// What a piece costs beside its bytes.
-const OVERHEAD: usize = size_of::<Piece>() + 16;
+/// Memory of a chunk beside its data, in bytes.
+const OVERHEAD: usize = size_of::<Chunk>() + 16;
 
-/// Rings of this process.
+/// Number of rings in this process.
 static RINGS: AtomicUsize = AtomicUsize::new(0);
 
-/// Bytes that came or went at once.
+/// Bytes received or sent at once.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Piece {
-    /// When, on the transport's clock.
+pub struct Chunk {
+    /// Time on the transport's clock.
     pub at: Duration,
-    /// From the device; to it where false.
+    /// `true` if received from the device, `false` if sent to it.
     pub from_device: bool,
-    /// The first byte lies within a frame.
+    /// `true` if the first byte lies within a frame.
     pub mid_frame: bool,
-    /// The bytes.
+    /// Received or sent bytes.
     pub bytes: Box<[u8]>,
 }
 
-/// The last pieces of a link, within time and memory.
+/// Last chunks of a link, limited by time and memory.
 #[derive(Debug)]
 pub struct Ring {
-    pieces: VecDeque<Piece>,
+    chunks: VecDeque<Chunk>,
     bytes: usize,
 }
 
@@ -43,7 +43,7 @@ impl Default for Ring {
     fn default() -> Self {
         RINGS.fetch_add(1, Ordering::Relaxed);
         Self {
-            pieces: VecDeque::new(),
+            chunks: VecDeque::new(),
             bytes: 0,
         }
     }
@@ -56,29 +56,29 @@ impl Drop for Ring {
 }
 
 impl Ring {
-    /// Takes a piece, and lets go of what is too old or too much.
-    pub fn push(&mut self, piece: Piece) {
-        let share = MOST_BYTES_OF_ALL / RINGS.load(Ordering::Relaxed).max(1);
-        let (most, oldest) = (MOST_BYTES.min(share), piece.at.saturating_sub(KEPT));
-        self.bytes += piece.bytes.len() + OVERHEAD;
-        self.pieces.push_back(piece);
-        while let Some(first) = self.pieces.front()
-            && (self.bytes > most || first.at < oldest)
+    /// Adds a chunk and drops the oldest ones beyond the limits.
+    pub fn push(&mut self, chunk: Chunk) {
+        let share = MAX_TOTAL_BYTES / RINGS.load(Ordering::Relaxed).max(1);
+        let (limit, oldest) = (MAX_BYTES.min(share), chunk.at.saturating_sub(RETENTION));
+        self.bytes += chunk.bytes.len() + OVERHEAD;
+        self.chunks.push_back(chunk);
+        while let Some(first) = self.chunks.front()
+            && (self.bytes > limit || first.at < oldest)
         {
             self.bytes -= first.bytes.len() + OVERHEAD;
-            self.pieces.pop_front();
+            self.chunks.pop_front();
         }
     }
 
-    /// A copy of what came since `from`.
-    pub fn since(&self, from: Duration) -> Vec<Piece> {
-        let after = self.pieces.iter().skip_while(|piece| piece.at < from);
+    /// Returns a copy of the chunks since `from`.
+    pub fn since(&self, from: Duration) -> Vec<Chunk> {
+        let after = self.chunks.iter().skip_while(|chunk| chunk.at < from);
         after.cloned().collect()
     }
 
-    /// Forgets everything: a connection is over.
+    /// Clears the ring at the end of a connection.
     pub fn clear(&mut self) {
-        self.pieces = VecDeque::new();
+        self.chunks = VecDeque::new();
         self.bytes = 0;
     }
 }
@@ -87,8 +87,8 @@ impl Ring {
 mod tests {
     use super::*;
 
-    fn piece(at_ms: u64, bytes: usize) -> Piece {
-        Piece {
+    fn chunk(at_ms: u64, bytes: usize) -> Chunk {
+        Chunk {
             at: Duration::from_millis(at_ms),
             from_device: true,
             mid_frame: false,
@@ -99,7 +99,7 @@ mod tests {
     #[test]
     fn a_minute_is_kept_and_no_more() {
         let mut ring = Ring::default();
-        (0..7_000).for_each(|k| ring.push(piece(10 * k, 80)));
+        (0..7_000).for_each(|k| ring.push(chunk(10 * k, 80)));
         // From 9.99 s to 69.99 s.
         assert_eq!(ring.since(Duration::ZERO).len(), 6_001);
         assert_eq!(ring.since(Duration::from_millis(69_000)).len(), 100);
@@ -109,19 +109,17 @@ mod tests {
     fn whatever_a_device_sends_it_keeps_to_its_bytes() {
         let mut ring = Ring::default();
         // 200 MB in a second, and then in single bytes.
-        (0..20_000).for_each(|k| ring.push(piece(k / 20, 10_000)));
+        (0..20_000).for_each(|k| ring.push(chunk(k / 20, 10_000)));
         let held = |ring: &Ring| {
-            let pieces = ring.since(Duration::ZERO);
-            pieces
+            let chunks = ring.since(Duration::ZERO);
+            chunks
                 .iter()
                 .map(|p| p.bytes.len() + OVERHEAD)
                 .sum::<usize>()
         };
-        assert!(
-            (15 << 20..=MOST_BYTES).contains(&held(&ring)) || RINGS.load(Ordering::Relaxed) > 8
-        );
-        (0..1_000_000).for_each(|k| ring.push(piece(1_000 + k / 1_000, 1)));
-        assert!(held(&ring) <= MOST_BYTES);
+        assert!((15 << 20..=MAX_BYTES).contains(&held(&ring)) || RINGS.load(Ordering::Relaxed) > 8);
+        (0..1_000_000).for_each(|k| ring.push(chunk(1_000 + k / 1_000, 1)));
+        assert!(held(&ring) <= MAX_BYTES);
         assert_eq!(ring.bytes, held(&ring));
         ring.clear();
         assert_eq!((ring.bytes, ring.since(Duration::ZERO).len()), (0, 0));

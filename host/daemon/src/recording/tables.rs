@@ -1,4 +1,4 @@
-//! Recordings as tables, for whoever loads them into something else.
+//! Export of recordings as tables.
 
 use std::fs::File;
 use std::io::{BufWriter, Seek};
@@ -10,39 +10,39 @@ use ihd_capture::exports::recording::{
     ExportLimits, TableError, half_cycles_csv, recording_npz, samples_csv,
 };
 
-/// Largest table, in bytes: half an hour of a hob that heats.
-const MOST_BYTES: u64 = 2_000_000_000;
+/// Largest table, in bytes: half an hour of a heating hob.
+const MAX_BYTES: u64 = 2_000_000_000;
 
-/// Longest that a table may take.
-const MADE_WITHIN: Duration = Duration::from_secs(300);
+/// Time limit for an export.
+const EXPORT_TIMEOUT: Duration = Duration::from_secs(300);
 
-/// Bytes that are gathered before they are written.
+/// Size of the write buffer, in bytes.
 const BUFFER: usize = 1 << 17;
 
-/// A table of a recording.
+/// Table of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Table {
-    /// The samples of all windows as CSV, with the window's number.
+    /// Samples of all windows as CSV, with the window's number.
     Samples,
-    /// A line a half-cycle, as CSV.
+    /// One line per half-cycle, as CSV.
     HalfCycles,
-    /// Everything as arrays, for NumPy.
+    /// All data as NumPy arrays.
     Arrays,
 }
 
-/// Makes a table of a recording, or of what is on disk of it, until `stop` becomes true. It stands in a file without a name
-/// beside the recording, which goes with its last reader: a folder for temporary files may be memory.
+/// Exports a recording, also an incomplete one, as a table. The table is an unnamed file in the recording's folder (the folder for
+/// temporary files may be memory), deleted with its last reader.
 ///
-/// It takes a core for some time: not for a thread that others wait for.
+/// Blocks and uses one core for up to minutes. Ends early once `stop` is `true`.
 ///
 /// # Errors
-/// [`TableError`]: limits of size and time among them.
+/// [`TableError`], among them the limits of size and time.
 pub fn table(recording: &Path, which: Table, stop: &AtomicBool) -> Result<File, TableError> {
     let folder = recording.parent().unwrap_or(Path::new("."));
     let spool = || tempfile::tempfile_in(folder);
     let limits = ExportLimits {
-        bytes: MOST_BYTES,
-        until: Instant::now() + MADE_WITHIN,
+        bytes: MAX_BYTES,
+        until: Instant::now() + EXPORT_TIMEOUT,
         stop,
     };
     let mut file = spool()?;

@@ -1,4 +1,4 @@
-//! A recorder at the link of a simulated hob whose time passes only while it is waited for: every time is known.
+//! Recorder on the link of a simulated hob whose clock runs only while the test waits, so that every time is known.
 
 use std::fs;
 use std::path::PathBuf;
@@ -28,7 +28,7 @@ struct Bench {
     hob: SharedHob,
     client: Client,
     recorder: Recorder,
-    told: Arc<Mutex<Vec<Told>>>,
+    statuses: Arc<Mutex<Vec<RecordingStatus>>>,
     dir: tempfile::TempDir,
 }
 
@@ -44,15 +44,15 @@ impl Bench {
 
     fn with(dir: tempfile::TempDir, name: impl Fn(u32) -> PathBuf + Send + Sync + 'static) -> Self {
         let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
-        let told: Arc<Mutex<Vec<Told>>> = Arc::default();
-        let heard = Arc::clone(&told);
-        let recorder = Recorder::new(name, move |t| heard.lock().unwrap().push(t));
+        let statuses: Arc<Mutex<Vec<RecordingStatus>>> = Arc::default();
+        let published = Arc::clone(&statuses);
+        let recorder = Recorder::new(name, move |t| published.lock().unwrap().push(t));
         let client = connect(&hob, &recorder);
         Self {
             hob,
             client,
             recorder,
-            told,
+            statuses,
             dir,
         }
     }
@@ -63,13 +63,13 @@ impl Bench {
         self.client = connect(&self.hob, &self.recorder);
     }
 
-    fn start(&mut self, settings: RecordSettings) -> Result<Started, String> {
+    fn start(&mut self, settings: RecordSettings) -> Result<StartedRecording, String> {
         let started = self.recorder.start(settings, self.client.clock())?;
         started.wait()?;
         Ok(started)
     }
 
-    /// Lets simulated time pass; gives the faults that were heard.
+    /// Lets simulated time pass. Returns the received faults.
     fn pass(&mut self, seconds: f64) -> Vec<u16> {
         let until = self.client.clock() + Duration::from_secs_f64(seconds);
         let mut faults = Vec::new();
@@ -117,20 +117,25 @@ impl Bench {
     /// Lets simulated time pass until nothing is recorded any more.
     fn until_it_ends(&mut self) {
         let deadline = self.client.clock() + PATIENCE;
-        while self.recorder.now().is_some() {
+        while self.recorder.active().is_some() {
             assert!(self.client.clock() < deadline, "it does not end");
             self.pass(0.1);
         }
     }
 
     fn phases(&self) -> Vec<RecordingPhase> {
-        self.told.lock().unwrap().iter().map(|t| t.phase).collect()
+        self.statuses
+            .lock()
+            .unwrap()
+            .iter()
+            .map(|t| t.phase)
+            .collect()
     }
 
-    /// Waits, by the wall's clock, until a file has ended; what was told last.
-    fn ended(&self) -> Told {
+    /// Waits, by the system clock, until a file has ended. Returns the last status.
+    fn ended(&self) -> RecordingStatus {
         for _ in 0..60_000 {
-            let last = self.told.lock().unwrap().last().cloned();
+            let last = self.statuses.lock().unwrap().last().cloned();
             if let Some(last) = last
                 && matches!(last.phase, RecordingPhase::Ended | RecordingPhase::Failed)
             {
@@ -138,7 +143,7 @@ impl Bench {
             }
             std::thread::sleep(Duration::from_millis(5));
         }
-        panic!("it has not ended: {:?}", self.told.lock().unwrap());
+        panic!("it has not ended: {:?}", self.statuses.lock().unwrap());
     }
 }
 
@@ -151,7 +156,7 @@ fn connect(hob: &SharedHob, recorder: &Recorder) -> Client {
     client
 }
 
-/// What a file holds.
+/// Contents of a file.
 #[derive(Debug, Default)]
 struct Held {
     notes: BTreeMap<String, String>,
@@ -218,13 +223,13 @@ fn a_fault_is_recorded_with_the_seconds_before_and_after_it() {
     bench.heats(1_000);
     bench.start(at_fault(1.0, Some(0.5))).unwrap();
     assert_eq!(bench.pass(1.2), [0; 0]);
-    assert!(bench.recorder.now().unwrap().file.is_none());
+    assert!(bench.recorder.active().unwrap().file.is_none());
     let broken_s = bench.hob.lock().t_s();
     bench.trip();
     assert_eq!(bench.pass(0.3), [22]);
-    assert!(bench.recorder.now().unwrap().file.is_some());
+    assert!(bench.recorder.active().unwrap().file.is_some());
     bench.pass(0.3);
-    assert_eq!(bench.recorder.now(), None);
+    assert_eq!(bench.recorder.active(), None);
     let ended = bench.ended();
     assert_eq!(ended.text, "0.5 s are over");
     use RecordingPhase::{Armed, Begun, Ended};
@@ -352,7 +357,7 @@ fn a_fault_that_is_there_at_the_start_does_not_begin_it() {
     bench.trip();
     assert_eq!(bench.pass(0.5), [22]);
     bench.start(at_fault(0.0, None)).unwrap();
-    // It is not told again, nor does a new link that hears of it begin anything.
+    // The fault is not published again, and a new link that reports it begins nothing.
     bench.pass(0.3);
     bench.reconnect();
     bench.pass(0.3);
@@ -361,7 +366,7 @@ fn a_fault_that_is_there_at_the_start_does_not_begin_it() {
     let stopped = bench.recorder.stop("of a test").unwrap();
     stopped.wait().unwrap();
     assert_eq!(stopped.file, None);
-    assert_eq!(bench.recorder.now(), None);
+    assert_eq!(bench.recorder.active(), None);
     assert_eq!(bench.phases()[1..], [RecordingPhase::Disarmed]);
     assert_eq!(fs::read_dir(bench.dir.path()).unwrap().count(), 0);
     assert!(bench.recorder.stop("again").is_err());
@@ -373,13 +378,13 @@ fn armed_it_survives_a_reconnect_and_sees_what_happened_meanwhile() {
     bench.heats(1_000);
     bench.start(at_fault(1.0, Some(0.3))).unwrap();
     bench.recorder.disconnected();
-    // Nobody listens while it trips.
+    // No recorder is attached while it trips.
     bench.trip();
     let until = bench.hob.lock().t_s() + 0.3;
     while bench.hob.lock().t_s() < until {
         bench.hob.lock().step();
     }
-    assert!(bench.recorder.now().is_some(), "it stays armed");
+    assert!(bench.recorder.active().is_some(), "it stays armed");
     bench.reconnect();
     bench.until_it_ends();
     let held = Held::of(&bench.ended().file.unwrap());
@@ -402,7 +407,7 @@ fn under_way_it_goes_on_in_a_second_file_for_the_rest_of_its_time() {
     bench.reconnect();
     bench.until_it_ends();
     assert_eq!(bench.ended().text, "1 s are over");
-    assert_eq!(bench.recorder.now(), None);
+    assert_eq!(bench.recorder.active(), None);
     let parts = ["file-1.mcap", "file-2.mcap"].map(|name| Held::of(&bench.dir.path().join(name)));
     assert!(
         near(*parts[0].telemetry_s.last().unwrap(), 0.4),
@@ -421,10 +426,10 @@ fn under_way_it_goes_on_in_a_second_file_for_the_rest_of_its_time() {
     // Ended while the link is away, it does not come back.
     bench.start(RecordSettings::default()).unwrap();
     bench.recorder.disconnected();
-    assert!(bench.recorder.now().is_some());
+    assert!(bench.recorder.active().is_some());
     bench.recorder.stop("of a test").unwrap().wait().unwrap();
     bench.reconnect();
-    assert_eq!(bench.recorder.now(), None);
+    assert_eq!(bench.recorder.active(), None);
 }
 
 #[test]
@@ -439,7 +444,7 @@ fn by_the_walls_clock_a_link_that_is_away_ends_it_too() {
     bench.recorder.disconnected();
     std::thread::sleep(Duration::from_millis(60));
     bench.recorder.tick();
-    assert_eq!(bench.recorder.now(), None);
+    assert_eq!(bench.recorder.active(), None);
 }
 
 #[test]
@@ -469,7 +474,7 @@ fn a_file_that_cannot_be_made_is_said_and_ends_it() {
     let why = bench.start(RecordSettings::default()).err().unwrap();
     assert!(why.contains("a.mcap"), "{why}");
     assert_eq!(bench.ended().phase, RecordingPhase::Failed);
-    assert_eq!(bench.recorder.now(), None);
+    assert_eq!(bench.recorder.active(), None);
 }
 
 /// A file system of its own, of a megabyte; none where this may not be had.
@@ -514,7 +519,7 @@ fn a_full_disk_ends_the_recording_and_not_the_link() {
     bench.start(RecordSettings::default()).unwrap();
     for _ in 0..300 {
         bench.pass(0.1);
-        if bench.recorder.now().is_none() {
+        if bench.recorder.active().is_none() {
             break;
         }
         // The file's thread is not paced by simulated time.
@@ -523,7 +528,7 @@ fn a_full_disk_ends_the_recording_and_not_the_link() {
     let failed = bench.ended();
     assert_eq!(failed.phase, RecordingPhase::Failed);
     assert!(failed.text.contains("No space left"), "{failed:?}");
-    assert_eq!(bench.recorder.now(), None);
+    assert_eq!(bench.recorder.active(), None);
     // What was written until then can be read, and the link goes on.
     let mut session = SessionReader::open(&path).unwrap();
     let mut windows = 0;

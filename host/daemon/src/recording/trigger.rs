@@ -1,4 +1,4 @@
-//! What begins a recording: judged on every half-cycle that the device tells of.
+//! Trigger of a recording, evaluated on every half-cycle of telemetry.
 
 use std::fmt;
 
@@ -7,17 +7,17 @@ use ihd_shared::wire::messages::{FaultEvent, Telemetry};
 
 use crate::model::{Quantity, RecordSettings, Trigger};
 
-/// Longest time before the trigger that can be recorded, in seconds.
+/// Longest pre-trigger, in seconds.
 pub const LONGEST_PRE_TRIGGER_S: f64 = 60.0;
 
-/// Longest recording that ends by itself: a week, in seconds.
+/// Longest set duration of a recording: a week, in seconds.
 const LONGEST_S: f64 = 604_800.0;
 
 impl RecordSettings {
-    /// Whether a recording can be made like this.
+    /// Checks the ranges of the settings.
     ///
     /// # Errors
-    /// The value that lies outside its range, in words.
+    /// Description of the value that is out of range.
     pub fn check(&self) -> Result<(), String> {
         if !(0.0..=LONGEST_PRE_TRIGGER_S).contains(&self.pre_trigger_s) {
             return Err(format!(
@@ -42,8 +42,8 @@ impl RecordSettings {
 }
 
 impl Quantity {
-    /// Its word on command lines: that of the API.
-    pub fn word(self) -> &'static str {
+    /// Returns its name on command lines, as in the API.
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Power => "power",
             Self::Current => "current",
@@ -53,7 +53,7 @@ impl Quantity {
         }
     }
 
-    /// The unit of its levels.
+    /// Returns the unit of its levels.
     pub fn unit(self) -> &'static str {
         match self {
             Self::Power => "W",
@@ -64,15 +64,15 @@ impl Quantity {
         }
     }
 
-    /// Its value in a half-cycle, in [`Quantity::unit`]; none where the inverter is off, which has no R, L and frequency.
-    fn of(self, t: &Telemetry) -> Option<f64> {
-        let switches = t.f_sw_hz > 0;
+    /// Returns its value in a half-cycle, in [`Quantity::unit`]; `None` for R, L and frequency if the inverter is off.
+    fn value(self, t: &Telemetry) -> Option<f64> {
+        let is_switching = t.f_sw_hz > 0;
         match self {
             Self::Power => Some(f64::from(t.power_mw) * 1e-3),
             Self::Current => Some(f64::from(t.i_crest_ma) * 1e-3),
-            Self::Resistance => switches.then(|| t.r.ohm()),
-            Self::Inductance => switches.then(|| t.l.henry() * 1e6),
-            Self::Frequency => switches.then(|| f64::from(t.f_sw_hz) * 1e-3),
+            Self::Resistance => is_switching.then(|| t.r.ohm()),
+            Self::Inductance => is_switching.then(|| t.l.henry() * 1e6),
+            Self::Frequency => is_switching.then(|| f64::from(t.f_sw_hz) * 1e-3),
         }
     }
 }
@@ -88,24 +88,24 @@ impl fmt::Display for Trigger {
                 rising,
             } => {
                 let way = if *rising { "above" } else { "below" };
-                write!(f, "{} {way} {level} {}", quantity.word(), quantity.unit())
+                write!(f, "{} {way} {level} {}", quantity.as_str(), quantity.unit())
             }
         }
     }
 }
 
-/// What was known of the device last: a trigger is a change.
+/// Last state of the device, because a trigger is a change.
 #[derive(Clone, Debug, Default)]
-pub struct Known {
+pub struct TriggerState {
     fault: Option<Fault>,
     last: Option<Telemetry>,
 }
 
-impl Known {
-    /// Takes a half-cycle; what begins a recording with this trigger, in words.
+impl TriggerState {
+    /// Processes a half-cycle. Returns the cause, as text, if this trigger has come.
     ///
-    /// A fault that the device has already when it is first heard does not trip, nor does a level that is
-    /// exceeded already: it must be crossed, from one half-cycle to the next that has the quantity.
+    /// Neither a fault present at the first half-cycle is a trigger, nor a level exceeded from the start: the level must
+    /// be crossed between two successive half-cycles that both have the quantity.
     pub fn telemetry(&mut self, t: Telemetry, trigger: Option<&Trigger>) -> Option<String> {
         let began = match trigger {
             Some(Trigger::Fault) => self.tripped(t.fault, false),
@@ -121,7 +121,7 @@ impl Known {
         began
     }
 
-    /// Takes a fault that tripped or was cleared.
+    /// Processes a fault event: tripped or cleared. Returns the cause, as text, if this trigger has come.
     pub fn fault(&mut self, event: &FaultEvent, trigger: Option<&Trigger>) -> Option<String> {
         let began = match trigger {
             Some(Trigger::Fault) => self.tripped(event.fault, true),
@@ -131,25 +131,32 @@ impl Known {
         began
     }
 
-    fn tripped(&self, fault: Fault, is_news: bool) -> Option<String> {
-        let was_known = match self.fault {
-            Some(known) => known == fault,
-            None => !is_news,
+    fn tripped(&self, fault: Fault, is_event: bool) -> Option<String> {
+        let was_present = match self.fault {
+            Some(last) => last == fault,
+            None => !is_event,
         };
-        let trips = fault != Fault::NONE && !was_known;
-        trips.then(|| format!("fault {}: {}", fault.number(), fault.text()))
+        let has_tripped = fault != Fault::NONE && !was_present;
+        has_tripped.then(|| format!("fault {}: {}", fault.number(), fault.text()))
     }
 
-    fn crossed(&self, t: &Telemetry, of: Quantity, level: f64, rising: bool) -> Option<String> {
-        let (before, now) = (of.of(self.last.as_ref()?)?, of.of(t)?);
+    fn crossed(
+        &self,
+        t: &Telemetry,
+        quantity: Quantity,
+        level: f64,
+        rising: bool,
+    ) -> Option<String> {
+        let before = quantity.value(self.last.as_ref()?)?;
+        let now = quantity.value(t)?;
         let crossed = match rising {
             true => before < level && now >= level,
             false => before > level && now <= level,
         };
         let way = if rising { "above" } else { "below" };
         crossed.then(|| {
-            let (word, unit) = (of.word(), of.unit());
-            format!("{word} {way} {level} {unit}: from {before:.4} to {now:.4} {unit}")
+            let (name, unit) = (quantity.as_str(), quantity.unit());
+            format!("{name} {way} {level} {unit}: from {before:.4} to {now:.4} {unit}")
         })
     }
 }
@@ -176,12 +183,12 @@ mod tests {
         }
     }
 
-    /// Which of the half-cycles begin a recording.
+    /// Returns the indices of the half-cycles that begin a recording.
     fn begins(trigger: &Trigger, half_cycles: impl IntoIterator<Item = Telemetry>) -> Vec<usize> {
-        let mut known = Known::default();
+        let mut state = TriggerState::default();
         let taken = half_cycles.into_iter().enumerate();
         taken
-            .filter_map(|(k, t)| known.telemetry(t, Some(trigger)).map(|_| k))
+            .filter_map(|(k, t)| state.telemetry(t, Some(trigger)).map(|_| k))
             .collect()
     }
 
@@ -243,17 +250,17 @@ mod tests {
         // There at the start, cleared, tripped, still there, another one.
         let all = [one, one, none, one, one, other].map(with);
         assert_eq!(begins(&Trigger::Fault, all), [3, 5]);
-        // Its event comes first, and says it once.
+        // The event comes first; the telemetry after it is no second trigger.
         let event = |fault| FaultEvent {
             half_cycle: 1,
             fault,
         };
-        let mut known = Known::default();
-        assert!(known.fault(&event(one), Some(&Trigger::Fault)).is_some());
-        assert!(known.telemetry(with(one), Some(&Trigger::Fault)).is_none());
-        assert!(known.fault(&event(none), Some(&Trigger::Fault)).is_none());
-        assert!(known.telemetry(with(one), Some(&Trigger::Fault)).is_some());
-        assert!(known.fault(&event(one), Some(&Trigger::Fault)).is_none());
+        let mut state = TriggerState::default();
+        assert!(state.fault(&event(one), Some(&Trigger::Fault)).is_some());
+        assert!(state.telemetry(with(one), Some(&Trigger::Fault)).is_none());
+        assert!(state.fault(&event(none), Some(&Trigger::Fault)).is_none());
+        assert!(state.telemetry(with(one), Some(&Trigger::Fault)).is_some());
+        assert!(state.fault(&event(one), Some(&Trigger::Fault)).is_none());
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! The firmware itself as a hob, on the simulated board of `ihd hob`, stepped by the world's clock.
+//! Hob that runs the firmware on the simulated board of `ihd hob`, stepped by the world's clock.
 
 use std::time::Duration;
 
@@ -9,24 +9,24 @@ use ihd_sim::injection::{Injection, InjectionKind};
 
 use super::hob::Hob;
 
-/// Lead over the world's time that a request leaves it with.
+/// Largest lead over the world's time after a request.
 const LEAD: Duration = Duration::from_millis(10);
 
-/// Blocks that get lost at a trip, and a few more.
+/// Number of steps of a trip: a few more than the lost blocks.
 const TRIP_BLOCKS: u32 = 10;
 
-/// The board.
+/// Simulated board.
 pub struct Board {
     boot_id: u32,
     sim: SimHob,
     /// World's time at which it was switched on.
     began: Duration,
-    /// Bytes of a frame that has not left whole.
-    leaving: Vec<u8>,
+    /// Sent bytes of an incomplete frame.
+    outgoing: Vec<u8>,
 }
 
 impl Board {
-    /// Begins at the world's time `now`.
+    /// Creates a board that is switched on at the world's time `now`.
     pub fn new(boot_id: u32, now: Duration) -> Self {
         let config = HobConfig {
             boot: Some(boot_id),
@@ -37,7 +37,7 @@ impl Board {
             boot_id,
             sim: SimHob::new(&config),
             began: now,
-            leaving: Vec::new(),
+            outgoing: Vec::new(),
         }
     }
 }
@@ -51,7 +51,7 @@ impl Hob for Board {
         self.sim.housekeeping().lookup()
     }
 
-    fn live_until(&mut self, now: Duration) {
+    fn advance_to(&mut self, now: Duration) {
         let until_s = now.saturating_sub(self.began).as_secs_f64();
         while self.sim.t_s() < until_s {
             self.sim.step();
@@ -66,27 +66,27 @@ impl Hob for Board {
     }
 
     fn take_sent(&mut self, now: Duration) -> Option<Vec<u8>> {
-        // What it sent beyond `now`, for a connection that is cut off, is not there yet.
+        // Frames sent later than `now`, on a connection that was cut, are not there yet.
         if self.sim.t_s() > (now.saturating_sub(self.began) + LEAD).as_secs_f64() {
             return None;
         }
         let mut byte = [0];
         while self.sim.receive(&mut byte) > 0 {
-            self.leaving.push(byte[0]);
-            if byte == [0] && self.leaving.len() > 1 {
-                return Some(std::mem::take(&mut self.leaving));
+            self.outgoing.push(byte[0]);
+            if byte == [0] && self.outgoing.len() > 1 {
+                return Some(std::mem::take(&mut self.outgoing));
             }
         }
         None
     }
 
-    fn forget_sent(&mut self) {
-        self.leaving.clear();
+    fn discard_sent(&mut self) {
+        self.outgoing.clear();
         let mut bytes = [0; 1024];
         while self.sim.receive(&mut bytes) > 0 {}
     }
 
-    /// Its flash is not simulated: it begins with the built-in lookup.
+    /// Restarts with the built-in lookup, because the flash is not simulated.
     fn reboot(&mut self, now: Duration) {
         *self = Self::new(self.boot_id + 1, now);
     }

@@ -1,4 +1,4 @@
-//! A disk that is slow, or full.
+//! Simulated disk: slow, or full.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -8,35 +8,35 @@ use ihd_store::Store;
 /// State of the disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DiskState {
-    /// Time that each job waits for it.
+    /// Delay of each job.
     pub delay: Duration,
-    /// No result, lookup or event can be written.
+    /// `true` while no result, lookup or event can be written.
     pub refuses_records: bool,
-    /// No window can be written.
+    /// `true` while no window can be written.
     pub refuses_windows: bool,
 }
 
-/// The simulated disk.
+/// Simulated disk.
 #[derive(Default)]
 pub struct Disk(Mutex<DiskState>);
 
 impl Disk {
-    /// Puts it into a state.
+    /// Sets the state.
     pub fn set(&self, state: DiskState) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = state;
     }
 
-    /// Its state now.
+    /// Returns the state.
     pub fn state(&self) -> DiskState {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits for as long as it takes now.
+    /// Waits for the current delay.
     pub async fn wait(&self) {
         tokio::time::sleep(self.state().delay).await;
     }
 
-    /// Lets the store write, or not.
+    /// Applies the state to a store: it accepts or refuses writes.
     pub fn apply_to(&self, store: &Store) {
         let state = self.state();
         store.refuse_writes(state.refuses_records, state.refuses_windows);

@@ -10,10 +10,11 @@ use rand_chacha::ChaCha8Rng;
 use tokio::time::sleep;
 
 use super::disk::DiskState;
-use super::world::{HOBS, Socket, World};
+use super::hob::HOBS;
+use super::world::{Socket, World};
 
-/// Makes something fail now and then, some of it for a while.
-pub async fn fail_at_random(world: Arc<World>, seed: u64) {
+/// Injects random faults at random times, until the task is aborted.
+pub async fn inject_random_faults(world: Arc<World>, seed: u64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     if world.is_calm {
         return;
@@ -25,21 +26,21 @@ pub async fn fail_at_random(world: Arc<World>, seed: u64) {
                 true => rng.random_range(0.0..most),
                 false => 0.0,
             };
-            socket.lost = chance(0.1);
-            socket.doubled = chance(0.1);
-            socket.late = chance(0.01);
+            socket.loss_chance = chance(0.1);
+            socket.duplicate_chance = chance(0.1);
+            socket.delay_chance = chance(0.01);
         }
     }
     loop {
         sleep(Duration::from_millis(rng.random_range(500..8_000))).await;
         let hob = world.any_hob(&mut rng);
-        let lasts = Duration::from_millis(rng.random_range(10..6_000));
+        let duration = Duration::from_millis(rng.random_range(10..6_000));
         match rng.random_range(0..10) {
             0 => cut(&world, hob),
-            1 => for_a_while(&world, hob, lasts, "is unplugged", |s, on| {
+            1 => fail_for(&world, hob, duration, "is unplugged", |s, on| {
                 s.is_plugged = !on
             }),
-            2 | 3 => for_a_while(&world, hob, lasts, "is mute", |s, on| s.is_mute = on),
+            2 | 3 => fail_for(&world, hob, duration, "is mute", |s, on| s.is_mute = on),
             4 => reboot(&world, hob),
             5 => trip(&world, hob),
             6 | 7 => {
@@ -49,10 +50,10 @@ pub async fn fail_at_random(world: Arc<World>, seed: u64) {
                     refuses_records: rng.random_bool(0.3),
                     refuses_windows: rng.random_bool(0.3),
                 };
-                for_disk(&world, lasts, state);
+                fail_disk_for(&world, duration, state);
             }
-            8 => greet(&world, hob),
-            _ => put_clock(&world, &mut rng),
+            8 => send_foreign_hello(&world, hob),
+            _ => shift_clock(&world, &mut rng),
         }
     }
 }
@@ -73,8 +74,8 @@ fn trip(world: &World, hob: usize) {
     world.lock().sockets[hob].hob.trip();
 }
 
-/// A hello of another host than the daemon.
-pub fn greet(world: &World, hob: usize) {
+/// Delivers a hello of another host to a hob.
+pub fn send_foreign_hello(world: &World, hob: usize) {
     world.note(&format!("a stranger says hello to {}", HOBS[hob]));
     let mut frame = [0; MAX_ENCODED];
     let hello = ours(ROLE_HOST, 0, 0, "a stranger", "host");
@@ -82,44 +83,44 @@ pub fn greet(world: &World, hob: usize) {
     world.deliver(hob, &frame[..length]);
 }
 
-fn put_clock(world: &World, rng: &mut ChaCha8Rng) {
+fn shift_clock(world: &World, rng: &mut ChaCha8Rng) {
     let by_ms = match rng.random_bool(0.5) {
         true => rng.random_range(-3_000..3_000),
         false => rng.random_range(-90_000_000..90_000_000),
     };
-    world.note(&format!("the clock is put on by {by_ms} ms"));
-    world.set_clock_forward(by_ms);
+    world.note(&format!("the clock is shifted by {by_ms} ms"));
+    world.shift_clock_by(by_ms);
 }
 
-fn for_a_while(
+fn fail_for(
     world: &Arc<World>,
     hob: usize,
-    lasts: Duration,
-    what: &'static str,
+    duration: Duration,
+    text: &'static str,
     set: fn(&mut Socket, bool),
 ) {
-    world.note(&format!("{} {what} for {lasts:?}", HOBS[hob]));
+    world.note(&format!("{} {text} for {duration:?}", HOBS[hob]));
     set(&mut world.lock().sockets[hob], true);
     let world = Arc::clone(world);
     tokio::spawn(async move {
-        sleep(lasts).await;
+        sleep(duration).await;
         set(&mut world.lock().sockets[hob], false);
     });
 }
 
-fn for_disk(world: &Arc<World>, lasts: Duration, state: DiskState) {
-    world.note(&format!("the disk: {state:?} for {lasts:?}"));
+fn fail_disk_for(world: &Arc<World>, duration: Duration, state: DiskState) {
+    world.note(&format!("the disk: {state:?} for {duration:?}"));
     world.disk.set(state);
     let world = Arc::clone(world);
     tokio::spawn(async move {
-        sleep(lasts).await;
+        sleep(duration).await;
         world.disk.set(DiskState::default());
     });
 }
 
-/// Ends all faults that last, a lock-out by the hand that switches off and on.
+/// Ends all lasting faults; a locked-out hob is switched off and on.
 pub fn end_all_faults(world: &World) {
-    world.mend();
+    world.end_faults();
     world.disk.set(DiskState::default());
     let now = world.now();
     for socket in &mut world.lock().sockets {
@@ -127,6 +128,10 @@ pub fn end_all_faults(world: &World) {
             socket.hob.reboot(now);
         }
         (socket.is_plugged, socket.is_mute) = (true, false);
-        (socket.lost, socket.doubled, socket.late) = (0.0, 0.0, 0.0);
+        (
+            socket.loss_chance,
+            socket.duplicate_chance,
+            socket.delay_chance,
+        ) = (0.0, 0.0, 0.0);
     }
 }

@@ -1,4 +1,4 @@
-//! Hobs of the world: one as a script, many seeds an hour, and the firmware itself on the simulated board.
+//! Hobs of the world: a fast script, or the firmware on the simulated board.
 
 use std::time::Duration;
 
@@ -7,38 +7,41 @@ use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::messages::AnyMessage;
 use ihd_shared::wire::number::Number;
 
-/// A hob. Its time is the world's, as far as [`Hob::live_until`] takes it.
+/// Names of the hobs.
+pub const HOBS: [&str; 2] = ["left", "right"];
+
+/// Simulated hob. Its time follows the world's with [`Hob::advance_to`].
 pub trait Hob: Send {
-    /// Power that is asked for, in watt.
+    /// Returns the requested power, in watt.
     fn asked_w(&self) -> u16;
 
-    /// The lookup in use.
+    /// Returns the active lookup.
     fn lookup(&self) -> &RlLookup;
 
-    /// Lives until the world's time `now`.
-    fn live_until(&mut self, now: Duration);
+    /// Advances to the world's time `now`.
+    fn advance_to(&mut self, now: Duration);
 
-    /// Takes a frame of the host.
+    /// Receives a frame of the host.
     fn receive(&mut self, frame: &[u8]);
 
-    /// Returns the next frame that has left by `now`.
+    /// Returns the next frame sent by `now`; `None` if there is none.
     fn take_sent(&mut self, now: Duration) -> Option<Vec<u8>>;
 
-    /// Drops the frames on their way to a host that is cut off.
-    fn forget_sent(&mut self);
+    /// Discards sent frames that have not been delivered, when the connection was cut.
+    fn discard_sent(&mut self);
 
-    /// It loses power, and begins anew at `now`.
+    /// Restarts at `now` after a loss of power.
     fn reboot(&mut self, now: Duration);
 
-    /// A fault trips.
+    /// Trips a fault.
     fn trip(&mut self);
 
-    /// Returns `true` if nothing but a person who switches off and on makes it heat again.
+    /// Returns `true` if only switching it off and on by hand lets it heat again.
     fn is_locked_out(&self) -> bool;
 }
 
-/// Reads a whole frame; `None` where it holds no message.
-pub fn read<R>(frame: &[u8], f: impl FnOnce(Number, &AnyMessage<'_>) -> R) -> Option<R> {
+/// Reads a frame and applies `f` to its message; `None` if it holds none.
+pub fn read_frame<R>(frame: &[u8], f: impl FnOnce(Number, &AnyMessage<'_>) -> R) -> Option<R> {
     let mut deframer = Deframer::new();
     for &byte in frame {
         if let Some(Ok(frame)) = deframer.push(byte) {

@@ -1,4 +1,4 @@
-//! The lives of a daemon in one world: begun, used, killed or stopped, and begun again on the same store.
+//! Lives of a daemon in one world: started, used, killed or stopped, and started again on the same store.
 
 use std::ops::Range;
 use std::path::Path;
@@ -15,50 +15,53 @@ use tokio::sync::oneshot;
 use tokio::time::sleep;
 
 #[cfg(test)]
-use super::faults::greet;
-use super::faults::{end_all_faults, fail_at_random};
+use super::faults::send_foreign_hello;
+use super::faults::{end_all_faults, inject_random_faults};
+use super::hob::HOBS;
 use super::users::ask_at_random;
-use super::world::{HOBS, Left, World};
+use super::world::{HobKind, World};
 use crate::config::Config;
 use crate::daemon::Daemon;
 use crate::fleet::FleetConfig;
 use crate::machine::Machine;
 #[cfg(test)]
-use crate::model::{Command, What};
-use crate::{OpenDevice, Opened, config::Address};
+use crate::model::{Command, EventKind};
+use crate::{OpenDevice, OpenedDevice, config::Address};
 
 use super::link::Link;
-use super::mended::{MENDED_WITHIN, check_mended, check_settled, check_store, until_all_works};
+use super::recovery::{
+    RECOVERY_TIME, check_recovery, check_settled, check_store, wait_until_working,
+};
 
-/// Between two looks at the promises.
-const CHECK_EVERY: Duration = Duration::from_millis(100);
+/// Period of checking the promises.
+const CHECK_PERIOD: Duration = Duration::from_millis(100);
 
-/// Between two windows that the simulated learner looks at.
-const LEARN_EVERY: Duration = Duration::from_millis(100);
+/// Period between two windows of the simulated learner.
+const LEARN_PERIOD: Duration = Duration::from_millis(100);
 
-/// Lengths of a course, each within a range.
+/// Durations of a course, each within a range.
 struct Lengths {
     lives: Range<u32>,
     life_ms: Range<u64>,
-    /// From the end of one life to the next.
+    /// Time from the end of one life to the next, in milliseconds.
     dead_ms: Range<u64>,
 }
 
 impl Lengths {
-    fn of(left: Left, is_edge: bool) -> Self {
+    fn new(left: HobKind, is_edge: bool) -> Self {
         match left {
-            // Trust in a fleet lasts 20 s.
-            Left::Script if is_edge => Self {
+            // A delegation to the fleet lasts 20 s.
+            HobKind::Script if is_edge => Self {
                 lives: 1..4,
                 life_ms: 5_000..90_000,
                 dead_ms: 0..40_000,
             },
-            Left::Script => Self {
+            HobKind::Script => Self {
                 lives: 1..4,
                 life_ms: 1_000..30_000,
                 dead_ms: 0..15_000,
             },
-            Left::Board => Self {
+            HobKind::Board => Self {
                 lives: 1..3,
                 life_ms: 1_000..4_000,
                 dead_ms: 0..1_000,
@@ -67,43 +70,43 @@ impl Lengths {
     }
 }
 
-/// One life of a daemon that is an edge, for its part in a fleet.
+/// Life of a daemon that is an edge, for its part in a fleet.
 pub struct Life {
     /// The world.
     pub world: Arc<World>,
     /// The daemon.
     pub daemon: Daemon,
-    /// Chance of this life.
+    /// Seed of this life.
     pub seed: u64,
-    /// Ready once the part has to end. A killed daemon's part just goes.
+    /// Signals that the part has to end. The part of a killed daemon is dropped instead.
     pub ended: oneshot::Receiver<()>,
 }
 
-/// A daemon's part in a fleet, begun with each of its lives.
+/// Part of a daemon in a fleet, started with each of its lives.
 pub type Part = dyn Fn(Life) -> Pin<Box<dyn Future<Output = ()> + Send>>;
 
 /// Course of events in a world.
 pub struct Course {
     lines: Vec<String>,
     broken: Option<String>,
-    /// Simulated time that it lasted.
+    /// Simulated duration.
     pub lasted: Duration,
 }
 
 impl Course {
-    /// A line for each thing that happened.
+    /// Returns one line for each event.
     pub fn text(&self) -> String {
         self.lines.join("\n")
     }
 
-    /// The first promise that was broken.
+    /// Returns the first broken promise; `None` if all were kept.
     pub fn broken(&self) -> Option<&str> {
         self.broken.as_deref()
     }
 }
 
-/// A folder for a store, in memory where the system has one there.
-fn memory() -> TempDir {
+/// Creates a folder for a store, in memory if the system supports it.
+fn store_folder() -> TempDir {
     let memory = Path::new("/dev/shm");
     let folder = match memory.is_dir() {
         true => tempfile::tempdir_in(memory),
@@ -120,12 +123,12 @@ fn paused_runtime() -> Runtime {
         .expect("a runtime")
 }
 
-/// Runs a daemon for so long with hobs that nobody asks for anything. Returns the connections made to each.
+/// Runs a daemon for a time without any request. Returns the number of connections to each hob.
 #[cfg(test)]
 pub fn idle(time: Duration) -> [u64; HOBS.len()] {
-    // Calm.
-    let world = World::new(0, Left::Script, false);
-    let folder = memory();
+    // Seed 0 is calm.
+    let world = World::new(0, HobKind::Script, false);
+    let folder = store_folder();
     paused_runtime().block_on(async {
         world.begin_life();
         let machine = machine_in(&world);
@@ -143,20 +146,20 @@ pub fn idle(time: Duration) -> [u64; HOBS.len()] {
     std::array::from_fn(|hob| state.sockets[hob].connection)
 }
 
-/// Says hello as a stranger to a hob of this kind that heats for somebody; nothing else happens. Returns how long the daemon went on to tell
-/// of power, and what it said of its end.
+/// Sends a hello of another host to a hob that heats under a lease; no other fault occurs. Returns the time until the daemon
+/// reported the end of the lease, and the reason that it gave.
 #[cfg(test)]
-pub fn greeted(left: Left) -> (Duration, String) {
-    // Calm.
+pub fn foreign_hello(left: HobKind) -> (Duration, String) {
+    // Seed 0 is calm.
     let world = World::new(0, left, false);
-    let folder = memory();
-    let told = paused_runtime().block_on(async {
+    let folder = store_folder();
+    let outcome = paused_runtime().block_on(async {
         world.begin_life();
         let (machine, open) = (machine_in(&world), open_in(&world));
         let daemon = Daemon::start_on(machine, configuration(&world, folder.path()), open);
         let daemon = daemon.await.expect("it starts");
         world.set_daemon(daemon.clone());
-        until_all_works(&daemon).await;
+        wait_until_working(&daemon).await;
         let (name, power_w) = (HOBS[0], 900);
         daemon
             .take_lease(name, "ada", false)
@@ -164,12 +167,12 @@ pub fn greeted(left: Left) -> (Duration, String) {
             .expect("it is free");
         let heat = Command::Power { power_w };
         daemon.command(name, "ada", heat).await.expect("it heats");
-        let mut notices = daemon.watch();
-        greet(&world, 0);
+        let mut events = daemon.watch();
+        send_foreign_hello(&world, 0);
         let began = world.now();
         let why = loop {
-            let notice = notices.recv().await.expect("the daemon lives");
-            if let What::Lease { holder, why, .. } = &notice.what
+            let event = events.recv().await.expect("the daemon lives");
+            if let EventKind::Lease { holder, why, .. } = &event.kind
                 && holder.is_empty()
             {
                 break why.clone();
@@ -177,26 +180,26 @@ pub fn greeted(left: Left) -> (Duration, String) {
         };
         let report = daemon.device(name).expect("a hob of this world");
         assert_eq!((report.asked_by_daemon_w, report.lease), (0, None));
-        let told = (world.now() - began, why);
+        let outcome = (world.now() - began, why);
         daemon.stop().await;
         world.end_life();
-        told
+        outcome
     });
     let broken = world.lock().promises.broken.clone();
     assert_eq!(broken, None);
-    told
+    outcome
 }
 
-/// Runs one seed; the daemon is an edge where it is given a part in a fleet.
+/// Runs one seed; the daemon is an edge if it is given a part in a fleet.
 ///
 /// # Panics
-/// There is no folder for a store, or no runtime.
-pub fn run(seed: u64, left: Left, part: Option<&Part>) -> Course {
+/// Panics without a folder for the store, or without a runtime.
+pub fn run(seed: u64, left: HobKind, part: Option<&Part>) -> Course {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let folder = memory();
+    let folder = store_folder();
     let store = folder.path().join("store");
     let world = World::new(seed, left, part.is_some());
-    let lengths = Lengths::of(left, world.is_edge);
+    let lengths = Lengths::new(left, world.is_edge);
     let lives = if world.is_calm {
         1
     } else {
@@ -210,7 +213,7 @@ pub fn run(seed: u64, left: Left, part: Option<&Part>) -> Course {
             live(&world, &store, rng.random(), life, is_last, part).await;
             world.end_life();
         });
-        // Its tasks end wherever each of them is: killed, where it was not stopped.
+        // Its tasks end wherever each of them is: a daemon that was not stopped is killed.
         drop(runtime);
         let dead_ms = rng.random_range(lengths.dead_ms.clone());
         world.pass_without_daemon(Duration::from_millis(dead_ms));
@@ -264,7 +267,7 @@ async fn live(
         Err(error) => return world.note_broken(format!("the daemon does not start: {error}")),
     };
     world.set_daemon(daemon.clone());
-    beside(world, &daemon);
+    spawn_observers(world, &daemon);
     let (end, ended) = oneshot::channel();
     let part = part.map(|part| {
         tokio::spawn(part(Life {
@@ -279,27 +282,27 @@ async fn live(
         daemon.clone(),
         rng.random(),
     ));
-    let faults = tokio::spawn(fail_at_random(Arc::clone(world), rng.random()));
+    let faults = tokio::spawn(inject_random_faults(Arc::clone(world), rng.random()));
     sleep(life).await;
     users.abort();
     faults.abort();
     if !is_last {
-        // Between any two turns of its tasks.
+        // Killed between any two polls of its tasks.
         for _ in 0..rng.random_range(0..40) {
             tokio::task::yield_now().await;
         }
         return world.note("the daemon is killed");
     }
     end_all_faults(world);
-    world.note("all is mended");
+    world.note("all faults end");
     match world.left {
-        Left::Script => sleep(MENDED_WITHIN).await,
-        Left::Board => until_all_works(&daemon).await,
+        HobKind::Script => sleep(RECOVERY_TIME).await,
+        HobKind::Board => wait_until_working(&daemon).await,
     }
     if world.is_edge {
         check_settled(world, &daemon, store).await;
     }
-    check_mended(world, &daemon).await;
+    check_recovery(world, &daemon).await;
     drop(end);
     if let Some(part) = part
         && part.await.is_err()
@@ -322,35 +325,35 @@ fn open_in(world: &Arc<World>) -> Arc<OpenDevice> {
         let spec = address.spec.to_string();
         let name = spec.trim_start_matches("serial:");
         let link = Link::connect(&world, name)?;
-        Ok(Opened::real(Box::new(link)))
+        Ok(OpenedDevice::real(Box::new(link)))
     })
 }
 
-/// Starts what runs beside the daemon: its learner, a listener to its notices, and the check of the promises.
-fn beside(world: &Arc<World>, daemon: &Daemon) {
+/// Starts the tasks beside the daemon: its learner, a subscriber to its events, and the check of the promises.
+fn spawn_observers(world: &Arc<World>, daemon: &Daemon) {
     let learner = daemon.learner().map(|learner| Arc::downgrade(&learner));
     tokio::spawn(async move {
         while let Some(learner) = learner.as_ref().and_then(std::sync::Weak::upgrade) {
             learner.learn_one();
             drop(learner);
-            sleep(LEARN_EVERY).await;
+            sleep(LEARN_PERIOD).await;
         }
     });
-    let (mut notices, hears) = (daemon.watch(), Arc::clone(world));
+    let (mut events, event_world) = (daemon.watch(), Arc::clone(world));
     tokio::spawn(async move {
         loop {
-            match notices.recv().await {
-                Ok(notice) => hears.record_notice(&notice),
+            match events.recv().await {
+                Ok(event) => event_world.record_event(&event),
                 Err(RecvError::Lagged(_)) => {}
                 Err(RecvError::Closed) => return,
             }
         }
     });
-    let looks = Arc::clone(world);
+    let checked_world = Arc::clone(world);
     tokio::spawn(async move {
         loop {
-            sleep(CHECK_EVERY).await;
-            looks.check_now();
+            sleep(CHECK_PERIOD).await;
+            checked_world.check_now();
         }
     });
 }

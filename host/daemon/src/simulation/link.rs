@@ -1,4 +1,4 @@
-//! The link between the daemon and a hob: frames in their order, some lost, doubled or late, until it is cut.
+//! Link between the daemon and a hob: frames in order, some lost, duplicated or delayed, until it is cut.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -8,64 +8,65 @@ use ihd_link::{LinkError, Transport};
 use ihd_shared::wire::deframer::Deframer;
 use rand::RngExt;
 
-use super::world::{HOBS, World};
+use super::hob::HOBS;
+use super::world::World;
 
-/// Step in which somebody waits for a hob.
+/// Time step of waiting for a hob.
 const STEP: Duration = Duration::from_millis(10);
 
-/// Longest time that frames are held up.
-const LATEST_MS: u64 = 3_000;
+/// Longest delay of frames, in milliseconds.
+const LONGEST_DELAY_MS: u64 = 3_000;
 
-/// One connection.
+/// Connection to a hob.
 pub struct Link {
     world: Arc<World>,
     socket: usize,
     connection: u64,
     deframer: Deframer,
-    /// Bytes of a frame that is not whole yet.
-    going: Vec<u8>,
-    /// The transport's clock where it is ahead of the world's: a request waits on it.
+    /// Bytes of an incomplete frame of the host.
+    outgoing: Vec<u8>,
+    /// Clock of the transport if it is ahead of the world's: a request waits on it.
     ahead: Duration,
-    /// Frames of the hob are held up until then.
-    late_until: Duration,
-    coming: VecDeque<u8>,
+    /// World's time until which frames of the hob are delayed.
+    delayed_until: Duration,
+    incoming: VecDeque<u8>,
 }
 
 impl Link {
     /// Connects to the hob of this name.
     ///
     /// # Errors
-    /// It is not plugged in.
+    /// [`LinkError::Connect`] if the hob is unplugged.
     pub fn connect(world: &Arc<World>, name: &str) -> Result<Self, LinkError> {
         let socket = HOBS.iter().position(|hob| *hob == name);
         let socket = socket.expect("a name of this world");
         let mut state = world.lock();
-        let place = &mut state.sockets[socket];
-        if !place.is_plugged {
+        let socket_state = &mut state.sockets[socket];
+        if !socket_state.is_plugged {
             return Err(LinkError::Connect {
                 device: name.to_owned(),
                 hint: String::new(),
                 source: std::io::ErrorKind::NotFound.into(),
             });
         }
-        place.connection += 1;
-        place.hob.forget_sent();
+        socket_state.connection += 1;
+        socket_state.hob.discard_sent();
         Ok(Self {
             socket,
-            connection: place.connection,
+            connection: socket_state.connection,
             deframer: Deframer::new(),
-            going: Vec::new(),
+            outgoing: Vec::new(),
             ahead: Duration::ZERO,
-            late_until: Duration::ZERO,
-            coming: VecDeque::new(),
+            delayed_until: Duration::ZERO,
+            incoming: VecDeque::new(),
             world: Arc::clone(world),
         })
     }
 
     fn check(&self) -> Result<(), LinkError> {
         let state = self.world.lock();
-        let place = &state.sockets[self.socket];
-        match place.is_plugged && place.connection == self.connection {
+        let socket_state = &state.sockets[self.socket];
+        match socket_state.is_plugged && socket_state.connection == self.connection {
             true => Ok(()),
             false => Err(LinkError::Closed {
                 device: self.describe(),
@@ -73,21 +74,23 @@ impl Link {
         }
     }
 
-    /// The next frame of the hob that has left by now, and has not been lost; empty where one was.
+    /// Returns the next frame that the hob has sent by now; empty if the frame was lost.
     fn next_frame(&mut self, now: Duration) -> Option<Vec<u8>> {
-        if now < self.late_until {
+        if now < self.delayed_until {
             return None;
         }
         let state = &mut *self.world.lock();
-        let place = &mut state.sockets[self.socket];
-        place.hob.live_until(now);
-        let frame = place.hob.take_sent(now)?;
-        if place.late > 0.0 && state.rng.random_bool(place.late) {
-            let late = Duration::from_millis(state.rng.random_range(1..LATEST_MS));
-            self.late_until = now + late;
+        let socket_state = &mut state.sockets[self.socket];
+        socket_state.hob.advance_to(now);
+        let frame = socket_state.hob.take_sent(now)?;
+        if socket_state.delay_chance > 0.0 && state.rng.random_bool(socket_state.delay_chance) {
+            let delay = Duration::from_millis(state.rng.random_range(1..LONGEST_DELAY_MS));
+            self.delayed_until = now + delay;
         }
-        let is_lost = place.is_mute || place.lost > 0.0 && state.rng.random_bool(place.lost);
-        let is_doubled = place.doubled > 0.0 && state.rng.random_bool(place.doubled);
+        let is_lost = socket_state.is_mute
+            || socket_state.loss_chance > 0.0 && state.rng.random_bool(socket_state.loss_chance);
+        let is_doubled = socket_state.duplicate_chance > 0.0
+            && state.rng.random_bool(socket_state.duplicate_chance);
         Some(match (is_lost, is_doubled) {
             (true, _) => Vec::new(),
             (false, true) => frame.repeat(2),
@@ -101,18 +104,20 @@ impl Transport for Link {
         self.check()?;
         let now = self.clock();
         for &byte in bytes {
-            self.going.push(byte);
+            self.outgoing.push(byte);
             if !matches!(self.deframer.push(byte), Some(Ok(_))) {
                 continue;
             }
-            let frame = std::mem::take(&mut self.going);
+            let frame = std::mem::take(&mut self.outgoing);
             let times = {
                 let state = &mut *self.world.lock();
-                let place = &mut state.sockets[self.socket];
-                place.hob.live_until(now);
-                let is_lost =
-                    place.is_mute || place.lost > 0.0 && state.rng.random_bool(place.lost);
-                let is_doubled = place.doubled > 0.0 && state.rng.random_bool(place.doubled);
+                let socket_state = &mut state.sockets[self.socket];
+                socket_state.hob.advance_to(now);
+                let is_lost = socket_state.is_mute
+                    || socket_state.loss_chance > 0.0
+                        && state.rng.random_bool(socket_state.loss_chance);
+                let is_doubled = socket_state.duplicate_chance > 0.0
+                    && state.rng.random_bool(socket_state.duplicate_chance);
                 match (is_lost, is_doubled) {
                     (true, _) => 0,
                     (false, true) => 2,
@@ -132,11 +137,11 @@ impl Transport for Link {
             self.check()?;
             let now = self.clock();
             while let Some(frame) = self.next_frame(now) {
-                self.coming.extend(frame);
+                self.incoming.extend(frame);
             }
-            if !self.coming.is_empty() {
-                let n = self.coming.len().min(buf.len());
-                for (to, byte) in buf.iter_mut().zip(self.coming.drain(..n)) {
+            if !self.incoming.is_empty() {
+                let n = self.incoming.len().min(buf.len());
+                for (to, byte) in buf.iter_mut().zip(self.incoming.drain(..n)) {
                     *to = byte;
                 }
                 return Ok(n);

@@ -1,24 +1,25 @@
-//! Deterministic simulation of the daemon: one seed gives devices, links, disk, clocks and users with all their faults, in simulated time.
+//! Deterministic simulation of the daemon: one seed defines devices, links, disk, clocks and users with all their faults, in simulated time.
 //!
 //! ```text
 //!  users ──► Daemon ──► link ──► hob        scripts, or the firmware on the simulated board; one runtime, one thread, a paused clock
 //!              │         faults.rs: cut, lost, doubled, late; reboots, trips; disk slow or full; clock put on and back; kills
 //!              ├──► store (SQLite, in memory-backed files)
-//!              └──► part in a fleet, where somebody brings one (ihd-fleet)
-//!  promises.rs checks at every frame that a hob receives, at every answer, and every 100 ms
+//!              └──► part in a fleet, if given (ihd-fleet)
+//!  checks.rs checks at every frame that a hob receives, at every response, and every 100 ms
 //! ```
 //!
-//! The daemon is the product's own; only what blocks runs otherwise ([`crate::machine`]). `IHD_SEED=4711 cargo nextest run -p ihd-daemon
-//! simulation` runs one seed again and prints its course; `IHD_SEEDS=100000` runs so many, `IHD_BOARD_SEEDS=100` so many with a board.
+//! The daemon is that of the product; only blocking calls are replaced ([`crate::machine`]). `IHD_SEED=4711 cargo nextest run -p ihd-daemon
+//! simulation` repeats one seed and prints its course; `IHD_SEEDS` and `IHD_BOARD_SEEDS` set the number of seeds without and with a board.
 
 mod board;
-mod disk;
+mod checks;
+pub(crate) mod disk;
 mod faults;
 mod hob;
 mod life;
 mod link;
-mod mended;
 mod promises;
+mod recovery;
 mod samples;
 mod script;
 mod users;
@@ -29,25 +30,26 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use disk::Disk;
+pub use hob::HOBS;
 pub use life::{Course, Life, Part, run};
 pub use samples::LOAD;
-pub use world::{HOBS, Left, World};
+pub use world::{HobKind, World};
 
-/// A number of the environment.
+/// Returns the number in an environment variable; `None` if it is not set.
 ///
 /// # Panics
-/// It is none.
-pub fn of_environment(name: &str) -> Option<u64> {
+/// Panics if the value is not a number.
+pub fn env_number(name: &str) -> Option<u64> {
     let value = std::env::var(name).ok()?;
     Some(value.parse().expect("a number"))
 }
 
-/// Runs seed after seed, or that of `IHD_SEED`, on as many threads as there are cores.
+/// Runs a range of seeds, or the one in `IHD_SEED`, on as many threads as there are cores.
 ///
 /// # Panics
-/// A promise was broken.
+/// Panics if a promise was broken.
 pub fn run_all(seeds: Range<u64>, run_one: impl Fn(u64) -> Course + Sync) {
-    let one = of_environment("IHD_SEED");
+    let one = env_number("IHD_SEED");
     let seeds = one.map_or(seeds, |seed| seed..seed + 1);
     let next = AtomicU64::new(seeds.start);
     let broken = Mutex::new(Vec::new());
@@ -85,35 +87,35 @@ pub fn run_all(seeds: Range<u64>, run_one: impl Fn(u64) -> Course + Sync) {
     );
 }
 
-/// Seeds of the short form.
+/// Number of seeds of a normal test run.
 #[cfg(test)]
 const SEEDS: u64 = 100;
 
-/// Seeds of the short form with the firmware as one of the hobs: ten seconds of a core.
+/// Seeds of a normal test run with the firmware as one of the hobs: ten seconds of a core.
 #[cfg(test)]
 const BOARD_SEEDS: Range<u64> = 1..8;
 
 #[test]
 fn promises_hold_whatever_fails() {
-    let seeds = of_environment("IHD_SEEDS").unwrap_or(SEEDS);
-    run_all(0..seeds, |seed| run(seed, Left::Script, None));
+    let seeds = env_number("IHD_SEEDS").unwrap_or(SEEDS);
+    run_all(0..seeds, |seed| run(seed, HobKind::Script, None));
 }
 
 #[test]
 fn promises_hold_with_the_firmware_as_a_hob() {
-    let more = of_environment("IHD_BOARD_SEEDS");
+    let more = env_number("IHD_BOARD_SEEDS");
     let seeds = more.map_or(BOARD_SEEDS, |seeds| 0..seeds);
-    run_all(seeds, |seed| run(seed, Left::Board, None));
+    run_all(seeds, |seed| run(seed, HobKind::Board, None));
 }
 
-/// Of every kind of hob. Its power is compared every 2 s.
+/// Tested with each kind of hob. The daemon compares its power every 2 s.
 #[test]
 fn a_strangers_hello_ends_the_lease_and_the_daemon_says_why() {
-    for left in [Left::Script, Left::Board] {
-        let (told, why) = life::greeted(left);
+    for left in [HobKind::Script, HobKind::Board] {
+        let (delay, why) = life::foreign_hello(left);
         assert!(
-            told < std::time::Duration::from_millis(2_500),
-            "{left:?}: {told:?}"
+            delay < std::time::Duration::from_millis(2_500),
+            "{left:?}: {delay:?}"
         );
         assert!(why.contains("another host"), "{left:?}: {why}");
     }
@@ -121,8 +123,8 @@ fn a_strangers_hello_ends_the_lease_and_the_daemon_says_why() {
 
 #[test]
 fn one_seed_gives_one_course() {
-    let scripts = [1, 2, 3].map(|seed| (seed, Left::Script));
-    for (seed, left) in scripts.into_iter().chain([(6, Left::Board)]) {
+    let scripts = [1, 2, 3].map(|seed| (seed, HobKind::Script));
+    for (seed, left) in scripts.into_iter().chain([(6, HobKind::Board)]) {
         let [first, second] = [(), ()].map(|()| run(seed, left, None).text());
         assert!(first.lines().count() > 20, "something happens");
         let mut lines = first.lines().zip(second.lines());

@@ -1,4 +1,4 @@
-//! Samples of a script's windows.
+//! Samples of the windows of a script.
 
 use std::f64::consts::{PI, TAU};
 
@@ -11,20 +11,20 @@ pub const F_SW_HZ: u32 = 45_000;
 /// Time of the first pair after the zero crossing, in seconds.
 const FIRST_S: f64 = 1e-6;
 
-/// Half-cycle in seconds.
+/// Duration of a half-cycle in seconds.
 const HALF_S: f64 = 10e-3;
 
 /// Amplitude of the current at its crest, in ampere.
 const CREST_A: f64 = 35.0;
 
-/// The load that windows with samples show.
+/// Load of the windows made by [`with_load`].
 pub const LOAD: Load = Load {
     r_ohm: 4.0,
     l_h: 50e-6,
 };
 
-/// One block that shows no load.
-pub fn of_no_load() -> Vec<u8> {
+/// Returns the pairs of one block from which no load can be identified.
+pub fn without_load() -> Vec<u8> {
     let pair = |k: usize| {
         let phase = k as f64 * TAU * 3.0 / 61.0;
         let [v, i] = [1_000.0 * phase.sin(), 600.0 * (phase - 0.7).sin()];
@@ -33,8 +33,8 @@ pub fn of_no_load() -> Vec<u8> {
     (0..61).flat_map(pair).collect()
 }
 
-/// A half-cycle with [`LOAD`]: v = R·i + L·di/dt.
-pub fn of_load() -> Vec<u8> {
+/// Returns the pairs of a half-cycle with [`LOAD`]: v = R·i + L·di/dt.
+pub fn with_load() -> Vec<u8> {
     let scales = Scales::OF_THIS_BUILD;
     let (omega, mains) = (TAU * f64::from(F_SW_HZ), PI / HALF_S);
     let rate_hz = f_adc_hz(F_SW_HZ);

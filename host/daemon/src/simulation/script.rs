@@ -1,4 +1,4 @@
-//! The hob as a script: the firmware's handling of frames and time, without the physics.
+//! Script of a hob: the firmware's handling of frames and time, without the physics.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -19,31 +19,31 @@ use ihd_shared::wire::messages::{
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
-use super::hob::{Hob, read};
+use super::hob::{Hob, read_frame};
 use super::samples;
 
 /// One half-cycle at 50 Hz.
 const HALF_CYCLE: Duration = Duration::from_millis(10);
 
-/// Half-cycles between two telemetries, however many are asked for: fewer frames, the same order of events.
+/// Half-cycles between two telemetry messages, whatever rate is requested: fewer frames, the same order of events.
 const TELEMETRY_EVERY: u32 = 10;
 
 /// Half-cycles between two windows.
 const WINDOW_EVERY: u32 = 70;
 
-/// The same of a hob whose windows show its load, which cost a hundred times as much.
+/// Half-cycles between two windows that show a load, whose identification takes a hundred times as long.
 const LOADED_WINDOW_EVERY: u32 = 200;
 
-/// The hob.
+/// Hob as a script.
 pub struct Script {
-    /// Differs from boot to boot.
+    /// Number of the boot.
     boot_id: u32,
-    /// Power that a host asked for, in watt.
+    /// Requested power, in watt.
     asked_w: u16,
     lookup: RlLookup,
-    /// Windows made in this boot.
+    /// Number of windows since the boot.
     windows: u32,
-    /// Its windows show [`samples::LOAD`] while it heats.
+    /// `true` if its windows show [`samples::LOAD`] while it heats.
     is_loaded: bool,
     hello: Hello,
     half_cycle: u32,
@@ -57,15 +57,15 @@ pub struct Script {
     pending: Option<RlLookup>,
     frame_seq: u16,
     conversation: Conversation,
-    /// The request that is carried out, and the frame that answers it.
+    /// Number of the last request; its response is in `answer`.
     number: Number,
     answer: Option<Vec<u8>>,
-    /// Frames for the host, each with the time at which it leaves.
+    /// Frames for the host, each with its time of sending.
     sent: VecDeque<(Duration, Vec<u8>)>,
 }
 
 impl Script {
-    /// Begins at the world's time `now`.
+    /// Creates a hob that is switched on at the world's time `now`.
     pub fn new(boot_id: u32, now: Duration) -> Self {
         Self {
             boot_id,
@@ -90,7 +90,7 @@ impl Script {
         }
     }
 
-    /// Windows show a load while it heats.
+    /// Makes windows show a load while it heats, or not.
     pub fn loaded(self, is_loaded: bool) -> Self {
         Self { is_loaded, ..self }
     }
@@ -153,8 +153,8 @@ impl Script {
         let seq = self.windows;
         self.windows += 1;
         let pairs = match self.is_loaded && self.asked_w > 0 {
-            true => samples::of_load(),
-            false => samples::of_no_load(),
+            true => samples::with_load(),
+            false => samples::without_load(),
         };
         let entry = TrajectoryEntry {
             r: MicroOhm(4_000_000),
@@ -196,7 +196,7 @@ impl Script {
         self.send(&WindowEnd { seq, crc32 });
     }
 
-    fn take(&mut self, number: Number, message: &AnyMessage<'_>) {
+    fn handle(&mut self, number: Number, message: &AnyMessage<'_>) {
         if !matches!(message, AnyMessage::ResendWindow(_)) {
             self.unheard = 0;
         }
@@ -251,7 +251,7 @@ impl Script {
         self.asked_w = 0;
         self.is_paired = check(&self.hello, theirs).is_ok();
         self.streams = false;
-        self.forget_sent();
+        self.discard_sent();
         self.conversation = Conversation::default();
         (self.number, self.answer) = (Number::NONE, None);
         let hello = self.hello.clone();
@@ -333,21 +333,21 @@ impl Hob for Script {
     }
 
     fn receive(&mut self, frame: &[u8]) {
-        read(frame, |number, message| self.take(number, message));
+        read_frame(frame, |number, message| self.handle(number, message));
     }
 
     fn is_locked_out(&self) -> bool {
         false
     }
 
-    /// All is forgotten but its lookup, which lies in flash.
+    /// Restarts; only the lookup, which is in flash, is retained.
     fn reboot(&mut self, now: Duration) {
         let lookup = self.lookup.clone();
         *self = Self::new(self.boot_id + 1, now).loaded(self.is_loaded);
         self.lookup = lookup;
     }
 
-    /// The bridge is off, and nobody may ask for power before the fault is cleared.
+    /// Switches the bridge off; power is refused until the fault is cleared.
     fn trip(&mut self) {
         self.asked_w = 0;
         self.fault = Fault::from_number(1);
@@ -362,11 +362,11 @@ impl Hob for Script {
         }
     }
 
-    fn forget_sent(&mut self) {
+    fn discard_sent(&mut self) {
         self.sent.clear();
     }
 
-    fn live_until(&mut self, now: Duration) {
+    fn advance_to(&mut self, now: Duration) {
         while self.now() + HALF_CYCLE <= now {
             self.half_cycle += 1;
             self.unheard = self.unheard.saturating_add(1);

@@ -1,4 +1,4 @@
-//! Users of the daemon, who ask for everything in every order.
+//! Users of the daemon: all commands in random order.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,19 +8,20 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::time::sleep;
 
-use super::world::{HOBS, World};
+use super::hob::HOBS;
+use super::world::World;
 use crate::daemon::Daemon;
 use crate::model::Command;
 
-/// Names that requests come under; one name may have two windows.
+/// Holders of the users; one holder may have two open pages.
 const NAMES: [&str; 2] = ["ada", "bob"];
 
-/// Asks for something now and then, without waiting for the answer to what was asked before.
+/// Issues random requests at random times, without waiting for the previous one.
 pub async fn ask_at_random(world: Arc<World>, daemon: Daemon, seed: u64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let (mut hob, mut name) = (0, NAMES[0]);
     loop {
-        // One request after the other of one name at one hob, as somebody does who has two windows open; or another later.
+        // Either at once for the same holder and hob, as from two open pages, or later for others.
         let rest_ms = match rng.random_bool(0.5) {
             true => rng.random_range(0..20),
             false => {
@@ -56,7 +57,7 @@ pub async fn ask_at_random(world: Arc<World>, daemon: Daemon, seed: u64) {
     }
 }
 
-/// A user before a hob.
+/// User of a hob.
 pub struct User {
     pub world: Arc<World>,
     pub daemon: Daemon,
@@ -69,25 +70,25 @@ impl User {
         HOBS[self.hob]
     }
 
-    /// Carries out a command; `true` where it was done.
+    /// Issues a command.
     pub async fn command(self, command: Command) {
         self.carry_out(command).await;
     }
 
     async fn carry_out(&self, command: Command) -> bool {
         let text = format!("{} {command:?} {}", self.name, self.hob_name());
-        // A lookup is some hundred bytes.
+        // Shortened, because a lookup has some hundred bytes.
         let text: String = text.chars().take(60).collect();
         self.world.note(&text);
         let outcome = self
             .daemon
             .command(self.hob_name(), self.name, command)
             .await;
-        let said = match &outcome {
+        let reply = match &outcome {
             Ok(done) => done.text.clone(),
             Err(error) => error.to_string(),
         };
-        self.world.note(&format!("  {text}: {said}"));
+        self.world.note(&format!("  {text}: {reply}"));
         outcome.is_ok()
     }
 
@@ -98,7 +99,7 @@ impl User {
         }
     }
 
-    /// Switches off; `true` where that was acknowledged.
+    /// Switches off; returns `true` if that was acknowledged.
     pub async fn off(&self) -> bool {
         let number = self.world.number_off_request();
         let is_off = self.carry_out(Command::Off).await;
@@ -139,7 +140,7 @@ impl User {
     async fn renew(&self, times: u32) {
         for _ in 0..times {
             sleep(Duration::from_secs(3)).await;
-            // Somebody else may have it by now.
+            // Another holder may have it by now.
             let _ = self
                 .daemon
                 .take_lease(self.hob_name(), self.name, false)

@@ -1,7 +1,7 @@
-//! The world around the daemon: time, hobs, and what was seen.
+//! World around the daemon: time, hobs, disk, and the record of events.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
@@ -10,97 +10,95 @@ use tokio::time::Instant;
 
 use super::board::Board;
 use super::disk::Disk;
-use super::hob::Hob;
+use super::hob::{HOBS, Hob};
 use super::promises::Promises;
 use super::script::Script;
 use crate::daemon::Daemon;
+use crate::locking::lock;
 
-/// Names of the hobs.
-pub const HOBS: [&str; 2] = ["left", "right"];
-
-/// 2026-11-22 23:59:00 UTC, in milliseconds since 1970: a midnight is near.
+/// Start of the wall clock: 2026-11-22 23:59:00 UTC, shortly before midnight, in milliseconds since 1970.
 const ORIGIN_MS: i64 = 1_795_391_940_000;
 
 /// Kind of a hob.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Left {
-    /// A script.
+pub enum HobKind {
+    /// Script without physics.
     Script,
-    /// The firmware on the simulated board, for which a second of the world costs up to a second of a core.
+    /// Firmware on the simulated board; a simulated second takes up to a second of a core.
     Board,
 }
 
-/// The world. It outlives the daemons in it.
+/// World of one seed. It outlives the daemons in it.
 pub struct World {
-    /// The disk of the store.
+    /// Disk of the store.
     pub disk: Arc<Disk>,
-    /// Nothing fails by itself: promises are kept within short bounds.
+    /// `true` if no random faults occur: the promises then have shorter limits.
     pub is_calm: bool,
     /// Kind of the left hob; the right one is a script.
-    pub left: Left,
-    /// The daemon is an edge of a fleet.
+    pub left: HobKind,
+    /// `true` if the daemon is an edge of a fleet.
     pub is_edge: bool,
-    /// Windows of hobs that heat show [`super::LOAD`]; else they show none.
+    /// `true` if windows of heating hobs show [`super::LOAD`]; otherwise they show no load.
     pub is_loaded: bool,
-    /// Nothing fails any more.
-    is_mended: AtomicBool,
-    /// Microseconds that passed before this daemon's life.
+    /// `true` after all faults have ended.
+    faults_ended: AtomicBool,
+    /// Simulated microseconds before the current daemon was started.
     before_us: AtomicU64,
     life_began: Mutex<Option<Instant>>,
-    /// By how much the wall's clock was put on, in milliseconds.
+    /// Offset of the wall clock in milliseconds.
     clock_offset_ms: AtomicI64,
     state: Mutex<State>,
     daemon: Mutex<Option<Daemon>>,
 }
 
-/// All that changes but time.
+/// State of the world, except time.
 pub struct State {
-    /// Chance for the links.
+    /// Random numbers of the links.
     pub rng: ChaCha8Rng,
-    /// The hobs, each on its socket.
+    /// Hobs with their links.
     pub sockets: [Socket; HOBS.len()],
-    /// What was promised.
+    /// State of the promises.
     pub promises: Promises,
-    /// What happened, a line each.
+    /// Lines of the course.
     pub course: Vec<String>,
 }
 
-/// A hob and its link.
+/// Hob and its link.
 pub struct Socket {
-    /// The hob.
+    /// Hob.
     pub hob: Box<dyn Hob>,
-    /// Nobody can connect to one that is not.
+    /// `true` while connections are possible.
     pub is_plugged: bool,
-    /// Nothing passes either way.
+    /// `true` while no frame passes in either direction.
     pub is_mute: bool,
-    /// Counts connections: one that is not the last is closed.
+    /// Number of the last connection; earlier ones are closed.
     pub connection: u64,
-    /// Chance that a frame is lost, doubled, or held up with all behind it.
-    pub lost: f64,
-    /// As `lost`.
-    pub doubled: f64,
-    /// As `lost`.
-    pub late: f64,
+    /// Probability that a frame is lost.
+    pub loss_chance: f64,
+    /// Probability that a frame is duplicated.
+    pub duplicate_chance: f64,
+    /// Probability that a frame is delayed, with all frames behind it.
+    pub delay_chance: f64,
 }
 
 impl World {
-    /// Of this seed.
-    pub fn new(seed: u64, left: Left, is_edge: bool) -> Arc<Self> {
+    /// Creates the world of a seed.
+    pub fn new(seed: u64, left: HobKind, is_edge: bool) -> Arc<Self> {
         let is_calm = seed.is_multiple_of(4);
         let is_loaded = is_edge && seed.is_multiple_of(3);
         let script = |boot_id| Script::new(boot_id, Duration::ZERO).loaded(is_loaded);
         let left_hob: Box<dyn Hob> = match left {
-            Left::Script => Box::new(script(100)),
-            Left::Board => Box::new(Board::new(100, Duration::ZERO)),
+            HobKind::Script => Box::new(script(100)),
+            HobKind::Board => Box::new(Board::new(100, Duration::ZERO)),
         };
         let socket = |hob| Socket {
             hob,
             is_plugged: true,
             is_mute: false,
             connection: 0,
-            lost: 0.0,
-            doubled: 0.0,
-            late: 0.0,
+            loss_chance: 0.0,
+            duplicate_chance: 0.0,
+            delay_chance: 0.0,
         };
         Arc::new(Self {
             disk: Arc::default(),
@@ -108,7 +106,7 @@ impl World {
             left,
             is_edge,
             is_loaded,
-            is_mended: AtomicBool::new(false),
+            faults_ended: AtomicBool::new(false),
             before_us: AtomicU64::new(0),
             life_began: Mutex::new(None),
             clock_offset_ms: AtomicI64::new(0),
@@ -122,34 +120,34 @@ impl World {
         })
     }
 
-    /// Time since the world began.
+    /// Returns the time since the start of the world.
     pub fn now(&self) -> Duration {
         let before = Duration::from_micros(self.before_us.load(Ordering::Relaxed));
         let began = *lock(&self.life_began);
         before + began.map_or(Duration::ZERO, |began| began.elapsed())
     }
 
-    /// The wall's clock, in milliseconds since 1970.
+    /// Returns the wall clock's time, in milliseconds since 1970.
     pub fn wall_ms(&self) -> i64 {
         ORIGIN_MS + self.now().as_millis() as i64 + self.clock_offset_ms.load(Ordering::Relaxed)
     }
 
-    /// Puts the wall's clock on, or back.
-    pub fn set_clock_forward(&self, by_ms: i64) {
+    /// Shifts the wall clock by milliseconds, positive for forward.
+    pub fn shift_clock_by(&self, by_ms: i64) {
         self.clock_offset_ms.fetch_add(by_ms, Ordering::Relaxed);
     }
 
-    /// A daemon begins its life on the runtime that calls.
+    /// Starts the clock of a daemon on the calling runtime.
     pub fn begin_life(&self) {
         *lock(&self.life_began) = Some(Instant::now());
     }
 
-    /// The daemon that lives.
+    /// Sets the running daemon.
     pub fn set_daemon(&self, daemon: Daemon) {
         *lock(&self.daemon) = Some(daemon);
     }
 
-    /// Its life ends now, on the runtime that calls: outside of it there is no simulated clock.
+    /// Stops the clock of the daemon on the calling runtime: outside of it there is no simulated clock.
     pub fn end_life(&self) {
         let now = self.now();
         *lock(&self.life_began) = None;
@@ -157,7 +155,7 @@ impl World {
             .store(now.as_micros() as u64, Ordering::Relaxed);
     }
 
-    /// It is gone, and for so long there is no other.
+    /// Drops the daemon and lets time pass without one.
     pub fn pass_without_daemon(&self, dead_for: Duration) {
         *lock(&self.daemon) = None;
         self.before_us
@@ -166,45 +164,41 @@ impl World {
         let mut state = self.lock();
         for socket in &mut state.sockets {
             socket.connection += 1;
-            socket.hob.live_until(now);
+            socket.hob.advance_to(now);
         }
     }
 
-    /// A hob at random; where a board is there, it as a rule.
+    /// Returns the index of a random hob; a board is preferred.
     pub fn any_hob(&self, rng: &mut ChaCha8Rng) -> usize {
         match self.left {
-            Left::Script => rng.random_range(0..HOBS.len()),
-            Left::Board => usize::from(rng.random_bool(0.2)),
+            HobKind::Script => rng.random_range(0..HOBS.len()),
+            HobKind::Board => usize::from(rng.random_bool(0.2)),
         }
     }
 
-    /// The daemon, while one lives.
+    /// Returns the running daemon; `None` between two of them.
     pub fn daemon(&self) -> Option<Daemon> {
         lock(&self.daemon).clone()
     }
 
-    /// Something may fail now.
+    /// Returns `true` if faults may occur now.
     pub fn may_fail(&self) -> bool {
-        !self.is_calm && !self.is_mended.load(Ordering::Relaxed)
+        !self.is_calm && !self.faults_ended.load(Ordering::Relaxed)
     }
 
-    /// From now on nothing fails.
-    pub fn mend(&self) {
-        self.is_mended.store(true, Ordering::Relaxed);
+    /// Ends all faults for good.
+    pub fn end_faults(&self) {
+        self.faults_ended.store(true, Ordering::Relaxed);
     }
 
-    /// All that changes but time.
+    /// Locks the state of the world, except time.
     pub fn lock(&self) -> MutexGuard<'_, State> {
         lock(&self.state)
     }
 
-    /// Writes a line of the course.
+    /// Adds a line to the course.
     pub fn note(&self, text: &str) {
         let now_s = self.now().as_secs_f64();
         self.lock().course.push(format!("{now_s:10.3} {text}"));
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -2,7 +2,7 @@
 
 use std::sync::mpsc;
 
-use ihd_store::Settings;
+use ihd_store::StoreOptions;
 use tokio::sync::broadcast::error::TryRecvError;
 
 use super::*;
@@ -13,36 +13,36 @@ const PATIENCE: Duration = Duration::from_secs(300);
 
 struct Rig {
     thread: StoreThread,
-    notices: tokio::sync::broadcast::Receiver<Arc<crate::model::Notice>>,
+    events: tokio::sync::broadcast::Receiver<Arc<crate::model::DaemonEvent>>,
     _folder: tempfile::TempDir,
 }
 
 fn rig() -> Rig {
     let folder = tempfile::tempdir().unwrap();
-    let store = Store::open(folder.path(), &Settings::default())
+    let store = Store::open(folder.path(), &StoreOptions::default())
         .unwrap()
         .store;
-    let board = Board::default();
-    let notices = board.watch();
-    let thread = StoreThread::start(store, board, &Machine::default()).unwrap();
+    let event_bus = EventBus::default();
+    let events = event_bus.subscribe();
+    let thread = StoreThread::start(store, event_bus, &Machine::default()).unwrap();
     Rig {
         thread,
-        notices,
+        events,
         _folder: folder,
     }
 }
 
 impl Rig {
-    /// Notices of the store since the last call.
-    fn told(&mut self) -> Vec<(bool, String)> {
-        let mut told = Vec::new();
+    /// Returns the events of the store since the last call.
+    fn published(&mut self) -> Vec<(bool, String)> {
+        let mut published = Vec::new();
         loop {
-            match self.notices.try_recv() {
-                Ok(notice) => match &notice.what {
-                    What::Store { ok, text } => told.push((*ok, text.clone())),
+            match self.events.try_recv() {
+                Ok(event) => match &event.kind {
+                    EventKind::Store { ok, text } => published.push((*ok, text.clone())),
                     other => panic!("{other:?}"),
                 },
-                Err(TryRecvError::Empty) => return told,
+                Err(TryRecvError::Empty) => return published,
                 Err(error) => panic!("{error}"),
             }
         }
@@ -84,12 +84,12 @@ async fn a_device_that_floods_a_slow_store_loses_its_own_windows_alone() {
         })
     };
     let taken = (0..10 * DEVICE)
-        .filter(|_| offer("loud", Record::Windows))
+        .filter(|_| offer("loud", RecordKind::Windows))
         .count();
     assert_eq!(taken, DEVICE);
-    assert!((0..10).all(|_| offer("quiet", Record::Windows)));
+    assert!((0..10).all(|_| offer("quiet", RecordKind::Windows)));
     assert!(
-        offer("loud", Record::Events),
+        offer("loud", RecordKind::Events),
         "the fault that explains the flood"
     );
     let lost = 10 * DEVICE as u64 - DEVICE as u64;
@@ -99,7 +99,10 @@ async fn a_device_that_floods_a_slow_store_loses_its_own_windows_alone() {
         (StoreCause::TooSlow, lost)
     );
     assert_eq!(failure.dropped, rig.thread.all_dropped());
-    assert_eq!(rig.told(), [(false, StoreCause::TooSlow.text().to_owned())]);
+    assert_eq!(
+        rig.published(),
+        [(false, StoreCause::TooSlow.text().to_owned())]
+    );
     drop(release);
     rig.thread.idle().await;
     let done = lock(&done);
@@ -114,11 +117,11 @@ async fn a_device_that_floods_a_slow_store_loses_its_own_windows_alone() {
 #[tokio::test]
 async fn a_full_disk_is_told_once_and_lasts_until_windows_are_written_or_could_be() {
     let mut rig = rig();
-    let windows = rig.thread.of_device("a").writing_once(Record::Windows);
+    let windows = rig.thread.of_device("a").writing_once(RecordKind::Windows);
     for _ in 0..3 {
         assert!(windows.offer(|_| Err(full())));
     }
-    let events = rig.thread.writing(Record::Events);
+    let events = rig.thread.writing(RecordKind::Events);
     events
         .run(|store| store.event(None, "test", "it fits"))
         .await
@@ -130,19 +133,19 @@ async fn a_full_disk_is_told_once_and_lasts_until_windows_are_written_or_could_b
         (failure.cause, failure.dropped.windows),
         (StoreCause::DiskFull, 3)
     );
-    assert_eq!(rig.told().len(), 1);
+    assert_eq!(rig.published().len(), 1);
     assert!(windows.offer(|_| Ok(())));
     rig.thread.idle().await;
     assert_eq!(rig.thread.failure(), None);
-    let told = rig.told();
+    let published = rig.published();
     assert!(
-        told.len() == 1 && told[0].0 && told[0].1.contains("3 windows"),
-        "{told:?}"
+        published.len() == 1 && published[0].0 && published[0].1.contains("3 windows"),
+        "{published:?}"
     );
     // A hob that was switched off meanwhile sends no window that could be written.
     assert!(windows.offer(|_| Err(full())));
     rig.thread.idle().await;
-    rig.thread.look(None, PATIENCE).await;
+    rig.thread.poll_health(None, PATIENCE).await;
     assert_eq!(rig.thread.failure(), None);
     assert_eq!(rig.thread.all_dropped().windows, 4);
 }
@@ -151,23 +154,26 @@ async fn a_full_disk_is_told_once_and_lasts_until_windows_are_written_or_could_b
 async fn a_store_that_hangs_is_told_and_a_refusal_is_none_of_its_failures() {
     let mut rig = rig();
     let refused = StoreError::NoLookup { version: 7 };
-    let state = rig.thread.writing(Record::State);
+    let state = rig.thread.writing(RecordKind::State);
     assert!(state.run(|_| Err::<(), _>(refused)).await.is_err());
     assert_eq!(rig.thread.failure(), None);
     let release = rig.stall();
-    let job = rig.thread.look(None, PATIENCE).await;
+    let job = rig.thread.poll_health(None, PATIENCE).await;
     assert_eq!(rig.thread.failure(), None, "it may have begun just now");
-    rig.thread.look(job, PATIENCE).await;
+    rig.thread.poll_health(job, PATIENCE).await;
     assert_eq!(rig.thread.failure().unwrap().cause, StoreCause::Silent);
     drop(release);
     rig.thread.idle().await;
-    rig.thread.look(job, PATIENCE).await;
+    rig.thread.poll_health(job, PATIENCE).await;
     assert_eq!(rig.thread.failure(), None);
     assert_eq!(
-        rig.told().iter().map(|(ok, _)| *ok).collect::<Vec<_>>(),
+        rig.published()
+            .iter()
+            .map(|(ok, _)| *ok)
+            .collect::<Vec<_>>(),
         [false, true]
     );
-    let panics = rig.thread.writing_once(Record::Audits);
+    let panics = rig.thread.writing_once(RecordKind::Audits);
     assert!(
         panics
             .run(|_| -> Result<(), StoreError> { panic!("a test") })

@@ -1,9 +1,9 @@
-//! An edge of a fleet, without a server: windows that are due, and answers that come from elsewhere, honest or not.
+//! Edge of a fleet, without a server: due windows, and workers' answers, right or wrong.
 
 use std::time::Duration;
 
 use ihd_daemon::Daemon;
-use ihd_daemon::fleet::{Advice, FleetConfig, ReceiveError, Received, TRUSTED_FOR};
+use ihd_daemon::fleet::{DELEGATION_TIME, FleetConfig, LookupCheck, ReceiveError, ReceiveOutcome};
 use ihd_daemon::learning::WorkerAnswer;
 use ihd_daemon::model::DeviceState;
 use ihd_link::Window;
@@ -33,13 +33,13 @@ async fn edge(rig: &Rig) -> Daemon {
     daemon
 }
 
-/// Heats until so many windows are due at the fleet, which answers all the time, then ends it.
+/// Heats under a delegation until `count` windows are due at the fleet, then ends the lease.
 async fn heat_until_due(daemon: &Daemon, count: usize) -> Vec<DueWindow> {
     let heated = async {
         loop {
-            daemon.trust_fleet(Some(Instant::now() + TRUSTED_FOR));
+            daemon.delegate_until(Some(Instant::now() + DELEGATION_TIME));
             power(daemon, "a", 1_000).await.unwrap();
-            let due = daemon.due(100).await.unwrap();
+            let due = daemon.due_windows(100).await.unwrap();
             if due.len() >= count {
                 return due;
             }
@@ -51,17 +51,17 @@ async fn heat_until_due(daemon: &Daemon, count: usize) -> Vec<DueWindow> {
     due.expect("windows come while it heats")
 }
 
-/// An answer of a worker that found nothing.
-fn nothing() -> WorkerAnswer {
+/// Returns an answer without a result.
+fn answer_without_result() -> WorkerAnswer {
     WorkerAnswer {
         by: "w".to_owned(),
         skew_s: None,
-        found: Err("nothing found".to_owned()),
+        load: Err("nothing found".to_owned()),
         busy: Duration::ZERO,
     }
 }
 
-/// A window that is due, as a worker gets it.
+/// Reads a due window as a worker receives it.
 async fn read(daemon: &Daemon, due: &DueWindow) -> Box<Window> {
     match daemon.read_due(due.clone()).await.unwrap() {
         OutboxItem::Window(window) => window,
@@ -69,8 +69,8 @@ async fn read(daemon: &Daemon, due: &DueWindow) -> Box<Window> {
     }
 }
 
-/// An honest worker's answer to a window that is due.
-async fn honest(daemon: &Daemon, due: &DueWindow) -> WorkerAnswer {
+/// Returns a correct answer to a due window.
+async fn honest_answer(daemon: &Daemon, due: &DueWindow) -> WorkerAnswer {
     let window = read(daemon, due).await;
     let network = NetworkConfig {
         deterministic: true,
@@ -85,13 +85,19 @@ async fn an_answer_counts_only_if_its_window_was_sent() {
     let daemon = edge(&rig).await;
     let due = heat_until_due(&daemon, 2).await;
     let (boot, seq) = (due[0].boot, due[0].seq);
-    // A window that the hob has not made yet, and one that the fleet has not got.
-    let early = daemon.receive("bench", boot, seq + 10_000, nothing()).await;
-    assert_eq!(early.unwrap(), Received::Unasked);
-    let unsent = daemon.receive("bench", boot, seq, nothing()).await;
+    // A window that does not exist yet, and one that was not sent.
+    let early = daemon
+        .receive("bench", boot, seq + 10_000, answer_without_result())
+        .await;
+    assert_eq!(early.unwrap(), ReceiveOutcome::Unrequested);
+    let unsent = daemon
+        .receive("bench", boot, seq, answer_without_result())
+        .await;
     assert!(matches!(unsent, Err(ReceiveError::NotSent)), "{unsent:?}");
-    let elsewhere = daemon.receive("bench", boot ^ 1, seq, nothing()).await;
-    assert_eq!(elsewhere.unwrap(), Received::Foreign);
+    let elsewhere = daemon
+        .receive("bench", boot ^ 1, seq, answer_without_result())
+        .await;
+    assert_eq!(elsewhere.unwrap(), ReceiveOutcome::Foreign);
     let all = ResultFilter::default();
     assert_eq!(daemon.results(all.clone()).await.unwrap().len(), 0);
 
@@ -99,22 +105,26 @@ async fn an_answer_counts_only_if_its_window_was_sent() {
         .iter()
         .map(|due| (due.clone(), DeliveryState::Window))
         .collect();
-    daemon.sent(sent).await.unwrap();
-    let asked = daemon.receive("bench", boot, seq, nothing()).await;
-    assert_eq!(asked.unwrap(), Received::Stored);
-    let again = daemon.receive("bench", boot, seq, nothing()).await;
-    assert_eq!(again.unwrap(), Received::Known);
-    // What the worker did not find, the edge did.
+    daemon.mark_sent(sent).await.unwrap();
+    let asked = daemon
+        .receive("bench", boot, seq, answer_without_result())
+        .await;
+    assert_eq!(asked.unwrap(), ReceiveOutcome::Stored);
+    let again = daemon
+        .receive("bench", boot, seq, answer_without_result())
+        .await;
+    assert_eq!(again.unwrap(), ReceiveOutcome::Duplicate);
+    // The edge has identified the window itself.
     let results = daemon.results(all).await.unwrap();
     assert_eq!(results.len(), 1);
     assert!(results[0].pass, "{results:?}");
     daemon.stop().await;
 }
 
-/// Makes a lie of an honest answer.
+/// Function that makes an answer wrong.
 type Lie = fn(&mut WorkerAnswer);
 
-/// Lies about windows that were asked for: what stands in the store is the same as without a worker.
+/// Wrong answers to sent windows leave the stored results as without a worker.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lie_is_refuted_named_and_identified_here() {
     let rig = Rig::new(&["bench"]);
@@ -127,28 +137,28 @@ async fn a_lie_is_refuted_named_and_identified_here() {
         }),
         ("L 1 % low", |a| each(a, |_, l| *l *= 0.99)),
         ("times of yesterday", |a| {
-            a.found.as_mut().unwrap().t_s.fill(-86_400.0);
+            a.load.as_mut().unwrap().t_s.fill(-86_400.0);
         }),
     ];
-    let mut told = Vec::new();
+    let mut stored = Vec::new();
     for (k, due) in due[..6].iter().enumerate() {
         let i_a = read(&daemon, due).await.segment().i_a;
         let i_rms_a = (i_a.iter().map(|i| i * i).sum::<f64>() / i_a.len() as f64).sqrt();
-        let truth = honest(&daemon, due).await;
-        let mut answer = truth.clone();
-        // Each liar lies once, beside an honest worker: nobody is known for it yet.
+        let correct = honest_answer(&daemon, due).await;
+        let mut answer = correct.clone();
+        // Each wrong answer comes from another worker, so that none is distrusted.
         if let Some((name, lie)) = lies.get(k) {
             answer.by = format!("liar-{k}");
             lie(&mut answer);
             println!("{name}");
         }
         daemon
-            .sent(vec![(due.clone(), DeliveryState::Window)])
+            .mark_sent(vec![(due.clone(), DeliveryState::Window)])
             .await
             .unwrap();
         let received = daemon.receive("bench", due.boot, due.seq, answer).await;
-        assert_eq!(received.unwrap(), Received::Stored);
-        told.push((due.seq, i_rms_a, truth.found.unwrap()));
+        assert_eq!(received.unwrap(), ReceiveOutcome::Stored);
+        stored.push((due.seq, i_rms_a, correct.load.unwrap()));
     }
     let workers = daemon.workers();
     assert_eq!((workers["w"].confirmed, workers["w"].refuted), (2, 0));
@@ -158,14 +168,14 @@ async fn a_lie_is_refuted_named_and_identified_here() {
         assert!(!liar.why.is_empty());
     }
     let results = daemon.results(ResultFilter::default()).await.unwrap();
-    for (seq, i_rms_a, stated) in told {
+    for (seq, i_rms_a, load) in stored {
         let result = results.iter().find(|r| r.seq == seq).expect("stored");
-        let crest = stated.r_ohm[stated.r_ohm.len() / 2];
+        let crest = load.r_ohm[load.r_ohm.len() / 2];
         assert!(
             result.pass && (result.r_ohm / crest - 1.0).abs() < 0.1,
             "{result:?}"
         );
-        // P = R·I², whatever the power regulation was at: L takes none over a half-cycle.
+        // P = R·I²: L takes no power over a half-cycle.
         let expected_w = result.r_ohm * i_rms_a * i_rms_a;
         let power_w = result.power_w.expect("a window knows its power");
         assert!(
@@ -176,28 +186,28 @@ async fn a_lie_is_refuted_named_and_identified_here() {
     daemon.stop().await;
 }
 
-/// A lookup that somebody wants used is advice: it is held against what the hob has shown.
+/// A lookup from the fleet is checked against the hob's own windows.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lookup_from_elsewhere_must_not_contradict_what_the_hob_has_shown() {
     let rig = Rig::new(&["bench"]);
     let daemon = edge(&rig).await;
-    let known = prior();
-    let weigh = async |lookup: &RlLookup| loop {
-        match daemon.weigh_lookup("bench", lookup) {
-            Advice::Later => nap().await,
+    let built_in = prior();
+    let check = async |lookup: &RlLookup| loop {
+        match daemon.check_lookup("bench", lookup) {
+            LookupCheck::Unavailable => nap().await,
             advice => return advice,
         }
     };
-    // Before the hob has shown anything, nothing contradicts it.
-    assert_eq!(weigh(&known).await, Advice::Agrees);
+    // Without windows nothing contradicts it.
+    assert_eq!(check(&built_in).await, LookupCheck::Agrees);
     for due in heat_until_due(&daemon, 2).await {
-        let answer = honest(&daemon, &due).await;
+        let answer = honest_answer(&daemon, &due).await;
         daemon
-            .sent(vec![(due.clone(), DeliveryState::Window)])
+            .mark_sent(vec![(due.clone(), DeliveryState::Window)])
             .await
             .unwrap();
         let received = daemon.receive("bench", due.boot, due.seq, answer).await;
-        assert_eq!(received.unwrap(), Received::Stored);
+        assert_eq!(received.unwrap(), ReceiveOutcome::Stored);
     }
     let learned = async {
         loop {
@@ -209,46 +219,48 @@ async fn a_lookup_from_elsewhere_must_not_contradict_what_the_hob_has_shown() {
         }
     };
     let learned = tokio::time::timeout(PATIENCE, learned).await.unwrap();
-    assert_eq!(weigh(&learned).await, Advice::Agrees);
+    assert_eq!(check(&learned).await, LookupCheck::Agrees);
     let mut lie = learned.clone();
     lie.r.iter_mut().flatten().for_each(|r| *r += *r / 7);
-    match weigh(&lie).await {
-        Advice::Contradicts(place) => println!("{place}"),
+    match check(&lie).await {
+        LookupCheck::Contradicts(place) => println!("{place}"),
         other => panic!("{other:?}"),
     }
     daemon.stop().await;
 }
 
 fn each(answer: &mut WorkerAnswer, change: impl Fn(&mut f64, &mut f64)) {
-    let stated = answer.found.as_mut().expect("an honest answer");
-    let values = stated.r_ohm.iter_mut().zip(&mut stated.l_h);
+    let load = answer.load.as_mut().expect("an honest answer");
+    let values = load.r_ohm.iter_mut().zip(&mut load.l_h);
     values.for_each(|(r, l)| change(r, l));
 }
 
-/// All that was due was answered before the daemon was started again, on the same day: what comes next is due.
+/// All due windows were answered before the daemon was restarted on the same day: new ones are due.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_edge_that_was_started_again_goes_on_sending() {
     let rig = Rig::new(&["bench"]);
     let daemon = edge(&rig).await;
     for due in heat_until_due(&daemon, 1).await {
         daemon
-            .sent(vec![(due.clone(), DeliveryState::Window)])
+            .mark_sent(vec![(due.clone(), DeliveryState::Window)])
             .await
             .unwrap();
-        let received = daemon.receive("bench", due.boot, due.seq, nothing()).await;
-        assert_eq!(received.unwrap(), Received::Stored);
+        let received = daemon
+            .receive("bench", due.boot, due.seq, answer_without_result())
+            .await;
+        assert_eq!(received.unwrap(), ReceiveOutcome::Stored);
     }
     daemon.stop().await;
 
     let daemon = edge(&rig).await;
-    // Those that came while it was switched off.
-    let late = daemon.due(100).await.unwrap();
+    // Windows that came while the power was switched off.
+    let late = daemon.due_windows(100).await.unwrap();
     let late = late
         .into_iter()
         .map(|due| (due, DeliveryState::Result))
         .collect();
-    daemon.sent(late).await.unwrap();
-    assert_eq!(daemon.due(100).await.unwrap(), []);
+    daemon.mark_sent(late).await.unwrap();
+    assert_eq!(daemon.due_windows(100).await.unwrap(), []);
     assert!(!heat_until_due(&daemon, 1).await.is_empty());
     daemon.stop().await;
 }

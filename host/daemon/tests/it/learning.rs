@@ -1,25 +1,25 @@
-//! Whatever heats teaches, and a restart forgets nothing.
+//! Learning from any heating, kept over a restart.
 
-use ihd_daemon::model::{DeviceState, What};
+use ihd_daemon::model::{DeviceState, EventKind};
 use ihd_store::{LookupState, ResultFilter};
 
-use super::rig::{Rig, hear, until, until_state};
+use super::rig::{Rig, until, until_state, wait_for_event};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_the_panel_heats_is_learned_pushed_and_kept_over_a_restart() {
     let rig = Rig::new(&["bench"]);
     let daemon = rig.daemon().await;
     until_state(&daemon, DeviceState::Idle).await;
-    let mut notices = daemon.watch();
+    let mut events = daemon.watch();
     rig.bench().panel(7);
-    let version = hear(&mut notices, |what| match what {
-        What::LookupActive { version, .. } => Some(*version),
+    let version = wait_for_event(&mut events, |kind| match kind {
+        EventKind::LookupActive { version, .. } => Some(*version),
         _ => None,
     })
     .await;
     assert!(version >= 1);
-    hear(&mut notices, |what| {
-        matches!(what, What::ResultStored { pass: true, .. }).then_some(())
+    wait_for_event(&mut events, |kind| {
+        matches!(kind, EventKind::ResultStored { pass: true, .. }).then_some(())
     })
     .await;
     let report = until(&daemon, |r| {
@@ -32,7 +32,7 @@ async fn what_the_panel_heats_is_learned_pushed_and_kept_over_a_restart() {
     assert_eq!(report.asked_by_daemon_w, 0, "it only watched");
     let results = daemon.results(ResultFilter::default()).await.unwrap();
     assert!(results.len() >= 3);
-    // The simulated pot, at a point of its load: the truth is 2-3 ohm and some 20 microhenry.
+    // The simulated pot has 2-3 ohm and some 20 microhenry.
     let passed = results.iter().find(|r| r.pass).unwrap();
     assert!(
         passed.sigma_r_pct < 1.0 && passed.l_h > 5e-6 && passed.l_h < 60e-6,

@@ -1,22 +1,22 @@
-//! Who commands, and that the hob is off when nobody does.
+//! Leases: one holder commands, and without a lease the hob is off.
 
 use std::time::{Duration, Instant};
 
 use ihd_daemon::lease::LEASE_S;
-use ihd_daemon::model::{Command, CommandError, DeviceState, What};
+use ihd_daemon::model::{Command, CommandError, DeviceState, EventKind};
 
-use super::rig::{Clock, PATIENCE, Rig, hear, nap, power, until_state};
+use super::rig::{Clock, PATIENCE, Rig, nap, power, until_state, wait_for_event};
 
 #[tokio::test]
 async fn power_ends_with_the_lease_that_nobody_renews() {
     let rig = Rig::new(&["bench"]);
     let daemon = rig.daemon().await;
     until_state(&daemon, DeviceState::Idle).await;
-    let mut notices = daemon.watch();
+    let mut events = daemon.watch();
     let clock = Clock::stop();
     power(&daemon, "a", 1_000).await.unwrap();
     assert_eq!(rig.bench().asked_w(), 1_000);
-    // Renewed once, it outlives its ten seconds.
+    // Renewed once, it lasts longer than ten seconds.
     clock.pass(Duration::from_secs(6)).await;
     daemon.take_lease("bench", "a", false).await.unwrap();
     let nearly = Duration::from_secs(LEASE_S) - Duration::from_millis(200);
@@ -26,23 +26,23 @@ async fn power_ends_with_the_lease_that_nobody_renews() {
         (rig.bench().asked_w(), report.asked_by_daemon_w),
         (1_000, 1_000)
     );
-    // A tick after its end; what the session waits for may need the clock to go on, and the link's thread the machine.
+    // Off a tick after its end; the session may need further ticks, and the link's thread real time.
     let patience = std::time::Instant::now() + PATIENCE;
     while daemon.device("bench").unwrap().asked_by_daemon_w != 0 {
         assert!(std::time::Instant::now() < patience, "the power stays");
         clock.pass(Duration::from_millis(50)).await;
     }
-    // The link's thread tells it.
-    let told = async {
+    // The link's thread sends the request.
+    let off = async {
         while rig.bench().asked_w() != 0 {
             nap().await;
         }
     };
     clock.go_on();
-    let told = tokio::time::timeout(PATIENCE, told).await;
-    told.expect("the hob is told");
-    hear(&mut notices, |what| match what {
-        What::Lease { holder, .. } if holder.is_empty() => Some(()),
+    let off = tokio::time::timeout(PATIENCE, off).await;
+    off.expect("the hob is off");
+    wait_for_event(&mut events, |kind| match kind {
+        EventKind::Lease { holder, .. } if holder.is_empty() => Some(()),
         _ => None,
     })
     .await;
@@ -63,11 +63,11 @@ async fn one_commands_until_another_takes_it_by_force_and_is_told() {
     assert!(daemon.take_lease("bench", "b", false).await.is_err());
     let lease = daemon.take_lease("bench", "b", true).await.unwrap();
     assert_eq!(lease.holder, "b");
-    // What the other had asked for is not b's to answer for.
+    // Power that the previous holder requested ends with its lease.
     assert_eq!(rig.bench().asked_w(), 0);
     for observer in [&mut first, &mut second] {
-        let from = hear(observer, |what| match what {
-            What::Lease {
+        let from = wait_for_event(observer, |kind| match kind {
+            EventKind::Lease {
                 holder, taken_from, ..
             } if holder == "b" => Some(taken_from.clone()),
             _ => None,
@@ -77,7 +77,7 @@ async fn one_commands_until_another_takes_it_by_force_and_is_told() {
     assert!(power(&daemon, "a", 500).await.is_err());
     power(&daemon, "b", 500).await.unwrap();
     assert_eq!(rig.bench().asked_w(), 500);
-    // Anybody may switch off.
+    // Switching off needs no lease.
     daemon.command("bench", "c", Command::Off).await.unwrap();
     assert_eq!(rig.bench().asked_w(), 0);
     assert!(daemon.release_lease("bench", "a").await.is_err());
@@ -121,8 +121,8 @@ async fn a_command_of_a_moment_leaves_the_lease_free() {
     daemon.stop().await;
 }
 
-/// Two requests of one holder at once, of which one needs the lease for a moment: whichever ends first, power has a lease, and giving
-/// that back ends it.
+/// Two concurrent requests of one holder, of which one needs the lease only briefly: whichever ends first, power has a lease, and
+/// releasing the lease ends the power.
 #[tokio::test(flavor = "multi_thread")]
 async fn commands_at_once_leave_no_power_without_a_lease() {
     let rig = Rig::new(&["bench"]);
@@ -160,7 +160,7 @@ async fn a_daemon_that_died_leaves_a_hob_that_the_next_one_switches_off() {
     let daemon = rig.daemon().await;
     until_state(&daemon, DeviceState::Idle).await;
     daemon.stop().await;
-    // As a host that is gone has left it.
+    // As left by a host that is gone.
     rig.bench().hob().send(&set_power(900));
     let deadline = Instant::now() + PATIENCE;
     while rig.bench().asked_w() != 900 {
@@ -173,7 +173,7 @@ async fn a_daemon_that_died_leaves_a_hob_that_the_next_one_switches_off() {
     daemon.stop().await;
 }
 
-/// A hello, and a request for power.
+/// Returns the frames of a hello and of a request for power.
 fn set_power(power_w: u16) -> Vec<u8> {
     use ihd_shared::wire::frame::{MAX_ENCODED, encode, encode_numbered};
     use ihd_shared::wire::hello::{ROLE_HOST, ours};
@@ -185,7 +185,7 @@ fn set_power(power_w: u16) -> Vec<u8> {
     [&hello[..greeting], &frame[..length]].concat()
 }
 
-/// The daemon's clock is slow: a sweep does not wait for ever, and on a busy machine a simulated hob takes long.
+/// The daemon's clock is slowed down: a sweep has time-outs, and on a busy machine a simulated hob is slow.
 #[tokio::test]
 async fn a_sweep_takes_one_power_after_the_other_and_ends_off() {
     let rig = Rig::new(&["bench"]);

@@ -1,4 +1,4 @@
-//! What a watcher sees of the devices, at its own pace.
+//! Live telemetry of subscribers with different periods.
 
 use std::time::Duration;
 
@@ -36,7 +36,7 @@ async fn each_watcher_counts_every_half_cycle_at_its_own_pace() {
         "{:?}",
         bench.power_w
     );
-    // The simulated pot at some 45 kHz: 2-3 ohm and some 20 microhenry; the hob stays above resonance.
+    // The simulated pot has 2-3 ohm and some 20 microhenry at some 45 kHz; the hob stays above resonance.
     let (phase_deg, resonance_hz) = (bench.phase_deg.unwrap(), bench.resonance_hz.unwrap());
     assert!(phase_deg > 5.0 && phase_deg < 85.0, "{phase_deg}");
     assert!(

@@ -1,15 +1,15 @@
-//! The lookup on the device and the one in the store come together whatever happened.
+//! Lookups on the device and in the store agree after any sequence of events.
 
 use ihd_daemon::Daemon;
-use ihd_daemon::model::{Command, DeviceState, What};
+use ihd_daemon::model::{Command, DeviceState, EventKind};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_sim::hob::HobConfig;
 use ihd_store::{LookupState, Store};
 
-use super::rig::{Rig, hear, until, until_state};
+use super::rig::{Rig, until, until_state, wait_for_event};
 
-/// A lookup that a device takes, unlike others of its version.
+/// Returns a valid lookup of a version, with one observed cell.
 fn lookup(version: u32, mark: usize) -> RlLookup {
     let mut lookup = RlLookup { version, ..prior() };
     lookup.mark_observed(mark, mark);
@@ -34,13 +34,13 @@ async fn pushed_rolled_back_and_reset() {
     let daemon = rig.daemon().await;
     let report = until_state(&daemon, DeviceState::Idle).await;
     assert_eq!(report.lookup.on_device, Some(0));
-    let mut notices = daemon.watch();
+    let mut events = daemon.watch();
     assert!(push(&daemon, &lookup(1, 1)).await.contains("version 1"));
-    let heard = hear(&mut notices, |what| match what {
-        What::LookupActive { version, .. } => Some(*version),
+    let version = wait_for_event(&mut events, |kind| match kind {
+        EventKind::LookupActive { version, .. } => Some(*version),
         _ => None,
     });
-    assert_eq!(heard.await, 1);
+    assert_eq!(version.await, 1);
     push(&daemon, &lookup(2, 2)).await;
     let report = until(&daemon, |r| r.lookup.on_device == Some(2)).await;
     assert_eq!(report.lookup.active, Some(2));
@@ -70,7 +70,7 @@ async fn a_refused_lookup_is_a_state() {
     let rig = Rig::new(&["bench"]);
     let daemon = rig.daemon().await;
     until_state(&daemon, DeviceState::Idle).await;
-    // Not even a lookup: said so, and nothing stored.
+    // Invalid bytes are an error, and nothing is stored.
     let blob = vec![1, 2, 3];
     let refused = daemon
         .command("bench", "a", Command::LookupPush { blob })

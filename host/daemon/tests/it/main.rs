@@ -4,10 +4,9 @@ mod fleet;
 mod learning;
 mod leases;
 mod live;
-
-mod looks;
 mod lookups;
 mod off;
 mod recordings;
 mod rig;
 mod sessions;
+mod view;

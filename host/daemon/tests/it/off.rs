@@ -1,4 +1,4 @@
-//! `off`: first, whatever else the daemon is at, and nothing that was asked for before it heats later.
+//! Command `off`: it precedes all other work, and no earlier request heats after it.
 
 use std::time::Duration;
 
@@ -7,9 +7,9 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::Reader;
 
-use super::rig::{Clock, Rig, lives, nap, power, until, until_state};
+use super::rig::{Clock, Rig, let_hob_run, nap, power, until, until_state};
 
-/// Commands that wait for the device's task; more than there is room for.
+/// Number of commands that wait for the device's task; more than its queue holds.
 const WAITING: usize = 20;
 
 impl Rig {
@@ -17,7 +17,7 @@ impl Rig {
         self.folder.path().join("store/ihd.db")
     }
 
-    /// Keeps the daemon from writing into its database until the transaction is dropped, as a stuck disk does.
+    /// Locks the database until the returned connection is dropped, as a stuck disk would.
     fn lock_database(&self) -> rusqlite::Connection {
         let connection = rusqlite::Connection::open(self.database()).unwrap();
         connection.busy_timeout(Duration::from_secs(300)).unwrap();
@@ -25,7 +25,7 @@ impl Rig {
         connection
     }
 
-    /// Commands in the audit, oldest first.
+    /// Returns the commands in the audit, oldest first.
     fn audited(&self) -> Vec<String> {
         let reader = Reader::open(&self.folder.path().join("store")).unwrap();
         let rows = reader.audit(100).unwrap().into_iter().rev();
@@ -44,7 +44,7 @@ async fn off_waits_neither_for_the_disk_nor_behind_other_commands() {
     }
     let lock = rig.lock_database();
     let clock = Clock::stop();
-    // The device's task waits for the store, and all others for the task.
+    // The device's task waits for the store, and all other commands for the task.
     let lookup = RlLookup {
         version: 1,
         ..prior()
@@ -73,7 +73,7 @@ async fn off_waits_neither_for_the_disk_nor_behind_other_commands() {
         let refused = power.await.unwrap().unwrap_err().to_string();
         assert!(refused.contains("`off` came before"), "{refused}");
     }
-    // It heats nothing: it may be done after all.
+    // It does not heat: either outcome is right.
     let _ = push.await.unwrap();
     assert_eq!(rig.bench().asked_w(), 0);
     power(&daemon, "a", 700).await.unwrap();
@@ -101,10 +101,10 @@ async fn off_ends_a_sweep_for_good() {
     daemon.command("bench", "b", Command::Off).await.unwrap();
     let report = daemon.device("bench").unwrap();
     assert_eq!(report.sweep_left_w, [0; 0]);
-    // Long enough for the next power, had it gone on.
+    // Long enough for the next power of the sweep.
     for _ in 0..9 {
         clock.pass(Duration::from_millis(900)).await;
-        lives(rig.bench(), 0.5).await;
+        let_hob_run(rig.bench(), 0.5).await;
         assert_eq!(rig.bench().asked_w(), 0);
     }
     until(&daemon, |r| r.sweep_left_w.is_empty()).await;

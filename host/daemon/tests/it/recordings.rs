@@ -1,4 +1,4 @@
-//! Recordings through the daemon, of a hob in real time: armed, begun, cut, gone on with, and listed.
+//! Recordings by the daemon of a hob in real time: armed, begun, interrupted, continued, listed.
 
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -8,23 +8,23 @@ use ihd_capture::mcap::topics::{FaultNote, META_FREE, Topic};
 use ihd_capture::mcap::{Reader, SessionReader};
 use ihd_daemon::Daemon;
 use ihd_daemon::model::{
-    Command, CommandError, DeviceState, Done, Quantity, RecordSettings, RecordingPhase, Trigger,
-    What,
+    Command, CommandError, CommandReply, DeviceState, EventKind, Quantity, RecordSettings,
+    RecordingPhase, Trigger,
 };
 use ihd_sim::injection::{Injection, InjectionKind};
 
-use super::rig::{Rig, hear, lives, nap, power, until, until_state};
+use super::rig::{Rig, let_hob_run, nap, power, until, until_state, wait_for_event};
 
-async fn start(daemon: &Daemon, settings: RecordSettings) -> Result<Done, CommandError> {
+async fn start(daemon: &Daemon, settings: RecordSettings) -> Result<CommandReply, CommandError> {
     let command = Command::RecordStart(settings);
     daemon.command("bench", "me", command).await
 }
 
-async fn stop(daemon: &Daemon) -> Result<Done, CommandError> {
+async fn stop(daemon: &Daemon) -> Result<CommandReply, CommandError> {
     daemon.command("bench", "me", Command::RecordStop).await
 }
 
-/// Times of half-cycles and of faults in a file, and its trigger's.
+/// Returns the times of half-cycles and faults in a file, and of its trigger.
 fn times(path: &Path) -> (Vec<f64>, Vec<(f64, u16)>, f64) {
     let (mut half_cycles, mut faults, mut trigger_s) = (Vec::new(), Vec::new(), f64::NAN);
     let mut reader = Reader::open(path).unwrap();
@@ -50,7 +50,7 @@ fn times(path: &Path) -> (Vec<f64>, Vec<(f64, u16)>, f64) {
 async fn a_fault_is_in_the_file_with_what_was_before_and_after() {
     let rig = Rig::new(&["bench"]);
     let daemon = rig.daemon().await;
-    let mut notices = daemon.watch();
+    let mut events = daemon.watch();
     until_state(&daemon, DeviceState::Idle).await;
     rig.bench().panel(6);
     until(&daemon, |r| r.windows.stored >= 3).await;
@@ -67,7 +67,7 @@ async fn a_fault_is_in_the_file_with_what_was_before_and_after() {
     assert_eq!(daemon.device("bench").unwrap().recording, None);
     let again = start(&daemon, RecordSettings::default()).await;
     assert!(again.unwrap_err().to_string().contains("waits for"));
-    lives(rig.bench(), 0.5).await;
+    let_hob_run(rig.bench(), 0.5).await;
     let kind = InjectionKind::NtcOpen;
     let broken = Injection {
         kind,
@@ -77,18 +77,18 @@ async fn a_fault_is_in_the_file_with_what_was_before_and_after() {
     rig.bench().hob().inject(|all| {
         all.start(broken);
     });
-    let phase = |wanted| {
-        move |what: &What| match what {
-            What::Recording { phase, text, file } if *phase == wanted => {
+    let phase = |expected| {
+        move |kind: &EventKind| match kind {
+            EventKind::Recording { phase, text, file } if *phase == expected => {
                 Some((text.clone(), file.clone()))
             }
             _ => None,
         }
     };
-    hear(&mut notices, phase(RecordingPhase::Armed)).await;
-    let (text, file) = hear(&mut notices, phase(RecordingPhase::Begun)).await;
+    wait_for_event(&mut events, phase(RecordingPhase::Armed)).await;
+    let (text, file) = wait_for_event(&mut events, phase(RecordingPhase::Begun)).await;
     assert!(text.contains("fault 22"), "{text}");
-    let (text, ended) = hear(&mut notices, phase(RecordingPhase::Ended)).await;
+    let (text, ended) = wait_for_event(&mut events, phase(RecordingPhase::Ended)).await;
     assert_eq!((text.as_str(), &ended), ("1 s are over", &file));
     until(&daemon, |r| r.recording_now.is_none()).await;
     let listed = daemon.recordings().await.unwrap();
@@ -99,8 +99,8 @@ async fn a_fault_is_in_the_file_with_what_was_before_and_after() {
         ("bench", false)
     );
     let (half_cycles, faults, trigger_s) = times(&daemon.recordings_folder().join(&listed[0].file));
-    // The recorder counts seconds of the wall, in which the hob of a slow machine has fewer half-cycles, never more;
-    // recording/tests.rs has the exact lengths.
+    // The recorder counts real time, in which the hob on a slow machine has fewer half-cycles, never more;
+    // recording/tests.rs checks the exact lengths.
     assert!((0.1..1.6).contains(&trigger_s), "{trigger_s}");
     assert!(
         (faults[0].0 - trigger_s).abs() < 0.1 && faults[0].1 == 22,
@@ -154,12 +154,12 @@ async fn armed_it_outlives_the_link_and_can_be_stopped_without_one() {
     let under_way = until(&daemon, |r| r.recording.is_some()).await;
     let first = under_way.recording.unwrap();
     let windows = under_way.windows.stored;
-    // Its file is made on a thread of its own.
+    // The file is created on another thread.
     while daemon.recordings().await.unwrap().is_empty() {
         nap().await;
     }
     assert!(daemon.recordings().await.unwrap()[0].under_way);
-    // Under way, it goes on in a second file.
+    // A running recording continues in a second file.
     until(&daemon, |r| r.windows.stored >= windows + 2).await;
     rig.bench().unplugged.store(true, Ordering::Relaxed);
     until_state(&daemon, DeviceState::Searching).await;
@@ -184,7 +184,7 @@ async fn armed_it_outlives_the_link_and_can_be_stopped_without_one() {
             !session.is_cut() && session.counters().windows.received >= 1,
             "{file}"
         );
-        // The frame in which the link was cut.
+        // The frame that was cut with the link.
         assert!(session.counters().frames_bad <= 1, "{file}");
     }
     assert_eq!(daemon.recordings().await.unwrap().len(), 2);
@@ -209,7 +209,7 @@ async fn with_the_daemon_a_recording_ends_in_order() {
         let refused = start(&daemon, wrong).await.unwrap_err();
         assert!(matches!(refused, CommandError::Refused { .. }), "{refused}");
     }
-    // Whoever commands, others may look.
+    // Recording needs no lease.
     power(&daemon, "somebody else", 1_000).await.unwrap();
     let file = start(&daemon, RecordSettings::default())
         .await

@@ -1,4 +1,4 @@
-//! A hob on a bench that runs in real time whether anybody listens or not, and a daemon in a folder of its own.
+//! Test rig: simulated hobs that run in real time, and a daemon with a store of its own.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -6,8 +6,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use ihd_daemon::model::{Command, CommandError, DeviceReport, DeviceState, Done, Notice, What};
-use ihd_daemon::{Config, Daemon, OpenDevice, Opened, TruthOf};
+use ihd_daemon::model::{
+    Command, CommandError, CommandReply, DaemonEvent, DeviceReport, DeviceState, EventKind,
+};
+use ihd_daemon::{Config, Daemon, OpenDevice, OpenedDevice, TruthFn};
 use ihd_firmware::control::request::PanelEvent;
 use ihd_link::{DeviceSpec, LinkError, Transport};
 use ihd_sim::hob::{HobConfig, SimHob};
@@ -17,10 +19,10 @@ use tokio::task::JoinHandle;
 /// Longest wait for an event; it only ends a hang.
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
-/// Lag behind real time that is given up rather than caught up with.
+/// Largest lag behind real time that is caught up with, in seconds.
 const LARGEST_LAG_S: f64 = 0.05;
 
-/// The daemon's clock, which stands still between two calls of [`Clock::pass`]. The hobs' goes on.
+/// Clock of the daemon, which stands still between two calls of [`Clock::pass`]. The hobs' clocks go on.
 pub struct Clock {
     /// Keeps a blocking task running: without one a paused clock jumps ahead when all tasks wait.
     _holds: std::sync::mpsc::Sender<()>,
@@ -35,7 +37,7 @@ impl Clock {
         Self { _holds: holds }
     }
 
-    /// Lets this much time pass in steps, in each of which the hobs are heard.
+    /// Lets time pass in steps; the daemon receives the hobs' messages in each.
     pub async fn pass(&self, time: Duration) {
         let mut left = time;
         while !left.is_zero() {
@@ -46,38 +48,38 @@ impl Clock {
         }
     }
 
-    /// Lets the clock follow the machine's again.
+    /// Lets the clock run again.
     pub fn go_on(self) {
         tokio::time::resume();
     }
 }
 
-/// Lets this much of a hob's own time pass.
-pub async fn lives(bench: &Bench, time_s: f64) {
+/// Waits until a hob's own time has advanced by `time_s`.
+pub async fn let_hob_run(bench: &Bench, time_s: f64) {
     let until_s = bench.hob().t_s() + time_s;
     while bench.hob().t_s() < until_s {
         nap().await;
     }
 }
 
-/// Waits on the machine's clock, for what another thread does.
+/// Sleeps 10 ms of real time, so that other threads can run.
 pub async fn nap() {
     let nap = || thread::sleep(Duration::from_millis(10));
     tokio::task::spawn_blocking(nap).await.unwrap();
 }
 
-/// A hob, its plug, and what may be done to them.
+/// Simulated hob with its connection.
 pub struct Bench {
     hob: Mutex<SimHob>,
-    /// Threads that wait for the hob: it lets them in between two steps, however far it is behind.
+    /// Number of threads that wait for the hob, which yields to them between two steps even if it lags.
     waiting: AtomicU64,
-    /// Microseconds on its plugs' clock: those that hobs have lived here, and those that somebody waited for a mute one.
+    /// Clock of the connections in microseconds: simulated time of the hobs, and time waited for a mute one.
     clock_us: AtomicU64,
-    /// Counts connections: one that is not the last is closed.
+    /// Number of the last connection; earlier ones are closed.
     connection: AtomicU64,
-    /// Nobody can connect, and who is connected is cut off.
+    /// `true` while no connection is possible; an open one is cut.
     pub unplugged: AtomicBool,
-    /// Nothing passes either way.
+    /// `true` while no byte passes in either direction.
     pub mute: AtomicBool,
     stop: AtomicBool,
 }
@@ -105,7 +107,7 @@ impl Bench {
         hob
     }
 
-    /// Another hob in its place, as after a reset.
+    /// Replaces the hob by another one, as after a reset.
     pub fn replace(&self, config: &HobConfig) {
         *self.hob() = SimHob::new(config);
     }
@@ -126,8 +128,8 @@ impl Bench {
                 while hob.t_s() < due_s && self.waiting.load(Ordering::Relaxed) == 0 {
                     hob.step();
                 }
-                let lived_us = (1e6 * (hob.t_s() - from_s)).round() as u64;
-                self.clock_us.fetch_add(lived_us, Ordering::Relaxed);
+                let passed_us = (1e6 * (hob.t_s() - from_s)).round() as u64;
+                self.clock_us.fetch_add(passed_us, Ordering::Relaxed);
             }
             thread::sleep(Duration::from_millis(1));
         }
@@ -137,13 +139,13 @@ impl Bench {
         self.hob().panel(PanelEvent::Level(level));
     }
 
-    /// Power that the hob is asked for by whomever, in watt.
+    /// Returns the requested power of the hob, from daemon or panel, in watt.
     pub fn asked_w(&self) -> u16 {
         self.hob().housekeeping().control().asked_w()
     }
 
-    /// What R and L truly are.
-    fn truth(self: &Arc<Self>) -> Arc<TruthOf> {
+    /// Returns the source of true R and L.
+    fn truth(self: &Arc<Self>) -> Arc<TruthFn> {
         let bench = Arc::clone(self);
         Arc::new(move |half_cycle| bench.hob().truth(half_cycle).cloned())
     }
@@ -214,7 +216,7 @@ impl Transport for Plug {
         }
     }
 
-    /// The hob's, which a busy machine makes slow: what waits for it has patience.
+    /// Returns the hob's time, which runs slowly on a busy machine: waiting times follow it.
     fn clock(&self) -> Duration {
         Duration::from_micros(self.bench.clock_us.load(Ordering::Relaxed))
     }
@@ -224,14 +226,14 @@ impl Transport for Plug {
     }
 }
 
-/// Devices by name, and a store that outlives the daemons on it.
+/// Hobs by name, and a store that outlives the daemons on it.
 pub struct Rig {
     pub benches: HashMap<String, Arc<Bench>>,
     pub folder: tempfile::TempDir,
 }
 
 impl Rig {
-    /// With a hob of each name.
+    /// Creates a hob of each name.
     pub fn new(names: &[&str]) -> Self {
         let bench = |(k, name): (usize, &&str)| {
             let config = HobConfig {
@@ -260,7 +262,7 @@ impl Rig {
         config
     }
 
-    /// A daemon on the rig's store.
+    /// Starts a daemon on the rig's store.
     pub async fn daemon(&self) -> Daemon {
         self.daemon_with(self.config()).await
     }
@@ -268,7 +270,7 @@ impl Rig {
     pub async fn daemon_with(&self, config: Config) -> Daemon {
         let benches = self.benches.clone();
         let open: Arc<OpenDevice> = Arc::new(move |address| match &address.spec {
-            DeviceSpec::Serial(name) => benches[name].plug(name).map(|transport| Opened {
+            DeviceSpec::Serial(name) => benches[name].plug(name).map(|transport| OpenedDevice {
                 transport,
                 truth: Some(benches[name].truth()),
             }),
@@ -286,12 +288,12 @@ impl Drop for Rig {
     }
 }
 
-/// Waits until the device `bench` is as wanted; its report then.
-pub async fn until(daemon: &Daemon, wanted: impl Fn(&DeviceReport) -> bool) -> DeviceReport {
+/// Waits until the report of the device `bench` meets a condition; returns the report.
+pub async fn until(daemon: &Daemon, is_met: impl Fn(&DeviceReport) -> bool) -> DeviceReport {
     let deadline = Instant::now() + PATIENCE;
     loop {
         let report = daemon.device("bench").expect("it is configured");
-        if wanted(&report) {
+        if is_met(&report) {
             return report;
         }
         assert!(Instant::now() < deadline, "still {report:#?}");
@@ -303,56 +305,60 @@ pub async fn until_state(daemon: &Daemon, state: DeviceState) -> DeviceReport {
     until(daemon, |report| report.state == state).await
 }
 
-/// Waits for a notice of the device `bench`.
-pub async fn hear<T>(
-    notices: &mut broadcast::Receiver<Arc<Notice>>,
-    wanted: impl Fn(&What) -> Option<T>,
+/// Waits for an event of the device `bench`.
+pub async fn wait_for_event<T>(
+    events: &mut broadcast::Receiver<Arc<DaemonEvent>>,
+    select: impl Fn(&EventKind) -> Option<T>,
 ) -> T {
     let deadline = Instant::now() + PATIENCE;
     loop {
-        match notices.try_recv() {
-            Ok(notice) => {
-                if let Some(found) = wanted(&notice.what) {
-                    return found;
+        match events.try_recv() {
+            Ok(event) => {
+                if let Some(value) = select(&event.kind) {
+                    return value;
                 }
             }
             Err(TryRecvError::Empty) => {
-                assert!(Instant::now() < deadline, "it is not told");
+                assert!(Instant::now() < deadline, "no such event");
                 nap().await;
             }
-            Err(e) => panic!("too many to keep up with, or none any more: {e}"),
+            Err(e) => panic!("events were missed, or the daemon has ended: {e}"),
         }
     }
 }
 
-pub async fn power(daemon: &Daemon, holder: &str, power_w: u16) -> Result<Done, CommandError> {
+pub async fn power(
+    daemon: &Daemon,
+    holder: &str,
+    power_w: u16,
+) -> Result<CommandReply, CommandError> {
     daemon
         .command("bench", holder, Command::Power { power_w })
         .await
 }
 
-/// Renews the lease of `bench` until it is dropped: what a test waits for may take longer on a busy machine than a lease lasts.
-pub struct Held(JoinHandle<()>);
+/// Task that renews the lease of `bench` until it is dropped: on a busy machine a test may take longer than a lease lasts.
+pub struct LeaseKeeper(JoinHandle<()>);
 
-/// Holds the lease of `bench` in this name.
-pub fn hold(daemon: &Daemon, holder: &'static str) -> Held {
+/// Keeps the lease of `bench` for a holder.
+pub fn keep_lease(daemon: &Daemon, holder: &'static str) -> LeaseKeeper {
     let daemon = daemon.clone();
-    Held(tokio::spawn(async move {
+    LeaseKeeper(tokio::spawn(async move {
         loop {
-            // Somebody else may have it: that is what a test may be about.
+            // Another holder may have it, as some tests intend.
             let _ = daemon.take_lease("bench", holder, false).await;
             tokio::time::sleep(Duration::from_secs(1)).await;
         }
     }))
 }
 
-impl Drop for Held {
+impl Drop for LeaseKeeper {
     fn drop(&mut self) {
         self.0.abort();
     }
 }
 
-/// A server of a hob behind TCP, until it is dropped.
+/// TCP server of a simulated hob, until it is dropped.
 pub struct Tcp {
     pub port: u16,
     stop: Arc<AtomicBool>,
@@ -368,8 +374,8 @@ impl Tcp {
         let mut server = ihd_sim::server::Server::bind(address, SimHob::new(&config)).unwrap();
         let port = server.address().port();
         let stop = Arc::new(AtomicBool::new(false));
-        let told = Arc::clone(&stop);
-        let thread = thread::spawn(move || server.run(1.0, &told, |_| ()).unwrap());
+        let stopping = Arc::clone(&stop);
+        let thread = thread::spawn(move || server.run(1.0, &stopping, |_| ()).unwrap());
         Self {
             port,
             stop,

@@ -1,18 +1,18 @@
-//! Devices that heat, vanish, come back, fall silent, or speak another language.
+//! Sessions with devices that heat, vanish, return, fall silent, or have another protocol.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use ihd_daemon::model::{Command, DeviceState, RecordSettings, WindowCounts};
-use ihd_daemon::{Config, Daemon, OpenDevice, Opened};
+use ihd_daemon::{Config, Daemon, OpenDevice, OpenedDevice};
 use ihd_link::tcp::TcpTransport;
 use ihd_link::{DeviceSpec, LinkError, Transport};
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_sim::hob::HobConfig;
 
-use super::rig::{Clock, PATIENCE, Rig, Tcp, lives, nap, power, until, until_state};
+use super::rig::{Clock, PATIENCE, Rig, Tcp, let_hob_run, nap, power, until, until_state};
 
 fn balanced(c: WindowCounts, on_their_way: u64) {
     let gone = c.stored + c.refused + c.not_stored + c.dropped_by_device + c.lost;
@@ -28,7 +28,7 @@ async fn it_heats_nothing_by_itself_and_stores_what_the_panel_heats() {
     let daemon = rig.daemon().await;
     let report = until_state(&daemon, DeviceState::Idle).await;
     assert_eq!(report.identity.unwrap().board, "simulated hob");
-    lives(rig.bench(), 0.5).await;
+    let_hob_run(rig.bench(), 0.5).await;
     assert_eq!(rig.bench().asked_w(), 0);
     rig.bench().panel(6);
     let report = until(&daemon, |r| {
@@ -41,7 +41,7 @@ async fn it_heats_nothing_by_itself_and_stores_what_the_panel_heats() {
     rig.bench().panel(0);
     let report = until_state(&daemon, DeviceState::Idle).await;
     daemon.stop().await;
-    // All that was acknowledged is in the store, and the panel's off was nobody else's.
+    // Windows acknowledged before the stop are in the store.
     let store = ihd_store::Store::open(&rig.config().store, &rig.config().store_settings());
     let store = store.unwrap().store;
     assert!(
@@ -97,14 +97,14 @@ async fn a_silent_device_is_suspended_and_comes_back() {
     until_state(&daemon, DeviceState::Idle).await;
     let clock = Clock::stop();
     rig.bench().mute.store(true, Ordering::Relaxed);
-    // What came before is heard now.
+    // Messages sent before are received now.
     nap().await;
     clock.pass(Duration::from_millis(1_500)).await;
     assert_eq!(daemon.device("bench").unwrap().state, DeviceState::Idle);
     clock.pass(Duration::from_secs(1)).await;
     let report = until_state(&daemon, DeviceState::Suspended).await;
     assert!(report.detail.contains("nothing came"), "{}", report.detail);
-    // It is asked three times, two seconds after the answer before, and each answer is waited for on the link's own clock.
+    // Three requests follow at intervals of two seconds; each waits for its response on the link's own clock.
     let deadline = Instant::now() + PATIENCE;
     while daemon.device("bench").unwrap().state == DeviceState::Suspended {
         assert!(Instant::now() < deadline, "it is never given up");
@@ -149,7 +149,7 @@ async fn a_server_that_is_killed_is_found_again_over_tcp() {
     .unwrap();
     config.store = folder.path().to_owned();
     let open: Arc<OpenDevice> = Arc::new(|address| match &address.spec {
-        DeviceSpec::Tcp(place) => Ok(Opened::real(Box::new(TcpTransport::connect(place)?))),
+        DeviceSpec::Tcp(place) => Ok(OpenedDevice::real(Box::new(TcpTransport::connect(place)?))),
         other => panic!("{other}"),
     });
     let daemon = Daemon::start(config, open).await.unwrap();
@@ -166,7 +166,7 @@ async fn a_server_that_is_killed_is_found_again_over_tcp() {
     daemon.stop().await;
 }
 
-/// Answers a hello with one of another major version.
+/// Transport that answers a hello with one of another major version.
 struct Foreign(Vec<u8>);
 
 impl Transport for Foreign {
@@ -203,7 +203,7 @@ async fn a_device_of_another_protocol_says_what_to_update() {
     )
     .unwrap();
     config.store = folder.path().to_owned();
-    let open: Arc<OpenDevice> = Arc::new(|_| Ok(Opened::real(Box::new(Foreign(Vec::new())))));
+    let open: Arc<OpenDevice> = Arc::new(|_| Ok(OpenedDevice::real(Box::new(Foreign(Vec::new())))));
     let daemon = Daemon::start(config, open).await.unwrap();
     let report = until_state(&daemon, DeviceState::Incompatible).await;
     assert!(
@@ -261,7 +261,7 @@ async fn stopping_does_not_wait_for_a_device_that_is_not_there() {
     rig.bench().unplugged.store(true, Ordering::Relaxed);
     let daemon = rig.daemon().await;
     until(&daemon, |r| r.detail.contains("unplugged")).await;
-    // At once, as no time passes.
+    // Immediately, as no time passes.
     let _clock = Clock::stop();
     let stopping = tokio::spawn(async move { daemon.stop().await });
     let deadline = Instant::now() + PATIENCE;

@@ -107,8 +107,13 @@ pub(super) fn option_bytes(facts: &BoardFacts) -> Check {
     let deviations = options.deviations();
     let text = |needed: bool| -> Vec<String> {
         let of = deviations.iter().filter(|d| d.needed == needed);
-        of.map(|d| format!("{} is {} instead of {} ({})", d.name, d.is, d.wanted, d.why))
-            .collect()
+        of.map(|d| {
+            format!(
+                "{} is {} instead of {} ({})",
+                d.name, d.is, d.required, d.why
+            )
+        })
+        .collect()
     };
     let (needed, advised) = (text(true), text(false));
     let finding = format!("FLASH_OPTR {:#010x}", facts.option_bytes);

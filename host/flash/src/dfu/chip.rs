@@ -83,7 +83,7 @@ impl<IO: BootloaderIo> Dfu<IO> {
         });
         match flash {
             Some(flash) if two_banks => Ok(flash.bytes()),
-            _ => Err(self.other("tells of other memories")),
+            _ => Err(self.other("reports other memories")),
         }
     }
 
@@ -244,13 +244,13 @@ impl<IO: BootloaderIo> Dfu<IO> {
 
     fn verify(&self, bytes: &[u8], progress: &mut dyn FnMut(Progress)) -> Result<(), ProgramError> {
         let total = bytes.len() as u32;
-        let mut found = vec![0; bytes.len()];
+        let mut actual = vec![0; bytes.len()];
         progress(Progress::Verifying { done: 0, total });
         let mut read = |done: usize| {
             let done = done as u32;
             progress(Progress::Verifying { done, total });
         };
-        let all = self.read_from(MAIN_FLASH, FLASH_ADDRESS, &mut found, &mut read);
+        let all = self.read_from(MAIN_FLASH, FLASH_ADDRESS, &mut actual, &mut read);
         all.map_err(|error| match error {
             ProgramError::Lost { why, .. } => ProgramError::Lost {
                 doing: FlashStep::Verifying,
@@ -258,7 +258,7 @@ impl<IO: BootloaderIo> Dfu<IO> {
             },
             other => other,
         })?;
-        let differs = bytes.iter().zip(&found).position(|(a, b)| a != b);
+        let differs = bytes.iter().zip(&actual).position(|(a, b)| a != b);
         let Some(place) = differs else {
             return Ok(());
         };
@@ -268,8 +268,8 @@ impl<IO: BootloaderIo> Dfu<IO> {
         let shown = place..bytes.len().min(place + DOUBLE_WORD);
         Err(ProgramError::Verify {
             address: FLASH_ADDRESS + place as u32,
-            wanted: bytes[shown.clone()].to_vec(),
-            found: found[shown].to_vec(),
+            expected: bytes[shown.clone()].to_vec(),
+            actual: actual[shown].to_vec(),
         })
     }
 }
@@ -306,8 +306,8 @@ impl<IO: BootloaderIo> Programmer for Dfu<IO> {
         let memories = self.io().layouts().iter().map(|text| Memory::parse(text));
         let holds = |memory: Memory| memory.holds(address, out.len());
         let mut alternates = (0..).zip(memories);
-        let found = alternates.find(|(_, memory)| memory.clone().is_ok_and(holds));
-        let Some((alternate, _)) = found else {
+        let holder = alternates.find(|(_, memory)| memory.clone().is_ok_and(holds));
+        let Some((alternate, _)) = holder else {
             return Err(ProgramError::Unsupported {
                 what: "reading there",
                 way: "by USB bootloader",
@@ -319,15 +319,15 @@ impl<IO: BootloaderIo> Programmer for Dfu<IO> {
 
     fn option_bytes(&mut self) -> Result<OptionBytes, ProgramError> {
         let banks = [self.bank_options(0)?, self.bank_options(1)?];
-        let area = |bank: usize, which: usize| word(&banks[bank], WRP[which]);
+        let area = |bank: usize, which: usize| read_word(&banks[bank], WRP[which]);
         Ok(OptionBytes {
-            optr: word(&banks[0], OPTR),
+            optr: read_word(&banks[0], OPTR),
             wrp: [area(0, 0), area(0, 1), area(1, 0), area(1, 1)],
         })
     }
 
-    fn set_option_bytes(&mut self, wanted: &OptionBytes) -> Result<(), ProgramError> {
-        if (self.option_bytes()?.optr ^ wanted.optr) & RDP != 0 {
+    fn set_option_bytes(&mut self, target: &OptionBytes) -> Result<(), ProgramError> {
+        if (self.option_bytes()?.optr ^ target.optr) & RDP != 0 {
             return Err(ProgramError::Unsupported {
                 what: "changing the protection against reading",
                 way: "by USB bootloader",
@@ -338,23 +338,23 @@ impl<IO: BootloaderIo> Programmer for Dfu<IO> {
             let present = self.bank_options(bank)?;
             let mut bytes = present.clone();
             if bank == 0 {
-                set_word(&mut bytes, OPTR, wanted.optr);
+                set_word(&mut bytes, OPTR, target.optr);
             }
             for (which, at) in WRP.iter().enumerate() {
-                set_word(&mut bytes, *at, wanted.wrp[2 * bank as usize + which]);
+                set_word(&mut bytes, *at, target.wrp[2 * bank as usize + which]);
             }
             if bytes != present {
                 self.write_bank_options(bank, &bytes)?;
             }
         }
-        let found = self.option_bytes()?;
+        let read_back = self.option_bytes()?;
         let pairs = |options: &OptionBytes| {
             let [a, b, c, d] = options.wrp;
             [options.optr, a, b, c, d]
         };
-        let differs = pairs(wanted).into_iter().zip(pairs(&found));
-        match differs.clone().find(|(wanted, found)| wanted != found) {
-            Some((wanted, found)) => Err(ProgramError::Options { wanted, found }),
+        let mut values = pairs(target).into_iter().zip(pairs(&read_back));
+        match values.find(|(expected, actual)| expected != actual) {
+            Some((expected, actual)) => Err(ProgramError::Options { expected, actual }),
             None => Ok(()),
         }
     }
@@ -392,7 +392,7 @@ impl<IO: BootloaderIo> Programmer for Dfu<IO> {
     }
 }
 
-fn word(bytes: &[u8], at: usize) -> u32 {
+fn read_word(bytes: &[u8], at: usize) -> u32 {
     let word = bytes.get(at..).and_then(|bytes| bytes.first_chunk());
     word.map_or(u32::MAX, |word| u32::from_le_bytes(*word))
 }

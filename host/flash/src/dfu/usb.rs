@@ -73,7 +73,7 @@ pub fn bootloaders() -> Result<Vec<BootloaderDevice>, ProgramError> {
 /// Picks the only one, or the one with the serial number; `None` if there is none at all.
 fn choose<T>(
     mut all: Vec<T>,
-    wanted: Option<&str>,
+    selected: Option<&str>,
     serial: impl Fn(&T) -> &str,
 ) -> Result<Option<T>, ProgramError> {
     let list = |all: &[T]| -> Vec<String> {
@@ -81,18 +81,18 @@ fn choose<T>(
         all.iter().map(name).collect()
     };
     let there = list(&all);
-    all.retain(|one| wanted.is_none_or(|wanted| wanted.eq_ignore_ascii_case(serial(one))));
-    match (all.len(), wanted) {
-        (0, Some(wanted)) if !there.is_empty() => Err(ProgramError::NotFound {
+    all.retain(|one| selected.is_none_or(|selected| selected.eq_ignore_ascii_case(serial(one))));
+    match (all.len(), selected) {
+        (0, Some(selected)) if !there.is_empty() => Err(ProgramError::NotFound {
             what: format!(
                 "no bootloader has the serial number {}; plugged in: {}",
-                printable(wanted),
+                printable(selected),
                 there.join(", ")
             ),
         }),
         (0 | 1, _) => Ok(all.pop()),
         _ => Err(ProgramError::Several {
-            found: list(&all),
+            choices: list(&all),
             option: OPTION,
         }),
     }
@@ -127,13 +127,13 @@ pub(super) fn wait_for_other_than(
 }
 
 fn wait(
-    wanted: &dyn Fn(&BootloaderDevice) -> bool,
+    matches: &dyn Fn(&BootloaderDevice) -> bool,
     patience: Duration,
 ) -> Result<Option<Usb>, ProgramError> {
     let deadline = Instant::now() + patience;
     loop {
         let late = Instant::now() >= deadline;
-        let first = bootloaders()?.into_iter().find(wanted);
+        let first = bootloaders()?.into_iter().find(matches);
         match first.map(|one| one.open()).transpose() {
             Ok(Some(usb)) => return Ok(Some(usb)),
             Ok(None) if late => return Ok(None),
@@ -309,10 +309,10 @@ mod tests {
     use super::*;
 
     fn chosen(
-        found: &[&'static str],
-        wanted: Option<&str>,
+        present: &[&'static str],
+        selected: Option<&str>,
     ) -> Result<Option<&'static str>, String> {
-        choose(found.to_vec(), wanted, |serial| serial).map_err(|error| error.to_string())
+        choose(present.to_vec(), selected, |serial| serial).map_err(|error| error.to_string())
     }
 
     #[test]

@@ -83,9 +83,9 @@ impl Places<'_> {
             looked.push(cache.folder().display().to_string());
         }
         let is = |image: &Image| running.is(image);
-        let found = built_in.and_then(Result::ok).filter(is);
-        let found = found.or_else(|| of_checkout().filter(is)).or_else(of_cache);
-        match found {
+        let image = built_in.and_then(Result::ok).filter(is);
+        let image = image.or_else(|| of_checkout().filter(is)).or_else(of_cache);
+        match image {
             Some(image) => Ok(table_of(&image)?),
             None => Err(TableLookupError::Nowhere {
                 running: running.describe(),

@@ -149,11 +149,11 @@ pub fn follow<E: From<LogError> + From<TableLookupError>>(
     if places.given.is_some() && table.is_err() {
         return table.map(drop).map_err(E::from);
     }
-    let mut decoder = began(log.as_ref(), table, &mut report)?;
+    let mut decoder = begin_decoding(log.as_ref(), table, &mut report)?;
     while !stop.load(Ordering::Relaxed) {
         let why = match log.read(READ_TIMEOUT) {
             Ok(chunk) => {
-                take(&chunk, &mut decoder, &mut report)?;
+                report_chunk(&chunk, &mut decoder, &mut report)?;
                 continue;
             }
             Err(why) if why.may_pass() => why,
@@ -172,7 +172,7 @@ pub fn follow<E: From<LogError> + From<TableLookupError>>(
         decoder.lost();
         let now = log.running();
         if now != before {
-            decoder = began(log.as_ref(), places.table(&now), &mut report)?;
+            decoder = begin_decoding(log.as_ref(), places.table(&now), &mut report)?;
             before = now;
         }
     }
@@ -180,7 +180,7 @@ pub fn follow<E: From<LogError> + From<TableLookupError>>(
     Ok(())
 }
 
-fn began<E>(
+fn begin_decoding<E>(
     log: &dyn OpenLog,
     table: Result<super::table::Table, TableLookupError>,
     report: &mut impl FnMut(LogEvent<'_>) -> Result<(), E>,
@@ -193,7 +193,7 @@ fn began<E>(
     Ok(Decoder::new(table.ok()))
 }
 
-fn take<E>(
+fn report_chunk<E>(
     chunk: &Chunk,
     decoder: &mut Decoder,
     report: &mut impl FnMut(LogEvent<'_>) -> Result<(), E>,
@@ -203,13 +203,13 @@ fn take<E>(
         decoder.lost();
         report(LogEvent::Lost { messages, bytes })?;
     }
-    let mut told = Ok(());
-    decoder.push(&chunk.bytes, |found| {
-        if told.is_ok() {
-            told = report(LogEvent::Decoded(found));
+    let mut result = Ok(());
+    decoder.push(&chunk.bytes, |item| {
+        if result.is_ok() {
+            result = report(LogEvent::Decoded(item));
         }
     });
-    told
+    result
 }
 
 fn await_again(
@@ -333,7 +333,7 @@ mod tests {
                 LogEvent::Back { .. } => "back".into(),
                 LogEvent::Away { why } => format!("away {why}"),
                 LogEvent::Lost { messages, .. } => format!("lost {messages}"),
-                LogEvent::Decoded(found) => format!("{found:?}"),
+                LogEvent::Decoded(item) => format!("{item:?}"),
             });
             Ok(())
         });
@@ -377,7 +377,7 @@ mod tests {
 
     #[test]
     fn what_no_waiting_mends_ends_it() {
-        let wrong = || LogError::Probe(ProgramError::WrongChip { found: 0x468 });
+        let wrong = || LogError::Probe(ProgramError::WrongChip { id_code: 0x468 });
         let (ended, told) = run(vec![Err(wrong())]);
         assert!(ended.unwrap_err().0.contains("0x00000468") && told.is_empty());
         let (ended, _) = run(vec![Ok((1, vec![Act::Fail(closed())])), Err(wrong())]);

@@ -13,14 +13,14 @@ fn decoder() -> Decoder {
     Decoder::new(Some(table))
 }
 
-fn found(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Decoded> {
+fn decoded(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Decoded> {
     let mut all = Vec::new();
     decoder.push(bytes, |one| all.push(one));
     all
 }
 
 fn message(number: u16, values: &[u8]) -> Message {
-    match found(&mut decoder(), &Sample::frame(number, values)).as_slice() {
+    match decoded(&mut decoder(), &Sample::frame(number, values)).as_slice() {
         [Decoded::Message(message)] => message.clone(),
         other => panic!("{other:?}"),
     }
@@ -99,7 +99,7 @@ fn what_is_no_message_is_counted_and_the_next_one_found() {
         Sample::frame(5, &[1, 2, 14, 0, 0, 0xCA, 0x9A, 0x3B, 14, 0, 12, 0, 1, 1]),
     ] {
         let stream = [&bad[..], &good].concat();
-        let all = found(&mut decoder, &stream);
+        let all = decoded(&mut decoder, &stream);
         assert!(
             matches!(all.as_slice(), [Decoded::Malformed, Decoded::Message(_)]),
             "{bad:?}: {all:?}"
@@ -111,10 +111,10 @@ fn what_is_no_message_is_counted_and_the_next_one_found() {
 fn behind_a_loss_what_was_begun_is_no_frame() {
     let mut decoder = decoder();
     let frame = Sample::frame(1, &[1, 2, 3, 4]);
-    assert_eq!(found(&mut decoder, &frame[..3]), []);
+    assert_eq!(decoded(&mut decoder, &frame[..3]), []);
     decoder.lost();
     assert!(matches!(
-        found(&mut decoder, &frame).as_slice(),
+        decoded(&mut decoder, &frame).as_slice(),
         [Decoded::Message(_)]
     ));
 }
@@ -123,7 +123,7 @@ fn behind_a_loss_what_was_begun_is_no_frame() {
 fn without_a_table_frames_are_counted() {
     let mut decoder = Decoder::new(None);
     let stream = Sample::frame(1, &[1, 0, 0, 0]).repeat(3);
-    assert_eq!(found(&mut decoder, &stream), vec![Decoded::Unread; 3]);
+    assert_eq!(decoded(&mut decoder, &stream), vec![Decoded::Unread; 3]);
 }
 
 #[test]
@@ -152,7 +152,7 @@ proptest! {
         number in 0u16..18,
         values in prop::collection::vec(prop_oneof![Just(0u8), 0u8..16, any::<u8>()], 0..80)
     ) {
-        let all = found(&mut decoder(), &Sample::frame(number, &values));
+        let all = decoded(&mut decoder(), &Sample::frame(number, &values));
         prop_assert_eq!(all.len(), 1);
         if let Decoded::Message(message) = &all[0] {
             prop_assert!(message.text.chars().all(is_shown));

@@ -20,9 +20,9 @@ pub struct ProbeProgrammer {
 }
 
 impl ProbeProgrammer {
-    pub(super) fn new(probes: Probes, found: ProbeInfo, target: RunningTarget) -> Self {
+    pub(super) fn new(probes: Probes, info: ProbeInfo, target: RunningTarget) -> Self {
         Self {
-            connection: ProbeConnection::new(probes, found, target),
+            connection: ProbeConnection::new(probes, info, target),
         }
     }
 
@@ -63,9 +63,9 @@ impl Programmer for ProbeProgrammer {
 
     fn identify(&mut self) -> Result<Chip, ProgramError> {
         let doing = FlashStep::Reading;
-        let found = self.connection.read_word(doing, reg::IDCODE)?;
-        if found & 0xFFF != DEVICE_ID {
-            return Err(ProgramError::WrongChip { found });
+        let id_code = self.connection.read_word(doing, reg::IDCODE)?;
+        if id_code & 0xFFF != DEVICE_ID {
+            return Err(ProgramError::WrongChip { id_code });
         }
         match self.option_bytes()?.read_protection() {
             ReadProtection::None => {}
@@ -78,7 +78,7 @@ impl Programmer for ProbeProgrammer {
         let mut unique_id = [0; 12];
         self.read(reg::UNIQUE_ID, &mut unique_id)?;
         Ok(Chip {
-            id_code: Some(found),
+            id_code: Some(id_code),
             flash_kib,
             unique_id: Some(unique_id),
         })
@@ -100,8 +100,8 @@ impl Programmer for ProbeProgrammer {
         option_registers::read(&mut self.connection)
     }
 
-    fn set_option_bytes(&mut self, wanted: &OptionBytes) -> Result<(), ProgramError> {
-        option_registers::write(&mut self.connection, wanted)
+    fn set_option_bytes(&mut self, target: &OptionBytes) -> Result<(), ProgramError> {
+        option_registers::write(&mut self.connection, target)
     }
 
     fn flash(

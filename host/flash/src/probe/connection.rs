@@ -22,23 +22,23 @@ enum State {
 #[derive(Debug)]
 pub struct ProbeConnection {
     probes: Probes,
-    found: ProbeInfo,
+    info: ProbeInfo,
     state: State,
 }
 
 impl ProbeConnection {
     /// Creates a connection over the debug port.
-    pub fn new(probes: Probes, found: ProbeInfo, target: RunningTarget) -> Self {
+    pub fn new(probes: Probes, info: ProbeInfo, target: RunningTarget) -> Self {
         Self {
             probes,
-            found,
+            info,
             state: State::Running(target),
         }
     }
 
     /// The probe.
     pub fn probe(&self) -> &ProbeInfo {
-        &self.found
+        &self.info
     }
 
     /// Opens a session, for changing the chip: the core is halted.
@@ -47,7 +47,7 @@ impl ProbeConnection {
             self.open_bridge()?;
             // A probe is exclusive.
             self.detach();
-            let session = self.probes.session(&self.found)?;
+            let session = self.probes.session(&self.info)?;
             self.state = State::Session(Box::new(session));
         }
         match &mut self.state {
@@ -95,7 +95,7 @@ impl ProbeConnection {
         out: &mut [u8],
     ) -> Result<(), ProgramError> {
         if matches!(self.state, State::None) {
-            self.state = State::Running(self.probes.attach_running(&self.found)?);
+            self.state = State::Running(self.probes.attach_running(&self.info)?);
         }
         match &mut self.state {
             State::Running(target) => {
@@ -109,7 +109,7 @@ impl ProbeConnection {
     /// Reads a word.
     pub fn read_word(&mut self, doing: FlashStep, address: u32) -> Result<u32, ProgramError> {
         if matches!(self.state, State::None) {
-            self.state = State::Running(self.probes.attach_running(&self.found)?);
+            self.state = State::Running(self.probes.attach_running(&self.info)?);
         }
         match &mut self.state {
             State::Running(target) => {

@@ -42,15 +42,15 @@ fn is_gone(error: &(dyn StdError + 'static)) -> bool {
 }
 
 /// Error of attaching.
-pub fn attaching(found: &ProbeInfo, error: &Error) -> ProgramError {
+pub fn attaching(info: &ProbeInfo, error: &Error) -> ProgramError {
     match error {
         Error::Probe(DebugProbeError::ProbeCouldNotBeCreated(_)) => ProgramError::Open {
-            what: found.describe(),
+            what: info.describe(),
             why: chain(error),
         },
         _ if is_gone(error) => lost(FlashStep::Attaching, error),
         _ => ProgramError::NoChip {
-            probe: found.describe(),
+            probe: info.describe(),
             why: chain(error),
         },
     }
@@ -76,7 +76,7 @@ pub fn lost(doing: FlashStep, error: &dyn StdError) -> ProgramError {
     }
 }
 
-/// Operation and address at which flashing stopped; `None` if probe-rs does not tell.
+/// Operation and address at which flashing stopped; `None` if probe-rs does not report it.
 pub fn place(error: &FlashError) -> Option<(FlashStep, u32)> {
     match error {
         FlashError::EraseFailed { sector_address, .. } => {

@@ -162,18 +162,18 @@ pub fn verify(
     let total = expected.len() as u32;
     let mut next = address;
     for part in expected.chunks(READ_BYTES) {
-        let mut found = vec![0; part.len()];
-        chip.core(doing, |core| core.read(next.into(), &mut found))?;
+        let mut actual = vec![0; part.len()];
+        chip.core(doing, |core| core.read(next.into(), &mut actual))?;
         if let Some(at) = part
             .iter()
-            .zip(&found)
-            .position(|(expected, found)| expected != found)
+            .zip(&actual)
+            .position(|(expected, actual)| expected != actual)
         {
             let shown = |bytes: &[u8]| bytes.iter().skip(at).take(SHOWN_BYTES).copied().collect();
             return Err(ProgramError::Verify {
                 address: next + at as u32,
-                wanted: shown(part),
-                found: shown(&found),
+                expected: shown(part),
+                actual: shown(&actual),
             });
         }
         next += part.len() as u32;

@@ -94,8 +94,8 @@ impl Probes {
 
     /// Lists the connected probes.
     pub fn list(&self) -> Vec<ProbeInfo> {
-        let found = self.lister.list_all_with_access();
-        found.iter().map(ProbeInfo::of).collect()
+        let probes = self.lister.list_all_with_access();
+        probes.iter().map(ProbeInfo::of).collect()
     }
 
     /// Connects to the chip behind a probe. Neither this nor reading resets or halts the chip.
@@ -104,9 +104,9 @@ impl Probes {
     /// [`ProgramError::NotFound`], [`ProgramError::Several`] without a selector (`VID:PID` or `VID:PID:SERIAL`),
     /// [`ProgramError::Open`], [`ProgramError::NoChip`].
     pub fn attach(&self, selector: Option<&str>) -> Result<ProbeProgrammer, ProgramError> {
-        let found = self.choose(selector)?;
-        let target = self.attach_running(&found)?;
-        Ok(ProbeProgrammer::new(self.clone(), found, target))
+        let info = self.choose(selector)?;
+        let target = self.attach_running(&info)?;
+        Ok(ProbeProgrammer::new(self.clone(), info, target))
     }
 
     /// Opens the log behind a probe: from the block at an address, if the image names it (`_SEGGER_RTT`); otherwise RAM is searched
@@ -119,8 +119,8 @@ impl Probes {
         selector: Option<&str>,
         block: Option<u32>,
     ) -> Result<RttSource, ProgramError> {
-        let found = self.choose(selector)?;
-        Ok(RttSource::new(self.clone(), found, block))
+        let info = self.choose(selector)?;
+        Ok(RttSource::new(self.clone(), info, block))
     }
 
     fn choose(&self, selector: Option<&str>) -> Result<ProbeInfo, ProgramError> {
@@ -135,7 +135,7 @@ impl Probes {
             [] => return Err(not_found(none_found(selector))),
             several => {
                 return Err(ProgramError::Several {
-                    found: several
+                    choices: several
                         .iter()
                         .map(|item| ProbeInfo::of(item).describe())
                         .collect(),
@@ -147,13 +147,13 @@ impl Probes {
     }
 
     /// Opens a probe, on whatever port it is now.
-    fn open(&self, found: &ProbeInfo) -> Result<Probe, ProgramError> {
+    fn open(&self, info: &ProbeInfo) -> Result<Probe, ProgramError> {
         let items = self.lister.list_all_with_access();
-        let item = items.iter().find(|item| ProbeInfo::of(item) == *found);
-        let item = item.ok_or_else(|| not_found(none_found(Some(&found.selector))))?;
+        let item = items.iter().find(|item| ProbeInfo::of(item) == *info);
+        let item = item.ok_or_else(|| not_found(none_found(Some(&info.selector))))?;
         let probe = self.lister.open(&item.info);
         let mut probe = probe.map_err(|why| ProgramError::Open {
-            what: found.describe(),
+            what: info.describe(),
             why: errors::chain(&why),
         })?;
         // Some probes have one protocol only.
@@ -162,16 +162,16 @@ impl Probes {
     }
 
     /// Connects without touching the core.
-    fn attach_running(&self, found: &ProbeInfo) -> Result<RunningTarget, ProgramError> {
-        let probe = self.open(found)?;
-        RunningTarget::connect(probe).map_err(|why| errors::attaching(found, &why))
+    fn attach_running(&self, info: &ProbeInfo) -> Result<RunningTarget, ProgramError> {
+        let probe = self.open(info)?;
+        RunningTarget::connect(probe).map_err(|why| errors::attaching(info, &why))
     }
 
     /// Connects for flashing: the core is halted at times.
-    fn session(&self, found: &ProbeInfo) -> Result<Session, ProgramError> {
-        let (probe, registry) = (self.open(found)?, registry()?);
+    fn session(&self, info: &ProbeInfo) -> Result<Session, ProgramError> {
+        let (probe, registry) = (self.open(info)?, registry()?);
         let session = probe.attach_with_registry(CHIP, Permissions::new(), &registry);
-        session.map_err(|why| errors::attaching(found, &why))
+        session.map_err(|why| errors::attaching(info, &why))
     }
 }
 

@@ -32,10 +32,10 @@ pub fn read(chip: &mut ProbeConnection) -> Result<OptionBytes, ProgramError> {
 }
 
 /// Writes and loads the option bytes. The read protection is never changed, as neither direction can be undone.
-pub fn write(chip: &mut ProbeConnection, wanted: &OptionBytes) -> Result<(), ProgramError> {
+pub fn write(chip: &mut ProbeConnection, target: &OptionBytes) -> Result<(), ProgramError> {
     let doing = FlashStep::SettingOptions;
     let now = read(chip)?;
-    if (now.optr ^ wanted.optr) & 0xFF != 0 {
+    if (now.optr ^ target.optr) & 0xFF != 0 {
         return Err(ProgramError::Unsupported {
             what: "changing the protection against reading",
             way: "with this program",
@@ -51,8 +51,8 @@ pub fn write(chip: &mut ProbeConnection, wanted: &OptionBytes) -> Result<(), Pro
             }
         }
         core.write_word_32(reg::SR.into(), reg::ERRORS)?;
-        core.write_word_32(reg::OPTR.into(), wanted.optr)?;
-        for ((register, area), before) in reg::WRP.into_iter().zip(wanted.wrp).zip(now.wrp) {
+        core.write_word_32(reg::OPTR.into(), target.optr)?;
+        for ((register, area), before) in reg::WRP.into_iter().zip(target.wrp).zip(now.wrp) {
             if area != before {
                 core.write_word_32(register.into(), area)?;
             }
@@ -65,13 +65,13 @@ pub fn write(chip: &mut ProbeConnection, wanted: &OptionBytes) -> Result<(), Pro
         core.write_word_32(reg::CR.into(), reg::OBL_LAUNCH)
     });
     chip.detach();
-    let found = reattached(chip)?;
-    if found.optr == wanted.optr {
+    let actual = reattached(chip)?;
+    if actual.optr == target.optr {
         Ok(())
     } else {
         Err(ProgramError::Options {
-            wanted: wanted.optr,
-            found: found.optr,
+            expected: target.optr,
+            actual: actual.optr,
         })
     }
 }

@@ -28,7 +28,7 @@ const MOST_BYTES: u32 = 64 << 10;
 #[derive(Debug)]
 pub struct RttSource {
     probes: Probes,
-    found: ProbeInfo,
+    info: ProbeInfo,
     named: Option<u32>,
     target: Option<RunningTarget>,
     block: Option<u32>,
@@ -76,10 +76,10 @@ impl Ring {
 }
 
 impl RttSource {
-    pub(super) fn new(probes: Probes, found: ProbeInfo, block: Option<u32>) -> Self {
+    pub(super) fn new(probes: Probes, info: ProbeInfo, block: Option<u32>) -> Self {
         Self {
             probes,
-            found,
+            info,
             named: block,
             target: None,
             block: None,
@@ -150,7 +150,7 @@ fn drain(
 
 impl LogSource for RttSource {
     fn describe(&self) -> String {
-        format!("RTT through {}", self.found.describe())
+        format!("RTT through {}", self.info.describe())
     }
 
     fn read(&mut self, out: &mut Vec<u8>) -> Result<usize, ProgramError> {
@@ -162,9 +162,9 @@ impl LogSource for RttSource {
         };
         let read = match self.block {
             Some(block) => drain(target, block, out),
-            None => find(target, self.named).and_then(|found| {
-                self.block = found;
-                found.map_or(Ok(None), |block| drain(target, block, out))
+            None => find(target, self.named).and_then(|at| {
+                self.block = at;
+                at.map_or(Ok(None), |block| drain(target, block, out))
             }),
         };
         match read {
@@ -180,7 +180,7 @@ impl LogSource for RttSource {
     fn resume(&mut self) -> Result<(), ProgramError> {
         // Disconnects first: a probe is exclusive.
         (self.target, self.block) = (None, None);
-        self.target = Some(self.probes.attach_running(&self.found)?);
+        self.target = Some(self.probes.attach_running(&self.info)?);
         Ok(())
     }
 }

@@ -22,7 +22,7 @@ pub struct RunningTarget(Box<dyn ArmDebugInterface>);
 
 impl fmt::Debug for RunningTarget {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Quiet")
+        f.write_str("RunningTarget")
     }
 }
 

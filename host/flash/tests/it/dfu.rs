@@ -296,7 +296,7 @@ fn option_bytes_are_read_written_and_read_back_from_a_chip_that_comes_back() {
     let mut dfu = desk.programmer();
     let present = dfu.option_bytes().unwrap();
     assert_eq!(present, OptionBytes::default());
-    let wanted = present.as_wanted();
+    let wanted = present.with_requirements();
     dfu.set_option_bytes(&wanted).unwrap();
     assert_eq!(dfu.option_bytes().unwrap(), wanted);
     assert_eq!(desk.with(|rom| rom.chip.optr()), wanted.optr);
@@ -316,7 +316,7 @@ fn option_bytes_are_read_written_and_read_back_from_a_chip_that_comes_back() {
 fn a_chip_that_starts_its_program_with_new_option_bytes_is_told() {
     let desk = Desk::default();
     let mut dfu = desk.programmer();
-    let wanted = OptionBytes::default().as_wanted();
+    let wanted = OptionBytes::default().with_requirements();
     let text = dfu.set_option_bytes(&wanted).unwrap_err().to_string();
     assert!(text.contains("BOOT0"), "{text}");
     // The second run finds them as they are wanted.
@@ -371,7 +371,7 @@ proptest::proptest! {
         let liar = Liar::new(answers, transfer);
         let mut dfu = ihd_flash::dfu::Dfu::new(liar, Box::new(|_| Ok(None)));
         let _ = dfu.identify();
-        let _ = dfu.set_option_bytes(&OptionBytes::default().as_wanted());
+        let _ = dfu.set_option_bytes(&OptionBytes::default().with_requirements());
         let flashed = dfu.flash(&image(), Erase::Image, &mut |_| {});
         proptest::prop_assert!(flashed.is_err());
         let _ = dfu.reset();

@@ -1,31 +1,31 @@
-//! Windows that stay in a state for longer than its bound need somebody.
+//! Alarms of windows that stay in a state for longer than its limit.
 
 use std::collections::BTreeSet;
 
 use ihd_daemon::model::FleetStates;
 
-/// Longest time that a window may be due before an alarm, in milliseconds: a server that starts again takes less.
+/// Longest time in milliseconds that a window may be due before an alarm: longer than a restart of the server.
 const DUE_FOR_MS: i64 = 10 * 60_000;
 
-/// Longest time without an answer before an alarm, in milliseconds.
+/// Longest time in milliseconds without an answer before an alarm.
 const SENT_FOR_MS: i64 = 3_600_000;
 
-/// Alarms that were told already.
+/// Present alarms, which are logged already.
 #[derive(Default)]
 pub struct Alarms {
-    told: BTreeSet<&'static str>,
+    logged: BTreeSet<&'static str>,
 }
 
 impl Alarms {
-    /// Alarms in words; a new one is logged once, and so is its end.
-    pub fn look(&mut self, states: &FleetStates, now_ms: i64) -> Vec<String> {
+    /// Returns the texts of all alarms; logs the beginning and the end of each.
+    pub fn update(&mut self, states: &FleetStates, now_ms: i64) -> Vec<String> {
         let now = alarms(states, now_ms);
         for (what, text) in &now {
-            if self.told.insert(what) {
+            if self.logged.insert(what) {
                 tracing::warn!("fleet: {text}");
             }
         }
-        self.told.retain(|what| {
+        self.logged.retain(|what| {
             let stays = now.iter().any(|(other, _)| other == what);
             if !stays {
                 tracing::info!("fleet: no windows are {what} for too long any more");
@@ -37,7 +37,7 @@ impl Alarms {
 }
 
 fn alarms(states: &FleetStates, now_ms: i64) -> Vec<(&'static str, String)> {
-    let of = [
+    let states = [
         (
             "due",
             states.due,
@@ -53,7 +53,7 @@ fn alarms(states: &FleetStates, now_ms: i64) -> Vec<(&'static str, String)> {
             "the fleet does not answer: are there workers enough?",
         ),
     ];
-    let late = of
+    let late = states
         .into_iter()
         .filter_map(|(what, count, since_ms, bound_ms, why)| {
             let for_ms = now_ms - since_ms?;
@@ -83,23 +83,23 @@ mod tests {
             answered: 7,
             ..FleetStates::default()
         };
-        assert_eq!(alarms.look(&states, 1_000 + DUE_FOR_MS), [""; 0]);
-        let late = alarms.look(&states, 1_001 + DUE_FOR_MS);
+        assert_eq!(alarms.update(&states, 1_000 + DUE_FOR_MS), [""; 0]);
+        let late = alarms.update(&states, 1_001 + DUE_FOR_MS);
         assert!(
             late.len() == 1 && late[0].starts_with("3 windows are due, the first for 10 min"),
             "{late:?}"
         );
-        let both = alarms.look(&states, SENT_FOR_MS + 1);
+        let both = alarms.update(&states, SENT_FOR_MS + 1);
         assert!(
             both.len() == 2 && both[1].contains("2 windows are sent, the first for 60 min"),
             "{both:?}"
         );
-        assert_eq!(alarms.told.len(), 2);
+        assert_eq!(alarms.logged.len(), 2);
         let again = FleetStates {
             answered: 12,
             ..FleetStates::default()
         };
-        assert_eq!(alarms.look(&again, i64::MAX), [""; 0]);
-        assert!(alarms.told.is_empty());
+        assert_eq!(alarms.update(&again, i64::MAX), [""; 0]);
+        assert!(alarms.logged.is_empty());
     }
 }

@@ -1,63 +1,64 @@
-//! What the fleet knows of this edge and its hobs, and what this edge knows of the fleet.
+//! Cards of this edge and its hobs for the fleet, and the report of the fleet for the daemon.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
 use async_nats::jetstream::Context;
-use ihd_daemon::learning::WorkerFigures;
+use ihd_daemon::learning::{WorkerFigures, sum_answers};
 use ihd_daemon::model::{
     DeviceReport, FleetAnswers, FleetDevice, FleetEdge, FleetReport, FleetStates,
 };
 use tokio::time::Instant;
 
+use super::Link;
 use super::alarms::Alarms;
-use super::{Link, now_ms};
-use crate::claims::Standing;
-use crate::engine::{self, EngineError, SILENT_AFTER};
+use crate::clock::now_ms;
+use crate::jetstream::{self, JetStreamError, SILENT_AFTER};
 use crate::names;
+use crate::standing::Standing;
 use crate::status::{self, HobCard};
 
-/// Between two looks.
-const LOOK_EVERY: Duration = Duration::from_secs(2);
+/// Period of updates.
+const UPDATE_PERIOD: Duration = Duration::from_secs(2);
 
-/// How often the whole fleet is looked at: a thousand hobs are as many small answers.
-const REPORT_EVERY: Duration = Duration::from_secs(10);
+/// Period of reading the whole fleet: each hob is one request.
+const REPORT_PERIOD: Duration = Duration::from_secs(10);
 
-/// Time between two counts of this edge's own windows.
-const COUNT_EVERY: Duration = Duration::from_secs(5);
+/// Period of counting this edge's windows.
+const COUNT_PERIOD: Duration = Duration::from_secs(5);
 
-/// How often a card is renewed that says nothing new.
-const RENEW_EVERY: Duration = Duration::from_secs(SILENT_AFTER.as_secs() / 3);
+/// Period of renewing an unchanged card.
+const RENEWAL_PERIOD: Duration = Duration::from_secs(SILENT_AFTER.as_secs() / 3);
 
-/// Cards that the fleet has, and since when.
+/// Published cards, each with its time.
 #[derive(Default)]
-struct Told {
+struct PublishedCards {
     hobs: BTreeMap<String, (HobCard, Instant)>,
     edge: Option<(FleetEdge, Instant)>,
 }
 
-/// Tells until the edge ends.
+/// Publishes and reports until the edge stops.
 pub async fn run(link: Arc<Link>, context: Context) {
-    let mut told = Told::default();
+    let mut published = PublishedCards::default();
     let mut report = FleetReport::default();
     let mut reported: Option<Instant> = None;
-    let mut own = Own::default();
-    // Why not all of the fleet is seen.
+    let mut own = OwnWindows::default();
+    // Reason for which only a part of the fleet is reported.
     let mut partly = String::new();
     loop {
-        own.look(&link).await;
-        if link.reaches() {
-            match tell(&link, &context, &mut told, &own).await {
+        own.update(&link).await;
+        if link.is_reachable() {
+            match publish_cards(&link, &context, &mut published, &own).await {
                 Ok(()) => link.works("cards"),
                 Err(why) => link.failed("cards", &why),
             }
-            if reported.is_none_or(|at| at.elapsed() >= REPORT_EVERY) {
+            if reported.is_none_or(|at| at.elapsed() >= REPORT_PERIOD) {
                 reported = Some(Instant::now());
-                (report, partly) = look(&link, &context, report).await;
+                (report, partly) = fleet_report(&link, &context, report).await;
             }
         } else {
-            told = Told::default();
+            published = PublishedCards::default();
             reported = None;
         }
         report.server.clone_from(&link.address);
@@ -67,18 +68,18 @@ pub async fn run(link: Arc<Link>, context: Context) {
         report.states = own.states;
         report.alarms.clone_from(&own.alarms);
         report.answers = own.answers;
-        let why = link.why();
+        let why = link.failure_text();
         report.why = if why.is_empty() { partly.clone() } else { why };
-        link.daemon.tell_fleet(report.clone());
-        if !link.wait(LOOK_EVERY).await {
+        link.daemon.set_fleet_report(report.clone());
+        if !link.wait(UPDATE_PERIOD).await {
             return;
         }
     }
 }
 
-/// This edge's own windows, and what they need.
+/// Counts and alarms of this edge's windows.
 #[derive(Default)]
-struct Own {
+struct OwnWindows {
     states: FleetStates,
     alarms: Vec<String>,
     answers: FleetAnswers,
@@ -86,27 +87,28 @@ struct Own {
     counted: Option<Instant>,
 }
 
-impl Own {
-    async fn look(&mut self, link: &Link) {
-        if self.counted.is_none_or(|at| at.elapsed() >= COUNT_EVERY) {
+impl OwnWindows {
+    async fn update(&mut self, link: &Link) {
+        if self.counted.is_none_or(|at| at.elapsed() >= COUNT_PERIOD) {
             self.counted = Some(Instant::now());
             match link.daemon.fleet_tally().await {
                 Ok(tally) => self.states = tally.into(),
                 Err(why) => link.failed("store", &why),
             }
         }
-        self.alarms = self.late.look(&self.states, now_ms());
+        self.alarms = self.late.update(&self.states, now_ms());
         let workers = link.daemon.workers();
-        self.answers = FleetAnswers::of(workers.values());
-        self.alarms.extend(workers.iter().filter_map(caught));
+        self.answers = sum_answers(workers.values());
+        self.alarms
+            .extend(workers.iter().filter_map(refutation_alarm));
         if let Standing::Refused(why) = &link.state().standing {
             self.alarms.insert(0, why.clone());
         }
     }
 }
 
-/// Names a worker whose answers were refuted, with what; none for the others.
-fn caught((name, figures): (&String, &WorkerFigures)) -> Option<String> {
+/// Returns the alarm of a worker with refuted answers, `None` for other workers.
+fn refutation_alarm((name, figures): (&String, &WorkerFigures)) -> Option<String> {
     let WorkerFigures { refuted, why, .. } = figures;
     let beyond = match figures.is_distrusted() {
         true => ", and nothing of it is looked at any more",
@@ -116,15 +118,19 @@ fn caught((name, figures): (&String, &WorkerFigures)) -> Option<String> {
         .then(|| format!("{refuted} answers of worker {name} were refuted{beyond}: {why}"))
 }
 
-/// The whole fleet, where this edge's key may look at it; else its own hobs, and why.
-async fn look(link: &Link, context: &Context, before: FleetReport) -> (FleetReport, String) {
+/// Returns the report of the whole fleet; of this edge's hobs, with the reason, if its key may not read the fleet.
+async fn fleet_report(
+    link: &Link,
+    context: &Context,
+    before: FleetReport,
+) -> (FleetReport, String) {
     match status::report(context, &link.address).await {
         Ok(report) => (report, String::new()),
         Err(why) => own_hobs(link, before, &why),
     }
 }
 
-fn own_hobs(link: &Link, before: FleetReport, why: &EngineError) -> (FleetReport, String) {
+fn own_hobs(link: &Link, before: FleetReport, why: &JetStreamError) -> (FleetReport, String) {
     let report = FleetReport {
         at_ms: now_ms(),
         devices: link
@@ -138,14 +144,14 @@ fn own_hobs(link: &Link, before: FleetReport, why: &EngineError) -> (FleetReport
     (report, format!("only this edge's hobs are shown: {why}"))
 }
 
-/// Tells of the edge and its hobs; where its name is another one's, of that alone.
-async fn tell(
+/// Publishes the cards of the edge and its hobs; only the edge's refusal if its name is another store's.
+async fn publish_cards(
     link: &Link,
     context: &Context,
-    told: &mut Told,
-    own: &Own,
-) -> Result<(), EngineError> {
-    let is_due = |since: Option<Instant>| since.is_none_or(|at| at.elapsed() >= RENEW_EVERY);
+    published: &mut PublishedCards,
+    own: &OwnWindows,
+) -> Result<(), JetStreamError> {
+    let is_due = |since: Option<Instant>| since.is_none_or(|at| at.elapsed() >= RENEWAL_PERIOD);
     let standing = link.state().standing.clone();
     let key = match standing {
         Standing::Unknown => return Ok(()),
@@ -156,18 +162,17 @@ async fn tell(
         name: link.edge.clone(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         outbox: own.states.due,
-        trusts_fleet: link.daemon.trusts_fleet(),
+        delegates: link.daemon.is_delegated(),
         states: own.states,
         alarms: own.alarms.clone(),
         last_seen_ms: now_ms(),
     };
-    let is_news = |(before, at): &(FleetEdge, Instant)| {
-        (before.trusts_fleet, &before.alarms) != (mine.trusts_fleet, &mine.alarms)
-            || is_due(Some(*at))
+    let is_changed = |(before, at): &(FleetEdge, Instant)| {
+        (before.delegates, &before.alarms) != (mine.delegates, &mine.alarms) || is_due(Some(*at))
     };
-    if told.edge.as_ref().is_none_or(is_news) {
+    if published.edge.as_ref().is_none_or(is_changed) {
         put(context, names::EDGES, &key, &mine).await?;
-        told.edge = Some((mine, Instant::now()));
+        published.edge = Some((mine, Instant::now()));
     }
     if standing != Standing::Held {
         return Ok(());
@@ -177,22 +182,23 @@ async fn tell(
             continue;
         }
         let card = card(link, &device);
-        let known = told.hobs.get(&device.name);
-        if known.is_some_and(|(before, since)| same(before, &card) && !is_due(Some(*since))) {
+        let known = published.hobs.get(&device.name);
+        if known.is_some_and(|(before, since)| is_unchanged(before, &card) && !is_due(Some(*since)))
+        {
             continue;
         }
         put(context, names::HOBS, &device.name, &card).await?;
-        told.hobs.insert(device.name, (card, Instant::now()));
+        published.hobs.insert(device.name, (card, Instant::now()));
     }
     Ok(())
 }
 
-fn same(a: &HobCard, b: &HobCard) -> bool {
-    let timeless = |card: &HobCard| FleetDevice {
+fn is_unchanged(a: &HobCard, b: &HobCard) -> bool {
+    let without_time = |card: &HobCard| FleetDevice {
         last_seen_ms: 0,
         ..card.device.clone()
     };
-    a.board == b.board && timeless(a) == timeless(b)
+    a.board == b.board && without_time(a) == without_time(b)
 }
 
 fn card(link: &Link, device: &DeviceReport) -> HobCard {
@@ -202,7 +208,7 @@ fn card(link: &Link, device: &DeviceReport) -> HobCard {
         device: FleetDevice {
             name: device.name.clone(),
             edge: link.edge.clone(),
-            state: device.state.word().to_owned(),
+            state: device.state.as_str().to_owned(),
             pot: device
                 .live
                 .as_ref()
@@ -221,7 +227,7 @@ async fn put<T: serde::Serialize>(
     bucket: &str,
     key: &str,
     card: &T,
-) -> Result<(), EngineError> {
-    let card = serde_json::to_vec(card).map_err(|e| EngineError::new(bucket, e))?;
-    engine::put(context, bucket, key, card).await
+) -> Result<(), JetStreamError> {
+    let card = serde_json::to_vec(card).map_err(|e| JetStreamError::new(bucket, e))?;
+    jetstream::put(context, bucket, key, card).await
 }

@@ -1,5 +1,5 @@
-//! Events of the store to the fleet, in their order. An event that the fleet has got and the edge was killed before it noted that comes
-//! twice, with one number.
+//! Events of the store to the fleet, in order. If the edge is killed between the publication of an event and its note, the event is sent
+//! twice, with the same number.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,40 +9,40 @@ use serde::{Deserialize, Serialize};
 
 use super::{Link, TRY_AGAIN};
 use crate::names;
-use crate::server::{Outgoing, UnderWay};
+use crate::stream_message::{Outgoing, PendingAck};
 
-/// Events under way at once.
+/// Events sent at once.
 const BATCH: usize = 128;
 
-/// Between two looks.
-const LOOK_EVERY: Duration = Duration::from_secs(2);
+/// Period of polling the store.
+const POLL_PERIOD: Duration = Duration::from_secs(2);
 
-/// Something that happened, as it travels (JSON).
+/// Event (JSON).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EventMessage {
-    /// The edge that tells it.
+    /// Name of the edge.
     pub edge: String,
-    /// Its number in the edge's store.
+    /// Number in the edge's store.
     pub number: i64,
     /// Milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// A word for its kind (docs/store.md).
+    /// Kind of the event (docs/store.md).
     pub kind: String,
-    /// What.
+    /// Description.
     pub text: String,
 }
 
-/// Sends until the edge ends. What the daemon itself tells, of no device, stays in its store.
+/// Sends until the edge stops. Events of the daemon itself, without a device, stay in its store.
 pub async fn run(link: Arc<Link>) {
     loop {
         let pause = match link.is_admitted() {
-            true => match send_some(&link).await {
+            true => match send_batch(&link).await {
                 Ok(sent) => {
                     link.works("events");
                     if sent == BATCH {
                         Duration::ZERO
                     } else {
-                        LOOK_EVERY
+                        POLL_PERIOD
                     }
                 }
                 Err(why) => {
@@ -50,7 +50,7 @@ pub async fn run(link: Arc<Link>) {
                     TRY_AGAIN
                 }
             },
-            false => LOOK_EVERY,
+            false => POLL_PERIOD,
         };
         if !link.wait(pause).await {
             return;
@@ -58,7 +58,7 @@ pub async fn run(link: Arc<Link>) {
     }
 }
 
-async fn send_some(link: &Link) -> Result<usize, String> {
+async fn send_batch(link: &Link) -> Result<usize, String> {
     let due = link.daemon.due_events(BATCH).await;
     let due = due.map_err(|e| e.to_string())?;
     let count = due.len();
@@ -75,7 +75,7 @@ async fn send_some(link: &Link) -> Result<usize, String> {
         };
         match sent {
             Ok(()) => up_to = Some(number),
-            // Those behind it are sent again.
+            // Later events are sent again.
             Err(why) => {
                 failed = Some(why.to_string());
                 break;
@@ -83,13 +83,13 @@ async fn send_some(link: &Link) -> Result<usize, String> {
         }
     }
     if let Some(up_to) = up_to {
-        let noted = link.daemon.events_sent(up_to).await;
+        let noted = link.daemon.mark_events_sent(up_to).await;
         noted.map_err(|e| e.to_string())?;
     }
     failed.map_or(Ok(count), Err)
 }
 
-async fn send(link: &Link, number: i64, event: EventRow) -> Result<Option<UnderWay>, String> {
+async fn send(link: &Link, number: i64, event: EventRow) -> Result<Option<PendingAck>, String> {
     let Some(hob) = event.device.filter(|hob| ihd_daemon::config::is_name(hob)) else {
         return Ok(None);
     };

@@ -1,48 +1,49 @@
-//! Present failures: each cause is told once, then counted until it works again.
+//! Present failures: each cause is logged once, then counted until the part works again.
 
 use std::collections::BTreeMap;
 
-/// Texts of one part that are told; what it says beside them is counted alone.
+/// Most logged texts of one part; further ones are only counted.
 const MOST_TEXTS: usize = 8;
 
 /// Present failures by part.
 #[derive(Debug, Default)]
 pub struct Faults {
-    of: BTreeMap<&'static str, Fault>,
+    by_part: BTreeMap<&'static str, Fault>,
 }
 
 #[derive(Debug, Default)]
 struct Fault {
     last: String,
-    told: Vec<String>,
+    logged: Vec<String>,
     times: u64,
 }
 
 impl Faults {
-    /// Notes what failed; `true` where it is to be told, because it was not since that part worked last.
+    /// Records a failure; returns `true` if it is to be logged: new since the part last worked.
     pub fn failed(&mut self, part: &'static str, why: &str) -> bool {
-        let fault = self.of.entry(part).or_default();
+        let fault = self.by_part.entry(part).or_default();
         fault.times += 1;
         why.clone_into(&mut fault.last);
-        let is_news = fault.told.len() < MOST_TEXTS && !fault.told.iter().any(|told| told == why);
-        if is_news {
-            fault.told.push(why.to_owned());
+        let is_new =
+            fault.logged.len() < MOST_TEXTS && !fault.logged.iter().any(|text| text == why);
+        if is_new {
+            fault.logged.push(why.to_owned());
         }
-        is_news
+        is_new
     }
 
-    /// A part works; how often it had failed.
+    /// Clears a part that works; returns the number of its failures.
     pub fn works(&mut self, part: &str) -> u64 {
-        self.of.remove(part).map_or(0, |fault| fault.times)
+        self.by_part.remove(part).map_or(0, |fault| fault.times)
     }
 
-    /// All that fails now, in words; empty where nothing does.
+    /// Returns the text of all present failures, empty without any.
     pub fn text(&self) -> String {
         let text = |(part, fault): (&&str, &Fault)| match fault.times {
             1 => format!("{part}: {}", fault.last),
             times => format!("{part}: {} ({times} times)", fault.last),
         };
-        self.of.iter().map(text).collect::<Vec<_>>().join("; ")
+        self.by_part.iter().map(text).collect::<Vec<_>>().join("; ")
     }
 }
 
@@ -54,11 +55,11 @@ mod tests {
     fn what_fails_again_and_again_is_told_once_and_counted() {
         let mut faults = Faults::default();
         // Two parts in turn, one of them with two causes in turn.
-        let told = (0..100).map(|k| {
+        let logged = (0..100).map(|k| {
             let why = ["no answer", "no stream"][k % 2];
             u32::from(faults.failed("results", why)) + u32::from(faults.failed("pots", "none"))
         });
-        assert_eq!(told.sum::<u32>(), 3);
+        assert_eq!(logged.sum::<u32>(), 3);
         assert_eq!(
             faults.text(),
             "pots: none (100 times); results: no stream (100 times)"
@@ -76,7 +77,7 @@ mod tests {
     #[test]
     fn texts_that_differ_each_time_do_not_fill_the_log() {
         let mut faults = Faults::default();
-        let told = (0..1_000).filter(|k| faults.failed("lookups", &format!("{k}")));
-        assert_eq!(told.count(), MOST_TEXTS);
+        let logged = (0..1_000).filter(|k| faults.failed("lookups", &format!("{k}")));
+        assert_eq!(logged.count(), MOST_TEXTS);
     }
 }

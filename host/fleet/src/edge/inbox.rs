@@ -1,96 +1,96 @@
-//! From the fleet to the learner: results of this edge's hobs. A result is acknowledged once it is stored, and comes again until then.
+//! Results of this edge's hobs, from the fleet to the learner. A result is acknowledged once it is stored, and redelivered until then.
 
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use futures_util::StreamExt;
-use ihd_daemon::fleet::Received;
+use ihd_daemon::fleet::ReceiveOutcome;
 use ihd_daemon::learning::WorkerAnswer;
 use ihd_store::FleetMark;
 use tokio::time::Instant;
 
 use super::{Link, TRY_AGAIN, lock, outbox};
-use crate::engine::EngineError;
+use crate::jetstream::JetStreamError;
 use crate::names;
 use crate::server::{Incoming, Results};
 use crate::wire::AnswerMessage;
 
-/// Results that are taken in at once.
+/// Results processed at once.
 const AT_ONCE: usize = 32;
 
-/// When a result that could not be stored comes again.
+/// Delay of the redelivery of a result that could not be stored.
 const AGAIN_AFTER: Duration = Duration::from_secs(5);
 
-/// Name under which answers are recorded that nobody can read: their worker's is in them.
+/// Name of the worker of an unreadable answer, which contains the real one.
 const UNREADABLE: &str = "unreadable";
 
-/// How long one request for results waits.
-const ASK_FOR: Duration = Duration::from_secs(5);
+/// Duration of one request for results.
+const REQUEST_TIME: Duration = Duration::from_secs(5);
 
-/// Longest wait for the answer to a request. The client ends it 5 s after its time, answered or not.
-const ANSWERED_WITHIN: Duration = Duration::from_secs(ASK_FOR.as_secs() + 4);
+/// Longest wait for the answer to a request. The client ends a request 5 s after its duration in any case.
+const ANSWERED_WITHIN: Duration = Duration::from_secs(REQUEST_TIME.as_secs() + 4);
 
-/// Takes results in until the edge ends.
+/// Receives results until the edge stops.
 pub async fn run(link: Arc<Link>) {
     loop {
         if link.is_admitted() {
-            let taken = link.unless_stopping(take(&link)).await;
-            match taken {
+            let ended = link.unless_stopping(receive_results(&link)).await;
+            match ended {
                 None => return,
                 Some(Ok(())) => {}
                 Some(Err(why)) => link.failed("results", &why),
             }
         }
         link.state().signs.answered(false, Instant::now());
-        link.renew();
+        link.renew_delegation();
         if !link.wait(TRY_AGAIN).await {
             return;
         }
     }
 }
 
-/// Until the consumer breaks or the server does not answer, or this daemon has other devices.
-async fn take(link: &Link) -> Result<(), EngineError> {
+/// Receives results until the consumer fails, the server does not answer or the daemon's devices change.
+async fn receive_results(link: &Link) -> Result<(), JetStreamError> {
     let hobs = link.hobs();
     if hobs.is_empty() {
         return Ok(());
     }
     let results = link.server.results(&link.edge, &hobs).await?;
-    known_server(link, &results).await?;
-    // The first request may wait for its whole time.
-    heard(link);
+    detect_lost_data(link, &results).await?;
+    // The first request may last for its whole duration.
+    record_answer(link);
     while link.hobs() == hobs && link.is_admitted() {
-        take_some(link, &results).await?;
-        heard(link);
+        receive_batch(link, &results).await?;
+        record_answer(link);
         link.works("results");
     }
     Ok(())
 }
 
-/// The server has answered.
-fn heard(link: &Link) {
+/// Records that the server has answered.
+fn record_answer(link: &Link) {
     link.state().signs.answered(true, Instant::now());
-    link.renew();
+    link.renew_delegation();
 }
 
-/// Takes in the results that one request brings.
-async fn take_some(link: &Link, results: &Results) -> Result<(), EngineError> {
-    let failed = |why: String| EngineError::new(names::RESULTS, why);
+/// Receives the results of one request.
+async fn receive_batch(link: &Link, results: &Results) -> Result<(), JetStreamError> {
+    let failed = |why: String| JetStreamError::new(names::RESULTS, why);
     let asked = Instant::now();
-    let fetched = results.fetch(AT_ONCE, ASK_FOR).await.map_err(failed)?;
+    let fetched = results.fetch(AT_ONCE, REQUEST_TIME).await.map_err(failed)?;
     let (came, broken) = (AtomicBool::new(false), Mutex::new(None));
-    let taken = fetched.for_each_concurrent(AT_ONCE, |message| async {
+    let received = fetched.for_each_concurrent(AT_ONCE, |message| async {
         match message {
             Ok(message) => {
                 came.store(true, Relaxed);
-                take_one(link, message).await;
+                receive_one(link, message).await;
             }
             // The server has lost the consumer, or the connection has ended.
             Err(why) => *lock(&broken) = Some(why),
         }
     });
-    taken.await;
+    received.await;
     if let Some(why) = lock(&broken).take() {
         return Err(failed(why));
     }
@@ -100,26 +100,26 @@ async fn take_some(link: &Link, results: &Results) -> Result<(), EngineError> {
     }
 }
 
-/// Sends again what is not answered where the consumer is not the one of before: the server has lost that, and with it what else it had.
-async fn known_server(link: &Link, results: &Results) -> Result<(), EngineError> {
+/// Sends unanswered windows again if the consumer is a new one: the server has lost the former one, and with it all other data.
+async fn detect_lost_data(link: &Link, results: &Results) -> Result<(), JetStreamError> {
     let made = results.made_us();
     let noted = async {
         let before = link.daemon.fleet_mark(FleetMark::ConsumerMade).await?;
         if before.is_some_and(|before| before != made) {
-            outbox::send_all_again(link, "the consumer of its results was made anew").await?;
+            outbox::resend_all(link, "the consumer of its results was made anew").await?;
         }
         if before != Some(made) {
             link.daemon
-                .mark_fleet(FleetMark::ConsumerMade, made)
+                .set_fleet_mark(FleetMark::ConsumerMade, made)
                 .await?;
         }
-        Ok::<_, ihd_daemon::StoreTrouble>(())
+        Ok::<_, ihd_daemon::StoreThreadError>(())
     };
     let noted = noted.await;
-    noted.map_err(|e| EngineError::new("store", e))
+    noted.map_err(|e| JetStreamError::new("store", e))
 }
 
-async fn take_one(link: &Link, message: Incoming) {
+async fn receive_one(link: &Link, message: Incoming) {
     let AnswerMessage {
         hob,
         boot,
@@ -130,7 +130,7 @@ async fn take_one(link: &Link, message: Incoming) {
         Ok(read) => read,
         Err(why) => {
             tracing::warn!(subject = message.subject(), why, "an answer cannot be used");
-            message.end().await;
+            message.terminate().await;
             return;
         }
     };
@@ -138,7 +138,7 @@ async fn take_one(link: &Link, message: Incoming) {
     match link.daemon.receive(&hob, boot, seq, answer).await {
         Ok(received) => {
             match received {
-                Received::Foreign => {
+                ReceiveOutcome::Foreign => {
                     tracing::info!(
                         hob,
                         boot,
@@ -146,7 +146,7 @@ async fn take_one(link: &Link, message: Incoming) {
                         "an answer for a boot that is not known here"
                     );
                 }
-                Received::Unasked => {
+                ReceiveOutcome::Unrequested => {
                     tracing::warn!(
                         hob,
                         boot,
@@ -155,22 +155,22 @@ async fn take_one(link: &Link, message: Incoming) {
                         "an answer to a window that the fleet was never sent: refused"
                     );
                 }
-                Received::Stored | Received::Known => {
-                    link.state().answers.came(&(hob, boot, seq));
+                ReceiveOutcome::Stored | ReceiveOutcome::Duplicate => {
+                    link.state().answers.remove(&(hob, boot, seq));
                 }
             }
-            // Where this is lost, it comes again and is known.
+            // If this is lost, it comes again and is a duplicate.
             message.ack().await;
         }
         Err(why) => {
             tracing::debug!(%why, "an answer is taken in later");
-            message.again(AGAIN_AFTER).await;
+            message.redeliver(AGAIN_AFTER).await;
         }
     }
 }
 
-/// Reads an answer, whose subject says for which window it is. One that cannot be read is an answer without R and L: the window is
-/// identified here.
+/// Reads an answer; its subject names the window. An unreadable one counts as an answer without R and L: the window is identified
+/// here.
 fn read(link: &Link, message: &Incoming) -> Result<AnswerMessage, String> {
     let (hob, boot, seq) =
         names::window_of_result(message.subject()).ok_or("its subject names no window")?;
@@ -183,7 +183,7 @@ fn read(link: &Link, message: &Incoming) -> Result<AnswerMessage, String> {
         answer: WorkerAnswer {
             by: UNREADABLE.to_owned(),
             skew_s: None,
-            found: Err(why),
+            load: Err(why),
             busy: Duration::ZERO,
         },
     };

@@ -1,18 +1,18 @@
-//! A daemon as an edge of the fleet: what is due goes there, what was found there comes back, and while the fleet is away the daemon goes
-//! on by itself.
+//! A daemon as an edge of the fleet: sends windows, receives results, and identifies windows itself while the fleet is not available.
 //!
 //! ```text
 //!  store (the outbox) ─► outbox.rs ─► IHD_WINDOWS ─► workers ─► IHD_RESULTS ─► inbox.rs ─► learner, store
 //!                        events.rs ─► IHD_EVENTS          lookups.rs ◄─► ihd_lookups
 //!                        pots.rs   ◄─► ihd_pots
 //!                        cards.rs  ─► ihd_hobs, ihd_edges; states.rs ─► ihd.v1.<hob>.state
-//!                        given_up.rs ◄─ IHD_DEAD
+//!                        given_up.rs ◄─ IHD_DEAD; captures.rs ─► ihd_captures
 //! ```
 //!
-//! All of that only while the edge's name is this store's (name.rs). How long windows are left to the fleet: trust.rs.
+//! All of that only while the edge's name is this store's (name.rs). trust.rs decides for how long windows are left to the fleet.
 
 mod acknowledged;
 mod alarms;
+mod captures;
 mod cards;
 mod events;
 mod faults;
@@ -22,11 +22,12 @@ mod lookups;
 mod name;
 mod outbox;
 mod pots;
+pub(crate) mod state;
 mod states;
 mod trust;
 
 use std::future::Future;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use async_nats::Event;
@@ -36,28 +37,28 @@ use tokio::sync::{Notify, watch};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use self::faults::Faults;
-use self::trust::{Answers, Signs};
 use crate::access::{Access, AccessError};
-use crate::claims::Standing;
 use crate::server::Server;
+use crate::standing::Standing;
+
+pub(crate) use self::state::{State, lock};
 
 pub use self::events::EventMessage;
 pub use self::states::StateMessage;
 
-/// Between two tries after something failed.
+/// Pause after a failure.
 const TRY_AGAIN: Duration = Duration::from_secs(2);
 
-/// How long the tasks have to end.
+/// Longest time that the tasks have to stop.
 const END_WITHIN: Duration = Duration::from_secs(5);
 
-/// A daemon's part in the fleet. It goes on until [`Edge::stop`].
+/// A daemon's tasks in the fleet, until [`Edge::stop`].
 pub struct Edge {
     stop: watch::Sender<bool>,
     tasks: JoinSet<()>,
 }
 
-/// What the tasks of an edge share.
+/// Data shared by the tasks of an edge.
 pub(crate) struct Link {
     pub daemon: Daemon,
     pub server: Server,
@@ -65,35 +66,22 @@ pub(crate) struct Link {
     /// Address of the server, without secrets.
     pub address: String,
     state: Arc<Mutex<State>>,
-    /// Somebody who waits may find something to do.
-    stirred: Notify,
+    /// Ends all waiting in [`Link::wait`].
+    wake: Notify,
     stop: watch::Receiver<bool>,
 }
 
-/// How the fleet does, as this edge sees it.
-#[derive(Default)]
-pub(crate) struct State {
-    pub connected: bool,
-    /// Reason for which the server does not answer; empty where it does.
-    away: String,
-    /// Right of this edge to its name.
-    pub standing: Standing,
-    pub faults: Faults,
-    pub answers: Answers,
-    pub signs: Signs,
-}
-
 impl Edge {
-    /// Begins: the server is connected to as soon as it answers, and again whenever it is cut.
+    /// Starts the tasks: the server is connected as soon as it answers, and again whenever the connection ends.
     ///
     /// # Errors
-    /// [`AccessError`] where files or address cannot work.
+    /// [`AccessError`] if a file or the address is unusable.
     pub async fn start(daemon: Daemon, config: &FleetConfig) -> Result<Self, AccessError> {
         let access = Access::from(config);
         let edge = config.edge_name();
         let state = State::begin();
-        let told = Arc::clone(&state);
-        let on_event = move |event: Event| hear(&told, &event);
+        let connection = Arc::clone(&state);
+        let on_event = move |event: Event| lock(&connection).apply(&event);
         let context = access.keep_connected(&edge, Box::new(on_event)).await?;
         let address = access.shown();
         tracing::info!(edge, server = address, "edge of a fleet");
@@ -105,12 +93,12 @@ impl Edge {
         tasks.spawn(cards::run(Arc::clone(&link), context.clone()));
         tasks.spawn(states::run(Arc::clone(&link), context.client()));
         if config.captures {
-            tasks.spawn(crate::captures::follow(link, context));
+            tasks.spawn(captures::run(link, context));
         }
         Ok(this)
     }
 
-    /// Begins the tasks that windows and results pass through.
+    /// Starts the tasks of windows and results.
     pub(crate) fn begin(
         daemon: Daemon,
         edge: String,
@@ -125,7 +113,7 @@ impl Edge {
             address,
             edge,
             state,
-            stirred: Notify::new(),
+            wake: Notify::new(),
             stop: stopped,
         });
         let mut tasks = JoinSet::new();
@@ -137,7 +125,7 @@ impl Edge {
         (link, Self { stop, tasks })
     }
 
-    /// Ends it: before the daemon, whose store it uses.
+    /// Stops the tasks; to be called before the daemon stops, whose store they use.
     pub async fn stop(mut self) {
         self.stop.send_replace(true);
         let ended = async { while self.tasks.join_next().await.is_some() {} };
@@ -147,50 +135,6 @@ impl Edge {
     }
 }
 
-fn hear(state: &Mutex<State>, event: &Event) {
-    let mut state = lock(state);
-    match event {
-        Event::Connected => state.connect(),
-        Event::Disconnected | Event::LameDuckMode | Event::Draining | Event::Closed => {
-            state.disconnect();
-        }
-        Event::ClientError(error) => state.away = error.to_string(),
-        Event::ServerError(error) => state.away = error.to_string(),
-        Event::SlowConsumer(_) => {}
-    }
-}
-
-impl State {
-    /// State of an edge that begins.
-    pub fn begin() -> Arc<Mutex<Self>> {
-        Arc::new(Mutex::new(Self {
-            away: "the server has not answered yet".to_owned(),
-            ..Self::default()
-        }))
-    }
-
-    /// Notes that the server answers.
-    pub fn connect(&mut self) {
-        self.connected = true;
-        self.away.clear();
-        tracing::info!("the fleet's server answers");
-    }
-
-    /// Notes that the server does not answer any more.
-    pub fn disconnect(&mut self) {
-        if self.connected {
-            tracing::warn!("the fleet's server is away: this daemon goes on by itself");
-        }
-        self.connected = false;
-        self.away = "the server does not answer".to_owned();
-    }
-}
-
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Every change is complete in itself.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Link {
     pub fn state(&self) -> MutexGuard<'_, State> {
         lock(&self.state)
@@ -198,10 +142,10 @@ impl Link {
 
     /// Returns `true` while this edge takes part in the fleet: the server answers, can do what is needed, and the edge's name is this store's.
     pub fn is_admitted(&self) -> bool {
-        self.reaches() && self.state().standing == Standing::Held
+        self.is_reachable() && self.state().standing == Standing::Held
     }
 
-    /// Notes what failed; it is told once.
+    /// Records a failure of a part; each text is logged once.
     pub fn failed(&self, part: &'static str, why: &dyn std::fmt::Display) {
         let why = why.to_string();
         if self.state().faults.failed(part, &why) {
@@ -209,7 +153,7 @@ impl Link {
         }
     }
 
-    /// What failed works again.
+    /// Records that a part works, which ends its failures.
     pub fn works(&self, part: &str) {
         let failures = self.state().faults.works(part);
         if failures > 0 {
@@ -217,8 +161,8 @@ impl Link {
         }
     }
 
-    /// Present failures in words; empty where there is none.
-    pub fn why(&self) -> String {
+    /// Returns the text of all present failures, empty without any.
+    pub fn failure_text(&self) -> String {
         let state = self.state();
         let refused = match &state.standing {
             Standing::Refused(why) => why.as_str(),
@@ -229,21 +173,21 @@ impl Link {
         texts.collect::<Vec<_>>().join("; ")
     }
 
-    /// Trusts the fleet for as long as the signs allow.
-    pub fn renew(&self) {
+    /// Delegates windows to the fleet for as long as [`Signs`](trust::Signs) allow.
+    pub fn renew_delegation(&self) {
         let mut state = self.state();
         let State { signs, answers, .. } = &mut *state;
-        let until = signs.trusted_until(answers, Instant::now());
+        let until = signs.delegated_until(answers, Instant::now());
         let until = until.filter(|_| state.connected && state.standing == Standing::Held);
         if until.is_some() {
             state.away.clear();
         }
         drop(state);
-        self.daemon.trust_fleet(until);
+        self.daemon.delegate_until(until);
     }
 
-    /// Returns `true` where the server answers and is new enough; logs where it is not.
-    pub fn reaches(&self) -> bool {
+    /// Returns `true` if the server answers and is new enough; records the failure if it is too old.
+    pub fn is_reachable(&self) -> bool {
         if !self.state().connected {
             return false;
         }
@@ -259,7 +203,7 @@ impl Link {
         }
     }
 
-    /// Names of this daemon's devices.
+    /// Returns the names of this daemon's devices.
     pub fn hobs(&self) -> Vec<String> {
         let devices = self.daemon.devices().into_iter().map(|d| d.name);
         devices
@@ -267,23 +211,23 @@ impl Link {
             .collect()
     }
 
-    /// Ready once the edge ends.
+    /// Waits until the edge stops.
     pub async fn stopping(&self) {
         let _ = self.stop.clone().wait_for(|&stopping| stopping).await;
     }
 
-    /// Waits, no longer than until [`Link::stir`]; false where the edge ends.
+    /// Waits for a time or until [`Link::wake_waiting`]; returns `false` if the edge stops.
     pub async fn wait(&self, time: Duration) -> bool {
-        let stirred = tokio::time::timeout(time, self.stirred.notified());
-        self.unless_stopping(stirred).await.is_some()
+        let wake = tokio::time::timeout(time, self.wake.notified());
+        self.unless_stopping(wake).await.is_some()
     }
 
-    /// Ends all waiting: the edge has a part in the fleet now, or no more.
-    pub fn stir(&self) {
-        self.stirred.notify_waiters();
+    /// Ends all waiting, because the edge was admitted to the fleet or refused.
+    pub fn wake_waiting(&self) {
+        self.wake.notify_waiters();
     }
 
-    /// Waits for something; none where the edge ends before.
+    /// Waits for a future; `None` if the edge stops before.
     pub async fn unless_stopping<T>(&self, what: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             biased;
@@ -291,9 +235,4 @@ impl Link {
             done = what => Some(done),
         }
     }
-}
-
-/// Milliseconds since 1970, UTC.
-pub(crate) fn now_ms() -> i64 {
-    jiff::Timestamp::now().as_millisecond()
 }

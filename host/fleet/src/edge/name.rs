@@ -6,26 +6,27 @@ use std::time::Duration;
 use ihd_daemon::fleet::host_name;
 
 use super::{Link, TRY_AGAIN};
-use crate::claims::{self, Claim, Standing, Verdict};
-use crate::engine::EngineError;
+use crate::claims::{self, Claim, Verdict};
 use crate::identity::Identity;
+use crate::jetstream::JetStreamError;
+use crate::standing::Standing;
 
-/// Between two looks: a name may be freed, and a store may be moved.
-const LOOK_EVERY: Duration = Duration::from_secs(5);
+/// Period of the checks: a name may be freed, and a store may be moved.
+const POLL_PERIOD: Duration = Duration::from_secs(5);
 
-/// Looks after the name until the edge ends.
+/// Checks the claim of the name until the edge stops.
 pub async fn run(link: Arc<Link>) {
     let mut mine = None;
     loop {
         let mut pause = TRY_AGAIN;
-        if link.reaches() {
-            match link.unless_stopping(look(&link, &mut mine)).await {
+        if link.is_reachable() {
+            match link.unless_stopping(check_claim(&link, &mut mine)).await {
                 None => return,
                 Some(Ok(())) => {
                     link.works("name");
-                    pause = LOOK_EVERY;
+                    pause = POLL_PERIOD;
                 }
-                // What was known stands.
+                // The last known standing stays.
                 Some(Err(why)) => link.failed("name", &why),
             }
         }
@@ -35,25 +36,25 @@ pub async fn run(link: Arc<Link>) {
     }
 }
 
-async fn look(link: &Link, mine: &mut Option<Claim>) -> Result<(), EngineError> {
+async fn check_claim(link: &Link, mine: &mut Option<Claim>) -> Result<(), JetStreamError> {
     if mine.is_none() {
-        *mine = Some(claim(link).await?);
+        *mine = Some(own_claim(link).await?);
     }
     let Some(mine) = mine else { return Ok(()) };
-    // Somebody may be faster, once; who that is, is seen then.
+    // Another claim may be first, once; the second turn reads it.
     for _ in 0..2 {
-        let (there, number) = claims::of_edge(&link.server, &link.edge).await?;
+        let (there, number) = claims::read_claim(&link.server, &link.edge).await?;
         let standing = link.state().standing.clone();
         match mine.judge(&link.edge, there.as_ref(), &standing) {
             Verdict::Stands(standing) => {
-                stand(link, standing);
+                set_standing(link, standing);
                 return Ok(());
             }
-            Verdict::Take => {
+            Verdict::MustClaim => {
                 mine.at_ms = link.daemon.now_ms();
                 if claims::put(&link.server, &link.edge, mine, number).await? {
                     tracing::info!(edge = link.edge, "the edge's name is this store's");
-                    stand(link, Standing::Held);
+                    set_standing(link, Standing::Held);
                     return Ok(());
                 }
             }
@@ -62,9 +63,9 @@ async fn look(link: &Link, mine: &mut Option<Claim>) -> Result<(), EngineError> 
     Ok(())
 }
 
-async fn claim(link: &Link) -> Result<Claim, EngineError> {
+async fn own_claim(link: &Link) -> Result<Claim, JetStreamError> {
     let secret = link.daemon.fleet_secret().await;
-    let secret = secret.map_err(|e| EngineError::new("store", e))?;
+    let secret = secret.map_err(|e| JetStreamError::new("store", e))?;
     let folder = link.daemon.store_folder();
     let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
     Ok(Claim {
@@ -75,7 +76,7 @@ async fn claim(link: &Link) -> Result<Claim, EngineError> {
     })
 }
 
-fn stand(link: &Link, standing: Standing) {
+fn set_standing(link: &Link, standing: Standing) {
     let mut state = link.state();
     if state.standing == standing {
         return;
@@ -85,6 +86,6 @@ fn stand(link: &Link, standing: Standing) {
     }
     state.standing = standing;
     drop(state);
-    link.renew();
-    link.stir();
+    link.renew_delegation();
+    link.wake_waiting();
 }

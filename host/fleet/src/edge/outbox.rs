@@ -1,12 +1,12 @@
-//! From the store to the fleet: windows that nobody has identified, results of those that were identified here. What the fleet has not
-//! acknowledged stays due, and is sent again under the same number.
+//! Windows of the store to the fleet: unidentified ones, and the results of those identified here. A window without acknowledgement stays
+//! due, and is sent again under the same number.
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_daemon::StoreTrouble;
+use ihd_daemon::StoreThreadError;
 use ihd_daemon::learning::WorkerAnswer;
-use ihd_daemon::model::What;
+use ihd_daemon::model::EventKind;
 use ihd_store::{DeliveryState, DueWindow, FleetMark, OutboxItem};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::Instant;
@@ -15,39 +15,39 @@ use super::acknowledged::{self, all_until};
 use super::{Link, TRY_AGAIN};
 use crate::identity::Identity;
 use crate::names;
-use crate::server::{Acknowledged, Outgoing, PublishTrouble, UnderWay};
+use crate::stream_message::{Acknowledged, Outgoing, PendingAck, PublishFailure};
 use crate::wire::{AnswerMessage, MessageError, WindowMessage};
 
-/// Windows under way at once.
+/// Windows sent at once.
 const BATCH: usize = 64;
 
-/// Between two looks where nothing was heard of.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Period of polling the store without a notice.
+const POLL_PERIOD: Duration = Duration::from_secs(1);
 
-/// Longest time of a whole batch, from its first window to its last acknowledgement.
+/// Time-out of a batch, from its first window to its last acknowledgement.
 const BATCH_WITHIN: Duration = Duration::from_secs(8);
 
-/// How long the fleet has for a result, in milliseconds, since it got the window. Results that were deleted before this edge took them cost
-/// that long; that a server has lost what it had is seen before ([`send_all_again`]).
+/// Longest wait for a result in milliseconds. It only matters for results that were deleted before this edge received them; loss of the
+/// server's data is detected earlier ([`resend_all`]).
 const ANSWERED_WITHIN_MS: i64 = 24 * 3_600_000;
 
-/// Between two looks for what was never answered.
-const MISSED_EVERY: Duration = Duration::from_secs(3_600);
+/// Period of the search for unanswered windows.
+const RESEND_PERIOD: Duration = Duration::from_secs(3_600);
 
-/// Why something was not sent.
+/// Error of sending a window.
 #[derive(Debug, thiserror::Error)]
 enum SendError {
     #[error(transparent)]
-    Store(#[from] StoreTrouble),
+    Store(#[from] StoreThreadError),
     #[error(transparent)]
     Message(#[from] MessageError),
     #[error(transparent)]
-    Publish(#[from] PublishTrouble),
+    Publish(#[from] PublishFailure),
     #[error("no acknowledgement within {} s", BATCH_WITHIN.as_secs())]
     Late,
 }
 
-/// Sends what is due until the edge ends.
+/// Sends due windows until the edge stops.
 pub async fn run(link: Arc<Link>) {
     let identity = loop {
         match link.daemon.fleet_secret().await {
@@ -59,23 +59,23 @@ pub async fn run(link: Arc<Link>) {
         }
     };
     let mut notices = link.daemon.watch();
-    let mut missed_at: Option<Instant> = None;
+    let mut resent_at: Option<Instant> = None;
     loop {
         let now = Instant::now();
         let is_admitted = link.is_admitted();
-        if is_admitted && missed_at.is_none_or(|at| now - at >= MISSED_EVERY) {
-            missed_at = Some(now);
-            send_again(&link).await;
+        if is_admitted && resent_at.is_none_or(|at| now - at >= RESEND_PERIOD) {
+            resent_at = Some(now);
+            resend_unanswered(&link).await;
         }
         let sent = match is_admitted {
-            true => send_some(&link, &identity).await.map(Some),
+            true => send_batch(&link, &identity).await.map(Some),
             false => Ok(None),
         };
         let works = matches!(sent, Ok(Some(_)));
         link.state().signs.sent(works, Instant::now());
-        link.renew();
+        link.renew_delegation();
         match sent {
-            // Whole batches follow each other.
+            // A full batch: there may be more.
             Ok(Some(BATCH)) => {
                 link.works("sending");
                 continue;
@@ -90,29 +90,29 @@ pub async fn run(link: Arc<Link>) {
                 continue;
             }
         }
-        let news = async {
+        let stored = async {
             loop {
                 match notices.recv().await {
-                    Ok(notice) if matches!(notice.what, What::WindowStored { .. }) => return,
+                    Ok(notice) if matches!(notice.kind, EventKind::WindowStored { .. }) => return,
                     Ok(_) => {}
                     Err(RecvError::Lagged(_)) => return,
-                    // The daemon is ending; so is the edge.
+                    // The daemon is stopping, and with it the edge.
                     Err(RecvError::Closed) => std::future::pending().await,
                 }
             }
         };
-        let next = tokio::time::timeout(LOOK_EVERY, news);
+        let next = tokio::time::timeout(POLL_PERIOD, stored);
         if link.unless_stopping(next).await.is_none() {
             return;
         }
     }
 }
 
-/// What was never answered is sent again.
-async fn send_again(link: &Link) {
+/// Makes unanswered windows due again.
+async fn resend_unanswered(link: &Link) {
     match link
         .daemon
-        .due_again(link.daemon.now_ms() - ANSWERED_WITHIN_MS)
+        .requeue_unanswered(link.daemon.now_ms() - ANSWERED_WITHIN_MS)
         .await
     {
         Ok(0) => {}
@@ -123,10 +123,10 @@ async fn send_again(link: &Link) {
     }
 }
 
-/// The server has lost what it had: all that it has not answered is due again.
-pub(super) async fn send_all_again(link: &Link, why: &str) -> Result<(), StoreTrouble> {
-    let windows = link.daemon.due_again(i64::MAX).await?;
-    link.state().answers.lost();
+/// Makes all unanswered windows due again, after the server has lost its data.
+pub(super) async fn resend_all(link: &Link, why: &str) -> Result<(), StoreThreadError> {
+    let windows = link.daemon.requeue_unanswered(i64::MAX).await?;
+    link.state().answers.clear();
     tracing::warn!(
         windows,
         why,
@@ -135,10 +135,10 @@ pub(super) async fn send_all_again(link: &Link, why: &str) -> Result<(), StoreTr
     Ok(())
 }
 
-/// Sends a batch and waits for its acknowledgements, all at once; how many were due. Those that are acknowledged in time are noted, whatever
-/// becomes of the others.
-async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError> {
-    let due = link.daemon.due(BATCH).await?;
+/// Sends a batch and waits for all acknowledgements together; returns the number of due windows. Acknowledged windows are recorded, even if
+/// others fail.
+async fn send_batch(link: &Link, identity: &Identity) -> Result<usize, SendError> {
+    let due = link.daemon.due_windows(BATCH).await?;
     let count = due.len();
     let deadline = Instant::now() + BATCH_WITHIN;
     let mut batch = Batch::default();
@@ -148,35 +148,36 @@ async fn send_some(link: &Link, identity: &Identity) -> Result<usize, SendError>
         Err(_) => Some(SendError::Late),
     };
     let mut under_way = std::mem::take(&mut batch.under_way);
-    let heard = |(due, what, acknowledged)| {
-        if let Err(why) = batch.heard(due, what, acknowledged) {
+    let record = |(due, what, acknowledged)| {
+        if let Err(why) = batch.record(due, what, acknowledged) {
             failed = Some(why);
         }
     };
-    if !all_until(&mut under_way, deadline, heard).await {
+    if !all_until(&mut under_way, deadline, record).await {
         failed = Some(SendError::Late);
     }
     batch.note(link).await?;
     failed.map_or(Ok(count), Err)
 }
 
-type Heard = (
+/// Sent window with its acknowledgement.
+type SentWindow = (
     DueWindow,
     DeliveryState,
-    Result<Acknowledged, PublishTrouble>,
+    Result<Acknowledged, PublishFailure>,
 );
 
 /// Outcome of a batch so far.
 #[derive(Default)]
 struct Batch {
-    under_way: acknowledged::UnderWay<Heard>,
+    under_way: acknowledged::PendingAcks<SentWindow>,
     sent: Vec<(DueWindow, DeliveryState)>,
-    /// Numbers in the queue of windows that came there for the first time.
+    /// Numbers in the queue, without duplicates.
     numbers: Vec<u64>,
 }
 
 impl Batch {
-    /// Sends until something fails.
+    /// Sends up to the first failure.
     async fn send(
         &mut self,
         link: &Link,
@@ -195,11 +196,11 @@ impl Batch {
         Ok(())
     }
 
-    fn heard(
+    fn record(
         &mut self,
         due: DueWindow,
         what: DeliveryState,
-        acknowledged: Result<Acknowledged, PublishTrouble>,
+        acknowledged: Result<Acknowledged, PublishFailure>,
     ) -> Result<(), SendError> {
         match acknowledged {
             Ok(message) => {
@@ -207,16 +208,16 @@ impl Batch {
                     self.numbers.push(message.number);
                 }
             }
-            // Another one has published a result of this window before.
-            Err(PublishTrouble::Occupied) if what == DeliveryState::Result => {}
+            // The window has a result already.
+            Err(PublishFailure::Occupied) if what == DeliveryState::Result => {}
             Err(why) => return Err(why.into()),
         }
         self.sent.push((due, what));
         Ok(())
     }
 
-    /// Notes what was acknowledged; before that, that the queue has begun to count anew.
-    async fn note(self, link: &Link) -> Result<(), StoreTrouble> {
+    /// Stores the acknowledgements; before that, checks whether the queue has begun to count anew.
+    async fn note(self, link: &Link) -> Result<(), StoreThreadError> {
         let numbers = self
             .numbers
             .iter()
@@ -224,9 +225,11 @@ impl Batch {
         if let (Some(first), Some(last)) = (numbers.clone().min(), numbers.max()) {
             let before = link.daemon.fleet_mark(FleetMark::LastWindow).await?;
             if before.is_some_and(|before| first <= before) {
-                send_all_again(link, "its queue counts from the beginning").await?;
+                resend_all(link, "its queue counts from the beginning").await?;
             }
-            link.daemon.mark_fleet(FleetMark::LastWindow, last).await?;
+            link.daemon
+                .set_fleet_mark(FleetMark::LastWindow, last)
+                .await?;
         }
         let now = Instant::now();
         for (due, _) in self
@@ -235,18 +238,18 @@ impl Batch {
             .filter(|(_, what)| *what == DeliveryState::Window)
         {
             let key = (due.device.clone(), due.boot, due.seq);
-            link.state().answers.sent(key, now);
+            link.state().answers.insert(key, now);
         }
-        link.daemon.sent(self.sent).await
+        link.daemon.mark_sent(self.sent).await
     }
 }
 
-/// Publishes what there is of a window that is due; none where there is nothing any more.
+/// Publishes a due window or its result; `None` if its samples are deleted.
 async fn send(
     link: &Link,
     identity: &Identity,
     due: &DueWindow,
-) -> Result<Option<(DeliveryState, UnderWay)>, SendError> {
+) -> Result<Option<(DeliveryState, PendingAck)>, SendError> {
     let (hob, boot, seq) = (&due.device, due.boot, due.seq);
     let (message, what) = match link.daemon.read_due(due.clone()).await? {
         OutboxItem::Window(window) => {
@@ -261,7 +264,7 @@ async fn send(
             let message = Outgoing {
                 subject: names::window(hob),
                 payload: message.to_bytes()?.into(),
-                number: Some(identity.of_window(hob, boot, seq)),
+                number: Some(identity.window_id(hob, boot, seq)),
                 after: None,
             };
             (message, DeliveryState::Window)
@@ -285,7 +288,7 @@ async fn send(
     Ok(Some((what, under_way)))
 }
 
-/// Takes the place of a worker's answer to a window that this edge has identified. The result itself stays in its store.
+/// Returns the answer that takes the place of a worker's for a window identified by this edge. The result itself stays in the store.
 fn identified_here(link: &Link, due: &DueWindow) -> AnswerMessage {
     AnswerMessage {
         hob: due.device.clone(),
@@ -296,7 +299,7 @@ fn identified_here(link: &Link, due: &DueWindow) -> AnswerMessage {
         answer: WorkerAnswer {
             by: link.edge.clone(),
             skew_s: None,
-            found: Err("its edge has identified it".to_owned()),
+            load: Err("its edge has identified it".to_owned()),
             busy: Duration::ZERO,
         },
     }

@@ -1,4 +1,4 @@
-//! Pots that hobs know: each hob's go to the fleet under its key, those of all come back as what a new pot may be.
+//! Pot library of the fleet: each hob's pots are put under its key, and those of all hobs are read as candidates for a new pot.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,25 +7,26 @@ use std::time::Duration;
 use async_nats::jetstream::Context;
 use ihd_map::library::{Library, LibraryError, MOST_OF_ONE_HOB, PotEntry, Provenance};
 
-use super::{Link, TRY_AGAIN, now_ms};
-use crate::engine::{self, EngineError};
+use super::{Link, TRY_AGAIN};
+use crate::clock::now_ms;
+use crate::jetstream::{self, JetStreamError};
 use crate::names;
 
-/// Between two looks. A pot that a hob meets is one of an hour ago, too.
-const LOOK_EVERY: Duration = Duration::from_secs(60);
+/// Period of the exchange; the library changes slowly.
+const POLL_PERIOD: Duration = Duration::from_secs(60);
 
-/// Gives and takes until the edge ends.
+/// Exchanges pots until the edge stops.
 pub async fn run(link: Arc<Link>, context: Context) {
     loop {
         let pause = match link.is_admitted() {
             true => match exchange(&link, &context).await {
                 Ok(()) => {
                     link.works("pots");
-                    LOOK_EVERY
+                    POLL_PERIOD
                 }
                 Err(why) => {
                     link.failed("pots", &why);
-                    LOOK_EVERY
+                    POLL_PERIOD
                 }
             },
             false => TRY_AGAIN,
@@ -36,15 +37,15 @@ pub async fn run(link: Arc<Link>, context: Context) {
     }
 }
 
-async fn exchange(link: &Link, context: &Context) -> Result<(), EngineError> {
-    let there = engine::entries(context, names::POTS).await?;
+async fn exchange(link: &Link, context: &Context) -> Result<(), JetStreamError> {
+    let there = jetstream::entries(context, names::POTS).await?;
     let mut libraries: BTreeMap<String, Library> = BTreeMap::new();
     for (hob, bytes) in &there {
-        match of_hob(hob, bytes) {
+        match own_entries(hob, bytes) {
             Ok(library) => {
                 libraries.insert(hob.clone(), library);
             }
-            // Its edge sends them again, or it lies.
+            // The hob's edge repairs them, or they are forged.
             Err(why) => tracing::debug!(hob, %why, "pots of a hob are not taken"),
         }
     }
@@ -63,12 +64,12 @@ async fn exchange(link: &Link, context: &Context) -> Result<(), EngineError> {
         }
         let bytes = mine.to_bytes();
         if there.get(&hob).is_none_or(|known| *known != bytes) {
-            engine::put(context, names::POTS, &hob, bytes).await?;
+            jetstream::put(context, names::POTS, &hob, bytes).await?;
         }
     }
     let mut all = Library::default();
     for entry in libraries.values().flat_map(Library::entries) {
-        // Each was looked at.
+        // Checked above.
         let _ = all.add(entry.clone());
     }
     let pots = all.entries().len();
@@ -78,8 +79,8 @@ async fn exchange(link: &Link, context: &Context) -> Result<(), EngineError> {
     Ok(())
 }
 
-/// What a hob's key holds: entries that it has found itself, whatever they say of others.
-fn of_hob(hob: &str, bytes: &[u8]) -> Result<Library, LibraryError> {
+/// Returns the entries under a hob's key that are of this hob alone.
+fn own_entries(hob: &str, bytes: &[u8]) -> Result<Library, LibraryError> {
     let sent = Library::from_bytes(bytes)?;
     let own = |entry: &&PotEntry| entry.hobs().len() == 1 && entry.hobs()[0] == hob;
     let mut library = Library::default();

@@ -1,4 +1,4 @@
-//! What hobs do now, once a second, for whoever listens: dashboards, MQTT. No stream keeps it.
+//! Present state of the hobs, published once a second for dashboards and MQTT. No stream stores it.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,24 +8,25 @@ use futures_util::StreamExt;
 use ihd_daemon::model::DeviceReport;
 use serde::{Deserialize, Serialize};
 
-use super::{Link, TRY_AGAIN, now_ms};
+use super::{Link, TRY_AGAIN};
+use crate::clock::now_ms;
 use crate::{discovery, names};
 
-/// Between two states.
-const TELL_EVERY: Duration = Duration::from_secs(1);
+/// Period of publication.
+const PUBLISH_PERIOD: Duration = Duration::from_secs(1);
 
-/// What a hob does now (JSON).
+/// Present state of a hob (JSON).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StateMessage {
     /// Milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// State, in the words of docs/daemon.md.
+    /// State, with the names of docs/daemon.md.
     pub state: String,
-    /// What stands on the coil; none where that is not known.
+    /// Pot on the coil; `None` if unknown.
     pub pot: Option<String>,
-    /// Mean power of the half-cycle in watt.
+    /// Mean power of the half-cycle in watt; `None` if unknown.
     pub power_w: Option<f64>,
-    /// Power asked for in watt.
+    /// Requested power in watt.
     pub asked_w: Option<u16>,
     /// The device's own R at the crest of the current, in ohm.
     pub r_ohm: Option<f64>,
@@ -33,20 +34,20 @@ pub struct StateMessage {
     pub l_h: Option<f64>,
     /// Switching frequency in hertz, 0 with the inverter off.
     pub f_sw_hz: Option<u32>,
-    /// How much warmer the pot is than when it was put on, in kelvin.
+    /// Rise of the pot's temperature since it was put on, in kelvin.
     pub pot_rise_k: Option<f64>,
     /// Version of the lookup in use.
     pub lookup_version: u32,
 }
 
 impl StateMessage {
-    /// Of what the daemon knows of a device.
-    pub fn of(device: &DeviceReport) -> Self {
+    /// Creates the state from the daemon's report of a device.
+    pub fn from_report(device: &DeviceReport) -> Self {
         let live = device.live.as_ref();
         let finite = |x: f64| x.is_finite().then_some(x);
         Self {
             at_ms: now_ms(),
-            state: device.state.word().to_owned(),
+            state: device.state.as_str().to_owned(),
             pot: live.map(|l| l.pot.clone()),
             power_w: live.and_then(|l| finite(l.power_w)),
             asked_w: live.map(|l| l.asked_w),
@@ -62,12 +63,12 @@ impl StateMessage {
     }
 }
 
-/// Tells until the edge ends; what Home Assistant asks for at its start, too.
+/// Publishes states until the edge stops, and discovery messages at each start of Home Assistant.
 pub async fn run(link: Arc<Link>, client: Client) {
     loop {
         if link.is_admitted() {
-            let told = link.unless_stopping(tell(&link, &client)).await;
-            match told {
+            let published = link.unless_stopping(publish_states(&link, &client)).await;
+            match published {
                 None => return,
                 Some(Err(why)) => link.failed("states", &why),
                 Some(Ok(())) => {}
@@ -79,11 +80,11 @@ pub async fn run(link: Arc<Link>, client: Client) {
     }
 }
 
-async fn tell(link: &Link, client: &Client) -> Result<(), String> {
+async fn publish_states(link: &Link, client: &Client) -> Result<(), String> {
     let births = client.subscribe(discovery::STATUS).await;
     let mut births = births.map_err(|e| e.to_string())?;
     let mut discovered = Vec::new();
-    let mut tick = tokio::time::interval(TELL_EVERY);
+    let mut tick = tokio::time::interval(PUBLISH_PERIOD);
     link.works("states");
     while link.is_admitted() {
         tokio::select! {
@@ -99,13 +100,13 @@ async fn tell(link: &Link, client: &Client) -> Result<(), String> {
                 continue;
             }
             if !discovered.contains(&device.name) {
-                for (subject, payload) in discovery::of_hob(&device.name) {
+                for (subject, payload) in discovery::sensor_messages(&device.name) {
                     let sent = client.publish(subject, payload.into()).await;
                     sent.map_err(|e| e.to_string())?;
                 }
                 discovered.push(device.name.clone());
             }
-            let state = serde_json::to_vec(&StateMessage::of(&device));
+            let state = serde_json::to_vec(&StateMessage::from_report(&device));
             let state = state.map_err(|e| e.to_string())?;
             let sent = client.publish(names::state(&device.name), state.into());
             sent.await.map_err(|e| e.to_string())?;

@@ -1,49 +1,49 @@
-//! Until when the fleet is trusted to do what it is there for: whoever sends windows and hears nothing learns by himself.
+//! Time until which windows are delegated to the fleet: an edge that receives no results identifies windows itself.
 //!
-//! Trust is a lease of [`TRUSTED_FOR`] (docs/fleet.md). It counts from the oldest of three signs, so that each of them alone can let it run
-//! out: the outbox has sent all that it had to, the inbox was answered, and of the windows that are waited for the oldest was sent.
+//! The delegation is a lease of [`DELEGATION_TIME`] (docs/fleet.md). It counts from the oldest of three times, so that each of them alone lets
+//! it expire: the outbox has sent all due windows, the inbox was answered, the oldest unanswered window was sent.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use ihd_daemon::fleet::TRUSTED_FOR;
+use ihd_daemon::fleet::DELEGATION_TIME;
 use tokio::time::Instant;
 
-/// Longest wait for a result at all: until the windows behind it show that the fleet answers.
+/// Time after which a missing result is ignored: by then later windows show that the fleet answers.
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(300);
 
-/// Windows that are waited for at most; beyond them the fleet is behind in any case.
+/// Most unanswered windows; with more the fleet is behind in any case.
 const MOST: usize = 8_192;
 
 /// Hob, boot and number of a window.
 pub type Key = (String, u32, u32);
 
-/// Windows that the fleet has got and not answered.
+/// Windows that the fleet has received and not answered.
 #[derive(Debug, Default)]
 pub struct Answers {
     waited_for: BTreeMap<Key, Instant>,
 }
 
 impl Answers {
-    /// The fleet has got a window.
-    pub fn sent(&mut self, key: Key, now: Instant) {
+    /// Adds a window that the fleet has received.
+    pub fn insert(&mut self, key: Key, now: Instant) {
         if self.waited_for.len() < MOST {
             self.waited_for.insert(key, now);
         }
     }
 
-    /// A result came, or none will.
-    pub fn came(&mut self, key: &Key) {
+    /// Removes a window whose result came, or will not come.
+    pub fn remove(&mut self, key: &Key) {
         self.waited_for.remove(key);
     }
 
-    /// None of them will come.
-    pub fn lost(&mut self) {
+    /// Removes all windows, because no result of them will come.
+    pub fn clear(&mut self) {
         self.waited_for.clear();
     }
 
-    /// When the oldest was sent of those that are waited for, now where there is none; none where they are too many.
-    fn since(&mut self, now: Instant) -> Option<Instant> {
+    /// Returns the time at which the oldest unanswered window was sent, `now` without any; `None` if they are too many.
+    fn oldest(&mut self, now: Instant) -> Option<Instant> {
         self.waited_for
             .retain(|_, since| now.duration_since(*since) < FORGOTTEN_AFTER);
         let oldest = self.waited_for.values().min();
@@ -51,7 +51,7 @@ impl Answers {
     }
 }
 
-/// Times at which outbox and inbox last succeeded; none while they fail.
+/// Times at which outbox and inbox last succeeded; `None` while they fail.
 #[derive(Debug, Default)]
 pub struct Signs {
     sent: Option<Instant>,
@@ -59,20 +59,20 @@ pub struct Signs {
 }
 
 impl Signs {
-    /// The outbox has sent all that was due in a batch, or nothing was; or it has not.
+    /// Records the outbox: it has sent all windows of a batch (or none was due), or it has failed.
     pub fn sent(&mut self, works: bool, now: Instant) {
         self.sent = works.then_some(now);
     }
 
-    /// The inbox was answered; or not.
+    /// Records the inbox: it was answered, or not.
     pub fn answered(&mut self, works: bool, now: Instant) {
         self.answered = works.then_some(now);
     }
 
-    /// Until when the fleet is trusted; none where it is not at all.
-    pub fn trusted_until(&self, answers: &mut Answers, now: Instant) -> Option<Instant> {
-        let since = answers.since(now)?.min(self.sent?).min(self.answered?);
-        Some(since + TRUSTED_FOR)
+    /// Returns the end of the delegation; `None` if there is none.
+    pub fn delegated_until(&self, answers: &mut Answers, now: Instant) -> Option<Instant> {
+        let since = answers.oldest(now)?.min(self.sent?).min(self.answered?);
+        Some(since + DELEGATION_TIME)
     }
 }
 
@@ -86,7 +86,7 @@ mod tests {
 
     const S: Duration = Duration::from_secs(1);
 
-    /// A fleet whose server answers everything, at once.
+    /// Records a server that answers everything at once.
     fn works(signs: &mut Signs, now: Instant) {
         signs.sent(true, now);
         signs.answered(true, now);
@@ -98,20 +98,23 @@ mod tests {
         let (mut signs, mut answers) = (Signs::default(), Answers::default());
         let mut until = |answers: &mut Answers, after: u32| {
             works(&mut signs, begin + after * S);
-            signs.trusted_until(answers, begin + after * S)
+            signs.delegated_until(answers, begin + after * S)
         };
-        assert_eq!(until(&mut answers, 0), Some(begin + TRUSTED_FOR));
-        answers.sent(key(1), begin);
-        answers.sent(key(2), begin + 15 * S);
-        assert_eq!(until(&mut answers, 19), Some(begin + TRUSTED_FOR));
-        answers.came(&key(2));
+        assert_eq!(until(&mut answers, 0), Some(begin + DELEGATION_TIME));
+        answers.insert(key(1), begin);
+        answers.insert(key(2), begin + 15 * S);
+        assert_eq!(until(&mut answers, 19), Some(begin + DELEGATION_TIME));
+        answers.remove(&key(2));
         assert_eq!(
             until(&mut answers, 22),
-            Some(begin + TRUSTED_FOR),
+            Some(begin + DELEGATION_TIME),
             "the older one is missing"
         );
-        answers.came(&key(1));
-        assert_eq!(until(&mut answers, 22), Some(begin + 22 * S + TRUSTED_FOR));
+        answers.remove(&key(1));
+        assert_eq!(
+            until(&mut answers, 22),
+            Some(begin + 22 * S + DELEGATION_TIME)
+        );
     }
 
     #[test]
@@ -119,35 +122,35 @@ mod tests {
         let begin = Instant::now();
         let mut answers = Answers::default();
         let mut signs = Signs::default();
-        assert_eq!(signs.trusted_until(&mut answers, begin), None);
+        assert_eq!(signs.delegated_until(&mut answers, begin), None);
         signs.sent(true, begin);
         assert_eq!(
-            signs.trusted_until(&mut answers, begin),
+            signs.delegated_until(&mut answers, begin),
             None,
             "nothing was heard"
         );
         works(&mut signs, begin);
         // The outbox hangs; then the inbox.
         signs.answered(true, begin + 15 * S);
-        let until = signs.trusted_until(&mut answers, begin + 15 * S);
-        assert_eq!(until, Some(begin + TRUSTED_FOR));
+        let until = signs.delegated_until(&mut answers, begin + 15 * S);
+        assert_eq!(until, Some(begin + DELEGATION_TIME));
         signs.sent(true, begin + 17 * S);
-        let until = signs.trusted_until(&mut answers, begin + 17 * S);
-        assert_eq!(until, Some(begin + 15 * S + TRUSTED_FOR));
+        let until = signs.delegated_until(&mut answers, begin + 17 * S);
+        assert_eq!(until, Some(begin + 15 * S + DELEGATION_TIME));
         signs.sent(false, begin + 17 * S);
-        assert_eq!(signs.trusted_until(&mut answers, begin + 17 * S), None);
+        assert_eq!(signs.delegated_until(&mut answers, begin + 17 * S), None);
     }
 
     #[test]
     fn a_window_is_not_waited_for_for_ever() {
         let begin = Instant::now();
         let (mut signs, mut answers) = (Signs::default(), Answers::default());
-        answers.sent(key(1), begin);
+        answers.insert(key(1), begin);
         let late = begin + FORGOTTEN_AFTER;
         works(&mut signs, late);
         assert_eq!(
-            signs.trusted_until(&mut answers, late),
-            Some(late + TRUSTED_FOR)
+            signs.delegated_until(&mut answers, late),
+            Some(late + DELEGATION_TIME)
         );
         assert!(answers.waited_for.is_empty());
     }

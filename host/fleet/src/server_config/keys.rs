@@ -1,4 +1,4 @@
-//! Keys of a site: a seed a file, for its owner alone.
+//! Keys of a site: one file for each seed, readable by its owner only.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -7,21 +7,21 @@ use std::path::{Path, PathBuf};
 
 use nkeys::{KeyPair, KeyPairType};
 
-/// What a seed file ends in.
+/// Extension of a seed file.
 const SUFFIX: &str = "nk";
 
-/// A seed has 58 characters; a file with more is none.
+/// Largest seed file in bytes; a seed has 58 characters.
 const MAX_FILE_BYTES: u64 = 1024;
 
-/// Why a key cannot be used. The message says what to do.
+/// Error of a key; the message advises.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
-    /// The file cannot be read, or not written.
+    /// File that cannot be read or written.
     #[error("{}: {source}", path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// The system's own words.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// Not a user's seed.
@@ -34,7 +34,7 @@ pub enum KeyError {
         /// The file.
         path: PathBuf,
     },
-    /// Others than its owner may read it.
+    /// File that others than its owner may read.
     #[error("{}: others may read it (mode {mode:o}): `chmod 600` it, or remove it and have a new one made", path.display())]
     Open {
         /// The file.
@@ -42,12 +42,12 @@ pub enum KeyError {
         /// Its mode.
         mode: u32,
     },
-    /// The system gave no random numbers.
+    /// No random numbers from the operating system.
     #[error("no key can be made: {0}")]
     Random(nkeys::error::Error),
 }
 
-/// One key: the half that proves who one is, and the half that the server knows.
+/// Key pair: the seed authenticates its owner, the server has the public half.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Key {
     seed: String,
@@ -55,7 +55,7 @@ pub struct Key {
 }
 
 impl Key {
-    /// A new one.
+    /// Makes a new key.
     ///
     /// # Errors
     /// [`KeyError::Random`].
@@ -67,10 +67,10 @@ impl Key {
         })
     }
 
-    /// From the file of its owner.
+    /// Reads a key from its owner's file.
     ///
     /// # Errors
-    /// [`KeyError`]: not there, not a seed, or open to others.
+    /// [`KeyError`] if the file is missing, not a seed, or readable by others.
     pub fn read(path: &Path) -> Result<Self, KeyError> {
         let io = |source| KeyError::Io {
             path: path.into(),
@@ -94,28 +94,28 @@ impl Key {
         Ok(Self { seed, public })
     }
 
-    /// What its owner keeps: `SU…`.
+    /// Returns the secret seed, `SU…`.
     pub fn seed(&self) -> &str {
         &self.seed
     }
 
-    /// What the server knows: `U…`.
+    /// Returns the public key, `U…`.
     pub fn public(&self) -> &str {
         &self.public
     }
 }
 
-/// Without the seed: this may come into a log.
+/// Without the seed, because this may be logged.
 impl std::fmt::Debug for Key {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "Key({})", self.public)
     }
 }
 
-/// The keys called `names` in `folder`: those that are there, and new ones in files `NAME.nk` where there are none.
+/// Returns the keys `names` of `folder`; missing ones are made, in files `NAME.nk`.
 ///
 /// # Errors
-/// [`KeyError`] of the first file that does not serve; what was made by then stays.
+/// [`KeyError`] of the first unusable file; keys made before it stay.
 pub fn read_or_make<'a>(
     folder: &Path,
     names: impl IntoIterator<Item = &'a str>,
@@ -147,7 +147,7 @@ fn make_folder(folder: &Path) -> io::Result<()> {
     builder.create(folder)
 }
 
-/// For the owner alone from the first byte; a file that is there is not touched.
+/// Writes a new file that is readable by the owner only from its creation on; fails if it exists.
 fn write_new(path: &Path, seed: &str) -> io::Result<()> {
     let mut options = OpenOptions::new();
     options.write(true).create_new(true);

@@ -1,7 +1,7 @@
-//! The configuration of a NATS server for sites of a fleet: who may do what, TLS, limits, MQTT.
+//! Configuration of a NATS server for sites of a fleet: rights, TLS, limits, MQTT.
 //!
 //! A site's data are in one account, with its operator. Every edge and every worker has a small account of its own beside
-//! it, without JetStream, which imports what it may use (`rights`). Nothing here is secret but the passwords of MQTT.
+//! it, without JetStream, which imports the subjects that it may use (`rights`). Only the passwords of MQTT are secret.
 
 mod keys;
 mod rights;
@@ -16,54 +16,54 @@ use ihd_daemon::config::is_name;
 pub use keys::{Key, KeyError, read_or_make};
 pub use rights::Rights;
 
-/// What an account of a key may send in one message: no window is near it.
+/// Largest message of a key's account in bytes; windows are far smaller.
 const MAX_PAYLOAD_BYTES: u32 = 1 << 20;
 
-/// Connections of one key: its own, and those that the server has not yet seen end.
+/// Connections of one key: the present one, and former ones whose end the server has not yet detected.
 const CONNECTIONS_A_KEY: u32 = 8;
 
-/// Why there is no configuration.
+/// Error of a configuration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ConfigError {
-    /// A name that would be another subject.
+    /// Name that would change a subject.
     #[error("{what} {name:?}: a name has 1 to 64 of a-z, 0-9, - and _")]
     Name {
-        /// What is called so.
+        /// Kind of the named object.
         what: &'static str,
         /// The name.
         name: String,
     },
-    /// Two of one name.
+    /// Two objects of one name.
     #[error("{what} {name:?} is there twice: one name, one {what}")]
     Twice {
-        /// What is called so.
+        /// Kind of the named object.
         what: &'static str,
         /// The name.
         name: String,
     },
-    /// An edge without hobs, or not in the form asked for.
+    /// Edge without hobs, or of another form.
     #[error("{0:?}: an edge is written NAME=HOB,HOB with at least one hob")]
     Edge(String),
-    /// A key that was not handed in.
+    /// Missing key.
     #[error("no key called {0:?}")]
     NoKey(String),
-    /// A path that a configuration cannot hold.
+    /// Path that a configuration cannot represent.
     #[error("{0:?}: a path in the server's configuration is text without control characters")]
     Path(PathBuf),
 }
 
-/// Where the server listens and keeps things.
+/// Addresses, folder and certificate of the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Server {
-    /// Its name; MQTT needs one.
+    /// Its name, which MQTT needs.
     pub name: String,
-    /// Where clients of NATS connect, as `0.0.0.0:4222`.
+    /// Address for clients of NATS, as `0.0.0.0:4222`.
     pub listen: String,
-    /// Where clients of MQTT connect, as `0.0.0.0:8883`; none for no MQTT.
+    /// Address for clients of MQTT, as `0.0.0.0:8883`; `None` without MQTT.
     pub mqtt_listen: Option<String>,
     /// Folder of JetStream.
     pub store: PathBuf,
-    /// Certificate and key; without them everything but the proof of the keys is in the clear.
+    /// Certificate and key; `None` for an unencrypted connection, on which only the proof of the keys is safe.
     pub tls: Option<Tls>,
 }
 
@@ -76,7 +76,7 @@ pub struct Tls {
     pub key: PathBuf,
 }
 
-/// A lab, a plant, a customer: nothing of it is seen by another.
+/// Site (a lab, a plant, a customer), whose data no other site can read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Site {
     /// Its name.
@@ -85,15 +85,15 @@ pub struct Site {
     pub edges: Vec<Edge>,
     /// Names of its workers.
     pub workers: Vec<String>,
-    /// Most that it keeps on the disk, in bytes.
+    /// Disk space in bytes.
     pub disk_bytes: u64,
-    /// Most that it keeps in memory, in bytes.
+    /// Memory in bytes.
     pub memory_bytes: u64,
 }
 
 impl Site {
-    /// A site with workers `worker-1` to `worker-N`, 12 GB of disk and 256 MB of memory: `ihd fleet init` sets aside 8.5 GB
-    /// unless told otherwise.
+    /// Creates a site with workers `worker-1` to `worker-N`, 12 GB of disk and 256 MB of memory: `ihd fleet init` reserves 8.5 GB
+    /// by default.
     pub fn new(name: impl Into<String>, edges: Vec<Edge>, workers: u32) -> Self {
         Self {
             name: name.into(),
@@ -104,8 +104,8 @@ impl Site {
         }
     }
 
-    /// Names of the keys that [`server_config`] wants for it: `SITE-operator`, `SITE-edge-NAME`, `SITE-worker-NAME`, and
-    /// with MQTT `SITE-mqtt` (reads) and `SITE-home-assistant` (also says that it has started).
+    /// Returns the names of the keys that [`server_config`] requires: `SITE-operator`, `SITE-edge-NAME`, `SITE-worker-NAME`, and
+    /// with MQTT `SITE-mqtt` (reads) and `SITE-home-assistant` (also publishes its start).
     pub fn key_names(&self, mqtt: bool) -> Vec<String> {
         let mut roles = vec!["operator".to_owned()];
         roles.extend(self.edges.iter().map(|edge| format!("edge-{}", edge.name)));
@@ -125,11 +125,11 @@ pub struct Edge {
     pub name: String,
     /// Names of its hobs.
     pub hobs: Vec<String>,
-    /// Whether it may see who else is in the fleet and how much waits: what the dashboard's page shows.
+    /// `true` if it may read the cards of the whole fleet and the length of the queue, for the dashboard's page.
     pub sees_fleet: bool,
 }
 
-/// `lab-1=hob-a,hob-b`.
+/// Parses `lab-1=hob-a,hob-b`.
 impl FromStr for Edge {
     type Err = ConfigError;
 
@@ -149,10 +149,10 @@ impl FromStr for Edge {
     }
 }
 
-/// The whole configuration of a server, with the users of `sites`. `keys` are by the names of [`Site::key_names`].
+/// Returns the configuration of a server with the users of `sites`. `keys` are by the names of [`Site::key_names`].
 ///
 /// # Errors
-/// [`ConfigError`]: names that are none or twice, an edge without hobs, a missing key.
+/// [`ConfigError`] for an invalid or repeated name, an edge without hobs, a missing key.
 pub fn server_config(
     server: &Server,
     sites: &[Site],
@@ -177,7 +177,7 @@ pub fn server_config(
     Ok(text)
 }
 
-/// Where it listens, TLS, JetStream, MQTT.
+/// Returns the server's own settings: addresses, TLS, JetStream, MQTT.
 fn head(server: &Server) -> Result<String, ConfigError> {
     check("server", &server.name)?;
     let tls = match &server.tls {
@@ -197,7 +197,7 @@ fn head(server: &Server) -> Result<String, ConfigError> {
     if !tls.is_empty() {
         let _ = writeln!(text, "{tls}");
     }
-    // On the disk before a window is acknowledged: its edge forgets it then.
+    // On the disk before the acknowledgement: after it the edge does not send the window again.
     let store = path(&server.store)?;
     let _ = writeln!(
         text,
@@ -209,7 +209,7 @@ fn head(server: &Server) -> Result<String, ConfigError> {
     Ok(text)
 }
 
-/// The account of the site's data, with its operator and those who read by MQTT.
+/// Returns the account of the site's data, with its operator and its users of MQTT.
 fn site_account(
     site: &Site,
     mqtt: bool,
@@ -263,7 +263,7 @@ fn site_account(
     Ok(text)
 }
 
-/// The account of one key: no JetStream, and of the site's what is named.
+/// Returns the account of one key: no JetStream, only the imports of `rights`.
 fn key_account(
     site: &Site,
     role: &str,
@@ -288,7 +288,7 @@ fn key_account(
     Ok(text)
 }
 
-/// No name has a point: no two accounts are one.
+/// Returns the name of an account; names have no dots, so it is unique.
 fn account(site: &Site, role: Option<&str>) -> String {
     match role {
         Some(role) => format!("\"{}.{role}\"", site.name),
@@ -301,7 +301,7 @@ fn key<'a>(keys: &'a BTreeMap<String, Key>, name: &str) -> Result<&'a Key, Confi
     keys.get(name).ok_or_else(missing)
 }
 
-/// As the server's configuration writes text; its backslashes are not escapes in a path of Windows.
+/// Quotes a path for the server's configuration, with single quotes because backslashes of a Windows path are no escapes.
 fn path(path: &std::path::Path) -> Result<String, ConfigError> {
     let refused = || ConfigError::Path(path.into());
     let text = path.to_str().ok_or_else(refused)?;
@@ -311,10 +311,10 @@ fn path(path: &std::path::Path) -> Result<String, ConfigError> {
     Ok(format!("'{text}'"))
 }
 
-/// Whether the names of a site can be those of subjects, and each is there once.
+/// Checks that the names of a site are valid tokens of subjects and unique.
 ///
 /// # Errors
-/// [`ConfigError`] of the first that cannot.
+/// [`ConfigError`] of the first wrong name.
 pub fn check_site(site: &Site) -> Result<(), ConfigError> {
     check("site", &site.name)?;
     for edge in &site.edges {
@@ -327,11 +327,11 @@ pub fn check_site(site: &Site) -> Result<(), ConfigError> {
     site.workers.iter().try_for_each(|w| check("worker", w))?;
     unique("edge", site.edges.iter().map(|edge| &edge.name))?;
     unique("worker", &site.workers)?;
-    // Two edges with one hob would take each other's results.
+    // Two edges with one hob would receive each other's results.
     unique("hob", site.edges.iter().flat_map(|edge| &edge.hobs))
 }
 
-/// Names are tokens of subjects: a point or a star in one would be another right.
+/// Checks a name, a token of subjects: a dot or a star in it would change a right.
 fn check(what: &'static str, name: &str) -> Result<(), ConfigError> {
     match is_name(name) {
         true => Ok(()),

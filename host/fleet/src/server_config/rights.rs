@@ -1,32 +1,32 @@
-//! What each key may do, as subjects (docs/fleet-security.md has it in words).
+//! Rights of each key, as subjects (explained in docs/fleet-security.md).
 //!
 //! A key has an account of its own that imports these from the site's account. Permissions within one account would not
-//! do: the server looks at the subject of a request, not at the one that asks to be answered, and JetStream answers with
-//! rights of its own. Whoever may read one key of a bucket could have the answer written to any other.
+//! suffice: the server checks the subject of a request, not the subject of its answer, and JetStream answers with rights
+//! of its own. A client that may read one key of a bucket could have the answer written to any other.
 
 use super::Edge;
 use crate::names;
 
-/// Prefix of the topics by which Home Assistant learns of sensors.
+/// Prefix of the subjects of Home Assistant's discovery messages.
 const DISCOVERY: &str = "homeassistant.sensor";
 
-/// Where Home Assistant says that it has started.
+/// Subject on which Home Assistant publishes its start.
 pub(super) const HOME_ASSISTANT_STATUS: &str = crate::discovery::STATUS;
 
-/// Figures of the site as a whole. Each key's account has them, because the server would else answer all of `$JS.API` there
-/// by itself, first, with "JetStream not enabled" (`serviceImportShadowed` in its accounts.go).
+/// Figures of the whole site. Each key's account imports them, because the server would otherwise answer all of `$JS.API`
+/// there by itself with "JetStream not enabled" (`serviceImportShadowed` in its accounts.go).
 const ACCOUNT_INFO: &str = "$JS.API.INFO";
 
-/// Subjects that an account takes from the site's.
+/// Subjects that a key's account imports from the site's account.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Rights {
-    /// What it may send; answers come back to it alone.
+    /// Subjects that it may publish to; only this account receives the answers.
     pub services: Vec<String>,
-    /// What it may listen to.
+    /// Subjects that it may subscribe to.
     pub streams: Vec<String>,
 }
 
-/// What the site's account offers; who imports what is in [`edge`] and [`worker`].
+/// Returns services and streams that the site's account exports; [`edge`] and [`worker`] list the imports.
 pub(super) fn offered() -> (Vec<String>, Vec<String>) {
     let mut services: Vec<String> = vec![
         names::window("*"),
@@ -47,12 +47,12 @@ pub(super) fn offered() -> (Vec<String>, Vec<String>) {
         services.push(get(bucket, "*"));
         services.push(list(bucket));
     }
-    // Heard of what the site's own users publish, not of what comes from another key: the server passes no message on twice.
+    // Only messages of the site's own users arrive, not those of another key: the server forwards no message twice.
     let streams = vec![put(names::LOOKUPS, "*"), HOME_ASSISTANT_STATUS.into()];
     (services, streams)
 }
 
-/// What is answered by many messages: the requests of pull consumers.
+/// Returns the service with many answers to one request: pull consumers.
 pub(super) fn offered_with_many_answers() -> &'static str {
     "$JS.API.CONSUMER.MSG.NEXT.*.*"
 }
@@ -67,7 +67,7 @@ const BUCKETS: [&str; 7] = [
     names::SETTINGS,
 ];
 
-/// What a daemon may do for its hobs.
+/// Returns the rights of a daemon, for its hobs.
 pub fn edge(edge: &Edge) -> Rights {
     let mut rights = Rights::default();
     let services = &mut rights.services;
@@ -102,7 +102,7 @@ pub fn edge(edge: &Edge) -> Rights {
     rights
 }
 
-/// What the fleet's page shows: who is there, and how much waits. No lookup, no window, no result.
+/// Adds the rights for the fleet's page: cards and lengths of streams; no lookup, no window, no result.
 fn see_fleet(rights: &mut Rights) {
     let cards = [names::HOBS, names::EDGES, names::WORKER_CARDS];
     rights.services.extend(cards.map(list));
@@ -117,7 +117,7 @@ fn see_fleet(rights: &mut Rights) {
     rights.services.push(workers);
 }
 
-/// What a worker may do.
+/// Returns the rights of a worker.
 pub fn worker(name: &str) -> Rights {
     let mut services = consumer(names::WINDOWS, names::WORKERS).to_vec();
     services.extend([
@@ -139,7 +139,7 @@ pub fn worker(name: &str) -> Rights {
     }
 }
 
-/// To pull from a consumer, and to acknowledge.
+/// Rights to pull from a consumer and to acknowledge.
 fn consumer(stream: &str, name: &str) -> [String; 3] {
     [
         format!("$JS.API.CONSUMER.INFO.{stream}.{name}"),
@@ -153,23 +153,23 @@ fn all_dead() -> String {
     format!("ihd.{}.*.dead.>", names::WIRE)
 }
 
-/// To look whether windows of a hob were given up.
+/// Right to read the dead letters of a hob.
 fn dead_of(hob: &str) -> String {
-    let window = names::dead(hob, "*", "*");
+    let window = names::dead_letter(hob, "*", "*");
     format!("$JS.API.DIRECT.GET.{}.{window}", names::DEAD)
 }
 
-/// To write a key of a bucket; also where listeners hear of it.
+/// Right to write a key of a bucket; as a stream, to receive its changes.
 fn put(bucket: &str, key: &str) -> String {
     names::key(bucket, key)
 }
 
-/// To read a key of a bucket.
+/// Right to read a key of a bucket.
 fn get(bucket: &str, key: &str) -> String {
     format!("{}.{}", list(bucket), names::key(bucket, key))
 }
 
-/// To read every key of a bucket, one after the other.
+/// Right to read every key of a bucket, one after the other.
 fn list(bucket: &str) -> String {
     format!("$JS.API.DIRECT.GET.{}", names::bucket_stream(bucket))
 }

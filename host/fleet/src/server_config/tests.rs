@@ -29,7 +29,7 @@ fn config(sites: &[Site]) -> Result<String, ConfigError> {
     server_config(&server(), sites, &keys(sites))
 }
 
-/// The rule of NATS: `*` is one token, `>` at the end is one or more.
+/// Matches as NATS does: `*` is one token, `>` at the end is one or more.
 fn covers(pattern: &str, subject: &str) -> bool {
     let mut tokens = subject.split('.');
     for part in pattern.split('.') {
@@ -58,7 +58,7 @@ fn subjects_are_compared_as_the_server_does() {
     }
 }
 
-/// Whether one of these rights lets through a subject.
+/// Returns `true` if one of the rights covers a subject.
 fn may(rights: &Rights, subject: &str) -> bool {
     rights.services.iter().any(|right| covers(right, subject))
 }
@@ -137,7 +137,7 @@ fn no_key_may_change_streams_make_consumers_or_put_settings() {
         }
         assert!(!may(rights, "$KV.ihd_settings.limits"));
         assert!(!may(rights, "$O.ihd_captures.C.x"));
-        // An answer may be asked for at any subject: none of them may reach the site's own.
+        // An answer may be requested at any subject; none may reach the site's own.
         assert!(!may(rights, "_INBOX.x"));
     }
 }
@@ -150,8 +150,8 @@ fn what_a_key_may_do_is_offered_by_the_site() {
     let edges = site.edges.iter().map(rights::edge);
     let workers = site.workers.iter().map(|name| rights::worker(name));
     for rights in edges.chain(workers) {
-        for (wanted, offered) in [(&rights.services, &services), (&rights.streams, &streams)] {
-            for subject in wanted {
+        for (imported, offered) in [(&rights.services, &services), (&rights.streams, &streams)] {
+            for subject in imported {
                 let is_offered = offered.iter().any(|pattern| covers(pattern, subject));
                 assert!(is_offered, "{subject}");
             }

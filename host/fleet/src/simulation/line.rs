@@ -1,4 +1,4 @@
-//! The line between an edge and the server: what passes, what is lost, and how long it takes.
+//! Simulated connection of an edge to the server, with losses and delays.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -14,21 +14,21 @@ use rand_chacha::ChaCha8Rng;
 use tokio::time::{Instant, sleep};
 
 use super::server::{Consumer, Memory, Message};
-use crate::edge::{State, lock};
-use crate::engine::EngineError;
+use crate::edge::state::{State, lock};
+use crate::jetstream::JetStreamError;
 use crate::names;
-use crate::server::{Acknowledged, Incoming, Kept, Outgoing, PublishTrouble, UnderWay};
+use crate::stream_message::{Acknowledged, Outgoing, PendingAck, PublishFailure, StoredMessage};
 
-/// Longest wait of the client for an answer (crate::access).
+/// Time-out of the client (crate::access).
 const WITHIN: Duration = Duration::from_secs(5);
 
-/// Step in which somebody waits.
+/// Step of waiting.
 const STEP: Duration = Duration::from_millis(50);
 
 /// Hob, boot and number of a window.
 pub type Key = (String, u32, u32);
 
-/// Condition of line and server. It ends with the life of the daemon.
+/// Faults of connection and server in one life of the daemon.
 pub struct Weather {
     /// Nothing passes until then.
     pub stalled_until: Instant,
@@ -36,22 +36,22 @@ pub struct Weather {
     pub full_until: Instant,
     /// The server has no streams until then.
     pub bare_until: Instant,
-    /// Chance that an acknowledgement, either way, is lost.
+    /// Probability that an acknowledgement, either way, is lost.
     pub lost: f64,
-    /// Chance that a message is late.
+    /// Probability that a message is late.
     pub late: f64,
 }
 
-/// News that the edge has had of the server in this life.
+/// Answers of the server that the edge has received in this life.
 #[derive(Default)]
-pub struct Heard {
-    /// The last answer to anything.
+pub struct ReceivedAnswers {
+    /// Time of the last answer.
     pub last: Option<Instant>,
-    /// Windows of which it has heard that they are in the queue, and when; without those whose result came.
+    /// Acknowledged windows without a result, each with the time of the acknowledgement.
     pub waited_for: BTreeMap<Key, Instant>,
 }
 
-/// The line.
+/// Simulated connection.
 #[derive(Clone)]
 pub struct Line {
     /// The world.
@@ -61,12 +61,12 @@ pub struct Line {
     /// The edge's own record of its connection.
     pub edge: Arc<Mutex<State>>,
     weather: Arc<Mutex<Weather>>,
-    heard: Arc<Mutex<Heard>>,
+    received: Arc<Mutex<ReceivedAnswers>>,
     rng: Arc<Mutex<ChaCha8Rng>>,
 }
 
 impl Line {
-    /// Line of a life that begins.
+    /// Creates the connection of a new life.
     pub fn new(world: Arc<World>, memory: Arc<Memory>, edge: Arc<Mutex<State>>, seed: u64) -> Self {
         let now = Instant::now();
         Self {
@@ -80,31 +80,31 @@ impl Line {
                 lost: 0.0,
                 late: 0.0,
             })),
-            heard: Arc::default(),
+            received: Arc::default(),
             rng: Arc::new(Mutex::new(ChaCha8Rng::seed_from_u64(seed))),
         }
     }
 
-    /// Condition of line and server.
+    /// Returns the faults.
     pub fn weather(&self) -> MutexGuard<'_, Weather> {
         lock(&self.weather)
     }
 
-    /// News that the edge has had.
-    pub fn heard(&self) -> MutexGuard<'_, Heard> {
-        lock(&self.heard)
+    /// Returns the received answers.
+    pub fn received(&self) -> MutexGuard<'_, ReceivedAnswers> {
+        lock(&self.received)
     }
 
     fn is(&self, until: impl Fn(&Weather) -> Instant) -> bool {
         self.world.may_fail() && Instant::now() < until(&self.weather())
     }
 
-    /// Nothing passes.
+    /// Returns `true` while nothing passes.
     pub fn is_stalled(&self) -> bool {
         self.is(|weather| weather.stalled_until)
     }
 
-    /// True with this chance, where something may fail.
+    /// Returns `true` with a probability, while faults are allowed.
     fn happens(&self, chance: impl Fn(&Weather) -> f64) -> bool {
         let chance = chance(&self.weather());
         self.world.may_fail() && lock(&self.rng).random_bool(chance)
@@ -122,7 +122,7 @@ impl Line {
         sleep(self.milliseconds(1..20)).await;
     }
 
-    /// Asks the server for something; the client gives up after a while.
+    /// Requests something of the server, with the client's time-out.
     async fn ask<T>(&self, answer: impl FnOnce() -> T) -> Result<T, String> {
         let asked = Instant::now();
         let passed = tokio::time::timeout(WITHIN, self.pass()).await;
@@ -134,7 +134,7 @@ impl Line {
         if self.is(|weather| weather.bare_until) {
             return Err("stream not found".to_owned());
         }
-        self.heard().last = Some(Instant::now());
+        self.received().last = Some(Instant::now());
         Ok(answer())
     }
 
@@ -142,33 +142,33 @@ impl Line {
     ///
     /// # Errors
     /// The client gives up.
-    pub async fn publish(&self, message: Outgoing) -> Result<UnderWay, PublishTrouble> {
+    pub async fn publish(&self, message: Outgoing) -> Result<PendingAck, PublishFailure> {
         if self.is_stalled() && self.happens(|_| 0.2) {
             self.pass().await;
         }
         let (line, key) = (self.clone(), window_of(&message));
         let sends = self.clone();
-        // It goes on when nobody waits for it any more.
+        // It continues if the caller does not wait any more.
         let sent = tokio::spawn(async move { sends.send(message).await });
         Ok(Box::pin(async move {
             let answer = match tokio::time::timeout(WITHIN, sent).await {
                 Ok(Ok(answer)) => answer?,
-                Ok(Err(_)) | Err(_) => return Err(PublishTrouble::Other("timed out".to_owned())),
+                Ok(Err(_)) | Err(_) => return Err(PublishFailure::Other("timed out".to_owned())),
             };
-            let (mut heard, now) = (line.heard(), Instant::now());
-            heard.last = Some(now);
+            let (mut received, now) = (line.received(), Instant::now());
+            received.last = Some(now);
             if let Some(key) = key {
-                heard.waited_for.insert(key, now);
+                received.waited_for.insert(key, now);
             }
             Ok(answer)
         }))
     }
 
-    async fn send(&self, message: Outgoing) -> Result<Acknowledged, PublishTrouble> {
+    async fn send(&self, message: Outgoing) -> Result<Acknowledged, PublishFailure> {
         let began_stalled = self.is_stalled();
         self.pass().await;
         if began_stalled && self.happens(|_| 0.3) {
-            // With the connection that it was on.
+            // Lost with its connection.
             return std::future::pending().await;
         }
         if self.happens(|weather| weather.late) {
@@ -176,12 +176,12 @@ impl Line {
         }
         if self.is(|weather| weather.bare_until) {
             let why = "no stream found for given subject".to_owned();
-            return Err(PublishTrouble::Other(why));
+            return Err(PublishFailure::Other(why));
         }
         let is_window = window_of(&message).is_some();
         if is_window && self.is(|weather| weather.full_until) {
             let why = "maximum bytes exceeded".to_owned();
-            return Err(PublishTrouble::Other(why));
+            return Err(PublishFailure::Other(why));
         }
         let now = self.world.now();
         let answer = self.memory.disk().publish(now, message);
@@ -191,34 +191,34 @@ impl Line {
         answer
     }
 
-    /// The last message of a subject.
+    /// Returns the last message of a subject.
     ///
     /// # Errors
     /// The client gives up.
-    pub async fn last(&self, stream: &str, subject: &str) -> Result<Option<Kept>, String> {
-        let look = || {
+    pub async fn last(&self, stream: &str, subject: &str) -> Result<Option<StoredMessage>, String> {
+        let read = || {
             let mut disk = self.memory.disk();
-            let found = disk.stream(stream).last_of(subject);
-            found.map(|(number, message)| Kept {
+            let last = disk.stream(stream).last_of(subject);
+            last.map(|(number, message)| StoredMessage {
                 number,
                 headers: message.headers.clone(),
                 payload: message.payload.clone(),
             })
         };
-        let found = self.ask(look).await?;
-        if found.is_some()
+        let last = self.ask(read).await?;
+        if last.is_some()
             && let Some(key) = dead_window(subject)
         {
-            self.heard().waited_for.remove(&key);
+            self.received().waited_for.remove(&key);
         }
-        Ok(found)
+        Ok(last)
     }
 
     /// Finds or makes the consumer of the edge.
     ///
     /// # Errors
     /// The client gives up.
-    pub async fn results(&self) -> Result<Results, EngineError> {
+    pub async fn results(&self) -> Result<Results, JetStreamError> {
         let find = || {
             let now = self.world.now();
             let mut disk = self.memory.disk();
@@ -227,19 +227,19 @@ impl Line {
                 .made_us
         };
         let made_us = self.ask(find).await;
-        let made_us = made_us.map_err(|e| EngineError::new(names::RESULTS, e))?;
+        let made_us = made_us.map_err(|e| JetStreamError::new(names::RESULTS, e))?;
         let line = self.clone();
         Ok(Results { line, made_us })
     }
 }
 
-/// The window that a message to the queue is of.
+/// Returns the window of a message to the queue.
 fn window_of(message: &Outgoing) -> Option<Key> {
     let read = crate::wire::WindowMessage::from_bytes(&message.payload).ok()?;
     Some((read.hob, read.boot, read.window.seq))
 }
 
-/// The window that a subject of the dead is of.
+/// Returns the window of a dead letter's subject.
 fn dead_window(subject: &str) -> Option<Key> {
     let result = subject.replace(".dead.", ".result.");
     names::window_of_result(&result).filter(|_| result != subject)
@@ -252,7 +252,7 @@ pub struct Results {
 }
 
 impl Results {
-    /// When it was made.
+    /// Returns the time of its creation in microseconds.
     pub fn made_us(&self) -> i64 {
         self.made_us
     }
@@ -263,7 +263,7 @@ impl Results {
         made_us == Some(self.made_us)
     }
 
-    /// Waits for results; for ever where the answer is lost.
+    /// Waits for results; until the client's time-out if the answer is lost.
     ///
     /// # Errors
     /// None of its own.
@@ -271,9 +271,9 @@ impl Results {
         &self,
         most: usize,
         wait: Duration,
-    ) -> Result<BoxStream<'static, Result<Incoming, String>>, String> {
+    ) -> Result<BoxStream<'static, Result<Delivered, String>>, String> {
         let line = &self.line;
-        // The client ends a request that nobody answers 5 s after its time.
+        // The client ends an unanswered request 5 s after its duration.
         let deadline = Instant::now() + wait + WITHIN;
         if tokio::time::timeout_at(deadline, line.pass())
             .await
@@ -282,7 +282,7 @@ impl Results {
             return Ok(stream::empty().boxed());
         }
         if !self.is_there() {
-            // Nobody hears the request.
+            // No consumer receives the request.
             return Ok(stream::iter([Err("no responders".to_owned())]).boxed());
         }
         let expires = Instant::now() + wait;
@@ -292,21 +292,21 @@ impl Results {
                 return Ok(stream::iter([Err("consumer deleted".to_owned())]).boxed());
             };
             if line.is_stalled() || line.happens(|weather| weather.lost) {
-                // Given, and never heard of: they come again after their time.
+                // Delivered and lost: redelivered after the acknowledgement time-out.
                 tokio::time::sleep_until(deadline).await;
                 return Ok(stream::empty().boxed());
             }
             if !given.is_empty() || Instant::now() >= expires {
-                line.heard().last = Some(Instant::now());
+                line.received().last = Some(Instant::now());
                 let made_us = self.made_us;
                 let of = |(number, message, _)| {
                     let line = line.clone();
-                    Ok(Incoming::Simulated(Delivered {
+                    Ok(Delivered {
                         line,
                         made_us,
                         number,
                         message,
-                    }))
+                    })
                 };
                 let given: Vec<_> = given.into_iter().map(of).collect();
                 return Ok(stream::iter(given).boxed());
@@ -316,33 +316,33 @@ impl Results {
     }
 }
 
-/// A result that was given to the edge.
+/// Result delivered to the edge.
 pub struct Delivered {
     line: Line,
-    /// Making of the consumer that gave it, in microseconds.
+    /// Creation of its consumer in microseconds.
     made_us: i64,
     number: u64,
     message: Message,
 }
 
 impl Delivered {
-    /// Its subject.
+    /// Returns its subject.
     pub fn subject(&self) -> &str {
         &self.message.subject
     }
 
-    /// Its bytes.
+    /// Returns its bytes.
     pub fn payload(&self) -> &Bytes {
         &self.message.payload
     }
 
-    /// Tells the server what became of it; where nothing passes, nobody hears of it.
-    pub async fn settle(&self, kind: AckKind) {
+    /// Acknowledges it to the server; lost while nothing passes.
+    pub async fn acknowledge_as(&self, kind: AckKind) {
         let line = &self.line;
         if matches!(kind, AckKind::Ack)
             && let Some(key) = names::window_of_result(self.subject())
         {
-            line.heard().waited_for.remove(&key);
+            line.received().waited_for.remove(&key);
         }
         if line.is_stalled() {
             if line.happens(|_| 0.2) {

@@ -4,13 +4,13 @@
 //! ```text
 //!  hobs, users, disk, clock, kills ──► Daemon ◄──► edge's tasks ──► line.rs ──► server.rs ◄── workers.rs
 //!                                                  outbox, inbox,   stalls, cuts, lost      honest, lying, silent,
-//!                                                  trust, name …    and late messages       slow, saying things twice
+//!                                                  trust, name …    and late messages       slow, publishing twice
 //! ```
 //!
 //! `IHD_SEED=4711 cargo nextest run -p ihd-fleet simulation --no-capture` runs one seed again and prints its course; `IHD_SEEDS=10000` runs
 //! so many.
 
-mod line;
+pub mod line;
 mod server;
 mod watch;
 mod weather;
@@ -18,11 +18,11 @@ mod workers;
 
 use std::sync::Arc;
 
-use ihd_daemon::simulation::{Course, Left, Life, Part, of_environment, run, run_all};
+use ihd_daemon::simulation::{Course, HobKind, Life, Part, env_number, run, run_all};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-pub use line::{Delivered, Line, Results};
+use line::Line;
 use server::Memory;
 
 use crate::edge::{Edge, State};
@@ -38,7 +38,7 @@ const EDGE: &str = "kitchen";
 fn course(seed: u64) -> Course {
     let memory = Memory::new();
     let part: Box<Part> = Box::new(move |life| Box::pin(take_part(Arc::clone(&memory), life)));
-    run(seed, Left::Script, Some(&*part))
+    run(seed, HobKind::Script, Some(&*part))
 }
 
 async fn take_part(memory: Arc<Memory>, life: Life) {
@@ -64,7 +64,7 @@ async fn take_part(memory: Arc<Memory>, life: Life) {
         tokio::spawn(workers::work(line.clone(), rng.random())),
         tokio::spawn(watch::watch(line.clone(), daemon.clone())),
     ];
-    // The sender has gone: that is the end.
+    // A dropped sender ends the life, too.
     let _ = ended.await;
     edge.stop().await;
     watch::check_results(&line, &daemon);
@@ -75,7 +75,7 @@ async fn take_part(memory: Arc<Memory>, life: Life) {
 
 #[test]
 fn every_window_comes_back_once_whatever_fails() {
-    let seeds = of_environment("IHD_SEEDS").unwrap_or(SEEDS);
+    let seeds = env_number("IHD_SEEDS").unwrap_or(SEEDS);
     run_all(0..seeds, course);
 }
 

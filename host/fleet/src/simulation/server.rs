@@ -1,4 +1,4 @@
-//! The server's memory: streams, the consumer of the edge and that of the workers, with the rules of JetStream that the fleet relies on.
+//! Simulated server: streams and the consumers of edge and workers, with the rules of JetStream that the fleet relies on.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -7,11 +7,11 @@ use std::time::Duration;
 use async_nats::HeaderMap;
 use bytes::Bytes;
 
-use crate::engine::{ACK_WAIT, DUPLICATES_WITHIN};
+use crate::jetstream::{ACK_WAIT, DUPLICATES_WITHIN};
 use crate::names;
-use crate::server::{Acknowledged, Outgoing, PublishTrouble};
+use crate::stream_message::{Acknowledged, Outgoing, PublishFailure};
 
-/// A message that is kept.
+/// Stored message.
 #[derive(Clone, Debug)]
 pub struct Message {
     /// Its subject.
@@ -25,23 +25,23 @@ pub struct Message {
 /// A stream.
 #[derive(Default)]
 pub struct Stream {
-    /// Number of the last message that ever came.
+    /// Number of the last message ever stored.
     last: u64,
     /// Messages by number.
     pub messages: BTreeMap<u64, Message>,
-    /// Numbers of messages by that of their senders, and when they came.
+    /// Numbers and times of messages by message id.
     known: BTreeMap<String, (u64, Duration)>,
 }
 
 impl Stream {
-    /// The last message of a subject, with its number.
+    /// Returns the last message of a subject, with its number.
     pub fn last_of(&self, subject: &str) -> Option<(u64, &Message)> {
-        let found = self
+        let last = self
             .messages
             .iter()
             .rev()
             .find(|(_, m)| m.subject == subject);
-        found.map(|(number, message)| (*number, message))
+        last.map(|(number, message)| (*number, message))
     }
 
     fn put(
@@ -49,7 +49,7 @@ impl Stream {
         now: Duration,
         message: Outgoing,
         one_a_subject: bool,
-    ) -> Result<Acknowledged, PublishTrouble> {
+    ) -> Result<Acknowledged, PublishFailure> {
         self.known
             .retain(|_, (_, at)| now - *at < DUPLICATES_WITHIN);
         let known = message.number.as_ref().and_then(|n| self.known.get(n));
@@ -63,7 +63,7 @@ impl Stream {
             .last_of(&message.subject)
             .map_or(0, |(number, _)| number);
         if message.after.is_some_and(|after| after != before) {
-            return Err(PublishTrouble::Occupied);
+            return Err(PublishFailure::Occupied);
         }
         if one_a_subject {
             self.messages.remove(&before);
@@ -87,19 +87,19 @@ impl Stream {
     }
 }
 
-/// A consumer that acknowledges each message.
+/// Consumer with an acknowledgement of each message.
 #[derive(Default)]
 pub struct Consumer {
-    /// When it was made, in microseconds.
+    /// Time of its creation in microseconds.
     pub made_us: i64,
-    /// Number of the last message that was given for the first time.
+    /// Number of the last message delivered for the first time.
     given: u64,
-    /// Messages that were given and not acknowledged: when they are given again, and how often they were.
+    /// Unacknowledged messages: time of the redelivery, number of deliveries.
     pending: BTreeMap<u64, (Duration, u32)>,
 }
 
 impl Consumer {
-    /// One that is made now.
+    /// Creates a consumer.
     pub fn new(now: Duration) -> Self {
         Self {
             made_us: i64::try_from(now.as_micros()).unwrap_or(i64::MAX),
@@ -107,7 +107,7 @@ impl Consumer {
         }
     }
 
-    /// Gives messages of a stream, at most so many, each with how often it was given.
+    /// Delivers up to `most` messages of a stream, each with its number of deliveries.
     pub fn give(
         &mut self,
         now: Duration,
@@ -129,19 +129,19 @@ impl Consumer {
         numbers.into_iter().map(give).collect()
     }
 
-    /// One of them is done with.
+    /// Acknowledges a message.
     pub fn ack(&mut self, number: u64) {
         self.pending.remove(&number);
     }
 
-    /// One of them is given again at that time.
+    /// Sets the time of a redelivery.
     pub fn again_at(&mut self, number: u64, at: Duration) {
         if let Some((again_at, _)) = self.pending.get_mut(&number) {
             *again_at = at;
         }
     }
 
-    /// All that are given are given again, acknowledged or not, as after a restart that has forgotten the last of them.
+    /// Redelivers all pending messages and the last acknowledged ones, as after a restart that has lost the latest state.
     fn forget(&mut self, now: Duration) {
         self.given = self.given.saturating_sub(3);
         for (at, _) in self.pending.values_mut() {
@@ -154,16 +154,16 @@ impl Consumer {
 #[derive(Default)]
 pub struct Disk {
     streams: BTreeMap<String, Stream>,
-    /// The consumer of the edge, once it was made.
+    /// Consumer of the edge, `None` before it is made.
     pub results: Option<Consumer>,
-    /// The consumer of the workers.
+    /// Consumer of the workers.
     pub windows: Consumer,
-    /// Disks before this one. An acknowledgement of what one of those gave is nobody's.
+    /// Number of former disks; acknowledgements of their messages are ignored.
     pub before: u32,
 }
 
 impl Disk {
-    /// A stream of this name.
+    /// Returns the stream of a name.
     pub fn stream(&mut self, name: &str) -> &mut Stream {
         self.streams.entry(name.to_owned()).or_default()
     }
@@ -173,24 +173,24 @@ impl Disk {
         &mut self,
         now: Duration,
         message: Outgoing,
-    ) -> Result<Acknowledged, PublishTrouble> {
+    ) -> Result<Acknowledged, PublishFailure> {
         let (stream, one_a_subject) = stream_of(&message.subject);
         self.stream(&stream).put(now, message, one_a_subject)
     }
 
-    /// Gives windows to a worker.
+    /// Delivers windows to a worker.
     pub fn give_windows(&mut self, now: Duration, most: usize) -> Vec<(u64, Message, u32)> {
         let stream = self.streams.entry(names::WINDOWS.to_owned()).or_default();
         self.windows.give(now, stream, most)
     }
 
-    /// Gives results to the edge; none where there is no consumer.
+    /// Delivers results to the edge; `None` without a consumer.
     pub fn give_results(&mut self, now: Duration, most: usize) -> Option<Vec<(u64, Message, u32)>> {
         let stream = self.streams.entry(names::RESULTS.to_owned()).or_default();
         Some(self.results.as_mut()?.give(now, stream, most))
     }
 
-    /// All is lost.
+    /// Loses all data.
     pub fn lose(&mut self) {
         *self = Self {
             before: self.before + 1,
@@ -198,7 +198,7 @@ impl Disk {
         };
     }
 
-    /// The server starts again.
+    /// Restarts the server.
     pub fn restart(&mut self, now: Duration) {
         self.windows.forget(now);
         if let Some(results) = &mut self.results {
@@ -207,7 +207,7 @@ impl Disk {
     }
 }
 
-/// Stream of a subject, and whether it keeps one message of each.
+/// Returns the stream of a subject, and `true` if it stores one message of each subject.
 fn stream_of(subject: &str) -> (String, bool) {
     let kind = subject.split('.').nth(3);
     match kind {
@@ -222,17 +222,17 @@ fn stream_of(subject: &str) -> (String, bool) {
     }
 }
 
-/// The server. It outlives the daemons.
+/// Memory of the server; it outlives the daemons.
 #[derive(Default)]
 pub struct Memory(Mutex<Disk>);
 
 impl Memory {
-    /// An empty one.
+    /// Creates an empty memory.
     pub fn new() -> Arc<Self> {
         Arc::default()
     }
 
-    /// Its disk.
+    /// Returns its disk.
     pub fn disk(&self) -> MutexGuard<'_, Disk> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }

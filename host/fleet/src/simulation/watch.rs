@@ -1,9 +1,9 @@
-//! Promises of the edge, checked while it lives. What is checked at the end of a course: `ihd_daemon::simulation`.
+//! Invariants of the edge, checked during its life. Checks at the end of a course: `ihd_daemon::simulation`.
 
 use std::time::Duration;
 
 use ihd_daemon::Daemon;
-use ihd_daemon::fleet::TRUSTED_FOR;
+use ihd_daemon::fleet::DELEGATION_TIME;
 use ihd_daemon::simulation::LOAD;
 use ihd_store::{Reader, ResultFilter};
 use tokio::time::{Instant, sleep};
@@ -11,19 +11,19 @@ use tokio::time::{Instant, sleep};
 use super::line::{Key, Line};
 use super::workers::LIAR;
 
-/// Between two looks.
+/// Period of the checks.
 const CHECK_EVERY: Duration = Duration::from_millis(100);
 
-/// Longest time from an acknowledgement to its note: a batch has 8 s, and waits for the store after that.
+/// Longest time from an acknowledgement to its record: a batch has 8 s, then waits for the store.
 const NOTED_WITHIN: Duration = Duration::from_secs(10);
 
-/// After so long the edge counts on the windows behind one that never came.
+/// Time after which the edge ignores a missing result.
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(300);
 
-/// Largest difference from the truth that an answer may have and be confirmed: the check's own error, and its noise.
+/// Largest deviation of a confirmed answer from the truth in percent: error and noise of the check.
 const BELIEVED_PCT: f64 = 0.1;
 
-/// Checks that no lie was confirmed, and nothing else refuted.
+/// Checks that no false answer was confirmed, and no other refuted.
 fn check_answers(line: &Line, daemon: &Daemon) {
     for (name, answers) in daemon.workers() {
         let is_liar = name.starts_with(LIAR);
@@ -39,7 +39,7 @@ fn check_answers(line: &Line, daemon: &Daemon) {
     }
 }
 
-/// Checks that what is stored of R is the truth, now that all has come back.
+/// Checks that every stored R is the truth, after all results have come.
 pub fn check_results(line: &Line, daemon: &Daemon) {
     let filter = ResultFilter {
         limit: Some(u32::MAX),
@@ -53,7 +53,7 @@ pub fn check_results(line: &Line, daemon: &Daemon) {
     let passed: Vec<_> = results.iter().filter(|result| result.pass).collect();
     for result in &passed {
         let differs_pct = 100.0 * (result.r_ohm / LOAD.r_ohm - 1.0);
-        // Not a number is no truth.
+        // NaN is wrong, too.
         if differs_pct.is_nan() || differs_pct.abs() > BELIEVED_PCT {
             let text = format!(
                 "{} {} has R wrong by {differs_pct} %",
@@ -74,24 +74,27 @@ pub async fn watch(line: Line, daemon: Daemon) {
     loop {
         sleep(CHECK_EVERY).await;
         check_answers(&line, &daemon);
-        if !daemon.trusts_fleet() {
+        if !daemon.is_delegated() {
             continue;
         }
         let now = Instant::now();
         let (last, oldest) = {
-            let heard = line.heard();
+            let received = line.received();
             let waits = |(_, since): &(&Key, &Instant)| now - **since < FORGOTTEN_AFTER;
-            let oldest = heard.waited_for.iter().filter(waits);
+            let oldest = received.waited_for.iter().filter(waits);
             let oldest = oldest.min_by_key(|(_, since)| **since);
-            (heard.last, oldest.map(|(key, since)| (key.clone(), *since)))
+            (
+                received.last,
+                oldest.map(|(key, since)| (key.clone(), *since)),
+            )
         };
         let silent_for = last.map(|last| now - last);
-        if silent_for.is_none_or(|time| time > TRUSTED_FOR) {
+        if silent_for.is_none_or(|time| time > DELEGATION_TIME) {
             let text = format!("the fleet is trusted, and has been silent for {silent_for:?}");
             line.world.note_broken(text);
         }
         if let Some((key, since)) = oldest
-            && now - since > TRUSTED_FOR + NOTED_WITHIN
+            && now - since > DELEGATION_TIME + NOTED_WITHIN
         {
             let text = format!(
                 "the fleet is trusted, and {key:?} waits since {:?}",

@@ -8,10 +8,10 @@ use tokio::time::{Instant, sleep};
 
 use super::line::Line;
 
-/// Longest time in milliseconds until a client sees that nothing passes: three pings without an answer.
+/// Longest time in milliseconds until a client detects a cut: three pings without an answer.
 const SEEN_WITHIN_MS: u64 = 15_000;
 
-/// Makes something fail now and then; connects the edge first, and again whenever it was cut off.
+/// Makes faults at random times; connects the edge first, and again after each cut.
 pub async fn change(line: Line, seed: u64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let ms = |rng: &mut ChaCha8Rng, range| Duration::from_millis(rng.random_range(range));
@@ -50,7 +50,7 @@ pub async fn change(line: Line, seed: u64) {
                 let text = format!("the server loses its disk, and has streams after {bare:?}");
                 line.world.note(&text);
                 line.memory.disk().lose();
-                line.heard().waited_for.clear();
+                line.received().waited_for.clear();
                 line.weather().bare_until = Instant::now() + bare;
                 if rng.random_bool(0.5) {
                     cut(&line, ms(&mut rng, 100..5_000), Duration::ZERO).await;
@@ -66,7 +66,7 @@ pub async fn change(line: Line, seed: u64) {
     line.edge.lock().unwrap().connect();
 }
 
-/// Nothing passes for so long, which the client sees after a while.
+/// Cuts the connection for a time; the client detects it after `seen`.
 async fn cut(line: &Line, lasts: Duration, seen: Duration) {
     line.world.note(&format!(
         "the line is cut for {lasts:?}, seen after {seen:?}"

@@ -1,4 +1,4 @@
-//! Workers: some answer, some lie, some die over a window, and some say things twice.
+//! Workers: some answer correctly, some falsely, some die during a window, some publish twice.
 
 use std::time::Duration;
 
@@ -11,23 +11,23 @@ use tokio::time::sleep;
 
 use super::line::Line;
 use super::server::Message;
-use crate::dead;
-use crate::engine::MOST_DELIVERIES;
+use crate::dead_letters;
+use crate::jetstream::MOST_DELIVERIES;
 use crate::names;
-use crate::server::{Outgoing, PublishTrouble};
+use crate::stream_message::{Outgoing, PublishFailure};
 use crate::wire::{AnswerMessage, WindowMessage};
 
-/// Between two looks into the queue.
+/// Period of polling the queue.
 const TURN: Duration = Duration::from_millis(200);
 
-/// Windows that are taken in one turn.
+/// Windows for each poll.
 const AT_ONCE: usize = 8;
 
-/// Workers of these names lie, and by how much of R at least.
+/// Prefix of the names of workers with false answers, and the least relative error of their R.
 pub const LIAR: &str = "liar";
 const LEAST_LIE: f64 = 0.005;
 
-/// Takes windows until the daemon's life ends.
+/// Processes windows until the daemon's life ends.
 pub async fn work(line: Line, seed: u64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let are_silent = line.world.may_fail() && rng.random_bool(0.1);
@@ -77,7 +77,7 @@ async fn deal(line: Line, place: Place, message: Message, times: u32, seed: u64)
         return bury(&line, place, &message, &window);
     }
     if fails && rng.random_bool(0.1) {
-        // Longer than it has.
+        // Longer than the acknowledgement time-out.
         sleep(Duration::from_millis(rng.random_range(1_000..45_000))).await;
     }
     if fails && rng.random_bool(0.1) {
@@ -86,12 +86,12 @@ async fn deal(line: Line, place: Place, message: Message, times: u32, seed: u64)
     }
     let result = answer(&mut rng, &window, window.window.seq);
     if fails && rng.random_bool(0.1) {
-        // Whoever says nothing of the one before replaces it.
+        // A publication without a condition replaces the one before.
         publish(&line, result.clone(), None);
     }
     publish(&line, result, Some(0));
     if fails && rng.random_bool(0.1) {
-        // Killed before it could say so.
+        // Killed before the acknowledgement.
         return;
     }
     done(&line, place);
@@ -116,25 +116,27 @@ fn publish(line: &Line, (subject, payload): (String, Bytes), after: Option<u64>)
             after,
         },
     );
-    if let Err(PublishTrouble::Other(why)) = published {
+    if let Err(PublishFailure::Other(why)) = published {
         line.world.note_broken(why);
     }
 }
 
 fn bury(line: &Line, place: Place, message: &Message, window: &WindowMessage) {
-    let subject = names::dead(&window.hob, window.boot, window.window.seq);
+    let subject = names::dead_letter(&window.hob, window.boot, window.window.seq);
     publish(line, (subject.clone(), message.payload.clone()), Some(0));
     let mut disk = line.memory.disk();
-    let found = disk.stream(names::DEAD).messages.values_mut();
-    for dead in found.filter(|dead| dead.subject == subject) {
-        dead.headers.insert(dead::WHY, "nobody could identify it");
-        dead.headers.insert(dead::BY, "worker-1");
+    let letters = disk.stream(names::DEAD).messages.values_mut();
+    for message in letters.filter(|message| message.subject == subject) {
+        message
+            .headers
+            .insert(dead_letters::WHY, "nobody could identify it");
+        message.headers.insert(dead_letters::BY, "worker-1");
     }
     drop(disk);
     done(line, place);
 }
 
-/// The load that a window shows, nothing where it shows none, a lie, or what nobody can read.
+/// Returns subject and bytes of an answer: the window's load, none if it shows none, a false one, or unreadable bytes.
 fn answer(rng: &mut ChaCha8Rng, window: &WindowMessage, seq: u32) -> (String, Bytes) {
     let subject = names::result(&window.hob, window.boot, seq);
     if rng.random_bool(0.05) {
@@ -155,7 +157,7 @@ fn answer(rng: &mut ChaCha8Rng, window: &WindowMessage, seq: u32) -> (String, By
             ..StatedLoad::default()
         }
     };
-    let found = match (lies, shows) {
+    let load = match (lies, shows) {
         (true, _) => Ok(stated(1.0 + lie)),
         (false, true) => Ok(stated(1.0)),
         (false, false) => Err("it shows nothing".to_owned()),
@@ -170,7 +172,7 @@ fn answer(rng: &mut ChaCha8Rng, window: &WindowMessage, seq: u32) -> (String, By
         answer: WorkerAnswer {
             by: format!("{name}-{}", rng.random_range(0..9)),
             skew_s: None,
-            found,
+            load,
             busy: Duration::from_millis(60),
         },
     };

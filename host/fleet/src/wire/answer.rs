@@ -1,4 +1,4 @@
-//! A worker's answer on its way to the window's edge. Nothing in it is believed without the window
+//! Answer of a worker to the window's edge. Its content is checked against the window
 //! ([`ihd_daemon::learning::WorkerAnswer`]).
 
 use std::time::Duration;
@@ -12,16 +12,16 @@ use serde::{Deserialize, Serialize};
 use super::packing::{Singles, pack, unpack};
 use super::{MessageError, VERSION, check_hob, check_version};
 
-/// Longest text of an answer, in bytes: a reason, a remark.
+/// Longest text of an answer (a reason, a remark) in bytes.
 const LONGEST_TEXT: usize = 2_000;
 
-/// Most remarks, and most steps.
+/// Most remarks and most steps.
 const MOST_ENTRIES: usize = 1_024;
 
-/// Longest time in milliseconds that an honest worker is busy with a window; the slowest network there is takes minutes.
+/// Longest plausible work on a window in milliseconds; the slowest network takes minutes.
 const LONGEST_BUSY_MS: u32 = 3_600_000;
 
-/// A worker's answer on its way to the window's edge.
+/// Answer of a worker to the window's edge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnswerMessage {
     /// The hob's name.
@@ -50,12 +50,12 @@ struct Fields {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     skew_s: Option<f64>,
     busy_ms: u32,
-    found: Found,
+    found: Outcome,
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum Found {
+enum Outcome {
     Load(Load),
     Nothing { why: String },
 }
@@ -89,10 +89,10 @@ struct Remark {
 }
 
 impl AnswerMessage {
-    /// Bytes to publish.
+    /// Serialises the message.
     ///
     /// # Errors
-    /// What zstd reports: a lack of memory.
+    /// [`MessageError::Packed`] if zstd lacks memory.
     pub fn to_bytes(&self) -> Result<Vec<u8>, MessageError> {
         let answer = &self.answer;
         let busy_ms = u32::try_from(answer.busy.as_millis()).unwrap_or(LONGEST_BUSY_MS);
@@ -106,16 +106,16 @@ impl AnswerMessage {
             by: answer.by.clone(),
             skew_s: answer.skew_s,
             busy_ms: busy_ms.min(LONGEST_BUSY_MS),
-            found: match &answer.found {
-                Ok(stated) => Found::Load(Load::of(stated)),
-                Err(why) => Found::Nothing {
+            found: match &answer.load {
+                Ok(stated) => Outcome::Load(Load::of(stated)),
+                Err(why) => Outcome::Nothing {
                     why: why.chars().take(LONGEST_TEXT / 4).collect(),
                 },
             },
         })
     }
 
-    /// Reads what was published.
+    /// Reads a message.
     ///
     /// # Errors
     /// [`MessageError`].
@@ -126,9 +126,9 @@ impl AnswerMessage {
             let why = format!("is {}, more than {LONGEST_BUSY_MS}", fields.busy_ms);
             return Err(MessageError::value("busy_ms", why));
         }
-        let found = match fields.found {
-            Found::Load(load) => Ok(load.read()?),
-            Found::Nothing { why } => Err(text("why", why)?),
+        let load = match fields.found {
+            Outcome::Load(load) => Ok(load.read()?),
+            Outcome::Nothing { why } => Err(text("why", why)?),
         };
         Ok(Self {
             hob: check_hob(fields.hob)?,
@@ -139,7 +139,7 @@ impl AnswerMessage {
             answer: WorkerAnswer {
                 by: worker(fields.by)?,
                 skew_s: fields.skew_s.filter(|skew_s| skew_s.is_finite()),
-                found,
+                load,
                 busy: Duration::from_millis(fields.busy_ms.into()),
             },
         })

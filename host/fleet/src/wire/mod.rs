@@ -1,5 +1,5 @@
 //! Messages of the fleet: windows to workers, answers to edges. CBOR by field (RFC 8949), in a zstd frame with its
-//! checksum; people and other programs read JSON instead (states, events, cards).
+//! checksum; states, events and cards are JSON, for people and other programs.
 //!
 //! A reader ignores fields that it does not know and refuses a message that lacks one it needs, so a field may be added
 //! within a version. Anything else is another version: the second token of every subject ([`crate::names::WIRE`]), with a
@@ -18,27 +18,27 @@ pub use self::window::WindowMessage;
 /// Version of the messages.
 pub const VERSION: u16 = 2;
 
-/// Reason for which a message cannot be used.
+/// Error of a message.
 #[derive(Debug, thiserror::Error)]
 pub enum MessageError {
-    /// Not zstd, cut, or with a flipped bit.
+    /// Not zstd, truncated or corrupted.
     #[error("it cannot be unpacked: {0}")]
     Packed(std::io::Error),
-    /// No CBOR, or a field is missing or of another type.
+    /// Not CBOR, or a field is missing or of another type.
     #[error("it cannot be read: {0}")]
     Fields(String),
-    /// Another version's.
+    /// Another version.
     #[error("it is of version {0}, this ihd reads version {VERSION}")]
     Version(u16),
-    /// A name that cannot be a hob's.
+    /// Invalid name of a hob.
     #[error("it names a hob {0:?}, which cannot be")]
     Hob(String),
-    /// Numbers, texts or lists that no honest sender has.
+    /// Implausible number, text or list.
     #[error("its {field} {why}")]
     Value {
         /// The field.
         field: &'static str,
-        /// Why it cannot be.
+        /// Reason.
         why: String,
     },
 }

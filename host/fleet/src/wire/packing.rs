@@ -7,10 +7,10 @@ use zstd::zstd_safe::CParameter;
 
 use super::MessageError;
 
-/// zstd's level: as in the store, more costs time and saves little.
+/// Level of zstd, as in the store: a higher one costs time and saves little.
 const LEVEL: i32 = 1;
 
-/// Largest message unpacked, in bytes: twice the longest window there is.
+/// Largest unpacked message in bytes: twice the longest window.
 pub const LARGEST: usize = 4 << 20;
 
 /// Deepest nesting of a message.
@@ -49,7 +49,7 @@ impl Singles {
         self.0.is_empty()
     }
 
-    /// The numbers of a field, all finite and at most `most` of them.
+    /// Returns the numbers of a field, all finite and at most `most` of them.
     pub fn read(&self, field: &'static str, most: usize) -> Result<Vec<f64>, MessageError> {
         let (chunks, rest) = self.0.as_chunks::<4>();
         if !rest.is_empty() || chunks.len() > most {

@@ -40,7 +40,7 @@ fn window() -> WindowMessage {
     }
 }
 
-/// Numbers that singles hold exactly.
+/// An answer whose numbers are exact in single precision.
 fn answer() -> AnswerMessage {
     AnswerMessage {
         hob: "bench-1".into(),
@@ -51,7 +51,7 @@ fn answer() -> AnswerMessage {
         answer: WorkerAnswer {
             by: "lab-3".into(),
             skew_s: Some(-60e-9),
-            found: Ok(StatedLoad {
+            load: Ok(StatedLoad {
                 t_s: vec![0.0, 0.25, 0.5],
                 r_ohm: vec![3.5, 3.25, 3.0],
                 l_h: vec![0.5, 0.25, 0.125],
@@ -79,7 +79,7 @@ fn golden(name: &str) -> PathBuf {
     folder.join(format!("{name}-{VERSION}.cbor.zst"))
 }
 
-/// The bytes of this version, as the first program that spoke it wrote them: a change of them is another version.
+/// The bytes of this version, as first written: a change of them is another version.
 #[test]
 fn the_bytes_of_this_version_stay() {
     for (name, bytes) in [
@@ -90,8 +90,13 @@ fn the_bytes_of_this_version_stay() {
         if std::env::var_os("UPDATE_GOLDEN").is_some() {
             std::fs::write(&path, &bytes).unwrap();
         }
-        let kept: Value = unpack(&std::fs::read(&path).unwrap()).unwrap();
-        assert_eq!(kept, unpack::<Value>(&bytes).unwrap(), "{}", path.display());
+        let stored: Value = unpack(&std::fs::read(&path).unwrap()).unwrap();
+        assert_eq!(
+            stored,
+            unpack::<Value>(&bytes).unwrap(),
+            "{}",
+            path.display()
+        );
     }
     let read = |name| std::fs::read(golden(name)).unwrap();
     assert_eq!(
@@ -133,7 +138,7 @@ fn a_field_that_is_not_known_is_ignored_and_a_missing_one_refuses_the_message() 
         let read = AnswerMessage::from_bytes(&less);
         assert_eq!(read.is_ok(), optional.contains(&&*name), "{name}: {read:?}");
     }
-    // R and L in each other's place are R and L in each other's place: names say which is which.
+    // Fields are identified by name, not by order.
     let exchanged = changed(&bytes, |fields| fields.reverse());
     assert_eq!(AnswerMessage::from_bytes(&exchanged).unwrap(), answer());
 }
@@ -185,7 +190,7 @@ fn another_version_a_bomb_and_what_no_honest_sender_says_are_refused_in_words() 
     ];
     for (t_s, word) in lists {
         let mut message = answer();
-        message.answer.found.as_mut().unwrap().t_s = t_s;
+        message.answer.load.as_mut().unwrap().t_s = t_s;
         let why = AnswerMessage::from_bytes(&message.to_bytes().unwrap()).unwrap_err();
         assert!(why.to_string().contains(word), "{why}");
     }

@@ -1,4 +1,4 @@
-//! A window on its way to a worker.
+//! Window for a worker.
 
 use ihd_link::Window;
 use ihd_shared::sampling::{Pair, Scales};
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::packing::{pack, unpack};
 use super::{MessageError, VERSION, check_hob, check_version};
 
-/// A window on its way to a worker.
+/// Window for a worker.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WindowMessage {
     /// The hob's name, unique in the site.
@@ -17,9 +17,9 @@ pub struct WindowMessage {
     pub boot: u32,
     /// Time at which the edge stored it, in milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// Skew in seconds that is to be taken out of its current.
+    /// Skew in seconds by which its current is to be corrected.
     pub skew_s: Option<f64>,
-    /// Workers whose answers the edge would not believe: they leave it to others.
+    /// Workers whose answers the edge does not accept; they leave it to others.
     pub not_for: Vec<String>,
     /// The window.
     pub window: Window,
@@ -54,10 +54,10 @@ struct Fields {
 }
 
 impl WindowMessage {
-    /// Bytes to publish.
+    /// Serialises the message.
     ///
     /// # Errors
-    /// What zstd reports: a lack of memory.
+    /// [`MessageError::Packed`] if zstd lacks memory.
     pub fn to_bytes(&self) -> Result<Vec<u8>, MessageError> {
         let window = &self.window;
         pack(&Fields {
@@ -86,7 +86,7 @@ impl WindowMessage {
         })
     }
 
-    /// Reads what was published.
+    /// Reads a message.
     ///
     /// # Errors
     /// [`MessageError`].

@@ -124,7 +124,7 @@ impl CaptureArgs {
     /// # Errors
     /// [`ihd_capture::CaptureError`] or [`ihd_survey::calibration::CalibrationFileError`],
     /// naming the file and what to do.
-    pub fn open(&self) -> Result<Loaded> {
+    pub fn open(&self) -> Result<LoadedCapture> {
         self.open_with(&mut |_| ())
     }
 
@@ -147,7 +147,7 @@ impl CaptureArgs {
     ///
     /// # Errors
     /// Any error of [`CaptureArgs::open`].
-    pub fn open_with(&self, progress: &mut dyn FnMut(f64)) -> Result<Loaded> {
+    pub fn open_with(&self, progress: &mut dyn FnMut(f64)) -> Result<LoadedCapture> {
         self.check()?;
         let SalvagedCapture {
             mut capture,
@@ -167,12 +167,12 @@ impl CaptureArgs {
             }
             calibration.apply(&mut capture);
         }
-        Ok(Loaded { capture, losses })
+        Ok(LoadedCapture { capture, losses })
     }
 }
 
 /// Capture, and the losses of its file.
-pub struct Loaded {
+pub struct LoadedCapture {
     /// Readable part.
     pub capture: Capture,
     losses: Losses,
@@ -181,7 +181,7 @@ pub struct Loaded {
 /// Error for a file of which a part could not be read; the rest was processed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{file}: {losses}; {pairs} pairs of samples were read, {ms:.3} ms from first to last{but}")]
-pub struct Incomplete {
+pub struct IncompleteCapture {
     file: String,
     losses: Losses,
     pairs: usize,
@@ -189,12 +189,12 @@ pub struct Incomplete {
     but: String,
 }
 
-impl Loaded {
+impl LoadedCapture {
     /// Description of the losses; `None` for a complete file.
-    pub fn incomplete(&self) -> Option<Incomplete> {
+    pub fn incomplete(&self) -> Option<IncompleteCapture> {
         let last = self.capture.time.at(self.capture.len().saturating_sub(1));
         let span = self.capture.time.at(0).zip(last);
-        (!self.losses.is_none()).then(|| Incomplete {
+        (!self.losses.is_none()).then(|| IncompleteCapture {
             file: self.capture.name.clone(),
             losses: self.losses.clone(),
             pairs: self.capture.len(),
@@ -205,14 +205,14 @@ impl Loaded {
 
     /// Result of a command that computed `result` from the capture: losses of the file are reported in any case.
     ///
-    /// The error of `result`, or [`Incomplete`] if that would be no error, or would only say that the rest is not enough.
+    /// The error of `result`, or [`IncompleteCapture`] if that would be no error, or would only say that the rest is not enough.
     pub fn finish(&self, result: Result<()>) -> Result<()> {
         let Some(incomplete) = self.incomplete() else {
             return result;
         };
         match result {
             Ok(()) => Err(incomplete.into()),
-            Err(error) if error.is::<SurveyError>() => Err(Incomplete {
+            Err(error) if error.is::<SurveyError>() => Err(IncompleteCapture {
                 but: format!("; {error}"),
                 ..incomplete
             }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::Result;
 use ihd_api::access::{Role, tokens::Tokens};
 use ihd_api::client::ClientError;
-use ihd_api::{ApiClient, Settings, tls::Certificate};
+use ihd_api::{ApiClient, ServerOptions, tls::Certificate};
 use ihd_daemon::config::Config;
 
 /// Configuration that is read if none is named and it exists.
@@ -41,7 +41,7 @@ fn tls_folder(config: &Config) -> PathBuf {
 }
 
 /// Options of the daemon's API server.
-pub fn server_settings(config: &Config) -> Settings {
+pub fn server_settings(config: &Config) -> ServerOptions {
     let tls = config
         .tls
         .as_ref()
@@ -50,11 +50,11 @@ pub fn server_settings(config: &Config) -> Settings {
                 certificate: certificate.clone(),
                 key: key.clone(),
             },
-            _ => Certificate::Made {
+            _ => Certificate::Generated {
                 folder: tls_folder(config),
             },
         });
-    Settings {
+    ServerOptions {
         listen: config.listen.to_string(),
         allowed_hosts: config.allowed_hosts.clone(),
         token_file: config.token_file.clone(),
@@ -85,7 +85,7 @@ pub fn daemon(config: &Config) -> Result<Option<ApiClient>> {
     let client = ApiClient::new(&url, &holder(), token(config)?, ca.as_deref())?;
     match client.health(ANSWERS_WITHIN) {
         Ok(_) => Ok(Some(client)),
-        Err(error @ ClientError::Strange { .. }) => {
+        Err(error @ ClientError::UnexpectedResponse { .. }) => {
             super::output::complain(format_args!("ihd: {error}; going without a daemon"));
             Ok(None)
         }
@@ -148,7 +148,7 @@ mod tests {
     #[test]
     fn an_empty_tls_table_means_a_certificate_of_its_own() {
         let config = Config::parse("store = \"s\"\n[tls]\n", "ihd.toml").unwrap();
-        let made = Certificate::Made {
+        let made = Certificate::Generated {
             folder: "s/tls".into(),
         };
         assert_eq!(server_settings(&config).tls, Some(made));

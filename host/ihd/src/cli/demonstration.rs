@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ihd_daemon::Daemon;
 use ihd_daemon::config::{Address, Config, DeviceConfig};
-use ihd_daemon::model::{Command, CommandError, Notice, What};
+use ihd_daemon::model::{Command, CommandError, DaemonEvent, EventKind};
 use ihd_link::DeviceSpec;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep};
@@ -135,10 +135,10 @@ fn other<T>(outcome: Result<T, CommandError>) -> Option<String> {
 }
 
 /// Client that commands the device according to an event, if it is another one.
-fn commander(notice: &Notice, device: &str) -> Option<String> {
-    let holder = match &notice.what {
-        What::Command { holder, ok, .. } if *ok => holder,
-        What::Lease {
+fn commander(notice: &DaemonEvent, device: &str) -> Option<String> {
+    let holder = match &notice.kind {
+        EventKind::Command { holder, ok, .. } if *ok => holder,
+        EventKind::Lease {
             holder, taken_from, ..
         } if taken_from == HOLDER => holder,
         _ => return None,
@@ -150,16 +150,16 @@ fn commander(notice: &Notice, device: &str) -> Option<String> {
 mod tests {
     use super::*;
 
-    fn notice(device: &str, what: What) -> Notice {
-        Notice {
+    fn notice(device: &str, kind: EventKind) -> DaemonEvent {
+        DaemonEvent {
             at_ms: 0,
             device: device.into(),
-            what,
+            kind,
         }
     }
 
-    fn command(holder: &str, ok: bool) -> What {
-        What::Command {
+    fn command(holder: &str, ok: bool) -> EventKind {
+        EventKind::Command {
             holder: holder.into(),
             text: "off".into(),
             ok,
@@ -173,7 +173,7 @@ mod tests {
         assert_eq!(commander(&notice("a", command("Ada", false)), "a"), None);
         assert_eq!(commander(&notice("b", command("Ada", true)), "a"), None);
         assert_eq!(commander(&notice("a", command(HOLDER, true)), "a"), None);
-        let lease = |from: &str| What::Lease {
+        let lease = |from: &str| EventKind::Lease {
             holder: "Ada".into(),
             taken_from: from.into(),
             why: String::new(),

@@ -68,8 +68,8 @@ impl LogArgs {
         let coloured = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
         let mut screen = Screen::new(self.json, coloured);
         let ended = follow::<anyhow::Error>(way, &places, stop, |what| screen.show(what));
-        let told = screen.end();
-        ended.and(told)
+        let printed = screen.end();
+        ended.and(printed)
     }
 
     fn way(&self) -> Result<Box<dyn LogOpener>> {

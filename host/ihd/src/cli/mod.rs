@@ -58,7 +58,7 @@ use ihd_sim::server::ServerError;
 use ihd_survey::SurveyError;
 use ihd_train::replay::ReplayError;
 
-use self::capture_args::Incomplete;
+use self::capture_args::IncompleteCapture;
 
 /// Identifies an induction hob's load and teaches its controller.
 #[derive(Debug, Parser)]
@@ -180,7 +180,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         return 2;
     }
     #[cfg(feature = "fleet")]
-    if error.is::<ihd_fleet::AccessError>() || error.is::<ihd_fleet::engine::EngineError>() {
+    if error.is::<ihd_fleet::AccessError>() || error.is::<ihd_fleet::jetstream::JetStreamError>() {
         return 3;
     }
     #[cfg(feature = "fleet")]
@@ -216,7 +216,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         || error.is::<identify::RefusedResults>()
         || error.is::<scenario::MissedLimits>()
         || error.is::<inspect::SingleChannel>()
-        || error.is::<Incomplete>()
+        || error.is::<IncompleteCapture>()
     {
         return 7;
     }

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::{Context, Result, bail};
 use clap::{Args, Command, FromArgMatches};
 use ihd_daemon::config::{Address, Config};
-use ihd_daemon::{OpenDevice, Opened, TruthOf};
+use ihd_daemon::{OpenDevice, OpenedDevice, TruthFn};
 use ihd_link::{DeviceSpec, Transport};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::{PacedHob, SharedHob};
@@ -16,13 +16,13 @@ use super::usage::Usage;
 
 /// Simulated hob of a configuration: the options of `ihd hob`, and `speed`.
 #[derive(Clone, Debug)]
-struct Simulated {
+struct SimulatedHob {
     hob: HobConfig,
     /// Speed as a multiple of real time.
     speed: f64,
 }
 
-impl Default for Simulated {
+impl Default for SimulatedHob {
     fn default() -> Self {
         Self {
             hob: HobConfig::default(),
@@ -31,7 +31,7 @@ impl Default for Simulated {
     }
 }
 
-impl Simulated {
+impl SimulatedHob {
     fn of(table: &toml::Table) -> Result<Self> {
         let mut words = vec!["sim".to_owned()];
         let mut speed = 1.0;
@@ -78,10 +78,10 @@ const NAME: &str = "name";
 /// # Errors
 /// For an invalid option, with the names of device and option.
 pub fn opener(config: &mut Config) -> Result<Arc<OpenDevice>> {
-    let mut hobs: BTreeMap<String, Simulated> = BTreeMap::new();
+    let mut hobs: BTreeMap<String, SimulatedHob> = BTreeMap::new();
     for device in &mut config.devices {
         if device.address.spec == DeviceSpec::Sim {
-            let simulated = Simulated::of(&device.address.sim)
+            let simulated = SimulatedHob::of(&device.address.sim)
                 .with_context(|| format!("device {:?}", device.name))?;
             let name = device.name.clone();
             let options = &mut device.address.sim;
@@ -91,7 +91,7 @@ pub fn opener(config: &mut Config) -> Result<Arc<OpenDevice>> {
     }
     let running: Mutex<BTreeMap<String, SharedHob>> = Mutex::default();
     Ok(Arc::new(move |address: &Address| {
-        let mut truth: Option<Arc<TruthOf>> = None;
+        let mut truth: Option<Arc<TruthFn>> = None;
         let transport = address.spec.open(|| {
             let name = match address.sim.get(NAME) {
                 Some(toml::Value::String(name)) => name.clone(),
@@ -106,7 +106,7 @@ pub fn opener(config: &mut Config) -> Result<Arc<OpenDevice>> {
             truth = Some(Arc::new(move |half_cycle| knows.truth(half_cycle)));
             Box::new(PacedHob::new(hob.clone(), simulated.speed)) as Box<dyn Transport>
         })?;
-        Ok(Opened { transport, truth })
+        Ok(OpenedDevice { transport, truth })
     }))
 }
 
@@ -127,7 +127,7 @@ mod tests {
         let table =
             "sim = { pot = \"aluminium\", warming = true, mains = 60, snr = 50.5, speed = 2 }";
         let config = config(table);
-        let simulated = Simulated::of(&config.devices[0].address.sim).unwrap();
+        let simulated = SimulatedHob::of(&config.devices[0].address.sim).unwrap();
         assert_eq!(simulated.hob.mains_hz, 60.0);
         assert!(simulated.hob.warming);
         assert_eq!(simulated.speed, 2.0);

@@ -41,7 +41,7 @@ pub struct ServeArgs {
     /// Same as --daemon.
     #[arg(value_name = "serve", conflicts_with_all = ALONE)]
     serve: Option<Serve>,
-    /// Run until told to stop: find devices, store, learn from whatever heating goes on, take commands (`ihd device`)
+    /// Run until stopped: find devices, store, learn from whatever heating goes on, take commands (`ihd device`)
     #[arg(long, conflicts_with_all = ALONE)]
     daemon: bool,
     /// Open the daemon's page in a browser. Without --daemon, a demonstration: a daemon whose simulated hob heats with --power, again
@@ -160,12 +160,12 @@ impl ServeArgs {
 /// # Errors
 /// If $RUST_LOG cannot be parsed.
 pub fn start_log(format: LogFormat, level: tracing::Level) -> Result<()> {
-    let wanted = EnvFilter::builder()
+    let filter = EnvFilter::builder()
         .with_default_directive(level.into())
         .from_env()
         .context("RUST_LOG")?;
     let log = tracing_subscriber::fmt()
-        .with_env_filter(wanted)
+        .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal());
     let started = match format {
@@ -201,7 +201,7 @@ async fn serve(
     if let Some((fingerprint, file)) = server.certificate() {
         tracing::info!(fingerprint, file = %file.display(), "TLS certificate (SHA-256)");
     }
-    if let Some(file) = server.made_tokens() {
+    if let Some(file) = server.created_tokens() {
         tracing::info!(file = %file.display(), "a token of each role was made");
     }
     let edge = edge(&daemon, fleet).await?;

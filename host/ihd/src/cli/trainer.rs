@@ -211,17 +211,17 @@ impl TrainerArgs {
         failed: Option<&RunFailure>,
         store: Option<&Path>,
     ) -> Result<()> {
-        let found = !report.points.is_empty();
+        let has_points = !report.points.is_empty();
         if self.json {
             let mut json = training::json(report);
             if let Some(failed) = failed {
                 json["error"] = failed.to_string().into();
             }
             output::json(&json)?;
-        } else if found || failed.is_none() {
+        } else if has_points || failed.is_none() {
             output::text(&training::text(report))?;
         }
-        let Some(store) = store.filter(|_| found) else {
+        let Some(store) = store.filter(|_| has_points) else {
             return Ok(());
         };
         match (

@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use ihd_daemon::config::is_name;
 use ihd_daemon::fleet::host_name;
-use ihd_fleet::worker::{self, Figures, WorkerSettings};
+use ihd_fleet::worker::{self, WorkerCounts, WorkerSettings};
 use ihd_train::NetworkConfig;
 use tokio::sync::watch;
 
@@ -82,8 +82,8 @@ impl WorkerArgs {
             let (name, threads) = (settings.name.clone(), settings.threads);
             tracing::info!(name, threads, server = access.shown(), "works");
             let (stop, stopped) = watch::channel(false);
-            let figures = Arc::new(Figures::default());
-            let working = worker::run(context, settings, Arc::clone(&figures), stopped);
+            let counts = Arc::new(WorkerCounts::default());
+            let working = worker::run(context, settings, Arc::clone(&counts), stopped);
             tokio::pin!(working);
             let ended = tokio::select! {
                 ended = &mut working => ended,
@@ -98,10 +98,10 @@ impl WorkerArgs {
                 }
             };
             let (done, known, failed, dead) = (
-                figures.done.load(Relaxed),
-                figures.known.load(Relaxed),
-                figures.failed.load(Relaxed),
-                figures.dead.load(Relaxed),
+                counts.done.load(Relaxed),
+                counts.known.load(Relaxed),
+                counts.failed.load(Relaxed),
+                counts.dead.load(Relaxed),
             );
             tracing::info!(done, known, failed, dead, "stopped");
             Ok(ended?)

@@ -174,13 +174,13 @@ fn waves(
     range: &Range<usize>,
     estimates: &[&Estimate],
     measured: &[f64],
-    found: fn(&Estimate) -> &Vec<f32>,
+    reconstruction: fn(&Estimate) -> &Vec<f32>,
 ) -> Vec<Curve> {
     let at = |k: usize| segment.t_s(k) * 1e3;
     let points = range.clone().map(|k| (at(k), measured[k])).collect();
     let mut curves = vec![Curve::new("measured", GREY, KNOWN, points)];
     for estimate in estimates {
-        let x = found(estimate);
+        let x = reconstruction(estimate);
         if estimate.f_sw_hz == segment.f_sw_hz && x.len() == segment.len() {
             let points = range.clone().map(|k| (at(k), f64::from(x[k]))).collect();
             let (name, colour) = (estimate.method.name(), colour(estimate.method));

@@ -1,4 +1,4 @@
-//! The network between a client and the server: TCP that can be partitioned, cut and healed.
+//! Network between a client and the server: TCP that can be partitioned, cut and healed.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -7,34 +7,34 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-/// How often a waiting thread looks whether something has changed.
-const LOOK_EVERY: Duration = Duration::from_millis(10);
+/// Period of polling in a waiting thread.
+const POLL_PERIOD: Duration = Duration::from_millis(10);
 
-/// Most bytes that one read passes on.
+/// Most bytes forwarded by one read.
 const CHUNK: usize = 64 * 1024;
 
 struct Shared {
     to: SocketAddr,
     partitioned: AtomicBool,
     stop: AtomicBool,
-    /// Bytes passed on: from the client, to the client.
+    /// Bytes forwarded: from the client, to the client.
     up: AtomicU64,
     down: AtomicU64,
     /// Both ends of each connection, by its number, to be cut.
     sockets: Mutex<Vec<(u64, TcpStream)>>,
 }
 
-/// The network.
+/// TCP proxy.
 pub struct Cut {
     address: SocketAddr,
     shared: Arc<Shared>,
 }
 
 impl Cut {
-    /// Listens on a port of its own and passes on to `to`, which need not be there yet.
+    /// Listens on a port of its own and forwards to `to`, which need not listen yet.
     ///
     /// # Errors
-    /// Where no port is free.
+    /// [`io::Error`] if no port is free.
     pub fn start(to: SocketAddr) -> io::Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0")?;
         listener.set_nonblocking(true)?;
@@ -52,34 +52,34 @@ impl Cut {
         Ok(Self { address, shared })
     }
 
-    /// Where a client connects.
+    /// Returns the address for clients.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// The same for a client of NATS.
+    /// Returns the address for clients of NATS.
     pub fn url(&self) -> String {
         format!("nats://{}", self.address)
     }
 
-    /// Nothing passes, either way, and nobody is told: sockets stay, new ones are taken and stay silent.
+    /// Stops all traffic without closing a socket: new connections are accepted and stay silent.
     pub fn partition(&self) {
         self.shared.partitioned.store(true, Relaxed);
     }
 
-    /// Ends [`Cut::partition`]: what was under way goes on where it was.
+    /// Ends [`Cut::partition`]: delayed bytes are forwarded.
     pub fn heal(&self) {
         self.shared.partitioned.store(false, Relaxed);
     }
 
-    /// Ends every connection there is, as a router that restarts; new ones pass, unless partitioned.
+    /// Closes every connection, as a router that restarts; new ones pass, unless partitioned.
     pub fn drop_connections(&self) {
         for (_, socket) in self.shared.sockets().drain(..) {
             let _ = socket.shutdown(Shutdown::Both);
         }
     }
 
-    /// Bytes that passed from clients to the server, and back.
+    /// Returns the bytes forwarded from clients to the server, and back.
     pub fn bytes(&self) -> (u64, u64) {
         (self.shared.up.load(Relaxed), self.shared.down.load(Relaxed))
     }
@@ -97,10 +97,10 @@ impl Shared {
         self.sockets.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits while partitioned; whether to go on.
+    /// Waits while partitioned; returns `false` at the end.
     fn passes(&self) -> bool {
         while self.partitioned.load(Relaxed) && !self.stop.load(Relaxed) {
-            thread::sleep(LOOK_EVERY);
+            thread::sleep(POLL_PERIOD);
         }
         !self.stop.load(Relaxed)
     }
@@ -113,14 +113,14 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
             Ok((near, _)) => {
                 let own = Arc::clone(shared);
                 number += 1;
-                // Apart: one that waits for the end of a partition must not keep the next one out.
+                // On a thread: a connection in a partition must not block the next one.
                 thread::spawn(move || {
-                    // A far end that is not there ends this connection, as a refused one.
+                    // Without a far end the connection is closed, as a refused one.
                     let _ = connect(near, &own, number);
                     own.sockets().retain(|(of, _)| *of != number);
                 });
             }
-            Err(_) => thread::sleep(LOOK_EVERY),
+            Err(_) => thread::sleep(POLL_PERIOD),
         }
     }
 }
@@ -135,7 +135,7 @@ fn connect(near: TcpStream, shared: &Arc<Shared>, number: u64) -> io::Result<()>
     let far = far.inspect_err(|_| drop(near.shutdown(Shutdown::Both)))?;
     for socket in [&near, &far] {
         socket.set_nodelay(true)?;
-        socket.set_read_timeout(Some(LOOK_EVERY))?;
+        socket.set_read_timeout(Some(POLL_PERIOD))?;
     }
     shared.sockets().push((number, far.try_clone()?));
     let (back, own) = ((far.try_clone()?, near.try_clone()?), Arc::clone(shared));
@@ -144,10 +144,10 @@ fn connect(near: TcpStream, shared: &Arc<Shared>, number: u64) -> io::Result<()>
     Ok(())
 }
 
-/// One direction of one connection; its end is the end of the other.
+/// Forwards one direction of a connection; its end ends the other direction.
 fn pass(shared: &Shared, mut from: TcpStream, mut to: TcpStream, count: fn(&Shared) -> &AtomicU64) {
     let mut buf = vec![0; CHUNK];
-    // Looked at before each read and each write: what was read just before a partition waits for its end.
+    // Checked before each read and each write: bytes read just before a partition wait for its end.
     while shared.passes() {
         match from.read(&mut buf) {
             Ok(0) => break,
@@ -175,7 +175,7 @@ fn waits(e: &io::Error) -> bool {
     )
 }
 
-/// A client and the far end that it reaches through the network.
+/// Connects a client through the proxy; returns both ends.
 fn through(cut: &Cut, listener: &TcpListener) -> (TcpStream, TcpStream) {
     let near = TcpStream::connect(cut.address()).unwrap();
     let (far, _) = listener.accept().unwrap();
@@ -213,7 +213,7 @@ fn a_partition_holds_bytes_back_and_healing_brings_them_in_order() {
             .set_read_timeout(Some(Duration::from_secs(20)))
             .unwrap();
     }
-    // A new client is taken, and reaches nobody.
+    // A new client is accepted, and not forwarded.
     let mut late = TcpStream::connect(cut.address()).unwrap();
     late.write_all(b"late").unwrap();
     listener.set_nonblocking(true).unwrap();

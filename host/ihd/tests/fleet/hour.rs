@@ -1,7 +1,7 @@
 //! An hour of 200 edges on one server with four workers, compressed in time: the table of docs/fleet.md (`--profile full hour`).
 //!
 //! Real: the server, the workers' processes with their network, the messages with their numbers, the edges' connections, consumers, acknowledgements,
-//! states, cards and looks after their name. What stands in: an edge is a task of this process without a daemon, store and learner, whose share
+//! states, cards and checks of their name. Simplified: an edge is a task of this process without daemon, store and learner, whose share
 //! `study::what_a_window_costs_at_length` measures.
 
 use std::io::{Read, Write};
@@ -13,15 +13,16 @@ use std::time::{Duration, Instant};
 use async_nats::jetstream;
 use async_nats::jetstream::message::PublishMessage;
 use futures_util::StreamExt;
+use ihd_fleet::jetstream::init_edge;
 use ihd_fleet::wire::{AnswerMessage, WindowMessage};
-use ihd_fleet::{Identity, engine, names};
+use ihd_fleet::{Identity, names};
 use serde_json::Value;
 
 use super::process::processor_s;
 use super::server::Server;
 use super::site::{Worker, init, tape, until};
 
-/// For the whole.
+/// Time-out of the whole test.
 const PATIENCE: Duration = Duration::from_secs(7_200);
 
 /// Edges, each with one hob.
@@ -33,12 +34,12 @@ const WORKERS: usize = 4;
 /// Seconds between two windows of a hob.
 const WINDOW_EVERY_S: f64 = 60.0;
 
-/// Seconds between two states of a hob; of two looks after the edge's name, and of two cards.
+/// Seconds between two states of a hob, two checks of the edge's name, two cards.
 const STATE_EVERY_S: f64 = 1.0;
 const NAME_EVERY_S: f64 = 5.0;
 const CARD_EVERY_S: f64 = 10.0;
 
-/// A number of the environment.
+/// Reads a number of the environment.
 fn number(name: &str, otherwise: f64) -> f64 {
     let value = std::env::var(name).ok();
     value.map_or(otherwise, |value| value.parse().expect("a number"))
@@ -51,15 +52,15 @@ struct Counts {
     found: AtomicU64,
     window_bytes: AtomicU64,
     answer_bytes: AtomicU64,
-    /// Seconds from the window to its answer, on the wall.
+    /// Seconds from the window to its answer.
     waited_s: Mutex<Vec<f64>>,
 }
 
-/// An edge: sends its windows at their times, takes their answers in, and says how it does.
+/// An edge: sends its windows at their times, receives their answers, publishes states and cards.
 struct Edge {
     hob: String,
     k: u32,
-    /// By how much time is compressed.
+    /// Factor of time compression.
     faster: f64,
     windows: u32,
     counts: Arc<Counts>,
@@ -71,14 +72,14 @@ impl Edge {
         let client = async_nats::connect(&url).await.expect("a connection");
         let context = jetstream::new(client.clone());
         let hobs = [self.hob.clone()];
-        engine::init_edge(&context, &self.hob, &hobs)
+        init_edge(&context, &self.hob, &hobs)
             .await
             .expect("its consumer");
         let sent = Mutex::new(std::collections::BTreeMap::new());
         tokio::join!(
             self.send(&context, &sent),
-            self.take(&context, &sent),
-            self.tell(&client, &context),
+            self.receive(&context, &sent),
+            self.publish_cards(&client, &context),
         );
     }
 
@@ -117,7 +118,7 @@ impl Edge {
             sent.lock().unwrap().insert(seq, Instant::now());
             let message = PublishMessage::build()
                 .payload(bytes.into())
-                .message_id(identity.of_window(&self.hob, 1, seq));
+                .message_id(identity.window_id(&self.hob, 1, seq));
             let acknowledged = context.send_publish(names::window(&self.hob), message);
             acknowledged
                 .await
@@ -127,7 +128,7 @@ impl Edge {
         }
     }
 
-    async fn take(
+    async fn receive(
         &self,
         context: &jetstream::Context,
         sent: &Mutex<std::collections::BTreeMap<u32, Instant>>,
@@ -151,7 +152,7 @@ impl Edge {
                     .fetch_add(message.payload.len() as u64, Relaxed);
                 counts
                     .found
-                    .fetch_add(u64::from(answer.answer.found.is_ok()), Relaxed);
+                    .fetch_add(u64::from(answer.answer.load.is_ok()), Relaxed);
                 let since = sent.lock().unwrap().remove(&answer.seq).expect("asked for");
                 counts
                     .waited_s
@@ -165,8 +166,8 @@ impl Edge {
         }
     }
 
-    /// Says what an edge says beside windows, for as long as it sends some.
-    async fn tell(&self, client: &async_nats::Client, context: &jetstream::Context) {
+    /// Publishes states and cards and checks the name while windows are sent.
+    async fn publish_cards(&self, client: &async_nats::Client, context: &jetstream::Context) {
         let end_s = WINDOW_EVERY_S * f64::from(self.windows) / self.faster;
         let end = self.began + Duration::from_secs_f64(end_s);
         let card = "x".repeat(300);
@@ -185,7 +186,7 @@ impl Edge {
                     sent.await.expect("a state");
                 }
                 _ = name.tick() => {
-                    // There is none: the answer is as long a way.
+                    // There is no claim; the answer takes as long.
                     let _ = claims.direct_get_last_for_subject(key.clone()).await;
                 }
                 _ = cards.tick() => {
@@ -200,7 +201,7 @@ impl Edge {
     }
 }
 
-/// Counts of the server, by its monitoring port.
+/// Reads counts of the server from its monitoring port.
 fn server_counts(port: u16, address: &str) -> [f64; 4] {
     let mut stream = TcpStream::connect((address, port)).expect("its monitoring");
     let asked = format!("GET /varz HTTP/1.0\r\nHost: {address}\r\n\r\n");
@@ -212,7 +213,7 @@ fn server_counts(port: u16, address: &str) -> [f64; 4] {
     ["in_msgs", "in_bytes", "out_msgs", "out_bytes"].map(|field| varz[field].as_f64().unwrap())
 }
 
-/// Memory of a process in megabyte.
+/// Returns the memory of a process in megabyte.
 fn rss_mb(pid: u32) -> f64 {
     let text = std::fs::read_to_string(format!("/proc/{pid}/statm")).unwrap_or_default();
     let pages = text
@@ -231,7 +232,7 @@ fn percentile(values: &mut [f64], percent: f64) -> f64 {
         .unwrap_or(f64::NAN)
 }
 
-/// `IHD_FLEET_MINUTES` of it, 60 without, `IHD_FLEET_FASTER` times as fast, 3 without.
+/// `IHD_FLEET_MINUTES` (60) minutes, `IHD_FLEET_FASTER` (3) times as fast.
 #[test]
 fn an_hour_of_two_hundred_edges_at_length() {
     let faster = number("IHD_FLEET_FASTER", 3.0);
@@ -269,19 +270,19 @@ fn an_hour_of_two_hundred_edges_at_length() {
         };
         runtime.spawn(edge.run(url.clone()));
     }
-    let look = runtime
+    let monitor = runtime
         .block_on(async_nats::connect(&url))
         .expect("the server");
-    let look = {
+    let monitor = {
         let _within = runtime.enter();
-        jetstream::new(look)
+        jetstream::new(monitor)
     };
     let mut depths = Vec::new();
     let mut memory_mb = [0.0f64; 2];
     until("all answers", PATIENCE, || {
         std::thread::sleep(Duration::from_millis(500));
         let state = runtime.block_on(async {
-            let mut stream = look.get_stream(names::WINDOWS).await.expect("a stream");
+            let mut stream = monitor.get_stream(names::WINDOWS).await.expect("a stream");
             stream.info().await.expect("its state").state.clone()
         });
         depths.push(state.messages as f64);

@@ -11,7 +11,7 @@ use crate::process::{Process, ihd};
 use crate::server::{self, Server};
 use crate::site::PATIENCE;
 
-/// The server and where its keys are.
+/// Server with keys in its folder.
 struct Keyed {
     server: Server,
 }
@@ -53,7 +53,7 @@ impl Keyed {
         self.file(&format!("keys/lab-{name}.nk"))
     }
 
-    /// `ihd fleet …` with a key: what it prints, and its exit code.
+    /// Runs `ihd fleet …` with a key; returns output and exit code.
     fn fleet(&self, key: &str, arguments: &[&str]) -> (String, i32) {
         let mut command = ihd(self.server.folder());
         command.args(["fleet", "--url", &self.url(), "--ca"]);
@@ -64,7 +64,7 @@ impl Keyed {
         (text, out.status.code().unwrap_or(-1))
     }
 
-    /// `ihd fleet status --json` of the operator.
+    /// Runs `ihd fleet status --json` of the operator.
     fn status(&self) -> Value {
         let (text, code) = self.fleet("operator", &["status", "--json"]);
         assert_eq!(code, 0, "{text}");
@@ -80,7 +80,7 @@ impl Keyed {
         started(&mut command, &self.file("worker.log"))
     }
 
-    /// A daemon with a simulated hob; its folder is the server's.
+    /// Starts a daemon with a simulated hob, in the server's folder.
     fn edge(&self) -> Process {
         let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let listen = free.local_addr().unwrap().to_string();
@@ -164,7 +164,7 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
     heat.args(["device", "bench", "power", "1500", "--for", "10"]);
     let out = heat.output().unwrap();
     assert!(out.status.success(), "{out:?} {}", keyed.logs());
-    // How many windows ten seconds give depends on the machine; each that was sent has a result.
+    // The number of windows in ten seconds depends on the machine; each sent window has a result.
     keyed.until("a result for each window", || {
         let status = keyed.status();
         let windows = status["windows"].as_u64();
@@ -182,24 +182,24 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
         keyed.logs()
     );
 
-    // Nothing that an edge asks for is denied to it: not its name, not what was given up of its hobs.
+    // No request of an edge is denied: neither its name nor the dead letters of its hobs.
     let log = fs::read_to_string(keyed.file("edge.log")).unwrap();
     assert!(log.contains("the edge's name is this store's"), "{log}");
     assert!(!log.contains("WARN fleet: "), "{log}");
 
-    // The fleet's page: who may see it, and who may not.
+    // The fleet's page: keys that may read it, and keys that may not.
     let (text, code) = keyed.fleet("edge-lab-1", &["status", "--json"]);
     assert_eq!(code, 0, "{text}");
     for key in ["edge-lab-2", "worker-worker-1"] {
         let (text, code) = keyed.fleet(key, &["status", "--json"]);
         assert_ne!(code, 0, "{key}: {text}");
     }
-    // A key in a folder of its own, and one that nobody knows.
+    // A key that does not exist.
     let (_, code) = keyed.fleet("nobody", &["status"]);
     assert_ne!(code, 0);
 }
 
-/// The first page of docs/fleet.md, typed: one command, and the lines that it prints.
+/// The first page of docs/fleet.md: one command, and the lines that it prints.
 #[test]
 fn up_prints_what_edge_and_worker_need_and_an_open_key_is_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -252,7 +252,7 @@ fn up_prints_what_edge_and_worker_need_and_an_open_key_is_refused() {
     let _edge = started(&mut edge, &file("edge.log"));
     let working = started(&mut worker(), &file("worker.log"));
     let status = || -> Option<Value> {
-        // Whom to ask stands in ihd.toml.
+        // The address stands in ihd.toml.
         let out = ihd(folder.path())
             .args(["fleet", "status", "--json"])
             .output()
@@ -268,7 +268,7 @@ fn up_prints_what_edge_and_worker_need_and_an_open_key_is_refused() {
         heat() && status().is_some_and(|s| s["results"].as_u64() >= Some(1))
     });
 
-    // Ended and begun again in its folder, it goes on with what it kept.
+    // A restart in the same folder continues with its data.
     drop(running);
     let _running = up();
     until("the lines, again", &printed);
@@ -281,9 +281,9 @@ fn up_prints_what_edge_and_worker_need_and_an_open_key_is_refused() {
     let open = std::os::unix::fs::PermissionsExt::from_mode(0o644);
     fs::set_permissions(&key, open).unwrap();
     let out = worker().output().unwrap();
-    let said = String::from_utf8_lossy(&out.stderr).into_owned();
+    let text = String::from_utf8_lossy(&out.stderr).into_owned();
     assert!(
-        !out.status.success() && said.contains("chmod 600"),
-        "{said}"
+        !out.status.success() && text.contains("chmod 600"),
+        "{text}"
     );
 }

@@ -1,4 +1,4 @@
-//! Two sites on one server, configured as `ihd fleet server-config` would: TLS, a key for everybody.
+//! Two sites on one server, configured as by `ihd fleet server-config`: TLS, a key for each client.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -7,12 +7,12 @@ use std::time::Duration;
 
 use async_nats::jetstream;
 use async_nats::{Client, ConnectOptions};
-use ihd_fleet::engine::{self, Limits};
+use ihd_fleet::jetstream::{Limits, init, init_edge};
 use ihd_fleet::server_config::{Edge, Key, Site, Tls, server_config};
 
 use crate::server::{Place, Server};
 
-/// The server, everybody's keys, and the certificate by which a client knows the server.
+/// The server, the keys of all clients, and the server's certificate.
 pub struct Lab {
     pub server: Server,
     keys: BTreeMap<String, Key>,
@@ -21,7 +21,7 @@ pub struct Lab {
 }
 
 impl Lab {
-    /// Sites `lab` (edges lab-1 with hob-a and hob-b, which sees the fleet, and lab-2 with hob-c; two workers) and `field`
+    /// Starts sites `lab` (edges lab-1 with hob-a and hob-b, which may read the fleet, and lab-2 with hob-c; two workers) and `field`
     /// (edge field-1 with a hob-a of its own).
     pub async fn start() -> Self {
         let mut first: Edge = "lab-1=hob-a,hob-b".parse().unwrap();
@@ -35,9 +35,9 @@ impl Lab {
         lab
     }
 
-    /// The server for these sites, with nothing in it.
+    /// Starts an empty server for sites.
     pub fn of(mut sites: Vec<Site>) -> Self {
-        // What any machine has.
+        // Available on any machine.
         sites.iter_mut().for_each(|site| site.disk_bytes = 1 << 30);
         let names = sites.iter().flat_map(|site| site.key_names(true));
         let keys: BTreeMap<_, _> = names.map(|name| (name, Key::make().unwrap())).collect();
@@ -50,7 +50,7 @@ impl Lab {
         }
     }
 
-    /// Writes the configuration anew without an edge, as `ihd fleet server-config` after its loss.
+    /// Rewrites the configuration without an edge, as `ihd fleet server-config` after its loss.
     pub fn forget_edge(&mut self, name: &str) {
         for site in &mut self.sites {
             site.edges.retain(|edge| edge.name != name);
@@ -66,22 +66,22 @@ impl Lab {
         self.server.rewrite(|_| text);
     }
 
-    /// What `tls://` clients connect to.
+    /// Returns the address for clients, `tls://…`.
     pub fn url(&self) -> String {
         format!("tls://{}", self.server.address())
     }
 
-    /// The file with the server's certificate.
+    /// Returns the file of the server's certificate.
     pub fn certificate(&self) -> PathBuf {
         self.certificate.clone()
     }
 
-    /// A key, by what [`Site::key_names`] calls it.
+    /// Returns the key of a name of [`Site::key_names`].
     pub fn key(&self, name: &str) -> &Key {
         &self.keys[name]
     }
 
-    /// How the owner of a key connects; once, and not again and again.
+    /// Returns the options of a key's owner, without reconnection.
     pub fn options(&self, key: &str) -> ConnectOptions {
         ConnectOptions::with_nkey(self.key(key).seed().to_owned())
             .add_root_certificates(self.certificate())
@@ -90,18 +90,18 @@ impl Lab {
             .connection_timeout(Duration::from_secs(5))
     }
 
-    /// A client with a key.
+    /// Connects a client with a key.
     pub async fn client(&self, key: &str) -> Client {
         let connected = self.options(key).connect(self.url()).await;
         connected.unwrap_or_else(|why| panic!("{key}: {why}\n{}", self.server.log()))
     }
 
-    /// JetStream with a key.
+    /// Connects to JetStream with a key.
     pub async fn jetstream(&self, key: &str) -> jetstream::Context {
         jetstream::new(self.client(key).await)
     }
 
-    /// What the operator makes (`ihd fleet init`).
+    /// Initialises the fleet as the operator (`ihd fleet init`).
     async fn make_streams(&self, site: &Site) {
         let js = self.jetstream(&format!("{}-operator", site.name)).await;
         let most = 100 << 20;
@@ -113,15 +113,15 @@ impl Lab {
             captures_bytes: most,
             ..Limits::default()
         };
-        engine::init(&js, &limits).await.unwrap();
+        init(&js, &limits).await.unwrap();
         for edge in &site.edges {
-            let made = engine::init_edge(&js, &edge.name, &edge.hobs).await;
+            let made = init_edge(&js, &edge.name, &edge.hobs).await;
             made.unwrap();
         }
     }
 }
 
-/// The server's settings for a place, and its certificate beside its configuration.
+/// Returns the server's settings for a place; writes its certificate there.
 fn at(place: &Place) -> ihd_fleet::server_config::Server {
     let names = vec!["localhost".to_owned(), place.address.to_string()];
     let made = rcgen::generate_simple_self_signed(names).unwrap();

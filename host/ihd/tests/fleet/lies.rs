@@ -1,5 +1,5 @@
-//! A worker that lies, to a real edge over a real server: nothing that it says is taken, nothing that it does stops learning, and everybody
-//! is told of it (the table in docs/fleet-security.md).
+//! A worker with false answers, a real edge and a real server: no false answer is accepted, learning continues, and edge and operator report
+//! it (the table in docs/fleet-security.md).
 
 use async_nats::jetstream::{self, consumer::PullConsumer};
 use futures_util::StreamExt;
@@ -12,11 +12,11 @@ use ihd_train::NetworkConfig;
 use super::server::Server;
 use super::site::{PATIENCE, Site, fleet, init, until};
 
-/// Makes the bytes that a worker publishes of an honest answer.
+/// Makes the published bytes from an honest answer.
 type Lie = fn(AnswerMessage) -> Vec<u8>;
 
 fn stated(mut message: AnswerMessage, change: impl Fn(&mut StatedLoad)) -> Vec<u8> {
-    change(message.answer.found.as_mut().expect("an honest answer"));
+    change(message.answer.load.as_mut().expect("an honest answer"));
     message.to_bytes().expect("packed")
 }
 
@@ -39,7 +39,7 @@ const LIES: [(&str, Lie); 8] = [
         })
     }),
     ("refused, though it is right", |mut m| {
-        m.answer.found = Err("nothing to see".to_owned());
+        m.answer.load = Err("nothing to see".to_owned());
         m.to_bytes().expect("packed")
     }),
     ("another hob's", |mut m| {
@@ -71,7 +71,7 @@ fn lies_teach_nothing_stop_nothing_and_are_told() {
         assert!(result.pass && off_pct.abs() < 2.0, "{name}: {result:?}");
         assert!(result.power_w.is_some(), "{name}: {result:?}");
     }
-    // After three refuted answers the liar's others are not looked at, in whatever order they came.
+    // After three refuted answers the liar's others are not checked, in whatever order they came.
     until("the edge says what happened", PATIENCE, || {
         let report = site.fleet().unwrap_or_default();
         let of = |outcome: &str| report["answers"][outcome].as_u64().unwrap_or(0);
@@ -85,7 +85,7 @@ fn lies_teach_nothing_stop_nothing_and_are_told() {
     site.stop();
 }
 
-/// Answers each window in turn with the next lie, and one that nobody has asked about; numbers of the windows, and their R.
+/// Answers each window with the next lie, and a window that was never sent; returns number and R of each window.
 async fn lie(url: &str) -> Vec<(u32, f64)> {
     let client = async_nats::connect(url).await.expect("the server");
     let context = jetstream::new(client);
@@ -125,9 +125,9 @@ async fn lie(url: &str) -> Vec<(u32, f64)> {
     honest
 }
 
-/// Mean of R weighted with the squared current, which follows the bus to a percent of R: sin² of the mains' phase.
+/// Returns the mean of R weighted with the squared current, which follows the bus to a percent of R: sin² of the mains' phase.
 fn mean_r_ohm(answer: &WorkerAnswer) -> f64 {
-    let stated = answer.found.as_ref().expect("an honest answer");
+    let stated = answer.load.as_ref().expect("an honest answer");
     let weight = |t_s: &f64| (std::f64::consts::PI * t_s / 10e-3).sin().powi(2);
     let weights: f64 = stated.t_s.iter().map(weight).sum();
     let weighted = stated.t_s.iter().zip(&stated.r_ohm);

@@ -1,5 +1,5 @@
-//! The fleet against a real NATS server (`cargo xtask setup` brings it): what is lost when whoever is killed, what the engine keeps, what each key
-//! may do, MQTT.
+//! Tests of the fleet with a real NATS server (installed by `cargo xtask setup`): kills of each process, persistence of JetStream, rights of each
+//! key, MQTT.
 #![cfg(all(feature = "fleet", target_os = "linux"))]
 
 #[allow(dead_code, reason = "the daemon's tests use all of it")]

@@ -1,4 +1,4 @@
-//! MQTT through the NATS server, with a client of MQTT: what a dashboard and Home Assistant see, and what they may not.
+//! MQTT through the NATS server: messages that a dashboard and Home Assistant receive, and their rights.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::time::Duration;
@@ -18,10 +18,10 @@ static NEXT: AtomicU32 = AtomicU32::new(1);
 
 const WITHIN: Duration = Duration::from_secs(10);
 
-/// Long enough for what would have come to have come.
+/// Time within which any message would have come.
 const QUIET: Duration = Duration::from_millis(700);
 
-/// A state as an edge tells it.
+/// Returns a state as an edge publishes it.
 fn state() -> String {
     let state = StateMessage {
         at_ms: 1_795_412_345_678,
@@ -38,18 +38,18 @@ fn state() -> String {
     serde_json::to_string(&state).unwrap()
 }
 
-/// A client of MQTT and what came for it.
+/// A client of MQTT and its events.
 struct Mqtt {
     client: AsyncClient,
     events: EventLoop,
 }
 
 impl Mqtt {
-    /// Over TLS, with the password that is the seed of a key; waits for the server's yes.
+    /// Connects over TLS with the seed of a key as the password; waits for the server's acknowledgement.
     async fn connect(lab: &Lab, user: &str, password: &str) -> Result<Self, ConnectionError> {
         let address = lab.server.mqtt_address();
         let host = address.ip().to_string();
-        // An id of its own: the server shuts out one that comes again and again.
+        // An id of its own: the server rejects frequent reconnections of one id.
         let id = format!("test-{}", NEXT.fetch_add(1, Relaxed));
         let mut options = MqttOptions::new(id, (host, address.port()));
         options.set_credentials(user, password.to_owned());
@@ -62,22 +62,22 @@ impl Mqtt {
         Ok(mqtt)
     }
 
-    /// As a user of the lab.
+    /// Connects as a user of the lab.
     async fn of(lab: &Lab, user: &str) -> Self {
         let connected = Self::connect(lab, user, lab.key(user).seed()).await;
         connected.unwrap_or_else(|why| panic!("{user}: {why}\n{}", lab.server.log()))
     }
 
-    /// The first packet that is wanted; none where it does not come in time.
+    /// Returns the first matching packet; `None` if it does not come in time.
     async fn until(
         &mut self,
         within: Duration,
-        wanted: impl Fn(&Packet) -> bool,
+        matches: impl Fn(&Packet) -> bool,
     ) -> Result<Option<Packet>, ConnectionError> {
         let next = async {
             loop {
                 match self.events.poll().await? {
-                    Event::Incoming(packet) if wanted(&packet) => return Ok(packet),
+                    Event::Incoming(packet) if matches(&packet) => return Ok(packet),
                     _ => {}
                 }
             }
@@ -85,7 +85,7 @@ impl Mqtt {
         tokio::time::timeout(within, next).await.ok().transpose()
     }
 
-    /// Whether a subscription was granted.
+    /// Subscribes; returns `true` if it was granted.
     async fn subscribe(&mut self, topics: &str) -> bool {
         self.client
             .subscribe(topics, QoS::AtMostOnce)
@@ -101,7 +101,7 @@ impl Mqtt {
         }
     }
 
-    /// The next message, as topic and content.
+    /// Returns topic and content of the next message.
     async fn next(&mut self, within: Duration) -> Option<(String, Vec<u8>)> {
         let came = self.until(within, |packet| matches!(packet, Packet::Publish(_)));
         match came.await {
@@ -113,12 +113,12 @@ impl Mqtt {
         }
     }
 
-    /// Publishes and lets the client send it; what the server does then is seen elsewhere.
+    /// Publishes and gives the client time to send.
     async fn publish(&mut self, topic: &str, content: &'static str) {
         let options = PublishOptions::new(QoS::AtMostOnce);
         let sent = self.client.publish(topic.to_owned(), content, options);
         sent.await.unwrap();
-        // An end of the connection is an answer, too.
+        // The server may end the connection.
         let _ = self.until(QUIET, |_| false).await;
     }
 }
@@ -136,15 +136,15 @@ async fn states_that_an_edge_publishes_arrive_over_mqtt() {
         assert_eq!(topic, format!("ihd/v1/{hob}/state"));
         assert_eq!(content, state().as_bytes());
     }
-    // Of another site, nothing.
+    // Nothing of another site arrives.
     let other = lab.client("field-edge-field-1").await;
     let sent = other.publish(names::state("hob-a"), state().into());
     sent.await.unwrap();
     assert_eq!(mqtt.next(QUIET).await, None);
 }
 
-/// What an edge does (edge/states.rs), in a few lines: tells of its hob whenever Home Assistant has started.
-async fn tell_at_birth(edge: async_nats::Client, hob: &'static str) {
+/// Publishes discovery messages at each start of Home Assistant, as an edge does (edge/states.rs).
+async fn publish_at_birth(edge: async_nats::Client, hob: &'static str) {
     let mut births = edge.subscribe(discovery::STATUS).await.unwrap();
     edge.flush().await.unwrap();
     tokio::spawn(async move {
@@ -152,7 +152,7 @@ async fn tell_at_birth(edge: async_nats::Client, hob: &'static str) {
             if birth.payload != "online" {
                 continue;
             }
-            for (subject, config) in discovery::of_hob(hob) {
+            for (subject, config) in discovery::sensor_messages(hob) {
                 edge.publish(subject, config.into()).await.unwrap();
             }
         }
@@ -163,12 +163,12 @@ async fn tell_at_birth(edge: async_nats::Client, hob: &'static str) {
 async fn home_assistant_finds_each_quantity_after_its_birth() {
     let lab = Lab::start().await;
     let edge = lab.client("lab-edge-lab-1").await;
-    // Told before Home Assistant is there: it never comes to know.
-    for (subject, config) in discovery::of_hob("hob-a") {
+    // Published before Home Assistant starts: it never receives them.
+    for (subject, config) in discovery::sensor_messages("hob-a") {
         edge.publish(subject, config.into()).await.unwrap();
     }
     edge.flush().await.unwrap();
-    tell_at_birth(edge.clone(), "hob-a").await;
+    publish_at_birth(edge.clone(), "hob-a").await;
     let mut home = Mqtt::of(&lab, "lab-home-assistant").await;
     assert!(home.subscribe("homeassistant/+/+/+/config").await);
     assert_eq!(home.next(QUIET).await, None);
@@ -179,7 +179,7 @@ async fn home_assistant_finds_each_quantity_after_its_birth() {
         .publish("homeassistant/status", "online", online);
     birth.await.unwrap();
     let mut topics = Vec::new();
-    for (subject, config) in discovery::of_hob("hob-a") {
+    for (subject, config) in discovery::sensor_messages("hob-a") {
         let (topic, content) = home.next(WITHIN).await.expect("its sensor");
         assert_eq!(topic, discovery::topic(&subject));
         assert_eq!(content, config);
@@ -187,7 +187,7 @@ async fn home_assistant_finds_each_quantity_after_its_birth() {
         topics.push(config["state_topic"].as_str().unwrap().to_owned());
     }
     assert_eq!(home.next(QUIET).await, None);
-    // Where each says that its value is, there it is.
+    // The state is published on the configured topic.
     topics.dedup();
     assert_eq!(topics.len(), 1);
     assert!(home.subscribe(&topics[0]).await);
@@ -196,7 +196,7 @@ async fn home_assistant_finds_each_quantity_after_its_birth() {
     let (topic, content) = home.next(WITHIN).await.unwrap();
     assert_eq!(topic, topics[0]);
     let state: Value = serde_json::from_slice(&content).unwrap();
-    // What is not known is `null`, and not left out: Home Assistant would keep the value of before.
+    // An unknown value is `null` and not omitted: Home Assistant would keep the former value.
     assert!(discovery::fields().all(|field| state.get(field).is_some()));
 }
 
@@ -234,7 +234,7 @@ async fn who_reads_by_mqtt_may_only_read_and_only_states() {
             assert_eq!(mqtt.subscribe(topics).await, may, "{user} {topics}");
         }
     }
-    // The operator may: the listener above listens.
+    // The operator may: the subscription above works.
     let sent = operator.publish(names::state("hob-a"), "yes".into());
     sent.await.unwrap();
     let heard = tokio::time::timeout(WITHIN, all.next()).await.unwrap();

@@ -1,4 +1,4 @@
-//! What the server itself promises, and a client of it, when it is killed or cannot be reached: what the fleet builds on.
+//! Guarantees of server and client, on which the fleet relies, when the server is killed or cannot be reached.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use crate::cut::Cut;
 use crate::server::Server;
 use crate::site::PATIENCE;
 
-/// Connects, with answers within a second or none.
+/// Connects with time-outs of a second.
 async fn connect(url: String) -> jetstream::Context {
     let options = async_nats::ConnectOptions::new().request_timeout(Some(Duration::from_secs(1)));
     let client = options.connect(url).await.unwrap();
@@ -26,7 +26,7 @@ async fn make_stream(js: &jetstream::Context) {
     js.create_stream(config).await.unwrap();
 }
 
-/// Publishes once; the message's sequence where it was acknowledged.
+/// Publishes once; returns the message's number if it was acknowledged.
 async fn publish(js: &jetstream::Context) -> Option<u64> {
     let sent = js.publish("s", "x".into()).await.ok()?;
     sent.await.ok().map(|ack| ack.sequence)
@@ -58,7 +58,7 @@ async fn what_was_acknowledged_is_there_after_a_kill() {
         server.restart();
         let stream = js.get_stream_no_info("S").await.unwrap();
         let deadline = tokio::time::Instant::now() + PATIENCE;
-        // The client finds back by itself.
+        // The client reconnects by itself.
         let info = loop {
             match stream.get_info().await {
                 Ok(info) => break info,
@@ -81,7 +81,7 @@ async fn a_client_goes_on_after_a_partition_and_after_a_cut() {
     cut.partition();
     assert_eq!(publish(&js).await, None);
     cut.heal();
-    // The one that was under way arrives, too.
+    // The delayed one arrives, too.
     assert_eq!(publish_at_last(&js).await, 3);
     cut.drop_connections();
     let last = publish_at_last(&js).await;

@@ -12,7 +12,7 @@ fn setting(name: &str, default: u64) -> u64 {
     set.map_or(default, |text| text.parse().expect("a number"))
 }
 
-/// Every window has one result in the fleet and one in its edge's store, and nothing is left over.
+/// Asserts that every window has one result in the fleet and one in its edge's store, and nothing is left over.
 pub(super) fn assert_whole(url: &str, site: &mut Site) {
     until("every result in the edge's store", PATIENCE, || {
         site.assert_runs();
@@ -26,7 +26,7 @@ pub(super) fn assert_whole(url: &str, site: &mut Site) {
     let status = status(url).expect("the server answers");
     assert_eq!(status["dead"], 0, "{status}");
     site.stop();
-    let reader = ihd_store::Store::open(&site.store(), &ihd_store::Settings::default());
+    let reader = ihd_store::Store::open(&site.store(), &ihd_store::StoreOptions::default());
     let due = reader
         .expect("the store")
         .store
@@ -78,7 +78,7 @@ fn whoever_is_killed_as_many_results_as_windows() {
                 server.restart();
             }
         }
-        // A worker that is started while the server is down ends, as its service manager would see.
+        // A worker that starts while the server is down ends; a service manager would restart it.
         for (k, worker) in workers.iter_mut().enumerate() {
             if worker.has_ended() {
                 let name = format!("w{k}-again-{}", killed.iter().sum::<u64>());

@@ -1,5 +1,5 @@
-//! What each key may do and what it may not, on the real server with the configuration that a lab gets. Every refusal
-//! stands beside the same call by somebody who may: a test of a refusal alone would also pass where nothing works.
+//! Rights of each key on the real server with the configuration of a lab. Every refusal stands beside the same call with a
+//! key that has the right: a test of the refusal alone would also pass if nothing works.
 
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
@@ -17,51 +17,51 @@ use crate::lab::Lab;
 
 const REASON_TO_WAIT: Duration = Duration::from_secs(10);
 
-/// Long enough for what would have come to have come.
+/// Time within which any message would have come.
 const QUIET: Duration = Duration::from_millis(500);
 
-/// Asks a consumer for what it has, and not for what may come.
+/// Request to a consumer for present messages only.
 const NOW: &str = r#"{"batch":1,"no_wait":true}"#;
 
-/// Publishes into a stream; the stream's sequence, or none where nobody takes it.
+/// Publishes into a stream; returns the message's number, `None` if no stream accepts it.
 async fn publish(js: &Context, subject: String, body: &'static str) -> Option<u64> {
     let sent = js.publish(subject.clone(), body.into()).await.unwrap();
     match sent.await {
         Ok(ack) => Some(ack.sequence),
         Err(why) => {
-            // Nobody answers: at once, and not after a time-out.
+            // At once, and not after a time-out.
             assert_eq!(why.kind(), PublishErrorKind::StreamNotFound, "{subject}");
             None
         }
     }
 }
 
-/// Messages that a stream has, as its operator sees it.
+/// Returns the number of a stream's messages, read by its operator.
 async fn messages(operator: &Context, stream: &str) -> u64 {
     let mut stream = operator.get_stream(stream).await.unwrap();
     stream.info().await.unwrap().state.messages
 }
 
-/// A key's value, as its operator sees it.
+/// Returns a key's value, read by its operator.
 async fn value(operator: &Context, bucket: &str, key: &str) -> Option<String> {
     let bucket = operator.get_key_value(bucket).await.unwrap();
     let value = bucket.get(key).await.unwrap();
     value.map(|bytes| String::from_utf8_lossy(&bytes).into_owned())
 }
 
-/// Puts as `kv::Store::put` does, without asking for the bucket first.
+/// Puts as `kv::Store::put` does, without reading the bucket first.
 async fn put(js: &Context, bucket: &str, key: &str, body: &'static str) -> Option<u64> {
     publish(js, format!("$KV.{bucket}.{key}"), body).await
 }
 
-/// The content of the next message that somebody hears.
+/// Returns the content of the next message of a subscription.
 async fn hears(subscription: &mut async_nats::Subscriber) -> Option<String> {
     let message = tokio::time::timeout(QUIET, subscription.next()).await;
     let message = message.ok().flatten()?;
     Some(String::from_utf8_lossy(&message.payload).into_owned())
 }
 
-/// Answered, and not by "nobody is there".
+/// Returns `true` if a request is answered, and not with "no responders".
 async fn answered(client: &Client, subject: String, body: &'static str) -> bool {
     // Not `request`: it knows an answer by its subject, and that of a pulled message is the stream's.
     let inbox = client.new_inbox();
@@ -72,7 +72,7 @@ async fn answered(client: &Client, subject: String, body: &'static str) -> bool 
     status.unwrap().status != Some(StatusCode::NO_RESPONDERS)
 }
 
-/// Subject by which a worker asks for windows.
+/// Returns the subject by which a worker requests windows.
 fn next_window() -> String {
     format!(
         "$JS.API.CONSUMER.MSG.NEXT.{}.{}",
@@ -115,7 +115,7 @@ async fn an_edge_does_its_work_and_no_other_hobs() {
         assert_eq!(put(&first, bucket, key, "no").await, None, "{bucket}");
         assert!(put(&operator, bucket, key, "yes").await.is_some());
     }
-    // State is kept by nobody and heard by who listens.
+    // No stream stores a state; subscribers receive it.
     let mut listens = operator
         .client()
         .subscribe(names::state("*"))
@@ -167,13 +167,13 @@ async fn an_edge_gets_the_lookups_and_results_of_its_hobs_alone() {
         }
     }
     assert_eq!(all_answers(&edge.client(), own, "").await, ["of hob-a"]);
-    // By compare-and-set, and told at once.
-    let mut told = edge.client().subscribe("$KV.ihd_lookups.*").await.unwrap();
+    // Put by compare-and-set, and received at once.
+    let mut changes = edge.client().subscribe("$KV.ihd_lookups.*").await.unwrap();
     edge.client().flush().await.unwrap();
     put(&operator, names::LOOKUPS, "hob-c", "2").await.unwrap();
-    assert_eq!(hears(&mut told).await, None);
+    assert_eq!(hears(&mut changes).await, None);
     put(&operator, names::LOOKUPS, "hob-b", "2").await.unwrap();
-    assert_eq!(hears(&mut told).await.unwrap(), "2");
+    assert_eq!(hears(&mut changes).await.unwrap(), "2");
     lookups.update("hob-a", "3".into(), 3).await.unwrap_err();
     lookups.update("hob-a", "3".into(), 1).await.unwrap();
     assert_eq!(lookups.get("hob-a").await.unwrap().unwrap(), "3");
@@ -211,7 +211,7 @@ async fn an_edge_gets_the_lookups_and_results_of_its_hobs_alone() {
     assert!(answered(&second, of_other, NOW).await);
 }
 
-/// Contents of all messages that answer a request.
+/// Returns the contents of all answers to a request.
 async fn all_answers(client: &Client, subject: &str, body: &'static str) -> Vec<String> {
     let inbox = client.new_inbox();
     let mut answers = client.subscribe(inbox.clone()).await.unwrap();
@@ -259,7 +259,7 @@ async fn every_pot_is_readable_and_the_fleet_only_where_it_was_allowed() {
     assert!(keys(&other, names::WORKER_CARDS).await.is_empty());
 }
 
-/// Keys of a bucket, by what is read one after the other.
+/// Returns the keys of a bucket, read one after the other.
 async fn keys(js: &Context, bucket: &str) -> Vec<String> {
     let stream = js.get_stream_no_info(format!("KV_{bucket}")).await.unwrap();
     let (mut found, mut from) = (Vec::new(), 1);
@@ -296,7 +296,7 @@ async fn nobody_but_the_operator_changes_streams_or_makes_consumers() {
             ..Default::default()
         };
         stream.create_consumer(listens).await.unwrap_err();
-        // What it is told goes where its maker says: to any subject.
+        // A push consumer delivers to any subject that its maker names.
         let delivers = push::Config {
             deliver_subject: "$KV.ihd_lookups.hob-c".to_owned(),
             ack_policy: AckPolicy::None,
@@ -380,7 +380,7 @@ async fn an_answer_cannot_be_sent_where_its_asker_may_not_write() {
     assert_eq!(messages(&operator, names::EVENTS).await, 0);
 }
 
-/// A request whose answer is to go to `answer`.
+/// Sends a request whose answer goes to `answer`.
 async fn ask(client: &Client, subject: String, answer: &str, body: &'static str) {
     let sent = client.publish_with_reply(subject, answer.to_owned(), body.into());
     sent.await.unwrap();
@@ -439,7 +439,7 @@ async fn a_worker_pulls_windows_and_publishes_results_and_nothing_else() {
     assert!(publish(&worker, result, "result").await.is_some());
     window.double_ack().await.unwrap();
     assert_eq!(messages(&operator, names::WINDOWS).await, 0);
-    let dead = names::dead("hob-c", 1, 2);
+    let dead = names::dead_letter("hob-c", 1, 2);
     assert!(publish(&worker, dead, "dead").await.is_some());
     let card = put(&worker, names::WORKER_CARDS, "worker-2", "here").await;
     assert!(card.is_some());
@@ -499,7 +499,7 @@ async fn who_is_not_known_is_told_so_and_a_strange_server_is_refused() {
     let lab = Lab::start().await;
     let key = "lab-edge-lab-1";
     assert!(lab.options(key).connect(lab.url()).await.is_ok());
-    // A key of nobody.
+    // An unknown key.
     let stranger = Key::make().unwrap();
     let wrong = ConnectOptions::with_nkey(stranger.seed().to_owned())
         .add_root_certificates(lab.certificate())
@@ -549,7 +549,7 @@ async fn a_revoked_key_is_out_at_once_and_the_others_stay() {
         assert!(tokio::time::Instant::now() < deadline, "it is still in");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
-    // Nothing of the site is lost with it, and nobody else noticed.
+    // The site's data stay, and other clients stay connected.
     assert!(publish(&kept, of_kept, "2").await.is_some());
     assert_eq!(messages(&operator, names::WINDOWS).await, 3);
     let now = kept.client().statistics().connects.load(Relaxed);

@@ -1,4 +1,4 @@
-//! A NATS server of the test's own: started, killed, stopped, started again with what it had kept.
+//! A NATS server of the test: started, killed, stopped, restarted with its data.
 
 use std::fs::{self, File};
 use std::io;
@@ -13,28 +13,28 @@ use tempfile::TempDir;
 
 use super::site::PATIENCE;
 
-/// Names another program than `cargo xtask setup` brings.
+/// Environment variable with another program than that of `cargo xtask setup`.
 pub const PROGRAM: &str = "IHD_NATS_SERVER";
 
-/// How often a wait looks.
-const LOOK_EVERY: Duration = Duration::from_millis(5);
+/// Period of polling in a wait.
+const POLL_PERIOD: Duration = Duration::from_millis(5);
 
-/// Where a server will be: what its configuration may name.
+/// Address and folder of a server, for its configuration.
 pub struct Place {
-    /// Its own address of the loopback, so that a port of any other process is never in its way, and a client that
-    /// tries again while it is down never gets the server's own port as its source.
+    /// Its own address of the loopback. No other process has the port, and a client that reconnects while the server is
+    /// down never gets the server's port as its source port.
     pub address: Ipv4Addr,
     /// Its folder: configuration, store, log, certificates.
     pub folder: PathBuf,
 }
 
 impl Place {
-    /// What a configuration says after `listen:`: this address and a port that the system finds.
+    /// Returns the value of `listen:`: this address and any free port.
     pub fn any_port(&self) -> String {
         format!("\"{}:-1\"", self.address)
     }
 
-    /// The lines that every configuration here begins with: where it listens, and JetStream, safe on the disk.
+    /// Returns the first lines of every configuration here: address, and JetStream with synchronous writes.
     pub fn basics(&self) -> String {
         let (listen, store) = (self.any_port(), self.folder.join("store"));
         format!(
@@ -57,12 +57,12 @@ pub struct Server {
 }
 
 impl Server {
-    /// One without users, with `more` lines of configuration (`mqtt { listen: … }`, `accounts { … }`).
+    /// Starts a server without users, with `more` lines of configuration (`mqtt { listen: … }`, `accounts { … }`).
     pub fn start(more: &str) -> Self {
         Self::configured(|place| place.basics() + more)
     }
 
-    /// One with MQTT beside NATS, without users.
+    /// Starts a server with MQTT, without users.
     pub fn with_mqtt() -> Self {
         Self::configured(|place| {
             format!(
@@ -73,7 +73,7 @@ impl Server {
         })
     }
 
-    /// One with the whole configuration that `write` makes for its place.
+    /// Starts a server with the configuration that `write` returns for its place.
     pub fn configured(write: impl FnOnce(&Place) -> String) -> Self {
         let folder = tempfile::Builder::new().prefix("ihd-nats-").tempdir();
         let folder = folder.expect("a folder for the server");
@@ -98,44 +98,44 @@ impl Server {
         server
     }
 
-    /// What a client calls it: `nats://127.x.y.z:port`.
+    /// Returns its URL, `nats://127.x.y.z:port`.
     pub fn url(&self) -> String {
         format!("nats://{}", self.address())
     }
 
-    /// Where clients of NATS connect.
+    /// Returns the address for clients of NATS.
     pub fn address(&self) -> SocketAddr {
         (self.address, self.port).into()
     }
 
-    /// Where clients of MQTT connect.
+    /// Returns the address for clients of MQTT.
     pub fn mqtt_address(&self) -> SocketAddr {
         let port = self.mqtt_port.expect("a configuration with mqtt");
         (self.address, port).into()
     }
 
-    /// Its process.
+    /// Returns its process id.
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
 
-    /// Its folder: `nats.conf`, `store/`, and what its configuration names.
+    /// Returns its folder: `nats.conf`, `store/`, and the files of its configuration.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
 
-    /// What it has logged since its last start.
+    /// Returns its log since the last start.
     pub fn log(&self) -> String {
         fs::read_to_string(log_file(self.folder(), self.starts)).unwrap_or_default()
     }
 
-    /// `kill -9`, as when the power goes; and its end.
+    /// Kills it (`kill -9`), as a power failure would, and waits for its end.
     pub fn kill9(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 
-    /// Asks it to end (SIGTERM), and its end.
+    /// Stops it (SIGTERM) and waits for its end.
     pub fn stop(&mut self) -> ExitStatus {
         self.signal("TERM");
         let deadline = Instant::now() + PATIENCE;
@@ -144,14 +144,14 @@ impl Server {
                 return status;
             }
             assert!(Instant::now() < deadline, "it goes on:\n{}", self.log());
-            thread::sleep(LOOK_EVERY);
+            thread::sleep(POLL_PERIOD);
         }
     }
 
-    /// Starts it again, at the same address with the same store; kills it first where it still runs.
+    /// Restarts it at the same address with the same store; kills it first if it runs.
     pub fn restart(&mut self) {
         self.kill9();
-        // The ports that it had, where the configuration asked for any.
+        // The former ports, in place of any free port.
         let any = format!("{}:-1", self.address);
         self.rewrite(|text| {
             // The client's comes first in every configuration here.
@@ -166,17 +166,17 @@ impl Server {
         self.wait_until_ready();
     }
 
-    /// Changes its configuration; [`Server::reload`] or [`Server::restart`] make it so.
+    /// Changes its configuration file, for [`Server::reload`] or [`Server::restart`].
     pub fn rewrite(&self, change: impl FnOnce(String) -> String) {
         let file = self.folder().join("nats.conf");
         let text = fs::read_to_string(&file).expect("its configuration");
         fs::write(file, change(text)).expect("its configuration");
     }
 
-    /// Has it read its configuration anew (SIGHUP) and waits until it has, or has refused.
+    /// Reloads its configuration (SIGHUP) and waits for the result.
     ///
     /// # Errors
-    /// What it says of a configuration that it refuses.
+    /// Its log line if it refuses the configuration.
     pub fn reload(&self) -> Result<(), String> {
         let before = self.log().len();
         self.signal("HUP");
@@ -191,11 +191,11 @@ impl Server {
                 return Err(line.to_owned());
             }
             assert!(Instant::now() < deadline, "no word of a reload:\n{log}");
-            thread::sleep(LOOK_EVERY);
+            thread::sleep(POLL_PERIOD);
         }
     }
 
-    /// Stops its process without its end (SIGSTOP): connections stay, nothing is answered.
+    /// Suspends its process (SIGSTOP): connections stay, nothing is answered.
     pub fn freeze(&self) {
         self.signal("STOP");
     }
@@ -216,43 +216,43 @@ impl Server {
         let deadline = Instant::now() + PATIENCE;
         while !self.log().contains("Server is ready") {
             if let Some(status) = self.child.try_wait().expect("a child of ours") {
-                let said = fs::read_to_string(self.folder().join("stderr")).unwrap_or_default();
-                panic!("nats-server ended ({status}): {said}\n{}", self.log());
+                let errors = fs::read_to_string(self.folder().join("stderr")).unwrap_or_default();
+                panic!("nats-server ended ({status}): {errors}\n{}", self.log());
             }
             assert!(Instant::now() < deadline, "not ready:\n{}", self.log());
-            thread::sleep(LOOK_EVERY);
+            thread::sleep(POLL_PERIOD);
         }
     }
 
-    /// Where it answers for its monitoring: for a configuration with `http`.
+    /// Returns its monitoring port, for a configuration with `http`.
     pub fn monitoring_port(&self) -> u16 {
         self.port_of_file("monitoring")
     }
 
-    /// A port that it found for itself, from the file that it leaves for that.
+    /// Returns a port that it chose, from its file of ports.
     fn port_of_file(&self, of: &str) -> u16 {
         let end = format!("_{}.ports", self.pid());
         let deadline = Instant::now() + PATIENCE;
         loop {
-            // It begins with the program's name, whatever that is here.
+            // The file's name begins with the program's name, which may differ.
             let files = fs::read_dir(self.folder().join("ports")).expect("its folder");
             let mut files = files.flatten().map(|file| file.path());
             let file = files.find(|file| file.to_string_lossy().ends_with(&end));
             let text = file.and_then(|file| fs::read_to_string(file).ok());
-            let found = text.and_then(|text| {
+            let port = text.and_then(|text| {
                 let urls = serde_json::from_str::<serde_json::Value>(&text).ok()?;
                 let url = urls[of][0].as_str()?.to_owned();
                 url.rsplit(':').next()?.parse().ok()
             });
-            if let Some(port) = found {
+            if let Some(port) = port {
                 return port;
             }
             assert!(Instant::now() < deadline, "no port:\n{}", self.log());
-            thread::sleep(LOOK_EVERY);
+            thread::sleep(POLL_PERIOD);
         }
     }
 
-    /// The port of MQTT, which is in the log alone.
+    /// Returns the port of MQTT, which stands only in the log.
     fn mqtt_port_of_log(&self) -> Option<u16> {
         let log = self.log();
         let line = log.lines().find(|l| l.contains("for MQTT clients on"))?;
@@ -269,7 +269,7 @@ impl Drop for Server {
     }
 }
 
-/// The program: `IHD_NATS_SERVER`, else the one that `cargo xtask setup` has put beside the build, else one on the PATH.
+/// Returns the program: `IHD_NATS_SERVER`, else that of `cargo xtask setup` beside the build, else one on the PATH.
 pub fn program() -> PathBuf {
     if let Some(named) = std::env::var_os(PROGRAM) {
         return named.into();
@@ -312,7 +312,7 @@ fn log_file(folder: &Path, start: usize) -> PathBuf {
     folder.join(format!("log-{start}"))
 }
 
-/// An address of the loopback that no other server of this machine's tests has.
+/// Returns an address of the loopback that no other server of this machine's tests has.
 fn own_address() -> Ipv4Addr {
     static NEXT: AtomicU8 = AtomicU8::new(2);
     let [_, _, high, low] = std::process::id().to_be_bytes();
@@ -325,7 +325,7 @@ mod tests {
 
     use super::*;
 
-    /// Whether a client that says hello gets its PONG.
+    /// Returns `true` if a client's PING is answered.
     fn answers(server: &Server) -> bool {
         let Ok(mut stream) = TcpStream::connect(server.address()) else {
             return false;

@@ -1,4 +1,4 @@
-//! Nothing stops in silence: a server that stalls, one that lost its disk, a window that nobody can identify.
+//! Reported failures: a server that stalls, one that lost its disk, a window that no worker can identify.
 
 use async_nats::HeaderMap;
 
@@ -6,7 +6,7 @@ use super::robust::assert_whole;
 use super::server::Server;
 use super::site::{PATIENCE, Site, Worker, fleet, init, status, until};
 
-/// Number of windows of the site's store in a state; none while its daemon does not answer.
+/// Returns the number of windows of the site's store in a state; `None` while its daemon does not answer.
 fn windows(site: &Site, state: &str) -> Option<u64> {
     site.fleet()?["states"][state].as_u64()
 }
@@ -69,7 +69,7 @@ fn a_server_that_lost_its_disk_gets_everything_again() {
     server.kill9();
     std::fs::remove_dir_all(server.folder().join("store")).expect("its disk");
     server.restart();
-    // Nobody has made the streams anew: what fails is counted, and told once.
+    // The streams are missing: failures are counted, and logged once.
     until("failures are counted", PATIENCE, || {
         site.fleet().is_some_and(|report| {
             let why = report["why"].as_str().unwrap_or_default();
@@ -77,14 +77,14 @@ fn a_server_that_lost_its_disk_gets_everything_again() {
         })
     });
     let log = site.log();
-    let mut told: Vec<&str> = log
+    let mut warnings: Vec<&str> = log
         .lines()
         .filter_map(|line| line.split_once(" WARN ").map(|(_, text)| text))
         .collect();
-    let all = told.len();
-    told.sort_unstable();
-    told.dedup();
-    assert_eq!(told.len(), all, "told twice:\n{log}");
+    let all = warnings.len();
+    warnings.sort_unstable();
+    warnings.dedup();
+    assert_eq!(warnings.len(), all, "logged twice:\n{log}");
     init(&url, &[]);
     let _worker = Worker::start(site.path(), &url, "w", &["--threads", "2"]);
     assert_whole(&url, &mut site);
@@ -100,7 +100,7 @@ fn an_edge_hears_of_a_window_that_nobody_can_identify_and_of_its_result_after_al
     let mut site = Site::new("lab", 1);
     site.fill(3);
     let (hob, boot, seq) = site.windows.first().expect("windows").clone();
-    // What a worker of another version would make of the first: it cannot read it, and has its number alone.
+    // The first as a worker of another version sees it: unreadable, with a message id.
     let runtime = tokio::runtime::Runtime::new().expect("threads");
     runtime.block_on(async {
         let client = async_nats::connect(&url).await.expect("the server");

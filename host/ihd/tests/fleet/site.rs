@@ -1,4 +1,4 @@
-//! An edge, its workers and what they have done: processes of `ihd` beside a server of the test's own.
+//! An edge and its workers, as processes of `ihd`, with their results.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -13,26 +13,26 @@ use ihd_link::{Client, Event, Window};
 use ihd_shared::wire::messages::{FrontEnd, Hello, State};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
-use ihd_store::{Reader, ResultFilter, Settings, Store, WindowFilter};
+use ihd_store::{Reader, ResultFilter, Store, StoreOptions, WindowFilter};
 use serde_json::Value;
 use tempfile::TempDir;
 
 use super::process::{Process, ihd};
 
-/// What a window's result is known by.
+/// Hob, boot and number of a window.
 pub type Key = (String, u32, u32);
 
 /// Half-cycles between two windows of a device.
 const WINDOWS_EVERY: u8 = 20;
 
-/// Windows of a simulated hob that heats, with who it is.
+/// Windows of a simulated hob that heats, with its identity.
 pub struct Tape {
     pub hello: Hello,
     pub front_end: FrontEnd,
     pub windows: Vec<Window>,
 }
 
-/// Recorded once: at three powers, settled or not.
+/// Returns windows at three powers, settled or not, recorded once.
 pub fn tape() -> &'static Tape {
     static TAPE: OnceLock<Tape> = OnceLock::new();
     TAPE.get_or_init(|| {
@@ -66,16 +66,16 @@ pub struct Site {
     pub edge: String,
     pub hobs: Vec<String>,
     process: Option<Process>,
-    /// Every window that was put in.
+    /// Every window put into the store.
     pub windows: BTreeSet<Key>,
-    /// Whether its hobs are simulated in the daemon; else nobody is there.
+    /// `true` if its hobs are simulated in the daemon; otherwise they do not answer.
     simulated: bool,
-    /// Where its API listens.
+    /// Address of its API.
     listen: String,
 }
 
 impl Site {
-    /// One with hobs `EDGE-0`, …, that nobody is connected to.
+    /// Creates a site with hobs `EDGE-0`, …, that do not answer.
     pub fn new(edge: &str, hobs: usize) -> Self {
         Self {
             folder: tempfile::tempdir().expect("a folder"),
@@ -88,7 +88,7 @@ impl Site {
         }
     }
 
-    /// One whose hobs are simulated in the daemon.
+    /// Creates a site whose hobs are simulated in the daemon.
     pub fn simulated(edge: &str, hobs: usize) -> Self {
         Self {
             simulated: true,
@@ -96,7 +96,7 @@ impl Site {
         }
     }
 
-    /// Where its store is.
+    /// Returns the folder of its store.
     pub fn store(&self) -> PathBuf {
         self.folder.path().join("store")
     }
@@ -105,10 +105,10 @@ impl Site {
         self.folder.path()
     }
 
-    /// Puts windows into its store, in turn of its hobs, that the fleet has not got; while it does not run.
+    /// Puts due windows into its store, in turn of its hobs, while the daemon does not run.
     pub fn fill(&mut self, count: usize) {
         let tape = tape();
-        let opened = Store::open(&self.store(), &Settings::default()).expect("a store");
+        let opened = Store::open(&self.store(), &StoreOptions::default()).expect("a store");
         let mut store = opened.store;
         let first = self.windows.len();
         for (k, hob) in self.hobs.iter().enumerate() {
@@ -140,7 +140,7 @@ impl Site {
             self.listen, self.edge
         );
         for (k, hob) in self.hobs.iter().enumerate() {
-            // Nobody listens there.
+            // No process listens there.
             let address = match self.simulated {
                 true => "sim".to_owned(),
                 false => format!("tcp:127.200.{}.{}:9", k / 250, k % 250 + 1),
@@ -162,7 +162,7 @@ impl Site {
         self.process = Some(Process::spawn(&mut command).expect("the daemon starts"));
     }
 
-    /// `ihd device ARGUMENTS` with its daemon, until that ends.
+    /// Runs `ihd device ARGUMENTS` with its daemon.
     pub fn device(&self, arguments: &[&str]) -> String {
         let mut command = ihd(self.path());
         command.arg("device").args(arguments);
@@ -171,14 +171,14 @@ impl Site {
         String::from_utf8_lossy(&out.stdout).into_owned()
     }
 
-    /// Moves its store to another folder, as to another machine; while it does not run.
+    /// Moves its store to another folder, as to another machine, while the daemon does not run.
     pub fn move_away(&mut self) {
         let folder = tempfile::tempdir().expect("a folder");
         fs::rename(self.store(), folder.path().join("store")).expect("a store that moves");
         self.folder = folder;
     }
 
-    /// Its daemon's report of the fleet; none while it does not answer.
+    /// Returns its daemon's report of the fleet; `None` while it does not answer.
     pub fn fleet(&self) -> Option<Value> {
         let mut stream = TcpStream::connect(&self.listen).ok()?;
         let head = "GET /api/v1/fleet HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
@@ -188,7 +188,7 @@ impl Site {
         serde_json::from_str(answer.split_once("\r\n\r\n")?.1).ok()
     }
 
-    /// Returns `true` where a hob of it is connected and does not heat.
+    /// Returns `true` if a hob of it is connected and does not heat.
     pub fn is_idle(&self, hob: &str) -> bool {
         let report = self.fleet().unwrap_or_default();
         let hobs = report["devices"].as_array().cloned().unwrap_or_default();
@@ -196,14 +196,14 @@ impl Site {
             .any(|device| device["name"] == *hob && device["state"] == "idle")
     }
 
-    /// `kill -9`.
+    /// Kills the daemon (`kill -9`).
     pub fn kill(&mut self) {
         if let Some(mut process) = self.process.take() {
             process.kill();
         }
     }
 
-    /// Asks it to end, and waits.
+    /// Stops the daemon and waits for its end.
     pub fn stop(&mut self) {
         if let Some(mut process) = self.process.take() {
             process.terminate();
@@ -212,18 +212,18 @@ impl Site {
         }
     }
 
-    /// Whether it runs; its end is a defect.
+    /// Asserts that the daemon runs.
     pub fn assert_runs(&mut self) {
         let ended = self.process.as_mut().and_then(Process::ended);
         assert!(ended.is_none(), "{ended:?}: {}", self.log());
     }
 
-    /// Processor time that the daemon has taken, in seconds.
+    /// Returns the processor time of the daemon in seconds.
     pub fn processor_s(&self) -> f64 {
         self.process.as_ref().map_or(0.0, Process::processor_s)
     }
 
-    /// Memory that the daemon has, in bytes.
+    /// Returns the memory of the daemon in bytes.
     pub fn rss(&mut self) -> u64 {
         self.process.as_mut().map_or(0, Process::rss)
     }
@@ -232,14 +232,14 @@ impl Site {
         fs::read_to_string(self.path().join("log")).unwrap_or_default()
     }
 
-    /// Number of windows in its store.
+    /// Returns the number of windows in its store.
     pub fn stored(&self) -> u64 {
         let reader = Reader::open(&self.store()).expect("its store");
         let windows = reader.windows(&WindowFilter::default());
         windows.expect("its windows").len() as u64
     }
 
-    /// The results in its store.
+    /// Returns the results in its store.
     pub fn results(&self) -> BTreeSet<Key> {
         let filter = ResultFilter {
             limit: Some(u32::MAX),
@@ -253,13 +253,13 @@ impl Site {
     }
 }
 
-/// An address of the loopback with a port that was free.
+/// Returns an address of the loopback with a free port.
 fn free_address() -> String {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     listener.local_addr().expect("its address").to_string()
 }
 
-/// `ihd worker`.
+/// A process of `ihd worker`.
 pub struct Worker {
     process: Process,
 }
@@ -299,7 +299,7 @@ impl Worker {
     }
 }
 
-/// `ihd fleet --url URL …`: what it prints, and its exit code.
+/// Runs `ihd fleet --url URL …`; returns output and exit code.
 pub fn fleet(url: &str, arguments: &[&str]) -> (String, i32) {
     let folder = std::env::temp_dir();
     let mut command = ihd(&folder);
@@ -310,9 +310,9 @@ pub fn fleet(url: &str, arguments: &[&str]) -> (String, i32) {
     (text, out.status.code().unwrap_or(-1))
 }
 
-/// `ihd fleet init`, with what is to be said beside.
+/// Runs `ihd fleet init` with further options.
 pub fn init(url: &str, options: &[&str]) {
-    // What is set aside must be there on any machine.
+    // The reserved space must be available on any machine.
     let little = [
         "--windows-bytes",
         "500000000",
@@ -330,16 +330,16 @@ pub fn init(url: &str, options: &[&str]) {
     assert_eq!(code, 0, "{text}");
 }
 
-/// `ihd fleet status --json`; none while the server is away.
+/// Runs `ihd fleet status --json`; `None` while the server does not answer.
 pub fn status(url: &str) -> Option<Value> {
     let (text, code) = fleet(url, &["status", "--json"]);
     (code == 0).then(|| serde_json::from_str(&text).expect("JSON"))
 }
 
-/// Ends a hang: no test is judged by it.
+/// Time-out of a hang; no test measures it.
 pub const PATIENCE: Duration = Duration::from_secs(600);
 
-/// Waits until something holds.
+/// Waits until a condition holds; returns the time.
 pub fn until(what: &str, within: Duration, mut holds: impl FnMut() -> bool) -> Duration {
     let began = Instant::now();
     while !holds() {

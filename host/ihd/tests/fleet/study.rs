@@ -1,5 +1,5 @@
-//! What a fleet costs and what it manages, measured: the tables of docs/fleet.md (`--profile full study`). One machine has
-//! everything: server, edge and workers take from each other.
+//! Measured costs and throughput of a fleet: the tables of docs/fleet.md (`--profile full study`). Server, edge and workers
+//! share one machine.
 
 use std::time::{Duration, Instant};
 
@@ -12,16 +12,16 @@ use super::process::{Process, processor_s};
 use super::server::Server;
 use super::site::{Site, Worker, init, status, tape, until};
 
-/// For one run of the study.
+/// Time-out of one run of the study.
 const PATIENCE: Duration = Duration::from_secs(3_000);
 
-/// `ihd fleet status`'s numbers, asked for by this process: a command a look would be part of what is measured.
-struct Look {
+/// Numbers of `ihd fleet status`, read by this process: a command for each reading would be a part of the measurement.
+struct Monitor {
     runtime: tokio::runtime::Runtime,
     context: jetstream::Context,
 }
 
-impl Look {
+impl Monitor {
     fn at(url: &str) -> Self {
         let runtime = tokio::runtime::Runtime::new().expect("threads");
         let client = runtime
@@ -34,13 +34,13 @@ impl Look {
         Self { runtime, context }
     }
 
-    /// Messages ever, and bytes now, of a stream.
+    /// Returns the number of messages ever and the present bytes of a stream.
     fn stream(&self, name: &str) -> (u64, u64) {
-        let found = self.runtime.block_on(async {
+        let state = self.runtime.block_on(async {
             let mut stream = self.context.get_stream(name).await.expect("a stream");
             stream.info().await.expect("its state").state.clone()
         });
-        (found.last_sequence, found.bytes)
+        (state.last_sequence, state.bytes)
     }
 
     fn results(&self) -> u64 {
@@ -56,23 +56,23 @@ fn percentile(sorted: &[f64], percent: f64) -> f64 {
         .unwrap_or(f64::NAN)
 }
 
-/// A backlog of `count` windows on a new server, nobody at work yet.
-fn backlog(count: usize) -> (Server, Site, Look) {
+/// Makes a backlog of `count` windows on a new server, without workers.
+fn backlog(count: usize) -> (Server, Site, Monitor) {
     let server = Server::start("");
     let url = server.url();
     init(&url, &["--threads", "64"]);
     let mut site = Site::new("lab", 4);
     site.fill(count);
     site.start(&url);
-    let look = Look::at(&url);
+    let monitor = Monitor::at(&url);
     until("the backlog", PATIENCE, || {
-        look.stream("IHD_WINDOWS").0 == count as u64
+        monitor.stream("IHD_WINDOWS").0 == count as u64
     });
-    (server, site, look)
+    (server, site, monitor)
 }
 
-/// Windows a second of a backlog, from when all workers are at work.
-fn rate(server: &Server, site: &Site, look: &Look, workers: usize, options: &[&str]) -> f64 {
+/// Returns the windows a second of a backlog, from the time at which all workers run.
+fn rate(server: &Server, site: &Site, monitor: &Monitor, workers: usize, options: &[&str]) -> f64 {
     let url = server.url();
     let _workers: Vec<Worker> = (0..workers)
         .map(|k| Worker::start(site.path(), &url, &format!("w{k}"), options))
@@ -81,9 +81,9 @@ fn rate(server: &Server, site: &Site, look: &Look, workers: usize, options: &[&s
     until("all at work", PATIENCE, || {
         status(&url).is_some_and(|s| s["workers"].as_array().map(Vec::len) == Some(workers))
     });
-    let (first, began) = (look.results(), Instant::now());
+    let (first, began) = (monitor.results(), Instant::now());
     until("the end of the backlog", PATIENCE, || {
-        look.results() == total
+        monitor.results() == total
     });
     (total - first) as f64 / began.elapsed().as_secs_f64()
 }
@@ -93,8 +93,8 @@ fn windows_a_second_against_workers_at_length() {
     println!("| workers (a thread each) | windows/s | against one |\n|---|---|---|");
     let mut one = f64::NAN;
     for workers in [1, 2, 4] {
-        let (server, site, look) = backlog(1_500);
-        let rate = rate(&server, &site, &look, workers, &["--threads", "1"]);
+        let (server, site, monitor) = backlog(1_500);
+        let rate = rate(&server, &site, &monitor, workers, &["--threads", "1"]);
         if workers == 1 {
             one = rate;
         }
@@ -104,12 +104,12 @@ fn windows_a_second_against_workers_at_length() {
         "| threads, 200 ms of pretended work each | windows/s | of what is possible |\n|---|---|---|"
     );
     for threads in [1, 2, 4, 8, 16, 32, 64] {
-        let (server, site, look) = backlog(60 * threads);
+        let (server, site, monitor) = backlog(60 * threads);
         // Four workers at most: what is measured is the queue, not processes.
         let workers = threads.min(4);
         let each = (threads / workers).to_string();
         let options = ["--threads", &each, "--pretend-ms", "200"];
-        let rate = rate(&server, &site, &look, workers, &options);
+        let rate = rate(&server, &site, &monitor, workers, &options);
         println!(
             "| {threads} | {rate:.1} | {:.0} % |",
             100.0 * rate * 0.2 / threads as f64
@@ -120,8 +120,8 @@ fn windows_a_second_against_workers_at_length() {
 #[test]
 fn what_a_window_costs_at_length() {
     let count = 1_500;
-    let (server, mut site, look) = backlog(count);
-    let (_, window_bytes) = look.stream("IHD_WINDOWS");
+    let (server, mut site, monitor) = backlog(count);
+    let (_, window_bytes) = monitor.stream("IHD_WINDOWS");
     let url = server.url();
     let folder = site.path().to_owned();
     let edge_before = site.processor_s();
@@ -135,7 +135,7 @@ fn what_a_window_costs_at_length() {
         site.results().len() == count
     });
     let ms = |seconds: f64| 1e3 * seconds / count as f64;
-    let (_, result_bytes) = look.stream("IHD_RESULTS");
+    let (_, result_bytes) = monitor.stream("IHD_RESULTS");
     println!("| of a window | bytes | processor ms |\n|---|---|---|");
     let raw = 4 * tape().windows[0].pairs.len() + 8 * tape().windows[0].trajectory.len();
     println!("| as the device sends it | {raw} | |");
@@ -189,7 +189,7 @@ fn from_window_to_lookup_at_length() {
             continue;
         };
         to_result.push(1e-3 * (result.at_ms - row.at_ms) as f64);
-        // The state of a lookup changes last when it is replaced: the next one of it is its own.
+        // The first lookup stored after the result is the one that it changed.
         let active = lookups
             .iter()
             .map(|l| l.at_ms)
@@ -223,7 +223,7 @@ fn a_backlog_of_an_hour_at_length() {
     init(&url, &["--windows-bytes", "2000000000"]);
     let mut site = Site::new("far", 1);
     site.fill(count);
-    let look = Look::at(&url);
+    let monitor = Monitor::at(&url);
     let _workers: Vec<Worker> = (0..2)
         .map(|k| {
             let options = ["--threads", "16", "--pretend-ms", "100"];
@@ -233,16 +233,18 @@ fn a_backlog_of_an_hour_at_length() {
     let began = Instant::now();
     site.start(&url);
     let sent = until("the queue", PATIENCE, || {
-        look.stream("IHD_WINDOWS").0 == count as u64
+        monitor.stream("IHD_WINDOWS").0 == count as u64
     });
-    until("all results", PATIENCE, || look.results() == count as u64);
-    let found = began.elapsed();
+    until("all results", PATIENCE, || {
+        monitor.results() == count as u64
+    });
+    let identified = began.elapsed();
     until("in the store", PATIENCE, || site.results().len() == count);
     println!(
         "{count} windows: in the queue after {:.0} s, through 32 threads after {:.0} s ({:.1} a second), in the edge's store after {:.0} s",
         sent.as_secs_f64(),
-        found.as_secs_f64(),
-        count as f64 / found.as_secs_f64(),
+        identified.as_secs_f64(),
+        count as f64 / identified.as_secs_f64(),
         began.elapsed().as_secs_f64()
     );
 }
@@ -284,7 +286,7 @@ fn a_thousand_edges_on_one_server_at_length() {
                         let bytes = message.to_bytes().expect("packed");
                         let publish = jetstream::message::PublishMessage::build()
                             .payload(bytes.into())
-                            .message_id(identity.of_window(&hob, k, message.window.seq));
+                            .message_id(identity.window_id(&hob, k, message.window.seq));
                         let asked = Instant::now();
                         let subject = format!("ihd.v2.{hob}.window");
                         let sent = context.send_publish(subject, publish).await.expect("sent");

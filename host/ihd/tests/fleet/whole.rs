@@ -11,7 +11,7 @@ fn json(url: &str, arguments: &[&str]) -> Value {
     serde_json::from_str(&text).expect("JSON")
 }
 
-/// The last lookup of the first hob: revision, and whether it is in use.
+/// Returns the last lookup of the first hob: its revision, and `true` if it is in use.
 fn last_lookup(url: &str) -> Option<(u64, bool)> {
     let last = json(url, &["lookups", "ls", "--json"])[0].clone();
     Some((last["revision"].as_u64()?, last["lookup"]["in_use"] == true))
@@ -36,7 +36,7 @@ fn a_hob_is_taught_by_workers_and_without_them() {
         let trusted = status(&url).is_some_and(|s| s["edges"][0]["trusts_fleet"] == true);
         trusted && devices[0]["name"] == *hob && devices[0]["state"] == "idle"
     });
-    // Again and again: on a slow machine ten seconds of the wall are few of the hob.
+    // Repeated: on a slow machine ten seconds are few seconds of the hob.
     until("results of the worker", PATIENCE, || {
         site.device(&[&hob, "power", "1500", "--for", "5"]);
         results() >= 10
@@ -58,21 +58,21 @@ fn a_hob_is_taught_by_workers_and_without_them() {
         },
     );
 
-    // Somebody wants an older one used: the edge pushes it, and says that it is in use.
+    // An older one is requested: the edge pushes it, and reports that it is in use.
     let (text, code) = fleet(&url, &["lookups", "rollback", &hob, &first.to_string()]);
     assert_eq!(code, 0, "{text}");
     until("the wanted lookup in use", PATIENCE, || {
         last_lookup(&url).is_some_and(|(revision, in_use)| in_use && revision > first + 1)
     });
 
-    // Nobody identifies any more: the edge waits for a while, and then learns by itself.
+    // Without a worker the edge waits for a while, and then learns by itself.
     worker.kill();
     let before = site.results().len();
     until("results of the edge itself", PATIENCE, || {
         site.device(&[&hob, "power", "1200", "--for", "5"]);
         site.results().len() > before + 10
     });
-    // A worker comes back: what was left to the fleet is identified, what the edge has found is known there.
+    // A worker comes back: windows left to the fleet are identified, results of the edge are present there.
     let _worker = Worker::start(site.path(), &url, "again", &["--threads", "1"]);
     until("as many results as windows", PATIENCE, || {
         status(&url).is_some_and(|s| s["backlog"] == 0) && results() == site.results().len() as u64

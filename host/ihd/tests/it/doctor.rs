@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Output, Stdio};
 
-use ihd_store::{Settings, Store};
+use ihd_store::{Store, StoreOptions};
 use serde_json::Value;
 
 fn ihd(args: &str) -> Command {
@@ -216,7 +216,7 @@ fn a_store_that_cannot_be_used_is_told_with_its_cause() {
     };
     told("not_tested", "none yet");
     let at = folder.path().join("store");
-    let opened = Store::open(&at, &Settings::default()).unwrap();
+    let opened = Store::open(&at, &StoreOptions::default()).unwrap();
     told("fail", &format!("process {}", std::process::id()));
     drop(opened);
     let whole = told("pass", "has room");

@@ -10,7 +10,7 @@ use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{Pair, Scales};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::FrontEnd;
-use ihd_store::{NewResult, Settings, Store};
+use ihd_store::{NewResult, Store, StoreOptions};
 use serde_json::Value;
 
 /// Runs `ihd store` in a folder; gives exit code, stdout and stderr.
@@ -63,7 +63,7 @@ fn filled(folder: &Path) -> Store {
         "store = \"kept\"\nlisten = \"127.0.0.1:8731\"\n",
     )
     .unwrap();
-    let opened = Store::open(&folder.join("kept"), &Settings::default()).unwrap();
+    let opened = Store::open(&folder.join("kept"), &StoreOptions::default()).unwrap();
     let mut store = opened.store;
     let device = store.device("bench", "tcp:127.0.0.1:4711").unwrap();
     let hello = ours(ROLE_DEVICE, 1, 77, "evil\u{1b}[2J", "sim");

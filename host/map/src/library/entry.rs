@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::LibraryError;
-use super::shape::{self, KeptShape, Range};
+use super::shape::{self, Range, ShapeState};
 use crate::PotModel;
 use crate::parameters::{self, COUNT, OF_POT};
 
@@ -24,7 +24,7 @@ pub(crate) const MOST_HOBS: usize = 8;
 const TRIANGLE: usize = COUNT * (COUNT + 1) / 2;
 
 /// Deviation of a pot's own numbers, in spreads of any pot, above which an entry is not worth sharing.
-const WORTH_TELLING: f64 = 1.0;
+const WORTH_SHARING: f64 = 1.0;
 
 /// Ranges of switching frequencies in hertz and currents in ampere that a hob can have.
 const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
@@ -44,7 +44,7 @@ pub struct Provenance {
 
 /// Range of operating points at which a pot was measured.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct SeenAt {
+pub struct MeasuredRange {
     /// Lowest and highest switching frequency in hertz.
     pub f_sw_hz: [f64; 2],
     /// Lowest and highest amplitude of the current in ampere.
@@ -77,7 +77,7 @@ pub struct PotEntry {
     pub(super) misfit: [f64; 2],
     /// Map less the model in ln R and ln L, in units of 1e-5.
     pub(super) shape: Vec<i16>,
-    pub(super) seen: SeenAt,
+    pub(super) seen: MeasuredRange,
     pub(super) label: Option<String>,
     pub(super) hobs: Vec<String>,
     pub(super) build: String,
@@ -85,26 +85,26 @@ pub struct PotEntry {
 }
 
 /// Result of a hob's own fit.
-pub(crate) struct Found {
+pub(crate) struct ExportedFit {
     pub model: PotModel,
     /// Lower triangle of the factor L of the numbers' covariance L Lᵀ.
     pub factor: DMatrix<f64>,
     pub misfit: [f64; 2],
     /// ln of the map less ln of the model, at [`super::shape_places`].
     pub beside: DVector<f64>,
-    pub seen: SeenAt,
+    pub seen: MeasuredRange,
 }
 
 impl PotEntry {
     /// Creates an entry from a fit; `None` if a number is outside the range of entries.
-    pub(crate) fn of(found: &Found, by: Provenance) -> Option<Self> {
-        let Found {
+    pub(crate) fn of(fit: &ExportedFit, by: Provenance) -> Option<Self> {
+        let ExportedFit {
             model,
             factor,
             misfit,
             beside,
             seen,
-        } = found;
+        } = fit;
         let triangle = (0..COUNT).flat_map(|row| (0..=row).map(move |k| factor[(row, k)]));
         let entry = Self {
             version: ENTRY_VERSION,
@@ -152,7 +152,7 @@ impl PotEntry {
     }
 
     /// Range of operating points at which the pot was measured.
-    pub fn seen(&self) -> SeenAt {
+    pub fn measured_range(&self) -> MeasuredRange {
         self.seen
     }
 
@@ -241,7 +241,7 @@ impl PotEntry {
         let wide = |row: usize| {
             let numbers = self.row(row);
             let sigma = numbers.iter().map(|x| x * x).sum::<f64>().sqrt();
-            let most = if row < OF_POT { WORTH_TELLING } else { 2.0 };
+            let most = if row < OF_POT { WORTH_SHARING } else { 2.0 };
             let within = sigma <= most * parameters::SPREAD[row];
             !(within && numbers[row] >= 1e-6 * parameters::SPREAD[row])
         };
@@ -264,13 +264,13 @@ impl PotEntry {
     }
 
     /// Shape beside the physics, and the range in which it was measured.
-    pub(crate) fn shape(&self) -> KeptShape {
+    pub(crate) fn shape(&self) -> ShapeState {
         let range = Range {
             f_sw_hz: self.seen.f_sw_hz,
             i_a: self.seen.i_a,
             misfit: self.misfit,
         };
-        KeptShape {
+        ShapeState {
             codes: self.shape.clone(),
             range,
         }
@@ -293,7 +293,7 @@ impl PotEntry {
     }
 }
 
-impl SeenAt {
+impl MeasuredRange {
     pub(super) fn and(&self, other: &Self) -> Self {
         let wider = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
         Self {

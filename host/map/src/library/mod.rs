@@ -20,12 +20,12 @@ use serde::{Deserialize, Serialize};
 use crate::fit::{Datum, fit};
 use crate::parameters::{CENTRED, COUNT, Prior};
 
-pub(crate) use entry::Found;
+pub(crate) use entry::ExportedFit;
 
 pub use shape::places as shape_places;
-pub(crate) use shape::{KeptShape, Shape};
+pub(crate) use shape::{Shape, ShapeState};
 
-pub use entry::{ENTRY_VERSION, MOST_ENTRY_BYTES, MetalClass, PotEntry, Provenance, SeenAt};
+pub use entry::{ENTRY_VERSION, MOST_ENTRY_BYTES, MeasuredRange, MetalClass, PotEntry, Provenance};
 
 /// Version of the layout of [`Library::to_bytes`].
 pub const LIBRARY_VERSION: u32 = 1;
@@ -62,13 +62,13 @@ pub enum LibraryError {
 
 /// Result of adding an entry.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Added {
+pub enum Addition {
     /// The pot was not in the library.
     New,
     /// The pot was known under this name; the entry was improved.
     Merged(String),
     /// The pot was known under this name from this hob; an entry of that hob alone is replaced by the newer one.
-    Again(String),
+    Repeated(String),
 }
 
 /// Set of pots that hobs share.
@@ -78,7 +78,7 @@ pub struct Library {
 }
 
 #[derive(Serialize, Deserialize)]
-struct Saved {
+struct LibraryFile {
     version: u32,
     entries: Vec<PotEntry>,
 }
@@ -94,7 +94,7 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError`] if no hob can have found the entry.
-    pub fn add(&mut self, entry: PotEntry) -> Result<Added, LibraryError> {
+    pub fn add(&mut self, entry: PotEntry) -> Result<Addition, LibraryError> {
         entry.check()?;
         let nearest = self.entries.iter_mut().find(|e| e.is_same(&entry));
         if let Some(known) = nearest {
@@ -104,17 +104,17 @@ impl Library {
                 if known.hobs().len() == 1 && known.t_unix_s() <= entry.t_unix_s() {
                     *known = entry;
                 }
-                return Ok(Added::Again(id));
+                return Ok(Addition::Repeated(id));
             }
             if known.merge(&entry).is_some() {
-                return Ok(Added::Merged(id));
+                return Ok(Addition::Merged(id));
             }
             // As many hobs as an entry names agree on it already.
-            return Ok(Added::Again(id));
+            return Ok(Addition::Repeated(id));
         }
         self.make_room(&entry.hobs()[0]);
         self.entries.push(entry);
-        Ok(Added::New)
+        Ok(Addition::New)
     }
 
     /// Removes entries so that one more of this hob has room.
@@ -141,11 +141,11 @@ impl Library {
 
     /// Serialises as JSON.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let saved = Saved {
+        let file = LibraryFile {
             version: LIBRARY_VERSION,
             entries: self.entries.clone(),
         };
-        serde_json::to_vec(&saved).unwrap_or_default()
+        serde_json::to_vec(&file).unwrap_or_default()
     }
 
     /// Reads and checks bytes from an untrusted source.
@@ -160,16 +160,16 @@ impl Library {
                 most,
             });
         }
-        let saved: Saved = serde_json::from_slice(bytes)?;
-        if saved.version != LIBRARY_VERSION {
-            return Err(LibraryError::Version(saved.version));
+        let file: LibraryFile = serde_json::from_slice(bytes)?;
+        if file.version != LIBRARY_VERSION {
+            return Err(LibraryError::Version(file.version));
         }
-        if saved.entries.len() > MOST_ENTRIES {
+        if file.entries.len() > MOST_ENTRIES {
             return Err(LibraryError::Unsound("so many pots"));
         }
-        saved.entries.iter().try_for_each(PotEntry::check)?;
+        file.entries.iter().try_for_each(PotEntry::check)?;
         Ok(Self {
-            entries: saved.entries,
+            entries: file.entries,
         })
     }
 
@@ -177,21 +177,27 @@ impl Library {
     /// winding free, so that a pot is recognised on any coil and in any place.
     pub(crate) fn candidates(&self, data: &[Datum]) -> Vec<Candidate> {
         /// Number of data in the first fit, which needs no more.
-        const LOOKED_AT: usize = 8;
+        const SCREENING_DATA: usize = 8;
         const MISFIT: [f64; 2] = [0.016, 0.008];
-        const LOOKS: usize = 3;
+        const SCREENING_STEPS: usize = 3;
         /// Most candidates that get a complete fit.
         const MOST: usize = 3;
-        let every = data.len().div_ceil(LOOKED_AT).max(1);
+        let every = data.len().div_ceil(SCREENING_DATA).max(1);
         let few: Vec<Datum> = data.iter().copied().step_by(every).collect();
-        let look = |entry: &PotEntry| {
+        let screen = |entry: &PotEntry| {
             let candidate = Candidate::of(entry);
             let (few, none) = (candidate.without_shape(&few), [0.0; COUNT]);
-            let fitted = fit(&few, (&candidate.prior, none), CENTRED, MISFIT, LOOKS)?;
+            let fitted = fit(
+                &few,
+                (&candidate.prior, none),
+                CENTRED,
+                MISFIT,
+                SCREENING_STEPS,
+            )?;
             // Four times the squares that chance makes: lift and place may still be off.
             (fitted.cost < 4.0 * few.len() as f64).then_some((fitted.cost, candidate))
         };
-        let mut likely: Vec<_> = self.entries.iter().filter_map(look).collect();
+        let mut likely: Vec<_> = self.entries.iter().filter_map(screen).collect();
         likely.sort_by(|a, b| a.0.total_cmp(&b.0));
         likely.truncate(MOST);
         likely.into_iter().map(|(_, candidate)| candidate).collect()

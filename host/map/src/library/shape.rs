@@ -67,12 +67,12 @@ pub(crate) struct Range {
 
 /// Stored form of a shape.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct KeptShape {
+pub(crate) struct ShapeState {
     pub codes: Vec<i16>,
     pub range: Range,
 }
 
-impl KeptShape {
+impl ShapeState {
     /// Returns `true` if it has the right length and finite values.
     pub fn is_sound(&self) -> bool {
         let Range {
@@ -102,25 +102,25 @@ impl KeptShape {
 /// Shape interpolated to any place.
 #[derive(Clone, Debug)]
 pub(crate) struct Shape {
-    kept: KeptShape,
+    state: ShapeState,
     weights: [DVector<f64>; 2],
 }
 
 impl Shape {
     /// Interpolates a stored shape, which must be sound.
-    pub fn of(kept: KeptShape) -> Self {
+    pub fn of(state: ShapeState) -> Self {
         let weights = [0, 1].map(|x| {
-            let code = |k: usize| kept.codes.get(x * POINTS + k).copied().unwrap_or(0);
+            let code = |k: usize| state.codes.get(x * POINTS + k).copied().unwrap_or(0);
             let ln = DVector::from_fn(POINTS, |k, _| f64::from(code(k)) * UNIT);
             let factor = FACTOR.as_ref();
             factor.map_or(DVector::zeros(POINTS), |f| f.solve(&ln))
         });
-        Self { kept, weights }
+        Self { state, weights }
     }
 
     /// Stored form.
-    pub fn kept(&self) -> &KeptShape {
-        &self.kept
+    pub fn state(&self) -> &ShapeState {
+        &self.state
     }
 
     /// ln R and ln L beside the physics at a frequency in hertz and a current in ampere.
@@ -136,7 +136,7 @@ impl Shape {
             f_sw_hz: [low_hz, high_hz],
             i_a: [low_a, high_a],
             misfit,
-        } = self.kept.range;
+        } = self.state.range;
         let nearest = Place::of(f_hz.clamp(low_hz, high_hz), i_a.clamp(low_a, high_a));
         let common = Place::of(f_hz, i_a).correlation(nearest).powi(2);
         misfit.map(|tau| tau * tau * ((1.0 - common).max(0.0) + TRANSFER * TRANSFER))

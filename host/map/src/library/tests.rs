@@ -15,13 +15,13 @@ fn by(hob: &str, t_unix_s: u64) -> Provenance {
     }
 }
 
-fn found(model: PotModel, sigma: [f64; COUNT]) -> Found {
-    Found {
+fn sample_fit(model: PotModel, sigma: [f64; COUNT]) -> ExportedFit {
+    ExportedFit {
         model,
         factor: DMatrix::from_diagonal(&DVector::from(sigma.to_vec())),
         misfit: [0.004, 0.002],
         beside: DVector::from_element(2 * shape_places().len(), 1e-3),
-        seen: SeenAt {
+        seen: MeasuredRange {
             f_sw_hz: [45e3, 70e3],
             i_a: [0.5, 50.0],
             curves: 3,
@@ -33,7 +33,7 @@ fn found(model: PotModel, sigma: [f64; COUNT]) -> Found {
 fn entry(hob: &str, t_unix_s: u64, change: impl Fn(&mut PotModel)) -> PotEntry {
     let mut model = PotModel::PAPER;
     change(&mut model);
-    PotEntry::of(&found(model, SIGMA), by(hob, t_unix_s)).expect("a sound entry")
+    PotEntry::of(&sample_fit(model, SIGMA), by(hob, t_unix_s)).expect("a sound entry")
 }
 
 #[test]
@@ -118,11 +118,11 @@ fn lies_are_refused_and_named() {
 fn one_pot_seen_by_two_hobs_is_one_entry_and_two_pots_are_two() {
     let mut library = Library::default();
     let first = entry("hob-1", 1, |_| ());
-    assert_eq!(library.add(first.clone()).unwrap(), Added::New);
+    assert_eq!(library.add(first.clone()).unwrap(), Addition::New);
     let again = entry("hob-2", 2, |m| m.ln_alpha += 0.06);
     assert_eq!(
         library.add(again.clone()).unwrap(),
-        Added::Merged("hob-1-1".into())
+        Addition::Merged("hob-1-1".into())
     );
     let merged = &library.entries()[0];
     let mean = merged.model().ln_alpha - PotModel::PAPER.ln_alpha;
@@ -130,14 +130,20 @@ fn one_pot_seen_by_two_hobs_is_one_entry_and_two_pots_are_two() {
     assert_eq!(merged.hobs(), ["hob-1", "hob-2"]);
     // The same hobs again say nothing new.
     let before = library.clone();
-    assert_eq!(library.add(again).unwrap(), Added::Again("hob-1-1".into()));
-    assert_eq!(library.add(first).unwrap(), Added::Again("hob-1-1".into()));
+    assert_eq!(
+        library.add(again).unwrap(),
+        Addition::Repeated("hob-1-1".into())
+    );
+    assert_eq!(
+        library.add(first).unwrap(),
+        Addition::Repeated("hob-1-1".into())
+    );
     assert_eq!(library, before);
     // 18 cm are no 21 cm, and cast iron is no steel.
     let smaller = entry("hob-2", 3, |m| m.radius_m = 0.09);
     let iron = entry("hob-2", 4, |m| m.ln_alpha = 5_500.0_f64.ln());
-    assert_eq!(library.add(smaller).unwrap(), Added::New);
-    assert_eq!(library.add(iron).unwrap(), Added::New);
+    assert_eq!(library.add(smaller).unwrap(), Addition::New);
+    assert_eq!(library.add(iron).unwrap(), Addition::New);
     assert_eq!(library.entries().len(), 3);
     assert_eq!(library.entries()[2].metal(), MetalClass::CastIron);
 }
@@ -152,7 +158,7 @@ fn who_is_certain_of_himself_counts_no_more_than_the_transfer_allows() {
         ..PotModel::PAPER
     };
     for k in 0..50 {
-        let lie = PotEntry::of(&found(lie, certain), by("liar", 2 + k)).unwrap();
+        let lie = PotEntry::of(&sample_fit(lie, certain), by("liar", 2 + k)).unwrap();
         let _ = library.add(lie).unwrap();
     }
     // By the transfer's 0.06 on both sides and the honest one's own 0.04 less than .6 of the way, however often it is said.
@@ -170,7 +176,7 @@ fn one_hob_that_sends_many_makes_room_among_its_own() {
         let own = entry("honest", k, |m| {
             (m.radius_m, m.ln_alpha) = (radius_m(k), 5.9)
         });
-        assert_eq!(library.add(own).unwrap(), Added::New);
+        assert_eq!(library.add(own).unwrap(), Addition::New);
     }
     for k in 0..110 {
         let spam = entry("spam", 100 + k, |m| {

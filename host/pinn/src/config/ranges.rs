@@ -114,16 +114,16 @@ impl Config {
         let Some(start) = &self.start else {
             return Ok(());
         };
-        let found = start.hidden_layers();
-        if found == self.hidden_layers && start.is_sound() {
+        let given = start.hidden_layers();
+        if given == self.hidden_layers && start.is_sound() {
             return Ok(());
         }
         Err(PinnError::WarmStart {
-            found: format!(
-                "{found:?}{}",
+            given: format!(
+                "{given:?}{}",
                 if start.is_sound() { "" } else { " (damaged)" }
             ),
-            wanted: format!("{:?}", self.hidden_layers),
+            configured: format!("{:?}", self.hidden_layers),
         })
     }
 }

@@ -1,7 +1,7 @@
 //! Inputs of all passes.
 
 use crate::Config;
-use crate::impedance_law::AtHarmonic;
+use crate::impedance_law::HarmonicLaw;
 use crate::vi_system::DataSystem;
 use crate::waveform::NormalisedWaveform;
 
@@ -13,5 +13,5 @@ pub(super) struct Inputs<'a> {
     /// Exponent n of the impedance law Z(s) = s L_0 + K s^n.
     pub(super) order: f64,
     /// Impedance law at each physics harmonic.
-    pub(super) laws: Vec<AtHarmonic>,
+    pub(super) laws: Vec<HarmonicLaw>,
 }

@@ -17,14 +17,14 @@ use self::pass::Pass;
 use crate::progress::Log;
 use crate::vi_system::{DataSystem, PhysicsTerm};
 use crate::waveform::NormalisedWaveform;
-use crate::{Config, Identified, PinnError};
+use crate::{Config, Identification, PinnError};
 
 /// Identifies R(t) and L(t) of one window.
 pub(crate) fn hybrid(
     samples: &NormalisedWaveform,
     config: &Config,
     mut log: Log<'_>,
-) -> Result<Identified, PinnError> {
+) -> Result<Identification, PinnError> {
     let system = DataSystem::assemble(samples, setup::harmonic_basis(samples, config)?);
     let by_data = system.fit()?;
     let mut branch = by_data.clone();

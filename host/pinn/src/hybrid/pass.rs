@@ -15,7 +15,7 @@ use crate::loss::{SlowPhysics, slow_times_s};
 use crate::noise::{noise_variance, white_noise};
 use crate::optimiser::Descent;
 use crate::parameters::Parameters;
-use crate::progress::{Log, StoppedBecause, relative_change};
+use crate::progress::{Log, StopReason, relative_change};
 use crate::slow_model::SlowModel;
 use crate::vi_system::Impedance;
 use crate::{Optimiser, PinnError, adam};
@@ -105,7 +105,7 @@ impl<'a> Pass<'a> {
     fn levenberg_marquardt(&self, log: &mut Log<'_>) -> Result<Descent, PinnError> {
         let flat = self.start.flat();
         let minimum = minimise(self, flat, &self.prior, self.tolerance, log)?;
-        if minimum.stopped == StoppedBecause::RolledBack {
+        if minimum.stopped == StopReason::RolledBack {
             // Only a warm start can fail so early: the constant network is the last good one.
             return Ok(Descent {
                 squares: self.evaluate(&self.prior.centre)?.squares(),

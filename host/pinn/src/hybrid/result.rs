@@ -7,14 +7,14 @@ use crate::optimiser::Descent;
 use crate::progress::Log;
 use crate::result::{Reconstruction, nmse_pct, result_times_s};
 use crate::uncertainty::laplace;
-use crate::{Identified, Losses, PinnError};
+use crate::{Identification, Losses, PinnError};
 
 pub(super) fn assemble(
     pass: &Pass<'_>,
     [by_data, branch]: [&HarmonicBranch; 2],
     descent: Descent,
     log: Log<'_>,
-) -> Result<Identified, PinnError> {
+) -> Result<Identification, PinnError> {
     let (samples, config) = (pass.inputs.samples, pass.inputs.config);
     let tau_s = result_times_s(samples, config);
     let t_s: Vec<f64> = tau_s.iter().map(|tau| samples.t0_s + tau).collect();
@@ -33,7 +33,7 @@ pub(super) fn assemble(
     // The fundamental is harmonic 0 of the basis: the configuration is checked for that.
     let amplitude = |tau: &f64| branch.phasors(*tau, 0).i.norm() * samples.i_max_ampere;
     let power_ratio = |tau: &f64| branch.power_ratio(*tau) / samples.impedance_scale();
-    Ok(Identified {
+    Ok(Identification {
         impedance_order: pass.inputs.order,
         i_amplitude_a: tau_s.iter().map(amplitude).collect(),
         r_power_ohm: tau_s.iter().map(power_ratio).collect(),

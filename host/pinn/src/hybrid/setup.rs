@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use ihd_spline::{CubicSpline, quiet_interval_s};
 
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
-use crate::impedance_law::{self, AtHarmonic, ImpedanceOrder, NamedOrder};
+use crate::impedance_law::{self, HarmonicLaw, ImpedanceOrder, NamedOrder};
 use crate::loss::{SlowPhysics, slow_times_s};
 use crate::parameters::Parameters;
 use crate::waveform::NormalisedWaveform;
@@ -113,11 +113,11 @@ pub(super) fn network_outline(samples: &NormalisedWaveform, config: &Config) -> 
 }
 
 /// Impedance law of this order at the physics harmonics.
-pub(super) fn laws(order: f64, basis: &HarmonicBasis, config: &Config) -> Vec<AtHarmonic> {
+pub(super) fn laws(order: f64, basis: &HarmonicBasis, config: &Config) -> Vec<HarmonicLaw> {
     let covered = |h: &u32| config.physics_harmonics.contains(h);
     let all = basis.harmonics.iter().enumerate();
     all.filter(|(_, h)| covered(h))
-        .map(|(index, _)| AtHarmonic::new(order, basis, index))
+        .map(|(index, _)| HarmonicLaw::new(order, basis, index))
         .collect()
 }
 

@@ -15,7 +15,7 @@ use nalgebra::DVector;
 
 use self::linearised::{DampedModel, LinearModel};
 pub(crate) use self::problem::{Evaluation, LeastSquares, Prior};
-use crate::progress::{Log, Settling, StoppedBecause};
+use crate::progress::{Log, Settling, StopReason};
 
 /// Initial damping relative to the largest diagonal entry of JᵀJ.
 const FIRST_DAMPING: f64 = 1e-3;
@@ -34,11 +34,11 @@ pub(crate) struct Minimum {
     pub theta: Vec<f64>,
     /// |e|² at `theta`, without the prior.
     pub squares: f64,
-    /// [`StoppedBecause::Settled`]: the outputs' mean relative change over [`SETTLING_STEPS`] steps is below
-    /// the tolerance. [`StoppedBecause::NoDescent`]: no damping up to [`LAST_DAMPING`] gives a smaller F.
-    /// [`StoppedBecause::RolledBack`]: F at the start is not finite; `theta` is the start. Else a limit of
+    /// [`StopReason::Settled`]: the outputs' mean relative change over [`SETTLING_STEPS`] steps is below
+    /// the tolerance. [`StopReason::NoDescent`]: no damping up to [`LAST_DAMPING`] gives a smaller F.
+    /// [`StopReason::RolledBack`]: F at the start is not finite; `theta` is the start. Else a limit of
     /// the log.
-    pub stopped: StoppedBecause,
+    pub stopped: StopReason,
 }
 
 /// Minimises F from `theta` on. `tolerance` is compared with the outputs' mean relative change over the last
@@ -52,7 +52,7 @@ pub(crate) fn minimise<P: LeastSquares>(
 ) -> Result<Minimum, P::Error> {
     let mut at = Point::new(problem, prior, theta)?;
     if !at.cost.is_finite() {
-        return Ok(at.ends(StoppedBecause::RolledBack));
+        return Ok(at.ends(StopReason::RolledBack));
     }
     let mut settling = Settling::over(SETTLING_STEPS);
     settling.change(at.value.outputs.clone());
@@ -68,13 +68,13 @@ pub(crate) fn minimise<P: LeastSquares>(
             prior,
         );
         let Some(next) = damping.search(problem, prior, &at, &model)? else {
-            return Ok(at.ends(StoppedBecause::NoDescent));
+            return Ok(at.ends(StopReason::NoDescent));
         };
         at = next;
         let change = settling.change(at.value.outputs.clone());
         log.record(at.value.squares(), change, &at.value.outputs);
         if change < tolerance {
-            return Ok(at.ends(StoppedBecause::Settled));
+            return Ok(at.ends(StopReason::Settled));
         }
     }
 }
@@ -104,7 +104,7 @@ impl Point {
         both.map(|(x, d)| x + share * d).collect()
     }
 
-    fn ends(self, stopped: StoppedBecause) -> Minimum {
+    fn ends(self, stopped: StopReason) -> Minimum {
         Minimum {
             squares: self.value.squares(),
             theta: self.theta,

@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 
 use super::{Evaluation, LeastSquares, Minimum, Prior, minimise};
 use crate::Config;
-use crate::progress::{Log, StoppedBecause};
+use crate::progress::{Log, StopReason};
 
 /// Residuals and Jacobian as functions; the parameters are the outputs.
 struct Plain<E, J> {
@@ -175,15 +175,15 @@ fn every_ending_has_its_name() {
         minimum(&rosenbrock(), theta, &no_prior(2), tolerance, steps).0
     };
     let settled = ends(&[-1.2, 1.0], 1e-3, 200);
-    assert_eq!(settled.stopped, StoppedBecause::Settled);
+    assert_eq!(settled.stopped, StopReason::Settled);
     let exact = ends(&[1.0, 1.0], 0.0, 200);
-    assert_eq!(exact.stopped, StoppedBecause::NoDescent);
+    assert_eq!(exact.stopped, StopReason::NoDescent);
     assert_eq!(exact.theta, [1.0, 1.0]);
     let short = ends(&[-1.2, 1.0], 1e-12, 3);
-    assert_eq!(short.stopped, StoppedBecause::IterationLimit);
+    assert_eq!(short.stopped, StopReason::IterationLimit);
     // The start squared overflows: no step was made.
     let far = ends(&[1e200, 1.0], 1e-12, 200);
-    assert_eq!(far.stopped, StoppedBecause::RolledBack);
+    assert_eq!(far.stopped, StopReason::RolledBack);
     assert_eq!(far.theta, [1e200, 1.0]);
 }
 

@@ -7,18 +7,11 @@ mod collocation;
 mod fused;
 mod kernel;
 mod shape;
+pub(crate) mod signals;
 mod train;
 
-pub(crate) use train::identify;
-
-/// Outputs of a VI branch at some of the window's samples, normalised.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct Signals {
-    /// Indices of the samples, ascending.
-    pub sample: Vec<usize>,
-    pub v: Vec<f64>,
-    pub i: Vec<f64>,
-}
+use self::signals::Signals;
+pub(crate) use self::train::identify;
 
 /// Signals of shuffled points in order of time.
 fn in_order(sample: &[usize], v: &[f32], i: &[f32]) -> Signals {

@@ -16,10 +16,10 @@ use super::shape::Shape;
 use crate::adam::Adam;
 use crate::loss::slow_times_s;
 use crate::parameters::Parameters;
-use crate::progress::{Log, Settling, StoppedBecause};
+use crate::progress::{Log, Settling, StopReason};
 use crate::result::assemble_networks;
 use crate::waveform::NormalisedWaveform;
-use crate::{Config, Identified, Losses, PinnError, ViMlp};
+use crate::{Config, Identification, Losses, PinnError, ViMlp};
 
 /// Epochs between two checks of R and L.
 const CHECK_EVERY: usize = 10;
@@ -42,7 +42,7 @@ pub(crate) fn identify(
     vi: &ViMlp,
     checkpoint: Option<&Path>,
     mut log: Log<'_>,
-) -> Result<Identified, PinnError> {
+) -> Result<Identification, PinnError> {
     let points = Collocation::new(samples, vi, &config.embedding, config.seed);
     let shape = Shape::new(
         (vi.width(), &vi.hidden_layers),
@@ -93,8 +93,8 @@ fn first_state(shape: &Shape, config: &Config) -> Result<State, PinnError> {
                 || Shape::insert(&shape.vi, &start.vi_layers, &mut theta));
         if !fits {
             return Err(PinnError::WarmStart {
-                found: format!("{:?}", start.hidden_layers()),
-                wanted: format!("{:?}", config.hidden_layers),
+                given: format!("{:?}", start.hidden_layers()),
+                configured: format!("{:?}", config.hidden_layers),
             });
         }
     }
@@ -128,11 +128,7 @@ struct Training<'a> {
 
 impl Training<'_> {
     /// Runs epochs until one gives a reason to stop, or a limit of the log is reached; writes the checkpoint at the end, too.
-    fn run(
-        &mut self,
-        file: &Checkpoint<'_>,
-        log: &mut Log<'_>,
-    ) -> Result<StoppedBecause, PinnError> {
+    fn run(&mut self, file: &Checkpoint<'_>, log: &mut Log<'_>) -> Result<StopReason, PinnError> {
         let stopped = loop {
             if let Some(limit) = log.exhausted() {
                 break limit;
@@ -149,7 +145,7 @@ impl Training<'_> {
     }
 
     /// Runs one epoch over all batches; returns the reason to stop if there is one.
-    fn epoch(&mut self, log: &mut Log<'_>) -> Result<Option<StoppedBecause>, PinnError> {
+    fn epoch(&mut self, log: &mut Log<'_>) -> Result<Option<StopReason>, PinnError> {
         let before = (self.state.theta.clone(), self.state.adam.clone());
         self.balance()?;
         let terms = self.all_batches()?;
@@ -160,7 +156,7 @@ impl Training<'_> {
             self.state.rollbacks += 1;
             self.state.rate_factor *= 0.5;
             let given_up = self.state.rollbacks > MAX_ROLLBACKS;
-            return Ok(given_up.then_some(StoppedBecause::RolledBack));
+            return Ok(given_up.then_some(StopReason::RolledBack));
         }
         if loss < self.state.best_loss {
             // This is the loss before the step.
@@ -174,7 +170,7 @@ impl Training<'_> {
             change = self.settling.change(outputs.clone());
         }
         log.record_terms(terms.l_f, terms.l_i1 + terms.l_i2, change, &outputs);
-        Ok((change < self.config.tolerance).then_some(StoppedBecause::Settled))
+        Ok((change < self.config.tolerance).then_some(StopReason::Settled))
     }
 
     /// Runs a gradient step per batch; the terms are means of those before each step.
@@ -282,7 +278,7 @@ impl Training<'_> {
     }
 
     /// Result of the training: the parameters of the least loss.
-    fn finish(mut self, stopped: StoppedBecause, log: Log<'_>) -> Result<Identified, PinnError> {
+    fn finish(mut self, stopped: StopReason, log: Log<'_>) -> Result<Identification, PinnError> {
         self.state.theta = self.state.best.clone();
         let all = 0..self.problem.points.len();
         let terms = self.gradient_at(all, self.weights())?;

@@ -2,13 +2,13 @@
 //! R(t) and L(t), so every bound below comes from the physics and none from an earlier output.
 
 use crate::truth::{Hob, Recording, fits_the_range, mre_pct};
-use ihd_pinn::{Backend, Config, Identified, Optimiser, SlowEmbedding, StoppedBecause, identify};
+use ihd_pinn::{Backend, Config, Identification, Optimiser, SlowEmbedding, StopReason, identify};
 
-fn found(recording: &Recording, config: &Config) -> Identified {
+fn found(recording: &Recording, config: &Config) -> Identification {
     identify(&recording.waveform(), config, &mut |_| {}).expect("a sound window")
 }
 
-fn assert_within_pct(found: &Identified, hob: &Hob, limit_pct: f64) {
+fn assert_within_pct(found: &Identification, hob: &Hob, limit_pct: f64) {
     let (r, l) = mre_pct(found, hob, 0.0);
     assert!(
         r <= limit_pct && l <= limit_pct,
@@ -248,14 +248,14 @@ fn limits_end_the_training_with_the_best_so_far() {
         ..Config::default()
     };
     let found = identify(&recording.waveform(), &config, &mut |_| seen += 1).expect("sound");
-    assert_eq!(found.stopped_because, StoppedBecause::IterationLimit);
+    assert_eq!(found.stopped_because, StopReason::IterationLimit);
     assert_eq!((found.iterations, seen), (3, 3));
     let config = Config {
         time_limit_s: 1e-9,
         ..Config::default()
     };
     let found = identify(&recording.waveform(), &config, &mut |_| {}).expect("sound");
-    assert_eq!(found.stopped_because, StoppedBecause::TimeLimit);
+    assert_eq!(found.stopped_because, StopReason::TimeLimit);
     assert!(found.r_at(5e-3).is_finite() && found.r_at(5e-3) > 0.0);
 }
 
@@ -302,7 +302,7 @@ fn a_loss_that_is_not_finite_is_rolled_back_and_reported() {
     };
     for config in [far_start, wild_adam] {
         let found = found(&recording, &config);
-        assert_eq!(found.stopped_because, StoppedBecause::RolledBack);
+        assert_eq!(found.stopped_because, StopReason::RolledBack);
         assert!(found.losses.total.is_finite());
         // The last good parameters are at least a load of this kind.
         assert!(found.r_ohm.iter().all(|r| (1.0..12.0).contains(r)));

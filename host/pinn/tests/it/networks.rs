@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::truth::{Hob, Recording};
-use ihd_pinn::{Backend, Config, Identified, Preset, StoppedBecause, Task, ViMlp, identify};
+use ihd_pinn::{Backend, Config, Identification, Preset, StopReason, Task, ViMlp, identify};
 
 fn recording() -> Recording {
     Hob::at(45e3, 50.0).record()
@@ -23,11 +23,11 @@ fn small() -> Config {
     }
 }
 
-fn trained(config: &Config) -> Identified {
+fn trained(config: &Config) -> Identification {
     identify(&recording().waveform(), config, &mut |_| {}).expect("a sound window")
 }
 
-fn resumed(config: &Config, checkpoint: &Path) -> Result<Identified, ihd_pinn::PinnError> {
+fn resumed(config: &Config, checkpoint: &Path) -> Result<Identification, ihd_pinn::PinnError> {
     let recording = recording();
     let task = Task {
         window: recording.waveform(),
@@ -41,7 +41,7 @@ fn resumed(config: &Config, checkpoint: &Path) -> Result<Identified, ihd_pinn::P
 #[test]
 fn the_loss_falls_and_the_best_parameters_are_the_result() {
     let found = trained(&small());
-    assert_eq!(found.stopped_because, StoppedBecause::IterationLimit);
+    assert_eq!(found.stopped_because, StopReason::IterationLimit);
     assert_eq!(found.history.len(), 150);
     let first = found.history[0].loss;
     let least = found
@@ -96,7 +96,7 @@ fn a_training_that_was_stopped_goes_on_exactly() {
         let found = resumed(&config, &path).expect("goes on");
         assert_eq!(found.parameters, whole.parameters);
         let losses =
-            |found: &Identified| -> Vec<f64> { found.history.iter().map(|p| p.loss).collect() };
+            |found: &Identification| -> Vec<f64> { found.history.iter().map(|p| p.loss).collect() };
         assert_eq!(losses(&found), losses(&whole));
         // Both sittings count, and the clock never runs back.
         let earlier_s = first.history.last().map_or(0.0, |p| p.elapsed_s);
@@ -135,7 +135,7 @@ fn a_loss_that_is_not_finite_is_rolled_back() {
         ..small()
     };
     let found = trained(&config);
-    assert_eq!(found.stopped_because, StoppedBecause::RolledBack);
+    assert_eq!(found.stopped_because, StopReason::RolledBack);
     assert!(found.losses.total.is_finite() && found.r_ohm.iter().all(|r| r.is_finite()));
 }
 
@@ -146,13 +146,13 @@ fn limits_on_time_hold_unless_the_run_must_be_deterministic() {
         max_iterations: 5,
         ..small()
     };
-    assert_eq!(trained(&limited).stopped_because, StoppedBecause::TimeLimit);
+    assert_eq!(trained(&limited).stopped_because, StopReason::TimeLimit);
     let deterministic = Config {
         deterministic: true,
         ..limited
     };
     let found = trained(&deterministic);
-    assert_eq!(found.stopped_because, StoppedBecause::IterationLimit);
+    assert_eq!(found.stopped_because, StopReason::IterationLimit);
     assert_eq!(found.parameters, trained(&deterministic).parameters);
 }
 
@@ -177,13 +177,13 @@ fn progress_carries_the_errors_where_the_truth_is_known() {
     let found = task.run(&mut |p| seen.push(p.mre_pct)).expect("trains");
     assert_eq!(seen.len(), 12);
     // Against the errors at the end, computed from the result: R and L hardly move in one epoch.
-    let mre = |of: fn(&Identified, f64) -> f64, true_at: &dyn Fn(f64) -> f64| {
+    let mre = |of: fn(&Identification, f64) -> f64, true_at: &dyn Fn(f64) -> f64| {
         let at = |t: &f64| (of(&found, *t) / true_at(*t) - 1.0).abs();
         100.0 * found.t_s.iter().map(at).sum::<f64>() / found.t_s.len() as f64
     };
     let (r, l) = seen[11].expect("the truth is known");
-    assert!((r - mre(Identified::r_at, &|t| hob.r_ohm(t))).abs() < 0.1 * r);
-    assert!((l - mre(Identified::l_at, &|t| hob.l_h(t))).abs() < 0.1 * l);
+    assert!((r - mre(Identification::r_at, &|t| hob.r_ohm(t))).abs() < 0.1 * r);
+    assert!((l - mre(Identification::l_at, &|t| hob.l_h(t))).abs() < 0.1 * l);
 }
 
 #[test]

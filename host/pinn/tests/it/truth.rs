@@ -4,7 +4,7 @@
 
 use std::f64::consts::TAU;
 
-use ihd_pinn::{Identified, Waveform};
+use ihd_pinn::{Identification, Waveform};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -144,7 +144,7 @@ impl Recording {
 
 /// Mean relative errors (R, L) in % over the part of the half-cycle that leaves `margin` of it
 /// away at either end, at times that no fit has seen.
-pub fn mre_pct(found: &Identified, hob: &Hob, margin: f64) -> (f64, f64) {
+pub fn mre_pct(found: &Identification, hob: &Hob, margin: f64) -> (f64, f64) {
     const TIMES: usize = 2000;
     let (mut r, mut l) = (0.0, 0.0);
     for k in 0..=TIMES {

@@ -3,14 +3,14 @@
 use std::fs;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use ihd_store::{Reader, ResultFilter, Settings, Store, StoreError, WindowFilter, backup};
+use ihd_store::{Reader, ResultFilter, Store, StoreError, StoreOptions, WindowFilter, backup};
 
 use super::fixture::*;
 
 #[test]
 fn a_backup_while_it_is_written_is_whole_and_of_one_moment() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let session = session(&mut store);
     for seq in 0..50 {
         store.keep_window(session, &window(seq)).unwrap();
@@ -62,7 +62,7 @@ fn a_backup_while_it_is_written_is_whole_and_of_one_moment() {
     }
     drop(copy);
     // It is a store as any other.
-    open(&to, &Settings::default());
+    open(&to, &StoreOptions::default());
     assert!(
         files(folder.path())
             .iter()
@@ -79,7 +79,7 @@ fn a_backup_while_it_is_written_is_whole_and_of_one_moment() {
 #[test]
 fn what_a_killed_backup_leaves_is_hidden_and_goes() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let session = session(&mut store);
     store.keep_window(session, &window(1)).unwrap();
     let backups = folder.path().join("backups");
@@ -97,7 +97,7 @@ fn what_a_killed_backup_leaves_is_hidden_and_goes() {
     drop(runs);
     drop(store);
     // A daemon that starts looks there, too.
-    open(folder.path(), &Settings::default());
+    open(folder.path(), &StoreOptions::default());
     assert_eq!(files(&backups), ["whole"]);
     // A backup that fails on its way leaves nothing.
     fs::write(
@@ -112,7 +112,7 @@ fn what_a_killed_backup_leaves_is_hidden_and_goes() {
 #[test]
 fn a_check_reads_every_window_beside_the_writer() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let session = session(&mut store);
     for seq in 0..20 {
         store.keep_window(session, &window(seq)).unwrap();
@@ -137,7 +137,7 @@ fn a_check_reads_every_window_beside_the_writer() {
     let amid = bytes.len() / 2 / 4_096 * 4_096 + 2_000;
     bytes[amid] ^= 0x10;
     fs::write(&path, &bytes).unwrap();
-    let opened = Store::open(folder.path(), &Settings::default()).unwrap();
+    let opened = Store::open(folder.path(), &StoreOptions::default()).unwrap();
     assert_eq!(opened.damage, [], "a start looks at pages");
     let reader = Reader::open(folder.path()).unwrap();
     let report = reader.check().unwrap();

@@ -5,7 +5,8 @@ use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
 use ihd_store::{
-    InsertOutcome, Reader, ResultFilter, SamplePolicy, Settings, Store, StoreError, WindowFilter,
+    InsertOutcome, Reader, ResultFilter, SamplePolicy, Store, StoreError, StoreOptions,
+    WindowFilter,
 };
 
 use super::fixture::*;
@@ -14,7 +15,7 @@ const RECORDS: &str = "ihd.db";
 
 /// A store with ten windows and results of it, closed.
 fn filled(folder: &Path) -> String {
-    let mut store = open(folder, &Settings::default());
+    let mut store = open(folder, &StoreOptions::default());
     let session = session(&mut store);
     for seq in 0..10 {
         store.keep_window(session, &window(seq)).unwrap();
@@ -33,7 +34,7 @@ fn filled(folder: &Path) -> String {
 fn outlived(folder: &Path, name: &str, words: &str) {
     let path = folder.join(name);
     let bytes = fs::read(&path).ok();
-    let opened = Store::open(folder, &Settings::default()).unwrap();
+    let opened = Store::open(folder, &StoreOptions::default()).unwrap();
     assert_eq!(opened.damage.len(), 1, "{words}: {:?}", opened.damage);
     let damage = &opened.damage[0];
     assert_eq!(damage.from, path);
@@ -70,7 +71,7 @@ fn outlived(folder: &Path, name: &str, words: &str) {
     // The other database is untouched.
     let windows = reader.windows(&WindowFilter::default()).unwrap().len();
     assert_eq!(windows, if name == RECORDS { 11 } else { 1 });
-    open(folder, &Settings::default());
+    open(folder, &StoreOptions::default());
 }
 
 fn write_at(path: &Path, at: u64, bytes: &[u8]) {
@@ -201,7 +202,7 @@ fn an_empty_file_is_damage_and_a_database_that_was_not_made_to_the_end_is_none()
     for name in ["ihd.db.new", "ihd.db.new-wal", "windows-2026-11-22.db.new"] {
         fs::write(folder.path().join(name), "half of it").unwrap();
     }
-    open(folder.path(), &Settings::default());
+    open(folder.path(), &StoreOptions::default());
     assert!(
         !files(folder.path())
             .iter()
@@ -214,7 +215,7 @@ fn an_empty_file_is_damage_and_a_database_that_was_not_made_to_the_end_is_none()
 fn an_empty_day_under_way_is_set_aside_and_windows_go_on() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS);
-    let opened = Store::open_with_clock(folder.path(), &Settings::default(), clock.clock());
+    let opened = Store::open_with_clock(folder.path(), &StoreOptions::default(), clock.clock());
     let mut store = opened.unwrap().store;
     let new = session(&mut store);
     fs::write(folder.path().join("windows-2026-11-22.db"), "").unwrap();
@@ -237,7 +238,7 @@ fn an_empty_day_under_way_is_set_aside_and_windows_go_on() {
 fn a_torn_log_gives_what_was_committed_before() {
     for cut in [1, 33, 5_000, 40_000] {
         let folder = tempfile::tempdir().unwrap();
-        let mut store = open(folder.path(), &Settings::default());
+        let mut store = open(folder.path(), &StoreOptions::default());
         let new = session(&mut store);
         for seq in 0..10 {
             store.keep_window(new, &window(seq)).unwrap();
@@ -256,7 +257,7 @@ fn a_torn_log_gives_what_was_committed_before() {
         let length = fs::metadata(&log).unwrap().len();
         let file = fs::File::options().write(true).open(&log).unwrap();
         file.set_len(length - cut).unwrap();
-        let mut again = open(copy.path(), &Settings::default());
+        let mut again = open(copy.path(), &StoreOptions::default());
         let have = Reader::open(copy.path())
             .unwrap()
             .windows(&WindowFilter::default())
@@ -280,7 +281,7 @@ fn a_log_without_its_database_is_not_taken_for_that_of_a_new_one() {
     fs::write(folder.path().join("ihd.db-wal"), [7; 9_000]).unwrap();
     fs::write(folder.path().join("windows-2026-11-22.db-wal"), [7; 9_000]).unwrap();
     fs::write(folder.path().join("notes-wal"), "of somebody").unwrap();
-    let _store = open(folder.path(), &Settings::default());
+    let _store = open(folder.path(), &StoreOptions::default());
     let names = files(folder.path());
     assert!(names.contains(&"notes-wal".to_owned()));
     assert!(!names.contains(&"windows-2026-11-22.db-wal".to_owned()));
@@ -295,11 +296,11 @@ fn tables_of_a_later_version_are_refused_by_name_and_left_alone() {
         let later = rusqlite::Connection::open(&path).unwrap();
         later.pragma_update(None, "user_version", 999).unwrap();
         drop(later);
-        let refused = Store::open(folder.path(), &Settings::default())
+        let refused = Store::open(folder.path(), &StoreOptions::default())
             .err()
             .unwrap();
         assert!(
-            matches!(refused, StoreError::Newer { found: 999, .. }),
+            matches!(refused, StoreError::Newer { version: 999, .. }),
             "{refused}"
         );
         assert!(
@@ -356,7 +357,7 @@ fn a_folder_that_cannot_be_made_is_an_error_and_no_damage() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("file");
     fs::write(&path, "x").unwrap();
-    let error = Store::open(&path, &Settings::default()).err().unwrap();
+    let error = Store::open(&path, &StoreOptions::default()).err().unwrap();
     assert!(
         !error.is_damage() && error.to_string().contains("making the folder"),
         "{error}"

@@ -6,7 +6,7 @@ use ihd_capture::mcap::SessionReader;
 use ihd_capture::{OpenOptions, open as open_capture};
 use ihd_link::{Event, Window};
 use ihd_store::export::{Format, windows};
-use ihd_store::{Reader, SamplePolicy, Settings, StoreError, WindowFilter};
+use ihd_store::{Reader, SamplePolicy, StoreError, StoreOptions, WindowFilter};
 
 use super::fixture::*;
 
@@ -40,7 +40,7 @@ fn as_capture(windows: &[Window]) -> (Vec<f32>, Vec<f32>) {
 #[test]
 fn a_recording_of_a_boot_gives_its_windows_back() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let bench = session(&mut store);
     let stored: Vec<Window> = [3, 4, 9].map(window).into();
     for window in &stored {

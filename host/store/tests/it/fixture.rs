@@ -11,7 +11,7 @@ use ihd_shared::window::TrajectoryEntry;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{FrontEnd, Hello};
 use ihd_store::clock::Clock;
-use ihd_store::{NewResult, Retention, SamplePolicy, SessionId, Settings, Store};
+use ihd_store::{NewResult, Retention, SamplePolicy, SessionId, Store, StoreOptions};
 
 /// 2026-11-22T12:00:00Z.
 pub const NOON_MS: i64 = 1_795_348_800_000;
@@ -96,8 +96,8 @@ pub fn result(session: SessionId, seq: u32) -> NewResult {
     }
 }
 
-pub fn keeping(keep: SamplePolicy, max_bytes: u64, max_age_days: Option<u32>) -> Settings {
-    Settings {
+pub fn keeping(keep: SamplePolicy, max_bytes: u64, max_age_days: Option<u32>) -> StoreOptions {
+    StoreOptions {
         retention: Retention {
             max_age_days,
             max_bytes,
@@ -107,7 +107,7 @@ pub fn keeping(keep: SamplePolicy, max_bytes: u64, max_age_days: Option<u32>) ->
 }
 
 /// The store in a folder, which must be whole.
-pub fn open(folder: &Path, settings: &Settings) -> Store {
+pub fn open(folder: &Path, settings: &StoreOptions) -> Store {
     let opened = Store::open(folder, settings).unwrap();
     assert_eq!(opened.damage, []);
     opened.store

@@ -3,7 +3,8 @@
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::{
-    Confidence, Curve, CurveSource, JournalFilter, NewEvent, Reader, SamplePolicy, Settings, Store,
+    Confidence, Curve, CurveSource, JournalFilter, NewEvent, Reader, SamplePolicy, Store,
+    StoreOptions,
 };
 
 use super::fixture::*;
@@ -13,7 +14,7 @@ fn events_and_commands_are_one_journal_newest_first() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS);
     let opened =
-        Store::open_with_clock(folder.path(), &Settings::default(), clock.clock()).unwrap();
+        Store::open_with_clock(folder.path(), &StoreOptions::default(), clock.clock()).unwrap();
     let mut store = opened.store;
     let bench = store.device("bench", "").unwrap();
     let other = store.device("other", "").unwrap();
@@ -109,7 +110,7 @@ fn events_and_commands_are_one_journal_newest_first() {
 #[test]
 fn confidence_goes_with_its_lookup() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let device = store.device("bench", "").unwrap();
     let mut cells = [[0.0; 17]; 8];
     cells[3][5] = 0.8;
@@ -136,7 +137,7 @@ fn curves_stay_and_go_with_their_windows_samples() {
     let folder = tempfile::tempdir().unwrap();
     let mut store = open(
         folder.path(),
-        &keeping(SamplePolicy::Telling, 1 << 30, None),
+        &keeping(SamplePolicy::Informative, 1 << 30, None),
     );
     let session = session(&mut store);
     let ramp = |n: usize| (0..n).map(|k| 1.0 + k as f64).collect::<Vec<_>>();
@@ -203,7 +204,7 @@ fn results_of_a_stretch_are_thinned_evenly_in_time() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS);
     let opened =
-        Store::open_with_clock(folder.path(), &Settings::default(), clock.clock()).unwrap();
+        Store::open_with_clock(folder.path(), &StoreOptions::default(), clock.clock()).unwrap();
     let mut store = opened.store;
     let session = session(&mut store);
     for seq in 0..100 {

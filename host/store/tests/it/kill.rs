@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
-use ihd_store::{LookupState, Reader, ResultFilter, Settings, WindowFilter};
+use ihd_store::{LookupState, Reader, ResultFilter, StoreOptions, WindowFilter};
 
 use super::fixture::*;
 use super::fixture_process::{FOLDER, writer};
@@ -21,7 +21,7 @@ fn a_writer_that_is_killed() {
     let Some(folder) = std::env::var_os(FOLDER) else {
         return;
     };
-    let mut store = open(Path::new(&folder), &Settings::default());
+    let mut store = open(Path::new(&folder), &StoreOptions::default());
     let session = session(&mut store);
     let device = store.device("bench", "").unwrap();
     let last = store
@@ -101,7 +101,7 @@ fn killed_at_any_moment() {
 
 fn whole(folder: &Path, acknowledged: &HashSet<(String, u32)>, kill: usize) {
     // Its own quick_check finds no damage.
-    let store = open(folder, &Settings::default());
+    let store = open(folder, &StoreOptions::default());
     let reader = Reader::open(folder).unwrap();
     let all = ResultFilter {
         limit: Some(u32::MAX),

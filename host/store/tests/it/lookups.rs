@@ -2,7 +2,7 @@
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
-use ihd_store::{LookupState, Settings, Store, StoreError};
+use ihd_store::{LookupState, Store, StoreError, StoreOptions};
 use proptest::prelude::*;
 
 use super::fixture::open;
@@ -20,7 +20,7 @@ fn states(store: &Store, device: i64) -> Vec<(u32, LookupState)> {
 #[test]
 fn a_lookup_is_pending_then_active_then_superseded() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let device = store.device("a", "sim").unwrap();
     store
         .pend_lookup(device, &lookup(1), "5 new cells", None)
@@ -61,7 +61,7 @@ fn a_lookup_is_pending_then_active_then_superseded() {
 #[test]
 fn what_does_not_fit_the_states_is_said_and_changes_nothing() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let device = store.device("a", "sim").unwrap();
     assert!(matches!(
         store.activate_lookup(device, 4),
@@ -89,7 +89,7 @@ fn what_does_not_fit_the_states_is_said_and_changes_nothing() {
 #[test]
 fn what_the_device_uses_is_active() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let device = store.device("a", "sim").unwrap();
     store.pend_lookup(device, &lookup(1), "", None).unwrap();
     store.adopt_lookup(device, &lookup(1)).unwrap();
@@ -127,7 +127,7 @@ proptest! {
         asked in prop::collection::vec((0..4u8, 0..2u8, 0..5u32), 1..30)
     ) {
         let folder = tempfile::tempdir().unwrap();
-        let mut store = open(folder.path(), &Settings::default());
+        let mut store = open(folder.path(), &StoreOptions::default());
         let devices = [store.device("a", "").unwrap(), store.device("b", "").unwrap()];
         for (what, device, version) in asked {
             let device = devices[usize::from(device)];

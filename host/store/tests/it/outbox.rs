@@ -2,7 +2,7 @@
 
 use ihd_store::{
     DeliveryState, FleetMark, FleetState, FleetTally, GiveUpReason, OutboxItem, SamplePolicy,
-    Settings, Store,
+    Store, StoreOptions,
 };
 
 use super::fixture::*;
@@ -15,7 +15,7 @@ fn numbers(store: &mut Store, limit: usize) -> Vec<u32> {
 #[test]
 fn windows_are_due_in_their_order_until_the_fleet_has_them_over_restarts_and_days() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = Settings::default();
+    let settings = StoreOptions::default();
     let clock = SetClock::at(NOON_MS - 2 * DAY_MS);
     let open = || {
         let opened = Store::open_with_clock(folder.path(), &settings, clock.clock());
@@ -90,7 +90,7 @@ fn tally(store: &mut Store) -> FleetTally {
 fn states_add_up_to_the_windows_stored() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS - DAY_MS);
-    let opened = Store::open_with_clock(folder.path(), &Settings::default(), clock.clock());
+    let opened = Store::open_with_clock(folder.path(), &StoreOptions::default(), clock.clock());
     let mut store = opened.unwrap().store;
     let of = session(&mut store);
     let state = |store: &mut Store, seq| store.fleet_state("bench", 7, seq).unwrap().unwrap();
@@ -165,7 +165,7 @@ fn a_day_of_an_earlier_ihd_keeps_its_progress() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS);
     let open = || {
-        let opened = Store::open_with_clock(folder.path(), &Settings::default(), clock.clock());
+        let opened = Store::open_with_clock(folder.path(), &StoreOptions::default(), clock.clock());
         opened.unwrap().store
     };
     let mut store = open();
@@ -204,14 +204,14 @@ fn a_day_of_an_earlier_ihd_keeps_its_progress() {
 #[test]
 fn what_is_known_of_a_server_is_remembered() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let made = FleetMark::ConsumerMade;
     assert_eq!(store.fleet_mark(made).unwrap(), None);
     store.mark_fleet(made, 1).unwrap();
     store.mark_fleet(FleetMark::LastWindow, 7).unwrap();
     store.mark_fleet(made, 2).unwrap();
     drop(store);
-    let store = open(folder.path(), &Settings::default());
+    let store = open(folder.path(), &StoreOptions::default());
     let marks = [made, FleetMark::LastWindow].map(|mark| store.fleet_mark(mark).unwrap());
     assert_eq!(marks, [Some(2), Some(7)]);
 }
@@ -220,7 +220,7 @@ fn what_is_known_of_a_server_is_remembered() {
 #[test]
 fn a_store_that_owed_nothing_when_it_was_opened_owes_what_comes_next() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = Settings::default();
+    let settings = StoreOptions::default();
     let clock = SetClock::at(NOON_MS);
     let open = || {
         let opened = Store::open_with_clock(folder.path(), &settings, clock.clock());
@@ -285,13 +285,13 @@ fn what_has_no_samples_is_not_due_and_retention_tells_what_the_fleet_never_got()
 #[test]
 fn a_store_has_one_secret() {
     let folder = tempfile::tempdir().unwrap();
-    let secret = open(folder.path(), &Settings::default())
+    let secret = open(folder.path(), &StoreOptions::default())
         .fleet_secret()
         .unwrap();
-    let mut again = open(folder.path(), &Settings::default());
+    let mut again = open(folder.path(), &StoreOptions::default());
     assert_eq!(again.fleet_secret().unwrap(), secret);
     let other = tempfile::tempdir().unwrap();
-    let mut other = open(other.path(), &Settings::default());
+    let mut other = open(other.path(), &StoreOptions::default());
     assert_ne!(other.fleet_secret().unwrap(), secret);
     assert_ne!(secret[..8], secret[8..]);
 }

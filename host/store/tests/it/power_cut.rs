@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::{
-    LookupState, OpenedStore, Reader, ResultFilter, SessionId, Settings, Store, StoreError,
+    LookupState, OpenedStore, Reader, ResultFilter, SessionId, Store, StoreError, StoreOptions,
     WindowFilter,
 };
 use rusqlite::Connection;
@@ -213,7 +213,11 @@ impl Course {
 
 /// The store in a folder, on a day that does not end.
 fn at_noon(folder: &Path) -> Result<OpenedStore, StoreError> {
-    Store::open_with_clock(folder, &Settings::default(), SetClock::at(NOON_MS).clock())
+    Store::open_with_clock(
+        folder,
+        &StoreOptions::default(),
+        SetClock::at(NOON_MS).clock(),
+    )
 }
 
 /// Opens a store of these files: it is whole, and what was promised is there.

@@ -1,6 +1,6 @@
 //! Days are deleted by age, windows are thinned for room, the newest last; what grows for ever does not.
 
-use ihd_store::{NewResult, Reader, ResultFilter, SamplePolicy, Settings, Store, WindowFilter};
+use ihd_store::{NewResult, Reader, ResultFilter, SamplePolicy, Store, StoreOptions, WindowFilter};
 
 use super::fixture::*;
 
@@ -11,7 +11,7 @@ fn days(folder: &std::path::Path) -> Vec<String> {
 }
 
 /// A store with `days` days of three windows each, the last one today.
-fn filled(folder: &std::path::Path, settings: &Settings, days: i64) -> (Store, SetClock) {
+fn filled(folder: &std::path::Path, settings: &StoreOptions, days: i64) -> (Store, SetClock) {
     let clock = SetClock::at(NOON_MS - (days - 1) * DAY_MS);
     let opened = Store::open_with_clock(folder, settings, clock.clock());
     let mut store = opened.unwrap().store;
@@ -29,7 +29,12 @@ fn filled(folder: &std::path::Path, settings: &Settings, days: i64) -> (Store, S
 }
 
 /// Opens a store again with other settings.
-fn again(store: Store, folder: &std::path::Path, settings: &Settings, clock: &SetClock) -> Store {
+fn again(
+    store: Store,
+    folder: &std::path::Path,
+    settings: &StoreOptions,
+    clock: &SetClock,
+) -> Store {
     drop(store);
     let opened = Store::open_with_clock(folder, settings, clock.clock());
     opened.unwrap().store
@@ -256,7 +261,7 @@ fn room_that_was_freed_is_used_again() {
     let folder = tempfile::tempdir().unwrap();
     let mut store = open(
         folder.path(),
-        &keeping(SamplePolicy::Telling, 600_000, None),
+        &keeping(SamplePolicy::Informative, 600_000, None),
     );
     let session = session(&mut store);
     for seq in 0..200 {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ihd_store::{InsertOutcome, Reader, ResultFilter, Settings, WindowFilter};
+use ihd_store::{InsertOutcome, Reader, ResultFilter, StoreOptions, WindowFilter};
 
 use super::fixture::*;
 use super::fixture_process::{FOLDER, writer};
@@ -14,7 +14,7 @@ fn a_writer_that_is_limited() {
     let Some(folder) = std::env::var_os(FOLDER) else {
         return;
     };
-    let mut store = open(Path::new(&folder), &Settings::default());
+    let mut store = open(Path::new(&folder), &StoreOptions::default());
     let session = session(&mut store);
     let mut stored = 0;
     let full = loop {
@@ -66,7 +66,7 @@ fn a_limit_of_the_files_size() {
     let counts: Vec<usize> = line.split(' ').map(|n| n.parse().unwrap()).collect();
     assert!(counts[0] > 5 && counts[1] > 5, "{counts:?}");
     // Without the limit: all that was acknowledged is there, and no more, and it goes on.
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     store.try_writing().unwrap();
     let reader = Reader::open(folder.path()).unwrap();
     let windows = || reader.windows(&WindowFilter::default()).unwrap().len();

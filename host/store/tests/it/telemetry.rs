@@ -2,7 +2,9 @@
 
 use std::time::Instant;
 
-use ihd_store::{Reader, SamplePolicy, Settings, Spread, Store, TelemetrySecond, TelemetrySpan};
+use ihd_store::{
+    Reader, SamplePolicy, Spread, Store, StoreOptions, TelemetrySecond, TelemetrySpan,
+};
 use rusqlite::Connection;
 
 use super::fixture::*;
@@ -149,7 +151,7 @@ fn a_second_that_is_told_twice_is_one_and_the_fuller_one_stays() {
     let folder = tempfile::tempdir().unwrap();
     let mut store = {
         let clock = SetClock::at(NOON_MS);
-        let settings = Settings::default();
+        let settings = StoreOptions::default();
         Store::open_with_clock(folder.path(), &settings, clock.clock())
             .unwrap()
             .store
@@ -172,7 +174,7 @@ fn a_second_that_is_told_twice_is_one_and_the_fuller_one_stays() {
 fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
     let folder = tempfile::tempdir().unwrap();
     {
-        let mut store = open(folder.path(), &Settings::default());
+        let mut store = open(folder.path(), &StoreOptions::default());
         let session = session(&mut store);
         store.keep_window(session, &sized(1, 300)).unwrap();
         store.record_result(&result(session, 1), None).unwrap();
@@ -209,7 +211,7 @@ fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
     assert!(all(&reader, "bench", (0, i64::MAX / 1_000), false).is_empty());
     assert_eq!(reader.confidence("bench", 1).unwrap(), None);
     drop(reader);
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let now_s = store.results(&Default::default()).unwrap()[0].at_ms / 1_000;
     store
         .keep_telemetry(&[second("bench", now_s, 1, true)])
@@ -227,7 +229,7 @@ fn a_day_is_read_in_time() {
     let midnight_s = NOON_S - 12 * 3_600;
     let clock = SetClock::at(NOON_MS);
     let opened =
-        Store::open_with_clock(folder.path(), &Settings::default(), clock.clock()).unwrap();
+        Store::open_with_clock(folder.path(), &StoreOptions::default(), clock.clock()).unwrap();
     let mut store = opened.store;
     let hours = if std::env::var_os("IHD_STORE_DAY").is_some() {
         24

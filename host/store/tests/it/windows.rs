@@ -5,7 +5,8 @@ use ihd_shared::sampling::{Pair, Scales};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
 use ihd_store::{
-    InsertOutcome, Reader, ResultFilter, SamplePolicy, Settings, Store, StoreError, WindowFilter,
+    InsertOutcome, Reader, ResultFilter, SamplePolicy, Store, StoreError, StoreOptions,
+    WindowFilter,
 };
 use proptest::prelude::*;
 
@@ -47,7 +48,7 @@ fn any_window() -> impl Strategy<Value = Window> {
 #[test]
 fn any_window_comes_back_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let session = session(&mut store);
     let reader = Reader::open(folder.path()).unwrap();
     let mut runner = proptest::test_runner::TestRunner::new(ProptestConfig::with_cases(60));
@@ -68,7 +69,7 @@ fn a_window_that_comes_twice_is_stored_once_across_sessions_restarts_and_midnigh
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS);
     let open = || {
-        let opened = Store::open_with_clock(folder.path(), &Settings::default(), clock.clock());
+        let opened = Store::open_with_clock(folder.path(), &StoreOptions::default(), clock.clock());
         opened.unwrap().store
     };
     let mut store = open();
@@ -164,7 +165,7 @@ fn of_windows_that_are_not_kept_there_is_a_row() {
 fn samples_that_tell_nothing_go_when_the_verdict_comes() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS);
-    let settings = keeping(SamplePolicy::Telling, 1 << 30, None);
+    let settings = keeping(SamplePolicy::Informative, 1 << 30, None);
     let mut store = Store::open_with_clock(folder.path(), &settings, clock.clock())
         .unwrap()
         .store;
@@ -209,7 +210,7 @@ fn samples_that_tell_nothing_go_when_the_verdict_comes() {
 fn results_are_as_they_were_given_newest_first() {
     let folder = tempfile::tempdir().unwrap();
     let clock = SetClock::at(NOON_MS);
-    let opened = Store::open_with_clock(folder.path(), &Settings::default(), clock.clock());
+    let opened = Store::open_with_clock(folder.path(), &StoreOptions::default(), clock.clock());
     let mut store = opened.unwrap().store;
     let session = session(&mut store);
     for seq in 0..120 {
@@ -267,7 +268,7 @@ fn results_are_as_they_were_given_newest_first() {
 #[test]
 fn result_and_what_was_learned_are_one_and_learning_again_replaces() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let session = session(&mut store);
     let device = store.device("bench", "elsewhere").unwrap();
     assert_eq!(store.learner_state(device).unwrap(), None);
@@ -306,11 +307,11 @@ fn result_and_what_was_learned_are_one_and_learning_again_replaces() {
 #[test]
 fn a_session_that_was_cut_off_ends_at_the_next_start() {
     let folder = tempfile::tempdir().unwrap();
-    let mut store = open(folder.path(), &Settings::default());
+    let mut store = open(folder.path(), &StoreOptions::default());
     let (cut, ended) = (session(&mut store), session(&mut store));
     store.end_session(ended, "unplugged").unwrap();
     drop(store);
-    let _store = open(folder.path(), &Settings::default());
+    let _store = open(folder.path(), &StoreOptions::default());
     let reader = Reader::open(folder.path()).unwrap();
     let of = |id| reader.session(id).unwrap().unwrap();
     assert_eq!(of(ended).why.as_deref(), Some("unplugged"));
@@ -325,8 +326,8 @@ fn a_session_that_was_cut_off_ends_at_the_next_start() {
 #[test]
 fn a_second_process_is_told_who_has_the_store() {
     let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path(), &Settings::default());
-    let second = Store::open(folder.path(), &Settings::default())
+    let store = open(folder.path(), &StoreOptions::default());
+    let second = Store::open(folder.path(), &StoreOptions::default())
         .err()
         .unwrap();
     let words = second.to_string();
@@ -336,5 +337,5 @@ fn a_second_process_is_told_who_has_the_store() {
         "{words}"
     );
     drop(store);
-    open(folder.path(), &Settings::default());
+    open(folder.path(), &StoreOptions::default());
 }

@@ -12,7 +12,7 @@ use ihd_sim::recording::settings::LoadKind;
 use serde::Serialize;
 
 use crate::document::write_into;
-use crate::map::places::{POTS, Placed};
+use crate::map::places::{POTS, PotPlacement};
 use crate::map::{Plan, Run, figure, study, table};
 use ihd::cli::output;
 use ihd::cli::simulate::LoadWord;
@@ -31,7 +31,7 @@ use ihd::cli::usage::Usage;
 pub struct MapArgs {
     /// Pots, with commas between them, as `ihd hob` names them; a place behind: +lift-10mm, +offset-30mm, +150C
     #[arg(long, value_name = "POT,…", value_delimiter = ',', default_values = POTS)]
-    pot: Vec<Placed>,
+    pot: Vec<PotPlacement>,
     /// Load model; field takes minutes
     #[arg(long, value_name = "MODEL", default_value = "reduced")]
     load: LoadWord,

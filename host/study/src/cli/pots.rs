@@ -10,7 +10,7 @@ use ihd_sim::recording::settings::LoadKind;
 use serde::Serialize;
 
 use crate::document::write_into;
-use crate::map::places::Placed;
+use crate::map::places::PotPlacement;
 use crate::pots::{Plan, Run, study, table};
 use ihd::cli::output;
 use ihd::cli::simulate::LoadWord;
@@ -62,10 +62,10 @@ const OTHERS: [&str; 20] = [
 pub struct PotsArgs {
     /// Pots, with commas between them, as `ihd hob` names them; a place behind: +lift-10mm, +offset-30mm, +150C
     #[arg(long, value_name = "POT,…", value_delimiter = ',', default_values = POTS)]
-    pot: Vec<Placed>,
+    pot: Vec<PotPlacement>,
     /// Pots that the first hob knows in addition
     #[arg(long, value_name = "POT,…", value_delimiter = ',', default_values = OTHERS)]
-    others: Vec<Placed>,
+    others: Vec<PotPlacement>,
     /// Load model; field takes minutes
     #[arg(long, value_name = "MODEL", default_value = "reduced")]
     load: LoadWord,

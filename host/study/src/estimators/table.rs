@@ -87,8 +87,8 @@ fn heading(name: &str) -> String {
 fn row(name: &str, cells: &[&Cell], snr_db: Option<f64>) -> String {
     let mut out = format!("| {name} |");
     for f in F_SW_HZ {
-        let found = cells.iter().find(|c| c.f_sw_hz == f && c.snr_db == snr_db);
-        let text = match found {
+        let cell = cells.iter().find(|c| c.f_sw_hz == f && c.snr_db == snr_db);
+        let text = match cell {
             Some(c) if c.runs == 0 => "failed".into(),
             Some(c) => {
                 let all = [c.whole, c.middle, c.weighted].map(pair).join(" · ");

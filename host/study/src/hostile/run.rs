@@ -62,11 +62,13 @@ pub struct Run {
     /// `true` if a stretch was refused, or nothing could be identified.
     pub refused: bool,
     /// Codes of the findings with severity warning or error, each once.
-    pub said: Vec<String>,
+    #[serde(rename = "said")]
+    pub codes: Vec<String>,
     /// Worst judgement of the stretches.
     pub judged: Judgement,
     /// Largest error over σ of a stretch that passed without a finding.
-    pub unsaid_per_sigma: Option<f64>,
+    #[serde(rename = "unsaid_per_sigma")]
+    pub unremarked_per_sigma: Option<f64>,
     /// Reason why there is no estimate, or the first reason of a refusal.
     pub why: Option<String>,
     /// Wall-clock time of the methods alone in seconds.
@@ -170,9 +172,9 @@ fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Trut
             stretches: 0,
             errors: None,
             refused: false,
-            said: Vec::new(),
+            codes: Vec::new(),
             judged: Judgement::Right,
-            unsaid_per_sigma: None,
+            unremarked_per_sigma: None,
             why: None,
             elapsed_s: 0.0,
         };
@@ -180,7 +182,7 @@ fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Trut
             Ok(examined) => together(nothing, case, examined, truth),
             Err(error) => Run {
                 refused: true,
-                said: vec!["nothing_to_work_on".to_owned()],
+                codes: vec!["nothing_to_work_on".to_owned()],
                 judged: Judgement::of(case.group, None, true, false),
                 why: Some(error.to_string()),
                 ..nothing
@@ -194,8 +196,8 @@ fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Trut
 fn together(mut run: Run, case: &Case, examined: &Examination, truth: &Truth<'_>) -> Run {
     let own = |o: &&ihd_gate::MethodResult| o.method == run.method;
     for outcome in examined.outcomes.iter().filter(own) {
-        let found = errors(truth, outcome, &examined.segments);
-        if outcome.result.is_ok() && found.is_none() {
+        let own_errors = errors(truth, outcome, &examined.segments);
+        if outcome.result.is_ok() && own_errors.is_none() {
             // Without the middle of a half-cycle there is nothing to judge.
             continue;
         }
@@ -205,23 +207,23 @@ fn together(mut run: Run, case: &Case, examined: &Examination, truth: &Truth<'_>
         let counts = |f: &&Remark| f.severity >= Severity::Warning || Some(f.code) == case.word;
         for finding in findings.iter().filter(counts) {
             warned = true;
-            if !run.said.iter().any(|code| code == finding.code) {
-                run.said.push(finding.code.to_owned());
+            if !run.codes.iter().any(|code| code == finding.code) {
+                run.codes.push(finding.code.to_owned());
             }
         }
         let refused = outcome.judgement.gate.refuses() || outcome.result.is_err();
         run.refused |= refused;
         run.judged = run
             .judged
-            .max(Judgement::of(run.group, found, refused, warned));
+            .max(Judgement::of(run.group, own_errors, refused, warned));
         if !refused && !warned {
-            let own = found.and_then(|e| e.per_sigma);
-            run.unsaid_per_sigma = match (run.unsaid_per_sigma, own) {
+            let own = own_errors.and_then(|e| e.per_sigma);
+            run.unremarked_per_sigma = match (run.unremarked_per_sigma, own) {
                 (Some(a), Some(b)) => Some(a.max(b)),
                 (a, b) => a.or(b),
             };
         }
-        run.errors = match (run.errors, found) {
+        run.errors = match (run.errors, own_errors) {
             (Some(a), Some(b)) => Some(a.or_worse(b)),
             (a, b) => a.or(b),
         };

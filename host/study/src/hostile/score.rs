@@ -150,14 +150,14 @@ impl Sums {
         }
     }
 
-    fn add(&mut self, found: [f64; 2], truth: [f64; 2], sigma: Option<(f64, f64)>) {
+    fn add(&mut self, estimate: [f64; 2], truth: [f64; 2], sigma: Option<(f64, f64)>) {
         self.n += 1;
         for k in 0..2 {
-            self.relative[k] += (found[k] / truth[k] - 1.0).abs();
+            self.relative[k] += (estimate[k] / truth[k] - 1.0).abs();
         }
         self.per_sigma = self.per_sigma.zip(sigma).map(|(sums, (r, l))| {
             let square = |k: usize, sigma: f64| {
-                ((found[k] - truth[k]) / sigma.max(f64::MIN_POSITIVE)).powi(2)
+                ((estimate[k] - truth[k]) / sigma.max(f64::MIN_POSITIVE)).powi(2)
             };
             [sums[0] + square(0, r), sums[1] + square(1, l)]
         });

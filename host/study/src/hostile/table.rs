@@ -47,7 +47,7 @@ impl Sum {
             sum.falsely_refused += usize::from(run.judged == Judgement::FalselyRefused);
             sum.warned += usize::from(clean && run.judged == Judgement::Warned);
             sum.silent += usize::from(run.judged == Judgement::Silent);
-            sum.worst_per_sigma = match (sum.worst_per_sigma, run.unsaid_per_sigma) {
+            sum.worst_per_sigma = match (sum.worst_per_sigma, run.unremarked_per_sigma) {
                 (Some(a), Some(b)) => Some(a.max(b)),
                 (a, b) => a.or(b),
             };
@@ -156,12 +156,12 @@ fn matrix(runs: &[&Run], methods: &[Method]) -> String {
                 .collect();
             let _ = write!(out, " {} |", cell(&of_method));
         }
-        let said: BTreeSet<&str> = own
+        let codes: BTreeSet<&str> = own
             .iter()
-            .flat_map(|r| r.said.iter().map(String::as_str))
+            .flat_map(|r| r.codes.iter().map(String::as_str))
             .collect();
-        let said: Vec<&str> = said.into_iter().collect();
-        let _ = writeln!(out, " {} |", said.join(", "));
+        let codes: Vec<&str> = codes.into_iter().collect();
+        let _ = writeln!(out, " {} |", codes.join(", "));
     }
     out
 }
@@ -228,9 +228,9 @@ mod tests {
                 per_sigma: Some(2.0),
             }),
             refused: false,
-            said: vec!["skew".into()],
+            codes: vec!["skew".into()],
             judged,
-            unsaid_per_sigma: None,
+            unremarked_per_sigma: None,
             why: None,
             elapsed_s: 0.0,
         }

@@ -15,14 +15,14 @@ use ihd_sim::recording::settings::LoadKind;
 use ihd_train::lookup::{BuiltLookup, JudgedCell, LookupAccuracy, judge_cells};
 use serde::Serialize;
 
-use self::places::Placed;
+use self::places::PotPlacement;
 use super::parallel::{WorkerLost, in_parallel};
 
 /// Plan of the study.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// Pots in their places.
-    pub pots: Vec<Placed>,
+    pub pots: Vec<PotPlacement>,
     /// Powers of the windows, in watt.
     pub powers_w: Vec<u16>,
     /// Load model.
@@ -122,7 +122,7 @@ pub fn study(
     plan: &Plan,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Vec<Run>, MapStudyError> {
-    let jobs: Vec<(&Placed, Option<Perturbation>)> = plan
+    let jobs: Vec<(&PotPlacement, Option<Perturbation>)> = plan
         .pots
         .iter()
         .flat_map(|pot| plan.perturbations.iter().map(move |p| (pot, *p)))

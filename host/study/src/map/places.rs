@@ -7,7 +7,7 @@ use thiserror::Error;
 
 /// Pot in its place, and the name of both.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Placed {
+pub struct PotPlacement {
     /// Name as written.
     pub name: String,
     /// The pot.
@@ -40,7 +40,7 @@ pub enum UnknownPlace {
     Place(String),
 }
 
-impl FromStr for Placed {
+impl FromStr for PotPlacement {
     type Err = UnknownPlace;
 
     fn from_str(name: &str) -> Result<Self, UnknownPlace> {
@@ -76,10 +76,10 @@ mod tests {
     #[test]
     fn every_pot_of_the_study_is_one() {
         for name in POTS {
-            let placed: Placed = name.parse().unwrap();
+            let placed: PotPlacement = name.parse().unwrap();
             assert!(placed.pot.field_settings(0.1).is_ok(), "{name}");
         }
-        let lifted: Placed = "ferritic-18+lift-10mm+60C".parse().unwrap();
+        let lifted: PotPlacement = "ferritic-18+lift-10mm+60C".parse().unwrap();
         assert_eq!((lifted.pot.lift_m, lifted.pot.temperature_c), (10e-3, 60.0));
     }
 
@@ -91,9 +91,9 @@ mod tests {
             "ferritic-18+NaNC",
             "ferritic-18+",
         ] {
-            let why = name.parse::<Placed>().unwrap_err().to_string();
+            let why = name.parse::<PotPlacement>().unwrap_err().to_string();
             assert!(why.contains("+lift-10mm"), "{why}");
         }
-        assert!("copper-18".parse::<Placed>().is_err());
+        assert!("copper-18".parse::<PotPlacement>().is_err());
     }
 }

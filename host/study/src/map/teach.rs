@@ -20,7 +20,7 @@ use ihd_train::learning::{curve, identify_window};
 use ihd_train::lookup::BuiltLookup;
 use ihd_train::{Source, run};
 
-use super::places::Placed;
+use super::places::PotPlacement;
 use super::{OperatingPoint, Plan, Run, Verdict};
 use ihd::cli::simulated::RATED_RMS;
 
@@ -33,7 +33,7 @@ const STEP_S: f64 = 40e-9;
 /// Runs all seeds of a pot with a departure.
 pub fn runs(
     plan: &Plan,
-    placed: &Placed,
+    placed: &PotPlacement,
     perturbation: Option<Perturbation>,
 ) -> Result<Vec<Run>, InverterError> {
     let pot = Pot {

@@ -6,7 +6,7 @@ use ihd_identify::accuracy::{Accuracy, fundamental};
 use ihd_identify::network::{identify_half_cycle, with_measured_noise};
 use ihd_identify::trajectory::Trajectory;
 use ihd_identify::{Estimate, IdentifyOptions, Method, ProgressSink};
-use ihd_pinn::{Config, Identified, PresetLibrary};
+use ihd_pinn::{Config, Identification, PresetLibrary};
 use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
 
@@ -20,7 +20,7 @@ const KEPT: usize = 250;
 struct CellEstimate {
     estimate: Estimate,
     nmse: Option<Nmse>,
-    identified: Option<Identified>,
+    identified: Option<Identification>,
 }
 
 /// Runs one cell on its capture.
@@ -36,10 +36,10 @@ pub(super) fn run(
     let nothing = || PaperStudyError::Nothing(stem.clone());
     let noisy = trial.noisy(job.snr_db, job.seed);
     let last = *noisy.half_cycles().last().ok_or_else(nothing)?;
-    let found = match &job.contender {
+    let result = match &job.contender {
         Contender::Other(method) => other(job, *method, point, &noisy, last)?,
         Contender::Pinn(preset) => {
-            let config = presets.get(preset).map(|found| found.config);
+            let config = presets.get(preset).map(|named| named.config);
             let config = config.map_err(|source| PaperStudyError::Pinn {
                 cell: stem.clone(),
                 source,
@@ -49,11 +49,11 @@ pub(super) fn run(
         }
     };
     let from_s = noisy.t_s(last.0);
-    let against = |truth: &[PeriodTruth]| Accuracy::of(&found.estimate, &noisy, truth, from_s);
+    let against = |truth: &[PeriodTruth]| Accuracy::of(&result.estimate, &noisy, truth, from_s);
     let accuracy = against(&trial.truth).ok_or_else(nothing)?;
     let describing = point.describing.as_ref().and_then(|truth| against(truth));
     let truth = fundamental(&trial.truth);
-    let identified = found.identified.as_ref();
+    let identified = result.identified.as_ref();
     let inside = |t: f64| t >= from_s;
     let truth_points = truth.t_s.iter().zip(truth.r_ohm.iter().zip(&truth.l_h));
     let truth_points = truth_points.map(|(t, (r, l))| (*t, *r, *l));
@@ -64,19 +64,19 @@ pub(super) fn run(
         middle: accuracy.middle.into(),
         describing: describing.map(|a| a.whole.into()),
         impedance_order: identified.map(|i| i.impedance_order),
-        nmse_pct: found.nmse.map(|n| n.clean),
-        nmse_filtered_pct: found.nmse.map(|n| n.filtered),
-        nmse_both_filtered_pct: found.nmse.map(|n| n.both),
+        nmse_pct: result.nmse.map(|n| n.clean),
+        nmse_filtered_pct: result.nmse.map(|n| n.filtered),
+        nmse_both_filtered_pct: result.nmse.map(|n| n.both),
         nmse_unfiltered_itself_pct: Some(unfiltered_itself(point, last)),
-        power_r_pct: power_error_pct(&found.estimate, &trial.truth, from_s, |p| p.r_power_ohm),
+        power_r_pct: power_error_pct(&result.estimate, &trial.truth, from_s, |p| p.r_power_ohm),
         power_describing_pct: point
             .describing
             .as_ref()
-            .and_then(|truth| power_error_pct(&found.estimate, truth, from_s, |p| p.r_ohm[0])),
-        elapsed_s: found.estimate.elapsed.as_secs_f64(),
+            .and_then(|truth| power_error_pct(&result.estimate, truth, from_s, |p| p.r_ohm[0])),
+        elapsed_s: result.estimate.elapsed.as_secs_f64(),
         steps: identified.map_or(0, |i| i.iterations),
         stopped: identified.map_or(String::new(), |i| i.stopped_because.to_string()),
-        trajectory: thinned(found.estimate.points().filter(|p| inside(p.0)).collect()),
+        trajectory: thinned(result.estimate.points().filter(|p| inside(p.0)).collect()),
         truth: thinned(truth_points.filter(|p| inside(p.0)).collect()),
         noise_in_samples: job
             .snr_db
@@ -134,7 +134,7 @@ fn network(
         report: progress,
     };
     let mut estimate = Estimate::new(Method::Pinn, noisy.f_sw_hz);
-    let found = identify_half_cycle(
+    let identification = identify_half_cycle(
         noisy,
         (from, to),
         config,
@@ -142,18 +142,18 @@ fn network(
         &mut sink,
         &mut estimate,
     );
-    let found = found.map_err(|source| PaperStudyError::Pinn {
+    let identification = identification.map_err(|source| PaperStudyError::Pinn {
         cell: job.file_stem(),
         source,
     })?;
-    estimate.elapsed = std::time::Duration::from_secs_f64(found.elapsed_s);
-    let reconstruction = found.reconstruction.waveforms();
+    estimate.elapsed = std::time::Duration::from_secs_f64(identification.elapsed_s);
+    let reconstruction = identification.reconstruction.waveforms();
     let samples: Vec<usize> = reconstruction.sample.iter().map(|n| from + n).collect();
     let (v, i) = (&reconstruction.v_volt, &reconstruction.i_ampere);
     Ok(CellEstimate {
         nmse: Nmse::of(v, i, &samples, point),
         estimate,
-        identified: Some(found),
+        identified: Some(identification),
     })
 }
 
@@ -186,8 +186,8 @@ fn noise_in_samples(noisy: &Segment, clean: &Segment, (from, to): (usize, usize)
         + share(&noisy.i_a[from..to], &clean.i_a[from..to])
 }
 
-fn loss_curve(found: &Identified) -> Vec<LossAt> {
-    let all = found.history.iter().map(|p| LossAt {
+fn loss_curve(identified: &Identification) -> Vec<LossAt> {
+    let all = identified.history.iter().map(|p| LossAt {
         step: p.iteration,
         l_f: p.l_f,
         l_i: p.l_i,
@@ -198,7 +198,7 @@ fn loss_curve(found: &Identified) -> Vec<LossAt> {
 /// Returns at most [`KEPT`] entries, evenly chosen, including the last.
 fn thinned<T: Copy>(all: Vec<T>) -> Vec<T> {
     let step = all.len().div_ceil(KEPT).max(1);
-    let mut kept: Vec<T> = all.iter().rev().step_by(step).copied().collect();
-    kept.reverse();
-    kept
+    let mut few: Vec<T> = all.iter().rev().step_by(step).copied().collect();
+    few.reverse();
+    few
 }

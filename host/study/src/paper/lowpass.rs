@@ -18,15 +18,15 @@ const SECTIONS: usize = 1;
 /// tone is delayed. The filter starts and ends at rest, like a capture that begins and ends at zero crossings of the mains.
 pub fn zero_phase(samples: &[f64], dt_s: f64) -> Vec<f64> {
     let warped = (PI * CORNER_HZ * dt_s).tan();
-    let mut found = samples.to_vec();
+    let mut filtered = samples.to_vec();
     for _direction in 0..2 {
         for k in 0..SECTIONS {
             let angle = TAU * (2 * k + 1) as f64 / (8 * SECTIONS) as f64;
-            Section::new(warped, 2.0 * angle.sin()).run(&mut found);
+            Section::new(warped, 2.0 * angle.sin()).run(&mut filtered);
         }
-        found.reverse();
+        filtered.reverse();
     }
-    found
+    filtered
 }
 
 /// Pair of the prototype's poles, bilinear: gain·(1 + 2z⁻¹ + z⁻²)/(1 + a1 z⁻¹ + a2 z⁻²).

@@ -5,7 +5,7 @@ use crate::estimators::{F_SW_HZ, SNR_DB};
 
 /// Errors of one operating point in percent.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Published {
+pub struct PublishedErrors {
     /// Mean relative errors of R and L in percent (Tables 1 and 2).
     pub mre_pct: (f64, f64),
     /// Normalised mean squared errors of v and i in percent (Table 3; without noise the text's about 0.01 and
@@ -42,11 +42,11 @@ const PINN_PCT: [[(f64, f64, f64, f64); 4]; 4] = [
 ];
 
 /// The paper's figures for its PINN; `None` for an operating point that the paper does not have.
-pub fn pinn(f_sw_hz: f64, snr_db: Option<f64>) -> Option<Published> {
+pub fn pinn(f_sw_hz: f64, snr_db: Option<f64>) -> Option<PublishedErrors> {
     let row = F_SW_HZ.iter().position(|f| *f == f_sw_hz)?;
     let column = SNR_DB.iter().position(|s| *s == snr_db)?;
     let (r, l, v, i) = PINN_PCT[row][column];
-    Some(Published {
+    Some(PublishedErrors {
         mre_pct: (r, l),
         nmse_pct: (v, i),
     })

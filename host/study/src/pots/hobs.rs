@@ -10,7 +10,7 @@ use ihd_sim::pot::Pot;
 use ihd_sim::recording::settings::LoadKind;
 
 use super::PotError;
-use crate::map::places::Placed;
+use crate::map::places::PotPlacement;
 use crate::map::teach::{Point, identified, points};
 use ihd::cli::simulated::RATED_RMS;
 
@@ -101,7 +101,7 @@ impl SecondHob {
     /// [`PotError`] if the simulator cannot simulate the pot.
     pub fn new(
         load: LoadKind,
-        placed: &Placed,
+        placed: &PotPlacement,
         perturbation: Option<Perturbation>,
     ) -> Result<Self, PotError> {
         let pot = Pot {

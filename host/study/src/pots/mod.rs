@@ -17,18 +17,18 @@ use ihd_train::lookup::{BuiltLookup, LookupAccuracy, judge_cells};
 use serde::Serialize;
 
 use self::hobs::{SecondHob, entry};
-use super::map::places::Placed;
+use super::map::places::PotPlacement;
 use super::parallel::{WorkerLost, in_parallel};
 
 /// Plan of the study.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// Pots in their places on the second hob; the first one knows them centred, cold and at their usual height.
-    pub pots: Vec<Placed>,
+    pub pots: Vec<PotPlacement>,
     /// Departures of the pots from the standard model; `None` for the standard one.
     pub perturbations: Vec<Option<Perturbation>>,
     /// Other pots that the first hob knows.
-    pub others: Vec<Placed>,
+    pub others: Vec<PotPlacement>,
     /// Load model.
     pub load: LoadKind,
     /// Seeds of the noise; at least one.
@@ -161,13 +161,13 @@ pub fn study(
     let total = plan.others.len() + jobs.len();
     let done = AtomicUsize::new(0);
     let finished = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-    let found = in_parallel(&plan.others, |other| {
+    let entries = in_parallel(&plan.others, |other| {
         let entry = entry(plan.load, &other.pot, &other.name, OTHERS_SEED);
         finished();
         entry
     })?;
     let mut others = Vec::new();
-    for (other, entry) in plan.others.iter().zip(found) {
+    for (other, entry) in plan.others.iter().zip(entries) {
         let entry = entry.map_err(|why| why.of(&other.name))?;
         others.extend(entry.map(|e| (other, e)));
     }
@@ -188,9 +188,9 @@ const OTHERS_SEED: u64 = 99;
 
 fn runs(
     plan: &Plan,
-    placed: &Placed,
+    placed: &PotPlacement,
     perturbation: Option<Perturbation>,
-    others: &[(&Placed, PotEntry)],
+    others: &[(&PotPlacement, PotEntry)],
 ) -> Result<Vec<Run>, PotError> {
     let hob = SecondHob::new(plan.load, placed, perturbation)?;
     let mut runs = Vec::new();
@@ -205,7 +205,7 @@ fn runs(
         };
         // The same metal and size count as the same pot.
         let is_other =
-            |other: &Placed| perturbation.is_some() || !hobs::is_same(&other.pot, &known);
+            |other: &PotPlacement| perturbation.is_some() || !hobs::is_same(&other.pot, &known);
         let strangers: Vec<_> = others
             .iter()
             .filter(|(other, _)| is_other(other))

@@ -28,11 +28,13 @@ pub struct Outcome {
     /// Time at which all of the water boiled, in seconds.
     pub boils_s: Option<f64>,
     /// Time at which the boil was reported, in seconds.
-    pub boils_said_s: Option<f64>,
+    #[serde(rename = "boils_said_s")]
+    pub boils_reported_s: Option<f64>,
     /// Time at which bubbles carried half of the heat, in seconds.
     pub bubbles_s: Option<f64>,
     /// Time at which bubbles were reported, in seconds.
-    pub bubbles_said_s: Option<f64>,
+    #[serde(rename = "bubbles_said_s")]
+    pub bubbles_reported_s: Option<f64>,
     /// Number of reported moves; there was none.
     pub moves: u32,
 }
@@ -55,7 +57,7 @@ pub fn run(progress: &dyn Fn(f64)) -> Result<Outcome> {
     client.set_power(1000)?;
     let mut thermometer = Thermometer::default();
     let mut out = Outcome::default();
-    let (mut squares, mut looks) = (0.0, 0u32);
+    let (mut squares, mut readings) = (0.0, 0u32);
     loop {
         let event = client.next_event(Duration::from_secs(5))?;
         let Event::Telemetry(t) = event.context("the hob is silent")? else {
@@ -84,16 +86,16 @@ pub fn run(progress: &dyn Fn(f64)) -> Result<Outcome> {
         }
         for event in thermometer.take_events() {
             match event {
-                PotEvent::Bubbles => drop(out.bubbles_said_s.get_or_insert(t_s)),
-                PotEvent::Boils { .. } => drop(out.boils_said_s.get_or_insert(t_s)),
+                PotEvent::Bubbles => drop(out.bubbles_reported_s.get_or_insert(t_s)),
+                PotEvent::Boils { .. } => drop(out.boils_reported_s.get_or_insert(t_s)),
                 PotEvent::Moved { .. } => out.moves += 1,
                 PotEvent::Placed { .. } | PotEvent::Overheats { .. } => {}
             }
         }
-        if let Some(found) = thermometer.reading() {
+        if let Some(estimate) = thermometer.reading() {
             let rise_k = truth.temperature_c() - 20.0;
-            squares += (found.rise_k - rise_k) * (found.rise_k - rise_k);
-            looks += 1;
+            squares += (estimate.rise_k - rise_k) * (estimate.rise_k - rise_k);
+            readings += 1;
             out.largest_k = out.largest_k.max(rise_k);
         }
         out.duration_s = t_s;
@@ -102,7 +104,7 @@ pub fn run(progress: &dyn Fn(f64)) -> Result<Outcome> {
             break;
         }
     }
-    out.rms_k = (squares / f64::from(looks.max(1))).sqrt();
+    out.rms_k = (squares / f64::from(readings.max(1))).sqrt();
     Ok(out)
 }
 
@@ -117,9 +119,9 @@ impl Outcome {
             self.rms_k,
             self.largest_k,
             of(self.bubbles_s),
-            of(self.bubbles_said_s),
+            of(self.bubbles_reported_s),
             of(self.boils_s),
-            of(self.boils_said_s),
+            of(self.boils_reported_s),
             self.moves,
         )
     }

@@ -76,10 +76,12 @@ fn draw(panels: &[(&str, Vec<Sample>, Run)], path: &Path) -> DrawResult {
         };
         let curves = [
             curve("± σ", PALE, Pen::Line(1), |s| {
-                s.found.rise_k + s.found.sigma_k
+                s.estimate.rise_k + s.estimate.sigma_k
             }),
-            curve("", PALE, Pen::Line(1), |s| s.found.rise_k - s.found.sigma_k),
-            curve("found", BLUE, Pen::Line(2), |s| s.found.rise_k),
+            curve("", PALE, Pen::Line(1), |s| {
+                s.estimate.rise_k - s.estimate.sigma_k
+            }),
+            curve("found", BLUE, Pen::Line(2), |s| s.estimate.rise_k),
             curve("true", RED, Pen::Broken(2), |s| s.rise_k),
         ];
         let end_s = samples.last().map_or(1.0, |s| s.t_s);
@@ -88,7 +90,7 @@ fn draw(panels: &[(&str, Vec<Sample>, Run)], path: &Path) -> DrawResult {
         // Times of the boil and of its report.
         let marks = [
             ("boils", RED, run.boils_s),
-            ("said to", BLUE, run.boils_said_s),
+            ("said to", BLUE, run.boils_reported_s),
         ];
         let marks = marks.into_iter().filter_map(|(name, colour, at_s)| {
             let at_s = at_s?;

@@ -7,7 +7,7 @@ use ihd_thermal::{HalfCycle, PotEvent, Reading, Thermometer};
 use super::{Job, Kind, Run};
 
 /// Time after a move in seconds within which it must be reported.
-const MOVE_TOLD_S: f64 = 3.0;
+const MOVE_REPORT_S: f64 = 3.0;
 
 /// Range of the base's temperature in °C in which errors count.
 const RANGE_C: (f64, f64) = (10.0, 150.0);
@@ -20,7 +20,7 @@ pub struct Sample {
     /// True rise of the base in kelvin.
     pub rise_k: f64,
     /// Estimate.
-    pub found: Reading,
+    pub estimate: Reading,
 }
 
 fn half_cycle(c: &CookingReport) -> HalfCycle {
@@ -73,20 +73,20 @@ pub fn cook(job: &Job, mut each: impl FnMut(Sample)) -> Result<Run, InverterErro
         contents: job.contents.to_string(),
         power_w: job.power_w,
         squares_k2: 0.0,
-        looks: 0,
+        readings: 0,
         z_squares: 0.0,
         worst_k: 0.0,
         bubbles_s: None,
-        bubbles_said_s: None,
+        bubbles_reported_s: None,
         boils_s: None,
-        boils_said_s: None,
+        boils_reported_s: None,
         moved_mm,
-        moves_told: 0,
+        moves_reported: 0,
         moves_wrong: 0,
-        overheats_said: false,
+        overheat_reported: false,
         hottest_c: start_c,
     };
-    let (mut move_due, mut look_s) = (job.moved, 0.0);
+    let (mut move_due, mut next_reading_s) = (job.moved, 0.0);
     while cooking.t_s() < job.duration_s {
         let (t_s, base_c) = (cooking.t_s(), cooking.thermal().temperature_c());
         if let Some((_, to_m)) = move_due.filter(|(at_s, _)| t_s >= *at_s) {
@@ -105,41 +105,45 @@ pub fn cook(job: &Job, mut each: impl FnMut(Sample)) -> Result<Run, InverterErro
         }
         run.hottest_c = run.hottest_c.max(base_c);
         for event in thermometer.take_events() {
-            hear(&mut run, job, t_s, event);
+            record_event(&mut run, job, t_s, event);
         }
-        let Some(found) = thermometer.reading().filter(|_| t_s >= look_s) else {
+        let Some(estimate) = thermometer.reading().filter(|_| t_s >= next_reading_s) else {
             continue;
         };
-        look_s = t_s + 1.0;
+        next_reading_s = t_s + 1.0;
         let rise_k = base_c - start_c;
         if (RANGE_C.0..=RANGE_C.1).contains(&base_c) {
-            let off_k = found.rise_k - rise_k;
+            let off_k = estimate.rise_k - rise_k;
             run.squares_k2 += off_k * off_k;
-            run.z_squares += (off_k / found.sigma_k).powi(2);
+            run.z_squares += (off_k / estimate.sigma_k).powi(2);
             run.worst_k = run.worst_k.max(off_k.abs());
-            run.looks += 1;
+            run.readings += 1;
         }
-        each(Sample { t_s, rise_k, found });
+        each(Sample {
+            t_s,
+            rise_k,
+            estimate,
+        });
     }
     Ok(run)
 }
 
-fn hear(run: &mut Run, job: &Job, t_s: f64, event: PotEvent) {
+fn record_event(run: &mut Run, job: &Job, t_s: f64, event: PotEvent) {
     match event {
         PotEvent::Placed { .. } => {}
         PotEvent::Moved { .. } => {
-            let is_due = |(at_s, _): (f64, f64)| (at_s..at_s + MOVE_TOLD_S).contains(&t_s);
+            let is_due = |(at_s, _): (f64, f64)| (at_s..at_s + MOVE_REPORT_S).contains(&t_s);
             match job.moved.is_some_and(is_due) {
-                true => run.moves_told += 1,
+                true => run.moves_reported += 1,
                 false => run.moves_wrong += 1,
             }
         }
         PotEvent::Bubbles => {
-            run.bubbles_said_s.get_or_insert(t_s);
+            run.bubbles_reported_s.get_or_insert(t_s);
         }
         PotEvent::Boils { .. } => {
-            run.boils_said_s.get_or_insert(t_s);
+            run.boils_reported_s.get_or_insert(t_s);
         }
-        PotEvent::Overheats { .. } => run.overheats_said = true,
+        PotEvent::Overheats { .. } => run.overheat_reported = true,
     }
 }

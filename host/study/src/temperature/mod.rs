@@ -127,7 +127,8 @@ pub struct Run {
     /// Σ of ΔT's squared errors in K², one a second, with the base from 20 to 150 °C.
     pub squares_k2: f64,
     /// Number of these errors.
-    pub looks: u32,
+    #[serde(rename = "looks")]
+    pub readings: u32,
     /// Σ of squared errors over the stated variance.
     pub z_squares: f64,
     /// Largest error in K.
@@ -135,19 +136,23 @@ pub struct Run {
     /// True time at which bubbles carried half of the heat, in seconds.
     pub bubbles_s: Option<f64>,
     /// Time at which bubbles were reported, in seconds.
-    pub bubbles_said_s: Option<f64>,
+    #[serde(rename = "bubbles_said_s")]
+    pub bubbles_reported_s: Option<f64>,
     /// True time at which all of the water boiled, in seconds.
     pub boils_s: Option<f64>,
     /// Time at which the boil was reported, in seconds.
-    pub boils_said_s: Option<f64>,
+    #[serde(rename = "boils_said_s")]
+    pub boils_reported_s: Option<f64>,
     /// Distance of the pot's move in mm; 0 without a move.
     pub moved_mm: f64,
     /// Number of moves reported within 3 s.
-    pub moves_told: u32,
+    #[serde(rename = "moves_told")]
+    pub moves_reported: u32,
     /// Number of reported moves that did not happen.
     pub moves_wrong: u32,
     /// `true` if overheating was reported.
-    pub overheats_said: bool,
+    #[serde(rename = "overheats_said")]
+    pub overheat_reported: bool,
     /// Highest true temperature of the base in °C.
     pub hottest_c: f64,
 }

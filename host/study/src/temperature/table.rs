@@ -60,8 +60,8 @@ pub struct Sum {
     pub false_overheats: usize,
 }
 
-fn rms(square: f64, looks: u32) -> Option<f64> {
-    (looks > 0).then(|| (square / f64::from(looks)).sqrt())
+fn rms(square: f64, readings: u32) -> Option<f64> {
+    (readings > 0).then(|| (square / f64::from(readings)).sqrt())
 }
 
 /// Value below which a share of the values lies.
@@ -72,9 +72,9 @@ fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
 }
 
 fn is_false_boil(run: &Run) -> bool {
-    run.boils_said_s.is_some_and(|said| {
+    run.boils_reported_s.is_some_and(|reported| {
         run.boils_s
-            .is_none_or(|truth| said < truth - FALSE_BEFORE_S)
+            .is_none_or(|truth| reported < truth - FALSE_BEFORE_S)
     })
 }
 
@@ -85,19 +85,19 @@ impl Sum {
             let of = runs
                 .iter()
                 .filter(|r| Kind::BOILS.contains(&r.kind) == boils);
-            of.fold((0.0, 0), |(s, n), r| (s + r.squares_k2, n + r.looks))
+            of.fold((0.0, 0), |(s, n), r| (s + r.squares_k2, n + r.readings))
         };
         let (boiling, quiet) = (over(true), over(false));
         let z: f64 = runs.iter().map(|r| r.z_squares).sum();
-        let off = |truth: fn(&Run) -> Option<f64>, said: fn(&Run) -> Option<f64>| -> Vec<f64> {
-            let of = |r: &Run| Some(said(r)? - truth(r)?);
+        let off = |truth: fn(&Run) -> Option<f64>, reported: fn(&Run) -> Option<f64>| -> Vec<f64> {
+            let of = |r: &Run| Some(reported(r)? - truth(r)?);
             runs.iter()
                 .filter(|r| !is_false_boil(r))
                 .filter_map(of)
                 .collect()
         };
-        let boils = off(|r| r.boils_s, |r| r.boils_said_s);
-        let bubbles = off(|r| r.bubbles_s, |r| r.bubbles_said_s);
+        let boils = off(|r| r.boils_s, |r| r.boils_reported_s);
+        let bubbles = off(|r| r.bubbles_s, |r| r.bubbles_reported_s);
         let apart = |x: &[f64]| x.iter().map(|x| x.abs()).collect::<Vec<_>>();
         let has_moved = |r: &&Run| r.moved_mm.abs() > MOVE_MM;
         Self {
@@ -118,12 +118,12 @@ impl Sum {
             moves_found: runs
                 .iter()
                 .filter(has_moved)
-                .filter(|r| r.moves_told > 0)
+                .filter(|r| r.moves_reported > 0)
                 .count(),
             false_moves: runs.iter().map(|r| r.moves_wrong as usize).sum(),
             false_overheats: runs
                 .iter()
-                .filter(|r| r.overheats_said && r.hottest_c < 170.0)
+                .filter(|r| r.overheat_reported && r.hottest_c < 170.0)
                 .count(),
         }
     }
@@ -224,16 +224,16 @@ pub fn markdown(sums: &[(String, Vec<Run>)]) -> String {
         let _ = writeln!(out, "|---|---:|---:|---:|---:|---:|");
         for kind in Kind::BOILS.into_iter().chain(Kind::QUIET) {
             let of: Vec<&Run> = runs.iter().filter(|r| r.kind == kind).collect();
-            let looks = of.iter().map(|r| r.looks).sum();
+            let readings = of.iter().map(|r| r.readings).sum();
             let square = of.iter().map(|r| r.squares_k2).sum();
             let _ = writeln!(
                 out,
                 "| {} | {} | {} | {} | {} | {} |",
                 kind.name(),
                 of.len(),
-                number(rms(square, looks), 1),
+                number(rms(square, readings), 1),
                 number(quantile(of.iter().map(|r| r.worst_k).collect(), 1.0), 0),
-                of.iter().filter(|r| r.boils_said_s.is_some()).count(),
+                of.iter().filter(|r| r.boils_reported_s.is_some()).count(),
                 of.iter().filter(|r| r.boils_s.is_some()).count(),
             );
         }
@@ -245,7 +245,7 @@ pub fn markdown(sums: &[(String, Vec<Run>)]) -> String {
 mod tests {
     use super::*;
 
-    fn run(truth_s: Option<f64>, said_s: Option<f64>) -> Run {
+    fn run(truth_s: Option<f64>, reported_s: Option<f64>) -> Run {
         Run {
             seed: 1,
             kind: Kind::Boil,
@@ -253,17 +253,17 @@ mod tests {
             contents: String::new(),
             power_w: 1000.0,
             squares_k2: 400.0,
-            looks: 100,
+            readings: 100,
             z_squares: 100.0,
             worst_k: 3.0,
             bubbles_s: None,
-            bubbles_said_s: None,
+            bubbles_reported_s: None,
             boils_s: truth_s,
-            boils_said_s: said_s,
+            boils_reported_s: reported_s,
             moved_mm: 0.3,
-            moves_told: 0,
+            moves_reported: 0,
             moves_wrong: 1,
-            overheats_said: true,
+            overheat_reported: true,
             hottest_c: 120.0,
         }
     }

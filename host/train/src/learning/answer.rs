@@ -6,7 +6,7 @@
 use ihd_gate::claim::{self, Claim, ClaimError, Confirmation};
 use ihd_link::Window;
 use ihd_map::{Curve, CurveMatch};
-use ihd_pinn::{Config, Identified};
+use ihd_pinn::{Config, Identification};
 use ihd_signal::{Remark, Segment};
 use ihd_survey::calibration::blind::Correction;
 
@@ -26,7 +26,7 @@ const ONE_CHECKED_OF: u32 = 16;
 #[derive(Clone, Debug)]
 pub struct WindowAnalysis {
     /// R(t) and L(t); `None` if the network did not finish.
-    pub identified: Option<Box<Identified>>,
+    pub identified: Option<Box<Identification>>,
     /// Findings, worst first.
     pub findings: Vec<Remark>,
     /// Reason of the gate's refusal; `None` if the window passes.
@@ -84,7 +84,11 @@ pub(super) fn analyse_segment(
     config: Config,
     sensor_remarks: Vec<Remark>,
     on_step: &mut dyn FnMut(&ihd_pinn::Progress),
-) -> (Option<Box<Identified>>, Vec<Remark>, Result<Curve, String>) {
+) -> (
+    Option<Box<Identification>>,
+    Vec<Remark>,
+    Result<Curve, String>,
+) {
     let identified = match network::identify_window(segment, config, on_step) {
         Ok(identified) => Box::new(identified),
         Err(why) => return (None, sensor_remarks, Err(why.to_string())),

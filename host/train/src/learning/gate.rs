@@ -3,7 +3,7 @@
 use ihd_gate::{Evidence, Judgement, Reference};
 use ihd_identify::network::append;
 use ihd_identify::{Estimate, Method};
-use ihd_pinn::Identified;
+use ihd_pinn::Identification;
 use ihd_signal::{Remark, Segment, Severity};
 
 /// Findings that are warnings in `ihd identify` and errors for a lookup: its cells cannot hold such values, and the device would refuse
@@ -11,7 +11,7 @@ use ihd_signal::{Remark, Segment, Severity};
 const ERRORS_FOR_A_LOOKUP: [&str; 2] = ["implausible_load", "not_covered"];
 
 /// Judges an identified window; `sensors` are the remarks on the device's sensors.
-pub fn judge(segment: &Segment, identified: &Identified, sensors: &[Remark]) -> Judgement {
+pub fn judge(segment: &Segment, identified: &Identification, sensors: &[Remark]) -> Judgement {
     let mut estimate = Estimate::new(Method::Pinn, segment.f_sw_hz);
     append(identified, segment.zero_crossing_s, &mut estimate);
     let judgement = ihd_gate::judge(&Evidence {

@@ -4,8 +4,8 @@
 //! Eddy currents in the pot make R and L depend on a part of the switching period before; the simulator's laws use the amplitude of the
 //! period before. A lag of 14 µs is 0.4 % of R where R falls by a quarter within a millisecond.
 
-use ihd_map::Predicted;
-use ihd_pinn::Identified;
+use ihd_map::Prediction;
+use ihd_pinn::Identification;
 use serde::{Deserialize, Serialize};
 
 /// Share of the past that counts at the next window, as in the map's curves.
@@ -27,7 +27,7 @@ pub struct Lag {
 
 impl Lag {
     /// Adds a window; `law` is R and L at its currents without lag.
-    pub fn add_window(&mut self, identified: &Identified, law: &[Predicted]) {
+    pub fn add_window(&mut self, identified: &Identification, law: &[Prediction]) {
         let most_a = identified.i_amplitude_a.iter().copied().fold(0.0, f64::max);
         let (mut product, mut square) = (0.0, 0.0);
         for k in 1..law.len().min(identified.t_s.len()).saturating_sub(1) {
@@ -75,7 +75,7 @@ impl Lag {
     }
 
     /// Returns the amplitudes in ampere, one lag earlier, that R and L belong to at the times of a window.
-    pub fn lagged_currents_a(&self, identified: &Identified) -> Vec<f64> {
+    pub fn lagged_currents_a(&self, identified: &Identification) -> Vec<f64> {
         let (t_s, i_a) = (&identified.t_s, &identified.i_amplitude_a);
         let (Some(first), Some(last), true) = (t_s.first(), t_s.last(), t_s.len() > 1) else {
             return i_a.clone();

@@ -23,8 +23,8 @@ mod version;
 use std::sync::Arc;
 
 use ihd_link::Window;
-use ihd_map::{Curve, CurveMatch, Library, PotMap, Predicted};
-use ihd_pinn::{Config, Identified, Parameters};
+use ihd_map::{Curve, CurveMatch, Library, PotMap, Prediction};
+use ihd_pinn::{Config, Identification, Parameters};
 use ihd_shared::lookup::RlLookup;
 use ihd_signal::Remark;
 
@@ -75,7 +75,7 @@ pub enum WindowOutcome {
         /// Reason of the refusal.
         why: String,
         /// R(t) and L(t); `None` if the network did not finish.
-        identified: Option<Box<Identified>>,
+        identified: Option<Box<Identification>>,
         /// Findings, worst first.
         findings: Vec<Remark>,
     },
@@ -85,7 +85,7 @@ pub enum WindowOutcome {
 #[derive(Clone, Debug)]
 pub struct AcceptedWindow {
     /// R(t) and L(t), with the network's figures.
-    pub identified: Identified,
+    pub identified: Identification,
     /// Findings, worst first; none is an error.
     pub findings: Vec<Remark>,
     /// Comparison with the known pot: the same one, or another.
@@ -200,7 +200,7 @@ impl Learning {
     }
 
     /// Returns the map's R(t) and L(t) for a window, at the times of `identified`; empty if the map holds no window.
-    pub fn predict(&self, window: &Window, identified: &Identified) -> Vec<Predicted> {
+    pub fn predict(&self, window: &Window, identified: &Identification) -> Vec<Prediction> {
         let (f_hz, now_s) = (f64::from(window.f_sw_hz), time_s(window));
         self.map
             .along(f_hz, &self.lag.lagged_currents_a(identified), now_s)

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use ihd_identify::network::{waveform, with_measured_noise};
 use ihd_map::{Curve, MeasuredPoint};
-use ihd_pinn::{Config, Identified, PinnError, identify};
+use ihd_pinn::{Config, Identification, PinnError, identify};
 use ihd_shared::lookup::grid::I_MAX_MA;
 use ihd_signal::Segment;
 use ihd_signal::noise::WhiteNoise;
@@ -18,7 +18,7 @@ pub fn identify_window(
     segment: &Segment,
     config: Config,
     on_step: &mut dyn FnMut(&ihd_pinn::Progress),
-) -> Result<Identified, PinnError> {
+) -> Result<Identification, PinnError> {
     let config = with_measured_noise(config, segment);
     let waveform = waveform(segment, (0, segment.len()), segment.zero_crossing_s);
     identify(&waveform, &config, on_step)
@@ -47,8 +47,8 @@ pub struct LoadTrajectory<'a> {
     pub chi2: &'a [f64],
 }
 
-impl<'a> From<&'a Identified> for LoadTrajectory<'a> {
-    fn from(identified: &'a Identified) -> Self {
+impl<'a> From<&'a Identification> for LoadTrajectory<'a> {
+    fn from(identified: &'a Identification) -> Self {
         Self {
             i_amplitude_a: &identified.i_amplitude_a,
             r_ohm: &identified.r_ohm,

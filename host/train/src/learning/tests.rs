@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use ihd_gate::claim::{Claim, ClaimError, confirm};
 use ihd_link::{Client, Event, Window};
 use ihd_map::{CurveMatch, PotMap};
-use ihd_pinn::{Config, Identified, StoppedBecause};
+use ihd_pinn::{Config, Identification, StopReason};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_signal::truth::{Mre, Truth};
@@ -184,7 +184,7 @@ fn a_window_that_is_contradicted_teaches_nothing() {
     let right = judge(&segment, &found, &[]);
     println!("judged in {:.1} ms", before.elapsed().as_secs_f64() * 1e3);
     assert_eq!(right.gate.why, [""; 0]);
-    let codes = |changed: &Identified| -> Vec<&str> {
+    let codes = |changed: &Identification| -> Vec<&str> {
         let judgement = judge(&segment, changed, &[]);
         assert!(judgement.gate.refuses());
         judgement.doubts().map(|d| d.code).collect()
@@ -194,11 +194,11 @@ fn a_window_that_is_contradicted_teaches_nothing() {
     assert!(codes(&off).contains(&"disagreement"));
     // A limit of steps that was met at the right place is told; at a wrong one it is one more reason.
     let mut unsettled = found.clone();
-    unsettled.stopped_because = StoppedBecause::TimeLimit;
+    unsettled.stopped_because = StopReason::TimeLimit;
     let judgement = judge(&segment, &unsettled, &[]);
     assert_eq!(judgement.gate.why, [""; 0]);
     assert!(judgement.findings.iter().any(|f| f.code == "not_converged"));
-    off.stopped_because = StoppedBecause::TimeLimit;
+    off.stopped_because = StopReason::TimeLimit;
     assert!(codes(&off).contains(&"not_converged"));
     // A reading of the current a tenth of what it is: no cell of a lookup holds ten times L.
     let tenth = segment.i_a.iter().map(|i| 0.1 * i).collect();
@@ -374,7 +374,7 @@ fn a_load_is_forgotten_and_what_other_hobs_know_is_not() {
     assert!(restored.map().library().is_none());
 }
 
-fn claim_of(found: &Identified) -> Claim<'_> {
+fn claim_of(found: &Identification) -> Claim<'_> {
     Claim {
         t_s: &found.t_s,
         r_ohm: &found.r_ohm,

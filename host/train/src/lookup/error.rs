@@ -114,7 +114,7 @@ impl LookupAccuracy {
 
 #[cfg(test)]
 mod tests {
-    use ihd_map::{Cell, Cells, Predicted};
+    use ihd_map::{Cell, Cells, Prediction};
     use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
     use ihd_signal::Load;
 
@@ -127,7 +127,7 @@ mod tests {
 
     /// A lookup of 4 ohm and 25 µH everywhere, with deviations of one percent; nothing is observed.
     fn built(change: impl FnOnce(&mut Cells)) -> BuiltLookup {
-        let value = Predicted {
+        let value = Prediction {
             r_ohm: Z.r_ohm,
             l_h: Z.l_h,
             r_sigma: 0.01,

@@ -83,12 +83,12 @@ impl BuiltLookup {
 
 #[cfg(test)]
 mod tests {
-    use ihd_map::{Cell, Predicted};
+    use ihd_map::{Cell, Prediction};
 
     use super::*;
 
     fn cells(r_ohm: f64, sigma: f64) -> Cells {
-        let value = Predicted {
+        let value = Prediction {
             r_ohm,
             l_h: 25e-6,
             r_sigma: sigma,

@@ -1,7 +1,7 @@
 //! Report of one operating point: the estimators' results, and the truth if it is known.
 
 use ihd_link::Window;
-use ihd_pinn::Identified;
+use ihd_pinn::Identification;
 use ihd_signal::Load;
 use ihd_signal::truth::{Mre, Truth};
 use serde::Serialize;
@@ -53,7 +53,7 @@ pub struct PointReport {
 }
 
 /// Returns time and amplitude of the current's crest, in seconds and ampere.
-pub fn crest(identified: &Identified) -> (f64, f64) {
+pub fn crest(identified: &Identification) -> (f64, f64) {
     identified
         .t_s
         .iter()
@@ -87,7 +87,7 @@ pub fn errors(
 /// Compares a window's estimates with each other and with the truth; `power` is the requested and the delivered one, in watt.
 pub fn compare(
     window: &Window,
-    identified: &Identified,
+    identified: &Identification,
     truth: Option<&Truth>,
     power: Option<(u16, f64)>,
 ) -> PointReport {

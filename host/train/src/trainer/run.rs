@@ -7,7 +7,7 @@ use std::time::Instant;
 use ihd_capture::mcap::SessionRecorder;
 use ihd_link::{Client, Counters, DeviceSpec, LinkError, Window};
 use ihd_map::CurveMatch;
-use ihd_pinn::{Config, Identified};
+use ihd_pinn::{Config, Identification};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Status, Utilisation};
 use ihd_signal::truth::{MapTruth, Truth};
@@ -63,7 +63,7 @@ pub struct RunReport {
     /// Wall time of the whole run, in seconds.
     pub total_s: f64,
     /// The last window and its identification, for the figure.
-    pub last: Option<(Box<Window>, Identified, Option<Truth>)>,
+    pub last: Option<(Box<Window>, Identification, Option<Truth>)>,
     /// Accuracy of the last lookup; `None` if the truth is not known.
     pub map_error: Option<LookupAccuracy>,
 }

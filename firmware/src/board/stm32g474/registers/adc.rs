@@ -1,7 +1,7 @@
 //! ADC1 with ADC2 for pairs, ADC3 for bus and mains, with one trigger for all; ADC4 for temperatures, started by software.
 //!
-//! The clock is HCLK/4 = 42.5 MHz on all of them, synchronous with HRTIM, as erratum ES0430 2.7.11 wants
-//! it. ADCx_CCR may be written only while the ADCs are off, and comes first: calibration runs at the same
+//! The clock is HCLK/4 = 42.5 MHz on all of them, synchronous with HRTIM, as erratum ES0430 2.7.11
+//! requires. ADCx_CCR may be written only while the ADCs are off, and comes first: calibration runs at the same
 //! clock, and 60 MHz are the most (DS12288, ADC characteristics, f_ADC).
 
 use embassy_stm32::pac;

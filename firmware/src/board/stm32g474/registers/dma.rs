@@ -16,7 +16,7 @@ const SLOW: usize = 1;
 /// The common data register of ADC1 and ADC2 into a ring of words; interrupts at each half.
 ///
 /// # Safety
-/// `pairs` must stay valid and be written by nobody else for as long as the program runs.
+/// `pairs` must stay valid, with the DMA as only writer, for as long as the program runs.
 pub unsafe fn start_pairs(pairs: *mut u32, length: u16) {
     let from = pac::ADC12_COMMON.cdr().as_ptr() as u32;
     connect(PAIRS, REQUEST_ADC1, from, pairs as u32, length);

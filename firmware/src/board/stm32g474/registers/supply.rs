@@ -47,19 +47,19 @@ pub fn has_two_banks() -> bool {
     pac::FLASH.optr().read().dbank()
 }
 
-/// FLASH, FLASH_OPTR: whether parity of SRAM1 and CCM SRAM is checked (SRAM_PE = 0; delivered as 1).
+/// Returns `true` if parity of SRAM1 and CCM SRAM is checked (FLASH_OPTR: SRAM_PE = 0; delivered as 1).
 pub fn has_parity() -> bool {
     !pac::FLASH.optr().read().sram_pe()
 }
 
-/// FLASH, FLASH_ECCR: whether two wrong bits were found in the second bank; cleared, by writing 1, if so.
+/// Returns `true` if FLASH_ECCR reports two wrong bits in the second bank, and clears the flag by writing 1.
 pub fn take_error_in_bank_2() -> bool {
     let ecc = pac::FLASH.eccr().read();
-    let found = ecc.eccd() && ecc.bk_ecc() && !ecc.sysf_ecc();
-    if found {
+    let in_bank_2 = ecc.eccd() && ecc.bk_ecc() && !ecc.sysf_ecc();
+    if in_bank_2 {
         pac::FLASH.eccr().write(|w| w.set_eccd(true));
     }
-    found
+    in_bank_2
 }
 
 /// SYSCFG, SYSCFG_SWPR: the CCM SRAM, all of whose 32 pages hold code or constants by now, is written no

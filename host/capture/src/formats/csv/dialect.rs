@@ -8,7 +8,7 @@ use super::heading::{Heading, headings};
 use super::prelude::Prelude;
 use crate::channels::ChannelRef;
 use crate::error::FormatError;
-use crate::formats::Channel;
+use crate::formats::channel::Channel;
 
 /// Source of the samples' times.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,4 +1,4 @@
-//! The log over a link, from a device that says what it is told to say.
+//! The log over a link, from a scripted device.
 
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};

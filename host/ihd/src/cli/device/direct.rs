@@ -6,7 +6,7 @@ use anyhow::{Context, Result, anyhow};
 use ihd_daemon::config::Config;
 use ihd_daemon::firmware::{updates_needed, usb_serial};
 use ihd_daemon::model::{
-    Command, DeviceReport, DeviceState, Done, Identity, Live, LookupReport, WindowCounts,
+    Command, CommandReply, DeviceReport, DeviceState, Identity, Live, LookupReport, WindowCounts,
 };
 use ihd_link::{Client, Event};
 use ihd_shared::fault::Fault;
@@ -124,7 +124,7 @@ impl Direct {
     }
 
     /// Carries out a command that needs no daemon.
-    pub(super) fn command(&mut self, command: &Command) -> Result<Done> {
+    pub(super) fn command(&mut self, command: &Command) -> Result<CommandReply> {
         let text = match command {
             Command::Power { power_w } => {
                 self.client.set_power(*power_w)?;
@@ -156,7 +156,7 @@ impl Direct {
                 return Err(anyhow!("this needs the daemon: `ihd trainer --daemon`"));
             }
         };
-        Ok(Done { text, file: None })
+        Ok(CommandReply { text, file: None })
     }
 
     fn push(&mut self, blob: &[u8]) -> Result<String> {

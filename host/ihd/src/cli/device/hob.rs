@@ -8,7 +8,7 @@ use anyhow::{Result, bail};
 use ihd_api::ApiClient;
 use ihd_api::client::ClientError;
 use ihd_daemon::config::Config;
-use ihd_daemon::model::{Command, CommandError, DeviceReport, Done};
+use ihd_daemon::model::{Command, CommandError, CommandReply, DeviceReport};
 use ihd_link::DeviceSpec;
 #[cfg(feature = "log")]
 use ihd_link::{LinkError, Transport};
@@ -70,7 +70,7 @@ impl Hob {
     }
 
     /// Carries out a command.
-    pub(super) fn command(&mut self, command: &Command) -> Result<Done> {
+    pub(super) fn command(&mut self, command: &Command) -> Result<CommandReply> {
         match self {
             Self::Daemon { client, name } => Ok(client.command(name, command)?),
             Self::Direct(direct) => direct.command(command),

@@ -15,7 +15,7 @@ use crate::cli::{configured, output};
 const HEALTH_WITHIN: Duration = Duration::from_secs(10);
 
 #[derive(Serialize)]
-struct Listed {
+struct ListedDevice {
     name: String,
     address: String,
     /// State in the daemon; `None` without one.
@@ -23,12 +23,12 @@ struct Listed {
     detail: String,
 }
 
-impl From<&DeviceReport> for Listed {
+impl From<&DeviceReport> for ListedDevice {
     fn from(report: &DeviceReport) -> Self {
         Self {
             name: report.name.clone(),
             address: report.address.clone(),
-            state: Some(report.state.word()),
+            state: Some(report.state.as_str()),
             detail: report.detail.clone(),
         }
     }
@@ -37,8 +37,8 @@ impl From<&DeviceReport> for Listed {
 /// Prints the daemon's devices, else the known ones.
 pub(super) fn print(config: &Config, json: bool) -> Result<()> {
     let daemon = configured::daemon(config)?;
-    let listed: Vec<Listed> = match &daemon {
-        Some(client) => client.devices()?.iter().map(Listed::from).collect(),
+    let listed: Vec<ListedDevice> = match &daemon {
+        Some(client) => client.devices()?.iter().map(ListedDevice::from).collect(),
         None => without_daemon(config),
     };
     if json {
@@ -70,11 +70,11 @@ pub(super) fn print(config: &Config, json: bool) -> Result<()> {
 }
 
 /// Devices of the configuration, and boards on USB that it does not name.
-fn without_daemon(config: &Config) -> Vec<Listed> {
-    let mut listed: Vec<Listed> = config
+fn without_daemon(config: &Config) -> Vec<ListedDevice> {
+    let mut listed: Vec<ListedDevice> = config
         .devices
         .iter()
-        .map(|device| Listed {
+        .map(|device| ListedDevice {
             name: device.name.clone(),
             address: device.address.to_string(),
             state: None,
@@ -89,7 +89,7 @@ fn without_daemon(config: &Config) -> Vec<Listed> {
                     known.detail = format!("plugged in: {}", board.product);
                     continue;
                 }
-                listed.push(Listed {
+                listed.push(ListedDevice {
                     name: address.clone(),
                     address,
                     state: None,

@@ -77,7 +77,7 @@ enum Action {
         #[arg(long = "for", value_name = "S", value_parser = quantity)]
         for_s: Option<f64>,
     },
-    /// Switch off, whoever commands it
+    /// Switch off; needs no lease
     Off,
     /// Leave the safe state after a fault
     ClearFault,
@@ -130,7 +130,7 @@ pub fn exit_code(error: &anyhow::Error) -> Option<u8> {
     }
     match error.downcast_ref()? {
         ClientError::Command(error) => Some(of_command(error)),
-        ClientError::Unreachable { .. } | ClientError::Strange { .. } => Some(3),
+        ClientError::Unreachable { .. } | ClientError::UnexpectedResponse { .. } => Some(3),
         ClientError::Refused { .. } | ClientError::Certificate { .. } => Some(1),
     }
 }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use ihd_api::ApiClient;
 use ihd_daemon::model::{Command, RecordSettings, RecordingPhase, Trigger};
-use ihd_daemon::recording::{Recorder, Told};
+use ihd_daemon::recording::{Recorder, RecordingStatus};
 use ihd_link::{Client, KEEPALIVE_PERIOD};
 use ihd_train::WINDOWS_EVERY;
 use serde_json::json;
@@ -187,7 +187,7 @@ fn directly(
     let (tell, told) = mpsc::channel();
     let recorder = Recorder::new(
         move |part| numbered(&out, part),
-        move |what: Told| drop(tell.send(what)),
+        move |what: RecordingStatus| drop(tell.send(what)),
     );
     let mut client = direct.into_client();
     let at = client.clock();
@@ -226,7 +226,7 @@ fn listen(
     mut look: impl FnMut() -> Result<()>,
 ) -> Result<()> {
     let mut contact = client.clock();
-    while !stop.load(Ordering::Relaxed) && recorder.now().is_some() {
+    while !stop.load(Ordering::Relaxed) && recorder.active().is_some() {
         client.next_event(POLL_PERIOD)?;
         recorder.tick();
         look()?;
@@ -246,7 +246,7 @@ struct RecorderProgress {
 }
 
 impl RecorderProgress {
-    fn take(&mut self, told: &mpsc::Receiver<Told>, silently: bool) -> Result<()> {
+    fn take(&mut self, told: &mpsc::Receiver<RecordingStatus>, silently: bool) -> Result<()> {
         while let Ok(what) = told.try_recv() {
             match (what.phase, what.file) {
                 (RecordingPhase::Ended, file) => self.files.extend(file),

@@ -64,7 +64,7 @@ fn of_report(r: &DeviceReport) -> String {
     } else {
         format!(": {}", r.detail)
     };
-    line("state", format!("{}{detail}", r.state.word()));
+    line("state", format!("{}{detail}", r.state.as_str()));
     if let Some(who) = &r.identity {
         let (major, minor) = who.protocol;
         line(

@@ -31,8 +31,8 @@ fn crossing(text: &str) -> Result<Trigger, String> {
         return Err(format!("`{text}` {wrong}"));
     };
     let (word, rising) = (text[..at].trim(), text[at..].starts_with('>'));
-    let Some(quantity) = QUANTITIES.into_iter().find(|q| q.word() == word) else {
-        let known: Vec<&str> = QUANTITIES.iter().map(|q| q.word()).collect();
+    let Some(quantity) = QUANTITIES.into_iter().find(|q| q.as_str() == word) else {
+        let known: Vec<&str> = QUANTITIES.iter().map(|q| q.as_str()).collect();
         return Err(format!("`{word}` is no quantity: {}", known.join(", ")));
     };
     let unit = quantity.unit();

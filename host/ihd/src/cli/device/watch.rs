@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use ihd_api::client::ClientError;
-use ihd_api::client::events::Watched;
-use ihd_daemon::model::{Notice, What};
+use ihd_api::client::events::StreamItem;
+use ihd_daemon::model::{DaemonEvent, EventKind};
 use ihd_link::Event;
 
 use super::direct::Direct;
@@ -30,15 +30,15 @@ pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
                     why: format!("the events were cut off: {e}"),
                 };
                 match event.map_err(cut)? {
-                    Watched::Heartbeat => {}
-                    Watched::Unknown(text) if json => say!("{text}")?,
-                    Watched::Unknown(_) => {}
-                    Watched::Missed(n) if json => {
+                    StreamItem::Heartbeat => {}
+                    StreamItem::Unknown(text) if json => say!("{text}")?,
+                    StreamItem::Unknown(_) => {}
+                    StreamItem::Missed(n) if json => {
                         output::json_line(&serde_json::json!({"event": "missed", "missed": n}))?
                     }
-                    Watched::Missed(n) => say!("{n} events missed: this reader was too slow")?,
-                    Watched::Notice(notice) if json => output::json_line(&notice)?,
-                    Watched::Notice(notice) => show(&notice, &mut shown_ms)?,
+                    StreamItem::Missed(n) => say!("{n} events missed: this reader was too slow")?,
+                    StreamItem::Event(notice) if json => output::json_line(&notice)?,
+                    StreamItem::Event(notice) => show(&notice, &mut shown_ms)?,
                 }
             }
             say!("the daemon has ended")
@@ -47,10 +47,12 @@ pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
 }
 
 /// Prints half-cycles once a second, everything else at once.
-fn show(notice: &Notice, shown_ms: &mut i64) -> Result<()> {
-    let text = match &notice.what {
-        What::Telemetry { .. } if notice.at_ms.saturating_sub(*shown_ms) < 1_000 => return Ok(()),
-        What::Telemetry { live } => {
+fn show(notice: &DaemonEvent, shown_ms: &mut i64) -> Result<()> {
+    let text = match &notice.kind {
+        EventKind::Telemetry { .. } if notice.at_ms.saturating_sub(*shown_ms) < 1_000 => {
+            return Ok(());
+        }
+        EventKind::Telemetry { live } => {
             *shown_ms = notice.at_ms;
             of_live(live)
         }
@@ -60,14 +62,14 @@ fn show(notice: &Notice, shown_ms: &mut i64) -> Result<()> {
 }
 
 /// Text of an event; `None` for a half-cycle, which is not shown as an event.
-pub(in crate::cli) fn event_text(what: &What) -> Option<String> {
+pub(in crate::cli) fn event_text(what: &EventKind) -> Option<String> {
     Some(match what {
-        What::Telemetry { .. } => return None,
-        What::State { state: now, detail } if detail.is_empty() => now.word().to_owned(),
-        What::State { state: now, detail } => format!("{}: {detail}", now.word()),
-        What::WindowStored { seq, .. } => format!("window {seq} stored"),
-        What::WindowRefused { seq, why } => format!("window {seq} refused: {why}"),
-        What::ResultStored {
+        EventKind::Telemetry { .. } => return None,
+        EventKind::State { state: now, detail } if detail.is_empty() => now.as_str().to_owned(),
+        EventKind::State { state: now, detail } => format!("{}: {detail}", now.as_str()),
+        EventKind::WindowStored { seq, .. } => format!("window {seq} stored"),
+        EventKind::WindowRefused { seq, why } => format!("window {seq} refused: {why}"),
+        EventKind::ResultStored {
             seq,
             f_sw_hz,
             r_ohm,
@@ -87,43 +89,45 @@ pub(in crate::cli) fn event_text(what: &What) -> Option<String> {
                 f64::from(*f_sw_hz) * 1e-3
             )
         }
-        What::LookupActive {
+        EventKind::LookupActive {
             version,
             observed_cells,
         } => {
             format!("lookup {version} active, {observed_cells} cells known")
         }
-        What::LookupRefused { version, why } => format!("lookup {version} refused: {why}"),
-        What::Fault { fault: 0, .. } => "fault cleared".to_owned(),
-        What::Fault { fault, text } => format!("fault {fault}: {text}"),
-        What::Pot { text, .. } | What::PotTemperature { text, .. } => format!("pot {text}"),
-        What::Lease { holder, why, .. } if holder.is_empty() => match why.as_str() {
+        EventKind::LookupRefused { version, why } => format!("lookup {version} refused: {why}"),
+        EventKind::Fault { fault: 0, .. } => "fault cleared".to_owned(),
+        EventKind::Fault { fault, text } => format!("fault {fault}: {text}"),
+        EventKind::Pot { text, .. } | EventKind::PotTemperature { text, .. } => {
+            format!("pot {text}")
+        }
+        EventKind::Lease { holder, why, .. } if holder.is_empty() => match why.as_str() {
             "" => "nobody commands it now".to_owned(),
             why => format!("nobody commands it now: {why}"),
         },
-        What::Lease {
+        EventKind::Lease {
             holder, taken_from, ..
         } if taken_from.is_empty() => {
             format!("{holder} commands it")
         }
-        What::Lease {
+        EventKind::Lease {
             holder, taken_from, ..
         } => {
             format!("{holder} has taken command from {taken_from}")
         }
-        What::Command { holder, text, ok } => {
+        EventKind::Command { holder, text, ok } => {
             format!(
                 "{holder}: {text}{}",
                 if *ok { "" } else { ", not carried out" }
             )
         }
-        What::Recording {
+        EventKind::Recording {
             text,
             file: Some(file),
             ..
         } => format!("recording {file}: {text}"),
-        What::Recording { text, .. } => format!("recording: {text}"),
-        What::Store { text, .. } => format!("store: {text}"),
+        EventKind::Recording { text, .. } => format!("recording: {text}"),
+        EventKind::Store { text, .. } => format!("store: {text}"),
     })
 }
 

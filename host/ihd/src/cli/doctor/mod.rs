@@ -111,11 +111,11 @@ impl DoctorArgs {
             return Ok(());
         }
         let stop = interrupt::flag().context("cannot catch ^C")?;
-        let found = match &choice {
+        let boards = match &choice {
             Some(_) => Vec::new(),
             None => machine::boards(&system),
         };
-        let name = self.device.clone().or_else(|| match found.as_slice() {
+        let name = self.device.clone().or_else(|| match boards.as_slice() {
             [one] => Some(one.clone()),
             _ => None,
         });
@@ -128,7 +128,7 @@ impl DoctorArgs {
             name: "machine",
             checks,
         });
-        let none = self.examine(&mut report, choice, &found, &image, stop);
+        let none = self.examine(&mut report, choice, &boards, &image, stop);
         self.print(&report)?;
         if let Some(why) = none {
             return Err(ChecksFailed::NoDevice(why).into());
@@ -144,11 +144,11 @@ impl DoctorArgs {
         &self,
         report: &mut Report,
         choice: Option<device::DeviceChoice>,
-        found: &[String],
+        boards: &[String],
         image: &Result<Image, String>,
         stop: &AtomicBool,
     ) -> Option<String> {
-        let choice = match (choice, found) {
+        let choice = match (choice, boards) {
             (Some(choice), _) => Ok(choice),
             (None, [one]) => one
                 .parse()

@@ -14,14 +14,14 @@ use crate::cli::output;
 /// Report as JSON.
 #[derive(Serialize)]
 struct Report<'a> {
-    image: Flashed<'a>,
+    image: FlashedImage<'a>,
     #[serde(flatten)]
     installed: &'a InstallReport,
     took_s: f64,
 }
 
 #[derive(Serialize)]
-struct Flashed<'a> {
+struct FlashedImage<'a> {
     path: Option<&'a std::path::Path>,
     build: &'a str,
     build_id: ihd_flash::BuildId,
@@ -116,7 +116,7 @@ impl Screen {
         self.bar.finish_and_clear();
         if self.json {
             return output::json(&Report {
-                image: Flashed {
+                image: FlashedImage {
                     path: image.path.as_deref(),
                     build: &image.build,
                     build_id: image.build_id,
@@ -149,7 +149,7 @@ fn deviation_text(one: &Deviation, set: bool) -> String {
     };
     format!(
         "option     {} is {}, should be {}: {then}",
-        one.name, one.is, one.wanted
+        one.name, one.is, one.required
     )
 }
 

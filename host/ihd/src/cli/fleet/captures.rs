@@ -48,12 +48,13 @@ impl CapturesArgs {
     pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
         match &self.command {
             Command::Ls { json } => {
-                let found = access.with(async |_, context| Ok(captures::list(&context).await?))?;
+                let captures =
+                    access.with(async |_, context| Ok(captures::list(&context).await?))?;
                 if *json {
-                    return say!("{}", serde_json::to_string_pretty(&found)?);
+                    return say!("{}", serde_json::to_string_pretty(&captures)?);
                 }
                 let mut table = Table::new(&["capture", "bytes", "ago"]);
-                for capture in &found {
+                for capture in &captures {
                     let at = capture.at_s.map_or(String::new(), |at_s| ago(1_000 * at_s));
                     table.row([capture.name.clone(), capture.bytes.to_string(), at]);
                 }

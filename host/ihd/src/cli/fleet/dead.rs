@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::Args;
 use ihd_daemon::config::is_name;
-use ihd_fleet::dead::{self, DeadFilter};
+use ihd_fleet::dead_letters::{self, DeadFilter};
 
 use super::{AccessArgs, ago};
 use crate::report::table::Table;
@@ -55,19 +55,20 @@ impl DeadArgs {
     pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
         let filter = self.which.filter()?;
         if self.delete {
-            let deleted =
-                access.with(async |_, context| Ok(dead::delete(&context, &filter).await?))?;
+            let deleted = access
+                .with(async |_, context| Ok(dead_letters::delete(&context, &filter).await?))?;
             return say!("{deleted} deleted");
         }
-        let found = access.with(async |_, context| Ok(dead::list(&context, &filter).await?))?;
+        let windows =
+            access.with(async |_, context| Ok(dead_letters::list(&context, &filter).await?))?;
         if self.json {
-            return say!("{}", serde_json::to_string_pretty(&found)?);
+            return say!("{}", serde_json::to_string_pretty(&windows)?);
         }
-        if found.is_empty() {
+        if windows.is_empty() {
             return say!("none was given up");
         }
         let mut table = Table::new(&["number", "hob", "boot", "window", "ago", "worker", "why"]);
-        for dead in &found {
+        for dead in &windows {
             table.row([
                 dead.number.to_string(),
                 dead.hob.clone(),
@@ -86,7 +87,7 @@ impl ReplayArgs {
     pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
         let filter = self.which.filter()?;
         let replayed =
-            access.with(async |_, context| Ok(dead::replay(&context, &filter).await?))?;
+            access.with(async |_, context| Ok(dead_letters::replay(&context, &filter).await?))?;
         say!("{replayed} back in the queue")
     }
 }

@@ -3,7 +3,7 @@
 use anyhow::{Context as _, Result};
 use clap::Args;
 use ihd_daemon::config::is_name;
-use ihd_fleet::engine::{self, Limits};
+use ihd_fleet::jetstream::{self, Limits};
 use ihd_fleet::{claims, names};
 
 use super::AccessArgs;
@@ -81,9 +81,9 @@ impl InitArgs {
             ..Limits::default()
         };
         access.with(async |access, context| {
-            engine::init(&context, &limits).await?;
+            jetstream::init(&context, &limits).await?;
             for (edge, hobs) in &self.edges {
-                engine::init_edge(&context, edge, hobs).await?;
+                jetstream::init_edge(&context, edge, hobs).await?;
             }
             for edge in &self.freed {
                 match claims::free(&context, edge).await? {
@@ -96,7 +96,7 @@ impl InitArgs {
                 }
             }
             if let Some(build) = &self.build {
-                let settings = engine::bucket(&context, names::SETTINGS).await?;
+                let settings = jetstream::bucket(&context, names::SETTINGS).await?;
                 match build.is_empty() {
                     true => settings
                         .delete(names::BUILD)

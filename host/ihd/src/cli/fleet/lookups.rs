@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand};
-use ihd_fleet::lookups::{self, Entry};
+use ihd_fleet::lookups::{self, LookupEntry};
 use ihd_shared::lookup::RlLookup;
 
 use super::{AccessArgs, ago};
@@ -58,31 +58,31 @@ impl LookupsArgs {
         let me = format!("operator-{}", std::env::var("USER").unwrap_or_default());
         match &self.command {
             Command::Ls { json } => {
-                let found = access.with(async |_, context| Ok(lookups::all(&context).await?))?;
-                show(&found, *json)
+                let entries = access.with(async |_, context| Ok(lookups::all(&context).await?))?;
+                show(&entries, *json)
             }
             Command::History { hob, json } => {
-                let found =
+                let entries =
                     access.with(async |_, context| Ok(lookups::history(&context, hob).await?))?;
-                show(&found, *json)
+                show(&entries, *json)
             }
             Command::Push { file, hob } => {
                 let lookup = RlLookup::from_bytes(&crate::cli::device::lookup::read(file)?)?;
                 let put = access.with(async |_, context| {
-                    Ok(lookups::want(&context, hob, &lookup, &me).await?)
+                    Ok(lookups::request(&context, hob, &lookup, &me).await?)
                 })?;
                 say!("{hob} is to use it: revision {put}; its edge pushes it")
             }
             Command::Rollback { hob, revision } => {
                 let put = access.with(async |_, context| {
                     let history = lookups::history(&context, hob).await?;
-                    let wanted = history.iter().find(|entry| entry.revision == *revision);
-                    let wanted = wanted.with_context(|| {
+                    let earlier = history.iter().find(|entry| entry.revision == *revision);
+                    let earlier = earlier.with_context(|| {
                         format!("{hob} has no revision {revision}: ihd fleet lookups history {hob}")
                     })?;
-                    let blob = wanted.lookup.blob().map_err(anyhow::Error::msg)?;
+                    let blob = earlier.lookup.blob().map_err(anyhow::Error::msg)?;
                     let lookup = RlLookup::from_bytes(&blob)?;
-                    Ok(lookups::want(&context, hob, &lookup, &me).await?)
+                    Ok(lookups::request(&context, hob, &lookup, &me).await?)
                 })?;
                 say!("{hob} is to use it again: revision {put}; its edge pushes it")
             }
@@ -90,7 +90,7 @@ impl LookupsArgs {
     }
 }
 
-fn show(entries: &[Entry], json: bool) -> Result<()> {
+fn show(entries: &[LookupEntry], json: bool) -> Result<()> {
     if json {
         return say!("{}", serde_json::to_string_pretty(entries)?);
     }

@@ -123,7 +123,7 @@ fn report_text(report: &FleetReport) -> String {
     ]);
     for edge in &report.edges {
         let states = &edge.states;
-        let learns = if edge.trusts_fleet { "fleet" } else { "itself" };
+        let learns = if edge.delegates { "fleet" } else { "itself" };
         edges.row([
             edge.name.clone(),
             states.stored().to_string(),
@@ -193,7 +193,7 @@ struct Waiting {
 impl BacklogArgs {
     pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
         let waiting = access.with(async |_, context| {
-            let stream = ihd_fleet::engine::stream(&context, names::WINDOWS).await?;
+            let stream = ihd_fleet::jetstream::stream(&context, names::WINDOWS).await?;
             let subjects = stream.info_with_subjects(names::window("*")).await;
             let mut subjects = subjects.context(names::WINDOWS)?;
             let mut waiting = Vec::new();

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
-use ihd_fleet::engine::{self, Limits};
+use ihd_fleet::jetstream::{self, Limits};
 use ihd_fleet::server_config::{self, Edge, Server, Site, Tls};
 use ihd_fleet::{Access, Context};
 use tokio::runtime::Runtime;
@@ -121,9 +121,9 @@ impl UpArgs {
             ..Access::default()
         };
         let context = connected(&access, server).await?;
-        engine::init(&context, &Limits::default()).await?;
+        jetstream::init(&context, &Limits::default()).await?;
         for edge in &self.edges {
-            engine::init_edge(&context, &edge.name, &edge.hobs).await?;
+            jetstream::init_edge(&context, &edge.name, &edge.hobs).await?;
         }
         Ok(())
     }

@@ -198,9 +198,9 @@ impl IdentifyArgs {
         }
         if let Some(path) = &self.plot {
             let results = examined.outcomes.iter();
-            let found: Vec<_> = results.filter_map(|o| o.result.as_ref().ok()).collect();
+            let estimates: Vec<_> = results.filter_map(|o| o.result.as_ref().ok()).collect();
             let segments = &examined.segments;
-            identified::draw(&capture.name, segments, &found, &capture.truth, path)?;
+            identified::draw(&capture.name, segments, &estimates, &capture.truth, path)?;
         }
         if self.json {
             output::json(&reported.json())?;
@@ -216,14 +216,14 @@ impl IdentifyArgs {
         if outcomes.iter().all(|o| o.result.is_err()) {
             bail!("no method could identify {}", self.capture.path().display());
         }
-        let found = || outcomes.iter().filter(|o| o.result.is_ok());
-        let refused = found().filter(|o| o.judgement.gate.refuses()).count();
+        let successes = || outcomes.iter().filter(|o| o.result.is_ok());
+        let refused = successes().filter(|o| o.judgement.gate.refuses()).count();
         if refused == 0 || self.anyway {
             return Ok(());
         }
         Err(RefusedResults {
             refused,
-            of: found().count(),
+            of: successes().count(),
         })
         .context("mend the capture as advised, or go on with --anyway")
     }

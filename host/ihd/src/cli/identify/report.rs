@@ -76,7 +76,7 @@ impl<'a> ReportedCapture<'a> {
     }
 
     fn entry(&self, o: &'a MethodResult, accuracy: Option<Accuracy>) -> Entry<'a> {
-        let found = o.result.as_ref().ok();
+        let estimate = o.result.as_ref().ok();
         let of = |values: fn(&Estimate) -> &Vec<f64>| found_slice(o, values);
         let segment = self.examined.segments.get(o.segment);
         Entry {
@@ -91,10 +91,10 @@ impl<'a> ReportedCapture<'a> {
             r_power_ohm: of(|e| &e.r_power_ohm),
             mre_r_pct: accuracy.map(|a| a.whole.r_pct),
             mre_l_pct: accuracy.map(|a| a.whole.l_pct),
-            nmse_v_pct: found.and_then(|e| e.nmse_v_pct),
-            nmse_i_pct: found.and_then(|e| e.nmse_i_pct),
-            elapsed_s: found.map_or(0.0, |e| e.elapsed.as_secs_f64()),
-            notes: found.map_or(&[], |e| e.notes.as_slice()),
+            nmse_v_pct: estimate.and_then(|e| e.nmse_v_pct),
+            nmse_i_pct: estimate.and_then(|e| e.nmse_i_pct),
+            elapsed_s: estimate.map_or(0.0, |e| e.elapsed.as_secs_f64()),
+            notes: estimate.map_or(&[], |e| e.notes.as_slice()),
             findings: &o.judgement.findings,
             gate: &o.judgement.gate,
         }

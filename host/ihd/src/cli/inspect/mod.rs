@@ -10,7 +10,7 @@ use ihd_capture::open::{LoneChannel, lone_channel};
 use ihd_survey::calibration::blind::calibrate;
 use ihd_survey::{Finding, Severity};
 
-use super::capture_args::{CaptureArgs, Loaded};
+use super::capture_args::{CaptureArgs, LoadedCapture};
 use super::hint_args::HintArgs;
 use super::output;
 use super::sensor_args::SensorArgs;
@@ -76,7 +76,7 @@ impl InspectArgs {
         Err(SingleChannel(self.capture.path().display().to_string()).into())
     }
 
-    fn inspect(&self, loaded: &Loaded) -> Result<()> {
+    fn inspect(&self, loaded: &LoadedCapture) -> Result<()> {
         let hints = self.capture.hints(self.hints.hints());
         let calibrated = calibrate(&loaded.capture, &hints, self.sensors.options()?)?;
         let remarks = calibrated.remarks();

@@ -186,7 +186,7 @@ fn channel(c: &ChannelSurvey, unit: &str, full_scale: Option<f64>) -> String {
 }
 
 fn mains(survey: &Survey) -> String {
-    let word = |source| match source {
+    let label = |source| match source {
         MainsSource::Specified => "given",
         MainsSource::Measured => "measured",
         MainsSource::Assumed => "assumed",
@@ -195,10 +195,10 @@ fn mains(survey: &Survey) -> String {
     format!(
         "{:.2} Hz ({}), zero crossing at {:.3} ms ({}), {} whole half-cycles",
         m.hz,
-        word(m.hz_source),
+        label(m.hz_source),
         // Avoids a minus before a zero.
         m.zero_crossing_s * 1e3 + 0.0,
-        word(m.zero_crossing_source),
+        label(m.zero_crossing_source),
         survey.half_cycles_s.len()
     )
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use ihd_store::Settings;
+use ihd_store::StoreOptions;
 
 use super::super::configured;
 
@@ -21,7 +21,7 @@ pub struct PlaceArgs {
 /// Folder and options of a store.
 pub struct Place {
     pub folder: PathBuf,
-    pub settings: Settings,
+    pub settings: StoreOptions,
 }
 
 impl PlaceArgs {

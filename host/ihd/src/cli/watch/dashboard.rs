@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use ihd_daemon::model::{DeviceReport, Notice, What};
+use ihd_daemon::model::{DaemonEvent, DeviceReport, EventKind};
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
 use super::feed::FeedUpdate;
@@ -121,7 +121,7 @@ impl Dashboard {
     pub(super) fn apply(&mut self, updates: FeedUpdate, now_ms: i64) {
         match updates {
             FeedUpdate::Devices(devices) => self.take(devices, now_ms),
-            FeedUpdate::Notice(notice) => {
+            FeedUpdate::DaemonEvent(notice) => {
                 self.heard_ms = now_ms;
                 self.notice(*notice);
             }
@@ -155,8 +155,8 @@ impl Dashboard {
         self.devices = devices;
     }
 
-    fn notice(&mut self, notice: Notice) {
-        if let What::Telemetry { live } = notice.what {
+    fn notice(&mut self, notice: DaemonEvent) {
+        if let EventKind::Telemetry { live } = notice.kind {
             let trend = self.trends.entry(notice.device.clone()).or_default();
             trend.add(&live, notice.at_ms);
             let device = self.devices.iter_mut().find(|d| d.name == notice.device);
@@ -165,8 +165,8 @@ impl Dashboard {
             }
             return;
         }
-        let grade = grade(&notice.what);
-        if let Some(text) = event_text(&notice.what) {
+        let grade = grade(&notice.kind);
+        if let Some(text) = event_text(&notice.kind) {
             self.push(notice.at_ms, &notice.device, one_line(&text), grade);
         }
     }
@@ -240,18 +240,18 @@ impl Dashboard {
     }
 }
 
-fn grade(what: &What) -> Grade {
+fn grade(what: &EventKind) -> Grade {
     match what {
-        What::Fault { fault, .. } if *fault != 0 => Grade::Alarm,
-        What::Store { ok: false, .. } => Grade::Alarm,
-        What::PotTemperature {
+        EventKind::Fault { fault, .. } if *fault != 0 => Grade::Alarm,
+        EventKind::Store { ok: false, .. } => Grade::Alarm,
+        EventKind::PotTemperature {
             overheats: true, ..
         } => Grade::Alarm,
-        What::Command { ok: false, .. }
-        | What::WindowRefused { .. }
-        | What::LookupRefused { .. }
-        | What::ResultStored { pass: false, .. } => Grade::Warning,
-        What::Lease { taken_from, .. } if !taken_from.is_empty() => Grade::Warning,
+        EventKind::Command { ok: false, .. }
+        | EventKind::WindowRefused { .. }
+        | EventKind::LookupRefused { .. }
+        | EventKind::ResultStored { pass: false, .. } => Grade::Warning,
+        EventKind::Lease { taken_from, .. } if !taken_from.is_empty() => Grade::Warning,
         _ => Grade::Plain,
     }
 }
@@ -260,7 +260,7 @@ fn grade(what: &What) -> Grade {
 pub(super) mod tests {
     use super::*;
 
-    /// A device that heats, as the API tells of it.
+    /// Report of a heating device, as the API returns it.
     pub(in crate::cli::watch) fn report(name: &str, state: &str) -> DeviceReport {
         let json = serde_json::json!({
             "name": name, "serial": name, "address": "sim", "state": state, "since_s": 83,
@@ -282,11 +282,11 @@ pub(super) mod tests {
         serde_json::from_value(json).expect("a report")
     }
 
-    pub(in crate::cli::watch) fn notice(at_ms: i64, device: &str, what: What) -> FeedUpdate {
-        FeedUpdate::Notice(Box::new(Notice {
+    pub(in crate::cli::watch) fn notice(at_ms: i64, device: &str, kind: EventKind) -> FeedUpdate {
+        FeedUpdate::DaemonEvent(Box::new(DaemonEvent {
             at_ms,
             device: device.into(),
-            what,
+            kind,
         }))
     }
 
@@ -317,7 +317,7 @@ pub(super) mod tests {
             dashboard.key(press(KeyCode::Char('o'))),
             KeyAction::Off("annex".into())
         );
-        // Gone from the list, it can still be switched off: the daemon says whether it knows it.
+        // Gone from the list, it can still be switched off: the daemon answers for an unknown device.
         dashboard.apply(FeedUpdate::Devices(vec![]), 3_000);
         assert_eq!(
             dashboard.key(press(KeyCode::Char('o'))),
@@ -355,7 +355,7 @@ pub(super) mod tests {
         assert_eq!(dashboard.stale_ms(5_000), Some(4_000));
         dashboard.apply(FeedUpdate::Devices(vec![report("bench", "idle")]), 6_000);
         assert_eq!(dashboard.stale_ms(6_500), None);
-        // Silence without a word is told too.
+        // A stalled connection without an error is reported too.
         assert_eq!(dashboard.stale_ms(6_000 + STALE_MS + 1), Some(STALE_MS + 1));
         let texts: Vec<&str> = dashboard.events.iter().map(|e| e.text.as_str()).collect();
         assert_eq!(texts, ["the daemon is gone", "the daemon is back"]);
@@ -366,10 +366,10 @@ pub(super) mod tests {
         let mut dashboard = two();
         let mut live = dashboard.devices[0].live.clone().unwrap();
         live.power_w = 777.0;
-        dashboard.apply(notice(1_500, "bench", What::Telemetry { live }), 1_500);
+        dashboard.apply(notice(1_500, "bench", EventKind::Telemetry { live }), 1_500);
         assert_eq!(dashboard.devices[0].live.as_ref().unwrap().power_w, 777.0);
         assert!(dashboard.events.is_empty());
-        let fault = What::Fault {
+        let fault = EventKind::Fault {
             fault: 3,
             text: "evil\u{1b}[2J\nline".into(),
         };

@@ -6,8 +6,8 @@ use std::thread::{self, sleep};
 use std::time::Duration;
 
 use ihd_api::ApiClient;
-use ihd_api::client::events::Watched;
-use ihd_daemon::model::{Command, DeviceReport, History, Notice};
+use ihd_api::client::events::StreamItem;
+use ihd_daemon::model::{Command, DaemonEvent, DeviceReport, History};
 
 use super::trend::SPAN_S;
 
@@ -23,7 +23,7 @@ pub(super) enum FeedUpdate {
     /// Reports of all devices.
     Devices(Vec<DeviceReport>),
     /// Event.
-    Notice(Box<Notice>),
+    DaemonEvent(Box<DaemonEvent>),
     /// Number of dropped events: this reader was too slow.
     Missed(u64),
     /// Last minutes of a device, from the store.
@@ -122,9 +122,9 @@ fn forward_events(client: &ApiClient, only: Option<&str>, updates: &Sender<FeedU
         if let Ok(events) = client.events(only) {
             for event in events {
                 let sent = match event {
-                    Ok(Watched::Notice(notice)) => updates.send(FeedUpdate::Notice(notice)),
-                    Ok(Watched::Missed(n)) => updates.send(FeedUpdate::Missed(n)),
-                    Ok(Watched::Heartbeat | Watched::Unknown(_)) => Ok(()),
+                    Ok(StreamItem::Event(notice)) => updates.send(FeedUpdate::DaemonEvent(notice)),
+                    Ok(StreamItem::Missed(n)) => updates.send(FeedUpdate::Missed(n)),
+                    Ok(StreamItem::Heartbeat | StreamItem::Unknown(_)) => Ok(()),
                     // The reports show that the daemon has stopped.
                     Err(_) => break,
                 };

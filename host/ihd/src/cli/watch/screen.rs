@@ -48,8 +48,8 @@ pub(super) fn draw(frame: &mut Frame<'_>, dashboard: &Dashboard, now_ms: i64) {
 /// Areas of title, list, details, trends, events and footer, in order of priority.
 fn places(area: Rect, dashboard: &Dashboard) -> [Rect; 6] {
     let mut left = area.height;
-    let mut take = |wanted: u16| {
-        let rows = wanted.min(left);
+    let mut take = |height: u16| {
+        let rows = height.min(left);
         left -= rows;
         rows
     };
@@ -169,7 +169,7 @@ fn device_row(place: usize, device: &DeviceReport, chosen: bool, stale: bool) ->
     };
     let row = Row::new([
         name,
-        device.state.word().to_owned(),
+        device.state.as_str().to_owned(),
         of(&|l| format!("{:.0}", l.power_w)),
         of(&|l| l.asked_w.to_string()),
         heating(&|l| format!("{:.2}", f64::from(l.f_sw_hz) * 1e-3)),
@@ -213,7 +213,7 @@ fn details(device: &DeviceReport, stale: bool) -> Vec<Line<'static>> {
     let mut state = format!(
         "{}: {} for {}",
         device.name,
-        device.state.word(),
+        device.state.as_str(),
         duration(device.since_s)
     );
     if !device.detail.is_empty() {
@@ -241,7 +241,7 @@ fn details(device: &DeviceReport, stale: bool) -> Vec<Line<'static>> {
         Line::from(one_line(&state)),
         now,
         fault,
-        Line::from(format!("{}{}", pot_words(device), lookup_words(device))),
+        Line::from(format!("{}{}", pot_text(device), lookup_text(device))),
         Line::from(one_line(&command_words(device))),
     ];
     if stale {
@@ -267,12 +267,12 @@ fn now_words(live: &Live) -> String {
 }
 
 /// Temperature of its pot, before other text.
-fn pot_words(device: &DeviceReport) -> String {
+fn pot_text(device: &DeviceReport) -> String {
     let pot = device.pot_temperature.as_ref();
     pot.map_or(String::new(), |pot| format!("pot {}; ", of_pot(pot)))
 }
 
-fn lookup_words(device: &DeviceReport) -> String {
+fn lookup_text(device: &DeviceReport) -> String {
     let lookup = &device.lookup;
     let version = match lookup.on_device {
         None => "lookup not known yet".into(),
@@ -445,7 +445,7 @@ fn duration(s: u64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use ihd_daemon::model::What;
+    use ihd_daemon::model::EventKind;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
 
@@ -471,14 +471,14 @@ mod tests {
             live.power_w = if on { 1200.0 + (s % 7) as f64 } else { 0.0 };
             live.f_sw_hz = if on { 51_020 } else { 0 };
             live.r_ohm = 3.27 - 0.001 * (s as f64 - 60.0);
-            let what = What::Telemetry { live };
+            let what = EventKind::Telemetry { live };
             dashboard.apply(notice(NOW_MS - 300_000 + s * 1000, "bench", what), NOW_MS);
         }
-        let fault = What::Fault {
+        let fault = EventKind::Fault {
             fault: 4,
             text: "current beyond the limit".into(),
         };
-        let active = What::LookupActive {
+        let active = EventKind::LookupActive {
             version: 5,
             observed_cells: 47,
         };
@@ -613,7 +613,7 @@ mod tests {
         assert!(drawn(80, 24, &dashboard, NOW_MS).contains(">  dev-39"));
     }
 
-    /// Beyond what a device says of itself nothing may reach the terminal raw.
+    /// No text from a device may reach the terminal unescaped.
     #[test]
     fn what_devices_say_is_escaped() {
         let mut dashboard = dashboard();

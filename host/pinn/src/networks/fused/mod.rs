@@ -10,7 +10,7 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 
 use self::elementary::softplus;
-use self::net::{AtPoint, Net};
+use self::net::{Net, PointValue};
 use super::kernel::{Kernel, Problem, Terms, Weights};
 use super::shape::Shape;
 use crate::PinnError;
@@ -24,8 +24,8 @@ pub(crate) struct Fused {
     vi: Net<true>,
     rl: Net<false>,
     /// Outputs of a block's points, then the loss's derivatives by them.
-    vi_points: Vec<AtPoint>,
-    rl_points: Vec<AtPoint>,
+    vi_points: Vec<PointValue>,
+    rl_points: Vec<PointValue>,
 }
 
 impl Fused {
@@ -35,8 +35,8 @@ impl Fused {
             arch: Arch::new(),
             vi: Net::new(&shape.vi, BLOCK),
             rl: Net::new(&shape.rl, BLOCK),
-            vi_points: vec![AtPoint::default(); BLOCK],
-            rl_points: vec![AtPoint::default(); BLOCK],
+            vi_points: vec![PointValue::default(); BLOCK],
+            rl_points: vec![PointValue::default(); BLOCK],
         }
     }
 }
@@ -126,8 +126,8 @@ fn differentiate(
     problem: &Problem<'_>,
     weights: Weights,
     count: usize,
-    vi: &mut AtPoint,
-    rl: &mut AtPoint,
+    vi: &mut PointValue,
+    rl: &mut PointValue,
     v: f32,
     i: f32,
 ) -> [f32; 3] {
@@ -139,14 +139,14 @@ fn differentiate(
     let share = 2.0 / count as f32;
     let by_physics = share * weights.w_f * physics;
     let by_data = [residuals[1], residuals[2]].map(|e| share * weights.w_i * e);
-    *rl = AtPoint {
+    *rl = PointValue {
         outputs: [
             -by_physics * problem.impedances.r * slope_r * i_hat,
             -by_physics * problem.impedances.x * slope_x * vi.rate,
         ],
         rate: 0.0,
     };
-    *vi = AtPoint {
+    *vi = PointValue {
         outputs: [by_data[0] + by_physics, by_data[1] - by_physics * r],
         rate: -by_physics * x,
     };

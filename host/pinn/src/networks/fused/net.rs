@@ -37,7 +37,7 @@ struct Output {
 
 /// A network's outputs at one point, or the loss's derivatives by them.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct AtPoint {
+pub(super) struct PointValue {
     /// v, i of the VI-MLP; both outputs before the softplus of the RL-MLP.
     pub outputs: [f32; OUTPUTS],
     /// Rate of change of output 1: di/dtheta of the VI-MLP.
@@ -147,7 +147,13 @@ impl<const RATE: bool> Net<RATE> {
     /// The network's outputs at the points whose inputs are the rows of `x`; `x_rate` holds the
     /// inputs' rates of change and is not looked at without `RATE`.
     #[inline(always)]
-    pub fn forward<S: Simd>(&mut self, s: S, x: &[f32], x_rate: &[f32], at_points: &mut [AtPoint]) {
+    pub fn forward<S: Simd>(
+        &mut self,
+        s: S,
+        x: &[f32],
+        x_rate: &[f32],
+        at_points: &mut [PointValue],
+    ) {
         let m = at_points.len();
         for index in 0..self.hidden.len() {
             let (before, from_here) = self.hidden.split_at_mut(index);
@@ -193,7 +199,7 @@ impl<const RATE: bool> Net<RATE> {
     /// Adds to the gradient, `by` being the loss's derivatives by the outputs that
     /// [`Self::forward`] last gave for the same `x`.
     #[inline(always)]
-    pub fn backward<S: Simd>(&mut self, s: S, x: &[f32], x_rate: &[f32], by: &[AtPoint]) {
+    pub fn backward<S: Simd>(&mut self, s: S, x: &[f32], x_rate: &[f32], by: &[PointValue]) {
         let m = by.len();
         self.backward_output(s, by);
         let [delta, next] = &mut self.delta;
@@ -247,7 +253,7 @@ impl<const RATE: bool> Net<RATE> {
 
     /// The output layer's part of [`Self::backward`]: its gradient, and the first delta.
     #[inline(always)]
-    fn backward_output<S: Simd>(&mut self, s: S, by: &[AtPoint]) {
+    fn backward_output<S: Simd>(&mut self, s: S, by: &[PointValue]) {
         let Some(last) = self.hidden.last() else {
             return;
         };

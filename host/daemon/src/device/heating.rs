@@ -1,0 +1,225 @@
+//! Power of a session: requests under a lease, keep-alive, sweep, and the ways to off.
+
+use std::sync::Arc;
+
+use ihd_link::{Client, KEEPALIVE_PERIOD, LinkError};
+use ihd_shared::wire::messages::{NO_PANEL, Status};
+use ihd_train::WINDOWS_EVERY;
+use tokio::runtime::Handle;
+use tokio::time::Instant;
+
+use super::session::{SILENCE_LIMIT, Session, SessionEnd};
+use super::sweep::{Step, Sweep};
+use crate::lease::{LeaseError, LeaseId, LostLease};
+use crate::model::{DeviceState, EventKind};
+use crate::switching_off::switch_off;
+
+/// Largest number of consecutive checks without an answer or without telemetry; one more ends the session.
+const MAX_UNANSWERED: u32 = 2;
+
+/// Error of a power request.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum HeatError {
+    /// The lease is not valid.
+    #[error(transparent)]
+    Lease(#[from] LeaseError),
+    /// The device refused, or did not answer.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+}
+
+impl Session<'_> {
+    /// Sends the keep-alive while heating for a lease, and queries a silent device.
+    pub(super) async fn keep_alive(&mut self) -> Result<(), SessionEnd> {
+        let heats_for_us = self.record.lock().lease.heats(Instant::now());
+        let silent = self.last_event.elapsed();
+        let is_due = heats_for_us && self.last_power_check.elapsed() >= KEEPALIVE_PERIOD;
+        let is_silent = silent >= SILENCE_LIMIT && self.last_request.elapsed() >= SILENCE_LIMIT;
+        if !is_due && !is_silent {
+            return Ok(());
+        }
+        if is_silent {
+            self.record.enter(
+                DeviceState::Suspended,
+                &format!("nothing came for {:.0} s", silent.as_secs_f64()),
+            );
+        }
+        match self.check_power().await {
+            Ok(()) if is_silent => {
+                self.unanswered_checks += 1;
+                // It answers without streaming, as after a hello of another host.
+                let restarted = self.request(|client| client.stream(1, WINDOWS_EVERY)).await;
+                restarted.map_err(|error| SessionEnd::Link(error.to_string()))?;
+            }
+            // Preempted by `off`, which the device has answered.
+            Ok(()) | Err(LinkError::Preempted { .. }) => self.unanswered_checks = 0,
+            Err(error @ LinkError::NoAnswer { .. }) if self.unanswered_checks < MAX_UNANSWERED => {
+                self.unanswered_checks += 1;
+                tracing::debug!(device = self.record.name, %error, "no answer");
+            }
+            Err(error) => return Err(SessionEnd::Link(error.to_string())),
+        }
+        if self.unanswered_checks > MAX_UNANSWERED {
+            return Err(SessionEnd::Link(
+                "it answers and sends no half-cycles".to_owned(),
+            ));
+        }
+        Ok(())
+    }
+
+    /// Compares the device's requested power with the lease's. Another host's hello or the panel may have ended it.
+    pub(super) async fn check_power(&mut self) -> Result<(), LinkError> {
+        self.last_power_check = Instant::now();
+        let (record, runtime) = (Arc::clone(self.record), Handle::current());
+        let compare = move |client: &mut Client| -> Result<_, LinkError> {
+            let status = client.status()?;
+            // On the link's thread, as all power requests, so that status and lease are of the same moment.
+            let _in_runtime = runtime.enter();
+            let has_panel = status.panel_level != NO_PANEL;
+            let lost = record
+                .lock()
+                .lease
+                .check_device_power(status.asked_w, has_panel);
+            Ok(lost.map(|lost| (lost, status.asked_w)))
+        };
+        if let Some((lost, asked_w)) = self.request(compare).await? {
+            self.publish_lost_lease(&lost, asked_w);
+        }
+        Ok(())
+    }
+
+    /// Publishes that a lease ended because the device has `asked_w` in place of its power.
+    pub(super) fn publish_lost_lease(&self, lost: &LostLease, asked_w: u16) {
+        let LostLease { holder, power_w } = lost;
+        let has = match asked_w {
+            0 => "is asked for no power any more".to_owned(),
+            asked_w => format!("is asked for {asked_w} W"),
+        };
+        let why = format!(
+            "the hob {has}, and not for the {power_w} W of {holder}: another host spoke to it, or it was switched off there"
+        );
+        tracing::warn!(
+            device = self.record.name,
+            holder,
+            why,
+            "the lease has ended"
+        );
+        self.store_event("lease", &why);
+        self.record.publish(EventKind::Lease {
+            holder: String::new(),
+            taken_from: String::new(),
+            why,
+        });
+    }
+
+    /// Returns the sweep; drops it if its lease or its power has ended.
+    pub(super) fn active_sweep(&mut self) -> Option<&mut Sweep> {
+        let (lease, _) = self.sweep.as_ref()?;
+        let mut inner = self.record.lock();
+        if inner.lease.check_heating(*lease, Instant::now()).is_err() {
+            inner.sweep_left_w.clear();
+            self.sweep = None;
+        }
+        drop(inner);
+        self.sweep.as_mut().map(|(_, sweep)| sweep)
+    }
+
+    /// Carries out a sweep's action.
+    pub(super) async fn apply_sweep_step(&mut self, step: Step) -> Result<(), SessionEnd> {
+        match step {
+            Step::Nothing => {}
+            Step::Log(text) => {
+                tracing::info!(device = self.record.name, "{text}");
+                self.store_event("sweep", &text);
+            }
+            Step::SetPower(power_w) => {
+                tracing::info!(device = self.record.name, power_w, "sweep");
+                let Some((lease, _)) = self.sweep else {
+                    return Ok(());
+                };
+                if let Err(error) = self.heat(lease, power_w).await {
+                    self.end_heating(&format!("the sweep ended: {error}"))
+                        .await?;
+                }
+            }
+            Step::End(why) => self.end_heating(&format!("the sweep ended: {why}")).await?,
+        }
+        let sweep = self.sweep.as_ref();
+        let left = sweep.map(|(_, sweep)| sweep.left_w()).unwrap_or_default();
+        self.record.lock().sweep_left_w = left;
+        Ok(())
+    }
+
+    /// Requests power under a lease.
+    ///
+    /// # Errors
+    /// [`HeatError`] if the lease has ended, or the link failed.
+    pub(super) async fn heat(&mut self, lease: LeaseId, power_w: u16) -> Result<(), HeatError> {
+        if self.record.lock().lease.must_switch_off(Instant::now()) {
+            // Power of an ended lease: the new lease begins with the hob off.
+            self.off().await?;
+        }
+        self.last_request = Instant::now();
+        let (record, runtime) = (Arc::clone(self.record), Handle::current());
+        let set_power = move |client: &mut Client| -> Result<(), HeatError> {
+            // For the clock. On the link's thread, so that an `off` comes either before lease and device, or after both.
+            let _in_runtime = runtime.enter();
+            let set_lease_power = |power_w| {
+                record
+                    .lock()
+                    .lease
+                    .request_power(lease, power_w, Instant::now())
+            };
+            let before = set_lease_power(power_w)?;
+            let outcome = client.set_power(power_w);
+            if let Err(LinkError::Refused { .. }) = &outcome {
+                // The device keeps its previous power. This fails if the lease has ended, and then that power is switched off.
+                let _ = set_lease_power(before);
+            }
+            Ok(outcome?)
+        };
+        self.client.with(set_power).await?
+    }
+
+    /// Switches off and ends the sweep.
+    ///
+    /// # Errors
+    /// Error of the link.
+    pub(super) async fn off(&mut self) -> Result<(), LinkError> {
+        self.sweep = None;
+        self.record.lock().sweep_left_w.clear();
+        self.last_request = Instant::now();
+        switch_off(self.record, &self.client).await
+    }
+
+    /// Switches off power requested through the daemon, for this reason; does nothing if there is none.
+    ///
+    /// # Errors
+    /// The end of the session, if the link failed.
+    pub(super) async fn end_heating(&mut self, why: &str) -> Result<(), SessionEnd> {
+        if self.record.lock().lease.asked_w() == 0 && self.sweep.is_none() {
+            return Ok(());
+        }
+        tracing::info!(device = self.record.name, why, "off");
+        self.store_event("off", why);
+        self.off()
+            .await
+            .map_err(|error| SessionEnd::Link(error.to_string()))
+    }
+
+    /// Ends power from before this connection. A device ends it itself at the hello; one that still heats, and not for its
+    /// panel, is switched off.
+    pub(super) async fn end_previous_power(&mut self, status: &Status) -> Result<(), LinkError> {
+        if status.asked_w == 0 || status.panel_level != NO_PANEL {
+            self.record.lock().lease.confirm_off();
+            return Ok(());
+        }
+        let asked_w = status.asked_w;
+        tracing::warn!(
+            device = self.record.name,
+            asked_w,
+            "its hello did not end its heating: switched off"
+        );
+        self.off().await
+    }
+}

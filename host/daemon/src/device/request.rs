@@ -1,0 +1,25 @@
+//! Requests to the task of a device.
+
+use tokio::sync::oneshot;
+
+use crate::learning::Lookup;
+use crate::lease::LeaseId;
+use crate::model::{Command, CommandError, CommandReply};
+
+/// Request to a device's task.
+pub enum DeviceRequest {
+    /// Carry out a command.
+    Command {
+        /// Command.
+        command: Command,
+        /// Lease of the requester; `None` if the command needs none.
+        lease: Option<LeaseId>,
+        /// Sender of the outcome.
+        reply: ReplySender,
+    },
+    /// Push a learned lookup.
+    PushLookup(Box<Lookup>),
+}
+
+/// Sender of a command's outcome.
+pub type ReplySender = oneshot::Sender<Result<CommandReply, CommandError>>;

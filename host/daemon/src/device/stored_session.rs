@@ -1,0 +1,68 @@
+//! Session of a device in the store.
+
+use super::session::{Session, SessionEnd};
+use crate::model::RecordKind;
+use crate::printable::printable;
+use crate::store_thread::StoreAccess;
+
+impl Session<'_> {
+    /// Begins the session in the store. If that fails, nothing is stored until [`Session::retry_store`] succeeds.
+    pub(super) async fn begin_stored_session(&mut self) {
+        let (name, address) = (self.record.name.clone(), self.record.address.clone());
+        let hello = self.client.hello().clone();
+        let front_end = self.client.front_end().clone();
+        let is_resumed = self.record.lock().is_resumed;
+        let began = self.context.in_store(move |store| {
+            let device = store.device(&name, &address)?;
+            let session = store.begin_session(device, &hello, &front_end)?;
+            let learned = match is_resumed {
+                true => None,
+                false => store.learner_state(device)?,
+            };
+            Ok((device, session, learned))
+        });
+        // Errors of the store are reported by its thread.
+        if let Some((device, session, learned)) = began.await {
+            self.device_id = Some(device);
+            self.session_id = Some(session);
+            self.record.lock().is_resumed = true;
+            let added = self
+                .context
+                .learner
+                .add(&self.record.name, learned.as_deref());
+            if let Err(error) = added {
+                tracing::warn!(device = self.record.name, %error, "what was learned is lost");
+                self.store_event("learned", &error.to_string());
+            }
+        }
+    }
+
+    /// Stores an event of the device. Without room in the store it is dropped and counted.
+    pub(super) fn store_event(&self, kind: &'static str, text: &str) {
+        let (device, text) = (self.device_id, printable(text));
+        let store = self.store().writing_once(RecordKind::Events);
+        store.offer(move |store| store.event(device, kind, &text));
+    }
+
+    /// Returns access to the store in this device's lane.
+    pub(super) fn store(&self) -> StoreAccess {
+        self.context.store.of_device(&self.record.name)
+    }
+
+    /// Retries what the store failed to do.
+    pub(super) async fn retry_store(&mut self) -> Result<(), SessionEnd> {
+        if self.session_id.is_none() {
+            self.begin_stored_session().await;
+            self.must_reconcile |= self.session_id.is_some();
+        }
+        if self.session_id.is_some()
+            && self.push.is_none()
+            && std::mem::take(&mut self.must_reconcile)
+        {
+            let on_device = self.record.lock().lookup.on_device.unwrap_or(0);
+            let reconciled = self.reconcile(on_device).await;
+            reconciled.map_err(|error| SessionEnd::Link(error.to_string()))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,277 @@
+//! Pot on a device's coil: temperature rise ΔT from telemetry, and pot events.
+//!
+//! The state lasts as long as the daemon: after a restart ΔT begins at 0.
+
+use std::collections::VecDeque;
+
+use ihd_shared::wire::messages::{Pot, Telemetry};
+use ihd_thermal::{HalfCycle, PotEvent, Thermometer};
+
+use crate::model::{PotCurve, PotPoint, PotTemperature};
+
+/// Interval between two points of the curve, in milliseconds.
+const POINT_MS: i64 = 2_000;
+
+/// Length of the curve in points: one hour.
+const POINTS: usize = 1_800;
+
+/// Half-cycle of 50 Hz in seconds, until a window brings the measured one.
+const HALF_CYCLE_S: f64 = 0.01;
+
+/// Half-cycles of mains from 45 to 66 Hz, in seconds; other values are ignored.
+const HALF_CYCLES_S: std::ops::RangeInclusive<f64> = 7.5e-3..=11.2e-3;
+
+/// Largest gap in the count of half-cycles: ten minutes. Beyond it tracking restarts.
+const LARGEST_GAP: u32 = 60_000;
+
+/// Temperature tracker of the pot on one coil.
+#[derive(Debug)]
+pub struct PotTracker {
+    thermometer: Thermometer,
+    half_cycle_s: f64,
+    boot: Option<u32>,
+    /// Last half-cycle and its time in seconds.
+    last: Option<(u32, f64)>,
+    since_ms: i64,
+    points: VecDeque<PotPoint>,
+}
+
+impl Default for PotTracker {
+    fn default() -> Self {
+        Self {
+            thermometer: Thermometer::default(),
+            half_cycle_s: HALF_CYCLE_S,
+            boot: None,
+            last: None,
+            since_ms: 0,
+            points: VecDeque::new(),
+        }
+    }
+}
+
+impl PotTracker {
+    /// Sets the measured duration of a half-cycle in seconds; ignored if out of range.
+    pub fn set_half_cycle(&mut self, half_cycle_s: f64) {
+        if HALF_CYCLES_S.contains(&half_cycle_s) {
+            self.half_cycle_s = half_cycle_s;
+        }
+    }
+
+    /// Starts a connection to a boot of the device; a new boot resets the tracker, as its half-cycles count anew.
+    pub fn begin_boot(&mut self, boot: u32) {
+        if self.boot.replace(boot) != Some(boot) {
+            self.reset();
+        }
+    }
+
+    /// Resets the tracker: another pot, or a restarted device.
+    pub fn reset(&mut self) {
+        self.thermometer.begin_anew();
+        self.last = None;
+        self.points.clear();
+    }
+
+    /// Processes a half-cycle received at `now_ms` and returns the events. Takes microseconds; once per pot, after a batch, some
+    /// tens of milliseconds.
+    pub fn push(&mut self, t: &Telemetry, now_ms: i64) -> Vec<PotEvent> {
+        if matches!(t.pot, Pot::Absent | Pot::Unsuitable) {
+            if self.last.is_some() {
+                self.reset();
+            }
+            return Vec::new();
+        }
+        let t_s = match self.last {
+            None => 0.0,
+            Some((before, t_s)) => {
+                let passed = t.half_cycle.wrapping_sub(before);
+                // A duplicate, or out of order.
+                if passed == 0 || passed > u32::MAX / 2 {
+                    return Vec::new();
+                }
+                if passed > LARGEST_GAP {
+                    self.reset();
+                    0.0
+                } else {
+                    t_s + f64::from(passed) * self.half_cycle_s
+                }
+            }
+        };
+        self.last = Some((t.half_cycle, t_s));
+        self.thermometer.push(&HalfCycle::from_telemetry(t, t_s));
+        let events = self.thermometer.take_events();
+        if events.iter().any(|e| matches!(e, PotEvent::Placed { .. })) {
+            self.since_ms = now_ms;
+            self.points.clear();
+        }
+        self.add_point(now_ms);
+        events
+    }
+
+    fn add_point(&mut self, now_ms: i64) {
+        let due = |p: &PotPoint| now_ms - p.at_ms >= POINT_MS || now_ms < p.at_ms;
+        let Some(reading) = self
+            .thermometer
+            .reading()
+            .filter(|_| self.points.back().is_none_or(due))
+        else {
+            return;
+        };
+        if self.points.len() == POINTS {
+            self.points.pop_front();
+        }
+        self.points.push_back(PotPoint {
+            at_ms: now_ms,
+            rise_k: reading.rise_k,
+            sigma_k: reading.sigma_k,
+        });
+    }
+
+    /// Returns the present estimate; `None` if there is no pot or no finite estimate.
+    pub fn now(&self) -> Option<PotTemperature> {
+        let r = self.thermometer.reading()?;
+        let finite = [r.rise_k, r.sigma_k, r.lift_mm, r.lift_sigma_mm];
+        finite
+            .iter()
+            .all(|x| x.is_finite())
+            .then_some(PotTemperature {
+                since_ms: self.since_ms,
+                rise_k: r.rise_k,
+                sigma_k: r.sigma_k,
+                lift_mm: r.lift_mm,
+                lift_sigma_mm: r.lift_sigma_mm,
+                bubbles: r.bubbles,
+                boils: r.boils,
+                overheats: r.overheats,
+            })
+    }
+
+    /// Returns the curve of this pot, with the present estimate.
+    pub fn curve(&self) -> PotCurve {
+        PotCurve {
+            now: self.now(),
+            points: self.points.iter().copied().collect(),
+        }
+    }
+}
+
+/// Describes an event for logs and reports.
+pub fn describe(event: &PotEvent) -> String {
+    match *event {
+        PotEvent::Placed {
+            diameter_m,
+            is_cast_iron,
+            is_sure,
+        } => format!(
+            "its temperature is followed from here: {} of about {:.0} cm by R and L",
+            match (is_sure, is_cast_iron) {
+                (true, true) => "cast iron",
+                (true, false) => "ferritic steel",
+                (false, _) => "iron or steel",
+            },
+            100.0 * diameter_m
+        ),
+        PotEvent::Moved { lift_mm, straight } => format!(
+            "moved: lift {lift_mm:+.1} mm{}",
+            if straight { "" } else { ", and shifted" }
+        ),
+        PotEvent::Bubbles => "bubbles carry the heat from its base".to_owned(),
+        PotEvent::Boils { .. } => "its contents boil".to_owned(),
+        PotEvent::Overheats {
+            rise_k,
+            toward_curie,
+        } => format!(
+            "overheats: {rise_k:.0} K warmer than when it was put on{}",
+            if toward_curie {
+                ", beyond the turn toward the Curie point"
+            } else {
+                ""
+            }
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_link::{Client, Event};
+    use ihd_sim::hob::{HobConfig, SimHob};
+    use ihd_sim::recording::settings::LoadKind;
+    use ihd_sim::transport::SharedHob;
+    use std::time::Duration;
+
+    use super::*;
+
+    fn telemetry(half_cycles: u32) -> Vec<Telemetry> {
+        let hob = SharedHob::new(SimHob::new(&HobConfig {
+            load: LoadKind::Surrogate,
+            warming: true,
+            ..HobConfig::default()
+        }));
+        let mut client = Client::connect(Box::new(hob)).unwrap();
+        client.stream(1, 0).unwrap();
+        client.set_power(1500).unwrap();
+        let mut all = Vec::new();
+        while all.len() < half_cycles as usize {
+            if let Some(Event::Telemetry(t)) = client.next_event(Duration::from_secs(5)).unwrap() {
+                all.push(t);
+            }
+        }
+        all
+    }
+
+    #[test]
+    fn a_pot_is_followed_and_another_one_begins_at_zero() {
+        let all = telemetry(500);
+        let mut tracker = PotTracker::default();
+        let mut events = Vec::new();
+        for (k, t) in all.iter().enumerate() {
+            // Twice: as after a reconnection.
+            events.extend(tracker.push(t, 10 * k as i64));
+            events.extend(tracker.push(t, 10 * k as i64));
+        }
+        assert!(
+            matches!(events[..], [PotEvent::Placed { .. }]),
+            "{events:?}"
+        );
+        let now = tracker.now().unwrap();
+        // 1.5 kW on the lump of 900 J/K for 4.5 s.
+        assert!((3.0..12.0).contains(&now.rise_k), "{now:?}");
+        let curve = tracker.curve();
+        assert!((1..=3).contains(&curve.points.len()), "{curve:?}");
+        let mut gone = all[499].clone();
+        gone.pot = Pot::Absent;
+        gone.half_cycle += 1;
+        tracker.push(&gone, 6_000);
+        assert_eq!(
+            (tracker.now(), tracker.curve()),
+            (None, PotCurve::default())
+        );
+        // The same boot goes on after a cut link, another one begins anew.
+        tracker.begin_boot(7);
+        all.iter().for_each(|t| drop(tracker.push(t, 10)));
+        tracker.begin_boot(7);
+        assert!(tracker.now().is_some());
+        tracker.begin_boot(8);
+        assert_eq!(tracker.now(), None);
+        all.iter().for_each(|t| drop(tracker.push(t, 10)));
+        assert!(tracker.now().is_some());
+    }
+
+    #[test]
+    fn what_a_device_makes_up_is_survived() {
+        let good = telemetry(60).pop().unwrap();
+        let mut tracker = PotTracker::default();
+        for k in 0..20_000u32 {
+            let mut t = good.clone();
+            t.half_cycle = k.wrapping_mul(2_654_435_761);
+            t.f_sw_hz = k.wrapping_mul(40_503);
+            t.r.0 = k.wrapping_mul(747_796_405) as i32;
+            t.l.0 = k.wrapping_mul(2_891_336_453) as i32;
+            t.power_mw = k.wrapping_mul(1_103_515_245);
+            tracker.push(&t, i64::from(k));
+        }
+        assert!(tracker.curve().points.len() <= POINTS);
+        tracker.set_half_cycle(f64::NAN);
+        tracker.set_half_cycle(1.0);
+        assert_eq!(tracker.half_cycle_s, HALF_CYCLE_S);
+    }
+}

@@ -1,0 +1,263 @@
+//! Writer of a recording's file, on a thread of its own, so that a slow disk does not delay the link.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError, mpsc};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use ihd_capture::mcap::{McapFileError, SessionRecorder};
+use ihd_link::FrameSink;
+use ihd_shared::wire::messages::{FrontEnd, Hello};
+
+use super::ring::Chunk;
+
+/// Largest number of bytes waiting for the disk, beside the pre-trigger: a minute of a heating hob.
+const MAX_WAITING: usize = 16 << 20;
+
+/// Path, metadata and pre-trigger of a new file.
+pub struct FileStart {
+    /// Path of the file.
+    pub path: PathBuf,
+    /// Identity of the device.
+    pub hello: Hello,
+    /// Scales of its ADC codes.
+    pub front_end: FrontEnd,
+    /// Metadata of the recording.
+    pub notes: BTreeMap<String, String>,
+    /// Start of the file on the transport's clock.
+    pub at: Duration,
+    /// Chunks before the trigger.
+    pub before: Vec<Chunk>,
+    /// `true` if the next chunk starts within a frame.
+    pub mid_frame: bool,
+}
+
+/// Progress of a file.
+#[derive(Clone, Debug, Default)]
+struct Progress {
+    begun: bool,
+    /// Reason for the end, or for the failure; `None` while it is being written.
+    ended: Option<Result<String, String>>,
+}
+
+/// Progress of a file, to wait for.
+#[derive(Clone, Default)]
+pub struct PendingWrite(Arc<(Mutex<Progress>, Condvar)>);
+
+impl PendingWrite {
+    fn update(&self, change: impl FnOnce(&mut Progress)) {
+        let (progress, changed) = &*self.0;
+        change(&mut progress.lock().unwrap_or_else(PoisonError::into_inner));
+        changed.notify_all();
+    }
+
+    /// Waits until `ready` returns a value; `None` after `timeout`.
+    fn wait_for<T>(&self, timeout: Duration, ready: impl Fn(&Progress) -> Option<T>) -> Option<T> {
+        let (progress, changed) = &*self.0;
+        let deadline = Instant::now() + timeout;
+        let mut now = progress.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            if let Some(value) = ready(&now) {
+                return Some(value);
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return None;
+            }
+            let woken = changed.wait_timeout(now, left);
+            now = woken.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// Waits until the file has begun.
+    ///
+    /// # Errors
+    /// Reason of the failure, or of the timeout.
+    pub fn wait_begun(&self, timeout: Duration) -> Result<(), String> {
+        let begun = self.wait_for(timeout, |p| match (&p.ended, p.begun) {
+            (Some(Err(why)), _) => Some(Err(why.clone())),
+            (_, true) | (Some(Ok(_)), _) => Some(Ok(())),
+            _ => None,
+        });
+        begun.unwrap_or_else(|| Err(timeout_text(timeout)))
+    }
+
+    /// Waits until the file is complete.
+    ///
+    /// # Errors
+    /// Reason of the failure, or of the timeout.
+    pub fn wait_complete(&self, timeout: Duration) -> Result<(), String> {
+        let ended = self.wait_for(timeout, |p| p.ended.clone());
+        ended
+            .unwrap_or_else(|| Err(timeout_text(timeout)))
+            .map(drop)
+    }
+}
+
+fn timeout_text(timeout: Duration) -> String {
+    format!(
+        "the disk has not taken it within {} s; it is still being written",
+        timeout.as_secs()
+    )
+}
+
+/// Job of a file's thread.
+enum Job {
+    Chunk(Chunk),
+    End(String),
+}
+
+/// Writer of a file.
+pub struct RecordingWriter {
+    jobs: mpsc::Sender<Job>,
+    waiting_bytes: Arc<AtomicUsize>,
+    overrun: Arc<AtomicBool>,
+    /// Progress of the file.
+    pub pending: PendingWrite,
+}
+
+impl RecordingWriter {
+    /// Begins a file. `on_end` is called with the outcome, on the file's thread.
+    ///
+    /// # Errors
+    /// The thread could not be started.
+    pub fn begin(
+        start: FileStart,
+        on_end: impl FnOnce(&Result<String, String>) + Send + 'static,
+    ) -> Result<Self, String> {
+        let (jobs, received) = mpsc::channel();
+        let writer = Self {
+            jobs,
+            waiting_bytes: Arc::default(),
+            overrun: Arc::default(),
+            pending: PendingWrite::default(),
+        };
+        let (pending, bytes) = (writer.pending.clone(), Arc::clone(&writer.waiting_bytes));
+        let overrun = Arc::clone(&writer.overrun);
+        let serve = move || {
+            let written = write(start, &pending, &received, &bytes, &overrun);
+            on_end(&written);
+            pending.update(|progress| progress.ended = Some(written));
+        };
+        let started = thread::Builder::new()
+            .name("ihd-recording".into())
+            .spawn(serve);
+        started.map_err(|e| format!("no thread could be started for the file: {e}"))?;
+        Ok(writer)
+    }
+
+    /// Writes a chunk without waiting. Returns `false` if the file has ended or the disk is too slow; `on_end` gets the reason.
+    pub fn write(&self, chunk: Chunk) -> bool {
+        let bytes = chunk.bytes.len();
+        if self.waiting_bytes.fetch_add(bytes, Ordering::Relaxed) > MAX_WAITING {
+            self.overrun.store(true, Ordering::Relaxed);
+            return false;
+        }
+        self.jobs.send(Job::Chunk(chunk)).is_ok()
+    }
+
+    /// Completes the file, for this reason. Returns its progress.
+    pub fn finish(self, why: &str) -> PendingWrite {
+        // Fails only if the thread has ended, which it has reported.
+        let _ = self.jobs.send(Job::End(why.to_owned()));
+        self.pending
+    }
+}
+
+fn write(
+    start: FileStart,
+    pending: &PendingWrite,
+    received: &mpsc::Receiver<Job>,
+    waiting_bytes: &AtomicUsize,
+    overrun: &AtomicBool,
+) -> Result<String, String> {
+    let FileStart {
+        path,
+        hello,
+        front_end,
+        notes,
+        at,
+        before,
+        mid_frame,
+    } = start;
+    let file = create(&path, &hello, &front_end, notes).map_err(|e| e.to_string())?;
+    let first = before.iter().find(|chunk| chunk.from_device);
+    let mut file = AlignedFile {
+        file: Box::new(file.starting_at(at).with_wall_clock_flush()),
+        in_step: !first.map_or(mid_frame, |first| first.mid_frame),
+    };
+    pending.update(|progress| progress.begun = true);
+    // The error names the file.
+    let text = |e: std::io::Error| e.to_string();
+    for chunk in before {
+        file.write(&chunk).map_err(text)?;
+    }
+    let why = loop {
+        match received.recv() {
+            Ok(Job::Chunk(chunk)) => {
+                waiting_bytes.fetch_sub(chunk.bytes.len(), Ordering::Relaxed);
+                file.write(&chunk).map_err(text)?;
+            }
+            Ok(Job::End(why)) => break why,
+            // The writer was dropped without an end.
+            Err(_) => break "its recorder is gone".to_owned(),
+        }
+    };
+    file.file.finish().map_err(text)?;
+    match overrun.load(Ordering::Relaxed) {
+        true => Err(format!(
+            "{}: the disk is too slow: {} MB waited for it, and what came after is missing",
+            path.display(),
+            MAX_WAITING >> 20
+        )),
+        false => Ok(why),
+    }
+}
+
+/// Creates a file. If that fails, no file is left.
+fn create(
+    path: &Path,
+    hello: &Hello,
+    front_end: &FrontEnd,
+    notes: BTreeMap<String, String>,
+) -> Result<SessionRecorder, McapFileError> {
+    if let Some(folder) = path.parent() {
+        // If this fails, creating the file fails, too, with the reason.
+        let _ = fs::create_dir_all(folder);
+    }
+    let created = SessionRecorder::with_notes(path, hello, front_end, notes);
+    created.inspect_err(|error| {
+        if !matches!(error, McapFileError::Exists { .. }) {
+            let _ = fs::remove_file(path);
+        }
+    })
+}
+
+/// File that begins with a whole frame of the device.
+struct AlignedFile {
+    file: Box<SessionRecorder>,
+    in_step: bool,
+}
+
+impl AlignedFile {
+    fn write(&mut self, chunk: &Chunk) -> std::io::Result<()> {
+        if !chunk.from_device {
+            return self.file.sent(chunk.at, &chunk.bytes);
+        }
+        let mut bytes = &chunk.bytes[..];
+        if !self.in_step {
+            let Some(end) = bytes.iter().position(|&b| b == 0) else {
+                return Ok(());
+            };
+            self.in_step = true;
+            bytes = &bytes[end + 1..];
+        }
+        match bytes.is_empty() {
+            true => Ok(()),
+            false => self.file.received(chunk.at, bytes),
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! History of a device: telemetry and results over minutes to months.
+
+use ihd_store::{Reader, ResultRow, StoreError};
+
+use super::finite;
+use crate::daemon::{Daemon, DaemonError};
+use crate::history::{Columns, Grid};
+use crate::model::{History, HistoryResults};
+
+/// Longest time from a window to its result, in milliseconds: the learner's queue is short.
+const LONGEST_WAIT_MS: i64 = 600_000;
+
+impl Daemon {
+    /// Returns the history of a device from `from_ms` to `to_ms` (milliseconds since 1970, UTC) in at most `columns`
+    /// (1 to 4000), including telemetry that is not written yet.
+    ///
+    /// # Errors
+    /// [`DaemonError::NoDevice`], or an error of the store.
+    pub async fn history(
+        &self,
+        device: &str,
+        from_ms: i64,
+        to_ms: i64,
+        columns: usize,
+    ) -> Result<History, DaemonError> {
+        let grid = Grid::new(from_ms, to_ms, columns);
+        // Taken before the store is read: telemetry written in between is in both, and counted once.
+        let unwritten = self.inner.telemetry.unwritten(device);
+        self.read_device(device, move |reader, device| {
+            let mut filled = Columns::new(grid);
+            let within = (grid.from_s, grid.to_s);
+            let mut add = |span| filled.add(&span);
+            let written = reader.telemetry(device, within, grid.uses_minutes(), &mut add)?;
+            let new = |at_s: i64| written.last_s.is_none_or(|last_s| at_s > last_s);
+            for span in unwritten.iter().filter(|span| new(span.at_s)) {
+                filled.add(span);
+            }
+            let span_ms = (grid.from_s * 1_000, to_ms.max(from_ms));
+            let (of, mut rows) =
+                reader.results_between(device, span_ms, columns.clamp(1, 4_000))?;
+            set_window_times(reader, device, span_ms, &mut rows)?;
+            Ok(filled.history((from_ms, to_ms), results(of, &rows)))
+        })
+        .await
+    }
+}
+
+/// Sets the time of each result to that of its window, because a result may be stored much later. A result whose window
+/// is unknown keeps its own time.
+fn set_window_times(
+    reader: &Reader,
+    device: &str,
+    (from_ms, to_ms): (i64, i64),
+    rows: &mut [ResultRow],
+) -> Result<(), StoreError> {
+    let windows: Vec<_> = rows.iter().map(|row| (row.boot, row.seq)).collect();
+    let days = (from_ms.saturating_sub(LONGEST_WAIT_MS), to_ms);
+    let times = reader.times_of_windows(device, &windows, days)?;
+    for (row, time) in rows.iter_mut().zip(times) {
+        row.at_ms = time.unwrap_or(row.at_ms);
+    }
+    Ok(())
+}
+
+fn results(of: u64, rows: &[ResultRow]) -> HistoryResults {
+    let list = |value: fn(&ResultRow) -> f64| rows.iter().map(|row| finite(value(row))).collect();
+    HistoryResults {
+        of,
+        at_ms: rows.iter().map(|row| row.at_ms).collect(),
+        r_ohm: list(|row| row.r_ohm),
+        l_h: list(|row| row.l_h),
+        sigma_r_pct: list(|row| row.sigma_r_pct),
+        sigma_l_pct: list(|row| row.sigma_l_pct),
+        pass: rows.iter().map(|row| row.pass).collect(),
+    }
+}

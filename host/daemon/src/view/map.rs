@@ -1,0 +1,184 @@
+//! Lookup in ohm and henry, with confidence and age of its cells.
+
+use ihd_shared::lookup::grid::{CURRENTS, F_MAX_HZ, F_MIN_HZ, FREQUENCIES, I_BEND_MA, I_MAX_MA};
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
+use ihd_store::{Confidence, LookupRow, LookupState};
+
+use super::cell_ages::CellAges;
+use super::stored_lookup::newest;
+use crate::daemon::{Daemon, DaemonError};
+use crate::event_bus::now_ms;
+use crate::locking::lock;
+use crate::model::Map;
+
+impl Daemon {
+    /// Returns a lookup of a device as a map: of this version, 0 being the built-in prior; if `version` is `None`, the one
+    /// that the device uses, or used last. `None` if there is no such version.
+    ///
+    /// # Errors
+    /// [`DaemonError::NoDevice`], or an error of the store.
+    pub async fn map(
+        &self,
+        device: &str,
+        version: Option<u32>,
+    ) -> Result<Option<Map>, DaemonError> {
+        let handle = self.inner.devices.get(device);
+        let on_device = handle.and_then(|handle| handle.record.lock().lookup.on_device);
+        let ages = lock(&self.inner.ages)
+            .get(device)
+            .cloned()
+            .unwrap_or_default();
+        let read = self.read_device(device, move |reader, device| {
+            let rows = reader.lookups()?;
+            let rows: Vec<_> = rows
+                .into_iter()
+                .filter(|row| row.device == device)
+                .collect();
+            let active = rows
+                .iter()
+                .rev()
+                .find(|row| row.state == LookupState::Active);
+            let version = version.or(on_device).or(active.map(|row| row.version));
+            let version = version.unwrap_or(0);
+            let mut ages = ages;
+            ages.add(&reader.last_accepted(device, ages.last)?);
+            let confidence = reader.confidence(device, version)?;
+            let row = newest(&rows, version).cloned();
+            Ok((version, row, confidence, ages))
+        });
+        let (version, row, confidence, ages) = read.await?;
+        let map = map(version, row.as_ref(), confidence.as_ref(), &ages);
+        lock(&self.inner.ages).insert(device.to_owned(), ages);
+        Ok(map)
+    }
+}
+
+fn map(
+    version: u32,
+    row: Option<&LookupRow>,
+    confidence: Option<&Confidence>,
+    ages: &CellAges,
+) -> Option<Map> {
+    if version == 0 {
+        let map = Map {
+            state: "prior".to_owned(),
+            origin: "firmware".to_owned(),
+            why: "built into the firmware".to_owned(),
+            ..Map::default()
+        };
+        return Some(fill(map, &prior(), ages));
+    }
+    let row = row?;
+    // The store checks lookups before writing them.
+    let lookup = RlLookup::from_bytes(&row.blob).ok()?;
+    let map = Map {
+        version,
+        state: row.state.to_string(),
+        at_ms: row.at_ms,
+        origin: row.origin.clone(),
+        why: row.why.clone(),
+        confidence: confidence.map(Confidence::cells),
+        ..Map::default()
+    };
+    Some(fill(map, &lookup, ages))
+}
+
+fn fill(map: Map, lookup: &RlLookup, ages: &CellAges) -> Map {
+    let f_sw_hz: Vec<f64> = (0..FREQUENCIES).map(frequency_hz).collect();
+    let i_a: Vec<f64> = (0..CURRENTS).map(current_a).collect();
+    let table = |value: &dyn Fn(usize, usize) -> f64| -> Vec<Vec<f64>> {
+        let row = |f: usize| (0..CURRENTS).map(|i| value(f, i)).collect();
+        (0..FREQUENCIES).map(row).collect()
+    };
+    let r_ohm = |f: usize, i: usize| f64::from(lookup.r[f][i]) * OHM_PER_CODE;
+    let observed = |f: usize| (0..CURRENTS).map(|i| lookup.is_observed(f, i)).collect();
+    Map {
+        r_ohm: table(&r_ohm),
+        l_h: table(&|f, i| f64::from(lookup.l[f][i]) * HENRY_PER_CODE),
+        power_w: table(&|f, i| 0.5 * r_ohm(f, i) * i_a[i] * i_a[i]),
+        observed: (0..FREQUENCIES).map(observed).collect(),
+        age_s: ages.seconds(now_ms()),
+        f_sw_hz,
+        i_a,
+        ..map
+    }
+}
+
+/// Returns the switching frequency of a row in hertz: the grid is uniform in ln f.
+fn frequency_hz(row: usize) -> f64 {
+    let (least, largest) = (f64::from(F_MIN_HZ), f64::from(F_MAX_HZ));
+    least * (largest / least).powf(row as f64 / (FREQUENCIES - 1) as f64)
+}
+
+/// Returns the current amplitude of a column in ampere: the grid is uniform in ln(1 + I / I_bend).
+fn current_a(column: usize) -> f64 {
+    let (bend, largest) = (f64::from(I_BEND_MA) * 1e-3, f64::from(I_MAX_MA) * 1e-3);
+    let share = column as f64 / (CURRENTS - 1) as f64;
+    bend * ((1.0 + largest / bend).powf(share) - 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_store::LastAccepted;
+
+    use super::*;
+
+    #[test]
+    fn cells_lie_where_the_firmware_interpolates_them() {
+        let map = map(0, None, None, &CellAges::default()).unwrap();
+        assert_eq!(
+            (map.state.as_str(), map.f_sw_hz.len(), map.i_a.len()),
+            ("prior", 8, 17)
+        );
+        assert_eq!((map.f_sw_hz[0], map.i_a[0]), (30e3, 0.0));
+        assert!((map.f_sw_hz[7] - 80e3).abs() < 1e-6 && (map.i_a[16] - 80.0).abs() < 1e-9);
+        let lookup = prior();
+        for (f, f_sw_hz) in map.f_sw_hz.iter().enumerate() {
+            for (i, i_a) in map.i_a.iter().enumerate() {
+                // The firmware's value at that point, with coordinates of 16 bits.
+                let at = lookup.interpolate(f_sw_hz.round() as u32, (i_a * 1e3).round() as u32);
+                let (r_ohm, l_h) = (map.r_ohm[f][i], map.l_h[f][i]);
+                assert!((at.0.ohm() / r_ohm - 1.0).abs() < 2e-3, "R in {f}, {i}");
+                assert!((at.1.henry() / l_h - 1.0).abs() < 2e-3, "L in {f}, {i}");
+                assert!((map.power_w[f][i] - r_ohm * i_a * i_a / 2.0).abs() < 1e-9);
+                assert!(!map.observed[f][i] && map.age_s[f][i].is_none());
+            }
+        }
+        assert!(super::map(3, None, None, &CellAges::default()).is_none());
+    }
+
+    #[test]
+    fn a_result_is_news_for_the_rows_around_it_up_to_its_crest() {
+        let mut ages = CellAges::default();
+        let accepted = |last, at_ms, f_sw_hz, i_crest_a| LastAccepted {
+            last,
+            at_ms,
+            f_sw_hz,
+            i_crest_a,
+        };
+        // 45 kHz lies between the rows of 39.7 and 45.7 kHz, 20 A between the columns of 17.0 and 21.3 A.
+        ages.add(&[
+            accepted(7, 1_000, 45_000, 20.0),
+            accepted(5, 500, 45_000, 79.0),
+        ]);
+        assert_eq!(ages.last, 7);
+        let age = ages.seconds(2_000);
+        for (f, row) in age.iter().enumerate() {
+            for (i, age) in row.iter().enumerate() {
+                let expected = match (f, i) {
+                    (2 | 3, 0..=10) if current_a(i - usize::from(i > 0)) < 20.0 => Some(1.0),
+                    (2 | 3, _) => Some(1.5),
+                    _ => None,
+                };
+                assert_eq!(*age, expected, "{f}, {i}");
+            }
+        }
+        // Values out of range.
+        ages.add(&[
+            accepted(8, i64::MAX, u32::MAX, f64::INFINITY),
+            accepted(9, 0, 0, -1.0),
+        ]);
+        assert_eq!(ages.seconds(0)[7][16], Some(0.0));
+    }
+}

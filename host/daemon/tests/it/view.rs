@@ -1,0 +1,300 @@
+//! Read model: history, scope, training, map and journal of a heating hob.
+
+use std::time::Instant;
+
+use ihd_daemon::model::{Command, DeviceState, EventKind, Fit, History, WindowQuery};
+use ihd_daemon::{Daemon, DaemonError, JournalFilter};
+use ihd_sim::behavioural::PotKind;
+
+use super::rig::{PATIENCE, Rig, keep_lease, nap, power, until, until_state, wait_for_event};
+
+/// Query for a whole window.
+const WHOLE: WindowQuery = WindowQuery {
+    which: None,
+    from_s: 0.0,
+    to_s: f64::INFINITY,
+    columns: 1_200,
+};
+
+fn now_ms() -> i64 {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    since.unwrap().as_millis() as i64
+}
+
+async fn kinds(daemon: &Daemon, kind: &str) -> Vec<String> {
+    let filter = JournalFilter {
+        device: Some("bench".to_owned()),
+        kind: Some(kind.to_owned()),
+        ..JournalFilter::default()
+    };
+    let entries = daemon.journal(filter).await.unwrap();
+    entries.into_iter().map(|entry| entry.text).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    let began_ms = now_ms();
+    until_state(&daemon, DeviceState::Idle).await;
+    let mut events = daemon.watch();
+    power(&daemon, "me", 1_200).await.unwrap();
+    let held = keep_lease(&daemon, "me");
+    wait_for_event(&mut events, |kind| {
+        matches!(kind, EventKind::LookupActive { .. }).then_some(())
+    })
+    .await;
+    let report = until(&daemon, |r| {
+        r.windows.learned >= 3 && r.lookup.on_device == r.lookup.active
+    })
+    .await;
+    let live = report.live.unwrap();
+
+    // The scope: samples, the device's own filter, the network and the truth.
+    let windows = daemon.windows("bench", 100).await.unwrap();
+    assert!(windows.len() >= 3 && windows.is_sorted_by(|a, b| a.seq > b.seq));
+    // A window that passed, with its truth and all curves.
+    let deadline = Instant::now() + PATIENCE;
+    let scope = 'search: loop {
+        for window in daemon.windows("bench", 100).await.unwrap() {
+            let which = Some((window.boot, window.seq));
+            let scope = daemon.scope("bench", WindowQuery { which, ..WHOLE }).await;
+            let scope = scope.unwrap().expect("its samples are kept");
+            let is_whole = scope.network.is_some() && scope.truth.is_some();
+            if scope.pass == Some(true) && scope.r_true_mean_ohm.is_some() && is_whole {
+                break 'search scope;
+            }
+        }
+        assert!(Instant::now() < deadline, "none passed");
+        nap().await;
+    };
+    assert_eq!(scope.t_s.len(), 1_200);
+    let m = &scope.measured;
+    assert!(m.periods > 300, "{m:?}");
+    // A burst or a step of the power control may lie between the two.
+    assert!(
+        (m.power_w.unwrap() / live.power_w - 1.0).abs() < 0.2,
+        "{m:?} {live:?}"
+    );
+    assert!(m.phase_deg.unwrap() > 5.0 && m.phase_deg.unwrap() < 90.0);
+    let error = |x: Option<f64>, truth: Option<f64>| (x.unwrap() / truth.unwrap() - 1.0).abs();
+    assert!(
+        error(scope.r_mean_ohm, scope.r_true_mean_ohm) < 0.01,
+        "R of {}",
+        scope.seq
+    );
+    assert!(
+        error(scope.l_mean_h, scope.l_true_mean_h) < 0.01,
+        "L of {}",
+        scope.seq
+    );
+    let (network, truth) = (
+        scope.network.as_ref().unwrap(),
+        scope.truth.as_ref().unwrap(),
+    );
+    assert_eq!((network.t_s.len(), truth.t_s.len()), (128, 128));
+    assert_eq!(network.r_sigma_ohm.len(), 128);
+    assert!(truth.t_s[0].abs() < 1e-9, "from the first pair on");
+    assert!(scope.ekf.t_s.len() > 100 && scope.ekf.r_ohm.len() == scope.ekf.t_s.len());
+    // In the middle, where the current is large, filter, network and truth agree.
+    let near = |t_s: &[f64], x: &[f64]| {
+        let k = t_s.partition_point(|t| *t < scope.duration_s / 2.0);
+        x[k.min(x.len() - 1)]
+    };
+    let crest_ohm = near(&truth.t_s, &truth.r_ohm);
+    for (name, t_s, r_ohm) in [
+        ("network", &network.t_s, &network.r_ohm),
+        ("filter", &scope.ekf.t_s, &scope.ekf.r_ohm),
+    ] {
+        let r_ohm = near(t_s, r_ohm);
+        assert!(
+            (r_ohm / crest_ohm - 1.0).abs() < 0.03,
+            "{name}: {r_ohm} {crest_ohm}"
+        );
+    }
+    let unknown = WindowQuery {
+        which: Some((1, 4_000_000)),
+        ..WHOLE
+    };
+    assert!(daemon.scope("bench", unknown).await.unwrap().is_none());
+
+    // The training.
+    let fits = daemon.training("bench", 50).await.unwrap();
+    let with_truth = |fit: &&Fit| fit.pass && fit.r_error_pct.is_some();
+    let fit = fits.iter().find(with_truth).unwrap();
+    assert!(!fit.steps.is_empty() && fit.seconds.unwrap() > 0.0);
+    assert_eq!(fit.steps.last().unwrap().step, fit.iterations);
+    assert!(fit.r_error_pct.unwrap().abs() < 1.0 && fit.l_error_pct.unwrap().abs() < 1.0);
+    assert_eq!(daemon.training("bench", 1).await.unwrap().len(), 1);
+
+    // The map.
+    let map = daemon.map("bench", None).await.unwrap().unwrap();
+    let confidence = map.confidence.as_ref().expect("built by this daemon");
+    let known: Vec<bool> = map.observed.iter().flatten().copied().collect();
+    let seen: Vec<bool> = confidence.iter().flatten().map(|c| *c > 0.4999).collect();
+    // Cells with a small deviation are observed: more than one row for a physical load, fewer cells for this behavioural load than
+    // one window showed.
+    let count = |cells: &[bool]| cells.iter().filter(|is| **is).count();
+    assert!(count(&seen) > 5 && count(&known) > 5);
+    assert!(
+        known
+            .iter()
+            .zip(&seen)
+            .filter(|(known, seen)| **known && **seen)
+            .count()
+            > 5
+    );
+    let ages = map.age_s.iter().flatten().flatten();
+    let at_most_s = 1.0 + (now_ms() - began_ms) as f64 * 1e-3;
+    assert!(ages.clone().count() > 5 && ages.clone().all(|age| *age <= at_most_s));
+    let prior = daemon.map("bench", Some(0)).await.unwrap().unwrap();
+    assert_eq!((prior.state.as_str(), prior.confidence), ("prior", None));
+    assert!(
+        daemon
+            .map("bench", Some(4_000_000))
+            .await
+            .unwrap()
+            .is_none()
+    );
+
+    // A pot that is lifted, after some whole seconds of heating for the history to show.
+    let history = |daemon: Daemon| async move {
+        daemon
+            .history("bench", began_ms, now_ms(), 600)
+            .await
+            .unwrap()
+    };
+    let heated = |history: &History| {
+        let seconds = 0..history.at_ms.len();
+        seconds
+            .filter(|k| history.r_ohm.mean[*k].is_some())
+            .collect::<Vec<_>>()
+    };
+    while heated(&history(daemon.clone()).await).len() < 2 {
+        assert!(Instant::now() < deadline, "no seconds of heating");
+        nap().await;
+    }
+    rig.bench().hob().set_pot(PotKind::None).unwrap();
+    until_state(&daemon, DeviceState::WaitingForPot).await;
+    drop(held);
+    daemon.command("bench", "me", Command::Off).await.unwrap();
+    until_state(&daemon, DeviceState::Idle).await;
+    let off_ms = now_ms();
+    // Events are stored shortly after.
+    for (kind, expected) in [
+        ("pot", "lifted"),
+        ("state", "waiting-for-pot"),
+        ("lookup", "is active"),
+        ("lease", "me commands it"),
+        ("command", "off: off"),
+    ] {
+        while !kinds(&daemon, kind)
+            .await
+            .iter()
+            .any(|text| text.contains(expected))
+        {
+            assert!(Instant::now() < deadline, "no {expected} in the journal");
+            nap().await;
+        }
+    }
+
+    // The history, while the daemon runs and after a restart.
+    let before = loop {
+        // It includes the last seconds, which are not written yet.
+        let before = history(daemon.clone()).await;
+        if before.at_ms.last() >= Some(&off_ms) {
+            break before;
+        }
+        assert!(Instant::now() < deadline, "it ends before {off_ms}");
+        nap().await;
+    };
+    // Results have the times of their windows.
+    let came: Vec<_> = daemon.windows("bench", 1_000).await.unwrap();
+    let came: Vec<_> = came.iter().map(|window| window.at_ms).collect();
+    assert!(before.results.at_ms.len() >= 3);
+    for at_ms in &before.results.at_ms {
+        assert!(came.contains(at_ms), "{at_ms} of {came:?}");
+    }
+    let last = before.at_ms.len() - 1;
+    let largest_w = before
+        .power_w
+        .max
+        .iter()
+        .flatten()
+        .copied()
+        .fold(0.0, f64::max);
+    assert!(largest_w > 1_000.0, "{largest_w}");
+    let heated = heated(&before);
+    assert!(heated.len() >= 2 && heated.len() < before.at_ms.len());
+    assert!(before.phase_deg[heated[1]].is_some());
+    assert_eq!(before.state[last], "Idle");
+    assert!(before.results.of >= 3 && before.results.at_ms.len() as u64 == before.results.of);
+    let unknown = daemon.history("nobody", 0, 1, 1).await;
+    assert!(matches!(unknown, Err(DaemonError::NoDevice(_))));
+    daemon.stop().await;
+
+    let daemon = rig.daemon().await;
+    let after = history(daemon.clone()).await;
+    let common = before.at_ms.len() - 1;
+    assert_eq!(
+        after.at_ms[..common],
+        before.at_ms[..common],
+        "nothing is lost by a stop"
+    );
+    assert_eq!(after.half_cycles[..common], before.half_cycles[..common]);
+    assert!(after.results.of >= before.results.of);
+    let which = Some((scope.boot, scope.seq));
+    let again = daemon.scope("bench", WindowQuery { which, ..WHOLE }).await;
+    assert!(again.unwrap().unwrap().truth.is_some());
+    let fits = daemon.training("bench", 50).await.unwrap();
+    assert!(
+        fits.iter().any(|f| f.pass && f.steps.is_empty()),
+        "as the store has them"
+    );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn any_earlier_version_can_be_gone_back_to() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    let cells = |version| {
+        let mut lookup = ihd_shared::lookup::prior::prior();
+        lookup.version = version;
+        lookup.r[3][5] += version as u16;
+        lookup.mark_observed(3, 5);
+        lookup
+    };
+    for version in [1, 2, 3] {
+        let blob = cells(version).to_bytes().to_vec();
+        let push = Command::LookupPush { blob };
+        daemon.command("bench", "me", push).await.unwrap();
+    }
+    let back = |version| Command::LookupRollback {
+        version: Some(version),
+    };
+    daemon.command("bench", "me", back(1)).await.unwrap();
+    let report = until(&daemon, |r| r.lookup.active == Some(4)).await;
+    assert_eq!(report.lookup.on_device, Some(4));
+    let map = daemon.map("bench", None).await.unwrap().unwrap();
+    let first = daemon.map("bench", Some(1)).await.unwrap().unwrap();
+    assert_eq!(
+        (map.version, &map.why, &map.r_ohm),
+        (4, &"rolled back to version 1".to_owned(), &first.r_ohm)
+    );
+    let refused = daemon.command("bench", "me", back(77)).await.unwrap_err();
+    assert!(
+        refused.to_string().contains("no lookup of version 77"),
+        "{refused}"
+    );
+    // The built-in cells, under a new version.
+    daemon.command("bench", "me", back(0)).await.unwrap();
+    until(&daemon, |r| r.lookup.active == Some(5)).await;
+    let prior = daemon.map("bench", Some(0)).await.unwrap().unwrap();
+    assert_eq!(
+        daemon.map("bench", Some(5)).await.unwrap().unwrap().l_h,
+        prior.l_h
+    );
+    daemon.stop().await;
+}
