@@ -25,7 +25,7 @@ address = "tcp:${hobAddress}"
 `;
 
 before(async () => {
-  hob = await Hob.start(life, '--pot', 'cast-iron-21', '--seed', '5');
+  hob = await Hob.start(life, '--pot', 'cast-iron-21', '--sim', 'seed=5');
   daemon = await Daemon.start(life, devices(hob.address));
   api = new Api(daemon.url);
   chromium = await browser(life);

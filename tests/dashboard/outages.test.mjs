@@ -12,7 +12,7 @@ const stale = (page) => page.getByTestId('stale').isVisible();
 
 test('a daemon that is killed and comes back: stale, then fresh, and no hole but the outage', async (t) => {
   // It heats by itself, as at its panel, while nobody listens.
-  const hob = await Hob.start(t, '--panel', '5', '--seed', '7');
+  const hob = await Hob.start(t, '--panel', '5', '--sim', 'seed=7');
   const daemon = await Daemon.start(t, `[[device]]\nname = "bench"\naddress = "tcp:${hob.address}"\n`);
   const api = new Api(daemon.url);
   await until('it heats', async () => (await api.device('bench')).live?.power_w > 500);

@@ -33,7 +33,7 @@ const PICTURES_OF_A_FLEET = [
 ];
 
 test('pictures for the documentation', { skip: FOLDER ? false : 'with --screenshots alone' }, async (t) => {
-  const hob = await Hob.start(t, '--pot', 'cast-iron-21', '--warming', '--seed', '2', '--panel', '6');
+  const hob = await Hob.start(t, '--pot', 'cast-iron-21', '--sim', 'warming,seed=2', '--panel', '6');
   const devices = `
 [[device]]
 name = "bench"

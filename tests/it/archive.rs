@@ -1,4 +1,4 @@
-//! Contents of a release's archive, as packaging/archive makes it of a stand-in for the program.
+//! Contents of a release's archive, as packaging/archive makes it of stand-ins for the programs.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -6,24 +6,25 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Command, Output};
 
-/// Stands in for `ihd`: a page for `man`, a line for `completions`.
-const PROGRAM: &str = "#!/bin/sh\n\
-    case $1 in\n\
-    man) mkdir -p \"$3\" && echo page > \"$3/ihd.1\" ;;\n\
-    completions) echo \"for $2\" ;;\n\
-    *) exit 2 ;;\n\
-    esac\n";
+/// Stands in for the program that writes the pages: a page, and a line for each shell.
+const PAGES: &str = "#!/bin/sh\n\
+    mkdir -p \"$1/man/man1\" \"$1/completions\" && echo page > \"$1/man/man1/ihd.1\"\n\
+    for file in ihd.bash _ihd ihd.fish ihd.ps1 ihd.elv; do echo line > \"$1/completions/$file\"; done\n";
 
-/// Packs `folder/ihd` into `folder/out`.
+/// Packs `folder/ihd` with the pages of `folder/pages` into `folder/out`.
 fn pack(folder: &Path) -> Output {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../packaging/archive");
     let mut command = Command::new(script);
-    command.arg(folder.join("ihd")).arg("ihd-v1-here");
-    command.arg(folder.join("out")).output().unwrap()
+    command.args([folder.join("ihd"), folder.join("pages")]);
+    command
+        .arg("ihd-v1-here")
+        .arg(folder.join("out"))
+        .output()
+        .unwrap()
 }
 
-fn make_program(folder: &Path, script: &str) {
-    let path = folder.join("ihd");
+fn make_program(folder: &Path, name: &str, script: &str) {
+    let path = folder.join(name);
     fs::write(&path, script).unwrap();
     fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
 }
@@ -31,7 +32,9 @@ fn make_program(folder: &Path, script: &str) {
 #[test]
 fn an_archive_holds_program_pages_completions_rule_and_licences() {
     let folder = tempfile::tempdir().unwrap();
-    make_program(folder.path(), PROGRAM);
+    make_program(folder.path(), "ihd", "#!/bin/sh\n");
+    make_program(folder.path(), "ihd-fleet", "#!/bin/sh\n");
+    make_program(folder.path(), "pages", PAGES);
     // Twice: what is there is replaced.
     for _ in 0..2 {
         let packed = pack(folder.path());
@@ -59,6 +62,7 @@ fn an_archive_holds_program_pages_completions_rule_and_licences() {
         "docs/bring-up.md",
         "docs/first-power-up.md",
         "ihd",
+        "ihd-fleet",
         "man/man1/ihd.1",
         "systemd/ihd.service",
     ]);
@@ -72,9 +76,10 @@ fn a_program_that_fails_or_is_not_there_makes_no_archive() {
     let missing = pack(folder.path());
     assert!(!missing.status.success());
     assert!(String::from_utf8_lossy(&missing.stderr).contains("PROGRAM that was built"));
-    let silent = PROGRAM.replace("echo \"for $2\"", "true");
+    make_program(folder.path(), "ihd", "#!/bin/sh\n");
+    let silent = PAGES.replace("echo line", "true");
     for program in ["#!/bin/sh\necho no such command >&2; exit 2\n", &silent] {
-        make_program(folder.path(), program);
+        make_program(folder.path(), "pages", program);
         assert!(!pack(folder.path()).status.success());
         let out = fs::read_dir(folder.path().join("out")).unwrap();
         assert_eq!(out.count(), 0);

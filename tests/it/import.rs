@@ -201,7 +201,7 @@ fn flags_say_what_files_do_not() {
     let asked = open(&fixture("picoscope.mat"), &OpenOptions::default()).unwrap_err();
     let asked = asked.to_string();
     assert!(
-        asked.contains("picoscope.mat") && asked.contains("--channels"),
+        asked.contains("picoscope.mat") && asked.contains("--input channels"),
         "{asked}"
     );
     let one = open(&fixture("tek_wfm3le_v.wfm"), &OpenOptions::default()).unwrap_err();

@@ -74,7 +74,7 @@ pub enum ServerError {
     },
     /// Another process uses the port.
     #[error(
-        "another process has {listen}: is a daemon running already (`ihd device list` asks it)? \
+        "another process has {listen}: is a daemon running already (`ihd device status` asks it)? \
          End it, or set another `listen`"
     )]
     InUse {

@@ -134,12 +134,12 @@ fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
         (Some(v), Some(i)) if v != i => Some([v, i]),
         (None, Some(i)) => other(i).map(|v| [v, i]),
         (Some(v), None) => other(v).map(|i| [v, i]),
-        // Neither unit nor name decides: only with --swap has the user specified which is which.
+        // Neither unit nor name decides: only with `swap` has the user specified which is which.
         _ => None,
     };
     pair.ok_or_else(|| {
         let advice = if swap {
-            "--swap changes what is detected, and nothing is"
+            "--input swap changes what is detected, and nothing is"
         } else {
             "cannot distinguish voltage from current"
         };
@@ -186,9 +186,12 @@ fn chosen(
             let (what, flag) = match quantity {
                 Quantity::Current => (
                     "current",
-                    "give ampere per volt of the current probe with --probe, as in --probe 1,10",
+                    "give ampere per volt of the current probe, as in --input probe=1,10",
                 ),
-                _ => ("voltage", "exchange the channels with --swap or --channels"),
+                _ => (
+                    "voltage",
+                    "exchange the channels with --input swap or channels",
+                ),
             };
             return Err(format!(
                 "channel {} for the {what} is in {unit}; {flag}",
@@ -220,7 +223,7 @@ fn listed(channels: &[Channel]) -> String {
         String::new()
     };
     format!(
-        "channels are {}{more}; name them with --channels V,I by number or name",
+        "channels are {}{more}; name them with --input channels=V,I by number or name",
         shown.join(", ")
     )
 }
@@ -264,7 +267,7 @@ mod tests {
         let both_volt = [channel("CH1", Some("V")), channel("CH2", Some("V"))];
         let asked = choose(&both_volt, &ChannelOptions::default()).unwrap_err();
         assert!(
-            asked.contains("--channels") && asked.contains("2 `CH2` in V"),
+            asked.contains("--input channels") && asked.contains("2 `CH2` in V"),
             "{asked}"
         );
         let chosen_only = ChannelOptions {
@@ -272,7 +275,7 @@ mod tests {
             ..ChannelOptions::default()
         };
         let asked = choose(&both_volt, &chosen_only).unwrap_err();
-        assert!(asked.contains("--probe 1,10"), "{asked}");
+        assert!(asked.contains("--input probe=1,10"), "{asked}");
         let settled = ChannelOptions {
             probe: Some([100.0, 10.0]),
             invert_i: true,

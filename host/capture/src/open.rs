@@ -220,7 +220,7 @@ impl ChannelSamples {
                 if !scaled.is_finite() {
                     return Err(format!(
                         "sample {k} is {x:e} in the file, times {factor:e} is no voltage or current: \
-                         see --probe and --units"
+                         see --input probe and units"
                     ));
                 }
                 *x = scaled;
@@ -284,7 +284,7 @@ fn assembled(
         t0_s: 0.0,
         dt_s: 1.0 / rate_hz,
     });
-    let no_time = "the file states no time: give the sampling rate with --rate, as in --rate 50M";
+    let no_time = "the file states no time: give the sampling rate, as in --input rate=50M";
     let time = stated.or(time).ok_or_else(|| choice(no_time.to_owned()))?;
     let mut side = |k: usize| {
         let values = std::mem::take(columns.get_mut(k).unwrap_or(&mut Vec::new()));
@@ -344,7 +344,7 @@ fn adjusted(path: &Path, capture: Capture, options: &OpenOptions) -> Result<Capt
         what,
     };
     if options.second.is_some() || options.columns.is_some() {
-        let what = "it holds voltage and current: no second file and no --columns are needed";
+        let what = "it holds voltage and current: no second file and no --input columns are needed";
         return Err(choice(what.to_owned()));
     }
     let channel = |name: &str, unit, full_scale| Channel {
@@ -427,7 +427,7 @@ mod tests {
             ..options
         };
         let asked = open(&path, &no_rate).unwrap_err().to_string();
-        assert!(asked.contains("--rate 50M"), "{asked}");
+        assert!(asked.contains("--input rate=50M"), "{asked}");
     }
 
     #[test]

@@ -53,7 +53,7 @@ impl Claim {
         if there.identity != self.identity {
             return Verdict::Stands(Standing::Refused(format!(
                 "the edge name {edge:?} belongs to {other}, this is {mine}: give this daemon a name of its own ([fleet] edge), or, where \
-                 that store is gone for good, `ihd fleet init --free {edge}`"
+                 that store is gone for good, `ihd-fleet init --free {edge}`"
             )));
         }
         match standing {

@@ -1,4 +1,4 @@
-//! Streams, consumers and buckets on the server, made by `ihd fleet init`, with their limits (docs/fleet.md).
+//! Streams, consumers and buckets on the server, made by `ihd-fleet init`, with their limits (docs/fleet.md).
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -280,7 +280,7 @@ const NO_JETSTREAM: &str =
 /// Opens a bucket of the fleet.
 ///
 /// # Errors
-/// [`JetStreamError`]; a missing bucket is made by `ihd fleet init`.
+/// [`JetStreamError`]; a missing bucket is made by `ihd-fleet init`.
 pub async fn bucket(context: &Context, name: &str) -> Result<kv::Store, JetStreamError> {
     let store = context.get_key_value(name).await;
     store.map_err(|e| missing(name, e))
@@ -340,13 +340,13 @@ pub async fn stream(context: &Context, name: &str) -> Result<stream::Stream, Jet
     stream.map_err(|e| missing(name, e))
 }
 
-/// Returns the error of an object that `ihd fleet init` makes.
+/// Returns the error of an object that `ihd-fleet init` makes.
 pub(crate) fn missing(name: &str, why: impl std::fmt::Display) -> JetStreamError {
     let why = why.to_string();
     match why.contains("not found") {
         true => JetStreamError::new(
             name,
-            "the server has none: `ihd fleet init --url …` makes what a fleet needs",
+            "the server has none: `ihd-fleet init --url …` makes what a fleet needs",
         ),
         false => JetStreamError::new(name, why),
     }

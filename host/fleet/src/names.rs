@@ -44,7 +44,7 @@ pub const WORKER_CARDS: &str = "ihd_workers";
 /// Bucket of pots identified by the hobs, as starting points for other hobs.
 pub const POTS: &str = "ihd_pots";
 
-/// Bucket of the settings of `ihd fleet init`.
+/// Bucket of the settings of `ihd-fleet init`.
 pub const SETTINGS: &str = "ihd_settings";
 
 /// Key of the settings: the firmware's build that hobs should have.

@@ -138,7 +138,7 @@ async fn consumer(
     let consumer = context.get_consumer_from_stream(&name, names::RESULTS);
     consumer.await.map_err(|e| {
         let hobs = hobs.join(",");
-        let why = format!("{e}: the operator makes it, `ihd fleet init --edge {edge}={hobs}`");
+        let why = format!("{e}: the operator makes it, `ihd-fleet init --edge {edge}={hobs}`");
         JetStreamError::new(&name, why)
     })
 }

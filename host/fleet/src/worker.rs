@@ -236,7 +236,7 @@ impl Worker {
         if self.counts.distrusted.fetch_add(1, Relaxed) == 0 {
             tracing::error!(
                 hob,
-                "its edge has refuted answers of this worker: `ihd fleet status` says why; windows of it are left to others"
+                "its edge has refuted answers of this worker: `ihd-fleet status` says why; windows of it are left to others"
             );
         }
         let _ = message

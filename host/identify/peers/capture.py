@@ -61,10 +61,10 @@ def simulated(ihd, case, folder):
     recording = Path(folder) / f"{case.stem}.mcap"
     table = recording.with_suffix(".npz")
     if not table.exists():
-        command = [ihd, "simulate", "--preset", f"paper-{case.khz}", "--load", case.load]
-        command += ["--rate", "50M", "--seed", str(case.seed), "--out", str(recording)]
+        command = [ihd, "simulate", f"paper-{case.khz}", "--set", f"load={case.load},rate=50M"]
+        command += ["--seed", str(case.seed), "--out", str(recording)]
         if case.snr_db is not None:
-            command += ["--snr", str(case.snr_db)]
+            command += ["--set", f"snr={case.snr_db}"]
         for step in (command, [ihd, "convert", str(recording), "--out", str(table)]):
             subprocess.run(step, check=True, stdout=subprocess.DEVNULL)
     return read(recording, table)
@@ -114,8 +114,8 @@ def identified(ihd, capture, methods, repeats):
     The seconds are the estimator's own, wall clock on one thread: no less than its processor time.
     """
     command = [ihd, "identify", str(capture.path), "--method", ",".join(methods), "--json"]
-    command += ["--fsw", repr(capture.f_sw_hz), "--mains", repr(capture.mains_hz)]
-    command += ["--from", str(FROM_S), "--deterministic"]
+    command += ["--input", f"fsw={capture.f_sw_hz!r},mains={capture.mains_hz!r}"]
+    command += ["--from", str(FROM_S), "--network", "deterministic"]
     found = {}
     for _ in range(repeats):
         done = subprocess.run(command, capture_output=True, text=True)

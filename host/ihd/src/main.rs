@@ -4,8 +4,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
-use clap::error::ErrorKind;
-use ihd::cli::{self, Cli, output};
+use ihd::cli::{self, Cli, moved, output};
 
 fn main() -> ExitCode {
     #[cfg(unix)]
@@ -13,11 +12,13 @@ fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(answer) => {
-            let code = shown(&answer);
-            if answer.kind() == ErrorKind::InvalidSubcommand {
-                hint_at_moved();
+            if answer.exit_code() != 0
+                && let Some(moved) = moved::answer(&arguments())
+            {
+                output::complain(format_args!("ihd: {moved}"));
+                return ExitCode::from(2);
             }
-            return code;
+            return shown(&answer);
         }
     };
     match cli.run() {
@@ -31,7 +32,13 @@ fn main() -> ExitCode {
 
 /// Prints help, version or an error of the arguments.
 fn shown(answer: &clap::Error) -> ExitCode {
-    let printed = answer.print().and_then(|()| std::io::stdout().flush());
+    let text = answer.render().to_string();
+    let printed = match text.strip_prefix("error: ") {
+        // A list of keys is no error, though clap writes so.
+        Some(keys) if answer.exit_code() == 0 => std::io::stdout().write_all(keys.as_bytes()),
+        _ => answer.print(),
+    };
+    let printed = printed.and_then(|()| std::io::stdout().flush());
     match (printed, answer.exit_code()) {
         (Err(error), 0) => {
             output::complain(format_args!(
@@ -44,15 +51,10 @@ fn shown(answer: &clap::Error) -> ExitCode {
     }
 }
 
-/// Commands of former versions, and where they are now.
-const MOVED: [(&str, &str); 1] = [("study", "ihd-study (cargo run -p ihd-study)")];
-
-/// Names the new place of a command that has moved.
-fn hint_at_moved() {
-    let asked = std::env::args().nth(1);
-    for (old, new) in MOVED {
-        if asked.as_deref() == Some(old) {
-            output::complain(format_args!("ihd: `ihd {old}` is {new} now"));
-        }
-    }
+/// Arguments as text.
+fn arguments() -> Vec<String> {
+    let arguments = std::env::args_os().skip(1);
+    arguments
+        .map(|a| a.to_string_lossy().into_owned())
+        .collect()
 }

@@ -446,16 +446,16 @@ impl fmt::Display for Finding {
             ),
             Self::Swapped { by_user } => write!(
                 f,
-                "voltage and current are exchanged (the impedance falls with frequency): {} --swap",
+                "voltage and current are exchanged (the impedance falls with frequency): {} --input swap",
                 if *by_user { "leave out" } else { "use" }
             ),
             Self::Inverted { r_ohm, by_user } => write!(
                 f,
                 "R is {r_ohm:.3} ohm and L negative too: one probe is the wrong way round; {}",
                 if *by_user {
-                    "leave out --invert"
+                    "leave out --input invert"
                 } else {
-                    "use --invert i"
+                    "use --input invert=i"
                 }
             ),
             Self::Implausible {
@@ -465,7 +465,7 @@ impl fmt::Display for Finding {
             } => write!(
                 f,
                 "the {channel} reaches {peak:.0} {unit}; that of a hob stays below {most:.0} {unit}: check the \
-                 probe's factor (--probe) and the unit (--units)",
+                 probe's factor (--input probe) and the unit (--input units)",
                 unit = channel.unit()
             ),
             Self::NegativeResistance { r_ohm, skew_s } => write!(

@@ -382,20 +382,20 @@ fn what_the_user_did_is_to_be_undone_not_done_again() {
         found.map(ToString::to_string).unwrap_or_default()
     };
     std::mem::swap(&mut c.v_v, &mut c.i_a);
-    assert!(told(&c, Hints::default()).ends_with("use --swap"));
+    assert!(told(&c, Hints::default()).ends_with("use --input swap"));
     let swapped = Hints {
         swapped: true,
         ..Hints::default()
     };
-    assert!(told(&c, swapped).ends_with("leave out --swap"));
+    assert!(told(&c, swapped).ends_with("leave out --input swap"));
     std::mem::swap(&mut c.v_v, &mut c.i_a);
     c.i_a.iter_mut().for_each(|i| *i = -*i);
-    assert!(told(&c, Hints::default()).ends_with("use --invert i"));
+    assert!(told(&c, Hints::default()).ends_with("use --input invert=i"));
     let inverted = Hints {
         inverted: true,
         ..Hints::default()
     };
-    assert!(told(&c, inverted).ends_with("leave out --invert"));
+    assert!(told(&c, inverted).ends_with("leave out --input invert"));
 }
 
 #[test]
@@ -411,7 +411,7 @@ fn a_probe_factor_that_gives_kilovolts_is_told() {
         .find(|f| matches!(f, Finding::Implausible { .. }));
     let told = told.unwrap_or_else(|| panic!("{:?}", survey.findings));
     assert_eq!(told.severity(), Severity::Warning);
-    assert!(told.to_string().contains("--probe"), "{told}");
+    assert!(told.to_string().contains("--input probe"), "{told}");
 }
 
 #[test]

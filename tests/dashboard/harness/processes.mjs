@@ -77,7 +77,7 @@ class Running {
 /** A simulated hob behind a TCP port, which takes events on its standard input. */
 export class Hob extends Running {
   static async start(t, ...options) {
-    const hob = new Hob(t, IHD, ['hob', '--listen', '127.0.0.1:0', '--stdin', ...options]);
+    const hob = new Hob(t, IHD, ['hob', '--listen', '127.0.0.1:0', '--script', '-', ...options]);
     [, hob.address] = await hob.says(/on tcp:(127\.0\.0\.1:\d+)/);
     return hob;
   }

@@ -101,7 +101,7 @@ fn whole_windows_are_recorded_over_usb() {
 fn the_trainer_identifies_the_load_over_usb() {
     let (mut desk, serial) = plugged_in();
     let line =
-        "ihd trainer --device usb --power 1000 --no-store --json 2>trainer.log || cat trainer.log";
+        "ihd trainer --device usb --power 1000 --store none --json 2>trainer.log || cat trainer.log";
     let answer = desk.guest.run(line, MINUTES).unwrap().text;
     println!("{answer}");
     assert!(answer.contains(&format!("usb ({serial})")), "{answer}");

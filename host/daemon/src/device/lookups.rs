@@ -65,7 +65,7 @@ pub fn reconcile(on_device: &RlLookup, rows: &[LookupRow]) -> Vec<Reconcile> {
 pub fn next_version(on_device: u32, rows: &[LookupRow]) -> Result<u32, String> {
     let next = on_device.checked_add(1).ok_or_else(|| {
         format!(
-            "its lookup has version {on_device}, above which there is none: `ihd device DEV lookup reset` begins anew"
+            "its lookup has version {on_device}, above which there is none: `ihd device DEV lookup push builtin` begins anew"
         )
     })?;
     let highest = on_device.saturating_add(LOOKUP_VERSION_STEP);
@@ -190,7 +190,11 @@ mod tests {
         assert_eq!(next_version(0, &rows(&[999])), Ok(1_000));
         assert_eq!(next_version(0, &rows(&[1_000])), Ok(1));
         assert_eq!(next_version(u32::MAX - 1, &[]), Ok(u32::MAX));
-        assert!(next_version(u32::MAX, &[]).unwrap_err().contains("reset"));
+        assert!(
+            next_version(u32::MAX, &[])
+                .unwrap_err()
+                .contains("push builtin")
+        );
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! State of a fleet, as an edge or `ihd fleet status` reports it (docs/fleet.md).
+//! State of a fleet, as an edge or `ihd-fleet status` reports it (docs/fleet.md).
 
 use ihd_store::FleetTally;
 use serde::{Deserialize, Serialize};
@@ -190,7 +190,7 @@ pub struct FleetDevice {
     pub protocol: (u16, u16),
     /// Version of its active lookup.
     pub lookup_version: u32,
-    /// `true` if its build differs from the most frequent one of its board or from the one set by `ihd fleet init --build`.
+    /// `true` if its build differs from the most frequent one of its board or from the one set by `ihd-fleet init --build`.
     pub outdated: bool,
     /// Time of its last message, in milliseconds since 1970, UTC.
     pub last_seen_ms: i64,

@@ -256,7 +256,7 @@ pub struct CommandReply {
 #[serde(tag = "error", rename_all = "kebab-case")]
 pub enum CommandError {
     /// No device of this name.
-    #[error("there is no device {name:?}; `ihd device list` shows those that there are")]
+    #[error("there is no device {name:?}; `ihd device status` shows those that there are")]
     NoDevice {
         /// Requested name.
         name: String,

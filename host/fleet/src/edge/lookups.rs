@@ -138,7 +138,7 @@ async fn push(link: &Link, hob: &str, requested: &LookupMessage) -> Result<Optio
         LookupCheck::Unavailable => return Ok(None),
         LookupCheck::Contradicts(place) => {
             return Err(format!(
-                "{place}: refused; `ihd device {hob} lookup reset` first if another pot stands there"
+                "{place}: refused; `ihd device {hob} lookup push builtin` first if another pot stands there"
             ));
         }
     }

@@ -26,7 +26,7 @@ pub enum KeyError {
     },
     /// Not a user's seed.
     #[error(
-        "{}: this is no NKey of a user (58 characters that begin with SU); remove the file, and `ihd fleet server-config` \
+        "{}: this is no NKey of a user (58 characters that begin with SU); remove the file, and `ihd-fleet init server-config` \
          makes a new one",
         path.display()
     )]

@@ -92,7 +92,7 @@ pub struct Site {
 }
 
 impl Site {
-    /// Creates a site with workers `worker-1` to `worker-N`, 12 GB of disk and 256 MB of memory: `ihd fleet init` reserves 8.5 GB
+    /// Creates a site with workers `worker-1` to `worker-N`, 12 GB of disk and 256 MB of memory: `ihd-fleet init` reserves 8.5 GB
     /// by default.
     pub fn new(name: impl Into<String>, edges: Vec<Edge>, workers: u32) -> Self {
         Self {
@@ -188,7 +188,7 @@ fn head(server: &Server) -> Result<String, ConfigError> {
         None => String::new(),
     };
     let mut text = String::from(
-        "# Made by `ihd fleet server-config`, which also changes it; docs/fleet-security.md says what it means.\n\
+        "# Made by `ihd-fleet init server-config`, which also changes it; docs/fleet-security.md says what it means.\n\
          # Passwords of MQTT are in it: for the server alone (chmod 600).\n",
     );
     let _ = writeln!(text, "server_name: {}", server.name);

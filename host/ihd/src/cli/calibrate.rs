@@ -9,7 +9,7 @@ use ihd_survey::Survey;
 use ihd_survey::calibration::{Calibration, Reference, blind, estimate};
 
 use super::capture_args::CaptureArgs;
-use super::hint_args::HintArgs;
+use super::global::Global;
 use super::output;
 use super::simulate::quantity::quantity;
 
@@ -28,21 +28,13 @@ use super::simulate::quantity::quantity;
 pub struct CalibrateArgs {
     #[command(flatten)]
     capture: CaptureArgs,
-    #[command(flatten)]
-    hints: HintArgs,
     /// Reference load of the capture: no-pot (the empty coil), no-pot,r=OHM,l=HENRY, a load with r=, l= or both, or blind: any load,
     /// by the plateaus between the bridge's edges
     #[arg(long, value_name = "WHAT", value_parser = against)]
     reference: Against,
-    /// With blind: value of the resonance capacitor in F (1080n), which gives the ratio of the gains
-    #[arg(long, value_name = "F", value_parser = quantity)]
-    resonance_capacitance: Option<f64>,
     /// Write the calibration to this file: JSON if it ends so, else TOML
     #[arg(long, short, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Print the calibration as JSON
-    #[arg(long)]
-    json: bool,
 }
 
 /// Reference of a calibration.
@@ -93,18 +85,18 @@ impl CalibrateArgs {
     ///
     /// # Errors
     /// Any error of the capture's reader, the survey or the calibration; a file that cannot be written.
-    pub fn run(&self) -> Result<()> {
+    pub fn run(&self, global: &Global) -> Result<()> {
         let loaded = self.capture.open()?;
-        loaded.finish(self.calibrate(&loaded.capture))
+        loaded.finish(self.calibrate(&loaded.capture, global.json))
     }
 
-    fn calibrate(&self, capture: &Capture) -> Result<()> {
-        let hints = self.capture.hints(self.hints.hints());
-        let survey = Survey::of(capture, &hints)?;
+    fn calibrate(&self, capture: &Capture, json: bool) -> Result<()> {
+        let input = self.capture.input()?;
+        let survey = Survey::of(capture, &input.hints())?;
         let calibration = match self.reference {
             Against::Known(reference) => estimate(capture, &survey, reference)?,
             Against::Plateaus => {
-                let calibration = blind::estimate(capture, &survey, self.resonance_capacitance)?;
+                let calibration = blind::estimate(capture, &survey, input.capacitance_f())?;
                 for remark in calibration.remarks(true) {
                     output::complain(format_args!("{remark}"));
                 }
@@ -126,7 +118,7 @@ impl CalibrateArgs {
             }
             calibration.write(path)?;
         }
-        if self.json {
+        if json {
             return output::json(&calibration);
         }
         output::text(&summary(&calibration))?;

@@ -13,8 +13,8 @@ use ihd_signal::Capture;
 use ihd_survey::calibration::Calibration;
 use ihd_survey::{Hints, SurveyError};
 
-use super::output;
 use super::simulate::quantity::{list, quantity};
+use super::{keys, output};
 
 /// Channel whose sign is changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -25,7 +25,7 @@ pub enum Invert {
     I,
 }
 
-/// Capture with the user's specifications. Formats and detection: docs/import.md.
+/// Capture, and how it is read. Formats and detection: docs/import.md.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Capture")]
 pub struct CaptureArgs {
@@ -33,6 +33,18 @@ pub struct CaptureArgs {
     file: PathBuf,
     /// File of the same acquisition with the other channel; numbered after the first's
     second: Option<PathBuf>,
+    /// How the file is read, where it does not say so itself: channels, columns, probe, units, invert, swap, rate; fsw, mains,
+    /// zero-crossing and resonance-capacitance instead of what it shows. `--input help` explains them
+    #[arg(long, value_name = "KEY=VALUE,…", value_parser = keys::text::<InputOptions>())]
+    input: Vec<String>,
+    /// Take skew, gain and offsets out by this file of ihd calibrate
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+}
+
+/// Reading of a capture as the user states it: keys of `--input`.
+#[derive(Clone, Debug, Args)]
+pub struct InputOptions {
     /// Voltage and current channel, by number (from 1) or name; else found by unit and name
     #[arg(long, value_name = "V,I", value_parser = pair)]
     channels: Option<[ChannelRef; 2]>,
@@ -54,9 +66,18 @@ pub struct CaptureArgs {
     /// Sampling rate in S/s instead of the file's time
     #[arg(long, value_name = "HZ", value_parser = quantity)]
     rate: Option<f64>,
-    /// Take skew, gain and offsets out by this file of ihd calibrate
-    #[arg(long, value_name = "FILE")]
-    calibration: Option<PathBuf>,
+    /// Switching frequency in Hz, instead of the capture's
+    #[arg(long, value_name = "HZ", value_parser = quantity)]
+    fsw: Option<f64>,
+    /// Mains frequency in Hz, instead of the capture's
+    #[arg(long, value_name = "HZ", value_parser = quantity)]
+    mains: Option<f64>,
+    /// Time of a mains zero crossing in s, instead of the capture's
+    #[arg(long, value_name = "S", value_parser = quantity)]
+    zero_crossing: Option<f64>,
+    /// Value of the resonance capacitor in F (1080n): the gains are checked against it
+    #[arg(long, value_name = "F", value_parser = quantity)]
+    resonance_capacitance: Option<f64>,
 }
 
 fn several<const N: usize>(text: &str) -> Result<[ChannelRef; N], String> {
@@ -90,33 +111,47 @@ impl CaptureArgs {
         std::iter::once(self.path()).chain(self.second.as_deref())
     }
 
-    /// Converts the arguments to options.
-    pub fn options(&self) -> OpenOptions {
-        // The table then has these two channels, in this order.
-        let first_two = [ChannelRef::Number(1), ChannelRef::Number(2)];
-        let of_columns = self.columns.as_ref().map(|_| first_two);
-        OpenOptions {
-            second: self.second.clone(),
-            channels: ChannelOptions {
-                channels: of_columns.or_else(|| self.channels.clone()),
-                units: self.units,
-                probe: self.probe,
-                invert_v: self.invert.contains(&Invert::V),
-                invert_i: self.invert.contains(&Invert::I),
-                swap: self.swap,
-            },
-            columns: self.columns.clone(),
-            rate_hz: self.rate,
+    /// How the capture is read.
+    ///
+    /// # Errors
+    /// [`Usage`](super::usage::Usage), naming the key, its value and what is accepted.
+    pub fn input(&self) -> Result<InputOptions> {
+        let input: InputOptions = keys::parse("--input", &self.input)?;
+        for (key, value) in [
+            ("rate", input.rate),
+            ("resonance-capacitance", input.resonance_capacitance),
+        ] {
+            ensure_usage!(
+                value.is_none_or(|value| value.is_finite() && value > 0.0),
+                "--input {key}={}: must be a number above zero",
+                value.unwrap_or_default()
+            );
         }
+        Ok(input)
     }
 
-    /// User's specifications, in addition to the arguments of `hints`.
-    pub fn hints(&self, hints: Hints) -> Hints {
-        Hints {
-            swapped: self.swap,
-            inverted: self.invert.len() == 1,
-            ..hints
-        }
+    /// Converts the arguments to options.
+    ///
+    /// # Errors
+    /// Any error of [`CaptureArgs::input`].
+    pub fn options(&self) -> Result<OpenOptions> {
+        let input = self.input()?;
+        // The table then has these two channels, in this order.
+        let first_two = [ChannelRef::Number(1), ChannelRef::Number(2)];
+        let of_columns = input.columns.as_ref().map(|_| first_two);
+        Ok(OpenOptions {
+            second: self.second.clone(),
+            channels: ChannelOptions {
+                channels: of_columns.or(input.channels),
+                units: input.units,
+                probe: input.probe,
+                invert_v: input.invert.contains(&Invert::V),
+                invert_i: input.invert.contains(&Invert::I),
+                swap: input.swap,
+            },
+            columns: input.columns,
+            rate_hz: input.rate,
+        })
     }
 
     /// Opens the capture.
@@ -128,31 +163,16 @@ impl CaptureArgs {
         self.open_with(&mut |_| ())
     }
 
-    /// Checks the values before a file is read.
-    ///
-    /// # Errors
-    /// [`Usage`](super::usage::Usage), naming the argument.
-    pub fn check(&self) -> Result<()> {
-        if let Some(rate_hz) = self.rate {
-            let sound = rate_hz.is_finite() && rate_hz > 0.0;
-            ensure_usage!(
-                sound,
-                "--rate is {rate_hz}, but a sampling rate is positive"
-            );
-        }
-        Ok(())
-    }
-
     /// Opens the capture; `progress` is called with the share read, from 0 to 1.
     ///
     /// # Errors
     /// Any error of [`CaptureArgs::open`].
     pub fn open_with(&self, progress: &mut dyn FnMut(f64)) -> Result<LoadedCapture> {
-        self.check()?;
+        let options = self.options()?;
         let SalvagedCapture {
             mut capture,
             losses,
-        } = salvage_with(&self.file, &self.options(), progress)?;
+        } = salvage_with(&self.file, &options, progress)?;
         if capture.is_empty() {
             return Err(CaptureError::NoSamples {
                 path: self.file.clone(),
@@ -168,6 +188,47 @@ impl CaptureArgs {
             calibration.apply(&mut capture);
         }
         Ok(LoadedCapture { capture, losses })
+    }
+}
+
+impl InputOptions {
+    /// User's specifications for the survey.
+    pub fn hints(&self) -> Hints {
+        Hints {
+            f_sw_hz: self.fsw,
+            mains_hz: self.mains,
+            zero_crossing_s: self.zero_crossing,
+            swapped: self.swap,
+            inverted: self.invert.len() == 1,
+        }
+    }
+
+    /// Value of the resonance capacitor in F.
+    pub fn capacitance_f(&self) -> Option<f64> {
+        self.resonance_capacitance
+    }
+
+    /// Refuses keys that a command has no use for.
+    ///
+    /// # Errors
+    /// [`Usage`](super::usage::Usage), naming the key.
+    pub fn refuse(&self, keys: &[&str]) -> Result<()> {
+        let given = [
+            ("fsw", self.fsw.is_some()),
+            ("mains", self.mains.is_some()),
+            ("zero-crossing", self.zero_crossing.is_some()),
+            (
+                "resonance-capacitance",
+                self.resonance_capacitance.is_some(),
+            ),
+        ];
+        for (key, is_given) in given {
+            ensure_usage!(
+                !is_given || !keys.contains(&key),
+                "--input {key}: this command has no use for it"
+            );
+        }
+        Ok(())
     }
 }
 

@@ -9,19 +9,20 @@ use ihd_signal::{Capture, TimeBase};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::capture_args::CaptureArgs;
+use super::global::Global;
 use super::output;
 use super::usage::Usage;
 
 /// Convert a capture: what scopes write to MCAP, CSV, NPZ or Parquet.
 ///
 /// Formats are recognised by content when reading, by the ending when writing. docs/import.md lists them,
-/// what is detected and what the flags state.
+/// what is detected and what --input states.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd convert scope.csv --out capture.mcap\n  \
     ihd convert coil_voltage.wfm coil_current.wfm --out capture.mcap\n  \
-    ihd convert scope.csv --channels CH1,CH3 --probe 100,10 --invert i --out capture.npz\n  \
-    ihd convert table.csv --columns 1,4,2 --units V,mA --out capture.mcap --json\n\n\
+    ihd convert scope.csv --input channels=CH1,CH3,probe=100,10,invert=i --out capture.npz\n  \
+    ihd convert table.csv --input columns=1,4,2,units=V,mA --out capture.mcap --json\n\n\
     Exit codes: 0 converted, 1 failed, 2 wrong usage, 7 the file is empty, cut or damaged (what could be\n\
     read is converted)")]
 pub struct ConvertArgs {
@@ -30,9 +31,6 @@ pub struct ConvertArgs {
     /// File to write; its ending names the format: .mcap, .csv, .npz or .parquet
     #[arg(long, short)]
     out: PathBuf,
-    /// Print a summary as JSON
-    #[arg(long)]
-    json: bool,
 }
 
 impl ConvertArgs {
@@ -40,9 +38,11 @@ impl ConvertArgs {
     ///
     /// # Errors
     /// [`ihd_capture::CaptureError`] or [`ihd_capture::exports::ExportError`].
-    pub fn run(&self) -> Result<()> {
+    pub fn run(&self, global: &Global) -> Result<()> {
         // A wrong ending is rejected before a long file is read.
         format::check(&self.out).map_err(Usage::of)?;
+        let unused = ["fsw", "mains", "zero-crossing", "resonance-capacitance"];
+        self.capture.input()?.refuse(&unused)?;
         for input in self.capture.paths() {
             let same = input.canonicalize().ok().zip(self.out.canonicalize().ok());
             ensure_usage!(
@@ -60,10 +60,10 @@ impl ConvertArgs {
         bar.set_message("writing");
         format::write(&loaded.capture, &self.out, &mut at)?;
         bar.finish_and_clear();
-        loaded.finish(self.report(&loaded.capture))
+        loaded.finish(self.report(&loaded.capture, global.json))
     }
 
-    fn report(&self, capture: &Capture) -> Result<()> {
+    fn report(&self, capture: &Capture, json: bool) -> Result<()> {
         let samples = capture.len();
         let rate_hz = match capture.time {
             TimeBase::Even { dt_s, .. } => Some(1.0 / dt_s),
@@ -83,7 +83,7 @@ impl ConvertArgs {
             .metadata
             .get("format")
             .map_or("MCAP", String::as_str);
-        if self.json {
+        if json {
             let summary = serde_json::json!({
                 "in": self.capture.paths().collect::<Vec<_>>(),
                 "format": format,

@@ -1,7 +1,7 @@
 //! `ihd hob`: simulated hob as a process of its own.
 
 use std::io::BufRead;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 
@@ -17,6 +17,9 @@ use super::interrupt;
 use super::output::complain;
 use super::simulated::SimulatedHobArgs;
 
+/// Name of standard input as a script.
+const STDIN: &str = "-";
+
 /// Limit of the speed; the machine may not reach it, which the hob reports.
 const FASTEST: f64 = 1000.0;
 
@@ -30,10 +33,10 @@ const FASTEST: f64 = 1000.0;
     ihd hob --listen 127.0.0.1:4711\n  \
     ihd trainer --device tcp:127.0.0.1:4711      (in another terminal)\n  \
     ihd hob --listen 127.0.0.1:4711 --pot aluminium\n  \
-    ihd hob --panel 6 --warming                  (heats by itself)\n  \
-    ihd hob --panel 6 --contents water-1.5       (and boils)\n  \
-    ihd hob --script kitchen.toml --seed 2\n\n\
-A script is a file as of `ihd scenario` without events of a host; when its duration is over it begins anew:\n  \
+    ihd hob --panel 6 --sim warming              (heats by itself)\n  \
+    ihd hob --panel 6 --sim contents=water-1.5   (and boils)\n  \
+    ihd hob --script kitchen.toml --sim seed=2\n\n\
+A script is a file as of `ihd simulate` without events of a host; when its duration is over it begins anew:\n  \
     duration_s = 60\n  \
     load = \"behavioural\"\n  \
     [[event]]\n  \
@@ -45,7 +48,7 @@ A script is a file as of `ihd scenario` without events of a host; when its durat
     [[event]]\n  \
     at_s = 40\n  \
     mains = { v_rms = 160, for_s = 0.3 }\n\n\
-With --stdin a line is an event of such a script, without its time:\n  \
+With --script - a line is an event of such a script, without its time:\n  \
     pot = \"none\"\n  \
     pot = \"ferritic-21\"\n  \
     panel = 6\n  \
@@ -62,16 +65,10 @@ pub struct HobArgs {
     /// Switch it on at its panel at the start: power level 1 to 9
     #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(u8).range(1..=9))]
     panel: Option<u8>,
-    /// Events of pot, mains and panel, repeated; the file's head also describes the hob
-    #[arg(
-        long,
-        value_name = "FILE.toml",
-        conflicts_with_all = ["pot", "load", "warming", "contents", "mains", "snr", "anti_alias"]
-    )]
-    script: Option<PathBuf>,
-    /// Read events of pot, mains and panel from standard input, one per line
-    #[arg(long)]
-    stdin: bool,
+    /// Events of pot, mains and panel, repeated; the file's head also describes the hob, and only --sim seed=N goes with it. With
+    /// `-` they are read from standard input, one per line, as they come; both by giving it again
+    #[arg(long, value_name = "FILE.toml|-")]
+    script: Vec<PathBuf>,
     #[command(flatten)]
     simulated: SimulatedHobArgs,
 }
@@ -106,7 +103,7 @@ impl HobArgs {
                 server.address()
             ));
         }
-        if self.stdin {
+        if self.script.iter().any(|file| file == Path::new(STDIN)) {
             server.receive_scenarios(stdin_scenarios());
         }
         let stop = interrupt::flag().context("cannot catch ^C")?;
@@ -116,16 +113,24 @@ impl HobArgs {
     }
 
     fn hob(&self) -> Result<(SimHob, Option<Script>)> {
-        let Some(path) = &self.script else {
-            return Ok((
-                SimHob::new(&self.simulated.config()?.with_unique_boot()),
-                None,
-            ));
+        let mut files = self.script.iter().filter(|file| *file != Path::new(STDIN));
+        let options = self.simulated.options()?;
+        let Some(path) = files.next() else {
+            return Ok((SimHob::new(&options.config()?.with_unique_boot()), None));
         };
+        ensure_usage!(
+            files.next().is_none(),
+            "--script: one file, and `-` beside it"
+        );
+        ensure_usage!(
+            self.simulated.is_seed_only(),
+            "--script {}: its head describes the hob; only --sim seed=N goes with it",
+            path.display()
+        );
         let of_script = || format!("script {}", path.display());
         let scenario = Scenario::read(path).with_context(of_script)?;
         let mut config = scenario.file.hob();
-        config.seed = self.simulated.seed().unwrap_or(config.seed);
+        config.seed = options.seed().unwrap_or(config.seed);
         let mut hob = SimHob::assemble(&config.with_unique_boot()).with_context(of_script)?;
         let script = Script::new(&scenario, &mut hob).with_context(of_script)?;
         Ok((hob, Some(script)))

@@ -12,6 +12,7 @@ use ihd_flash::log::image_cache::ImageCache;
 use ihd_flash::log::over_link::LinkLogOpener;
 
 use self::screen::Screen;
+use super::global::Global;
 use super::interrupt;
 
 mod screen;
@@ -28,6 +29,7 @@ mod way;
     ihd log --probe                      (needs the feature `probe`; the release archive has it)\n  \
     ihd log usb --json | jq 'select(.level == \"error\")'\n  \
     ihd log usb --image stm32g474.elf\n\n\
+    With --json each line is an object: t, level, message, module, location, dropped, lost_bytes, malformed; or t and event.\n\n\
     Exit codes: 0 ended by ^C, 1 failed, 2 wrong usage, 3 device, link or probe")]
 pub struct LogArgs {
     /// The device: a name of the configuration, usb, usb:SERIAL, serial:PATH or tcp:HOST:PORT [default: the board on
@@ -40,13 +42,6 @@ pub struct LogArgs {
     /// The image whose texts are to be used; refused unless it is what runs
     #[arg(long, value_name = "ELF")]
     image: Option<PathBuf>,
-    /// Print an object a line: t, level, message, module, location, dropped, lost_bytes, malformed; or t and event
-    #[arg(long)]
-    json: bool,
-    /// The configuration that names devices, and the daemon that may have them; without one ihd.toml of this folder
-    #[cfg(feature = "daemon")]
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
 }
 
 impl LogArgs {
@@ -54,42 +49,42 @@ impl LogArgs {
     ///
     /// # Errors
     /// A device, probe or image that is missing or does not fit; standard output that cannot be written.
-    pub fn run(&self) -> Result<()> {
+    pub fn run(&self, global: &Global) -> Result<()> {
         let stop = interrupt::flag().context("cannot catch ^C")?;
-        let mut way = self.way()?;
-        self.show(way.as_mut(), stop)
+        let mut way = self.way(global)?;
+        self.show(way.as_mut(), stop, global.json)
     }
 
-    fn show(&self, way: &mut dyn LogOpener, stop: &AtomicBool) -> Result<()> {
+    fn show(&self, way: &mut dyn LogOpener, stop: &AtomicBool, json: bool) -> Result<()> {
         let places = Places {
             given: self.image.as_deref(),
             cache: ImageCache::of_user(),
         };
         let coloured = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-        let mut screen = Screen::new(self.json, coloured);
+        let mut screen = Screen::new(json, coloured);
         let ended = follow::<anyhow::Error>(way, &places, stop, |what| screen.show(what));
         let printed = screen.end();
         ended.and(printed)
     }
 
-    fn way(&self) -> Result<Box<dyn LogOpener>> {
+    fn way(&self, global: &Global) -> Result<Box<dyn LogOpener>> {
         if let Some(probe) = &self.probe {
             return way::by_probe(Some(probe.as_str()).filter(|probe| !probe.is_empty()));
         }
         if let Some(device) = &self.device {
-            return self.by_link(device);
+            return self.by_link(device, global);
         }
         match way::only_board()? {
-            Some(address) => self.by_link(&address),
+            Some(address) => self.by_link(&address, global),
             None => way::by_probe(None),
         }
     }
 
-    fn by_link(&self, device: &str) -> Result<Box<dyn LogOpener>> {
+    fn by_link(&self, device: &str, global: &Global) -> Result<Box<dyn LogOpener>> {
         #[cfg(feature = "daemon")]
-        let open = super::device::direct_opener(self.config.as_deref(), device)?;
+        let open = super::device::direct_opener(global.config.as_deref(), device)?;
         #[cfg(not(feature = "daemon"))]
-        let open = way::opener(device)?;
+        let (open, _) = (way::opener(device)?, global);
         Ok(Box::new(LinkLogOpener::new(open)))
     }
 }

@@ -7,7 +7,6 @@ pub mod usage;
 
 pub mod calibrate;
 pub mod capture_args;
-pub mod completions;
 #[cfg(feature = "daemon")]
 pub mod configured;
 pub mod convert;
@@ -17,21 +16,22 @@ pub mod demonstration;
 pub mod device;
 pub mod doctor;
 pub mod flash;
-#[cfg(feature = "fleet")]
-pub mod fleet;
-pub mod hint_args;
+pub mod global;
 pub mod hob;
 pub mod identify;
 pub mod inspect;
 pub mod interrupt;
+pub mod keys;
 #[cfg(feature = "log")]
 pub mod log;
-pub mod man;
+pub mod moved;
+#[cfg(feature = "pinn")]
+pub mod network_args;
 #[cfg(feature = "daemon")]
 pub mod opener;
+pub mod pages;
 pub mod record;
 pub mod replay;
-pub mod scenario;
 pub mod sensor_args;
 #[cfg(feature = "daemon")]
 pub mod serve;
@@ -47,8 +47,6 @@ pub mod trainer;
 pub mod ui;
 #[cfg(feature = "daemon")]
 pub mod watch;
-#[cfg(feature = "fleet")]
-pub mod worker;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
@@ -66,6 +64,8 @@ use self::capture_args::IncompleteCapture;
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
+    #[command(flatten)]
+    global: global::Global,
 }
 
 #[derive(Debug, Subcommand)]
@@ -73,30 +73,23 @@ enum Command {
     Calibrate(Box<calibrate::CalibrateArgs>),
     #[cfg(feature = "pinn")]
     Trainer(trainer::TrainerArgs),
-    Completions(completions::CompletionsArgs),
     Convert(Box<convert::ConvertArgs>),
     #[cfg(feature = "daemon")]
     Device(Box<device::DeviceArgs>),
     Doctor(doctor::DoctorArgs),
     Flash(flash::FlashArgs),
-    #[cfg(feature = "fleet")]
-    Fleet(Box<fleet::FleetArgs>),
     Hob(hob::HobArgs),
     Identify(Box<identify::IdentifyArgs>),
     Inspect(Box<inspect::InspectArgs>),
     #[cfg(feature = "log")]
     Log(log::LogArgs),
-    Man(man::ManArgs),
     Record(Box<record::RecordArgs>),
     Replay(Box<replay::ReplayArgs>),
-    Scenario(scenario::ScenarioArgs),
     Simulate(Box<simulate::SimulateArgs>),
     #[cfg(feature = "daemon")]
     Store(Box<store::StoreArgs>),
     #[cfg(feature = "daemon")]
     Watch(watch::WatchArgs),
-    #[cfg(feature = "fleet")]
-    Worker(Box<worker::WorkerArgs>),
 }
 
 impl Cli {
@@ -105,35 +98,61 @@ impl Cli {
     /// # Errors
     /// Any error that ends it early, with its context.
     pub fn run(&self) -> Result<()> {
+        let global = &self.global;
+        self.command.check(global)?;
         match &self.command {
-            Command::Calibrate(args) => args.run(),
+            Command::Calibrate(args) => args.run(global),
             #[cfg(feature = "pinn")]
-            Command::Trainer(args) => args.run(),
-            Command::Completions(args) => args.run(),
-            Command::Convert(args) => args.run(),
+            Command::Trainer(args) => args.run(global),
+            Command::Convert(args) => args.run(global),
             #[cfg(feature = "daemon")]
-            Command::Device(args) => args.run(),
-            Command::Doctor(args) => args.run(),
-            Command::Flash(args) => args.run(),
-            #[cfg(feature = "fleet")]
-            Command::Fleet(args) => args.run(),
+            Command::Device(args) => args.run(global),
+            Command::Doctor(args) => args.run(global),
+            Command::Flash(args) => args.run(global),
             Command::Hob(args) => args.run(),
-            Command::Identify(args) => args.run(),
-            Command::Inspect(args) => args.run(),
+            Command::Identify(args) => args.run(global),
+            Command::Inspect(args) => args.run(global),
             #[cfg(feature = "log")]
-            Command::Log(args) => args.run(),
-            Command::Man(args) => args.run(),
-            Command::Record(args) => args.run(),
-            Command::Replay(args) => args.run(),
-            Command::Scenario(args) => args.run(),
-            Command::Simulate(args) => args.run(),
+            Command::Log(args) => args.run(global),
+            Command::Record(args) => args.run(global),
+            Command::Replay(args) => args.run(global),
+            Command::Simulate(args) => args.run(global),
             #[cfg(feature = "daemon")]
-            Command::Store(args) => args.run(),
+            Command::Store(args) => args.run(global),
             #[cfg(feature = "daemon")]
-            Command::Watch(args) => args.run(),
-            #[cfg(feature = "fleet")]
-            Command::Worker(args) => args.run(),
+            Command::Watch(args) => args.run(global),
         }
+    }
+}
+
+impl Command {
+    /// Refuses the options of every command where they have no meaning.
+    fn check(&self, global: &global::Global) -> Result<()> {
+        let prints_json = !matches!(self, Self::Hob(_));
+        ensure_usage!(
+            prints_json || !global.json,
+            "--json: this command prints none"
+        );
+        let reads_config = match self {
+            Self::Doctor(_) | Self::Record(_) => true,
+            #[cfg(feature = "log")]
+            Self::Log(_) => true,
+            // Says itself where its configuration is read.
+            #[cfg(feature = "pinn")]
+            Self::Trainer(_) => true,
+            #[cfg(feature = "daemon")]
+            Self::Device(_) | Self::Store(_) | Self::Watch(_) => true,
+            _ => false,
+        };
+        ensure_usage!(
+            reads_config || global.config.is_none(),
+            "--config: this command reads no configuration of the daemon{}",
+            match self {
+                Self::Identify(_) => "; the estimators' settings are --settings FILE",
+                _ => "",
+            }
+        );
+        Ok(())
     }
 }
 
@@ -183,10 +202,6 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     if error.is::<ihd_fleet::AccessError>() || error.is::<ihd_fleet::jetstream::JetStreamError>() {
         return 3;
     }
-    #[cfg(feature = "fleet")]
-    if error.is::<fleet::StatusCheckFailed>() {
-        return 7;
-    }
     #[cfg(feature = "daemon")]
     if let Some(code) = device::exit_code(error) {
         return code;
@@ -214,7 +229,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     if empty
         || error.is::<inspect::UnfitCapture>()
         || error.is::<identify::RefusedResults>()
-        || error.is::<scenario::MissedLimits>()
+        || error.is::<simulate::scenario::MissedLimits>()
         || error.is::<inspect::SingleChannel>()
         || error.is::<IncompleteCapture>()
     {

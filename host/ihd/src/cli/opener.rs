@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
-use clap::{Args, Command, FromArgMatches};
 use ihd_daemon::config::{Address, Config};
 use ihd_daemon::{OpenDevice, OpenedDevice, TruthFn};
 use ihd_link::{DeviceSpec, Transport};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::{PacedHob, SharedHob};
 
-use super::simulated::SimulatedHobArgs;
+use super::keys;
+use super::simulated::SimOptions;
 use super::usage::Usage;
 
 /// Simulated hob of a configuration: the options of `ihd hob`, and `speed`.
@@ -33,17 +33,16 @@ impl Default for SimulatedHob {
 
 impl SimulatedHob {
     fn of(table: &toml::Table) -> Result<Self> {
-        let mut words = vec!["sim".to_owned()];
+        let mut pairs = Vec::new();
         let mut speed = 1.0;
         for (key, value) in table {
             match (key.as_str(), value) {
                 ("speed", toml::Value::Float(x)) => speed = *x,
                 ("speed", toml::Value::Integer(n)) => speed = *n as f64,
-                (_, toml::Value::Boolean(false)) => {}
-                (_, toml::Value::Boolean(true)) => words.push(format!("--{key}")),
-                (_, toml::Value::String(text)) => words.push(format!("--{key}={text}")),
-                (_, toml::Value::Integer(n)) => words.push(format!("--{key}={n}")),
-                (_, toml::Value::Float(x)) => words.push(format!("--{key}={x}")),
+                (_, toml::Value::Boolean(is)) => pairs.push(format!("{key}={is}")),
+                (_, toml::Value::String(text)) => pairs.push(format!("{key}={text}")),
+                (_, toml::Value::Integer(n)) => pairs.push(format!("{key}={n}")),
+                (_, toml::Value::Float(x)) => pairs.push(format!("{key}={x}")),
                 _ => bail!(Usage(format!("sim: {key} = {value} is no option"))),
             }
         }
@@ -52,21 +51,12 @@ impl SimulatedHob {
             "sim: speed = {speed}, but must lie between 0 and 100"
         );
         // Names, values and messages of the options are those of the command line.
-        let command = SimulatedHobArgs::augment_args(Command::new("sim").disable_help_flag(true));
-        let options = command
-            .try_get_matches_from(words)
-            .and_then(|matches| SimulatedHobArgs::from_arg_matches(&matches))
-            .map_err(|e| Usage(format!("sim: {}", first_line(&e.to_string()))))?;
+        let options: SimOptions = keys::parse("sim:", &pairs)?;
         Ok(Self {
             hob: options.config()?,
             speed,
         })
     }
-}
-
-fn first_line(message: &str) -> &str {
-    let line = message.lines().next().unwrap_or_default();
-    line.trim_start_matches("error: ")
 }
 
 /// Key that marks a simulated hob's options with the device's name: no two devices share one.

@@ -8,13 +8,13 @@ use ihd_link::{Client, DeviceSpec};
 use ihd_signal::Capture;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
-use ihd_survey::{Hints, Survey};
+use ihd_survey::Survey;
 use ihd_train::replay::{ReplayOptions, ReplayReport, run};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::capture_args::CaptureArgs;
+use super::global::Global;
 use super::output;
-use super::simulate::quantity::quantity;
 use crate::report::table::Table;
 
 /// Replay a capture in the loop: its samples go through a device's firmware in place of its ADCs.
@@ -24,7 +24,7 @@ use crate::report::table::Table;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd replay half-cycle.mcap\n  \
-    ihd replay scope.wfm --device usb --fsw 45k\n  \
+    ihd replay scope.wfm --device usb --input fsw=45k\n  \
     ihd replay kitchen.mcap --device tcp:127.0.0.1:4711 --speed 1 --json\n\n\
     Exit codes: 0 identical, 1 failed, 2 wrong usage, 3 device or link, 6 the device differs,\n\
     7 the capture is empty, cut or damaged (what could be read is replayed)")]
@@ -37,18 +37,6 @@ pub struct ReplayArgs {
     /// Speed relative to the capture's own time; without it as fast as the link allows
     #[arg(long, value_name = "FACTOR")]
     speed: Option<f64>,
-    /// Switching frequency in Hz, where the capture states none
-    #[arg(long, value_parser = quantity, value_name = "HZ")]
-    fsw: Option<f64>,
-    /// Mains frequency in Hz, where the capture states none
-    #[arg(long, value_parser = quantity, value_name = "HZ")]
-    mains: Option<f64>,
-    /// Time of a mains zero crossing in s, where the capture states none
-    #[arg(long, value_parser = quantity, value_name = "S", allow_negative_numbers = true)]
-    zero_crossing: Option<f64>,
-    /// Print the report as JSON
-    #[arg(long)]
-    json: bool,
 }
 
 /// Error for a device whose results differ from this build's.
@@ -64,24 +52,19 @@ impl ReplayArgs {
     ///
     /// # Errors
     /// [`ReplayDiffers`] if the device's results differ; else the reason why they cannot be compared.
-    pub fn run(&self) -> Result<()> {
+    pub fn run(&self, global: &Global) -> Result<()> {
         ensure_usage!(
             self.speed
                 .is_none_or(|s| s.is_finite() && (1e-3..=1e3).contains(&s)),
             "--speed must lie between 0.001 and 1000"
         );
+        self.capture.input()?.refuse(&["resonance-capacitance"])?;
         let loaded = self.capture.open()?;
-        loaded.finish(self.replay(&loaded.capture))
+        loaded.finish(self.replay(&loaded.capture, global.json))
     }
 
-    fn replay(&self, capture: &Capture) -> Result<()> {
-        let hints = self.capture.hints(Hints {
-            f_sw_hz: self.fsw,
-            mains_hz: self.mains,
-            zero_crossing_s: self.zero_crossing,
-            ..Hints::default()
-        });
-        let survey = Survey::of(capture, &hints)?;
+    fn replay(&self, capture: &Capture, json: bool) -> Result<()> {
+        let survey = Survey::of(capture, &self.capture.input()?.hints())?;
         let segments = survey.segments(capture);
         let settings = ReplayOptions {
             speed: self.speed,
@@ -104,7 +87,7 @@ impl ReplayArgs {
         });
         bar.finish_and_clear();
         let outcome = outcome?;
-        if self.json {
+        if json {
             output::json(&outcome)?;
         } else {
             output::text(&text(&outcome))?;

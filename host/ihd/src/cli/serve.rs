@@ -1,7 +1,6 @@
 //! `ihd trainer --daemon`: runs until stopped, and leaves the hobs off.
 
 use std::io::IsTerminal;
-use std::path::PathBuf;
 use std::process::exit;
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,6 +18,7 @@ use tokio::time::timeout;
 use tracing_subscriber::EnvFilter;
 
 use super::demonstration::{self, Demonstration};
+use super::global::Global;
 use super::opener::opener;
 use super::{configured, supervised, ui};
 
@@ -38,34 +38,22 @@ const INTERRUPTED: i32 = 130;
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Daemon")]
 pub struct ServeArgs {
-    /// Same as --daemon.
-    #[arg(value_name = "serve", conflicts_with_all = ALONE)]
-    serve: Option<Serve>,
-    /// Run until stopped: find devices, store, learn from whatever heating goes on, take commands (`ihd device`)
+    /// Run until told to stop: find devices, store, learn from whatever heating goes on, take commands (`ihd device`)
     #[arg(long, conflicts_with_all = ALONE)]
     daemon: bool,
     /// Open the daemon's page in a browser. Without --daemon, a demonstration: a daemon whose simulated hob heats with --power, again
     /// and again, until a client commands it
-    #[arg(long, conflicts_with_all = ["replay", "no_store", "follow", "json"])]
+    #[arg(long, conflicts_with_all = ["replay", "follow"])]
     ui: bool,
-    /// Configuration of the daemon; without one ihd.toml of this folder, or what is built in (docs/daemon.md)
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
     /// Format of log lines, on standard error
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
 }
 
 /// Options of `ihd trainer` that do not apply to the daemon, whose devices are in the configuration.
-const ALONE: [&str; 12] = [
-    "device", "power", "replay", "backend", "network", "store", "no_store", "follow", "json",
-    "pot", "warming", "contents",
+const ALONE: [&str; 8] = [
+    "device", "power", "replay", "network", "store", "follow", "sim", "pot",
 ];
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Serve {
-    Serve,
-}
 
 /// Format of log lines.
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -92,15 +80,19 @@ impl ServeArgs {
     ///
     /// # Errors
     /// If none is requested but the daemon's configuration is given.
-    pub fn mode(&self) -> Result<ServeMode> {
-        let mode = match self.daemon || self.serve.is_some() {
+    pub fn mode(&self, global: &Global) -> Result<ServeMode> {
+        let mode = match self.daemon {
             true => ServeMode::Daemon,
             false if self.ui => ServeMode::Demonstration,
             false => ServeMode::None,
         };
         ensure_usage!(
-            mode != ServeMode::None || self.config.is_none(),
+            mode != ServeMode::None || global.config.is_none(),
             "--config is the daemon's, with --daemon or --ui; settings of the network stand in --network FILE"
+        );
+        ensure_usage!(
+            mode == ServeMode::None || !global.json,
+            "--json prints the report of a training run, which --daemon and --ui do not make"
         );
         Ok(mode)
     }
@@ -109,8 +101,8 @@ impl ServeArgs {
     ///
     /// # Errors
     /// An invalid configuration, a port in use, a store that cannot be opened.
-    pub fn run(&self) -> Result<()> {
-        let config = configured::config(self.config.as_deref())?;
+    pub fn run(&self, global: &Global) -> Result<()> {
+        let config = configured::config(global.config.as_deref())?;
         if self.ui
             && let Some(daemon) = configured::daemon(&config)?
         {
@@ -125,8 +117,8 @@ impl ServeArgs {
     ///
     /// # Errors
     /// Any error of [`Self::run`].
-    pub fn demonstrate(&self, demonstration: Demonstration) -> Result<()> {
-        let of_file = self.config.as_deref().map(Config::read).transpose()?;
+    pub fn demonstrate(&self, demonstration: Demonstration, global: &Global) -> Result<()> {
+        let of_file = global.config.as_deref().map(Config::read).transpose()?;
         let config = demonstration.config(of_file);
         self.start(config, tracing::Level::WARN, Some(demonstration))
     }

@@ -9,14 +9,56 @@ use ihd_sim::perturbation::Perturbation;
 use ihd_sim::pot::Pot;
 use ihd_sim::recording::settings::LoadKind;
 
+use super::keys;
 use super::simulate::LoadWord;
 use super::simulate::quantity::quantity;
 use super::usage::Usage;
 
-/// Options of the simulated hob.
+/// Simulated hob on the command line.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Simulated hob")]
 pub struct SimulatedHobArgs {
+    /// Simulated hob: pot, lift, offset, temperature, perturb, load, warming, contents, mains, bench-supply, snr, anti-alias, seed;
+    /// `--sim help` explains them
+    #[arg(long, value_name = "KEY=VALUE,…", value_parser = keys::text::<SimOptions>())]
+    sim: Vec<String>,
+    /// Pot on the coil, short for --sim pot=POT
+    #[arg(long, value_name = "POT")]
+    pot: Option<Pot>,
+}
+
+impl SimulatedHobArgs {
+    /// Options, with what is not given by default.
+    ///
+    /// # Errors
+    /// For an unknown key or an invalid value.
+    pub fn options(&self) -> Result<SimOptions> {
+        let mut texts = self.sim.clone();
+        texts.extend(self.pot.map(|pot| format!("pot={pot}")));
+        keys::parse("--sim", &texts)
+    }
+
+    /// Returns `true` if nothing but a seed is given.
+    pub fn is_seed_only(&self) -> bool {
+        self.pot.is_none()
+            && self
+                .sim
+                .iter()
+                .all(|text| text.starts_with("seed=") && !text.contains(','))
+    }
+
+    /// Converts the options to a configuration.
+    ///
+    /// # Errors
+    /// For an unknown key or an invalid value.
+    pub fn config(&self) -> Result<HobConfig> {
+        self.options()?.config()
+    }
+}
+
+/// Options of the simulated hob: keys of `--sim`, and of `sim` in the daemon's configuration.
+#[derive(Debug, Args)]
+pub struct SimOptions {
     /// Pot on the coil: METAL-DIAMETER with ferritic, cast-iron, stainless or aluminium and 5 to 26 cm, or none.
     #[arg(long, value_name = "POT", default_value = "ferritic-21")]
     pot: Pot,
@@ -40,7 +82,7 @@ pub struct SimulatedHobArgs {
     #[arg(long)]
     warming: bool,
     /// Contents of the pot, which then warms up: water-LITRE or oil-LITRE with 0.05 to 10 litre, empty, or food (the one lump of
-    /// --warming)
+    /// warming)
     #[arg(long, value_name = "CONTENTS")]
     contents: Option<Contents>,
     /// Mains frequency in hertz.
@@ -62,11 +104,11 @@ pub struct SimulatedHobArgs {
     seed: Option<u64>,
 }
 
-/// Rms voltage and current at 45 kHz and full power, which `--snr` refers to (measured on tests/fixtures/half_cycle, and close to
+/// Rms voltage and current at 45 kHz and full power, which `snr` refers to (measured on tests/fixtures/half_cycle, and close to
 /// the paper's Table 4).
 pub const RATED_RMS: (f64, f64) = (179.1, 27.7);
 
-impl SimulatedHobArgs {
+impl SimOptions {
     /// Pot.
     pub fn pot(&self) -> Pot {
         Pot {
@@ -117,18 +159,18 @@ impl SimulatedHobArgs {
     pub fn config(&self) -> Result<HobConfig> {
         ensure_usage!(
             (45.0..=65.0).contains(&self.mains),
-            "--mains is {} Hz, but must lie between 45 and 65",
+            "--sim mains={}: must lie between 45 and 65 Hz",
             self.mains
         );
         ensure_usage!(
             self.anti_alias == 0.0 || (1e5..=1e7).contains(&self.anti_alias),
-            "--anti-alias is {} Hz, but must be 0 or lie between 100 kHz and 10 MHz",
+            "--sim anti-alias={}: must be 0 or lie between 100 kHz and 10 MHz",
             self.anti_alias
         );
         if let Some(supply_v) = self.bench_supply {
             ensure_usage!(
                 (5.0..=400.0).contains(&supply_v),
-                "--bench-supply is {supply_v} V, but must lie between 5 and 400"
+                "--sim bench-supply={supply_v}: must lie between 5 and 400 V"
             );
         }
         let noise = match self.snr {
@@ -136,7 +178,7 @@ impl SimulatedHobArgs {
             Some(db) => {
                 ensure_usage!(
                     (10.0..=200.0).contains(&db),
-                    "--snr is {db} dB, but must lie between 10 and 200"
+                    "--sim snr={db}: must lie between 10 and 200 dB"
                 );
                 Noise::from_snr_db(db, RATED_RMS.0, RATED_RMS.1)
             }
@@ -151,12 +193,12 @@ impl SimulatedHobArgs {
         };
         ensure_usage!(
             !formulas || pot == standard,
-            "--load behavioural knows no --lift, --offset, --temperature and --perturb: use --load reduced or field"
+            "--sim load=behavioural knows no lift, offset, temperature and perturb: use load=reduced or load=field"
         );
         ensure_usage!(
             self.perturb != Some(Perturbation::Rings)
                 || LoadKind::from(self.load) != LoadKind::Field,
-            "--perturb rings goes with --load reduced: the rings of the time domain are compiled in"
+            "--sim perturb=rings goes with load=reduced: the rings of the time domain are compiled in"
         );
         Ok(HobConfig {
             mains_hz: self.mains,

@@ -8,7 +8,6 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use ihd_capture::{OpenOptions, open};
 use ihd_link::{Client, DeviceSpec, LinkError};
-use ihd_pinn::{Backend, Config};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::sampling::Scales;
@@ -24,6 +23,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 #[cfg(feature = "daemon")]
 use super::demonstration::Demonstration;
+use super::global::Global;
+use super::network_args::NetworkArgs;
 #[cfg(feature = "daemon")]
 use super::serve::ServeMode;
 use super::simulated::SimulatedHobArgs;
@@ -39,7 +40,7 @@ const MAX_RUNS: u32 = 9_999;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd trainer\n  \
-    ihd trainer --power 1500 --backend ndarray --json\n  \
+    ihd trainer --power 1500 --network backend=ndarray --json\n  \
     ihd trainer --device tcp:127.0.0.1:4711 --follow\n  \
     ihd trainer --replay capture.mcap\n  \
     ihd trainer --ui                     (the page in a browser, with a simulated hob that heats)\n\n\
@@ -61,27 +62,16 @@ pub struct TrainerArgs {
     /// Instead of heating, replay the half-cycles of this capture through the device, its power outputs locked off
     #[arg(long, value_name = "FILE", conflicts_with_all = ["power", "follow"])]
     replay: Option<PathBuf>,
-    /// Backend of the network: fused (own code) or ndarray (burn).
-    #[arg(long, value_name = "NAME")]
-    backend: Option<Backend>,
-    /// TOML file with the network's settings over the preset that it names; what it leaves out keeps
-    /// the preset's value.
-    #[arg(long, value_name = "FILE")]
-    network: Option<PathBuf>,
     /// Folder in which each run gets a folder of its own, for the recording, the lookups and the
-    /// figure.
-    #[arg(long, value_name = "DIR", default_value = "ihd-store")]
+    /// figure; none: nothing is written to disk.
+    #[arg(long, value_name = "DIR|none", default_value = "ihd-store")]
     store: PathBuf,
-    /// Write nothing to disk.
-    #[arg(long)]
-    no_store: bool,
     /// Go on at the last power until ^C, and push a lookup whenever the load has changed. A fault, a lifted
     /// pot or a full disk is a line; a cut link is made again for a minute.
     #[arg(long)]
     follow: bool,
-    /// Print the report as JSON.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    network: NetworkArgs,
     #[command(flatten)]
     simulated: SimulatedHobArgs,
     #[cfg(feature = "daemon")]
@@ -91,15 +81,15 @@ pub struct TrainerArgs {
 
 impl TrainerArgs {
     /// Connects, trains, reports.
-    pub fn run(&self) -> Result<()> {
+    pub fn run(&self, global: &Global) -> Result<()> {
         #[cfg(feature = "daemon")]
-        match self.serve.mode()? {
-            ServeMode::Daemon => return self.serve.run(),
-            ServeMode::Demonstration => return self.demonstrate(),
+        match self.serve.mode(global)? {
+            ServeMode::Daemon => return self.serve.run(global),
+            ServeMode::Demonstration => return self.demonstrate(global),
             ServeMode::None => {}
         }
         self.check_powers()?;
-        let pinn = self.pinn_config()?;
+        let pinn = self.network.config()?;
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let bar = progress_bar();
         let mut truth: TruthSource = None;
@@ -124,10 +114,9 @@ impl TrainerArgs {
         let settings = RunOptions {
             source: self.source(scales)?,
             pinn,
-            store: if self.no_store {
-                None
-            } else {
-                Some(new_run_folder(&self.store)?)
+            store: match self.store() {
+                None => None,
+                Some(store) => Some(new_run_folder(store)?),
             },
             follow: self.follow,
             stop: Some(stop),
@@ -139,13 +128,24 @@ impl TrainerArgs {
         });
         bar.finish_and_clear();
         match ended {
-            Ok(report) => self.print_report(&report, None, settings.store.as_deref()),
+            Ok(report) => self.print_report(&report, None, settings.store.as_deref(), global.json),
             Err(failed) => {
                 let failed = *failed;
-                self.print_report(&failed.report, Some(&failed), settings.store.as_deref())?;
+                self.print_report(
+                    &failed.report,
+                    Some(&failed),
+                    settings.store.as_deref(),
+                    global.json,
+                )?;
                 Err(failed.into())
             }
         }
+    }
+
+    /// Folder of the runs; `None` if nothing is to be written.
+    fn store(&self) -> Option<&Path> {
+        let store = self.store.as_path();
+        (store != Path::new("none")).then_some(store)
     }
 
     fn check_powers(&self) -> Result<()> {
@@ -160,34 +160,25 @@ impl TrainerArgs {
 
     /// Shows the page with a hob that heats by itself.
     #[cfg(feature = "daemon")]
-    fn demonstrate(&self) -> Result<()> {
+    fn demonstrate(&self, global: &Global) -> Result<()> {
         self.check_powers()?;
         // Checked before anything runs, for the messages of the command line.
         self.simulated.config()?;
-        let network = match (&self.network, self.backend) {
-            (None, None) => None,
-            (file, backend) => {
-                self.pinn_config()?;
-                let text = file
-                    .as_ref()
-                    .map_or(Ok(String::new()), fs::read_to_string)?;
-                let mut table: toml::Table = text.parse()?;
-                if let Some(backend) = backend {
-                    table.insert("backend".to_owned(), backend.to_string().into());
-                }
-                Some(table)
-            }
-        };
-        self.serve.demonstrate(Demonstration {
+        ensure_usage!(
+            self.store().is_some(),
+            "--store none: a daemon keeps what it learns; --store DIR names its folder"
+        );
+        let demonstration = Demonstration {
             sim: match self.device {
-                DeviceSpec::Sim => self.simulated.table(),
+                DeviceSpec::Sim => self.simulated.options()?.table(),
                 _ => toml::Table::new(),
             },
             device: self.device.clone(),
             powers_w: self.power.clone(),
             store: self.store.clone(),
-            network,
-        })
+            network: self.network.table()?,
+        };
+        self.serve.demonstrate(demonstration, global)
     }
 
     /// Opens a new link to the same device; a simulated hob in this process has none.
@@ -210,9 +201,10 @@ impl TrainerArgs {
         report: &RunReport,
         failed: Option<&RunFailure>,
         store: Option<&Path>,
+        json: bool,
     ) -> Result<()> {
         let has_points = !report.points.is_empty();
-        if self.json {
+        if json {
             let mut json = training::json(report);
             if let Some(failed) = failed {
                 json["error"] = failed.to_string().into();
@@ -233,7 +225,7 @@ impl TrainerArgs {
             // The run's own error is reported.
             (Err(_), Some(_)) => return Ok(()),
         }
-        if !self.json {
+        if !json {
             say!(
                 "kept     session.mcap, lookup-v*.json and identified.svg in {}",
                 store.display()
@@ -259,23 +251,6 @@ impl TrainerArgs {
             path.display()
         );
         Ok(Source::Replay(half_cycles))
-    }
-
-    fn pinn_config(&self) -> Result<Config> {
-        let mut config = match &self.network {
-            None => Config::default(),
-            Some(path) => {
-                let text = std::fs::read_to_string(path)
-                    .with_context(|| format!("cannot read {}", path.display()))?;
-                Config::from_toml(&text)
-                    .with_context(|| format!("{} is no configuration", path.display()))?
-            }
-        };
-        if let Some(backend) = self.backend {
-            config.backend = backend;
-        }
-        config.validate()?;
-        Ok(config)
     }
 }
 

@@ -137,7 +137,7 @@ fn quick() -> Vec<(&'static str, hostile::Serve)> {
 fn commands_end_by_themselves_with_some_hostile_devices() {
     let record = ["record", "--out", "x.mcap", "--duration", "0.5"];
     against_each(&quick(), "record", &record, &RECORDED);
-    let trainer = ["trainer", "--power", "700", "--no-store"];
+    let trainer = ["trainer", "--power", "700", "--store", "none"];
     against_each(&quick(), "trainer", &trainer, &NOT_TAUGHT);
 }
 
@@ -151,6 +151,6 @@ fn a_recording_ends_by_itself_with_every_hostile_device() {
 #[test]
 #[ignore = "full tier: two minutes"]
 fn the_trainer_ends_by_itself_with_every_hostile_device() {
-    let arguments = ["trainer", "--power", "700", "--no-store"];
+    let arguments = ["trainer", "--power", "700", "--store", "none"];
     against_each(hostile::ALL, "trainer", &arguments, &NOT_TAUGHT);
 }

@@ -148,16 +148,8 @@ fn kills_lose_nothing_that_was_acknowledged() {
     let devices: Vec<_> = (0..3)
         .map(|k| match k < hobs {
             true => {
-                let seed = (k + 1).to_string();
-                let options = [
-                    "--panel",
-                    "6",
-                    "--warming",
-                    "--speed",
-                    &speed,
-                    "--seed",
-                    &seed,
-                ];
+                let sim = format!("warming,seed={}", k + 1);
+                let options = ["--panel", "6", "--speed", &speed, "--sim", &sim];
                 Device::Hob(Hob::start(folder.path(), &options).unwrap())
             }
             false => {

@@ -1,4 +1,4 @@
-//! The five commands of docs/fleet-security.md: the real edge and the real worker, each with the key that `ihd fleet server-config` made.
+//! The five commands of docs/fleet-security.md: the real edge and the real worker, each with the key that `ihd-fleet init server-config` made.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::process::{Process, ihd};
 use crate::server::{self, Server};
-use crate::site::PATIENCE;
+use crate::site::{PATIENCE, ihd_fleet};
 
 /// Server with keys in its folder.
 struct Keyed {
@@ -24,9 +24,9 @@ impl Keyed {
             let file = |name: &str| place.folder.join(name);
             fs::write(file("certificate.pem"), made.cert.pem()).unwrap();
             fs::write(file("key.pem"), made.signing_key.serialize_pem()).unwrap();
-            let mut command = ihd(&place.folder);
+            let mut command = ihd_fleet(&place.folder);
             command
-                .args(["fleet", "server-config", "--site", "lab", "--keys", "keys"])
+                .args(["init", "server-config", "--site", "lab", "--keys", "keys"])
                 .args(["--edge", "lab-1=bench", "--edge", "lab-2=other"])
                 .args(["--fleet-page", "lab-1", "--disk-bytes", "4000000000"])
                 .args(["--listen", &format!("{}:-1", place.address)])
@@ -53,10 +53,10 @@ impl Keyed {
         self.file(&format!("keys/lab-{name}.nk"))
     }
 
-    /// Runs `ihd fleet …` with a key; returns output and exit code.
+    /// `ihd-fleet …` with a key: what it prints, and its exit code.
     fn fleet(&self, key: &str, arguments: &[&str]) -> (String, i32) {
-        let mut command = ihd(self.server.folder());
-        command.args(["fleet", "--url", &self.url(), "--ca"]);
+        let mut command = ihd_fleet(self.server.folder());
+        command.args(["--url", &self.url(), "--ca"]);
         command.arg(self.file("certificate.pem")).arg("--nkey-file");
         let out = command.arg(self.key(key)).args(arguments).output().unwrap();
         let text = [&out.stdout[..], &out.stderr].concat();
@@ -64,7 +64,7 @@ impl Keyed {
         (text, out.status.code().unwrap_or(-1))
     }
 
-    /// Runs `ihd fleet status --json` of the operator.
+    /// `ihd-fleet status --json` of the operator.
     fn status(&self) -> Value {
         let (text, code) = self.fleet("operator", &["status", "--json"]);
         assert_eq!(code, 0, "{text}");
@@ -72,7 +72,7 @@ impl Keyed {
     }
 
     fn worker(&self) -> Process {
-        let mut command = ihd(self.server.folder());
+        let mut command = ihd_fleet(self.server.folder());
         command.args(["worker", "--threads", "1", "--name", "worker-1"]);
         command.args(["--url", &self.url(), "--ca"]);
         command.arg(self.file("certificate.pem")).arg("--nkey-file");
@@ -172,7 +172,7 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
     });
     println!("{}", keyed.status());
     keyed.until("the lookup of the hob", || {
-        let (text, code) = keyed.fleet("operator", &["lookups", "ls", "--json"]);
+        let (text, code) = keyed.fleet("operator", &["lookup", "ls", "--json"]);
         code == 0 && text.contains("bench")
     });
     assert_eq!(
@@ -218,14 +218,14 @@ fn up_prints_what_edge_and_worker_need_and_an_open_key_is_refused() {
     drop(free);
     let up = || {
         let out = fs::File::create(file("up")).unwrap();
-        let mut command = ihd(folder.path());
+        let mut command = ihd_fleet(folder.path());
         command
-            .args(["fleet", "up", "--edge", "lab-1=bench", "--listen", &listen])
+            .args(["init", "up", "--edge", "lab-1=bench", "--listen", &listen])
             .env(server::PROGRAM, server::program());
         let command = command.stdout(out.try_clone().unwrap()).stderr(out);
         Process::spawn(command).unwrap()
     };
-    let printed = || read("up").contains("ihd worker ");
+    let printed = || read("up").contains("ihd-fleet worker ");
     let running = up();
     until("the lines for edge and worker", &printed);
     let text = read("up");
@@ -240,10 +240,10 @@ fn up_prints_what_edge_and_worker_need_and_an_open_key_is_refused() {
     fs::write(file("ihd.toml"), config).unwrap();
     let worker = text
         .lines()
-        .find(|line| line.starts_with("ihd worker "))
+        .find(|line| line.starts_with("ihd-fleet worker "))
         .unwrap();
     let worker = || {
-        let mut command = ihd(folder.path());
+        let mut command = ihd_fleet(folder.path());
         command.args(worker.split_whitespace().skip(1));
         command
     };
@@ -252,9 +252,9 @@ fn up_prints_what_edge_and_worker_need_and_an_open_key_is_refused() {
     let _edge = started(&mut edge, &file("edge.log"));
     let working = started(&mut worker(), &file("worker.log"));
     let status = || -> Option<Value> {
-        // The address stands in ihd.toml.
-        let out = ihd(folder.path())
-            .args(["fleet", "status", "--json"])
+        // Whom to ask stands in ihd.toml.
+        let out = ihd_fleet(folder.path())
+            .args(["status", "--json"])
             .output()
             .unwrap();
         serde_json::from_slice(&out.stdout).ok()

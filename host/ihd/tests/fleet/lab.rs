@@ -1,4 +1,4 @@
-//! Two sites on one server, configured as by `ihd fleet server-config`: TLS, a key for each client.
+//! Two sites on one server, configured as `ihd-fleet init server-config` would: TLS, a key for everybody.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -50,7 +50,7 @@ impl Lab {
         }
     }
 
-    /// Rewrites the configuration without an edge, as `ihd fleet server-config` after its loss.
+    /// Writes the configuration anew without an edge, as `ihd-fleet init server-config` after its loss.
     pub fn forget_edge(&mut self, name: &str) {
         for site in &mut self.sites {
             site.edges.retain(|edge| edge.name != name);
@@ -101,7 +101,7 @@ impl Lab {
         jetstream::new(self.client(key).await)
     }
 
-    /// Initialises the fleet as the operator (`ihd fleet init`).
+    /// What the operator makes (`ihd-fleet init`).
     async fn make_streams(&self, site: &Site) {
         let js = self.jetstream(&format!("{}-operator", site.name)).await;
         let most = 100 << 20;

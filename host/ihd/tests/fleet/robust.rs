@@ -168,12 +168,12 @@ fn what_nobody_can_identify_is_given_up_and_comes_back() {
         })
     };
     dead(2);
-    let (text, code) = fleet(&url, &["dead"]);
+    let (text, code) = fleet(&url, &["status", "dead"]);
     assert!(code == 0 && text.contains("unpacked"), "{text}");
     let (text, code) = fleet(&url, &["status", "--check"]);
     assert!(code == 7 && text.contains("given up"), "{text}");
     worker.kill();
-    let (text, _) = fleet(&url, &["replay", "--hob", "a"]);
+    let (text, _) = fleet(&url, &["retry", "--hob", "a"]);
     assert!(text.contains("1 back"), "{text}");
     let now = status(&url).expect("it answers");
     assert_eq!(
@@ -181,11 +181,11 @@ fn what_nobody_can_identify_is_given_up_and_comes_back() {
         (&1.into(), &1.into()),
         "{now}"
     );
-    let (text, _) = fleet(&url, &["backlog"]);
+    let (text, _) = fleet(&url, &["status", "backlog"]);
     assert!(text.contains('a') && !text.contains("nothing"), "{text}");
     let _worker = Worker::start(folder.path(), &url, "again", &["--threads", "1"]);
     dead(2);
-    let (text, _) = fleet(&url, &["dead", "--delete"]);
+    let (text, _) = fleet(&url, &["status", "dead", "--delete"]);
     assert!(text.contains("2 deleted"), "{text}");
     dead(0);
 }

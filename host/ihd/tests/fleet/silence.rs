@@ -73,7 +73,7 @@ fn a_server_that_lost_its_disk_gets_everything_again() {
     until("failures are counted", PATIENCE, || {
         site.fleet().is_some_and(|report| {
             let why = report["why"].as_str().unwrap_or_default();
-            why.contains("ihd fleet init") && why.contains(" times)")
+            why.contains("ihd-fleet init") && why.contains(" times)")
         })
     });
     let log = site.log();
@@ -131,7 +131,7 @@ fn an_edge_hears_of_a_window_that_nobody_can_identify_and_of_its_result_after_al
     });
     assert_eq!(windows(&site, "dead"), Some(0));
     assert_eq!(site.results(), site.windows);
-    let (text, code) = fleet(&url, &["dead", "--delete"]);
+    let (text, code) = fleet(&url, &["status", "dead", "--delete"]);
     assert_eq!(code, 0, "{text}");
     let (text, code) = fleet(&url, &["status", "--check"]);
     assert_eq!(code, 0, "{text}");

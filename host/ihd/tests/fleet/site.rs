@@ -5,7 +5,7 @@ use std::fs;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
@@ -259,7 +259,15 @@ fn free_address() -> String {
     listener.local_addr().expect("its address").to_string()
 }
 
-/// A process of `ihd worker`.
+/// `ihd-fleet`, built beside the command under test (`cargo build -p ihd-fleet-cli`; a run of the whole workspace builds it).
+pub fn ihd_fleet(folder: &Path) -> Command {
+    let beside = Path::new(env!("CARGO_BIN_EXE_ihd")).with_file_name("ihd-fleet");
+    let mut command = Command::new(beside);
+    command.current_dir(folder).stdin(Stdio::null());
+    command
+}
+
+/// `ihd-fleet worker`.
 pub struct Worker {
     process: Process,
 }
@@ -271,7 +279,7 @@ impl Worker {
             .append(true)
             .open(folder.join(format!("{name}.log")))
             .expect("a log");
-        let mut command = ihd(folder);
+        let mut command = ihd_fleet(folder);
         command
             .args(["worker", "--url", url, "--name", name])
             .args(options)
@@ -299,18 +307,18 @@ impl Worker {
     }
 }
 
-/// Runs `ihd fleet --url URL …`; returns output and exit code.
+/// `ihd-fleet --url URL …`: what it prints, and its exit code.
 pub fn fleet(url: &str, arguments: &[&str]) -> (String, i32) {
     let folder = std::env::temp_dir();
-    let mut command = ihd(&folder);
-    command.args(["fleet", "--url", url]).args(arguments);
-    let out = command.output().expect("ihd fleet runs");
+    let mut command = ihd_fleet(&folder);
+    command.args(["--url", url]).args(arguments);
+    let out = command.output().expect("ihd-fleet runs");
     let text =
         String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
     (text, out.status.code().unwrap_or(-1))
 }
 
-/// Runs `ihd fleet init` with further options.
+/// `ihd-fleet init`, with what is to be said beside.
 pub fn init(url: &str, options: &[&str]) {
     // The reserved space must be available on any machine.
     let little = [
@@ -330,7 +338,7 @@ pub fn init(url: &str, options: &[&str]) {
     assert_eq!(code, 0, "{text}");
 }
 
-/// Runs `ihd fleet status --json`; `None` while the server does not answer.
+/// `ihd-fleet status --json`; none while the server is away.
 pub fn status(url: &str) -> Option<Value> {
     let (text, code) = fleet(url, &["status", "--json"]);
     (code == 0).then(|| serde_json::from_str(&text).expect("JSON"))

@@ -15,7 +15,7 @@ use super::site::{Site, Worker, init, status, tape, until};
 /// Time-out of one run of the study.
 const PATIENCE: Duration = Duration::from_secs(3_000);
 
-/// Numbers of `ihd fleet status`, read by this process: a command for each reading would be a part of the measurement.
+/// Numbers of `ihd-fleet status`, read by this process: a command for each reading would be a part of the measurement.
 struct Monitor {
     runtime: tokio::runtime::Runtime,
     context: jetstream::Context,
@@ -126,7 +126,7 @@ fn what_a_window_costs_at_length() {
     let folder = site.path().to_owned();
     let edge_before = site.processor_s();
     let server_before = processor_s(server.pid());
-    let mut command = super::process::ihd(&folder);
+    let mut command = super::site::ihd_fleet(&folder);
     command.args(["worker", "--url", &url, "--name", "w", "--threads", "1"]);
     command.stderr(std::process::Stdio::null());
     let mut worker = Process::spawn(&mut command).expect("a worker");

@@ -13,7 +13,7 @@ fn json(url: &str, arguments: &[&str]) -> Value {
 
 /// Returns the last lookup of the first hob: its revision, and `true` if it is in use.
 fn last_lookup(url: &str) -> Option<(u64, bool)> {
-    let last = json(url, &["lookups", "ls", "--json"])[0].clone();
+    let last = json(url, &["lookup", "ls", "--json"])[0].clone();
     Some((last["revision"].as_u64()?, last["lookup"]["in_use"] == true))
 }
 
@@ -32,7 +32,7 @@ fn a_hob_is_taught_by_workers_and_without_them() {
             .unwrap_or(0)
     };
     until("the hob in a fleet that is trusted", PATIENCE, || {
-        let devices = json(&url, &["devices", "--json"]);
+        let devices = json(&url, &["status", "devices", "--json"]);
         let trusted = status(&url).is_some_and(|s| s["edges"][0]["trusts_fleet"] == true);
         trusted && devices[0]["name"] == *hob && devices[0]["state"] == "idle"
     });
@@ -58,8 +58,8 @@ fn a_hob_is_taught_by_workers_and_without_them() {
         },
     );
 
-    // An older one is requested: the edge pushes it, and reports that it is in use.
-    let (text, code) = fleet(&url, &["lookups", "rollback", &hob, &first.to_string()]);
+    // Somebody wants an older one used: the edge pushes it, and says that it is in use.
+    let (text, code) = fleet(&url, &["lookup", "push", &hob, &first.to_string()]);
     assert_eq!(code, 0, "{text}");
     until("the wanted lookup in use", PATIENCE, || {
         last_lookup(&url).is_some_and(|(revision, in_use)| in_use && revision > first + 1)

@@ -39,7 +39,7 @@ fn refused(args: &str, code: i32, words: &[&str]) {
 
 /// A training run's report.
 fn trained(args: &str) -> Value {
-    let (code, stdout, stderr) = run(&format!("trainer --no-store --json {args}"));
+    let (code, stdout, stderr) = run(&format!("trainer --store none --json {args}"));
     assert_eq!(code, 0, "{stderr}");
     serde_json::from_str(&stdout).unwrap_or_else(|e| panic!("{e}: {stdout}"))
 }
@@ -77,25 +77,25 @@ fn wrong_usage_exits_with_2_and_names_what_there_is() {
     let kinds = ["no device", "sim", "tcp:HOST:PORT", "usb", "serial:PATH"];
     refused("trainer --device bluetooth", 2, &kinds);
     refused("trainer --device tcp:localhost", 2, &["port is missing"]);
-    refused("trainer --backend torch", 2, &["fused, ndarray"]);
+    refused("trainer --network backend=torch", 2, &["fused, ndarray"]);
     refused("trainer --pot copper", 2, &["aluminium"]);
     refused("hobb", 2, &["hob"]);
 }
 
 #[test]
 fn values_out_of_range_are_refused_by_name() {
-    refused("trainer --no-store --power 0", 2, &["--power"]);
+    refused("trainer --store none --power 0", 2, &["--power"]);
     refused(
-        "trainer --no-store --mains 16.7",
+        "trainer --store none --sim mains=16.7",
         2,
-        &["--mains", "45 and 65"],
+        &["mains=16.7", "45 and 65"],
     );
     refused(
-        "trainer --no-store --network /nowhere.toml",
+        "trainer --store none --network /nowhere.toml",
         1,
         &["/nowhere.toml"],
     );
-    refused("trainer --no-store --power 9999", 2, &["9999", "2500"]);
+    refused("trainer --store none --power 9999", 2, &["9999", "2500"]);
     refused("hob --speed 0", 2, &["--speed"]);
 }
 
@@ -121,7 +121,7 @@ fn a_device_that_is_not_there_exits_with_3() {
 #[test]
 fn a_pot_that_never_comes_exits_with_4_and_what_was_seen() {
     refused(
-        "trainer --no-store --pot aluminium",
+        "trainer --store none --pot aluminium",
         4,
         &["no pot", "Unsuitable"],
     );
@@ -153,7 +153,7 @@ fn the_trainer_teaches_from_a_capture() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("a.mcap");
     let made = format!(
-        "simulate --load behavioural --fsw 50k --out {}",
+        "simulate paper-50 --set load=behavioural --out {}",
         file.display()
     );
     assert_eq!(run(&made).0, 0);
@@ -184,8 +184,8 @@ fn the_trainer_teaches_from_a_capture() {
 
 #[test]
 fn both_backends_find_the_same() {
-    let [fused, ndarray] =
-        ["fused", "ndarray"].map(|name| trained(&format!("--power 1500,900 --backend {name}")));
+    let [fused, ndarray] = ["fused", "ndarray"]
+        .map(|name| trained(&format!("--power 1500,900 --network backend={name}")));
     for k in 0..2 {
         for name in [
             "f_sw_hz",

@@ -79,13 +79,9 @@ fn flags_reach_the_capture() {
     let out = folder.path().join("a.mcap");
     let report = converted(&[
         &fixture("picoscope.csv"),
-        "--columns=1,3,2",
-        "--units",
-        "mA,V",
-        "--invert=v,i",
-        "--probe=2,1",
-        "--rate",
-        "1M",
+        "--input",
+        "columns=1,3,2,units=mA,V,invert=v,i,probe=2,1",
+        "--input=rate=1M",
         "--out",
         out.to_str().unwrap(),
     ]);
@@ -109,8 +105,8 @@ fn columns_go_by_their_headings_with_the_unit_or_without() {
     for columns in ["t_s,coil_V,coil_A", "t,coil,coil_A"] {
         let report = converted(&[
             table.to_str().unwrap(),
-            "--columns",
-            columns,
+            "--input",
+            &format!("columns={columns}"),
             "--out",
             out.to_str().unwrap(),
         ]);
@@ -126,17 +122,20 @@ fn wrong_usage_is_refused_before_anything_is_written() {
     let good = fixture("siglent.csv");
     refused(&[&good, "--out", &out("a.xlsx")], &["a.xlsx", ".parquet"]);
     refused(&[&good, "--out", &good], &["another name"]);
-    refused(&[&good, "--out", &out("a.npz"), "--rate", "0"], &["--rate"]);
     refused(
-        &[&good, "--out", &out("a.npz"), "--units", "V,Hz"],
+        &[&good, "--out", &out("a.npz"), "--input", "rate=0"],
+        &["rate=0"],
+    );
+    refused(
+        &[&good, "--out", &out("a.npz"), "--input", "units=V,Hz"],
         &["mV,A"],
     );
     refused(
-        &[&good, "--out", &out("a.npz"), "--channels", "1"],
+        &[&good, "--out", &out("a.npz"), "--input", "channels=1"],
         &["2 numbers or names"],
     );
     refused(
-        &[&good, "--out", &out("a.npz"), "--channels", "1,9"],
+        &[&good, "--out", &out("a.npz"), "--input", "channels=1,9"],
         &["no channel 9", "CH2"],
     );
     refused(
@@ -230,8 +229,11 @@ fn thousands_of_channels_are_no_trouble() {
     fs::write(&path, text).unwrap();
     let path = path.to_str().unwrap();
     let out = folder.path().join("a.npz").display().to_string();
-    refused(&[path, "--out", &out], &["--channels V,I", "and 4988 more"]);
-    let report = converted(&[path, "--channels", "CH4999,CH7", "--out", &out]);
+    refused(
+        &[path, "--out", &out],
+        &["--input channels=V,I", "and 4988 more"],
+    );
+    let report = converted(&[path, "--input", "channels=CH4999,CH7", "--out", &out]);
     assert_eq!(report["samples"], 20);
     assert_eq!(report["v_V"][0], 4999.0);
 }

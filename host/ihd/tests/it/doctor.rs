@@ -87,7 +87,7 @@ fn the_simulated_hob_is_well() {
 #[test]
 fn the_first_switching_asks_and_without_an_answer_nothing_is_switched() {
     for args in [
-        "doctor sim --bench-supply 40 --first-switching",
+        "doctor sim --sim bench-supply=40 --first-switching",
         "doctor sim --first-switching --json",
         "doctor sim --yes",
         "doctor sim --reference r=7",
@@ -95,7 +95,7 @@ fn the_first_switching_asks_and_without_an_answer_nothing_is_switched() {
         let (code, stdout, stderr) = run(args);
         assert_eq!((code, stdout.as_str()), (2, ""), "{args}: {stderr}");
     }
-    let (_, report) = json("doctor sim --bench-supply 40 --first-switching --yes --json");
+    let (_, report) = json("doctor sim --sim bench-supply=40 --first-switching --yes --json");
     assert_eq!(
         failed(&report, &["firmware", "board", "first_switching"]),
         [] as [&str; 0]
@@ -106,10 +106,10 @@ fn the_first_switching_asks_and_without_an_answer_nothing_is_switched() {
 
 #[test]
 fn a_supply_that_is_too_high_fails_and_exits_with_1() {
-    let (code, report) = json("doctor sim --bench-supply 120 --first-switching --yes --json");
+    let (code, report) = json("doctor sim --sim bench-supply=120 --first-switching --yes --json");
     assert_eq!(code, 1);
     assert_eq!(failed(&report, &["first_switching"]), ["bench_supply"]);
-    let (code, stdout, _) = run("doctor sim --bench-supply 120 --first-switching --yes");
+    let (code, stdout, _) = run("doctor sim --sim bench-supply=120 --first-switching --yes");
     assert_eq!(code, 1);
     assert!(stdout.contains("→ Nothing is switched"), "{stdout}");
 }
@@ -171,7 +171,7 @@ fn a_hob_that_heats_is_left_alone() {
 /// Killed in the middle of it: a report, exit code 3, and no hang.
 #[test]
 fn a_hob_that_goes_away_leaves_a_report() {
-    let (mut hob, address) = hob("--bench-supply 40");
+    let (mut hob, address) = hob("--sim bench-supply=40");
     let doctor = ihd(&format!(
         "doctor tcp:{address} --first-switching --yes --json"
     ))

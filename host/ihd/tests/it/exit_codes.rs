@@ -34,7 +34,7 @@ fn run(dir: &Path, args: &str) -> (i32, String, String) {
 /// A folder with a capture of two half-cycles in some chunks, `a.mcap`.
 fn folder() -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().expect("a temporary folder");
-    let args = "simulate --load behavioural --rate 50M --duration 20ms -o a.mcap";
+    let args = "simulate --set load=behavioural,rate=50M,duration=20ms -o a.mcap";
     let (code, _, stderr) = run(dir.path(), args);
     assert_eq!(code, 0, "{stderr}");
     let path = dir.path().to_owned();
@@ -49,42 +49,46 @@ fn wrong_usage_is_2_whoever_finds_it() {
         ("calibrate a.mcap", "--reference"),
         ("convert a.mcap --out b.xyz", ".mcap"),
         ("convert a.mcap --out a.mcap", "also what is read"),
-        ("convert a.mcap --out b.csv --rate 0", "--rate"),
+        ("convert a.mcap --out b.csv --input rate=0", "rate=0"),
+        ("convert a.mcap --out b.csv --input fsw=45k", "fsw"),
         ("hob --speed 0", "--speed"),
-        ("hob --mains 20", "--mains"),
-        ("hob --anti-alias 1", "--anti-alias"),
-        ("hob --snr 1", "--snr"),
+        ("hob --sim mains=20", "mains=20"),
+        ("hob --sim anti-alias=1", "anti-alias=1"),
+        ("hob --sim snr=1", "snr=1"),
+        ("hob --script k.toml --pot none", "seed=N"),
         ("identify a.mcap --method nope", "least-squares"),
         ("identify a.mcap --preset nope", ""),
-        ("identify a.mcap --backend wgpu", ""),
+        ("identify a.mcap --network backend=wgpu", ""),
         ("identify a.mcap --method pinn --preset nope", ""),
-        ("identify a.mcap --rate=-1", "--rate"),
+        ("identify a.mcap --input rate=-1", "rate=-1"),
         ("inspect", "FILE"),
-        ("inspect a.mcap --rate 0", "--rate"),
-        ("inspect a.mcap --probe 1", "2 numbers"),
+        ("inspect a.mcap --input rate=0", "rate=0"),
+        ("inspect a.mcap --input probe=1", "2 numbers"),
         ("record", "--out"),
         ("record --out b.mcap --duration 0", "--duration"),
         ("record --out b.mcap --max-size=-1", "--max-size"),
         ("record --out b.mcap --power 9000", "2500"),
         ("record --out b.mcap --device bluetooth", "tcp:HOST:PORT"),
-        ("record --out b.mcap --mains 20", "--mains"),
+        ("record --out b.mcap --sim mains=20", "mains=20"),
         ("replay a.mcap --speed 0", "--speed"),
-        ("scenario", "FILE"),
-        ("simulate --preset nope", "paper-45"),
-        ("simulate --fsw 1", "f_sw_hz"),
-        ("simulate --bits 40", "bits"),
+        ("simulate none.toml --json --out x.mcap", "scenario"),
+        ("simulate nope", "paper-45"),
+        ("simulate --set fsw=1", "f_sw_hz"),
+        ("simulate --set bits=40", "bits"),
         ("nonsense", "nonsense"),
+        ("hob --json", "--json"),
+        ("inspect a.mcap --config ihd.toml", "--config"),
         ("study map", "ihd-study"),
     ];
     if cfg!(feature = "pinn") {
         table.extend([
-            ("trainer --no-store --power 0", "--power"),
-            ("trainer --no-store --power 9999", "2500"),
-            ("trainer --no-store --mains 16.7", "--mains"),
-            ("trainer --backend torch", "ndarray"),
-            ("trainer --no-store --lift 5mm", "--load reduced"),
-            ("trainer --no-store --load reduced --lift 1", "lift_m"),
-            ("trainer --no-store --perturb round", "sharp-knee"),
+            ("trainer --store none --power 0", "--power"),
+            ("trainer --store none --power 9999", "2500"),
+            ("trainer --store none --sim mains=16.7", "mains=16.7"),
+            ("trainer --network backend=torch", "ndarray"),
+            ("trainer --store none --sim lift=5mm", "load=reduced"),
+            ("trainer --store none --sim load=reduced,lift=1", "lift_m"),
+            ("trainer --store none --sim perturb=round", "sharp-knee"),
         ]);
     }
     for (args, word) in table {
@@ -104,7 +108,7 @@ fn what_fails_is_1_and_names_the_file() {
         "identify none.mcap",
         "inspect none.mcap",
         "replay none.mcap",
-        "scenario none.toml",
+        "simulate none.toml",
     ] {
         let (code, _, stderr) = run(dir.path(), args);
         assert_eq!(code, 1, "{args}: {stderr}");
@@ -122,10 +126,10 @@ fn a_missed_limit_of_a_scenario_is_7_and_named() {
         text.replace("[0, 0]", "[1, 2]"),
     )
     .unwrap();
-    let (code, stdout, stderr) = run(dir.path(), "scenario met.toml");
+    let (code, stdout, stderr) = run(dir.path(), "simulate met.toml");
     assert_eq!(code, 0, "{stderr}");
     assert!(stdout.ends_with("limit met: starts is 0, allowed [0, 0]\n"));
-    for args in ["scenario missed.toml", "scenario missed.toml --json"] {
+    for args in ["simulate missed.toml", "simulate missed.toml --json"] {
         let (code, _, stderr) = run(dir.path(), args);
         assert_eq!(code, 7, "{args}: {stderr}");
         assert!(stderr.contains("1 of 1 limits missed: starts is 0, allowed [1, 2]"));
@@ -236,15 +240,15 @@ fn a_full_standard_output_is_an_error_line_and_1() {
         "hob --listen 127.0.0.1:0",
         "record --duration 100ms --out b.mcap",
         "replay a.mcap",
-        "simulate --load behavioural --duration 1ms",
+        "simulate --set load=behavioural,duration=1ms",
         "simulate --approximations",
-        "scenario s.toml",
-        "scenario s.toml --json",
+        "simulate s.toml",
+        "simulate s.toml --json",
     ];
     if cfg!(feature = "pinn") {
         table.extend([
-            "trainer --no-store --power 1500",
-            "trainer --no-store --power 1500 --json",
+            "trainer --store none --power 1500",
+            "trainer --store none --power 1500 --json",
         ]);
     }
     for args in table {
@@ -292,7 +296,7 @@ fn control_characters_of_a_file_are_escaped() {
         &["convert", "b.mcap", "--out", "d.npz"],
         &["convert", "b.mcap", "--out", "d.npz", "--json"],
         &["inspect", "c.csv"],
-        &["identify", "c.csv", "--channels", "9,9"],
+        &["identify", "c.csv", "--input", "channels=9,9"],
         &["inspect", &format!("{ESCAPES}.mcap")],
     ] {
         let output = ihd(&dir, args);
@@ -331,8 +335,8 @@ fn the_truth_of_an_npz_is_compared_with() {
 #[test]
 fn offsets_do_not_bend_r_and_l() {
     let dir = tempfile::tempdir().unwrap();
-    let simulate = "simulate --load behavioural --rate 12.5M --snr 60";
-    for args in ["-o clean.mcap", "--offsets 12,3 -o off.mcap"] {
+    let simulate = "simulate --set load=behavioural,rate=12.5M,snr=60";
+    for args in ["-o clean.mcap", "--set offsets=12,3 -o off.mcap"] {
         assert_eq!(run(dir.path(), &format!("{simulate} {args}")).0, 0);
     }
     let methods = if cfg!(feature = "pinn") {

@@ -52,12 +52,13 @@ fn a_table_with_named_columns_is_identified_by_every_method() {
     let csv = folder.path().join("found.csv");
     let plot = folder.path().join("found.svg");
     let output = ihd()
-        .args(["identify", "--columns", "seconds,u_coil,i_coil", "--method"])
+        .args(["identify", "--input", "columns=seconds,u_coil,i_coil"])
+        .arg("--method")
         .arg("kf,ekf,ekf-paper,rts,lockin,least-squares,rls,firmware")
         .arg("--json")
-        .arg("--csv")
+        .arg("--out")
         .arg(&csv)
-        .arg("--plot")
+        .arg("--out")
         .arg(&plot)
         .arg(&path)
         .output()
@@ -151,8 +152,8 @@ fn its_help_has_an_example() {
 #[test]
 fn a_refused_result_is_printed_and_ends_with_7() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let simulate = "simulate --load behavioural --rate 12.5M --snr 50";
-    for args in ["-o clean.mcap", "--neighbour 1.2k,8 -o tone.mcap"] {
+    let simulate = "simulate --set load=behavioural,rate=12.5M,snr=50";
+    for args in ["-o clean.mcap", "--set neighbour=1.2k,8 -o tone.mcap"] {
         let words = simulate.split(' ').chain(args.split(' '));
         let output = ihd().current_dir(&folder).args(words).output();
         assert!(output.expect("it runs").status.success());

@@ -23,7 +23,7 @@ fn json(output: &Output) -> serde_json::Value {
 }
 
 fn simulate(dir: &Path, args: &str, out: &str) {
-    let all = format!("simulate --load behavioural --rate 12.5M --duration 10ms {args} -o {out}");
+    let all = format!("simulate --set load=behavioural,rate=12.5M,duration=10ms {args} -o {out}");
     let output = ihd(dir, &all);
     assert!(
         output.status.success(),
@@ -36,7 +36,7 @@ fn simulate(dir: &Path, args: &str, out: &str) {
 fn inspect_tells_what_is_in_a_capture_and_draws_it() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    simulate(dir, "--fsw 50k --snr 30", "a.mcap");
+    simulate(dir, "--set fsw=50k,snr=30", "a.mcap");
     let text = stdout(&ihd(dir, "inspect a.mcap --plot a.svg"));
     for word in [
         "50.000 kHz",
@@ -73,8 +73,8 @@ fn inspect_tells_what_is_in_a_capture_and_draws_it() {
 fn a_capture_with_its_channels_exchanged_ends_with_7_and_the_remedy() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    simulate(dir, "--fsw 50k", "a.mcap");
-    let wrong = ihd(dir, "inspect a.mcap --swap --json");
+    simulate(dir, "--set fsw=50k", "a.mcap");
+    let wrong = ihd(dir, "inspect a.mcap --input swap --json");
     assert_eq!(wrong.status.code(), Some(7));
     let report = json(&wrong);
     assert_eq!(report["findings"][0]["kind"], "swapped");
@@ -83,11 +83,11 @@ fn a_capture_with_its_channels_exchanged_ends_with_7_and_the_remedy() {
         report["findings"][0]["message"]
             .as_str()
             .unwrap()
-            .contains("--swap")
+            .contains("--input swap")
     );
-    let inverted = json(&ihd(dir, "inspect a.mcap --invert i --json"));
+    let inverted = json(&ihd(dir, "inspect a.mcap --input invert=i --json"));
     assert_eq!(inverted["findings"][0]["kind"], "inverted");
-    let hint = ihd(dir, "inspect a.mcap --fsw 70k");
+    let hint = ihd(dir, "inspect a.mcap --input fsw=70k");
     assert_eq!(hint.status.code(), Some(1));
     let stderr = String::from_utf8_lossy(&hint.stderr).into_owned();
     assert!(
@@ -100,8 +100,8 @@ fn a_capture_with_its_channels_exchanged_ends_with_7_and_the_remedy() {
 fn a_calibration_is_written_and_applied() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    let chain = "--skew 40n --gain 1.01,1 --offsets 3,0.5";
-    simulate(dir, &format!("{chain} --pot none"), "empty.mcap");
+    let chain = "--set skew=40n,gain=1.01,1,offsets=3,0.5";
+    simulate(dir, &format!("{chain},pot=none"), "empty.mcap");
     simulate(dir, chain, "hot.mcap");
     simulate(dir, "", "right.mcap");
     let found = ihd(

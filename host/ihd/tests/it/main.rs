@@ -2,7 +2,6 @@
 
 #[cfg(feature = "pinn")]
 mod command_line;
-mod completions_and_man;
 mod convert;
 #[cfg(all(feature = "daemon", unix))]
 mod daemon;
@@ -13,10 +12,13 @@ mod identify;
 mod inspect;
 #[cfg(all(feature = "log", unix))]
 mod log;
+mod pages;
 mod process;
 mod record_replay;
 mod simulate;
 #[cfg(feature = "daemon")]
 mod store;
+#[cfg(all(feature = "daemon", feature = "log"))]
+mod surface;
 #[cfg(feature = "pinn")]
 mod trainer;

@@ -21,7 +21,7 @@ fn simulate(dir: &Path, args: &[&str]) -> std::process::Output {
 #[test]
 fn writes_a_recording_and_a_figure_and_repeats_to_the_last_digit() {
     let dir = tempfile::tempdir().unwrap();
-    let args = "--fsw 45k --mains 60 --pot ferritic-18 --snr 30 --rate 50M --seed 1 --duration 1ms";
+    let args = "--set fsw=45k,mains=60,pot=ferritic-18,snr=30,rate=50M --seed 1 --set duration=1ms";
     for name in ["a", "b"] {
         let out = format!("{name}.mcap");
         let mut all: Vec<_> = args.split(' ').collect();
@@ -65,8 +65,7 @@ fn the_digits_are_the_same_on_every_machine() {
 #[test]
 fn the_clipped_range_shows_as_saturated_codes() {
     let dir = tempfile::tempdir().unwrap();
-    let args =
-        "--load behavioural --start 5ms --duration 1ms --bits 8 --gain 4,4 --spikes 1k -o a.mcap";
+    let args = "--set load=behavioural,start=5ms,duration=1ms,bits=8,gain=4,4,spikes=1k -o a.mcap";
     let result = simulate(dir.path(), &args.split(' ').collect::<Vec<_>>());
     assert!(
         result.status.success(),
@@ -86,8 +85,8 @@ fn the_clipped_range_shows_as_saturated_codes() {
 #[test]
 fn disturbances_are_what_the_options_say() {
     let dir = tempfile::tempdir().unwrap();
-    let args = "--load behavioural --duration 1ms --sweep 1k,500 --duty .35 --bridge-resistance 20m --neighbour 1.2k,8 \
-                --poles 0,1M --droop 100 --saturation 120 --full-scale 800,100 --at 0.5ms:load=.6,1.35 --out a.mcap";
+    let args = "--set load=behavioural,duration=1ms,sweep=1k,500,duty=.35,bridge-resistance=20m,neighbour=1.2k,8 \
+                --set poles=0,1M,droop=100,saturation=120,full-scale=800,100,at=0.5ms:load=.6,1.35 --out a.mcap";
     let result = simulate(dir.path(), &args.split_whitespace().collect::<Vec<_>>());
     let stderr = String::from_utf8_lossy(&result.stderr);
     assert!(result.status.success(), "{stderr}");
@@ -111,31 +110,31 @@ fn disturbances_are_what_the_options_say() {
 fn bad_input_is_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
     for (args, word) in [
-        ("--rate 1M", "rate_hz"),
-        ("--fsw NaN", "--fsw"),
-        ("--fsw 5k", "f_sw_hz"),
-        ("--pot wood-18", "unknown pot"),
-        ("--offset 500mm", "offset_m"),
-        ("--lift=-1mm", "lift_m"),
-        ("--temperature NaN", "temperature_c"),
-        ("--bits 20", "bits"),
-        ("--step 1us", "dt_s"),
-        ("--preset paper-55", "paper-60"),
-        ("--at 3ms:pot=x", "unknown pot"),
-        ("--at 30ms:off", "event time_s"),
-        ("--bus-capacitance=-1", "bus_capacitance_f"),
-        ("--dead-time 5us", "dead_s"),
-        ("--snr NaN", "snr_db"),
-        ("--duration 0", "duration_s"),
-        ("--duty .1", "duty"),
-        ("--sweep 5k", "2 numbers"),
-        ("--sweep 20k,100", "deviation_hz"),
-        ("--neighbour 1k,500", "neighbour v"),
-        ("--poles 1,1M", "v_pole_hz"),
-        ("--droop=-1", "i_droop_hz"),
-        ("--saturation .1", "i_saturation_a"),
-        ("--at 3ms:load=2", "2 numbers"),
-        ("--at 3ms:load=2,1", "r_factor"),
+        ("--set rate=1M", "rate_hz"),
+        ("--set fsw=NaN", "--set fsw=NaN"),
+        ("--set fsw=5k", "f_sw_hz"),
+        ("--set pot=wood-18", "unknown pot"),
+        ("--set offset=500mm", "offset_m"),
+        ("--set lift=-1mm", "lift_m"),
+        ("--set temperature=NaN", "temperature_c"),
+        ("--set bits=20", "bits"),
+        ("--set step=1us", "dt_s"),
+        ("paper-55", "paper-60"),
+        ("--set at=3ms:pot=x", "unknown pot"),
+        ("--set at=30ms:off", "event time_s"),
+        ("--set bus-capacitance=-1", "bus_capacitance_f"),
+        ("--set dead-time=5us", "dead_s"),
+        ("--set snr=NaN", "snr_db"),
+        ("--set duration=0", "duration_s"),
+        ("--set duty=.1", "duty"),
+        ("--set sweep=5k", "2 numbers"),
+        ("--set sweep=20k,100", "deviation_hz"),
+        ("--set neighbour=1k,500", "neighbour v"),
+        ("--set poles=1,1M", "v_pole_hz"),
+        ("--set droop=-1", "i_droop_hz"),
+        ("--set saturation=.1", "i_saturation_a"),
+        ("--set at=3ms:load=2", "2 numbers"),
+        ("--set at=3ms:load=2,1", "r_factor"),
     ] {
         let result = simulate(dir.path(), &args.split(' ').collect::<Vec<_>>());
         let stderr = String::from_utf8_lossy(&result.stderr);

@@ -145,12 +145,12 @@ fn results_windows_and_lookups_are_shown_beside_the_writer() {
         Value::Array(vec![])
     );
     let id = refused["id"].to_string();
-    let shown = json(folder.path(), &["show", &id]);
+    let shown = json(folder.path(), &["ls", &id]);
     assert_eq!(
         (&shown["window"]["pairs"], &shown["connection"]["boot"]),
         (&9_000.into(), &77.into())
     );
-    let text = done(folder.path(), &["show", &id]);
+    let text = done(folder.path(), &["ls", &id]);
     assert!(
         text.contains("refused: R is not known to 5 %") && !text.contains('\u{1b}'),
         "{text}"
@@ -185,7 +185,7 @@ fn results_windows_and_lookups_are_shown_beside_the_writer() {
         "{code} {stderr}"
     );
     // Only one may write.
-    let (code, _, stderr) = ihd(folder.path(), &["gc"]);
+    let (code, _, stderr) = ihd(folder.path(), &["check", "--collect"]);
     assert!(
         code == 1 && stderr.contains("another process"),
         "{code} {stderr}"
@@ -237,7 +237,7 @@ fn what_is_exported_and_backed_up_can_be_read() {
         (&report["integrity"], &report["windows"]),
         (&"ok".into(), &3.into())
     );
-    let collected = json(folder.path(), &["gc", "--store", "copy"]);
+    let collected = json(folder.path(), &["check", "--collect", "--store", "copy"]);
     assert_eq!(collected["collected"]["deleted"], Value::Array(vec![]));
 }
 
@@ -265,7 +265,7 @@ fn damage_is_7_and_wrong_usage_2() {
         &["export", "--format", "wav", "--out", "x"][..],
         &["export", "--results", "--format", "npz", "--out", "x"],
         &["ls", "--since", "yesterday"],
-        &["gc", "--config", "broken.toml"],
+        &["check", "--collect", "--config", "broken.toml"],
     ] {
         fs::write(folder.path().join("broken.toml"), "store = 7\n").unwrap();
         let (code, _, stderr) = ihd(folder.path(), wrong);

@@ -105,7 +105,7 @@ fn following_survives_a_hob_that_comes_back_and_a_signal_is_its_ordinary_end() {
 /// The report of a run with a simulated hob: the map that it taught itself, against the load's own law.
 #[test]
 fn it_reports_the_maps_error() {
-    let args = "trainer --no-store --json --power 1500,1000 --load reduced --lift 2mm";
+    let args = "trainer --store none --json --power 1500,1000 --sim load=reduced,lift=2mm";
     let mut command = Command::new(env!("CARGO_BIN_EXE_ihd"));
     let output = command.args(args.split(' ')).output().expect("ihd runs");
     let error = &report(&String::from_utf8_lossy(&output.stdout))["map_error"];

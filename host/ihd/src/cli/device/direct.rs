@@ -21,7 +21,7 @@ use crate::cli::opener::opener;
 const ACTIVE_WITHIN: Duration = Duration::from_secs(2);
 
 /// Link and its device.
-pub(super) struct Direct {
+pub(in crate::cli) struct Direct {
     client: Client,
     config: Config,
     name: String,
@@ -46,7 +46,7 @@ impl Direct {
         })
     }
 
-    pub(super) fn name(&self) -> &str {
+    pub(in crate::cli) fn name(&self) -> &str {
         &self.name
     }
 
@@ -55,7 +55,7 @@ impl Direct {
     }
 
     /// Returns the link.
-    pub(super) fn into_client(self) -> Client {
+    pub(in crate::cli) fn into_client(self) -> Client {
         self.client
     }
 

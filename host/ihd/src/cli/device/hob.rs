@@ -21,7 +21,7 @@ use crate::cli::opener::opener;
 use crate::cli::usage::Usage;
 
 /// Connected device.
-pub(super) enum Hob {
+pub(in crate::cli) enum Hob {
     /// Through the daemon.
     Daemon { client: ApiClient, name: String },
     /// Without a daemon.
@@ -30,7 +30,7 @@ pub(super) enum Hob {
 
 impl Hob {
     /// Connects to the device with a name of the configuration, or an address.
-    pub(super) fn find(config: Config, device: &str) -> Result<Self> {
+    pub(in crate::cli) fn find(config: Config, device: &str) -> Result<Self> {
         let daemon = configured::daemon(&config)?;
         if let Some(client) = daemon {
             let devices = client.devices()?;

@@ -1,4 +1,4 @@
-//! `ihd device list`.
+//! `ihd device status` without a device: all of them.
 
 use std::time::Duration;
 

@@ -1,9 +1,12 @@
-//! `ihd device DEV lookup show`, and files of lookups.
+//! `ihd device DEV lookup`: the one in use, and those that are offered.
 
+use std::convert::Infallible;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use anyhow::{Context, Result};
+use ihd_daemon::model::Command;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
 use serde_json::{Value, json};
@@ -15,8 +18,48 @@ use crate::cli::output;
 /// Limit of a lookup file's size, in bytes.
 const MAX_FILE: u64 = 4_096;
 
+/// Lookup to be offered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Offer {
+    /// The one that was active before.
+    Previous,
+    /// The built-in one.
+    BuiltIn,
+    /// A file of `ihd trainer`.
+    File(PathBuf),
+}
+
+impl FromStr for Offer {
+    type Err = Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Infallible> {
+        Ok(match text {
+            "previous" => Self::Previous,
+            "builtin" => Self::BuiltIn,
+            file => Self::File(file.into()),
+        })
+    }
+}
+
+impl Offer {
+    /// Command that offers it.
+    ///
+    /// # Errors
+    /// If the file cannot be read or is no lookup.
+    pub(super) fn command(&self) -> Result<Command> {
+        Ok(match self {
+            Self::Previous => Command::LookupRollback { version: None },
+            Self::BuiltIn => Command::LookupReset,
+            Self::File(file) => Command::LookupPush { blob: read(file)? },
+        })
+    }
+}
+
 /// Reads a file's bytes; the device checks them.
-pub(in crate::cli) fn read(file: &Path) -> Result<Vec<u8>> {
+///
+/// # Errors
+/// If the file cannot be read or is no lookup.
+pub fn read(file: &Path) -> Result<Vec<u8>> {
     let cannot = || format!("cannot read {}", file.display());
     let opened = std::fs::File::open(file).with_context(cannot)?;
     let mut blob = Vec::new();

@@ -1,4 +1,4 @@
-//! `ihd device DEV watch`: events as they occur.
+//! `ihd watch DEV --lines`: events as they occur.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;

@@ -18,6 +18,7 @@ use ihd_flash::{Image, ImageError};
 use ihd_link::Client;
 use ihd_survey::calibration::Reference;
 
+use super::global::Global;
 use super::output::complain;
 use super::simulated::SimulatedHobArgs;
 use super::{interrupt, output};
@@ -54,13 +55,6 @@ pub struct DoctorArgs {
     /// The image that should run; without one what this program carries, or the checkout's
     #[arg(long, value_name = "ELF")]
     image: Option<PathBuf>,
-    /// The daemon's configuration, whose names DEV may be and whose store is looked at
-    #[cfg(feature = "daemon")]
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
     simulated: SimulatedHobArgs,
 }
@@ -91,7 +85,7 @@ impl DoctorArgs {
     ///
     /// # Errors
     /// [`ChecksFailed`] if a check failed or no device was found; wrong usage; errors of `--fix`.
-    pub fn run(&self) -> Result<()> {
+    pub fn run(&self, global: &Global) -> Result<()> {
         // Checked first: a requested image exists, and DEV is valid.
         let image = match &self.image {
             Some(path) => Image::read(path).map_err(anyhow::Error::from).map(Ok)?,
@@ -102,12 +96,12 @@ impl DoctorArgs {
                 why => why.to_string(),
             }),
         };
-        let choice = self.device_choice()?;
+        let choice = self.device_choice(global)?;
         let system = LocalSystem::new(as_root());
         if self.fix {
-            fix(&system, self.json)?;
+            fix(&system, global.json)?;
         }
-        if self.first_switching && !self.yes && !confirmed(self.json)? {
+        if self.first_switching && !self.yes && !confirmed(global.json)? {
             return Ok(());
         }
         let stop = interrupt::flag().context("cannot catch ^C")?;
@@ -123,13 +117,13 @@ impl DoctorArgs {
         #[cfg_attr(not(feature = "daemon"), expect(unused_mut))]
         let mut checks = machine::checks(&system);
         #[cfg(feature = "daemon")]
-        checks.push(store::check(self.config.as_deref()));
+        checks.push(store::check(global.config.as_deref()));
         report.add(CheckGroup {
             name: "machine",
             checks,
         });
         let none = self.examine(&mut report, choice, &boards, &image, stop);
-        self.print(&report)?;
+        print(&report, global.json)?;
         if let Some(why) = none {
             return Err(ChecksFailed::NoDevice(why).into());
         }
@@ -256,22 +250,22 @@ impl DoctorArgs {
         }
     }
 
-    fn device_choice(&self) -> Result<Option<device::DeviceChoice>> {
+    fn device_choice(&self, global: &Global) -> Result<Option<device::DeviceChoice>> {
         let Some(name) = &self.device else {
             return Ok(None);
         };
         #[cfg(feature = "daemon")]
-        let choice = device::of_name(name, self.config.as_deref())?;
+        let choice = device::of_name(name, global.config.as_deref())?;
         #[cfg(not(feature = "daemon"))]
-        let choice = device::of_name(name)?;
+        let (choice, _) = (device::of_name(name)?, global);
         Ok(Some(choice))
     }
+}
 
-    fn print(&self, report: &Report) -> Result<()> {
-        match self.json {
-            true => output::json(report),
-            false => output::text(&text::of(report)),
-        }
+fn print(report: &Report, json: bool) -> Result<()> {
+    match json {
+        true => output::json(report),
+        false => output::text(&text::of(report)),
     }
 }
 

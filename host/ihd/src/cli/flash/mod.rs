@@ -16,6 +16,7 @@ use ihd_link::DeviceSpec;
 
 use self::board_link::BoardLink;
 use self::report::Screen;
+use super::global::Global;
 use super::output::complain;
 use super::usage::Usage;
 
@@ -59,9 +60,6 @@ pub struct FlashArgs {
     /// Set option bytes that differ from the firmware's requirement; without it they are only reported
     #[arg(long)]
     set_option_bytes: bool,
-    /// Print the report as JSON
-    #[arg(long)]
-    json: bool,
 }
 
 impl FlashArgs {
@@ -69,7 +67,7 @@ impl FlashArgs {
     ///
     /// # Errors
     /// Any error that keeps the image from running on the board.
-    pub fn run(&self) -> Result<()> {
+    pub fn run(&self, global: &Global) -> Result<()> {
         ensure_usage!(
             !matches!(self.device, Some(DeviceSpec::Sim | DeviceSpec::Tcp(_))),
             "--device names a simulated hob, which has no flash; a board's link is usb, usb:SERIAL or serial:PATH"
@@ -94,7 +92,7 @@ impl FlashArgs {
             hello_required: self.device.is_some(),
         };
         let mut link = BoardLink::new(self.device.clone(), serial.as_deref());
-        let mut screen = Screen::new(self.json)?;
+        let mut screen = Screen::new(global.json)?;
         screen.begin(&programmer.describe(), &image)?;
         keep(&image);
         let begun = Instant::now();

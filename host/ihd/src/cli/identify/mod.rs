@@ -13,7 +13,8 @@ use ihd_signal::{Capture, Severity};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::capture_args::CaptureArgs;
-use super::hint_args::HintArgs;
+use super::global::Global;
+use super::keys;
 use super::output;
 use super::sensor_args::SensorArgs;
 use super::simulate::quantity::quantity;
@@ -28,9 +29,9 @@ use crate::report::identified;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd identify capture.csv\n  \
-    ihd identify capture.csv --method all --plot identified.svg\n  \
-    ihd identify capture.mcap --method pinn --preset hybrid --backend ndarray\n  \
-    ihd identify scope_ch1.isf scope_ch2.isf --probe 50,0.1 --method rts --json\n\n\
+    ihd identify capture.csv --method all --out identified.svg\n  \
+    ihd identify capture.mcap --method pinn --preset hybrid --network backend=ndarray\n  \
+    ihd identify scope_ch1.isf scope_ch2.isf --input probe=50,0.1 --method rts --json\n\n\
     Exit codes: 0 done, 1 failed or every method failed, 2 wrong usage, 7 a result is refused (it is printed, with the\n\
     reason; --anyway makes it 0), or the file is empty, cut or damaged (what could be read is identified)")]
 pub struct IdentifyArgs {
@@ -48,38 +49,49 @@ pub struct IdentifyArgs {
     from: Option<f64>,
     /// TOML file with the estimators' settings; what it leaves out keeps its default
     #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    settings: Option<PathBuf>,
     #[arg(
         long,
         value_name = "NAME",
         help = format!("With the method pinn: preset of the network: {}", preset_names())
     )]
     preset: Option<String>,
-    /// With the method pinn: backend of the network, fused or ndarray
-    #[arg(long, value_name = "NAME")]
-    backend: Option<String>,
-    /// With the method pinn: no wall-clock limit, so that two runs give the same digits
-    #[arg(long)]
-    deterministic: bool,
+    /// With the method pinn: backend=fused or backend=ndarray; deterministic for no wall-clock limit, so that two runs give the same
+    /// digits
+    #[arg(long, value_name = "KEY=VALUE,…", value_parser = keys::text::<NetworkOptions>())]
+    network: Vec<String>,
     /// End with 0 even where a result is refused
     #[arg(long)]
     anyway: bool,
-    /// Print the estimates as JSON, one object a method and stretch
-    #[arg(long)]
-    json: bool,
-    /// Write the estimates to this file, as a table
-    #[arg(long, value_name = "FILE")]
-    csv: Option<PathBuf>,
-    /// Draw R, L and the reconstructed waveforms to this file (SVG)
-    #[arg(long, value_name = "FILE")]
-    plot: Option<PathBuf>,
+    /// Write the estimates to this file as a table (.csv), or draw R, L and the reconstructed waveforms to it (.svg); both by giving
+    /// it again
+    #[arg(long, short, value_name = "FILE", value_parser = output_file)]
+    out: Vec<PathBuf>,
     // Last: its heading in the help applies to everything after it.
     #[command(flatten)]
     capture: CaptureArgs,
     #[command(flatten)]
-    hints: HintArgs,
-    #[command(flatten)]
     sensors: SensorArgs,
+}
+
+/// Options of the network: keys of `--network`.
+#[derive(Debug, Args)]
+struct NetworkOptions {
+    /// Backend of the network, fused or ndarray
+    #[arg(long, value_name = "NAME")]
+    backend: Option<String>,
+    /// No wall-clock limit, so that two runs give the same digits
+    #[arg(long)]
+    deterministic: bool,
+}
+
+/// Parses the name of a table or a figure.
+fn output_file(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match path.extension().and_then(|ending| ending.to_str()) {
+        Some("csv" | "svg") => Ok(path),
+        _ => Err("a table ends with .csv, a figure with .svg".to_owned()),
+    }
 }
 
 /// Error for results that the gate refuses, after they were printed.
@@ -136,13 +148,13 @@ impl ValueEnum for MethodWord {
 
 impl IdentifyArgs {
     /// Opens and surveys the capture, identifies, and prints the results.
-    pub fn run(&self) -> Result<()> {
+    pub fn run(&self, global: &Global) -> Result<()> {
         let settings = self.settings()?;
         let methods = MethodWord::chosen(&self.method);
-        if self.preset.is_some() || self.backend.is_some() {
+        if self.preset.is_some() || !self.network.is_empty() {
             ensure_usage!(
                 cfg!(feature = "pinn"),
-                "this ihd is built without the method pinn, which --preset and --backend are for: build it with \
+                "this ihd is built without the method pinn, which --preset and --network are for: build it with \
                  --features pinn"
             );
             settings.pinn.check().map_err(Usage::of)?;
@@ -150,7 +162,7 @@ impl IdentifyArgs {
             settings.pinn.check()?;
         }
         let loaded = self.capture.open()?;
-        loaded.finish(self.identify(&loaded.capture, &settings, &methods))
+        loaded.finish(self.identify(&loaded.capture, &settings, &methods, global.json))
     }
 
     fn identify(
@@ -158,13 +170,15 @@ impl IdentifyArgs {
         capture: &Capture,
         settings: &IdentifyOptions,
         methods: &[Method],
+        json: bool,
     ) -> Result<()> {
+        let input = self.capture.input()?;
         let request = ExamineOptions {
-            hints: self.capture.hints(self.hints.hints()),
-            sensors: self.sensors.options()?,
+            hints: input.hints(),
+            sensors: self.sensors.options(&input),
             methods,
             settings,
-            reconstruct: if self.plot.is_some() {
+            reconstruct: if self.ending("svg").next().is_some() {
                 Reconstruct::Waveforms
             } else {
                 Reconstruct::Errors
@@ -193,16 +207,16 @@ impl IdentifyArgs {
         }
         let from_s = self.from.unwrap_or(f64::NEG_INFINITY);
         let reported = report::ReportedCapture::of(capture, &examined, from_s);
-        if let Some(path) = &self.csv {
+        for path in self.ending("csv") {
             report::write_csv(&examined.outcomes, path)?;
         }
-        if let Some(path) = &self.plot {
+        for path in self.ending("svg") {
             let results = examined.outcomes.iter();
             let estimates: Vec<_> = results.filter_map(|o| o.result.as_ref().ok()).collect();
             let segments = &examined.segments;
             identified::draw(&capture.name, segments, &estimates, &capture.truth, path)?;
         }
-        if self.json {
+        if json {
             output::json(&reported.json())?;
         } else {
             output::text(&reported.text())?;
@@ -228,15 +242,22 @@ impl IdentifyArgs {
         .context("mend the capture as advised, or go on with --anyway")
     }
 
+    /// Files of --out with an ending.
+    fn ending(&self, ending: &'static str) -> impl Iterator<Item = &Path> {
+        let files = self.out.iter().map(PathBuf::as_path);
+        files.filter(move |file| file.extension().is_some_and(|e| e == ending))
+    }
+
     fn settings(&self) -> Result<IdentifyOptions> {
-        let mut settings = match &self.config {
+        let mut settings = match &self.settings {
             Some(path) => read_settings(path)?,
             None => IdentifyOptions::default(),
         };
         let pinn = &mut settings.pinn;
         pinn.preset = self.preset.clone().or(pinn.preset.take());
-        pinn.backend = self.backend.clone().or(pinn.backend.take());
-        pinn.deterministic |= self.deterministic;
+        let network: NetworkOptions = keys::parse("--network", &self.network)?;
+        pinn.backend = network.backend.or(pinn.backend.take());
+        pinn.deterministic |= network.deterministic;
         Ok(settings)
     }
 }

@@ -11,7 +11,7 @@ use ihd_survey::calibration::blind::calibrate;
 use ihd_survey::{Finding, Severity};
 
 use super::capture_args::{CaptureArgs, LoadedCapture};
-use super::hint_args::HintArgs;
+use super::global::Global;
 use super::output;
 use super::sensor_args::SensorArgs;
 use crate::report::survey;
@@ -29,12 +29,7 @@ pub struct InspectArgs {
     #[command(flatten)]
     capture: CaptureArgs,
     #[command(flatten)]
-    hints: HintArgs,
-    #[command(flatten)]
     sensors: SensorArgs,
-    /// Print everything as one JSON object
-    #[arg(long)]
-    json: bool,
     /// Draw the capture, two periods, the spectra and the findings to this file (SVG)
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
@@ -57,18 +52,17 @@ impl InspectArgs {
     ///
     /// # Errors
     /// Any error of the capture's reader or the survey; [`UnfitCapture`] after the report.
-    pub fn run(&self) -> Result<()> {
-        self.capture.check()?;
-        if let Some(lone) = lone_channel(self.capture.path(), &self.capture.options())? {
-            return self.single(&lone);
+    pub fn run(&self, global: &Global) -> Result<()> {
+        if let Some(lone) = lone_channel(self.capture.path(), &self.capture.options()?)? {
+            return self.single(&lone, global.json);
         }
         let loaded = self.capture.open()?;
-        loaded.finish(self.inspect(&loaded))
+        loaded.finish(self.inspect(&loaded, global.json))
     }
 
     /// Describes a file of one channel; R and L need the other one.
-    fn single(&self, lone: &LoneChannel) -> Result<()> {
-        if self.json {
+    fn single(&self, lone: &LoneChannel, json: bool) -> Result<()> {
+        if json {
             output::json(&report::lone_json(lone))?;
         } else {
             output::text(&report::lone_text(lone))?;
@@ -76,13 +70,14 @@ impl InspectArgs {
         Err(SingleChannel(self.capture.path().display().to_string()).into())
     }
 
-    fn inspect(&self, loaded: &LoadedCapture) -> Result<()> {
-        let hints = self.capture.hints(self.hints.hints());
-        let calibrated = calibrate(&loaded.capture, &hints, self.sensors.options()?)?;
+    fn inspect(&self, loaded: &LoadedCapture, json: bool) -> Result<()> {
+        let input = self.capture.input()?;
+        let sensors = self.sensors.options(&input);
+        let calibrated = calibrate(&loaded.capture, &input.hints(), sensors)?;
         let remarks = calibrated.remarks();
         let (capture, survey) = (calibrated.capture.as_ref(), &calibrated.survey);
         let incomplete = loaded.incomplete().map(|what| what.to_string());
-        if self.json {
+        if json {
             output::json(&report::json(&calibrated, &remarks, incomplete))?;
         } else {
             output::text(&report::text(capture, survey, &remarks))?;

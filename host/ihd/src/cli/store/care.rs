@@ -1,4 +1,4 @@
-//! `ihd store check`, `gc` and `backup`.
+//! `ihd store check` and `backup`.
 
 use std::path::PathBuf;
 
@@ -21,25 +21,15 @@ pub struct DamagedStore(String);
 /// Check every page, index, window and lookup.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  ihd store check\n  ihd store check --json | jq .integrity\n\n\
-    Exit codes: 0 whole, 1 cannot be read, 2 wrong usage, 7 damaged"
+    after_help = "Examples:\n  ihd store check\n  ihd store check --json | jq .integrity\n  ihd store check --collect --config ihd.toml\n\n\
+    Exit codes: 0 whole, or collected, 1 cannot be read, 2 wrong usage, 7 damaged"
 )]
 pub struct CheckArgs {
-    /// Print the report as a JSON object
+    /// Instead of the report, set damaged files aside and delete what is beyond the configuration's retention: days that are too old,
+    /// and the samples of windows that newer ones need the room of. A daemon does that by itself, and keeps others from writing while
+    /// it runs
     #[arg(long)]
-    json: bool,
-}
-
-/// Delete what is beyond the configuration's retention: days that are too old, and the samples of windows that newer ones need the
-/// room of.
-///
-/// A daemon does that by itself, and keeps others from writing while it runs.
-#[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  ihd store gc\n  ihd store gc --config ihd.toml --json")]
-pub struct GcArgs {
-    /// Print what was deleted as a JSON object
-    #[arg(long)]
-    json: bool,
+    collect: bool,
 }
 
 /// Copy the store to a new folder, while the daemon writes to it.
@@ -48,22 +38,22 @@ pub struct GcArgs {
 pub struct BackupArgs {
     /// The new folder; it has this name when all of it is written, not before
     to: PathBuf,
-    /// Print what was done as a JSON object
-    #[arg(long)]
-    json: bool,
 }
 
 impl CheckArgs {
-    pub fn run(&self, place: &Place) -> Result<()> {
+    pub fn run(&self, place: &Place, json: bool) -> Result<()> {
+        if self.collect {
+            return collect(place, json);
+        }
         let checked = Reader::open(&place.folder).and_then(|reader| {
             let report = reader.check()?;
             Ok((report, reader.space()?))
         });
         let (report, space) = match checked {
-            Err(error @ StoreError::Damaged { .. }) => return self.unreadable(&error),
+            Err(error @ StoreError::Damaged { .. }) => return unreadable(&error, json),
             checked => checked?,
         };
-        if self.json {
+        if json {
             let mut report = serde_json::to_value(&report)?;
             report["space"] = json!(space);
             output::json(&report)?;
@@ -94,17 +84,17 @@ impl CheckArgs {
             Err(DamagedStore(report.integrity).into())
         }
     }
+}
 
-    /// Reports that `ihd.db` itself cannot be read.
-    fn unreadable(&self, error: &StoreError) -> Result<()> {
-        if self.json {
-            output::json(&json!({
-                "integrity": error.to_string(), "windows": 0, "windows_with_samples": 0, "results": 0,
-                "lookups": [], "set_aside": [],
-            }))?;
-        }
-        Err(DamagedStore(error.to_string()).into())
+/// Reports that `ihd.db` itself cannot be read.
+fn unreadable(error: &StoreError, json: bool) -> Result<()> {
+    if json {
+        output::json(&json!({
+            "integrity": error.to_string(), "windows": 0, "windows_with_samples": 0, "results": 0,
+            "lookups": [], "set_aside": [],
+        }))?;
     }
+    Err(DamagedStore(error.to_string()).into())
 }
 
 /// Prints the room that windows take, and the time that it lasts.
@@ -142,42 +132,41 @@ fn say_space(days: &[DaySpace], max_bytes: u64) -> Result<()> {
     )
 }
 
-impl GcArgs {
-    pub fn run(&self, place: &Place) -> Result<()> {
-        // Fails if there is no store: cleaning does not create one.
-        drop(Reader::open(&place.folder)?);
-        let opened = Store::open(&place.folder, &place.settings)?;
-        let mut store = opened.store;
-        let collected = store.collect_garbage()?;
-        if self.json {
-            return output::json(&json!({ "damage": opened.damage, "collected": collected }));
-        }
-        for damage in &opened.damage {
-            say!("damaged   {}: {}", damage.from.display(), damage.why)?;
-            say!("set aside {}", damage.to.display())?;
-        }
-        for path in &collected.deleted {
-            say!("deleted   {}", path.display())?;
-        }
-        say!(
-            "freed     {} bytes in {} files; samples of {} windows that tell nothing, of {} thinned; {} old rows",
-            collected.bytes,
-            collected.deleted.len(),
-            collected.samples_dropped,
-            collected.thinned,
-            collected.rows
-        )?;
-        say!("left      {} bytes of windows", collected.bytes_left)
+/// Deletes what is beyond the retention.
+fn collect(place: &Place, json: bool) -> Result<()> {
+    // Fails if there is no store: cleaning does not create one.
+    drop(Reader::open(&place.folder)?);
+    let opened = Store::open(&place.folder, &place.settings)?;
+    let mut store = opened.store;
+    let collected = store.collect_garbage()?;
+    if json {
+        return output::json(&json!({ "damage": opened.damage, "collected": collected }));
     }
+    for damage in &opened.damage {
+        say!("damaged   {}: {}", damage.from.display(), damage.why)?;
+        say!("set aside {}", damage.to.display())?;
+    }
+    for path in &collected.deleted {
+        say!("deleted   {}", path.display())?;
+    }
+    say!(
+        "freed     {} bytes in {} files; samples of {} windows that tell nothing, of {} thinned; {} old rows",
+        collected.bytes,
+        collected.deleted.len(),
+        collected.samples_dropped,
+        collected.thinned,
+        collected.rows
+    )?;
+    say!("left      {} bytes of windows", collected.bytes_left)
 }
 
 impl BackupArgs {
-    pub fn run(&self, place: &Place) -> Result<()> {
+    pub fn run(&self, place: &Place, json: bool) -> Result<()> {
         if self.to.as_os_str().is_empty() {
             bail!("TO names no folder");
         }
         ihd_store::backup(&place.folder, &self.to)?;
-        if self.json {
+        if json {
             return output::json(&json!({ "from": place.folder, "to": self.to }));
         }
         say!(

@@ -45,9 +45,6 @@ pub struct ExportArgs {
     /// The table of results instead of windows; CSV alone
     #[arg(long, conflicts_with_all = ["boot", "seq"])]
     results: bool,
-    /// Print what was written as a JSON object
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -70,14 +67,14 @@ impl From<FormatArg> for Format {
 }
 
 impl ExportArgs {
-    pub fn run(&self, place: &Place) -> Result<()> {
+    pub fn run(&self, place: &Place, json: bool) -> Result<()> {
         ensure_usage!(
             !self.results || self.format == FormatArg::Csv,
             "--results are written as CSV alone: --format csv"
         );
         let reader = Reader::open(&place.folder)?;
         if self.results {
-            return self.results(&reader);
+            return self.results(&reader, json);
         }
         let bar = ProgressBar::new_spinner();
         bar.set_style(ProgressStyle::with_template("{spinner} {pos} windows")?);
@@ -92,7 +89,7 @@ impl ExportArgs {
         });
         bar.finish_and_clear();
         let written = written?;
-        if self.json {
+        if json {
             return output::json(&written);
         }
         say!(
@@ -107,7 +104,7 @@ impl ExportArgs {
         Ok(())
     }
 
-    fn results(&self, reader: &Reader) -> Result<()> {
+    fn results(&self, reader: &Reader, json: bool) -> Result<()> {
         if self.out.exists() {
             let path = self.out.clone();
             return Err(StoreError::Exists { path }.into());
@@ -149,7 +146,7 @@ impl ExportArgs {
         }
         let bytes = table.into_inner().map_err(|e| e.into_error())?;
         write(&self.out, &bytes)?;
-        if self.json {
+        if json {
             return output::json(&json!({ "files": [self.out], "results": rows.len() }));
         }
         say!("wrote {} results to {}", rows.len(), self.out.display())

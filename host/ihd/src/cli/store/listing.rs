@@ -1,4 +1,4 @@
-//! `ihd store ls` and `show`.
+//! `ihd store ls`: results, or one of them with its window.
 
 use anyhow::{Result, bail};
 use clap::Args;
@@ -9,12 +9,16 @@ use serde_json::{Value, json};
 use super::super::output;
 use super::place::{Place, time};
 
-/// List results, newest first.
+/// List results, newest first; or show one with its window and its connection.
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Examples:\n  ihd store ls\n  ihd store ls --device bench --since 2026-11-22 --json"
-)]
+#[command(after_help = "Examples:\n  \
+    ihd store ls\n  \
+    ihd store ls --device bench --since 2026-11-22 --json\n  \
+    ihd store ls 4711 --json")]
 pub struct LsArgs {
+    /// The one result of this number
+    #[arg(value_name = "ID", conflicts_with_all = ["device", "since", "limit"])]
+    id: Option<ResultId>,
     /// Those of this device alone
     #[arg(long, value_name = "NAME")]
     device: Option<String>,
@@ -24,24 +28,13 @@ pub struct LsArgs {
     /// At most so many; 0 for all
     #[arg(long, value_name = "N", default_value_t = 100)]
     limit: u32,
-    /// Print them as a JSON array
-    #[arg(long)]
-    json: bool,
-}
-
-/// Show one result, its window and its connection.
-#[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  ihd store show 4711\n  ihd store show 4711 --json")]
-pub struct ShowArgs {
-    /// The result's number, as `ihd store ls` shows it
-    id: ResultId,
-    /// Print it as a JSON object
-    #[arg(long)]
-    json: bool,
 }
 
 impl LsArgs {
-    pub fn run(&self, place: &Place) -> Result<()> {
+    pub fn run(&self, place: &Place, json: bool) -> Result<()> {
+        if let Some(id) = self.id {
+            return show(id, place, json);
+        }
         let filter = ResultFilter {
             device: self.device.clone(),
             since_ms: self.since,
@@ -51,7 +44,7 @@ impl LsArgs {
             }),
         };
         let rows = Reader::open(&place.folder)?.results(&filter)?;
-        if self.json {
+        if json {
             let entries: Vec<Value> = rows.iter().map(entry).collect();
             return output::json(&entries);
         }
@@ -117,64 +110,63 @@ fn entry(row: &ResultRow) -> Value {
     })
 }
 
-impl ShowArgs {
-    pub fn run(&self, place: &Place) -> Result<()> {
-        let reader = Reader::open(&place.folder)?;
-        let Some(row) = reader.result(self.id)? else {
-            bail!("there is no result {}; `ihd store ls` lists them", self.id);
-        };
-        let session = reader.session(row.session)?;
-        let of_window = WindowFilter {
-            device: Some(row.device.clone()),
-            since_ms: None,
-            boot: Some(row.boot),
-            seq: Some(row.seq),
-        };
-        let window = reader.windows(&of_window)?.into_iter().next();
-        if self.json {
-            let mut whole = entry(&row);
-            whole["window"] = serde_json::to_value(&window)?;
-            whole["connection"] = serde_json::to_value(&session)?;
-            return output::json(&whole);
-        }
-        say!("result      {}, {}", row.id, rfc3339(row.at_ms))?;
-        say!("device      {}, boot {}", row.device, row.boot)?;
-        if let Some(session) = session {
-            say!("firmware    {} on {}", session.build, session.board)?;
-        }
-        say!("window      {}, half-cycle {}", row.seq, row.half_cycle)?;
-        say!(
-            "samples     {}",
-            match window {
-                None => "deleted with their day".to_owned(),
-                Some(window) => match window.not_kept {
-                    None => format!("{} pairs in {} bytes", window.pairs, window.packed_bytes),
-                    Some(why) => format!("not kept: {why}"),
-                },
-            }
-        )?;
-        say!(
-            "drive       {:.3} kHz, {:.2} A",
-            f64::from(row.f_sw_hz) * 1e-3,
-            row.i_crest_a
-        )?;
-        if let Some(power_w) = row.power_w {
-            say!("power       {power_w:.1} W")?;
-        }
-        say!(
-            "R           {:.4} ohm ± {:.3} %",
-            row.r_ohm,
-            row.sigma_r_pct
-        )?;
-        say!(
-            "L           {:.3} uH ± {:.3} %",
-            row.l_h * 1e6,
-            row.sigma_l_pct
-        )?;
-        say!(
-            "verdict     {}, after {} iterations",
-            in_words(&row),
-            row.iterations
-        )
+/// Shows a result, its window and its connection.
+fn show(id: ResultId, place: &Place, json: bool) -> Result<()> {
+    let reader = Reader::open(&place.folder)?;
+    let Some(row) = reader.result(id)? else {
+        bail!("there is no result {id}; `ihd store ls` lists them");
+    };
+    let session = reader.session(row.session)?;
+    let of_window = WindowFilter {
+        device: Some(row.device.clone()),
+        since_ms: None,
+        boot: Some(row.boot),
+        seq: Some(row.seq),
+    };
+    let window = reader.windows(&of_window)?.into_iter().next();
+    if json {
+        let mut whole = entry(&row);
+        whole["window"] = serde_json::to_value(&window)?;
+        whole["connection"] = serde_json::to_value(&session)?;
+        return output::json(&whole);
     }
+    say!("result      {}, {}", row.id, rfc3339(row.at_ms))?;
+    say!("device      {}, boot {}", row.device, row.boot)?;
+    if let Some(session) = session {
+        say!("firmware    {} on {}", session.build, session.board)?;
+    }
+    say!("window      {}, half-cycle {}", row.seq, row.half_cycle)?;
+    say!(
+        "samples     {}",
+        match window {
+            None => "deleted with their day".to_owned(),
+            Some(window) => match window.not_kept {
+                None => format!("{} pairs in {} bytes", window.pairs, window.packed_bytes),
+                Some(why) => format!("not kept: {why}"),
+            },
+        }
+    )?;
+    say!(
+        "drive       {:.3} kHz, {:.2} A",
+        f64::from(row.f_sw_hz) * 1e-3,
+        row.i_crest_a
+    )?;
+    if let Some(power_w) = row.power_w {
+        say!("power       {power_w:.1} W")?;
+    }
+    say!(
+        "R           {:.4} ohm ± {:.3} %",
+        row.r_ohm,
+        row.sigma_r_pct
+    )?;
+    say!(
+        "L           {:.3} uH ± {:.3} %",
+        row.l_h * 1e6,
+        row.sigma_l_pct
+    )?;
+    say!(
+        "verdict     {}, after {} iterations",
+        in_words(&row),
+        row.iterations
+    )
 }

@@ -8,16 +8,17 @@ mod place;
 use anyhow::Result;
 use clap::{Args, Subcommand};
 
+use super::global::Global;
 pub use care::DamagedStore;
 use place::PlaceArgs;
 
 /// Query the daemon's store: results, windows, lookups; export, check, back up, collect.
 ///
-/// All but `gc` work beside a running daemon. docs/store.md has the tables, and queries in SQL, Python and MATLAB.
+/// All but `check --collect` work beside a running daemon. docs/store.md has the tables, and queries in SQL, Python and MATLAB.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd store ls --device bench --limit 20\n  \
-    ihd store show 4711\n  \
+    ihd store ls 4711\n  \
     ihd store check --json\n  \
     ihd store export --format mcap --device bench --since 2026-11-22 --out windows\n  \
     ihd store export --results --format csv --out results.csv\n  \
@@ -33,10 +34,8 @@ pub struct StoreArgs {
 #[derive(Debug, Subcommand)]
 enum Command {
     Ls(listing::LsArgs),
-    Show(listing::ShowArgs),
     Check(care::CheckArgs),
     Export(export::ExportArgs),
-    Gc(care::GcArgs),
     Backup(care::BackupArgs),
 }
 
@@ -45,15 +44,13 @@ impl StoreArgs {
     ///
     /// # Errors
     /// [`ihd_store::StoreError`]; [`DamagedStore`] after the report of a check.
-    pub fn run(&self) -> Result<()> {
-        let place = self.place.place()?;
+    pub fn run(&self, global: &Global) -> Result<()> {
+        let place = self.place.place(global)?;
         match &self.command {
-            Command::Ls(args) => args.run(&place),
-            Command::Show(args) => args.run(&place),
-            Command::Check(args) => args.run(&place),
-            Command::Export(args) => args.run(&place),
-            Command::Gc(args) => args.run(&place),
-            Command::Backup(args) => args.run(&place),
+            Command::Ls(args) => args.run(&place, global.json),
+            Command::Check(args) => args.run(&place, global.json),
+            Command::Export(args) => args.run(&place, global.json),
+            Command::Backup(args) => args.run(&place, global.json),
         }
     }
 }

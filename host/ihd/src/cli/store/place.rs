@@ -7,12 +7,10 @@ use clap::Args;
 use ihd_store::StoreOptions;
 
 use super::super::configured;
+use super::super::global::Global;
 
 #[derive(Debug, Args)]
 pub struct PlaceArgs {
-    /// The daemon's configuration; ihd.toml in this folder where there is one
-    #[arg(long, value_name = "FILE", global = true)]
-    config: Option<PathBuf>,
     /// Folder of the store; default: the configuration's, else ihd-store
     #[arg(long, value_name = "DIR", global = true)]
     store: Option<PathBuf>,
@@ -29,8 +27,8 @@ impl PlaceArgs {
     ///
     /// # Errors
     /// If a named configuration cannot be read or is invalid.
-    pub fn place(&self) -> Result<Place> {
-        let config = configured::config(self.config.as_deref())?;
+    pub fn place(&self, global: &Global) -> Result<Place> {
+        let config = configured::config(global.config.as_deref())?;
         Ok(Place {
             settings: config.store_settings(),
             folder: self.store.clone().unwrap_or(config.store),

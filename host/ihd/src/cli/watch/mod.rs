@@ -10,7 +10,6 @@ mod screen;
 mod trend;
 
 use std::io::IsTerminal;
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
@@ -25,8 +24,9 @@ use ratatui::crossterm::event::{self, Event};
 
 use self::dashboard::{Dashboard, KeyAction};
 use self::feed::{Feed, FeedUpdate};
+use super::global::Global;
 use super::usage::Usage;
-use super::{configured, interrupt};
+use super::{configured, device, interrupt};
 
 /// Shortest time between two frames: a terminal over ssh is slow.
 const FRAME: Duration = Duration::from_millis(100);
@@ -42,34 +42,42 @@ const LOOK: Duration = Duration::from_millis(50);
 #[command(after_help = "Examples:\n  \
     ihd watch\n  \
     ihd watch bench --config ihd.toml\n  \
+    ihd watch bench --lines --json\n  \
     ssh lab ihd watch\n\n\
-    For programs: `ihd device DEV watch --json`. Exit codes: 0 ended, 1 no such device, 2 not a terminal, 3 no daemon")]
+    Exit codes: 0 ended, 1 no such device, 2 not a terminal, 3 no daemon")]
 pub struct WatchArgs {
     /// The device; without one, all that the daemon has
     #[arg(value_name = "DEV")]
     device: Option<String>,
-    /// The daemon's configuration; without one ihd.toml of this folder, or what is built in
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    /// Print a line for each event until ^C, for programs and logs; with --json an object a line. Without a daemon, too
+    #[arg(long, requires = "device")]
+    lines: bool,
 }
 
 impl WatchArgs {
     /// Draws until q, Ctrl-C or a signal.
     ///
     /// # Errors
-    /// If this is no terminal, no daemon answers at the beginning, or it has no such device.
-    pub fn run(&self) -> Result<()> {
+    /// Without --lines: if this is no terminal, no daemon answers at the beginning, or it has no such device.
+    pub fn run(&self, global: &Global) -> Result<()> {
+        let config = configured::config(global.config.as_deref())?;
+        if let (true, Some(device)) = (self.lines, &self.device) {
+            return device::lines(config, device, global.json);
+        }
+        ensure_usage!(
+            !global.json,
+            "--json goes with --lines: `ihd watch DEV --lines --json`"
+        );
         if !(std::io::stdout().is_terminal() && std::io::stdin().is_terminal()) {
             let device = self.device.as_deref().unwrap_or("DEV");
             return Err(Usage(format!(
-                "`ihd watch` draws on a terminal, and this is none: `ihd device {device} watch --json` writes lines"
+                "`ihd watch` draws on a terminal, and this is none: `ihd watch {device} --lines` writes lines"
             ))
             .into());
         }
-        let config = configured::config(self.config.as_deref())?;
         let client = configured::daemon(&config)?.ok_or_else(|| ClientError::Unreachable {
             url: config.listen.to_string(),
-            why: "start one with `ihd trainer --daemon`, or look at a device itself: `ihd device DEV watch`".into(),
+            why: "start one with `ihd trainer --daemon`, or look at a device itself: `ihd watch DEV --lines`".into(),
         })?;
         let devices = client.devices()?;
         if let Some(name) = &self.device

@@ -9,14 +9,14 @@ fn asked_w(report: &serde_json::Value) -> u64 {
 #[test]
 fn a_daemon_heats_nothing_by_itself_and_is_seen() {
     let kitchen = Kitchen::start();
-    let (code, stdout, _) = kitchen.device(&["list"]);
+    let (code, stdout, _) = kitchen.device(&["status"]);
     assert_eq!(code, 0);
     assert!(stdout.contains("daemon at http://127.0.0.1:"), "{stdout}");
     assert!(
         stdout.contains("bench") && stdout.contains("idle"),
         "{stdout}"
     );
-    let (_, stdout, _) = kitchen.device(&["list", "--json"]);
+    let (_, stdout, _) = kitchen.device(&["status", "--json"]);
     let listed: serde_json::Value = serde_json::from_str(&stdout).unwrap();
     assert_eq!(listed[0]["name"], "bench");
     // By its address, too.
@@ -125,8 +125,8 @@ fn one_commands_and_force_takes_over_and_the_other_is_told() {
 #[test]
 fn what_happens_is_watched() {
     let kitchen = Kitchen::start();
-    let mut watch = kitchen.in_the_background(&["bench", "watch", "--json"]);
-    let mut words = kitchen.in_the_background(&["bench", "watch"]);
+    let mut watch = kitchen.command_in_the_background(&["watch", "bench", "--lines", "--json"]);
+    let mut words = kitchen.command_in_the_background(&["watch", "bench", "--lines"]);
     watch.line_with("\"event\":\"telemetry\"");
     let _power = kitchen.in_the_background(&["bench", "power", "800"]);
     let line = watch.line_with("\"event\":\"window-stored\"");
@@ -142,10 +142,10 @@ fn lookups_are_shown_and_a_reset_is_carried_out() {
     let (code, stdout, stderr) = kitchen.device(&["bench", "lookup", "show"]);
     assert_eq!(code, 0, "{stderr}");
     assert!(stdout.contains("built-in"), "{stdout}");
-    let (code, stdout, stderr) = kitchen.device(&["bench", "lookup", "reset"]);
+    let (code, stdout, stderr) = kitchen.device(&["bench", "lookup", "push", "builtin"]);
     assert_eq!(code, 0, "{stderr}");
     assert!(stdout.contains("built-in"), "{stdout}");
-    let (code, _, stderr) = kitchen.device(&["bench", "lookup", "rollback"]);
+    let (code, _, stderr) = kitchen.device(&["bench", "lookup", "push", "previous"]);
     assert_eq!(code, 3, "{stderr}");
     assert!(stderr.contains("active before"), "{stderr}");
     let file = kitchen.dir.path().join("noise.bin");
@@ -159,9 +159,10 @@ fn lookups_are_shown_and_a_reset_is_carried_out() {
 fn a_recording_through_the_daemon_can_be_inspected() {
     let kitchen = Kitchen::start();
     let out = kitchen.dir.path().join("a.mcap");
-    let (code, _, stderr) = kitchen.device(&[
-        "bench",
+    let (code, _, stderr) = kitchen.command(&[
         "record",
+        "--device",
+        "bench",
         "--duration",
         "2",
         "--out",
@@ -169,6 +170,15 @@ fn a_recording_through_the_daemon_can_be_inspected() {
     ]);
     assert_eq!(code, 0, "{stderr}");
     assert!(std::fs::metadata(&out).unwrap().len() > 10_000);
-    let (code, _, stderr) = kitchen.device(&["bench", "record", "--out", out.to_str().unwrap()]);
+    let (code, _, stderr) = kitchen.command(&[
+        "record",
+        "--device",
+        "bench",
+        "--out",
+        out.to_str().unwrap(),
+    ]);
     assert_eq!(code, 2, "{stderr}");
+    let (code, _, stderr) = kitchen.command(&["record", "--device", "bench", "--power", "900"]);
+    assert_eq!(code, 2, "{stderr}");
+    assert!(stderr.contains("--power"), "{stderr}");
 }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::MutexGuard;
 
-use super::processes::{alone, device, free_port, heated, ihd};
+use super::processes::{alone, command, device, free_port, heated, ihd};
 use crate::process::{Hob, Process};
 
 struct Bench {
@@ -46,7 +46,7 @@ fn names_and_addresses_are_found() {
             "{stdout}"
         );
     }
-    let (code, stdout, _) = device(&bench.config, &["list"]);
+    let (code, stdout, _) = device(&bench.config, &["status"]);
     assert_eq!(code, 0);
     assert!(
         stdout.contains("no daemon") && stdout.contains("bench"),
@@ -103,7 +103,7 @@ fn a_sweep_shows_what_the_device_finds() {
     let mut bench = bench();
     let (stdout, times) = heated(&bench.config, |times| {
         let powers = vec!["1500"; times].join(",");
-        ["bench", "sweep", "--power", &powers]
+        ["bench", "power", &powers, "--windows"]
             .map(str::to_owned)
             .into()
     });
@@ -129,17 +129,18 @@ fn a_recording_and_the_one_that_is_not_overwritten() {
     let bench = bench();
     let out = bench.dir.path().join("a.mcap");
     let args = [
-        "bench",
         "record",
+        "--device",
+        "bench",
         "--duration",
         "1",
         "--out",
         out.to_str().unwrap(),
     ];
-    let (code, _, stderr) = device(&bench.config, &args);
+    let (code, _, stderr) = command(&bench.config, &args);
     assert_eq!(code, 0, "{stderr}");
     assert!(std::fs::metadata(&out).unwrap().len() > 1_000);
-    assert_ne!(device(&bench.config, &args).0, 0);
+    assert_ne!(command(&bench.config, &args).0, 0);
 }
 
 #[test]
@@ -150,9 +151,10 @@ fn wrong_usage_exits_with_2_and_nobody_with_3() {
         (&["bench", "power", "9999"], "2500"),
         (&["bench", "power", "500", "--for", "0"], "--for"),
         (&["bench"], "Usage"),
-        (&["status"], "which device"),
-        (&["bench", "list"], "list"),
-        (&["bench", "sweep"], "--power"),
+        (&["off"], "which device"),
+        (&["bench", "list"], "ihd device status"),
+        (&["bench", "sweep"], "power W,W,"),
+        (&["bench", "power", "500,600", "--for", "1"], "--for"),
         (&["kitchen", "status"], "bench"),
         (&["sim", "status"], "ihd hob"),
     ] {

@@ -69,7 +69,7 @@ fn systemd_is_told() {
     std::fs::write(&config, text).unwrap();
     let mut command = ihd();
     command
-        .args(["trainer", "serve", "--log-format", "json", "--config"])
+        .args(["trainer", "--daemon", "--log-format", "json", "--config"])
         .arg(&config)
         .env("NOTIFY_SOCKET", &path)
         .env("WATCHDOG_USEC", "600000");

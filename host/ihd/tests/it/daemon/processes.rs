@@ -96,11 +96,20 @@ impl Kitchen {
         }
     }
 
+    /// Another command with this configuration.
+    pub fn command(&self, args: &[&str]) -> (i32, String, String) {
+        command(&self.dir.path().join("ihd.toml"), args)
+    }
+
     /// `ihd device bench …`, which goes on meanwhile.
     pub fn in_the_background(&self, args: &[&str]) -> Process {
+        self.command_in_the_background(&[&["device"], args].concat())
+    }
+
+    /// Another command, which goes on meanwhile.
+    pub fn command_in_the_background(&self, args: &[&str]) -> Process {
         let mut command = ihd();
         command
-            .arg("device")
             .args(args)
             .arg("--config")
             .arg(self.dir.path().join("ihd.toml"));
@@ -121,8 +130,13 @@ pub fn daemon(config: &Path) -> Process {
 
 /// `ihd device …`: exit code, standard output, standard error.
 pub fn device(config: &Path, args: &[&str]) -> (i32, String, String) {
+    command(config, &[&["device"], args].concat())
+}
+
+/// A command with a configuration: exit code, standard output, standard error.
+pub fn command(config: &Path, args: &[&str]) -> (i32, String, String) {
     let mut command = ihd();
-    command.arg("device").args(args).arg("--config").arg(config);
+    command.args(args).arg("--config").arg(config);
     outcome(command.output().expect("ihd runs"))
 }
 

@@ -86,7 +86,7 @@ fn a_token_file_that_others_read() {
 fn options_that_say_nothing_to_a_daemon_are_wrong_usage() {
     for args in [
         &["trainer", "--daemon", "--power", "500"][..],
-        &["trainer", "serve", "--follow"],
+        &["trainer", "--daemon", "--follow"],
         &["trainer", "--daemon", "--device", "usb"],
         &["trainer", "--config", "ihd.toml"],
         &["trainer", "--daemon", "--log-format", "xml"],

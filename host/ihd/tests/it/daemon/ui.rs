@@ -120,13 +120,13 @@ fn a_browser_is_opened_where_there_is_a_screen() {
 #[test]
 fn what_has_no_page_is_refused() {
     for args in [
-        &["--ui", "--no-store"][..],
+        &["--ui", "--store", "none"][..],
         &["--ui", "--follow"],
         &["--ui", "--json"],
         &["--ui", "--replay", "x.mcap"],
         &["--ui", "--power", "0"],
         &["--ui", "--pot", "copper"],
-        &["--ui", "--mains", "16.7"],
+        &["--ui", "--sim", "mains=16.7"],
     ] {
         let output = ihd().arg("trainer").args(args).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{args:?}");

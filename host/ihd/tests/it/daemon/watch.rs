@@ -172,11 +172,11 @@ fn without_a_terminal_a_device_or_a_daemon_it_says_what_to_do() {
     command.args(["watch", "bench", "--config"]).arg(&config);
     let (code, _, stderr) = outcome(command.output().unwrap());
     assert_eq!(code, 2, "{stderr}");
-    assert!(stderr.contains("ihd device bench watch --json"), "{stderr}");
+    assert!(stderr.contains("ihd watch bench --lines"), "{stderr}");
 
     let screen = watch(&kitchen, &["nobody"]);
     let text = screen.until("it says so", |text| text.contains("nobody"));
-    assert!(text.contains("ihd device list"), "{text}");
+    assert!(text.contains("ihd device status"), "{text}");
     assert_eq!(screen.ended(), 1);
 
     let other = kitchen.dir.path().join("other.toml");

@@ -158,7 +158,7 @@ impl SelfCalibration {
         let Some(known_f) = self.known_capacitance_f else {
             let text = format!(
                 "the series capacitor is {nf:.1} ± {sigma:.1} nF if both gains are right; which of the three is off cannot be told: \
-                 give its value (--resonance-capacitance) to have the gains checked"
+                 give its value (--input resonance-capacitance) to have the gains checked"
             );
             return Remark::new("gain_unknown", Severity::Info, text).with(nf, None);
         };

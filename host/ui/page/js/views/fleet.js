@@ -21,7 +21,7 @@ const TILES = /** @type {const} */ ([
   ["windows", "Windows", "that the fleet has acknowledged, ever"],
   ["results", "Results", "each of another window"],
   ["backlog", "Backlog", "windows that nobody has identified yet"],
-  ["dead", "Dead", "windows that were given up: ihd fleet dead"],
+  ["dead", "Dead", "windows that were given up: ihd-fleet status dead"],
   ["outbox", "Outbox", "of this edge, not acknowledged yet"],
   ["workers", "Workers", ""],
 ]);
@@ -256,7 +256,7 @@ class FleetView {
 
 /** @param {Report} report */
 function busyText({ workers }) {
-  if (workers.length === 0) return "nobody identifies: ihd worker";
+  if (workers.length === 0) return "nobody identifies: ihd-fleet worker";
   const sum = (/** @type {"busy" | "threads"} */ key) => workers.reduce((total, worker) => total + worker[key], 0);
   return `${sum("busy")} of ${sum("threads")} threads busy`;
 }

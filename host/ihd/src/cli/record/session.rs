@@ -1,67 +1,40 @@
-//! `ihd record`: everything that a device streams, in a capture file.
+//! Recording by this process: everything that the device streams, in a capture file.
 
-use std::ffi::OsString;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use clap::{Args, FromArgMatches};
 use ihd_capture::mcap::SessionRecorder;
 use ihd_capture::mcap::topics::LinkCounters;
-use ihd_link::{Client, DeviceSpec, Event, KEEPALIVE_PERIOD, Transport};
-use ihd_shared::hob::RATED_POWER_W;
+use ihd_link::{Client, Event, KEEPALIVE_PERIOD};
 use ihd_shared::wire::messages::{Status, Utilisation};
-use ihd_sim::hob::SimHob;
-use ihd_sim::transport::SharedHob;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::simulate::quantity::quantity;
-use super::simulated::SimulatedHobArgs;
-use super::{interrupt, output};
+use crate::cli::{interrupt, output};
 use crate::report::utilisation;
 
 /// Time limit of waiting for an event before limits and Ctrl-C are checked.
 const POLL_PERIOD: Duration = Duration::from_millis(100);
 
-/// Record what a device streams: telemetry, windows of samples, faults, and the link byte for byte.
-///
-/// The file (docs/capture.md) is readable whenever the recorder ends, a kill included.
-#[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  \
-    ihd record --device usb --out kitchen.mcap\n  \
-    ihd record --device sim --power 1500 --duration 5s --out hob.mcap\n  \
-    ihd record --device tcp:127.0.0.1:4711 --max-size 100M --out long.mcap --json\n\n\
-    Exit codes: 0 recorded (a limit or ^C ended it), 1 failed, 2 wrong usage, 3 device or link")]
-pub struct RecordArgs {
-    /// The device: sim, tcp:HOST:PORT, usb, usb:SERIAL or serial:PATH
-    #[arg(long, value_name = "DEVICE", default_value = "sim")]
-    device: DeviceSpec,
-    /// The capture file; an existing one is never overwritten
-    #[arg(long, short, value_name = "FILE")]
-    out: PathBuf,
-    /// End after this long, in s
-    #[arg(long, value_name = "S", value_parser = quantity)]
-    duration: Option<f64>,
-    /// End when the file has this size in bytes (10M)
-    #[arg(long, value_name = "BYTES", value_parser = quantity)]
-    max_size: Option<f64>,
-    /// Request this power in watt meanwhile; without it the device's power is not changed
-    #[arg(long, value_name = "W")]
-    power: Option<u16>,
-    /// A telemetry every so many half-cycles; 0 for none
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    telemetry_every: u8,
-    /// A window of samples every so many half-cycles; 0 for none. A window of 57 kB takes 14
-    /// half-cycles on a link of 400 kB/s, what is due sooner is dropped and counted
-    #[arg(long, value_name = "N", default_value_t = 20)]
-    windows_every: u8,
-    /// Print the report as JSON
-    #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    simulated: SimulatedHobArgs,
+/// Recording of a device that is open.
+#[derive(Debug)]
+pub(super) struct SessionRecording {
+    /// The capture file, which must not exist.
+    pub out: PathBuf,
+    /// Time limit in s.
+    pub duration: Option<f64>,
+    /// Limit of the file's size in bytes.
+    pub max_size: Option<f64>,
+    /// Power to request in watt; `None` if the device's is not to be changed.
+    pub power: Option<u16>,
+    /// Half-cycles per telemetry; 0 for none.
+    pub telemetry_every: u8,
+    /// Half-cycles per window; 0 for none.
+    pub windows_every: u8,
+    /// Print the report as JSON.
+    pub json: bool,
 }
 
 /// Summary of a recording.
@@ -89,42 +62,12 @@ struct Report {
     processor_line: String,
 }
 
-impl RecordArgs {
-    /// Connects, records and prints the report.
-    ///
-    /// # Errors
-    /// If the device or the file fails; the data recorded until then are in the file.
-    pub fn run(&self) -> Result<()> {
-        self.check()?;
-        let config = self.simulated.config()?;
-        let sim = || -> Box<dyn Transport> { Box::new(SharedHob::new(SimHob::new(&config))) };
-        let client = Client::connect(self.device.open(sim)?)?;
-        self.record_from(client, !matches!(self.device, DeviceSpec::Sim))
-    }
-
-    /// Arguments of a recording of a device that the caller opens.
-    ///
-    /// # Errors
-    /// Never, unless the options of this command change.
-    pub fn of_device(out: PathBuf, duration_s: Option<f64>, json: bool) -> Result<Self> {
-        let mut words = vec![OsString::from("record"), "--out".into(), out.into()];
-        if let Some(s) = duration_s {
-            words.push(format!("--duration={s}").into());
-        }
-        if json {
-            words.push("--json".into());
-        }
-        let options = Self::augment_args(clap::Command::new("record"));
-        Ok(Self::from_arg_matches(
-            &options.try_get_matches_from(words)?,
-        )?)
-    }
-
+impl SessionRecording {
     /// Records and prints the report; flushes by wall time if the device has no simulated clock.
     ///
     /// # Errors
-    /// Any error of [`RecordArgs::run`].
-    pub fn record_from(&self, mut client: Client, has_wall_clock: bool) -> Result<()> {
+    /// If the device or the file fails; the data recorded until then are in the file.
+    pub(super) fn run(&self, mut client: Client, has_wall_clock: bool) -> Result<()> {
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let mut recorder = SessionRecorder::create(&self.out, client.hello(), client.front_end())?;
         if has_wall_clock {
@@ -153,7 +96,7 @@ impl RecordArgs {
         let done = recorded.and(left.map(drop)).and(closed.map_err(Into::into));
         if let Err(error) = &done {
             report.ended_by = "error";
-            report.error = Some(super::message(error));
+            report.error = Some(crate::cli::message(error));
         }
         // The report is printed in any case.
         let printed = self.print(&report);
@@ -180,17 +123,6 @@ impl RecordArgs {
             processor: utilisation::json(None),
             processor_line: utilisation::line(None),
         }
-    }
-
-    fn check(&self) -> Result<()> {
-        let positive = |x: Option<f64>| x.is_none_or(|x| x.is_finite() && x > 0.0);
-        ensure_usage!(positive(self.duration), "--duration must be more than 0 s");
-        ensure_usage!(positive(self.max_size), "--max-size must be more than 0");
-        ensure_usage!(
-            self.power.is_none_or(|w| w <= RATED_POWER_W),
-            "--power must be at most {RATED_POWER_W} W"
-        );
-        Ok(())
     }
 
     fn record(

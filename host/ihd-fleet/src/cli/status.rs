@@ -1,56 +1,88 @@
-//! `ihd fleet status`, `devices`, `backlog`.
+//! `ihd-fleet status`.
 
 use anyhow::{Context as _, Result};
-use clap::Args;
+use clap::{Args, ValueEnum};
+use ihd::cli::global::Global;
+use ihd::report::table::Table;
+use ihd::{ensure_usage, say};
 use ihd_daemon::model::{FleetEdge, FleetReport};
 use ihd_fleet::{names, status};
 use serde::Serialize;
 
+use super::dead::Which;
 use super::{AccessArgs, StatusCheckFailed, ago};
-use crate::report::table::Table;
 
 /// Time in milliseconds after which a silent hob or edge counts as lost.
 const SILENT_MS: i64 = 60_000;
 
-/// State of the fleet: windows, results, backlog, dead, workers, edges
+/// State of the fleet, its hobs, what waits for a worker, or what was given up
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd-fleet status --check\n  \
+    ihd-fleet status devices --outdated --json\n  \
+    ihd-fleet status dead --hob bench --delete")]
 pub struct StatusArgs {
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
-    /// End with code 7 where windows are dead, no worker is there for a backlog, an edge was not heard of for a minute, or one has an alarm:
-    /// windows that are due for 10 min or without an answer for an hour, a name that is another store's
+    /// Part that is shown
+    #[arg(value_enum, value_name = "PART", default_value = "fleet")]
+    part: Part,
+    /// With fleet: end with code 7 where windows are dead, no worker is there for a backlog, an edge was not heard of for a minute, or one
+    /// has an alarm: windows that are due for 10 min or without an answer for an hour, a name that is another store's
     #[arg(long)]
     check: bool,
-}
-
-/// The hobs of all edges
-#[derive(Debug, Args)]
-pub struct DevicesArgs {
-    /// Only those whose firmware differs from that of most of their board, or from `ihd fleet init --build`
+    /// With devices: only those whose firmware differs from that of most of their board, or from `ihd-fleet init --build`
     #[arg(long)]
     outdated: bool,
-    /// Print JSON
+    #[command(flatten)]
+    which: Which,
+    /// With dead: delete them for good
     #[arg(long)]
-    json: bool,
+    delete: bool,
 }
 
-/// Windows that wait for a worker, by hob
-#[derive(Debug, Args)]
-pub struct BacklogArgs {
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+/// Part of the fleet's state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Part {
+    /// Windows, results, backlog, dead, workers, edges
+    Fleet,
+    /// The hobs of all edges
+    Devices,
+    /// Windows that wait for a worker, by hob
+    Backlog,
+    /// Windows that were given up, with the reasons
+    Dead,
 }
 
-fn report(access: &AccessArgs) -> Result<FleetReport> {
-    access.with(async |access, context| Ok(status::report(&context, &access.shown()).await?))
+fn report(access: &AccessArgs, global: &Global) -> Result<FleetReport> {
+    access.with(global, async |access, context| {
+        Ok(status::report(&context, &access.shown()).await?)
+    })
 }
 
 impl StatusArgs {
-    pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
-        let report = report(access)?;
-        match self.json {
+    pub(super) fn run(&self, access: &AccessArgs, global: &Global) -> Result<()> {
+        let of = |part, is_given: bool, flag: &str| -> Result<()> {
+            ensure_usage!(
+                self.part == part || !is_given,
+                "{flag}: not with this part; `ihd-fleet status --help` says with which"
+            );
+            Ok(())
+        };
+        of(Part::Fleet, self.check, "--check")?;
+        of(Part::Devices, self.outdated, "--outdated")?;
+        of(Part::Dead, self.which.is_given(), "--hob and --number")?;
+        of(Part::Dead, self.delete, "--delete")?;
+        ensure_usage!(!(self.delete && global.json), "--delete prints no JSON");
+        match self.part {
+            Part::Fleet => self.fleet(access, global),
+            Part::Devices => self.devices(access, global),
+            Part::Backlog => backlog(access, global),
+            Part::Dead => self.which.show(self.delete, access, global),
+        }
+    }
+
+    fn fleet(&self, access: &AccessArgs, global: &Global) -> Result<()> {
+        let report = report(access, global)?;
+        match global.json {
             true => say!("{}", serde_json::to_string_pretty(&report)?)?,
             false => say!("{}", report_text(&report).trim_end())?,
         }
@@ -71,9 +103,12 @@ fn amiss(report: &FleetReport) -> Option<String> {
     let alarms: Vec<String> = alarms(report).collect();
     match report {
         _ if !alarms.is_empty() => Some(alarms.join("; ")),
-        r if r.dead > 0 => Some(format!("{} windows were given up: ihd fleet dead", r.dead)),
+        r if r.dead > 0 => Some(format!(
+            "{} windows were given up: ihd-fleet status dead",
+            r.dead
+        )),
         r if r.backlog > 0 && r.workers.is_empty() => Some(format!(
-            "{} windows wait, and there is no worker: ihd worker",
+            "{} windows wait, and there is no worker: ihd-fleet worker",
             r.backlog
         )),
         _ if !silent.is_empty() => Some(format!("not heard of: {}", silent.join(", "))),
@@ -139,7 +174,7 @@ fn report_text(report: &FleetReport) -> String {
         ]);
     }
     match report.workers.is_empty() {
-        true => text.push_str("no worker: ihd worker\n"),
+        true => text.push_str("no worker: ihd-fleet worker\n"),
         false => text.push_str(&format!("\n{}", workers.render())),
     }
     if !report.edges.is_empty() {
@@ -149,18 +184,18 @@ fn report_text(report: &FleetReport) -> String {
         text.push_str(&format!("{alarm}\n"));
     }
     text.push_str(&format!(
-        "\n{} hobs, {} of them outdated: ihd fleet devices",
+        "\n{} hobs, {} of them outdated: ihd-fleet status devices",
         report.devices.len(),
         report.devices.iter().filter(|d| d.outdated).count()
     ));
     text
 }
 
-impl DevicesArgs {
-    pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
-        let mut report = report(access)?;
+impl StatusArgs {
+    fn devices(&self, access: &AccessArgs, global: &Global) -> Result<()> {
+        let mut report = report(access, global)?;
         report.devices.retain(|d| d.outdated || !self.outdated);
-        if self.json {
+        if global.json {
             return say!("{}", serde_json::to_string_pretty(&report.devices)?);
         }
         let mut table = Table::new(&[
@@ -190,31 +225,29 @@ struct Waiting {
     windows: usize,
 }
 
-impl BacklogArgs {
-    pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
-        let waiting = access.with(async |_, context| {
-            let stream = ihd_fleet::jetstream::stream(&context, names::WINDOWS).await?;
-            let subjects = stream.info_with_subjects(names::window("*")).await;
-            let mut subjects = subjects.context(names::WINDOWS)?;
-            let mut waiting = Vec::new();
-            while let Some(next) = futures_util::StreamExt::next(&mut subjects).await {
-                let (subject, windows) = next.context(names::WINDOWS)?;
-                let hob = subject.split('.').nth(2).unwrap_or_default().to_owned();
-                waiting.push(Waiting { hob, windows });
-            }
-            waiting.sort_by(|a, b| (b.windows, &a.hob).cmp(&(a.windows, &b.hob)));
-            Ok(waiting)
-        })?;
-        if self.json {
-            return say!("{}", serde_json::to_string_pretty(&waiting)?);
+fn backlog(access: &AccessArgs, global: &Global) -> Result<()> {
+    let waiting = access.with(global, async |_, context| {
+        let stream = ihd_fleet::jetstream::stream(&context, names::WINDOWS).await?;
+        let subjects = stream.info_with_subjects(names::window("*")).await;
+        let mut subjects = subjects.context(names::WINDOWS)?;
+        let mut waiting = Vec::new();
+        while let Some(next) = futures_util::StreamExt::next(&mut subjects).await {
+            let (subject, windows) = next.context(names::WINDOWS)?;
+            let hob = subject.split('.').nth(2).unwrap_or_default().to_owned();
+            waiting.push(Waiting { hob, windows });
         }
-        let mut table = Table::new(&["hob", "windows"]);
-        for of in &waiting {
-            table.row([of.hob.clone(), of.windows.to_string()]);
-        }
-        match waiting.is_empty() {
-            true => say!("nothing waits"),
-            false => say!("{}", table.render().trim_end()),
-        }
+        waiting.sort_by(|a, b| (b.windows, &a.hob).cmp(&(a.windows, &b.hob)));
+        Ok(waiting)
+    })?;
+    if global.json {
+        return say!("{}", serde_json::to_string_pretty(&waiting)?);
+    }
+    let mut table = Table::new(&["hob", "windows"]);
+    for of in &waiting {
+        table.row([of.hob.clone(), of.windows.to_string()]);
+    }
+    match waiting.is_empty() {
+        true => say!("nothing waits"),
+        false => say!("{}", table.render().trim_end()),
     }
 }

@@ -1,9 +1,10 @@
-//! `ihd fleet server-config`.
+//! `ihd-fleet init server-config`.
 
 use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
+use ihd::ensure_usage;
 use ihd_fleet::server_config::{self, ConfigError, Edge, Server, Site, Tls};
 
 /// Print the configuration of a NATS server on which every edge and every worker has a key of its own
@@ -12,8 +13,8 @@ use ihd_fleet::server_config::{self, ConfigError, Edge, Server, Site, Tls};
 /// is shut out once the server has read the configuration again (docs/fleet-security.md).
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    ihd fleet server-config --site lab --edge lab-1=bench,kitchen --workers 2 --tls tls > nats.conf\n  \
-    ihd fleet server-config --site lab --site field --edge lab/lab-1=bench --edge field/van=hob --mqtt 0.0.0.0:8883 > nats.conf")]
+    ihd-fleet init server-config --site lab --edge lab-1=bench,kitchen --workers 2 --tls tls > nats.conf\n  \
+    ihd-fleet init server-config --site lab --site field --edge lab/lab-1=bench --edge field/van=hob --mqtt 0.0.0.0:8883 > nats.conf")]
 pub struct ServerConfigArgs {
     /// A lab, a plant, a customer: sees nothing of another; may be given again
     #[arg(long = "site", value_name = "SITE", required = true)]
@@ -24,7 +25,7 @@ pub struct ServerConfigArgs {
     /// An edge that may see who else is in its site's fleet, for the page of its dashboard; may be given again
     #[arg(long = "fleet-page", value_name = "[SITE/]EDGE")]
     fleet_pages: Vec<String>,
-    /// Workers of each site, worker-1 and so on: what `ihd worker --name` says
+    /// Workers of each site, worker-1 and so on: what `ihd-fleet worker --name` says
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: u32,
     /// Most that each site keeps on the server's disk, in bytes
@@ -77,7 +78,7 @@ impl ServerConfigArgs {
             .collect();
         let keys = server_config::read_or_make(&self.keys, names.iter().map(String::as_str))?;
         let text = server_config::server_config(&server, &sites, &keys)?;
-        crate::cli::output::text(&text)
+        ihd::cli::output::text(&text)
     }
 
     fn sites(&self) -> Result<Vec<Site>> {
@@ -120,7 +121,7 @@ fn find<'a>(sites: &'a mut [Site], name: Option<&str>) -> Result<&'a mut Site> {
     };
     let why = || {
         let name = name.unwrap_or("none said");
-        super::super::usage::Usage(format!(
+        ihd::cli::usage::Usage(format!(
             "of which site? {name}: SITE/EDGE with one of the --site"
         ))
     };

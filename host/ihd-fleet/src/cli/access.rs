@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
+use ihd::cli::global::Global;
+use ihd::ensure_usage;
 use ihd_fleet::{Access, Context};
 use tokio::runtime::Runtime;
 
@@ -29,9 +31,6 @@ pub struct AccessArgs {
     /// PEM file of the authority that the server's certificate is of; that of the system without
     #[arg(long, global = true, value_name = "FILE")]
     ca: Option<PathBuf>,
-    /// Configuration of a daemon whose [fleet] is used where nothing else is said; without one ihd.toml of this folder
-    #[arg(long, global = true, value_name = "FILE")]
-    config: Option<PathBuf>,
 }
 
 impl AccessArgs {
@@ -39,12 +38,12 @@ impl AccessArgs {
     ///
     /// # Errors
     /// If the fleet's address is not given.
-    pub fn access(&self) -> Result<Access> {
+    pub fn access(&self, global: &Global) -> Result<Access> {
         let given = self.url.clone();
         let given = given.or_else(|| std::env::var("IHD_FLEET_URL").ok());
         let of_file = match given {
             Some(_) => None,
-            None => super::super::configured::config(self.config.as_deref())?.fleet,
+            None => ihd::cli::configured::config(global.config.as_deref())?.fleet,
         };
         let mut access = of_file.as_ref().map(Access::from).unwrap_or_default();
         if let Some(url) = given {
@@ -66,8 +65,12 @@ impl AccessArgs {
     ///
     /// # Errors
     /// [`ihd_fleet::AccessError`], or the error of `what`.
-    pub fn with<T>(&self, what: impl AsyncFnOnce(&Access, Context) -> Result<T>) -> Result<T> {
-        let access = self.access()?;
+    pub fn with<T>(
+        &self,
+        global: &Global,
+        what: impl AsyncFnOnce(&Access, Context) -> Result<T>,
+    ) -> Result<T> {
+        let access = self.access(global)?;
         Runtime::new()?.block_on(async {
             let name = format!("ihd-{}", std::process::id());
             let context = access.connect(&name).await?;

@@ -1,25 +1,19 @@
-//! `ihd device DEV record`: a recording by the daemon into its store, or by this process. Both use the daemon's recorder.
+//! Recording by the daemon into its store, and download of the files.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc;
+use std::sync::atomic::Ordering;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use ihd_api::ApiClient;
-use ihd_daemon::model::{Command, RecordSettings, RecordingPhase, Trigger};
-use ihd_daemon::recording::{Recorder, RecordingStatus};
-use ihd_link::{Client, KEEPALIVE_PERIOD};
-use ihd_train::WINDOWS_EVERY;
+use ihd_daemon::model::{Command, RecordSettings};
 use serde_json::json;
 
-use super::direct::Direct;
-use super::hob::Hob;
-use super::text::one_line;
-use crate::cli::{interrupt, output, record};
+use crate::cli::device::one_line;
+use crate::cli::{interrupt, output};
 
 /// Period of polling for Ctrl-C, the time and the daemon.
 const POLL_PERIOD: Duration = Duration::from_millis(200);
@@ -29,21 +23,6 @@ const COMPLETE_WITHIN: Duration = Duration::from_secs(10);
 
 /// Records until Ctrl-C or the end of the time.
 pub(super) fn record(
-    hob: Hob,
-    out: Option<&Path>,
-    settings: &RecordSettings,
-    json: bool,
-) -> Result<()> {
-    if let Err(why) = settings.check() {
-        return Err(crate::cli::usage::Usage(why).into());
-    }
-    match hob {
-        Hob::Daemon { client, name } => by_daemon(&client, &name, out, settings, json),
-        Hob::Direct(direct) => directly(*direct, out, settings, json),
-    }
-}
-
-fn by_daemon(
     client: &ApiClient,
     name: &str,
     out: Option<&Path>,
@@ -139,7 +118,7 @@ fn download(client: &ApiClient, recorded: &[String], out: &Path) -> Result<Vec<P
     Ok(here)
 }
 
-fn print(files: &[PathBuf], json: bool) -> Result<()> {
+pub(super) fn print(files: &[PathBuf], json: bool) -> Result<()> {
     if json {
         return output::json(&json!({"file": files.first(), "files": files}));
     }
@@ -153,7 +132,7 @@ fn print(files: &[PathBuf], json: bool) -> Result<()> {
 }
 
 /// `a.mcap`, `a-2.mcap`, `a-3.mcap`.
-fn numbered(path: &Path, part: u32) -> PathBuf {
+pub(super) fn numbered(path: &Path, part: u32) -> PathBuf {
     if part < 2 {
         return path.to_owned();
     }
@@ -161,115 +140,4 @@ fn numbered(path: &Path, part: u32) -> PathBuf {
         |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
     let (stem, ending) = (text(path.file_stem()), text(path.extension()));
     path.with_file_name(format!("{stem}-{part}.{ending}"))
-}
-
-fn directly(
-    direct: Direct,
-    out: Option<&Path>,
-    settings: &RecordSettings,
-    json: bool,
-) -> Result<()> {
-    let name = direct.name().to_owned();
-    let out = out.map_or_else(
-        || PathBuf::from(format!("{}.mcap", file_name(&name))),
-        Path::to_owned,
-    );
-    if settings.trigger == Trigger::Now {
-        ensure_usage!(
-            settings.pre_trigger_s == 0.0,
-            "without a daemon there is no data from before: --pre-trigger needs --trigger, or `ihd trainer --daemon`"
-        );
-        return record::RecordArgs::of_device(out, settings.duration_s, json)?
-            .record_from(direct.into_client(), true);
-    }
-    ensure_usage!(!out.exists(), "{} is there already", out.display());
-    let stop = interrupt::flag().context("cannot catch ^C")?;
-    let (tell, told) = mpsc::channel();
-    let recorder = Recorder::new(
-        move |part| numbered(&out, part),
-        move |what: RecordingStatus| drop(tell.send(what)),
-    );
-    let mut client = direct.into_client();
-    let at = client.clock();
-    let sink = recorder.connected(client.hello(), client.front_end(), at);
-    client.record_to(sink);
-    client.read_lookup()?;
-    client.stream(1, WINDOWS_EVERY)?;
-    let started = recorder.start(*settings, client.clock());
-    let started = started.map_err(anyhow::Error::msg)?;
-    if !json {
-        say!("{}; ^C ends it", started.text)?;
-    }
-    let mut progress = RecorderProgress::default();
-    let listened = listen(&mut client, &recorder, stop, || progress.take(&told, json));
-    // If it has ended by itself, there is nothing to stop.
-    let _ = recorder.stop("ended by hand");
-    let left = client.stream(0, 0);
-    let began = Instant::now();
-    while !recorder.incomplete().is_empty() && began.elapsed() < COMPLETE_WITHIN {
-        sleep(POLL_PERIOD);
-    }
-    progress.take(&told, true)?;
-    print(&progress.files, json)?;
-    listened?;
-    if let Some(why) = progress.failed {
-        bail!("{why}");
-    }
-    Ok(left?)
-}
-
-/// Prints progress until Ctrl-C, or until the recording has ended.
-fn listen(
-    client: &mut Client,
-    recorder: &Recorder,
-    stop: &AtomicBool,
-    mut look: impl FnMut() -> Result<()>,
-) -> Result<()> {
-    let mut contact = client.clock();
-    while !stop.load(Ordering::Relaxed) && recorder.active().is_some() {
-        client.next_event(POLL_PERIOD)?;
-        recorder.tick();
-        look()?;
-        if client.clock().saturating_sub(contact) >= KEEPALIVE_PERIOD {
-            contact = client.clock();
-            client.status()?;
-        }
-    }
-    Ok(())
-}
-
-/// Status reports of the recorder.
-#[derive(Default)]
-struct RecorderProgress {
-    files: Vec<PathBuf>,
-    failed: Option<String>,
-}
-
-impl RecorderProgress {
-    fn take(&mut self, told: &mpsc::Receiver<RecordingStatus>, silently: bool) -> Result<()> {
-        while let Ok(what) = told.try_recv() {
-            match (what.phase, what.file) {
-                (RecordingPhase::Ended, file) => self.files.extend(file),
-                (RecordingPhase::Failed, _) => self.failed = Some(what.text),
-                (RecordingPhase::Begun, Some(file)) if !silently => {
-                    let file = one_line(&file.display().to_string());
-                    say!("{}: recording into {file}", one_line(&what.text))?;
-                }
-                _ => {}
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Converts an address to a file name.
-fn file_name(name: &str) -> String {
-    let plain = |c: char| {
-        if c.is_ascii_alphanumeric() || "-_.".contains(c) {
-            c
-        } else {
-            '-'
-        }
-    };
-    name.chars().map(plain).collect()
 }

@@ -1,4 +1,4 @@
-//! `ihd worker`: identifies windows of a fleet.
+//! `ihd-fleet worker`: identifies windows of a fleet.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -7,28 +7,28 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
+use ihd::cli::global::Global;
+use ihd::cli::serve::{LogFormat, start_log};
+use ihd::cli::supervised::Signals;
+use ihd::ensure_usage;
 use ihd_daemon::config::is_name;
 use ihd_daemon::fleet::host_name;
 use ihd_fleet::worker::{self, WorkerCounts, WorkerSettings};
 use ihd_train::NetworkConfig;
 use tokio::sync::watch;
 
-use super::fleet::AccessArgs;
-use super::serve::{LogFormat, start_log};
-use super::supervised::Signals;
+use super::AccessArgs;
 
 /// Identify windows of a fleet, until told to stop: takes them from the queue, publishes what it finds
 ///
 /// As many as there are machines; each may be killed at any moment. A window that has cost five workers their time goes to the dead
-/// (`ihd fleet dead`).
+/// (`ihd-fleet status dead`).
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    ihd worker --url nats://lab:4222 --threads 4\n  \
-    ihd worker --url tls://lab:4222 --ca ca.pem --nkey-file lab-worker-1.nk --name worker-1\n\n\
+    ihd-fleet worker --url nats://lab:4222 --threads 4\n  \
+    ihd-fleet worker --url tls://lab:4222 --ca ca.pem --nkey-file lab-worker-1.nk --name worker-1\n\n\
     Exit codes: 0 told to stop, 2 wrong usage, 3 the server cannot be reached, or has no fleet")]
 pub struct WorkerArgs {
-    #[command(flatten)]
-    access: AccessArgs,
     /// Threads that identify; as many as the machine has without
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -47,7 +47,7 @@ pub struct WorkerArgs {
 }
 
 impl WorkerArgs {
-    pub(super) fn run(&self) -> Result<()> {
+    pub(super) fn run(&self, access: &AccessArgs, global: &Global) -> Result<()> {
         let name = self.name.clone();
         let name = name.unwrap_or_else(|| format!("{}-{}", host_name(), std::process::id()));
         ensure_usage!(
@@ -72,7 +72,7 @@ impl WorkerArgs {
             pretend: self.pretend_ms.map(Duration::from_millis),
             name,
         };
-        let access = self.access.access()?;
+        let access = access.access(global)?;
         start_log(self.log_format, tracing::Level::INFO)?;
         let runtime =
             tokio::runtime::Runtime::new().context("cannot start the worker's threads")?;

@@ -1,4 +1,4 @@
-//! `ihd fleet up`.
+//! `ihd-fleet init up`.
 
 use std::fs::{self, File};
 use std::net::{SocketAddr, TcpListener};
@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
+use ihd::{ensure_usage, say};
 use ihd_fleet::jetstream::{self, Limits};
 use ihd_fleet::server_config::{self, Edge, Server, Site, Tls};
 use ihd_fleet::{Access, Context};
@@ -30,8 +31,8 @@ const LINES_SHOWN: usize = 10;
 /// Prints what the daemon's ihd.toml and the worker need, and runs until ^C. What the server keeps is in the folder: the next time it goes on.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    ihd fleet up --edge lab-1=bench,kitchen\n  \
-    ihd fleet up --edge lab-1=bench --workers 4 --listen 192.168.1.7:4222 --tls tls")]
+    ihd-fleet init up --edge lab-1=bench,kitchen\n  \
+    ihd-fleet init up --edge lab-1=bench --workers 4 --listen 192.168.1.7:4222 --tls tls")]
 pub struct UpArgs {
     /// A daemon and its hobs; may be given again
     #[arg(long = "edge", value_name = "EDGE=HOB,…", required = true)]
@@ -148,7 +149,7 @@ impl UpArgs {
         for name in &site.workers {
             let nkey = key(folder, &format!("worker-{name}"));
             say!(
-                "ihd worker --url {url} --name {name} --nkey-file {}{ca}",
+                "ihd-fleet worker --url {url} --name {name} --nkey-file {}{ca}",
                 nkey.display()
             )?;
         }

@@ -1,40 +1,29 @@
-//! `ihd fleet dead` and `replay`.
+//! Windows that were given up: `ihd-fleet status dead` and `ihd-fleet retry`.
 
 use anyhow::Result;
 use clap::Args;
+use ihd::cli::global::Global;
+use ihd::report::table::Table;
+use ihd::{ensure_usage, say};
 use ihd_daemon::config::is_name;
 use ihd_fleet::dead_letters::{self, DeadFilter};
 
 use super::{AccessArgs, ago};
-use crate::report::table::Table;
-
-/// Windows that were given up, with the reasons
-#[derive(Debug, Args)]
-pub struct DeadArgs {
-    #[command(flatten)]
-    which: Which,
-    /// Delete them for good
-    #[arg(long)]
-    delete: bool,
-    /// Print JSON
-    #[arg(long, conflicts_with = "delete")]
-    json: bool,
-}
 
 /// Put windows that were given up back into the queue
 #[derive(Debug, Args)]
-#[command(after_help = "Example: ihd fleet replay --hob bench")]
-pub struct ReplayArgs {
+#[command(after_help = "Example: ihd-fleet retry --hob bench")]
+pub struct RetryArgs {
     #[command(flatten)]
     which: Which,
 }
 
 #[derive(Debug, Args)]
-struct Which {
+pub(super) struct Which {
     /// Only windows of this hob
     #[arg(long, value_name = "HOB")]
     hob: Option<String>,
-    /// The window of this number, as `ihd fleet dead` shows it
+    /// The window of this number, as `ihd-fleet status dead` shows it
     #[arg(long, value_name = "N")]
     number: Option<u64>,
 }
@@ -51,17 +40,25 @@ impl Which {
     }
 }
 
-impl DeadArgs {
-    pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
-        let filter = self.which.filter()?;
-        if self.delete {
-            let deleted = access
-                .with(async |_, context| Ok(dead_letters::delete(&context, &filter).await?))?;
+impl Which {
+    /// Returns `true` if some windows alone are named.
+    pub(super) fn is_given(&self) -> bool {
+        self.hob.is_some() || self.number.is_some()
+    }
+
+    /// Shows the windows, or deletes them for good.
+    pub(super) fn show(&self, delete: bool, access: &AccessArgs, global: &Global) -> Result<()> {
+        let filter = self.filter()?;
+        if delete {
+            let deleted = access.with(global, async |_, context| {
+                Ok(dead_letters::delete(&context, &filter).await?)
+            })?;
             return say!("{deleted} deleted");
         }
-        let windows =
-            access.with(async |_, context| Ok(dead_letters::list(&context, &filter).await?))?;
-        if self.json {
+        let windows = access.with(global, async |_, context| {
+            Ok(dead_letters::list(&context, &filter).await?)
+        })?;
+        if global.json {
             return say!("{}", serde_json::to_string_pretty(&windows)?);
         }
         if windows.is_empty() {
@@ -83,11 +80,12 @@ impl DeadArgs {
     }
 }
 
-impl ReplayArgs {
-    pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
+impl RetryArgs {
+    pub(super) fn run(&self, access: &AccessArgs, global: &Global) -> Result<()> {
         let filter = self.which.filter()?;
-        let replayed =
-            access.with(async |_, context| Ok(dead_letters::replay(&context, &filter).await?))?;
+        let replayed = access.with(global, async |_, context| {
+            Ok(dead_letters::replay(&context, &filter).await?)
+        })?;
         say!("{replayed} back in the queue")
     }
 }

@@ -1,21 +1,26 @@
-//! `ihd fleet init`.
+//! `ihd-fleet init`.
 
 use anyhow::{Context as _, Result};
-use clap::Args;
+use clap::{Args, Subcommand};
+use ihd::cli::global::Global;
+use ihd::{ensure_usage, say};
 use ihd_daemon::config::is_name;
 use ihd_fleet::jetstream::{self, Limits};
 use ihd_fleet::{claims, names};
 
-use super::AccessArgs;
+use super::{AccessArgs, server_config, up};
 
 /// Make what a fleet needs on the server: streams, consumers, buckets, with their limits; again after limits or hobs have changed
 ///
 /// Nothing is deleted. What is already there gets the limits that are given, or those built in.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example: ihd fleet init --url nats://lab:4222 --threads 8 --edge lab-1=bench,kitchen"
+    after_help = "Example: ihd-fleet init --url nats://lab:4222 --threads 8 --edge lab-1=bench,kitchen"
 )]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct InitArgs {
+    #[command(subcommand)]
+    server: Option<ServerCommand>,
     /// Threads of all workers together: twice as many windows may be with workers
     #[arg(long, value_name = "N", default_value_t = Limits::default().threads)]
     threads: u32,
@@ -45,6 +50,13 @@ pub struct InitArgs {
     build: Option<String>,
 }
 
+/// The server itself.
+#[derive(Debug, Subcommand)]
+enum ServerCommand {
+    Up(up::UpArgs),
+    ServerConfig(server_config::ServerConfigArgs),
+}
+
 fn edge_name(text: &str) -> Result<String, String> {
     match is_name(text) {
         true => Ok(text.to_owned()),
@@ -65,7 +77,12 @@ fn edge(text: &str) -> Result<(String, Vec<String>), String> {
 }
 
 impl InitArgs {
-    pub(super) fn run(&self, access: &AccessArgs) -> Result<()> {
+    pub(super) fn run(&self, access: &AccessArgs, global: &Global) -> Result<()> {
+        match &self.server {
+            Some(ServerCommand::Up(args)) => return args.run(),
+            Some(ServerCommand::ServerConfig(args)) => return args.run(),
+            None => {}
+        }
         ensure_usage!(
             self.replicas % 2 == 1,
             "--replicas {}: 1, 3 or 5, else half a cluster cannot decide",
@@ -80,7 +97,7 @@ impl InitArgs {
             replicas: self.replicas,
             ..Limits::default()
         };
-        access.with(async |access, context| {
+        access.with(global, async |access, context| {
             jetstream::init(&context, &limits).await?;
             for (edge, hobs) in &self.edges {
                 jetstream::init_edge(&context, edge, hobs).await?;

@@ -1,0 +1,197 @@
+//! `ihd record`: everything that a device streams, in a capture file; by the daemon if it has the device.
+
+#[cfg(feature = "daemon")]
+mod by_daemon;
+mod session;
+#[cfg(feature = "daemon")]
+mod trigger;
+#[cfg(feature = "daemon")]
+mod triggered;
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::Args;
+#[cfg(feature = "daemon")]
+use ihd_daemon::model::{RecordSettings, Trigger};
+use ihd_link::{Client, DeviceSpec, Transport};
+use ihd_shared::hob::RATED_POWER_W;
+use ihd_sim::hob::SimHob;
+use ihd_sim::transport::SharedHob;
+
+use self::session::SessionRecording;
+#[cfg(feature = "daemon")]
+use super::device::Hob;
+use super::global::Global;
+use super::simulate::quantity::quantity;
+use super::simulated::SimulatedHobArgs;
+use super::usage::Usage;
+
+/// Half-cycles per window without --windows-every.
+const WINDOWS_EVERY: u8 = 20;
+
+/// Record what a device streams: telemetry, windows of samples, faults, and the link byte for byte.
+///
+/// The file (docs/capture.md) is readable whenever the recorder ends, a kill included. A device that the daemon has is recorded by
+/// the daemon, with its store's options, into its folder `recordings`; --out downloads the file.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ihd record --device usb --out kitchen.mcap\n  \
+    ihd record --device bench --trigger 'level:power>1000' --pre-trigger 5 --duration 30\n  \
+    ihd record --device sim --power 1500 --duration 5s --out hob.mcap\n  \
+    ihd record --device tcp:127.0.0.1:4711 --max-size 100M --out long.mcap --json\n\n\
+    Exit codes: 0 recorded (a limit or ^C ended it), 1 failed, 2 wrong usage, 3 device or link")]
+pub struct RecordArgs {
+    /// The device: a name of the configuration, sim, tcp:HOST:PORT, usb, usb:SERIAL or serial:PATH
+    #[arg(long, value_name = "DEVICE", default_value = "sim")]
+    device: String,
+    /// The capture file; an existing one is never overwritten
+    #[arg(long, short, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// End after this long, in s
+    #[arg(long, value_name = "S", value_parser = quantity)]
+    duration: Option<f64>,
+    /// End when the file has this size in bytes (10M)
+    #[arg(long, value_name = "BYTES", value_parser = quantity)]
+    max_size: Option<f64>,
+    /// Trigger: now, fault, or a level that is crossed, as level:power>1000 (W), level:current>40 (A), level:resistance<2 (ohm),
+    /// level:inductance<25 (µH), level:frequency<30 (kHz)
+    #[cfg(feature = "daemon")]
+    #[arg(long, value_name = "EVENT", default_value = "now", value_parser = trigger::trigger)]
+    trigger: Trigger,
+    /// Record what came in this time before the trigger too, in s, up to 60
+    #[cfg(feature = "daemon")]
+    #[arg(long, value_name = "S", default_value = "0", value_parser = quantity)]
+    pre_trigger: f64,
+    /// Request this power in watt meanwhile; without it the device's power is not changed
+    #[arg(long, value_name = "W")]
+    power: Option<u16>,
+    /// A telemetry every so many half-cycles; 0 for none [default: 1]
+    #[arg(long, value_name = "N")]
+    telemetry_every: Option<u8>,
+    /// A window of samples every so many half-cycles; 0 for none. A window of 57 kB takes 14
+    /// half-cycles on a link of 400 kB/s, what is due sooner is dropped and counted [default: 20]
+    #[arg(long, value_name = "N")]
+    windows_every: Option<u8>,
+    #[command(flatten)]
+    simulated: SimulatedHobArgs,
+}
+
+impl RecordArgs {
+    /// Connects, records and prints the report.
+    ///
+    /// # Errors
+    /// If the device or the file fails; the data recorded until then are in the file.
+    pub fn run(&self, global: &Global) -> Result<()> {
+        self.check()?;
+        if matches!(self.device.parse(), Ok(DeviceSpec::Sim)) {
+            return self.simulated(global.json);
+        }
+        self.of_device(global)
+    }
+
+    fn check(&self) -> Result<()> {
+        let positive = |x: Option<f64>| x.is_none_or(|x| x.is_finite() && x > 0.0);
+        ensure_usage!(positive(self.duration), "--duration must be more than 0 s");
+        ensure_usage!(positive(self.max_size), "--max-size must be more than 0");
+        ensure_usage!(
+            self.power.is_none_or(|w| w <= RATED_POWER_W),
+            "--power must be at most {RATED_POWER_W} W"
+        );
+        Ok(())
+    }
+
+    /// Records a simulated hob of this process.
+    fn simulated(&self, json: bool) -> Result<()> {
+        let Some(out) = &self.out else {
+            return Err(Usage(
+                "--out FILE: a simulated hob's capture has no name of its own".into(),
+            )
+            .into());
+        };
+        #[cfg(feature = "daemon")]
+        ensure_usage!(
+            self.trigger == Trigger::Now && self.pre_trigger == 0.0,
+            "--trigger and --pre-trigger go with a device of the daemon, or at an address: `ihd hob` has one"
+        );
+        let config = self.simulated.config()?;
+        let sim = || -> Box<dyn Transport> { Box::new(SharedHob::new(SimHob::new(&config))) };
+        let client = Client::connect(DeviceSpec::Sim.open(sim)?)?;
+        self.session(out.clone(), json).run(client, false)
+    }
+
+    fn session(&self, out: PathBuf, json: bool) -> SessionRecording {
+        SessionRecording {
+            out,
+            duration: self.duration,
+            max_size: self.max_size,
+            power: self.power,
+            telemetry_every: self.telemetry_every.unwrap_or(1),
+            windows_every: self.windows_every.unwrap_or(WINDOWS_EVERY),
+            json,
+        }
+    }
+
+    /// Records a device of the configuration, or at an address.
+    #[cfg(feature = "daemon")]
+    fn of_device(&self, global: &Global) -> Result<()> {
+        let settings = RecordSettings {
+            trigger: self.trigger,
+            pre_trigger_s: self.pre_trigger,
+            duration_s: self.duration,
+        };
+        settings.check().map_err(Usage)?;
+        let config = super::configured::config(global.config.as_deref())?;
+        let (out, json) = (self.out.as_deref(), global.json);
+        match Hob::find(config, &self.device)? {
+            Hob::Daemon { client, name } => {
+                self.ensure_plain("by the daemon")?;
+                by_daemon::record(&client, &name, out, &settings, json)
+            }
+            Hob::Direct(direct) => {
+                let out = self
+                    .out
+                    .clone()
+                    .unwrap_or_else(|| triggered::file_of(direct.name()));
+                if settings.trigger != Trigger::Now {
+                    self.ensure_plain("from a trigger on")?;
+                    return triggered::record(*direct, &out, &settings, json);
+                }
+                ensure_usage!(
+                    settings.pre_trigger_s == 0.0,
+                    "without a daemon there is no data from before: --pre-trigger needs --trigger, or `ihd trainer --daemon`"
+                );
+                self.session(out, json).run(direct.into_client(), true)
+            }
+        }
+    }
+
+    /// Refuses the options that only a recording by this process from now on has.
+    #[cfg(feature = "daemon")]
+    fn ensure_plain(&self, how: &str) -> Result<()> {
+        let given = [
+            ("--max-size", self.max_size.is_some()),
+            ("--power", self.power.is_some()),
+            ("--telemetry-every", self.telemetry_every.is_some()),
+            ("--windows-every", self.windows_every.is_some()),
+        ];
+        match given.iter().find(|(_, is_given)| *is_given) {
+            None => Ok(()),
+            Some((flag, _)) => Err(Usage(format!(
+                "{flag} does not go with a recording {how}; `ihd device DEV power` heats"
+            ))
+            .into()),
+        }
+    }
+
+    /// Records a device at an address.
+    #[cfg(not(feature = "daemon"))]
+    fn of_device(&self, global: &Global) -> Result<()> {
+        let spec: DeviceSpec = self.device.parse().map_err(Usage::of)?;
+        let Some(out) = &self.out else {
+            return Err(Usage("--out FILE: where the capture goes".into()).into());
+        };
+        let client = Client::connect(spec.open(|| unreachable!("no simulated hob"))?)?;
+        self.session(out.clone(), global.json).run(client, true)
+    }
+}
