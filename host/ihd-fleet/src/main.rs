@@ -11,7 +11,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             output::complain(format_args!("ihd-fleet: {}", ihd::cli::message(&error)));
-            cli::exit_code(&error).into()
+            cli::exit_of(&error).into()
         }
     }
 }

@@ -25,7 +25,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             output::complain(format_args!("ihd: {}", cli::message(&error)));
-            cli::exit_code(&error).into()
+            cli::exit::exit_of(&error).into()
         }
     }
 }

@@ -11,7 +11,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             output::complain(format_args!("ihd-study: {}", ihd::cli::message(&error)));
-            ihd::cli::exit_code(&error).into()
+            ihd::cli::exit::exit_of(&error).into()
         }
     }
 }

@@ -100,8 +100,7 @@ fn whole_windows_are_recorded_over_usb() {
 #[ignore = "full tier: the trainer, over another link than in the tests of the workspace"]
 fn the_trainer_identifies_the_load_over_usb() {
     let (mut desk, serial) = plugged_in();
-    let line =
-        "ihd trainer --device usb --power 1000 --store none --json 2>trainer.log || cat trainer.log";
+    let line = "ihd trainer --device usb --power 1000 --store none --json 2>trainer.log || cat trainer.log";
     let answer = desk.guest.run(line, MINUTES).unwrap().text;
     println!("{answer}");
     assert!(answer.contains(&format!("usb ({serial})")), "{answer}");

@@ -12,6 +12,7 @@ mod worker;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+use ihd::cli::exit::{self, Exit};
 use ihd::cli::global::Global;
 use ihd::ensure_usage;
 
@@ -89,11 +90,11 @@ impl Cli {
     }
 }
 
-/// Exit code of an error: 7 for a fleet that needs attention, else that of `ihd`.
-pub fn exit_code(error: &anyhow::Error) -> u8 {
+/// Returns the exit of an error: [`Exit::Unfit`] for a fleet that needs attention, else that of `ihd`.
+pub fn exit_of(error: &anyhow::Error) -> Exit {
     match error.is::<StatusCheckFailed>() {
-        true => 7,
-        false => ihd::cli::exit_code(error),
+        true => Exit::Unfit,
+        false => exit::exit_of(error),
     }
 }
 

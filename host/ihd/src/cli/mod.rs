@@ -15,6 +15,7 @@ pub mod demonstration;
 #[cfg(feature = "daemon")]
 pub mod device;
 pub mod doctor;
+pub mod exit;
 pub mod flash;
 pub mod global;
 pub mod hob;
@@ -50,13 +51,6 @@ pub mod watch;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use ihd_capture::CaptureError;
-use ihd_link::LinkError;
-use ihd_sim::server::ServerError;
-use ihd_survey::SurveyError;
-use ihd_train::replay::ReplayError;
-
-use self::capture_args::IncompleteCapture;
 
 /// Identifies an induction hob's load and teaches its controller.
 #[derive(Debug, Parser)]
@@ -153,105 +147,6 @@ impl Command {
             }
         );
         Ok(())
-    }
-}
-
-/// Exit code of an error:
-///
-/// - 2: wrong usage (also reported by clap)
-/// - 3: device or link
-/// - 4: the device does not heat
-/// - 5: nothing fit for the lookup
-/// - 6: a replay that differs
-/// - 7: a capture that is unfit for identification, empty, cut or damaged
-/// - 1: anything else
-pub fn exit_code(error: &anyhow::Error) -> u8 {
-    if error.chain().any(|cause| cause.is::<usage::Usage>()) {
-        return 2;
-    }
-    #[cfg(feature = "pinn")]
-    if let Some(ihd_pinn::PinnError::UnknownName { .. }) = error.downcast_ref() {
-        return 2;
-    }
-    #[cfg(feature = "pinn")]
-    if let Some(failed) = error.downcast_ref::<ihd_train::RunFailure>() {
-        use ihd_train::TrainerError as E;
-        return match &failed.error {
-            E::Link(LinkError::Recording(_)) | E::Interrupted => 1,
-            E::Link(_) | E::Silent { .. } => 3,
-            E::Fault { .. } | E::NoPot { .. } | E::SwitchedOff { .. } => 4,
-            E::NotSettled { .. } | E::NoFit { .. } | E::Lookup(_) => 5,
-            E::Store(_) | E::Write { .. } => 1,
-        };
-    }
-    #[cfg(feature = "daemon")]
-    if let Some(error) = error.downcast_ref::<ihd_daemon::config::ConfigError>() {
-        use ihd_daemon::config::ConfigError as E;
-        return match error {
-            E::Read { .. } => 1,
-            E::Parse { .. } | E::Value { .. } => 2,
-        };
-    }
-    #[cfg(feature = "daemon")]
-    if let Some(ihd_api::ServerError::Reachable { .. } | ihd_api::ServerError::Nameless { .. }) =
-        error.downcast_ref()
-    {
-        return 2;
-    }
-    #[cfg(feature = "fleet")]
-    if error.is::<ihd_fleet::AccessError>() || error.is::<ihd_fleet::jetstream::JetStreamError>() {
-        return 3;
-    }
-    #[cfg(feature = "daemon")]
-    if let Some(code) = device::exit_code(error) {
-        return code;
-    }
-    if let Some(failure) = error.downcast_ref::<doctor::ChecksFailed>() {
-        return failure.exit_code();
-    }
-    if error.is::<ihd_flash::install::InstallError>()
-        || error.is::<ihd_flash::ProgramError>()
-        || error.is::<ihd_flash::dfu::EnterError>()
-    {
-        return 3;
-    }
-    if error.is::<replay::ReplayDiffers>() {
-        return 6;
-    }
-    #[cfg(feature = "log")]
-    if error.is::<ihd_flash::log::follow::LogError>() {
-        return 3;
-    }
-    let empty = matches!(
-        error.downcast_ref(),
-        Some(CaptureError::Empty { .. } | CaptureError::NoSamples { .. })
-    );
-    if empty
-        || error.is::<inspect::UnfitCapture>()
-        || error.is::<identify::RefusedResults>()
-        || error.is::<simulate::scenario::MissedLimits>()
-        || error.is::<inspect::SingleChannel>()
-        || error.is::<IncompleteCapture>()
-    {
-        return 7;
-    }
-    #[cfg(feature = "daemon")]
-    if error.is::<store::DamagedStore>() {
-        return 7;
-    }
-    if let Some(SurveyError::Empty { .. }) = error.downcast_ref() {
-        return 7;
-    }
-    if let Some(ReplayError::Link(_) | ReplayError::NotLocked { .. }) = error.downcast_ref() {
-        return 3;
-    }
-    if let Some(LinkError::Recording(_)) = error.downcast_ref() {
-        return 1;
-    }
-    if error.is::<LinkError>() || error.is::<ServerError>() {
-        3
-    } else {
-        1
     }
 }
 

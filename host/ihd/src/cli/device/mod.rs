@@ -11,9 +11,8 @@ mod watch;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
-use ihd_api::client::ClientError;
 use ihd_daemon::config::Config;
-use ihd_daemon::model::{Command, CommandError};
+use ihd_daemon::model::Command;
 use ihd_shared::hob::RATED_POWER_W;
 
 use super::global::Global;
@@ -89,28 +88,6 @@ enum Action {
         #[command(subcommand)]
         action: LookupAction,
     },
-}
-
-/// Exit code of an error of this command, if it has its own: 3 for device, link or a daemon that is not running, 4 for a device
-/// that does not heat.
-pub fn exit_code(error: &anyhow::Error) -> Option<u8> {
-    if error.is::<DoesNotHeat>() {
-        return Some(4);
-    }
-    let of_command = |error: &CommandError| match error {
-        CommandError::NotConnected { .. } | CommandError::Refused { .. } => 3,
-        CommandError::NoDevice { .. }
-        | CommandError::Leased { .. }
-        | CommandError::Failed { .. } => 1,
-    };
-    if let Some(error) = error.downcast_ref() {
-        return Some(of_command(error));
-    }
-    match error.downcast_ref()? {
-        ClientError::Command(error) => Some(of_command(error)),
-        ClientError::Unreachable { .. } | ClientError::UnexpectedResponse { .. } => Some(3),
-        ClientError::Refused { .. } | ClientError::Certificate { .. } => Some(1),
-    }
 }
 
 #[derive(Debug, Subcommand)]

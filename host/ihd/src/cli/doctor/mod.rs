@@ -70,16 +70,6 @@ pub enum ChecksFailed {
     NoDevice(String),
 }
 
-impl ChecksFailed {
-    /// Exit code.
-    pub fn exit_code(&self) -> u8 {
-        match self {
-            Self::Failed(_) => 1,
-            Self::NoDevice(_) => 3,
-        }
-    }
-}
-
 impl DoctorArgs {
     /// Makes the checks and prints the report.
     ///
