@@ -90,7 +90,7 @@ def bench():
     s.box(230, 100, 110, 80, "USB isolator", "5 kV test")
     s.wire((180, 140), (230, 140), cls="s"), s.wire((340, 140), (400, 140), cls="s")
     s.box(400, 80, 210, 130, "NUCLEO-G474RE", "PA8 HIN, PA9 LIN\nPA0 v, PA1 and PA7 i\nPB1 bus, PB0 mains", "board")
-    s.box(400, 270, 210, 120, "power stage", "docs/wiring.md\nF1 is OUT", "hot")
+    s.box(400, 270, 210, 120, "power stage", "docs/board.md\nF1 is OUT", "hot")
     s.wire((430, 210), (430, 270), name="HIN, LIN", at=(423, 245), anchor="end")
     s.wire((570, 210), (570, 270), name="v, i, bus, mains", at=(563, 245), anchor="end")
     s.box(30, 270, 180, 120, "DC supply", "30 to 60 V, limit 1 A\nisolated output", "hot")

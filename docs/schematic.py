@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draws docs/schematic.svg and prints the arithmetic of docs/wiring.md. Standard library only.
+"""Draws docs/schematic.svg and prints the arithmetic of docs/board.md. Standard library only.
 
     python3 docs/schematic.py            # writes docs/schematic.svg, prints the values
     python3 docs/schematic.py --check    # fails if the picture is not what this writes
@@ -728,7 +728,7 @@ def legend(s):
         "Chains: 4 resistors 1206, 0.1 %, 200 V each. U3–U5: OPA2365 on +5 V, one half spare, 100 nF each.\n"
         "316 Ω ± 1 % and 1 nF C0G ± 2 % are the anti-alias pole, 503.7 kHz, the same in both channels.\n"
         "Blue: nets. Green: pins that the firmware reads or drives today..\n"
-        "Arithmetic, errors and what they mean: docs/wiring.md. Mains parts: a start, no EMC design."
+        "Arithmetic, errors and what they mean: docs/board.md. Mains parts: a start, no EMC design."
     )
     s.text(668, y + 20, notes, "n", step=17)
     s.rect(1310, 1082, 354, 90, "s")

@@ -1,4 +1,4 @@
-"""Reads a capture with public packages only, in both ways of docs/capture.md, and compares the two.
+"""Reads a capture with public packages only, in both ways of docs/captures.md, and compares the two.
 
     pip install mcap mcap-ros2-support numpy zstandard
     python tests/read_capture.py tests/fixtures/captures/*.mcap

@@ -1,4 +1,4 @@
-// The pictures of docs/dashboard.md, of the real daemon with two simulated hobs: `IHD_SCREENSHOTS=docs/dashboard`.
+// The pictures of docs/daemon.md, of the real daemon with two simulated hobs: `IHD_SCREENSHOTS=docs/dashboard`.
 
 import assert from 'node:assert/strict';
 import { mkdir, writeFile } from 'node:fs/promises';

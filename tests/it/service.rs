@@ -187,6 +187,6 @@ fn power_can_be_tried_from_a_bench_supply() {
         }
     }
     assert_eq!(client.status().unwrap().state, State::Heating);
-    // docs/first-power-up.md, section E: 25 W at 60 V in the half-cycles that it switches.
+    // docs/bring-up.md, section E: 25 W at 60 V in the half-cycles that it switches.
     assert!((20_000..30_000).contains(&most_mw), "{most_mw}");
 }

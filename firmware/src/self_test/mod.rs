@@ -10,7 +10,7 @@
 //!
 //! Processor, RAM, watchdog, comparators and stack are registers and addresses alone:
 //! `board/stm32g474/{start_up,self_test}.rs`.
-//! docs/self-tests.md is the table of all of them. Nothing here is certified.
+//! docs/board.md is the table of all of them. Nothing here is certified.
 
 pub mod clock;
 pub mod flow;

@@ -156,7 +156,7 @@ pub enum InstallError {
     /// The image is on the chip, but the board does not answer.
     #[error(
         "the image was written and verified, but no hello came within {} s ({why}). Check the link's cable; look at the LED \
-         and at `ihd log`; docs/board.md says what they mean",
+         and at `ihd log`; docs/bring-up.md says what they mean",
         after.as_secs()
     )]
     Silent {

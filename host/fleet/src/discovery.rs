@@ -1,4 +1,4 @@
-//! MQTT discovery for Home Assistant (docs/mqtt.md): one sensor for each quantity of a hob, all of one device.
+//! MQTT discovery for Home Assistant (docs/fleet.md): one sensor for each quantity of a hob, all of one device.
 //!
 //! Keys and classes are those of Home Assistant's documents "MQTT discovery" and "MQTT sensor". MQTT does not retain what a NATS
 //! client publishes, so an edge sends these messages at its start and at each start of Home Assistant.

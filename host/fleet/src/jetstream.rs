@@ -225,7 +225,7 @@ pub fn edge_consumer(edge: &str, hobs: &[String]) -> pull::Config {
     }
 }
 
-/// Makes the consumer of an edge's results, which the edge's own key may not do (docs/fleet-security.md).
+/// Makes the consumer of an edge's results, which the edge's own key may not do (docs/fleet.md).
 ///
 /// # Errors
 /// [`JetStreamError`].

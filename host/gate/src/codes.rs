@@ -1,4 +1,4 @@
-//! Table of all codes that accompany an estimate: severity, meaning, limit, advice. The tables of docs/gate.md are generated
+//! Table of all codes that accompany an estimate: severity, meaning, limit, advice. The tables of docs/identification.md are generated
 //! from it, and a test searches the sources of all rooms for codes that are missing here.
 
 /// One code.
@@ -125,7 +125,7 @@ const CAPTURE: &[Code] = &[
         "offset",
         "warning; info for phasor methods",
         "a channel has a mean",
-        "see docs/inspect.md",
+        "see docs/captures.md",
         "zero the probe, or calibrate",
     ),
     code(
@@ -139,7 +139,7 @@ const CAPTURE: &[Code] = &[
         "noisy",
         "info (a warning in `ihd inspect`)",
         "a low signal-to-noise ratio; `uncertain` has its cost",
-        "see docs/inspect.md",
+        "see docs/captures.md",
         "use a smaller range, or more bits",
     ),
     code(
@@ -306,14 +306,14 @@ const ESTIMATORS: &[Code] = &[
         "noise_bias",
         "error",
         "noise of the current makes the linear filter's L too small by a predicted share",
-        "see docs/estimators.md",
+        "see docs/identification.md",
         "another method",
     ),
     code(
         "contradicts_least_squares",
         "warning",
         "a filter differs from least squares; its σ contains the difference",
-        "see docs/estimators.md",
+        "see docs/identification.md",
         "least-squares or pinn",
     ),
     code(
@@ -407,7 +407,7 @@ pub fn find(name: &str) -> Option<&'static Code> {
         .find(|code| code.name == name)
 }
 
-/// Renders the tables of docs/gate.md.
+/// Renders the tables of docs/identification.md.
 pub fn markdown() -> String {
     let mut text = String::new();
     for (heading, codes) in CODES {

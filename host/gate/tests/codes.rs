@@ -1,4 +1,4 @@
-//! Agreement of docs/gate.md, the table of codes and the sources.
+//! Agreement of docs/identification.md, the table of codes and the sources.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ fn root() -> PathBuf {
 
 #[test]
 fn the_document_holds_the_table() {
-    let path = root().join("docs/gate.md");
+    let path = root().join("docs/identification.md");
     let text = std::fs::read_to_string(&path).unwrap();
     let (before, rest) = text.split_once(BEGIN).expect("a mark where it begins");
     let (_, after) = rest.split_once(END).expect("a mark where it ends");

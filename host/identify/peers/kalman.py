@@ -2,7 +2,7 @@
 
 In units of the capture's rms current and voltage, R and L as means over a switching period.
 
-four: i, its change per sample, R, x4; eq. (15) to (19) with the repairs of docs/estimators.md: the change per
+four: i, its change per sample, R, x4; eq. (15) to (19) with the repairs of docs/identification.md: the change per
 sample, the voltage in the middle between two samples, L/T_s = x4 - R/2, a start from the mean phasors, Σ_w
 without its cross term. Tuned as `ihd identify --method ekf` is.
 

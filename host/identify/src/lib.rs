@@ -44,7 +44,7 @@ use serde::{Deserialize, Serialize};
 pub enum Method {
     /// Linear Kalman filter with an external derivative, paper eq. (10)-(14).
     Kf,
-    /// The paper's four-state EKF, repaired (docs/estimators.md).
+    /// The paper's four-state EKF, repaired (docs/identification.md).
     Ekf,
     /// The paper's four-state EKF literally as eq. (15)-(19) are written.
     EkfPaper,

@@ -14,7 +14,7 @@ pub const MOST_BINS: usize = 32;
 const KEPT: f64 = 0.98;
 
 /// Least relative deviations of R and L at the largest current, which no number of windows reduces; they grow as the current
-/// falls. They cover systematic errors of network, bins and sensors (.05 % of R over a half-cycle without noise, docs/pinn.md).
+/// falls. They cover systematic errors of network, bins and sensors (.05 % of R over a half-cycle without noise, docs/identification.md).
 const LEAST_SIGMA: [f64; 2] = [2e-4, 1e-4];
 
 /// Range of switching frequencies in hertz, wider than that of any hob.

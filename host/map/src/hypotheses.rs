@@ -20,7 +20,7 @@ const OF_ALL_ENTRIES: f64 = 0.5;
 
 /// Least share of "any pot", whatever the evidence. An entry is advice: it may be another pot, or forged to fit all that this hob
 /// has measured. With [`BELIEVABLE`], all entries together then move the map by at most one of this hob's own deviations in the mean
-/// of the squares, and what they add to the deviations keeps a wrong cell from being marked (docs/pots.md).
+/// of the squares, and what they add to the deviations keeps a wrong cell from being marked (docs/map.md).
 const LEAST_ANY: f64 = 0.5;
 
 /// Most deviations of "any pot", root mean square over the map, by which an entry's map may differ from it: docs/map.md

@@ -76,7 +76,7 @@ pub struct HobConfig {
     pub mains_v: f64,
     /// Bus capacitance in farad; 0: the bus is the rectified mains.
     pub bus_capacitance_f: f64,
-    /// DC voltage of a bench supply that feeds the bus instead of the mains, in volt, as in docs/first-power-up.md; the mains'
+    /// DC voltage of a bench supply that feeds the bus instead of the mains, in volt, as in docs/bring-up.md; the mains'
     /// detector then sees a transformer of [`BENCH_TRANSFORMER_V`].
     pub bench_supply_v: Option<f64>,
     /// Pot on the coil at the start.

@@ -110,7 +110,7 @@ impl Temperatures {
     }
 }
 
-/// Code of an NTC with B = 3950 K; docs/wiring.md has the divider.
+/// Code of an NTC with B = 3950 K; docs/board.md has the divider.
 fn ntc_code(ohm_at_25c: f64, celsius: f64) -> u16 {
     let ohm = ohm_at_25c * libm::exp(3_950.0 * (1.0 / (celsius + 273.15) - 1.0 / 298.15));
     (4_096.0 * ohm / (ohm + 10e3)).round().min(4_095.0) as u16

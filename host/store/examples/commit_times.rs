@@ -1,4 +1,4 @@
-//! Commit times and sizes of a store on this machine, as docs/store.md shows them:
+//! Commit times and sizes of a store on this machine, as docs/daemon.md shows them:
 //! `cargo run -p ihd-store --example commit_times [FOLDER]`.
 
 use std::error::Error;

@@ -9,7 +9,7 @@
 //! ```
 //!
 //! [`Store`] writes; one process holds it. [`Reader`] reads at the same time. When a method has returned `Ok`, its change is committed.
-//! docs/store.md has the tables, queries and what to do with a damaged file.
+//! docs/daemon.md has the tables, queries and what to do with a damaged file.
 
 mod age;
 mod backup;

@@ -7,7 +7,7 @@ use zstd::bulk::{Compressor, Decompressor};
 use zstd::zstd_safe::CParameter;
 
 /// zstd's level: the higher ones take several times as long for a few percent of such noise
-/// (docs/store.md has the figures).
+/// (docs/daemon.md has the figures).
 const LEVEL: i32 = 1;
 
 /// Most entries that are unpacked; a row that declares more is an error.

@@ -115,7 +115,7 @@ impl Pins {
     }
 
     /// The 12-bit code of a channel of ADC4: a thermistor to ground with B = 3950 K, of 10 kΩ at 25 °C on the heat sink and
-    /// 100 kΩ at glass and coil, below 10 kΩ to the reference (docs/wiring.md).
+    /// 100 kΩ at glass and coil, below 10 kΩ to the reference (docs/board.md).
     pub fn thermistor_code(&self, channel: u32) -> u32 {
         let (place, ratio_at_25_c) = match channel {
             3 => (0, 1.0),

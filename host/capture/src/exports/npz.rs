@@ -1,4 +1,4 @@
-//! Export to NumPy's NPZ, for `numpy.load`. docs/import.md lists the arrays.
+//! Export to NumPy's NPZ, for `numpy.load`. docs/captures.md lists the arrays.
 
 use std::collections::BTreeMap;
 use std::fs::File;

@@ -1,6 +1,6 @@
 //! The project's capture file: MCAP (<https://mcap.dev>) with the profile `ihd-capture 1`.
 //!
-//! docs/capture.md describes topics and layouts for people and other tools. Bulk numbers (samples,
+//! docs/captures.md describes topics and layouts for people and other tools. Bulk numbers (samples,
 //! truth) are CDR messages with a `ros2msg` schema, events are JSON with a JSON schema; both carry
 //! their own description, and public tools decode them.
 //!

@@ -1,4 +1,4 @@
-//! Profile, topics and layouts of the file, with all their names. docs/capture.md explains them.
+//! Profile, topics and layouts of the file, with all their names. docs/captures.md explains them.
 
 use schemars::{JsonSchema, SchemaGenerator};
 use serde::{Deserialize, Serialize};

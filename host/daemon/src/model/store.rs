@@ -143,7 +143,7 @@ impl StoreCause {
                 "Give the daemon's user the right to write to the store's folder and files, or mount the disk for writing. The daemon goes on by itself."
             }
             Self::Damaged => {
-                "Start the daemon again: it sets the damaged file aside and goes on with a new one. docs/store.md says what can be rescued."
+                "Start the daemon again: it sets the damaged file aside and goes on with a new one. docs/daemon.md says what can be rescued."
             }
             Self::Locked => {
                 "End the program that has opened a database of the store for writing. The daemon goes on by itself."

@@ -14,7 +14,7 @@ pub struct FitStep {
     pub change: Option<f64>,
 }
 
-/// Remark on a window or its result; codes in docs/gate.md.
+/// Remark on a window or its result; codes in docs/identification.md.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct FitRemark {
     /// Code of the remark.

@@ -8,7 +8,7 @@ use crate::{Check, Evidence};
 /// Factor by which a message scales codes.
 const PARTS: f64 = 256.0;
 
-/// Limit of the offset by docs/first-power-up.md D1: 10 mV at the pin, in codes of 0.8 mV.
+/// Limit of the offset by docs/bring-up.md D1: 10 mV at the pin, in codes of 0.8 mV.
 pub(crate) const OFFSET_CODES: f64 = 12.0;
 
 /// Limit of a channel's noise in codes rms. The converter's own noise is 0.9 (SNR of 64 dB, DS12288). 4 codes are 0.16 A; after
@@ -19,7 +19,7 @@ const NOISE_CODES: f64 = 4.0;
 const LEAST_NOISE_CODES: f64 = 0.05;
 
 /// Nominal frequency of the low-speed oscillator in hertz, and the limit in percent for the main clock's count in its periods
-/// (docs/self-tests.md: both oscillators over temperature and supply, with some margin).
+/// (docs/board.md: both oscillators over temperature and supply, with some margin).
 const LSI_HZ: f64 = 32_000.0;
 const LSI_PCT: (f64, f64) = (-8.0, 9.8);
 
@@ -38,7 +38,7 @@ const TEMPERATURE_C: (f64, f64) = (-20.0, 85.0);
 /// Compares the clocks with each other.
 pub(super) fn clocks(c: &Clocks) -> Check {
     const NAME: &str = "clocks";
-    let remedy = "Another controller: one of the oscillators is off (docs/self-tests.md)";
+    let remedy = "Another controller: one of the oscillators is off (docs/board.md)";
     if c.main_hz == 0 || c.lsi_periods == 0 {
         return Check::fail(NAME, "the low-speed oscillator stands still", remedy);
     }
@@ -108,7 +108,7 @@ pub(super) fn offsets(c: &Channels, scales: &FrontEnd) -> Check {
         NAME,
         finding,
         evidence,
-        "PA0, PA1 belong at 1.650 V (VDDA/2) within 10 mV: measure them, then the amplifiers' reference (docs/wiring.md)",
+        "PA0, PA1 belong at 1.650 V (VDDA/2) within 10 mV: measure them, then the amplifiers' reference (docs/board.md)",
     )
 }
 
@@ -226,6 +226,6 @@ pub(super) fn temperatures(status: &Status) -> Check {
         NAME,
         finding.join("; "),
         evidence,
-        "Let it cool down; else the NTC or its wiring (docs/wiring.md)",
+        "Let it cool down; else the NTC or its wiring (docs/board.md)",
     )
 }

@@ -62,7 +62,7 @@ pub(super) fn fault(status: &Status) -> Check {
         fault => Check::fail(
             NAME,
             fault.to_string(),
-            "docs/first-power-up.md has the table of faults",
+            "docs/bring-up.md has the table of faults",
         ),
     }
 }

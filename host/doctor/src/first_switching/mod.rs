@@ -135,7 +135,7 @@ fn bench_supply(status: &Status, bus_v: f64) -> Check {
     }
     if status.fault != Fault::NONE {
         return Check::not_tested(NAME, format!("{} is active", status.fault)).with_remedy(
-            "24 V~ on L and N make the zero crossings (docs/first-power-up.md, E); clear what stays: ihd device DEV clear-fault",
+            "24 V~ on L and N make the zero crossings (docs/bring-up.md, E); clear what stays: ihd device DEV clear-fault",
         );
     }
     if bus_v > most_v + MEASURED_TO_V {

@@ -35,7 +35,7 @@ const LAG_DEG: (f64, f64) = (5.0, 89.9);
 const LEAST_RESONANCE_KHZ: f64 = 19.0;
 const ABOVE_RESONANCE: f64 = 1.06;
 
-/// Limit of the skew between the channels, in nanoseconds: RC of 3 % at most, 9 ns (docs/wiring.md), and the converters' triggers.
+/// Limit of the skew between the channels, in nanoseconds: RC of 3 % at most, 9 ns (docs/board.md), and the converters' triggers.
 const SKEW_NS: f64 = 20.0;
 
 /// Range of the ratio of the channels' gains: 1 % of T1 and dividers of 0.1 %, and the reference's own error.
@@ -55,7 +55,7 @@ pub(super) fn switching(seen: &SwitchingRecord) -> Check {
         (Some(why), _) => Check::fail(
             NAME,
             format!("ended early: {why}; {finding}"),
-            "Look at the load (a short, a pan of aluminium), the supply, and the table of faults in docs/first-power-up.md",
+            "Look at the load (a short, a pan of aluminium), the supply, and the table of faults in docs/bring-up.md",
         ),
         (None, true) => Check::not_tested(
             NAME,
@@ -113,7 +113,7 @@ fn edges(period: &Period, bus_v: f64) -> Vec<Check> {
             Evidence::informative("resolution", resolution_ns, "ns"),
         ],
         "Too slow: too little current for the node's capacitance, which a switch then closes onto. Not half: one gate is \
-         late. The dead time itself is seen at the gates alone (docs/first-power-up.md, B5 and E5)",
+         late. The dead time itself is seen at the gates alone (docs/bring-up.md, B5 and E5)",
     );
     let step_v = 0.5 * (rise.step_v - fall.step_v);
     let ratio = step_v / bus_v;
@@ -128,7 +128,7 @@ fn edges(period: &Period, bus_v: f64) -> Vec<Check> {
                 COIL_OVER_BUS.0,
                 COIL_OVER_BUS.1,
             )],
-            "One of the two dividers, at PA0 or PB1, has another gain (docs/wiring.md); measure D2 and D5",
+            "One of the two dividers, at PA0 or PB1, has another gain (docs/board.md); measure D2 and D5",
         ),
         false => Check::not_tested("coil_against_bus", "the device reported no bus voltage"),
     };
@@ -177,7 +177,7 @@ fn load(period: &Period, f_sw_hz: u32) -> Vec<Check> {
             Evidence::between("lag", lag_deg, "°", LAG_DEG.0, LAG_DEG.1),
             Evidence::informative("current", z.i_a, "A"),
         ],
-        "Negative: polarity of SW − X or of T1. Else gains (docs/first-power-up.md, D), or another coil",
+        "Negative: polarity of SW − X or of T1. Else gains (docs/bring-up.md, D), or another coil",
     );
     let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
     let resonance_khz = 1e-3 / (TAU * (z.l_h * c_f).sqrt());

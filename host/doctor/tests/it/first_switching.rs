@@ -1,4 +1,4 @@
-//! First switching from a bench supply, against the numbers of docs/first-power-up.md, E.
+//! First switching from a bench supply, against the numbers of docs/bring-up.md, E.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -26,7 +26,7 @@ pub struct EventMessage {
     pub number: i64,
     /// Milliseconds since 1970, UTC.
     pub at_ms: i64,
-    /// Kind of the event (docs/store.md).
+    /// Kind of the event (docs/daemon.md).
     pub kind: String,
     /// Description.
     pub text: String,

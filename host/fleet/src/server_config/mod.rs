@@ -188,7 +188,7 @@ fn head(server: &Server) -> Result<String, ConfigError> {
         None => String::new(),
     };
     let mut text = String::from(
-        "# Made by `ihd-fleet init server-config`, which also changes it; docs/fleet-security.md says what it means.\n\
+        "# Made by `ihd-fleet init server-config`, which also changes it; docs/fleet.md says what it means.\n\
          # Passwords of MQTT are in it: for the server alone (chmod 600).\n",
     );
     let _ = writeln!(text, "server_name: {}", server.name);

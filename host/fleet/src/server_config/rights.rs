@@ -1,4 +1,4 @@
-//! Rights of each key, as subjects (explained in docs/fleet-security.md).
+//! Rights of each key, as subjects (explained in docs/fleet.md).
 //!
 //! A key has an account of its own that imports these from the site's account. Permissions within one account would not
 //! suffice: the server checks the subject of a request, not the subject of its answer, and JetStream answers with rights

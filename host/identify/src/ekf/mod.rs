@@ -2,7 +2,7 @@
 //!
 //! The repaired filter works in units of the capture's own rms current and voltage, so that a probe of another ratio changes only
 //! the units of the result. It takes the measurement noise from the capture ([`WhiteNoise`]). The reasons for its tuning are in
-//! docs/estimators.md.
+//! docs/identification.md.
 
 pub mod literal;
 pub mod rts;

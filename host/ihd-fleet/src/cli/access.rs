@@ -17,7 +17,7 @@ pub struct AccessArgs {
     /// [fleet] of ihd.toml
     #[arg(long, global = true, value_name = "URL")]
     url: Option<String>,
-    /// File with an NKey's seed (docs/fleet-security.md)
+    /// File with an NKey's seed (docs/fleet.md)
     #[arg(
         long,
         global = true,

@@ -39,7 +39,7 @@ pub struct InitArgs {
     /// Copies of everything in a cluster: 1, 3 or 5
     #[arg(long, value_name = "N", default_value_t = Limits::default().replicas, value_parser = clap::value_parser!(u8).range(1..=5))]
     replicas: u8,
-    /// An edge and its hobs, where its key may not make its own consumer (docs/fleet-security.md); may be given again
+    /// An edge and its hobs, where its key may not make its own consumer (docs/fleet.md); may be given again
     #[arg(long = "edge", value_name = "EDGE=HOB,…", value_parser = edge)]
     edges: Vec<(String, Vec<String>)>,
     /// An edge whose store is gone for good: the next daemon of that name has it; may be given again

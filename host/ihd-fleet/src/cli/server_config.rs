@@ -10,7 +10,7 @@ use ihd_fleet::server_config::{self, ConfigError, Edge, Server, Site, Tls};
 /// Print the configuration of a NATS server on which every edge and every worker has a key of its own
 ///
 /// Makes a key for each in the folder of keys, a file a key, for its owner alone; those that are there stay. Who is left out the next time
-/// is shut out once the server has read the configuration again (docs/fleet-security.md).
+/// is shut out once the server has read the configuration again (docs/fleet.md).
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd-fleet init server-config --site lab --edge lab-1=bench,kitchen --workers 2 --tls tls > nats.conf\n  \
@@ -43,7 +43,7 @@ pub struct ServerConfigArgs {
     /// Address to listen on
     #[arg(long, value_name = "ADDRESS", default_value = "0.0.0.0:4222")]
     listen: String,
-    /// Address to listen on for MQTT (docs/mqtt.md)
+    /// Address to listen on for MQTT (docs/fleet.md)
     #[arg(long, value_name = "ADDRESS")]
     mqtt: Option<String>,
 }

@@ -25,7 +25,7 @@ pub enum Invert {
     I,
 }
 
-/// Capture, and how it is read. Formats and detection: docs/import.md.
+/// Capture, and how it is read. Formats and detection: docs/captures.md.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Capture")]
 pub struct CaptureArgs {

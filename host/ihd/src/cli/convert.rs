@@ -15,7 +15,7 @@ use super::usage::Usage;
 
 /// Convert a capture: what scopes write to MCAP, CSV, NPZ or Parquet.
 ///
-/// Formats are recognised by content when reading, by the ending when writing. docs/import.md lists them,
+/// Formats are recognised by content when reading, by the ending when writing. docs/captures.md lists them,
 /// what is detected and what --input states.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \

@@ -89,7 +89,7 @@ pub struct SimOptions {
     #[arg(long, value_name = "HZ", default_value_t = 50.0)]
     mains: f64,
     /// Voltage of a bench supply that feeds the bus instead of the mains of 230 V. A transformer of 24 V then feeds the mains'
-    /// detector, as for a first switching on a desk (docs/first-power-up.md, section E).
+    /// detector, as for a first switching on a desk (docs/bring-up.md, section E).
     #[arg(long, value_name = "V")]
     bench_supply: Option<f64>,
     /// White noise on both channels as a signal-to-noise ratio in decibel at 45 kHz and full

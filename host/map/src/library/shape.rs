@@ -25,7 +25,7 @@ const LEAST_MISFIT: f64 = 0.004;
 /// Variance as a share of the misfit's, which keeps the interpolation bounded far from its points.
 const NUGGET: f64 = 1e-3;
 
-/// Share of the misfit that changes with coil and lift (docs/pots.md).
+/// Share of the misfit that changes with coil and lift (docs/map.md).
 const TRANSFER: f64 = 0.1;
 
 /// Places of the stored shape as frequency in hertz and current in ampere; places of one frequency are adjacent.

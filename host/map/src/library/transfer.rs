@@ -7,7 +7,7 @@ use crate::parameters::{self, COUNT, OF_POT, PotSpread, Prior};
 
 /// Deviations between two hobs of α (its ln), s (its ln) and the base's radius in metre, beside the deviations of each entry.
 /// ln s: a pot may be taught warm and met cold, half of 1.1e-3 to 1.9e-3 per kelvin (ferritic steel, cast iron) over some 80 K.
-/// The others come from coils that differ from the paper's (docs/pots.md, "What transfers").
+/// The others come from coils that differ from the paper's (docs/map.md, "What transfers").
 const TRANSFER: [f64; OF_POT] = [0.06, 0.06, 1.5e-3];
 
 /// Squared distance above which two pots differ: chance exceeds it in 1 % with three numbers.

@@ -11,7 +11,7 @@ fn repaired(change: impl FnOnce(&mut ViMlp)) -> Config {
     config
 }
 
-/// Settings of each ablation, written in Rust: their digits are in docs/pinn.md.
+/// Settings of each ablation, written in Rust: their digits are in docs/identification.md.
 fn ablations() -> [(&'static str, Config); 8] {
     let hybrid = Config::default;
     [
@@ -87,7 +87,7 @@ fn the_ablations_files_are_what_the_document_measured() {
 
 #[test]
 fn the_document_lists_every_preset() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/pinn.md");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/identification.md");
     let document = std::fs::read_to_string(path).expect("in the repository");
     for name in PresetLibrary::default().names() {
         assert!(document.contains(&format!("| `{name}` |")), "{name}");

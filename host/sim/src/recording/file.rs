@@ -1,4 +1,4 @@
-//! Recordings on disk: capture files (docs/capture.md) with the converters' codes, the truth of
+//! Recordings on disk: capture files (docs/captures.md) with the converters' codes, the truth of
 //! every switching period, and the settings that made them.
 
 use std::path::Path;

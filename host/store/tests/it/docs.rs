@@ -1,4 +1,4 @@
-//! docs/store.md shows the tables as they are; `UPDATE_DOCS=1` rewrites them.
+//! docs/daemon.md shows the tables as they are; `UPDATE_DOCS=1` rewrites them.
 
 use std::fs;
 
@@ -10,7 +10,7 @@ const END: &str = "<!-- end of tables -->";
 
 #[test]
 fn the_tables_are_documented_as_they_are() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/store.md");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/daemon.md");
     let text = fs::read_to_string(path).unwrap();
     let (before, rest) = text.split_once(BEGIN).unwrap();
     let (shown, after) = rest.split_once(END).unwrap();
@@ -25,7 +25,7 @@ fn the_tables_are_documented_as_they_are() {
     } else {
         assert!(
             shown == tables,
-            "docs/store.md is not up to date: UPDATE_DOCS=1"
+            "docs/daemon.md is not up to date: UPDATE_DOCS=1"
         );
     }
 }

@@ -16,7 +16,7 @@ use ihd::cli::output;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd-study estimators --quick\n  \
-    ihd-study estimators --seeds 10 --out study --docs docs/accuracy.md\n  \
+    ihd-study estimators --seeds 10 --out study --docs docs/results/estimators.md\n  \
     ihd-study estimators --quick --json --method lockin,least-squares")]
 pub struct EstimatorsArgs {
     /// Estimators, with commas between them, or all

@@ -1,4 +1,4 @@
-//! The study as Markdown, for docs/accuracy.md.
+//! The study as Markdown, for docs/results/estimators.md.
 
 use std::fmt::Write;
 
@@ -6,7 +6,7 @@ use ihd_identify::Method;
 
 use super::{Cell, Errors, F_SW_HZ, Reference, SNR_DB, published};
 
-/// First line of the section in docs/accuracy.md.
+/// First line of the section in docs/results/estimators.md.
 pub const BEGIN: &str = "<!-- ihd-study estimators: begin -->";
 
 /// Last line of the section.

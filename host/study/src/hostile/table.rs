@@ -1,4 +1,4 @@
-//! The study as Markdown, for docs/accuracy.md, and its verdict.
+//! The study as Markdown, for docs/results/hostile.md, and its verdict.
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -10,7 +10,7 @@ use super::case::Group;
 use super::run::Run;
 use super::score::{Errors, Judgement, LIMIT_L_PCT, LIMIT_R_PCT};
 
-/// First line of the section in docs/accuracy.md.
+/// First line of the section in docs/results/hostile.md.
 pub const BEGIN: &str = "<!-- ihd-study hostile: begin -->";
 
 /// Last line of the section.

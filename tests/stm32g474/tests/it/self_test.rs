@@ -1,4 +1,4 @@
-//! The self-tests (docs/self-tests.md): each finds its fault, and none finds one on a healthy board.
+//! The self-tests (docs/board.md): each finds its fault, and none finds one on a healthy board.
 
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;

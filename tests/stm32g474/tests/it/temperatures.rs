@@ -5,7 +5,7 @@ use ihd_stm32g474::registers::adc4;
 
 use crate::board::{assert_no_violations, connect, with_pot};
 
-/// Channels of heat sink, glass and coil (docs/wiring.md).
+/// Channels of heat sink, glass and coil (docs/board.md).
 const CHANNELS: [usize; 3] = [3, 4, 5];
 
 #[test]

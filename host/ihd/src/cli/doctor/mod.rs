@@ -34,7 +34,7 @@ use super::{interrupt, output};
     sudo ihd doctor --fix                        (installs the udev rule)\n  \
     ihd doctor usb --first-switching             (30 to 60 V, limit 1 A, on the DC link; asks before)\n  \
     ihd doctor sim                               (what it says of the simulated hob)\n\n\
-    Every check passes, fails, or is not tested and says why: docs/doctor.md.\n\
+    Every check passes, fails, or is not tested and says why: docs/bring-up.md.\n\
     Exit codes: 0 nothing failed, 1 a check failed, 2 wrong usage, 3 no device, or it was lost")]
 pub struct DoctorArgs {
     /// The device
@@ -298,7 +298,7 @@ const BEFORE: &str = "First switching: the bridge will switch for up to 5 s with
     - 24 V~ on L and N for the zero crossings\n  \
     - coil, and a ferromagnetic pot on it; nothing else near the coil\n  \
     - USB isolator between the board and this computer\n  \
-    - sections A to D of docs/first-power-up.md are done\n\n\
+    - sections A to D of docs/bring-up.md are done\n\n\
     ^C switches off. Type `switch` to go on: ";
 
 /// Asks the user for permission to switch; returns `true` if granted.

@@ -167,7 +167,8 @@ fn text(done: &InstallReport, took: Duration) -> String {
                 heard.build, heard.link
             );
             if let Some((number, name)) = &heard.fault {
-                text += &format!("fault      {number}, {name}: docs/board.md says what it wants\n");
+                text +=
+                    &format!("fault      {number}, {name}: docs/bring-up.md says what it wants\n");
             }
         }
         (None, why) => {

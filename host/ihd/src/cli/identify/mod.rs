@@ -25,7 +25,7 @@ use crate::report::identified;
 ///
 /// Switching frequency and mains are found in the capture where they are not given. A method that
 /// fails on a stretch reports why; the others go on. Every result is judged: by what the capture shows,
-/// by its own uncertainty, and against least squares of the same stretch (docs/gate.md).
+/// by its own uncertainty, and against least squares of the same stretch (docs/identification.md).
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd identify capture.csv\n  \

@@ -32,7 +32,7 @@ const WINDOWS_EVERY: u8 = 20;
 
 /// Record what a device streams: telemetry, windows of samples, faults, and the link byte for byte.
 ///
-/// The file (docs/capture.md) is readable whenever the recorder ends, a kill included. A device that the daemon has is recorded by
+/// The file (docs/captures.md) is readable whenever the recorder ends, a kill included. A device that the daemon has is recorded by
 /// the daemon, with its store's options, into its folder `recordings`; --out downloads the file.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \

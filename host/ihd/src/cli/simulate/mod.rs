@@ -81,7 +81,7 @@ pub struct SimulateArgs {
     /// Seed of noise and spikes
     #[arg(long)]
     seed: Option<u64>,
-    /// Write the recording to this file (MCAP, docs/capture.md)
+    /// Write the recording to this file (MCAP, docs/captures.md)
     #[arg(long, short)]
     out: Option<PathBuf>,
     /// Write the waveforms without noise and quantising too

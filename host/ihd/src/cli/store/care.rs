@@ -10,12 +10,12 @@ use serde_json::json;
 use super::super::output;
 use super::place::Place;
 
-/// Bytes of a window if there are too few to measure it (docs/store.md).
+/// Bytes of a window if there are too few to measure it (docs/daemon.md).
 const BYTES_A_WINDOW: f64 = 30.8e3;
 
 /// Error for a damaged store.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the store is damaged: {0}; docs/store.md says what to do")]
+#[error("the store is damaged: {0}; docs/daemon.md says what to do")]
 pub struct DamagedStore(String);
 
 /// Check every page, index, window and lookup.

@@ -14,7 +14,7 @@ use place::PlaceArgs;
 
 /// Query the daemon's store: results, windows, lookups; export, check, back up, collect.
 ///
-/// All but `check --collect` work beside a running daemon. docs/store.md has the tables, and queries in SQL, Python and MATLAB.
+/// All but `check --collect` work beside a running daemon. docs/daemon.md has the tables, and queries in SQL, Python and MATLAB.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd store ls --device bench --limit 20\n  \
