@@ -9,9 +9,10 @@
 use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use ihd_firmware::retained::reset::{CrashRecord, ResetReason, WORDS};
+use ihd_firmware::retained::control::RetainedControl;
 #[cfg(feature = "stm32g474")]
-use ihd_firmware::retained::reset::{NEXT_BOOTLOADER, ResetFlags};
+use ihd_firmware::retained::reset::NEXT_BOOTLOADER;
+use ihd_firmware::retained::reset::{CrashRecord, ResetFlags, ResetReason, WORDS};
 
 #[cfg(feature = "stm32g474")]
 use ihd_shared::wire::messages::Program;
@@ -71,26 +72,35 @@ pub fn ran_well() {
     set_ends(0);
 }
 
-/// Reads the record that the last run left, and counts this start.
-pub fn read_crash_record() -> Option<CrashRecord> {
+/// Reads the record that the last run left, and counts this start, which had these reset flags.
+pub fn read_crash_record(flags: ResetFlags) -> Option<CrashRecord> {
     let mut words = [0; WORDS];
     for (word, slot) in words.iter_mut().zip(&CRASH_RECORD) {
         *word = slot.load(Ordering::Relaxed);
     }
     let last = CrashRecord::from_words(words);
-    write(CrashRecord {
-        starts: last.map_or(0, |record| record.starts.wrapping_add(1)),
-        ..CrashRecord::default()
-    });
+    write(CrashRecord::begun(last, flags));
     last
 }
 
 /// Notes the active fault, for whatever may come.
 pub fn note_fault(number: u16) {
-    let record = CrashRecord {
+    note(CrashRecord {
         fault: number,
         ..stored_record()
-    };
+    });
+}
+
+/// Notes the active fault, and what control keeps through a reset.
+pub fn note_state(fault: u16, control: RetainedControl) {
+    note(CrashRecord {
+        fault,
+        control,
+        ..stored_record()
+    });
+}
+
+fn note(record: CrashRecord) {
     if record != stored_record() {
         write(record);
     }

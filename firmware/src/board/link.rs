@@ -135,8 +135,10 @@ pub async fn run(
             Some(Either3::Third(n)) => out.sent += n,
             None => {
                 housekeeping.poll(&mut path);
+                // Before anything that may lead to a reset.
+                let fault = path.with(|rt| rt.fault());
+                crash::note_state(fault.number(), housekeeping.control().retained());
                 tick(housekeeping, &mut path);
-                crash::note_fault(path.with(|rt| rt.fault()).number());
                 // Where a turn takes longer than a block, nothing above ever waits: the executor's other tasks would get no
                 // turn at all.
                 yield_now().await;

@@ -19,6 +19,7 @@ use crate::limits::{
     BUS_MIN_DV, BUS_TRIP_DV, COMPARED_FROM_DV, GIVE_UP_MS, HALF_CYCLE_MAX_NS, HALF_CYCLE_MIN_NS,
     POT_CURRENT_MIN_MA, UNJUDGED_MS,
 };
+use crate::retained::control::RetainedControl;
 use crate::sampling::half_cycle::HalfCycle;
 
 /// Half-cycles of a mains that is as it must be before a pause for its sake ends.
@@ -127,6 +128,31 @@ impl Control {
     /// Heat sink, glass, coil and fan.
     pub fn temperatures(&self) -> &Temperatures {
         &self.parts.temperatures
+    }
+}
+
+/// What outlives a reset.
+impl Control {
+    /// State to be kept through a reset.
+    pub fn retained(&self) -> RetainedControl {
+        let (request, restart) = (&self.parts.request, &self.parts.restart);
+        RetainedControl {
+            locked_out: restart.is_locked_out(),
+            tries_used: restart.tries_used(),
+            panel_off: request.level() == Some(0),
+            key_locked: request.is_key_locked(),
+        }
+    }
+
+    /// Goes on with what was kept; a fault that is active then has been seen. To be called once, before anything else.
+    pub fn restore(&mut self, kept: RetainedControl, status: &SamplingStatus) {
+        self.parts.request = PowerRequest::restored(kept.panel_off, kept.key_locked);
+        let (tries_used, locked_out) = (kept.tries_used, kept.locked_out);
+        self.parts.restart = RestartPolicy::restored(tries_used, locked_out, status.now_ms);
+        if locked_out {
+            self.seen_fault = status.fault;
+            self.enter(ControlState::LockedOut);
+        }
     }
 }
 
@@ -323,9 +349,11 @@ impl Control {
     fn tripped(&mut self, status: &SamplingStatus) {
         self.good_half_cycles = 0;
         self.plausibility.reset();
-        // A recording costs no try: no power flows.
-        let locked_out = !status.replaying
-            && self.parts.restart.tripped(status.fault, status.now_ms) == RestartVerdict::LockOut;
+        // A recording costs no try, as no power flows, and ends no lock-out.
+        let locked_out = self.parts.restart.is_locked_out()
+            || (!status.replaying
+                && self.parts.restart.tripped(status.fault, status.now_ms)
+                    == RestartVerdict::LockOut);
         self.enter(if locked_out {
             ControlState::LockedOut
         } else {

@@ -53,6 +53,15 @@ pub enum PanelResult {
 }
 
 impl PowerRequest {
+    /// The requests after a reset: none, and what the panel refused is still refused.
+    pub fn restored(panel_off: bool, key_locked: bool) -> Self {
+        Self {
+            level: panel_off.then_some(0),
+            key_locked,
+            host_w: None,
+        }
+    }
+
     /// Takes a touch of the panel.
     pub fn panel(&mut self, event: PanelEvent) -> PanelResult {
         match event {

@@ -8,7 +8,7 @@
 //!
 //! Every start passes [`RestartPolicy::permits`], from panel and host alike. A lock-out ends when a person switches off
 //! and on at the panel, or takes the mains away; nothing that comes over the link ends it, brings a
-//! try back or makes a pause shorter. Thirty seconds of heating without a trip give the tries back.
+//! try back or makes a pause shorter, a reset included ([`crate::retained::control`]). Thirty seconds of heating without a trip give the tries back.
 
 use ihd_shared::fault::{Fault, RestartClass};
 
@@ -34,6 +34,19 @@ pub struct RestartPolicy {
 }
 
 impl RestartPolicy {
+    /// The policy after a reset: as many tries are used up, and the last one's pause begins anew.
+    pub fn restored(tries_used: u8, locked_out: bool, now_ms: u32) -> Self {
+        let mut restored = Self {
+            tries_used: tries_used.min(TRIES),
+            locked_out,
+            ..Self::default()
+        };
+        if let Some(last_try) = restored.tries_used.checked_sub(1) {
+            restored.not_before(now_ms, FIRST_PAUSE_MS << last_try);
+        }
+        restored
+    }
+
     /// Returns `true` if the bridge may be started now.
     pub fn permits(&mut self, now_ms: u32) -> bool {
         if self.not_before_ms.is_some_and(|at| is_reached(now_ms, at)) {
@@ -87,6 +100,11 @@ impl RestartPolicy {
     /// Returns `true` if only a person at the panel can end it.
     pub fn is_locked_out(&self) -> bool {
         self.locked_out
+    }
+
+    /// Starts after trips that are used up.
+    pub fn tries_used(&self) -> u8 {
+        self.tries_used
     }
 
     /// Starts after trips that are left.

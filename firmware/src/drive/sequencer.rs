@@ -104,7 +104,7 @@ impl DriveSequencer {
     /// Withdraws what was requested: off.
     pub fn withdraw(&mut self) {
         self.requested = Drive::OFF;
-        self.off_at_crossing = false;
+        (self.off_at_crossing, self.probing) = (false, false);
     }
 
     /// Varies the switching frequency from half-cycle to half-cycle, in permille, at most
@@ -184,14 +184,11 @@ impl DriveSequencer {
         if self.drive.bridge == Bridge::LowerOn {
             self.lower_on_ns = self.lower_on_ns.saturating_add(block.block_ns);
         }
-        if at_crossing && self.off_at_crossing {
+        // A fault ends the request too: a bridge that is open for good is off.
+        if block.is_faulty || (at_crossing && self.off_at_crossing) {
             self.withdraw();
         }
-        let requested = if block.is_faulty {
-            Drive::OFF
-        } else {
-            self.dithered(block.dithered_half_cycle)
-        };
+        let requested = self.dithered(block.dithered_half_cycle);
         self.tank_discharged |= at_crossing && self.drive.bridge == Bridge::Open;
         let may_start = block.bus_dv < BUS_AT_START_DV || self.lower_on_ns > IDLE_LINK_NS;
         let may_change = at_crossing && (self.drive.is_switching() || may_start);

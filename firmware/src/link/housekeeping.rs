@@ -28,6 +28,7 @@ use crate::link::report;
 use crate::link::response::Response;
 use crate::link::service::{BoardServices, BoardTest, Service};
 use crate::link::transmit_queue::TransmitQueue;
+use crate::retained::control::RetainedControl;
 use crate::sampling::half_cycle::HalfCycle;
 use crate::sampling::path::{SamplingLock, SamplingPath};
 
@@ -71,6 +72,22 @@ impl Housekeeping {
     /// Starts from a lookup that was kept, in place of the prior ([`ActiveLookup::restore`]).
     pub fn restore(&mut self, lookup: RlLookup) {
         self.lookup.restore(lookup);
+    }
+
+    /// Goes on with what control kept through a reset; `fault` was active then, and is again if it has locked out.
+    pub fn restore_control(
+        &mut self,
+        lock: &mut impl SamplingLock,
+        kept: RetainedControl,
+        fault: Fault,
+    ) {
+        let status = lock.with(|rt| {
+            if kept.locked_out {
+                rt.raise(fault);
+            }
+            SamplingStatus::read(rt)
+        });
+        self.control.restore(kept, &status);
     }
 
     /// Sets the identity of the device, before a host connects.

@@ -2,8 +2,10 @@
 //!
 //! | module | where | outlives | content |
 //! |---|---|---|---|
-//! | [`reset`] | four words of RAM | reset | reason of the reset, active fault, number of starts |
+//! | [`reset`] | four words of RAM | reset | reason of the reset, active fault, number of starts, and [`control`] |
+//! | [`control`] | one byte of these | reset | lock-out, tries used, panel off, key lock |
 //! | [`nonvolatile`] | two pages of flash | loss of power | the last good lookup |
 
+pub mod control;
 pub mod nonvolatile;
 pub mod reset;

@@ -1,6 +1,10 @@
 //! Reason of the last reset: the hardware's flags, and the crash record in memory that a reset
 //! does not clear.
 
+use ihd_shared::fault::{Fault, RestartClass};
+
+use crate::retained::control::RetainedControl;
+
 /// Reason in [`ihd_shared::wire::messages::Hello::reset_reason`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
@@ -51,6 +55,8 @@ pub struct CrashRecord {
     pub fault: u16,
     /// Starts since power came on.
     pub starts: u16,
+    /// Lock-out and panel, as they were last.
+    pub control: RetainedControl,
 }
 
 impl CrashRecord {
@@ -60,6 +66,7 @@ impl CrashRecord {
             Some(reason) => reason as u32,
             None => 0xFF,
         };
+        let reason = reason | (self.control.to_byte() as u32) << 8;
         let counts = (self.fault as u32) << 16 | self.starts as u32;
         [MAGIC, reason, counts, !(MAGIC ^ reason ^ counts)]
     }
@@ -70,7 +77,8 @@ impl CrashRecord {
         if magic != MAGIC || check != !(magic ^ reason ^ counts) {
             return None;
         }
-        let reason = match reason {
+        let control = RetainedControl::from_byte((reason >> 8) as u8);
+        let reason = match reason & 0xFF {
             2 => Some(ResetReason::Panic),
             6 => Some(ResetReason::StackOverflow),
             5 => Some(ResetReason::Software),
@@ -80,7 +88,37 @@ impl CrashRecord {
             reason,
             fault: (counts >> 16) as u16,
             starts: counts as u16,
+            control,
         })
+    }
+
+    /// What control begins with after `last`: the loss of power ends a lock-out, no other reset does. A fault of the
+    /// controller itself that ended a run locks out, though control did not live to see it.
+    pub fn kept_control(last: Option<Self>, flags: ResetFlags) -> (RetainedControl, Fault) {
+        let Some(last) = last.filter(|_| !flags.brown_out) else {
+            return (RetainedControl::default(), Fault::NONE);
+        };
+        let fault = Fault::from_number(last.fault);
+        let control = RetainedControl {
+            locked_out: last.control.locked_out || fault.class() == RestartClass::Standing,
+            ..last.control
+        };
+        (control, fault)
+    }
+
+    /// The record of the run that begins after `last`: whatever ends it before control has begun, a lock-out stays.
+    pub fn begun(last: Option<Self>, flags: ResetFlags) -> Self {
+        let (control, fault) = Self::kept_control(last, flags);
+        Self {
+            reason: None,
+            fault: if control.locked_out {
+                fault.number()
+            } else {
+                0
+            },
+            starts: last.map_or(0, |record| record.starts.wrapping_add(1)),
+            control,
+        }
     }
 }
 
@@ -118,7 +156,58 @@ mod tests {
         reason: Some(ResetReason::Panic),
         fault: 4,
         starts: 3,
+        control: RetainedControl {
+            locked_out: true,
+            tries_used: 3,
+            panel_off: true,
+            key_locked: false,
+        },
     };
+
+    #[test]
+    fn a_lock_out_outlasts_every_reset_but_the_loss_of_power() {
+        let none = ResetFlags::default();
+        let flags = |watchdog, software, pin| ResetFlags {
+            watchdog,
+            software,
+            pin,
+            ..none
+        };
+        for flags in [
+            flags(true, false, true),
+            flags(false, true, true),
+            flags(false, false, true),
+        ] {
+            // However often: each run's record is what the next one finds.
+            let mut last = Some(PANICKED);
+            for _ in 0..3 {
+                let (kept, fault) = CrashRecord::kept_control(last, flags);
+                assert_eq!((kept, fault.number()), (PANICKED.control, 4));
+                last = CrashRecord::from_words(CrashRecord::begun(last, flags).to_words());
+            }
+        }
+        let power = ResetFlags {
+            brown_out: true,
+            ..none
+        };
+        for last in [Some(PANICKED), None] {
+            let (kept, fault) = CrashRecord::kept_control(last, power);
+            assert_eq!((kept, fault), (RetainedControl::default(), Fault::NONE));
+        }
+        // A word of flash with two wrong bits: no code ran after it.
+        let damaged = CrashRecord {
+            fault: Fault::FLASH_ECC.number(),
+            ..CrashRecord::default()
+        };
+        assert!(CrashRecord::kept_control(Some(damaged), none).0.locked_out);
+        // A fault of the mains passes.
+        let mains = CrashRecord {
+            fault: Fault::MAINS_LOST.number(),
+            ..CrashRecord::default()
+        };
+        assert!(!CrashRecord::kept_control(Some(mains), none).0.locked_out);
+        assert_eq!(CrashRecord::begun(Some(mains), none).fault, 0);
+    }
 
     #[test]
     fn a_record_survives_and_noise_does_not_count() {

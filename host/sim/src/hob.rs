@@ -321,10 +321,16 @@ impl SimHob {
 
     /// Restarts the controller as after a reset, with an empty link; pot, mains and temperatures continue.
     fn restart(&mut self) {
+        let (kept, fault) = (
+            self.housekeeping.control().retained(),
+            self.realtime.fault(),
+        );
         self.starts = self.starts.saturating_add(1);
         self.boot_id = self.boot_id.wrapping_add(1);
         self.realtime = booted_realtime();
         self.housekeeping = booted_housekeeping(self.boot_id, ResetReason::Software, self.starts);
+        self.housekeeping
+            .restore_control(&mut *self.realtime, kept, fault);
         self.heartbeat = Heartbeat::default();
         self.zero_crossing = ZeroCrossingDetector::default();
         self.inbound.clear();

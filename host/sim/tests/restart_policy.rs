@@ -9,11 +9,11 @@ use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
-    ClearFault, Configure, GetStatus, Message, PushLookup, Raw, ReplayEnd, ReplayStart,
-    ResetLookup, SetPower, State, Stream,
+    ClearFault, Configure, GetStatus, Message, Program, PushLookup, Raw, ReplayEnd, ReplayStart,
+    ResetLookup, Restart, SetPower, State, Stream, TestChannels,
 };
 use ihd_shared::wire::number::Number;
-use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::hob::{HobConfig, PanelEvent, SimHob};
 use ihd_sim::injection::{Injection, InjectionKind};
 use ihd_sim::recording::settings::LoadKind;
 use proptest::prelude::*;
@@ -31,6 +31,8 @@ enum Sent {
     ResetLookup,
     Configure,
     Replay,
+    Restart,
+    TestChannels,
 }
 
 fn sent() -> impl Strategy<Value = Sent> {
@@ -46,6 +48,8 @@ fn sent() -> impl Strategy<Value = Sent> {
         1 => Just(Sent::ResetLookup),
         1 => Just(Sent::Configure),
         1 => Just(Sent::Replay),
+        1 => Just(Sent::Restart),
+        1 => Just(Sent::TestChannels),
     ]
 }
 
@@ -134,7 +138,24 @@ impl Bench {
                 });
                 self.frame(&ReplayEnd {});
             }
+            Sent::Restart => self.frame(&Restart {
+                into: Program::Firmware,
+            }),
+            Sent::TestChannels => self.frame(&TestChannels {}),
         }
+    }
+
+    /// A current sensor whose gain is wrong, which trips each try; returns its number.
+    fn mistune(&mut self) -> u32 {
+        let mut number = 0;
+        self.hob.inject(|injections| {
+            number = injections.start(Injection {
+                kind: InjectionKind::CurrentGain,
+                value: 0.7,
+                channel: InjectionKind::CurrentGain.default_channel(),
+            });
+        });
+        number
     }
 
     /// Runs for a time, with `check` after each block.
@@ -157,6 +178,78 @@ impl Bench {
         let mut bytes = [0; 4_096];
         while self.hob.receive(&mut bytes) > 0 {}
     }
+}
+
+/// A hob that locked out while it heated, with the cause gone and the power still requested.
+fn locked_out() -> Bench {
+    let mut bench = Bench::new("ferritic-21");
+    let number = bench.mistune();
+    bench.send(&Sent::SetPower(2_000));
+    for _ in 0..200 {
+        bench.run(0.1, |_| ());
+        bench.send(&Sent::GetStatus);
+        if bench.hob.housekeeping().control().state() == State::LockedOut {
+            break;
+        }
+    }
+    bench.hob.inject(|injections| injections.end(number));
+    bench.on_s = 0.0;
+    bench
+}
+
+fn assert_locked_out(hob: &SimHob) {
+    assert_eq!(hob.housekeeping().control().state(), State::LockedOut);
+    assert_ne!(hob.realtime().fault(), Fault::NONE);
+}
+
+/// Locked out, the board is off: service may restart it. What it was locked out for does not go with the reset.
+#[test]
+fn a_restart_over_the_link_is_carried_out_and_ends_no_lock_out() {
+    let mut bench = locked_out();
+    for _ in 0..2 {
+        bench.send(&Sent::Restart);
+        bench.run(0.3, assert_locked_out);
+        let since_boot_ms = bench.hob.realtime().now_ms();
+        assert!(since_boot_ms < 300, "not restarted for {since_boot_ms} ms");
+        bench.send(&Sent::Hello);
+        bench.send(&Sent::SetPower(2_000));
+        bench.run(0.5, assert_locked_out);
+    }
+    assert_eq!(bench.on_s, 0.0);
+    // A person at the panel.
+    for level in [0, 7] {
+        bench.hob.panel(PanelEvent::Level(level));
+    }
+    bench.run(0.5, |_| ());
+    let control = bench.hob.housekeeping().control();
+    assert_eq!(control.state(), State::Heating);
+}
+
+/// Neither a try nor the panel's refusal is forgotten by a reset.
+#[test]
+fn a_restart_brings_no_try_back_and_does_not_switch_the_panel_on() {
+    let mut bench = Bench::new("ferritic-21");
+    bench.hob.panel(PanelEvent::Level(0));
+    bench.send(&Sent::Restart);
+    bench.run(0.3, |_| ());
+    bench.send(&Sent::Hello);
+    bench.send(&Sent::SetPower(2_000));
+    bench.run(0.3, |_| ());
+    assert_eq!(bench.hob.housekeeping().control().asked_w(), 0);
+    assert_eq!(bench.on_s, 0.0);
+    bench.hob.panel(PanelEvent::Level(7));
+    bench.mistune();
+    let tries = |bench: &Bench| bench.hob.housekeeping().control().restart().tries_left();
+    let full = tries(&bench);
+    while tries(&bench) == full {
+        bench.run(0.1, |_| ());
+    }
+    let left = tries(&bench);
+    bench.hob.panel(PanelEvent::Level(0));
+    bench.send(&Sent::Restart);
+    bench.run(0.3, |_| ());
+    assert!(bench.hob.realtime().now_ms() < 300);
+    assert_eq!(tries(&bench), left);
 }
 
 /// Number of conversations, some seconds of a hob each: that of `PROPTEST_CASES`, which the full tier sets, or four.
@@ -186,33 +279,10 @@ proptest! {
 
     #[test]
     fn a_lock_out_outlasts_every_message(all in conversation()) {
-        let mut bench = Bench::new("ferritic-21");
-        // A current sensor whose gain is wrong trips each try.
-        let mut number = 0;
-        bench.hob.inject(|injections| {
-            number = injections.start(Injection {
-                kind: InjectionKind::CurrentGain,
-                value: 0.7,
-                channel: InjectionKind::CurrentGain.default_channel(),
-            });
-        });
-        bench.send(&Sent::SetPower(2_000));
-        for _ in 0..200 {
-            bench.run(0.1, |_| ());
-            bench.send(&Sent::GetStatus);
-            if bench.hob.housekeeping().control().state() == State::LockedOut {
-                break;
-            }
-        }
-        bench.hob.inject(|injections| injections.end(number));
-        bench.on_s = 0.0;
-        let locked = |hob: &SimHob| {
-            assert_eq!(hob.housekeeping().control().state(), State::LockedOut);
-            assert_ne!(hob.realtime().fault(), Fault::NONE);
-        };
+        let mut bench = locked_out();
         for (sent, pause_ms) in &all {
             bench.send(sent);
-            bench.run(f64::from(*pause_ms) * 1e-3 + 1e-4, locked);
+            bench.run(f64::from(*pause_ms) * 1e-3 + 1e-4, assert_locked_out);
         }
         prop_assert!(bench.on_s == 0.0, "on for {} s", bench.on_s);
     }

@@ -25,7 +25,7 @@ static HOUSEKEEPING: StaticCell<Housekeeping> = StaticCell::new();
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    let last = crash::read_crash_record();
+    let last = crash::read_crash_record(ResetFlags::default());
     fault_injection::if_asked(last);
     let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
     let Some((interrupt_side, thread_side)) = sampling::split(r, l) else {

@@ -69,7 +69,7 @@ struct Board {
 #[cortex_m_rt::entry]
 fn main() -> ! {
     let (flags, reset_flags, watchdog_is_sound) = registers::supply::reset_flags();
-    let last = crash::read_crash_record();
+    let last = crash::read_crash_record(flags);
     crash::count_start(flags);
     let p = registers::clocks::start();
     registers::supply::protect_code();
@@ -90,7 +90,7 @@ fn main() -> ! {
         let hello = hello(flags, last);
         let watchdog_fault = (!watchdog_is_sound).then_some(Fault::WATCHDOG_TEST);
         let sides = (interrupt_side, thread_side);
-        let before = (reset_flags, last);
+        let before = (reset_flags, flags, last);
         start(spawner, p, hello, before, sides, watchdog_fault);
     })
 }
@@ -114,7 +114,7 @@ fn start(
     spawner: Spawner,
     p: Peripherals,
     hello: Hello,
-    (reset_flags, last): (u32, Option<reset::CrashRecord>),
+    (reset_flags, flags, last): (u32, reset::ResetFlags, Option<reset::CrashRecord>),
     (interrupt_side, mut thread_side): (sampling::InterruptSide, ThreadSide),
     watchdog_fault: Option<Fault>,
 ) {
@@ -124,6 +124,8 @@ fn start(
         thread_side.with(|rt| rt.latch_fault(Fault::OPTION_BYTES));
     }
     let mut self_test = self_test(p.CRC, &mut thread_side, watchdog_fault);
+    let (kept, fault) = reset::CrashRecord::kept_control(last, flags);
+    housekeeping.restore_control(&mut thread_side, kept, fault);
     housekeeping.set_identity(service::identity(reset_flags, last, &self_test));
     housekeeping.set_log(&LinkLog);
     let pages = lookup_pages(p.FLASH, housekeeping);

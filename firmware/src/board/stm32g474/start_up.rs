@@ -3,6 +3,7 @@
 
 use core::arch::global_asm;
 
+use ihd_firmware::retained::control::RetainedControl;
 use ihd_firmware::retained::reset::{CrashRecord, NEXT_BOOTLOADER};
 use ihd_shared::fault::Fault;
 
@@ -11,6 +12,12 @@ const BROKEN_RAM: [u32; 4] = CrashRecord {
     reason: None,
     fault: Fault::RAM_TEST.number(),
     starts: 0,
+    control: RetainedControl {
+        locked_out: true,
+        tries_used: 0,
+        panel_off: false,
+        key_locked: false,
+    },
 }
 .to_words();
 

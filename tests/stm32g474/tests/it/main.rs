@@ -5,6 +5,7 @@ mod debug_probe;
 mod doctor;
 mod heating;
 mod link;
+mod lock_out;
 mod log;
 mod lookup;
 mod memory;

@@ -1,0 +1,96 @@
+//! A hob that has locked out is off: what service may do with it, and that nothing but the panel and the mains ends it.
+
+use ihd_link::LinkError;
+use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::{Outcome, Program, State};
+use ihd_sim::behavioural::PotKind;
+use ihd_stm32g474::chip::Reset;
+use ihd_stm32g474::chip::hrtim::Bridge;
+use ihd_stm32g474::registers::syscfg;
+
+use crate::board::{Bench, assert_no_violations, connect, resets, with_pot};
+
+/// A board that locked out while it heated: a lock-up of the processor that it came out of.
+fn locked_out() -> Bench {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    client.set_power(1_200).unwrap();
+    bench.run_s(0.12);
+    bench.with(|machine| machine.chip().system_fault(syscfg::cfgr2::CLL));
+    bench.run_s(0.002);
+    let status = client.status().unwrap();
+    assert_eq!(
+        (status.state, status.fault, status.asked_w),
+        (State::LockedOut, Fault::CORE_LOCKUP, 1_200)
+    );
+    bench
+}
+
+/// Whoever connects finds it locked out, for what it was; power is refused, and no switch closes.
+fn assert_locked_out(bench: &Bench) {
+    let mut client = connect(bench);
+    bench.with(|machine| machine.chip().hrtim.off_at = None);
+    match client.set_power(1_200) {
+        Err(LinkError::Refused { outcome, .. }) => assert_eq!(outcome, Outcome::LockedOut),
+        other => panic!("{other:?}"),
+    }
+    let status = client.status().unwrap();
+    assert_eq!(
+        (status.state, status.fault, status.tries_left),
+        (State::LockedOut, Fault::CORE_LOCKUP, 0)
+    );
+    for _ in 0..10 {
+        bench.run_s(0.002);
+        let bridge = bench.with(|machine| machine.chip().pins.bridge());
+        assert_eq!(bridge, Bridge::Open);
+    }
+    let off_at = bench.with(|machine| machine.chip().hrtim.off_at);
+    assert_eq!(off_at, None, "it was on in between");
+}
+
+#[test]
+fn service_tests_a_board_that_locked_out_while_heating() {
+    let bench = locked_out();
+    let mut client = connect(&bench);
+    client.channels().unwrap();
+    let found = client.comparators().unwrap();
+    assert!(
+        found.positive_tripped && found.negative_tripped,
+        "{found:?}"
+    );
+    assert_locked_out(&bench);
+    assert_no_violations(&bench);
+}
+
+#[test]
+fn no_reset_ends_a_lock_out_but_the_loss_of_power() {
+    let bench = locked_out();
+    connect(&bench).restart(Program::Firmware).unwrap();
+    bench.run_s(0.25);
+    assert_locked_out(&bench);
+    // Into the bootloader and back, as after a flash by DFU; the pin and a debug probe reset it so too.
+    connect(&bench).restart(Program::Bootloader).unwrap();
+    bench.run_s(0.2);
+    bench.with(|machine| machine.chip().reset = Some(Reset::Software));
+    bench.run_s(0.1);
+    assert_locked_out(&bench);
+    bench.with(|machine| machine.chip().reset = Some(Reset::Watchdog));
+    bench.run_s(0.1);
+    assert_locked_out(&bench);
+    assert_eq!(
+        resets(&bench),
+        [
+            Reset::Software,
+            Reset::Software,
+            Reset::Software,
+            Reset::Watchdog
+        ]
+    );
+    bench.with(|machine| machine.power_cycle().unwrap());
+    bench.run_s(0.1);
+    let mut client = connect(&bench);
+    client.set_power(1_200).unwrap();
+    bench.run_s(0.2);
+    assert_eq!(client.status().unwrap().state, State::Heating);
+    assert_no_violations(&bench);
+}
