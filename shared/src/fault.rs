@@ -162,9 +162,10 @@ fault_table! {
     /// The processor's clock and the watchdog's do not agree. Clearing does not end it.
     CLOCK = 42 "Clock" Standing:
         "the controller's two clocks disagree by more than their tolerances; replace the controller";
-    /// The watchdog did not bite when it was tried at start. Clearing does not end it.
+    /// One of the two watchdogs, of the program or of its sampling, did not bite when it was tried at start. Clearing does
+    /// not end it.
     WATCHDOG_TEST = 43 "WatchdogTest" Standing:
-        "the controller's watchdog does not work; replace the controller";
+        "a watchdog of the controller does not work; replace the controller";
     /// The end of the stack was written to. Clearing does not end it.
     STACK_CANARY = 44 "StackCanary" Standing:
         "the controller's stack was used to its end; switch it off and on, and report it if it comes back";

@@ -15,7 +15,7 @@ use ihd_firmware::sense::dma_buffer::DmaDoubleBuffer;
 use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 
-use super::registers::{adc, bridge, dma};
+use super::registers::{adc, bridge, dma, sampling_watchdog};
 use crate::board::sampling::SampleSource;
 
 /// Channels of the pins in the module's table.
@@ -172,6 +172,7 @@ impl SampleSource for Adc {
             lost: self.ring.take_lost(),
         });
         self.apply(drive);
+        sampling_watchdog::feed();
         true
     }
 

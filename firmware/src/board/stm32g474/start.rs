@@ -161,6 +161,9 @@ fn start(
     if !is_sound(&registers::comparators::trip()) {
         thread_side.with(|rt| rt.latch_fault(Fault::COMPARATOR_TEST));
     }
+    if !registers::sampling_watchdog::is_sound() {
+        thread_side.with(|rt| rt.latch_fault(Fault::WATCHDOG_TEST));
+    }
     let driver = Driver::new(p.USB, Irqs, p.PA12, p.PA11);
     let (device, usb_receiver, usb_sender) = usb::start(driver, uid::uid_hex());
     let uart = serial_port(p.LPUART1, p.PA3, p.PA2);

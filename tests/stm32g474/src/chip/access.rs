@@ -34,6 +34,9 @@ impl Chip {
             a if in_block(a, reg::flash::BASE, 0x400) => self.flash.read(a, &self.file),
             reg::crc::dr::ADDRESS => self.checksum.read(&self.file),
             a if in_block(a, reg::tim16::BASE, 0x400) => self.read_timer(a),
+            a if in_block(a, reg::tim2::BASE, 0x400) => {
+                self.timer_2.read(a, self.ticks_per_cycle, &self.file, now)
+            }
             a => match converter(a) {
                 Some(k) => self.adcs[k].read(a, &mut self.file, now),
                 None => self.file.word(a),
@@ -117,6 +120,10 @@ impl Chip {
                     .advance(&self.lsi, self.ticks_per_cycle, file, log.now);
                 self.capture.write(a, value, &self.lsi, file, log)
             }
+            a if in_block(a, reg::tim2::BASE, 0x400) => {
+                self.timer_2
+                    .write(a, value, self.ticks_per_cycle, file, log)
+            }
             a => match converter(a) {
                 Some(k) => self.adcs[k].write(a, value, hclk_hz, file, log),
                 None => plain_write(a, before, value, file, log),
@@ -150,6 +157,8 @@ impl Chip {
         {
             self.hrtim.after_write(address, &self.file);
             self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
+            // A flag that is cleared while its input is active is set again.
+            self.check_event_2();
             self.drive_pins();
         }
     }

@@ -9,7 +9,7 @@ use crate::registers::{hrtim_common, hrtim_master, hrtim_tima, hrtim_timb};
 use crate::time::{Ticks, us};
 use crate::violation::Log;
 
-use self::faults::INPUTS;
+use self::faults::{INPUTS, sources_written};
 use super::register_file::RegisterFile;
 
 /// Time for the DLL's calibration (RM0440, 27.3.4: 14 µs at 170 MHz).
@@ -260,6 +260,7 @@ impl Hrtim {
             }
             hrtim_tima::dtar::ADDRESS => self.dead_time_written(before, value, file, log),
             hrtim_common::fltinr1::ADDRESS => self.fault_input_written(before, value, log),
+            hrtim_common::fltinr2::ADDRESS => sources_written(before, value, file, log),
             hrtim_tima::fltar::ADDRESS if before & hrtim_tima::fltar::FLTLCK.mask() != 0 => {
                 if value != before {
                     log.broken("HRTIM FLTAR written after FLTLCK (RM0440 27.5.29)");
@@ -369,7 +370,7 @@ impl Hrtim {
         }
         // The rules of order of what must be armed before an output may be enabled (RM0440, 27.3.22).
         let armed = file.word(hrtim_tima::fltar::ADDRESS);
-        for input in [0, 3] {
+        for input in [0, 1, 3] {
             let [enable, ..] = INPUTS[input];
             if armed & 1 << input == 0 || !file.is(enable) {
                 log.broken(format!(

@@ -10,6 +10,7 @@ pub mod hrtim;
 pub mod low_speed;
 pub mod register_file;
 pub mod serial;
+pub mod timer_2;
 pub mod watchdog;
 
 use crate::cpu::nvic::Nvic;
@@ -27,6 +28,7 @@ use self::hrtim::{Bridge, Hrtim};
 use self::low_speed::{Capture, Lsi};
 use self::register_file::RegisterFile;
 use self::serial::Serial;
+use self::timer_2::Timer2;
 use self::watchdog::Watchdog;
 
 /// Requests of ADC1 and ADC3 at DMAMUX (RM0440, table 91).
@@ -95,6 +97,7 @@ pub struct Chip {
     adcs: [Converter; 4],
     checksum: Checksum,
     capture: Capture,
+    timer_2: Timer2,
     dma: Dma,
     conversions: Vec<Conversion>,
     next_trigger: Option<Ticks>,
@@ -134,6 +137,7 @@ impl Chip {
             adcs: [0, 1, 2, ADC4].map(Converter::new),
             checksum: Checksum::default(),
             capture: Capture::default(),
+            timer_2: Timer2::default(),
             dma: Dma::default(),
             conversions: Vec::new(),
             next_trigger: None,
@@ -201,6 +205,7 @@ impl Chip {
         self.adcs = [0, 1, 2, ADC4].map(Converter::new);
         self.checksum = Checksum::default();
         self.capture = Capture::default();
+        self.timer_2 = Timer2::default();
         self.dma = Dma::default();
         self.conversions.clear();
         self.system.clear();
@@ -226,6 +231,7 @@ impl Chip {
             self.serial.next(&self.file),
             self.flash.next(),
             self.watchdog.bites_at,
+            self.next_event_2(),
             Some(self.next_usb_poll),
         ]
         .into_iter()
@@ -285,6 +291,7 @@ impl Chip {
         if self.next_trigger.is_some_and(|at| now >= at) {
             self.trigger();
         }
+        self.check_event_2();
         let hclk_hz = clocks::hclk_hz(&self.file);
         self.serial.advance(now, hclk_hz, &self.file);
         self.flash.advance(now, &mut self.file);
@@ -406,6 +413,32 @@ impl Chip {
             }
         }
         self.drive_pins();
+    }
+
+    /// Moment from which HRTIM's external event 2 is active: TIM2's trigger output, active high.
+    fn event_2_from(&self) -> Option<Ticks> {
+        use reg::hrtim_common::eecr1::{EE2POL, EE2SRC};
+        const TIM2_TRGO: u32 = 2;
+        let wired = self.file.get(EE2SRC) == TIM2_TRGO && !self.file.is(EE2POL);
+        let from = self.timer_2.high_from(self.ticks_per_cycle, &self.file);
+        from.filter(|_| wired)
+    }
+
+    /// The next moment at which it becomes active.
+    fn next_event_2(&self) -> Option<Ticks> {
+        let from = self.event_2_from();
+        from.filter(|_| !self.hrtim.is_event_2_taken(&self.file))
+    }
+
+    /// External event 2 is a level on fault input 2, where that takes it (RM0440, table 221).
+    fn check_event_2(&mut self) {
+        let now = self.log.now;
+        if self.event_2_from().is_some_and(|at| now >= at)
+            && !self.hrtim.is_event_2_taken(&self.file)
+        {
+            self.hrtim.fault_input(1, &mut self.file, now);
+            self.drive_pins();
+        }
     }
 
     /// A system fault that SYSCFG_CFGR2 connects to HRTIM, by its bit there.

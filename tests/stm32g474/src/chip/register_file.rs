@@ -57,6 +57,7 @@ pub fn clock_of(peripheral: &str) -> Option<Field> {
         "PWR" => rcc::rcc_apb1enr1::PWREN,
         "USB_FS_device" => rcc::rcc_apb1enr1::USBEN,
         "LPUART1" => rcc::rcc_apb1enr2::LPUART1EN,
+        "TIM2" => rcc::rcc_apb1enr1::TIM2EN,
         "TIM16" => rcc::rcc_apb2enr::TIM16EN,
         "SYSCFG" | "COMP" => rcc::rcc_apb2enr::SYSCFGEN,
         "HRTIM_Master" | "HRTIM_TIMA" | "HRTIM_TIMB" | "HRTIM_Common" => rcc::rcc_apb2enr::HRTIM1EN,

@@ -7,7 +7,7 @@ use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::cpu::CycleModel;
 use ihd_stm32g474::cpu::nvic::NMI;
 use ihd_stm32g474::machine::Machine;
-use ihd_stm32g474::registers::{Field, exti, flash, pwr, syscfg};
+use ihd_stm32g474::registers::{Field, dma1, exti, flash, hrtim_common, pwr, syscfg};
 use ihd_stm32g474::time::{seconds, us};
 
 use crate::board::{Bench, connect, resets, with_pot};
@@ -155,17 +155,62 @@ fn a_thread_that_stands_still_is_reset_by_the_watchdog() {
     assert_eq!(after_reset(&bench).0, 1);
 }
 
+/// Clears a bit as the program could.
+fn clear(machine: &mut Machine, bit: Field) {
+    let without = bit.put(machine.chip().file.word(bit.address), 0);
+    machine.chip().write(bit.address, 4, without);
+}
+
+/// Whatever ends the sampling: the sampling watchdog opens the bridge in hardware 0.5 ms after the last block was taken.
 #[test]
-fn a_sampling_clock_that_stops_is_noticed() {
+fn sampling_that_stops_opens_the_bridge_in_hardware() {
+    type Cause = fn(&mut Machine);
+    let causes: [(&str, Cause); 3] = [
+        ("no triggers", |machine| {
+            clear(machine, hrtim_common::adc1r::AD1TBPER)
+        }),
+        ("DMA stopped", |machine| clear(machine, dma1::ccr1::EN)),
+        // NVIC_ICER0: DMA1's first channel is interrupt 11.
+        ("interrupt masked", |machine| {
+            machine.chip().write_system(0xE180, 4, 1 << 11)
+        }),
+    ];
+    for (name, cause) in causes {
+        let bench = heating();
+        let off_us = time_to_off(&bench, 1, cause);
+        println!("{name}: off after {off_us:.0} µs");
+        // The last block ended 50 µs before at the most, or is being worked on for 30 µs.
+        assert!((430.0..=535.0).contains(&off_us), "{name}: {off_us}");
+    }
+}
+
+#[test]
+fn sampling_that_stops_for_a_while_is_a_fault_with_its_number() {
     let bench = heating();
-    let off_us = time_to_off(&bench, 100, |machine| {
-        let enable = ihd_stm32g474::registers::hrtim_common::adc1r::AD1TBPER;
-        let now_off = enable.put(machine.chip().file.word(enable.address), 0);
-        machine.chip().write(enable.address, 4, now_off);
+    let off_us = time_to_off(&bench, 1, |machine| {
+        machine.chip().write_system(0xE180, 4, 1 << 11);
     });
-    println!("no triggers: off after {:.1} ms", off_us / 1e3);
-    assert!(off_us < 66_000.0, "{off_us}");
-    assert_eq!(after_reset(&bench).0, 1);
+    assert!(off_us <= 535.0, "{off_us}");
+    // NVIC_ISER0.
+    bench.with(|machine| machine.chip().write_system(0xE100, 4, 1 << 11));
+    let status = connect(&bench).status().unwrap();
+    assert_eq!(status.fault, Fault::SAMPLES_LOST);
+}
+
+/// Interrupts that are masked for less than the watchdog's time cost nothing.
+#[test]
+fn a_short_delay_of_the_sampling_does_not_trip() {
+    let bench = heating();
+    bench.with(|machine| {
+        machine.chip().hrtim.off_at = None;
+        for _ in 0..20 {
+            machine.chip().write_system(0xE180, 4, 1 << 11);
+            machine.run_for(us(35)).unwrap();
+            machine.chip().write_system(0xE100, 4, 1 << 11);
+            machine.run_for(us(1_000)).unwrap();
+        }
+        assert_eq!(machine.chip().hrtim.off_at, None);
+    });
 }
 
 #[test]

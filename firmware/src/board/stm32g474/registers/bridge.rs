@@ -6,7 +6,7 @@ use ihd_firmware::drive::pwm::{DEAD_TIME_NS, Periods};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
 
 use super::clocks::CORE_MHZ;
-use super::{BRIDGE, SAMPLING, faults};
+use super::{BRIDGE, SAMPLING, faults, sampling_watchdog};
 
 /// HRTIM prescaler 2 (table "HRTIM resolution and min. PWM frequency" in HRTIM): 8 ticks a cycle.
 const PRESCALER: u8 = 2;
@@ -97,6 +97,7 @@ pub fn prepare_timers(periods: Periods) {
         w.set_dtrslk(true);
         w.set_dtfslk(true);
     });
+    sampling_watchdog::start();
     faults::start();
     // HRTIM_ADC1R: trigger 1 on the sampling timer's period.
     hrtim.adc1r(0).write(|w| w.set_adctper(SAMPLING, true));

@@ -7,7 +7,18 @@ use super::{BRIDGE, supply};
 
 /// HRTIM's fault inputs that a comparator reaches: COMP2 on 1, COMP1 on 4 (HRTIM, table "HRTIM fault
 /// inputs").
-const INPUTS: [usize; 2] = [0, 3];
+const COMPARATORS: [usize; 2] = [0, 3];
+
+/// HRTIM's fault input that the sampling watchdog reaches: 2, from external event 2 (HRTIM, table "HRTIM fault inputs").
+const SAMPLING_WATCHDOG: usize = 1;
+
+/// HRTIM_FLTINR2, FLT2SRC[1]: external event 2 before its own edge detection (ST's `HRTIM_FAULTSOURCE_EEVINPUT`).
+const FLT2SRC_1: u32 = 1 << 17;
+
+/// HRTIM_FLTINR2, which the metapac has at FLTINR1's address.
+fn fltinr2() -> *mut u32 {
+    pac::HRTIM1.fltinr1().as_ptr().cast::<u32>().wrapping_add(1)
+}
 
 /// HRTIM, FLTxF = 8: six samples in a row, one every 8 cycles of 170 MHz (ST's `HRTIM_FAULTFILTER_8`, with
 /// FLTSD = 0). What is shorter than 235 ns does not trip; what lasts trips within 330 ns.
@@ -16,6 +27,9 @@ const INPUTS: [usize; 2] = [0, 3];
 /// sensor rings for 200 ns, and the comparators cannot be blanked by HRTIM (COMP, COMP_CxCSR, BLANKSEL
 /// names TIM1 to 20 alone). What it costs: at the most 400 V / 20 µH · 330 ns = 6.6 A above the trip.
 const FILTER: u8 = 8;
+
+/// Fault inputs that are armed.
+const INPUTS: [usize; 3] = [COMPARATORS[0], SAMPLING_WATCHDOG, COMPARATORS[1]];
 
 /// EXTI line of the supply's detector (EXTI, table "EXTI lines connections").
 const PVD_LINE: usize = 16;
@@ -27,7 +41,7 @@ const PVD_LEVEL: u8 = 6;
 
 /// Arms all of it; locked until reset.
 pub fn start() {
-    start_comparator_inputs();
+    start_inputs();
     start_supply_detector();
     // SYSCFG_CFGR2: lock-up, RAM parity, ECC and supply reach HRTIM's system fault. PVDL also locks
     // PVDE and PVDLS, so the detector is on by now.
@@ -42,16 +56,20 @@ pub fn start() {
 
 /// HRTIM_FLTINR1: source, polarity and filter may change only while the input is off, so it is enabled by
 /// a second write, and locked by a third (ST's `HAL_HRTIM_FaultConfig` before
-/// `HAL_HRTIM_FaultModeCtl`). HRTIM_FLTAR: both open the bridge.
-fn start_comparator_inputs() {
+/// `HAL_HRTIM_FaultModeCtl`). HRTIM_FLTAR: all three open the bridge.
+fn start_inputs() {
     let hrtim = pac::HRTIM1;
     hrtim.fltinr1().modify(|w| {
-        for input in INPUTS {
+        for input in COMPARATORS {
             w.set_fltsrc(input, true);
             w.set_fltp(input, true);
             w.set_fltf(input, FILTER);
         }
+        // No filter: the timer's output rings on no wire.
+        w.set_fltp(SAMPLING_WATCHDOG, true);
     });
+    // SAFETY: a register of HRTIM (RM0440, 27.5.51), which only this function touches.
+    unsafe { fltinr2().write_volatile(fltinr2().read_volatile() | FLT2SRC_1) };
     hrtim
         .fltinr1()
         .modify(|w| INPUTS.map(|input| w.set_flte(input, true)));
@@ -82,24 +100,31 @@ pub fn clear() {
     pac::EXTI.pr(0).write(|w| w.set_line(PVD_LINE, true));
 }
 
-/// Fault that has switched the bridge off in hardware (HRTIM, HRTIM_ISR: FLT1, FLT4, SYSFLT).
+/// Fault that has switched the bridge off in hardware (HRTIM, HRTIM_ISR: FLT1, FLT2, FLT4, SYSFLT).
 pub fn hardware_fault() -> Option<Fault> {
     let isr = pac::HRTIM1.isr().read();
     if isr.sysflt() {
         // Of the four causes only lock-up leaves no flag.
         Some(system_fault().unwrap_or(Fault::CORE_LOCKUP))
-    } else if INPUTS.iter().any(|&input| isr.flt(input)) {
+    } else if COMPARATORS.iter().any(|&input| isr.flt(input)) {
         Some(Fault::HARDWARE_OVER_CURRENT)
+    } else if isr.flt(SAMPLING_WATCHDOG) {
+        Some(Fault::SAMPLES_LOST)
     } else {
         None
     }
 }
 
-/// Reads the two fault inputs of [`INPUTS`], `true` if tripped (HRTIM, HRTIM_ISR): that of the inverted current, that of the
+/// Reads the two fault inputs of [`COMPARATORS`], `true` if tripped (HRTIM, HRTIM_ISR): that of the inverted current, that of the
 /// current.
 pub fn comparators_tripped() -> [bool; 2] {
     let isr = pac::HRTIM1.isr().read();
-    INPUTS.map(|input| isr.flt(input))
+    COMPARATORS.map(|input| isr.flt(input))
+}
+
+/// Returns `true` if the sampling watchdog has bitten (HRTIM, HRTIM_ISR: FLT2).
+pub fn is_sampling_stopped() -> bool {
+    pac::HRTIM1.isr().read().flt(SAMPLING_WATCHDOG)
 }
 
 /// Cause of HRTIM's system fault that has left a flag: FLASH, FLASH_ECCR (ECCD, ECCD2: two

@@ -8,7 +8,7 @@
 //! input, pins and thresholds of the comparators) was compared with two independent sources: ST's own
 //! drivers (github.com/STMicroelectronics/stm32g4xx-hal-driver: `LL_ADC_REG_TRIG_EXT_HRTIM_TRG1`,
 //! `LL_DMAMUX_REQ_ADC1/3`, `LL_COMP_INPUT_PLUS_IO1`, `LL_COMP_INPUT_MINUS_DAC1_CH1/2`,
-//! `HRTIM_FAULTSOURCE_INTERNAL`) and github.com/stm32-rs/stm32g4xx-hal (`impl_faults!`). It has not
+//! `HRTIM_FAULTSOURCE_INTERNAL`, `HRTIM_FAULTSOURCE_EEVINPUT`, `HRTIM1_EEV2SRC_TIM2_TRGO`) and github.com/stm32-rs/stm32g4xx-hal (`impl_faults!`). It has not
 //! run on a board.
 
 pub mod adc;
@@ -18,6 +18,7 @@ pub mod comparators;
 pub mod dma;
 pub mod faults;
 pub mod low_speed;
+pub mod sampling_watchdog;
 pub mod supply;
 pub mod usb_frame;
 

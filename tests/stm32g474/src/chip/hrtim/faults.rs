@@ -17,7 +17,29 @@ pub(super) const INPUTS: [[Field; 5]; 4] = {
     ]
 };
 
+/// A write of FLTINR2, which holds the upper bits of the sources of inputs 1 to 4; what is to be stored.
+pub(super) fn sources_written(before: u32, value: u32, file: &RegisterFile, log: &mut Log) -> u32 {
+    use hrtim_common::fltinr2::{FLT1SRC_1, FLT2SRC_1, FLT3SRC_1};
+    for (source, [enable, ..]) in [FLT1SRC_1, FLT2SRC_1, FLT3SRC_1].into_iter().zip(INPUTS) {
+        if (value ^ before) & source.mask() != 0 && file.is(enable) {
+            log.broken("HRTIM FLTINR2: a source changes only while FLTxE is 0 (RM0440 27.5.51)");
+        }
+    }
+    value
+}
+
 impl Hrtim {
+    /// Returns `true` if external event 2 can change nothing: fault input 2 does not take it, or has tripped already.
+    pub fn is_event_2_taken(&self, file: &RegisterFile) -> bool {
+        use hrtim_common::{fltinr1, fltinr2, isr};
+        // FLT2SRC = 2: the external event; FLT2P: active high.
+        let takes = file.is(fltinr1::FLT2E)
+            && file.is(fltinr1::FLT2P)
+            && file.is(fltinr2::FLT2SRC_1)
+            && !file.is(fltinr1::FLT2SRC);
+        !takes || file.is(isr::FLT2)
+    }
+
     /// A fault input is active: outputs off where it is armed.
     pub fn fault_input(&mut self, input: usize, file: &mut RegisterFile, now: Ticks) {
         let [enable, ..] = INPUTS[input];

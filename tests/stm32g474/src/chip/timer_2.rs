@@ -1,0 +1,90 @@
+//! TIM2 as it counts up from 0, its first compare and its trigger output (RM0440, 29).
+
+use crate::registers::tim2;
+use crate::time::Ticks;
+use crate::violation::Log;
+
+use super::register_file::RegisterFile;
+
+/// PWM mode 2 in OC1M: OC1REF is active from CCR1 on.
+const PWM_MODE_2: u32 = 7;
+
+/// OC1REF as trigger output in MMS.
+const OC1REF: u32 = 4;
+
+/// The counter. Its clock is the processor's: APB1 is not divided in this image.
+#[derive(Clone, Debug, Default)]
+pub struct Timer2 {
+    /// Moment at which it was at 0, once it counts.
+    zero_at: Option<Ticks>,
+    /// PSC is taken over by an update event (RM0440 29.4.1).
+    prescaler: u32,
+}
+
+impl Timer2 {
+    fn ticks(&self, counts: u32, ticks_per_cycle: Ticks) -> Ticks {
+        Ticks::from(counts) * Ticks::from(self.prescaler + 1) * ticks_per_cycle
+    }
+
+    fn count(&self, ticks_per_cycle: Ticks, now: Ticks) -> u32 {
+        let elapsed = self.zero_at.map_or(0, |at| now.saturating_sub(at));
+        (elapsed / self.ticks(1, ticks_per_cycle)) as u32
+    }
+
+    /// Moment from which the trigger output is high, until the counter begins anew; `None` if it does not follow OC1REF in PWM
+    /// mode 2. The counter wraps after 25 s, which is not modelled.
+    pub fn high_from(&self, ticks_per_cycle: Ticks, file: &RegisterFile) -> Option<Ticks> {
+        let follows = file.get(tim2::tim2_cr2::MMS) == OC1REF
+            && file.get(tim2::tim2_ccmr1_alternate::OC1M) == PWM_MODE_2;
+        let at = self.zero_at.filter(|_| follows)?;
+        Some(at + self.ticks(file.word(tim2::tim2_ccr1::ADDRESS), ticks_per_cycle))
+    }
+
+    /// Reads a register.
+    pub fn read(
+        &self,
+        address: u32,
+        ticks_per_cycle: Ticks,
+        file: &RegisterFile,
+        now: Ticks,
+    ) -> u32 {
+        match address {
+            tim2::tim2_cnt::ADDRESS => self.count(ticks_per_cycle, now),
+            _ => file.word(address),
+        }
+    }
+
+    /// Takes a write that is about to be stored; what is to be stored.
+    pub fn write(
+        &mut self,
+        address: u32,
+        value: u32,
+        ticks_per_cycle: Ticks,
+        file: &RegisterFile,
+        log: &mut Log,
+    ) -> u32 {
+        use tim2::{tim2_cnt, tim2_cr1, tim2_egr};
+        match address {
+            tim2_cr1::ADDRESS => {
+                if value & !(tim2_cr1::CEN.mask()) != 0 {
+                    log.broken("TIM2: this emulator counts up, without preload");
+                }
+                let on = tim2_cr1::CEN.of(value) == 1;
+                self.zero_at = on.then(|| self.zero_at.unwrap_or(log.now));
+                value
+            }
+            // UG: the counter begins anew.
+            tim2_egr::ADDRESS => {
+                self.prescaler = file.word(tim2::tim2_psc::ADDRESS);
+                self.zero_at = self.zero_at.map(|_| log.now);
+                0
+            }
+            tim2_cnt::ADDRESS => {
+                let counted = self.ticks(value, ticks_per_cycle);
+                self.zero_at = self.zero_at.map(|_| log.now.saturating_sub(counted));
+                value
+            }
+            _ => value,
+        }
+    }
+}
