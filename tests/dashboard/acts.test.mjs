@@ -9,6 +9,8 @@ import { Api } from './harness/api.mjs';
 import { browser, noProblems, open, value } from './harness/browser.mjs';
 import { Daemon, Hob, sleep, until } from './harness/processes.mjs';
 
+const FULL = process.env.IHD_DASHBOARD_FULL === '1';
+
 /** Ends with the whole file: a test's own context has an end of its own. */
 const life = { ends: [], after: (end) => life.ends.unshift(end) };
 let daemon, hob, api, chromium, page, context, problems;
@@ -167,19 +169,20 @@ describe('acts', () => {
     await page.getByRole('button', { name: 'Close' }).first().click();
   });
 
-  for (const [how, end] of [
-    ['closed', (other) => other.close()],
-    ['crashed', (other) => crash(other)],
-    ['frozen', (other) => freeze(other)],
+  for (const [how, end, tier] of [
+    ['closed', (other) => other.close(), test],
+    ['crashed', (other) => crash(other), test],
+    // Its lease ends as a crashed tab's does.
+    ['frozen', (other) => freeze(other), FULL ? test : test.skip],
   ]) {
-    test(`a tab that is ${how}: off when its lease runs out`, async (t) => {
+    tier(`a tab that is ${how}: off when its lease runs out`, async (t) => {
       // Of its own renderer: a process shared with `page` would take that along.
       const other = await open(chromium, `${daemon.url}/#/live/inside`);
       await setPower(other.page, 500);
       await heats('inside', 500);
-      const granted = Date.now();
-      await until('it is renewed', async () => (await api.device('inside')).lease?.expires_in_s > 8 && Date.now() > granted + 2500);
-      assert.equal(await asked('inside'), 500);
+      // Renewed: what is left of it falls, and is whole again.
+      const left = async () => (await api.device('inside')).lease?.expires_in_s;
+      if (how === 'closed') for (const whole of [false, true]) await until('it is renewed', async () => (await left()) > 9 === whole);
       const begun = Date.now();
       await end(other.page);
       await until('inside off', () => isOff('inside'), 50);
@@ -228,7 +231,9 @@ describe('acts', () => {
     await page.goto(`${daemon.url}/#/recordings/inside`);
     await page.getByTestId('record-toggle').click();
     const file = await until('a file', async () => (await api.device('inside')).recording);
-    await sleep(2500);
+    const newest = async () => (await api.get('/devices/inside/window?columns=1')).seq;
+    const first = await newest();
+    await until('two windows more', async () => (await newest()) >= first + 2);
     await page.getByTestId('record-toggle').click();
     await until('no more recording', async () => (await api.device('inside')).recording === null);
     await page.keyboard.press('Escape');

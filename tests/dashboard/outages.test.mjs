@@ -6,11 +6,11 @@ import { test } from 'node:test';
 
 import { Api } from './harness/api.mjs';
 import { NO_DAEMON, browser, noProblems, open, value } from './harness/browser.mjs';
-import { Daemon, Fake, Hob, Link, sleep, until } from './harness/processes.mjs';
+import { Daemon, Fake, Hob, Link, until } from './harness/processes.mjs';
 
 const stale = (page) => page.getByTestId('stale').isVisible();
 
-test('a daemon that is killed and comes back: stale, then fresh, and no hole but the outage', async (t) => {
+test('a daemon that is killed and comes back: stale, then fresh, and its past is still on the page', async (t) => {
   // It heats by itself, as at its panel, while nobody listens.
   const hob = await Hob.start(t, '--panel', '5', '--sim', 'seed=7');
   const daemon = await Daemon.start(t, `[[device]]\nname = "bench"\naddress = "tcp:${hob.address}"\n`);
@@ -19,14 +19,14 @@ test('a daemon that is killed and comes back: stale, then fresh, and no hole but
   const chromium = await browser(t);
   const { page, problems } = await open(chromium, `${daemon.url}/#/live/bench`);
   await until('power on the page', async () => (await value(page, 'p-now')) > 500);
-  // Longer than what the store keeps in memory before it writes.
-  await sleep(12000);
+  // Three seconds of what heated are in the history.
+  const rows = async () => (await api.get(`/devices/bench/history?from=${Date.now() - 20000}&to=${Date.now()}&columns=20`)).at_ms;
+  await until('some history', async () => (await rows()).length >= 4);
 
   const killedMs = Date.now();
   await daemon.kill();
   await until('stale', () => stale(page));
   const staleS = (Date.now() - killedMs) / 1000;
-  await sleep(2000);
   const backMs = Date.now();
   await daemon.run(t);
   await until('fresh again', async () => !(await stale(page)));
@@ -35,28 +35,14 @@ test('a daemon that is killed and comes back: stale, then fresh, and no hole but
   const heardMs = Date.now();
   await until('power on the page', async () => (await value(page, 'p-now')) > 500);
   t.diagnostic(`stale after ${staleS.toFixed(1)} s; fresh ${freshS.toFixed(1)} s after the daemon was started again`);
-  await sleep(4000);
 
-  // What the daemon has: every second but those of the outage and of what a power cut may cost.
-  const history = await api.get(`/devices/bench/history?from=${killedMs - 10000}&to=${Date.now()}&columns=100`);
-  const silentMs = Math.max(...gaps(history.at_ms, history.step_ms).map(([from, to]) => to - from), 0);
-  t.diagnostic(`hole in the daemon's history ${(silentMs / 1000).toFixed(1)} s; the outage took ${((heardMs - killedMs) / 1000).toFixed(1)} s`);
-  assert.ok(silentMs <= heardMs - killedMs + 6000, `a hole of ${silentMs} ms for an outage of ${heardMs - killedMs} ms`);
-
-  // What the page shows: the same, without a reload. Its own export has what is seen.
-  const seen = await exported(page);
-  const before = seen.filter((ms) => ms > killedMs - 8000 && ms < killedMs - 5000).length;
-  const since = seen.filter((ms) => ms > heardMs + 500).length;
-  assert.ok(before >= 2 && since >= 2, `${before} rows of before the outage and ${since} of after it: ${seen.slice(-30)}`);
+  // Without a reload the page shows what was before the outage, as the daemon has it, and what came after it. Its own export has what is seen.
+  await until('rows of before the outage and of after it', async () => {
+    const seen = await exported(page);
+    return seen.some((ms) => ms < killedMs) && seen.filter((ms) => ms > heardMs).length >= 2;
+  }, 500);
   noProblems(problems, NO_DAEMON);
 });
-
-/** Stretches without a column. */
-function gaps(atMs, stepMs) {
-  const found = [];
-  for (let k = 1; k < atMs.length; k++) if (atMs[k] - atMs[k - 1] > 1.5 * stepMs) found.push([atMs[k - 1] + stepMs, atMs[k]]);
-  return found;
-}
 
 /** Times of the rows of a plot's CSV, in milliseconds since 1970. */
 async function exported(page) {
@@ -80,38 +66,35 @@ test('a daemon that says nothing is stale after three seconds, and fresh when it
 });
 
 test('on a slow link the newest is shown, and that some was left out', async (t) => {
-  const hob = await Hob.start(t, '--panel', '5');
-  const others = [1, 2, 3].map((k) => `[[device]]\nname = "sim-${k}"\naddress = "sim"\n`).join('');
+  const hob = await Hob.start(t);
+  // Idle, fifteen others cost little and fill the buffers of a slow link in two seconds.
+  const others = Array.from({ length: 15 }, (_, k) => `[[device]]\nname = "sim-${k}"\naddress = "sim"\n`).join('');
   const daemon = await Daemon.start(t, `[[device]]\nname = "bench"\naddress = "tcp:${hob.address}"\n${others}`);
   const api = new Api(daemon.url);
-  await until('it heats', async () => (await api.device('bench')).live?.power_w > 500);
+  await until('all are there', async () => (await api.get('/devices')).every((d) => d.state === 'idle'));
   const link = await Link.start(t, daemon.port);
   const chromium = await browser(t);
   const { page, problems } = await open(chromium, `${link.url}/#/live/bench`);
-  await until('power on the page', async () => (await value(page, 'p-now')) > 500);
+  await until('no power on the page', async () => (await value(page, 'p-now')) === 0);
   link.limit(SLOW_BYTES_S);
   await until('intervals are left out', () => page.getByTestId('skipped').isVisible());
-  // How old is what the page shows? Another power, and when the page shows it.
-  const usual = (await api.device('bench')).live.power_w;
-  for (const [level, low, high] of [[8, 1.2 * usual, 3000], [5, 0, 1.1 * usual]]) {
-    hob.event(`panel = ${level}`);
-    await until(`level ${level} in the daemon`, async () => inRange((await api.device('bench')).live.power_w, low, high));
-    const begun = Date.now();
-    await until(`level ${level} on the page`, async () => inRange(await value(page, 'p-now'), low, high));
-    const behind = (Date.now() - begun) / 1000;
-    t.diagnostic(`at ${SLOW_BYTES_S / 1000} kB/s the page shows level ${level} ${behind.toFixed(1)} s after the daemon`);
-  }
+  // How old is what the page shows? Power, and when the page shows it.
+  hob.event('panel = 5');
+  await until('power in the daemon', async () => (await api.device('bench')).live.power_w > 500);
+  const begun = Date.now();
+  await until('power on the page', async () => (await value(page, 'p-now')) > 500);
+  t.diagnostic(`at ${SLOW_BYTES_S / 1000} kB/s the page shows power ${((Date.now() - begun) / 1000).toFixed(1)} s after the daemon`);
   assert.equal(await page.getByTestId('skipped').isVisible(), true, 'that intervals were left out');
   t.diagnostic(await page.getByTestId('skipped').innerText());
+  hob.event('panel = 0');
   link.limit(0);
   await until('nothing is left out any more', async () => !(await page.getByTestId('skipped').isVisible()));
   assert.equal(await stale(page), false);
   noProblems(problems);
 });
 
-/** Less than four devices and the windows of one would take, in bytes a second. */
-const SLOW_BYTES_S = 8000;
-const inRange = (x, low, high) => x > low && x < high;
+/** Half of what sixteen devices take, in bytes a second. */
+const SLOW_BYTES_S = 15000;
 
 test('slow answers hold nothing up: the live numbers go on', async (t) => {
   const fake = await Fake.start(t);

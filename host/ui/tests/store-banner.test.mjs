@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { bannerLines } from "../page/js/store-banner.js";
+import { StoreBanner, bannerLines } from "../page/js/store-banner.js";
 
 const failing = (dropped) => ({
   store: false,
@@ -19,4 +19,15 @@ test("the banner says why, since when, what is lost and what to do", () => {
   assert.equal(lost, "Lost since then: 12 windows, 1 event.");
   assert.equal(advice, "Free space.");
   assert.equal(bannerLines(failing({ windows: 0 }))[1], "Nothing is lost so far.");
+});
+
+test("the store is asked about again once the stream is open, and only then", () => {
+  const listeners = new Map();
+  const stream = { on: (name, listener) => (listeners.set(name, listener), () => listeners.delete(name)) };
+  let asked = 0;
+  new StoreBanner({ hidden: true, dataset: {}, replaceChildren() {} }, stream, () => (asked++, Promise.resolve({ store: true })));
+  assert.equal(asked, 1);
+  listeners.get("devices")();
+  assert.equal(asked, 2);
+  assert.equal(listeners.has("devices"), false);
 });

@@ -69,6 +69,18 @@ export async function violations(page) {
 }
 let axe;
 
+/** Waits until a page has asked nothing for a while and has drawn the answers; its event stream does not count. */
+export async function settled(page, quietMs = 150) {
+  const asks = (request) => /\/api\/v1\//.test(request.url()) && !request.url().includes('/live');
+  let [pending, sinceMs] = [0, Date.now()];
+  const begun = (request) => asks(request) && (pending++, (sinceMs = Date.now()));
+  const ended = (request) => asks(request) && ((pending = Math.max(0, pending - 1)), (sinceMs = Date.now()));
+  page.on('request', begun).on('requestfinished', ended).on('requestfailed', ended);
+  while (pending > 0 || Date.now() - sinceMs < quietMs) await new Promise((done) => setTimeout(done, 30));
+  page.off('request', begun).off('requestfinished', ended).off('requestfailed', ended);
+  await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
+}
+
 /** How far a page is wider than its window, in pixel: 0 where nothing scrolls sideways. */
 export function overhang(page) {
   return page.evaluate(() => {

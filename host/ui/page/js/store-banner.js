@@ -44,6 +44,11 @@ export class StoreBanner {
     stream.on("notice", (notice) => {
       if (notice.event === "store") this.look();
     });
+    // A failure may begin after the first answer and before the stream that would tell of it.
+    const ends = stream.on("devices", () => {
+      ends();
+      this.look();
+    });
     // A daemon that comes back may be another one.
     let wasStale = false;
     stream.on("state", ({ stale }) => {
