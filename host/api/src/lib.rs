@@ -1,18 +1,16 @@
 //! HTTP API of the daemon, and its client.
 //!
 //! ```text
-//!  socket ── limits, TLS ──► Host ──► cross-site ──► token, role ──► route ──► Backend
-//!  server.rs  connection.rs   access/hosts.rs   tower-http   access/guard.rs  routes/  backend.rs
+//!  socket ── limits, TLS ──► Host ──► cross-site ──► token, role ──► route ──► Daemon
+//!  server.rs  connection.rs   access/hosts.rs   tower-http   access/guard.rs  routes/
 //! ```
 //!
 //! Safe by default: the server listens on loopback only; any other address requires tokens and TLS. `GET` changes nothing. A client that is
 //! slow, sends too much or has no token can lose its own connection only.
 
 pub mod access;
-pub mod backend;
 pub mod client;
 mod connection;
-pub mod daemon_backend;
 pub mod model;
 mod percent;
 mod problem;
@@ -23,9 +21,7 @@ mod slots;
 pub mod tls;
 mod traffic;
 
-pub use backend::Backend;
 pub use client::ApiClient;
-pub use daemon_backend::DaemonBackend;
 pub use server::{Server, ServerError, ServerOptions};
 
 /// Returns the OpenAPI 3.1 description of the API, as `GET /api/v1/openapi.json` does.

@@ -6,6 +6,7 @@ use axum::extract::{FromRequest, FromRequestParts, Query, Request};
 use axum::http::StatusCode;
 use axum::http::request::Parts;
 use axum::response::{IntoResponse, Response};
+use ihd_daemon::DaemonError;
 use ihd_daemon::model::CommandError;
 use serde::de::DeserializeOwned;
 
@@ -45,6 +46,18 @@ impl From<CommandError> for ErrorResponse {
             CommandError::Failed { .. } => StatusCode::INTERNAL_SERVER_ERROR,
         };
         Self(status, Problem::from(&error))
+    }
+}
+
+impl From<DaemonError> for ErrorResponse {
+    /// Converts an error of a query. Errors of the store contain file names, which go to the log only.
+    fn from(error: DaemonError) -> Self {
+        if let DaemonError::NoDevice(name) = &error {
+            return Self::no_device(name);
+        }
+        tracing::warn!(%error, "a request failed");
+        let why = "the store could not do that; the daemon's log says why".into();
+        CommandError::Failed { why }.into()
     }
 }
 

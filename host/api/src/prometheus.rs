@@ -31,6 +31,53 @@ impl Exposition {
         self.line(format_args!("{PREFIX}{name}{labels} {}", number(value)));
     }
 
+    /// Writes a gauge with one sample.
+    pub(crate) fn gauge(&mut self, name: &str, help: &str, value: f64) {
+        self.family(name, help, "gauge");
+        self.sample(name, &[], value);
+    }
+
+    /// Writes a counter with one sample.
+    pub(crate) fn counter(&mut self, name: &str, help: &str, value: f64) {
+        self.family(name, help, "counter");
+        self.sample(name, &[], value);
+    }
+
+    /// Writes a gauge with one sample for each value of a label.
+    pub(crate) fn gauges<'a>(
+        &mut self,
+        name: &str,
+        help: &str,
+        label: &str,
+        samples: impl IntoIterator<Item = (&'a str, u64)>,
+    ) {
+        self.family(name, help, "gauge");
+        self.labelled(name, label, samples);
+    }
+
+    /// Writes a counter with one sample for each value of a label.
+    pub(crate) fn counters<'a>(
+        &mut self,
+        name: &str,
+        help: &str,
+        label: &str,
+        samples: impl IntoIterator<Item = (&'a str, u64)>,
+    ) {
+        self.family(name, help, "counter");
+        self.labelled(name, label, samples);
+    }
+
+    fn labelled<'a>(
+        &mut self,
+        name: &str,
+        label: &str,
+        samples: impl IntoIterator<Item = (&'a str, u64)>,
+    ) {
+        for (value, n) in samples {
+            self.sample(name, &[(label, value)], n as f64);
+        }
+    }
+
     /// Returns the text.
     pub(crate) fn into_text(self) -> String {
         self.0

@@ -8,6 +8,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use axum::Router;
+use ihd_daemon::Daemon;
 use thiserror::Error;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
@@ -18,8 +19,8 @@ use crate::access::guard::Access;
 use crate::access::hosts::AllowedHosts;
 use crate::access::sessions::Sessions;
 use crate::access::tokens::{TokenError, Tokens};
-use crate::backend::Backend;
 use crate::connection;
+use crate::routes::health::HealthCache;
 use crate::routes::{self, App, Counts, MAX_SUBSCRIBERS};
 use crate::slots::ConnectionSlots;
 pub use crate::slots::MAX_CONNECTIONS;
@@ -178,10 +179,11 @@ impl Server {
         self.created_tokens.as_deref()
     }
 
-    /// Serves until `stopping` is `true`; requests in progress then have one second to end.
-    pub async fn run(self, backend: Arc<dyn Backend>, mut stopping: watch::Receiver<bool>) {
+    /// Serves a daemon until `stopping` is `true`; requests in progress then have one second to end.
+    pub async fn run(self, daemon: Daemon, mut stopping: watch::Receiver<bool>) {
         let app = Arc::new(App {
-            backend,
+            daemon,
+            health: HealthCache::default(),
             access: Arc::new(self.access),
             tls: self.tls.is_some(),
             backups: self.backups,

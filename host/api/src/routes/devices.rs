@@ -6,6 +6,7 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use ihd_daemon::model::{Command, CommandReply, DeviceReport, Lease};
+use ihd_store::{LookupRow, ResultFilter, ResultRow};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
@@ -23,7 +24,7 @@ const MAX_LIMIT: u32 = 10_000;
 #[utoipa::path(get, path = "/devices", tag = "devices",
     responses((status = 200, body = [DeviceReport])))]
 pub(super) async fn all(State(app): State<Arc<App>>) -> Json<Vec<DeviceReport>> {
-    Json(app.backend.devices())
+    Json(app.daemon.devices())
 }
 
 /// Returns the report of a device.
@@ -34,7 +35,7 @@ pub(super) async fn one(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
 ) -> Result<Json<DeviceReport>, ErrorResponse> {
-    let device = app.backend.device(&name);
+    let device = app.daemon.device(&name);
     device
         .map(Json)
         .ok_or_else(|| ErrorResponse::no_device(&name))
@@ -48,7 +49,8 @@ pub(super) async fn lookups(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
 ) -> Result<Json<Vec<StoredLookup>>, ErrorResponse> {
-    Ok(Json(app.backend.lookups(&name).await?))
+    let rows = app.daemon.lookups(&name).await?;
+    Ok(Json(rows.into_iter().rev().map(stored_lookup).collect()))
 }
 
 /// Query parameters of the results.
@@ -77,8 +79,49 @@ pub(super) async fn results(
         let text = format!("limit is {limit}, but must lie between 1 and {MAX_LIMIT}");
         return Err(ErrorResponse::new(StatusCode::BAD_REQUEST, "query", text));
     }
-    let results = app.backend.results(&name, limit, parameters.since).await?;
-    Ok(Json(results))
+    if app.daemon.device(&name).is_none() {
+        return Err(ErrorResponse::no_device(&name));
+    }
+    let filter = ResultFilter {
+        device: Some(name),
+        since_ms: parameters.since,
+        limit: Some(limit),
+    };
+    let rows = app.daemon.results(filter).await?;
+    Ok(Json(rows.into_iter().map(stored_result).collect()))
+}
+
+fn stored_result(row: ResultRow) -> StoredResult {
+    // JSON has no number for what is not finite.
+    let finite = |x: f64| x.is_finite().then_some(x);
+    StoredResult {
+        device: row.device,
+        boot: row.boot,
+        seq: row.seq,
+        at_ms: row.at_ms,
+        half_cycle: row.half_cycle,
+        f_sw_hz: row.f_sw_hz,
+        i_crest_a: finite(row.i_crest_a),
+        power_w: row.power_w.and_then(finite),
+        r_ohm: finite(row.r_ohm),
+        l_h: finite(row.l_h),
+        sigma_r_pct: finite(row.sigma_r_pct),
+        sigma_l_pct: finite(row.sigma_l_pct),
+        pass: row.pass,
+        why: row.why,
+        changed_lookup: row.changed_lookup,
+    }
+}
+
+fn stored_lookup(row: LookupRow) -> StoredLookup {
+    StoredLookup {
+        version: row.version,
+        state: row.state.to_string(),
+        origin: row.origin,
+        at_ms: row.at_ms,
+        why: row.why,
+        blob: row.blob,
+    }
 }
 
 /// Executes a command. All but `off` and recordings require the lease.
@@ -96,7 +139,7 @@ pub(super) async fn command(
     Holder(holder): Holder,
     JsonBody(command): JsonBody<Command>,
 ) -> Result<Json<CommandReply>, ErrorResponse> {
-    Ok(Json(app.backend.command(&name, &holder, command).await?))
+    Ok(Json(app.daemon.command(&name, &holder, command).await?))
 }
 
 /// Acquires or renews the lease; it ends 10 s later.
@@ -112,10 +155,7 @@ pub(super) async fn take_lease(
     Holder(holder): Holder,
     JsonBody(request): JsonBody<LeaseRequest>,
 ) -> Result<Json<Lease>, ErrorResponse> {
-    let lease = app
-        .backend
-        .take_lease(&name, &holder, request.force)
-        .await?;
+    let lease = app.daemon.take_lease(&name, &holder, request.force).await?;
     Ok(Json(lease))
 }
 
@@ -129,6 +169,6 @@ pub(super) async fn release_lease(
     Path(name): Path<String>,
     Holder(holder): Holder,
 ) -> Result<StatusCode, ErrorResponse> {
-    app.backend.release_lease(&name, &holder).await?;
+    app.daemon.release_lease(&name, &holder).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -49,7 +49,7 @@ pub(super) async fn events(
     let permit = subscriber_permit(&app)?;
     let (tx, rx) = mpsc::channel(QUEUE_LENGTH);
     let subscriber = Subscriber {
-        events: app.backend.watch(),
+        events: app.daemon.watch(),
         device: parameters.device,
         tx,
         app: app.clone(),

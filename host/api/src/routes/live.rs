@@ -13,6 +13,7 @@ use axum::Extension;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::sse::{Event, Sse};
+use ihd_daemon::LiveTap;
 use ihd_daemon::event_bus::now_ms;
 use ihd_daemon::model::{DaemonEvent, DeviceReport, EventKind, LiveTelemetry, WindowCounts};
 use serde::{Deserialize, Serialize};
@@ -24,7 +25,6 @@ use utoipa::IntoParams;
 
 use super::App;
 use super::events::subscriber_permit;
-use crate::backend::LiveSource;
 use crate::connection::WriteStall;
 use crate::model::{MissedEvents, Problem};
 use crate::problem::{ApiQuery, ErrorResponse};
@@ -81,8 +81,8 @@ pub(super) async fn live(
     let permit = subscriber_permit(&app)?;
     let (tx, rx) = mpsc::channel(1);
     let subscriber = Subscriber {
-        source: app.backend.live(every),
-        events: app.backend.watch(),
+        tap: app.daemon.live().every(every),
+        events: app.daemon.watch(),
         stopping: app.stopping.clone(),
         app,
         stall: stall.map(|Extension(stall)| stall),
@@ -134,7 +134,7 @@ impl Outbox {
 
 /// Task behind one live stream.
 struct Subscriber {
-    source: Box<dyn LiveSource>,
+    tap: LiveTap,
     events: broadcast::Receiver<Arc<DaemonEvent>>,
     app: Arc<App>,
     stopping: watch::Receiver<bool>,
@@ -189,7 +189,7 @@ impl Subscriber {
         let now = Instant::now();
         if self.outbox.telemetry {
             self.outbox.telemetry = false;
-            let telemetry = self.source.collect();
+            let telemetry = self.tap.take();
             if !telemetry.devices.is_empty() {
                 return json("telemetry", &telemetry);
             }
@@ -208,7 +208,7 @@ impl Subscriber {
     /// Returns the reports if they are due: first, after a change, and every [`DEVICES_PERIOD`]; at most once per interval, so that frequent
     /// changes do not delay telemetry.
     fn devices(&mut self) -> Option<Vec<DeviceReport>> {
-        let devices = self.app.backend.devices();
+        let devices = self.app.daemon.devices();
         let stable: Vec<_> = devices.iter().map(stable_fields).collect();
         let now = Instant::now();
         let last = self.outbox.devices.as_ref();

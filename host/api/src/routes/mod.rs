@@ -3,9 +3,10 @@
 mod devices;
 mod events;
 mod fleet;
-mod health;
+pub(crate) mod health;
 mod hob;
 mod live;
+mod metrics;
 mod page;
 mod past;
 mod recordings;
@@ -22,6 +23,7 @@ use axum::middleware::{from_fn, from_fn_with_state};
 use axum::response::Response;
 use axum::routing::get;
 use axum::{Json, Router};
+use ihd_daemon::Daemon;
 use tokio::sync::{Semaphore, watch};
 use tower_http::csrf::CsrfLayer;
 use utoipa::OpenApi;
@@ -29,8 +31,8 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::access::guard::{self, Access};
-use crate::backend::Backend;
 use crate::problem::refusal;
+use crate::routes::health::HealthCache;
 use crate::slots::ConnectionSlots;
 
 /// Maximum size of a request body, in bytes; a lookup as JSON has 3 kB.
@@ -41,7 +43,8 @@ pub(crate) const MAX_SUBSCRIBERS: usize = 64;
 
 /// State shared by the routes.
 pub(crate) struct App {
-    pub(crate) backend: Arc<dyn Backend>,
+    pub(crate) daemon: Daemon,
+    pub(crate) health: HealthCache,
     pub(crate) access: Arc<Access>,
     /// `true` if the server uses TLS.
     pub(crate) tls: bool,
@@ -102,7 +105,7 @@ pub(crate) fn described() -> (Router<Arc<App>>, utoipa::openapi::OpenApi) {
     let (router, mut openapi) = OpenApiRouter::with_openapi(Description::openapi())
         .nest("/api/v1", api)
         .routes(routes!(health::healthz))
-        .routes(routes!(health::metrics))
+        .routes(routes!(metrics::metrics))
         .split_for_parts();
     // The derive macro takes contact from the crate's authors.
     openapi.info.contact = None;

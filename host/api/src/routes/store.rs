@@ -39,7 +39,10 @@ pub(super) async fn backup(
             format!("there is a backup {} already", request.to),
         ));
     }
-    app.backend.backup(path.clone()).await?;
+    if let Err(error) = std::fs::create_dir_all(&app.backups) {
+        tracing::warn!(%error, "the folder for backups cannot be made");
+    }
+    app.daemon.backup(path.clone()).await?;
     let path = path.display().to_string();
     Ok(Json(BackupMade { path }))
 }

@@ -1,10 +1,11 @@
 //! Refused requests, with status and message.
 
 use ihd_api::access::{Role, tokens::Tokens};
-use ihd_daemon::model::{DroppedRecords, StoreCause, StoreFailure};
+use ihd_daemon::model::StoreFailure;
+use ihd_daemon::simulation::DiskState;
 
-use crate::backend::Running;
 use crate::http::{ask, raw};
+use crate::rig::Running;
 
 const OFF: &str = r#"{"command":"off"}"#;
 const JSON: &str = "Content-Type: application/json";
@@ -76,7 +77,7 @@ fn a_foreign_name_is_refused_on_every_route() {
 
 #[test]
 fn another_sites_page_commands_nothing() {
-    let server = Running::start();
+    let mut server = Running::with_hobs(|_, _| {});
     for foreign in [
         "Origin: https://evil.example",
         "Origin: null",
@@ -89,7 +90,7 @@ fn another_sites_page_commands_nothing() {
         assert_eq!(status, 403, "{foreign}: {body}");
         assert!(body.contains("cross-site"), "{body}");
     }
-    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+    assert_eq!(server.commands(), []);
     // The same from its own page, and from a program.
     for own in [
         "Origin: http://localhost",
@@ -99,7 +100,7 @@ fn another_sites_page_commands_nothing() {
         let (status, body) = ask(server.address, COMMANDS, &[JSON, ME, own], OFF);
         assert_eq!(status, 200, "{own}: {body}");
     }
-    assert_eq!(server.fake.asked.lock().unwrap().commands.len(), 3);
+    assert_eq!(server.commands().len(), 3);
 }
 
 #[test]
@@ -117,7 +118,7 @@ fn another_sites_script_reads_nothing_and_its_link_opens() {
 #[test]
 fn a_form_cannot_command() {
     // What a page may send without asking first: no header of its own, no JSON.
-    let server = Running::start();
+    let mut server = Running::start();
     for kind in ["text/plain", "application/x-www-form-urlencoded"] {
         let kind = format!("Content-Type: {kind}");
         assert_eq!(ask(server.address, COMMANDS, &[&kind, ME], OFF).0, 415);
@@ -126,12 +127,13 @@ fn a_form_cannot_command() {
     let (status, body) = ask(server.address, COMMANDS, &[JSON], OFF);
     assert_eq!(status, 400, "{body}");
     assert!(body.contains("ihd-holder"), "{body}");
-    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+    assert_eq!(server.commands(), []);
 }
 
 #[test]
 fn without_the_right_token_nothing_but_health() {
-    let server = Running::with(|settings, dir| settings.token_file = Some(dir.join("tokens")));
+    let mut server =
+        Running::with_hobs(|options, dir| options.token_file = Some(dir.join("tokens")));
     let tokens = Tokens::read(&server.dir.path().join("tokens")).unwrap();
     let bearer = |role| format!("Authorization: Bearer {}", tokens.at_least(role).unwrap());
     let wrong = format!("Authorization: Bearer {}", "0".repeat(64));
@@ -155,7 +157,7 @@ fn without_the_right_token_nothing_but_health() {
         assert_eq!(status, 403, "{route}: {body}");
         assert!(body.contains("operate"), "{body}");
     }
-    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+    assert_eq!(server.commands(), []);
     for role in [Role::Operate, Role::Flash] {
         let (status, body) = ask(server.address, COMMANDS, &[&bearer(role), JSON, ME], OFF);
         assert_eq!(status, 200, "{body}");
@@ -164,7 +166,7 @@ fn without_the_right_token_nothing_but_health() {
 
 #[test]
 fn get_changes_nothing() {
-    let server = Running::start();
+    let mut server = Running::start();
     for route in ROUTES
         .iter()
         .filter(|r| !r.starts_with("GET") && !r.ends_with("/session"))
@@ -174,13 +176,13 @@ fn get_changes_nothing() {
         assert_eq!(status, 405, "{path}: {body}");
         assert!(body.contains("\"method\""), "{body}");
     }
-    let asked = server.fake.asked.lock().unwrap();
-    assert!(asked.commands.is_empty() && asked.lease.is_none() && asked.backups.is_empty());
+    assert_eq!((server.commands(), server.report().lease), (vec![], None));
+    assert!(!server.dir.path().join("backups").exists());
 }
 
 #[test]
 fn bodies_with_keys_or_values_that_are_none_are_refused() {
-    let server = Running::start();
+    let mut server = Running::start();
     for body in [
         "{}",
         "null",
@@ -197,7 +199,7 @@ fn bodies_with_keys_or_values_that_are_none_are_refused() {
         let line = format!("GET /api/v1/devices/x/results?{query}");
         assert_eq!(ask(server.address, &line, &[], "").0, 400, "{query}");
     }
-    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+    assert_eq!(server.commands(), []);
 }
 
 #[test]
@@ -231,15 +233,16 @@ fn a_backup_stays_in_its_folder_and_overwrites_nothing() {
     let folder = server.dir.path().join("backups");
     std::fs::create_dir_all(folder.join("tuesday")).unwrap();
     assert_eq!(backup("tuesday"), 409);
-    assert_eq!(
-        server.fake.asked.lock().unwrap().backups,
-        [folder.join("monday")]
-    );
+    let copies = std::fs::read_dir(&folder).unwrap().count();
+    assert_eq!(copies, 2, "monday's, and tuesday's as it was");
+    let monday = ihd_store::Reader::open(&folder.join("monday")).unwrap();
+    assert!(monday.devices().is_ok(), "it is a store");
 }
 
+/// The disk takes no window any more; each hob sends one every 0.7 s.
 #[test]
-fn health_says_what_is_dropped_why_and_what_to_do() {
-    let server = Running::start();
+fn health_and_metrics_say_what_is_dropped_why_and_what_to_do() {
+    let (server, clock) = Running::with_hobs_and_clock(|_, _| {});
     let health = || {
         let (status, body) = ask(server.address, "GET /healthz", &[], "");
         (
@@ -247,16 +250,53 @@ fn health_says_what_is_dropped_why_and_what_to_do() {
             serde_json::from_str::<ihd_api::model::Health>(&body).unwrap(),
         )
     };
+    clock.second();
+    clock.second();
     let (status, well) = health();
     assert_eq!((status, well.store, well.store_failure), (200, true, None));
-    let dropped = DroppedRecords {
-        windows: 7,
-        ..DroppedRecords::default()
-    };
-    let failure = StoreFailure::new(StoreCause::DiskFull, 1_795_348_800_000, dropped);
-    server.fake.asked.lock().unwrap().store_failure = Some(failure.clone());
+    server.world.disk.set(DiskState {
+        refuses_windows: true,
+        ..DiskState::default()
+    });
+    for _ in 0..4 {
+        clock.second();
+    }
     let (status, ill) = health();
     assert_eq!((status, ill.store), (503, false));
-    assert!(failure.text.contains("full") && failure.advice.contains("Free space"));
-    assert_eq!(ill.store_failure, Some(failure));
+    let failure = ill.store_failure.unwrap();
+    assert!(failure.dropped.windows >= 8, "{failure:?}");
+    assert!(failure.since_ms > 0 && failure.advice.contains("right to write"));
+    let whole = StoreFailure::new(failure.cause, failure.since_ms, failure.dropped);
+    assert_eq!(failure, whole);
+    let (_, metrics) = ask(server.address, "GET /metrics", &[], "");
+    let windows = server.report().windows;
+    assert!(
+        windows.stored >= 2 && windows.not_stored >= 4,
+        "{windows:?}"
+    );
+    let since_s = failure.since_ms as f64 * 1e-3;
+    for line in [
+        "ihd_store_well 0".to_owned(),
+        format!("ihd_store_failing_since_seconds {since_s}"),
+        format!(
+            "ihd_store_dropped_total{{record=\"windows\"}} {}",
+            failure.dropped.windows
+        ),
+        "ihd_store_dropped_total{record=\"audits\"} 0".to_owned(),
+        format!(
+            "ihd_windows_total{{device=\"serial:/dev/tty ä\",fate=\"stored\"}} {}",
+            windows.stored
+        ),
+        format!(
+            "ihd_windows_total{{device=\"serial:/dev/tty ä\",fate=\"not-stored\"}} {}",
+            windows.not_stored
+        ),
+        "ihd_device_state{device=\"serial:/dev/tty ä\",state=\"idle\"} 1".to_owned(),
+        "ihd_device_state{device=\"serial:/dev/tty ä\",state=\"faulted\"} 0".to_owned(),
+    ] {
+        assert!(
+            metrics.lines().any(|l| l == line),
+            "{line} not in {metrics}"
+        );
+    }
 }

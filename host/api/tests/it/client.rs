@@ -7,8 +7,10 @@ use ihd_api::access::{Role, tokens::Tokens};
 use ihd_api::client::ClientError;
 use ihd_api::tls::Certificate;
 use ihd_daemon::model::{Command, CommandError, Quantity, RecordSettings, Trigger};
+use ihd_shared::lookup::{RlLookup, prior::prior};
 
-use crate::backend::{NAME, Running};
+use crate::http::PATIENCE;
+use crate::rig::{NAME, OTHER, Running};
 
 fn client(server: &Running, holder: &str) -> ApiClient {
     ApiClient::new(&server.url, holder, None, None).unwrap()
@@ -16,51 +18,94 @@ fn client(server: &Running, holder: &str) -> ApiClient {
 
 #[test]
 fn every_route_has_a_method_that_works() {
-    let server = Running::start();
+    let mut server = Running::with_hobs(|_, _| {});
     let ada = client(&server, "Ada");
-    assert!(ada.health(Duration::from_millis(500)).unwrap().store);
+    assert!(ada.health(PATIENCE).unwrap().store);
     let devices = ada.devices().unwrap();
-    assert_eq!(devices[0].name, NAME);
-    assert_eq!(ada.device(NAME).unwrap(), devices[0]);
-    assert_eq!(ada.lookups(NAME).unwrap()[0].blob, [0, 255]);
-    assert_eq!(ada.results(NAME, 7, Some(-3)).unwrap(), []);
+    assert_eq!([&devices[0].name, &devices[1].name], [NAME, OTHER]);
+    let device = ada.device(NAME).unwrap();
+    assert_eq!(
+        (&device.name, &device.identity),
+        (&devices[0].name, &devices[0].identity)
+    );
+    let lookup = &ada.lookups(NAME).unwrap()[0];
+    assert_eq!(
+        (&*lookup.state, &*lookup.blob),
+        ("active", &prior().to_bytes()[..])
+    );
+    assert_eq!(ada.results(NAME, 7, Some(i64::MAX)).unwrap(), []);
     assert_eq!(ada.take_lease(NAME, false).unwrap().holder, "Ada");
-    let commands = [
-        Command::Power { power_w: 1200 },
-        Command::Off,
-        Command::ClearFault,
-        Command::LookupPush {
-            blob: (0..=255).cycle().take(560).collect(),
-        },
-        Command::LookupRollback { version: None },
-        Command::LookupRollback { version: Some(3) },
-        Command::LookupReset,
-        Command::Sweep {
-            powers_w: vec![700, 1000],
-        },
-        Command::RecordStart(RecordSettings::default()),
-        Command::RecordStart(RecordSettings {
-            trigger: Trigger::Level {
-                quantity: Quantity::Inductance,
-                level: 28.5,
-                rising: false,
-            },
-            pre_trigger_s: 2.5,
-            duration_s: Some(30.0),
-        }),
-        Command::RecordStop,
-    ];
-    for command in &commands {
-        assert_eq!(ada.command(NAME, command).unwrap().text, "done");
+    let pushed = RlLookup {
+        version: 1,
+        ..prior()
+    };
+    let trigger = Trigger::Level {
+        quantity: Quantity::Inductance,
+        level: 28.5,
+        rising: false,
+    };
+    let sweep = vec![700, 1_000];
+    let blob = pushed.to_bytes().to_vec();
+    let triggered = RecordSettings {
+        trigger,
+        pre_trigger_s: 2.5,
+        duration_s: Some(30.0),
+    };
+    // Each with its text in the audit and the start of its answer; empty if the device refuses.
+    for (command, text, answer) in [
+        (
+            Command::Power { power_w: 1_200 },
+            "power 1200 W",
+            "1200 W asked for",
+        ),
+        (Command::Off, "off", "off"),
+        (Command::ClearFault, "clear-fault", "fault cleared"),
+        (
+            Command::LookupPush { blob: blob.clone() },
+            &format!("lookup push ({} bytes)", blob.len()),
+            "version 1 is active",
+        ),
+        (
+            Command::LookupRollback { version: None },
+            "lookup rollback",
+            "version 2 is active",
+        ),
+        (
+            Command::LookupRollback { version: Some(9) },
+            "lookup rollback to version 9",
+            "",
+        ),
+        (Command::LookupReset, "lookup reset", "back to the built-in"),
+        (
+            Command::Sweep { powers_w: sweep },
+            "sweep 700, 1000 W",
+            "sweep through 2 powers",
+        ),
+        (
+            Command::RecordStart(RecordSettings::default()),
+            "record start",
+            "recording",
+        ),
+        (
+            Command::RecordStart(triggered),
+            &format!("record start at {trigger}"),
+            "",
+        ),
+        (Command::RecordStop, "record stop", "recorded"),
+    ] {
+        match ada.command(NAME, &command) {
+            Ok(reply) if !answer.is_empty() => {
+                assert!(reply.text.starts_with(answer), "{command:?}: {reply:?}");
+            }
+            Err(ClientError::Command(CommandError::Refused { .. })) if answer.is_empty() => {}
+            other => panic!("{command:?}: {other:?}"),
+        }
+        let audited = [("Ada".to_owned(), text.to_owned())];
+        assert_eq!(server.commands(), audited, "{command:?}");
     }
     ada.release_lease(NAME).unwrap();
+    assert_eq!(ada.device(NAME).unwrap().lease, None);
     assert!(ada.backup("monday").unwrap().path.ends_with("monday"));
-    let asked = server.fake.asked.lock().unwrap();
-    let got: Vec<&Command> = asked.commands.iter().map(|(_, c)| c).collect();
-    assert_eq!(got, commands.iter().collect::<Vec<_>>());
-    assert!(asked.commands.iter().all(|(holder, _)| holder == "Ada"));
-    assert_eq!(asked.results, [(7, Some(-3))]);
-    assert_eq!(asked.lease, None);
 }
 
 #[test]
@@ -119,9 +164,9 @@ fn nobody_and_somebody_else_are_told_apart() {
 
 #[test]
 fn over_tls_with_its_certificate_and_a_token_and_not_without() {
-    let server = Running::with(|settings, dir| {
-        settings.token_file = Some(dir.join("tokens"));
-        settings.tls = Some(Certificate::Generated {
+    let server = Running::with_hobs(|options, dir| {
+        options.token_file = Some(dir.join("tokens"));
+        options.tls = Some(Certificate::Generated {
             folder: dir.join("tls"),
         });
     });
@@ -130,7 +175,7 @@ fn over_tls_with_its_certificate_and_a_token_and_not_without() {
     let token = |role| tokens.at_least(role).map(str::to_owned);
     let ca = server.certificate.as_deref();
     let ada = ApiClient::new(&server.url, "Ada", token(Role::Operate), ca).unwrap();
-    assert_eq!(ada.devices().unwrap().len(), 1);
+    assert_eq!(ada.devices().unwrap().len(), 2);
     ada.command(NAME, &Command::Off).unwrap();
     ada.take_lease(NAME, false).unwrap();
     ada.release_lease(NAME).unwrap();

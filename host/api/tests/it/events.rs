@@ -1,29 +1,20 @@
 //! Events arrive; a slow client is sent the number of missed events.
 
 use std::io::{Read, Write};
-use std::sync::Arc;
 
 use ihd_api::ApiClient;
-use ihd_api::client::events::StreamItem;
-use ihd_daemon::model::{DaemonEvent, EventKind};
+use ihd_api::client::events::{Events, StreamItem};
+use ihd_daemon::model::EventKind;
 
-use crate::backend::Running;
 use crate::http::connect;
-
-fn stored(device: &str, seq: u32) -> Arc<DaemonEvent> {
-    Arc::new(DaemonEvent {
-        at_ms: 1_700_000_000_000,
-        device: device.into(),
-        kind: EventKind::WindowStored { boot: 7, seq },
-    })
-}
+use crate::rig::{NAME, OTHER, Running};
 
 fn client(server: &Running) -> ApiClient {
     ApiClient::new(&server.url, "test", None, None).unwrap()
 }
 
 /// Returns the next item that is not a heartbeat.
-fn next(events: &mut ihd_api::client::events::Events) -> StreamItem {
+fn next(events: &mut Events) -> StreamItem {
     loop {
         match events.next().expect("not ended").expect("no error") {
             StreamItem::Heartbeat => {}
@@ -32,56 +23,63 @@ fn next(events: &mut ihd_api::client::events::Events) -> StreamItem {
     }
 }
 
+/// Returns the holders of the next `n` leases.
+fn holders(events: &mut Events, n: usize) -> Vec<String> {
+    let mut holders = Vec::new();
+    while holders.len() < n {
+        match next(events) {
+            StreamItem::Event(event) => {
+                if let EventKind::Lease { holder, .. } = event.kind {
+                    holders.push(holder);
+                }
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+    holders
+}
+
 #[test]
 fn notices_arrive_in_order_and_the_filter_holds() {
     let server = Running::start();
     let mut all = client(&server).events(None).unwrap();
-    let mut bench = client(&server).events(Some("bench ä")).unwrap();
+    let mut first = client(&server).events(Some(NAME)).unwrap();
     // Subscribed once the greeting is there.
     assert_eq!(all.next().unwrap().unwrap(), StreamItem::Heartbeat);
-    assert_eq!(bench.next().unwrap().unwrap(), StreamItem::Heartbeat);
-    for (device, seq) in [
-        ("kitchen", 1),
-        ("bench ä", 2),
-        ("", 3),
-        ("kitchen", 4),
-        ("bench ä", 5),
+    assert_eq!(first.next().unwrap().unwrap(), StreamItem::Heartbeat);
+    for (device, holder) in [
+        (OTHER, "1"),
+        (NAME, "2"),
+        (OTHER, "3"),
+        (NAME, "4"),
+        (NAME, "5"),
     ] {
-        server.fake.notices.send(stored(device, seq)).unwrap();
+        server.take_lease(device, holder);
     }
-    let seqs = |events: &mut _, n| -> Vec<u32> {
-        (0..n)
-            .map(|_| match next(events) {
-                StreamItem::Event(notice) => match notice.kind {
-                    EventKind::WindowStored { seq, .. } => seq,
-                    other => panic!("{other:?}"),
-                },
-                other => panic!("{other:?}"),
-            })
-            .collect()
-    };
-    assert_eq!(seqs(&mut all, 5), [1, 2, 3, 4, 5]);
-    assert_eq!(seqs(&mut bench, 3), [2, 3, 5]);
+    assert_eq!(holders(&mut all, 5), ["1", "2", "3", "4", "5"]);
+    assert_eq!(holders(&mut first, 3), ["2", "4", "5"]);
 }
 
 #[test]
 fn a_slow_reader_is_told_and_everything_is_accounted_for() {
-    let server = Running::start();
+    let (server, clock) = Running::with_clock();
+    // Both devices are known to be unplugged: no event but these.
+    clock.second();
     let mut events = client(&server).events(None).unwrap();
     assert_eq!(events.next().unwrap().unwrap(), StreamItem::Heartbeat);
-    // More than sockets, queue and channel can buffer.
+    // More than sockets, queue and event bus can buffer.
     const SENT: u64 = 200_000;
-    for seq in 0..SENT {
-        server
-            .fake
-            .notices
-            .send(stored("bench", seq as u32))
-            .unwrap();
+    for _ in 0..SENT / 2 {
+        server.take_lease(NAME, "Ada");
+        server.release_lease(NAME, "Ada");
     }
     let (mut received, mut missed) = (0, 0);
     while received + missed < SENT {
         match next(&mut events) {
-            StreamItem::Event(_) => received += 1,
+            StreamItem::Event(event) => {
+                assert!(matches!(event.kind, EventKind::Lease { .. }), "{event:?}");
+                received += 1;
+            }
             StreamItem::Missed(n) => missed += n,
             other => panic!("{other:?}"),
         }

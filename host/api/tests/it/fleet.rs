@@ -1,18 +1,15 @@
 //! Report of the fleet, over a socket and by the client.
 
-use std::sync::Arc;
-
+use ihd_api::ApiClient;
 use ihd_api::access::{Role, tokens::Tokens};
 use ihd_api::client::ClientError;
-use ihd_api::{ApiClient, Backend, DaemonBackend};
 use ihd_daemon::model::{
     FleetAnswers, FleetDevice, FleetEdge, FleetReport, FleetStates, FleetWorker,
 };
-use ihd_daemon::{Config, Daemon};
 use serde_json::Value;
 
-use crate::backend::Running;
 use crate::http::ask;
+use crate::rig::Running;
 
 const FLEET: &str = "GET /api/v1/fleet";
 const SESSION: &str = "GET /api/v1/session";
@@ -70,12 +67,12 @@ fn report() -> FleetReport {
             alarms: vec!["3 windows are due for too long".into()],
             last_seen_ms: 1_795_000_000_900,
         }],
-        devices: vec![device("bench", false), device("<b>\u{202e}ä", true)],
+        devices: vec![device("bench", false), device("<b>ä", true)],
     }
 }
 
 fn edge(server: &Running) {
-    server.fake.asked.lock().unwrap().fleet = Some(Arc::new(report()));
+    server.daemon.set_fleet_report(report());
 }
 
 #[test]
@@ -121,31 +118,24 @@ fn it_is_read_by_whoever_may_read() {
     assert_eq!(ask(server.address, other, &[&bearer], "").0, 403);
 }
 
-/// Starts a daemon without devices, with its own store.
-async fn daemon(folder: &tempfile::TempDir) -> Daemon {
-    let mut config = Config::parse("discover_usb = false", "test").unwrap();
-    config.store = folder.path().join("store");
-    let open = |_: &_| panic!("there is no device to open");
-    Daemon::start(config, Arc::new(open)).await.unwrap()
+/// Returns the metrics of the fleet with their labels' values in place of the names.
+fn figures_of_a_fleet(server: &Running) -> Vec<(String, f64)> {
+    let (_, text) = ask(server.address, "GET /metrics", &[], "");
+    let of_fleet = text.lines().filter_map(|l| l.strip_prefix("ihd_fleet_"));
+    let sample = |line: &str| {
+        let (name, value) = line.rsplit_once(' ').unwrap();
+        let label = name.split('"').nth(1).unwrap_or(name);
+        (label.to_owned(), value.parse().unwrap())
+    };
+    of_fleet.map(sample).collect()
 }
 
-fn figures_of_a_fleet(backend: &DaemonBackend) -> Vec<(&'static str, f64)> {
-    let figures = backend.metrics().into_iter();
-    let named = figures.filter(|f| f.name.starts_with("fleet"));
-    named
-        .map(|f| (f.label.map_or(f.name, |(_, state)| state), f.value))
-        .collect()
-}
-
-#[tokio::test]
-async fn a_daemon_tells_what_it_was_told_last_and_counts_it() {
-    let folder = tempfile::tempdir().unwrap();
-    let daemon = daemon(&folder).await;
-    let backend = DaemonBackend::new(daemon.clone());
-    assert_eq!(backend.fleet(), None);
-    assert_eq!(figures_of_a_fleet(&backend), []);
-    daemon.set_fleet_report(report());
-    daemon.set_fleet_report(FleetReport {
+#[test]
+fn a_daemon_tells_what_it_was_told_last_and_counts_it() {
+    let server = Running::start();
+    assert_eq!(figures_of_a_fleet(&server), []);
+    edge(&server);
+    server.daemon.set_fleet_report(FleetReport {
         connected: true,
         outbox: 2,
         backlog: 3,
@@ -153,14 +143,13 @@ async fn a_daemon_tells_what_it_was_told_last_and_counts_it() {
         workers: vec![FleetWorker::default(); 5],
         ..report()
     });
-    assert_eq!(backend.fleet().map(|fleet| fleet.backlog), Some(3));
     let expected = [
-        ("fleet_connected", 1.0),
-        ("fleet_outbox", 2.0),
-        ("fleet_backlog", 3.0),
-        ("fleet_dead", 4.0),
-        ("fleet_workers", 5.0),
-        ("fleet_alarms", 1.0),
+        ("connected", 1.0),
+        ("outbox", 2.0),
+        ("backlog", 3.0),
+        ("dead", 4.0),
+        ("workers", 5.0),
+        ("alarms", 1.0),
         ("not for fleet", 0.0),
         ("due", 3.0),
         ("sent", 0.0),
@@ -174,29 +163,27 @@ async fn a_daemon_tells_what_it_was_told_last_and_counts_it() {
         ("unidentified", 0.0),
         ("distrusted", 0.0),
     ];
-    assert_eq!(figures_of_a_fleet(&backend), expected);
-    drop(backend);
-    daemon.stop().await;
+    let expected = expected.map(|(name, value)| (name.to_owned(), value));
+    assert_eq!(figures_of_a_fleet(&server), expected);
 }
 
 /// Every string of the report has an escape sequence, a line break and a megabyte.
-#[tokio::test]
-async fn no_text_of_another_machine_is_passed_on_as_it_is() {
-    let folder = tempfile::tempdir().unwrap();
-    let daemon = daemon(&folder).await;
+#[test]
+fn no_text_of_another_machine_is_passed_on_as_it_is() {
+    let server = Running::start();
     let mut hostile_report = serde_json::to_value(report()).unwrap();
     let bad = format!("\u{1b}[2J\n{}", "x".repeat(1 << 20));
     let hostile = texts(&mut hostile_report, &mut |text| text.clone_from(&bad));
-    daemon.set_fleet_report(serde_json::from_value(hostile_report).unwrap());
-    let known = daemon.fleet().unwrap();
-    let mut known = serde_json::to_value(&*known).unwrap();
+    let hostile_report = serde_json::from_value(hostile_report).unwrap();
+    server.daemon.set_fleet_report(hostile_report);
+    let (_, known) = ask(server.address, FLEET, &[], "");
+    let mut known = serde_json::from_str(&known).unwrap();
     let seen = texts(&mut known, &mut |text| {
         assert!(text.chars().all(|c| !c.is_control()), "{text:.40}");
         assert!(text.len() < 1_000, "{} bytes", text.len());
     });
     // Server, edge, why and an alarm; two of the worker, three of the edge, five of each hob.
     assert_eq!((hostile, seen), (19, 19));
-    daemon.stop().await;
 }
 
 /// Calls `see` for every string of a document; returns their number.

@@ -3,7 +3,6 @@
 use std::collections::VecDeque;
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ihd_api::ApiClient;
@@ -11,10 +10,10 @@ use ihd_api::access::{Role, tokens::Tokens};
 use ihd_api::client::events::{Events, StreamItem};
 use ihd_api::server::MAX_CONNECTIONS;
 use ihd_api::tls::Certificate;
-use ihd_daemon::model::{Command, DaemonEvent, EventKind};
+use ihd_daemon::model::{Command, EventKind};
 
-use crate::backend::{NAME, Running};
 use crate::http::{PATIENCE, ask, connect};
+use crate::rig::{NAME, Running};
 
 #[test]
 fn a_body_of_a_gigabyte_is_refused_at_once() {
@@ -105,14 +104,16 @@ fn watch(client: &ApiClient) -> Events {
 
 /// Checks that an event stream is still connected.
 fn hears(server: &Running, events: &mut Events) {
-    let notice = DaemonEvent {
-        at_ms: 1_700_000_000_000,
-        device: NAME.into(),
-        kind: EventKind::WindowStored { boot: 7, seq: 1 },
+    server.take_lease(NAME, "Eve");
+    let is_heard = |item: StreamItem| match item {
+        StreamItem::Event(event) => match event.kind {
+            EventKind::Lease { holder, .. } => holder == "Eve",
+            _ => false,
+        },
+        _ => false,
     };
-    server.fake.notices.send(Arc::new(notice.clone())).unwrap();
-    let heard = events.next().unwrap().unwrap();
-    assert_eq!(heard, StreamItem::Event(Box::new(notice)));
+    while !is_heard(events.next().unwrap().unwrap()) {}
+    server.release_lease(NAME, "Eve");
 }
 
 /// The clock is paused: no time-out frees a slot. The hostile connections send nothing, an incomplete request, or a request that needs no
@@ -120,7 +121,7 @@ fn hears(server: &Running, events: &mut Events) {
 #[test]
 fn a_thousand_strangers_keep_nobody_out_who_has_a_token() {
     for tls in [false, true] {
-        let (server, clock) = Running::with_clock_and(|settings, dir| {
+        let (mut server, clock) = Running::with_hobs_and_clock(|settings, dir| {
             settings.token_file = Some(dir.join("tokens"));
             settings.tls = tls.then(|| Certificate::Generated {
                 folder: dir.join("tls"),
@@ -151,8 +152,7 @@ fn a_thousand_strangers_keep_nobody_out_who_has_a_token() {
         }
         client("Bob").command(NAME, &Command::Off).unwrap();
         known.command(NAME, &Command::Off).unwrap();
-        let asked = server.fake.asked.lock().unwrap().commands.len();
-        assert_eq!(asked, 3, "TLS: {tls}");
+        assert_eq!(server.commands().len(), 3, "TLS: {tls}");
         hears(&server, &mut watched);
         // The rest is closed by the time limit.
         clock.pass(Duration::from_secs(61));
@@ -165,7 +165,7 @@ fn a_thousand_strangers_keep_nobody_out_who_has_a_token() {
 /// Without tokens any request is admitted; an idle connection can be evicted also after a request.
 #[test]
 fn on_plain_loopback_a_thousand_that_idle_keep_nobody_out() {
-    let (server, _clock) = Running::with_clock();
+    let (server, _clock) = Running::with_hobs_and_clock(|_, _| {});
     let ada = ApiClient::new(&server.url, "Ada", None, None).unwrap();
     let mut watched = watch(&ada);
     let mut held = VecDeque::new();

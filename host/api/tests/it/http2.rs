@@ -1,5 +1,6 @@
 //! HTTP/2 over TLS: several streams in one connection, with the limits of HTTP/1.1.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -7,9 +8,9 @@ use bytes::Bytes;
 use h2::client::{Builder, SendRequest};
 use h2::{Reason, RecvStream};
 use hyper::{Request, Response};
+use ihd_api::ServerOptions;
 use ihd_api::access::{Role, tokens::Tokens};
 use ihd_api::tls::Certificate;
-use ihd_daemon::model::Command;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, ServerName};
 use tokio::net::TcpStream;
@@ -17,17 +18,19 @@ use tokio::runtime::Runtime;
 use tokio::task::JoinHandle;
 use tokio_rustls::TlsConnector;
 
-use crate::backend::{Clock, Running};
+use crate::rig::{Clock, Running};
 
 const OFF: &str = "/api/v1/devices/serial%3A%2Fdev%2Ftty%20%C3%A4/commands";
 
 fn server() -> (Running, Clock) {
-    Running::with_clock_and(|settings, dir| {
-        settings.token_file = Some(dir.join("tokens"));
-        settings.tls = Some(Certificate::Generated {
-            folder: dir.join("tls"),
-        });
-    })
+    Running::with_clock_and(with_tls)
+}
+
+fn with_tls(options: &mut ServerOptions, dir: &Path) {
+    options.token_file = Some(dir.join("tokens"));
+    options.tls = Some(Certificate::Generated {
+        folder: dir.join("tls"),
+    });
 }
 
 /// Connection of a client.
@@ -114,7 +117,7 @@ impl Connection {
 /// A browser opens at most six HTTP/1.1 connections; here a seventh request is answered.
 #[test]
 fn six_streams_of_events_and_off_share_one_connection() {
-    let (server, _clock) = server();
+    let (mut server, _clock) = Running::with_hobs_and_clock(with_tls);
     Runtime::new().unwrap().block_on(async {
         let page = Connection::open(&server).await;
         let mut streams = Vec::new();
@@ -139,8 +142,7 @@ fn six_streams_of_events_and_off_share_one_connection() {
             "{metrics}"
         );
     });
-    let asked = server.fake.asked.lock().unwrap();
-    assert!(matches!(asked.commands[..], [(_, Command::Off)]));
+    assert_eq!(server.commands(), [("Ada".into(), "off".into())]);
 }
 
 #[test]
@@ -157,7 +159,7 @@ fn a_name_that_is_not_the_servers_is_refused() {
 /// The clock is paused: no time-out frees a slot.
 #[test]
 fn strangers_give_way_to_who_has_a_token() {
-    let (server, _clock) = server();
+    let (server, _clock) = Running::with_hobs_and_clock(with_tls);
     Runtime::new().unwrap().block_on(async {
         let known = Connection::open(&server).await;
         known.is_served().await;

@@ -2,18 +2,17 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::Duration;
 
-use ihd_daemon::model::{DaemonEvent, DeviceReport, EventKind, LiveDevice};
+use ihd_daemon::model::{DeviceReport, EventKind, LiveDevice};
 use serde::Deserialize as _;
 use serde_json::Value;
 use socket2::{Domain, Socket, Type};
 
-use crate::backend::{Clock, NAME, Running, live};
 use crate::http::{PATIENCE, ask, connect};
+use crate::rig::{Clock, NAME, OTHER, Running};
 
 /// Events of `/live` with their names.
 struct Watching(BufReader<TcpStream>);
@@ -46,6 +45,16 @@ impl Watching {
         }
     }
 
+    /// Returns the name of the next event that is no notice.
+    fn next_but_notices(&mut self) -> String {
+        loop {
+            let (kind, _) = self.next().expect("not ended");
+            if kind != "notice" {
+                return kind;
+            }
+        }
+    }
+
     /// Returns the next event of a name.
     fn next_of(&mut self, name: &str) -> Value {
         loop {
@@ -57,45 +66,31 @@ impl Watching {
     }
 }
 
-fn stored(seq: u32) -> Arc<DaemonEvent> {
-    let kind = EventKind::WindowStored { boot: 7, seq };
-    let device = NAME.into();
-    Arc::new(DaemonEvent {
-        at_ms: 1,
-        device,
-        kind,
-    })
+/// Half-cycles from one telemetry message of a hob to the next.
+const HALF_CYCLES_A_MESSAGE: u64 = 10;
+
+/// Lets `tenths` of a second pass in steps of 10 ms.
+fn pass(clock: &Clock, tenths: u32) {
+    for _ in 0..10 * tenths {
+        clock.pass(Duration::from_millis(9));
+    }
 }
 
-/// Interval of telemetry in most of these tests.
-const INTERVAL: Duration = Duration::from_millis(100);
-
-/// Sets the number of devices that send telemetry.
-fn devices(server: &Running, count: u64) {
-    server.fake.world.devices.store(count, Ordering::Relaxed);
+/// Telemetry of the first device in an event; `None` if there was none.
+fn first_device(telemetry: &Value) -> Option<LiveDevice> {
+    LiveDevice::deserialize(telemetry["devices"].get(NAME)?).ok()
 }
 
-/// Lets an interval pass with ten half-cycles of each device; returns the half-cycles of each so far.
-fn interval(server: &Running, clock: &Clock) -> u64 {
-    let came = server
-        .fake
-        .world
-        .half_cycles
-        .fetch_add(10, Ordering::Relaxed);
-    clock.pass(INTERVAL);
-    came + 10
-}
-
+/// Two messages of the hob in each interval.
 #[test]
 fn a_report_that_changes_all_the_time_keeps_nothing_back() {
-    let (server, clock) = Running::with_clock();
-    server.fake.world.restless.store(true, Ordering::Relaxed);
-    devices(&server, 1);
-    let mut watching = Watching::start(&server, "?interval_ms=100");
+    let (server, clock) = Running::with_hobs_and_clock(|_, _| {});
+    let mut watching = Watching::start(&server, "?interval_ms=200");
     watching.next_of("devices");
-    for _ in 0..10 {
-        interval(&server, &clock);
-        let mut both = [watching.next().unwrap().0, watching.next().unwrap().0];
+    for holder in 0..10 {
+        server.take_lease(NAME, &format!("holder {holder}"));
+        pass(&clock, 2);
+        let mut both = [(); 2].map(|()| watching.next_but_notices());
         both.sort();
         assert_eq!(both, ["devices", "telemetry"]);
     }
@@ -103,20 +98,22 @@ fn a_report_that_changes_all_the_time_keeps_nothing_back() {
 
 #[test]
 fn devices_come_first_and_telemetry_accounts_for_each_half_cycle() {
-    let (server, clock) = Running::with_clock();
-    let mut watching = Watching::start(&server, "?interval_ms=100");
+    let (server, clock) = Running::with_hobs_and_clock(|_, _| {});
+    let mut watching = Watching::start(&server, "?interval_ms=200");
     let (kind, reports) = watching.next().unwrap();
     assert_eq!(kind, "devices");
     let reports = Vec::<DeviceReport>::deserialize(reports).unwrap();
     assert_eq!(reports[0].name, NAME);
-    devices(&server, 2);
-    for _ in 0..30 {
-        let came = interval(&server, &clock);
+    let mut last = reports[0].live.as_ref().unwrap().half_cycle;
+    for _ in 0..15 {
+        pass(&clock, 2);
         let telemetry = watching.next_of("telemetry");
-        let device = &telemetry["devices"]["device-001"];
-        let device = LiveDevice::deserialize(device).unwrap();
-        assert_eq!(u64::from(device.last.half_cycle), came);
-        assert_eq!((device.half_cycles, device.skipped), (10, 0));
+        assert!(telemetry["devices"][OTHER].is_object(), "{telemetry}");
+        let device = first_device(&telemetry).unwrap();
+        let new = u64::from(device.last.half_cycle - last);
+        assert_eq!(device.half_cycles * HALF_CYCLES_A_MESSAGE, new);
+        assert!(device.half_cycles > 0 && device.skipped == 0, "{device:?}");
+        last = device.last.half_cycle;
     }
 }
 
@@ -153,48 +150,48 @@ fn where_nobody_is_heard_something_comes_each_second_all_the_same() {
 
 #[test]
 fn what_changes_is_told_at_once_and_what_always_changes_is_not() {
-    let (server, clock) = Running::with_clock();
-    devices(&server, 1);
-    let mut watching = Watching::start(&server, "?interval_ms=100");
+    let (server, clock) = Running::with_hobs_and_clock(|_, _| {});
+    let mut watching = Watching::start(&server, "?interval_ms=200");
     let first = watching.next_of("devices");
     assert!(first[0]["lease"].is_null());
-    server.fake.asked.lock().unwrap().lease = Some("Ada".into());
-    interval(&server, &clock);
-    let (kind, second) = watching.next().unwrap();
-    assert_eq!(kind, "devices");
+    pass(&clock, 2);
+    watching.next_of("telemetry");
+    server.take_lease(NAME, "Ada");
+    pass(&clock, 2);
+    let second = watching.next_of("devices");
     assert_eq!(second[0]["lease"]["holder"], "Ada");
     watching.next_of("telemetry");
     // `live` is another one each time; the next comes because 2 s are over.
-    let kinds: Vec<_> = (0..20)
-        .map(|_| {
-            interval(&server, &clock);
-            watching.next().unwrap().0
-        })
-        .collect();
-    let first = kinds.iter().position(|kind| kind == "devices");
-    assert_eq!(first, Some(19), "{kinds:?}");
+    let mut intervals = 0;
+    loop {
+        pass(&clock, 2);
+        intervals += 1;
+        match watching.next_but_notices().as_str() {
+            "telemetry" => {}
+            kind => break assert_eq!(kind, "devices"),
+        }
+    }
+    assert_eq!(intervals, 10);
 }
 
 #[test]
 fn every_notice_but_telemetry_comes_in_order() {
-    let (server, clock) = Running::with_clock();
+    let (server, clock) = Running::with_hobs_and_clock(|_, _| {});
     let mut watching = Watching::start(&server, "");
     watching.next_of("devices");
-    for seq in 0..50 {
-        server.fake.notices.send(stored(seq)).unwrap();
-        let telemetry = DaemonEvent {
-            at_ms: 1,
-            device: NAME.into(),
-            kind: EventKind::Telemetry { live: live(1) },
-        };
-        server.fake.notices.send(Arc::new(telemetry)).unwrap();
-        // The channel of the fake holds 64 events: the server must empty it.
-        clock.pass(Duration::ZERO);
+    for holder in 0..50 {
+        server.take_lease(NAME, &holder.to_string());
+        pass(&clock, 1);
     }
-    for seq in 0..50 {
-        let notice = watching.next_of("notice");
-        assert_eq!(notice["event"], "window-stored");
-        assert_eq!(notice["seq"], seq);
+    for holder in 0..50 {
+        let lease = loop {
+            let notice = watching.next_of("notice");
+            assert_ne!(notice["event"], "telemetry");
+            if notice["event"] == "lease" {
+                break notice;
+            }
+        };
+        assert_eq!(lease["holder"], holder.to_string());
     }
 }
 
@@ -208,81 +205,77 @@ fn narrow(server: &Running) -> TcpStream {
     stream
 }
 
+/// Notices that fill the buffers of both ends many times over: 5 MB.
+const FLOOD: u32 = 50_000;
+
 #[test]
 fn who_reads_nothing_costs_nothing_and_then_sees_what_is_new() {
-    let (server, clock) = Running::with_clock();
-    // 30 kB an event, 300 kB a second.
-    devices(&server, 64);
+    let (server, clock) = Running::with_hobs_and_clock(|_, _| {});
+    let mut published = server.daemon.watch();
     let mut watching = Watching::on(narrow(&server), "?interval_ms=100");
-    watching.next_of("devices");
-    let collections = || server.fake.world.collections.load(Ordering::Relaxed);
-    // Until the buffers of both ends are full.
-    let (mut before, mut unchanged, mut filling) = (collections(), 0, 0);
-    while unchanged < 10 {
-        interval(&server, &clock);
-        filling += 1;
-        assert!(filling < 100, "events are made that nobody takes");
-        unchanged = if collections() == before {
-            unchanged + 1
-        } else {
-            0
-        };
-        before = collections();
-    }
-    let mut came = 0;
-    for _ in 0..60 {
-        came = interval(&server, &clock);
-    }
-    let made = collections() - before;
-    assert!(made <= 2, "{made} events were made that nobody took");
-    // Notices meanwhile: those that do not fit the queue are counted.
+    let reports = watching.next_of("devices");
+    let reports = Vec::<DeviceReport>::deserialize(reports).unwrap();
+    let first = u64::from(reports[0].live.as_ref().unwrap().half_cycle);
     let mut sent = 0;
-    for seq in 0..1_000 {
-        server.fake.notices.send(stored(seq)).unwrap();
-        sent += 1;
-        if seq % 16 == 0 {
+    let mut count = || {
+        while let Ok(event) = published.try_recv() {
+            sent += u64::from(!matches!(event.kind, EventKind::Telemetry { .. }));
+        }
+        sent
+    };
+    for k in 0..FLOOD / 2 {
+        server.take_lease(NAME, "Ada");
+        server.release_lease(NAME, "Ada");
+        if k % 32 == 0 {
             clock.pass(Duration::ZERO);
+            count();
         }
     }
+    // Six seconds in which the socket takes nothing.
+    let full_at = u64::from(server.report().live.unwrap().half_cycle);
+    for _ in 0..60 {
+        pass(&clock, 1);
+        count();
+    }
+    let came = u64::from(server.report().live.unwrap().half_cycle);
+    assert!(came - full_at > 500, "the hob went on");
     // From now on the clock advances by itself, so that the server sees that the socket is writable again.
-    let is_read = Arc::new(AtomicBool::new(false));
-    let ends = Arc::clone(&is_read);
-    let going_on = std::thread::spawn(move || {
-        while !ends.load(Ordering::Relaxed) {
-            clock.pass(INTERVAL);
-            sleep(Duration::from_millis(20));
-        }
-    });
-    let (mut old, mut half_cycles, mut skipped) = (0, 0, 0);
-    let (mut notices, mut missed) = (0, 0);
-    while half_cycles < came || notices + missed < sent {
-        let (kind, data) = watching.next().unwrap();
-        match kind.as_str() {
-            "telemetry" => {
-                let device = &data["devices"]["device-000"];
-                if device.is_null() {
-                    continue;
-                }
-                let device = LiveDevice::deserialize(device).unwrap();
-                half_cycles += device.half_cycles;
-                skipped += device.skipped;
-                old += u32::from(u64::from(device.last.half_cycle) < came);
+    let is_read = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !is_read.load(Ordering::Relaxed) {
+                pass(&clock, 1);
+                sleep(Duration::from_millis(20));
             }
-            "notice" => notices += 1,
-            "missed" => missed += data["missed"].as_u64().unwrap(),
-            _ => {}
+        });
+        let (mut old, mut messages, mut last, mut skipped) = (0, 0, first, 0);
+        let (mut notices, mut missed) = (0, 0);
+        while last < came || notices + missed < count() {
+            let (kind, data) = watching.next().unwrap();
+            match kind.as_str() {
+                "telemetry" => {
+                    let Some(device) = first_device(&data) else {
+                        continue;
+                    };
+                    messages += device.half_cycles;
+                    skipped += device.skipped;
+                    last = device.last.half_cycle.into();
+                    old += u32::from((full_at..came).contains(&last));
+                }
+                "notice" => notices += 1,
+                "missed" => missed += data["missed"].as_u64().unwrap(),
+                _ => {}
+            }
         }
-    }
-    is_read.store(true, Ordering::Relaxed);
-    going_on.join().unwrap();
-    assert_eq!(half_cycles, came, "each half-cycle is in one event");
-    assert!(old <= 10, "{old} events of the past");
-    assert!(skipped >= 60, "{skipped} of some 70 intervals skipped");
-    assert_eq!(notices + missed, sent);
-    assert!(
-        notices >= 64 && missed > 0,
-        "{notices} notices, {missed} missed"
-    );
+        is_read.store(true, Ordering::Relaxed);
+        assert_eq!(messages * HALF_CYCLES_A_MESSAGE, last - first, "each once");
+        assert!(old <= 3, "{old} events were made that nobody took");
+        assert!(skipped >= 50, "{skipped} of some 60 intervals skipped");
+        assert!(
+            notices >= 64 && missed > 0,
+            "{notices} notices, {missed} missed"
+        );
+    });
 }
 
 #[test]

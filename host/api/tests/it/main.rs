@@ -1,7 +1,6 @@
 //! Tests of the API over a socket: its client, clients without a token, pages of other sites.
 
 mod access;
-mod backend;
 mod client;
 mod description;
 mod events;
@@ -13,4 +12,5 @@ mod live;
 mod page;
 mod past;
 mod recordings;
+mod rig;
 mod session;

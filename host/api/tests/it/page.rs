@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use crate::backend::Running;
 use crate::http::{ask, header, whole};
+use crate::rig::Running;
 
 fn read_below(folder: &Path, prefix: &str, files: &mut Vec<(String, Vec<u8>)>) {
     for entry in fs::read_dir(folder).unwrap().map(Result::unwrap) {

@@ -14,8 +14,8 @@ use ihd_link::Client;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 
-use crate::backend::Running;
 use crate::http::{ask, connect, header, whole};
+use crate::rig::Running;
 
 const NAME: &str = "bench-2026-11-22T08-30-00.123.mcap";
 
@@ -25,7 +25,7 @@ fn recorded(server: &Running, power_w: u16) -> PathBuf {
     let mut client = Client::connect(Box::new(hob)).unwrap();
     client.set_power(power_w).unwrap();
     client.stream(1, 20).unwrap();
-    let path = server.fake.recordings.path().join(NAME);
+    let path = server.recordings().join(NAME);
     let recorder = SessionRecorder::create(&path, client.hello(), client.front_end()).unwrap();
     client.record_to(recorder);
     let until = client.clock() + Duration::from_millis(500);
@@ -91,7 +91,7 @@ fn a_recording_is_listed_and_downloaded_as_it_is() {
 #[test]
 fn a_broken_download_goes_on_where_it_was_unless_the_file_is_another() {
     let server = Running::start();
-    let path = server.fake.recordings.path().join(NAME);
+    let path = server.recordings().join(NAME);
     let bytes: Vec<u8> = (0..1_000_000u32).map(|k| ((k * 7) >> 3) as u8).collect();
     fs::write(&path, &bytes).unwrap();
     let get = |headers: &[&str]| {
@@ -163,10 +163,7 @@ fn tables_hold_what_the_file_holds() {
     let lines = body.iter().filter(|b| **b == b'\n').count();
     assert!(lines.abs_diff(51) < 5, "{lines}");
     // Nothing is left beside the recordings.
-    assert_eq!(
-        fs::read_dir(server.fake.recordings.path()).unwrap().count(),
-        1
-    );
+    assert_eq!(fs::read_dir(server.recordings()).unwrap().count(), 1);
 }
 
 #[test]
@@ -185,8 +182,8 @@ fn what_cannot_be_had_says_why() {
     fs::write(&path, b"no recording at all").unwrap();
     refused(&of("npz"), 409, "damaged");
     // Names of other files: the token file, the folder above, a folder.
-    fs::write(server.fake.recordings.path().join("tokens"), "secret").unwrap();
-    fs::create_dir(server.fake.recordings.path().join("folder.mcap")).unwrap();
+    fs::write(server.recordings().join("tokens"), "secret").unwrap();
+    fs::create_dir(server.recordings().join("folder.mcap")).unwrap();
     for name in [
         "tokens",
         "..%2Ftokens.mcap",
@@ -210,7 +207,7 @@ fn what_cannot_be_had_says_why() {
     {
         let outside = server.dir.path().join("outside");
         fs::write(&outside, "secret").unwrap();
-        let link = server.fake.recordings.path().join("link.mcap");
+        let link = server.recordings().join("link.mcap");
         std::os::unix::fs::symlink(outside, link).unwrap();
         refused("/api/v1/recordings/link.mcap", 404, "no-recording");
     }
@@ -224,7 +221,7 @@ fn sparse(path: &Path, bytes: u64) {
 fn a_download_that_takes_longer_than_a_request_may_is_not_cut() {
     const BYTES: u64 = 64 << 20;
     let (server, clock) = Running::with_clock();
-    sparse(&server.fake.recordings.path().join(NAME), BYTES);
+    sparse(&server.recordings().join(NAME), BYTES);
     let mut stream = connect(server.address);
     let request = format!(
         "GET /api/v1/recordings/{NAME} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
@@ -237,7 +234,7 @@ fn a_download_that_takes_longer_than_a_request_may_is_not_cut() {
     // Bytes appended meanwhile are not sent: `Content-Length` was sent before.
     let file = File::options()
         .append(true)
-        .open(server.fake.recordings.path().join(NAME));
+        .open(server.recordings().join(NAME));
     file.unwrap().write_all(&[1; 100]).unwrap();
     // Six minutes, more than the time limit of a recording request; the client never pauses for long.
     for _ in 0..18 {

@@ -7,8 +7,8 @@ use rustls::crypto::ring;
 use ureq::Agent;
 use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
 
-use crate::backend::Running;
 use crate::http::{ask, header, whole};
+use crate::rig::Running;
 
 const JSON: &str = "Content-Type: application/json";
 const ME: &str = "ihd-holder: test";
@@ -17,7 +17,7 @@ const COMMANDS: &str = "POST /api/v1/devices/serial%3A%2Fdev%2Ftty%20%C3%A4/comm
 const SESSION: &str = "/api/v1/session";
 
 fn with_tokens() -> (Running, Tokens) {
-    let server = Running::with(|settings, dir| settings.token_file = Some(dir.join("tokens")));
+    let server = Running::with_hobs(|options, dir| options.token_file = Some(dir.join("tokens")));
     let tokens = Tokens::read(&server.dir.path().join("tokens")).unwrap();
     (server, tokens)
 }
@@ -91,7 +91,7 @@ fn a_wrong_token_gets_no_cookie_and_is_not_told_again() {
 
 #[test]
 fn a_header_outranks_the_cookie() {
-    let (server, tokens) = with_tokens();
+    let (mut server, tokens) = with_tokens();
     let cookie = cookie(&server, tokens.at_least(Role::Operate).unwrap());
     let read = format!(
         "Authorization: Bearer {}",
@@ -102,7 +102,7 @@ fn a_header_outranks_the_cookie() {
     let wrong = format!("Authorization: Bearer {}", "0".repeat(64));
     let (status, _) = ask(server.address, COMMANDS, &[&cookie, &wrong, JSON, ME], OFF);
     assert_eq!(status, 401);
-    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+    assert_eq!(server.commands(), []);
 }
 
 #[test]
@@ -133,7 +133,7 @@ fn forgetting_ends_the_session_and_deletes_the_cookie() {
 #[test]
 fn a_cookie_lets_another_sites_page_command_and_read_nothing() {
     // A browser does not send this cookie with requests of other sites; if one does, the request is refused.
-    let (server, tokens) = with_tokens();
+    let (mut server, tokens) = with_tokens();
     let cookie = cookie(&server, tokens.at_least(Role::Operate).unwrap());
     for foreign in [
         "Origin: https://evil.example",
@@ -155,7 +155,7 @@ fn a_cookie_lets_another_sites_page_command_and_read_nothing() {
         let line = format!("POST {SESSION}");
         assert_eq!(ask(server.address, &line, &[JSON, foreign], &body).0, 403);
     }
-    assert!(server.fake.asked.lock().unwrap().commands.is_empty());
+    assert_eq!(server.commands(), []);
     for site in ["cross-site", "same-site"] {
         for mode in ["cors", "no-cors", "same-origin"] {
             let (site, mode) = (

@@ -21,7 +21,7 @@ use super::hob::HOBS;
 use super::users::ask_at_random;
 use super::world::{HobKind, World};
 use crate::config::Config;
-use crate::daemon::Daemon;
+use crate::daemon::{Daemon, DaemonError};
 use crate::fleet::FleetConfig;
 use crate::machine::Machine;
 #[cfg(test)]
@@ -123,6 +123,15 @@ fn paused_runtime() -> Runtime {
         .expect("a runtime")
 }
 
+/// Starts a daemon in a world, on the calling runtime. Its devices have the addresses `serial:left` and `serial:right`.
+///
+/// # Errors
+/// As [`Daemon::start`].
+pub async fn start(world: &Arc<World>, config: Config) -> Result<Daemon, DaemonError> {
+    world.begin_life();
+    Daemon::start_on(machine_in(world), config, open_in(world)).await
+}
+
 /// Runs a daemon for a time without any request. Returns the number of connections to each hob.
 #[cfg(test)]
 pub fn idle(time: Duration) -> [u64; HOBS.len()] {
@@ -130,14 +139,8 @@ pub fn idle(time: Duration) -> [u64; HOBS.len()] {
     let world = World::new(0, HobKind::Script, false);
     let folder = store_folder();
     paused_runtime().block_on(async {
-        world.begin_life();
-        let machine = machine_in(&world);
-        let daemon = Daemon::start_on(
-            machine,
-            configuration(&world, folder.path()),
-            open_in(&world),
-        );
-        let daemon = daemon.await.expect("it starts");
+        let daemon = start(&world, configuration(&world, folder.path())).await;
+        let daemon = daemon.expect("it starts");
         sleep(time).await;
         daemon.stop().await;
         world.end_life();
@@ -154,10 +157,8 @@ pub fn foreign_hello(left: HobKind) -> (Duration, String) {
     let world = World::new(0, left, false);
     let folder = store_folder();
     let outcome = paused_runtime().block_on(async {
-        world.begin_life();
-        let (machine, open) = (machine_in(&world), open_in(&world));
-        let daemon = Daemon::start_on(machine, configuration(&world, folder.path()), open);
-        let daemon = daemon.await.expect("it starts");
+        let daemon = start(&world, configuration(&world, folder.path())).await;
+        let daemon = daemon.expect("it starts");
         world.set_daemon(daemon.clone());
         wait_until_working(&daemon).await;
         let (name, power_w) = (HOBS[0], 900);
@@ -257,12 +258,10 @@ async fn live(
     is_last: bool,
     part: Option<&Part>,
 ) {
-    world.begin_life();
-    world.note("a daemon begins");
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let machine = machine_in(world);
-    let open = open_in(world);
-    let daemon = match Daemon::start_on(machine, configuration(world, store), open).await {
+    let starting = start(world, configuration(world, store));
+    world.note("a daemon begins");
+    let daemon = match starting.await {
         Ok(daemon) => daemon,
         Err(error) => return world.note_broken(format!("the daemon does not start: {error}")),
     };
@@ -329,8 +328,8 @@ fn open_in(world: &Arc<World>) -> Arc<OpenDevice> {
     })
 }
 
-/// Starts the tasks beside the daemon: its learner, a subscriber to its events, and the check of the promises.
-fn spawn_observers(world: &Arc<World>, daemon: &Daemon) {
+/// Starts the learner of a simulated daemon, which refuses every window.
+pub fn spawn_learner(daemon: &Daemon) {
     let learner = daemon.learner().map(|learner| Arc::downgrade(&learner));
     tokio::spawn(async move {
         while let Some(learner) = learner.as_ref().and_then(std::sync::Weak::upgrade) {
@@ -339,6 +338,11 @@ fn spawn_observers(world: &Arc<World>, daemon: &Daemon) {
             sleep(LEARN_PERIOD).await;
         }
     });
+}
+
+/// Starts the tasks beside the daemon: its learner, a subscriber to its events, and the check of the promises.
+fn spawn_observers(world: &Arc<World>, daemon: &Daemon) {
+    spawn_learner(daemon);
     let (mut events, event_world) = (daemon.watch(), Arc::clone(world));
     tokio::spawn(async move {
         loop {

@@ -10,13 +10,28 @@ mod scope;
 pub(crate) mod stored_lookup;
 mod training;
 
-use ihd_store::{Reader, StoreError};
+use std::time::Duration;
+
+use ihd_store::{Reader, ResultFilter, StoreError};
 
 use crate::daemon::{Daemon, DaemonError};
 use crate::printable::printable;
 use crate::store_thread::StoreThreadError;
 
+/// Longest response time of a store that counts as alive.
+const STORE_TIMEOUT: Duration = Duration::from_secs(5);
+
 impl Daemon {
+    /// Returns `true` if the store responds in time, even with an error.
+    pub async fn store_responds(&self) -> bool {
+        let one = ResultFilter {
+            limit: Some(1),
+            ..ResultFilter::default()
+        };
+        let responding = tokio::time::timeout(STORE_TIMEOUT, self.results(one));
+        responding.await.is_ok()
+    }
+
     /// Runs a query on the store.
     async fn read<T: Send + 'static>(
         &self,

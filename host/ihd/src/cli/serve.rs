@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
-use ihd_api::{DaemonBackend, Server};
+use ihd_api::Server;
 use ihd_daemon::Daemon;
 use ihd_daemon::config::Config;
 use ihd_daemon::fleet::FleetConfig;
@@ -198,8 +198,7 @@ async fn serve(
     }
     let edge = edge(&daemon, fleet).await?;
     let (stop, stopping) = watch::channel(false);
-    let backend = Arc::new(DaemonBackend::new(daemon.clone()));
-    let serving = of_server.spawn(server.run(backend, stopping));
+    let serving = of_server.spawn(server.run(daemon.clone(), stopping));
     let watched = tokio::spawn(supervised::ready_and_alive(daemon.clone()));
     if shows {
         say!("{}", page_text(&page, demonstration.as_ref()))?;

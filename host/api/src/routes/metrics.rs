@@ -1,0 +1,320 @@
+//! Metrics for Prometheus.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use axum::extract::State;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::IntoResponse;
+use ihd_daemon::Figures;
+use ihd_daemon::learning::LearnerFigures;
+use ihd_daemon::model::{DeviceReport, DeviceState, FleetReport, StoreFailure};
+
+use super::App;
+use crate::model::Problem;
+use crate::prometheus::Exposition;
+
+/// Returns metrics in the text format of Prometheus.
+#[utoipa::path(get, path = "/metrics", tag = "daemon",
+    responses((status = 200, description = "Prometheus text", content_type = "text/plain", body = String),
+        (status = 401, body = Problem)))]
+pub(super) async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
+    let mut text = Exposition::default();
+    let figures = app.daemon.figures();
+    daemon(&mut text, &figures);
+    learner(&mut text, &figures.learner);
+    if let Some(report) = app.daemon.fleet() {
+        fleet(&mut text, &report);
+    }
+    if let Some(bytes) = figures.rss_bytes {
+        let help = "Resident memory of the daemon";
+        text.gauge("resident_memory_bytes", help, bytes as f64);
+    }
+    server(&mut text, &app);
+    devices(&mut text, &app.daemon.devices());
+    (
+        [(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")],
+        text.into_text(),
+    )
+}
+
+/// Writes the metrics of the daemon and its store.
+fn daemon(text: &mut Exposition, f: &Figures) {
+    text.gauge("up_seconds", "Seconds since the daemon began", f.up_s);
+    text.gauge("devices", "Devices", f.devices as f64);
+    text.gauge(
+        "store_well",
+        "1 while the store accepts all records",
+        f64::from(u8::from(f.store_failure.is_none())),
+    );
+    let since_s = |failure: &StoreFailure| failure.since_ms as f64 * 1e-3;
+    text.gauge(
+        "store_failing_since_seconds",
+        "When the store's present failure began, in seconds since 1970; 0 while it accepts all records",
+        f.store_failure.as_ref().map_or(0.0, since_s),
+    );
+    text.gauge(
+        "store_queue",
+        "Jobs that wait for the store",
+        f.store_waiting as f64,
+    );
+    text.gauge(
+        "store_longest_seconds",
+        "Longest job of the store",
+        f.store_longest_s,
+    );
+    for (name, help, count) in [
+        ("store_jobs_total", "Jobs of the store", f.store_jobs as f64),
+        (
+            "store_failures_total",
+            "Jobs of the store that failed",
+            f.store_failures as f64,
+        ),
+        (
+            "store_busy_seconds_total",
+            "Seconds that the store was busy",
+            f.store_busy_s,
+        ),
+        (
+            "audit_lost_total",
+            "Commands that were executed and are missing in the audit",
+            f.audits_lost as f64,
+        ),
+    ] {
+        text.counter(name, help, count);
+    }
+    text.counters(
+        "store_dropped_total",
+        "Records that the store did not accept and that are lost, by kind; telemetry in seconds of a device",
+        "record",
+        f.store_dropped.by_kind(),
+    );
+}
+
+fn learner(text: &mut Exposition, f: &LearnerFigures) {
+    text.gauge("learner_threads", "Threads that train", f.threads as f64);
+    text.gauge(
+        "learner_queue",
+        "Windows that wait for the learner",
+        f.waiting as f64,
+    );
+    for (name, help, count) in [
+        (
+            "learner_windows_total",
+            "Windows that were processed",
+            f.learned as f64,
+        ),
+        (
+            "learner_dropped_total",
+            "Windows that were dropped before they were processed",
+            f.unlearned as f64,
+        ),
+        (
+            "learner_panics_total",
+            "Windows whose training panicked",
+            f.panics as f64,
+        ),
+        (
+            "learner_busy_seconds_total",
+            "Seconds that the threads trained, in total",
+            f.busy_s,
+        ),
+    ] {
+        text.counter(name, help, count);
+    }
+    for (name, help, fit_s) in [
+        (
+            "learner_fit_p50_seconds",
+            "Median duration of the last fits",
+            f.fit_p50_s,
+        ),
+        (
+            "learner_fit_p99_seconds",
+            "99th percentile of the duration of the last fits",
+            f.fit_p99_s,
+        ),
+    ] {
+        if let Some(fit_s) = fit_s {
+            text.gauge(name, help, fit_s);
+        }
+    }
+}
+
+/// Writes the metrics of the fleet from the last report; that is current if `fleet_connected` is 1.
+fn fleet(text: &mut Exposition, fleet: &FleetReport) {
+    for (name, help, value) in [
+        (
+            "fleet_connected",
+            "1 while the fleet's server responds; else the other fleet metrics are old",
+            f64::from(u8::from(fleet.connected)),
+        ),
+        (
+            "fleet_outbox",
+            "Windows and results of this edge that the fleet has not acknowledged",
+            fleet.outbox as f64,
+        ),
+        (
+            "fleet_backlog",
+            "Windows in the fleet that no worker has identified yet",
+            fleet.backlog as f64,
+        ),
+        (
+            "fleet_dead",
+            "Windows in the fleet that were given up",
+            fleet.dead as f64,
+        ),
+        (
+            "fleet_workers",
+            "Workers of the fleet",
+            fleet.workers.len() as f64,
+        ),
+        (
+            "fleet_alarms",
+            "Alarms of this edge: windows that stay in a state for too long, a name used by another store, a worker with refuted results",
+            fleet.alarms.len() as f64,
+        ),
+    ] {
+        text.gauge(name, help, value);
+    }
+    text.gauges(
+        "fleet_windows",
+        "Windows in this edge's store by fleet state; their sum is the number of stored windows",
+        "state",
+        fleet.states.by_name(),
+    );
+    text.gauges(
+        "fleet_answers",
+        "Workers' results for windows of this edge, by outcome",
+        "outcome",
+        fleet.answers.by_name(),
+    );
+}
+
+/// Writes the metrics of the server.
+fn server(text: &mut Exposition, app: &App) {
+    let counts = &app.counts;
+    for (name, help, count) in [
+        (
+            "http_connections_total",
+            "Connections accepted",
+            counts.connections.load(Ordering::Relaxed),
+        ),
+        (
+            "http_given_way_total",
+            "Connections that were closed in favour of others at the maximum number of connections",
+            app.slots.evictions(),
+        ),
+        (
+            "events_missed_total",
+            "Events that were dropped for slow subscribers",
+            counts.missed.load(Ordering::Relaxed),
+        ),
+    ] {
+        text.counter(name, help, count as f64);
+    }
+}
+
+const STATES: [DeviceState; 8] = [
+    DeviceState::Searching,
+    DeviceState::Connected,
+    DeviceState::WaitingForPot,
+    DeviceState::Learning,
+    DeviceState::Idle,
+    DeviceState::Faulted,
+    DeviceState::Suspended,
+    DeviceState::Incompatible,
+];
+
+fn state_name(state: DeviceState) -> String {
+    match serde_json::to_value(state) {
+        Ok(serde_json::Value::String(name)) => name,
+        _ => String::new(),
+    }
+}
+
+fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
+    text.family(
+        "device_state",
+        "1 for the present state of a device",
+        "gauge",
+    );
+    for device in devices {
+        for state in STATES {
+            let labels = [
+                ("device", device.name.as_str()),
+                ("state", &state_name(state)),
+            ];
+            let value = f64::from(u8::from(device.state == state));
+            text.sample("device_state", &labels, value);
+        }
+    }
+    text.family(
+        "windows_total",
+        "Windows of a device since the start of the daemon, by outcome",
+        "counter",
+    );
+    for device in devices {
+        let w = &device.windows;
+        for (outcome, count) in [
+            ("announced", w.announced),
+            ("stored", w.stored),
+            ("refused", w.refused),
+            ("dropped-by-device", w.dropped_by_device),
+            ("lost", w.lost),
+            ("not-stored", w.not_stored),
+            ("learned", w.learned),
+            ("unfit", w.unfit),
+            ("unlearned", w.unlearned),
+        ] {
+            let labels = [("device", device.name.as_str()), ("fate", outcome)];
+            text.sample("windows_total", &labels, count as f64);
+        }
+    }
+    family_of_devices(
+        text,
+        devices,
+        "connections_total",
+        "Connections made to a device",
+        "counter",
+        |d| f64::from(d.connections),
+    );
+    family_of_devices(
+        text,
+        devices,
+        "power_watts",
+        "Mean power of the last half-cycle",
+        "gauge",
+        |d| d.live.as_ref().map_or(0.0, |live| live.power_w),
+    );
+    family_of_devices(
+        text,
+        devices,
+        "lookup_version",
+        "Version of the lookup that a device uses",
+        "gauge",
+        |d| d.lookup.on_device.map_or(f64::NAN, f64::from),
+    );
+    family_of_devices(
+        text,
+        devices,
+        "lookup_observed_cells",
+        "Observed cells of the active lookup",
+        "gauge",
+        |d| f64::from(d.lookup.observed_cells),
+    );
+}
+
+/// Writes a family with one sample per device.
+fn family_of_devices(
+    text: &mut Exposition,
+    devices: &[DeviceReport],
+    name: &str,
+    help: &str,
+    kind: &str,
+    value: impl Fn(&DeviceReport) -> f64,
+) {
+    text.family(name, help, kind);
+    for device in devices {
+        text.sample(name, &[("device", &device.name)], value(device));
+    }
+}
