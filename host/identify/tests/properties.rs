@@ -74,8 +74,16 @@ fn sample() -> impl Strategy<Value = f64> {
     ]
 }
 
+/// Number of cases: that of `PROPTEST_CASES`, which the full tier sets, or `quick`.
+fn cases(quick: u32) -> ProptestConfig {
+    match std::env::var_os("PROPTEST_CASES") {
+        Some(_) => ProptestConfig::default(),
+        None => ProptestConfig::with_cases(quick),
+    }
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(cases(64))]
 
     #[test]
     fn finite_in_is_finite_out_or_a_typed_error(
@@ -92,6 +100,11 @@ proptest! {
             sound(method, &run(method, &segment, &IdentifyOptions::default()))?;
         }
     }
+}
+
+proptest! {
+    // Each case goes through half a cycle of samples once for each method.
+    #![proptest_config(cases(12))]
 
     #[test]
     fn noise_of_any_kind_is_survived(

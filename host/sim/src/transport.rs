@@ -205,7 +205,7 @@ mod tests {
             .panel(ihd_firmware::control::request::PanelEvent::Level(5));
         let mut client = ihd_link::Client::connect(Box::new(paced)).unwrap();
         client.stream(1, 10).unwrap();
-        let deadline = Instant::now() + Duration::from_secs(60);
+        let deadline = Instant::now() + Duration::from_secs(600);
         loop {
             assert!(Instant::now() < deadline, "no window");
             if let Some(ihd_link::Event::Window(_)) =
@@ -214,9 +214,9 @@ mod tests {
                 break;
             }
         }
-        // Nobody fetches for three seconds of simulated time.
+        // Nobody fetches for a second of simulated time, in which the link carries 400 kB.
         let mut hob = hob.lock();
-        let until_s = hob.t_s() + 3.0;
+        let until_s = hob.t_s() + 1.0;
         while hob.t_s() < until_s {
             hob.step();
         }

@@ -1,4 +1,4 @@
-//! A simulated hob that heats, its edge, a worker and the server: results come back, teach the hob, and the edge goes on alone.
+//! A simulated hob that heats, its edge, a worker and the server: results come back and teach the hob. How it goes on alone: silence.rs and the fleet's simulation.
 
 use serde_json::Value;
 
@@ -18,13 +18,13 @@ fn last_lookup(url: &str) -> Option<(u64, bool)> {
 }
 
 #[test]
-fn a_hob_is_taught_by_workers_and_without_them() {
+fn a_hob_is_taught_by_workers() {
     let server = Server::start("");
     let url = server.url();
     init(&url, &[]);
     let mut site = Site::simulated("lab", 1);
     let hob = site.hobs[0].clone();
-    let mut worker = Worker::start(site.path(), &url, "w", &["--threads", "1"]);
+    let _worker = Worker::start(site.path(), &url, "w", &["--threads", "1"]);
     site.start(&url);
     let results = || {
         status(&url)
@@ -65,18 +65,6 @@ fn a_hob_is_taught_by_workers_and_without_them() {
         last_lookup(&url).is_some_and(|(revision, in_use)| in_use && revision > first + 1)
     });
 
-    // Without a worker the edge waits for a while, and then learns by itself.
-    worker.kill();
-    let before = site.results().len();
-    until("results of the edge itself", PATIENCE, || {
-        site.device(&[&hob, "power", "1200", "--for", "5"]);
-        site.results().len() > before + 10
-    });
-    // A worker comes back: windows left to the fleet are identified, results of the edge are present there.
-    let _worker = Worker::start(site.path(), &url, "again", &["--threads", "1"]);
-    until("as many results as windows", PATIENCE, || {
-        status(&url).is_some_and(|s| s["backlog"] == 0) && results() == site.results().len() as u64
-    });
     site.stop();
     let log = site.log();
     assert!(!log.contains("ERROR"), "{log}");

@@ -246,10 +246,7 @@ fn a_full_standard_output_is_an_error_line_and_1() {
         "simulate s.toml --json",
     ];
     if cfg!(feature = "pinn") {
-        table.extend([
-            "trainer --store none --power 1500",
-            "trainer --store none --power 1500 --json",
-        ]);
+        table.push("trainer --store none --power 1500");
     }
     for args in table {
         let output = Command::new(assert_cmd::cargo::cargo_bin("ihd"))

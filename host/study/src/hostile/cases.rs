@@ -155,7 +155,7 @@ fn pots() -> Vec<Case> {
         Case::clean("empty coil", reduced(Pot::NONE, 45.0)),
         Case::clean("lifted 10 mm", reduced(lifted, 45.0)),
         Case::clean("at 150 °C", reduced(hot, 50.0)),
-        Case::clean("field model", field(Pot::new(Metal::Ferritic, 0.21), 45.0)).short(),
+        Case::clean("field model", field(Pot::new(Metal::Ferritic, 0.21), 45.0)),
         Case::clean(
             "field model at 67 kHz",
             field(Pot::new(Metal::Ferritic, 0.21), 67.0),

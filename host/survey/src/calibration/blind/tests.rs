@@ -312,7 +312,7 @@ fn a_window_of_a_board_knows_a_skew_to_some_nanoseconds() {
     let filter_s = 1.0 / (TAU * 500e3);
     for (snr_db, most_s) in [(Some(30.0), 25e-9), (Some(50.0), 4e-9), (None, 3e-9)] {
         for skew_s in [0.0, 30e-9] {
-            let seen: Vec<_> = (0..6)
+            let seen: Vec<_> = (0..3)
                 .map(|seed| {
                     estimate_segment(
                         &window(skew_s, snr_db, 200 + seed),
