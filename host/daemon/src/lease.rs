@@ -351,6 +351,22 @@ mod tests {
     }
 
     #[test]
+    fn a_lease_ends_with_its_last_command_unless_it_was_taken() {
+        let now = Instant::now();
+        let mut book = LeaseBook::default();
+        let (first, _) = book.begin_command("a", now).unwrap();
+        let (second, _) = book.begin_command("a", now).unwrap();
+        assert!(!book.heats(now), "no power was requested");
+        assert!(!book.end_command(first) && book.current(now).is_some());
+        assert!(book.end_command(second) && book.current(now).is_none());
+        // A command of the ended grant does not end the next one.
+        let (later, _) = book.begin_command("b", now).unwrap();
+        assert!(!book.end_command(second) && book.current(now).is_some());
+        book.take("b", false, now).unwrap();
+        assert!(!book.end_command(later) && book.current(now).is_some());
+    }
+
+    #[test]
     fn force_takes_it_from_somebody_by_name() {
         let mut book = LeaseBook::default();
         let now = Instant::now();
@@ -439,6 +455,7 @@ mod tests {
         for id in [heating, waiting] {
             assert_eq!(book.request_power(id, 900, now), Err(LeaseError::Off));
             assert_eq!(book.keep_after_command(id, now), Err(LeaseError::Off));
+            assert_eq!(book.check_heating(id, now), Err(LeaseError::Off));
             assert_eq!(
                 book.check(id, now),
                 Ok(()),
@@ -480,6 +497,7 @@ mod tests {
                 "{end}: {book:?}"
             );
             assert_eq!(book.request_power(id, 900, now), Err(LeaseError::Ended));
+            assert_eq!(book.check(id, now), Err(LeaseError::Ended));
             assert_eq!(book.asked_w(), 700);
             book.confirm_off();
             assert!(!book.must_switch_off(now));
