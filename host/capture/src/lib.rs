@@ -16,6 +16,7 @@ pub mod formats;
 pub mod mcap;
 pub mod open;
 pub mod pair;
+pub mod recording;
 
 pub use error::CaptureError;
 pub use format::write;

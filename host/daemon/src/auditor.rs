@@ -170,12 +170,12 @@ impl Writer {
 mod tests {
     use std::time::Instant;
 
+    use ihd_capture::recording::RecordingSession;
     use ihd_store::{Reader, Store, StoreOptions};
 
     use super::*;
     use crate::event_bus::EventBus;
     use crate::machine::Machine;
-    use crate::recording::Recorder;
 
     /// Longest wait for another thread; it only ends a hang.
     const PATIENCE: Duration = Duration::from_secs(300);
@@ -196,7 +196,7 @@ mod tests {
             StoreThread::start(store.store, EventBus::default(), &Machine::default()).unwrap();
         let (stop, stopped) = watch::channel(false);
         let auditor = Auditor::start(store.clone(), stopped);
-        let recorder = Recorder::new(|_| panic!("nothing is recorded"), |_| ());
+        let recorder = RecordingSession::new(|_| panic!("nothing is recorded"), |_| ());
         let record = DeviceRecord::new("hob".into(), "sim".into(), EventBus::default(), recorder);
         let audit =
             |command: &str| auditor.record(&record, "a".into(), command.into(), "done".into());

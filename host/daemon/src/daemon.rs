@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use ihd_capture::recording::name_of;
 use ihd_store::{DeviceId, LookupRow, ResultFilter, ResultRow, Store, StoreError};
 use tokio::sync::{Semaphore, broadcast, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
@@ -32,7 +33,7 @@ use crate::model::{
     RecordKind, RecordingFile, Trigger,
 };
 use crate::printable::printable;
-use crate::recording::{list, name_of};
+use crate::recording::list;
 use crate::routing::route;
 use crate::store_thread::{StoreThread, StoreThreadError};
 use crate::store_watch;

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use ihd_capture::recording::RecordingSession;
 use ihd_link::AsyncClient;
 use ihd_shared::wire::messages::{Hello, Telemetry};
 use tokio::time::Instant;
@@ -14,7 +15,6 @@ use crate::live::ring::LiveRing;
 use crate::model::{DeviceReport, DeviceState, EventKind, Identity, LookupReport, PotCurve};
 use crate::pot_tracker::PotTracker;
 use crate::printable::printable;
-use crate::recording::Recorder;
 use crate::states::live;
 use crate::view::recent_fits::RecentFits;
 use crate::window_accounting::WindowAccounting;
@@ -27,8 +27,8 @@ pub struct DeviceRecord {
     pub address: String,
     /// Bus for the events of the device.
     pub event_bus: EventBus,
-    /// Recorder of incoming frames.
-    pub recorder: Recorder,
+    /// Recording of its links.
+    pub recorder: RecordingSession,
     inner: Mutex<Inner>,
     ring: Mutex<LiveRing>,
     fits: Mutex<RecentFits>,
@@ -67,7 +67,12 @@ pub struct Inner {
 
 impl DeviceRecord {
     /// Creates the record of a device, in state `Searching`.
-    pub fn new(name: String, address: String, event_bus: EventBus, recorder: Recorder) -> Self {
+    pub fn new(
+        name: String,
+        address: String,
+        event_bus: EventBus,
+        recorder: RecordingSession,
+    ) -> Self {
         Self {
             name,
             address: printable(&address),

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use ihd_capture::recording::{RecordingSession, RecordingStatus, name_of};
 use ihd_link::{DeviceSpec, usb};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
@@ -16,7 +17,7 @@ use crate::event_bus::EventBus;
 use crate::locking::lock;
 use crate::model::{DeviceState, EventKind, RecordingPhase};
 use crate::printable::printable;
-use crate::recording::{Recorder, RecordingStatus, file_name, name_of};
+use crate::recording::file_name;
 use crate::switching_off::switch_off;
 
 /// Capacity of a device task's request queue.
@@ -111,12 +112,12 @@ impl Devices {
 }
 
 /// Creates the recorder of a device: files in the store's folder, status to the log and the event bus.
-fn recorder(device: &str, context: &Context, event_bus: &EventBus) -> Recorder {
+fn recorder(device: &str, context: &Context, event_bus: &EventBus) -> RecordingSession {
     let (folder, name) = (context.recordings.clone(), device.to_owned());
     let machine = context.machine.clone();
     let named = move |_| folder.join(file_name(&name, machine.now_ms()));
     let (device, event_bus) = (device.to_owned(), event_bus.clone());
-    Recorder::new(named, move |RecordingStatus { phase, text, file }| {
+    RecordingSession::new(named, move |RecordingStatus { phase, text, file }| {
         let (text, file) = (printable(&text), file.as_deref().map(name_of));
         match phase {
             RecordingPhase::Failed => tracing::warn!(device, file, text, "recording"),
@@ -261,7 +262,7 @@ mod tests {
         let client = AsyncClient::connect(move || Ok(Box::new(plug)), events).await;
         let client = Arc::new(client.unwrap());
         client.with(|c| c.set_power(900)).await.unwrap().unwrap();
-        let recorder = Recorder::new(|_| panic!("nothing is recorded"), |_| ());
+        let recorder = RecordingSession::new(|_| panic!("nothing is recorded"), |_| ());
         let record = DeviceRecord::new("a".into(), "sim".into(), EventBus::default(), recorder);
         let record = Arc::new(record);
         {

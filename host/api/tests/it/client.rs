@@ -50,6 +50,7 @@ fn every_route_has_a_method_that_works() {
         trigger,
         pre_trigger_s: 2.5,
         duration_s: Some(30.0),
+        max_bytes: Some(1_000_000),
     };
     // Each with its text in the audit and the start of its answer; empty if the device refuses.
     for (command, text, answer) in [

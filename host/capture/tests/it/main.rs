@@ -1,6 +1,7 @@
-//! Captures that were damaged or made to harm.
+//! Captures that were damaged or made to harm, and recordings of a simulated hob.
 
 mod damage;
 mod flush;
 mod memory;
+mod recording;
 mod recording_tables;

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use ihd_capture::recording::{StartedRecording, StoppedRecording};
 use ihd_link::LinkError;
 
 use super::request::ReplySender;
@@ -9,7 +10,6 @@ use super::session::{Session, SessionEnd};
 use crate::device_record::DeviceRecord;
 use crate::model::{CommandError, CommandReply, RecordSettings};
 use crate::printable::printable;
-use crate::recording::{StartedRecording, StoppedRecording};
 
 impl Session<'_> {
     /// Attaches the recorder to the link, from now on.

@@ -1,104 +1,11 @@
 //! Recordings of a device: settings, triggers, files.
 
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Quantity of a half-cycle that a trigger level can be set on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Quantity {
-    /// Mean power, in watt.
-    Power,
-    /// Largest amplitude of the current's fundamental, in ampere.
-    Current,
-    /// The device's estimate of R at the crest, in ohm.
-    Resistance,
-    /// The device's estimate of L at the crest, in microhenry.
-    Inductance,
-    /// Switching frequency, in kilohertz.
-    Frequency,
-}
-
-/// Trigger of a recording.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(tag = "on", rename_all = "kebab-case")]
-pub enum Trigger {
-    /// The command itself: the recording begins at once.
-    #[default]
-    Now,
-    /// A fault.
-    Fault,
-    /// A quantity that crosses a level.
-    Level {
-        /// The quantity.
-        quantity: Quantity,
-        /// Level, in the quantity's unit.
-        #[serde(deserialize_with = "number")]
-        level: f64,
-        /// `true` for an upward crossing, `false` for a downward one.
-        rising: bool,
-    },
-}
-
-/// Settings of a recording.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct RecordSettings {
-    /// Trigger.
-    pub trigger: Trigger,
-    /// Seconds before the trigger that are also recorded, 0 to 60.
-    #[serde(deserialize_with = "number")]
-    pub pre_trigger_s: f64,
-    /// Seconds after the trigger at which it ends; `None` to record until the stop command.
-    #[serde(deserialize_with = "number_or_none")]
-    pub duration_s: Option<f64>,
-}
-
-/// Reads a number within a tagged type: serde buffers those, and serde_json's arbitrary-precision numbers are then no floats.
-fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
-    let wrong = || serde::de::Error::custom("a number is expected here");
-    number_or_none(from)?.ok_or_else(wrong)
-}
-
-fn number_or_none<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
-    match serde_json::Value::deserialize(from)? {
-        serde_json::Value::Null => Ok(None),
-        serde_json::Value::Number(number) if number.as_f64().is_some() => Ok(number.as_f64()),
-        other => {
-            let why = format!("a number is expected here, not {other}");
-            Err(serde::de::Error::custom(why))
-        }
-    }
-}
-
-/// Phase of a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum RecordingPhase {
-    /// Waiting for the trigger.
-    Armed,
-    /// Stopped before the trigger.
-    Disarmed,
-    /// Begun, or continued in another file after a break of the link.
-    Begun,
-    /// File complete; after a break of the link the recording continues in another file.
-    Ended,
-    /// Writing failed. The file holds what was written until then.
-    Failed,
-}
-
-/// Recording that is armed or running.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-#[schema(as = RecordingNow)]
-pub struct ActiveRecording {
-    /// Settings.
-    pub settings: RecordSettings,
-    /// Name of its file in the store's folder `recordings`, or of the last one while the link is down; `None` before the
-    /// trigger.
-    pub file: Option<String>,
-    /// Seconds since it was requested, or since its trigger.
-    pub since_s: f64,
-}
+pub use ihd_capture::recording::{
+    ActiveRecording, Quantity, RecordSettings, RecordingPhase, Trigger,
+};
 
 /// Stored recording.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -139,6 +46,7 @@ mod tests {
                 trigger,
                 pre_trigger_s: value,
                 duration_s: Some(30.0),
+                ..RecordSettings::default()
             });
             assert_eq!(read(&text).unwrap(), expected, "{text}");
             let written = serde_json::to_string(&expected).unwrap();

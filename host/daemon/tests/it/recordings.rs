@@ -58,6 +58,7 @@ async fn a_fault_is_in_the_file_with_what_was_before_and_after() {
         trigger: Trigger::Fault,
         pre_trigger_s: 1.5,
         duration_s: Some(1.0),
+        ..RecordSettings::default()
     };
     let armed = start(&daemon, settings).await.unwrap();
     assert_eq!(armed.file, None);

@@ -18,7 +18,6 @@ use ihd_shared::hob::RATED_POWER_W;
 use super::global::Global;
 use super::simulate::quantity::quantity;
 use super::{configured, output};
-pub(in crate::cli) use direct::Direct;
 pub use heating::DoesNotHeat;
 pub(in crate::cli) use hob::Hob;
 #[cfg(feature = "log")]

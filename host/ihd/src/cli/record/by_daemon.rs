@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use ihd_api::ApiClient;
-use ihd_daemon::model::{Command, RecordSettings};
+use ihd_capture::recording::RecordSettings;
+use ihd_daemon::model::Command;
 use serde_json::json;
 
 use crate::cli::device::one_line;
@@ -118,7 +119,7 @@ fn download(client: &ApiClient, recorded: &[String], out: &Path) -> Result<Vec<P
     Ok(here)
 }
 
-pub(super) fn print(files: &[PathBuf], json: bool) -> Result<()> {
+fn print(files: &[PathBuf], json: bool) -> Result<()> {
     if json {
         return output::json(&json!({"file": files.first(), "files": files}));
     }
@@ -132,7 +133,7 @@ pub(super) fn print(files: &[PathBuf], json: bool) -> Result<()> {
 }
 
 /// `a.mcap`, `a-2.mcap`, `a-3.mcap`.
-pub(super) fn numbered(path: &Path, part: u32) -> PathBuf {
+fn numbered(path: &Path, part: u32) -> PathBuf {
     if part < 2 {
         return path.to_owned();
     }

@@ -2,24 +2,20 @@
 
 #[cfg(feature = "daemon")]
 mod by_daemon;
-mod session;
-#[cfg(feature = "daemon")]
+mod direct;
 mod trigger;
-#[cfg(feature = "daemon")]
-mod triggered;
 
 use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-#[cfg(feature = "daemon")]
-use ihd_daemon::model::{RecordSettings, Trigger};
+use ihd_capture::recording::{RecordSettings, Trigger};
 use ihd_link::{Client, DeviceSpec, Transport};
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_sim::hob::SimHob;
 use ihd_sim::transport::SharedHob;
 
-use self::session::SessionRecording;
+use self::direct::DirectRecording;
 #[cfg(feature = "daemon")]
 use super::device::Hob;
 use super::global::Global;
@@ -56,11 +52,9 @@ pub struct RecordArgs {
     max_size: Option<f64>,
     /// Trigger: now, fault, or a level that is crossed, as level:power>1000 (W), level:current>40 (A), level:resistance<2 (ohm),
     /// level:inductance<25 (µH), level:frequency<30 (kHz)
-    #[cfg(feature = "daemon")]
     #[arg(long, value_name = "EVENT", default_value = "now", value_parser = trigger::trigger)]
     trigger: Trigger,
     /// Record what came in this time before the trigger too, in s, up to 60
-    #[cfg(feature = "daemon")]
     #[arg(long, value_name = "S", default_value = "0", value_parser = quantity)]
     pre_trigger: f64,
     /// Request this power in watt meanwhile; without it the device's power is not changed
@@ -94,6 +88,7 @@ impl RecordArgs {
         let positive = |x: Option<f64>| x.is_none_or(|x| x.is_finite() && x > 0.0);
         ensure_usage!(positive(self.duration), "--duration must be more than 0 s");
         ensure_usage!(positive(self.max_size), "--max-size must be more than 0");
+        self.settings().check().map_err(Usage)?;
         ensure_usage!(
             self.power.is_none_or(|w| w <= RATED_POWER_W),
             "--power must be at most {RATED_POWER_W} W"
@@ -109,68 +104,66 @@ impl RecordArgs {
             )
             .into());
         };
-        #[cfg(feature = "daemon")]
-        ensure_usage!(
-            self.trigger == Trigger::Now && self.pre_trigger == 0.0,
-            "--trigger and --pre-trigger go with a device of the daemon, or at an address: `ihd hob` has one"
-        );
+        self.ensure_trigger_for_before()?;
         let config = self.simulated.config()?;
         let sim = || -> Box<dyn Transport> { Box::new(SharedHob::new(SimHob::new(&config))) };
         let client = Client::connect(DeviceSpec::Sim.open(sim)?)?;
-        self.session(out.clone(), json).run(client, false)
+        self.direct(out.clone(), true, json).run(client)
     }
 
-    fn session(&self, out: PathBuf, json: bool) -> SessionRecording {
-        SessionRecording {
+    fn direct(&self, out: PathBuf, simulated: bool, json: bool) -> DirectRecording {
+        DirectRecording {
             out,
-            duration: self.duration,
-            max_size: self.max_size,
+            settings: self.settings(),
             power: self.power,
             telemetry_every: self.telemetry_every.unwrap_or(1),
             windows_every: self.windows_every.unwrap_or(WINDOWS_EVERY),
+            simulated,
             json,
         }
+    }
+
+    fn settings(&self) -> RecordSettings {
+        RecordSettings {
+            trigger: self.trigger,
+            pre_trigger_s: self.pre_trigger,
+            duration_s: self.duration,
+            max_bytes: self.max_size.map(|bytes| bytes.ceil() as u64),
+        }
+    }
+
+    /// Refuses a pre-trigger of a recording that begins with the connection.
+    fn ensure_trigger_for_before(&self) -> Result<()> {
+        ensure_usage!(
+            self.trigger != Trigger::Now || self.pre_trigger == 0.0,
+            "without a daemon there is no data from before: --pre-trigger needs --trigger, or `ihd trainer --daemon`"
+        );
+        Ok(())
     }
 
     /// Records a device of the configuration, or at an address.
     #[cfg(feature = "daemon")]
     fn of_device(&self, global: &Global) -> Result<()> {
-        let settings = RecordSettings {
-            trigger: self.trigger,
-            pre_trigger_s: self.pre_trigger,
-            duration_s: self.duration,
-        };
-        settings.check().map_err(Usage)?;
         let config = super::configured::config(global.config.as_deref())?;
         let (out, json) = (self.out.as_deref(), global.json);
         match Hob::find(config, &self.device)? {
             Hob::Daemon { client, name } => {
-                self.ensure_plain("by the daemon")?;
-                by_daemon::record(&client, &name, out, &settings, json)
+                self.ensure_plain()?;
+                by_daemon::record(&client, &name, out, &self.settings(), json)
             }
-            Hob::Direct(direct) => {
-                let out = self
-                    .out
-                    .clone()
-                    .unwrap_or_else(|| triggered::file_of(direct.name()));
-                if settings.trigger != Trigger::Now {
-                    self.ensure_plain("from a trigger on")?;
-                    return triggered::record(*direct, &out, &settings, json);
-                }
-                ensure_usage!(
-                    settings.pre_trigger_s == 0.0,
-                    "without a daemon there is no data from before: --pre-trigger needs --trigger, or `ihd trainer --daemon`"
-                );
-                self.session(out, json).run(direct.into_client(), true)
+            Hob::Direct(device) => {
+                self.ensure_trigger_for_before()?;
+                let out = self.out.clone();
+                let out = out.unwrap_or_else(|| direct::file_of(device.name()));
+                self.direct(out, false, json).run(device.into_client())
             }
         }
     }
 
-    /// Refuses the options that only a recording by this process from now on has.
+    /// Refuses the options that only a recording by this process has.
     #[cfg(feature = "daemon")]
-    fn ensure_plain(&self, how: &str) -> Result<()> {
+    fn ensure_plain(&self) -> Result<()> {
         let given = [
-            ("--max-size", self.max_size.is_some()),
             ("--power", self.power.is_some()),
             ("--telemetry-every", self.telemetry_every.is_some()),
             ("--windows-every", self.windows_every.is_some()),
@@ -178,7 +171,7 @@ impl RecordArgs {
         match given.iter().find(|(_, is_given)| *is_given) {
             None => Ok(()),
             Some((flag, _)) => Err(Usage(format!(
-                "{flag} does not go with a recording {how}; `ihd device DEV power` heats"
+                "{flag} does not go with a recording by the daemon; `ihd device DEV power` heats"
             ))
             .into()),
         }
@@ -191,7 +184,8 @@ impl RecordArgs {
         let Some(out) = &self.out else {
             return Err(Usage("--out FILE: where the capture goes".into()).into());
         };
+        self.ensure_trigger_for_before()?;
         let client = Client::connect(spec.open(|| unreachable!("no simulated hob"))?)?;
-        self.session(out.clone(), global.json).run(client, true)
+        self.direct(out.clone(), false, global.json).run(client)
     }
 }

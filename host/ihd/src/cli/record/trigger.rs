@@ -1,6 +1,6 @@
 //! Trigger of a recording on the command line: `fault`, `level:power>1000`.
 
-use ihd_daemon::model::{Quantity, Trigger};
+use ihd_capture::recording::{Quantity, Trigger};
 
 const QUANTITIES: [Quantity; 5] = [
     Quantity::Power,

@@ -3,19 +3,22 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, Mutex, PoisonError, mpsc};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use ihd_capture::mcap::{McapFileError, SessionRecorder};
 use ihd_link::FrameSink;
 use ihd_shared::wire::messages::{FrontEnd, Hello};
 
 use super::ring::Chunk;
+use crate::mcap::{McapFileError, SessionRecorder};
 
 /// Largest number of bytes waiting for the disk, beside the pre-trigger: a minute of a heating hob.
 const MAX_WAITING: usize = 16 << 20;
+
+/// Time after which a wait without a limit looks again.
+const TURN: Duration = Duration::from_secs(60);
 
 /// Path, metadata and pre-trigger of a new file.
 pub struct FileStart {
@@ -33,12 +36,19 @@ pub struct FileStart {
     pub before: Vec<Chunk>,
     /// `true` if the next chunk starts within a frame.
     pub mid_frame: bool,
+    /// `true` to flush by the system's clock, too.
+    pub wall_clock_flush: bool,
 }
 
 /// Progress of a file.
 #[derive(Clone, Debug, Default)]
 struct Progress {
-    begun: bool,
+    /// Size of the file; `None` until it has begun, with its pre-trigger.
+    size: Option<Arc<AtomicU64>>,
+    /// Number of bytes waiting for the disk.
+    waiting: usize,
+    /// `true` if more than [`MAX_WAITING`] have waited.
+    overrun: bool,
     /// Reason for the end, or for the failure; `None` while it is being written.
     ended: Option<Result<String, String>>,
 }
@@ -48,17 +58,19 @@ struct Progress {
 pub struct PendingWrite(Arc<(Mutex<Progress>, Condvar)>);
 
 impl PendingWrite {
+    fn lock(&self) -> MutexGuard<'_, Progress> {
+        self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn update(&self, change: impl FnOnce(&mut Progress)) {
-        let (progress, changed) = &*self.0;
-        change(&mut progress.lock().unwrap_or_else(PoisonError::into_inner));
-        changed.notify_all();
+        change(&mut self.lock());
+        self.0.1.notify_all();
     }
 
     /// Waits until `ready` returns a value; `None` after `timeout`.
     fn wait_for<T>(&self, timeout: Duration, ready: impl Fn(&Progress) -> Option<T>) -> Option<T> {
-        let (progress, changed) = &*self.0;
         let deadline = Instant::now() + timeout;
-        let mut now = progress.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut now = self.lock();
         loop {
             if let Some(value) = ready(&now) {
                 return Some(value);
@@ -67,7 +79,7 @@ impl PendingWrite {
             if left.is_zero() {
                 return None;
             }
-            let woken = changed.wait_timeout(now, left);
+            let woken = self.0.1.wait_timeout(now, left);
             now = woken.unwrap_or_else(PoisonError::into_inner).0;
         }
     }
@@ -77,12 +89,19 @@ impl PendingWrite {
     /// # Errors
     /// Reason of the failure, or of the timeout.
     pub fn wait_begun(&self, timeout: Duration) -> Result<(), String> {
-        let begun = self.wait_for(timeout, |p| match (&p.ended, p.begun) {
+        let begun = self.wait_for(timeout, |p| match (&p.ended, p.size.is_some()) {
             (Some(Err(why)), _) => Some(Err(why.clone())),
             (_, true) | (Some(Ok(_)), _) => Some(Ok(())),
             _ => None,
         });
         begun.unwrap_or_else(|| Err(timeout_text(timeout)))
+    }
+
+    /// Waits until all that was given is written, or the file has ended.
+    pub fn wait_written(&self) {
+        let written =
+            |p: &Progress| (p.ended.is_some() || p.size.is_some() && p.waiting == 0).then_some(());
+        while self.wait_for(TURN, written).is_none() {}
     }
 
     /// Waits until the file is complete.
@@ -113,8 +132,6 @@ enum Job {
 /// Writer of a file.
 pub struct RecordingWriter {
     jobs: mpsc::Sender<Job>,
-    waiting_bytes: Arc<AtomicUsize>,
-    overrun: Arc<AtomicBool>,
     /// Progress of the file.
     pub pending: PendingWrite,
 }
@@ -131,14 +148,11 @@ impl RecordingWriter {
         let (jobs, received) = mpsc::channel();
         let writer = Self {
             jobs,
-            waiting_bytes: Arc::default(),
-            overrun: Arc::default(),
             pending: PendingWrite::default(),
         };
-        let (pending, bytes) = (writer.pending.clone(), Arc::clone(&writer.waiting_bytes));
-        let overrun = Arc::clone(&writer.overrun);
+        let pending = writer.pending.clone();
         let serve = move || {
-            let written = write(start, &pending, &received, &bytes, &overrun);
+            let written = write(start, &pending, &received);
             on_end(&written);
             pending.update(|progress| progress.ended = Some(written));
         };
@@ -151,12 +165,21 @@ impl RecordingWriter {
 
     /// Writes a chunk without waiting. Returns `false` if the file has ended or the disk is too slow; `on_end` gets the reason.
     pub fn write(&self, chunk: Chunk) -> bool {
-        let bytes = chunk.bytes.len();
-        if self.waiting_bytes.fetch_add(bytes, Ordering::Relaxed) > MAX_WAITING {
-            self.overrun.store(true, Ordering::Relaxed);
-            return false;
+        {
+            let mut progress = self.pending.lock();
+            if progress.waiting > MAX_WAITING {
+                progress.overrun = true;
+                return false;
+            }
+            progress.waiting += chunk.bytes.len();
         }
         self.jobs.send(Job::Chunk(chunk)).is_ok()
+    }
+
+    /// Size of the file in bytes.
+    pub fn bytes(&self) -> u64 {
+        let size = self.pending.lock().size.clone();
+        size.map_or(0, |size| size.load(Ordering::Relaxed))
     }
 
     /// Completes the file, for this reason. Returns its progress.
@@ -171,8 +194,6 @@ fn write(
     start: FileStart,
     pending: &PendingWrite,
     received: &mpsc::Receiver<Job>,
-    waiting_bytes: &AtomicUsize,
-    overrun: &AtomicBool,
 ) -> Result<String, String> {
     let FileStart {
         path,
@@ -182,24 +203,30 @@ fn write(
         at,
         before,
         mid_frame,
+        wall_clock_flush,
     } = start;
     let file = create(&path, &hello, &front_end, notes).map_err(|e| e.to_string())?;
+    let mut file = file.starting_at(at);
+    if wall_clock_flush {
+        file = file.with_wall_clock_flush();
+    }
+    let size = file.size();
     let first = before.iter().find(|chunk| chunk.from_device);
     let mut file = AlignedFile {
-        file: Box::new(file.starting_at(at).with_wall_clock_flush()),
+        file: Box::new(file),
         in_step: !first.map_or(mid_frame, |first| first.mid_frame),
     };
-    pending.update(|progress| progress.begun = true);
     // The error names the file.
     let text = |e: std::io::Error| e.to_string();
     for chunk in before {
         file.write(&chunk).map_err(text)?;
     }
+    pending.update(|progress| progress.size = Some(size));
     let why = loop {
         match received.recv() {
             Ok(Job::Chunk(chunk)) => {
-                waiting_bytes.fetch_sub(chunk.bytes.len(), Ordering::Relaxed);
                 file.write(&chunk).map_err(text)?;
+                pending.update(|progress| progress.waiting -= chunk.bytes.len());
             }
             Ok(Job::End(why)) => break why,
             // The writer was dropped without an end.
@@ -207,7 +234,7 @@ fn write(
         }
     };
     file.file.finish().map_err(text)?;
-    match overrun.load(Ordering::Relaxed) {
+    match pending.lock().overrun {
         true => Err(format!(
             "{}: the disk is too slow: {} MB waited for it, and what came after is missing",
             path.display(),

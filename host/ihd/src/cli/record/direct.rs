@@ -1,12 +1,16 @@
 //! Recording by this process: everything that the device streams, in a capture file.
 
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
 use std::time::Duration;
 
-use anyhow::{Context, Result};
-use ihd_capture::mcap::SessionRecorder;
+use anyhow::{Context, Error, Result, bail, ensure};
 use ihd_capture::mcap::topics::LinkCounters;
+use ihd_capture::recording::{
+    RecordSettings, RecordingLimit, RecordingOptions, RecordingPhase, RecordingSession,
+    RecordingStatus, Trigger,
+};
 use ihd_link::{Client, Event, KEEPALIVE_PERIOD};
 use ihd_shared::wire::messages::{Status, Utilisation};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -18,21 +22,24 @@ use crate::report::utilisation;
 /// Time limit of waiting for an event before limits and Ctrl-C are checked.
 const POLL_PERIOD: Duration = Duration::from_millis(100);
 
+/// Time limit for the reason of a failure.
+const COMPLETE_WITHIN: Duration = Duration::from_secs(10);
+
 /// Recording of a device that is open.
 #[derive(Debug)]
-pub(super) struct SessionRecording {
+pub(super) struct DirectRecording {
     /// The capture file, which must not exist.
     pub out: PathBuf,
-    /// Time limit in s.
-    pub duration: Option<f64>,
-    /// Limit of the file's size in bytes.
-    pub max_size: Option<f64>,
+    /// Trigger and limits.
+    pub settings: RecordSettings,
     /// Power to request in watt; `None` if the device's is not to be changed.
     pub power: Option<u16>,
     /// Half-cycles per telemetry; 0 for none.
     pub telemetry_every: u8,
     /// Half-cycles per window; 0 for none.
     pub windows_every: u8,
+    /// `true` for a simulated hob of this process.
+    pub simulated: bool,
     /// Print the report as JSON.
     pub json: bool,
 }
@@ -40,7 +47,8 @@ pub(super) struct SessionRecording {
 /// Summary of a recording.
 #[derive(Debug, Serialize)]
 struct Report {
-    file: PathBuf,
+    /// The capture file; `None` if its trigger did not come.
+    file: Option<PathBuf>,
     device: String,
     v_full_scale_v: f64,
     i_full_scale_a: f64,
@@ -62,30 +70,33 @@ struct Report {
     processor_line: String,
 }
 
-impl SessionRecording {
-    /// Records and prints the report; flushes by wall time if the device has no simulated clock.
+impl DirectRecording {
+    /// Records and prints the report.
     ///
     /// # Errors
     /// If the device or the file fails; the data recorded until then are in the file.
-    pub(super) fn run(&self, mut client: Client, has_wall_clock: bool) -> Result<()> {
+    pub(super) fn run(&self, mut client: Client) -> Result<()> {
         let stop = interrupt::flag().context("cannot catch ^C")?;
-        let mut recorder = SessionRecorder::create(&self.out, client.hello(), client.front_end())?;
-        if has_wall_clock {
-            recorder = recorder.with_wall_clock_flush();
-        }
-        let size = recorder.size();
-        client.record_to(recorder);
+        let (publish, statuses) = mpsc::channel();
+        let session = self.session(publish);
+        let at = client.clock();
+        let sink = session.connected(client.hello(), client.front_end(), at);
+        client.record_to(sink);
+        let started = session.start(self.settings, at).map_err(Error::msg)?;
+        started.wait().map_err(Error::msg)?;
         let bar = spinner()?;
-        let mut report = self.report(&client);
-        let recorded = self.record(&mut client, stop, &size, &bar, &mut report);
-        if recorded.is_err() {
-            // An error of the recording must not keep the device from being switched off.
-            let _ = client.finish_recording();
+        if self.settings.trigger != Trigger::Now && !self.json {
+            say!("{}; ^C ends it", started.text)?;
         }
+        let mut report = self.report(&client);
+        let recorded = self.record(&mut client, (&session, &statuses), stop, &bar, &mut report);
+        // An error of the recording must not keep the device from being switched off.
         let left = self.leave(&mut client);
-        let closed = client.finish_recording();
+        let stopped = session.stop("ended by hand");
+        let closed = stopped.and_then(|stopped| stopped.wait());
         bar.finish_and_clear();
         report.link = ihd_capture::mcap::link_counters(&client.counters());
+        report.file = self.out.exists().then(|| self.out.clone());
         report.bytes = std::fs::metadata(&self.out).map_or(0, |m| m.len());
         if let Ok((status, used)) = &left {
             report.device_windows_dropped = Some(status.windows_dropped);
@@ -93,7 +104,7 @@ impl SessionRecording {
             report.processor = utilisation::json(used.as_ref());
             report.processor_line = utilisation::line(used.as_ref());
         }
-        let done = recorded.and(left.map(drop)).and(closed.map_err(Into::into));
+        let done = recorded.and(left.map(drop)).and(closed.map_err(Error::msg));
         if let Err(error) = &done {
             report.ended_by = "error";
             report.error = Some(crate::cli::message(error));
@@ -103,11 +114,22 @@ impl SessionRecording {
         done.and(printed)
     }
 
+    fn session(&self, publish: mpsc::Sender<RecordingStatus>) -> RecordingSession {
+        let options = RecordingOptions {
+            simulated_clock: self.simulated,
+            ends_by_owner: true,
+        };
+        // A second file would follow a reconnect, and this link is opened once.
+        let out = self.out.clone();
+        let publish = move |status| drop(publish.send(status));
+        RecordingSession::with_options(options, move |_| out.clone(), publish)
+    }
+
     /// Report before anything was recorded.
     fn report(&self, client: &Client) -> Report {
         let front_end = client.front_end();
         Report {
-            file: self.out.clone(),
+            file: None,
             device: format!("{} ({})", client.describe(), client.hello().build),
             v_full_scale_v: front_end.scales().v_full_scale_v(),
             i_full_scale_a: front_end.scales().i_full_scale_a(),
@@ -128,8 +150,8 @@ impl SessionRecording {
     fn record(
         &self,
         client: &mut Client,
+        (session, statuses): (&RecordingSession, &mpsc::Receiver<RecordingStatus>),
         stop: &AtomicBool,
-        size: &AtomicU64,
         bar: &ProgressBar,
         report: &mut Report,
     ) -> Result<()> {
@@ -140,21 +162,20 @@ impl SessionRecording {
         }
         // Resets the device's counts.
         client.utilisation()?;
-        let began = client.clock();
-        let mut heard = began;
+        session.count_from(client.clock());
+        let mut heard = client.clock();
         report.ended_by = loop {
-            let elapsed = client.clock().saturating_sub(began);
-            report.seconds = elapsed.as_secs_f64();
+            let progress = session.progress(client.clock());
+            report.seconds = progress.map_or(0.0, |now| now.elapsed_s);
             if stop.load(Ordering::Relaxed) {
                 break "interrupt";
             }
-            if self.duration.is_some_and(|s| elapsed.as_secs_f64() >= s) {
-                break "duration";
+            match progress.and_then(|now| now.limit) {
+                Some(RecordingLimit::Duration) => break "duration",
+                Some(RecordingLimit::Size) => break "size",
+                None => {}
             }
-            let bytes = size.load(Ordering::Relaxed);
-            if self.max_size.is_some_and(|max| bytes as f64 >= max) {
-                break "size";
-            }
+            self.show_statuses(statuses, session.active().is_none())?;
             if let Some(Event::Fault(_)) = client.next_event(POLL_PERIOD)? {
                 report.faults += 1;
             }
@@ -162,8 +183,38 @@ impl SessionRecording {
                 heard = client.clock();
                 client.status()?;
             }
-            show(bar, elapsed, bytes, client);
+            show(
+                bar,
+                report.seconds,
+                progress.map_or(0, |now| now.bytes),
+                client,
+            );
         };
+        Ok(())
+    }
+
+    /// Prints the beginning of a triggered recording. A failure is the error; once the recording has `ended`, it is waited for.
+    fn show_statuses(&self, statuses: &mpsc::Receiver<RecordingStatus>, ended: bool) -> Result<()> {
+        let patience = if ended {
+            COMPLETE_WITHIN
+        } else {
+            Duration::ZERO
+        };
+        while let Ok(status) = statuses.recv_timeout(patience) {
+            let is_triggered = self.settings.trigger != Trigger::Now;
+            match (status.phase, status.file) {
+                (RecordingPhase::Failed, _) => bail!("{}", status.text),
+                (RecordingPhase::Begun, Some(file)) if is_triggered && !self.json => {
+                    say!("{}: recording into {}", status.text, file.display())?;
+                }
+                _ => {}
+            }
+        }
+        ensure!(
+            !ended,
+            "{}: the recording has ended by itself",
+            self.out.display()
+        );
         Ok(())
     }
 
@@ -183,7 +234,10 @@ impl SessionRecording {
             return output::json(r);
         }
         let dropped = |n: Option<u32>| n.map_or("?".to_owned(), |n| n.to_string());
-        let (l, path) = (&r.link, r.file.display());
+        let Some(file) = &r.file else {
+            return say!("its trigger did not come: nothing was recorded");
+        };
+        let (l, path) = (&r.link, file.display());
         say!(
             "recorded   {path}, {} bytes, {:.1} s, ended by {}",
             r.bytes,
@@ -228,11 +282,11 @@ fn spinner() -> Result<ProgressBar> {
     Ok(bar)
 }
 
-fn show(bar: &ProgressBar, elapsed: Duration, bytes: u64, client: &Client) {
+fn show(bar: &ProgressBar, seconds: f64, bytes: u64, client: &Client) {
     let c = client.counters();
     bar.set_message(format!(
         "{:.1} s, {:.2} MB, {} telemetry, {} windows; missing {} and {}, {} bad frames, ^C ends",
-        elapsed.as_secs_f64(),
+        seconds,
         bytes as f64 * 1e-6,
         c.telemetry.received,
         c.windows.received,
@@ -241,4 +295,18 @@ fn show(bar: &ProgressBar, elapsed: Duration, bytes: u64, client: &Client) {
         c.frames_bad
     ));
     bar.tick();
+}
+
+/// Capture file of a device if none is named: `tcp-127.0.0.1-4711.mcap`.
+#[cfg(feature = "daemon")]
+pub(super) fn file_of(device: &str) -> PathBuf {
+    let plain = |c: char| {
+        if c.is_ascii_alphanumeric() || "-_.".contains(c) {
+            c
+        } else {
+            '-'
+        }
+    };
+    let name: String = device.chars().map(plain).collect();
+    PathBuf::from(format!("{name}.mcap"))
 }

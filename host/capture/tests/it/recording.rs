@@ -1,7 +1,8 @@
-//! Recorder on the link of a simulated hob whose clock runs only while the test waits, so that every time is known.
+//! Recording session on the link of a simulated hob whose clock runs only while the test waits, so that every time is known.
 
+use std::collections::BTreeMap;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -9,14 +10,17 @@ use std::time::Duration;
 use ihd_capture::mcap::reader::Item;
 use ihd_capture::mcap::topics::{self, META_FREE, Topic};
 use ihd_capture::mcap::{Reader, SessionReader};
+use ihd_capture::recording::{
+    Quantity, RecordSettings, RecordingLimit, RecordingOptions, RecordingPhase, RecordingSession,
+    RecordingStatus, StartedRecording, Trigger,
+};
 use ihd_link::{Client, Event};
+use ihd_shared::wire::deframer::Deframer;
+use ihd_shared::wire::messages::AnyMessage;
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::injection::{Injection, InjectionKind};
 use ihd_sim::transport::SharedHob;
-
-use super::*;
-use crate::model::Quantity;
 
 /// Longest wait for an event in simulated time.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -27,7 +31,7 @@ const HALF_CYCLE_S: f64 = 0.01;
 struct Bench {
     hob: SharedHob,
     client: Client,
-    recorder: Recorder,
+    recorder: RecordingSession,
     statuses: Arc<Mutex<Vec<RecordingStatus>>>,
     dir: tempfile::TempDir,
 }
@@ -46,7 +50,7 @@ impl Bench {
         let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
         let statuses: Arc<Mutex<Vec<RecordingStatus>>> = Arc::default();
         let published = Arc::clone(&statuses);
-        let recorder = Recorder::new(name, move |t| published.lock().unwrap().push(t));
+        let recorder = RecordingSession::new(name, move |t| published.lock().unwrap().push(t));
         let client = connect(&hob, &recorder);
         Self {
             hob,
@@ -147,7 +151,7 @@ impl Bench {
     }
 }
 
-fn connect(hob: &SharedHob, recorder: &Recorder) -> Client {
+fn connect(hob: &SharedHob, recorder: &RecordingSession) -> Client {
     let mut client = Client::connect(Box::new(hob.clone())).unwrap();
     let at = client.clock();
     let sink = recorder.connected(client.hello(), client.front_end(), at);
@@ -164,6 +168,7 @@ struct Held {
     faults: Vec<(f64, u16)>,
     windows_s: Vec<f64>,
     from_host: usize,
+    powers_w: Vec<u16>,
     damaged: u32,
     rejected: u32,
 }
@@ -171,6 +176,7 @@ struct Held {
 impl Held {
     fn of(path: &Path) -> Self {
         let mut held = Self::default();
+        let mut outgoing = Deframer::new();
         let mut reader = Reader::open(path).unwrap();
         while let Some(item) = reader.next_item().unwrap() {
             match item {
@@ -185,7 +191,16 @@ impl Held {
                             held.faults.push((t_s, note.number));
                         }
                         Topic::Window => held.windows_s.push(t_s),
-                        Topic::ToDevice => held.from_host += 1,
+                        Topic::ToDevice => {
+                            held.from_host += 1;
+                            held.powers_w.extend(m.data.iter().filter_map(|&byte| {
+                                let frame = outgoing.push(byte)?.ok()?;
+                                match AnyMessage::decode(frame.id, frame.split().1) {
+                                    Ok(AnyMessage::SetPower(m)) => Some(m.power_w),
+                                    _ => None,
+                                }
+                            }));
+                        }
                         _ => {}
                     }
                 }
@@ -209,6 +224,7 @@ fn at_fault(pre_trigger_s: f64, duration_s: Option<f64>) -> RecordSettings {
         trigger: Trigger::Fault,
         pre_trigger_s,
         duration_s,
+        ..RecordSettings::default()
     }
 }
 
@@ -276,6 +292,7 @@ fn a_lifted_pot_is_recorded_by_its_power() {
         trigger,
         pre_trigger_s: 0.5,
         duration_s: Some(0.3),
+        ..RecordSettings::default()
     };
     bench.start(settings).unwrap();
     bench.pass(0.3);
@@ -337,6 +354,7 @@ fn a_level_that_is_exceeded_at_the_start_must_be_crossed() {
         trigger,
         pre_trigger_s: 0.2,
         duration_s: Some(0.2),
+        ..RecordSettings::default()
     };
     bench.start(settings).unwrap();
     bench.pass(0.3);
@@ -445,6 +463,74 @@ fn by_the_walls_clock_a_link_that_is_away_ends_it_too() {
     std::thread::sleep(Duration::from_millis(60));
     bench.recorder.tick();
     assert_eq!(bench.recorder.active(), None);
+}
+
+#[test]
+fn a_file_of_its_largest_size_ends_the_recording_and_can_be_read() {
+    let mut bench = Bench::new();
+    bench.heats(1_000);
+    let settings = RecordSettings {
+        max_bytes: Some(100_000),
+        ..RecordSettings::default()
+    };
+    bench.start(settings).unwrap();
+    bench.until_it_ends();
+    let ended = bench.ended();
+    assert_eq!(ended.phase, RecordingPhase::Ended);
+    let path = ended.file.unwrap();
+    let bytes = fs::metadata(&path).unwrap().len();
+    // A chunk of the link, a window at most, and the index come on top.
+    assert!((100_000..250_000).contains(&bytes), "{bytes}");
+    assert_eq!(Held::of(&path).damaged, 0);
+}
+
+/// Records 0.2 s as a command does: the owner sets the device up, ends at the limit and leaves. Returns the file's bytes.
+fn recorded_by_its_owner() -> Vec<u8> {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let named = path.clone();
+    let options = RecordingOptions {
+        simulated_clock: true,
+        ends_by_owner: true,
+    };
+    let session = RecordingSession::with_options(options, move |_| named.clone(), |_| ());
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let mut client = Client::connect(Box::new(hob)).unwrap();
+    let at = client.clock();
+    client.record_to(session.connected(client.hello(), client.front_end(), at));
+    let settings = RecordSettings {
+        duration_s: Some(0.2),
+        ..RecordSettings::default()
+    };
+    session.start(settings, at).unwrap().wait().unwrap();
+    client.stream(1, 20).unwrap();
+    client.set_power(1_000).unwrap();
+    let set_up = client.clock();
+    session.count_from(set_up);
+    let progress = loop {
+        client.next_event(Duration::from_millis(10)).unwrap();
+        let progress = session.progress(client.clock()).unwrap();
+        if progress.limit.is_some() {
+            break progress;
+        }
+    };
+    assert_eq!(progress.limit, Some(RecordingLimit::Duration));
+    assert!((0.2..0.22).contains(&progress.elapsed_s), "{progress:?}");
+    client.set_power(0).unwrap();
+    session.stop("of a test").unwrap().wait().unwrap();
+    let held = Held::of(&path);
+    assert!(
+        held.notes.keys().all(|key| !key.ends_with("_at")),
+        "{held:?}"
+    );
+    // The limit ends nothing by itself: the power that is taken back is in the file.
+    assert_eq!(held.powers_w, [1_000, 0]);
+    fs::read(&path).unwrap()
+}
+
+#[test]
+fn by_a_simulated_clock_the_same_session_is_the_same_file() {
+    assert_eq!(recorded_by_its_owner(), recorded_by_its_owner());
 }
 
 #[test]

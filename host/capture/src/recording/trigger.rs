@@ -1,69 +1,11 @@
 //! Trigger of a recording, evaluated on every half-cycle of telemetry.
 
-use std::fmt;
-
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{FaultEvent, Telemetry};
 
-use crate::model::{Quantity, RecordSettings, Trigger};
-
-/// Longest pre-trigger, in seconds.
-pub const LONGEST_PRE_TRIGGER_S: f64 = 60.0;
-
-/// Longest set duration of a recording: a week, in seconds.
-const LONGEST_S: f64 = 604_800.0;
-
-impl RecordSettings {
-    /// Checks the ranges of the settings.
-    ///
-    /// # Errors
-    /// Description of the value that is out of range.
-    pub fn check(&self) -> Result<(), String> {
-        if !(0.0..=LONGEST_PRE_TRIGGER_S).contains(&self.pre_trigger_s) {
-            return Err(format!(
-                "the pre-trigger is {} s, but must lie between 0 and {LONGEST_PRE_TRIGGER_S} s",
-                self.pre_trigger_s
-            ));
-        }
-        if let Some(s) = self.duration_s
-            && !(s > 0.0 && s <= LONGEST_S)
-        {
-            return Err(format!(
-                "the duration is {s} s, but must lie above 0 and up to {LONGEST_S} s"
-            ));
-        }
-        match self.trigger {
-            Trigger::Level { level, .. } if !level.is_finite() => Err(format!(
-                "the trigger's level is {level}, which is no number"
-            )),
-            _ => Ok(()),
-        }
-    }
-}
+use super::settings::{Quantity, Trigger};
 
 impl Quantity {
-    /// Returns its name on command lines, as in the API.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Power => "power",
-            Self::Current => "current",
-            Self::Resistance => "resistance",
-            Self::Inductance => "inductance",
-            Self::Frequency => "frequency",
-        }
-    }
-
-    /// Returns the unit of its levels.
-    pub fn unit(self) -> &'static str {
-        match self {
-            Self::Power => "W",
-            Self::Current => "A",
-            Self::Resistance => "ohm",
-            Self::Inductance => "µH",
-            Self::Frequency => "kHz",
-        }
-    }
-
     /// Returns its value in a half-cycle, in [`Quantity::unit`]; `None` for R, L and frequency if the inverter is off.
     fn value(self, t: &Telemetry) -> Option<f64> {
         let is_switching = t.f_sw_hz > 0;
@@ -73,23 +15,6 @@ impl Quantity {
             Self::Resistance => is_switching.then(|| t.r.ohm()),
             Self::Inductance => is_switching.then(|| t.l.henry() * 1e6),
             Self::Frequency => is_switching.then(|| f64::from(t.f_sw_hz) * 1e-3),
-        }
-    }
-}
-
-impl fmt::Display for Trigger {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Now => write!(f, "now"),
-            Self::Fault => write!(f, "a fault"),
-            Self::Level {
-                quantity,
-                level,
-                rising,
-            } => {
-                let way = if *rising { "above" } else { "below" };
-                write!(f, "{} {way} {level} {}", quantity.as_str(), quantity.unit())
-            }
         }
     }
 }
@@ -163,10 +88,34 @@ impl TriggerState {
 
 #[cfg(test)]
 mod tests {
-    use ihd_shared::wire::messages::State;
+    use ihd_shared::units::{MicroOhm, PicoHenry};
+    use ihd_shared::wire::messages::{Limit, Pot, State};
 
     use super::*;
-    use crate::states::tests::telemetry;
+
+    /// Telemetry of an idle half-cycle.
+    fn telemetry(state: State) -> Telemetry {
+        Telemetry {
+            seq: 0,
+            dropped: 0,
+            half_cycle: 0,
+            state,
+            fault: Fault::NONE,
+            pot: Pot::Ferromagnetic,
+            f_sw_hz: 0,
+            r: MicroOhm(1_000_000),
+            l: PicoHenry(20_000_000),
+            i_crest_ma: 0,
+            power_mw: 0,
+            phase_mrad: 0,
+            lookup_version: 0,
+            asked_w: 0,
+            limit: Limit::None,
+            bus_peak_dv: 0,
+            v_coil_peak_dv: 0,
+            i_turn_off_min_ma: 0,
+        }
+    }
 
     fn heating(power_w: f64) -> Telemetry {
         let mut t = telemetry(State::Heating);
@@ -206,7 +155,7 @@ mod tests {
     fn off_has_no_resistance_that_could_fall_below_a_level() {
         let r = |ohm: Option<i32>| {
             let mut t = heating(500.0);
-            t.r = ihd_shared::units::MicroOhm(ohm.unwrap_or(0) * 1_000_000);
+            t.r = MicroOhm(ohm.unwrap_or(0) * 1_000_000);
             t.f_sw_hz = ohm.map_or(0, |_| 40_000);
             t
         };
@@ -224,7 +173,7 @@ mod tests {
         low.i_crest_ma = 9_000;
         let mut high = heating(0.0);
         (high.i_crest_ma, high.f_sw_hz) = (11_000, 60_000);
-        high.l = ihd_shared::units::PicoHenry(90_000_000);
+        high.l = PicoHenry(90_000_000);
         for (quantity, between) in [
             (Quantity::Current, 10.0),
             (Quantity::Frequency, 50.0),
@@ -261,35 +210,5 @@ mod tests {
         assert!(state.fault(&event(none), Some(&Trigger::Fault)).is_none());
         assert!(state.telemetry(with(one), Some(&Trigger::Fault)).is_some());
         assert!(state.fault(&event(one), Some(&Trigger::Fault)).is_none());
-    }
-
-    #[test]
-    fn settings_outside_their_ranges_are_refused() {
-        let base = RecordSettings::default();
-        base.check().unwrap();
-        let longest = RecordSettings {
-            pre_trigger_s: 60.0,
-            duration_s: Some(604_800.0),
-            ..base
-        };
-        longest.check().unwrap();
-        for pre_trigger_s in [-0.1, 60.1, f64::NAN, f64::INFINITY] {
-            let why = RecordSettings {
-                pre_trigger_s,
-                ..base
-            }
-            .check()
-            .unwrap_err();
-            assert!(why.contains("between 0 and 60"), "{why}");
-        }
-        for s in [0.0, -1.0, f64::NAN, 604_801.0] {
-            let duration_s = Some(s);
-            assert!(
-                RecordSettings { duration_s, ..base }.check().is_err(),
-                "{s}"
-            );
-        }
-        let trigger = level(Quantity::Power, f64::NAN, true);
-        assert!(RecordSettings { trigger, ..base }.check().is_err());
     }
 }
