@@ -10,10 +10,9 @@ use async_nats::jetstream::context::PublishErrorKind;
 use async_nats::jetstream::message::PublishMessage;
 use async_nats::jetstream::{AckKind, Context, Message};
 use futures_util::StreamExt;
-use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
+use ihd_daemon::learning::WorkerAnswer;
 use ihd_daemon::model::FleetWorker;
-use ihd_identify::{IdentifyOptions, Method};
-use ihd_store::Curve;
+use ihd_link::Window;
 use ihd_train::NetworkConfig;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
@@ -39,6 +38,9 @@ const LEFT_TO_OTHERS_FOR: Duration = Duration::from_secs(10);
 /// Period of the worker's card.
 const PUBLISH_PERIOD: Duration = Duration::from_secs(10);
 
+/// Function that identifies a window: the worker's name, the window, the skew of its channels in seconds, the network's settings.
+pub type Identify = fn(String, &Window, Option<f64>, NetworkConfig) -> WorkerAnswer;
+
 /// Settings of a worker.
 #[derive(Clone, Debug)]
 pub struct WorkerSettings {
@@ -48,8 +50,8 @@ pub struct WorkerSettings {
     pub threads: usize,
     /// The network's settings.
     pub network: NetworkConfig,
-    /// Simulated work of this duration instead of an identification, to measure everything else.
-    pub pretend: Option<Duration>,
+    /// Function that identifies: [`WorkerAnswer::compute`], or another one to measure everything else.
+    pub identify: Identify,
 }
 
 /// Counts of a worker.
@@ -254,15 +256,9 @@ impl Worker {
             let permit = self.threads.acquire().await.ok()?;
             let (skew_s, by) = (window.skew_s, self.settings.name.clone());
             let (window, network) = (window.window.clone(), self.settings.network.clone());
-            if let Some(time) = self.settings.pretend {
-                tokio::time::sleep(time).await;
-            }
-            let fitting = match self.settings.pretend {
-                None => tokio::task::spawn_blocking(move || {
-                    WorkerAnswer::compute(by, &window, skew_s, network)
-                }),
-                Some(_) => tokio::task::spawn_blocking(move || simulated_fit(by, &window)),
-            };
+            let identify = self.settings.identify;
+            let fitting =
+                tokio::task::spawn_blocking(move || identify(by, &window, skew_s, network));
             let fit = fitting.await;
             drop(permit);
             Some(fit.map_err(|_| "identifying it panicked".to_owned()))
@@ -343,32 +339,5 @@ async fn publish_cards(worker: Arc<Worker>) {
             let _ = jetstream::put(context, names::WORKER_CARDS, name, card).await;
         }
         tokio::time::sleep(PUBLISH_PERIOD).await;
-    }
-}
-
-/// Returns R(t) and L(t) of the lock-in, in place of the network's.
-fn simulated_fit(by: String, window: &ihd_link::Window) -> WorkerAnswer {
-    let segment = window.segment();
-    let estimate = ihd_identify::run(Method::Lockin, &segment, &IdentifyOptions::default());
-    let load = estimate.map_err(|e| e.to_string()).map(|estimate| {
-        let curve = Curve {
-            t_s: estimate.t_s,
-            r_ohm: estimate.r_ohm,
-            l_h: estimate.l_h,
-            ..Curve::default()
-        };
-        let curve = curve.thinned();
-        StatedLoad {
-            t_s: curve.t_s,
-            r_ohm: curve.r_ohm,
-            l_h: curve.l_h,
-            ..StatedLoad::default()
-        }
-    });
-    WorkerAnswer {
-        by,
-        skew_s: None,
-        load,
-        busy: Duration::ZERO,
     }
 }

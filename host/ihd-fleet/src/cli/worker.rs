@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
-use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
@@ -13,6 +12,7 @@ use ihd::cli::supervised::Signals;
 use ihd::ensure_usage;
 use ihd_daemon::config::is_name;
 use ihd_daemon::fleet::host_name;
+use ihd_daemon::learning::WorkerAnswer;
 use ihd_fleet::worker::{self, WorkerCounts, WorkerSettings};
 use ihd_train::NetworkConfig;
 use tokio::sync::watch;
@@ -38,9 +38,6 @@ pub struct WorkerArgs {
     /// TOML file with the network's settings, as of `ihd trainer`
     #[arg(long, value_name = "FILE")]
     network: Option<PathBuf>,
-    /// Pretend to work so many milliseconds a window instead: to measure a server
-    #[arg(long, value_name = "MS", hide = true)]
-    pretend_ms: Option<u64>,
     /// Format of log lines, on standard error
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
@@ -69,7 +66,7 @@ impl WorkerArgs {
         let settings = WorkerSettings {
             threads: self.threads.map_or_else(all, usize::from),
             network,
-            pretend: self.pretend_ms.map(Duration::from_millis),
+            identify: WorkerAnswer::compute,
             name,
         };
         let access = access.access(global)?;

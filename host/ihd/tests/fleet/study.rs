@@ -1,12 +1,21 @@
 //! Measured costs and throughput of a fleet: the tables of docs/fleet.md (`--profile full study`). Server, edge and workers
 //! share one machine.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use async_nats::jetstream;
+use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
 use ihd_fleet::Identity;
 use ihd_fleet::wire::WindowMessage;
-use ihd_store::{Reader, ResultFilter};
+use ihd_fleet::worker::{self, WorkerSettings};
+use ihd_identify::{IdentifyOptions, Method};
+use ihd_link::Window;
+use ihd_store::{Curve, Reader, ResultFilter};
+use ihd_train::NetworkConfig;
+use tokio::sync::watch;
 
 use super::process::{Process, processor_s};
 use super::server::Server;
@@ -14,6 +23,82 @@ use super::site::{Site, Worker, init, status, tape, until};
 
 /// Time-out of one run of the study.
 const PATIENCE: Duration = Duration::from_secs(3_000);
+
+/// Duration of the work that [`pretend`] stands for, set by each test: a worker's function has no state.
+static PRETENDED_MS: AtomicU64 = AtomicU64::new(0);
+
+/// Takes as long as set, then answers with R(t) and L(t) of the lock-in.
+fn pretend(by: String, window: &Window, _: Option<f64>, _: NetworkConfig) -> WorkerAnswer {
+    std::thread::sleep(Duration::from_millis(PRETENDED_MS.load(Relaxed)));
+    let estimate = ihd_identify::run(
+        Method::Lockin,
+        &window.segment(),
+        &IdentifyOptions::default(),
+    );
+    let load = estimate.map_err(|e| e.to_string()).map(|estimate| {
+        let curve = Curve {
+            t_s: estimate.t_s,
+            r_ohm: estimate.r_ohm,
+            l_h: estimate.l_h,
+            ..Curve::default()
+        };
+        let curve = curve.thinned();
+        StatedLoad {
+            t_s: curve.t_s,
+            r_ohm: curve.r_ohm,
+            l_h: curve.l_h,
+            ..StatedLoad::default()
+        }
+    });
+    WorkerAnswer {
+        by,
+        skew_s: None,
+        load,
+        busy: Duration::ZERO,
+    }
+}
+
+/// Worker in this process that pretends to work.
+struct PretendingWorker {
+    stop: watch::Sender<bool>,
+    running: Option<JoinHandle<()>>,
+}
+
+impl PretendingWorker {
+    fn start(url: &str, name: &str, threads: usize, time_ms: u64) -> Self {
+        PRETENDED_MS.store(time_ms, Relaxed);
+        let (stop, stopped) = watch::channel(false);
+        let (url, name) = (url.to_owned(), name.to_owned());
+        let run = move || {
+            let runtime = tokio::runtime::Runtime::new().expect("threads");
+            runtime.block_on(async {
+                let client = async_nats::connect(&url).await.expect("the server");
+                let settings = WorkerSettings {
+                    name,
+                    threads,
+                    network: NetworkConfig::default(),
+                    identify: pretend,
+                };
+                let working =
+                    worker::run(jetstream::new(client), settings, Arc::default(), stopped);
+                working.await.expect("a fleet");
+            });
+        };
+        Self {
+            stop,
+            running: Some(std::thread::spawn(run)),
+        }
+    }
+}
+
+impl Drop for PretendingWorker {
+    fn drop(&mut self) {
+        let _ = self.stop.send(true);
+        if let Some(running) = self.running.take() {
+            let _ = running.join();
+        }
+    }
+}
 
 /// Numbers of `ihd-fleet status`, read by this process: a command for each reading would be a part of the measurement.
 struct Monitor {
@@ -72,10 +157,16 @@ fn backlog(count: usize) -> (Server, Site, Monitor) {
 }
 
 /// Returns the windows a second of a backlog, from the time at which all workers run.
-fn rate(server: &Server, site: &Site, monitor: &Monitor, workers: usize, options: &[&str]) -> f64 {
+fn rate<W>(
+    server: &Server,
+    site: &Site,
+    monitor: &Monitor,
+    workers: usize,
+    start: impl Fn(&str, &str) -> W,
+) -> f64 {
     let url = server.url();
-    let _workers: Vec<Worker> = (0..workers)
-        .map(|k| Worker::start(site.path(), &url, &format!("w{k}"), options))
+    let _workers: Vec<W> = (0..workers)
+        .map(|k| start(&url, &format!("w{k}")))
         .collect();
     let total = site.windows.len() as u64;
     until("all at work", PATIENCE, || {
@@ -94,7 +185,9 @@ fn windows_a_second_against_workers_at_length() {
     let mut one = f64::NAN;
     for workers in [1, 2, 4] {
         let (server, site, monitor) = backlog(1_500);
-        let rate = rate(&server, &site, &monitor, workers, &["--threads", "1"]);
+        let start =
+            |url: &str, name: &str| Worker::start(site.path(), url, name, &["--threads", "1"]);
+        let rate = rate(&server, &site, &monitor, workers, start);
         if workers == 1 {
             one = rate;
         }
@@ -105,11 +198,10 @@ fn windows_a_second_against_workers_at_length() {
     );
     for threads in [1, 2, 4, 8, 16, 32, 64] {
         let (server, site, monitor) = backlog(60 * threads);
-        // Four workers at most: what is measured is the queue, not processes.
         let workers = threads.min(4);
-        let each = (threads / workers).to_string();
-        let options = ["--threads", &each, "--pretend-ms", "200"];
-        let rate = rate(&server, &site, &monitor, workers, &options);
+        let start =
+            |url: &str, name: &str| PretendingWorker::start(url, name, threads / workers, 200);
+        let rate = rate(&server, &site, &monitor, workers, start);
         println!(
             "| {threads} | {rate:.1} | {:.0} % |",
             100.0 * rate * 0.2 / threads as f64
@@ -224,11 +316,8 @@ fn a_backlog_of_an_hour_at_length() {
     let mut site = Site::new("far", 1);
     site.fill(count);
     let monitor = Monitor::at(&url);
-    let _workers: Vec<Worker> = (0..2)
-        .map(|k| {
-            let options = ["--threads", "16", "--pretend-ms", "100"];
-            Worker::start(site.path(), &url, &format!("w{k}"), &options)
-        })
+    let _workers: Vec<PretendingWorker> = (0..2)
+        .map(|k| PretendingWorker::start(&url, &format!("w{k}"), 16, 100))
         .collect();
     let began = Instant::now();
     site.start(&url);
