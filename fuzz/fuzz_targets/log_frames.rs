@@ -13,8 +13,8 @@ mod reader;
 
 use std::sync::LazyLock;
 
+use ihd_fakes::SampleLog;
 use ihd_flash::log::decoder::{Decoded, Decoder};
-use ihd_flash::log::sample::Sample;
 use ihd_flash::log::table::Table;
 use ihd_signal::printable::is_shown;
 use reader::Reader;
@@ -23,7 +23,7 @@ use reader::Reader;
 /// characters, each of which may be escaped.
 const LONGEST_TEXT: usize = 7 * 4096 * 80;
 
-static ELF: LazyLock<Vec<u8>> = LazyLock::new(|| Sample::of_everything().elf());
+static ELF: LazyLock<Vec<u8>> = LazyLock::new(|| SampleLog::of_everything().elf());
 
 fn decoder() -> Decoder {
     let table = Table::parse(&ELF, "sample").expect("the sample is whole");
@@ -60,7 +60,7 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     }
     let mut last = Vec::new();
     decoder.push(&[0], |_| ());
-    decoder.push(&Sample::frame(1, &[1, 0, 0, 0]), |one| last.push(one));
+    decoder.push(&SampleLog::frame(1, &[1, 0, 0, 0]), |one| last.push(one));
     assert!(matches!(last.as_slice(), [Decoded::Message(m)] if m.text == "watchdog runs: 1 µs"));
 });
 
@@ -76,7 +76,7 @@ fn stream(bytes: &[u8]) -> (Vec<Vec<u8>>, Vec<bool>) {
             1 => reader.bytes(16 * length).to_vec(),
             _ => {
                 let number = u16::from(reader.u8() % 18);
-                Sample::frame(number, reader.bytes(length))
+                SampleLog::frame(number, reader.bytes(length))
             }
         });
         lost.push(what >= 0xf0);

@@ -382,7 +382,7 @@ fn check_vectors(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fake::SampleImage;
+    use ihd_fakes::SampleImage;
     use proptest::prelude::*;
 
     fn parse(elf: &[u8]) -> Result<Image, ImageError> {

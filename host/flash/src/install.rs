@@ -348,8 +348,10 @@ fn fits(heard: RunningBoard, image: &Image) -> Result<RunningBoard, InstallError
 mod tests {
     use std::collections::VecDeque;
 
+    use ihd_fakes::SampleImage;
+
     use super::*;
-    use crate::fake::{Failure, FakeProgrammer, SampleImage};
+    use crate::fake::{Failure, FakeProgrammer, image};
     use crate::programmer::FlashStep;
 
     /// Says one thing after the other, the last for ever.
@@ -410,12 +412,12 @@ mod tests {
             build_id: 0xA0,
             ..Default::default()
         };
-        sample.image()
+        image(&sample)
     }
 
     #[test]
     fn the_new_goes_over_the_old_and_is_heard() {
-        let (old, new) = (old(), SampleImage::default().image());
+        let (old, new) = (old(), image(&SampleImage::default()));
         let mut fake = FakeProgrammer::with(&old);
         fake.write(LOOKUP_ADDRESS, b"lookup");
         let mut link = Script::of([Ok(said(&old)), nothing(), nothing(), Ok(said(&new))]);
@@ -433,7 +435,7 @@ mod tests {
 
     #[test]
     fn a_board_that_heats_is_left_alone() {
-        let (old, new) = (old(), SampleImage::default().image());
+        let (old, new) = (old(), image(&SampleImage::default()));
         let mut heating = said(&old);
         heating.heats = true;
         let mut fake = FakeProgrammer::with(&old);
@@ -455,7 +457,7 @@ mod tests {
 
     #[test]
     fn what_is_on_a_chip_is_told() {
-        let image = SampleImage::default().image();
+        let image = image(&SampleImage::default());
         let mut fake = FakeProgrammer::default();
         assert_eq!(read_contents(&mut fake).unwrap(), FlashContents::Empty);
         fake.write(FLASH_ADDRESS, &[0; 2_048]);
@@ -480,7 +482,7 @@ mod tests {
 
     #[test]
     fn option_bytes_are_told_and_set_when_asked() {
-        let image = SampleImage::default().image();
+        let image = image(&SampleImage::default());
         let mut fake = FakeProgrammer {
             options: OptionBytes::default(),
             ..Default::default()
@@ -502,7 +504,7 @@ mod tests {
 
     #[test]
     fn silence_and_another_board_are_told() {
-        let (old, new) = (old(), SampleImage::default().image());
+        let (old, new) = (old(), image(&SampleImage::default()));
         let mut fake = FakeProgrammer::default();
         let mut link = Script::of([nothing()]);
         let why = run(&mut fake, Some(&mut link), plan(&new)).unwrap_err();
@@ -538,7 +540,7 @@ mod tests {
     /// Whatever cuts it short, the same again mends it.
     #[test]
     fn a_second_run_mends_what_the_first_left() {
-        let image = SampleImage::default().image();
+        let image = image(&SampleImage::default());
         let steps = [
             FlashStep::Reading,
             FlashStep::SettingOptions,
@@ -572,7 +574,7 @@ mod tests {
 
     #[test]
     fn nothing_is_written_on_another_chip() {
-        let image = SampleImage::default().image();
+        let image = image(&SampleImage::default());
         let mut fake = FakeProgrammer {
             id_code: 0x2003_6468,
             ..Default::default()

@@ -7,7 +7,8 @@
 //! ```
 
 pub mod dfu;
-pub mod fake;
+#[cfg(test)]
+mod fake;
 pub mod image;
 pub mod install;
 pub mod log;

@@ -1,4 +1,4 @@
-//! Interface to a chip: a debug probe, the chip's bootloader over USB, or [`crate::fake::FakeProgrammer`].
+//! Interface to a chip: a debug probe, the chip's bootloader over USB, or a fake in tests.
 
 use serde::Serialize;
 

@@ -3,7 +3,7 @@
 use ihd_debug_port::chip::Mishap;
 use ihd_debug_port::probe::Desk;
 use ihd_debug_port::{Chip, Contact};
-use ihd_flash::fake::SampleImage;
+use ihd_fakes::SampleImage;
 use ihd_flash::install::{FlashContents, InstallError, InstallPlan, InstallReport, install};
 use ihd_flash::probe::{ProbeProgrammer, Probes};
 use ihd_flash::{
@@ -26,7 +26,7 @@ fn image() -> Image {
         bytes: 90_012,
         ..Default::default()
     };
-    sample.image()
+    Image::parse(&sample.elf(), None).unwrap()
 }
 
 fn plan(image: &Image) -> InstallPlan<'_> {

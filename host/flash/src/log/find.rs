@@ -118,8 +118,8 @@ fn table_of(image: &Image) -> Result<Table, TableError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fake::SampleImage;
     use crate::image::BuildId;
+    use ihd_fakes::SampleImage;
 
     fn running(id: u8) -> RunningProgram {
         RunningProgram {

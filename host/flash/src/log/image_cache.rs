@@ -103,7 +103,7 @@ fn data_folder(variable: impl Fn(&str) -> Option<PathBuf>) -> Option<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fake::SampleImage;
+    use ihd_fakes::SampleImage;
 
     fn image(build_id: u8) -> Image {
         let sample = SampleImage {

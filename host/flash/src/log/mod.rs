@@ -26,8 +26,6 @@ pub mod running;
 #[cfg(feature = "log")]
 mod rzcobs;
 #[cfg(feature = "log")]
-pub mod sample;
-#[cfg(feature = "log")]
 pub mod table;
 #[cfg(feature = "log")]
 mod walk;

@@ -1,4 +1,4 @@
-//! Encoding of defmt's frames: reverse zero-compressing COBS, separated by zeros.
+//! Decoding of defmt's frames: reverse zero-compressing COBS, separated by zeros.
 
 /// Error for bytes that are not a valid encoding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,45 +45,9 @@ pub(crate) fn decode(frame: &[u8]) -> Result<Vec<u8>, RzcobsError> {
     Ok(decoded)
 }
 
-/// Encodes what a device logs, without the zero at the end.
-pub(crate) fn encode(bytes: &[u8]) -> Vec<u8> {
-    let mut out = Vec::new();
-    let (mut run, mut zeros) = (0u8, 0u8);
-    for &byte in bytes {
-        if run < 7 {
-            if byte == 0 {
-                zeros |= 1 << run;
-            } else {
-                out.push(byte);
-            }
-            run += 1;
-            if run == 7 && zeros != 0 {
-                out.push(zeros);
-                (run, zeros) = (0, 0);
-            }
-        } else if byte == 0 {
-            out.push(0x80 + (run - 7));
-            (run, zeros) = (0, 0);
-        } else {
-            out.push(byte);
-            run += 1;
-            if run == 134 {
-                out.push(0xff);
-                (run, zeros) = (0, 0);
-            }
-        }
-    }
-    // defmt's logger pads the last seven bytes with zeros.
-    match run {
-        0 => {}
-        1..=6 => out.push((zeros | (0xff << run)) & 0x7f),
-        _ => out.push(0x80 + (run - 7)),
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
+    use ihd_fakes::log::encode;
     use proptest::prelude::*;
 
     use super::*;

@@ -5,11 +5,11 @@ use proptest::prelude::*;
 
 use super::decoder::{Decoded, Decoder};
 use super::message::{Level, Message};
-use super::sample::Sample;
 use super::table::{Table, TableError};
+use ihd_fakes::SampleLog;
 
 fn decoder() -> Decoder {
-    let table = Table::parse(&Sample::of_everything().elf(), "sample.elf").unwrap();
+    let table = Table::parse(&SampleLog::of_everything().elf(), "sample.elf").unwrap();
     Decoder::new(Some(table))
 }
 
@@ -20,7 +20,7 @@ fn decoded(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Decoded> {
 }
 
 fn message(number: u16, values: &[u8]) -> Message {
-    match decoded(&mut decoder(), &Sample::frame(number, values)).as_slice() {
+    match decoded(&mut decoder(), &SampleLog::frame(number, values)).as_slice() {
         [Decoded::Message(message)] => message.clone(),
         other => panic!("{other:?}"),
     }
@@ -86,17 +86,17 @@ fn what_a_terminal_would_obey_is_shown_instead() {
 #[test]
 fn what_is_no_message_is_counted_and_the_next_one_found() {
     let mut decoder = decoder();
-    let good = Sample::frame(1, &[1, 0, 0, 0]);
+    let good = SampleLog::frame(1, &[1, 0, 0, 0]);
     for bad in [
         // No such number, a part, cut, too long, no encoding.
-        Sample::frame(99, &[]),
-        Sample::frame(9, &[0; 4]),
-        Sample::frame(7, &[1, 2]),
-        Sample::frame(1, &[1, 2, 3, 4, 5]),
+        SampleLog::frame(99, &[]),
+        SampleLog::frame(9, &[0; 4]),
+        SampleLog::frame(7, &[1, 2]),
+        SampleLog::frame(1, &[1, 2, 3, 4, 5]),
         vec![1, 0xff, 0],
         [vec![1; 5_000], vec![0]].concat(),
         // A billion elements without a byte.
-        Sample::frame(5, &[1, 2, 14, 0, 0, 0xCA, 0x9A, 0x3B, 14, 0, 12, 0, 1, 1]),
+        SampleLog::frame(5, &[1, 2, 14, 0, 0, 0xCA, 0x9A, 0x3B, 14, 0, 12, 0, 1, 1]),
     ] {
         let stream = [&bad[..], &good].concat();
         let all = decoded(&mut decoder, &stream);
@@ -110,7 +110,7 @@ fn what_is_no_message_is_counted_and_the_next_one_found() {
 #[test]
 fn behind_a_loss_what_was_begun_is_no_frame() {
     let mut decoder = decoder();
-    let frame = Sample::frame(1, &[1, 2, 3, 4]);
+    let frame = SampleLog::frame(1, &[1, 2, 3, 4]);
     assert_eq!(decoded(&mut decoder, &frame[..3]), []);
     decoder.lost();
     assert!(matches!(
@@ -122,25 +122,25 @@ fn behind_a_loss_what_was_begun_is_no_frame() {
 #[test]
 fn without_a_table_frames_are_counted() {
     let mut decoder = Decoder::new(None);
-    let stream = Sample::frame(1, &[1, 0, 0, 0]).repeat(3);
+    let stream = SampleLog::frame(1, &[1, 0, 0, 0]).repeat(3);
     assert_eq!(decoded(&mut decoder, &stream), vec![Decoded::Unread; 3]);
 }
 
 #[test]
 fn what_cannot_be_decoded_is_refused_with_its_reason() {
     let refused = |elf: &[u8]| Table::parse(elf, "x.elf").err().unwrap();
-    let dates = Sample::new(&[("defmt_info", "at {=u64:iso8601ms}")]);
+    let dates = SampleLog::new(&[("defmt_info", "at {=u64:iso8601ms}")]);
     let why = refused(&dates.elf());
     assert!(
         matches!(why, TableError::Unsupported { .. }) && why.to_string().contains("x.elf"),
         "{why}"
     );
-    let raw = Sample::new(&[("defmt_info", "x")]).encoded_as("raw");
+    let raw = SampleLog::new(&[("defmt_info", "x")]).encoded_as("raw");
     assert!(matches!(
         refused(&raw.elf()),
         TableError::Unsupported { .. }
     ));
-    let elf = Sample::of_everything().elf();
+    let elf = SampleLog::of_everything().elf();
     assert!(matches!(refused(&elf[..200]), TableError::Damaged { .. }));
     assert!(matches!(refused(b"no file"), TableError::Damaged { .. }));
 }
@@ -152,7 +152,7 @@ proptest! {
         number in 0u16..18,
         values in prop::collection::vec(prop_oneof![Just(0u8), 0u8..16, any::<u8>()], 0..80)
     ) {
-        let all = decoded(&mut decoder(), &Sample::frame(number, &values));
+        let all = decoded(&mut decoder(), &SampleLog::frame(number, &values));
         prop_assert_eq!(all.len(), 1);
         if let Decoded::Message(message) = &all[0] {
             prop_assert!(message.text.chars().all(is_shown));

@@ -4,7 +4,7 @@ mod desk;
 mod liar;
 
 use desk::{Desk, GIVEN_TIME};
-use ihd_flash::fake::SampleImage;
+use ihd_fakes::SampleImage;
 use ihd_flash::programmer::Progress;
 use ihd_flash::{Erase, Image, OptionBytes, ProgramError, Programmer};
 use ihd_rom_bootloader::chip::{FACTORY_OPTR, FLASH, PAGE};
@@ -12,13 +12,17 @@ use ihd_rom_bootloader::{Fault, Left};
 use ihd_shared::image::LOOKUP_ADDRESS;
 use liar::Liar;
 
+fn parsed(sample: &SampleImage) -> Image {
+    Image::parse(&sample.elf(), None).unwrap()
+}
+
 /// One of several blocks, with a short last one of 5 double words.
 fn image() -> Image {
     let sample = SampleImage {
         bytes: 5 * PAGE + 36,
         ..SampleImage::default()
     };
-    sample.image()
+    parsed(&sample)
 }
 
 fn lookup() -> usize {
@@ -125,7 +129,7 @@ fn images_of_every_length_arrive() {
             bytes,
             ..SampleImage::default()
         };
-        let (desk, image) = (used(), image.image());
+        let (desk, image) = (used(), parsed(&image));
         flash(&desk, &image).unwrap();
         assert_flashed(&desk, &image);
     }

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use assert_cmd::Command;
-use ihd_flash::fake::SampleImage;
+use ihd_fakes::SampleImage;
 
 const NO_PROBE: &str = "1209:0000:none";
 

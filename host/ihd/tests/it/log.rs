@@ -6,8 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::thread::{self, JoinHandle};
 
-use ihd_flash::fake::SampleImage;
-use ihd_flash::log::sample::Sample;
+use ihd_fakes::{SampleImage, SampleLog};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
@@ -124,7 +123,7 @@ fn board(build_id: u8, connections: Vec<Vec<Logged>>) -> (String, JoinHandle<()>
 
 /// The image of the board: its build id is all 0xB1.
 fn image(dir: &Path) {
-    let elf = Sample::of_everything().within(SampleImage::default().elf());
+    let elf = SampleLog::of_everything().within(SampleImage::default().elf());
     std::fs::write(dir.join("board.elf"), elf).unwrap();
 }
 
@@ -179,13 +178,17 @@ fn messages_come_as_objects_and_a_cable_that_comes_back_is_told_once() {
         &[0; 7],
     ]
     .concat();
-    let first = Sample::frame(1, &[1, 0, 0, 0]);
+    let first = SampleLog::frame(1, &[1, 0, 0, 0]);
     let next = first.len() as u32;
     let (address, board) = board(
         0xB1,
         vec![
-            vec![(0, 2, first), (next + 9, 2, Sample::frame(3, &text))],
-            vec![(70, 3, [vec![9, 9, 0], Sample::frame(2, &[7, 0])].concat())],
+            vec![(0, 2, first), (next + 9, 2, SampleLog::frame(3, &text))],
+            vec![(
+                70,
+                3,
+                [vec![9, 9, 0], SampleLog::frame(2, &[7, 0])].concat(),
+            )],
         ],
     );
     let options = ["--json", "--image", "board.elf"];
@@ -245,7 +248,7 @@ fn another_images_texts_are_never_used() {
 #[test]
 fn without_the_image_messages_are_counted_and_it_says_where_it_looked() {
     let dir = tempfile::tempdir().unwrap();
-    let logs = vec![(0, 0, Sample::frame(1, &[1, 0, 0, 0]).repeat(3))];
+    let logs = vec![(0, 0, SampleLog::frame(1, &[1, 0, 0, 0]).repeat(3))];
     let (address, board) = board(0x33, vec![logs]);
     let mut child = log(dir.path(), &address, &[]).spawn().unwrap();
     let mut said = BufReader::new(child.stderr.take().unwrap()).lines();

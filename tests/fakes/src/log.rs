@@ -1,15 +1,13 @@
-//! ELF file with log messages only, for tests and for the fuzzer.
-
-use super::rzcobs;
+//! ELF file with log messages only, and frames of a board's log.
 
 /// Messages and their parts: tag and format string, as written by defmt.
 #[derive(Clone, Debug)]
-pub struct Sample {
+pub struct SampleLog {
     strings: Vec<(&'static str, &'static str)>,
     encoding: &'static str,
 }
 
-impl Sample {
+impl SampleLog {
     /// Creates a file with these strings, numbered from 1.
     pub fn new(strings: &[(&'static str, &'static str)]) -> Self {
         Self {
@@ -60,7 +58,7 @@ impl Sample {
     /// Returns the frame of a message with its values, as sent by a board.
     pub fn frame(number: u16, values: &[u8]) -> Vec<u8> {
         let bytes = [&number.to_le_bytes(), values].concat();
-        [rzcobs::encode(&bytes), vec![0]].concat()
+        [encode(&bytes), vec![0]].concat()
     }
 
     /// Returns the file with nothing else in it.
@@ -135,4 +133,41 @@ impl Sample {
         let section_names = b"\0.defmt\0.symtab\0.strtab\0.shstrtab\0".to_vec();
         [messages, symbols, names, section_names]
     }
+}
+
+/// Encodes a frame as a device's logger does (reverse zero-compressing COBS), without the zero at the end.
+pub fn encode(bytes: &[u8]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let (mut run, mut zeros) = (0u8, 0u8);
+    for &byte in bytes {
+        if run < 7 {
+            if byte == 0 {
+                zeros |= 1 << run;
+            } else {
+                out.push(byte);
+            }
+            run += 1;
+            if run == 7 && zeros != 0 {
+                out.push(zeros);
+                (run, zeros) = (0, 0);
+            }
+        } else if byte == 0 {
+            out.push(0x80 + (run - 7));
+            (run, zeros) = (0, 0);
+        } else {
+            out.push(byte);
+            run += 1;
+            if run == 134 {
+                out.push(0xff);
+                (run, zeros) = (0, 0);
+            }
+        }
+    }
+    // defmt's logger pads the last seven bytes with zeros.
+    match run {
+        0 => {}
+        1..=6 => out.push((zeros | (0xff << run)) & 0x7f),
+        _ => out.push(0x80 + (run - 7)),
+    }
+    out
 }
