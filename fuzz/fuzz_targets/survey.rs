@@ -10,7 +10,6 @@
 
 mod reader;
 
-use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use ihd_signal::{Capture, FrequencyStep, TimeBase};
@@ -84,13 +83,7 @@ fn capture(reader: &mut Reader<'_>) -> Capture {
         },
         v_v,
         i_a,
-        v_full_scale_v: None,
-        i_full_scale_a: None,
-        f_sw: Vec::new(),
-        mains_hz: None,
-        zero_crossing_s: None,
-        truth: Vec::new(),
-        metadata: BTreeMap::new(),
+        ..Capture::default()
     }
 }
 

@@ -18,6 +18,16 @@ pub enum TimeBase {
     Stamps(Vec<f64>),
 }
 
+impl Default for TimeBase {
+    /// Grid of a capture without samples.
+    fn default() -> Self {
+        Self::Even {
+            t0_s: 0.0,
+            dt_s: 0.0,
+        }
+    }
+}
+
 impl TimeBase {
     /// Time of sample `k` in seconds; `None` beyond the last stamp.
     pub fn at(&self, k: usize) -> Option<f64> {
@@ -56,7 +66,7 @@ impl FrequencyStep {
 /// Coil voltage and current, sampled together.
 ///
 /// Samples are f32: 24 bits, more than any scope gives, at half the memory of f64.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Capture {
     /// Source for messages: a path, or a description of the simulation.
     pub name: String,

@@ -100,7 +100,10 @@ mod tests {
     use super::*;
 
     /// Scales that differ from this build's.
-    const SCALES: Scales = Scales::OF_PROTOCOL_1;
+    const SCALES: Scales = Scales {
+        v_full_scale_mv: 400_000,
+        i_full_scale_ma: 80_000,
+    };
 
     #[test]
     fn samples_on_the_grid_are_taken_as_they_are() {

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 
 /// Replaces the section between the marks `begin` and `end` of a document; `None` without the marks.
-pub fn replaced(document: &str, (begin, end): (&str, &str), section: &str) -> Option<String> {
+fn replaced(document: &str, (begin, end): (&str, &str), section: &str) -> Option<String> {
     let (before, rest) = document.split_once(begin)?;
     let (_, after) = rest.split_once(end)?;
     Some(format!("{before}{begin}\n{section}{end}{after}"))
@@ -26,4 +26,16 @@ pub fn write_into(path: &Path, marks: (&str, &str), section: &str) -> Result<()>
         );
     };
     std::fs::write(path, new).with_context(|| format!("cannot write {}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_section_is_replaced_and_the_rest_kept() {
+        let new = replaced("a\n[\nold\n]\nb\n", ("[", "]"), "new\n").unwrap();
+        assert_eq!(new, "a\n[\nnew\n]\nb\n");
+        assert_eq!(replaced("nothing", ("[", "]"), "new"), None);
+    }
 }

@@ -239,8 +239,6 @@ fn rate_runs(t_s: &[f64], range: Range<usize>, out: &mut Vec<Run>) {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::*;
 
     fn capture(time: TimeBase, n: usize) -> Capture {
@@ -249,13 +247,7 @@ mod tests {
             time,
             v_v: vec![1.0; n],
             i_a: vec![1.0; n],
-            v_full_scale_v: None,
-            i_full_scale_a: None,
-            f_sw: Vec::new(),
-            mains_hz: None,
-            zero_crossing_s: None,
-            truth: Vec::new(),
-            metadata: BTreeMap::new(),
+            ..Capture::default()
         }
     }
 

@@ -249,8 +249,6 @@ fn pulse_pair_hz(x: &[Complex<f64>], hop_s: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use ihd_signal::TimeBase;
 
     use super::*;
@@ -270,13 +268,7 @@ mod tests {
             },
             v_v: (0..n).map(|k| x(k, 1.0)).collect(),
             i_a: (0..n).map(|k| x(k, 0.1)).collect(),
-            v_full_scale_v: None,
-            i_full_scale_a: None,
-            f_sw: Vec::new(),
-            mains_hz: None,
-            zero_crossing_s: None,
-            truth: Vec::new(),
-            metadata: BTreeMap::new(),
+            ..Capture::default()
         };
         let run = Run {
             samples: 0..n,

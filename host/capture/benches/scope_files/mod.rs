@@ -115,13 +115,7 @@ pub fn npz(folder: &Path, samples: usize) -> PathBuf {
         },
         v_v: single(volts),
         i_a: single(amperes),
-        v_full_scale_v: None,
-        i_full_scale_a: None,
-        f_sw: Vec::new(),
-        mains_hz: None,
-        zero_crossing_s: None,
-        truth: Vec::new(),
-        metadata: Default::default(),
+        ..Capture::default()
     };
     let path = folder.join("large.npz");
     write(&capture, &path, &mut |_| ()).expect("written");

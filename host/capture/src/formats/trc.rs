@@ -60,14 +60,7 @@ pub fn descriptor(head: &[u8]) -> Option<usize> {
 pub struct TrcSource {
     input: Input,
     endian: Endian,
-    kind: Kind,
-    at: u64,
-    samples: u64,
-    gain: f64,
-    offset: f64,
-    time: TimeBase,
-    channel: Channel,
-    metadata: BTreeMap<String, String>,
+    layout: Layout,
 }
 
 /// Fields of the descriptor.
@@ -128,19 +121,12 @@ impl TrcSource {
             begin,
             endian,
         };
-        let (layout, channel, metadata) = Layout::read(descriptor)?;
+        let layout = Layout::read(descriptor)?;
         input.seek(layout.at)?;
         input.need(layout.samples * layout.kind.bytes() as u64)?;
         Ok(Self {
             endian,
-            kind: layout.kind,
-            at: layout.at,
-            samples: layout.samples,
-            gain: layout.gain,
-            offset: layout.offset,
-            time: layout.time,
-            channel,
-            metadata,
+            layout,
             input,
         })
     }
@@ -154,13 +140,12 @@ struct Layout {
     gain: f64,
     offset: f64,
     time: TimeBase,
+    channel: Channel,
+    metadata: BTreeMap<String, String>,
 }
 
 impl Layout {
-    #[allow(clippy::type_complexity)]
-    fn read(
-        mut d: Descriptor<'_>,
-    ) -> Result<(Self, Channel, BTreeMap<String, String>), FormatError> {
+    fn read(mut d: Descriptor<'_>) -> Result<Self, FormatError> {
         let template = d.text(field::TEMPLATE, 16)?;
         if !template.starts_with("LECROY_2_") {
             let what = format!("template `{template}`: LECROY_2_x is read");
@@ -224,7 +209,7 @@ impl Layout {
             unit: Unit::parse(&d.text(field::VERT_UNIT, 48)?),
             full_scale: Some(full_scale).filter(|x| *x > 0.0),
         };
-        let layout = Self {
+        Ok(Self {
             kind,
             at: at + first * kind.bytes() as u64,
             samples: last - first + 1,
@@ -234,30 +219,31 @@ impl Layout {
                 t0_s: (begin_s + first as f64 * dt_s) * scale,
                 dt_s: dt_s * scale,
             },
-        };
-        Ok((layout, channel, metadata))
+            channel,
+            metadata,
+        })
     }
 }
 
 impl Source for TrcSource {
     fn channels(&self) -> &[Channel] {
-        std::slice::from_ref(&self.channel)
+        std::slice::from_ref(&self.layout.channel)
     }
 
     fn metadata(&self) -> BTreeMap<String, String> {
-        self.metadata.clone()
+        self.layout.metadata.clone()
     }
 
     fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
-        self.input.seek(self.at)?;
+        self.input.seek(self.layout.at)?;
         let values = self.input.samples(
-            self.samples,
-            self.kind,
+            self.layout.samples,
+            self.layout.kind,
             self.endian,
-            self.gain,
-            self.offset,
+            self.layout.gain,
+            self.layout.offset,
             progress,
         )?;
-        Ok(single_channel(values, self.time.clone(), selected))
+        Ok(single_channel(values, self.layout.time.clone(), selected))
     }
 }

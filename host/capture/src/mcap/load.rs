@@ -133,19 +133,7 @@ fn gather(
     let mut builder = CaptureBuilder {
         capture: Capture {
             name: reader.path().display().to_string(),
-            time: TimeBase::Even {
-                t0_s: 0.0,
-                dt_s: 0.0,
-            },
-            v_v: Vec::new(),
-            i_a: Vec::new(),
-            v_full_scale_v: None,
-            i_full_scale_a: None,
-            f_sw: Vec::new(),
-            mains_hz: None,
-            zero_crossing_s: None,
-            truth: Vec::new(),
-            metadata: BTreeMap::new(),
+            ..Capture::default()
         },
         stamps: None,
         t0_s: 0.0,

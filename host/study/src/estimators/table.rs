@@ -217,15 +217,6 @@ fn verdicts(cells: &[Cell]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::document::replaced;
-
-    #[test]
-    fn a_section_is_replaced_and_the_rest_kept() {
-        let document = format!("a\n{BEGIN}\nold\n{END}\nb\n");
-        let new = replaced(&document, (BEGIN, END), "new\n").unwrap();
-        assert_eq!(new, format!("a\n{BEGIN}\nnew\n{END}\nb\n"));
-        assert_eq!(replaced("nothing", (BEGIN, END), "new"), None);
-    }
 
     #[test]
     fn a_target_that_is_missed_is_reported() {

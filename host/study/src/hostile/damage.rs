@@ -47,8 +47,6 @@ fn drop_between(capture: &mut Capture, from_s: f64, to_s: f64) {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::*;
 
     fn capture() -> Capture {
@@ -60,13 +58,7 @@ mod tests {
             },
             v_v: (0..10).map(|k| k as f32).collect(),
             i_a: (0..10).map(|k| 10.0 * k as f32).collect(),
-            v_full_scale_v: None,
-            i_full_scale_a: None,
-            f_sw: Vec::new(),
-            mains_hz: None,
-            zero_crossing_s: None,
-            truth: Vec::new(),
-            metadata: BTreeMap::new(),
+            ..Capture::default()
         }
     }
 

@@ -213,7 +213,6 @@ fn number(x: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::document::replaced;
 
     fn run(group: Group, seed: u64, r_pct: f64, judged: Judgement) -> Run {
         Run {
@@ -261,13 +260,5 @@ mod tests {
             text.contains("| a | 2.0/.10 2.0σ **SILENT** 1/2 | skew |"),
             "{text}"
         );
-    }
-
-    #[test]
-    fn a_section_is_replaced_and_the_rest_kept() {
-        let document = format!("a\n{BEGIN}\nold\n{END}\nb\n");
-        let new = replaced(&document, (BEGIN, END), "new\n").unwrap();
-        assert_eq!(new, format!("a\n{BEGIN}\nnew\n{END}\nb\n"));
-        assert_eq!(replaced("nothing", (BEGIN, END), "new"), None);
     }
 }
