@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::io::Write;
 use std::path::Path;
 
-use super::{ExportLimits, LimitedWriter, Row, TableError, nothing, rows};
+use super::{ByteBudget, ExportLimits, Row, TableError, nothing, rows};
 use crate::mcap::topics::Telemetry;
 
 /// Heading of the samples; the last column is the device's number of the window.
@@ -20,10 +20,10 @@ const HALF_CYCLES: &str = "time_s,half_cycle,state,pot,fault,limit,asked_W,power
 /// [`TableError`]; what was written until then is no table.
 pub fn samples_csv(
     path: &Path,
-    out: impl Write,
+    mut out: impl Write,
     limits: &ExportLimits<'_>,
 ) -> Result<(), TableError> {
-    let mut out = LimitedWriter::new(out, limits);
+    let mut budget = ByteBudget::of(limits);
     let mut windows = 0;
     let mut text = String::from(SAMPLES);
     rows(path, limits, &mut |row| {
@@ -35,7 +35,7 @@ pub fn samples_csv(
             // Writing to a text cannot fail. A tenth of a nanosecond is a thousandth of a sample.
             let _ = writeln!(text, "{t_s:.10},{v_v},{i_a},{number}");
         }
-        out.put(text.as_bytes())?;
+        budget.write(&mut out, text.as_bytes())?;
         text.clear();
         Ok(())
     })?;
@@ -43,7 +43,7 @@ pub fn samples_csv(
         let hint = "without heating there are none; half-cycles and the MCAP file have the rest";
         return Err(nothing(path, "window of samples", hint));
     }
-    Ok(out.out.flush()?)
+    Ok(out.flush()?)
 }
 
 /// Writes one line per half-cycle: the device's telemetry.
@@ -52,18 +52,18 @@ pub fn samples_csv(
 /// Any error of [`samples_csv`].
 pub fn half_cycles_csv(
     path: &Path,
-    out: impl Write,
+    mut out: impl Write,
     limits: &ExportLimits<'_>,
 ) -> Result<(), TableError> {
-    let mut out = LimitedWriter::new(out, limits);
+    let mut budget = ByteBudget::of(limits);
     let mut count = 0;
-    out.put(HALF_CYCLES.as_bytes())?;
+    budget.write(&mut out, HALF_CYCLES.as_bytes())?;
     rows(path, limits, &mut |row| {
         let Row::HalfCycle(t_s, t) = row else {
             return Ok(());
         };
         count += 1;
-        out.put(line(t_s, &t).as_bytes())
+        budget.write(&mut out, line(t_s, &t).as_bytes())
     })?;
     if count == 0 {
         return Err(nothing(
@@ -72,7 +72,7 @@ pub fn half_cycles_csv(
             "the MCAP file has what it holds",
         ));
     }
-    Ok(out.out.flush()?)
+    Ok(out.flush()?)
 }
 
 fn line(t_s: f64, t: &Telemetry) -> String {

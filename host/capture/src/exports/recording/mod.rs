@@ -170,25 +170,22 @@ fn parsed<T: serde::de::DeserializeOwned>(m: &Message<'_>) -> Option<T> {
     serde_json::from_slice(m.data).ok()
 }
 
-/// Writer that checks the limits.
-struct LimitedWriter<'a, W> {
-    out: W,
+/// Bytes that an export may still write.
+struct ByteBudget {
     left: u64,
-    limits: &'a ExportLimits<'a>,
+    limit: u64,
 }
 
-impl<'a, W: Write> LimitedWriter<'a, W> {
-    fn new(out: W, limits: &'a ExportLimits<'a>) -> Self {
-        let left = limits.bytes;
-        Self { out, left, limits }
+impl ByteBudget {
+    fn of(limits: &ExportLimits<'_>) -> Self {
+        let (left, limit) = (limits.bytes, limits.bytes);
+        Self { left, limit }
     }
 
-    fn put(&mut self, bytes: &[u8]) -> Result<(), TableError> {
+    fn write(&mut self, out: &mut impl Write, bytes: &[u8]) -> Result<(), TableError> {
         let left = self.left.checked_sub(bytes.len() as u64);
-        self.left = left.ok_or(TableError::TooLarge {
-            bytes: self.limits.bytes,
-        })?;
-        Ok(self.out.write_all(bytes)?)
+        self.left = left.ok_or(TableError::TooLarge { bytes: self.limit })?;
+        Ok(out.write_all(bytes)?)
     }
 }
 

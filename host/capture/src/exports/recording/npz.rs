@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Seek, Write};
+use std::io::{self, BufReader, BufWriter, Seek};
 use std::path::Path;
 
 use super::super::npz::Archive;
-use super::{ExportLimits, Row, TableError, nothing, rows};
+use super::{ByteBudget, ExportLimits, Row, TableError, nothing, rows};
 use crate::mcap::topics::{Telemetry, WholeWindow};
 
 /// Length of a text: the longest name of a fault has 24 characters.
@@ -31,8 +31,7 @@ pub fn recording_npz(
     let mut arrays = Arrays {
         spool,
         columns: Vec::new(),
-        left: limits.bytes,
-        limits,
+        budget: ByteBudget::of(limits),
         notes: BTreeMap::new(),
     };
     rows(path, limits, &mut |row| arrays.take(row))?;
@@ -57,8 +56,7 @@ struct Column {
 struct Arrays<'a> {
     spool: Spool<'a>,
     columns: Vec<Column>,
-    left: u64,
-    limits: &'a ExportLimits<'a>,
+    budget: ByteBudget,
     notes: BTreeMap<String, String>,
 }
 
@@ -142,10 +140,6 @@ impl Arrays<'_> {
         descr: &'static str,
         bytes: &[u8],
     ) -> Result<(), TableError> {
-        let left = self.left.checked_sub(bytes.len() as u64);
-        self.left = left.ok_or(TableError::TooLarge {
-            bytes: self.limits.bytes,
-        })?;
         // Some thirty names; those of a sample are asked for in the same order again and again.
         let column = match self
             .columns
@@ -165,7 +159,7 @@ impl Arrays<'_> {
             }
         };
         column.count += 1;
-        Ok(column.file.write_all(bytes)?)
+        self.budget.write(&mut column.file, bytes)
     }
 
     fn pack(self, out: File) -> io::Result<()> {
