@@ -9,32 +9,22 @@ use rand_chacha::ChaCha8Rng;
 
 #[path = "../../fuzz/fuzz_targets/capture_file.rs"]
 mod capture_file;
-#[path = "../../fuzz/fuzz_targets/csv.rs"]
-mod csv;
 #[path = "../../fuzz/fuzz_targets/deframer.rs"]
 mod deframer;
 #[path = "../../fuzz/fuzz_targets/host_frames.rs"]
 mod host_frames;
+#[path = "../../fuzz/fuzz_targets/import.rs"]
+mod import;
 #[path = "../../fuzz/fuzz_targets/incoming.rs"]
 mod incoming;
-#[path = "../../fuzz/fuzz_targets/isf.rs"]
-mod isf;
 #[path = "../../fuzz/fuzz_targets/log_frames.rs"]
 mod log_frames;
 #[path = "../../fuzz/fuzz_targets/lookup_and_hello.rs"]
 mod lookup_and_hello;
-#[path = "../../fuzz/fuzz_targets/mat.rs"]
-mod mat;
-#[path = "../../fuzz/fuzz_targets/npz.rs"]
-mod npz;
 #[path = "../../fuzz/fuzz_targets/pot_map.rs"]
 mod pot_map;
 #[path = "../../fuzz/fuzz_targets/survey.rs"]
 mod survey;
-#[path = "../../fuzz/fuzz_targets/trc.rs"]
-mod trc;
-#[path = "../../fuzz/fuzz_targets/wfm.rs"]
-mod wfm;
 
 /// Changed inputs for each committed one.
 const CHANGED: usize = 2;
@@ -121,17 +111,12 @@ macro_rules! targets {
 
 targets! {
     capture_file,
-    csv,
     deframer,
     host_frames,
+    import,
     incoming,
-    isf,
     log_frames,
     lookup_and_hello,
-    mat,
-    npz,
     pot_map,
     survey,
-    trc,
-    wfm,
 }

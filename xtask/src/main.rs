@@ -119,7 +119,7 @@ enum Chore {
     #[command(after_help = "Examples:\n  \
         cargo xtask fuzz\n  \
         cargo xtask fuzz 60\n  \
-        cargo xtask fuzz csv 300")]
+        cargo xtask fuzz import 300")]
     Fuzz {
         /// The target; default: all in turn
         target: Option<String>,

@@ -1,7 +1,7 @@
 //! Table of the capture formats: name, recognition, reader and writer of each.
 
 use std::fs::{File, FileType};
-use std::io::Read;
+use std::io::{Cursor, Read};
 use std::path::Path;
 
 use ihd_signal::Capture;
@@ -10,7 +10,7 @@ use super::channels::ChannelRef;
 use super::error::{CaptureError, FormatError};
 use super::exports::{self, ExportError};
 use super::formats::csv::CsvSource;
-use super::formats::input::Input;
+use super::formats::input::{Input, ReadSeek};
 use super::formats::isf::{self, IsfSource};
 use super::formats::trc::{self, TrcSource};
 use super::formats::wfm::{self, WfmSource};
@@ -23,10 +23,13 @@ const HEAD: usize = 4096;
 /// Columns of a table specified by the user: time, voltage, current.
 type Columns<'a> = Option<&'a [ChannelRef; 3]>;
 
+/// File whose header was read, or its defect.
+type Opened = Result<Box<dyn Source>, FormatError>;
+
 /// Reader of a format.
 pub(super) enum Opener {
     /// Reads the header first, then the samples of the selected channels; the columns apply to tables only.
-    Channels(fn(File, Columns<'_>) -> Result<Box<dyn Source>, FormatError>),
+    Channels(fn(Box<dyn ReadSeek>, Columns<'_>) -> Opened),
     /// Reads a whole capture, for our own format.
     Whole(fn(&Path) -> Result<SalvagedCapture, McapFileError>),
 }
@@ -62,7 +65,7 @@ pub struct Format {
 
 const fn reading(
     recognises: fn(&[u8]) -> bool,
-    open: fn(File, Columns<'_>) -> Result<Box<dyn Source>, FormatError>,
+    open: fn(Box<dyn ReadSeek>, Columns<'_>) -> Opened,
 ) -> Option<ReadSupport> {
     let open = Opener::Channels(open);
     Some(ReadSupport { recognises, open })
@@ -259,6 +262,14 @@ pub(super) fn recognise(path: &Path) -> Result<&'static Opener, CaptureError> {
         path: path.to_owned(),
         what: format!("{what}; readable are {}", readable()),
     })
+}
+
+/// Opens a file in memory, but for MCAP; `None` if its format is not known.
+pub fn open_bytes(bytes: Vec<u8>) -> Option<Opened> {
+    match opener(&bytes[..bytes.len().min(HEAD)]) {
+        Ok(Opener::Channels(open)) => Some(open(Box::new(Cursor::new(bytes)), None)),
+        Ok(Opener::Whole(_)) | Err(_) => None,
+    }
 }
 
 /// Returns the reader for a file that begins with `head`.

@@ -178,7 +178,7 @@ impl OpenFile {
                 what: "it holds both channels already and cannot be paired".to_owned(),
             });
         };
-        let opened = open(regular(path)?, options.columns.as_ref());
+        let opened = open(Box::new(regular(path)?), options.columns.as_ref());
         Ok(Self {
             path: path.to_owned(),
             source: opened.map_err(|e| e.in_file(path))?,
