@@ -3,7 +3,7 @@
 //! A fault travels as its number, a varint of a `u16`, so a host decodes numbers that its table does
 //! not know, shows "fault 120", and loses nothing else of the message. Therefore a new fault raises
 //! only [`crate::wire::PROTOCOL_MINOR`]. Its number is the next free one: a number, once given, keeps
-//! its meaning for ever.
+//! its meaning for ever. 1 to 3 were those of protocol 1.x.
 
 use core::fmt;
 
@@ -66,19 +66,6 @@ fault_table! {
     /// No fault.
     NONE = 0 "None" Trip:
         "no fault";
-    /// No pot on the coil when heating was asked for. Protocol 1.x alone: since 2.0 this is the state
-    /// WaitingForPot.
-    NO_POT = 1 "NoPot" Trip:
-        "no pot on the coil (a controller of protocol 1.x, which did not wait for one); put one on and start again";
-    /// A load that induction cannot heat at its rating (aluminium, copper, bare stainless). Protocol 1.x
-    /// alone, like NoPot.
-    UNSUITABLE_POT = 2 "UnsuitablePot" Trip:
-        "the load cannot be heated by induction (aluminium, copper, bare stainless; a controller of protocol \
-         1.x, which did not wait for another); use a ferromagnetic pot";
-    /// The pot was taken away while heating. Protocol 1.x alone, like NoPot.
-    POT_REMOVED = 3 "PotRemoved" Trip:
-        "the pot was taken away while heating (a controller of protocol 1.x, which did not wait for it); put \
-         it back and start again";
     /// Coil current reached the trip level, seen in the samples.
     OVER_CURRENT = 4 "OverCurrent" Trip:
         "coil current at the trip level; ask for less power, or check the current sensor";
@@ -279,7 +266,7 @@ mod tests {
         assert_eq!(texts.len(), Fault::TABLE.len());
     }
 
-    /// The bytes of protocol 1.1, where a fault was a closed enumeration: the number in one byte.
+    /// On the wire a fault is its number, of variable length.
     #[test]
     fn a_number_below_128_is_one_byte() {
         for number in 0..128 {

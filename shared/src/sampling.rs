@@ -59,12 +59,6 @@ impl Scales {
         i_full_scale_ma: I_FULL_SCALE_MA,
     };
 
-    /// Those of protocol 1.x, which did not carry them.
-    pub const OF_PROTOCOL_1: Self = Self {
-        v_full_scale_mv: 400_000,
-        i_full_scale_ma: 80_000,
-    };
-
     /// Half the input range of the voltage channel, in volt.
     pub fn v_full_scale_v(self) -> f64 {
         f64::from(self.v_full_scale_mv) / 1e3

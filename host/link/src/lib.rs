@@ -22,7 +22,6 @@ mod fake;
 mod flood;
 mod frame_tee;
 mod off;
-pub mod older;
 mod partial_payload;
 mod printable;
 pub mod protocol_doc;

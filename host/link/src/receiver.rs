@@ -1,6 +1,5 @@
 //! Receiving side of a link: deframer, decoding, window assembler and their counters.
 
-use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -8,15 +7,15 @@ use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::FrameError;
 use ihd_shared::wire::link_test::LinkTestCounts;
 use ihd_shared::wire::messages::{
-    AnyMessage, DecodeError, FaultEvent, Message, Telemetry, decode, is_numbered,
+    AnyMessage, DecodeError, FaultEvent, Hello, Message, Telemetry, decode, part_of,
 };
 use ihd_shared::wire::number::Number;
+use ihd_shared::wire::schema::Part;
 use serde::Deserialize;
 
 use super::Counters;
 use super::assembler::{Assembler, RejectedWindow, UnfinishedWindow};
 use super::flood::Flood;
-use super::older;
 use super::window::{Window, WindowDefect};
 
 /// Message that a device sends without a request.
@@ -77,8 +76,6 @@ pub struct Receiver {
     deframer: Deframer,
     assembler: Assembler,
     counters: Counters,
-    /// Older major version of the incoming bytes; `None` for the current one.
-    older: Option<u16>,
     flood: Option<Flood>,
     /// Counters of the link test.
     pub(super) link_data: LinkTestCounts,
@@ -99,11 +96,6 @@ impl Receiver {
             window_messages_stray: self.assembler.stray(),
             ..self.counters.clone()
         }
-    }
-
-    /// Sets the major version of the bytes from now on.
-    pub fn set_major(&mut self, major: u16) {
-        self.older = older::is_older(major).then_some(major);
     }
 
     /// Processes one byte; completed messages are appended to `events` and `answers`.
@@ -152,36 +144,13 @@ impl Receiver {
         };
         let frame = frame?;
         let counters = &mut self.counters;
-        let (number, payload) = match self.older {
-            Some(_) if is_numbered(frame.id) => return Ok(()),
-            Some(major) => (
-                Number::NONE,
-                older::upgraded_payload(major, frame.id, frame.payload),
-            ),
-            None => {
-                let (number, bytes) = frame.split();
-                (number, Cow::Borrowed(bytes))
-            }
-        };
-        match AnyMessage::decode(frame.id, &payload) {
-            Ok(
-                AnyMessage::Hello(_)
-                | AnyMessage::Reply(_)
-                | AnyMessage::Status(_)
-                | AnyMessage::FrontEnd(_)
-                | AnyMessage::Utilisation(_)
-                | AnyMessage::LookupBlob(_)
-                | AnyMessage::ReplayMode(_)
-                | AnyMessage::ReplayEstimates(_)
-                | AnyMessage::Board(_)
-                | AnyMessage::Channels(_)
-                | AnyMessage::Comparators(_)
-                | AnyMessage::Clocks(_)
-                | AnyMessage::LinkTested(_),
-            ) => self.answers.push_back(Response {
+        let (number, payload) = frame.split();
+        let is_answer = part_of(frame.id) == Some(Part::Answer) || frame.id == Hello::ID;
+        match AnyMessage::decode(frame.id, payload) {
+            Ok(_) if is_answer => self.answers.push_back(Response {
                 id: frame.id,
                 number,
-                bytes: payload.into_owned(),
+                bytes: payload.to_vec(),
             }),
             Ok(AnyMessage::Telemetry(m)) => {
                 counters.telemetry.count_seq(m.seq);
@@ -213,31 +182,8 @@ impl Receiver {
                     self.counters.windows_begun = self.counters.windows_begun.wrapping_add(1);
                 }
             }
-            // Requests, which only a host sends.
-            Ok(
-                AnyMessage::SetPower(_)
-                | AnyMessage::Stream(_)
-                | AnyMessage::GetStatus(_)
-                | AnyMessage::GetUtilisation(_)
-                | AnyMessage::PushLookup(_)
-                | AnyMessage::ReadLookup(_)
-                | AnyMessage::ResetLookup(_)
-                | AnyMessage::Configure(_)
-                | AnyMessage::GetFrontEnd(_)
-                | AnyMessage::ResendWindow(_)
-                | AnyMessage::ClearFault(_)
-                | AnyMessage::ReplayStart(_)
-                | AnyMessage::ReplayBlocks(_)
-                | AnyMessage::ReplayEnd(_)
-                | AnyMessage::Restart(_)
-                | AnyMessage::GetBoard(_)
-                | AnyMessage::TestChannels(_)
-                | AnyMessage::TestComparators(_)
-                | AnyMessage::TestClocks(_)
-                | AnyMessage::TestLink(_)
-                | AnyMessage::StreamLog(_),
-            )
-            | Err(DecodeError::Malformed { .. } | DecodeError::Trailing { .. }) => {
+            // The rest are requests, which only a host sends.
+            Ok(_) | Err(DecodeError::Malformed { .. } | DecodeError::Trailing { .. }) => {
                 counters.messages_malformed += 1;
             }
             Err(DecodeError::UnknownId { .. }) => counters.messages_unknown += 1,

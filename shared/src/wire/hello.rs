@@ -3,7 +3,7 @@
 use core::fmt;
 
 use super::messages::{Hello, SCHEMA_HASH};
-use super::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
+use super::messages::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
 /// "IHD1" read as a little-endian word.
 pub const MAGIC: u32 = u32::from_le_bytes(*b"IHD1");

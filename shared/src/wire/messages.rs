@@ -10,6 +10,12 @@ use crate::fault::Fault;
 use crate::sampling::Scales;
 use crate::units::{MicroOhm, PicoHenry};
 
+/// Raised by any change of an existing message.
+pub const PROTOCOL_MAJOR: u16 = 3;
+
+/// Raised by a new message or a new fault.
+pub const PROTOCOL_MINOR: u16 = 0;
+
 /// Bytes that travel as they are: a varint length, then the bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Raw<'a>(pub &'a [u8]);

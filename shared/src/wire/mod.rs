@@ -24,8 +24,4 @@ pub mod number;
 pub mod schema;
 pub mod timing;
 
-/// Raised by any change of an existing message.
-pub const PROTOCOL_MAJOR: u16 = 3;
-
-/// Raised by a new message or a new fault.
-pub const PROTOCOL_MINOR: u16 = 0;
+pub use messages::{PROTOCOL_MAJOR, PROTOCOL_MINOR};

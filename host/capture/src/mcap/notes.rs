@@ -127,7 +127,7 @@ mod tests {
                 fault: Fault::from_number(number),
             })
         };
-        assert_eq!(note(3).fault, "PotRemoved");
+        assert_eq!(note(4).fault, "OverCurrent");
         assert_eq!((note(120).number, note(120).fault.as_str()), (120, "120"));
     }
 }

@@ -11,8 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
 use ihd_link::receiver::Receiver;
-use ihd_link::{Counters, Event, FrameSink, Window, older};
-use ihd_shared::wire::PROTOCOL_MAJOR;
+use ihd_link::{Counters, Event, FrameSink, Window};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{FrameError, MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ROLE_HOST, check, ours};
@@ -401,7 +400,7 @@ impl SessionReader {
     ///
     /// # Errors
     /// [`McapFileError`] when the file cannot be read, holds no session, or comes from a device of
-    /// a newer major protocol version than ours.
+    /// another major protocol version than ours.
     pub fn open(path: &Path) -> Result<Self, McapFileError> {
         let us = ours(ROLE_HOST, 0, 0, "", "");
         let mut session = Self {
@@ -430,12 +429,7 @@ impl SessionReader {
             Some(hello) if hello.role == ROLE_DEVICE => session.hello = hello,
             _ => return Err(none()),
         }
-        let mut readable = session.hello.clone();
-        if older::is_older(readable.protocol_major) {
-            session.receiver.set_major(readable.protocol_major);
-            (readable.protocol_major, readable.schema_hash) = (PROTOCOL_MAJOR, us.schema_hash);
-        }
-        check(&us, &readable).map_err(|why| McapFileError::Mismatch {
+        check(&us, &session.hello).map_err(|why| McapFileError::Mismatch {
             path: path.into(),
             why,
         })?;

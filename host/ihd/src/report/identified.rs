@@ -26,18 +26,22 @@ const REACH: f64 = 1.0;
 /// Pen of known or measured curves: wide, so that they show under the estimates.
 const KNOWN: Pen = Pen::Line(5);
 
+/// Colours of the methods in the order of [`Method::ALL`], then of further ones.
+const COLOURS: [RGBColor; 10] = [
+    RGBColor(148, 103, 189),
+    RGBColor(31, 119, 180),
+    RGBColor(188, 189, 34),
+    RGBColor(23, 190, 207),
+    RGBColor(44, 160, 44),
+    RGBColor(214, 39, 40),
+    RGBColor(255, 127, 14),
+    RGBColor(140, 86, 75),
+    RGBColor(227, 119, 194),
+    RGBColor(127, 127, 127),
+];
+
 fn colour(method: Method) -> RGBColor {
-    match method {
-        Method::Kf => RGBColor(148, 103, 189),
-        Method::Ekf => RGBColor(31, 119, 180),
-        Method::EkfPaper => RGBColor(188, 189, 34),
-        Method::Rts => RGBColor(23, 190, 207),
-        Method::Lockin => RGBColor(44, 160, 44),
-        Method::LeastSquares => RGBColor(214, 39, 40),
-        Method::Rls => RGBColor(255, 127, 14),
-        Method::Firmware => RGBColor(140, 86, 75),
-        Method::Pinn => RGBColor(227, 119, 194),
-    }
+    COLOURS[method as usize % COLOURS.len()]
 }
 
 /// Draws R and L over time with the truth where there is one, and a close-up of the measured and

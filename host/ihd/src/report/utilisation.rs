@@ -2,10 +2,10 @@
 
 use ihd_shared::wire::messages::Utilisation;
 
-/// Text; `None` stands for a device that does not know the request.
+/// Text; `None` if the device did not answer.
 pub fn line(used: Option<&Utilisation>) -> String {
     let Some(used) = used else {
-        return "not reported: the device's firmware is older than protocol 1.3".into();
+        return "not reported: the device did not answer".into();
     };
     let gap_ms = f64::from(used.longest_gap_us) * 1e-3;
     let shares = if used.blocks == 0 {
@@ -21,7 +21,7 @@ pub fn line(used: Option<&Utilisation>) -> String {
     format!("{shares}; housekeeping's longest gap {gap_ms:.2} ms")
 }
 
-/// JSON object; null for a device that does not know the request, and null shares for a board that cannot measure them.
+/// JSON object; null if the device did not answer, and null shares for a board that cannot measure them.
 pub fn json(used: Option<&Utilisation>) -> serde_json::Value {
     let Some(used) = used else {
         return serde_json::Value::Null;
@@ -60,7 +60,7 @@ mod tests {
         };
         assert!(line(Some(&blind)).starts_with("not measured by this board; "));
         assert!(json(Some(&blind))["mean_permille"].is_null());
-        assert!(line(None).contains("older than protocol 1.3"));
+        assert!(line(None).contains("did not answer"));
         assert!(json(None).is_null());
     }
 }

@@ -126,7 +126,7 @@ mod tests {
         "event.0.power_w" = [500, 1000, 1500]
         [[matrix]]
         "pot.name" = ["none"]
-        "limits.fault" = ["NoPot"]
+        "limits.fault" = ["OverCurrent"]
     "#;
 
     #[test]

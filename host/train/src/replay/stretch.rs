@@ -91,7 +91,10 @@ mod tests {
 
     use super::*;
 
-    const SCALES: Scales = Scales::OF_PROTOCOL_1;
+    const SCALES: Scales = Scales {
+        v_full_scale_mv: 400_000,
+        i_full_scale_ma: 80_000,
+    };
 
     fn segment(dt_s: f64, samples: usize) -> Segment {
         let code = |k: usize| f64::from((k % 100) as i16 - 50);

@@ -52,7 +52,7 @@ pub struct RunReport {
     pub built: Option<BuiltLookup>,
     /// Status of the device at the end; `None` if it did not answer.
     pub status: Option<Status>,
-    /// Processor load of the device; `None` before protocol 1.3.
+    /// Processor load of the device; `None` if the device did not answer.
     pub utilisation: Option<Utilisation>,
     /// Counters of the last link.
     pub counters: Counters,

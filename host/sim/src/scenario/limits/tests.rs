@@ -41,7 +41,7 @@ fn check(limits: &str, record: &Record) -> Vec<LimitCheck> {
 fn each_limit_is_two_sided() {
     for (inside, outside) in [
         ("latched = false", "latched = true"),
-        ("fault = \"None\"", "fault = \"NoPot\""),
+        ("fault = \"None\"", "fault = \"OverCurrent\""),
         ("state = \"Idle|Heating\"", "state = \"Idle\""),
         ("whole_cycles = false", "whole_cycles = true"),
         ("starts = [2, 2]", "starts = [0, 1]"),
@@ -90,7 +90,7 @@ fn times_of_a_fault_are_bounded() {
     let mut record = record();
     record.faults.push(FaultRecord {
         t_s: 0.5,
-        name: "NoPot".to_owned(),
+        name: "OverCurrent".to_owned(),
         off_after_s: Some(0.25),
     });
     let limits = "fault_at_s = [0.5, 0.5]\nfaults = [1, 1]\noff_after_s = [0.3, 1]";
