@@ -11,11 +11,15 @@ error here. What sets a scale or a corner stands once, in PARTS; picture and ari
 import math
 import re
 import sys
+import tomllib
 from pathlib import Path
 from xml.sax.saxutils import escape
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "docs" / "schematic.svg"
+
+
+BOARD = tomllib.loads((ROOT / "boards" / "reference.toml").read_text())
 
 
 def constant(path, name):
@@ -28,18 +32,18 @@ def constant(path, name):
 
 
 # What the firmware reads by.
-V_FULL_SCALE_V = constant("shared/src/sampling.rs", "V_FULL_SCALE_MV") / 1e3
-I_FULL_SCALE_A = constant("shared/src/sampling.rs", "I_FULL_SCALE_MA") / 1e3
-BUS_FULL_SCALE_V = constant("firmware/src/sense/mains.rs", "BUS_DV_FULL_SCALE") / 10
-I_TRIP_A = constant("firmware/src/limits.rs", "TRIP_CURRENT_MA") / 1e3
+V_FULL_SCALE_V = BOARD["sensors"]["coil_voltage_full_scale_mv"] / 1e3
+I_FULL_SCALE_A = BOARD["sensors"]["coil_current_full_scale_ma"] / 1e3
+BUS_FULL_SCALE_V = BOARD["sensors"]["bus_full_scale_dv"] / 10
+I_TRIP_A = BOARD["limits"]["trip_current_ma"] / 1e3
 MAINS_ARMED_CODE = constant("firmware/src/sense/mains.rs", "ARMED_AT")
-C_R_NF = constant("shared/src/hob.rs", "RESONANCE_CAPACITANCE_NF")
-F_MIN_HZ = constant("shared/src/hob.rs", "F_SW_MIN_HZ")
-F_MAX_HZ = constant("shared/src/hob.rs", "F_SW_MAX_HZ")
-DEAD_TIME_NS = constant("firmware/src/drive/pwm.rs", "DEAD_TIME_NS")
+C_R_NF = BOARD["bridge"]["resonance_capacitance_nf"]
+F_MIN_HZ = BOARD["rating"]["f_sw_min_hz"]
+F_MAX_HZ = BOARD["rating"]["f_sw_max_hz"]
+DEAD_TIME_NS = BOARD["bridge"]["dead_time_ns"]
 TICK_HZ = 8 * 170e6
-MAINS_FULL_SCALE_V = constant("firmware/src/sense/mains.rs", "MAINS_FULL_SCALE_MV") / 1e3
-ANTI_ALIAS_HZ = constant("shared/src/sampling.rs", "ANTI_ALIAS_HZ")
+MAINS_FULL_SCALE_V = BOARD["sensors"]["mains_full_scale_mv"] / 1e3
+ANTI_ALIAS_HZ = BOARD["sensors"]["anti_alias_hz"]
 V_REF_V, V_ADC_V, HALF_CODES = 1.65, 3.3, 2048
 
 # The parts, in ohm, farad and turns: E96 resistors, E6 or E12 capacitors.
@@ -60,9 +64,9 @@ PARTS = {
     "pin_r": 316.0,
     "pin_c_fast": 1e-9,
     "pin_c_slow": 10e-9,
-    "bleeder": 2 * 47e3,
-    "dc_link": 4.7e-6,
-    "x2": 0.47e-6,
+    "bleeder": BOARD["supply"]["bleeder_ohm"],
+    "dc_link": BOARD["supply"]["link_capacitance_nf"] * 1e-9,
+    "x2": BOARD["supply"]["terminal_capacitance_nf"] * 1e-9,
     "x2_bleeder": 2 * 330e3,
     "c_r": 4 * 270e-9,
     "r_boot": 10.0,

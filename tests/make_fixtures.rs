@@ -8,8 +8,10 @@ use ihd_firmware::drive::bridge::Drive;
 use ihd_shared::sampling::{AMPERE_PER_CODE, Pair, VOLT_PER_CODE};
 use ihd_sim::adc::{Adc, Noise};
 use ihd_sim::behavioural::PotKind;
+use ihd_sim::inverter::supply::SupplyParts;
 use ihd_sim::mains::Mains;
 use ihd_sim::plant::Plant;
+use ihd_sim::recording::settings::LoadKind;
 use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
 
 /// Points of the kept truth: every 40th sample.
@@ -18,7 +20,10 @@ const TRUTH_EVERY: usize = 40;
 fn record(f_sw_hz: u32, noise: Noise) -> HalfCycle {
     let mains = Mains::new(50.0);
     let half_s = mains.half_cycle_s();
-    let mut plant = Plant::new(mains, PotKind::Ferromagnetic, Adc::new(noise, 7));
+    let (pot, load) = (PotKind::Ferromagnetic.into(), LoadKind::Behavioural);
+    let adc = Adc::new(noise, 7);
+    let mut plant =
+        Plant::assemble(mains, pot, load, SupplyParts::NONE, adc).expect("a law has every pot");
     plant.set_drive(Drive::switching(f_sw_hz));
     let (mut pairs, mut truth): (Vec<Pair>, _) = (Vec::new(), Vec::new());
     while plant.t_s() < 2.0 * half_s {

@@ -14,7 +14,7 @@ use ihd_firmware::limits::{DITHER_MAX_PERMILLE, TRIES};
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::{RATED_POWER_W, RESONANCE_CAPACITANCE_NF};
+use ihd_shared::hob::{RATED_POWER_W, TANK_CAPACITANCE_PF};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, CODE_MAX, CODE_MIN, Pair, VOLT_PER_CODE};
@@ -159,7 +159,7 @@ impl Soak {
     /// The bus that drives the pot's current at this frequency, in decivolt: sensors that agree.
     fn bus_peak_dv(&self) -> f64 {
         let f_hz = f64::from(self.realtime.drive().f_sw_hz);
-        let x_c_ohm = 1e9 / (TAU * f_hz * f64::from(RESONANCE_CAPACITANCE_NF));
+        let x_c_ohm = 1e12 / (TAU * f_hz * f64::from(TANK_CAPACITANCE_PF));
         let (r_ohm, x_ohm, crest_a) = POT;
         10.0 * crest_a * r_ohm.hypot(x_ohm - x_c_ohm) / FRAC_2_PI
     }

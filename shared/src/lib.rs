@@ -5,6 +5,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`units`], [`hob`], [`sampling`] | units, ratings of the hob, the grid of switching and sampling |
+//! | [`board`] | values of the board's file |
 //! | [`wire`] | messages and frames |
 //! | [`window`], [`replay`] | layout of a recorded half-cycle, and of blocks for replay |
 //! | [`lookup`] | R and L over frequency and current: layout, checks, the built-in prior |
@@ -17,6 +18,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod board;
 pub mod fault;
 pub mod hob;
 pub mod image;

@@ -12,11 +12,10 @@ pub const ADC_LOCK_P: usize = 61;
 /// Switching periods per block, the denominator q of f_adc / f_sw.
 pub const ADC_LOCK_Q: u32 = 3;
 
-/// Half the input range of the voltage channel, in millivolt: code −2048 is −640 V.
-pub const V_FULL_SCALE_MV: u32 = 640_000;
-
-/// Half the input range of the current channel, in milliampere: code −2048 is −80 A.
-pub const I_FULL_SCALE_MA: u32 = 80_000;
+pub use crate::board::{
+    ANTI_ALIAS_HZ, COIL_CURRENT_FULL_SCALE_MA as I_FULL_SCALE_MA,
+    COIL_VOLTAGE_FULL_SCALE_MV as V_FULL_SCALE_MV,
+};
 
 /// Half the input range of the voltage channel, in volt.
 pub const V_FULL_SCALE_V: f64 = V_FULL_SCALE_MV as f64 / 1e3;
@@ -87,9 +86,6 @@ impl core::fmt::Display for Scales {
         write!(f, "±{v} V, ±{i} A")
     }
 }
-
-/// Corner of the first-order anti-alias filter of both channels, in hertz.
-pub const ANTI_ALIAS_HZ: u32 = 500_000;
 
 /// Sampling rate in hertz at a switching frequency in hertz.
 pub fn f_adc_hz(f_sw_hz: u32) -> f64 {

@@ -6,13 +6,20 @@ use ihd_link::{Client, Event};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Pot, State, Telemetry};
 use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::inverter::supply::SupplyParts;
 use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::transport::SharedHob;
 
 /// Asks a hob for 1200 W and returns its telemetry over a number of half-cycles.
 fn heat(load: LoadKind, half_cycles: usize) -> (SharedHob, Vec<Telemetry>) {
+    // The field model takes minutes for a second: a bus that is not charged starts at once.
+    let supply = match load {
+        LoadKind::Field => SupplyParts::NONE,
+        _ => SupplyParts::SCHEMATIC,
+    };
     let config = HobConfig {
         load,
+        supply,
         ..HobConfig::default()
     };
     let hob = SharedHob::new(SimHob::new(&config));

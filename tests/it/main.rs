@@ -4,6 +4,7 @@
 mod archive;
 mod capture_damage;
 mod circles;
+mod circuit_oracle;
 mod closed_loop;
 mod closed_loop_link;
 mod control_doc;

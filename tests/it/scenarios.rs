@@ -33,6 +33,7 @@ scenarios! {
     absent { give_up no_pot put_on unsuitable }
     bursts { bursts pots }
     lift { lift shift }
+    link { pots stop_at_crest trip_at_crest unsuitable }
     panel { host_silent key_lock levels off_wins }
     plausibility { dead_comparator gains mains_hz off offsets stuck timing unseen }
     pots { places recovered_mains risen_mains }

@@ -21,6 +21,7 @@ mod workspace;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use anyhow::Context;
 use clap::{Parser, Subcommand};
 
 use steps::{Session, Tier};
@@ -68,8 +69,14 @@ enum Chore {
     #[command(after_help = "Example:\n  cargo xtask setup")]
     Setup,
     /// Build the firmware's images: for the board, for the emulator, and to count instructions.
-    #[command(after_help = "Example:\n  cargo xtask firmware")]
-    Firmware,
+    #[command(after_help = "Examples:\n  \
+        cargo xtask firmware\n  \
+        cargo xtask firmware --board boards/120v.toml")]
+    Firmware {
+        /// Board file (docs/board.md); default: boards/reference.toml
+        #[arg(long, value_name = "TOML")]
+        board: Option<PathBuf>,
+    },
     /// Flash an image through a debug probe and show its log, until ^C: what `cargo run` in firmware/ does.
     ///
     /// Seals a copy first, as an image without its CRC heats nothing, and hands it to `probe-rs run`.
@@ -138,7 +145,11 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: Cli) -> anyhow::Result<()> {
-    let workspace = Workspace::find()?;
+    let mut workspace = Workspace::find()?;
+    if let Chore::Firmware { board: Some(board) } = &cli.chore {
+        let found = board.canonicalize();
+        workspace.board = Some(found.with_context(|| board.display().to_string())?);
+    }
     let tier = match cli.chore {
         Chore::Test { full: true, .. } => Tier::Full,
         _ => Tier::Quick,
@@ -160,7 +171,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
             }
         }
         Chore::Setup => session.set_up(),
-        Chore::Firmware => session.images(),
+        Chore::Firmware { .. } => session.images(),
         Chore::Run { image } => images::run_on_board(&session.workspace, &image),
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),

@@ -23,6 +23,8 @@ pub struct Workspace {
     pub root: PathBuf,
     /// Folder of host builds.
     pub target: PathBuf,
+    /// Board file of every build; `None` for the one in the environment, or boards/reference.toml.
+    pub board: Option<PathBuf>,
 }
 
 impl Workspace {
@@ -39,6 +41,7 @@ impl Workspace {
         Ok(Self {
             root: metadata.workspace_root.into(),
             target: metadata.target_directory.into(),
+            board: None,
         })
     }
 
@@ -80,6 +83,9 @@ impl Workspace {
             if name.to_str().is_some_and(describes_xtask) {
                 command.env_remove(name);
             }
+        }
+        if let Some(board) = &self.board {
+            command.env("IHD_BOARD", board);
         }
         command
     }

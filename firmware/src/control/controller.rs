@@ -220,6 +220,11 @@ impl Control {
         let asked_w = self.parts.request.power_w();
         match &mut self.state {
             ControlState::Idle | ControlState::Pausing | ControlState::LockedOut => Action::Keep,
+            // At the crest the line's current would charge the DC link.
+            ControlState::Heating(_) if asked_w == 0 => {
+                self.enter(ControlState::Idle);
+                Action::OffAtCrossing
+            }
             _ if asked_w == 0 => {
                 self.enter(ControlState::Idle);
                 Action::Drive(Drive::OFF)

@@ -16,7 +16,8 @@ use crate::fixed::Complex;
 use crate::limits::{
     BALANCE_HIGH_PERCENT, BALANCE_PERCENT, BUS_AT_CROSSING_PERCENT, BUS_MIN_DV, COMPARED_FROM_DV,
     CURRENT_OFFSET_MA, HALF_CYCLE_MAX_NS, HALF_CYCLE_MIN_NS, IMPLAUSIBLE_HALF_CYCLES,
-    IRREGULAR_HALF_CYCLES, POT_CURRENT_MIN_MA, POWER_BALANCE_PERCENT, VOLTAGE_OFFSET_DV,
+    IRREGULAR_HALF_CYCLES, LINK_CAPACITANCE_MAX_NF, POT_CURRENT_MIN_MA, POWER_BALANCE_PERCENT,
+    VOLTAGE_OFFSET_DV,
 };
 use crate::sampling::half_cycle::HalfCycle;
 use crate::sense::demodulator::amplitude_dv;
@@ -99,13 +100,27 @@ impl Plausibility {
 
     fn is_irregular(&mut self, summary: &HalfCycle) -> bool {
         let in_time = (HALF_CYCLE_MIN_NS..=HALF_CYCLE_MAX_NS).contains(&summary.duration_ns);
-        // A link that nothing discharges stays up, so only a bridge that switches shows its zero.
+        // A link that little discharges stays up, so only a bridge that carries power shows its zero.
         let limit_dv = u32::from(summary.bus_peak_dv) * BUS_AT_CROSSING_PERCENT / 100;
         let in_place = summary.f_sw_hz == 0
+            || !discharges_link(summary)
             || u32::from(summary.bus_at_crossing_dv) <= limit_dv.max(BENCH_BUS_DV);
         self.irregular = self.irregular << 1 | u8::from(!(in_time && in_place));
         self.irregular.count_ones() >= IRREGULAR_HALF_CYCLES
     }
+}
+
+/// Returns `true` if the power of the half-cycle takes the charge of the DC link down to 15 % of the crest by the zero crossing.
+///
+/// A load of resistance R leaves the rectified sine at the angle θ before the crossing where tan θ = ωRC, and from there on the link
+/// decays with RC: sin θ · exp(−θ/tan θ) of the crest is left at the crossing, 15 % with tan θ = 0.42. With P = V̂²/2R that is
+/// P = ωC·V̂²/0.84, and ω is π a half-cycle.
+fn discharges_link(summary: &HalfCycle) -> bool {
+    let bus_dv = u64::from(summary.bus_peak_dv);
+    // nF · dV² / ns = 1e-2 W; π/0.84 = 3.74.
+    let least_mw = 3_740 * u64::from(LINK_CAPACITANCE_MAX_NF) * bus_dv * bus_dv
+        / (100 * u64::from(summary.duration_ns.max(1)));
+    u64::from(summary.power_mw) > least_mw
 }
 
 fn has_offset(summary: &HalfCycle) -> bool {
@@ -152,7 +167,7 @@ fn is_power_balanced(summary: &HalfCycle) -> bool {
 mod tests {
     use super::*;
     use crate::sense::demodulator::{AMPERE_PER_UNIT, Phasors, STATE_BITS, VOLT_PER_UNIT};
-    use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
+    use ihd_shared::hob::TANK_CAPACITANCE_PF;
     use std::f64::consts::{FRAC_2_PI, TAU};
 
     /// What sensors of the given gains show of a load at a bus of 325 V.
@@ -164,7 +179,7 @@ mod tests {
         bus_gain: f64,
     ) -> HalfCycle {
         let x_l = TAU * f_hz * l_uh * 1e-6;
-        let x_c = 1e9 / (TAU * f_hz * f64::from(RESONANCE_CAPACITANCE_NF));
+        let x_c = 1e12 / (TAU * f_hz * f64::from(TANK_CAPACITANCE_PF));
         let v1 = FRAC_2_PI * 325.0;
         let z2 = r * r + (x_l - x_c).powi(2);
         // I = V1/Z with V1 real, V = I·(R + jX_L).
@@ -285,5 +300,18 @@ mod tests {
         // A millisecond late: sin 18° of the peak.
         let late: [_; 3] = core::array::from_fn(|_| after(10_000_000, 1_004));
         assert_eq!(late, [None, None, Some(Fault::MAINS_IRREGULAR)]);
+    }
+
+    /// 10 µF at 325 V and 50 Hz: tan θ = ωRC = 0.42 with R = 134 ohm, which takes 394 W.
+    #[test]
+    fn with_a_load_too_light_for_the_link_the_bus_at_the_crossing_says_nothing() {
+        for (power_mw, fault) in [(380_000, None), (410_000, Some(Fault::MAINS_IRREGULAR))] {
+            let summary = HalfCycle {
+                power_mw,
+                bus_at_crossing_dv: 2_000,
+                ..seen(47e3, POT, 1.0, 1.0, 1.0)
+            };
+            assert_eq!(fault_of(summary), fault, "{power_mw}");
+        }
     }
 }

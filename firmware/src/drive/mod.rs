@@ -5,6 +5,7 @@
 //!                     │ bridge: which state may follow, bootstrap charge, discharged tank
 //!                     │ bus_watch: a mains that is away
 //!                     └ pwm: grid of frequencies that sampling is locked to
+//!                       soft_start: the upper switch's share in the first blocks, for the board
 //! ```
 //!
 //! Ground floor: it uses neither samples nor power.
@@ -13,3 +14,4 @@ pub mod bridge;
 pub mod bus_watch;
 pub mod pwm;
 pub mod sequencer;
+pub mod soft_start;

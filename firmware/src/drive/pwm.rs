@@ -12,9 +12,8 @@ use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
 /// Ticks per second.
 pub const TICK_HZ: u32 = 8 * 170_000_000;
 
-/// Dead time between the two switches, in nanoseconds: 5 A at turn-off move the node's 15 nF by 325 V
-/// within it, and even an empty coil carries 7 A at the probe frequency.
-pub const DEAD_TIME_NS: u32 = 1_000;
+/// 5 A at turn-off move the node's 15 nF by 325 V within it, and even an empty coil carries 7 A at the probe frequency.
+pub use ihd_shared::board::DEAD_TIME_NS;
 
 const P: u32 = ADC_LOCK_P as u32;
 

@@ -6,7 +6,9 @@
 use crate::drive::bridge::{Bridge, Drive};
 use crate::drive::bus_watch::BusWatch;
 use crate::drive::pwm;
-use crate::limits::{BUS_AT_START_DV, DITHER_MAX_PERMILLE, IDLE_LINK_NS, SOFT_STEP_PERMILLE};
+use crate::limits::{
+    BUS_AT_START_DV, BUS_START_MAX_DV, DITHER_MAX_PERMILLE, IDLE_LINK_NS, SOFT_STEP_PERMILLE,
+};
 
 /// Conditions of a block for the next drive.
 #[derive(Clone, Copy, Debug)]
@@ -41,7 +43,7 @@ pub struct DriveSequencer {
     lower_on_ns: u32,
     /// The mains has passed its zero since the switches opened after switching.
     tank_discharged: bool,
-    /// The next open bridge waits for a zero crossing.
+    /// Off, which was requested, waits for a zero crossing.
     off_at_crossing: bool,
     /// The next half-cycle that the bridge switches is a pot probe, and ends before its crest.
     probing: bool,
@@ -96,8 +98,9 @@ impl DriveSequencer {
         self.probing = true;
     }
 
-    /// Requests that both switches open at the next zero crossing.
+    /// Requests that both switches open, a bridge that switches at the next zero crossing.
     pub fn request_off_at_crossing(&mut self) {
+        self.request(Drive::OFF);
         self.off_at_crossing = true;
     }
 
@@ -185,12 +188,18 @@ impl DriveSequencer {
             self.lower_on_ns = self.lower_on_ns.saturating_add(block.block_ns);
         }
         // A fault ends the request too: a bridge that is open for good is off.
-        if block.is_faulty || (at_crossing && self.off_at_crossing) {
+        if block.is_faulty {
             self.withdraw();
         }
-        let requested = self.dithered(block.dithered_half_cycle);
+        self.off_at_crossing &= self.drive.is_switching() && !at_crossing;
+        let requested = if self.off_at_crossing {
+            self.drive
+        } else {
+            self.dithered(block.dithered_half_cycle)
+        };
         self.tank_discharged |= at_crossing && self.drive.bridge == Bridge::Open;
-        let may_start = block.bus_dv < BUS_AT_START_DV || self.lower_on_ns > IDLE_LINK_NS;
+        let may_start = block.bus_dv < BUS_AT_START_DV
+            || (self.lower_on_ns > IDLE_LINK_NS && block.bus_dv < BUS_START_MAX_DV);
         let may_change = at_crossing && (self.drive.is_switching() || may_start);
         let next = self.drive.next(
             requested,

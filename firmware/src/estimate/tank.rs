@@ -1,6 +1,6 @@
-//! The series tank in integers: reactances, impedance, phase, distance from resonance.
+//! The series tank in integers: reactances, impedance, phase, distance from resonance. Its capacitance is C_r with what C2 adds.
 
-use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
+use ihd_shared::hob::TANK_CAPACITANCE_PF;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use micromath::F32Ext;
 
@@ -33,8 +33,8 @@ impl TankAt {
         let f = u64::from(f_sw_hz.clamp(1, 300_000));
         Self {
             omega_q42: f * OMEGA_PER_HZ / 1_000,
-            // 1/(2πfC) in milliohm: 1e12 / (6.2832 · f · C_nF).
-            x_c_mohm: (10_000_000_000_000_000 / (62_832 * f * u64::from(RESONANCE_CAPACITANCE_NF)))
+            // 1/(2πfC) in milliohm: 1e15 / (6.2832 · f · C_pF).
+            x_c_mohm: (10_000_000_000_000_000_000 / (62_832 * f * u64::from(TANK_CAPACITANCE_PF)))
                 as i64,
         }
     }
@@ -93,7 +93,7 @@ impl Tank {
 pub fn resonant_inductance(f_sw_hz: u32) -> PicoHenry {
     /// 1e20 / (2π)²: henry per hertz² and farad, as picohenry and nanofarad, over ten.
     const SCALE: u64 = 2_533_029_591_058_444_300;
-    const L_F_SQUARED: u64 = SCALE / RESONANCE_CAPACITANCE_NF as u64 * 10;
+    const L_F_SQUARED: u64 = SCALE / TANK_CAPACITANCE_PF as u64 * 10_000;
     let f = u64::from(f_sw_hz.max(1_000));
     // No division of 64 bit: the sampling path comes here at a frequency step.
     PicoHenry(saturate(quotient(L_F_SQUARED, f * f)))
@@ -104,13 +104,21 @@ mod tests {
     use super::*;
     use core::f64::consts::TAU;
 
+    const C_F: f64 = TANK_CAPACITANCE_PF as f64 * 1e-12;
+
+    /// 1/(1/1080 nF + 0.29736/4700 nF).
+    #[test]
+    fn the_link_takes_its_share_of_the_capacitance() {
+        assert!((C_F - 1_010.92e-9).abs() < 0.05e-9, "{C_F}");
+    }
+
     #[test]
     fn integers_follow_the_formulas() {
         for f in [34_000u32, 45_000, 80_000] {
             for l_uh in [2.0, 17.0, 25.0, 90.0] {
                 let t = Tank::new(f, MicroOhm(3_250_000), PicoHenry((l_uh * 1e6) as i32));
                 let x_l = TAU * f64::from(f) * l_uh * 1e-3;
-                let x_c = 1e3 / (TAU * f64::from(f) * 1080e-9);
+                let x_c = 1e3 / (TAU * f64::from(f) * C_F);
                 assert!((t.x_l_mohm as f64 - x_l).abs() <= 1.0 + 1e-5 * x_l);
                 assert!((t.x_c_mohm as f64 - x_c).abs() <= 1.0 + 1e-5 * x_c);
                 let z = (x_l - x_c).hypot(3250.0);
@@ -124,18 +132,18 @@ mod tests {
     #[test]
     fn resonant_inductance_follows_its_formula() {
         for f in [34_000u32, 45_000, 80_000] {
-            let l = 1e12 / ((TAU * f64::from(f)).powi(2) * 1080e-9);
+            let l = 1e12 / ((TAU * f64::from(f)).powi(2) * C_F);
             assert!((f64::from(resonant_inductance(f).0) / l - 1.0).abs() < 1e-6);
         }
     }
 
     #[test]
     fn the_tank_is_above_or_below_resonance() {
-        // 20 µH and 1080 nF resonate at 34.25 kHz.
+        // 20 µH and 1011 nF resonate at 35.40 kHz.
         let at = |f| Tank::new(f, MicroOhm(3_000_000), PicoHenry(20_000_000));
-        assert!(!at(34_000).is_above_resonance(0));
-        assert!(at(34_500).is_above_resonance(0));
-        assert!(!at(34_500).is_above_resonance(10));
-        assert!(at(38_000).is_above_resonance(10));
+        assert!(!at(35_200).is_above_resonance(0));
+        assert!(at(35_600).is_above_resonance(0));
+        assert!(!at(35_600).is_above_resonance(10));
+        assert!(at(39_300).is_above_resonance(10));
     }
 }

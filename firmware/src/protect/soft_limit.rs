@@ -17,6 +17,7 @@ use ihd_shared::units::PicoHenry;
 use ihd_shared::wire::messages::Limit;
 
 use crate::drive::pwm::DEAD_TIME_NS;
+use crate::drive::soft_start;
 use crate::fixed::Complex;
 use crate::limits::{
     SOFT_HOLD_BLOCKS, SOFT_RESONANCE_PERCENT, SOFT_SWITCHING_FROM_DV, SOFT_TURN_OFF_PERCENT,
@@ -68,7 +69,7 @@ pub struct SoftLimits {
 pub struct SoftLimitCheck {
     /// The limit that acts.
     pub limit: Limit,
-    /// Smallest current at a turn-off, in milliampere; `None` with too little on the bus.
+    /// Smallest current at a turn-off, in milliampere; `None` with too little on the bus, or just after a change.
     pub turn_off_ma: Option<i32>,
 }
 
@@ -95,6 +96,11 @@ impl SoftLimits {
         self.hold = SOFT_HOLD_BLOCKS;
     }
 
+    /// A soft start begins: nothing acts until it is over, as the switches turn off at other samples.
+    pub fn hold_start(&mut self) {
+        self.hold = SOFT_HOLD_BLOCKS + soft_start::BLOCKS;
+    }
+
     /// Looks at a block of a bridge that switches.
     pub fn check(
         &mut self,
@@ -102,8 +108,8 @@ impl SoftLimits {
         pairs: &[Pair; ADC_LOCK_P],
         bus_dv: u16,
     ) -> SoftLimitCheck {
-        let turn_off_ma = (bus_dv >= SOFT_SWITCHING_FROM_DV).then(|| turn_off_ma(pairs));
         let held = self.hold > 0;
+        let turn_off_ma = (!held && bus_dv >= SOFT_SWITCHING_FROM_DV).then(|| turn_off_ma(pairs));
         self.hold = self.hold.saturating_sub(1);
         let limit = if held {
             Limit::None
@@ -151,7 +157,7 @@ mod tests {
     use super::*;
     use crate::estimate::tank::resonant_inductance;
     use crate::sense::correlation::correlate;
-    use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
+    use ihd_shared::hob::TANK_CAPACITANCE_PF;
     use ihd_shared::sampling::VOLT_PER_CODE;
     use std::f64::consts::TAU;
 
@@ -182,7 +188,7 @@ mod tests {
     #[test]
     fn resonance_is_seen_at_its_margin() {
         for f_hz in [36e3, 50e3, 75e3] {
-            let x_c = 1e9 / (TAU * f_hz * f64::from(RESONANCE_CAPACITANCE_NF));
+            let x_c = 1e12 / (TAU * f_hz * f64::from(TANK_CAPACITANCE_PF));
             for (percent, limit) in [(2.0, Limit::Resonance), (6.0, Limit::None)] {
                 let l_h = x_c / (1.0 - percent / 100.0) / (TAU * f_hz);
                 for (r, i) in [(0.3, 30.0), (4.0, 40.0), (4.0, 5.0)] {
@@ -196,7 +202,7 @@ mod tests {
 
     #[test]
     fn resonance_is_checked_from_3_a_on() {
-        let l_h = 1e9 / f64::from(RESONANCE_CAPACITANCE_NF) / (TAU * 50e3).powi(2) / 0.98;
+        let l_h = 1e12 / f64::from(TANK_CAPACITANCE_PF) / (TAU * 50e3).powi(2) / 0.98;
         for (i_a, limit) in [(2.9, Limit::None), (3.1, Limit::Resonance)] {
             let pairs = block(50e3, 4.0, l_h, i_a, 0.2);
             assert_eq!(check(50_000, &pairs, 0).limit, limit, "{i_a}");

@@ -10,7 +10,8 @@ use crate::estimate::ekf::Ekf;
 use crate::estimate::tank::resonant_inductance;
 use crate::fixed::Complex;
 use crate::limits::{
-    BUS_TRIP_DV, ESTIMATE_BLOCKS, FROZEN_BLOCKS, LOST_BLOCKS, MAINS_LOST_NS, SATURATED_PAIRS,
+    BUS_SURGE_NS, BUS_TRIP_DV, ESTIMATE_BLOCKS, FROZEN_BLOCKS, LOST_BLOCKS, MAINS_LOST_NS,
+    SATURATED_PAIRS,
 };
 use crate::sense::codes::TRIP_CODE;
 use crate::sense::correlation::BlockSums;
@@ -20,6 +21,8 @@ use crate::sense::correlation::BlockSums;
 pub struct TripChecks {
     lost_blocks: u32,
     since_zero_crossing_ns: u64,
+    /// Time that the bus has been too high while the bridge does not switch.
+    surge_ns: u32,
     below_resonance: u8,
     at_bound: u8,
     /// The last block's sums, and blocks in a row that were alike.
@@ -35,6 +38,7 @@ impl TripChecks {
         Self {
             lost_blocks: 0,
             since_zero_crossing_ns: 0,
+            surge_ns: 0,
             below_resonance: 0,
             at_bound: 0,
             last: (Complex { re: 0, im: 0 }, Complex { re: 0, im: 0 }),
@@ -69,11 +73,17 @@ impl TripChecks {
         } else {
             self.since_zero_crossing_ns += u64::from(block_ns);
         }
+        self.surge_ns = if bus_dv >= BUS_TRIP_DV && !switching {
+            self.surge_ns.saturating_add(block_ns)
+        } else {
+            0
+        };
+        let over_voltage = bus_dv >= BUS_TRIP_DV && (switching || self.surge_ns > BUS_SURGE_NS);
         if sums.saturated >= SATURATED_PAIRS {
             Some(Fault::SENSOR_SATURATED)
         } else if sums.i_peak >= TRIP_CODE {
             Some(Fault::OVER_CURRENT)
-        } else if bus_dv >= BUS_TRIP_DV {
+        } else if over_voltage {
             Some(Fault::BUS_OVER_VOLTAGE)
         } else if late {
             Some(Fault::SAMPLES_LOST)
@@ -137,7 +147,7 @@ mod tests {
     #[test]
     fn each_limit_trips_with_its_number() {
         let check = |sums: BlockSums, bus, lost| {
-            TripChecks::default().check_block(&sums, bus, lost, 60_000, false, false)
+            TripChecks::default().check_block(&sums, bus, lost, 60_000, false, true)
         };
         let current = BlockSums {
             i_peak: TRIP_CODE,
@@ -158,6 +168,20 @@ mod tests {
         assert_eq!(check(quiet(), 0, 3), Some(Fault::SAMPLES_LOST));
     }
 
+    /// A bridge that opened at the crest: the line's inductance charges the link, which the bleeder takes a tenth of a second to
+    /// bring down. A bus that stays up is another mains.
+    #[test]
+    fn a_surge_after_off_is_no_fault_and_a_bus_that_stays_up_is() {
+        let mut p = TripChecks::default();
+        let mut check = |bus| p.check_block(&quiet(), bus, 0, 1_000_000, true, false);
+        for _ in 0..BUS_SURGE_NS / 1_000_000 {
+            assert_eq!(check(5_000), None);
+        }
+        assert_eq!(check(BUS_TRIP_DV - 1), None);
+        let tripped = (0..).find(|_| check(BUS_TRIP_DV).is_some());
+        assert_eq!(tripped, Some(BUS_SURGE_NS / 1_000_000));
+    }
+
     #[test]
     fn mains_must_cross_zero_within_thirty_milliseconds() {
         let mut p = TripChecks::default();
@@ -175,15 +199,15 @@ mod tests {
 
     #[test]
     fn below_resonance_trips_after_a_few_blocks_in_a_row() {
-        // 20 µH resonates at 34.25 kHz.
+        // 20 µH resonates at 35.40 kHz.
         let ekf = Ekf::new(
-            36_000,
+            37_000,
             MicroOhm(3_000_000),
             PicoHenry(20_000_000),
             Noise::TUNED,
         );
         let mut p = TripChecks::default();
-        p.set_frequency(36_000);
+        p.set_frequency(37_000);
         for _ in 0..100 {
             assert_eq!(p.check_estimate(&ekf), None);
         }
@@ -206,7 +230,7 @@ mod tests {
         );
         let mut p = TripChecks::default();
         p.set_frequency(33_000);
-        // L = 1/((2π·33 kHz)²·C_r), C_r of the paper's tank: between 20 and 24 µH.
+        // L = 1/((2π·33 kHz)²·C): between 20 and 24 µH.
         assert!(
             (20_000_000..24_000_000).contains(&p.l_min().0),
             "{:?}",

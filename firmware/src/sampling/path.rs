@@ -435,6 +435,9 @@ impl SamplingPath {
         }
         self.soft_limits
             .set_frequency(next.f_sw_hz, self.protection.l_min());
+        if !before.is_switching() {
+            self.soft_limits.hold_start();
+        }
         self.demodulator.restart(next.f_sw_hz);
         self.recorder.interrupt();
         self.sequencer.apply(next);

@@ -6,11 +6,7 @@ use ihd_shared::sampling::ADC_LOCK_P;
 /// twelfth of the crest of 230 V on the range of [`MAINS_FULL_SCALE_MV`].
 const ARMED_AT: i32 = 140;
 
-/// Decivolt at the end of the bus converter's range: 500 V over 12 bit.
-pub const BUS_DV_FULL_SCALE: u32 = 5_000;
-
-/// Half the input range of the mains voltage's channel, in millivolt.
-pub const MAINS_FULL_SCALE_MV: u32 = 400_000;
+pub use ihd_shared::board::{BUS_FULL_SCALE_DV as BUS_DV_FULL_SCALE, MAINS_FULL_SCALE_MV};
 
 /// Half the input range of the mains voltage's channel, in volt.
 pub const MAINS_FULL_SCALE_V: f64 = MAINS_FULL_SCALE_MV as f64 / 1e3;

@@ -8,7 +8,8 @@ use std::collections::VecDeque;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 pub use ihd_firmware::control::request::PanelEvent;
-use ihd_firmware::drive::bridge::Bridge;
+use ihd_firmware::drive::bridge::{Bridge, Drive};
+use ihd_firmware::drive::soft_start::{self, SoftStart};
 use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::link::identity::DeviceIdentity;
@@ -18,6 +19,7 @@ use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::self_test::heartbeat::Heartbeat;
 use ihd_firmware::sense::codes::TRIP_CODE;
 use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
+use ihd_shared::board::TRIP_DELAY_NS;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, NODE_CAPACITANCE_NF};
 use ihd_shared::lookup::prior::prior;
@@ -32,6 +34,7 @@ use super::behavioural::PotKind;
 use super::contents::Contents;
 use super::injection::{InjectionKind, Injections};
 use super::inverter::InverterError;
+use super::inverter::supply::SupplyParts;
 use super::mains::Mains;
 use super::meter::Reading;
 use super::plant::{LoadPoint, Plant};
@@ -54,6 +57,10 @@ const TRUTH_EVERY: usize = 8;
 /// Coil current at which the comparator opens the bridge, in ampere.
 const COMPARATOR_A: f64 = TRIP_CODE as f64 * AMPERE_PER_CODE;
 
+/// Time from there to an open switch, in seconds (docs/board.md, "Current and trip"): anti-alias filter on a ramp, comparator,
+/// filter of the fault input, gate driver, IGBT.
+const TRIP_DELAY_S: f64 = TRIP_DELAY_NS as f64 * 1e-9;
+
 /// Capacity of a bounded link's buffer in bytes: about a window.
 const LINK_BUFFER: usize = 64 * 1024;
 
@@ -74,8 +81,8 @@ pub struct HobConfig {
     pub mains_hz: f64,
     /// Mains voltage in volt rms.
     pub mains_v: f64,
-    /// Bus capacitance in farad; 0: the bus is the rectified mains.
-    pub bus_capacitance_f: f64,
+    /// Parts between mains and bridge.
+    pub supply: SupplyParts,
     /// DC voltage of a bench supply that feeds the bus instead of the mains, in volt, as in docs/bring-up.md; the mains'
     /// detector then sees a transformer of [`BENCH_TRANSFORMER_V`].
     pub bench_supply_v: Option<f64>,
@@ -113,7 +120,7 @@ impl Default for HobConfig {
         Self {
             mains_hz: 50.0,
             mains_v: 230.0,
-            bus_capacitance_f: 0.0,
+            supply: SupplyParts::SCHEMATIC,
             bench_supply_v: None,
             ambient_c: AMBIENT_C,
             ntc: true,
@@ -187,6 +194,9 @@ impl BoardServices for Board {
 /// Simulated hob.
 pub struct SimHob {
     plant: Plant,
+    /// The firmware's last drive, and the upper switch's share of it.
+    drive: (Drive, u32),
+    soft_start: SoftStart,
     slow_adc: SlowAdc,
     zero_crossing: ZeroCrossingDetector,
     realtime: Box<SamplingPath>,
@@ -225,7 +235,7 @@ impl SimHob {
     /// Creates a hob like [`SimHob::new`].
     ///
     /// # Errors
-    /// If there is no model of the pot, or no such bus capacitor.
+    /// If there is no model of the pot, or no such parts of the supply.
     pub fn assemble(config: &HobConfig) -> Result<Self, InverterError> {
         let boot_id = config.boot.unwrap_or(config.seed as u32);
         let adc = Adc::new(config.noise, config.seed).with_filter(config.anti_alias_hz);
@@ -234,9 +244,8 @@ impl SimHob {
             None => config.mains_v,
         };
         let mains = Mains::new(config.mains_hz).changed(0.0, mains_v, config.mains_hz);
-        let bus_f = config.bus_capacitance_f;
-        let mut plant = Plant::assemble(mains, config.pot, config.load, bus_f, adc)?;
-        plant.set_comparator(COMPARATOR_A);
+        let mut plant = Plant::assemble(mains, config.pot, config.load, config.supply, adc)?;
+        plant.set_comparator(COMPARATOR_A, TRIP_DELAY_S);
         if let Some(supply_v) = config.bench_supply_v {
             plant.set_bench_supply(supply_v);
         }
@@ -245,6 +254,8 @@ impl SimHob {
         }
         Ok(Self {
             plant,
+            drive: (Drive::OFF, soft_start::WHOLE),
+            soft_start: SoftStart::new(),
             slow_adc: SlowAdc::new(config.seed),
             zero_crossing: ZeroCrossingDetector::default(),
             realtime: booted_realtime(),
@@ -276,9 +287,10 @@ impl SimHob {
         let link_before_c = self.plant.link_charge_c();
         let mut pairs = self.sample();
         let (mains, end_s) = (self.plant.mains(), self.plant.t_s());
-        let mains_code = self.slow_adc.mains(mains.mains_v(end_s));
+        let dividers = self.plant.dividers();
+        let mains_code = self.slow_adc.mains(dividers.mains_v());
         let crossing = self.zero_crossing.on_block(mains_code);
-        let bus_code = self.slow_adc.bus(self.plant.bus_v());
+        let bus_code = self.slow_adc.bus(dividers.bus_v());
         self.injections.on_pairs(&mut pairs);
         let block = AdcBlock {
             pairs: &pairs,
@@ -298,7 +310,7 @@ impl SimHob {
             self.lost = 0;
             self.realtime.on_block(&block)
         };
-        self.plant.set_drive(drive);
+        self.put_in_force(drive);
         let since_s = mains.since_crossing_s(end_s);
         if drive.is_switching() && self.truth.f_sw_hz == 0.0 && since_s > SETTLED_AFTER_S {
             self.truth.f_sw_hz = f64::from(drive.f_sw_hz);
@@ -319,6 +331,20 @@ impl SimHob {
         }
     }
 
+    /// Passes a drive to the bridge as the board does: both switches open and the lower one closes at once, new periods begin a
+    /// block later, with the block after the one that runs.
+    fn put_in_force(&mut self, drive: Drive) {
+        let share = self.soft_start.on_block(drive);
+        let before = std::mem::replace(&mut self.drive, (drive, share));
+        let (due, share) = match drive.is_switching() {
+            true => before,
+            false => (drive, share),
+        };
+        self.plant.set_drive(due);
+        self.plant
+            .set_duty(0.5 * f64::from(share) / f64::from(soft_start::WHOLE));
+    }
+
     /// Restarts the controller as after a reset, with an empty link; pot, mains and temperatures continue.
     fn restart(&mut self) {
         let (kept, fault) = (
@@ -335,7 +361,8 @@ impl SimHob {
         self.zero_crossing = ZeroCrossingDetector::default();
         self.inbound.clear();
         self.outbound.clear();
-        self.plant.set_drive(self.realtime.drive());
+        let drive = self.realtime.drive();
+        self.put_in_force(drive);
     }
 
     /// Simulates a block of samples, and its truth.
@@ -516,7 +543,7 @@ impl SimHob {
         change(&mut self.injections);
         let dead = self.injections.has(InjectionKind::ComparatorDead);
         let trip_a = if dead { f64::INFINITY } else { COMPARATOR_A };
-        self.plant.set_comparator(trip_a);
+        self.plant.set_comparator(trip_a, TRIP_DELAY_S);
     }
 
     /// Readings of the last true half-cycle, once after each.

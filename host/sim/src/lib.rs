@@ -11,6 +11,7 @@ pub mod behavioural;
 pub mod circuit;
 pub mod contents;
 pub mod cooking;
+pub mod dividers;
 pub mod hob;
 pub mod injection;
 pub mod inverter;

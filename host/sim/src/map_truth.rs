@@ -36,6 +36,7 @@ use crate::inverter::bridge::HalfBridge;
 use crate::inverter::bus::Bus;
 use crate::inverter::harmonic_analyser::HarmonicAnalyser;
 use crate::inverter::load::Warmth;
+use crate::inverter::supply::SupplyParts;
 use crate::inverter::{Inverter, InverterError, STEPS_PER_PERIOD};
 use crate::load_library::WINDING_R_OHM;
 use crate::mains::Mains;
@@ -293,7 +294,7 @@ impl TrueLoad {
     fn waveform(&self, f_sw_hz: f64) -> Result<TrueCurve, InverterError> {
         let mains = Mains::new(MAINS_HZ);
         let periods = (mains.half_cycle_s() * f_sw_hz) as usize;
-        let bus = Bus::new(mains, 0.0, 0.0)?;
+        let bus = Bus::new(mains, SupplyParts::NONE, 0.0)?;
         let (truth, power_w) = self.run(f_sw_hz, bus, periods)?;
         let truth = &truth[SETTLING_PERIODS.min(truth.len())..];
         let top = (0..truth.len()).max_by(|&a, &b| truth[a].i_a.total_cmp(&truth[b].i_a));
@@ -318,7 +319,7 @@ impl TrueLoad {
 
     /// R and L in the limit of zero current.
     fn small_signal(&self, f_sw_hz: f64) -> Result<Load, InverterError> {
-        let mut bus = Bus::new(Mains::new(MAINS_HZ), 0.0, 0.0)?;
+        let mut bus = Bus::new(Mains::new(MAINS_HZ), SupplyParts::NONE, 0.0)?;
         bus.set_supply(SMALL_SIGNAL_V);
         let (truth, _) = self.run(f_sw_hz, bus, SMALL_SIGNAL_PERIODS)?;
         Ok(truth.last().map(load_of).unwrap_or_default())

@@ -9,10 +9,12 @@ use ihd_signal::truth::MapTruth;
 
 use super::adc::Adc;
 use super::contents::Contents;
+use super::dividers::Dividers;
 use super::inverter::bridge::HalfBridge;
 use super::inverter::bus::Bus;
 use super::inverter::harmonic_analyser::HarmonicAnalyser;
 use super::inverter::load::Warmth;
+use super::inverter::supply::SupplyParts;
 use super::inverter::{Instant, Inverter, InverterError, STEPS_PER_PERIOD, STEPS_PER_SAMPLE};
 use super::load_library::LoadLibrary;
 use super::mains::Mains;
@@ -52,13 +54,16 @@ struct Meter {
 #[derive(Clone, Debug)]
 pub struct Plant {
     adc: Adc,
+    dividers: Dividers,
     pot: Pot,
     load_library: LoadLibrary,
     drive: Drive,
     inverter: Inverter,
     /// Coil current in ampere at which the comparator opens both switches; infinite without one.
     comparator_a: f64,
-    /// Time at which the comparator opened the bridge, in seconds; `None` while it is not tripped.
+    /// Time from the comparator's threshold to open switches, in seconds.
+    comparator_delay_s: f64,
+    /// Time at which the comparator's trip opens the bridge, in seconds; `None` while it is not tripped.
     tripped_s: Option<f64>,
     /// Time at which both switches opened, in seconds; `None` while one may be closed.
     open_since_s: Option<f64>,
@@ -72,35 +77,36 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// Creates a plant at rest, at a mains zero crossing, with a behavioural load.
+    /// Creates a plant with the schematic's parts at rest, at a mains zero crossing, with a behavioural load.
     pub fn new(mains: Mains, pot: impl Into<Pot>, adc: Adc) -> Self {
         Self::with_load(mains, pot, LoadKind::Behavioural, adc)
     }
 
-    /// Creates a plant with a given load model.
+    /// Creates a plant with the schematic's parts and a given load model.
     ///
     /// # Panics
     /// If the pot has no model; [`Plant::assemble`] returns that as an error.
     pub fn with_load(mains: Mains, pot: impl Into<Pot>, load: LoadKind, adc: Adc) -> Self {
-        Self::assemble(mains, pot.into(), load, 0.0, adc).expect("a pot that has a model")
+        Self::assemble(mains, pot.into(), load, SupplyParts::SCHEMATIC, adc)
+            .expect("a pot that has a model")
     }
 
-    /// Creates a plant with a bus capacitance in farad.
+    /// Creates a plant with these parts between mains and bridge.
     ///
     /// # Errors
-    /// If there is no model of that pot, or no such capacitor.
+    /// If there is no model of that pot, or no such parts.
     pub fn assemble(
         mains: Mains,
         pot: Pot,
         load: LoadKind,
-        bus_capacitance_f: f64,
+        supply: SupplyParts,
         adc: Adc,
     ) -> Result<Self, InverterError> {
         let drive = Drive::OFF;
         let f_sw_hz = f64::from(drive.f_sw_hz);
         let mut load_library = LoadLibrary::new(load);
         let inverter = Inverter::new(
-            Bus::new(mains, bus_capacitance_f, 0.0)?,
+            Bus::new(mains, supply, 0.0)?,
             HalfBridge::with_node(
                 f64::from(DEAD_TIME_NS) * 1e-9,
                 f64::from(NODE_CAPACITANCE_NF) * 1e-9,
@@ -112,11 +118,13 @@ impl Plant {
         );
         Ok(Self {
             adc,
+            dividers: Dividers::default(),
             pot,
             load_library,
             drive,
             inverter,
             comparator_a: f64::INFINITY,
+            comparator_delay_s: 0.0,
             tripped_s: None,
             open_since_s: Some(0.0),
             meter: Meter::default(),
@@ -128,20 +136,22 @@ impl Plant {
         })
     }
 
-    /// Sets the coil current in ampere at which a comparator opens both switches within the integration step; infinite for none.
+    /// Sets the coil current in ampere from which on a comparator opens both switches `delay_s` later; infinite for none.
     /// They stay open until the drive has requested that too.
-    pub fn set_comparator(&mut self, trip_a: f64) {
-        self.comparator_a = trip_a;
+    pub fn set_comparator(&mut self, trip_a: f64, delay_s: f64) {
+        (self.comparator_a, self.comparator_delay_s) = (trip_a, delay_s);
     }
 
     /// Returns `true` while the comparator holds both switches open.
     pub fn is_tripped(&self) -> bool {
-        self.tripped_s.is_some()
+        self.tripped_s.is_some_and(|at_s| at_s <= self.t_s())
     }
 
     /// Time in seconds since when both switches are open; `None` while one may be closed.
     pub fn open_since_s(&self) -> Option<f64> {
-        self.tripped_s.or(self.open_since_s)
+        self.tripped_s
+            .filter(|_| self.is_tripped())
+            .or(self.open_since_s)
     }
 
     /// Readings of the last complete half-cycle, once.
@@ -188,6 +198,11 @@ impl Plant {
     /// Bus voltage in volt.
     pub fn bus_v(&self) -> f64 {
         self.inverter.bus.v()
+    }
+
+    /// Voltages at the pins of the slow converter, as volt at the dividers' inputs.
+    pub fn dividers(&self) -> &Dividers {
+        &self.dividers
     }
 
     /// Pot on the coil.
@@ -260,6 +275,11 @@ impl Plant {
         self.drive = drive;
     }
 
+    /// Sets the share of the period in which the upper switch is on, from now on.
+    pub fn set_duty(&mut self, duty: f64) {
+        self.inverter.bridge.set_duty(duty);
+    }
+
     /// Simulates one block; `seen` is called with the load at every ADC sample. With the bridge open the current freewheels into
     /// the bus or ground until it ends, and the coil floats.
     ///
@@ -283,29 +303,32 @@ impl Plant {
     /// step, as seen by a comparator. The pot does not warm up.
     pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
         let pair = self.adc.sample();
-        let bridge = match self.tripped_s {
-            None => self.drive.bridge,
-            Some(_) => Bridge::Open,
+        let bus = &self.inverter.bus;
+        let terminal_v = bus.terminal_v(self.inverter.now_s());
+        let sample_s = STEPS_PER_SAMPLE as f64 * self.inverter.dt_s();
+        self.dividers.advance(bus.v(), terminal_v, sample_s);
+        let bridge = match self.is_tripped() {
+            false => self.drive.bridge,
+            true => Bridge::Open,
         };
         if bridge == Bridge::Switching {
-            self.meter.running.switching_s += STEPS_PER_SAMPLE as f64 * self.inverter.dt_s();
+            self.meter.running.switching_s += sample_s;
         }
         let mut crest = (0f64, 0f64);
         if bridge == Bridge::Open && self.inverter.is_at_rest() {
             let now = self.inverter.rest(STEPS_PER_SAMPLE);
-            let dt_s = STEPS_PER_SAMPLE as f64 * self.inverter.dt_s();
-            self.adc.advance(now.coil_v, now.i_a, dt_s);
+            self.adc.advance(now.coil_v, now.i_a, sample_s);
             current(now.i_a);
             self.read_meter(crest);
             return pair;
         }
         for _ in 0..STEPS_PER_SAMPLE {
-            let now = match self.tripped_s {
-                None => self.step(bridge),
-                Some(_) => self.step(Bridge::Open),
+            let now = match self.is_tripped() {
+                false => self.step(bridge),
+                true => self.step(Bridge::Open),
             };
             if now.i_a.abs() >= self.comparator_a && self.tripped_s.is_none() {
-                self.tripped_s = Some(now.t_s);
+                self.tripped_s = Some(now.t_s + self.comparator_delay_s);
             }
             crest = (crest.0.max(now.i_a.abs()), crest.1.max(now.coil_v.abs()));
             current(now.i_a);
@@ -499,7 +522,7 @@ mod tests {
         while last_a.abs() > 20.0 {
             plant.sample(|i_a| last_a = i_a);
         }
-        plant.set_comparator(30.0);
+        plant.set_comparator(30.0, 0.0);
         let mut most_a: f64 = 0.0;
         while !plant.is_tripped() {
             plant.sample(|i_a| most_a = most_a.max(i_a.abs()));
@@ -507,7 +530,7 @@ mod tests {
         // 400 V on 16 µH for a step of 41 ns are 1 A.
         assert!((30.0..31.0).contains(&most_a), "{most_a}");
         let since_s = plant.open_since_s().unwrap();
-        plant.set_comparator(f64::INFINITY);
+        plant.set_comparator(f64::INFINITY, 0.0);
         for drive in [Drive::switching(50_000), Drive::switching(60_000)] {
             plant.set_drive(drive);
             plant.block(|_| ());

@@ -112,6 +112,9 @@ impl Pins {
             f_sw_hz: f_sw_hz.round() as u32,
             bridge: state,
         });
+        if let Bridge::Switching { period, on } = bridge {
+            self.plant.set_duty(f64::from(on) / f64::from(period));
+        }
     }
 
     /// The 12-bit code of a channel of ADC4: a thermistor to ground with B = 3950 K, of 10 kΩ at 25 °C on the heat sink and
@@ -143,10 +146,8 @@ impl Pins {
     /// comparators tripped, and how long after the beginning, in seconds.
     pub fn sample(&mut self) -> (Sample, [Option<f64>; 2]) {
         let t_s = self.plant.t_s();
-        let (bus_v, mains_v) = (
-            self.plant.mains().bus_v(t_s),
-            self.plant.mains().mains_v(t_s),
-        );
+        let dividers = self.plant.dividers();
+        let (bus_v, mains_v) = (dividers.bus_v(), dividers.mains_v());
         let (comparators, above_s, surge_a) = (self.comparators, &mut self.above_s, self.surge_a);
         let dead = self.dead_comparators;
         let mut tripped = [None; 2];

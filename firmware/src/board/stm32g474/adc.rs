@@ -9,6 +9,7 @@ use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
 use ihd_firmware::drive::bridge::{Bridge, Drive};
 use ihd_firmware::drive::pwm::Periods;
+use ihd_firmware::drive::soft_start::{self, SoftStart};
 use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::sampling::path::AdcBlock;
 use ihd_firmware::sense::dma_buffer::DmaDoubleBuffer;
@@ -90,6 +91,9 @@ pub struct Adc {
     ring: DmaDoubleBuffer,
     mains: ZeroCrossingDetector,
     drive: Drive,
+    soft_start: SoftStart,
+    /// Upper switch's part of half the period, in 1/[`soft_start::WHOLE`].
+    share: u32,
     block_cycles: u32,
     /// Pairs of the block that is taken, a word each.
     pairs: [u32; ADC_LOCK_P],
@@ -110,6 +114,8 @@ impl Adc {
             ring: DmaDoubleBuffer::default(),
             mains: ZeroCrossingDetector::default(),
             drive: Drive::OFF,
+            soft_start: SoftStart::new(),
+            share: soft_start::WHOLE,
             block_cycles: block_cycles(periods),
             pairs: [0; ADC_LOCK_P],
         }
@@ -125,15 +131,17 @@ impl Adc {
     }
 
     fn apply(&mut self, drive: Drive) {
-        if drive == self.drive {
+        let share = self.soft_start.on_block(drive);
+        if drive == self.drive && share == self.share {
             return;
         }
         if drive.bridge == Bridge::Open {
             bridge::open();
         }
-        if drive.f_sw_hz != self.drive.f_sw_hz {
+        if drive.f_sw_hz != self.drive.f_sw_hz || share != self.share {
             let periods = Periods::nearest(drive.f_sw_hz);
-            bridge::set_periods(periods);
+            let on = u32::from(periods.half()) * share / soft_start::WHOLE;
+            bridge::set_periods(periods, on as u16);
             self.block_cycles = block_cycles(periods);
         }
         match (self.drive.bridge, drive.bridge) {
@@ -146,7 +154,7 @@ impl Adc {
             (Bridge::Switching, Bridge::LowerOn) => bridge::switch(false),
             _ => {}
         }
-        self.drive = drive;
+        (self.drive, self.share) = (drive, share);
     }
 }
 

@@ -51,8 +51,8 @@ impl Bench {
     fn act(&mut self, action: Action) {
         match action {
             Action::Keep => {}
-            Action::Drive(drive) => self.wanted = drive,
-            Action::OffAtCrossing => self.off_at_crossing = true,
+            Action::Drive(drive) => (self.wanted, self.off_at_crossing) = (drive, false),
+            Action::OffAtCrossing => (self.wanted, self.off_at_crossing) = (Drive::OFF, true),
             Action::ProbePot => {
                 self.probe_requested = true;
                 self.probes += 1;
@@ -66,13 +66,13 @@ impl Bench {
         if self.fault != Fault::NONE {
             self.wanted = Drive::OFF;
         }
-        if !self.wanted.is_switching() {
+        if !self.wanted.is_switching() && !self.off_at_crossing {
             self.drive = Drive::OFF;
         }
     }
 
     fn half_cycle(&mut self) {
-        let ends = core::mem::take(&mut self.off_at_crossing);
+        let ends = self.off_at_crossing;
         for _ in 0..10 {
             self.ms += 1;
             let action = self.control.tick(&self.status());
@@ -93,10 +93,10 @@ impl Bench {
             let action = self.control.advance(&prior(), &self.status());
             self.act(action);
         }
-        if ends {
-            self.wanted = Drive::OFF;
+        self.off_at_crossing &= !ends;
+        if !self.off_at_crossing {
+            self.drive = self.wanted;
         }
-        self.drive = self.wanted;
         self.control.plausibility.reset();
     }
 
@@ -194,6 +194,8 @@ fn switched_off_means_off() {
             (bench.control.state(), bench.wanted),
             (State::Idle, Drive::OFF)
         );
+        bench.run(1);
+        assert!(!bench.drive.is_switching());
         bench.run(200);
         assert!(!bench.drive.is_switching());
     }

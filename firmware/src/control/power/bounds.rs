@@ -98,7 +98,7 @@ fn crest_ma(tank: &Tank, i_ma: u32, v1_uv: u32) -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
+    use ihd_shared::hob::TANK_CAPACITANCE_PF;
     use std::f64::consts::{FRAC_2_PI, TAU};
 
     fn summary(f_hz: u32, r: f64, l_uh: f64, i_a: f64) -> HalfCycle {
@@ -115,7 +115,7 @@ mod tests {
     fn oracle(f_hz: f64, r_ratio: f64, l_ratio: f64, bus_v: f64) -> [f64; 4] {
         let x = f_hz / 45e3;
         let (mut i, mut r, mut x_l) = (10.0, 0.0, 0.0);
-        let x_c = 1e9 / (TAU * f_hz * f64::from(RESONANCE_CAPACITANCE_NF));
+        let x_c = 1e12 / (TAU * f_hz * f64::from(TANK_CAPACITANCE_PF));
         for _ in 0..200 {
             r = r_ratio * (3.0 + 4.0 / (1.0 + i / 9.0)) * x.sqrt();
             let l = l_ratio * (20.5 + 18.0 / (1.0 + i / 10.0)) * 1e-6 * x.powf(-0.3);

@@ -45,7 +45,10 @@ pub struct OperatingMemory {
 impl OperatingMemory {
     /// Takes note of a half-cycle.
     pub fn note(&mut self, summary: &HalfCycle, now_ms: u32) {
-        self.note_bus(summary.bus_peak_dv, now_ms);
+        // A bridge that has just opened at the crest leaves the bus above any mains.
+        if summary.f_sw_hz > 0 {
+            self.note_bus(summary.bus_peak_dv, now_ms);
+        }
         let lasts_ms = if self.before_jump_q10 > 0 {
             LIFT_REMEMBERED_MS
         } else {
@@ -209,5 +212,20 @@ mod tests {
             memory.floor_hz(&half_cycle(24.0, 3_250)),
             FrequencyFloor::default()
         );
+    }
+
+    /// A trip at the crest charges the link to 500 V; the mains of before is no sag.
+    #[test]
+    fn the_bus_of_an_open_bridge_is_no_mains() {
+        let mut memory = OperatingMemory::default();
+        memory.note(&half_cycle(24.0, 3_250), 0);
+        let tripped = HalfCycle {
+            f_sw_hz: 0,
+            ..half_cycle(24.0, 5_000)
+        };
+        memory.note(&tripped, 10);
+        let back = half_cycle(24.0, 3_250);
+        memory.note(&back, 20);
+        assert_eq!(memory.floor_hz(&back), FrequencyFloor::default());
     }
 }

@@ -86,6 +86,7 @@ mod tests {
     /// prior's own law.
     fn oracle_w(f_hz: f64, bus_v: f64) -> f64 {
         let steps = 400;
+        let c_f = f64::from(ihd_shared::hob::TANK_CAPACITANCE_PF) * 1e-12;
         let mut sum = 0.0;
         for k in 0..steps {
             let v1 = 2.0 / PI * bus_v * (PI * (f64::from(k) + 0.5) / f64::from(steps)).sin();
@@ -95,7 +96,7 @@ mod tests {
                 let x = f_hz / 45e3;
                 r = (3.0 + 4.0 / (1.0 + i / 9.0)) * x.sqrt();
                 let l = (20.5 + 18.0 / (1.0 + i / 10.0)) * 1e-6 * x.powf(-0.3);
-                let net = 2.0 * PI * f_hz * l - 1.0 / (2.0 * PI * f_hz * 1080e-9);
+                let net = 2.0 * PI * f_hz * l - 1.0 / (2.0 * PI * f_hz * c_f);
                 i = 0.5 * (i + v1 / r.hypot(net));
             }
             sum += 0.5 * i * i * r;

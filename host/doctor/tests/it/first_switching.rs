@@ -7,6 +7,7 @@ use ihd_doctor::{Evidence, Verdict, first_switching as switching};
 use ihd_link::Client;
 use ihd_shared::wire::messages::State;
 use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::inverter::supply::SupplyParts;
 use ihd_sim::transport::SharedHob;
 use ihd_survey::calibration::Reference;
 
@@ -90,7 +91,7 @@ fn watched(config: &HobConfig) -> (Client, Watched) {
 #[test]
 fn nothing_is_switched_from_the_mains_or_a_wrong_supply() {
     let mains = HobConfig {
-        bus_capacitance_f: 4.7e-6,
+        supply: SupplyParts::SCHEMATIC,
         ..HobConfig::default()
     };
     for config in [

@@ -18,7 +18,8 @@ use super::usage::Usage;
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Simulated hob")]
 pub struct SimulatedHobArgs {
-    /// Simulated hob: pot, lift, offset, temperature, perturb, load, warming, contents, mains, bench-supply, snr, anti-alias, seed;
+    /// Simulated hob: pot, lift, offset, temperature, perturb, load, warming, contents, mains,
+    /// bus-capacitance, line-inductance, bench-supply, snr, anti-alias, seed;
     /// `--sim help` explains them
     #[arg(long, value_name = "KEY=VALUE,…", value_parser = keys::text::<SimOptions>())]
     sim: Vec<String>,
@@ -88,6 +89,12 @@ pub struct SimOptions {
     /// Mains frequency in hertz.
     #[arg(long, value_name = "HZ", default_value_t = 50.0)]
     mains: f64,
+    /// Capacitance C2 of the DC link in farad (4.7u); 0 for none: the bus is the rectified mains.
+    #[arg(long, value_parser = quantity, value_name = "F")]
+    bus_capacitance: Option<f64>,
+    /// Inductance of the house's line in henry (0.8m); 0 for none.
+    #[arg(long, value_parser = quantity, value_name = "H")]
+    line_inductance: Option<f64>,
     /// Voltage of a bench supply that feeds the bus instead of the mains of 230 V. A transformer of 24 V then feeds the mains'
     /// detector, as for a first switching on a desk (docs/bring-up.md, section E).
     #[arg(long, value_name = "V")]
@@ -139,6 +146,14 @@ impl SimOptions {
             ("load", load.map(|load| load.get_name().to_owned())),
             ("contents", self.contents.map(|x| x.to_string())),
             ("mains", Some(self.mains.to_string())),
+            (
+                "bus-capacitance",
+                self.bus_capacitance.map(|x| x.to_string()),
+            ),
+            (
+                "line-inductance",
+                self.line_inductance.map(|x| x.to_string()),
+            ),
             ("bench-supply", self.bench_supply.map(|x| x.to_string())),
             ("snr", self.snr.map(|x| x.to_string())),
             ("anti-alias", Some(self.anti_alias.to_string())),
@@ -202,6 +217,9 @@ impl SimOptions {
         );
         Ok(HobConfig {
             mains_hz: self.mains,
+            supply: HobConfig::default()
+                .supply
+                .with(self.bus_capacitance, self.line_inductance),
             bench_supply_v: self.bench_supply,
             pot,
             load: self.load.into(),

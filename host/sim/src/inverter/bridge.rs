@@ -56,6 +56,11 @@ impl HalfBridge {
         Ok(Self { duty, ..self })
     }
 
+    /// Sets the share of the period in which the upper switch is on, dead time included, from now on.
+    pub fn set_duty(&mut self, duty: f64) {
+        self.duty = duty;
+    }
+
     fn at_rest(dead_s: f64, edge: Edge) -> Self {
         Self {
             dead_s,

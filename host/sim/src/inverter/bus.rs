@@ -1,44 +1,74 @@
 //! The DC bus between rectifier and half-bridge.
 
 use super::InverterError;
+use super::supply::SupplyParts;
 use crate::mains::Mains;
-
-/// Resistance of line, fuse and rectifier, in ohm; only matters with a bus capacitor.
-const SOURCE_R_OHM: f64 = 0.2;
 
 /// Period in seconds at which the mains is computed, linear in between: the error is (ω dt)²/8 = 5e-8 of the peak.
 const MAINS_STEP_S: f64 = 2e-6;
 
 /// Bus voltage over time. A bench supply determines it alone. Without capacitance it is the rectified mains; with it, the rectifier
-/// charges the capacitor through the source resistance and the inverter discharges it.
+/// charges the capacitor through line and choke, and the inverter discharges it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bus {
     mains: Mains,
-    capacitance_f: f64,
+    parts: SupplyParts,
     /// DC voltage of a bench supply in place of the rectifier, in volt.
     supply_v: Option<f64>,
     v: f64,
+    line: Line,
     /// Number of the present piece of the mains, and the voltage at its ends.
     piece: (f64, f64, f64),
 }
 
+/// State of a line with inductance.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Line {
+    /// Current of the line, in ampere.
+    line_a: f64,
+    /// Voltage between the mains terminals, at C1, in volt.
+    terminal_v: f64,
+    /// Current through choke and rectifier, in ampere; with the sign of the half-wave that conducts.
+    rectifier_a: f64,
+}
+
+impl Line {
+    /// Advances by `dt_s` to a mains of `mains_v`, beside a DC link of `link_v`: currents first, then the terminal's voltage by
+    /// them. Neither damps nor excites; the error of a ringing of period T is (2π dt/T)²/24 of the period.
+    fn advance(&mut self, parts: &SupplyParts, mains_v: f64, link_v: f64, dt_s: f64) {
+        let drop_v = parts.line_r_ohm * self.line_a;
+        self.line_a += dt_s / parts.line_l_h * (mains_v - drop_v - self.terminal_v);
+        let sign = match self.rectifier_a {
+            0.0 => self.terminal_v.signum(),
+            i => i.signum(),
+        };
+        let conducting_a = self.rectifier_a.abs();
+        let across_v = sign * self.terminal_v
+            - parts.rectifier_v
+            - link_v
+            - parts.rectifier_r_ohm * conducting_a;
+        // A current that would reverse ends.
+        self.rectifier_a = sign * (conducting_a + dt_s / parts.choke_l_h * across_v).max(0.0);
+        self.terminal_v += dt_s / parts.terminal_capacitance_f * (self.line_a - self.rectifier_a);
+    }
+}
+
 impl Bus {
-    /// Bus capacitance in farad, 0 or 0.1 µF to 1 mF; starts at the mains voltage of time `t_s`.
-    pub fn new(mains: Mains, capacitance_f: f64, t_s: f64) -> Result<Self, InverterError> {
-        if capacitance_f != 0.0 {
-            super::in_range(
-                "bus_capacitance_f",
-                capacitance_f,
-                1e-7,
-                1e-3,
-                "0, or 0.1 µF to 1 mF",
-            )?;
-        }
+    /// Starts at the mains voltage of time `t_s`, without current.
+    ///
+    /// # Errors
+    /// For parts that are out of range.
+    pub fn new(mains: Mains, parts: SupplyParts, t_s: f64) -> Result<Self, InverterError> {
+        parts.check()?;
         Ok(Self {
             mains,
-            capacitance_f,
+            parts,
             supply_v: None,
             v: mains.bus_v(t_s),
+            line: Line {
+                terminal_v: mains.mains_v(t_s),
+                ..Line::default()
+            },
             piece: (-1.0, 0.0, 0.0),
         })
     }
@@ -65,29 +95,56 @@ impl Bus {
         self.v
     }
 
-    /// Advances by `dt_s` to time `t_s`, while the bridge draws `i_a`; returns the new voltage. The old voltage decides whether the
-    /// diode conducts, the rest is implicit: stable for any step.
-    pub fn advance(&mut self, t_s: f64, dt_s: f64, i_a: f64) -> f64 {
-        let rectified = match self.supply_v {
-            Some(supply_v) => supply_v,
-            None => self.rectified_v(t_s),
-        };
-        self.v = if self.capacitance_f == 0.0 {
-            rectified
+    /// Voltage between the mains terminals at `t_s`, now, in volt: the mains behind its line. With a bench supply that of the
+    /// detector's transformer.
+    pub fn terminal_v(&self, t_s: f64) -> f64 {
+        if self.has_line() {
+            self.line.terminal_v
         } else {
-            let rate = dt_s / self.capacitance_f;
-            let g = if rectified > self.v {
-                rate / SOURCE_R_OHM
-            } else {
-                0.0
-            };
-            // The lower diodes keep the bus from going negative.
-            ((self.v + g * rectified - rate * i_a) / (1.0 + g)).max(0.0)
+            self.mains.mains_v(t_s)
+        }
+    }
+
+    /// Returns `true` if line and choke have an effect.
+    fn has_line(&self) -> bool {
+        self.parts.line_l_h > 0.0 && self.parts.link_capacitance_f > 0.0 && self.supply_v.is_none()
+    }
+
+    /// Advances by `dt_s` to time `t_s`, while the bridge draws `i_a`; returns the new voltage.
+    pub fn advance(&mut self, t_s: f64, dt_s: f64, i_a: f64) -> f64 {
+        self.v = match self.supply_v {
+            Some(supply_v) => supply_v,
+            None if self.parts.link_capacitance_f == 0.0 => self.mains_v(t_s).abs(),
+            None => self.charge(t_s, dt_s, i_a),
         };
         self.v
     }
 
-    fn rectified_v(&mut self, t_s: f64) -> f64 {
+    /// Voltage of the capacitor after a step. Without an inductance the old voltage decides whether the diodes conduct, and the
+    /// rest is implicit: stable for any step.
+    fn charge(&mut self, t_s: f64, dt_s: f64, i_a: f64) -> f64 {
+        let mains_v = self.mains_v(t_s);
+        let parts = &self.parts;
+        let rate = dt_s / parts.link_capacitance_f;
+        let drawn_a = i_a + self.v / parts.bleeder_ohm;
+        let v = if parts.line_l_h > 0.0 {
+            self.line.advance(parts, mains_v, self.v, dt_s);
+            self.v + rate * (self.line.rectifier_a.abs() - drawn_a)
+        } else {
+            let rectified_v = mains_v.abs() - parts.rectifier_v;
+            let g = if rectified_v > self.v {
+                rate / (parts.line_r_ohm + parts.rectifier_r_ohm)
+            } else {
+                0.0
+            };
+            (self.v + g * rectified_v - rate * drawn_a) / (1.0 + g)
+        };
+        // The lower diodes keep the bus from going negative.
+        v.max(0.0)
+    }
+
+    /// Mains voltage, in volt.
+    fn mains_v(&mut self, t_s: f64) -> f64 {
         let at = t_s / MAINS_STEP_S;
         let (number, ..) = self.piece;
         // Faster than computing the floor at every step.
@@ -97,7 +154,7 @@ impl Bus {
             self.piece = (number, v(number), v(number + 1.0));
         }
         let (number, from, to) = self.piece;
-        (from + (at - number) * (to - from)).abs()
+        from + (at - number) * (to - from)
     }
 }
 
@@ -108,7 +165,7 @@ mod tests {
     #[test]
     fn without_capacitance_it_is_the_rectified_mains() {
         let mains = Mains::new(50.0);
-        let mut bus = Bus::new(mains, 0.0, 0.0).unwrap();
+        let mut bus = Bus::new(mains, SupplyParts::NONE, 0.0).unwrap();
         for t_s in [3e-3, 3.0001e-3, 9.9999e-3, 10.0001e-3] {
             let v = bus.advance(t_s, 20e-9, 40.0);
             assert!((v - mains.bus_v(t_s)).abs() < 1e-6 * mains.peak_v, "{t_s}");
@@ -117,7 +174,7 @@ mod tests {
 
     #[test]
     fn a_bench_supply_is_the_bus_whatever_the_mains() {
-        let mut bus = Bus::new(Mains::new(50.0), 0.0, 0.0).unwrap();
+        let mut bus = Bus::new(Mains::new(50.0), SupplyParts::NONE, 0.0).unwrap();
         bus.set_supply(40.0);
         assert_eq!(bus.v(), 40.0);
         for t_s in [0.0, 3e-3, 10e-3] {
@@ -129,7 +186,7 @@ mod tests {
     fn a_capacitor_holds_the_bus_up_at_the_zero_crossing() {
         // 0.1 A from 10 µF: 10 V a millisecond. It leaves the sine where ω V̂ |cos ωt| is that,
         // and falls in a straight line until the zero crossing.
-        let mut bus = Bus::new(Mains::new(50.0), 10e-6, 5e-3).unwrap();
+        let mut bus = Bus::new(Mains::new(50.0), SupplyParts::stiff(10e-6), 5e-3).unwrap();
         for n in 1..=5000 {
             bus.advance(5e-3 + f64::from(n) * 1e-6, 1e-6, 0.1);
         }
@@ -145,7 +202,63 @@ mod tests {
 
     #[test]
     fn refuses_an_impossible_capacitor() {
-        let e = Bus::new(Mains::new(50.0), -1.0, 0.0).unwrap_err();
+        let e = Bus::new(Mains::new(50.0), SupplyParts::stiff(-1.0), 0.0).unwrap_err();
         assert!(e.to_string().contains("bus_capacitance_f"));
+    }
+
+    /// Energy of the line's current goes into the capacitor when nothing draws any more: at the crest
+    /// V̂ + I√(L/C), less what the line's resistance takes.
+    #[test]
+    fn a_line_current_that_is_cut_off_charges_the_link() {
+        let parts = SupplyParts {
+            line_r_ohm: 0.01,
+            rectifier_v: 0.0,
+            rectifier_r_ohm: 0.0,
+            ..SupplyParts::SCHEMATIC
+        };
+        let (mains, dt_s) = (Mains::new(50.0), 50e-9);
+        let mut bus = Bus::new(mains, parts, 0.0).unwrap();
+        let (mut t_s, mut most_v) = (0.0, 0.0f64);
+        // A resistive load of 10 A at the crest, until there.
+        while t_s < 8e-3 {
+            let i_a = if t_s < 5e-3 {
+                10.0 * bus.v() / mains.peak_v
+            } else {
+                0.0
+            };
+            t_s += dt_s;
+            most_v = most_v.max(bus.advance(t_s, dt_s, i_a));
+        }
+        let z_ohm = (0.82e-3f64 / (4.7e-6 + 0.47e-6)).sqrt();
+        let expected_v = mains.peak_v + 10.0 * z_ohm;
+        assert!(
+            (most_v / expected_v - 1.0).abs() < 0.02,
+            "{most_v} {expected_v}"
+        );
+        // It stays: the mains cannot take it back, the bleeder takes 0.44 s.
+        let left_v = most_v * (-(8e-3 - 5.3e-3) / (94e3 * 4.7e-6f64)).exp();
+        assert!(
+            (bus.v() / left_v - 1.0).abs() < 0.003,
+            "{} {left_v}",
+            bus.v()
+        );
+    }
+
+    /// Crest of the mains on a discharged link: ngspice 39 gives 566.2 V after 194.4 µs.
+    #[test]
+    fn a_discharged_link_swings_beyond_the_crest_as_in_ngspice() {
+        let (mains, dt_s) = (Mains::new(50.0), 50e-9);
+        let mut bus = Bus::new(mains, SupplyParts::SCHEMATIC, 5e-3).unwrap();
+        bus.v = 0.0;
+        let (mut t_s, mut most_v, mut at_s) = (5e-3, 0.0f64, 0.0);
+        while t_s < 6e-3 {
+            t_s += dt_s;
+            let v = bus.advance(t_s, dt_s, 0.0);
+            if v > most_v {
+                (most_v, at_s) = (v, t_s - 5e-3);
+            }
+        }
+        assert!((most_v / 566.2 - 1.0).abs() < 2e-3, "{most_v}");
+        assert!((at_s / 194.4e-6 - 1.0).abs() < 0.01, "{at_s}");
     }
 }

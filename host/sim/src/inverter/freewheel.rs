@@ -32,9 +32,9 @@ impl Inverter {
         };
         match upper {
             Some(upper) => self.conduct(&flux, upper, to_s),
-            None => self.float(open_v, to_s),
+            None => self.float(open_v, to_s, dt_s),
         }
-        self.finish(&flux);
+        self.finish(&flux, i_a);
     }
 
     /// Returns `true` if the power stage is at rest and stays so for a microsecond: both switches open, no current within the last
@@ -48,7 +48,7 @@ impl Inverter {
     /// Advances several steps at rest at once; only while [`Inverter::is_at_rest`].
     pub fn rest(&mut self, steps: usize) -> Instant {
         let to_s = self.period_start_s + (self.step + steps) as f64 * self.dt_s;
-        self.float(self.circuit.v_c_v, to_s);
+        self.float(self.circuit.v_c_v, to_s, steps as f64 * self.dt_s);
         self.step += steps;
         while self.step >= self.steps {
             self.period_start_s += self.steps as f64 * self.dt_s;
@@ -66,8 +66,9 @@ impl Inverter {
             self.bridge.float_at(f64::from(u8::from(upper)));
         }
         let level = self.bridge.freewheel(upper, dt_s, before.i_a, bus_before_v);
-        self.link_charge_c += level * before.i_a * dt_s;
-        let bus_v = self.bus.advance(to_s, dt_s, level * before.i_a);
+        let drawn_a = level * self.mean_a();
+        self.link_charge_c += drawn_a * dt_s;
+        let bus_v = self.bus.advance(to_s, dt_s, drawn_a);
         let mean_v = 0.5 * (bus_before_v + bus_v) * level;
         self.step_loop(mean_v, flux);
         let circuit = &mut self.circuit;
@@ -79,8 +80,8 @@ impl Inverter {
         self.meter_energy(mean_v, before, dt_s);
     }
 
-    fn float(&mut self, open_v: f64, to_s: f64) {
-        let bus_v = self.bus.advance(to_s, self.dt_s(), 0.0);
+    fn float(&mut self, open_v: f64, to_s: f64, dt_s: f64) {
+        let bus_v = self.bus.advance(to_s, dt_s, 0.0);
         self.floating_v = Some(open_v);
         // The next edge begins here.
         self.bridge
@@ -97,6 +98,7 @@ mod tests {
     use crate::inverter::bridge::HalfBridge;
     use crate::inverter::bus::Bus;
     use crate::inverter::load::{Law, LoadState};
+    use crate::inverter::supply::SupplyParts;
     use crate::inverter::{Instant, Inverter};
     use crate::mains::Mains;
     use ihd_field::FieldModel;
@@ -112,7 +114,7 @@ mod tests {
 
     /// Switching since the zero crossing, `at_s` into the half-cycle.
     fn running(load: LoadState, at_s: f64) -> Inverter {
-        let bus = Bus::new(Mains::new(50.0), 0.0, 0.0).unwrap();
+        let bus = Bus::new(Mains::new(50.0), SupplyParts::NONE, 0.0).unwrap();
         let bridge = HalfBridge::new(0.4e-6, 0.2e-6).unwrap();
         let mut inverter = Inverter::new(bus, bridge, load, F_HZ, STEPS, 0.0);
         while inverter.now_s() < at_s {

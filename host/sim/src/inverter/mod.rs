@@ -7,6 +7,7 @@ mod freewheel;
 pub mod harmonic_analyser;
 pub mod load;
 pub mod node;
+pub mod supply;
 
 use std::f64::consts::TAU;
 
@@ -115,6 +116,8 @@ pub struct Inverter {
     period_start_s: f64,
     /// Voltage of the node while both switches are open and no current flows, in volt.
     floating_v: Option<f64>,
+    /// Coil current a step ago, in ampere.
+    before_a: f64,
     load_energy_j: f64,
     link_charge_c: f64,
 }
@@ -142,6 +145,7 @@ impl Inverter {
             step: 0,
             period_start_s: t_s,
             floating_v: None,
+            before_a: 0.0,
             load_energy_j: 0.0,
             link_charge_c: 0.0,
         }
@@ -244,15 +248,21 @@ impl Inverter {
             i_a,
             bus_before_v,
         );
-        self.link_charge_c += level * i_a * dt_s;
+        let drawn_a = level * self.mean_a();
+        self.link_charge_c += drawn_a * dt_s;
         let bus_v = self
             .bus
-            .advance(self.period_start_s + from_s + dt_s, dt_s, level * i_a);
+            .advance(self.period_start_s + from_s + dt_s, dt_s, drawn_a);
         // The bus moves by some 1e-5 of its peak within a step.
         let mean_v = 0.5 * (bus_before_v + bus_v) * level;
         self.step_loop(mean_v, &flux);
         self.meter_energy(mean_v, before, dt_s);
-        self.finish(&flux);
+        self.finish(&flux, i_a);
+    }
+
+    /// Mean of the coil's current over the coming step, in ampere: it goes on as in the step before.
+    fn mean_a(&self) -> f64 {
+        1.5 * self.circuit.i_a - 0.5 * self.before_a
     }
 
     /// Adds the energy of a step with a mean voltage of the node behind its switches, from `before` until now.
@@ -264,7 +274,8 @@ impl Inverter {
     }
 
     /// Passes the new current to the load, and counts the step.
-    fn finish(&mut self, flux: &FluxStep) {
+    fn finish(&mut self, flux: &FluxStep, before_a: f64) {
+        self.before_a = before_a;
         self.step += 1;
         self.load
             .commit(flux, self.step % self.steps, self.circuit.i_a);
@@ -279,6 +290,7 @@ impl Inverter {
 mod tests {
     use super::harmonic_analyser::HarmonicAnalyser;
     use super::load::Law;
+    use super::supply::SupplyParts;
     use super::*;
     use crate::behavioural::{BehaviouralLoad, PotKind};
     use crate::mains::Mains;
@@ -293,7 +305,7 @@ mod tests {
         periods: usize,
         mains_hz: f64,
     ) -> ihd_signal::truth::PeriodTruth {
-        let bus = Bus::new(Mains::new(mains_hz), 0.0, 0.0).unwrap();
+        let bus = Bus::new(Mains::new(mains_hz), SupplyParts::NONE, 0.0).unwrap();
         let bridge = HalfBridge::new(0.0, 0.2e-6).unwrap();
         let mut inverter = Inverter::new(bus, bridge, load, f, steps, 0.0);
         let mut analyser = HarmonicAnalyser::new(steps);

@@ -178,7 +178,7 @@ fn power_stage(settings: &CaptureSpec, prepared: &PreparedLoad) -> Result<Invert
     let mains = Mains::new(settings.mains_hz).with_harmonics(settings.mains_harmonics);
     let steps = settings.steps(settings.f_sw_hz);
     let mut inverter = Inverter::new(
-        Bus::new(mains, settings.bus_capacitance_f, settings.start_s)?,
+        Bus::new(mains, settings.supply(), settings.start_s)?,
         HalfBridge::new(settings.dead_s, settings.edge_s)?.with_duty(settings.duty)?,
         prepared.start(settings.f_sw_hz, steps, None)?,
         settings.f_sw_hz,

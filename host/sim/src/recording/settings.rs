@@ -6,6 +6,7 @@ use ihd_shared::hob::EDGE_NS;
 use serde::{Deserialize, Serialize};
 
 use super::sensing::Sensing;
+use crate::inverter::supply::SupplyParts;
 use crate::inverter::{InverterError, in_range};
 use crate::pot::{Metal, Pot};
 
@@ -91,6 +92,8 @@ pub struct CaptureSpec {
     pub mains_harmonics: [f64; 3],
     /// Bus capacitance in farad; 0: the bus is the rectified mains.
     pub bus_capacitance_f: f64,
+    /// Inductance of the line in henry, with a bus capacitance; 0: the line is a resistance.
+    pub line_l_h: f64,
     /// Dead time in seconds.
     pub dead_s: f64,
     /// Duration of the bridge's edges in seconds.
@@ -128,6 +131,7 @@ impl Default for CaptureSpec {
             mains_hz: 50.0,
             mains_harmonics: [0.0; 3],
             bus_capacitance_f: 0.0,
+            line_l_h: 0.0,
             dead_s: 0.0,
             edge_s: f64::from(EDGE_NS) * 1e-9,
             pot: Pot::new(Metal::Ferritic, 0.21),
@@ -165,6 +169,19 @@ impl CaptureSpec {
             f_sw_hz: *f_sw_hz,
             ..Self::default()
         })
+    }
+
+    /// Parts between mains and bridge: the schematic's with an inductance of the line, else an ideal rectifier.
+    pub fn supply(&self) -> SupplyParts {
+        let link_capacitance_f = self.bus_capacitance_f;
+        if self.line_l_h == 0.0 {
+            return SupplyParts::stiff(link_capacitance_f);
+        }
+        SupplyParts {
+            link_capacitance_f,
+            line_l_h: self.line_l_h,
+            ..SupplyParts::SCHEMATIC
+        }
     }
 
     /// Integration steps of a switching period at `f_sw_hz`.

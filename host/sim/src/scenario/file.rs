@@ -45,9 +45,12 @@ pub struct ScenarioFile {
     /// Contents of the pot, which then warms up: `water-1.5`, `oil-0.5`, `food`, `empty`.
     #[serde(default)]
     pub contents: Option<Contents>,
-    /// Bus capacitance in microfarad, 0 for none.
-    #[serde(default, deserialize_with = "number::bus_uf")]
-    pub bus_capacitance_uf: f64,
+    /// Bus capacitance in microfarad, 0 for none; default: the hob's.
+    #[serde(default, deserialize_with = "number::some_bus_uf")]
+    pub bus_capacitance_uf: Option<f64>,
+    /// Inductance of the line in microhenry, 0 for none; default: the hob's.
+    #[serde(default, deserialize_with = "number::some_line_uh")]
+    pub line_inductance_uh: Option<f64>,
     /// `true` if the board has a sensor of the DC link's current.
     #[serde(default)]
     pub dc_link: bool,
@@ -90,7 +93,10 @@ impl ScenarioFile {
         HobConfig {
             mains_hz: self.mains.hz.unwrap_or(usual.mains_hz),
             mains_v: self.mains.v_rms.unwrap_or(usual.mains_v),
-            bus_capacitance_f: self.bus_capacitance_uf * 1e-6,
+            supply: usual.supply.with(
+                self.bus_capacitance_uf.map(|uf| uf * 1e-6),
+                self.line_inductance_uh.map(|uh| uh * 1e-6),
+            ),
             pot: self.pot.pot,
             load: self.load,
             warming: self.warming || self.contents.is_some(),

@@ -42,6 +42,7 @@ numbers! {
     r_ohm some_r_ohm 0.0 16.0 "0 to 16 ohm";
     l_uh some_l_uh 0.0 64.0 "0 to 64 µH";
     bus_uf some_bus_uf 0.0 1000.0 "0, or 0.1 to 1000 µF";
+    line_uh some_line_uh 0.0 10000.0 "0, or 1 to 10000 µH";
     corner_hz some_corner_hz 0.0 1e7 "0 (none), or up to 10 MHz";
     noise_v some_noise_v 0.0 400.0 "0 to 400 V";
     noise_a some_noise_a 0.0 80.0 "0 to 80 A";

@@ -27,6 +27,8 @@ pub enum Bridge {
     Switching {
         /// Period in ticks.
         period: u32,
+        /// End of the upper switch's part of it, in ticks.
+        on: u32,
     },
 }
 
@@ -152,6 +154,7 @@ impl Hrtim {
         match self.enabled {
             [true, true] if pwm => Bridge::Switching {
                 period: self.a.period,
+                on: self.in_force(0, hrtim_tima::cmp1ar::ADDRESS),
             },
             // With dead time output 2 is the complement of output 1, which no event sets, or which is not on the pin.
             [_, true] if file.is(hrtim_tima::outar::DTEN) => Bridge::LowerClosed,

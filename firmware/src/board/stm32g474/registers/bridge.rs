@@ -83,7 +83,7 @@ pub fn prepare_timers(periods: Periods) {
             w.set_fault(output, FaultState::SET_INACTIVE);
         }
     });
-    preload(periods);
+    preload(periods, periods.half());
     // HRTIM_CR2: from preload to active, now; the timers stand still.
     hrtim.cr2().write(|w| {
         w.set_tswu(BRIDGE, true);
@@ -124,27 +124,27 @@ fn calibrate() {
     });
 }
 
-/// New periods for both timers at the same tick, at the end of a block: when both timers' repetition
+/// New periods for both timers, the upper switch on until `on`, at the same tick, at the end of a block: when both timers' repetition
 /// events come (HRTIM, "Repetition", TIMxCR.TxREPU). No counter is reset, so no switch stays closed
 /// longer than half an old or half a new period, and the lock of the two stays exact.
 ///
 /// HRTIM_CR1, TxUDIS: neither timer updates while only some of the registers are written.
-pub fn set_periods(periods: Periods) {
+pub fn set_periods(periods: Periods, on: u16) {
     let hrtim = pac::HRTIM1;
     hrtim.cr1().write(|w| {
         w.set_tudis(BRIDGE, true);
         w.set_tudis(SAMPLING, true);
     });
-    preload(periods);
+    preload(periods, on);
     hrtim.cr1().write(|_| {});
 }
 
-/// HRTIM_PERxR, HRTIM_CMP1xR.
-fn preload(periods: Periods) {
+/// HRTIM_PERxR, HRTIM_CMP1xR; `on` is the end of the upper switch's part of the period, in ticks.
+fn preload(periods: Periods, on: u16) {
     let hrtim = pac::HRTIM1;
     let bridge = hrtim.tim(BRIDGE);
     bridge.per().write(|w| w.set_per(periods.switching));
-    bridge.cmp(0).write(|w| w.set_cmp(periods.half()));
+    bridge.cmp(0).write(|w| w.set_cmp(on));
     let sampling = hrtim.tim(SAMPLING);
     sampling.per().write(|w| w.set_per(periods.sampling));
 }

@@ -36,6 +36,9 @@ pub(super) struct SpecOptions {
     /// Bus capacitance in F; 0: the bus is the rectified mains
     #[arg(long, value_parser = quantity)]
     bus_capacitance: Option<f64>,
+    /// Inductance of the house's line in H, before a bus capacitance; 0: none
+    #[arg(long, value_parser = quantity)]
+    line_inductance: Option<f64>,
     /// Dead time of the half-bridge in s
     #[arg(long, value_parser = quantity)]
     dead_time: Option<f64>,
@@ -153,6 +156,7 @@ impl SpecOptions {
             self.distortion.map(|d| d.map(|pct| pct / 100.0)),
         );
         set(&mut s.bus_capacitance_f, self.bus_capacitance);
+        set(&mut s.line_l_h, self.line_inductance);
         set(&mut s.dead_s, self.dead_time);
         set(&mut s.pot, self.pot);
         s.pot.lift_m = self.lift;

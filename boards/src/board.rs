@@ -1,0 +1,224 @@
+//! A board file, read and checked.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use toml::de::{DeTable, DeValue};
+
+use crate::error::BoardError;
+use crate::order::ORDER;
+use crate::values::VALUES;
+
+/// Values of a board.
+#[derive(Clone, Debug)]
+pub struct Board {
+    path: PathBuf,
+    name: String,
+    /// Value and line, by section and key.
+    values: BTreeMap<String, (i64, usize)>,
+}
+
+impl Board {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// [`BoardError`]: it cannot be read, lacks a value, has one that is unknown or out of its range, or limits that are not in order.
+    pub fn read(path: &Path) -> Result<Self, BoardError> {
+        let text = std::fs::read_to_string(path).map_err(|source| BoardError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::parse(path, &text)
+    }
+
+    /// Checks a file's text.
+    ///
+    /// # Errors
+    /// As [`Board::read`].
+    pub fn parse(path: &Path, text: &str) -> Result<Self, BoardError> {
+        let table = DeTable::parse(text).map_err(|why| BoardError::Syntax {
+            path: path.to_owned(),
+            why: why.to_string(),
+        })?;
+        let mut board = Self {
+            path: path.to_owned(),
+            name: String::new(),
+            values: BTreeMap::new(),
+        };
+        for (key, value) in table.get_ref() {
+            let line = line(text, value.span().start);
+            let key = key.get_ref().as_ref();
+            match value.get_ref() {
+                DeValue::String(name) if key == "name" => board.name = name.to_string(),
+                DeValue::Table(section) => board.take(key, section, text)?,
+                _ => {
+                    return Err(board.error(
+                        key,
+                        line,
+                        "unknown: a file has a name and sections".to_owned(),
+                    ));
+                }
+            }
+        }
+        board.check()?;
+        Ok(board)
+    }
+
+    fn take(&mut self, section: &str, table: &DeTable<'_>, text: &str) -> Result<(), BoardError> {
+        for (key, value) in table {
+            let (name, line) = (
+                format!("{section}.{}", key.get_ref()),
+                line(text, value.span().start),
+            );
+            let known = VALUES
+                .iter()
+                .find(|v| v.section == section && v.key == key.get_ref().as_ref());
+            let Some(known) = known else {
+                return Err(self.error(
+                    &name,
+                    line,
+                    "unknown; boards/reference.toml has every value".to_owned(),
+                ));
+            };
+            let number = match value.get_ref() {
+                DeValue::Integer(number) => {
+                    i64::from_str_radix(&number.as_str().replace('_', ""), number.radix()).ok()
+                }
+                _ => None,
+            };
+            let (min, max) = known.range;
+            match number.filter(|n| (min..=max).contains(n)) {
+                Some(number) => self.values.insert(name, (number, line)),
+                None => {
+                    let why = format!("must be a whole number from {min} to {max}");
+                    return Err(self.error(&name, line, why));
+                }
+            };
+        }
+        Ok(())
+    }
+
+    fn check(&self) -> Result<(), BoardError> {
+        for value in VALUES {
+            let name = format!("{}.{}", value.section, value.key);
+            if !self.values.contains_key(&name) {
+                return Err(BoardError::Missing {
+                    path: self.path.clone(),
+                    name,
+                    purpose: value.doc,
+                });
+            }
+        }
+        for order in ORDER {
+            let ((lower, lower_line), (upper, line)) =
+                (self.values[order.lower], self.values[order.upper]);
+            if lower as f64 * order.factor >= upper as f64 {
+                let why = format!(
+                    "is {upper}, too small beside {} = {lower} in line {lower_line}: {}",
+                    order.lower, order.why
+                );
+                return Err(self.error(order.upper, line, why));
+            }
+        }
+        Ok(())
+    }
+
+    fn error(&self, name: &str, line: usize, why: String) -> BoardError {
+        BoardError::Value {
+            path: self.path.clone(),
+            line,
+            name: name.to_owned(),
+            why,
+        }
+    }
+
+    /// Source text of the constants, in Rust.
+    pub fn constants(&self) -> String {
+        let mut text = format!(
+            "/// Name of the board.\npub const NAME: &str = {:?};\n",
+            self.name
+        );
+        for value in VALUES {
+            let (number, _) = self.values[&format!("{}.{}", value.section, value.key)];
+            let name = value.key.to_uppercase();
+            let _ = writeln!(
+                text,
+                "/// {}\npub const {name}: {} = {number};",
+                value.doc, value.kind
+            );
+        }
+        text
+    }
+}
+
+/// Line of a place in a text, from 1.
+fn line(text: &str, at: usize) -> usize {
+    1 + text.bytes().take(at).filter(|b| *b == b'\n').count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reference() -> String {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("reference.toml");
+        std::fs::read_to_string(path).unwrap()
+    }
+
+    fn refused(from: &str, to: &str) -> String {
+        let text = reference();
+        assert!(text.contains(from), "{from}");
+        let wrong = Board::parse(Path::new("my.toml"), &text.replace(from, to));
+        wrong.unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_file_becomes_constants() {
+        let text = reference().replace("trip_current_ma = 76_000", "trip_current_ma = 75_500");
+        let constants = Board::parse(Path::new("my.toml"), &text)
+            .unwrap()
+            .constants();
+        assert!(
+            constants.contains("pub const TRIP_CURRENT_MA: u32 = 75500;"),
+            "{constants}"
+        );
+        assert!(constants.contains("pub const NAME: &str = \"reference\";"));
+    }
+
+    #[test]
+    fn every_file_of_the_folder_is_a_board() {
+        for file in std::fs::read_dir(env!("CARGO_MANIFEST_DIR")).unwrap() {
+            let path = file.unwrap().path();
+            if path.extension().is_some_and(|e| e == "toml") && !path.ends_with("Cargo.toml") {
+                Board::read(&path).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn a_limit_that_cannot_be_kept_names_its_line() {
+        let why = refused("trip_current_ma = 76_000", "trip_current_ma = 79_000");
+        assert!(why.starts_with("my.toml:"), "{why}");
+        let text = reference().replace("trip_current_ma = 76_000", "trip_current_ma = 79_000");
+        let at = text
+            .lines()
+            .position(|l| l.starts_with("coil_current_full_scale_ma"))
+            .unwrap();
+        assert!(why.contains(&format!("my.toml:{}:", at + 1)), "{why}");
+        assert!(why.contains("limits.trip_current_ma = 79000"), "{why}");
+        assert!(
+            refused("soft_current_ma = 73_000", "soft_current_ma = 69_000").contains("soft limit")
+        );
+        assert!(refused("voltage_v = 230", "voltage_v = 250").contains("crest"));
+    }
+
+    #[test]
+    fn unknown_missing_and_wrong_values_are_refused() {
+        assert!(refused("bleeder_ohm", "bleeder_kohm").contains("supply.bleeder_kohm: unknown"));
+        assert!(refused("bleeder_ohm = 94_000\n", "").contains("supply.bleeder_ohm is missing"));
+        assert!(refused("= 94_000", "= 94.5").contains("whole number"));
+        assert!(refused("= 94_000", "= 10").contains("from 1000"));
+        assert!(refused("[bridge]", "[bridge").starts_with("my.toml"));
+    }
+}

@@ -1,0 +1,13 @@
+//! Board files: the values of a power stage and its sensors.
+//!
+//! ```text
+//! boards/NAME.toml ─► Board::read ─► values (each in its range) ─► order (limits below one another) ─► constants
+//! ```
+
+mod board;
+mod error;
+mod order;
+mod values;
+
+pub use board::Board;
+pub use error::BoardError;

@@ -1,0 +1,76 @@
+//! Every value of a board file: its constant, type, range and purpose.
+
+/// Value of a board file.
+pub(crate) struct Value {
+    /// Section of the file.
+    pub section: &'static str,
+    /// Key in the section; in capitals it is the constant's name.
+    pub key: &'static str,
+    /// Type of the constant.
+    pub kind: &'static str,
+    /// Smallest and largest number.
+    pub range: (i64, i64),
+    /// Purpose, as the constant's documentation.
+    pub doc: &'static str,
+}
+
+macro_rules! values {
+    ($($section:ident { $($key:ident: $kind:ident $min:literal..=$max:literal, $doc:literal;)+ })+) => {
+        /// Every value; a file has all of them and no other.
+        pub(crate) const VALUES: &[Value] = &[$($(Value {
+            section: stringify!($section),
+            key: stringify!($key),
+            kind: stringify!($kind),
+            range: ($min, $max),
+            doc: $doc,
+        }),+),+];
+    };
+}
+
+values! {
+    mains {
+        voltage_v: u32 90..=265, "Nominal mains voltage, in volt rms.";
+        frequency_hz: u32 45..=65, "Nominal mains frequency, in hertz.";
+        line_mohm: u32 10..=10_000, "Resistance of the house's line in the simulation, in milliohm.";
+        line_uh: u32 0..=10_000, "Inductance of the house's line in the simulation, in microhenry; 0 for none.";
+    }
+    rating {
+        power_w: u16 100..=10_000, "Rated mean power over a mains half-cycle, in watt.";
+        f_sw_min_hz: u32 20_000..=150_000, "Lowest switching frequency, in hertz.";
+        f_sw_max_hz: u32 20_000..=150_000, "Highest switching frequency, in hertz: the probe frequency.";
+    }
+    supply {
+        terminal_capacitance_nf: u32 50..=10_000, "C1 between the mains terminals, in nanofarad.";
+        choke_leakage_uh: u32 1..=10_000, "Leakage inductance of the common-mode choke L1, in microhenry.";
+        rectifier_mv: u32 0..=5_000, "Voltage of the rectifier's two conducting diodes, in millivolt.";
+        rectifier_mohm: u32 0..=10_000, "Resistance of fuse, choke and the two diodes, in milliohm.";
+        link_capacitance_nf: u32 100..=1_000_000, "C2 of the DC link, in nanofarad.";
+        link_capacitance_max_nf: u32 100..=1_000_000, "Largest C2 with which the place of the zero crossing is judged, in nanofarad.";
+        bleeder_ohm: u32 1_000..=10_000_000, "Bleeder of the DC link, in ohm.";
+    }
+    bridge {
+        dead_time_ns: u32 100..=3_000, "Dead time between the two switches, in nanosecond.";
+        node_capacitance_nf: u32 1..=100, "Capacitance of the bridge's node (both switches and their snubbers), in nanofarad.";
+        trip_delay_ns: u32 0..=10_000, "Time from the trip level to an open switch, in nanosecond.";
+        resonance_capacitance_nf: u32 100..=10_000, "Series resonance capacitor C_r, in nanofarad.";
+    }
+    sensors {
+        coil_voltage_full_scale_mv: u32 50_000..=2_000_000, "Half the input range of the coil voltage's channel, in millivolt.";
+        coil_current_full_scale_ma: u32 5_000..=500_000, "Half the input range of the coil current's channel, in milliampere.";
+        bus_full_scale_dv: u32 500..=15_000, "Bus voltage at the end of the converter's range, in decivolt.";
+        mains_full_scale_mv: u32 50_000..=1_000_000, "Half the input range of the mains voltage's channel, in millivolt.";
+        anti_alias_hz: u32 100_000..=5_000_000, "Corner of the first-order anti-alias filter of both fast channels, in hertz.";
+        bus_pole_hz: u32 100..=5_000_000, "Pole of the bus divider, in hertz.";
+        mains_pole_hz: u32 100..=5_000_000, "Pole of the mains amplifier, in hertz.";
+        slow_pin_pole_hz: u32 100..=5_000_000, "Pole at the pins of bus and mains, in hertz.";
+    }
+    limits {
+        planned_current_ma: u32 1_000..=500_000, "Crest of the coil current that power control plans with, in milliampere.";
+        soft_current_ma: u32 1_000..=500_000, "Coil current from which the frequency is raised within a block, in milliampere.";
+        trip_current_ma: u32 1_000..=500_000, "Coil current that opens both switches, in milliampere.";
+        planned_coil_voltage_dv: u32 100..=20_000, "Crest of the coil voltage that power control plans with, in decivolt.";
+        soft_coil_voltage_dv: u32 100..=20_000, "Coil voltage from which the frequency is raised within a block, in decivolt.";
+        bus_start_max_dv: u16 100..=15_000, "Bus voltage above which the bridge does not begin to switch, in decivolt.";
+        bus_trip_dv: u16 100..=15_000, "Bus voltage that opens both switches, in decivolt.";
+    }
+}
