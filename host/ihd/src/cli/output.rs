@@ -3,6 +3,7 @@
 
 use std::fmt::Arguments;
 use std::io::Write;
+use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use ihd_signal::printable::is_shown;
@@ -46,6 +47,15 @@ pub fn json(value: &impl Serialize) -> Result<()> {
 /// If it cannot be written.
 pub fn json_line(value: &impl Serialize) -> Result<()> {
     raw(json_text(&serde_json::to_string(value)?).as_bytes())
+}
+
+/// Parses the name of a figure's file.
+pub fn figure_file(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match path.extension().and_then(|ending| ending.to_str()) {
+        Some("svg") => Ok(path),
+        _ => Err("figures are SVG: the name ends with .svg".to_owned()),
+    }
 }
 
 /// Prints a line on standard error; errors are ignored.

@@ -9,7 +9,6 @@ use clap::Args;
 use ihd_capture::{OpenOptions, open};
 use ihd_link::{Client, DeviceSpec, LinkError};
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::sampling::Scales;
 use ihd_shared::wire::messages::{Pot, State, Telemetry};
 use ihd_signal::printable::printable;
@@ -27,6 +26,7 @@ use super::global::Global;
 use super::network_args::NetworkArgs;
 #[cfg(feature = "daemon")]
 use super::serve::ServeMode;
+use super::simulate::quantity::power_w;
 use super::simulated::SimulatedHobArgs;
 use super::{interrupt, output};
 use crate::report::{trained, training};
@@ -56,7 +56,8 @@ pub struct TrainerArgs {
         long,
         value_name = "W,W,…",
         value_delimiter = ',',
-        default_value = "1500,2000,1000,700,1500"
+        default_value = "1500,2000,1000,700,1500",
+        value_parser = power_w
     )]
     power: Vec<u16>,
     /// Instead of heating, replay the half-cycles of this capture through the device, its power outputs locked off
@@ -88,7 +89,6 @@ impl TrainerArgs {
             ServeMode::Demonstration => return self.demonstrate(global),
             ServeMode::None => {}
         }
-        self.check_powers()?;
         let pinn = self.network.config()?;
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let bar = progress_bar();
@@ -148,20 +148,9 @@ impl TrainerArgs {
         (store != Path::new("none")).then_some(store)
     }
 
-    fn check_powers(&self) -> Result<()> {
-        for &power_w in &self.power {
-            ensure_usage!(
-                (1..=RATED_POWER_W).contains(&power_w),
-                "--power holds {power_w} W, but the hob takes 1 to {RATED_POWER_W} W"
-            );
-        }
-        Ok(())
-    }
-
     /// Shows the page with a hob that heats by itself.
     #[cfg(feature = "daemon")]
     fn demonstrate(&self, global: &Global) -> Result<()> {
-        self.check_powers()?;
         // Checked before anything runs, for the messages of the command line.
         self.simulated.config()?;
         ensure_usage!(

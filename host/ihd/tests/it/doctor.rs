@@ -105,6 +105,19 @@ fn the_first_switching_asks_and_without_an_answer_nothing_is_switched() {
 }
 
 #[test]
+fn the_udev_rule_is_not_written_unasked() {
+    let rule = Path::new("/etc/udev/rules.d/70-ihd.rules");
+    let before = rule.exists();
+    let (code, stdout, stderr) = run("doctor --fix");
+    assert_eq!((code, stdout.as_str()), (2, ""), "{stderr}");
+    assert!(stderr.contains("--yes"), "{stderr}");
+    assert_eq!(rule.exists(), before);
+    // Both questions may be answered in advance, and no other.
+    let (code, _, stderr) = run("doctor --yes");
+    assert!(code == 2 && stderr.contains("--fix"), "{code} {stderr}");
+}
+
+#[test]
 fn a_supply_that_is_too_high_fails_and_exits_with_1() {
     let (code, report) = json("doctor sim --sim bench-supply=120 --first-switching --yes --json");
     assert_eq!(code, 1);

@@ -184,6 +184,12 @@ fn results_windows_and_lookups_are_shown_beside_the_writer() {
         code == 1 && stderr.contains("there is no store here"),
         "{code} {stderr}"
     );
+    std::fs::create_dir_all(folder.path().join("runs/run-001")).unwrap();
+    let (code, _, stderr) = ihd(folder.path(), &["ls", "--store", "runs"]);
+    assert!(
+        code == 1 && stderr.contains("run-001/session.mcap"),
+        "{code} {stderr}"
+    );
     // Only one may write.
     let (code, _, stderr) = ihd(folder.path(), &["check", "--collect"]);
     assert!(

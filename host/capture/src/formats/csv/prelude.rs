@@ -54,7 +54,11 @@ impl Prelude {
             prelude.beside |= prelude.rows.is_empty() && is_beside(record, syntax);
             if prelude.width == 0 && (prelude.beside || syntax.is_numbers(record)) {
                 prelude.width = record.len();
-                prelude.end = record.position().cloned().unwrap_or_else(Position::new);
+                let mut end = record.position().cloned().unwrap_or_else(Position::new);
+                // Behind a CR the reader stands before its LF.
+                let after_cr = u64::from(row.line() > end.line());
+                end.set_byte(end.byte() + after_cr).set_line(row.line());
+                prelude.end = end;
             }
             let enough = !prelude.beside || prelude.rows.len() == BESIDE_ROWS;
             if prelude.width > 0 && enough {

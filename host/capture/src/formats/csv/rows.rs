@@ -21,6 +21,8 @@ pub struct Syntax {
     pub delimiter: u8,
     /// Set if decimals are written with a comma.
     pub decimal_comma: bool,
+    /// Set if lines end with CR and LF.
+    pub crlf: bool,
 }
 
 impl Syntax {
@@ -40,6 +42,7 @@ impl Syntax {
         Self {
             delimiter: delimiter.unwrap_or(b','),
             decimal_comma: delimiter.is_some() && line.contains(&b','),
+            crlf: line.ends_with(b"\r"),
         }
     }
 
@@ -101,6 +104,11 @@ pub struct Row<'a> {
 }
 
 impl<'a> Row<'a> {
+    /// Returns its line number in the file, from 1.
+    pub fn line(&self) -> u64 {
+        self.line
+    }
+
     /// Returns all its fields.
     pub fn record(&self) -> &'a ByteRecord {
         self.record
@@ -201,11 +209,16 @@ impl Rows {
             let line = self.begin.line() + self.reader.position().line() - 1;
             FormatError::at_line(line, e.to_string())
         })?;
-        let line = self.record.position().map_or(1, Position::line);
+        let (at_byte, line) = self
+            .record
+            .position()
+            .map_or((0, 1), |at| (at.byte(), at.line()));
+        // The reader ends a row at CR and counts the line at LF, which it reads with the next row.
+        let uncounted = u64::from(self.syntax.crlf && at_byte > 0);
         Ok(more.then_some(Row {
             record: &self.record,
             syntax: self.syntax,
-            line: self.begin.line() + line - 1,
+            line: self.begin.line() + line - 1 + uncounted,
         }))
     }
 }

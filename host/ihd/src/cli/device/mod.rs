@@ -13,10 +13,9 @@ use anyhow::Result;
 use clap::{Args, Subcommand};
 use ihd_daemon::config::Config;
 use ihd_daemon::model::Command;
-use ihd_shared::hob::RATED_POWER_W;
 
 use super::global::Global;
-use super::simulate::quantity::quantity;
+use super::simulate::quantity::{power_w, quantity};
 use super::{configured, output};
 pub use heating::DoesNotHeat;
 pub(in crate::cli) use hob::Hob;
@@ -66,8 +65,7 @@ enum Action {
     /// Heat with a mean power until ^C, or with one power after the other, some windows of each; then switch off
     Power {
         /// In watt; several, or --windows: some windows of each
-        #[arg(value_name = "W,W,…", value_delimiter = ',', required = true,
-            value_parser = clap::value_parser!(u16).range(1..=i64::from(RATED_POWER_W)))]
+        #[arg(value_name = "W,W,…", value_delimiter = ',', required = true, value_parser = power_w)]
         powers_w: Vec<u16>,
         /// End after this long, in s
         #[arg(long = "for", value_name = "S", value_parser = quantity, conflicts_with = "windows")]

@@ -11,7 +11,7 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
-use clap::Args;
+use clap::{ArgGroup, Args};
 use ihd_doctor::machine::{self, LocalSystem, System};
 use ihd_doctor::{Check, CheckGroup, Report, board, firmware, first_switching};
 use ihd_flash::{Image, ImageError};
@@ -28,6 +28,7 @@ use super::{interrupt, output};
 /// DEV is an address, tcp:HOST:PORT, usb, usb:SERIAL, serial:PATH or sim, or a name of the configuration. Without DEV
 /// the machine is looked at, and the one board that is found there. Nothing is switched on without --first-switching.
 #[derive(Debug, Args)]
+#[command(group = ArgGroup::new("asks").multiple(true))]
 #[command(after_help = "Examples:\n  \
     ihd doctor\n  \
     ihd doctor serial:/dev/ttyACM0 --json\n  \
@@ -41,13 +42,13 @@ pub struct DoctorArgs {
     #[arg(value_name = "DEV")]
     device: Option<String>,
     /// Install the udev rule that lets you use boards and probes without being root, and have udev read it
-    #[arg(long)]
+    #[arg(long, group = "asks")]
     fix: bool,
     /// Switch for some seconds with the least power from a current-limited bench supply, and look at the samples
-    #[arg(long)]
+    #[arg(long, group = "asks")]
     first_switching: bool,
-    /// Do not ask before the first switching
-    #[arg(long, requires = "first_switching")]
+    /// Do not ask before the first switching and the udev rule
+    #[arg(long, requires = "asks")]
     yes: bool,
     /// Known load, for the skew of the channels: r=OHM,l=HENRY, or no-pot,r=OHM
     #[arg(long, value_name = "REF", value_parser = super::calibrate::reference, requires = "first_switching")]
@@ -89,9 +90,14 @@ impl DoctorArgs {
         let choice = self.device_choice(global)?;
         let system = LocalSystem::new(as_root());
         if self.fix {
+            on_linux(&system)?;
+            if !self.yes && !confirmed(BEFORE_FIX, "yes", global.json)? {
+                return Ok(());
+            }
             fix(&system, global.json)?;
         }
-        if self.first_switching && !self.yes && !confirmed(global.json)? {
+        if self.first_switching && !self.yes && !confirmed(BEFORE_SWITCHING, "switch", global.json)?
+        {
             return Ok(());
         }
         let stop = interrupt::flag().context("cannot catch ^C")?;
@@ -266,11 +272,15 @@ fn as_root() -> String {
     format!("sudo {program} doctor --fix")
 }
 
-fn fix(system: &LocalSystem, json: bool) -> Result<()> {
+fn on_linux(system: &LocalSystem) -> Result<()> {
     ensure_usage!(
         system.os() == machine::Os::Linux,
         "--fix installs a udev rule, which only Linux has; `ihd doctor` says what else to do"
     );
+    Ok(())
+}
+
+fn fix(system: &LocalSystem, json: bool) -> Result<()> {
     let mut run = |program: &str, arguments: &[&str]| {
         let status = Command::new(program).args(arguments).status()?;
         match status.success() {
@@ -292,7 +302,7 @@ fn fix(system: &LocalSystem, json: bool) -> Result<()> {
 }
 
 /// Conditions of the first switching.
-const BEFORE: &str = "First switching: the bridge will switch for up to 5 s with the least power, at 80 kHz.\n\
+const BEFORE_SWITCHING: &str = "First switching: the bridge will switch for up to 5 s with the least power, at 80 kHz.\n\
     \n  \
     - DC supply of 30 to 60 V, limit 1 A, isolated output, on DC+ and DC-; not the mains, F1 out\n  \
     - 24 V~ on L and N for the zero crossings\n  \
@@ -301,22 +311,27 @@ const BEFORE: &str = "First switching: the bridge will switch for up to 5 s with
     - sections A to D of docs/bring-up.md are done\n\n\
     ^C switches off. Type `switch` to go on: ";
 
-/// Asks the user for permission to switch; returns `true` if granted.
-fn confirmed(json: bool) -> Result<bool> {
+/// Consequences of `--fix`.
+const BEFORE_FIX: &str = "--fix writes /etc/udev/rules.d/70-ihd.rules, removes an earlier 99-ihd.rules there, and has udev read its rules \
+    again: whoever sits at this computer may then use boards and probes.\n\
+    Type `yes` to go on: ";
+
+/// Asks the user for permission, which `word` grants; returns `true` if granted.
+fn confirmed(text: &str, word: &str, json: bool) -> Result<bool> {
     ensure_usage!(
         stdin().is_terminal() && !json,
-        "--first-switching asks before it switches, and nobody can answer here: add --yes where all of docs/bring-up.md is \
-         done"
+        "doctor asks before it switches the bridge or changes this computer, and nobody can answer here: add --yes (for \
+         --first-switching where all of docs/bring-up.md is done)"
     );
-    output::text(BEFORE)?;
+    output::text(text)?;
     let mut line = String::new();
     stdin()
         .lock()
         .read_line(&mut line)
         .context("cannot read the answer")?;
-    if line.trim() == "switch" {
+    if line.trim() == word {
         return Ok(true);
     }
-    say!("nothing was switched")?;
+    say!("nothing was done")?;
     Ok(false)
 }

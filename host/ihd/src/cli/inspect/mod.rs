@@ -31,7 +31,7 @@ pub struct InspectArgs {
     #[command(flatten)]
     sensors: SensorArgs,
     /// Draw the capture, two periods, the spectra and the findings to this file (SVG)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = output::figure_file)]
     plot: Option<PathBuf>,
 }
 

@@ -1,11 +1,16 @@
 //! Numbers with SI prefixes on the command line: `45k`, `50M`, `20ms`, `0.2us`.
 
+use ihd_shared::hob::RATED_POWER_W;
+
 /// Error for a text that is no number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotANumber {
     /// It is not a single number.
     #[error("`{0}` is no number: write it like 45k, 50M, 20ms, 0.2us, 1080n")]
     One(String),
+    /// It is not a power that the hob takes.
+    #[error("`{0}` is no power of the hob: 1 to {RATED_POWER_W} W in whole watt, like 1200 or 1.5k", RATED_POWER_W = RATED_POWER_W)]
+    Power(String),
     /// It has a wrong count of numbers.
     #[error("`{0}` must be {1} numbers with commas between them")]
     List(String, usize),
@@ -42,9 +47,18 @@ pub fn quantity(text: &str) -> Result<f64, NotANumber> {
         tail.next();
     }
     match tail.as_str() {
-        "" | "s" | "Hz" | "F" | "V" | "A" | "ohm" | "S/s" | "m" => Ok(number * scale),
+        "" | "s" | "Hz" | "F" | "V" | "A" | "W" | "ohm" | "S/s" | "m" => Ok(number * scale),
         _ => Err(wrong()),
     }
+}
+
+/// Parses a power of the hob in whole watt, 1 to [`RATED_POWER_W`]: `1200`, `1.5k`, `1.5kW`.
+pub fn power_w(text: &str) -> Result<u16, NotANumber> {
+    let watt = quantity(text)?;
+    let is_power = watt.fract() == 0.0 && (1.0..=f64::from(RATED_POWER_W)).contains(&watt);
+    is_power
+        .then_some(watt as u16)
+        .ok_or_else(|| NotANumber::Power(text.to_owned()))
 }
 
 /// Parses `N` numbers with commas between them.
@@ -58,6 +72,16 @@ pub fn list<const N: usize>(text: &str) -> Result<[f64; N], NotANumber> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn powers() {
+        for (text, w) in [("1200", 1200), ("1.5k", 1500), ("1.5kW", 1500), ("1W", 1)] {
+            assert_eq!(power_w(text), Ok(w), "{text}");
+        }
+        for text in ["0", "1e9", "2501", "1.5", "-5", "k", "1500 rpm"] {
+            assert!(power_w(text).is_err(), "{text}");
+        }
+    }
 
     #[test]
     fn prefixes_units_and_exponents() {

@@ -3,7 +3,7 @@
 use anyhow::{Result, bail};
 use clap::Args;
 use ihd_store::clock::rfc3339;
-use ihd_store::{Reader, ResultFilter, ResultId, ResultRow, WindowFilter};
+use ihd_store::{ResultFilter, ResultId, ResultRow, WindowFilter};
 use serde_json::{Value, json};
 
 use super::super::output;
@@ -43,7 +43,7 @@ impl LsArgs {
                 limit => limit,
             }),
         };
-        let rows = Reader::open(&place.folder)?.results(&filter)?;
+        let rows = place.read()?.results(&filter)?;
         if json {
             let entries: Vec<Value> = rows.iter().map(entry).collect();
             return output::json(&entries);
@@ -112,7 +112,7 @@ fn entry(row: &ResultRow) -> Value {
 
 /// Shows a result, its window and its connection.
 fn show(id: ResultId, place: &Place, json: bool) -> Result<()> {
-    let reader = Reader::open(&place.folder)?;
+    let reader = place.read()?;
     let Some(row) = reader.result(id)? else {
         bail!("there is no result {id}; `ihd store ls` lists them");
     };

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use ihd_store::StoreOptions;
+use ihd_store::{Reader, StoreError, StoreOptions};
 
 use super::super::configured;
 use super::super::global::Global;
@@ -20,6 +20,26 @@ pub struct PlaceArgs {
 pub struct Place {
     pub folder: PathBuf,
     pub settings: StoreOptions,
+}
+
+impl Place {
+    /// Opens the store for reading.
+    ///
+    /// # Errors
+    /// As [`Reader::open`]; names the runs of `ihd trainer` if the folder holds these alone.
+    pub fn read(&self) -> Result<Reader> {
+        Reader::open(&self.folder).map_err(|why| {
+            let run = self.folder.join("run-001");
+            let only_runs = matches!(why, StoreError::NoStore { .. }) && run.is_dir();
+            let context = format!(
+                "{} holds runs of `ihd trainer`, which are files (`ihd inspect {}`); a store is made by `ihd trainer --daemon`",
+                self.folder.display(),
+                run.join("session.mcap").display()
+            );
+            let why = anyhow::Error::from(why);
+            if only_runs { why.context(context) } else { why }
+        })
+    }
 }
 
 impl PlaceArgs {
