@@ -87,7 +87,7 @@ fn while_it_heats_nothing_is_written_and_the_bridge_goes_on() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
     client.set_power(1_200).unwrap();
-    bench.run_s(0.4);
+    bench.run_s(0.2);
     bench.with(|machine| machine.chip().hrtim.off_at = None);
     let before = client.status().unwrap();
     assert_eq!(before.state, State::Heating);

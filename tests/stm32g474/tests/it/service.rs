@@ -223,7 +223,7 @@ fn the_clocks_are_counted_against_each_other() {
     // No cable.
     assert_eq!((found.usb_frames, found.hsi48_off), (0, 0));
     // The self-tests went on meanwhile.
-    bench.run_s(2.5);
+    bench.run_s(0.7);
     assert_eq!(client.status().unwrap().fault.number(), 0);
     assert_no_violations(&bench);
 }
@@ -233,12 +233,12 @@ fn the_serial_link_carries_what_it_should_in_both_directions() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
     client.set_timeout(Duration::from_secs(10));
-    let test = client.test_link(50, 900).unwrap();
+    let test = client.test_link(15, 900).unwrap();
     println!("{test:?}");
-    assert_eq!((test.from_device.frames, test.from_device.lost), (50, 0));
-    assert_eq!((test.from_device.bytes, test.from_device.bad), (45_000, 0));
+    assert_eq!((test.from_device.frames, test.from_device.lost), (15, 0));
+    assert_eq!((test.from_device.bytes, test.from_device.bad), (13_500, 0));
     // 921 600 baud are 92 160 bytes a second; 900 bytes are 920 on the wire.
-    let rate = 50.0 * 920.0 / test.from_device_took.as_secs_f64();
+    let rate = 15.0 * 920.0 / test.from_device_took.as_secs_f64();
     assert!((80e3..95e3).contains(&rate), "{rate}");
     assert_eq!(test.to_device.bad, 0);
     assert_no_violations(&bench);
