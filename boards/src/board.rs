@@ -210,7 +210,7 @@ mod tests {
         assert!(
             refused("soft_current_ma = 73_000", "soft_current_ma = 69_000").contains("soft limit")
         );
-        assert!(refused("voltage_v = 230", "voltage_v = 250").contains("crest"));
+        assert!(refused("mains_voltage_v = 230", "mains_voltage_v = 250").contains("crest"));
     }
 
     #[test]

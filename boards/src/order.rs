@@ -73,13 +73,13 @@ pub(crate) const ORDER: &[Order] = &[
     ),
     // Crest with 15 % more than nominal: √2 · 1.15 in decivolt and in millivolt.
     order(
-        "mains.voltage_v",
+        "mains.mains_voltage_v",
         "limits.bus_start_max_dv",
         16.26,
         "the crest of 15 % more than the nominal mains must start",
     ),
     order(
-        "mains.voltage_v",
+        "mains.mains_voltage_v",
         "sensors.mains_full_scale_mv",
         1_626.0,
         "the converter must show the crest",

@@ -29,13 +29,13 @@ macro_rules! values {
 
 values! {
     mains {
-        voltage_v: u32 90..=265, "Nominal mains voltage, in volt rms.";
-        frequency_hz: u32 45..=65, "Nominal mains frequency, in hertz.";
+        mains_voltage_v: u32 90..=265, "Nominal mains voltage, in volt rms.";
+        mains_frequency_hz: u32 45..=65, "Nominal mains frequency, in hertz.";
         line_mohm: u32 10..=10_000, "Resistance of the house's line in the simulation, in milliohm.";
         line_uh: u32 0..=10_000, "Inductance of the house's line in the simulation, in microhenry; 0 for none.";
     }
     rating {
-        power_w: u16 100..=10_000, "Rated mean power over a mains half-cycle, in watt.";
+        rated_power_w: u16 100..=10_000, "Rated mean power over a mains half-cycle, in watt.";
         f_sw_min_hz: u32 20_000..=150_000, "Lowest switching frequency, in hertz.";
         f_sw_max_hz: u32 20_000..=150_000, "Highest switching frequency, in hertz: the probe frequency.";
     }
@@ -60,6 +60,7 @@ values! {
         bus_full_scale_dv: u32 500..=15_000, "Bus voltage at the end of the converter's range, in decivolt.";
         mains_full_scale_mv: u32 50_000..=1_000_000, "Half the input range of the mains voltage's channel, in millivolt.";
         anti_alias_hz: u32 100_000..=5_000_000, "Corner of the first-order anti-alias filter of both fast channels, in hertz.";
+        coil_divider_ohm: u32 10_000..=10_000_000, "Resistance of each chain of the coil voltage's divider, in ohm.";
         bus_pole_hz: u32 100..=5_000_000, "Pole of the bus divider, in hertz.";
         mains_pole_hz: u32 100..=5_000_000, "Pole of the mains amplifier, in hertz.";
         slow_pin_pole_hz: u32 100..=5_000_000, "Pole at the pins of bus and mains, in hertz.";

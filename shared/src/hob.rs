@@ -1,7 +1,7 @@
 //! Ratings of the hob that the controller regulates and the simulator models; [`crate::board`] has those of the board's file.
 
 pub use crate::board::{
-    F_SW_MAX_HZ, F_SW_MIN_HZ, LINK_CAPACITANCE_NF, NODE_CAPACITANCE_NF, POWER_W as RATED_POWER_W,
+    F_SW_MAX_HZ, F_SW_MIN_HZ, LINK_CAPACITANCE_NF, NODE_CAPACITANCE_NF, RATED_POWER_W,
     RESONANCE_CAPACITANCE_NF,
 };
 

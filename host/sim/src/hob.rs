@@ -19,7 +19,7 @@ use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::self_test::heartbeat::Heartbeat;
 use ihd_firmware::sense::codes::TRIP_CODE;
 use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
-use ihd_shared::board::TRIP_DELAY_NS;
+use ihd_shared::board::{self, TRIP_DELAY_NS};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, NODE_CAPACITANCE_NF};
 use ihd_shared::lookup::prior::prior;
@@ -118,8 +118,8 @@ pub struct HobConfig {
 impl Default for HobConfig {
     fn default() -> Self {
         Self {
-            mains_hz: 50.0,
-            mains_v: 230.0,
+            mains_hz: f64::from(board::MAINS_FREQUENCY_HZ),
+            mains_v: f64::from(board::MAINS_VOLTAGE_V),
             supply: SupplyParts::SCHEMATIC,
             bench_supply_v: None,
             ambient_c: AMBIENT_C,

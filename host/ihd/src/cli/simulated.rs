@@ -87,7 +87,7 @@ pub struct SimOptions {
     #[arg(long, value_name = "CONTENTS")]
     contents: Option<Contents>,
     /// Mains frequency in hertz.
-    #[arg(long, value_name = "HZ", default_value_t = 50.0)]
+    #[arg(long, value_name = "HZ", default_value_t = HobConfig::default().mains_hz)]
     mains: f64,
     /// Capacitance C2 of the DC link in farad (4.7u); 0 for none: the bus is the rectified mains.
     #[arg(long, value_parser = quantity, value_name = "F")]

@@ -13,6 +13,7 @@ const MAINS_STEP_S: f64 = 2e-6;
 pub struct Bus {
     mains: Mains,
     parts: SupplyParts,
+    per: Reciprocals,
     /// DC voltage of a bench supply in place of the rectifier, in volt.
     supply_v: Option<f64>,
     v: f64,
@@ -32,12 +33,40 @@ struct Line {
     rectifier_a: f64,
 }
 
+/// Reciprocals of the parts' values, as a division at every step is slow.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Reciprocals {
+    line_l: f64,
+    choke_l: f64,
+    terminal_c: f64,
+    link_c: f64,
+    bleeder_r: f64,
+}
+
+impl Reciprocals {
+    fn of(parts: &SupplyParts) -> Self {
+        Self {
+            line_l: parts.line_l_h.recip(),
+            choke_l: parts.choke_l_h.recip(),
+            terminal_c: parts.terminal_capacitance_f.recip(),
+            link_c: parts.link_capacitance_f.recip(),
+            bleeder_r: parts.bleeder_ohm.recip(),
+        }
+    }
+}
+
 impl Line {
     /// Advances by `dt_s` to a mains of `mains_v`, beside a DC link of `link_v`: currents first, then the terminal's voltage by
     /// them. Neither damps nor excites; the error of a ringing of period T is (2π dt/T)²/24 of the period.
-    fn advance(&mut self, parts: &SupplyParts, mains_v: f64, link_v: f64, dt_s: f64) {
+    fn advance(
+        &mut self,
+        parts: &SupplyParts,
+        per: &Reciprocals,
+        (mains_v, link_v): (f64, f64),
+        dt_s: f64,
+    ) {
         let drop_v = parts.line_r_ohm * self.line_a;
-        self.line_a += dt_s / parts.line_l_h * (mains_v - drop_v - self.terminal_v);
+        self.line_a += dt_s * per.line_l * (mains_v - drop_v - self.terminal_v);
         let sign = match self.rectifier_a {
             0.0 => self.terminal_v.signum(),
             i => i.signum(),
@@ -48,8 +77,8 @@ impl Line {
             - link_v
             - parts.rectifier_r_ohm * conducting_a;
         // A current that would reverse ends.
-        self.rectifier_a = sign * (conducting_a + dt_s / parts.choke_l_h * across_v).max(0.0);
-        self.terminal_v += dt_s / parts.terminal_capacitance_f * (self.line_a - self.rectifier_a);
+        self.rectifier_a = sign * (conducting_a + dt_s * per.choke_l * across_v).max(0.0);
+        self.terminal_v += dt_s * per.terminal_c * (self.line_a - self.rectifier_a);
     }
 }
 
@@ -63,6 +92,7 @@ impl Bus {
         Ok(Self {
             mains,
             parts,
+            per: Reciprocals::of(&parts),
             supply_v: None,
             v: mains.bus_v(t_s),
             line: Line {
@@ -125,10 +155,11 @@ impl Bus {
     fn charge(&mut self, t_s: f64, dt_s: f64, i_a: f64) -> f64 {
         let mains_v = self.mains_v(t_s);
         let parts = &self.parts;
-        let rate = dt_s / parts.link_capacitance_f;
-        let drawn_a = i_a + self.v / parts.bleeder_ohm;
+        let rate = dt_s * self.per.link_c;
+        let drawn_a = i_a + self.v * self.per.bleeder_r;
         let v = if parts.line_l_h > 0.0 {
-            self.line.advance(parts, mains_v, self.v, dt_s);
+            let voltages = (mains_v, self.v);
+            self.line.advance(parts, &self.per, voltages, dt_s);
             self.v + rate * (self.line.rectifier_a.abs() - drawn_a)
         } else {
             let rectified_v = mains_v.abs() - parts.rectifier_v;
