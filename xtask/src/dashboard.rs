@@ -31,7 +31,7 @@ pub fn test(on: &Workspace, full: bool) -> anyhow::Result<()> {
     // Test files run in parallel: they wait more than they compute. The long form measures, and therefore runs one at a time.
     let files = match full {
         true => "--test-concurrency=1 tests/dashboard/*.test.mjs",
-        false => "--test-concurrency=2 tests/dashboard/*.test.mjs",
+        false => "--test-concurrency=3 tests/dashboard/*.test.mjs",
     };
     let mut test = node(on, files);
     test.env("IHD_BIN", on.program("ihd"))
