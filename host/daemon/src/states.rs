@@ -87,34 +87,10 @@ pub fn live(t: &Telemetry) -> Live {
 }
 
 #[cfg(test)]
-pub mod tests {
-    use ihd_shared::units::{MicroOhm, PicoHenry};
+mod tests {
+    use ihd_fakes::telemetry;
 
     use super::*;
-
-    /// Telemetry of an idle half-cycle.
-    pub fn telemetry(state: State) -> Telemetry {
-        Telemetry {
-            seq: 0,
-            dropped: 0,
-            half_cycle: 0,
-            state,
-            fault: Fault::NONE,
-            pot: Pot::Ferromagnetic,
-            f_sw_hz: 0,
-            r: MicroOhm(1_000_000),
-            l: PicoHenry(20_000_000),
-            i_crest_ma: 0,
-            power_mw: 0,
-            phase_mrad: 0,
-            lookup_version: 0,
-            asked_w: 0,
-            limit: Limit::None,
-            bus_peak_dv: 0,
-            v_coil_peak_dv: 0,
-            i_turn_off_min_ma: 0,
-        }
-    }
 
     #[test]
     fn every_state_of_the_controller_is_one_of_the_devices() {

@@ -2,6 +2,8 @@
 
 pub mod image;
 pub mod log;
+mod telemetry;
 
 pub use image::SampleImage;
 pub use log::SampleLog;
+pub use telemetry::telemetry;

@@ -18,7 +18,8 @@ mod notes;
 pub mod reader;
 mod records;
 pub mod save;
-pub mod session;
+pub mod session_reader;
+pub mod session_recorder;
 pub mod topics;
 pub mod writer;
 
@@ -27,5 +28,6 @@ pub use load::{Losses, SalvagedCapture, read, read_between, salvage};
 pub use notes::link_counters;
 pub use reader::Reader;
 pub use save::write;
-pub use session::{SessionReader, SessionRecorder};
+pub use session_reader::SessionReader;
+pub use session_recorder::SessionRecorder;
 pub use writer::Writer;

@@ -231,8 +231,9 @@ impl Settling {
 
 #[cfg(test)]
 mod tests {
+    use ihd_fakes::telemetry;
+
     use super::*;
-    use crate::states::tests::telemetry;
 
     const HALF_CYCLE: Duration = Duration::from_millis(10);
 

@@ -143,10 +143,10 @@ impl TelemetryBuffer {
 
 #[cfg(test)]
 mod tests {
+    use ihd_fakes::telemetry;
     use ihd_shared::wire::messages::State;
 
     use super::*;
-    use crate::states::tests::telemetry;
 
     #[test]
     fn half_cycles_become_seconds_that_wait_until_they_are_written() {

@@ -132,8 +132,9 @@ impl LiveRing {
 
 #[cfg(test)]
 mod tests {
+    use ihd_fakes::telemetry;
+
     use super::*;
-    use crate::states::tests::telemetry;
 
     fn heating(power_w: u32) -> Telemetry {
         Telemetry {
