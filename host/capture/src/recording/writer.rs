@@ -17,8 +17,8 @@ use crate::mcap::{McapFileError, SessionRecorder};
 /// Largest number of bytes waiting for the disk, beside the pre-trigger: a minute of a heating hob.
 const MAX_WAITING: usize = 16 << 20;
 
-/// Time after which a wait without a limit looks again.
-const TURN: Duration = Duration::from_secs(60);
+/// Time limit for a chunk to be written.
+const WRITTEN_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Path, metadata and pre-trigger of a new file.
 pub struct FileStart {
@@ -97,11 +97,11 @@ impl PendingWrite {
         begun.unwrap_or_else(|| Err(timeout_text(timeout)))
     }
 
-    /// Waits until all that was given is written, or the file has ended.
+    /// Waits until all that was given is written, the file has ended, or a minute is over.
     pub fn wait_written(&self) {
         let written =
             |p: &Progress| (p.ended.is_some() || p.size.is_some() && p.waiting == 0).then_some(());
-        while self.wait_for(TURN, written).is_none() {}
+        self.wait_for(WRITTEN_TIMEOUT, written);
     }
 
     /// Waits until the file is complete.

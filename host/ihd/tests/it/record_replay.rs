@@ -210,10 +210,26 @@ fn an_interrupted_recorder_ends_the_file_in_order() {
 }
 
 #[test]
+fn a_simulated_hob_is_recorded_from_a_trigger_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let args = "record --power 1500 --trigger level:power>1000 --pre-trigger 0.05 --duration 0.1 --out t.mcap --json";
+    let report = json(&run(args, dir.path()));
+    assert_eq!(report["ended_by"], "duration");
+    let path = dir.path().join("t.mcap");
+    assert_eq!(report["bytes"], std::fs::metadata(&path).unwrap().len());
+    let (seen, cut) = events(&path);
+    // 15 half-cycles of telemetry, and what the device still sends when it is left.
+    assert!(!cut && (15..40).contains(&seen), "{seen}");
+}
+
+#[test]
 fn limits_are_checked_and_a_size_ends_a_recording() {
     let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("there.mcap"), "").unwrap();
     for (args, word) in [
         ("record --out a.mcap --duration 0", "--duration"),
+        ("record --out a.mcap --pre-trigger 1", "--trigger"),
+        ("record --out there.mcap --trigger fault", "there already"),
         ("record --out a.mcap --max-size=-1", "--max-size"),
         ("record --out a.mcap --power 9000", "2500"),
         ("record", "--out"),

@@ -76,6 +76,12 @@ impl DirectRecording {
     /// # Errors
     /// If the device or the file fails; the data recorded until then are in the file.
     pub(super) fn run(&self, mut client: Client) -> Result<()> {
+        // Found at the trigger, it would cost the recording.
+        ensure_usage!(
+            self.settings.trigger == Trigger::Now || !self.out.exists(),
+            "{} is there already",
+            self.out.display()
+        );
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let (publish, statuses) = mpsc::channel();
         let session = self.session(publish);
