@@ -40,6 +40,9 @@ const START: (MicroOhm, PicoHenry) = (MicroOhm(4_000_000), PicoHenry(25_000_000)
 const STACK: (u32, usize) = (0x2000_0000, 16 * 1024);
 const PAINT: u32 = 0xCCCC_CCCC;
 
+/// Ends a hang: a busy machine emulates slowly.
+const PATIENCE: Duration = Duration::from_secs(600);
+
 /// What of the stack may be used at most in these tests: firmware/budget.toml.
 static STACK_LIMIT: LazyLock<usize> = LazyLock::new(|| {
     let budget = include_str!("../../firmware/budget.toml");
@@ -101,14 +104,13 @@ impl Board {
 
     /// A client, as soon as the emulator listens.
     fn connect(&self) -> Client {
-        let deadline = Instant::now() + Duration::from_secs(20);
+        let deadline = Instant::now() + PATIENCE;
         loop {
             let connected = TcpTransport::connect(&self.link)
                 .and_then(|transport| Client::connect(Box::new(transport)));
             match connected {
                 Ok(mut client) => {
-                    // A busy machine emulates slowly.
-                    client.set_timeout(Duration::from_secs(20));
+                    client.set_timeout(PATIENCE);
                     return client;
                 }
                 Err(why) => assert!(Instant::now() < deadline, "{why}"),
@@ -253,7 +255,7 @@ fn window_back(client: &mut Client, h: &HalfCycle) -> Box<Window> {
     for _ in 0..2 {
         replay.blocks(&h.pairs, Some(0), BUS_DV).unwrap();
     }
-    let deadline = Instant::now() + Duration::from_secs(30);
+    let deadline = Instant::now() + PATIENCE;
     let window = loop {
         match replay.client().next_event(Duration::from_secs(1)).unwrap() {
             Some(Event::Window(window)) => break window,
@@ -304,7 +306,7 @@ fn a_window_comes_back_and_the_lookup_built_from_it_becomes_active() {
     let lookup = BuiltLookup::from_cells(cells, 7).unwrap().lookup;
     assert_ne!(lookup.r, prior().r, "the window must have taught something");
     client.push_lookup(&lookup).unwrap();
-    let deadline = Instant::now() + Duration::from_secs(30);
+    let deadline = Instant::now() + PATIENCE;
     while client.status().unwrap().lookup_version != 7 {
         assert!(Instant::now() < deadline, "the lookup never became active");
     }
@@ -356,8 +358,7 @@ fn a_capture_replays_with_the_same_bits_windows_and_states() {
     let survey = Survey::of(&capture, &Hints::default()).unwrap();
     let segments = survey.segments(&capture);
     let settings = replay::ReplayOptions {
-        // A busy machine emulates slowly.
-        patience: Some(Duration::from_secs(20)),
+        patience: Some(PATIENCE),
         ..replay::ReplayOptions::default()
     };
     let outcome = replay::run(

@@ -15,7 +15,7 @@ use ihd_fleet::server_config::Key;
 
 use crate::lab::Lab;
 
-const REASON_TO_WAIT: Duration = Duration::from_secs(10);
+const REASON_TO_WAIT: Duration = Duration::from_secs(300);
 
 /// Time within which any message would have come.
 const QUIET: Duration = Duration::from_millis(500);
