@@ -84,9 +84,9 @@ fn news(learning: &mut Learning, window: &Window) -> Option<RlLookup> {
 fn restored_after_any_window_it_learns_the_same() {
     let mut kitchen = Kitchen::new(false, 20);
     let mut windows = Vec::new();
-    for power_w in [1_500, 2_000, 900, 1_500] {
+    for power_w in [1_500, 2_000, 900] {
         kitchen.client.set_power(power_w).unwrap();
-        windows.extend((0..4).map(|_| kitchen.window().0));
+        windows.extend((0..3).map(|_| kitchen.window().0));
     }
     let mut whole = Learning::new(network());
     let mut states = vec![whole.to_bytes()];
@@ -460,7 +460,7 @@ fn a_lie_is_refuted_by_the_samples_and_moves_nothing() {
     let mut learning = Learning::new(network());
     for power_w in [600, 1_200, 2_000] {
         kitchen.client.set_power(power_w).unwrap();
-        let windows: Vec<_> = (0..6).map(|_| kitchen.window().0).collect();
+        let windows: Vec<_> = (0..4).map(|_| kitchen.window().0).collect();
         for window in &windows[3..] {
             let found = analyse_window(window, learning.correction().as_ref(), network());
             let found = *found.identified.unwrap();
@@ -503,26 +503,39 @@ fn a_lie_is_refuted_by_the_samples_and_moves_nothing() {
 /// The check's own error, over loads, frequencies and noise: what an honest answer differs by.
 #[test]
 fn honest_answers_are_confirmed_whatever_the_load() {
+    for (load, f_sw_hz) in [
+        (LoadKind::Field, 45e3),
+        (LoadKind::Behavioural, 80e3),
+        (LoadKind::Surrogate, 30e3),
+    ] {
+        honest_answer_is_confirmed(load, f_sw_hz, &[None, Some(30.0)]);
+    }
+}
+
+#[test]
+fn honest_answers_are_confirmed_whatever_the_load_all_variants() {
     for load in [LoadKind::Field, LoadKind::Behavioural, LoadKind::Surrogate] {
         for f_sw_hz in [30e3, 45e3, 80e3] {
-            let trial = Trial::simulate(load, f_sw_hz).unwrap();
-            for (seed, snr_db) in [None, Some(50.0), Some(40.0), Some(30.0)]
-                .into_iter()
-                .enumerate()
-            {
-                let noisy = trial.noisy(snr_db, seed as u64);
-                let (from, to) = noisy.half_cycles()[1];
-                let crossing_s = noisy.crossing_of_s((from, to));
-                let mut segment = noisy.part(from, to);
-                segment.t0_s -= crossing_s;
-                segment.zero_crossing_s = 0.0;
-                let found = identify_window(&segment, network(), &mut |_| ()).unwrap();
-                let confirmed = confirm(&segment, &claim_of(&found)).unwrap();
-                println!(
-                    "{load:?} {f_sw_hz} Hz {snr_db:?} dB: {:.4?} %",
-                    confirmed.differs_pct
-                );
-            }
+            let noises_db = [None, Some(50.0), Some(40.0), Some(30.0)];
+            honest_answer_is_confirmed(load, f_sw_hz, &noises_db);
         }
+    }
+}
+
+fn honest_answer_is_confirmed(load: LoadKind, f_sw_hz: f64, noises_db: &[Option<f64>]) {
+    let trial = Trial::simulate(load, f_sw_hz).unwrap();
+    for (seed, &snr_db) in noises_db.iter().enumerate() {
+        let noisy = trial.noisy(snr_db, seed as u64);
+        let (from, to) = noisy.half_cycles()[1];
+        let crossing_s = noisy.crossing_of_s((from, to));
+        let mut segment = noisy.part(from, to);
+        segment.t0_s -= crossing_s;
+        segment.zero_crossing_s = 0.0;
+        let found = identify_window(&segment, network(), &mut |_| ()).unwrap();
+        let confirmed = confirm(&segment, &claim_of(&found)).unwrap();
+        println!(
+            "{load:?} {f_sw_hz} Hz {snr_db:?} dB: {:.4?} %",
+            confirmed.differs_pct
+        );
     }
 }
