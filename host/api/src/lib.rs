@@ -11,7 +11,6 @@
 pub mod access;
 pub mod client;
 mod connection;
-pub mod model;
 mod percent;
 mod problem;
 mod prometheus;

@@ -7,10 +7,8 @@ use axum::http::StatusCode;
 use axum::http::request::Parts;
 use axum::response::{IntoResponse, Response};
 use ihd_daemon::DaemonError;
-use ihd_daemon::model::CommandError;
+use ihd_model::{CommandError, HOLDER_HEADER, Problem};
 use serde::de::DeserializeOwned;
-
-use crate::model::{HOLDER_HEADER, Problem};
 
 /// Returns an error response.
 pub(crate) fn refusal(status: StatusCode, error: &str, message: &str) -> Response {

@@ -7,12 +7,12 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use ihd_model::RecordKind;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
 use crate::device_record::DeviceRecord;
 use crate::locking::lock;
-use crate::model::RecordKind;
 use crate::store_thread::{StoreThread, StoreThreadError};
 
 /// Capacity of the queue: two commands per second while the database is locked for ten minutes.

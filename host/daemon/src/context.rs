@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use ihd_model::RecordKind;
 use ihd_store::{Store, StoreError};
 use tokio::sync::watch;
 
@@ -12,7 +13,6 @@ use crate::fleet::delegation::Delegation;
 use crate::history::telemetry_buffer::TelemetryBuffer;
 use crate::learning::Learner;
 use crate::machine::Machine;
-use crate::model::RecordKind;
 use crate::store_thread::StoreThread;
 
 /// Time limit for a store job of a device's task.

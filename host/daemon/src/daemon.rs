@@ -6,6 +6,10 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ihd_capture::recording::name_of;
+use ihd_model::{
+    Command, CommandError, CommandReply, DaemonEvent, DeviceReport, EventKind, Lease, PotCurve,
+    RecordKind, RecordingFile, Trigger,
+};
 use ihd_store::{DeviceId, LookupRow, ResultFilter, ResultRow, Store, StoreError};
 use tokio::sync::{Semaphore, broadcast, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
@@ -28,10 +32,6 @@ use crate::lease::{LeaseGrant, LeaseId};
 use crate::live::LiveTap;
 use crate::locking::lock;
 use crate::machine::Machine;
-use crate::model::{
-    Command, CommandError, CommandReply, DaemonEvent, DeviceReport, EventKind, Lease, PotCurve,
-    RecordKind, RecordingFile, Trigger,
-};
 use crate::printable::printable;
 use crate::recording::list;
 use crate::routing::route;

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use ihd_capture::recording::RecordingSession;
 use ihd_link::AsyncClient;
+use ihd_model::{DeviceReport, DeviceState, EventKind, Identity, LookupReport, PotCurve};
 use ihd_shared::wire::messages::{Hello, Telemetry};
 use tokio::time::Instant;
 
@@ -12,7 +13,6 @@ use crate::event_bus::EventBus;
 use crate::firmware::usb_serial;
 use crate::lease::LeaseBook;
 use crate::live::ring::LiveRing;
-use crate::model::{DeviceReport, DeviceState, EventKind, Identity, LookupReport, PotCurve};
 use crate::pot_tracker::PotTracker;
 use crate::printable::printable;
 use crate::states::live;

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
+use ihd_model::{DaemonEvent, EventKind};
 use tokio::sync::broadcast;
 
 use crate::machine::Machine;
-use crate::model::{DaemonEvent, EventKind};
 
 /// Events that a slow subscriber may lag behind before it misses some: some seconds of 32 devices.
 const CAPACITY: usize = 4_096;

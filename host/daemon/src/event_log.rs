@@ -6,12 +6,12 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
+use ihd_model::{DaemonEvent, EventKind, RecordKind};
 use ihd_store::NewEvent;
 use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::TryRecvError;
 
 use crate::context::Context;
-use crate::model::{DaemonEvent, EventKind, RecordKind};
 use crate::store_thread::StoreThread;
 
 /// Period of writing.
@@ -173,7 +173,7 @@ fn log_entry(event: &DaemonEvent) -> Option<NewEvent> {
 mod tests {
     use super::*;
     use crate::event_bus::EventBus;
-    use crate::model::DeviceState;
+    use ihd_model::DeviceState;
 
     #[test]
     fn what_a_device_that_plays_does_is_bounded_and_counted() {

@@ -2,8 +2,9 @@
 
 use std::sync::atomic::Ordering;
 
+use ihd_model::{DroppedRecords, StoreFailure};
+
 use crate::learning::LearnerFigures;
-use crate::model::{DroppedRecords, StoreFailure};
 use crate::store_thread::StoreThread;
 
 /// Figures of the daemon since its start.

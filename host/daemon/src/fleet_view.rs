@@ -2,8 +2,9 @@
 
 use std::sync::{Arc, Mutex};
 
+use ihd_model::FleetReport;
+
 use crate::locking::lock;
-use crate::model::FleetReport;
 use crate::printable::printable;
 
 /// Last fleet report; `None` while the daemon belongs to no fleet.

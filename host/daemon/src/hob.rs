@@ -1,10 +1,10 @@
 //! Ratings and controller limits of this build's hob.
 
+use ihd_model::Hob;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RATED_POWER_W};
 use ihd_train::limits;
 
 use crate::lease::LEASE_S;
-use crate::model::Hob;
 use crate::tank;
 
 /// Returns the ratings of this build's hob; those of an incompatible device may differ.

@@ -18,9 +18,8 @@
 
 use std::time::Duration;
 
+use ihd_model::Lease;
 use tokio::time::Instant;
-
-use crate::model::Lease;
 
 /// Duration of a lease without renewal, in seconds.
 pub const LEASE_S: u64 = 10;

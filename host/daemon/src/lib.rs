@@ -29,7 +29,6 @@ pub mod lease;
 pub mod live;
 mod locking;
 mod machine;
-pub mod model;
 mod pot_tracker;
 mod printable;
 pub mod recording;

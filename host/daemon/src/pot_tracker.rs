@@ -4,10 +4,9 @@
 
 use std::collections::VecDeque;
 
+use ihd_model::{PotCurve, PotPoint, PotTemperature};
 use ihd_shared::wire::messages::{Pot, Telemetry};
 use ihd_thermal::{HalfCycle, PotEvent, Thermometer};
-
-use crate::model::{PotCurve, PotPoint, PotTemperature};
 
 /// Interval between two points of the curve, in milliseconds.
 const POINT_MS: i64 = 2_000;

@@ -3,13 +3,13 @@
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
+use ihd_model::{EventKind, Fit, RecordKind};
 use ihd_store::{Confidence, CurveSource, NewResult};
 use tokio::sync::mpsc;
 
 use crate::device::DeviceRequest;
 use crate::learning::{FitTrace, LearnResult, Learner, Lookup};
 use crate::machine::Machine;
-use crate::model::{EventKind, Fit, RecordKind};
 use crate::printable::printable;
 use crate::store_thread::StoreThread;
 use crate::supervisor::Devices;

@@ -1,9 +1,8 @@
 //! Device state and live report from a half-cycle.
 
+use ihd_model::{DeviceState, Live};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Limit, Pot, State, Telemetry};
-
-use crate::model::{DeviceState, Live};
 
 /// Returns the device state and its reason from a half-cycle; a pot probe keeps the state `before`.
 pub fn device_state(t: &Telemetry, before: DeviceState) -> (DeviceState, String) {

@@ -6,9 +6,8 @@
 
 use std::collections::BTreeMap;
 
+use ihd_model::{DroppedRecords, RecordKind, StoreCause, StoreFailure};
 use ihd_store::StoreError;
-
-use crate::model::{DroppedRecords, RecordKind, StoreCause, StoreFailure};
 
 /// Successive polls without a full queue after which the store is fast enough again.
 const QUIET_POLLS: u32 = 6;

@@ -5,13 +5,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use ihd_model::{DroppedRecords, EventKind, RecordKind, StoreCause, StoreFailure};
 use ihd_store::{Store, StoreError};
 use tokio::sync::{Notify, oneshot};
 
 use crate::event_bus::EventBus;
 use crate::locking::lock;
 use crate::machine::Machine;
-use crate::model::{DroppedRecords, EventKind, RecordKind, StoreCause, StoreFailure};
 use crate::store_health::{Change, StoreHealth, cause_of};
 use crate::store_queue::{Lane, Room, StoreQueue};
 

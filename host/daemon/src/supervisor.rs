@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use ihd_capture::recording::{RecordingSession, RecordingStatus, name_of};
 use ihd_link::{DeviceSpec, usb};
+use ihd_model::{DeviceState, EventKind, RecordingPhase};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
@@ -15,7 +16,6 @@ use crate::device::{DeviceRequest, DeviceTask};
 use crate::device_record::DeviceRecord;
 use crate::event_bus::EventBus;
 use crate::locking::lock;
-use crate::model::{DeviceState, EventKind, RecordingPhase};
 use crate::printable::printable;
 use crate::recording::file_name;
 use crate::switching_off::switch_off;

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::model::WindowCounts;
+use ihd_model::WindowCounts;
 
 /// Missing windows remembered by number, in case they arrive late; older ones stay missing.
 const REMEMBERED: usize = 1_024;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use async_nats::jetstream::Context;
-use ihd_daemon::model::{FleetDevice, FleetEdge, FleetReport, FleetWorker};
+use ihd_model::{FleetDevice, FleetEdge, FleetReport, FleetWorker};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 

@@ -8,12 +8,12 @@ use axum::http::header::{AUTHORIZATION, WWW_AUTHENTICATE};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use ihd_model::{Problem, Role};
 
+use super::cookie;
 use super::hosts::AllowedHosts;
 use super::sessions::Sessions;
 use super::tokens::Tokens;
-use super::{Role, cookie};
-use crate::model::Problem;
 use crate::problem::refusal;
 use crate::slots::Slot;
 

@@ -3,8 +3,5 @@
 pub(crate) mod cookie;
 pub(crate) mod guard;
 pub mod hosts;
-pub(crate) mod role;
 pub(crate) mod sessions;
 pub mod tokens;
-
-pub use self::role::Role;

@@ -3,10 +3,10 @@
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use ihd_model::Role;
 use subtle::ConstantTimeEq;
 use tokio::time::Instant;
 
-use super::Role;
 use super::tokens::{TokenError, random_token};
 
 /// Lifetime of an unused session.

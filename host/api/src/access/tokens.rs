@@ -4,11 +4,10 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use ihd_model::Role;
 use rustls::crypto::ring;
 use subtle::{Choice, ConditionallySelectable, ConstantTimeEq};
 use thiserror::Error;
-
-use super::Role;
 
 /// Random bytes of a generated token, which is written in hexadecimal.
 const TOKEN_BYTES: usize = 32;

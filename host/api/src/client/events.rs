@@ -2,10 +2,8 @@
 
 use std::io::{self, BufRead, BufReader, Read};
 
-use ihd_daemon::model::DaemonEvent;
+use ihd_model::{DaemonEvent, MissedEvents};
 use serde::Deserialize as _;
-
-use crate::model::MissedEvents;
 
 /// Maximum length of a line, in bytes; far above that of any event.
 const MAX_LINE: u64 = 1 << 20;
@@ -105,7 +103,7 @@ impl Iterator for Events {
 
 #[cfg(test)]
 mod tests {
-    use ihd_daemon::model::EventKind;
+    use ihd_model::EventKind;
 
     use super::*;
 
@@ -138,7 +136,7 @@ mod tests {
     /// With any features of serde_json that another crate of the build has enabled.
     #[test]
     fn floats_of_what_is_flattened_are_found() {
-        let live = ihd_daemon::model::Live {
+        let live = ihd_model::Live {
             half_cycle: 7,
             state: "Heating".into(),
             pot: "Ferromagnetic".into(),

@@ -1,6 +1,6 @@
 //! History of a device.
 
-use ihd_daemon::model::History;
+use ihd_model::History;
 
 use super::{ApiClient, ClientError, device};
 

@@ -8,8 +8,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_daemon::model::{
-    Command, CommandError, CommandReply, DeviceReport, FleetReport, Lease, RecordingFile,
+use ihd_model::{
+    BackupMade, BackupRequest, Command, CommandError, CommandReply, DeviceReport, FleetReport,
+    HOLDER_HEADER, Health, Lease, LeaseRequest, Problem, RecordingFile, StoredLookup, StoredResult,
 };
 use rustls::crypto::ring;
 use serde::Serialize;
@@ -19,10 +20,6 @@ use ureq::http::Response;
 use ureq::tls::{Certificate, RootCerts, TlsConfig, parse_pem};
 use ureq::{Agent, Body};
 
-use crate::model::{
-    BackupMade, BackupRequest, HOLDER_HEADER, Health, LeaseRequest, Problem, StoredLookup,
-    StoredResult,
-};
 use crate::percent;
 use events::Events;
 

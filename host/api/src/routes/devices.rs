@@ -5,13 +5,14 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
-use ihd_daemon::model::{Command, CommandReply, DeviceReport, Lease};
+use ihd_model::{
+    Command, CommandReply, DeviceReport, Lease, LeaseRequest, Problem, StoredLookup, StoredResult,
+};
 use ihd_store::{LookupRow, ResultFilter, ResultRow};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::App;
-use crate::model::{LeaseRequest, Problem, StoredLookup, StoredResult};
 use crate::problem::{ApiQuery, ErrorResponse, Holder, JsonBody};
 
 /// Default number of results in a response.

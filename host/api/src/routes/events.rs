@@ -8,7 +8,7 @@ use std::time::Duration;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event, KeepAlive, KeepAliveStream, Sse};
-use ihd_daemon::model::DaemonEvent;
+use ihd_model::{DaemonEvent, MissedEvents, Problem};
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::{self, error::RecvError};
 use tokio::sync::{OwnedSemaphorePermit, mpsc, watch};
@@ -16,7 +16,6 @@ use tokio_stream::wrappers::ReceiverStream;
 use utoipa::IntoParams;
 
 use super::App;
-use crate::model::{MissedEvents, Problem};
 use crate::problem::{ApiQuery, ErrorResponse};
 
 /// Period of comments without events, by which both ends detect a dead connection.

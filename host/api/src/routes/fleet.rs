@@ -6,10 +6,9 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
-use ihd_daemon::model::FleetReport;
+use ihd_model::{FleetReport, Problem};
 
 use super::App;
-use crate::model::Problem;
 use crate::problem::ErrorResponse;
 
 /// Error message of a daemon that is not an edge.

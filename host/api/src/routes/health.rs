@@ -8,12 +8,11 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use ihd_daemon::Daemon;
 use ihd_daemon::event_bus::now_ms;
-use ihd_daemon::model::StoreFailure;
+use ihd_model::{Health, StoreFailure};
 use tokio::sync::Mutex;
 use tokio::time::Instant;
 
 use super::App;
-use crate::model::Health;
 
 /// Lifetime of a cached health: frequent requests must not load the store.
 const LIFETIME: Duration = Duration::from_secs(1);

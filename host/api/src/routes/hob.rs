@@ -1,7 +1,7 @@
 //! Ratings of the hob.
 
 use axum::Json;
-use ihd_daemon::model::Hob;
+use ihd_model::Hob;
 
 /// Returns ratings, limits and the resonance capacitor of all hobs of this build, for the scales of a display.
 #[utoipa::path(get, path = "/hob", tag = "daemon", responses((status = 200, body = Hob)))]

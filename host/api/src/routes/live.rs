@@ -15,7 +15,9 @@ use axum::http::StatusCode;
 use axum::response::sse::{Event, Sse};
 use ihd_daemon::LiveTap;
 use ihd_daemon::event_bus::now_ms;
-use ihd_daemon::model::{DaemonEvent, DeviceReport, EventKind, LiveTelemetry, WindowCounts};
+use ihd_model::{
+    DaemonEvent, DeviceReport, EventKind, LiveTelemetry, MissedEvents, Problem, WindowCounts,
+};
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::{self, error::RecvError};
 use tokio::sync::{OwnedSemaphorePermit, mpsc, watch};
@@ -26,7 +28,6 @@ use utoipa::IntoParams;
 use super::App;
 use super::events::subscriber_permit;
 use crate::connection::WriteStall;
-use crate::model::{MissedEvents, Problem};
 use crate::problem::{ApiQuery, ErrorResponse};
 
 /// Default interval between telemetry events, in milliseconds.

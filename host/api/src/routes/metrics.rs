@@ -8,10 +8,9 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 use ihd_daemon::Figures;
 use ihd_daemon::learning::LearnerFigures;
-use ihd_daemon::model::{DeviceReport, DeviceState, FleetReport, StoreFailure};
+use ihd_model::{DeviceReport, DeviceState, FleetReport, Problem, StoreFailure};
 
 use super::App;
-use crate::model::Problem;
 use crate::prometheus::Exposition;
 
 /// Returns metrics in the text format of Prometheus.

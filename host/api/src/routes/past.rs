@@ -6,14 +6,13 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use ihd_daemon::JournalFilter;
-use ihd_daemon::model::{
-    Fit, History, JournalEntry, Map, PotCurve, Scope, WindowQuery, WindowSummary,
+use ihd_model::{
+    Fit, History, JournalEntry, Map, PotCurve, Problem, Scope, WindowQuery, WindowSummary,
 };
 use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::App;
-use crate::model::Problem;
 use crate::problem::{ApiQuery, ErrorResponse};
 
 /// Default number of columns of a history.

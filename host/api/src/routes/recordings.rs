@@ -18,15 +18,14 @@ use axum::http::header::{
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use http_range_header::parse_range_header;
-use ihd_daemon::model::RecordingFile;
 use ihd_daemon::recording::{Table, TableError, is_plain_name, table};
+use ihd_model::{Problem, RecordingFile};
 use serde::Deserialize;
 use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use utoipa::IntoParams;
 
 use super::App;
-use crate::model::Problem;
 use crate::problem::{ApiQuery, ErrorResponse};
 
 /// Limits simultaneous conversions of the process: each keeps a core busy.

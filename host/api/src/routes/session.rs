@@ -7,10 +7,10 @@ use axum::extract::State;
 use axum::http::header::SET_COOKIE;
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{AppendHeaders, IntoResponse, Response};
+use ihd_model::{Problem, Role, SessionReport, SessionRequest};
 
 use super::App;
-use crate::access::{Role, cookie};
-use crate::model::{Problem, SessionReport, SessionRequest};
+use crate::access::cookie;
 use crate::problem::{ErrorResponse, JsonBody};
 
 /// Returns the rights of the client.

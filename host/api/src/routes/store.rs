@@ -5,9 +5,9 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
+use ihd_model::{BackupMade, BackupRequest, Problem};
 
 use super::App;
-use crate::model::{BackupMade, BackupRequest, Problem};
 use crate::problem::{ErrorResponse, JsonBody};
 
 /// Maximum length of the name of a backup, in bytes.

@@ -1,8 +1,9 @@
 //! Refused requests, with status and message.
 
-use ihd_api::access::{Role, tokens::Tokens};
-use ihd_daemon::model::StoreFailure;
+use ihd_api::access::tokens::Tokens;
 use ihd_daemon::simulation::DiskState;
+use ihd_model::Role;
+use ihd_model::StoreFailure;
 
 use crate::http::{ask, raw};
 use crate::rig::Running;
@@ -247,7 +248,7 @@ fn health_and_metrics_say_what_is_dropped_why_and_what_to_do() {
         let (status, body) = ask(server.address, "GET /healthz", &[], "");
         (
             status,
-            serde_json::from_str::<ihd_api::model::Health>(&body).unwrap(),
+            serde_json::from_str::<ihd_model::Health>(&body).unwrap(),
         )
     };
     clock.second();

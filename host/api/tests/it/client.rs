@@ -3,10 +3,11 @@
 use std::time::Duration;
 
 use ihd_api::ApiClient;
-use ihd_api::access::{Role, tokens::Tokens};
+use ihd_api::access::tokens::Tokens;
 use ihd_api::client::ClientError;
 use ihd_api::tls::Certificate;
-use ihd_daemon::model::{Command, CommandError, Quantity, RecordSettings, Trigger};
+use ihd_model::Role;
+use ihd_model::{Command, CommandError, Quantity, RecordSettings, Trigger};
 use ihd_shared::lookup::{RlLookup, prior::prior};
 
 use crate::http::PATIENCE;

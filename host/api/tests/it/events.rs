@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 
 use ihd_api::ApiClient;
 use ihd_api::client::events::{Events, StreamItem};
-use ihd_daemon::model::EventKind;
+use ihd_model::EventKind;
 
 use crate::http::connect;
 use crate::rig::{NAME, OTHER, Running};

@@ -1,11 +1,10 @@
 //! Report of the fleet, over a socket and by the client.
 
 use ihd_api::ApiClient;
-use ihd_api::access::{Role, tokens::Tokens};
+use ihd_api::access::tokens::Tokens;
 use ihd_api::client::ClientError;
-use ihd_daemon::model::{
-    FleetAnswers, FleetDevice, FleetEdge, FleetReport, FleetStates, FleetWorker,
-};
+use ihd_model::Role;
+use ihd_model::{FleetAnswers, FleetDevice, FleetEdge, FleetReport, FleetStates, FleetWorker};
 use serde_json::Value;
 
 use crate::http::ask;

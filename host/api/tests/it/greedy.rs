@@ -6,11 +6,12 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use ihd_api::ApiClient;
-use ihd_api::access::{Role, tokens::Tokens};
+use ihd_api::access::tokens::Tokens;
 use ihd_api::client::events::{Events, StreamItem};
 use ihd_api::server::MAX_CONNECTIONS;
 use ihd_api::tls::Certificate;
-use ihd_daemon::model::{Command, EventKind};
+use ihd_model::Role;
+use ihd_model::{Command, EventKind};
 
 use crate::http::{PATIENCE, ask, connect};
 use crate::rig::{NAME, Running};

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::Duration;
 
-use ihd_daemon::model::{DeviceReport, EventKind, LiveDevice};
+use ihd_model::{DeviceReport, EventKind, LiveDevice};
 use serde::Deserialize as _;
 use serde_json::Value;
 use socket2::{Domain, Socket, Type};

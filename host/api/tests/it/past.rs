@@ -1,6 +1,6 @@
 //! Stored data for a display: parameters reach the daemon, invalid ones are refused.
 
-use ihd_daemon::model::Command;
+use ihd_model::Command;
 use ihd_shared::lookup::{RlLookup, prior::prior};
 use serde_json::Value;
 

@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use ihd_api::ApiClient;
 use ihd_api::client::ClientError;
-use ihd_api::model::Problem;
 use ihd_capture::mcap::SessionRecorder;
 use ihd_capture::{OpenOptions, mcap, open};
 use ihd_link::Client;
+use ihd_model::Problem;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 

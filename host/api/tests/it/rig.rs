@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 
 use ihd_api::{Server, ServerOptions};
 use ihd_daemon::config::DeviceConfig;
-use ihd_daemon::model::{Command, DaemonEvent, DeviceReport, DeviceState, EventKind};
 use ihd_daemon::simulation::{self, HobKind, World};
 use ihd_daemon::{Config, Daemon};
+use ihd_model::{Command, DaemonEvent, DeviceReport, DeviceState, EventKind};
 use tokio::runtime::{Handle, Runtime};
 use tokio::sync::broadcast::{self, error::TryRecvError};
 use tokio::sync::{mpsc, watch};

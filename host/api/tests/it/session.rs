@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use ihd_api::access::{Role, tokens::Tokens};
+use ihd_api::access::tokens::Tokens;
+use ihd_model::Role;
 use rustls::crypto::ring;
 use ureq::Agent;
 use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};

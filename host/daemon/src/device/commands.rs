@@ -1,6 +1,7 @@
 //! Execution of commands on a connected device.
 
 use ihd_link::{Client, LinkError};
+use ihd_model::{Command, CommandError, CommandReply};
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
@@ -14,7 +15,6 @@ use super::session::{Session, SessionEnd};
 use super::sweep::Sweep;
 use crate::learning::Lookup;
 use crate::lease::{LeaseError, LeaseId};
-use crate::model::{Command, CommandError, CommandReply};
 use crate::printable::printable;
 use crate::view::stored_lookup::newest;
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use ihd_link::{Client, KEEPALIVE_PERIOD, LinkError};
+use ihd_model::{DeviceState, EventKind};
 use ihd_shared::wire::messages::{NO_PANEL, Status};
 use ihd_train::WINDOWS_EVERY;
 use tokio::runtime::Handle;
@@ -11,7 +12,6 @@ use tokio::time::Instant;
 use super::session::{SILENCE_LIMIT, Session, SessionEnd};
 use super::sweep::{Step, Sweep};
 use crate::lease::{LeaseError, LeaseId, LostLease};
-use crate::model::{DeviceState, EventKind};
 use crate::switching_off::switch_off;
 
 /// Largest number of consecutive checks without an answer or without telemetry; one more ends the session.

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
+use ihd_model::EventKind;
 use ihd_shared::wire::messages::{Pot, Telemetry};
 use ihd_thermal::PotEvent;
 use tokio::task::JoinHandle;
 
 use crate::device_record::DeviceRecord;
 use crate::machine::Machine;
-use crate::model::EventKind;
 use crate::pot_tracker::describe;
 use crate::states::pot_change;
 

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use ihd_link::{Client, LinkError};
+use ihd_model::{CommandError, CommandReply, EventKind};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
 use ihd_store::{Confidence, LookupRow};
@@ -13,7 +14,6 @@ use super::lookups::{Reconcile, next_version, reconcile};
 use super::request::ReplySender;
 use super::session::Session;
 use crate::learning::Lookup;
-use crate::model::{CommandError, CommandReply, EventKind};
 use crate::printable::printable;
 
 /// Time limit from acceptance of a lookup to its use: one half-cycle, and the delay of the link.

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use ihd_capture::recording::{StartedRecording, StoppedRecording};
 use ihd_link::LinkError;
+use ihd_model::{CommandError, CommandReply, RecordSettings};
 
 use super::request::ReplySender;
 use super::session::{Session, SessionEnd};
 use crate::device_record::DeviceRecord;
-use crate::model::{CommandError, CommandReply, RecordSettings};
 use crate::printable::printable;
 
 impl Session<'_> {

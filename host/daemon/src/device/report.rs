@@ -1,7 +1,8 @@
 //! Reports about a device without its session.
 
+use ihd_model::{CommandError, EventKind};
+
 use crate::device_record::DeviceRecord;
-use crate::model::{CommandError, EventKind};
 
 /// Returns the error of a command to a device that is not connected.
 pub fn not_connected_error(record: &DeviceRecord) -> CommandError {

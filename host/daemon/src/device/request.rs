@@ -1,10 +1,10 @@
 //! Requests to the task of a device.
 
+use ihd_model::{Command, CommandError, CommandReply};
 use tokio::sync::oneshot;
 
 use crate::learning::Lookup;
 use crate::lease::LeaseId;
-use crate::model::{Command, CommandError, CommandReply};
 
 /// Request to a device's task.
 pub enum DeviceRequest {

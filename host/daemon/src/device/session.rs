@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use ihd_link::{AsyncClient, Client, Counters, Event, LinkError};
+use ihd_model::{DeviceState, EventKind};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_store::{DeviceId, SessionId};
@@ -23,7 +24,6 @@ use crate::context::Context;
 use crate::device_record::DeviceRecord;
 use crate::learning::Lookup;
 use crate::lease::LeaseId;
-use crate::model::{DeviceState, EventKind};
 use crate::printable::printable;
 use crate::states::{device_state, live};
 use crate::window_accounting::{Arrival, WindowOutcome};

@@ -1,7 +1,8 @@
 //! Session of a device in the store.
 
+use ihd_model::RecordKind;
+
 use super::session::{Session, SessionEnd};
-use crate::model::RecordKind;
 use crate::printable::printable;
 use crate::store_thread::StoreAccess;
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use ihd_link::{AsyncClient, LinkError};
+use ihd_model::{Command, DeviceState};
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
 
@@ -18,7 +19,6 @@ use crate::config::Address;
 use crate::context::Context;
 use crate::device_record::{DeviceRecord, identity};
 use crate::firmware::updates_needed;
-use crate::model::{Command, DeviceState};
 use crate::printable::printable;
 
 /// Wait before the next attempt with a device of another protocol.

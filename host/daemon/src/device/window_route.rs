@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use ihd_link::Window;
+use ihd_model::{EventKind, RecordKind};
 use ihd_signal::truth::Truth;
 use ihd_store::{CurveSource, DeviceId, SessionId, Store, StoreError};
 
@@ -10,7 +11,6 @@ use super::session::{Session, TRUTH_TIMEOUT};
 use crate::device_record::DeviceRecord;
 use crate::fleet::delegation::Delegation;
 use crate::learning::{LearnInput, LearnJob, Learner, truth_curve};
-use crate::model::{EventKind, RecordKind};
 use crate::window_accounting::{Arrival, WindowOutcome};
 
 /// Window with what is known about its half-cycle.

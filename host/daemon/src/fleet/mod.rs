@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 use ihd_link::Window;
 use ihd_map::library::{Library, PotEntry, Provenance};
+use ihd_model::FleetReport;
 use ihd_shared::lookup::RlLookup;
 use ihd_store::{
     DeliveryState, DeviceId, DueWindow, EventRow, FleetMark, FleetState, FleetTally, GiveUpReason,
@@ -25,7 +26,6 @@ use self::delegation::Delegation;
 pub use crate::config::fleet::{FleetConfig, host_name};
 use crate::daemon::Daemon;
 use crate::learning::{LearnInput, LearnJob, LearningInUse, WorkerAnswer, WorkerFigures, power_w};
-use crate::model::FleetReport;
 use crate::printable::printable;
 use crate::store_thread::StoreThreadError;
 

@@ -1,9 +1,9 @@
 //! Stored seconds and minutes as the columns of a display.
 
+use ihd_model::{Envelope, History, HistoryResults};
 use ihd_shared::wire::messages::{Pot, State};
 use ihd_store::{Spread, TelemetrySpan};
 
-use crate::model::{Envelope, History, HistoryResults};
 use crate::tank;
 
 /// Column width in seconds from which on minutes are read instead of seconds.

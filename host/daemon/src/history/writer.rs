@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
+use ihd_model::RecordKind;
+
 use crate::context::Context;
 use crate::history::TelemetryBuffer;
-use crate::model::RecordKind;
 use crate::store_thread::StoreThread;
 
 /// Period of writing, and so the largest loss of history if the daemon is killed.

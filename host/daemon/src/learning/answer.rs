@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use ihd_gate::claim::{Claim, Confirmation};
 use ihd_link::Window;
+use ihd_model::{FitRemark, FitStep};
 use ihd_signal::Segment;
 use ihd_store::Curve;
 use ihd_survey::calibration::blind::Correction;
@@ -12,7 +13,6 @@ use ihd_train::NetworkConfig;
 use ihd_train::learning::analyse_window;
 
 use super::fit::{FitSummary, FitTrace, weighted_mean};
-use crate::model::{FitRemark, FitStep};
 
 /// A worker's answer to one window.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,13 +1,13 @@
 //! Fit of a window: its summary, and its trace for store and API.
 
 use ihd_link::Window;
+use ihd_model::{FitRemark, FitStep};
 use ihd_pinn::{Identification, Progress};
 use ihd_signal::Remark;
 use ihd_signal::truth::Truth;
 use ihd_store::{Curve, MAX_POINTS};
 use serde::{Deserialize, Serialize};
 
-use crate::model::{FitRemark, FitStep};
 use crate::printable::printable;
 
 /// Trace of a fit: steps, remarks, curve, errors.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::model::FleetAnswers;
+use ihd_model::FleetAnswers;
 
 /// Most workers in the records; beyond it, the one with the fewest refuted answers and the oldest last answer is removed.
 const MOST_WORKERS: usize = 256;

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use ihd_model::{LiveDevice, LiveTelemetry};
 use tokio::time::Instant;
 
 use super::ring::{Extent, heats};
 use crate::device_record::DeviceRecord;
 use crate::event_bus::now_ms;
-use crate::model::{LiveDevice, LiveTelemetry};
 use crate::states::live;
 use crate::supervisor::Devices;
 use crate::tank;

@@ -6,7 +6,7 @@ use std::io;
 use std::path::Path;
 use std::time::UNIX_EPOCH;
 
-use crate::model::RecordingFile;
+use ihd_model::RecordingFile;
 
 /// File extension of recordings.
 const EXTENSION: &str = ".mcap";

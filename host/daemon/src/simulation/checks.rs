@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
+use ihd_model::{DaemonEvent, EventKind};
 use ihd_shared::wire::messages::AnyMessage;
 use tokio::time::Instant;
 
 use super::hob::{HOBS, read_frame};
 use super::world::World;
-use crate::model::{DaemonEvent, EventKind};
 use crate::store_queue::{DAEMON, DEVICE, RESERVE};
 
 /// Longest heating without a lease: the host time-out of the firmware, and a second.

@@ -6,6 +6,8 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
+#[cfg(test)]
+use ihd_model::{Command, EventKind};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tempfile::TempDir;
@@ -24,8 +26,6 @@ use crate::config::Config;
 use crate::daemon::{Daemon, DaemonError};
 use crate::fleet::FleetConfig;
 use crate::machine::Machine;
-#[cfg(test)]
-use crate::model::{Command, EventKind};
 use crate::{OpenDevice, OpenedDevice, config::Address};
 
 use super::link::Link;

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use ihd_model::{Command, DeviceState};
 use ihd_store::{Reader, ResultFilter, ResultRow, WindowFilter, WindowRow};
 use tokio::time::{Instant, sleep};
 
@@ -13,7 +14,6 @@ use super::hob::HOBS;
 use super::users::User;
 use super::world::World;
 use crate::daemon::Daemon;
-use crate::model::{Command, DeviceState};
 
 /// Longest time from the end of all faults until everything works again: the longest wait between two attempts to connect, the
 /// time of a hello and of a silent device, and the retry period of the store.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use ihd_model::Command;
 use ihd_shared::lookup::prior::prior;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -11,7 +12,6 @@ use tokio::time::sleep;
 use super::hob::HOBS;
 use super::world::World;
 use crate::daemon::Daemon;
-use crate::model::Command;
 
 /// Holders of the users; one holder may have two open pages.
 const NAMES: [&str; 2] = ["ada", "bob"];

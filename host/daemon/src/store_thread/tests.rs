@@ -13,7 +13,7 @@ const PATIENCE: Duration = Duration::from_secs(300);
 
 struct Rig {
     thread: StoreThread,
-    events: tokio::sync::broadcast::Receiver<Arc<crate::model::DaemonEvent>>,
+    events: tokio::sync::broadcast::Receiver<Arc<ihd_model::DaemonEvent>>,
     _folder: tempfile::TempDir,
 }
 

@@ -1,11 +1,11 @@
 //! History of a device: telemetry and results over minutes to months.
 
+use ihd_model::{History, HistoryResults};
 use ihd_store::{Reader, ResultRow, StoreError};
 
 use super::finite;
 use crate::daemon::{Daemon, DaemonError};
 use crate::history::{Columns, Grid};
-use crate::model::{History, HistoryResults};
 
 /// Longest time from a window to its result, in milliseconds: the learner's queue is short.
 const LONGEST_WAIT_MS: i64 = 600_000;

@@ -1,9 +1,9 @@
 //! Journal: stored events and commands.
 
+use ihd_model::JournalEntry;
 use ihd_store::{JournalFilter, JournalRow};
 
 use crate::daemon::{Daemon, DaemonError};
-use crate::model::JournalEntry;
 
 /// Largest number of entries in a response.
 const MAX_ENTRIES: u32 = 10_000;

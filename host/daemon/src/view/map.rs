@@ -1,5 +1,6 @@
 //! Lookup in ohm and henry, with confidence and age of its cells.
 
+use ihd_model::Map;
 use ihd_shared::lookup::grid::{CURRENTS, F_MAX_HZ, F_MIN_HZ, FREQUENCIES, I_BEND_MA, I_MAX_MA};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
@@ -10,7 +11,6 @@ use super::stored_lookup::newest;
 use crate::daemon::{Daemon, DaemonError};
 use crate::event_bus::now_ms;
 use crate::locking::lock;
-use crate::model::Map;
 
 impl Daemon {
     /// Returns a lookup of a device as a map: of this version, 0 being the built-in prior; if `version` is `None`, the one

@@ -5,9 +5,8 @@
 
 use std::f64::consts::TAU;
 
+use ihd_model::ScopeMeasurement;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
-
-use crate::model::ScopeMeasurement;
 
 /// Number of pairs in a block.
 const BLOCK: usize = ADC_LOCK_P;

@@ -2,9 +2,8 @@
 
 use std::collections::VecDeque;
 
+use ihd_model::Fit;
 use ihd_store::ResultRow;
-
-use crate::model::Fit;
 
 /// Number of fits of a device that are held with their steps.
 const REMEMBERED: usize = 64;

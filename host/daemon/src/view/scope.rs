@@ -1,13 +1,13 @@
 //! Windows of samples as a scope shows them.
 
 use ihd_link::Window;
+use ihd_model::{Scope, Trajectory, WindowQuery, WindowSummary};
 use ihd_store::{Curve, Curves, ResultRow, StoreError, WindowRow};
 
 use super::finite;
 use super::measurement::measure;
 use crate::daemon::{Daemon, DaemonError};
 use crate::history::MAX_COLUMNS;
-use crate::model::{Scope, Trajectory, WindowQuery, WindowSummary};
 
 /// Largest number of windows in a list.
 const MAX_WINDOWS: usize = 10_000;

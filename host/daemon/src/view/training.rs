@@ -1,10 +1,10 @@
 //! Training: fits of windows by the network, step by step.
 
+use ihd_model::Fit;
 use ihd_store::{ResultFilter, ResultRow};
 
 use super::finite;
 use crate::daemon::{Daemon, DaemonError};
-use crate::model::Fit;
 
 /// Largest number of fits in a list.
 const MAX_FITS: usize = 10_000;

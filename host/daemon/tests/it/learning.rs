@@ -1,6 +1,6 @@
 //! Learning from any heating, kept over a restart.
 
-use ihd_daemon::model::{DeviceState, EventKind};
+use ihd_model::{DeviceState, EventKind};
 use ihd_store::{LookupState, ResultFilter};
 
 use super::rig::{Rig, until, until_state, wait_for_event};

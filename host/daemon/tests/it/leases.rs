@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use ihd_daemon::lease::LEASE_S;
-use ihd_daemon::model::{Command, CommandError, DeviceState, EventKind};
+use ihd_model::{Command, CommandError, DeviceState, EventKind};
 
 use super::rig::{Clock, PATIENCE, Rig, nap, power, until_state, wait_for_event};
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ihd_daemon::model::DeviceState;
+use ihd_model::DeviceState;
 
 use super::rig::{Rig, until, until_state};
 

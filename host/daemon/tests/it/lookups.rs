@@ -1,7 +1,7 @@
 //! Lookups on the device and in the store agree after any sequence of events.
 
 use ihd_daemon::Daemon;
-use ihd_daemon::model::{Command, DeviceState, EventKind};
+use ihd_model::{Command, DeviceState, EventKind};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_sim::hob::HobConfig;

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ihd_daemon::model::{Command, DeviceState};
+use ihd_model::{Command, DeviceState};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::Reader;

@@ -7,7 +7,7 @@ use ihd_capture::mcap::reader::Item;
 use ihd_capture::mcap::topics::{FaultNote, META_FREE, Topic};
 use ihd_capture::mcap::{Reader, SessionReader};
 use ihd_daemon::Daemon;
-use ihd_daemon::model::{
+use ihd_model::{
     Command, CommandError, CommandReply, DeviceState, EventKind, Quantity, RecordSettings,
     RecordingPhase, Trigger,
 };

@@ -6,12 +6,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use ihd_daemon::model::{
-    Command, CommandError, CommandReply, DaemonEvent, DeviceReport, DeviceState, EventKind,
-};
 use ihd_daemon::{Config, Daemon, OpenDevice, OpenedDevice, TruthFn};
 use ihd_firmware::control::request::PanelEvent;
 use ihd_link::{DeviceSpec, LinkError, Transport};
+use ihd_model::{
+    Command, CommandError, CommandReply, DaemonEvent, DeviceReport, DeviceState, EventKind,
+};
 use ihd_sim::hob::{HobConfig, SimHob};
 use tokio::sync::broadcast::{self, error::TryRecvError};
 use tokio::task::JoinHandle;

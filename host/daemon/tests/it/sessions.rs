@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use ihd_daemon::model::{Command, DeviceState, RecordSettings, WindowCounts};
 use ihd_daemon::{Config, Daemon, OpenDevice, OpenedDevice};
 use ihd_link::tcp::TcpTransport;
 use ihd_link::{DeviceSpec, LinkError, Transport};
+use ihd_model::{Command, DeviceState, RecordSettings, WindowCounts};
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_sim::hob::HobConfig;

@@ -2,8 +2,8 @@
 
 use std::time::Instant;
 
-use ihd_daemon::model::{Command, DeviceState, EventKind, Fit, History, WindowQuery};
 use ihd_daemon::{Daemon, DaemonError, JournalFilter};
+use ihd_model::{Command, DeviceState, EventKind, Fit, History, WindowQuery};
 use ihd_sim::behavioural::PotKind;
 
 use super::rig::{PATIENCE, Rig, keep_lease, nap, power, until, until_state, wait_for_event};

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use ihd_daemon::model::FleetStates;
+use ihd_model::FleetStates;
 
 /// Longest time in milliseconds that a window may be due before an alarm: longer than a restart of the server.
 const DUE_FOR_MS: i64 = 10 * 60_000;

@@ -9,7 +9,7 @@ use std::time::Duration;
 use async_nats::jetstream::{Context, kv};
 use futures_util::stream::{SelectAll, StreamExt};
 use ihd_daemon::fleet::LookupCheck;
-use ihd_daemon::model::{Command, EventKind};
+use ihd_model::{Command, EventKind};
 use ihd_shared::lookup::RlLookup;
 use ihd_store::LookupState;
 use tokio::sync::broadcast::error::RecvError;

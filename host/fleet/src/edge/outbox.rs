@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use ihd_daemon::StoreThreadError;
 use ihd_daemon::learning::WorkerAnswer;
-use ihd_daemon::model::EventKind;
+use ihd_model::EventKind;
 use ihd_store::{DeliveryState, DueWindow, FleetMark, OutboxItem};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::Instant;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use async_nats::Client;
 use futures_util::StreamExt;
-use ihd_daemon::model::DeviceReport;
+use ihd_model::DeviceReport;
 use serde::{Deserialize, Serialize};
 
 use super::{Link, TRY_AGAIN};

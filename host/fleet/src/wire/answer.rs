@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ihd_daemon::config::is_name;
 use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
-use ihd_daemon::model::{FitRemark, FitStep};
+use ihd_model::{FitRemark, FitStep};
 use ihd_store::MAX_POINTS;
 use serde::{Deserialize, Serialize};
 

@@ -3,8 +3,8 @@ use std::time::Duration;
 
 use ciborium::Value;
 use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
-use ihd_daemon::model::{FitRemark, FitStep};
 use ihd_link::Window;
+use ihd_model::{FitRemark, FitStep};
 use ihd_shared::sampling::{Pair, Scales};
 
 use super::packing::{pack, unpack};

@@ -5,8 +5,8 @@ use clap::{Args, ValueEnum};
 use ihd::cli::global::Global;
 use ihd::report::table::Table;
 use ihd::{ensure_usage, say};
-use ihd_daemon::model::{FleetEdge, FleetReport};
 use ihd_fleet::{names, status};
+use ihd_model::{FleetEdge, FleetReport};
 use serde::Serialize;
 
 use super::dead::Which;

@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Result;
-use ihd_api::access::{Role, tokens::Tokens};
+use ihd_api::access::tokens::Tokens;
 use ihd_api::client::ClientError;
 use ihd_api::{ApiClient, ServerOptions, tls::Certificate};
 use ihd_daemon::config::Config;
+use ihd_model::Role;
 
 /// Configuration that is read if none is named and it exists.
 const HERE: &str = "ihd.toml";

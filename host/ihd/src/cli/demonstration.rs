@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use ihd_daemon::Daemon;
 use ihd_daemon::config::{Address, Config, DeviceConfig};
-use ihd_daemon::model::{Command, CommandError, DaemonEvent, EventKind};
 use ihd_link::DeviceSpec;
+use ihd_model::{Command, CommandError, DaemonEvent, EventKind};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep};
 

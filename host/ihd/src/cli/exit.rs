@@ -136,8 +136,8 @@ fn of_config(error: &ihd_daemon::config::ConfigError) -> Exit {
 }
 
 #[cfg(feature = "daemon")]
-fn of_command(error: &ihd_daemon::model::CommandError) -> Exit {
-    use ihd_daemon::model::CommandError as E;
+fn of_command(error: &ihd_model::CommandError) -> Exit {
+    use ihd_model::CommandError as E;
     match error {
         E::NotConnected { .. } | E::Refused { .. } => Exit::NoDevice,
         E::NoDevice { .. } | E::Leased { .. } | E::Failed { .. } => Exit::Failed,

@@ -5,10 +5,10 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow};
 use ihd_daemon::config::Config;
 use ihd_daemon::firmware::{updates_needed, usb_serial};
-use ihd_daemon::model::{
+use ihd_link::{Client, Event};
+use ihd_model::{
     Command, CommandReply, DeviceReport, DeviceState, Identity, Live, LookupReport, WindowCounts,
 };
-use ihd_link::{Client, Event};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{State, Status, Telemetry};

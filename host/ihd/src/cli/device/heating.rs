@@ -6,7 +6,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use ihd_daemon::model::{Command, DeviceReport};
+use ihd_model::{Command, DeviceReport};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use thiserror::Error;
@@ -309,7 +309,7 @@ fn bar(json: bool) -> ProgressBar {
 #[cfg(test)]
 mod tests {
     use ihd_api::client::ClientError;
-    use ihd_daemon::model::CommandError;
+    use ihd_model::CommandError;
 
     use super::*;
 

@@ -8,10 +8,10 @@ use anyhow::{Result, bail};
 use ihd_api::ApiClient;
 use ihd_api::client::ClientError;
 use ihd_daemon::config::Config;
-use ihd_daemon::model::{Command, CommandError, CommandReply, DeviceReport};
 use ihd_link::DeviceSpec;
 #[cfg(feature = "log")]
 use ihd_link::{LinkError, Transport};
+use ihd_model::{Command, CommandError, CommandReply, DeviceReport};
 
 use super::address::address_of;
 use super::direct::Direct;

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use anyhow::Result;
 use ihd_daemon::config::Config;
-use ihd_daemon::model::DeviceReport;
 use ihd_link::usb;
+use ihd_model::DeviceReport;
 use serde::Serialize;
 
 use super::text::one_line;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Context, Result};
-use ihd_daemon::model::Command;
+use ihd_model::Command;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
 use serde_json::{Value, json};

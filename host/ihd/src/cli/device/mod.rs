@@ -12,7 +12,7 @@ mod watch;
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use ihd_daemon::config::Config;
-use ihd_daemon::model::Command;
+use ihd_model::Command;
 
 use super::global::Global;
 use super::simulate::quantity::{power_w, quantity};

@@ -1,7 +1,7 @@
 //! Texts about devices. Strings of a device or a daemon are escaped at output.
 
 use anyhow::Result;
-use ihd_daemon::model::{DeviceReport, Live, PotTemperature};
+use ihd_model::{DeviceReport, Live, PotTemperature};
 
 use crate::cli::output;
 
@@ -148,7 +148,7 @@ pub(in crate::cli) fn one_line(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use ihd_daemon::model::{DeviceState, LookupReport, WindowCounts};
+    use ihd_model::{DeviceState, LookupReport, WindowCounts};
 
     use super::*;
 

@@ -6,8 +6,8 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use ihd_api::client::ClientError;
 use ihd_api::client::events::StreamItem;
-use ihd_daemon::model::{DaemonEvent, EventKind};
 use ihd_link::Event;
+use ihd_model::{DaemonEvent, EventKind};
 
 use super::direct::Direct;
 use super::hob::Hob;

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use ihd_daemon::cause_of;
 use ihd_daemon::config::Config;
-use ihd_daemon::model::StoreFailure;
 use ihd_doctor::{Check, Evidence};
+use ihd_model::StoreFailure;
 use ihd_store::{StoreError, clock, try_folder};
 
 use crate::cli::configured;

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use ihd_api::ApiClient;
 use ihd_capture::recording::RecordSettings;
-use ihd_daemon::model::Command;
+use ihd_model::Command;
 use serde_json::json;
 
 use crate::cli::device::one_line;

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use ihd_daemon::model::{DaemonEvent, DeviceReport, EventKind};
+use ihd_model::{DaemonEvent, DeviceReport, EventKind};
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
 use super::feed::FeedUpdate;

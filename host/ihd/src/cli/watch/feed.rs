@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use ihd_api::ApiClient;
 use ihd_api::client::events::StreamItem;
-use ihd_daemon::model::{Command, DaemonEvent, DeviceReport, History};
+use ihd_model::{Command, DaemonEvent, DeviceReport, History};
 
 use super::trend::SPAN_S;
 

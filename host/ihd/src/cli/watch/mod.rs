@@ -18,7 +18,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use ihd_api::client::ClientError;
 use ihd_daemon::event_bus::now_ms;
-use ihd_daemon::model::CommandError;
+use ihd_model::CommandError;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event};
 

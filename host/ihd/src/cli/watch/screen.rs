@@ -1,6 +1,6 @@
 //! Frame: devices, the chosen one in full, its last minutes, events. If the terminal is too small, parts are omitted from below.
 
-use ihd_daemon::model::{DeviceReport, DeviceState, Live};
+use ihd_model::{DeviceReport, DeviceState, Live};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
@@ -445,7 +445,7 @@ fn duration(s: u64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use ihd_daemon::model::EventKind;
+    use ihd_model::EventKind;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
 

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use ihd_daemon::model::{History, Live};
+use ihd_model::{History, Live};
 
 /// Length of the trend in seconds.
 pub(super) const SPAN_S: i64 = 300;
@@ -184,7 +184,7 @@ impl Trend {
 
 #[cfg(test)]
 mod tests {
-    use ihd_daemon::model::Envelope;
+    use ihd_model::Envelope;
 
     use super::*;
 

@@ -45,9 +45,9 @@ pub struct History {
     pub resonance_hz: Vec<Option<f64>>,
     /// Last requested power of the column, in watt.
     pub asked_w: Vec<u16>,
-    /// State of the controller at the end of the column, as in [`super::Live::state`].
+    /// State of the controller at the end of the column, as in [`crate::Live::state`].
     pub state: Vec<String>,
-    /// Pot on the coil at the end of the column, as in [`super::Live::pot`].
+    /// Pot on the coil at the end of the column, as in [`crate::Live::pot`].
     pub pot: Vec<String>,
     /// Number of a fault in the column; 0 if there was none.
     pub fault: Vec<u16>,

@@ -38,7 +38,7 @@ pub struct DroppedRecords {
 
 impl DroppedRecords {
     /// Counts `n` records; [`RecordKind::State`] is never dropped.
-    pub(crate) fn add(&mut self, record: RecordKind, n: u64) {
+    pub fn add(&mut self, record: RecordKind, n: u64) {
         let count = match record {
             RecordKind::Windows => &mut self.windows,
             RecordKind::Results => &mut self.results,
@@ -62,7 +62,7 @@ impl DroppedRecords {
     }
 
     /// Returns the numbers dropped since an earlier count.
-    pub(crate) fn since(&self, before: &Self) -> Self {
+    pub fn since(&self, before: &Self) -> Self {
         Self {
             windows: self.windows - before.windows,
             results: self.results - before.results,

@@ -1,6 +1,5 @@
 //! State of a fleet, as an edge or `ihd-fleet status` reports it (docs/fleet.md).
 
-use ihd_store::FleetTally;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -85,22 +84,6 @@ impl FleetStates {
             ("no samples", self.no_samples),
             ("dead", self.dead),
         ]
-    }
-}
-
-impl From<FleetTally> for FleetStates {
-    fn from(tally: FleetTally) -> Self {
-        Self {
-            not_for_fleet: tally.not_for_fleet,
-            due: tally.due,
-            sent: tally.sent,
-            answered: tally.answered,
-            learned_here: tally.learned_here,
-            no_samples: tally.no_samples,
-            dead: tally.dead,
-            due_since_ms: tally.due_since_ms,
-            sent_since_ms: tally.sent_since_ms,
-        }
     }
 }
 
