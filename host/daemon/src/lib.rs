@@ -11,11 +11,13 @@
 
 mod auditor;
 mod clocks;
+mod commander;
 pub mod config;
 mod context;
 pub mod daemon;
 mod device;
 mod device_record;
+mod error;
 pub mod event_bus;
 mod event_log;
 mod figures;
@@ -33,6 +35,7 @@ mod pot_tracker;
 mod printable;
 pub mod recording;
 mod routing;
+mod running;
 #[cfg(any(test, feature = "simulation"))]
 pub mod simulation;
 mod states;
@@ -43,6 +46,7 @@ mod store_watch;
 mod supervisor;
 mod switching_off;
 mod tank;
+mod upkeep;
 mod view;
 mod window_accounting;
 
@@ -52,13 +56,16 @@ use ihd_link::{LinkError, Transport};
 use ihd_signal::truth::Truth;
 
 pub use config::Config;
-pub use daemon::{Daemon, DaemonError};
+pub use daemon::Daemon;
+pub use error::DaemonError;
 pub use figures::Figures;
 pub use hob::hob;
 pub use ihd_store::JournalFilter;
 pub use live::LiveTap;
 pub use store_health::cause_of;
 pub use store_thread::StoreThreadError;
+pub use upkeep::Upkeep;
+pub use view::{Recordings, View};
 
 /// Source of the true R and L of a recent half-cycle, by the device's half-cycle count; may block briefly on the
 /// simulation.

@@ -25,7 +25,7 @@ const MAX_LIMIT: u32 = 10_000;
 #[utoipa::path(get, path = "/devices", tag = "devices",
     responses((status = 200, body = [DeviceReport])))]
 pub(super) async fn all(State(app): State<Arc<App>>) -> Json<Vec<DeviceReport>> {
-    Json(app.daemon.devices())
+    Json(app.daemon.view().devices())
 }
 
 /// Returns the report of a device.
@@ -36,7 +36,7 @@ pub(super) async fn one(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
 ) -> Result<Json<DeviceReport>, ErrorResponse> {
-    let device = app.daemon.device(&name);
+    let device = app.daemon.view().device(&name);
     device
         .map(Json)
         .ok_or_else(|| ErrorResponse::no_device(&name))
@@ -50,7 +50,7 @@ pub(super) async fn lookups(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
 ) -> Result<Json<Vec<StoredLookup>>, ErrorResponse> {
-    let rows = app.daemon.lookups(&name).await?;
+    let rows = app.daemon.view().lookups(&name).await?;
     Ok(Json(rows.into_iter().rev().map(stored_lookup).collect()))
 }
 
@@ -80,7 +80,7 @@ pub(super) async fn results(
         let text = format!("limit is {limit}, but must lie between 1 and {MAX_LIMIT}");
         return Err(ErrorResponse::new(StatusCode::BAD_REQUEST, "query", text));
     }
-    if app.daemon.device(&name).is_none() {
+    if app.daemon.view().device(&name).is_none() {
         return Err(ErrorResponse::no_device(&name));
     }
     let filter = ResultFilter {
@@ -88,7 +88,7 @@ pub(super) async fn results(
         since_ms: parameters.since,
         limit: Some(limit),
     };
-    let rows = app.daemon.results(filter).await?;
+    let rows = app.daemon.view().results(filter).await?;
     Ok(Json(rows.into_iter().map(stored_result).collect()))
 }
 

@@ -20,7 +20,7 @@ const NO_FLEET: &str =
     responses((status = 200, body = FleetReport),
         (status = 404, description = "The daemon is not an edge", body = Problem)))]
 pub(super) async fn fleet(State(app): State<Arc<App>>) -> Result<Response, ErrorResponse> {
-    match app.daemon.fleet() {
+    match app.daemon.fleet().report() {
         // Serialised in place: a report of a thousand devices is not copied for each request.
         Some(report) => Ok(Json(&*report).into_response()),
         None => Err(ErrorResponse::new(

@@ -31,8 +31,8 @@ impl HealthCache {
         {
             return health.clone();
         }
-        let responds = daemon.store_responds().await;
-        let figures = daemon.figures();
+        let responds = daemon.upkeep().store_responds().await;
+        let figures = daemon.upkeep().figures();
         let silent = || (!responds).then(|| StoreFailure::silent(now_ms()));
         let store_failure = figures.store_failure.or_else(silent);
         let health = Health {

@@ -82,7 +82,7 @@ pub(super) async fn live(
     let permit = subscriber_permit(&app)?;
     let (tx, rx) = mpsc::channel(1);
     let subscriber = Subscriber {
-        tap: app.daemon.live().every(every),
+        tap: app.daemon.view().live().every(every),
         events: app.daemon.watch(),
         stopping: app.stopping.clone(),
         app,
@@ -209,7 +209,7 @@ impl Subscriber {
     /// Returns the reports if they are due: first, after a change, and every [`DEVICES_PERIOD`]; at most once per interval, so that frequent
     /// changes do not delay telemetry.
     fn devices(&mut self) -> Option<Vec<DeviceReport>> {
-        let devices = self.app.daemon.devices();
+        let devices = self.app.daemon.view().devices();
         let stable: Vec<_> = devices.iter().map(stable_fields).collect();
         let now = Instant::now();
         let last = self.outbox.devices.as_ref();

@@ -19,10 +19,10 @@ use crate::prometheus::Exposition;
         (status = 401, body = Problem)))]
 pub(super) async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
     let mut text = Exposition::default();
-    let figures = app.daemon.figures();
+    let figures = app.daemon.upkeep().figures();
     daemon(&mut text, &figures);
     learner(&mut text, &figures.learner);
-    if let Some(report) = app.daemon.fleet() {
+    if let Some(report) = app.daemon.fleet().report() {
         fleet(&mut text, &report);
     }
     if let Some(bytes) = figures.rss_bytes {
@@ -30,7 +30,7 @@ pub(super) async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
         text.gauge("resident_memory_bytes", help, bytes as f64);
     }
     server(&mut text, &app);
-    devices(&mut text, &app.daemon.devices());
+    devices(&mut text, &app.daemon.view().devices());
     (
         [(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")],
         text.into_text(),

@@ -76,14 +76,14 @@ pub(super) async fn history(
     ApiQuery(parameters): ApiQuery<HistoryParameters>,
 ) -> Result<Json<History>, ErrorResponse> {
     let columns = checked_count("columns", parameters.columns, HISTORY_COLUMNS, MAX_COLUMNS)?;
-    let to_ms = parameters.to.unwrap_or_else(|| app.daemon.now_ms());
+    let to_ms = parameters.to.unwrap_or_else(|| app.daemon.view().now_ms());
     let from_ms = parameters.from.unwrap_or(to_ms.saturating_sub(HISTORY_MS));
     if from_ms >= to_ms {
         return Err(bad_query(format!(
             "from is {from_ms} and to is {to_ms}: from must lie before to"
         )));
     }
-    let history = app.daemon.history(&name, from_ms, to_ms, columns);
+    let history = app.daemon.view().history(&name, from_ms, to_ms, columns);
     Ok(Json(history.await?))
 }
 
@@ -96,7 +96,7 @@ pub(super) async fn pot_temperature(
     State(app): State<Arc<App>>,
     Path(name): Path<String>,
 ) -> Result<Json<PotCurve>, ErrorResponse> {
-    let curve = app.daemon.pot_curve(&name);
+    let curve = app.daemon.view().pot_curve(&name);
     Ok(Json(curve.ok_or_else(|| ErrorResponse::no_device(&name))?))
 }
 
@@ -120,7 +120,7 @@ pub(super) async fn windows(
     ApiQuery(parameters): ApiQuery<LimitParameters>,
 ) -> Result<Json<Vec<WindowSummary>>, ErrorResponse> {
     let limit = checked_count("limit", parameters.limit, 100, MAX_ROWS)?;
-    Ok(Json(app.daemon.windows(&name, limit).await?))
+    Ok(Json(app.daemon.view().windows(&name, limit).await?))
 }
 
 /// Query parameters of a window.
@@ -177,7 +177,7 @@ pub(super) async fn window(
     Path(name): Path<String>,
     ApiQuery(parameters): ApiQuery<WindowParameters>,
 ) -> Result<Json<Scope>, ErrorResponse> {
-    let scope = app.daemon.scope(&name, parameters.query()?).await?;
+    let scope = app.daemon.view().scope(&name, parameters.query()?).await?;
     scope.map(Json).ok_or_else(|| {
         let text = "the store has no such window with its samples: the device has not heated yet, or `keep` dropped it";
         ErrorResponse::new(StatusCode::NOT_FOUND, "no-window", text)
@@ -195,7 +195,7 @@ pub(super) async fn training(
     ApiQuery(parameters): ApiQuery<LimitParameters>,
 ) -> Result<Json<Vec<Fit>>, ErrorResponse> {
     let limit = checked_count("limit", parameters.limit, 50, MAX_ROWS)?;
-    Ok(Json(app.daemon.training(&name, limit).await?))
+    Ok(Json(app.daemon.view().training(&name, limit).await?))
 }
 
 /// Query parameters of a map.
@@ -217,7 +217,7 @@ pub(super) async fn map(
     Path(name): Path<String>,
     ApiQuery(parameters): ApiQuery<MapParameters>,
 ) -> Result<Json<Map>, ErrorResponse> {
-    let map = app.daemon.map(&name, parameters.version).await?;
+    let map = app.daemon.view().map(&name, parameters.version).await?;
     map.map(Json).ok_or_else(|| {
         let text = match parameters.version {
             Some(version) => format!("the store has no lookup of version {version} of {name}; its lookups list those that there are"),
@@ -259,5 +259,5 @@ pub(super) async fn journal(
         before_ms: parameters.before,
         limit: Some(limit as u32),
     };
-    Ok(Json(app.daemon.journal(filter).await?))
+    Ok(Json(app.daemon.view().journal(filter).await?))
 }

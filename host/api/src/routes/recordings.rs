@@ -46,7 +46,7 @@ const CSV: &str = "text/csv; charset=utf-8";
 pub(super) async fn all(
     State(app): State<Arc<App>>,
 ) -> Result<Json<Vec<RecordingFile>>, ErrorResponse> {
-    Ok(Json(app.daemon.recordings().await?))
+    Ok(Json(app.daemon.recordings().list().await?))
 }
 
 /// Format of a download.
@@ -98,7 +98,7 @@ pub(super) async fn one(
     if !is_plain_name(&name) {
         return Err(unknown(&name));
     }
-    let path = app.daemon.recordings_folder().join(&name);
+    let path = app.daemon.recordings().folder().join(&name);
     let is_file = path
         .symlink_metadata()
         .is_ok_and(|metadata| metadata.is_file());

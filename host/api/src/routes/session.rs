@@ -24,7 +24,7 @@ pub(super) async fn session(
     // The guard has rejected requests without a role.
     let role = app.access.role(&headers).unwrap_or(Role::Read);
     let token_needed = app.access.tokens.is_some();
-    let fleet = app.daemon.fleet().is_some();
+    let fleet = app.daemon.fleet().report().is_some();
     Ok(Json(SessionReport {
         role,
         token_needed,

@@ -42,7 +42,7 @@ pub(super) async fn backup(
     if let Err(error) = std::fs::create_dir_all(&app.backups) {
         tracing::warn!(%error, "the folder for backups cannot be made");
     }
-    app.daemon.backup(path.clone()).await?;
+    app.daemon.upkeep().backup(path.clone()).await?;
     let path = path.display().to_string();
     Ok(Json(BackupMade { path }))
 }

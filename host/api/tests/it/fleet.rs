@@ -71,7 +71,7 @@ fn report() -> FleetReport {
 }
 
 fn edge(server: &Running) {
-    server.daemon.set_fleet_report(report());
+    server.daemon.fleet().set_report(report());
 }
 
 #[test]
@@ -134,7 +134,7 @@ fn a_daemon_tells_what_it_was_told_last_and_counts_it() {
     let server = Running::start();
     assert_eq!(figures_of_a_fleet(&server), []);
     edge(&server);
-    server.daemon.set_fleet_report(FleetReport {
+    server.daemon.fleet().set_report(FleetReport {
         connected: true,
         outbox: 2,
         backlog: 3,
@@ -174,7 +174,7 @@ fn no_text_of_another_machine_is_passed_on_as_it_is() {
     let bad = format!("\u{1b}[2J\n{}", "x".repeat(1 << 20));
     let hostile = texts(&mut hostile_report, &mut |text| text.clone_from(&bad));
     let hostile_report = serde_json::from_value(hostile_report).unwrap();
-    server.daemon.set_fleet_report(hostile_report);
+    server.daemon.fleet().set_report(hostile_report);
     let (_, known) = ask(server.address, FLEET, &[], "");
     let mut known = serde_json::from_str(&known).unwrap();
     let seen = texts(&mut known, &mut |text| {

@@ -137,7 +137,7 @@ fn what_a_hob_did_is_given_in_the_columns_rows_and_versions_asked_for() {
     let (status, body) = get(&server, &format!("{DEVICE}/map?version=9"));
     assert_eq!((status, body["error"].as_str()), (404, Some("no-version")));
     assert!(body["message"].as_str().unwrap().contains('9'), "{body}");
-    let curve = server.daemon.pot_curve(NAME).unwrap();
+    let curve = server.daemon.view().pot_curve(NAME).unwrap();
     let curve = serde_json::to_value(curve).unwrap();
     assert_eq!(of_device(&server, "pot-temperature"), curve);
 

@@ -197,19 +197,19 @@ impl Running {
 
     fn is_connected(&self) -> bool {
         let settled = |report: &DeviceReport| report.state == DeviceState::Idle;
-        self.daemon.devices().iter().all(settled)
+        self.daemon.view().devices().iter().all(settled)
     }
 
     /// Returns the daemon's time, in milliseconds since 1970, UTC.
     pub fn now_ms(&self) -> i64 {
         // For the clock.
         let _in_runtime = self.handle.enter();
-        self.daemon.now_ms()
+        self.daemon.view().now_ms()
     }
 
     /// Returns the report of the first device.
     pub fn report(&self) -> DeviceReport {
-        self.daemon.device(NAME).expect("it is configured")
+        self.daemon.view().device(NAME).expect("it is configured")
     }
 
     /// Returns holder and text of all commands since the start.

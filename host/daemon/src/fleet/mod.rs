@@ -1,12 +1,12 @@
 //! Interface of the daemon to its part in a fleet (docs/fleet.md): windows and events to send, answers and lookups received.
 //!
-//! The daemon itself has no connection to the server. While windows are delegated ([`Daemon::delegate_until`]), it does not identify them
+//! The daemon itself has no connection to the server. While windows are delegated ([`FleetAccess::delegate_until`]), it does not identify them
 //! itself; workers' answers take the place of its own results. The delegation expires unless it is renewed.
 
 pub mod delegation;
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use ihd_link::Window;
@@ -15,7 +15,7 @@ use ihd_model::FleetReport;
 use ihd_shared::lookup::RlLookup;
 use ihd_store::{
     DeliveryState, DeviceId, DueWindow, EventRow, FleetMark, FleetState, FleetTally, GiveUpReason,
-    OutboxItem, SessionId,
+    OutboxItem, SessionId, Store, StoreError,
 };
 use ihd_train::learning::Contradiction;
 use tokio::sync::oneshot;
@@ -24,10 +24,13 @@ use tokio::time::Instant;
 pub use self::delegation::DELEGATION_TIME;
 use self::delegation::Delegation;
 pub use crate::config::fleet::{FleetConfig, host_name};
-use crate::daemon::Daemon;
-use crate::learning::{LearnInput, LearnJob, LearningInUse, WorkerAnswer, WorkerFigures, power_w};
+use crate::fleet_view::FleetView;
+use crate::learning::{
+    LearnInput, LearnJob, LearnerSlot, LearningInUse, WorkerAnswer, WorkerFigures, power_w,
+};
 use crate::printable::printable;
-use crate::store_thread::StoreThreadError;
+use crate::store_thread::{StoreThread, StoreThreadError};
+use crate::supervisor::Devices;
 
 /// Outcome of a worker's answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,25 +77,45 @@ struct SentWindow {
     window: Box<Window>,
 }
 
-impl Daemon {
+/// Access for the daemon's part in a fleet.
+pub struct FleetAccess {
+    pub(crate) devices: Arc<Devices>,
+    pub(crate) store: StoreThread,
+    pub(crate) learner: LearnerSlot,
+    pub(crate) delegation: Arc<Delegation>,
+    /// Last report of the fleet.
+    pub(crate) report: FleetView,
+    /// Folder of the store.
+    pub(crate) folder: PathBuf,
+}
+
+impl FleetAccess {
+    /// Runs `f` on the store's thread.
+    async fn in_store<T: Send + 'static>(
+        &self,
+        f: impl FnOnce(&mut Store) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreThreadError> {
+        self.store.run(f).await
+    }
+
     /// Returns the fleet report; `None` if this daemon is no edge of a fleet.
-    pub fn fleet(&self) -> Option<Arc<FleetReport>> {
-        self.inner.fleet.get()
+    pub fn report(&self) -> Option<Arc<FleetReport>> {
+        self.report.get()
     }
 
     /// Replaces the fleet report; from then on this daemon is an edge.
-    pub fn set_fleet_report(&self, report: FleetReport) {
-        self.inner.fleet.set(report);
+    pub fn set_report(&self, report: FleetReport) {
+        self.report.set(report);
     }
 
     /// Leaves windows to the fleet until a time, at most [`DELEGATION_TIME`] from now; after that, and at once if `until` is `None`, the daemon identifies them itself.
     pub fn delegate_until(&self, until: Option<Instant>) {
-        self.delegation().renew(until);
+        self.delegation.renew(until);
     }
 
     /// Returns `true` while windows are left to the fleet.
     pub fn is_delegated(&self) -> bool {
-        self.delegation().is_delegated()
+        self.delegation.is_delegated()
     }
 
     /// Returns the oldest windows that are due at the fleet, at most `limit`, without those that are being identified here.
@@ -100,7 +123,7 @@ impl Daemon {
     /// # Errors
     /// Error of the store.
     pub async fn due_windows(&self, limit: usize) -> Result<Vec<DueWindow>, StoreThreadError> {
-        let learner = self.learner();
+        let learner = self.learner.get();
         let held = learner.as_ref().map_or(0, |learner| learner.most_pending());
         let mut due = self.in_store(move |store| store.due(limit + held)).await?;
         if let Some(learner) = learner {
@@ -180,7 +203,7 @@ impl Daemon {
     ///
     /// # Errors
     /// Error of the store.
-    pub async fn fleet_tally(&self) -> Result<FleetTally, StoreThreadError> {
+    pub async fn tally(&self) -> Result<FleetTally, StoreThreadError> {
         let days = self.in_store(|store| store.days_of_windows()).await?;
         let mut all = FleetTally::default();
         for day in days {
@@ -193,7 +216,7 @@ impl Daemon {
     ///
     /// # Errors
     /// Error of the store.
-    pub async fn fleet_mark(&self, mark: FleetMark) -> Result<Option<i64>, StoreThreadError> {
+    pub async fn mark(&self, mark: FleetMark) -> Result<Option<i64>, StoreThreadError> {
         self.in_store(move |store| store.fleet_mark(mark)).await
     }
 
@@ -201,47 +224,44 @@ impl Daemon {
     ///
     /// # Errors
     /// Error of the store.
-    pub async fn set_fleet_mark(
-        &self,
-        mark: FleetMark,
-        value: i64,
-    ) -> Result<(), StoreThreadError> {
+    pub async fn set_mark(&self, mark: FleetMark, value: i64) -> Result<(), StoreThreadError> {
         self.in_store(move |store| store.mark_fleet(mark, value))
             .await
     }
 
     /// Returns the store's folder.
     pub fn store_folder(&self) -> &Path {
-        &self.inner.folder
+        &self.folder
     }
 
     /// Returns the skew in seconds to remove from the current of a device's windows; `None` if unknown.
     pub fn skew_s(&self, device: &str) -> Option<f64> {
-        self.learner()?.skew_s(device)
+        self.learner.get()?.skew_s(device)
     }
 
     /// Returns the secret of this daemon's store, by which the fleet recognises its messages.
     ///
     /// # Errors
     /// Error of the store.
-    pub async fn fleet_secret(&self) -> Result<[u8; 16], StoreThreadError> {
+    pub async fn secret(&self) -> Result<[u8; 16], StoreThreadError> {
         self.in_store(ihd_store::Store::fleet_secret).await
     }
 
     /// Returns the pot on a device as an entry for other hobs' library; `None` if too little is known.
     pub fn pot_entry(&self, device: &str, by: Provenance) -> Option<PotEntry> {
-        self.learner()?.pot_entry(device, by)
+        self.learner.get()?.pot_entry(device, by)
     }
 
     /// Sets the library of other hobs' pots for every device; returns `false` if it has not changed.
     pub fn use_library(&self, library: Library) -> bool {
-        self.learner()
+        self.learner
+            .get()
             .is_some_and(|learner| learner.use_library(library))
     }
 
     /// Checks a lookup from the fleet against the hob's own windows.
     pub fn check_lookup(&self, device: &str, lookup: &RlLookup) -> LookupCheck {
-        let Some(learner) = self.learner() else {
+        let Some(learner) = self.learner.get() else {
             return LookupCheck::Unavailable;
         };
         match learner.contradiction(device, lookup) {
@@ -280,7 +300,7 @@ impl Daemon {
         seq: u32,
         answer: WorkerAnswer,
     ) -> Result<ReceiveOutcome, ReceiveError> {
-        let Some(handle) = self.handle_of(device) else {
+        let Some(handle) = self.devices.get(device) else {
             return Ok(ReceiveOutcome::Foreign);
         };
         let address = handle.record.address.clone();
@@ -288,7 +308,7 @@ impl Daemon {
             Ok(sent_window) => sent_window,
             Err(received) => return Ok(received),
         };
-        let learner = self.learner().ok_or(ReceiveError::NoRoom)?;
+        let learner = self.learner.get().ok_or(ReceiveError::NoRoom)?;
         if !learner.has_device(device) {
             // Not connected since the daemon started: its stored learning is restored first.
             let device_id = sent_window.device_id;
@@ -366,7 +386,8 @@ impl Daemon {
 
     /// Returns the records of the fleet's workers, by name: numbers of confirmed and refuted answers.
     pub fn workers(&self) -> BTreeMap<String, WorkerFigures> {
-        self.learner()
+        self.learner
+            .get()
             .map(|learner| learner.workers())
             .unwrap_or_default()
     }
@@ -376,9 +397,5 @@ impl Daemon {
         let workers = self.workers().into_iter();
         let distrusted = workers.filter(|(_, figures)| figures.is_distrusted());
         distrusted.map(|(name, _)| name).collect()
-    }
-
-    fn delegation(&self) -> &Arc<Delegation> {
-        &self.inner.delegation
     }
 }

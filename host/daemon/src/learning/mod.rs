@@ -22,6 +22,7 @@ mod settle;
 mod shared;
 #[cfg(any(test, feature = "simulation"))]
 mod simulated;
+mod slot;
 #[cfg(test)]
 mod tests;
 mod threads;
@@ -35,6 +36,7 @@ pub use self::fit::{FitSummary, FitTrace, truth_curve};
 pub use self::job::{LearnInput, LearnJob, LearnResult, Lookup};
 pub use self::learner::{Learner, LearnerError, LearnerSettings, LearningInUse};
 pub use self::queue::DroppedWindow;
+pub(crate) use self::slot::LearnerSlot;
 pub use self::workers::{AnswerVerdict, WorkerFigures, sum_answers};
 
 /// Returns `true` if the windows of a device in this state are worth learning from: it heats.

@@ -101,7 +101,7 @@ impl World {
         let now = self.now();
         let daemon = self.daemon();
         if let Some(daemon) = &daemon {
-            let waiting = daemon.figures().store_waiting;
+            let waiting = daemon.upkeep().figures().store_waiting;
             if waiting > STORE_WAITING {
                 let why = format!("{waiting} jobs wait for the store");
                 self.lock().promises.note_broken(why);

@@ -23,7 +23,8 @@ use super::hob::HOBS;
 use super::users::ask_at_random;
 use super::world::{HobKind, World};
 use crate::config::Config;
-use crate::daemon::{Daemon, DaemonError};
+use crate::daemon::Daemon;
+use crate::error::DaemonError;
 use crate::fleet::FleetConfig;
 use crate::machine::Machine;
 use crate::{OpenDevice, OpenedDevice, config::Address};
@@ -179,7 +180,7 @@ pub fn foreign_hello(left: HobKind) -> (Duration, String) {
                 break why.clone();
             }
         };
-        let report = daemon.device(name).expect("a hob of this world");
+        let report = daemon.view().device(name).expect("a hob of this world");
         assert_eq!((report.asked_by_daemon_w, report.lease), (0, None));
         let outcome = (world.now() - began, why);
         daemon.stop().await;

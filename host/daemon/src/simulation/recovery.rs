@@ -28,7 +28,7 @@ const POLL_PERIOD: Duration = Duration::from_millis(500);
 
 fn is_working(daemon: &Daemon, name: &str) -> bool {
     use DeviceState::{Incompatible, Searching, Suspended};
-    let state = daemon.device(name).map(|report| report.state);
+    let state = daemon.view().device(name).map(|report| report.state);
     !matches!(state, None | Some(Searching | Suspended | Incompatible))
 }
 
@@ -46,7 +46,7 @@ pub async fn wait_until_working(daemon: &Daemon) {
 pub async fn check_recovery(world: &Arc<World>, daemon: &Daemon) {
     for (hob, name) in HOBS.into_iter().enumerate() {
         if !is_working(daemon, name) {
-            let state = daemon.device(name).map(|report| report.state);
+            let state = daemon.view().device(name).map(|report| report.state);
             world.note_broken(format!("{name} is {state:?} though nothing fails any more"));
         }
         let eve = User {
@@ -83,7 +83,7 @@ pub async fn check_recovery(world: &Arc<World>, daemon: &Daemon) {
 pub async fn check_settled(world: &World, daemon: &Daemon, store: &Path) {
     let began = Instant::now();
     loop {
-        let why = match daemon.fleet_tally().await {
+        let why = match daemon.fleet().tally().await {
             Ok(tally) if tally.due + tally.sent > 0 => {
                 format!("windows are still at the fleet: {tally:?}")
             }
@@ -127,7 +127,7 @@ fn in_store(folder: &Path) -> Result<(Vec<WindowRow>, Vec<ResultRow>), String> {
 
 /// Checks that each announced window is counted exactly once.
 fn check_windows(world: &World, daemon: &Daemon, name: &str) {
-    let Some(report) = daemon.device(name) else {
+    let Some(report) = daemon.view().device(name) else {
         return;
     };
     let w = &report.windows;
@@ -141,7 +141,7 @@ fn check_windows(world: &World, daemon: &Daemon, name: &str) {
 /// Checks that the active lookup of a hob is in the store.
 async fn check_lookup(world: &World, daemon: &Daemon, hob: usize) {
     let used = world.lock().sockets[hob].hob.lookup().clone();
-    let rows = daemon.lookups(HOBS[hob]).await.unwrap_or_default();
+    let rows = daemon.view().lookups(HOBS[hob]).await.unwrap_or_default();
     let blob = used.to_bytes();
     let is_known = rows
         .iter()

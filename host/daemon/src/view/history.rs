@@ -3,14 +3,14 @@
 use ihd_model::{History, HistoryResults};
 use ihd_store::{Reader, ResultRow, StoreError};
 
-use super::finite;
-use crate::daemon::{Daemon, DaemonError};
+use super::{View, finite};
+use crate::error::DaemonError;
 use crate::history::{Columns, Grid};
 
 /// Longest time from a window to its result, in milliseconds: the learner's queue is short.
 const LONGEST_WAIT_MS: i64 = 600_000;
 
-impl Daemon {
+impl View {
     /// Returns the history of a device from `from_ms` to `to_ms` (milliseconds since 1970, UTC) in at most `columns`
     /// (1 to 4000), including telemetry that is not written yet.
     ///
@@ -25,7 +25,7 @@ impl Daemon {
     ) -> Result<History, DaemonError> {
         let grid = Grid::new(from_ms, to_ms, columns);
         // Taken before the store is read: telemetry written in between is in both, and counted once.
-        let unwritten = self.inner.telemetry.unwritten(device);
+        let unwritten = self.telemetry.unwritten(device);
         self.read_device(device, move |reader, device| {
             let mut filled = Columns::new(grid);
             let within = (grid.from_s, grid.to_s);

@@ -3,12 +3,13 @@
 use ihd_model::JournalEntry;
 use ihd_store::{JournalFilter, JournalRow};
 
-use crate::daemon::{Daemon, DaemonError};
+use super::View;
+use crate::error::DaemonError;
 
 /// Largest number of entries in a response.
 const MAX_ENTRIES: u32 = 10_000;
 
-impl Daemon {
+impl View {
     /// Returns events and commands, newest first, at most ten thousand. A client that continues with the entries before the
     /// time of the last one misses only further entries of that millisecond.
     ///

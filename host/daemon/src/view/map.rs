@@ -6,13 +6,14 @@ use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
 use ihd_store::{Confidence, LookupRow, LookupState};
 
+use super::View;
 use super::cell_ages::CellAges;
 use super::stored_lookup::newest;
-use crate::daemon::{Daemon, DaemonError};
+use crate::error::DaemonError;
 use crate::event_bus::now_ms;
 use crate::locking::lock;
 
-impl Daemon {
+impl View {
     /// Returns a lookup of a device as a map: of this version, 0 being the built-in prior; if `version` is `None`, the one
     /// that the device uses, or used last. `None` if there is no such version.
     ///
@@ -23,12 +24,9 @@ impl Daemon {
         device: &str,
         version: Option<u32>,
     ) -> Result<Option<Map>, DaemonError> {
-        let handle = self.inner.devices.get(device);
+        let handle = self.devices.get(device);
         let on_device = handle.and_then(|handle| handle.record.lock().lookup.on_device);
-        let ages = lock(&self.inner.ages)
-            .get(device)
-            .cloned()
-            .unwrap_or_default();
+        let ages = lock(&self.ages).get(device).cloned().unwrap_or_default();
         let read = self.read_device(device, move |reader, device| {
             let rows = reader.lookups()?;
             let rows: Vec<_> = rows
@@ -49,7 +47,7 @@ impl Daemon {
         });
         let (version, row, confidence, ages) = read.await?;
         let map = map(version, row.as_ref(), confidence.as_ref(), &ages);
-        lock(&self.inner.ages).insert(device.to_owned(), ages);
+        lock(&self.ages).insert(device.to_owned(), ages);
         Ok(map)
     }
 }

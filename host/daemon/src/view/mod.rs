@@ -6,40 +6,51 @@ mod journal;
 mod map;
 mod measurement;
 pub(crate) mod recent_fits;
+mod recordings;
+mod reports;
 mod scope;
 pub(crate) mod stored_lookup;
 mod training;
 
-use std::time::Duration;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
 
-use ihd_store::{Reader, ResultFilter, StoreError};
+use ihd_store::{Reader, StoreError};
+use tokio::sync::Semaphore;
 
-use crate::daemon::{Daemon, DaemonError};
+use self::cell_ages::CellAges;
+pub use self::recordings::Recordings;
+use crate::error::DaemonError;
+use crate::history::TelemetryBuffer;
+use crate::machine::Machine;
 use crate::printable::printable;
-use crate::store_thread::StoreThreadError;
+use crate::store_thread::{StoreThread, StoreThreadError};
+use crate::supervisor::Devices;
 
-/// Longest response time of a store that counts as alive.
-const STORE_TIMEOUT: Duration = Duration::from_secs(5);
+/// Read model of the daemon.
+pub struct View {
+    pub(crate) machine: Machine,
+    pub(crate) devices: Arc<Devices>,
+    /// Telemetry that is not stored yet.
+    pub(crate) telemetry: Arc<TelemetryBuffer>,
+    pub(crate) store: StoreThread,
+    /// Folder of the store, for readers.
+    pub(crate) folder: PathBuf,
+    pub(crate) readers: Semaphore,
+    /// Ages of the lookup cells, by device.
+    pub(crate) ages: Mutex<BTreeMap<String, CellAges>>,
+}
 
-impl Daemon {
-    /// Returns `true` if the store responds in time, even with an error.
-    pub async fn store_responds(&self) -> bool {
-        let one = ResultFilter {
-            limit: Some(1),
-            ..ResultFilter::default()
-        };
-        let responding = tokio::time::timeout(STORE_TIMEOUT, self.results(one));
-        responding.await.is_ok()
-    }
-
+impl View {
     /// Runs a query on the store.
     async fn read<T: Send + 'static>(
         &self,
         f: impl FnOnce(&Reader) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, DaemonError> {
         // The semaphore is never closed.
-        let turn = self.inner.readers.acquire().await;
-        let folder = self.inner.folder.clone();
+        let turn = self.readers.acquire().await;
+        let folder = self.folder.clone();
         let reading = tokio::task::spawn_blocking(move || f(&Reader::open(&folder)?)).await;
         drop(turn);
         Ok(reading.map_err(|_| StoreThreadError::Gone("reading it panicked"))??)
@@ -51,7 +62,7 @@ impl Daemon {
         device: &str,
         f: impl FnOnce(&Reader, &str) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, DaemonError> {
-        let is_known = self.inner.devices.get(device).is_some();
+        let is_known = self.devices.get(device).is_some();
         let name = device.to_owned();
         let read = self.read(move |reader| {
             let is_known = is_known || reader.devices()?.iter().any(|row| row.name == name);

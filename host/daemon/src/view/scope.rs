@@ -4,15 +4,15 @@ use ihd_link::Window;
 use ihd_model::{Scope, Trajectory, WindowQuery, WindowSummary};
 use ihd_store::{Curve, Curves, ResultRow, StoreError, WindowRow};
 
-use super::finite;
 use super::measurement::measure;
-use crate::daemon::{Daemon, DaemonError};
+use super::{View, finite};
+use crate::error::DaemonError;
 use crate::history::MAX_COLUMNS;
 
 /// Largest number of windows in a list.
 const MAX_WINDOWS: usize = 10_000;
 
-impl Daemon {
+impl View {
     /// Returns the last windows of a device, newest first.
     ///
     /// # Errors

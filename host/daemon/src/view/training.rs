@@ -3,13 +3,13 @@
 use ihd_model::Fit;
 use ihd_store::{ResultFilter, ResultRow};
 
-use super::finite;
-use crate::daemon::{Daemon, DaemonError};
+use super::{View, finite};
+use crate::error::DaemonError;
 
 /// Largest number of fits in a list.
 const MAX_FITS: usize = 10_000;
 
-impl Daemon {
+impl View {
     /// Returns the last fits of a device, newest first: those of the last minutes with their steps, the others as
     /// stored.
     ///
@@ -25,7 +25,7 @@ impl Daemon {
             })
         });
         let rows = rows.await?;
-        let handle = self.inner.devices.get(device);
+        let handle = self.devices.get(device);
         let fits = handle.as_ref().map(|handle| handle.record.fits());
         let fit = |row: &ResultRow| {
             let known = fits.as_ref().and_then(|fits| fits.find(row));

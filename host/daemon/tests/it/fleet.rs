@@ -37,9 +37,11 @@ async fn edge(rig: &Rig) -> Daemon {
 async fn heat_until_due(daemon: &Daemon, count: usize) -> Vec<DueWindow> {
     let heated = async {
         loop {
-            daemon.delegate_until(Some(Instant::now() + DELEGATION_TIME));
+            daemon
+                .fleet()
+                .delegate_until(Some(Instant::now() + DELEGATION_TIME));
             power(daemon, "a", 1_000).await.unwrap();
-            let due = daemon.due_windows(100).await.unwrap();
+            let due = daemon.fleet().due_windows(100).await.unwrap();
             if due.len() >= count {
                 return due;
             }
@@ -63,7 +65,7 @@ fn answer_without_result() -> WorkerAnswer {
 
 /// Reads a due window as a worker receives it.
 async fn read(daemon: &Daemon, due: &DueWindow) -> Box<Window> {
-    match daemon.read_due(due.clone()).await.unwrap() {
+    match daemon.fleet().read_due(due.clone()).await.unwrap() {
         OutboxItem::Window(window) => window,
         other => panic!("{due:?} is {other:?}"),
     }
@@ -76,7 +78,12 @@ async fn honest_answer(daemon: &Daemon, due: &DueWindow) -> WorkerAnswer {
         deterministic: true,
         ..NetworkConfig::default()
     };
-    WorkerAnswer::compute("w".to_owned(), &window, daemon.skew_s("bench"), network)
+    WorkerAnswer::compute(
+        "w".to_owned(),
+        &window,
+        daemon.fleet().skew_s("bench"),
+        network,
+    )
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -87,35 +94,40 @@ async fn an_answer_counts_only_if_its_window_was_sent() {
     let (boot, seq) = (due[0].boot, due[0].seq);
     // A window that does not exist yet, and one that was not sent.
     let early = daemon
+        .fleet()
         .receive("bench", boot, seq + 10_000, answer_without_result())
         .await;
     assert_eq!(early.unwrap(), ReceiveOutcome::Unrequested);
     let unsent = daemon
+        .fleet()
         .receive("bench", boot, seq, answer_without_result())
         .await;
     assert!(matches!(unsent, Err(ReceiveError::NotSent)), "{unsent:?}");
     let elsewhere = daemon
+        .fleet()
         .receive("bench", boot ^ 1, seq, answer_without_result())
         .await;
     assert_eq!(elsewhere.unwrap(), ReceiveOutcome::Foreign);
     let all = ResultFilter::default();
-    assert_eq!(daemon.results(all.clone()).await.unwrap().len(), 0);
+    assert_eq!(daemon.view().results(all.clone()).await.unwrap().len(), 0);
 
     let sent = due
         .iter()
         .map(|due| (due.clone(), DeliveryState::Window))
         .collect();
-    daemon.mark_sent(sent).await.unwrap();
+    daemon.fleet().mark_sent(sent).await.unwrap();
     let asked = daemon
+        .fleet()
         .receive("bench", boot, seq, answer_without_result())
         .await;
     assert_eq!(asked.unwrap(), ReceiveOutcome::Stored);
     let again = daemon
+        .fleet()
         .receive("bench", boot, seq, answer_without_result())
         .await;
     assert_eq!(again.unwrap(), ReceiveOutcome::Duplicate);
     // The edge has identified the window itself.
-    let results = daemon.results(all).await.unwrap();
+    let results = daemon.view().results(all).await.unwrap();
     assert_eq!(results.len(), 1);
     assert!(results[0].pass, "{results:?}");
     daemon.stop().await;
@@ -153,21 +165,29 @@ async fn a_lie_is_refuted_named_and_identified_here() {
             println!("{name}");
         }
         daemon
+            .fleet()
             .mark_sent(vec![(due.clone(), DeliveryState::Window)])
             .await
             .unwrap();
-        let received = daemon.receive("bench", due.boot, due.seq, answer).await;
+        let received = daemon
+            .fleet()
+            .receive("bench", due.boot, due.seq, answer)
+            .await;
         assert_eq!(received.unwrap(), ReceiveOutcome::Stored);
         stored.push((due.seq, i_rms_a, correct.load.unwrap()));
     }
-    let workers = daemon.workers();
+    let workers = daemon.fleet().workers();
     assert_eq!((workers["w"].confirmed, workers["w"].refuted), (2, 0));
     for k in 0..lies.len() {
         let liar = &workers[&format!("liar-{k}")];
         assert_eq!((liar.confirmed, liar.refuted), (0, 1), "{}", lies[k].0);
         assert!(!liar.why.is_empty());
     }
-    let results = daemon.results(ResultFilter::default()).await.unwrap();
+    let results = daemon
+        .view()
+        .results(ResultFilter::default())
+        .await
+        .unwrap();
     for (seq, i_rms_a, load) in stored {
         let result = results.iter().find(|r| r.seq == seq).expect("stored");
         let crest = load.r_ohm[load.r_ohm.len() / 2];
@@ -193,7 +213,7 @@ async fn a_lookup_from_elsewhere_must_not_contradict_what_the_hob_has_shown() {
     let daemon = edge(&rig).await;
     let built_in = prior();
     let check = async |lookup: &RlLookup| loop {
-        match daemon.check_lookup("bench", lookup) {
+        match daemon.fleet().check_lookup("bench", lookup) {
             LookupCheck::Unavailable => nap().await,
             advice => return advice,
         }
@@ -203,15 +223,19 @@ async fn a_lookup_from_elsewhere_must_not_contradict_what_the_hob_has_shown() {
     for due in heat_until_due(&daemon, 2).await {
         let answer = honest_answer(&daemon, &due).await;
         daemon
+            .fleet()
             .mark_sent(vec![(due.clone(), DeliveryState::Window)])
             .await
             .unwrap();
-        let received = daemon.receive("bench", due.boot, due.seq, answer).await;
+        let received = daemon
+            .fleet()
+            .receive("bench", due.boot, due.seq, answer)
+            .await;
         assert_eq!(received.unwrap(), ReceiveOutcome::Stored);
     }
     let learned = async {
         loop {
-            let rows = daemon.lookups("bench").await.unwrap();
+            let rows = daemon.view().lookups("bench").await.unwrap();
             if let Some(row) = rows.last() {
                 return RlLookup::from_bytes(&row.blob).unwrap();
             }
@@ -242,10 +266,12 @@ async fn an_edge_that_was_started_again_goes_on_sending() {
     let daemon = edge(&rig).await;
     for due in heat_until_due(&daemon, 1).await {
         daemon
+            .fleet()
             .mark_sent(vec![(due.clone(), DeliveryState::Window)])
             .await
             .unwrap();
         let received = daemon
+            .fleet()
             .receive("bench", due.boot, due.seq, answer_without_result())
             .await;
         assert_eq!(received.unwrap(), ReceiveOutcome::Stored);
@@ -254,13 +280,13 @@ async fn an_edge_that_was_started_again_goes_on_sending() {
 
     let daemon = edge(&rig).await;
     // Windows that came while the power was switched off.
-    let late = daemon.due_windows(100).await.unwrap();
+    let late = daemon.fleet().due_windows(100).await.unwrap();
     let late = late
         .into_iter()
         .map(|due| (due, DeliveryState::Result))
         .collect();
-    daemon.mark_sent(late).await.unwrap();
-    assert_eq!(daemon.due_windows(100).await.unwrap(), []);
+    daemon.fleet().mark_sent(late).await.unwrap();
+    assert_eq!(daemon.fleet().due_windows(100).await.unwrap(), []);
     assert!(!heat_until_due(&daemon, 1).await.is_empty());
     daemon.stop().await;
 }

@@ -30,7 +30,11 @@ async fn what_the_panel_heats_is_learned_pushed_and_kept_over_a_restart() {
     .await;
     assert!(report.lookup.observed_cells > 0);
     assert_eq!(report.asked_by_daemon_w, 0, "it only watched");
-    let results = daemon.results(ResultFilter::default()).await.unwrap();
+    let results = daemon
+        .view()
+        .results(ResultFilter::default())
+        .await
+        .unwrap();
     assert!(results.len() >= 3);
     // The simulated pot has 2-3 ohm and some 20 microhenry.
     let passed = results.iter().find(|r| r.pass).unwrap();
@@ -45,7 +49,7 @@ async fn what_the_panel_heats_is_learned_pushed_and_kept_over_a_restart() {
         r.lookup.pending.is_none() && w.learned + w.unfit + w.unlearned == w.stored
     })
     .await;
-    let lookups = daemon.lookups("bench").await.unwrap();
+    let lookups = daemon.view().lookups("bench").await.unwrap();
     daemon.stop().await;
 
     let daemon = rig.daemon().await;
@@ -54,7 +58,7 @@ async fn what_the_panel_heats_is_learned_pushed_and_kept_over_a_restart() {
         after.lookup, before.lookup,
         "the same lookup, and nothing was pushed"
     );
-    assert_eq!(daemon.lookups("bench").await.unwrap(), lookups);
+    assert_eq!(daemon.view().lookups("bench").await.unwrap(), lookups);
     rig.bench().panel(7);
     let again = until(&daemon, |r| r.windows.learned >= 3).await;
     assert!(
@@ -63,7 +67,7 @@ async fn what_the_panel_heats_is_learned_pushed_and_kept_over_a_restart() {
         again.lookup,
         before.lookup
     );
-    let rows = daemon.lookups("bench").await.unwrap();
+    let rows = daemon.view().lookups("bench").await.unwrap();
     let active = rows.iter().filter(|row| row.state == LookupState::Active);
     assert_eq!(active.count(), 1);
     daemon.stop().await;

@@ -21,14 +21,14 @@ async fn power_ends_with_the_lease_that_nobody_renews() {
     daemon.take_lease("bench", "a", false).await.unwrap();
     let nearly = Duration::from_secs(LEASE_S) - Duration::from_millis(200);
     clock.pass(nearly).await;
-    let report = daemon.device("bench").unwrap();
+    let report = daemon.view().device("bench").unwrap();
     assert_eq!(
         (rig.bench().asked_w(), report.asked_by_daemon_w),
         (1_000, 1_000)
     );
     // Off a tick after its end; the session may need further ticks, and the link's thread real time.
     let patience = std::time::Instant::now() + PATIENCE;
-    while daemon.device("bench").unwrap().asked_by_daemon_w != 0 {
+    while daemon.view().device("bench").unwrap().asked_by_daemon_w != 0 {
         assert!(std::time::Instant::now() < patience, "the power stays");
         clock.pass(Duration::from_millis(50)).await;
     }
@@ -110,10 +110,10 @@ async fn a_command_of_a_moment_leaves_the_lease_free() {
         .command("bench", "a", Command::ClearFault)
         .await
         .unwrap();
-    assert_eq!(daemon.device("bench").unwrap().lease, None);
+    assert_eq!(daemon.view().device("bench").unwrap().lease, None);
     let refused = power(&daemon, "a", 60_000).await.unwrap_err().to_string();
     assert!(refused.contains("2500 W"), "{refused}");
-    assert_eq!(daemon.device("bench").unwrap().lease, None);
+    assert_eq!(daemon.view().device("bench").unwrap().lease, None);
     assert!(matches!(
         daemon.command("nobody", "a", Command::Off).await,
         Err(CommandError::NoDevice { .. })
@@ -141,7 +141,7 @@ async fn commands_at_once_leave_no_power_without_a_lease() {
                 power(1_000)
             ),
         };
-        let report = daemon.device("bench").unwrap();
+        let report = daemon.view().device("bench").unwrap();
         assert!(
             report.asked_by_daemon_w == 0 || report.lease.is_some(),
             "round {round}: {first:?}, {second:?}, {report:#?}"
@@ -203,7 +203,7 @@ async fn a_sweep_takes_one_power_after_the_other_and_ends_off() {
         if asked_w > 0 && seen.last() != Some(&asked_w) {
             seen.push(asked_w);
         }
-        let report = daemon.device("bench").unwrap();
+        let report = daemon.view().device("bench").unwrap();
         if report.sweep_left_w.is_empty() && report.asked_by_daemon_w == 0 {
             assert!(report.windows.stored >= 6, "{:?}", report.windows);
             break;

@@ -11,8 +11,8 @@ async fn each_watcher_counts_every_half_cycle_at_its_own_pace() {
     let rig = Rig::new(&["bench"]);
     let daemon = rig.daemon().await;
     until_state(&daemon, DeviceState::Idle).await;
-    let mut quick = daemon.live().every(Duration::from_millis(100));
-    let mut slow = daemon.live().every(Duration::from_millis(100));
+    let mut quick = daemon.view().live().every(Duration::from_millis(100));
+    let mut slow = daemon.view().live().every(Duration::from_millis(100));
     rig.bench().panel(6);
     until(&daemon, |r| {
         r.live.as_ref().is_some_and(|l| l.power_w > 500.0)

@@ -23,7 +23,7 @@ async fn push(daemon: &Daemon, lookup: &RlLookup) -> String {
 }
 
 async fn states(daemon: &Daemon) -> Vec<(u32, LookupState)> {
-    let rows = daemon.lookups("bench").await.unwrap();
+    let rows = daemon.view().lookups("bench").await.unwrap();
     rows.iter().map(|row| (row.version, row.state)).collect()
 }
 
@@ -50,7 +50,7 @@ async fn pushed_rolled_back_and_reset() {
         .command("bench", "a", Command::LookupRollback { version: None })
         .await;
     assert!(back.unwrap().text.contains("version 3"));
-    let active = daemon.lookups("bench").await.unwrap().pop().unwrap();
+    let active = daemon.view().lookups("bench").await.unwrap().pop().unwrap();
     assert_eq!(
         active.blob,
         lookup(3, 1).to_bytes(),
@@ -139,7 +139,7 @@ async fn what_somebody_else_pushed_is_adopted() {
     daemon.stop().await;
     let daemon = rig.daemon().await;
     until(&daemon, |r| r.lookup.active == Some(2)).await;
-    let last = daemon.lookups("bench").await.unwrap().pop().unwrap();
+    let last = daemon.view().lookups("bench").await.unwrap().pop().unwrap();
     assert_eq!((last.version, last.origin.as_str()), (2, "device"));
     daemon.stop().await;
 }

@@ -65,7 +65,7 @@ async fn off_waits_neither_for_the_disk_nor_behind_other_commands() {
     nap().await;
     daemon.command("bench", "b", Command::Off).await.unwrap();
     assert_eq!(rig.bench().asked_w(), 0);
-    assert_eq!(daemon.device("bench").unwrap().asked_by_daemon_w, 0);
+    assert_eq!(daemon.view().device("bench").unwrap().asked_by_daemon_w, 0);
     assert!(powers.iter().all(|power| !power.is_finished()));
     assert_eq!(rig.audited(), ["power 1000 W"]);
     drop(lock);
@@ -99,7 +99,7 @@ async fn off_ends_a_sweep_for_good() {
         clock.pass(Duration::from_millis(3)).await;
     }
     daemon.command("bench", "b", Command::Off).await.unwrap();
-    let report = daemon.device("bench").unwrap();
+    let report = daemon.view().device("bench").unwrap();
     assert_eq!(report.sweep_left_w, [0; 0]);
     // Long enough for the next power of the sweep.
     for _ in 0..9 {

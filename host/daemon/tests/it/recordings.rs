@@ -63,9 +63,14 @@ async fn a_fault_is_in_the_file_with_what_was_before_and_after() {
     let armed = start(&daemon, settings).await.unwrap();
     assert_eq!(armed.file, None);
     assert!(armed.text.contains("a fault"), "{}", armed.text);
-    let now = daemon.device("bench").unwrap().recording_now.unwrap();
+    let now = daemon
+        .view()
+        .device("bench")
+        .unwrap()
+        .recording_now
+        .unwrap();
     assert_eq!((now.settings, now.file), (settings, None));
-    assert_eq!(daemon.device("bench").unwrap().recording, None);
+    assert_eq!(daemon.view().device("bench").unwrap().recording, None);
     let again = start(&daemon, RecordSettings::default()).await;
     assert!(again.unwrap_err().to_string().contains("waits for"));
     let_hob_run(rig.bench(), 0.5).await;
@@ -92,14 +97,15 @@ async fn a_fault_is_in_the_file_with_what_was_before_and_after() {
     let (text, ended) = wait_for_event(&mut events, phase(RecordingPhase::Ended)).await;
     assert_eq!((text.as_str(), &ended), ("1 s are over", &file));
     until(&daemon, |r| r.recording_now.is_none()).await;
-    let listed = daemon.recordings().await.unwrap();
+    let listed = daemon.recordings().list().await.unwrap();
     assert_eq!(listed.len(), 1, "{listed:?}");
     assert_eq!(Some(&listed[0].file), file.as_ref());
     assert_eq!(
         (listed[0].device.as_str(), listed[0].under_way),
         ("bench", false)
     );
-    let (half_cycles, faults, trigger_s) = times(&daemon.recordings_folder().join(&listed[0].file));
+    let (half_cycles, faults, trigger_s) =
+        times(&daemon.recordings().folder().join(&listed[0].file));
     // The recorder counts real time, in which the hob on a slow machine has fewer half-cycles, never more;
     // recording/tests.rs checks the exact lengths.
     assert!((0.1..1.6).contains(&trigger_s), "{trigger_s}");
@@ -140,7 +146,14 @@ async fn armed_it_outlives_the_link_and_can_be_stopped_without_one() {
     start(&daemon, settings).await.unwrap();
     rig.bench().unplugged.store(true, Ordering::Relaxed);
     until_state(&daemon, DeviceState::Searching).await;
-    assert!(daemon.device("bench").unwrap().recording_now.is_some());
+    assert!(
+        daemon
+            .view()
+            .device("bench")
+            .unwrap()
+            .recording_now
+            .is_some()
+    );
     let absent = start(&daemon, settings).await.unwrap_err();
     assert!(
         matches!(absent, CommandError::NotConnected { .. }),
@@ -156,10 +169,10 @@ async fn armed_it_outlives_the_link_and_can_be_stopped_without_one() {
     let first = under_way.recording.unwrap();
     let windows = under_way.windows.stored;
     // The file is created on another thread.
-    while daemon.recordings().await.unwrap().is_empty() {
+    while daemon.recordings().list().await.unwrap().is_empty() {
         nap().await;
     }
-    assert!(daemon.recordings().await.unwrap()[0].under_way);
+    assert!(daemon.recordings().list().await.unwrap()[0].under_way);
     // A running recording continues in a second file.
     until(&daemon, |r| r.windows.stored >= windows + 2).await;
     rig.bench().unplugged.store(true, Ordering::Relaxed);
@@ -170,13 +183,13 @@ async fn armed_it_outlives_the_link_and_can_be_stopped_without_one() {
     })
     .await;
     let second = second.recording.unwrap();
-    let windows = daemon.device("bench").unwrap().windows.stored;
+    let windows = daemon.view().device("bench").unwrap().windows.stored;
     until(&daemon, |r| r.windows.stored >= windows + 2).await;
     rig.bench().unplugged.store(true, Ordering::Relaxed);
     until_state(&daemon, DeviceState::Searching).await;
     let done = stop(&daemon).await.unwrap();
     assert_eq!(done.file.as_ref(), Some(&second));
-    assert_eq!(daemon.device("bench").unwrap().recording_now, None);
+    assert_eq!(daemon.view().device("bench").unwrap().recording_now, None);
     assert!(stop(&daemon).await.is_err());
     for file in [&first, &second] {
         let mut session = SessionReader::open(Path::new(file)).unwrap();
@@ -188,7 +201,7 @@ async fn armed_it_outlives_the_link_and_can_be_stopped_without_one() {
         // The frame that was cut with the link.
         assert!(session.counters().frames_bad <= 1, "{file}");
     }
-    assert_eq!(daemon.recordings().await.unwrap().len(), 2);
+    assert_eq!(daemon.recordings().list().await.unwrap().len(), 2);
     daemon.stop().await;
 }
 

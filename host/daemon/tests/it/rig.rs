@@ -292,7 +292,7 @@ impl Drop for Rig {
 pub async fn until(daemon: &Daemon, is_met: impl Fn(&DeviceReport) -> bool) -> DeviceReport {
     let deadline = Instant::now() + PATIENCE;
     loop {
-        let report = daemon.device("bench").expect("it is configured");
+        let report = daemon.view().device("bench").expect("it is configured");
         if is_met(&report) {
             return report;
         }

@@ -100,13 +100,16 @@ async fn a_silent_device_is_suspended_and_comes_back() {
     // Messages sent before are received now.
     nap().await;
     clock.pass(Duration::from_millis(1_500)).await;
-    assert_eq!(daemon.device("bench").unwrap().state, DeviceState::Idle);
+    assert_eq!(
+        daemon.view().device("bench").unwrap().state,
+        DeviceState::Idle
+    );
     clock.pass(Duration::from_secs(1)).await;
     let report = until_state(&daemon, DeviceState::Suspended).await;
     assert!(report.detail.contains("nothing came"), "{}", report.detail);
     // Three requests follow at intervals of two seconds; each waits for its response on the link's own clock.
     let deadline = Instant::now() + PATIENCE;
-    while daemon.device("bench").unwrap().state == DeviceState::Suspended {
+    while daemon.view().device("bench").unwrap().state == DeviceState::Suspended {
         assert!(Instant::now() < deadline, "it is never given up");
         clock.pass(Duration::from_millis(500)).await;
     }
@@ -226,7 +229,7 @@ async fn what_is_recorded_can_be_read() {
         .unwrap();
     rig.bench().panel(6);
     until(&daemon, |r| r.windows.stored >= 2).await;
-    assert!(daemon.device("bench").unwrap().recording.is_some());
+    assert!(daemon.view().device("bench").unwrap().recording.is_some());
     assert!(
         command(Command::RecordStart(RecordSettings::default()))
             .await

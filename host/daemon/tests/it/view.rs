@@ -27,7 +27,7 @@ async fn kinds(daemon: &Daemon, kind: &str) -> Vec<String> {
         kind: Some(kind.to_owned()),
         ..JournalFilter::default()
     };
-    let entries = daemon.journal(filter).await.unwrap();
+    let entries = daemon.view().journal(filter).await.unwrap();
     entries.into_iter().map(|entry| entry.text).collect()
 }
 
@@ -51,14 +51,17 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
     let live = report.live.unwrap();
 
     // The scope: samples, the device's own filter, the network and the truth.
-    let windows = daemon.windows("bench", 100).await.unwrap();
+    let windows = daemon.view().windows("bench", 100).await.unwrap();
     assert!(windows.len() >= 3 && windows.is_sorted_by(|a, b| a.seq > b.seq));
     // A window that passed, with its truth and all curves.
     let deadline = Instant::now() + PATIENCE;
     let scope = 'search: loop {
-        for window in daemon.windows("bench", 100).await.unwrap() {
+        for window in daemon.view().windows("bench", 100).await.unwrap() {
             let which = Some((window.boot, window.seq));
-            let scope = daemon.scope("bench", WindowQuery { which, ..WHOLE }).await;
+            let scope = daemon
+                .view()
+                .scope("bench", WindowQuery { which, ..WHOLE })
+                .await;
             let scope = scope.unwrap().expect("its samples are kept");
             let is_whole = scope.network.is_some() && scope.truth.is_some();
             if scope.pass == Some(true) && scope.r_true_mean_ohm.is_some() && is_whole {
@@ -116,19 +119,26 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
         which: Some((1, 4_000_000)),
         ..WHOLE
     };
-    assert!(daemon.scope("bench", unknown).await.unwrap().is_none());
+    assert!(
+        daemon
+            .view()
+            .scope("bench", unknown)
+            .await
+            .unwrap()
+            .is_none()
+    );
 
     // The training.
-    let fits = daemon.training("bench", 50).await.unwrap();
+    let fits = daemon.view().training("bench", 50).await.unwrap();
     let with_truth = |fit: &&Fit| fit.pass && fit.r_error_pct.is_some();
     let fit = fits.iter().find(with_truth).unwrap();
     assert!(!fit.steps.is_empty() && fit.seconds.unwrap() > 0.0);
     assert_eq!(fit.steps.last().unwrap().step, fit.iterations);
     assert!(fit.r_error_pct.unwrap().abs() < 1.0 && fit.l_error_pct.unwrap().abs() < 1.0);
-    assert_eq!(daemon.training("bench", 1).await.unwrap().len(), 1);
+    assert_eq!(daemon.view().training("bench", 1).await.unwrap().len(), 1);
 
     // The map.
-    let map = daemon.map("bench", None).await.unwrap().unwrap();
+    let map = daemon.view().map("bench", None).await.unwrap().unwrap();
     let confidence = map.confidence.as_ref().expect("built by this daemon");
     let known: Vec<bool> = map.observed.iter().flatten().copied().collect();
     let seen: Vec<bool> = confidence.iter().flatten().map(|c| *c > 0.4999).collect();
@@ -147,10 +157,11 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
     let ages = map.age_s.iter().flatten().flatten();
     let at_most_s = 1.0 + (now_ms() - began_ms) as f64 * 1e-3;
     assert!(ages.clone().count() > 5 && ages.clone().all(|age| *age <= at_most_s));
-    let prior = daemon.map("bench", Some(0)).await.unwrap().unwrap();
+    let prior = daemon.view().map("bench", Some(0)).await.unwrap().unwrap();
     assert_eq!((prior.state.as_str(), prior.confidence), ("prior", None));
     assert!(
         daemon
+            .view()
             .map("bench", Some(4_000_000))
             .await
             .unwrap()
@@ -160,6 +171,7 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
     // A pot that is lifted, after some whole seconds of heating for the history to show.
     let history = |daemon: Daemon| async move {
         daemon
+            .view()
             .history("bench", began_ms, now_ms(), 600)
             .await
             .unwrap()
@@ -209,7 +221,7 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
         nap().await;
     };
     // Results have the times of their windows.
-    let came: Vec<_> = daemon.windows("bench", 1_000).await.unwrap();
+    let came: Vec<_> = daemon.view().windows("bench", 1_000).await.unwrap();
     let came: Vec<_> = came.iter().map(|window| window.at_ms).collect();
     assert!(before.results.at_ms.len() >= 3);
     for at_ms in &before.results.at_ms {
@@ -229,7 +241,7 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
     assert!(before.phase_deg[heated[1]].is_some());
     assert_eq!(before.state[last], "Idle");
     assert!(before.results.of >= 3 && before.results.at_ms.len() as u64 == before.results.of);
-    let unknown = daemon.history("nobody", 0, 1, 1).await;
+    let unknown = daemon.view().history("nobody", 0, 1, 1).await;
     assert!(matches!(unknown, Err(DaemonError::NoDevice(_))));
     daemon.stop().await;
 
@@ -244,9 +256,12 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
     assert_eq!(after.half_cycles[..common], before.half_cycles[..common]);
     assert!(after.results.of >= before.results.of);
     let which = Some((scope.boot, scope.seq));
-    let again = daemon.scope("bench", WindowQuery { which, ..WHOLE }).await;
+    let again = daemon
+        .view()
+        .scope("bench", WindowQuery { which, ..WHOLE })
+        .await;
     assert!(again.unwrap().unwrap().truth.is_some());
-    let fits = daemon.training("bench", 50).await.unwrap();
+    let fits = daemon.view().training("bench", 50).await.unwrap();
     assert!(
         fits.iter().any(|f| f.pass && f.steps.is_empty()),
         "as the store has them"
@@ -277,8 +292,8 @@ async fn any_earlier_version_can_be_gone_back_to() {
     daemon.command("bench", "me", back(1)).await.unwrap();
     let report = until(&daemon, |r| r.lookup.active == Some(4)).await;
     assert_eq!(report.lookup.on_device, Some(4));
-    let map = daemon.map("bench", None).await.unwrap().unwrap();
-    let first = daemon.map("bench", Some(1)).await.unwrap().unwrap();
+    let map = daemon.view().map("bench", None).await.unwrap().unwrap();
+    let first = daemon.view().map("bench", Some(1)).await.unwrap().unwrap();
     assert_eq!(
         (map.version, &map.why, &map.r_ohm),
         (4, &"rolled back to version 1".to_owned(), &first.r_ohm)
@@ -291,9 +306,15 @@ async fn any_earlier_version_can_be_gone_back_to() {
     // The built-in cells, under a new version.
     daemon.command("bench", "me", back(0)).await.unwrap();
     until(&daemon, |r| r.lookup.active == Some(5)).await;
-    let prior = daemon.map("bench", Some(0)).await.unwrap().unwrap();
+    let prior = daemon.view().map("bench", Some(0)).await.unwrap().unwrap();
     assert_eq!(
-        daemon.map("bench", Some(5)).await.unwrap().unwrap().l_h,
+        daemon
+            .view()
+            .map("bench", Some(5))
+            .await
+            .unwrap()
+            .unwrap()
+            .l_h,
         prior.l_h
     );
     daemon.stop().await;

@@ -46,6 +46,7 @@ async fn upload_new(
     let recordings = link
         .daemon
         .recordings()
+        .list()
         .await
         .map_err(|e| JetStreamError::new(names::CAPTURES, e))?;
     for recording in recordings.into_iter().filter(|r| !r.under_way) {
@@ -53,7 +54,7 @@ async fn upload_new(
         if there.contains(&name) {
             continue;
         }
-        let path = link.daemon.recordings_folder().join(&recording.file);
+        let path = link.daemon.recordings().folder().join(&recording.file);
         let bytes = captures::put(context, &path, &name).await?;
         tracing::info!(name, bytes, "a recording is in the fleet");
         there.insert(name);

@@ -69,7 +69,7 @@ pub async fn run(link: Arc<Link>, context: Context) {
         report.answers = own.answers;
         let why = link.failure_text();
         report.why = if why.is_empty() { partly.clone() } else { why };
-        link.daemon.set_fleet_report(report.clone());
+        link.daemon.fleet().set_report(report.clone());
         if !link.wait(UPDATE_PERIOD).await {
             return;
         }
@@ -90,13 +90,13 @@ impl OwnWindows {
     async fn update(&mut self, link: &Link) {
         if self.counted.is_none_or(|at| at.elapsed() >= COUNT_PERIOD) {
             self.counted = Some(Instant::now());
-            match link.daemon.fleet_tally().await {
+            match link.daemon.fleet().tally().await {
                 Ok(tally) => self.states = states(tally),
                 Err(why) => link.failed("store", &why),
             }
         }
         self.alarms = self.late.update(&self.states, now_ms());
-        let workers = link.daemon.workers();
+        let workers = link.daemon.fleet().workers();
         self.answers = sum_answers(workers.values());
         self.alarms
             .extend(workers.iter().filter_map(refutation_alarm));
@@ -148,6 +148,7 @@ fn own_hobs(link: &Link, before: FleetReport, why: &JetStreamError) -> (FleetRep
         at_ms: now_ms(),
         devices: link
             .daemon
+            .view()
             .devices()
             .iter()
             .map(|d| card(link, d).device)
@@ -175,7 +176,7 @@ async fn publish_cards(
         name: link.edge.clone(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         outbox: own.states.due,
-        delegates: link.daemon.is_delegated(),
+        delegates: link.daemon.fleet().is_delegated(),
         states: own.states,
         alarms: own.alarms.clone(),
         last_seen_ms: now_ms(),
@@ -190,7 +191,7 @@ async fn publish_cards(
     if standing != Standing::Held {
         return Ok(());
     }
-    for device in link.daemon.devices() {
+    for device in link.daemon.view().devices() {
         if !ihd_daemon::config::is_name(&device.name) {
             continue;
         }

@@ -59,7 +59,7 @@ pub async fn run(link: Arc<Link>) {
 }
 
 async fn send_batch(link: &Link) -> Result<usize, String> {
-    let due = link.daemon.due_events(BATCH).await;
+    let due = link.daemon.fleet().due_events(BATCH).await;
     let due = due.map_err(|e| e.to_string())?;
     let count = due.len();
     let mut under_way = Vec::new();
@@ -83,7 +83,7 @@ async fn send_batch(link: &Link) -> Result<usize, String> {
         }
     }
     if let Some(up_to) = up_to {
-        let noted = link.daemon.mark_events_sent(up_to).await;
+        let noted = link.daemon.fleet().mark_events_sent(up_to).await;
         noted.map_err(|e| e.to_string())?;
     }
     failed.map_or(Ok(count), Err)

@@ -40,8 +40,12 @@ pub async fn run(link: Arc<Link>) {
 
 /// Checks unanswered windows behind the first `passed`; returns `passed` of the next check.
 async fn check_dead_letters(link: &Link, passed: usize) -> Result<usize, String> {
-    let before_ms = link.daemon.now_ms() - ASKED_AFTER_MS;
-    let windows = link.daemon.unanswered(before_ms, passed, AT_ONCE).await;
+    let before_ms = link.daemon.view().now_ms() - ASKED_AFTER_MS;
+    let windows = link
+        .daemon
+        .fleet()
+        .unanswered(before_ms, passed, AT_ONCE)
+        .await;
     let windows = windows.map_err(|e| e.to_string())?;
     let (mut still, count) = (0, windows.len());
     for window in windows {
@@ -51,7 +55,7 @@ async fn check_dead_letters(link: &Link, passed: usize) -> Result<usize, String>
             still += 1;
             continue;
         };
-        let noted = link.daemon.mark_given_up(&window, &why).await;
+        let noted = link.daemon.fleet().mark_given_up(&window, &why).await;
         noted.map_err(|e| e.to_string())?;
         tracing::warn!(hob, boot, seq, why, "the fleet has given up a window");
         link.state().answers.remove(&(hob.clone(), boot, seq));

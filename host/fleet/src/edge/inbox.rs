@@ -104,13 +104,14 @@ async fn receive_batch(link: &Link, results: &Results) -> Result<(), JetStreamEr
 async fn detect_lost_data(link: &Link, results: &Results) -> Result<(), JetStreamError> {
     let made = results.made_us();
     let noted = async {
-        let before = link.daemon.fleet_mark(FleetMark::ConsumerMade).await?;
+        let before = link.daemon.fleet().mark(FleetMark::ConsumerMade).await?;
         if before.is_some_and(|before| before != made) {
             outbox::resend_all(link, "the consumer of its results was made anew").await?;
         }
         if before != Some(made) {
             link.daemon
-                .set_fleet_mark(FleetMark::ConsumerMade, made)
+                .fleet()
+                .set_mark(FleetMark::ConsumerMade, made)
                 .await?;
         }
         Ok::<_, ihd_daemon::StoreThreadError>(())
@@ -135,7 +136,7 @@ async fn receive_one(link: &Link, message: Incoming) {
         }
     };
     let by = answer.by.clone();
-    match link.daemon.receive(&hob, boot, seq, answer).await {
+    match link.daemon.fleet().receive(&hob, boot, seq, answer).await {
         Ok(received) => {
             match received {
                 ReceiveOutcome::Foreign => {
@@ -179,7 +180,7 @@ fn read(link: &Link, message: &Incoming) -> Result<AnswerMessage, String> {
         boot,
         seq,
         window_at_ms: 0,
-        at_ms: link.daemon.now_ms(),
+        at_ms: link.daemon.view().now_ms(),
         answer: WorkerAnswer {
             by: UNREADABLE.to_owned(),
             skew_s: None,

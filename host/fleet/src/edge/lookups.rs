@@ -122,7 +122,7 @@ async fn reconcile(link: &Link, bucket: &kv::Store, hob: &str) -> Result<(), Str
 
 /// Returns the lookup in use, `None` for the built-in one.
 async fn active(link: &Link, hob: &str) -> Result<Option<RlLookup>, String> {
-    let rows = link.daemon.lookups(hob).await;
+    let rows = link.daemon.view().lookups(hob).await;
     let rows = rows.map_err(|e| e.to_string())?;
     let active = rows.iter().rfind(|row| row.state == LookupState::Active);
     let lookup = active.map(|row| RlLookup::from_bytes(&row.blob));
@@ -133,7 +133,7 @@ async fn active(link: &Link, hob: &str) -> Result<Option<RlLookup>, String> {
 async fn push(link: &Link, hob: &str, requested: &LookupMessage) -> Result<Option<String>, String> {
     let blob = requested.blob()?;
     let lookup = RlLookup::from_bytes(&blob).map_err(|e| e.to_string())?;
-    match link.daemon.check_lookup(hob, &lookup) {
+    match link.daemon.fleet().check_lookup(hob, &lookup) {
         LookupCheck::Agrees => {}
         LookupCheck::Unavailable => return Ok(None),
         LookupCheck::Contradicts(place) => {

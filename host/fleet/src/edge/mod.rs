@@ -183,7 +183,7 @@ impl Link {
             state.away.clear();
         }
         drop(state);
-        self.daemon.delegate_until(until);
+        self.daemon.fleet().delegate_until(until);
     }
 
     /// Returns `true` if the server answers and is new enough; records the failure if it is too old.
@@ -205,7 +205,7 @@ impl Link {
 
     /// Returns the names of this daemon's devices.
     pub fn hobs(&self) -> Vec<String> {
-        let devices = self.daemon.devices().into_iter().map(|d| d.name);
+        let devices = self.daemon.view().devices().into_iter().map(|d| d.name);
         devices
             .filter(|name| ihd_daemon::config::is_name(name))
             .collect()

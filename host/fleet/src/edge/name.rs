@@ -51,7 +51,7 @@ async fn check_claim(link: &Link, mine: &mut Option<Claim>) -> Result<(), JetStr
                 return Ok(());
             }
             Verdict::MustClaim => {
-                mine.at_ms = link.daemon.now_ms();
+                mine.at_ms = link.daemon.view().now_ms();
                 if claims::put(&link.server, &link.edge, mine, number).await? {
                     tracing::info!(edge = link.edge, "the edge's name is this store's");
                     set_standing(link, Standing::Held);
@@ -64,15 +64,15 @@ async fn check_claim(link: &Link, mine: &mut Option<Claim>) -> Result<(), JetStr
 }
 
 async fn own_claim(link: &Link) -> Result<Claim, JetStreamError> {
-    let secret = link.daemon.fleet_secret().await;
+    let secret = link.daemon.fleet().secret().await;
     let secret = secret.map_err(|e| JetStreamError::new("store", e))?;
-    let folder = link.daemon.store_folder();
+    let folder = link.daemon.fleet().store_folder();
     let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
     Ok(Claim {
         identity: Identity::new(secret).public(),
         host: host_name(),
         store: folder.display().to_string(),
-        at_ms: link.daemon.now_ms(),
+        at_ms: link.daemon.view().now_ms(),
     })
 }
 

@@ -50,7 +50,7 @@ enum SendError {
 /// Sends due windows until the edge stops.
 pub async fn run(link: Arc<Link>) {
     let identity = loop {
-        match link.daemon.fleet_secret().await {
+        match link.daemon.fleet().secret().await {
             Ok(secret) => break Identity::new(secret),
             Err(why) => link.failed("store", &why),
         }
@@ -112,7 +112,8 @@ pub async fn run(link: Arc<Link>) {
 async fn resend_unanswered(link: &Link) {
     match link
         .daemon
-        .requeue_unanswered(link.daemon.now_ms() - ANSWERED_WITHIN_MS)
+        .fleet()
+        .requeue_unanswered(link.daemon.view().now_ms() - ANSWERED_WITHIN_MS)
         .await
     {
         Ok(0) => {}
@@ -125,7 +126,7 @@ async fn resend_unanswered(link: &Link) {
 
 /// Makes all unanswered windows due again, after the server has lost its data.
 pub(super) async fn resend_all(link: &Link, why: &str) -> Result<(), StoreThreadError> {
-    let windows = link.daemon.requeue_unanswered(i64::MAX).await?;
+    let windows = link.daemon.fleet().requeue_unanswered(i64::MAX).await?;
     link.state().answers.clear();
     tracing::warn!(
         windows,
@@ -138,7 +139,7 @@ pub(super) async fn resend_all(link: &Link, why: &str) -> Result<(), StoreThread
 /// Sends a batch and waits for all acknowledgements together; returns the number of due windows. Acknowledged windows are recorded, even if
 /// others fail.
 async fn send_batch(link: &Link, identity: &Identity) -> Result<usize, SendError> {
-    let due = link.daemon.due_windows(BATCH).await?;
+    let due = link.daemon.fleet().due_windows(BATCH).await?;
     let count = due.len();
     let deadline = Instant::now() + BATCH_WITHIN;
     let mut batch = Batch::default();
@@ -223,12 +224,13 @@ impl Batch {
             .iter()
             .map(|n| i64::try_from(*n).unwrap_or(i64::MAX));
         if let (Some(first), Some(last)) = (numbers.clone().min(), numbers.max()) {
-            let before = link.daemon.fleet_mark(FleetMark::LastWindow).await?;
+            let before = link.daemon.fleet().mark(FleetMark::LastWindow).await?;
             if before.is_some_and(|before| first <= before) {
                 resend_all(link, "its queue counts from the beginning").await?;
             }
             link.daemon
-                .set_fleet_mark(FleetMark::LastWindow, last)
+                .fleet()
+                .set_mark(FleetMark::LastWindow, last)
                 .await?;
         }
         let now = Instant::now();
@@ -240,7 +242,7 @@ impl Batch {
             let key = (due.device.clone(), due.boot, due.seq);
             link.state().answers.insert(key, now);
         }
-        link.daemon.mark_sent(self.sent).await
+        link.daemon.fleet().mark_sent(self.sent).await
     }
 }
 
@@ -251,14 +253,14 @@ async fn send(
     due: &DueWindow,
 ) -> Result<Option<(DeliveryState, PendingAck)>, SendError> {
     let (hob, boot, seq) = (&due.device, due.boot, due.seq);
-    let (message, what) = match link.daemon.read_due(due.clone()).await? {
+    let (message, what) = match link.daemon.fleet().read_due(due.clone()).await? {
         OutboxItem::Window(window) => {
             let message = WindowMessage {
                 hob: hob.clone(),
                 boot,
                 at_ms: due.at_ms,
-                skew_s: link.daemon.skew_s(hob),
-                not_for: link.daemon.distrusted(),
+                skew_s: link.daemon.fleet().skew_s(hob),
+                not_for: link.daemon.fleet().distrusted(),
                 window: *window,
             };
             let message = Outgoing {
@@ -295,7 +297,7 @@ fn identified_here(link: &Link, due: &DueWindow) -> AnswerMessage {
         boot: due.boot,
         seq: due.seq,
         window_at_ms: due.at_ms,
-        at_ms: link.daemon.now_ms(),
+        at_ms: link.daemon.view().now_ms(),
         answer: WorkerAnswer {
             by: link.edge.clone(),
             skew_s: None,

@@ -55,7 +55,7 @@ async fn exchange(link: &Link, context: &Context) -> Result<(), JetStreamError> 
             build: env!("CARGO_PKG_VERSION").to_owned(),
             t_unix_s: u64::try_from(now_ms() / 1_000).unwrap_or(0),
         };
-        let Some(entry) = link.daemon.pot_entry(&hob, by) else {
+        let Some(entry) = link.daemon.fleet().pot_entry(&hob, by) else {
             continue;
         };
         let mine = libraries.entry(hob.clone()).or_default();
@@ -73,7 +73,7 @@ async fn exchange(link: &Link, context: &Context) -> Result<(), JetStreamError> 
         let _ = all.add(entry.clone());
     }
     let pots = all.entries().len();
-    if link.daemon.use_library(all) {
+    if link.daemon.fleet().use_library(all) {
         tracing::info!(pots, "pots that hobs of the fleet know");
     }
     Ok(())

@@ -95,7 +95,7 @@ async fn publish_states(link: &Link, client: &Client) -> Result<(), String> {
                 None => return Err("the subscription ended".to_owned()),
             },
         }
-        for device in link.daemon.devices() {
+        for device in link.daemon.view().devices() {
             if !ihd_daemon::config::is_name(&device.name) {
                 continue;
             }

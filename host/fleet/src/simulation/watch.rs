@@ -25,7 +25,7 @@ const BELIEVED_PCT: f64 = 0.1;
 
 /// Checks that no false answer was confirmed, and no other refuted.
 fn check_answers(line: &Line, daemon: &Daemon) {
-    for (name, answers) in daemon.workers() {
+    for (name, answers) in daemon.fleet().workers() {
         let is_liar = name.starts_with(LIAR);
         if is_liar && answers.confirmed > 0 {
             line.world
@@ -45,7 +45,8 @@ pub fn check_results(line: &Line, daemon: &Daemon) {
         limit: Some(u32::MAX),
         ..ResultFilter::default()
     };
-    let results = Reader::open(daemon.store_folder()).and_then(|reader| reader.results(&filter));
+    let results =
+        Reader::open(daemon.fleet().store_folder()).and_then(|reader| reader.results(&filter));
     let results = match results {
         Ok(results) => results,
         Err(why) => return line.world.note_broken(why.to_string()),
@@ -74,7 +75,7 @@ pub async fn watch(line: Line, daemon: Daemon) {
     loop {
         sleep(CHECK_EVERY).await;
         check_answers(&line, &daemon);
-        if !daemon.is_delegated() {
+        if !daemon.fleet().is_delegated() {
             continue;
         }
         let now = Instant::now();

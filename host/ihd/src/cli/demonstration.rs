@@ -122,7 +122,7 @@ async fn sleep_for_ever() -> String {
 
 /// Returns `true` if the sweep is over.
 fn is_over(daemon: &Daemon, device: &str) -> bool {
-    let report = daemon.device(device);
+    let report = daemon.view().device(device);
     report.is_none_or(|r| r.sweep_left_w.is_empty() && r.asked_by_daemon_w == 0)
 }
 

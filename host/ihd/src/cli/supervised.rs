@@ -69,7 +69,7 @@ pub async fn ready_and_alive(daemon: Daemon) {
         return;
     };
     loop {
-        if daemon.store_responds().await {
+        if daemon.upkeep().store_responds().await {
             notify_systemd(NotifyState::Watchdog);
         } else {
             tracing::error!("the store does not answer: the watchdog is not notified");

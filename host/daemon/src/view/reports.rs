@@ -1,0 +1,63 @@
+//! Reports of devices, live values, rows of the store.
+
+use std::sync::Arc;
+
+use ihd_model::{DeviceReport, PotCurve};
+use ihd_store::{DeviceId, LookupRow, ResultFilter, ResultRow};
+
+use super::View;
+use crate::error::DaemonError;
+use crate::live::LiveTap;
+use crate::printable::printable;
+
+impl View {
+    /// Returns the daemon's clock, in milliseconds since 1970, UTC.
+    pub fn now_ms(&self) -> i64 {
+        self.machine.now_ms()
+    }
+
+    /// Returns a tap of the devices' telemetry, polled at the rate of its reader.
+    pub fn live(&self) -> LiveTap {
+        LiveTap::new(Arc::clone(&self.devices))
+    }
+
+    /// Returns the reports of all devices, sorted by name.
+    pub fn devices(&self) -> Vec<DeviceReport> {
+        let all = self.devices.all();
+        all.iter().map(|handle| handle.record.report()).collect()
+    }
+
+    /// Returns the report of a device; `None` if it is unknown.
+    pub fn device(&self, name: &str) -> Option<DeviceReport> {
+        Some(self.devices.get(name)?.record.report())
+    }
+
+    /// Returns the temperature curve of a device's pot over the last hour; `None` if the device is unknown.
+    pub fn pot_curve(&self, name: &str) -> Option<PotCurve> {
+        Some(self.devices.get(name)?.record.pot_curve().clone())
+    }
+
+    /// Returns results, newest first.
+    ///
+    /// # Errors
+    /// Error of the store.
+    pub async fn results(&self, filter: ResultFilter) -> Result<Vec<ResultRow>, DaemonError> {
+        let results = self.store.run(move |store| store.results(&filter));
+        Ok(results.await?)
+    }
+
+    /// Returns all lookups of a device, oldest first.
+    ///
+    /// # Errors
+    /// [`DaemonError::NoDevice`], or an error of the store.
+    pub async fn lookups(&self, device: &str) -> Result<Vec<LookupRow>, DaemonError> {
+        let handle = self.devices.get(device);
+        let handle = handle.ok_or_else(|| DaemonError::NoDevice(printable(device)))?;
+        let (name, address) = (handle.record.name.clone(), handle.record.address.clone());
+        let lookups = self.store.run(move |store| {
+            let device: DeviceId = store.device(&name, &address)?;
+            store.lookups(device)
+        });
+        Ok(lookups.await?)
+    }
+}
