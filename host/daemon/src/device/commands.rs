@@ -29,7 +29,8 @@ impl Session<'_> {
     pub(super) async fn on_request(&mut self, request: DeviceRequest) -> Result<(), SessionEnd> {
         match request {
             DeviceRequest::PushLookup(lookup) => {
-                self.on_learned_lookup(lookup).await;
+                let step = self.push.learned(lookup);
+                self.apply_push_step(step).await;
                 Ok(())
             }
             DeviceRequest::Command {
@@ -75,7 +76,9 @@ impl Session<'_> {
                 Ok(lookup) => {
                     // The reply is sent once the device uses the lookup.
                     let lookup = Lookup::without_confidence(lookup);
-                    let _ = self.push(lookup, "pushed by hand", Some(reply)).await;
+                    let _ = self
+                        .send_lookup(lookup, "pushed by hand", Some(reply))
+                        .await;
                     return Ok(());
                 }
                 Err(why) => Err(why.to_string()),
@@ -83,7 +86,7 @@ impl Session<'_> {
             Command::LookupRollback { version } => match self.find_lookup(version).await {
                 Ok(lookup) => {
                     let why = format!("rolled back to version {}", lookup.lookup.version);
-                    let _ = self.push(lookup, &why, Some(reply)).await;
+                    let _ = self.send_lookup(lookup, &why, Some(reply)).await;
                     return Ok(());
                 }
                 Err(why) => Err(why),

@@ -2,20 +2,18 @@
 
 use std::sync::Arc;
 
-use ihd_link::{Client, KEEPALIVE_PERIOD, LinkError};
+use ihd_link::{Client, LinkError};
 use ihd_model::{DeviceState, EventKind};
 use ihd_shared::wire::messages::{NO_PANEL, Status};
 use ihd_train::WINDOWS_EVERY;
 use tokio::runtime::Handle;
 use tokio::time::Instant;
 
-use super::session::{SILENCE_LIMIT, Session, SessionEnd};
+use super::contact::DueCheck;
+use super::session::{Session, SessionEnd};
 use super::sweep::{Step, Sweep};
 use crate::lease::{LeaseError, LeaseId, LostLease};
 use crate::switching_off::switch_off;
-
-/// Largest number of consecutive checks without an answer or without telemetry; one more ends the session.
-const MAX_UNANSWERED: u32 = 2;
 
 /// Error of a power request.
 #[derive(Debug, thiserror::Error)]
@@ -32,34 +30,31 @@ impl Session<'_> {
     /// Sends the keep-alive while heating for a lease, and queries a silent device.
     pub(super) async fn keep_alive(&mut self) -> Result<(), SessionEnd> {
         let heats_for_us = self.record.lock().lease.heats(Instant::now());
-        let silent = self.last_event.elapsed();
-        let is_due = heats_for_us && self.last_power_check.elapsed() >= KEEPALIVE_PERIOD;
-        let is_silent = silent >= SILENCE_LIMIT && self.last_request.elapsed() >= SILENCE_LIMIT;
-        if !is_due && !is_silent {
+        let Some(check) = self.contact.due_check(heats_for_us) else {
             return Ok(());
-        }
-        if is_silent {
+        };
+        if let DueCheck::Silence(silent) = check {
             self.record.enter(
                 DeviceState::Suspended,
                 &format!("nothing came for {:.0} s", silent.as_secs_f64()),
             );
         }
         match self.check_power().await {
-            Ok(()) if is_silent => {
-                self.unanswered_checks += 1;
-                // It answers without streaming, as after a hello of another host.
-                let restarted = self.request(|client| client.stream(1, WINDOWS_EVERY)).await;
-                restarted.map_err(|error| SessionEnd::Link(error.to_string()))?;
+            Ok(()) => {
+                self.contact.answered(check);
+                if let DueCheck::Silence(_) = check {
+                    // It answers without streaming, as after a hello of another host.
+                    let restarted = self.request(|client| client.stream(1, WINDOWS_EVERY)).await;
+                    restarted.map_err(|error| SessionEnd::Link(error.to_string()))?;
+                }
             }
-            // Preempted by `off`, which the device has answered.
-            Ok(()) | Err(LinkError::Preempted { .. }) => self.unanswered_checks = 0,
-            Err(error @ LinkError::NoAnswer { .. }) if self.unanswered_checks < MAX_UNANSWERED => {
-                self.unanswered_checks += 1;
+            Err(LinkError::Preempted { .. }) => self.contact.preempted(),
+            Err(error @ LinkError::NoAnswer { .. }) if self.contact.unanswered() => {
                 tracing::debug!(device = self.record.name, %error, "no answer");
             }
             Err(error) => return Err(SessionEnd::Link(error.to_string())),
         }
-        if self.unanswered_checks > MAX_UNANSWERED {
+        if self.contact.is_lost() {
             return Err(SessionEnd::Link(
                 "it answers and sends no half-cycles".to_owned(),
             ));
@@ -69,7 +64,7 @@ impl Session<'_> {
 
     /// Compares the device's requested power with the lease's. Another host's hello or the panel may have ended it.
     pub(super) async fn check_power(&mut self) -> Result<(), LinkError> {
-        self.last_power_check = Instant::now();
+        self.contact.on_check();
         let (record, runtime) = (Arc::clone(self.record), Handle::current());
         let compare = move |client: &mut Client| -> Result<_, LinkError> {
             let status = client.status()?;
@@ -159,7 +154,7 @@ impl Session<'_> {
             // Power of an ended lease: the new lease begins with the hob off.
             self.off().await?;
         }
-        self.last_request = Instant::now();
+        self.contact.on_request();
         let (record, runtime) = (Arc::clone(self.record), Handle::current());
         let set_power = move |client: &mut Client| -> Result<(), HeatError> {
             // For the clock. On the link's thread, so that an `off` comes either before lease and device, or after both.
@@ -188,7 +183,7 @@ impl Session<'_> {
     pub(super) async fn off(&mut self) -> Result<(), LinkError> {
         self.sweep = None;
         self.record.lock().sweep_left_w.clear();
-        self.last_request = Instant::now();
+        self.contact.on_request();
         switch_off(self.record, &self.client).await
     }
 

@@ -7,6 +7,7 @@
 //! ```
 
 mod commands;
+mod contact;
 mod heating;
 mod lookup_push;
 pub mod lookups;

@@ -1,7 +1,5 @@
 //! Push of lookups to the device: pending in the store, pushed, active once the device reports the version.
 
-use std::time::Duration;
-
 use ihd_link::{Client, LinkError};
 use ihd_model::{CommandError, CommandReply, EventKind};
 use ihd_shared::lookup::prior::prior;
@@ -9,15 +7,12 @@ use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
 use ihd_store::{Confidence, LookupRow};
 use tokio::time::Instant;
 
-use super::lookup_push::LookupPush;
+use super::lookup_push::{Step, UnderWay};
 use super::lookups::{Reconcile, next_version, reconcile};
 use super::request::ReplySender;
 use super::session::Session;
 use crate::learning::Lookup;
 use crate::printable::printable;
-
-/// Time limit from acceptance of a lookup to its use: one half-cycle, and the delay of the link.
-const ACTIVATION_TIMEOUT: Duration = Duration::from_secs(3);
 
 impl Session<'_> {
     /// Reconciles the lookup on the device, of version `on_device`, with the store.
@@ -47,7 +42,7 @@ impl Session<'_> {
                 Reconcile::Activate(_) | Reconcile::Adopt => self.adopt(&lookup).await,
                 Reconcile::Push(lookup, why) => {
                     let lookup = Lookup::without_confidence(*lookup);
-                    let _ = self.push(lookup, why, None).await;
+                    let _ = self.send_lookup(lookup, why, None).await;
                 }
             }
         }
@@ -94,27 +89,44 @@ impl Session<'_> {
     ///
     /// # Errors
     /// Reason of the refusal, also sent to `reply`. The session continues.
-    pub(super) async fn push(
+    pub(super) async fn send_lookup(
         &mut self,
         pushed: Lookup,
         why: &str,
+        reply: Option<ReplySender>,
+    ) -> Result<(), String> {
+        self.send(pushed, why, false, reply).await
+    }
+
+    /// Sends a lookup that the learner built.
+    async fn send_learned(&mut self, lookup: Lookup) -> Result<(), String> {
+        self.send(lookup, "learned", true, None).await
+    }
+
+    async fn send(
+        &mut self,
+        pushed: Lookup,
+        why: &str,
+        is_learned: bool,
         reply: Option<ReplySender>,
     ) -> Result<(), String> {
         let Lookup {
             mut lookup,
             confidence,
         } = pushed;
+        let learned_version = is_learned.then_some(lookup.version);
         let outcome = self.try_push(&mut lookup, confidence, why).await;
         let version = lookup.version;
         match outcome {
             Ok(()) => {
-                self.abandon_push();
-                self.push = Some(LookupPush {
-                    lookup,
-                    deadline: Instant::now() + ACTIVATION_TIMEOUT,
-                    is_learned: false,
+                let push = UnderWay {
+                    lookup: Box::new(lookup),
+                    // The version differs if the device received another lookup meanwhile.
+                    is_learned: learned_version == Some(version),
                     reply,
-                });
+                };
+                let replaced = self.push.accepted(push, Instant::now());
+                self.reply_abandoned(replaced);
                 Ok(())
             }
             Err(why) => {
@@ -177,77 +189,67 @@ impl Session<'_> {
         }
     }
 
-    /// Queues a learned lookup in place of an older one, and pushes it if no other push is under way.
-    pub(super) async fn on_learned_lookup(&mut self, lookup: Box<Lookup>) {
-        self.pending_lookup = Some(lookup);
-        self.push_pending_lookup().await;
-    }
-
-    /// Pushes the queued lookup if no other push is under way.
-    pub(super) async fn push_pending_lookup(&mut self) {
-        if self.push.is_some() {
-            return;
-        }
-        let Some(lookup) = self.pending_lookup.take() else {
-            return;
-        };
-        let version = lookup.lookup.version;
-        let pushed = self.push(*lookup, "learned", None).await;
-        match &mut self.push {
-            // The version differs if the device received another lookup meanwhile.
-            Some(push) => push.is_learned = push.lookup.version == version,
-            None => {
-                debug_assert!(pushed.is_err());
-                self.context
-                    .learner
-                    .lookup_refused(&self.record.name, version);
+    /// Carries out a step of the push.
+    pub(super) async fn apply_push_step(&mut self, step: Step) {
+        let (record, learner) = (self.record, &self.context.learner);
+        let name = &record.name;
+        match step {
+            Step::Nothing => {}
+            Step::Send(lookup) => {
+                let version = lookup.lookup.version;
+                if self.send_learned(*lookup).await.is_err() {
+                    learner.lookup_refused(name, version);
+                }
+            }
+            Step::Active(push) => {
+                let version = push.lookup.version;
+                // The pending lookup is equal bit for bit, and becomes active.
+                self.adopt(&push.lookup).await;
+                match push.is_learned {
+                    true => learner.lookup_accepted(name, version),
+                    false => learner.set_device_version(name, version),
+                }
+                if let Some(reply) = push.reply {
+                    let _ = reply.send(Ok(CommandReply {
+                        text: format!("version {version} is active"),
+                        file: None,
+                    }));
+                }
+            }
+            Step::TimedOut(push) => {
+                let version = push.lookup.version;
+                if push.is_learned {
+                    learner.lookup_refused(name, version);
+                }
+                let why = "the device took it and does not use it";
+                tracing::warn!(device = name, version, why, "lookup");
+                record.publish(EventKind::LookupRefused {
+                    version,
+                    why: why.to_owned(),
+                });
+                self.reply_refused(push.reply, why);
             }
         }
     }
 
-    /// Completes the push if the device uses its version.
-    pub(super) async fn on_lookup_version(&mut self, version: u32) {
-        let Some(push) = self.push.take_if(|push| push.lookup.version == version) else {
-            return;
-        };
-        // The pending lookup is equal bit for bit, and becomes active.
-        self.adopt(&push.lookup).await;
-        let (learner, name) = (&self.context.learner, &self.record.name);
-        match push.is_learned {
-            true => learner.lookup_accepted(name, version),
-            false => learner.set_device_version(name, version),
-        }
-        if let Some(reply) = push.reply {
-            let _ = reply.send(Ok(CommandReply {
-                text: format!("version {version} is active"),
-                file: None,
-            }));
+    /// Ends a push that is not used in time, and sends the lookup that waits.
+    pub(super) async fn tick_push(&mut self) {
+        loop {
+            match self.push.tick(Instant::now()) {
+                Step::Nothing => return,
+                step => self.apply_push_step(step).await,
+            }
         }
     }
 
-    /// Ends a push that the device has accepted and does not use within `ACTIVATION_TIMEOUT`.
-    pub(super) async fn check_push_timeout(&mut self) {
-        let Some(push) = self.push.take_if(|push| Instant::now() >= push.deadline) else {
-            return;
-        };
-        let version = push.lookup.version;
-        if push.is_learned {
-            self.context
-                .learner
-                .lookup_refused(&self.record.name, version);
-        }
-        let why = "the device took it and does not use it";
-        tracing::warn!(device = self.record.name, version, why, "lookup");
-        self.record.publish(EventKind::LookupRefused {
-            version,
-            why: why.to_owned(),
-        });
-        self.reply_refused(push.reply, why);
-    }
-
-    /// Ends a push whose outcome is unknown: the session ends, or another lookup replaces it.
+    /// Ends a push whose outcome is unknown: the session ends, or the device is reset.
     pub(super) fn abandon_push(&mut self) {
-        if let Some(push) = self.push.take() {
+        let abandoned = self.push.abandon();
+        self.reply_abandoned(abandoned);
+    }
+
+    fn reply_abandoned(&self, push: Option<UnderWay>) {
+        if let Some(push) = push {
             self.reply_refused(
                 push.reply,
                 "it was pushed, and the link ended before the device used it",
@@ -262,7 +264,7 @@ impl Session<'_> {
     pub(super) async fn reset_lookup(&mut self) -> Result<(), LinkError> {
         self.request(Client::reset_lookup).await?;
         self.abandon_push();
-        self.pending_lookup = None;
+        self.push.forget_queued();
         self.context.learner.forget(&self.record.name);
         self.context
             .learner

@@ -13,16 +13,16 @@ use ihd_train::WINDOWS_EVERY;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 
+use super::contact::Contact;
 use super::lookup_push::LookupPush;
 use super::pot_follower::{PotFollower, publish_change};
 use super::report::publish_lease_expired;
 use super::request::DeviceRequest;
 use super::sweep::Sweep;
 use crate::TruthFn;
-use crate::clocks::{RateLimit, SuspendDetector};
+use crate::clocks::RateLimit;
 use crate::context::Context;
 use crate::device_record::DeviceRecord;
-use crate::learning::Lookup;
 use crate::lease::LeaseId;
 use crate::printable::printable;
 use crate::states::{device_state, live};
@@ -30,12 +30,6 @@ use crate::window_accounting::{Arrival, WindowOutcome};
 
 /// Period of the session timer (lease, keep-alive, live view); 10 Hz is as fast as the page draws.
 const TICK: Duration = Duration::from_millis(100);
-
-/// Time without events after which the device is queried.
-pub(super) const SILENCE_LIMIT: Duration = Duration::from_secs(2);
-
-/// Period of reading the counters of link and learner.
-const POLL_PERIOD: Duration = Duration::from_secs(1);
 
 /// Largest step back of the half-cycle count that reordered frames explain; a larger one means a restarted device.
 const OUT_OF_ORDER: u32 = 1_000;
@@ -80,19 +74,8 @@ pub struct Session<'a> {
     pub(super) session_id: Option<SessionId>,
     /// Sweep with the lease under which it was started.
     pub(super) sweep: Option<(LeaseId, Sweep)>,
-    /// Lookup that the device has accepted and does not use yet.
-    pub(super) push: Option<LookupPush>,
-    /// Learned lookup that waits for the end of the present push.
-    pub(super) pending_lookup: Option<Box<Lookup>>,
-    clocks: SuspendDetector,
-    /// Time of the last event from the device.
-    pub(super) last_event: Instant,
-    /// Time of the last request to the device.
-    pub(super) last_request: Instant,
-    /// Time of the last comparison of the device's power with the lease.
-    pub(super) last_power_check: Instant,
-    last_poll: Instant,
-    pub(super) unanswered_checks: u32,
+    pub(super) push: LookupPush,
+    pub(super) contact: Contact,
     published_half_cycle: Option<u32>,
     /// Logged jumps in the window numbering.
     logged_jumps: u32,
@@ -118,7 +101,6 @@ impl<'a> Session<'a> {
         client: Arc<AsyncClient>,
         truth: Option<Arc<TruthFn>>,
     ) -> Self {
-        let now = Instant::now();
         Self {
             record,
             context,
@@ -126,24 +108,18 @@ impl<'a> Session<'a> {
             device_id: None,
             session_id: None,
             sweep: None,
-            push: None,
-            clocks: SuspendDetector::new(&context.machine),
-            last_event: now,
-            last_request: now,
-            last_power_check: now,
-            last_poll: now,
-            unanswered_checks: 0,
+            push: LookupPush::default(),
+            contact: Contact::new(&context.machine),
             published_half_cycle: None,
             logged_jumps: 0,
             frames_beyond: 0,
             must_reconcile: false,
-            last_store_retry: now,
+            last_store_retry: Instant::now(),
             window_limit: RateLimit::new(MAX_WINDOWS_PER_S),
             event_limit: RateLimit::new(MAX_EVENTS_PER_S),
             recent_powers: VecDeque::new(),
             pot: PotFollower::default(),
             truth,
-            pending_lookup: None,
         }
     }
 
@@ -155,7 +131,7 @@ impl<'a> Session<'a> {
         &mut self,
         f: impl FnOnce(&mut Client) -> Result<T, LinkError> + Send + 'static,
     ) -> Result<T, LinkError> {
-        self.last_request = Instant::now();
+        self.contact.on_request();
         self.client.with(f).await?
     }
 
@@ -177,8 +153,7 @@ impl<'a> Session<'a> {
                 // Ahead of requests and events, so that no flood of them delays the end of a lease.
                 _ = tick.tick() => {
                     if !events.is_empty() {
-                        // The device is not silent: events are queued.
-                        self.last_event = Instant::now();
+                        self.contact.on_queued_event();
                     }
                     self.on_tick().await
                 }
@@ -219,13 +194,12 @@ impl<'a> Session<'a> {
         self.reconcile(status.lookup_version).await?;
         self.request(|client| client.stream(1, WINDOWS_EVERY))
             .await?;
-        self.last_event = Instant::now();
+        self.contact.on_queued_event();
         Ok(())
     }
 
     async fn on_event(&mut self, event: Event) -> Result<(), SessionEnd> {
-        self.last_event = Instant::now();
-        self.unanswered_checks = 0;
+        self.contact.on_event();
         match event {
             Event::Telemetry(t) => self.on_telemetry(t).await,
             Event::Window(window) => {
@@ -296,7 +270,8 @@ impl<'a> Session<'a> {
                 "its half-cycles began anew: it was reset".to_owned(),
             ));
         }
-        self.on_lookup_version(t.lookup_version).await;
+        let step = self.push.reported(t.lookup_version);
+        self.apply_push_step(step).await;
         if let Some(sweep) = self.active_sweep() {
             let step = sweep.telemetry(&t, Instant::now());
             self.apply_sweep_step(step).await?;
@@ -305,7 +280,7 @@ impl<'a> Session<'a> {
     }
 
     async fn on_tick(&mut self) -> Result<(), SessionEnd> {
-        if let Some(suspended) = self.clocks.poll(&self.context.machine) {
+        if let Some(suspended) = self.contact.poll_suspend(&self.context.machine) {
             self.record.lock().lease.revoke();
             return Err(SessionEnd::Suspended(format!(
                 "nothing ran here for {:.0} s",
@@ -324,14 +299,12 @@ impl<'a> Session<'a> {
         self.record.recorder.tick();
         self.publish_live();
         self.pot.track(self.record, &self.context.machine);
-        self.check_push_timeout().await;
-        self.push_pending_lookup().await;
+        self.tick_push().await;
         if let Some(sweep) = self.active_sweep() {
             let step = sweep.tick(Instant::now());
             self.apply_sweep_step(step).await?;
         }
-        if self.last_poll.elapsed() >= POLL_PERIOD {
-            self.last_poll = Instant::now();
+        if self.contact.is_poll_due() {
             self.poll_counters().await?;
         }
         Ok(())
@@ -339,7 +312,7 @@ impl<'a> Session<'a> {
 
     /// Publishes the last half-cycle and updates the device state from it.
     fn publish_live(&mut self) {
-        if self.last_event.elapsed() >= SILENCE_LIMIT {
+        if self.contact.is_silent() {
             return;
         }
         let Some(t) = self.record.lock().last.clone() else {

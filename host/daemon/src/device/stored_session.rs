@@ -57,7 +57,7 @@ impl Session<'_> {
             self.must_reconcile |= self.session_id.is_some();
         }
         if self.session_id.is_some()
-            && self.push.is_none()
+            && !self.push.is_under_way()
             && std::mem::take(&mut self.must_reconcile)
         {
             let on_device = self.record.lock().lookup.on_device.unwrap_or(0);
