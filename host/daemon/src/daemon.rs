@@ -24,7 +24,7 @@ use crate::history::{self, TelemetryBuffer};
 use crate::learning::{Learner, LearnerSettings, LearnerSlot};
 use crate::machine::Machine;
 use crate::printable::printable;
-use crate::routing::route;
+use crate::result_route::route_results;
 use crate::running::Running;
 use crate::store_thread::{StoreThread, StoreThreadError};
 use crate::store_watch;
@@ -123,7 +123,7 @@ impl Daemon {
         }
         devices.spawn(store_watch::watch(context.clone()));
         devices.spawn(collect_garbage(context));
-        let routing = tokio::spawn(route(
+        let routing = tokio::spawn(route_results(
             learned,
             Arc::clone(&devices),
             store.clone(),

@@ -34,7 +34,7 @@ mod machine;
 mod pot_tracker;
 mod printable;
 pub mod recording;
-mod routing;
+mod result_route;
 mod running;
 #[cfg(any(test, feature = "simulation"))]
 pub mod simulation;

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! offer ─► Queue ─► threads ─► identify ─► settle ─► LearnResult ─► store, device
-//!          bounded,            the network, notes of the            (routing.rs)
+//!          bounded,            the network, notes of the            (result_route.rs)
 //!          devices in turn     or a worker's device applied
 //!                              answer
 //! ```
@@ -14,7 +14,7 @@
 mod answer;
 mod figures;
 mod fit;
-mod identify;
+mod fit_window;
 mod job;
 mod learner;
 mod queue;

@@ -7,7 +7,7 @@ use ihd_store::NewResult;
 use ihd_train::learning::LookupUpdate;
 use tokio::sync::mpsc::error::TrySendError;
 
-use super::identify::WindowResult;
+use super::fit_window::WindowResult;
 use super::job::{LearnJob, LearnResult};
 use super::queue::{DeviceLearning, LearningEvent};
 use super::shared::Shared;

@@ -3,7 +3,7 @@
 use std::sync::PoisonError;
 use std::time::Instant;
 
-use super::identify::{WindowResult, identify};
+use super::fit_window::{WindowResult, fit_window};
 use super::job::{LearnJob, LearnResult};
 use super::queue::DeviceLearning;
 use super::settle::{hand_over, settle};
@@ -38,7 +38,7 @@ pub(super) fn learn(shared: &Shared, mut job: LearnJob, mut device_learning: Box
     let began = Instant::now();
     let stored = job.stored.take();
     let result = guarded(shared, &mut device_learning, |device_learning| {
-        let mut window_result = identify(shared, device_learning, &job);
+        let mut window_result = fit_window(shared, device_learning, &job);
         window_result.busy = window_result.busy.max(began.elapsed());
         settle(shared, device_learning, &job, window_result)
     });

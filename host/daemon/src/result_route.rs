@@ -1,4 +1,4 @@
-//! Routing of learning results to the store and to the device.
+//! Route of learning results to the store and to the device.
 
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -16,7 +16,7 @@ use crate::supervisor::Devices;
 use crate::window_accounting::WindowOutcome;
 
 /// Stores and publishes results, and pushes their lookups, until the learner ends.
-pub async fn route(
+pub async fn route_results(
     mut outcomes: mpsc::Receiver<LearnResult>,
     devices: Arc<Devices>,
     store: StoreThread,

@@ -1,4 +1,4 @@
-//! Identification of one window: from a worker's answer if the window confirms it, otherwise by the network here.
+//! Fit of one window: from a worker's answer if the window confirms it, otherwise by the network here.
 
 use std::time::Duration;
 
@@ -13,8 +13,8 @@ use super::queue::DeviceLearning;
 use super::shared::{Shared, guarded};
 use super::workers::AnswerVerdict;
 
-/// Identifies a window: by a worker's answer if the window confirms it, otherwise by the network here.
-pub(super) fn identify(
+/// Fits R and L to a window: by a worker's answer if the window confirms it, otherwise by the network here.
+pub(super) fn fit_window(
     shared: &Shared,
     device_learning: &mut DeviceLearning,
     job: &LearnJob,
