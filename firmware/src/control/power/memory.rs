@@ -1,7 +1,7 @@
 //! Recent events of mains and pot that may be undone in the next instant.
 //!
 //! - A mains that sags comes back: limits count at the bus voltage that it had, and while it is well
-//!   below that, the power is not raised.
+//!   below that, the power is not raised. One that was too high for less than ten seconds is what it was before.
 //! - A pot that is lifted comes back: L has jumped up, and for two seconds the frequency stays where the
 //!   pot was heated. It comes back to the power that it left.
 //! - A soft limit acted: for 0.6 s the frequency stays above that place.
@@ -18,6 +18,9 @@ const JUMP_Q10: u32 = 1_065;
 /// A bus that was higher by this share was a swell.
 const SWELL_PERCENT: u32 = 108;
 
+/// A bus that has risen by more than this share was low before: no swell, which the mains may have again.
+const MOST_SWELL_PERCENT: u32 = 125;
+
 /// A frequency that must not be gone below, in hertz, and why.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrequencyFloor {
@@ -32,6 +35,9 @@ pub struct FrequencyFloor {
 pub struct OperatingMemory {
     bus_dv: u16,
     bus_seen_ms: u32,
+    /// The bus before a swell, in decivolt, and the swell's beginning; 0 without one.
+    before_swell_dv: u16,
+    swell_since_ms: u32,
     /// L over the prior's of the last half-cycle, and its frequency.
     last: Option<(u32, u32)>,
     /// L over the prior's before it jumped; 0 when it has not.
@@ -72,12 +78,25 @@ impl OperatingMemory {
     }
 
     fn note_bus(&mut self, bus_dv: u16, now_ms: u32) {
-        let near = u32::from(bus_dv) * 100 >= u32::from(self.bus_dv) * SAG_PERCENT;
+        let is_above =
+            |percent: u32, of_dv: u16| u32::from(bus_dv) * 100 > u32::from(of_dv) * percent;
+        let is_near = |of_dv: u16| u32::from(bus_dv) * 100 >= u32::from(of_dv) * SAG_PERCENT;
+        if is_above(SWELL_PERCENT, self.bus_dv) && !is_above(MOST_SWELL_PERCENT, self.bus_dv) {
+            (self.before_swell_dv, self.swell_since_ms) = (self.bus_dv, now_ms);
+        }
+        let near = is_near(self.bus_dv);
+        let swell_is_over = self.before_swell_dv > 0
+            && now_ms.wrapping_sub(self.swell_since_ms) < SAG_FORGOTTEN_MS
+            && is_near(self.before_swell_dv);
         let forgotten = now_ms.wrapping_sub(self.bus_seen_ms) >= SAG_FORGOTTEN_MS;
         if near {
             // Slowly after a mains that varies within what is no sag.
             self.bus_dv = bus_dv.max(self.bus_dv - self.bus_dv / 256);
             self.bus_seen_ms = now_ms;
+        } else if swell_is_over {
+            self.bus_dv = bus_dv.max(self.before_swell_dv);
+            self.bus_seen_ms = now_ms;
+            self.before_swell_dv = 0;
         } else if forgotten {
             self.bus_dv = bus_dv;
             self.bus_seen_ms = now_ms;
@@ -137,6 +156,8 @@ impl OperatingMemory {
         Self {
             bus_dv: self.bus_dv,
             bus_seen_ms: self.bus_seen_ms,
+            before_swell_dv: self.before_swell_dv,
+            swell_since_ms: self.swell_since_ms,
             ..Self::default()
         }
     }
@@ -175,6 +196,32 @@ mod tests {
             (memory.bus_dv(), memory.floor_hz(&sag)),
             (1_950, FrequencyFloor::default())
         );
+    }
+
+    /// 230 V, 274 V for 0.1 s, 230 V: the first half-cycle of it raises the power again, and a sag holds as before.
+    #[test]
+    fn a_swell_that_is_over_is_forgotten_at_once() {
+        let mut memory = OperatingMemory::default();
+        let (calm, swell) = (half_cycle(24.0, 3_253), half_cycle(24.0, 3_875));
+        memory.note(&calm, 0);
+        for ms in (10..110).step_by(10) {
+            memory.note(&swell, ms);
+            assert_eq!(memory.bus_dv(), 3_875);
+        }
+        memory.note(&calm, 110);
+        assert_eq!(
+            (memory.bus_dv(), memory.floor_hz(&calm)),
+            (3_253, FrequencyFloor::default())
+        );
+        let sag = half_cycle(24.0, 2_600);
+        memory.note(&sag, 120);
+        assert_eq!(memory.floor_hz(&sag).limit, Limit::Mains);
+        // A mains that recovers from a long sag and sags again may recover again.
+        let mut memory = OperatingMemory::default();
+        for (dv, ms) in [(2_500, 0), (3_253, 10), (2_500, 20)] {
+            memory.note(&half_cycle(24.0, dv), ms);
+        }
+        assert_eq!(memory.bus_dv(), 3_253);
     }
 
     #[test]
