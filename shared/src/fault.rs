@@ -138,6 +138,10 @@ fault_table! {
     /// Zero crossings come and the bus has no voltage.
     BUS_RANGE = 26 "BusRange" Trip:
         "the mains is there and the bus reads no voltage; check fuse, rectifier and bus divider";
+    /// The analogue supply is outside what readings can be corrected for, or the chip's reference voltage is.
+    SUPPLY_RANGE = 27 "SupplyRange" Passing:
+        "the controller's supply is not 3.3 V within 2.4 %, or the chip's reference voltage is wrong; measure 3V3, \
+         and replace the controller if it is right";
     /// The CRC of the program in flash is wrong, at start or while it runs. Clearing does not end it.
     FLASH_CRC = 40 "FlashCrc" Standing:
         "the program in the controller's flash is damaged, or was not flashed as built; flash \

@@ -29,10 +29,14 @@ pub const CODE_BITS: u8 = 12;
 /// Half the number of codes of the ADC.
 pub const CODE_HALF_RANGE: i16 = 1 << (CODE_BITS - 1);
 
-/// Largest code; a sample at this code or above is saturated.
+/// Magnitude of a code from which on a sample is saturated: the end of the range, 2047, as it reads at the lowest supply that
+/// is corrected (firmware/src/sense/supply.rs), 1997, less what rounding may take.
+pub const SATURATED_FROM: i16 = 1_990;
+
+/// Largest code.
 pub const CODE_MAX: i16 = CODE_HALF_RANGE - 1;
 
-/// Smallest code; a sample at this code or below is saturated.
+/// Smallest code.
 pub const CODE_MIN: i16 = -CODE_HALF_RANGE;
 
 /// Volt per code of the voltage channel of this build.
@@ -113,7 +117,8 @@ pub struct Pair {
 impl Pair {
     /// Returns `true` if either channel stands at the end of its range.
     pub fn is_saturated(self) -> bool {
-        self.v >= CODE_MAX || self.v <= CODE_MIN || self.i >= CODE_MAX || self.i <= CODE_MIN
+        let is_at_end = |code: i16| code.unsigned_abs() >= SATURATED_FROM.unsigned_abs();
+        is_at_end(self.v) || is_at_end(self.i)
     }
 
     /// Each pair of a block as one word, v in the low half: what a 32-bit multiply-accumulate of

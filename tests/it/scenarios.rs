@@ -35,7 +35,7 @@ scenarios! {
     lift { lift shift }
     link { pots stop_at_crest trip_at_crest unsuitable }
     panel { host_silent key_lock levels off_wins }
-    plausibility { dead_comparator gains mains_hz off offsets stuck timing unseen }
+    plausibility { dead_comparator gains mains_hz off offsets stuck supply timing unseen }
     pots { places recovered_mains risen_mains }
     restart { doubled host_clears host_repeats lookups person tries }
     sags { dip dropout swell }

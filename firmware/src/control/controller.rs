@@ -21,6 +21,7 @@ use crate::limits::{
 };
 use crate::retained::control::RetainedControl;
 use crate::sampling::half_cycle::HalfCycle;
+use crate::sense::supply::{Reference, SupplyScale};
 
 /// Half-cycles of a mains that is as it must be before a pause for its sake ends.
 const GOOD_HALF_CYCLES: u8 = 3;
@@ -125,6 +126,11 @@ impl Control {
         &self.parts.restart
     }
 
+    /// Correction of every reading for the analogue supply.
+    pub fn supply_scale(&self) -> SupplyScale {
+        self.parts.supply.scale()
+    }
+
     /// Heat sink, glass, coil and fan.
     pub fn temperatures(&self) -> &Temperatures {
         &self.parts.temperatures
@@ -161,6 +167,11 @@ impl Control {
     /// Sets the longest wait for a pot, in seconds.
     pub fn set_give_up_s(&mut self, give_up_s: u16) {
         self.give_up_ms = u32::from(give_up_s) * 1_000;
+    }
+
+    /// Takes a reading of the chip's reference voltage.
+    pub fn set_reference(&mut self, reference: Reference) {
+        self.parts.supply.update(reference);
     }
 
     /// Takes the codes of the temperature sensors.
@@ -324,7 +335,7 @@ impl Control {
             }
         }
         // A bare board has no sensors, and heats nothing; recordings can be replayed on it.
-        let condition = self.parts.temperatures.fault();
+        let condition = self.parts.condition();
         let is_on = self.parts.request.power_w() > 0;
         if condition != Fault::NONE && is_on && !status.replaying && status.fault == Fault::NONE {
             return Action::Fault(condition);
@@ -371,7 +382,7 @@ impl Control {
         let is_on = self.parts.request.power_w() > 0;
         let lasts = status.fault.class() == RestartClass::Passing
             && (self.good_half_cycles < GOOD_HALF_CYCLES
-                || (self.parts.temperatures.fault() != Fault::NONE && is_on));
+                || (self.parts.condition() != Fault::NONE && is_on));
         // What a recording tripped stands until it is over.
         if lasts || status.replaying || !self.parts.restart.permits(status.now_ms) {
             return Action::Keep;

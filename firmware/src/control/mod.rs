@@ -16,7 +16,8 @@
 //!
 //! ```text
 //! half-cycle ─► plausibility ─► heating: pot, burst or power ─► Action ─► sampling path
-//! panel, host ─► request ──────► │
+//! buttons ─► panel ──┬► request ► │
+//! host ──────────────┘            │
 //! sensors ─► temperature ──────► │
 //! ```
 //!
@@ -28,6 +29,7 @@
 pub mod burst;
 pub mod controller;
 pub mod heating;
+pub mod panel;
 pub mod parts;
 pub mod plausibility;
 pub mod pot;

@@ -1,5 +1,6 @@
 //! Parts of control that outlive a state: requests, restart policy, temperatures, power control, and the pot.
 
+use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::{Limit, Pot};
 
@@ -9,6 +10,7 @@ use crate::control::restart::RestartPolicy;
 use crate::control::temperature::Temperatures;
 use crate::drive::pwm;
 use crate::limits::SMALL_POT_PERCENT;
+use crate::sense::supply::Supply;
 
 /// Parts that every state reads and changes.
 #[derive(Clone, Debug)]
@@ -19,6 +21,8 @@ pub struct ControlParts {
     pub restart: RestartPolicy,
     /// Heat sink, glass, coil and fan.
     pub temperatures: Temperatures,
+    /// The analogue supply.
+    pub supply: Supply,
     /// Search for the frequency.
     pub power: PowerControl,
     /// The pot that was judged last.
@@ -33,6 +37,7 @@ impl Default for ControlParts {
             request: PowerRequest::default(),
             restart: RestartPolicy::default(),
             temperatures: Temperatures::default(),
+            supply: Supply::default(),
             power: PowerControl::default(),
             pot: Pot::Unknown,
             heated_hz: pwm::HIGHEST_HZ,
@@ -41,6 +46,14 @@ impl Default for ControlParts {
 }
 
 impl ControlParts {
+    /// The condition that forbids heating for as long as it lasts, by its fault.
+    pub fn condition(&self) -> Fault {
+        match self.supply.fault() {
+            Fault::NONE => self.temperatures.fault(),
+            fault => fault,
+        }
+    }
+
     /// Granted part of the requested power, in watt, and the limit that holds it below.
     pub fn granted_w(&self) -> (u16, Limit) {
         let asked_w = self.request.power_w();

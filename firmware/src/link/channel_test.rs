@@ -8,6 +8,7 @@ use ihd_shared::window::{CHUNK_BYTES, MAX_PAIRS, PAIR_BYTES};
 use ihd_shared::wire::messages::Channels;
 
 use crate::sampling::path::SamplingLock;
+use crate::sense::supply::Reference;
 
 /// Duration of the measurement, in milliseconds: five periods of 50 Hz, six of 60 Hz.
 const MEASURED_MS: u32 = 100;
@@ -22,27 +23,6 @@ pub struct SlowCodes {
     pub bus: u16,
     /// Mains voltage, from mid-scale on.
     pub mains: i16,
-}
-
-/// The chip's reference voltage.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Reference {
-    /// Its code now.
-    pub code: u16,
-    /// Its code at [`Reference::CALIBRATED_MV`], as the chip's maker found it.
-    pub calibrated: u16,
-}
-
-impl Reference {
-    /// Supply at which the chip's maker converted it, in millivolt (DS12288, "Embedded voltage reference").
-    pub const CALIBRATED_MV: u32 = 3_000;
-
-    /// The analogue supply by it, in millivolt; 0 where the numbers make no sense.
-    pub fn vdda_mv(&self) -> u16 {
-        let at_calibration = Self::CALIBRATED_MV * u32::from(self.calibrated);
-        let vdda_mv = at_calibration.checked_div(u32::from(self.code));
-        vdda_mv.and_then(|mv| u16::try_from(mv).ok()).unwrap_or(0)
-    }
 }
 
 /// Sums of codes and of their squares.

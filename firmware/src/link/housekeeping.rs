@@ -31,6 +31,7 @@ use crate::link::transmit_queue::TransmitQueue;
 use crate::retained::control::RetainedControl;
 use crate::sampling::half_cycle::HalfCycle;
 use crate::sampling::path::{SamplingLock, SamplingPath};
+use crate::sense::supply::{Reference, SupplyScale};
 
 /// The link's incoming side, control and lookup.
 pub struct Housekeeping {
@@ -325,6 +326,13 @@ impl Housekeeping {
         }
         let action = self.control.panel(event);
         self.act(lock, action);
+    }
+
+    /// A reading of the chip's reference voltage, some hundred times a second; returns the correction of every reading from
+    /// now on.
+    pub fn set_reference(&mut self, reference: Reference) -> SupplyScale {
+        self.control.set_reference(reference);
+        self.control.supply_scale()
     }
 
     /// Codes of the temperature sensors, some hundred times a second.

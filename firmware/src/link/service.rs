@@ -12,9 +12,10 @@ use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::RESTART_AFTER_MS;
 
 use crate::drive::bridge::Bridge;
-use crate::link::channel_test::{ChannelTest, Reference, SlowCodes};
+use crate::link::channel_test::{ChannelTest, SlowCodes};
 use crate::link::response::Response;
 use crate::sampling::path::SamplingLock;
+use crate::sense::supply::Reference;
 
 /// Longest count of the clocks before the test is given up, in milliseconds.
 const CLOCKS_WITHIN_MS: u32 = 900;

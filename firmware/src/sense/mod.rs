@@ -4,6 +4,7 @@
 //! ADC ─► dma_buffer ─► correlation ─► demodulator ─► phasors of coil voltage and current ─► estimate
 //!        (two halves)       └───────► power, peaks in ADC codes ─► protect, sampling
 //! slow ADC ─► mains ─► zero crossing, bus voltage
+//! reference ─► supply ─► correction of all of them, and of the comparators' thresholds
 //! ```
 
 pub mod codes;
@@ -11,3 +12,4 @@ pub mod correlation;
 pub mod demodulator;
 pub mod dma_buffer;
 pub mod mains;
+pub mod supply;

@@ -19,6 +19,7 @@ use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::self_test::heartbeat::Heartbeat;
 use ihd_firmware::sense::codes::TRIP_CODE;
 use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
+use ihd_firmware::sense::supply::{Reference, SupplyScale};
 use ihd_shared::board::{self, TRIP_DELAY_NS};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, NODE_CAPACITANCE_NF};
@@ -54,8 +55,9 @@ const SETTLED_AFTER_S: f64 = 0.5e-3;
 /// ADC samples per point of the kept truth: 9 µs at 45 kHz.
 const TRUTH_EVERY: usize = 8;
 
-/// Coil current at which the comparator opens the bridge, in ampere.
-const COMPARATOR_A: f64 = TRIP_CODE as f64 * AMPERE_PER_CODE;
+/// Code of the chip's reference voltage at 3.0 V, as its maker found it, and the front end's supply, in volt.
+const REFERENCE_CALIBRATION: u16 = 1_655;
+const NOMINAL_SUPPLY_V: f64 = 3.3;
 
 /// Time from there to an open switch, in seconds (docs/board.md, "Current and trip"): anti-alias filter on a ramp, comparator,
 /// filter of the fault input, gate driver, IGBT.
@@ -155,6 +157,27 @@ impl HobConfig {
     }
 }
 
+/// Coil current at which the comparator opens the bridge, in ampere: its threshold is a share of the supply.
+fn comparator_a(scale: SupplyScale, injections: &Injections) -> f64 {
+    if injections.has(InjectionKind::ComparatorDead) {
+        return f64::INFINITY;
+    }
+    let supply = injections.product(InjectionKind::Supply);
+    f64::from(scale.dac_code(TRIP_CODE)) * AMPERE_PER_CODE * supply
+}
+
+/// Reading of the chip's reference voltage.
+fn reference(injections: &Injections) -> Reference {
+    let supply_v = NOMINAL_SUPPLY_V * injections.product(InjectionKind::Supply);
+    let ratio = injections.product(InjectionKind::Reference);
+    let code =
+        f64::from(REFERENCE_CALIBRATION) * f64::from(Reference::CALIBRATED_MV) * 1e-3 / supply_v;
+    Reference {
+        code: (code * ratio).round() as u16,
+        calibrated: REFERENCE_CALIBRATION,
+    }
+}
+
 fn booted_realtime() -> Box<SamplingPath> {
     let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
     Box::new(SamplingPath::new(r, l))
@@ -176,6 +199,7 @@ fn booted_housekeeping(boot_id: u32, reason: ResetReason, starts: u8) -> Houseke
 /// Services of a simulated board: converters, and a program that can restart.
 struct Board {
     slow: SlowCodes,
+    reference: Reference,
     restarts: bool,
 }
 
@@ -188,6 +212,9 @@ impl BoardServices for Board {
     }
     fn slow_codes(&mut self) -> Option<SlowCodes> {
         Some(self.slow)
+    }
+    fn reference(&mut self) -> Option<Reference> {
+        Some(self.reference)
     }
 }
 
@@ -245,7 +272,8 @@ impl SimHob {
         };
         let mains = Mains::new(config.mains_hz).changed(0.0, mains_v, config.mains_hz);
         let mut plant = Plant::assemble(mains, config.pot, config.load, config.supply, adc)?;
-        plant.set_comparator(COMPARATOR_A, TRIP_DELAY_S);
+        let trip_a = comparator_a(SupplyScale::NOMINAL, &Injections::default());
+        plant.set_comparator(trip_a, TRIP_DELAY_S);
         if let Some(supply_v) = config.bench_supply_v {
             plant.set_bench_supply(supply_v);
         }
@@ -292,10 +320,12 @@ impl SimHob {
         let crossing = self.zero_crossing.on_block(mains_code);
         let bus_code = self.slow_adc.bus(dividers.bus_v());
         self.injections.on_pairs(&mut pairs);
+        let scale = self.housekeeping.control().supply_scale();
+        let words = Pair::words(&pairs).map(|word| scale.pair(word));
         let block = AdcBlock {
-            pairs: &pairs,
+            pairs: Pair::of_words(&words),
             zero_crossing: self.injections.on_crossing(crossing, start_s, end_s),
-            bus_dv: bus_dv(self.injections.on_bus(bus_code)),
+            bus_dv: bus_dv(scale.code(self.injections.on_bus(bus_code))),
             dc_link_ma: self.dc_link.then(|| {
                 let charge_c = self.plant.link_charge_c() - link_before_c;
                 // A current that flows back reads as zero.
@@ -322,6 +352,7 @@ impl SimHob {
                 bus: bus_code,
                 mains: mains_code as i16,
             },
+            reference: reference(&self.injections),
             restarts: false,
         };
         self.housekeeping.serve(&mut *self.realtime, &mut board);
@@ -399,6 +430,8 @@ impl SimHob {
         }
         if let Some(reading) = self.plant.take_reading() {
             self.warm_up(&reading);
+            self.housekeeping.set_reference(reference(&self.injections));
+            self.set_comparator();
             self.reading = Some(reading);
         }
         let t_s = self.plant.t_s();
@@ -541,8 +574,12 @@ impl SimHob {
     /// Changes the injected faults of sensors and sampling.
     pub fn inject(&mut self, change: impl FnOnce(&mut Injections)) {
         change(&mut self.injections);
-        let dead = self.injections.has(InjectionKind::ComparatorDead);
-        let trip_a = if dead { f64::INFINITY } else { COMPARATOR_A };
+        self.set_comparator();
+    }
+
+    fn set_comparator(&mut self) {
+        let scale = self.housekeeping.control().supply_scale();
+        let trip_a = comparator_a(scale, &self.injections);
         self.plant.set_comparator(trip_a, TRIP_DELAY_S);
     }
 

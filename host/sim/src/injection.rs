@@ -44,6 +44,10 @@ pub enum InjectionKind {
     NtcOpen,
     /// A temperature sensor has a short circuit.
     NtcShort,
+    /// The analogue supply is multiplied by the value: every code is divided by it.
+    Supply,
+    /// The chip's reference voltage is multiplied by the value.
+    Reference,
 }
 
 /// Channel of the fault, for kinds that have a choice.
@@ -86,6 +90,7 @@ impl InjectionKind {
             Self::CurrentGain | Self::VoltageGain | Self::BusScale => {
                 Some((0.0, 10.0, "a factor from 0 to 10"))
             }
+            Self::Supply | Self::Reference => Some((0.8, 1.2, "a factor from 0.8 to 1.2")),
             Self::CurrentOffset => Some((-160.0, 160.0, "-160 to 160 A")),
             Self::VoltageOffset => Some((-1300.0, 1300.0, "-1300 to 1300 V")),
             Self::AdcBitStuck => Some((0.0, 11.0, "a bit from 0 to 11")),
@@ -173,12 +178,14 @@ impl Injections {
 
     /// Applies the faults to a code of the bus voltage.
     pub fn on_bus(&self, code: u16) -> u16 {
-        let scales = self
-            .active
-            .iter()
-            .filter(|a| a.injection.kind == InjectionKind::BusScale);
-        let scale: f64 = scales.map(|a| a.injection.value).product();
+        let scale = self.product(InjectionKind::BusScale) / self.product(InjectionKind::Supply);
         (f64::from(code) * scale).round().min(4095.0) as u16
+    }
+
+    /// Product of the values of all active faults of a kind; 1 if there is none.
+    pub fn product(&self, kind: InjectionKind) -> f64 {
+        let of_kind = self.active.iter().filter(|a| a.injection.kind == kind);
+        of_kind.map(|a| a.injection.value).product()
     }
 
     /// Returns `true` if this block is lost.
@@ -240,6 +247,10 @@ impl ActiveInjection {
             match kind {
                 InjectionKind::CurrentGain => pair.i = code(f64::from(pair.i) * value),
                 InjectionKind::VoltageGain => pair.v = code(f64::from(pair.v) * value),
+                InjectionKind::Supply => {
+                    pair.v = code(f64::from(pair.v) / value);
+                    pair.i = code(f64::from(pair.i) / value);
+                }
                 InjectionKind::CurrentOffset => {
                     pair.i = code(f64::from(pair.i) + value / AMPERE_PER_CODE);
                 }
@@ -265,7 +276,8 @@ impl ActiveInjection {
                 | InjectionKind::LateCrossings
                 | InjectionKind::ComparatorDead
                 | InjectionKind::NtcOpen
-                | InjectionKind::NtcShort => return,
+                | InjectionKind::NtcShort
+                | InjectionKind::Reference => return,
             }
         }
     }

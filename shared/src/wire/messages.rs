@@ -14,7 +14,7 @@ use crate::units::{MicroOhm, PicoHenry};
 pub const PROTOCOL_MAJOR: u16 = 3;
 
 /// Raised by a new message or a new fault.
-pub const PROTOCOL_MINOR: u16 = 0;
+pub const PROTOCOL_MINOR: u16 = 1;
 
 /// Bytes that travel as they are: a varint length, then the bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -18,6 +18,12 @@ use crate::usb::host::HostController;
 /// Volt of the bus over the range of 12 bit (docs/board.md: PB1).
 const BUS_RANGE_V: f64 = 500.0;
 
+/// Supply by which the front end's scales are given, in volt (docs/board.md).
+const NOMINAL_VDDA_V: f64 = 3.3;
+
+/// Lines of port C with a button of the panel.
+const PANEL_LINES: [u32; 3] = [6, 8, 9];
+
 const CODES: f64 = 4096.0;
 const MIDDLE: f64 = CODE_HALF_RANGE as f64;
 
@@ -33,18 +39,21 @@ pub struct Sample {
     pair: Pair,
     bus_v: f64,
     mains_v: f64,
+    /// The supply over the nominal one.
+    supply: f64,
 }
 
 impl Sample {
     /// The 12-bit code of a channel of an ADC (docs/board.md, "Wiring").
     pub fn code(&self, adc: u32, channel: u32) -> u32 {
-        let from_middle = |signed: i16| (i32::from(signed) + i32::from(CODE_HALF_RANGE)) as u32;
         let code = |value: f64| value.round().clamp(0.0, CODES - 1.0) as u32;
+        // The front end's zero is half the supply.
+        let from_middle = |signed: f64| code(MIDDLE + signed / self.supply);
         match (adc, channel) {
-            (1, 1) => from_middle(self.pair.v),
-            (2, 2) => from_middle(self.pair.i),
-            (3, 1) => code(self.bus_v / BUS_RANGE_V * CODES),
-            (3, 12) => code(MIDDLE + self.mains_v / MAINS_FULL_SCALE_V * MIDDLE),
+            (1, 1) => from_middle(self.pair.v.into()),
+            (2, 2) => from_middle(self.pair.i.into()),
+            (3, 1) => code(self.bus_v / BUS_RANGE_V * CODES / self.supply),
+            (3, 12) => from_middle(self.mains_v / MAINS_FULL_SCALE_V * MIDDLE),
             // A pin that nothing is wired to.
             _ => 0,
         }
@@ -66,8 +75,12 @@ pub struct Pins {
     pub dead_comparators: [bool; 2],
     /// Temperatures of heat sink, glass and coil in °C, at thermistors on PB12, PB14 and PB15.
     pub temperatures_c: [f64; 3],
-    /// The analogue supply, in volt; the other channels are ratios of it.
+    /// The analogue supply, in volt, which every channel is a ratio of.
     pub vdda_v: f64,
+    /// The chip's reference voltage over what it should be.
+    pub reference_ratio: f64,
+    /// Buttons of the panel that are pressed: PC6, PC8, PC9 to ground.
+    pub pressed: [bool; 3],
     /// Added to every pair's codes: offsets of the two sensors.
     pub offset: Pair,
     /// Added to what the current sensor shows, in ampere: a test's surge.
@@ -91,7 +104,9 @@ impl Pins {
             above_s: [0.0; 2],
             dead_comparators: [false; 2],
             temperatures_c: [25.0; 3],
-            vdda_v: 3.3,
+            vdda_v: NOMINAL_VDDA_V,
+            reference_ratio: 1.0,
+            pressed: [false; 3],
             offset: Pair::default(),
             surge_a: 0.0,
             fed: VecDeque::new(),
@@ -134,7 +149,18 @@ impl Pins {
 
     /// The 12-bit code of the reference voltage, 1.2122 V, at this supply.
     pub fn reference_code(&self) -> u32 {
-        (f64::from(REFERENCE_CALIBRATION) * 3.0 / self.vdda_v).round() as u32
+        let code = f64::from(REFERENCE_CALIBRATION) * 3.0 / self.vdda_v * self.reference_ratio;
+        code.round() as u32
+    }
+
+    /// Levels of port C, of which the panel's lines are high where a pull-up holds them and no button closes them.
+    pub fn port_c(&self, pulled_up: u32) -> u32 {
+        let buttons = PANEL_LINES.iter().zip(self.pressed);
+        let closed: u32 = buttons
+            .filter(|(_, pressed)| *pressed)
+            .map(|(line, _)| 1 << line)
+            .sum();
+        pulled_up & !closed
     }
 
     /// What the bridge does.
@@ -148,6 +174,7 @@ impl Pins {
         let t_s = self.plant.t_s();
         let dividers = self.plant.dividers();
         let (bus_v, mains_v) = (dividers.bus_v(), dividers.mains_v());
+        let supply = self.vdda_v / NOMINAL_VDDA_V;
         let (comparators, above_s, surge_a) = (self.comparators, &mut self.above_s, self.surge_a);
         let dead = self.dead_comparators;
         let mut tripped = [None; 2];
@@ -160,7 +187,8 @@ impl Pins {
                     continue;
                 };
                 let code = MIDDLE + sign * (i_a + surge_a) / AMPERE_PER_CODE;
-                above_s[k] = if code > comparator.threshold_code {
+                let threshold = MIDDLE + (comparator.threshold_code - MIDDLE) * supply;
+                above_s[k] = if code > threshold {
                     above_s[k] + dt_s
                 } else {
                     0.0
@@ -186,6 +214,7 @@ impl Pins {
                 pair,
                 bus_v,
                 mains_v,
+                supply,
             },
             tripped,
         )

@@ -14,6 +14,7 @@ use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::sampling::path::AdcBlock;
 use ihd_firmware::sense::dma_buffer::DmaDoubleBuffer;
 use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
+use ihd_firmware::sense::supply::SupplyScale;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 
 use super::registers::{adc, bridge, dma, sampling_watchdog};
@@ -70,6 +71,14 @@ pub fn sampled_cycles() -> u32 {
     SAMPLED_CYCLES.load(Ordering::Relaxed)
 }
 
+/// Correction of every code for the supply, from the thread.
+static SUPPLY_SCALE: AtomicU32 = AtomicU32::new(SupplyScale::NOMINAL.to_bits());
+
+/// Sets the correction of every code from the next block on.
+pub fn set_supply_scale(scale: SupplyScale) {
+    SUPPLY_SCALE.store(scale.to_bits(), Ordering::Relaxed);
+}
+
 /// Polls the sampling task, in the DMA's own interrupt.
 pub static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 
@@ -121,12 +130,20 @@ impl Adc {
         }
     }
 
-    /// Copies a half; the DMA is a block away unless this task came late, which the ring finds out.
-    fn copy(&mut self, half: usize) {
+    /// Copies a half and corrects it for the supply; the DMA is a block away unless this task came late, which the ring finds out.
+    fn copy(&mut self, half: usize, scale: SupplyScale) {
         let begin = PAIRS.0.get().cast::<u32>().wrapping_add(half * ADC_LOCK_P);
-        for (k, pair) in self.pairs.iter_mut().enumerate() {
-            // SAFETY: `half` is 0 or 1, so this is inside PAIRS.
-            *pair = unsafe { ptr::read_volatile(begin.wrapping_add(k)) };
+        // SAFETY: `half` is 0 or 1 and `k` below 61, so this is inside PAIRS.
+        let word = |k: usize| unsafe { ptr::read_volatile(begin.wrapping_add(k)) };
+        // Two loops: a supply that needs no correction costs no time.
+        if scale == SupplyScale::NOMINAL {
+            for (k, pair) in self.pairs.iter_mut().enumerate() {
+                *pair = word(k);
+            }
+        } else {
+            for (k, pair) in self.pairs.iter_mut().enumerate() {
+                *pair = scale.pair(word(k));
+            }
         }
     }
 
@@ -163,7 +180,8 @@ impl SampleSource for Adc {
         let Some(half) = self.ring.take(dma::filled()) else {
             return false;
         };
-        self.copy(half);
+        let scale = SupplyScale::from_bits(SUPPLY_SCALE.load(Ordering::Relaxed));
+        self.copy(half, scale);
         let at = WORDS.saturating_sub(usize::from(dma::words_left()));
         if !self.ring.is_whole(half, at) {
             return true;
@@ -175,7 +193,7 @@ impl SampleSource for Adc {
         let drive = take(&AdcBlock {
             pairs: Pair::of_words(&self.pairs),
             zero_crossing: self.mains.on_block(slow.mains.into()),
-            bus_dv: bus_dv(slow.bus),
+            bus_dv: bus_dv(scale.code(slow.bus)),
             dc_link_ma: None,
             lost: self.ring.take_lost(),
         });

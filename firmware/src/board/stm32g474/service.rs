@@ -1,10 +1,11 @@
 //! Tests and facts of the board for a host (`ihd_firmware::link::service`).
 
 use embassy_stm32::uid;
-use ihd_firmware::link::channel_test::{Reference, SlowCodes};
+use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::link::identity::DeviceIdentity;
 use ihd_firmware::link::service::BoardServices;
 use ihd_firmware::retained::reset::CrashRecord;
+use ihd_firmware::sense::supply::Reference;
 use ihd_shared::wire::messages::{Clocks, Comparators, Program};
 
 use super::registers::{comparators, supply};
@@ -35,7 +36,7 @@ impl BoardServices for ChipServices<'_> {
     }
 
     fn reference(&mut self) -> Option<Reference> {
-        self.temperatures.reference()
+        Some(self.temperatures.reference())
     }
 
     fn comparators(&mut self) -> Option<Comparators> {

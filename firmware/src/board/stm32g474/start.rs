@@ -24,10 +24,11 @@ use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{Comparators, Hello, State};
 use static_cell::StaticCell;
 
-use super::adc::{Adc, SAMPLING_EXECUTOR};
+use super::adc::{self, Adc, SAMPLING_EXECUTOR};
 use super::led::Led;
 use super::log::LinkLog;
 use super::nonvolatile::{self as nonvolatile_pages, LookupPages, TO_KEEP};
+use super::panel::Panel;
 use super::self_test::SelfTest;
 use super::service::{self, ChipServices};
 use super::temperatures::Temperatures;
@@ -64,6 +65,7 @@ struct Board {
     self_test: SelfTest,
     temperatures: Temperatures,
     fan: Output<'static>,
+    panel: Panel,
 }
 
 #[cortex_m_rt::entry]
@@ -178,6 +180,7 @@ fn start(
         self_test,
         temperatures: Temperatures::start(cycles::now()),
         fan: Output::new(p.PB5, Level::Low, Speed::Low),
+        panel: Panel::new((p.PC6, p.PC8, p.PC9), (p.PC10, p.PC11)),
     };
     if let Ok(token) = nonvolatile_pages::keep(pages) {
         spawner.spawn(token);
@@ -322,7 +325,13 @@ impl Board {
         self.led.show(state, fault, cycles::now());
         if self.temperatures.after_block(cycles::now()) {
             housekeeping.set_temperatures(self.temperatures.codes());
+            if self.temperatures.has_new_reference() {
+                let scale = housekeeping.set_reference(self.temperatures.reference());
+                adc::set_supply_scale(scale);
+                registers::comparators::correct(scale);
+            }
             self.fan.set_level(housekeeping.fan().into());
+            self.panel.exchange(housekeeping, path);
         }
         let failed = self.self_test.after_block(housekeeping, blocks);
         if let Some(fault) = failed {

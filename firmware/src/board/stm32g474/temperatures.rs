@@ -2,7 +2,7 @@
 //! channel among those would come between.
 
 use ihd_firmware::control::temperature::TemperatureCodes;
-use ihd_firmware::link::channel_test::Reference;
+use ihd_firmware::sense::supply::Reference;
 
 use super::registers::clocks::CORE_MHZ;
 use super::registers::{adc, supply};
@@ -71,12 +71,17 @@ impl Temperatures {
         }
     }
 
-    /// The reference voltage as converted last; none where the converter is silent.
-    pub fn reference(&self) -> Option<Reference> {
+    /// The reference voltage as converted last; a converter that is silent gives the end of the range.
+    pub fn reference(&self) -> Reference {
         let [_, _, _, code] = self.codes;
-        (code != OPEN).then(|| Reference {
+        Reference {
             code,
             calibrated: supply::reference_calibration(),
-        })
+        }
+    }
+
+    /// Returns `true` if the last conversion was the reference's.
+    pub fn has_new_reference(&self) -> bool {
+        self.turn == 0
     }
 }

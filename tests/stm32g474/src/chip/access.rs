@@ -32,6 +32,12 @@ impl Chip {
             a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.read(a, &self.file, now),
             a if in_block(a, reg::lpuart1::BASE, 0x400) => self.serial.read(a, &self.file),
             a if in_block(a, reg::flash::BASE, 0x400) => self.flash.read(a, &self.file),
+            reg::gpioc::idr::ADDRESS => {
+                // GPIOx_PUPDR: 1 is a pull-up.
+                let pulls = self.file.word(reg::gpioc::pupdr::ADDRESS);
+                let pulled_up = (0..16).filter(|pin| pulls >> (2 * pin) & 3 == 1);
+                self.pins.port_c(pulled_up.map(|pin| 1 << pin).sum())
+            }
             reg::crc::dr::ADDRESS => self.checksum.read(&self.file),
             a if in_block(a, reg::tim16::BASE, 0x400) => self.read_timer(a),
             a if in_block(a, reg::tim2::BASE, 0x400) => {

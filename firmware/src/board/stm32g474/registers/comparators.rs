@@ -6,6 +6,7 @@ use embassy_stm32::pac::comp::vals::{Hysteresis, Inm, Polarity};
 use embassy_stm32::pac::dac::vals::Mode;
 use embassy_stm32::{peripherals, rcc};
 use ihd_firmware::sense::codes::TRIP_CODE;
+use ihd_firmware::sense::supply::SupplyScale;
 use ihd_shared::wire::messages::Comparators;
 
 use super::clocks::CORE_MHZ;
@@ -13,7 +14,9 @@ use super::faults;
 
 /// The sensor's zero is at mid-scale. Codes are the ADC's, so the hardware trips where the software
 /// does, a block earlier.
-const LEVEL: u16 = 2_048 + TRIP_CODE;
+const fn level(code: u16) -> u16 {
+    2_048 + code
+}
 
 /// HFSEL for an AHB above 160 MHz (DAC, DAC_MCR). The reason why embassy's driver is not used: it takes
 /// the frequency from its table ([`super::clocks`]).
@@ -34,7 +37,9 @@ fn start_thresholds() {
         w.set_en(1, true);
     });
     for channel in 0..2 {
-        pac::DAC1.dhr12r(channel).write(|w| w.set_dhr(LEVEL));
+        pac::DAC1
+            .dhr12r(channel)
+            .write(|w| w.set_dhr(level(TRIP_CODE)));
     }
     cortex_m::asm::delay(8 * CORE_MHZ);
 }
@@ -65,9 +70,10 @@ pub fn start() {
 /// current's zero is at mid-scale, and with both back where they belong none may. To be called once the fault inputs are
 /// armed, with the bridge open; it stays so, as an output is enabled by software alone.
 pub fn trip() -> Comparators {
+    let threshold = pac::DAC1.dhr12r(0).read().dhr();
     set_thresholds(0);
     let [negative_tripped, positive_tripped] = faults::comparators_tripped();
-    set_thresholds(LEVEL);
+    set_thresholds(threshold);
     faults::clear();
     cortex_m::asm::delay(2 * CORE_MHZ);
     let [negative, positive] = faults::comparators_tripped();
@@ -76,6 +82,14 @@ pub fn trip() -> Comparators {
         positive_quiet: !positive,
         negative_tripped,
         negative_quiet: !negative,
+    }
+}
+
+/// Keeps both thresholds at the trip's current whatever the supply: the DAC's codes are shares of it.
+pub fn correct(scale: SupplyScale) {
+    let code = level(scale.dac_code(TRIP_CODE));
+    for channel in 0..2 {
+        pac::DAC1.dhr12r(channel).write(|w| w.set_dhr(code));
     }
 }
 
