@@ -217,7 +217,7 @@ impl ChannelSamples {
         if factor != 1.0 {
             for (k, x) in values.iter_mut().enumerate() {
                 let scaled = (f64::from(*x) * factor) as f32;
-                if !scaled.is_finite() {
+                if x.is_finite() && !scaled.is_finite() {
                     return Err(format!(
                         "sample {k} is {x:e} in the file, times {factor:e} is no voltage or current: \
                          see --input probe and units"

@@ -95,8 +95,6 @@ fn survives(path: &Path, bytes: &[u8], what: &str) -> bool {
     match result {
         Ok(capture) => {
             assert_eq!(capture.v_v.len(), capture.i_a.len(), "{what}");
-            let finite = |x: &[f32]| x.iter().all(|x| x.is_finite());
-            assert!(finite(&capture.v_v) && finite(&capture.i_a), "{what}");
             true
         }
         Err(e) => {

@@ -190,13 +190,15 @@ impl<A: Arrays> ArraySource<A> {
         Ok(Some(numbers))
     }
 
-    /// Reads one vector; `keep` is called with each number.
-    fn vector(&mut self, index: usize, mut keep: impl FnMut(f64)) -> Result<(), FormatError> {
+    /// Reads the stamps of a time vector; `keep` is called with each number.
+    ///
+    /// # Errors
+    /// [`FormatError`] when they are not all there, or at the first that is not finite.
+    fn stamps(&mut self, index: usize, mut keep: impl FnMut(f64)) -> Result<(), FormatError> {
         let mut bad = None;
         let mut k = 0u64;
         self.reader.numbers(index, &mut |x| {
-            // Samples are f32; the value may be too large for it.
-            if !(x as f32).is_finite() && bad.is_none() {
+            if !x.is_finite() && bad.is_none() {
                 bad = Some(k);
             }
             k += 1;
@@ -269,7 +271,7 @@ impl<A: Arrays> Source for ArraySource<A> {
                 Clock::Array { index, scale } => {
                     let length = self.arrays[index].length as usize;
                     let mut stamps = Vec::with_capacity(length.min(RESERVED));
-                    self.vector(index, |t| stamps.push(t * scale))?;
+                    self.stamps(index, |t| stamps.push(t * scale))?;
                     let base = time_base(stamps, 0.0, None);
                     Some(base.map_err(|e| {
                         FormatError::at_byte(self.arrays[index].offset, e.to_string())
@@ -284,7 +286,8 @@ impl<A: Arrays> Source for ArraySource<A> {
             };
             let length = self.arrays[index].length as usize;
             let mut values = Vec::with_capacity(length.min(RESERVED));
-            self.vector(index, |x| values.push(x as f32))?;
+            // Samples that are not finite stay so: the survey cuts the capture there.
+            self.reader.numbers(index, &mut |x| values.push(x as f32))?;
             columns.push(values);
         }
         Ok(Samples { time, columns })

@@ -228,10 +228,10 @@ impl Input {
         decode_from(self, bytes, kind, endian, &mut each).map_err(|e| FormatError::io(at, &e))
     }
 
-    /// Reads `count` samples as scale · number + offset.
+    /// Reads `count` samples as scale · number + offset; those that are not finite stay so: the survey cuts the capture there.
     ///
     /// # Errors
-    /// [`FormatError`] when they are not all there, or at the first that is not finite.
+    /// [`FormatError`] when they are not all there.
     pub fn samples(
         &mut self,
         count: u64,
@@ -241,7 +241,6 @@ impl Input {
         offset: f64,
         progress: Progress<'_>,
     ) -> Result<Vec<f32>, FormatError> {
-        let begin = self.offset;
         self.need(count.saturating_mul(kind.bytes() as u64))?;
         let mut values = Vec::with_capacity(usize::try_from(count).unwrap_or(0));
         let mut left = count;
@@ -253,13 +252,7 @@ impl Input {
             left -= part;
             progress(1.0 - left as f64 / count as f64);
         }
-        match values.iter().position(|x| !x.is_finite()) {
-            Some(k) => Err(FormatError::at_byte(
-                begin + (k * kind.bytes()) as u64,
-                format!("sample {k} is not finite"),
-            )),
-            None => Ok(values),
-        }
+        Ok(values)
     }
 }
 

@@ -180,12 +180,8 @@ fn what_is_no_capture_is_refused_by_name_and_place() {
     check(Path::new("/dev/zero"), &["a device"]);
     let row = "0.000,1,2\n0.001,3,4\n";
     check(
-        &written("nan.csv", b"t,v,i\n0,1,2\n1,nan,2\n2,1,2\n"),
+        &written("nan.csv", b"t,v,i\n0,1,2\nnan,1,2\n2,1,2\n"),
         &["line 3", "`nan`"],
-    );
-    check(
-        &written("inf.csv", "t,v,i\n0,∞,2\n1,2,2\n".as_bytes()),
-        &["line 2", "range"],
     );
     check(
         &written("back.csv", format!("t,v,i\n{row}{row}").as_bytes()),

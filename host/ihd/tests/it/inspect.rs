@@ -134,3 +134,34 @@ fn a_calibration_is_written_and_applied() {
         assert!(!stderr.contains("panicked"), "{stderr}");
     }
 }
+
+/// A scope writes NaN or its overflow mark where it has no sample: the capture is cut there, in every format.
+#[test]
+fn samples_that_are_no_numbers_are_cut_out_with_a_warning() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    simulate(dir, "", "whole.csv");
+    let text = std::fs::read_to_string(dir.join("whole.csv")).unwrap();
+    let mut rows: Vec<String> = text.lines().map(str::to_owned).collect();
+    let damage = |row: &mut String, column: usize, by: &str| {
+        let mut fields: Vec<&str> = row.split(',').collect();
+        fields[column] = by;
+        *row = fields.join(",");
+    };
+    let first = rows.len() / 2;
+    damage(&mut rows[first], 1, "NaN");
+    damage(&mut rows[first + 40], 2, "∞");
+    std::fs::write(dir.join("holes.csv"), rows.join("\n") + "\n").unwrap();
+    let converted = ihd(dir, "convert holes.csv --out holes.npz");
+    assert!(converted.status.success(), "{}", stdout(&converted));
+    for file in ["holes.csv", "holes.npz"] {
+        let found = json(&ihd(dir, &format!("inspect {file} --json")));
+        let findings = found["findings"].as_array().unwrap();
+        let cut = findings.iter().find(|f| f["kind"] == "not_finite");
+        let cut = cut.unwrap_or_else(|| panic!("{file}: {found}"));
+        assert_eq!(cut["severity"], "warning", "{file}");
+        assert_eq!(cut["samples"], 2, "{file}");
+        let spans = found["spans"].as_array().unwrap();
+        assert_eq!(spans.len(), 2, "{file}: {found}");
+    }
+}

@@ -143,14 +143,14 @@ impl CsvSource {
             row.check_width(self.layout.width)?;
             if let Some((index, scale)) = clock {
                 let field = row.field(index)?;
-                columns.stamps.push(row.number(field)? * scale);
+                columns.stamps.push(row.time(field)? * scale);
                 if columns.rows.is_multiple_of(ESTIMATE_AFTER) {
                     let resolution_s = rows::resolution(field) * scale;
                     columns.resolution_s = columns.resolution_s.max(resolution_s);
                 }
             }
             for (values, index) in columns.values.iter_mut().zip(&picked) {
-                values.push(row.number(row.field(*index)?)? as f32);
+                values.push(row.sample(row.field(*index)?)?);
             }
             columns.rows += 1;
             if columns.rows == ESTIMATE_AFTER {

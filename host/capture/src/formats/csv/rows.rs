@@ -61,7 +61,7 @@ impl Syntax {
     }
 
     /// Returns `true` if all fields of a row are numbers or empty, and at least one is a number. An overflow mark of a scope (`∞`)
-    /// counts as a number: it is rejected as a sample, and is not a heading.
+    /// counts as a number: it is no heading.
     pub fn is_numbers(self, row: &ByteRecord) -> bool {
         let mut any = false;
         row.iter().all(|field| {
@@ -141,16 +141,27 @@ impl<'a> Row<'a> {
         })
     }
 
-    /// Returns the finite number in a field.
+    /// Returns the finite number in a field of the time column.
     ///
     /// # Errors
     /// [`FormatError`] for anything else, overflow included.
-    pub fn number(&self, field: &[u8]) -> Result<f64, FormatError> {
+    pub fn time(&self, field: &[u8]) -> Result<f64, FormatError> {
         match self.syntax.number(field) {
-            // Samples are f32.
             Some(value) if (value as f32).is_finite() => Ok(value),
             Some(_) => Err(self.wrong(field, "not finite, or beyond f32")),
-            None if is_overflow(field) => Err(self.wrong(field, "beyond the scope's range")),
+            None => Err(self.wrong(field, "no number")),
+        }
+    }
+
+    /// Returns the sample in a field. A value that is not finite (NaN, the scope's overflow mark, beyond f32) stays one: the
+    /// survey cuts the capture there.
+    ///
+    /// # Errors
+    /// [`FormatError`] for anything else.
+    pub fn sample(&self, field: &[u8]) -> Result<f32, FormatError> {
+        match self.syntax.number(field) {
+            Some(value) => Ok(value as f32),
+            None if is_overflow(field) => Ok(f32::INFINITY),
             None => Err(self.wrong(field, "no number")),
         }
     }
