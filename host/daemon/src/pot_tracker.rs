@@ -136,6 +136,8 @@ impl PotTracker {
                 since_ms: self.since_ms,
                 rise_k: r.rise_k,
                 sigma_k: r.sigma_k,
+                prior_k: r.prior_k.0,
+                prior_sigma_k: r.prior_k.1,
                 lift_mm: r.lift_mm,
                 lift_sigma_mm: r.lift_sigma_mm,
                 bubbles: r.bubbles,

@@ -12,6 +12,10 @@ pub struct PotTemperature {
     pub rise_k: f64,
     /// Standard deviation of the rise in kelvin, including that of the unknown alloy.
     pub sigma_k: f64,
+    /// Rise by the heat alone, without R and L, in kelvin.
+    pub prior_k: f64,
+    /// Standard deviation of the rise by the heat alone, in kelvin.
+    pub prior_sigma_k: f64,
     /// Lift since then, in mm.
     pub lift_mm: f64,
     /// Standard deviation of the lift in mm.

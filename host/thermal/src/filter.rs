@@ -147,6 +147,11 @@ impl Filter {
         (self.x[2], self.p[(2, 2)].max(0.0).sqrt())
     }
 
+    /// Heat capacity of the base in J/K.
+    pub fn base_j_per_k(&self) -> f64 {
+        self.base_j_per_k
+    }
+
     /// Law of the metal.
     pub fn metal(&self) -> &MetalLaw {
         &self.metal

@@ -14,6 +14,7 @@ pub mod filter;
 mod gauss_newton;
 pub mod metal;
 pub mod placement;
+pub mod prior;
 pub mod thermometer;
 pub mod turnover;
 

@@ -7,6 +7,7 @@ use crate::contents::{BASE_J_PER_M2K, Contents, WALL_J_PER_K};
 use crate::filter::{Filter, PotMotion};
 use crate::metal::MetalLaw;
 use crate::placement::Placement;
+use crate::prior::HeatPrior;
 use crate::turnover::TurnoverDetector;
 
 /// Gap in seconds between half-cycles that ends a run: the device was away, or its clock was reset.
@@ -38,10 +39,12 @@ const UNKNOWN_K: f64 = 40.0;
 pub struct Reading {
     /// Time in seconds on the clock of the half-cycles.
     pub t_s: f64,
-    /// Rise of the base's temperature since the pot was put on, in kelvin.
+    /// Rise of the base's temperature since the pot was put on, in kelvin, within what its heat allows ([`HeatPrior`]).
     pub rise_k: f64,
     /// Standard deviation of the rise in kelvin, including the unknown alloy.
     pub sigma_k: f64,
+    /// Rise in kelvin, and its standard deviation, by the heat alone, without R and L.
+    pub prior_k: (f64, f64),
     /// Lift since the pot was put on, in mm.
     pub lift_mm: f64,
     /// Standard deviation of the lift in mm.
@@ -107,7 +110,9 @@ struct TrackedPot {
     filter: Filter,
     contents: Contents,
     tick_s: f64,
+    /// Heat in joule since the last tick, and since the pot was put on.
     energy_j: f64,
+    heat_j: f64,
     /// Mean power over some bursts, in watt.
     mean_w: f64,
     /// Time at which the hob was off last, in seconds.
@@ -161,6 +166,7 @@ impl Thermometer {
             }
             Some(tracked) => {
                 tracked.energy_j += energy_j;
+                tracked.heat_j += energy_j;
                 tracked.mean_power(h.t_s, dt_s, power_w);
                 if let Some(batch) = batch {
                     tracked.filter.advance(batch.t_s, tracked.mean_w);
@@ -204,6 +210,7 @@ impl Thermometer {
             contents,
             tick_s: t_s,
             energy_j: 0.0,
+            heat_j: self.energy_j,
             off_s: f64::NEG_INFINITY,
             mean_w: self.last.map_or(0.0, |last| last.power_w),
             bubbles: false,
@@ -225,10 +232,13 @@ impl Thermometer {
         let (rise_k, filter_k) = tracked.filter.rise_k();
         let (lift_mm, lift_sigma_mm) = tracked.filter.lift_mm();
         let alloy_k = tracked.filter.metal().alloy_sigma_k(rise_k, tracked.spread);
+        let prior = HeatPrior::new(tracked.heat_j, tracked.filter.base_j_per_k());
+        let (rise_k, sigma_k) = prior.posterior_k((rise_k, filter_k.hypot(alloy_k)));
         Some(Reading {
             t_s: tracked.tick_s,
             rise_k,
-            sigma_k: (filter_k * filter_k + alloy_k * alloy_k).sqrt(),
+            sigma_k,
+            prior_k: prior.mean_k(),
             lift_mm,
             lift_sigma_mm,
             bubbles: tracked.bubbles,

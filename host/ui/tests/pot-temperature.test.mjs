@@ -4,10 +4,11 @@ import { test } from "node:test";
 
 import { outline, potWords } from "../page/js/live/pot-temperature.js";
 
-const now = { since_ms: 0, rise_k: 40, sigma_k: 5, lift_mm: 0.1, lift_sigma_mm: 0.05, bubbles: false, boils: false, overheats: false };
+const now = { since_ms: 0, rise_k: 40, sigma_k: 5, prior_k: 60, prior_sigma_k: 30, lift_mm: 0.1, lift_sigma_mm: 0.05, bubbles: false, boils: false, overheats: false };
 
 test("what is known is said, and nothing where nothing is", () => {
   assert.match(potWords(null), /not known/);
+  assert.match(potWords(now), /by its heat alone \+60 ± 30/);
   assert.doesNotMatch(potWords(now), /boils|bubbles|overheats/);
   assert.match(potWords({ ...now, bubbles: true }), /bubbles at its base/);
   const boils = potWords({ ...now, bubbles: true, boils: true });

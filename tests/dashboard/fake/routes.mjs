@@ -85,7 +85,7 @@ function potCurve(startMs, nowMs) {
   }
   const last = points.at(-1);
   const boils = (nowMs - startMs) / 1000 > 300;
-  const now = last && { since_ms: startMs, rise_k: last.rise_k, sigma_k: last.sigma_k, lift_mm: 0.02, lift_sigma_mm: 0.04, bubbles: last.rise_k >= 96, boils, overheats: false };
+  const now = last && { since_ms: startMs, rise_k: last.rise_k, sigma_k: last.sigma_k, prior_k: 1.3 * last.rise_k, prior_sigma_k: 20 + 0.5 * last.rise_k, lift_mm: 0.02, lift_sigma_mm: 0.04, bubbles: last.rise_k >= 96, boils, overheats: false };
   return { now: now ?? null, points };
 }
 

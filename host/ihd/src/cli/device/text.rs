@@ -36,8 +36,8 @@ pub(super) fn of_live(live: &Live) -> String {
 /// Text of a pot's temperature.
 pub(in crate::cli) fn of_pot(pot: &PotTemperature) -> String {
     let mut text = format!(
-        "{:+.0} ± {:.0} K since it was put on",
-        pot.rise_k, pot.sigma_k
+        "{:+.0} ± {:.0} K since it was put on (by its heat alone {:+.0} ± {:.0} K)",
+        pot.rise_k, pot.sigma_k, pot.prior_k, pot.prior_sigma_k
     );
     let states = [
         (pot.overheats, "overheats"),
@@ -158,6 +158,8 @@ mod tests {
             since_ms: 0,
             rise_k: 62.6,
             sigma_k: 7.8,
+            prior_k: 81.0,
+            prior_sigma_k: 41.0,
             lift_mm: 0.0,
             lift_sigma_mm: 0.1,
             bubbles: true,
@@ -166,10 +168,10 @@ mod tests {
         };
         assert_eq!(
             of_pot(&pot),
-            "+63 ± 8 K since it was put on, bubbles at its base"
+            "+63 ± 8 K since it was put on (by its heat alone +81 ± 41 K), bubbles at its base"
         );
         pot.boils = true;
-        assert_eq!(of_pot(&pot), "+63 ± 8 K since it was put on, boils");
+        assert!(of_pot(&pot).ends_with("K), boils"));
     }
 
     #[test]

@@ -15,7 +15,7 @@ const HEIGHT = 90;
 const LEAST_K = 20;
 
 /**
- * @typedef {{since_ms: number, rise_k: number, sigma_k: number, lift_mm: number, lift_sigma_mm: number,
+ * @typedef {{since_ms: number, rise_k: number, sigma_k: number, prior_k: number, prior_sigma_k: number, lift_mm: number, lift_sigma_mm: number,
  *   bubbles: boolean, boils: boolean, overheats: boolean}} PotTemperature
  * @typedef {{at_ms: number, rise_k: number, sigma_k: number}} PotPoint
  */
@@ -66,7 +66,7 @@ export class PotTemperatureView {
 
   /** @param {PotTemperature | null} now */
   #show(now) {
-    setText(this.number, now ? `${now.rise_k >= 0 ? "+" : "−"}${fixed(Math.abs(now.rise_k), 0)} ± ${fixed(now.sigma_k, 0)}\u00a0K` : NOTHING);
+    setText(this.number, now ? `${signed(now.rise_k)} ± ${fixed(now.sigma_k, 0)}\u00a0K` : NOTHING);
     setAttribute(this.number, "data-value", now ? String(now.rise_k) : "");
     setText(this.says, potWords(now));
     this.says.className = now?.overheats ? "bad" : "quiet";
@@ -89,7 +89,8 @@ export class PotTemperatureView {
 export function potWords(now) {
   if (!now) return "not known: it is followed from when heating begins";
   const states = [now.overheats && "overheats", now.boils && "boils", now.bubbles && !now.boils && "bubbles at its base"].filter(Boolean);
-  return [`since it was put on, ${clock(now.since_ms)}`, ...states, `lift ${fixed(now.lift_mm, 1)} ± ${fixed(now.lift_sigma_mm, 1)}\u00a0mm`].join("; ");
+  const prior = `by its heat alone ${signed(now.prior_k)} ± ${fixed(now.prior_sigma_k, 0)}\u00a0K`;
+  return [`since it was put on, ${clock(now.since_ms)}`, prior, ...states, `lift ${fixed(now.lift_mm, 1)} ± ${fixed(now.lift_sigma_mm, 1)}\u00a0mm`].join("; ");
 }
 
 /**
@@ -115,3 +116,6 @@ export function outline(points) {
     label: `${fixed(least, 0)} to ${fixed(most, 0)}\u00a0K over ${fixed(span_ms / 60000, 1)}\u00a0min, band ± σ`,
   };
 }
+
+/** A rise with its sign. @param {number} rise_k */
+const signed = (rise_k) => `${rise_k >= 0 ? "+" : "−"}${fixed(Math.abs(rise_k), 0)}`;
