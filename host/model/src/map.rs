@@ -20,11 +20,11 @@ pub struct Map {
     pub f_sw_hz: Vec<f64>,
     /// Amplitudes of the current's fundamental of the columns, in ampere.
     pub i_a: Vec<f64>,
-    /// R in ohm.
+    /// R at that amplitude, in ohm.
     pub r_ohm: Vec<Vec<f64>>,
-    /// L in henry.
+    /// L at that amplitude, in henry.
     pub l_h: Vec<Vec<f64>>,
-    /// Power at that amplitude, R I² / 2, in watt: mean over switching periods, not over a mains half-cycle.
+    /// P: mean power over a mains half-cycle whose current follows |sin| up to that amplitude, in watt.
     pub power_w: Vec<Vec<f64>>,
     /// `true` for cells that rest on observations.
     pub observed: Vec<Vec<bool>>,

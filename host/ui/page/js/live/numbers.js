@@ -18,18 +18,21 @@ export class Numbers {
     this.r = big("r-now");
     this.l = big("l-now");
     this.p = big("p-now");
+    /** Names: the network gives means over a half-cycle, the device its values at the crest. */
+    this.rName = h("dt", null, "R");
+    this.lName = h("dt", null, "L");
     this.source = h("p", { class: "quiet live-source", data: { testid: "source" } });
     this.cells = {
       state: cell("state"), fault: cell("fault"), pot: cell("pot"), limit: cell(null), asked: cell(null), frequency: cell(null),
       phase: cell(null), resonance: cell(null), crest: cell(null), lookup: cell("lookup-version"), firmware: cell(null), holder: cell("holder"),
     };
     const labels = { state: "State", fault: "Fault", pot: "Pot", limit: "Held back by", asked: "Power asked", frequency: "Switching frequency",
-      phase: "Phase at the crest", resonance: "Resonance, margin", crest: "Crest current", lookup: "Lookup", firmware: "Firmware", holder: "Commanded by" };
+      phase: "Phase at the crest", resonance: "Resonance, margin", crest: "I, crest", lookup: "Lookup", firmware: "Firmware", holder: "Commanded by" };
     root.append(h("section", { class: "panel live-numbers", "aria-label": "Now" },
       h("dl", { class: "live-big" },
-        h("div", {}, h("dt", {}, "R"), h("dd", {}, this.r)),
-        h("div", {}, h("dt", {}, "L"), h("dd", {}, this.l)),
-        h("div", {}, h("dt", {}, "P"), h("dd", {}, this.p))),
+        h("div", {}, this.rName, h("dd", {}, this.r)),
+        h("div", {}, this.lName, h("dd", {}, this.l)),
+        h("div", {}, h("dt", {}, "P, mean"), h("dd", {}, this.p))),
       this.source,
       h("dl", { class: "live-rows" }, Object.entries(labels).map(([key, label]) => [h("dt", {}, label), this.cells[/** @type {keyof typeof labels} */ (key)]]))));
     const showAll = () => {
@@ -110,6 +113,9 @@ export class Numbers {
     const now = fleet.now(device);
     number(this.r, now.r_ohm, si(now.r_ohm, "Ω", 4));
     number(this.l, now.l_h, si(now.l_h, "H", 4));
+    const which = { network: ", mean", device: ", crest", none: "" }[now.source];
+    setText(this.rName, `R${which}`);
+    setText(this.lName, `L${which}`);
     const age_s = Math.max(0, (stream.daemonNow_ms() - now.at_ms) / 1000);
     const texts = {
       network: `R and L: the network's, means over a half-cycle weighted with i², ${age_s < 1 ? "less than 1\u00a0s" : duration(Math.round(age_s))} old`,

@@ -198,7 +198,7 @@ export class ScopeView {
   /** @param {any} scope */
   #showVerdict(scope) {
     const means = scope.r_mean_ohm !== null && scope.l_mean_h !== null
-      ? ` R ${si(scope.r_mean_ohm, "Ω", 4)}${error(scope.r_mean_ohm, scope.r_true_mean_ohm)}, L ${si(scope.l_mean_h, "H", 4)}${error(scope.l_mean_h, scope.l_true_mean_h)}.`
+      ? ` R, mean ${si(scope.r_mean_ohm, "Ω", 4)}${error(scope.r_mean_ohm, scope.r_true_mean_ohm)}, L, mean ${si(scope.l_mean_h, "H", 4)}${error(scope.l_mean_h, scope.l_true_mean_h)}.`
       : "";
     const verdict = scope.pass === null || scope.pass === undefined
       ? "The network has not looked at this window."

@@ -7,10 +7,10 @@ import { percent } from "./words.js";
 
 const FIELDS = /** @type {[string, string][]} */ ([
   ["f", "f_sw"],
-  ["i", "Current"],
-  ["r", "R"],
-  ["l", "L"],
-  ["power", "Power"],
+  ["i", "I, crest"],
+  ["r", "R, crest"],
+  ["l", "L, crest"],
+  ["power", "P, mean"],
   ["observed", "Observed"],
   ["confidence", "Confidence"],
   ["age", "Learned"],

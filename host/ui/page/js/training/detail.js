@@ -82,8 +82,8 @@ function facts(fit) {
     error === null ? "no truth: not simulated here" : `${percent(error)}${sigma ? `, ${fixed(Math.abs(error) / sigma, 1)}\u00a0σ` : ""}`;
   return [
     ["f_sw", si(fit.f_sw_hz, "Hz", 5)],
-    ["R", `${si(fit.r_ohm, "Ω", 5)} ± ${pct(fit.sigma_r_pct)}`],
-    ["L", `${si(fit.l_h, "H", 5)} ± ${pct(fit.sigma_l_pct)}`],
+    ["R, mean", `${si(fit.r_ohm, "Ω", 5)} ± ${pct(fit.sigma_r_pct)}`],
+    ["L, mean", `${si(fit.l_h, "H", 5)} ± ${pct(fit.sigma_l_pct)}`],
     ["Error of R", against(fit.r_error_pct, fit.sigma_r_pct)],
     ["Error of L", against(fit.l_error_pct, fit.sigma_l_pct)],
     ["Steps", String(fit.iterations)],
