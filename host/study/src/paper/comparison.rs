@@ -11,9 +11,6 @@ use super::{Cell, Contender, distinct};
 /// Contender of the last line.
 const OURS: &str = "hybrid";
 
-/// Tolerance for being as good as the best, in percent of R or L.
-const WITHIN_PCT: f64 = 0.01;
-
 /// Mean errors of R and L of one contender at one operating point, in percent.
 struct Entry {
     contender: Contender,
@@ -70,10 +67,10 @@ impl Row {
 struct Standing {
     /// Number of compared pairs of operating point and quantity.
     pairs: usize,
-    /// Number of pairs in which each contender has the smallest error.
+    /// Number of pairs in which each contender alone has the smallest error.
     best: BTreeMap<String, usize>,
-    /// Number of pairs in which [`OURS`] is the best or within [`WITHIN_PCT`] of it; `None` if it did not run.
-    ours: Option<usize>,
+    /// Number of pairs in which several have the smallest error.
+    ties: usize,
     /// Largest distance of it from the best, in percent, and the place.
     behind: (f64, String),
 }
@@ -83,28 +80,27 @@ impl Standing {
         let mut standing = Self {
             pairs: 2 * rows.len(),
             best: BTreeMap::new(),
-            ours: None,
+            ties: 0,
             behind: (0.0, String::new()),
         };
         for row in rows {
             for (quantity, word) in ["R", "L"].into_iter().enumerate() {
                 let least = row.least(quantity);
-                for entry in row
+                let mut winners = row
                     .entries
                     .iter()
-                    .filter(|e| e.error_pct[quantity] <= least)
-                {
-                    *standing
-                        .best
-                        .entry(entry.contender.name().into())
-                        .or_default() += 1;
+                    .filter(|e| e.error_pct[quantity] <= least);
+                match (winners.next(), winners.next()) {
+                    (Some(winner), None) => {
+                        let name = winner.contender.name();
+                        *standing.best.entry(name.into()).or_default() += 1;
+                    }
+                    _ => standing.ties += 1,
                 }
                 let ours = row.entries.iter().find(|e| e.contender.name() == OURS);
                 let Some(behind) = ours.map(|e| e.error_pct[quantity] - least) else {
                     continue;
                 };
-                let near = standing.ours.get_or_insert(0);
-                *near += usize::from(behind <= WITHIN_PCT);
                 if behind > standing.behind.0 {
                     standing.behind = (behind, format!("{word} at {}", row.name));
                 }
@@ -169,20 +165,14 @@ fn conclusions(standing: &Standing) -> String {
     let best = standing.best.iter();
     let best: Vec<String> = best.map(|(who, n)| format!("`{who}` {n}")).collect();
     let mut out = format!(
-        "\nThe least error, in {} pairs of operating point and R or L: {}.\n",
+        "\nStrictly the least error, in {} pairs of operating point and R or L: {}; {} ties.\n",
         standing.pairs,
-        best.join(", ")
+        best.join(", "),
+        standing.ties
     );
-    if let Some(near) = standing.ours {
-        let _ = write!(
-            out,
-            "`{OURS}` is best or within {WITHIN_PCT} % in {near} of {}",
-            standing.pairs
-        );
-        let _ = match &standing.behind {
-            (most, at) if *most > 0.0 => writeln!(out, "; at most {most:.3} % behind ({at})."),
-            _ => writeln!(out, "."),
-        };
+    let (most, at) = &standing.behind;
+    if *most > 0.0 {
+        let _ = writeln!(out, "`{OURS}` is at most {most:.3} % behind ({at}).");
     }
     out
 }
@@ -201,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn the_least_is_bold_and_who_is_next_to_it_is_counted() {
+    fn the_least_is_bold_and_strict_wins_are_counted() {
         let ours = || Contender::Pinn(OURS.into());
         let other = || Contender::Other(Method::LeastSquares);
         // R is .005 % behind at 45 kHz and .02 % at 50 kHz; L is 1 % for both, so the same.
@@ -217,11 +207,9 @@ mod tests {
             "{text}"
         );
         assert!(text.contains("in 4 pairs"), "{text}");
-        assert!(text.contains("`hybrid` 2, `least-squares` 4"), "{text}");
+        assert!(text.contains("`least-squares` 2; 2 ties"), "{text}");
         assert!(
-            text.contains(
-                "within 0.01 % in 3 of 4; at most 0.020 % behind (R at behavioural, 30 dB, 50 kHz)"
-            ),
+            text.contains("at most 0.020 % behind (R at behavioural, 30 dB, 50 kHz)"),
             "{text}"
         );
     }
