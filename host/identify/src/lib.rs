@@ -24,6 +24,7 @@ mod model_residual;
 #[cfg(feature = "pinn")]
 pub mod network;
 pub mod pinn;
+pub mod pooled;
 pub mod reconstruction;
 mod reference;
 pub mod rls;

@@ -1,0 +1,293 @@
+//! One law R(Î), L(Î) from all half-cycles of a segment: Gaussian processes of the current's amplitude, pooled over time.
+//!
+//! Phasors of some .1 ms give linear equations, V = R(Î)·I + X(Î)·D with D = jI + İ/ω and X = ωL. R and X are Gaussian processes
+//! over u = ln(1 + Î/4 A) with a Matérn covariance of order 3/2, beside a drift in proportion to time. Values at knots of u are the
+//! unknowns, so that the cost does not grow with the length; length scale and widths have the largest evidence.
+
+use std::f64::consts::{PI, TAU};
+
+use ihd_signal::Segment;
+use ihd_signal::noise::WhiteNoise;
+use nalgebra::{Cholesky, Complex, DMatrix, DVector, Dyn};
+
+use crate::lockin::{Boxcar, demodulate};
+
+/// Current in ampere at which u begins to grow with the logarithm.
+const BEND_A: f64 = 4.0;
+
+/// Knots of u: linear interpolation between them costs some hundredths of a percent of R where it bends most.
+const KNOTS: usize = 48;
+
+/// Switching periods of a boxcar, and length of a mean in seconds.
+const BOXCAR_PERIODS: f64 = 3.0;
+const MEAN_S: f64 = 0.1e-3;
+
+/// Part of the half-cycle that is used, from its zero crossing: nearer to it the kinks of R and L count.
+const PART: std::ops::Range<f64> = 0.06..0.94;
+
+/// Share of the voltage that the model leaves at best.
+const MODEL: f64 = 1e-4;
+
+/// Length scales in u, and widths of R and X as shares of their means, from which the evidence chooses.
+const LENGTHS: [f64; 3] = [0.7, 1.5, 3.0];
+const WIDTHS: [f64; 4] = [0.01, 0.05, 0.2, 0.8];
+
+/// Standard deviations of mean and drift, as shares of the mean.
+const MEAN_WIDTH: f64 = 2.0;
+const DRIFT_WIDTH: f64 = 0.05;
+
+/// Fewest means.
+const FEWEST: usize = 60;
+
+/// R and L over the current's amplitude, with standard deviations. All vectors have one length.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PooledLaw {
+    /// Amplitudes of the current's fundamental in ampere, ascending.
+    pub i_a: Vec<f64>,
+    /// R in ohm, in the middle of the segment's time.
+    pub r_ohm: Vec<f64>,
+    /// Standard deviations of R in ohm.
+    pub r_sigma_ohm: Vec<f64>,
+    /// L in henry, in the middle of the segment's time.
+    pub l_h: Vec<f64>,
+    /// Standard deviations of L in henry.
+    pub l_sigma_h: Vec<f64>,
+    /// Change of R from beginning to end in ohm, and its standard deviation.
+    pub r_drift_ohm: (f64, f64),
+    /// Change of L from beginning to end in henry, and its standard deviation.
+    pub l_drift_h: (f64, f64),
+    /// Squared residual over what noise leaves.
+    pub chi2: f64,
+}
+
+impl PooledLaw {
+    /// R in ohm and L in henry with their standard deviations at an amplitude in ampere, linear in u; constant beyond the ends.
+    pub fn at(&self, i_a: f64) -> [(f64, f64); 2] {
+        let last = self.i_a.len() - 1;
+        let above = self.i_a.partition_point(|x| *x < i_a).clamp(1, last);
+        let (low, high) = (u(self.i_a[above - 1]), u(self.i_a[above]));
+        let share = ((u(i_a) - low) / (high - low)).clamp(0.0, 1.0);
+        let of = |x: &[f64]| x[above - 1] + share * (x[above] - x[above - 1]);
+        [
+            (of(&self.r_ohm), of(&self.r_sigma_ohm)),
+            (of(&self.l_h), of(&self.l_sigma_h)),
+        ]
+    }
+}
+
+fn u(i_a: f64) -> f64 {
+    (i_a / BEND_A).ln_1p()
+}
+
+/// Mean of phasors.
+struct Mean {
+    v: Complex<f64>,
+    i: Complex<f64>,
+    d: Complex<f64>,
+    /// Time from −1 at the segment's beginning to 1 at its end.
+    at: f64,
+    /// Variance of either part of the unexplained voltage in V².
+    variance: f64,
+}
+
+fn means(segment: &Segment) -> Vec<Mean> {
+    let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
+    let boxcar = Boxcar::fitting(per_period, f_sw_hz, BOXCAR_PERIODS / f_sw_hz);
+    let phasors = demodulate(segment, boxcar);
+    if phasors.len() < 3 {
+        return Vec::new();
+    }
+    let stride = phasors[1].centre - phasors[0].centre;
+    let step_s = stride * segment.dt_s;
+    let omega = TAU * f_sw_hz;
+    let group = ((MEAN_S / step_s).round() as usize).max(1);
+    let noise = WhiteNoise::measure(segment);
+    let samples = group as f64 * stride;
+    let half_s = segment.half_cycle_s();
+    let mut out = Vec::new();
+    let mut from = 1;
+    while from + group < phasors.len() {
+        let n = group as f64;
+        let sum = |of: &dyn Fn(usize) -> Complex<f64>| {
+            (from..from + group).map(of).sum::<Complex<f64>>() / n
+        };
+        let v = sum(&|k| phasors[k].v);
+        let i = sum(&|k| phasors[k].i);
+        let slope = (phasors[from + group].i + phasors[from + group - 1].i
+            - phasors[from].i
+            - phasors[from - 1].i)
+            / (2.0 * n * step_s);
+        let centre = phasors[from].centre + 0.5 * (n - 1.0) * stride;
+        let t_s = segment.t0_s + centre * segment.dt_s;
+        let phase = segment.since_crossing_s(t_s) / half_s;
+        let z2 = v.norm_sqr() / i.norm_sqr().max(f64::MIN_POSITIVE);
+        let white = 2.0 * (noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a) / samples;
+        // Where the amplitude changes fast, kinks and ripple of the load count more.
+        let model = MODEL * v.norm() / (PI * phase).sin().max(0.05);
+        if PART.contains(&phase) {
+            out.push(Mean {
+                v,
+                i,
+                d: i * Complex::new(0.0, 1.0) + slope / omega,
+                at: 2.0 * centre / segment.len() as f64 - 1.0,
+                variance: white + model * model,
+            });
+        }
+        from += group;
+    }
+    out
+}
+
+/// Equations of the unknowns: R at the knots, its drift, then those of X.
+struct Equations {
+    normal: DMatrix<f64>,
+    right: DVector<f64>,
+    /// Σ |V|² over its variance.
+    whole: f64,
+    numbers: usize,
+}
+
+/// Unknowns of either quantity: the knots and the drift.
+const EACH: usize = KNOTS + 1;
+
+impl Equations {
+    fn of(means: &[Mean], from_u: f64, spacing: f64) -> Self {
+        let mut all = Self {
+            normal: DMatrix::zeros(2 * EACH, 2 * EACH),
+            right: DVector::zeros(2 * EACH),
+            whole: 0.0,
+            numbers: 2 * means.len(),
+        };
+        for m in means {
+            let place = ((u(m.i.norm()) - from_u) / spacing).clamp(0.0, (KNOTS - 1) as f64);
+            let k = (place as usize).min(KNOTS - 2);
+            let share = place - k as f64;
+            let row = [
+                (k, m.i * (1.0 - share)),
+                (k + 1, m.i * share),
+                (KNOTS, m.i * m.at),
+                (EACH + k, m.d * (1.0 - share)),
+                (EACH + k + 1, m.d * share),
+                (EACH + KNOTS, m.d * m.at),
+            ];
+            for (a, x) in row {
+                all.right[a] += (x.conj() * m.v).re / m.variance;
+                for (b, y) in row {
+                    all.normal[(a, b)] += (x.conj() * y).re / m.variance;
+                }
+            }
+            all.whole += m.v.norm_sqr() / m.variance;
+        }
+        all
+    }
+}
+
+/// Prior covariance of one quantity of this mean, as a lower triangle's factor.
+fn prior(mean: f64, width: f64, length: f64, spacing: f64) -> Option<DMatrix<f64>> {
+    let matern = |a: usize, b: usize| {
+        let x = 3f64.sqrt() * a.abs_diff(b) as f64 * spacing / length;
+        (1.0 + x) * (-x).exp()
+    };
+    let covariance = DMatrix::from_fn(EACH, EACH, |a, b| match (a, b) {
+        (KNOTS, KNOTS) => DRIFT_WIDTH * DRIFT_WIDTH,
+        (KNOTS, _) | (_, KNOTS) => 0.0,
+        _ => {
+            let jitter = if a == b { 1e-10 } else { 0.0 };
+            MEAN_WIDTH * MEAN_WIDTH + width * width * (matern(a, b) + jitter)
+        }
+    });
+    let factor = covariance.cholesky()?.unpack();
+    Some(factor * mean.abs())
+}
+
+/// Posterior of one choice of the prior.
+struct Posterior {
+    evidence: f64,
+    factor: DMatrix<f64>,
+    inner: Cholesky<f64, Dyn>,
+    x: DVector<f64>,
+}
+
+fn posterior(equations: &Equations, r: &DMatrix<f64>, x: &DMatrix<f64>) -> Option<Posterior> {
+    let mut factor = DMatrix::zeros(2 * EACH, 2 * EACH);
+    factor.view_mut((0, 0), (EACH, EACH)).copy_from(r);
+    factor.view_mut((EACH, EACH), (EACH, EACH)).copy_from(x);
+    let mut inner = factor.transpose() * &equations.normal * &factor;
+    (0..2 * EACH).for_each(|k| inner[(k, k)] += 1.0);
+    let inner = inner.cholesky()?;
+    let right = factor.transpose() * &equations.right;
+    let z = inner.solve(&right);
+    let log_determinant: f64 = inner.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
+    Some(Posterior {
+        evidence: 0.5 * right.dot(&z) - log_determinant,
+        x: &factor * z,
+        factor,
+        inner,
+    })
+}
+
+/// Pools all half-cycles of a segment; `None` if there are too few phasors, or no load.
+pub fn pool(segment: &Segment) -> Option<PooledLaw> {
+    let means = means(segment);
+    if means.len() < FEWEST {
+        return None;
+    }
+    let power = |of: &dyn Fn(&Mean) -> Complex<f64>| {
+        means.iter().map(|m| (of(m).conj() * m.v).re).sum::<f64>()
+            / means.iter().map(|m| of(m).norm_sqr()).sum::<f64>()
+    };
+    let (r_mean, x_mean) = (power(&|m| m.i), power(&|m| m.d));
+    let amplitudes = || means.iter().map(|m| u(m.i.norm()));
+    let (from_u, to_u) =
+        amplitudes().fold((f64::INFINITY, 0.0f64), |(a, b), x| (a.min(x), b.max(x)));
+    let spacing = (to_u - from_u).max(1e-3) / (KNOTS - 1) as f64;
+    let equations = Equations::of(&means, from_u, spacing);
+    let mut best: Option<Posterior> = None;
+    for length in LENGTHS {
+        let of = |mean: f64| -> Option<Vec<DMatrix<f64>>> {
+            let each = WIDTHS.iter().map(|w| prior(mean, *w, length, spacing));
+            each.collect()
+        };
+        let (r, x) = (of(r_mean)?, of(x_mean)?);
+        for r in &r {
+            for x in &x {
+                let Some(now) = posterior(&equations, r, x) else {
+                    continue;
+                };
+                if best.as_ref().is_none_or(|b| now.evidence > b.evidence) {
+                    best = Some(now);
+                }
+            }
+        }
+    }
+    let best = best?;
+    let fitted = &best.x;
+    let left = equations.whole - 2.0 * equations.right.dot(fitted)
+        + fitted.dot(&(&equations.normal * fitted));
+    let chi2 = left.max(0.0) / equations.numbers as f64;
+    // The covariance is F·M⁻¹·Fᵀ; noise that was not white widens it.
+    let half = best
+        .inner
+        .l()
+        .solve_lower_triangular(&best.factor.transpose())?;
+    let widened = chi2.max(1.0).sqrt();
+    let sigma = |k: usize| widened * half.column(k).norm();
+    let omega = TAU * segment.f_sw_hz;
+    let knots = 0..KNOTS;
+    Some(PooledLaw {
+        i_a: knots
+            .clone()
+            .map(|k| BEND_A * (from_u + k as f64 * spacing).exp_m1())
+            .collect(),
+        r_ohm: knots.clone().map(|k| fitted[k]).collect(),
+        r_sigma_ohm: knots.clone().map(sigma).collect(),
+        l_h: knots.clone().map(|k| fitted[EACH + k] / omega).collect(),
+        l_sigma_h: knots.map(|k| sigma(EACH + k) / omega).collect(),
+        r_drift_ohm: (2.0 * fitted[KNOTS], 2.0 * sigma(KNOTS)),
+        l_drift_h: (
+            2.0 * fitted[EACH + KNOTS] / omega,
+            2.0 * sigma(EACH + KNOTS) / omega,
+        ),
+        chi2,
+    })
+}
