@@ -12,12 +12,11 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let Some(second) = source.channels().len().min(2).checked_sub(1) else {
         return;
     };
-    // Every sample must be finite, and columns of one length.
+    // Columns of one length; samples that are not finite are the survey's to cut.
     if let Ok(samples) = source.read(&[0, second], &mut |_| ()) {
         let length = samples.columns[0].len();
         for column in &samples.columns {
             assert_eq!(column.len(), length);
-            assert!(column.iter().all(|x| x.is_finite()));
         }
     }
 });

@@ -355,6 +355,14 @@ const GATE: &[Code] = &[
         "a longer capture, a smaller range, more bits",
     ),
     code(
+        "too_short",
+        "warning, verdict: cannot tell",
+        "no half-cycle of which half of the middle 80 % was captured, and σ of R or L over the stub is large or unknown. Beside \
+         whole half-cycles a stub is left out, and its own verdict is this one",
+        "3 % of either",
+        "capture at least 10 ms",
+    ),
+    code(
         "disagreement",
         "warning, error",
         "mean difference from least squares of the same stretch, over the middle 80 % of a half-cycle",
@@ -386,9 +394,18 @@ const GATE: &[Code] = &[
     code(
         "interference",
         "info, warning, error",
-        "a tone beside f_sw that is neither harmonic nor sideband of the mains, with its measured cost for least squares",
+        "a tone beside f_sw that is neither harmonic nor sideband of the mains, with its measured cost for least squares; that of \
+         another hob is removed by `ihd identify`, and then no error",
         ".2 % of R, .14 % of L to be mentioned; .7 %, .49 % for a warning; 1 %, .7 % for an error",
         "switch the neighbouring coil off; another rate if it is an alias",
+    ),
+    code(
+        "load_moves",
+        "warning",
+        "R and L are not functions of the current's amplitude alone, and no tone explains it: a drift, a step, a neighbour whose \
+         tone turns less than once in the stretch",
+        "misfit of .35 % of R, .25 % of L, and 5 σ of the noise",
+        "leave the pot alone; capture longer; switch the neighbouring coil off",
     ),
     code(
         "implausible_load",

@@ -8,6 +8,10 @@ use ihd_signal::Segment;
 /// Part of a half-cycle that is compared, from its zero crossing.
 pub const MIDDLE: std::ops::Range<f64> = 0.1..0.9;
 
+/// Least share of a half-cycle's middle that a segment must hold for a judgement beside whole half-cycles: near the end of a
+/// stretch splines are free.
+pub const LEAST_SEEN: f64 = 0.5;
+
 /// Times of a half-cycle's middle at which estimates are compared.
 const POINTS: usize = 160;
 
@@ -16,6 +20,48 @@ const LEAST_POINTS: usize = 8;
 
 /// A normal variable's mean magnitude, in standard deviations.
 const MEAN_MAGNITUDE: f64 = 0.8;
+
+/// Half-cycle of a segment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HalfCycle {
+    /// Zero crossing in seconds, on the capture's clock.
+    pub crossing_s: f64,
+    /// Share of its middle that lies in the segment, 0 to 1.
+    pub seen: f64,
+}
+
+impl HalfCycle {
+    /// Returns `true` if enough of the middle is there for a judgement of its own.
+    pub fn is_whole(&self) -> bool {
+        self.seen >= LEAST_SEEN
+    }
+}
+
+/// Half-cycles of a segment, stubs at its ends included.
+pub fn half_cycles(segment: &Segment) -> Vec<HalfCycle> {
+    let ranges = segment.half_cycles().into_iter();
+    let crossings = ranges
+        .filter(|(from, to)| to > from)
+        .map(|range| segment.crossing_of_s(range));
+    let of = |crossing_s: f64| HalfCycle {
+        crossing_s,
+        seen: times_s(segment, crossing_s, &[]).len() as f64 / POINTS as f64,
+    };
+    crossings.map(of).collect()
+}
+
+/// Half-cycles that are judged: the whole ones; of a segment without any the one of which most is there. Empty if no middle
+/// of a half-cycle has points enough.
+pub fn judged(segment: &Segment) -> Vec<HalfCycle> {
+    let all = half_cycles(segment);
+    let whole: Vec<_> = all.iter().copied().filter(HalfCycle::is_whole).collect();
+    if !whole.is_empty() {
+        return whole;
+    }
+    let enough = |h: &HalfCycle| h.seen * POINTS as f64 >= LEAST_POINTS as f64;
+    let longest = all.into_iter().max_by(|a, b| a.seen.total_cmp(&b.seen));
+    longest.filter(enough).into_iter().collect()
+}
 
 /// Difference of two estimates in one half-cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,13 +74,14 @@ pub struct Difference {
     pub expected_pct: [f64; 2],
 }
 
-/// Differences of `estimate` from `reference`, one per half-cycle.
+/// Differences of `estimate` from `reference`, one per judged half-cycle.
 pub fn differences(
     segment: &Segment,
     estimate: &Estimate,
     reference: &Estimate,
 ) -> Vec<Difference> {
-    let each = half_cycles(segment).map(|crossing_s| {
+    let each = judged(segment).into_iter().map(|half| {
+        let crossing_s = half.crossing_s;
         let times = times_s(segment, crossing_s, &[estimate, reference]);
         let ours = Samples::of(estimate, &times)?;
         let theirs = Samples::of(reference, &times)?;
@@ -59,13 +106,14 @@ pub fn differences(
     each.flatten().collect()
 }
 
-/// Means of σ/R and of σ/L in percent, one pair per half-cycle with its zero crossing in seconds; empty if the estimate
-/// states no deviations.
+/// Means of σ/R and of σ/L in percent, one pair per judged half-cycle with its zero crossing in seconds; empty if the
+/// estimate states no deviations.
 pub fn sigmas_pct(segment: &Segment, estimate: &Estimate) -> Vec<(f64, [f64; 2])> {
     if estimate.r_sigma_ohm.is_empty() {
         return Vec::new();
     }
-    let each = half_cycles(segment).map(|crossing_s| {
+    let each = judged(segment).into_iter().map(|half| {
+        let crossing_s = half.crossing_s;
         let times = times_s(segment, crossing_s, &[estimate]);
         let samples = Samples::of(estimate, &times)?;
         let mean = |k: usize| {
@@ -77,12 +125,12 @@ pub fn sigmas_pct(segment: &Segment, estimate: &Estimate) -> Vec<(f64, [f64; 2])
     each.flatten().collect()
 }
 
-/// Share of the middles of the segment's half-cycles that the estimate's points cover, 0 to 1.
+/// Share of the middles of the segment's judged half-cycles that the estimate's points cover, 0 to 1.
 pub fn coverage(segment: &Segment, estimate: &Estimate) -> f64 {
     let (mut have, mut all) = (0usize, 0usize);
     let reach_s = 0.5 * (MIDDLE.end - MIDDLE.start) * segment.half_cycle_s() / 10.0;
-    for crossing_s in half_cycles(segment) {
-        for t_s in times_s(segment, crossing_s, &[]) {
+    for half in judged(segment) {
+        for t_s in times_s(segment, half.crossing_s, &[]) {
             all += 1;
             let at = estimate.t_s.partition_point(|t| *t < t_s);
             let near = [at.checked_sub(1), Some(at)];
@@ -98,14 +146,6 @@ pub fn coverage(segment: &Segment, estimate: &Estimate) -> f64 {
     } else {
         have as f64 / all as f64
     }
-}
-
-/// Zero crossings of the segment's half-cycles, in seconds.
-fn half_cycles(segment: &Segment) -> impl Iterator<Item = f64> {
-    let ranges = segment.half_cycles().into_iter();
-    ranges
-        .filter(|(from, to)| to > from)
-        .map(|range| segment.crossing_of_s(range))
 }
 
 /// Times in the middle of a half-cycle that the segment and all estimates span.

@@ -1,16 +1,18 @@
 //! Tones in the coil voltage that this hob does not make: another hob's coil beside it, or an edge that aliases next to
-//! the carrier. They lie near f_sw, where there are neither harmonics nor sidebands of the mains. The cost of a tone is
-//! measured: least squares with it against least squares without it.
+//! the carrier. Those near the carrier are fitted together with a static load ([`crate::joint`]), the others found in the spectrum
+//! of what that load leaves. The cost of a tone is measured: least squares with it against least squares without it.
 
 use std::f64::consts::{PI, TAU};
 
 use ihd_identify::Estimate;
 use ihd_identify::lockin::{Boxcar, demodulate};
-use ihd_signal::noise::median;
+use ihd_signal::carrier::Carrier;
+use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
 use nalgebra::Complex;
 
 use crate::comparison::{self, Difference};
+use crate::joint::{Cause, JointFit, Means};
 use crate::limits::{TOLERABLE_PCT, WARNING_SHARE};
 use crate::lines::{Lines, peak};
 use crate::static_load::{self, Period};
@@ -48,6 +50,8 @@ pub struct Tone {
     pub shape: Vec<f64>,
     /// Position of the shape's first value, and distance from one value to the next, in samples.
     pub place: (f64, f64),
+    /// Samples of the part in which the tone was found, from the segment's first to its last where the part is at an end.
+    pub reach: std::ops::Range<f64>,
     /// Error of R in percent that an estimator makes if it follows the tone; least squares follows up to about 1 kHz.
     pub may_cost_pct: f64,
     /// `true` if a harmonic of the inverter's own edges aliases to this frequency.
@@ -55,13 +59,25 @@ pub struct Tone {
 }
 
 impl Tone {
-    /// Shape at a sample; `None` outside the part in which the tone was searched for.
+    /// Calls with the tone's voltage in volt, sample by sample of a segment, up to `samples`.
+    pub fn each(&self, segment: &Segment, samples: usize, mut each: impl FnMut(usize, f64)) {
+        let periods = (segment.f_sw_hz + self.offset_hz) * segment.dt_s;
+        for k in 0..samples {
+            let Some(shape) = self.at(k) else {
+                continue;
+            };
+            let (sin, cos) = libm::sincos(TAU * (periods * k as f64).fract());
+            each(k, shape * (self.v.re * cos - self.v.im * sin));
+        }
+    }
+
+    /// Shape at a sample, constant beyond its values; `None` outside the part in which the tone was searched for.
     fn at(&self, sample: usize) -> Option<f64> {
-        let x = (sample as f64 - self.place.0) / self.place.1;
-        let last = self.shape.len().checked_sub(1)?;
-        if x < -1.0 || x > last as f64 + 1.0 {
+        if !self.reach.contains(&(sample as f64)) {
             return None;
         }
+        let x = (sample as f64 - self.place.0) / self.place.1;
+        let last = self.shape.len().checked_sub(1)?;
         let x = x.clamp(0.0, last as f64);
         let k = (x as usize).min(last.saturating_sub(1));
         let next = self.shape.get(k + 1).unwrap_or(&self.shape[k]);
@@ -69,12 +85,58 @@ impl Tone {
     }
 }
 
-/// Remark on tones, from least squares with and without them; `None` if they cost nothing.
+/// Disturbances of a segment.
+#[derive(Clone, Debug, Default)]
+pub struct Interference {
+    /// Tones beside the carrier.
+    pub tones: Vec<Tone>,
+    /// Fit of a static load, part by part; those parts without enough phasors are left out.
+    pub fits: Vec<JointFit>,
+}
+
+impl Interference {
+    /// Tones of other hobs, which can be removed; an alias is in both channels.
+    pub fn neighbours(&self) -> impl Iterator<Item = &Tone> {
+        self.tones.iter().filter(|tone| !tone.alias)
+    }
+
+    /// Warning that R and L are not functions of the current alone, and that no tone explains it; else `None`.
+    pub fn law_remark(&self, segment: &Segment) -> Option<Remark> {
+        let unexplained = |f: &&JointFit| matches!(f.cause, Cause::Drift | Cause::Unknown);
+        let share = |f: &JointFit| {
+            (f.misfit_pct[0] / TOLERABLE_PCT[0]).max(f.misfit_pct[1] / TOLERABLE_PCT[1])
+        };
+        let all = self.fits.iter().filter(unexplained);
+        let worst = all.max_by(|a, b| share(a).total_cmp(&share(b)))?;
+        let [r_pct, l_pct] = worst.misfit_pct;
+        let slowest_hz = 1.0 / (segment.len() as f64 * segment.dt_s);
+        let why = match worst.cause {
+            Cause::Drift => format!(
+                "they drift: the pot moves, or another hob switches within {slowest_hz:.0} Hz of this one"
+            ),
+            _ => "the load steps or moves, or something that is no tone disturbs the voltage"
+                .to_owned(),
+        };
+        let text = format!(
+            "R and L are not functions of the current alone, by {r_pct:.1} and {l_pct:.1} %; {why}"
+        );
+        let worse = usize::from(l_pct / TOLERABLE_PCT[1] > r_pct / TOLERABLE_PCT[0]);
+        let remark = Remark::new("load_moves", Severity::Warning, text);
+        Some(remark.with(
+            worst.misfit_pct[worse],
+            Some(crate::joint::MISFIT_PCT[worse]),
+        ))
+    }
+}
+
+/// Remark on tones, from least squares with and without them; `None` if they cost nothing. Tones that were removed are no
+/// error any more.
 pub fn remark(
     segment: &Segment,
     tones: &[Tone],
     reference: &Estimate,
     cleaned: &Estimate,
+    removed: bool,
 ) -> Option<Remark> {
     let strongest = tones
         .iter()
@@ -92,23 +154,24 @@ pub fn remark(
         strongest.may_cost_pct
     };
     let severity = match share(&cost) {
-        s if s > 1.0 => Severity::Error,
+        s if s > 1.0 && !removed => Severity::Error,
         s if s.max(may_cost_pct / TOLERABLE_PCT[0]) > WARNING_SHARE => Severity::Warning,
         s if s > INFO_SHARE => Severity::Info,
         _ => return None,
     };
     let text = format!(
-        "a tone of {:.1} V lies {:+.2} kHz beside the switching frequency, at {:.2} kHz: it costs {:.1} % of R and \
+        "a tone of {:.1} V lies {:+.3} kHz beside the switching frequency, at {:.2} kHz: it costs {:.1} % of R and \
          {:.1} % of L; {}",
         strongest.v.norm(),
         strongest.offset_hz * 1e-3,
         (segment.f_sw_hz + strongest.offset_hz) * 1e-3,
         cost.mean_pct[0],
         cost.mean_pct[1],
-        if strongest.alias {
-            "it is an alias of the inverter's edges: sample at another rate"
-        } else {
-            "switch the coil beside this one off"
+        match (strongest.alias, removed) {
+            (true, _) => "it is an alias of the inverter's edges: sample at another rate",
+            (false, false) => "switch the coil beside this one off",
+            (false, true) =>
+                "it was removed, and the sensors were not calibrated; better switch the coil beside this one off",
         }
     );
     let worse =
@@ -121,14 +184,7 @@ pub fn remark(
 pub fn remove_tones(segment: &Segment, tones: &[Tone]) -> Segment {
     let mut v_v = segment.v_v.to_vec();
     for tone in tones {
-        let periods = (segment.f_sw_hz + tone.offset_hz) * segment.dt_s;
-        for (k, v) in v_v.iter_mut().enumerate() {
-            let Some(shape) = tone.at(k) else {
-                continue;
-            };
-            let (sin, cos) = libm::sincos(TAU * (periods * k as f64).fract());
-            *v -= shape * (tone.v.re * cos - tone.v.im * sin);
-        }
+        tone.each(segment, v_v.len(), |k, v| v_v[k] -= v);
     }
     Segment {
         v_v: v_v.into(),
@@ -136,16 +192,28 @@ pub fn remove_tones(segment: &Segment, tones: &[Tone]) -> Segment {
     }
 }
 
-/// Searches for tones in the voltage that R and L, as functions of the current's amplitude, leave unexplained.
-pub fn find_tones(segment: &Segment, reference: &Estimate) -> Vec<Tone> {
-    let Some(residual) = Residual::of(segment, BOXCAR_PERIODS) else {
-        return Vec::new();
+/// Longest part that is fitted jointly, in seconds: six half-cycles.
+const JOINT_S: f64 = 60e-3;
+
+/// Searches for tones, and checks whether R and L are functions of the current alone.
+pub fn find(segment: &Segment) -> Interference {
+    let mut found = Interference::default();
+    let Some(mut residual) = Residual::of(segment, BOXCAR_PERIODS) else {
+        return found;
     };
-    let volt_per_pct = residual.volt_per_pct(reference);
+    let volt_per_pct = residual.volt_per_pct();
+    found.fits = residual.joint_fits(segment, volt_per_pct, &mut found.tones);
+    if !found.tones.is_empty() || !found.fits.iter().all(|f| matches!(f.cause, Cause::None)) {
+        // A frequency that moves changes R and L; it is followed elsewhere.
+        if Carrier::of(segment).is_some_and(|carrier| carrier.moves()) {
+            return Interference::default();
+        }
+    }
+    residual.subtract(&found.tones);
     let aliases = aliases_hz(segment);
-    let chunks = residual.v.len().div_ceil(MOST_PHASORS).max(1);
-    let length = residual.v.len() / chunks;
-    let mut tones: Vec<Tone> = (0..chunks)
+    let chunks = residual.periods.len().div_ceil(MOST_PHASORS).max(1);
+    let length = residual.periods.len() / chunks;
+    let mut far: Vec<Tone> = (0..chunks)
         .flat_map(|k| {
             residual.tones(
                 k * length..(k + 1) * length,
@@ -155,11 +223,15 @@ pub fn find_tones(segment: &Segment, reference: &Estimate) -> Vec<Tone> {
             )
         })
         .collect();
-    if !tones.is_empty() {
-        let check = Residual::of(segment, CHECK_PERIODS);
-        tones.retain(|tone| check.as_ref().is_some_and(|check| check.confirms(tone)));
+    if !far.is_empty() {
+        let mut check = Residual::of(segment, CHECK_PERIODS);
+        if let Some(check) = &mut check {
+            check.subtract(&found.tones);
+        }
+        far.retain(|tone| check.as_ref().is_some_and(|check| check.confirms(tone)));
     }
-    tones
+    found.tones.extend(far);
+    found
 }
 
 /// Frequencies beside the carrier to which harmonics beyond half the sampling rate fold, in hertz from the carrier.
@@ -191,14 +263,10 @@ const FOLLOWED_HZ: f64 = 1.2e3;
 
 /// Voltage that R and L, as functions of the current's amplitude, leave unexplained, phasor by phasor.
 struct Residual {
+    /// Phasors, weighted with the sine squared of the mains' phase: 1 at the crest, 0 where R and L have their kinks.
+    periods: Vec<Period>,
     /// Unexplained voltage in volt.
     v: Vec<Complex<f64>>,
-    /// Sine squared of the mains' phase: 1 at the crest, 0 where R and L have their kinks.
-    weight: Vec<f64>,
-    /// |V| in volt; follows the bus.
-    bus_v: Vec<f64>,
-    /// |I| in ampere.
-    i_a: Vec<f64>,
     /// Position of the first phasor's centre, and distance from one to the next, in samples.
     place: (f64, f64),
     dt_s: f64,
@@ -231,9 +299,7 @@ impl Residual {
         }
         Some(Self {
             v: static_load::residual(&periods)?,
-            weight: periods.iter().map(|p| p.weight).collect(),
-            bus_v: periods.iter().map(|p| p.v.norm()).collect(),
-            i_a: periods.iter().map(|p| p.i.norm()).collect(),
+            periods,
             place: (phasors[1].centre, stride),
             dt_s: segment.dt_s,
             boxcar_s: boxcar.samples() as f64 * segment.dt_s,
@@ -243,6 +309,19 @@ impl Residual {
     /// Position of phasor `k` in samples of the segment.
     fn sample(&self, k: usize) -> f64 {
         self.place.0 + k as f64 * self.place.1
+    }
+
+    /// Samples of a part of so many phasors; those at the ends include the segment's ends.
+    fn reach(&self, part: usize, parts: usize, length: usize) -> std::ops::Range<f64> {
+        let from = match part {
+            0 => 0.0,
+            _ => self.sample(part * length),
+        };
+        let to = match part + 1 < parts {
+            true => self.sample((part + 1) * length),
+            false => f64::INFINITY,
+        };
+        from..to
     }
 
     /// e^(−jωt) of an offset in hertz at phasor `k`.
@@ -261,12 +340,88 @@ impl Residual {
     }
 
     /// Amplitude in volt of a tone that costs 1 % of R if it is followed. A tone rotates: its mean share of R is 2/π.
-    fn volt_per_pct(&self, reference: &Estimate) -> f64 {
-        let weights: f64 = self.weight.iter().sum();
-        let weighted = self.i_a.iter().zip(&self.weight).map(|(i, w)| i * w);
-        let i_a = weighted.sum::<f64>() / weights.max(f64::MIN_POSITIVE);
-        let r_ohm = median(reference.r_ohm.clone()).unwrap_or(0.0).abs();
-        0.5 * PI * 1e-2 * i_a * r_ohm
+    fn volt_per_pct(&self) -> f64 {
+        let weights: f64 = self.periods.iter().map(|p| p.weight).sum();
+        let mean = |of: fn(&Period) -> f64| {
+            let weighted = self.periods.iter().map(|p| p.weight * of(p));
+            weighted.sum::<f64>() / weights.max(f64::MIN_POSITIVE)
+        };
+        // Power over the squared current is R.
+        let r_ohm =
+            mean(|p| (p.v * p.i.conj()).re) / mean(|p| p.i.norm_sqr()).max(f64::MIN_POSITIVE);
+        (0.5 * PI * 1e-2 * mean(|p| p.i.norm()) * r_ohm.abs()).max(f64::MIN_POSITIVE)
+    }
+
+    /// Fits a static load and tones to parts of the segment, and adds the tones.
+    fn joint_fits(
+        &self,
+        segment: &Segment,
+        volt_per_pct: f64,
+        tones: &mut Vec<Tone>,
+    ) -> Vec<JointFit> {
+        let noise = WhiteNoise::measure(segment);
+        let white = |p: &Period| {
+            let z2 = (p.v.norm_sqr() / p.i.norm_sqr().max(f64::MIN_POSITIVE)).min(1e6);
+            noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a
+        };
+        let step_s = self.place.1 * self.dt_s;
+        let parts = (self.periods.len() as f64 * step_s / JOINT_S)
+            .ceil()
+            .max(1.0) as usize;
+        let length = self.periods.len() / parts;
+        let mut fits = Vec::new();
+        for part in 0..parts {
+            let from = part * length;
+            let t0_s = self.sample(from) * self.dt_s;
+            let phasors = &self.periods[from..from + length];
+            let means = Means::new(phasors, t0_s, step_s, white, self.dt_s);
+            let Some(fit) = means.fit() else {
+                continue;
+            };
+            if let Cause::Tones(near) = &fit.cause {
+                for tone in near {
+                    let passed = self.passed(tone.offset_hz) * means.passed(tone.offset_hz);
+                    let spacing = match &means.t_s[..] {
+                        [a, b, ..] => (b - a) / self.dt_s,
+                        _ => self.place.1,
+                    };
+                    let shape = match tone.follows_bus {
+                        true => means.bus.clone(),
+                        false => vec![1.0; means.bus.len()],
+                    };
+                    tones.push(Tone {
+                        offset_hz: tone.offset_hz,
+                        v: tone.v / passed,
+                        shape,
+                        place: (means.t_s[0] / self.dt_s, spacing),
+                        reach: self.reach(part, parts, length),
+                        may_cost_pct: tone.v.norm() / volt_per_pct,
+                        alias: false,
+                    });
+                }
+            }
+            fits.push(fit);
+        }
+        fits
+    }
+
+    /// Subtracts tones from the phasors.
+    fn subtract(&mut self, tones: &[Tone]) {
+        if tones.is_empty() {
+            return;
+        }
+        for tone in tones {
+            let passed = self.passed(tone.offset_hz);
+            for k in 0..self.periods.len() {
+                if let Some(shape) = tone.at(self.sample(k).max(0.0) as usize) {
+                    let turn = self.turn(tone.offset_hz, k).conj();
+                    self.periods[k].v -= tone.v * (shape * passed) * turn;
+                }
+            }
+        }
+        if let Some(left) = static_load::residual(&self.periods) {
+            self.v = left;
+        }
     }
 
     fn tones(
@@ -279,21 +434,15 @@ impl Residual {
         let n = range.len();
         let hann = |k: usize| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / n as f64);
         let weight: Vec<f64> = (0..n)
-            .map(|k| hann(k) * self.weight[range.start + k])
+            .map(|k| hann(k) * self.periods[range.start + k].weight)
             .collect();
         let sum: f64 = weight.iter().sum();
         if n < LEAST_PHASORS || sum <= 0.0 {
             return Vec::new();
         }
-        let bus = self.bus_v[range.clone()].iter().zip(&weight);
-        let mean_v = bus.map(|(v, w)| v * w).sum::<f64>() / sum;
-        let shapes = [
-            vec![1.0; n],
-            self.bus_v[range.clone()]
-                .iter()
-                .map(|v| v / mean_v)
-                .collect(),
-        ];
+        let bus_v = || self.periods[range.clone()].iter().map(|p| p.v.norm());
+        let mean_v = bus_v().zip(&weight).map(|(v, w)| v * w).sum::<f64>() / sum;
+        let shapes = [vec![1.0; n], bus_v().map(|v| v / mean_v).collect()];
         let spacing_hz = 1.0 / (n as f64 * self.place.1 * self.dt_s);
         // The sidebands of the bus belong to the alias.
         let reach_hz = 2.0 * spacing_hz + 4.0 * segment.mains_hz;
@@ -338,6 +487,7 @@ impl Residual {
                 v: v / self.passed(offset_hz).max(0.1),
                 shape: shape.clone(),
                 place: (self.sample(range.start), self.place.1),
+                reach: self.reach(range.start / n, self.periods.len() / n, n),
                 may_cost_pct,
                 alias: is_alias(line),
             });
@@ -349,7 +499,8 @@ impl Residual {
     fn confirms(&self, tone: &Tone) -> bool {
         let passed = self.passed(tone.offset_hz);
         let (mut sum, mut power) = (Complex::new(0.0, 0.0), 0.0);
-        for (k, (x, w)) in self.v.iter().zip(&self.weight).enumerate() {
+        for (k, (x, p)) in self.v.iter().zip(&self.periods).enumerate() {
+            let w = p.weight;
             if let Some(shape) = tone.at(self.sample(k).max(0.0) as usize) {
                 sum += x * (w * shape) * self.turn(tone.offset_hz, k);
                 power += w * shape * shape;
@@ -411,9 +562,16 @@ mod tests {
 
     #[test]
     fn a_tone_is_found_where_it_is_and_taken_out_it_costs_nothing() {
-        for (offset_hz, v) in [(1200.0, 8.0), (-2_030.0, 4.0), (730.0, 2.0)] {
+        for (offset_hz, v) in [
+            (1200.0, 8.0),
+            (-2_030.0, 4.0),
+            (730.0, 2.0),
+            (100.0, 4.0),
+            (-300.0, 4.0),
+            (79.0, 4.0),
+        ] {
             let with = segment(offset_hz, v);
-            let tones = find_tones(&with, &reference(&with));
+            let tones = find(&with).tones;
             let strongest = tones
                 .iter()
                 .max_by(|a, b| a.v.norm().total_cmp(&b.v.norm()));
@@ -436,6 +594,8 @@ mod tests {
     #[test]
     fn there_is_no_tone_where_there_is_none() {
         let clean = segment(0.0, 0.0);
-        assert_eq!(find_tones(&clean, &reference(&clean)), []);
+        let found = find(&clean);
+        assert_eq!(found.tones, []);
+        assert!(found.law_remark(&clean).is_none(), "{:?}", found.fits);
     }
 }

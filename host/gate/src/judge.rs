@@ -8,7 +8,7 @@ use crate::interference;
 use crate::limits::{MAX_SIGMA_PCT, TOLERABLE_PCT, WARNING_SHARE, plausible_ranges};
 use crate::reference::Reference;
 use crate::remarks;
-use crate::verdict::Judgement;
+use crate::verdict::{Gate, HalfCycleVerdict, Judgement, TOO_SHORT};
 
 /// Largest ratio of a difference to that which the standard deviations explain, for a difference by noise. About 24
 /// coefficients per half-cycle scatter its mean by 15 %.
@@ -51,10 +51,11 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
         return Judgement::of(findings);
     }
     findings.extend(coverage(segment, estimate));
+    findings.extend(plausibility(segment, estimate));
     let agreement = agreement(evidence);
     // A filter's σ follows from its tuning; if the reference agrees with the filter, the reference's σ is used instead.
     let within = |f: &Remark| f.severity != Severity::Error && f.value <= f.limit;
-    let harmless = |f: &Remark| f.severity == Severity::Info || within(f);
+    let harmless = |f: &HalfCycleRemark| f.remark.severity == Severity::Info || within(&f.remark);
     let confirmed = agreement.iter().all(harmless) && evidence.reference.least_squares.is_ok();
     let uncertain = match &evidence.reference.least_squares {
         Ok(reference) if confirmed => uncertainty(segment, reference),
@@ -65,10 +66,72 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
         let unsettled = findings.iter_mut().filter(|f| f.code == "not_converged");
         unsettled.for_each(|f| f.severity = Severity::Info);
     }
-    findings.extend(uncertain);
-    findings.extend(agreement);
-    findings.extend(plausibility(segment, estimate));
-    Judgement::of(findings)
+    if evidence.reference.least_squares.is_err() {
+        findings.push(no_reference(evidence.reference));
+    }
+    let half_cycles = [uncertain, agreement].concat();
+    let whole = findings.clone();
+    findings.extend(worst_of_each_code(&half_cycles));
+    let mut judgement = Judgement::of(findings);
+    judgement.half_cycles = verdicts(segment, &whole, &half_cycles);
+    judgement
+}
+
+/// Remark on one half-cycle.
+#[derive(Clone, Debug)]
+struct HalfCycleRemark {
+    crossing_s: f64,
+    /// Value over its tolerable size.
+    share: f64,
+    remark: Remark,
+}
+
+/// Worst remark of each code.
+fn worst_of_each_code(all: &[HalfCycleRemark]) -> Vec<Remark> {
+    let mut worst: Vec<&HalfCycleRemark> = Vec::new();
+    for one in all {
+        match worst.iter_mut().find(|w| w.remark.code == one.remark.code) {
+            Some(w) => {
+                let rank = |f: &HalfCycleRemark| (f.remark.severity, f.share);
+                if rank(one) > rank(w) {
+                    *w = one;
+                }
+            }
+            None => worst.push(one),
+        }
+    }
+    worst.into_iter().map(|w| w.remark.clone()).collect()
+}
+
+/// Verdict on each half-cycle, from the findings on the whole segment and those of its own.
+fn verdicts(
+    segment: &Segment,
+    whole: &[Remark],
+    of_half_cycles: &[HalfCycleRemark],
+) -> Vec<HalfCycleVerdict> {
+    let judged = comparison::judged(segment);
+    let verdict = |half: comparison::HalfCycle| {
+        let own = of_half_cycles
+            .iter()
+            .filter(|f| f.crossing_s == half.crossing_s);
+        let mut findings: Vec<Remark> = own.map(|f| f.remark.clone()).collect();
+        if !judged.contains(&half) {
+            findings.push(left_out(100.0 * half.seen));
+        }
+        HalfCycleVerdict {
+            from_s: half.crossing_s,
+            seen: half.seen,
+            gate: Gate::of(whole.iter().chain(&findings)),
+        }
+    };
+    let all = comparison::half_cycles(segment).into_iter();
+    all.map(verdict).collect()
+}
+
+fn left_out(seen_pct: f64) -> Remark {
+    let text = format!("only {seen_pct:.0} % of the half-cycle's middle was captured");
+    Remark::new(TOO_SHORT, Severity::Info, text)
+        .with(seen_pct, Some(100.0 * comparison::LEAST_SEEN))
 }
 
 /// Judges a method that failed.
@@ -103,50 +166,88 @@ fn worse(values: [f64; 2], limits: [f64; 2]) -> (&'static str, f64, f64) {
     }
 }
 
-fn uncertainty(segment: &Segment, estimate: &Estimate) -> Option<Remark> {
-    let sigmas = comparison::sigmas_pct(segment, estimate);
-    let share = |pct: &[f64; 2]| (pct[0] / TOLERABLE_PCT[0]).max(pct[1] / TOLERABLE_PCT[1]);
-    let (crossing_s, pct) = sigmas
-        .into_iter()
-        .max_by(|a, b| share(&a.1).total_cmp(&share(&b.1)))?;
-    let (name, value, tolerable) = worse(pct, TOLERABLE_PCT);
-    // Splines are free at the ends of a stretch; one shorter than half a half-cycle has hardly anything else.
-    let whole = segment.len() as f64 * segment.dt_s >= 0.5 * segment.half_cycle_s();
-    let (severity, limit) = if whole && pct[0].max(pct[1]) > MAX_SIGMA_PCT {
-        (Severity::Error, MAX_SIGMA_PCT)
-    } else {
-        (Severity::Warning, WARNING_SHARE * tolerable)
+/// Remarks on the noise of the half-cycles; [`TOO_SHORT`] if a stub is all there is, and its deviation is large or unknown.
+fn uncertainty(segment: &Segment, estimate: &Estimate) -> Vec<HalfCycleRemark> {
+    let judged = comparison::judged(segment);
+    let Some(first) = judged.first() else {
+        let crossing_s = comparison::half_cycles(segment)
+            .first()
+            .map(|h| h.crossing_s);
+        return vec![HalfCycleRemark {
+            crossing_s: crossing_s.unwrap_or(segment.t0_s),
+            share: f64::INFINITY,
+            remark: Remark::new(
+                TOO_SHORT,
+                Severity::Warning,
+                "the stretch holds no middle of a mains half-cycle: capture at least 10 ms",
+            ),
+        }];
     };
-    (value > WARNING_SHARE * tolerable).then(|| {
-        let text = format!(
-            "noise leaves {name} uncertain by {value:.1} % in the half-cycle from {crossing_s:.4} s: take a longer \
-             capture, a smaller range or more bits"
-        );
-        Remark::new("uncertain", severity, text).with(value, Some(limit))
-    })
+    let is_stub = !first.is_whole();
+    let remark = |(crossing_s, pct): (f64, [f64; 2])| {
+        let (name, value, tolerable) = worse(pct, TOLERABLE_PCT);
+        let share = value / tolerable;
+        let most = pct[0].max(pct[1]);
+        if is_stub && most > MAX_SIGMA_PCT {
+            let text = format!(
+                "R and L are uncertain by {:.1} and {:.1} %, because only {:.0} % of the half-cycle's middle was \
+                 captured: capture at least 10 ms",
+                pct[0],
+                pct[1],
+                100.0 * first.seen
+            );
+            let remark = Remark::new(TOO_SHORT, Severity::Warning, text);
+            let remark = remark.with(most, Some(MAX_SIGMA_PCT));
+            return Some(HalfCycleRemark {
+                crossing_s,
+                share,
+                remark,
+            });
+        }
+        let (severity, limit) = match most > MAX_SIGMA_PCT {
+            true => (Severity::Error, MAX_SIGMA_PCT),
+            false => (Severity::Warning, WARNING_SHARE * tolerable),
+        };
+        (share > WARNING_SHARE).then(|| {
+            let text = format!(
+                "noise leaves {name} uncertain by {value:.1} % in the half-cycle from {crossing_s:.4} s: take a longer \
+                 capture, a smaller range or more bits"
+            );
+            HalfCycleRemark {
+                crossing_s,
+                share,
+                remark: Remark::new("uncertain", severity, text).with(value, Some(limit)),
+            }
+        })
+    };
+    let sigmas = comparison::sigmas_pct(segment, estimate).into_iter();
+    sigmas.filter_map(remark).collect()
 }
 
-/// Compares the estimate with least squares, and least squares with the lock-in.
-fn agreement(evidence: &Evidence<'_>) -> Vec<Remark> {
+fn no_reference(reference: &Reference) -> Remark {
+    let why = reference.least_squares.as_ref().err();
+    let why = why.map_or_else(String::new, ToString::to_string);
+    Remark::new(
+        "no_reference",
+        Severity::Warning,
+        format!("there is nothing to check the result against: {why}"),
+    )
+}
+
+/// Compares the estimate with least squares, and least squares with the lock-in, half-cycle by half-cycle.
+fn agreement(evidence: &Evidence<'_>) -> Vec<HalfCycleRemark> {
     let Evidence {
         segment,
         estimate,
         reference,
         ..
     } = *evidence;
-    let least_squares = match &reference.least_squares {
-        Ok(least_squares) => least_squares,
-        Err(error) => {
-            return vec![Remark::new(
-                "no_reference",
-                Severity::Warning,
-                format!("there is nothing to check the result against: {error}"),
-            )];
-        }
+    let Ok(least_squares) = &reference.least_squares else {
+        return Vec::new();
     };
     let mut findings = Vec::new();
-    if let Some(apart) = worst(&comparison::differences(segment, estimate, least_squares)) {
-        findings.push(remark("disagreement", &apart, |pct, name, from_s| {
+    for apart in noticeable(&comparison::differences(segment, estimate, least_squares)) {
+        findings.push(remark("disagreement", apart, |pct, name, from_s| {
             format!(
                 "{} differs from least squares by {pct:.1} % of {name} in the half-cycle from {from_s:.4} s: one of \
                  them does not fit this capture",
@@ -154,21 +255,24 @@ fn agreement(evidence: &Evidence<'_>) -> Vec<Remark> {
             )
         }));
     }
+    let Ok(lockin) = &reference.lockin else {
+        return findings;
+    };
     let cleaned = reference.cleaned.as_ref().unwrap_or(least_squares);
-    let lockin = reference.lockin.as_ref().ok();
-    let apart = lockin.and_then(|l| worst(&comparison::differences(segment, l, cleaned)));
+    let disturbed = interference::disturbs_lockin(segment);
     // Noise costs the lock-in more than least squares, so a difference by noise does not question the latter.
-    if let Some(apart) = apart.filter(|apart| !is_noise(apart)) {
-        let mut remark = remark("unconfirmed", &apart, |pct, name, from_s| {
+    let all = comparison::differences(segment, lockin, cleaned);
+    for apart in noticeable(&all).filter(|apart| !is_noise(apart)) {
+        let mut found = remark("unconfirmed", apart, |pct, name, from_s| {
             format!(
                 "least squares and lock-in differ by {pct:.1} % of {name} in the half-cycle from {from_s:.4} s: the \
                  load, the frequency or the amplitude changes faster than they follow"
             )
         });
-        if interference::disturbs_lockin(segment) {
-            remark.severity = Severity::Info;
+        if disturbed {
+            found.remark.severity = Severity::Info;
         }
-        findings.push(remark);
+        findings.push(found);
     }
     findings
 }
@@ -185,10 +289,9 @@ fn is_noise(d: &Difference) -> bool {
     })
 }
 
-/// Worst difference; `None` if all are below the warning.
-fn worst(all: &[Difference]) -> Option<Difference> {
-    let worst = all.iter().max_by(|a, b| share(a).total_cmp(&share(b)))?;
-    (share(worst) > WARNING_SHARE).then_some(*worst)
+/// Differences from a warning on.
+fn noticeable(all: &[Difference]) -> impl Iterator<Item = &Difference> {
+    all.iter().filter(|d| share(d) > WARNING_SHARE)
 }
 
 /// Remark on a difference: an error if it is more than tolerable and more than noise, else a warning.
@@ -196,14 +299,19 @@ fn remark(
     code: &'static str,
     apart: &Difference,
     text: impl Fn(f64, &str, f64) -> String,
-) -> Remark {
+) -> HalfCycleRemark {
     let (name, pct, limit) = worse(apart.mean_pct, TOLERABLE_PCT);
     let severity = if pct > limit && !is_noise(apart) {
         Severity::Error
     } else {
         Severity::Warning
     };
-    Remark::new(code, severity, text(pct, name, apart.crossing_s)).with(pct, Some(limit))
+    let remark = Remark::new(code, severity, text(pct, name, apart.crossing_s));
+    HalfCycleRemark {
+        crossing_s: apart.crossing_s,
+        share: share(apart),
+        remark: remark.with(pct, Some(limit)),
+    }
 }
 
 /// Warns of an R or L outside [`plausible_ranges`]. It is no error, because a scope may record anything and the lookup has

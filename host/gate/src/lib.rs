@@ -2,21 +2,23 @@
 //! the trainer and the lookup share it.
 //!
 //! ```text
-//! Capture ─► survey ─► segments ─► methods ─► Estimate ──┐
-//!                         └─► Reference: least squares,   ├─► judge ─► findings, Gate { pass | refuse, why }
+//! Capture ─► neighbours removed ─► survey ─► segments ─► methods ─► Estimate ──┐
+//!                         └─► Reference: least squares,   ├─► judge ─► findings, Gate { pass | refuse | cannot tell, why }
 //!                             lock-in, foreign tones ────┘
 //! ```
 //!
-//! A finding of severity error refuses the estimate, and nothing else does. All codes are in [`codes::CODES`].
+//! A finding of severity error refuses the estimate; `too_short` leaves it open; nothing else does. Each half-cycle has its own verdict. All codes are in [`codes::CODES`].
 //! [`claim::confirm`] checks R(t) and L(t) that another machine states, without a fit of its own.
 
 pub mod claim;
 pub mod codes;
 pub mod comparison;
 pub mod interference;
+pub mod joint;
 pub mod judge;
 pub mod limits;
 pub mod lines;
+pub mod neighbours;
 pub mod path;
 pub mod reference;
 pub mod remarks;
@@ -27,4 +29,4 @@ pub mod verdict;
 pub use judge::{Evidence, judge};
 pub use path::{Examination, ExamineOptions, MethodResult, Reconstruct, examine};
 pub use reference::Reference;
-pub use verdict::{Gate, Judgement, Verdict};
+pub use verdict::{Gate, HalfCycleVerdict, Judgement, Verdict};

@@ -1,14 +1,17 @@
 //! Path from a capture to judged estimates; `ihd identify` and the studies share it.
 
+use ihd_identify::pooled::{self, PooledLaw};
 use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, ProgressSink, accuracy, reconstruction,
     run_with_progress,
 };
 use ihd_signal::{Capture, Remark, Segment};
-use ihd_survey::calibration::blind::BlindOptions;
+use ihd_survey::calibration::blind::{BlindOptions, CalibrationMode};
 use ihd_survey::{Hints, Survey, SurveyError};
 
+use crate::comparison;
 use crate::judge::{Evidence, judge, judge_failure};
+use crate::neighbours;
 use crate::reference::Reference;
 use crate::remarks;
 use crate::sensors::{CorrectionUncertainty, calibrate};
@@ -66,6 +69,9 @@ pub struct Examination {
     pub sensors: Vec<Remark>,
     /// Segments that were identified, in order of time.
     pub segments: Vec<Segment>,
+    /// One law of each segment from all of its half-cycles; `None` where there are fewer than two, or where R and L are not
+    /// functions of the current alone.
+    pub pooled: Vec<Option<PooledLaw>>,
     /// Results, segment by segment, and method by method in the order of the options.
     pub outcomes: Vec<MethodResult>,
 }
@@ -82,7 +88,18 @@ pub fn examine(
     request: &ExamineOptions<'_>,
     progress: &mut OnProgress<'_>,
 ) -> Result<Examination, SurveyError> {
-    let calibrated = calibrate(capture, &request.hints, request.sensors)?;
+    let removed = neighbours::remove(capture, &request.hints)?;
+    let capture = removed.as_ref().map_or(capture, |r| &r.capture);
+    // What is left of a tone would be taken for a fault of the sensors.
+    let mode = match removed {
+        Some(_) => CalibrationMode::Off,
+        None => request.sensors.mode,
+    };
+    let sensors = BlindOptions {
+        mode,
+        ..request.sensors
+    };
+    let calibrated = calibrate(capture, &request.hints, sensors)?;
     let sensors = calibrated.remarks();
     let uncertainty = match (&calibrated.correction, &calibrated.sensors) {
         (Some(_), Some(Ok(sensors))) => Some(CorrectionUncertainty::of(sensors)),
@@ -93,13 +110,16 @@ pub fn examine(
     let truth = (!capture.truth.is_empty()).then(|| accuracy::fundamental(&capture.truth));
     let total = segments.len() * request.methods.len();
     let mut outcomes = Vec::with_capacity(total);
+    let mut pooled = Vec::with_capacity(segments.len());
     for (index, segment) in segments.iter().enumerate() {
         progress("reference", outcomes.len(), total);
         let mut remarks = remarks::from_survey(&survey, segment);
         remarks.extend(sensors.iter().cloned());
         let load = survey.spans.get(index).and_then(|span| span.load);
         remarks.extend(uncertainty.and_then(|u| u.remark(segment, load)));
+        remarks.extend(removed.iter().flat_map(|r| r.remarks_on(segment)).cloned());
         let reference = Reference::compute(segment);
+        pooled.push(pooled_law(segment, &reference));
         for &method in request.methods {
             let done = outcomes.len();
             progress(method.name(), done, total);
@@ -142,8 +162,23 @@ pub fn examine(
         survey,
         sensors,
         segments,
+        pooled,
         outcomes,
     })
+}
+
+/// Findings of a load that is no function of the current alone.
+const NO_LAW: [&str; 2] = ["load_moves", "load_step"];
+
+fn pooled_law(segment: &Segment, reference: &Reference) -> Option<PooledLaw> {
+    let least_squares = reference.least_squares.as_ref().ok()?;
+    let mut remarks = reference.remarks.iter().chain(&least_squares.remarks);
+    if remarks.any(|r| NO_LAW.contains(&r.code)) {
+        return None;
+    }
+    let judged = comparison::judged(segment);
+    let whole = judged.iter().filter(|h| h.is_whole()).count();
+    (whole >= 2).then(|| pooled::pool(segment)).flatten()
 }
 
 /// Adds shares of R and of L to the standard deviations.

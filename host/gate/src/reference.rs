@@ -6,7 +6,7 @@ use ihd_identify::{
 };
 use ihd_signal::{Remark, Segment};
 
-use crate::interference;
+use crate::interference::{self, Interference};
 
 /// Reference results for a segment, computed once and used for every method's estimate.
 #[derive(Clone, Debug)]
@@ -47,28 +47,31 @@ impl Reference {
             Err(e) => Err(e.clone().into()),
         };
         let least_squares = by(Method::LeastSquares);
-        let tones = match &least_squares {
-            Ok(least_squares) => interference::find_tones(segment, least_squares),
-            Err(_) => Vec::new(),
+        let found = match &least_squares {
+            Ok(_) => interference::find(segment),
+            Err(_) => Interference::default(),
         };
+        let mut remarks: Vec<Remark> = found.law_remark(segment).into_iter().collect();
+        let tones = found.tones;
         if tones.is_empty() {
             return Self {
                 lockin: by(Method::Lockin),
                 least_squares,
                 cleaned: None,
-                remarks: Vec::new(),
+                remarks,
             };
         }
         let clean = interference::remove_tones(segment, &tones);
         let cleaned = run(Method::LeastSquares, &clean, &settings).ok();
         let both = least_squares.as_ref().ok().zip(cleaned.as_ref());
-        let remark =
-            both.and_then(|(with, without)| interference::remark(segment, &tones, with, without));
+        remarks.extend(both.and_then(|(with, without)| {
+            interference::remark(segment, &tones, with, without, false)
+        }));
         Self {
             lockin: run(Method::Lockin, &clean, &settings),
             least_squares,
             cleaned,
-            remarks: remark.into_iter().collect(),
+            remarks,
         }
     }
 }

@@ -1,16 +1,18 @@
-//! Fit of R and L as functions of the current's amplitude alone, which hold while the pot is not moved. A tone would hide in
-//! R and L that may change at any time; here it stays in the residual. Only a tone of less than about five turns a
-//! half-cycle hides by the half that is even about the crest.
+//! R and L as functions of the current's amplitude alone, which hold while the pot is not moved; and the space of what such a
+//! load, a slow drift and tones beside the carrier explain.
+//!
+//! A tone would hide in R and L that may change at any time. In a static law it cannot: within a half-cycle each amplitude comes
+//! twice, and where a tone disturbs R evenly about the crest it disturbs L oddly.
 
-use nalgebra::{Complex, DMatrix, DVector};
+use nalgebra::Complex;
 
 /// Polynomials of the amplitude for each of R and L.
 const TERMS: usize = 6;
 
-/// Smallest singular value that is used, as a share of the largest: a constant amplitude determines one term only.
-const LEAST_SINGULAR: f64 = 1e-10;
+/// Share of a column that must lie outside the others: a constant amplitude determines one term only.
+const LEAST_NEW: f64 = 1e-5;
 
-/// One switching period.
+/// Phasors of one switching period, or their mean over some.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Period {
     /// Coil voltage in volt.
@@ -23,51 +25,103 @@ pub struct Period {
     pub weight: f64,
 }
 
-impl Period {
-    /// Regressors of R's polynomials, then of ωL's; `largest` is the largest amplitude in ampere.
-    fn factors(&self, largest: f64) -> [Complex<f64>; 2 * TERMS] {
-        let x = 2.0 * self.i.norm() / largest - 1.0;
-        let mut chebyshev = [1.0; TERMS];
-        for k in 1..TERMS {
-            chebyshev[k] = if k == 1 {
-                x
-            } else {
-                2.0 * x * chebyshev[k - 1] - chebyshev[k - 2]
+/// Largest amplitude in ampere; `None` if there is no current.
+fn largest_a(periods: &[Period]) -> Option<f64> {
+    let largest = periods.iter().map(|p| p.i.norm()).fold(0.0, f64::max);
+    (largest > 0.0).then_some(largest)
+}
+
+/// Values of a complex quantity over the periods, times the root of the weight: real parts, then imaginary parts.
+pub fn weighed(periods: &[Period], of: impl Fn(usize, &Period) -> Complex<f64>) -> Vec<f64> {
+    let mut out = vec![0.0; 2 * periods.len()];
+    let (re, im) = out.split_at_mut(periods.len());
+    for (k, p) in periods.iter().enumerate() {
+        let x = of(k, p) * p.weight.sqrt();
+        (re[k], im[k]) = (x.re, x.im);
+    }
+    out
+}
+
+/// Linear space with an orthonormal basis.
+#[derive(Clone, Debug, Default)]
+pub struct Space {
+    basis: Vec<Vec<f64>>,
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+impl Space {
+    /// Space of the voltages of static laws; `None` if there is no current.
+    pub fn of_static_loads(periods: &[Period]) -> Option<Self> {
+        let largest_a = largest_a(periods)?;
+        let mut space = Self::default();
+        for term in 0..TERMS {
+            // Chebyshev polynomial of the amplitude.
+            let shape = |p: &Period| {
+                let x = (2.0 * p.i.norm() / largest_a - 1.0).clamp(-1.0, 1.0);
+                libm::cos(term as f64 * libm::acos(x))
             };
+            space.add(weighed(periods, |_, p| p.i * shape(p)));
+            space.add(weighed(periods, |_, p| p.d * shape(p)));
         }
-        std::array::from_fn(|k| {
-            let of = if k < TERMS { self.i } else { self.d };
-            of * chebyshev[k % TERMS]
-        })
+        Some(space)
+    }
+
+    /// Adds R and L that change in proportion to time.
+    pub fn add_drift(&mut self, periods: &[Period]) {
+        let at = |k: usize| 2.0 * k as f64 / periods.len() as f64 - 1.0;
+        self.add(weighed(periods, |k, p| p.i * at(k)));
+        self.add(weighed(periods, |k, p| p.d * at(k)));
+    }
+
+    /// Number of its dimensions.
+    pub fn dimension(&self) -> usize {
+        self.basis.len()
+    }
+
+    /// Adds a column, unless it lies in the space.
+    pub fn add(&mut self, column: Vec<f64>) {
+        let whole = dot(&column, &column).sqrt();
+        // Twice, because the first pass leaves rounding of the removed part.
+        let mut left = self.outside(&self.outside(&column));
+        let norm = dot(&left, &left).sqrt();
+        if norm > LEAST_NEW * whole {
+            left.iter_mut().for_each(|x| *x /= norm);
+            self.basis.push(left);
+        }
+    }
+
+    /// Coordinates of a vector's part inside.
+    pub fn inside(&self, x: &[f64]) -> Vec<f64> {
+        self.basis.iter().map(|b| dot(b, x)).collect()
+    }
+
+    /// A vector's part outside.
+    pub fn outside(&self, x: &[f64]) -> Vec<f64> {
+        let mut left = x.to_vec();
+        for b in &self.basis {
+            let share = dot(b, &left);
+            left.iter_mut().zip(b).for_each(|(x, b)| *x -= share * b);
+        }
+        left
     }
 }
 
-/// Fits such a load and returns the voltage that it leaves in volt, period by period; `None` if there is no current.
+/// Fits a static load and returns the voltage that it leaves in volt, period by period; `None` if there is no current.
 pub fn residual(periods: &[Period]) -> Option<Vec<Complex<f64>>> {
-    let largest = periods.iter().map(|p| p.i.norm()).fold(0.0, f64::max);
-    if largest <= 0.0 {
-        return None;
-    }
-    let mut a = DMatrix::<f64>::zeros(2 * TERMS, 2 * TERMS);
-    let mut b = DVector::<f64>::zeros(2 * TERMS);
-    for p in periods {
-        let factors = p.factors(largest);
-        for (m, x) in factors.iter().enumerate() {
-            b[m] += p.weight * (x.conj() * p.v).re;
-            for (n, y) in factors.iter().enumerate() {
-                a[(m, n)] += p.weight * (x.conj() * y).re;
-            }
+    let space = Space::of_static_loads(periods)?;
+    let left = space.outside(&weighed(periods, |_, p| p.v));
+    let (re, im) = left.split_at(periods.len());
+    let unweighed = |(k, p): (usize, &Period)| {
+        let root = p.weight.sqrt();
+        match root > 0.0 {
+            true => Complex::new(re[k], im[k]) / root,
+            false => Complex::new(0.0, 0.0),
         }
-    }
-    let svd = a.svd(true, true);
-    let least = LEAST_SINGULAR * svd.singular_values.max();
-    let solution = svd.solve(&b, least).ok()?;
-    let left = |p: &Period| {
-        let factors = p.factors(largest);
-        let fitted: Complex<f64> = factors.iter().zip(&solution).map(|(x, c)| x * *c).sum();
-        p.v - fitted
     };
-    Some(periods.iter().map(left).collect())
+    Some(periods.iter().enumerate().map(unweighed).collect())
 }
 
 #[cfg(test)]
@@ -112,5 +166,17 @@ mod tests {
             .sum();
         let share = seen / (64.0 * 1000.0);
         assert!((share - 1.0).norm() < 0.15, "{share}");
+    }
+
+    /// One turn a half-cycle: as slow as the load's own change, and its sidebands are those of the mains.
+    #[test]
+    fn a_tone_at_twice_the_mains_frequency_is_left() {
+        for phase in [0.0, 0.8, 1.6, 2.4] {
+            let turn = 2.0 * std::f64::consts::PI / 500.0;
+            let tone = |k: usize| Complex::from_polar(4.0, phase + turn * k as f64);
+            let left = residual(&periods(tone)).unwrap();
+            let power = left.iter().map(Complex::norm_sqr).sum::<f64>() / 16e3;
+            assert!((0.2..1.0).contains(&power), "{phase}: {power}");
+        }
     }
 }

@@ -11,47 +11,77 @@ pub enum Verdict {
     Pass,
     /// The estimate must not be used.
     Refuse,
+    /// The capture does not carry enough to judge the estimate, so that it must not be used either.
+    CannotTell,
 }
+
+/// Code of the finding that leaves the verdict open.
+pub const TOO_SHORT: &str = "too_short";
 
 /// Verdict and its reasons.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Gate {
     /// Decision on the estimate.
     pub verdict: Verdict,
-    /// Texts of the findings that refuse; empty if the estimate passes.
+    /// Texts of the findings that refuse or leave the verdict open; empty if the estimate passes.
     pub why: Vec<String>,
 }
 
 impl Gate {
-    /// Returns `true` if the estimate must not be used.
-    pub fn refuses(&self) -> bool {
-        self.verdict == Verdict::Refuse
+    /// Derives the verdict from findings: an error refuses, [`TOO_SHORT`] leaves it open.
+    pub fn of<'a>(findings: impl Iterator<Item = &'a Remark> + Clone) -> Self {
+        let texts = |verdict, of: &dyn Fn(&Remark) -> bool| Self {
+            verdict,
+            why: (findings.clone().filter(|f| of(f)))
+                .map(|f| f.text.clone())
+                .collect(),
+        };
+        let refused = texts(Verdict::Refuse, &|f| f.severity == Severity::Error);
+        let open = texts(Verdict::CannotTell, &|f| f.code == TOO_SHORT);
+        let decided = [refused, open].into_iter().find(|g| !g.why.is_empty());
+        decided.unwrap_or(Self {
+            verdict: Verdict::Pass,
+            why: Vec::new(),
+        })
+    }
+
+    /// Returns `true` if the estimate can be used.
+    pub fn passes(&self) -> bool {
+        self.verdict == Verdict::Pass
     }
 }
 
-/// Findings about an estimate, and the verdict that follows from them.
+/// Verdict on one half-cycle.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct HalfCycleVerdict {
+    /// Zero crossing at which it begins, in seconds on the capture's clock.
+    pub from_s: f64,
+    /// Share of its middle 80 % that was captured, 0 to 1.
+    pub seen: f64,
+    /// Verdict and reasons.
+    #[serde(flatten)]
+    pub gate: Gate,
+}
+
+/// Findings about an estimate, and the verdicts that follow from them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Judgement {
     /// Findings, worst first.
     pub findings: Vec<Remark>,
-    /// Verdict that follows from the findings.
+    /// Verdict on the whole estimate: that of its worst half-cycle, stubs left out.
     pub gate: Gate,
+    /// Verdicts by half-cycle, in order of time; empty if there is no estimate.
+    pub half_cycles: Vec<HalfCycleVerdict>,
 }
 
 impl Judgement {
-    /// Derives the verdict from findings: one of severity error refuses.
+    /// Derives the verdict from findings.
     pub fn of(mut findings: Vec<Remark>) -> Self {
         findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
-        let errors = findings.iter().filter(|f| f.severity == Severity::Error);
-        let why: Vec<_> = errors.map(|f| f.text.clone()).collect();
-        let verdict = if why.is_empty() {
-            Verdict::Pass
-        } else {
-            Verdict::Refuse
-        };
         Self {
+            gate: Gate::of(findings.iter()),
             findings,
-            gate: Gate { verdict, why },
+            half_cycles: Vec::new(),
         }
     }
 
@@ -68,6 +98,7 @@ impl std::fmt::Display for Gate {
         match self.verdict {
             Verdict::Pass => f.write_str("pass"),
             Verdict::Refuse => write!(f, "refuse: {}", self.why.join("; ")),
+            Verdict::CannotTell => write!(f, "cannot tell: {}", self.why.join("; ")),
         }
     }
 }
@@ -91,6 +122,8 @@ mod tests {
             remark(Severity::Error, "c"),
         ]);
         assert_eq!(wrong.gate.to_string(), "refuse: c");
+        let open = Remark::new(TOO_SHORT, Severity::Warning, "d");
+        assert_eq!(Judgement::of(vec![open]).gate.to_string(), "cannot tell: d");
         assert_eq!(
             serde_json::to_value(&wrong.gate).unwrap(),
             serde_json::json!({"verdict": "refuse", "why": ["c"]})

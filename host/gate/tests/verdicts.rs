@@ -134,6 +134,11 @@ fn what_is_wrong_is_not_silent() {
             let Some(Accuracy { middle: errors, .. }) = accuracy else {
                 continue;
             };
+            if settings.neighbour.is_some() {
+                let said = codes(outcome).contains(&"interference");
+                let right = errors.r_pct < 1.0 && errors.l_pct < 0.7;
+                assert!(said && right, "{}: {errors:?}", outcome.method);
+            }
             if errors.r_pct > 1.0 || errors.l_pct > 0.7 {
                 wrong += 1;
                 let doubts = outcome.judgement.doubts().count();
@@ -141,7 +146,48 @@ fn what_is_wrong_is_not_silent() {
             }
         }
     }
-    assert!(wrong >= 5, "only {wrong} results are wrong at all");
+    assert!(wrong >= 1, "no result is wrong at all");
+}
+
+/// A capture seldom ends with a half-cycle: what was captured of the next one is left out, and its verdict says so.
+#[test]
+fn a_stub_at_an_end_is_left_out() {
+    for (start_ms, duration_ms) in [(0.0, 21.5), (0.0, 13.0), (8.2, 12.5), (0.0, 22.5)] {
+        let mut settings = clean();
+        settings.start_s = start_ms * 1e-3;
+        settings.duration_s = duration_ms * 1e-3;
+        settings.sensing.snr_db = Some(20.0);
+        let examined = examined(&capture(&settings), &[Method::LeastSquares]);
+        let [outcome] = &examined.outcomes[..] else {
+            panic!("{} outcomes", examined.outcomes.len());
+        };
+        let judgement = &outcome.judgement;
+        assert_eq!(judgement.gate.why, [""; 0], "{duration_ms} ms");
+        let (whole, stubs): (Vec<_>, Vec<_>) =
+            judgement.half_cycles.iter().partition(|h| h.seen >= 0.5);
+        assert!(!whole.is_empty() && !stubs.is_empty(), "{judgement:?}");
+        assert!(whole.iter().all(|h| h.gate.passes()), "{whole:?}");
+        for stub in stubs {
+            assert_eq!(stub.gate.verdict, Verdict::CannotTell);
+            assert!(stub.gate.why[0].contains("middle"), "{stub:?}");
+        }
+    }
+}
+
+/// Of a capture of a millisecond or two, noise leaves neither R nor its deviation: no verdict is better than a wrong one.
+#[test]
+fn of_a_capture_too_short_the_gate_cannot_tell() {
+    for (start_ms, duration_ms) in [(0.2, 0.9), (9.0, 0.9), (9.6, 1.0)] {
+        let mut settings = clean();
+        settings.start_s = start_ms * 1e-3;
+        settings.duration_s = duration_ms * 1e-3;
+        settings.sensing.snr_db = Some(20.0);
+        let examined = examined(&capture(&settings), &[Method::LeastSquares]);
+        for outcome in &examined.outcomes {
+            let gate = &outcome.judgement.gate;
+            assert_eq!(gate.verdict, Verdict::CannotTell, "{start_ms} ms: {gate}");
+        }
+    }
 }
 
 /// Errors in variables: noise on the current's derivative biases the linear filter's L towards zero.
@@ -153,8 +199,8 @@ fn the_linear_filter_is_refused_in_noise_and_least_squares_is_not() {
     let [kf, least_squares] = &examined.outcomes[..] else {
         panic!("{} outcomes", examined.outcomes.len());
     };
-    assert!(kf.judgement.gate.refuses() && codes(kf).contains(&"disagreement"));
-    assert!(!least_squares.judgement.gate.refuses());
+    assert!(!kf.judgement.gate.passes() && codes(kf).contains(&"disagreement"));
+    assert!(least_squares.judgement.gate.passes());
 }
 
 /// A tone costs what it is strong enough for, and nothing where the fit does not follow it.
@@ -172,7 +218,8 @@ fn a_tone_is_judged_by_what_it_costs() {
             .map(|f| f.severity)
             .max()
     };
-    assert_eq!(severity(1.2e3, 8.0), Some(Severity::Error));
+    // It is removed, but not without a word.
+    assert_eq!(severity(1.2e3, 8.0), Some(Severity::Warning));
     assert_eq!(severity(1.2e3, 0.02), None);
     assert_eq!(severity(20e3, 8.0), None);
 }

@@ -140,7 +140,12 @@ fn a_calibration_is_written_and_applied() {
 fn samples_that_are_no_numbers_are_cut_out_with_a_warning() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    simulate(dir, "", "whole.csv");
+    simulate(dir, "", "whole.mcap");
+    assert!(
+        ihd(dir, "convert whole.mcap --out whole.csv")
+            .status
+            .success()
+    );
     let text = std::fs::read_to_string(dir.join("whole.csv")).unwrap();
     let mut rows: Vec<String> = text.lines().map(str::to_owned).collect();
     let damage = |row: &mut String, column: usize, by: &str| {

@@ -211,7 +211,7 @@ fn together(mut run: Run, case: &Case, examined: &Examination, truth: &Truth<'_>
                 run.codes.push(finding.code.to_owned());
             }
         }
-        let refused = outcome.judgement.gate.refuses() || outcome.result.is_err();
+        let refused = !outcome.judgement.gate.passes() || outcome.result.is_err();
         run.refused |= refused;
         run.judged = run
             .judged

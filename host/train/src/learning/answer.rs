@@ -94,7 +94,7 @@ pub(super) fn analyse_segment(
         Err(why) => return (None, sensor_remarks, Err(why.to_string())),
     };
     let judgement = judge(segment, &identified, &sensor_remarks);
-    let verdict = match judgement.gate.refuses() {
+    let verdict = match !judgement.gate.passes() {
         true => Err(judgement.gate.why.join("; ")),
         false => Ok(network::curve(
             segment,

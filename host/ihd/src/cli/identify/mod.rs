@@ -94,11 +94,11 @@ fn output_file(text: &str) -> Result<PathBuf, String> {
     }
 }
 
-/// Error for results that the gate refuses, after they were printed.
+/// Error for results that do not pass the gate, after they were printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{refused} of {of} results are refused: R or L would be wrong")]
+#[error("{refused} of {of} results do not pass: R or L would be wrong, or cannot be judged")]
 pub struct RefusedResults {
-    /// Number of refused results.
+    /// Number of results that do not pass.
     pub refused: usize,
     /// Number of results.
     pub of: usize,
@@ -231,7 +231,7 @@ impl IdentifyArgs {
             bail!("no method could identify {}", self.capture.path().display());
         }
         let successes = || outcomes.iter().filter(|o| o.result.is_ok());
-        let refused = successes().filter(|o| o.judgement.gate.refuses()).count();
+        let refused = successes().filter(|o| !o.judgement.gate.passes()).count();
         if refused == 0 || self.anyway {
             return Ok(());
         }

@@ -4,8 +4,9 @@ use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use ihd_gate::{Examination, Gate, MethodResult};
+use ihd_gate::{Examination, Gate, HalfCycleVerdict, MethodResult};
 use ihd_identify::accuracy::Accuracy;
+use ihd_identify::pooled::PooledLaw;
 use ihd_identify::{Estimate, Method};
 use ihd_signal::{Capture, Remark, Segment, Severity};
 use serde::Serialize;
@@ -47,6 +48,36 @@ pub struct Entry<'a> {
     findings: &'a [Remark],
     /// Verdict of the gate.
     gate: &'a Gate,
+    /// Verdicts by half-cycle.
+    half_cycles: &'a [HalfCycleVerdict],
+    /// One law R(I), L(I) from all half-cycles of the stretch, whatever the method.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pooled: Option<Pooled<'a>>,
+}
+
+/// Law over the current's amplitude.
+#[derive(Serialize)]
+struct Pooled<'a> {
+    i_a: &'a [f64],
+    r_ohm: &'a [f64],
+    l_h: &'a [f64],
+    r_sigma: &'a [f64],
+    l_sigma: &'a [f64],
+    /// Squared residual over what noise leaves.
+    chi2: f64,
+}
+
+impl<'a> From<&'a PooledLaw> for Pooled<'a> {
+    fn from(law: &'a PooledLaw) -> Self {
+        Self {
+            i_a: &law.i_a,
+            r_ohm: &law.r_ohm,
+            l_h: &law.l_h,
+            r_sigma: &law.r_sigma_ohm,
+            l_sigma: &law.l_sigma_h,
+            chi2: law.chi2,
+        }
+    }
 }
 
 impl<'a> ReportedCapture<'a> {
@@ -75,6 +106,11 @@ impl<'a> ReportedCapture<'a> {
         sensors.any(|remark| remark.code == "self_calibrated")
     }
 
+    /// Pooled law of a segment.
+    fn law(&self, segment: usize) -> Option<&'a PooledLaw> {
+        self.examined.pooled.get(segment)?.as_ref()
+    }
+
     fn entry(&self, o: &'a MethodResult, accuracy: Option<Accuracy>) -> Entry<'a> {
         let estimate = o.result.as_ref().ok();
         let of = |values: fn(&Estimate) -> &Vec<f64>| found_slice(o, values);
@@ -97,6 +133,8 @@ impl<'a> ReportedCapture<'a> {
             notes: estimate.map_or(&[], |e| e.notes.as_slice()),
             findings: &o.judgement.findings,
             gate: &o.judgement.gate,
+            half_cycles: &o.judgement.half_cycles,
+            pooled: self.law(o.segment).map(Pooled::from),
         }
     }
 
@@ -122,6 +160,9 @@ impl<'a> ReportedCapture<'a> {
             out.push_str(&stretch(segment, &outcomes));
             for (outcome, _) in outcomes {
                 findings_text(outcome, self.examined, &mut out);
+            }
+            if let Some(law) = self.law(index) {
+                out.push_str(&pooled(law));
             }
         }
         match (self.capture.metadata.get("calibration"), survey.skew_note()) {
@@ -166,6 +207,16 @@ fn findings_text(outcome: &MethodResult, examined: &Examination, out: &mut Strin
         }
     }
     let _ = writeln!(out, "{method}: gate: {}", outcome.judgement.gate);
+    let half_cycles = &outcome.judgement.half_cycles;
+    let differs = |h: &&HalfCycleVerdict| h.gate.verdict != outcome.judgement.gate.verdict;
+    for half in half_cycles.iter().filter(differs) {
+        let from_ms = half.from_s * 1e3;
+        let _ = writeln!(
+            out,
+            "{method}: half-cycle from {from_ms:.2} ms: {}",
+            half.gate
+        );
+    }
 }
 
 fn found_slice(outcome: &MethodResult, values: fn(&Estimate) -> &Vec<f64>) -> &[f64] {
@@ -214,10 +265,10 @@ fn stretch(segment: &Segment, outcomes: &[(&MethodResult, &Option<Accuracy>)]) -
     let truth = outcomes.iter().any(|(_, accuracy)| accuracy.is_some());
     let mut heading = vec![
         "method",
-        "R Ω: mean",
+        "R Ω, mean",
         "crest",
         "±",
-        "L µH: mean",
+        "L µH, mean",
         "crest",
         "±",
     ];
@@ -235,11 +286,10 @@ fn stretch(segment: &Segment, outcomes: &[(&MethodResult, &Option<Accuracy>)]) -
             let value = crest.and_then(|k| x.get(k));
             value.map_or("–".into(), |x| format!("{:.3}", x * scale))
         };
+        let weights = squared_current(segment, &estimate.t_s);
         let mean = |x: &[f64], scale: f64| {
-            format!(
-                "{:.3}",
-                x.iter().sum::<f64>() / x.len().max(1) as f64 * scale
-            )
+            let sum: f64 = x.iter().zip(&weights).map(|(x, w)| x * w).sum();
+            format!("{:.3}", sum / weights.iter().sum::<f64>() * scale)
         };
         let pct = |x: Option<f64>| x.map_or("–".into(), |x| format!("{x:.3}"));
         let mut row = vec![
@@ -261,6 +311,47 @@ fn stretch(segment: &Segment, outcomes: &[(&MethodResult, &Option<Accuracy>)]) -
         table.row(row);
     }
     table.render()
+}
+
+/// Amplitudes in ampere at which the pooled law is printed.
+const PRINTED_A: [f64; 9] = [1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0];
+
+/// Table of the pooled law, up to the largest amplitude.
+fn pooled(law: &PooledLaw) -> String {
+    let (least_a, most_a) = match &law.i_a[..] {
+        [least, .., most] => (*least, *most),
+        _ => return String::new(),
+    };
+    let mut table = Table::new(&["I A, amplitude", "R Ω", "±", "L µH", "±"]);
+    let inside = PRINTED_A.iter().filter(|a| (least_a..most_a).contains(*a));
+    for i_a in inside.chain([&most_a]) {
+        let [r, l] = law.at(*i_a);
+        table.row(vec![
+            format!("{i_a:.1}"),
+            format!("{:.4}", r.0),
+            format!("{:.4}", r.1),
+            format!("{:.3}", l.0 * 1e6),
+            format!("{:.3}", l.1 * 1e6),
+        ]);
+    }
+    format!("pooled over the stretch's half-cycles:\n{}", table.render())
+}
+
+/// Mean square of the current over a switching period around each time, in A²: the weights of means over a half-cycle.
+fn squared_current(segment: &Segment, t_s: &[f64]) -> Vec<f64> {
+    let mut sums = vec![0.0];
+    sums.extend(segment.i_a.iter().scan(0.0, |sum, i| {
+        *sum += i * i;
+        Some(*sum)
+    }));
+    let reach = (0.5 * segment.samples_per_period()).ceil() as usize;
+    let last = segment.len();
+    let of = |t: &f64| {
+        let at = (((t - segment.t0_s) / segment.dt_s).max(0.0) as usize).min(last);
+        let (from, to) = (at.saturating_sub(reach), (at + reach).min(last));
+        (sums[to] - sums[from]) / (to - from).max(1) as f64
+    };
+    t_s.iter().map(of).collect()
 }
 
 /// Estimate nearest to the middle of the last complete half-cycle: the current's crest.

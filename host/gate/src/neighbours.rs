@@ -1,0 +1,86 @@
+//! Removal of other hobs' tones from a capture, before its sensors are calibrated: a tone would look like a fault of a sensor.
+
+use ihd_identify::{IdentifyOptions, Method, run};
+use ihd_signal::{Capture, Remark, Segment};
+use ihd_survey::{Finding, Hints, Survey, SurveyError};
+
+use crate::interference::{self, Tone};
+
+/// Capture without the tones of other hobs.
+#[derive(Clone, Debug)]
+pub struct WithoutNeighbours {
+    /// Capture with the tones subtracted from its voltage.
+    pub capture: Capture,
+    /// Remarks on what was removed: beginning and end of the stretch in seconds, and the remark.
+    pub remarks: Vec<(f64, f64, Remark)>,
+}
+
+impl WithoutNeighbours {
+    /// Remarks that concern a segment.
+    pub fn remarks_on(&self, segment: &Segment) -> impl Iterator<Item = &Remark> {
+        let (from_s, to_s) = (segment.t0_s, segment.t_s(segment.len()));
+        let concerned = self
+            .remarks
+            .iter()
+            .filter(move |r| r.0 < to_s && r.1 > from_s);
+        concerned.map(|r| &r.2)
+    }
+}
+
+/// Removes the tones of other hobs; `None` if there are none.
+///
+/// # Errors
+/// [`SurveyError`] if the capture holds nothing that can be identified.
+pub fn remove(capture: &Capture, hints: &Hints) -> Result<Option<WithoutNeighbours>, SurveyError> {
+    let survey = Survey::of(capture, hints)?;
+    // Exchanged channels have no impedance, a dead one no tone.
+    let unfit = |f: &Finding| matches!(f, Finding::Swapped { .. } | Finding::Dead { .. });
+    if survey.findings.iter().any(unfit) {
+        return Ok(None);
+    }
+    let Some(removed) = remove_from(capture, &survey) else {
+        return Ok(None);
+    };
+    // A tone may have looked like a step of the frequency; without it the stretches are longer, and show it better.
+    let again = Survey::of(&removed.capture, hints)?;
+    if again.spans.len() == survey.spans.len() {
+        return Ok(Some(removed));
+    }
+    Ok(remove_from(capture, &again).or(Some(removed)))
+}
+
+/// Removes the tones that the spans of a survey show.
+fn remove_from(capture: &Capture, survey: &Survey) -> Option<WithoutNeighbours> {
+    let settings = IdentifyOptions::default();
+    let mut out: Option<WithoutNeighbours> = None;
+    for span in &survey.spans {
+        let segment = survey.segment(capture, span);
+        let found = interference::find(&segment);
+        let tones: Vec<Tone> = found.neighbours().cloned().collect();
+        if tones.is_empty() {
+            continue;
+        }
+        let clean = interference::remove_tones(&segment, &tones);
+        let by = |segment: &Segment| run(Method::LeastSquares, segment, &settings).ok();
+        let remark = by(&segment).zip(by(&clean)).and_then(|(with, without)| {
+            interference::remark(&segment, &tones, &with, &without, true)
+        });
+        // A tone that costs nothing stays.
+        let Some(remark) = remark else {
+            continue;
+        };
+        let out = out.get_or_insert_with(|| WithoutNeighbours {
+            capture: capture.clone(),
+            remarks: Vec::new(),
+        });
+        for tone in &tones {
+            tone.each(&segment, span.samples, |k, v| {
+                if let Some(x) = out.capture.v_v.get_mut(span.first + k) {
+                    *x -= v as f32;
+                }
+            });
+        }
+        out.remarks.push((span.t0_s, span.end_s(), remark));
+    }
+    out
+}
