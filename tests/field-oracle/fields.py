@@ -51,7 +51,7 @@ class Case:
     ferrite_radius_m: float = 105e-3
     ferrite_mu_r: float = 2000.0
     shield_gap_m: float = 0.5e-3
-    shield_thickness_m: float = 0.0  # 0: perfect conductor
+    shield_thickness_m: float = 1e-3  # 0: perfect conductor
     shield_sigma_s_per_m: float = 3.5e7
     pot: Metal | None = None
     pot_radius_m: float = 105e-3

@@ -49,7 +49,7 @@ pub fn wide_settings(material: Material) -> FieldSettings {
     s.geometry.ferrite_radius_m = 1.0;
     s.rings = 48;
     s.material = material;
-    s.load_thickness_m = 10e-3;
+    s.geometry.load_thickness_m = 10e-3;
     s
 }
 
@@ -64,7 +64,11 @@ pub fn against_layered(material: Material, f_hz: f64) -> Result<Cost, FieldError
     };
     let s = wide_settings(material);
     let used = harmonic::impedance(&FieldModel::new(&s)?, f_hz, 0.0)?;
-    let exact = layered::impedance(&s.geometry, &material, Shield::Perfect, f_hz)?;
+    let shield = match material {
+        Material::Linear { .. } => Shield::Conductor(Material::ALUMINIUM.sigma_s_per_m()),
+        Material::Froehlich { .. } | Material::Saturating { .. } => Shield::Perfect,
+    };
+    let exact = layered::impedance(&s.geometry, &material, shield, f_hz)?;
     Ok(Cost::of(what, f_hz, 0.0, used, exact))
 }
 
@@ -72,7 +76,10 @@ pub fn against_layered(material: Material, f_hz: f64) -> Result<Cost, FieldError
 pub fn shield(f_hz: f64) -> Result<Cost, FieldError> {
     let geometry = Geometry::paper();
     let at = |shield| layered::impedance(&geometry, &Material::PAPER, shield, f_hz);
-    let (perfect, real) = (at(Shield::Perfect)?, at(Shield::Conductor(3.5e7))?);
+    let (perfect, real) = (
+        at(Shield::Perfect)?,
+        at(Shield::Conductor(Material::ALUMINIUM.sigma_s_per_m()))?,
+    );
     Ok(Cost::of(
         "shield without loss or skin depth",
         f_hz,
@@ -200,6 +207,53 @@ pub fn time_step(f_hz: f64, i_a: f64, steps: usize) -> Result<Cost, FieldError> 
     ))
 }
 
+/// Resonance of a load with 1080 nF at several currents.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Resonance {
+    /// Law of the load's metal.
+    pub law: &'static str,
+    /// Share of the turns that acts.
+    pub turns_calibration: f64,
+    /// Resonance in hertz at each of [`RESONANCE_CURRENTS_A`].
+    pub f_hz: [f64; RESONANCE_CURRENTS_A.len()],
+}
+
+/// Currents (amplitude, in ampere) of [`Resonance`]: from none to the 60 A that the paper's hob reaches near resonance.
+pub const RESONANCE_CURRENTS_A: [f64; 4] = [0.0, 7.0, 40.0, 60.0];
+
+/// Resonance of the paper's load by the law as differential permeability and as B/H, and with the turns' calibration.
+///
+/// # Errors
+/// [`FieldError`] of the model.
+pub fn resonances() -> Result<Vec<Resonance>, FieldError> {
+    let calibrated = Geometry::paper().turns_calibration;
+    let cases = [
+        ("µ_r(H) is dB/dH", Material::PAPER, calibrated),
+        ("µ_r(H) is dB/dH", Material::PAPER, 1.0),
+        ("µ_r(H) is B/H", Material::PAPER_LITERAL, calibrated),
+        ("µ_r(H) is B/H", Material::PAPER_LITERAL, 1.0),
+    ];
+    let mut list = Vec::new();
+    for (law, material, turns_calibration) in cases {
+        let mut s = FieldSettings::paper();
+        s.material = material;
+        s.geometry.turns_calibration = turns_calibration;
+        let model = FieldModel::new(&s)?;
+        let mut f_hz = [0.0; RESONANCE_CURRENTS_A.len()];
+        for (f, i_a) in f_hz.iter_mut().zip(RESONANCE_CURRENTS_A) {
+            let l_h = harmonic::impedance(&model, 45e3, i_a)?.l_h;
+            let lc = l_h * 1e-9 * f64::from(RESONANCE_CAPACITANCE_NF);
+            *f = 1.0 / (2.0 * core::f64::consts::PI * lc.sqrt());
+        }
+        list.push(Resonance {
+            law,
+            turns_calibration,
+            f_hz,
+        });
+    }
+    Ok(list)
+}
+
 /// All costs, as printed by `ihd simulate --approximations`.
 pub fn all() -> Result<Vec<Cost>, FieldError> {
     let f = 45e3;
@@ -291,15 +345,15 @@ mod tests {
     #[test]
     fn resonance_interval_is_the_papers() {
         // Paper, section V: 27-36 kHz from the simulation's L, section VI: 29-34 kHz measured.
-        // From no current to the 60 A that the paper's hob reaches near resonance.
-        let model = FieldModel::new(&FieldSettings::paper()).unwrap();
-        let f_res = |i_a| {
-            let l = harmonic::impedance(&model, 45e3, i_a).unwrap().l_h;
-            1.0 / (2.0 * core::f64::consts::PI * (l * 1080e-9).sqrt())
-        };
-        let (low, high) = (f_res(0.0), f_res(60.0));
-        println!("{low} {high}");
+        let all = resonances().unwrap();
+        for r in &all {
+            println!("{r:?}");
+        }
+        let (low, high) = (all[0].f_hz[0], all[0].f_hz[3]);
         assert!(low > 27e3 && high < 36e3, "{low} to {high} Hz");
         assert!(low < 29e3 && high > 34e3, "{low} to {high} Hz");
+        // Taken as B/H the law needs no constant, but for small currents.
+        let (low, high) = (all[3].f_hz[1], all[3].f_hz[3]);
+        assert!((26e3..28e3).contains(&low) && (35e3..37e3).contains(&high));
     }
 }

@@ -35,6 +35,9 @@ pub enum FieldError {
         /// Unknowns of the system.
         nodes: usize,
     },
+    /// A law whose B falls with H has no stable field in time.
+    #[error("the paper's literal µ_r(H) has no time domain: B falls beyond H = α")]
+    NoTimeDomain,
     /// The harmonic iteration did not converge.
     #[error(
         "harmonic balance at {f_hz} Hz, {i_a} A did not settle: relative change {change:e} after {iterations} iterations"

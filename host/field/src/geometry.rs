@@ -12,8 +12,8 @@ use super::error::{FieldError, in_range};
 /// shows what each could account for.
 pub const TURNS_CALIBRATION: f64 = 0.84;
 
-/// Axisymmetric arrangement, bottom to top: aluminium shield (perfect conductor), gap, ferrite
-/// plate, gap, coil, gap, load disc. All lengths in metre.
+/// Axisymmetric arrangement, bottom to top: aluminium shield, gap, ferrite plate, gap, coil, gap, load. The load is a disc, or a
+/// base with a wall. All lengths in metre.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geometry {
     /// Turns of the coil, spread evenly over its cross-section.
@@ -28,8 +28,12 @@ pub struct Geometry {
     pub load_gap_m: f64,
     /// Radius of the load's base; larger than the modelled space means an infinite plate.
     pub load_radius_m: f64,
-    /// Height of the load's side wall over which its surface flux returns to the air.
-    pub load_rim_m: f64,
+    /// Thickness of the load's base.
+    pub load_thickness_m: f64,
+    /// Height of the load's wall above its base; 0 is a disc.
+    pub wall_height_m: f64,
+    /// Thickness of the wall.
+    pub wall_thickness_m: f64,
     /// Distance from ferrite to coil.
     pub ferrite_gap_m: f64,
     /// Thickness of the ferrite plate.
@@ -40,6 +44,8 @@ pub struct Geometry {
     pub ferrite_mu_r: f64,
     /// Distance from shield to ferrite.
     pub shield_gap_m: f64,
+    /// Thickness of the aluminium shield; 0 is a perfect conductor.
+    pub shield_thickness_m: f64,
     /// Share of the turns that acts on the field: the one calibration constant, see
     /// [`TURNS_CALIBRATION`]. 1 is pure geometry.
     pub turns_calibration: f64,
@@ -56,12 +62,15 @@ impl Geometry {
             coil_thickness_m: 3e-3,
             load_gap_m: 5.5e-3,
             load_radius_m: 105e-3,
-            load_rim_m: 5e-3,
+            load_thickness_m: 5e-3,
+            wall_height_m: 0.0,
+            wall_thickness_m: 2e-3,
             ferrite_gap_m: 1e-3,
             ferrite_thickness_m: 5e-3,
             ferrite_radius_m: 105e-3,
             ferrite_mu_r: 2000.0,
             shield_gap_m: 0.5e-3,
+            shield_thickness_m: 1e-3,
             turns_calibration: TURNS_CALIBRATION,
         }
     }
@@ -75,7 +84,8 @@ impl Geometry {
             ("coil_thickness_m", self.coil_thickness_m),
             ("load_gap_m", self.load_gap_m),
             ("load_radius_m", self.load_radius_m),
-            ("load_rim_m", self.load_rim_m),
+            ("load_thickness_m", self.load_thickness_m),
+            ("wall_thickness_m", self.wall_thickness_m),
             ("ferrite_gap_m", self.ferrite_gap_m),
             ("ferrite_thickness_m", self.ferrite_thickness_m),
             ("ferrite_radius_m", self.ferrite_radius_m),
@@ -84,6 +94,14 @@ impl Geometry {
             in_range(field, value, 1e-4, 1.0, mm)?;
         }
         in_range("coil_inner_m", self.coil_inner_m, 0.0, 1.0, "0 to 1 m")?;
+        in_range("wall_height_m", self.wall_height_m, 0.0, 0.3, "0 to 0.3 m")?;
+        in_range(
+            "shield_thickness_m",
+            self.shield_thickness_m,
+            0.0,
+            0.05,
+            "0 to 50 mm",
+        )?;
         in_range("ferrite_mu_r", self.ferrite_mu_r, 1.0, 1e5, "1 to 100000")?;
         in_range(
             "turns_calibration",
@@ -98,6 +116,14 @@ impl Geometry {
                 smaller_m: self.coil_inner_m,
                 larger: "coil_outer_m",
                 larger_m: self.coil_outer_m,
+            });
+        }
+        if self.wall_height_m > 0.0 && self.wall_thickness_m >= self.load_radius_m {
+            return Err(FieldError::Order {
+                smaller: "wall_thickness_m",
+                smaller_m: self.wall_thickness_m,
+                larger: "load_radius_m",
+                larger_m: self.load_radius_m,
             });
         }
         Ok(())
@@ -126,6 +152,24 @@ impl Geometry {
     /// Height of the load's surface above the shield.
     pub fn load_surface_m(&self) -> f64 {
         self.coil_top_m() + self.load_gap_m
+    }
+
+    /// Height of the base's upper face above the shield.
+    pub fn load_top_m(&self) -> f64 {
+        self.load_surface_m() + self.load_thickness_m
+    }
+
+    /// Inner radius of the wall.
+    pub fn wall_inner_m(&self) -> f64 {
+        self.load_radius_m - self.wall_thickness_m
+    }
+
+    /// Returns `true` for a point of the load's base or wall.
+    pub(crate) fn in_load(&self, r_m: f64, z_m: f64) -> bool {
+        let (surface, top) = (self.load_surface_m(), self.load_top_m());
+        let base = (surface..top).contains(&z_m);
+        let wall = (top..top + self.wall_height_m).contains(&z_m) && r_m > self.wall_inner_m();
+        r_m < self.load_radius_m && (base || wall)
     }
 
     /// Turns per square metre of the coil's cross-section.

@@ -9,10 +9,13 @@ use nalgebra::{Complex, DMatrix, DVector};
 
 use super::depth::DepthGrid;
 use super::error::{FieldError, in_range};
-use super::model::FieldModel;
+use super::model::{Body, FieldModel, Rings};
 
 /// Most iterations.
 const MAX_ITERATIONS: usize = 200;
+
+/// Frequency in hertz at which the time domain takes the shield's resistance.
+const SHIELD_F_HZ: f64 = 50e3;
 
 /// Relative change of the impedance at which the iteration ends.
 const SETTLED: f64 = 1e-10;
@@ -22,6 +25,19 @@ const SETTLED: f64 = 1e-10;
 pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Load, FieldError> {
     in_range("f_hz", f_hz, 1e3, 1e6, "1 kHz to 1 MHz")?;
     in_range("i_a", i_a, 0.0, 1e3, "0 to 1000 A")?;
+    let lambda_h = match &model.body {
+        Body::Modes(modes) => modes.inductance_h(f_hz),
+        Body::Rings(rings) => inductance_h(rings, f_hz, i_a)?,
+    };
+    let omega = 2.0 * core::f64::consts::PI * f_hz;
+    Ok(Load {
+        r_ohm: model.winding_r_ohm - omega * lambda_h.im,
+        l_h: lambda_h.re,
+    })
+}
+
+/// λ/i of a saturating load, in henry; its imaginary part is −R/ω.
+fn inductance_h(model: &Rings, f_hz: f64, i_a: f64) -> Result<Complex<f64>, FieldError> {
     let omega = 2.0 * core::f64::consts::PI * f_hz;
     let (rings, nodes) = (model.gap.rings(), model.depth.nodes());
     let curve = model.material.curve();
@@ -39,16 +55,13 @@ pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Load, FieldE
         let lambda = model.gap.l0_h
             + (0..rings)
                 .map(|j| a[j] * model.gap.p_m[j])
-                .sum::<Complex<f64>>();
-        let z = Complex::new(model.winding_r_ohm, 0.0) + Complex::i() * omega * lambda;
-        change = magnitude(z - last) / magnitude(z);
+                .sum::<Complex<f64>>()
+            + model.shield_h(&a, f_hz);
+        change = magnitude(lambda - last) / magnitude(lambda);
         if change < SETTLED {
-            return Ok(Load {
-                r_ohm: z.re,
-                l_h: z.im / omega,
-            });
+            return Ok(lambda);
         }
-        last = z;
+        last = lambda;
         for (j, column) in columns.iter().enumerate() {
             let mut h = a[j] / column.flux_per_h * i_a;
             for n in 0..nodes {
@@ -65,6 +78,18 @@ pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Load, FieldE
         change,
         iterations: MAX_ITERATIONS,
     })
+}
+
+/// Resistance in ohm that the shield adds under a saturating load, at [`SHIELD_F_HZ`] and no current: what the time domain has of it.
+pub(super) fn shield_r_ohm(model: &Rings) -> Result<f64, FieldError> {
+    let omega = 2.0 * core::f64::consts::PI * SHIELD_F_HZ;
+    let material = &model.material;
+    let mu = vec![material.mu_initial_h_per_m(); model.depth.nodes()];
+    let columns: Vec<Column> = (0..model.gap.rings())
+        .map(|_| Column::solve(&model.depth, material.sigma_s_per_m(), omega, &mu))
+        .collect();
+    let a = surface_flux(model, &columns)?;
+    Ok(-omega * model.shield_h(&a, SHIELD_F_HZ).im)
 }
 
 /// |z| with IEEE operations only; `hypot` differs between platforms.
@@ -101,10 +126,7 @@ impl Column {
 }
 
 /// A of each ring at one ampere: (W/ζ + S) A = P.
-fn surface_flux(
-    model: &FieldModel,
-    columns: &[Column],
-) -> Result<DVector<Complex<f64>>, FieldError> {
+fn surface_flux(model: &Rings, columns: &[Column]) -> Result<DVector<Complex<f64>>, FieldError> {
     let rings = columns.len();
     let mut m = DMatrix::from_fn(rings, rings, |i, j| {
         Complex::new(model.gap.s[i * rings + j], 0.0)
@@ -127,7 +149,7 @@ mod tests {
     #[test]
     fn a_thick_linear_plate_has_the_skin_effects_surface_impedance() {
         // ζ = A/H = µ δ (1 − j)/2.
-        let model = FieldModel::new(&FieldSettings::paper()).unwrap();
+        let model = Rings::new(&FieldSettings::paper()).unwrap();
         let (f_hz, mu) = (45e3, Material::PAPER.mu_initial_h_per_m());
         let omega = 2.0 * core::f64::consts::PI * f_hz;
         let sigma_s_per_m = Material::PAPER.sigma_s_per_m();

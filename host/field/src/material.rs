@@ -12,6 +12,9 @@ pub enum Knee {
     Froehlich,
     /// Sharper law: B = H / (b √(α² + H²)).
     Sharp,
+    /// The paper's µ0 µ_r(H) = α / (b (α + |H|)²) taken as B/H. B falls beyond H = α, so that it has no time domain; in the
+    /// frequency domain µ is that of the amplitude, as a solver does with a µ_r(H) that was typed in.
+    Literal,
 }
 
 /// Material of a load: B(H) and conductivity.
@@ -56,6 +59,15 @@ impl Material {
     pub const PAPER: Self = Self::Froehlich {
         alpha_a_per_m: 1500.0,
         b_per_t: 0.5,
+        sigma_s_per_m: 8e6,
+    };
+
+    /// The same numbers with [`Knee::Literal`], in the frequency domain only.
+    pub const PAPER_LITERAL: Self = Self::Saturating {
+        knee: Knee::Literal,
+        alpha_a_per_m: 1500.0,
+        b_per_t: 0.5,
+        tail_mu_r: 0.0,
         sigma_s_per_m: 8e6,
     };
 
@@ -198,6 +210,7 @@ impl BhCurve {
             Knee::Sharp => {
                 self.b_sat_t * h_a_per_m / (alpha * alpha + h_a_per_m * h_a_per_m).sqrt()
             }
+            Knee::Literal => self.literal_h_per_m(h_a_per_m) * h_a_per_m,
         };
         saturating + self.tail_h_per_m * h_a_per_m
     }
@@ -214,6 +227,10 @@ impl BhCurve {
                 let square = alpha * alpha + h_a_per_m * h_a_per_m;
                 self.b_sat_t * alpha * alpha / (square * square.sqrt())
             }
+            Knee::Literal => {
+                let h = h_a_per_m.abs();
+                self.literal_h_per_m(h) * (alpha - h) / (alpha + h)
+            }
         };
         saturating + self.tail_h_per_m
     }
@@ -224,8 +241,15 @@ impl BhCurve {
         let saturating = match self.knee {
             Knee::Froehlich => self.describing_froehlich(amplitude_a_per_m),
             Knee::Sharp => self.describing_sharp(amplitude_a_per_m),
+            Knee::Literal => self.literal_h_per_m(amplitude_a_per_m),
         };
         saturating + self.tail_h_per_m
+    }
+
+    /// The paper's µ0 µ_r(H).
+    fn literal_h_per_m(&self, h_a_per_m: f64) -> f64 {
+        let d = self.alpha_a_per_m + h_a_per_m.abs();
+        self.b_sat_t * self.alpha_a_per_m / (d * d)
     }
 
     /// Describing function of the sharp knee. ∫ cos²/√(1 + x² cos²) over a quarter period is (√(1 + x²) E − K/√(1 + x²))/x²,
@@ -352,6 +376,20 @@ mod tests {
             let paper = 1500.0 / (0.5 * (1500.0 + h.abs()).powi(2));
             assert!((paper / c.slope_h_per_m(h) - 1.0).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn the_literal_law_is_the_default_ones_slope_and_has_its_largest_b_at_alpha() {
+        let (literal, curve) = (Material::PAPER_LITERAL.curve(), Material::PAPER.curve());
+        for h in [0.0, 300.0, 1500.0, -9e3] {
+            let chord = literal.describing_h_per_m(h);
+            assert!((chord / curve.slope_h_per_m(h) - 1.0).abs() < 1e-12);
+            let d = 1e-3;
+            let numeric = (literal.b_t(h + d) - literal.b_t(h - d)) / (2.0 * d);
+            assert!((numeric - literal.slope_h_per_m(h)).abs() < 1e-8);
+        }
+        // 1/(4 b) = 0.5 T.
+        assert!((literal.b_t(1500.0) - 0.5).abs() < 1e-12 && literal.b_t(4e3) < 0.5);
     }
 
     #[test]

@@ -1,13 +1,15 @@
-//! Complete field model: gap, load material, depth grid, winding.
+//! Complete field model: load and winding.
+
+use nalgebra::{Complex, DVector};
 
 use super::depth::DepthGrid;
 use super::error::{FieldError, in_range};
 use super::gap::GapOperator;
 use super::geometry::Geometry;
-use super::material::Material;
+use super::material::{MU_0, Material};
+use super::modes::Modes;
 
-/// Standard resolution (docs/simulator.md): rings over the load's radius.
-pub const RINGS: usize = 16;
+pub use super::contour::RINGS;
 
 /// Standard resolution: nodes into the depth of the load.
 pub const DEPTH_NODES: usize = 44;
@@ -19,11 +21,9 @@ pub struct FieldSettings {
     pub geometry: Geometry,
     /// Load material.
     pub material: Material,
-    /// Thickness of the load's base in metre.
-    pub load_thickness_m: f64,
     /// Resistance of the winding and its leads in ohm.
     pub winding_r_ohm: f64,
-    /// Rings over the load's radius.
+    /// Rings of the load's surface, a multiple of [`RINGS`].
     pub rings: usize,
     /// Nodes into the depth of the load.
     pub depth_nodes: usize,
@@ -37,7 +37,6 @@ impl FieldSettings {
         Self {
             geometry: Geometry::paper(),
             material: Material::PAPER,
-            load_thickness_m: 5e-3,
             winding_r_ohm: 0.0,
             rings: RINGS,
             depth_nodes: DEPTH_NODES,
@@ -46,47 +45,129 @@ impl FieldSettings {
     }
 }
 
-/// Solved gap and depth grid of the load, ready for time and frequency domain.
+/// Ferromagnetic load: rings of its surface, coupled by the gap, with diffusion into the depth under each.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FieldModel {
+pub struct Rings {
     /// Condensed gap.
     pub gap: GapOperator,
     /// Depth grid of the load.
     pub depth: DepthGrid,
     /// Load material.
     pub material: Material,
+    /// Shield with loss; otherwise a perfect conductor.
+    pub lossy_shield: bool,
+}
+
+/// Coil and load without the winding's resistance.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Body {
+    /// A metal that saturates.
+    Rings(Box<Rings>),
+    /// A linear metal, resolved in the grid.
+    Modes(Modes),
+}
+
+/// Solved field of coil and load, ready for time and frequency domain.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FieldModel {
+    /// Coil and load.
+    pub body: Body,
     /// Resistance of the winding in ohm.
     pub winding_r_ohm: f64,
 }
 
 impl FieldModel {
-    /// Checks the settings and solves the gap (some 50 ms).
+    /// Checks the settings and solves the field.
+    ///
+    /// # Errors
+    /// [`FieldError`] of the settings.
     pub fn new(settings: &FieldSettings) -> Result<Self, FieldError> {
-        in_range("rings", settings.rings as f64, 4.0, 64.0, "4 to 64")?;
-        in_range(
-            "gap_refinement",
-            settings.gap_refinement,
-            1.0,
-            4.0,
-            "1 to 4",
-        )?;
-        in_range(
-            "winding_r_ohm",
-            settings.winding_r_ohm,
-            0.0,
-            10.0,
-            "0 to 10 ohm",
-        )?;
-        settings.material.check()?;
+        check(settings)?;
+        let (geometry, material) = (&settings.geometry, settings.material);
+        let body = match material {
+            Material::Linear { .. } => {
+                Body::Modes(Modes::loaded(geometry, &material, settings.gap_refinement)?)
+            }
+            Material::Froehlich { .. } | Material::Saturating { .. } => {
+                Body::Rings(Box::new(Rings::new(settings)?))
+            }
+        };
         Ok(Self {
-            gap: GapOperator::new(&settings.geometry, settings.rings, settings.gap_refinement)?,
-            depth: DepthGrid::new(
-                &settings.material,
-                settings.load_thickness_m,
-                settings.depth_nodes,
-            )?,
-            material: settings.material,
+            body,
             winding_r_ohm: settings.winding_r_ohm,
         })
     }
+
+    /// Solves the field of the coil without a load.
+    ///
+    /// # Errors
+    /// [`FieldError`] of the settings.
+    pub fn bare_coil(settings: &FieldSettings) -> Result<Self, FieldError> {
+        check(settings)?;
+        Ok(Self {
+            body: Body::Modes(Modes::bare_coil(
+                &settings.geometry,
+                settings.gap_refinement,
+            )?),
+            winding_r_ohm: settings.winding_r_ohm,
+        })
+    }
+}
+
+impl Rings {
+    /// Solves the gap and makes the depth grid.
+    ///
+    /// # Errors
+    /// [`FieldError`] of the settings.
+    pub fn new(settings: &FieldSettings) -> Result<Self, FieldError> {
+        check(settings)?;
+        let geometry = &settings.geometry;
+        Ok(Self {
+            gap: GapOperator::new(geometry, settings.rings, settings.gap_refinement)?,
+            depth: DepthGrid::new(
+                &settings.material,
+                geometry.load_thickness_m,
+                settings.depth_nodes,
+            )?,
+            material: settings.material,
+            lossy_shield: geometry.shield_thickness_m > 0.0,
+        })
+    }
+
+    /// Inductance that the shield's skin adds, in henry, at the rings' A in Wb/m per ampere: its surface impedance under the
+    /// field of a perfect conductor. Its imaginary part is −R/ω.
+    pub(crate) fn shield_h(&self, a: &DVector<Complex<f64>>, f_hz: f64) -> Complex<f64> {
+        if !self.lossy_shield {
+            return Complex::new(0.0, 0.0);
+        }
+        let skin_m = Material::ALUMINIUM.skin_depth_m(f_hz);
+        self.gap.shield_share(a) * Complex::new(1.0, -1.0) * (MU_0 * skin_m / 2.0)
+    }
+}
+
+fn check(settings: &FieldSettings) -> Result<(), FieldError> {
+    let allowed = "16, 32, 48 or 64";
+    in_range("rings", settings.rings as f64, 16.0, 64.0, allowed)?;
+    if !settings.rings.is_multiple_of(RINGS) {
+        return Err(FieldError::OutOfRange {
+            field: "rings",
+            value: settings.rings as f64,
+            allowed,
+        });
+    }
+    in_range(
+        "gap_refinement",
+        settings.gap_refinement,
+        1.0,
+        4.0,
+        "1 to 4",
+    )?;
+    in_range(
+        "winding_r_ohm",
+        settings.winding_r_ohm,
+        0.0,
+        10.0,
+        "0 to 10 ohm",
+    )?;
+    settings.material.check()
 }

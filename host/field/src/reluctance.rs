@@ -1,9 +1,19 @@
-//! Reluctance network between shield and load: node classes and coefficients of the
-//! five-point equations for ψ = r A_φ.
+//! Magnetic network of shield, ferrite, coil and load: node classes and coefficients of the five-point equations for ψ = r A_φ.
 
 use super::geometry::Geometry;
 use super::grid::Grid;
-use super::material::MU_0;
+use super::material::{MU_0, Material};
+
+/// Treatment of the load.
+#[derive(Clone, Copy)]
+pub(super) enum Inside<'a> {
+    /// Its surface bounds the network: the metal behind is another model's.
+    Surface,
+    /// Linear metals, load and shield, belong to the network.
+    Metal(&'a Material),
+    /// No load; the shield belongs to the network.
+    Air,
+}
 
 /// Class of a grid node.
 #[derive(Clone, Copy, PartialEq)]
@@ -24,23 +34,27 @@ pub(super) struct Network<'a> {
     pub(super) grid: Grid,
     /// Class of each node, column by column.
     pub(super) nodes: Vec<Node>,
-    /// (r, z) of each surface node, and the length of load surface that it represents.
-    pub(super) surface: Vec<(f64, f64, f64)>,
+    /// (r, z) of each surface node.
+    pub(super) surface: Vec<(f64, f64)>,
     /// Number of unknowns.
     pub(super) free: usize,
-    with_load: bool,
+    inside: Inside<'a>,
 }
 
 impl<'a> Network<'a> {
-    pub(super) fn new(geometry: &'a Geometry, refinement: f64, with_load: bool) -> Self {
-        let grid = Grid::new(geometry, refinement);
+    pub(super) fn new(geometry: &'a Geometry, refinement: f64, inside: Inside<'a>) -> Self {
+        let grid = match inside {
+            Inside::Surface => Grid::around(geometry, refinement),
+            Inside::Metal(metal) => Grid::through(geometry, metal, refinement),
+            Inside::Air => Grid::without(geometry, refinement),
+        };
         let mut a = Self {
             geometry,
             grid,
             nodes: Vec::new(),
             surface: Vec::new(),
             free: 0,
-            with_load,
+            inside,
         };
         let (nr, nz) = (a.grid.r_m.len(), a.grid.z_m.len());
         for i in 0..nr {
@@ -54,32 +68,18 @@ impl<'a> Network<'a> {
     }
 
     fn classify(&mut self, i: usize, j: usize) -> Node {
-        let inside = [(i - 1, j - 1), (i, j - 1), (i - 1, j), (i, j)]
-            .iter()
-            .filter(|&&(ci, cj)| self.in_load(ci, cj))
+        let solid = around(i, j)
+            .into_iter()
+            .filter(|&(i, j)| self.is_solid(i, j))
             .count();
-        match inside {
+        match solid {
             0 => {
                 self.free += 1;
                 Node::Free(self.free - 1)
             }
             4 => Node::Zero,
-            _ if self.grid.z_m[j]
-                > self.geometry.load_surface_m() + self.geometry.load_rim_m - 1e-9 =>
-            {
-                Node::Zero
-            }
             _ => {
-                let (r, z) = (self.grid.r_m[i], self.grid.z_m[j]);
-                let bottom = (z - self.geometry.load_surface_m()).abs() < 1e-9;
-                let length = if !bottom {
-                    0.0
-                } else if self.in_load(i, j) {
-                    (self.grid.r_m[i + 1] - self.grid.r_m[i - 1]) / 2.0
-                } else {
-                    (self.grid.r_m[i] - self.grid.r_m[i - 1]) / 2.0
-                };
-                self.surface.push((r, z, length));
+                self.surface.push((self.grid.r_m[i], self.grid.z_m[j]));
                 Node::Surface(self.surface.len() - 1)
             }
         }
@@ -91,24 +91,42 @@ impl<'a> Network<'a> {
         ((r[i] + r[i + 1]) / 2.0, (z[j] + z[j + 1]) / 2.0)
     }
 
-    fn in_load(&self, i: usize, j: usize) -> bool {
-        let (r, z) = self.middle(i, j);
-        let bottom = self.geometry.load_surface_m();
-        self.with_load
-            && r < self.geometry.load_radius_m
-            && (bottom..bottom + self.geometry.load_rim_m).contains(&z)
+    /// Area of the cell whose lower left node is (i, j), in m².
+    fn cell_m2(&self, i: usize, j: usize) -> f64 {
+        let (r, z) = (&self.grid.r_m, &self.grid.z_m);
+        (r[i + 1] - r[i]) * (z[j + 1] - z[j])
     }
 
-    /// Reluctivity of a cell in m/H; `None` inside the load.
+    /// Returns `true` for a cell of the load that is not the network's.
+    fn is_solid(&self, i: usize, j: usize) -> bool {
+        let (r, z) = self.middle(i, j);
+        matches!(self.inside, Inside::Surface) && self.geometry.in_load(r, z)
+    }
+
+    /// Reluctivity of a cell in m/H; 0 in a load that is not the network's.
     fn reluctivity(&self, i: usize, j: usize) -> f64 {
         let (r, z) = self.middle(i, j);
         let g = self.geometry;
-        if self.in_load(i, j) {
-            0.0
-        } else if r < g.ferrite_radius_m && (g.ferrite_bottom_m()..g.ferrite_top_m()).contains(&z) {
-            1.0 / (MU_0 * g.ferrite_mu_r)
-        } else {
-            1.0 / MU_0
+        let ferrite = (g.ferrite_bottom_m()..g.ferrite_top_m()).contains(&z);
+        match self.inside {
+            _ if r < g.ferrite_radius_m && ferrite => 1.0 / (MU_0 * g.ferrite_mu_r),
+            Inside::Surface if g.in_load(r, z) => 0.0,
+            Inside::Metal(metal) if g.in_load(r, z) => 1.0 / metal.mu_initial_h_per_m(),
+            _ => 1.0 / MU_0,
+        }
+    }
+
+    /// Conductivity of a cell in S/m.
+    fn sigma_s_per_m(&self, i: usize, j: usize) -> f64 {
+        let (r, z) = self.middle(i, j);
+        match self.inside {
+            Inside::Metal(metal) if self.geometry.in_load(r, z) => metal.sigma_s_per_m(),
+            Inside::Metal(_) | Inside::Air
+                if (-self.geometry.shield_thickness_m..0.0).contains(&z) =>
+            {
+                Material::ALUMINIUM.sigma_s_per_m()
+            }
+            _ => 0.0,
         }
     }
 
@@ -116,17 +134,24 @@ impl<'a> Network<'a> {
     pub(super) fn turns(&self, i: usize, j: usize) -> f64 {
         let g = self.geometry;
         let mut turns = 0.0;
-        for (ci, cj) in [(i - 1, j - 1), (i, j - 1), (i - 1, j), (i, j)] {
+        for (ci, cj) in around(i, j) {
             let (r, z) = self.middle(ci, cj);
             if (g.coil_inner_m..g.coil_outer_m).contains(&r)
                 && (g.coil_bottom_m()..g.coil_top_m()).contains(&z)
             {
-                let dr = self.grid.r_m[ci + 1] - self.grid.r_m[ci];
-                let dz = self.grid.z_m[cj + 1] - self.grid.z_m[cj];
-                turns += g.turn_density_per_m2() * dr * dz / 4.0;
+                turns += g.turn_density_per_m2() * self.cell_m2(ci, cj) / 4.0;
             }
         }
         turns
+    }
+
+    /// Eddy current around node (i, j) per volt-second of −dψ/dt, in S/m.
+    pub(super) fn conductance(&self, i: usize, j: usize) -> f64 {
+        let quarters = around(i, j).into_iter();
+        let sum: f64 = quarters
+            .map(|(i, j)| self.sigma_s_per_m(i, j) * self.cell_m2(i, j) / 4.0)
+            .sum();
+        sum / self.grid.r_m[i]
     }
 
     /// Every grid edge between inner nodes with its coefficient: (node, node, A per Wb).
@@ -159,20 +184,9 @@ impl<'a> Network<'a> {
         }
         edges
     }
+}
 
-    /// ψ at surface node `k` for unit A of ring `ring`: a hat over the ring centres times r, and
-    /// on the side wall the outer ring's value, falling to zero over the rim.
-    pub(super) fn shape(&self, k: usize, ring: usize, rings: usize) -> f64 {
-        let (r, z, _) = self.surface[k];
-        let width = self.geometry.load_radius_m / rings as f64;
-        let at = (r / width - 0.5).clamp(-0.5, (rings - 1) as f64);
-        let hat = if at < 0.0 {
-            // Towards the axis A falls in proportion to r.
-            if ring == 0 { (at + 0.5) / 0.5 } else { 0.0 }
-        } else {
-            (1.0 - (at - ring as f64).abs()).max(0.0)
-        };
-        let up = (z - self.geometry.load_surface_m()) / self.geometry.load_rim_m;
-        hat * r * (1.0 - up).clamp(0.0, 1.0)
-    }
+/// Cells around an inner node, by their lower left nodes.
+fn around(i: usize, j: usize) -> [(usize, usize); 4] {
+    [(i - 1, j - 1), (i, j - 1), (i - 1, j), (i, j)]
 }

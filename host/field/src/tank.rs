@@ -2,8 +2,8 @@
 
 use nalgebra::Complex;
 
-use super::diffusion::FieldLoad;
 use super::error::{FieldError, in_range};
+use super::load::FieldLoad;
 use super::model::FieldModel;
 
 /// Resonant circuit with a field load: v = R_w i + dλ/dt + v_C, C dv_C/dt = i, in the same BDF2 step as the field.
@@ -11,7 +11,7 @@ use super::model::FieldModel;
 pub struct FieldTank<const N: usize> {
     load: FieldLoad<N>,
     dt_s: f64,
-    winding_r_ohm: f64,
+    series_r_ohm: f64,
     capacitance_f: f64,
     lambda_wb: [f64; 2],
     v_c_v: [f64; 2],
@@ -30,10 +30,11 @@ impl<const N: usize> FieldTank<N> {
     /// Creates a circuit at rest.
     pub fn new(model: &FieldModel, capacitance_f: f64, dt_s: f64) -> Result<Self, FieldError> {
         in_range("capacitance_f", capacitance_f, 1e-9, 1e-3, "1 nF to 1 mF")?;
+        let load = FieldLoad::new(model, dt_s)?;
         Ok(Self {
-            load: FieldLoad::new(model, dt_s)?,
             dt_s,
-            winding_r_ohm: model.winding_r_ohm,
+            series_r_ohm: model.winding_r_ohm + load.shield_r_ohm(),
+            load,
             capacitance_f,
             lambda_wb: [0.0; 2],
             v_c_v: [0.0; 2],
@@ -51,12 +52,12 @@ impl<const N: usize> FieldTank<N> {
         let emf_known = rate * (flux.lambda0_wb - lambda_known);
         let elastance = 1.0 / (rate * self.capacitance_f);
         let i_a = (v_bridge_v - v_c_known - emf_known)
-            / (self.winding_r_ohm + rate * flux.l_h + elastance);
+            / (self.series_r_ohm + rate * flux.l_h + elastance);
         self.load.commit(i_a);
         let lambda_new = flux.lambda0_wb + flux.l_h * i_a;
         self.lambda_wb = [lambda_new, lambda];
         self.v_c_v = [v_c_known + elastance * i_a, v_c];
-        let v_coil_v = self.winding_r_ohm * i_a + rate * (lambda_new - lambda_known);
+        let v_coil_v = self.series_r_ohm * i_a + rate * (lambda_new - lambda_known);
         TankSample { i_a, v_coil_v }
     }
 }
@@ -66,17 +67,18 @@ impl<const N: usize> FieldTank<N> {
 pub struct ImpressedCurrent<const N: usize> {
     load: FieldLoad<N>,
     dt_s: f64,
-    winding_r_ohm: f64,
+    series_r_ohm: f64,
     lambda_wb: [f64; 2],
 }
 
 impl<const N: usize> ImpressedCurrent<N> {
     /// Creates a load at rest.
     pub fn new(model: &FieldModel, dt_s: f64) -> Result<Self, FieldError> {
+        let load = FieldLoad::new(model, dt_s)?;
         Ok(Self {
-            load: FieldLoad::new(model, dt_s)?,
             dt_s,
-            winding_r_ohm: model.winding_r_ohm,
+            series_r_ohm: model.winding_r_ohm + load.shield_r_ohm(),
+            load,
             lambda_wb: [0.0; 2],
         })
     }
@@ -88,7 +90,7 @@ impl<const N: usize> ImpressedCurrent<N> {
         let [now, before] = self.lambda_wb;
         let new = flux.lambda0_wb + flux.l_h * i_a;
         self.lambda_wb = [new, now];
-        self.winding_r_ohm * i_a + (1.5 * new - 2.0 * now + 0.5 * before) / self.dt_s
+        self.series_r_ohm * i_a + (1.5 * new - 2.0 * now + 0.5 * before) / self.dt_s
     }
 
     /// Fundamental impedance in the last of `periods` periods of i = Î sin ωt: (R in ohm, L in henry). `steps` is the number of

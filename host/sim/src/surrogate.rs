@@ -103,13 +103,6 @@ impl SurrogatePot {
         Ok(Self { grid })
     }
 
-    /// Creates a load of constant R and L, as the coil alone is.
-    pub fn constant(r_ohm: f64, l_h: f64) -> Self {
-        Self {
-            grid: vec![[Load { r_ohm, l_h }; I_POINTS]; F_POINTS],
-        }
-    }
-
     /// Load at a switching frequency in hertz; beyond the table its edge is used.
     pub fn at(&self, f: f64) -> SurrogateLoad {
         let last = (F_POINTS - 1) as f64;
@@ -174,11 +167,5 @@ mod tests {
             println!("{pot}: {error:?}");
             assert!(error.r_pct < 0.1 && error.l_pct < 0.1, "{error:?}");
         }
-    }
-
-    #[test]
-    fn a_constant_load_is_constant() {
-        let (r_ohm, l_h) = SurrogatePot::constant(0.1, 5e-5).at(52e3).r_l(17.0);
-        assert!((r_ohm / 0.1 - 1.0).abs() < 1e-12 && (l_h / 5e-5 - 1.0).abs() < 1e-12);
     }
 }

@@ -6,7 +6,7 @@
 //! them.
 //!
 //! A step has two halves, because the circuit determines the current of the new instant:
-//! [`FieldLoad::predict`] eliminates the field down to λ = λ0 + L i, [`FieldLoad::commit`] takes
+//! [`RingLoad::predict`] eliminates the field down to λ = λ0 + L i, [`RingLoad::commit`] takes
 //! the current and finishes the field.
 
 mod state;
@@ -14,17 +14,18 @@ mod step;
 
 use pulp::Arch;
 
-pub use self::state::{FieldLoad, FluxLine};
+pub use self::state::{FluxLine, RingLoad};
 use self::state::{History, Surface};
 use self::step::{Commit, Predict};
 use super::error::FieldError;
-use super::material::Material;
-use super::model::FieldModel;
+use super::material::{Knee, Material};
+use super::model::Rings;
 
-impl<const N: usize> FieldLoad<N> {
+impl<const N: usize> RingLoad<N> {
     /// Creates an unmagnetised load that is stepped with `dt_s` seconds. The model must have `N` rings.
-    pub fn new(model: &FieldModel, dt_s: f64) -> Result<Self, FieldError> {
+    pub fn new(model: &Rings, dt_s: f64) -> Result<Self, FieldError> {
         super::error::in_range("dt_s", dt_s, 1e-10, 1e-6, "0.1 ns to 1 µs")?;
+        has_time_domain(&model.material)?;
         let rings = |v: &[f64]| -> Result<[f64; N], FieldError> {
             v.try_into().map_err(|_| FieldError::OutOfRange {
                 field: "rings",
@@ -92,6 +93,7 @@ impl<const N: usize> FieldLoad<N> {
     /// Changes the material, as a slow change of temperature does; the field strength stays.
     pub fn set_material(&mut self, material: &Material) -> Result<(), FieldError> {
         material.check()?;
+        has_time_domain(material)?;
         let sigma = material.sigma_s_per_m();
         let ratio = sigma / self.sigma;
         self.storage.iter_mut().for_each(|s| *s *= ratio);
@@ -148,16 +150,22 @@ impl<const N: usize> FieldLoad<N> {
     }
 }
 
+fn has_time_domain(material: &Material) -> Result<(), FieldError> {
+    if material.curve().knee == Knee::Literal {
+        return Err(FieldError::NoTimeDomain);
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::harmonic;
-    use super::super::material::Knee;
-    use super::super::model::FieldSettings;
+    use super::super::model::{FieldModel, FieldSettings};
     use super::super::tank::ImpressedCurrent;
     use super::*;
 
-    fn model() -> FieldModel {
-        FieldModel::new(&FieldSettings::paper()).unwrap()
+    fn model() -> Rings {
+        Rings::new(&FieldSettings::paper()).unwrap()
     }
 
     /// Current of 30 A amplitude at 45 kHz with a third harmonic, as a bridge gives.
@@ -168,7 +176,7 @@ mod tests {
 
     #[test]
     fn one_newton_step_is_enough() {
-        let mut once = FieldLoad::<16>::new(&model(), 20e-9).unwrap();
+        let mut once = RingLoad::<16>::new(&model(), 20e-9).unwrap();
         let mut twice = once.clone();
         let (mut worst, mut peak) = (0.0f64, 0.0f64);
         for k in 1..3000 {
@@ -215,7 +223,7 @@ mod tests {
 
     #[test]
     fn every_instruction_set_gives_the_same_digits() {
-        let mut fast = FieldLoad::<16>::new(&model(), 20e-9).unwrap();
+        let mut fast = RingLoad::<16>::new(&model(), 20e-9).unwrap();
         let mut scalar = fast.clone();
         scalar.arch = Arch::Scalar;
         for k in 1..500 {
@@ -230,7 +238,7 @@ mod tests {
     #[test]
     fn heat_in_the_load_is_the_electric_power() {
         // The second 10 000 steps of 20 ns: nine periods.
-        let mut load = FieldLoad::<16>::new(&model(), 20e-9).unwrap();
+        let mut load = RingLoad::<16>::new(&model(), 20e-9).unwrap();
         let (mut lambda, mut before) = (0.0, 0.0);
         let (mut electric, mut heat) = (0.0, 0.0);
         for k in 1..=20_000 {
@@ -249,10 +257,18 @@ mod tests {
     }
 
     #[test]
+    fn a_law_whose_flux_density_falls_is_refused() {
+        let mut s = FieldSettings::paper();
+        s.material = Material::PAPER_LITERAL;
+        let refused = RingLoad::<16>::new(&Rings::new(&s).unwrap(), 20e-9).unwrap_err();
+        assert_eq!(refused, FieldError::NoTimeDomain);
+    }
+
+    #[test]
     fn a_model_with_another_ring_count_is_refused() {
         let mut s = FieldSettings::paper();
-        s.rings = 20;
-        let e = FieldLoad::<16>::new(&FieldModel::new(&s).unwrap(), 20e-9).unwrap_err();
+        s.rings = 32;
+        let e = RingLoad::<16>::new(&Rings::new(&s).unwrap(), 20e-9).unwrap_err();
         assert!(e.to_string().contains("rings"));
     }
 }

@@ -23,7 +23,7 @@ pub(super) struct History<T> {
 
 /// State of the load in time, with `N` rings.
 #[derive(Clone, Debug)]
-pub struct FieldLoad<const N: usize> {
+pub struct RingLoad<const N: usize> {
     pub(super) arch: Arch,
     /// Coefficients per depth node: 1.5 σ cell/dt.
     pub(super) storage: Vec<f64>,
@@ -52,7 +52,7 @@ pub struct FieldLoad<const N: usize> {
     pub(super) surface: Surface<N>,
 }
 
-/// Result of [`FieldLoad::predict`], kept for `commit`: A = a0 + a1 i = base + gain H.
+/// Result of [`RingLoad::predict`], kept for `commit`: A = a0 + a1 i = base + gain H.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Surface<const N: usize> {
     pub(super) a0: [f64; N],

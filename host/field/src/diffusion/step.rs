@@ -3,13 +3,13 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::state::{FieldLoad, FluxLine};
+use super::state::{FluxLine, RingLoad};
 use crate::material::Knee;
 use crate::spd;
 
 /// The first half of a step, compiled for each instruction set that `pulp` detects. Only the
 /// number of lanes differs, never the operations: results are the same on all of them.
-pub(super) struct Predict<'a, const N: usize>(pub(super) &'a mut FieldLoad<N>);
+pub(super) struct Predict<'a, const N: usize>(pub(super) &'a mut RingLoad<N>);
 
 impl<const N: usize> WithSimd for Predict<'_, N> {
     type Output = FluxLine;
@@ -23,7 +23,7 @@ impl<const N: usize> WithSimd for Predict<'_, N> {
 }
 
 /// The second half of a step.
-pub(super) struct Commit<'a, const N: usize>(pub(super) &'a mut FieldLoad<N>, pub(super) f64);
+pub(super) struct Commit<'a, const N: usize>(pub(super) &'a mut RingLoad<N>, pub(super) f64);
 
 impl<const N: usize> WithSimd for Commit<'_, N> {
     type Output = ();
@@ -34,7 +34,7 @@ impl<const N: usize> WithSimd for Commit<'_, N> {
     }
 }
 
-impl<const N: usize> FieldLoad<N> {
+impl<const N: usize> RingLoad<N> {
     #[inline(always)]
     fn linearise(&mut self) {
         for n in 0..self.h.now.len() {
@@ -62,6 +62,8 @@ impl<const N: usize> FieldLoad<N> {
                     offset[j] = (chord - slope[j]) * trial[j];
                 }
             }
+            // Refused by `RingLoad::new`.
+            Knee::Literal => {}
             Knee::Sharp => {
                 let square = curve.alpha_a_per_m * curve.alpha_a_per_m;
                 for j in 0..N {

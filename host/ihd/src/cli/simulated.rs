@@ -72,7 +72,7 @@ pub struct SimOptions {
     /// Temperature of the pot in °C, with the field model and its table.
     #[arg(long, value_name = "CELSIUS", default_value_t = Pot::NONE.temperature_c)]
     temperature: f64,
-    /// Let the load depart from the standard field model: tail, sharp-knee, rings, fine-gap, ferrite, rim or coil-gap
+    /// Let the load depart from the standard field model: tail, sharp-knee, rings, fine-gap, ferrite, wall or coil-gap
     /// (docs/simulator.md).
     #[arg(long, value_name = "NAME")]
     perturb: Option<Perturbation>,

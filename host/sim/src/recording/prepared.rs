@@ -8,8 +8,7 @@ use crate::inverter::load::{Law, LoadState};
 use crate::pot::{Metal, Pot};
 use crate::surrogate::SurrogatePot;
 use ihd_field::FieldModel;
-use ihd_field::gap::GapOperator;
-use ihd_field::geometry::Geometry;
+use ihd_field::model::FieldSettings;
 
 /// Pot prepared for one kind of load model, at any frequency.
 #[derive(Clone, Debug)]
@@ -28,10 +27,11 @@ impl PreparedLoad {
         if kind == LoadKind::Behavioural {
             return Ok(Self::Behavioural(behavioural_kind(pot)));
         }
-        Ok(match field_models(pot, winding_r_ohm)? {
-            // Without a pot the load is linear.
-            models if kind == LoadKind::Field && !models.is_empty() => Self::Field(models),
-            _ => Self::Surrogate(Box::new(surrogate_pot(pot, winding_r_ohm)?)),
+        let models = field_models(pot, winding_r_ohm)?;
+        Ok(if kind == LoadKind::Field && pot.metal.is_some() {
+            Self::Field(models)
+        } else {
+            Self::Surrogate(Box::new(SurrogatePot::new(&models)?))
         })
     }
 
@@ -71,26 +71,28 @@ fn behavioural_law(kind: PotKind, f_sw_hz: f64) -> Law {
     Law::Behavioural(behavioural::BehaviouralLoad::new(kind, f_sw_hz))
 }
 
-/// Field models of a pot with their weights; empty without a pot.
+/// Field models of a pot with their weights; without a pot the coil's.
 pub fn field_models(
     pot: &Pot,
     winding_r_ohm: f64,
 ) -> Result<Vec<(f64, FieldModel)>, InverterError> {
     let mut models = Vec::new();
+    if pot.metal.is_none() {
+        let settings = FieldSettings {
+            winding_r_ohm,
+            ..FieldSettings::paper()
+        };
+        models.push((1.0, FieldModel::bare_coil(&settings)?));
+    }
     for (weight, settings) in pot.field_settings(winding_r_ohm)? {
         models.push((weight, FieldModel::new(&settings)?));
     }
     Ok(models)
 }
 
-/// Table of a pot; the coil over its ferrite alone is a constant.
+/// Table of a pot, or of the coil alone.
 pub fn surrogate_pot(pot: &Pot, winding_r_ohm: f64) -> Result<SurrogatePot, InverterError> {
-    let models = field_models(pot, winding_r_ohm)?;
-    if models.is_empty() {
-        let l_h = GapOperator::bare_coil_h(&Geometry::paper(), 1.0)?;
-        return Ok(SurrogatePot::constant(winding_r_ohm, l_h));
-    }
-    Ok(SurrogatePot::new(&models)?)
+    Ok(SurrogatePot::new(&field_models(pot, winding_r_ohm)?)?)
 }
 
 /// Load of the formulas for a pot: there are five; sizes go to the nearer of the two ferromagnetic ones.

@@ -282,8 +282,8 @@ mod tests {
     use crate::behavioural;
     use crate::behavioural::PotKind;
     use crate::pot::Pot;
-    use ihd_field::gap::GapOperator;
-    use ihd_field::geometry::Geometry;
+    use ihd_field::model::FieldSettings;
+    use ihd_field::{FieldModel, harmonic};
 
     fn behavioural(duration_s: f64) -> CaptureSpec {
         CaptureSpec {
@@ -367,7 +367,8 @@ mod tests {
         let r = record(&s, |_| ()).unwrap();
         let before = r.truth.iter().rfind(|t| t.t_s < 2.9e-3).unwrap();
         let after = r.truth.last().unwrap();
-        let bare = GapOperator::bare_coil_h(&Geometry::paper(), 1.0).unwrap();
+        let bare = FieldModel::bare_coil(&FieldSettings::paper()).unwrap();
+        let bare = harmonic::impedance(&bare, 50e3, 1.0).unwrap().l_h;
         assert!(before.l_h[0] < 30e-6, "{before:?}");
         assert!((after.l_h[0] / bare - 1.0).abs() < 0.01, "{after:?} {bare}");
         assert!(after.r_ohm[0].abs() < 0.2);

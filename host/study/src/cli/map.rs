@@ -26,7 +26,7 @@ use ihd::cli::usage::Usage;
 #[command(after_help = "Examples:\n  \
     ihd-study map --pot ferritic-18,ferritic-12\n  \
     ihd-study map --load field --seeds 1 --figure map.svg\n  \
-    ihd-study map --pot ferritic-18 --perturb tail,sharp-knee,rim --json\n  \
+    ihd-study map --pot ferritic-18 --perturb tail,sharp-knee,wall --json\n  \
     ihd-study map --closed-loop --pot ferritic-18+lift-10mm")]
 pub struct MapArgs {
     /// Pots, with commas between them, as `ihd hob` names them; a place behind: +lift-10mm, +offset-30mm, +150C
@@ -44,7 +44,7 @@ pub struct MapArgs {
     )]
     power: Vec<u16>,
     /// Let the loads depart from the standard field model, each by one of these in turn: tail, sharp-knee, rings, fine-gap, ferrite,
-    /// rim or coil-gap
+    /// wall or coil-gap
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     perturb: Vec<Perturbation>,
     /// Noise on both channels as a signal-to-noise ratio in decibel at the rated power

@@ -70,7 +70,7 @@ pub struct PotsArgs {
     #[arg(long, value_name = "MODEL", default_value = "reduced")]
     load: LoadWord,
     /// Let the pots depart from the standard field model on both hobs, each by one of these in turn, beside the standard one: tail,
-    /// sharp-knee, rings, fine-gap, ferrite, rim or coil-gap
+    /// sharp-knee, rings, fine-gap, ferrite, wall or coil-gap
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     perturb: Vec<Perturbation>,
     /// Seeds of the noise

@@ -124,6 +124,12 @@ pub fn approximations() -> Result<()> {
             c.l_pct
         )?;
     }
+    say!("\nresonance with 1080 nF in kHz at 0, 7, 40 and 60 A:")?;
+    for r in approximation::resonances()? {
+        let [a, b, c, d] = r.f_hz.map(|f| f / 1e3);
+        let (law, turns) = (r.law, r.turns_calibration);
+        say!("{law:<16} turns {turns:<5} {a:>6.1} {b:>6.1} {c:>6.1} {d:>6.1}")?;
+    }
     say!("\nfield model in the circuit, second half-cycle, above 2 A, mean deviation in %:")?;
     say!(
         "{:<10} {:>12} {:>12} {:>12} {:>12}",
