@@ -386,7 +386,7 @@ fn over_current_in_a_replay_ends_the_estimates_and_is_reported() {
     let board = Board::start("");
     let mut client = board.connect();
     let mut replay = client.start_replay(45_000, START.0, START.1).unwrap();
-    let loud = [Pair { v: 0, i: 2_000 }; ADC_LOCK_P];
+    let loud = [Pair { v: 0, i: 1_960 }; ADC_LOCK_P];
     replay.blocks(&loud, None, BUS_DV).unwrap();
     let status = replay.client().status().unwrap();
     assert_eq!(status.fault, Fault::OVER_CURRENT);

@@ -387,7 +387,7 @@ fn a_fault_tells_the_half_cycle_in_which_it_tripped() {
     // 150 blocks of three periods are 10 ms; each crossing begins a half-cycle.
     // A code of noise: a converter that repeats itself counts as frozen.
     let quiet = |block: i16| [Pair { v: block & 1, i: 0 }; ADC_LOCK_P];
-    let loud = [Pair { v: 0, i: 2_000 }; ADC_LOCK_P];
+    let loud = [Pair { v: 0, i: 1_960 }; ADC_LOCK_P];
     for half_cycle in 0..3 {
         replay.blocks(&quiet(0), Some(0), 0).unwrap();
         let blocks = if half_cycle < 2 { 149 } else { 20 };

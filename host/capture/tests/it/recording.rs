@@ -251,7 +251,8 @@ fn a_fault_is_recorded_with_the_seconds_before_and_after_it() {
     use RecordingPhase::{Armed, Begun, Ended};
     assert_eq!(bench.phases(), [Armed, Begun, Ended]);
     let held = Held::of(&ended.file.unwrap());
-    assert_eq!((held.damaged, held.rejected), (0, 0));
+    // Beginning and end may cut a window.
+    assert!(held.damaged == 0 && held.rejected <= 1, "{held:?}");
     // The trigger lies a second after the beginning, and the fault at it.
     assert!(near(held.trigger_s(), 1.0), "{held:?}");
     let [(fault_s, 22), ..] = held.faults[..] else {

@@ -196,7 +196,9 @@ fn both_backends_find_the_same() {
         ] {
             let at = format!("/points/{k}/{name}");
             let (a, b) = (number(&fused, &at), number(&ndarray, &at));
-            assert!((a / b - 1.0).abs() <= 1e-6, "{at}: {a} {b}");
+            // A fit ends within a tenth of the estimate's deviation, the two by rounding elsewhere in it: 5e-5 of R, of which the truth
+            // is 4e-4 away.
+            assert!((a / b - 1.0).abs() <= 1e-4, "{at}: {a} {b}");
         }
     }
 }

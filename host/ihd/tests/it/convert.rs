@@ -191,14 +191,13 @@ fn what_is_no_capture_is_refused_by_name_and_place() {
         &written("short.csv", b"t,v,i\n0,1,2\n1,1\n"),
         &["line 3", "2 fields"],
     );
-    // Windows' line ends; the heading, the first row of numbers, a later one, and times.
+    // Windows' line ends: a field, times, a row cut short.
     for (name, text, line) in [
         (
             "crlf-nan.csv",
             "t,v,i\r\n0,1,2\r\n1,bad,2\r\n2,1,2\r\n",
             "line 3",
         ),
-        ("crlf-first.csv", "t,v,i\r\n0,∞,2\r\n1,2,2\r\n", "line 2"),
         (
             "crlf-back.csv",
             "t,v,i\r\n0,1,2\r\n1,3,4\r\n0,1,2\r\n",

@@ -147,7 +147,7 @@ fn a_recording_and_the_one_that_is_not_overwritten() {
 fn wrong_usage_exits_with_2_and_nobody_with_3() {
     let bench = bench();
     for (args, word) in [
-        (&["bench", "power", "0"][..], "1..="),
+        (&["bench", "power", "0"][..], "1 to 2500 W"),
         (&["bench", "power", "9999"], "2500"),
         (&["bench", "power", "500", "--for", "0"], "--for"),
         (&["bench"], "Usage"),
