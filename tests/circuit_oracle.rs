@@ -294,7 +294,7 @@ impl Case {
     /// Runs ngspice on the case.
     ///
     /// # Errors
-    /// Where it does not run, or a value is missing in its output.
+    /// If it does not run, or a value is missing in its output.
     pub fn ngspice(
         &self,
         folder: &std::path::Path,

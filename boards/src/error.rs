@@ -40,7 +40,7 @@ pub enum BoardError {
         line: usize,
         /// Section and key.
         name: String,
-        /// What is wrong, and what is allowed.
+        /// Defect, and the values that are allowed.
         why: String,
     },
 }

@@ -240,7 +240,7 @@ mod tests {
         assert_eq!(person.request.power_w(), 0);
     }
 
-    /// What is closed at power-on, or for ever, or chatters, heats nothing.
+    /// A button that is closed at power-on or for good, or that chatters, heats nothing.
     #[test]
     fn a_button_that_is_stuck_is_harmless() {
         let all = PanelLines {

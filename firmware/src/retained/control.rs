@@ -1,4 +1,4 @@
-//! What control keeps through a reset: without it a restart over the link would end a lock-out.
+//! State of control that outlives a reset: without it a restart over the link would end a lock-out.
 
 /// State of restart policy and panel that only a person or the loss of power ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

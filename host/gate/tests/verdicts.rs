@@ -174,7 +174,7 @@ fn a_stub_at_an_end_is_left_out() {
     }
 }
 
-/// Of a capture of a millisecond or two, noise leaves neither R nor its deviation: no verdict is better than a wrong one.
+/// A capture of a millisecond or two gives, with noise, neither R nor its deviation: no verdict is better than a wrong one.
 #[test]
 fn of_a_capture_too_short_the_gate_cannot_tell() {
     for (start_ms, duration_ms) in [(0.2, 0.9), (9.0, 0.9), (9.6, 1.0)] {

@@ -15,7 +15,7 @@ pub enum Times {
     Stamps(Vec<f64>),
 }
 
-/// What the scope recorded, and the truth.
+/// Samples of the scope, and the truth.
 #[derive(Clone, Debug)]
 pub struct Recorded {
     /// Declared times of the samples in seconds.

@@ -24,7 +24,7 @@ pub struct State {
     trigger_state: TriggerState,
     /// `true` if the device's last byte lies within a frame.
     pub mid_frame: bool,
-    /// What is armed or under way.
+    /// Recording that is armed or under way.
     pub phase: Phase,
     /// Files that receive no more data and are not complete yet.
     pub finishing: Vec<PathBuf>,
