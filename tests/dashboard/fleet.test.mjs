@@ -185,7 +185,7 @@ test('a daemon that becomes an edge shows the way', async (t) => {
   await until('the way', () => link.isVisible());
   await until('the hobs', async () => (await count(page)) === 3);
   await fake.do('fleet', { devices: 0 });
-  await page.getByText('belongs to no fleet').waitFor({ timeout: 8000 });
+  await page.getByText('belongs to no fleet').waitFor();
   noProblems(problems, /404/);
 });
 

@@ -1,12 +1,17 @@
 //! The firmware closed over the simulated plant: power, and what stands on the coil.
 
 use ihd_firmware::drive::pwm;
+use ihd_link::Event;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::{Pot, State, Telemetry};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::hob::HobConfig;
+use ihd_sim::pot::Pot as PotOnCoil;
+use ihd_sim::recording::settings::LoadKind;
 use ihd_tests::simulated_hob::Kitchen;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 /// Half-cycles after which a request must be met.
 const SETTLED_AFTER: usize = 60;
@@ -184,4 +189,70 @@ fn a_pot_exchanged_for_aluminium_stops_the_heating() {
         assert_waits(&mut kitchen, Pot::Unsuitable);
         assert_resumes(&mut kitchen);
     }
+}
+
+/// A cook turns the knob and moves the pot at any moment of a half-cycle: none of it is a fault, and the last power is reached.
+#[test]
+fn whatever_a_cook_does_at_any_moment_is_no_fault() {
+    for seed in 0..SEEDS_OF_COOKS {
+        cook(seed);
+    }
+}
+
+#[test]
+#[ignore = "minutes; `cargo nextest run -p ihd-tests --run-ignored all cook`"]
+fn whatever_a_cook_does_at_any_moment_is_no_fault_at_length() {
+    (SEEDS_OF_COOKS..150).for_each(cook);
+}
+
+/// Seeds of a test run: each pot twice.
+const SEEDS_OF_COOKS: u64 = 8;
+
+fn cook(seed: u64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let (name, load) = [
+        ("ferritic-21", LoadKind::Behavioural),
+        ("ferritic-21", LoadKind::Surrogate),
+        ("ferritic-18", LoadKind::Surrogate),
+        ("cast-iron-21", LoadKind::Surrogate),
+    ][seed as usize % 4];
+    let pot: PotOnCoil = name.parse().unwrap();
+    let mut kitchen = Kitchen::new(HobConfig {
+        pot,
+        load,
+        seed,
+        ..HobConfig::default()
+    });
+    for act in 0..12 {
+        match rng.random_range(0..6) {
+            0 => kitchen.hob.lock().set_pot(PotOnCoil::NONE).unwrap(),
+            1 | 2 => kitchen.hob.lock().set_pot(pot).unwrap(),
+            3 => kitchen.client.set_power(0).unwrap(),
+            _ => {
+                let asked_w = rng.random_range(200..=1_800);
+                kitchen.client.set_power(asked_w).unwrap();
+            }
+        }
+        // Blocks of a half-cycle: the next act comes anywhere in it.
+        for _ in 0..rng.random_range(0..410) {
+            kitchen.hob.lock().step();
+        }
+        let half_cycles = rng.random_range(1..60);
+        for t in kitchen.watch(half_cycles) {
+            assert_eq!(t.fault, Fault::NONE, "seed {seed}, act {act}: {t:?}");
+        }
+    }
+    kitchen.hob.lock().set_pot(pot).unwrap();
+    kitchen.client.set_power(1_200).unwrap();
+    kitchen.watch(200);
+    for t in kitchen.watch(20) {
+        assert_eq!(t.fault, Fault::NONE, "seed {seed}: {t:?}");
+        let error = watt(&t) / 1_200.0 - 1.0;
+        assert!(error.abs() <= 0.03, "seed {seed}: {t:?}");
+    }
+    let faults = kitchen
+        .events
+        .iter()
+        .filter(|e| matches!(e, Event::Fault(_)));
+    assert_eq!(faults.count(), 0, "seed {seed}");
 }

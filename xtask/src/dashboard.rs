@@ -1,6 +1,6 @@
 //! The dashboard in a real browser: the page's own tests (`host/ui/tests`) and `tests/dashboard`, both in Node.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs};
 
@@ -18,6 +18,8 @@ const BROWSERS: [&str; 4] = [
     "google-chrome",
     "google-chrome-stable",
 ];
+/// Report of the failed tests, in the target directory.
+const FAILURES: &str = "dashboard/failures.tap";
 /// Lock file of npm, which also shows if the installed packages are up to date.
 const LOCK: &str = "package-lock.json";
 
@@ -40,7 +42,24 @@ pub fn test(on: &Workspace, full: bool) -> anyhow::Result<()> {
     if full {
         test.env("IHD_DASHBOARD_FULL", "1");
     }
-    run(&mut test)
+    let failures = on.target.join(FAILURES);
+    test.env("IHD_FAILURES", &failures);
+    run(&mut test).with_context(|| failed_tests(&failures))
+}
+
+/// Returns the failed tests with their errors, for the end of a long log.
+fn failed_tests(file: &Path) -> String {
+    let mut inside = false;
+    let of_failure = |line: &&str| {
+        let line = line.trim_start();
+        inside = line.starts_with("not ok") || inside && !line.starts_with("code:");
+        inside
+    };
+    let text = fs::read_to_string(file).unwrap_or_default();
+    text.lines()
+        .filter(of_failure)
+        .collect::<Vec<_>>()
+        .join("\n")
 }
 
 /// Finds Node, npm and a browser, or installs them; returns the browser's path.
@@ -110,6 +129,8 @@ fn modules(on: &Workspace) -> anyhow::Result<PathBuf> {
 fn node(on: &Workspace, files: &str) -> Command {
     let mut command = Command::new("sh");
     command.current_dir(&on.root).arg("-c");
-    command.arg(format!("exec node --test --test-reporter=spec {files}"));
+    // The second report, in TAP, is for `failed_tests`.
+    let reports = r#"--test-reporter=spec --test-reporter-destination=stdout --test-reporter=tap --test-reporter-destination="${IHD_FAILURES:-/dev/null}""#;
+    command.arg(format!("exec node --test {reports} {files}"));
     command
 }

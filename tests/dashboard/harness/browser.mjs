@@ -4,6 +4,8 @@ import { createRequire } from 'node:module';
 import { readFile } from 'node:fs/promises';
 import { resolve } from 'node:path';
 
+import { PATIENCE_MS } from './processes.mjs';
+
 // npm's packages lie in target/dashboard: an import would look for them beside this file.
 const modules = process.env.IHD_DASHBOARD_MODULES;
 const require = createRequire(modules ? `${resolve(modules)}/` : import.meta.url);
@@ -22,7 +24,7 @@ export async function browser(t, ...args) {
 /** A page of a context of its own. `problems` collects what no page may have: errors, violations of its policy. */
 export async function open(of, url, options = {}) {
   const context = await of.newContext({ viewport: { width: 1280, height: 800 }, acceptDownloads: true, ...options });
-  context.setDefaultTimeout(10000);
+  context.setDefaultTimeout(PATIENCE_MS);
   const page = await context.newPage();
   const problems = watched(page);
   await page.goto(url);

@@ -11,7 +11,7 @@ import { fileURLToPath } from 'node:url';
 const IHD = process.env.IHD_BIN;
 
 /** Ends what hangs; no test is judged by it. */
-const PATIENCE_MS = 240000;
+export const PATIENCE_MS = 240000;
 
 /** Waits until `look` gives something else than null, false and undefined; an error that says what was waited for. */
 export async function until(what, look, everyMs = 100, withinMs = PATIENCE_MS) {

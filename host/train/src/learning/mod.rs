@@ -253,7 +253,7 @@ impl Learning {
     }
 
     fn learn(&mut self, curve: Curve, always: bool) -> (CurveMatch, LookupUpdate) {
-        let (now_s, before) = (curve.t_s, self.curve_count());
+        let now_s = curve.t_s;
         self.map.rebase(now_s);
         let differs = self
             .offered
@@ -261,8 +261,13 @@ impl Learning {
             .is_none_or(|l| significance::curve_changed(&curve, l));
         let seen = self.map.observe(curve);
         self.silence = self.silence.saturating_sub(1);
-        // A new frequency changes predicted cells too.
-        let says_more = self.curve_count() != before;
+        // A new frequency, or twice the windows at a known one: predicted cells change too, or become known.
+        let newest = self
+            .map
+            .curves()
+            .iter()
+            .max_by(|a, b| a.t_s.total_cmp(&b.t_s));
+        let says_more = newest.is_some_and(|curve| curve.windows.is_power_of_two());
         if !always && ((!differs && !says_more) || self.silence > 0) {
             return (seen, LookupUpdate::Unchanged);
         }

@@ -58,13 +58,15 @@ pub fn contradiction(curve: &Curve, lookup: &RlLookup) -> Option<Contradiction> 
     seen.find(|c| off(c.lookup_r_ohm, c.r_ohm) || off(c.lookup_l_h, c.l_h))
 }
 
-/// Returns `true` if a known cell of the new lookup differs from the active one by more than noise.
+/// Returns `true` if a known cell of the new lookup is unknown in the active one, which the device ignores there, or differs from it by
+/// more than noise.
 pub fn cells_changed(new: &RlLookup, active: &RlLookup) -> bool {
     let off = |a: u16, b: u16| (f64::from(a) / f64::from(b.max(1)) - 1.0).abs() > WORTH_PUSHING;
     let mut cells = (0..FREQUENCIES).flat_map(|f| (0..CURRENTS).map(move |i| (f, i)));
     cells.any(|(f, i)| {
         let known = new.is_observed(f, i) && current_a(i) >= FROM_A;
-        known && (off(new.r[f][i], active.r[f][i]) || off(new.l[f][i], active.l[f][i]))
+        let differs = off(new.r[f][i], active.r[f][i]) || off(new.l[f][i], active.l[f][i]);
+        known && (differs || !active.is_observed(f, i))
     })
 }
 
@@ -109,5 +111,15 @@ mod tests {
         assert!(!cells_changed(&new, &active));
         new.mark_observed(3, 9);
         assert!(cells_changed(&new, &active));
+        assert!(!cells_changed(&new, &new));
+    }
+
+    #[test]
+    fn a_cell_that_becomes_known_counts_and_one_that_is_forgotten_does_not() {
+        let unknown = prior();
+        let mut known = unknown.clone();
+        known.mark_observed(3, 9);
+        assert!(cells_changed(&known, &unknown));
+        assert!(!cells_changed(&unknown, &known));
     }
 }

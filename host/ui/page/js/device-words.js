@@ -31,7 +31,7 @@ export function stateClass(state) {
 /** @type {Record<string, string>} */
 const POTS = {
   Ferromagnetic: "a pot that can be heated", Absent: "none", Small: "too small", Unsuitable: "cannot be heated by induction",
-  Unknown: "not looked yet",
+  Unknown: "not checked yet",
 };
 
 /**

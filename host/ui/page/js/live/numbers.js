@@ -26,7 +26,7 @@ export class Numbers {
       state: cell("state"), fault: cell("fault"), pot: cell("pot"), limit: cell(null), asked: cell(null), frequency: cell(null),
       phase: cell(null), resonance: cell(null), crest: cell(null), lookup: cell("lookup-version"), firmware: cell(null), holder: cell("holder"),
     };
-    const labels = { state: "State", fault: "Fault", pot: "Pot", limit: "Held back by", asked: "Power asked", frequency: "Switching frequency",
+    const labels = { state: "State", fault: "Fault", pot: "Pot", limit: "Power limited by", asked: "Power asked", frequency: "Switching frequency",
       phase: "Phase at the crest", resonance: "Resonance, margin", crest: "I, crest", lookup: "Lookup", firmware: "Firmware", holder: "Commanded by" };
     root.append(h("section", { class: "panel live-numbers", "aria-label": "Now" },
       h("dl", { class: "live-big" },

@@ -201,7 +201,7 @@ export class ScopeView {
       ? ` R, mean ${si(scope.r_mean_ohm, "Ω", 4)}${error(scope.r_mean_ohm, scope.r_true_mean_ohm)}, L, mean ${si(scope.l_mean_h, "H", 4)}${error(scope.l_mean_h, scope.l_true_mean_h)}.`
       : "";
     const verdict = scope.pass === null || scope.pass === undefined
-      ? "The network has not looked at this window."
+      ? "The network has not fitted this window."
       : scope.pass ? "✔ The gate let the network's result pass." : `✖ The gate refused the network's result: ${scope.why}.`;
     setText(this.verdict, verdict + means);
     this.verdict.className = `scope-verdict ${scope.pass === false ? "warn" : ""}`;
