@@ -93,7 +93,11 @@ export class Daemon {
   static async start(t, devices, { head = '' } = {}) {
     const daemon = new Daemon();
     daemon.folder = await mkdtemp(join(tmpdir(), 'ihd-dashboard-'));
-    t.after(() => rm(daemon.folder, { recursive: true, force: true }));
+    // The process first: it writes into its folder as long as it lives, and a failed hook would leave it running.
+    t.after(async () => {
+      await daemon.process?.kill();
+      await rm(daemon.folder, { recursive: true, force: true });
+    });
     daemon.port = await freePort();
     daemon.url = `http://127.0.0.1:${daemon.port}`;
     const file = `store = "store"\nlisten = "127.0.0.1:${daemon.port}"\n${head}\n${devices}`;
