@@ -16,7 +16,7 @@ use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 use ihd_sim::transport::SharedHob;
 use ihd_sim::trial::Trial;
-use ihd_train::learning::{curve, identify_window};
+use ihd_train::learning::{curve, fit_window};
 use ihd_train::lookup::BuiltLookup;
 use ihd_train::{Source, run};
 
@@ -144,7 +144,7 @@ pub fn identified(segment: &Segment, t_s: f64) -> Result<Curve, PinnError> {
         deterministic: true,
         ..Config::default()
     };
-    let identified = identify_window(segment, config, &mut |_| ())?;
+    let identified = fit_window(segment, config, &mut |_| ())?;
     Ok(curve(segment, &(&identified).into(), t_s))
 }
 

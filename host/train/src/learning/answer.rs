@@ -89,7 +89,7 @@ pub(super) fn analyse_segment(
     Vec<Remark>,
     Result<Curve, String>,
 ) {
-    let identified = match network::identify_window(segment, config, on_step) {
+    let identified = match network::fit_window(segment, config, on_step) {
         Ok(identified) => Box::new(identified),
         Err(why) => return (None, sensor_remarks, Err(why.to_string())),
     };

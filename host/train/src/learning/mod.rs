@@ -1,8 +1,8 @@
 //! Learning of one device's load, window by window, until a lookup is worth pushing.
 //!
 //! ```text
-//! Window ─► network ─► gate ─► Curve ─► PotMap ─► worth pushing? ─► lookup to push
-//!           network.rs gate.rs          ihd-map   significance.rs   version.rs
+//! Window ─► fit_window ─► gate ─► Curve ─► PotMap ─► LookupBuilder ─► lookup to push
+//!           network.rs    gate.rs          ihd-map   lookup_builder.rs, significance.rs, version.rs
 //! ```
 //!
 //! [`Learning`] has no connection to a device: the caller pushes the lookup that [`Learning::observe`] builds and reports the device's
@@ -12,6 +12,7 @@
 mod answer;
 mod gate;
 mod lag;
+mod lookup_builder;
 mod network;
 mod sensors;
 mod significance;
@@ -30,20 +31,16 @@ use ihd_signal::Remark;
 
 use self::answer::analyse_segment;
 use self::lag::Lag;
+use self::lookup_builder::LookupBuilder;
 use self::sensors::corrected;
-use self::version::Versions;
 use crate::lookup::BuiltLookup;
 
 pub use self::answer::{AnswerError, ConfirmedAnswer, WindowAnalysis, analyse_window};
 pub use self::gate::judge;
-pub use self::network::{LoadTrajectory, curve, identify_window};
+pub use self::network::{LoadTrajectory, curve, fit_window};
 pub use self::sensors::{Evidence, SELF_CALIBRATED, Sensors};
 pub use self::significance::Contradiction;
 pub use self::state::StateError;
-
-/// Longest pause between two offered lookups, in windows, after consecutive refusals by the device: some three minutes at five windows a
-/// second.
-const LONGEST_SILENCE: u32 = 1_024;
 
 /// State learned from one device's windows: the pot's map, the sensors, and the lookups offered so far.
 #[derive(Clone, Debug)]
@@ -54,13 +51,7 @@ pub struct Learning {
     sensors: Sensors,
     /// Network parameters of the last accepted window, from which the next one starts.
     warm: Option<Parameters>,
-    /// Lookup that was built last, with which the next window is compared.
-    offered: Option<RlLookup>,
-    versions: Versions,
-    /// Lookups that the device refused in a row.
-    refusals: u32,
-    /// Windows to learn before the next lookup is offered.
-    silence: u32,
+    builder: LookupBuilder,
     /// Boot of the device in the last confirmed answer ([`Learning::learn_from_answer`]).
     boot: Option<u32>,
 }
@@ -117,10 +108,7 @@ impl Learning {
             lag: Lag::default(),
             sensors: Sensors::default(),
             warm: None,
-            offered: None,
-            versions: Versions::default(),
-            refusals: 0,
-            silence: 0,
+            builder: LookupBuilder::default(),
             boot: None,
         }
     }
@@ -128,36 +116,24 @@ impl Learning {
     /// Sets the version of the lookup that the device uses, after a handshake and after a reset of its lookup. An offered lookup of another
     /// version is dropped.
     pub fn set_device_version(&mut self, version: u32) {
-        self.versions.device = version;
-        if self.offered.as_ref().is_some_and(|l| l.version != version) {
-            self.offered = None;
-        }
-        self.refusals = 0;
-        self.silence = 0;
+        self.builder.set_device_version(version);
     }
 
     /// Records that the device has accepted an offered lookup.
     pub fn lookup_accepted(&mut self, version: u32) {
-        self.versions.device = version;
-        self.refusals = 0;
-        self.silence = 0;
+        self.builder.accepted(version);
     }
 
     /// Records that the device has refused an offered lookup. The next one is offered after a pause that doubles with every refusal in a
     /// row.
     pub fn lookup_refused(&mut self, version: u32) {
-        if self.offered.as_ref().is_some_and(|l| l.version == version) {
-            self.offered = None;
-        }
-        self.refusals = self.refusals.saturating_add(1);
-        let pause = 1u32.checked_shl(self.refusals).unwrap_or(LONGEST_SILENCE);
-        self.silence = pause.min(LONGEST_SILENCE);
+        self.builder.refused(version);
     }
 
     /// Forgets the load. The versions stay, so that no two lookups of a device have the same number.
     pub fn forget(&mut self) {
         *self = Self {
-            versions: self.versions,
+            builder: self.builder.forgotten(),
             // The board is the same, and the map keeps the library of other hobs' pots.
             sensors: self.sensors,
             map: self.map.forgotten(),
@@ -208,7 +184,10 @@ impl Learning {
 
     /// Returns the number of observed cells of the lookup that was built last.
     pub fn observed_cells(&self) -> u32 {
-        self.offered.as_ref().map_or(0, RlLookup::observed_cells)
+        self.builder
+            .offered
+            .as_ref()
+            .map_or(0, RlLookup::observed_cells)
     }
 
     /// Learns from a window. `always` builds a lookup even if nothing has changed; `on_step` is called after each step of the network.
@@ -255,12 +234,9 @@ impl Learning {
     fn learn(&mut self, curve: Curve, always: bool) -> (CurveMatch, LookupUpdate) {
         let now_s = curve.t_s;
         self.map.rebase(now_s);
-        let differs = self
-            .offered
-            .as_ref()
-            .is_none_or(|l| significance::curve_changed(&curve, l));
+        let differs = self.builder.is_outdated_by(&curve);
         let seen = self.map.observe(curve);
-        self.silence = self.silence.saturating_sub(1);
+        let pauses = self.builder.pauses();
         // A new frequency, or twice the windows at a known one: predicted cells change too, or become known.
         let newest = self
             .map
@@ -268,36 +244,12 @@ impl Learning {
             .iter()
             .max_by(|a, b| a.t_s.total_cmp(&b.t_s));
         let says_more = newest.is_some_and(|curve| curve.windows.is_power_of_two());
-        if !always && ((!differs && !says_more) || self.silence > 0) {
+        if !always && ((!differs && !says_more) || pauses) {
             return (seen, LookupUpdate::Unchanged);
         }
-        (seen, self.build(now_s, always || differs))
-    }
-
-    fn build(&mut self, now_s: f64, force: bool) -> LookupUpdate {
         self.map.refresh(now_s);
-        let Some(cells) = self.map.cells(now_s) else {
-            return LookupUpdate::Refused("the window shows no load".to_owned());
-        };
-        let Some(version) = self.versions.next() else {
-            return LookupUpdate::Refused(format!(
-                "the device's lookup has version {}, the highest that there is; reset it",
-                self.versions.device
-            ));
-        };
-        let built = match BuiltLookup::from_cells(cells, version) {
-            Ok(built) => built,
-            Err(why) => return LookupUpdate::Refused(why.to_string()),
-        };
-        let known = self.offered.as_ref();
-        if !force
-            && known.is_some_and(|offered| !significance::cells_changed(&built.lookup, offered))
-        {
-            return LookupUpdate::Unchanged;
-        }
-        self.versions.offered = version;
-        self.offered = Some(built.lookup.clone());
-        LookupUpdate::New(Box::new(built))
+        let update = self.builder.build(self.map.cells(now_s), always || differs);
+        (seen, update)
     }
 }
 

@@ -14,7 +14,7 @@ use ihd_signal::noise::WhiteNoise;
 ///
 /// # Errors
 /// [`PinnError`] if the window or the configuration cannot be used.
-pub fn identify_window(
+pub fn fit_window(
     segment: &Segment,
     config: Config,
     on_step: &mut dyn FnMut(&ihd_pinn::Progress),

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Learning;
 use super::lag::Lag;
+use super::lookup_builder::LookupBuilder;
 use super::sensors::Sensors;
 use super::version::Versions;
 
@@ -58,10 +59,10 @@ impl Learning {
     pub fn to_bytes(&self) -> Vec<u8> {
         let saved = Saved {
             format: FORMAT,
-            versions: self.versions,
-            refusals: self.refusals,
-            silence: self.silence,
-            offered: self.offered.as_ref().map(|l| l.to_bytes().to_vec()),
+            versions: self.builder.versions,
+            refusals: self.builder.refusals,
+            silence: self.builder.silence,
+            offered: self.builder.offered.as_ref().map(|l| l.to_bytes().to_vec()),
             warm: self.warm.clone(),
             map: self.map.state(),
             lag: self.lag,
@@ -95,13 +96,15 @@ impl Learning {
             lag: Some(saved.lag)
                 .filter(Lag::is_sound)
                 .ok_or(StateError::Curves)?,
-            offered,
             sensors: Some(saved.sensors)
                 .filter(Sensors::is_sound)
                 .ok_or(StateError::Sensors)?,
-            versions: saved.versions,
-            refusals: saved.refusals,
-            silence: saved.silence,
+            builder: LookupBuilder {
+                offered,
+                versions: saved.versions,
+                refusals: saved.refusals,
+                silence: saved.silence,
+            },
             ..Self::new(network)
         })
     }

@@ -16,7 +16,7 @@ use ihd_sim::transport::SharedHob;
 use ihd_sim::trial::Trial;
 
 use super::lag::Lag;
-use super::network::identify_window;
+use super::network::fit_window;
 use super::{AnswerError, Learning, LookupUpdate, WindowOutcome, analyse_window, judge};
 use crate::lookup::BuiltLookup;
 
@@ -179,7 +179,7 @@ fn a_window_that_is_contradicted_teaches_nothing() {
     let mut kitchen = Kitchen::new(false, 20);
     kitchen.client.set_power(1_500).unwrap();
     let segment = kitchen.window().0.segment();
-    let found = identify_window(&segment, network(), &mut |_| ()).unwrap();
+    let found = fit_window(&segment, network(), &mut |_| ()).unwrap();
     let before = Instant::now();
     let right = judge(&segment, &found, &[]);
     println!("judged in {:.1} ms", before.elapsed().as_secs_f64() * 1e3);
@@ -203,7 +203,7 @@ fn a_window_that_is_contradicted_teaches_nothing() {
     // A reading of the current a tenth of what it is: no cell of a lookup holds ten times L.
     let tenth = segment.i_a.iter().map(|i| 0.1 * i).collect();
     let segment = segment.with_samples(segment.v_v.to_vec(), tenth);
-    let found = identify_window(&segment, network(), &mut |_| ()).unwrap();
+    let found = fit_window(&segment, network(), &mut |_| ()).unwrap();
     let judgement = judge(&segment, &found, &[]);
     assert!(!judgement.gate.passes());
     assert!(judgement.doubts().any(|d| d.code == "implausible_load"));
@@ -305,7 +305,7 @@ fn learn_at_30_db(load: LoadKind, f_sw_hz: f64, windows: u64) -> Vec<[Both; 2]> 
         let mut segment = noisy.part(from, to);
         segment.t0_s -= crossing_s;
         segment.zero_crossing_s = 0.0;
-        let identified = identify_window(&segment, network(), &mut |_| ()).unwrap();
+        let identified = fit_window(&segment, network(), &mut |_| ()).unwrap();
         let t_s = 0.2 * seed as f64;
         let seen = map.observe(super::network::curve(&segment, &(&identified).into(), t_s));
         let same = matches!(seen, CurveMatch::First | CurveMatch::Same { .. });
@@ -531,7 +531,7 @@ fn honest_answer_is_confirmed(load: LoadKind, f_sw_hz: f64, noises_db: &[Option<
         let mut segment = noisy.part(from, to);
         segment.t0_s -= crossing_s;
         segment.zero_crossing_s = 0.0;
-        let found = identify_window(&segment, network(), &mut |_| ()).unwrap();
+        let found = fit_window(&segment, network(), &mut |_| ()).unwrap();
         let confirmed = confirm(&segment, &claim_of(&found)).unwrap();
         println!(
             "{load:?} {f_sw_hz} Hz {snr_db:?} dB: {:.4?} %",
