@@ -47,7 +47,7 @@ pub struct AsyncClient {
     orders: mpsc::Sender<Order>,
     offs: mpsc::Sender<Order>,
     closed: oneshot::Receiver<()>,
-    end_reasons: Arc<EndReasons>,
+    end_reason: Arc<EndReason>,
     hello: Hello,
     front_end: FrontEnd,
     description: String,
@@ -56,12 +56,8 @@ pub struct AsyncClient {
     takes_simulated_time: bool,
 }
 
-/// Errors that the thread leaves for its caller.
-#[derive(Default)]
-struct EndReasons {
-    ended: Mutex<Option<Arc<LinkError>>>,
-    recording: Mutex<Option<LinkError>>,
-}
+/// Error with which the thread has ended, for its caller.
+type EndReason = Mutex<Option<Arc<LinkError>>>;
 
 impl AsyncClient {
     /// Opens the transport and shakes hands, on the client's thread. Events of the device go to `events`, in order. While `events`
@@ -171,12 +167,7 @@ impl AsyncClient {
 
     /// Reason why the thread has ended; `None` while it runs. The events' channel is closed then.
     pub fn ended(&self) -> Option<Arc<LinkError>> {
-        lock(&self.end_reasons.ended).clone()
-    }
-
-    /// Error that ended a recording begun with [`Client::record_to`], once; the link continued.
-    pub fn take_recording_failure(&self) -> Option<LinkError> {
-        lock(&self.end_reasons.recording).take()
+        lock(&self.end_reason).clone()
     }
 
     /// Hello of the device.
@@ -239,7 +230,7 @@ struct ServingSide {
     off_lane: mpsc::WeakSender<Order>,
     connected: oneshot::Sender<Result<Greeting, LinkError>>,
     closing: oneshot::Sender<()>,
-    end_reasons: Arc<EndReasons>,
+    end_reason: Arc<EndReason>,
 }
 
 /// The caller's counterpart of a [`ServingSide`].
@@ -248,7 +239,7 @@ struct CallingSide {
     offs: mpsc::Sender<Order>,
     outcome: oneshot::Receiver<Result<Greeting, LinkError>>,
     closed: oneshot::Receiver<()>,
-    end_reasons: Arc<EndReasons>,
+    end_reason: Arc<EndReason>,
 }
 
 impl ServingSide {
@@ -257,21 +248,21 @@ impl ServingSide {
         let (to_offs, offs) = mpsc::channel(OFFS);
         let (connected, outcome) = oneshot::channel();
         let (closing, closed) = oneshot::channel::<()>();
-        let end_reasons = Arc::new(EndReasons::default());
+        let end_reason = Arc::new(EndReason::default());
         let serving = Self {
             events,
             lanes: Lanes { orders, offs },
             off_lane: to_offs.downgrade(),
             connected,
             closing,
-            end_reasons: Arc::clone(&end_reasons),
+            end_reason: Arc::clone(&end_reason),
         };
         let calling = CallingSide {
             orders: to_orders,
             offs: to_offs,
             outcome,
             closed,
-            end_reasons,
+            end_reason,
         };
         (serving, calling)
     }
@@ -301,7 +292,7 @@ impl ServingSide {
             client,
             events: self.events,
             held: None,
-            end_reasons: self.end_reasons,
+            end_reason: self.end_reason,
             _closing: self.closing,
         };
         Some((link_thread, self.lanes))
@@ -316,7 +307,7 @@ impl CallingSide {
             orders: self.orders,
             offs: self.offs,
             closed: self.closed,
-            end_reasons: self.end_reasons,
+            end_reason: self.end_reason,
             hello,
             front_end,
             description,
@@ -336,7 +327,7 @@ struct LinkThread {
     events: mpsc::Sender<Event>,
     /// Next event, kept while the channel is full.
     held: Option<Event>,
-    end_reasons: Arc<EndReasons>,
+    end_reason: Arc<EndReason>,
     /// Last field: it must be dropped after the client has closed the transport.
     _closing: oneshot::Sender<()>,
 }
@@ -352,7 +343,7 @@ impl Drop for LinkThread {
 
 impl LinkThread {
     fn leave(&self, reason: LinkError) {
-        *lock(&self.end_reasons.ended) = Some(Arc::new(reason));
+        *lock(&self.end_reason) = Some(Arc::new(reason));
     }
 
     /// Runs orders and passes events in turn until the link fails or the client is dropped; requests to switch off run before each
@@ -413,13 +404,10 @@ impl LinkThread {
         }
     }
 
-    /// Passes one event like [`LinkThread::event`]; an error of the recording does not end the link.
+    /// Passes one event like [`LinkThread::event`]; an error of the recording does not end the link: its sink reports it.
     fn pass_on(&mut self, slice: Duration) -> Result<(), LinkError> {
         match self.event(slice) {
-            Err(failure @ LinkError::Recording(_)) => {
-                *lock(&self.end_reasons.recording) = Some(failure);
-                Ok(())
-            }
+            Err(LinkError::Recording(_)) => Ok(()),
             other => other,
         }
     }

@@ -73,6 +73,23 @@ impl FleetStates {
         self.by_name().iter().map(|(_, windows)| windows).sum()
     }
 
+    /// Adds the counts of other windows.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        let first = |a: Option<i64>, b: Option<i64>| a.into_iter().chain(b).min();
+        Self {
+            not_for_fleet: self.not_for_fleet + other.not_for_fleet,
+            due: self.due + other.due,
+            sent: self.sent + other.sent,
+            answered: self.answered + other.answered,
+            learned_here: self.learned_here + other.learned_here,
+            no_samples: self.no_samples + other.no_samples,
+            dead: self.dead + other.dead,
+            due_since_ms: first(self.due_since_ms, other.due_since_ms),
+            sent_since_ms: first(self.sent_since_ms, other.sent_since_ms),
+        }
+    }
+
     /// Returns the number of windows in each state, with the state's name.
     pub fn by_name(&self) -> [(&'static str, u64); 7] {
         [

@@ -1,11 +1,115 @@
-//! Recordings of a device: settings, triggers, files.
+//! Recordings of a device: settings, triggers, phases, files.
 
-use serde::{Deserialize, Serialize};
+use std::fmt;
+
+use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
-pub use ihd_capture::recording::{
-    ActiveRecording, Quantity, RecordSettings, RecordingPhase, Trigger,
-};
+/// Longest pre-trigger, in seconds; the ring keeps as much.
+const LONGEST_PRE_TRIGGER_S: f64 = 60.0;
+
+/// Longest set duration of a recording: a week, in seconds.
+const LONGEST_S: f64 = 604_800.0;
+
+/// Quantity of a half-cycle that a trigger level can be set on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Quantity {
+    /// Mean power, in watt.
+    Power,
+    /// Largest amplitude of the current's fundamental, in ampere.
+    Current,
+    /// The device's estimate of R at the crest, in ohm.
+    Resistance,
+    /// The device's estimate of L at the crest, in microhenry.
+    Inductance,
+    /// Switching frequency, in kilohertz.
+    Frequency,
+}
+
+/// Trigger of a recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(tag = "on", rename_all = "kebab-case")]
+pub enum Trigger {
+    /// The command itself: the recording begins at once.
+    #[default]
+    Now,
+    /// A fault.
+    Fault,
+    /// A quantity that crosses a level.
+    Level {
+        /// The quantity.
+        quantity: Quantity,
+        /// Level, in the quantity's unit.
+        #[serde(deserialize_with = "number")]
+        level: f64,
+        /// `true` for an upward crossing, `false` for a downward one.
+        rising: bool,
+    },
+}
+
+/// Settings of a recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecordSettings {
+    /// Trigger.
+    pub trigger: Trigger,
+    /// Seconds before the trigger that are also recorded, 0 to 60.
+    #[serde(deserialize_with = "number")]
+    pub pre_trigger_s: f64,
+    /// Seconds after the trigger at which it ends; `None` to record until the stop command.
+    #[serde(deserialize_with = "number_or_none")]
+    pub duration_s: Option<f64>,
+    /// Size of its file in bytes at which it ends; `None` without a limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_bytes: Option<u64>,
+}
+
+/// Reads a number within a tagged type: serde buffers those, and serde_json's arbitrary-precision numbers are then no floats.
+fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    let wrong = || serde::de::Error::custom("a number is expected here");
+    number_or_none(from)?.ok_or_else(wrong)
+}
+
+fn number_or_none<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    match serde_json::Value::deserialize(from)? {
+        serde_json::Value::Null => Ok(None),
+        serde_json::Value::Number(number) if number.as_f64().is_some() => Ok(number.as_f64()),
+        other => {
+            let why = format!("a number is expected here, not {other}");
+            Err(serde::de::Error::custom(why))
+        }
+    }
+}
+
+/// Phase of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum RecordingPhase {
+    /// Waiting for the trigger.
+    Armed,
+    /// Stopped before the trigger.
+    Disarmed,
+    /// Begun, or continued in another file after a break of the link.
+    Begun,
+    /// File complete; after a break of the link the recording continues in another file.
+    Ended,
+    /// Writing failed. The file holds what was written until then.
+    Failed,
+}
+
+/// Recording that is armed or running.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(as = RecordingNow)]
+pub struct ActiveRecording {
+    /// Settings.
+    pub settings: RecordSettings,
+    /// Name of its file in the store's folder `recordings`, or of the last one while the link is down; `None` before the
+    /// trigger.
+    pub file: Option<String>,
+    /// Seconds since it was requested, or since its trigger.
+    pub since_s: f64,
+}
 
 /// Stored recording.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -20,6 +124,75 @@ pub struct RecordingFile {
     pub bytes: u64,
     /// `true` while it is being written.
     pub under_way: bool,
+}
+
+impl RecordSettings {
+    /// Checks the ranges of the settings.
+    ///
+    /// # Errors
+    /// Description of the value that is out of range.
+    pub fn check(&self) -> Result<(), String> {
+        if !(0.0..=LONGEST_PRE_TRIGGER_S).contains(&self.pre_trigger_s) {
+            return Err(format!(
+                "the pre-trigger is {} s, but must lie between 0 and {LONGEST_PRE_TRIGGER_S} s",
+                self.pre_trigger_s
+            ));
+        }
+        if let Some(s) = self.duration_s
+            && !(s > 0.0 && s <= LONGEST_S)
+        {
+            return Err(format!(
+                "the duration is {s} s, but must lie above 0 and up to {LONGEST_S} s"
+            ));
+        }
+        match self.trigger {
+            Trigger::Level { level, .. } if !level.is_finite() => Err(format!(
+                "the trigger's level is {level}, which is no number"
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Quantity {
+    /// Returns its name on command lines, as in the API.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Power => "power",
+            Self::Current => "current",
+            Self::Resistance => "resistance",
+            Self::Inductance => "inductance",
+            Self::Frequency => "frequency",
+        }
+    }
+
+    /// Returns the unit of its levels.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Power => "W",
+            Self::Current => "A",
+            Self::Resistance => "ohm",
+            Self::Inductance => "µH",
+            Self::Frequency => "kHz",
+        }
+    }
+}
+
+impl fmt::Display for Trigger {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Now => write!(f, "now"),
+            Self::Fault => write!(f, "a fault"),
+            Self::Level {
+                quantity,
+                level,
+                rising,
+            } => {
+                let way = if *rising { "above" } else { "below" };
+                write!(f, "{} {way} {level} {}", quantity.as_str(), quantity.unit())
+            }
+        }
+    }
 }
 
 #[cfg(test)]
@@ -61,5 +234,39 @@ mod tests {
         ] {
             assert!(read(wrong).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn settings_outside_their_ranges_are_refused() {
+        let base = RecordSettings::default();
+        base.check().unwrap();
+        let longest = RecordSettings {
+            pre_trigger_s: 60.0,
+            duration_s: Some(604_800.0),
+            ..base
+        };
+        longest.check().unwrap();
+        for pre_trigger_s in [-0.1, 60.1, f64::NAN, f64::INFINITY] {
+            let why = RecordSettings {
+                pre_trigger_s,
+                ..base
+            }
+            .check()
+            .unwrap_err();
+            assert!(why.contains("between 0 and 60"), "{why}");
+        }
+        for s in [0.0, -1.0, f64::NAN, 604_801.0] {
+            let duration_s = Some(s);
+            assert!(
+                RecordSettings { duration_s, ..base }.check().is_err(),
+                "{s}"
+            );
+        }
+        let trigger = Trigger::Level {
+            quantity: Quantity::Power,
+            level: f64::NAN,
+            rising: true,
+        };
+        assert!(RecordSettings { trigger, ..base }.check().is_err());
     }
 }

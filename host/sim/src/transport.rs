@@ -10,7 +10,6 @@ use ihd_signal::truth::Truth;
 
 use super::hob::SimHob;
 use super::pace::Pace;
-use super::scenario::script::Script;
 
 /// Hob shared by the host's transport and readers of its truth.
 #[derive(Clone)]
@@ -70,7 +69,6 @@ const SLICE: Duration = Duration::from_millis(2);
 pub struct PacedHob {
     hob: SharedHob,
     pace: Pace,
-    script: Option<Script>,
 }
 
 impl PacedHob {
@@ -87,15 +85,7 @@ impl PacedHob {
         Self {
             pace: Pace::new(speed, t_s, Instant::now()),
             hob,
-            script: None,
         }
-    }
-
-    /// Adds events of pot, mains and panel.
-    #[must_use]
-    pub fn with_script(mut self, script: Script) -> Self {
-        self.script = Some(script);
-        self
     }
 
     /// Simulates up to the target time, to `deadline_s` or to the first byte; returns `false` if it stopped earlier, after a slice
@@ -107,9 +97,6 @@ impl PacedHob {
         while hob.t_s() < due_s && hob.waiting() == 0 {
             if began.elapsed() >= SLICE {
                 return false;
-            }
-            if let Some(script) = &mut self.script {
-                script.turn(&mut hob);
             }
             hob.step();
         }

@@ -48,7 +48,6 @@ pub use curves::{Curve, CurveSource, Curves, MAX_POINTS};
 pub use due_window::DueWindow;
 pub use error::StoreError;
 pub use fleet_state::{DeliveryState, FleetMark, FleetState, GiveUpReason};
-pub use fleet_tally::FleetTally;
 pub use folder::Damage;
 pub use ihd_signal::atomic;
 pub use journal::{AuditRow, EventRow, JournalFilter, JournalRow, NewEvent};

@@ -4,12 +4,12 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
 use ihd_link::Window;
+use ihd_model::FleetStates;
 use ihd_shared::wire::messages::{FrontEnd, Hello};
 use rusqlite::{Connection, OptionalExtension, Transaction, TransactionBehavior, params};
 use serde::Serialize;
 
 use super::clock::{self, Clock};
-use super::fleet_tally::FleetTally;
 use super::folder::{self, DayFile, Lock};
 use super::recent::{self, Recent};
 use super::retention::{DeletedFiles, checkpoint};
@@ -34,7 +34,7 @@ pub struct Store {
     /// them.
     pub(crate) none_due_to: Option<String>,
     /// Counts of windows by their state in the fleet, for days that have not changed since.
-    pub(crate) tallies: BTreeMap<String, FleetTally>,
+    pub(crate) tallies: BTreeMap<String, FleetStates>,
     /// Day for which the lack of room was reported.
     reported_too_large: Option<String>,
     /// Windows of the last hour.

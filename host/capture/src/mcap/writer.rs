@@ -126,11 +126,6 @@ impl Writer {
         })
     }
 
-    /// Returns `true` if samples are f32, `false` if they are codes.
-    pub fn is_single(&self) -> bool {
-        self.single
-    }
-
     /// Size of the file in bytes, without the current chunk. It stays valid when the writer is moved.
     pub fn size(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.bytes)

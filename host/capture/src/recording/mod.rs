@@ -12,17 +12,14 @@
 
 mod ring;
 mod session;
-mod settings;
 mod state;
 mod trigger;
 mod under_way;
 mod writer;
 
+pub use ihd_model::{ActiveRecording, Quantity, RecordSettings, RecordingPhase, Trigger};
 pub use session::{
-    RecordingOptions, RecordingProgress, RecordingSession, RecordingSink, StartedRecording,
-    StoppedRecording, name_of,
-};
-pub use settings::{
-    ActiveRecording, Quantity, RecordSettings, RecordingPhase, RecordingStatus, Trigger,
+    RecordingOptions, RecordingProgress, RecordingSession, RecordingSink, RecordingStatus,
+    StartedRecording, StoppedRecording, name_of,
 };
 pub use under_way::RecordingLimit;

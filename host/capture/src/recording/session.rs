@@ -7,10 +7,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use ihd_link::FrameSink;
+use ihd_model::{ActiveRecording, RecordSettings, RecordingPhase, Trigger};
 use ihd_shared::wire::messages::{FrontEnd, Hello};
 
 use super::ring::Chunk;
-use super::settings::{ActiveRecording, RecordSettings, RecordingPhase, RecordingStatus, Trigger};
 use super::state::{Phase, State};
 use super::under_way::{Recording, RecordingLimit};
 use super::writer::{FileStart, PendingWrite, RecordingWriter};
@@ -47,6 +47,17 @@ pub struct RecordingProgress {
     pub bytes: u64,
     /// Limit that is reached; `None` if there is none.
     pub limit: Option<RecordingLimit>,
+}
+
+/// Status of a recording, as published.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordingStatus {
+    /// Phase of the recording.
+    pub phase: RecordingPhase,
+    /// Cause of its start or end.
+    pub text: String,
+    /// File of the recording; `None` before it has begun.
+    pub file: Option<PathBuf>,
 }
 
 /// Recording session of one device; cheap to clone.

@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
+use ihd_model::RecordSettings;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::messages::{AnyMessage, FaultEvent, FrontEnd, Hello, Message, Telemetry};
 
 use super::ring::{Chunk, Ring};
-use super::settings::RecordSettings;
 use super::trigger::TriggerState;
 use super::under_way::{Recording, RecordingLimit};
 

@@ -1,21 +1,18 @@
 //! Trigger of a recording, evaluated on every half-cycle of telemetry.
 
+use ihd_model::{Quantity, Trigger};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{FaultEvent, Telemetry};
 
-use super::settings::{Quantity, Trigger};
-
-impl Quantity {
-    /// Returns its value in a half-cycle, in [`Quantity::unit`]; `None` for R, L and frequency if the inverter is off.
-    fn value(self, t: &Telemetry) -> Option<f64> {
-        let is_switching = t.f_sw_hz > 0;
-        match self {
-            Self::Power => Some(f64::from(t.power_mw) * 1e-3),
-            Self::Current => Some(f64::from(t.i_crest_ma) * 1e-3),
-            Self::Resistance => is_switching.then(|| t.r.ohm()),
-            Self::Inductance => is_switching.then(|| t.l.henry() * 1e6),
-            Self::Frequency => is_switching.then(|| f64::from(t.f_sw_hz) * 1e-3),
-        }
+/// Returns the quantity in a half-cycle, in [`Quantity::unit`]; `None` for R, L and frequency if the inverter is off.
+fn value_in(quantity: Quantity, t: &Telemetry) -> Option<f64> {
+    let is_switching = t.f_sw_hz > 0;
+    match quantity {
+        Quantity::Power => Some(f64::from(t.power_mw) * 1e-3),
+        Quantity::Current => Some(f64::from(t.i_crest_ma) * 1e-3),
+        Quantity::Resistance => is_switching.then(|| t.r.ohm()),
+        Quantity::Inductance => is_switching.then(|| t.l.henry() * 1e6),
+        Quantity::Frequency => is_switching.then(|| f64::from(t.f_sw_hz) * 1e-3),
     }
 }
 
@@ -72,8 +69,8 @@ impl TriggerState {
         level: f64,
         rising: bool,
     ) -> Option<String> {
-        let before = quantity.value(self.last.as_ref()?)?;
-        let now = quantity.value(t)?;
+        let before = value_in(quantity, self.last.as_ref()?)?;
+        let now = value_in(quantity, t)?;
         let crossed = match rising {
             true => before < level && now >= level,
             false => before > level && now <= level,

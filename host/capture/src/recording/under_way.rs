@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use super::settings::RecordSettings;
+use ihd_model::RecordSettings;
+
 use super::writer::{PendingWrite, RecordingWriter};
 
 /// Limit that a recording has reached.

@@ -11,11 +11,11 @@ use std::sync::Arc;
 
 use ihd_link::Window;
 use ihd_map::library::{Library, PotEntry, Provenance};
-use ihd_model::FleetReport;
+use ihd_model::{FleetReport, FleetStates};
 use ihd_shared::lookup::RlLookup;
 use ihd_store::{
-    DeliveryState, DeviceId, DueWindow, EventRow, FleetMark, FleetState, FleetTally, GiveUpReason,
-    OutboxItem, SessionId, Store, StoreError,
+    DeliveryState, DeviceId, DueWindow, EventRow, FleetMark, FleetState, GiveUpReason, OutboxItem,
+    SessionId, Store, StoreError,
 };
 use ihd_train::learning::Contradiction;
 use tokio::sync::oneshot;
@@ -203,9 +203,9 @@ impl FleetAccess {
     ///
     /// # Errors
     /// Error of the store.
-    pub async fn tally(&self) -> Result<FleetTally, StoreThreadError> {
+    pub async fn tally(&self) -> Result<FleetStates, StoreThreadError> {
         let days = self.in_store(|store| store.days_of_windows()).await?;
-        let mut all = FleetTally::default();
+        let mut all = FleetStates::default();
         for day in days {
             all = all.and(self.in_store(move |store| store.fleet_tally(&day)).await?);
         }

@@ -124,11 +124,6 @@ impl<const N: usize> RingLoad<N> {
         self.couple()
     }
 
-    /// Surface field of each ring at the last instant, in A/m.
-    pub fn surface_h_a_per_m(&self) -> &[f64; N] {
-        &self.h.now[0]
-    }
-
     /// Heat developed in the load at the last instant, in watt: ∫ J²/σ.
     pub fn loss_w(&self) -> f64 {
         let nodes = self.h.now.len();

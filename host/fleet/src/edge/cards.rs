@@ -7,7 +7,6 @@ use std::time::Duration;
 use async_nats::jetstream::Context;
 use ihd_daemon::learning::{WorkerFigures, sum_answers};
 use ihd_model::{DeviceReport, FleetAnswers, FleetDevice, FleetEdge, FleetReport, FleetStates};
-use ihd_store::FleetTally;
 use tokio::time::Instant;
 
 use super::Link;
@@ -91,7 +90,7 @@ impl OwnWindows {
         if self.counted.is_none_or(|at| at.elapsed() >= COUNT_PERIOD) {
             self.counted = Some(Instant::now());
             match link.daemon.fleet().tally().await {
-                Ok(tally) => self.states = states(tally),
+                Ok(states) => self.states = states,
                 Err(why) => link.failed("store", &why),
             }
         }
@@ -103,20 +102,6 @@ impl OwnWindows {
         if let Standing::Refused(why) = &link.state().standing {
             self.alarms.insert(0, why.clone());
         }
-    }
-}
-
-fn states(tally: FleetTally) -> FleetStates {
-    FleetStates {
-        not_for_fleet: tally.not_for_fleet,
-        due: tally.due,
-        sent: tally.sent,
-        answered: tally.answered,
-        learned_here: tally.learned_here,
-        no_samples: tally.no_samples,
-        dead: tally.dead,
-        due_since_ms: tally.due_since_ms,
-        sent_since_ms: tally.sent_since_ms,
     }
 }
 

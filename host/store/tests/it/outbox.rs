@@ -1,8 +1,9 @@
-//! What a fleet has not got: kept with the window, over restarts and days, until it is answered.
+//! Windows that a fleet has not received: marked in the store, over restarts and days, until they are answered.
 
+use ihd_model::FleetStates;
 use ihd_store::{
-    DeliveryState, FleetMark, FleetState, FleetTally, GiveUpReason, OutboxItem, SamplePolicy,
-    Store, StoreOptions,
+    DeliveryState, FleetMark, FleetState, GiveUpReason, OutboxItem, SamplePolicy, Store,
+    StoreOptions,
 };
 
 use super::fixture::*;
@@ -77,12 +78,12 @@ fn windows_are_due_in_their_order_until_the_fleet_has_them_over_restarts_and_day
     assert_eq!(store.unanswered(i64::MAX, 0, 10).unwrap(), []);
 }
 
-fn tally(store: &mut Store) -> FleetTally {
+fn tally(store: &mut Store) -> FleetStates {
     let days = store.days_of_windows().unwrap();
     let of = |day: &String| store.fleet_tally(day).unwrap();
     days.iter()
         .map(of)
-        .fold(FleetTally::default(), FleetTally::and)
+        .fold(FleetStates::default(), FleetStates::and)
 }
 
 /// Each window is in one state, and together the states are what is stored: after every step.
@@ -127,7 +128,7 @@ fn states_add_up_to_the_windows_stored() {
     store.mark_answered("bench", 7, 5).unwrap();
     store.mark_answered("bench", 7, 1).unwrap();
     store.mark_given_up("bench", 7, 3, "too late").unwrap();
-    let expected = FleetTally {
+    let expected = FleetStates {
         not_for_fleet: 1,
         due: 1,
         sent: 1,
@@ -187,14 +188,14 @@ fn a_day_of_an_earlier_ihd_keeps_its_progress() {
         day.pragma_update(None, "user_version", 4).unwrap();
     }
     let mut store = open();
-    let expected = FleetTally {
+    let expected = FleetStates {
         not_for_fleet: 1,
         due: 1,
         sent: 1,
         answered: 1,
         due_since_ms: Some(NOON_MS),
         sent_since_ms: Some(NOON_MS),
-        ..FleetTally::default()
+        ..FleetStates::default()
     };
     assert_eq!(tally(&mut store), expected);
     assert_eq!(store.requeue_unanswered(NOON_MS + 1).unwrap(), 1);
