@@ -8,12 +8,12 @@ use ihd_store::{Confidence, CurveSource, NewResult};
 use tokio::sync::mpsc;
 
 use crate::device::DeviceRequest;
-use crate::learning::{FitTrace, LearnResult, Learner, Lookup};
+use crate::learning::{FitTrace, LearnResult, Learner, LookupToPush};
 use crate::machine::Machine;
 use crate::printable::printable;
 use crate::store_thread::StoreThread;
 use crate::supervisor::Devices;
-use crate::window_accounting::WindowOutcome;
+use crate::window_accounting::WindowCounter;
 
 /// Stores and publishes results, and pushes their lookups, until the learner ends.
 pub async fn route_results(
@@ -28,7 +28,7 @@ pub async fn route_results(
         store_result(learned, &devices, &store, machine.now_ms()).await;
         let Some(built) = new_lookup else { continue };
         let version = built.lookup.version;
-        let lookup = Lookup {
+        let lookup = LookupToPush {
             confidence: Some(Confidence::of(&built.confidence())),
             lookup: built.lookup,
         };
@@ -47,8 +47,8 @@ async fn store_result(learned: LearnResult, devices: &Devices, store: &StoreThre
     if let Some(handle) = &handle {
         let mut inner = handle.record.lock();
         match learned.result.pass {
-            true => inner.windows.count(WindowOutcome::Learned),
-            false => inner.windows.count(WindowOutcome::Unfit),
+            true => inner.windows.count(WindowCounter::Learned),
+            false => inner.windows.count(WindowCounter::Unfit),
         }
     }
     let result = learned.result;
@@ -119,7 +119,7 @@ fn fit(at_ms: i64, boot: u32, result: &NewResult, trace: &FitTrace, busy: Durati
 }
 
 /// Sends a lookup to the device's task. Returns `false` if there is no such task or its queue is full.
-fn push(devices: &Devices, device: &str, lookup: Lookup) -> bool {
+fn push(devices: &Devices, device: &str, lookup: LookupToPush) -> bool {
     let request = DeviceRequest::PushLookup(Box::new(lookup));
     let handle = devices.get(device);
     handle.is_some_and(|handle| handle.requests.try_send(request).is_ok())

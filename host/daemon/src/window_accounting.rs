@@ -24,9 +24,9 @@ pub enum Arrival {
     Duplicate,
 }
 
-/// Outcome of an arrived window.
+/// Counter that a window is added to; a stored one is added to a second one when it has been learned from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WindowOutcome {
+pub enum WindowCounter {
     /// Stored.
     Stored,
     /// Refused because of a defect.
@@ -159,15 +159,15 @@ impl WindowAccounting {
         Arrival::New
     }
 
-    /// Counts the outcome of a window.
-    pub fn count(&mut self, outcome: WindowOutcome) {
+    /// Adds a window to a counter.
+    pub fn count(&mut self, counter: WindowCounter) {
         let outcomes = &mut self.outcomes;
-        *match outcome {
-            WindowOutcome::Stored => &mut outcomes.stored,
-            WindowOutcome::Refused => &mut outcomes.refused,
-            WindowOutcome::NotStored => &mut outcomes.not_stored,
-            WindowOutcome::Learned => &mut outcomes.learned,
-            WindowOutcome::Unfit => &mut outcomes.unfit,
+        *match counter {
+            WindowCounter::Stored => &mut outcomes.stored,
+            WindowCounter::Refused => &mut outcomes.refused,
+            WindowCounter::NotStored => &mut outcomes.not_stored,
+            WindowCounter::Learned => &mut outcomes.learned,
+            WindowCounter::Unfit => &mut outcomes.unfit,
         } += 1;
     }
 
@@ -226,7 +226,7 @@ mod tests {
     fn store(windows: &mut WindowAccounting, seqs: impl IntoIterator<Item = u32>) {
         for seq in seqs {
             if windows.arrived(seq) == Arrival::New {
-                windows.count(WindowOutcome::Stored);
+                windows.count(WindowCounter::Stored);
             }
         }
     }

@@ -4,19 +4,16 @@ use ihd_link::{Client, LinkError};
 use ihd_model::{Command, CommandError, CommandReply};
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::RlLookup;
-use ihd_shared::lookup::prior::prior;
 use tokio::time::Instant;
 
 use super::heating::HeatError;
-use super::lookups::previous_lookup;
 use super::recording;
 use super::request::{DeviceRequest, ReplySender};
 use super::session::{Session, SessionEnd};
 use super::sweep::Sweep;
-use crate::learning::Lookup;
+use crate::learning::LookupToPush;
 use crate::lease::{LeaseError, LeaseId};
 use crate::printable::printable;
-use crate::view::stored_lookup::newest;
 
 /// Largest number of powers in a sweep.
 const MAX_SWEEP_POWERS: usize = 64;
@@ -29,8 +26,7 @@ impl Session<'_> {
     pub(super) async fn on_request(&mut self, request: DeviceRequest) -> Result<(), SessionEnd> {
         match request {
             DeviceRequest::PushLookup(lookup) => {
-                let step = self.push.learned(lookup);
-                self.apply_push_step(step).await;
+                self.lookups.learned(&mut self.link, lookup).await;
                 Ok(())
             }
             DeviceRequest::Command {
@@ -67,7 +63,7 @@ impl Session<'_> {
             Command::Power { power_w } => self.power(lease, power_w).await,
             Command::Sweep { powers_w } => self.start_sweep(lease, &powers_w),
             Command::ClearFault => {
-                let cleared = self.request(Client::clear_fault).await;
+                let cleared = self.link.request(Client::clear_fault).await;
                 cleared
                     .map(|()| "fault cleared".to_owned())
                     .map_err(|e| describe(&e))
@@ -75,24 +71,25 @@ impl Session<'_> {
             Command::LookupPush { blob } => match RlLookup::from_bytes(&blob) {
                 Ok(lookup) => {
                     // The reply is sent once the device uses the lookup.
-                    let lookup = Lookup::without_confidence(lookup);
-                    let _ = self
-                        .send_lookup(lookup, "pushed by hand", Some(reply))
-                        .await;
+                    let lookup = LookupToPush::without_confidence(lookup);
+                    let why = "pushed by hand";
+                    let push = self.lookups.push(&mut self.link, lookup, why, Some(reply));
+                    let _ = push.await;
                     return Ok(());
                 }
                 Err(why) => Err(why.to_string()),
             },
-            Command::LookupRollback { version } => match self.find_lookup(version).await {
+            Command::LookupRollback { version } => match self.lookups.find(version).await {
                 Ok(lookup) => {
                     let why = format!("rolled back to version {}", lookup.lookup.version);
-                    let _ = self.send_lookup(lookup, &why, Some(reply)).await;
+                    let push = self.lookups.push(&mut self.link, lookup, &why, Some(reply));
+                    let _ = push.await;
                     return Ok(());
                 }
                 Err(why) => Err(why),
             },
             Command::LookupReset => {
-                let reset = self.reset_lookup().await;
+                let reset = self.lookups.reset(&mut self.link).await;
                 let done = "back to the built-in lookup; what was learned is forgotten";
                 reset.map(|()| done.to_owned()).map_err(|e| describe(&e))
             }
@@ -110,35 +107,6 @@ impl Session<'_> {
             Err(why) => Err(self.refused_error(&why)),
         });
         session
-    }
-
-    /// Returns the stored lookup of this version; for `None` the one that was active before the present one.
-    async fn find_lookup(&self, version: Option<u32>) -> Result<Lookup, String> {
-        let on_device = self.record.lock().lookup.on_device.unwrap_or(0);
-        let rows = self
-            .stored_lookups()
-            .await
-            .ok_or("the store does not answer")?;
-        let lookup = match version {
-            // The built-in lookup, which the store may not hold.
-            Some(0) => Some(prior()),
-            Some(version) => {
-                newest(&rows, version).and_then(|r| RlLookup::from_bytes(&r.blob).ok())
-            }
-            None => previous_lookup(on_device, &rows),
-        };
-        let lookup = lookup.ok_or_else(|| match version {
-            Some(version) => format!("the store holds no lookup of version {version}"),
-            None => "the store holds no lookup that was active before".to_owned(),
-        })?;
-        let (name, version) = (self.record.name.clone(), lookup.version);
-        let confidence = self
-            .context
-            .in_store(move |store| store.confidence(&name, version));
-        Ok(Lookup {
-            confidence: confidence.await.flatten(),
-            lookup,
-        })
     }
 
     fn refused_error(&self, why: &str) -> CommandError {

@@ -11,7 +11,7 @@ use tokio::time::Instant;
 
 use super::contact::DueCheck;
 use super::session::{Session, SessionEnd};
-use super::sweep::{Step, Sweep};
+use super::sweep::{Sweep, SweepStep};
 use crate::lease::{LeaseError, LeaseId, LostLease};
 use crate::switching_off::switch_off;
 
@@ -30,7 +30,7 @@ impl Session<'_> {
     /// Sends the keep-alive while heating for a lease, and queries a silent device.
     pub(super) async fn keep_alive(&mut self) -> Result<(), SessionEnd> {
         let heats_for_us = self.record.lock().lease.heats(Instant::now());
-        let Some(check) = self.contact.due_check(heats_for_us) else {
+        let Some(check) = self.link.contact.due_check(heats_for_us) else {
             return Ok(());
         };
         if let DueCheck::Silence(silent) = check {
@@ -41,20 +41,23 @@ impl Session<'_> {
         }
         match self.check_power().await {
             Ok(()) => {
-                self.contact.answered(check);
+                self.link.contact.answered(check);
                 if let DueCheck::Silence(_) = check {
                     // It answers without streaming, as after a hello of another host.
-                    let restarted = self.request(|client| client.stream(1, WINDOWS_EVERY)).await;
+                    let restarted = self
+                        .link
+                        .request(|client| client.stream(1, WINDOWS_EVERY))
+                        .await;
                     restarted.map_err(|error| SessionEnd::Link(error.to_string()))?;
                 }
             }
-            Err(LinkError::Preempted { .. }) => self.contact.preempted(),
-            Err(error @ LinkError::NoAnswer { .. }) if self.contact.unanswered() => {
+            Err(LinkError::Preempted { .. }) => self.link.contact.preempted(),
+            Err(error @ LinkError::NoAnswer { .. }) if self.link.contact.unanswered() => {
                 tracing::debug!(device = self.record.name, %error, "no answer");
             }
             Err(error) => return Err(SessionEnd::Link(error.to_string())),
         }
-        if self.contact.is_lost() {
+        if self.link.contact.is_lost() {
             return Err(SessionEnd::Link(
                 "it answers and sends no half-cycles".to_owned(),
             ));
@@ -64,7 +67,7 @@ impl Session<'_> {
 
     /// Compares the device's requested power with the lease's. Another host's hello or the panel may have ended it.
     pub(super) async fn check_power(&mut self) -> Result<(), LinkError> {
-        self.contact.on_check();
+        self.link.contact.on_check();
         let (record, runtime) = (Arc::clone(self.record), Handle::current());
         let compare = move |client: &mut Client| -> Result<_, LinkError> {
             let status = client.status()?;
@@ -77,7 +80,7 @@ impl Session<'_> {
                 .check_device_power(status.asked_w, has_panel);
             Ok(lost.map(|lost| (lost, status.asked_w)))
         };
-        if let Some((lost, asked_w)) = self.request(compare).await? {
+        if let Some((lost, asked_w)) = self.link.request(compare).await? {
             self.publish_lost_lease(&lost, asked_w);
         }
         Ok(())
@@ -120,14 +123,14 @@ impl Session<'_> {
     }
 
     /// Carries out a sweep's action.
-    pub(super) async fn apply_sweep_step(&mut self, step: Step) -> Result<(), SessionEnd> {
+    pub(super) async fn apply_sweep_step(&mut self, step: SweepStep) -> Result<(), SessionEnd> {
         match step {
-            Step::Nothing => {}
-            Step::Log(text) => {
+            SweepStep::Nothing => {}
+            SweepStep::Log(text) => {
                 tracing::info!(device = self.record.name, "{text}");
                 self.store_event("sweep", &text);
             }
-            Step::SetPower(power_w) => {
+            SweepStep::SetPower(power_w) => {
                 tracing::info!(device = self.record.name, power_w, "sweep");
                 let Some((lease, _)) = self.sweep else {
                     return Ok(());
@@ -137,7 +140,7 @@ impl Session<'_> {
                         .await?;
                 }
             }
-            Step::End(why) => self.end_heating(&format!("the sweep ended: {why}")).await?,
+            SweepStep::End(why) => self.end_heating(&format!("the sweep ended: {why}")).await?,
         }
         let sweep = self.sweep.as_ref();
         let left = sweep.map(|(_, sweep)| sweep.left_w()).unwrap_or_default();
@@ -154,7 +157,7 @@ impl Session<'_> {
             // Power of an ended lease: the new lease begins with the hob off.
             self.off().await?;
         }
-        self.contact.on_request();
+        self.link.contact.on_request();
         let (record, runtime) = (Arc::clone(self.record), Handle::current());
         let set_power = move |client: &mut Client| -> Result<(), HeatError> {
             // For the clock. On the link's thread, so that an `off` comes either before lease and device, or after both.
@@ -173,7 +176,7 @@ impl Session<'_> {
             }
             Ok(outcome?)
         };
-        self.client.with(set_power).await?
+        self.link.client.with(set_power).await?
     }
 
     /// Switches off and ends the sweep.
@@ -183,8 +186,8 @@ impl Session<'_> {
     pub(super) async fn off(&mut self) -> Result<(), LinkError> {
         self.sweep = None;
         self.record.lock().sweep_left_w.clear();
-        self.contact.on_request();
-        switch_off(self.record, &self.client).await
+        self.link.contact.on_request();
+        switch_off(self.record, &self.link.client).await
     }
 
     /// Switches off power requested through the daemon, for this reason; does nothing if there is none.

@@ -12,7 +12,7 @@ use ihd_shared::lookup::RlLookup;
 use tokio::time::Instant;
 
 use super::request::ReplySender;
-use crate::learning::Lookup;
+use crate::learning::LookupToPush;
 
 /// Time limit from acceptance of a lookup to its use: one half-cycle, and the delay of the link.
 const ACTIVATION_TIMEOUT: Duration = Duration::from_secs(3);
@@ -28,11 +28,11 @@ pub struct UnderWay {
 }
 
 /// Action that the push requests.
-pub enum Step {
+pub enum PushStep {
     /// No action.
     Nothing,
     /// Send this learned lookup to the device.
-    Send(Box<Lookup>),
+    Send(Box<LookupToPush>),
     /// The device uses the lookup.
     Active(UnderWay),
     /// The device accepted the lookup and does not use it in time.
@@ -45,7 +45,7 @@ pub struct LookupPush {
     /// Push under way with its time limit; `None` without one.
     under_way: Option<(UnderWay, Instant)>,
     /// Learned lookup that waits for the end of the push under way.
-    queued: Option<Box<Lookup>>,
+    queued: Option<Box<LookupToPush>>,
 }
 
 impl LookupPush {
@@ -55,15 +55,15 @@ impl LookupPush {
     }
 
     /// Processes a learned lookup, which takes the place of one that waits.
-    pub fn learned(&mut self, lookup: Box<Lookup>) -> Step {
+    pub fn learned(&mut self, lookup: Box<LookupToPush>) -> PushStep {
         self.queued = Some(lookup);
         self.send_queued()
     }
 
     /// Processes the time. A step other than `Nothing` may be followed by another one.
-    pub fn tick(&mut self, now: Instant) -> Step {
+    pub fn tick(&mut self, now: Instant) -> PushStep {
         match self.under_way.take_if(|(_, deadline)| now >= *deadline) {
-            Some((push, _)) => Step::TimedOut(push),
+            Some((push, _)) => PushStep::TimedOut(push),
             None => self.send_queued(),
         }
     }
@@ -76,11 +76,11 @@ impl LookupPush {
     }
 
     /// Processes the version that the device reports.
-    pub fn reported(&mut self, version: u32) -> Step {
+    pub fn reported(&mut self, version: u32) -> PushStep {
         let is_used = |push: &mut (UnderWay, Instant)| push.0.lookup.version == version;
         match self.under_way.take_if(is_used) {
-            Some((push, _)) => Step::Active(push),
-            None => Step::Nothing,
+            Some((push, _)) => PushStep::Active(push),
+            None => PushStep::Nothing,
         }
     }
 
@@ -95,10 +95,10 @@ impl LookupPush {
         self.queued = None;
     }
 
-    fn send_queued(&mut self) -> Step {
+    fn send_queued(&mut self) -> PushStep {
         match self.queued.take_if(|_| self.under_way.is_none()) {
-            Some(lookup) => Step::Send(lookup),
-            None => Step::Nothing,
+            Some(lookup) => PushStep::Send(lookup),
+            None => PushStep::Nothing,
         }
     }
 }
@@ -114,8 +114,8 @@ mod tests {
         RlLookup { version, ..prior() }
     }
 
-    fn learned(version: u32) -> Box<Lookup> {
-        Box::new(Lookup::without_confidence(lookup(version)))
+    fn learned(version: u32) -> Box<LookupToPush> {
+        Box::new(LookupToPush::without_confidence(lookup(version)))
     }
 
     fn under_way(version: u32) -> UnderWay {
@@ -127,12 +127,12 @@ mod tests {
     }
 
     /// A step as text, with the version that it concerns.
-    fn text(step: Step) -> String {
+    fn text(step: PushStep) -> String {
         match step {
-            Step::Nothing => "nothing".to_owned(),
-            Step::Send(lookup) => format!("send {}", lookup.lookup.version),
-            Step::Active(push) => format!("active {}", push.lookup.version),
-            Step::TimedOut(push) => format!("timed out {}", push.lookup.version),
+            PushStep::Nothing => "nothing".to_owned(),
+            PushStep::Send(lookup) => format!("send {}", lookup.lookup.version),
+            PushStep::Active(push) => format!("active {}", push.lookup.version),
+            PushStep::TimedOut(push) => format!("timed out {}", push.lookup.version),
         }
     }
 

@@ -8,11 +8,13 @@
 
 mod commands;
 mod contact;
+mod device_link;
+mod device_lookups;
 mod heating;
 mod lookup_push;
-pub mod lookups;
-mod pot_follower;
-mod pushing;
+mod lookup_rows;
+pub mod pot_follower;
+mod reconcile;
 mod recording;
 mod report;
 mod request;

@@ -18,7 +18,7 @@ impl Session<'_> {
     /// Error of the link.
     pub(super) async fn attach_recorder(&mut self) -> Result<(), LinkError> {
         let recorder = self.record.recorder.clone();
-        let attached = self.client.with(move |client| {
+        let attached = self.link.client.with(move |client| {
             let (hello, front_end) = (client.hello().clone(), client.front_end().clone());
             let sink = recorder.connected(&hello, &front_end, client.clock());
             client.record_to(sink);
@@ -31,6 +31,7 @@ impl Session<'_> {
     pub(super) async fn start_recording(&mut self, settings: RecordSettings, reply: ReplySender) {
         let recorder = self.record.recorder.clone();
         let starting = self
+            .link
             .client
             .with(move |client| recorder.start(settings, client.clock()));
         let started = match starting.await {

@@ -3,7 +3,7 @@
 use ihd_model::{Command, CommandError, CommandReply};
 use tokio::sync::oneshot;
 
-use crate::learning::Lookup;
+use crate::learning::LookupToPush;
 use crate::lease::LeaseId;
 
 /// Request to a device's task.
@@ -18,7 +18,7 @@ pub enum DeviceRequest {
         reply: ReplySender,
     },
     /// Push a learned lookup.
-    PushLookup(Box<Lookup>),
+    PushLookup(Box<LookupToPush>),
 }
 
 /// Sender of a command's outcome.

@@ -14,7 +14,8 @@ use tokio::sync::mpsc;
 use tokio::time::Instant;
 
 use super::contact::Contact;
-use super::lookup_push::LookupPush;
+use super::device_link::DeviceLink;
+use super::device_lookups::DeviceLookups;
 use super::pot_follower::{PotFollower, publish_change};
 use super::report::publish_lease_expired;
 use super::request::DeviceRequest;
@@ -26,7 +27,7 @@ use crate::device_record::DeviceRecord;
 use crate::lease::LeaseId;
 use crate::printable::printable;
 use crate::states::{device_state, live};
-use crate::window_accounting::{Arrival, WindowOutcome};
+use crate::window_accounting::{Arrival, WindowCounter};
 
 /// Period of the session timer (lease, keep-alive, live view); 10 Hz is as fast as the page draws.
 const TICK: Duration = Duration::from_millis(100);
@@ -67,22 +68,19 @@ pub enum SessionEnd {
 pub struct Session<'a> {
     pub(super) record: &'a Arc<DeviceRecord>,
     pub(super) context: &'a Context,
-    pub(super) client: Arc<AsyncClient>,
+    pub(super) link: DeviceLink,
     /// Row of the device in the store; `None` until it is stored.
     pub(super) device_id: Option<DeviceId>,
     /// Row of the session in the store; `None` until it is stored.
     pub(super) session_id: Option<SessionId>,
     /// Sweep with the lease under which it was started.
     pub(super) sweep: Option<(LeaseId, Sweep)>,
-    pub(super) push: LookupPush,
-    pub(super) contact: Contact,
+    pub(super) lookups: DeviceLookups<'a>,
     published_half_cycle: Option<u32>,
     /// Logged jumps in the window numbering.
     logged_jumps: u32,
     /// Frames of this link already counted as beyond what a hob sends.
     frames_beyond: u64,
-    /// `true` while the lookups of store and device may differ.
-    pub(super) must_reconcile: bool,
     last_store_retry: Instant,
     pub(super) window_limit: RateLimit,
     event_limit: RateLimit,
@@ -104,16 +102,17 @@ impl<'a> Session<'a> {
         Self {
             record,
             context,
-            client,
+            link: DeviceLink {
+                client,
+                contact: Contact::new(&context.machine),
+            },
             device_id: None,
             session_id: None,
             sweep: None,
-            push: LookupPush::default(),
-            contact: Contact::new(&context.machine),
+            lookups: DeviceLookups::new(record, context),
             published_half_cycle: None,
             logged_jumps: 0,
             frames_beyond: 0,
-            must_reconcile: false,
             last_store_retry: Instant::now(),
             window_limit: RateLimit::new(MAX_WINDOWS_PER_S),
             event_limit: RateLimit::new(MAX_EVENTS_PER_S),
@@ -121,18 +120,6 @@ impl<'a> Session<'a> {
             pot: PotFollower::default(),
             truth,
         }
-    }
-
-    /// Runs a request on the link.
-    ///
-    /// # Errors
-    /// Error of the link or of the request.
-    pub(super) async fn request<T: Send + 'static>(
-        &mut self,
-        f: impl FnOnce(&mut Client) -> Result<T, LinkError> + Send + 'static,
-    ) -> Result<T, LinkError> {
-        self.contact.on_request();
-        self.client.with(f).await?
     }
 
     /// Runs the session. Returns the reason for its end.
@@ -153,7 +140,7 @@ impl<'a> Session<'a> {
                 // Ahead of requests and events, so that no flood of them delays the end of a lease.
                 _ = tick.tick() => {
                     if !events.is_empty() {
-                        self.contact.on_queued_event();
+                        self.link.contact.on_queued_event();
                     }
                     self.on_tick().await
                 }
@@ -173,15 +160,15 @@ impl<'a> Session<'a> {
     }
 
     fn link_end(&self) -> SessionEnd {
-        let why = self.client.ended().map(|error| error.to_string());
+        let why = self.link.client.ended().map(|error| error.to_string());
         SessionEnd::Link(why.unwrap_or_else(|| "the link has ended".to_owned()))
     }
 
     /// Sets the session up: recorder, accounting, power left from before, store, lookup, streams.
     async fn begin(&mut self) -> Result<(), LinkError> {
         self.attach_recorder().await?;
-        let status = self.request(Client::status).await?;
-        let boot = self.client.hello().boot_id;
+        let status = self.link.request(Client::status).await?;
+        let boot = self.link.client.hello().boot_id;
         {
             let mut inner = self.record.lock();
             let due = status.windows_recorded.wrapping_add(status.windows_dropped);
@@ -191,15 +178,18 @@ impl<'a> Session<'a> {
         self.end_previous_power(&status).await?;
         self.begin_stored_session().await;
         self.record.enter(DeviceState::Connected, "");
-        self.reconcile(status.lookup_version).await?;
-        self.request(|client| client.stream(1, WINDOWS_EVERY))
+        self.lookups
+            .reconcile(&mut self.link, status.lookup_version)
             .await?;
-        self.contact.on_queued_event();
+        self.link
+            .request(|client| client.stream(1, WINDOWS_EVERY))
+            .await?;
+        self.link.contact.on_queued_event();
         Ok(())
     }
 
     async fn on_event(&mut self, event: Event) -> Result<(), SessionEnd> {
-        self.contact.on_event();
+        self.link.contact.on_event();
         match event {
             Event::Telemetry(t) => self.on_telemetry(t).await,
             Event::Window(window) => {
@@ -211,7 +201,7 @@ impl<'a> Session<'a> {
                 {
                     let mut inner = self.record.lock();
                     if inner.windows.arrived(seq) == Arrival::New {
-                        inner.windows.count(WindowOutcome::Refused);
+                        inner.windows.count(WindowCounter::Refused);
                     }
                 }
                 if self.event_limit.allow() {
@@ -270,8 +260,8 @@ impl<'a> Session<'a> {
                 "its half-cycles began anew: it was reset".to_owned(),
             ));
         }
-        let step = self.push.reported(t.lookup_version);
-        self.apply_push_step(step).await;
+        let version = t.lookup_version;
+        self.lookups.reported(&mut self.link, version).await;
         if let Some(sweep) = self.active_sweep() {
             let step = sweep.telemetry(&t, Instant::now());
             self.apply_sweep_step(step).await?;
@@ -280,7 +270,7 @@ impl<'a> Session<'a> {
     }
 
     async fn on_tick(&mut self) -> Result<(), SessionEnd> {
-        if let Some(suspended) = self.contact.poll_suspend(&self.context.machine) {
+        if let Some(suspended) = self.link.contact.poll_suspend(&self.context.machine) {
             self.record.lock().lease.revoke();
             return Err(SessionEnd::Suspended(format!(
                 "nothing ran here for {:.0} s",
@@ -299,12 +289,12 @@ impl<'a> Session<'a> {
         self.record.recorder.tick();
         self.publish_live();
         self.pot.track(self.record, &self.context.machine);
-        self.tick_push().await;
+        self.lookups.tick(&mut self.link).await;
         if let Some(sweep) = self.active_sweep() {
             let step = sweep.tick(Instant::now());
             self.apply_sweep_step(step).await?;
         }
-        if self.contact.is_poll_due() {
+        if self.link.contact.is_poll_due() {
             self.poll_counters().await?;
         }
         Ok(())
@@ -312,7 +302,7 @@ impl<'a> Session<'a> {
 
     /// Publishes the last half-cycle and updates the device state from it.
     fn publish_live(&mut self) {
-        if self.contact.is_silent() {
+        if self.link.contact.is_silent() {
             return;
         }
         let Some(t) = self.record.lock().last.clone() else {
@@ -337,7 +327,7 @@ impl<'a> Session<'a> {
 
     /// Reads the counters of link and learner, logs what exceeds its limit, and retries the store.
     async fn poll_counters(&mut self) -> Result<(), SessionEnd> {
-        let counted = self.client.with(|client| client.counters()).await;
+        let counted = self.link.client.with(|client| client.counters()).await;
         let Ok(Counters {
             windows,
             frames_beyond,
@@ -404,9 +394,9 @@ impl<'a> Session<'a> {
         }
         self.detach_recorder(end).await;
         if *end == SessionEnd::Stopping {
-            let _ = self.request(|client| client.stream(0, 0)).await;
+            let _ = self.link.request(|client| client.stream(0, 0)).await;
         }
-        self.abandon_push();
+        self.lookups.abandon_push();
         let why = match end {
             SessionEnd::Stopping => "the daemon stopped".to_owned(),
             SessionEnd::Link(why) | SessionEnd::Suspended(why) => printable(why),

@@ -10,8 +10,8 @@ impl Session<'_> {
     /// Begins the session in the store. If that fails, nothing is stored until [`Session::retry_store`] succeeds.
     pub(super) async fn begin_stored_session(&mut self) {
         let (name, address) = (self.record.name.clone(), self.record.address.clone());
-        let hello = self.client.hello().clone();
-        let front_end = self.client.front_end().clone();
+        let hello = self.link.client.hello().clone();
+        let front_end = self.link.client.front_end().clone();
         let is_resumed = self.record.lock().is_resumed;
         let began = self.context.in_store(move |store| {
             let device = store.device(&name, &address)?;
@@ -25,6 +25,7 @@ impl Session<'_> {
         // Errors of the store are reported by its thread.
         if let Some((device, session, learned)) = began.await {
             self.device_id = Some(device);
+            self.lookups.set_device(device);
             self.session_id = Some(session);
             self.record.lock().is_resumed = true;
             let added = self
@@ -54,14 +55,12 @@ impl Session<'_> {
     pub(super) async fn retry_store(&mut self) -> Result<(), SessionEnd> {
         if self.session_id.is_none() {
             self.begin_stored_session().await;
-            self.must_reconcile |= self.session_id.is_some();
+            if self.session_id.is_some() {
+                self.lookups.require_reconciliation();
+            }
         }
-        if self.session_id.is_some()
-            && !self.push.is_under_way()
-            && std::mem::take(&mut self.must_reconcile)
-        {
-            let on_device = self.record.lock().lookup.on_device.unwrap_or(0);
-            let reconciled = self.reconcile(on_device).await;
+        if self.session_id.is_some() {
+            let reconciled = self.lookups.retry_reconciliation(&mut self.link).await;
             reconciled.map_err(|error| SessionEnd::Link(error.to_string()))?;
         }
         Ok(())

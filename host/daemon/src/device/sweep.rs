@@ -58,7 +58,7 @@ struct Settling {
 
 /// Action that a sweep requests.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Step {
+pub enum SweepStep {
     /// No action.
     Nothing,
     /// Set this power, in watt.
@@ -92,7 +92,7 @@ impl Sweep {
     }
 
     /// Processes the time.
-    pub fn tick(&mut self, now: Instant) -> Step {
+    pub fn tick(&mut self, now: Instant) -> SweepStep {
         match &self.phase {
             Phase::Next => self.next(now),
             Phase::Windows {
@@ -100,17 +100,17 @@ impl Sweep {
             } if now >= *until => {
                 let (asked_w, received) = (self.asked_w, *received);
                 self.phase = Phase::Next;
-                Step::Log(format!(
+                SweepStep::Log(format!(
                     "sweep: {received} of {WINDOWS_PER_POWER} windows came at {asked_w} W; on to the next power"
                 ))
             }
-            _ => Step::Nothing,
+            _ => SweepStep::Nothing,
         }
     }
 
-    fn next(&mut self, now: Instant) -> Step {
+    fn next(&mut self, now: Instant) -> SweepStep {
         let Some(power_w) = self.left.pop_front() else {
-            return Step::End("done".to_owned());
+            return SweepStep::End("done".to_owned());
         };
         self.asked_w = power_w;
         self.phase = Phase::Settling(Settling {
@@ -122,7 +122,7 @@ impl Sweep {
             steady: 0,
             f_sw_hz: 0,
         });
-        Step::SetPower(power_w)
+        SweepStep::SetPower(power_w)
     }
 
     /// Processes a window of this half-cycle.
@@ -140,9 +140,9 @@ impl Sweep {
     }
 
     /// Processes a half-cycle.
-    pub fn telemetry(&mut self, t: &Telemetry, now: Instant) -> Step {
+    pub fn telemetry(&mut self, t: &Telemetry, now: Instant) -> SweepStep {
         if t.state == State::LockedOut {
-            return Step::End(format!("locked out: {}", t.fault.text()));
+            return SweepStep::End(format!("locked out: {}", t.fault.text()));
         }
         let asked_w = self.asked_w;
         let Phase::Settling(settling) = &mut self.phase else {
@@ -150,10 +150,10 @@ impl Sweep {
         };
         settling.is_shown |= t.asked_w > 0;
         if settling.is_shown && t.state == State::Idle && t.asked_w == 0 {
-            return Step::End("switched off at the device".to_owned());
+            return SweepStep::End("switched off at the device".to_owned());
         }
         if !settling.is_shown && now.saturating_duration_since(settling.since) > RESPONSE_TIMEOUT {
-            return Step::End("the device took the power and does not show it".to_owned());
+            return SweepStep::End("the device took the power and does not show it".to_owned());
         }
         let (settled, message) = settling.update(t, asked_w, now);
         if settled {
@@ -163,23 +163,25 @@ impl Sweep {
                 until: now + WINDOWS_TIMEOUT,
             };
         }
-        message.map_or(Step::Nothing, Step::Log)
+        message.map_or(SweepStep::Nothing, SweepStep::Log)
     }
 
     /// Checks, while waiting for windows, for switch-off at the panel and a lifted pot.
-    fn check_interruption(&mut self, t: &Telemetry) -> Step {
+    fn check_interruption(&mut self, t: &Telemetry) -> SweepStep {
         if matches!(self.phase, Phase::Next) {
-            return Step::Nothing;
+            return SweepStep::Nothing;
         }
         match t.state {
-            State::Idle if t.asked_w == 0 => Step::End("switched off at the device".to_owned()),
+            State::Idle if t.asked_w == 0 => {
+                SweepStep::End("switched off at the device".to_owned())
+            }
             State::WaitingForPot | State::Pausing => {
                 // The power must settle again.
                 self.left.push_front(self.asked_w);
                 self.phase = Phase::Next;
-                Step::Log(format!("sweep: {:?} at {} W", t.state, self.asked_w))
+                SweepStep::Log(format!("sweep: {:?} at {} W", t.state, self.asked_w))
             }
-            _ => Step::Nothing,
+            _ => SweepStep::Nothing,
         }
     }
 }
@@ -258,12 +260,12 @@ mod tests {
             }
         }
 
-        fn apply(&mut self, step: Step) {
+        fn apply(&mut self, step: SweepStep) {
             match step {
-                Step::Nothing => {}
-                Step::SetPower(w) => self.asked.push(w),
-                Step::Log(text) => self.log.push(text),
-                Step::End(why) => self.end = Some(why),
+                SweepStep::Nothing => {}
+                SweepStep::SetPower(w) => self.asked.push(w),
+                SweepStep::Log(text) => self.log.push(text),
+                SweepStep::End(why) => self.end = Some(why),
             }
         }
 
@@ -352,13 +354,13 @@ mod tests {
     fn a_device_that_never_settles_is_taken_as_it_is() {
         let mut sweep = Sweep::new(&[700]);
         let mut now = Instant::now();
-        assert_eq!(sweep.tick(now), Step::SetPower(700));
+        assert_eq!(sweep.tick(now), SweepStep::SetPower(700));
         let mut log = Vec::new();
         for k in 0..700u32 {
             now += HALF_CYCLE;
             let mut t = telemetry(State::Heating);
             (t.asked_w, t.half_cycle, t.f_sw_hz) = (700, k, 40_000 + k);
-            if let Step::Log(text) = sweep.telemetry(&t, now) {
+            if let SweepStep::Log(text) = sweep.telemetry(&t, now) {
                 log.push((k, text));
             }
         }

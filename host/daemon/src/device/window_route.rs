@@ -11,7 +11,7 @@ use super::session::{Session, TRUTH_TIMEOUT};
 use crate::device_record::DeviceRecord;
 use crate::fleet::delegation::Delegation;
 use crate::learning::{LearnInput, LearnJob, Learner, truth_curve};
-use crate::window_accounting::{Arrival, WindowOutcome};
+use crate::window_accounting::{Arrival, WindowCounter};
 
 /// Window with what is known about its half-cycle.
 struct ArrivedWindow {
@@ -49,8 +49,8 @@ impl WindowRoute {
         let for_fleet = is_learnable && self.delegation.is_edge;
         let stored = store.keep_window_for(self.session, &window, for_fleet);
         self.count(match &stored {
-            Ok(_) => WindowOutcome::Stored,
-            Err(_) => WindowOutcome::NotStored,
+            Ok(_) => WindowCounter::Stored,
+            Err(_) => WindowCounter::NotStored,
         });
         let (_, is_due) = stored?;
         let (boot, seq) = (self.boot, window.seq);
@@ -60,7 +60,7 @@ impl WindowRoute {
             store.keep_curve(self.session, seq, CurveSource::Truth, &curve)?;
         }
         if !is_learnable {
-            self.count(WindowOutcome::Unfit);
+            self.count(WindowCounter::Unfit);
         } else if !(is_due && self.delegation.is_delegated()) {
             // The learner counts the window that it drops for this one.
             self.learner.offer(LearnJob {
@@ -77,8 +77,8 @@ impl WindowRoute {
         Ok(())
     }
 
-    fn count(&self, outcome: WindowOutcome) {
-        self.record.lock().windows.count(outcome);
+    fn count(&self, counter: WindowCounter) {
+        self.record.lock().windows.count(counter);
     }
 }
 
@@ -110,7 +110,7 @@ impl Session<'_> {
         };
         if !is_queued {
             let mut inner = self.record.lock();
-            inner.windows.count(WindowOutcome::NotStored);
+            inner.windows.count(WindowCounter::NotStored);
         }
     }
 
@@ -123,7 +123,7 @@ impl Session<'_> {
             delegation: Arc::clone(&self.context.delegation),
             device_id,
             session,
-            boot: self.client.hello().boot_id,
+            boot: self.link.client.hello().boot_id,
         })
     }
 

@@ -54,14 +54,14 @@ pub struct LearnJob {
 
 /// A lookup to push.
 #[derive(Clone, Debug)]
-pub struct Lookup {
+pub struct LookupToPush {
     /// The lookup.
     pub lookup: RlLookup,
     /// Confidence of its cells; `None` if unknown.
     pub confidence: Option<Confidence>,
 }
 
-impl Lookup {
+impl LookupToPush {
     /// Creates a lookup whose cells' confidence is unknown.
     pub fn without_confidence(lookup: RlLookup) -> Self {
         let confidence = None;

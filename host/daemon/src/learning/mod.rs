@@ -28,18 +28,11 @@ mod tests;
 mod threads;
 mod workers;
 
-use ihd_shared::wire::messages::{State, Telemetry};
-
 pub use self::answer::{StatedLoad, WorkerAnswer, power_w};
 pub use self::figures::LearnerFigures;
 pub use self::fit::{FitSummary, FitTrace, truth_curve};
-pub use self::job::{LearnInput, LearnJob, LearnResult, Lookup};
+pub use self::job::{LearnInput, LearnJob, LearnResult, LookupToPush};
 pub use self::learner::{Learner, LearnerError, LearnerSettings, LearningInUse};
 pub use self::queue::DroppedWindow;
 pub(crate) use self::slot::LearnerSlot;
 pub use self::workers::{AnswerVerdict, WorkerFigures, sum_answers};
-
-/// Returns `true` if the windows of a device in this state are worth learning from: it heats.
-pub fn is_worth_learning(telemetry: &Telemetry) -> bool {
-    telemetry.state == State::Heating
-}

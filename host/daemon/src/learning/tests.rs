@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use ihd_link::{Client, Event, Window};
 use ihd_shared::sampling::Scales;
-use ihd_shared::wire::messages::Telemetry;
+use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 use ihd_train::NetworkConfig;
@@ -271,13 +271,14 @@ fn windows(warming: bool, powers_w: &[u16], of_each: usize) -> Vec<Box<Window>> 
     let mut client = Client::connect(Box::new(hob)).unwrap();
     client.stream(1, 20).unwrap();
     let mut windows = Vec::new();
+    let heats = |t: &Telemetry| t.state == State::Heating;
     let mut telemetry: Option<Telemetry> = None;
     for power_w in powers_w {
         client.set_power(*power_w).unwrap();
         let mut count = 0;
         while count < of_each {
             match client.next_event(Duration::from_secs(1)).unwrap() {
-                Some(Event::Window(w)) if telemetry.as_ref().is_some_and(is_worth_learning) => {
+                Some(Event::Window(w)) if telemetry.as_ref().is_some_and(heats) => {
                     windows.push(w);
                     count += 1;
                 }

@@ -1,27 +1,94 @@
-//! Push of lookups to the device: pending in the store, pushed, active once the device reports the version.
+//! Lookups of one device during a session: pending in the store, pushed, active once the device reports the version.
+
+use std::sync::Arc;
 
 use ihd_link::{Client, LinkError};
 use ihd_model::{CommandError, CommandReply, EventKind};
-use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
-use ihd_store::{Confidence, LookupRow};
+use ihd_store::{Confidence, DeviceId};
 use tokio::time::Instant;
 
-use super::lookup_push::{Step, UnderWay};
-use super::lookups::{Reconcile, next_version, reconcile};
+use super::device_link::DeviceLink;
+use super::lookup_push::{LookupPush, PushStep, UnderWay};
+use super::lookup_rows::LookupRows;
+use super::reconcile::{Reconcile, next_version, reconcile};
 use super::request::ReplySender;
-use super::session::Session;
-use crate::learning::Lookup;
+use crate::context::Context;
+use crate::device_record::DeviceRecord;
+use crate::learning::LookupToPush;
 use crate::printable::printable;
 
-impl Session<'_> {
+/// Lookups of a connected device, kept equal in store, device and learner.
+pub struct DeviceLookups<'a> {
+    record: &'a Arc<DeviceRecord>,
+    context: &'a Context,
+    rows: LookupRows<'a>,
+    push: LookupPush,
+    /// `true` while the lookups of store and device may differ.
+    must_reconcile: bool,
+}
+
+impl<'a> DeviceLookups<'a> {
+    /// Creates the lookups of a device that the store does not know yet.
+    pub fn new(record: &'a Arc<DeviceRecord>, context: &'a Context) -> Self {
+        Self {
+            record,
+            context,
+            rows: LookupRows {
+                name: &record.name,
+                context,
+                device_id: None,
+            },
+            push: LookupPush::default(),
+            must_reconcile: false,
+        }
+    }
+
+    /// Sets the row of the device in the store.
+    pub fn set_device(&mut self, device: DeviceId) {
+        self.rows.device_id = Some(device);
+    }
+
+    /// Requires a reconciliation with the next [`DeviceLookups::retry_reconciliation`].
+    pub fn require_reconciliation(&mut self) {
+        self.must_reconcile = true;
+    }
+
+    /// Reconciles if that is required and no push is under way.
+    ///
+    /// # Errors
+    /// Error of the link.
+    pub async fn retry_reconciliation(&mut self, link: &mut DeviceLink) -> Result<(), LinkError> {
+        if self.push.is_under_way() || !std::mem::take(&mut self.must_reconcile) {
+            return Ok(());
+        }
+        let on_device = self.record.lock().lookup.on_device.unwrap_or(0);
+        self.reconcile(link, on_device).await
+    }
+
+    /// Processes a lookup that the learner built.
+    pub async fn learned(&mut self, link: &mut DeviceLink, lookup: Box<LookupToPush>) {
+        let step = self.push.learned(lookup);
+        self.apply(link, step).await;
+    }
+
+    /// Processes the version that the device reports.
+    pub async fn reported(&mut self, link: &mut DeviceLink, version: u32) {
+        let step = self.push.reported(version);
+        self.apply(link, step).await;
+    }
+
     /// Reconciles the lookup on the device, of version `on_device`, with the store.
     ///
     /// # Errors
     /// Error of the link.
-    pub(super) async fn reconcile(&mut self, on_device: u32) -> Result<(), LinkError> {
+    pub async fn reconcile(
+        &mut self,
+        link: &mut DeviceLink,
+        on_device: u32,
+    ) -> Result<(), LinkError> {
         self.record.lock().lookup.on_device = Some(on_device);
-        let lookup = match self.request(Client::read_lookup).await {
+        let lookup = match link.request(Client::read_lookup).await {
             Ok(lookup) => lookup,
             Err(error @ LinkError::DamagedLookup { .. }) => {
                 tracing::warn!(device = self.record.name, %error, "lookup");
@@ -29,7 +96,7 @@ impl Session<'_> {
             }
             Err(error) => return Err(error),
         };
-        let Some(rows) = self.stored_lookups().await else {
+        let Some(rows) = self.rows.read().await else {
             self.must_reconcile = true;
             return Ok(());
         };
@@ -41,31 +108,31 @@ impl Session<'_> {
                 Reconcile::Nothing => {}
                 Reconcile::Activate(_) | Reconcile::Adopt => self.adopt(&lookup).await,
                 Reconcile::Push(lookup, why) => {
-                    let lookup = Lookup::without_confidence(*lookup);
-                    let _ = self.send_lookup(lookup, why, None).await;
+                    let lookup = LookupToPush::without_confidence(*lookup);
+                    let _ = self.push(link, lookup, why, None).await;
                 }
             }
         }
-        self.update_lookup_report().await;
+        self.update_report().await;
         Ok(())
     }
 
-    /// Returns the device's lookups in the store, oldest first; `None` if the store does not respond.
-    pub(super) async fn stored_lookups(&self) -> Option<Vec<LookupRow>> {
-        let device = self.device_id?;
-        let rows = self.context.in_store(move |store| store.lookups(device));
-        rows.await
+    /// Returns the stored lookup of this version; for `None` the one that was active before the present one.
+    ///
+    /// # Errors
+    /// Reason why there is none.
+    pub async fn find(&self, version: Option<u32>) -> Result<LookupToPush, String> {
+        let on_device = self.record.lock().lookup.on_device.unwrap_or(0);
+        self.rows.find(version, on_device).await
     }
 
     /// Makes the device's lookup the active one in the store.
     async fn adopt(&mut self, lookup: &RlLookup) {
-        let Some(device) = self.device_id else { return };
+        if self.rows.device_id.is_none() {
+            return;
+        }
         let (version, observed_cells) = (lookup.version, lookup.observed_cells());
-        let lookup = lookup.clone();
-        let adopted = self
-            .context
-            .in_store(move |store| store.adopt_lookup(device, &lookup))
-            .await;
+        let adopted = self.rows.adopt(lookup.clone()).await;
         if adopted.is_none() {
             // The store still has it as pending.
             self.must_reconcile = true;
@@ -81,7 +148,7 @@ impl Session<'_> {
                 observed_cells,
             });
         }
-        self.update_lookup_report().await;
+        self.update_report().await;
     }
 
     /// Pushes a lookup, under the next version if the device would refuse its own. It is pending in the store before it is
@@ -89,33 +156,30 @@ impl Session<'_> {
     ///
     /// # Errors
     /// Reason of the refusal, also sent to `reply`. The session continues.
-    pub(super) async fn send_lookup(
+    pub async fn push(
         &mut self,
-        pushed: Lookup,
+        link: &mut DeviceLink,
+        pushed: LookupToPush,
         why: &str,
         reply: Option<ReplySender>,
     ) -> Result<(), String> {
-        self.send(pushed, why, false, reply).await
-    }
-
-    /// Sends a lookup that the learner built.
-    async fn send_learned(&mut self, lookup: Lookup) -> Result<(), String> {
-        self.send(lookup, "learned", true, None).await
+        self.send(link, pushed, why, false, reply).await
     }
 
     async fn send(
         &mut self,
-        pushed: Lookup,
+        link: &mut DeviceLink,
+        pushed: LookupToPush,
         why: &str,
         is_learned: bool,
         reply: Option<ReplySender>,
     ) -> Result<(), String> {
-        let Lookup {
+        let LookupToPush {
             mut lookup,
             confidence,
         } = pushed;
         let learned_version = is_learned.then_some(lookup.version);
-        let outcome = self.try_push(&mut lookup, confidence, why).await;
+        let outcome = self.try_push(link, &mut lookup, confidence, why).await;
         let version = lookup.version;
         match outcome {
             Ok(()) => {
@@ -137,23 +201,27 @@ impl Session<'_> {
                     why: why.clone(),
                 });
                 self.reply_refused(reply, &why);
-                self.update_lookup_report().await;
+                self.update_report().await;
                 Err(why)
             }
         }
     }
 
     async fn try_push(
-        &mut self,
+        &self,
+        link: &mut DeviceLink,
         lookup: &mut RlLookup,
         confidence: Option<Confidence>,
         why: &str,
     ) -> Result<(), String> {
-        let device = self.device_id.ok_or(
-            "the store does not know the device: nothing is pushed that it could not keep",
-        )?;
+        if self.rows.device_id.is_none() {
+            let why =
+                "the store does not know the device: nothing is pushed that it could not keep";
+            return Err(why.to_owned());
+        }
         let rows = self
-            .stored_lookups()
+            .rows
+            .read()
             .await
             .ok_or("the store does not answer: nothing is pushed that it could not keep")?;
         let on_device = self.record.lock().lookup.on_device.unwrap_or(0);
@@ -161,28 +229,21 @@ impl Session<'_> {
         if lookup.version <= on_device || lookup.version > highest {
             lookup.version = next_version(on_device, &rows)?;
         }
-        let (pending, reason) = (lookup.clone(), printable(why));
-        let stored = self.context.in_store(move |store| {
-            store.pend_lookup(device, &pending, &reason, confidence.as_ref())
-        });
+        let pending = self.rows.pend(lookup, printable(why), confidence);
         let not_stored = "the store cannot keep it: nothing is pushed that it does not know";
-        stored.await.ok_or(not_stored)?;
+        pending.await.ok_or(not_stored)?;
         let version = lookup.version;
         self.record.lock().lookup.pending = Some(version);
         let pushed = lookup.clone();
-        match self
+        match link
             .request(move |client| client.push_lookup(&pushed))
             .await
         {
             Ok(()) => Ok(()),
             Err(error @ LinkError::Refused { .. }) => {
-                let reason = error.to_string();
-                let refused = self
-                    .context
-                    .in_store(move |store| store.refuse_lookup(device, version, &reason));
-                // If the store fails, the lookup stays pending until the next connection reconciles it.
-                let _ = refused.await;
-                Err(error.to_string())
+                let why = error.to_string();
+                self.rows.refuse(version, why.clone()).await;
+                Err(why)
             }
             // The next connection reads the lookup that the device uses.
             Err(error) => Err(error.to_string()),
@@ -190,18 +251,19 @@ impl Session<'_> {
     }
 
     /// Carries out a step of the push.
-    pub(super) async fn apply_push_step(&mut self, step: Step) {
+    async fn apply(&mut self, link: &mut DeviceLink, step: PushStep) {
         let (record, learner) = (self.record, &self.context.learner);
         let name = &record.name;
         match step {
-            Step::Nothing => {}
-            Step::Send(lookup) => {
+            PushStep::Nothing => {}
+            PushStep::Send(lookup) => {
                 let version = lookup.lookup.version;
-                if self.send_learned(*lookup).await.is_err() {
+                let sent = self.send(link, *lookup, "learned", true, None).await;
+                if sent.is_err() {
                     learner.lookup_refused(name, version);
                 }
             }
-            Step::Active(push) => {
+            PushStep::Active(push) => {
                 let version = push.lookup.version;
                 // The pending lookup is equal bit for bit, and becomes active.
                 self.adopt(&push.lookup).await;
@@ -216,7 +278,7 @@ impl Session<'_> {
                     }));
                 }
             }
-            Step::TimedOut(push) => {
+            PushStep::TimedOut(push) => {
                 let version = push.lookup.version;
                 if push.is_learned {
                     learner.lookup_refused(name, version);
@@ -233,17 +295,17 @@ impl Session<'_> {
     }
 
     /// Ends a push that is not used in time, and sends the lookup that waits.
-    pub(super) async fn tick_push(&mut self) {
+    pub async fn tick(&mut self, link: &mut DeviceLink) {
         loop {
             match self.push.tick(Instant::now()) {
-                Step::Nothing => return,
-                step => self.apply_push_step(step).await,
+                PushStep::Nothing => return,
+                step => self.apply(link, step).await,
             }
         }
     }
 
     /// Ends a push whose outcome is unknown: the session ends, or the device is reset.
-    pub(super) fn abandon_push(&mut self) {
+    pub fn abandon_push(&mut self) {
         let abandoned = self.push.abandon();
         self.reply_abandoned(abandoned);
     }
@@ -261,28 +323,24 @@ impl Session<'_> {
     ///
     /// # Errors
     /// Error of the link.
-    pub(super) async fn reset_lookup(&mut self) -> Result<(), LinkError> {
-        self.request(Client::reset_lookup).await?;
+    pub async fn reset(&mut self, link: &mut DeviceLink) -> Result<(), LinkError> {
+        link.request(Client::reset_lookup).await?;
         self.abandon_push();
         self.push.forget_queued();
         self.context.learner.forget(&self.record.name);
         self.context
             .learner
             .set_device_version(&self.record.name, 0);
-        if let Some(device) = self.device_id {
-            let forgotten = self.context.in_store(move |store| {
-                store.forget_learner_state(device)?;
-                store.adopt_lookup(device, &prior())
-            });
-            self.must_reconcile = forgotten.await.is_none();
+        if self.rows.device_id.is_some() {
+            self.must_reconcile = self.rows.reset().await.is_none();
         }
-        self.update_lookup_report().await;
+        self.update_report().await;
         Ok(())
     }
 
     /// Updates the lookup versions of the report from the store.
-    pub(super) async fn update_lookup_report(&mut self) {
-        let Some(rows) = self.stored_lookups().await else {
+    async fn update_report(&mut self) {
+        let Some(rows) = self.rows.read().await else {
             return;
         };
         let newest = |state| rows.iter().rev().find(|row| row.state == state);

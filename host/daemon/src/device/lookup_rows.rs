@@ -1,0 +1,99 @@
+//! Rows of one device's lookups in the store.
+
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
+use ihd_store::{Confidence, DeviceId, LookupRow};
+
+use super::reconcile::previous_lookup;
+use crate::context::Context;
+use crate::learning::LookupToPush;
+use crate::view::stored_lookup::newest;
+
+/// Lookups of one device in the store. Errors of the store are reported by its thread.
+pub struct LookupRows<'a> {
+    /// Name of the device.
+    pub name: &'a str,
+    /// Services of the daemon.
+    pub context: &'a Context,
+    /// Row of the device; `None` until it is stored.
+    pub device_id: Option<DeviceId>,
+}
+
+impl LookupRows<'_> {
+    /// Returns the rows, oldest first; `None` if the store does not respond.
+    pub async fn read(&self) -> Option<Vec<LookupRow>> {
+        let device = self.device_id?;
+        let rows = self.context.in_store(move |store| store.lookups(device));
+        rows.await
+    }
+
+    /// Returns the lookup of this version; for `None` the one that was active before `on_device`, the present one.
+    ///
+    /// # Errors
+    /// Reason why there is none.
+    pub async fn find(&self, version: Option<u32>, on_device: u32) -> Result<LookupToPush, String> {
+        let rows = self.read().await.ok_or("the store does not answer")?;
+        let lookup = match version {
+            // The built-in lookup, which the store may not hold.
+            Some(0) => Some(prior()),
+            Some(version) => {
+                newest(&rows, version).and_then(|r| RlLookup::from_bytes(&r.blob).ok())
+            }
+            None => previous_lookup(on_device, &rows),
+        };
+        let lookup = lookup.ok_or_else(|| match version {
+            Some(version) => format!("the store holds no lookup of version {version}"),
+            None => "the store holds no lookup that was active before".to_owned(),
+        })?;
+        let (name, version) = (self.name.to_owned(), lookup.version);
+        let confidence = self
+            .context
+            .in_store(move |store| store.confidence(&name, version));
+        Ok(LookupToPush {
+            confidence: confidence.await.flatten(),
+            lookup,
+        })
+    }
+
+    /// Stores a lookup as pending. Returns `None` if it is not stored.
+    pub async fn pend(
+        &self,
+        lookup: &RlLookup,
+        why: String,
+        confidence: Option<Confidence>,
+    ) -> Option<()> {
+        let (device, pending) = (self.device_id?, lookup.clone());
+        let stored = self
+            .context
+            .in_store(move |store| store.pend_lookup(device, &pending, &why, confidence.as_ref()));
+        stored.await
+    }
+
+    /// Marks a pending lookup as refused. If the store fails, it stays pending until the next connection reconciles it.
+    pub async fn refuse(&self, version: u32, why: String) {
+        let Some(device) = self.device_id else { return };
+        let refused = self
+            .context
+            .in_store(move |store| store.refuse_lookup(device, version, &why));
+        let _ = refused.await;
+    }
+
+    /// Makes the device's lookup the active one. Returns `None` if that is not stored.
+    pub async fn adopt(&self, lookup: RlLookup) -> Option<()> {
+        let device = self.device_id?;
+        let adopted = self
+            .context
+            .in_store(move |store| store.adopt_lookup(device, &lookup));
+        adopted.await
+    }
+
+    /// Forgets what was learned and makes the built-in lookup the active one. Returns `None` if that is not stored.
+    pub async fn reset(&self) -> Option<()> {
+        let device = self.device_id?;
+        let forgotten = self.context.in_store(move |store| {
+            store.forget_learner_state(device)?;
+            store.adopt_lookup(device, &prior())
+        });
+        forgotten.await
+    }
+}
