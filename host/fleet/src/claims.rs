@@ -15,7 +15,7 @@ pub use crate::standing::Standing;
 /// A name's owner (JSON).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Claim {
-    /// Public identity of the owner's store ([`crate::Identity::public`]).
+    /// Public identity of the owner's store ([`crate::MessageIds::public`]).
     pub identity: String,
     /// Host of the daemon.
     pub host: String,

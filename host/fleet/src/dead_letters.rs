@@ -7,8 +7,8 @@ use async_nats::jetstream::stream::DirectGetErrorKind;
 use async_nats::jetstream::{Context, Message};
 use serde::Serialize;
 
-use crate::identity::parse_window_id;
 use crate::jetstream::{self, JetStreamError};
+use crate::message_ids::parse_window_id;
 use crate::names;
 use crate::server::Server;
 

@@ -39,7 +39,7 @@ const LARGEST_VALUE: i32 = 1 << 18;
 /// Limits of the fleet on the server. Windows beyond their limit are refused, so that edges keep them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Limits {
+pub struct FleetLimits {
     /// Bytes of windows that wait for a worker.
     pub windows_bytes: i64,
     /// Waiting windows of one hob, so that no hob fills the queue.
@@ -64,7 +64,7 @@ pub struct Limits {
     pub replicas: u8,
 }
 
-impl Default for Limits {
+impl Default for FleetLimits {
     fn default() -> Self {
         Self {
             windows_bytes: 4_000_000_000,
@@ -106,7 +106,7 @@ fn failed<E: std::fmt::Display>(what: &str) -> impl FnOnce(E) -> JetStreamError 
     move |why| JetStreamError::new(what, why)
 }
 
-impl Limits {
+impl FleetLimits {
     fn streams(&self) -> [stream::Config; 4] {
         // Subjects of every version, so that waiting windows of an older one stay.
         let subject = |kind: &str| vec![format!("ihd.*.*.{kind}")];
@@ -243,7 +243,7 @@ pub async fn init_edge(
 ///
 /// # Errors
 /// [`JetStreamError`] with the name of the refused object.
-pub async fn init(context: &Context, limits: &Limits) -> Result<(), JetStreamError> {
+pub async fn init(context: &Context, limits: &FleetLimits) -> Result<(), JetStreamError> {
     for config in limits.streams() {
         let name = config.name.clone();
         let made = context.create_or_update_stream(config).await;

@@ -17,9 +17,9 @@ mod clock;
 pub mod dead_letters;
 pub mod discovery;
 mod edge;
-mod identity;
 pub mod jetstream;
 pub mod lookups;
+mod message_ids;
 pub mod names;
 mod server;
 pub mod server_config;
@@ -35,4 +35,4 @@ pub use access::{Access, AccessError};
 /// A connection to a server with JetStream.
 pub use async_nats::jetstream::Context;
 pub use edge::{Edge, EventMessage, StateMessage};
-pub use identity::Identity;
+pub use message_ids::MessageIds;

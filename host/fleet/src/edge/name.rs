@@ -7,8 +7,8 @@ use ihd_daemon::fleet::host_name;
 
 use super::{Link, TRY_AGAIN};
 use crate::claims::{self, Claim, Verdict};
-use crate::identity::Identity;
 use crate::jetstream::JetStreamError;
+use crate::message_ids::MessageIds;
 use crate::standing::Standing;
 
 /// Period of the checks: a name may be freed, and a store may be moved.
@@ -69,7 +69,7 @@ async fn own_claim(link: &Link) -> Result<Claim, JetStreamError> {
     let folder = link.daemon.fleet().store_folder();
     let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
     Ok(Claim {
-        identity: Identity::new(secret).public(),
+        identity: MessageIds::new(secret).public(),
         host: host_name(),
         store: folder.display().to_string(),
         at_ms: link.daemon.view().now_ms(),

@@ -13,7 +13,7 @@ use tokio::time::Instant;
 
 use super::acknowledged::{self, all_until};
 use super::{Link, TRY_AGAIN};
-use crate::identity::Identity;
+use crate::message_ids::MessageIds;
 use crate::names;
 use crate::stream_message::{Acknowledged, Outgoing, PendingAck, PublishFailure};
 use crate::wire::{AnswerMessage, MessageError, WindowMessage};
@@ -49,9 +49,9 @@ enum SendError {
 
 /// Sends due windows until the edge stops.
 pub async fn run(link: Arc<Link>) {
-    let identity = loop {
+    let message_ids = loop {
         match link.daemon.fleet().secret().await {
-            Ok(secret) => break Identity::new(secret),
+            Ok(secret) => break MessageIds::new(secret),
             Err(why) => link.failed("store", &why),
         }
         if !link.wait(TRY_AGAIN).await {
@@ -68,7 +68,7 @@ pub async fn run(link: Arc<Link>) {
             resend_unanswered(&link).await;
         }
         let sent = match is_admitted {
-            true => send_batch(&link, &identity).await.map(Some),
+            true => send_batch(&link, &message_ids).await.map(Some),
             false => Ok(None),
         };
         let works = matches!(sent, Ok(Some(_)));
@@ -138,12 +138,12 @@ pub(super) async fn resend_all(link: &Link, why: &str) -> Result<(), StoreThread
 
 /// Sends a batch and waits for all acknowledgements together; returns the number of due windows. Acknowledged windows are recorded, even if
 /// others fail.
-async fn send_batch(link: &Link, identity: &Identity) -> Result<usize, SendError> {
+async fn send_batch(link: &Link, message_ids: &MessageIds) -> Result<usize, SendError> {
     let due = link.daemon.fleet().due_windows(BATCH).await?;
     let count = due.len();
     let deadline = Instant::now() + BATCH_WITHIN;
     let mut batch = Batch::default();
-    let sending = batch.send(link, identity, due);
+    let sending = batch.send(link, message_ids, due);
     let mut failed = match tokio::time::timeout_at(deadline, sending).await {
         Ok(sent) => sent.err(),
         Err(_) => Some(SendError::Late),
@@ -182,11 +182,11 @@ impl Batch {
     async fn send(
         &mut self,
         link: &Link,
-        identity: &Identity,
+        message_ids: &MessageIds,
         due: Vec<DueWindow>,
     ) -> Result<(), SendError> {
         for due in due {
-            match send(link, identity, &due).await? {
+            match send(link, message_ids, &due).await? {
                 Some((what, acknowledged)) => {
                     let acknowledged = async move { (due, what, acknowledged.await) };
                     self.under_way.push(Box::pin(acknowledged));
@@ -249,7 +249,7 @@ impl Batch {
 /// Publishes a due window or its result; `None` if its samples are deleted.
 async fn send(
     link: &Link,
-    identity: &Identity,
+    message_ids: &MessageIds,
     due: &DueWindow,
 ) -> Result<Option<(DeliveryState, PendingAck)>, SendError> {
     let (hob, boot, seq) = (&due.device, due.boot, due.seq);
@@ -266,7 +266,7 @@ async fn send(
             let message = Outgoing {
                 subject: names::window(hob),
                 payload: message.to_bytes()?.into(),
-                number: Some(identity.window_id(hob, boot, seq)),
+                number: Some(message_ids.window_id(hob, boot, seq)),
                 after: None,
             };
             (message, DeliveryState::Window)

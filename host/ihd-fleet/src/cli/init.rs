@@ -5,7 +5,7 @@ use clap::{Args, Subcommand};
 use ihd::cli::global::Global;
 use ihd::{ensure_usage, say};
 use ihd_daemon::config::is_name;
-use ihd_fleet::jetstream::{self, Limits};
+use ihd_fleet::jetstream::{self, FleetLimits};
 use ihd_fleet::{claims, names};
 
 use super::{AccessArgs, server_config, up};
@@ -22,22 +22,22 @@ pub struct InitArgs {
     #[command(subcommand)]
     server: Option<ServerCommand>,
     /// Threads of all workers together: twice as many windows may be with workers
-    #[arg(long, value_name = "N", default_value_t = Limits::default().threads)]
+    #[arg(long, value_name = "N", default_value_t = FleetLimits::default().threads)]
     threads: u32,
     /// Bytes of windows that may wait for a worker; beyond them edges keep theirs
-    #[arg(long, value_name = "BYTES", default_value_t = Limits::default().windows_bytes)]
+    #[arg(long, value_name = "BYTES", default_value_t = FleetLimits::default().windows_bytes)]
     windows_bytes: i64,
     /// Bytes of results
-    #[arg(long, value_name = "BYTES", default_value_t = Limits::default().results_bytes)]
+    #[arg(long, value_name = "BYTES", default_value_t = FleetLimits::default().results_bytes)]
     results_bytes: i64,
     /// Days that results are kept
-    #[arg(long, value_name = "DAYS", default_value_t = Limits::default().results_days)]
+    #[arg(long, value_name = "DAYS", default_value_t = FleetLimits::default().results_days)]
     results_days: u32,
     /// Bytes of captures
-    #[arg(long, value_name = "BYTES", default_value_t = Limits::default().captures_bytes)]
+    #[arg(long, value_name = "BYTES", default_value_t = FleetLimits::default().captures_bytes)]
     captures_bytes: i64,
     /// Copies of everything in a cluster: 1, 3 or 5
-    #[arg(long, value_name = "N", default_value_t = Limits::default().replicas, value_parser = clap::value_parser!(u8).range(1..=5))]
+    #[arg(long, value_name = "N", default_value_t = FleetLimits::default().replicas, value_parser = clap::value_parser!(u8).range(1..=5))]
     replicas: u8,
     /// An edge and its hobs, where its key may not make its own consumer (docs/fleet.md); may be given again
     #[arg(long = "edge", value_name = "EDGE=HOB,…", value_parser = edge)]
@@ -88,14 +88,14 @@ impl InitArgs {
             "--replicas {}: 1, 3 or 5, else half a cluster cannot decide",
             self.replicas
         );
-        let limits = Limits {
+        let limits = FleetLimits {
             threads: self.threads,
             windows_bytes: self.windows_bytes,
             results_bytes: self.results_bytes,
             results_days: self.results_days,
             captures_bytes: self.captures_bytes,
             replicas: self.replicas,
-            ..Limits::default()
+            ..FleetLimits::default()
         };
         access.with(global, async |access, context| {
             jetstream::init(&context, &limits).await?;

@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use ihd::{ensure_usage, say};
-use ihd_fleet::jetstream::{self, Limits};
+use ihd_fleet::jetstream::{self, FleetLimits};
 use ihd_fleet::server_config::{self, Edge, Server, Site, Tls};
 use ihd_fleet::{Access, Context};
 use tokio::runtime::Runtime;
@@ -122,7 +122,7 @@ impl UpArgs {
             ..Access::default()
         };
         let context = connected(&access, server).await?;
-        jetstream::init(&context, &Limits::default()).await?;
+        jetstream::init(&context, &FleetLimits::default()).await?;
         for edge in &self.edges {
             jetstream::init_edge(&context, &edge.name, &edge.hobs).await?;
         }

@@ -15,7 +15,7 @@ use async_nats::jetstream::message::PublishMessage;
 use futures_util::StreamExt;
 use ihd_fleet::jetstream::init_edge;
 use ihd_fleet::wire::{AnswerMessage, WindowMessage};
-use ihd_fleet::{Identity, names};
+use ihd_fleet::{MessageIds, names};
 use serde_json::Value;
 
 use super::process::processor_s;
@@ -94,7 +94,7 @@ impl Edge {
         context: &jetstream::Context,
         sent: &Mutex<std::collections::BTreeMap<u32, Instant>>,
     ) {
-        let identity = Identity::new([self.k as u8; 16]);
+        let message_ids = MessageIds::new([self.k as u8; 16]);
         let share = f64::from(self.k) / f64::from(EDGES);
         let tape = &tape().windows;
         for seq in 0..self.windows {
@@ -118,7 +118,7 @@ impl Edge {
             sent.lock().unwrap().insert(seq, Instant::now());
             let message = PublishMessage::build()
                 .payload(bytes.into())
-                .message_id(identity.window_id(&self.hob, 1, seq));
+                .message_id(message_ids.window_id(&self.hob, 1, seq));
             let acknowledged = context.send_publish(names::window(&self.hob), message);
             acknowledged
                 .await

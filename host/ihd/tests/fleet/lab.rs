@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use async_nats::jetstream;
 use async_nats::{Client, ConnectOptions};
-use ihd_fleet::jetstream::{Limits, init, init_edge};
+use ihd_fleet::jetstream::{FleetLimits, init, init_edge};
 use ihd_fleet::server_config::{Edge, Key, Site, Tls, server_config};
 
 use crate::server::{Place, Server};
@@ -101,17 +101,17 @@ impl Lab {
         jetstream::new(self.client(key).await)
     }
 
-    /// What the operator makes (`ihd-fleet init`).
+    /// Files of the operator (`ihd-fleet init`).
     async fn make_streams(&self, site: &Site) {
         let js = self.jetstream(&format!("{}-operator", site.name)).await;
         let most = 100 << 20;
-        let limits = Limits {
+        let limits = FleetLimits {
             windows_bytes: most,
             results_bytes: most,
             events_bytes: most,
             dead_bytes: most,
             captures_bytes: most,
-            ..Limits::default()
+            ..FleetLimits::default()
         };
         init(&js, &limits).await.unwrap();
         for edge in &site.edges {

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use async_nats::jetstream;
 use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
-use ihd_fleet::Identity;
+use ihd_fleet::MessageIds;
 use ihd_fleet::wire::WindowMessage;
 use ihd_fleet::worker::{self, WorkerSettings};
 use ihd_identify::{IdentifyOptions, Method};
@@ -358,7 +358,7 @@ fn a_thousand_edges_on_one_server_at_length() {
                     let client = async_nats::connect(&url).await.expect("a connection");
                     let context = jetstream::new(client);
                     let hob = format!("hob-{k}");
-                    let identity = Identity::new([k as u8; 16]);
+                    let message_ids = MessageIds::new([k as u8; 16]);
                     let mut message = WindowMessage {
                         hob: hob.clone(),
                         boot: k,
@@ -375,7 +375,7 @@ fn a_thousand_edges_on_one_server_at_length() {
                         let bytes = message.to_bytes().expect("packed");
                         let publish = jetstream::message::PublishMessage::build()
                             .payload(bytes.into())
-                            .message_id(identity.window_id(&hob, k, message.window.seq));
+                            .message_id(message_ids.window_id(&hob, k, message.window.seq));
                         let asked = Instant::now();
                         let subject = format!("ihd.v2.{hob}.window");
                         let sent = context.send_publish(subject, publish).await.expect("sent");

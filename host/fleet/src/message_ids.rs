@@ -7,11 +7,11 @@ use ring::hmac::{HMAC_SHA256, Key, sign};
 const CODE_BYTES: usize = 8;
 
 /// Generator of one edge's message ids.
-pub struct Identity {
+pub struct MessageIds {
     key: Key,
 }
 
-impl Identity {
+impl MessageIds {
     /// Creates it from the secret of the edge's store, so that the ids are the same after a restart.
     pub fn new(secret: [u8; 16]) -> Self {
         Self {
@@ -39,7 +39,7 @@ impl Identity {
     }
 }
 
-/// Returns boot and number of the window with an id of [`Identity::window_id`]; `None` if it is not of this hob.
+/// Returns boot and number of the window with an id of [`MessageIds::window_id`]; `None` if it is not of this hob.
 pub fn parse_window_id(number: &str, hob: &str) -> Option<(u32, u32)> {
     let mut parts = number.strip_prefix(hob)?.strip_prefix('-')?.split('-');
     let key = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
@@ -53,9 +53,9 @@ mod tests {
 
     #[test]
     fn a_window_has_one_number_and_no_other_window_or_edge_has_it() {
-        let (a, b) = (Identity::new([1; 16]), Identity::new([2; 16]));
+        let (a, b) = (MessageIds::new([1; 16]), MessageIds::new([2; 16]));
         let number = a.window_id("bench", 7, 11);
-        assert_eq!(number, Identity::new([1; 16]).window_id("bench", 7, 11));
+        assert_eq!(number, MessageIds::new([1; 16]).window_id("bench", 7, 11));
         assert!(number.starts_with("bench-7-11-"), "{number}");
         let others = [
             a.window_id("bench", 7, 12),
@@ -75,8 +75,8 @@ mod tests {
 
     #[test]
     fn a_store_is_known_by_what_is_no_window_of_it() {
-        let (a, b) = (Identity::new([1; 16]), Identity::new([2; 16]));
-        assert_eq!(a.public(), Identity::new([1; 16]).public());
+        let (a, b) = (MessageIds::new([1; 16]), MessageIds::new([2; 16]));
+        assert_eq!(a.public(), MessageIds::new([1; 16]).public());
         assert_ne!(a.public(), b.public());
         assert_eq!(a.public().len(), 2 * CODE_BYTES);
     }
