@@ -32,7 +32,7 @@ const LOAD_L_H: f64 = 26e-6;
 const EMPTY: (f64, f64) = (0.1, 70e-6);
 const C_F: f64 = 1080e-9;
 
-/// What the link does to a frame on its way to the host: the bytes that arrive.
+/// Effect of the link on a frame to the host: the bytes that arrive.
 pub type Mangle = Box<dyn FnMut(&[u8]) -> Vec<u8> + Send>;
 
 /// Firmware, load and the device's end of the link.
@@ -47,7 +47,7 @@ pub struct DeskHob {
     pub bytes_per_block: usize,
     /// Housekeeping has its turn every so many blocks.
     pub turn_every: u32,
-    /// What the link does to each frame towards the host.
+    /// Effect of the link on each frame to the host.
     pub mangle: Mangle,
     /// Requests for pieces of windows reach the device: it sends them again.
     pub sends_again: bool,
@@ -128,7 +128,7 @@ impl DeskHob {
         self.to_device.extend(frame);
     }
 
-    /// What has arrived at the host.
+    /// Bytes that have arrived at the host.
     pub fn collect(&mut self) -> Vec<u8> {
         self.to_host.drain(..).collect()
     }
@@ -242,7 +242,7 @@ impl DeskLink {
         }
     }
 
-    /// As [`DeskLink::new`], with garbage before each of the host's frames.
+    /// Creates a [`DeskLink`] with garbage before each of the host's frames.
     pub fn noisy(hob: DeskHob, noise: Vec<Vec<u8>>) -> Self {
         Self {
             noise: noise.into(),
@@ -250,7 +250,7 @@ impl DeskLink {
         }
     }
 
-    /// What is behind the link.
+    /// Returns the hob behind the link.
     pub fn hob(&self) -> MutexGuard<'_, DeskHob> {
         self.hob.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ihd_link::{LinkError, Transport};
 
-/// How often what goes wrong: shares of the bits, or of the frames.
+/// Rates of faults: shares of the bits, or of the frames.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Faults {
     /// Bits that change.

@@ -20,7 +20,7 @@ pub struct HalfCycle {
     pub truth: Vec<(f64, f64, f64)>,
 }
 
-/// Where a fixture lies: `noiseless` or `snr30`.
+/// Folder of a fixture: `noiseless` or `snr30`.
 fn path(f_sw_hz: u32, noise: &str, extension: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("fixtures/half_cycle")

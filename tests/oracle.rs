@@ -46,10 +46,10 @@ pub fn demodulate(blocks: &[[Pair; ADC_LOCK_P]], f_sw_hz: u32) -> (usize, Vec<(P
     (n - 1, (0..outputs).map(smooth).collect())
 }
 
-/// How the current's prediction is differentiated by X.
+/// Derivative of the current's prediction by X.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Jacobian {
-    /// As the firmware does: L/dt = κX is taken as known, so that I' is analytic in I and R + jX.
+    /// The firmware's: L/dt = κX is taken as known, so that I' is analytic in I and R + jX.
     Analytic,
     /// With the term κ(I − I')/D that L/dt contributes.
     Exact,

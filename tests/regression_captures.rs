@@ -57,7 +57,7 @@ fn event(t_s: f64, change: Change) -> Event {
     Event { t_s, change }
 }
 
-/// What a board sees of a 21 cm pot at 45 kHz: 12 bit, f_sw·61/3, a pole at 500 kHz.
+/// Board's samples of a 21 cm pot at 45 kHz: 12 bit, f_sw·61/3, a pole at 500 kHz.
 fn board(duration_s: f64) -> CaptureSpec {
     CaptureSpec {
         load: LoadKind::Surrogate,

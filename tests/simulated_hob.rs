@@ -72,7 +72,7 @@ impl Kitchen {
         seen
     }
 
-    /// Where the true load resonates in a half-cycle: the highest frequency, in hertz.
+    /// Highest resonant frequency of the true load in a half-cycle, in hertz.
     pub fn resonance_hz(&self, half_cycle: u32) -> f64 {
         let hob = self.hob.lock();
         let truth = hob

@@ -1,4 +1,4 @@
-//! What the range of the voltage channel costs: `cargo run -p ihd-tests --example voltage_range`
+//! Cost of the voltage channel's range: `cargo run -p ihd-tests --example voltage_range`
 //! prints the table of docs/accuracy.md. 12 bit, f_adc = f_sw·61/3, a pole at 500 kHz, behavioural load; the
 //! last of two half-cycles.
 

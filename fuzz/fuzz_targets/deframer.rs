@@ -75,7 +75,7 @@ fn check(stream: &[u8], whole: &[Owned]) {
     assert_eq!(after.last(), Some(&Some(last)), "not in step again");
 }
 
-/// Whatever the deframer makes of a stream; `None` for what is no frame.
+/// Results of the deframer on a stream; `None` for bytes that are no frame.
 fn deframe(deframer: &mut Deframer, stream: &[u8]) -> Vec<Option<Owned>> {
     let mut found = Vec::new();
     for &byte in stream {

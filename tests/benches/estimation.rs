@@ -31,7 +31,7 @@ mod oracle;
 /// Switching frequency of the fixture, in hertz.
 const F_SW_HZ: u32 = 45_000;
 
-/// Where the filters start: the nominal load, 4 Ω and 25 µH.
+/// Start values of the filters: the nominal load, 4 Ω and 25 µH.
 const START: (MicroOhm, PicoHenry) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
 
 /// The fixture's pairs in whole blocks.

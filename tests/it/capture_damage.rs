@@ -40,7 +40,7 @@ fn file(dir: &TempDir, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// Where each chunk ends and how many pairs lie before that end, by another reader of the format.
+/// End of each chunk and number of pairs before it, by another reader of the format.
 fn chunk_ends(bytes: &[u8]) -> Vec<(usize, usize)> {
     let mut ends = Vec::new();
     let (mut at, mut pairs) = (::mcap::MAGIC.len(), 0);

@@ -1,4 +1,4 @@
-//! What the link carries while the firmware heats the simulated plant: windows, lookups, and what a
+//! Content of the link while the firmware heats the simulated plant: windows, lookups, and what a
 //! slow or a repeated run changes.
 
 use std::io;
@@ -21,7 +21,7 @@ fn windows(events: &[Event]) -> impl Iterator<Item = &Window> {
     })
 }
 
-/// What both ends of a half-cycle may be off together: four sigma of the mains converter's noise, one
+/// Largest error of both ends of a half-cycle together: four sigma of the mains converter's noise, one
 /// code or 2 µs each (`ihd_sim::slow_adc`), and the line's ringing with C1, a volt or 10 µs each.
 const CROSSING_S: f64 = 30e-6;
 

@@ -33,7 +33,7 @@ use ihd_train::{NetworkConfig, RecordedHalfCycle, RunOptions, Source};
 /// Bus voltage that the replays state, in decivolt.
 const BUS_DV: u16 = 3_000;
 
-/// What the estimators start from.
+/// Start values of the estimators.
 const START: (MicroOhm, PicoHenry) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
 
 /// The stack of memory.x, and what start-up paints it with (cortex-m-rt).
@@ -43,7 +43,7 @@ const PAINT: u32 = 0xCCCC_CCCC;
 /// Ends a hang: a busy machine emulates slowly.
 const PATIENCE: Duration = Duration::from_secs(600);
 
-/// What of the stack may be used at most in these tests: firmware/budget.toml.
+/// Largest use of the stack in these tests: firmware/budget.toml.
 static STACK_LIMIT: LazyLock<usize> = LazyLock::new(|| {
     let budget = include_str!("../../firmware/budget.toml");
     let line = budget

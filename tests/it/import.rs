@@ -1,4 +1,4 @@
-//! What scopes, MATLAB and NumPy write, opened as captures. tests/fixtures/formats/make.py states who
+//! Files of scopes, MATLAB and NumPy, opened as captures. tests/fixtures/formats/make.py states who
 //! wrote each file; the waveform is the formula of [`wave`].
 
 use std::fs;

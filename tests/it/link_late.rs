@@ -49,7 +49,7 @@ impl Way {
 struct Late {
     desk: DeskLink,
     chance: Arc<Mutex<Option<ChaCha8Rng>>>,
-    /// What the device has sent and is not on its way yet.
+    /// Frames that the device has sent and that are not on their way yet.
     sent: Arc<Mutex<Vec<Vec<u8>>>>,
     to_device: Way,
     to_host: Way,
@@ -115,7 +115,7 @@ impl Transport for Late {
     }
 }
 
-/// What the device may be in by what the host has heard.
+/// States that the device may be in, as far as the host has heard.
 struct Known {
     powers_w: Vec<u16>,
     version: u32,

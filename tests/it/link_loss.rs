@@ -1,4 +1,4 @@
-//! How many windows a faulty link costs, now and where nothing is sent again.
+//! Windows lost on a faulty link, with and without retransmission.
 
 use std::time::Duration;
 

@@ -21,7 +21,7 @@ use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello, heating, heating_where};
 
-/// What the client sees of the next half-cycles, of which it misses nothing.
+/// Events of the client during the next half-cycles, all of them.
 fn watch(client: &mut Client, half_cycles: u64) -> Vec<Event> {
     let end = client.clock() + Duration::from_millis(10 * half_cycles);
     let mut events = Vec::new();
@@ -89,7 +89,7 @@ fn a_window_arrives_whole() {
     assert_eq!(client.counters().windows.missing, 0);
 }
 
-/// What happens to one kind of frame.
+/// Treatment of one kind of frame.
 type Damage = fn(frame: &[u8]) -> Vec<Vec<u8>>;
 
 /// Applies `damage` to the `nth` frame with message `id` of one window; returns what became of it,

@@ -16,7 +16,7 @@ use ihd_tests::regression_captures::{all, file, folder};
 /// Estimators that are followed.
 const METHODS: [Method; 3] = [Method::Firmware, Method::Lockin, Method::LeastSquares];
 
-/// How far a metric may move before it asks for an update.
+/// Largest change of a metric without an update.
 const BAND: (f64, f64) = (0.7, 1.3);
 
 /// Errors below this, in percent, are not followed downwards.

@@ -141,7 +141,7 @@ impl Dice {
         (self.0 >> 16) % sides
     }
 
-    /// What becomes of a frame: nothing, twice, cut, or one bit of it.
+    /// Fate of a frame: lost, doubled, cut, or with one bit inverted.
     fn damage(&mut self, frame: &[u8]) -> Vec<u8> {
         let at = self.roll(frame.len() as u32) as usize;
         match self.roll(40) {

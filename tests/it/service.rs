@@ -1,4 +1,4 @@
-//! What a host asks of the simulated hob besides heating (protocol 2.2), through the client.
+//! Requests to the simulated hob besides heating (protocol 2.2), through the client.
 
 use std::time::Duration;
 

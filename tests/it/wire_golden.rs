@@ -76,7 +76,7 @@ fn encoded(id: u8, message: &[u8], number: Number, seq: u16) -> Vec<u8> {
     out[..length].to_vec()
 }
 
-/// Of every message, one whose fields differ from each other and from zero; make.py has them again.
+/// One message of each kind, with fields that differ from each other and from zero; make.py repeats them.
 fn samples<'a>(chunk: &'a [u8], lookup: &'a [u8]) -> Vec<AnyMessage<'a>> {
     vec![
         AnyMessage::Hello(Hello {

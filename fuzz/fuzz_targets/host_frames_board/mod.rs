@@ -12,7 +12,7 @@ use super::reader::Reader;
 
 const C_F: f64 = 1080e-9;
 
-/// What the samples are.
+/// Kind of the samples.
 enum Samples {
     /// A steady current through R and L at the drive's frequency, in ohm and henry.
     Load(f64, f64),

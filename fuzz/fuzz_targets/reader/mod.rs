@@ -11,7 +11,7 @@ use ihd_shared::wire::number::Number;
 pub struct Reader<'a>(pub &'a [u8]);
 
 impl<'a> Reader<'a> {
-    /// Whether all bytes are used up.
+    /// Returns `true` if all bytes are used up.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }

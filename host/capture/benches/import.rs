@@ -11,7 +11,7 @@ use ihd_capture::{OpenOptions, open};
 
 const SAMPLES: usize = 1_000_000;
 
-/// What a plain loop over lines and fields takes.
+/// Time of a plain loop over lines and fields.
 fn split_and_parse(path: &Path) -> Vec<[f64; 3]> {
     let text = std::fs::read_to_string(path).expect("read");
     let number = |field: &str| field.parse::<f64>().expect("number");

@@ -105,7 +105,7 @@ fn survives(path: &Path, bytes: &[u8], what: &str) -> bool {
     }
 }
 
-/// Whether a MAT file's first `length` bytes end with an element.
+/// Returns `true` if a MAT file's first `length` bytes end with an element.
 fn ends_an_element(bytes: &[u8], length: usize) -> bool {
     let mut at = 128;
     while at < length {

@@ -18,7 +18,7 @@ use ihd_sim::injection::{Injection, InjectionKind};
 use ihd_sim::recording::settings::LoadKind;
 use proptest::prelude::*;
 
-/// What a host may send.
+/// Request of a host.
 #[derive(Clone, Debug)]
 enum Sent {
     Hello,

@@ -1,4 +1,4 @@
-//! What a window and a result cost until they are committed: NORMAL and FULL, on the disk of the folder that
+//! Time until a window and a result are committed: NORMAL and FULL, on the disk of the folder that
 //! `TMPDIR` names.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};

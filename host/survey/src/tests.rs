@@ -34,7 +34,7 @@ fn survey(capture: &Capture) -> Survey {
     Survey::of(capture, &Hints::default()).unwrap()
 }
 
-/// How far a time is from the nearest zero crossing of a mains whose crossing is at `-start_s`.
+/// Distance of a time from the nearest zero crossing of a mains whose crossing is at `-start_s`.
 fn off_crossing_s(t_s: f64, settings: &CaptureSpec) -> f64 {
     let half_s = 0.5 / settings.mains_hz;
     let phase = (t_s + settings.start_s).rem_euclid(half_s);

@@ -33,7 +33,7 @@ const VC_CORERESET: u32 = 1;
 /// A core's debug registers, and the target behind them.
 #[derive(Debug)]
 pub struct CortexM<T> {
-    /// What is debugged.
+    /// Target under debug.
     pub target: T,
     control: u32,
     dfsr: u32,
@@ -57,7 +57,7 @@ impl<T: Target> CortexM<T> {
         }
     }
 
-    /// As the AHB-AP reads.
+    /// Reads a word through the AHB-AP.
     ///
     /// # Errors
     /// Where nothing answers.
@@ -77,7 +77,7 @@ impl<T: Target> CortexM<T> {
         }
     }
 
-    /// As the AHB-AP writes.
+    /// Writes a word through the AHB-AP.
     ///
     /// # Errors
     /// Where nothing answers.

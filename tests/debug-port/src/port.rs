@@ -3,7 +3,7 @@
 use crate::cortex_m::CortexM;
 use crate::target::{Contact, Target};
 
-/// What an access is answered with.
+/// Answer to an access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refusal {
     /// FAULT: an error is sticky, from this access or one before.
@@ -34,7 +34,7 @@ pub struct DebugPort<T> {
 }
 
 impl<T: Target> DebugPort<T> {
-    /// As after power-on.
+    /// Creates a port as after power-on.
     pub fn new(target: T) -> Self {
         Self {
             core: CortexM::new(target),
@@ -97,7 +97,7 @@ impl<T: Target> DebugPort<T> {
         Ok(())
     }
 
-    /// Which register of which access port is meant; no access without power, or with an error standing.
+    /// Returns the selected access port and register; an error without power, or while an error stands.
     fn ap_register(&mut self, address: u8) -> Result<Option<u32>, Refusal> {
         self.contact()?;
         if self.sticky_error || self.control & POWER_REQUESTS != POWER_REQUESTS {

@@ -1,10 +1,10 @@
-//! What hangs behind a debug port.
+//! Target behind a debug port.
 
 /// An access that the bus answers with an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BusFault;
 
-/// Why a core stands still.
+/// Reason for which a core is halted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stop {
     /// It was halted, or has made its step.
@@ -15,7 +15,7 @@ pub enum Stop {
     LockedUp,
 }
 
-/// Whether probe and target can be reached.
+/// Reachability of probe and target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Contact {
     /// They can.
@@ -58,9 +58,9 @@ pub trait Target: Send {
     /// Resets core and peripherals; the core runs then.
     fn reset(&mut self);
 
-    /// Why the core stands still; `None` while it runs. Asked before each access, it may let the core go on meanwhile.
+    /// Returns the reason for which the core is halted; `None` while it runs. Called before each access; the core may run meanwhile.
     fn stopped(&mut self) -> Option<Stop>;
 
-    /// Whether it can be reached.
+    /// Returns its reachability.
     fn contact(&self) -> Contact;
 }

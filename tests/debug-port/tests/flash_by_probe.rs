@@ -1,4 +1,4 @@
-//! What `ihd flash` and `ihd log` do through a probe, with everything above the probe as it is shipped.
+//! `ihd flash` and `ihd log` through a probe; everything above the probe is the product.
 
 use ihd_debug_port::chip::Mishap;
 use ihd_debug_port::probe::Desk;
@@ -20,7 +20,7 @@ fn desk() -> Desk<Chip> {
     Desk::new(Chip::default())
 }
 
-/// As large as the firmware, not a multiple of a page.
+/// Image of the firmware's size, which is no multiple of a page.
 fn image() -> Image {
     let sample = SampleImage {
         bytes: 90_012,
@@ -271,7 +271,7 @@ fn option_bytes_are_set_loaded_and_read_back() {
     desk.with(|chip| assert_eq!(chip.flash.optr, 0xFEEF_FCAA));
 }
 
-/// What happens at the flash operation with this number (44 erasures, then double words), and what a second run makes of it.
+/// Fault at the flash operation of this number (44 erasures, then double words), and the result of a second run.
 fn mishap(after: u64, mishap: Mishap) -> ProgramError {
     let (desk, image) = (desk(), image());
     put(&desk, LOOKUP_ADDRESS, b"a learned lookup");
@@ -448,7 +448,7 @@ impl Ring {
         self.put(address, &bytes);
     }
 
-    /// What the program logs.
+    /// Log of the program.
     fn log(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             self.put(Self::BUFFER + self.written, &[byte]);

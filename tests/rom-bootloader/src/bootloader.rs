@@ -6,7 +6,7 @@ use crate::chip::{Chip, FLASH, FLASH_BYTES, OPTION_BYTES, OPTIONS, OTP, OTP_BYTE
 use crate::descriptors::{self, TRANSFER};
 use crate::fault::Fault;
 
-/// What the commands of DFU_DNLOAD with block 0 begin with, as DFU_UPLOAD of block 0 lists them.
+/// First bytes of the commands of DFU_DNLOAD with block 0, as listed by DFU_UPLOAD of block 0.
 const COMMANDS: [u8; 4] = [0x00, SET_ADDRESS, ERASE, READ_UNPROTECT];
 const SET_ADDRESS: u8 = 0x21;
 const ERASE: u8 = 0x41;
@@ -14,16 +14,16 @@ const READ_UNPROTECT: u8 = 0x92;
 /// The block that lies at the address pointer.
 const FIRST_BLOCK: u16 = 2;
 
-/// What a page takes to erase.
+/// Time to erase a page.
 const ERASE_TIME: Duration = Duration::from_millis(23);
-/// What all pages take.
+/// Time to erase all pages.
 const ERASE_ALL_TIME: Duration = Duration::from_millis(50);
-/// What eight bytes take to write.
+/// Time to write eight bytes.
 const WRITE_TIME: Duration = Duration::from_micros(90);
-/// What option bytes take.
+/// Time to write option bytes.
 const OPTIONS_TIME: Duration = Duration::from_millis(30);
 
-/// What it asks a host to wait at most.
+/// Longest wait that it requests of a host.
 const LONGEST_POLL: Duration = Duration::from_millis(100);
 
 /// bStatus (DFU 1.1, 6.1.2), those that are used here.
@@ -72,7 +72,7 @@ pub enum State {
     Error = 10,
 }
 
-/// Why there is no answer as asked for.
+/// Reason for a missing answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refused {
     /// STALL.
@@ -81,7 +81,7 @@ pub enum Refused {
     Gone,
 }
 
-/// How the device left the bus.
+/// Way in which the device left the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Left {
     /// It was told to run the program at this address.
@@ -92,7 +92,7 @@ pub enum Left {
     Lost,
 }
 
-/// What GETSTATUS sets going.
+/// Operation that GETSTATUS starts.
 #[derive(Clone, Debug)]
 enum Operation {
     SetAddress(u32),
@@ -106,7 +106,7 @@ enum Operation {
 pub struct Bootloader {
     /// Its memories.
     pub chip: Chip,
-    /// What the first alternate setting says of the flash, for another chip than this.
+    /// Replaces the first alternate setting's description of the flash by that of another chip.
     pub flash_layout: Option<String>,
     /// GETSTATUS before the time that the device had asked for.
     pub early: u32,
@@ -155,12 +155,12 @@ impl Bootloader {
         self.faults.push(fault);
     }
 
-    /// How it left the bus, if it did.
+    /// Returns the way in which it left the bus; `None` if it did not.
     pub fn left(&self) -> Option<Left> {
         self.left
     }
 
-    /// Where it is, which needs no request.
+    /// Returns its state, without a request.
     pub fn state(&self) -> State {
         self.state
     }
@@ -240,7 +240,7 @@ impl Bootloader {
         self.left.map_or(Ok(()), |_| Err(Refused::Gone))
     }
 
-    /// What the state does not allow: a STALL, and an error to be cleared.
+    /// Refuses a request that the state does not allow: a STALL, and an error to be cleared.
     fn refuse(&mut self) -> Result<(), Refused> {
         self.fails(Status::ErrStalledPkt);
         Err(Refused::Stall)
@@ -420,7 +420,7 @@ impl Bootloader {
         self.chip.program(address, &data, whole)
     }
 
-    /// Whether the alternate setting has memory there.
+    /// Returns `true` if the alternate setting has memory there.
     fn memory_at(&self, address: u32) -> bool {
         let within = |start: u32, length: usize| (start..start + length as u32).contains(&address);
         match self.alternate {

@@ -2,17 +2,17 @@
 
 use crate::bootloader::Status;
 
-/// Where the main flash begins.
+/// Start of the main flash.
 pub const FLASH: u32 = 0x0800_0000;
 /// Bytes of it.
 pub const FLASH_BYTES: usize = 512 * 1024;
 /// Bytes of a page.
 pub const PAGE: usize = 2048;
-/// Where the option bytes of each bank begin.
+/// Start of each bank's option bytes.
 pub const OPTIONS: [u32; 2] = [0x1FFF_7800, 0x1FFF_F800];
 /// Bytes of a bank's option bytes: six words, each followed by its complement.
 pub const OPTION_BYTES: usize = 48;
-/// Where what can be programmed once begins.
+/// Start of the one-time programmable area.
 pub const OTP: u32 = 0x1FFF_7000;
 /// Bytes of it.
 pub const OTP_BYTES: usize = 1024;
@@ -32,7 +32,7 @@ pub struct Chip {
     pub flash: Vec<u8>,
     /// Option bytes of both banks, with complements.
     pub options: [[u8; OPTION_BYTES]; 2],
-    /// What can be programmed once.
+    /// One-time programmable area.
     pub otp: Vec<u8>,
     /// The factory's unique number.
     pub unique: [u32; 3],
@@ -94,12 +94,12 @@ impl Chip {
         self.options[bank][at + 4..at + 8].copy_from_slice(&(!value).to_le_bytes());
     }
 
-    /// Whether reading is protected.
+    /// Returns `true` if reading is protected.
     pub fn protected(&self) -> bool {
         self.optr() as u8 != UNPROTECTED
     }
 
-    /// Whether a page may not be written: within an area from page to page of its bank (words 3 and 4).
+    /// Returns `true` if a page must not be written: within an area from page to page of its bank (words 3 and 4).
     fn write_protected(&self, page: usize) -> bool {
         let (bank, page) = (page / BANK_PAGES, page % BANK_PAGES);
         [3, 4].iter().any(|word| {
@@ -109,7 +109,7 @@ impl Chip {
         })
     }
 
-    /// Where an address lies in the main flash.
+    /// Returns the offset of an address in the main flash.
     fn place(address: u32, length: usize) -> Result<usize, Status> {
         let place = address.checked_sub(FLASH).map(|place| place as usize);
         place

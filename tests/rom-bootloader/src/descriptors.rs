@@ -1,4 +1,4 @@
-//! What the device says of itself.
+//! Descriptors of the device.
 
 use crate::chip::Chip;
 
@@ -15,7 +15,7 @@ const STRINGS: [(u8, &str); 5] = [
     ),
     (6, "@OTP Memory   /0x1FFF7000/01*1024 e"),
 ];
-/// Of the first alternate setting's string.
+/// Index of the first alternate setting's string.
 const FIRST_ALTERNATE: u8 = 4;
 /// Alternate settings.
 pub const ALTERNATES: u8 = 3;

@@ -1,4 +1,4 @@
-//! What can go wrong.
+//! Faults of the chip.
 
 /// A fault, which happens once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,9 +27,9 @@ pub enum Fault {
     BadBits {
         /// A byte of the flash.
         address: u32,
-        /// Which of its bits come out inverted.
+        /// Bits that come out inverted.
         mask: u8,
     },
-    /// Whatever is written from now on is acknowledged and dropped.
+    /// Every write from now on is acknowledged and dropped.
     SilentlyDropped,
 }

@@ -27,7 +27,7 @@ pub fn capture() -> Capture {
     CAPTURE.clone()
 }
 
-/// Where the records of a kind lie, prefix included.
+/// Positions of the records of a kind, prefix included.
 fn records(bytes: &[u8], opcode: u8) -> Vec<Range<usize>> {
     let (mut at, mut found) = (::mcap::MAGIC.len(), Vec::new());
     while let Some(prefix) = bytes.get(at..at + 9) {

@@ -1,4 +1,4 @@
-//! What a recorder that is killed has left in its file.
+//! Content of a file whose recorder was killed.
 
 use std::path::Path;
 use std::time::{Duration, Instant};

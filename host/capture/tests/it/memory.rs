@@ -1,4 +1,4 @@
-//! What a file declares is no reason to reserve it.
+//! Memory: a size that a file declares is not reserved.
 
 use std::fs;
 use std::path::Path;

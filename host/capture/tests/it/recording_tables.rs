@@ -112,7 +112,7 @@ fn half_cycles_are_a_line_each() {
     assert!((0.5..10.0).contains(&number(last, r)), "{last:?}");
 }
 
-/// What an array of an archive holds.
+/// Numbers of an array in an archive.
 fn array(path: &Path, name: &str) -> (String, Vec<u8>) {
     let mut archive = zip::ZipArchive::new(File::open(path).unwrap()).unwrap();
     let mut bytes = Vec::new();

@@ -239,7 +239,7 @@ mod tests {
     use super::*;
     use crate::image::BuildId;
 
-    /// What the scripted board does next.
+    /// Next action of the scripted board.
     enum Act {
         Send(u64, Vec<u8>),
         Fail(LogError),

@@ -146,7 +146,7 @@ fn what_cannot_be_decoded_is_refused_with_its_reason() {
 }
 
 proptest! {
-    /// As the fuzz target `log_frames`, in short.
+    /// Short form of the fuzz target `log_frames`.
     #[test]
     fn any_values_of_any_message_end_in_a_text_fit_for_a_terminal(
         number in 0u16..18,

@@ -111,7 +111,7 @@ impl CaptureArgs {
         std::iter::once(self.path()).chain(self.second.as_deref())
     }
 
-    /// How the capture is read.
+    /// Parses the keys of `--input`.
     ///
     /// # Errors
     /// [`Usage`](super::usage::Usage), naming the key, its value and what is accepted.

@@ -35,7 +35,7 @@ impl Chance {
         -mean * self.share().ln()
     }
 
-    /// How many tries fail before one of `probability` succeeds.
+    /// Draws the number of failures before a success of `probability`.
     pub fn failures(&mut self, probability: f64) -> u64 {
         if probability <= 0.0 {
             return u64::MAX;

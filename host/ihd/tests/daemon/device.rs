@@ -218,9 +218,9 @@ pub struct Polite {
     pub status: Status,
     /// Its lookup's bytes.
     pub lookup: Vec<u8>,
-    /// What the host wants streamed.
+    /// Streams that the host has requested.
     pub stream: Stream,
-    /// What every command that has no answer of its own gets.
+    /// Answer to every command without one of its own.
     pub outcome: (Outcome, u32),
     /// A lookup that is accepted becomes active.
     pub activates: bool,

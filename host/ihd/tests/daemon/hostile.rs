@@ -15,7 +15,7 @@ use ihd_shared::wire::messages::{
 use crate::chance::Chance;
 use crate::device::{Polite, Samples, Wire, telemetry};
 
-/// What a device does with a connection.
+/// Behaviour of a device during a connection.
 pub type Serve = fn(&mut Wire) -> io::Result<()>;
 
 /// All of them.

@@ -16,7 +16,7 @@ use crate::player::{Player, Tape};
 /// Devices of one daemon.
 const GROUP: usize = 9;
 
-/// What a hostile device may cost, in bytes.
+/// Largest memory that a hostile device may cost, in bytes.
 const RSS_PER_DEVICE: u64 = 64 << 20;
 
 #[test]

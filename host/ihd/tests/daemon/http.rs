@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use crate::process::PATIENCE;
 
-/// Who commands in these tests.
+/// Holder of the lease in these tests.
 const HOLDER: &str = "tests";
 
 /// Status and body of an answer that comes within `timeout`.
@@ -91,7 +91,7 @@ impl Watch {
         })
     }
 
-    /// What had come when the stream ended; the daemon must have ended.
+    /// Returns the events until the stream ended; the daemon must have ended.
     pub fn end(mut self) -> Vec<Value> {
         if let Some(reader) = self.reader.take() {
             let _ = reader.join();

@@ -121,7 +121,7 @@ impl Acknowledged {
     }
 }
 
-/// What a device says of itself while no daemon runs, without the bad cable.
+/// Reads a device's state while no daemon runs, without the bad cable.
 fn look(address: SocketAddr) -> Result<(State, u16, u32), String> {
     let deadline = Instant::now() + PATIENCE;
     loop {

@@ -1,4 +1,4 @@
-//! How long `off` takes to reach a device, and to be answered, while something else is going on. A benchmark: it prints a table and
+//! Time that `off` takes to reach a device, and to be answered, beside other work. A benchmark: it prints a table and
 //! judges only that each `off` came through; docs/robustness.md has its last results.
 
 use std::collections::VecDeque;
@@ -172,7 +172,7 @@ fn hostile(to: SocketAddr) -> Meanwhile {
     })
 }
 
-/// Whether a part of the table is wanted: `IHD_OFF_WHILE` names those that are, by a word of theirs.
+/// Returns `true` if a part of the table is requested: `IHD_OFF_WHILE` names parts by a word of theirs.
 fn is_wanted(what: &str) -> bool {
     std::env::var("IHD_OFF_WHILE").map_or(true, |word| what.contains(&word))
 }

@@ -82,7 +82,7 @@ fn played(telemetry: Telemetry, w: Window) -> (Telemetry, WindowStart, Samples) 
     (telemetry, start, samples)
 }
 
-/// What a person does to it.
+/// Action of a person.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Act {
     /// Heats, as its panel says.
@@ -99,7 +99,7 @@ pub enum Act {
     Boot,
 }
 
-/// What the device itself knows.
+/// State of the device itself.
 pub struct Truth {
     device: Polite,
     tape: usize,
@@ -110,7 +110,7 @@ pub struct Truth {
     telemetry_seq: u32,
     window_seq: u32,
     windows_dropped: u32,
-    /// Of all boots.
+    /// Counts of all boots.
     pub windows_due: u64,
     pub windows_dropped_ever: u64,
     pub lookups_taken: u32,

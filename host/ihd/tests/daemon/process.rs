@@ -71,7 +71,7 @@ impl Process {
         );
     }
 
-    /// Whether it has ended.
+    /// Returns the exit status; `None` while it runs.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         self.child.try_wait().ok().flatten()
     }

@@ -11,13 +11,13 @@ use std::time::{Duration, Instant};
 use crate::chance::Chance;
 use crate::process::PATIENCE;
 
-/// How often a waiting thread looks whether it should end.
+/// Period in which a waiting thread checks for its end.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// A run of bytes longer than this is no frame, and passed on as it is.
 const LONGEST_FRAME: usize = 4 * 1024;
 
-/// What goes wrong, in either direction.
+/// Faults of the link, in either direction.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Faults {
     pub seed: u64,
@@ -39,7 +39,7 @@ pub struct Faults {
     pub cut_every_s: f64,
 }
 
-/// What has gone wrong.
+/// Counts of the faults so far.
 #[derive(Debug, Default)]
 pub struct Counted {
     pub connections: AtomicU64,

@@ -56,7 +56,7 @@ impl Drop for Disk<'_> {
     }
 }
 
-/// What a person does to a device that heats; its simulated time until the next.
+/// Action of a person on a device that heats, and its simulated time until the next one.
 fn something(player: &Player, chance: &mut Chance) -> (Act, f64) {
     let (act, lasts_s) = match chance.next() % 8 {
         0 | 1 => (Act::Lift, 5.0),

@@ -151,7 +151,7 @@ fn wrong_usage_is_refused_before_anything_is_written() {
     }
 }
 
-/// What is no capture, and the text on stderr.
+/// File that is no capture, and the text on stderr.
 #[test]
 fn what_is_no_capture_is_refused_by_name_and_place() {
     let folder = tempfile::tempdir().unwrap();

@@ -51,7 +51,7 @@ fn group<'a>(report: &'a Value, name: &str) -> Vec<(&'a str, &'a str)> {
         .collect()
 }
 
-/// What failed besides the machine that the tests run on.
+/// Failed checks besides those of the machine that the tests run on.
 fn failed<'a>(report: &'a Value, groups: &[&str]) -> Vec<&'a str> {
     let all = groups.iter().flat_map(|name| group(report, name));
     all.filter(|(_, verdict)| *verdict == "fail")

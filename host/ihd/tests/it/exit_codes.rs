@@ -152,7 +152,7 @@ fn a_device_that_is_not_there_is_3() {
     }
 }
 
-/// What was cut or damaged is 7, with what could be read: a result and how much of the file it is of.
+/// Damaged or cut files are 7, with the part that could be read: a result and how much of the file it is of.
 #[test]
 fn a_cut_and_a_damaged_file_are_told_and_worked_on() {
     let (_keep, dir) = folder();

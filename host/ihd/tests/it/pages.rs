@@ -47,7 +47,7 @@ fn every_shell_completes_every_first_word() {
     }
 }
 
-/// Where there is a bash, it takes what is written for it, and completes by it.
+/// If there is a bash, it reads the completions and completes by them.
 #[cfg(unix)]
 #[test]
 fn bash_completes() {

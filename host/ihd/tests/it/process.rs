@@ -150,7 +150,7 @@ impl Hob {
         }
     }
 
-    /// Where it is, as `--device` takes it.
+    /// Address, as `--device` takes it.
     pub fn place(&self) -> String {
         format!("tcp:{}", self.address)
     }

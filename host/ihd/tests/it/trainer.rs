@@ -1,4 +1,4 @@
-//! How `ihd trainer` ends: a signal, a hob that goes away, one that comes back.
+//! Ends of `ihd trainer`: a signal, a hob that goes away, one that comes back.
 #![cfg(unix)]
 
 use std::path::Path;

@@ -215,7 +215,7 @@ async fn an_order_that_was_given_up_is_not_done_later() {
     assert!(!DONE.load(Ordering::SeqCst));
 }
 
-/// What a device was told, by name and power.
+/// Requests that a device has received, by name and power.
 type Told = Arc<Mutex<Vec<(&'static str, u16)>>>;
 
 /// A device that notes what it is told and answers hellos and offs alone. Its clock stands still until it is switched off: whoever waits

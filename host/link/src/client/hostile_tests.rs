@@ -51,7 +51,7 @@ fn window(seq: u32, sent: &mut FakeOutput) {
 
 type Flood = Box<dyn FnMut(&mut FakeOutput) + Send>;
 
-/// As [`Flood`], told how often it was called.
+/// A [`Flood`] that counts its calls.
 fn counted(mut flood: impl FnMut(u32, &mut FakeOutput) + Send + 'static) -> Flood {
     let mut calls = 0;
     Box::new(move |sent| {
@@ -60,7 +60,7 @@ fn counted(mut flood: impl FnMut(u32, &mut FakeOutput) + Send + 'static) -> Floo
     })
 }
 
-/// What a hostile device sends whenever the host waits and nothing is there.
+/// Bytes that a hostile device sends whenever the host waits.
 fn floods() -> Vec<(&'static str, Flood)> {
     vec![
         ("garbage", counted(|_, sent| sent.raw(&[0xA5; 16_384]))),

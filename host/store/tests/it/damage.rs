@@ -1,4 +1,4 @@
-//! What a disk does to files: each kind of damage is found at a start, set aside, told, and outlived.
+//! Damage by a disk: each kind is found at a start, set aside, reported and survived.
 
 use std::fs;
 use std::io::{Seek, SeekFrom, Write};

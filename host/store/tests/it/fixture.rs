@@ -36,7 +36,7 @@ pub fn window(seq: u32) -> Window {
     sized(seq, 9_150)
 }
 
-/// As [`window`], with so many pairs.
+/// A [`window`] with so many pairs.
 pub fn sized(seq: u32, pairs: usize) -> Window {
     let mut noise = u64::from(seq).wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut bit = || {

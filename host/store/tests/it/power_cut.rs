@@ -18,7 +18,7 @@ use rusqlite::Connection;
 
 use super::fixture::*;
 
-/// What a disk writes whole, or not.
+/// Unit that a disk writes whole, or not.
 const SECTOR: usize = 512;
 
 const RECORDS: &str = "ihd.db";
@@ -76,7 +76,7 @@ fn taken_from(folder: &Path) -> Files {
         .collect()
 }
 
-/// What was acknowledged.
+/// Acknowledged changes.
 #[derive(Clone, Default)]
 struct Acknowledged {
     results: u32,
@@ -87,12 +87,12 @@ struct Acknowledged {
     windows: u32,
 }
 
-/// What a step wrote.
+/// Writes of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
     /// Transactions, in the log.
     Log,
-    /// What was in the log, into the database.
+    /// Copies the log into the database.
     Checkpoint,
 }
 

@@ -1,4 +1,4 @@
-//! What devices did, second by second: kept whatever is said of windows, read in seconds and minutes.
+//! Telemetry of devices, second by second: stored whatever the policy for windows, read in seconds and minutes.
 
 use std::time::Instant;
 
@@ -222,7 +222,7 @@ fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
     assert_eq!(store.count_due().unwrap(), 0);
 }
 
-/// What four devices take and how long one is read, printed: two hours, or a day with `IHD_STORE_DAY`.
+/// Prints the size of four devices' telemetry and the time to read one: two hours, or a day with `IHD_STORE_DAY`.
 #[test]
 fn a_day_is_read_in_time() {
     let folder = tempfile::tempdir().unwrap();

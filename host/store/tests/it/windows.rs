@@ -1,4 +1,4 @@
-//! What is stored is read back, once, bit for bit.
+//! Windows are read back as stored, once, bit for bit.
 
 use ihd_link::Window;
 use ihd_shared::sampling::{Pair, Scales};

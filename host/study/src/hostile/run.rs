@@ -271,7 +271,7 @@ mod tests {
         assert!(short.iter().any(|c| c.group == Group::Clean));
     }
 
-    /// Where it did, a refusal would be right.
+    /// A refusal is right if it did.
     #[test]
     fn no_clean_capture_clips_at_length() {
         for case in plan(false).cases() {

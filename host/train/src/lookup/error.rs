@@ -143,7 +143,7 @@ mod tests {
         BuiltLookup::from_cells(cells, 1).expect("a plausible lookup")
     }
 
-    /// That load as truth in some cells.
+    /// True load in some cells.
     fn truth(cells: &[(usize, usize)]) -> MapTruth {
         let mut truth = MapTruth::UNREACHED;
         for &(f, i) in cells {

@@ -14,7 +14,7 @@ const SR: u32 = 0x4002_2010;
 const CR: u32 = 0x4002_2014;
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
-/// What an entry point does.
+/// Entry point of the algorithm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Routine {
     Init,
@@ -24,7 +24,7 @@ pub enum Routine {
     ProgramPage,
 }
 
-/// Where the routines begin, and the code that has to be in RAM.
+/// Start of each routine, and the code that must be in RAM.
 #[derive(Debug)]
 pub struct Algorithm {
     entries: Vec<(u32, Routine)>,
@@ -32,7 +32,7 @@ pub struct Algorithm {
 }
 
 impl Algorithm {
-    /// That of the description.
+    /// Description's algorithm.
     ///
     /// # Panics
     /// When it lacks something, which is a broken test.
@@ -68,7 +68,7 @@ impl Algorithm {
         found.map(|(_, routine)| *routine)
     }
 
-    /// Whether the code is what these bytes begin with: what was not downloaded whole does not run.
+    /// Returns `true` if these bytes begin with the code; a partial download does not run.
     pub fn is_in(&self, ram: &[u8]) -> bool {
         ram.starts_with(&self.code)
     }
@@ -89,7 +89,7 @@ fn base64(text: &str) -> Vec<u8> {
 }
 
 impl Chip {
-    /// What a routine does with the controller, and what it returns; `None` where it never does.
+    /// Runs a routine on the controller and returns its result; `None` if it never returns.
     pub(super) fn perform(&mut self, routine: Routine) -> Option<u32> {
         let [r0, r1, r2, ..] = self.registers;
         match routine {
@@ -155,7 +155,7 @@ impl Chip {
         u32::from(self.flash.register(SR) & sr::ERRORS != 0)
     }
 
-    /// What may happen before an operation: whether a bit of it stays, or what keeps it from being done.
+    /// Applies the fault that is due before an operation: a bit of it stays, or it is not carried out, with the reason.
     fn meet_mishap(&mut self) -> Result<bool, Mishap> {
         match self.next_mishap() {
             None => Ok(false),

@@ -32,7 +32,7 @@ pub mod cr {
     pub const PER: u32 = 1 << 1;
     /// Erasure of both banks.
     pub const MER: u32 = 1 << 2 | 1 << 15;
-    /// Where the page's number stands.
+    /// Position of the page's number.
     pub const PNB: u32 = 3;
     /// The second bank.
     pub const BKER: u32 = 1 << 11;
@@ -158,7 +158,7 @@ impl Flash {
         self.stuck = false;
     }
 
-    /// Whether option bytes are to be loaded, asked once.
+    /// Returns `true`, once, if option bytes are to be loaded.
     pub fn wants_reset(&mut self) -> bool {
         std::mem::take(&mut self.loads)
     }

@@ -27,7 +27,7 @@ const ODISR: u32 = 0x4001_6B98;
 const UNIQUE_ID: u32 = 0x1FFF_7590;
 const FLASH_SIZE: u32 = 0x1FFF_75E0;
 
-/// What goes wrong, once, before a flash operation (an erasure of a page, the programming of a double word).
+/// Fault that occurs once, before a flash operation (an erasure of a page, the programming of a double word).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mishap {
     /// The probe is pulled out; the chip goes on as far as it can by itself.
@@ -49,17 +49,17 @@ pub struct Chip {
     pub flash: Flash,
     /// The outputs of HRTIM that are on.
     pub outputs: u32,
-    /// Whether HRTIM has its clock.
+    /// `true` if HRTIM has its clock.
     pub timer_clocked: bool,
     /// Its unique number.
     pub unique_id: [u8; 12],
     /// A mishap, and how many flash operations come before it.
     pub mishap: Option<(u64, Mishap)>,
-    /// How often it was reset.
+    /// Number of resets.
     pub resets: u32,
-    /// How often the core was halted while it ran.
+    /// Number of halts of the running core.
     pub halts: u32,
-    /// Whether outputs were on at one of them.
+    /// `true` if outputs were on at one of them.
     pub halted_switching: bool,
     ram: Vec<u8>,
     ccm: Vec<u8>,
@@ -73,7 +73,7 @@ pub struct Chip {
 }
 
 impl Default for Chip {
-    /// As delivered, but for the option bytes, which are as the firmware wants them; it runs, and nothing is in its flash.
+    /// Creates a chip as delivered, running, with empty flash and the option bytes that the firmware requires.
     fn default() -> Self {
         Self {
             id_code: 0x2003_6000 | DEVICE_ID,
@@ -152,7 +152,7 @@ impl Chip {
         }
     }
 
-    /// Whether the next flash operation goes wrong, and how.
+    /// Takes the fault of the next flash operation; `None` if it succeeds.
     fn next_mishap(&mut self) -> Option<Mishap> {
         let (after, mishap) = self.mishap?;
         if after > 0 {

@@ -26,7 +26,7 @@ struct State {
     comes_back: bool,
 }
 
-/// What a transfer comes to.
+/// Result of a transfer.
 #[derive(Debug)]
 pub enum Error {
     Refused(Refused),
@@ -57,7 +57,7 @@ impl Desk {
         does(&mut self.rom.lock().unwrap())
     }
 
-    /// Whether a chip that restarts is in its bootloader again: BOOT0 is held high.
+    /// `true` if a chip that restarts is in its bootloader again: BOOT0 is held high.
     pub fn comes_back(&self, comes_back: bool) {
         self.state.lock().unwrap().comes_back = comes_back;
     }
@@ -67,7 +67,7 @@ impl Desk {
         self.state.lock().unwrap().requests
     }
 
-    /// What the clock says.
+    /// Time of the clock.
     pub fn now(&self) -> Duration {
         self.state.lock().unwrap().now
     }

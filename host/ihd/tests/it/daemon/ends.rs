@@ -1,4 +1,4 @@
-//! How the daemon starts and ends: signals, systemd, kills.
+//! Starts and ends of the daemon: signals, systemd, kills.
 
 use std::os::unix::net::UnixDatagram;
 

@@ -29,7 +29,7 @@ fn url(line: &str) -> String {
     format!("http{}", rest.split_whitespace().next().unwrap())
 }
 
-/// What a route of it answers.
+/// Answer of one of its routes.
 fn get(url: &str, path: &str) -> Value {
     let mut answer = ureq::get(format!("{url}{path}")).call().expect(path);
     answer.body_mut().read_json().expect("JSON")
