@@ -143,7 +143,7 @@ limits! {
     /// Pairs at the end of the converters' range in a block that mean a broken sensor and not a spike.
     SATURATED_PAIRS: u16 = 16, "pairs";
     /// Without a zero crossing for so long the mains is gone.
-    MAINS_LOST_NS: u64 = 30_000_000, "ns";
+    MAINS_LOST_NS: u32 = 30_000_000, "ns";
     /// A zero crossing sooner than this after the last one is an echo of it.
     SHORTEST_HALF_CYCLE_NS: i64 = 7_000_000, "ns";
     /// Shortest half-cycle of a mains that is as it must be: 66 Hz.

@@ -20,7 +20,7 @@ use crate::sense::correlation::BlockSums;
 #[derive(Clone, Debug, Default)]
 pub struct TripChecks {
     lost_blocks: u32,
-    since_zero_crossing_ns: u64,
+    since_zero_crossing_ns: u32,
     /// Time that the bus has been too high while the bridge does not switch.
     surge_ns: u32,
     below_resonance: u8,
@@ -71,7 +71,7 @@ impl TripChecks {
             self.since_zero_crossing_ns = 0;
             self.lost_blocks = 0;
         } else {
-            self.since_zero_crossing_ns += u64::from(block_ns);
+            self.since_zero_crossing_ns = self.since_zero_crossing_ns.saturating_add(block_ns);
         }
         self.surge_ns = if bus_dv >= BUS_TRIP_DV && !switching {
             self.surge_ns.saturating_add(block_ns)

@@ -128,7 +128,8 @@ impl HalfCycleAccumulator {
 
     /// Adds one block, whether the inverter runs or not.
     pub fn add_block(&mut self, sums: &BlockSums, bus_dv: u16, dc_link_ma: Option<u32>) {
-        self.vi = self.vi.saturating_add(sums.vi);
+        // 28 bits a block of an ADC's codes: two weeks without a zero crossing.
+        self.vi = self.vi.wrapping_add(sums.vi);
         self.blocks += 1;
         self.crest.bus_peak_dv = self.crest.bus_peak_dv.max(bus_dv);
         if sums.v_peak > 0 {
@@ -182,23 +183,6 @@ impl HalfCycleAccumulator {
             self.crest.l = ekf.l();
         }
     }
-
-    /// Ends the half-cycle and begins the next. No arithmetic here: this is the sampling path's longest block.
-    pub fn finish(
-        &mut self,
-        half_cycle: u32,
-        f_sw_hz: u32,
-        duration_ns: u32,
-        bus_at_crossing_dv: u16,
-        is_pot_probe: bool,
-    ) -> HalfCycleSums {
-        self.crest.half_cycle = half_cycle;
-        self.crest.f_sw_hz = f_sw_hz;
-        self.crest.duration_ns = duration_ns;
-        self.crest.bus_at_crossing_dv = bus_at_crossing_dv;
-        self.crest.is_pot_probe = is_pot_probe;
-        HalfCycleSums(core::mem::take(self))
-    }
 }
 
 /// Sums of a half-cycle that is over, for the thread to evaluate.
@@ -206,11 +190,6 @@ impl HalfCycleAccumulator {
 pub struct HalfCycleSums(HalfCycleAccumulator);
 
 impl HalfCycleSums {
-    /// All bits zero: no blocks.
-    pub(crate) const fn blank() -> Self {
-        Self(HalfCycleAccumulator::blank())
-    }
-
     /// Evaluates the sums.
     pub fn evaluate(&self) -> HalfCycle {
         let sums = &self.0;
@@ -237,13 +216,13 @@ impl HalfCycleSums {
     }
 }
 
-/// The half-cycle under way, and the last one until control takes it.
+/// The half-cycle under way, and the last one until control takes it: two places that change their parts, so that a zero
+/// crossing, the sampling path's longest block, copies nothing.
 #[derive(Clone, Debug)]
 pub struct HalfCycles {
-    /// Sums of the half-cycle under way.
-    pub running: HalfCycleAccumulator,
-    /// No option, whose `None` may have bits set.
-    finished: HalfCycleSums,
+    places: [HalfCycleAccumulator; 2],
+    /// The second place has the half-cycle under way.
+    in_second: bool,
     has_finished: bool,
 }
 
@@ -251,27 +230,50 @@ impl HalfCycles {
     /// All bits zero: no block yet.
     pub(crate) const fn blank() -> Self {
         Self {
-            running: HalfCycleAccumulator::blank(),
-            finished: HalfCycleSums::blank(),
+            places: [const { HalfCycleAccumulator::blank() }; 2],
+            in_second: false,
             has_finished: false,
         }
     }
 
-    /// Begins anew; the last half-cycle stays.
-    pub fn restart(&mut self) {
-        self.running = HalfCycleAccumulator::default();
+    /// Sums of the half-cycle under way.
+    #[inline(always)]
+    pub fn running(&mut self) -> &mut HalfCycleAccumulator {
+        let [first, second] = &mut self.places;
+        if self.in_second { second } else { first }
     }
 
-    /// Keeps a half-cycle that is over.
+    /// Begins anew; the last half-cycle stays.
+    pub fn restart(&mut self) {
+        *self.running() = HalfCycleAccumulator::blank();
+    }
+
+    /// Ends the half-cycle, keeps it in place of the last one and begins the next. No arithmetic here.
     #[inline]
-    pub fn keep(&mut self, finished: HalfCycleSums) {
-        self.finished = finished;
+    pub fn finish(
+        &mut self,
+        half_cycle: u32,
+        f_sw_hz: u32,
+        duration_ns: u32,
+        bus_at_crossing_dv: u16,
+        is_pot_probe: bool,
+    ) {
+        let over = &mut self.running().crest;
+        over.half_cycle = half_cycle;
+        over.f_sw_hz = f_sw_hz;
+        over.duration_ns = duration_ns;
+        over.bus_at_crossing_dv = bus_at_crossing_dv;
+        over.is_pot_probe = is_pot_probe;
+        self.in_second = !self.in_second;
         self.has_finished = true;
+        self.restart();
     }
 
     /// The last half-cycle, once.
     pub fn take(&mut self) -> Option<HalfCycleSums> {
-        core::mem::take(&mut self.has_finished).then(|| self.finished.clone())
+        let [first, second] = &self.places;
+        let finished = if self.in_second { first } else { second };
+        core::mem::take(&mut self.has_finished).then(|| HalfCycleSums(finished.clone()))
     }
 }
 
@@ -287,35 +289,42 @@ mod tests {
     use super::*;
     use ihd_shared::sampling::{AMPERE_PER_CODE, VOLT_PER_CODE};
 
+    /// What the thread makes of a half-cycle that ends.
+    fn ended(a: &mut HalfCycles, half_cycle: u32, f_sw_hz: u32, duration_ns: u32) -> HalfCycle {
+        a.finish(half_cycle, f_sw_hz, duration_ns, 0, false);
+        a.take().expect("one has ended").evaluate()
+    }
+
     #[test]
     fn power_is_the_mean_product() {
-        let mut a = HalfCycleAccumulator::default();
+        let mut a = HalfCycles::blank();
         let sums = BlockSums {
             vi: 61 * 200_000,
             ..BlockSums::default()
         };
         for _ in 0..150 {
-            a.add_block(&sums, 3_000, None);
+            a.running().add_block(&sums, 3_000, None);
         }
-        let s = a.finish(7, 45_000, 10_000_000, 0, false).evaluate();
+        let s = ended(&mut a, 7, 45_000, 10_000_000);
         // The filter lets 1/(1 + 0.09²) of it through.
         let expected = 200_000.0 * VOLT_PER_CODE * AMPERE_PER_CODE * 1e3 * (1.0 + 0.09f64.powi(2));
         assert!((f64::from(s.power_mw) / expected - 1.0).abs() < 1e-4);
         assert_eq!((s.half_cycle, s.bus_peak_dv), (7, 3_000));
-        let afresh = a.finish(8, 0, 0, 0, false).evaluate();
+        let afresh = ended(&mut a, 8, 0, 0);
         assert_eq!(afresh.power_mw, 0, "it must start afresh");
+        assert!(a.take().is_none(), "each is taken once");
     }
 
     /// A host replays what it likes.
     #[test]
     fn codes_that_no_adc_has_overflow_nothing() {
-        let mut a = HalfCycleAccumulator::default();
+        let mut a = HalfCycles::blank();
         let (v, i) = (i16::MAX, i16::MIN);
         for _ in 0..20_000 {
-            a.add_block(&BlockSums::default(), 0, None);
-            a.add_offsets(&[Pair { v, i }; ADC_LOCK_P]);
+            a.running().add_block(&BlockSums::default(), 0, None);
+            a.running().add_offsets(&[Pair { v, i }; ADC_LOCK_P]);
         }
-        let s = a.finish(0, 45_000, 10_000_000, 0, false).evaluate();
+        let s = ended(&mut a, 0, 45_000, 10_000_000);
         let (v_dv, i_ma) = (32_767 * 6_400 / 2_048, -32_768_i64 * 80_000 / 2_048);
         assert_eq!((s.v_offset_dv, i64::from(s.i_offset_ma)), (v_dv, i_ma));
     }
@@ -329,9 +338,9 @@ mod tests {
             (2_047, -2_048),
             (0, -1),
         ] {
-            let mut a = HalfCycleAccumulator::default();
+            let mut a = HalfCycles::blank();
             for block in 0..3 * OFFSET_EVERY as i16 {
-                a.add_block(&BlockSums::default(), 0, None);
+                a.running().add_block(&BlockSums::default(), 0, None);
                 // Around the mean, and unlike from pair to pair, as far as the range allows.
                 let swing = |mean: i16, k: usize| match mean.unsigned_abs() {
                     2_000.. => mean,
@@ -341,9 +350,9 @@ mod tests {
                     v: swing(v, k),
                     i: swing(i, ADC_LOCK_P - 1 - k),
                 });
-                a.add_offsets(&pairs);
+                a.running().add_offsets(&pairs);
             }
-            let s = a.finish(0, 45_000, 10_000_000, 0, false).evaluate();
+            let s = ended(&mut a, 0, 45_000, 10_000_000);
             let (v_dv, i_ma) = (
                 f64::from(v) * VOLT_PER_CODE * 10.0,
                 f64::from(i) * AMPERE_PER_CODE * 1e3,
@@ -364,8 +373,8 @@ mod tests {
 
     #[test]
     fn power_flowing_back_reads_as_none() {
-        let mut a = HalfCycleAccumulator::default();
-        a.add_block(
+        let mut a = HalfCycles::blank();
+        a.running().add_block(
             &BlockSums {
                 vi: -5_000_000,
                 ..BlockSums::default()
@@ -373,6 +382,6 @@ mod tests {
             0,
             None,
         );
-        assert_eq!(a.finish(0, 45_000, 0, 0, false).evaluate().power_mw, 0);
+        assert_eq!(ended(&mut a, 0, 45_000, 0).power_mw, 0);
     }
 }

@@ -101,7 +101,7 @@ impl MainsClock {
     pub fn cross_zero(&mut self, at: usize) -> FinishedHalfCycle {
         // 61 times 88 µs at most: 32 bit, as one of 64 is divided by a library.
         let offset_ns = i64::from(at as u32 * self.block_ns / ADC_LOCK_P as u32);
-        let duration_ns = self.since_crossing_ns.saturating_add(offset_ns);
+        let duration_ns = self.since_crossing_ns.wrapping_add(offset_ns);
         let half_cycle = self.half_cycle;
         self.since_crossing_ns = -offset_ns;
         self.half_cycle = half_cycle.wrapping_add(1);
@@ -115,9 +115,10 @@ impl MainsClock {
     /// Moves on to the next block.
     #[inline]
     pub fn advance(&mut self) {
+        // 292 years.
         self.since_crossing_ns = self
             .since_crossing_ns
-            .saturating_add(i64::from(self.block_ns));
+            .wrapping_add(i64::from(self.block_ns));
     }
 }
 

@@ -1,7 +1,7 @@
 //! The sampling path, once per block of 61 pairs, in the sampling interrupt.
 //!
 //! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 430
-//! instructions of it, 33 %: 61 times at most 14.6 to correlate, 225 for the boxcars, 726 for the
+//! instructions of it, 33 %: 61 times at most 14.6 to correlate, 216 for the boxcars, 689 for the
 //! estimator, the rest for protection, soft limits and recording. firmware/budget.toml holds these ceilings,
 //! docs/performance.md what was counted, and an estimate in cycles that exceeds 36 %. A block that
 //! comes late is counted as lost; the third of a half-cycle trips [`Fault::SAMPLES_LOST`].
@@ -278,9 +278,11 @@ impl SamplingPath {
         let crossing = block.zero_crossing.filter(|_| self.clock.may_cross());
         let at_crossing = crossing.is_some();
         let block_ns = self.clock.block_ns();
-        let running = &mut self.half_cycles.running;
+        let running = self.half_cycles.running();
         running.add_block(&sums, block.bus_dv, block.dc_link_ma);
-        running.add_offsets(block.pairs);
+        if !at_crossing {
+            running.add_offsets(block.pairs);
+        }
         let tripped = self.protection.check_block(
             &sums,
             block.bus_dv,
@@ -339,11 +341,8 @@ impl SamplingPath {
         is_pot_probe: bool,
     ) {
         let f_sw_hz = self.sequencer.f_sw_hz();
-        let finished =
-            self.half_cycles
-                .running
-                .finish(half_cycle, f_sw_hz, duration_ns, bus_dv, is_pot_probe);
-        self.half_cycles.keep(finished);
+        self.half_cycles
+            .finish(half_cycle, f_sw_hz, duration_ns, bus_dv, is_pot_probe);
     }
 
     /// Demodulates and estimates while the bridge switches, and checks the estimate.
@@ -354,7 +353,7 @@ impl SamplingPath {
         }
         let phasors = self.demodulator.push(sums)?;
         self.ekf.step(&phasors);
-        self.half_cycles.running.add_estimate(&phasors, &self.ekf);
+        self.half_cycles.running().add_estimate(&phasors, &self.ekf);
         let entry = TrajectoryEntry {
             r: self.ekf.r(),
             l: self.ekf.l(),
@@ -374,7 +373,7 @@ impl SamplingPath {
     /// which opens both switches until its next zero crossing.
     fn limit_within_block(&mut self, block: &AdcBlock<'_>, sums: &BlockSums) {
         let checked = self.soft_limits.check(sums, block.pairs, block.bus_dv);
-        self.half_cycles.running.add_check(&checked);
+        self.half_cycles.running().add_check(&checked);
         // A recording's drive is what it was.
         if self.replaying {
             return;
@@ -385,7 +384,7 @@ impl SamplingPath {
             off => off,
         };
         if let Some(next) = next {
-            self.half_cycles.running.disturb();
+            self.half_cycles.running().disturb();
             self.change_drive(next);
         }
     }
@@ -396,7 +395,7 @@ impl SamplingPath {
             return;
         }
         self.finish_half_cycle(self.clock.half_cycle(), PROBE_NS, bus_dv, true);
-        self.half_cycles.running.disturb();
+        self.half_cycles.running().disturb();
         self.request(Drive::OFF);
     }
 
@@ -417,7 +416,7 @@ impl SamplingPath {
         });
         if let Some(next) = next {
             if next.within_half_cycle {
-                self.half_cycles.running.disturb();
+                self.half_cycles.running().disturb();
             }
             self.change_drive(next.drive);
         }

@@ -198,8 +198,9 @@ impl Recorder {
         if !matches!(self.stage, Stage::Recording | Stage::Tail) {
             return;
         }
-        let centre = self.block_start_ns + i64::from(block_ns) / 2
-            - i64::from(delay_blocks) * i64::from(block_ns);
+        // At most 5 blocks of 88 µs back.
+        let centre = self.block_start_ns + i64::from(block_ns / 2)
+            - i64::from(delay_blocks.wrapping_mul(block_ns));
         if self.stage == Stage::Tail && centre >= i64::from(self.header.half_cycle_ns) {
             self.complete();
             return;
@@ -218,7 +219,8 @@ impl Recorder {
 
     /// The block is over.
     pub fn advance(&mut self, block_ns: u32) {
-        self.block_start_ns = self.block_start_ns.saturating_add(i64::from(block_ns));
+        // 292 years.
+        self.block_start_ns = self.block_start_ns.wrapping_add(i64::from(block_ns));
     }
 
     /// The estimator starts anew (frequency step, inverter off): a window in its tail is complete

@@ -120,8 +120,6 @@ impl Demodulator {
         // 0.2 ms in blocks of q/f_sw, to nearest: f · 0.2e-3 / 3 = f / 15 000.
         let length = ((f_sw_hz + 7_500) / (5_000 * ADC_LOCK_Q)).clamp(1, MAX_BOXCAR as u32);
         self.length = length as usize;
-        self.first = [[0; 4]; MAX_BOXCAR];
-        self.second = [[0; 4]; MAX_BOXCAR];
         self.first_sum = [0; 4];
         self.second_sum = [0; 4];
         (self.at, self.filled) = (0, 0);
@@ -142,6 +140,11 @@ impl Demodulator {
         let at = self.at;
         // `at` is below the length, which the compiler cannot see: no branch to a panic.
         if let (Some(first), Some(second)) = (self.first.get_mut(at), self.second.get_mut(at)) {
+            // Until each has its place nothing leaves: what lies there is of the time before, and clearing it at a frequency
+            // step would take longer than this.
+            if self.filled < self.length {
+                (*first, *second) = ([0; 4], [0; 4]);
+            }
             for (k, &new) in new.iter().enumerate() {
                 self.first_sum[k] += i64::from(new) - first[k];
                 first[k] = i64::from(new);
@@ -248,6 +251,26 @@ mod tests {
         let p = steady(45_000, &[(60.0, 100.0, 0.0, 0.0)]);
         let (re, im) = volt(p.v);
         assert!((re.hypot(im) - 100.0).abs() < 0.1);
+    }
+
+    /// Nothing of the time before a restart is left, whatever the lengths.
+    #[test]
+    fn a_restart_forgets_all() {
+        let loud = correlate(&block(0, &[(1.0, 300.0, 40.0, 0.7)]));
+        let after = |mut d: Demodulator, f_sw_hz: u32| -> std::vec::Vec<_> {
+            d.restart(f_sw_hz);
+            let pushed = |k| d.push(&correlate(&block(k, &[(1.0, 100.0, 9.0, 0.1)])));
+            (0..20).map(pushed).collect()
+        };
+        for (before_hz, f_sw_hz) in [(34_000, 80_000), (80_000, 34_000), (60_000, 60_000)] {
+            for pushes in 0..9 {
+                let mut d = Demodulator::new(before_hz);
+                (0..pushes).for_each(|_| {
+                    d.push(&loud);
+                });
+                assert_eq!(after(d, f_sw_hz), after(Demodulator::blank(), f_sw_hz));
+            }
+        }
     }
 
     #[test]

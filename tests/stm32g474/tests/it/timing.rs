@@ -218,8 +218,8 @@ fn a_zero_crossing_with_another_frequency_is_done_within_its_block() {
         share * 100.0,
     );
     assert!(changes >= 20, "{f_sw_hz:?}");
-    // 87.2 %: the correction for the supply, the soft start and the sampling watchdog came to it; a block must end within itself.
-    assert!(share <= 0.90, "{share}");
+    // The rest is for one that begins late: the thread masks interrupts for up to 1 000 cycles.
+    assert!(share <= 0.80, "{share}");
     assert_no_violations(&bench);
 }
 
