@@ -1,5 +1,5 @@
 //! Cost of the voltage channel's range: `cargo run -p ihd-tests --example voltage_range`
-//! prints the table of docs/accuracy.md. 12 bit, f_adc = f_sw·61/3, a pole at 500 kHz, behavioural load; the
+//! prints the figures behind docs/accuracy.md. 12 bit, f_adc = f_sw·61/3, a pole at 500 kHz, behavioural load; the
 //! last of two half-cycles.
 
 use ihd_identify::Method;
