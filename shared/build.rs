@@ -8,7 +8,9 @@ use ihd_board::Board;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo:rerun-if-changed=build.rs");
     println!("cargo:rerun-if-env-changed=IHD_BOARD");
-    let reference = PathBuf::from(env::var("CARGO_MANIFEST_DIR")?).join("../boards/reference.toml");
+    // Relative to the package, in which cargo starts this: an absolute name would have the workspace of `cargo xtask test --only board`,
+    // whose path to the same file is another one, compile everything again, and the main one after it.
+    let reference = PathBuf::from("../boards/reference.toml");
     let path = env::var_os("IHD_BOARD").map_or(reference, PathBuf::from);
     println!("cargo:rerun-if-changed={}", path.display());
     match Board::read(&path) {
