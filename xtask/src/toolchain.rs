@@ -34,8 +34,16 @@ fn has_target() -> bool {
 
 /// Returns `cargo <subcommand>` set up for the board; the caller adds packages and other arguments.
 pub fn cargo(workspace: &Workspace, subcommand: &str) -> Command {
-    let mut command = workspace.cargo([subcommand, "--target", TARGET]);
-    command.arg("--target-dir");
+    for_board(workspace, workspace.cargo([subcommand]))
+}
+
+/// The same with Clippy's lints, of which each is an error.
+pub fn linting(workspace: &Workspace, subcommand: &str) -> Command {
+    for_board(workspace, workspace.linting(subcommand))
+}
+
+fn for_board(workspace: &Workspace, mut command: Command) -> Command {
+    command.args(["--target", TARGET, "--target-dir"]);
     command.arg(workspace.target.join("firmware"));
     // Either would silently replace the linker arguments of .cargo/config.toml.
     command.env_remove("RUSTFLAGS");
