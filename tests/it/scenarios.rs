@@ -34,6 +34,8 @@ scenarios! {
     bursts { bursts pots }
     lift { lift shift }
     link { pots stop_at_crest trip_at_crest unsuitable }
+    mains { low_then_high short_swell }
+    objects { refused smallest }
     panel { host_silent key_lock levels off_wins }
     plausibility { dead_comparator gains mains_hz off offsets stuck supply timing unseen }
     pots { places recovered_mains risen_mains }
