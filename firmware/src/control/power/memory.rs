@@ -35,6 +35,8 @@ pub struct FrequencyFloor {
 pub struct OperatingMemory {
     bus_dv: u16,
     bus_seen_ms: u32,
+    /// The bridge was on in the last half-cycle.
+    was_on: bool,
     /// The bus before a swell, in decivolt, and the swell's beginning; 0 without one.
     before_swell_dv: u16,
     swell_since_ms: u32,
@@ -51,10 +53,12 @@ pub struct OperatingMemory {
 impl OperatingMemory {
     /// Takes note of a half-cycle.
     pub fn note(&mut self, summary: &HalfCycle, now_ms: u32) {
-        // A bridge that has just opened at the crest leaves the bus above any mains.
-        if summary.f_sw_hz > 0 {
+        // A bridge that opens at the crest leaves the bus above any mains, until the first half-cycle of the next start has discharged it.
+        let is_on = summary.f_sw_hz > 0;
+        if is_on && self.was_on && !summary.disturbed {
             self.note_bus(summary.bus_peak_dv, now_ms);
         }
+        self.was_on = is_on;
         let lasts_ms = if self.before_jump_q10 > 0 {
             LIFT_REMEMBERED_MS
         } else {
@@ -179,10 +183,39 @@ mod tests {
         }
     }
 
+    /// Memory of a hob that heats on a mains of this crest.
+    fn heating(bus_dv: u16) -> OperatingMemory {
+        let mut memory = OperatingMemory::default();
+        for _ in 0..2 {
+            memory.note(&half_cycle(24.0, bus_dv), 0);
+        }
+        memory
+    }
+
+    #[test]
+    fn a_bus_that_an_opening_has_charged_is_no_mains() {
+        let mut memory = heating(3_250);
+        let off = HalfCycle {
+            f_sw_hz: 0,
+            ..half_cycle(24.0, 4_300)
+        };
+        let opened = HalfCycle {
+            disturbed: true,
+            ..half_cycle(24.0, 4_300)
+        };
+        let mains = half_cycle(24.0, 3_250);
+        // Opened at the crest, and started again before the bleeder has discharged the bus.
+        let course = [&mains, &opened, &off, &half_cycle(24.0, 4_100), &mains];
+        for (ms, summary) in (0..).step_by(10).zip(course) {
+            memory.note(summary, ms);
+        }
+        assert_eq!(memory.bus_dv(), 3_250);
+        assert_eq!(memory.floor_hz(&mains), FrequencyFloor::default());
+    }
+
     #[test]
     fn a_sag_holds_the_frequency_and_is_forgotten_after_ten_seconds() {
-        let mut memory = OperatingMemory::default();
-        memory.note(&half_cycle(24.0, 3_250), 0);
+        let mut memory = heating(3_250);
         let sag = half_cycle(24.0, 1_950);
         for ms in (10..10_000).step_by(10) {
             memory.note(&sag, ms);
@@ -201,9 +234,8 @@ mod tests {
     /// 230 V, 274 V for 0.1 s, 230 V: the first half-cycle of it raises the power again, and a sag holds as before.
     #[test]
     fn a_swell_that_is_over_is_forgotten_at_once() {
-        let mut memory = OperatingMemory::default();
+        let mut memory = heating(3_253);
         let (calm, swell) = (half_cycle(24.0, 3_253), half_cycle(24.0, 3_875));
-        memory.note(&calm, 0);
         for ms in (10..110).step_by(10) {
             memory.note(&swell, ms);
             assert_eq!(memory.bus_dv(), 3_875);
@@ -217,8 +249,8 @@ mod tests {
         memory.note(&sag, 120);
         assert_eq!(memory.floor_hz(&sag).limit, Limit::Mains);
         // A mains that recovers from a long sag and sags again may recover again.
-        let mut memory = OperatingMemory::default();
-        for (dv, ms) in [(2_500, 0), (3_253, 10), (2_500, 20)] {
+        let mut memory = heating(2_500);
+        for (dv, ms) in [(3_253, 10), (2_500, 20)] {
             memory.note(&half_cycle(24.0, dv), ms);
         }
         assert_eq!(memory.bus_dv(), 3_253);
@@ -226,8 +258,7 @@ mod tests {
 
     #[test]
     fn a_lifted_pot_holds_the_frequency_until_it_is_back() {
-        let mut memory = OperatingMemory::default();
-        memory.note(&half_cycle(24.0, 3_250), 0);
+        let mut memory = heating(3_250);
         assert_eq!(
             memory.floor_hz(&half_cycle(24.0, 3_250)),
             FrequencyFloor::default()
@@ -264,8 +295,7 @@ mod tests {
     /// A trip at the crest charges the link to 500 V; the mains of before is no sag.
     #[test]
     fn the_bus_of_an_open_bridge_is_no_mains() {
-        let mut memory = OperatingMemory::default();
-        memory.note(&half_cycle(24.0, 3_250), 0);
+        let mut memory = heating(3_250);
         let tripped = HalfCycle {
             f_sw_hz: 0,
             ..half_cycle(24.0, 5_000)
