@@ -1,14 +1,17 @@
-//! Figures as SVG: axes, curves that end where the frame does, envelopes, legends beside the curves.
+//! Figures as SVG or PDF: axes, curves that end where the frame does, envelopes, legends beside the curves.
 //!
 //! ```text
 //! shapes ◄─ clip, envelope, scale ◄─ legend, panel ◄─ two_axes
+//! shapes ◄─ pdf ◄─ file
 //! ```
 
 pub mod clip;
 pub mod envelope;
 mod figure_error;
+pub mod file;
 pub mod legend;
 pub mod panel;
+mod pdf;
 pub mod scale;
 mod shapes;
 pub mod svg;

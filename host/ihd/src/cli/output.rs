@@ -6,6 +6,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
+use ihd_plot::file::ENDINGS;
 use ihd_signal::printable::is_shown;
 use serde::Serialize;
 
@@ -53,8 +54,8 @@ pub fn json_line(value: &impl Serialize) -> Result<()> {
 pub fn figure_file(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     match path.extension().and_then(|ending| ending.to_str()) {
-        Some("svg") => Ok(path),
-        _ => Err("figures are SVG: the name ends with .svg".to_owned()),
+        Some(ending) if ENDINGS.contains(&ending) => Ok(path),
+        _ => Err("the name of a figure ends with .svg or .pdf".to_owned()),
     }
 }
 

@@ -9,9 +9,9 @@ use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
 use plotters::prelude::*;
 
-use ihd_plot::FigureError;
 use ihd_plot::legend::header;
 use ihd_plot::{self as plot, Axis, Curve, DrawResult, Entry, GREY, Panel, Pen, span};
+use ihd_plot::{Area, FigureError, file};
 
 /// Number of switching periods in the close-up.
 const CLOSE_UP_PERIODS: f64 = 3.0;
@@ -55,31 +55,30 @@ pub fn draw(
     truth: &[PeriodTruth],
     path: &Path,
 ) -> Result<(), FigureError> {
-    draw_all(name, segments, estimates, truth, path).map_err(|e| FigureError::new(path, &e))
+    file::write(path, (1100, 800), |root| {
+        draw_all(root, name, segments, estimates, truth)
+    })
 }
 
 fn draw_all(
+    root: &Area<'_>,
     name: &str,
     segments: &[Segment],
     estimates: &[&Estimate],
     truth: &[PeriodTruth],
-    path: &Path,
 ) -> DrawResult {
     let drawn = estimates.iter().any(|e| !e.t_s.is_empty());
     if !drawn {
         return Err("no method found anything".into());
     }
     let panels = panels(segments, estimates, truth);
-    let root = SVGBackend::new(path, (1100, 800)).into_drawing_area();
-    root.fill(&WHITE)?;
     let beyond = panels.iter().any(FramedPanel::has_more);
-    let below = header(&root, name, &entries(estimates, !truth.is_empty(), beyond))?;
+    let below = header(root, name, &entries(estimates, !truth.is_empty(), beyond))?;
     let places = below.split_evenly((2, 2));
     for (area, framed) in places.iter().zip(&panels) {
         let below = header(area, framed.title, &[])?;
         plot::draw(&below, &framed.panel, &framed.curves)?;
     }
-    root.present()?;
     Ok(())
 }
 

@@ -5,14 +5,13 @@ use std::path::Path;
 
 use ihd_signal::truth::PeriodTruth;
 use ihd_sim::recording::run::Recording;
-use plotters::prelude::*;
 
-use ihd_plot::FigureError;
 use ihd_plot::legend::header;
 use ihd_plot::two_axes::{self, Side, Trace, Underlay, Zero};
 use ihd_plot::{
     self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, Panel, Pen, RED, envelope, span,
 };
+use ihd_plot::{FigureError, file};
 
 /// Columns of a panel; each shows minimum and maximum.
 const COLUMNS: usize = 420;
@@ -24,7 +23,7 @@ const CLOSE_UP_PERIODS: f64 = 4.0;
 const SMALLEST_A: f64 = 0.5;
 
 /// Draws voltage and current over the whole recording and in a close-up at the largest current,
-/// and R and L of the fundamental, to an SVG file.
+/// and R and L of the fundamental, to a file: SVG or PDF by its ending.
 pub fn write(recording: &Recording, path: &Path) -> Result<(), FigureError> {
     let peak = recording
         .truth
@@ -33,12 +32,10 @@ pub fn write(recording: &Recording, path: &Path) -> Result<(), FigureError> {
     let peak = peak
         .filter(|t| t.i_a > SMALLEST_A)
         .ok_or(FigureError::Empty)?;
-    draw(recording, peak, path).map_err(|why| FigureError::new(path, &why))
+    file::write(path, (1100, 760), |root| draw(root, recording, peak))
 }
 
-fn draw(recording: &Recording, peak: &PeriodTruth, path: &Path) -> DrawResult {
-    let root = SVGBackend::new(path, (1100, 760)).into_drawing_area();
-    root.fill(&WHITE)?;
+fn draw(root: &Area<'_>, recording: &Recording, peak: &PeriodTruth) -> DrawResult {
     let panels = root.split_evenly((2, 2));
     let all = 0..recording.t_s.len();
     waves(&panels[0], "Voltage and current", recording, all, peak)?;
@@ -62,9 +59,7 @@ fn draw(recording: &Recording, peak: &PeriodTruth, path: &Path) -> DrawResult {
         curve("of the third harmonic", RED, |t| t.l_h[1] * 1e6),
     ];
     load(&panels[2], "Resistance", "R / Ω", &r)?;
-    load(&panels[3], "Inductance", "L / µH", &l)?;
-    root.present()?;
-    Ok(())
+    load(&panels[3], "Inductance", "L / µH", &l)
 }
 
 /// Voltage at the left axis, current at the right one.

@@ -8,12 +8,12 @@ use ihd_survey::spectrum::amplitude_db;
 use ihd_survey::{Severity, Span, Survey};
 use plotters::prelude::*;
 
-use ihd_plot::FigureError;
 use ihd_plot::legend::header;
 use ihd_plot::two_axes::{self, Side, Trace, Underlay, Zero};
 use ihd_plot::{
     self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, Panel, Pen, RED, envelope, scale,
 };
+use ihd_plot::{FigureError, file};
 
 /// Switching periods in the close-up.
 const CLOSE_UP_PERIODS: f64 = 2.0;
@@ -38,19 +38,24 @@ const LINE_PX: u32 = 19;
 
 const LEFT_OUT: RGBColor = RGBColor(225, 225, 225);
 
-/// Writes the figure as SVG.
+/// Writes the figure: SVG or PDF by the name's ending.
 ///
 /// # Errors
 /// [`FigureError`] if the file cannot be written.
 pub fn write(capture: &Capture, survey: &Survey, path: &Path) -> Result<(), FigureError> {
-    draw(capture, survey, path).map_err(|why| FigureError::new(path, &why))
-}
-
-fn draw(capture: &Capture, survey: &Survey, path: &Path) -> DrawResult {
     let text = lines(survey);
     let height = WAVES_PX + LINE_PX * (text.len() as u32 + 1);
-    let root = SVGBackend::new(path, (1200, height)).into_drawing_area();
-    root.fill(&WHITE)?;
+    file::write(path, (1200, height), |root| {
+        draw(root, capture, survey, &text)
+    })
+}
+
+fn draw(
+    root: &Area<'_>,
+    capture: &Capture,
+    survey: &Survey,
+    text: &[(RGBColor, String)],
+) -> DrawResult {
     let (waves, below) = root.split_vertically(WAVES_PX);
     let (overview, details) = waves.split_vertically(OVERVIEW_PX);
     let (close_up, spectrum) = details.split_horizontally(600);
@@ -59,9 +64,7 @@ fn draw(capture: &Capture, survey: &Survey, path: &Path) -> DrawResult {
         close_up_panel(&close_up, capture, span, peak)?;
         spectrum_panel(&spectrum, capture, span)?;
     }
-    findings(&below, text)?;
-    root.present()?;
-    Ok(())
+    findings(&below, text)
 }
 
 /// Span with the largest current, and the index of its sample.
@@ -221,10 +224,10 @@ fn mega(hz: f64) -> String {
 }
 
 /// Numbers and findings as text.
-fn findings(area: &Area<'_>, text: Vec<(RGBColor, String)>) -> DrawResult {
-    for (row, (colour, text)) in text.into_iter().enumerate() {
-        let style = ("sans-serif", 14).into_font().color(&colour);
-        area.draw_text(&text, &style, (16, LINE_PX as i32 * row as i32 + 8))?;
+fn findings(area: &Area<'_>, text: &[(RGBColor, String)]) -> DrawResult {
+    for (row, (colour, text)) in text.iter().enumerate() {
+        let style = ("sans-serif", 14).into_font().color(colour);
+        area.draw_text(text, &style, (16, LINE_PX as i32 * row as i32 + 8))?;
     }
     Ok(())
 }

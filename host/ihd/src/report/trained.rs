@@ -6,11 +6,12 @@ use std::path::Path;
 use ihd_link::Window;
 use ihd_signal::truth::Truth;
 use ihd_train::RunReport;
-use plotters::prelude::*;
 
-use ihd_plot::FigureError;
 use ihd_plot::legend::header;
-use ihd_plot::{self as plot, Axis, BLUE, Curve, DrawResult, Entry, GREY, Panel, Pen, RED, span};
+use ihd_plot::{
+    self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, GREY, Panel, Pen, RED, span,
+};
+use ihd_plot::{FigureError, file};
 
 /// Writes an SVG with R above L. Nothing is written when the report has no window.
 ///
@@ -39,10 +40,9 @@ pub fn write(report: &RunReport, path: &Path) -> Result<(), FigureError> {
         window.seq,
         f64::from(window.f_sw_hz) * 1e-3
     );
-    let mut svg = String::new();
     let panels = [("R / Ω", r), ("L / µH", l)];
-    draw(&mut svg, &title, &panels).map_err(|why| FigureError::new(path, &why))?;
-    ihd_signal::atomic::write(path, svg.as_bytes()).map_err(|why| FigureError::new(path, &why))
+    let figure = file::bytes(path, (900, 640), |root| draw(root, &title, &panels))?;
+    ihd_signal::atomic::write(path, &figure).map_err(|why| FigureError::new(path, &why))
 }
 
 /// Curves of truth, filter and network: (ms, ohm or µH).
@@ -76,13 +76,11 @@ fn known(truth: Option<&Truth>, values: fn(&Truth) -> &Vec<f64>, unit: f64) -> V
     })
 }
 
-fn draw(svg: &mut String, title: &str, panels: &[(&str, Vec<Curve>)]) -> DrawResult {
-    let root = SVGBackend::with_string(svg, (900, 640)).into_drawing_area();
-    root.fill(&WHITE)?;
+fn draw(root: &Area<'_>, title: &str, panels: &[(&str, Vec<Curve>)]) -> DrawResult {
     let entries: Vec<Entry> = panels.first().map_or(Vec::new(), |(_, curves)| {
         curves.iter().map(Entry::of).collect()
     });
-    let below = header(&root, title, &entries)?;
+    let below = header(root, title, &entries)?;
     for (area, (label, curves)) in below.split_evenly((panels.len(), 1)).iter().zip(panels) {
         let panel = Panel {
             x: Axis::linear(
@@ -93,7 +91,6 @@ fn draw(svg: &mut String, title: &str, panels: &[(&str, Vec<Curve>)]) -> DrawRes
         };
         plot::draw(area, &panel, curves)?;
     }
-    root.present()?;
     Ok(())
 }
 

@@ -9,6 +9,7 @@ use clap::{Args, ValueEnum};
 use ihd_gate::{Examination, ExamineOptions, Reconstruct, examine};
 use ihd_identify::pinn::preset_names;
 use ihd_identify::{IdentifyOptions, Method};
+use ihd_plot::file::ENDINGS;
 use ihd_signal::{Capture, Severity};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -63,7 +64,7 @@ pub struct IdentifyArgs {
     /// End with 0 even where a result is refused
     #[arg(long)]
     anyway: bool,
-    /// Write the estimates to this file as a table (.csv), or draw R, L and the reconstructed waveforms to it (.svg); both by giving
+    /// Write the estimates to this file as a table (.csv), or draw R, L and the reconstructed waveforms to it (.svg, .pdf); both by giving
     /// it again
     #[arg(long, short, value_name = "FILE", value_parser = output_file)]
     out: Vec<PathBuf>,
@@ -89,8 +90,8 @@ struct NetworkOptions {
 fn output_file(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     match path.extension().and_then(|ending| ending.to_str()) {
-        Some("csv" | "svg") => Ok(path),
-        _ => Err("a table ends with .csv, a figure with .svg".to_owned()),
+        Some(ending) if ending == "csv" || ENDINGS.contains(&ending) => Ok(path),
+        _ => Err("a table ends with .csv, a figure with .svg or .pdf".to_owned()),
     }
 }
 
@@ -178,7 +179,7 @@ impl IdentifyArgs {
             sensors: self.sensors.options(&input),
             methods,
             settings,
-            reconstruct: if self.ending("svg").next().is_some() {
+            reconstruct: if self.figures().next().is_some() {
                 Reconstruct::Waveforms
             } else {
                 Reconstruct::Errors
@@ -210,7 +211,7 @@ impl IdentifyArgs {
         for path in self.ending("csv") {
             report::write_csv(&examined.outcomes, path)?;
         }
-        for path in self.ending("svg") {
+        for path in self.figures() {
             let results = examined.outcomes.iter();
             let estimates: Vec<_> = results.filter_map(|o| o.result.as_ref().ok()).collect();
             let segments = &examined.segments;
@@ -246,6 +247,11 @@ impl IdentifyArgs {
     fn ending(&self, ending: &'static str) -> impl Iterator<Item = &Path> {
         let files = self.out.iter().map(PathBuf::as_path);
         files.filter(move |file| file.extension().is_some_and(|e| e == ending))
+    }
+
+    /// Figures of --out.
+    fn figures(&self) -> impl Iterator<Item = &Path> {
+        ENDINGS.into_iter().flat_map(|ending| self.ending(ending))
     }
 
     fn settings(&self) -> Result<IdentifyOptions> {

@@ -5,17 +5,17 @@ use std::path::Path;
 use ihd_sim::scenario::record::{HalfCycle, Record};
 use plotters::prelude::*;
 
-use ihd_plot::FigureError;
 use ihd_plot::legend::header;
 use ihd_plot::two_axes::{self, Side, Trace, Underlay, Zero};
 use ihd_plot::{
     self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, GREY, Panel, Pen, RED, span,
 };
+use ihd_plot::{FigureError, file};
 
 /// Width of the crests' right axis, left free in the other panels, so that their times are aligned.
 const RIGHT_AXIS_PX: i32 = 54;
 
-/// Draws a record to an SVG file.
+/// Draws a record to a file: SVG or PDF by its ending.
 ///
 /// # Errors
 /// [`FigureError`] if there is no half-cycle or the file cannot be written.
@@ -23,12 +23,10 @@ pub fn write(record: &Record, path: &Path) -> Result<(), FigureError> {
     if record.half_cycles.is_empty() {
         return Err(FigureError::Empty);
     }
-    draw(record, path).map_err(|why| FigureError::new(path, &why))
+    file::write(path, (1000, 860), |root| draw(root, record))
 }
 
-fn draw(record: &Record, path: &Path) -> DrawResult {
-    let root = SVGBackend::new(path, (1000, 860)).into_drawing_area();
-    root.fill(&WHITE)?;
+fn draw(root: &Area<'_>, record: &Record) -> DrawResult {
     let (curves, bands) = root.split_vertically(690);
     let panels = curves.split_evenly((3, 1));
     let curve = |name: &str, colour, value: fn(&HalfCycle) -> f64| {
