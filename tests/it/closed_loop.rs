@@ -191,7 +191,7 @@ fn a_pot_exchanged_for_aluminium_stops_the_heating() {
 #[test]
 fn whatever_a_cook_does_at_any_moment_is_no_fault() {
     (0..SEEDS_OF_COOKS).for_each(cook);
-    // A start on a bus that the last stop had charged.
+    // A pot lifted at the crest, whose coil charges the link to 407 V.
     cook(71);
 }
 

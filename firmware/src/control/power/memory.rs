@@ -18,7 +18,8 @@ const JUMP_Q10: u32 = 1_065;
 /// A bus that was higher by this share was a swell.
 const SWELL_PERCENT: u32 = 108;
 
-/// A bus that has risen by more than this share was low before: no swell, which the mains may have again.
+/// A bus that has risen by more than this share for two half-cycles was low before: no swell, which the mains may have again. For one, it
+/// was charged by a coil whose pot was lifted.
 const MOST_SWELL_PERCENT: u32 = 125;
 
 /// A frequency that must not be gone below, in hertz, and why.
@@ -35,8 +36,6 @@ pub struct FrequencyFloor {
 pub struct OperatingMemory {
     bus_dv: u16,
     bus_seen_ms: u32,
-    /// The bridge was on in the last half-cycle.
-    was_on: bool,
     /// The bus before a swell, in decivolt, and the swell's beginning; 0 without one.
     before_swell_dv: u16,
     swell_since_ms: u32,
@@ -53,12 +52,10 @@ pub struct OperatingMemory {
 impl OperatingMemory {
     /// Takes note of a half-cycle.
     pub fn note(&mut self, summary: &HalfCycle, now_ms: u32) {
-        // A bridge that opens at the crest leaves the bus above any mains, until the first half-cycle of the next start has discharged it.
-        let is_on = summary.f_sw_hz > 0;
-        if is_on && self.was_on && !summary.disturbed {
+        // A bridge that has just opened at the crest leaves the bus above any mains.
+        if summary.f_sw_hz > 0 {
             self.note_bus(summary.bus_peak_dv, now_ms);
         }
-        self.was_on = is_on;
         let lasts_ms = if self.before_jump_q10 > 0 {
             LIFT_REMEMBERED_MS
         } else {
@@ -85,8 +82,10 @@ impl OperatingMemory {
         let is_above =
             |percent: u32, of_dv: u16| u32::from(bus_dv) * 100 > u32::from(of_dv) * percent;
         let is_near = |of_dv: u16| u32::from(bus_dv) * 100 >= u32::from(of_dv) * SAG_PERCENT;
-        if is_above(SWELL_PERCENT, self.bus_dv) && !is_above(MOST_SWELL_PERCENT, self.bus_dv) {
+        if is_above(SWELL_PERCENT, self.bus_dv) {
             (self.before_swell_dv, self.swell_since_ms) = (self.bus_dv, now_ms);
+        } else if is_above(MOST_SWELL_PERCENT, self.before_swell_dv) {
+            self.before_swell_dv = 0;
         }
         let near = is_near(self.bus_dv);
         let swell_is_over = self.before_swell_dv > 0
@@ -183,39 +182,10 @@ mod tests {
         }
     }
 
-    /// Memory of a hob that heats on a mains of this crest.
-    fn heating(bus_dv: u16) -> OperatingMemory {
-        let mut memory = OperatingMemory::default();
-        for _ in 0..2 {
-            memory.note(&half_cycle(24.0, bus_dv), 0);
-        }
-        memory
-    }
-
-    #[test]
-    fn a_bus_that_an_opening_has_charged_is_no_mains() {
-        let mut memory = heating(3_250);
-        let off = HalfCycle {
-            f_sw_hz: 0,
-            ..half_cycle(24.0, 4_300)
-        };
-        let opened = HalfCycle {
-            disturbed: true,
-            ..half_cycle(24.0, 4_300)
-        };
-        let mains = half_cycle(24.0, 3_250);
-        // Opened at the crest, and started again before the bleeder has discharged the bus.
-        let course = [&mains, &opened, &off, &half_cycle(24.0, 4_100), &mains];
-        for (ms, summary) in (0..).step_by(10).zip(course) {
-            memory.note(summary, ms);
-        }
-        assert_eq!(memory.bus_dv(), 3_250);
-        assert_eq!(memory.floor_hz(&mains), FrequencyFloor::default());
-    }
-
     #[test]
     fn a_sag_holds_the_frequency_and_is_forgotten_after_ten_seconds() {
-        let mut memory = heating(3_250);
+        let mut memory = OperatingMemory::default();
+        memory.note(&half_cycle(24.0, 3_250), 0);
         let sag = half_cycle(24.0, 1_950);
         for ms in (10..10_000).step_by(10) {
             memory.note(&sag, ms);
@@ -234,8 +204,9 @@ mod tests {
     /// 230 V, 274 V for 0.1 s, 230 V: the first half-cycle of it raises the power again, and a sag holds as before.
     #[test]
     fn a_swell_that_is_over_is_forgotten_at_once() {
-        let mut memory = heating(3_253);
+        let mut memory = OperatingMemory::default();
         let (calm, swell) = (half_cycle(24.0, 3_253), half_cycle(24.0, 3_875));
+        memory.note(&calm, 0);
         for ms in (10..110).step_by(10) {
             memory.note(&swell, ms);
             assert_eq!(memory.bus_dv(), 3_875);
@@ -249,16 +220,32 @@ mod tests {
         memory.note(&sag, 120);
         assert_eq!(memory.floor_hz(&sag).limit, Limit::Mains);
         // A mains that recovers from a long sag and sags again may recover again.
-        let mut memory = heating(2_500);
-        for (dv, ms) in [(3_253, 10), (2_500, 20)] {
+        let mut memory = OperatingMemory::default();
+        for (dv, ms) in [(2_500, 0), (3_253, 10), (3_253, 20), (2_500, 30)] {
             memory.note(&half_cycle(24.0, dv), ms);
         }
         assert_eq!(memory.bus_dv(), 3_253);
     }
 
+    /// Lifted at the crest, a pot leaves the coil's energy in C2: 407 V for one half-cycle at 228 V.
+    #[test]
+    fn a_bus_that_a_lifted_pot_has_charged_is_no_mains() {
+        let mut memory = OperatingMemory::default();
+        let mains = half_cycle(24.0, 3_225);
+        for (dv, ms) in [(3_225, 0), (3_225, 10), (4_071, 20)] {
+            memory.note(&half_cycle(24.0, dv), ms);
+        }
+        memory.note(&mains, 30);
+        assert_eq!(
+            (memory.bus_dv(), memory.floor_hz(&mains)),
+            (3_225, FrequencyFloor::default())
+        );
+    }
+
     #[test]
     fn a_lifted_pot_holds_the_frequency_until_it_is_back() {
-        let mut memory = heating(3_250);
+        let mut memory = OperatingMemory::default();
+        memory.note(&half_cycle(24.0, 3_250), 0);
         assert_eq!(
             memory.floor_hz(&half_cycle(24.0, 3_250)),
             FrequencyFloor::default()
@@ -295,7 +282,8 @@ mod tests {
     /// A trip at the crest charges the link to 500 V; the mains of before is no sag.
     #[test]
     fn the_bus_of_an_open_bridge_is_no_mains() {
-        let mut memory = heating(3_250);
+        let mut memory = OperatingMemory::default();
+        memory.note(&half_cycle(24.0, 3_250), 0);
         let tripped = HalfCycle {
             f_sw_hz: 0,
             ..half_cycle(24.0, 5_000)
