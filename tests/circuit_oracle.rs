@@ -14,7 +14,7 @@ use ihd_sim::inverter::bridge::HalfBridge;
 use ihd_sim::inverter::bus::Bus;
 use ihd_sim::inverter::load::{Law, LoadState};
 use ihd_sim::inverter::supply::SupplyParts;
-use ihd_sim::inverter::{Inverter, STEPS_PER_PERIOD};
+use ihd_sim::inverter::{Inverter, STEPS_PER_PERIOD, STEPS_PER_SAMPLE};
 use ihd_sim::mains::Mains;
 
 /// Frequency of the mains, in hertz.
@@ -196,21 +196,30 @@ impl Case {
                 true => Bridge::Switching,
                 false => Bridge::Open,
             };
-            let now = inverter.advance(bridge);
-            values.bus_peak_v = values.bus_peak_v.max(now.bus_v);
-            values.i_peak_a = values.i_peak_a.max(now.i_a.abs());
-            values.coil_peak_v = values.coil_peak_v.max(now.coil_v.abs());
-            if now.t_s < half_s {
-                values.bus_crossing_v = now.bus_v;
+            let due_s = match inverter.now_s() {
+                t if t < half_s => half_s,
+                _ => f64::from(HALF_CYCLES) * half_s,
+            };
+            inverter.run(bridge, STEPS_PER_SAMPLE, |now| {
+                values.bus_peak_v = values.bus_peak_v.max(now.bus_v);
+                values.i_peak_a = values.i_peak_a.max(now.i_a.abs());
+                values.coil_peak_v = values.coil_peak_v.max(now.coil_v.abs());
+                if now.t_s < half_s {
+                    values.bus_crossing_v = now.bus_v;
+                } else {
+                    square += now.i_a * now.i_a;
+                    samples += 1;
+                }
+                if step % every == 0 {
+                    waveform.push((now.t_s, now.bus_v, now.i_a));
+                }
+                step += 1;
+                let opens = bridge == Bridge::Switching && now.t_s >= self.open_s;
+                now.t_s < due_s && !opens
+            });
+            if due_s == half_s {
                 energy_j = inverter.load_energy_j();
-            } else {
-                square += now.i_a * now.i_a;
-                samples += 1;
             }
-            if step % every == 0 {
-                waveform.push((now.t_s, now.bus_v, now.i_a));
-            }
-            step += 1;
         }
         values.i_rms_a = (square / f64::from(samples)).sqrt();
         values.power_w = (inverter.load_energy_j() - energy_j) / half_s;

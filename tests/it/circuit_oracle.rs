@@ -41,6 +41,8 @@ fn every_case_is_ngspices() {
             .split(',')
             .map(|x| x.parse::<f64>().expect("number"));
         for ((name, ours), spice) in Values::NAMES.into_iter().zip(ours.numbers()).zip(spice) {
+            let percent = 100.0 * (ours - spice) / spice;
+            println!("{}: {name} {spice:.4e} ({percent:+.2} %)", case.name);
             // After a stop nothing flows in the second half-cycle.
             let limit = match name {
                 "bus_crossing_v" if spice < SMALL_BUS_V => SMALL_TOLERANCE * spice.max(5.0),

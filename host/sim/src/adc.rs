@@ -61,6 +61,7 @@ impl Adc {
     }
 
     /// Advances the filters by `dt_s` to a coil voltage in volt and current in ampere.
+    #[inline]
     pub fn advance(&mut self, v_v: f64, i_a: f64, dt_s: f64) {
         self.filters[0].advance(v_v, dt_s);
         self.filters[1].advance(i_a, dt_s);

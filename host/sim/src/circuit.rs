@@ -25,18 +25,22 @@ impl Circuit {
     /// The same step for a load whose flux linkage changes by `change0_wb` + `l_h` · i(new), as
     /// the field model's does.
     pub fn step_flux(&mut self, v_mean_v: f64, r_ohm: f64, change0_wb: f64, l_h: f64, dt_s: f64) {
-        let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
-        let by_c = dt_s / (2.0 * c_f);
+        let by_c = Self::volt_per_ampere(dt_s);
         let drop = 0.5 * dt_s * (r_ohm + by_c);
         let i = (dt_s * (v_mean_v - self.v_c_v) - change0_wb - drop * self.i_a) / (l_h + drop);
         self.v_c_v += by_c * (self.i_a + i);
         self.i_a = i;
     }
 
+    /// Change of the capacitor's voltage in a step for each ampere of the sum of both ends' currents.
+    pub(crate) fn volt_per_ampere(dt_s: f64) -> f64 {
+        let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
+        dt_s / (2.0 * c_f)
+    }
+
     /// Advances one step in which the current ends.
     pub fn end_current(&mut self, dt_s: f64) {
-        let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
-        self.v_c_v += dt_s / (2.0 * c_f) * self.i_a;
+        self.v_c_v += Self::volt_per_ampere(dt_s) * self.i_a;
         self.i_a = 0.0;
     }
 }

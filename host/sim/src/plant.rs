@@ -322,19 +322,58 @@ impl Plant {
             self.read_meter(crest);
             return pair;
         }
-        for _ in 0..STEPS_PER_SAMPLE {
-            let now = match self.is_tripped() {
-                false => self.step(bridge),
-                true => self.step(Bridge::Open),
+        let mut left = STEPS_PER_SAMPLE;
+        while left > 0 {
+            let bridge = match self.is_tripped() {
+                false => bridge,
+                true => Bridge::Open,
             };
-            if now.i_a.abs() >= self.comparator_a && self.tripped_s.is_none() {
-                self.tripped_s = Some(now.t_s + self.comparator_delay_s);
-            }
-            crest = (crest.0.max(now.i_a.abs()), crest.1.max(now.coil_v.abs()));
-            current(now.i_a);
+            left -= self.advance(bridge, left, &mut |now| {
+                let (i_a, coil_v) = (now.i_a.abs(), now.coil_v.abs());
+                // `f64::max` minds NaN, at every step.
+                if i_a > crest.0 {
+                    crest.0 = i_a;
+                }
+                if coil_v > crest.1 {
+                    crest.1 = coil_v;
+                }
+                current(now.i_a);
+            });
         }
         self.read_meter(crest);
         pair
+    }
+
+    /// Advances by up to `steps` integration steps, until the comparator trips; returns the number done.
+    fn advance(&mut self, bridge: Bridge, steps: usize, seen: &mut impl FnMut(&Instant)) -> usize {
+        if self.inverter.load.is_field() {
+            self.analyse_start();
+        }
+        let dt_s = self.inverter.dt_s();
+        let Self {
+            adc,
+            inverter,
+            comparator_a,
+            comparator_delay_s,
+            tripped_s,
+            ..
+        } = self;
+        let steps = match inverter.load.is_field() {
+            true => 1,
+            false => steps,
+        };
+        let done = inverter.run(bridge, steps, |now| {
+            adc.advance(now.coil_v, now.i_a, dt_s);
+            if now.i_a.abs() >= *comparator_a && tripped_s.is_none() {
+                *tripped_s = Some(now.t_s + *comparator_delay_s);
+            }
+            seen(now);
+            tripped_s.is_none_or(|at_s| at_s > now.t_s)
+        });
+        if self.inverter.load.is_field() {
+            self.analyse();
+        }
+        done
     }
 
     /// Charge that the DC link has given to the bridge since the start, in coulomb.
@@ -437,23 +476,23 @@ impl Plant {
         }
     }
 
-    /// Advances by one integration step; returns the quantities after it.
-    fn step(&mut self, bridge: Bridge) -> Instant {
-        let dt_s = 1.0 / (self.inverter.f_sw_hz() * STEPS_PER_PERIOD as f64);
-        if !self.inverter.load.is_field() {
-            let now = self.inverter.advance(bridge);
-            self.adc.advance(now.coil_v, now.i_a, dt_s);
-            return now;
-        }
-        let n = self.inverter.step_in_period();
-        if n == 0 {
+    /// Begins the truth of a switching period of the field model, at its first boundary.
+    fn analyse_start(&mut self) {
+        if self.inverter.step_in_period() == 0 {
             let start = self.inverter.instant();
             self.analyser.push(0, start.coil_v, start.i_a);
         }
-        let now = self.inverter.advance(bridge);
-        self.adc.advance(now.coil_v, now.i_a, dt_s);
-        self.analyser.push(n + 1, now.coil_v, now.i_a);
-        if n + 1 == STEPS_PER_PERIOD {
+    }
+
+    /// Adds the quantities after an integration step to the truth of the field model's period.
+    fn analyse(&mut self) {
+        let now = self.inverter.instant();
+        let n = match self.inverter.step_in_period() {
+            0 => STEPS_PER_PERIOD,
+            n => n,
+        };
+        self.analyser.push(n, now.coil_v, now.i_a);
+        if n == STEPS_PER_PERIOD {
             let truth = self
                 .analyser
                 .truth(now.t_s, self.inverter.f_sw_hz(), now.i_a);
@@ -464,7 +503,6 @@ impl Plant {
                 i_a: truth.i_a,
             };
         }
-        now
     }
 }
 

@@ -83,6 +83,23 @@ impl HalfBridge {
         self.level
     }
 
+    /// Level at which the node stays from `from_s` after the start of a period of `period_s` on, and until when after it;
+    /// `None` while it moves or a gate is due.
+    pub(super) fn steady(&self, on: bool, period_s: f64, from_s: f64) -> Option<(f64, f64)> {
+        let half_s = self.duty * period_s;
+        let (level, until_s) = match from_s {
+            _ if !on => (0.0, period_s),
+            t if t >= half_s + self.dead_s => (0.0, period_s),
+            t if t >= self.dead_s && t < half_s => (1.0, half_s),
+            _ => return None,
+        };
+        let closed = match &self.edge {
+            Edge::Fixed(_) => true,
+            Edge::Node(node) => node.is_closed(level == 1.0),
+        };
+        (closed && self.level == level).then_some((level, until_s))
+    }
+
     /// Advances from `from_s` to `to_s` after the start of a period of `period_s` with coil current `i_a` and bus voltage `bus_v`;
     /// returns the mean level. With `on` unset the lower switch is on.
     pub fn advance(

@@ -18,8 +18,27 @@ pub struct Bus {
     supply_v: Option<f64>,
     v: f64,
     line: Line,
+    /// Longest step of line and rectifier while the bridge's own are shorter, in seconds.
+    line_step_s: f64,
     /// Number of the present piece of the mains, and the voltage at its ends.
     piece: (f64, f64, f64),
+}
+
+/// Share of a radian of the fastest ringing of line, choke and capacitors that a step of the line may last: 0.29 µs with the
+/// schematic's parts. The error of the ringing's period is (this)²/24.
+const LINE_STEP_RAD: f64 = 0.1;
+
+/// Charging of the DC link, constant over some steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Charging {
+    /// Number of steps.
+    pub steps: usize,
+    /// Change of the voltage in a step for each ampere, in volt.
+    pub volt_per_ampere: f64,
+    /// Current of the rectifier, in ampere.
+    pub rectifier_a: f64,
+    /// Conductance of the bleeder, in siemens.
+    pub bleeder_s: f64,
 }
 
 /// State of a line with inductance.
@@ -31,6 +50,8 @@ struct Line {
     terminal_v: f64,
     /// Current through choke and rectifier, in ampere; with the sign of the half-wave that conducts.
     rectifier_a: f64,
+    /// Half of the step before, by which the currents are behind, in seconds.
+    behind_s: f64,
 }
 
 /// Reciprocals of the parts' values, as a division at every step is slow.
@@ -55,9 +76,16 @@ impl Reciprocals {
     }
 }
 
+/// Longest step of the line with these parts, in seconds.
+fn line_step_s(per: &Reciprocals) -> f64 {
+    let choke = per.choke_l * (per.terminal_c + per.link_c);
+    LINE_STEP_RAD / libm::sqrt(choke + per.line_l * per.terminal_c)
+}
+
 impl Line {
-    /// Advances by `dt_s` to a mains of `mains_v`, beside a DC link of `link_v`: currents first, then the terminal's voltage by
-    /// them. Neither damps nor excites; the error of a ringing of period T is (2π dt/T)²/24 of the period.
+    /// Advances by `dt_s` to a mains of `mains_v`, beside a DC link of `link_v`: currents to the middle of the step, then the
+    /// terminal's voltage by them to its end. Neither damps nor excites, also where steps of different lengths follow each other; the
+    /// error of a ringing of period T is (2π dt/T)²/24 of the period.
     fn advance(
         &mut self,
         parts: &SupplyParts,
@@ -65,8 +93,10 @@ impl Line {
         (mains_v, link_v): (f64, f64),
         dt_s: f64,
     ) {
+        let currents_s = self.behind_s + 0.5 * dt_s;
+        self.behind_s = 0.5 * dt_s;
         let drop_v = parts.line_r_ohm * self.line_a;
-        self.line_a += dt_s * per.line_l * (mains_v - drop_v - self.terminal_v);
+        self.line_a += currents_s * per.line_l * (mains_v - drop_v - self.terminal_v);
         let sign = match self.rectifier_a {
             0.0 => self.terminal_v.signum(),
             i => i.signum(),
@@ -77,7 +107,7 @@ impl Line {
             - link_v
             - parts.rectifier_r_ohm * conducting_a;
         // A current that would reverse ends.
-        self.rectifier_a = sign * (conducting_a + dt_s * per.choke_l * across_v).max(0.0);
+        self.rectifier_a = sign * (conducting_a + currents_s * per.choke_l * across_v).max(0.0);
         self.terminal_v += dt_s * per.terminal_c * (self.line_a - self.rectifier_a);
     }
 }
@@ -89,10 +119,12 @@ impl Bus {
     /// For parts that are out of range.
     pub fn new(mains: Mains, parts: SupplyParts, t_s: f64) -> Result<Self, InverterError> {
         parts.check()?;
+        let per = Reciprocals::of(&parts);
         Ok(Self {
             mains,
             parts,
-            per: Reciprocals::of(&parts),
+            per,
+            line_step_s: line_step_s(&per),
             supply_v: None,
             v: mains.bus_v(t_s),
             line: Line {
@@ -150,6 +182,37 @@ impl Bus {
         self.v
     }
 
+    /// Advances line and rectifier over at most `steps` steps of `dt_s` from `t_s` on, beside the present voltage of the link, which
+    /// follows with [`Charging`] and [`Bus::set_v`]. `None` where the link does not integrate a current.
+    pub(super) fn hold(&mut self, t_s: f64, dt_s: f64, steps: usize) -> Option<Charging> {
+        if self.supply_v.is_some() {
+            return Some(Charging {
+                steps,
+                volt_per_ampere: 0.0,
+                rectifier_a: 0.0,
+                bleeder_s: 0.0,
+            });
+        }
+        if !self.has_line() {
+            return None;
+        }
+        let steps = steps.min(1 + (self.line_step_s / dt_s) as usize);
+        let over_s = steps as f64 * dt_s;
+        let voltages = (self.mains_v(t_s), self.v);
+        self.line.advance(&self.parts, &self.per, voltages, over_s);
+        Some(Charging {
+            steps,
+            volt_per_ampere: dt_s * self.per.link_c,
+            rectifier_a: self.line.rectifier_a.abs(),
+            bleeder_s: self.per.bleeder_r,
+        })
+    }
+
+    /// Sets the voltage of the link, in volt.
+    pub(super) fn set_v(&mut self, v: f64) {
+        self.v = v;
+    }
+
     /// Voltage of the capacitor after a step. Without an inductance the old voltage decides whether the diodes conduct, and the
     /// rest is implicit: stable for any step.
     fn charge(&mut self, t_s: f64, dt_s: f64, i_a: f64) -> f64 {
@@ -177,12 +240,16 @@ impl Bus {
     /// Mains voltage, in volt.
     fn mains_v(&mut self, t_s: f64) -> f64 {
         let at = t_s / MAINS_STEP_S;
-        let (number, ..) = self.piece;
+        let (before, _, end_v) = self.piece;
         // Faster than computing the floor at every step.
-        if !(number..number + 1.0).contains(&at) {
+        if !(before..before + 1.0).contains(&at) {
             let number = at.floor();
             let v = |n: f64| self.mains.mains_v(n * MAINS_STEP_S);
-            self.piece = (number, v(number), v(number + 1.0));
+            let from_v = match number == before + 1.0 && before >= 0.0 {
+                true => end_v,
+                false => v(number),
+            };
+            self.piece = (number, from_v, v(number + 1.0));
         }
         let (number, from, to) = self.piece;
         from + (at - number) * (to - from)

@@ -39,6 +39,7 @@ impl Envelope {
     }
 
     /// Adds the current in ampere at step `n` of the period.
+    #[inline]
     pub fn push(&mut self, n: usize, i_a: f64) {
         self.zeros = if i_a == 0.0 { self.zeros + 1 } else { 0 };
         let (c, s) = self.cos_sin[n];

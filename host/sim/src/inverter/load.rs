@@ -11,7 +11,7 @@ use ihd_field::{FieldLoad, FieldModel};
 pub const RINGS: usize = ihd_field::model::RINGS;
 
 /// Number of steps for which a law's R and L are held: 0.3 µs at 20 ns, in which the envelope of the mains moves by 1e-4 at most.
-const LAW_STEPS: u32 = 16;
+pub(super) const LAW_STEPS: u32 = 16;
 
 /// Change of the flux linkage over one step, `change0_wb` + `l_h` · i(new), and the resistance.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -292,6 +292,28 @@ impl LoadState {
                 }
             }
         }
+    }
+
+    /// R in ohm and L in henry of a law over the next `steps` steps, at most [`LAW_STEPS`], with its envelope, which the caller
+    /// moves; `None` for the field model.
+    pub(super) fn hold(&mut self, steps: usize) -> Option<(f64, f64, &mut Envelope)> {
+        let Self::Law {
+            law,
+            envelope,
+            held,
+            hold,
+            warmth,
+            factors,
+        } = self
+        else {
+            return None;
+        };
+        let steps = steps as u32;
+        if *hold < steps {
+            (*held, *hold) = (warmth.bend(law.r_l(envelope.amplitude_a())), LAW_STEPS);
+        }
+        *hold -= steps.min(*hold);
+        Some((factors.0 * held.0, factors.1 * held.1, envelope))
     }
 
     /// Completes the step whose prediction was `step`, with the new current at boundary `n` of the period.

@@ -7,6 +7,7 @@ mod freewheel;
 pub mod harmonic_analyser;
 pub mod load;
 pub mod node;
+mod span;
 pub mod supply;
 
 use std::f64::consts::TAU;
@@ -277,8 +278,12 @@ impl Inverter {
     fn finish(&mut self, flux: &FluxStep, before_a: f64) {
         self.before_a = before_a;
         self.step += 1;
-        self.load
-            .commit(flux, self.step % self.steps, self.circuit.i_a);
+        self.end_period();
+        self.load.commit(flux, self.step, self.circuit.i_a);
+    }
+
+    /// Begins the next period after the last step of one.
+    fn end_period(&mut self) {
         if self.step == self.steps {
             self.period_start_s += self.steps as f64 * self.dt_s;
             self.step = 0;

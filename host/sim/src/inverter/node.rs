@@ -70,6 +70,11 @@ impl SwitchNode {
         self.capacitance_f
     }
 
+    /// Returns `true` if the upper or the lower switch is closed.
+    pub fn is_closed(&self, upper: bool) -> bool {
+        self.gate == Some(if upper { Gate::Upper } else { Gate::Lower })
+    }
+
     /// Opens both switches.
     pub fn open_gates(&mut self) {
         self.gate = None;

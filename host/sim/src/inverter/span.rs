@@ -1,0 +1,104 @@
+//! Several steps in one go, between two changes of anything but current and voltages.
+//!
+//! While a switch is closed, the mains' line and the load's law are held for a third of a microsecond; what is left of a step is
+//! linear in current and voltages, with the same coefficients for all steps of the span.
+
+use ihd_firmware::drive::bridge::Bridge;
+
+use super::load::LAW_STEPS;
+use super::{Instant, Inverter};
+use crate::circuit::Circuit;
+
+impl Inverter {
+    /// Advances by up to `steps` steps; `seen` gets the quantities after each and returns `false` to end there. Returns the number
+    /// of steps done.
+    pub fn run(
+        &mut self,
+        bridge: Bridge,
+        steps: usize,
+        mut seen: impl FnMut(&Instant) -> bool,
+    ) -> usize {
+        let (mut done, mut goes_on) = (0, true);
+        while goes_on && done < steps {
+            let span = self.span(bridge, steps - done, &mut seen);
+            (done, goes_on) = match span {
+                Some((number, goes_on)) => (done + number, goes_on),
+                None => (done + 1, seen(&self.advance(bridge))),
+            };
+        }
+        done
+    }
+
+    /// Advances by a span of at most `steps` steps; returns their number and the answer of `seen` to the last, or `None` where only a
+    /// single step is possible.
+    fn span(
+        &mut self,
+        bridge: Bridge,
+        steps: usize,
+        seen: &mut impl FnMut(&Instant) -> bool,
+    ) -> Option<(usize, bool)> {
+        let on = match bridge {
+            Bridge::Open => return None,
+            Bridge::LowerOn => false,
+            Bridge::Switching => true,
+        };
+        if self.induced.is_some() || self.load.is_field() {
+            return None;
+        }
+        let dt_s = self.dt_s;
+        let from_s = self.step as f64 * dt_s;
+        let period_s = self.steps as f64 * dt_s;
+        let (level, until_s) = self.bridge.steady(on, period_s, from_s)?;
+        let steps = steps
+            .min(((until_s - from_s) / dt_s) as usize)
+            .min(self.steps - self.step)
+            .min(LAW_STEPS as usize);
+        if steps < 2 {
+            return None;
+        }
+        let charging = self.bus.hold(self.now_s(), dt_s, steps)?;
+        let (r_ohm, l_h, envelope) = self.load.hold(charging.steps)?;
+        self.floating_v = None;
+        // The step of `Circuit::step_flux`, solved for the new current.
+        let by_c = Circuit::volt_per_ampere(dt_s);
+        let drop = 0.5 * dt_s * (r_ohm + self.bridge_r_ohm + by_c);
+        let per_l = 1.0 / (l_h + drop);
+        let (keep, gain) = ((l_h - drop) * per_l, dt_s * per_l);
+        let Circuit { mut i_a, mut v_c_v } = self.circuit;
+        let (mut bus_v, mut before_a) = (self.bus.v(), self.before_a);
+        let (mut charge_a, mut power_w) = (0.0, 0.0);
+        let (mut done, mut goes_on) = (0, true);
+        while goes_on && done < charging.steps {
+            let drawn_a = level * (1.5 * i_a - 0.5 * before_a);
+            charge_a += drawn_a;
+            let into_a = charging.rectifier_a - drawn_a - bus_v * charging.bleeder_s;
+            let new_bus_v = (bus_v + charging.volt_per_ampere * into_a).max(0.0);
+            let node_v = 0.5 * (bus_v + new_bus_v) * level;
+            let new_a = keep * i_a + gain * (node_v - v_c_v);
+            let new_v = v_c_v + by_c * (i_a + new_a);
+            let mean_a = 0.5 * (i_a + new_a);
+            power_w += (node_v - self.bridge_r_ohm * mean_a - 0.5 * (v_c_v + new_v)) * mean_a;
+            (before_a, i_a, v_c_v, bus_v) = (i_a, new_a, new_v, new_bus_v);
+            done += 1;
+            let n = self.step + done;
+            envelope.push(if n == self.steps { 0 } else { n }, i_a);
+            let bridge_v = bus_v * level - self.bridge_r_ohm * i_a;
+            goes_on = seen(&Instant {
+                t_s: self.period_start_s + n as f64 * dt_s,
+                bus_v,
+                bridge_v,
+                coil_v: bridge_v - v_c_v,
+                i_a,
+                induced_v: 0.0,
+            });
+        }
+        self.circuit = Circuit { i_a, v_c_v };
+        self.before_a = before_a;
+        self.bus.set_v(bus_v);
+        self.link_charge_c += charge_a * dt_s;
+        self.load_energy_j += power_w * dt_s;
+        self.step += done;
+        self.end_period();
+        Some((done, goes_on))
+    }
+}
