@@ -19,7 +19,10 @@ async fn each_watcher_counts_every_half_cycle_at_its_own_pace() {
     })
     .await;
     let (mut half_cycles, mut largest_w) = (0, 0.0f64);
-    for _ in 0..10 {
+    // Ten takes at least, and more half-cycles than takes: on a busy machine the simulated hob is slow.
+    let mut takes = 0;
+    while takes < 10 || half_cycles <= 10 {
+        takes += 1;
         tokio::time::sleep(Duration::from_millis(100)).await;
         if let Some(bench) = quick.take().devices.get("bench") {
             half_cycles += bench.half_cycles;
@@ -30,7 +33,7 @@ async fn each_watcher_counts_every_half_cycle_at_its_own_pace() {
     let taken = slow.take();
     let bench = &taken.devices["bench"];
     assert!(bench.skipped >= 8, "{}", bench.skipped);
-    assert!(bench.half_cycles >= half_cycles && half_cycles > 10);
+    assert!(bench.half_cycles >= half_cycles);
     assert!(
         bench.power_w[1] >= largest_w && bench.power_w[0] < 1.0,
         "{:?}",
