@@ -236,14 +236,17 @@ async fn a_lookup_from_elsewhere_must_not_contradict_what_the_hob_has_shown() {
     let learned = async {
         loop {
             let rows = daemon.view().lookups("bench").await.unwrap();
+            // The first may rest on one window alone, which the second contradicts.
             if let Some(row) = rows.last() {
-                return RlLookup::from_bytes(&row.blob).unwrap();
+                let lookup = RlLookup::from_bytes(&row.blob).unwrap();
+                if check(&lookup).await == LookupCheck::Agrees {
+                    return lookup;
+                }
             }
             nap().await;
         }
     };
     let learned = tokio::time::timeout(PATIENCE, learned).await.unwrap();
-    assert_eq!(check(&learned).await, LookupCheck::Agrees);
     let mut lie = learned.clone();
     lie.r.iter_mut().flatten().for_each(|r| *r += *r / 7);
     match check(&lie).await {
