@@ -171,7 +171,8 @@ fn what_changes_is_told_at_once_and_what_always_changes_is_not() {
             kind => break assert_eq!(kind, "devices"),
         }
     }
-    assert_eq!(intervals, 10);
+    // The lease told them anew in the first or the second of its two intervals.
+    assert!((9..=10).contains(&intervals), "{intervals}");
 }
 
 #[test]
