@@ -148,8 +148,8 @@ limits! {
     SHORTEST_HALF_CYCLE_NS: i64 = 7_000_000, "ns";
     /// Shortest half-cycle of a mains that is as it must be: 66 Hz.
     HALF_CYCLE_MIN_NS: u32 = 7_576_000, "ns";
-    /// Longest: 45 Hz.
-    HALF_CYCLE_MAX_NS: u32 = 11_111_000, "ns";
+    /// Longest: 44 Hz, as 45 Hz must heat.
+    HALF_CYCLE_MAX_NS: u32 = 11_364_000, "ns";
     /// Half-cycles of another length, or zero crossings away from the bus's zero, among the last eight
     /// that stop heating.
     IRREGULAR_HALF_CYCLES: u32 = 3, "of 8";
