@@ -77,9 +77,8 @@ mod tests {
     use super::*;
     use ihd_shared::units::{MicroOhm, PicoHenry};
 
-    /// R at 45 kHz in ohm, L in µH, current in ampere; R ∝ √f.
-    fn seen(f_sw_hz: u32, r: f64, l: f64, i: f64) -> Pot {
-        let r = r * (f64::from(f_sw_hz) / 45e3).sqrt();
+    /// R in ohm, L in µH, current in ampere.
+    fn judged((f_sw_hz, r, l, i): (u32, f64, f64, f64), before: Pot) -> Pot {
         let summary = HalfCycle {
             f_sw_hz,
             r: MicroOhm((r * 1e6) as i32),
@@ -88,7 +87,13 @@ mod tests {
             bus_peak_dv: 3_253,
             ..HalfCycle::default()
         };
-        classify(&summary, Pot::Unknown)
+        classify(&summary, before)
+    }
+
+    /// R at 45 kHz, of which R ∝ √f follows.
+    fn seen(f_sw_hz: u32, r: f64, l: f64, i: f64) -> Pot {
+        let r = r * (f64::from(f_sw_hz) / 45e3).sqrt();
+        judged((f_sw_hz, r, l, i), Pot::Unknown)
     }
 
     #[test]
@@ -123,17 +128,6 @@ mod tests {
             (34_038, 0.990, 46.6, 42.9),
             (77_413, 2.305, 40.4, 13.1),
         ];
-        let judged = |(f_sw_hz, r, l, i): (u32, f64, f64, f64), before| {
-            let summary = HalfCycle {
-                f_sw_hz,
-                r: MicroOhm((r * 1e6) as i32),
-                l: PicoHenry((l * 1e6) as i32),
-                i_crest_ma: (i * 1e3) as u32,
-                bus_peak_dv: 3_253,
-                ..HalfCycle::default()
-            };
-            classify(&summary, before)
-        };
         for before in [Pot::Unknown, Pot::Absent, Pot::Small, Pot::Ferromagnetic] {
             for disc in refused {
                 assert_eq!(judged(disc, before), Pot::Absent, "{disc:?} {before:?}");

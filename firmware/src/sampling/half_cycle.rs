@@ -289,7 +289,7 @@ mod tests {
     use super::*;
     use ihd_shared::sampling::{AMPERE_PER_CODE, VOLT_PER_CODE};
 
-    /// What the thread makes of a half-cycle that ends.
+    /// Half-cycle that ends here, as the thread evaluates it.
     fn ended(a: &mut HalfCycles, half_cycle: u32, f_sw_hz: u32, duration_ns: u32) -> HalfCycle {
         a.finish(half_cycle, f_sw_hz, duration_ns, 0, false);
         a.take().expect("one has ended").evaluate()

@@ -1,9 +1,8 @@
 //! The sampling path, once per block of 61 pairs, in the sampling interrupt.
 //!
 //! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 430
-//! instructions of it, 33 %: 61 times at most 14.6 to correlate, 216 for the boxcars, 689 for the
-//! estimator, the rest for protection, soft limits and recording. firmware/budget.toml holds these ceilings,
-//! docs/performance.md what was counted, and an estimate in cycles that exceeds 36 %. A block that
+//! instructions of it, 33 %, most of them to correlate and estimate. firmware/budget.toml holds the ceilings of its
+//! parts, docs/performance.md what was counted, and an estimate in cycles that exceeds 36 %. A block that
 //! comes late is counted as lost; the third of a half-cycle trips [`Fault::SAMPLES_LOST`].
 //! Nothing here waits, allocates, divides by a variable of 64 bit, uses
 //! floating point or can panic.
