@@ -87,24 +87,50 @@ impl Warmth {
     }
 }
 
+/// Law in operation, evaluated every [`LAW_STEPS`] steps.
+#[derive(Clone, Debug)]
+pub struct FollowedLaw {
+    law: Law,
+    /// Envelope that it follows.
+    envelope: Envelope,
+    /// R in ohm and L in henry at the last evaluation.
+    held: (f64, f64),
+    /// Number of steps until the next evaluation.
+    hold: u32,
+    /// Effect of the load's temperature on the law.
+    warmth: Warmth,
+    /// Factors of R and L on the law's.
+    factors: (f64, f64),
+}
+
+impl FollowedLaw {
+    fn new(law: Law, envelope: Envelope) -> Self {
+        Self {
+            law,
+            envelope,
+            held: (0.0, 0.0),
+            hold: 0,
+            warmth: Warmth::default(),
+            factors: (1.0, 1.0),
+        }
+    }
+
+    /// R in ohm and L in henry over the next `steps` steps, at most [`LAW_STEPS`].
+    fn hold(&mut self, steps: u32) -> (f64, f64) {
+        if self.hold < steps {
+            let at_a = self.envelope.amplitude_a();
+            (self.held, self.hold) = (self.warmth.bend(self.law.r_l(at_a)), LAW_STEPS);
+        }
+        self.hold -= steps.min(self.hold);
+        (self.factors.0 * self.held.0, self.factors.1 * self.held.1)
+    }
+}
+
 /// Load in operation.
 #[derive(Clone, Debug)]
 pub enum LoadState {
     /// v = R i + L di/dt with R and L from a law of the envelope.
-    Law {
-        /// The law.
-        law: Law,
-        /// Envelope that it follows.
-        envelope: Envelope,
-        /// R in ohm and L in henry at the last evaluation.
-        held: (f64, f64),
-        /// Number of steps until the next evaluation.
-        hold: u32,
-        /// Effect of the load's temperature on the law.
-        warmth: Warmth,
-        /// Factors of R and L on the law's.
-        factors: (f64, f64),
-    },
+    Law(FollowedLaw),
     /// Field model; several for a pot off centre.
     Field {
         /// Weight and state of each sector.
@@ -123,14 +149,7 @@ impl LoadState {
     }
 
     fn following(law: Law, envelope: Envelope) -> Self {
-        Self::Law {
-            law,
-            envelope,
-            held: (0.0, 0.0),
-            hold: 0,
-            warmth: Warmth::default(),
-            factors: (1.0, 1.0),
-        }
+        Self::Law(FollowedLaw::new(law, envelope))
     }
 
     /// Creates unmagnetised field models with their weights; the winding is the first one's. A current that already flows
@@ -153,11 +172,9 @@ impl LoadState {
     /// Returns another law with the same envelope and factors, in a period of `steps` steps.
     pub fn with_law(&self, law: Law, steps: usize) -> Self {
         match self {
-            Self::Law {
-                envelope, factors, ..
-            } => {
-                let mut new = Self::following(law, envelope.resized(steps));
-                new.scale(factors.0, factors.1);
+            Self::Law(before) => {
+                let mut new = Self::following(law, before.envelope.resized(steps));
+                new.scale(before.factors.0, before.factors.1);
                 new
             }
             Self::Field { .. } => Self::law(law, steps),
@@ -166,22 +183,22 @@ impl LoadState {
 
     /// Replaces a law by that of another frequency, in a period of as many steps; no effect on the field.
     pub fn set_law(&mut self, new: Law) {
-        if let Self::Law { law, hold, .. } = self {
-            (*law, *hold) = (new, 0);
+        if let Self::Law(followed) = self {
+            (followed.law, followed.hold) = (new, 0);
         }
     }
 
     /// Sets the factors of R and L on the law's; no effect on the field model.
     pub fn scale(&mut self, r_factor: f64, l_factor: f64) {
-        if let Self::Law { factors, hold, .. } = self {
-            (*factors, *hold) = ((r_factor, l_factor), 0);
+        if let Self::Law(followed) = self {
+            (followed.factors, followed.hold) = ((r_factor, l_factor), 0);
         }
     }
 
     /// Heats a law: from now on it is `new`, that of [`Warmth::law_hz`], bent; no effect on the field.
     pub fn set_hot_law(&mut self, new: Law, by: Warmth) {
-        if let Self::Law { warmth, .. } = self {
-            *warmth = by;
+        if let Self::Law(followed) = self {
+            followed.warmth = by;
             self.set_law(new);
         }
     }
@@ -209,16 +226,16 @@ impl LoadState {
 
     /// Returns `true` if no current has flowed for a period; `false` for the field model.
     pub fn is_at_rest(&self) -> bool {
-        matches!(self, Self::Law { envelope, .. } if envelope.is_empty())
+        matches!(self, Self::Law(followed) if followed.envelope.is_empty())
     }
 
     /// R in ohm, L in henry and the amplitude in ampere that give them; `None` for the field model,
     /// which has no such numbers.
     pub fn law_point(&self) -> Option<(f64, f64, f64)> {
-        let Self::Law { envelope, .. } = self else {
+        let Self::Law(followed) = self else {
             return None;
         };
-        let i_a = envelope.amplitude_a();
+        let i_a = followed.envelope.amplitude_a();
         let (r_ohm, l_h) = self.law_at(i_a)?;
         Some((r_ohm, l_h, i_a))
     }
@@ -226,17 +243,11 @@ impl LoadState {
     /// R in ohm and L in henry that a law gives at an amplitude in ampere, as warm as it is; `None` for the
     /// field model.
     pub fn law_at(&self, i_a: f64) -> Option<(f64, f64)> {
-        let Self::Law {
-            law,
-            warmth,
-            factors,
-            ..
-        } = self
-        else {
+        let Self::Law(followed) = self else {
             return None;
         };
-        let (r_ohm, l_h) = warmth.bend(law.r_l(i_a));
-        Some((factors.0 * r_ohm, factors.1 * l_h))
+        let (r_ohm, l_h) = followed.warmth.bend(followed.law.r_l(i_a));
+        Some((followed.factors.0 * r_ohm, followed.factors.1 * l_h))
     }
 
     /// Changes the time step of the field model and keeps its state; returns `false` for a law, which depends on the frequency
@@ -254,19 +265,8 @@ impl LoadState {
     /// Inputs of the circuit for the next step, with `i_a` the present current.
     pub fn predict(&mut self, i_a: f64) -> FluxStep {
         match self {
-            Self::Law {
-                law,
-                envelope,
-                held,
-                hold,
-                warmth,
-                factors,
-            } => {
-                if *hold == 0 {
-                    (*held, *hold) = (warmth.bend(law.r_l(envelope.amplitude_a())), LAW_STEPS);
-                }
-                *hold -= 1;
-                let (r_ohm, l_h) = (factors.0 * held.0, factors.1 * held.1);
+            Self::Law(followed) => {
+                let (r_ohm, l_h) = followed.hold(1);
                 FluxStep {
                     change0_wb: -l_h * i_a,
                     l_h,
@@ -297,29 +297,17 @@ impl LoadState {
     /// R in ohm and L in henry of a law over the next `steps` steps, at most [`LAW_STEPS`], with its envelope, which the caller
     /// moves; `None` for the field model.
     pub(super) fn hold(&mut self, steps: usize) -> Option<(f64, f64, &mut Envelope)> {
-        let Self::Law {
-            law,
-            envelope,
-            held,
-            hold,
-            warmth,
-            factors,
-        } = self
-        else {
+        let Self::Law(followed) = self else {
             return None;
         };
-        let steps = steps as u32;
-        if *hold < steps {
-            (*held, *hold) = (warmth.bend(law.r_l(envelope.amplitude_a())), LAW_STEPS);
-        }
-        *hold -= steps.min(*hold);
-        Some((factors.0 * held.0, factors.1 * held.1, envelope))
+        let (r_ohm, l_h) = followed.hold(steps as u32);
+        Some((r_ohm, l_h, &mut followed.envelope))
     }
 
     /// Completes the step whose prediction was `step`, with the new current at boundary `n` of the period.
     pub fn commit(&mut self, step: &FluxStep, n: usize, i_a: f64) {
         match self {
-            Self::Law { envelope, .. } => envelope.push(n, i_a),
+            Self::Law(followed) => followed.envelope.push(n, i_a),
             Self::Field {
                 sectors, lambda_wb, ..
             } => {
