@@ -6,6 +6,7 @@ mod text;
 
 use std::collections::BTreeSet;
 
+use pdf_writer::writers::ExtGraphicsState;
 use pdf_writer::{Content, Finish, Name, Pdf, Rect, Ref};
 use roxmltree::{Document, Node};
 
@@ -74,7 +75,7 @@ pub fn of_svg(svg: &str) -> Result<Vec<u8>, PdfError> {
         let share = f32::from(permille) * 1e-3;
         let mut state = states
             .insert(Name(opacity_name(permille).as_bytes()))
-            .start::<pdf_writer::writers::ExtGraphicsState<'_>>();
+            .start::<ExtGraphicsState<'_>>();
         state.stroking_alpha(share).non_stroking_alpha(share);
     }
     states.finish();
@@ -103,7 +104,10 @@ fn draw(content: &mut Content, shape: &Node<'_, '_>) -> Result<(), PdfError> {
             }
         }
         "circle" => circle(content, (of("cx")?, of("cy")?), of("r")?),
-        "text" => return Words::of(shape)?.write(content),
+        "text" => {
+            Words::of(shape)?.write(content);
+            return Ok(());
+        }
         other => return Err(PdfError::Unknown(format!("an element <{other}>"))),
     }
     let (stroke, fill) = (colour(shape, "stroke")?, colour(shape, "fill")?);

@@ -184,7 +184,7 @@ impl Words {
     }
 
     /// Writes the text; later runs go on where the one before ended.
-    pub(super) fn write(&self, content: &mut Content) -> Result<(), PdfError> {
+    pub(super) fn write(&self, content: &mut Content) {
         let [r, g, b] = self.colour;
         let ((sin, cos), (x, y)) = (self.turn, self.at);
         content.begin_text().set_fill_rgb(r, g, b);
@@ -207,7 +207,6 @@ impl Words {
             content.set_text_rendering_mode(TextRenderingMode::Fill);
         }
         content.end_text();
-        Ok(())
     }
 }
 

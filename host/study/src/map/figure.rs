@@ -9,9 +9,9 @@ use plotters::prelude::*;
 
 use super::table::BUILDERS;
 use super::{Run, Verdict};
-use ihd_plot::FigureError;
 use ihd_plot::legend::header;
 use ihd_plot::{self as plot, Area, Axis, BLUE, Curve, DrawResult, GREY, Panel, Pen, RED, span};
+use ihd_plot::{FigureError, file};
 
 /// Size of a panel in pixels.
 const PANEL_PX: (u32, u32) = (520, 330);
@@ -39,7 +39,13 @@ type Row<'a> = (&'static str, Vec<(&'a str, &'a Verdict)>);
 /// # Errors
 /// If the file cannot be written.
 pub fn draw(path: &Path, runs: &[Run]) -> Result<(), FigureError> {
-    drawing(path, &rows(runs)).map_err(|why| FigureError::new(path, &why))
+    let rows = rows(runs);
+    let columns = rows.iter().map(|r| r.1.len()).max().unwrap_or(0) as u32;
+    let size = (
+        PANEL_PX.0 * columns.max(1),
+        PANEL_PX.1 * 2 * rows.len().max(1) as u32 + 60,
+    );
+    file::write(path, size, |root| drawing(root, columns, &rows))
 }
 
 fn rows(runs: &[Run]) -> Vec<Row<'_>> {
@@ -53,20 +59,13 @@ fn rows(runs: &[Run]) -> Vec<Row<'_>> {
         .collect()
 }
 
-fn drawing(path: &Path, rows: &[Row<'_>]) -> DrawResult {
-    let columns = rows.iter().map(|r| r.1.len()).max().unwrap_or(0) as u32;
-    let size = (
-        PANEL_PX.0 * columns.max(1),
-        PANEL_PX.1 * 2 * rows.len().max(1) as u32 + 60,
-    );
-    let root = SVGBackend::new(path, size).into_drawing_area();
-    root.fill(&WHITE)?;
+fn drawing(root: &Area<'_>, columns: u32, rows: &[Row<'_>]) -> DrawResult {
     let all = rows.iter().flat_map(|r| &r.1).flat_map(|(_, v)| &v.cells);
     let named: Vec<plot::Entry> = (0..FREQUENCIES)
         .filter(|f| all.clone().any(|c| c.frequency == *f))
         .map(|f| plot::Entry::of(&curve(f, &[])))
         .collect();
-    let below = header(&root, "Cells against the truth: dots are observed", &named)?;
+    let below = header(root, "Cells against the truth: dots are observed", &named)?;
     let areas = below.split_evenly((2 * rows.len().max(1), columns.max(1) as usize));
     for (n, (builder, verdicts)) in rows.iter().enumerate() {
         for (k, (pot, verdict)) in verdicts.iter().enumerate() {
@@ -75,7 +74,6 @@ fn drawing(path: &Path, rows: &[Row<'_>]) -> DrawResult {
             over_deviation(area(1), &verdict.cells)?;
         }
     }
-    root.present()?;
     Ok(())
 }
 

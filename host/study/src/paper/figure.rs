@@ -6,10 +6,10 @@ use ihd_sim::recording::settings::LoadKind;
 use plotters::prelude::*;
 
 use super::{Cell, Contender};
-use ihd_plot::FigureError;
 use ihd_plot::legend::{column, header};
 use ihd_plot::panel::beyond;
 use ihd_plot::{self as plot, Area, Axis, Curve, DrawResult, Entry, GREY, Panel, Pen, span};
+use ihd_plot::{FigureError, file};
 
 /// Width of the legend beside a panel, in pixels.
 const LEGEND_PX: u32 = 250;
@@ -43,12 +43,15 @@ pub fn all(cells: &[Cell], folder: &Path) -> Result<Vec<String>, FigureError> {
     }
     for group in &groups {
         let point = point_name(group[0]);
-        draw(folder, &format!("load-{point}.svg"), &mut names, |path| {
-            load(path, group)
+        let name = format!("load-{point}.svg");
+        draw(folder, &name, &mut names, (1000, 800), |root| {
+            load(root, group)
         })?;
         if group.iter().any(|c| c.losses.len() > 1) {
             let name = format!("loss-{point}.svg");
-            draw(folder, &name, &mut names, |path| losses(path, group))?;
+            draw(folder, &name, &mut names, (1000, 560), |root| {
+                losses(root, group)
+            })?;
         }
     }
     Ok(names)
@@ -76,19 +79,17 @@ fn draw(
     folder: &Path,
     name: &str,
     names: &mut Vec<String>,
-    drawing: impl FnOnce(&Path) -> DrawResult,
+    size: (u32, u32),
+    drawing: impl FnOnce(&Area<'_>) -> DrawResult,
 ) -> Result<(), FigureError> {
-    let path = folder.join(name);
-    drawing(&path).map_err(|why| FigureError::new(&path, &why))?;
+    file::write(&folder.join(name), size, drawing)?;
     names.push(name.to_owned());
     Ok(())
 }
 
 /// R above L over the half-cycle.
-fn load(path: &Path, cells: &[&Cell]) -> DrawResult {
-    let root = SVGBackend::new(path, (1000, 800)).into_drawing_area();
-    root.fill(&WHITE)?;
-    let below = header(&root, &point_name(cells[0]), &[])?;
+fn load(root: &Area<'_>, cells: &[&Cell]) -> DrawResult {
+    let below = header(root, &point_name(cells[0]), &[])?;
     let areas = below.split_evenly((2, 1));
     type Value = fn(&(f64, f64, f64)) -> f64;
     let quantities: [(&str, Value); 2] = [("R / Ω", |p| p.1), ("L / µH", |p| p.2 * 1e6)];
@@ -96,7 +97,6 @@ fn load(path: &Path, cells: &[&Cell]) -> DrawResult {
         let (panel, curves) = load_panel(cells, label, value);
         beside_legend(area, &panel, &curves)?;
     }
-    root.present()?;
     Ok(())
 }
 
@@ -134,11 +134,9 @@ fn load_panel(
 
 /// Physics and data terms over the steps, both axes in decades. With noise its part of the data term is drawn: the VI branch must
 /// not go below it.
-fn losses(path: &Path, cells: &[&Cell]) -> DrawResult {
-    let root = SVGBackend::new(path, (1000, 560)).into_drawing_area();
-    root.fill(&WHITE)?;
+fn losses(root: &Area<'_>, cells: &[&Cell]) -> DrawResult {
     let title = format!("{}: loss", point_name(cells[0]));
-    let below = header(&root, &title, &[])?;
+    let below = header(root, &title, &[])?;
     let curves = loss_curves(cells);
     let steps = span(curves.iter().flat_map(Curve::points).map(|p| p.0)).unwrap_or((1.0, 10.0));
     let terms = span(curves.iter().flat_map(Curve::points).map(|p| p.1)).unwrap_or((1.0, 10.0));
@@ -146,9 +144,7 @@ fn losses(path: &Path, cells: &[&Cell]) -> DrawResult {
         x: Axis::decades("step", steps.0..steps.1),
         y: Axis::decades("loss term", terms.0 / 2.0..terms.1 * 2.0),
     };
-    beside_legend(&below, &panel, &curves)?;
-    root.present()?;
-    Ok(())
+    beside_legend(&below, &panel, &curves)
 }
 
 /// Curves without terms that are zero, which have no place on an axis of decades.

@@ -9,9 +9,9 @@ use plotters::prelude::*;
 
 use super::kitchen::{Sample, cook};
 use super::{Job, Kind, Run};
-use ihd_plot::FigureError;
 use ihd_plot::legend::header;
-use ihd_plot::{self as plot, Axis, BLUE, Curve, DrawResult, Entry, GREY, Panel, Pen, RED};
+use ihd_plot::{self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, GREY, Panel, Pen, RED};
+use ihd_plot::{FigureError, file};
 
 /// Colour between the lines of ± σ.
 const PALE: RGBColor = RGBColor(150, 190, 225);
@@ -62,12 +62,10 @@ pub fn write(path: &Path) -> Result<(), FigureError> {
             cook(job, |sample| samples.push(sample)).map_err(|why| FigureError::new(path, &why))?;
         panels.push((*title, samples, run));
     }
-    draw(&panels, path).map_err(|why| FigureError::new(path, &why))
+    file::write(path, (1000, 760), |root| draw(root, &panels))
 }
 
-fn draw(panels: &[(&str, Vec<Sample>, Run)], path: &Path) -> DrawResult {
-    let root = SVGBackend::new(path, (1000, 760)).into_drawing_area();
-    root.fill(&WHITE)?;
+fn draw(root: &Area<'_>, panels: &[(&str, Vec<Sample>, Run)]) -> DrawResult {
     let areas = root.split_evenly((panels.len(), 1));
     for (k, (area, (title, samples, run))) in areas.iter().zip(panels).enumerate() {
         let curve = |name: &str, colour, pen, value: fn(&Sample) -> f64| {
@@ -115,6 +113,5 @@ fn draw(panels: &[(&str, Vec<Sample>, Run)], path: &Path) -> DrawResult {
         let zero = Curve::new("", GREY, Pen::Line(1), vec![(0.0, 0.0), (end_s, 0.0)]);
         plot::draw(&below, &panel, &[&[zero], all.as_slice()].concat())?;
     }
-    root.present()?;
     Ok(())
 }
