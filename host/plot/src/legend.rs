@@ -103,7 +103,7 @@ impl Entry {
                     area.draw(&Circle::new((at, y), 3, colour.filled()))?;
                 }
             }
-            Sign::Shade(colour) => {
+            Sign::Curve(colour, Pen::Area) | Sign::Shade(colour) => {
                 let corners = [(x, y - 6), (x + SIGN_PX, y + 6)];
                 area.draw(&Rectangle::new(corners, colour.filled()))?;
             }

@@ -13,6 +13,9 @@ const ARROWS_PX: f64 = 90.0;
 /// Largest gap between two parts outside that share an arrow, in pixels.
 const SAME_PX: f64 = 14.0;
 
+/// Opacity of an area.
+const AREA_OPACITY: f64 = 0.25;
+
 /// Half width and height of an arrow, in pixels.
 const ARROW_PX: (i32, i32) = (6, 10);
 
@@ -28,8 +31,8 @@ pub struct Panel {
 /// Coordinates of a panel.
 pub(crate) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Scale, Scale>>;
 
-/// Draws axes and curves. A curve beyond the frame ends there, and an arrow of its colour at the edge shows its direction. Returns
-/// the parts outside of each curve.
+/// Draws axes and curves. A line beyond the frame ends there, and an arrow of its colour at the edge shows its direction. Returns
+/// the parts outside of each line.
 ///
 /// # Errors
 /// Any error of the backend.
@@ -43,6 +46,11 @@ pub fn draw(area: &Area<'_>, panel: &Panel, curves: &[Curve]) -> DrawResult<Vec<
     mesh(&mut chart, &panel.x.label, &panel.y.label)?;
     let mut outside = Vec::new();
     for (k, curve) in curves.iter().enumerate() {
+        if curve.pen == Pen::Area {
+            areas(&mut chart, curve)?;
+            outside.push(Vec::new());
+            continue;
+        }
         let mut stretches = Vec::new();
         for run in &curve.runs {
             let cut = clip(run, &panel.x.scale, &panel.y.scale);
@@ -90,6 +98,19 @@ pub(crate) fn mesh(chart: &mut Chart<'_, '_>, x: &str, y: &str) -> DrawResult {
     Ok(())
 }
 
+/// Draws a curve's filled areas; the scale ends them at the frame.
+fn areas(chart: &mut Chart<'_, '_>, curve: &Curve) -> DrawResult {
+    for outline in &curve.runs {
+        let finite = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
+        let outline: Vec<_> = outline.iter().filter(finite).copied().collect();
+        chart.draw_series([Polygon::new(
+            outline,
+            curve.colour.mix(AREA_OPACITY).filled(),
+        )])?;
+    }
+    Ok(())
+}
+
 fn line(chart: &mut Chart<'_, '_>, curve: &Curve, cut: &ClippedCurve) -> DrawResult {
     let colour = curve.colour;
     for run in &cut.inside {
@@ -105,6 +126,8 @@ fn line(chart: &mut Chart<'_, '_>, curve: &Curve, cut: &ClippedCurve) -> DrawRes
             Pen::Dots => {
                 chart.draw_series(points.map(|p| Circle::new(p, 2, colour.filled())))?;
             }
+            // Drawn by `areas`.
+            Pen::Area => {}
         }
     }
     Ok(())

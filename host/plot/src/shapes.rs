@@ -62,6 +62,8 @@ pub enum Pen {
     Broken(u32),
     /// A dot at each point.
     Dots,
+    /// A translucent area; each run is its closed outline, cut off at the frame.
+    Area,
 }
 
 /// Curve in the units of its axes.

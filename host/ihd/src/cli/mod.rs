@@ -38,6 +38,7 @@ pub mod sensor_args;
 pub mod serve;
 pub mod simulate;
 pub mod simulated;
+mod start;
 #[cfg(feature = "daemon")]
 pub mod store;
 #[cfg(feature = "daemon")]
@@ -57,7 +58,7 @@ use clap::{Parser, Subcommand};
 #[command(name = "ihd", version, about)]
 pub struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
     #[command(flatten)]
     global: global::Global,
 }
@@ -87,14 +88,17 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the chosen subcommand.
+    /// Runs the chosen subcommand; without one prints the next commands.
     ///
     /// # Errors
     /// Any error that ends it early, with its context.
     pub fn run(&self) -> Result<()> {
         let global = &self.global;
-        self.command.check(global)?;
-        match &self.command {
+        let Some(command) = &self.command else {
+            return start::print(global);
+        };
+        command.check(global)?;
+        match command {
             Command::Calibrate(args) => args.run(global),
             #[cfg(feature = "pinn")]
             Command::Trainer(args) => args.run(global),

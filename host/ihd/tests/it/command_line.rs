@@ -49,6 +49,44 @@ fn number(value: &Value, pointer: &str) -> f64 {
     found.unwrap_or_else(|| panic!("no number at {pointer} in {value:#}"))
 }
 
+/// `ihd` in a folder, without a daemon at the address of its configuration; exit code, stdout and stderr.
+fn alone(folder: &std::path::Path, arguments: &[&str]) -> (i32, String, String) {
+    let nobody = "store = \"s\"\nlisten = \"127.0.0.1:1\"\n";
+    std::fs::write(folder.join("ihd.toml"), nobody).unwrap();
+    let output = ihd().current_dir(folder).args(arguments).output().unwrap();
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    let code = output.status.code().unwrap();
+    (code, text(output.stdout), text(output.stderr))
+}
+
+#[test]
+fn alone_it_shows_the_next_command_for_what_is_here() {
+    let folder = tempfile::tempdir().unwrap();
+    let (code, stdout, _) = alone(folder.path(), &[]);
+    assert_eq!(code, 0);
+    for command in ["ihd trainer", "ihd identify CAPTURE", "ihd --help"] {
+        assert!(stdout.contains(command), "{stdout}");
+    }
+    std::fs::create_dir(folder.path().join("s")).unwrap();
+    std::fs::write(folder.path().join("s/ihd.db"), "").unwrap();
+    std::fs::write(folder.path().join("scope 1.csv"), "t,v,i\n").unwrap();
+    let (code, stdout, _) = alone(folder.path(), &["--json"]);
+    assert_eq!(code, 0);
+    let steps: Value = serde_json::from_str(&stdout).unwrap();
+    let commands: Vec<_> = steps
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|s| &s["command"])
+        .collect();
+    assert_eq!(commands, ["ihd store ls", "ihd inspect \"scope 1.csv\""]);
+    // A configuration that cannot be read is named, and hides nothing else.
+    let wrong = alone(folder.path(), &["--config", "none.toml"]);
+    assert_eq!(wrong.0, 0);
+    assert!(wrong.2.contains("none.toml"), "{}", wrong.2);
+    assert!(wrong.1.contains("ihd inspect"), "{}", wrong.1);
+}
+
 #[test]
 fn every_subcommand_shows_examples() {
     let (code, help, _) = run("--help");
