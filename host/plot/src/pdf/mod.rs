@@ -1,6 +1,6 @@
 //! Figures as PDF for print: the shapes that plotters draws, as vectors, and their texts as text.
 //!
-//! Texts are in Helvetica and Symbol, which every viewer has, so no font is embedded.
+//! Texts are in Helvetica, Symbol and ZapfDingbats, which every viewer has, so no font is embedded.
 
 mod text;
 

@@ -1,4 +1,4 @@
-//! Texts in the two fonts that every viewer of PDF has: Helvetica, and Symbol for Greek letters and signs.
+//! Texts in fonts that every viewer of PDF has: Helvetica, Symbol for Greek letters and signs, ZapfDingbats for arrows.
 
 use pdf_writer::types::TextRenderingMode;
 use pdf_writer::writers::{Resources, Type1Font};
@@ -62,6 +62,9 @@ const SYMBOLS: [(char, u8, u16); 24] = [
     ('→', 0xae, 987),
 ];
 
+/// Arrows at a frame's edge in ZapfDingbats, with code and width.
+const ARROWS: [(char, u8, u16); 2] = [('▲', 0x73, 892), ('▼', 0x74, 892)];
+
 /// Digits above the line that Helvetica lacks, by their code.
 const EXPONENTS: [(char, u8); 8] = [
     ('⁰', b'0'),
@@ -82,6 +85,7 @@ const EX: f32 = 0.52;
 enum Font {
     Helvetica,
     Symbol,
+    Dingbats,
     /// Small Helvetica above the line, for exponents.
     Raised,
 }
@@ -91,19 +95,20 @@ impl Font {
         match self {
             Self::Helvetica | Self::Raised => Name(b"H"),
             Self::Symbol => Name(b"S"),
+            Self::Dingbats => Name(b"D"),
         }
     }
 
     /// Size and rise above the line, in sizes of the text.
     fn size_and_rise(self) -> (f32, f32) {
         match self {
-            Self::Helvetica | Self::Symbol => (1.0, 0.0),
+            Self::Helvetica | Self::Symbol | Self::Dingbats => (1.0, 0.0),
             Self::Raised => (0.6, 0.4),
         }
     }
 }
 
-/// Lists both fonts among the resources of a page.
+/// Lists the fonts among the resources of a page.
 pub(super) fn fonts(resources: &mut Resources<'_>) {
     let mut fonts = resources.fonts();
     let helvetica = fonts.insert(Font::Helvetica.name());
@@ -111,11 +116,15 @@ pub(super) fn fonts(resources: &mut Resources<'_>) {
     helvetica.base_font(Name(b"Helvetica"));
     helvetica.encoding_predefined(Name(b"WinAnsiEncoding"));
     helvetica.finish();
-    let symbol = fonts.insert(Font::Symbol.name());
-    symbol.start::<Type1Font<'_>>().base_font(Name(b"Symbol"));
+    // These two have an encoding of their own.
+    for (font, name) in [(Font::Symbol, "Symbol"), (Font::Dingbats, "ZapfDingbats")] {
+        let font = fonts.insert(font.name());
+        font.start::<Type1Font<'_>>()
+            .base_font(Name(name.as_bytes()));
+    }
 }
 
-/// Font, code and width of a character; a question mark for one that neither font has.
+/// Font, code and width of a character; a question mark for one that no font has.
 fn glyph(c: char) -> (Font, u8, u16) {
     let ascii = |c: char| {
         let code = u8::try_from(c).ok()?;
@@ -134,7 +143,8 @@ fn glyph(c: char) -> (Font, u8, u16) {
     let found = ascii(c)
         .or(raised)
         .or_else(|| listed(&WESTERN, Font::Helvetica))
-        .or_else(|| listed(&SYMBOLS, Font::Symbol));
+        .or_else(|| listed(&SYMBOLS, Font::Symbol))
+        .or_else(|| listed(&ARROWS, Font::Dingbats));
     found.unwrap_or((Font::Helvetica, b'?', 556))
 }
 
@@ -280,6 +290,13 @@ mod tests {
                 || upwards.contains("0 -1 -1 -0 100 64.44 Tm"),
             "{upwards}"
         );
+    }
+
+    #[test]
+    fn arrows_at_the_frame_are_of_a_third_font() {
+        let page = page("▲▼ goes on", "");
+        assert!(page.contains("/D 10 Tf"), "{page}");
+        assert!(page.contains("(st) Tj"), "{page}");
     }
 
     #[test]
