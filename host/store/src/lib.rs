@@ -33,7 +33,7 @@ mod recent;
 mod results;
 mod retention;
 mod room;
-pub mod schema;
+mod schema;
 mod space;
 mod start;
 mod store;

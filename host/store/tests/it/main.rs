@@ -2,7 +2,6 @@
 
 mod care;
 mod damage;
-mod docs;
 mod export;
 mod fixture;
 mod fixture_process;
