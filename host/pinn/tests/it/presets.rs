@@ -11,7 +11,7 @@ fn repaired(change: impl FnOnce(&mut ViMlp)) -> Config {
     config
 }
 
-/// Settings of each ablation, written in Rust: their digits are in docs/identification.md.
+/// Settings of each ablation, written in Rust: their digits are in docs/results/networks.md.
 fn ablations() -> [(&'static str, Config); 8] {
     let hybrid = Config::default;
     [

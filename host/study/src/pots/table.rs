@@ -1,4 +1,4 @@
-//! The study as Markdown, for docs/map.md.
+//! The study as Markdown, for docs/results/pots.md.
 
 use std::fmt::Write;
 
@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::hobs::ASKED_W;
 use super::{LibraryContents, Plan, Run, TaughtLookup};
 
-/// First line of the section in docs/map.md.
+/// First line of the section in docs/results/pots.md.
 pub const BEGIN: &str = "<!-- ihd-study pots: begin -->";
 
 /// Last line of the section.
