@@ -11,6 +11,7 @@ mod fuzz;
 mod guest;
 mod images;
 mod on_target;
+mod python;
 mod seal;
 mod setup;
 mod steps;

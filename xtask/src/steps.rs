@@ -8,7 +8,9 @@ use anyhow::{Context, bail, ensure};
 use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, say};
 use crate::workspace::{Workspace, compilations, run};
-use crate::{board, budget, cycles, dashboard, emulator, fleet, fuzz, guest, on_target, toolchain};
+use crate::{
+    board, budget, cycles, dashboard, emulator, fleet, fuzz, guest, on_target, python, toolchain,
+};
 
 const IMAGES: [Image; 3] = [STM32G474, MPS2_AN386, COUNTS];
 
@@ -56,6 +58,7 @@ pub const STEPS: &[Step] = &[
     Step { name: "budget", about: "flash, RAM and panic paths against firmware/budget.toml", tier: Tier::Quick, run: Session::budget },
     Step { name: "cycles", about: "instruction counts against firmware/budget.toml", tier: Tier::Quick, run: |on| on.cycles(false) },
     Step { name: "tests", about: "all tests of the workspace, linted by Clippy as they compile", tier: Tier::Quick, run: Session::tests },
+    Step { name: "python", about: "the Python package, installed from its wheel", tier: Tier::Quick, run: |on| python::test(&on.workspace, on.tier == Tier::Full) },
     Step { name: "dashboard", about: "the page in a real browser", tier: Tier::Quick, run: Session::dashboard },
     Step { name: "on-target", about: "the controller's own tests, in QEMU", tier: Tier::Quick, run: Session::on_target },
     Step { name: "board", about: "the flash image on an emulated STM32G474", tier: Tier::Quick, run: Session::board },
@@ -94,9 +97,11 @@ impl Session {
         let board = board::tools(&self.workspace);
         let browser = dashboard::tools().map(drop);
         let nats = fleet::server(&self.workspace).map(drop);
+        let package = python::tools(&self.workspace).map(drop);
         tools
             .and(browser)
             .and(nats)
+            .and(package)
             .and(qemu.map(drop))
             .and(guest.map(drop))
             .and(board)

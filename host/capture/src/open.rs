@@ -247,7 +247,13 @@ fn assembled(
     };
     let channels: Vec<Channel> = files.iter().flat_map(|f| f.channels(paired)).collect();
     let of_first = files[0].source.channels().len();
-    let chosen = choose(&channels, &options.channels).map_err(choice)?;
+    // A table then has these two channels, in this order.
+    let of_columns = (options.columns.as_ref()).map(|_| [1, 2].map(ChannelRef::Number));
+    let channel_options = ChannelOptions {
+        channels: of_columns.or_else(|| options.channels.channels.clone()),
+        ..options.channels.clone()
+    };
+    let chosen = choose(&channels, &channel_options).map_err(choice)?;
     let mut metadata = files[0].source.metadata();
     // Facts of the file refer to its own clock; they do not hold with another rate.
     let facts = match options.rate_hz {
@@ -408,10 +414,6 @@ mod tests {
         let columns = ["-", "4", "2"].map(ChannelRef::parse);
         let options = OpenOptions {
             columns: Some(columns),
-            channels: ChannelOptions {
-                channels: Some([ChannelRef::Number(1), ChannelRef::Number(2)]),
-                ..ChannelOptions::default()
-            },
             rate_hz: Some(2.0),
             ..OpenOptions::default()
         };

@@ -136,13 +136,10 @@ impl CaptureArgs {
     /// Any error of [`CaptureArgs::input`].
     pub fn options(&self) -> Result<OpenOptions> {
         let input = self.input()?;
-        // The table then has these two channels, in this order.
-        let first_two = [ChannelRef::Number(1), ChannelRef::Number(2)];
-        let of_columns = input.columns.as_ref().map(|_| first_two);
         Ok(OpenOptions {
             second: self.second.clone(),
             channels: ChannelOptions {
-                channels: of_columns.or(input.channels),
+                channels: input.channels,
                 units: input.units,
                 probe: input.probe,
                 invert_v: input.invert.contains(&Invert::V),
