@@ -42,6 +42,16 @@ class Kitchen:
 @functools.cache
 def kitchen() -> Kitchen:
     """Starts the daemon, which ends with this process."""
+    return _start("http", "")
+
+
+@functools.cache
+def locked_kitchen() -> Kitchen:
+    """Starts a daemon that wants TLS and tokens."""
+    return _start("https", 'token_file = "{0}/ihd-tokens"\n[tls]\n')
+
+
+def _start(scheme: str, keys: str) -> Kitchen:
     folder = tempfile.TemporaryDirectory()
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -50,7 +60,8 @@ def kitchen() -> Kitchen:
     config = root / "ihd.toml"
     config.write_text(
         f'store = "{root / "store"}"\nlisten = "127.0.0.1:{port}"\n'
-        '[[device]]\nname = "bench"\naddress = "sim"\n'
+        + keys.format(root)
+        + '[[device]]\nname = "bench"\naddress = "sim"\n'
     )
     command = [os.environ["IHD_PROGRAM"], "trainer", "--daemon", "--config", str(config)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
@@ -67,7 +78,7 @@ def kitchen() -> Kitchen:
     else:
         raise AssertionError("the daemon ended: " + "".join(log))
     threading.Thread(target=process.stderr.read, daemon=True).start()
-    return Kitchen(f"http://127.0.0.1:{port}", root / "store", config)
+    return Kitchen(f"{scheme}://127.0.0.1:{port}", root / "store", config)
 
 
 def wait_until(happened: Callable[[], bool]) -> None:

@@ -10,7 +10,7 @@ import unittest
 
 import ihd
 import numpy as np
-from kitchen import kitchen, next_event
+from kitchen import kitchen, locked_kitchen, next_event
 
 # Heats and says so, then waits for its end.
 HEATS = """
@@ -167,6 +167,27 @@ class Errors(unittest.TestCase):
         for url in ["hob.lan", "ftp://hob.lan", "http://", "http://hob.lan/api/v1"]:
             with self.subTest(url=url), self.assertRaises(ValueError):
                 ihd.Daemon(url)
+
+    def test_over_tls_a_role_is_what_its_token_gives(self) -> None:
+        locked = locked_kitchen()
+        ca = locked.store / "tls/certificate.pem"
+        lines = (locked.store.parent / "ihd-tokens").read_text().splitlines()
+        tokens = dict(line.split() for line in lines if line and not line.startswith("#"))
+
+        def bench(token: str | None) -> ihd.Device:
+            return ihd.Daemon(locked.url, token=token, ca=ca).device("bench")
+
+        self.assertEqual(bench(tokens["read"]).report()["name"], "bench")
+        with bench(tokens["operate"]).heat(1000):
+            self.assertEqual(bench(tokens["read"]).report()["asked_by_daemon_w"], 1000)
+        for token in (tokens["read"], "wrong", None):
+            with self.subTest(token=token), self.assertRaises(ihd.DaemonError) as caught:
+                with bench(token).heat(1000):
+                    self.fail("heats")
+            self.assertIn(caught.exception.status, (401, 403))
+        # The certificate is not for this address.
+        with self.assertRaises(ihd.DaemonError):
+            ihd.Daemon(locked.url.replace("127.0.0.1", "127.0.0.2"), token=tokens["read"], ca=ca).devices()
 
     def test_another_server_is_no_daemon(self) -> None:
         for body in [b"<html>", b"[1]", b"", b"{}"]:

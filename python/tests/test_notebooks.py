@@ -13,7 +13,7 @@ FOLDER = ROOT / "python/notebooks"
 class Notebooks(unittest.TestCase):
     def test_every_notebook_gives_its_committed_outputs(self) -> None:
         files = sorted(FOLDER.glob("*.ipynb"))
-        self.assertEqual(len(files), 2)
+        self.assertEqual(len(files), 3)
         here = os.getcwd()
         try:
             os.chdir(FOLDER)

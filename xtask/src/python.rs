@@ -148,7 +148,7 @@ fn of_whole_workspace(on: &Workspace, maturin: &mut Command) -> anyhow::Result<P
     let host = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
     let script = format!(
         "#!/bin/sh\n\
-         # Python's version is no matter of the build: one library serves all.\n\
+         # As in .cargo/config.toml.\n\
          unset CARGO PYO3_PYTHON PYO3_CONFIG_FILE PYO3_ENVIRONMENT_SIGNATURE\n\
          case $1 in\n\
          # Of other packages maturin knows nothing.\n\
