@@ -143,7 +143,7 @@ class Capture:
         outcomes, remarks = _native.identify(
             self._native,
             [method],
-            json.dumps(options),
+            json.dumps(options, allow_nan=False),
             f_sw=f_sw,
             f_mains=f_mains,
             zero_crossing=zero_crossing,
@@ -154,7 +154,9 @@ class Capture:
 
 
 def _samples(x: ArrayLike) -> NDArray[Any]:
-    array = np.asarray(x)
+    array = np.ma.filled(x, np.nan) if isinstance(x, np.ma.MaskedArray) else np.asarray(x)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"samples must be numbers: {array.dtype} are none")
     return array if array.dtype in (np.float64, np.float32) else array.astype(np.float64)
 
 
@@ -207,4 +209,4 @@ def simulate(preset: str = "paper-45", seed: int | None = None, settings: Mappin
     `simulation` of a simulated capture has, as {"duration_s": 0.02, "sensing": {"snr_db": 30}}; an unknown one is a
     `ValueError` that lists all.
     """
-    return Capture._of(_native.simulate(preset, seed, json.dumps(dict(settings or {}))))
+    return Capture._of(_native.simulate(preset, seed, json.dumps(dict(settings or {}), allow_nan=False)))

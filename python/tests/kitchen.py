@@ -90,10 +90,10 @@ def wait_until(happened: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
-def learn(windows: int) -> ihd.Window:
+def learn(windows: int, power_w: int = 1100) -> ihd.Window:
     """Heats until the daemon has learned from so many windows; returns the last one."""
     stream = kitchen().bench.windows(learned=True)
-    with kitchen().bench.heat(1100):
+    with kitchen().bench.heat(power_w):
         return [next(stream) for _ in range(windows)][-1]
 
 

@@ -87,6 +87,8 @@ class Arrays(unittest.TestCase):
             (x.astype(np.float32), (x / 10).astype(np.float32)),
             (interleaved[:, 0], interleaved[:, 1]),
             (x[::-1][::-1], (x / 10).tolist()),
+            (x.astype(">f8"), np.ascontiguousarray(x / 10, dtype="<f4")),
+            (np.broadcast_to(x, (1, len(x)))[0], x / 10),
         ]
         for v, i in layouts:
             capture = ihd.Capture(v, i, 1e6, t0=-1e-3)
@@ -104,6 +106,10 @@ class Arrays(unittest.TestCase):
         self.assertEqual(capture.v[0], 1)
         self.assertIs(capture.v, capture.v)
 
+    def test_masked_samples_are_missing_ones(self) -> None:
+        v = np.ma.masked_array(np.ones(5), mask=[0, 0, 1, 0, 0])
+        self.assertEqual(np.flatnonzero(np.isnan(ihd.Capture(v, np.ones(5), 1e6).v)).tolist(), [2])
+
     def test_wrong_arrays_are_refused(self) -> None:
         x = np.ones(10)
         wrong = [
@@ -117,8 +123,9 @@ class Arrays(unittest.TestCase):
         for v, i, fs, says in wrong:
             with self.subTest(says=says), self.assertRaisesRegex(ValueError, says):
                 ihd.Capture(v, i, fs)
-        with self.assertRaises(ValueError):
-            ihd.Capture(["a"], ["b"], 1e6)
+        for v in (["a"], [1j], [None], [True]):
+            with self.subTest(v=v), self.assertRaisesRegex(TypeError, "numbers"):
+                ihd.Capture(v, v, 1e6)
         with self.assertRaisesRegex(ValueError, "t0=NaN"):
             ihd.Capture(x, x, 1e6, t0=float("nan"))
 

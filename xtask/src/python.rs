@@ -145,7 +145,6 @@ fn of_whole_workspace(on: &Workspace, maturin: &mut Command) -> anyhow::Result<P
             .join(" ")
     };
     let (whole, cargo) = (words(&whole), words(&on.cargo([""; 0])));
-    let host = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
     let script = format!(
         "#!/bin/sh\n\
          # As in .cargo/config.toml.\n\
@@ -154,7 +153,7 @@ fn of_whole_workspace(on: &Workspace, maturin: &mut Command) -> anyhow::Result<P
          # Of other packages maturin knows nothing.\n\
          rustc) {whole} > \"$0.messages\"; status=$?; grep ihd_python \"$0.messages\"; exit $status ;;\n\
          # Without it the crates of every platform are downloaded.\n\
-         metadata) exec {cargo} \"$@\" --filter-platform {host} ;;\n\
+         metadata) exec {cargo} \"$@\" --filter-platform \"$(rustc --print host-tuple)\" ;;\n\
          *) exec {cargo} \"$@\" ;;\n\
          esac\n"
     );

@@ -66,7 +66,6 @@ pub const STEPS: &[Step] = &[
     Step { name: "lints", about: "Clippy on benchmarks and examples too", tier: Tier::Full, run: |on| on.whole("clippy", "--all-targets -- -D warnings") },
     Step { name: "docs", about: "rustdoc without broken links, and its examples", tier: Tier::Full, run: Session::docs },
     Step { name: "hostile", about: "every capture that may fool the identification", tier: Tier::Full, run: Session::hostile },
-    Step { name: "other-board", about: "boards/120v.toml: its image, and its hob in simulated time", tier: Tier::Full, run: Session::other_board },
     Step { name: "fuzz", about: "coverage-guided fuzzing of each target", tier: Tier::Full, run: |on| fuzz::fuzz(&on.workspace, None, FUZZ_SECONDS) },
 ];
 
@@ -140,19 +139,6 @@ impl Session {
     fn hostile(&self) -> anyhow::Result<()> {
         let mut study = std::process::Command::new(self.workspace.program("ihd-study"));
         run(study.current_dir(&self.workspace.root).arg("hostile"))
-    }
-
-    /// Builds for another board file, with no line of code changed, and runs that board's scenario.
-    fn other_board(&self) -> anyhow::Result<()> {
-        let other = Workspace {
-            board: Some(self.workspace.root.join("boards/120v.toml")),
-            ..self.workspace.clone()
-        };
-        println!("image: {}", STM32G474.build(&other)?.display());
-        // A folder of its own: the other steps' builds are for the reference board.
-        let build =
-            "run --bin ihd --target-dir target/other-board -- simulate tests/boards/120v.toml";
-        run(&mut other.cargo(build.split_whitespace()))
     }
 
     fn image(&self, image: Image) -> anyhow::Result<PathBuf> {

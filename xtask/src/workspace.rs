@@ -18,7 +18,6 @@ const FEATURES: &str = "ihd/fleet,ihd/probe,ihd-debug-port/probe,ihd-tests/emula
 static COMPILED: Mutex<BTreeMap<String, u32>> = Mutex::new(BTreeMap::new());
 
 /// Checkout in which xtask was started.
-#[derive(Clone)]
 pub struct Workspace {
     /// The folder of the workspace's Cargo.toml.
     pub root: PathBuf,
