@@ -5,6 +5,12 @@ pub use crate::board::{
     RESONANCE_CAPACITANCE_NF,
 };
 
+/// Largest power that may be requested, in watt: more is an error of whoever asks. A request between the rating and this
+/// is granted with the rating.
+pub const REQUESTED_POWER_MAX_W: u16 = 10_000;
+
+const _: () = assert!(RATED_POWER_W <= REQUESTED_POWER_MAX_W);
+
 /// Capacitance that the bridge sees in series with the coil, in picofarad. While the upper switch is on, the coil's current flows
 /// through C2 as well, and the rectifier recharges it evenly: to the fundamental that is C2 / (1/2 − 2/π²) in series with C_r.
 pub const TANK_CAPACITANCE_PF: u32 = {

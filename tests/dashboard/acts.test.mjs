@@ -105,6 +105,16 @@ describe('acts', () => {
     assert.ok(within(shown.l, truth.l, 0.01), `L ${shown.l} H, in truth ${truth.l}`);
   });
 
+  test('more than the rating is the rating, and the page says so', async () => {
+    const { rated_power_w: rated } = await api.get('/hob');
+    await setPower(page, 3000);
+    await heats('inside', rated);
+    await until('the page says both', async () => (await page.getByTestId('power-says').innerText()).includes(`${rated} W, the most it gives (3000 W asked)`));
+    assert.equal((await api.device('inside')).asked_by_daemon_w, rated);
+    await setPower(page, 1200);
+    await heats('inside', 1200);
+  });
+
   test('Escape switches off', async () => {
     await heats('inside', 1200);
     await page.locator('body').click({ position: { x: 5, y: 300 } });

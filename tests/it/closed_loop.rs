@@ -222,7 +222,7 @@ fn cook(seed: u64) {
         match rng.random_range(0..6) {
             0 => kitchen.hob.lock().set_pot(PotOnCoil::NONE).unwrap(),
             1 | 2 => kitchen.hob.lock().set_pot(pot).unwrap(),
-            3 => kitchen.client.set_power(0).unwrap(),
+            3 => drop(kitchen.client.set_power(0).unwrap()),
             _ => {
                 let asked_w = rng.random_range(200..=1_800);
                 kitchen.client.set_power(asked_w).unwrap();

@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
-use ihd_link::{Client, Event, LinkError, Transport};
+use ihd_link::{Client, Event, GrantedPower, LinkError, Transport};
 use ihd_shared::fault::Fault;
+use ihd_shared::hob::{RATED_POWER_W, REQUESTED_POWER_MAX_W};
 use ihd_shared::lookup::blob::LEN;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
@@ -34,7 +35,7 @@ fn newer(version: u32) -> RlLookup {
 }
 
 /// The outcome and detail of a refusal.
-fn refusal(result: Result<(), LinkError>) -> (Outcome, u32) {
+fn refusal<T: std::fmt::Debug>(result: Result<T, LinkError>) -> (Outcome, u32) {
     match result {
         Err(LinkError::Refused {
             outcome, detail, ..
@@ -384,12 +385,44 @@ fn a_bad_lookup_is_refused_with_its_reason_and_the_old_one_stays() {
     assert!(matches!(too_long, Err(LinkError::Unsendable { .. })));
 }
 
+/// More than the rating is granted as the rating, and the reply and every report tell so; a power that no hob gives is refused,
+/// and what was requested before goes on.
 #[test]
-fn power_above_the_rating_is_refused() {
-    let (mut client, _) = connected();
-    let refused = refusal(client.set_power(2_501));
-    assert_eq!(refused, (Outcome::PowerOutOfRange, 2_500));
-    assert_eq!(client.status().unwrap().asked_w, 0);
+fn power_above_the_rating_is_granted_as_the_rating() {
+    let (mut client, link) = connected();
+    client.stream(1, 0).unwrap();
+    for (asked_w, granted_w, text) in [
+        (RATED_POWER_W, RATED_POWER_W, "2500 W asked for"),
+        (
+            RATED_POWER_W + 1,
+            RATED_POWER_W,
+            "2501 W asked, 2500 W is the most this hob gives",
+        ),
+        (1_000, 1_000, "1000 W asked for"),
+        (
+            REQUESTED_POWER_MAX_W,
+            RATED_POWER_W,
+            "10000 W asked, 2500 W is the most this hob gives",
+        ),
+    ] {
+        let granted = client.set_power(asked_w).unwrap();
+        assert_eq!(granted, GrantedPower { asked_w, granted_w });
+        assert_eq!(granted.to_string(), text);
+        assert_eq!(client.status().unwrap().asked_w, granted_w);
+        link.hob().run(20);
+        let mut told_w = None;
+        while let Some(event) = client.next_event(Duration::ZERO).unwrap() {
+            if let Event::Telemetry(telemetry) = event {
+                told_w = Some(telemetry.asked_w);
+            }
+        }
+        assert_eq!(told_w, Some(granted_w));
+    }
+    for asked_w in [REQUESTED_POWER_MAX_W + 1, u16::MAX] {
+        let refused = refusal(client.set_power(asked_w));
+        assert_eq!(refused, (Outcome::PowerOutOfRange, 10_000), "{asked_w}");
+        assert_eq!(client.status().unwrap().asked_w, RATED_POWER_W);
+    }
 }
 
 /// Nothing has to be cleared or asked for again: the pot comes, and is heated.

@@ -128,9 +128,9 @@ struct Known {
 
 impl Known {
     /// Takes what came of a request; true where it was done.
-    fn is_done(&mut self, outcome: Result<(), LinkError>) -> bool {
+    fn is_done<T>(&mut self, outcome: Result<T, LinkError>) -> bool {
         match outcome {
-            Ok(()) => true,
+            Ok(_) => true,
             Err(LinkError::NoAnswer { .. }) => {
                 self.unanswered += 1;
                 false
@@ -178,7 +178,7 @@ impl Known {
                 );
                 self.powers_w = vec![status.asked_w];
             }
-            Err(why) => drop(self.is_done(Err(why))),
+            Err(why) => drop(self.is_done::<()>(Err(why))),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Housekeeping, once a block in the thread: commands from the link, control, telemetry, the active lookup.
 
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::hob::{RATED_POWER_W, REQUESTED_POWER_MAX_W};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::window::CHUNK_BYTES;
@@ -298,11 +298,13 @@ impl Housekeeping {
         }
     }
 
+    /// Takes a host's request of power, at most the rating; the detail of [`Outcome::Ok`] is the power that was taken.
     fn host_power(&mut self, lock: &mut impl SamplingLock, power_w: u16) -> (Outcome, u32) {
         let (fault, replaying) = lock.with(|rt| (rt.fault(), rt.is_replaying()));
-        if power_w > RATED_POWER_W {
-            return (Outcome::PowerOutOfRange, u32::from(RATED_POWER_W));
+        if power_w > REQUESTED_POWER_MAX_W {
+            return (Outcome::PowerOutOfRange, u32::from(REQUESTED_POWER_MAX_W));
         }
+        let power_w = power_w.min(RATED_POWER_W);
         if power_w > 0 && replaying {
             // Nothing may be heated; there is no fault to name.
             return (Outcome::FaultActive, 0);
@@ -313,7 +315,7 @@ impl Housekeeping {
         match self.control.host(power_w) {
             Some(action) => {
                 self.act(lock, action);
-                (Outcome::Ok, 0)
+                (Outcome::Ok, u32::from(power_w))
             }
             None => (Outcome::PanelOff, 0),
         }

@@ -155,10 +155,7 @@ impl Commander {
             name: record.name.clone(),
             why: printable(&error.to_string()),
         })?;
-        Ok(CommandReply {
-            text: "off".to_owned(),
-            file: None,
-        })
+        Ok(CommandReply::with_text("off"))
     }
 
     /// Takes the lease or renews it. With `force` it is also taken from another holder; that is published, and the

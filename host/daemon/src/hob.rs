@@ -1,7 +1,7 @@
 //! Ratings and controller limits of this build's hob.
 
 use ihd_model::Hob;
-use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RATED_POWER_W};
+use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RATED_POWER_W, REQUESTED_POWER_MAX_W};
 use ihd_train::limits;
 
 use crate::lease::LEASE_S;
@@ -11,6 +11,7 @@ use crate::tank;
 pub fn hob() -> Hob {
     Hob {
         rated_power_w: RATED_POWER_W,
+        requested_power_max_w: REQUESTED_POWER_MAX_W,
         f_sw_min_hz: F_SW_MIN_HZ,
         f_sw_max_hz: F_SW_MAX_HZ,
         resonance_capacitance_f: tank::C_F,

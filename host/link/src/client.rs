@@ -16,6 +16,7 @@ use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use serde::Deserialize;
 
 use super::frame_tee::FrameTee;
+use super::granted_power::GrantedPower;
 use super::off::OffPreemption;
 use super::receiver::{Event, Receiver, Response};
 use super::resend::{Resend, ResendStep};
@@ -211,12 +212,14 @@ impl Client {
         self.tap.close().map_err(LinkError::Recording)
     }
 
-    /// Requests a mean power in watt; 0 switches off.
+    /// Requests a mean power in watt; 0 switches off. Returns what the device took: at most its rating.
     ///
     /// # Errors
-    /// [`LinkError::Refused`] above the rating or while a fault is active, else any error of [`Client::request`].
-    pub fn set_power(&mut self, power_w: u16) -> Result<(), LinkError> {
-        self.order(&SetPower { power_w })
+    /// [`LinkError::Refused`] while a fault is active, or above
+    /// [`REQUESTED_POWER_MAX_W`](ihd_shared::hob::REQUESTED_POWER_MAX_W), else any error of [`Client::request`].
+    pub fn set_power(&mut self, power_w: u16) -> Result<GrantedPower, LinkError> {
+        let reply: Reply = self.request(&SetPower { power_w })?;
+        Ok(GrantedPower::from_detail(power_w, reply.detail))
     }
 
     /// Lets waiting commands be preempted while `off_waits` returns `true`: they end with [`LinkError::Preempted`].
@@ -233,7 +236,7 @@ impl Client {
         self.off_preemption.runs_off = true;
         let off = self.set_power(0);
         self.off_preemption.runs_off = false;
-        off
+        off.map(drop)
     }
 
     /// Requests telemetry and a window every so many half-cycles; 0 for none.

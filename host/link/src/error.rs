@@ -134,7 +134,7 @@ pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
              connect again"
                 .into()
         }
-        Outcome::PowerOutOfRange => format!("more than its rating of {detail} W"),
+        Outcome::PowerOutOfRange => format!("more than may be asked of it: {detail} W"),
         Outcome::FaultActive if detail == 0 => {
             "replay mode locks its power outputs; leave it".into()
         }

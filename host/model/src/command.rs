@@ -46,10 +46,24 @@ pub enum Command {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[schema(as = Done)]
 pub struct CommandReply {
-    /// Description: `1200 W asked for`.
+    /// Description: `1200 W asked for`; `3000 W asked, 2500 W is the most this hob gives`.
     pub text: String,
+    /// Power that the hob took for a request of power, in watt; `null` after any other command.
+    #[serde(default)]
+    pub granted_w: Option<u16>,
     /// File that was written; `None` if none.
     pub file: Option<String>,
+}
+
+impl CommandReply {
+    /// Outcome with a description only.
+    pub fn with_text(text: impl Into<String>) -> Self {
+        Self {
+            text: text.into(),
+            granted_w: None,
+            file: None,
+        }
+    }
 }
 
 /// Reason why a command was not carried out.

@@ -39,6 +39,8 @@ pub struct Map {
 pub struct Hob {
     /// Rated mean power over a mains half-cycle, in watt.
     pub rated_power_w: u16,
+    /// Largest power that may be requested, in watt; above the rating the hob takes its rating.
+    pub requested_power_max_w: u16,
     /// Lowest switching frequency, in hertz.
     pub f_sw_min_hz: u32,
     /// Highest switching frequency, in hertz.

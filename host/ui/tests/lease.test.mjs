@@ -9,6 +9,8 @@ const held = () => run({ type: "take", power_w: 1200, at_ms: 0 }, { type: "power
 test("heating begins when the power was acknowledged, not when it was asked for", () => {
   assert.equal(run({ type: "take", power_w: 1200, at_ms: 0 }).phase, "taking");
   assert.deepEqual([held().phase, held().power_w], ["held", 1200]);
+  const reduced = run({ type: "take", power_w: 3000, at_ms: 0 }, { type: "powered", power_w: 2500, asked_w: 3000, at_ms: 100 });
+  assert.deepEqual([reduced.power_w, reduced.asked_w], [2500, 3000]);
 });
 
 test("a refusal leaves nothing behind but its reason", () => {

@@ -115,7 +115,7 @@ wire_enum! {
 wire_enum! {
     /// Answer to a command.
     pub enum Outcome {
-        /// Done.
+        /// Done. To `SetPower`, `detail` is the requested power as the device took it, in watt: at most its rating.
         Ok = 0,
         /// The payload is not a message of that id, or has no number.
         Malformed = 1,
@@ -123,7 +123,7 @@ wire_enum! {
         UnknownMessage = 2,
         /// No compatible `Hello` has been exchanged.
         NotPaired = 3,
-        /// Asked power above the rating; `detail` is the rating in watt.
+        /// Asked power that no hob gives; `detail` is the largest that may be asked, in watt.
         PowerOutOfRange = 4,
         /// A fault is active; clear it first. `detail` is its number; 0 when it is replay mode that
         /// locks the power outputs.
@@ -336,7 +336,7 @@ message_table! { 'a;
         /// Board or host name.
         board: String<32>,
     }
-    /// Requests power; 0 switches off. A device that receives no frame but `ResendWindow` for 10 s switches off by itself.
+    /// Requests power; 0 switches off. More than the rating is taken as the rating, up to 10 000 W. A device that receives no frame but `ResendWindow` for 10 s switches off by itself.
     0x02 Request SetPower -> Reply {
         /// Mean power over a half-cycle, in watt.
         power_w: u16,

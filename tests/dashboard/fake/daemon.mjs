@@ -186,10 +186,15 @@ export class Daemon extends EventEmitter {
         return { text: 'off' };
       case 'power':
         if (!Number.isInteger(body.power_w) || body.power_w < 0) throw new Refusal(422, 'body', 'power_w: a whole number of watt');
-        if (body.power_w > RATED_W) throw new Error(`${body.power_w} W is more than the rated ${RATED_W} W`);
-        if (body.power_w === 0) hob.off(nowMs, tell, 'switched off');
-        else hob.heat(body.power_w, nowMs);
-        return { text: body.power_w ? `${body.power_w} W asked for` : 'off' };
+        if (body.power_w > 10_000) throw new Error(`${body.power_w} W is more than may be asked of it: 10000 W`);
+        if (body.power_w === 0) {
+          hob.off(nowMs, tell, 'switched off');
+          return { text: 'off', granted_w: null };
+        }
+        hob.heat(Math.min(body.power_w, RATED_W), nowMs);
+        return body.power_w > RATED_W
+          ? { text: `${body.power_w} W asked, ${RATED_W} W is the most this hob gives`, granted_w: RATED_W }
+          : { text: `${body.power_w} W asked for`, granted_w: body.power_w };
       case 'sweep':
         if (!body.powers_w?.length || body.powers_w.length > 64) throw new Error('a sweep has 1 to 64 powers');
         hob.sweep = [...body.powers_w];

@@ -11,6 +11,7 @@ import { fit, samples, scope } from './windows.mjs';
 
 const HOB = {
   rated_power_w: RATED_W,
+  requested_power_max_w: 10_000,
   f_sw_min_hz: F_MIN_HZ,
   f_sw_max_hz: F_MAX_HZ,
   resonance_capacitance_f: C_F,

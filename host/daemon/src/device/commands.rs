@@ -1,8 +1,8 @@
 //! Execution of commands on a connected device.
 
-use ihd_link::{Client, LinkError};
+use ihd_link::{Client, GrantedPower, LinkError};
 use ihd_model::{Command, CommandError, CommandReply};
-use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::hob::REQUESTED_POWER_MAX_W;
 use ihd_shared::lookup::RlLookup;
 use tokio::time::Instant;
 
@@ -53,6 +53,7 @@ impl Session<'_> {
                 return Ok(());
             }
         }
+        let mut granted_w = None;
         let outcome = match command {
             Command::Off | Command::Power { power_w: 0 } => {
                 let off = self.off().await;
@@ -60,7 +61,10 @@ impl Session<'_> {
                 session = off.map_err(|error| SessionEnd::Link(error.to_string()));
                 done
             }
-            Command::Power { power_w } => self.power(lease, power_w).await,
+            Command::Power { power_w } => self.power(lease, power_w).await.map(|granted| {
+                granted_w = Some(granted.granted_w);
+                granted.to_string()
+            }),
             Command::Sweep { powers_w } => self.start_sweep(lease, &powers_w),
             Command::ClearFault => {
                 let cleared = self.link.request(Client::clear_fault).await;
@@ -103,7 +107,10 @@ impl Session<'_> {
             }
         };
         let _ = reply.send(match outcome {
-            Ok(text) => Ok(CommandReply { text, file: None }),
+            Ok(text) => Ok(CommandReply {
+                granted_w,
+                ..CommandReply::with_text(text)
+            }),
             Err(why) => Err(self.refused_error(&why)),
         });
         session
@@ -116,12 +123,16 @@ impl Session<'_> {
         }
     }
 
-    async fn power(&mut self, lease: Option<LeaseId>, power_w: u16) -> Result<String, String> {
+    async fn power(
+        &mut self,
+        lease: Option<LeaseId>,
+        power_w: u16,
+    ) -> Result<GrantedPower, String> {
         let lease = lease.ok_or_else(|| LeaseError::Ended.to_string())?;
         self.sweep = None;
         self.record.lock().sweep_left_w.clear();
         match self.heat(lease, power_w).await {
-            Ok(()) => Ok(format!("{power_w} W asked for")),
+            Ok(granted) => Ok(granted),
             Err(error) => {
                 let is_unknown = match &error {
                     HeatError::Lease(_) | HeatError::Link(LinkError::Refused { .. }) => false,
@@ -141,8 +152,11 @@ impl Session<'_> {
         if powers_w.is_empty() || powers_w.len() > MAX_SWEEP_POWERS {
             return Err(format!("a sweep has 1 to {MAX_SWEEP_POWERS} powers"));
         }
-        if let Some(invalid) = powers_w.iter().find(|&&w| w == 0 || w > RATED_POWER_W) {
-            return Err(format!("{invalid} W is not 1 to {RATED_POWER_W} W"));
+        if let Some(invalid) = powers_w
+            .iter()
+            .find(|&&w| w == 0 || w > REQUESTED_POWER_MAX_W)
+        {
+            return Err(format!("{invalid} W is not 1 to {REQUESTED_POWER_MAX_W} W"));
         }
         let sweep = Sweep::new(powers_w);
         {

@@ -272,10 +272,9 @@ impl<'a> DeviceLookups<'a> {
                     false => learner.set_device_version(name, version),
                 }
                 if let Some(reply) = push.reply {
-                    let _ = reply.send(Ok(CommandReply {
-                        text: format!("version {version} is active"),
-                        file: None,
-                    }));
+                    let _ = reply.send(Ok(CommandReply::with_text(format!(
+                        "version {version} is active"
+                    ))));
                 }
             }
             PushStep::TimedOut(push) => {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use ihd_link::{Client, LinkError};
+use ihd_link::{Client, GrantedPower, LinkError};
 use ihd_model::{DeviceState, EventKind};
 use ihd_shared::wire::messages::{NO_PANEL, Status};
 use ihd_train::WINDOWS_EVERY;
@@ -135,9 +135,12 @@ impl Session<'_> {
                 let Some((lease, _)) = self.sweep else {
                     return Ok(());
                 };
-                if let Err(error) = self.heat(lease, power_w).await {
-                    self.end_heating(&format!("the sweep ended: {error}"))
-                        .await?;
+                match self.heat(lease, power_w).await {
+                    Ok(granted) => self.note_granted(granted),
+                    Err(error) => {
+                        self.end_heating(&format!("the sweep ended: {error}"))
+                            .await?;
+                    }
                 }
             }
             SweepStep::End(why) => self.end_heating(&format!("the sweep ended: {why}")).await?,
@@ -148,18 +151,32 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// Requests power under a lease.
+    /// Lets the sweep go on with what the device took of its power.
+    fn note_granted(&mut self, granted: GrantedPower) {
+        if granted.is_reduced() {
+            self.store_event("sweep", &format!("sweep: {granted}"));
+        }
+        if let Some((_, sweep)) = &mut self.sweep {
+            sweep.take_granted(granted.granted_w);
+        }
+    }
+
+    /// Requests power under a lease, which has what the device took of it.
     ///
     /// # Errors
     /// [`HeatError`] if the lease has ended, or the link failed.
-    pub(super) async fn heat(&mut self, lease: LeaseId, power_w: u16) -> Result<(), HeatError> {
+    pub(super) async fn heat(
+        &mut self,
+        lease: LeaseId,
+        power_w: u16,
+    ) -> Result<GrantedPower, HeatError> {
         if self.record.lock().lease.must_switch_off(Instant::now()) {
             // Power of an ended lease: the new lease begins with the hob off.
             self.off().await?;
         }
         self.link.contact.on_request();
         let (record, runtime) = (Arc::clone(self.record), Handle::current());
-        let set_power = move |client: &mut Client| -> Result<(), HeatError> {
+        let set_power = move |client: &mut Client| -> Result<GrantedPower, HeatError> {
             // For the clock. On the link's thread, so that an `off` comes either before lease and device, or after both.
             let _in_runtime = runtime.enter();
             let set_lease_power = |power_w| {
@@ -170,9 +187,12 @@ impl Session<'_> {
             };
             let before = set_lease_power(power_w)?;
             let outcome = client.set_power(power_w);
-            if let Err(LinkError::Refused { .. }) = &outcome {
-                // The device keeps its previous power. This fails if the lease has ended, and then that power is switched off.
-                let _ = set_lease_power(before);
+            // These fail if the lease has ended, and then the power is switched off.
+            match &outcome {
+                // The device keeps its previous power.
+                Err(LinkError::Refused { .. }) => drop(set_lease_power(before)),
+                Ok(granted) if granted.is_reduced() => drop(set_lease_power(granted.granted_w)),
+                _ => {}
             }
             Ok(outcome?)
         };

@@ -42,8 +42,8 @@ impl Session<'_> {
             let started: StartedRecording = started?;
             started.wait()?;
             Ok(CommandReply {
-                text: started.text,
                 file: started.file.map(|file| file.display().to_string()),
+                ..CommandReply::with_text(started.text)
             })
         });
     }
@@ -73,8 +73,8 @@ pub(super) fn stop(record: &Arc<DeviceRecord>, reply: ReplySender) {
             None => "its trigger did not come: nothing was recorded",
         };
         Ok(CommandReply {
-            text: text.to_owned(),
             file: stopped.file.map(|file| file.display().to_string()),
+            ..CommandReply::with_text(text)
         })
     });
 }

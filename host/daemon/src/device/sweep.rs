@@ -125,6 +125,11 @@ impl Sweep {
         SweepStep::SetPower(power_w)
     }
 
+    /// Takes what the device granted of the present power, in watt.
+    pub fn take_granted(&mut self, granted_w: u16) {
+        self.asked_w = granted_w;
+    }
+
     /// Processes a window of this half-cycle.
     pub fn window(&mut self, half_cycle: u32) {
         if let Phase::Windows {

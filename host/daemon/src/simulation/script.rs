@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ihd_firmware::link::conversation::{Conversation, RequestOrder};
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::hob::{RATED_POWER_W, REQUESTED_POWER_MAX_W};
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup, prior::prior};
 use ihd_shared::sampling::{I_FULL_SCALE_MA, V_FULL_SCALE_MV};
 use ihd_shared::units::{MicroOhm, PicoHenry};
@@ -259,15 +259,15 @@ impl Script {
     }
 
     fn set_power(&mut self, power_w: u16) {
-        if power_w > RATED_POWER_W {
-            return self.reply(Outcome::PowerOutOfRange, u32::from(RATED_POWER_W));
+        if power_w > REQUESTED_POWER_MAX_W {
+            return self.reply(Outcome::PowerOutOfRange, u32::from(REQUESTED_POWER_MAX_W));
         }
         if power_w > 0 && self.fault != Fault::NONE {
             let number = u32::from(self.fault.number());
             return self.reply(Outcome::FaultActive, number);
         }
-        self.asked_w = power_w;
-        self.reply(Outcome::Ok, 0);
+        self.asked_w = power_w.min(RATED_POWER_W);
+        self.reply(Outcome::Ok, u32::from(self.asked_w));
     }
 
     fn accept(&mut self, blob: &[u8]) -> (Outcome, u32) {

@@ -112,7 +112,7 @@ async fn a_command_of_a_moment_leaves_the_lease_free() {
         .unwrap();
     assert_eq!(daemon.view().device("bench").unwrap().lease, None);
     let refused = power(&daemon, "a", 60_000).await.unwrap_err().to_string();
-    assert!(refused.contains("2500 W"), "{refused}");
+    assert!(refused.contains("10000 W"), "{refused}");
     assert_eq!(daemon.view().device("bench").unwrap().lease, None);
     assert!(matches!(
         daemon.command("nobody", "a", Command::Off).await,
@@ -185,13 +185,40 @@ fn set_power(power_w: u16) -> Vec<u8> {
     [&hello[..greeting], &frame[..length]].concat()
 }
 
+/// The lease has the power that the hob took: a check of the device's power does not end it.
+#[tokio::test]
+async fn power_above_the_rating_is_the_rating_and_is_told() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    let clock = Clock::stop();
+    let reply = power(&daemon, "a", 3_000).await.unwrap();
+    let text = "3000 W asked, 2500 W is the most this hob gives";
+    assert_eq!((reply.text.as_str(), reply.granted_w), (text, Some(2_500)));
+    // The daemon compares the device's power with the lease's every two seconds.
+    for _ in 0..4 {
+        clock.pass(Duration::from_secs(3)).await;
+        daemon.take_lease("bench", "a", false).await.unwrap();
+    }
+    let report = daemon.view().device("bench").unwrap();
+    assert_eq!(report.asked_by_daemon_w, 2_500, "{report:#?}");
+    assert!(report.lease.is_some(), "{report:#?}");
+    assert_eq!(rig.bench().asked_w(), 2_500);
+    let reply = power(&daemon, "a", 900).await.unwrap();
+    assert_eq!(
+        (reply.text.as_str(), reply.granted_w),
+        ("900 W asked for", Some(900))
+    );
+    daemon.stop().await;
+}
+
 /// The daemon's clock is slowed down: a sweep has time-outs, and on a busy machine a simulated hob is slow.
 #[tokio::test]
 async fn a_sweep_takes_one_power_after_the_other_and_ends_off() {
     let rig = Rig::new(&["bench"]);
     let daemon = rig.daemon().await;
     until_state(&daemon, DeviceState::Idle).await;
-    let powers_w = vec![800, 1_200];
+    let powers_w = vec![800, 1_200, 3_000];
     let clock = Clock::stop();
     let sweep = Command::Sweep { powers_w };
     daemon.command("bench", "a", sweep).await.unwrap();
@@ -205,13 +232,13 @@ async fn a_sweep_takes_one_power_after_the_other_and_ends_off() {
         }
         let report = daemon.view().device("bench").unwrap();
         if report.sweep_left_w.is_empty() && report.asked_by_daemon_w == 0 {
-            assert!(report.windows.stored >= 6, "{:?}", report.windows);
+            assert!(report.windows.stored >= 9, "{:?}", report.windows);
             break;
         }
         assert!(Instant::now() < deadline, "{report:#?}");
         clock.pass(Duration::from_millis(3)).await;
     }
-    assert_eq!(seen, [800, 1_200]);
+    assert_eq!(seen, [800, 1_200, 2_500]);
     assert_eq!(rig.bench().asked_w(), 0);
     daemon.stop().await;
 }

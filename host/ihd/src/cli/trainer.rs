@@ -304,6 +304,7 @@ fn show(bar: &ProgressBar, follow: bool, progress: RunProgress<'_>) {
             f64::from(t.f_sw_hz) * 1e-3,
             t.pot
         )),
+        RunProgress::Reduced(granted) => line(bar, &granted.to_string()),
         RunProgress::Waiting {
             asked_w,
             telemetry: t,

@@ -133,7 +133,7 @@ fn values_out_of_range_are_refused_by_name() {
         1,
         &["/nowhere.toml"],
     );
-    refused("trainer --store none --power 9999", 2, &["9999", "2500"]);
+    refused("trainer --store none --power 10001", 2, &["10001", "10000"]);
     refused("hob --speed 0", 2, &["--speed"]);
 }
 

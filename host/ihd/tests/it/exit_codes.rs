@@ -67,7 +67,7 @@ fn wrong_usage_is_2_whoever_finds_it() {
         ("record", "--out"),
         ("record --out b.mcap --duration 0", "--duration"),
         ("record --out b.mcap --max-size=-1", "--max-size"),
-        ("record --out b.mcap --power 9000", "2500"),
+        ("record --out b.mcap --power 10001", "10000"),
         ("record --out b.mcap --device bluetooth", "tcp:HOST:PORT"),
         ("record --out b.mcap --sim mains=20", "mains=20"),
         ("replay a.mcap --speed 0", "--speed"),
@@ -83,7 +83,7 @@ fn wrong_usage_is_2_whoever_finds_it() {
     if cfg!(feature = "pinn") {
         table.extend([
             ("trainer --store none --power 0", "--power"),
-            ("trainer --store none --power 9999", "2500"),
+            ("trainer --store none --power 10001", "10000"),
             ("trainer --store none --sim mains=16.7", "mains=16.7"),
             ("trainer --network backend=torch", "ndarray"),
             ("trainer --store none --sim lift=5mm", "load=reduced"),

@@ -231,7 +231,7 @@ fn limits_are_checked_and_a_size_ends_a_recording() {
         ("record --out a.mcap --pre-trigger 1", "--trigger"),
         ("record --out there.mcap --trigger fault", "there already"),
         ("record --out a.mcap --max-size=-1", "--max-size"),
-        ("record --out a.mcap --power 9000", "2500"),
+        ("record --out a.mcap --power 10001", "10000"),
         ("record", "--out"),
         ("replay missing.mcap", "missing.mcap"),
         ("replay missing.mcap --speed 0", "--speed"),

@@ -152,12 +152,16 @@ impl<'a> Device<'a> {
         self.command(|client| client.stream(1, WINDOWS_EVERY))
     }
 
-    /// Requests a power in watt.
-    pub fn request_power(&mut self, asked_w: u16) -> Result<(), TrainerError> {
+    /// Requests a power in watt; returns what the device took of it.
+    pub fn request_power(&mut self, asked_w: u16) -> Result<u16, TrainerError> {
         // Set before the answer: the command may have arrived without one.
         self.asked_w = asked_w;
         self.is_confirmed = false;
-        self.command(|client| client.set_power(asked_w))
+        let granted = self.command(|client| client.set_power(asked_w))?;
+        if granted.is_reduced() {
+            self.report(RunProgress::Reduced(granted));
+        }
+        Ok(granted.granted_w)
     }
 
     /// Returns `true` if the run is to end.
@@ -218,10 +222,10 @@ impl<'a> Device<'a> {
         self.truth.as_ref()?(window.half_cycle)
     }
 
-    /// Requests a power and waits until it is steady; returns the half-cycle in which it was found steady. Time in which the device waits
-    /// for a pot does not count.
-    pub fn settle(&mut self, asked_w: u16) -> Result<u32, TrainerError> {
-        self.request_power(asked_w)?;
+    /// Requests a power and waits until it is steady; returns the half-cycle in which it was found steady, and the power that the device
+    /// took. Time in which the device waits for a pot does not count.
+    pub fn settle(&mut self, asked_w: u16) -> Result<(u32, u16), TrainerError> {
+        let asked_w = self.request_power(asked_w)?;
         let point = OperatingPoint::Heating { asked_w };
         let mut steady = 0;
         let mut f_sw_hz = 0;
@@ -262,7 +266,7 @@ impl<'a> Device<'a> {
             let at_limit = f_sw_hz <= pwm::LOWEST_HZ || f_sw_hz >= pwm::HIGHEST_HZ;
             // A power that the load cannot take ends at a limit of frequency or at the resonance margin: steady, but not close.
             if steady >= SETTLED_AFTER && (close || at_limit || steady >= 10 * SETTLED_AFTER) {
-                return Ok(telemetry.half_cycle);
+                return Ok((telemetry.half_cycle, asked_w));
             }
         }
         Err(TrainerError::NotSettled {

@@ -135,7 +135,7 @@ impl Run<'_, '_> {
             "connected again".into()
         } else {
             match self.device.request_power(asked_w) {
-                Ok(()) => format!("connected again, {asked_w} W asked for again"),
+                Ok(asked_w) => format!("connected again, {asked_w} W asked for again"),
                 Err(TrainerError::Link(why @ LinkError::Refused { .. })) => {
                     format!("connected again; {why}")
                 }

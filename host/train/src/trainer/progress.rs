@@ -1,5 +1,6 @@
 //! Progress of a training run.
 
+use ihd_link::GrantedPower;
 use ihd_shared::wire::messages::Telemetry;
 
 use super::OperatingPoint;
@@ -14,6 +15,8 @@ pub enum RunProgress<'a> {
         /// Telemetry of the half-cycle.
         telemetry: &'a Telemetry,
     },
+    /// The device took less than was requested.
+    Reduced(GrantedPower),
     /// The device does not heat and will again by itself: it waits for a pot, or pauses after a trip or for the mains. Reported once each
     /// time.
     Waiting {

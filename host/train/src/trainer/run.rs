@@ -235,12 +235,14 @@ impl Run<'_, '_> {
         let settings = self.settings;
         match &settings.source {
             Source::Powers(powers_w) => {
+                let mut last_w = None;
                 for &asked_w in powers_w {
-                    let since = self.device.settle(asked_w)?;
+                    let (since, asked_w) = self.device.settle(asked_w)?;
+                    last_w = Some(asked_w);
                     let point = OperatingPoint::Heating { asked_w };
                     self.point(point, None, |device| device.window_after(since, point))?;
                 }
-                if let (true, Some(&asked_w)) = (settings.follow, powers_w.last()) {
+                if let (true, Some(asked_w)) = (settings.follow, last_w) {
                     self.follow(asked_w)?;
                 }
             }

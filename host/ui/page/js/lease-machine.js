@@ -16,10 +16,11 @@
 export const LATE_MS = 6500;
 
 /**
- * @typedef {{phase: "none" | "taking" | "held" | "late" | "lost", power_w: number, renewed_ms: number, why: string}}
+ * `asked_w` is there while power flows: more than `power_w` where the hob took its rating.
+ * @typedef {{phase: "none" | "taking" | "held" | "late" | "lost", power_w: number, asked_w?: number, renewed_ms: number, why: string}}
  *   LeaseState
  * @typedef {{type: "take", power_w: number, at_ms: number}
- *   | {type: "powered", power_w: number, at_ms: number}
+ *   | {type: "powered", power_w: number, asked_w?: number, at_ms: number}
  *   | {type: "renewed", at_ms: number}
  *   | {type: "tick", at_ms: number, lease_ms: number}
  *   | {type: "refused", why: string}
@@ -49,7 +50,7 @@ export function step(state, event) {
     case "powered":
       return state.phase === "none" || state.phase === "lost"
         ? state
-        : { phase: "held", power_w: event.power_w, renewed_ms: event.at_ms, why: "" };
+        : { phase: "held", power_w: event.power_w, asked_w: event.asked_w, renewed_ms: event.at_ms, why: "" };
     case "renewed":
       return holds ? { ...state, phase: "held", renewed_ms: Math.max(state.renewed_ms, event.at_ms), why: "" } : state;
     case "tick":

@@ -64,7 +64,7 @@ export class Leases {
    * @param {string} device
    * @param {{command: string, [field: string]: any}} body
    * @param {boolean} [force] takes it from whoever has it
-   * @returns {Promise<{text: string}>}
+   * @returns {Promise<{text: string, granted_w: number | null}>}
    */
   async heat(device, body, force = false) {
     const power_w = body.power_w ?? Math.max(...(body.powers_w ?? [0]));
@@ -79,7 +79,7 @@ export class Leases {
         if (this.turns.get(device) !== turn && !this.heated().includes(device)) this.overtaken(device);
       });
       if (this.turns.get(device) === turn) {
-        this.#step(device, { type: "powered", power_w, at_ms: asked_ms });
+        this.#step(device, { type: "powered", power_w: done.granted_w ?? power_w, asked_w: power_w, at_ms: asked_ms });
         this.quietUntil_ms.set(device, Date.now() + QUIET_MS);
         if (body.command === "sweep") this.sweeping.add(device);
         else this.sweeping.delete(device);

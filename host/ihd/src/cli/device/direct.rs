@@ -127,8 +127,11 @@ impl Direct {
     pub(super) fn command(&mut self, command: &Command) -> Result<CommandReply> {
         let text = match command {
             Command::Power { power_w } => {
-                self.client.set_power(*power_w)?;
-                format!("{power_w} W asked for")
+                let granted = self.client.set_power(*power_w)?;
+                return Ok(CommandReply {
+                    granted_w: Some(granted.granted_w),
+                    ..CommandReply::with_text(granted.to_string())
+                });
             }
             Command::Off => {
                 self.client.set_power(0)?;
@@ -156,7 +159,7 @@ impl Direct {
                 return Err(anyhow!("this needs the daemon: `ihd trainer --daemon`"));
             }
         };
-        Ok(CommandReply { text, file: None })
+        Ok(CommandReply::with_text(text))
     }
 
     fn push(&mut self, blob: &[u8]) -> Result<String> {

@@ -47,6 +47,8 @@ const ELSEWHERE: &str = "switched off elsewhere, or its link was cut";
 struct HeatingSummary {
     device: String,
     asked_w: Vec<u16>,
+    /// Power that the hob took of the first.
+    granted_w: Option<u16>,
     seconds: f64,
     heating_seconds: f64,
     energy_wh: f64,
@@ -113,7 +115,7 @@ fn sweep_directly(hob: &mut Hob, powers_w: &[u16], json: bool) -> Result<()> {
         next += 1;
         match power_w {
             None => Ok(Some("sweep")),
-            Some(power_w) => hob.command(&Command::Power { power_w }).map(|_| None),
+            Some(power_w) => begin(hob, &Command::Power { power_w }).map(|_| None),
         }
     };
     if !json {
@@ -142,7 +144,10 @@ fn run(
         ..HeatingSummary::default()
     };
     let bar = bar(json);
-    let ended = begin(hob, command).and_then(|()| hold(hob, stop, end, &mut summary, &bar, json));
+    let ended = begin(hob, command).and_then(|granted_w| {
+        summary.granted_w = granted_w;
+        hold(hob, stop, end, &mut summary, &bar, json)
+    });
     // If another client has taken the lease, the heating is its own, too.
     let off = match &ended {
         Err(error) if is_leased_elsewhere(error) => Ok(()),
@@ -170,11 +175,18 @@ fn run(
     did_it_heat(&summary)
 }
 
-fn begin(hob: &mut Hob, command: &Command) -> Result<()> {
+/// Sends a command; returns the power that the hob took, and says so where it is less than was asked for.
+fn begin(hob: &mut Hob, command: &Command) -> Result<Option<u16>> {
     if let Hob::Direct(direct) = hob {
         direct.stream(true)?;
     }
-    hob.command(command).map(drop)
+    let reply = hob.command(command)?;
+    if let (Command::Power { power_w }, Some(granted_w)) = (command, reply.granted_w)
+        && granted_w < *power_w
+    {
+        output::complain(format_args!("{}: {}", hob.name(), reply.text));
+    }
+    Ok(reply.granted_w)
 }
 
 /// Switches off and releases the lease; an unanswered request to switch off is repeated.

@@ -27,6 +27,9 @@ pub(super) fn of_live(live: &Live) -> String {
         text += &format!(", R {r:.3} ohm, L {l:.2} µH");
     }
     text += &format!(", pot {}", live.pot);
+    if live.limit != "None" && !live.limit.is_empty() {
+        text += &format!(", limited by {}", live.limit);
+    }
     if live.fault != 0 {
         text += &format!(", fault {} ({})", live.fault, live.fault_text);
     }

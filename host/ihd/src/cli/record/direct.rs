@@ -164,7 +164,10 @@ impl DirectRecording {
         client.read_lookup()?;
         client.stream(self.telemetry_every, self.windows_every)?;
         if let Some(power_w) = self.power {
-            client.set_power(power_w)?;
+            let granted = client.set_power(power_w)?;
+            if granted.is_reduced() {
+                bar.suspend(|| output::complain(format_args!("{granted}")));
+            }
         }
         // Resets the device's counts.
         client.utilisation()?;

@@ -11,7 +11,7 @@ use anyhow::Result;
 use clap::Args;
 use ihd_capture::recording::{RecordSettings, Trigger};
 use ihd_link::{Client, DeviceSpec, Transport};
-use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::hob::REQUESTED_POWER_MAX_W;
 use ihd_sim::hob::SimHob;
 use ihd_sim::transport::SharedHob;
 
@@ -90,8 +90,8 @@ impl RecordArgs {
         ensure_usage!(positive(self.max_size), "--max-size must be more than 0");
         self.settings().check().map_err(Usage)?;
         ensure_usage!(
-            self.power.is_none_or(|w| w <= RATED_POWER_W),
-            "--power must be at most {RATED_POWER_W} W"
+            self.power.is_none_or(|w| w <= REQUESTED_POWER_MAX_W),
+            "--power must be at most {REQUESTED_POWER_MAX_W} W"
         );
         Ok(())
     }

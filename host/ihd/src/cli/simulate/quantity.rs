@@ -1,6 +1,6 @@
 //! Numbers with SI prefixes on the command line: `45k`, `50M`, `20ms`, `0.2us`.
 
-use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::hob::REQUESTED_POWER_MAX_W;
 
 /// Error for a text that is no number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -8,8 +8,8 @@ pub enum NotANumber {
     /// It is not a single number.
     #[error("`{0}` is no number: write it like 45k, 50M, 20ms, 0.2us, 1080n")]
     One(String),
-    /// It is not a power that the hob takes.
-    #[error("`{0}` is no power of the hob: 1 to {RATED_POWER_W} W in whole watt, like 1200 or 1.5k", RATED_POWER_W = RATED_POWER_W)]
+    /// It is not a power that may be asked of a hob.
+    #[error("`{0}` is no power for a hob: 1 to {REQUESTED_POWER_MAX_W} W in whole watt, like 1200 or 1.5k", REQUESTED_POWER_MAX_W = REQUESTED_POWER_MAX_W)]
     Power(String),
     /// It has a wrong count of numbers.
     #[error("`{0}` must be {1} numbers with commas between them")]
@@ -52,10 +52,11 @@ pub fn quantity(text: &str) -> Result<f64, NotANumber> {
     }
 }
 
-/// Parses a power of the hob in whole watt, 1 to [`RATED_POWER_W`]: `1200`, `1.5k`, `1.5kW`.
+/// Parses a power to ask for in whole watt, 1 to [`REQUESTED_POWER_MAX_W`]: `1200`, `1.5k`, `1.5kW`. The hob takes what
+/// is above its rating as its rating.
 pub fn power_w(text: &str) -> Result<u16, NotANumber> {
     let watt = quantity(text)?;
-    let is_power = watt.fract() == 0.0 && (1.0..=f64::from(RATED_POWER_W)).contains(&watt);
+    let is_power = watt.fract() == 0.0 && (1.0..=f64::from(REQUESTED_POWER_MAX_W)).contains(&watt);
     is_power
         .then_some(watt as u16)
         .ok_or_else(|| NotANumber::Power(text.to_owned()))
@@ -75,10 +76,18 @@ mod tests {
 
     #[test]
     fn powers() {
-        for (text, w) in [("1200", 1200), ("1.5k", 1500), ("1.5kW", 1500), ("1W", 1)] {
+        for (text, w) in [
+            ("1200", 1200),
+            ("1.5k", 1500),
+            ("1.5kW", 1500),
+            ("1W", 1),
+            ("3kW", 3_000),
+        ] {
             assert_eq!(power_w(text), Ok(w), "{text}");
         }
-        for text in ["0", "1e9", "2501", "1.5", "-5", "k", "1500 rpm"] {
+        for text in [
+            "0", "1e9", "10001", "1.5", "-5", "k", "1500 rpm", "NaN", "inf", "-inf",
+        ] {
             assert!(power_w(text).is_err(), "{text}");
         }
     }

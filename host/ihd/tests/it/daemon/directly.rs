@@ -99,6 +99,19 @@ fn power_ends_off_however_it_ends() {
 }
 
 #[test]
+fn power_above_the_rating_is_the_rating_and_is_told() {
+    let mut bench = bench();
+    let args = ["bench", "power", "3000", "--for", "2", "--json"];
+    let (code, stdout, stderr) = device(&bench.config, &args);
+    assert!([0, 4].contains(&code), "{stderr}");
+    let told = "bench: 3000 W asked, 2500 W is the most this hob gives";
+    assert!(stderr.contains(told), "{stderr}");
+    let heated: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    assert_eq!(heated["granted_w"], 2_500, "{heated:#}");
+    assert_eq!(bench.hob.left_with_w(), 0);
+}
+
+#[test]
 fn a_sweep_shows_what_the_device_finds() {
     let mut bench = bench();
     let (stdout, times) = heated(&bench.config, |times| {
@@ -147,8 +160,9 @@ fn a_recording_and_the_one_that_is_not_overwritten() {
 fn wrong_usage_exits_with_2_and_nobody_with_3() {
     let bench = bench();
     for (args, word) in [
-        (&["bench", "power", "0"][..], "1 to 2500 W"),
-        (&["bench", "power", "9999"], "2500"),
+        (&["bench", "power", "0"][..], "1 to 10000 W"),
+        (&["bench", "power", "10001"], "1 to 10000 W"),
+        (&["bench", "power", "NaN"], "NaN"),
         (&["bench", "power", "500", "--for", "0"], "--for"),
         (&["bench"], "Usage"),
         (&["off"], "which device"),

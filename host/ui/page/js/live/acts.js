@@ -59,13 +59,13 @@ export class Acts {
     const answer = await ask({
       title: `Sweep ${device}?`,
       text: `Heats ${device} with one power after the other, some windows of each, so that the lookup learns more of the map; then it is off. It ends when this page is closed, by Off, or by a fault.`,
-      input: h("p", {}, h("label", { for: "sweep-powers" }, `Powers / W, up to ${hob.rated_power_w}, with commas`), h("br"), input),
+      input: h("p", {}, h("label", { for: "sweep-powers" }, `Powers / W, rated ${hob.rated_power_w}, with commas`), h("br"), input),
       answers: [{ label: "Heat and sweep", value: "sweep", danger: true }],
     });
     if (answer !== "sweep") return;
-    const powers_w = powersOf(input.value, hob.rated_power_w);
+    const powers_w = powersOf(input.value, hob.requested_power_max_w);
     if (powers_w === null) {
-      setText(this.says, `No sweep: powers are 1 to ${MOST_POWERS} whole numbers of watt up to ${hob.rated_power_w}, with commas between them.`);
+      setText(this.says, `No sweep: powers are 1 to ${MOST_POWERS} whole numbers of watt up to ${hob.requested_power_max_w}, with commas between them.`);
       return;
     }
     await this.#carryOut(() => heatOrAsk(this.context, { command: "sweep", powers_w }));

@@ -15,10 +15,10 @@ export class Power {
   constructor(root, context) {
     this.context = context;
     const most = context.hob.rated_power_w;
-    const input = { min: "0", max: String(most), step: "10" };
-    this.input = h("input", { ...input, id: "power", type: "number", inputmode: "numeric", "aria-describedby": "power-says", data: { testid: "power-input" }, value: String(Math.round(most / 2 / 50) * 50),
+    const input = { min: "0", step: "10" };
+    this.input = h("input", { ...input, max: String(context.hob.requested_power_max_w), id: "power", type: "number", inputmode: "numeric", "aria-describedby": "power-says", data: { testid: "power-input" }, value: String(Math.round(most / 2 / 50) * 50),
       on: { input: () => this.#copy(this.input, this.slider), keydown: (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && this.#set() } });
-    this.slider = h("input", { ...input, step: "50", type: "range", "aria-label": "Power in watt", data: { testid: "power-slider" }, value: this.input.value,
+    this.slider = h("input", { ...input, max: String(most), step: "50", type: "range", "aria-label": "Power in watt", data: { testid: "power-slider" }, value: this.input.value,
       on: { input: () => this.#copy(this.slider, this.input), change: () => this.#rest() } });
     this.button = h("button", { type: "button", class: "strong", data: { testid: "power-set" }, on: { click: () => this.#set() } }, "Set");
     this.says = h("p", { id: "power-says", class: "quiet", data: { testid: "power-says" } });
@@ -60,7 +60,10 @@ export class Power {
   #saysOf(state, report) {
     const { device, api } = this.context;
     if (state.phase === "held" && this.context.leases.sweeping.has(device)) return `This page sweeps ${device}, up to ${state.power_w} W. It goes off when the sweep is done or the page is closed.`;
-    if (state.phase === "held") return `This page heats ${device} with ${state.power_w} W. It goes off when the page is closed.`;
+    if (state.phase === "held") {
+      const most = (state.asked_w ?? 0) > state.power_w ? `, the most it gives (${state.asked_w} W asked)` : "";
+      return `This page heats ${device} with ${state.power_w} W${most}. It goes off when the page is closed.`;
+    }
     if (state.phase === "late") {
       return `Not renewed for ${duration((Date.now() - state.renewed_ms) / 1000)}: ${state.why}.`;
     }
@@ -93,8 +96,8 @@ export class Power {
     if (leases.heated().length === 0) api.useOwnName();
     const power_w = Number(this.input.value);
     setText(this.problem, "");
-    if (this.input.value.trim() === "" || !Number.isInteger(power_w) || power_w < 0 || power_w > hob.rated_power_w) {
-      setText(this.problem, `Power is a whole number of watt from 0 to ${hob.rated_power_w}.`);
+    if (this.input.value.trim() === "" || !Number.isInteger(power_w) || power_w < 0 || power_w > hob.requested_power_max_w) {
+      setText(this.problem, `Power is a whole number of watt from 0 to ${hob.requested_power_max_w}.`);
       return;
     }
     if (power_w === 0) {
