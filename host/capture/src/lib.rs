@@ -16,8 +16,10 @@ pub mod formats;
 pub mod mcap;
 pub mod open;
 pub mod pair;
+pub mod parts;
 pub mod recording;
 
 pub use error::CaptureError;
 pub use format::write;
 pub use open::{OpenOptions, open};
+pub use parts::PartReader;

@@ -344,7 +344,11 @@ fn paired_columns(both: Vec<Samples>, options: &OpenOptions) -> Result<Columns, 
 }
 
 /// Applies signs, ratios, units, swap and rate to a capture in a format of our own.
-fn adjusted(path: &Path, capture: Capture, options: &OpenOptions) -> Result<Capture, CaptureError> {
+pub(super) fn adjusted(
+    path: &Path,
+    capture: Capture,
+    options: &OpenOptions,
+) -> Result<Capture, CaptureError> {
     let choice = |what: String| CaptureError::Choice {
         path: path.to_owned(),
         what,

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
 
 use ihd_capture::channels::{ChannelOptions, ChannelRef};
-use ihd_capture::{CaptureError, OpenOptions, open};
-use ihd_signal::Capture;
+use ihd_capture::{CaptureError, OpenOptions, PartReader, open};
+use ihd_signal::{Capture, TimeBase};
 use peak_alloc::PeakAlloc;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -59,6 +59,42 @@ fn at_most_three_times_the_samples() {
         );
         assert!(taken <= 3 * samples, "{name}: {taken} bytes");
     }
+}
+
+/// A capture of ten parts takes the memory of two of them, and some: the part that is taken, and what is read beyond it.
+#[test]
+fn parts_take_the_memory_of_parts() {
+    let _turn = turn();
+    const PAIRS: usize = 100_000;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("long.mcap");
+    let wave = |k: usize, period: f32| (k as f32 * period).sin();
+    let capture = Capture {
+        time: TimeBase::Even {
+            t0_s: 0.0,
+            dt_s: 1e-6,
+        },
+        v_v: (0..10 * PAIRS).map(|k| 300.0 * wave(k, 0.28)).collect(),
+        i_a: (0..10 * PAIRS).map(|k| 40.0 * wave(k, 0.28)).collect(),
+        ..Capture::default()
+    };
+    ihd_capture::write(&capture, &path, &mut |_| ()).unwrap();
+    drop(capture);
+    let before = MEMORY.current_usage();
+    MEMORY.reset_peak_usage();
+    let options = OpenOptions::default();
+    let mut reader = PartReader::open_in(&path, &options, PAIRS, &mut |_| ()).unwrap();
+    let mut pairs = 0;
+    while let Some(part) = reader.next_part().unwrap() {
+        pairs += part.len();
+    }
+    let taken = MEMORY.peak_usage().saturating_sub(before);
+    assert_eq!(pairs, 10 * PAIRS);
+    let of_pairs = |n: usize| n * 2 * size_of::<f32>();
+    // A chunk of 1 MiB, packed and unpacked, and the room of vectors that grow.
+    let most = 2 * of_pairs(PAIRS) + 2 * of_pairs(3 * PAIRS / 2) + (4 << 20);
+    assert!(taken < most, "{taken} bytes for {most}");
+    assert!(taken < of_pairs(10 * PAIRS), "{taken} bytes");
 }
 
 fn fixtures() -> Vec<PathBuf> {

@@ -27,6 +27,8 @@ pub mod static_load;
 pub mod verdict;
 
 pub use judge::{Evidence, judge};
-pub use path::{Examination, ExamineOptions, MethodResult, Reconstruct, examine};
+pub use path::{
+    Examination, ExamineOptions, MethodResult, OnProgress, Reconstruct, examine, examine_taking,
+};
 pub use reference::Reference;
 pub use verdict::{Gate, HalfCycleVerdict, Judgement, Verdict};

@@ -27,18 +27,21 @@ impl WithoutNeighbours {
     }
 }
 
-/// Removes the tones of other hobs; `None` if there are none.
+/// Removes the tones of other hobs from a surveyed capture; `None` if there are none.
 ///
 /// # Errors
-/// [`SurveyError`] if the capture holds nothing that can be identified.
-pub fn remove(capture: &Capture, hints: &Hints) -> Result<Option<WithoutNeighbours>, SurveyError> {
-    let survey = Survey::of(capture, hints)?;
+/// [`SurveyError`] if the capture holds nothing that can be identified without them.
+pub fn remove(
+    capture: &Capture,
+    survey: &Survey,
+    hints: &Hints,
+) -> Result<Option<WithoutNeighbours>, SurveyError> {
     // Exchanged channels have no impedance, a dead one no tone.
     let unfit = |f: &Finding| matches!(f, Finding::Swapped { .. } | Finding::Dead { .. });
     if survey.findings.iter().any(unfit) {
         return Ok(None);
     }
-    let Some(removed) = remove_from(capture, &survey) else {
+    let Some(removed) = remove_from(capture, survey) else {
         return Ok(None);
     };
     // A tone may have looked like a step of the frequency; without it the stretches are longer, and show it better.

@@ -1,6 +1,8 @@
 //! Path from a capture to judged estimates; `ihd identify` and the studies share it.
 
-use ihd_identify::pooled::{self, PooledLaw};
+use std::borrow::Cow;
+
+use ihd_identify::pooled::{self, PoolPhasors, PooledLaw};
 use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, ProgressSink, accuracy, reconstruction,
     run_with_progress,
@@ -72,6 +74,8 @@ pub struct Examination {
     /// One law of each segment from all of its half-cycles; `None` where there are fewer than two, or where R and L are not
     /// functions of the current alone.
     pub pooled: Vec<Option<PooledLaw>>,
+    /// Phasors of the segments whose R and L are functions of the current, to be pooled with those of other captures.
+    pub phasors: Vec<PoolPhasors>,
     /// Results, segment by segment, and method by method in the order of the options.
     pub outcomes: Vec<MethodResult>,
 }
@@ -88,8 +92,35 @@ pub fn examine(
     request: &ExamineOptions<'_>,
     progress: &mut OnProgress<'_>,
 ) -> Result<Examination, SurveyError> {
-    let removed = neighbours::remove(capture, &request.hints)?;
-    let capture = removed.as_ref().map_or(capture, |r| &r.capture);
+    examine_samples(Cow::Borrowed(capture), request, progress)
+}
+
+/// Examines as [`examine`] does, and moves the samples to the segments: half the memory.
+///
+/// # Errors
+/// As [`examine`].
+pub fn examine_taking(
+    capture: &mut Capture,
+    request: &ExamineOptions<'_>,
+    progress: &mut OnProgress<'_>,
+) -> Result<Examination, SurveyError> {
+    let samples = [&mut capture.v_v, &mut capture.i_a].map(std::mem::take);
+    let mut whole = capture.clone();
+    [whole.v_v, whole.i_a] = samples;
+    examine_samples(Cow::Owned(whole), request, progress)
+}
+
+fn examine_samples(
+    mut capture: Cow<'_, Capture>,
+    request: &ExamineOptions<'_>,
+    progress: &mut OnProgress<'_>,
+) -> Result<Examination, SurveyError> {
+    let mut survey = Survey::of(&capture, &request.hints)?;
+    let mut removed = neighbours::remove(&capture, &survey, &request.hints)?;
+    if let Some(removed) = &mut removed {
+        capture = Cow::Owned(std::mem::take(&mut removed.capture));
+        survey = Survey::of(&capture, &request.hints)?;
+    }
     // What is left of a tone would be taken for a fault of the sensors.
     let mode = match removed {
         Some(_) => CalibrationMode::Off,
@@ -99,18 +130,24 @@ pub fn examine(
         mode,
         ..request.sensors
     };
-    let calibrated = calibrate(capture, &request.hints, sensors)?;
+    let calibrated = calibrate(&capture, survey, &request.hints, sensors)?;
     let sensors = calibrated.remarks();
     let uncertainty = match (&calibrated.correction, &calibrated.sensors) {
         (Some(_), Some(Ok(sensors))) => Some(CorrectionUncertainty::of(sensors)),
         _ => None,
     };
-    let segments = calibrated.survey.segments(&calibrated.capture);
     let survey = calibrated.survey;
+    if let Cow::Owned(corrected) = calibrated.capture {
+        capture = Cow::Owned(corrected);
+    }
+    let segments = match &mut capture {
+        Cow::Owned(capture) => survey.take_segments(capture),
+        Cow::Borrowed(capture) => survey.segments(capture),
+    };
     let truth = (!capture.truth.is_empty()).then(|| accuracy::fundamental(&capture.truth));
     let total = segments.len() * request.methods.len();
     let mut outcomes = Vec::with_capacity(total);
-    let mut pooled = Vec::with_capacity(segments.len());
+    let (mut pooled, mut phasors) = (Vec::with_capacity(segments.len()), Vec::new());
     for (index, segment) in segments.iter().enumerate() {
         progress("reference", outcomes.len(), total);
         let mut remarks = remarks::from_survey(&survey, segment);
@@ -119,7 +156,9 @@ pub fn examine(
         remarks.extend(uncertainty.and_then(|u| u.remark(segment, load)));
         remarks.extend(removed.iter().flat_map(|r| r.remarks_on(segment)).cloned());
         let reference = Reference::compute(segment);
-        pooled.push(pooled_law(segment, &reference));
+        let of_segment = is_law(&reference).then(|| PoolPhasors::of(segment));
+        pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
+        phasors.extend(of_segment);
         for &method in request.methods {
             let done = outcomes.len();
             progress(method.name(), done, total);
@@ -139,6 +178,11 @@ pub fn examine(
                 }
             }
             let judgement = judge_result(&remarks, segment, &reference, method, &result);
+            if let (Ok(estimate), true) =
+                (&mut result, request.reconstruct != Reconstruct::Waveforms)
+            {
+                (estimate.v_hat_v, estimate.i_hat_a) = (Vec::new(), Vec::new());
+            }
             // Only after the judgement: a deviation that all methods share explains no difference between them.
             if let Ok(estimate) = &mut result {
                 if let Some(uncertainty) = uncertainty {
@@ -163,6 +207,7 @@ pub fn examine(
         sensors,
         segments,
         pooled,
+        phasors,
         outcomes,
     })
 }
@@ -170,15 +215,21 @@ pub fn examine(
 /// Findings of a load that is no function of the current alone.
 const NO_LAW: [&str; 2] = ["load_moves", "load_step"];
 
-fn pooled_law(segment: &Segment, reference: &Reference) -> Option<PooledLaw> {
-    let least_squares = reference.least_squares.as_ref().ok()?;
+/// Returns `true` if nothing speaks against a law R(I), L(I).
+fn is_law(reference: &Reference) -> bool {
+    let Ok(least_squares) = &reference.least_squares else {
+        return false;
+    };
     let mut remarks = reference.remarks.iter().chain(&least_squares.remarks);
-    if remarks.any(|r| NO_LAW.contains(&r.code)) {
-        return None;
-    }
+    !remarks.any(|r| NO_LAW.contains(&r.code))
+}
+
+fn pooled_law(segment: &Segment, phasors: &PoolPhasors) -> Option<PooledLaw> {
     let judged = comparison::judged(segment);
     let whole = judged.iter().filter(|h| h.is_whole()).count();
-    (whole >= 2).then(|| pooled::pool(segment)).flatten()
+    (whole >= 2)
+        .then(|| pooled::pool_phasors(phasors))
+        .flatten()
 }
 
 /// Adds shares of R and of L to the standard deviations.

@@ -1,13 +1,12 @@
 //! Error that a correction of the sensors leaves: a delay that is wrong by δ turns the impedance by ωδ.
 
+use std::borrow::Cow;
 use std::f64::consts::TAU;
 
 use ihd_identify::Estimate;
 use ihd_signal::{Capture, Load, Remark, Segment, Severity};
-use ihd_survey::calibration::blind::{
-    self, BlindOptions, CalibratedCapture, CalibrationMode, SelfCalibration,
-};
-use ihd_survey::{Hints, SurveyError};
+use ihd_survey::calibration::blind::{self, BlindOptions, CalibratedCapture, SelfCalibration};
+use ihd_survey::{Hints, Survey, SurveyError};
 
 /// Least relative error of a corrected lag, whatever the samples say: a probe is only roughly of first order.
 const MODEL: f64 = 0.02;
@@ -25,16 +24,17 @@ const COARSE_SHARE: f64 = 0.04;
 /// Share of R in percent above which a correction's own deviation is reported.
 const DOUBTFUL_PCT: f64 = 0.35;
 
-/// Surveys a capture and calibrates its sensors. A lag that is an artefact of coarse sampling is not corrected.
+/// Calibrates the sensors of a surveyed capture. A lag that is an artefact of coarse sampling is not corrected.
 ///
 /// # Errors
 /// [`SurveyError`] if the capture holds nothing that can be identified.
 pub fn calibrate<'a>(
     capture: &'a Capture,
+    survey: Survey,
     hints: &Hints,
     options: BlindOptions,
 ) -> Result<CalibratedCapture<'a>, SurveyError> {
-    let calibrated = blind::calibrate(capture, hints, options)?;
+    let calibrated = blind::calibrate_surveyed(capture, survey, hints, options)?;
     let Some(Ok(sensors)) = &calibrated.sensors else {
         return Ok(calibrated);
     };
@@ -42,8 +42,16 @@ pub fn calibrate<'a>(
     let coarse = rate_hz < LEAST_RATE_HZ;
     // Distortions that no delay explains are reported at any rate.
     if coarse && sensors.is_sound() && sensors.lag_s.value.abs() * rate_hz < COARSE_SHARE {
-        let mode = CalibrationMode::Off;
-        return blind::calibrate(capture, hints, BlindOptions { mode, ..options });
+        let survey = match calibrated.correction {
+            Some(_) => Survey::of(capture, hints)?,
+            None => calibrated.survey,
+        };
+        return Ok(CalibratedCapture {
+            capture: Cow::Borrowed(capture),
+            survey,
+            sensors: None,
+            correction: None,
+        });
     }
     Ok(calibrated)
 }

@@ -80,7 +80,10 @@ fn u(i_a: f64) -> f64 {
 }
 
 /// Mean of phasors.
+#[derive(Clone, Debug, PartialEq)]
 struct Mean {
+    /// Middle in seconds, on the capture's clock.
+    t_s: f64,
     v: Complex<f64>,
     i: Complex<f64>,
     d: Complex<f64>,
@@ -126,6 +129,7 @@ fn means(segment: &Segment) -> Vec<Mean> {
         let model = MODEL * v.norm() / (PI * phase).sin().max(0.05);
         if PART.contains(&phase) {
             out.push(Mean {
+                t_s,
                 v,
                 i,
                 d: i * Complex::new(0.0, 1.0) + slope / omega,
@@ -226,9 +230,67 @@ fn posterior(equations: &Equations, r: &DMatrix<f64>, x: &DMatrix<f64>) -> Optio
     })
 }
 
+/// Phasors of a segment as they are pooled, 6.4 kB for each 10 ms: those of many segments can be kept.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoolPhasors {
+    means: Vec<Mean>,
+    f_sw_hz: f64,
+    /// Beginning and end in seconds, on the capture's clock.
+    span_s: (f64, f64),
+}
+
+impl PoolPhasors {
+    /// Demodulates a segment.
+    pub fn of(segment: &Segment) -> Self {
+        Self {
+            means: means(segment),
+            f_sw_hz: segment.f_sw_hz,
+            span_s: (segment.t0_s, segment.t_s(segment.len())),
+        }
+    }
+
+    /// Switching frequency in hertz.
+    pub fn f_sw_hz(&self) -> f64 {
+        self.f_sw_hz
+    }
+
+    /// Beginning and end in seconds, on the capture's clock.
+    pub fn span_s(&self) -> (f64, f64) {
+        self.span_s
+    }
+
+    /// Joins those of segments in order of time, whose frequencies differ by little: R and L are those at the mean frequency.
+    /// `None` without any.
+    pub fn joined(all: &[Self]) -> Option<Self> {
+        let (first, last) = (all.first()?, all.last()?);
+        let span_s = (first.span_s.0, last.span_s.1);
+        let f_sw_hz = all.iter().map(|p| p.f_sw_hz).sum::<f64>() / all.len() as f64;
+        let of = |part: &Self| {
+            let scale = part.f_sw_hz / f_sw_hz;
+            let each = part.means.iter().map(move |m| Mean {
+                // ωL of the part, as that of the mean frequency.
+                d: m.d * scale,
+                at: 2.0 * (m.t_s - span_s.0) / (span_s.1 - span_s.0) - 1.0,
+                ..*m
+            });
+            each.collect::<Vec<_>>()
+        };
+        Some(Self {
+            means: all.iter().flat_map(of).collect(),
+            f_sw_hz,
+            span_s,
+        })
+    }
+}
+
 /// Pools all half-cycles of a segment; `None` if there are too few phasors, or no load.
 pub fn pool(segment: &Segment) -> Option<PooledLaw> {
-    let means = means(segment);
+    pool_phasors(&PoolPhasors::of(segment))
+}
+
+/// Pools as [`pool`] the phasors of a segment, or of several.
+pub fn pool_phasors(phasors: &PoolPhasors) -> Option<PooledLaw> {
+    let means = &phasors.means;
     if means.len() < FEWEST {
         return None;
     }
@@ -241,7 +303,7 @@ pub fn pool(segment: &Segment) -> Option<PooledLaw> {
     let (from_u, to_u) =
         amplitudes().fold((f64::INFINITY, 0.0f64), |(a, b), x| (a.min(x), b.max(x)));
     let spacing = (to_u - from_u).max(1e-3) / (KNOTS - 1) as f64;
-    let equations = Equations::of(&means, from_u, spacing);
+    let equations = Equations::of(means, from_u, spacing);
     let mut best: Option<Posterior> = None;
     for length in LENGTHS {
         let of = |mean: f64| -> Option<Vec<DMatrix<f64>>> {
@@ -272,7 +334,7 @@ pub fn pool(segment: &Segment) -> Option<PooledLaw> {
         .solve_lower_triangular(&best.factor.transpose())?;
     let widened = chi2.max(1.0).sqrt();
     let sigma = |k: usize| widened * half.column(k).norm();
-    let omega = TAU * segment.f_sw_hz;
+    let omega = TAU * phasors.f_sw_hz;
     let knots = 0..KNOTS;
     Some(PooledLaw {
         i_a: knots

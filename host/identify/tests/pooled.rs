@@ -2,7 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use ihd_identify::pooled::pool;
+use ihd_identify::pooled::{PoolPhasors, pool, pool_phasors};
 use ihd_signal::Segment;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -109,6 +109,34 @@ fn ten_half_cycles_are_better_than_one_and_sigma_holds() {
         assert!(ten[q] < [0.07, 0.05][q], "{ten:?}");
         assert!((0.6..1.4).contains(&z[q]), "{z:?}");
     }
+}
+
+/// Half-cycles of a long capture come in parts, with frequencies as found in each.
+#[test]
+fn parts_pool_as_the_whole_does() {
+    let whole = segment(10, 2.5e6, 0.01, 3);
+    let n = whole.len();
+    let parts: Vec<PoolPhasors> = [(0, 3 * n / 10), (3 * n / 10, 6 * n / 10), (6 * n / 10, n)]
+        .into_iter()
+        .enumerate()
+        .map(|(k, (from, to))| {
+            let mut part = whole.part(from, to);
+            // A tenth of a hertz, as a survey may be off.
+            part.f_sw_hz += 0.1 * (k as f64 - 1.0);
+            PoolPhasors::of(&part)
+        })
+        .collect();
+    let joined = pool_phasors(&PoolPhasors::joined(&parts).expect("three")).expect("a law");
+    let whole = pool(&whole).expect("a law");
+    for i_a in [8.0, 15.0, 30.0, 43.0] {
+        for (a, b) in joined.at(i_a).into_iter().zip(whole.at(i_a)) {
+            assert!((a.0 - b.0).abs() < 0.5 * b.1, "{i_a} A: {a:?} {b:?}");
+            assert!((a.1 / b.1 - 1.0).abs() < 0.1, "{i_a} A: {a:?} {b:?}");
+        }
+    }
+    let drift = joined.r_drift_ohm;
+    assert!((drift.0 - whole.r_drift_ohm.0).abs() < drift.1, "{drift:?}");
+    assert!(PoolPhasors::joined(&[]).is_none());
 }
 
 /// The figures of docs/accuracy.md.

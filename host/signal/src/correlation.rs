@@ -164,12 +164,12 @@ pub fn weighted_sums<T: Copy + Into<f64>>(x: &[T], weights: [&[f64]; 2]) -> [f64
 pub fn mean_impedance(segment: &Segment) -> Complex<f64> {
     let length = (segment.samples_per_period().round() as usize).max(1);
     let correlator = Correlator::new(segment, length, [1.0]);
-    let blocks = segment
-        .v_v
-        .chunks_exact(length)
-        .zip(segment.i_a.chunks_exact(length));
+    let (mut v_buffer, mut i_buffer) = (Vec::new(), Vec::new());
     let (mut cross, mut square) = (Complex::new(0.0, 0.0), 0.0);
-    for (k, (v, i)) in blocks.enumerate() {
+    for k in 0..segment.len().min(segment.i_a.len()) / length {
+        let range = k * length..(k + 1) * length;
+        let v = segment.v_v.block(range.clone(), &mut v_buffer);
+        let i = segment.i_a.block(range, &mut i_buffer);
         let sums = correlator.block(k * length, v, i);
         cross += sums.v[0] * sums.i[0].conj();
         square += sums.i[0].norm_sqr();

@@ -222,18 +222,33 @@ impl Survey {
             .collect()
     }
 
+    /// Moves all spans out of the capture that was surveyed, which keeps everything but its samples.
+    pub fn take_segments(&self, capture: &mut Capture) -> Vec<Segment> {
+        let v_v = Samples::singles(std::mem::take(&mut capture.v_v));
+        let i_a = Samples::singles(std::mem::take(&mut capture.i_a));
+        let of = |span: &Span| {
+            let range = span.first..span.first + span.samples;
+            self.with_samples(span, v_v.part(range.clone()), i_a.part(range))
+        };
+        self.spans.iter().map(of).collect()
+    }
+
     /// Copies one span out of the capture that was surveyed.
     pub fn segment(&self, capture: &Capture, span: &Span) -> Segment {
         let range = span.first..span.first + span.samples;
         let copied = |x: &[f32]| Samples::singles(x.get(range.clone()).unwrap_or(&[]).to_vec());
+        self.with_samples(span, copied(&capture.v_v), copied(&capture.i_a))
+    }
+
+    fn with_samples(&self, span: &Span, v_v: Samples, i_a: Samples) -> Segment {
         Segment {
             f_sw_hz: span.f_sw_hz,
             mains_hz: self.mains.hz,
             zero_crossing_s: self.mains.zero_crossing_s,
             t0_s: span.t0_s,
             dt_s: span.dt_s,
-            v_v: copied(&capture.v_v),
-            i_a: copied(&capture.i_a),
+            v_v,
+            i_a,
         }
     }
 }

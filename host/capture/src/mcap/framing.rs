@@ -157,6 +157,11 @@ impl Frames {
         }
     }
 
+    /// Length of the file in bytes.
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
     /// Offset of the record read last.
     pub fn at(&self) -> u64 {
         self.at

@@ -34,7 +34,7 @@ impl Losses {
         *self == Self::default()
     }
 
-    fn take(&mut self, damage: &McapFileError) {
+    pub(super) fn take(&mut self, damage: &McapFileError) {
         self.damaged = self.damaged.saturating_add(1);
         self.first_damage.get_or_insert_with(|| damage.to_string());
     }
@@ -113,45 +113,16 @@ pub fn read_between(path: &Path, from_s: f64, to_s: f64) -> Result<Capture, Mcap
     Ok(gather(reader, (from_s, to_s), &mut Err)?.capture)
 }
 
-/// Capture under construction.
-struct CaptureBuilder {
-    capture: Capture,
-    /// Times of the pairs; `None` while the spacing is even.
-    stamps: Option<Vec<f64>>,
-    t0_s: f64,
-    dt_s: f64,
-}
-
 /// Handler of an error: ends with it, or continues.
-type OnError<'a> = &'a mut dyn FnMut(McapFileError) -> Result<(), McapFileError>;
+pub(super) type OnError<'a> = &'a mut dyn FnMut(McapFileError) -> Result<(), McapFileError>;
 
 fn gather(
     mut reader: Reader,
     (from_s, to_s): (f64, f64),
     on_error: OnError<'_>,
 ) -> Result<SalvagedCapture, McapFileError> {
-    let mut builder = CaptureBuilder {
-        capture: Capture {
-            name: reader.path().display().to_string(),
-            ..Capture::default()
-        },
-        stamps: None,
-        t0_s: 0.0,
-        dt_s: 0.0,
-    };
-    loop {
-        let result = match reader.next_item() {
-            Ok(None) => break,
-            Err(error) => {
-                on_error(error)?;
-                continue;
-            }
-            Ok(Some(Item::Metadata { name, entries })) => builder.take_metadata(&name, entries),
-            Ok(Some(Item::Message(message))) => builder.take_message(message, from_s, to_s),
-        };
-        if let Err(why) = result {
-            on_error(reader.damaged(why))?;
-        }
+    let mut builder = CaptureBuilder::new(reader.path());
+    while take_item(&mut reader, &mut builder, (from_s, to_s), on_error)? {
         if builder.capture.len() > MAX_PAIRS {
             return Err(McapFileError::TooManyPairs {
                 path: reader.path().into(),
@@ -164,12 +135,46 @@ fn gather(
         ..Losses::default()
     };
     Ok(SalvagedCapture {
-        capture: builder.finish(),
+        capture: builder.capture,
         losses,
     })
 }
 
+/// Takes the next item of a file into the capture; `false` at the end.
+pub(super) fn take_item(
+    reader: &mut Reader,
+    builder: &mut CaptureBuilder,
+    (from_s, to_s): (f64, f64),
+    on_error: OnError<'_>,
+) -> Result<bool, McapFileError> {
+    let result = match reader.next_item() {
+        Ok(None) => return Ok(false),
+        Err(error) => return on_error(error).map(|()| true),
+        Ok(Some(Item::Metadata { name, entries })) => builder.take_metadata(&name, entries),
+        Ok(Some(Item::Message(message))) => builder.take_message(message, from_s, to_s),
+    };
+    if let Err(why) = result {
+        on_error(reader.damaged(why))?;
+    }
+    Ok(true)
+}
+
+/// Capture under construction.
+pub(super) struct CaptureBuilder {
+    pub(super) capture: Capture,
+}
+
 impl CaptureBuilder {
+    pub(super) fn new(path: &Path) -> Self {
+        let name = path.display().to_string();
+        Self {
+            capture: Capture {
+                name,
+                ..Capture::default()
+            },
+        }
+    }
+
     fn take_metadata(
         &mut self,
         name: &str,
@@ -240,38 +245,33 @@ impl CaptureBuilder {
     fn take_samples(&mut self, samples: &Samples, from_s: f64, to_s: f64) {
         let mut inside = (0..samples.len()).filter(|&k| (from_s..=to_s).contains(&samples.at(k)));
         let Some(first) = inside.next() else { return };
-        let have = self.capture.len();
+        let capture = &mut self.capture;
+        let have = capture.len();
         if have == 0 {
-            (self.t0_s, self.dt_s) = (samples.at(first), samples.dt_s);
+            capture.time = TimeBase::Even {
+                t0_s: samples.at(first),
+                dt_s: samples.dt_s,
+            };
         }
-        let due_s = self.t0_s + have as f64 * self.dt_s;
-        let even = samples.t_s.is_empty()
-            && samples.dt_s == self.dt_s
-            && (samples.at(first) - due_s).abs() <= 1e-3 * self.dt_s;
-        if !even && self.stamps.is_none() {
-            let (t0_s, dt_s) = (self.t0_s, self.dt_s);
-            self.stamps = Some((0..have).map(|k| t0_s + k as f64 * dt_s).collect());
+        if let TimeBase::Even { t0_s, dt_s } = capture.time {
+            let due_s = t0_s + have as f64 * dt_s;
+            let even = samples.t_s.is_empty()
+                && samples.dt_s == dt_s
+                && (samples.at(first) - due_s).abs() <= 1e-3 * dt_s;
+            if !even {
+                let stamps = (0..have).map(|k| t0_s + k as f64 * dt_s).collect();
+                capture.time = TimeBase::Stamps(stamps);
+            }
         }
         for k in std::iter::once(first).chain(inside) {
             if let Some((v, i)) = samples.pair(k) {
-                self.capture.v_v.push(v);
-                self.capture.i_a.push(i);
-                if let Some(stamps) = &mut self.stamps {
+                capture.v_v.push(v);
+                capture.i_a.push(i);
+                if let TimeBase::Stamps(stamps) = &mut capture.time {
                     stamps.push(samples.at(k));
                 }
             }
         }
-    }
-
-    fn finish(mut self) -> Capture {
-        self.capture.time = match self.stamps {
-            Some(stamps) => TimeBase::Stamps(stamps),
-            None => TimeBase::Even {
-                t0_s: self.t0_s,
-                dt_s: self.dt_s,
-            },
-        };
-        self.capture
     }
 }
 

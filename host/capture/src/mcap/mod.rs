@@ -20,6 +20,7 @@ mod records;
 pub mod save;
 pub mod session_reader;
 pub mod session_recorder;
+pub mod stream;
 pub mod topics;
 pub mod writer;
 
@@ -30,4 +31,5 @@ pub use reader::Reader;
 pub use save::write;
 pub use session_reader::SessionReader;
 pub use session_recorder::SessionRecorder;
+pub use stream::Stream;
 pub use writer::Writer;

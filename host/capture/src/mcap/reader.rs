@@ -113,6 +113,11 @@ impl Reader {
         self.frames.at()
     }
 
+    /// Share of the file before the record read last, from 0 to 1.
+    pub fn share(&self) -> f64 {
+        self.frames.at() as f64 / self.frames.length().max(1) as f64
+    }
+
     /// Path of the file.
     pub fn path(&self) -> &Path {
         self.frames.path()

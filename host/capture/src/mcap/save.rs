@@ -1,8 +1,10 @@
 //! Writing of whole captures, and the parts that other writers of captures share.
 
 use std::collections::BTreeMap;
+use std::iter::Peekable;
 use std::path::Path;
 
+use ihd_signal::truth::PeriodTruth;
 use ihd_signal::{Capture, TimeBase};
 
 use super::McapFileError;
@@ -31,12 +33,14 @@ pub fn write(capture: &Capture, path: &Path) -> Result<(), McapFileError> {
     let mut writer = Writer::create(path, Existing::Replace, true)?;
     write_head(&mut writer, capture)?;
     let pair = |k: usize| [capture.v_v[k], capture.i_a[k]];
+    let mut truth = capture.truth.iter().peekable();
     for batch in batches(&capture.time, capture.len().min(capture.i_a.len())) {
+        write_truth(&mut writer, &mut truth, capture.time.at(batch.to))?;
         let pairs = (batch.from..batch.to).map(pair);
         let message = cdr::singles(&batch.time, pairs);
         writer.message(Topic::Samples, batch.time.t0_s(), &message)?;
     }
-    write_truth(&mut writer, capture)?;
+    write_truth(&mut writer, &mut truth, None)?;
     writer.finish()
 }
 
@@ -76,9 +80,17 @@ pub fn write_head(writer: &mut Writer, capture: &Capture) -> Result<(), McapFile
     Ok(())
 }
 
-/// Writes the truth of a capture.
-pub fn write_truth(writer: &mut Writer, capture: &Capture) -> Result<(), McapFileError> {
-    for truth in &capture.truth {
+/// Entries of the truth that are not written yet.
+pub type Unwritten<'a> = Peekable<std::slice::Iter<'a, PeriodTruth>>;
+
+/// Writes the truth before `end_s`, or all of it: before the samples of its time, so that who reads the file in parts has it with
+/// them.
+pub fn write_truth(
+    writer: &mut Writer,
+    truth: &mut Unwritten<'_>,
+    end_s: Option<f64>,
+) -> Result<(), McapFileError> {
+    while let Some(truth) = truth.next_if(|t| end_s.is_none_or(|end_s| t.t_s < end_s)) {
         writer.message(Topic::Truth, truth.t_s, &cdr::truth(truth))?;
     }
     Ok(())

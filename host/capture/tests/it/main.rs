@@ -3,5 +3,6 @@
 mod damage;
 mod flush;
 mod memory;
+mod parts;
 mod recording;
 mod recording_tables;

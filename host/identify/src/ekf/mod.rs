@@ -11,9 +11,9 @@ pub(crate) mod waveforms;
 
 use std::time::Instant;
 
-use ihd_signal::Segment;
 use ihd_signal::correlation::mean_impedance;
 use ihd_signal::noise::WhiteNoise;
+use ihd_signal::{Samples, Segment};
 use serde::{Deserialize, Serialize};
 
 use self::step::{Filter, Model, State};
@@ -70,8 +70,22 @@ pub struct PreparedSegment {
     pub start: Filter,
 }
 
-fn rms(x: &[f64]) -> f64 {
-    (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt()
+/// Samples that are converted to doubles at a time.
+const AT_ONCE: usize = 1 << 15;
+
+/// Calls `each` with all samples as doubles, in order.
+fn for_each(x: &Samples, mut each: impl FnMut(f64)) {
+    let mut buffer = Vec::new();
+    for from in (0..x.len()).step_by(AT_ONCE) {
+        let range = from..(from + AT_ONCE).min(x.len());
+        x.block(range, &mut buffer).iter().for_each(|x| each(*x));
+    }
+}
+
+fn rms(x: &Samples) -> f64 {
+    let mut sum = 0.0;
+    for_each(x, |x| sum += x * x);
+    (sum / x.len().max(1) as f64).sqrt()
 }
 
 impl PreparedSegment {
@@ -79,10 +93,15 @@ impl PreparedSegment {
     pub fn new(segment: &Segment, settings: &IdentifyOptions) -> Self {
         let (i_unit_a, v_unit_v) = (rms(&segment.i_a), rms(&segment.v_v));
         // x2 is the change to the next sample, so that R·i + L·di/dt belongs to the middle between the two.
-        let last = segment.v_v.last().copied();
-        let next = segment.v_v.iter().skip(1).copied().chain(last);
-        let half = segment.v_v.iter().zip(next);
-        let v = half.map(|(a, b)| 0.5 * (a + b) / v_unit_v).collect();
+        let mut v = Vec::with_capacity(segment.len());
+        let mut before = None;
+        for_each(&segment.v_v, |next| {
+            v.extend(before.map(|before| 0.5 * (before + next) / v_unit_v));
+            before = Some(next);
+        });
+        v.extend(before.map(|last| 0.5 * (last + last) / v_unit_v));
+        let mut i = Vec::with_capacity(segment.i_a.len());
+        for_each(&segment.i_a, |x| i.push(x / i_unit_a));
         let noise = WhiteNoise::measure(segment);
         let tuning = &settings.ekf;
         let ratio = segment.dt_s / REFERENCE_S;
@@ -106,7 +125,7 @@ impl PreparedSegment {
         let x4 = l + 0.5 * r;
         let z2 = z.norm_sqr();
         Self {
-            i: segment.i_a.iter().map(|i| i / i_unit_a).collect(),
+            i,
             v,
             i_unit_a,
             v_unit_v,

@@ -8,7 +8,7 @@ use ihd_capture::channels::{ChannelOptions, ChannelRef};
 use ihd_capture::formats::unit::Unit;
 use ihd_capture::mcap::{Losses, SalvagedCapture};
 use ihd_capture::open::salvage_with;
-use ihd_capture::{CaptureError, OpenOptions};
+use ihd_capture::{CaptureError, OpenOptions, PartReader};
 use ihd_signal::Capture;
 use ihd_survey::calibration::Calibration;
 use ihd_survey::{Hints, SurveyError};
@@ -177,14 +177,39 @@ impl CaptureArgs {
             }
             .into());
         }
-        if let Some(path) = &self.calibration {
-            let calibration = Calibration::read(path)?;
-            for doubt in calibration.doubts() {
-                output::complain(format_args!("warning: {}: {doubt}", path.display()));
-            }
+        if let Some(calibration) = self.calibration()? {
             calibration.apply(&mut capture);
         }
         Ok(LoadedCapture { capture, losses })
+    }
+}
+
+impl CaptureArgs {
+    /// Opens the capture to be read in parts; `progress` is called with the share read where all of it is read at once.
+    ///
+    /// # Errors
+    /// As [`CaptureArgs::open`].
+    pub fn open_parts(&self, progress: &mut dyn FnMut(f64)) -> Result<CaptureParts> {
+        let reader = PartReader::open(&self.file, &self.options()?, progress)?;
+        Ok(CaptureParts {
+            path: self.file.clone(),
+            reader,
+            calibration: self.calibration()?,
+            pairs: 0,
+            span_s: None,
+        })
+    }
+
+    /// Calibration of the sensors by the user; its doubts are reported.
+    fn calibration(&self) -> Result<Option<Calibration>> {
+        let Some(path) = &self.calibration else {
+            return Ok(None);
+        };
+        let calibration = Calibration::read(path)?;
+        for doubt in calibration.doubts() {
+            output::complain(format_args!("warning: {}: {doubt}", path.display()));
+        }
+        Ok(Some(calibration))
     }
 }
 
@@ -265,20 +290,89 @@ impl LoadedCapture {
     ///
     /// The error of `result`, or [`IncompleteCapture`] if that would be no error, or would only say that the rest is not enough.
     pub fn finish(&self, result: Result<()>) -> Result<()> {
-        let Some(incomplete) = self.incomplete() else {
-            return result;
-        };
-        match result {
-            Ok(()) => Err(incomplete.into()),
-            Err(error) if error.is::<SurveyError>() => Err(IncompleteCapture {
-                but: format!("; {error}"),
-                ..incomplete
-            }
-            .into()),
-            Err(error) => {
-                output::complain(format_args!("warning: {incomplete}"));
-                Err(error)
-            }
+        finished(self.incomplete(), result)
+    }
+}
+
+fn finished(incomplete: Option<IncompleteCapture>, result: Result<()>) -> Result<()> {
+    let Some(incomplete) = incomplete else {
+        return result;
+    };
+    match result {
+        Ok(()) => Err(incomplete.into()),
+        Err(error) if error.is::<SurveyError>() => Err(IncompleteCapture {
+            but: format!("; {error}"),
+            ..incomplete
         }
+        .into()),
+        Err(error) => {
+            output::complain(format_args!("warning: {incomplete}"));
+            Err(error)
+        }
+    }
+}
+
+/// Capture that is read in parts, and what was read of it.
+pub struct CaptureParts {
+    path: PathBuf,
+    reader: PartReader,
+    calibration: Option<Calibration>,
+    pairs: usize,
+    /// Times of the first and the last pair in seconds.
+    span_s: Option<(f64, f64)>,
+}
+
+impl CaptureParts {
+    /// Returns the next part, calibrated; `None` at the end.
+    ///
+    /// # Errors
+    /// [`CaptureError`]; [`CaptureError::NoSamples`] for a capture without samples.
+    pub fn next_part(&mut self) -> Result<Option<Capture>> {
+        let Some(mut part) = self.reader.next_part()? else {
+            if self.pairs == 0 {
+                return Err(CaptureError::NoSamples {
+                    path: self.path.clone(),
+                    losses: self.reader.losses(),
+                }
+                .into());
+            }
+            return Ok(None);
+        };
+        self.pairs += part.len();
+        let (first, last) = (part.time.at(0), part.time.at(part.len() - 1));
+        let start = self.span_s.map(|span| span.0).or(first);
+        self.span_s = start.zip(last).or(self.span_s);
+        if let Some(calibration) = &self.calibration {
+            calibration.apply(&mut part);
+        }
+        Ok(Some(part))
+    }
+
+    /// Returns `true` if all parts were taken.
+    ///
+    /// # Errors
+    /// [`CaptureError`] if the file cannot be read.
+    pub fn is_at_end(&mut self) -> Result<bool> {
+        Ok(self.reader.is_at_end()?)
+    }
+
+    /// Share of the capture that was read, from 0 to 1.
+    pub fn share(&self) -> f64 {
+        self.reader.share()
+    }
+
+    /// Result of a command that computed `result` from the parts, as [`LoadedCapture::finish`].
+    pub fn finish(&self, result: Result<()>) -> Result<()> {
+        let losses = self.reader.losses();
+        let incomplete = (!losses.is_none()).then(|| IncompleteCapture {
+            file: self.path.display().to_string(),
+            losses,
+            pairs: self.pairs,
+            ms: self
+                .span_s
+                .map_or(0.0, |(first, last)| (last - first) * 1e3),
+            but: String::new(),
+        });
+        finished(incomplete, result)
     }
 }

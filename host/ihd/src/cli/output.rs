@@ -42,6 +42,33 @@ pub fn json(value: &impl Serialize) -> Result<()> {
     raw(json_text(&serde_json::to_string_pretty(value)?).as_bytes())
 }
 
+/// JSON array on standard output, element by element, as [`json`] writes it at once.
+#[derive(Debug, Default)]
+pub struct JsonArray {
+    begun: bool,
+}
+
+impl JsonArray {
+    /// Writes an element.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn push(&mut self, value: &impl Serialize) -> Result<()> {
+        let before = if self.begun { ",\n  " } else { "[\n  " };
+        self.begun = true;
+        let element = serde_json::to_string_pretty(value)?.replace('\n', "\n  ");
+        raw(json_escaped(&format!("{before}{element}")).as_bytes())
+    }
+
+    /// Writes the end.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn end(&mut self) -> Result<()> {
+        raw(if self.begun { b"\n]\n" } else { b"[]\n" })
+    }
+}
+
 /// Writes a value as one line of JSON to standard output.
 ///
 /// # Errors
@@ -131,8 +158,13 @@ pub fn escaped(text: &str) -> String {
     out
 }
 
-/// Returns JSON with a line end. JSON's own escapes leave DEL and U+0080 to U+009F as they are.
+/// Returns JSON with a line end.
 fn json_text(json: &str) -> String {
+    json_escaped(json) + "\n"
+}
+
+/// Returns JSON without control characters: its own escapes leave DEL and U+0080 to U+009F as they are.
+fn json_escaped(json: &str) -> String {
     let mut out = String::with_capacity(json.len() + 1);
     for c in json.chars() {
         if c.is_control() && c != '\n' {
@@ -141,7 +173,6 @@ fn json_text(json: &str) -> String {
             out.push(c);
         }
     }
-    out.push('\n');
     out
 }
 

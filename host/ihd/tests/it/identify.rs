@@ -195,3 +195,84 @@ fn a_refused_result_is_printed_and_ends_with_7() {
     let text = String::from_utf8_lossy(&stdout);
     assert!(text.contains("gate: refuse: "), "{text}");
 }
+
+/// Simulates 130 ms at 50 MS/s: three parts.
+fn long_capture(folder: &Path) {
+    let words = "simulate --set load=behavioural,duration=.13,rate=50M,snr=40 -o long.mcap";
+    let output = ihd().current_dir(folder).args(words.split(' ')).output();
+    assert!(output.expect("it runs").status.success());
+}
+
+/// Results without the times that they took.
+fn timeless(stdout: &[u8]) -> Value {
+    let mut found: Value = serde_json::from_slice(stdout).expect("JSON");
+    for entry in found.as_array_mut().expect("an array") {
+        entry["elapsed_s"] = Value::Null;
+    }
+    found
+}
+
+#[test]
+fn a_long_capture_is_identified_in_parts_with_the_same_digits_on_any_number_of_threads() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    long_capture(folder.path());
+    let identified = |threads: &str| {
+        let output = ihd()
+            .current_dir(&folder)
+            .args(["identify", "long.mcap", "--json", "--method"])
+            .args(["least-squares,lockin", "--out", "found.csv", "--out"])
+            .args(["found.svg", "--threads", threads])
+            .output()
+            .expect("it runs");
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(0), "{stderr}");
+        let read = |name: &str| std::fs::read(folder.path().join(name)).expect("a file");
+        let files = (read("found.csv"), read("found.svg"));
+        (timeless(&output.stdout), files, stderr)
+    };
+    let one = identified("1");
+    assert!(one == identified("4"), "other digits on four threads");
+    let entries = one.0.as_array().expect("an array");
+    assert_eq!(entries.len(), 6, "two methods on three parts");
+    let mut half_cycles = 0;
+    for entry in entries {
+        assert_eq!(entry["gate"]["verdict"], "pass", "{}", entry["findings"]);
+        // The whole half-cycle, zero crossings included.
+        assert!(entry["mre_r_pct"].as_f64().expect("truth") < 0.5);
+        let half = entry["half_cycles"].as_array().expect("verdicts");
+        half_cycles += half.iter().filter(|h| h["verdict"] == "pass").count();
+    }
+    assert_eq!(half_cycles, 2 * 13, "no half-cycle is lost at a cut");
+}
+
+#[test]
+#[cfg(all(feature = "pinn", unix))]
+fn what_was_found_before_an_interruption_is_kept() {
+    use std::io::{BufRead, BufReader, Read};
+    use std::process::Stdio;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    long_capture(folder.path());
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_ihd"))
+        .current_dir(&folder)
+        .args(["identify", "long.mcap", "--json", "--threads", "1"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    // The first part is being written, more than a pipe holds: it cannot go on before the rest is read.
+    let mut stdout = BufReader::with_capacity(16, child.stdout.take().expect("piped"));
+    let mut text = String::new();
+    stdout.read_line(&mut text).expect("a line");
+    let sent = std::process::Command::new("kill")
+        .args(["-INT", &child.id().to_string()])
+        .status();
+    assert!(sent.expect("kill runs").success());
+    stdout.read_to_string(&mut text).expect("UTF-8");
+    let ended = child.wait_with_output().expect("it ends");
+    let stderr = String::from_utf8_lossy(&ended.stderr);
+    assert_eq!(ended.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("interrupted"), "{stderr}");
+    let found: Value = serde_json::from_str(&text).expect("complete JSON");
+    let parts = found.as_array().expect("an array").len();
+    assert!((1..3).contains(&parts), "{parts} parts");
+}

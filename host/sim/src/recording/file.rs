@@ -34,9 +34,11 @@ pub fn write(recording: &Recording, path: &Path, clean: bool) -> Result<(), Mcap
     capture.metadata.insert(MADE_BY_KEY.to_owned(), made_by);
     let mut writer = Writer::create(path, Existing::Replace, false)?;
     write_head(&mut writer, &capture)?;
+    let mut truth = capture.truth.iter().peekable();
     let units = [recording.volt_per_code(), recording.ampere_per_code()];
     for Batch { from, to, time } in batches(&capture.time, capture.len()) {
         let t0_s = time.t0_s();
+        write_truth(&mut writer, &mut truth, capture.time.at(to))?;
         let code = |k: usize| [recording.v_code[k], recording.i_code[k]];
         let message = cdr::codes(&time, units, (from..to).map(code));
         writer.message(Topic::Samples, t0_s, &message)?;
@@ -45,7 +47,7 @@ pub fn write(recording: &Recording, path: &Path, clean: bool) -> Result<(), Mcap
             writer.message(Topic::CleanSamples, t0_s, &message)?;
         }
     }
-    write_truth(&mut writer, &capture)?;
+    write_truth(&mut writer, &mut truth, None)?;
     writer.finish()
 }
 

@@ -1,26 +1,30 @@
 //! `ihd identify`: R(t) and L(t) of a capture, by one or all estimators.
 
+mod parts;
 mod report;
+mod results;
 
+use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
-use ihd_gate::{Examination, ExamineOptions, Reconstruct, examine};
+use ihd_gate::{ExamineOptions, Reconstruct, examine_taking};
 use ihd_identify::pinn::preset_names;
 use ihd_identify::{IdentifyOptions, Method};
 use ihd_plot::file::ENDINGS;
-use ihd_signal::{Capture, Severity};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::capture_args::CaptureArgs;
+use self::parts::ManyParts;
+pub use self::results::RefusedResults;
+use self::results::{ResultOptions, Results};
+use super::capture_args::{CaptureArgs, CaptureParts};
 use super::global::Global;
+use super::interrupt;
 use super::keys;
-use super::output;
 use super::sensor_args::SensorArgs;
 use super::simulate::quantity::quantity;
 use super::usage::Usage;
-use crate::report::identified;
 
 /// Identify R(t) and L(t) of the load in a capture.
 ///
@@ -61,6 +65,9 @@ pub struct IdentifyArgs {
     /// digits
     #[arg(long, value_name = "KEY=VALUE,…", value_parser = keys::text::<NetworkOptions>())]
     network: Vec<String>,
+    /// Parts of a long capture that are identified at once; default: one a core, as far as 300 MB of memory allow
+    #[arg(long, value_name = "N")]
+    threads: Option<NonZero<usize>>,
     /// End with 0 even where a result is refused
     #[arg(long)]
     anyway: bool,
@@ -93,16 +100,6 @@ fn output_file(text: &str) -> Result<PathBuf, String> {
         Some(ending) if ending == "csv" || ENDINGS.contains(&ending) => Ok(path),
         _ => Err("a table ends with .csv, a figure with .svg or .pdf".to_owned()),
     }
-}
-
-/// Error for results that do not pass the gate, after they were printed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{refused} of {of} results do not pass: R or L would be wrong, or cannot be judged")]
-pub struct RefusedResults {
-    /// Number of results that do not pass.
-    pub refused: usize,
-    /// Number of results.
-    pub of: usize,
 }
 
 /// Method, or all of this build.
@@ -162,16 +159,21 @@ impl IdentifyArgs {
         } else if methods.contains(&Method::Pinn) {
             settings.pinn.check()?;
         }
-        let loaded = self.capture.open()?;
-        loaded.finish(self.identify(&loaded.capture, &settings, &methods, global.json))
+        let bar = ProgressBar::no_length();
+        let style = ProgressStyle::with_template("{bar:16} {pos}/{len} {wide_msg}");
+        bar.set_style(style.context("progress bar")?);
+        let mut parts = self.capture.open_parts(&mut |_| ())?;
+        let result = self.identify(&mut parts, &settings, &methods, (global.json, &bar));
+        bar.finish_and_clear();
+        parts.finish(result)
     }
 
     fn identify(
         &self,
-        capture: &Capture,
+        parts: &mut CaptureParts,
         settings: &IdentifyOptions,
         methods: &[Method],
-        json: bool,
+        (json, bar): (bool, &ProgressBar),
     ) -> Result<()> {
         let input = self.capture.input()?;
         let request = ExamineOptions {
@@ -185,62 +187,41 @@ impl IdentifyArgs {
                 Reconstruct::Errors
             },
         };
-        let bar = ProgressBar::no_length();
-        bar.set_style(
-            ProgressStyle::with_template("{bar:16} {pos}/{len} {wide_msg}")
-                .context("progress bar")?,
-        );
-        let examined = examine(capture, &request, &mut |text, done, of| {
-            bar.set_length(of as u64);
-            bar.set_position(done as u64);
-            bar.set_message(text.to_owned());
-        })?;
-        bar.finish_and_clear();
-        for remark in &examined.sensors {
-            if remark.severity > Severity::Info || remark.code == "self_calibrated" {
-                output::complain(format_args!("{remark}"));
-            }
-        }
-        for finding in &examined.survey.findings {
-            if finding.severity() > Severity::Info {
-                output::complain(format_args!("{}: {finding}", finding.severity()));
-            }
-        }
-        let from_s = self.from.unwrap_or(f64::NEG_INFINITY);
-        let reported = report::ReportedCapture::of(capture, &examined, from_s);
-        for path in self.ending("csv") {
-            report::write_csv(&examined.outcomes, path)?;
-        }
-        for path in self.figures() {
-            let results = examined.outcomes.iter();
-            let estimates: Vec<_> = results.filter_map(|o| o.result.as_ref().ok()).collect();
-            let segments = &examined.segments;
-            identified::draw(&capture.name, segments, &estimates, &capture.truth, path)?;
-        }
-        if json {
-            output::json(&reported.json())?;
-        } else {
-            output::text(&reported.text())?;
-        }
-        self.verdict(&examined)
-    }
-
-    /// Result of the command, after everything was printed.
-    fn verdict(&self, examined: &Examination) -> Result<()> {
-        let outcomes = &examined.outcomes;
-        if outcomes.iter().all(|o| o.result.is_err()) {
-            bail!("no method could identify {}", self.capture.path().display());
-        }
-        let successes = || outcomes.iter().filter(|o| o.result.is_ok());
-        let refused = successes().filter(|o| !o.judgement.gate.passes()).count();
-        if refused == 0 || self.anyway {
+        let Some(mut first) = parts.next_part()? else {
             return Ok(());
+        };
+        let is_whole = parts.is_at_end()?;
+        let tables: Vec<&Path> = self.ending("csv").collect();
+        let figures: Vec<&Path> = self.figures().collect();
+        let mut results = Results::new(ResultOptions {
+            capture: self.capture.path(),
+            json,
+            in_parts: !is_whole,
+            from_s: self.from.unwrap_or(f64::NEG_INFINITY),
+            tables: &tables,
+            figures: &figures,
+            anyway: self.anyway,
+        });
+        if is_whole {
+            let examined = examine_taking(&mut first, &request, &mut |text, done, of| {
+                bar.set_length(of as u64);
+                bar.set_position(done as u64);
+                bar.set_message(text.to_owned());
+            })?;
+            bar.finish_and_clear();
+            results.take(first, examined)?;
+            results.finish()?;
+        } else {
+            let mut many = ManyParts {
+                parts,
+                request,
+                bar,
+                stop: interrupt::flag().context("cannot watch for Ctrl-C")?,
+                threads: self.threads,
+            };
+            many.run(first, &mut results)?;
         }
-        Err(RefusedResults {
-            refused,
-            of: successes().count(),
-        })
-        .context("mend the capture as advised, or go on with --anyway")
+        results.verdict()
     }
 
     /// Files of --out with an ending.

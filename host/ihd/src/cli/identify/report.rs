@@ -1,7 +1,8 @@
 //! Output of `ihd identify`: text, JSON, CSV.
 
 use std::fmt::Write;
-use std::path::Path;
+use std::fs::File;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use ihd_gate::{Examination, Gate, HalfCycleVerdict, MethodResult};
@@ -138,8 +139,9 @@ impl<'a> ReportedCapture<'a> {
         }
     }
 
-    /// Outcomes as text: a table per stretch, then the findings on each result.
-    pub fn text(&self) -> String {
+    /// Outcomes as text: a table per stretch, then the findings on each result. Of a capture in parts the pooled law is that of all
+    /// parts, and a half-cycle of which a cut left nothing to see is none.
+    pub fn text(&self, in_parts: bool) -> String {
         let Examination {
             survey, segments, ..
         } = self.examined;
@@ -159,30 +161,35 @@ impl<'a> ReportedCapture<'a> {
             let outcomes: Vec<_> = outcomes.filter(|(o, _)| o.segment == index).collect();
             out.push_str(&stretch(segment, &outcomes));
             for (outcome, _) in outcomes {
-                findings_text(outcome, self.examined, &mut out);
+                findings_text(outcome, self.examined, in_parts, &mut out);
             }
-            if let Some(law) = self.law(index) {
-                out.push_str(&pooled(law));
+            if let (Some(law), false) = (self.law(index), in_parts) {
+                let _ = write!(
+                    out,
+                    "pooled over the stretch's half-cycles:\n{}",
+                    pooled(law)
+                );
             }
-        }
-        match (self.capture.metadata.get("calibration"), survey.skew_note()) {
-            (Some(calibration), _) => {
-                let _ = writeln!(out, "calibrated: {calibration}");
-            }
-            // The correction was reported instead.
-            (None, Some(_)) if self.self_calibrated() => {}
-            (None, Some(note)) => {
-                let _ = writeln!(out, "not calibrated: {note}");
-            }
-            (None, None) => {}
         }
         out
+    }
+
+    /// Line on the sensors' calibration; empty if it was reported already.
+    pub fn calibration_text(&self) -> String {
+        let calibration = self.capture.metadata.get("calibration");
+        match (calibration, self.examined.survey.skew_note()) {
+            (Some(calibration), _) => format!("calibrated: {calibration}\n"),
+            // The correction was reported instead.
+            (None, Some(_)) if self.self_calibrated() => String::new(),
+            (None, Some(note)) => format!("not calibrated: {note}\n"),
+            (None, None) => String::new(),
+        }
     }
 }
 
 /// A result's notes, its verdict, and findings that are not its reasons; those on the capture and its sensors were printed once for
 /// all methods.
-fn findings_text(outcome: &MethodResult, examined: &Examination, out: &mut String) {
+fn findings_text(outcome: &MethodResult, examined: &Examination, in_parts: bool, out: &mut String) {
     let method = outcome.method;
     match &outcome.result {
         Ok(estimate) => {
@@ -209,7 +216,12 @@ fn findings_text(outcome: &MethodResult, examined: &Examination, out: &mut Strin
     let _ = writeln!(out, "{method}: gate: {}", outcome.judgement.gate);
     let half_cycles = &outcome.judgement.half_cycles;
     let differs = |h: &&HalfCycleVerdict| h.gate.verdict != outcome.judgement.gate.verdict;
-    for half in half_cycles.iter().filter(differs) {
+    let is_cut_off = |h: &&HalfCycleVerdict| in_parts && h.seen == 0.0;
+    for half in half_cycles
+        .iter()
+        .filter(differs)
+        .filter(|h| !is_cut_off(h))
+    {
         let from_ms = half.from_s * 1e3;
         let _ = writeln!(
             out,
@@ -226,39 +238,60 @@ fn found_slice(outcome: &MethodResult, values: fn(&Estimate) -> &Vec<f64>) -> &[
         .map_or(&[], |e| values(e).as_slice())
 }
 
-/// Writes each estimate as a row: method, f_sw, time, R, L, their standard deviations and P/I_rms².
-pub fn write_csv(outcomes: &[MethodResult], path: &Path) -> Result<()> {
-    let cannot = || format!("cannot write {}", path.display());
-    let mut writer = csv::Writer::from_path(path).with_context(cannot)?;
-    let heading = [
-        "method",
-        "f_sw_hz",
-        "t_s",
-        "r_ohm",
-        "l_h",
-        "r_sigma_ohm",
-        "l_sigma_h",
-        "r_power_ohm",
-    ];
-    writer.write_record(heading).with_context(cannot)?;
-    for estimate in outcomes.iter().filter_map(|o| o.result.as_ref().ok()) {
-        for (k, (t, r, l)) in estimate.points().enumerate() {
-            let number = |x: &[f64]| x.get(k).map_or(String::new(), |s| format!("{s:.6e}"));
-            writer
-                .write_record([
-                    estimate.method.name().to_owned(),
-                    format!("{:.3}", estimate.f_sw_hz),
-                    format!("{t:.9}"),
-                    format!("{r:.9e}"),
-                    format!("{l:.9e}"),
-                    number(&estimate.r_sigma_ohm),
-                    number(&estimate.l_sigma_h),
-                    number(&estimate.r_power_ohm),
-                ])
-                .with_context(cannot)?;
-        }
+/// Table of estimates in a file: method, f_sw, time, R, L, their standard deviations and P/I_rms².
+pub struct CsvTable {
+    path: PathBuf,
+    writer: csv::Writer<File>,
+}
+
+impl CsvTable {
+    /// Creates the file with its heading.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn create(path: &Path) -> Result<Self> {
+        let cannot = || format!("cannot write {}", path.display());
+        let mut writer = csv::Writer::from_path(path).with_context(cannot)?;
+        let heading = [
+            "method",
+            "f_sw_hz",
+            "t_s",
+            "r_ohm",
+            "l_h",
+            "r_sigma_ohm",
+            "l_sigma_h",
+            "r_power_ohm",
+        ];
+        writer.write_record(heading).with_context(cannot)?;
+        let path = path.to_owned();
+        Ok(Self { path, writer })
     }
-    writer.flush().with_context(cannot)
+
+    /// Appends each estimate's points, and hands them to the operating system.
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub fn append(&mut self, outcomes: &[MethodResult]) -> Result<()> {
+        let cannot = || format!("cannot write {}", self.path.display());
+        for estimate in outcomes.iter().filter_map(|o| o.result.as_ref().ok()) {
+            for (k, (t, r, l)) in estimate.points().enumerate() {
+                let number = |x: &[f64]| x.get(k).map_or(String::new(), |s| format!("{s:.6e}"));
+                self.writer
+                    .write_record([
+                        estimate.method.name().to_owned(),
+                        format!("{:.3}", estimate.f_sw_hz),
+                        format!("{t:.9}"),
+                        format!("{r:.9e}"),
+                        format!("{l:.9e}"),
+                        number(&estimate.r_sigma_ohm),
+                        number(&estimate.l_sigma_h),
+                        number(&estimate.r_power_ohm),
+                    ])
+                    .with_context(cannot)?;
+            }
+        }
+        self.writer.flush().with_context(cannot)
+    }
 }
 
 fn stretch(segment: &Segment, outcomes: &[(&MethodResult, &Option<Accuracy>)]) -> String {
@@ -316,8 +349,8 @@ fn stretch(segment: &Segment, outcomes: &[(&MethodResult, &Option<Accuracy>)]) -
 /// Amplitudes in ampere at which the pooled law is printed.
 const PRINTED_A: [f64; 9] = [1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0];
 
-/// Table of the pooled law, up to the largest amplitude.
-fn pooled(law: &PooledLaw) -> String {
+/// Table of a pooled law, up to the largest amplitude.
+pub fn pooled(law: &PooledLaw) -> String {
     let (least_a, most_a) = match &law.i_a[..] {
         [least, .., most] => (*least, *most),
         _ => return String::new(),
@@ -334,24 +367,45 @@ fn pooled(law: &PooledLaw) -> String {
             format!("{:.3}", l.1 * 1e6),
         ]);
     }
-    format!("pooled over the stretch's half-cycles:\n{}", table.render())
+    table.render()
 }
 
 /// Mean square of the current over a switching period around each time, in A²: the weights of means over a half-cycle.
 fn squared_current(segment: &Segment, t_s: &[f64]) -> Vec<f64> {
-    let mut sums = vec![0.0];
-    sums.extend(segment.i_a.iter().scan(0.0, |sum, i| {
-        *sum += i * i;
-        Some(*sum)
-    }));
     let reach = (0.5 * segment.samples_per_period()).ceil() as usize;
     let last = segment.len();
-    let of = |t: &f64| {
+    let range = |t: &f64| {
         let at = (((t - segment.t0_s) / segment.dt_s).max(0.0) as usize).min(last);
-        let (from, to) = (at.saturating_sub(reach), (at + reach).min(last));
-        (sums[to] - sums[from]) / (to - from).max(1) as f64
+        (at.saturating_sub(reach), (at + reach).min(last))
     };
-    t_s.iter().map(of).collect()
+    let ranges: Vec<(usize, usize)> = t_s.iter().map(range).collect();
+    let mut ends: Vec<usize> = ranges.iter().flat_map(|r| [r.0, r.1]).collect();
+    ends.sort_unstable();
+    ends.dedup();
+    let sums = square_sums(segment, &ends);
+    let sum_to = |end: usize| ends.binary_search(&end).map_or(0.0, |k| sums[k]);
+    let mean = |(from, to): (usize, usize)| (sum_to(to) - sum_to(from)) / (to - from).max(1) as f64;
+    ranges.into_iter().map(mean).collect()
+}
+
+/// Samples that are converted to doubles at a time.
+const AT_ONCE: usize = 1 << 15;
+
+/// Sums of the squared current up to each of these indices, which ascend.
+fn square_sums(segment: &Segment, ends: &[usize]) -> Vec<f64> {
+    let (mut out, mut sum, mut buffer) = (Vec::with_capacity(ends.len()), 0.0, Vec::new());
+    for first in (0..=segment.len()).step_by(AT_ONCE) {
+        let block = first..(first + AT_ONCE).min(segment.len());
+        let samples = segment.i_a.block(block, &mut buffer);
+        for k in 0..AT_ONCE {
+            while ends.get(out.len()) == Some(&(first + k)) {
+                out.push(sum);
+            }
+            let Some(i) = samples.get(k) else { break };
+            sum += i * i;
+        }
+    }
+    out
 }
 
 /// Estimate nearest to the middle of the last complete half-cycle: the current's crest.

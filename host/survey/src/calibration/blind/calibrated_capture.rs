@@ -64,7 +64,19 @@ pub fn calibrate<'a>(
     hints: &Hints,
     options: BlindOptions,
 ) -> Result<CalibratedCapture<'a>, SurveyError> {
-    let survey = Survey::of(capture, hints)?;
+    calibrate_surveyed(capture, Survey::of(capture, hints)?, hints, options)
+}
+
+/// Calibrates as [`calibrate`] does a capture that was surveyed with these hints.
+///
+/// # Errors
+/// As [`calibrate`].
+pub fn calibrate_surveyed<'a>(
+    capture: &'a Capture,
+    survey: Survey,
+    hints: &Hints,
+    options: BlindOptions,
+) -> Result<CalibratedCapture<'a>, SurveyError> {
     let sensors = (options.mode != CalibrationMode::Off)
         .then(|| estimate(capture, &survey, options.capacitance_f));
     let correction = match &sensors {

@@ -27,7 +27,9 @@ mod settle;
 #[cfg(test)]
 mod tests;
 
-pub use self::calibrated_capture::{BlindOptions, CalibratedCapture, CalibrationMode, calibrate};
+pub use self::calibrated_capture::{
+    BlindOptions, CalibratedCapture, CalibrationMode, calibrate, calibrate_surveyed,
+};
 pub use self::correction::Correction;
 pub use self::error::BlindError;
 pub use self::estimate::{estimate, estimate_segment};
