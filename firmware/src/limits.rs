@@ -2,7 +2,7 @@
 //! none depends on a lookup. docs/control.md is generated from it.
 //!
 //! Currents go up in steps: what control plans with (70 A), what is corrected within a block (73 A),
-//! what trips (76 A, samples and comparator), what the converter can show (80 A). The same for the coil's voltage (540, 590 and 640 V).
+//! what trips (76 A, the comparator at one crest, samples by three of a block), what the converter can show (80 A). The same for the coil's voltage (540, 590 and 640 V).
 
 use ihd_shared::board;
 use ihd_shared::wire::messages::Configure;
@@ -39,13 +39,13 @@ limits! {
     /// voltage of now and of a mains that has recovered. The rating of 2500 W into a 21 cm pot takes 64 A
     /// at 230 V and 69 A at 180 V.
     PLANNED_CURRENT_MA: u32 = board::PLANNED_CURRENT_MA, "mA";
-    /// A sample of the coil current from here on raises the frequency within a block.
+    /// Crest of the coil current from here on raises the frequency within a block or two: by [`SOFT_PAIRS`].
     SOFT_CURRENT_MA: u32 = board::SOFT_CURRENT_MA, "mA";
-    /// A sample of the coil current, or the comparator, from here on opens both switches.
+    /// Crest of the coil current from here on opens both switches: the comparator at once, [`TRIP_PAIRS`] samples of a block after it.
     TRIP_CURRENT_MA: u32 = board::TRIP_CURRENT_MA, "mA";
     /// Crest of the coil voltage that power control plans with.
     PLANNED_COIL_VOLTAGE_DV: u32 = board::PLANNED_COIL_VOLTAGE_DV, "dV";
-    /// A sample of the coil voltage from here on raises the frequency within a block.
+    /// Crest of the coil voltage from here on raises the frequency within a block or two: by [`SOFT_PAIRS`].
     SOFT_COIL_VOLTAGE_DV: u32 = board::SOFT_COIL_VOLTAGE_DV, "dV";
     /// The lower switch is closed for at least this long before the bridge switches. The bootstrap
     /// capacitor charges with 10 ohm × 1 µF = 10 µs, through a diode that takes its last tenths of a volt
@@ -77,15 +77,23 @@ limits! {
     SAG_FORGOTTEN_MS: u32 = 10_000, "ms";
     /// Reactance above resonance that power control keeps, of the coil's.
     RESONANCE_MARGIN_PERCENT: i64 = 12, "%";
-    /// With less than this within a block, the frequency is raised.
+    /// With less than this for [`SOFT_RESONANCE_SHORTAGE_PERCENT`], the frequency is raised.
     SOFT_RESONANCE_PERCENT: u32 = 4, "%";
+    /// Shortage of reactance that raises the frequency, summed over blocks: a coil in resonance has it after three. Below
+    /// [`SOFT_RESONANCE_FROM_MA`] a block counts by its current squared, as its noise is larger and its harm less.
+    SOFT_RESONANCE_SHORTAGE_PERCENT: i64 = 12, "%·blocks";
+    /// Amplitude of the coil current from which on a block counts in full.
+    SOFT_RESONANCE_FROM_MA: u32 = 16_000, "mA";
     /// Blocks in a row with the estimate below resonance or at its bound that open both switches:
     /// 0.3 to 0.7 ms, more than the estimator takes to settle.
     ESTIMATE_BLOCKS: u8 = 8, "blocks";
     /// Turn-off current that power control keeps, of what the node's charge needs within the dead time.
     TURN_OFF_PERCENT: u32 = 150, "%";
-    /// With less than this within a block, the frequency is raised.
+    /// With less than this for [`SOFT_TURN_OFF_SHORTAGE_MA`], the frequency is raised.
     SOFT_TURN_OFF_PERCENT: u32 = 115, "%";
+    /// Shortage of turn-off current that raises the frequency, summed over blocks for each switch: a current that turns off at zero
+    /// at 325 V has it after six blocks (0.2 to 0.5 ms, at most 36 edges of 1 mJ), one that leads by 26 A after one.
+    SOFT_TURN_OFF_SHORTAGE_MA: i32 = 32_000, "mA·blocks";
     /// Below this bus voltage a hard edge costs less than 7 µJ, and turn-off current is not checked.
     SOFT_SWITCHING_FROM_DV: u16 = 500, "dV";
     /// Least step of the frequency at a soft limit.
@@ -142,6 +150,11 @@ limits! {
     LOST_BLOCKS: u32 = 2, "blocks";
     /// Pairs at the end of the converters' range in a block that mean a broken sensor and not a spike.
     SATURATED_PAIRS: u16 = 16, "pairs";
+    /// Samples beyond a soft limit of current or voltage that act: together, less one a block, so that noise does not. A crest 1 % above
+    /// has six in a block.
+    SOFT_PAIRS: u16 = 3, "pairs";
+    /// Samples of a block beyond the trip level that trip. A crest 1 % above has five; the comparator needs none of them.
+    TRIP_PAIRS: u16 = 3, "pairs";
     /// Without a zero crossing for so long the mains is gone.
     MAINS_LOST_NS: u32 = 30_000_000, "ns";
     /// A zero crossing sooner than this after the last one is an echo of it.

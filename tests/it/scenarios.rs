@@ -35,6 +35,7 @@ scenarios! {
     lift { lift shift }
     link { pots stop_at_crest trip_at_crest unsuitable }
     mains { low_then_high short_swell }
+    noise { snr_20 snr_25 snr_30 }
     objects { refused smallest }
     panel { host_silent key_lock levels off_wins }
     plausibility { dead_comparator gains mains_hz off offsets stuck supply timing unseen }

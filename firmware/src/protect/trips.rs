@@ -11,9 +11,8 @@ use crate::estimate::tank::resonant_inductance;
 use crate::fixed::Complex;
 use crate::limits::{
     BUS_SURGE_NS, BUS_TRIP_DV, ESTIMATE_BLOCKS, FROZEN_BLOCKS, LOST_BLOCKS, MAINS_LOST_NS,
-    SATURATED_PAIRS,
+    SATURATED_PAIRS, TRIP_PAIRS,
 };
-use crate::sense::codes::TRIP_CODE;
 use crate::sense::correlation::BlockSums;
 
 /// Checks that need memory.
@@ -81,7 +80,7 @@ impl TripChecks {
         let over_voltage = bus_dv >= BUS_TRIP_DV && (switching || self.surge_ns > BUS_SURGE_NS);
         if sums.saturated >= SATURATED_PAIRS {
             Some(Fault::SENSOR_SATURATED)
-        } else if sums.i_peak >= TRIP_CODE {
+        } else if sums.i_beyond >= TRIP_PAIRS {
             Some(Fault::OVER_CURRENT)
         } else if over_voltage {
             Some(Fault::BUS_OVER_VOLTAGE)
@@ -150,7 +149,11 @@ mod tests {
             TripChecks::default().check_block(&sums, bus, lost, 60_000, false, true)
         };
         let current = BlockSums {
-            i_peak: TRIP_CODE,
+            i_beyond: TRIP_PAIRS,
+            ..quiet()
+        };
+        let spikes = BlockSums {
+            i_beyond: TRIP_PAIRS - 1,
             ..quiet()
         };
         let saturated = BlockSums {
@@ -158,6 +161,7 @@ mod tests {
             ..current
         };
         assert_eq!(check(quiet(), 3_300, 0), None);
+        assert_eq!(check(spikes, 0, 0), None);
         assert_eq!(check(current, 0, 0), Some(Fault::OVER_CURRENT));
         assert_eq!(check(saturated, 0, 0), Some(Fault::SENSOR_SATURATED));
         assert_eq!(

@@ -108,6 +108,7 @@ impl SamplingPath {
         self.clock.set_frequency(Drive::OFF.f_sw_hz);
         self.demodulator = Demodulator::new(Drive::OFF.f_sw_hz);
         self.ekf = Ekf::new(Drive::OFF.f_sw_hz, r, l, Noise::TUNED);
+        self.protection.set_frequency(Drive::OFF.f_sw_hz);
     }
 
     /// Takes one block from the ADC; returns the drive from the next block on. In
@@ -446,6 +447,7 @@ impl SamplingPath {
 mod tests {
     use super::*;
     use crate::drive::bridge::Bridge;
+    use crate::estimate::tank::resonant_inductance;
     use crate::limits::BOOTSTRAP_CHARGE_NS;
     use std::boxed::Box;
     use std::vec::Vec;
@@ -515,6 +517,17 @@ mod tests {
             assert!(lower_on <= HALF_CYCLE + 27, "{lower_on}");
             assert_eq!((asked_at + lower_on + 1) % HALF_CYCLE, 0);
         }
+    }
+
+    /// The first drive has the frequency of off, so that no change of it sets the resonant inductance.
+    #[test]
+    fn resonance_is_checked_from_the_first_start_on() {
+        let mut board = Board::new();
+        let l_min = board.realtime.protection.l_min();
+        assert_eq!(l_min, resonant_inductance(Drive::OFF.f_sw_hz));
+        board.realtime.request(Drive::switching(Drive::OFF.f_sw_hz));
+        board.run(2 * HALF_CYCLE);
+        assert_eq!(board.realtime.protection.l_min(), l_min);
     }
 
     #[test]

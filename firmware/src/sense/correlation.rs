@@ -11,7 +11,7 @@ use core::hint::black_box;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_MAX, CODE_MIN, Pair};
 
 use crate::fixed::Complex;
-use crate::sense::codes::{SOFT_CURRENT_CODE, SOFT_VOLTAGE_CODE};
+use crate::sense::codes::{SOFT_CURRENT_CODE, SOFT_VOLTAGE_CODE, TRIP_CODE};
 
 /// Fractional bits of the heterodyne table. 14, because 61 · 2^11 · 2^14 still fits an i32.
 pub const TABLE_BITS: u32 = 14;
@@ -99,9 +99,13 @@ pub struct BlockSums {
     pub i: Complex,
     /// Σ v·i in codes squared: mean power times pairs, all harmonics included.
     pub vi: i64,
-    /// Largest magnitude of a current code, where one reaches its soft limit; else 0.
-    pub i_peak: u16,
-    /// The same of the voltage.
+    /// Pairs whose current reaches its soft limit.
+    pub i_above: u16,
+    /// Pairs whose current reaches its trip level.
+    pub i_beyond: u16,
+    /// Pairs whose voltage reaches its soft limit.
+    pub v_above: u16,
+    /// Largest magnitude of a voltage code, where one reaches its soft limit; else 0.
     pub v_peak: u16,
     /// Pairs at the end of either channel's range.
     pub saturated: u16,
@@ -177,24 +181,22 @@ fn power_and_alarm(words: &[u32; ADC_LOCK_P]) -> (i32, bool) {
     (vi, alarm & SIGNS != 0)
 }
 
-/// Peak and saturated pairs, exactly. Codes that no 12-bit converter gives, which only a replay can
+/// Pairs beyond the limits, the voltage's peak and saturated pairs, exactly. Codes that no 12-bit converter gives, which only a replay can
 /// hold, come here too: their products may not fit the sum above.
 #[cold]
 #[inline(never)]
 fn find_peaks(pairs: &[Pair; ADC_LOCK_P], s: &mut BlockSums) {
     s.vi = 0;
-    let (mut v_peak, mut i_peak) = (0, 0);
     for pair in pairs {
         s.vi += i64::from(i32::from(pair.v) * i32::from(pair.i));
-        v_peak = pair.v.unsigned_abs().max(v_peak);
-        i_peak = pair.i.unsigned_abs().max(i_peak);
+        let (v, i) = (pair.v.unsigned_abs(), pair.i.unsigned_abs());
+        s.i_above += u16::from(i >= SOFT_CURRENT_CODE);
+        s.i_beyond += u16::from(i >= TRIP_CODE);
+        if v >= SOFT_VOLTAGE_CODE {
+            s.v_above += 1;
+            s.v_peak = s.v_peak.max(v);
+        }
         s.saturated += u16::from(pair.is_saturated());
-    }
-    if v_peak >= SOFT_VOLTAGE_CODE {
-        s.v_peak = v_peak;
-    }
-    if i_peak >= SOFT_CURRENT_CODE {
-        s.i_peak = i_peak;
     }
 }
 
@@ -225,7 +227,10 @@ mod tests {
                         let peak = code.unsigned_abs();
                         if peak >= limit { peak } else { 0 }
                     };
-                    assert_eq!(s.i_peak, from(pair.i, SOFT_CURRENT_CODE), "{pair:?}");
+                    let count = |code, limit| u16::from(from(code, limit) > 0);
+                    assert_eq!(s.i_above, count(pair.i, SOFT_CURRENT_CODE), "{pair:?}");
+                    assert_eq!(s.i_beyond, count(pair.i, TRIP_CODE), "{pair:?}");
+                    assert_eq!(s.v_above, count(pair.v, SOFT_VOLTAGE_CODE), "{pair:?}");
                     assert_eq!(s.v_peak, from(pair.v, SOFT_VOLTAGE_CODE), "{pair:?}");
                     assert_eq!(s.vi, i64::from(i32::from(pair.v) * i32::from(pair.i)));
                 }

@@ -299,7 +299,7 @@ mod tests {
         }; ADC_LOCK_P];
         let s = correlate(&rails);
         assert_eq!(usize::from(s.saturated), ADC_LOCK_P);
-        assert_eq!(s.i_peak, 2048);
+        assert_eq!(usize::from(s.i_beyond), ADC_LOCK_P);
         let square: [Pair; ADC_LOCK_P] = core::array::from_fn(|n| {
             let code = if (ADC_LOCK_Q as f64 * n as f64 / ADC_LOCK_P as f64 * std::f64::consts::TAU)
                 .cos()
