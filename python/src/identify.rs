@@ -1,6 +1,6 @@
 //! Identification: `ihd_gate::examine` on a capture, as `ihd identify` calls it.
 
-use ihd_gate::{ExamineOptions, Judgement, MethodResult, Reconstruct, Verdict, examine};
+use ihd_gate::{ExamineOptions, Judgement, MethodResult, Reconstruct, Verdict, examine_taking};
 use ihd_identify::pooled::PooledLaw;
 use ihd_identify::{Estimate, IdentifyOptions, Method};
 use ihd_signal::{Remark, Segment, Severity};
@@ -207,7 +207,7 @@ pub fn identify(
         mode: mode(self_calibrate)?,
         capacitance_f: capacitance,
     };
-    let samples = capture.get().to_signal(py)?;
+    let mut samples = capture.get().to_signal(py)?;
     let examined = py.detach(|| {
         let request = ExamineOptions {
             hints,
@@ -216,7 +216,7 @@ pub fn identify(
             settings: &settings,
             reconstruct: Reconstruct::Errors,
         };
-        examine(&samples, &request, &mut |_, _, _| ())
+        examine_taking(&mut samples, &request, &mut |_, _, _| ())
     });
     let failed = |error: ihd_survey::SurveyError| IdentifyError::new_err(error.to_string());
     let examined = examined.map_err(failed)?;
