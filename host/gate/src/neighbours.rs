@@ -4,7 +4,7 @@ use ihd_identify::{IdentifyOptions, Method, run};
 use ihd_signal::{Capture, Remark, Segment};
 use ihd_survey::{Finding, Hints, Survey, SurveyError};
 
-use crate::interference::{self, Tone};
+use crate::interference::{self, Interference, Tone};
 
 /// Capture without the tones of other hobs.
 #[derive(Clone, Debug)]
@@ -27,7 +27,16 @@ impl WithoutNeighbours {
     }
 }
 
-/// Removes the tones of other hobs from a surveyed capture; `None` if there are none.
+/// Interference in each span of a survey, or the capture without it.
+#[derive(Clone, Debug)]
+pub enum Neighbours {
+    /// No tone that costs anything: the capture stays as it is. One entry a span.
+    Absent(Vec<Interference>),
+    /// Tones were removed.
+    Removed(Box<WithoutNeighbours>),
+}
+
+/// Removes the tones of other hobs from a surveyed capture.
 ///
 /// # Errors
 /// [`SurveyError`] if the capture holds nothing that can be identified without them.
@@ -35,31 +44,37 @@ pub fn remove(
     capture: &Capture,
     survey: &Survey,
     hints: &Hints,
-) -> Result<Option<WithoutNeighbours>, SurveyError> {
+) -> Result<Neighbours, SurveyError> {
     // Exchanged channels have no impedance, a dead one no tone.
     let unfit = |f: &Finding| matches!(f, Finding::Swapped { .. } | Finding::Dead { .. });
     if survey.findings.iter().any(unfit) {
-        return Ok(None);
+        return Ok(Neighbours::Absent(Vec::new()));
     }
-    let Some(removed) = remove_from(capture, survey) else {
-        return Ok(None);
+    let removed = match remove_from(capture, survey) {
+        Neighbours::Removed(removed) => removed,
+        absent => return Ok(absent),
     };
     // A tone may have looked like a step of the frequency; without it the stretches are longer, and show it better.
     let again = Survey::of(&removed.capture, hints)?;
     if again.spans.len() == survey.spans.len() {
-        return Ok(Some(removed));
+        return Ok(Neighbours::Removed(removed));
     }
-    Ok(remove_from(capture, &again).or(Some(removed)))
+    Ok(match remove_from(capture, &again) {
+        Neighbours::Absent(_) => Neighbours::Removed(removed),
+        removed_again => removed_again,
+    })
 }
 
 /// Removes the tones that the spans of a survey show.
-fn remove_from(capture: &Capture, survey: &Survey) -> Option<WithoutNeighbours> {
+fn remove_from(capture: &Capture, survey: &Survey) -> Neighbours {
     let settings = IdentifyOptions::default();
     let mut out: Option<WithoutNeighbours> = None;
+    let mut all = Vec::with_capacity(survey.spans.len());
     for span in &survey.spans {
         let segment = survey.segment(capture, span);
         let found = interference::find(&segment);
         let tones: Vec<Tone> = found.neighbours().cloned().collect();
+        all.push(found);
         if tones.is_empty() {
             continue;
         }
@@ -85,5 +100,7 @@ fn remove_from(capture: &Capture, survey: &Survey) -> Option<WithoutNeighbours> 
         }
         out.remarks.push((span.t0_s, span.end_s(), remark));
     }
-    out
+    out.map_or(Neighbours::Absent(all), |out| {
+        Neighbours::Removed(Box::new(out))
+    })
 }

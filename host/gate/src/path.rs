@@ -13,7 +13,7 @@ use ihd_survey::{Hints, Survey, SurveyError};
 
 use crate::comparison;
 use crate::judge::{Evidence, judge, judge_failure};
-use crate::neighbours;
+use crate::neighbours::{self, Neighbours};
 use crate::reference::Reference;
 use crate::remarks;
 use crate::sensors::{CorrectionUncertainty, calibrate};
@@ -116,10 +116,14 @@ fn examine_samples(
     progress: &mut OnProgress<'_>,
 ) -> Result<Examination, SurveyError> {
     let mut survey = Survey::of(&capture, &request.hints)?;
-    let mut removed = neighbours::remove(&capture, &survey, &request.hints)?;
-    if let Some(removed) = &mut removed {
-        capture = Cow::Owned(std::mem::take(&mut removed.capture));
-        survey = Survey::of(&capture, &request.hints)?;
+    let (mut removed, mut interference) = (None, Vec::new());
+    match neighbours::remove(&capture, &survey, &request.hints)? {
+        Neighbours::Absent(of_spans) => interference = of_spans,
+        Neighbours::Removed(mut without) => {
+            capture = Cow::Owned(std::mem::take(&mut without.capture));
+            survey = Survey::of(&capture, &request.hints)?;
+            removed = Some(without);
+        }
     }
     // What is left of a tone would be taken for a fault of the sensors.
     let mode = match removed {
@@ -132,6 +136,10 @@ fn examine_samples(
     };
     let calibrated = calibrate(&capture, survey, &request.hints, sensors)?;
     let sensors = calibrated.remarks();
+    if calibrated.correction.is_some() {
+        // Corrected samples have another residual.
+        interference.clear();
+    }
     let uncertainty = match (&calibrated.correction, &calibrated.sensors) {
         (Some(_), Some(Ok(sensors))) => Some(CorrectionUncertainty::of(sensors)),
         _ => None,
@@ -155,7 +163,8 @@ fn examine_samples(
         let load = survey.spans.get(index).and_then(|span| span.load);
         remarks.extend(uncertainty.and_then(|u| u.remark(segment, load)));
         remarks.extend(removed.iter().flat_map(|r| r.remarks_on(segment)).cloned());
-        let reference = Reference::compute(segment);
+        let known = interference.get_mut(index).map(std::mem::take);
+        let reference = Reference::compute_with(segment, known);
         let of_segment = is_law(&reference).then(|| PoolPhasors::of(segment));
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
         phasors.extend(of_segment);

@@ -40,6 +40,11 @@ impl Reference {
 
     /// Computes the reference results of a segment.
     pub fn compute(segment: &Segment) -> Self {
+        Self::compute_with(segment, None)
+    }
+
+    /// Computes the reference results of a segment, of which the interference may be known already.
+    pub fn compute_with(segment: &Segment, known: Option<Interference>) -> Self {
         let settings = IdentifyOptions::default();
         let preprocessing = Preprocessing::new(segment);
         let by = |method: Method| match &preprocessing {
@@ -48,7 +53,7 @@ impl Reference {
         };
         let least_squares = by(Method::LeastSquares);
         let found = match &least_squares {
-            Ok(_) => interference::find(segment),
+            Ok(_) => known.unwrap_or_else(|| interference::find(segment)),
             Err(_) => Interference::default(),
         };
         let mut remarks: Vec<Remark> = found.law_remark(segment).into_iter().collect();
