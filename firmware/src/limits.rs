@@ -135,13 +135,17 @@ limits! {
     /// Waiting for a pot ends after this, unless the host sets another time, 60 to 600 s.
     GIVE_UP_MS: u32 = Configure::DEFAULT.give_up_s as u32 * 1_000, "ms";
     /// Starts again after trips before the lock-out.
-    TRIES: u8 = 3, "tries";
-    /// Pause before the first of them; each further one is twice as long.
-    FIRST_PAUSE_MS: u32 = 1_000, "ms";
+    TRIES: u8 = 4, "tries";
+    /// Pause before the first of them: a mains that jumped, or a sensor that was wrong for a moment. The link's surge is down by then.
+    QUICK_PAUSE_MS: u32 = 100, "ms";
+    /// Pause before the second; each further one is twice as long.
+    SECOND_PAUSE_MS: u32 = 1_000, "ms";
     /// Pause after a fault of the mains, or one that lasts as long as its cause; it counts no try.
-    MAINS_PAUSE_MS: u32 = 300, "ms";
-    /// Heating without a trip for so long gives all tries back.
-    GOOD_RUN_MS: u32 = 30_000, "ms";
+    MAINS_PAUSE_MS: u32 = 200, "ms";
+    /// Heating without a trip for so long gives a try back.
+    GOOD_RUN_MS: u32 = 5_000, "ms";
+    /// Above the frequency at which a trip opened the bridge: so much higher is where the search of the next start begins.
+    RESUME_ABOVE_PERCENT: u32 = 15, "%";
     /// Power within a burst, at least.
     BURST_POWER_W: u16 = 720, "W";
     /// From one burst to the next: ten seconds have a whole number of them.

@@ -17,7 +17,7 @@ use crate::drive::bridge::Drive;
 use crate::drive::pwm;
 use crate::limits::{
     BUS_MIN_DV, BUS_TRIP_DV, COMPARED_FROM_DV, GIVE_UP_MS, HALF_CYCLE_MAX_NS, HALF_CYCLE_MIN_NS,
-    POT_CURRENT_MIN_MA, UNJUDGED_MS,
+    POT_CURRENT_MIN_MA, RESUME_ABOVE_PERCENT, UNJUDGED_MS,
 };
 use crate::retained::control::RetainedControl;
 use crate::sampling::half_cycle::HalfCycle;
@@ -71,6 +71,8 @@ pub struct Control {
     give_up_ms: u32,
     /// The fault that control has reacted to.
     seen_fault: Fault,
+    /// A fault interrupted heating: the pot is probably the same.
+    resumes: bool,
 }
 
 impl Default for Control {
@@ -83,6 +85,7 @@ impl Default for Control {
             dark_probes: 0,
             give_up_ms: GIVE_UP_MS,
             seen_fault: Fault::NONE,
+            resumes: false,
         }
     }
 }
@@ -365,6 +368,11 @@ impl Control {
     fn tripped(&mut self, status: &SamplingStatus) {
         self.good_half_cycles = 0;
         self.plausibility.reset();
+        if let ControlState::Heating(_) = self.state {
+            self.resumes = true;
+            let above = 100 + RESUME_ABOVE_PERCENT;
+            self.parts.power.pause(self.parts.heated_hz * above / 100);
+        }
         // A recording costs no try, as no power flows, and ends no lock-out.
         let locked_out = self.parts.restart.is_locked_out()
             || (!status.replaying
@@ -398,7 +406,9 @@ impl Control {
         {
             return Action::Keep;
         }
-        self.parts.power.restart();
+        if !core::mem::take(&mut self.resumes) {
+            self.parts.power.restart();
+        }
         self.enter(ControlState::Probing {
             judged_ms: status.now_ms,
         });

@@ -3,16 +3,18 @@
 //! | class of fault (ihd_shared::fault) | what follows |
 //! |---|---|
 //! | mains, or a condition that passes | a short pause, then again, as often as it takes |
-//! | trip | a pause that doubles each time, [`TRIES`] times, then lock-out |
+//! | trip | a short pause, then some that double each time, [`TRIES`] in all, then lock-out |
 //! | the controller itself | lock-out at once |
 //!
 //! Every start passes [`RestartPolicy::permits`], from panel and host alike. A lock-out ends when a person switches off
 //! and on at the panel, or takes the mains away; nothing that comes over the link ends it, brings a
-//! try back or makes a pause shorter, a reset included ([`crate::retained::control`]). Thirty seconds of heating without a trip give the tries back.
+//! try back or makes a pause shorter, a reset included ([`crate::retained::control`]). Each five seconds of heating without a trip give a try back.
 
 use ihd_shared::fault::{Fault, RestartClass};
 
-use crate::limits::{FIRST_PAUSE_MS, GOOD_RUN_MS, MAINS_PAUSE_MS, QUICK_PROBE_MS, TRIES};
+use crate::limits::{
+    GOOD_RUN_MS, MAINS_PAUSE_MS, QUICK_PAUSE_MS, QUICK_PROBE_MS, SECOND_PAUSE_MS, TRIES,
+};
 
 /// Consequence of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,7 +44,7 @@ impl RestartPolicy {
             ..Self::default()
         };
         if let Some(last_try) = restored.tries_used.checked_sub(1) {
-            restored.not_before(now_ms, FIRST_PAUSE_MS << last_try);
+            restored.not_before(now_ms, pause_ms(last_try));
         }
         restored
     }
@@ -67,7 +69,7 @@ impl RestartPolicy {
         match fault.class() {
             RestartClass::Passing => self.not_before(now_ms, MAINS_PAUSE_MS),
             RestartClass::Trip if self.tries_used < TRIES => {
-                self.not_before(now_ms, FIRST_PAUSE_MS << self.tries_used);
+                self.not_before(now_ms, pause_ms(self.tries_used));
                 self.tries_used += 1;
             }
             RestartClass::Trip | RestartClass::Standing => self.locked_out = true,
@@ -83,7 +85,8 @@ impl RestartPolicy {
     pub fn heating(&mut self, now_ms: u32) {
         let since = *self.heating_since_ms.get_or_insert(now_ms);
         if now_ms.wrapping_sub(since) >= GOOD_RUN_MS {
-            self.tries_used = 0;
+            self.tries_used = self.tries_used.saturating_sub(1);
+            self.heating_since_ms = Some(now_ms);
         }
     }
 
@@ -128,6 +131,14 @@ impl RestartPolicy {
     }
 }
 
+/// Pause before a try, the first being 0.
+fn pause_ms(tries_used: u8) -> u32 {
+    match tries_used.checked_sub(1) {
+        None => QUICK_PAUSE_MS,
+        Some(later) => SECOND_PAUSE_MS << later,
+    }
+}
+
 /// Returns `true` if a time has come; the clock wraps after 49 days.
 pub(crate) fn is_reached(now_ms: u32, at_ms: u32) -> bool {
     now_ms.wrapping_sub(at_ms) < 1 << 31
@@ -145,10 +156,10 @@ mod tests {
     }
 
     #[test]
-    fn three_tries_with_growing_pauses_then_nothing() {
+    fn four_tries_with_growing_pauses_then_nothing() {
         let mut restart = RestartPolicy::default();
-        let mut now_ms = u32::MAX - 2_500;
-        for pause_ms in [1_000, 2_000, 4_000] {
+        let mut now_ms = u32::MAX - 1_500;
+        for pause_ms in [100, 1_000, 2_000, 4_000] {
             assert_eq!(
                 restart.tripped(Fault::OVER_CURRENT, now_ms),
                 RestartVerdict::Pause
@@ -166,15 +177,35 @@ mod tests {
     }
 
     #[test]
-    fn a_good_run_gives_the_tries_back_and_a_short_one_does_not() {
+    fn each_good_run_gives_a_try_back_and_a_short_one_does_not() {
         let mut restart = RestartPolicy::default();
         restart.tripped(Fault::OVER_CURRENT, 0);
+        restart.tripped(Fault::OVER_CURRENT, 500);
         for now_ms in (1_000..1_000 + GOOD_RUN_MS).step_by(10) {
             restart.heating(now_ms);
         }
-        assert_eq!(restart.tries_left(), TRIES - 1);
+        assert_eq!(restart.tries_left(), TRIES - 2);
         restart.heating(1_000 + GOOD_RUN_MS);
+        assert_eq!(restart.tries_left(), TRIES - 1);
+        restart.heating(1_000 + 2 * GOOD_RUN_MS - 1);
+        assert_eq!(restart.tries_left(), TRIES - 1);
+        restart.heating(1_000 + 2 * GOOD_RUN_MS);
         assert_eq!(restart.tries_left(), TRIES);
+    }
+
+    /// A sensor that is wrong for a moment every six seconds never locks out, and is never waited for.
+    #[test]
+    fn rare_trips_cost_a_tenth_of_a_second_each() {
+        let mut restart = RestartPolicy::default();
+        for k in 0..1_000 {
+            let now_ms = k * (GOOD_RUN_MS + 1_000);
+            let verdict = restart.tripped(Fault::SENSOR_OFFSET, now_ms);
+            assert_eq!(verdict, RestartVerdict::Pause);
+            assert_eq!(permitted_after(&mut restart, now_ms), QUICK_PAUSE_MS);
+            for ms in (500..=500 + GOOD_RUN_MS).step_by(10) {
+                restart.heating(now_ms + ms);
+            }
+        }
     }
 
     #[test]
@@ -204,7 +235,10 @@ mod tests {
         let mut restart = RestartPolicy::default();
         restart.tripped(Fault::OVER_CURRENT, 0);
         restart.started(10);
-        assert_eq!(permitted_after(&mut restart, 0), FIRST_PAUSE_MS);
+        assert_eq!(permitted_after(&mut restart, 0), 10 + QUICK_PROBE_MS);
+        restart.tripped(Fault::OVER_CURRENT, 1_000);
+        restart.started(1_010);
+        assert_eq!(permitted_after(&mut restart, 1_000), SECOND_PAUSE_MS);
     }
 
     #[test]

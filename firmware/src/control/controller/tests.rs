@@ -202,9 +202,9 @@ fn switched_off_means_off() {
 }
 
 #[test]
-fn a_trip_is_followed_by_three_tries_and_only_a_person_ends_the_lock_out() {
+fn a_trip_is_followed_by_four_tries_and_only_a_person_ends_the_lock_out() {
     let mut bench = heating();
-    for tries_left in [2, 1, 0] {
+    for tries_left in [3, 2, 1, 0] {
         bench.trip(Fault::OVER_CURRENT);
         bench.run(10);
         assert_eq!(bench.control.state(), State::Pausing);
