@@ -143,7 +143,7 @@ limits! {
     /// Pause after a fault of the mains, or one that lasts as long as its cause; it counts no try.
     MAINS_PAUSE_MS: u32 = 200, "ms";
     /// Heating without a trip for so long gives a try back.
-    GOOD_RUN_MS: u32 = 5_000, "ms";
+    GOOD_RUN_MS: u32 = 10_000, "ms";
     /// Above the frequency at which a trip opened the bridge: so much higher is where the search of the next start begins.
     RESUME_ABOVE_PERCENT: u32 = 15, "%";
     /// Power within a burst, at least.

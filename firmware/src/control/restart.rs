@@ -3,12 +3,13 @@
 //! | class of fault (ihd_shared::fault) | what follows |
 //! |---|---|
 //! | mains, or a condition that passes | a short pause, then again, as often as it takes |
-//! | trip | a short pause, then some that double each time, [`TRIES`] in all, then lock-out |
+//! | trip | a short pause, then a second that doubles each time, [`TRIES`] tries in all, then lock-out |
 //! | the controller itself | lock-out at once |
 //!
 //! Every start passes [`RestartPolicy::permits`], from panel and host alike. A lock-out ends when a person switches off
 //! and on at the panel, or takes the mains away; nothing that comes over the link ends it, brings a
-//! try back or makes a pause shorter, a reset included ([`crate::retained::control`]). Each five seconds of heating without a trip give a try back.
+//! try back or makes a pause shorter, a reset included ([`crate::retained::control`]). Each ten seconds of heating without a trip give a try
+//! back.
 
 use ihd_shared::fault::{Fault, RestartClass};
 
@@ -193,7 +194,7 @@ mod tests {
         assert_eq!(restart.tries_left(), TRIES);
     }
 
-    /// A sensor that is wrong for a moment every six seconds never locks out, and is never waited for.
+    /// A sensor that is wrong for a moment every eleven seconds never locks out, and is never waited for.
     #[test]
     fn rare_trips_cost_a_tenth_of_a_second_each() {
         let mut restart = RestartPolicy::default();
