@@ -1,5 +1,6 @@
 //! The analogue supply and the chip's own reference voltage: what reads by them is right, or nothing is heated.
 
+use ihd_firmware::limits::TRIES;
 use ihd_firmware::sense::codes::TRIP_CODE;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::State;
@@ -57,7 +58,7 @@ fn a_supply_that_drifts_changes_neither_power_nor_trip_and_one_that_is_wrong_is_
         bench.with(|machine| machine.chip().pins.reference_ratio = 1.0);
         bench.run_s(0.45);
         let status = client.status().unwrap();
-        assert_eq!((status.state, status.tries_left), (State::Heating, 3));
+        assert_eq!((status.state, status.tries_left), (State::Heating, TRIES));
     }
     assert_no_violations(&bench);
 }
