@@ -340,6 +340,8 @@ impl Control {
         // A bare board has no sensors, and heats nothing; recordings can be replayed on it.
         let condition = self.parts.condition();
         let is_on = self.parts.request.power_w() > 0;
+        // Switched off meanwhile: the next pot may be another one.
+        self.resumes &= is_on;
         if condition != Fault::NONE && is_on && !status.replaying && status.fault == Fault::NONE {
             return Action::Fault(condition);
         }

@@ -201,6 +201,19 @@ fn switched_off_means_off() {
     }
 }
 
+/// Whoever switches off may put another pot on.
+#[test]
+fn switched_off_after_a_trip_the_next_search_begins_anew() {
+    let mut bench = heating();
+    bench.trip(Fault::OVER_CURRENT);
+    bench.run(1);
+    assert!(bench.control.resumes);
+    bench.ask(0);
+    bench.run(1);
+    bench.ask(1_500);
+    assert!(!bench.control.resumes);
+}
+
 #[test]
 fn a_trip_is_followed_by_four_tries_and_only_a_person_ends_the_lock_out() {
     let mut bench = heating();
