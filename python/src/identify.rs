@@ -220,12 +220,11 @@ pub fn identify(
     });
     let failed = |error: ihd_survey::SurveyError| IdentifyError::new_err(error.to_string());
     let examined = examined.map_err(failed)?;
-    let sensors = examined.sensors.into_iter();
     // Those that the program prints.
-    let shown = |r: &Remark| r.severity > Severity::Info || r.code == "self_calibrated";
+    let sensors = examined.sensors_to_report().cloned();
     let survey = examined.survey.findings.iter().map(|f| f.remark());
     let survey = survey.filter(|remark| remark.severity > Severity::Info);
-    let remarks = sensors.filter(shown).chain(survey).map(tuple).collect();
+    let remarks = sensors.chain(survey).map(tuple).collect();
     let outcomes = examined.outcomes.into_iter();
     let (segments, laws) = (&examined.segments, &examined.pooled);
     let outcomes = outcomes.map(|result| Outcome::new(py, result, segments, laws));

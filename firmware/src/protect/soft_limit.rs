@@ -335,7 +335,7 @@ mod tests {
         assert_eq!(acts(60_000, &block(60e3, 1.0, 60e-6, 4.0, 0.25), 300), None);
     }
 
-    /// Of either switch alone: a current with an offset turns one off late.
+    /// A current with an offset turns one of the switches off late, and its sum alone acts.
     #[test]
     fn each_switch_has_a_sum_of_its_own() {
         for sign in [1.0, -1.0] {

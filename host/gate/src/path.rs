@@ -7,7 +7,7 @@ use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, ProgressSink, accuracy, reconstruction,
     run_with_progress,
 };
-use ihd_signal::{Capture, Remark, Segment};
+use ihd_signal::{Capture, Remark, Segment, Severity};
 use ihd_survey::calibration::blind::{BlindOptions, CalibrationMode};
 use ihd_survey::{Hints, Survey, SurveyError};
 
@@ -78,6 +78,14 @@ pub struct Examination {
     pub phasors: Vec<PoolPhasors>,
     /// Results, segment by segment, and method by method in the order of the options.
     pub outcomes: Vec<MethodResult>,
+}
+
+impl Examination {
+    /// Remarks on the sensors that a user must know: warnings, errors, and a correction that was applied.
+    pub fn sensors_to_report(&self) -> impl Iterator<Item = &Remark> {
+        let reported = |r: &&Remark| r.severity > Severity::Info || r.code == "self_calibrated";
+        self.sensors.iter().filter(reported)
+    }
 }
 
 /// Receives a text on the step that begins, the number of results so far, and their total.

@@ -1,6 +1,6 @@
 //! Results of `ihd identify` on their way out: standard output, tables and figures, part by part.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
@@ -112,25 +112,23 @@ impl<'a> Results<'a> {
 
     /// Prints what a user must know about the part; what an earlier part had is counted.
     fn complain(&mut self, examined: &Examination) {
-        let mut of_part = BTreeMap::new();
+        let mut of_part = BTreeSet::new();
         let mut new = |code, text: String| {
-            of_part.insert(code, 1);
+            of_part.insert(code);
             if !self.found.contains_key(code) {
                 output::complain(format_args!("{text}"));
             }
         };
-        for remark in &examined.sensors {
-            if remark.severity > Severity::Info || remark.code == "self_calibrated" {
-                new(remark.code, remark.to_string());
-            }
+        for remark in examined.sensors_to_report() {
+            new(remark.code, remark.to_string());
         }
         for finding in &examined.survey.findings {
             if finding.severity() > Severity::Info {
                 new(finding.code(), format!("{}: {finding}", finding.severity()));
             }
         }
-        for (code, n) in of_part {
-            *self.found.entry(code).or_insert(0) += n;
+        for code in of_part {
+            *self.found.entry(code).or_insert(0) += 1;
         }
         self.parts += 1;
     }
@@ -210,7 +208,7 @@ fn pooled_text(stretches: &[PoolPhasors]) -> String {
     )
 }
 
-/// What a figure shows: R and L of all parts, waveforms of the one with the longest segment.
+/// Contents of a figure: R and L of all parts, waveforms of the one with the longest segment.
 #[derive(Default)]
 struct Figure {
     name: String,
