@@ -5,6 +5,7 @@
 //! what trips (76 A, the comparator at one crest, samples by three of a block), what the converter can show (80 A). The same for the coil's voltage (540, 590 and 640 V).
 
 use ihd_shared::board;
+use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::Configure;
 
 /// A row of the table.
@@ -214,8 +215,53 @@ limits! {
     FAN_ON_C: i16 = 50, "°C";
     /// Heat sink below which it stops.
     FAN_OFF_C: i16 = 42, "°C";
+    /// Off for so long gives a used-up time without a touch of the panel back.
+    REST_MIN: u16 = 60, "min";
+    /// Glass from which it is shown as hot.
+    GLASS_HOT_C: i16 = 60, "°C";
+    /// Glass below which it is no longer.
+    GLASS_COOL_C: i16 = 50, "°C";
     /// Largest dither of the switching frequency that can be set.
     DITHER_MAX_PERMILLE: u8 = *Configure::DITHER_PERMILLE.end(), "permille";
+}
+
+/// A level of the panel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Level {
+    /// Power, in watt.
+    pub power_w: u16,
+    /// Time at this level after which the hob switches off, unless somebody touches the panel, in minutes.
+    pub unattended_min: u16,
+}
+
+/// Levels 1 to 9.
+pub const LEVELS: [Level; 9] = {
+    const fn level(power_w: u16, unattended_min: u16) -> Level {
+        Level {
+            power_w,
+            unattended_min,
+        }
+    }
+    [
+        level(100, 600),
+        level(200, 480),
+        level(350, 360),
+        level(500, 300),
+        level(700, 240),
+        level(1_000, 180),
+        level(1_400, 120),
+        level(1_900, 90),
+        level(RATED_POWER_W, 60),
+    ]
+};
+
+impl Level {
+    /// The lowest level with at least this power; `None` for 0 W.
+    pub fn of_power(power_w: u16) -> Option<Self> {
+        let [.., highest] = LEVELS;
+        let level = LEVELS.into_iter().find(|level| power_w <= level.power_w);
+        (power_w > 0).then_some(level.unwrap_or(highest))
+    }
 }
 
 // The steps of each quantity are in order; those of the board's file are checked with it (boards/src/order.rs).

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use ihd_firmware::limits::TABLE;
+use ihd_firmware::limits::{LEVELS, TABLE};
 
 use super::document;
 
@@ -18,6 +18,24 @@ fn table() -> String {
         );
     }
     text
+}
+
+fn levels() -> String {
+    let mut text = String::from("| level | power, W | off after, min |\n|---|---:|---:|\n");
+    for (level, row) in (1..).zip(LEVELS) {
+        let _ = writeln!(
+            text,
+            "| {level} | {} | {} |",
+            row.power_w, row.unattended_min
+        );
+    }
+    text
+}
+
+#[test]
+fn the_document_holds_the_panels_levels() {
+    let command = "cargo test -p ihd-tests control_doc";
+    document::hold("control.md", "levels", &levels(), command);
 }
 
 #[test]

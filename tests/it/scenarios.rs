@@ -43,7 +43,8 @@ scenarios! {
     restart { doubled host_clears host_repeats lookups person tries }
     sags { dip dropout swell }
     steps { dither steps taught }
-    temperatures { derating over sensors }
+    temperatures { derating glass over sensors }
+    unattended { host level touch }
     zvs { powers }
 }
 

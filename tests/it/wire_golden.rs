@@ -16,11 +16,11 @@ use ihd_shared::wire::hello::MAGIC;
 use ihd_shared::wire::messages::{
     AnyMessage, Board, Channels, ClearFault, Clocks, Comparators, Configure, FaultEvent, FrontEnd,
     GetBoard, GetFrontEnd, GetStatus, GetUtilisation, Hello, Limit, LinkData, LinkTested, Log,
-    LookupBlob, MESSAGES, Message, Outcome, Piece, Pot, Program, PushLookup, Raw, ReadLookup,
-    ReplayBlocks, ReplayEnd, ReplayEstimates, ReplayMode, ReplayStart, Reply, ResendWindow,
-    ResetLookup, Restart, SCHEMA_HASH, SetPower, State, Status, Stream, StreamLog, Telemetry,
-    TestChannels, TestClocks, TestComparators, TestLink, TrajectoryChunk, Utilisation, WindowChunk,
-    WindowEnd, WindowGone, WindowStart, is_numbered,
+    LookupBlob, MESSAGES, Message, OffReason, Outcome, Piece, Pot, Program, PushLookup, Raw,
+    ReadLookup, ReplayBlocks, ReplayEnd, ReplayEstimates, ReplayMode, ReplayStart, Reply,
+    ResendWindow, ResetLookup, Restart, SCHEMA_HASH, SetPower, State, Status, Stream, StreamLog,
+    Telemetry, TestChannels, TestClocks, TestComparators, TestLink, TrajectoryChunk, Utilisation,
+    WindowChunk, WindowEnd, WindowGone, WindowStart, is_numbered,
 };
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
@@ -288,6 +288,8 @@ fn status() -> Status {
         fan: true,
         panel_level: 8,
         key_locked: true,
+        off_reason: OffReason::Unattended,
+        glass_hot: true,
     }
 }
 
@@ -311,6 +313,8 @@ fn telemetry() -> Telemetry {
         bus_peak_dv: 3_251,
         v_coil_peak_dv: 5_432,
         i_turn_off_min_ma: -1_250,
+        off_reason: OffReason::NoPot,
+        glass_hot: true,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use ihd_shared::fault::{Fault, RestartClass};
 use ihd_shared::lookup::RlLookup;
-use ihd_shared::wire::messages::{Limit, Pot, State};
+use ihd_shared::wire::messages::{Limit, OffReason, Pot, State};
 
 use crate::control::heating::{Heating, HeatingStep};
 use crate::control::parts::ControlParts;
@@ -12,6 +12,7 @@ use crate::control::request::{PanelEvent, PanelResult, PowerRequest};
 use crate::control::restart::{RestartPolicy, RestartVerdict};
 use crate::control::status::{Action, SamplingStatus};
 use crate::control::temperature::{TemperatureCodes, Temperatures};
+use crate::control::unattended::Unattended;
 use crate::control::waiting::Waiting;
 use crate::drive::bridge::Drive;
 use crate::drive::pwm;
@@ -73,6 +74,7 @@ pub struct Control {
     seen_fault: Fault,
     /// A fault interrupted heating: the pot is probably the same.
     resumes: bool,
+    off_reason: OffReason,
 }
 
 impl Default for Control {
@@ -86,6 +88,7 @@ impl Default for Control {
             give_up_ms: GIVE_UP_MS,
             seen_fault: Fault::NONE,
             resumes: false,
+            off_reason: OffReason::None,
         }
     }
 }
@@ -119,6 +122,11 @@ impl Control {
         }
     }
 
+    /// Reason for which the hob has switched itself off.
+    pub fn off_reason(&self) -> OffReason {
+        self.off_reason
+    }
+
     /// Panel and host.
     pub fn request(&self) -> &PowerRequest {
         &self.parts.request
@@ -150,12 +158,14 @@ impl Control {
             tries_used: restart.tries_used(),
             panel_off: request.level() == Some(0),
             key_locked: request.is_key_locked(),
+            unattended: self.parts.unattended.used_share(),
         }
     }
 
     /// Goes on with what was kept; a fault that is active then has been seen. To be called once, before anything else.
     pub fn restore(&mut self, kept: RetainedControl, status: &SamplingStatus) {
         self.parts.request = PowerRequest::restored(kept.panel_off, kept.key_locked);
+        self.parts.unattended = Unattended::restored(kept.unattended, status.now_ms);
         let (tries_used, locked_out) = (kept.tries_used, kept.locked_out);
         self.parts.restart = RestartPolicy::restored(tries_used, locked_out, status.now_ms);
         if locked_out {
@@ -184,7 +194,12 @@ impl Control {
 
     /// Takes a touch of the panel.
     pub fn panel(&mut self, event: PanelEvent) -> Action {
-        match self.parts.request.panel(event) {
+        let result = self.parts.request.panel(event);
+        if result != PanelResult::Nothing {
+            self.parts.unattended.touched();
+            self.off_reason = OffReason::None;
+        }
+        match result {
             PanelResult::SwitchedOn if self.parts.restart.is_locked_out() => {
                 self.parts.restart.forgive();
                 self.plausibility.reset();
@@ -210,6 +225,14 @@ impl Control {
     pub fn switch_off(&mut self) -> Action {
         self.parts.request.switch_off();
         self.follow_request()
+    }
+
+    /// Lets time without a touch of the panel pass at once, for simulated hobs.
+    pub fn pass_unattended(&mut self, minutes: u16) {
+        let asked_w = self.parts.request.power_w();
+        for _ in 0..minutes {
+            self.parts.unattended.count(asked_w, 60);
+        }
     }
 
     /// Clears the active fault for the host; power must be requested again. A lock-out stays, and
@@ -339,18 +362,28 @@ impl Control {
         }
         // A bare board has no sensors, and heats nothing; recordings can be replayed on it.
         let condition = self.parts.condition();
-        let is_on = self.parts.request.power_w() > 0;
+        let asked_w = self.parts.request.power_w();
+        let is_on = asked_w > 0;
+        if self.parts.unattended.is_used_up(asked_w, status.now_ms) {
+            self.off_reason = OffReason::Unattended;
+            self.parts.request.switch_off_at_panel();
+            return self.follow_request();
+        }
         // Switched off meanwhile: the next pot may be another one.
         self.resumes &= is_on;
         if condition != Fault::NONE && is_on && !status.replaying && status.fault == Fault::NONE {
             return Action::Fault(condition);
         }
         match &self.state {
-            ControlState::Idle if is_on => self.start(status),
+            ControlState::Idle if is_on => {
+                self.off_reason = OffReason::None;
+                self.start(status)
+            }
             ControlState::Idle | ControlState::LockedOut => Action::Keep,
             ControlState::Pausing => self.end_pause(status),
             ControlState::WaitingForPot(waiting) if !status.requested.is_switching() => {
                 if waiting.is_over(status.now_ms, self.give_up_ms) {
+                    self.off_reason = OffReason::NoPot;
                     self.parts.request.switch_off();
                     self.enter(ControlState::Idle);
                     return Action::Drive(Drive::OFF);

@@ -10,7 +10,7 @@
 //! | LockedOut | tries used up, or a fault of the controller | a person switches off and on |
 //!
 //! 0 W leads from Probing, Heating and WaitingForPot to Idle at once; it comes from panel and host
-//! ([`request`]), from a host that is silent for 10 s, and from replay mode. A fault leads from
+//! ([`request`]), from a host that is silent for 10 s, from replay mode, and from a cooking time that nobody watches ([`unattended`]). A fault leads from
 //! any state to Pausing or LockedOut, as [`restart`] decides, which every start passes too. In
 //! Heating the bridge is off between bursts ([`burst`]).
 //!
@@ -38,4 +38,5 @@ pub mod request;
 pub mod restart;
 pub mod status;
 pub mod temperature;
+pub mod unattended;
 pub mod waiting;

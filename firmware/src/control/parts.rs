@@ -8,6 +8,7 @@ use crate::control::power::PowerControl;
 use crate::control::request::PowerRequest;
 use crate::control::restart::RestartPolicy;
 use crate::control::temperature::Temperatures;
+use crate::control::unattended::Unattended;
 use crate::drive::pwm;
 use crate::limits::SMALL_POT_PERCENT;
 use crate::sense::supply::Supply;
@@ -19,6 +20,8 @@ pub struct ControlParts {
     pub request: PowerRequest,
     /// Tries and pauses.
     pub restart: RestartPolicy,
+    /// Time without a touch of the panel.
+    pub unattended: Unattended,
     /// Heat sink, glass, coil and fan.
     pub temperatures: Temperatures,
     /// The analogue supply.
@@ -36,6 +39,7 @@ impl Default for ControlParts {
         Self {
             request: PowerRequest::default(),
             restart: RestartPolicy::default(),
+            unattended: Unattended::default(),
             temperatures: Temperatures::default(),
             supply: Supply::default(),
             power: PowerControl::default(),

@@ -7,21 +7,7 @@
 //! - The key lock keeps the panel from asking for more; off always works, locked or not.
 //! - Switching on at the panel after switching off there is what a person does to end a lock-out.
 
-use ihd_shared::hob::RATED_POWER_W;
-
-/// Power of the panel's levels 0 to 9, in watt.
-pub const LEVEL_POWER_W: [u16; 10] = [
-    0,
-    100,
-    200,
-    350,
-    500,
-    700,
-    1_000,
-    1_400,
-    1_900,
-    RATED_POWER_W,
-];
+use crate::limits::LEVELS;
 
 /// Touch of the panel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,8 +56,7 @@ impl PowerRequest {
                 PanelResult::Changed
             }
             PanelEvent::Level(0) => {
-                self.level = Some(0);
-                self.host_w = None;
+                self.switch_off_at_panel();
                 PanelResult::Changed
             }
             PanelEvent::Level(_) if self.key_locked => PanelResult::Nothing,
@@ -117,9 +102,15 @@ impl PowerRequest {
         self.level = self.level.filter(|&level| level == 0);
     }
 
+    /// Switches off until somebody touches the panel: a host is refused.
+    pub fn switch_off_at_panel(&mut self) {
+        self.level = Some(0);
+        self.host_w = None;
+    }
+
     /// Requested power, in watt.
     pub fn power_w(&self) -> u16 {
-        let panel_w = self.level.map(|level| LEVEL_POWER_W[usize::from(level)]);
+        let panel_w = self.level.map(level_power_w);
         match (panel_w, self.host_w) {
             (Some(panel_w), Some(host_w)) => panel_w.min(host_w),
             (panel_w, host_w) => panel_w.or(host_w).unwrap_or(0),
@@ -140,6 +131,13 @@ impl PowerRequest {
     pub fn is_key_locked(&self) -> bool {
         self.key_locked
     }
+}
+
+/// Power of a panel's level, in watt; 0 for level 0.
+fn level_power_w(level: u8) -> u16 {
+    let place = usize::from(level).checked_sub(1);
+    let level = place.and_then(|place| LEVELS.get(place));
+    level.map_or(0, |level| level.power_w)
 }
 
 #[cfg(test)]

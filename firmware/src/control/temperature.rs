@@ -8,8 +8,8 @@
 use ihd_shared::fault::Fault;
 
 use crate::limits::{
-    COIL_DERATE_C, COIL_OFF_C, FAN_OFF_C, FAN_ON_C, GLASS_DERATE_C, GLASS_OFF_C, SINK_DERATE_C,
-    SINK_OFF_C,
+    COIL_DERATE_C, COIL_OFF_C, FAN_OFF_C, FAN_ON_C, GLASS_COOL_C, GLASS_DERATE_C, GLASS_HOT_C,
+    GLASS_OFF_C, SINK_DERATE_C, SINK_OFF_C,
 };
 
 /// B of the NTCs, in kelvin.
@@ -45,6 +45,7 @@ pub struct Temperatures {
     coil_c: Option<i16>,
     fault: Fault,
     fan: bool,
+    glass_hot: bool,
 }
 
 impl Temperatures {
@@ -54,6 +55,12 @@ impl Temperatures {
         self.heat_sink_c = self.read(codes.heat_sink, Ntc::Of10K);
         self.glass_c = self.read(codes.glass, Ntc::Of100K);
         self.coil_c = self.read(codes.coil, Ntc::Of100K);
+        self.glass_hot = match self.glass_c {
+            Some(c) if self.glass_hot => c >= GLASS_COOL_C,
+            Some(c) => c >= GLASS_HOT_C,
+            // A sensor that fails, or none, shows nothing that could be touched.
+            None => true,
+        };
         match self.heat_sink_c {
             Some(c) if c >= FAN_ON_C => self.fan = true,
             Some(c) if c >= FAN_OFF_C => {}
@@ -95,6 +102,11 @@ impl Temperatures {
     /// Returns `true` while the fan runs.
     pub fn fan(&self) -> bool {
         self.fan
+    }
+
+    /// Returns `true` while the glass is hot enough to burn, or nothing is known of it.
+    pub fn is_glass_hot(&self) -> bool {
+        self.glass_hot
     }
 
     /// Heat sink, glass and coil, in °C.
@@ -223,6 +235,27 @@ mod tests {
         assert_eq!(percent(80.0), (100, Fault::NONE));
         assert!((40..=60).contains(&percent(95.0).0));
         assert_eq!(percent(108.0), (0, Fault::OVER_TEMPERATURE));
+    }
+
+    #[test]
+    fn hot_glass_is_shown_until_it_is_cool() {
+        let mut t = Temperatures::default();
+        let mut at = |glass| {
+            t.update(TemperatureCodes {
+                glass,
+                ..TemperatureCodes::default()
+            });
+            t.is_glass_hot()
+        };
+        let mut at_c = |celsius| at(Some(code(100_000.0, celsius)));
+        let seen = [55.0, 62.0, 55.0, 48.0, 55.0].map(&mut at_c);
+        assert_eq!(seen, [false, true, true, false, false]);
+        // Open, short, not fitted: then it has to be found cool again.
+        for broken in [Some(4_095), Some(0), None] {
+            assert!(at(broken));
+            assert!(at(Some(code(100_000.0, 55.0))));
+            assert!(!at(Some(code(100_000.0, 45.0))));
+        }
     }
 
     #[test]

@@ -330,6 +330,11 @@ impl Housekeeping {
         self.act(lock, action);
     }
 
+    /// Lets time without a touch of the panel pass at once, for simulated hobs.
+    pub fn pass_unattended(&mut self, minutes: u16) {
+        self.control.pass_unattended(minutes);
+    }
+
     /// A reading of the chip's reference voltage, some hundred times a second; returns the correction of every reading from
     /// now on.
     pub fn set_reference(&mut self, reference: Reference) -> SupplyScale {

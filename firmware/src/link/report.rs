@@ -45,6 +45,8 @@ pub fn telemetry(
         } else {
             s.i_turn_off_min_ma
         },
+        off_reason: control.off_reason(),
+        glass_hot: control.temperatures().is_glass_hot(),
     }
 }
 
@@ -88,6 +90,8 @@ pub fn status(
         fan: control.temperatures().fan(),
         panel_level: control.request().level().unwrap_or(NO_PANEL),
         key_locked: control.request().is_key_locked(),
+        off_reason: control.off_reason(),
+        glass_hot: control.temperatures().is_glass_hot(),
     }
 }
 

@@ -11,6 +11,8 @@ pub struct RetainedControl {
     pub panel_off: bool,
     /// The keys are locked.
     pub key_locked: bool,
+    /// Used share of the time without a touch of the panel, of 255.
+    pub unattended: u8,
 }
 
 impl RetainedControl {
@@ -19,8 +21,8 @@ impl RetainedControl {
     const KEY_LOCKED: u8 = 1 << 5;
     const TRIES: u8 = Self::KEY_LOCKED - 1;
 
-    /// Encodes as a byte; all bits zero for the default.
-    pub const fn to_byte(self) -> u8 {
+    /// Encodes as two bytes; all bits zero for the default.
+    pub const fn to_bytes(self) -> [u8; 2] {
         let mut byte = self.tries_used & Self::TRIES;
         if self.locked_out {
             byte |= Self::LOCKED_OUT;
@@ -31,16 +33,17 @@ impl RetainedControl {
         if self.key_locked {
             byte |= Self::KEY_LOCKED;
         }
-        byte
+        [byte, self.unattended]
     }
 
-    /// Decodes what [`RetainedControl::to_byte`] gave.
-    pub const fn from_byte(byte: u8) -> Self {
+    /// Decodes what [`RetainedControl::to_bytes`] gave.
+    pub const fn from_bytes([byte, unattended]: [u8; 2]) -> Self {
         Self {
             locked_out: byte & Self::LOCKED_OUT != 0,
             tries_used: byte & Self::TRIES,
             panel_off: byte & Self::PANEL_OFF != 0,
             key_locked: byte & Self::KEY_LOCKED != 0,
+            unattended,
         }
     }
 }

@@ -66,7 +66,7 @@ impl CrashRecord {
             Some(reason) => reason as u32,
             None => 0xFF,
         };
-        let reason = reason | (self.control.to_byte() as u32) << 8;
+        let reason = reason | (u16::from_le_bytes(self.control.to_bytes()) as u32) << 8;
         let counts = (self.fault as u32) << 16 | self.starts as u32;
         [MAGIC, reason, counts, !(MAGIC ^ reason ^ counts)]
     }
@@ -77,7 +77,7 @@ impl CrashRecord {
         if magic != MAGIC || check != !(magic ^ reason ^ counts) {
             return None;
         }
-        let control = RetainedControl::from_byte((reason >> 8) as u8);
+        let control = RetainedControl::from_bytes(((reason >> 8) as u16).to_le_bytes());
         let reason = match reason & 0xFF {
             2 => Some(ResetReason::Panic),
             6 => Some(ResetReason::StackOverflow),
@@ -161,6 +161,7 @@ mod tests {
             tries_used: 3,
             panel_off: true,
             key_locked: false,
+            unattended: 200,
         },
     };
 

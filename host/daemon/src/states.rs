@@ -26,7 +26,7 @@ pub fn device_state(t: &Telemetry, before: DeviceState) -> (DeviceState, String)
         ),
         State::WaitingForPot => (DeviceState::WaitingForPot, pot_text(t.pot).to_owned()),
         State::Heating => (DeviceState::Learning, limit_text(t)),
-        State::Idle => (DeviceState::Idle, String::new()),
+        State::Idle => (DeviceState::Idle, t.off_reason.text().to_owned()),
         State::Probing => match before {
             DeviceState::WaitingForPot => (DeviceState::WaitingForPot, pot_text(t.pot).to_owned()),
             DeviceState::Learning => (DeviceState::Learning, limit_text(t)),
@@ -82,6 +82,7 @@ pub fn live(t: &Telemetry) -> Live {
         i_crest_a: f64::from(t.i_crest_ma) * 1e-3,
         r_ohm: t.r.ohm(),
         l_h: t.l.henry(),
+        glass_hot: t.glass_hot,
     }
 }
 

@@ -113,7 +113,7 @@ message's bytes.
 The faults are no part of the schema hash. A new one takes the next free number, and no number is ever
 given another meaning: an older host keeps the whole message and shows the number.
 
-Recordings of 1.x and 2.x are still read: what a device sends of its own accord has changed by appended fields alone, and
+Recordings of 1.x to 3.x are still read: what a device sends of its own accord has changed by appended fields alone, and
 requests and answers mean nothing to a reader.
 
 ## Windows

@@ -86,6 +86,8 @@ pub struct Live {
     pub r_ohm: f64,
     /// The device's estimate of L at the crest of the current, in henry.
     pub l_h: f64,
+    /// `true` while the glass is hot enough to burn, or nothing is known of it.
+    pub glass_hot: bool,
 }
 
 /// Outcomes of all windows that a device has announced: `announced` is the sum of `stored`, `refused`,

@@ -480,6 +480,11 @@ impl SimHob {
         self.housekeeping.panel(&mut *self.realtime, event);
     }
 
+    /// Lets time without a touch of the panel pass at once, for the firmware's cooking time alone.
+    pub fn pass_unattended(&mut self, minutes: u16) {
+        self.housekeeping.pass_unattended(minutes);
+    }
+
     fn run_link(&mut self, elapsed_s: f64) {
         let bytes = self.inbound.make_contiguous();
         let taken = self.housekeeping.receive(&mut *self.realtime, bytes);

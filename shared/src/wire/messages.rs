@@ -11,10 +11,10 @@ use crate::sampling::Scales;
 use crate::units::{MicroOhm, PicoHenry};
 
 /// Raised by any change of an existing message.
-pub const PROTOCOL_MAJOR: u16 = 3;
+pub const PROTOCOL_MAJOR: u16 = 4;
 
 /// Raised by a new message or a new fault.
-pub const PROTOCOL_MINOR: u16 = 1;
+pub const PROTOCOL_MINOR: u16 = 0;
 
 /// Bytes that travel as they are: a varint length, then the bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,6 +97,18 @@ wire_enum! {
 }
 
 wire_enum! {
+    /// Reason for which the hob has switched itself off, until power is requested again or its panel is touched.
+    pub enum OffReason {
+        /// It has not.
+        None = 0,
+        /// No pot that can be heated, for as long as it waits.
+        NoPot = 1,
+        /// Nobody has touched the panel for as long as the level allows. Only a touch switches on again.
+        Unattended = 2,
+    }
+}
+
+wire_enum! {
     /// Pot on the coil.
     pub enum Pot {
         /// Not judged yet.
@@ -148,7 +160,7 @@ wire_enum! {
         LockedOut = 14,
         /// Lookup too many versions ahead of the active one; `detail` is the highest accepted.
         LookupStep = 15,
-        /// Switched off at the panel, which a host cannot override.
+        /// Switched off at the panel, or by the hob because nobody touched it for too long: only a person switches on again.
         PanelOff = 16,
         /// A setting outside its range, and none was changed; `detail` is the field's place in its
         /// message, from 0.
@@ -501,6 +513,10 @@ message_table! { 'a;
         panel_level: u8,
         /// `true` while the panel's keys are locked.
         key_locked: bool,
+        /// Reason for which the hob has switched itself off.
+        off_reason: OffReason,
+        /// `true` while the glass is hot enough to burn, or nothing is known of it.
+        glass_hot: bool,
     }
     /// One half-cycle in numbers.
     0x82 Event Telemetry {
@@ -542,6 +558,10 @@ message_table! { 'a;
         v_coil_peak_dv: u16,
         /// Smallest current at a turn-off, in milliampere; negative where it flows the wrong way.
         i_turn_off_min_ma: i32,
+        /// Reason for which the hob has switched itself off.
+        off_reason: OffReason,
+        /// `true` while the glass is hot enough to burn, or nothing is known of it.
+        glass_hot: bool,
     }
     /// Begins a window ([`crate::window`]).
     0x83 Event WindowStart {
@@ -782,6 +802,19 @@ impl FrontEnd {
     }
 }
 
+impl OffReason {
+    /// Returns the reason in plain English; empty for [`OffReason::None`].
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::None => "",
+            Self::NoPot => "it switched itself off: no pot was put on",
+            Self::Unattended => {
+                "it switched itself off: nobody touched its panel for as long as the level allows; only the panel switches it on again"
+            }
+        }
+    }
+}
+
 impl Configure {
     /// Settings of a device at start: a minute, and a frequency that stays.
     pub const DEFAULT: Self = Self {
@@ -820,6 +853,7 @@ pub const NO_PANEL: u8 = u8::MAX;
 pub const ENUMS: &[Entry] = &[
     State::ENTRY,
     Limit::ENTRY,
+    OffReason::ENTRY,
     Pot::ENTRY,
     Outcome::ENTRY,
     Piece::ENTRY,

@@ -143,6 +143,7 @@ export class Hob {
       i_crest_a: h.iCrestA,
       r_ohm: h.rOhm ?? 0,
       l_h: h.lH ?? 0,
+      glass_hot: false,
     };
   }
 

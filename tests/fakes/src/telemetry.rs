@@ -2,7 +2,7 @@
 
 use ihd_shared::fault::Fault;
 use ihd_shared::units::{MicroOhm, PicoHenry};
-use ihd_shared::wire::messages::{Limit, Pot, State, Telemetry};
+use ihd_shared::wire::messages::{Limit, OffReason, Pot, State, Telemetry};
 
 /// Telemetry of a half-cycle in this state, without power.
 pub fn telemetry(state: State) -> Telemetry {
@@ -25,5 +25,7 @@ pub fn telemetry(state: State) -> Telemetry {
         bus_peak_dv: 0,
         v_coil_peak_dv: 0,
         i_turn_off_min_ma: 0,
+        off_reason: OffReason::None,
+        glass_hot: false,
     }
 }

@@ -17,6 +17,7 @@ const BROKEN_RAM: [u32; 4] = CrashRecord {
         tries_used: 0,
         panel_off: false,
         key_locked: false,
+        unattended: 0,
     },
 }
 .to_words();

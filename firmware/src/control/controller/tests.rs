@@ -312,3 +312,64 @@ fn little_power_comes_in_bursts_of_whole_cycles() {
     assert!((450..=550).contains(&on), "{on}");
     assert_eq!(bench.control.state(), State::Heating);
 }
+
+/// Heating, waiting for a pot, pausing: the time ends whatever becomes of the request, and a reset does not give it back.
+#[test]
+fn what_nobody_watches_ends_and_a_host_is_refused() {
+    for (load, fault) in [
+        (POT, Fault::NONE),
+        (AIR, Fault::NONE),
+        (POT, Fault::MAINS_LOST),
+    ] {
+        let mut bench = Bench::new(load);
+        bench.ask(2_500);
+        bench.run(5);
+        bench.control.pass_unattended(59);
+        bench.run(99);
+        assert_eq!(bench.control.off_reason(), OffReason::None);
+        bench.trip(fault);
+        bench.control.pass_unattended(1);
+        bench.run(200);
+        assert_eq!(bench.control.off_reason(), OffReason::Unattended);
+        assert_eq!(bench.control.state(), State::Idle, "{fault}");
+        assert!(!bench.drive.is_switching());
+        let mut after = Control::default();
+        after.restore(bench.control.retained(), &bench.status());
+        for control in [&mut *bench.control, &mut after] {
+            assert_eq!(control.host(100), None);
+            control.clear_fault();
+            assert_eq!(control.host(100), None);
+            control.panel(PanelEvent::Level(1));
+            assert_eq!(control.asked_w(), 100);
+        }
+        bench.load = POT;
+        bench.run(100);
+        assert_eq!(bench.control.state(), State::Heating);
+        assert_eq!(bench.control.off_reason(), OffReason::None);
+    }
+}
+
+#[test]
+fn a_wait_that_was_given_up_is_told_until_the_next_request() {
+    let mut bench = Bench::new(AIR);
+    bench.ask(1_000);
+    bench.run(6_100);
+    assert_eq!(bench.control.off_reason(), OffReason::NoPot);
+    bench.ask(1_000);
+    bench.run(1);
+    assert_eq!(bench.control.off_reason(), OffReason::None);
+}
+
+/// The used share goes with the crash record.
+#[test]
+fn a_restart_is_no_touch() {
+    let mut bench = heating();
+    bench.ask(2_500);
+    bench.control.pass_unattended(40);
+    let mut after = Control::default();
+    after.restore(bench.control.retained(), &bench.status());
+    after.host(2_500);
+    after.pass_unattended(20);
+    after.tick(&bench.status());
+    assert_eq!(after.off_reason(), OffReason::Unattended);
+}

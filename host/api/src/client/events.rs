@@ -149,6 +149,7 @@ mod tests {
             i_crest_a: 44.75,
             r_ohm: 3.274,
             l_h: 19.1e-6,
+            glass_hot: true,
         };
         let notice = DaemonEvent {
             at_ms: 1,

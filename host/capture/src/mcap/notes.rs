@@ -38,6 +38,8 @@ pub fn telemetry(t: &messages::Telemetry) -> Telemetry {
         bus_peak_v: f64::from(t.bus_peak_dv) * 0.1,
         v_coil_peak_v: f64::from(t.v_coil_peak_dv) * 0.1,
         i_turn_off_min_a: f64::from(t.i_turn_off_min_ma) * 1e-3,
+        off_reason: format!("{:?}", t.off_reason),
+        glass_hot: t.glass_hot,
     }
 }
 

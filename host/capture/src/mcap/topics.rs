@@ -216,6 +216,12 @@ pub struct Telemetry {
     /// Smallest current at a turn-off, in ampere; negative where it flows the wrong way.
     #[serde(default)]
     pub i_turn_off_min_a: f64,
+    /// Reason for which the hob has switched itself off; since protocol 4.0, like what follows.
+    #[serde(default)]
+    pub off_reason: String,
+    /// `true` while the glass is hot enough to burn.
+    #[serde(default)]
+    pub glass_hot: bool,
 }
 
 /// A window that arrived whole, or why it was rejected. Its pairs are in `/samples`.

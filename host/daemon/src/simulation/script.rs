@@ -13,8 +13,8 @@ use ihd_shared::window::{CHUNK_BYTES, PAIR_BYTES, TrajectoryEntry};
 use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, check, ours};
 use ihd_shared::wire::messages::{
-    AnyMessage, FaultEvent, FrontEnd, Hello, Limit, LookupBlob, Message, Outcome, Pot, Raw, Reply,
-    State, Status, Telemetry, TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
+    AnyMessage, FaultEvent, FrontEnd, Hello, Limit, LookupBlob, Message, OffReason, Outcome, Pot,
+    Raw, Reply, State, Status, Telemetry, TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
 };
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
@@ -145,6 +145,8 @@ impl Script {
             bus_peak_dv: 3_250,
             v_coil_peak_dv: 4_000,
             i_turn_off_min_ma: 20_000,
+            off_reason: OffReason::None,
+            glass_hot: false,
         };
         self.send(&telemetry);
     }
@@ -319,6 +321,8 @@ impl Script {
             fan: false,
             panel_level: 255,
             key_locked: false,
+            off_reason: OffReason::None,
+            glass_hot: false,
         });
     }
 }

@@ -17,8 +17,9 @@ use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{CRC32, Frame, MAX_ENCODED, encode_numbered, encode_raw};
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{
-    AnyMessage, FrontEnd, Hello, Limit, LookupBlob, Message, Outcome, Pot, Raw, Reply, State,
-    Status, Stream, Telemetry, TrajectoryChunk, Utilisation, WindowChunk, WindowEnd, WindowStart,
+    AnyMessage, FrontEnd, Hello, Limit, LookupBlob, Message, OffReason, Outcome, Pot, Raw, Reply,
+    State, Status, Stream, Telemetry, TrajectoryChunk, Utilisation, WindowChunk, WindowEnd,
+    WindowStart,
 };
 use ihd_shared::wire::number::Number;
 
@@ -361,6 +362,8 @@ pub fn idle_status() -> Status {
         fan: false,
         panel_level: 0,
         key_locked: false,
+        off_reason: OffReason::None,
+        glass_hot: false,
     }
 }
 
@@ -385,6 +388,8 @@ pub fn telemetry(seq: u32) -> Telemetry {
         bus_peak_dv: 3_250,
         v_coil_peak_dv: 4_000,
         i_turn_off_min_ma: 5_000,
+        off_reason: OffReason::None,
+        glass_hot: false,
     }
 }
 

@@ -271,6 +271,9 @@ pub struct EventField {
     pub panel: Option<f64>,
     /// A user locks the panel's keys (`true`) or unlocks them.
     pub key_lock: Option<bool>,
+    /// Minutes without a touch of the panel that pass at once, for the cooking time alone.
+    #[serde(default, deserialize_with = "number::some_unattended_min")]
+    pub unattended_min: Option<f64>,
     /// New temperature around the hob, in °C.
     #[serde(default, deserialize_with = "number::some_temperature_c")]
     pub ambient_c: Option<f64>,

@@ -20,11 +20,12 @@ const OF_BURST: f64 = 0.35;
 const HALF_CYCLE_S: f64 = 0.01;
 
 /// Quantities that are a word or a truth.
-pub(super) const WORDS: [(&str, Word); 5] = [
+pub(super) const WORDS: [(&str, Word); 6] = [
     ("fault", |r| {
         r.faults.first().map_or("None", |f| &f.name).to_owned()
     }),
     ("latched", |r| r.summary.latched.to_string()),
+    ("off_reason", |r| last(r, |h| &h.off_reason)),
     ("pot", |r| last(r, |h| &h.pot)),
     ("state", |r| last(r, |h| &h.state)),
     ("whole_cycles", |r| {
@@ -116,8 +117,11 @@ pub(super) const NUMBERS: [(&str, Number); 19] = [
 ];
 
 /// Quantities that are means over a time.
-pub(super) const MEANS: [(&str, Mean); 4] = [
+pub(super) const MEANS: [(&str, Mean); 5] = [
     ("asked_w_at", |span| mean(span, |h| h.asked_w)),
+    ("glass_hot_at", |span| {
+        mean(span, |h| f64::from(u8::from(h.glass_hot)))
+    }),
     ("on_share_at", |span| {
         mean(span, |h| f64::from(u8::from(h.bridge_on)))
     }),

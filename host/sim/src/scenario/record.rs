@@ -21,6 +21,10 @@ pub struct HalfCycle {
     pub fault: String,
     /// Class of the pot determined by the firmware.
     pub pot: String,
+    /// Reason for which the hob has switched itself off, at its end.
+    pub off_reason: String,
+    /// `true` if the firmware shows the glass as hot, at its end.
+    pub glass_hot: bool,
     /// The firmware's estimate at the crest, in ohm.
     pub r_ohm: f64,
     /// The firmware's estimate at the crest, in microhenry.

@@ -109,6 +109,7 @@ impl Run {
             }
             Change::Panel(_)
             | Change::InjectEnd(_)
+            | Change::Unattended(_)
             | Change::Ambient(_)
             | Change::HeatSink(_)
             | Change::Glass(_) => {}
@@ -176,6 +177,8 @@ impl Run {
             state: format!("{:?}", control.state()),
             fault: format!("{:?}", self.active_fault),
             pot: format!("{:?}", control.pot()),
+            off_reason: format!("{:?}", control.off_reason()),
+            glass_hot: control.temperatures().is_glass_hot(),
             r_ohm: seen.r.ohm(),
             l_uh: seen.l.henry() * 1e6,
             i_peak_a: reading.i_peak_a,

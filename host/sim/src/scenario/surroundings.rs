@@ -72,6 +72,7 @@ impl Surroundings {
                 }
             }
             Change::Panel(touch) => hob.panel(*touch),
+            Change::Unattended(minutes) => hob.pass_unattended(*minutes),
             Change::Ambient(celsius) => hob.temperatures().ambient_c = *celsius,
             Change::HeatSink(celsius) => hob.temperatures().heat_sink_c = *celsius,
             Change::Glass(celsius) => hob.temperatures().glass_c = *celsius,

@@ -34,6 +34,8 @@ pub enum Change {
     InjectEnd(usize),
     /// User's action on the panel.
     Panel(PanelEvent),
+    /// Minutes without a touch of the panel.
+    Unattended(u16),
     /// Ambient temperature in °C.
     Ambient(f64),
     /// The heat sink's temperature in °C.
@@ -124,8 +126,8 @@ pub fn timeline(scenario: &Scenario) -> Result<Vec<TimedChange>, ScenarioError> 
             .map_err(wrong)?;
         if all.len() == before {
             return Err(wrong(
-                "nothing happens: give power_w, pot, mains, inject, host, panel, key_lock, ambient_c, \
-                 heat_sink_c or glass_c".to_owned(),
+                "nothing happens: give power_w, pot, mains, inject, host, panel, key_lock, unattended_min, \
+                 ambient_c, heat_sink_c or glass_c".to_owned(),
             ));
         }
     }
@@ -205,6 +207,9 @@ impl Changes<'_> {
         let changes = [
             level.map(Change::Panel),
             key_lock.map(Change::Panel),
+            field
+                .unattended_min
+                .map(|minutes| Change::Unattended(minutes as u16)),
             field.ambient_c.map(Change::Ambient),
             field.heat_sink_c.map(Change::HeatSink),
             field.glass_c.map(Change::Glass),

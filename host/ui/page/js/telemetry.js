@@ -7,7 +7,7 @@
  *   power_w: Range | null, r_ohm: Range | null, l_h: Range | null, f_sw_hz: Range | null}} DeviceTelemetry
  * @typedef {[number, number]} Range least and largest
  * @typedef {{half_cycle: number, state: string, pot: string, fault: number, fault_text: string, limit: string,
- *   asked_w: number, power_w: number, f_sw_hz: number, i_crest_a: number, r_ohm: number, l_h: number}} Live
+ *   asked_w: number, power_w: number, f_sw_hz: number, i_crest_a: number, r_ohm: number, l_h: number, glass_hot: boolean}} Live
  * @typedef {{at_ms: number, devices: Record<string, DeviceTelemetry>}} Telemetry
  */
 

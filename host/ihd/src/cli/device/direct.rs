@@ -78,7 +78,10 @@ impl Direct {
             updates_needed: updates_needed(hello.protocol_minor),
             state: state(&status),
             since_s: 0,
-            detail: "without a daemon".into(),
+            detail: match status.off_reason.text() {
+                "" => "without a daemon".into(),
+                why => why.into(),
+            },
             identity: Some(Identity {
                 build: printable(&hello.build).to_string(),
                 board: printable(&hello.board).to_string(),
@@ -236,5 +239,6 @@ fn live(status: &Status, telemetry: Option<&Telemetry>) -> Live {
         i_crest_a: of(|t| f64::from(t.i_crest_ma) * 1e-3),
         r_ohm: of(|t| t.r.ohm()),
         l_h: of(|t| t.l.henry()),
+        glass_hot: status.glass_hot,
     }
 }

@@ -30,6 +30,9 @@ pub(super) fn of_live(live: &Live) -> String {
     if live.limit != "None" && !live.limit.is_empty() {
         text += &format!(", limited by {}", live.limit);
     }
+    if live.glass_hot {
+        text += ", glass hot";
+    }
     if live.fault != 0 {
         text += &format!(", fault {} ({})", live.fault, live.fault_text);
     }

@@ -230,10 +230,11 @@ fn details(device: &DeviceReport, stale: bool) -> Vec<Line<'static>> {
             Line::styled(text, graded(Grade::Alarm))
         }
         Some(live) => Line::from(format!(
-            "controller {}, pot {}, limit {}; no fault",
+            "controller {}, pot {}, limit {}{}; no fault",
             one_line(&live.state),
             one_line(&live.pot),
-            one_line(&live.limit)
+            one_line(&live.limit),
+            if live.glass_hot { ", glass hot" } else { "" }
         )),
         None => Line::default(),
     };

@@ -202,6 +202,7 @@ mod tests {
             i_crest_a: 40.0,
             r_ohm,
             l_h: 19e-6,
+            glass_hot: false,
         }
     }
 

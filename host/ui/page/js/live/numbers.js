@@ -93,7 +93,7 @@ export class Numbers {
     setText(cells.fault, live?.fault ? `✖ ${live.fault_text} (${live.fault})` : live ? "none" : NOTHING);
     setAttribute(cells.fault, "data-value", live ? String(live.fault) : "");
     cells.fault.className = live?.fault ? "bad" : "";
-    setText(cells.pot, live ? potText(live.pot) : NOTHING);
+    setText(cells.pot, live ? `${potText(live.pot)}${live.glass_hot ? "; glass hot" : ""}` : NOTHING);
     setAttribute(cells.pot, "data-value", live?.pot ?? "");
     setText(cells.limit, live ? limitText(live.limit) || "nothing" : NOTHING);
     setText(cells.asked, live ? `${live.asked_w}\u00a0W` : NOTHING);

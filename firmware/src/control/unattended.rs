@@ -1,0 +1,140 @@
+//! Cooking time that nobody watches: each level uses up one allowance at its own pace ([`LEVELS`]), whoever requests the power.
+//!
+//! A touch of the panel gives the allowance back whole. Off gives it back in [`REST_MIN`], so that a host gains nothing by switching
+//! off and on; nothing else that a host sends counts. Once it is used up the hob is off as if switched off at its panel.
+
+use crate::limits::{LEVELS, Level, REST_MIN};
+
+/// Interval at which time is counted: a division once a second, not once a block.
+const COUNTED_EVERY_S: u32 = 1;
+
+/// Longest time that is counted at once, which keeps products within 32 bit.
+const COUNTED_AT_ONCE_S: u32 = 3_600;
+
+/// The allowance, in milliseconds of level 1.
+const ALLOWANCE: u32 = LEVELS[0].unattended_min as u32 * 60_000;
+
+/// Part of the allowance that is used up.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Unattended {
+    /// In milliseconds of level 1.
+    used: u32,
+    counted_ms: u32,
+}
+
+impl Unattended {
+    /// As much is used up as before a reset.
+    pub fn restored(used_share: u8, now_ms: u32) -> Self {
+        Self {
+            used: u32::from(used_share) * (ALLOWANCE / 255),
+            counted_ms: now_ms,
+        }
+    }
+
+    /// Used share of the allowance, of 255, rounded up.
+    pub fn used_share(&self) -> u8 {
+        u8::try_from(self.used.div_ceil(ALLOWANCE / 255)).unwrap_or(u8::MAX)
+    }
+
+    /// Takes the requested power of now; returns `true` once the allowance is used up. To be called after each block.
+    pub fn is_used_up(&mut self, asked_w: u16, now_ms: u32) -> bool {
+        let elapsed_s = now_ms.wrapping_sub(self.counted_ms) / 1_000;
+        if elapsed_s >= COUNTED_EVERY_S {
+            self.counted_ms = self.counted_ms.wrapping_add(elapsed_s * 1_000);
+            self.count(asked_w, elapsed_s.min(COUNTED_AT_ONCE_S));
+        }
+        asked_w > 0 && self.used >= ALLOWANCE
+    }
+
+    /// Counts time at a requested power, at most [`COUNTED_AT_ONCE_S`].
+    pub fn count(&mut self, asked_w: u16, elapsed_s: u32) {
+        let of_whole = |minutes: u16| (elapsed_s * (ALLOWANCE / 60)).div_ceil(u32::from(minutes));
+        self.used = match Level::of_power(asked_w) {
+            Some(level) => self.used.saturating_add(of_whole(level.unattended_min)),
+            None => self.used.saturating_sub(of_whole(REST_MIN)),
+        }
+        .min(ALLOWANCE);
+    }
+
+    /// A person touched the panel.
+    pub fn touched(&mut self) {
+        self.used = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Minutes until the allowance is used up, with a clock that wraps on the way.
+    fn minutes_at(unattended: &mut Unattended, asked_w: u16) -> u32 {
+        let used_up = |&s: &u32| {
+            let now_ms = unattended.counted_ms.wrapping_add(1_000);
+            unattended.is_used_up(asked_w, now_ms) || s > 50_000
+        };
+        (1..).find(used_up).map_or(0, |s| s.div_ceil(60))
+    }
+
+    #[test]
+    fn each_level_has_its_time() {
+        for level in LEVELS {
+            let mut unattended = Unattended {
+                counted_ms: u32::MAX - 5_000,
+                ..Unattended::default()
+            };
+            let minutes = minutes_at(&mut unattended, level.power_w);
+            assert_eq!(minutes, u32::from(level.unattended_min), "{level:?}");
+        }
+    }
+
+    /// A change of the power takes what is left along, as its share.
+    #[test]
+    fn another_power_begins_no_time_anew() {
+        let [first, .., last] = LEVELS;
+        let mut unattended = Unattended::default();
+        unattended.count(last.power_w, u32::from(last.unattended_min) * 30);
+        let minutes = minutes_at(&mut unattended, first.power_w);
+        assert_eq!(minutes, u32::from(first.unattended_min) / 2);
+        unattended.touched();
+        let minutes = minutes_at(&mut unattended, last.power_w);
+        assert_eq!(minutes, u32::from(last.unattended_min));
+    }
+
+    /// Off for a second now and then gives seconds back.
+    #[test]
+    fn toggling_gains_no_more_than_the_time_off() {
+        let [.., last] = LEVELS;
+        let mut unattended = Unattended::default();
+        let whole_s = u32::from(last.unattended_min) * 60;
+        let (mut on_s, mut off_s) = (60, 0);
+        unattended.count(last.power_w, 60);
+        while on_s < 2 * whole_s && !unattended.is_used_up(last.power_w, 0) {
+            unattended.count(0, 1);
+            unattended.count(last.power_w, 60);
+            (on_s, off_s) = (on_s + 60, off_s + 1);
+        }
+        assert!((whole_s..whole_s + 60).contains(&(on_s - off_s)), "{on_s}");
+    }
+
+    #[test]
+    fn a_reset_gives_nothing_back() {
+        for used in [0, 1, ALLOWANCE / 3, ALLOWANCE - 1, ALLOWANCE] {
+            let before = Unattended {
+                used,
+                counted_ms: 0,
+            };
+            let after = Unattended::restored(before.used_share(), 0);
+            assert!(after.used >= used.min(ALLOWANCE / 255 * 255));
+            assert!(after.used - used.min(after.used) <= ALLOWANCE / 255);
+        }
+        assert_eq!(Unattended::default().used_share(), 0);
+    }
+
+    #[test]
+    fn a_clock_that_jumps_is_counted_once() {
+        let mut unattended = Unattended::default();
+        assert!(!unattended.is_used_up(100, u32::MAX / 2));
+        assert!(!unattended.is_used_up(100, u32::MAX / 2));
+        assert_eq!(unattended.used, ALLOWANCE / 10);
+    }
+}
