@@ -268,7 +268,7 @@ pub(super) mod tests {
             "live": {
                 "half_cycle": 12_345, "state": "Heating", "pot": "Ferromagnetic", "fault": 0,
                 "fault_text": "", "limit": "None", "asked_w": 1200, "power_w": 1203.4,
-                "f_sw_hz": 51_020, "i_crest_a": 44.8, "r_ohm": 3.274, "l_h": 19.1e-6
+                "f_sw_hz": 51_020, "i_crest_a": 44.8, "r_ohm": 3.274, "l_h": 19.1e-6, "glass_hot": false
             },
             "lookup": {"on_device": 5, "active": 5, "pending": null, "observed_cells": 47},
             "windows": {
