@@ -1,4 +1,4 @@
-"""Examples of docs/python.md, each run as it stands there."""
+"""Examples of README.md, each run as it stands there."""
 
 import contextlib
 import io
@@ -12,7 +12,7 @@ from kitchen import kitchen, learn
 from program import ROOT
 from program import ihd as program
 
-PAGE = ROOT / "docs/python.md"
+PAGE = ROOT / "python/README.md"
 
 
 class Examples(unittest.TestCase):
