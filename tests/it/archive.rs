@@ -62,7 +62,6 @@ fn an_archive_holds_program_pages_completions_rule_and_licences() {
         "docs/board.md",
         "docs/bring-up.md",
         "docs/daemon.md",
-        "docs/flash.md",
         "ihd",
         "ihd-fleet",
         "man/man1/ihd.1",
