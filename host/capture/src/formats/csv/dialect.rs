@@ -1,4 +1,4 @@
-//! Interpretation of a table's prelude, in the dialects of scopes; docs/captures.md shows each.
+//! Interpretation of a table's prelude, in the dialects of scopes; docs/captures.md names each.
 
 use std::collections::BTreeMap;
 
