@@ -44,7 +44,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// The 12-bit code of a channel of an ADC (docs/board.md, "Wiring").
+    /// The 12-bit code of a channel of an ADC (docs/board.md, "Pins").
     pub fn code(&self, adc: u32, channel: u32) -> u32 {
         let code = |value: f64| value.round().clamp(0.0, CODES - 1.0) as u32;
         // The front end's zero is half the supply.
