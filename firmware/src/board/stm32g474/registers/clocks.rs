@@ -1,6 +1,6 @@
 //! 170 MHz from HSI16 and what goes with it: core voltage, wait states, caches.
 //!
-//! embassy-stm32 0.6 cannot do this alone on this part (docs/architecture.md): the metapac has
+//! embassy-stm32 0.6 cannot do this alone on this part (firmware/README.md): the metapac has
 //! PWR_CR5.R1MODE at bit 0 instead of 8, and `rcc/g4.rs` writes HPRE together with the switch. Its
 //! `init` also resets PWR, so nothing that is set there before lasts. So it is asked for the PLL without
 //! the switch to it, and that is here. It goes on to calculate with 16 MHz; what it drives with a frequency
