@@ -9,6 +9,7 @@ mod closed_loop;
 mod closed_loop_link;
 mod control_doc;
 mod document;
+mod document_links;
 // Needs the firmware's image and QEMU: `cargo xtask test` builds the one and installs the other.
 #[cfg(feature = "emulator")]
 mod emulated_board;

@@ -1,5 +1,9 @@
 //! `ihd-fleet` as a user calls it, without a server.
 
+#[path = "../../../ihd/tests/it/documents.rs"]
+mod documents;
+
+use std::path::Path;
 use std::process::Command;
 
 use clap::CommandFactory;
@@ -61,5 +65,17 @@ fn wrong_usage_is_2_and_named() {
         assert_eq!(code, 2, "{args:?}: {stderr}");
         assert!(stdout.is_empty(), "{args:?}: {stdout}");
         assert!(stderr.contains(word), "{args:?}: {stderr}");
+    }
+}
+
+#[test]
+fn the_documents_call_commands_that_there_are() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let calls = documents::calls(&root, "ihd-fleet");
+    assert!(calls.len() >= 6, "{} commands only", calls.len());
+    for (place, words) in calls {
+        if let Err(error) = Cli::command().try_get_matches_from(&words) {
+            panic!("{place}: {}\n{error}", words.join(" "));
+        }
     }
 }

@@ -1,6 +1,8 @@
 //! `ihd-study` as a user calls it, and the accuracy that its studies promise.
 
 mod accuracy;
+#[path = "../../../ihd/tests/it/documents.rs"]
+mod documents;
 mod hostile;
 mod map;
 mod paper;
