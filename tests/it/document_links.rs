@@ -1,4 +1,4 @@
-//! Links of documents lead to files and headings that there are; sources name documents that there are.
+//! Links of documents lead to files and headings that there are; sources and documents name files that there are.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -101,6 +101,42 @@ fn documents_that_sources_name_are_there() {
             let name = part[..end.unwrap_or(part.len())].trim_end_matches('.');
             if name.ends_with(".md") && !root().join("docs").join(name).exists() {
                 missing.push(format!("{}: docs/{name}", source.display()));
+            }
+        }
+    }
+    assert!(missing.is_empty(), "{}", missing.join("\n"));
+}
+
+/// Folders of the repository, as documents name what is in them.
+const FOLDERS: [&str; 8] = [
+    "host/",
+    "firmware/",
+    "shared/",
+    "tests/",
+    "boards/",
+    "xtask/",
+    "packaging/",
+    "fuzz/",
+];
+
+#[test]
+fn sources_that_documents_name_are_there() {
+    let mut documents = vec![root().join("README.md"), root().join("CONTRIBUTING.md")];
+    files(&root().join("docs"), &[".md"], &mut documents);
+    let mut missing = Vec::new();
+    for document in documents {
+        let text = fs::read_to_string(&document).unwrap();
+        let is_of_path = |c: char| c.is_ascii_alphanumeric() || "_-/.".contains(c);
+        for word in text.split(|c| !is_of_path(c)) {
+            let path = word.trim_end_matches('.');
+            let is_file = [".rs", ".toml", ".py", ".csv", ".mjs"]
+                .iter()
+                .any(|e| path.ends_with(e));
+            let is_ours = FOLDERS.iter().any(|folder| path.starts_with(folder));
+            // NAME and FAMILY stand for any.
+            let is_open = path.contains("NAME") || path.contains("FAMILY");
+            if is_file && is_ours && !is_open && !root().join(path).exists() {
+                missing.push(format!("{}: {path}", document.display()));
             }
         }
     }

@@ -107,7 +107,7 @@ program, and `ReplayBlocks`, after which a host that is in doubt asks for the la
 A new message or a new fault raises the minor version. So does a new value of `Outcome`, provided that a device
 answers with it to new messages alone: a host that does not know the message never asks, and so never meets the value. A device
 answers a request that it does not know with `UnknownMessage` under its number. Any
-other change of a message or an enumeration, an appended field included, raises the major version. `Hello` is frozen for ever. `tests/wire_golden.rs` pins every
+other change of a message or an enumeration, an appended field included, raises the major version. `Hello` is frozen for ever. `tests/it/wire_golden.rs` pins every
 message's bytes.
 
 The faults are no part of the schema hash. A new one takes the next free number, and no number is ever
