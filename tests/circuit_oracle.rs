@@ -10,12 +10,12 @@ use ihd_firmware::drive::bridge::Bridge;
 use ihd_firmware::drive::pwm::DEAD_TIME_NS;
 use ihd_shared::hob::{NODE_CAPACITANCE_NF, RESONANCE_CAPACITANCE_NF};
 use ihd_sim::behavioural::{BehaviouralLoad, PotKind};
-use ihd_sim::inverter::bridge::HalfBridge;
+use ihd_sim::inverter::bridge::SwitchedHalfBridge;
 use ihd_sim::inverter::bus::Bus;
-use ihd_sim::inverter::load::{Law, LoadState};
+use ihd_sim::inverter::load::{AmplitudeLaw, LoadState};
 use ihd_sim::inverter::supply::SupplyParts;
 use ihd_sim::inverter::{Inverter, STEPS_PER_PERIOD, STEPS_PER_SAMPLE};
-use ihd_sim::mains::Mains;
+use ihd_sim::mains::SimulatedMains;
 
 /// Frequency of the mains, in hertz.
 const MAINS_HZ: f64 = 50.0;
@@ -163,21 +163,21 @@ impl Case {
         self.open_s.is_finite()
     }
 
-    fn mains(&self) -> Mains {
-        Mains::new(MAINS_HZ).changed(0.0, self.mains_v, MAINS_HZ)
+    fn mains(&self) -> SimulatedMains {
+        SimulatedMains::new(MAINS_HZ).changed(0.0, self.mains_v, MAINS_HZ)
     }
 
     /// Simulates the case; `every` steps are a point of the waveform.
     pub fn simulate(&self, every: usize) -> (Values, Waveform) {
         let load = BehaviouralLoad::new(PotKind::Aluminium, self.f_sw_hz);
         let (r_ohm, l_h) = load.r_l(0.0);
-        let mut load = LoadState::law(Law::Behavioural(load), STEPS_PER_PERIOD);
+        let mut load = LoadState::law(AmplitudeLaw::Behavioural(load), STEPS_PER_PERIOD);
         load.scale(self.r_ohm / r_ohm, self.l_h / l_h);
         let (dead_s, node_f) = (
             f64::from(DEAD_TIME_NS) * 1e-9,
             f64::from(NODE_CAPACITANCE_NF) * 1e-9,
         );
-        let bridge = HalfBridge::with_node(dead_s, node_f).expect("the board's");
+        let bridge = SwitchedHalfBridge::with_node(dead_s, node_f).expect("the board's");
         let bus = Bus::new(self.mains(), self.supply, 0.0).expect("parts in range");
         let mut inverter = Inverter::new(bus, bridge, load, self.f_sw_hz, STEPS_PER_PERIOD, 0.0);
         let (half_s, mut energy_j, mut square, mut samples) = (0.5 / MAINS_HZ, 0.0, 0.0, 0u32);

@@ -7,7 +7,7 @@
 use std::path::Path;
 
 use ihd_plot::legend::header;
-use ihd_plot::{Axis, BLUE, Curve, DrawResult, Entry, GREY, Panel, Pen, RED, draw};
+use ihd_plot::{Axis, BLUE, DrawResult, GREY, LegendEntry, Pen, PlotCurve, PlotPanel, RED, draw};
 use ihd_tests::circuit_oracle::{CASES, Case, Values, Waveform, folder};
 use plotters::prelude::*;
 
@@ -55,7 +55,7 @@ fn crossing_figure(path: &Path) -> Result<(), Box<dyn std::error::Error>> {
         (full, "4 ohm, 24 µH, 50 kHz"),
         (light, "2.2 ohm, 32 µH, 80 kHz (pot of 12 cm)"),
     ]) {
-        let mut curves: [Vec<Curve>; 3] = Default::default();
+        let mut curves: [Vec<PlotCurve>; 3] = Default::default();
         for (link_capacitance_f, colour) in LINKS {
             let supply = case.supply.with(Some(link_capacitance_f), None);
             let (_, waveform) = Case { supply, ..case }.simulate(EVERY);
@@ -76,21 +76,21 @@ fn crossing_figure(path: &Path) -> Result<(), Box<dyn std::error::Error>> {
             }
             let name = format!("{} µF", link_capacitance_f * 1e6);
             for (curves, points) in curves.iter_mut().zip(points) {
-                curves.push(Curve::new(&name, colour, Pen::Line(1), points));
+                curves.push(PlotCurve::new(&name, colour, Pen::Line(1), points));
             }
         }
         let labels = ["bus / V", "crest of the current / A", "power / kW"];
         for (n, (part, curves)) in area.split_evenly((3, 1)).iter().zip(&curves).enumerate() {
             let most = curves
                 .iter()
-                .flat_map(Curve::points)
+                .flat_map(PlotCurve::points)
                 .fold(0.0, |m, p| p.1.max(m));
-            let entries: Vec<Entry> = curves.iter().map(Entry::of).collect();
+            let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::of).collect();
             let below = match n {
                 0 => header(part, title, &entries)?,
                 _ => part.clone(),
             };
-            let panel = Panel {
+            let panel = PlotPanel {
                 x: Axis::linear(if n == 2 { "t / ms" } else { "" }, 7.0..13.0),
                 y: Axis::linear(labels[n], 0.0..1.08 * most),
             };
@@ -131,8 +131,8 @@ fn figure(
         };
         let curves = |value: fn(&(f64, f64, f64)) -> f64| {
             [
-                Curve::new("ngspice", RED, Pen::Line(3), part(spice, value)),
-                Curve::new("ihd", BLUE, Pen::Line(1), part(ours, value)),
+                PlotCurve::new("ngspice", RED, Pen::Line(3), part(spice, value)),
+                PlotCurve::new("ihd", BLUE, Pen::Line(1), part(ours, value)),
             ]
         };
         panel(&bus, case.name, "bus / V", 300.0..560.0, &curves(|p| p.1))?;
@@ -152,14 +152,14 @@ fn panel(
     title: &str,
     label: &str,
     range: std::ops::Range<f64>,
-    curves: &[Curve],
+    curves: &[PlotCurve],
 ) -> DrawResult {
-    let entries: Vec<Entry> = curves.iter().map(Entry::of).collect();
+    let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::of).collect();
     let below = match title {
         "" => area.clone(),
         title => header(area, title, &entries)?,
     };
-    let panel = Panel {
+    let panel = PlotPanel {
         x: Axis::linear(if title.is_empty() { "t / ms" } else { "" }, 4.9..5.5),
         y: Axis::linear(label, range),
     };

@@ -6,10 +6,10 @@
 
 use ihd_firmware::drive::bridge::Drive;
 use ihd_shared::sampling::{AMPERE_PER_CODE, Pair, VOLT_PER_CODE};
-use ihd_sim::adc::{Adc, Noise};
+use ihd_sim::adc::{Adc, ConverterNoise};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::inverter::supply::SupplyParts;
-use ihd_sim::mains::Mains;
+use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::settings::LoadKind;
 use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
@@ -17,8 +17,8 @@ use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
 /// Points of the kept truth: every 40th sample.
 const TRUTH_EVERY: usize = 40;
 
-fn record(f_sw_hz: u32, noise: Noise) -> HalfCycle {
-    let mains = Mains::new(50.0);
+fn record(f_sw_hz: u32, noise: ConverterNoise) -> HalfCycle {
+    let mains = SimulatedMains::new(50.0);
     let half_s = mains.half_cycle_s();
     let (pot, load) = (PotKind::Ferromagnetic.into(), LoadKind::Behavioural);
     let adc = Adc::new(noise, 7);
@@ -49,7 +49,7 @@ fn record(f_sw_hz: u32, noise: Noise) -> HalfCycle {
 
 fn main() -> std::io::Result<()> {
     for f_sw_hz in F_SW_HZ {
-        let clean = record(f_sw_hz, Noise::default());
+        let clean = record(f_sw_hz, ConverterNoise::default());
         let rms = |value: fn(&Pair) -> f64| {
             let sum: f64 = clean.pairs.iter().map(|p| value(p).powi(2)).sum();
             (sum / clean.pairs.len() as f64).sqrt()
@@ -58,7 +58,7 @@ fn main() -> std::io::Result<()> {
         let i_rms = rms(|p| f64::from(p.i) * AMPERE_PER_CODE);
         println!("{f_sw_hz} Hz: v_rms {v_rms:.1} V, i_rms {i_rms:.2} A");
         clean.save("noiseless")?;
-        record(f_sw_hz, Noise::from_snr_db(30.0, v_rms, i_rms)).save("snr30")?;
+        record(f_sw_hz, ConverterNoise::from_snr_db(30.0, v_rms, i_rms)).save("snr30")?;
     }
     Ok(())
 }

@@ -2,23 +2,24 @@
 
 use std::path::{Path, PathBuf};
 
-use ihd_sim::pot::Pot;
+use ihd_sim::pot::SimulatedPot;
 use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind, RecordingChange, RecordingEvent};
 
 /// Every so many periods of truth are kept: R and L change little within half a millisecond.
 pub const TRUTH_EVERY: usize = 8;
 
 /// Name and settings of every capture.
 pub fn all() -> [(&'static str, CaptureSpec); 6] {
-    let steps = [(10e-3, 52e3), (20e-3, 60e3)].map(|(t_s, f)| event(t_s, Change::Frequency(f)));
+    let steps =
+        [(10e-3, 52e3), (20e-3, 60e3)].map(|(t_s, f)| event(t_s, RecordingChange::Frequency(f)));
     [
         ("start-up", board(20e-3)),
         (
             "pot-removal",
             CaptureSpec {
                 f_sw_hz: 50e3,
-                events: vec![event(13e-3, Change::Pot(Pot::NONE))],
+                events: vec![event(13e-3, RecordingChange::Pot(SimulatedPot::NONE))],
                 ..board(20e-3)
             },
         ),
@@ -53,8 +54,8 @@ pub fn all() -> [(&'static str, CaptureSpec); 6] {
     ]
 }
 
-fn event(t_s: f64, change: Change) -> Event {
-    Event { t_s, change }
+fn event(t_s: f64, change: RecordingChange) -> RecordingEvent {
+    RecordingEvent { t_s, change }
 }
 
 /// Board's samples of a 21 cm pot at 45 kHz: 12 bit, f_sw·61/3, a pole at 500 kHz.

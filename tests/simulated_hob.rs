@@ -6,7 +6,7 @@
 use std::f64::consts::TAU;
 use std::time::Duration;
 
-use ihd_link::{Client, Event};
+use ihd_link::{Client, DeviceEvent};
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_shared::wire::messages::Telemetry;
 use ihd_sim::behavioural::PotKind;
@@ -23,7 +23,7 @@ pub struct Kitchen {
     /// The hob itself.
     pub hob: SharedHob,
     /// Events in their order.
-    pub events: Vec<Event>,
+    pub events: Vec<DeviceEvent>,
 }
 
 impl Kitchen {
@@ -64,7 +64,7 @@ impl Kitchen {
         while seen.len() < half_cycles {
             let event = self.client.next_event(PATIENCE).unwrap();
             let event = event.expect("the hob must not fall silent");
-            if let Event::Telemetry(t) = &event {
+            if let DeviceEvent::Telemetry(t) = &event {
                 seen.push(t.clone());
             }
             self.events.push(event);

@@ -20,7 +20,7 @@ use host_frames_board::Board;
 use ihd_firmware::drive::bridge::{Bridge, Drive};
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::path::SamplingPath;
-use ihd_link::receiver::{Event, Receiver};
+use ihd_link::receiver::{DeviceEvent, Receiver};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RATED_POWER_W};
 use ihd_shared::lookup::plausible;
@@ -291,9 +291,11 @@ impl Device {
         let rated = |f_sw_hz: u32| f_sw_hz == 0 || (F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&f_sw_hz);
         for event in self.host.events.drain(..) {
             match event {
-                Event::Telemetry(m) => assert!(rated(m.f_sw_hz), "{m:?}"),
-                Event::Window(w) => assert!(rated(w.f_sw_hz), "{}", w.f_sw_hz),
-                Event::Fault(_) | Event::WindowRejected { .. } | Event::Log { .. } => {}
+                DeviceEvent::Telemetry(m) => assert!(rated(m.f_sw_hz), "{m:?}"),
+                DeviceEvent::Window(w) => assert!(rated(w.f_sw_hz), "{}", w.f_sw_hz),
+                DeviceEvent::Fault(_)
+                | DeviceEvent::WindowRejected { .. }
+                | DeviceEvent::Log { .. } => {}
             }
         }
         for answer in self.host.answers.drain(..) {

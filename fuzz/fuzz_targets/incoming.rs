@@ -12,7 +12,7 @@
 
 mod reader;
 
-use ihd_link::receiver::{Event, Receiver};
+use ihd_link::receiver::{DeviceEvent, Receiver};
 use ihd_link::window::{MAX_SATURATED_FRACTION, Window};
 use ihd_shared::window::{MAX_PAIRS, MAX_TRAJECTORY, PAIR_BYTES, TRAJECTORY_ENTRY_BYTES};
 use ihd_shared::wire::deframer::Deframer;
@@ -172,20 +172,20 @@ impl Host {
         self.answers += self.receiver.answers.drain(..).count() as u32;
         for event in self.receiver.events.drain(..) {
             match event {
-                Event::Telemetry(_) => self.telemetry += 1,
-                Event::Fault(fault) => {
+                DeviceEvent::Telemetry(_) => self.telemetry += 1,
+                DeviceEvent::Fault(fault) => {
                     assert!(!format!("{:?}", fault.fault).is_empty());
                     self.faults += 1;
                 }
-                Event::Window(window) => {
+                DeviceEvent::Window(window) => {
                     check_window(&window);
                     self.windows += 1;
                 }
-                Event::WindowRejected { reason, .. } => {
+                DeviceEvent::WindowRejected { reason, .. } => {
                     assert!(!reason.to_string().is_empty());
                     self.rejected += 1;
                 }
-                Event::Log { .. } => self.logs += 1,
+                DeviceEvent::Log { .. } => self.logs += 1,
             }
         }
     }

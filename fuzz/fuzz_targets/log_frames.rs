@@ -15,7 +15,7 @@ use std::sync::LazyLock;
 
 use ihd_fakes::SampleLog;
 use ihd_flash::log::decoder::{Decoded, Decoder};
-use ihd_flash::log::table::Table;
+use ihd_flash::log::table::LogTable;
 use ihd_signal::printable::is_shown;
 use reader::Reader;
 
@@ -26,7 +26,7 @@ const LONGEST_TEXT: usize = 7 * 4096 * 80;
 static ELF: LazyLock<Vec<u8>> = LazyLock::new(|| SampleLog::of_everything().elf());
 
 fn decoder() -> Decoder {
-    let table = Table::parse(&ELF, "sample").expect("the sample is whole");
+    let table = LogTable::parse(&ELF, "sample").expect("the sample is whole");
     Decoder::new(Some(table))
 }
 

@@ -11,7 +11,7 @@
 
 mod reader;
 
-use ihd_map::{Cells, Curve, MeasuredPoint, PotMap};
+use ihd_map::{Cells, CurrentCurve, MeasuredPoint, PotMap};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_train::lookup::BuiltLookup;
@@ -48,7 +48,7 @@ fn any(reader: &mut Reader<'_>) {
 }
 
 /// A curve as windows give it: in range mostly, in any order, any numbers now and then.
-fn curve(reader: &mut Reader<'_>, t_s: f64) -> Curve {
+fn curve(reader: &mut Reader<'_>, t_s: f64) -> CurrentCurve {
     let wild = reader.u8() == 0;
     let f_sw_hz = match wild {
         true => reader.any_f64(),
@@ -67,7 +67,7 @@ fn curve(reader: &mut Reader<'_>, t_s: f64) -> Curve {
             l_sigma_h: number(reader, 1e-9, 1e-5),
         })
         .collect();
-    Curve::new(f_sw_hz, t_s, points.into_iter())
+    CurrentCurve::new(f_sw_hz, t_s, points.into_iter())
 }
 
 fn check(cells: &Cells) {
@@ -102,7 +102,7 @@ fn scaled_prior(reader: &mut Reader<'_>) {
         }
     };
     let points: Vec<MeasuredPoint> = (0..100).map(point).collect();
-    map.observe(Curve::new(f_sw_hz, 0.0, points.iter().copied()));
+    map.observe(CurrentCurve::new(f_sw_hz, 0.0, points.iter().copied()));
     check(&map.cells(0.0).expect("a whole curve"));
     let currents: Vec<f64> = points.iter().map(|p| p.i_a).collect();
     for (p, found) in points.iter().zip(map.along(f_sw_hz, &currents, 0.0)) {

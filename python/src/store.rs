@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use ihd_store::export;
-use ihd_store::{JournalFilter, Reader, ResultFilter, Spread, StoreError as ReadError};
+use ihd_store::{JournalFilter, ResultFilter, Spread, StoreError as ReadError, StoreReader};
 use ihd_store::{TelemetrySpan, WindowFilter};
 use numpy::PyArray1;
 use pyo3::prelude::*;
@@ -78,10 +78,11 @@ impl Store {
     fn rows<R: Send>(
         &self,
         py: Python<'_>,
-        read: impl Fn(&Reader) -> Result<R, ReadError> + Sync,
+        read: impl Fn(&StoreReader) -> Result<R, ReadError> + Sync,
     ) -> PyResult<R> {
         let folder: &Path = &self.folder;
-        py.detach(|| read(&Reader::open(folder)?)).map_err(failed)
+        py.detach(|| read(&StoreReader::open(folder)?))
+            .map_err(failed)
     }
 }
 
@@ -98,7 +99,7 @@ impl Store {
     /// Names of its devices.
     #[getter]
     fn devices(&self, py: Python<'_>) -> PyResult<Vec<String>> {
-        let rows = self.rows(py, Reader::devices)?;
+        let rows = self.rows(py, StoreReader::devices)?;
         Ok(rows.into_iter().map(|row| row.name).collect())
     }
 

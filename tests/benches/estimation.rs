@@ -15,7 +15,7 @@ use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::sense::correlation::correlate;
 use ihd_firmware::sense::demodulator::{Demodulator, Phasors};
 use ihd_link::receiver::Receiver;
-use ihd_link::{Client, Event};
+use ihd_link::{Client, DeviceEvent};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair, block_ns};
 use ihd_shared::units::{MicroOhm, PicoHenry};
@@ -151,7 +151,7 @@ fn transmitted(realtime: &mut SamplingPath) -> Vec<u8> {
 }
 
 /// The window that a stream holds.
-fn received(stream: &[u8]) -> Option<Event> {
+fn received(stream: &[u8]) -> Option<DeviceEvent> {
     let mut receiver = Receiver::default();
     for &byte in stream {
         // The stream is whole; a bad frame would show as no window.
@@ -163,7 +163,7 @@ fn received(stream: &[u8]) -> Option<Event> {
 fn window(c: &mut Criterion) {
     let blocks = blocks();
     let stream = transmitted(&mut recorded(&blocks));
-    let Some(Event::Window(window)) = received(&stream) else {
+    let Some(DeviceEvent::Window(window)) = received(&stream) else {
         panic!("{} bytes hold no window", stream.len());
     };
     let mut group = c.benchmark_group(format!("window of {} pairs", window.pairs.len()));

@@ -1,13 +1,13 @@
 //! The firmware closed over the simulated plant: power, and what stands on the coil.
 
 use ihd_firmware::drive::pwm;
-use ihd_link::Event;
+use ihd_link::DeviceEvent;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::{Pot, State, Telemetry};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::hob::HobConfig;
-use ihd_sim::pot::Pot as PotOnCoil;
+use ihd_sim::pot::SimulatedPot as PotOnCoil;
 use ihd_sim::recording::settings::LoadKind;
 use ihd_tests::simulated_hob::Kitchen;
 use rand::{RngExt, SeedableRng};
@@ -248,6 +248,6 @@ fn cook(seed: u64) {
     let faults = kitchen
         .events
         .iter()
-        .filter(|e| matches!(e, Event::Fault(_)));
+        .filter(|e| matches!(e, DeviceEvent::Fault(_)));
     assert_eq!(faults.count(), 0, "seed {seed}");
 }

@@ -5,7 +5,7 @@ use std::io;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ihd_link::{Event, FrameSink, LinkError, Window};
+use ihd_link::{DeviceEvent, FrameSink, LinkError, Window};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::f_adc_hz;
@@ -14,9 +14,9 @@ use ihd_signal::truth::Mre;
 use ihd_sim::hob::HobConfig;
 use ihd_tests::simulated_hob::Kitchen;
 
-fn windows(events: &[Event]) -> impl Iterator<Item = &Window> {
+fn windows(events: &[DeviceEvent]) -> impl Iterator<Item = &Window> {
     events.iter().filter_map(|e| match e {
-        Event::Window(window) => Some(&**window),
+        DeviceEvent::Window(window) => Some(&**window),
         _ => None,
     })
 }
@@ -195,7 +195,7 @@ fn over(link_bytes_per_s: f64) -> (Kitchen, Vec<Telemetry>) {
     kitchen.client.set_power(1_500).unwrap();
     kitchen.watch(100);
     let telemetry = kitchen.events.iter().filter_map(|e| match e {
-        Event::Telemetry(t) if t.half_cycle >= 10 => Some(t.clone()),
+        DeviceEvent::Telemetry(t) if t.half_cycle >= 10 => Some(t.clone()),
         _ => None,
     });
     let telemetry = telemetry.take(80).collect();

@@ -13,8 +13,8 @@ use ihd_capture::mcap;
 use ihd_firmware::retained::reset::ResetReason;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_link::tcp::TcpTransport;
-use ihd_link::{Client, Event, LinkError, Window};
-use ihd_map::{Curve, MeasuredPoint, PotMap};
+use ihd_link::{Client, DeviceEvent, LinkError, Window};
+use ihd_map::{CurrentCurve, MeasuredPoint, PotMap};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
@@ -28,7 +28,7 @@ use ihd_tests::half_cycle::{F_SW_HZ, HalfCycle};
 use ihd_tests::regression_captures;
 use ihd_train::lookup::BuiltLookup;
 use ihd_train::replay;
-use ihd_train::{NetworkConfig, RecordedHalfCycle, RunOptions, Source};
+use ihd_train::{NetworkConfig, RecordedHalfCycle, RunOptions, TrainingSource};
 
 /// Bus voltage that the replays state, in decivolt.
 const BUS_DV: u16 = 3_000;
@@ -213,7 +213,7 @@ fn the_trainer_identifies_what_is_replayed_and_teaches_the_board_at_length() {
         truth: None,
     };
     let settings = RunOptions {
-        source: Source::Replay(half_cycles.iter().map(recorded).collect()),
+        source: TrainingSource::Replay(half_cycles.iter().map(recorded).collect()),
         pinn: NetworkConfig::default(),
         store: None,
         follow: false,
@@ -258,7 +258,7 @@ fn window_back(client: &mut Client, h: &HalfCycle) -> Box<Window> {
     let deadline = Instant::now() + PATIENCE;
     let window = loop {
         match replay.client().next_event(Duration::from_secs(1)).unwrap() {
-            Some(Event::Window(window)) => break window,
+            Some(DeviceEvent::Window(window)) => break window,
             Some(other) => panic!("{other:?} instead of a window"),
             None => assert!(Instant::now() < deadline, "no window came"),
         }
@@ -269,7 +269,7 @@ fn window_back(client: &mut Client, h: &HalfCycle) -> Box<Window> {
 }
 
 /// R and L against the amplitude of the current, from a window's own track.
-fn curve(window: &Window) -> Curve {
+fn curve(window: &Window) -> CurrentCurve {
     /// Deviation of the firmware's filter, as a share (docs/accuracy.md).
     const SIGMA: f64 = 5e-3;
     let block = ADC_LOCK_P;
@@ -289,7 +289,7 @@ fn curve(window: &Window) -> Curve {
                 l_sigma_h: SIGMA * l_h,
             })
         });
-    Curve::new(f64::from(window.f_sw_hz), 0.0, points)
+    CurrentCurve::new(f64::from(window.f_sw_hz), 0.0, points)
 }
 
 #[test]
@@ -375,7 +375,7 @@ fn a_capture_replays_with_the_same_bits_windows_and_states() {
     assert_eq!((outcome.telemetry.compared, outcome.telemetry.lost), (2, 0));
 }
 
-fn replay_power(mut replay: ihd_link::replay::Replay<'_>) -> LinkError {
+fn replay_power(mut replay: ihd_link::replay::ReplayMode<'_>) -> LinkError {
     let status = replay.client().status().unwrap();
     assert_eq!((status.state, status.f_sw_hz), (State::Idle, 0));
     replay.client().set_power(1_000).unwrap_err()

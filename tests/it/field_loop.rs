@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ihd_link::{Client, Event};
+use ihd_link::{Client, DeviceEvent};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Pot, State, Telemetry};
 use ihd_sim::hob::{HobConfig, SimHob};
@@ -29,7 +29,7 @@ fn heat(load: LoadKind, half_cycles: usize) -> (SharedHob, Vec<Telemetry>) {
     let mut seen = Vec::new();
     while seen.len() < half_cycles {
         match client.next_event(Duration::from_secs(1)).unwrap() {
-            Some(Event::Telemetry(t)) => seen.push(t),
+            Some(DeviceEvent::Telemetry(t)) => seen.push(t),
             Some(_) => {}
             None => panic!("the hob fell silent after {} half-cycles", seen.len()),
         }

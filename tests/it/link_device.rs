@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ihd_link::{Client, Event, GrantedPower, LinkError, Transport};
+use ihd_link::{Client, DeviceEvent, GrantedPower, LinkError, Transport};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{RATED_POWER_W, REQUESTED_POWER_MAX_W};
 use ihd_shared::lookup::blob::LEN;
@@ -94,7 +94,7 @@ fn a_standing_fault_is_reported_and_cannot_be_cleared() {
     link.hob().run(1);
     let mut client = Client::connect(Box::new(link.clone())).unwrap();
     let number = u32::from(Fault::OPTION_BYTES.number());
-    let Some(Event::Fault(event)) = client.next_event(Duration::from_secs(1)).unwrap() else {
+    let Some(DeviceEvent::Fault(event)) = client.next_event(Duration::from_secs(1)).unwrap() else {
         panic!("it must be reported");
     };
     assert_eq!(event.fault, Fault::OPTION_BYTES);
@@ -420,7 +420,7 @@ fn power_above_the_rating_is_granted_as_the_rating() {
         link.hob().run(20);
         let mut told_w = None;
         while let Some(event) = client.next_event(Duration::ZERO).unwrap() {
-            if let Event::Telemetry(telemetry) = event {
+            if let DeviceEvent::Telemetry(telemetry) = event {
                 told_w = Some(telemetry.asked_w);
             }
         }
@@ -464,7 +464,7 @@ fn events_that_arrive_while_a_command_waits_are_kept() {
     }
     let mut seen = Vec::new();
     while let Some(event) = client.next_event(Duration::ZERO).unwrap() {
-        let Event::Telemetry(telemetry) = event else {
+        let DeviceEvent::Telemetry(telemetry) = event else {
             panic!("unexpected {event:?}");
         };
         seen.push(telemetry.seq);
@@ -666,7 +666,7 @@ fn a_new_host_begins_a_new_sequence_and_hears_of_the_fault() {
     link.hob().run(2);
     let event = second.next_event(Duration::from_millis(50)).unwrap();
     assert!(
-        matches!(event, Some(Event::Fault(ref f)) if f.fault == Fault::FLASH_ECC),
+        matches!(event, Some(DeviceEvent::Fault(ref f)) if f.fault == Fault::FLASH_ECC),
         "{event:?}"
     );
     assert_eq!(second.status().unwrap().frames_lost, 0);
@@ -699,7 +699,7 @@ fn a_window_names_the_lookup_it_was_recorded_under() {
     let mut versions = Vec::new();
     while versions.len() < 100 {
         let event = client.next_event(Duration::from_secs(1)).unwrap();
-        if let Event::Window(w) = event.expect("windows come") {
+        if let DeviceEvent::Window(w) = event.expect("windows come") {
             versions.push((w.half_cycle, w.lookup_version));
         }
     }

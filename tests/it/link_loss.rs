@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ihd_link::{Client, Counters, Event, Transport};
+use ihd_link::{Client, ClientCounters, DeviceEvent, Transport};
 use ihd_shared::wire::messages::Status;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
@@ -18,7 +18,7 @@ fn desk(sends_again: bool) -> DeskLink {
 }
 
 /// Heats over the link until that many windows have ended one way or the other; what both ends counted.
-fn watch(link: impl Transport + 'static, windows: u32) -> (Counters, Status) {
+fn watch(link: impl Transport + 'static, windows: u32) -> (ClientCounters, Status) {
     let mut client = Client::connect(Box::new(link)).unwrap();
     client.set_power(1_000).unwrap();
     client.stream(1, 2).unwrap();
@@ -26,11 +26,11 @@ fn watch(link: impl Transport + 'static, windows: u32) -> (Counters, Status) {
     while ended < windows {
         let event = client.next_event(Duration::from_secs(2)).unwrap();
         match event.expect("the hob must not fall silent") {
-            Event::Window(window) => {
+            DeviceEvent::Window(window) => {
                 seqs.push(window.seq);
                 ended += 1;
             }
-            Event::WindowRejected { .. } => ended += 1,
+            DeviceEvent::WindowRejected { .. } => ended += 1,
             _ => {}
         }
         if client.clock() > last_kept + Duration::from_secs(5) {
@@ -46,7 +46,7 @@ fn watch(link: impl Transport + 'static, windows: u32) -> (Counters, Status) {
 }
 
 /// Share of the windows that the device recorded which arrived whole.
-fn whole((counters, status): &(Counters, Status)) -> f64 {
+fn whole((counters, status): &(ClientCounters, Status)) -> f64 {
     f64::from(counters.windows.received) / f64::from(status.windows_recorded)
 }
 

@@ -6,11 +6,11 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-use ihd_capture::mcap::reader::Item;
+use ihd_capture::mcap::reader::McapItem;
 use ihd_capture::mcap::topics::Topic;
-use ihd_capture::mcap::{Reader, SessionRecorder};
+use ihd_capture::mcap::{McapReader, SessionRecorder};
 use ihd_link::tcp::TcpTransport;
-use ihd_link::{Client, DeviceSpec, Event, LinkError, Transport};
+use ihd_link::{Client, DeviceEvent, DeviceSpec, LinkError, Transport};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_tests::desk_hob::{DeskHob, desk_hello};
@@ -85,7 +85,7 @@ fn local() -> (TcpListener, String) {
 }
 
 /// A session of commands, recorded; returns its events.
-fn session(transport: Box<dyn Transport>, path: &Path) -> Vec<Event> {
+fn session(transport: Box<dyn Transport>, path: &Path) -> Vec<DeviceEvent> {
     let mut client = Client::connect(transport).unwrap();
     client.set_timeout(Duration::from_secs(60));
     client.record_to(SessionRecorder::create(path, client.hello(), client.front_end()).unwrap());
@@ -128,7 +128,7 @@ fn the_bytes_over_tcp_are_those_in_memory() {
     let there = session(tcp, &over_tcp);
     server.join().unwrap();
     let here = session(Box::new(InMemory(Stepped::new(), Vec::new())), &in_memory);
-    assert!(here.iter().any(|e| matches!(e, Event::Window(_))));
+    assert!(here.iter().any(|e| matches!(e, DeviceEvent::Window(_))));
     assert_eq!(there, here);
     for topic in [Topic::FromDevice, Topic::ToDevice] {
         let (there, here) = (bytes(&over_tcp, topic), bytes(&in_memory, topic));
@@ -140,10 +140,10 @@ fn the_bytes_over_tcp_are_those_in_memory() {
 
 /// Everything that one end of a recorded session sent.
 fn bytes(path: &Path, wanted: Topic) -> Vec<u8> {
-    let mut reader = Reader::open(path).unwrap();
+    let mut reader = McapReader::open(path).unwrap();
     let mut bytes = Vec::new();
     while let Some(item) = reader.next_item().unwrap() {
-        if let Item::Message(m) = item
+        if let McapItem::Message(m) = item
             && m.topic == wanted
         {
             bytes.extend_from_slice(m.data);

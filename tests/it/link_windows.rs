@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 use std::time::Duration;
 
-use ihd_link::{Client, Event, Window};
+use ihd_link::{Client, DeviceEvent, Window};
 use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, CODE_MAX, Pair, VOLT_PER_CODE, f_adc_hz,
 };
@@ -22,7 +22,7 @@ use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello, heating, heating_where};
 
 /// Events of the client during the next half-cycles, all of them.
-fn watch(client: &mut Client, half_cycles: u64) -> Vec<Event> {
+fn watch(client: &mut Client, half_cycles: u64) -> Vec<DeviceEvent> {
     let end = client.clock() + Duration::from_millis(10 * half_cycles);
     let mut events = Vec::new();
     loop {
@@ -57,7 +57,7 @@ fn a_window_arrives_whole() {
     let windows: Vec<&Window> = events
         .iter()
         .map(|e| match e {
-            Event::Window(w) => &**w,
+            DeviceEvent::Window(w) => &**w,
             other => panic!("unexpected {other:?}"),
         })
         .collect();
@@ -115,7 +115,7 @@ fn reason_after(id: u8, nth: usize, damage: Damage) -> &'static str {
     let rejected: Vec<_> = events
         .iter()
         .filter_map(|e| match e {
-            Event::WindowRejected { seq, reason } => Some((*seq, reason.label())),
+            DeviceEvent::WindowRejected { seq, reason } => Some((*seq, reason.label())),
             _ => None,
         })
         .collect();
@@ -125,7 +125,7 @@ fn reason_after(id: u8, nth: usize, damage: Damage) -> &'static str {
     let accepted: Vec<u32> = events
         .iter()
         .filter_map(|e| match e {
-            Event::Window(w) => Some(w.seq),
+            DeviceEvent::Window(w) => Some(w.seq),
             _ => None,
         })
         .collect();
@@ -198,7 +198,7 @@ fn what_is_lost_is_asked_for_again_and_costs_no_window() {
             link.hob().mangle = Box::new(lost_once(id, damage));
             let events = watch(&mut client, 80);
             assert!(
-                events.iter().all(|e| matches!(e, Event::Window(_))),
+                events.iter().all(|e| matches!(e, DeviceEvent::Window(_))),
                 "{id:#04x}: {:?}",
                 client.counters()
             );
@@ -227,7 +227,7 @@ fn a_window_of_which_nothing_but_its_end_came_is_asked_for() {
     });
     let events = watch(&mut client, 30);
     assert!(events.len() >= 5, "{}", events.len());
-    assert!(events.iter().all(|e| matches!(e, Event::Window(_))));
+    assert!(events.iter().all(|e| matches!(e, DeviceEvent::Window(_))));
     let counters = client.counters();
     assert_eq!(counters.windows_rejected_total(), 0);
     assert!(counters.pieces_asked > 10, "{counters:?}");
@@ -241,7 +241,7 @@ fn repetition_and_order_cost_nothing() {
             let (mut client, link) = heating_where(sends_again);
             link.hob().mangle = disorder;
             let events = watch(&mut client, 20);
-            assert!(events.iter().all(|e| matches!(e, Event::Window(_))));
+            assert!(events.iter().all(|e| matches!(e, DeviceEvent::Window(_))));
             assert!(events.len() >= 6, "{}", events.len());
             let counters = client.counters();
             assert_eq!(counters.windows_rejected_total(), 0);
@@ -416,7 +416,7 @@ fn saturated_pairs_reject_the_window() {
     }
     let mut rejected = 0;
     while let Some(event) = replay.client().next_event(Duration::ZERO).unwrap() {
-        let Event::WindowRejected { reason, .. } = event else {
+        let DeviceEvent::WindowRejected { reason, .. } = event else {
             panic!("unexpected {event:?}");
         };
         assert_eq!(reason.label(), "saturated");
@@ -433,7 +433,7 @@ fn what_a_slow_link_makes_the_device_drop_is_counted_on_both_ends() {
     link.hob().bytes_per_block = 100;
     client.stream(0, 1).unwrap();
     let events = watch(&mut client, 40);
-    assert!(events.iter().all(|e| matches!(e, Event::Window(_))));
+    assert!(events.iter().all(|e| matches!(e, DeviceEvent::Window(_))));
     link.hob().bytes_per_block = usize::MAX;
     client.stream(0, 0).unwrap();
     watch(&mut client, 2);

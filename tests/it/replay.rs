@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ihd_firmware::link::response::front_end;
-use ihd_link::{Client, Event as LinkEvent, LinkError, Transport};
+use ihd_link::{Client, DeviceEvent as LinkEvent, LinkError, Transport};
 use ihd_shared::fault::Fault;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
@@ -20,7 +20,7 @@ use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::Rate;
 use ihd_sim::recording::settings;
-use ihd_sim::recording::settings::{Change, Event, LoadKind};
+use ihd_sim::recording::settings::{LoadKind, RecordingChange, RecordingEvent};
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
@@ -31,9 +31,9 @@ fn segments() -> Vec<Segment> {
     let mut settings = settings::CaptureSpec {
         load: LoadKind::Behavioural,
         duration_s: 25e-3,
-        events: vec![Event {
+        events: vec![RecordingEvent {
             t_s: 12e-3,
-            change: Change::Frequency(52e3),
+            change: RecordingChange::Frequency(52e3),
         }],
         ..settings::CaptureSpec::default()
     };

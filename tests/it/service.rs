@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use ihd_link::{Client, Event, LinkError};
+use ihd_link::{Client, DeviceEvent, LinkError};
 use ihd_shared::wire::messages::{Outcome, Program, State};
-use ihd_sim::adc::Noise;
+use ihd_sim::adc::ConverterNoise;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::inverter::supply::SupplyParts;
 use ihd_sim::transport::SharedHob;
@@ -45,7 +45,7 @@ fn a_simulated_hob_has_no_chip_and_the_option_bytes_that_it_needs() {
 fn the_channels_show_the_noise_that_was_put_in_and_the_mains() {
     let (mut client, _) = connected(&HobConfig {
         // 640 V and 80 A are 2 048 codes.
-        noise: Noise {
+        noise: ConverterNoise {
             v_v: 3.0 * 640.0 / 2_048.0,
             i_a: 5.0 * 80.0 / 2_048.0,
         },
@@ -112,7 +112,8 @@ fn a_test_that_is_overtaken_by_power_says_so_and_the_windows_come() {
     let until = client.clock() + Duration::from_secs(2);
     let mut windows = 0;
     while client.clock() < until && windows < 3 {
-        if let Some(Event::Window(_)) = client.next_event(Duration::from_millis(100)).unwrap() {
+        if let Some(DeviceEvent::Window(_)) = client.next_event(Duration::from_millis(100)).unwrap()
+        {
             windows += 1;
         }
     }
@@ -186,7 +187,9 @@ fn power_can_be_tried_from_a_bench_supply() {
     let until = client.clock() + Duration::from_secs(2);
     let mut most_mw = 0;
     while client.clock() < until {
-        if let Some(Event::Telemetry(t)) = client.next_event(Duration::from_millis(100)).unwrap() {
+        if let Some(DeviceEvent::Telemetry(t)) =
+            client.next_event(Duration::from_millis(100)).unwrap()
+        {
             most_mw = most_mw.max(t.power_mw);
         }
     }

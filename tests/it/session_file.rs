@@ -8,7 +8,7 @@ use std::time::Duration;
 use ihd_capture::mcap;
 use ihd_capture::mcap::{McapFileError, SessionReader, SessionRecorder};
 use ihd_firmware::link::response::front_end;
-use ihd_link::{Client, Counters, Event, FrameSink, LinkError, Window};
+use ihd_link::{Client, ClientCounters, DeviceEvent, FrameSink, LinkError, Window};
 use ihd_shared::sampling::VOLT_PER_CODE;
 use ihd_shared::wire::PROTOCOL_MAJOR;
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
@@ -21,7 +21,7 @@ use tempfile::TempDir;
 const HALF_CYCLES: usize = 160;
 
 /// A device that heats and streams, its recording, and the events the client saw meanwhile.
-fn record(path: &Path) -> (Vec<Event>, Counters) {
+fn record(path: &Path) -> (Vec<DeviceEvent>, ClientCounters) {
     let link = DeskLink::new(DeskHob::new(desk_hello()));
     let mut client = Client::connect(Box::new(link.clone())).unwrap();
     client.set_power(1_000).unwrap();
@@ -40,7 +40,7 @@ fn record(path: &Path) -> (Vec<Event>, Counters) {
     (events, client.counters())
 }
 
-fn read(path: &Path) -> (Vec<Event>, SessionReader) {
+fn read(path: &Path) -> (Vec<DeviceEvent>, SessionReader) {
     let mut reader = SessionReader::open(path).unwrap();
     let mut events = Vec::new();
     while let Some(event) = reader.next_event().unwrap() {
@@ -52,7 +52,7 @@ fn read(path: &Path) -> (Vec<Event>, SessionReader) {
 }
 
 /// A recording's bytes and events, and the size of its beginning, made once.
-static RECORDING: LazyLock<(Vec<u8>, Vec<Event>, usize)> = LazyLock::new(|| {
+static RECORDING: LazyLock<(Vec<u8>, Vec<DeviceEvent>, usize)> = LazyLock::new(|| {
     let dir = TempDir::new().unwrap();
     let path = dir.path().join("whole.mcap");
     let (events, _) = record(&path);
@@ -70,10 +70,10 @@ fn file(dir: &TempDir, bytes: &[u8]) -> PathBuf {
     path
 }
 
-fn windows(events: &[Event]) -> Vec<&Window> {
+fn windows(events: &[DeviceEvent]) -> Vec<&Window> {
     let mut windows = Vec::new();
     for event in events {
-        if let Event::Window(window) = event {
+        if let DeviceEvent::Window(window) = event {
             windows.push(&**window);
         }
     }
@@ -261,7 +261,7 @@ fn a_full_disk_is_reported_once_and_the_link_goes_on() {
     );
     for _ in 0..3 {
         let event = client.next_event(Duration::from_millis(50)).unwrap();
-        assert!(matches!(event, Some(Event::Telemetry(_))));
+        assert!(matches!(event, Some(DeviceEvent::Telemetry(_))));
     }
 }
 
@@ -276,7 +276,7 @@ proptest! {
         let dir = TempDir::new().unwrap();
         let (mut events, reader) = read(&file(&dir, &bytes[..cut]));
         prop_assert!(reader.file_damage().is_none() && reader.counters().frames_bad <= 1);
-        if let Some(Event::WindowRejected { reason, .. }) = events.last() {
+        if let Some(DeviceEvent::WindowRejected { reason, .. }) = events.last() {
             prop_assert_eq!(reason.label(), "no end");
             events.pop();
         }

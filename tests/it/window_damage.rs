@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, LazyLock, Mutex};
 
 use ihd_link::receiver::Receiver;
-use ihd_link::{Event, Window};
+use ihd_link::{DeviceEvent, Window};
 use ihd_shared::wire::frame::{MAX_ENCODED, encode_raw};
 use ihd_tests::desk_hob::heating;
 use proptest::prelude::*;
@@ -31,7 +31,7 @@ fn windows_of(stream: impl IntoIterator<Item = u8>) -> (BTreeMap<u32, Window>, R
     }
     receiver.finish();
     let windows = receiver.events.iter().filter_map(|e| match e {
-        Event::Window(w) => Some((w.seq, (**w).clone())),
+        DeviceEvent::Window(w) => Some((w.seq, (**w).clone())),
         _ => None,
     });
     (windows.collect(), receiver)
@@ -96,8 +96,8 @@ proptest! {
         let counters = receiver.counters();
         prop_assert_eq!(counters.windows.received as usize, windows.len());
         let mut seqs: Vec<u32> = receiver.events.iter().map(|e| match e {
-            Event::Window(w) => w.seq,
-            Event::WindowRejected { seq, .. } => *seq,
+            DeviceEvent::Window(w) => w.seq,
+            DeviceEvent::WindowRejected { seq, .. } => *seq,
             other => panic!("unexpected {other:?}"),
         }).collect();
         let ends = seqs.len();

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use ihd_link::Event;
+use ihd_link::DeviceEvent;
 use ihd_link::receiver::Receiver;
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::blob::LEN;
@@ -444,9 +444,9 @@ fn a_fault_of_a_newer_device_costs_nothing_else() {
     };
     assert_eq!(
         receiver.events.pop_front(),
-        Some(Event::Telemetry(telemetry))
+        Some(DeviceEvent::Telemetry(telemetry))
     );
-    let Some(Event::Fault(event)) = receiver.events.pop_front() else {
+    let Some(DeviceEvent::Fault(event)) = receiver.events.pop_front() else {
         panic!("the fault event is missing");
     };
     assert_eq!((event.half_cycle, event.fault), (3_002, newer));

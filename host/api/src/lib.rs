@@ -21,7 +21,7 @@ pub mod tls;
 mod traffic;
 
 pub use client::ApiClient;
-pub use server::{Server, ServerError, ServerOptions};
+pub use server::{ApiServer, ApiServerError, ServerOptions};
 
 /// Returns the OpenAPI 3.1 description of the API, as `GET /api/v1/openapi.json` does.
 pub fn openapi() -> utoipa::openapi::OpenApi {

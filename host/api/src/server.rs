@@ -44,9 +44,9 @@ pub struct ServerOptions {
     pub backups: PathBuf,
 }
 
-/// Error of [`Server::bind`].
+/// Error of [`ApiServer::bind`].
 #[derive(Debug, Error)]
-pub enum ServerError {
+pub enum ApiServerError {
     /// `listen` is not an address.
     #[error("listen = {listen:?} is no address: {source}; write HOST:PORT, as 127.0.0.1:8731")]
     Address {
@@ -98,8 +98,8 @@ pub enum ServerError {
     Tls(#[from] TlsError),
 }
 
-/// Server that listens, but does not accept connections before [`Server::run`].
-pub struct Server {
+/// Server that listens, but does not accept connections before [`ApiServer::run`].
+pub struct ApiServer {
     listener: TcpListener,
     address: SocketAddr,
     tls: Option<ServerTls>,
@@ -108,32 +108,34 @@ pub struct Server {
     created_tokens: Option<PathBuf>,
 }
 
-impl Server {
+impl ApiServer {
     /// Binds the port; reads tokens and certificate, or creates them.
     ///
     /// # Errors
-    /// [`ServerError`], also for an address that other machines can reach without tokens and TLS.
-    pub async fn bind(options: &ServerOptions) -> Result<Self, ServerError> {
+    /// [`ApiServerError`], also for an address that other machines can reach without tokens and TLS.
+    pub async fn bind(options: &ServerOptions) -> Result<Self, ApiServerError> {
         let listen = options.listen.clone();
         let requested = resolve(&listen)?;
         let loopback = requested.ip().is_loopback();
         if !loopback && (options.token_file.is_none() || options.tls.is_none()) {
-            return Err(ServerError::Reachable { listen });
+            return Err(ApiServerError::Reachable { listen });
         }
         if requested.ip().is_unspecified() && options.allowed_hosts.is_empty() {
-            return Err(ServerError::Nameless { listen });
+            return Err(ApiServerError::Nameless { listen });
         }
         let listener = TcpListener::bind(requested).await.map_err(|source| {
             let listen = listen.clone();
             match source.kind() {
-                io::ErrorKind::AddrInUse => ServerError::InUse { listen },
-                _ => ServerError::Bind { listen, source },
+                io::ErrorKind::AddrInUse => ApiServerError::InUse { listen },
+                _ => ApiServerError::Bind { listen, source },
             }
         })?;
-        let address = listener.local_addr().map_err(|source| ServerError::Bind {
-            listen: listen.clone(),
-            source,
-        })?;
+        let address = listener
+            .local_addr()
+            .map_err(|source| ApiServerError::Bind {
+                listen: listen.clone(),
+                source,
+            })?;
         let mut created_tokens = None;
         let tokens = match &options.token_file {
             None => None,
@@ -174,7 +176,7 @@ impl Server {
         Some((&tls.fingerprint, &tls.certificate))
     }
 
-    /// Returns the token file if [`Server::bind`] has created it.
+    /// Returns the token file if [`ApiServer::bind`] has created it.
     pub fn created_tokens(&self) -> Option<&Path> {
         self.created_tokens.as_deref()
     }
@@ -222,8 +224,8 @@ impl Server {
     }
 }
 
-fn resolve(listen: &str) -> Result<SocketAddr, ServerError> {
-    let cannot = |source| ServerError::Address {
+fn resolve(listen: &str) -> Result<SocketAddr, ApiServerError> {
+    let cannot = |source| ApiServerError::Address {
         listen: listen.into(),
         source,
     };
@@ -236,7 +238,7 @@ fn resolve(listen: &str) -> Result<SocketAddr, ServerError> {
 fn load_tls(
     options: &ServerOptions,
     address: SocketAddr,
-) -> Result<Option<ServerTls>, ServerError> {
+) -> Result<Option<ServerTls>, ApiServerError> {
     let Some(certificate) = &options.tls else {
         return Ok(None);
     };
@@ -262,7 +264,7 @@ mod tests {
     }
 
     async fn refused(options: &ServerOptions) -> String {
-        Server::bind(options).await.err().unwrap().to_string()
+        ApiServer::bind(options).await.err().unwrap().to_string()
     }
 
     #[tokio::test]
@@ -294,7 +296,7 @@ mod tests {
         let error = refused(&options).await;
         assert!(error.contains("allowed_hosts"), "{error}");
         options.allowed_hosts = vec!["hob.lan".into()];
-        let server = Server::bind(&options).await.unwrap();
+        let server = ApiServer::bind(&options).await.unwrap();
         assert!(server.url().starts_with("https://"));
         assert!(server.created_tokens().is_some());
         assert!(server.certificate().is_some());
@@ -302,7 +304,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_port_in_use_and_no_address_say_what_to_do() {
-        let first = Server::bind(&options("127.0.0.1:0")).await.unwrap();
+        let first = ApiServer::bind(&options("127.0.0.1:0")).await.unwrap();
         let error = refused(&options(&first.address().to_string())).await;
         assert!(error.contains("running already"), "{error}");
         let error = refused(&options("8731")).await;

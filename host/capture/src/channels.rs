@@ -5,8 +5,8 @@ use std::fmt;
 
 use ihd_signal::printable;
 
-use super::formats::channel::Channel;
-use super::formats::unit::{Quantity, Unit};
+use super::formats::channel::FileChannel;
+use super::formats::unit::{ColumnQuantity, Unit};
 
 /// A channel as the user names it: by its number, the first is 1, or by its name.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -74,7 +74,7 @@ pub struct ChosenChannel {
 /// # Errors
 /// The ambiguity, with the channels and the flag that resolves it.
 pub fn choose(
-    channels: &[Channel],
+    channels: &[FileChannel],
     options: &ChannelOptions,
 ) -> Result<[ChosenChannel; 2], String> {
     let mut pair = match &options.channels {
@@ -93,12 +93,12 @@ pub fn choose(
         ));
     }
     Ok([
-        chosen(channels, v, Quantity::Voltage, options)?,
-        chosen(channels, i, Quantity::Current, options)?,
+        chosen(channels, v, ColumnQuantity::Voltage, options)?,
+        chosen(channels, i, ColumnQuantity::Current, options)?,
     ])
 }
 
-fn named(channels: &[Channel], reference: &ChannelRef) -> Result<usize, String> {
+fn named(channels: &[FileChannel], reference: &ChannelRef) -> Result<usize, String> {
     let names = channels.iter().map(|c| c.name.as_str());
     reference
         .find(names)
@@ -106,7 +106,7 @@ fn named(channels: &[Channel], reference: &ChannelRef) -> Result<usize, String> 
 }
 
 /// Detects both channels: by unit first, then by name; if one of two is detected, the other follows.
-fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
+fn detected(channels: &[FileChannel], swap: bool) -> Result<[usize; 2], String> {
     if channels.is_empty() {
         return Err("no channel beside the time".to_owned());
     }
@@ -116,13 +116,13 @@ fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
             listed(channels)
         ));
     }
-    let only = |is: &dyn Fn(&Channel) -> bool| {
+    let only = |is: &dyn Fn(&FileChannel) -> bool| {
         let mut all = (0..channels.len()).filter(|k| is(&channels[*k]));
         all.next().filter(|_| all.next().is_none())
     };
-    let find = |quantity: Quantity| {
-        let of_unit = |c: &Channel| c.unit.is_some_and(|u| u.quantity == quantity);
-        let of_name = |c: &Channel| quantity_of_name(&c.name) == Some(quantity);
+    let find = |quantity: ColumnQuantity| {
+        let of_unit = |c: &FileChannel| c.unit.is_some_and(|u| u.quantity == quantity);
+        let of_name = |c: &FileChannel| quantity_of_name(&c.name) == Some(quantity);
         // A current probe's channel is in volt, so a name may overrule that unit.
         only(&|c| of_unit(c) && of_name(c))
             .or_else(|| only(&|c| of_unit(c) && quantity_of_name(&c.name).is_none()))
@@ -130,7 +130,7 @@ fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
             .or_else(|| only(&of_unit))
     };
     let other = |k: usize| (channels.len() == 2).then_some(1 - k);
-    let pair = match (find(Quantity::Voltage), find(Quantity::Current)) {
+    let pair = match (find(ColumnQuantity::Voltage), find(ColumnQuantity::Current)) {
         (Some(v), Some(i)) if v != i => Some([v, i]),
         (None, Some(i)) => other(i).map(|v| [v, i]),
         (Some(v), None) => other(v).map(|i| [v, i]),
@@ -148,18 +148,18 @@ fn detected(channels: &[Channel], swap: bool) -> Result<[usize; 2], String> {
 }
 
 /// Quantity that a channel's name indicates; `None` if it indicates none.
-pub fn quantity_of_name(name: &str) -> Option<Quantity> {
+pub fn quantity_of_name(name: &str) -> Option<ColumnQuantity> {
     let lower = name.to_lowercase();
     let parts = || lower.split(|c: char| !c.is_alphabetic());
     let is = |list: &[&str]| parts().any(|part| list.contains(&part));
     if is(&[
         "current", "amp", "amps", "ampere", "strom", "i", "icoil", "ic", "il",
     ]) {
-        Some(Quantity::Current)
+        Some(ColumnQuantity::Current)
     } else if is(&[
         "voltage", "volt", "volts", "spannung", "v", "u", "vcoil", "vc", "vl",
     ]) {
-        Some(Quantity::Voltage)
+        Some(ColumnQuantity::Voltage)
     } else {
         None
     }
@@ -167,12 +167,12 @@ pub fn quantity_of_name(name: &str) -> Option<Quantity> {
 
 /// Returns the factor to volt or ampere, from flags and the file's unit.
 fn chosen(
-    channels: &[Channel],
+    channels: &[FileChannel],
     index: usize,
-    quantity: Quantity,
+    quantity: ColumnQuantity,
     options: &ChannelOptions,
 ) -> Result<ChosenChannel, String> {
-    let side = usize::from(quantity == Quantity::Current);
+    let side = usize::from(quantity == ColumnQuantity::Current);
     let ratio = options.probe.map_or(1.0, |probe| probe[side]);
     let stated = options.units.map(|units| units[side]);
     // A ratio or an exchange given by the user overrides the unit in the file.
@@ -184,7 +184,7 @@ fn chosen(
         (None, Some(unit)) if unit.quantity == quantity || settled => unit.scale,
         (None, Some(unit)) => {
             let (what, flag) = match quantity {
-                Quantity::Current => (
+                ColumnQuantity::Current => (
                     "current",
                     "give ampere per volt of the current probe, as in --input probe=1,10",
                 ),
@@ -210,8 +210,8 @@ fn chosen(
 /// Largest number of channels listed in a message.
 const LISTED: usize = 12;
 
-fn listed(channels: &[Channel]) -> String {
-    let one = |(k, c): (usize, &Channel)| {
+fn listed(channels: &[FileChannel]) -> String {
+    let one = |(k, c): (usize, &FileChannel)| {
         let unit = c.unit.map_or(String::new(), |u| format!(" in {u}"));
         format!("{} `{}`{unit}", k + 1, printable(&c.name))
     };
@@ -232,15 +232,15 @@ fn listed(channels: &[Channel]) -> String {
 mod tests {
     use super::*;
 
-    fn channel(name: &str, unit: Option<&str>) -> Channel {
-        Channel {
+    fn channel(name: &str, unit: Option<&str>) -> FileChannel {
+        FileChannel {
             name: name.to_owned(),
             unit: unit.and_then(Unit::parse),
             full_scale: None,
         }
     }
 
-    fn indices(channels: &[Channel], options: &ChannelOptions) -> Result<[usize; 2], String> {
+    fn indices(channels: &[FileChannel], options: &ChannelOptions) -> Result<[usize; 2], String> {
         choose(channels, options).map(|c| c.map(|c| c.index))
     }
 

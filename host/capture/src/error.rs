@@ -4,7 +4,7 @@ use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::mcap::{Losses, McapFileError};
+use super::mcap::{FileLosses, McapFileError};
 
 /// Place of an error in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,7 +103,7 @@ pub enum CaptureError {
         /// The file.
         path: PathBuf,
         /// Parts that could not be read.
-        losses: Losses,
+        losses: FileLosses,
     },
     /// The format is unknown.
     #[error("{} is no capture in a format known to ihd: {what}", path.display())]

@@ -14,7 +14,7 @@ use super::formats::input::{Input, ReadSeek};
 use super::formats::isf::{self, IsfSource};
 use super::formats::trc::{self, TrcSource};
 use super::formats::wfm::{self, WfmSource};
-use super::formats::{Progress, Source, mat, npz};
+use super::formats::{CaptureFile, ReadProgress, mat, npz};
 use super::mcap::{self, McapFileError, SalvagedCapture};
 
 /// Number of bytes by which a format is recognised.
@@ -24,7 +24,7 @@ const HEAD: usize = 4096;
 type Columns<'a> = Option<&'a [ChannelRef; 3]>;
 
 /// File whose header was read, or its defect.
-type Opened = Result<Box<dyn Source>, FormatError>;
+type Opened = Result<Box<dyn CaptureFile>, FormatError>;
 
 /// Reader of a format.
 pub(super) enum Opener {
@@ -43,7 +43,7 @@ pub(super) struct ReadSupport {
 }
 
 /// Writes a capture to the file at a path.
-type Writer = fn(&Capture, &Path, Progress<'_>) -> Result<(), ExportError>;
+type Writer = fn(&Capture, &Path, ReadProgress<'_>) -> Result<(), ExportError>;
 
 /// Writing support of a format.
 pub struct WriteSupport {
@@ -54,7 +54,7 @@ pub struct WriteSupport {
 }
 
 /// A format of captures.
-pub struct Format {
+pub struct CaptureFormat {
     /// Name shown to users.
     pub name: &'static str,
     /// Reading support; `None` if it cannot be read.
@@ -72,8 +72,8 @@ const fn reading(
 }
 
 /// All formats, in the order of recognition; plain text is last as it has no mark.
-pub static FORMATS: [Format; 8] = [
-    Format {
+pub static FORMATS: [CaptureFormat; 8] = [
+    CaptureFormat {
         name: "MCAP",
         reading: Some(ReadSupport {
             recognises: |head| head.starts_with(::mcap::MAGIC),
@@ -84,7 +84,7 @@ pub static FORMATS: [Format; 8] = [
             write: Some(|capture, path, _| Ok(mcap::write(capture, path)?)),
         }),
     },
-    Format {
+    CaptureFormat {
         name: "Tektronix WFM",
         reading: reading(
             |head| head.get(2..9) == Some(wfm::VERSION),
@@ -92,14 +92,14 @@ pub static FORMATS: [Format; 8] = [
         ),
         writing: None,
     },
-    Format {
+    CaptureFormat {
         name: "Tektronix ISF",
         reading: reading(isf::is_isf, |file, _| {
             Input::new(file).and_then(IsfSource::open).map(boxed)
         }),
         writing: None,
     },
-    Format {
+    CaptureFormat {
         name: "LeCroy TRC",
         reading: reading(
             |head| trc::descriptor(head).is_some(),
@@ -107,7 +107,7 @@ pub static FORMATS: [Format; 8] = [
         ),
         writing: None,
     },
-    Format {
+    CaptureFormat {
         name: "MATLAB MAT v5",
         reading: reading(
             |head| mat::endian(head).is_some(),
@@ -115,7 +115,7 @@ pub static FORMATS: [Format; 8] = [
         ),
         writing: None,
     },
-    Format {
+    CaptureFormat {
         name: "NPZ",
         reading: reading(
             |head| head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06"),
@@ -126,7 +126,7 @@ pub static FORMATS: [Format; 8] = [
             write: Some(exports::write_npz),
         }),
     },
-    Format {
+    CaptureFormat {
         name: "CSV",
         reading: reading(is_text, |file, columns| {
             CsvSource::open(file, columns).map(boxed)
@@ -136,7 +136,7 @@ pub static FORMATS: [Format; 8] = [
             write: Some(exports::write_csv),
         }),
     },
-    Format {
+    CaptureFormat {
         name: "Parquet",
         reading: None,
         writing: Some(WriteSupport {
@@ -149,7 +149,7 @@ pub static FORMATS: [Format; 8] = [
     },
 ];
 
-fn boxed(source: impl Source + 'static) -> Box<dyn Source> {
+fn boxed(source: impl CaptureFile + 'static) -> Box<dyn CaptureFile> {
     Box::new(source)
 }
 
@@ -191,7 +191,11 @@ fn writing(path: &Path) -> Result<&'static WriteSupport, ExportError> {
 ///
 /// # Errors
 /// [`ExportError`]; what was written of the file until then is removed.
-pub fn write(capture: &Capture, path: &Path, progress: Progress<'_>) -> Result<(), ExportError> {
+pub fn write(
+    capture: &Capture,
+    path: &Path,
+    progress: ReadProgress<'_>,
+) -> Result<(), ExportError> {
     (writer(path)?)(capture, path, progress)
 }
 

@@ -8,8 +8,8 @@ use super::channels::{ChannelOptions, ChannelRef, ChosenChannel, choose, quantit
 use super::error::CaptureError;
 use super::format::{Opener, recognise, regular};
 use super::formats::unit::Unit;
-use super::formats::{Channel, FileFacts, Samples, Source};
-use super::mcap::{Losses, SalvagedCapture};
+use super::formats::{CaptureFile, FileChannel, FileFacts, FileSamples};
+use super::mcap::{FileLosses, SalvagedCapture};
 use super::pair::overlap;
 
 /// User's options for a file, and for a second one with the other channel.
@@ -61,7 +61,7 @@ pub fn salvage_with(
         return Ok(SalvagedCapture { capture, losses });
     }
     let capture = separate(path, opener, options, progress)?;
-    let losses = Losses::default();
+    let losses = FileLosses::default();
     Ok(SalvagedCapture { capture, losses })
 }
 
@@ -112,7 +112,7 @@ pub fn lone_channel(
     };
     let channel = channel.clone();
     let samples = file.source.read(&[0], &mut |_| ());
-    let Samples { time, columns } = samples.map_err(|e| e.in_file(path))?;
+    let FileSamples { time, columns } = samples.map_err(|e| e.in_file(path))?;
     let x = columns.first().map_or(&[][..], Vec::as_slice);
     let n = x.len().max(1) as f64;
     let all = || x.iter().map(|x| f64::from(*x));
@@ -167,7 +167,7 @@ fn separate(
 /// File whose header has been read.
 struct OpenFile {
     path: PathBuf,
-    source: Box<dyn Source>,
+    source: Box<dyn CaptureFile>,
 }
 
 impl OpenFile {
@@ -186,7 +186,7 @@ impl OpenFile {
     }
 
     /// Channels of the file; in a pair the file's name decides if the channel's does not.
-    fn channels(&self, paired: bool) -> Vec<Channel> {
+    fn channels(&self, paired: bool) -> Vec<FileChannel> {
         let mut channels = self.source.channels().to_vec();
         let stem = self
             .path
@@ -213,7 +213,7 @@ impl ChannelSamples {
     ///
     /// # Errors
     /// The sample that the factor drives beyond f32.
-    fn new(mut values: Vec<f32>, channel: &Channel, factor: f64) -> Result<Self, String> {
+    fn new(mut values: Vec<f32>, channel: &FileChannel, factor: f64) -> Result<Self, String> {
         if factor != 1.0 {
             for (k, x) in values.iter_mut().enumerate() {
                 let scaled = (f64::from(*x) * factor) as f32;
@@ -245,7 +245,7 @@ fn assembled(
         path: path.clone(),
         what,
     };
-    let channels: Vec<Channel> = files.iter().flat_map(|f| f.channels(paired)).collect();
+    let channels: Vec<FileChannel> = files.iter().flat_map(|f| f.channels(paired)).collect();
     let of_first = files[0].source.channels().len();
     // A table then has these two channels, in this order.
     let of_columns = (options.columns.as_ref()).map(|_| [1, 2].map(ChannelRef::Number));
@@ -315,7 +315,7 @@ fn assembled(
 type Columns = (Vec<Vec<f32>>, Option<TimeBase>);
 
 /// Cuts voltage and current from two files to their common times. With a stated rate the files' times are ignored.
-fn paired_columns(both: Vec<Samples>, options: &OpenOptions) -> Result<Columns, String> {
+fn paired_columns(both: Vec<FileSamples>, options: &OpenOptions) -> Result<Columns, String> {
     let lengths: Vec<usize> = both
         .iter()
         .map(|s| s.columns.first().map_or(0, Vec::len))
@@ -357,7 +357,7 @@ pub(super) fn adjusted(
         let what = "it holds voltage and current: no second file and no --input columns are needed";
         return Err(choice(what.to_owned()));
     }
-    let channel = |name: &str, unit, full_scale| Channel {
+    let channel = |name: &str, unit, full_scale| FileChannel {
         name: name.to_owned(),
         unit: Some(unit),
         full_scale,

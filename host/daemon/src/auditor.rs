@@ -171,7 +171,7 @@ mod tests {
     use std::time::Instant;
 
     use ihd_capture::recording::RecordingSession;
-    use ihd_store::{Reader, Store, StoreOptions};
+    use ihd_store::{Store, StoreOptions, StoreReader};
 
     use super::*;
     use crate::event_bus::EventBus;
@@ -204,7 +204,7 @@ mod tests {
         let break_it = || database.execute_batch("ALTER TABLE audit RENAME TO elsewhere");
         let mend_it = || database.execute_batch("ALTER TABLE elsewhere RENAME TO audit");
         let written = || {
-            let rows = Reader::open(folder.path()).unwrap().audit(10).unwrap();
+            let rows = StoreReader::open(folder.path()).unwrap().audit(10).unwrap();
             let commands = rows.into_iter().rev().map(|row| row.command);
             commands.collect::<Vec<_>>()
         };

@@ -5,14 +5,14 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ihd_model::{Command, CommandError, CommandReply, DaemonEvent, Lease, RecordKind};
-use ihd_store::{Damage, Store};
+use ihd_store::{DamagedFile, Store};
 use tokio::sync::{Semaphore, broadcast, mpsc, watch};
 use tokio::time::Instant;
 
 use crate::OpenDevice;
 use crate::auditor::Auditor;
 use crate::commander::Commander;
-use crate::config::Config;
+use crate::config::DaemonConfig;
 use crate::context::Context;
 use crate::error::DaemonError;
 use crate::event_bus::EventBus;
@@ -63,7 +63,7 @@ impl Daemon {
     ///
     /// # Errors
     /// [`DaemonError`] if the store cannot be opened or another process uses it.
-    pub async fn start(config: Config, open: Arc<OpenDevice>) -> Result<Self, DaemonError> {
+    pub async fn start(config: DaemonConfig, open: Arc<OpenDevice>) -> Result<Self, DaemonError> {
         Self::start_on(Machine::default(), config, open).await
     }
 
@@ -73,7 +73,7 @@ impl Daemon {
     /// As [`Daemon::start`].
     pub(crate) async fn start_on(
         machine: Machine,
-        config: Config,
+        config: DaemonConfig,
         open: Arc<OpenDevice>,
     ) -> Result<Self, DaemonError> {
         let event_bus = EventBus::new(machine.clone());
@@ -262,7 +262,7 @@ impl Daemon {
 }
 
 /// Logs damaged files that were set aside; returns them as text.
-fn report_damage(files: Vec<Damage>) -> Vec<String> {
+fn report_damage(files: Vec<DamagedFile>) -> Vec<String> {
     let mut damage = Vec::new();
     for file in files {
         let text = format!(

@@ -9,7 +9,7 @@ use crate::store_thread::StoreThread;
 
 /// Figures of the daemon since its start.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Figures {
+pub struct DaemonFigures {
     /// Number of devices.
     pub devices: usize,
     /// Uptime in seconds.
@@ -38,7 +38,7 @@ pub struct Figures {
     pub rss_bytes: Option<u64>,
 }
 
-impl Figures {
+impl DaemonFigures {
     /// Returns the figures of the store's thread; the others are zero.
     pub(crate) fn from_store(store: &StoreThread) -> Self {
         let gauge = store.gauge();

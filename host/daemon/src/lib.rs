@@ -55,10 +55,10 @@ use std::sync::Arc;
 use ihd_link::{LinkError, Transport};
 use ihd_signal::truth::Truth;
 
-pub use config::Config;
+pub use config::DaemonConfig;
 pub use daemon::Daemon;
 pub use error::DaemonError;
-pub use figures::Figures;
+pub use figures::DaemonFigures;
 pub use hob::hob;
 pub use ihd_store::JournalFilter;
 pub use live::LiveTap;

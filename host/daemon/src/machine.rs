@@ -6,13 +6,13 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ihd_link::{AsyncClient, Event, LinkError, Transport};
+use ihd_link::{AsyncClient, DeviceEvent, LinkError, Transport};
 use ihd_store::clock::{Clock, of_the_machine};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
 #[cfg(any(test, feature = "simulation"))]
-use crate::simulation::disk::Disk;
+use crate::simulation::disk::SimulatedDisk;
 
 /// Real or simulated machine; cheap to clone.
 #[derive(Clone)]
@@ -27,7 +27,7 @@ pub struct Machine {
 #[cfg(any(test, feature = "simulation"))]
 #[derive(Clone)]
 struct Simulated {
-    disk: Arc<Disk>,
+    disk: Arc<SimulatedDisk>,
     began: tokio::time::Instant,
 }
 
@@ -46,7 +46,7 @@ impl Default for Machine {
 impl Machine {
     /// Returns a machine without threads, on the calling runtime.
     #[cfg(any(test, feature = "simulation"))]
-    pub fn simulated(clock: Clock, disk: Arc<Disk>) -> Self {
+    pub fn simulated(clock: Clock, disk: Arc<SimulatedDisk>) -> Self {
         Self {
             clock,
             began: Instant::now(),
@@ -59,7 +59,7 @@ impl Machine {
 
     /// Returns the simulated disk; `None` on a real machine.
     #[cfg(any(test, feature = "simulation"))]
-    pub fn disk(&self) -> Option<&Arc<Disk>> {
+    pub fn disk(&self) -> Option<&Arc<SimulatedDisk>> {
         self.simulated.as_ref().map(|simulated| &simulated.disk)
     }
 
@@ -101,7 +101,7 @@ impl Machine {
     pub async fn connect(
         &self,
         open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError> + Send + 'static,
-        events: mpsc::Sender<Event>,
+        events: mpsc::Sender<DeviceEvent>,
     ) -> Result<AsyncClient, LinkError> {
         #[cfg(any(test, feature = "simulation"))]
         if self.simulated.is_some() {

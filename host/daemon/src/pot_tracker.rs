@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 
 use ihd_model::{PotCurve, PotPoint, PotTemperature};
 use ihd_shared::wire::messages::{Pot, Telemetry};
-use ihd_thermal::{HalfCycle, PotEvent, Thermometer};
+use ihd_thermal::{PotEvent, ThermalHalfCycle, Thermometer};
 
 /// Interval between two points of the curve, in milliseconds.
 const POINT_MS: i64 = 2_000;
@@ -96,7 +96,8 @@ impl PotTracker {
             }
         };
         self.last = Some((t.half_cycle, t_s));
-        self.thermometer.push(&HalfCycle::from_telemetry(t, t_s));
+        self.thermometer
+            .push(&ThermalHalfCycle::from_telemetry(t, t_s));
         let events = self.thermometer.take_events();
         if events.iter().any(|e| matches!(e, PotEvent::Placed { .. })) {
             self.since_ms = now_ms;
@@ -193,7 +194,7 @@ pub fn describe(event: &PotEvent) -> String {
 
 #[cfg(test)]
 mod tests {
-    use ihd_link::{Client, Event};
+    use ihd_link::{Client, DeviceEvent};
     use ihd_sim::hob::{HobConfig, SimHob};
     use ihd_sim::recording::settings::LoadKind;
     use ihd_sim::transport::SharedHob;
@@ -212,7 +213,9 @@ mod tests {
         client.set_power(1500).unwrap();
         let mut all = Vec::new();
         while all.len() < half_cycles as usize {
-            if let Some(Event::Telemetry(t)) = client.next_event(Duration::from_secs(5)).unwrap() {
+            if let Some(DeviceEvent::Telemetry(t)) =
+                client.next_event(Duration::from_secs(5)).unwrap()
+            {
                 all.push(t);
             }
         }

@@ -22,7 +22,7 @@ struct RecordFailure {
 
 /// Change of condition, to be published once.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Change {
+pub enum HealthChange {
     /// The store fails, or fails for another cause.
     Failing {
         /// Failure for reports.
@@ -151,7 +151,7 @@ impl StoreHealth {
     }
 
     /// Returns the change of condition since the last call; `None` if there is none.
-    pub fn take_change(&mut self) -> Option<Change> {
+    pub fn take_change(&mut self) -> Option<HealthChange> {
         let failure = self.failure();
         let cause = failure.as_ref().map(|failure| failure.cause);
         if cause == self.reported {
@@ -160,10 +160,10 @@ impl StoreHealth {
         self.reported = cause;
         let Some(failure) = failure else {
             let (since_ms, dropped) = self.ended?;
-            return Some(Change::Recovered { since_ms, dropped });
+            return Some(HealthChange::Recovered { since_ms, dropped });
         };
         let detail = self.detail(failure.cause);
-        Some(Change::Failing { failure, detail })
+        Some(HealthChange::Failing { failure, detail })
     }
 
     fn worst_cause(&self) -> Option<StoreCause> {
@@ -225,7 +225,7 @@ mod tests {
             1,
             1_000,
         );
-        let Some(Change::Failing { failure, detail }) = health.take_change() else {
+        let Some(HealthChange::Failing { failure, detail }) = health.take_change() else {
             panic!("a failure is published");
         };
         assert_eq!(
@@ -250,7 +250,7 @@ mod tests {
         health.written(RecordKind::Windows);
         assert_eq!(cause(&health), Some(FULL), "the audit is not written yet");
         health.written(RecordKind::Audits);
-        let recovered = Change::Recovered {
+        let recovered = HealthChange::Recovered {
             since_ms: 1_000,
             dropped,
         };
@@ -315,10 +315,16 @@ mod tests {
         health.count_no_room(RecordKind::Windows, 1, 0);
         health.set_responding(false, 10);
         assert_eq!(cause(&health), Some(StoreCause::Silent));
-        assert!(matches!(health.take_change(), Some(Change::Failing { .. })));
+        assert!(matches!(
+            health.take_change(),
+            Some(HealthChange::Failing { .. })
+        ));
         health.failed(RecordKind::Windows, FULL, "", 1, 20);
         assert_eq!(cause(&health), Some(FULL));
-        assert!(matches!(health.take_change(), Some(Change::Failing { .. })));
+        assert!(matches!(
+            health.take_change(),
+            Some(HealthChange::Failing { .. })
+        ));
         assert_eq!(health.take_change(), None);
         assert_eq!(health.failure().unwrap().since_ms, 0);
     }

@@ -12,7 +12,7 @@ use tokio::sync::{Notify, oneshot};
 use crate::event_bus::EventBus;
 use crate::locking::lock;
 use crate::machine::Machine;
-use crate::store_health::{Change, StoreHealth, cause_of};
+use crate::store_health::{HealthChange, StoreHealth, cause_of};
 use crate::store_queue::{Lane, Room, StoreQueue};
 
 type Work = Box<dyn FnOnce(&mut Store) -> Result<(), JobFailure> + Send>;
@@ -357,13 +357,13 @@ impl Shared {
         };
         // Published under the lock, so that changes are published in order.
         let (text, ok) = match change {
-            Change::Failing { failure, detail } => {
+            HealthChange::Failing { failure, detail } => {
                 let text = failure.text.clone();
                 let advice = failure.advice;
                 tracing::error!(text, detail, advice, "store: devices go on without it");
                 (text, false)
             }
-            Change::Recovered { since_ms, dropped } => {
+            HealthChange::Recovered { since_ms, dropped } => {
                 let (seconds, dropped) = ((now_ms - since_ms) / 1_000, dropped.text());
                 let text = format!(
                     "the store works again after {seconds} s; dropped meanwhile: {dropped}"
@@ -403,7 +403,7 @@ impl StoreWorker {
     }
 
     #[cfg(any(test, feature = "simulation"))]
-    async fn serve_simulated(mut self, disk: Arc<crate::simulation::disk::Disk>) {
+    async fn serve_simulated(mut self, disk: Arc<crate::simulation::disk::SimulatedDisk>) {
         loop {
             let (is_empty, is_closed) = {
                 let state = lock(&self.shared.state);

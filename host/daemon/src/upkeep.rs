@@ -9,7 +9,7 @@ use tokio::time::Instant;
 
 use crate::auditor::Auditor;
 use crate::error::DaemonError;
-use crate::figures::{Figures, rss_bytes};
+use crate::figures::{DaemonFigures, rss_bytes};
 use crate::learning::LearnerSlot;
 use crate::store_thread::{StoreThread, StoreThreadError};
 use crate::supervisor::Devices;
@@ -32,16 +32,16 @@ pub struct Upkeep {
 
 impl Upkeep {
     /// Returns the figures of the daemon.
-    pub fn figures(&self) -> Figures {
+    pub fn figures(&self) -> DaemonFigures {
         let learner = self.learner.get();
-        Figures {
+        DaemonFigures {
             learner: learner.map(|l| l.figures()).unwrap_or_default(),
             devices: self.devices.all().len(),
             up_s: self.began.elapsed().as_secs_f64(),
             rss_bytes: rss_bytes(),
             audit_is_healthy: self.auditor.is_healthy(),
             audits_lost: self.auditor.lost(),
-            ..Figures::from_store(&self.store)
+            ..DaemonFigures::from_store(&self.store)
         }
     }
 

@@ -13,4 +13,4 @@ pub mod first_switching;
 pub mod machine;
 pub mod report;
 
-pub use report::{Check, CheckGroup, Evidence, Report, Verdict};
+pub use report::{Check, CheckGroup, CheckResult, Measurement, Report};

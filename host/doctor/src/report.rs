@@ -6,7 +6,7 @@ use serde::Serialize;
 /// Result of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Verdict {
+pub enum CheckResult {
     /// The check passed.
     Pass,
     /// The check failed.
@@ -15,7 +15,7 @@ pub enum Verdict {
     NotTested,
 }
 
-impl Verdict {
+impl CheckResult {
     /// Text in the report.
     pub fn as_str(self) -> &'static str {
         match self {
@@ -28,7 +28,7 @@ impl Verdict {
 
 /// Measured number with its limits.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Evidence {
+pub struct Measurement {
     /// Name of the measured quantity.
     pub name: &'static str,
     /// Measured value.
@@ -43,7 +43,7 @@ pub struct Evidence {
     pub max: Option<f64>,
 }
 
-impl Evidence {
+impl Measurement {
     /// Creates a number without limits; it does not affect the verdict.
     pub fn informative(name: &'static str, value: f64, unit: &'static str) -> Self {
         Self {
@@ -124,19 +124,19 @@ pub struct Check {
     /// Stable name: `clocks`.
     pub name: &'static str,
     /// Result.
-    pub verdict: Verdict,
+    pub verdict: CheckResult,
     /// Finding as printable text.
     pub finding: String,
     /// Numbers that the verdict rests on.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub evidence: Vec<Evidence>,
+    pub evidence: Vec<Measurement>,
     /// Remedy; `None` if nothing is to be done.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub remedy: Option<String>,
 }
 
 impl Check {
-    fn new(name: &'static str, verdict: Verdict, finding: impl AsRef<str>) -> Self {
+    fn new(name: &'static str, verdict: CheckResult, finding: impl AsRef<str>) -> Self {
         Self {
             name,
             verdict,
@@ -148,24 +148,24 @@ impl Check {
 
     /// Creates a check that passed.
     pub fn pass(name: &'static str, finding: impl AsRef<str>) -> Self {
-        Self::new(name, Verdict::Pass, finding)
+        Self::new(name, CheckResult::Pass, finding)
     }
 
     /// Creates a check that failed, with a remedy.
     pub fn fail(name: &'static str, finding: impl AsRef<str>, remedy: impl AsRef<str>) -> Self {
-        Self::new(name, Verdict::Fail, finding).with_remedy(remedy)
+        Self::new(name, CheckResult::Fail, finding).with_remedy(remedy)
     }
 
     /// Creates a check that could not be made, with the reason.
     pub fn not_tested(name: &'static str, why: impl AsRef<str>) -> Self {
-        Self::new(name, Verdict::NotTested, why)
+        Self::new(name, CheckResult::NotTested, why)
     }
 
     /// Creates a check that passes if every number is within its limits, and otherwise fails with this remedy.
     pub fn measured(
         name: &'static str,
         finding: impl AsRef<str>,
-        evidence: Vec<Evidence>,
+        evidence: Vec<Measurement>,
         remedy: impl AsRef<str>,
     ) -> Self {
         let bad: Vec<_> = evidence.iter().filter(|e| !e.is_good()).collect();
@@ -188,7 +188,7 @@ impl Check {
     }
 
     /// Adds numbers that do not affect the verdict.
-    pub fn with_evidence(self, evidence: Vec<Evidence>) -> Self {
+    pub fn with_evidence(self, evidence: Vec<Measurement>) -> Self {
         Self { evidence, ..self }
     }
 }
@@ -245,9 +245,9 @@ impl Report {
     pub fn add(&mut self, group: CheckGroup) {
         for check in &group.checks {
             match check.verdict {
-                Verdict::Pass => self.counts.pass += 1,
-                Verdict::Fail => self.counts.fail += 1,
-                Verdict::NotTested => self.counts.not_tested += 1,
+                CheckResult::Pass => self.counts.pass += 1,
+                CheckResult::Fail => self.counts.fail += 1,
+                CheckResult::NotTested => self.counts.not_tested += 1,
             }
         }
         self.groups.push(group);
@@ -266,13 +266,13 @@ mod tests {
 
     #[test]
     fn numbers_decide_and_a_verdict_follows() {
-        let limits = |value| vec![Evidence::between("offset", value, "codes", -12.0, 12.0)];
+        let limits = |value| vec![Measurement::between("offset", value, "codes", -12.0, 12.0)];
         let verdict = |value| Check::measured("offset", "x", limits(value), "turn it").verdict;
         for good in [-12.0, 0.0, 12.0] {
-            assert_eq!(verdict(good), Verdict::Pass, "{good}");
+            assert_eq!(verdict(good), CheckResult::Pass, "{good}");
         }
         for bad in [-12.001, 12.001, f64::NAN, f64::INFINITY] {
-            assert_eq!(verdict(bad), Verdict::Fail, "{bad}");
+            assert_eq!(verdict(bad), CheckResult::Fail, "{bad}");
         }
         let failed = Check::measured("offset", "x", limits(13.5), "turn it");
         assert_eq!(failed.finding, "offset 13.5 codes (-12 to 12)");
@@ -281,8 +281,11 @@ mod tests {
 
     #[test]
     fn what_only_is_told_decides_nothing() {
-        let told = vec![Evidence::informative("rate", 3.0, "kB/s")];
-        assert_eq!(Check::measured("r", "x", told, "").verdict, Verdict::Pass);
+        let told = vec![Measurement::informative("rate", 3.0, "kB/s")];
+        assert_eq!(
+            Check::measured("r", "x", told, "").verdict,
+            CheckResult::Pass
+        );
     }
 
     #[test]
@@ -302,7 +305,7 @@ mod tests {
                 Check::measured(
                     "clocks",
                     "fine",
-                    vec![Evidence::between("lsi", 32.0, "kHz", 29.5, 34.0)],
+                    vec![Measurement::between("lsi", 32.0, "kHz", 29.5, 34.0)],
                     "",
                 ),
                 Check::not_tested("noise", "no board"),

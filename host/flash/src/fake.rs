@@ -7,7 +7,7 @@ use ihd_shared::image::{DEVICE_ID, FLASH_ADDRESS, FLASH_BYTES, PAGE_BYTES};
 
 use crate::image::Image;
 use crate::options::{OptionBytes, ReadProtection};
-use crate::programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, Progress};
+use crate::programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, WriteProgress};
 
 /// Returns the parsed image of a sample whose fields are valid.
 pub fn image(sample: &SampleImage) -> Image {
@@ -165,7 +165,7 @@ impl Programmer for FakeProgrammer {
         &mut self,
         image: &Image,
         erase: Erase,
-        progress: &mut dyn FnMut(Progress),
+        progress: &mut dyn FnMut(WriteProgress),
     ) -> Result<(), ProgramError> {
         self.calls.push("flash");
         let (flat, total) = (image.flat(), image.bytes);
@@ -176,13 +176,13 @@ impl Programmer for FakeProgrammer {
         })?;
         let half = flat.len() / 2;
         for (done, part) in [(0, 0..half), (half as u32, half..flat.len())] {
-            progress(Progress::Programming { done, total });
+            progress(WriteProgress::Programming { done, total });
             if done > 0 {
                 self.lose(FlashStep::Programming)?;
             }
             self.flash[part.clone()].copy_from_slice(&flat[part]);
         }
-        progress(Progress::Programming { done: total, total });
+        progress(WriteProgress::Programming { done: total, total });
         if self.fails(Failure::Bit) {
             self.flash[1_000] ^= 1;
         }
@@ -195,7 +195,7 @@ impl Programmer for FakeProgrammer {
                 actual: vec![actual[at]],
             });
         }
-        progress(Progress::Verifying { done: total, total });
+        progress(WriteProgress::Verifying { done: total, total });
         Ok(())
     }
 

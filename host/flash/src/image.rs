@@ -143,7 +143,7 @@ impl Serialize for BuildId {
 
 /// Contiguous bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Segment {
+pub struct ImageSegment {
     /// Address of the first byte.
     pub address: u32,
     /// The bytes.
@@ -162,7 +162,7 @@ pub struct Image {
     /// Major and minor version of its protocol.
     pub protocol: (u16, u16),
     /// Segments from the beginning of the flash to the CRC and its few bytes of padding, in order.
-    pub segments: Vec<Segment>,
+    pub segments: Vec<ImageSegment>,
     /// CRC-32 of all before its last word, which holds it.
     pub crc: u32,
     /// Bytes from the beginning of the flash to the end of the CRC.
@@ -305,7 +305,7 @@ fn within_flash(
     address: u32,
     bytes: &[u8],
     name: &dyn Fn() -> String,
-) -> Result<Segment, ImageError> {
+) -> Result<ImageSegment, ImageError> {
     let end = u64::from(address) + bytes.len() as u64;
     if address < FLASH_ADDRESS || end > u64::from(LOOKUP_ADDRESS) {
         return Err(ImageError::Outside {
@@ -314,14 +314,14 @@ fn within_flash(
             bytes: bytes.len(),
         });
     }
-    Ok(Segment {
+    Ok(ImageSegment {
         address,
         bytes: bytes.to_owned(),
     })
 }
 
 /// Joins all segments from the beginning of the flash; `Err` with the address of a gap or overlap.
-fn flat(segments: &[Segment]) -> Result<Vec<u8>, u32> {
+fn flat(segments: &[ImageSegment]) -> Result<Vec<u8>, u32> {
     let mut flat = Vec::new();
     for segment in segments {
         let next = FLASH_ADDRESS + flat.len() as u32;

@@ -12,8 +12,8 @@ use ihd_shared::wire::frame::CRC32;
 use serde::Serialize;
 
 use crate::image::{BuildId, Image};
-use crate::options::{Deviation, OptionBytes};
-use crate::programmer::{Chip, Erase, ProgramError, Programmer, Progress};
+use crate::options::{OptionBytes, OptionDeviation};
+use crate::programmer::{Chip, Erase, ProgramError, Programmer, WriteProgress};
 
 /// Pause between two attempts to reach the board after its reset.
 const HELLO_RETRY_PERIOD: Duration = Duration::from_millis(200);
@@ -38,7 +38,7 @@ pub struct RunningBoard {
 }
 
 /// Link of the board, opened for each request: the board is reset in between.
-pub trait Link {
+pub trait BoardAccess {
     /// Reads the board's identity and state.
     ///
     /// # Errors
@@ -111,9 +111,9 @@ pub enum InstallStep<'a> {
     /// The chip and its contents.
     Identified(&'a Chip, &'a FlashContents),
     /// Deviating option bytes, and `true` if they are set now.
-    Options(&'a [Deviation], bool),
+    Options(&'a [OptionDeviation], bool),
     /// Progress of erasing, programming and verifying.
-    Flash(Progress),
+    Flash(WriteProgress),
     /// The image is written; the board starts.
     Waiting,
 }
@@ -130,7 +130,7 @@ pub struct InstallReport {
     /// Option bytes at the end.
     pub options: OptionBytes,
     /// Option bytes that still deviate.
-    pub deviations: Vec<Deviation>,
+    pub deviations: Vec<OptionDeviation>,
     /// `true` if the pages of the lookup were kept.
     pub lookup_kept: bool,
     /// Board's identity after its reset; `None` if it did not answer.
@@ -187,7 +187,7 @@ pub enum InstallError {
 /// [`InstallError`]; nothing was written unless its text says so.
 pub fn install(
     programmer: &mut dyn Programmer,
-    mut link: Option<&mut dyn Link>,
+    mut link: Option<&mut dyn BoardAccess>,
     plan: InstallPlan<'_>,
     report: &mut dyn FnMut(InstallStep<'_>),
 ) -> Result<InstallReport, InstallError> {
@@ -297,7 +297,7 @@ fn is_whole(programmer: &mut dyn Programmer, header: &Header) -> Result<bool, Pr
 }
 
 fn await_hello(
-    link: &mut dyn Link,
+    link: &mut dyn BoardAccess,
     chip: &Chip,
     plan: InstallPlan<'_>,
 ) -> Result<RunningBoard, InstallError> {
@@ -363,7 +363,7 @@ mod tests {
         }
     }
 
-    impl Link for Script {
+    impl BoardAccess for Script {
         fn ask(&mut self) -> Result<RunningBoard, String> {
             match self.0.len() {
                 1 => self.0[0].clone(),
@@ -400,7 +400,7 @@ mod tests {
 
     fn run(
         fake: &mut FakeProgrammer,
-        link: Option<&mut dyn Link>,
+        link: Option<&mut dyn BoardAccess>,
         plan: InstallPlan<'_>,
     ) -> Result<InstallReport, InstallError> {
         install(fake, link, plan, &mut |_| ())
@@ -445,7 +445,7 @@ mod tests {
         // Without a link the timer's outputs tell.
         fake.switching = Some(true);
         let mut link = Script::of([nothing()]);
-        for link in [Some(&mut link as &mut dyn Link), None] {
+        for link in [Some(&mut link as &mut dyn BoardAccess), None] {
             let why = run(&mut fake, link, plan(&new)).unwrap_err();
             assert!(why.to_string().contains("outputs are on"), "{why}");
         }

@@ -21,4 +21,4 @@ pub mod programmer;
 pub use image::{BuildId, Image, ImageError};
 pub use log_source::LogSource;
 pub use options::OptionBytes;
-pub use programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, Progress};
+pub use programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, WriteProgress};

@@ -29,7 +29,7 @@ pub enum ReadProtection {
 
 /// Option that differs from the firmware's requirement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct Deviation {
+pub struct OptionDeviation {
     /// Name in the reference manual.
     pub name: &'static str,
     /// Value on the chip.
@@ -103,45 +103,45 @@ impl OptionBytes {
     }
 
     /// Options that differ from the firmware's requirements.
-    pub fn deviations(&self) -> Vec<Deviation> {
+    pub fn deviations(&self) -> Vec<OptionDeviation> {
         let bit = |mask: u32| u32::from(self.optr & mask != 0);
         let all = [
-            Deviation {
+            OptionDeviation {
                 name: "DBANK",
                 is: bit(DBANK),
                 required: 1,
                 needed: true,
                 why: "a lookup is kept in the second bank while the program runs from the first",
             },
-            Deviation {
+            OptionDeviation {
                 name: "SRAM_PE",
                 is: bit(SRAM_PE),
                 required: 0,
                 needed: true,
                 why: "parity guards the RAM that holds code and data of the sampling path",
             },
-            Deviation {
+            OptionDeviation {
                 name: "BFB2",
                 is: bit(BFB2),
                 required: 0,
                 needed: true,
                 why: "the program begins in the first bank",
             },
-            Deviation {
+            OptionDeviation {
                 name: "nBOOT0",
                 is: bit(N_BOOT0),
                 required: 1,
                 needed: !self.boots_by_pin(),
                 why: "with 0 the chip starts its bootloader instead of the program where nSWBOOT0 is 0",
             },
-            Deviation {
+            OptionDeviation {
                 name: "nSWBOOT0",
                 is: bit(N_SWBOOT0),
                 required: 1,
                 needed: false,
                 why: "the pin BOOT0 reaches the bootloader when a program does not run",
             },
-            Deviation {
+            OptionDeviation {
                 name: "BOR_LEV",
                 is: self.bor_level(),
                 required: 4,

@@ -28,7 +28,7 @@ pub enum Erase {
 /// Progress of flashing, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case", tag = "step")]
-pub enum Progress {
+pub enum WriteProgress {
     /// Erasing pages.
     Erasing {
         /// Bytes so far.
@@ -328,7 +328,7 @@ pub trait Programmer {
         &mut self,
         image: &Image,
         erase: Erase,
-        progress: &mut dyn FnMut(Progress),
+        progress: &mut dyn FnMut(WriteProgress),
     ) -> Result<(), ProgramError>;
 
     /// Resets the chip, which starts its program.

@@ -7,7 +7,7 @@ use async_nats::jetstream::{self, Context};
 use async_nats::{Client, ConnectOptions, Event, ServerAddr};
 use ihd_daemon::fleet::FleetConfig;
 
-use crate::server_config::{Key, KeyError};
+use crate::server_config::{KeyError, UserKey};
 
 /// Time-out of a connection and of a request.
 const WITHIN: Duration = Duration::from_secs(5);
@@ -117,7 +117,7 @@ impl Access {
             .custom_inbox_prefix(format!("_INBOX_{name}"))
             .require_tls(self.url.contains("tls://"));
         if let Some(path) = &self.nkey_file {
-            options = options.nkey(Key::read(path)?.seed().to_owned());
+            options = options.nkey(UserKey::read(path)?.seed().to_owned());
         }
         if let Some(path) = &self.token_file {
             options = options.token(read(path)?.trim().to_owned());

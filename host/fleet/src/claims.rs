@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::jetstream::{self, JetStreamError};
 use crate::names;
-use crate::server::{self, Server};
+use crate::server::{self, FleetServer};
 use crate::stream_message::{Outgoing, PublishFailure, StoredMessage};
 
 pub use crate::standing::Standing;
@@ -27,7 +27,7 @@ pub struct Claim {
 
 /// Consequence of the claim on the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum ClaimVerdict {
     /// The name is free, or this store claimed it at another place: this daemon claims it.
     MustClaim,
     /// Standing, without a new claim.
@@ -45,23 +45,25 @@ impl Claim {
 
     /// Compares this claim of the name `edge` with the one on the server. A store that was moved keeps its name: the daemon that started
     /// last holds it, and a daemon at the former place is refused.
-    pub fn judge(&self, edge: &str, there: Option<&Self>, standing: &Standing) -> Verdict {
+    pub fn judge(&self, edge: &str, there: Option<&Self>, standing: &Standing) -> ClaimVerdict {
         let Some(there) = there else {
-            return Verdict::MustClaim;
+            return ClaimVerdict::MustClaim;
         };
         let (mine, other) = (self.place(), there.place());
         if there.identity != self.identity {
-            return Verdict::Stands(Standing::Refused(format!(
+            return ClaimVerdict::Stands(Standing::Refused(format!(
                 "the edge name {edge:?} belongs to {other}, this is {mine}: give this daemon a name of its own ([fleet] edge), or, where \
                  that store is gone for good, `ihd-fleet init --free {edge}`"
             )));
         }
         match standing {
-            _ if there.is_at_place_of(self) => Verdict::Stands(Standing::Held),
-            Standing::Unknown => Verdict::MustClaim,
-            Standing::Held | Standing::Refused(_) => Verdict::Stands(Standing::Refused(format!(
-                "the edge name {edge:?} was taken along to {other}, by a copy of {mine}: stop one of the two"
-            ))),
+            _ if there.is_at_place_of(self) => ClaimVerdict::Stands(Standing::Held),
+            Standing::Unknown => ClaimVerdict::MustClaim,
+            Standing::Held | Standing::Refused(_) => {
+                ClaimVerdict::Stands(Standing::Refused(format!(
+                    "the edge name {edge:?} was taken along to {other}, by a copy of {mine}: stop one of the two"
+                )))
+            }
         }
     }
 }
@@ -85,7 +87,7 @@ fn read(
 /// # Errors
 /// [`JetStreamError`].
 pub(crate) async fn read_claim(
-    server: &Server,
+    server: &FleetServer,
     edge: &str,
 ) -> Result<(Option<Claim>, u64), JetStreamError> {
     let bucket = names::bucket_stream(names::CLAIMS);
@@ -97,7 +99,7 @@ pub(crate) async fn read_claim(
 /// # Errors
 /// [`JetStreamError`].
 pub(crate) async fn put(
-    server: &Server,
+    server: &FleetServer,
     edge: &str,
     claim: &Claim,
     after: u64,
@@ -153,9 +155,9 @@ mod tests {
         }
     }
 
-    fn refusal(verdict: Verdict) -> String {
+    fn refusal(verdict: ClaimVerdict) -> String {
         match verdict {
-            Verdict::Stands(Standing::Refused(why)) => why,
+            ClaimVerdict::Stands(Standing::Refused(why)) => why,
             other => panic!("{other:?}"),
         }
     }
@@ -164,8 +166,8 @@ mod tests {
     fn a_name_is_of_one_store() {
         let mine = claim("a", "cellar");
         let judge = |there: Option<&Claim>, standing| mine.judge("lab-1", there, &standing);
-        assert_eq!(judge(None, Standing::Unknown), Verdict::MustClaim);
-        let held = Verdict::Stands(Standing::Held);
+        assert_eq!(judge(None, Standing::Unknown), ClaimVerdict::MustClaim);
+        let held = ClaimVerdict::Stands(Standing::Held);
         assert_eq!(judge(Some(&mine), Standing::Unknown), held);
         assert_eq!(judge(Some(&mine), Standing::Held), held);
         for standing in [Standing::Unknown, Standing::Held] {
@@ -177,16 +179,16 @@ mod tests {
         // Freed, or the server lost it.
         assert_eq!(
             judge(None, Standing::Refused(String::new())),
-            Verdict::MustClaim
+            ClaimVerdict::MustClaim
         );
-        assert_eq!(judge(None, Standing::Held), Verdict::MustClaim);
+        assert_eq!(judge(None, Standing::Held), ClaimVerdict::MustClaim);
     }
 
     #[test]
     fn a_store_that_was_moved_takes_its_name_along_and_the_old_place_hears_of_it() {
         let (before, after) = (claim("a", "cellar"), claim("a", "attic"));
         let moved = after.judge("lab-1", Some(&before), &Standing::Unknown);
-        assert_eq!(moved, Verdict::MustClaim);
+        assert_eq!(moved, ClaimVerdict::MustClaim);
         let why = refusal(before.judge("lab-1", Some(&after), &Standing::Held));
         assert!(why.contains("cellar") && why.contains("attic"), "{why}");
         let still = before.judge("lab-1", Some(&after), &Standing::Refused(why.clone()));

@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::jetstream::{self, JetStreamError};
 use crate::message_ids::parse_window_id;
 use crate::names;
-use crate::server::Server;
+use crate::server::FleetServer;
 
 /// Headers of a window that was given up.
 pub(crate) const WHY: &str = "Ihd-Why";
@@ -84,7 +84,7 @@ fn header(text: &str) -> String {
 
 /// Returns the reason for which a window was given up, with its worker; `None` if it is no dead letter.
 pub(crate) async fn why(
-    server: &Server,
+    server: &FleetServer,
     hob: &str,
     boot: u32,
     seq: u32,

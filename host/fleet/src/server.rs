@@ -18,15 +18,15 @@ use crate::simulation::line;
 use crate::stream_message::{Acknowledged, Outgoing, PendingAck, PublishFailure, StoredMessage};
 
 /// A server.
-pub enum Server {
+pub enum FleetServer {
     /// JetStream, with the access by which it is reached.
     JetStream(Box<Context>, Access),
     /// One in memory.
     #[cfg(test)]
-    Simulated(line::Line),
+    Simulated(line::SimulatedConnection),
 }
 
-impl Server {
+impl FleetServer {
     /// Checks that the server is new enough.
     ///
     /// # Errors
@@ -71,14 +71,18 @@ impl Server {
     ///
     /// # Errors
     /// [`JetStreamError`].
-    pub async fn results(&self, edge: &str, hobs: &[String]) -> Result<Results, JetStreamError> {
+    pub async fn results(
+        &self,
+        edge: &str,
+        hobs: &[String],
+    ) -> Result<ResultConsumer, JetStreamError> {
         match self {
             Self::JetStream(context, _) => {
                 let consumer = consumer(context, edge, hobs).await?;
-                Ok(Results::JetStream(Box::new(consumer)))
+                Ok(ResultConsumer::JetStream(Box::new(consumer)))
             }
             #[cfg(test)]
-            Self::Simulated(line) => line.results().await.map(Results::Simulated),
+            Self::Simulated(line) => line.results().await.map(ResultConsumer::Simulated),
         }
     }
 }
@@ -144,15 +148,15 @@ async fn consumer(
 }
 
 /// Consumer of an edge's results.
-pub enum Results {
+pub enum ResultConsumer {
     /// JetStream's.
     JetStream(Box<Consumer<pull::Config>>),
     /// One in memory.
     #[cfg(test)]
-    Simulated(line::Results),
+    Simulated(line::SimulatedConsumer),
 }
 
-impl Results {
+impl ResultConsumer {
     /// Returns the time of its creation in microseconds since 1970, by the server's clock; it identifies the consumer.
     pub fn made_us(&self) -> i64 {
         match self {

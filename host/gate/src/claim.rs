@@ -6,7 +6,7 @@
 
 use std::f64::consts::TAU;
 
-use ihd_identify::lockin::{Boxcar, Phasors, demodulate};
+use ihd_identify::lockin::{Boxcar, LockInPhasors, demodulate};
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Segment, SegmentError};
 use nalgebra::Complex;
@@ -279,7 +279,7 @@ fn residuals(segment: &Segment, claim: &Claim<'_>) -> Result<Vec<Residual>, Clai
     }
     let omega = TAU * segment.f_sw_hz;
     let half_s = segment.half_cycle_s();
-    let residual = |w: &[Phasors]| {
+    let residual = |w: &[LockInPhasors]| {
         let t_s = segment.t0_s + w[1].centre * segment.dt_s - segment.zero_crossing_s;
         let step_s = (w[2].centre - w[0].centre) * segment.dt_s;
         let (v, i) = (w[1].v, w[1].i);

@@ -2,7 +2,7 @@
 //! small, and R and L depend on the method.
 
 use ihd_identify::Estimate;
-use ihd_identify::trajectory::Trajectory;
+use ihd_identify::trajectory::TrajectoryCursor;
 use ihd_signal::Segment;
 
 /// Part of a half-cycle that is compared, from its zero crossing.
@@ -176,7 +176,7 @@ impl Samples {
         if times_s.len() < LEAST_POINTS {
             return None;
         }
-        let mut values = Trajectory::from(estimate, f64::NEG_INFINITY)?;
+        let mut values = TrajectoryCursor::from(estimate, f64::NEG_INFINITY)?;
         let mut out = Self {
             value: Default::default(),
             sigma: Default::default(),

@@ -6,7 +6,9 @@ use ihd_identify::{IdentifyOptions as Methods, Method};
 use ihd_signal::{Capture, Severity};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind, Neighbour};
+use ihd_sim::recording::settings::{
+    CaptureSpec, LoadKind, Neighbour, RecordingChange, RecordingEvent,
+};
 use ihd_survey::Hints;
 use ihd_survey::calibration::blind::BlindOptions;
 
@@ -95,9 +97,9 @@ fn what_is_right_passes_without_a_word() {
 /// An error of more than 1 % of R or .7 % of L (middle 80 %) is never silent, whatever made it.
 #[test]
 fn what_is_wrong_is_not_silent() {
-    let step = |t_s, r_factor, l_factor| Event {
+    let step = |t_s, r_factor, l_factor| RecordingEvent {
         t_s,
-        change: Change::Load { r_factor, l_factor },
+        change: RecordingChange::Load { r_factor, l_factor },
     };
     let tone = |offset_hz, v| Some(Neighbour { offset_hz, v });
     let twenty_db = Sensing {

@@ -6,7 +6,7 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use ihd_identify::ekf::step::{Filter, Model};
+use ihd_identify::ekf::step::{EnvelopeFilter, Model};
 use ihd_identify::ekf::{PreparedSegment, rts};
 use ihd_identify::lockin::{Boxcar, Lockin};
 use ihd_identify::{IdentifyOptions, Method, run};
@@ -30,7 +30,7 @@ fn capture(rate: Rate) -> Segment {
 }
 
 /// One pass of the structured filter.
-fn pass(prepared: &PreparedSegment) -> Filter {
+fn pass(prepared: &PreparedSegment) -> EnvelopeFilter {
     let mut filter = prepared.start;
     for (i, v) in prepared.i.iter().zip(&prepared.v) {
         filter.step(&prepared.model, *i, *v);

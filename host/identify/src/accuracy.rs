@@ -5,7 +5,7 @@ use ihd_signal::truth::PeriodTruth;
 use ihd_signal::truth::{Mre, Truth};
 
 use super::Estimate;
-use super::trajectory::Trajectory;
+use super::trajectory::TrajectoryCursor;
 
 /// Share of the largest current amplitude below which the truth's own R and L are rounding errors.
 const LEAST_CURRENT: f64 = 1e-3;
@@ -34,7 +34,7 @@ impl Accuracy {
         let truth = fundamental(truth);
         let half_s = segment.half_cycle_s();
         // Points of another half-cycle's estimate must not be used here.
-        let mut trajectory = Trajectory::from(estimate, from_s)?;
+        let mut trajectory = TrajectoryCursor::from(estimate, from_s)?;
         let inside = from_s.max(segment.t0_s)..=segment.t_s(segment.len());
         let times = truth.t_s.iter().filter(|t| inside.contains(t));
         let estimated: Vec<_> = times.map(|t| (*t, trajectory.r_l(*t))).collect();

@@ -12,7 +12,7 @@ use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
 use serde::{Deserialize, Serialize};
 
-use super::ekf::waveforms::{PeriodMeans, Waveforms, finite};
+use super::ekf::waveforms::{EkfWaveforms, PeriodMeans, finite};
 use super::{Estimate, IdentifyError, IdentifyOptions, Method};
 
 /// Options of the linear filter.
@@ -101,7 +101,7 @@ pub fn identify(segment: &Segment, settings: &IdentifyOptions) -> Result<Estimat
         p: [z2, 0.0, z2],
     };
     let mut means = PeriodMeans::new(segment, [1.0, 1.0 / omega]);
-    let mut waves = Waveforms::new(n, 1.0, 1.0);
+    let mut waves = EkfWaveforms::new(n, 1.0, 1.0);
     let mut changes = 0.0;
     for k in 0..n {
         let (before, after) = (k.saturating_sub(half), (k + half).min(n - 1));

@@ -90,7 +90,7 @@ impl Boxcar {
 
 /// Phasors of the fundamental, amplitudes, and their time.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Phasors {
+pub struct LockInPhasors {
     /// Index of the kernel's centre, in samples.
     pub centre: f64,
     /// Coil voltage in volt.
@@ -127,7 +127,7 @@ impl Lockin {
     }
 
     /// Adds the next block of samples; returns phasors once both boxcars are full.
-    pub fn push(&mut self, v_v: &[f64], i_a: &[f64]) -> Option<Phasors> {
+    pub fn push(&mut self, v_v: &[f64], i_a: &[f64]) -> Option<LockInPhasors> {
         let length = self.correlator.length();
         let BlockSums { v, i } = self.correlator.block(self.taken * length, v_v, i_a);
         let at = self.taken % self.blocks;
@@ -144,7 +144,7 @@ impl Lockin {
         let samples = (self.blocks * length) as f64;
         let scale = 2.0 / (samples * self.blocks as f64);
         let end = (self.taken * length) as f64;
-        Some(Phasors {
+        Some(LockInPhasors {
             centre: end - 0.5 * (samples + 1.0) - 0.5 * (samples - length as f64),
             v: self.second_sum[0] * scale,
             i: self.second_sum[1] * scale,
@@ -179,7 +179,7 @@ pub(crate) fn for_chunks(
 }
 
 /// Phasors of a whole segment, about one per switching period.
-pub fn demodulate(segment: &Segment, boxcar: Boxcar) -> Vec<Phasors> {
+pub fn demodulate(segment: &Segment, boxcar: Boxcar) -> Vec<LockInPhasors> {
     let stride = (segment.samples_per_period() / boxcar.block as f64).round() as usize;
     let mut lockin = Lockin::new(segment, boxcar);
     let mut all = Vec::new();

@@ -2,7 +2,10 @@
 
 use std::path::Path;
 
-use ihd_pinn::{Config, Identification, PinnError, Progress, SlowInputs, Task, TruthAt, Waveform};
+use ihd_pinn::{
+    Identification, IdentifyTask, PinnConfig, PinnError, SlowInputs, TrainingProgress, TruthAt,
+    Waveform,
+};
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
 
@@ -11,16 +14,16 @@ use super::model_residual::ModelResidual;
 use super::{Estimate, ProgressSink};
 
 /// Returns the configuration with the segment's own white noise if it states none.
-pub fn with_measured_noise(config: Config, segment: &Segment) -> Config {
+pub fn with_measured_noise(config: PinnConfig, segment: &Segment) -> PinnConfig {
     let measured = || WhiteNoise::measure(segment).measured();
-    Config {
+    PinnConfig {
         noise: config.noise.or_else(measured),
         ..config
     }
 }
 
 /// Adapts the configuration to a moving carrier, for the mains half-cycle that begins at `crossing_s` in seconds.
-pub fn follow_carrier(config: &mut Config, carrier: &CarrierInputs, crossing_s: f64) {
+pub fn follow_carrier(config: &mut PinnConfig, carrier: &CarrierInputs, crossing_s: f64) {
     // R and L are interpolated linearly between the slow times.
     const SLOW_POINTS: usize = 4;
     let intervals = carrier.intervals.min(MOST_INTERVALS);
@@ -58,7 +61,7 @@ pub fn waveform(segment: &Segment, (from, to): (usize, usize), crossing_s: f64) 
 pub fn identify_half_cycle(
     segment: &Segment,
     range: (usize, usize),
-    config: &Config,
+    config: &PinnConfig,
     checkpoint: Option<&Path>,
     sink: &mut ProgressSink<'_>,
     estimate: &mut Estimate,
@@ -68,7 +71,7 @@ pub fn identify_half_cycle(
         let at = sink.truth.and_then(|truth| truth.at(t_s + crossing_s));
         at.unwrap_or((f64::NAN, f64::NAN))
     };
-    let task = Task {
+    let task = IdentifyTask {
         window: waveform(segment, range, crossing_s),
         config,
         truth: sink.truth.map(|_| &truth_at as TruthAt<'_>),
@@ -119,7 +122,7 @@ fn model_residual(identified: &Identification) -> ModelResidual {
 }
 
 /// State of the training as text, with the errors of R and L if the truth is known.
-fn state(p: &Progress) -> String {
+fn state(p: &TrainingProgress) -> String {
     let (step, l_f, l_i) = (p.iteration, p.l_f, p.l_i);
     let errors = p
         .mre_pct

@@ -49,7 +49,7 @@ impl PinnSettings {
 #[cfg(feature = "pinn")]
 impl PinnSettings {
     /// Configuration of the network.
-    fn resolve(&self) -> Result<ihd_pinn::Config, ihd_pinn::PinnError> {
+    fn resolve(&self) -> Result<ihd_pinn::PinnConfig, ihd_pinn::PinnError> {
         let mut table = self.config.clone();
         if let Some(preset) = &self.preset {
             table.insert("preset".into(), preset.clone().into());
@@ -60,7 +60,7 @@ impl PinnSettings {
         if self.deterministic {
             table.insert("deterministic".into(), true.into());
         }
-        ihd_pinn::Config::from_toml(&table.to_string())
+        ihd_pinn::PinnConfig::from_toml(&table.to_string())
     }
 
     /// Checks all names and numbers, before a capture is read.

@@ -13,7 +13,7 @@ use nalgebra::Complex;
 
 use super::Estimate;
 use super::lockin::{Boxcar, for_chunks};
-use super::trajectory::Trajectory;
+use super::trajectory::TrajectoryCursor;
 
 /// Number of odd harmonics, 1 to 31: the paper's NMSE of the voltage needs about that many.
 const ORDERS: usize = 16;
@@ -24,7 +24,7 @@ const AT_ONCE: usize = 1 << 15;
 /// Adds the waveforms that the estimator has not reconstructed itself, and the errors of all.
 /// An estimate without points is left unchanged.
 pub fn complete(segment: &Segment, estimate: &mut Estimate) {
-    let Some(trajectory) = Trajectory::from(estimate, f64::NEG_INFINITY) else {
+    let Some(trajectory) = TrajectoryCursor::from(estimate, f64::NEG_INFINITY) else {
         return;
     };
     let lacks = |x: &[f32]| x.len() != segment.len();
@@ -49,7 +49,7 @@ pub fn complete(segment: &Segment, estimate: &mut Estimate) {
 /// Adds the errors of the waveforms that R(t) and L(t) imply, without keeping those waveforms: for a second at 50 MS/s they
 /// take 400 MB.
 pub fn errors(segment: &Segment, estimate: &mut Estimate) {
-    let Some(trajectory) = Trajectory::from(estimate, f64::NEG_INFINITY) else {
+    let Some(trajectory) = TrajectoryCursor::from(estimate, f64::NEG_INFINITY) else {
         return;
     };
     let range = covered(segment, estimate);
@@ -129,7 +129,7 @@ impl Nmse {
 /// with the index of the first sample and the measured current.
 fn driven_current(
     segment: &Segment,
-    mut trajectory: Trajectory<'_>,
+    mut trajectory: TrajectoryCursor<'_>,
     mut sink: impl FnMut(usize, &[f32], &[f64]),
 ) {
     let rate_hz = 1.0 / segment.dt_s;
@@ -161,7 +161,7 @@ fn driven_current(
 /// in stretches, with the index of the first sample and the measured voltage.
 fn harmonic_voltage(
     segment: &Segment,
-    mut trajectory: Trajectory<'_>,
+    mut trajectory: TrajectoryCursor<'_>,
     mut sink: impl FnMut(usize, &[f32], &[f64]),
 ) {
     let per_period = segment.samples_per_period();

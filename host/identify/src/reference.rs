@@ -3,7 +3,7 @@
 
 use ihd_signal::{Remark, Segment, Severity};
 
-use super::trajectory::Trajectory;
+use super::trajectory::TrajectoryCursor;
 use super::{Estimate, IdentifyOptions, least_squares};
 
 /// Points on either side over which squared differences are averaged.
@@ -23,7 +23,7 @@ pub(crate) fn raise_sigmas(estimate: &mut Estimate, segment: &Segment, settings:
     }
     let result = least_squares::identify(&segment.without_offsets(), &settings.least_squares);
     let Ok(reference) = result else { return };
-    let Some(mut trajectory) = Trajectory::from(&reference, f64::NEG_INFINITY) else {
+    let Some(mut trajectory) = TrajectoryCursor::from(&reference, f64::NEG_INFINITY) else {
         return;
     };
     let (mut r, mut l) = (Vec::new(), Vec::new());

@@ -5,14 +5,14 @@ use super::Estimate;
 /// R and L between an estimate's points, linear, and constant before the first and after the last. The cursor only moves
 /// forward.
 #[derive(Clone, Copy, Debug)]
-pub struct Trajectory<'a> {
+pub struct TrajectoryCursor<'a> {
     estimate: &'a Estimate,
     at: usize,
     /// Reciprocal of the time from the point at `at` to the next in 1/s, computed at the first use; 0 if there is no next.
     per_s: Option<f64>,
 }
 
-impl<'a> Trajectory<'a> {
+impl<'a> TrajectoryCursor<'a> {
     /// Creates a trajectory of the points from `from_s` on; `None` if there are none.
     pub fn from(estimate: &'a Estimate, from_s: f64) -> Option<Self> {
         let at = estimate.t_s.partition_point(|t| *t < from_s);
@@ -86,14 +86,14 @@ mod tests {
         for (t, r) in [(1.0, 9.0), (2.0, 1.0), (3.0, 3.0)] {
             estimate.push(t, (r, 2.0 * r), (0.0, 0.0));
         }
-        let mut trajectory = Trajectory::from(&estimate, 1.5).expect("two points");
+        let mut trajectory = TrajectoryCursor::from(&estimate, 1.5).expect("two points");
         assert_eq!(trajectory.r_l(1.5), (1.0, 2.0));
         assert_eq!(trajectory.r_l(2.25), (1.5, 3.0));
         assert_eq!(trajectory.r_l(9.0), (3.0, 6.0));
-        assert!(Trajectory::from(&estimate, 3.5).is_none());
+        assert!(TrajectoryCursor::from(&estimate, 3.5).is_none());
         assert_eq!(trajectory.r_power_ohm(9.0), None);
         estimate.r_power_ohm = vec![8.0, 2.0, 4.0];
-        let mut trajectory = Trajectory::from(&estimate, 1.5).expect("two points");
+        let mut trajectory = TrajectoryCursor::from(&estimate, 1.5).expect("two points");
         assert_eq!(trajectory.r_power_ohm(2.25), Some(2.5));
     }
 }

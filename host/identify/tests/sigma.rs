@@ -6,11 +6,11 @@ use ihd_identify::accuracy::fundamental;
 use ihd_identify::{Estimate, IdentifyOptions, Method, run};
 use ihd_signal::truth::PeriodTruth;
 use ihd_signal::{Segment, Severity};
-use ihd_sim::pot::{Metal, Pot};
+use ihd_sim::pot::{Metal, SimulatedPot};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{CaptureSpec as Recording, LoadKind};
-use ihd_sim::recording::settings::{Change, Event};
+use ihd_sim::recording::settings::{RecordingChange, RecordingEvent};
 
 /// Those of a build without burn whose σ is meant to be one: the literal filter's is the paper's.
 const METHODS: [Method; 7] = [
@@ -118,9 +118,9 @@ fn cases(more: bool) -> Vec<Case> {
             s.sensing.snr_db = Some(50.0);
             s.sensing.rate = Rate::Hz(10e6);
             s.load = LoadKind::Surrogate;
-            s.events = vec![Event {
+            s.events = vec![RecordingEvent {
                 t_s: 15e-3,
-                change: Change::Pot(Pot::new(Metal::Ferritic, 0.14)),
+                change: RecordingChange::Pot(SimulatedPot::new(Metal::Ferritic, 0.14)),
             }];
         }),
     );

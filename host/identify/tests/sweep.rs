@@ -3,19 +3,23 @@
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::{IdentifyOptions, Method, least_squares, run};
 use ihd_signal::Segment;
-use ihd_sim::recording::run::{Recording, record};
+use ihd_sim::recording::run::{SimulatedRecording, record};
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{CaptureSpec as Recorded, LoadKind, Sweep};
+use ihd_sim::recording::settings::{CaptureSpec as Recorded, CarrierSweep, LoadKind};
 
 /// One half-cycle at 50 kHz, without noise.
-fn recorded(load: LoadKind, sweep: Option<(f64, f64)>, rate_hz: f64) -> (Recording, Segment) {
+fn recorded(
+    load: LoadKind,
+    sweep: Option<(f64, f64)>,
+    rate_hz: f64,
+) -> (SimulatedRecording, Segment) {
     let mut settings = Recorded {
         f_sw_hz: 50e3,
         load,
         duration_s: 10e-3,
         ..Recorded::default()
     };
-    settings.sweep = sweep.map(|(deviation_hz, rate_hz)| Sweep {
+    settings.sweep = sweep.map(|(deviation_hz, rate_hz)| CarrierSweep {
         deviation_hz,
         rate_hz,
     });

@@ -7,7 +7,7 @@ use ihd_shared::wire::frame::CRC32;
 use ihd_shared::wire::messages::{AnyMessage, Piece, ResendWindow, WindowEnd, WindowStart};
 
 use super::partial_payload::PartialPayload;
-use super::window::{MAX_SATURATED_FRACTION, Part, Window, WindowDefect};
+use super::window::{MAX_SATURATED_FRACTION, Window, WindowDefect, WindowPart};
 
 /// A rejected window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -203,8 +203,8 @@ impl PartialWindow {
         Self {
             seq,
             start: None,
-            pairs: PartialPayload::new(Part::Pair),
-            trajectory: PartialPayload::new(Part::Trajectory),
+            pairs: PartialPayload::new(WindowPart::Pair),
+            trajectory: PartialPayload::new(WindowPart::Trajectory),
             end_crc32: None,
             progress: 0,
             heard: 0,
@@ -294,7 +294,7 @@ impl PartialWindow {
             return match inner(gap.end, start.pairs) {
                 None if cut => WindowDefect::NoEnd,
                 _ => WindowDefect::MissingChunk {
-                    of: Part::Pair,
+                    of: WindowPart::Pair,
                     offset: gap.end as u16,
                 },
             };
@@ -302,7 +302,7 @@ impl PartialWindow {
         let gap = self.trajectory.gaps(start.trajectory.into()).next();
         match gap.and_then(|gap| inner(gap.end, start.trajectory)) {
             Some(offset) => WindowDefect::MissingChunk {
-                of: Part::Trajectory,
+                of: WindowPart::Trajectory,
                 offset,
             },
             None => WindowDefect::NoEnd,

@@ -20,7 +20,7 @@ use tokio::sync::{mpsc, oneshot};
 #[cfg(feature = "simulation")]
 use tokio::time::{sleep, timeout};
 
-use super::{Client, Event, LinkError, Transport};
+use super::{Client, DeviceEvent, LinkError, Transport};
 
 /// Time that the thread waits for an event before it checks for orders, on the transport's clock.
 const SLICE: Duration = Duration::from_millis(10);
@@ -62,7 +62,7 @@ type EndReason = Mutex<Option<Arc<LinkError>>>;
 impl AsyncClient {
     /// Opens the transport and shakes hands, on the client's thread. Events of the device go to `events`, in order. While `events`
     /// is full, windows wait in the client as long as it has room, and telemetry is dropped; both are counted in
-    /// [`super::Counters::events_dropped`]. Once `events` has no receiver, events are dropped and not counted.
+    /// [`super::ClientCounters::events_dropped`]. Once `events` has no receiver, events are dropped and not counted.
     ///
     /// A future that is dropped before it is ready leaves nothing open.
     ///
@@ -70,7 +70,7 @@ impl AsyncClient {
     /// Any error of `open` and [`Client::connect`]; [`LinkError::Connect`] if no thread can be started.
     pub async fn connect(
         open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError> + Send + 'static,
-        events: mpsc::Sender<Event>,
+        events: mpsc::Sender<DeviceEvent>,
     ) -> Result<Self, LinkError> {
         let (serving, calling) = ServingSide::new(events);
         let serve = move || {
@@ -94,7 +94,7 @@ impl AsyncClient {
     #[cfg(feature = "simulation")]
     pub async fn connect_simulated(
         open: impl FnOnce() -> Result<Box<dyn Transport>, LinkError> + Send + 'static,
-        events: mpsc::Sender<Event>,
+        events: mpsc::Sender<DeviceEvent>,
     ) -> Result<Self, LinkError> {
         let (serving, calling) = ServingSide::new(events);
         tokio::spawn(async move {
@@ -224,7 +224,7 @@ struct Lanes {
 
 /// State of the thread before it has a client.
 struct ServingSide {
-    events: mpsc::Sender<Event>,
+    events: mpsc::Sender<DeviceEvent>,
     lanes: Lanes,
     /// Queue of requests to switch off; polled for pending ones.
     off_lane: mpsc::WeakSender<Order>,
@@ -243,7 +243,7 @@ struct CallingSide {
 }
 
 impl ServingSide {
-    fn new(events: mpsc::Sender<Event>) -> (Self, CallingSide) {
+    fn new(events: mpsc::Sender<DeviceEvent>) -> (Self, CallingSide) {
         let (to_orders, orders) = mpsc::channel(ORDERS);
         let (to_offs, offs) = mpsc::channel(OFFS);
         let (connected, outcome) = oneshot::channel();
@@ -324,9 +324,9 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 /// State of the thread.
 struct LinkThread {
     client: Client,
-    events: mpsc::Sender<Event>,
+    events: mpsc::Sender<DeviceEvent>,
     /// Next event, kept while the channel is full.
-    held: Option<Event>,
+    held: Option<DeviceEvent>,
     end_reason: Arc<EndReason>,
     /// Last field: it must be dropped after the client has closed the transport.
     _closing: oneshot::Sender<()>,
@@ -421,7 +421,7 @@ impl LinkThread {
         let Some(event) = event else { return Ok(()) };
         match self.events.try_send(event) {
             Ok(()) | Err(TrySendError::Closed(_)) => Ok(()),
-            Err(TrySendError::Full(Event::Telemetry(_))) => {
+            Err(TrySendError::Full(DeviceEvent::Telemetry(_))) => {
                 self.client.count_dropped_event();
                 Ok(())
             }

@@ -18,9 +18,9 @@ use serde::Deserialize;
 use super::frame_tee::FrameTee;
 use super::granted_power::GrantedPower;
 use super::off::OffPreemption;
-use super::receiver::{Event, Receiver, Response};
+use super::receiver::{DeviceEvent, RawResponse, Receiver};
 use super::resend::{Resend, ResendStep};
-use super::{Counters, FrameSink, LinkError, Transport, printable_hello};
+use super::{ClientCounters, FrameSink, LinkError, Transport, printable_hello};
 
 /// Time that a command waits for its answer unless [`Client::set_timeout`] changes it.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(2);
@@ -56,7 +56,7 @@ pub struct Client {
     number: Number,
     awaited: Option<AwaitedResponse>,
     /// Response to the last request, once it has come.
-    answer: Option<Response>,
+    answer: Option<RawResponse>,
     timeout: Duration,
     off_preemption: OffPreemption,
     tap: FrameTee,
@@ -75,7 +75,7 @@ struct AwaitedResponse {
 
 impl AwaitedResponse {
     /// Returns `true` for the expected message or a refusal of the request.
-    fn is(self, answer: &Response) -> bool {
+    fn is(self, answer: &RawResponse) -> bool {
         let is_refusal = || {
             let reply: Option<Reply> = answer.decode();
             reply.is_some_and(|reply| reply.outcome != Outcome::Ok)
@@ -174,8 +174,8 @@ impl Client {
     }
 
     /// Counters so far.
-    pub fn counters(&self) -> Counters {
-        Counters {
+    pub fn counters(&self) -> ClientCounters {
+        ClientCounters {
             answers_stray: self.answers_stray,
             events_dropped: self.events_dropped,
             pieces_asked: self.pieces_asked,
@@ -194,7 +194,7 @@ impl Client {
     }
 
     /// Drops from now on what is more than a hob sends of its own accord, before it is decoded: a device that floods must not cost
-    /// its host the time that others need. [`Counters::frames_beyond`] counts it.
+    /// its host the time that others need. [`ClientCounters::frames_beyond`] counts it.
     pub fn limit_floods(&mut self) {
         self.receiver.limit_floods(self.transport.clock());
     }
@@ -325,7 +325,7 @@ impl Client {
     ///
     /// # Errors
     /// [`LinkError::Recording`] once when the recording fails, and what the transport reports.
-    pub fn next_event(&mut self, timeout: Duration) -> Result<Option<Event>, LinkError> {
+    pub fn next_event(&mut self, timeout: Duration) -> Result<Option<DeviceEvent>, LinkError> {
         let deadline = self.transport.clock() + timeout;
         let mut overtime_reads = 0;
         loop {
@@ -355,7 +355,7 @@ impl Client {
         let events = &mut self.receiver.events;
         if events.len() >= MAX_EVENTS / 2 {
             let before = events.len();
-            events.retain(|event| !matches!(event, Event::Telemetry(_)));
+            events.retain(|event| !matches!(event, DeviceEvent::Telemetry(_)));
             let dropped = (before - events.len()) as u32;
             self.events_dropped = self.events_dropped.wrapping_add(dropped);
         }
@@ -449,7 +449,7 @@ impl Client {
         }))
     }
 
-    fn no_answer(&self, command: &'static str, before: &Counters) -> LinkError {
+    fn no_answer(&self, command: &'static str, before: &ClientCounters) -> LinkError {
         let now = self.receiver.counters();
         let seen = match (
             now.frames_good.wrapping_sub(before.frames_good),
@@ -514,9 +514,9 @@ impl Client {
     fn release_windows(&mut self, known: usize) -> Result<(), LinkError> {
         let newest = self.receiver.events.iter().skip(known).rev();
         let seq = newest.into_iter().find_map(|event| match event {
-            Event::Window(window) => Some(window.seq),
-            Event::WindowRejected { seq, .. } => Some(*seq),
-            Event::Telemetry(_) | Event::Fault(_) | Event::Log { .. } => None,
+            DeviceEvent::Window(window) => Some(window.seq),
+            DeviceEvent::WindowRejected { seq, .. } => Some(*seq),
+            DeviceEvent::Telemetry(_) | DeviceEvent::Fault(_) | DeviceEvent::Log { .. } => None,
         });
         // The device holds one window at a time: earlier ones are gone.
         let release = seq.map(|seq| ResendWindow {
@@ -566,7 +566,7 @@ impl Client {
         }
         let mut left = excess;
         events.retain(|event| {
-            let goes = left > 0 && matches!(event, Event::Telemetry(_));
+            let goes = left > 0 && matches!(event, DeviceEvent::Telemetry(_));
             left -= usize::from(goes);
             !goes
         });

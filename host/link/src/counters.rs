@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 /// Counts since the link was opened or the recording began. Every loss is counted.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Counters {
+pub struct ClientCounters {
     /// Bytes received.
     pub bytes: u64,
     /// Frames with a correct CRC.
@@ -37,7 +37,7 @@ pub struct Counters {
     pub window_messages_stray: u32,
 }
 
-impl Counters {
+impl ClientCounters {
     /// Windows rejected, for whatever reason.
     pub fn windows_rejected_total(&self) -> u32 {
         self.windows_rejected.values().sum()

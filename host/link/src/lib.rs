@@ -39,12 +39,12 @@ pub mod window;
 #[cfg(feature = "async")]
 pub use asynchronous::AsyncClient;
 pub use client::{Client, KEEPALIVE_PERIOD};
-pub use counters::Counters;
+pub use counters::ClientCounters;
 pub use device_spec::DeviceSpec;
 pub use error::LinkError;
 pub use granted_power::GrantedPower;
 pub use printable::printable_hello;
-pub use receiver::Event;
+pub use receiver::DeviceEvent;
 pub use service::{BoardFacts, LinkTest};
 pub use transport::{FrameSink, Transport};
 pub use window::{Window, WindowDefect};

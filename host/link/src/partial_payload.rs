@@ -2,11 +2,11 @@
 
 use std::ops::Range;
 
-use super::window::{Part, WindowDefect};
+use super::window::{WindowDefect, WindowPart};
 
 /// Entries of `N` bytes each, with gaps where chunks are missing.
 pub struct PartialPayload<const N: usize> {
-    of: Part,
+    of: WindowPart,
     bytes: Vec<u8>,
     /// Ranges of entries received, in order, not touching each other.
     have: Vec<Range<usize>>,
@@ -14,7 +14,7 @@ pub struct PartialPayload<const N: usize> {
 
 impl<const N: usize> PartialPayload<N> {
     /// Creates one without entries.
-    pub fn new(of: Part) -> Self {
+    pub fn new(of: WindowPart) -> Self {
         Self {
             of,
             bytes: Vec::new(),
@@ -141,7 +141,7 @@ mod tests {
     }
 
     fn taken(chunks: &[Range<u8>]) -> PartialPayload<1> {
-        let mut pieces = PartialPayload::new(Part::Pair);
+        let mut pieces = PartialPayload::new(WindowPart::Pair);
         for range in chunks {
             let data = chunk(range.clone());
             pieces.take(range.start.into(), &data, 100).unwrap();
@@ -181,7 +181,7 @@ mod tests {
         assert_eq!(pieces.take(10, &chunk(10..31), 100), Ok(true));
         let offset = 9;
         let contradiction = WindowDefect::RepeatedChunk {
-            of: Part::Pair,
+            of: WindowPart::Pair,
             offset,
         };
         assert_eq!(pieces.take(offset, &chunk(10..40), 100), Err(contradiction));

@@ -13,14 +13,14 @@ use ihd_shared::wire::number::Number;
 use ihd_shared::wire::schema::Part;
 use serde::Deserialize;
 
-use super::Counters;
+use super::ClientCounters;
 use super::assembler::{Assembler, RejectedWindow, UnfinishedWindow};
 use super::flood::Flood;
 use super::window::{Window, WindowDefect};
 
 /// Message that a device sends without a request.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Event {
+pub enum DeviceEvent {
     /// One half-cycle in numbers.
     Telemetry(Telemetry),
     /// A window, complete and checked.
@@ -47,13 +47,13 @@ pub enum Event {
 
 /// Response to a request, or a hello. The bytes are those of a message with this id.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Response {
+pub struct RawResponse {
     id: u8,
     number: Number,
     bytes: Vec<u8>,
 }
 
-impl Response {
+impl RawResponse {
     /// Id of the message.
     pub fn id(&self) -> u8 {
         self.id
@@ -75,21 +75,21 @@ impl Response {
 pub struct Receiver {
     deframer: Deframer,
     assembler: Assembler,
-    counters: Counters,
+    counters: ClientCounters,
     flood: Option<Flood>,
     /// Counters of the link test.
     pub(super) link_data: LinkTestCounts,
     /// Events in the order of their last byte.
-    pub events: VecDeque<Event>,
+    pub events: VecDeque<DeviceEvent>,
     /// Answers in the order of their last byte.
-    pub answers: VecDeque<Response>,
+    pub answers: VecDeque<RawResponse>,
 }
 
 impl Receiver {
     /// Counters so far.
-    pub fn counters(&self) -> Counters {
+    pub fn counters(&self) -> ClientCounters {
         let frames = self.deframer.counters();
-        Counters {
+        ClientCounters {
             frames_good: frames.good,
             frames_bad: frames.bad,
             frames_lost: frames.lost,
@@ -147,7 +147,7 @@ impl Receiver {
         let (number, payload) = frame.split();
         let is_answer = part_of(frame.id) == Some(Part::Answer) || frame.id == Hello::ID;
         match AnyMessage::decode(frame.id, payload) {
-            Ok(_) if is_answer => self.answers.push_back(Response {
+            Ok(_) if is_answer => self.answers.push_back(RawResponse {
                 id: frame.id,
                 number,
                 bytes: payload.to_vec(),
@@ -156,15 +156,15 @@ impl Receiver {
                 counters.telemetry.count_seq(m.seq);
                 counters.telemetry.dropped_by_device = m.dropped;
                 counters.telemetry.received += 1;
-                self.events.push_back(Event::Telemetry(m));
+                self.events.push_back(DeviceEvent::Telemetry(m));
             }
             Ok(AnyMessage::LinkData(m)) => self.link_data.take(&m),
-            Ok(AnyMessage::Log(m)) => self.events.push_back(Event::Log {
+            Ok(AnyMessage::Log(m)) => self.events.push_back(DeviceEvent::Log {
                 seq: m.seq,
                 dropped: m.dropped,
                 data: m.data.0.to_vec(),
             }),
-            Ok(AnyMessage::FaultEvent(m)) => self.events.push_back(Event::Fault(m)),
+            Ok(AnyMessage::FaultEvent(m)) => self.events.push_back(DeviceEvent::Fault(m)),
             Ok(AnyMessage::WindowGone(m)) => self.give_up(m.seq),
             Ok(
                 ref m @ (AnyMessage::WindowStart(_)
@@ -218,15 +218,18 @@ impl Receiver {
     }
 }
 
-fn window_event(result: Result<Box<Window>, RejectedWindow>, counters: &mut Counters) -> Event {
+fn window_event(
+    result: Result<Box<Window>, RejectedWindow>,
+    counters: &mut ClientCounters,
+) -> DeviceEvent {
     match result {
         Ok(window) => {
             counters.windows.received += 1;
-            Event::Window(window)
+            DeviceEvent::Window(window)
         }
         Err(RejectedWindow { seq, reason }) => {
             *counters.windows_rejected.entry(reason.label()).or_default() += 1;
-            Event::WindowRejected { seq, reason }
+            DeviceEvent::WindowRejected { seq, reason }
         }
     }
 }

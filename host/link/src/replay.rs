@@ -24,8 +24,8 @@ const LAST: ReplayBlocks<'static> = ReplayBlocks {
     data: Raw(&[]),
 };
 
-/// A device in replay mode: its power outputs are locked off until [`Replay::end`].
-pub struct Replay<'a> {
+/// A device in replay mode: its power outputs are locked off until [`ReplayMode::end`].
+pub struct ReplayMode<'a> {
     client: &'a mut Client,
     /// Blocks whose estimates have come back.
     taken: u32,
@@ -57,15 +57,15 @@ impl Client {
         f_sw_hz: u32,
         r: MicroOhm,
         l: PicoHenry,
-    ) -> Result<Replay<'_>, LinkError> {
+    ) -> Result<ReplayMode<'_>, LinkError> {
         let start = ReplayStart { f_sw_hz, r, l };
         retry_unanswered(|| self.request(&start))?;
         Ok(self.continue_replay(0))
     }
 
     /// Continues a replay of which `taken` blocks were sent and have come back.
-    pub fn continue_replay(&mut self, taken: u32) -> Replay<'_> {
-        Replay {
+    pub fn continue_replay(&mut self, taken: u32) -> ReplayMode<'_> {
+        ReplayMode {
             client: self,
             taken,
             unsure: false,
@@ -75,8 +75,8 @@ impl Client {
 
     /// Continues a replay like [`Client::continue_replay`], after the link has ended: the device may have replayed the next message
     /// already.
-    pub fn resume_replay(&mut self, taken: u32) -> Replay<'_> {
-        Replay {
+    pub fn resume_replay(&mut self, taken: u32) -> ReplayMode<'_> {
+        ReplayMode {
             unsure: true,
             ..self.continue_replay(taken)
         }
@@ -97,13 +97,13 @@ pub fn retry_unanswered<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Res
     }
 }
 
-impl Replay<'_> {
+impl ReplayMode<'_> {
     /// Replays whole blocks, with the bus voltage in decivolt and the index of the first pair after a mains zero crossing (`None`
     /// if there is none). Returns one estimate per block; `None` if the device made none. Pairs after the last whole block are
     /// skipped.
     ///
     /// # Errors
-    /// Any error of [`Replay::message`].
+    /// Any error of [`ReplayMode::message`].
     pub fn blocks(
         &mut self,
         pairs: &[Pair],
@@ -121,7 +121,7 @@ impl Replay<'_> {
         Ok(estimates)
     }
 
-    /// Replays the blocks of one message, at most [`PAIRS_PER_MESSAGE`] pairs; see [`Replay::blocks`]. After [`LinkError::Closed`],
+    /// Replays the blocks of one message, at most [`PAIRS_PER_MESSAGE`] pairs; see [`ReplayMode::blocks`]. After [`LinkError::Closed`],
     /// [`Client::resume_replay`] continues with the same blocks.
     ///
     /// # Errors

@@ -15,7 +15,7 @@ use super::{Client, LinkError};
 /// Silence after which the rest of a test's bytes counts as lost.
 const SILENCE: Duration = Duration::from_millis(500);
 
-/// Identity of a board and its program, as in [`Board`].
+/// Identity of a board and its program, as in [`UsbBoard`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BoardFacts {
     /// DBGMCU_IDCODE; 0 if there is no chip.
@@ -135,7 +135,7 @@ impl Client {
     }
 
     /// Starts or stops the log stream. It begins with the oldest entry that the device still keeps and comes as
-    /// [`super::Event::Log`].
+    /// [`super::DeviceEvent::Log`].
     ///
     /// # Errors
     /// [`LinkError::Refused`] with `Unavailable` from a device without a log; else any error of [`Client::request`].

@@ -46,7 +46,7 @@ fn controllers() -> Result<Vec<nusb::DeviceInfo>, LinkError> {
 
 /// A connected controller.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Board {
+pub struct UsbBoard {
     /// Its serial number, which `usb:SERIAL` takes; empty where it has none.
     pub serial: String,
     /// Product string of the device.
@@ -57,12 +57,12 @@ pub struct Board {
 ///
 /// # Errors
 /// [`LinkError::Connect`] if the system has no USB or denies access.
-pub fn boards() -> Result<Vec<Board>, LinkError> {
-    let board = |device: &nusb::DeviceInfo| Board {
+pub fn boards() -> Result<Vec<UsbBoard>, LinkError> {
+    let board = |device: &nusb::DeviceInfo| UsbBoard {
         serial: printable(device.serial_number().unwrap_or_default()).to_string(),
         product: printable(device.product_string().unwrap_or_default()).to_string(),
     };
-    let mut boards: Vec<Board> = controllers()?.iter().map(board).collect();
+    let mut boards: Vec<UsbBoard> = controllers()?.iter().map(board).collect();
     boards.sort();
     Ok(boards)
 }

@@ -117,7 +117,7 @@ pub enum WindowDefect {
     #[error("a chunk is missing before {of} {offset}")]
     MissingChunk {
         /// Part of the window.
-        of: Part,
+        of: WindowPart,
         /// End of the gap.
         offset: u16,
     },
@@ -125,7 +125,7 @@ pub enum WindowDefect {
     #[error("two chunks contradict each other at {of} {offset}")]
     RepeatedChunk {
         /// Part of the window.
-        of: Part,
+        of: WindowPart,
         /// Its offset.
         offset: u16,
     },
@@ -133,7 +133,7 @@ pub enum WindowDefect {
     #[error("a chunk at {of} {offset} reaches beyond the declared size")]
     ChunkBeyondEnd {
         /// Part of the window.
-        of: Part,
+        of: WindowPart,
         /// Offset of the chunk.
         offset: u16,
     },
@@ -141,7 +141,7 @@ pub enum WindowDefect {
     #[error("a chunk of {bytes} bytes is not a whole number of {of} entries")]
     RaggedChunk {
         /// Part of the window.
-        of: Part,
+        of: WindowPart,
         /// Its length.
         bytes: usize,
     },
@@ -159,7 +159,7 @@ pub enum WindowDefect {
 }
 
 impl WindowDefect {
-    /// The kind of defect in two words, the key of [`super::Counters::windows_rejected`].
+    /// The kind of defect in two words, the key of [`super::ClientCounters::windows_rejected`].
     pub fn label(self) -> &'static str {
         match self {
             Self::NoStart => "no start",
@@ -179,14 +179,14 @@ impl WindowDefect {
 
 /// The two parts of a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
+pub enum WindowPart {
     /// Sample pairs.
     Pair,
     /// Trajectory entries.
     Trajectory,
 }
 
-impl std::fmt::Display for Part {
+impl std::fmt::Display for WindowPart {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Pair => "pair",

@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use ihd_map::library::{Library, MOST_ENTRIES};
-use ihd_map::{Curve, MeasuredPoint, PotEntry, PotMap, PotModel, Provenance};
+use ihd_map::{CurrentCurve, MeasuredPoint, PotEntry, PotMap, PotModel, Provenance};
 
 /// A curve of a ferritic pot of 18 cm, with the errors of a window at 40 dB.
-fn curve(f_hz: f64, most_a: f64, t_s: f64) -> Curve {
+fn curve(f_hz: f64, most_a: f64, t_s: f64) -> CurrentCurve {
     let pot = PotModel {
         radius_m: 0.09,
         winding_r_ohm: 0.1,
@@ -31,7 +31,7 @@ fn curve(f_hz: f64, most_a: f64, t_s: f64) -> Curve {
             }
         })
         .collect();
-    Curve::new(f_hz, t_s, points.into_iter())
+    CurrentCurve::new(f_hz, t_s, points.into_iter())
 }
 
 fn bench(c: &mut Criterion) {

@@ -122,7 +122,7 @@ pub struct Mean {
 
 /// R and L over current at one switching frequency.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Curve {
+pub struct CurrentCurve {
     /// Switching frequency in hertz.
     pub f_sw_hz: f64,
     /// Time of the newest window in seconds of the device.
@@ -132,7 +132,7 @@ pub struct Curve {
     bins: Vec<Bin>,
 }
 
-impl Curve {
+impl CurrentCurve {
     /// Creates a curve from one window; points that are not numbers, or have no deviations, are left out.
     pub fn new(f_sw_hz: f64, t_s: f64, points: impl Iterator<Item = MeasuredPoint>) -> Self {
         let mut bins = vec![Bin::default(); MOST_BINS];
@@ -196,11 +196,11 @@ mod tests {
 
     #[test]
     fn windows_of_one_frequency_average_and_know_it() {
-        let mut curve = Curve::new(45e3, 0.0, [point(20.0, 3.98)].into_iter());
+        let mut curve = CurrentCurve::new(45e3, 0.0, [point(20.0, 3.98)].into_iter());
         for k in 1..16 {
             let r_ohm = if k % 2 == 0 { 3.98 } else { 4.02 };
             curve.fuse(
-                &Curve::new(45e3, f64::from(k), [point(20.0, r_ohm)].into_iter()),
+                &CurrentCurve::new(45e3, f64::from(k), [point(20.0, r_ohm)].into_iter()),
                 [1.0; 2],
             );
         }
@@ -214,7 +214,7 @@ mod tests {
     #[test]
     fn what_is_no_number_is_left_out() {
         let bad = [f64::NAN, f64::INFINITY].map(|x| point(20.0, x));
-        let nothing = Curve::new(
+        let nothing = CurrentCurve::new(
             45e3,
             0.0,
             bad.into_iter().chain([MeasuredPoint {
@@ -224,7 +224,7 @@ mod tests {
         );
         assert_eq!(nothing.means().count(), 0);
         assert!(
-            Curve::new(45e3, 0.0, [point(-3.0, 4.0), point(1e9, 4.0)].into_iter())
+            CurrentCurve::new(45e3, 0.0, [point(-3.0, 4.0), point(1e9, 4.0)].into_iter())
                 .means()
                 .count()
                 <= 1

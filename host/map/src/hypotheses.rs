@@ -8,10 +8,10 @@ use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
-use crate::curve::{Curve, Mean};
+use crate::curve::{CurrentCurve, Mean};
 use crate::fit::Datum;
 use crate::library::{Candidate, Library, Shape, ShapeState, shape_places, without};
-use crate::posterior::{Posterior, Prediction};
+use crate::posterior::{Posterior, RlPrediction};
 use crate::pot_fit::PotFit;
 
 /// Prior share of each entry: one of forty pots that may come. All entries together have half at most.
@@ -72,8 +72,8 @@ impl LibraryHypothesis {
 
     /// Returns `true` if the entry's map lies within the deviations of this hob's own map, in cells measured or not. An honest
     /// entry knows more and contradicts nothing; one made to fit the first measurements and to be wrong elsewhere does not pass.
-    fn is_believable(&self, alone: &[Prediction]) -> bool {
-        let square = |(value, alone): (&Prediction, &Prediction)| {
+    fn is_believable(&self, alone: &[RlPrediction]) -> bool {
+        let square = |(value, alone): (&RlPrediction, &RlPrediction)| {
             let r = (value.r_ohm / alone.r_ohm).ln() / alone.r_sigma.hypot(LEAST_SIGMA[0]);
             let l = (value.l_h / alone.l_h).ln() / alone.l_sigma.hypot(LEAST_SIGMA[1]);
             0.5 * (r * r + l * l)
@@ -83,7 +83,7 @@ impl LibraryHypothesis {
         squares < BELIEVABLE * BELIEVABLE * alone.len() as f64
     }
 
-    fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Prediction> {
+    fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<RlPrediction> {
         let mut all = self.posterior.at(places, ahead_s);
         for (value, &(f_hz, i_a)) in all.iter_mut().zip(places) {
             let beside = self.shape.at(f_hz, i_a);
@@ -251,14 +251,14 @@ impl Hypotheses {
     }
 
     /// R and L with their deviations at places, `ahead_s` seconds after the last datum.
-    pub fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Prediction> {
+    pub fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<RlPrediction> {
         if self.others.is_empty() {
             return self.any.at(places, ahead_s);
         }
         let others = self.others.iter();
         let mut each: Vec<_> = others.map(|r| (r.share, r.at(places, ahead_s))).collect();
         each.push((self.share_of_any(), self.any.at(places, ahead_s)));
-        let mixed = |k: usize, x: fn(&Prediction) -> (f64, f64)| {
+        let mixed = |k: usize, x: fn(&RlPrediction) -> (f64, f64)| {
             let of = each.iter().map(|(share, all)| (*share, x(&all[k])));
             let mean: f64 = of.clone().map(|(share, (x, _))| share * x.ln()).sum();
             let variance: f64 = of
@@ -270,7 +270,7 @@ impl Hypotheses {
             .map(|k| {
                 let (r_ohm, r_sigma) = mixed(k, |p| (p.r_ohm, p.r_sigma));
                 let (l_h, l_sigma) = mixed(k, |p| (p.l_h, p.l_sigma));
-                Prediction {
+                RlPrediction {
                     r_ohm,
                     l_h,
                     r_sigma,
@@ -284,7 +284,12 @@ impl Hypotheses {
     ///
     /// The best one counts: the pot is another one only if it differs under every hypothesis. A wrong entry therefore never
     /// discards a map.
-    pub fn compare(&self, curve: &Curve, means: &[Mean], ahead_s: f64) -> Option<Comparison> {
+    pub fn compare(
+        &self,
+        curve: &CurrentCurve,
+        means: &[Mean],
+        ahead_s: f64,
+    ) -> Option<Comparison> {
         let f_hz = curve.f_sw_hz;
         let others = self.others.iter();
         let others = others.filter_map(|r| r.compare(f_hz, means, ahead_s));

@@ -23,9 +23,9 @@ pub mod pot_map;
 pub mod pot_model;
 mod surface_table;
 
-pub use curve::{Curve, Mean, MeasuredPoint};
+pub use curve::{CurrentCurve, Mean, MeasuredPoint};
 pub use library::{Library, LibraryError, PotEntry, Provenance};
 pub use misfit::current_knots;
-pub use posterior::Prediction;
-pub use pot_map::{Cell, Cells, CurveMatch, PotMap, PotMapState};
+pub use posterior::RlPrediction;
+pub use pot_map::{Cells, CurveMatch, MapCell, PotMap, PotMapState};
 pub use pot_model::PotModel;

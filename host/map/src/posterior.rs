@@ -12,7 +12,7 @@ use crate::pot_fit::{PotFit, fit_pot};
 
 /// Predicted R and L at one place, with deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Prediction {
+pub struct RlPrediction {
     /// Resistance in ohm.
     pub r_ohm: f64,
     /// Inductance in henry.
@@ -110,7 +110,7 @@ impl Posterior {
     }
 
     /// R and L at places with deviations: [`Self::joint`] without the correlations.
-    pub fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<Prediction> {
+    pub fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<RlPrediction> {
         let predicted = self.predict(places, ahead_s);
         let whitened = self
             .factor
@@ -128,7 +128,7 @@ impl Posterior {
             (prior - known).max(0.0).sqrt()
         };
         (0..count)
-            .map(|k| Prediction {
+            .map(|k| RlPrediction {
                 r_ohm: predicted.mean[k].exp(),
                 l_h: predicted.mean[count + k].exp(),
                 r_sigma: sigma(k),

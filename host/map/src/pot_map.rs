@@ -8,12 +8,12 @@ use ihd_shared::lookup::grid::{
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
-use crate::curve::Curve;
+use crate::curve::CurrentCurve;
 use crate::fit::Datum;
 use crate::hypotheses::{Comparison, Hypotheses, LibraryHypothesisState};
 use crate::library::Library;
 use crate::misfit::{current_knots, current_of_knots};
-use crate::posterior::{Posterior, Prediction};
+use crate::posterior::{Posterior, RlPrediction};
 use crate::pot_fit::{MISFIT_WARNING, PotFit};
 use crate::surface_table::lagrange;
 
@@ -68,16 +68,16 @@ pub enum CurveMatch {
 
 /// One cell of a lookup.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Cell {
+pub struct MapCell {
     /// Predicted R and L, with relative deviations.
-    pub value: Prediction,
+    pub value: RlPrediction,
     /// 0 (never observed) to 1.
     pub confidence: f64,
     /// Seconds since the cell was observed last; `None` if never.
     pub age_s: Option<f64>,
 }
 
-impl Cell {
+impl MapCell {
     /// Returns `true` if the cell rests on observations and not on the pot's physics alone.
     pub fn is_observed(&self) -> bool {
         self.confidence >= OBSERVED_FROM
@@ -85,12 +85,12 @@ impl Cell {
 }
 
 /// All cells of a lookup, `[frequency][current]`.
-pub type Cells = [[Cell; CURRENTS]; FREQUENCIES];
+pub type Cells = [[MapCell; CURRENTS]; FREQUENCIES];
 
 /// Map of the pot that stands on the coil now.
 #[derive(Clone, Debug, Default)]
 pub struct PotMap {
-    curves: Vec<Curve>,
+    curves: Vec<CurrentCurve>,
     learned: Option<LastFit>,
     library: Option<Arc<Library>>,
 }
@@ -99,14 +99,14 @@ pub struct PotMap {
 #[derive(Clone, Debug)]
 struct LastFit {
     hypotheses: Hypotheses,
-    curves: Vec<Curve>,
+    curves: Vec<CurrentCurve>,
     at_s: f64,
 }
 
 /// Stored form of a map; a restored map gives the same predictions, bit for bit.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct PotMapState {
-    curves: Vec<Curve>,
+    curves: Vec<CurrentCurve>,
     learned: Option<LastFitState>,
 }
 
@@ -117,7 +117,7 @@ struct LastFitState {
     /// Pots of the library that it may be; builds before the library ignore them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     recognised: Vec<LibraryHypothesisState>,
-    curves: Vec<Curve>,
+    curves: Vec<CurrentCurve>,
     at_s: f64,
 }
 
@@ -137,8 +137,9 @@ impl PotMap {
 
     /// Restores a map; `None` if no windows can have produced the numbers.
     pub fn from_state(state: PotMapState) -> Option<Self> {
-        let sound =
-            |curves: &[Curve]| curves.len() <= MOST_CURVES && curves.iter().all(Curve::is_sound);
+        let sound = |curves: &[CurrentCurve]| {
+            curves.len() <= MOST_CURVES && curves.iter().all(CurrentCurve::is_sound)
+        };
         if !sound(&state.curves) {
             return None;
         }
@@ -191,13 +192,13 @@ impl PotMap {
     }
 
     /// Curves, one per switching frequency.
-    pub fn curves(&self) -> &[Curve] {
+    pub fn curves(&self) -> &[CurrentCurve] {
         &self.curves
     }
 
     /// Adds a window's curve. Fits at once for another pot, a new frequency, twice the windows, or a difference beyond chance;
     /// otherwise the next [`Self::refresh`] fits.
-    pub fn observe(&mut self, curve: Curve) -> CurveMatch {
+    pub fn observe(&mut self, curve: CurrentCurve) -> CurveMatch {
         if !curve.is_sound() || curve.means().next().is_none() {
             return CurveMatch::Nothing;
         }
@@ -215,7 +216,7 @@ impl PotMap {
     }
 
     /// Compares a window with the prediction; the second value is `true` if a new fit is worthwhile.
-    fn compare(&self, curve: &Curve) -> (CurveMatch, bool) {
+    fn compare(&self, curve: &CurrentCurve) -> (CurveMatch, bool) {
         let Some(learned) = &self.learned else {
             return (CurveMatch::First, true);
         };
@@ -245,8 +246,8 @@ impl PotMap {
     }
 
     /// Fuses a curve with that of its frequency, and returns the number of windows in it.
-    fn fuse(&mut self, curve: Curve) -> u32 {
-        let away = |c: &Curve| (c.f_sw_hz / curve.f_sw_hz - 1.0).abs();
+    fn fuse(&mut self, curve: CurrentCurve) -> u32 {
+        let away = |c: &CurrentCurve| (c.f_sw_hz / curve.f_sw_hz - 1.0).abs();
         let ratio_to = |f_hz| {
             frequency_ratio(
                 self.learned.as_ref().map(|l| &l.hypotheses),
@@ -330,7 +331,7 @@ impl PotMap {
 
     /// Predicts R and L along a half-cycle: at a switching frequency in hertz and many currents in ampere, interpolated
     /// between a few. Empty before the first window.
-    pub fn along(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<Prediction> {
+    pub fn along(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<RlPrediction> {
         /// Points per knot of the lookup's current axis: a cubic through them is within 1e-5 of R and L.
         const PER_KNOT: f64 = 1.5;
         let most_a = currents_a.iter().copied().fold(0.0, f64::max);
@@ -346,10 +347,10 @@ impl PotMap {
             let x = current_knots(*i_a) * PER_KNOT;
             let first = (x as usize).saturating_sub(1).min(count - 4);
             let weights = lagrange([0.0, 1.0, 2.0, 3.0], x - first as f64);
-            let mix = |of: fn(&Prediction) -> f64| {
+            let mix = |of: fn(&RlPrediction) -> f64| {
                 (0..4).map(|k| weights[k] * of(&nodes[first + k])).sum()
             };
-            Prediction {
+            RlPrediction {
                 r_ohm: mix(|p| p.r_ohm),
                 l_h: mix(|p| p.l_h),
                 r_sigma: f64::max(mix(|p| p.r_sigma), 0.0),
@@ -360,7 +361,7 @@ impl PotMap {
     }
 
     /// Predicts R and L at a switching frequency in hertz and currents in ampere. Empty before the first window.
-    pub fn at(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<Prediction> {
+    pub fn at(&self, f_hz: f64, currents_a: &[f64], now_s: f64) -> Vec<RlPrediction> {
         let places: Vec<_> = currents_a.iter().map(|i| (f_hz, *i)).collect();
         let of = |l: &LastFit| l.hypotheses.at(&places, now_s - l.at_s);
         self.learned.as_ref().map(of).unwrap_or_default()
@@ -375,7 +376,7 @@ impl PotMap {
         let values = learned.hypotheses.at(&places, now_s - learned.at_s);
         let (mass, last_s) = self.mass();
         Some(std::array::from_fn(|f| {
-            std::array::from_fn(|i| Cell {
+            std::array::from_fn(|i| MapCell {
                 value: values[f * CURRENTS + i],
                 confidence: mass[f][i] / (mass[f][i] + HALF_CONFIDENT),
                 age_s: last_s[f][i].map(|t_s| (now_s - t_s).max(0.0)),
@@ -420,8 +421,8 @@ impl PotMap {
 }
 
 /// Means of all curves, with their ages at a time in seconds of the device.
-fn data(curves: &[Curve], now_s: f64) -> Vec<Datum> {
-    let of = |curve: &Curve| {
+fn data(curves: &[CurrentCurve], now_s: f64) -> Vec<Datum> {
+    let of = |curve: &CurrentCurve| {
         let (f_hz, age_s) = (curve.f_sw_hz, now_s - curve.t_s);
         let datum = |m: crate::curve::Mean| Datum {
             f_hz,

@@ -7,10 +7,10 @@ use std::sync::Arc;
 
 use ihd_field::FieldModel;
 use ihd_map::library::{Library, shape_places};
-use ihd_map::{Curve, CurveMatch, PotEntry, PotMap, Provenance};
+use ihd_map::{CurrentCurve, CurveMatch, PotEntry, PotMap, Provenance};
 use ihd_shared::lookup::grid::{CURRENTS, current_a, frequency_hz};
 use ihd_signal::Load;
-use ihd_sim::pot::Pot;
+use ihd_sim::pot::SimulatedPot;
 use ihd_sim::surrogate::SurrogatePot;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -34,7 +34,7 @@ struct Judged {
 
 impl Hob {
     fn new(name: &str, lift_m: f64, gain: f64, winding_r_ohm: f64) -> Self {
-        let pot = Pot {
+        let pot = SimulatedPot {
             lift_m,
             ..name.parse().unwrap()
         };
@@ -85,7 +85,7 @@ impl Hob {
     }
 
     /// A window at the frequency where the hob takes this power in watt, at 40 dB.
-    fn window(&self, power_w: f64, t_s: f64, rng: &mut ChaCha8Rng) -> Curve {
+    fn window(&self, power_w: f64, t_s: f64, rng: &mut ChaCha8Rng) -> CurrentCurve {
         let too_much = |f: &f64| self.crest(*f).is_none_or(|(_, p)| p > power_w);
         let stepping = (31..80).rev().map(|k| 1e3 * f64::from(k));
         let f_hz = stepping.clone().find(too_much).unwrap_or(31e3) + 1e3;

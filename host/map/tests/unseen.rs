@@ -4,10 +4,10 @@
 mod windows;
 
 use ihd_field::FieldModel;
-use ihd_map::{Curve, CurveMatch, MeasuredPoint, PotMap};
+use ihd_map::{CurrentCurve, CurveMatch, MeasuredPoint, PotMap};
 use ihd_shared::lookup::grid::{CURRENTS, current_a, frequency_hz};
 use ihd_sim::behavioural::{BehaviouralLoad, PotKind};
-use ihd_sim::pot::Pot;
+use ihd_sim::pot::SimulatedPot;
 use ihd_sim::surrogate::exact;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -15,7 +15,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 type Models = Vec<(f64, FieldModel)>;
 
-fn models(pot: &Pot) -> Models {
+fn models(pot: &SimulatedPot) -> Models {
     let settings = pot.field_settings(0.1).unwrap();
     settings
         .into_iter()
@@ -41,7 +41,7 @@ fn crest(models: &Models, f_hz: f64) -> Option<(f64, f64)> {
 }
 
 /// A window at 40 dB: .5 % a point at the crest.
-fn window(models: &Models, f_hz: f64, t_s: f64, rng: &mut ChaCha8Rng) -> Curve {
+fn window(models: &Models, f_hz: f64, t_s: f64, rng: &mut ChaCha8Rng) -> CurrentCurve {
     let (most_a, _) = crest(models, f_hz).expect("above resonance");
     windows::window(
         (f_hz, most_a),
@@ -80,17 +80,17 @@ fn unseen_cells_follow_the_physics_all_variants() {
     assert_follow(&pots());
 }
 
-fn pots() -> [Pot; 5] {
-    let named = |name: &str| name.parse::<Pot>().unwrap();
-    let lifted = Pot {
+fn pots() -> [SimulatedPot; 5] {
+    let named = |name: &str| name.parse::<SimulatedPot>().unwrap();
+    let lifted = SimulatedPot {
         lift_m: 0.01,
         ..named("ferritic-18")
     };
-    let shifted = Pot {
+    let shifted = SimulatedPot {
         offset_m: 0.03,
         ..named("ferritic-18")
     };
-    let hot = Pot {
+    let hot = SimulatedPot {
         temperature_c: 150.0,
         ..named("cast-iron-21")
     };
@@ -103,7 +103,7 @@ fn pots() -> [Pot; 5] {
     ]
 }
 
-fn assert_follow(pots: &[Pot]) {
+fn assert_follow(pots: &[SimulatedPot]) {
     for pot in pots {
         let models = models(pot);
         let cells = taught(&models, 1).cells(2.0).unwrap();
@@ -166,7 +166,7 @@ fn of_a_load_of_formulas_no_more_is_claimed_than_was_taught() {
                 }
             })
             .collect();
-        map.observe(Curve::new(f_hz, k as f64, points.into_iter()));
+        map.observe(CurrentCurve::new(f_hz, k as f64, points.into_iter()));
     }
     assert_eq!(map.is_described(), Some(false));
     let cells = map.cells(4.0).unwrap();
@@ -197,7 +197,7 @@ fn of_a_load_of_formulas_no_more_is_claimed_than_was_taught() {
 
 #[test]
 fn a_moved_pot_is_another_at_the_first_window_and_a_warmer_one_is_not() {
-    let pot: Pot = "ferritic-18".parse().unwrap();
+    let pot: SimulatedPot = "ferritic-18".parse().unwrap();
     let cold = models(&pot);
     let mut map = taught(&cold, 2);
     let mut rng = ChaCha8Rng::seed_from_u64(3);
@@ -207,13 +207,13 @@ fn a_moved_pot_is_another_at_the_first_window_and_a_warmer_one_is_not() {
         assert!(matches!(same, CurveMatch::Same { .. }), "{same:?}");
     }
     // Two seconds at 2 K/s.
-    let warmer = models(&Pot {
+    let warmer = models(&SimulatedPot {
         temperature_c: 24.0,
         ..pot
     });
     let seen = map.clone().observe(window(&warmer, f_hz, 7.0, &mut rng));
     assert!(matches!(seen, CurveMatch::Same { .. }), "{seen:?}");
-    let lifted = models(&Pot {
+    let lifted = models(&SimulatedPot {
         lift_m: 0.5e-3,
         ..pot
     });
@@ -255,7 +255,7 @@ fn lies_teach_nothing() {
     };
     let mut map = PotMap::default();
     assert_eq!(
-        map.observe(Curve::new(45e3, 0.0, [lie; 9].into_iter())),
+        map.observe(CurrentCurve::new(45e3, 0.0, [lie; 9].into_iter())),
         CurveMatch::Nothing
     );
     let good = MeasuredPoint {
@@ -266,12 +266,12 @@ fn lies_teach_nothing() {
         l_sigma_h: 1e-7,
     };
     assert_eq!(
-        map.observe(Curve::new(f64::NAN, 0.0, [good].into_iter())),
+        map.observe(CurrentCurve::new(f64::NAN, 0.0, [good].into_iter())),
         CurveMatch::Nothing
     );
     assert!(map.cells(0.0).is_none() && map.at(45e3, &[20.0], 0.0).is_empty());
     assert_eq!(
-        map.observe(Curve::new(45e3, 0.0, [good].into_iter())),
+        map.observe(CurrentCurve::new(45e3, 0.0, [good].into_iter())),
         CurveMatch::First
     );
     assert!(map.cells(1.0).is_some());

@@ -5,7 +5,7 @@
 mod truth;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use ihd_pinn::{Backend, Config, Preset, identify};
+use ihd_pinn::{Backend, PinnConfig, Preset, identify};
 use truth::Hob;
 
 /// Epochs of one measurement: enough that setting up does not count.
@@ -18,7 +18,7 @@ fn epochs(c: &mut Criterion) {
     group.throughput(Throughput::Elements((EPOCHS * recording.v.len()) as u64));
     group.sample_size(10);
     for &backend in Backend::ALL {
-        let mut config = Config {
+        let mut config = PinnConfig {
             backend,
             max_iterations: EPOCHS,
             ..Preset::PaperRepaired.config()

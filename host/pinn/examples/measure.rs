@@ -6,11 +6,11 @@
 #[path = "../tests/it/truth.rs"]
 mod truth;
 
-use ihd_pinn::{Config, PresetLibrary, identify};
+use ihd_pinn::{PinnConfig, PresetLibrary, identify};
 use truth::{Hob, mre_pct};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut json = serde_json::to_value(Config::default())?;
+    let mut json = serde_json::to_value(PinnConfig::default())?;
     let (mut snr_db, mut seeds, mut mains) = (None::<f64>, 1_u64, 50.0);
     let (mut rate_hz, mut only_khz, mut warm) = (None::<f64>, None::<f64>, false);
     for argument in std::env::args().skip(1) {
@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             _ => json[key] = serde_json::from_str(value).unwrap_or_else(|_| value.into()),
         }
     }
-    let mut config: Config = serde_json::from_value(json)?;
+    let mut config: PinnConfig = serde_json::from_value(json)?;
     println!(
         "kHz seed | whole R % L % | middle R % L % | sigma R % L % | passes steps ms stop | NMSE v i %"
     );

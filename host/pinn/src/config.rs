@@ -53,7 +53,7 @@ impl FromStr for Optimiser {
 /// RL-MLP of 2 x 8 by Levenberg-Marquardt, the paper's weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Config {
+pub struct PinnConfig {
     /// Backend that computes the networks.
     pub backend: Backend,
     /// Seed of the RL-MLP's initial weights; the same seed gives the same digits.
@@ -127,7 +127,7 @@ pub struct Config {
     pub inputs: Option<SlowInputs>,
 }
 
-impl Default for Config {
+impl Default for PinnConfig {
     fn default() -> Self {
         Self {
             backend: Backend::default(),

@@ -1,10 +1,10 @@
-//! TOML files of a [`Config`], on top of a preset.
+//! TOML files of a [`PinnConfig`], on top of a preset.
 
 use std::fmt;
 
-use crate::{Backend, Config, Optimiser, PinnError, Preset, PresetLibrary};
+use crate::{Backend, Optimiser, PinnConfig, PinnError, Preset, PresetLibrary};
 
-impl Config {
+impl PinnConfig {
     /// Reads a TOML file: settings by name, on top of the preset that its key `preset` names (`hybrid` if not given).
     /// A `description` is for the reader.
     ///

@@ -6,18 +6,20 @@ use crate::hybrid::hybrid;
 use crate::loss::slow_times_s;
 use crate::progress::Log;
 use crate::waveform::NormalisedWaveform;
-use crate::{Config, Identification, PinnError, Progress, Waveform, networks, uncertainty};
+use crate::{
+    Identification, PinnConfig, PinnError, TrainingProgress, Waveform, networks, uncertainty,
+};
 
 /// Truth of R (ohm) and L (H) at a time in seconds after the mains zero crossing.
 pub type TruthAt<'a> = &'a dyn Fn(f64) -> (f64, f64);
 
 /// Window to identify, with optional truth and checkpoint.
 #[derive(Clone, Copy)]
-pub struct Task<'a> {
+pub struct IdentifyTask<'a> {
     /// Samples of the window.
     pub window: Waveform<'a>,
     /// Settings of the identification.
-    pub config: &'a Config,
+    pub config: &'a PinnConfig,
     /// Truth, if known; the progress then contains the errors against it.
     pub truth: Option<TruthAt<'a>>,
     /// Burnpack file of a training with a VI-MLP: the training continues from it if it exists, and writes it every
@@ -27,17 +29,17 @@ pub struct Task<'a> {
 
 /// Identifies R(t) and L(t) of the coil from one window by minimising the paper's eq. (7).
 ///
-/// `progress` is called after every accepted optimiser step; see [`Task::run`].
+/// `progress` is called after every accepted optimiser step; see [`IdentifyTask::run`].
 ///
 /// # Errors
 /// [`PinnError`] if the window or the configuration cannot be used. A limit that is reached, or a
 /// loss that is not finite, is no error but a [`crate::StopReason`].
 pub fn identify(
     window: &Waveform<'_>,
-    config: &Config,
-    progress: &mut dyn FnMut(&Progress),
+    config: &PinnConfig,
+    progress: &mut dyn FnMut(&TrainingProgress),
 ) -> Result<Identification, PinnError> {
-    let task = Task {
+    let task = IdentifyTask {
         window: *window,
         config,
         truth: None,
@@ -46,13 +48,16 @@ pub fn identify(
     task.run(progress)
 }
 
-impl Task<'_> {
+impl IdentifyTask<'_> {
     /// Identifies the window. With the harmonic VI branch by block-coordinate descent: the VI branch by linear least squares,
     /// the RL-MLP by the configured optimiser, alternating. With a VI-MLP both networks by Adam.
     ///
     /// # Errors
     /// As [`identify`], and [`PinnError::Checkpoint`] for a checkpoint of another training.
-    pub fn run(&self, progress: &mut dyn FnMut(&Progress)) -> Result<Identification, PinnError> {
+    pub fn run(
+        &self,
+        progress: &mut dyn FnMut(&TrainingProgress),
+    ) -> Result<Identification, PinnError> {
         self.config.validate()?;
         let mut samples = self.window.normalise()?;
         if self.config.vi_mlp.is_none() {
@@ -61,7 +66,7 @@ impl Task<'_> {
         }
         let mut members = Vec::with_capacity(self.config.ensemble);
         for member in 0..self.config.ensemble {
-            let config = Config {
+            let config = PinnConfig {
                 seed: self.config.seed.wrapping_add(member as u64),
                 ensemble: 1,
                 ..self.config.clone()
@@ -102,7 +107,11 @@ fn best_of(mut members: Vec<Identification>) -> Identification {
 }
 
 /// R / r_scale and L / l_scale of the truth at the slow times, alternating.
-fn truth_outputs(truth: TruthAt<'_>, samples: &NormalisedWaveform, config: &Config) -> Vec<f64> {
+fn truth_outputs(
+    truth: TruthAt<'_>,
+    samples: &NormalisedWaveform,
+    config: &PinnConfig,
+) -> Vec<f64> {
     slow_times_s(samples.duration_s(), config.slow_points)
         .iter()
         .flat_map(|tau| {

@@ -6,9 +6,9 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Config, ImpedanceOrder, NamedOrder, Optimiser, PinnError, SlowEmbedding, ViMlp};
+use crate::{ImpedanceOrder, NamedOrder, Optimiser, PinnConfig, PinnError, SlowEmbedding, ViMlp};
 
-/// A [`Config`] with a name.
+/// A [`PinnConfig`] with a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
@@ -92,27 +92,27 @@ impl Preset {
 
     /// Settings of the preset.
     #[must_use]
-    pub fn config(self) -> Config {
-        let hybrid = Config::default();
+    pub fn config(self) -> PinnConfig {
+        let hybrid = PinnConfig::default();
         match self {
             Self::Hybrid => hybrid,
-            Self::HybridAllHarmonics => Config {
+            Self::HybridAllHarmonics => PinnConfig {
                 physics_harmonics: hybrid.harmonics.clone(),
                 correction: false,
                 ..hybrid
             },
-            Self::HybridFractional => Config {
+            Self::HybridFractional => PinnConfig {
                 impedance_order: ImpedanceOrder::Named(NamedOrder::Identified),
                 ..Self::HybridAllHarmonics.config()
             },
-            Self::HybridWaveform => Config {
+            Self::HybridWaveform => PinnConfig {
                 harmonics: (1..=31).step_by(2).collect(),
                 // Eight points per period of the 31st harmonic allow no longer blocks.
                 most_points: 200_000,
                 ..hybrid
             },
             Self::PaperLiteral => unscaled(Self::LiteralScaled.config()),
-            Self::LiteralScaled => Config {
+            Self::LiteralScaled => PinnConfig {
                 embedding: PAPER_EQ_3,
                 ..paper(ViMlp {
                     first_m: 1,
@@ -129,8 +129,8 @@ impl Preset {
 const PAPER_EQ_3: SlowEmbedding = SlowEmbedding::Fourier { first: 1, count: 1 };
 
 /// Settings common to all presets with a VI-MLP: the paper's RL-MLP and training.
-fn paper(vi: ViMlp) -> Config {
-    Config {
+fn paper(vi: ViMlp) -> PinnConfig {
+    PinnConfig {
         vi_mlp: Some(vi),
         embedding: SlowEmbedding::Symmetric,
         hidden_layers: vec![16; 4],
@@ -139,13 +139,13 @@ fn paper(vi: ViMlp) -> Config {
         max_iterations: PAPER_EPOCHS,
         tolerance: 0.0,
         time_limit_s: 3600.0,
-        ..Config::default()
+        ..PinnConfig::default()
     }
 }
 
 /// Settings with R in ohm and L in henry straight from the softplus.
-fn unscaled(config: Config) -> Config {
-    Config {
+fn unscaled(config: PinnConfig) -> PinnConfig {
+    PinnConfig {
         r_scale_ohm: 1.0,
         l_scale_h: 1.0,
         ..config

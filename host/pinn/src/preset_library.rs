@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::{Config, PinnError, Preset};
+use crate::{PinnConfig, PinnError, Preset};
 
 /// Name and text of each ablation's file.
 macro_rules! ablations {
@@ -32,7 +32,7 @@ pub struct NamedConfig {
     /// Description in one line; empty if its file has no `description`.
     pub description: String,
     /// Settings of the preset.
-    pub config: Config,
+    pub config: PinnConfig,
 }
 
 /// Presets of the program, and those of a folder if one was given.
@@ -123,7 +123,7 @@ fn read(path: &Path) -> Result<NamedConfig, PinnError> {
 }
 
 fn parse(name: &str, text: &str) -> Result<NamedConfig, PinnError> {
-    let (config, description) = Config::from_described_toml(text)?;
+    let (config, description) = PinnConfig::from_described_toml(text)?;
     Ok(NamedConfig {
         name: name.to_owned(),
         description: description.unwrap_or_default(),

@@ -6,12 +6,12 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-use crate::Config;
+use crate::PinnConfig;
 use crate::parameters::OUTPUTS;
 
 /// State after one optimiser step.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Progress {
+pub struct TrainingProgress {
     /// Alternation between VI branch and RL-MLP, from 1.
     pub pass: usize,
     /// Optimiser steps so far in all passes.
@@ -68,7 +68,7 @@ impl fmt::Display for StopReason {
 
 /// Budget, history and the caller's progress report, shared by the optimisers.
 pub(crate) struct Log<'a> {
-    pub history: Vec<Progress>,
+    pub history: Vec<TrainingProgress>,
     pub iteration: usize,
     pub pass: usize,
     /// `w_i (L_i1 + L_i2)` of the VI branch of this pass.
@@ -85,11 +85,11 @@ pub(crate) struct Log<'a> {
     /// Time of earlier runs of a continued training, s.
     earlier_s: f64,
     time_limit: Duration,
-    report: &'a mut dyn FnMut(&Progress),
+    report: &'a mut dyn FnMut(&TrainingProgress),
 }
 
 impl<'a> Log<'a> {
-    pub fn start(config: &Config, report: &'a mut dyn FnMut(&Progress)) -> Self {
+    pub fn start(config: &PinnConfig, report: &'a mut dyn FnMut(&TrainingProgress)) -> Self {
         Self {
             history: Vec::new(),
             iteration: 0,
@@ -109,7 +109,7 @@ impl<'a> Log<'a> {
     }
 
     /// Continues after these steps of an earlier run.
-    pub fn resume(&mut self, history: &mut Vec<Progress>) {
+    pub fn resume(&mut self, history: &mut Vec<TrainingProgress>) {
         self.iteration = history.len();
         self.history = std::mem::take(history);
         self.earlier_s = self.history.last().map_or(0.0, |p| p.elapsed_s);
@@ -131,7 +131,7 @@ impl<'a> Log<'a> {
     /// Counts a step and reports it, given the terms of the loss.
     pub fn record_terms(&mut self, l_f: f64, l_i: f64, change: f64, outputs: &[f64]) {
         self.iteration += 1;
-        let now = Progress {
+        let now = TrainingProgress {
             pass: self.pass,
             iteration: self.iteration,
             loss: self.w_f * l_f + self.w_i * l_i,

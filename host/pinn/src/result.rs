@@ -9,11 +9,11 @@ use crate::harmonic_branch::HarmonicBranch;
 use crate::networks::signals::Signals;
 use crate::progress::Log;
 use crate::waveform::NormalisedWaveform;
-use crate::{Config, Parameters, Progress, StopReason};
+use crate::{Parameters, PinnConfig, StopReason, TrainingProgress};
 
 /// Terms of the paper's loss at the end, in the paper's normalised units.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Losses {
+pub struct LossTerms {
     /// Physics residual, eq. (4), over the configured harmonics.
     pub l_f: f64,
     /// Voltage misfit, eq. (5).
@@ -26,7 +26,7 @@ pub struct Losses {
 
 /// Voltage and current of the VI branch.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Waveforms {
+pub struct ViWaveforms {
     /// Indices of the window's samples at which they are given, ascending.
     pub sample: Vec<usize>,
     /// Voltage, V.
@@ -35,14 +35,14 @@ pub struct Waveforms {
     pub i_ampere: Vec<f64>,
 }
 
-/// Source of [`Waveforms`], which are computed on request: they are seldom needed, and the harmonic branch's take as long as
+/// Source of [`ViWaveforms`], which are computed on request: they are seldom needed, and the harmonic branch's take as long as
 /// its fit.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reconstruction(Source);
 
 #[derive(Debug, Clone, PartialEq)]
 enum Source {
-    Known(Waveforms),
+    Known(ViWaveforms),
     Branch {
         branch: Box<HarmonicBranch>,
         /// Window without its points, of which only the number is kept.
@@ -53,7 +53,7 @@ enum Source {
 
 impl Default for Source {
     fn default() -> Self {
-        Self::Known(Waveforms::default())
+        Self::Known(ViWaveforms::default())
     }
 }
 
@@ -69,7 +69,7 @@ impl Reconstruction {
 
     /// Voltage and current; empty if the result was read from a file.
     #[must_use]
-    pub fn waveforms(&self) -> Waveforms {
+    pub fn waveforms(&self) -> ViWaveforms {
         match &self.0 {
             Source::Known(waveforms) => waveforms.clone(),
             Source::Branch {
@@ -99,16 +99,16 @@ pub struct Identification {
     /// σ is.
     #[serde(default)]
     pub chi2: Vec<f64>,
-    /// Order n of Z(s) = s L_0 + K s^n of the result: [`crate::Config::impedance_order`].
+    /// Order n of Z(s) = s L_0 + K s^n of the result: [`crate::PinnConfig::impedance_order`].
     pub impedance_order: f64,
     /// P / I_rms^2 at those times, ohm, from the VI branch's signals with all their harmonics.
     pub r_power_ohm: Vec<f64>,
     /// Amplitude of the current's fundamental at those times, A: the axis of an RL lookup.
     pub i_amplitude_a: Vec<f64>,
     /// Loss at the end.
-    pub losses: Losses,
+    pub losses: LossTerms,
     /// One entry per accepted optimiser step.
-    pub history: Vec<Progress>,
+    pub history: Vec<TrainingProgress>,
     /// Optimiser steps in all passes.
     pub iterations: usize,
     /// Alternations between VI branch and RL-MLP.
@@ -124,7 +124,7 @@ pub struct Identification {
     /// Source of v and i of the VI branch; not serialised.
     #[serde(skip)]
     pub reconstruction: Reconstruction,
-    /// Trained RL-MLP; [`crate::Config::start`] takes it for a warm start.
+    /// Trained RL-MLP; [`crate::PinnConfig::start`] takes it for a warm start.
     pub parameters: Parameters,
 }
 
@@ -174,9 +174,9 @@ fn interpolated(t_s: &[f64], x: &[f64], at_s: f64) -> f64 {
 }
 
 /// The signals in volt and ampere.
-fn waveforms(samples: &NormalisedWaveform, signals: Signals) -> Waveforms {
+fn waveforms(samples: &NormalisedWaveform, signals: Signals) -> ViWaveforms {
     let scaled = |x: &[f64], unit: f64| x.iter().map(|x| x * unit).collect();
-    Waveforms {
+    ViWaveforms {
         v_volt: scaled(&signals.v, samples.v_max_volt),
         i_ampere: scaled(&signals.i, samples.i_max_ampere),
         sample: signals.sample,
@@ -187,7 +187,7 @@ fn waveforms(samples: &NormalisedWaveform, signals: Signals) -> Waveforms {
 const RESULTS: usize = 4;
 
 /// Times of the results after the first pair, s.
-pub(crate) fn result_times_s(samples: &NormalisedWaveform, config: &Config) -> Vec<f64> {
+pub(crate) fn result_times_s(samples: &NormalisedWaveform, config: &PinnConfig) -> Vec<f64> {
     let count = RESULTS * config.slow_points;
     let last = (count - 1) as f64;
     (0..count)
@@ -203,10 +203,10 @@ pub(crate) fn nmse_pct(l_i: f64, x: &[f64]) -> f64 {
 /// Result of a training with the paper's VI-MLP.
 pub(crate) fn assemble_networks(
     samples: &NormalisedWaveform,
-    config: &Config,
+    config: &PinnConfig,
     parameters: Parameters,
     signals: Signals,
-    losses: Losses,
+    losses: LossTerms,
     stopped: StopReason,
     log: Log<'_>,
 ) -> Identification {

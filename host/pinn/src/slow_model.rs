@@ -11,7 +11,7 @@ use crate::own_network::OwnNetwork;
 use crate::parameters::{OUTPUTS, Parameters};
 use crate::rl_mlp::{RlMlp, read};
 use crate::waveform::NormalisedWaveform;
-use crate::{Config, Optimiser, PinnError};
+use crate::{Optimiser, PinnConfig, PinnError};
 
 /// Residuals e of [`SlowPhysics`] with all functions that an optimiser needs.
 pub(crate) enum SlowModel {
@@ -43,7 +43,7 @@ impl SlowModel {
         physics: &SlowPhysics,
         samples: &NormalisedWaveform,
         parameters: &Parameters,
-        config: &Config,
+        config: &PinnConfig,
     ) -> Self {
         let Some(device) = config.backend.device() else {
             return Self::own(physics, samples, parameters);

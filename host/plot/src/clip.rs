@@ -4,7 +4,7 @@ use crate::Scale;
 
 /// Edge of the frame through which a curve leaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Edge {
+pub enum FrameEdge {
     /// Above the frame.
     Top,
     /// Below it.
@@ -19,7 +19,7 @@ pub struct OutsidePart {
     /// Place at which it returns or ends.
     pub to: f64,
     /// Edge.
-    pub edge: Edge,
+    pub edge: FrameEdge,
     /// Outermost value; infinite if the curve is.
     pub extreme: f64,
 }
@@ -65,12 +65,12 @@ struct Cut<'a> {
 }
 
 impl Cut<'_> {
-    fn edge_of(&self, value: f64) -> Option<Edge> {
+    fn edge_of(&self, value: f64) -> Option<FrameEdge> {
         let ends = self.y.ends();
         if value > ends.end {
-            Some(Edge::Top)
+            Some(FrameEdge::Top)
         } else if value < ends.start {
-            Some(Edge::Bottom)
+            Some(FrameEdge::Bottom)
         } else {
             None
         }
@@ -98,19 +98,19 @@ impl Cut<'_> {
         }
         match (now, &mut self.away) {
             (None, _) => self.run.push(point),
-            (Some(Edge::Top), Some(away)) => away.extreme = away.extreme.max(point.1),
-            (Some(Edge::Bottom), Some(away)) => away.extreme = away.extreme.min(point.1),
+            (Some(FrameEdge::Top), Some(away)) => away.extreme = away.extreme.max(point.1),
+            (Some(FrameEdge::Bottom), Some(away)) => away.extreme = away.extreme.min(point.1),
             (Some(_), None) => {}
         }
         self.last = Some(point);
     }
 
     /// Place at which the line between two points meets an edge, along the axis as drawn.
-    fn crossing(&self, a: (f64, f64), b: (f64, f64), edge: Edge) -> (f64, f64) {
+    fn crossing(&self, a: (f64, f64), b: (f64, f64), edge: FrameEdge) -> (f64, f64) {
         let ends = self.y.ends();
         let (unit, value) = match edge {
-            Edge::Top => (1.0, ends.end),
-            Edge::Bottom => (0.0, ends.start),
+            FrameEdge::Top => (1.0, ends.end),
+            FrameEdge::Bottom => (0.0, ends.start),
         };
         let (from, to) = (self.y.unit(a.1), self.y.unit(b.1));
         let share = match (from.is_finite(), to.is_finite()) {
@@ -122,11 +122,11 @@ impl Cut<'_> {
         (a.0 + share * (b.0 - a.0), value)
     }
 
-    fn leave(&mut self, x: f64, edge: Edge) {
+    fn leave(&mut self, x: f64, edge: FrameEdge) {
         let ends = self.y.ends();
         let extreme = match edge {
-            Edge::Top => ends.end,
-            Edge::Bottom => ends.start,
+            FrameEdge::Top => ends.end,
+            FrameEdge::Bottom => ends.start,
         };
         self.away = Some(OutsidePart {
             from: x,
@@ -179,7 +179,7 @@ mod tests {
         let outside = OutsidePart {
             from: 0.5,
             to: 2.8,
-            edge: Edge::Top,
+            edge: FrameEdge::Top,
             extreme: 5.0,
         };
         assert_eq!(clipped.outside, [outside]);
@@ -193,7 +193,7 @@ mod tests {
         let outside = OutsidePart {
             from: 0.0,
             to: 10.0,
-            edge: Edge::Bottom,
+            edge: FrameEdge::Bottom,
             extreme: -4.0,
         };
         assert_eq!(clipped.outside, [outside]);
@@ -207,8 +207,8 @@ mod tests {
         let ends = &clipped.inside[0];
         assert!((ends[0].0 - 1.0 / 3.0).abs() < 1e-12 && ends[0].1 == -1.0);
         assert!((ends[1].0 - 2.0 / 3.0).abs() < 1e-12 && ends[1].1 == 1.0);
-        let edges: Vec<Edge> = clipped.outside.iter().map(|o| o.edge).collect();
-        assert_eq!(edges, [Edge::Bottom, Edge::Top]);
+        let edges: Vec<FrameEdge> = clipped.outside.iter().map(|o| o.edge).collect();
+        assert_eq!(edges, [FrameEdge::Bottom, FrameEdge::Top]);
     }
 
     #[test]
@@ -218,7 +218,7 @@ mod tests {
         let clipped = clip(&[(0.0, 10.0), (1.0, 1000.0), (2.0, 0.0)], &x, &y);
         // Half of two decades, not a tenth of 990.
         assert_eq!(clipped.inside[0], [(0.0, 10.0), (0.5, 100.0)]);
-        assert_eq!(clipped.outside.last().unwrap().edge, Edge::Bottom);
+        assert_eq!(clipped.outside.last().unwrap().edge, FrameEdge::Bottom);
         assert_eq!(clipped.outside.last().unwrap().extreme, 0.0);
     }
 

@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use crate::{Area, Curve, DrawResult, Pen};
+use crate::{Area, DrawResult, Pen, PlotCurve};
 
 /// Size of the title in pixels.
 const TITLE_PX: i32 = 17;
@@ -32,7 +32,7 @@ pub enum Sign {
 
 /// Entry of a legend.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
+pub struct LegendEntry {
     /// Sign.
     pub sign: Sign,
     /// Name.
@@ -41,9 +41,9 @@ pub struct Entry {
     pub note: String,
 }
 
-impl Entry {
+impl LegendEntry {
     /// Entry of a curve.
-    pub fn of(curve: &Curve) -> Self {
+    pub fn of(curve: &PlotCurve) -> Self {
         Self::line(&curve.name, curve.colour, curve.pen)
     }
 
@@ -124,10 +124,10 @@ fn text_px(text: &str, size_px: i32) -> i32 {
 ///
 /// # Errors
 /// Any error of the backend.
-pub fn header<'a>(area: &Area<'a>, title: &str, entries: &[Entry]) -> DrawResult<Area<'a>> {
+pub fn header<'a>(area: &Area<'a>, title: &str, entries: &[LegendEntry]) -> DrawResult<Area<'a>> {
     let width = area.dim_in_pixel().0 as i32;
     let title_px = text_px(title, TITLE_PX);
-    let names_px: i32 = entries.iter().map(Entry::width_px).sum();
+    let names_px: i32 = entries.iter().map(LegendEntry::width_px).sum();
     let first = INDENT_PX + title_px + 2 * GAP_PX;
     let beside = title.is_empty() || first + names_px <= width;
     let mut places = Vec::new();
@@ -158,7 +158,7 @@ pub fn header<'a>(area: &Area<'a>, title: &str, entries: &[Entry]) -> DrawResult
 ///
 /// # Errors
 /// Any error of the backend.
-pub fn column(area: &Area<'_>, entries: &[Entry]) -> DrawResult {
+pub fn column(area: &Area<'_>, entries: &[LegendEntry]) -> DrawResult {
     let mut y = LINE_PX;
     for entry in entries {
         entry.draw(area, (4, y))?;

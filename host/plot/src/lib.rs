@@ -18,7 +18,7 @@ pub mod svg;
 pub mod two_axes;
 
 pub use figure_error::FigureError;
-pub use legend::Entry;
-pub use panel::{Panel, draw};
+pub use legend::LegendEntry;
+pub use panel::{PlotPanel, draw};
 pub use scale::Scale;
-pub use shapes::{Area, Axis, BLUE, Curve, DrawResult, GREY, Pen, RED, span};
+pub use shapes::{Area, Axis, BLUE, DrawResult, GREY, Pen, PlotCurve, RED, span};

@@ -2,10 +2,10 @@
 
 use plotters::prelude::*;
 
-use crate::clip::{ClippedCurve, Edge, OutsidePart, clip};
+use crate::clip::{ClippedCurve, FrameEdge, OutsidePart, clip};
 use crate::scale::{plain, power_of_ten};
 use crate::shapes::{FINE_GRID, GRID, LABEL_PX};
-use crate::{Area, Axis, Curve, DrawResult, Pen, Scale};
+use crate::{Area, Axis, DrawResult, Pen, PlotCurve, Scale};
 
 /// Smallest distance between two arrows on the frame, in pixels.
 const ARROWS_PX: f64 = 90.0;
@@ -21,7 +21,7 @@ const ARROW_PX: (i32, i32) = (6, 10);
 
 /// Axes of a panel.
 #[derive(Clone, Debug)]
-pub struct Panel {
+pub struct PlotPanel {
     /// Axis below.
     pub x: Axis,
     /// Axis at the left.
@@ -36,7 +36,11 @@ pub(crate) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Sca
 ///
 /// # Errors
 /// Any error of the backend.
-pub fn draw(area: &Area<'_>, panel: &Panel, curves: &[Curve]) -> DrawResult<Vec<Vec<OutsidePart>>> {
+pub fn draw(
+    area: &Area<'_>,
+    panel: &PlotPanel,
+    curves: &[PlotCurve],
+) -> DrawResult<Vec<Vec<OutsidePart>>> {
     let mut chart = ChartBuilder::on(area)
         .margin(8)
         .margin_right(16)
@@ -73,8 +77,8 @@ pub fn beyond(outside: &[OutsidePart]) -> String {
         a if (1e-3..1e4).contains(&a) => plain((x * 100.0).round() / 100.0),
         _ => power_of_ten(x),
     };
-    let up = extremes(Edge::Top).reduce(f64::max);
-    let down = extremes(Edge::Bottom).reduce(f64::min);
+    let up = extremes(FrameEdge::Top).reduce(f64::max);
+    let down = extremes(FrameEdge::Bottom).reduce(f64::min);
     let words = [("▲ to ", up), ("▼ to ", down)];
     let words = words
         .into_iter()
@@ -99,7 +103,7 @@ pub(crate) fn mesh(chart: &mut Chart<'_, '_>, x: &str, y: &str) -> DrawResult {
 }
 
 /// Draws a curve's filled areas; the scale ends them at the frame.
-fn areas(chart: &mut Chart<'_, '_>, curve: &Curve) -> DrawResult {
+fn areas(chart: &mut Chart<'_, '_>, curve: &PlotCurve) -> DrawResult {
     for outline in &curve.runs {
         let finite = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
         let outline: Vec<_> = outline.iter().filter(finite).copied().collect();
@@ -111,7 +115,7 @@ fn areas(chart: &mut Chart<'_, '_>, curve: &Curve) -> DrawResult {
     Ok(())
 }
 
-fn line(chart: &mut Chart<'_, '_>, curve: &Curve, cut: &ClippedCurve) -> DrawResult {
+fn line(chart: &mut Chart<'_, '_>, curve: &PlotCurve, cut: &ClippedCurve) -> DrawResult {
     let colour = curve.colour;
     for run in &cut.inside {
         let points = run.iter().copied();
@@ -154,8 +158,8 @@ fn arrow_units(stretches: &[(f64, f64)], width_px: f64, phase: f64) -> Vec<f64> 
 
 fn arrows(
     chart: &Chart<'_, '_>,
-    panel: &Panel,
-    curve: &Curve,
+    panel: &PlotPanel,
+    curve: &PlotCurve,
     number: usize,
     outside: &[OutsidePart],
 ) -> DrawResult {
@@ -163,7 +167,7 @@ fn arrows(
     let width_px = f64::from(plotting.dim_in_pixel().0);
     let (half, height) = ARROW_PX;
     let phase = (number as f64 * 0.37).fract();
-    for edge in [Edge::Top, Edge::Bottom] {
+    for edge in [FrameEdge::Top, FrameEdge::Bottom] {
         let of_edge = outside.iter().filter(|o| o.edge == edge);
         let unit = |x: f64| panel.x.scale.unit(x);
         let stretches: Vec<_> = of_edge.map(|o| (unit(o.from), unit(o.to))).collect();
@@ -173,8 +177,8 @@ fn arrows(
             let x = panel.x.scale.value(place.clamp(margin, 1.0 - margin));
             let ends = panel.y.scale.ends();
             let (y, down) = match edge {
-                Edge::Top => (ends.end, 1),
-                Edge::Bottom => (ends.start, -1),
+                FrameEdge::Top => (ends.end, 1),
+                FrameEdge::Bottom => (ends.start, -1),
             };
             let corners = vec![(0, down), (half, height * down), (-half, height * down)];
             let arrow = EmptyElement::at((x, y)) + Polygon::new(corners, curve.colour.filled());
@@ -192,7 +196,7 @@ mod tests {
 
     const SIZE: (u32, u32) = (600, 400);
 
-    fn picture(panel: &Panel, curves: &[Curve]) -> (Picture, Vec<Vec<OutsidePart>>) {
+    fn picture(panel: &PlotPanel, curves: &[PlotCurve]) -> (Picture, Vec<Vec<OutsidePart>>) {
         let mut text = String::new();
         let root = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
         let outside = draw(&root, panel, curves).unwrap();
@@ -201,8 +205,8 @@ mod tests {
         (Picture::of(&text), outside)
     }
 
-    fn panel() -> Panel {
-        Panel {
+    fn panel() -> PlotPanel {
+        PlotPanel {
             x: Axis::linear("t / ms", 0.0..10.0),
             y: Axis::linear("R / Ω", 1.0..4.0),
         }
@@ -219,8 +223,8 @@ mod tests {
         });
         let never = vec![(0.0, -5.0), (10.0, -7.0)];
         let curves = [
-            Curve::new("a", BLUE, Pen::Line(2), runaway.collect()),
-            Curve::new("b", RED, Pen::Line(2), never),
+            PlotCurve::new("a", BLUE, Pen::Line(2), runaway.collect()),
+            PlotCurve::new("b", RED, Pen::Line(2), never),
         ];
         let (picture, outside) = picture(&panel(), &curves);
         let (left, top, right, bottom) = FRAME;
@@ -248,12 +252,12 @@ mod tests {
 
     #[test]
     fn both_axes_of_decades_have_powers_of_ten_and_fine_lines() {
-        let panel = Panel {
+        let panel = PlotPanel {
             x: Axis::decades("step", 1.0..5e3),
             y: Axis::decades("loss", 1e-9..1.0),
         };
         let points = vec![(1.0, 1.0), (10.0, 1e-3), (5e3, 1e-9)];
-        let curve = Curve::new("L_f", BLUE, Pen::Line(2), points);
+        let curve = PlotCurve::new("L_f", BLUE, Pen::Line(2), points);
         let (picture, outside) = picture(&panel, &[curve]);
         assert!(outside[0].is_empty());
         for label in ["10⁰", "10¹", "10²", "10³", "10⁻⁸", "10⁻²"] {

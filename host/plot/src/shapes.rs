@@ -68,7 +68,7 @@ pub enum Pen {
 
 /// Curve in the units of its axes.
 #[derive(Clone, Debug)]
-pub struct Curve {
+pub struct PlotCurve {
     /// Name in the legend.
     pub name: String,
     /// Colour.
@@ -79,7 +79,7 @@ pub struct Curve {
     pub runs: Vec<Vec<(f64, f64)>>,
 }
 
-impl Curve {
+impl PlotCurve {
     /// Creates a curve of one run.
     pub fn new(name: &str, colour: RGBColor, pen: Pen, points: Vec<(f64, f64)>) -> Self {
         Self {

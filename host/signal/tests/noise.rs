@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use ihd_signal::Segment;
 use ihd_signal::noise::{WhiteNoise, deviation};
-use ihd_sim::recording::run::{Recording, record};
+use ihd_sim::recording::run::{SimulatedRecording, record};
 use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 use rand::SeedableRng;
@@ -22,7 +22,7 @@ fn normal(seed: u64, n: usize) -> Vec<f64> {
 }
 
 /// Behavioural load, 20 ms, on a bus with ripple and a distorted mains, with dead time: edges that alias.
-fn recorded(f_sw_hz: f64, rate: Rate, bits: u32, snr_db: Option<f64>) -> Recording {
+fn recorded(f_sw_hz: f64, rate: Rate, bits: u32, snr_db: Option<f64>) -> SimulatedRecording {
     let settings = CaptureSpec {
         load: LoadKind::Behavioural,
         f_sw_hz,
@@ -42,7 +42,7 @@ fn recorded(f_sw_hz: f64, rate: Rate, bits: u32, snr_db: Option<f64>) -> Recordi
 }
 
 /// Samples of the recording, and the deviations of its noise with the rounding of its converters.
-fn noisy(recording: &Recording) -> (Segment, [f64; 2]) {
+fn noisy(recording: &SimulatedRecording) -> (Segment, [f64; 2]) {
     let clean = recording.clean_segment();
     let volts = recording
         .v_code

@@ -10,10 +10,10 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use ihd_field::model::FieldSettings;
 use ihd_field::{FieldModel, harmonic};
 use ihd_firmware::drive::bridge::Drive;
-use ihd_sim::adc::{Adc, Noise};
+use ihd_sim::adc::{Adc, ConverterNoise};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::hob::{HobConfig, SimHob};
-use ihd_sim::mains::Mains;
+use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
@@ -50,8 +50,9 @@ fn plant(c: &mut Criterion) {
     let mut group = c.benchmark_group("plant, one mains half-cycle at 45 kHz");
     group.sample_size(10);
     for load in [LoadKind::Field, LoadKind::Surrogate, LoadKind::Behavioural] {
-        let adc = Adc::new(Noise::default(), 1);
-        let mut plant = Plant::with_load(Mains::new(50.0), PotKind::Ferromagnetic, load, adc);
+        let adc = Adc::new(ConverterNoise::default(), 1);
+        let mut plant =
+            Plant::with_load(SimulatedMains::new(50.0), PotKind::Ferromagnetic, load, adc);
         plant.set_drive(Drive::switching(45_000));
         group.bench_function(format!("{load:?}"), |b| {
             // 150 blocks of three periods are 10 ms.

@@ -15,14 +15,14 @@ const _: () = assert!(CODE_HALF_RANGE == 1 << (BITS - 1));
 
 /// White noise of the two channels, standard deviations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Noise {
+pub struct ConverterNoise {
     /// Standard deviation of the voltage, in volt.
     pub v_v: f64,
     /// Standard deviation of the current, in ampere.
     pub i_a: f64,
 }
 
-impl Noise {
+impl ConverterNoise {
     /// Noise of a signal-to-noise ratio in decibel over signals of the given rms values, by the
     /// paper's definition σ² = P_signal / 10^(SNR/10).
     pub fn from_snr_db(snr_db: f64, v_rms_v: f64, i_rms_a: f64) -> Self {
@@ -37,14 +37,14 @@ impl Noise {
 /// Sampler; deterministic for a seed.
 #[derive(Clone, Debug)]
 pub struct Adc {
-    noise: Noise,
+    noise: ConverterNoise,
     rng: ChaCha8Rng,
     filters: [LowPass; 2],
 }
 
 impl Adc {
     /// Creates an ADC with a noise and a seed.
-    pub fn new(noise: Noise, seed: u64) -> Self {
+    pub fn new(noise: ConverterNoise, seed: u64) -> Self {
         Self {
             noise,
             rng: ChaCha8Rng::seed_from_u64(seed),
@@ -97,7 +97,7 @@ mod tests {
 
     #[test]
     fn codes_round_and_saturate() {
-        let mut adc = Adc::new(Noise::default(), 0);
+        let mut adc = Adc::new(ConverterNoise::default(), 0);
         assert_eq!(
             adc.convert(V_FULL_SCALE_V, -I_FULL_SCALE_A),
             Pair {
@@ -112,7 +112,7 @@ mod tests {
 
     #[test]
     fn noise_has_the_stated_ratio_and_repeats_with_its_seed() {
-        let noise = Noise::from_snr_db(30.0, 178.0, 20.0);
+        let noise = ConverterNoise::from_snr_db(30.0, 178.0, 20.0);
         assert!((noise.v_v / 178.0 - 0.031_622_8).abs() < 1e-6);
         let run = |seed| {
             let mut adc = Adc::new(noise, seed);

@@ -50,7 +50,7 @@ mod tests {
     use std::f64::consts::{PI, TAU};
 
     use super::*;
-    use crate::inverter::bridge::HalfBridge;
+    use crate::inverter::bridge::SwitchedHalfBridge;
 
     /// Against the phasor solution of the series circuit, harmonic by harmonic.
     #[test]
@@ -58,7 +58,7 @@ mod tests {
         let (f, r, l, bus) = (45e3, 3.0, 20e-6, 100.0);
         let steps = 488;
         let dt_s = 1.0 / (f * steps as f64);
-        let mut bridge = HalfBridge::new(0.0, 200e-9).unwrap();
+        let mut bridge = SwitchedHalfBridge::new(0.0, 200e-9).unwrap();
         let mut circuit = Circuit::default();
         let mut phasor = [(0.0, 0.0); 2];
         let periods = 400;

@@ -12,7 +12,7 @@ const LITRES: RangeInclusive<f64> = 0.05..=10.0;
 /// Contents of the pot, which take its heat and may boil.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub enum Contents {
+pub enum PotContents {
     /// Food as one lump with base and lower wall that loses its heat to the room; it never boils.
     #[default]
     Food,
@@ -31,7 +31,7 @@ pub enum Contents {
 )]
 pub struct UnknownContents(String);
 
-impl FromStr for Contents {
+impl FromStr for PotContents {
     type Err = UnknownContents;
 
     fn from_str(name: &str) -> Result<Self, UnknownContents> {
@@ -52,7 +52,7 @@ impl FromStr for Contents {
     }
 }
 
-impl TryFrom<String> for Contents {
+impl TryFrom<String> for PotContents {
     type Error = UnknownContents;
 
     fn try_from(name: String) -> Result<Self, UnknownContents> {
@@ -60,13 +60,13 @@ impl TryFrom<String> for Contents {
     }
 }
 
-impl From<Contents> for String {
-    fn from(contents: Contents) -> Self {
+impl From<PotContents> for String {
+    fn from(contents: PotContents) -> Self {
         contents.to_string()
     }
 }
 
-impl fmt::Display for Contents {
+impl fmt::Display for PotContents {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Food => f.write_str("food"),
@@ -84,7 +84,7 @@ mod tests {
     #[test]
     fn names_round_trip_and_unknown_ones_are_refused() {
         for name in ["food", "empty", "water-1.5", "oil-0.5"] {
-            assert_eq!(name.parse::<Contents>().unwrap().to_string(), name);
+            assert_eq!(name.parse::<PotContents>().unwrap().to_string(), name);
         }
         for bad in [
             "",
@@ -95,7 +95,7 @@ mod tests {
             "soup-1",
             "oil-11",
         ] {
-            let refused = bad.parse::<Contents>().unwrap_err().to_string();
+            let refused = bad.parse::<PotContents>().unwrap_err().to_string();
             assert!(refused.contains("water-LITRE"), "{bad}");
         }
     }

@@ -11,11 +11,11 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::contents::Contents;
+use crate::contents::PotContents;
 use crate::inverter::InverterError;
-use crate::inverter::load::{Law, Warmth};
+use crate::inverter::load::{AmplitudeLaw, Warmth};
 use crate::load_library::WINDING_R_OHM;
-use crate::pot::Pot;
+use crate::pot::SimulatedPot;
 use crate::recording::prepared::surrogate_pot;
 use crate::surrogate::SurrogatePot;
 use crate::thermal_model::ThermalModel;
@@ -39,7 +39,7 @@ const CONTROL: (f64, f64) = (0.033, 0.01);
 
 /// Deviation of a pot from the prediction with nominal numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Deviation {
+pub struct PotDeviation {
     /// Factors of R and L on the field's.
     pub scale: (f64, f64),
     /// Slopes of R and L over an e-fold of frequency.
@@ -70,12 +70,12 @@ pub struct CookingReport {
 /// Pot on a hob.
 #[derive(Clone, Debug)]
 pub struct Cooking {
-    pot: Pot,
+    pot: SimulatedPot,
     /// Tables at two lifts: between them R and L are exponential within 0.12 % (test), equivalent to 0.02 mm of lift.
     tables: [SurrogatePot; 2],
     lift_m: f64,
     thermal: ThermalModel,
-    deviation: Deviation,
+    deviation: PotDeviation,
     asked_w: f64,
     f_hz: f64,
     i_a: f64,
@@ -93,13 +93,13 @@ impl Cooking {
     /// # Errors
     /// If there is no model of that pot.
     pub fn new(
-        pot: Pot,
-        contents: Contents,
-        deviation: Deviation,
+        pot: SimulatedPot,
+        contents: PotContents,
+        deviation: PotDeviation,
         seed: u64,
     ) -> Result<Self, InverterError> {
         let at = |lift_m| {
-            let cold = Pot {
+            let cold = SimulatedPot {
                 lift_m,
                 temperature_c: 20.0,
                 ..pot
@@ -211,7 +211,7 @@ impl Cooking {
         let factor = nominal.powf(1.0 + self.deviation.alloy);
         let warmth = Warmth::new(factor, WINDING_R_OHM);
         let law_hz = warmth.law_hz(self.f_hz);
-        let law = |table: &SurrogatePot| Law::Surrogate(Box::new(table.at(law_hz)));
+        let law = |table: &SurrogatePot| AmplitudeLaw::Surrogate(Box::new(table.at(law_hz)));
         let [low, high] = &self.tables;
         let bow_m = self.deviation.bow_m * (base_c - 20.0) / 100.0;
         let log = (self.f_hz / 50e3).ln();
@@ -246,8 +246,8 @@ impl Cooking {
 
 /// R and L over current, at one frequency, temperature and lift.
 struct Laws {
-    low: Law,
-    high: Law,
+    low: AmplitudeLaw,
+    high: AmplitudeLaw,
     weight: f64,
     warmth: Warmth,
     factors: (f64, f64),
@@ -276,7 +276,7 @@ mod tests {
 
     #[test]
     fn it_draws_what_is_asked_for_at_the_frequency_of_the_firmware() {
-        let pot: Pot = "ferritic-21".parse().unwrap();
+        let pot: SimulatedPot = "ferritic-21".parse().unwrap();
         let mut hob = SimHob::new(&HobConfig {
             load: LoadKind::Surrogate,
             pot,
@@ -289,7 +289,7 @@ mod tests {
             heated = hob.take_reading().or(heated);
         }
         let heated = heated.unwrap();
-        let mut fast = Cooking::new(pot, Contents::Food, Deviation::default(), 1).unwrap();
+        let mut fast = Cooking::new(pot, PotContents::Food, PotDeviation::default(), 1).unwrap();
         fast.set_power(heated.power_w());
         let cooked = (0..100).map(|_| fast.half_cycle()).last().unwrap();
         println!("{heated:?} {cooked:?}");
@@ -307,11 +307,12 @@ mod tests {
 
     #[test]
     fn between_its_lifts_it_is_the_field() {
-        let pot = |lift_m| Pot {
+        let pot = |lift_m| SimulatedPot {
             lift_m,
-            ..Pot::new(crate::pot::Metal::Ferritic, 0.18)
+            ..SimulatedPot::new(crate::pot::Metal::Ferritic, 0.18)
         };
-        let mut fast = Cooking::new(pot(0.7e-3), Contents::Food, Deviation::default(), 1).unwrap();
+        let mut fast =
+            Cooking::new(pot(0.7e-3), PotContents::Food, PotDeviation::default(), 1).unwrap();
         fast.f_hz = 45e3;
         let exact = surrogate_pot(&pot(0.7e-3), WINDING_R_OHM).unwrap().at(45e3);
         for i_a in [5.0, 40.0] {
@@ -332,7 +333,7 @@ mod tests {
         let config = HobConfig {
             load: LoadKind::Surrogate,
             warming: true,
-            contents: Contents::Water(0.5),
+            contents: PotContents::Water(0.5),
             ..HobConfig::default()
         };
         let mut hob = SimHob::new(&config);
@@ -342,7 +343,7 @@ mod tests {
             hob.step();
             energy_j += hob.take_reading().map_or(0.0, |r| r.energy_j);
         }
-        let mut thermal = ThermalModel::new(Contents::Water(0.5), &config.pot);
+        let mut thermal = ThermalModel::new(PotContents::Water(0.5), &config.pot);
         thermal.advance(energy_j / 2.5, 2.5);
         let hob_c = hob.thermal().unwrap().temperature_c();
         assert!(energy_j > 1.5e3, "{energy_j}");

@@ -30,19 +30,19 @@ use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::Program;
 use ihd_signal::truth::{MapTruth, Truth};
 
-use super::adc::{Adc, Noise};
+use super::adc::{Adc, ConverterNoise};
 use super::behavioural::PotKind;
-use super::contents::Contents;
+use super::contents::PotContents;
 use super::injection::{InjectionKind, Injections};
 use super::inverter::InverterError;
 use super::inverter::supply::SupplyParts;
-use super::mains::Mains;
-use super::meter::Reading;
+use super::mains::SimulatedMains;
+use super::meter::MeterReading;
 use super::plant::{LoadPoint, Plant};
-use super::pot::Pot;
+use super::pot::SimulatedPot;
 use super::recording::settings::LoadKind;
 use super::slow_adc::SlowAdc;
-use super::temperatures::{AMBIENT_C, Heat, Temperatures};
+use super::temperatures::{AMBIENT_C, Heat, LumpTemperatures};
 use super::thermal_model::ThermalModel;
 
 /// Number of half-cycles whose truth is kept: more than the slowest link takes to deliver a window.
@@ -89,7 +89,7 @@ pub struct HobConfig {
     /// detector then sees a transformer of [`BENCH_TRANSFORMER_V`].
     pub bench_supply_v: Option<f64>,
     /// Pot on the coil at the start.
-    pub pot: Pot,
+    pub pot: SimulatedPot,
     /// Temperature around the hob, in °C.
     pub ambient_c: f64,
     /// `true` if heat sink, glass and coil have temperature sensors.
@@ -101,13 +101,13 @@ pub struct HobConfig {
     /// `true` if the pot warms up, so that R and L drift over minutes.
     pub warming: bool,
     /// Contents of the pot if it warms up.
-    pub contents: Contents,
+    pub contents: PotContents,
     /// Corner of the anti-alias filter of both ADC channels in hertz; 0 for none. Without it the
     /// 121st and 123rd harmonics of the voltage's edges alias onto the fundamental and cost up to
     /// 0.6 % of R (measured on tests/fixtures/half_cycle, which have none).
     pub anti_alias_hz: f64,
     /// Noise of the ADC channels.
-    pub noise: Noise,
+    pub noise: ConverterNoise,
     /// Seed of the noise.
     pub seed: u64,
     /// Number that distinguishes this boot; `None` for the seed, so that the same run gives the same bytes.
@@ -130,10 +130,10 @@ impl Default for HobConfig {
             pot: PotKind::Ferromagnetic.into(),
             load: LoadKind::Behavioural,
             warming: false,
-            contents: Contents::default(),
+            contents: PotContents::default(),
             anti_alias_hz: f64::from(ihd_shared::sampling::ANTI_ALIAS_HZ),
             // Half an LSB: what a good 12-bit converter has left.
-            noise: Noise {
+            noise: ConverterNoise {
                 v_v: 0.16,
                 i_a: 0.02,
             },
@@ -234,10 +234,10 @@ pub struct SimHob {
     fed_s: f64,
     watchdog_bites: u32,
     injections: Injections,
-    temperatures: Temperatures,
+    temperatures: LumpTemperatures,
     ntc: bool,
     dc_link: bool,
-    reading: Option<Reading>,
+    reading: Option<MeterReading>,
     /// Number of blocks lost since the last one that arrived.
     lost: u32,
     inbound: VecDeque<u8>,
@@ -270,7 +270,7 @@ impl SimHob {
             Some(_) => BENCH_TRANSFORMER_V,
             None => config.mains_v,
         };
-        let mains = Mains::new(config.mains_hz).changed(0.0, mains_v, config.mains_hz);
+        let mains = SimulatedMains::new(config.mains_hz).changed(0.0, mains_v, config.mains_hz);
         let mut plant = Plant::assemble(mains, config.pot, config.load, config.supply, adc)?;
         let trip_a = comparator_a(SupplyScale::NOMINAL, &Injections::default());
         plant.set_comparator(trip_a, TRIP_DELAY_S);
@@ -294,7 +294,7 @@ impl SimHob {
             fed_s: 0.0,
             watchdog_bites: 0,
             injections: Injections::default(),
-            temperatures: Temperatures::at(config.ambient_c),
+            temperatures: LumpTemperatures::at(config.ambient_c),
             ntc: config.ntc,
             dc_link: config.dc_link,
             reading: None,
@@ -444,7 +444,7 @@ impl SimHob {
     }
 
     /// Updates the temperatures by a half-cycle, and passes the sensors' codes.
-    fn warm_up(&mut self, reading: &Reading) {
+    fn warm_up(&mut self, reading: &MeterReading) {
         let pot = self.plant.pot();
         let bus_v = self.plant.mains().peak_v;
         let node_f = f64::from(NODE_CAPACITANCE_NF) * 1e-9;
@@ -471,7 +471,7 @@ impl SimHob {
     }
 
     /// Temperatures of heat sink, glass and coil, for reading and setting.
-    pub fn temperatures(&mut self) -> &mut Temperatures {
+    pub fn temperatures(&mut self) -> &mut LumpTemperatures {
         &mut self.temperatures
     }
 
@@ -542,12 +542,12 @@ impl SimHob {
     ///
     /// # Errors
     /// If there is no model of that pot; the old one stays.
-    pub fn set_pot(&mut self, pot: impl Into<Pot>) -> Result<(), InverterError> {
+    pub fn set_pot(&mut self, pot: impl Into<SimulatedPot>) -> Result<(), InverterError> {
         self.plant.set_pot(pot)
     }
 
     /// Pot on the coil.
-    pub fn pot(&self) -> Pot {
+    pub fn pot(&self) -> SimulatedPot {
         self.plant.pot()
     }
 
@@ -560,12 +560,12 @@ impl SimHob {
     ///
     /// # Errors
     /// If there is no model of that pot.
-    pub fn prepare(&mut self, pot: &Pot) -> Result<(), InverterError> {
+    pub fn prepare(&mut self, pot: &SimulatedPot) -> Result<(), InverterError> {
         self.plant.prepare(pot)
     }
 
     /// The mains.
-    pub fn mains(&self) -> Mains {
+    pub fn mains(&self) -> SimulatedMains {
         self.plant.mains()
     }
 
@@ -589,7 +589,7 @@ impl SimHob {
     }
 
     /// Readings of the last true half-cycle, once after each.
-    pub fn take_reading(&mut self) -> Option<Reading> {
+    pub fn take_reading(&mut self) -> Option<MeterReading> {
         self.reading.take()
     }
 

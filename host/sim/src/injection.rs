@@ -53,7 +53,7 @@ pub enum InjectionKind {
 /// Channel of the fault, for kinds that have a choice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Channel {
+pub enum FaultChannel {
     /// The coil's current.
     Current,
     /// The coil's voltage.
@@ -74,7 +74,7 @@ pub struct Injection {
     /// Magnitude in the unit of the kind; 0 for kinds without one.
     pub value: f64,
     /// Channel.
-    pub channel: Channel,
+    pub channel: FaultChannel,
 }
 
 impl fmt::Display for InjectionKind {
@@ -108,10 +108,10 @@ impl InjectionKind {
     }
 
     /// Default channel.
-    pub fn default_channel(self) -> Channel {
+    pub fn default_channel(self) -> FaultChannel {
         match self {
-            Self::NtcOpen | Self::NtcShort => Channel::HeatSink,
-            _ => Channel::Current,
+            Self::NtcOpen | Self::NtcShort => FaultChannel::HeatSink,
+            _ => FaultChannel::Current,
         }
     }
 }
@@ -160,7 +160,7 @@ impl Injections {
     }
 
     /// Kind of the latest active fault on a temperature channel.
-    pub fn ntc(&self, channel: Channel) -> Option<InjectionKind> {
+    pub fn ntc(&self, channel: FaultChannel) -> Option<InjectionKind> {
         let on = |a: &&ActiveInjection| {
             let kind = a.injection.kind;
             let ntc = matches!(kind, InjectionKind::NtcOpen | InjectionKind::NtcShort);
@@ -259,7 +259,7 @@ impl ActiveInjection {
                 }
                 InjectionKind::CurrentStuck => pair.i = first.i,
                 InjectionKind::VoltageStuck => pair.v = first.v,
-                InjectionKind::AdcBitStuck if channel == Channel::Voltage => {
+                InjectionKind::AdcBitStuck if channel == FaultChannel::Voltage => {
                     pair.v = with_bit(pair.v, value);
                 }
                 InjectionKind::AdcBitStuck => pair.i = with_bit(pair.i, value),
@@ -301,7 +301,7 @@ mod tests {
 
     const PAIR: Pair = Pair { v: 800, i: -512 };
 
-    fn after(kind: InjectionKind, value: f64, channel: Channel) -> Pair {
+    fn after(kind: InjectionKind, value: f64, channel: FaultChannel) -> Pair {
         let mut injections = Injections::default();
         injections.start(Injection {
             kind,
@@ -320,7 +320,7 @@ mod tests {
     #[test]
     fn each_kind_does_to_the_codes_what_it_says() {
         use InjectionKind as K;
-        let current = |kind, value| after(kind, value, Channel::Current);
+        let current = |kind, value| after(kind, value, FaultChannel::Current);
         assert_eq!(current(K::CurrentGain, 0.8), Pair { v: 800, i: -410 });
         assert_eq!(current(K::VoltageGain, 1.25), Pair { v: 1000, i: -512 });
         assert_eq!(current(K::VoltageGain, 5.0).v, CODE_MAX);
@@ -334,7 +334,7 @@ mod tests {
         // −512 + 2048 = 0b110_0000_0000: bit 3 is new, bit 10 is there.
         assert_eq!(current(K::AdcBitStuck, 3.0), Pair { v: 800, i: -504 });
         assert_eq!(current(K::AdcBitStuck, 10.0), PAIR);
-        assert_eq!(after(K::AdcBitStuck, 0.0, Channel::Voltage).v, 801);
+        assert_eq!(after(K::AdcBitStuck, 0.0, FaultChannel::Voltage).v, 801);
         assert_eq!(current(K::ComparatorDead, 0.0), PAIR);
     }
 
@@ -343,7 +343,7 @@ mod tests {
         injections.start(Injection {
             kind,
             value,
-            channel: Channel::Current,
+            channel: FaultChannel::Current,
         });
         injections
     }
@@ -354,7 +354,7 @@ mod tests {
         let number = injections.start(Injection {
             kind: InjectionKind::FrozenSamples,
             value: 0.0,
-            channel: Channel::Current,
+            channel: FaultChannel::Current,
         });
         let mut blocks = [[Pair { v: 1, i: 2 }; ADC_LOCK_P], [PAIR; ADC_LOCK_P]];
         blocks.iter_mut().for_each(|b| injections.on_pairs(b));

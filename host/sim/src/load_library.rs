@@ -2,8 +2,8 @@
 
 use super::behavioural::PotKind;
 use super::inverter::InverterError;
-use super::inverter::load::{Law, LoadState};
-use super::pot::{Metal, Pot};
+use super::inverter::load::{AmplitudeLaw, LoadState};
+use super::pot::{Metal, SimulatedPot};
 use super::recording::prepared::PreparedLoad;
 use super::recording::settings::LoadKind;
 
@@ -14,7 +14,7 @@ pub(super) const WINDING_R_OHM: f64 = 0.1;
 #[derive(Clone, Debug)]
 pub(super) struct LoadLibrary {
     kind: LoadKind,
-    ready: Vec<(Pot, PreparedLoad)>,
+    ready: Vec<(SimulatedPot, PreparedLoad)>,
 }
 
 impl LoadLibrary {
@@ -34,7 +34,7 @@ impl LoadLibrary {
     /// Prepares a pot unless that is done: some 10 ms for the field, 200 ms for the table, four times that off centre.
     ///
     /// If there is no model of that pot.
-    pub(super) fn prepare(&mut self, pot: &Pot) -> Result<&PreparedLoad, InverterError> {
+    pub(super) fn prepare(&mut self, pot: &SimulatedPot) -> Result<&PreparedLoad, InverterError> {
         let known = self.ready.iter().position(|(ready, _)| ready == pot);
         let at = match known {
             Some(at) => at,
@@ -52,7 +52,7 @@ impl LoadLibrary {
     /// Returns a pot's load at a switching frequency, with `steps` integration steps a period, to replace `before`.
     pub(super) fn take(
         &mut self,
-        pot: &Pot,
+        pot: &SimulatedPot,
         f_sw_hz: f64,
         steps: usize,
         before: Option<&LoadState>,
@@ -61,7 +61,7 @@ impl LoadLibrary {
     }
 
     /// Law of a pot at a frequency in hertz; `None` if it is not prepared or has no law.
-    pub(super) fn law(&self, pot: &Pot, f_hz: f64) -> Option<Law> {
+    pub(super) fn law(&self, pot: &SimulatedPot, f_hz: f64) -> Option<AmplitudeLaw> {
         let (_, prepared) = self.ready.iter().find(|(ready, _)| ready == pot)?;
         prepared.law(f_hz)
     }
@@ -76,7 +76,7 @@ impl LoadLibrary {
 }
 
 /// Converts the formulas' loads to pots.
-impl From<PotKind> for Pot {
+impl From<PotKind> for SimulatedPot {
     fn from(kind: PotKind) -> Self {
         match kind {
             PotKind::Ferromagnetic => Self::new(Metal::Ferritic, 0.21),

@@ -2,7 +2,7 @@
 
 /// Mains whose voltage and frequency may change at any instant with a continuous phase.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mains {
+pub struct SimulatedMains {
     /// Mains frequency in hertz, 50 or 60.
     pub frequency_hz: f64,
     /// Peak of the bus voltage in volt; 0 without mains.
@@ -14,7 +14,7 @@ pub struct Mains {
     changed: (f64, f64),
 }
 
-impl Mains {
+impl SimulatedMains {
     /// Creates a mains of nominal European or American frequency at 230 V.
     pub fn new(frequency_hz: f64) -> Self {
         Self {
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn a_change_of_frequency_keeps_the_phase_and_one_of_voltage_scales_at_once() {
-        let mains = Mains::new(50.0);
+        let mains = SimulatedMains::new(50.0);
         let at_s = 13.3e-3;
         let faster = mains.changed(at_s, 230.0, 60.0);
         assert!((faster.mains_v(at_s) - mains.mains_v(at_s)).abs() < 1e-9);

@@ -32,15 +32,15 @@ use ihd_shared::wire::messages::{Limit, Pot as Class};
 use ihd_signal::Load;
 use ihd_signal::truth::{MapTruth, PeriodTruth};
 
-use crate::inverter::bridge::HalfBridge;
+use crate::inverter::bridge::SwitchedHalfBridge;
 use crate::inverter::bus::Bus;
 use crate::inverter::harmonic_analyser::HarmonicAnalyser;
 use crate::inverter::load::Warmth;
 use crate::inverter::supply::SupplyParts;
 use crate::inverter::{Inverter, InverterError, STEPS_PER_PERIOD};
 use crate::load_library::WINDING_R_OHM;
-use crate::mains::Mains;
-use crate::pot::Pot;
+use crate::mains::SimulatedMains;
+use crate::pot::SimulatedPot;
 use crate::recording::prepared::PreparedLoad;
 use crate::recording::settings::LoadKind;
 
@@ -76,7 +76,7 @@ const POWER_STEPS: usize = 10;
 #[derive(Clone, Debug)]
 pub struct TrueLoad {
     prepared: PreparedLoad,
-    pot: Pot,
+    pot: SimulatedPot,
     winding_r_ohm: f64,
     /// Temperature in °C to which a law is heated after it was made.
     warm_c: Option<f64>,
@@ -160,11 +160,15 @@ impl TrueLoad {
     /// Prepares the load of the simulated hob. `warm_c`: present temperature of a pot that warms up, in °C.
     ///
     /// If there is no model of that pot.
-    pub fn new(kind: LoadKind, pot: &Pot, warm_c: Option<f64>) -> Result<Self, InverterError> {
+    pub fn new(
+        kind: LoadKind,
+        pot: &SimulatedPot,
+        warm_c: Option<f64>,
+    ) -> Result<Self, InverterError> {
         // The field has the hot metal from the start; a law is heated like in the simulated hob.
         let (pot, warm_c) = match (kind, warm_c) {
             (LoadKind::Field, Some(temperature_c)) => {
-                let hot = Pot {
+                let hot = SimulatedPot {
                     temperature_c,
                     ..*pot
                 };
@@ -292,7 +296,7 @@ impl TrueLoad {
 
     /// The half-bridge in the time domain, from rest at a zero crossing to the next.
     fn waveform(&self, f_sw_hz: f64) -> Result<TrueCurve, InverterError> {
-        let mains = Mains::new(MAINS_HZ);
+        let mains = SimulatedMains::new(MAINS_HZ);
         let periods = (mains.half_cycle_s() * f_sw_hz) as usize;
         let bus = Bus::new(mains, SupplyParts::NONE, 0.0)?;
         let (truth, power_w) = self.run(f_sw_hz, bus, periods)?;
@@ -319,7 +323,7 @@ impl TrueLoad {
 
     /// R and L in the limit of zero current.
     fn small_signal(&self, f_sw_hz: f64) -> Result<Load, InverterError> {
-        let mut bus = Bus::new(Mains::new(MAINS_HZ), SupplyParts::NONE, 0.0)?;
+        let mut bus = Bus::new(SimulatedMains::new(MAINS_HZ), SupplyParts::NONE, 0.0)?;
         bus.set_supply(SMALL_SIGNAL_V);
         let (truth, _) = self.run(f_sw_hz, bus, SMALL_SIGNAL_PERIODS)?;
         Ok(truth.last().map(load_of).unwrap_or_default())
@@ -332,7 +336,7 @@ impl TrueLoad {
         bus: Bus,
         periods: usize,
     ) -> Result<(Vec<PeriodTruth>, f64), InverterError> {
-        let bridge = HalfBridge::with_node(
+        let bridge = SwitchedHalfBridge::with_node(
             f64::from(DEAD_TIME_NS) * 1e-9,
             f64::from(NODE_CAPACITANCE_NF) * 1e-9,
         )?;
@@ -399,7 +403,7 @@ mod tests {
     use crate::surrogate::exact;
     use ihd_field::harmonic;
 
-    fn load(kind: LoadKind, pot: Pot) -> TrueLoad {
+    fn load(kind: LoadKind, pot: SimulatedPot) -> TrueLoad {
         TrueLoad::new(kind, &pot, None).unwrap()
     }
 
@@ -457,7 +461,7 @@ mod tests {
     /// harmonics' few percent at large ones (docs/simulator.md).
     #[test]
     fn the_fields_truth_is_the_waveforms() {
-        let pot = Pot::new(Metal::Ferritic, 0.18);
+        let pot = SimulatedPot::new(Metal::Ferritic, 0.18);
         let field = load(LoadKind::Field, pot);
         let PreparedLoad::Field(models) = &field.prepared else {
             panic!("a field model");
@@ -484,15 +488,15 @@ mod tests {
     fn what_the_hob_does_not_heat_is_not_reached() {
         let of = |pot| load(LoadKind::Surrogate, pot).map(&mut |_| ()).unwrap();
         for pot in [
-            Pot::NONE,
-            Pot::new(Metal::Aluminium, 0.21),
-            Pot::new(Metal::Stainless, 0.21),
+            SimulatedPot::NONE,
+            SimulatedPot::new(Metal::Aluminium, 0.21),
+            SimulatedPot::new(Metal::Stainless, 0.21),
         ] {
             assert_eq!(of(pot).reached(), 0, "{pot}");
         }
         // Rows are whole: from zero current to the crest, without holes.
         for cm in [12.0, 21.0] {
-            let map = of(Pot::new(Metal::Ferritic, cm * 1e-2));
+            let map = of(SimulatedPot::new(Metal::Ferritic, cm * 1e-2));
             println!("{cm} cm: {} cells", map.reached());
             assert!(map.reached() > 20);
             for row in &map.cells {
@@ -504,14 +508,20 @@ mod tests {
 
     #[test]
     fn an_asked_power_is_taken_where_no_limit_forbids_it() {
-        let full = load(LoadKind::Surrogate, Pot::new(Metal::Ferritic, 0.21));
+        let full = load(
+            LoadKind::Surrogate,
+            SimulatedPot::new(Metal::Ferritic, 0.21),
+        );
         for power_w in [1200.0, 2000.0] {
             let curve = full.heated_with(power_w).unwrap();
             assert!(off_pct(curve.power_w, power_w) < 1.0, "{}", curve.power_w);
             assert_eq!(curve.reach(), Reach::Used);
         }
         // A small pot gets half of the rating at most.
-        let small = load(LoadKind::Surrogate, Pot::new(Metal::Ferritic, 0.12));
+        let small = load(
+            LoadKind::Surrogate,
+            SimulatedPot::new(Metal::Ferritic, 0.12),
+        );
         let curve = small.heated_with(2000.0).unwrap();
         println!("{} W at {} Hz", curve.power_w, curve.f_sw_hz);
         assert!(curve.power_w <= 1250.0 && curve.reach() == Reach::Used);
@@ -519,7 +529,7 @@ mod tests {
 
     #[test]
     fn heat_bends_the_truth_as_the_hobs() {
-        let pot = Pot::new(Metal::Ferritic, 0.21);
+        let pot = SimulatedPot::new(Metal::Ferritic, 0.21);
         let at = |warm_c| {
             let load = TrueLoad::new(LoadKind::Surrogate, &pot, warm_c).unwrap();
             load.curve(50e3).unwrap().at(10.0).unwrap()
@@ -527,7 +537,7 @@ mod tests {
         let ratio = at(Some(120.0)).r_ohm / at(None).r_ohm;
         // The field model itself at that temperature: resistivity and saturation, some 3 % a 100 K.
         let field = |temperature_c| {
-            let hot = Pot {
+            let hot = SimulatedPot {
                 temperature_c,
                 ..pot
             };

@@ -2,7 +2,7 @@
 
 /// Readings of one half-cycle of the true mains; without mains the half-cycles continue at the last frequency.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Reading {
+pub struct MeterReading {
     /// Its start since the simulation's, in seconds.
     pub t_s: f64,
     /// Its duration in seconds.
@@ -30,7 +30,7 @@ pub struct Reading {
 /// so up to a block later, 88 µs at 34 kHz.
 const ON_FROM_SHARE: f64 = 0.02;
 
-impl Reading {
+impl MeterReading {
     /// Returns `true` if the bridge was switching for more than a block.
     pub fn bridge_on(&self) -> bool {
         self.switching_s > ON_FROM_SHARE * self.duration_s

@@ -8,19 +8,19 @@ use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 use ihd_signal::truth::MapTruth;
 
 use super::adc::Adc;
-use super::contents::Contents;
+use super::contents::PotContents;
 use super::dividers::Dividers;
-use super::inverter::bridge::HalfBridge;
+use super::inverter::bridge::SwitchedHalfBridge;
 use super::inverter::bus::Bus;
 use super::inverter::harmonic_analyser::HarmonicAnalyser;
 use super::inverter::load::Warmth;
 use super::inverter::supply::SupplyParts;
 use super::inverter::{Instant, Inverter, InverterError, STEPS_PER_PERIOD, STEPS_PER_SAMPLE};
 use super::load_library::LoadLibrary;
-use super::mains::Mains;
+use super::mains::SimulatedMains;
 use super::map_truth::TrueLoad;
-use super::meter::Reading;
-use super::pot::Pot;
+use super::meter::MeterReading;
+use super::pot::SimulatedPot;
 use super::recording::settings::LoadKind;
 use super::thermal_model::ThermalModel;
 
@@ -40,14 +40,14 @@ pub struct LoadPoint {
     pub i_a: f64,
 }
 
-/// Accumulator of a [`Reading`].
+/// Accumulator of a [`MeterReading`].
 #[derive(Clone, Debug, Default)]
 struct Meter {
     half_cycle: u32,
     samples: u32,
     energy_before_j: f64,
-    running: Reading,
-    last: Option<Reading>,
+    running: MeterReading,
+    last: Option<MeterReading>,
 }
 
 /// Mains, half-bridge, capacitor, load and ADC.
@@ -55,7 +55,7 @@ struct Meter {
 pub struct Plant {
     adc: Adc,
     dividers: Dividers,
-    pot: Pot,
+    pot: SimulatedPot,
     load_library: LoadLibrary,
     drive: Drive,
     inverter: Inverter,
@@ -71,14 +71,14 @@ pub struct Plant {
     analyser: HarmonicAnalyser,
     measured: LoadPoint,
     warming: Option<ThermalModel>,
-    contents: Contents,
+    contents: PotContents,
     /// Present temperature of the load, in °C.
     load_c: f64,
 }
 
 impl Plant {
     /// Creates a plant with the schematic's parts at rest, at a mains zero crossing, with a behavioural load.
-    pub fn new(mains: Mains, pot: impl Into<Pot>, adc: Adc) -> Self {
+    pub fn new(mains: SimulatedMains, pot: impl Into<SimulatedPot>, adc: Adc) -> Self {
         Self::with_load(mains, pot, LoadKind::Behavioural, adc)
     }
 
@@ -86,7 +86,12 @@ impl Plant {
     ///
     /// # Panics
     /// If the pot has no model; [`Plant::assemble`] returns that as an error.
-    pub fn with_load(mains: Mains, pot: impl Into<Pot>, load: LoadKind, adc: Adc) -> Self {
+    pub fn with_load(
+        mains: SimulatedMains,
+        pot: impl Into<SimulatedPot>,
+        load: LoadKind,
+        adc: Adc,
+    ) -> Self {
         Self::assemble(mains, pot.into(), load, SupplyParts::SCHEMATIC, adc)
             .expect("a pot that has a model")
     }
@@ -96,8 +101,8 @@ impl Plant {
     /// # Errors
     /// If there is no model of that pot, or no such parts.
     pub fn assemble(
-        mains: Mains,
-        pot: Pot,
+        mains: SimulatedMains,
+        pot: SimulatedPot,
         load: LoadKind,
         supply: SupplyParts,
         adc: Adc,
@@ -107,7 +112,7 @@ impl Plant {
         let mut load_library = LoadLibrary::new(load);
         let inverter = Inverter::new(
             Bus::new(mains, supply, 0.0)?,
-            HalfBridge::with_node(
+            SwitchedHalfBridge::with_node(
                 f64::from(DEAD_TIME_NS) * 1e-9,
                 f64::from(NODE_CAPACITANCE_NF) * 1e-9,
             )?,
@@ -131,7 +136,7 @@ impl Plant {
             analyser: HarmonicAnalyser::new(STEPS_PER_PERIOD),
             measured: LoadPoint::default(),
             warming: None,
-            contents: Contents::default(),
+            contents: PotContents::default(),
             load_c: pot.temperature_c,
         })
     }
@@ -155,12 +160,12 @@ impl Plant {
     }
 
     /// Readings of the last complete half-cycle, once.
-    pub fn take_reading(&mut self) -> Option<Reading> {
+    pub fn take_reading(&mut self) -> Option<MeterReading> {
         self.meter.last.take()
     }
 
     /// Enables warming of the pot with these contents, from its temperature, by the power it takes.
-    pub fn enable_warming(&mut self, contents: Contents) {
+    pub fn enable_warming(&mut self, contents: PotContents) {
         self.contents = contents;
         self.warming = Some(ThermalModel::new(contents, &self.pot));
     }
@@ -181,12 +186,12 @@ impl Plant {
     }
 
     /// The mains.
-    pub fn mains(&self) -> Mains {
+    pub fn mains(&self) -> SimulatedMains {
         self.inverter.bus.mains()
     }
 
     /// Replaces the mains.
-    pub fn set_mains(&mut self, mains: Mains) {
+    pub fn set_mains(&mut self, mains: SimulatedMains) {
         self.inverter.bus.set_mains(mains);
     }
 
@@ -206,7 +211,7 @@ impl Plant {
     }
 
     /// Pot on the coil.
-    pub fn pot(&self) -> Pot {
+    pub fn pot(&self) -> SimulatedPot {
         self.pot
     }
 
@@ -222,7 +227,7 @@ impl Plant {
     ///
     /// # Errors
     /// If there is no model of that pot.
-    pub fn prepare(&mut self, pot: &Pot) -> Result<(), InverterError> {
+    pub fn prepare(&mut self, pot: &SimulatedPot) -> Result<(), InverterError> {
         self.load_library.prepare(pot).map(|_| ())
     }
 
@@ -230,7 +235,7 @@ impl Plant {
     ///
     /// # Errors
     /// If there is no model of that pot; the old one stays.
-    pub fn set_pot(&mut self, pot: impl Into<Pot>) -> Result<(), InverterError> {
+    pub fn set_pot(&mut self, pot: impl Into<SimulatedPot>) -> Result<(), InverterError> {
         let pot = pot.into();
         self.inverter.load = self.load_library.take(
             &pot,
@@ -398,13 +403,13 @@ impl Plant {
         meter.half_cycle = half_cycle;
         let energy_j = self.inverter.load_energy_j();
         let edges = self.inverter.bridge.take_commutations();
-        let next = Reading {
+        let next = MeterReading {
             t_s,
-            ..Reading::default()
+            ..MeterReading::default()
         };
         let running = std::mem::replace(&mut meter.running, next);
         let samples = f64::from(std::mem::take(&mut meter.samples));
-        meter.last = Some(Reading {
+        meter.last = Some(MeterReading {
             i_mean_a: running.i_mean_a / samples,
             i_square_a2: running.i_square_a2 / samples,
             duration_s: t_s - running.t_s,
@@ -509,12 +514,13 @@ impl Plant {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::adc::Noise;
+    use crate::adc::ConverterNoise;
     use crate::behavioural::{BehaviouralLoad, PotKind};
 
     fn at_full_power(load: LoadKind) -> Plant {
-        let adc = Adc::new(Noise::default(), 1);
-        let mut plant = Plant::with_load(Mains::new(50.0), PotKind::Ferromagnetic, load, adc);
+        let adc = Adc::new(ConverterNoise::default(), 1);
+        let mut plant =
+            Plant::with_load(SimulatedMains::new(50.0), PotKind::Ferromagnetic, load, adc);
         plant.set_drive(Drive::switching(50_000));
         while plant.t_s() < 5e-3 {
             plant.block(|_| ());
@@ -532,8 +538,8 @@ mod tests {
 
     #[test]
     fn the_wattmeter_reads_r_i_squared() {
-        let adc = Adc::new(Noise::default(), 1);
-        let mut plant = Plant::new(Mains::new(50.0), PotKind::Aluminium, adc);
+        let adc = Adc::new(ConverterNoise::default(), 1);
+        let mut plant = Plant::new(SimulatedMains::new(50.0), PotKind::Aluminium, adc);
         plant.set_drive(Drive::switching(60_000));
         let mut readings = Vec::new();
         while readings.len() < 3 {
@@ -598,7 +604,7 @@ mod tests {
     fn r_drifts_upwards_as_the_pot_warms() {
         for load in [LoadKind::Behavioural, LoadKind::Field] {
             let mut plant = at_full_power(load);
-            plant.enable_warming(Contents::Food);
+            plant.enable_warming(PotContents::Food);
             // 900 J/K, and 14 W/K of which little is lost in a tenth of a second.
             plant.warming.as_mut().unwrap().advance(9.007e5, 0.1);
             let hot_c = plant.temperature_c().unwrap();

@@ -54,7 +54,7 @@ pub enum Metal {
 
 /// Pot, or none.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Pot {
+pub struct SimulatedPot {
     /// Metal; `None` if there is no pot.
     pub metal: Option<Metal>,
     /// Diameter of its base in metre.
@@ -77,7 +77,7 @@ pub struct Pot {
 )]
 pub struct UnknownPotName(String);
 
-impl FromStr for Pot {
+impl FromStr for SimulatedPot {
     type Err = UnknownPotName;
 
     fn from_str(name: &str) -> Result<Self, UnknownPotName> {
@@ -101,7 +101,7 @@ impl FromStr for Pot {
     }
 }
 
-impl fmt::Display for Pot {
+impl fmt::Display for SimulatedPot {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.metal {
             None => f.write_str("none"),
@@ -116,7 +116,7 @@ impl fmt::Display for Pot {
     }
 }
 
-impl Pot {
+impl SimulatedPot {
     /// No pot.
     pub const NONE: Self = Self {
         metal: None,
@@ -320,7 +320,7 @@ mod tests {
     use super::*;
     use ihd_field::{FieldModel, harmonic};
 
-    fn z(pot: Pot) -> (f64, f64) {
+    fn z(pot: SimulatedPot) -> (f64, f64) {
         pot.field_settings(0.0)
             .unwrap()
             .iter()
@@ -340,11 +340,11 @@ mod tests {
             "ferritic-26",
             "none",
         ] {
-            assert_eq!(name.parse::<Pot>().unwrap().to_string(), name);
+            assert_eq!(name.parse::<SimulatedPot>().unwrap().to_string(), name);
         }
         for bad in ["copper-18", "ferritic-50", "ferritic-x", "", "ferritic-NaN"] {
             assert!(
-                bad.parse::<Pot>()
+                bad.parse::<SimulatedPot>()
                     .unwrap_err()
                     .to_string()
                     .contains("ferritic-D"),
@@ -355,29 +355,38 @@ mod tests {
 
     #[test]
     fn old_names_are_understood() {
-        assert_eq!("ferromagnetic".parse(), Ok(Pot::new(Metal::Ferritic, 0.21)));
-        assert_eq!("small".parse(), Ok(Pot::new(Metal::Ferritic, 0.12)));
-        assert_eq!("cast-iron".parse(), Ok(Pot::new(Metal::CastIron, 0.21)));
+        assert_eq!(
+            "ferromagnetic".parse(),
+            Ok(SimulatedPot::new(Metal::Ferritic, 0.21))
+        );
+        assert_eq!(
+            "small".parse(),
+            Ok(SimulatedPot::new(Metal::Ferritic, 0.12))
+        );
+        assert_eq!(
+            "cast-iron".parse(),
+            Ok(SimulatedPot::new(Metal::CastIron, 0.21))
+        );
     }
 
     #[test]
     fn the_least_and_the_most_that_can_be_put_on_has_a_load() {
-        let bare = z(Pot {
+        let bare = z(SimulatedPot {
             lift_m: 0.1,
-            ..Pot::new(Metal::Ferritic, 0.05)
+            ..SimulatedPot::new(Metal::Ferritic, 0.05)
         });
-        let off = z(Pot {
+        let off = z(SimulatedPot {
             offset_m: 0.06,
-            ..Pot::new(Metal::CastIron, 0.12)
+            ..SimulatedPot::new(Metal::CastIron, 0.12)
         });
-        let wide = z(Pot::new(Metal::CastIron, 0.26));
+        let wide = z(SimulatedPot::new(Metal::CastIron, 0.26));
         println!("{bare:?} {off:?} {wide:?}");
         assert!(bare.0 < 0.05 && (4e-5..6e-5).contains(&bare.1), "{bare:?}");
         assert!((0.2..2.5).contains(&off.0) && off.1 > 3e-5, "{off:?}");
         assert!(wide.0 > 2.5 && wide.1 < 3.5e-5, "{wide:?}");
-        let too_far = Pot {
+        let too_far = SimulatedPot {
             offset_m: 0.061,
-            ..Pot::new(Metal::CastIron, 0.12)
+            ..SimulatedPot::new(Metal::CastIron, 0.12)
         };
         let refused = too_far.field_settings(0.0).unwrap_err().to_string();
         assert!(refused.contains("60 mm for 12 cm"), "{refused}");
@@ -385,11 +394,11 @@ mod tests {
 
     #[test]
     fn smaller_and_lifted_pots_couple_less() {
-        let full = z(Pot::new(Metal::Ferritic, 0.21));
-        let small = z(Pot::new(Metal::Ferritic, 0.12));
-        let lifted = z(Pot {
+        let full = z(SimulatedPot::new(Metal::Ferritic, 0.21));
+        let small = z(SimulatedPot::new(Metal::Ferritic, 0.12));
+        let lifted = z(SimulatedPot {
             lift_m: 0.02,
-            ..Pot::new(Metal::Ferritic, 0.21)
+            ..SimulatedPot::new(Metal::Ferritic, 0.21)
         });
         assert!(
             // Finite elements at 10 A: 2.95 of 5.22 ohm (tests/field-oracle).
@@ -401,14 +410,14 @@ mod tests {
 
     #[test]
     fn off_centre_tends_to_centred() {
-        let centred = z(Pot::new(Metal::Ferritic, 0.18));
-        let nearly = z(Pot {
+        let centred = z(SimulatedPot::new(Metal::Ferritic, 0.18));
+        let nearly = z(SimulatedPot {
             offset_m: 1e-3,
-            ..Pot::new(Metal::Ferritic, 0.18)
+            ..SimulatedPot::new(Metal::Ferritic, 0.18)
         });
-        let far = z(Pot {
+        let far = z(SimulatedPot {
             offset_m: 0.05,
-            ..Pot::new(Metal::Ferritic, 0.18)
+            ..SimulatedPot::new(Metal::Ferritic, 0.18)
         });
         assert!(
             (nearly.0 / centred.0 - 1.0).abs() < 0.01,
@@ -419,7 +428,7 @@ mod tests {
 
     #[test]
     fn a_hot_pot_is_the_cold_one_at_a_lower_frequency() {
-        let at = |pot: Pot, f_hz, i_a| {
+        let at = |pot: SimulatedPot, f_hz, i_a| {
             let mut settings = pot.field_settings(0.0).unwrap().remove(0).1;
             // The shield stays cold.
             settings.geometry.shield_thickness_m = 0.0;
@@ -427,9 +436,9 @@ mod tests {
         };
         for metal in Metal::ALL {
             for (temperature_c, i_a) in [(90.0, 3.0), (150.0, 30.0), (400.0, 60.0)] {
-                let cold = Pot::new(metal, 0.18);
+                let cold = SimulatedPot::new(metal, 0.18);
                 let hot = at(
-                    Pot {
+                    SimulatedPot {
                         temperature_c,
                         ..cold
                     },
@@ -452,10 +461,10 @@ mod tests {
 
     #[test]
     fn heat_raises_the_resistance_of_aluminium_as_the_root_of_its_resistivity() {
-        let cold = z(Pot::new(Metal::Aluminium, 0.21));
-        let hot = z(Pot {
+        let cold = z(SimulatedPot::new(Metal::Aluminium, 0.21));
+        let hot = z(SimulatedPot {
             temperature_c: 120.0,
-            ..Pot::new(Metal::Aluminium, 0.21)
+            ..SimulatedPot::new(Metal::Aluminium, 0.21)
         });
         assert!((hot.0 / cold.0 / 1.4f64.sqrt() - 1.0).abs() < 0.02);
     }

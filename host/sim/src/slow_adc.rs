@@ -52,14 +52,14 @@ mod tests {
     use ihd_shared::sampling::{ADC_LOCK_P, block_ns};
 
     use super::*;
-    use crate::mains::Mains;
+    use crate::mains::SimulatedMains;
 
     /// Whatever the noise, each half-cycle has one crossing, within the noise over the slope of its
     /// time.
     #[test]
     fn the_detector_finds_each_crossing_once_and_in_its_place() {
         for (mains_hz, f_sw_hz) in [(50.0, 34_038), (60.0, 79_911), (50.0, 79_911)] {
-            let (mains, mut adc) = (Mains::new(mains_hz), SlowAdc::new(7));
+            let (mains, mut adc) = (SimulatedMains::new(mains_hz), SlowAdc::new(7));
             let mut detector = ZeroCrossingDetector::default();
             let block_s = f64::from(block_ns(f_sw_hz)) * 1e-9;
             let mut found = 0;

@@ -32,7 +32,7 @@ pub struct SurrogateLoad {
 
 /// Largest deviations of the table from the describing function, in percent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct TableError {
+pub struct SurrogateError {
     /// Deviation of R.
     pub r_pct: f64,
     /// Deviation of L.
@@ -117,8 +117,8 @@ impl SurrogatePot {
     }
 
     /// Compares the table with the models between its points.
-    pub fn error(&self, models: &[(f64, FieldModel)]) -> Result<TableError, FieldError> {
-        let mut worst = TableError::default();
+    pub fn error(&self, models: &[(f64, FieldModel)]) -> Result<SurrogateError, FieldError> {
+        let mut worst = SurrogateError::default();
         for k in 0..F_POINTS - 1 {
             let f = f_hz(k as f64 + 0.5);
             let load = self.at(f);
@@ -148,14 +148,14 @@ impl SurrogateLoad {
 
 #[cfg(test)]
 mod tests {
-    use super::super::pot::{Metal, Pot};
+    use super::super::pot::{Metal, SimulatedPot};
     use super::*;
 
     #[test]
     fn between_its_points_the_table_is_within_a_thousandth() {
         for pot in [
-            Pot::new(Metal::Ferritic, 0.21),
-            Pot::new(Metal::Stainless, 0.18),
+            SimulatedPot::new(Metal::Ferritic, 0.21),
+            SimulatedPot::new(Metal::Stainless, 0.18),
         ] {
             let models: Vec<_> = pot
                 .field_settings(0.1)

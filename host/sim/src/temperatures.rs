@@ -2,7 +2,7 @@
 
 use ihd_firmware::control::temperature::TemperatureCodes;
 
-use crate::injection::{Channel, InjectionKind, Injections};
+use crate::injection::{FaultChannel, InjectionKind, Injections};
 
 /// Default temperature around the hob, in °C.
 pub const AMBIENT_C: f64 = 25.0;
@@ -51,7 +51,7 @@ pub struct Heat {
 
 /// Temperatures of three lumps.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Temperatures {
+pub struct LumpTemperatures {
     /// Temperature around the hob, in °C.
     pub ambient_c: f64,
     /// Temperature of the heat sink of switches and rectifier, in °C.
@@ -62,7 +62,7 @@ pub struct Temperatures {
     pub coil_c: f64,
 }
 
-impl Temperatures {
+impl LumpTemperatures {
     /// Creates lumps at the temperature around the hob, in °C.
     pub fn at(ambient_c: f64) -> Self {
         Self {
@@ -103,9 +103,9 @@ impl Temperatures {
             None => Some(ntc_code(ohm_at_25c, celsius)),
         };
         TemperatureCodes {
-            heat_sink: code(Channel::HeatSink, 10e3, self.heat_sink_c),
-            glass: code(Channel::Glass, 100e3, self.glass_c),
-            coil: code(Channel::Coil, 100e3, self.coil_c),
+            heat_sink: code(FaultChannel::HeatSink, 10e3, self.heat_sink_c),
+            glass: code(FaultChannel::Glass, 100e3, self.glass_c),
+            coil: code(FaultChannel::Coil, 100e3, self.coil_c),
         }
     }
 }
@@ -121,8 +121,8 @@ mod tests {
     use super::*;
     use crate::injection::Injection;
 
-    fn settled(heat: &Heat, fan: bool) -> Temperatures {
-        let mut t = Temperatures::at(AMBIENT_C);
+    fn settled(heat: &Heat, fan: bool) -> LumpTemperatures {
+        let mut t = LumpTemperatures::at(AMBIENT_C);
         (0..200_000).for_each(|_| t.advance(0.1, heat, fan));
         t
     }
@@ -149,11 +149,11 @@ mod tests {
 
     #[test]
     fn the_firmware_reads_its_own_temperatures_back() {
-        let t = Temperatures {
+        let t = LumpTemperatures {
             heat_sink_c: 63.0,
             glass_c: 141.0,
             coil_c: 98.0,
-            ..Temperatures::at(AMBIENT_C)
+            ..LumpTemperatures::at(AMBIENT_C)
         };
         let mut read = ihd_firmware::control::temperature::Temperatures::default();
         read.update(t.codes(&Injections::default()));
@@ -167,8 +167,8 @@ mod tests {
     fn a_broken_and_a_shorted_sensor_have_the_codes_of_the_ends() {
         let mut injections = Injections::default();
         for (kind, channel) in [
-            (InjectionKind::NtcOpen, Channel::Glass),
-            (InjectionKind::NtcShort, Channel::HeatSink),
+            (InjectionKind::NtcOpen, FaultChannel::Glass),
+            (InjectionKind::NtcShort, FaultChannel::HeatSink),
         ] {
             injections.start(Injection {
                 kind,
@@ -176,7 +176,7 @@ mod tests {
                 channel,
             });
         }
-        let codes = Temperatures::at(AMBIENT_C).codes(&injections);
+        let codes = LumpTemperatures::at(AMBIENT_C).codes(&injections);
         assert_eq!((codes.glass, codes.heat_sink), (Some(4_095), Some(0)));
         assert_eq!(codes.coil, Some(3_724), "100 kohm over 110 kohm");
     }

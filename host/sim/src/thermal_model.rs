@@ -8,17 +8,17 @@
 //! The base's node is the skin that carries the eddy currents, some 0.1 mm: the face below. Its heat passes the whole
 //! thickness of the base.
 
-use super::contents::Contents;
-use super::pot::{Metal, Pot};
+use super::contents::PotContents;
+use super::pot::{Metal, SimulatedPot};
 use super::temperatures::{GLASS_J_PER_K, GLASS_W_PER_K};
 
 /// Room temperature in °C.
 const ROOM_C: f64 = 20.0;
 
-/// [`Contents::Food`]: heat capacity of base and lower wall with the food that heats at once, in J/K.
+/// [`PotContents::Food`]: heat capacity of base and lower wall with the food that heats at once, in J/K.
 const LUMP_J_PER_K: f64 = 900.0;
 
-/// [`Contents::Food`]: heat passed on to the room, in W/K.
+/// [`PotContents::Food`]: heat passed on to the room, in W/K.
 const LUMP_W_PER_K: f64 = 14.0;
 
 /// Thickness of a base in metre, equal to the field model's.
@@ -63,7 +63,7 @@ const STEP_S: f64 = 0.05;
 /// Temperatures of a pot with contents.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ThermalModel {
-    contents: Contents,
+    contents: PotContents,
     base_c: f64,
     bulk_c: f64,
     glass_c: f64,
@@ -87,7 +87,7 @@ struct Body {
 }
 
 impl Body {
-    fn of(pot: &Pot) -> Self {
+    fn of(pot: &SimulatedPot) -> Self {
         let (kg_per_m3, j_per_kgk, w_per_mk) = pot.metal.unwrap_or(Metal::Ferritic).thermal();
         let area_m2 = 0.25 * std::f64::consts::PI * pot.diameter_m * pot.diameter_m;
         let rim_m = std::f64::consts::PI * pot.diameter_m;
@@ -106,13 +106,13 @@ impl Body {
 impl Default for ThermalModel {
     /// Creates the lump at room temperature.
     fn default() -> Self {
-        Self::new(Contents::Food, &Pot::NONE)
+        Self::new(PotContents::Food, &SimulatedPot::NONE)
     }
 }
 
 impl ThermalModel {
     /// Creates a pot with contents, all at the pot's temperature.
-    pub fn new(contents: Contents, pot: &Pot) -> Self {
+    pub fn new(contents: PotContents, pot: &SimulatedPot) -> Self {
         let start_c = pot.temperature_c;
         Self {
             contents,
@@ -121,9 +121,9 @@ impl ThermalModel {
             glass_c: ROOM_C,
             face_c: start_c,
             mass_kg: match contents {
-                Contents::Water(litre) => litre,
-                Contents::Oil(litre) => litre * OIL.0,
-                Contents::Food | Contents::Empty => 0.0,
+                PotContents::Water(litre) => litre,
+                PotContents::Oil(litre) => litre * OIL.0,
+                PotContents::Food | PotContents::Empty => 0.0,
             },
             body: Body::of(pot),
         }
@@ -154,7 +154,7 @@ impl ThermalModel {
     }
 
     fn is_water(&self) -> bool {
-        matches!(self.contents, Contents::Water(_)) && self.mass_kg > 0.0
+        matches!(self.contents, PotContents::Water(_)) && self.mass_kg > 0.0
     }
 
     /// Heats with `power_w` for `dt_s`.
@@ -167,7 +167,7 @@ impl ThermalModel {
     }
 
     fn step(&mut self, power_w: f64, dt_s: f64) {
-        if self.contents == Contents::Food {
+        if self.contents == PotContents::Food {
             let flow_w = power_w - LUMP_W_PER_K * (self.base_c - ROOM_C);
             self.base_c += flow_w * dt_s / LUMP_J_PER_K;
             return;
@@ -197,7 +197,7 @@ impl ThermalModel {
     }
 
     fn warm_bulk(&mut self, up_w: f64, dt_s: f64) {
-        let is_water = matches!(self.contents, Contents::Water(_));
+        let is_water = matches!(self.contents, PotContents::Water(_));
         let j_per_kgk = if is_water { WATER.0 } else { OIL.1 };
         let net_w = up_w - self.body.outside_w_per_k * (self.bulk_c - ROOM_C);
         let j_per_k = self.mass_kg * j_per_kgk + self.body.wall_j_per_k;
@@ -219,7 +219,7 @@ impl ThermalModel {
         // Turbulent natural convection over a hot plate, Nu = 0.15 Ra^(1/3) (Incropera, eq. 9.31); the factor of
         // rise^(4/3) over the film's temperature, from tables of water and of sunflower oil.
         let film_k = 0.5 * (face_c + self.bulk_c) - 20.0;
-        let is_water = matches!(self.contents, Contents::Water(_));
+        let is_water = matches!(self.contents, PotContents::Water(_));
         let (n, n_per_k) = if is_water {
             (218.0, 4.05)
         } else {
@@ -263,8 +263,8 @@ fn bubbles(face_c: f64) -> (f64, f64) {
 mod tests {
     use super::*;
 
-    fn pot() -> Pot {
-        Pot::new(Metal::Ferritic, 0.21)
+    fn pot() -> SimulatedPot {
+        SimulatedPot::new(Metal::Ferritic, 0.21)
     }
 
     /// Seconds until `is` holds, at most an hour.
@@ -288,7 +288,7 @@ mod tests {
 
     #[test]
     fn water_boils_when_it_has_the_energy_for_it_and_stays_there() {
-        let mut m = ThermalModel::new(Contents::Water(1.5), &pot());
+        let mut m = ThermalModel::new(PotContents::Water(1.5), &pot());
         let t_s = until(&mut m, 2000.0, ThermalModel::is_boiling);
         // 1.5 kg · 4186 J/kgK · 80 K are 251 s at 2 kW. Base and fin 730 J/K · 98 K, wall 180 J/K · 80 K, glass
         // 280 J/K · 75 K, room 1.2 W/K · 45 K and the glass's 1.5 W/K · 50 K: 130 kJ more.
@@ -309,7 +309,7 @@ mod tests {
 
     #[test]
     fn bubbles_come_before_the_boil_and_the_base_is_flat_from_then_on() {
-        let mut m = ThermalModel::new(Contents::Water(1.5), &pot());
+        let mut m = ThermalModel::new(PotContents::Water(1.5), &pot());
         let bubbles_s = until(&mut m, 2000.0, |m| m.bubble_share() > 0.5);
         let (bulk_c, base_c) = (m.bulk_c().unwrap(), m.temperature_c());
         let boil_s = until(&mut m, 2000.0, ThermalModel::is_boiling);
@@ -321,7 +321,7 @@ mod tests {
 
     #[test]
     fn water_that_is_gone_leaves_a_base_that_heats_up() {
-        let mut m = ThermalModel::new(Contents::Water(0.1), &pot());
+        let mut m = ThermalModel::new(PotContents::Water(0.1), &pot());
         let t_s = until(&mut m, 1500.0, |m| m.bulk_c().is_none());
         // Heating and evaporating 0.1 kg: 33 kJ and 226 kJ, and the base's 80 kJ.
         assert!((180.0..300.0).contains(&t_s), "{t_s}");
@@ -333,7 +333,7 @@ mod tests {
 
     #[test]
     fn oil_passes_the_boiling_point_of_water() {
-        let mut m = ThermalModel::new(Contents::Oil(1.0), &pot());
+        let mut m = ThermalModel::new(PotContents::Oil(1.0), &pot());
         let t_s = until(&mut m, 1000.0, |m| m.bulk_c().unwrap() > 170.0);
         // 0.91 kg · 2 kJ/kgK · 150 K and the base's share, at 1 kW.
         assert!((300.0..700.0).contains(&t_s), "{t_s}");
@@ -342,7 +342,7 @@ mod tests {
 
     #[test]
     fn an_empty_pot_is_hot_within_minutes() {
-        let mut m = ThermalModel::new(Contents::Empty, &pot());
+        let mut m = ThermalModel::new(PotContents::Empty, &pot());
         let t_s = until(&mut m, 1000.0, |m| m.temperature_c() > 300.0);
         // 730 J/K · 280 K are 204 s at 1 kW; glass (280 J/K · 240 K), radiation and air take some 40 % more.
         assert!((250.0..400.0).contains(&t_s), "{t_s}");
@@ -351,7 +351,7 @@ mod tests {
     #[test]
     fn energy_is_kept_however_long_the_steps() {
         let at = |dt_s: f64| {
-            let mut m = ThermalModel::new(Contents::Water(1.0), &pot());
+            let mut m = ThermalModel::new(PotContents::Water(1.0), &pot());
             (0..(60.0 / dt_s) as u32).for_each(|_| m.advance(1200.0, dt_s));
             m.temperature_c()
         };

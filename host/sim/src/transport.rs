@@ -195,7 +195,7 @@ mod tests {
         let deadline = Instant::now() + Duration::from_secs(600);
         loop {
             assert!(Instant::now() < deadline, "no window");
-            if let Some(ihd_link::Event::Window(_)) =
+            if let Some(ihd_link::DeviceEvent::Window(_)) =
                 client.next_event(Duration::from_millis(100)).unwrap()
             {
                 break;

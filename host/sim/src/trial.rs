@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::adc::Noise;
+use crate::adc::ConverterNoise;
 use crate::inverter::InverterError;
 use crate::recording::prepared::field_models;
 use crate::recording::run::record;
@@ -70,12 +70,12 @@ impl Trial {
             return self.clean.clone();
         };
         let rms = |x: &[f64]| (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt();
-        let noise = Noise::from_snr_db(snr_db, rms(&self.clean.v_v), rms(&self.clean.i_a));
+        let noise = ConverterNoise::from_snr_db(snr_db, rms(&self.clean.v_v), rms(&self.clean.i_a));
         self.with_noise(noise, seed)
     }
 
     /// Adds white noise of these deviations.
-    pub fn with_noise(&self, noise: Noise, seed: u64) -> Segment {
+    pub fn with_noise(&self, noise: ConverterNoise, seed: u64) -> Segment {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut add = |x: &[f64], sigma: f64| {
             let noisy = |x: &f64| {

@@ -5,7 +5,7 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use ihd_store::{Reader, Store, StoreOptions};
+use ihd_store::{Store, StoreOptions, StoreReader};
 
 #[path = "../tests/it/fixture.rs"]
 #[allow(dead_code, reason = "the tests use all of it")]
@@ -51,7 +51,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         began.elapsed()
     );
     let began = Instant::now();
-    let report = Reader::open(folder.path())?.check()?;
+    let report = StoreReader::open(folder.path())?.check()?;
     println!(
         "a check of {} windows: {} in {:?}",
         report.windows,

@@ -6,7 +6,7 @@ use super::database::{self, IntegrityCheck};
 use super::folder;
 use super::schema::WINDOWS;
 use super::windows::Day;
-use super::{LookupState, Reader, StoreError, WindowFilter};
+use super::{LookupState, StoreError, StoreReader, WindowFilter};
 
 /// Faults that are listed one by one.
 const MAX_LISTED: usize = 20;
@@ -23,14 +23,14 @@ pub struct CheckReport {
     /// Results.
     pub results: u64,
     /// Lookups, oldest first.
-    pub lookups: Vec<Lookup>,
+    pub lookups: Vec<CheckedLookup>,
     /// Files that were set aside as damaged.
     pub set_aside: Vec<String>,
 }
 
 /// A lookup of a check.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Lookup {
+pub struct CheckedLookup {
     /// The device's name.
     pub device: String,
     /// Its version.
@@ -46,7 +46,7 @@ impl CheckReport {
     }
 }
 
-impl Reader {
+impl StoreReader {
     /// Checks every page and index of every database, every reference between rows, and that every window
     /// and every lookup can be read.
     ///
@@ -95,7 +95,7 @@ impl Reader {
                 }
             }
         }
-        let lookups = lookups.into_iter().map(|row| Lookup {
+        let lookups = lookups.into_iter().map(|row| CheckedLookup {
             device: row.device,
             version: row.version,
             state: row.state,

@@ -20,7 +20,7 @@ const LEVEL: i32 = 3;
 
 /// R(t) and L(t) of a half-cycle. The lists are equally long; those of the standard deviations may be empty.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Curve {
+pub struct StoredCurve {
     /// Seconds after the mains zero crossing.
     pub t_s: Vec<f64>,
     /// R in ohm.
@@ -35,7 +35,7 @@ pub struct Curve {
     pub l_sigma_h: Vec<f64>,
 }
 
-impl Curve {
+impl StoredCurve {
     /// Returns `true` if the lists are equally long and not longer than [`MAX_POINTS`].
     pub fn is_sound(&self) -> bool {
         let n = self.t_s.len();
@@ -134,9 +134,9 @@ impl Curve {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curves {
     /// The network's result.
-    pub network: Option<Curve>,
+    pub network: Option<StoredCurve>,
     /// The truth.
-    pub truth: Option<Curve>,
+    pub truth: Option<StoredCurve>,
 }
 
 /// Source of a curve.
@@ -164,7 +164,7 @@ impl Day {
         &self,
         (device, boot, seq): (&str, u32, u32),
         of: CurveSource,
-        curve: &Curve,
+        curve: &StoredCurve,
     ) -> Result<bool, StoreError> {
         let packing = StoreError::files(self.path(), "packing a curve");
         let Some(packed) = curve.pack().map_err(packing)? else {
@@ -208,7 +208,7 @@ impl Day {
             return Ok(Curves::default());
         };
         let unpack = |packed: Packed| {
-            let curve = packed.map(|(points, bytes)| Curve::unpack(&bytes, points as usize));
+            let curve = packed.map(|(points, bytes)| StoredCurve::unpack(&bytes, points as usize));
             curve.transpose().map_err(|why| StoreError::Window {
                 file: self.path().to_owned(),
                 device: device.to_owned(),
@@ -235,7 +235,7 @@ impl Store {
         session: SessionId,
         seq: u32,
         of: CurveSource,
-        curve: &Curve,
+        curve: &StoredCurve,
     ) -> Result<(), StoreError> {
         let session = self.session(session)?;
         let (name, boot) = (session.name.clone(), session.boot);
@@ -253,9 +253,9 @@ impl Store {
 mod tests {
     use super::*;
 
-    fn curve(n: usize, sigma: bool) -> Curve {
+    fn curve(n: usize, sigma: bool) -> StoredCurve {
         let of = |scale: f64| (0..n).map(|k| scale * (1.0 + k as f64)).collect::<Vec<_>>();
-        Curve {
+        StoredCurve {
             t_s: of(1e-5),
             r_ohm: of(0.1),
             l_h: of(1e-7),
@@ -270,7 +270,7 @@ mod tests {
         for sigma in [true, false] {
             let curve = curve(100, sigma);
             let packed = curve.pack().unwrap().unwrap();
-            let back = Curve::unpack(&packed, 100).unwrap();
+            let back = StoredCurve::unpack(&packed, 100).unwrap();
             let near = |a: &[f64], b: &[f64]| {
                 a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a / b - 1.0).abs() < 1e-7)
             };
@@ -278,14 +278,14 @@ mod tests {
             assert!(near(&back.l_h, &curve.l_h) && near(&back.i_a, &curve.i_a));
             assert!(near(&back.r_sigma_ohm, &curve.r_sigma_ohm));
             assert!(near(&back.l_sigma_h, &curve.l_sigma_h));
-            assert!(Curve::unpack(&packed, 99).is_err(), "another length");
+            assert!(StoredCurve::unpack(&packed, 99).is_err(), "another length");
             let mut broken = packed.clone();
             let last = broken.len() - 6;
             broken[last] ^= 1;
-            assert!(Curve::unpack(&broken, 100).is_err(), "the checksum");
+            assert!(StoredCurve::unpack(&broken, 100).is_err(), "the checksum");
         }
-        assert_eq!(Curve::default().pack().unwrap(), None);
-        assert!(Curve::unpack(&[], 1 << 30).is_err());
+        assert_eq!(StoredCurve::default().pack().unwrap(), None);
+        assert!(StoredCurve::unpack(&[], 1 << 30).is_err());
     }
 
     #[test]

@@ -17,11 +17,11 @@ use ihd_shared::wire::messages::{
 use ihd_signal::{Capture, FrequencyStep, TimeBase};
 
 use super::clock::rfc3339;
-use super::{Reader, SessionRow, StoreError, WindowFilter, WindowRow};
+use super::{SessionRow, StoreError, StoreReader, WindowFilter, WindowRow};
 
 /// File format of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Format {
+pub enum ExportFormat {
     /// One recording a device and boot, as `ihd record` writes it.
     Mcap,
     /// One table a window.
@@ -32,7 +32,7 @@ pub enum Format {
     Parquet,
 }
 
-impl Format {
+impl ExportFormat {
     /// Returns the ending of its files, without the dot.
     pub fn ending(self) -> &'static str {
         match self {
@@ -61,9 +61,9 @@ pub struct ExportReport {
 /// # Errors
 /// [`StoreError::Exists`]; [`StoreError::NotOneFile`]; [`StoreError::Export`]; or an error of the store.
 pub fn windows(
-    reader: &Reader,
+    reader: &StoreReader,
     filter: &WindowFilter,
-    format: Format,
+    format: ExportFormat,
     to: &Path,
     each: &mut dyn FnMut(),
 ) -> Result<ExportReport, StoreError> {
@@ -76,7 +76,7 @@ pub fn windows(
         .filter(|(_, rows)| !rows.is_empty())
         .collect();
     let files = match format {
-        Format::Mcap => boots.len(),
+        ExportFormat::Mcap => boots.len(),
         _ => boots.iter().map(|(_, rows)| rows.len()).sum(),
     };
     let one = to
@@ -95,7 +95,7 @@ pub fn windows(
     }
     for ((device, boot), rows) in boots {
         let name = format!("{}-{boot}", file_name(&device));
-        if format == Format::Mcap {
+        if format == ExportFormat::Mcap {
             let path = path_of(name)?;
             let session = reader.session_of(&device, boot)?;
             recording(reader, &rows, session.as_ref(), &path, each)?;
@@ -189,7 +189,7 @@ pub fn capture(row: &WindowRow, window: &Window) -> Capture {
 /// Writes a boot's windows as a recording: the frames that a device of this build would have sent, through the
 /// recorder of `ihd record`.
 fn recording(
-    reader: &Reader,
+    reader: &StoreReader,
     rows: &[WindowRow],
     session: Option<&SessionRow>,
     path: &Path,

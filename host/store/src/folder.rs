@@ -29,7 +29,7 @@ pub(crate) const MAKING: &str = ".new";
 
 /// A damaged file that was set aside.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Damage {
+pub struct DamagedFile {
     /// Path before.
     pub from: PathBuf,
     /// Path now.
@@ -186,7 +186,7 @@ pub fn remove_orphans(folder: &Path) -> Result<(), StoreError> {
 ///
 /// # Errors
 /// Errors of the operating system.
-pub fn set_aside(path: &Path, why: String, at_ms: i64) -> Result<Damage, StoreError> {
+pub fn set_aside(path: &Path, why: String, at_ms: i64) -> Result<DamagedFile, StoreError> {
     let to = free_name(path, at_ms);
     let moving = || StoreError::files(path, "setting the damaged file aside");
     if path.exists() {
@@ -207,7 +207,7 @@ pub fn set_aside(path: &Path, why: String, at_ms: i64) -> Result<Damage, StoreEr
         ihd_signal::atomic::synchronise_folder(folder).map_err(moving())?;
     }
     let from = path.to_owned();
-    Ok(Damage { from, to, why })
+    Ok(DamagedFile { from, to, why })
 }
 
 /// Returns `NAME.damaged-20261122T083000Z`, with a number behind it if that exists.

@@ -8,7 +8,7 @@
 //!    ihd.db.damaged-…          set aside at a start, never read again
 //! ```
 //!
-//! [`Store`] writes; one process holds it. [`Reader`] reads at the same time. When a method has returned `Ok`, its change is committed.
+//! [`Store`] writes; one process holds it. [`StoreReader`] reads at the same time. When a method has returned `Ok`, its change is committed.
 //! docs/daemon.md has the tables, queries and what to do with a damaged file.
 
 mod age;
@@ -44,22 +44,22 @@ mod trial;
 mod windows;
 
 pub use backup::backup;
-pub use curves::{Curve, CurveSource, Curves, MAX_POINTS};
+pub use curves::{CurveSource, Curves, MAX_POINTS, StoredCurve};
 pub use due_window::DueWindow;
 pub use error::StoreError;
 pub use fleet_state::{DeliveryState, FleetMark, FleetState, GiveUpReason};
-pub use folder::Damage;
+pub use folder::DamagedFile;
 pub use ihd_signal::atomic;
 pub use journal::{AuditRow, EventRow, JournalFilter, JournalRow, NewEvent};
 pub use lookups::{Confidence, LookupRow, LookupState};
 pub use options::{Retention, SamplePolicy, StoreOptions, UnknownSamplePolicy};
 pub use outbox::OutboxItem;
-pub use reader::{DeviceRow, Reader, SessionRow};
+pub use reader::{DeviceRow, SessionRow, StoreReader};
 pub use results::{LastAccepted, NewResult, ResultFilter, ResultRow};
 pub use retention::CollectionReport;
 pub use space::{DaySpace, bytes_a_day};
 pub use start::OpenedStore;
-pub use store::{Figures, Store};
+pub use store::{Store, StoreFigures};
 pub use telemetry::{Spread, TelemetryRead, TelemetrySecond, TelemetrySpan};
 pub use trial::{TrialReport, try_folder};
 pub use windows::{InsertOutcome, WindowFilter, WindowRow};

@@ -16,7 +16,7 @@ use super::{
 };
 
 /// A store opened for reading. It blocks no writer and takes no lock.
-pub struct Reader {
+pub struct StoreReader {
     folder: PathBuf,
     path: PathBuf,
     records: Connection,
@@ -67,7 +67,7 @@ SELECT sessions.id, devices.name, boot, began_ms, ended_ms, why, build, board, c
     v_full_scale_mv, i_full_scale_ma, bits
 FROM sessions JOIN devices ON devices.id = sessions.device";
 
-impl Reader {
+impl StoreReader {
     /// Opens the store in a folder for reading.
     ///
     /// # Errors

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::schema::WINDOWS;
-use super::{Reader, StoreError, database, folder};
+use super::{StoreError, StoreReader, database, folder};
 
 /// Disk space of a day's windows.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -23,7 +23,7 @@ pub fn bytes_a_day(bytes_a_window: f64, windows_a_second: f64, duty: f64) -> f64
     bytes_a_window * windows_a_second * duty * 86_400.0
 }
 
-impl Reader {
+impl StoreReader {
     /// Returns the disk space of windows, oldest day first. Damaged days are left out.
     ///
     /// # Errors

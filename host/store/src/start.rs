@@ -9,7 +9,7 @@ use rusqlite::Connection;
 use super::backup;
 use super::clock::{self, Clock};
 use super::database::{self, IntegrityCheck};
-use super::folder::{self, Damage, Lock};
+use super::folder::{self, DamagedFile, Lock};
 use super::schema::{RECORDS, Schema, WINDOWS};
 use super::{Store, StoreError, StoreOptions};
 
@@ -24,7 +24,7 @@ pub struct OpenedStore {
     /// The store.
     pub store: Store,
     /// Damaged files that were set aside.
-    pub damage: Vec<Damage>,
+    pub damage: Vec<DamagedFile>,
 }
 
 impl Store {
@@ -68,8 +68,8 @@ impl Store {
 }
 
 /// Describes a damaged file in a sentence: its name, its place now, and the fault.
-pub(crate) fn describe(damage: &Damage) -> String {
-    let Damage { from, to, why } = damage;
+pub(crate) fn describe(damage: &DamagedFile) -> String {
+    let DamagedFile { from, to, why } = damage;
     format!(
         "{} is damaged ({why}); set aside as {}",
         from.display(),
@@ -77,7 +77,7 @@ pub(crate) fn describe(damage: &Damage) -> String {
     )
 }
 
-fn check_days(folder: &Path, at_ms: i64, damage: &mut Vec<Damage>) -> Result<(), StoreError> {
+fn check_days(folder: &Path, at_ms: i64, damage: &mut Vec<DamagedFile>) -> Result<(), StoreError> {
     let began = Instant::now();
     for day in folder::days(folder)?.iter().rev() {
         let left = CHECK_WINDOWS.saturating_sub(began.elapsed());
@@ -101,7 +101,7 @@ fn whole(
     schema: &Schema,
     within: Duration,
     at_ms: i64,
-    damage: &mut Vec<Damage>,
+    damage: &mut Vec<DamagedFile>,
 ) -> Result<(Connection, IntegrityCheck), StoreError> {
     let why = match checked(path, schema, within) {
         Ok((connection, integrity @ (IntegrityCheck::Ok | IntegrityCheck::TimedOut))) => {

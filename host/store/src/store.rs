@@ -29,7 +29,7 @@ pub struct Store {
     sessions: HashMap<SessionId, Session>,
     /// Bytes of all days but today, and of those set aside.
     pub(crate) other_days_bytes: u64,
-    figures: Figures,
+    figures: StoreFigures,
     /// Last day up to which no window is due to a fleet; `None` if days were not searched since a window came for one of
     /// them.
     pub(crate) none_due_to: Option<String>,
@@ -63,7 +63,7 @@ pub(crate) struct Session {
 
 /// Counters of the store since it was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Figures {
+pub struct StoreFigures {
     /// Windows stored, with their samples or without.
     pub windows: u64,
     /// Windows that came twice.
@@ -108,7 +108,7 @@ impl Store {
             days: OpenDays::default(),
             sessions: HashMap::new(),
             other_days_bytes: 0,
-            figures: Figures::default(),
+            figures: StoreFigures::default(),
             none_due_to: None,
             tallies: BTreeMap::new(),
             reported_too_large: None,
@@ -127,7 +127,7 @@ impl Store {
     }
 
     /// Returns the counters since it was opened.
-    pub fn figures(&self) -> Figures {
+    pub fn figures(&self) -> StoreFigures {
         self.figures
     }
 
@@ -142,7 +142,7 @@ impl Store {
         }
     }
 
-    pub(crate) fn figures_mut(&mut self) -> &mut Figures {
+    pub(crate) fn figures_mut(&mut self) -> &mut StoreFigures {
         &mut self.figures
     }
 

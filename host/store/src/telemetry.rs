@@ -6,7 +6,7 @@ use rusqlite::{Connection, OptionalExtension, Row, Statement, params};
 
 use super::text::printable;
 use super::windows::Day;
-use super::{Reader, Store, StoreError, clock};
+use super::{Store, StoreError, StoreReader, clock};
 
 /// Seconds of a row that summarises others.
 const MINUTE_S: i64 = 60;
@@ -323,7 +323,7 @@ pub struct TelemetryRead {
     pub last_s: Option<i64>,
 }
 
-impl Reader {
+impl StoreReader {
     /// Passes a device's telemetry from `from_s` until before `to_s` (seconds since 1970, UTC) in rows of a second, or
     /// of a minute if `minutes`, oldest first.
     ///

@@ -5,7 +5,7 @@ mod bad_input;
 use ihd_sim::inverter::harmonic_analyser::HarmonicAnalyser;
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind, RecordingChange, RecordingEvent};
 
 use super::*;
 
@@ -139,12 +139,12 @@ fn frequency_steps_and_pauses_cut_the_capture_where_they_are() {
         s.sensing.rate = rate;
         s.sensing.allow_aliasing = true;
         s.sensing.snr_db = Some(30.0);
-        let event = |t_s, change| Event { t_s, change };
+        let event = |t_s, change| RecordingEvent { t_s, change };
         s.events = vec![
-            event(7e-3, Change::Frequency(46e3)),
-            event(16e-3, Change::Frequency(60e3)),
-            event(24e-3, Change::Off),
-            event(30e-3, Change::On),
+            event(7e-3, RecordingChange::Frequency(46e3)),
+            event(16e-3, RecordingChange::Frequency(60e3)),
+            event(24e-3, RecordingChange::Off),
+            event(30e-3, RecordingChange::On),
         ];
         let got = survey(&capture(&s));
         let spans: Vec<_> = got
@@ -436,7 +436,7 @@ fn a_capture_without_samples_says_so() {
 /// The capture of a carrier that moves by so much, so often, both in hertz.
 fn swept(deviation_hz: f64, rate_hz: f64) -> Capture {
     let mut s = settings(50e3, 20e-3);
-    s.sweep = Some(ihd_sim::recording::settings::Sweep {
+    s.sweep = Some(ihd_sim::recording::settings::CarrierSweep {
         deviation_hz,
         rate_hz,
     });
@@ -472,9 +472,9 @@ fn a_sweep_is_one_span_with_a_finding() {
 fn the_firmwares_dither_is_steps_and_no_sweep() {
     // One percent up, back, one percent down, at the zero crossings.
     let mut s = settings(50e3, 40e-3);
-    let at = |t_s: f64, f_hz: f64| Event {
+    let at = |t_s: f64, f_hz: f64| RecordingEvent {
         t_s,
-        change: Change::Frequency(f_hz),
+        change: RecordingChange::Frequency(f_hz),
     };
     s.events = vec![at(10e-3, 50.5e3), at(20e-3, 50e3), at(30e-3, 49.5e3)];
     let got = survey(&capture(&s));

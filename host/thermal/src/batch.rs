@@ -4,7 +4,7 @@ use ihd_shared::wire::messages::{State, Telemetry};
 
 /// Measurements over one half-cycle, from telemetry.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct HalfCycle {
+pub struct ThermalHalfCycle {
     /// End of the half-cycle in seconds, from any origin.
     pub t_s: f64,
     /// Switching frequency in hertz.
@@ -21,7 +21,7 @@ pub struct HalfCycle {
     pub heats: bool,
 }
 
-impl HalfCycle {
+impl ThermalHalfCycle {
     /// Converts telemetry, at a time in seconds from any origin.
     pub fn from_telemetry(t: &Telemetry, t_s: f64) -> Self {
         Self {
@@ -53,7 +53,7 @@ const FLOOR: (f64, f64) = (3e-4, 1.5e-4);
 
 /// Means over half-cycles at one operating point.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Batch {
+pub struct HalfCycleBatch {
     /// Middle of the batch in seconds.
     pub t_s: f64,
     /// Mean switching frequency in hertz.
@@ -73,7 +73,7 @@ pub struct Batch {
 /// Collects half-cycles into batches.
 #[derive(Clone, Debug, Default)]
 pub struct Batches {
-    first: Option<HalfCycle>,
+    first: Option<ThermalHalfCycle>,
     skipped: usize,
     count: usize,
     sums: [f64; 7],
@@ -81,7 +81,7 @@ pub struct Batches {
 
 impl Batches {
     /// Adds a half-cycle that heats; returns a batch when one is full, or when the operating point changed.
-    pub fn push(&mut self, h: &HalfCycle) -> Option<Batch> {
+    pub fn push(&mut self, h: &ThermalHalfCycle) -> Option<HalfCycleBatch> {
         let usable = [h.f_hz, h.i_a, h.r_ohm, h.l_h]
             .iter()
             .all(|x| x.is_finite() && *x > 0.0);
@@ -116,13 +116,13 @@ impl Batches {
     }
 
     /// Returns the batch so far and begins the next.
-    fn end(&mut self) -> Option<Batch> {
+    fn end(&mut self) -> Option<HalfCycleBatch> {
         let batch = self.mean();
         *self = Self::default();
         batch
     }
 
-    fn mean(&self) -> Option<Batch> {
+    fn mean(&self) -> Option<HalfCycleBatch> {
         if self.count < FEWEST {
             return None;
         }
@@ -131,7 +131,7 @@ impl Batches {
         let sigma = |square: f64, mean: f64, floor: f64| {
             ((square - mean * mean).max(0.0) / n + floor * floor).sqrt()
         };
-        Some(Batch {
+        Some(HalfCycleBatch {
             t_s,
             f_hz,
             i_a,
@@ -147,8 +147,8 @@ impl Batches {
 mod tests {
     use super::*;
 
-    fn half_cycle(k: usize, f_hz: f64) -> HalfCycle {
-        HalfCycle {
+    fn half_cycle(k: usize, f_hz: f64) -> ThermalHalfCycle {
+        ThermalHalfCycle {
             t_s: k as f64 * 0.01,
             f_hz,
             i_a: 40.0,
@@ -162,7 +162,7 @@ mod tests {
     #[test]
     fn a_batch_is_the_mean_with_its_deviation() {
         let mut batches = Batches::default();
-        let found: Vec<Batch> = (0..200)
+        let found: Vec<HalfCycleBatch> = (0..200)
             .filter_map(|k| batches.push(&half_cycle(k, 45e3)))
             .collect();
         assert_eq!(found.len(), 3);

@@ -83,7 +83,7 @@ struct Step {
 
 /// Curve of ΔT since placement, and the fits of both models.
 #[derive(Clone, Debug)]
-pub struct Contents {
+pub struct ContentsFit {
     area_m2: f64,
     began_s: f64,
     step_s: f64,
@@ -106,7 +106,7 @@ struct State {
     bubbles: f64,
 }
 
-impl Contents {
+impl ContentsFit {
     /// Creates the curve of a pot with a base of this radius in metre, put on at `t_s`.
     pub fn new(radius_m: f64, t_s: f64) -> Self {
         Self {

@@ -8,7 +8,7 @@
 use ihd_map::PotModel;
 use nalgebra::{SMatrix, SVector};
 
-use crate::batch::Batch;
+use crate::batch::HalfCycleBatch;
 use crate::metal::MetalLaw;
 
 type Vector = SVector<f64, 7>;
@@ -66,7 +66,7 @@ pub enum PotMotion {
 
 /// Kalman filter of one pot.
 #[derive(Clone, Debug)]
-pub struct Filter {
+pub struct ThermalFilter {
     pot: PotModel,
     metal: MetalLaw,
     x: Vector,
@@ -100,7 +100,7 @@ impl Innovation {
     }
 }
 
-impl Filter {
+impl ThermalFilter {
     /// Creates the filter of a pot put on at `t_s`, with its estimated rise in K and rate in K/s since, and its base's heat
     /// capacity in J/K.
     pub fn new(
@@ -194,8 +194,8 @@ impl Filter {
         }
     }
 
-    /// Updates the state with a batch; [`Filter::advance`] must be called first.
-    pub fn update(&mut self, batch: &Batch) -> PotMotion {
+    /// Updates the state with a batch; [`ThermalFilter::advance`] must be called first.
+    pub fn update(&mut self, batch: &HalfCycleBatch) -> PotMotion {
         let at = (batch.f_hz.ln(), batch.i_a.ln());
         let moved = self
             .at
@@ -233,7 +233,7 @@ impl Filter {
         }
     }
 
-    fn innovation(&self, batch: &Batch, ln_f: f64) -> Innovation {
+    fn innovation(&self, batch: &HalfCycleBatch, ln_f: f64) -> Innovation {
         let (change, slope) = self.metal.ln_s_change(self.x[0]);
         let pot = PotModel {
             ln_s: self.pot.ln_s + change,

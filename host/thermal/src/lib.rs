@@ -18,6 +18,6 @@ pub mod prior;
 pub mod thermometer;
 pub mod turnover;
 
-pub use batch::HalfCycle;
+pub use batch::ThermalHalfCycle;
 pub use metal::MetalLaw;
-pub use thermometer::{PotEvent, Reading, Thermometer};
+pub use thermometer::{PotEvent, PotReading, Thermometer};

@@ -2,7 +2,7 @@
 
 use ihd_map::PotModel;
 
-use crate::batch::HalfCycle;
+use crate::batch::ThermalHalfCycle;
 use crate::gauss_newton::{Prior, fit};
 use crate::metal::MetalLaw;
 
@@ -52,7 +52,7 @@ pub struct PlacedPot {
 
 impl Placement {
     /// Adds a half-cycle that heats.
-    pub fn push(&mut self, h: &HalfCycle) {
+    pub fn push(&mut self, h: &ThermalHalfCycle) {
         let usable = [h.f_hz, h.i_a, h.r_ohm, h.l_h]
             .iter()
             .all(|x| x.is_finite() && *x > 0.0);
@@ -158,7 +158,7 @@ mod tests {
         let mut placement = Placement::default();
         for _ in 0..50 {
             let z = pot.impedance(45e3, 40.0);
-            placement.push(&HalfCycle {
+            placement.push(&ThermalHalfCycle {
                 t_s: 0.0,
                 f_hz: 45e3,
                 i_a: 40.0,

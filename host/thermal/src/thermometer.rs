@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batches, HalfCycle};
-use crate::contents::{BASE_J_PER_M2K, Contents, WALL_J_PER_K};
-use crate::filter::{Filter, PotMotion};
+use crate::batch::{Batches, ThermalHalfCycle};
+use crate::contents::{BASE_J_PER_M2K, ContentsFit, WALL_J_PER_K};
+use crate::filter::{PotMotion, ThermalFilter};
 use crate::metal::MetalLaw;
 use crate::placement::Placement;
 use crate::prior::HeatPrior;
@@ -36,7 +36,7 @@ const UNKNOWN_K: f64 = 40.0;
 
 /// Present state of a pot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Reading {
+pub struct PotReading {
     /// Time in seconds on the clock of the half-cycles.
     pub t_s: f64,
     /// Rise of the base's temperature since the pot was put on, in kelvin, within what its heat allows ([`HeatPrior`]).
@@ -96,7 +96,7 @@ pub enum PotEvent {
 /// Thermometer of the pot on one coil.
 #[derive(Clone, Debug, Default)]
 pub struct Thermometer {
-    last: Option<HalfCycle>,
+    last: Option<ThermalHalfCycle>,
     batches: Batches,
     placement: Placement,
     /// Energy in joule since the pot was put on, until it is identified.
@@ -107,8 +107,8 @@ pub struct Thermometer {
 
 #[derive(Clone, Debug)]
 struct TrackedPot {
-    filter: Filter,
-    contents: Contents,
+    filter: ThermalFilter,
+    contents: ContentsFit,
     tick_s: f64,
     /// Heat in joule since the last tick, and since the pot was put on.
     energy_j: f64,
@@ -140,7 +140,7 @@ impl Thermometer {
     }
 
     /// Adds a half-cycle. Time that goes backwards, or a gap of two minutes, starts anew.
-    pub fn push(&mut self, h: &HalfCycle) {
+    pub fn push(&mut self, h: &ThermalHalfCycle) {
         if !h.t_s.is_finite() {
             return;
         }
@@ -197,10 +197,10 @@ impl Thermometer {
             is_cast_iron: placed.metal == MetalLaw::CAST_IRON,
             is_sure,
         });
-        let mut contents = Contents::new(placed.pot.radius_m, t_s);
+        let mut contents = ContentsFit::new(placed.pot.radius_m, t_s);
         contents.push(t_s, self.energy_j, Some(rise_k));
         self.tracked = Some(Box::new(TrackedPot {
-            filter: Filter::new(
+            filter: ThermalFilter::new(
                 placed.pot,
                 placed.metal,
                 t_s,
@@ -227,14 +227,14 @@ impl Thermometer {
     }
 
     /// Present state of the pot; `None` until it is identified.
-    pub fn reading(&self) -> Option<Reading> {
+    pub fn reading(&self) -> Option<PotReading> {
         let tracked = self.tracked.as_ref()?;
         let (rise_k, filter_k) = tracked.filter.rise_k();
         let (lift_mm, lift_sigma_mm) = tracked.filter.lift_mm();
         let alloy_k = tracked.filter.metal().alloy_sigma_k(rise_k, tracked.spread);
         let prior = HeatPrior::new(tracked.heat_j, tracked.filter.base_j_per_k());
         let (rise_k, sigma_k) = prior.posterior_k((rise_k, filter_k.hypot(alloy_k)));
-        Some(Reading {
+        Some(PotReading {
             t_s: tracked.tick_s,
             rise_k,
             sigma_k,

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use ihd_pinn::{Backend, Config, Waveform, identify};
+use ihd_pinn::{Backend, PinnConfig, Waveform, identify};
 use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, f_adc_hz};
 
 /// Switching frequency of the fixture, in hertz.
@@ -40,16 +40,17 @@ fn network(c: &mut Criterion) {
         v_volt: &v_volt,
         i_ampere: &i_ampere,
     };
-    let run = |config: &Config| identify(&waveform, config, &mut |_| ()).expect("it identifies");
+    let run =
+        |config: &PinnConfig| identify(&waveform, config, &mut |_| ()).expect("it identifies");
     let mut group = c.benchmark_group("network, one window");
     group.sample_size(10);
     for &backend in Backend::ALL {
-        let cold = Config {
+        let cold = PinnConfig {
             backend,
-            ..Config::default()
+            ..PinnConfig::default()
         };
         let found = run(&cold);
-        let warm = Config {
+        let warm = PinnConfig {
             start: Some(found.parameters.clone()),
             ..cold.clone()
         };

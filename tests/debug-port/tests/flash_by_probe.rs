@@ -7,7 +7,7 @@ use ihd_fakes::SampleImage;
 use ihd_flash::install::{FlashContents, InstallError, InstallPlan, InstallReport, install};
 use ihd_flash::probe::{ProbeProgrammer, Probes};
 use ihd_flash::{
-    Erase, FlashStep, Image, LogSource, OptionBytes, ProgramError, Programmer, Progress,
+    Erase, FlashStep, Image, LogSource, OptionBytes, ProgramError, Programmer, WriteProgress,
 };
 use ihd_shared::image::{FLASH_ADDRESS, LOOKUP_ADDRESS, PAGE_BYTES};
 use std::time::Duration;
@@ -72,20 +72,21 @@ fn an_image_is_flashed_verified_and_started_and_the_lookup_stays() {
     assert_eq!(in_flash(&desk, LOOKUP_ADDRESS, 16), b"a learned lookup");
     // 43.95 pages, each once.
     desk.with(|chip| assert_eq!(chip.flash.erased, (0..44).collect::<Vec<_>>()));
-    let last = |of: fn(&Progress) -> Option<(u32, u32)>| seen.iter().filter_map(of).next_back();
+    let last =
+        |of: fn(&WriteProgress) -> Option<(u32, u32)>| seen.iter().filter_map(of).next_back();
     let erased = last(|step| match *step {
-        Progress::Erasing { done, total } => Some((done, total)),
+        WriteProgress::Erasing { done, total } => Some((done, total)),
         _ => None,
     });
     assert_eq!(erased, Some((44 * PAGE_BYTES, 44 * PAGE_BYTES)));
     let programmed = last(|step| match *step {
-        Progress::Programming { done, total } => Some((done, total)),
+        WriteProgress::Programming { done, total } => Some((done, total)),
         _ => None,
     });
     assert_eq!(programmed, Some((90_012, 90_012)));
     assert_eq!(
         seen.last(),
-        Some(&Progress::Verifying {
+        Some(&WriteProgress::Verifying {
             done: 90_012,
             total: 90_012
         })

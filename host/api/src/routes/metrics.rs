@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
-use ihd_daemon::Figures;
+use ihd_daemon::DaemonFigures;
 use ihd_daemon::learning::LearnerFigures;
 use ihd_model::{DeviceReport, DeviceState, FleetReport, Problem, StoreFailure};
 
@@ -38,7 +38,7 @@ pub(super) async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
 }
 
 /// Writes the metrics of the daemon and its store.
-fn daemon(text: &mut Exposition, f: &Figures) {
+fn daemon(text: &mut Exposition, f: &DaemonFigures) {
     text.gauge("up_seconds", "Seconds since the daemon began", f.up_s);
     text.gauge("devices", "Devices", f.devices as f64);
     text.gauge(

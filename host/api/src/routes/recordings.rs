@@ -18,7 +18,7 @@ use axum::http::header::{
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use http_range_header::parse_range_header;
-use ihd_daemon::recording::{Table, TableError, is_plain_name, table};
+use ihd_daemon::recording::{RecordingExportError, RecordingTable, is_plain_name, table};
 use ihd_model::{Problem, RecordingFile};
 use serde::Deserialize;
 use tokio::sync::{Semaphore, mpsc};
@@ -108,13 +108,13 @@ pub(super) async fn one(
     let stem = name.strip_suffix(".mcap").unwrap_or(&name);
     let (kind, name, table) = match parameters.format {
         Format::Mcap => (BYTES, name.clone(), None),
-        Format::Csv => (CSV, format!("{stem}.csv"), Some(Table::Samples)),
+        Format::Csv => (CSV, format!("{stem}.csv"), Some(RecordingTable::Samples)),
         Format::HalfCycles => (
             CSV,
             format!("{stem}.half-cycles.csv"),
-            Some(Table::HalfCycles),
+            Some(RecordingTable::HalfCycles),
         ),
-        Format::Npz => (BYTES, format!("{stem}.npz"), Some(Table::Arrays)),
+        Format::Npz => (BYTES, format!("{stem}.npz"), Some(RecordingTable::Arrays)),
     };
     let is_stored_file = table.is_none();
     let file = match table {
@@ -259,7 +259,7 @@ impl Drop for StopOnDrop {
 }
 
 /// Converts a recording to a table, in a temporary file.
-async fn converted(path: PathBuf, which: Table) -> Result<File, ErrorResponse> {
+async fn converted(path: PathBuf, which: RecordingTable) -> Result<File, ErrorResponse> {
     let permit = CONVERSIONS.try_acquire().map_err(|_| {
         ErrorResponse::new(
             StatusCode::SERVICE_UNAVAILABLE,
@@ -280,19 +280,19 @@ async fn converted(path: PathBuf, which: Table) -> Result<File, ErrorResponse> {
     }
 }
 
-fn conversion_error(error: &TableError) -> ErrorResponse {
+fn conversion_error(error: &RecordingExportError) -> ErrorResponse {
     let (status, code) = match error {
-        TableError::Nothing { .. } => (StatusCode::CONFLICT, "nothing"),
-        TableError::TooLarge { .. } | TableError::TooLong => {
+        RecordingExportError::Nothing { .. } => (StatusCode::CONFLICT, "nothing"),
+        RecordingExportError::TooLarge { .. } | RecordingExportError::TooLong => {
             (StatusCode::PAYLOAD_TOO_LARGE, "too-large")
         }
-        TableError::Recording(why) => {
+        RecordingExportError::Recording(why) => {
             tracing::warn!(%why, "a recording cannot be converted");
             let text = "the recording is damaged; download the MCAP file: `ihd inspect` says what of it is whole";
             return ErrorResponse::new(StatusCode::CONFLICT, "damaged", text);
         }
-        TableError::Write(why) => return unreadable(why),
-        TableError::Stopped => (StatusCode::REQUEST_TIMEOUT, "time-out"),
+        RecordingExportError::Write(why) => return unreadable(why),
+        RecordingExportError::Stopped => (StatusCode::REQUEST_TIMEOUT, "time-out"),
     };
     ErrorResponse::new(status, code, error.to_string())
 }

@@ -236,7 +236,7 @@ fn a_backup_stays_in_its_folder_and_overwrites_nothing() {
     assert_eq!(backup("tuesday"), 409);
     let copies = std::fs::read_dir(&folder).unwrap().count();
     assert_eq!(copies, 2, "monday's, and tuesday's as it was");
-    let monday = ihd_store::Reader::open(&folder.join("monday")).unwrap();
+    let monday = ihd_store::StoreReader::open(&folder.join("monday")).unwrap();
     assert!(monday.devices().is_ok(), "it is a store");
 }
 

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ihd_api::{Server, ServerOptions};
+use ihd_api::{ApiServer, ServerOptions};
 use ihd_daemon::config::DeviceConfig;
 use ihd_daemon::simulation::{self, HobKind, World};
-use ihd_daemon::{Config, Daemon};
+use ihd_daemon::{Daemon, DaemonConfig};
 use ihd_model::{Command, DaemonEvent, DeviceReport, DeviceState, EventKind};
 use tokio::runtime::{Handle, Runtime};
 use tokio::sync::broadcast::{self, error::TryRecvError};
@@ -173,7 +173,7 @@ impl Running {
         let (daemon, server) = runtime.block_on(async {
             let daemon = simulation::start(&world, config(dir.path())).await.unwrap();
             simulation::spawn_learner(&daemon);
-            (daemon, Server::bind(&options).await.unwrap())
+            (daemon, ApiServer::bind(&options).await.unwrap())
         });
         let (stop, stopping) = watch::channel(false);
         let (address, url) = (server.address(), server.url());
@@ -273,8 +273,8 @@ impl Drop for Running {
 }
 
 /// Returns the configuration of both devices. Names as those of boards on USB are beyond what the file may name.
-fn config(folder: &Path) -> Config {
-    let mut config = Config::parse("discover_usb = false", "test").unwrap();
+fn config(folder: &Path) -> DaemonConfig {
+    let mut config = DaemonConfig::parse("discover_usb = false", "test").unwrap();
     config.store = folder.join("store");
     config.devices = [(NAME, "serial:left"), (OTHER, "serial:right")]
         .map(|(name, address)| DeviceConfig {

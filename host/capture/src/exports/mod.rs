@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use ihd_signal::{Capture, TimeBase};
 
-use super::formats::Progress;
+use super::formats::ReadProgress;
 use super::mcap::McapFileError;
 
 /// Error of writing a capture.
@@ -48,7 +48,7 @@ pub enum ExportError {
 pub(super) fn write_csv(
     capture: &Capture,
     path: &Path,
-    progress: Progress<'_>,
+    progress: ReadProgress<'_>,
 ) -> Result<(), ExportError> {
     remove_if_failed(
         path,
@@ -59,7 +59,7 @@ pub(super) fn write_csv(
 pub(super) fn write_npz(
     capture: &Capture,
     path: &Path,
-    progress: Progress<'_>,
+    progress: ReadProgress<'_>,
 ) -> Result<(), ExportError> {
     write_new_file(path, |file| npz::write(capture, file, progress))
 }
@@ -68,7 +68,7 @@ pub(super) fn write_npz(
 pub(super) fn write_parquet(
     capture: &Capture,
     path: &Path,
-    progress: Progress<'_>,
+    progress: ReadProgress<'_>,
 ) -> Result<(), ExportError> {
     write_new_file(path, |file| parquet::write(capture, file, progress))
 }

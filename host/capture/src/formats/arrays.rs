@@ -9,8 +9,8 @@ use ihd_signal::truth::{ORDERS, PeriodTruth};
 use ihd_signal::{FrequencyStep, TimeBase};
 
 use super::time::time_base;
-use super::unit::{Quantity, Unit};
-use super::{Channel, FileFacts, Progress, Samples, Source};
+use super::unit::{ColumnQuantity, Unit};
+use super::{CaptureFile, FileChannel, FileFacts, FileSamples, ReadProgress};
 use crate::error::FormatError;
 
 /// One array, as the file's directory describes it.
@@ -43,7 +43,7 @@ pub struct ArraySource<A> {
     arrays: Vec<Array>,
     /// Index of each channel's array.
     columns: Vec<usize>,
-    channels: Vec<Channel>,
+    channels: Vec<FileChannel>,
     clock: Clock,
     metadata: BTreeMap<String, String>,
 }
@@ -81,7 +81,7 @@ impl<A: Arrays> ArraySource<A> {
         let is_time = |a: &Array| {
             let (name, unit) = heading(a);
             let named = TIME.contains(&name.to_lowercase().as_str());
-            a.length > 1 && named && unit.is_none_or(|u| u.quantity == Quantity::Time)
+            a.length > 1 && named && unit.is_none_or(|u| u.quantity == ColumnQuantity::Time)
         };
         let time = arrays.iter().position(is_time);
         let longest = arrays.iter().filter(|a| !a.name.starts_with(TRUTH));
@@ -114,7 +114,7 @@ impl<A: Arrays> ArraySource<A> {
         let unit_stated = text_of("verticalUnits").filter(|_| columns.len() == 1);
         let channel = |k: &usize| {
             let (name, unit) = heading(&arrays[*k]);
-            Channel {
+            FileChannel {
                 name,
                 unit: unit.or_else(|| Unit::parse(unit_stated?)),
                 full_scale: None,
@@ -237,8 +237,8 @@ fn clock_of_scalars(arrays: &[Array]) -> Clock {
     }
 }
 
-impl<A: Arrays> Source for ArraySource<A> {
-    fn channels(&self) -> &[Channel] {
+impl<A: Arrays> CaptureFile for ArraySource<A> {
+    fn channels(&self) -> &[FileChannel] {
         &self.channels
     }
 
@@ -263,7 +263,11 @@ impl<A: Arrays> Source for ArraySource<A> {
         })
     }
 
-    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+    fn read(
+        &mut self,
+        selected: &[usize],
+        progress: ReadProgress<'_>,
+    ) -> Result<FileSamples, FormatError> {
         let time =
             match self.clock {
                 Clock::Missing => None,
@@ -290,7 +294,7 @@ impl<A: Arrays> Source for ArraySource<A> {
             self.reader.numbers(index, &mut |x| values.push(x as f32))?;
             columns.push(values);
         }
-        Ok(Samples { time, columns })
+        Ok(FileSamples { time, columns })
     }
 }
 

@@ -4,11 +4,11 @@ use super::unit::Unit;
 
 /// Channel as its file describes it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Channel {
+pub struct FileChannel {
     /// Name in the file; may be empty.
     pub name: String,
     /// Unit; `None` if the file states none.
     pub unit: Option<Unit>,
-    /// Largest magnitude that the channel can show, in [`Channel::unit`]; `None` if the file does not state it.
+    /// Largest magnitude that the channel can show, in [`FileChannel::unit`]; `None` if the file does not state it.
     pub full_scale: Option<f64>,
 }

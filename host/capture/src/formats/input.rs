@@ -2,7 +2,7 @@
 
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
-use super::Progress;
+use super::ReadProgress;
 use crate::error::FormatError;
 
 /// Readable and seekable source: a file, or bytes in memory.
@@ -21,7 +21,7 @@ pub enum Endian {
 
 /// Storage type of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum SampleType {
     /// Signed 8 bit.
     I8,
     /// Unsigned 8 bit.
@@ -44,7 +44,7 @@ pub enum Kind {
     F64,
 }
 
-impl Kind {
+impl SampleType {
     /// Size of one sample in bytes.
     pub const fn bytes(self) -> usize {
         match self {
@@ -202,7 +202,7 @@ impl Input {
     ///
     /// # Errors
     /// [`FormatError`] when the file ends before.
-    pub fn number(&mut self, kind: Kind, endian: Endian) -> Result<f64, FormatError> {
+    pub fn number(&mut self, kind: SampleType, endian: Endian) -> Result<f64, FormatError> {
         let mut bytes = [0; 8];
         let bytes = &mut bytes[..kind.bytes()];
         self.exact(bytes)?;
@@ -218,7 +218,7 @@ impl Input {
     pub fn numbers(
         &mut self,
         count: u64,
-        kind: Kind,
+        kind: SampleType,
         endian: Endian,
         mut each: impl FnMut(f64),
     ) -> Result<(), FormatError> {
@@ -235,11 +235,11 @@ impl Input {
     pub fn samples(
         &mut self,
         count: u64,
-        kind: Kind,
+        kind: SampleType,
         endian: Endian,
         scale: f64,
         offset: f64,
-        progress: Progress<'_>,
+        progress: ReadProgress<'_>,
     ) -> Result<Vec<f32>, FormatError> {
         self.need(count.saturating_mul(kind.bytes() as u64))?;
         let mut values = Vec::with_capacity(usize::try_from(count).unwrap_or(0));
@@ -271,7 +271,7 @@ impl Read for Input {
 pub fn decode_from<F: FnMut(f64) + ?Sized>(
     source: &mut impl Read,
     bytes: u64,
-    kind: Kind,
+    kind: SampleType,
     endian: Endian,
     each: &mut F,
 ) -> io::Result<()> {
@@ -287,7 +287,7 @@ pub fn decode_from<F: FnMut(f64) + ?Sized>(
 }
 
 /// Decodes a whole number of values.
-pub fn decode(bytes: &[u8], kind: Kind, endian: Endian, mut each: impl FnMut(f64)) {
+pub fn decode(bytes: &[u8], kind: SampleType, endian: Endian, mut each: impl FnMut(f64)) {
     macro_rules! all {
         ($number:ty, $to:expr) => {{
             let (values, _) = bytes.as_chunks::<{ size_of::<$number>() }>();
@@ -302,16 +302,16 @@ pub fn decode(bytes: &[u8], kind: Kind, endian: Endian, mut each: impl FnMut(f64
         }};
     }
     match kind {
-        Kind::I8 => all!(i8, f64::from),
-        Kind::U8 => all!(u8, f64::from),
-        Kind::I16 => all!(i16, f64::from),
-        Kind::U16 => all!(u16, f64::from),
-        Kind::I32 => all!(i32, f64::from),
-        Kind::U32 => all!(u32, f64::from),
-        Kind::I64 => all!(i64, |x| x as f64),
-        Kind::U64 => all!(u64, |x| x as f64),
-        Kind::F32 => all!(f32, f64::from),
-        Kind::F64 => all!(f64, |x| x),
+        SampleType::I8 => all!(i8, f64::from),
+        SampleType::U8 => all!(u8, f64::from),
+        SampleType::I16 => all!(i16, f64::from),
+        SampleType::U16 => all!(u16, f64::from),
+        SampleType::I32 => all!(i32, f64::from),
+        SampleType::U32 => all!(u32, f64::from),
+        SampleType::I64 => all!(i64, |x| x as f64),
+        SampleType::U64 => all!(u64, |x| x as f64),
+        SampleType::F32 => all!(f32, f64::from),
+        SampleType::F64 => all!(f64, |x| x),
     }
 }
 
@@ -324,10 +324,10 @@ mod tests {
     #[test]
     fn numbers_in_both_byte_orders() {
         let mut input = Input::new(Cursor::new(vec![0x01, 0x02, 0x01, 0x02, 0xFF])).unwrap();
-        assert_eq!(input.number(Kind::U16, Endian::Little), Ok(513.0));
-        assert_eq!(input.number(Kind::I16, Endian::Big), Ok(258.0));
-        assert_eq!(input.number(Kind::I8, Endian::Big), Ok(-1.0));
-        let end = input.number(Kind::F64, Endian::Big).unwrap_err();
+        assert_eq!(input.number(SampleType::U16, Endian::Little), Ok(513.0));
+        assert_eq!(input.number(SampleType::I16, Endian::Big), Ok(258.0));
+        assert_eq!(input.number(SampleType::I8, Endian::Big), Ok(-1.0));
+        let end = input.number(SampleType::F64, Endian::Big).unwrap_err();
         assert_eq!(
             end,
             FormatError::at_byte(5, "8 bytes declared, 0 left in the file")
@@ -338,14 +338,14 @@ mod tests {
     fn hostile_lengths_are_refused_before_allocating() {
         let mut input = Input::new(Cursor::new(vec![0; 16])).unwrap();
         for count in [3, 1 << 60, u64::MAX] {
-            let refused = input.numbers(count, Kind::F64, Endian::Little, |_| ());
+            let refused = input.numbers(count, SampleType::F64, Endian::Little, |_| ());
             assert!(refused.is_err(), "{count}");
         }
         assert!(input.text(1 << 60).is_err());
         assert!(input.seek(17).unwrap_err().what.contains("byte 17"));
         let mut seen = 0;
         input
-            .numbers(2, Kind::F64, Endian::Little, |_| seen += 1)
+            .numbers(2, SampleType::F64, Endian::Little, |_| seen += 1)
             .unwrap();
         assert_eq!(seen, 2);
     }

@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 
 use ihd_signal::TimeBase;
 
-use super::input::{Endian, Input, Kind};
+use super::input::{Endian, Input, SampleType};
 use super::unit::Unit;
-use super::{Channel, Progress, Samples, Source, single_channel};
+use super::{CaptureFile, FileChannel, FileSamples, ReadProgress, single_channel};
 use crate::error::FormatError;
 
 /// Limit of the text before the samples, in bytes.
@@ -28,12 +28,12 @@ pub fn is_isf(head: &[u8]) -> bool {
 pub struct IsfSource {
     input: Input,
     endian: Endian,
-    kind: Kind,
+    kind: SampleType,
     samples: u64,
     scale: f64,
     offset: f64,
     time: TimeBase,
-    channel: Channel,
+    channel: FileChannel,
     metadata: BTreeMap<String, String>,
 }
 
@@ -112,11 +112,11 @@ impl IsfSource {
     fn of(input: Input, header: &Header, length: u64) -> Result<Self, FormatError> {
         let wrong = |what: String| Err(FormatError::at_byte(0, what));
         let kind = match (header.get("BN_F"), header.number("BYT_N")? as u32) {
-            (Some("FP"), 4) => Kind::F32,
-            (Some("RP"), 1) => Kind::U8,
-            (Some("RP"), 2) => Kind::U16,
-            (Some("RI") | None, 1) => Kind::I8,
-            (Some("RI") | None, 2) => Kind::I16,
+            (Some("FP"), 4) => SampleType::F32,
+            (Some("RP"), 1) => SampleType::U8,
+            (Some("RP"), 2) => SampleType::U16,
+            (Some("RI") | None, 1) => SampleType::I8,
+            (Some("RI") | None, 2) => SampleType::I16,
             (format, bytes) => {
                 let format = format.unwrap_or("?");
                 return wrong(format!("{bytes} bytes of BN_FMT {format} are not known"));
@@ -175,7 +175,7 @@ impl IsfSource {
                 t0_s: (first - dt * point) * unit.scale,
                 dt_s: dt * unit.scale,
             },
-            channel: Channel {
+            channel: FileChannel {
                 // `Ch1, DC coupling, 2.000V/div, …`
                 name: name.split(',').next().unwrap_or_default().trim().to_owned(),
                 unit: header.get("YUN").and_then(Unit::parse),
@@ -201,8 +201,8 @@ fn block_length(input: &mut Input) -> Result<u64, FormatError> {
     }
 }
 
-impl Source for IsfSource {
-    fn channels(&self) -> &[Channel] {
+impl CaptureFile for IsfSource {
+    fn channels(&self) -> &[FileChannel] {
         std::slice::from_ref(&self.channel)
     }
 
@@ -210,7 +210,11 @@ impl Source for IsfSource {
         self.metadata.clone()
     }
 
-    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+    fn read(
+        &mut self,
+        selected: &[usize],
+        progress: ReadProgress<'_>,
+    ) -> Result<FileSamples, FormatError> {
         let at = self.input.offset();
         let values = self.input.samples(
             self.samples,

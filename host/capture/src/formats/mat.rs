@@ -9,7 +9,7 @@ use std::io::Read;
 use flate2::read::ZlibDecoder;
 
 use super::arrays::{Array, ArraySource, Arrays, plausible};
-use super::input::{Endian, Input, Kind, decode_from};
+use super::input::{Endian, Input, SampleType, decode_from};
 use crate::error::FormatError;
 
 /// Size of the file's header in bytes.
@@ -62,8 +62,8 @@ pub fn open(mut input: Input) -> Result<ArraySource<MatArrays>, FormatError> {
     let mut elements = Vec::new();
     while input.remaining() > 0 && arrays.len() < MOST_ARRAYS {
         let at = input.offset();
-        let kind = input.number(Kind::U32, endian)? as u32;
-        let bytes = input.number(Kind::U32, endian)? as u64;
+        let kind = input.number(SampleType::U32, endian)? as u32;
+        let bytes = input.number(SampleType::U32, endian)? as u64;
         input.need(bytes)?;
         let element = Element {
             at: at + 8,
@@ -195,7 +195,7 @@ impl<'a> Matrix<'a> {
         };
         let dimensions = self.short(LONGEST_TEXT)?;
         let mut sizes = Vec::new();
-        super::input::decode(&dimensions, Kind::I32, self.endian, |d| sizes.push(d));
+        super::input::decode(&dimensions, SampleType::I32, self.endian, |d| sizes.push(d));
         let name = self.short(LONGEST_TEXT)?;
         let name = name.iter().map(|b| char::from(*b)).collect();
         let count = sizes.iter().product::<f64>();
@@ -246,20 +246,20 @@ impl<'a> Matrix<'a> {
     }
 
     /// Returns storage type and size in bytes of the `count` numbers of the real part, and the data of a small element.
-    fn storage(&mut self, count: u64) -> Result<(Kind, u64, Option<[u8; 4]>), FormatError> {
+    fn storage(&mut self, count: u64) -> Result<(SampleType, u64, Option<[u8; 4]>), FormatError> {
         let (code, length, small) = self.tag()?;
         let kind = match code {
-            1 => Kind::I8,
+            1 => SampleType::I8,
             // UTF-8, UTF-16: texts.
-            2 | 16 => Kind::U8,
-            3 => Kind::I16,
-            4 | 17 => Kind::U16,
-            5 => Kind::I32,
-            6 => Kind::U32,
-            7 => Kind::F32,
-            9 => Kind::F64,
-            12 => Kind::I64,
-            13 => Kind::U64,
+            2 | 16 => SampleType::U8,
+            3 => SampleType::I16,
+            4 | 17 => SampleType::U16,
+            5 => SampleType::I32,
+            6 => SampleType::U32,
+            7 => SampleType::F32,
+            9 => SampleType::F64,
+            12 => SampleType::I64,
+            13 => SampleType::U64,
             other => return Err(self.wrong(format!("numbers of type {other}"))),
         };
         let bytes = count * kind.bytes() as u64;

@@ -20,12 +20,12 @@ use std::collections::BTreeMap;
 use ihd_signal::truth::PeriodTruth;
 use ihd_signal::{FrequencyStep, TimeBase};
 
-pub use self::channel::Channel;
+pub use self::channel::FileChannel;
 use super::error::FormatError;
 
 /// Samples of the selected channels.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Samples {
+pub struct FileSamples {
     /// Times of the samples; `None` if the file does not state them.
     pub time: Option<TimeBase>,
     /// One column for each selected channel in the order requested, in the channel's unit; equal lengths.
@@ -33,12 +33,12 @@ pub struct Samples {
 }
 
 /// Samples of a file with one channel, repeated for each time it is selected.
-fn single_channel(values: Vec<f32>, time: TimeBase, selected: &[usize]) -> Samples {
+fn single_channel(values: Vec<f32>, time: TimeBase, selected: &[usize]) -> FileSamples {
     let mut columns = vec![values; selected.len().min(1)];
     while columns.len() < selected.len() {
         columns.extend(columns.first().cloned());
     }
-    Samples {
+    FileSamples {
         time: Some(time),
         columns,
     }
@@ -58,12 +58,12 @@ pub struct FileFacts {
 }
 
 /// Called with the share of a file that has been read, from 0 to 1.
-pub type Progress<'a> = &'a mut dyn FnMut(f64);
+pub type ReadProgress<'a> = &'a mut dyn FnMut(f64);
 
 /// File whose header has been read.
-pub trait Source {
+pub trait CaptureFile {
     /// Its channels, at least one.
-    fn channels(&self) -> &[Channel];
+    fn channels(&self) -> &[FileChannel];
 
     /// Other facts in the header, as text: the format, the instrument.
     fn metadata(&self) -> BTreeMap<String, String>;
@@ -76,9 +76,13 @@ pub trait Source {
         Ok(FileFacts::default())
     }
 
-    /// Reads the samples of the channels with these indices into [`Source::channels`].
+    /// Reads the samples of the channels with these indices into [`CaptureFile::channels`].
     ///
     /// # Errors
     /// [`FormatError`] where the samples are damaged, not finite or not in order of time.
-    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError>;
+    fn read(
+        &mut self,
+        selected: &[usize],
+        progress: ReadProgress<'_>,
+    ) -> Result<FileSamples, FormatError>;
 }

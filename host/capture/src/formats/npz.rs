@@ -8,7 +8,7 @@ use std::io::Read;
 use zip::ZipArchive;
 
 use super::arrays::{Array, ArraySource, Arrays, plausible};
-use super::input::{Endian, Kind, ReadSeek, decode_from};
+use super::input::{Endian, ReadSeek, SampleType, decode_from};
 use crate::error::FormatError;
 
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
@@ -118,7 +118,7 @@ impl Arrays for NpzArrays {
 #[derive(Debug, PartialEq)]
 struct Header {
     /// Storage of numbers; `None` for texts, complex numbers and objects.
-    kind: Option<(Kind, Endian)>,
+    kind: Option<(SampleType, Endian)>,
     /// Number of elements.
     count: u64,
     /// Set if it has one dimension, or several of which all but one are 1.
@@ -186,23 +186,23 @@ impl Header {
 }
 
 /// Storage type of a type code: `<f8`, `>i2`, `|u1`.
-fn number(code: &str) -> Option<(Kind, Endian)> {
+fn number(code: &str) -> Option<(SampleType, Endian)> {
     let endian = match code.chars().next()? {
         '>' => Endian::Big,
         '<' | '|' | '=' => Endian::Little,
         _ => return None,
     };
     let kind = match code.get(1..)? {
-        "i1" => Kind::I8,
-        "u1" => Kind::U8,
-        "i2" => Kind::I16,
-        "u2" => Kind::U16,
-        "i4" => Kind::I32,
-        "u4" => Kind::U32,
-        "i8" => Kind::I64,
-        "u8" => Kind::U64,
-        "f4" => Kind::F32,
-        "f8" => Kind::F64,
+        "i1" => SampleType::I8,
+        "u1" => SampleType::U8,
+        "i2" => SampleType::I16,
+        "u2" => SampleType::U16,
+        "i4" => SampleType::I32,
+        "u4" => SampleType::U32,
+        "i8" => SampleType::I64,
+        "u8" => SampleType::U64,
+        "f4" => SampleType::F32,
+        "f8" => SampleType::F64,
         _ => return None,
     };
     Some((kind, endian))
@@ -217,10 +217,10 @@ mod tests {
         let of = |text: &str| Header::parse(text, 128);
         let vector = of("{'descr': '<f8', 'fortran_order': False, 'shape': (1000,), }  \n");
         let vector = vector.unwrap();
-        assert_eq!(vector.kind, Some((Kind::F64, Endian::Little)));
+        assert_eq!(vector.kind, Some((SampleType::F64, Endian::Little)));
         assert!(vector.count == 1000 && vector.vector);
         let scalar = of("{'descr': '>i2', 'fortran_order': False, 'shape': (), }").unwrap();
-        assert!(scalar.count == 1 && scalar.kind == Some((Kind::I16, Endian::Big)));
+        assert!(scalar.count == 1 && scalar.kind == Some((SampleType::I16, Endian::Big)));
         let matrix = of("{'descr': '<f4', 'fortran_order': True, 'shape': (2, 3), }").unwrap();
         assert!(!matrix.vector && matrix.count == 6);
         let text = of("{'descr': '<U5', 'fortran_order': False, 'shape': (), }").unwrap();

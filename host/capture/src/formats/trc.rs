@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 
 use ihd_signal::TimeBase;
 
-use super::input::{Endian, Input, Kind};
+use super::input::{Endian, Input, SampleType};
 use super::unit::Unit;
-use super::{Channel, Progress, Samples, Source, single_channel};
+use super::{CaptureFile, FileChannel, FileSamples, ReadProgress, single_channel};
 use crate::error::FormatError;
 
 /// Name at the descriptor's beginning.
@@ -71,7 +71,7 @@ struct Descriptor<'a> {
 }
 
 impl Descriptor<'_> {
-    fn number(&mut self, field: u64, kind: Kind) -> Result<f64, FormatError> {
+    fn number(&mut self, field: u64, kind: SampleType) -> Result<f64, FormatError> {
         self.input.seek(self.begin + field)?;
         let value = self.input.number(kind, self.endian)?;
         if value.is_finite() {
@@ -89,7 +89,7 @@ impl Descriptor<'_> {
 
     /// Reads a length or count: a positive 32-bit integer.
     fn count(&mut self, field: u64) -> Result<u64, FormatError> {
-        let value = self.number(field, Kind::I32)?;
+        let value = self.number(field, SampleType::I32)?;
         if value < 0.0 {
             let what = format!("a length of {value}");
             return Err(FormatError::at_byte(self.begin + field, what));
@@ -134,13 +134,13 @@ impl TrcSource {
 
 /// Place and meaning of the samples.
 struct Layout {
-    kind: Kind,
+    kind: SampleType,
     at: u64,
     samples: u64,
     gain: f64,
     offset: f64,
     time: TimeBase,
-    channel: Channel,
+    channel: FileChannel,
     metadata: BTreeMap<String, String>,
 }
 
@@ -151,12 +151,12 @@ impl Layout {
             let what = format!("template `{template}`: LECROY_2_x is read");
             return Err(FormatError::at_byte(d.begin + field::TEMPLATE, what));
         }
-        let kind = match d.number(field::COMM_TYPE, Kind::U16)? as u16 {
-            0 => Kind::I8,
-            1 => Kind::I16,
+        let kind = match d.number(field::COMM_TYPE, SampleType::U16)? as u16 {
+            0 => SampleType::I8,
+            1 => SampleType::I16,
             other => return Err(d.input.wrong(format!("COMM_TYPE {other}"))),
         };
-        let record = d.number(field::RECORD_TYPE, Kind::U16)?;
+        let record = d.number(field::RECORD_TYPE, SampleType::U16)?;
         if record != 0.0 || d.count(field::SUBARRAY_COUNT)? > 1 {
             let what = "a sequence or another record than a single sweep: export one segment";
             return Err(FormatError::at_byte(d.begin + field::RECORD_TYPE, what));
@@ -181,26 +181,26 @@ impl Layout {
                 what,
             ));
         }
-        let dt_s = d.number(field::HORIZ_INTERVAL, Kind::F32)?;
-        let begin_s = d.number(field::HORIZ_OFFSET, Kind::F64)?;
+        let dt_s = d.number(field::HORIZ_INTERVAL, SampleType::F32)?;
+        let begin_s = d.number(field::HORIZ_OFFSET, SampleType::F64)?;
         if dt_s <= 0.0 {
             let what = format!("a sampling interval of {dt_s:e} s");
             return Err(FormatError::at_byte(d.begin + field::HORIZ_INTERVAL, what));
         }
         let scale = Unit::parse(&d.text(field::HOR_UNIT, 48)?).map_or(1.0, |u| u.scale);
-        let gain = d.number(field::VERTICAL_GAIN, Kind::F32)?;
-        let offset = -d.number(field::VERTICAL_OFFSET, Kind::F32)?;
-        let codes = [field::MAX_VALUE, field::MIN_VALUE].map(|f| d.number(f, Kind::F32));
+        let gain = d.number(field::VERTICAL_GAIN, SampleType::F32)?;
+        let offset = -d.number(field::VERTICAL_OFFSET, SampleType::F32)?;
+        let codes = [field::MAX_VALUE, field::MIN_VALUE].map(|f| d.number(f, SampleType::F32));
         let [high, low] = codes;
         let magnitude = |code: f64| (gain * code + offset).abs();
         let full_scale = magnitude(high?).max(magnitude(low?));
         let mut metadata = BTreeMap::from([("format".to_owned(), format!("TRC, {template}"))]);
-        let probe = d.number(field::PROBE_ATT, Kind::F32)?;
+        let probe = d.number(field::PROBE_ATT, SampleType::F32)?;
         metadata.insert("probe_attenuation".to_owned(), probe.to_string());
         metadata.insert("instrument".to_owned(), d.text(field::INSTRUMENT_NAME, 16)?);
         let label = d.text(field::TRACE_LABEL, 16)?;
-        let source = d.number(field::WAVE_SOURCE, Kind::U16)? as u32;
-        let channel = Channel {
+        let source = d.number(field::WAVE_SOURCE, SampleType::U16)? as u32;
+        let channel = FileChannel {
             name: if label.is_empty() {
                 format!("C{}", source + 1)
             } else {
@@ -225,8 +225,8 @@ impl Layout {
     }
 }
 
-impl Source for TrcSource {
-    fn channels(&self) -> &[Channel] {
+impl CaptureFile for TrcSource {
+    fn channels(&self) -> &[FileChannel] {
         std::slice::from_ref(&self.layout.channel)
     }
 
@@ -234,7 +234,11 @@ impl Source for TrcSource {
         self.layout.metadata.clone()
     }
 
-    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+    fn read(
+        &mut self,
+        selected: &[usize],
+        progress: ReadProgress<'_>,
+    ) -> Result<FileSamples, FormatError> {
         self.input.seek(self.layout.at)?;
         let values = self.input.samples(
             self.layout.samples,

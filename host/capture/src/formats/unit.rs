@@ -4,7 +4,7 @@ use std::fmt;
 
 /// Quantity that a column measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Quantity {
+pub enum ColumnQuantity {
     /// Voltage, base unit volt.
     Voltage,
     /// Current, base unit ampere.
@@ -17,7 +17,7 @@ pub enum Quantity {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unit {
     /// Quantity.
-    pub quantity: Quantity,
+    pub quantity: ColumnQuantity,
     /// Size of one unit in the base unit: 1e-3 for mV.
     pub scale: f64,
 }
@@ -25,17 +25,17 @@ pub struct Unit {
 impl Unit {
     /// One volt.
     pub const VOLT: Self = Self {
-        quantity: Quantity::Voltage,
+        quantity: ColumnQuantity::Voltage,
         scale: 1.0,
     };
     /// One ampere.
     pub const AMPERE: Self = Self {
-        quantity: Quantity::Current,
+        quantity: ColumnQuantity::Current,
         scale: 1.0,
     };
     /// One second.
     pub const SECOND: Self = Self {
-        quantity: Quantity::Time,
+        quantity: ColumnQuantity::Time,
         scale: 1.0,
     };
 
@@ -99,9 +99,9 @@ impl Unit {
 impl fmt::Display for Unit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let base = match self.quantity {
-            Quantity::Voltage => "V",
-            Quantity::Current => "A",
-            Quantity::Time => "s",
+            ColumnQuantity::Voltage => "V",
+            ColumnQuantity::Current => "A",
+            ColumnQuantity::Time => "s",
         };
         if self.scale == 1.0 {
             write!(f, "{base}")
@@ -118,18 +118,18 @@ mod tests {
     #[test]
     fn units_as_scopes_write_them() {
         let cases = [
-            ("V", Quantity::Voltage, 1.0),
-            ("(mV)", Quantity::Voltage, 1e-3),
-            ("[kV]", Quantity::Voltage, 1e3),
-            ("Volts", Quantity::Voltage, 1.0),
-            ("A", Quantity::Current, 1.0),
-            ("mA", Quantity::Current, 1e-3),
-            ("µA", Quantity::Current, 1e-6),
-            ("Ampere", Quantity::Current, 1.0),
-            ("s", Quantity::Time, 1.0),
-            ("(us)", Quantity::Time, 1e-6),
-            ("ns", Quantity::Time, 1e-9),
-            ("Second", Quantity::Time, 1.0),
+            ("V", ColumnQuantity::Voltage, 1.0),
+            ("(mV)", ColumnQuantity::Voltage, 1e-3),
+            ("[kV]", ColumnQuantity::Voltage, 1e3),
+            ("Volts", ColumnQuantity::Voltage, 1.0),
+            ("A", ColumnQuantity::Current, 1.0),
+            ("mA", ColumnQuantity::Current, 1e-3),
+            ("µA", ColumnQuantity::Current, 1e-6),
+            ("Ampere", ColumnQuantity::Current, 1.0),
+            ("s", ColumnQuantity::Time, 1.0),
+            ("(us)", ColumnQuantity::Time, 1e-6),
+            ("ns", ColumnQuantity::Time, 1e-9),
+            ("Second", ColumnQuantity::Time, 1.0),
         ];
         for (text, quantity, scale) in cases {
             assert_eq!(Unit::parse(text), Some(Unit { quantity, scale }), "{text}");

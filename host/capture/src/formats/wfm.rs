@@ -15,9 +15,9 @@ use std::collections::BTreeMap;
 
 use ihd_signal::TimeBase;
 
-use super::input::{Endian, Input, Kind};
+use super::input::{Endian, Input, SampleType};
 use super::unit::Unit;
-use super::{Channel, Progress, Samples, Source, single_channel};
+use super::{CaptureFile, FileChannel, FileSamples, ReadProgress, single_channel};
 use crate::error::FormatError;
 
 /// Byte-order mark of little-endian files; big-endian ones have it reversed.
@@ -42,7 +42,7 @@ const LONGEST_TEXT: u64 = 256;
 pub struct WfmSource {
     input: Input,
     endian: Endian,
-    channel: Channel,
+    channel: FileChannel,
     metadata: BTreeMap<String, String>,
     curve: Curve,
     t0_s: f64,
@@ -53,7 +53,7 @@ pub struct WfmSource {
 struct Curve {
     at: u64,
     samples: u64,
-    kind: Kind,
+    kind: SampleType,
     scale: f64,
     offset: f64,
 }
@@ -104,18 +104,18 @@ impl WfmSource {
 
     fn header(mut input: Input, endian: Endian, version: u8) -> Result<Self, FormatError> {
         input.skip(5)?;
-        let point_bytes = input.number(Kind::U8, endian)? as u64;
-        let curve_at = input.number(Kind::U32, endian)? as u64;
+        let point_bytes = input.number(SampleType::U8, endian)? as u64;
+        let curve_at = input.number(SampleType::U32, endian)? as u64;
         input.skip(20)?;
         let label = input.text(32)?;
-        let more_frames = input.number(Kind::U32, endian)?;
+        let more_frames = input.number(SampleType::U32, endian)?;
         if more_frames > 0.0 {
             let what = "FastFrame: export one frame as a waveform of its own";
             return Err(input.wrong(format!("{} frames, {what}", more_frames + 1.0)));
         }
         // Size of the header, and the header up to its data type.
         input.skip(2 + 44)?;
-        if input.number(Kind::I32, endian)? == 6.0 {
+        if input.number(SampleType::I32, endian)? == 6.0 {
             return Err(input.wrong("a digital waveform, no voltage"));
         }
         let summary_frame = if version > 1 { 2 } else { 0 };
@@ -124,19 +124,19 @@ impl WfmSource {
         let vertical = vertical(&mut input, endian)?;
         input.skip(view_bytes + EXPLICIT_BYTES + view_bytes)?;
         let dt_at = input.offset();
-        let dt_s = input.number(Kind::F64, endian)?;
-        let first_s = input.number(Kind::F64, endian)?;
-        let declared = input.number(Kind::U32, endian)? as u64;
+        let dt_s = input.number(SampleType::F64, endian)?;
+        let first_s = input.number(SampleType::F64, endian)?;
+        let declared = input.number(SampleType::U32, endian)? as u64;
         let time_unit = Unit::parse(&input.text(20)?).unwrap_or(Unit::SECOND);
         input.skip(36 + view_bytes + IMPLICIT_BYTES + view_bytes + 2 * TIME_BASE_BYTES + 4)?;
-        let trigger = input.number(Kind::F64, endian)?;
+        let trigger = input.number(SampleType::F64, endian)?;
         // Fraction and seconds of the trigger; state, type and value of the checksum; precharge.
         input.skip(12 + 10 + 4)?;
         let ends_at = input.offset();
-        let first = input.number(Kind::U32, endian)? as u64;
-        let end = input.number(Kind::U32, endian)? as u64;
+        let first = input.number(SampleType::U32, endian)? as u64;
+        let end = input.number(SampleType::U32, endian)? as u64;
         input.skip(4)?;
-        let buffer = input.number(Kind::U32, endian)? as u64;
+        let buffer = input.number(SampleType::U32, endian)? as u64;
         if !(dt_s > 0.0 && dt_s.is_finite() && first_s.is_finite() && trigger.is_finite()) {
             let what = format!("a sampling interval of {dt_s:e} s from {first_s:e} s");
             return Err(FormatError::at_byte(dt_at, what));
@@ -167,7 +167,7 @@ impl WfmSource {
         let scale = time_unit.scale;
         let between = if trigger == NOT_KNOWN { 0.0 } else { trigger };
         Ok(Self {
-            channel: Channel {
+            channel: FileChannel {
                 name: label.trim().to_owned(),
                 unit: Unit::parse(&vertical.unit),
                 full_scale: vertical.full_scale(kind),
@@ -184,7 +184,7 @@ impl WfmSource {
 
 impl Vertical {
     /// Largest magnitude: the file's extent if given, else the range of the integers.
-    fn full_scale(&self, kind: Kind) -> Option<f64> {
+    fn full_scale(&self, kind: SampleType) -> Option<f64> {
         let value = |code: f64| (self.scale * code + self.offset).abs();
         if self.extent.1 > self.extent.0 {
             return Some(self.extent.0.abs().max(self.extent.1.abs())).filter(|x| x.is_finite());
@@ -195,19 +195,19 @@ impl Vertical {
 
 fn vertical(input: &mut Input, endian: Endian) -> Result<Vertical, FormatError> {
     let at = input.offset();
-    let scale = input.number(Kind::F64, endian)?;
-    let offset = input.number(Kind::F64, endian)?;
+    let scale = input.number(SampleType::F64, endian)?;
+    let offset = input.number(SampleType::F64, endian)?;
     if !scale.is_finite() || !offset.is_finite() || scale == 0.0 {
         let what = format!("a vertical scale of {scale:e} with offset {offset:e}");
         return Err(FormatError::at_byte(at, what));
     }
     input.skip(4)?;
     let unit = input.text(20)?;
-    let low = input.number(Kind::F64, endian)?;
-    let high = input.number(Kind::F64, endian)?;
+    let low = input.number(SampleType::F64, endian)?;
+    let high = input.number(SampleType::F64, endian)?;
     input.skip(16)?;
-    let format = input.number(Kind::U32, endian)? as u32;
-    let storage = input.number(Kind::U32, endian)? as u32;
+    let format = input.number(SampleType::U32, endian)? as u32;
+    let storage = input.number(SampleType::U32, endian)? as u32;
     if storage != 0 {
         return Err(input.wrong("an envelope or histogram, no samples over time"));
     }
@@ -222,17 +222,17 @@ fn vertical(input: &mut Input, endian: Endian) -> Result<Vertical, FormatError> 
 }
 
 /// Storage type of the data format's code; 6 and 7 came with version 3.
-fn kind(format: u32, version: u8, point_bytes: u64) -> Result<Kind, String> {
+fn kind(format: u32, version: u8, point_bytes: u64) -> Result<SampleType, String> {
     let kind = match (format, version) {
-        (0, _) if point_bytes == 1 => Kind::I8,
-        (0, _) => Kind::I16,
-        (1, _) => Kind::I32,
-        (2, _) => Kind::U32,
-        (3, _) => Kind::U64,
-        (4, _) => Kind::F32,
-        (5, _) => Kind::F64,
-        (6, 3) => Kind::U8,
-        (7, 3) => Kind::I8,
+        (0, _) if point_bytes == 1 => SampleType::I8,
+        (0, _) => SampleType::I16,
+        (1, _) => SampleType::I32,
+        (2, _) => SampleType::U32,
+        (3, _) => SampleType::U64,
+        (4, _) => SampleType::F32,
+        (5, _) => SampleType::F64,
+        (6, 3) => SampleType::U8,
+        (7, 3) => SampleType::I8,
         _ => {
             return Err(format!(
                 "data format {format} is unknown in version {version}"
@@ -259,14 +259,14 @@ fn metadata(input: &mut Input, endian: Endian) -> Result<BTreeMap<String, String
     if &input.array::<8>()? != b"tekmeta!" {
         return Ok(all);
     }
-    let count = input.number(Kind::U32, endian)? as u64;
+    let count = input.number(SampleType::U32, endian)? as u64;
     for _ in 0..count {
         let key = sized_text(input, endian)?;
-        let value = match input.number(Kind::U8, endian)? as u8 {
+        let value = match input.number(SampleType::U8, endian)? as u8 {
             1 => sized_text(input, endian)?,
-            2 => input.number(Kind::I32, endian)?.to_string(),
-            3 => input.number(Kind::F64, endian)?.to_string(),
-            4 => input.number(Kind::U32, endian)?.to_string(),
+            2 => input.number(SampleType::I32, endian)?.to_string(),
+            3 => input.number(SampleType::F64, endian)?.to_string(),
+            4 => input.number(SampleType::U32, endian)?.to_string(),
             other => {
                 let what = format!("metadata `{key}` has the unknown type {other}");
                 return Err(input.wrong(what));
@@ -284,7 +284,7 @@ fn metadata(input: &mut Input, endian: Endian) -> Result<BTreeMap<String, String
 
 /// Reads a text with its length; a long one is truncated.
 fn sized_text(input: &mut Input, endian: Endian) -> Result<String, FormatError> {
-    let length = input.number(Kind::U32, endian)? as u64;
+    let length = input.number(SampleType::U32, endian)? as u64;
     input.need(length)?;
     let read = length.min(LONGEST_TEXT);
     let text = input.text(read as usize)?;
@@ -292,8 +292,8 @@ fn sized_text(input: &mut Input, endian: Endian) -> Result<String, FormatError> 
     Ok(text)
 }
 
-impl Source for WfmSource {
-    fn channels(&self) -> &[Channel] {
+impl CaptureFile for WfmSource {
+    fn channels(&self) -> &[FileChannel] {
         std::slice::from_ref(&self.channel)
     }
 
@@ -301,7 +301,11 @@ impl Source for WfmSource {
         self.metadata.clone()
     }
 
-    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+    fn read(
+        &mut self,
+        selected: &[usize],
+        progress: ReadProgress<'_>,
+    ) -> Result<FileSamples, FormatError> {
         let curve = &self.curve;
         self.input.seek(curve.at)?;
         let values = self.input.samples(

@@ -48,7 +48,7 @@ pub enum Pairs {
 
 /// One message of `/samples`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Samples {
+pub struct SamplesMessage {
     /// Time of the first pair in seconds.
     pub t0_s: f64,
     /// Time between two pairs in seconds; 0 with stamps.
@@ -59,7 +59,7 @@ pub struct Samples {
     pub t_s: Vec<f64>,
 }
 
-impl Samples {
+impl SamplesMessage {
     /// Number of pairs.
     pub fn len(&self) -> usize {
         match &self.pairs {
@@ -253,7 +253,7 @@ impl<'a> CdrReader<'a> {
 ///
 /// # Errors
 /// [`CdrError`] when it is not of this layout.
-pub fn read_samples(message: &[u8], as_codes: bool) -> Result<Samples, CdrError> {
+pub fn read_samples(message: &[u8], as_codes: bool) -> Result<SamplesMessage, CdrError> {
     let mut input = CdrReader::new(message)?;
     let (t0_s, dt_s) = (input.double()?, input.double()?);
     let pairs = if as_codes {
@@ -276,7 +276,7 @@ pub fn read_samples(message: &[u8], as_codes: bool) -> Result<Samples, CdrError>
     if !t0_s.is_finite() || !dt_s.is_finite() || t_s.iter().any(|t| !t.is_finite()) {
         return Err(CdrError::Time);
     }
-    Ok(Samples {
+    Ok(SamplesMessage {
         t0_s,
         dt_s,
         pairs,

@@ -33,12 +33,12 @@ pub struct RawRecord<'a> {
     pub body: &'a [u8],
 }
 
-/// Result of [`Frames::step`].
+/// Result of [`McapFrames::step`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameStep {
-    /// A record outside a chunk: see [`Frames::record`].
+    /// A record outside a chunk: see [`McapFrames::record`].
     Record(u8),
-    /// A chunk, unpacked and checked: see [`Frames::chunk`].
+    /// A chunk, unpacked and checked: see [`McapFrames::chunk`].
     Chunk,
     /// A record that was skipped.
     Skipped,
@@ -47,7 +47,7 @@ pub enum FrameStep {
 }
 
 /// An MCAP file being read.
-pub struct Frames {
+pub struct McapFrames {
     input: BufReader<File>,
     path: PathBuf,
     length: u64,
@@ -68,7 +68,7 @@ pub struct Frames {
     pub time_range_ns: (u64, u64),
 }
 
-impl Frames {
+impl McapFrames {
     /// Opens a file and checks that it is MCAP.
     pub fn open(path: &Path) -> Result<Self, McapFileError> {
         let failed = |source| McapFileError::Io {
@@ -400,7 +400,7 @@ impl Frames {
 /// Offset from which everything from `at_ns` on can be read. A message carries the time of its first pair, so it may begin in the
 /// chunk before the last one that begins by then.
 pub fn lead_in(path: &Path, at_ns: u64) -> Result<u64, McapFileError> {
-    let mut frames = Frames::open(path)?;
+    let mut frames = McapFrames::open(path)?;
     // Only the times of the chunks are read.
     frames.time_range_ns = (u64::MAX, 0);
     let mut starts = [0, 0];
@@ -428,7 +428,7 @@ fn peek_times(input: &mut BufReader<File>) -> std::io::Result<(u64, u64)> {
     Ok((time(0), time(8)))
 }
 
-fn unpack(chunk: &records::Chunk<'_>, into: &mut Vec<u8>) -> Result<(), String> {
+fn unpack(chunk: &records::ChunkRecord<'_>, into: &mut Vec<u8>) -> Result<(), String> {
     let size = chunk.unpacked as usize;
     into.clear();
     match chunk.packing {

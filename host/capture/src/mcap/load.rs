@@ -7,11 +7,11 @@ use std::path::Path;
 use ihd_signal::{Capture, FrequencyStep, TimeBase};
 
 use super::McapFileError;
-use super::cdr::{self, Samples};
+use super::cdr::{self, SamplesMessage};
 use super::framing::lead_in;
-use super::reader::{Item, Message, Reader};
+use super::reader::{McapItem, McapMessage, McapReader};
 use super::save::key;
-use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
+use super::topics::{FSw, META_CAPTURE, META_FREE, MainsCrossing, Topic};
 use super::writer::nanoseconds;
 
 /// Limit of pairs of a capture in memory: 2.7 s of 50 MS/s, 1 GiB.
@@ -19,7 +19,7 @@ pub const MAX_PAIRS: usize = 1 << 27;
 
 /// Parts of a file that could not be read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Losses {
+pub struct FileLosses {
     /// Offset up to which a file without its end mark is complete; `None` if it has one.
     pub cut_at: Option<u64>,
     /// Number of damaged records that were skipped, each a chunk at most.
@@ -28,7 +28,7 @@ pub struct Losses {
     pub first_damage: Option<String>,
 }
 
-impl Losses {
+impl FileLosses {
     /// Returns `true` if the whole file was read.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
@@ -40,7 +40,7 @@ impl Losses {
     }
 }
 
-impl fmt::Display for Losses {
+impl fmt::Display for FileLosses {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(at) = self.cut_at {
             write!(
@@ -66,7 +66,7 @@ pub struct SalvagedCapture {
     /// Readable part.
     pub capture: Capture,
     /// Unreadable parts.
-    pub losses: Losses,
+    pub losses: FileLosses,
 }
 
 /// Reads a whole capture; of a cut file the complete part.
@@ -75,7 +75,7 @@ pub struct SalvagedCapture {
 /// [`McapFileError`].
 pub fn read(path: &Path) -> Result<Capture, McapFileError> {
     let all = (f64::NEG_INFINITY, f64::INFINITY);
-    let salvaged = gather(Reader::open(path)?, all, &mut Err)?;
+    let salvaged = gather(McapReader::open(path)?, all, &mut Err)?;
     Ok(salvaged.capture)
 }
 
@@ -85,9 +85,9 @@ pub fn read(path: &Path) -> Result<Capture, McapFileError> {
 /// [`McapFileError`] when the file cannot be read, is none, or holds nothing but damage.
 pub fn salvage(path: &Path) -> Result<SalvagedCapture, McapFileError> {
     let all = (f64::NEG_INFINITY, f64::INFINITY);
-    let mut losses = Losses::default();
+    let mut losses = FileLosses::default();
     let mut first = None;
-    let mut salvaged = gather(Reader::open(path)?, all, &mut |error| {
+    let mut salvaged = gather(McapReader::open(path)?, all, &mut |error| {
         if !error.is_damage() {
             return Err(error);
         }
@@ -109,7 +109,7 @@ pub fn salvage(path: &Path) -> Result<SalvagedCapture, McapFileError> {
 /// [`McapFileError`].
 pub fn read_between(path: &Path, from_s: f64, to_s: f64) -> Result<Capture, McapFileError> {
     let first_ns = lead_in(path, nanoseconds(from_s))?;
-    let reader = Reader::open(path)?.between(first_ns, nanoseconds(to_s));
+    let reader = McapReader::open(path)?.between(first_ns, nanoseconds(to_s));
     Ok(gather(reader, (from_s, to_s), &mut Err)?.capture)
 }
 
@@ -117,7 +117,7 @@ pub fn read_between(path: &Path, from_s: f64, to_s: f64) -> Result<Capture, Mcap
 pub(super) type OnError<'a> = &'a mut dyn FnMut(McapFileError) -> Result<(), McapFileError>;
 
 fn gather(
-    mut reader: Reader,
+    mut reader: McapReader,
     (from_s, to_s): (f64, f64),
     on_error: OnError<'_>,
 ) -> Result<SalvagedCapture, McapFileError> {
@@ -130,9 +130,9 @@ fn gather(
             });
         }
     }
-    let losses = Losses {
+    let losses = FileLosses {
         cut_at: reader.is_cut().then(|| reader.at()),
-        ..Losses::default()
+        ..FileLosses::default()
     };
     Ok(SalvagedCapture {
         capture: builder.capture,
@@ -142,7 +142,7 @@ fn gather(
 
 /// Takes the next item of a file into the capture; `false` at the end.
 pub(super) fn take_item(
-    reader: &mut Reader,
+    reader: &mut McapReader,
     builder: &mut CaptureBuilder,
     (from_s, to_s): (f64, f64),
     on_error: OnError<'_>,
@@ -150,8 +150,8 @@ pub(super) fn take_item(
     let result = match reader.next_item() {
         Ok(None) => return Ok(false),
         Err(error) => return on_error(error).map(|()| true),
-        Ok(Some(Item::Metadata { name, entries })) => builder.take_metadata(&name, entries),
-        Ok(Some(Item::Message(message))) => builder.take_message(message, from_s, to_s),
+        Ok(Some(McapItem::Metadata { name, entries })) => builder.take_metadata(&name, entries),
+        Ok(Some(McapItem::Message(message))) => builder.take_message(message, from_s, to_s),
     };
     if let Err(why) = result {
         on_error(reader.damaged(why))?;
@@ -199,7 +199,7 @@ impl CaptureBuilder {
         Ok(())
     }
 
-    fn take_message(&mut self, m: Message<'_>, from_s: f64, to_s: f64) -> Result<(), String> {
+    fn take_message(&mut self, m: McapMessage<'_>, from_s: f64, to_s: f64) -> Result<(), String> {
         let wrong =
             |what: &dyn std::fmt::Display| format!("a message of {}: {what}", m.topic.name());
         match m.topic {
@@ -225,7 +225,7 @@ impl CaptureBuilder {
                 }
             }
             Topic::Mains => {
-                let mains: Mains = serde_json::from_slice(m.data).map_err(|e| wrong(&e))?;
+                let mains: MainsCrossing = serde_json::from_slice(m.data).map_err(|e| wrong(&e))?;
                 let capture = &mut self.capture;
                 capture.mains_hz = capture.mains_hz.or(mains.mains_hz);
                 capture.zero_crossing_s = capture.zero_crossing_s.or(mains.zero_crossing_s);
@@ -242,7 +242,7 @@ impl CaptureBuilder {
         Ok(())
     }
 
-    fn take_samples(&mut self, samples: &Samples, from_s: f64, to_s: f64) {
+    fn take_samples(&mut self, samples: &SamplesMessage, from_s: f64, to_s: f64) {
         let mut inside = (0..samples.len()).filter(|&k| (from_s..=to_s).contains(&samples.at(k)));
         let Some(first) = inside.next() else { return };
         let capture = &mut self.capture;
@@ -279,7 +279,7 @@ impl CaptureBuilder {
 mod tests {
     use ihd_sim::recording::run::record;
     use ihd_sim::recording::sensing::Rate;
-    use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
+    use ihd_sim::recording::settings::{CaptureSpec, LoadKind, RecordingChange, RecordingEvent};
 
     use super::super::write;
     use super::*;
@@ -288,9 +288,9 @@ mod tests {
         let mut settings = CaptureSpec {
             load: LoadKind::Behavioural,
             duration_s: 4e-3,
-            events: vec![Event {
+            events: vec![RecordingEvent {
                 t_s: 2e-3,
-                change: Change::Frequency(50e3),
+                change: RecordingChange::Frequency(50e3),
             }],
             ..CaptureSpec::default()
         };

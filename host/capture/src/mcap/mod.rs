@@ -25,11 +25,11 @@ pub mod topics;
 pub mod writer;
 
 pub use error::McapFileError;
-pub use load::{Losses, SalvagedCapture, read, read_between, salvage};
+pub use load::{FileLosses, SalvagedCapture, read, read_between, salvage};
 pub use notes::link_counters;
-pub use reader::Reader;
+pub use reader::McapReader;
 pub use save::write;
 pub use session_reader::SessionReader;
 pub use session_recorder::SessionRecorder;
-pub use stream::Stream;
+pub use stream::CaptureStream;
 pub use writer::Writer;

@@ -1,6 +1,6 @@
 //! Conversion of a device's messages to the file's JSON messages: SI units and names instead of codes.
 
-use ihd_link::{Counters, Window, WindowDefect};
+use ihd_link::{ClientCounters, Window, WindowDefect};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
@@ -8,7 +8,7 @@ use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE};
 use ihd_shared::sampling::ADC_LOCK_Q;
 use ihd_shared::wire::messages;
 
-use super::topics::{FaultNote, LinkCounters, Lookup, Telemetry, WholeWindow, WindowNote};
+use super::topics::{FaultNote, LinkCounters, LookupRecord, Telemetry, WholeWindow, WindowNote};
 
 /// Name of a fault, or its number if this version does not know it.
 fn fault_name(fault: Fault) -> String {
@@ -83,13 +83,13 @@ pub fn window(w: &Window, zero_crossing_s: f64) -> WindowNote {
 }
 
 /// Converts a lookup from its bytes; `None` if they are invalid.
-pub fn lookup(what: &str, blob: &[u8]) -> Option<Lookup> {
+pub fn lookup(what: &str, blob: &[u8]) -> Option<LookupRecord> {
     let lookup = RlLookup::from_bytes(blob).ok()?;
     let scaled = |cells: &[[u16; CURRENTS]; FREQUENCIES], unit: f64| {
         let row = |row: &[u16; CURRENTS]| row.iter().map(|&c| f64::from(c) * unit).collect();
         cells.iter().map(row).collect()
     };
-    Some(Lookup {
+    Some(LookupRecord {
         what: what.to_owned(),
         version: lookup.version,
         observed_cells: lookup.observed_cells(),
@@ -101,7 +101,7 @@ pub fn lookup(what: &str, blob: &[u8]) -> Option<Lookup> {
 }
 
 /// Converts the counters of a link.
-pub fn link_counters(c: &Counters) -> LinkCounters {
+pub fn link_counters(c: &ClientCounters) -> LinkCounters {
     LinkCounters {
         bytes: c.bytes,
         frames_good: c.frames_good,

@@ -6,16 +6,16 @@ use std::path::Path;
 use ::mcap::records::op;
 
 use super::McapFileError;
-use super::framing::{FrameStep, Frames, record_at};
+use super::framing::{FrameStep, McapFrames, record_at};
 use super::records;
-use super::topics::{Layout, PROFILE, SAMPLES_I16, Topic};
+use super::topics::{MessageLayout, PROFILE, SAMPLES_I16, Topic};
 
 /// Library name that our own writer puts into the header: its files have every channel in the first chunk.
 const OUR_LIBRARY: &str = "ihd ";
 
 /// Item of a capture file.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Item<'a> {
+pub enum McapItem<'a> {
     /// Named table of text.
     Metadata {
         /// Name of the table.
@@ -24,12 +24,12 @@ pub enum Item<'a> {
         entries: BTreeMap<String, String>,
     },
     /// Message of a known topic.
-    Message(Message<'a>),
+    Message(McapMessage<'a>),
 }
 
 /// A message.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Message<'a> {
+pub struct McapMessage<'a> {
     /// Topic.
     pub topic: Topic,
     /// Set if samples are codes; otherwise they are f32.
@@ -48,8 +48,8 @@ struct Channel {
 }
 
 /// Capture file being read. Unknown contents are skipped.
-pub struct Reader {
-    frames: Frames,
+pub struct McapReader {
+    frames: McapFrames,
     schemas: BTreeMap<u16, String>,
     channels: BTreeMap<u16, Option<Channel>>,
     /// Offset of the next record in the unpacked chunk; `None` between chunks.
@@ -59,14 +59,14 @@ pub struct Reader {
     time_range_ns: (u64, u64),
 }
 
-impl Reader {
+impl McapReader {
     /// Opens a file and checks its profile.
     ///
     /// # Errors
     /// [`McapFileError`] when it cannot be read or is no capture of this version.
     pub fn open(path: &Path) -> Result<Self, McapFileError> {
         let mut reader = Self {
-            frames: Frames::open(path)?,
+            frames: McapFrames::open(path)?,
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
             in_chunk: None,
@@ -132,7 +132,7 @@ impl Reader {
     ///
     /// # Errors
     /// [`McapFileError`]. After one that [`McapFileError::is_damage`] the next call continues after the damage.
-    pub fn next_item(&mut self) -> Result<Option<Item<'_>>, McapFileError> {
+    pub fn next_item(&mut self) -> Result<Option<McapItem<'_>>, McapFileError> {
         let message_place = loop {
             if let Some(at) = self.in_chunk {
                 match self.advance_in_chunk(at)? {
@@ -165,7 +165,7 @@ impl Reader {
         } else {
             self.frames.record()
         };
-        Ok(Some(Item::Message(Message {
+        Ok(Some(McapItem::Message(McapMessage {
             topic: message_place.message.channel.topic,
             as_codes: message_place.message.channel.as_codes,
             log_time_ns: message_place.message.log_time_ns,
@@ -227,10 +227,10 @@ impl Reader {
         }))
     }
 
-    fn metadata(&self) -> Result<Item<'static>, McapFileError> {
+    fn metadata(&self) -> Result<McapItem<'static>, McapFileError> {
         let (name, entries) =
             records::metadata(self.frames.record()).map_err(|why| self.frames.damaged(why))?;
-        Ok(Item::Metadata { name, entries })
+        Ok(McapItem::Metadata { name, entries })
     }
 }
 
@@ -289,9 +289,9 @@ fn known(name: &str, schema: &str) -> Result<Option<Channel>, String> {
         return Ok(None);
     };
     let fits = match topic.layout() {
-        Layout::Cdr(layouts) => layouts.iter().any(|(name, _)| *name == schema),
-        Layout::Json(name, _) => name == schema,
-        Layout::Link => true,
+        MessageLayout::Cdr(layouts) => layouts.iter().any(|(name, _)| *name == schema),
+        MessageLayout::Json(name, _) => name == schema,
+        MessageLayout::Link => true,
     };
     if !fits {
         return Err(format!(

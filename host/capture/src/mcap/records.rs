@@ -16,7 +16,7 @@ pub const ZSTD: [u8; 8] = *b"\x04\0\0\0zstd";
 
 /// A channel.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Channel {
+pub struct ChannelRecord {
     /// Number of the channel in the file.
     pub id: u16,
     /// Number of its schema; 0 for none.
@@ -27,7 +27,7 @@ pub struct Channel {
 
 /// Header of a message; its data follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Message {
+pub struct MessageHeader {
     /// Number of its channel.
     pub channel_id: u16,
     /// Time in nanoseconds.
@@ -38,7 +38,7 @@ pub struct Message {
 
 /// Chunk as it lies in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Chunk<'a> {
+pub struct ChunkRecord<'a> {
     /// Size of the unpacked bytes.
     pub unpacked: u64,
     /// CRC-32 of the unpacked bytes; 0 for none.
@@ -104,9 +104,9 @@ pub fn schema(body: &[u8]) -> Result<(u16, String), String> {
 }
 
 /// Parses a channel.
-pub fn channel(body: &[u8]) -> Result<Channel, String> {
+pub fn channel(body: &[u8]) -> Result<ChannelRecord, String> {
     let mut bytes = Bytes(body);
-    Ok(Channel {
+    Ok(ChannelRecord {
         id: bytes.u16()?,
         schema_id: bytes.u16()?,
         topic: bytes.text()?.to_owned(),
@@ -114,11 +114,11 @@ pub fn channel(body: &[u8]) -> Result<Channel, String> {
 }
 
 /// Parses the header of a message.
-pub fn message(body: &[u8]) -> Result<Message, String> {
+pub fn message(body: &[u8]) -> Result<MessageHeader, String> {
     let mut bytes = Bytes(body);
     let (channel_id, _sequence) = (bytes.u16()?, bytes.u32()?);
     let (log_time_ns, _published_ns) = (bytes.u64()?, bytes.u64()?);
-    Ok(Message {
+    Ok(MessageHeader {
         channel_id,
         log_time_ns,
         data_len: bytes.0.len(),
@@ -138,7 +138,7 @@ pub fn metadata(body: &[u8]) -> Result<(String, BTreeMap<String, String>), Strin
 }
 
 /// Parses a chunk.
-pub fn chunk(body: &[u8]) -> Result<Chunk<'_>, String> {
+pub fn chunk(body: &[u8]) -> Result<ChunkRecord<'_>, String> {
     let mut bytes = Bytes(body);
     bytes.take(16)?;
     let (unpacked, crc) = (bytes.u64()?, bytes.u32()?);
@@ -149,7 +149,7 @@ pub fn chunk(body: &[u8]) -> Result<Chunk<'_>, String> {
         let rest = bytes.0.len();
         return Err(format!("a chunk with {rest} bytes behind its records"));
     }
-    Ok(Chunk {
+    Ok(ChunkRecord {
         unpacked,
         crc,
         packing,

@@ -9,7 +9,7 @@ use ihd_signal::{Capture, TimeBase};
 
 use super::McapFileError;
 use super::cdr::{self, BatchTime};
-use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
+use super::topics::{FSw, META_CAPTURE, META_FREE, MainsCrossing, Topic};
 use super::writer::{Existing, PAIRS_PER_MESSAGE, Writer};
 
 /// Largest deviation of a sample from an even spacing, in seconds, that still counts as even.
@@ -70,7 +70,7 @@ pub fn write_head(writer: &mut Writer, capture: &Capture) -> Result<(), McapFile
         };
         writer.json(Topic::FSw, step.t_s, &message)?;
     }
-    let mains = Mains {
+    let mains = MainsCrossing {
         zero_crossing_s: capture.zero_crossing_s,
         mains_hz: capture.mains_hz,
     };
@@ -97,7 +97,7 @@ pub fn write_truth(
 }
 
 /// Samples of one message.
-pub struct Batch<'a> {
+pub struct PairBatch<'a> {
     /// Index of the first pair.
     pub from: usize,
     /// Index after the last pair.
@@ -107,7 +107,7 @@ pub struct Batch<'a> {
 }
 
 /// Cuts `n` pairs into messages of at most [`PAIRS_PER_MESSAGE`], each evenly spaced if its samples are.
-pub fn batches(time: &TimeBase, n: usize) -> Vec<Batch<'_>> {
+pub fn batches(time: &TimeBase, n: usize) -> Vec<PairBatch<'_>> {
     let mut batches = Vec::new();
     let mut from = 0;
     while from < n {
@@ -123,7 +123,7 @@ pub fn batches(time: &TimeBase, n: usize) -> Vec<Batch<'_>> {
         if to == from {
             break;
         }
-        batches.push(Batch { from, to, time });
+        batches.push(PairBatch { from, to, time });
         from = to;
     }
     batches

@@ -4,13 +4,13 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 use ihd_link::receiver::Receiver;
-use ihd_link::{Counters, Event};
+use ihd_link::{ClientCounters, DeviceEvent};
 use ihd_shared::wire::frame::{FrameError, MAX_ENCODED};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ROLE_HOST, check, ours};
 use ihd_shared::wire::messages::Hello;
 
 use super::McapFileError;
-use super::reader::{Item, Reader};
+use super::reader::{McapItem, McapReader};
 use super::topics::Topic;
 
 /// Run of recorded bytes that is no frame.
@@ -24,7 +24,7 @@ pub struct LinkDamage {
 
 /// Reader of a recorded session.
 pub struct SessionReader {
-    reader: Reader,
+    reader: McapReader,
     hello: Hello,
     receiver: Receiver,
     bytes: VecDeque<u8>,
@@ -44,7 +44,7 @@ impl SessionReader {
     pub fn open(path: &Path) -> Result<Self, McapFileError> {
         let us = ours(ROLE_HOST, 0, 0, "", "");
         let mut session = Self {
-            reader: Reader::open(path)?,
+            reader: McapReader::open(path)?,
             hello: us.clone(),
             receiver: Receiver::default(),
             bytes: VecDeque::new(),
@@ -84,7 +84,7 @@ impl SessionReader {
     }
 
     /// Counters so far, the hello included.
-    pub fn counters(&self) -> Counters {
+    pub fn counters(&self) -> ClientCounters {
         self.receiver.counters()
     }
 
@@ -107,7 +107,7 @@ impl SessionReader {
     ///
     /// # Errors
     /// [`McapFileError::Io`] when the file cannot be read on.
-    pub fn next_event(&mut self) -> Result<Option<Event>, McapFileError> {
+    pub fn next_event(&mut self) -> Result<Option<DeviceEvent>, McapFileError> {
         loop {
             if let Some(event) = self.receiver.events.pop_front() {
                 return Ok(Some(event));
@@ -144,7 +144,7 @@ impl SessionReader {
     fn refill(&mut self) -> Result<(), McapFileError> {
         while self.bytes.is_empty() {
             match self.reader.next_item() {
-                Ok(Some(Item::Message(m))) if m.topic == Topic::FromDevice => {
+                Ok(Some(McapItem::Message(m))) if m.topic == Topic::FromDevice => {
                     self.bytes.extend(m.data);
                 }
                 Ok(Some(_)) => {}

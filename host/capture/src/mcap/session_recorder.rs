@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
 use ihd_link::receiver::Receiver;
-use ihd_link::{Event, FrameSink, Window};
+use ihd_link::{DeviceEvent, FrameSink, Window};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::CAP_SIMULATED;
@@ -22,7 +22,7 @@ use super::McapFileError;
 use super::cdr;
 use super::notes;
 use super::save::{batches, describe};
-use super::topics::{FSw, META_CAPTURE, META_FREE, Mains, Topic};
+use super::topics::{FSw, META_CAPTURE, META_FREE, MainsCrossing, Topic};
 use super::writer::{Existing, Writer};
 
 /// Longest time on the transport's clock that a killed recorder may lose.
@@ -249,21 +249,21 @@ impl Recording {
         self.writer.end()
     }
 
-    fn event(&mut self, t_s: f64, event: &Event) -> Result<(), McapFileError> {
+    fn event(&mut self, t_s: f64, event: &DeviceEvent) -> Result<(), McapFileError> {
         match event {
-            Event::Telemetry(t) => {
+            DeviceEvent::Telemetry(t) => {
                 self.note_half_cycle_end(t.half_cycle, t_s);
                 self.writer
                     .json(Topic::Telemetry, t_s, &notes::telemetry(t))
             }
-            Event::Fault(f) => self.writer.json(Topic::Fault, t_s, &notes::fault(f)),
-            Event::WindowRejected { seq, reason } => {
+            DeviceEvent::Fault(f) => self.writer.json(Topic::Fault, t_s, &notes::fault(f)),
+            DeviceEvent::WindowRejected { seq, reason } => {
                 let note = notes::rejected(*seq, reason);
                 self.writer.json(Topic::Window, t_s, &note)
             }
-            Event::Window(window) => self.window(t_s, window),
+            DeviceEvent::Window(window) => self.window(t_s, window),
             // Decoding needs the table of the device's image; the link's bytes hold the log.
-            Event::Log { .. } => Ok(()),
+            DeviceEvent::Log { .. } => Ok(()),
         }
     }
 
@@ -290,7 +290,7 @@ impl Recording {
             f_sw_hz: f64::from(window.f_sw_hz),
         };
         self.writer.json(Topic::FSw, zero_crossing_s, &f_sw)?;
-        let mains = Mains {
+        let mains = MainsCrossing {
             zero_crossing_s: Some(zero_crossing_s),
             mains_hz: Some(window.f_mains_hz()),
         };

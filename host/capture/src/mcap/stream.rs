@@ -5,29 +5,29 @@ use std::path::Path;
 use ihd_signal::Capture;
 
 use super::McapFileError;
-use super::load::{CaptureBuilder, Losses, take_item};
-use super::reader::Reader;
+use super::load::{CaptureBuilder, FileLosses, take_item};
+use super::reader::McapReader;
 
 /// Capture file of which the first part that was not taken yet is in memory. Damaged chunks are skipped and counted.
-pub struct Stream {
-    reader: Reader,
+pub struct CaptureStream {
+    reader: McapReader,
     builder: CaptureBuilder,
-    losses: Losses,
+    losses: FileLosses,
     first_damage: Option<McapFileError>,
     taken: bool,
     ended: bool,
 }
 
-impl Stream {
+impl CaptureStream {
     /// Opens a file.
     ///
     /// # Errors
     /// [`McapFileError`] when it cannot be read or is no capture of this version.
     pub fn open(path: &Path) -> Result<Self, McapFileError> {
         Ok(Self {
-            reader: Reader::open(path)?,
+            reader: McapReader::open(path)?,
             builder: CaptureBuilder::new(path),
-            losses: Losses::default(),
+            losses: FileLosses::default(),
             first_damage: None,
             taken: false,
             ended: false,
@@ -80,8 +80,8 @@ impl Stream {
     }
 
     /// Unreadable parts met so far.
-    pub fn losses(&self) -> Losses {
-        Losses {
+    pub fn losses(&self) -> FileLosses {
+        FileLosses {
             cut_at: self.reader.is_cut().then(|| self.reader.at()),
             ..self.losses.clone()
         }

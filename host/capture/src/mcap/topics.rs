@@ -24,7 +24,7 @@ pub enum Topic {
     Truth,
     /// [`FSw`].
     FSw,
-    /// [`Mains`].
+    /// [`MainsCrossing`].
     Mains,
     /// [`Telemetry`].
     Telemetry,
@@ -32,7 +32,7 @@ pub enum Topic {
     Window,
     /// [`FaultNote`].
     Fault,
-    /// [`Lookup`].
+    /// [`LookupRecord`].
     Lookup,
     /// [`LinkCounters`].
     LinkCounters,
@@ -43,7 +43,7 @@ pub enum Topic {
 }
 
 /// Description of a topic's messages.
-pub enum Layout {
+pub enum MessageLayout {
     /// CDR, with the names and texts of its possible `ros2msg` schemas.
     Cdr(&'static [(&'static str, &'static str)]),
     /// JSON, with name and text of its schema.
@@ -138,18 +138,20 @@ impl Topic {
     }
 
     /// Layout of its messages.
-    pub fn layout(self) -> Layout {
+    pub fn layout(self) -> MessageLayout {
         match self {
-            Self::Samples | Self::CleanSamples => Layout::Cdr(SAMPLES),
-            Self::Truth => Layout::Cdr(&[("ihd/msg/PeriodTruth", TRUTH_TEXT)]),
-            Self::FSw => Layout::Json("ihd.FSw", schema_of::<FSw>),
-            Self::Mains => Layout::Json("ihd.Mains", schema_of::<Mains>),
-            Self::Telemetry => Layout::Json("ihd.Telemetry", schema_of::<Telemetry>),
-            Self::Window => Layout::Json("ihd.Window", schema_of::<WindowNote>),
-            Self::Fault => Layout::Json("ihd.Fault", schema_of::<FaultNote>),
-            Self::Lookup => Layout::Json("ihd.Lookup", schema_of::<Lookup>),
-            Self::LinkCounters => Layout::Json("ihd.LinkCounters", schema_of::<LinkCounters>),
-            Self::FromDevice | Self::ToDevice => Layout::Link,
+            Self::Samples | Self::CleanSamples => MessageLayout::Cdr(SAMPLES),
+            Self::Truth => MessageLayout::Cdr(&[("ihd/msg/PeriodTruth", TRUTH_TEXT)]),
+            Self::FSw => MessageLayout::Json("ihd.FSw", schema_of::<FSw>),
+            Self::Mains => MessageLayout::Json("ihd.Mains", schema_of::<MainsCrossing>),
+            Self::Telemetry => MessageLayout::Json("ihd.Telemetry", schema_of::<Telemetry>),
+            Self::Window => MessageLayout::Json("ihd.Window", schema_of::<WindowNote>),
+            Self::Fault => MessageLayout::Json("ihd.Fault", schema_of::<FaultNote>),
+            Self::Lookup => MessageLayout::Json("ihd.Lookup", schema_of::<LookupRecord>),
+            Self::LinkCounters => {
+                MessageLayout::Json("ihd.LinkCounters", schema_of::<LinkCounters>)
+            }
+            Self::FromDevice | Self::ToDevice => MessageLayout::Link,
         }
     }
 }
@@ -165,7 +167,7 @@ pub struct FSw {
 
 /// A zero crossing of the mains.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct Mains {
+pub struct MainsCrossing {
     /// When, in seconds after the beginning of the capture.
     pub zero_crossing_s: Option<f64>,
     /// Mains frequency in hertz.
@@ -277,7 +279,7 @@ pub struct FaultNote {
 
 /// A lookup that was pushed to the device, or read from it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct Lookup {
+pub struct LookupRecord {
     /// `pushed` by the host, or `active` on the device.
     pub what: String,
     /// Its version; 0 is the built-in prior.

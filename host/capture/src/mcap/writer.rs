@@ -14,7 +14,7 @@ use ::mcap::{Compression, WriteOptions};
 use serde::Serialize;
 
 use super::McapFileError;
-use super::topics::{Layout, PROFILE, SAMPLES_F32, Topic};
+use super::topics::{MessageLayout, PROFILE, SAMPLES_F32, Topic};
 
 /// Uncompressed size from which a chunk is closed: 5 ms of 50 MS/s, or 2 s of a device's windows.
 const CHUNK_BYTES: u64 = 1 << 20;
@@ -158,7 +158,7 @@ impl Writer {
         self.begun = true;
         for topic in Topic::ALL {
             let (encoding, schema) = match topic.layout() {
-                Layout::Cdr(layouts) => {
+                MessageLayout::Cdr(layouts) => {
                     let layout = layouts
                         .iter()
                         .find(|(name, _)| (*name == SAMPLES_F32) == self.is_f32(topic))
@@ -167,12 +167,12 @@ impl Writer {
                         .map(|(name, text)| self.mcap.add_schema(name, "ros2msg", text.as_bytes()));
                     ("cdr", schema)
                 }
-                Layout::Json(name, text) => {
+                MessageLayout::Json(name, text) => {
                     let text = text();
                     let schema = self.mcap.add_schema(name, "jsonschema", text.as_bytes());
                     ("json", Some(schema))
                 }
-                Layout::Link => ("ihd-link", None),
+                MessageLayout::Link => ("ihd-link", None),
             };
             let schema = self.written(schema.unwrap_or(Ok(0)))?;
             let none = BTreeMap::new();

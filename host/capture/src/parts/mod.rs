@@ -12,7 +12,7 @@ use ihd_signal::{Capture, TimeBase};
 
 use crate::error::CaptureError;
 use crate::format::{Opener, recognise};
-use crate::mcap::{Losses, Stream};
+use crate::mcap::{CaptureStream, FileLosses};
 use crate::open::{OpenOptions, adjusted, salvage_with};
 
 /// Pairs of a part: 42 ms of 50 MS/s. Memory of a command is a multiple of it.
@@ -38,7 +38,7 @@ pub struct PartReader {
 
 enum Source {
     /// File that is read as its parts are taken.
-    Stream(Box<Stream>),
+    Stream(Box<CaptureStream>),
     /// Capture in memory.
     Whole(Box<Capture>),
 }
@@ -68,7 +68,7 @@ impl PartReader {
         progress: &mut dyn FnMut(f64),
     ) -> Result<Self, CaptureError> {
         let source = match recognise(path)? {
-            Opener::Whole(_) => Source::Stream(Box::new(Stream::open(path)?)),
+            Opener::Whole(_) => Source::Stream(Box::new(CaptureStream::open(path)?)),
             Opener::Channels(_) => {
                 let opened = salvage_with(path, options, progress)?;
                 Source::Whole(Box::new(opened.capture))
@@ -149,10 +149,10 @@ impl PartReader {
     }
 
     /// Unreadable parts of the file met so far.
-    pub fn losses(&self) -> Losses {
+    pub fn losses(&self) -> FileLosses {
         match &self.source {
             Source::Stream(stream) => stream.losses(),
-            Source::Whole(_) => Losses::default(),
+            Source::Whole(_) => FileLosses::default(),
         }
     }
 }

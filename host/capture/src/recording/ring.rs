@@ -14,14 +14,14 @@ const MAX_BYTES: usize = 16 << 20;
 const MAX_TOTAL_BYTES: usize = 128 << 20;
 
 /// Memory of a chunk beside its data, in bytes.
-const OVERHEAD: usize = size_of::<Chunk>() + 16;
+const OVERHEAD: usize = size_of::<ByteChunk>() + 16;
 
 /// Number of rings in this process.
 static RINGS: AtomicUsize = AtomicUsize::new(0);
 
 /// Bytes received or sent at once.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Chunk {
+pub struct ByteChunk {
     /// Time on the transport's clock.
     pub at: Duration,
     /// `true` if received from the device, `false` if sent to it.
@@ -35,7 +35,7 @@ pub struct Chunk {
 /// Last chunks of a link, limited by time and memory.
 #[derive(Debug)]
 pub struct Ring {
-    chunks: VecDeque<Chunk>,
+    chunks: VecDeque<ByteChunk>,
     bytes: usize,
 }
 
@@ -57,7 +57,7 @@ impl Drop for Ring {
 
 impl Ring {
     /// Adds a chunk and drops the oldest ones beyond the limits.
-    pub fn push(&mut self, chunk: Chunk) {
+    pub fn push(&mut self, chunk: ByteChunk) {
         let share = MAX_TOTAL_BYTES / RINGS.load(Ordering::Relaxed).max(1);
         let (limit, oldest) = (MAX_BYTES.min(share), chunk.at.saturating_sub(RETENTION));
         self.bytes += chunk.bytes.len() + OVERHEAD;
@@ -71,7 +71,7 @@ impl Ring {
     }
 
     /// Returns a copy of the chunks since `from`.
-    pub fn since(&self, from: Duration) -> Vec<Chunk> {
+    pub fn since(&self, from: Duration) -> Vec<ByteChunk> {
         let after = self.chunks.iter().skip_while(|chunk| chunk.at < from);
         after.cloned().collect()
     }
@@ -87,8 +87,8 @@ impl Ring {
 mod tests {
     use super::*;
 
-    fn chunk(at_ms: u64, bytes: usize) -> Chunk {
-        Chunk {
+    fn chunk(at_ms: u64, bytes: usize) -> ByteChunk {
+        ByteChunk {
             at: Duration::from_millis(at_ms),
             from_device: true,
             mid_frame: false,

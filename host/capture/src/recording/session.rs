@@ -10,9 +10,9 @@ use ihd_link::FrameSink;
 use ihd_model::{ActiveRecording, RecordSettings, RecordingPhase, Trigger};
 use ihd_shared::wire::messages::{FrontEnd, Hello};
 
-use super::ring::Chunk;
-use super::state::{Phase, State};
-use super::under_way::{Recording, RecordingLimit};
+use super::ring::ByteChunk;
+use super::state::{Phase, SessionState};
+use super::under_way::{OngoingRecording, RecordingLimit};
 use super::writer::{FileStart, PendingWrite, RecordingWriter};
 
 /// Time limit for waiting for the disk at the start and end of a recording.
@@ -68,7 +68,7 @@ struct Shared {
     options: RecordingOptions,
     name: Box<Name>,
     publish: Box<Publish>,
-    state: Mutex<State>,
+    state: Mutex<SessionState>,
 }
 
 /// Recording that was started or armed.
@@ -232,7 +232,7 @@ impl RecordingSession {
                 pending: None,
             });
         }
-        let recording = Recording::new(settings, at, "by hand");
+        let recording = OngoingRecording::new(settings, at, "by hand");
         let status = self
             .0
             .begin_file(&mut state, recording, at, "begun by hand");
@@ -369,7 +369,7 @@ impl RecordingSession {
 }
 
 impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, SessionState> {
         // Poisoning is ignored: no lock scope leaves a half-written value.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -385,8 +385,8 @@ impl Shared {
     /// Begins the recording's next file at `at`. Returns the status to be published.
     fn begin_file(
         self: &Arc<Self>,
-        state: &mut State,
-        mut recording: Box<Recording>,
+        state: &mut SessionState,
+        mut recording: Box<OngoingRecording>,
         at: Duration,
         cause: &str,
     ) -> RecordingStatus {
@@ -448,7 +448,7 @@ impl Shared {
         if state.connection != connection {
             return;
         }
-        let chunk = Chunk {
+        let chunk = ByteChunk {
             at,
             from_device,
             mid_frame: from_device && state.mid_frame,
@@ -458,7 +458,7 @@ impl Shared {
         state.remember(chunk);
         let mut status = None;
         if from_device && let Some((settings, cause)) = state.check_trigger(bytes) {
-            let recording = Recording::new(settings, at, &cause);
+            let recording = OngoingRecording::new(settings, at, &cause);
             let cause = format!("begun by {cause}");
             status = Some(self.begin_file(&mut state, recording, at, &cause));
         }

@@ -7,13 +7,13 @@ use ihd_model::RecordSettings;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::messages::{AnyMessage, FaultEvent, FrontEnd, Hello, Message, Telemetry};
 
-use super::ring::{Chunk, Ring};
+use super::ring::{ByteChunk, Ring};
 use super::trigger::TriggerState;
-use super::under_way::{Recording, RecordingLimit};
+use super::under_way::{OngoingRecording, RecordingLimit};
 
 /// State of a session.
 #[derive(Default)]
-pub struct State {
+pub struct SessionState {
     /// Connected device; `None` between connections.
     pub device: Option<(Hello, FrontEnd)>,
     /// Number of the present connection; data of earlier ones are ignored.
@@ -44,10 +44,10 @@ pub enum Phase {
         since: Instant,
     },
     /// A recording is under way.
-    Recording(Box<Recording>),
+    Recording(Box<OngoingRecording>),
 }
 
-impl State {
+impl SessionState {
     /// Ends the connection: no device, and nothing left of its bytes.
     pub fn disconnect(&mut self) {
         self.device = None;
@@ -58,7 +58,7 @@ impl State {
     }
 
     /// Writes a chunk to the recording under way. If `ends_at_limit`, a chunk beyond its limits ends it instead.
-    pub fn write_chunk(&mut self, chunk: &Chunk, ends_at_limit: bool) {
+    pub fn write_chunk(&mut self, chunk: &ByteChunk, ends_at_limit: bool) {
         let Phase::Recording(recording) = &mut self.phase else {
             return;
         };
@@ -86,7 +86,7 @@ impl State {
     }
 
     /// Adds a chunk to the ring, after it was written.
-    pub fn remember(&mut self, chunk: Chunk) {
+    pub fn remember(&mut self, chunk: ByteChunk) {
         if chunk.from_device {
             self.mid_frame = chunk.bytes.last().map_or(self.mid_frame, |&b| b != 0);
         }

@@ -18,7 +18,7 @@ pub enum RecordingLimit {
 }
 
 /// Recording that has begun.
-pub struct Recording {
+pub struct OngoingRecording {
     /// Settings.
     pub settings: RecordSettings,
     /// Time of the trigger, on the system's clock.
@@ -41,7 +41,7 @@ pub struct Recording {
     pub writer: Option<RecordingWriter>,
 }
 
-impl Recording {
+impl OngoingRecording {
     /// Returns a recording that was triggered at `at` on the transport's clock, before its first file.
     pub fn new(settings: RecordSettings, at: Duration, cause: &str) -> Box<Self> {
         let now = Instant::now();
@@ -113,7 +113,7 @@ impl Recording {
         notes
     }
 
-    /// Returns the part of [`Recording::notes`] that is the same each time.
+    /// Returns the part of [`OngoingRecording::notes`] that is the same each time.
     pub fn undated_notes(&self, begins_at: Duration) -> BTreeMap<String, String> {
         let trigger_s = self.triggered_at.as_secs_f64() - begins_at.as_secs_f64();
         let pre_trigger_s = self.settings.pre_trigger_s;

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use ihd_link::FrameSink;
 use ihd_shared::wire::messages::{FrontEnd, Hello};
 
-use super::ring::Chunk;
+use super::ring::ByteChunk;
 use crate::mcap::{McapFileError, SessionRecorder};
 
 /// Largest number of bytes waiting for the disk, beside the pre-trigger: a minute of a heating hob.
@@ -33,7 +33,7 @@ pub struct FileStart {
     /// Start of the file on the transport's clock.
     pub at: Duration,
     /// Chunks before the trigger.
-    pub before: Vec<Chunk>,
+    pub before: Vec<ByteChunk>,
     /// `true` if the next chunk starts within a frame.
     pub mid_frame: bool,
     /// `true` to flush by the system's clock, too.
@@ -125,7 +125,7 @@ fn timeout_text(timeout: Duration) -> String {
 
 /// Job of a file's thread.
 enum Job {
-    Chunk(Chunk),
+    Chunk(ByteChunk),
     End(String),
 }
 
@@ -164,7 +164,7 @@ impl RecordingWriter {
     }
 
     /// Writes a chunk without waiting. Returns `false` if the file has ended or the disk is too slow; `on_end` gets the reason.
-    pub fn write(&self, chunk: Chunk) -> bool {
+    pub fn write(&self, chunk: ByteChunk) -> bool {
         {
             let mut progress = self.pending.lock();
             if progress.waiting > MAX_WAITING {
@@ -270,7 +270,7 @@ struct AlignedFile {
 }
 
 impl AlignedFile {
-    fn write(&mut self, chunk: &Chunk) -> std::io::Result<()> {
+    fn write(&mut self, chunk: &ByteChunk) -> std::io::Result<()> {
         if !chunk.from_device {
             return self.file.sent(chunk.at, &chunk.bytes);
         }

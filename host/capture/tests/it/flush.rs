@@ -3,19 +3,19 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ihd_capture::mcap::reader::Item;
+use ihd_capture::mcap::reader::McapItem;
 use ihd_capture::mcap::topics::Topic;
-use ihd_capture::mcap::{Reader, SessionRecorder};
+use ihd_capture::mcap::{McapReader, SessionRecorder};
 use ihd_link::{Client, FrameSink};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 
 /// Messages of the device that are in the file by now, the hello aside.
 fn in_file(path: &Path) -> usize {
-    let mut reader = Reader::open(path).unwrap();
+    let mut reader = McapReader::open(path).unwrap();
     let mut seen = 0;
     while let Some(item) = reader.next_item().unwrap() {
-        seen += usize::from(matches!(item, Item::Message(m) if m.topic == Topic::FromDevice));
+        seen += usize::from(matches!(item, McapItem::Message(m) if m.topic == Topic::FromDevice));
     }
     seen.saturating_sub(1)
 }

@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use ihd_capture::mcap::Losses;
+use ihd_capture::mcap::FileLosses;
 use ihd_capture::open::salvage_with;
 use ihd_capture::{CaptureError, OpenOptions, PartReader};
 use ihd_signal::{Capture, TimeBase};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind, RecordingChange, RecordingEvent};
 
 /// Pairs of a part; at 10 MS/s it lasts 30 ms.
 const PAIRS: usize = 300_000;
@@ -18,9 +18,9 @@ fn simulated() -> Capture {
     let mut settings = CaptureSpec {
         load: LoadKind::Behavioural,
         duration_s: 90e-3,
-        events: vec![Event {
+        events: vec![RecordingEvent {
             t_s: 41e-3,
-            change: Change::Frequency(50e3),
+            change: RecordingChange::Frequency(50e3),
         }],
         ..CaptureSpec::default()
     };
@@ -28,7 +28,7 @@ fn simulated() -> Capture {
     record(&settings, |_| ()).unwrap().capture("of a test")
 }
 
-fn parts(path: &Path, options: &OpenOptions) -> Result<(Vec<Capture>, Losses), CaptureError> {
+fn parts(path: &Path, options: &OpenOptions) -> Result<(Vec<Capture>, FileLosses), CaptureError> {
     let mut reader = PartReader::open_in(path, options, PAIRS, &mut |_| ())?;
     let mut parts = Vec::new();
     while !reader.is_at_end()? {

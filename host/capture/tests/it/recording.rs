@@ -7,14 +7,14 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ihd_capture::mcap::reader::Item;
+use ihd_capture::mcap::reader::McapItem;
 use ihd_capture::mcap::topics::{self, META_FREE, Topic};
-use ihd_capture::mcap::{Reader, SessionReader};
+use ihd_capture::mcap::{McapReader, SessionReader};
 use ihd_capture::recording::{
     Quantity, RecordSettings, RecordingLimit, RecordingOptions, RecordingPhase, RecordingSession,
     RecordingStatus, StartedRecording, Trigger,
 };
-use ihd_link::{Client, Event};
+use ihd_link::{Client, DeviceEvent};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::messages::AnyMessage;
 use ihd_sim::behavioural::PotKind;
@@ -79,7 +79,7 @@ impl Bench {
         let mut faults = Vec::new();
         while self.client.clock() < until {
             let left = until - self.client.clock();
-            if let Some(Event::Fault(f)) = self.client.next_event(left).unwrap() {
+            if let Some(DeviceEvent::Fault(f)) = self.client.next_event(left).unwrap() {
                 faults.push(f.fault.number());
             }
         }
@@ -110,7 +110,7 @@ impl Bench {
         loop {
             let left = deadline.saturating_sub(self.client.clock());
             assert!(!left.is_zero(), "it does not reach {power_w} W");
-            if let Some(Event::Telemetry(t)) = self.client.next_event(left).unwrap()
+            if let Some(DeviceEvent::Telemetry(t)) = self.client.next_event(left).unwrap()
                 && (f64::from(t.power_mw) * 1e-3 / f64::from(power_w) - 1.0).abs() < 0.1
             {
                 return;
@@ -177,12 +177,12 @@ impl Held {
     fn of(path: &Path) -> Self {
         let mut held = Self::default();
         let mut outgoing = Deframer::new();
-        let mut reader = Reader::open(path).unwrap();
+        let mut reader = McapReader::open(path).unwrap();
         while let Some(item) = reader.next_item().unwrap() {
             match item {
-                Item::Metadata { name, entries } if name == META_FREE => held.notes = entries,
-                Item::Metadata { .. } => {}
-                Item::Message(m) => {
+                McapItem::Metadata { name, entries } if name == META_FREE => held.notes = entries,
+                McapItem::Metadata { .. } => {}
+                McapItem::Message(m) => {
                     let t_s = m.log_time_ns as f64 * 1e-9;
                     match m.topic {
                         Topic::Telemetry => held.telemetry_s.push(t_s),
@@ -621,7 +621,7 @@ fn a_full_disk_ends_the_recording_and_not_the_link() {
     let mut session = SessionReader::open(&path).unwrap();
     let mut windows = 0;
     while let Some(event) = session.next_event().unwrap() {
-        windows += u32::from(matches!(event, Event::Window(_)));
+        windows += u32::from(matches!(event, DeviceEvent::Window(_)));
     }
     assert!(windows > 2 && session.is_cut(), "{windows} windows");
     assert!(bench.client.status().is_ok());

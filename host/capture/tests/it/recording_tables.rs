@@ -8,11 +8,11 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use ihd_capture::exports::recording::{
-    ExportLimits, TableError, half_cycles_csv, recording_npz, samples_csv,
+    ExportLimits, RecordingExportError, half_cycles_csv, recording_npz, samples_csv,
 };
 use ihd_capture::mcap::{self, SessionReader, SessionRecorder};
 use ihd_capture::{OpenOptions, open};
-use ihd_link::{Client, Event};
+use ihd_link::{Client, DeviceEvent};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 
@@ -56,7 +56,7 @@ fn the_samples_are_those_of_the_capture_with_the_windows_numbers_and_the_trigger
     let mut numbers = BTreeMap::new();
     let mut session = SessionReader::open(&path).unwrap();
     while let Some(event) = session.next_event().unwrap() {
-        if let Event::Window(window) = event {
+        if let DeviceEvent::Window(window) = event {
             numbers.insert(window.seq, window.pairs.len());
         }
     }
@@ -209,7 +209,10 @@ fn a_hob_that_does_not_heat_has_half_cycles_and_no_samples() {
     let dir = tempfile::tempdir().unwrap();
     let path = recorded(dir.path(), 0);
     let refused = samples_csv(&path, Vec::new(), &generous(&NEVER)).unwrap_err();
-    assert!(matches!(refused, TableError::Nothing { .. }), "{refused}");
+    assert!(
+        matches!(refused, RecordingExportError::Nothing { .. }),
+        "{refused}"
+    );
     let mut text = Vec::new();
     half_cycles_csv(&path, &mut text, &generous(&NEVER)).unwrap();
     let text = String::from_utf8(text).unwrap();
@@ -229,19 +232,25 @@ fn limits_hold_and_a_cut_file_gives_what_is_whole() {
     };
     assert!(matches!(
         export(&small),
-        TableError::TooLarge { bytes: 10_000 }
+        RecordingExportError::TooLarge { bytes: 10_000 }
     ));
     let spool = || tempfile::tempfile_in(dir.path());
     let npz = File::create(dir.path().join("a.npz")).unwrap();
     let refused = recording_npz(&path, npz, &spool, &small).unwrap_err();
-    assert!(matches!(refused, TableError::TooLarge { .. }), "{refused}");
+    assert!(
+        matches!(refused, RecordingExportError::TooLarge { .. }),
+        "{refused}"
+    );
     let late = ExportLimits {
         until: Instant::now() - Duration::from_millis(1),
         ..generous(&NEVER)
     };
-    assert!(matches!(export(&late), TableError::TooLong));
+    assert!(matches!(export(&late), RecordingExportError::TooLong));
     let stop = AtomicBool::new(true);
-    assert!(matches!(export(&generous(&stop)), TableError::Stopped));
+    assert!(matches!(
+        export(&generous(&stop)),
+        RecordingExportError::Stopped
+    ));
     let lines = |bytes: &[u8]| {
         std::fs::write(&path, bytes).unwrap();
         let mut text = Vec::new();

@@ -27,7 +27,7 @@ pub const LONGEST_NAME: usize = 64;
 /// Configuration of the daemon. Paths are relative to the working folder.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Config {
+pub struct DaemonConfig {
     /// Folder of the store.
     #[serde(default = "default_store")]
     pub store: PathBuf,
@@ -40,7 +40,7 @@ pub struct Config {
     /// File with one token per role; required to listen beyond the loopback.
     pub token_file: Option<PathBuf>,
     /// Certificate and key; required to listen beyond the loopback.
-    pub tls: Option<Tls>,
+    pub tls: Option<TlsConfig>,
     /// Retention of windows.
     #[serde(default)]
     pub keep: RetentionConfig,
@@ -69,7 +69,7 @@ fn default_listen() -> SocketAddr {
 /// Certificate and key of the API.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Tls {
+pub struct TlsConfig {
     /// PEM file of the certificate chain; if `None`, a certificate is generated and stored in the store.
     pub certificate: Option<PathBuf>,
     /// PEM file of the private key; `None` exactly if `certificate` is.
@@ -212,7 +212,7 @@ pub enum ConfigError {
     },
 }
 
-impl Default for Config {
+impl Default for DaemonConfig {
     fn default() -> Self {
         Self {
             store: default_store(),
@@ -230,7 +230,7 @@ impl Default for Config {
     }
 }
 
-impl Config {
+impl DaemonConfig {
     /// Reads the configuration from a file.
     ///
     /// # Errors
@@ -246,7 +246,7 @@ impl Config {
     /// Parses the configuration from text; `path` is its name in errors.
     ///
     /// # Errors
-    /// As [`Config::read`].
+    /// As [`DaemonConfig::read`].
     pub fn parse(text: &str, path: &str) -> Result<Self, ConfigError> {
         let config: Self = toml::from_str(text).map_err(|source| ConfigError::Parse {
             path: path.to_owned(),
@@ -379,12 +379,14 @@ mod tests {
     "#;
 
     fn refused(text: &str) -> String {
-        Config::parse(text, "ihd.toml").unwrap_err().to_string()
+        DaemonConfig::parse(text, "ihd.toml")
+            .unwrap_err()
+            .to_string()
     }
 
     #[test]
     fn the_example_of_the_issue_is_read() {
-        let config = Config::parse(ISSUE, "ihd.toml").unwrap();
+        let config = DaemonConfig::parse(ISSUE, "ihd.toml").unwrap();
         assert_eq!(config.store, Path::new("ihd-store"));
         assert_eq!(config.listen.to_string(), DEFAULT_LISTEN);
         assert_eq!(config.devices.len(), 1);
@@ -395,14 +397,14 @@ mod tests {
 
     #[test]
     fn nothing_at_all_is_a_configuration_that_looks_for_boards() {
-        let config = Config::parse("", "ihd.toml").unwrap();
+        let config = DaemonConfig::parse("", "ihd.toml").unwrap();
         assert!(config.discovers_usb());
         assert_eq!(config.keep.max_bytes, 2_000_000_000);
     }
 
     #[test]
     fn every_key_is_read() {
-        let config = Config::parse(
+        let config = DaemonConfig::parse(
             r#"
             store = "/var/lib/ihd"
             listen = "[::1]:9000"

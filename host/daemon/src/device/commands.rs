@@ -10,7 +10,7 @@ use super::heating::HeatError;
 use super::recording;
 use super::request::{DeviceRequest, ReplySender};
 use super::session::{Session, SessionEnd};
-use super::sweep::Sweep;
+use super::sweep::SweepState;
 use crate::learning::LookupToPush;
 use crate::lease::{LeaseError, LeaseId};
 use crate::printable::printable;
@@ -158,7 +158,7 @@ impl Session<'_> {
         {
             return Err(format!("{invalid} W is not 1 to {REQUESTED_POWER_MAX_W} W"));
         }
-        let sweep = Sweep::new(powers_w);
+        let sweep = SweepState::new(powers_w);
         {
             let mut inner = self.record.lock();
             let extended = inner.lease.keep_after_command(lease, Instant::now());

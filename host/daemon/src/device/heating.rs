@@ -11,7 +11,7 @@ use tokio::time::Instant;
 
 use super::contact::DueCheck;
 use super::session::{Session, SessionEnd};
-use super::sweep::{Sweep, SweepStep};
+use super::sweep::{SweepState, SweepStep};
 use crate::lease::{LeaseError, LeaseId, LostLease};
 use crate::switching_off::switch_off;
 
@@ -111,7 +111,7 @@ impl Session<'_> {
     }
 
     /// Returns the sweep; drops it if its lease or its power has ended.
-    pub(super) fn active_sweep(&mut self) -> Option<&mut Sweep> {
+    pub(super) fn active_sweep(&mut self) -> Option<&mut SweepState> {
         let (lease, _) = self.sweep.as_ref()?;
         let mut inner = self.record.lock();
         if inner.lease.check_heating(*lease, Instant::now()).is_err() {

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_link::{AsyncClient, Client, Counters, Event, LinkError};
+use ihd_link::{AsyncClient, Client, ClientCounters, DeviceEvent, LinkError};
 use ihd_model::{DeviceState, EventKind};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{State, Telemetry};
@@ -19,7 +19,7 @@ use super::device_lookups::DeviceLookups;
 use super::pot_follower::{PotFollower, publish_change};
 use super::report::publish_lease_expired;
 use super::request::DeviceRequest;
-use super::sweep::Sweep;
+use super::sweep::SweepState;
 use crate::TruthFn;
 use crate::clocks::RateLimit;
 use crate::context::Context;
@@ -74,7 +74,7 @@ pub struct Session<'a> {
     /// Row of the session in the store; `None` until it is stored.
     pub(super) session_id: Option<SessionId>,
     /// Sweep with the lease under which it was started.
-    pub(super) sweep: Option<(LeaseId, Sweep)>,
+    pub(super) sweep: Option<(LeaseId, SweepState)>,
     pub(super) lookups: DeviceLookups<'a>,
     published_half_cycle: Option<u32>,
     /// Logged jumps in the window numbering.
@@ -125,7 +125,7 @@ impl<'a> Session<'a> {
     /// Runs the session. Returns the reason for its end.
     pub async fn run(
         &mut self,
-        mut events: mpsc::Receiver<Event>,
+        mut events: mpsc::Receiver<DeviceEvent>,
         requests: &mut mpsc::Receiver<DeviceRequest>,
     ) -> SessionEnd {
         if let Err(error) = self.begin().await {
@@ -188,15 +188,15 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    async fn on_event(&mut self, event: Event) -> Result<(), SessionEnd> {
+    async fn on_event(&mut self, event: DeviceEvent) -> Result<(), SessionEnd> {
         self.link.contact.on_event();
         match event {
-            Event::Telemetry(t) => self.on_telemetry(t).await,
-            Event::Window(window) => {
+            DeviceEvent::Telemetry(t) => self.on_telemetry(t).await,
+            DeviceEvent::Window(window) => {
                 self.on_window(window).await;
                 Ok(())
             }
-            Event::WindowRejected { seq, reason } => {
+            DeviceEvent::WindowRejected { seq, reason } => {
                 let why = reason.to_string();
                 {
                     let mut inner = self.record.lock();
@@ -210,10 +210,10 @@ impl<'a> Session<'a> {
                 }
                 Ok(())
             }
-            Event::Fault(_) if !self.event_limit.allow() => Ok(()),
+            DeviceEvent::Fault(_) if !self.event_limit.allow() => Ok(()),
             // The daemon requests no log.
-            Event::Log { .. } => Ok(()),
-            Event::Fault(event) => {
+            DeviceEvent::Log { .. } => Ok(()),
+            DeviceEvent::Fault(event) => {
                 let (fault, text) = (event.fault.number(), event.fault.text().to_owned());
                 if event.fault == Fault::NONE {
                     tracing::info!(device = self.record.name, "fault cleared");
@@ -328,7 +328,7 @@ impl<'a> Session<'a> {
     /// Reads the counters of link and learner, logs what exceeds its limit, and retries the store.
     async fn poll_counters(&mut self) -> Result<(), SessionEnd> {
         let counted = self.link.client.with(|client| client.counters()).await;
-        let Ok(Counters {
+        let Ok(ClientCounters {
             windows,
             frames_beyond,
             ..

@@ -28,7 +28,7 @@ const MAX_HALF_CYCLE: Duration = Duration::from_millis(100);
 const RESPONSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// State of a sweep.
-pub struct Sweep {
+pub struct SweepState {
     left: VecDeque<u16>,
     asked_w: u16,
     phase: Phase,
@@ -69,7 +69,7 @@ pub enum SweepStep {
     End(String),
 }
 
-impl Sweep {
+impl SweepState {
     /// Creates a sweep through these powers, in watt.
     pub fn new(powers_w: &[u16]) -> Self {
         Self {
@@ -245,7 +245,7 @@ mod tests {
     const HALF_CYCLE: Duration = Duration::from_millis(10);
 
     struct Rig {
-        sweep: Sweep,
+        sweep: SweepState,
         now: Instant,
         half_cycle: u32,
         asked: Vec<u16>,
@@ -256,7 +256,7 @@ mod tests {
     impl Rig {
         fn new(powers_w: &[u16]) -> Self {
             Self {
-                sweep: Sweep::new(powers_w),
+                sweep: SweepState::new(powers_w),
                 now: Instant::now(),
                 half_cycle: 0,
                 asked: Vec::new(),
@@ -357,7 +357,7 @@ mod tests {
 
     #[test]
     fn a_device_that_never_settles_is_taken_as_it_is() {
-        let mut sweep = Sweep::new(&[700]);
+        let mut sweep = SweepState::new(&[700]);
         let mut now = Instant::now();
         assert_eq!(sweep.tick(now), SweepStep::SetPower(700));
         let mut log = Vec::new();

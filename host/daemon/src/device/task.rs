@@ -200,7 +200,7 @@ impl DeviceTask {
 /// Connection after the handshake.
 struct Connection {
     client: AsyncClient,
-    events: mpsc::Receiver<ihd_link::Event>,
+    events: mpsc::Receiver<ihd_link::DeviceEvent>,
     /// True R and L; `None` unless the device is simulated in this process.
     truth: Option<Arc<TruthFn>>,
 }

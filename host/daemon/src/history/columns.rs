@@ -17,7 +17,7 @@ const LATEST_MS: i64 = 253_402_300_799_000;
 
 /// Columns of an interval, aligned to whole seconds; from one minute of width on, to whole minutes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Grid {
+pub struct ColumnGrid {
     /// Start of the first column, in seconds since 1970, UTC.
     pub from_s: i64,
     /// End of the interval, in seconds since 1970, UTC.
@@ -26,7 +26,7 @@ pub struct Grid {
     pub step_s: i64,
 }
 
-impl Grid {
+impl ColumnGrid {
     /// Divides an interval in milliseconds since 1970, UTC, into at most `columns` columns. Each starts at a multiple of the
     /// width, so that an interval that moves with time keeps its columns.
     pub fn new(from_ms: i64, to_ms: i64, columns: usize) -> Self {
@@ -62,13 +62,13 @@ impl Grid {
 
 /// Columns, filled while the store is read.
 pub struct Columns {
-    grid: Grid,
+    grid: ColumnGrid,
     spans: Vec<Option<TelemetrySpan>>,
 }
 
 impl Columns {
     /// Creates empty columns.
-    pub fn new(grid: Grid) -> Self {
+    pub fn new(grid: ColumnGrid) -> Self {
         let columns = (grid.to_s - grid.from_s + grid.step_s - 1) / grid.step_s;
         Self {
             grid,
@@ -159,7 +159,7 @@ mod tests {
             (86_400, 4_000, 22),
             (10, 1, 120),
         ] {
-            let grid = Grid::new(NOON_MS, NOON_MS + span_s * 1_000, columns);
+            let grid = ColumnGrid::new(NOON_MS, NOON_MS + span_s * 1_000, columns);
             assert_eq!(grid.step_s, step_s, "{span_s} s in {columns}");
             assert!(Columns::new(grid).spans.len() <= columns);
             assert!(grid.from_s <= NOON_MS / 1_000 && grid.to_s >= NOON_MS / 1_000 + span_s);
@@ -169,7 +169,7 @@ mod tests {
         for from in [i64::MIN, -1, 0, 1, NOON_MS, NOON_MS + 1_234_567, i64::MAX] {
             for to in [i64::MIN, 0, NOON_MS - 1, NOON_MS + 7_777_777, i64::MAX] {
                 for columns in [0, 1, 2, 3, 599, 4_000, usize::MAX] {
-                    let grid = Grid::new(from, to, columns);
+                    let grid = ColumnGrid::new(from, to, columns);
                     let spans = Columns::new(grid).spans.len();
                     assert!(grid.step_s > 0 && spans <= columns.clamp(1, 4_000));
                 }
@@ -179,8 +179,8 @@ mod tests {
 
     #[test]
     fn a_stretch_that_moves_keeps_its_columns() {
-        let first = Grid::new(NOON_MS, NOON_MS + 3_600_000, 600);
-        let later = Grid::new(NOON_MS + 61_000, NOON_MS + 3_661_000, 600);
+        let first = ColumnGrid::new(NOON_MS, NOON_MS + 3_600_000, 600);
+        let later = ColumnGrid::new(NOON_MS + 61_000, NOON_MS + 3_661_000, 600);
         assert_eq!(first.step_s, later.step_s);
         assert_eq!((later.from_s - first.from_s) % first.step_s, 0);
     }
@@ -199,7 +199,7 @@ mod tests {
             f_sw_hz: r_uohm.map(|_| Spread::of(45_000)).unwrap_or_default(),
             ..TelemetrySpan::default()
         };
-        let mut columns = Columns::new(Grid::new(0, 40_000, 5));
+        let mut columns = Columns::new(ColumnGrid::new(0, 40_000, 5));
         columns.add(&second(0, 1_000_000, Some(2_000_000)));
         columns.add(&second(1, 3_000_000, Some(8_415_000)));
         columns.add(&second(35, 500, None));

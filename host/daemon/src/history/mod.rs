@@ -10,6 +10,6 @@ mod columns;
 pub(crate) mod telemetry_buffer;
 mod writer;
 
-pub use columns::{Columns, Grid, MAX_COLUMNS};
+pub use columns::{ColumnGrid, Columns, MAX_COLUMNS};
 pub use telemetry_buffer::TelemetryBuffer;
 pub use writer::{write, write_periodically};

@@ -7,7 +7,7 @@ use ihd_gate::claim::{Claim, Confirmation};
 use ihd_link::Window;
 use ihd_model::{FitRemark, FitStep};
 use ihd_signal::Segment;
-use ihd_store::Curve;
+use ihd_store::StoredCurve;
 use ihd_survey::calibration::blind::Correction;
 use ihd_train::NetworkConfig;
 use ihd_train::learning::analyse_window;
@@ -130,7 +130,7 @@ impl StatedLoad {
         FitTrace {
             steps: self.steps,
             remarks: self.remarks,
-            curve: Some(Curve {
+            curve: Some(StoredCurve {
                 t_s: self.t_s,
                 r_ohm: self.r_ohm,
                 l_h: self.l_h,

@@ -2,10 +2,10 @@
 
 use ihd_link::Window;
 use ihd_model::{FitRemark, FitStep};
-use ihd_pinn::{Identification, Progress};
+use ihd_pinn::{Identification, TrainingProgress};
 use ihd_signal::Remark;
 use ihd_signal::truth::Truth;
-use ihd_store::{Curve, MAX_POINTS};
+use ihd_store::{MAX_POINTS, StoredCurve};
 use serde::{Deserialize, Serialize};
 
 use crate::printable::printable;
@@ -18,7 +18,7 @@ pub struct FitTrace {
     /// Remarks on the window and the result.
     pub remarks: Vec<FitRemark>,
     /// R(t) and L(t); `None` without a result.
-    pub curve: Option<Curve>,
+    pub curve: Option<StoredCurve>,
     /// Error of the mean R against the truth in percent; `None` if the truth is not known.
     pub r_error_pct: Option<f64>,
     /// Error of the mean L against the truth in percent; `None` if the truth is not known.
@@ -62,7 +62,7 @@ pub(super) fn fit_remark(finding: &Remark) -> FitRemark {
     }
 }
 
-fn steps(history: &[Progress]) -> Vec<FitStep> {
+fn steps(history: &[TrainingProgress]) -> Vec<FitStep> {
     let every = history.len().div_ceil(MAX_STEPS).max(1);
     let last = history.len().saturating_sub(1);
     let chosen = history.iter().enumerate();
@@ -77,8 +77,8 @@ fn steps(history: &[Progress]) -> Vec<FitStep> {
         .collect()
 }
 
-fn curve(identified: &Identification) -> Curve {
-    let curve = Curve {
+fn curve(identified: &Identification) -> StoredCurve {
+    let curve = StoredCurve {
         t_s: identified.t_s.clone(),
         r_ohm: identified.r_ohm.clone(),
         l_h: identified.l_h.clone(),
@@ -105,14 +105,14 @@ fn errors_pct(identified: &Identification, truth: &Truth) -> Option<(f64, f64)> 
 }
 
 /// Returns the truth over the pairs of a window.
-pub fn truth_curve(truth: &Truth, window: &Window) -> Curve {
+pub fn truth_curve(truth: &Truth, window: &Window) -> StoredCurve {
     let last = window.pairs.len().saturating_sub(1);
-    let mut curve = Curve::default();
+    let mut curve = StoredCurve::default();
     for k in 0..MAX_POINTS {
         let t_s = window.pair_time_s(0)
             + last as f64 * window.dt_s() * k as f64 / (MAX_POINTS - 1) as f64;
         let Some((r_ohm, l_h)) = truth.at(t_s) else {
-            return Curve::default();
+            return StoredCurve::default();
         };
         curve.t_s.push(t_s);
         curve.r_ohm.push(r_ohm);

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use ihd_link::{Client, Event, Window};
+use ihd_link::{Client, DeviceEvent, Window};
 use ihd_shared::sampling::Scales;
 use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_sim::hob::{HobConfig, SimHob};
@@ -278,11 +278,11 @@ fn windows(warming: bool, powers_w: &[u16], of_each: usize) -> Vec<Box<Window>> 
         let mut count = 0;
         while count < of_each {
             match client.next_event(Duration::from_secs(1)).unwrap() {
-                Some(Event::Window(w)) if telemetry.as_ref().is_some_and(heats) => {
+                Some(DeviceEvent::Window(w)) if telemetry.as_ref().is_some_and(heats) => {
                     windows.push(w);
                     count += 1;
                 }
-                Some(Event::Telemetry(t)) => telemetry = Some(t),
+                Some(DeviceEvent::Telemetry(t)) => telemetry = Some(t),
                 Some(_) => {}
                 None => panic!("the hob is silent"),
             }

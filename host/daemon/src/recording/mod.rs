@@ -4,5 +4,5 @@ mod files;
 mod tables;
 
 pub use files::{file_name, is_plain_name, list};
-pub use ihd_capture::exports::recording::TableError;
-pub use tables::{Table, table};
+pub use ihd_capture::exports::recording::RecordingExportError;
+pub use tables::{RecordingTable, table};

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use ihd_capture::exports::recording::{
-    ExportLimits, TableError, half_cycles_csv, recording_npz, samples_csv,
+    ExportLimits, RecordingExportError, half_cycles_csv, recording_npz, samples_csv,
 };
 
 /// Largest table, in bytes: half an hour of a heating hob.
@@ -21,7 +21,7 @@ const BUFFER: usize = 1 << 17;
 
 /// Table of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Table {
+pub enum RecordingTable {
     /// Samples of all windows as CSV, with the window's number.
     Samples,
     /// One line per half-cycle, as CSV.
@@ -37,7 +37,11 @@ pub enum Table {
 ///
 /// # Errors
 /// [`TableError`], among them the limits of size and time.
-pub fn table(recording: &Path, which: Table, stop: &AtomicBool) -> Result<File, TableError> {
+pub fn table(
+    recording: &Path,
+    which: RecordingTable,
+    stop: &AtomicBool,
+) -> Result<File, RecordingExportError> {
     let folder = recording.parent().unwrap_or(Path::new("."));
     let spool = || tempfile::tempfile_in(folder);
     let limits = ExportLimits {
@@ -49,9 +53,9 @@ pub fn table(recording: &Path, which: Table, stop: &AtomicBool) -> Result<File, 
     let out = file.try_clone()?;
     let buffered = |out| BufWriter::with_capacity(BUFFER, out);
     match which {
-        Table::Samples => samples_csv(recording, buffered(out), &limits)?,
-        Table::HalfCycles => half_cycles_csv(recording, buffered(out), &limits)?,
-        Table::Arrays => recording_npz(recording, out, &spool, &limits)?,
+        RecordingTable::Samples => samples_csv(recording, buffered(out), &limits)?,
+        RecordingTable::HalfCycles => half_cycles_csv(recording, buffered(out), &limits)?,
+        RecordingTable::Arrays => recording_npz(recording, out, &spool, &limits)?,
     }
     file.rewind()?;
     Ok(file)

@@ -7,7 +7,7 @@ use ihd_shared::wire::messages::State;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::injection::{Injection, InjectionKind};
 
-use super::hob::Hob;
+use super::hob::WorldHob;
 
 /// Largest lead over the world's time after a request.
 const LEAD: Duration = Duration::from_millis(10);
@@ -16,7 +16,7 @@ const LEAD: Duration = Duration::from_millis(10);
 const TRIP_BLOCKS: u32 = 10;
 
 /// Simulated board.
-pub struct Board {
+pub struct SimulatedBoard {
     boot_id: u32,
     sim: SimHob,
     /// World's time at which it was switched on.
@@ -25,7 +25,7 @@ pub struct Board {
     outgoing: Vec<u8>,
 }
 
-impl Board {
+impl SimulatedBoard {
     /// Creates a board that is switched on at the world's time `now`.
     pub fn new(boot_id: u32, now: Duration) -> Self {
         let config = HobConfig {
@@ -42,7 +42,7 @@ impl Board {
     }
 }
 
-impl Hob for Board {
+impl WorldHob for SimulatedBoard {
     fn asked_w(&self) -> u16 {
         self.sim.housekeeping().control().asked_w()
     }

@@ -18,9 +18,9 @@ pub struct DiskState {
 
 /// Simulated disk.
 #[derive(Default)]
-pub struct Disk(Mutex<DiskState>);
+pub struct SimulatedDisk(Mutex<DiskState>);
 
-impl Disk {
+impl SimulatedDisk {
     /// Sets the state.
     pub fn set(&self, state: DiskState) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = state;

@@ -10,8 +10,8 @@ use ihd_shared::wire::number::Number;
 /// Names of the hobs.
 pub const HOBS: [&str; 2] = ["left", "right"];
 
-/// Simulated hob. Its time follows the world's with [`Hob::advance_to`].
-pub trait Hob: Send {
+/// Simulated hob. Its time follows the world's with [`WorldHob::advance_to`].
+pub trait WorldHob: Send {
     /// Returns the requested power, in watt.
     fn asked_w(&self) -> u16;
 

@@ -22,14 +22,14 @@ use super::faults::{end_all_faults, inject_random_faults};
 use super::hob::HOBS;
 use super::users::ask_at_random;
 use super::world::{HobKind, World};
-use crate::config::Config;
+use crate::config::DaemonConfig;
 use crate::daemon::Daemon;
 use crate::error::DaemonError;
 use crate::fleet::FleetConfig;
 use crate::machine::Machine;
 use crate::{OpenDevice, OpenedDevice, config::Address};
 
-use super::link::Link;
+use super::link::SimulatedLink;
 use super::recovery::{
     RECOVERY_TIME, check_recovery, check_settled, check_store, wait_until_working,
 };
@@ -84,7 +84,7 @@ pub struct Life {
 }
 
 /// Part of a daemon in a fleet, started with each of its lives.
-pub type Part = dyn Fn(Life) -> Pin<Box<dyn Future<Output = ()> + Send>>;
+pub type DaemonPart = dyn Fn(Life) -> Pin<Box<dyn Future<Output = ()> + Send>>;
 
 /// Course of events in a world.
 pub struct Course {
@@ -128,7 +128,7 @@ fn paused_runtime() -> Runtime {
 ///
 /// # Errors
 /// As [`Daemon::start`].
-pub async fn start(world: &Arc<World>, config: Config) -> Result<Daemon, DaemonError> {
+pub async fn start(world: &Arc<World>, config: DaemonConfig) -> Result<Daemon, DaemonError> {
     world.begin_life();
     Daemon::start_on(machine_in(world), config, open_in(world)).await
 }
@@ -196,7 +196,7 @@ pub fn foreign_hello(left: HobKind) -> (Duration, String) {
 ///
 /// # Panics
 /// Panics without a folder for the store, or without a runtime.
-pub fn run(seed: u64, left: HobKind, part: Option<&Part>) -> Course {
+pub fn run(seed: u64, left: HobKind, part: Option<&DaemonPart>) -> Course {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let folder = store_folder();
     let store = folder.path().join("store");
@@ -233,12 +233,12 @@ pub fn run(seed: u64, left: HobKind, part: Option<&Part>) -> Course {
     }
 }
 
-fn configuration(world: &World, store: &Path) -> Config {
+fn configuration(world: &World, store: &Path) -> DaemonConfig {
     let mut text = String::from("discover_usb = false\n");
     for name in HOBS {
         text += &format!("[[device]]\nname = \"{name}\"\naddress = \"serial:{name}\"\n");
     }
-    let mut config = Config::parse(&text, "simulation").expect("a configuration");
+    let mut config = DaemonConfig::parse(&text, "simulation").expect("a configuration");
     config.store = store.to_owned();
     config.fleet = world.is_edge.then(|| FleetConfig {
         url: "nats://simulated".to_owned(),
@@ -257,7 +257,7 @@ async fn live(
     seed: u64,
     life: Duration,
     is_last: bool,
-    part: Option<&Part>,
+    part: Option<&DaemonPart>,
 ) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let starting = start(world, configuration(world, store));
@@ -324,7 +324,7 @@ fn open_in(world: &Arc<World>) -> Arc<OpenDevice> {
     Arc::new(move |address: &Address| {
         let spec = address.spec.to_string();
         let name = spec.trim_start_matches("serial:");
-        let link = Link::connect(&world, name)?;
+        let link = SimulatedLink::connect(&world, name)?;
         Ok(OpenedDevice::real(Box::new(link)))
     })
 }

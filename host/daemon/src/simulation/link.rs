@@ -18,7 +18,7 @@ const STEP: Duration = Duration::from_millis(10);
 const LONGEST_DELAY_MS: u64 = 3_000;
 
 /// Connection to a hob.
-pub struct Link {
+pub struct SimulatedLink {
     world: Arc<World>,
     socket: usize,
     connection: u64,
@@ -32,7 +32,7 @@ pub struct Link {
     incoming: VecDeque<u8>,
 }
 
-impl Link {
+impl SimulatedLink {
     /// Connects to the hob of this name.
     ///
     /// # Errors
@@ -99,7 +99,7 @@ impl Link {
     }
 }
 
-impl Transport for Link {
+impl Transport for SimulatedLink {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         self.check()?;
         let now = self.clock();

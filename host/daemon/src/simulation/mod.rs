@@ -29,9 +29,9 @@ use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-pub use disk::{Disk, DiskState};
+pub use disk::{DiskState, SimulatedDisk};
 pub use hob::HOBS;
-pub use life::{Course, Life, Part, run, spawn_learner, start};
+pub use life::{Course, DaemonPart, Life, run, spawn_learner, start};
 pub use samples::LOAD;
 pub use world::{HobKind, World};
 

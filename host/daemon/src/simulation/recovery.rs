@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use ihd_model::{Command, DeviceState};
-use ihd_store::{Reader, ResultFilter, ResultRow, WindowFilter, WindowRow};
+use ihd_store::{ResultFilter, ResultRow, StoreReader, WindowFilter, WindowRow};
 use tokio::time::{Instant, sleep};
 
 use super::faults::send_foreign_hello;
@@ -116,7 +116,7 @@ fn in_store(folder: &Path) -> Result<(Vec<WindowRow>, Vec<ResultRow>), String> {
         let why = format!("the store cannot be read: {e}");
         why.chars().take(300).collect::<String>()
     };
-    let reader = Reader::open(folder).map_err(unread)?;
+    let reader = StoreReader::open(folder).map_err(unread)?;
     let windows = reader.windows(&WindowFilter::default()).map_err(unread)?;
     let results = reader.results(&ResultFilter {
         limit: Some(u32::MAX),

@@ -19,7 +19,7 @@ use ihd_shared::wire::messages::{
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 
-use super::hob::{Hob, read_frame};
+use super::hob::{WorldHob, read_frame};
 use super::samples;
 
 /// One half-cycle at 50 Hz.
@@ -35,7 +35,7 @@ const WINDOW_EVERY: u32 = 70;
 const LOADED_WINDOW_EVERY: u32 = 200;
 
 /// Hob as a script.
-pub struct Script {
+pub struct ScriptedHob {
     /// Number of the boot.
     boot_id: u32,
     /// Requested power, in watt.
@@ -64,7 +64,7 @@ pub struct Script {
     sent: VecDeque<(Duration, Vec<u8>)>,
 }
 
-impl Script {
+impl ScriptedHob {
     /// Creates a hob that is switched on at the world's time `now`.
     pub fn new(boot_id: u32, now: Duration) -> Self {
         Self {
@@ -327,7 +327,7 @@ impl Script {
     }
 }
 
-impl Hob for Script {
+impl WorldHob for ScriptedHob {
     fn asked_w(&self) -> u16 {
         self.asked_w
     }

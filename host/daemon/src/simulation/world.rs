@@ -8,11 +8,11 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::time::Instant;
 
-use super::board::Board;
-use super::disk::Disk;
-use super::hob::{HOBS, Hob};
+use super::board::SimulatedBoard;
+use super::disk::SimulatedDisk;
+use super::hob::{HOBS, WorldHob};
 use super::promises::Promises;
-use super::script::Script;
+use super::script::ScriptedHob;
 use crate::daemon::Daemon;
 use crate::locking::lock;
 
@@ -31,7 +31,7 @@ pub enum HobKind {
 /// World of one seed. It outlives the daemons in it.
 pub struct World {
     /// Disk of the store.
-    pub disk: Arc<Disk>,
+    pub disk: Arc<SimulatedDisk>,
     /// `true` if no random faults occur: the promises then have shorter limits.
     pub is_calm: bool,
     /// Kind of the left hob; the right one is a script.
@@ -47,12 +47,12 @@ pub struct World {
     life_began: Mutex<Option<Instant>>,
     /// Offset of the wall clock in milliseconds.
     clock_offset_ms: AtomicI64,
-    state: Mutex<State>,
+    state: Mutex<WorldState>,
     daemon: Mutex<Option<Daemon>>,
 }
 
 /// State of the world, except time.
-pub struct State {
+pub struct WorldState {
     /// Random numbers of the links.
     pub rng: ChaCha8Rng,
     /// Hobs with their links.
@@ -66,7 +66,7 @@ pub struct State {
 /// Hob and its link.
 pub struct Socket {
     /// Hob.
-    pub hob: Box<dyn Hob>,
+    pub hob: Box<dyn WorldHob>,
     /// `true` while connections are possible.
     pub is_plugged: bool,
     /// `true` while no frame passes in either direction.
@@ -86,10 +86,10 @@ impl World {
     pub fn new(seed: u64, left: HobKind, is_edge: bool) -> Arc<Self> {
         let is_calm = seed.is_multiple_of(4);
         let is_loaded = is_edge && seed.is_multiple_of(3);
-        let script = |boot_id| Script::new(boot_id, Duration::ZERO).loaded(is_loaded);
-        let left_hob: Box<dyn Hob> = match left {
+        let script = |boot_id| ScriptedHob::new(boot_id, Duration::ZERO).loaded(is_loaded);
+        let left_hob: Box<dyn WorldHob> = match left {
             HobKind::Script => Box::new(script(100)),
-            HobKind::Board => Box::new(Board::new(100, Duration::ZERO)),
+            HobKind::Board => Box::new(SimulatedBoard::new(100, Duration::ZERO)),
         };
         let socket = |hob| Socket {
             hob,
@@ -110,7 +110,7 @@ impl World {
             before_us: AtomicU64::new(0),
             life_began: Mutex::new(None),
             clock_offset_ms: AtomicI64::new(0),
-            state: Mutex::new(State {
+            state: Mutex::new(WorldState {
                 rng: ChaCha8Rng::seed_from_u64(seed),
                 sockets: [socket(left_hob), socket(Box::new(script(200)))],
                 promises: Promises::default(),
@@ -192,7 +192,7 @@ impl World {
     }
 
     /// Locks the state of the world, except time.
-    pub fn lock(&self) -> MutexGuard<'_, State> {
+    pub fn lock(&self) -> MutexGuard<'_, WorldState> {
         lock(&self.state)
     }
 

@@ -1,11 +1,11 @@
 //! History of a device: telemetry and results over minutes to months.
 
 use ihd_model::{History, HistoryResults};
-use ihd_store::{Reader, ResultRow, StoreError};
+use ihd_store::{ResultRow, StoreError, StoreReader};
 
 use super::{View, finite};
 use crate::error::DaemonError;
-use crate::history::{Columns, Grid};
+use crate::history::{ColumnGrid, Columns};
 
 /// Longest time from a window to its result, in milliseconds: the learner's queue is short.
 const LONGEST_WAIT_MS: i64 = 600_000;
@@ -23,7 +23,7 @@ impl View {
         to_ms: i64,
         columns: usize,
     ) -> Result<History, DaemonError> {
-        let grid = Grid::new(from_ms, to_ms, columns);
+        let grid = ColumnGrid::new(from_ms, to_ms, columns);
         // Taken before the store is read: telemetry written in between is in both, and counted once.
         let unwritten = self.telemetry.unwritten(device);
         self.read_device(device, move |reader, device| {
@@ -48,7 +48,7 @@ impl View {
 /// Sets the time of each result to that of its window, because a result may be stored much later. A result whose window
 /// is unknown keeps its own time.
 fn set_window_times(
-    reader: &Reader,
+    reader: &StoreReader,
     device: &str,
     (from_ms, to_ms): (i64, i64),
     rows: &mut [ResultRow],

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 
-use ihd_store::{Reader, StoreError};
+use ihd_store::{StoreError, StoreReader};
 use tokio::sync::Semaphore;
 
 use self::cell_ages::CellAges;
@@ -46,12 +46,12 @@ impl View {
     /// Runs a query on the store.
     async fn read<T: Send + 'static>(
         &self,
-        f: impl FnOnce(&Reader) -> Result<T, StoreError> + Send + 'static,
+        f: impl FnOnce(&StoreReader) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, DaemonError> {
         // The semaphore is never closed.
         let turn = self.readers.acquire().await;
         let folder = self.folder.clone();
-        let reading = tokio::task::spawn_blocking(move || f(&Reader::open(&folder)?)).await;
+        let reading = tokio::task::spawn_blocking(move || f(&StoreReader::open(&folder)?)).await;
         drop(turn);
         Ok(reading.map_err(|_| StoreThreadError::Gone("reading it panicked"))??)
     }
@@ -60,7 +60,7 @@ impl View {
     async fn read_device<T: Send + 'static>(
         &self,
         device: &str,
-        f: impl FnOnce(&Reader, &str) -> Result<T, StoreError> + Send + 'static,
+        f: impl FnOnce(&StoreReader, &str) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, DaemonError> {
         let is_known = self.devices.get(device).is_some();
         let name = device.to_owned();

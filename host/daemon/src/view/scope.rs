@@ -2,7 +2,7 @@
 
 use ihd_link::Window;
 use ihd_model::{Scope, Trajectory, WindowQuery, WindowSummary};
-use ihd_store::{Curve, Curves, ResultRow, StoreError, WindowRow};
+use ihd_store::{Curves, ResultRow, StoreError, StoredCurve, WindowRow};
 
 use super::measurement::measure;
 use super::{View, finite};
@@ -173,7 +173,7 @@ fn ekf(window: &Window) -> Trajectory {
 }
 
 /// Shifts the times of a curve from the mains zero crossing to the first pair, `start_s` after it.
-fn trajectory(curve: &Curve, start_s: f64) -> Trajectory {
+fn trajectory(curve: &StoredCurve, start_s: f64) -> Trajectory {
     Trajectory {
         t_s: curve.t_s.iter().map(|t| t - start_s).collect(),
         r_ohm: curve.r_ohm.clone(),
@@ -184,7 +184,7 @@ fn trajectory(curve: &Curve, start_s: f64) -> Trajectory {
 }
 
 /// Returns the mean of a quantity over the times of `weights`, weighted with their squared current like the network's mean.
-fn mean_of(curve: &Curve, value: &[f64], weights: &Curve) -> Option<f64> {
+fn mean_of(curve: &StoredCurve, value: &[f64], weights: &StoredCurve) -> Option<f64> {
     let terms = weights.t_s.iter().zip(&weights.i_a);
     let (mut sum, mut weight) = (0.0, 0.0);
     for (t_s, i_a) in terms {
@@ -309,12 +309,12 @@ mod tests {
 
     #[test]
     fn the_truths_mean_is_weighted_as_the_networks() {
-        let curve = |r: [f64; 3], i: [f64; 3]| Curve {
+        let curve = |r: [f64; 3], i: [f64; 3]| StoredCurve {
             t_s: vec![0.0, 5e-3, 10e-3],
             r_ohm: r.to_vec(),
             l_h: vec![3e-5; 3],
             i_a: i.to_vec(),
-            ..Curve::default()
+            ..StoredCurve::default()
         };
         let (row, window) = window(610);
         let curves = Curves {

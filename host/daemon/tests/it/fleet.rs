@@ -24,7 +24,7 @@ async fn edge(rig: &Rig) -> Daemon {
         ca: None,
         captures: false,
     };
-    let config = ihd_daemon::Config {
+    let config = ihd_daemon::DaemonConfig {
         fleet: Some(fleet),
         ..rig.config()
     };

@@ -5,7 +5,7 @@ use std::time::Duration;
 use ihd_model::{Command, DeviceState};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
-use ihd_store::Reader;
+use ihd_store::StoreReader;
 
 use super::rig::{Clock, Rig, let_hob_run, nap, power, until, until_state};
 
@@ -27,7 +27,7 @@ impl Rig {
 
     /// Returns the commands in the audit, oldest first.
     fn audited(&self) -> Vec<String> {
-        let reader = Reader::open(&self.folder.path().join("store")).unwrap();
+        let reader = StoreReader::open(&self.folder.path().join("store")).unwrap();
         let rows = reader.audit(100).unwrap().into_iter().rev();
         rows.map(|row| row.command).collect()
     }

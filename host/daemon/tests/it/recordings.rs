@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::sync::atomic::Ordering;
 
-use ihd_capture::mcap::reader::Item;
+use ihd_capture::mcap::reader::McapItem;
 use ihd_capture::mcap::topics::{FaultNote, META_FREE, Topic};
-use ihd_capture::mcap::{Reader, SessionReader};
+use ihd_capture::mcap::{McapReader, SessionReader};
 use ihd_daemon::Daemon;
 use ihd_model::{
     Command, CommandError, CommandReply, DeviceState, EventKind, Quantity, RecordSettings,
@@ -27,16 +27,16 @@ async fn stop(daemon: &Daemon) -> Result<CommandReply, CommandError> {
 /// Returns the times of half-cycles and faults in a file, and of its trigger.
 fn times(path: &Path) -> (Vec<f64>, Vec<(f64, u16)>, f64) {
     let (mut half_cycles, mut faults, mut trigger_s) = (Vec::new(), Vec::new(), f64::NAN);
-    let mut reader = Reader::open(path).unwrap();
+    let mut reader = McapReader::open(path).unwrap();
     while let Some(item) = reader.next_item().unwrap() {
         match item {
-            Item::Metadata { name, entries } if name == META_FREE => {
+            McapItem::Metadata { name, entries } if name == META_FREE => {
                 trigger_s = entries["trigger_s"].parse().unwrap();
             }
-            Item::Message(m) if m.topic == Topic::Telemetry => {
+            McapItem::Message(m) if m.topic == Topic::Telemetry => {
                 half_cycles.push(m.log_time_ns as f64 * 1e-9);
             }
-            Item::Message(m) if m.topic == Topic::Fault => {
+            McapItem::Message(m) if m.topic == Topic::Fault => {
                 let fault: FaultNote = serde_json::from_slice(m.data).unwrap();
                 faults.push((m.log_time_ns as f64 * 1e-9, fault.number));
             }
@@ -119,7 +119,7 @@ async fn a_fault_is_in_the_file_with_what_was_before_and_after() {
         "{last}"
     );
     daemon.stop().await;
-    let reader = ihd_store::Reader::open(&rig.config().store).unwrap();
+    let reader = ihd_store::StoreReader::open(&rig.config().store).unwrap();
     let events = reader.events(50).unwrap();
     let recorded: Vec<&str> = events
         .iter()

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use ihd_daemon::{Config, Daemon, OpenDevice, OpenedDevice, TruthFn};
+use ihd_daemon::{Daemon, DaemonConfig, OpenDevice, OpenedDevice, TruthFn};
 use ihd_firmware::control::request::PanelEvent;
 use ihd_link::{DeviceSpec, LinkError, Transport};
 use ihd_model::{
@@ -252,12 +252,12 @@ impl Rig {
         &self.benches["bench"]
     }
 
-    pub fn config(&self) -> Config {
+    pub fn config(&self) -> DaemonConfig {
         let mut text = String::from("discover_usb = false\n");
         for name in self.benches.keys() {
             text += &format!("[[device]]\nname = \"{name}\"\naddress = \"serial:{name}\"\n");
         }
-        let mut config = Config::parse(&text, "test").unwrap();
+        let mut config = DaemonConfig::parse(&text, "test").unwrap();
         config.store = self.folder.path().join("store");
         config
     }
@@ -267,7 +267,7 @@ impl Rig {
         self.daemon_with(self.config()).await
     }
 
-    pub async fn daemon_with(&self, config: Config) -> Daemon {
+    pub async fn daemon_with(&self, config: DaemonConfig) -> Daemon {
         let benches = self.benches.clone();
         let open: Arc<OpenDevice> = Arc::new(move |address| match &address.spec {
             DeviceSpec::Serial(name) => benches[name].plug(name).map(|transport| OpenedDevice {
@@ -371,7 +371,7 @@ impl Tcp {
             seed,
             ..HobConfig::default()
         };
-        let mut server = ihd_sim::server::Server::bind(address, SimHob::new(&config)).unwrap();
+        let mut server = ihd_sim::server::HobServer::bind(address, SimHob::new(&config)).unwrap();
         let port = server.address().port();
         let stop = Arc::new(AtomicBool::new(false));
         let stopping = Arc::clone(&stop);

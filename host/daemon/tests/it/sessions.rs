@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use ihd_daemon::{Config, Daemon, OpenDevice, OpenedDevice};
+use ihd_daemon::{Daemon, DaemonConfig, OpenDevice, OpenedDevice};
 use ihd_link::tcp::TcpTransport;
 use ihd_link::{DeviceSpec, LinkError, Transport};
 use ihd_model::{Command, DeviceState, RecordSettings, WindowCounts};
@@ -145,7 +145,7 @@ async fn a_server_that_is_killed_is_found_again_over_tcp() {
     let folder = tempfile::tempdir().unwrap();
     let server = Tcp::start("127.0.0.1:0", 5);
     let port = server.port;
-    let mut config = Config::parse(
+    let mut config = DaemonConfig::parse(
         &format!("[[device]]\nname = \"bench\"\naddress = \"tcp:127.0.0.1:{port}\"\n"),
         "test",
     )
@@ -200,7 +200,7 @@ impl Transport for Foreign {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_device_of_another_protocol_says_what_to_update() {
     let folder = tempfile::tempdir().unwrap();
-    let mut config = Config::parse(
+    let mut config = DaemonConfig::parse(
         "[[device]]\nname = \"bench\"\naddress = \"usb:1\"\n",
         "test",
     )

@@ -3,7 +3,7 @@
 use ihd_shared::sampling::CODE_HALF_RANGE;
 use ihd_shared::wire::messages::{Channels, Clocks, Comparators, FrontEnd, NO_SENSOR_C, Status};
 
-use crate::{Check, Evidence};
+use crate::{Check, Measurement};
 
 /// Factor by which a message scales codes.
 const PARTS: f64 = 256.0;
@@ -49,22 +49,22 @@ pub(super) fn clocks(c: &Clocks) -> Check {
     let lsi_khz = periods * main_hz / f64::from(c.lsi_main_cycles.max(1)) * 1e-3;
     let by_lsi = off_pct(c.lsi_main_cycles, periods / LSI_HZ);
     let mut evidence = vec![
-        Evidence::between("main clock by LSI", by_lsi, "%", LSI_PCT.0, LSI_PCT.1),
-        Evidence::informative("LSI", lsi_khz, "kHz"),
+        Measurement::between("main clock by LSI", by_lsi, "%", LSI_PCT.0, LSI_PCT.1),
+        Measurement::informative("LSI", lsi_khz, "kHz"),
     ];
     if c.usb_frames > 0 {
         let by_usb = off_pct(c.usb_main_cycles, f64::from(c.usb_frames) * 1e-3);
         let off = f64::from(c.hsi48_off);
         evidence.extend([
-            Evidence::between("main clock by USB", by_usb, "%", -HSI_PCT, HSI_PCT),
-            Evidence::between(
+            Measurement::between("main clock by USB", by_usb, "%", -HSI_PCT, HSI_PCT),
+            Measurement::between(
                 "HSI48 in a frame",
                 off,
                 "periods",
                 -HSI48_PERIODS,
                 HSI48_PERIODS,
             ),
-            Evidence::informative("HSI48 trim", c.hsi48_trim.into(), ""),
+            Measurement::informative("HSI48 trim", c.hsi48_trim.into(), ""),
         ]);
     }
     let finding = format!(
@@ -93,11 +93,11 @@ pub(super) fn offsets(c: &Channels, scales: &FrontEnd) -> Check {
     let bus_v = bus_volt(c, scales);
     let mains_v = f64::from(c.mains_rms) / PARTS * code_mv(scales.mains_full_scale_mv);
     let evidence = vec![
-        Evidence::between("coil voltage", v, "codes", -OFFSET_CODES, OFFSET_CODES),
-        Evidence::between("coil current", i, "codes", -OFFSET_CODES, OFFSET_CODES),
-        Evidence::informative("bus", bus_v, "V"),
-        Evidence::informative("mains", mains_v, "V rms"),
-        Evidence::informative("pairs", c.samples.into(), ""),
+        Measurement::between("coil voltage", v, "codes", -OFFSET_CODES, OFFSET_CODES),
+        Measurement::between("coil current", i, "codes", -OFFSET_CODES, OFFSET_CODES),
+        Measurement::informative("bus", bus_v, "V"),
+        Measurement::informative("mains", mains_v, "V rms"),
+        Measurement::informative("pairs", c.samples.into(), ""),
     ];
     let finding = format!(
         "offsets {v:+.1} codes ({:+.2} V) and {i:+.1} codes ({:+.3} A); bus {bus_v:.1} V, mains {mains_v:.0} V",
@@ -122,10 +122,10 @@ pub(crate) fn bus_volt(c: &Channels, scales: &FrontEnd) -> f64 {
 pub(super) fn noise(c: &Channels) -> Check {
     let of = |name, rms: u32| {
         let codes = f64::from(rms) / PARTS;
-        Evidence::between(name, codes, "codes rms", LEAST_NOISE_CODES, NOISE_CODES)
+        Measurement::between(name, codes, "codes rms", LEAST_NOISE_CODES, NOISE_CODES)
     };
     let evidence = vec![of("coil voltage", c.v_rms), of("coil current", c.i_rms)];
-    let texts: Vec<_> = evidence.iter().map(Evidence::text).collect();
+    let texts: Vec<_> = evidence.iter().map(Measurement::text).collect();
     Check::measured(
         "noise",
         texts.join("; "),
@@ -143,8 +143,8 @@ pub(super) fn supply(c: &Channels) -> Check {
     }
     let vdda = f64::from(c.vdda_mv);
     let evidence = vec![
-        Evidence::between("VDDA", vdda, "mV", VDDA_MV.0, VDDA_MV.1),
-        Evidence::informative("reference", c.reference.into(), "codes"),
+        Measurement::between("VDDA", vdda, "mV", VDDA_MV.0, VDDA_MV.1),
+        Measurement::informative("reference", c.reference.into(), "codes"),
     ];
     Check::measured(
         NAME,
@@ -204,7 +204,7 @@ pub(super) fn temperatures(status: &Status) -> Check {
     let there = all.iter().filter(|(_, c)| *c != NO_SENSOR_C);
     let evidence: Vec<_> = there
         .map(|(name, c)| {
-            Evidence::between(name, f64::from(*c), "°C", TEMPERATURE_C.0, TEMPERATURE_C.1)
+            Measurement::between(name, f64::from(*c), "°C", TEMPERATURE_C.0, TEMPERATURE_C.1)
         })
         .collect();
     let missing: Vec<_> = all
@@ -218,7 +218,7 @@ pub(super) fn temperatures(status: &Status) -> Check {
             "no sensor is fitted: nothing but you watches the heat sink",
         );
     }
-    let mut finding: Vec<_> = evidence.iter().map(Evidence::text).collect();
+    let mut finding: Vec<_> = evidence.iter().map(Measurement::text).collect();
     if !missing.is_empty() {
         finding.push(format!("no sensor: {}", missing.join(", ")));
     }

@@ -6,7 +6,7 @@ use ihd_link::{Client, LinkError, LinkTest};
 use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::messages::{LinkTested, Utilisation};
 
-use crate::{Check, Evidence};
+use crate::{Check, Measurement};
 
 /// Number of requests timed.
 const QUESTIONS: usize = 100;
@@ -61,8 +61,8 @@ pub(super) fn latency(mut waits: Vec<Duration>) -> Check {
             waits.len()
         ),
         vec![
-            Evidence::at_most("p50", p50, "ms", P50_MS),
-            Evidence::at_most("p99", p99, "ms", P99_MS),
+            Measurement::at_most("p50", p50, "ms", P50_MS),
+            Measurement::at_most("p99", p99, "ms", P99_MS),
         ],
         CABLE,
     )
@@ -97,10 +97,10 @@ fn direction(name: &'static str, tested: &LinkTested, took: Duration, least_kb_s
     let kb_s = f64::from(tested.bytes) / took.max(SHORTEST).as_secs_f64() * 1e-3;
     let sent = f64::from(FRAMES);
     let evidence = vec![
-        Evidence::at_least("rate", kb_s, "kB/s", least_kb_s),
-        Evidence::between("frames", tested.frames.into(), "", sent, sent),
-        Evidence::at_most("lost", tested.lost.into(), "", 0.0),
-        Evidence::at_most("bad", tested.bad.into(), "", 0.0),
+        Measurement::at_least("rate", kb_s, "kB/s", least_kb_s),
+        Measurement::between("frames", tested.frames.into(), "", sent, sent),
+        Measurement::at_most("lost", tested.lost.into(), "", 0.0),
+        Measurement::at_most("bad", tested.bad.into(), "", 0.0),
     ];
     let at_least = if took < SHORTEST { "at least " } else { "" };
     let finding = format!("{at_least}{kb_s:.0} kB/s, none of {FRAMES} frames lost or damaged");
@@ -122,9 +122,9 @@ pub(super) fn processor(used: &Utilisation) -> Check {
         NAME,
         format!("a block of samples takes {mean:.1} % on average, {worst:.1} % at worst"),
         vec![
-            Evidence::informative("mean", mean, "%"),
-            Evidence::at_most("worst", worst, "%", WORST_PCT),
-            Evidence::at_most("longest gap", gap_ms, "ms", LONGEST_GAP_MS),
+            Measurement::informative("mean", mean, "%"),
+            Measurement::at_most("worst", worst, "%", WORST_PCT),
+            Measurement::at_most("longest gap", gap_ms, "ms", LONGEST_GAP_MS),
         ],
         "Report it with ihd log's output: samples are lost next",
     )

@@ -6,7 +6,7 @@ use ihd_shared::fault::Fault;
 use ihd_shared::image::{DEVICE_ID, FLASH_BYTES};
 use ihd_shared::wire::messages::{Hello, Status};
 
-use crate::{Check, Evidence};
+use crate::{Check, Measurement};
 
 /// Flash size in KiB that the image and its lookups are laid out for.
 const FLASH_KIB: u16 = (FLASH_BYTES / 1024) as u16;
@@ -86,8 +86,8 @@ pub(super) fn chip(facts: &BoardFacts) -> Check {
         number
     );
     let numbers = vec![
-        Evidence::informative("starts since power-on", facts.starts.into(), ""),
-        Evidence::informative("image", facts.image_bytes.into(), "bytes"),
+        Measurement::informative("starts since power-on", facts.starts.into(), ""),
+        Measurement::informative("image", facts.image_bytes.into(), "bytes"),
     ];
     if facts.id_code & 0xFFF == DEVICE_ID && facts.flash_kib == FLASH_KIB {
         return Check::pass(NAME, finding).with_evidence(numbers);

@@ -8,7 +8,7 @@ mod window_checks;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ihd_link::{Client, Event, KEEPALIVE_PERIOD, LinkError, Window};
+use ihd_link::{Client, DeviceEvent, KEEPALIVE_PERIOD, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{FrontEnd, Status};
 use ihd_survey::calibration::Reference;
@@ -87,7 +87,7 @@ pub fn run(
         return not_tested_from(session, 1, "the bus was not measured");
     };
     let supply = bench_supply(&status, bus_volt(&channels, &scales));
-    let may_switch = supply.verdict == crate::Verdict::Pass;
+    let may_switch = supply.verdict == crate::CheckResult::Pass;
     session.add(supply);
     if !may_switch {
         return not_tested_from(session, 1, "nothing was switched on");
@@ -184,10 +184,10 @@ fn switch(
 }
 
 impl SwitchingRecord {
-    fn take(&mut self, event: Option<Event>) {
+    fn take(&mut self, event: Option<DeviceEvent>) {
         match event {
-            Some(Event::Window(window)) => self.windows.push(*window),
-            Some(Event::Telemetry(t)) => {
+            Some(DeviceEvent::Window(window)) => self.windows.push(*window),
+            Some(DeviceEvent::Telemetry(t)) => {
                 if t.bus_peak_dv > 0 {
                     self.bus_v = f64::from(t.bus_peak_dv) * 0.1;
                 }
@@ -198,7 +198,7 @@ impl SwitchingRecord {
                     self.ended_by = Some(format!("the coil's current rose to {:.1} A", self.i_a));
                 }
             }
-            Some(Event::Fault(event)) if event.fault != Fault::NONE => {
+            Some(DeviceEvent::Fault(event)) if event.fault != Fault::NONE => {
                 self.ended_by = Some(event.fault.to_string());
             }
             _ => {}

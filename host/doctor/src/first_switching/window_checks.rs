@@ -13,7 +13,7 @@ use ihd_survey::{Hints, Survey};
 use super::period::Period;
 use super::{SwitchingRecord, code_v};
 use crate::board::OFFSET_CODES;
-use crate::{Check, Evidence};
+use crate::{Check, Measurement};
 
 /// Dead time set by the firmware, in nanoseconds (`firmware/src/drive/pwm.rs`): both switches are open for that long.
 const DEAD_TIME_NS: f64 = 1_000.0;
@@ -107,10 +107,10 @@ fn edges(period: &Period, bus_v: f64) -> Vec<Check> {
             100.0 * high
         ),
         vec![
-            Evidence::between("rise", rise_ns, "ns", 0.0, most_ns),
-            Evidence::between("fall", fall_ns, "ns", 0.0, most_ns),
-            Evidence::between("high", high, "of a period", HIGH.0, HIGH.1),
-            Evidence::informative("resolution", resolution_ns, "ns"),
+            Measurement::between("rise", rise_ns, "ns", 0.0, most_ns),
+            Measurement::between("fall", fall_ns, "ns", 0.0, most_ns),
+            Measurement::between("high", high, "of a period", HIGH.0, HIGH.1),
+            Measurement::informative("resolution", resolution_ns, "ns"),
         ],
         "Too slow: too little current for the node's capacitance, which a switch then closes onto. Not half: one gate is \
          late. The dead time itself is seen at the gates alone (docs/bring-up.md, B5 and E5)",
@@ -121,7 +121,7 @@ fn edges(period: &Period, bus_v: f64) -> Vec<Check> {
         true => Check::measured(
             "coil_against_bus",
             format!("the coil's voltage steps by {step_v:.1} V, the bus has {bus_v:.1} V"),
-            vec![Evidence::between(
+            vec![Measurement::between(
                 "ratio",
                 ratio,
                 "",
@@ -144,8 +144,8 @@ fn offsets(period: &Period, scales: &FrontEnd) -> Check {
         "offsets",
         format!("{v_v:+.2} V and {i_a:+.3} A over whole periods"),
         vec![
-            Evidence::between("coil voltage", v, "codes", -OFFSET_CODES, OFFSET_CODES),
-            Evidence::between("coil current", i, "codes", -OFFSET_CODES, OFFSET_CODES),
+            Measurement::between("coil voltage", v, "codes", -OFFSET_CODES, OFFSET_CODES),
+            Measurement::between("coil current", i, "codes", -OFFSET_CODES, OFFSET_CODES),
         ],
         "The amplifiers' reference, or common mode that an amplifier does not reject: compare with `channels` of the bridge off",
     )
@@ -172,10 +172,10 @@ fn load(period: &Period, f_sw_hz: u32) -> Vec<Check> {
             z.r_ohm, z.i_a
         ),
         vec![
-            Evidence::between("R", z.r_ohm, "Ω", R_OHM.0, R_OHM.1),
-            Evidence::between("L", l_uh, "µH", L_UH.0, L_UH.1),
-            Evidence::between("lag", lag_deg, "°", LAG_DEG.0, LAG_DEG.1),
-            Evidence::informative("current", z.i_a, "A"),
+            Measurement::between("R", z.r_ohm, "Ω", R_OHM.0, R_OHM.1),
+            Measurement::between("L", l_uh, "µH", L_UH.0, L_UH.1),
+            Measurement::between("lag", lag_deg, "°", LAG_DEG.0, LAG_DEG.1),
+            Measurement::informative("current", z.i_a, "A"),
         ],
         "Negative: polarity of SW − X or of T1. Else gains (docs/bring-up.md, D), or another coil",
     );
@@ -187,7 +187,7 @@ fn load(period: &Period, f_sw_hz: u32) -> Vec<Check> {
         format!(
             "{resonance_khz:.1} kHz with {RESONANCE_CAPACITANCE_NF} nF, switched at {f_khz:.1} kHz"
         ),
-        vec![Evidence::between(
+        vec![Measurement::between(
             "resonance",
             resonance_khz,
             "kHz",
@@ -224,9 +224,9 @@ fn skew(window: &Window, scales: &FrontEnd, reference: Option<Reference>) -> Che
             skew.gain_ratio, skew.gain_ratio_sigma, skew.reference
         ),
         vec![
-            Evidence::between("skew", skew_ns, "ns", -SKEW_NS, SKEW_NS),
-            Evidence::informative("sigma", sigma_ns, "ns"),
-            Evidence::between("gain ratio", skew.gain_ratio, "", GAIN.0, GAIN.1),
+            Measurement::between("skew", skew_ns, "ns", -SKEW_NS, SKEW_NS),
+            Measurement::informative("sigma", sigma_ns, "ns"),
+            Measurement::between("gain ratio", skew.gain_ratio, "", GAIN.0, GAIN.1),
         ],
         "The RC of PA0 and PA1 (316 Ω, 1 nF) differ, or the reference is not this load. ihd calibrate takes a skew out",
     );

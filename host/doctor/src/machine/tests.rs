@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::fake::{FakeSystem, device, port, stlink};
 use super::*;
-use crate::Verdict;
+use crate::CheckResult;
 
 fn found(system: &FakeSystem, name: &str) -> Check {
     let mut all = checks(system).into_iter();
@@ -23,7 +23,7 @@ fn an_empty_machine_fails_nothing_but_the_rule() {
     let checks = checks(&FakeSystem::default());
     let failed: Vec<_> = checks
         .iter()
-        .filter(|c| c.verdict == Verdict::Fail)
+        .filter(|c| c.verdict == CheckResult::Fail)
         .map(|c| c.name)
         .collect();
     assert_eq!(failed, ["udev_rule"]);
@@ -40,7 +40,7 @@ fn a_set_up_machine_with_a_nucleo_passes() {
         ..FakeSystem::default()
     };
     for check in checks(&system) {
-        assert_ne!(check.verdict, Verdict::Fail, "{check:?}");
+        assert_ne!(check.verdict, CheckResult::Fail, "{check:?}");
     }
     assert_eq!(boards(&system), ["serial:/dev/ttyACM0"]);
     let ports = found(&system, "serial_ports");
@@ -83,7 +83,7 @@ fn each_refusal_has_its_own_remedy() {
     let busy = system(ErrorKind::ResourceBusy);
     for name in ["usb_access", "serial_access"] {
         assert!(remedy(&busy, name).contains("Another program"), "{name}");
-        assert_eq!(found(&busy, name).verdict, Verdict::Fail);
+        assert_eq!(found(&busy, name).verdict, CheckResult::Fail);
     }
     assert!(found(&busy, "serial_access").finding.contains("ttyACM3"));
 }
@@ -95,7 +95,7 @@ fn a_chip_in_its_bootloader_is_told_what_to_do() {
         ..FakeSystem::default()
     };
     let check = found(&system, "bootloader");
-    assert_eq!(check.verdict, Verdict::Fail);
+    assert_eq!(check.verdict, CheckResult::Fail);
     assert!(check.remedy.unwrap().contains("ihd flash --dfu"));
 }
 
@@ -112,7 +112,7 @@ fn the_rule_is_missing_old_too_late_or_current() {
     let old = rule(vec![(RULE_NAME.into(), "SUBSYSTEM==\"usb\"".into())]);
     assert!(old.finding.contains("not that of this version"));
     for check in [late, old] {
-        assert_eq!(check.verdict, Verdict::Fail);
+        assert_eq!(check.verdict, CheckResult::Fail);
         assert_eq!(check.remedy.as_deref(), Some("sudo ihd doctor --fix"));
     }
     // What a person added as a comment changes nothing; nor does a rule of a package beside it.
@@ -121,12 +121,12 @@ fn the_rule_is_missing_old_too_late_or_current() {
         (RULE_NAME.into(), commented),
         ("99-ihd.rules".into(), RULE.into()),
     ];
-    assert_eq!(rule(both).verdict, Verdict::Pass);
+    assert_eq!(rule(both).verdict, CheckResult::Pass);
     let no_udev = FakeSystem {
         udev: false,
         ..FakeSystem::default()
     };
-    assert_eq!(found(&no_udev, "udev_rule").verdict, Verdict::NotTested);
+    assert_eq!(found(&no_udev, "udev_rule").verdict, CheckResult::NotTested);
 }
 
 #[test]
@@ -139,9 +139,9 @@ fn modem_manager_is_a_failure_only_where_it_can_reach_a_port() {
     };
     let ports = vec![port("/dev/ttyACM0", stlink())];
     let verdict = |system: FakeSystem| found(&system, "modem_manager").verdict;
-    assert_eq!(verdict(system(vec![], ports.clone())), Verdict::Fail);
-    assert_eq!(verdict(system(current(), ports)), Verdict::Pass);
-    assert_eq!(verdict(system(vec![], vec![])), Verdict::Pass);
+    assert_eq!(verdict(system(vec![], ports.clone())), CheckResult::Fail);
+    assert_eq!(verdict(system(current(), ports)), CheckResult::Pass);
+    assert_eq!(verdict(system(vec![], vec![])), CheckResult::Pass);
 }
 
 #[test]
@@ -156,9 +156,9 @@ fn windows_is_asked_for_its_driver() {
     };
     assert_eq!(
         found(&board(Some("WINUSB")), "usb_driver").verdict,
-        Verdict::Pass
+        CheckResult::Pass
     );
-    assert_eq!(found(&board(None), "usb_driver").verdict, Verdict::Fail);
+    assert_eq!(found(&board(None), "usb_driver").verdict, CheckResult::Fail);
     let names: Vec<_> = checks(&board(None)).iter().map(|c| c.name).collect();
     assert!(!names.contains(&"modem_manager"), "{names:?}");
 }
@@ -169,7 +169,10 @@ fn a_machine_without_usb_says_so_and_a_hostile_name_is_escaped() {
         usb_hidden: true,
         ..FakeSystem::default()
     };
-    assert_eq!(found(&hidden, "debug_probe").verdict, Verdict::NotTested);
+    assert_eq!(
+        found(&hidden, "debug_probe").verdict,
+        CheckResult::NotTested
+    );
     let hostile = FakeSystem {
         usb: vec![device(0x0483, 0x374B, "x", "\u{1b}[2J\n")],
         ..FakeSystem::default()

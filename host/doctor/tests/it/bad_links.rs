@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ihd_doctor::{Verdict, board, first_switching};
+use ihd_doctor::{CheckResult, board, first_switching};
 use ihd_link::{Client, LinkError, Transport};
 use ihd_sim::hob::SimHob;
 use ihd_sim::transport::SharedHob;
@@ -34,7 +34,7 @@ fn a_cable_pulled_anywhere_leaves_a_whole_report() {
         );
         assert_eq!(
             of(&found.checks, "link_from_device").verdict,
-            Verdict::NotTested
+            CheckResult::NotTested
         );
     }
 }
@@ -52,7 +52,7 @@ fn a_cable_pulled_while_it_switches_is_told_and_the_device_ends_by_itself() {
         complete(&checks, &first_switching::NAMES);
         assert!(lost.is_some(), "{frames}");
         let off = of(&checks, "power_off");
-        assert_eq!(off.verdict, Verdict::Fail, "{frames}: {off:?}");
+        assert_eq!(off.verdict, CheckResult::Fail, "{frames}: {off:?}");
         assert!(off.remedy.as_ref().unwrap().contains("supply off"));
         // 10 s without a host, on its own.
         let until_s = hob.lock().t_s() + 11.0;
@@ -73,7 +73,7 @@ fn a_link_that_damages_frames_fails_by_its_own_numbers() {
     complete(&found.checks, &board::NAMES);
     assert_ne!(
         of(&found.checks, "link_from_device").verdict,
-        Verdict::Pass,
+        CheckResult::Pass,
         "{:#?}",
         found.checks
     );

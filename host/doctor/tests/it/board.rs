@@ -1,10 +1,10 @@
 //! The self-test with the bridge off.
 
-use ihd_doctor::{Verdict, board};
+use ihd_doctor::{CheckResult, board};
 use ihd_shared::wire::messages::State;
-use ihd_sim::adc::Noise;
+use ihd_sim::adc::ConverterNoise;
 use ihd_sim::hob::HobConfig;
-use ihd_sim::injection::{Channel, Injection, InjectionKind};
+use ihd_sim::injection::{FaultChannel, Injection, InjectionKind};
 
 use crate::desk::{complete, connected, failed, of};
 
@@ -22,7 +22,7 @@ fn a_healthy_hob_fails_nothing_and_heats_no_sooner() {
         "link_to_device",
         "link_from_device",
     ] {
-        assert_eq!(of(&found.checks, name).verdict, Verdict::Pass, "{name}");
+        assert_eq!(of(&found.checks, name).verdict, CheckResult::Pass, "{name}");
     }
     assert!(found.lost.is_none() && found.facts.is_ok());
     drop(client);
@@ -45,7 +45,7 @@ fn a_hob_that_heats_is_asked_for_no_test_and_goes_on() {
         let check = of(&found.checks, name);
         assert_eq!(
             (check.verdict, check.finding.as_str()),
-            (Verdict::NotTested, board::HEATS)
+            (CheckResult::NotTested, board::HEATS)
         );
     }
     let status = client.status().unwrap();
@@ -67,7 +67,7 @@ fn an_offset_is_found_from_twelve_codes_on() {
             injections.start(Injection {
                 kind,
                 value,
-                channel: Channel::Current,
+                channel: FaultChannel::Current,
             });
         });
         let found = board::examine(&mut client);
@@ -81,7 +81,7 @@ fn a_noisy_channel_and_a_dead_one_fail() {
     let code_a = 80.0 / 2_048.0;
     for (codes, fails) in [(3.0, false), (5.0, true)] {
         let config = HobConfig {
-            noise: Noise {
+            noise: ConverterNoise {
                 v_v: 0.16,
                 i_a: codes * code_a,
             },
@@ -98,7 +98,7 @@ fn a_noisy_channel_and_a_dead_one_fail() {
         injections.start(Injection {
             kind: InjectionKind::VoltageStuck,
             value: 0.0,
-            channel: Channel::Voltage,
+            channel: FaultChannel::Voltage,
         });
     });
     let found = board::examine(&mut client);
@@ -125,7 +125,7 @@ fn a_hob_without_mains_is_told_what_its_bench_lacks() {
     }
     let found = board::examine(&mut client);
     let fault = of(&found.checks, "fault");
-    assert_eq!(fault.verdict, Verdict::NotTested, "{fault:?}");
+    assert_eq!(fault.verdict, CheckResult::NotTested, "{fault:?}");
     assert!(fault.remedy.as_ref().unwrap().contains("24 V~"));
     assert_eq!(failed(&found.checks), [] as [&str; 0]);
 }

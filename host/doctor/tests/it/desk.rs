@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ihd_doctor::{Check, Verdict};
+use ihd_doctor::{Check, CheckResult};
 use ihd_link::{Client, LinkError, Transport};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::messages::AnyMessage;
@@ -44,7 +44,7 @@ pub fn complete(checks: &[Check], names: &[&str]) {
 
 /// The names of those that failed.
 pub fn failed(checks: &[Check]) -> Vec<&str> {
-    let failed = checks.iter().filter(|c| c.verdict == Verdict::Fail);
+    let failed = checks.iter().filter(|c| c.verdict == CheckResult::Fail);
     failed.map(|c| c.name).collect()
 }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use ihd_doctor::{Evidence, Verdict, first_switching as switching};
+use ihd_doctor::{CheckResult, Measurement, first_switching as switching};
 use ihd_link::Client;
 use ihd_shared::wire::messages::State;
 use ihd_sim::hob::{HobConfig, SimHob};
@@ -15,7 +15,7 @@ use crate::desk::{Watched, complete, connected, failed, of, on_bench};
 
 static GO: AtomicBool = AtomicBool::new(false);
 
-fn number(evidence: &[Evidence], name: &str) -> f64 {
+fn number(evidence: &[Measurement], name: &str) -> f64 {
     let found = evidence.iter().find(|e| e.name == name);
     found
         .unwrap_or_else(|| panic!("no {name} in {evidence:?}"))
@@ -75,7 +75,7 @@ fn a_known_load_gives_the_skew() {
     let skew = of(&checks, "skew");
     // The simulated channels have none; R of the table is rounded to 1.4 %, which looks like 10 ns at most.
     assert!(number(&skew.evidence, "skew").abs() < 10.0, "{skew:?}");
-    assert_eq!(skew.verdict, Verdict::Pass, "{skew:?}");
+    assert_eq!(skew.verdict, CheckResult::Pass, "{skew:?}");
 }
 
 /// A hob that tells which powers were asked for.
@@ -114,7 +114,7 @@ fn nothing_is_switched_from_the_mains_or_a_wrong_supply() {
         let bus_v = config.bench_supply_v;
         assert_ne!(
             of(&checks, "bench_supply").verdict,
-            Verdict::Pass,
+            CheckResult::Pass,
             "{bus_v:?}"
         );
         assert_eq!(
@@ -135,8 +135,8 @@ fn without_a_pot_it_says_so_and_switches_off() {
     let (checks, _) = switching::run(&mut client, None, &GO);
     complete(&checks, &switching::NAMES);
     assert_eq!(failed(&checks), [] as [&str; 0]);
-    assert_eq!(of(&checks, "switching").verdict, Verdict::NotTested);
-    assert_eq!(of(&checks, "power_off").verdict, Verdict::Pass);
+    assert_eq!(of(&checks, "switching").verdict, CheckResult::NotTested);
+    assert_eq!(of(&checks, "power_off").verdict, CheckResult::Pass);
     assert_eq!(client.status().unwrap().asked_w, 0);
 }
 
@@ -146,7 +146,7 @@ fn an_interrupt_before_it_begins_switches_nothing_and_is_told() {
     let (checks, _) = switching::run(&mut client, None, &AtomicBool::new(true));
     complete(&checks, &switching::NAMES);
     assert!(of(&checks, "switching").finding.contains("^C"));
-    assert_eq!(of(&checks, "power_off").verdict, Verdict::Pass);
+    assert_eq!(of(&checks, "power_off").verdict, CheckResult::Pass);
     assert_eq!(*watched.asked_w.lock().unwrap(), [0]);
     assert_ne!(client.status().unwrap().state, State::Heating);
 }
@@ -170,6 +170,6 @@ fn an_interrupt_while_it_switches_switches_off_and_is_told() {
         of(&checks, "switching").finding.contains("^C"),
         "{checks:#?}"
     );
-    assert_eq!(of(&checks, "power_off").verdict, Verdict::Pass);
+    assert_eq!(of(&checks, "power_off").verdict, CheckResult::Pass);
     assert_eq!(*watched.asked_w.lock().unwrap(), [1, 0]);
 }

@@ -6,11 +6,11 @@ use dfu_core::Status;
 use ihd_shared::image::{FLASH_ADDRESS, FLASH_BYTES, PAGE_BYTES};
 use ihd_signal::printable;
 
-use super::layout::Memory;
+use super::layout::MappedMemory;
 use super::protocol::{BootloaderIo, DfuError, Protocol};
 use crate::image::Image;
 use crate::options::{OPTION_BYTES_ADDRESS, OptionBytes, ReadProtection, SECOND_BANK};
-use crate::programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, Progress};
+use crate::programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, WriteProgress};
 
 /// Alternate settings.
 const MAIN_FLASH: u8 = 0;
@@ -70,7 +70,7 @@ impl<IO: BootloaderIo> Dfu<IO> {
     fn flash_bytes(&self) -> Result<u64, ProgramError> {
         let memory = |alternate: u8| {
             let text = self.io().layouts().get(usize::from(alternate));
-            text.and_then(|text| Memory::parse(text).ok())
+            text.and_then(|text| MappedMemory::parse(text).ok())
         };
         let flash = memory(MAIN_FLASH).and_then(|flash| {
             let regions = flash.regions.into_iter();
@@ -186,24 +186,24 @@ impl<IO: BootloaderIo> Dfu<IO> {
         &self,
         erase: Erase,
         pages: u32,
-        progress: &mut dyn FnMut(Progress),
+        progress: &mut dyn FnMut(WriteProgress),
     ) -> Result<(), ProgramError> {
         let fails = |address| move |trouble| failed(FlashStep::Erasing, address, trouble);
         if erase == Erase::All {
             let total = FLASH_BYTES;
-            progress(Progress::Erasing { done: 0, total });
+            progress(WriteProgress::Erasing { done: 0, total });
             self.protocol.erase_all().map_err(fails(FLASH_ADDRESS))?;
-            progress(Progress::Erasing { done: total, total });
+            progress(WriteProgress::Erasing { done: total, total });
             return Ok(());
         }
         let total = pages * PAGE_BYTES;
-        progress(Progress::Erasing { done: 0, total });
+        progress(WriteProgress::Erasing { done: 0, total });
         // The first page first: from then on no program starts.
         for page in 0..pages {
             let address = FLASH_ADDRESS + page * PAGE_BYTES;
             self.protocol.erase_page(address).map_err(fails(address))?;
             let done = (page + 1) * PAGE_BYTES;
-            progress(Progress::Erasing { done, total });
+            progress(WriteProgress::Erasing { done, total });
         }
         Ok(())
     }
@@ -212,12 +212,12 @@ impl<IO: BootloaderIo> Dfu<IO> {
     fn program(
         &self,
         bytes: &[u8],
-        progress: &mut dyn FnMut(Progress),
+        progress: &mut dyn FnMut(WriteProgress),
     ) -> Result<(), ProgramError> {
         let block = self.block_bytes()?;
         let total = bytes.len() as u32;
         let mut done = 0;
-        progress(Progress::Programming { done, total });
+        progress(WriteProgress::Programming { done, total });
         let mut parts: Vec<(usize, &[u8])> =
             (0..).step_by(block).zip(bytes.chunks(block)).collect();
         let (entry, first) = parts.remove(0).1.split_at(DOUBLE_WORD);
@@ -237,18 +237,22 @@ impl<IO: BootloaderIo> Dfu<IO> {
             let written = self.protocol.write_block(index as u16, part);
             written.map_err(fails)?;
             done += part.len() as u32;
-            progress(Progress::Programming { done, total });
+            progress(WriteProgress::Programming { done, total });
         }
         Ok(())
     }
 
-    fn verify(&self, bytes: &[u8], progress: &mut dyn FnMut(Progress)) -> Result<(), ProgramError> {
+    fn verify(
+        &self,
+        bytes: &[u8],
+        progress: &mut dyn FnMut(WriteProgress),
+    ) -> Result<(), ProgramError> {
         let total = bytes.len() as u32;
         let mut actual = vec![0; bytes.len()];
-        progress(Progress::Verifying { done: 0, total });
+        progress(WriteProgress::Verifying { done: 0, total });
         let mut read = |done: usize| {
             let done = done as u32;
-            progress(Progress::Verifying { done, total });
+            progress(WriteProgress::Verifying { done, total });
         };
         let all = self.read_from(MAIN_FLASH, FLASH_ADDRESS, &mut actual, &mut read);
         all.map_err(|error| match error {
@@ -303,8 +307,12 @@ impl<IO: BootloaderIo> Programmer for Dfu<IO> {
     }
 
     fn read(&mut self, address: u32, out: &mut [u8]) -> Result<(), ProgramError> {
-        let memories = self.io().layouts().iter().map(|text| Memory::parse(text));
-        let holds = |memory: Memory| memory.holds(address, out.len());
+        let memories = self
+            .io()
+            .layouts()
+            .iter()
+            .map(|text| MappedMemory::parse(text));
+        let holds = |memory: MappedMemory| memory.holds(address, out.len());
         let mut alternates = (0..).zip(memories);
         let holder = alternates.find(|(_, memory)| memory.clone().is_ok_and(holds));
         let Some((alternate, _)) = holder else {
@@ -363,7 +371,7 @@ impl<IO: BootloaderIo> Programmer for Dfu<IO> {
         &mut self,
         image: &Image,
         erase: Erase,
-        progress: &mut dyn FnMut(Progress),
+        progress: &mut dyn FnMut(WriteProgress),
     ) -> Result<(), ProgramError> {
         let mut bytes = image.flat();
         bytes.resize(bytes.len().next_multiple_of(DOUBLE_WORD), 0xFF);

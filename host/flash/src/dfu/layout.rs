@@ -4,7 +4,7 @@ use std::num::ParseIntError;
 
 /// Memory with its regions.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Memory {
+pub struct MappedMemory {
     /// Name: `Internal Flash`.
     pub name: String,
     /// Regions.
@@ -46,7 +46,7 @@ pub enum LayoutError {
     Number(String),
 }
 
-impl Memory {
+impl MappedMemory {
     /// Parses a layout.
     ///
     /// # Errors
@@ -136,7 +136,7 @@ mod tests {
 
     #[test]
     fn what_an_stm32g474_says() {
-        let flash = Memory::parse("@Internal Flash   /0x08000000/256*02Kg").unwrap();
+        let flash = MappedMemory::parse("@Internal Flash   /0x08000000/256*02Kg").unwrap();
         assert_eq!(flash.name, "Internal Flash");
         assert!(flash.begins_at(0x0800_0000));
         let sectors = flash.regions[0].sectors[0];
@@ -146,7 +146,7 @@ mod tests {
         assert!(!flash.holds(0x0807_F801, 2048));
         assert!(!flash.holds(0x07FF_FFFF, 1));
         let text = "@Option Bytes   /0x1FFF7800/01*048 e/0x1FFFF800/01*048 e";
-        let options = Memory::parse(text).unwrap();
+        let options = MappedMemory::parse(text).unwrap();
         assert!(options.begins_at(0x1FFF_7800) && options.begins_at(0x1FFF_F800));
         let sectors = options.regions[1].sectors[0];
         assert_eq!((sectors.count, sectors.bytes), (1, 48));
@@ -155,11 +155,12 @@ mod tests {
 
     #[test]
     fn what_other_chips_say() {
-        let f4 = Memory::parse("@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg").unwrap();
+        let f4 =
+            MappedMemory::parse("@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg").unwrap();
         assert_eq!(f4.regions[0].bytes(), 1024 * 1024);
-        let l4 = Memory::parse("@OTP Memory /0x1FFF7000/01*0001Ke").unwrap();
+        let l4 = MappedMemory::parse("@OTP Memory /0x1FFF7000/01*0001Ke").unwrap();
         assert_eq!(l4.regions[0].bytes(), 1024);
-        let u5 = Memory::parse("@Option Bytes   /0x40022040/01*64 e").unwrap();
+        let u5 = MappedMemory::parse("@Option Bytes   /0x40022040/01*64 e").unwrap();
         assert_eq!(u5.regions[0].bytes(), 64);
     }
 
@@ -184,14 +185,14 @@ mod tests {
             "@Internal Flash/0x08000000/256*02K\u{e9}",
             "@Internal Flash/0x08000000/256*\u{e9}g",
         ] {
-            assert!(Memory::parse(text).is_err(), "{text}");
+            assert!(MappedMemory::parse(text).is_err(), "{text}");
         }
     }
 
     proptest::proptest! {
         #[test]
         fn no_string_makes_it_panic(text in "@?[ -~]{0,8}(/0x[0-9A-F]{0,9}/[0-9*KMBeg ,]{0,12}){0,3}\\PC{0,3}") {
-            if let Ok(memory) = Memory::parse(&text) {
+            if let Ok(memory) = MappedMemory::parse(&text) {
                 proptest::prop_assert!(!memory.holds(u32::MAX, 2));
             }
         }

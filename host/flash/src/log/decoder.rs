@@ -1,14 +1,14 @@
 //! Decoder from the bytes of a log to messages.
 
-use super::frames::{Frames, LogFrame};
-use super::message::Message;
-use super::table::Table;
+use super::frames::{LogFrame, LogFrames};
+use super::message::LogMessage;
+use super::table::LogTable;
 
 /// Decoded item of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Decoded {
     /// A message.
-    Message(Message),
+    Message(LogMessage),
     /// Frame that is no message of the image: damaged or too long.
     Malformed,
     /// Frame without a table to decode it.
@@ -17,21 +17,21 @@ pub enum Decoded {
 
 /// Decoder of a log. It buffers one frame at most, of [`super::frames::MAX_FRAME`] bytes.
 pub struct Decoder {
-    table: Option<Table>,
-    frames: Frames,
+    table: Option<LogTable>,
+    frames: LogFrames,
 }
 
 impl Decoder {
     /// Creates a decoder for the log of one image; without a table it only counts.
-    pub fn new(table: Option<Table>) -> Self {
+    pub fn new(table: Option<LogTable>) -> Self {
         Self {
             table,
-            frames: Frames::default(),
+            frames: LogFrames::default(),
         }
     }
 
     /// Table of the image.
-    pub fn table(&self) -> Option<&Table> {
+    pub fn table(&self) -> Option<&LogTable> {
         self.table.as_ref()
     }
 

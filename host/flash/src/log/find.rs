@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::image_cache::ImageCache;
 use super::running::RunningProgram;
-use super::table::{Table, TableError};
+use super::table::{LogTable, LogTableError};
 use crate::image::{Image, ImageError, OF_CHECKOUT};
 
 /// Error of finding a board's table.
@@ -47,7 +47,7 @@ pub enum TableLookupError {
     },
     /// The image was found, but its messages cannot be read.
     #[error(transparent)]
-    Table(#[from] TableError),
+    Table(#[from] LogTableError),
 }
 
 /// Places to search for images.
@@ -64,7 +64,7 @@ impl Places<'_> {
     ///
     /// # Errors
     /// [`TableLookupError`].
-    pub fn table(&self, running: &RunningProgram) -> Result<Table, TableLookupError> {
+    pub fn table(&self, running: &RunningProgram) -> Result<LogTable, TableLookupError> {
         if let Some(path) = self.given {
             return of_given(path, running);
         }
@@ -95,7 +95,7 @@ impl Places<'_> {
     }
 }
 
-fn of_given(path: &Path, running: &RunningProgram) -> Result<Table, TableLookupError> {
+fn of_given(path: &Path, running: &RunningProgram) -> Result<LogTable, TableLookupError> {
     let image = Image::read(path)?;
     if (running.build_id, running.crc) == (None, None) {
         return Err(TableLookupError::Nameless);
@@ -110,9 +110,9 @@ fn of_given(path: &Path, running: &RunningProgram) -> Result<Table, TableLookupE
     Ok(table_of(&image)?)
 }
 
-fn table_of(image: &Image) -> Result<Table, TableError> {
+fn table_of(image: &Image) -> Result<LogTable, LogTableError> {
     let from = image.path.as_ref().map(|path| path.display().to_string());
-    Table::parse(image.elf(), from.as_deref().unwrap_or("the built-in image"))
+    LogTable::parse(image.elf(), from.as_deref().unwrap_or("the built-in image"))
 }
 
 #[cfg(test)]
@@ -148,7 +148,7 @@ mod tests {
         // The right one, but it logs nothing.
         let why = places.table(&running(0xB1)).err().unwrap();
         assert!(
-            matches!(why, TableLookupError::Table(TableError::None { .. })),
+            matches!(why, TableLookupError::Table(LogTableError::None { .. })),
             "{why}"
         );
         let why = places.table(&RunningProgram::default()).err().unwrap();

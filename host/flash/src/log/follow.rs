@@ -63,7 +63,7 @@ impl LogError {
 
 /// Data received since the last read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Chunk {
+pub struct LogChunk {
     /// Messages lost before these bytes because the board had no room.
     pub lost_messages: u64,
     /// Bytes lost in transmission before these bytes.
@@ -84,7 +84,7 @@ pub trait OpenLog {
     ///
     /// # Errors
     /// The reason why the log ended.
-    fn read(&mut self, wait: Duration) -> Result<Chunk, LogError>;
+    fn read(&mut self, wait: Duration) -> Result<LogChunk, LogError>;
 
     /// Ends the log.
     fn close(&mut self) {}
@@ -182,7 +182,7 @@ pub fn follow<E: From<LogError> + From<TableLookupError>>(
 
 fn begin_decoding<E>(
     log: &dyn OpenLog,
-    table: Result<super::table::Table, TableLookupError>,
+    table: Result<super::table::LogTable, TableLookupError>,
     report: &mut impl FnMut(LogEvent<'_>) -> Result<(), E>,
 ) -> Result<Decoder, E> {
     report(LogEvent::Began {
@@ -194,7 +194,7 @@ fn begin_decoding<E>(
 }
 
 fn report_chunk<E>(
-    chunk: &Chunk,
+    chunk: &LogChunk,
     decoder: &mut Decoder,
     report: &mut impl FnMut(LogEvent<'_>) -> Result<(), E>,
 ) -> Result<(), E> {
@@ -270,9 +270,9 @@ mod tests {
             }
         }
 
-        fn read(&mut self, _: Duration) -> Result<Chunk, LogError> {
+        fn read(&mut self, _: Duration) -> Result<LogChunk, LogError> {
             match self.acts.pop_front() {
-                Some(Act::Send(lost_messages, bytes)) => Ok(Chunk {
+                Some(Act::Send(lost_messages, bytes)) => Ok(LogChunk {
                     lost_messages,
                     lost_bytes: 0,
                     bytes,
@@ -280,7 +280,7 @@ mod tests {
                 Some(Act::Fail(why)) => Err(why),
                 Some(Act::Stop) | None => {
                     self.stop.store(true, Ordering::Relaxed);
-                    Ok(Chunk::default())
+                    Ok(LogChunk::default())
                 }
             }
         }

@@ -14,14 +14,14 @@ pub enum LogFrame<'a> {
 
 /// Splitter; it buffers at most [`MAX_FRAME`] bytes since the last zero.
 #[derive(Debug, Default)]
-pub struct Frames {
+pub struct LogFrames {
     begun: Vec<u8>,
     overlong: bool,
     /// Set if the beginning of the current frame is missing: the bytes up to the next zero are dropped.
     headless: bool,
 }
 
-impl Frames {
+impl LogFrames {
     /// Splits bytes and passes each completed frame to `each`.
     pub fn push(&mut self, bytes: &[u8], mut each: impl FnMut(LogFrame<'_>)) {
         let mut rest = bytes;
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     fn all(chunks: &[&[u8]]) -> Vec<Option<Vec<u8>>> {
-        let mut frames = Frames::default();
+        let mut frames = LogFrames::default();
         let mut found = Vec::new();
         for chunk in chunks {
             frames.push(chunk, |stretch| {
@@ -87,7 +87,7 @@ mod tests {
 
     #[test]
     fn a_frame_without_end_is_counted_once_and_takes_no_memory() {
-        let mut frames = Frames::default();
+        let mut frames = LogFrames::default();
         let mut overlong = 0;
         for _ in 0..1_000 {
             frames.push(&[7; 1_000], |_| overlong += 1);
@@ -109,7 +109,7 @@ mod tests {
     #[test]
     fn behind_a_gap_in_the_middle_of_a_frame_the_next_zero_comes_first() {
         for (whole, expected) in [(true, vec![vec![2], vec![3]]), (false, vec![vec![3]])] {
-            let mut frames = Frames::default();
+            let mut frames = LogFrames::default();
             let mut found = Vec::new();
             frames.push(&[1], |_| ());
             frames.gap(whole);

@@ -57,7 +57,7 @@ impl From<defmt_parser::Level> for Level {
 
 /// Place of a message in the firmware's source.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Place {
+pub struct SourceLocation {
     /// Module: `ihd_firmware::board::start`.
     pub module: String,
     /// File, relative to the checkout's root or with its crate.
@@ -66,13 +66,13 @@ pub struct Place {
     pub line: u64,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for SourceLocation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}:{}", self.file, self.line)
     }
 }
 
-impl Serialize for Place {
+impl Serialize for SourceLocation {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         s.collect_str(self)
     }
@@ -80,7 +80,7 @@ impl Serialize for Place {
 
 /// Message of a board. Its texts are printable: control characters are escaped.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Message {
+pub struct LogMessage {
     /// Severity; `None` if the firmware prints without a level.
     pub level: Option<Level>,
     /// Text.
@@ -88,5 +88,5 @@ pub struct Message {
     /// Time of the board; `None` if it sends none.
     pub uptime: Option<String>,
     /// Place in the source; `None` if the image has no debug information.
-    pub place: Option<Place>,
+    pub place: Option<SourceLocation>,
 }

@@ -4,9 +4,9 @@ use std::cell::Cell;
 use std::rc::Rc;
 use std::time::Duration;
 
-use ihd_link::{Client, Event, LinkError, Transport};
+use ihd_link::{Client, DeviceEvent, LinkError, Transport};
 
-use super::follow::{Chunk, LogError, LogOpener, OpenLog};
+use super::follow::{LogChunk, LogError, LogOpener, OpenLog};
 use super::running::RunningProgram;
 use crate::image::BuildId;
 
@@ -69,12 +69,12 @@ struct LinkLog {
 
 impl LinkLog {
     /// Determines the loss before bytes of this offset.
-    fn chunk(&mut self, seq: u32, dropped: u32, bytes: Vec<u8>) -> Chunk {
+    fn chunk(&mut self, seq: u32, dropped: u32, bytes: Vec<u8>) -> LogChunk {
         let (boot, before) = self.reported.get();
         self.reported.set((boot, dropped));
         let lost_bytes = self.next.map_or(0, |next| seq.wrapping_sub(next));
         self.next = Some(seq.wrapping_add(bytes.len() as u32));
-        Chunk {
+        LogChunk {
             lost_messages: dropped.wrapping_sub(before).into(),
             lost_bytes: lost_bytes.into(),
             bytes,
@@ -91,15 +91,15 @@ impl OpenLog for LinkLog {
         self.running.clone()
     }
 
-    fn read(&mut self, wait: Duration) -> Result<Chunk, LogError> {
+    fn read(&mut self, wait: Duration) -> Result<LogChunk, LogError> {
         if self.client.clock() >= self.ask_at {
             self.client.status()?;
             self.ask_at = self.client.clock() + KEEPALIVE_PERIOD;
         }
         match self.client.next_event(wait)? {
-            Some(Event::Log { seq, dropped, data }) => Ok(self.chunk(seq, dropped, data)),
+            Some(DeviceEvent::Log { seq, dropped, data }) => Ok(self.chunk(seq, dropped, data)),
             // The rest belongs to an earlier request.
-            Some(_) | None => Ok(Chunk::default()),
+            Some(_) | None => Ok(LogChunk::default()),
         }
     }
 

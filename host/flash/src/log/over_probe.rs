@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use ihd_shared::image::{HEADER_ADDRESS, HEADER_BYTES, Header, NOTE_ADDRESS, NOTE_BYTES, build_id};
 
-use super::follow::{Chunk, LogError, LogOpener, OpenLog};
+use super::follow::{LogChunk, LogError, LogOpener, OpenLog};
 use super::running::RunningProgram;
 use crate::image::BuildId;
 use crate::log_source::LogSource;
@@ -94,9 +94,9 @@ impl OpenLog for ProbeLog {
         self.running.clone()
     }
 
-    fn read(&mut self, wait: Duration) -> Result<Chunk, LogError> {
+    fn read(&mut self, wait: Duration) -> Result<LogChunk, LogError> {
         let until = Instant::now() + wait;
-        let mut chunk = Chunk::default();
+        let mut chunk = LogChunk::default();
         while self.source.read(&mut chunk.bytes)? == 0 && Instant::now() < until {
             sleep(POLL_PERIOD.min(until.saturating_duration_since(Instant::now())));
         }

@@ -6,14 +6,14 @@ use defmt_decoder::{Encoding, Locations};
 use object::{Object, ObjectSection, ObjectSymbol};
 use serde::{Deserialize, Serialize};
 
-use super::message::{Level, Message, Place};
+use super::message::{Level, LogMessage, SourceLocation};
 use super::rzcobs;
 use super::walk::{self, Format, Formats};
 use ihd_signal::printable;
 
 /// Error of reading a file's messages.
 #[derive(Debug, thiserror::Error)]
-pub enum TableError {
+pub enum LogTableError {
     /// The file has no log messages.
     #[error(
         "{image} has no log messages (defmt): is it the file that `cargo xtask firmware` writes, not stripped?"
@@ -41,7 +41,7 @@ pub enum TableError {
 }
 
 /// Messages of one image.
-pub struct Table {
+pub struct LogTable {
     defmt: defmt_decoder::Table,
     locations: Locations,
     formats: Formats,
@@ -49,22 +49,22 @@ pub struct Table {
     image: String,
 }
 
-impl Table {
+impl LogTable {
     /// Reads the messages of an ELF file; `image` is its name in texts.
     ///
     /// # Errors
-    /// [`TableError`].
-    pub fn parse(elf: &[u8], image: &str) -> Result<Self, TableError> {
+    /// [`LogTableError`].
+    pub fn parse(elf: &[u8], image: &str) -> Result<Self, LogTableError> {
         let image = printable(image).to_string();
-        let damaged = |why: &dyn std::fmt::Display| TableError::Damaged {
+        let damaged = |why: &dyn std::fmt::Display| LogTableError::Damaged {
             image: image.clone(),
             why: printable(&why.to_string()).to_string(),
         };
         let table = defmt_decoder::Table::parse(elf).map_err(|why| damaged(&why))?;
-        let defmt = table.ok_or_else(|| TableError::None {
+        let defmt = table.ok_or_else(|| LogTableError::None {
             image: image.clone(),
         })?;
-        let unsupported = |what| TableError::Unsupported {
+        let unsupported = |what| LogTableError::Unsupported {
             image: image.clone(),
             what,
         };
@@ -108,20 +108,20 @@ impl Table {
     }
 
     /// Decodes an encoded frame; `None` if it is no message of this image.
-    pub fn decode(&self, frame: &[u8]) -> Option<Message> {
+    pub fn decode(&self, frame: &[u8]) -> Option<LogMessage> {
         let bytes = rzcobs::decode(frame).ok()?;
         if !walk::fits(&self.formats, self.timestamp.as_deref(), &bytes) {
             return None;
         }
         let (frame, _) = self.defmt.decode(&bytes).ok()?;
         let place = self.locations.get(&frame.index());
-        Some(Message {
+        Some(LogMessage {
             level: frame.level().map(Level::from),
             text: printable(&frame.display_message().to_string()).to_string(),
             uptime: frame
                 .display_timestamp()
                 .map(|time| printable(&time.to_string()).to_string()),
-            place: place.map(|location| Place {
+            place: place.map(|location| SourceLocation {
                 module: printable(&location.module).to_string(),
                 file: shortened(&location.file),
                 line: location.line,

@@ -4,12 +4,12 @@ use ihd_signal::printable::is_shown;
 use proptest::prelude::*;
 
 use super::decoder::{Decoded, Decoder};
-use super::message::{Level, Message};
-use super::table::{Table, TableError};
+use super::message::{Level, LogMessage};
+use super::table::{LogTable, LogTableError};
 use ihd_fakes::SampleLog;
 
 fn decoder() -> Decoder {
-    let table = Table::parse(&SampleLog::of_everything().elf(), "sample.elf").unwrap();
+    let table = LogTable::parse(&SampleLog::of_everything().elf(), "sample.elf").unwrap();
     Decoder::new(Some(table))
 }
 
@@ -19,7 +19,7 @@ fn decoded(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Decoded> {
     all
 }
 
-fn message(number: u16, values: &[u8]) -> Message {
+fn message(number: u16, values: &[u8]) -> LogMessage {
     match decoded(&mut decoder(), &SampleLog::frame(number, values)).as_slice() {
         [Decoded::Message(message)] => message.clone(),
         other => panic!("{other:?}"),
@@ -128,21 +128,24 @@ fn without_a_table_frames_are_counted() {
 
 #[test]
 fn what_cannot_be_decoded_is_refused_with_its_reason() {
-    let refused = |elf: &[u8]| Table::parse(elf, "x.elf").err().unwrap();
+    let refused = |elf: &[u8]| LogTable::parse(elf, "x.elf").err().unwrap();
     let dates = SampleLog::new(&[("defmt_info", "at {=u64:iso8601ms}")]);
     let why = refused(&dates.elf());
     assert!(
-        matches!(why, TableError::Unsupported { .. }) && why.to_string().contains("x.elf"),
+        matches!(why, LogTableError::Unsupported { .. }) && why.to_string().contains("x.elf"),
         "{why}"
     );
     let raw = SampleLog::new(&[("defmt_info", "x")]).encoded_as("raw");
     assert!(matches!(
         refused(&raw.elf()),
-        TableError::Unsupported { .. }
+        LogTableError::Unsupported { .. }
     ));
     let elf = SampleLog::of_everything().elf();
-    assert!(matches!(refused(&elf[..200]), TableError::Damaged { .. }));
-    assert!(matches!(refused(b"no file"), TableError::Damaged { .. }));
+    assert!(matches!(
+        refused(&elf[..200]),
+        LogTableError::Damaged { .. }
+    ));
+    assert!(matches!(refused(b"no file"), LogTableError::Damaged { .. }));
 }
 
 proptest! {

@@ -8,7 +8,7 @@ use super::running_target::RunningTarget;
 use super::{ProbeInfo, Probes, flashing, option_registers};
 use crate::image::Image;
 use crate::options::{OptionBytes, ReadProtection};
-use crate::programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, Progress};
+use crate::programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, WriteProgress};
 
 /// Flash size in KiB that the firmware needs: the lookup's pages are at its end.
 const FLASH_KIB: u16 = 512;
@@ -108,7 +108,7 @@ impl Programmer for ProbeProgrammer {
         &mut self,
         image: &Image,
         erase: Erase,
-        progress: &mut dyn FnMut(Progress),
+        progress: &mut dyn FnMut(WriteProgress),
     ) -> Result<(), ProgramError> {
         self.check_writable(image, erase)?;
         flashing::flash(&mut self.connection, image, erase, progress)?;

@@ -13,7 +13,7 @@ use super::connection::ProbeConnection;
 use super::errors;
 use super::registers as reg;
 use crate::image::Image;
-use crate::programmer::{Erase, FlashStep, ProgramError, Progress};
+use crate::programmer::{Erase, FlashStep, ProgramError, WriteProgress};
 
 /// Number of bytes read at once for comparing.
 const READ_BYTES: usize = 4_096;
@@ -26,14 +26,14 @@ const HALTED_WITHIN: Duration = Duration::from_millis(500);
 
 /// Progress, from probe-rs's events.
 struct Meter<'a> {
-    report: &'a mut dyn FnMut(Progress),
+    report: &'a mut dyn FnMut(WriteProgress),
     doing: FlashStep,
     totals: [u32; 2],
     done: [u32; 2],
 }
 
 impl<'a> Meter<'a> {
-    fn new(image: &Image, erase: Erase, report: &'a mut dyn FnMut(Progress)) -> Self {
+    fn new(image: &Image, erase: Erase, report: &'a mut dyn FnMut(WriteProgress)) -> Self {
         let erased = match erase {
             Erase::Image => image.bytes.next_multiple_of(PAGE_BYTES),
             Erase::All => FLASH_BYTES,
@@ -67,13 +67,13 @@ impl<'a> Meter<'a> {
             ProgressOperation::Erase => {
                 *erased = erased.saturating_add(bytes).min(to_erase);
                 let (done, total) = (*erased, to_erase);
-                (self.report)(Progress::Erasing { done, total });
+                (self.report)(WriteProgress::Erasing { done, total });
             }
             ProgressOperation::Program => {
                 self.doing = FlashStep::Programming;
                 *programmed = programmed.saturating_add(bytes).min(to_program);
                 let (done, total) = (*programmed, to_program);
-                (self.report)(Progress::Programming { done, total });
+                (self.report)(WriteProgress::Programming { done, total });
             }
             ProgressOperation::Fill | ProgressOperation::Verify => {}
         }
@@ -95,7 +95,7 @@ pub fn flash(
     chip: &mut ProbeConnection,
     image: &Image,
     erase: Erase,
-    progress: &mut dyn FnMut(Progress),
+    progress: &mut dyn FnMut(WriteProgress),
 ) -> Result<(), ProgramError> {
     let flat = image.flat();
     let (first, rest) = flat.split_at(flat.len().min(PAGE_BYTES as usize));
@@ -154,7 +154,7 @@ pub fn verify(
     chip: &mut ProbeConnection,
     address: u32,
     expected: &[u8],
-    progress: &mut dyn FnMut(Progress),
+    progress: &mut dyn FnMut(WriteProgress),
 ) -> Result<(), ProgramError> {
     let doing = FlashStep::Verifying;
     // A reset invalidates the caches of the flash.
@@ -178,7 +178,7 @@ pub fn verify(
         }
         next += part.len() as u32;
         let done = next - address;
-        progress(Progress::Verifying { done, total });
+        progress(WriteProgress::Verifying { done, total });
     }
     Ok(())
 }

@@ -5,7 +5,7 @@ mod liar;
 
 use desk::{Desk, GIVEN_TIME};
 use ihd_fakes::SampleImage;
-use ihd_flash::programmer::Progress;
+use ihd_flash::programmer::WriteProgress;
 use ihd_flash::{Erase, Image, OptionBytes, ProgramError, Programmer};
 use ihd_rom_bootloader::chip::{FACTORY_OPTR, FLASH, PAGE};
 use ihd_rom_bootloader::{Fault, Left};
@@ -102,15 +102,15 @@ fn an_image_is_written_into_its_pages_and_started_and_the_lookup_stays() {
         assert_eq!(rom.left(), None);
     });
     let ends = [
-        Progress::Erasing {
+        WriteProgress::Erasing {
             done: 6 * PAGE as u32,
             total: 6 * PAGE as u32,
         },
-        Progress::Programming {
+        WriteProgress::Programming {
             done: 5 * PAGE as u32 + 40,
             total: 5 * PAGE as u32 + 40,
         },
-        Progress::Verifying {
+        WriteProgress::Verifying {
             done: 5 * PAGE as u32 + 40,
             total: 5 * PAGE as u32 + 40,
         },

@@ -13,7 +13,7 @@ use tokio::time::Instant;
 use super::{Link, TRY_AGAIN, lock, outbox};
 use crate::jetstream::JetStreamError;
 use crate::names;
-use crate::server::{Incoming, Results};
+use crate::server::{Incoming, ResultConsumer};
 use crate::wire::AnswerMessage;
 
 /// Results processed at once.
@@ -75,7 +75,7 @@ fn record_answer(link: &Link) {
 }
 
 /// Receives the results of one request.
-async fn receive_batch(link: &Link, results: &Results) -> Result<(), JetStreamError> {
+async fn receive_batch(link: &Link, results: &ResultConsumer) -> Result<(), JetStreamError> {
     let failed = |why: String| JetStreamError::new(names::RESULTS, why);
     let asked = Instant::now();
     let fetched = results.fetch(AT_ONCE, REQUEST_TIME).await.map_err(failed)?;
@@ -101,7 +101,7 @@ async fn receive_batch(link: &Link, results: &Results) -> Result<(), JetStreamEr
 }
 
 /// Sends unanswered windows again if the consumer is a new one: the server has lost the former one, and with it all other data.
-async fn detect_lost_data(link: &Link, results: &Results) -> Result<(), JetStreamError> {
+async fn detect_lost_data(link: &Link, results: &ResultConsumer) -> Result<(), JetStreamError> {
     let made = results.made_us();
     let noted = async {
         let before = link.daemon.fleet().mark(FleetMark::ConsumerMade).await?;

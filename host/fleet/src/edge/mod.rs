@@ -38,7 +38,7 @@ use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 use crate::access::{Access, AccessError};
-use crate::server::Server;
+use crate::server::FleetServer;
 use crate::standing::Standing;
 
 pub(crate) use self::state::{State, lock};
@@ -61,7 +61,7 @@ pub struct Edge {
 /// Data shared by the tasks of an edge.
 pub(crate) struct Link {
     pub daemon: Daemon,
-    pub server: Server,
+    pub server: FleetServer,
     pub edge: String,
     /// Address of the server, without secrets.
     pub address: String,
@@ -85,7 +85,7 @@ impl Edge {
         let context = access.keep_connected(&edge, Box::new(on_event)).await?;
         let address = access.shown();
         tracing::info!(edge, server = address, "edge of a fleet");
-        let server = Server::JetStream(Box::new(context.clone()), access);
+        let server = FleetServer::JetStream(Box::new(context.clone()), access);
         let (link, mut this) = Self::begin(daemon, edge, address, server, state);
         let tasks = &mut this.tasks;
         tasks.spawn(lookups::run(Arc::clone(&link), context.clone()));
@@ -103,7 +103,7 @@ impl Edge {
         daemon: Daemon,
         edge: String,
         address: String,
-        server: Server,
+        server: FleetServer,
         state: Arc<Mutex<State>>,
     ) -> (Arc<Link>, Self) {
         let (stop, stopped) = watch::channel(false);

@@ -6,7 +6,7 @@ use std::time::Duration;
 use ihd_daemon::fleet::host_name;
 
 use super::{Link, TRY_AGAIN};
-use crate::claims::{self, Claim, Verdict};
+use crate::claims::{self, Claim, ClaimVerdict};
 use crate::jetstream::JetStreamError;
 use crate::message_ids::MessageIds;
 use crate::standing::Standing;
@@ -46,11 +46,11 @@ async fn check_claim(link: &Link, mine: &mut Option<Claim>) -> Result<(), JetStr
         let (there, number) = claims::read_claim(&link.server, &link.edge).await?;
         let standing = link.state().standing.clone();
         match mine.judge(&link.edge, there.as_ref(), &standing) {
-            Verdict::Stands(standing) => {
+            ClaimVerdict::Stands(standing) => {
                 set_standing(link, standing);
                 return Ok(());
             }
-            Verdict::MustClaim => {
+            ClaimVerdict::MustClaim => {
                 mine.at_ms = link.daemon.view().now_ms();
                 if claims::put(&link.server, &link.edge, mine, number).await? {
                     tracing::info!(edge = link.edge, "the edge's name is this store's");

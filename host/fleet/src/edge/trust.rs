@@ -16,24 +16,24 @@ const FORGOTTEN_AFTER: Duration = Duration::from_secs(300);
 const MOST: usize = 8_192;
 
 /// Hob, boot and number of a window.
-pub type Key = (String, u32, u32);
+pub type WindowKey = (String, u32, u32);
 
 /// Windows that the fleet has received and not answered.
 #[derive(Debug, Default)]
 pub struct Answers {
-    waited_for: BTreeMap<Key, Instant>,
+    waited_for: BTreeMap<WindowKey, Instant>,
 }
 
 impl Answers {
     /// Adds a window that the fleet has received.
-    pub fn insert(&mut self, key: Key, now: Instant) {
+    pub fn insert(&mut self, key: WindowKey, now: Instant) {
         if self.waited_for.len() < MOST {
             self.waited_for.insert(key, now);
         }
     }
 
     /// Removes a window whose result came, or will not come.
-    pub fn remove(&mut self, key: &Key) {
+    pub fn remove(&mut self, key: &WindowKey) {
         self.waited_for.remove(key);
     }
 
@@ -80,7 +80,7 @@ impl Signs {
 mod tests {
     use super::*;
 
-    fn key(seq: u32) -> Key {
+    fn key(seq: u32) -> WindowKey {
         ("hob".into(), 1, seq)
     }
 

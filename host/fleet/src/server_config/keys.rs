@@ -49,12 +49,12 @@ pub enum KeyError {
 
 /// Key pair: the seed authenticates its owner, the server has the public half.
 #[derive(Clone, PartialEq, Eq)]
-pub struct Key {
+pub struct UserKey {
     seed: String,
     public: String,
 }
 
-impl Key {
+impl UserKey {
     /// Makes a new key.
     ///
     /// # Errors
@@ -106,7 +106,7 @@ impl Key {
 }
 
 /// Without the seed, because this may be logged.
-impl std::fmt::Debug for Key {
+impl std::fmt::Debug for UserKey {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "Key({})", self.public)
     }
@@ -119,7 +119,7 @@ impl std::fmt::Debug for Key {
 pub fn read_or_make<'a>(
     folder: &Path,
     names: impl IntoIterator<Item = &'a str>,
-) -> Result<BTreeMap<String, Key>, KeyError> {
+) -> Result<BTreeMap<String, UserKey>, KeyError> {
     make_folder(folder).map_err(|source| KeyError::Io {
         path: folder.into(),
         source,
@@ -127,9 +127,9 @@ pub fn read_or_make<'a>(
     let key = |name: &str| {
         let path = folder.join(format!("{name}.{SUFFIX}"));
         let key = if path.exists() {
-            Key::read(&path)?
+            UserKey::read(&path)?
         } else {
-            let key = Key::make()?;
+            let key = UserKey::make()?;
             let write = write_new(&path, key.seed());
             write.map_err(|source| KeyError::Io { path, source })?;
             key
@@ -219,7 +219,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a.nk");
         let account = KeyPair::new_account().seed().unwrap();
-        let user = Key::make().unwrap();
+        let user = UserKey::make().unwrap();
         let mut flipped = user.seed().to_owned();
         flipped.replace_range(20..21, if &flipped[20..21] == "A" { "B" } else { "A" });
         for text in ["", "hello", user.public(), &account, &flipped, "\0\0"] {

@@ -13,7 +13,7 @@ use std::str::FromStr;
 
 use ihd_daemon::config::is_name;
 
-pub use keys::{Key, KeyError, read_or_make};
+pub use keys::{KeyError, UserKey, read_or_make};
 pub use rights::Rights;
 
 /// Largest message of a key's account in bytes; windows are far smaller.
@@ -24,7 +24,7 @@ const CONNECTIONS_A_KEY: u32 = 8;
 
 /// Error of a configuration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ConfigError {
+pub enum ServerConfigError {
     /// Name that would change a subject.
     #[error("{what} {name:?}: a name has 1 to 64 of a-z, 0-9, - and _")]
     Name {
@@ -54,7 +54,7 @@ pub enum ConfigError {
 
 /// Addresses, folder and certificate of the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Server {
+pub struct ServerSettings {
     /// Its name, which MQTT needs.
     pub name: String,
     /// Address for clients of NATS, as `0.0.0.0:4222`.
@@ -64,12 +64,12 @@ pub struct Server {
     /// Folder of JetStream.
     pub store: PathBuf,
     /// Certificate and key; `None` for an unencrypted connection, on which only the proof of the keys is safe.
-    pub tls: Option<Tls>,
+    pub tls: Option<TlsFiles>,
 }
 
 /// PEM files.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Tls {
+pub struct TlsFiles {
     /// The certificate chain.
     pub certificate: PathBuf,
     /// Its private key.
@@ -82,7 +82,7 @@ pub struct Site {
     /// Its name.
     pub name: String,
     /// Its daemons.
-    pub edges: Vec<Edge>,
+    pub edges: Vec<EdgeAccount>,
     /// Names of its workers.
     pub workers: Vec<String>,
     /// Disk space in bytes.
@@ -94,7 +94,7 @@ pub struct Site {
 impl Site {
     /// Creates a site with workers `worker-1` to `worker-N`, 12 GB of disk and 256 MB of memory: `ihd-fleet init` reserves 8.5 GB
     /// by default.
-    pub fn new(name: impl Into<String>, edges: Vec<Edge>, workers: u32) -> Self {
+    pub fn new(name: impl Into<String>, edges: Vec<EdgeAccount>, workers: u32) -> Self {
         Self {
             name: name.into(),
             edges,
@@ -120,7 +120,7 @@ impl Site {
 
 /// A daemon and its hobs.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Edge {
+pub struct EdgeAccount {
     /// Its name.
     pub name: String,
     /// Names of its hobs.
@@ -130,14 +130,14 @@ pub struct Edge {
 }
 
 /// Parses `lab-1=hob-a,hob-b`.
-impl FromStr for Edge {
-    type Err = ConfigError;
+impl FromStr for EdgeAccount {
+    type Err = ServerConfigError;
 
-    fn from_str(text: &str) -> Result<Self, ConfigError> {
+    fn from_str(text: &str) -> Result<Self, ServerConfigError> {
         let (name, hobs) = text
             .split_once('=')
             .filter(|(_, hobs)| !hobs.is_empty())
-            .ok_or_else(|| ConfigError::Edge(text.to_owned()))?;
+            .ok_or_else(|| ServerConfigError::Edge(text.to_owned()))?;
         let edge = Self {
             name: name.to_owned(),
             hobs: hobs.split(',').map(str::to_owned).collect(),
@@ -152,12 +152,12 @@ impl FromStr for Edge {
 /// Returns the configuration of a server with the users of `sites`. `keys` are by the names of [`Site::key_names`].
 ///
 /// # Errors
-/// [`ConfigError`] for an invalid or repeated name, an edge without hobs, a missing key.
+/// [`ServerConfigError`] for an invalid or repeated name, an edge without hobs, a missing key.
 pub fn server_config(
-    server: &Server,
+    server: &ServerSettings,
     sites: &[Site],
-    keys: &BTreeMap<String, Key>,
-) -> Result<String, ConfigError> {
+    keys: &BTreeMap<String, UserKey>,
+) -> Result<String, ServerConfigError> {
     unique("site", sites.iter().map(|site| &site.name))?;
     let mut text = head(server)?;
     text += "\naccounts {\n";
@@ -178,10 +178,10 @@ pub fn server_config(
 }
 
 /// Returns the server's own settings: addresses, TLS, JetStream, MQTT.
-fn head(server: &Server) -> Result<String, ConfigError> {
+fn head(server: &ServerSettings) -> Result<String, ServerConfigError> {
     check("server", &server.name)?;
     let tls = match &server.tls {
-        Some(Tls { certificate, key }) => {
+        Some(TlsFiles { certificate, key }) => {
             let (certificate, key) = (path(certificate)?, path(key)?);
             format!("tls {{ cert_file: {certificate}, key_file: {key}, min_version: \"1.2\" }}")
         }
@@ -213,8 +213,8 @@ fn head(server: &Server) -> Result<String, ConfigError> {
 fn site_account(
     site: &Site,
     mqtt: bool,
-    keys: &BTreeMap<String, Key>,
-) -> Result<String, ConfigError> {
+    keys: &BTreeMap<String, UserKey>,
+) -> Result<String, ServerConfigError> {
     let Site {
         name,
         disk_bytes,
@@ -268,8 +268,8 @@ fn key_account(
     site: &Site,
     role: &str,
     rights: &Rights,
-    keys: &BTreeMap<String, Key>,
-) -> Result<String, ConfigError> {
+    keys: &BTreeMap<String, UserKey>,
+) -> Result<String, ServerConfigError> {
     let user = key(keys, &format!("{}-{role}", site.name))?.public();
     let (own, from) = (account(site, Some(role)), account(site, None));
     let mut text = format!(
@@ -296,14 +296,17 @@ fn account(site: &Site, role: Option<&str>) -> String {
     }
 }
 
-fn key<'a>(keys: &'a BTreeMap<String, Key>, name: &str) -> Result<&'a Key, ConfigError> {
-    let missing = || ConfigError::NoKey(name.to_owned());
+fn key<'a>(
+    keys: &'a BTreeMap<String, UserKey>,
+    name: &str,
+) -> Result<&'a UserKey, ServerConfigError> {
+    let missing = || ServerConfigError::NoKey(name.to_owned());
     keys.get(name).ok_or_else(missing)
 }
 
 /// Quotes a path for the server's configuration, with single quotes because backslashes of a Windows path are no escapes.
-fn path(path: &std::path::Path) -> Result<String, ConfigError> {
-    let refused = || ConfigError::Path(path.into());
+fn path(path: &std::path::Path) -> Result<String, ServerConfigError> {
+    let refused = || ServerConfigError::Path(path.into());
     let text = path.to_str().ok_or_else(refused)?;
     if text.is_empty() || text.contains(|c: char| c.is_control() || c == '\'') {
         return Err(refused());
@@ -314,13 +317,13 @@ fn path(path: &std::path::Path) -> Result<String, ConfigError> {
 /// Checks that the names of a site are valid tokens of subjects and unique.
 ///
 /// # Errors
-/// [`ConfigError`] of the first wrong name.
-pub fn check_site(site: &Site) -> Result<(), ConfigError> {
+/// [`ServerConfigError`] of the first wrong name.
+pub fn check_site(site: &Site) -> Result<(), ServerConfigError> {
     check("site", &site.name)?;
     for edge in &site.edges {
         check("edge", &edge.name)?;
         if edge.hobs.is_empty() {
-            return Err(ConfigError::Edge(edge.name.clone()));
+            return Err(ServerConfigError::Edge(edge.name.clone()));
         }
         edge.hobs.iter().try_for_each(|hob| check("hob", hob))?;
     }
@@ -332,10 +335,10 @@ pub fn check_site(site: &Site) -> Result<(), ConfigError> {
 }
 
 /// Checks a name, a token of subjects: a dot or a star in it would change a right.
-fn check(what: &'static str, name: &str) -> Result<(), ConfigError> {
+fn check(what: &'static str, name: &str) -> Result<(), ServerConfigError> {
     match is_name(name) {
         true => Ok(()),
-        false => Err(ConfigError::Name {
+        false => Err(ServerConfigError::Name {
             what,
             name: name.to_owned(),
         }),
@@ -345,10 +348,10 @@ fn check(what: &'static str, name: &str) -> Result<(), ConfigError> {
 fn unique<'a>(
     what: &'static str,
     names: impl IntoIterator<Item = &'a String>,
-) -> Result<(), ConfigError> {
+) -> Result<(), ServerConfigError> {
     let mut seen = BTreeSet::new();
     match names.into_iter().find(|name| !seen.insert(*name)) {
-        Some(name) => Err(ConfigError::Twice {
+        Some(name) => Err(ServerConfigError::Twice {
             what,
             name: name.clone(),
         }),

@@ -4,7 +4,7 @@
 //! suffice: the server checks the subject of a request, not the subject of its answer, and JetStream answers with rights
 //! of its own. A client that may read one key of a bucket could have the answer written to any other.
 
-use super::Edge;
+use super::EdgeAccount;
 use crate::names;
 
 /// Prefix of the subjects of Home Assistant's discovery messages.
@@ -68,7 +68,7 @@ const BUCKETS: [&str; 7] = [
 ];
 
 /// Returns the rights of a daemon, for its hobs.
-pub fn edge(edge: &Edge) -> Rights {
+pub fn edge(edge: &EdgeAccount) -> Rights {
     let mut rights = Rights::default();
     let services = &mut rights.services;
     for hob in &edge.hobs {

@@ -2,30 +2,30 @@ use super::*;
 use crate::names;
 
 fn site() -> Site {
-    let mut first: Edge = "lab-1=hob-a,hob-b".parse().unwrap();
+    let mut first: EdgeAccount = "lab-1=hob-a,hob-b".parse().unwrap();
     first.sees_fleet = true;
     Site::new("lab", vec![first, "lab-2=hob-c".parse().unwrap()], 2)
 }
 
-fn server() -> Server {
-    Server {
+fn server() -> ServerSettings {
+    ServerSettings {
         name: "lab".into(),
         listen: "0.0.0.0:4222".into(),
         mqtt_listen: Some("0.0.0.0:8883".into()),
         store: "/var/lib/nats".into(),
-        tls: Some(Tls {
+        tls: Some(TlsFiles {
             certificate: "/etc/nats/certificate.pem".into(),
             key: "/etc/nats/key.pem".into(),
         }),
     }
 }
 
-fn keys(sites: &[Site]) -> BTreeMap<String, Key> {
+fn keys(sites: &[Site]) -> BTreeMap<String, UserKey> {
     let names = sites.iter().flat_map(|site| site.key_names(true));
-    names.map(|name| (name, Key::make().unwrap())).collect()
+    names.map(|name| (name, UserKey::make().unwrap())).collect()
 }
 
-fn config(sites: &[Site]) -> Result<String, ConfigError> {
+fn config(sites: &[Site]) -> Result<String, ServerConfigError> {
     server_config(&server(), sites, &keys(sites))
 }
 
@@ -166,25 +166,25 @@ fn names_that_would_be_another_subject_are_refused() {
         wrong.edges[0].hobs[0] = name.into();
         assert!(matches!(
             config(&[wrong]),
-            Err(ConfigError::Name { what: "hob", .. })
+            Err(ServerConfigError::Name { what: "hob", .. })
         ));
         let mut wrong = site();
         wrong.edges[0].name = name.into();
         assert!(matches!(
             config(&[wrong]),
-            Err(ConfigError::Name { what: "edge", .. })
+            Err(ServerConfigError::Name { what: "edge", .. })
         ));
         let mut wrong = site();
         wrong.workers[0] = name.into();
         assert!(matches!(
             config(&[wrong]),
-            Err(ConfigError::Name { what: "worker", .. })
+            Err(ServerConfigError::Name { what: "worker", .. })
         ));
         let mut wrong = site();
         wrong.name = name.into();
         assert!(matches!(
             config(&[wrong]),
-            Err(ConfigError::Name { what: "site", .. })
+            Err(ServerConfigError::Name { what: "site", .. })
         ));
     }
     assert!(config(&[site()]).is_ok());
@@ -196,7 +196,7 @@ fn one_hob_is_at_one_edge_and_one_name_is_one() {
         let mut site = site();
         change(&mut site);
         match config(&[site]) {
-            Err(ConfigError::Twice { what, name }) => format!("{what} {name}"),
+            Err(ServerConfigError::Twice { what, name }) => format!("{what} {name}"),
             other => format!("{other:?}"),
         }
     };
@@ -209,12 +209,12 @@ fn one_hob_is_at_one_edge_and_one_name_is_one() {
     let two = config(&[site(), site()]);
     let what = "site";
     let name = "lab".to_owned();
-    assert_eq!(two, Err(ConfigError::Twice { what, name }));
+    assert_eq!(two, Err(ServerConfigError::Twice { what, name }));
 }
 
 #[test]
 fn an_edge_is_written_with_its_hobs() {
-    let edge: Edge = "lab-1=hob-a,hob-b".parse().unwrap();
+    let edge: EdgeAccount = "lab-1=hob-a,hob-b".parse().unwrap();
     assert_eq!((edge.name.as_str(), edge.hobs.len()), ("lab-1", 2));
     assert!(!edge.sees_fleet);
     for wrong in [
@@ -225,7 +225,7 @@ fn an_edge_is_written_with_its_hobs() {
         "lab-1=hob-a,",
         "lab.1=hob-a",
     ] {
-        assert!(wrong.parse::<Edge>().is_err(), "{wrong}");
+        assert!(wrong.parse::<EdgeAccount>().is_err(), "{wrong}");
     }
 }
 
@@ -239,7 +239,7 @@ fn seeds_are_in_the_configuration_for_mqtt_alone_and_a_key_that_is_missing_is_na
         assert_eq!(text.contains(key.seed()), has_password, "{name}");
         assert_eq!(text.contains(key.public()), !has_password, "{name}");
     }
-    let without = Server {
+    let without = ServerSettings {
         mqtt_listen: None,
         ..server()
     };
@@ -248,13 +248,16 @@ fn seeds_are_in_the_configuration_for_mqtt_alone_and_a_key_that_is_missing_is_na
     assert!(!text.contains("mqtt"), "{text}");
     keys.remove("lab-edge-lab-2");
     let missing = server_config(&server(), &sites, &keys);
-    assert_eq!(missing, Err(ConfigError::NoKey("lab-edge-lab-2".into())));
+    assert_eq!(
+        missing,
+        Err(ServerConfigError::NoKey("lab-edge-lab-2".into()))
+    );
 }
 
 #[test]
 fn a_path_is_written_as_it_is_or_refused() {
     let at = |store: &str| {
-        let server = Server {
+        let server = ServerSettings {
             store: store.into(),
             ..server()
         };
@@ -263,6 +266,9 @@ fn a_path_is_written_as_it_is_or_refused() {
     let windows = at(r"C:\nats\new").unwrap();
     assert!(windows.contains(r"store_dir: 'C:\nats\new'"), "{windows}");
     for wrong in ["", "a\nb", "it's"] {
-        assert!(matches!(at(wrong), Err(ConfigError::Path(_))), "{wrong}");
+        assert!(
+            matches!(at(wrong), Err(ServerConfigError::Path(_))),
+            "{wrong}"
+        );
     }
 }

@@ -13,7 +13,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::time::{Instant, sleep};
 
-use super::server::{Consumer, Memory, Message};
+use super::server::{Consumer, ServerMemory, StreamEntry};
 use crate::edge::state::{State, lock};
 use crate::jetstream::JetStreamError;
 use crate::names;
@@ -26,7 +26,7 @@ const WITHIN: Duration = Duration::from_secs(5);
 const STEP: Duration = Duration::from_millis(50);
 
 /// Hob, boot and number of a window.
-pub type Key = (String, u32, u32);
+pub type SimulatedKey = (String, u32, u32);
 
 /// Faults of connection and server in one life of the daemon.
 pub struct Weather {
@@ -48,16 +48,16 @@ pub struct ReceivedAnswers {
     /// Time of the last answer.
     pub last: Option<Instant>,
     /// Acknowledged windows without a result, each with the time of the acknowledgement.
-    pub waited_for: BTreeMap<Key, Instant>,
+    pub waited_for: BTreeMap<SimulatedKey, Instant>,
 }
 
 /// Simulated connection.
 #[derive(Clone)]
-pub struct Line {
+pub struct SimulatedConnection {
     /// The world.
     pub world: Arc<World>,
     /// The server.
-    pub memory: Arc<Memory>,
+    pub memory: Arc<ServerMemory>,
     /// The edge's own record of its connection.
     pub edge: Arc<Mutex<State>>,
     weather: Arc<Mutex<Weather>>,
@@ -65,9 +65,14 @@ pub struct Line {
     rng: Arc<Mutex<ChaCha8Rng>>,
 }
 
-impl Line {
+impl SimulatedConnection {
     /// Creates the connection of a new life.
-    pub fn new(world: Arc<World>, memory: Arc<Memory>, edge: Arc<Mutex<State>>, seed: u64) -> Self {
+    pub fn new(
+        world: Arc<World>,
+        memory: Arc<ServerMemory>,
+        edge: Arc<Mutex<State>>,
+        seed: u64,
+    ) -> Self {
         let now = Instant::now();
         Self {
             world,
@@ -218,7 +223,7 @@ impl Line {
     ///
     /// # Errors
     /// The client gives up.
-    pub async fn results(&self) -> Result<Results, JetStreamError> {
+    pub async fn results(&self) -> Result<SimulatedConsumer, JetStreamError> {
         let find = || {
             let now = self.world.now();
             let mut disk = self.memory.disk();
@@ -229,29 +234,29 @@ impl Line {
         let made_us = self.ask(find).await;
         let made_us = made_us.map_err(|e| JetStreamError::new(names::RESULTS, e))?;
         let line = self.clone();
-        Ok(Results { line, made_us })
+        Ok(SimulatedConsumer { line, made_us })
     }
 }
 
 /// Returns the window of a message to the queue.
-fn window_of(message: &Outgoing) -> Option<Key> {
+fn window_of(message: &Outgoing) -> Option<SimulatedKey> {
     let read = crate::wire::WindowMessage::from_bytes(&message.payload).ok()?;
     Some((read.hob, read.boot, read.window.seq))
 }
 
 /// Returns the window of a dead letter's subject.
-fn dead_window(subject: &str) -> Option<Key> {
+fn dead_window(subject: &str) -> Option<SimulatedKey> {
     let result = subject.replace(".dead.", ".result.");
     names::window_of_result(&result).filter(|_| result != subject)
 }
 
 /// The edge's consumer.
-pub struct Results {
-    line: Line,
+pub struct SimulatedConsumer {
+    line: SimulatedConnection,
     made_us: i64,
 }
 
-impl Results {
+impl SimulatedConsumer {
     /// Returns the time of its creation in microseconds.
     pub fn made_us(&self) -> i64 {
         self.made_us
@@ -318,11 +323,11 @@ impl Results {
 
 /// Result delivered to the edge.
 pub struct Delivered {
-    line: Line,
+    line: SimulatedConnection,
     /// Creation of its consumer in microseconds.
     made_us: i64,
     number: u64,
-    message: Message,
+    message: StreamEntry,
 }
 
 impl Delivered {

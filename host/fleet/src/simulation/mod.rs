@@ -18,15 +18,15 @@ mod workers;
 
 use std::sync::Arc;
 
-use ihd_daemon::simulation::{Course, HobKind, Life, Part, env_number, run, run_all};
+use ihd_daemon::simulation::{Course, DaemonPart, HobKind, Life, env_number, run, run_all};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use line::Line;
-use server::Memory;
+use line::SimulatedConnection;
+use server::ServerMemory;
 
 use crate::edge::{Edge, State};
-use crate::server::Server;
+use crate::server::FleetServer;
 
 /// Seeds of the short form.
 const SEEDS: u64 = 10;
@@ -36,12 +36,13 @@ const EDGE: &str = "kitchen";
 
 /// Runs one seed: server and workers outlive the daemons.
 fn course(seed: u64) -> Course {
-    let memory = Memory::new();
-    let part: Box<Part> = Box::new(move |life| Box::pin(take_part(Arc::clone(&memory), life)));
+    let memory = ServerMemory::new();
+    let part: Box<DaemonPart> =
+        Box::new(move |life| Box::pin(take_part(Arc::clone(&memory), life)));
     run(seed, HobKind::Script, Some(&*part))
 }
 
-async fn take_part(memory: Arc<Memory>, life: Life) {
+async fn take_part(memory: Arc<ServerMemory>, life: Life) {
     let Life {
         world,
         daemon,
@@ -50,14 +51,14 @@ async fn take_part(memory: Arc<Memory>, life: Life) {
     } = life;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let state = State::begin();
-    let line = Line::new(
+    let line = SimulatedConnection::new(
         Arc::clone(&world),
         Arc::clone(&memory),
         Arc::clone(&state),
         rng.random(),
     );
     let address = "nats://simulated".to_owned();
-    let server = Server::Simulated(line.clone());
+    let server = FleetServer::Simulated(line.clone());
     let (_, edge) = Edge::begin(daemon.clone(), EDGE.to_owned(), address, server, state);
     let beside = [
         tokio::spawn(weather::change(line.clone(), rng.random())),

@@ -13,7 +13,7 @@ use crate::stream_message::{Acknowledged, Outgoing, PublishFailure};
 
 /// Stored message.
 #[derive(Clone, Debug)]
-pub struct Message {
+pub struct StreamEntry {
     /// Its subject.
     pub subject: String,
     /// Its headers.
@@ -24,18 +24,18 @@ pub struct Message {
 
 /// A stream.
 #[derive(Default)]
-pub struct Stream {
+pub struct MessageStream {
     /// Number of the last message ever stored.
     last: u64,
     /// Messages by number.
-    pub messages: BTreeMap<u64, Message>,
+    pub messages: BTreeMap<u64, StreamEntry>,
     /// Numbers and times of messages by message id.
     known: BTreeMap<String, (u64, Duration)>,
 }
 
-impl Stream {
+impl MessageStream {
     /// Returns the last message of a subject, with its number.
-    pub fn last_of(&self, subject: &str) -> Option<(u64, &Message)> {
+    pub fn last_of(&self, subject: &str) -> Option<(u64, &StreamEntry)> {
         let last = self
             .messages
             .iter()
@@ -74,7 +74,7 @@ impl Stream {
             .extend(message.number.map(|n| (n, (number, now))));
         self.messages.insert(
             number,
-            Message {
+            StreamEntry {
                 subject: message.subject,
                 headers: HeaderMap::new(),
                 payload: message.payload,
@@ -111,9 +111,9 @@ impl Consumer {
     pub fn give(
         &mut self,
         now: Duration,
-        stream: &Stream,
+        stream: &MessageStream,
         most: usize,
-    ) -> Vec<(u64, Message, u32)> {
+    ) -> Vec<(u64, StreamEntry, u32)> {
         self.pending
             .retain(|number, _| stream.messages.contains_key(number));
         let again = self.pending.iter().filter(|(_, (at, _))| *at <= now);
@@ -152,8 +152,8 @@ impl Consumer {
 
 /// Content of the server's disk.
 #[derive(Default)]
-pub struct Disk {
-    streams: BTreeMap<String, Stream>,
+pub struct ServerDisk {
+    streams: BTreeMap<String, MessageStream>,
     /// Consumer of the edge, `None` before it is made.
     pub results: Option<Consumer>,
     /// Consumer of the workers.
@@ -162,9 +162,9 @@ pub struct Disk {
     pub before: u32,
 }
 
-impl Disk {
+impl ServerDisk {
     /// Returns the stream of a name.
-    pub fn stream(&mut self, name: &str) -> &mut Stream {
+    pub fn stream(&mut self, name: &str) -> &mut MessageStream {
         self.streams.entry(name.to_owned()).or_default()
     }
 
@@ -179,13 +179,17 @@ impl Disk {
     }
 
     /// Delivers windows to a worker.
-    pub fn give_windows(&mut self, now: Duration, most: usize) -> Vec<(u64, Message, u32)> {
+    pub fn give_windows(&mut self, now: Duration, most: usize) -> Vec<(u64, StreamEntry, u32)> {
         let stream = self.streams.entry(names::WINDOWS.to_owned()).or_default();
         self.windows.give(now, stream, most)
     }
 
     /// Delivers results to the edge; `None` without a consumer.
-    pub fn give_results(&mut self, now: Duration, most: usize) -> Option<Vec<(u64, Message, u32)>> {
+    pub fn give_results(
+        &mut self,
+        now: Duration,
+        most: usize,
+    ) -> Option<Vec<(u64, StreamEntry, u32)>> {
         let stream = self.streams.entry(names::RESULTS.to_owned()).or_default();
         Some(self.results.as_mut()?.give(now, stream, most))
     }
@@ -224,16 +228,16 @@ fn stream_of(subject: &str) -> (String, bool) {
 
 /// Memory of the server; it outlives the daemons.
 #[derive(Default)]
-pub struct Memory(Mutex<Disk>);
+pub struct ServerMemory(Mutex<ServerDisk>);
 
-impl Memory {
+impl ServerMemory {
     /// Creates an empty memory.
     pub fn new() -> Arc<Self> {
         Arc::default()
     }
 
     /// Returns its disk.
-    pub fn disk(&self) -> MutexGuard<'_, Disk> {
+    pub fn disk(&self) -> MutexGuard<'_, ServerDisk> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -5,10 +5,10 @@ use std::time::Duration;
 use ihd_daemon::Daemon;
 use ihd_daemon::fleet::DELEGATION_TIME;
 use ihd_daemon::simulation::LOAD;
-use ihd_store::{Reader, ResultFilter};
+use ihd_store::{ResultFilter, StoreReader};
 use tokio::time::{Instant, sleep};
 
-use super::line::{Key, Line};
+use super::line::{SimulatedConnection, SimulatedKey};
 use super::workers::LIAR;
 
 /// Period of the checks.
@@ -24,7 +24,7 @@ const FORGOTTEN_AFTER: Duration = Duration::from_secs(300);
 const BELIEVED_PCT: f64 = 0.1;
 
 /// Checks that no false answer was confirmed, and no other refuted.
-fn check_answers(line: &Line, daemon: &Daemon) {
+fn check_answers(line: &SimulatedConnection, daemon: &Daemon) {
     for (name, answers) in daemon.fleet().workers() {
         let is_liar = name.starts_with(LIAR);
         if is_liar && answers.confirmed > 0 {
@@ -40,13 +40,13 @@ fn check_answers(line: &Line, daemon: &Daemon) {
 }
 
 /// Checks that every stored R is the truth, after all results have come.
-pub fn check_results(line: &Line, daemon: &Daemon) {
+pub fn check_results(line: &SimulatedConnection, daemon: &Daemon) {
     let filter = ResultFilter {
         limit: Some(u32::MAX),
         ..ResultFilter::default()
     };
     let results =
-        Reader::open(daemon.fleet().store_folder()).and_then(|reader| reader.results(&filter));
+        StoreReader::open(daemon.fleet().store_folder()).and_then(|reader| reader.results(&filter));
     let results = match results {
         Ok(results) => results,
         Err(why) => return line.world.note_broken(why.to_string()),
@@ -71,7 +71,7 @@ pub fn check_results(line: &Line, daemon: &Daemon) {
 }
 
 /// Checks until the daemon's life ends.
-pub async fn watch(line: Line, daemon: Daemon) {
+pub async fn watch(line: SimulatedConnection, daemon: Daemon) {
     loop {
         sleep(CHECK_EVERY).await;
         check_answers(&line, &daemon);
@@ -81,7 +81,7 @@ pub async fn watch(line: Line, daemon: Daemon) {
         let now = Instant::now();
         let (last, oldest) = {
             let received = line.received();
-            let waits = |(_, since): &(&Key, &Instant)| now - **since < FORGOTTEN_AFTER;
+            let waits = |(_, since): &(&SimulatedKey, &Instant)| now - **since < FORGOTTEN_AFTER;
             let oldest = received.waited_for.iter().filter(waits);
             let oldest = oldest.min_by_key(|(_, since)| **since);
             (

@@ -6,13 +6,13 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::time::{Instant, sleep};
 
-use super::line::Line;
+use super::line::SimulatedConnection;
 
 /// Longest time in milliseconds until a client detects a cut: three pings without an answer.
 const SEEN_WITHIN_MS: u64 = 15_000;
 
 /// Makes faults at random times; connects the edge first, and again after each cut.
-pub async fn change(line: Line, seed: u64) {
+pub async fn change(line: SimulatedConnection, seed: u64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let ms = |rng: &mut ChaCha8Rng, range| Duration::from_millis(rng.random_range(range));
     sleep(ms(&mut rng, 0..2_000)).await;
@@ -67,7 +67,7 @@ pub async fn change(line: Line, seed: u64) {
 }
 
 /// Cuts the connection for a time; the client detects it after `seen`.
-async fn cut(line: &Line, lasts: Duration, seen: Duration) {
+async fn cut(line: &SimulatedConnection, lasts: Duration, seen: Duration) {
     line.world.note(&format!(
         "the line is cut for {lasts:?}, seen after {seen:?}"
     ));

@@ -9,8 +9,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::time::sleep;
 
-use super::line::Line;
-use super::server::Message;
+use super::line::SimulatedConnection;
+use super::server::StreamEntry;
 use crate::dead_letters;
 use crate::jetstream::MOST_DELIVERIES;
 use crate::names;
@@ -28,7 +28,7 @@ pub const LIAR: &str = "liar";
 const LEAST_LIE: f64 = 0.005;
 
 /// Processes windows until the daemon's life ends.
-pub async fn work(line: Line, seed: u64) {
+pub async fn work(line: SimulatedConnection, seed: u64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let are_silent = line.world.may_fail() && rng.random_bool(0.1);
     if are_silent {
@@ -59,7 +59,13 @@ struct Place {
     number: u64,
 }
 
-async fn deal(line: Line, place: Place, message: Message, times: u32, seed: u64) {
+async fn deal(
+    line: SimulatedConnection,
+    place: Place,
+    message: StreamEntry,
+    times: u32,
+    seed: u64,
+) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let fails = line.world.may_fail();
     let Ok(window) = WindowMessage::from_bytes(&message.payload) else {
@@ -97,7 +103,7 @@ async fn deal(line: Line, place: Place, message: Message, times: u32, seed: u64)
     done(&line, place);
 }
 
-fn done(line: &Line, place: Place) {
+fn done(line: &SimulatedConnection, place: Place) {
     let mut disk = line.memory.disk();
     if disk.before == place.disk {
         disk.windows.ack(place.number);
@@ -105,7 +111,7 @@ fn done(line: &Line, place: Place) {
     }
 }
 
-fn publish(line: &Line, (subject, payload): (String, Bytes), after: Option<u64>) {
+fn publish(line: &SimulatedConnection, (subject, payload): (String, Bytes), after: Option<u64>) {
     let now = line.world.now();
     let published = line.memory.disk().publish(
         now,
@@ -121,7 +127,7 @@ fn publish(line: &Line, (subject, payload): (String, Bytes), after: Option<u64>)
     }
 }
 
-fn bury(line: &Line, place: Place, message: &Message, window: &WindowMessage) {
+fn bury(line: &SimulatedConnection, place: Place, message: &StreamEntry, window: &WindowMessage) {
     let subject = names::dead_letter(&window.hob, window.boot, window.window.seq);
     publish(line, (subject.clone(), message.payload.clone()), Some(0));
     let mut disk = line.memory.disk();

@@ -10,8 +10,8 @@ use std::time::Instant;
 use ihd_signal::Segment;
 use nalgebra::{Cholesky, Matrix4};
 
-use super::step::{Covariance, Filter, Model};
-use super::waveforms::{PeriodMeans, Waveforms, finite};
+use super::step::{Covariance, EnvelopeFilter, Model};
+use super::waveforms::{EkfWaveforms, PeriodMeans, finite};
 use crate::{Estimate, IdentifyError, Method};
 
 /// Eq. (19) at a sampling interval in seconds.
@@ -24,7 +24,7 @@ fn model(dt_s: f64) -> Model {
     }
 }
 
-const START: Filter = Filter {
+const START: EnvelopeFilter = EnvelopeFilter {
     x: [0.0; 4],
     p: [1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 1e3, 0.0, 1e3],
 };
@@ -37,7 +37,7 @@ pub fn identify(segment: &Segment) -> Result<Estimate, IdentifyError> {
     let started = Instant::now();
     let model = model(segment.dt_s);
     let mut means = PeriodMeans::new(segment, [1.0, segment.dt_s]);
-    let mut waves = Waveforms::new(segment.len(), 1.0, 1.0);
+    let mut waves = EkfWaveforms::new(segment.len(), 1.0, 1.0);
     let mut filter = START;
     let per_period = segment.samples_per_period().ceil() as usize;
     let (mut looks, mut indefinite) = (0u32, 0u32);

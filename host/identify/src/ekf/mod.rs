@@ -16,8 +16,8 @@ use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Samples, Segment};
 use serde::{Deserialize, Serialize};
 
-use self::step::{Filter, Model, State};
-use self::waveforms::{PeriodMeans, Waveforms};
+use self::step::{EnvelopeFilter, FilterState, Model};
+use self::waveforms::{EkfWaveforms, PeriodMeans};
 use super::{Estimate, IdentifyError, IdentifyOptions, Method};
 
 /// Noise model of the repaired filter, in units of the capture's rms current and voltage.
@@ -67,7 +67,7 @@ pub struct PreparedSegment {
     /// Noise and transition of the filter.
     pub model: Model,
     /// Initial state of the filter.
-    pub start: Filter,
+    pub start: EnvelopeFilter,
 }
 
 /// Samples that are converted to doubles at a time.
@@ -138,7 +138,7 @@ impl PreparedSegment {
                     square(tuning.voltage_floor.max(noise.v_v / v_unit_v)),
                 ],
             },
-            start: Filter {
+            start: EnvelopeFilter {
                 x: [0.0, 0.0, r, x4],
                 p: [
                     1.0,
@@ -166,7 +166,7 @@ impl PreparedSegment {
 /// L/T_s of a state: the current in the middle between two samples is x1 + x2/2, so x4 is
 /// L/T_s + R/2.
 #[inline(always)]
-fn inductance(x: &State) -> f64 {
+fn inductance(x: &FilterState) -> f64 {
     x[3] - 0.5 * x[2]
 }
 
@@ -178,7 +178,7 @@ pub fn identify(segment: &Segment, settings: &IdentifyOptions) -> Result<Estimat
     let started = Instant::now();
     let prepared = PreparedSegment::new(segment, settings);
     let mut means = PeriodMeans::new(segment, prepared.units(segment));
-    let mut waves = Waveforms::new(segment.len(), prepared.i_unit_a, prepared.v_unit_v);
+    let mut waves = EkfWaveforms::new(segment.len(), prepared.i_unit_a, prepared.v_unit_v);
     let mut filter = prepared.start;
     for (i, v) in prepared.i.iter().zip(&prepared.v) {
         filter.step(&prepared.model, *i, *v);
@@ -210,7 +210,7 @@ pub fn identify_smoothed(
     let n = segment.len();
     // The smoother runs from the end: its means are those of the reversed segment.
     let mut means = PeriodMeans::backward(segment, prepared.units(segment));
-    let mut waves = Waveforms::new(n, prepared.i_unit_a, prepared.v_unit_v);
+    let mut waves = EkfWaveforms::new(n, prepared.i_unit_a, prepared.v_unit_v);
     rts::smooth(
         &prepared.model,
         prepared.start,

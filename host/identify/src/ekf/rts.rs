@@ -7,7 +7,7 @@
 //!
 //! Only every [`CHUNK`]th state of the forward pass is kept; the others are computed again.
 
-use super::step::{Covariance, Filter, Innovation, Model, State};
+use super::step::{Covariance, EnvelopeFilter, FilterState, Innovation, Model};
 
 /// Samples between two kept states: 1 MB of innovations, which stay in the cache.
 pub const CHUNK: usize = 4096;
@@ -16,10 +16,10 @@ pub const CHUNK: usize = 4096;
 /// smoothed variances of R and x4.
 pub fn smooth(
     model: &Model,
-    start: Filter,
+    start: EnvelopeFilter,
     i: &[f64],
     v: &[f64],
-    mut visit: impl FnMut(usize, &State, [f64; 2]),
+    mut visit: impl FnMut(usize, &FilterState, [f64; 2]),
 ) {
     let mut filter = start;
     let mut states = Vec::with_capacity(i.len() / CHUNK + 1);
@@ -30,7 +30,7 @@ pub fn smooth(
         }
     }
     let mut backward = Backward::default();
-    let mut steps: Vec<(Filter, Innovation)> = Vec::with_capacity(CHUNK);
+    let mut steps: Vec<(EnvelopeFilter, Innovation)> = Vec::with_capacity(CHUNK);
     for (chunk, start) in states.iter().enumerate().rev() {
         let from = chunk * CHUNK;
         let to = (from + CHUNK).min(i.len());
@@ -51,13 +51,13 @@ pub fn smooth(
 /// λ and Λ of the backward pass.
 #[derive(Clone, Copy, Debug, Default)]
 struct Backward {
-    l: State,
+    l: FilterState,
     m: Covariance,
 }
 
 /// Symmetric matrix times vector.
 #[inline(always)]
-fn times(m: &Covariance, k: &State) -> State {
+fn times(m: &Covariance, k: &FilterState) -> FilterState {
     let [a, b, c, d, e, f, g, h, i, j] = *m;
     [
         (a * k[0] + b * k[1]) + (c * k[2] + d * k[3]),
@@ -68,19 +68,19 @@ fn times(m: &Covariance, k: &State) -> State {
 }
 
 #[inline(always)]
-fn dot(a: &State, b: &State) -> f64 {
+fn dot(a: &FilterState, b: &FilterState) -> f64 {
     (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3])
 }
 
 impl Backward {
     /// Smoothed state, and smoothed variances of x3 and x4.
     #[inline(always)]
-    fn smoothed(&self, after: &Filter) -> (State, [f64; 2]) {
+    fn smoothed(&self, after: &EnvelopeFilter) -> (FilterState, [f64; 2]) {
         let correction = times(&after.p, &self.l);
         let x = std::array::from_fn(|k| after.x[k] - correction[k]);
         let p = &after.p;
         let (row3, row4) = ([p[2], p[5], p[7], p[8]], [p[3], p[6], p[8], p[9]]);
-        let left = |row: &State, own: f64| own - dot(row, &times(&self.m, row));
+        let left = |row: &FilterState, own: f64| own - dot(row, &times(&self.m, row));
         (x, [left(&row3, p[7]), left(&row4, p[9])])
     }
 
@@ -99,7 +99,7 @@ impl Backward {
     }
 
     #[inline(always)]
-    fn voltage(&mut self, h: &State, k: &State, weighted: f64, by_s: f64) {
+    fn voltage(&mut self, h: &FilterState, k: &FilterState, weighted: f64, by_s: f64) {
         let mk = times(&self.m, k);
         let gain = by_s + dot(k, &mk);
         let pull = weighted + dot(k, &self.l);
@@ -117,7 +117,7 @@ impl Backward {
 
     /// Passes the measurement of the current, whose gradient is (1, 0, 0, 0).
     #[inline(always)]
-    fn current(&mut self, k: &State, weighted: f64, by_s: f64) {
+    fn current(&mut self, k: &FilterState, weighted: f64, by_s: f64) {
         let mk = times(&self.m, k);
         let gain = by_s + dot(k, &mk);
         self.l[0] -= weighted + dot(k, &self.l);
@@ -148,7 +148,7 @@ mod tests {
             q34: 0.0,
             r: [0.01, 1.0],
         };
-        let start = Filter {
+        let start = EnvelopeFilter {
             x: [0.0, 0.0, 3.0, 18.0],
             p: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 4.0],
         };
@@ -161,7 +161,7 @@ mod tests {
         smooth(&model, start, &i, &v, |k, x, p| got[k] = (*x, p));
 
         let mut filter = start;
-        let forward: Vec<Filter> = i
+        let forward: Vec<EnvelopeFilter> = i
             .iter()
             .zip(&v)
             .map(|(i, v)| {

@@ -6,7 +6,7 @@
 //! second's gain is computed from sums that depend neither on the prediction nor on the first's division.
 
 /// State of the filter.
-pub type State = [f64; 4];
+pub type FilterState = [f64; 4];
 
 /// Symmetric covariance, upper triangle by rows: 11 12 13 14 22 23 24 33 34 44.
 pub type Covariance = [f64; 10];
@@ -26,9 +26,9 @@ pub struct Model {
 
 /// State of the filter between two samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Filter {
+pub struct EnvelopeFilter {
     /// Estimated state.
-    pub x: State,
+    pub x: FilterState,
     /// Covariance of the state.
     pub p: Covariance,
 }
@@ -37,16 +37,16 @@ pub struct Filter {
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Innovation {
     /// Gradient of the voltage at the prediction.
-    pub h: State,
+    pub h: FilterState,
     /// Gains of current and voltage.
-    pub k: [State; 2],
+    pub k: [FilterState; 2],
     /// Innovations of current and voltage over their variances.
     pub weighted: [f64; 2],
     /// Reciprocal variances of the innovations of current and voltage.
     pub by_s: [f64; 2],
 }
 
-impl Filter {
+impl EnvelopeFilter {
     /// Predicts one sample ahead and applies its current and voltage.
     #[inline(always)]
     pub fn step(&mut self, model: &Model, i: f64, v: f64) -> Innovation {
@@ -153,7 +153,12 @@ mod tests {
     }
 
     /// Eq. (15)-(18) in matrix form, both measurements at once, Joseph's form.
-    fn textbook(x: &State, p: &Covariance, m: &Model, y: [f64; 2]) -> (Vector4<f64>, Matrix4<f64>) {
+    fn textbook(
+        x: &FilterState,
+        p: &Covariance,
+        m: &Model,
+        y: [f64; 2],
+    ) -> (Vector4<f64>, Matrix4<f64>) {
         let mut f = Matrix4::identity();
         f[(0, 1)] = m.f12;
         let mut q = Matrix4::from_diagonal(&Vector4::from(m.q));
@@ -179,7 +184,7 @@ mod tests {
             q34: 1e-4,
             r: [0.02, 1.3],
         };
-        let mut filter = Filter {
+        let mut filter = EnvelopeFilter {
             x: [1.0, -0.3, 4.0, 20.0],
             p: [0.5, 0.02, 0.01, -0.03, 0.3, 0.02, 0.04, 0.8, 0.1, 2.0],
         };

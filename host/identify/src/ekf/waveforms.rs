@@ -2,7 +2,7 @@
 
 use ihd_signal::Segment;
 
-use super::step::Filter;
+use super::step::EnvelopeFilter;
 use crate::{Estimate, IdentifyError, Method};
 
 /// Means of R and x4 over each switching period; the ripple within a period is no estimate.
@@ -98,14 +98,14 @@ impl PeriodMeans {
 }
 
 /// Reconstructed current and voltage, sample by sample.
-pub struct Waveforms {
+pub struct EkfWaveforms {
     i_unit_a: f64,
     v_unit_v: f64,
     i_a: Vec<f32>,
     v_v: Vec<f32>,
 }
 
-impl Waveforms {
+impl EkfWaveforms {
     /// Reserves room for `samples` samples in units of so many ampere and volt.
     pub fn new(samples: usize, i_unit_a: f64, v_unit_v: f64) -> Self {
         Self {
@@ -144,7 +144,11 @@ impl Waveforms {
 }
 
 /// Returns an error if the filter's last state is unsound; an earlier fault persists until then.
-pub fn sound(filter: &Filter, segment: &Segment, method: Method) -> Result<(), IdentifyError> {
+pub fn sound(
+    filter: &EnvelopeFilter,
+    segment: &Segment,
+    method: Method,
+) -> Result<(), IdentifyError> {
     if filter.is_sound() {
         return Ok(());
     }

@@ -12,7 +12,7 @@ use ihd_signal::noise::WhiteNoise;
 use ihd_spline::CubicSpline;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-use super::phasors::Fit;
+use super::phasors::SplineFit;
 use super::{LeastSquaresSettings, intervals};
 use crate::model_residual::ModelResidual;
 use crate::{Estimate, IdentifyError, Method};
@@ -35,7 +35,7 @@ const MOST_BEND: f64 = 0.3;
 /// Appends R and L of a stretch, one value per switching period.
 pub fn fit(
     segment: &Segment,
-    phasors: &Fit,
+    phasors: &SplineFit,
     settings: &LeastSquaresSettings,
     noise: WhiteNoise,
     estimate: &mut Estimate,
@@ -233,7 +233,7 @@ impl Solution {
     }
 
     /// Mean square of one component of V − R·I − ωL·(jI + I'/ω) at a time, in V².
-    fn left(&self, spline: &CubicSpline, phasors: &Fit, tau_s: f64, omega: f64) -> f64 {
+    fn left(&self, spline: &CubicSpline, phasors: &SplineFit, tau_s: f64, omega: f64) -> f64 {
         let (p, ([r, x], _)) = (phasors.at(tau_s), self.at(spline, tau_s));
         let d = nalgebra::Complex::new(0.0, 1.0) * p.i + p.i_slope / omega;
         0.5 * (p.v - p.i * r - d * x).norm_sqr()

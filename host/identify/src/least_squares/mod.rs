@@ -58,7 +58,7 @@ pub fn identify(
     let least = MIN_PERIODS * segment.samples_per_period();
     for (from, to) in segment.half_cycles() {
         if (to - from) as f64 >= least {
-            let fit = phasors::Fit::new(segment, from..to, settings, noise)?;
+            let fit = phasors::SplineFit::new(segment, from..to, settings, noise)?;
             impedance::fit(segment, &fit, settings, noise, &mut estimate, &mut residual)?;
         }
     }

@@ -32,7 +32,7 @@ const BLOCKS_PER_PERIOD: f64 = 16.0;
 type Phasor = Complex<f64>;
 
 /// Fitted harmonics of a stretch.
-pub struct Fit {
+pub struct SplineFit {
     /// Basis of the splines, in seconds after the first sample.
     pub spline: CubicSpline,
     /// Samples of one interval.
@@ -62,7 +62,7 @@ pub struct Fundamental {
     pub i_slope: Phasor,
 }
 
-impl Fit {
+impl SplineFit {
     /// Fits a range of samples within one mains half-cycle.
     ///
     /// # Errors

@@ -1,13 +1,19 @@
 use ihd_signal::Segment;
-use ihd_sim::recording::run::{Recording, record};
+use ihd_sim::recording::run::{SimulatedRecording, record};
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{CaptureSpec as Recorded, Change, Event, LoadKind};
+use ihd_sim::recording::settings::{
+    CaptureSpec as Recorded, LoadKind, RecordingChange, RecordingEvent,
+};
 
 use super::*;
 use crate::{accuracy, run};
 
 /// A half-cycle of the behavioural load at 50 kHz, whose R and L become these times the law's at these times in seconds.
-fn recorded(steps: &[(f64, f64, f64)], rate_hz: f64, snr_db: Option<f64>) -> (Recording, Segment) {
+fn recorded(
+    steps: &[(f64, f64, f64)],
+    rate_hz: f64,
+    snr_db: Option<f64>,
+) -> (SimulatedRecording, Segment) {
     let mut settings = Recorded {
         f_sw_hz: 50e3,
         load: LoadKind::Behavioural,
@@ -17,9 +23,9 @@ fn recorded(steps: &[(f64, f64, f64)], rate_hz: f64, snr_db: Option<f64>) -> (Re
     settings.sensing.rate = Rate::Hz(rate_hz);
     settings.sensing.allow_aliasing = true;
     settings.sensing.snr_db = snr_db;
-    let event = |&(t_s, r_factor, l_factor): &(f64, f64, f64)| Event {
+    let event = |&(t_s, r_factor, l_factor): &(f64, f64, f64)| RecordingEvent {
         t_s,
-        change: Change::Load { r_factor, l_factor },
+        change: RecordingChange::Load { r_factor, l_factor },
     };
     settings.events = steps.iter().map(event).collect();
     let recording = record(&settings, |_| ()).unwrap();

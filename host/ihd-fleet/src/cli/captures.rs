@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand};
 use ihd::cli::global::Global;
-use ihd::report::table::Table;
+use ihd::report::table::TextTable;
 use ihd::say;
 use ihd_fleet::captures;
 
@@ -57,7 +57,7 @@ impl CaptureArgs {
                 if global.json {
                     return say!("{}", serde_json::to_string_pretty(&stored)?);
                 }
-                let mut table = Table::new(&["capture", "bytes", "ago"]);
+                let mut table = TextTable::new(&["capture", "bytes", "ago"]);
                 for capture in &stored {
                     let at = capture.at_s.map_or(String::new(), |at_s| ago(1_000 * at_s));
                     table.row([capture.name.clone(), capture.bytes.to_string(), at]);

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::Args;
 use ihd::cli::global::Global;
-use ihd::report::table::Table;
+use ihd::report::table::TextTable;
 use ihd::{ensure_usage, say};
 use ihd_daemon::config::is_name;
 use ihd_fleet::dead_letters::{self, DeadFilter};
@@ -64,7 +64,8 @@ impl Which {
         if windows.is_empty() {
             return say!("none was given up");
         }
-        let mut table = Table::new(&["number", "hob", "boot", "window", "ago", "worker", "why"]);
+        let mut table =
+            TextTable::new(&["number", "hob", "boot", "window", "ago", "worker", "why"]);
         for dead in &windows {
             table.row([
                 dead.number.to_string(),

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand};
 use ihd::cli::global::Global;
-use ihd::report::table::Table;
+use ihd::report::table::TextTable;
 use ihd::say;
 use ihd_fleet::lookups::{self, LookupEntry};
 use ihd_shared::lookup::RlLookup;
@@ -92,7 +92,7 @@ fn show(entries: &[LookupEntry], json: bool) -> Result<()> {
     if json {
         return say!("{}", serde_json::to_string_pretty(entries)?);
     }
-    let mut table = Table::new(&["hob", "revision", "version", "by", "", "ago"]);
+    let mut table = TextTable::new(&["hob", "revision", "version", "by", "", "ago"]);
     for entry in entries {
         let lookup = &entry.lookup;
         let used = if lookup.in_use { "in use" } else { "wanted" };

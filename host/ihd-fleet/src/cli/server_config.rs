@@ -5,7 +5,9 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use ihd::ensure_usage;
-use ihd_fleet::server_config::{self, ConfigError, Edge, Server, Site, Tls};
+use ihd_fleet::server_config::{
+    self, EdgeAccount, ServerConfigError, ServerSettings, Site, TlsFiles,
+};
 
 /// Print the configuration of a NATS server on which every edge and every worker has a key of its own
 ///
@@ -21,7 +23,7 @@ pub struct ServerConfigArgs {
     sites: Vec<String>,
     /// A daemon and its hobs, with its site in front where there are several; may be given again
     #[arg(long = "edge", value_name = "[SITE/]EDGE=HOB,…", value_parser = edge)]
-    edges: Vec<(Option<String>, Edge)>,
+    edges: Vec<(Option<String>, EdgeAccount)>,
     /// An edge that may see who else is in its site's fleet, for the page of its dashboard; may be given again
     #[arg(long = "fleet-page", value_name = "[SITE/]EDGE")]
     fleet_pages: Vec<String>,
@@ -49,7 +51,7 @@ pub struct ServerConfigArgs {
 }
 
 /// Parses `SITE/EDGE=HOB,HOB`.
-fn edge(text: &str) -> Result<(Option<String>, Edge), ConfigError> {
+fn edge(text: &str) -> Result<(Option<String>, EdgeAccount), ServerConfigError> {
     match text.split_once('/') {
         Some((site, edge)) => Ok((Some(site.to_owned()), edge.parse()?)),
         None => Ok((None, text.parse()?)),
@@ -59,12 +61,12 @@ fn edge(text: &str) -> Result<(Option<String>, Edge), ConfigError> {
 impl ServerConfigArgs {
     pub(super) fn run(&self) -> Result<()> {
         let sites = self.sites()?;
-        let server = Server {
+        let server = ServerSettings {
             name: format!("ihd-{}", self.sites[0]),
             listen: self.listen.clone(),
             mqtt_listen: self.mqtt.clone(),
             store: self.store.clone(),
-            tls: self.tls.as_ref().map(|folder| Tls {
+            tls: self.tls.as_ref().map(|folder| TlsFiles {
                 certificate: folder.join("certificate.pem"),
                 key: folder.join("key.pem"),
             }),

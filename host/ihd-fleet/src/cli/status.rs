@@ -3,7 +3,7 @@
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 use ihd::cli::global::Global;
-use ihd::report::table::Table;
+use ihd::report::table::TextTable;
 use ihd::{ensure_usage, say};
 use ihd_fleet::{names, status};
 use ihd_model::{FleetEdge, FleetReport};
@@ -131,7 +131,7 @@ fn report_text(report: &FleetReport) -> String {
         "{}: {} windows ever, {} results, {} in the backlog, {} dead\n",
         report.server, report.windows, report.results, report.backlog, report.dead
     );
-    let mut workers = Table::new(&["worker", "threads", "at", "done", "failed", "ihd", "seen"]);
+    let mut workers = TextTable::new(&["worker", "threads", "at", "done", "failed", "ihd", "seen"]);
     for worker in &report.workers {
         workers.row([
             worker.name.clone(),
@@ -143,7 +143,7 @@ fn report_text(report: &FleetReport) -> String {
             ago(worker.last_seen_ms),
         ]);
     }
-    let mut edges = Table::new(&[
+    let mut edges = TextTable::new(&[
         "edge",
         "stored",
         "due",
@@ -198,7 +198,7 @@ impl StatusArgs {
         if global.json {
             return say!("{}", serde_json::to_string_pretty(&report.devices)?);
         }
-        let mut table = Table::new(&[
+        let mut table = TextTable::new(&[
             "hob", "edge", "state", "pot", "firmware", "", "protocol", "lookup", "seen",
         ]);
         for device in &report.devices {
@@ -242,7 +242,7 @@ fn backlog(access: &AccessArgs, global: &Global) -> Result<()> {
     if global.json {
         return say!("{}", serde_json::to_string_pretty(&waiting)?);
     }
-    let mut table = Table::new(&["hob", "windows"]);
+    let mut table = TextTable::new(&["hob", "windows"]);
     for of in &waiting {
         table.row([of.hob.clone(), of.windows.to_string()]);
     }

@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use ihd::{ensure_usage, say};
 use ihd_fleet::jetstream::{self, FleetLimits};
-use ihd_fleet::server_config::{self, Edge, Server, Site, Tls};
+use ihd_fleet::server_config::{self, EdgeAccount, ServerSettings, Site, TlsFiles};
 use ihd_fleet::{Access, Context};
 use tokio::runtime::Runtime;
 
@@ -36,7 +36,7 @@ const LINES_SHOWN: usize = 10;
 pub struct UpArgs {
     /// A daemon and its hobs; may be given again
     #[arg(long = "edge", value_name = "EDGE=HOB,…", required = true)]
-    edges: Vec<Edge>,
+    edges: Vec<EdgeAccount>,
     /// Workers, worker-1 and so on, each with a key of its own
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: u32,
@@ -61,7 +61,7 @@ impl UpArgs {
         fs::create_dir_all(&self.folder)
             .with_context(|| format!("the fleet's folder {}", self.folder.display()))?;
         let folder = self.folder.canonicalize()?;
-        let edges = self.edges.iter().cloned().map(|edge| Edge {
+        let edges = self.edges.iter().cloned().map(|edge| EdgeAccount {
             sees_fleet: true,
             ..edge
         });
@@ -83,7 +83,7 @@ impl UpArgs {
         let names = site.key_names(false);
         let keys =
             server_config::read_or_make(&folder.join("keys"), names.iter().map(String::as_str))?;
-        let server = Server {
+        let server = ServerSettings {
             name: format!("ihd-{SITE}"),
             listen: self.listen.to_string(),
             mqtt_listen: None,
@@ -95,14 +95,14 @@ impl UpArgs {
         fs::write(&path, text).with_context(|| path.display().to_string())
     }
 
-    fn tls(&self) -> Result<Option<Tls>> {
+    fn tls(&self) -> Result<Option<TlsFiles>> {
         let Some(folder) = &self.tls else {
             return Ok(None);
         };
         let folder = folder
             .canonicalize()
             .with_context(|| format!("--tls {}", folder.display()))?;
-        Ok(Some(Tls {
+        Ok(Some(TlsFiles {
             certificate: folder.join("certificate.pem"),
             key: folder.join("key.pem"),
         }))

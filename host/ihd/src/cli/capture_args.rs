@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use ihd_capture::channels::{ChannelOptions, ChannelRef};
 use ihd_capture::formats::unit::Unit;
-use ihd_capture::mcap::{Losses, SalvagedCapture};
+use ihd_capture::mcap::{FileLosses, SalvagedCapture};
 use ihd_capture::open::salvage_with;
 use ihd_capture::{CaptureError, OpenOptions, PartReader};
 use ihd_signal::Capture;
@@ -258,7 +258,7 @@ impl InputOptions {
 pub struct LoadedCapture {
     /// Readable part.
     pub capture: Capture,
-    losses: Losses,
+    losses: FileLosses,
 }
 
 /// Error for a file of which a part could not be read; the rest was processed.
@@ -266,7 +266,7 @@ pub struct LoadedCapture {
 #[error("{file}: {losses}; {pairs} pairs of samples were read, {ms:.3} ms from first to last{but}")]
 pub struct IncompleteCapture {
     file: String,
-    losses: Losses,
+    losses: FileLosses,
     pairs: usize,
     ms: f64,
     but: String,

@@ -8,7 +8,7 @@ use anyhow::Result;
 use ihd_api::access::tokens::Tokens;
 use ihd_api::client::ClientError;
 use ihd_api::{ApiClient, ServerOptions, tls::Certificate};
-use ihd_daemon::config::Config;
+use ihd_daemon::config::DaemonConfig;
 use ihd_model::Role;
 
 /// Configuration that is read if none is named and it exists.
@@ -27,22 +27,22 @@ const TOKEN: &str = "IHD_TOKEN";
 ///
 /// # Errors
 /// If it cannot be read, or has an invalid key or value.
-pub fn config(path: Option<&Path>) -> Result<Config> {
+pub fn config(path: Option<&Path>) -> Result<DaemonConfig> {
     let here = Path::new(HERE);
     let path = path.or_else(|| here.exists().then_some(here));
     Ok(match path {
-        Some(path) => Config::read(path)?,
-        None => Config::default(),
+        Some(path) => DaemonConfig::read(path)?,
+        None => DaemonConfig::default(),
     })
 }
 
 /// Folder of the TLS files.
-fn tls_folder(config: &Config) -> PathBuf {
+fn tls_folder(config: &DaemonConfig) -> PathBuf {
     config.store.join("tls")
 }
 
 /// Options of the daemon's API server.
-pub fn server_settings(config: &Config) -> ServerOptions {
+pub fn server_settings(config: &DaemonConfig) -> ServerOptions {
     let tls = config
         .tls
         .as_ref()
@@ -68,7 +68,7 @@ pub fn server_settings(config: &Config) -> ServerOptions {
 ///
 /// # Errors
 /// If the address is in use by a program that does not identify itself, or certificate or token cannot be read.
-pub fn daemon(config: &Config) -> Result<Option<ApiClient>> {
+pub fn daemon(config: &DaemonConfig) -> Result<Option<ApiClient>> {
     let reached = reached_at(config.listen);
     if std::net::TcpStream::connect_timeout(&reached, THERE_WITHIN).is_err() {
         return Ok(None);
@@ -111,7 +111,7 @@ fn reached_at(listen: SocketAddr) -> SocketAddr {
 }
 
 /// Token of the lowest role that may command, else of one that may read; `None` if the daemon has no tokens.
-fn token(config: &Config) -> Result<Option<String>> {
+fn token(config: &DaemonConfig) -> Result<Option<String>> {
     if let Ok(token) = std::env::var(TOKEN) {
         return Ok(Some(token));
     }
@@ -148,11 +148,11 @@ mod tests {
 
     #[test]
     fn an_empty_tls_table_means_a_certificate_of_its_own() {
-        let config = Config::parse("store = \"s\"\n[tls]\n", "ihd.toml").unwrap();
+        let config = DaemonConfig::parse("store = \"s\"\n[tls]\n", "ihd.toml").unwrap();
         let made = Certificate::Generated {
             folder: "s/tls".into(),
         };
         assert_eq!(server_settings(&config).tls, Some(made));
-        assert_eq!(server_settings(&Config::default()).tls, None);
+        assert_eq!(server_settings(&DaemonConfig::default()).tls, None);
     }
 }

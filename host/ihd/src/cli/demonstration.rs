@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use ihd_daemon::Daemon;
-use ihd_daemon::config::{Address, Config, DeviceConfig};
+use ihd_daemon::config::{Address, DaemonConfig, DeviceConfig};
 use ihd_link::DeviceSpec;
 use ihd_model::{Command, CommandError, DaemonEvent, EventKind};
 use tokio::sync::broadcast::error::RecvError;
@@ -48,18 +48,18 @@ impl Demonstration {
 
     /// Returns the daemon's configuration with the demonstration's device: the user's, if there is one, else one that listens on a
     /// free port of the loopback.
-    pub fn config(&self, of_file: Option<Config>) -> Config {
-        let base = of_file.unwrap_or_else(|| Config {
+    pub fn config(&self, of_file: Option<DaemonConfig>) -> DaemonConfig {
+        let base = of_file.unwrap_or_else(|| DaemonConfig {
             listen: ([127, 0, 0, 1], 0).into(),
             store: self.store.clone(),
-            ..Config::default()
+            ..DaemonConfig::default()
         });
         let address = Address {
             spec: self.device.clone(),
             sim: self.sim.clone(),
         };
         let name = self.name().to_owned();
-        Config {
+        DaemonConfig {
             devices: vec![DeviceConfig { name, address }],
             discover_usb: Some(false),
             network: self.network.clone().or(base.network.clone()),
@@ -195,7 +195,7 @@ mod tests {
         assert_eq!(config.listen.to_string(), "127.0.0.1:0");
         assert_eq!(config.store.to_str(), Some("here"));
         let text = "listen = \"127.0.0.1:9\"\nstore = \"there\"\n[[device]]\nname = \"b\"\naddress = \"usb\"\n";
-        let config = demonstration.config(Some(Config::parse(text, "ihd.toml").unwrap()));
+        let config = demonstration.config(Some(DaemonConfig::parse(text, "ihd.toml").unwrap()));
         assert_eq!(config.listen.to_string(), "127.0.0.1:9");
         assert_eq!(config.store.to_str(), Some("there"));
         assert_eq!(config.devices.len(), 1, "nobody else's hob heats by itself");

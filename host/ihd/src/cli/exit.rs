@@ -3,7 +3,7 @@
 use anyhow::Error;
 use ihd_capture::CaptureError;
 use ihd_link::LinkError;
-use ihd_sim::server::ServerError;
+use ihd_sim::server::HobServerError;
 use ihd_survey::SurveyError;
 use ihd_train::replay::ReplayError;
 
@@ -46,7 +46,7 @@ const TABLE: &[Row] = &[
     |e| e.downcast_ref().map(of_config),
     #[cfg(feature = "daemon")]
     |e| match e.downcast_ref()? {
-        ihd_api::ServerError::Reachable { .. } | ihd_api::ServerError::Nameless { .. } => {
+        ihd_api::ApiServerError::Reachable { .. } | ihd_api::ApiServerError::Nameless { .. } => {
             Some(Exit::Usage)
         }
         _ => None,
@@ -94,7 +94,7 @@ const TABLE: &[Row] = &[
         LinkError::Recording(_) => Some(Exit::Failed),
         _ => Some(Exit::NoDevice),
     },
-    |e| all::<ServerError>(e, Exit::NoDevice),
+    |e| all::<HobServerError>(e, Exit::NoDevice),
 ];
 
 impl From<Exit> for std::process::ExitCode {

@@ -10,8 +10,8 @@ use clap::Args;
 use ihd_sim::hob::{PanelEvent, SimHob};
 use ihd_sim::scenario::ScenarioError;
 use ihd_sim::scenario::file::Scenario;
-use ihd_sim::scenario::script::Script;
-use ihd_sim::server::{DisconnectReason, Server, ServerEvent};
+use ihd_sim::scenario::script::ScenarioScript;
+use ihd_sim::server::{DisconnectReason, HobServer, ServerEvent};
 
 use super::interrupt;
 use super::output::complain;
@@ -89,7 +89,7 @@ impl HobArgs {
             hob.panel(PanelEvent::Level(level));
         }
         let pot = hob.pot();
-        let mut server = Server::bind(&self.listen, hob)?;
+        let mut server = HobServer::bind(&self.listen, hob)?;
         if let Some(script) = script {
             server.set_script(script);
         }
@@ -112,7 +112,7 @@ impl HobArgs {
         Ok(())
     }
 
-    fn hob(&self) -> Result<(SimHob, Option<Script>)> {
+    fn hob(&self) -> Result<(SimHob, Option<ScenarioScript>)> {
         let mut files = self.script.iter().filter(|file| *file != Path::new(STDIN));
         let options = self.simulated.options()?;
         let Some(path) = files.next() else {
@@ -132,7 +132,7 @@ impl HobArgs {
         let mut config = scenario.file.hob();
         config.seed = options.seed().unwrap_or(config.seed);
         let mut hob = SimHob::assemble(&config.with_unique_boot()).with_context(of_script)?;
-        let script = Script::new(&scenario, &mut hob).with_context(of_script)?;
+        let script = ScenarioScript::new(&scenario, &mut hob).with_context(of_script)?;
         Ok((hob, Some(script)))
     }
 }

@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use ihd_pinn::{Backend, Config};
+use ihd_pinn::{Backend, PinnConfig};
 
 /// Network of the trainer.
 #[derive(Debug, Args)]
@@ -56,13 +56,13 @@ impl NetworkArgs {
     ///
     /// # Errors
     /// A file that cannot be read, or an invalid value.
-    pub fn config(&self) -> Result<Config> {
+    pub fn config(&self) -> Result<PinnConfig> {
         let mut config = match self.file() {
-            None => Config::default(),
+            None => PinnConfig::default(),
             Some(path) => {
                 let text = fs::read_to_string(path)
                     .with_context(|| format!("cannot read {}", path.display()))?;
-                Config::from_toml(&text)
+                PinnConfig::from_toml(&text)
                     .with_context(|| format!("{} is no configuration", path.display()))?
             }
         };

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
-use ihd_daemon::config::{Address, Config};
+use ihd_daemon::config::{Address, DaemonConfig};
 use ihd_daemon::{OpenDevice, OpenedDevice, TruthFn};
 use ihd_link::{DeviceSpec, Transport};
 use ihd_sim::hob::{HobConfig, SimHob};
@@ -67,7 +67,7 @@ const NAME: &str = "name";
 ///
 /// # Errors
 /// For an invalid option, with the names of device and option.
-pub fn opener(config: &mut Config) -> Result<Arc<OpenDevice>> {
+pub fn opener(config: &mut DaemonConfig) -> Result<Arc<OpenDevice>> {
     let mut hobs: BTreeMap<String, SimulatedHob> = BTreeMap::new();
     for device in &mut config.devices {
         if device.address.spec == DeviceSpec::Sim {
@@ -104,12 +104,12 @@ pub fn opener(config: &mut Config) -> Result<Arc<OpenDevice>> {
 mod tests {
     use super::*;
 
-    fn config(sim: &str) -> Config {
+    fn config(sim: &str) -> DaemonConfig {
         let text = format!(
             "[[device]]\nname = \"a\"\naddress = \"sim\"\n{sim}\n\
              [[device]]\nname = \"b\"\naddress = \"sim\"\n"
         );
-        Config::parse(&text, "ihd.toml").unwrap()
+        DaemonConfig::parse(&text, "ihd.toml").unwrap()
     }
 
     #[test]

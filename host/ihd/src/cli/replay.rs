@@ -15,7 +15,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::capture_args::CaptureArgs;
 use super::global::Global;
 use super::output;
-use crate::report::table::Table;
+use crate::report::table::TextTable;
 
 /// Replay a capture in the loop: its samples go through a device's firmware in place of its ADCs.
 ///
@@ -128,7 +128,7 @@ fn text(o: &ReplayReport) -> String {
     if o.is_identical() {
         return text + "result     identical, bit for bit\n";
     }
-    let mut table = Table::new(&["t/s", "what", "device", "this build"]);
+    let mut table = TextTable::new(&["t/s", "what", "device", "this build"]);
     for d in &o.first {
         table.row([
             format!("{:.6}", d.t_s),

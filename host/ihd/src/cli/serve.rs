@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
-use ihd_api::Server;
+use ihd_api::ApiServer;
 use ihd_daemon::Daemon;
-use ihd_daemon::config::Config;
+use ihd_daemon::config::DaemonConfig;
 use ihd_daemon::fleet::FleetConfig;
 use ihd_link::DeviceSpec;
 use tokio::runtime;
@@ -118,14 +118,18 @@ impl ServeArgs {
     /// # Errors
     /// Any error of [`Self::run`].
     pub fn demonstrate(&self, demonstration: Demonstration, global: &Global) -> Result<()> {
-        let of_file = global.config.as_deref().map(Config::read).transpose()?;
+        let of_file = global
+            .config
+            .as_deref()
+            .map(DaemonConfig::read)
+            .transpose()?;
         let config = demonstration.config(of_file);
         self.start(config, tracing::Level::WARN, Some(demonstration))
     }
 
     fn start(
         &self,
-        mut config: Config,
+        mut config: DaemonConfig,
         level: tracing::Level,
         demonstration: Option<Demonstration>,
     ) -> Result<()> {
@@ -168,7 +172,7 @@ pub fn start_log(format: LogFormat, level: tracing::Level) -> Result<()> {
 }
 
 async fn serve(
-    config: Config,
+    config: DaemonConfig,
     open: Arc<ihd_daemon::OpenDevice>,
     of_server: &runtime::Handle,
     shows: bool,
@@ -179,7 +183,7 @@ async fn serve(
     let settings = configured::server_settings(&config);
     let (store, devices) = (config.store.clone(), config.devices.len());
     let fleet = config.fleet.clone();
-    let binding = of_server.spawn(async move { Server::bind(&settings).await });
+    let binding = of_server.spawn(async move { ApiServer::bind(&settings).await });
     let server = binding.await.context("the server's threads")??;
     let daemon = Daemon::start(config, open).await.with_context(|| {
         format!(

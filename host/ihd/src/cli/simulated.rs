@@ -2,11 +2,11 @@
 
 use anyhow::Result;
 use clap::Args;
-use ihd_sim::adc::Noise;
-use ihd_sim::contents::Contents;
+use ihd_sim::adc::ConverterNoise;
+use ihd_sim::contents::PotContents;
 use ihd_sim::hob::HobConfig;
 use ihd_sim::perturbation::Perturbation;
-use ihd_sim::pot::Pot;
+use ihd_sim::pot::SimulatedPot;
 use ihd_sim::recording::settings::LoadKind;
 
 use super::keys;
@@ -25,7 +25,7 @@ pub struct SimulatedHobArgs {
     sim: Vec<String>,
     /// Pot on the coil, short for --sim pot=POT
     #[arg(long, value_name = "POT")]
-    pot: Option<Pot>,
+    pot: Option<SimulatedPot>,
 }
 
 impl SimulatedHobArgs {
@@ -62,7 +62,7 @@ impl SimulatedHobArgs {
 pub struct SimOptions {
     /// Pot on the coil: METAL-DIAMETER with ferritic, cast-iron, stainless or aluminium and 5 to 26 cm, or none.
     #[arg(long, value_name = "POT", default_value = "ferritic-21")]
-    pot: Pot,
+    pot: SimulatedPot,
     /// Lift the pot, in m (5mm).
     #[arg(long, value_parser = quantity, value_name = "M", default_value = "0")]
     lift: f64,
@@ -70,7 +70,7 @@ pub struct SimOptions {
     #[arg(long, value_parser = quantity, value_name = "M", default_value = "0")]
     offset: f64,
     /// Temperature of the pot in °C, with the field model and its table.
-    #[arg(long, value_name = "CELSIUS", default_value_t = Pot::NONE.temperature_c)]
+    #[arg(long, value_name = "CELSIUS", default_value_t = SimulatedPot::NONE.temperature_c)]
     temperature: f64,
     /// Let the load depart from the standard field model: tail, sharp-knee, rings, fine-gap, ferrite, wall or coil-gap
     /// (docs/simulator.md).
@@ -85,7 +85,7 @@ pub struct SimOptions {
     /// Contents of the pot, which then warms up: water-LITRE or oil-LITRE with 0.05 to 10 litre, empty, or food (the one lump of
     /// warming)
     #[arg(long, value_name = "CONTENTS")]
-    contents: Option<Contents>,
+    contents: Option<PotContents>,
     /// Mains frequency in hertz.
     #[arg(long, value_name = "HZ", default_value_t = HobConfig::default().mains_hz)]
     mains: f64,
@@ -117,8 +117,8 @@ pub const RATED_RMS: (f64, f64) = (179.1, 27.7);
 
 impl SimOptions {
     /// Pot.
-    pub fn pot(&self) -> Pot {
-        Pot {
+    pub fn pot(&self) -> SimulatedPot {
+        SimulatedPot {
             lift_m: self.lift,
             offset_m: self.offset,
             temperature_c: self.temperature,
@@ -195,16 +195,16 @@ impl SimOptions {
                     (10.0..=200.0).contains(&db),
                     "--sim snr={db}: must lie between 10 and 200 dB"
                 );
-                Noise::from_snr_db(db, RATED_RMS.0, RATED_RMS.1)
+                ConverterNoise::from_snr_db(db, RATED_RMS.0, RATED_RMS.1)
             }
         };
         let pot = self.pot();
         pot.field_settings(0.0).map_err(Usage::of)?;
         let formulas = LoadKind::from(self.load) == LoadKind::Behavioural;
-        let standard = Pot {
+        let standard = SimulatedPot {
             diameter_m: pot.diameter_m,
             metal: pot.metal,
-            ..Pot::NONE
+            ..SimulatedPot::NONE
         };
         ensure_usage!(
             !formulas || pot == standard,

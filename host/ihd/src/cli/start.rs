@@ -100,8 +100,8 @@ fn without_anything() -> Vec<NextStep> {
 fn boards() -> Vec<NextStep> {
     // A machine without USB has no boards on it; `ihd doctor` tells why.
     let boards = usb::boards().unwrap_or_default();
-    let step = |board: usb::Board| {
-        let usb::Board { serial, product } = board;
+    let step = |board: usb::UsbBoard| {
+        let usb::UsbBoard { serial, product } = board;
         let command = format!("ihd doctor --device usb:{serial}");
         NextStep::new(format!("{product} {serial} on USB"), command, "checks it")
     };

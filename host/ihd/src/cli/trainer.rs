@@ -16,7 +16,8 @@ use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
 use ihd_train::{
-    RecordedHalfCycle, RunFailure, RunOptions, RunProgress, RunReport, Source, TruthSource, run,
+    RecordedHalfCycle, RunFailure, RunOptions, RunProgress, RunReport, TrainingSource, TruthSource,
+    run,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -223,9 +224,9 @@ impl TrainerArgs {
         Ok(())
     }
 
-    fn source(&self, scales: Scales) -> Result<Source> {
+    fn source(&self, scales: Scales) -> Result<TrainingSource> {
         let Some(path) = &self.replay else {
-            return Ok(Source::Powers(self.power.clone()));
+            return Ok(TrainingSource::Powers(self.power.clone()));
         };
         let capture = open(path, &OpenOptions::default())?;
         let survey = Survey::of(&capture, &Hints::default())?;
@@ -239,7 +240,7 @@ impl TrainerArgs {
             "{} holds no whole mains half-cycle to replay",
             path.display()
         );
-        Ok(Source::Replay(half_cycles))
+        Ok(TrainingSource::Replay(half_cycles))
     }
 }
 

@@ -4,12 +4,13 @@ use std::ops::Range;
 use std::path::Path;
 
 use ihd_signal::truth::PeriodTruth;
-use ihd_sim::recording::run::Recording;
+use ihd_sim::recording::run::SimulatedRecording;
 
 use ihd_plot::legend::header;
 use ihd_plot::two_axes::{self, Side, Trace, Underlay, Zero};
 use ihd_plot::{
-    self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, Panel, Pen, RED, envelope, span,
+    self as plot, Area, Axis, BLUE, DrawResult, LegendEntry, Pen, PlotCurve, PlotPanel, RED,
+    envelope, span,
 };
 use ihd_plot::{FigureError, file};
 
@@ -24,7 +25,7 @@ const SMALLEST_A: f64 = 0.5;
 
 /// Draws voltage and current over the whole recording and in a close-up at the largest current,
 /// and R and L of the fundamental, to a file: SVG or PDF by its ending.
-pub fn write(recording: &Recording, path: &Path) -> Result<(), FigureError> {
+pub fn write(recording: &SimulatedRecording, path: &Path) -> Result<(), FigureError> {
     let peak = recording
         .truth
         .iter()
@@ -35,7 +36,7 @@ pub fn write(recording: &Recording, path: &Path) -> Result<(), FigureError> {
     file::write(path, (1100, 760), |root| draw(root, recording, peak))
 }
 
-fn draw(root: &Area<'_>, recording: &Recording, peak: &PeriodTruth) -> DrawResult {
+fn draw(root: &Area<'_>, recording: &SimulatedRecording, peak: &PeriodTruth) -> DrawResult {
     let panels = root.split_evenly((2, 2));
     let all = 0..recording.t_s.len();
     waves(&panels[0], "Voltage and current", recording, all, peak)?;
@@ -48,7 +49,7 @@ fn draw(root: &Area<'_>, recording: &Recording, peak: &PeriodTruth) -> DrawResul
     let loaded = || recording.truth.iter().filter(|t| t.i_a >= SMALLEST_A);
     let curve = |name: &str, colour, value: fn(&PeriodTruth) -> f64| {
         let points = loaded().map(|t| (t.t_s * 1e3, value(t)));
-        Curve::new(name, colour, Pen::Line(2), points.collect())
+        PlotCurve::new(name, colour, Pen::Line(2), points.collect())
     };
     let r = [
         curve("of the fundamental", BLUE, |t| t.r_ohm[0]),
@@ -66,7 +67,7 @@ fn draw(root: &Area<'_>, recording: &Recording, peak: &PeriodTruth) -> DrawResul
 fn waves(
     area: &Area<'_>,
     title: &str,
-    recording: &Recording,
+    recording: &SimulatedRecording,
     range: Range<usize>,
     peak: &PeriodTruth,
 ) -> DrawResult {
@@ -94,27 +95,27 @@ fn waves(
     let i = |k: usize| f64::from(recording.i_code[k]) * recording.ampere_per_code();
     let sides = [side("v / V", BLUE, &v), side("i / A", RED, &i)];
     let entries = [
-        Entry::line("voltage (left)", BLUE, Pen::Line(1)),
-        Entry::line("current (right)", RED, Pen::Line(1)),
+        LegendEntry::line("voltage (left)", BLUE, Pen::Line(1)),
+        LegendEntry::line("current (right)", RED, Pen::Line(1)),
     ];
     let below = header(area, title, &entries)?;
     two_axes::draw(&below, "t / ms", Zero::Middle, &sides, &Underlay::default())
 }
 
 /// R or L over time, from zero.
-fn load(area: &Area<'_>, title: &str, label: &str, curves: &[Curve]) -> DrawResult {
-    let points = || curves.iter().flat_map(Curve::points);
+fn load(area: &Area<'_>, title: &str, label: &str, curves: &[PlotCurve]) -> DrawResult {
+    let points = || curves.iter().flat_map(PlotCurve::points);
     let Some((from, to)) = span(points().map(|p| p.0)) else {
         return Ok(());
     };
     let (low, high) = span(points().map(|p| p.1)).unwrap_or((0.0, 1.0));
     let air = 0.05 * (high - low.min(0.0)).max(1e-9);
     let bottom = if low < 0.0 { low - air } else { 0.0 };
-    let panel = Panel {
+    let panel = PlotPanel {
         x: Axis::linear("t / ms", from..to),
         y: Axis::linear(label, bottom..high + air),
     };
-    let entries: Vec<Entry> = curves.iter().map(Entry::of).collect();
+    let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::of).collect();
     let below = header(area, title, &entries)?;
     plot::draw(&below, &panel, curves)?;
     Ok(())
@@ -123,7 +124,7 @@ fn load(area: &Area<'_>, title: &str, label: &str, curves: &[Curve]) -> DrawResu
 #[cfg(test)]
 mod tests {
     use ihd_sim::recording::run::record;
-    use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
+    use ihd_sim::recording::settings::{CaptureSpec, LoadKind, RecordingChange, RecordingEvent};
 
     use super::*;
 
@@ -154,9 +155,9 @@ mod tests {
 
     #[test]
     fn a_recording_without_current_has_no_figure() {
-        let off = Event {
+        let off = RecordingEvent {
             t_s: 0.0,
-            change: Change::Off,
+            change: RecordingChange::Off,
         };
         let s = CaptureSpec {
             load: LoadKind::Behavioural,

@@ -11,7 +11,8 @@ use plotters::prelude::*;
 use ihd_plot::legend::header;
 use ihd_plot::two_axes::{self, Side, Trace, Underlay, Zero};
 use ihd_plot::{
-    self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, Panel, Pen, RED, envelope, scale,
+    self as plot, Area, Axis, BLUE, DrawResult, LegendEntry, Pen, PlotCurve, PlotPanel, RED,
+    envelope, scale,
 };
 use ihd_plot::{FigureError, file};
 
@@ -109,15 +110,15 @@ fn waves(
 }
 
 /// Names and signs of the two channels.
-fn names(dense: bool) -> Vec<Entry> {
+fn names(dense: bool) -> Vec<LegendEntry> {
     let entry = |name: &str, colour: RGBColor| {
         if dense {
             let RGBColor(r, g, b) = colour;
             // Colour of the band's fill on white.
             let pale = |c: u8| (0.45 * f64::from(c) + 0.55 * 255.0) as u8;
-            Entry::shade(name, RGBColor(pale(r), pale(g), pale(b)))
+            LegendEntry::shade(name, RGBColor(pale(r), pale(g), pale(b)))
         } else {
-            Entry::line(name, colour, Pen::Line(1))
+            LegendEntry::line(name, colour, Pen::Line(1))
         }
     };
     vec![entry("voltage (left)", BLUE), entry("current (right)", RED)]
@@ -146,10 +147,14 @@ fn overview_panel(area: &Area<'_>, capture: &Capture, survey: &Survey) -> DrawRe
     let sides = waves(capture, 0..capture.len(), COLUMNS.0, period, at);
     let mut entries = names(matches!(sides[0].trace, Trace::Band(_)));
     if !shaded.is_empty() {
-        entries.push(Entry::shade("left out", LEFT_OUT));
+        entries.push(LegendEntry::shade("left out", LEFT_OUT));
     }
     if !marks.is_empty() {
-        entries.push(Entry::line("mains zero crossing", BLACK, Pen::Broken(1)));
+        entries.push(LegendEntry::line(
+            "mains zero crossing",
+            BLACK,
+            Pen::Broken(1),
+        ));
     }
     let title = format!(
         "{}: {} samples at {:.4} MS/s",
@@ -192,7 +197,7 @@ fn spectrum_panel(area: &Area<'_>, capture: &Capture, span: &Span) -> DrawResult
     let first_hz = all.iter().filter_map(|x| Some(x.first()?.0));
     let from_hz = first_hz.fold(SPECTRUM_FROM * span.f_sw_hz, f64::max);
     let label = format!("f / Hz, to half the sampling rate, {}Hz", mega(to_hz));
-    let panel = Panel {
+    let panel = PlotPanel {
         x: Axis::decades(&label, from_hz..to_hz),
         y: Axis::linear("dB of the largest line", -120.0..5.0),
     };
@@ -201,13 +206,13 @@ fn spectrum_panel(area: &Area<'_>, capture: &Capture, span: &Span) -> DrawResult
         let columns = envelope::of_points(points, COLUMNS.1, |f| x.unit(f), |u| x.value(u));
         // From minimum to maximum and on to the next column: noise becomes a band.
         let points = columns.iter().flat_map(|c| [(c.at, c.min), (c.at, c.max)]);
-        Curve::new(name, colour, Pen::Line(1), points.collect())
+        PlotCurve::new(name, colour, Pen::Line(1), points.collect())
     };
     let curves = [
         curve("voltage", BLUE, &all[0]),
         curve("current", RED, &all[1]),
     ];
-    let entries: Vec<Entry> = curves.iter().map(Entry::of).collect();
+    let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::of).collect();
     let below = header(area, "Spectra", &entries)?;
     plot::draw(&below, &panel, &curves)?;
     Ok(())

@@ -4,11 +4,11 @@ use std::fmt::Write;
 
 /// Rows of cells under a heading; columns are as wide as their widest cell, numbers are right-aligned.
 #[derive(Clone, Debug, Default)]
-pub struct Table {
+pub struct TextTable {
     rows: Vec<Vec<String>>,
 }
 
-impl Table {
+impl TextTable {
     /// A table with a heading.
     pub fn new(heading: &[&str]) -> Self {
         Self {
@@ -52,7 +52,7 @@ mod tests {
 
     #[test]
     fn columns_line_up() {
-        let mut t = Table::new(&["f_sw", "R"]);
+        let mut t = TextTable::new(&["f_sw", "R"]);
         t.row(["45.0".into(), "3.25 Ω".into()]);
         t.row(["9".into()]);
         assert_eq!(

@@ -9,7 +9,8 @@ use ihd_train::RunReport;
 
 use ihd_plot::legend::header;
 use ihd_plot::{
-    self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, GREY, Panel, Pen, RED, span,
+    self as plot, Area, Axis, BLUE, DrawResult, GREY, LegendEntry, Pen, PlotCurve, PlotPanel, RED,
+    span,
 };
 use ihd_plot::{FigureError, file};
 
@@ -46,13 +47,17 @@ pub fn write(report: &RunReport, path: &Path) -> Result<(), FigureError> {
 }
 
 /// Curves of truth, filter and network: (ms, ohm or µH).
-fn curves(truth: Vec<(f64, f64)>, filter: Vec<(f64, f64)>, network: Vec<(f64, f64)>) -> Vec<Curve> {
+fn curves(
+    truth: Vec<(f64, f64)>,
+    filter: Vec<(f64, f64)>,
+    network: Vec<(f64, f64)>,
+) -> Vec<PlotCurve> {
     let mut curves = vec![
-        Curve::new("firmware's EKF", BLUE, Pen::Dots, filter),
-        Curve::new("PINN", RED, Pen::Line(2), network),
+        PlotCurve::new("firmware's EKF", BLUE, Pen::Dots, filter),
+        PlotCurve::new("PINN", RED, Pen::Line(2), network),
     ];
     if !truth.is_empty() {
-        curves.insert(0, Curve::new("truth", GREY, Pen::Line(5), truth));
+        curves.insert(0, PlotCurve::new("truth", GREY, Pen::Line(5), truth));
     }
     curves
 }
@@ -76,13 +81,13 @@ fn known(truth: Option<&Truth>, values: fn(&Truth) -> &Vec<f64>, unit: f64) -> V
     })
 }
 
-fn draw(root: &Area<'_>, title: &str, panels: &[(&str, Vec<Curve>)]) -> DrawResult {
-    let entries: Vec<Entry> = panels.first().map_or(Vec::new(), |(_, curves)| {
-        curves.iter().map(Entry::of).collect()
+fn draw(root: &Area<'_>, title: &str, panels: &[(&str, Vec<PlotCurve>)]) -> DrawResult {
+    let entries: Vec<LegendEntry> = panels.first().map_or(Vec::new(), |(_, curves)| {
+        curves.iter().map(LegendEntry::of).collect()
     });
     let below = header(root, title, &entries)?;
     for (area, (label, curves)) in below.split_evenly((panels.len(), 1)).iter().zip(panels) {
-        let panel = Panel {
+        let panel = PlotPanel {
             x: Axis::linear(
                 "time after the mains zero crossing / ms",
                 range(curves, |p| p.0, 0.0),
@@ -95,8 +100,8 @@ fn draw(root: &Area<'_>, title: &str, panels: &[(&str, Vec<Curve>)]) -> DrawResu
 }
 
 /// Range of all points, extended by a share of it.
-fn range(curves: &[Curve], of: fn((f64, f64)) -> f64, air: f64) -> Range<f64> {
-    let (low, high) = span(curves.iter().flat_map(Curve::points).map(of)).unwrap_or((0.0, 1.0));
+fn range(curves: &[PlotCurve], of: fn((f64, f64)) -> f64, air: f64) -> Range<f64> {
+    let (low, high) = span(curves.iter().flat_map(PlotCurve::points).map(of)).unwrap_or((0.0, 1.0));
     let air = air * (high - low).max(1e-6);
     low - air..high + air
 }

@@ -10,7 +10,7 @@ use ihd_train::lookup::{BuiltLookup, CellErrors, LookupAccuracy};
 use ihd_train::{PointReport, RunReport};
 use serde::Serialize;
 
-use super::table::Table;
+use super::table::TextTable;
 use super::utilisation;
 
 /// The report as text.
@@ -108,7 +108,7 @@ fn link(report: &RunReport) -> String {
 }
 
 fn points(points: &[PointReport]) -> String {
-    let mut t = Table::new(&[
+    let mut t = TextTable::new(&[
         "asked W",
         "got W",
         "f_sw kHz",
@@ -145,7 +145,7 @@ fn points(points: &[PointReport]) -> String {
 }
 
 fn accuracy(points: &[PointReport]) -> String {
-    let mut t = Table::new(&[
+    let mut t = TextTable::new(&[
         "f_sw kHz",
         "PINN R",
         "PINN L",

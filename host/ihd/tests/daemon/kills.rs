@@ -15,8 +15,8 @@ use ihd_link::tcp::TcpTransport;
 use ihd_shared::wire::messages::State;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use ihd_sim::hob::{HobConfig, SimHob};
-use ihd_sim::server::{Server, ServerEvent};
-use ihd_store::{Reader, ResultFilter, WindowFilter};
+use ihd_sim::server::{HobServer, ServerEvent};
+use ihd_store::{ResultFilter, StoreReader, WindowFilter};
 use serde_json::Value;
 
 use crate::chance::Chance;
@@ -93,7 +93,7 @@ impl Acknowledged {
 
     /// Those that the store does not have.
     fn missing(&self, folder: &Path) -> io::Result<Vec<String>> {
-        let reader = Reader::open(&folder.join("store")).map_err(io::Error::other)?;
+        let reader = StoreReader::open(&folder.join("store")).map_err(io::Error::other)?;
         let windows = reader
             .windows(&WindowFilter::default())
             .map_err(io::Error::other)?;
@@ -285,7 +285,7 @@ fn kills_lose_nothing_that_was_acknowledged() {
 #[test]
 fn a_hob_does_not_heat_for_a_dead_daemon() {
     let folder = tempfile::tempdir().unwrap();
-    let mut server = Server::bind("127.0.0.1:0", SimHob::new(&HobConfig::default())).unwrap();
+    let mut server = HobServer::bind("127.0.0.1:0", SimHob::new(&HobConfig::default())).unwrap();
     let address = configure(folder.path(), "", &[("hob".into(), server.address())]).unwrap();
     let stop = Arc::new(AtomicBool::new(false));
     let (ended, is_left) = (Arc::clone(&stop), Arc::clone(&stop));

@@ -7,7 +7,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use ihd_link::{Client, Event, Window};
+use ihd_link::{Client, DeviceEvent, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{
     FaultEvent, Message, Pot, SetPower, State, Telemetry, WindowStart,
@@ -49,8 +49,8 @@ impl Tape {
                     .next_event(Duration::from_secs(5))
                     .expect("it streams");
                 match event.expect("it streams") {
-                    Event::Telemetry(t) => drop(known.insert(t.half_cycle, t)),
-                    Event::Window(w) => {
+                    DeviceEvent::Telemetry(t) => drop(known.insert(t.half_cycle, t)),
+                    DeviceEvent::Window(w) => {
                         // From a half-cycle that has reached its power.
                         if let Some(t) = known.get(&w.half_cycle)
                             && t.power_mw > 900 * u32::from(power_w)

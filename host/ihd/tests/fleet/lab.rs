@@ -8,14 +8,14 @@ use std::time::Duration;
 use async_nats::jetstream;
 use async_nats::{Client, ConnectOptions};
 use ihd_fleet::jetstream::{FleetLimits, init, init_edge};
-use ihd_fleet::server_config::{Edge, Key, Site, Tls, server_config};
+use ihd_fleet::server_config::{EdgeAccount, Site, TlsFiles, UserKey, server_config};
 
 use crate::server::{Place, Server};
 
 /// The server, the keys of all clients, and the server's certificate.
 pub struct Lab {
     pub server: Server,
-    keys: BTreeMap<String, Key>,
+    keys: BTreeMap<String, UserKey>,
     certificate: PathBuf,
     sites: Vec<Site>,
 }
@@ -24,7 +24,7 @@ impl Lab {
     /// Starts sites `lab` (edges lab-1 with hob-a and hob-b, which may read the fleet, and lab-2 with hob-c; two workers) and `field`
     /// (edge field-1 with a hob-a of its own).
     pub async fn start() -> Self {
-        let mut first: Edge = "lab-1=hob-a,hob-b".parse().unwrap();
+        let mut first: EdgeAccount = "lab-1=hob-a,hob-b".parse().unwrap();
         first.sees_fleet = true;
         let lab = Site::new("lab", vec![first, "lab-2=hob-c".parse().unwrap()], 2);
         let field = Site::new("field", vec!["field-1=hob-a".parse().unwrap()], 1);
@@ -40,7 +40,7 @@ impl Lab {
         // Available on any machine.
         sites.iter_mut().for_each(|site| site.disk_bytes = 1 << 30);
         let names = sites.iter().flat_map(|site| site.key_names(true));
-        let keys: BTreeMap<_, _> = names.map(|name| (name, Key::make().unwrap())).collect();
+        let keys: BTreeMap<_, _> = names.map(|name| (name, UserKey::make().unwrap())).collect();
         let server = Server::configured(|place| server_config(&at(place), &sites, &keys).unwrap());
         Self {
             certificate: server.folder().join("certificate.pem"),
@@ -77,7 +77,7 @@ impl Lab {
     }
 
     /// Returns the key of a name of [`Site::key_names`].
-    pub fn key(&self, name: &str) -> &Key {
+    pub fn key(&self, name: &str) -> &UserKey {
         &self.keys[name]
     }
 
@@ -122,7 +122,7 @@ impl Lab {
 }
 
 /// Returns the server's settings for a place; writes its certificate there.
-fn at(place: &Place) -> ihd_fleet::server_config::Server {
+fn at(place: &Place) -> ihd_fleet::server_config::ServerSettings {
     let names = vec!["localhost".to_owned(), place.address.to_string()];
     let made = rcgen::generate_simple_self_signed(names).unwrap();
     fs::write(place.folder.join("certificate.pem"), made.cert.pem()).unwrap();
@@ -134,14 +134,14 @@ fn at(place: &Place) -> ihd_fleet::server_config::Server {
     settings(place)
 }
 
-fn settings(place: &Place) -> ihd_fleet::server_config::Server {
+fn settings(place: &Place) -> ihd_fleet::server_config::ServerSettings {
     let any = format!("{}:-1", place.address);
-    ihd_fleet::server_config::Server {
+    ihd_fleet::server_config::ServerSettings {
         name: "ihd-test".to_owned(),
         listen: any.clone(),
         mqtt_listen: Some(any),
         store: place.folder.join("store"),
-        tls: Some(Tls {
+        tls: Some(TlsFiles {
             certificate: place.folder.join("certificate.pem"),
             key: place.folder.join("key.pem"),
         }),

@@ -6,7 +6,7 @@ use futures_util::StreamExt;
 use ihd_daemon::learning::{StatedLoad, WorkerAnswer};
 use ihd_fleet::names;
 use ihd_fleet::wire::{AnswerMessage, WindowMessage};
-use ihd_store::{Reader, ResultFilter};
+use ihd_store::{ResultFilter, StoreReader};
 use ihd_train::NetworkConfig;
 
 use super::server::Server;
@@ -62,7 +62,7 @@ fn lies_teach_nothing_stop_nothing_and_are_told() {
     until("a result for each window", PATIENCE, || {
         site.results() == site.windows
     });
-    let results = Reader::open(&site.store()).expect("its store");
+    let results = StoreReader::open(&site.store()).expect("its store");
     let results = results.results(&ResultFilter::default()).expect("results");
     for ((name, _), (seq, r_ohm)) in LIES.iter().zip(honest) {
         let result = results.iter().find(|r| r.seq == seq).expect("stored");

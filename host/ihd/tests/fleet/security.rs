@@ -11,7 +11,7 @@ use async_nats::jetstream::{self, Context, kv, stream};
 use async_nats::{Client, ConnectErrorKind, ConnectOptions, HeaderMap, StatusCode};
 use futures_util::StreamExt;
 use ihd_fleet::names::{self, edge_consumer};
-use ihd_fleet::server_config::Key;
+use ihd_fleet::server_config::UserKey;
 
 use crate::lab::Lab;
 
@@ -500,7 +500,7 @@ async fn who_is_not_known_is_told_so_and_a_strange_server_is_refused() {
     let key = "lab-edge-lab-1";
     assert!(lab.options(key).connect(lab.url()).await.is_ok());
     // An unknown key.
-    let stranger = Key::make().unwrap();
+    let stranger = UserKey::make().unwrap();
     let wrong = ConnectOptions::with_nkey(stranger.seed().to_owned())
         .add_root_certificates(lab.certificate())
         .require_tls(true);

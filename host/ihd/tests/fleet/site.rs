@@ -9,11 +9,11 @@ use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-use ihd_link::{Client, Event, Window};
+use ihd_link::{Client, DeviceEvent, Window};
 use ihd_shared::wire::messages::{FrontEnd, Hello, State};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
-use ihd_store::{Reader, ResultFilter, Store, StoreOptions, WindowFilter};
+use ihd_store::{ResultFilter, Store, StoreOptions, StoreReader, WindowFilter};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -45,8 +45,8 @@ pub fn tape() -> &'static Tape {
             let until = windows.len() + 4;
             while windows.len() < until {
                 match client.next_event(Duration::from_secs(1)).expect("a link") {
-                    Some(Event::Window(window)) if heats => windows.push(*window),
-                    Some(Event::Telemetry(t)) => heats = t.state == State::Heating,
+                    Some(DeviceEvent::Window(window)) if heats => windows.push(*window),
+                    Some(DeviceEvent::Telemetry(t)) => heats = t.state == State::Heating,
                     Some(_) => {}
                     None => panic!("the hob is silent"),
                 }
@@ -234,7 +234,7 @@ impl Site {
 
     /// Returns the number of windows in its store.
     pub fn stored(&self) -> u64 {
-        let reader = Reader::open(&self.store()).expect("its store");
+        let reader = StoreReader::open(&self.store()).expect("its store");
         let windows = reader.windows(&WindowFilter::default());
         windows.expect("its windows").len() as u64
     }
@@ -245,7 +245,7 @@ impl Site {
             limit: Some(u32::MAX),
             ..ResultFilter::default()
         };
-        let read = Reader::open(&self.store()).and_then(|reader| reader.results(&filter));
+        let read = StoreReader::open(&self.store()).and_then(|reader| reader.results(&filter));
         let rows = read.unwrap_or_default();
         rows.into_iter()
             .map(|r| (r.device, r.boot, r.seq))

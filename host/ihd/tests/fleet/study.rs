@@ -13,7 +13,7 @@ use ihd_fleet::wire::WindowMessage;
 use ihd_fleet::worker::{self, WorkerSettings};
 use ihd_identify::{IdentifyOptions, Method};
 use ihd_link::Window;
-use ihd_store::{Curve, Reader, ResultFilter};
+use ihd_store::{ResultFilter, StoreReader, StoredCurve};
 use ihd_train::NetworkConfig;
 use tokio::sync::watch;
 
@@ -36,11 +36,11 @@ fn pretend(by: String, window: &Window, _: Option<f64>, _: NetworkConfig) -> Wor
         &IdentifyOptions::default(),
     );
     let load = estimate.map_err(|e| e.to_string()).map(|estimate| {
-        let curve = Curve {
+        let curve = StoredCurve {
             t_s: estimate.t_s,
             r_ohm: estimate.r_ohm,
             l_h: estimate.l_h,
-            ..Curve::default()
+            ..StoredCurve::default()
         };
         let curve = curve.thinned();
         StatedLoad {
@@ -267,7 +267,7 @@ fn from_window_to_lookup_at_length() {
         site.device(&[&hob, "power", power, "--for", "12"]);
     }
     std::thread::sleep(Duration::from_secs(3));
-    let reader = Reader::open(&site.store()).expect("the store");
+    let reader = StoreReader::open(&site.store()).expect("the store");
     let filter = ResultFilter {
         limit: Some(u32::MAX),
         ..ResultFilter::default()

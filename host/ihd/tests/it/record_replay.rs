@@ -140,7 +140,7 @@ fn a_recording_killed_at_any_moment_is_inspected() {
         let mut session = SessionReader::open(&path).expect("a session");
         let (mut windows, mut half_cycle_s) = (0, 0.0);
         while let Some(event) = session.next_event().expect("readable") {
-            if let ihd_link::Event::Window(window) = event {
+            if let ihd_link::DeviceEvent::Window(window) = event {
                 windows += 1;
                 half_cycle_s = 0.5 / window.f_mains_hz();
             }

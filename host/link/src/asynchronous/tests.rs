@@ -44,7 +44,7 @@ async fn orders_and_events_take_turns() {
     let mut next = None;
     for _ in 0..20 {
         client.with(|c| c.set_power(500)).await.unwrap().unwrap();
-        let Some(Event::Fault(event)) = events.recv().await else {
+        let Some(DeviceEvent::Fault(event)) = events.recv().await else {
             panic!("no event");
         };
         assert!(next.is_none_or(|next| next == event.half_cycle));
@@ -119,7 +119,10 @@ async fn a_reader_that_sleeps_costs_telemetry_and_nothing_else() {
     // Nobody has read: two are in the channel, one is held, the rest waits or was dropped.
     assert!(counters.events_dropped > 0);
     client.close().await;
-    assert!(matches!(events.recv().await, Some(Event::Telemetry(_))));
+    assert!(matches!(
+        events.recv().await,
+        Some(DeviceEvent::Telemetry(_))
+    ));
 }
 
 #[tokio::test]
@@ -137,7 +140,7 @@ async fn all_events_that_are_neither_dropped_nor_counted_arrive() {
     let (mut faults, mut telemetries) = (0, 0);
     while faults < all {
         match events.recv().await {
-            Some(Event::Fault(event)) => {
+            Some(DeviceEvent::Fault(event)) => {
                 assert_eq!(event.half_cycle, faults, "a fault was lost");
                 faults += 1;
             }

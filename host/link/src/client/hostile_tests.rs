@@ -184,7 +184,7 @@ fn of_too_many_events_telemetry_goes_first_and_nothing_uncounted() {
     let mut windows = Vec::new();
     while let Some(event) = client.next_event(Duration::ZERO).unwrap() {
         match event {
-            Event::Window(window) => windows.push(window.seq),
+            DeviceEvent::Window(window) => windows.push(window.seq),
             other => panic!("{other:?}"),
         }
     }

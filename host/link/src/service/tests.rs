@@ -2,7 +2,7 @@ use ihd_shared::wire::link_test::LinkTestCounts;
 use ihd_shared::wire::messages::{AnyMessage, Log, Outcome};
 
 use super::*;
-use crate::Event;
+use crate::DeviceEvent;
 use crate::fake::{FakeDevice, FakeOutput};
 
 /// A client of a device that greets, and that `answer` answers for.
@@ -163,7 +163,7 @@ fn the_log_comes_as_events() {
     let data = vec![1, 2, 0];
     assert_eq!(
         event,
-        Some(Event::Log {
+        Some(DeviceEvent::Log {
             seq: 70,
             dropped: 2,
             data

@@ -1,6 +1,6 @@
 //! Windows as a hob would give them to the map.
 
-use ihd_map::{Curve, MeasuredPoint};
+use ihd_map::{CurrentCurve, MeasuredPoint};
 use ihd_signal::Load;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -11,7 +11,7 @@ pub fn window(
     t_s: f64,
     load: impl Fn(f64) -> Load,
     rng: &mut ChaCha8Rng,
-) -> Curve {
+) -> CurrentCurve {
     let mut normal = || -> f64 { StandardNormal.sample(rng) };
     let points: Vec<_> = (0..60)
         .map(|n| {
@@ -27,5 +27,5 @@ pub fn window(
             }
         })
         .collect();
-    Curve::new(f_hz, t_s, points.into_iter())
+    CurrentCurve::new(f_hz, t_s, points.into_iter())
 }

@@ -1,10 +1,10 @@
 //! The range of every setting.
 
-use super::{Config, Optimiser};
+use super::{Optimiser, PinnConfig};
 use crate::impedance_law::LARGEST_ORDER;
 use crate::{ImpedanceOrder, PinnError, SlowEmbedding, ViMlp};
 
-impl Config {
+impl PinnConfig {
     /// Checks every field against its documented range.
     ///
     /// # Errors

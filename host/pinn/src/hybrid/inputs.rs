@@ -1,6 +1,6 @@
 //! Inputs of all passes.
 
-use crate::Config;
+use crate::PinnConfig;
 use crate::impedance_law::HarmonicLaw;
 use crate::vi_system::DataSystem;
 use crate::waveform::NormalisedWaveform;
@@ -8,7 +8,7 @@ use crate::waveform::NormalisedWaveform;
 /// Inputs that all passes share.
 pub(super) struct Inputs<'a> {
     pub(super) samples: &'a NormalisedWaveform,
-    pub(super) config: &'a Config,
+    pub(super) config: &'a PinnConfig,
     pub(super) system: &'a DataSystem,
     /// Exponent n of the impedance law Z(s) = s L_0 + K s^n.
     pub(super) order: f64,

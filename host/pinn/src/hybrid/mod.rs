@@ -17,12 +17,12 @@ use self::pass::Pass;
 use crate::progress::Log;
 use crate::vi_system::{DataSystem, PhysicsTerm};
 use crate::waveform::NormalisedWaveform;
-use crate::{Config, Identification, PinnError};
+use crate::{Identification, PinnConfig, PinnError};
 
 /// Identifies R(t) and L(t) of one window.
 pub(crate) fn hybrid(
     samples: &NormalisedWaveform,
-    config: &Config,
+    config: &PinnConfig,
     mut log: Log<'_>,
 ) -> Result<Identification, PinnError> {
     let system = DataSystem::assemble(samples, setup::harmonic_basis(samples, config)?);

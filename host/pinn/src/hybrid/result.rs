@@ -7,7 +7,7 @@ use crate::optimiser::Descent;
 use crate::progress::Log;
 use crate::result::{Reconstruction, nmse_pct, result_times_s};
 use crate::uncertainty::laplace;
-use crate::{Identification, Losses, PinnError};
+use crate::{Identification, LossTerms, PinnError};
 
 pub(super) fn assemble(
     pass: &Pass<'_>,
@@ -57,11 +57,11 @@ pub(super) fn assemble(
 }
 
 /// Terms of eq. (7) at the final parameters.
-fn losses(pass: &Pass<'_>, descent: &Descent) -> Losses {
+fn losses(pass: &Pass<'_>, descent: &Descent) -> LossTerms {
     let config = pass.inputs.config;
     let (l_i1, l_i2) = pass.data_losses;
     let l_f = (descent.squares + pass.floor) / config.w_f;
-    Losses {
+    LossTerms {
         l_f,
         l_i1,
         l_i2,

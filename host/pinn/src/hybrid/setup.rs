@@ -9,7 +9,7 @@ use crate::impedance_law::{self, HarmonicLaw, ImpedanceOrder, NamedOrder};
 use crate::loss::{SlowPhysics, slow_times_s};
 use crate::parameters::Parameters;
 use crate::waveform::NormalisedWaveform;
-use crate::{Config, PinnError};
+use crate::{PinnConfig, PinnError};
 
 /// Fewest switching periods of a spline's interval, so that the harmonics can be distinguished.
 const LEAST_PERIODS: f64 = 3.0;
@@ -17,7 +17,7 @@ const LEAST_PERIODS: f64 = 3.0;
 /// Functions of the VI branch; an error if the samples cannot distinguish them.
 pub(super) fn harmonic_basis(
     samples: &NormalisedWaveform,
-    config: &Config,
+    config: &PinnConfig,
 ) -> Result<HarmonicBasis, PinnError> {
     let half_cycle_s = 0.5 / samples.f_mains_hz;
     let share = samples.duration_s() / half_cycle_s;
@@ -37,7 +37,7 @@ pub(super) fn harmonic_basis(
 }
 
 /// Spline with knots denser toward the zero crossings, as far as the measured noise allows.
-fn spline(samples: &NormalisedWaveform, intervals: usize, config: &Config) -> CubicSpline {
+fn spline(samples: &NormalisedWaveform, intervals: usize, config: &PinnConfig) -> CubicSpline {
     let duration_s = samples.duration_s();
     let half_cycle_s = 0.5 / samples.f_mains_hz;
     let noise = config.noise.unwrap_or([f64::INFINITY; 2]);
@@ -55,7 +55,7 @@ fn spline(samples: &NormalisedWaveform, intervals: usize, config: &Config) -> Cu
 }
 
 /// Checks for at least two samples per period of the highest harmonic.
-fn check_rate(samples: &NormalisedWaveform, config: &Config) -> Result<(), PinnError> {
+fn check_rate(samples: &NormalisedWaveform, config: &PinnConfig) -> Result<(), PinnError> {
     let (f_sw_hz, f_adc_hz) = (samples.omega / TAU, 1.0 / samples.dt_s);
     let harmonic = config.harmonics.iter().copied().max().unwrap_or(1);
     let needed_hz = 2.0 * f64::from(harmonic) * f_sw_hz;
@@ -93,7 +93,7 @@ fn check_length(
 }
 
 /// Start parameters, or the network's scales without layers.
-pub(super) fn network_outline(samples: &NormalisedWaveform, config: &Config) -> Parameters {
+pub(super) fn network_outline(samples: &NormalisedWaveform, config: &PinnConfig) -> Parameters {
     match &config.start {
         // The mains frequency is always that of the present window.
         Some(start) => Parameters {
@@ -113,7 +113,7 @@ pub(super) fn network_outline(samples: &NormalisedWaveform, config: &Config) -> 
 }
 
 /// Impedance law of this order at the physics harmonics.
-pub(super) fn laws(order: f64, basis: &HarmonicBasis, config: &Config) -> Vec<HarmonicLaw> {
+pub(super) fn laws(order: f64, basis: &HarmonicBasis, config: &PinnConfig) -> Vec<HarmonicLaw> {
     let covered = |h: &u32| config.physics_harmonics.contains(h);
     let all = basis.harmonics.iter().enumerate();
     all.filter(|(_, h)| covered(h))
@@ -127,7 +127,7 @@ pub(super) fn impedance_order(
     branch: &HarmonicBranch,
     samples: &NormalisedWaveform,
     parameters: &Parameters,
-    config: &Config,
+    config: &PinnConfig,
 ) -> f64 {
     match config.impedance_order {
         ImpedanceOrder::Given(order) => return order,

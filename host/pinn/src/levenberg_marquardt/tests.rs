@@ -5,7 +5,7 @@ use std::convert::Infallible;
 use nalgebra::DMatrix;
 
 use super::{Evaluation, LeastSquares, Minimum, Prior, minimise};
-use crate::Config;
+use crate::PinnConfig;
 use crate::progress::{Log, StopReason};
 
 /// Residuals and Jacobian as functions; the parameters are the outputs.
@@ -82,10 +82,10 @@ fn minimum(
     tolerance: f64,
     steps: usize,
 ) -> (Minimum, usize) {
-    let config = Config {
+    let config = PinnConfig {
         max_iterations: steps,
         deterministic: true,
-        ..Config::default()
+        ..PinnConfig::default()
     };
     let mut report = |_: &_| {};
     let mut log = Log::start(&config, &mut report);

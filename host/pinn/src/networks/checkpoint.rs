@@ -5,9 +5,9 @@ use std::path::Path;
 use burn_pack::{Bytes, DType, Reader, Tensor, Writer};
 
 use crate::adam::Adam;
-use crate::progress::Progress;
+use crate::progress::TrainingProgress;
 use crate::waveform::NormalisedWaveform;
-use crate::{Config, PinnError, ViMlp};
+use crate::{PinnConfig, PinnError, ViMlp};
 
 /// State that the next epoch depends on, with the history so far.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,7 +25,7 @@ pub(crate) struct State {
     pub w_f: f64,
     /// R, L at the slow times of the last checks, oldest first.
     pub past: Vec<Vec<f64>>,
-    pub history: Vec<Progress>,
+    pub history: Vec<TrainingProgress>,
 }
 
 /// Name of the fingerprint of window and configuration in the file.
@@ -45,7 +45,7 @@ impl<'a> Checkpoint<'a> {
     pub fn new(
         path: Option<&'a Path>,
         samples: &NormalisedWaveform,
-        config: &Config,
+        config: &PinnConfig,
         vi: &ViMlp,
     ) -> Self {
         Self {
@@ -111,11 +111,11 @@ impl<'a> Checkpoint<'a> {
 }
 
 /// Fingerprint of window and configuration, which protects against a wrong checkpoint.
-fn fingerprint(samples: &NormalisedWaveform, config: &Config, vi: &ViMlp) -> String {
+fn fingerprint(samples: &NormalisedWaveform, config: &PinnConfig, vi: &ViMlp) -> String {
     let crc = crc::Crc::<u64>::new(&crc::CRC_64_XZ);
     let mut digest = crc.digest();
     // Only limits may change when a training continues.
-    let settings = Config {
+    let settings = PinnConfig {
         // A rate that falls over all epochs depends on their number.
         max_iterations: match vi.last_rate {
             1.0 => 1,
@@ -198,7 +198,7 @@ fn tensor(name: &str, values: &[f64]) -> Tensor {
     )
 }
 
-fn history_row(p: &Progress) -> [f64; HISTORY_WIDTH] {
+fn history_row(p: &TrainingProgress) -> [f64; HISTORY_WIDTH] {
     let (r, l) = p.mre_pct.unwrap_or((f64::NAN, f64::NAN));
     [
         p.pass as f64,
@@ -213,8 +213,8 @@ fn history_row(p: &Progress) -> [f64; HISTORY_WIDTH] {
     ]
 }
 
-fn progress(row: &[f64]) -> Progress {
-    Progress {
+fn progress(row: &[f64]) -> TrainingProgress {
+    TrainingProgress {
         pass: row[0] as usize,
         iteration: row[1] as usize,
         loss: row[2],

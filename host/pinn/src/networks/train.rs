@@ -19,7 +19,7 @@ use crate::parameters::Parameters;
 use crate::progress::{Log, Settling, StopReason};
 use crate::result::assemble_networks;
 use crate::waveform::NormalisedWaveform;
-use crate::{Config, Identification, Losses, PinnError, ViMlp};
+use crate::{Identification, LossTerms, PinnConfig, PinnError, ViMlp};
 
 /// Epochs between two checks of R and L.
 const CHECK_EVERY: usize = 10;
@@ -38,7 +38,7 @@ const BALANCE_STEP: f64 = 0.1;
 /// date.
 pub(crate) fn identify(
     samples: &NormalisedWaveform,
-    config: &Config,
+    config: &PinnConfig,
     vi: &ViMlp,
     checkpoint: Option<&Path>,
     mut log: Log<'_>,
@@ -76,7 +76,7 @@ pub(crate) fn identify(
 }
 
 /// R and ω L of outputs 1, normalised.
-fn impedances(samples: &NormalisedWaveform, config: &Config) -> Impedances {
+fn impedances(samples: &NormalisedWaveform, config: &PinnConfig) -> Impedances {
     let scale = samples.impedance_scale();
     Impedances {
         r: (config.r_scale_ohm * scale) as f32,
@@ -85,7 +85,7 @@ fn impedances(samples: &NormalisedWaveform, config: &Config) -> Impedances {
 }
 
 /// Initial weights from the seed, or those of the warm start.
-fn first_state(shape: &Shape, config: &Config) -> Result<State, PinnError> {
+fn first_state(shape: &Shape, config: &PinnConfig) -> Result<State, PinnError> {
     let mut theta = shape.xavier(config.seed);
     if let Some(start) = &config.start {
         let fits = Shape::insert(&shape.rl, &start.layers, &mut theta)
@@ -116,7 +116,7 @@ fn first_state(shape: &Shape, config: &Config) -> Result<State, PinnError> {
 /// Running training.
 struct Training<'a> {
     samples: &'a NormalisedWaveform,
-    config: &'a Config,
+    config: &'a PinnConfig,
     vi: &'a ViMlp,
     problem: Problem<'a>,
     kernel: Box<dyn Kernel>,
@@ -284,7 +284,7 @@ impl Training<'_> {
         let terms = self.gradient_at(all, self.weights())?;
         let theta = single(&self.state.theta);
         let (v, i) = self.kernel.signals(&self.problem, &theta)?;
-        let losses = Losses {
+        let losses = LossTerms {
             l_f: terms.l_f,
             l_i1: terms.l_i1,
             l_i2: terms.l_i2,

@@ -2,9 +2,11 @@
 //! R(t) and L(t), so every bound below comes from the physics and none from an earlier output.
 
 use crate::truth::{Hob, Recording, fits_the_range, mre_pct};
-use ihd_pinn::{Backend, Config, Identification, Optimiser, SlowEmbedding, StopReason, identify};
+use ihd_pinn::{
+    Backend, Identification, Optimiser, PinnConfig, SlowEmbedding, StopReason, identify,
+};
 
-fn found(recording: &Recording, config: &Config) -> Identification {
+fn found(recording: &Recording, config: &PinnConfig) -> Identification {
     identify(&recording.waveform(), config, &mut |_| {}).expect("a sound window")
 }
 
@@ -23,7 +25,7 @@ fn twelve_bit_half_cycles_are_within_one_percent_at_every_frequency() {
             let hob = Hob::at(f_sw_hz, f_mains_hz);
             let ideal = hob.record();
             assert!(fits_the_range(&ideal), "{hob:?} clips: no fair truth");
-            let found = found(&ideal.quantised(), &Config::default());
+            let found = found(&ideal.quantised(), &PinnConfig::default());
             assert_within_pct(&found, &hob, 1.0);
             assert!(found.stopped_because.is_converged());
         }
@@ -36,7 +38,7 @@ fn white_noise_of_30_db_leaves_one_percent() {
         for f_mains_hz in [50.0, 60.0] {
             let hob = Hob::at(f_sw_hz, f_mains_hz);
             let noisy = hob.record().with_noise(30.0, seed).quantised();
-            let found = found(&noisy, &Config::default());
+            let found = found(&noisy, &PinnConfig::default());
             assert_within_pct(&found, &hob, 1.0);
             // The VI branch must not follow the noise: 30 dB is 0.1 % of the power.
             assert!(
@@ -69,7 +71,7 @@ fn other_pots_and_no_pot_are_within_reach_of_the_same_scales() {
         };
         let ideal = hob.record();
         assert!(fits_the_range(&ideal), "{hob:?} clips: no fair truth");
-        let found = found(&ideal.quantised(), &Config::default());
+        let found = found(&ideal.quantised(), &PinnConfig::default());
         let (r, l) = mre_pct(&found, &hob, 0.0);
         assert!(
             r <= r_limit_pct && l <= 1.0,
@@ -83,9 +85,9 @@ fn all_backends_walk_the_same_loss_curve() {
     let hob = Hob::at(45e3, 50.0);
     let recording = hob.record().quantised();
     let [fused, ndarray] = [Backend::Fused, Backend::Ndarray].map(|backend| {
-        let config = Config {
+        let config = PinnConfig {
             backend,
-            ..Config::default()
+            ..PinnConfig::default()
         };
         let found = found(&recording, &config);
         assert_within_pct(&found, &hob, 1.0);
@@ -102,9 +104,9 @@ fn all_backends_walk_the_same_loss_curve() {
 fn the_same_seed_gives_the_same_digits_and_another_seed_does_not() {
     let recording = Hob::at(60e3, 50.0).record().quantised();
     let with_seed = |seed| {
-        let config = Config {
+        let config = PinnConfig {
             seed,
-            ..Config::default()
+            ..PinnConfig::default()
         };
         found(&recording, &config).parameters
     };
@@ -117,18 +119,18 @@ fn settings_of_the_paper_reach_one_percent_as_well() {
     let hob = Hob::at(45e3, 50.0);
     let recording = hob.record().quantised();
     for config in [
-        Config {
+        PinnConfig {
             hidden_layers: vec![16; 4],
-            ..Config::default()
+            ..PinnConfig::default()
         },
-        Config {
+        PinnConfig {
             physics_harmonics: vec![1, 3, 5, 7],
             weight_width: 0.0,
-            ..Config::default()
+            ..PinnConfig::default()
         },
-        Config {
+        PinnConfig {
             embedding: SlowEmbedding::Symmetric,
-            ..Config::default()
+            ..PinnConfig::default()
         },
     ] {
         assert_within_pct(&found(&recording, &config), &hob, 1.0);
@@ -139,29 +141,29 @@ fn settings_of_the_paper_reach_one_percent_as_well() {
 fn adam_descends_the_same_loss_but_needs_far_more_steps() {
     let hob = Hob::at(45e3, 50.0);
     let recording = hob.record().quantised();
-    let config = Config {
+    let config = PinnConfig {
         optimiser: Optimiser::Adam,
         max_iterations: 1000,
         outer_passes: 1,
-        ..Config::default()
+        ..PinnConfig::default()
     };
     let adam = found(&recording, &config);
     assert_within_pct(&adam, &hob, 10.0);
-    let lm = found(&recording, &Config::default());
+    let lm = found(&recording, &PinnConfig::default());
     assert!(lm.losses.l_f < adam.losses.l_f && lm.iterations * 4 < adam.iterations);
 }
 
 #[test]
 fn a_warm_start_needs_fewer_steps_than_a_cold_one() {
     let hob = Hob::at(50e3, 50.0);
-    let cold = found(&hob.record().quantised(), &Config::default());
+    let cold = found(&hob.record().quantised(), &PinnConfig::default());
     let warmer = Hob {
         crest_a: 0.98 * hob.crest_a,
         ..hob
     };
-    let config = Config {
+    let config = PinnConfig {
         start: Some(cold.parameters.clone()),
-        ..Config::default()
+        ..PinnConfig::default()
     };
     let warm = found(&warmer.record().quantised(), &config);
     assert_within_pct(&warm, &warmer, 1.0);
@@ -179,7 +181,7 @@ fn the_standard_deviations_are_those_of_the_errors() {
     let (mut r, mut l, mut count) = (0.0, 0.0, 0.0);
     for seed in 1..=24 {
         let noisy = hob.record().with_noise(30.0, seed);
-        let found = found(&noisy, &Config::default());
+        let found = found(&noisy, &PinnConfig::default());
         for k in 0..found.t_s.len() {
             let t_s = found.t_s[k];
             if (1e-3..9e-3).contains(&t_s) {
@@ -199,9 +201,9 @@ fn the_standard_deviations_are_those_of_the_errors() {
 
 #[test]
 fn the_loss_is_composed_as_in_eq_7_and_never_rises_within_a_pass() {
-    let config = Config {
+    let config = PinnConfig {
         weight_width: 0.0,
-        ..Config::default()
+        ..PinnConfig::default()
     };
     let found = found(&Hob::at(45e3, 50.0).record().quantised(), &config);
     let losses = found.losses;
@@ -216,7 +218,7 @@ fn the_loss_is_composed_as_in_eq_7_and_never_rises_within_a_pass() {
 #[test]
 fn the_current_amplitude_is_that_of_the_envelope() {
     let hob = Hob::at(50e3, 60.0);
-    let found = found(&hob.record().quantised(), &Config::default());
+    let found = found(&hob.record().quantised(), &PinnConfig::default());
     assert_eq!(found.t_s.len(), found.i_amplitude_a.len());
     for (t_s, amplitude_a) in found.t_s.iter().zip(&found.i_amplitude_a) {
         assert!((amplitude_a - hob.envelope_a(*t_s)).abs() < 0.05);
@@ -232,7 +234,7 @@ fn part_of_a_half_cycle_is_identified_at_its_own_time() {
     window.v_volt = &window.v_volt[from..to];
     window.i_ampere = &window.i_ampere[from..to];
     window.t0_s = from as f64 * window.dt_s;
-    let found = identify(&window, &Config::default(), &mut |_| {}).expect("a sound window");
+    let found = identify(&window, &PinnConfig::default(), &mut |_| {}).expect("a sound window");
     for t_s in &found.t_s {
         assert!((found.r_at(*t_s) / hob.r_ohm(*t_s) - 1.0).abs() < 0.01);
         assert!((found.l_at(*t_s) / hob.l_h(*t_s) - 1.0).abs() < 0.01);
@@ -243,16 +245,16 @@ fn part_of_a_half_cycle_is_identified_at_its_own_time() {
 fn limits_end_the_training_with_the_best_so_far() {
     let recording = Hob::at(45e3, 50.0).record();
     let mut seen = 0;
-    let config = Config {
+    let config = PinnConfig {
         max_iterations: 3,
-        ..Config::default()
+        ..PinnConfig::default()
     };
     let found = identify(&recording.waveform(), &config, &mut |_| seen += 1).expect("sound");
     assert_eq!(found.stopped_because, StopReason::IterationLimit);
     assert_eq!((found.iterations, seen), (3, 3));
-    let config = Config {
+    let config = PinnConfig {
         time_limit_s: 1e-9,
-        ..Config::default()
+        ..PinnConfig::default()
     };
     let found = identify(&recording.waveform(), &config, &mut |_| {}).expect("sound");
     assert_eq!(found.stopped_because, StopReason::TimeLimit);
@@ -262,43 +264,43 @@ fn limits_end_the_training_with_the_best_so_far() {
 #[test]
 fn config_and_result_survive_json() {
     // Parameters are the network's alone, without the splines on top of it.
-    let alone = Config {
+    let alone = PinnConfig {
         correction: false,
-        ..Config::default()
+        ..PinnConfig::default()
     };
     let found = found(&Hob::at(70e3, 50.0).record(), &alone);
-    let config = Config {
+    let config = PinnConfig {
         start: Some(found.parameters.clone()),
-        ..Config::default()
+        ..PinnConfig::default()
     };
     let text = serde_json::to_string(&config).expect("numbers and names");
-    let back: Config = serde_json::from_str(&text).expect("what was written");
+    let back: PinnConfig = serde_json::from_str(&text).expect("what was written");
     let start = back.start.expect("was written");
     let (t_s, r_ohm) = (found.t_s[100], found.r_ohm[100]);
     assert!((start.r_l_at(t_s).0 / r_ohm - 1.0).abs() < 1e-12);
     assert_eq!(
-        serde_json::from_str::<Config>("{}").expect("all defaults"),
-        Config::default()
+        serde_json::from_str::<PinnConfig>("{}").expect("all defaults"),
+        PinnConfig::default()
     );
-    assert!(serde_json::from_str::<Config>(r#"{"bakend": "ndarray"}"#).is_err());
+    assert!(serde_json::from_str::<PinnConfig>(r#"{"bakend": "ndarray"}"#).is_err());
 }
 
 #[test]
 fn a_loss_that_is_not_finite_is_rolled_back_and_reported() {
     let recording = Hob::at(45e3, 50.0).record();
-    let mut start = found(&recording, &Config::default()).parameters;
+    let mut start = found(&recording, &PinnConfig::default()).parameters;
     for layer in &mut start.layers {
         layer.weights.fill(1e200);
         layer.biases.fill(1e200);
     }
-    let far_start = Config {
+    let far_start = PinnConfig {
         start: Some(start),
-        ..Config::default()
+        ..PinnConfig::default()
     };
-    let wild_adam = Config {
+    let wild_adam = PinnConfig {
         optimiser: Optimiser::Adam,
         learning_rate: 1e308,
-        ..Config::default()
+        ..PinnConfig::default()
     };
     for config in [far_start, wild_adam] {
         let found = found(&recording, &config);

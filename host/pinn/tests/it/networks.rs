@@ -3,15 +3,17 @@
 use std::path::Path;
 
 use crate::truth::{Hob, Recording};
-use ihd_pinn::{Backend, Config, Identification, Preset, StopReason, Task, ViMlp, identify};
+use ihd_pinn::{
+    Backend, Identification, IdentifyTask, PinnConfig, Preset, StopReason, ViMlp, identify,
+};
 
 fn recording() -> Recording {
     Hob::at(45e3, 50.0).record()
 }
 
 /// Small networks on few points, for tests of the training itself.
-fn small() -> Config {
-    Config {
+fn small() -> PinnConfig {
+    PinnConfig {
         vi_mlp: Some(ViMlp {
             hidden_layers: vec![24, 24],
             downsampling: 5,
@@ -23,13 +25,13 @@ fn small() -> Config {
     }
 }
 
-fn trained(config: &Config) -> Identification {
+fn trained(config: &PinnConfig) -> Identification {
     identify(&recording().waveform(), config, &mut |_| {}).expect("a sound window")
 }
 
-fn resumed(config: &Config, checkpoint: &Path) -> Result<Identification, ihd_pinn::PinnError> {
+fn resumed(config: &PinnConfig, checkpoint: &Path) -> Result<Identification, ihd_pinn::PinnError> {
     let recording = recording();
-    let task = Task {
+    let task = IdentifyTask {
         window: recording.waveform(),
         config,
         truth: None,
@@ -62,7 +64,7 @@ fn the_loss_falls_and_the_best_parameters_are_the_result() {
 #[test]
 fn ndarray_and_the_fused_kernel_walk_one_loss_curve() {
     let curve = |backend| {
-        let config = Config {
+        let config = PinnConfig {
             backend,
             max_iterations: 30,
             ..small()
@@ -88,7 +90,7 @@ fn a_training_that_was_stopped_goes_on_exactly() {
         let mut config = small();
         config.vi_mlp.as_mut().expect("has one").minibatch = minibatch;
         let whole = trained(&config);
-        let half = Config {
+        let half = PinnConfig {
             max_iterations: 77,
             ..config.clone()
         };
@@ -111,12 +113,12 @@ fn a_training_that_was_stopped_goes_on_exactly() {
 fn a_checkpoint_of_another_training_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("training.bpk");
-    let config = Config {
+    let config = PinnConfig {
         max_iterations: 3,
         ..small()
     };
     resumed(&config, &path).expect("trains");
-    let other = Config { seed: 2, ..config };
+    let other = PinnConfig { seed: 2, ..config };
     let error = resumed(&other, &path).expect_err("another seed");
     assert!(
         error
@@ -130,7 +132,7 @@ fn a_checkpoint_of_another_training_is_refused() {
 
 #[test]
 fn a_loss_that_is_not_finite_is_rolled_back() {
-    let config = Config {
+    let config = PinnConfig {
         learning_rate: 1e300,
         ..small()
     };
@@ -141,13 +143,13 @@ fn a_loss_that_is_not_finite_is_rolled_back() {
 
 #[test]
 fn limits_on_time_hold_unless_the_run_must_be_deterministic() {
-    let limited = Config {
+    let limited = PinnConfig {
         time_limit_s: 1e-9,
         max_iterations: 5,
         ..small()
     };
     assert_eq!(trained(&limited).stopped_because, StopReason::TimeLimit);
-    let deterministic = Config {
+    let deterministic = PinnConfig {
         deterministic: true,
         ..limited
     };
@@ -160,14 +162,14 @@ fn limits_on_time_hold_unless_the_run_must_be_deterministic() {
 fn progress_carries_the_errors_where_the_truth_is_known() {
     let (recording, config) = (
         recording(),
-        Config {
+        PinnConfig {
             max_iterations: 12,
             ..small()
         },
     );
     let hob = recording.hob;
     let truth = |t_s: f64| (hob.r_ohm(t_s), hob.l_h(t_s));
-    let task = Task {
+    let task = IdentifyTask {
         window: recording.waveform(),
         config: &config,
         truth: Some(&truth),
@@ -188,7 +190,7 @@ fn progress_carries_the_errors_where_the_truth_is_known() {
 
 #[test]
 fn an_ensemble_gives_a_spread_and_loss_balancing_moves_the_weight() {
-    let config = Config {
+    let config = PinnConfig {
         ensemble: 3,
         max_iterations: 10,
         ..small()
@@ -204,7 +206,7 @@ fn an_ensemble_gives_a_spread_and_loss_balancing_moves_the_weight() {
 #[test]
 fn a_warm_start_goes_on_from_its_weights() {
     let cold = trained(&small());
-    let config = Config {
+    let config = PinnConfig {
         start: Some(cold.parameters.clone()),
         ..small()
     };

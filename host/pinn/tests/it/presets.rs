@@ -2,22 +2,22 @@
 
 use std::path::Path;
 
-use ihd_pinn::{Config, Optimiser, PinnError, Preset, PresetLibrary, SlowEmbedding, ViMlp};
+use ihd_pinn::{Optimiser, PinnConfig, PinnError, Preset, PresetLibrary, SlowEmbedding, ViMlp};
 
 /// `paper-repaired` with one change to its VI-MLP.
-fn repaired(change: impl FnOnce(&mut ViMlp)) -> Config {
+fn repaired(change: impl FnOnce(&mut ViMlp)) -> PinnConfig {
     let mut config = Preset::PaperRepaired.config();
     change(config.vi_mlp.as_mut().expect("has one"));
     config
 }
 
 /// Settings of each ablation, written in Rust: their digits are in docs/results/networks.md.
-fn ablations() -> [(&'static str, Config); 8] {
-    let hybrid = Config::default;
+fn ablations() -> [(&'static str, PinnConfig); 8] {
+    let hybrid = PinnConfig::default;
     [
         (
             "repaired-unscaled",
-            Config {
+            PinnConfig {
                 r_scale_ohm: 1.0,
                 l_scale_h: 1.0,
                 ..Preset::PaperRepaired.config()
@@ -26,7 +26,7 @@ fn ablations() -> [(&'static str, Config); 8] {
         ("repaired-fast-only", repaired(|vi| vi.slow = None)),
         (
             "repaired-eq3",
-            Config {
+            PinnConfig {
                 embedding: SlowEmbedding::Fourier { first: 1, count: 1 },
                 ..Preset::PaperRepaired.config()
             },
@@ -38,7 +38,7 @@ fn ablations() -> [(&'static str, Config); 8] {
         ("repaired-decay", repaired(|vi| vi.last_rate = 1.0 / 30.0)),
         (
             "hybrid-paper-net",
-            Config {
+            PinnConfig {
                 hidden_layers: vec![16; 4],
                 correction: false,
                 ..hybrid()
@@ -46,7 +46,7 @@ fn ablations() -> [(&'static str, Config); 8] {
         ),
         (
             "hybrid-adam",
-            Config {
+            PinnConfig {
                 optimiser: Optimiser::Adam,
                 max_iterations: 10_000,
                 correction: false,
@@ -55,7 +55,7 @@ fn ablations() -> [(&'static str, Config); 8] {
         ),
         (
             "hybrid-no-prior",
-            Config {
+            PinnConfig {
                 weight_width: 0.0,
                 correction: false,
                 ..hybrid()
@@ -71,10 +71,10 @@ fn the_ablations_files_are_what_the_document_measured() {
         let found = library.get(name).expect("in the program");
         assert_eq!(found.config, expected, "{name}");
         assert!(!found.description.is_empty(), "{name}");
-        let over = Config::from_toml(&format!("preset = \"{name}\"\nseed = 4")).expect("sound");
+        let over = PinnConfig::from_toml(&format!("preset = \"{name}\"\nseed = 4")).expect("sound");
         assert_eq!(
             over,
-            Config {
+            PinnConfig {
                 seed: 4,
                 ..expected
             }
@@ -100,10 +100,10 @@ fn an_unknown_name_gets_the_names_that_there_are() {
     for name in ["hybrid", "paper-literal", "repaired-eq3"] {
         assert!(error.to_string().contains(name), "{error}");
     }
-    assert_eq!(Config::from_toml("preset = \"nope\""), Err(error));
-    let error = Config::from_toml("backend = \"tpu\"").expect_err("no such");
+    assert_eq!(PinnConfig::from_toml("preset = \"nope\""), Err(error));
+    let error = PinnConfig::from_toml("backend = \"tpu\"").expect_err("no such");
     assert!(error.to_string().contains("fused, ndarray"), "{error}");
-    let error = Config::from_toml("optimiser = \"sgd\"").expect_err("no such");
+    let error = PinnConfig::from_toml("optimiser = \"sgd\"").expect_err("no such");
     assert!(
         error.to_string().contains("levenberg-marquardt, adam"),
         "{error}"
@@ -141,13 +141,16 @@ fn a_folders_files_are_presets_named_as_they_are() {
 #[test]
 fn toml_files_lie_over_their_preset() {
     let text = "preset = \"paper-repaired\"\nseed = 9\n[vi_mlp]\nn_sw = 5\n";
-    let config = Config::from_toml(text).expect("sound");
+    let config = PinnConfig::from_toml(text).expect("sound");
     let mut expected = repaired(|vi| vi.n_sw = 5);
     expected.seed = 9;
     assert_eq!(config, expected);
-    assert_eq!(Config::from_toml("").expect("empty"), Config::default());
+    assert_eq!(
+        PinnConfig::from_toml("").expect("empty"),
+        PinnConfig::default()
+    );
     for preset in Preset::ALL {
-        let named = Config::from_toml(&format!("preset = \"{preset}\"")).expect("known");
+        let named = PinnConfig::from_toml(&format!("preset = \"{preset}\"")).expect("known");
         assert_eq!(named, preset.config());
     }
     for wrong in [
@@ -159,6 +162,6 @@ fn toml_files_lie_over_their_preset() {
         "seed = -",
         "w_f = -1.0",
     ] {
-        assert!(Config::from_toml(wrong).is_err(), "{wrong}");
+        assert!(PinnConfig::from_toml(wrong).is_err(), "{wrong}");
     }
 }

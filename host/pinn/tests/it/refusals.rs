@@ -1,13 +1,13 @@
 //! Errors of `identify`: each says what is wrong, where, and what to do.
 
 use crate::truth::{Hob, Recording};
-use ihd_pinn::{Backend, Config, Optimiser, PinnError, Waveform, identify};
+use ihd_pinn::{Backend, Optimiser, PinnConfig, PinnError, Waveform, identify};
 
 fn recording() -> Recording {
     Hob::at(45e3, 50.0).record()
 }
 
-fn refused(window: &Waveform<'_>, config: &Config) -> PinnError {
+fn refused(window: &Waveform<'_>, config: &PinnConfig) -> PinnError {
     identify(window, config, &mut |_| {}).expect_err("must be refused")
 }
 
@@ -15,11 +15,11 @@ fn refused_window(change: impl FnOnce(&mut Waveform<'_>)) -> PinnError {
     let recording = recording();
     let mut window = recording.waveform();
     change(&mut window);
-    refused(&window, &Config::default())
+    refused(&window, &PinnConfig::default())
 }
 
-fn refused_config(change: impl FnOnce(&mut Config)) -> PinnError {
-    let mut config = Config::default();
+fn refused_config(change: impl FnOnce(&mut PinnConfig)) -> PinnError {
+    let mut config = PinnConfig::default();
     change(&mut config);
     refused(&recording().waveform(), &config)
 }
@@ -52,14 +52,14 @@ fn windows_too_short_for_the_unknowns() {
 fn samples_that_are_not_numbers_by_channel_and_index() {
     let mut recording = recording();
     recording.v[1234] = f64::NAN;
-    let error = refused(&recording.waveform(), &Config::default());
+    let error = refused(&recording.waveform(), &PinnConfig::default());
     assert!(
         error.to_string().contains("voltage sample 1234 is NaN"),
         "{error}"
     );
     recording.v[1234] = 0.0;
     recording.i[99] = f64::NEG_INFINITY;
-    let error = refused(&recording.waveform(), &Config::default());
+    let error = refused(&recording.waveform(), &PinnConfig::default());
     assert!(
         error.to_string().contains("current sample 99 is -inf"),
         "{error}"
@@ -83,7 +83,7 @@ fn times_and_frequencies_that_are_not_positive() {
 fn a_channel_without_signal() {
     let mut recording = recording();
     recording.i.fill(0.0);
-    let error = refused(&recording.waveform(), &Config::default());
+    let error = refused(&recording.waveform(), &PinnConfig::default());
     assert_eq!(error, PinnError::NoSignal { channel: "current" });
 }
 
@@ -114,12 +114,12 @@ fn windows_over_a_zero_crossing() {
     let recording = recording();
     let mut window = recording.waveform();
     window.t0_s = 5e-5;
-    assert!(identify(&window, &Config::default(), &mut |_| {}).is_ok());
+    assert!(identify(&window, &PinnConfig::default(), &mut |_| {}).is_ok());
 }
 
 #[test]
 fn settings_out_of_range_by_name() {
-    type Change = fn(&mut Config);
+    type Change = fn(&mut PinnConfig);
     let changes: [(&str, Change); 14] = [
         ("harmonics", |c| c.harmonics = vec![3, 5]),
         ("harmonics", |c| c.harmonics = vec![1, 5, 3]),
@@ -153,11 +153,12 @@ fn a_spline_that_no_window_can_carry() {
 #[test]
 fn a_warm_start_of_another_shape_or_with_damage() {
     let recording = recording();
-    let found = identify(&recording.waveform(), &Config::default(), &mut |_| {}).expect("sound");
-    let mut config = Config {
+    let found =
+        identify(&recording.waveform(), &PinnConfig::default(), &mut |_| {}).expect("sound");
+    let mut config = PinnConfig {
         start: Some(found.parameters),
         hidden_layers: vec![16],
-        ..Config::default()
+        ..PinnConfig::default()
     };
     let error = refused(&recording.waveform(), &config);
     assert!(error.to_string().contains("[8, 8]"), "{error}");

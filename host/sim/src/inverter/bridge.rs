@@ -21,14 +21,14 @@ enum Edge {
 /// There are two models of an edge. Either it is linear with a given duration (paper: 0.2 µs), and a current too small to finish it
 /// within the dead time is not modelled; or the current charges the node's capacitance.
 #[derive(Clone, Debug, PartialEq)]
-pub struct HalfBridge {
+pub struct SwitchedHalfBridge {
     dead_s: f64,
     duty: f64,
     edge: Edge,
     level: f64,
 }
 
-impl HalfBridge {
+impl SwitchedHalfBridge {
     /// Creates a bridge at rest, low. Durations in seconds: dead time 0 to 2 µs, edge 10 ns to 2 µs.
     pub fn new(dead_s: f64, edge_s: f64) -> Result<Self, InverterError> {
         super::in_range("dead_s", dead_s, 0.0, 2e-6, "0 to 2 µs")?;
@@ -201,7 +201,7 @@ mod tests {
     const T: f64 = 20e-6;
 
     /// Levels at the ends of 20 ns steps over one period, and their mean.
-    fn period(bridge: &mut HalfBridge, current_a: impl Fn(f64) -> f64) -> (Vec<f64>, f64) {
+    fn period(bridge: &mut SwitchedHalfBridge, current_a: impl Fn(f64) -> f64) -> (Vec<f64>, f64) {
         let mut mean = 0.0;
         let levels = (0..1000)
             .map(|n| {
@@ -223,7 +223,7 @@ mod tests {
                 -5.0
             }
         };
-        let mut bridge = HalfBridge::new(1e-6, 0.2e-6).unwrap();
+        let mut bridge = SwitchedHalfBridge::new(1e-6, 0.2e-6).unwrap();
         let (levels, mean) = period(&mut bridge, lagging);
         assert!(
             (levels[4] - 0.5).abs() < 1e-9,
@@ -244,7 +244,7 @@ mod tests {
                 5.0
             }
         };
-        let mut bridge = HalfBridge::new(1e-6, 0.2e-6).unwrap();
+        let mut bridge = SwitchedHalfBridge::new(1e-6, 0.2e-6).unwrap();
         let (levels, _) = period(&mut bridge, leading);
         assert_eq!(levels[48], 0.0, "still in the dead time");
         assert!((levels[54] - 0.5).abs() < 1e-9, "0.1 µs after the gate");
@@ -255,14 +255,14 @@ mod tests {
     #[test]
     fn an_edge_off_the_step_grid_keeps_its_area() {
         // Rising edge from 0 to 150 ns in one step of 1 µs: mean = 1 − 0.075.
-        let mut bridge = HalfBridge::new(0.0, 150e-9).unwrap();
+        let mut bridge = SwitchedHalfBridge::new(0.0, 150e-9).unwrap();
         let mean = bridge.advance(true, T, (0.0, 1e-6), 0.0, 325.0);
         assert!((mean - 0.925).abs() < 1e-12, "{mean}");
     }
 
     #[test]
     fn the_lower_switch_pulls_the_node_down() {
-        let mut bridge = HalfBridge::new(1e-6, 0.2e-6).unwrap();
+        let mut bridge = SwitchedHalfBridge::new(1e-6, 0.2e-6).unwrap();
         bridge.advance(true, T, (2e-6, 3e-6), 0.0, 325.0);
         assert_eq!(bridge.level(), 1.0);
         bridge.advance(false, T, (3e-6, 4e-6), 10.0, 325.0);
@@ -278,7 +278,7 @@ mod tests {
                 -5.0
             }
         };
-        let bridge = HalfBridge::new(0.5e-6, 0.2e-6).unwrap();
+        let bridge = SwitchedHalfBridge::new(0.5e-6, 0.2e-6).unwrap();
         assert!(bridge.clone().with_duty(0.05).is_err());
         let mut bridge = bridge.with_duty(0.35).unwrap();
         let (levels, mean) = period(&mut bridge, lagging);
@@ -288,7 +288,7 @@ mod tests {
 
     #[test]
     fn a_dead_time_that_is_not_a_number_is_refused() {
-        let e = HalfBridge::new(f64::NAN, 0.2e-6).unwrap_err();
+        let e = SwitchedHalfBridge::new(f64::NAN, 0.2e-6).unwrap_err();
         assert!(e.to_string().contains("dead_s"));
     }
 }

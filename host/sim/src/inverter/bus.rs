@@ -2,7 +2,7 @@
 
 use super::InverterError;
 use super::supply::SupplyParts;
-use crate::mains::Mains;
+use crate::mains::SimulatedMains;
 
 /// Period in seconds at which the mains is computed, linear in between: the error is (ω dt)²/8 = 5e-8 of the peak.
 const MAINS_STEP_S: f64 = 2e-6;
@@ -11,7 +11,7 @@ const MAINS_STEP_S: f64 = 2e-6;
 /// charges the capacitor through line and choke, and the inverter discharges it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bus {
-    mains: Mains,
+    mains: SimulatedMains,
     parts: SupplyParts,
     per: Reciprocals,
     /// DC voltage of a bench supply in place of the rectifier, in volt.
@@ -117,7 +117,7 @@ impl Bus {
     ///
     /// # Errors
     /// For parts that are out of range.
-    pub fn new(mains: Mains, parts: SupplyParts, t_s: f64) -> Result<Self, InverterError> {
+    pub fn new(mains: SimulatedMains, parts: SupplyParts, t_s: f64) -> Result<Self, InverterError> {
         parts.check()?;
         let per = Reciprocals::of(&parts);
         Ok(Self {
@@ -142,12 +142,12 @@ impl Bus {
     }
 
     /// The mains.
-    pub fn mains(&self) -> Mains {
+    pub fn mains(&self) -> SimulatedMains {
         self.mains
     }
 
     /// Replaces the mains.
-    pub fn set_mains(&mut self, mains: Mains) {
+    pub fn set_mains(&mut self, mains: SimulatedMains) {
         self.mains = mains;
         self.piece.0 = -1.0;
     }
@@ -262,7 +262,7 @@ mod tests {
 
     #[test]
     fn without_capacitance_it_is_the_rectified_mains() {
-        let mains = Mains::new(50.0);
+        let mains = SimulatedMains::new(50.0);
         let mut bus = Bus::new(mains, SupplyParts::NONE, 0.0).unwrap();
         for t_s in [3e-3, 3.0001e-3, 9.9999e-3, 10.0001e-3] {
             let v = bus.advance(t_s, 20e-9, 40.0);
@@ -272,7 +272,7 @@ mod tests {
 
     #[test]
     fn a_bench_supply_is_the_bus_whatever_the_mains() {
-        let mut bus = Bus::new(Mains::new(50.0), SupplyParts::NONE, 0.0).unwrap();
+        let mut bus = Bus::new(SimulatedMains::new(50.0), SupplyParts::NONE, 0.0).unwrap();
         bus.set_supply(40.0);
         assert_eq!(bus.v(), 40.0);
         for t_s in [0.0, 3e-3, 10e-3] {
@@ -284,11 +284,14 @@ mod tests {
     fn a_capacitor_holds_the_bus_up_at_the_zero_crossing() {
         // 0.1 A from 10 µF: 10 V a millisecond. It leaves the sine where ω V̂ |cos ωt| is that,
         // and falls in a straight line until the zero crossing.
-        let mut bus = Bus::new(Mains::new(50.0), SupplyParts::stiff(10e-6), 5e-3).unwrap();
+        let mut bus = Bus::new(SimulatedMains::new(50.0), SupplyParts::stiff(10e-6), 5e-3).unwrap();
         for n in 1..=5000 {
             bus.advance(5e-3 + f64::from(n) * 1e-6, 1e-6, 0.1);
         }
-        let (peak_v, omega) = (Mains::new(50.0).peak_v, std::f64::consts::TAU * 50.0);
+        let (peak_v, omega) = (
+            SimulatedMains::new(50.0).peak_v,
+            std::f64::consts::TAU * 50.0,
+        );
         let angle = std::f64::consts::PI - (10e3 / (peak_v * omega)).acos();
         let expected_v = peak_v * angle.sin() - 10e3 * (10e-3 - angle / omega);
         assert!(
@@ -300,7 +303,7 @@ mod tests {
 
     #[test]
     fn refuses_an_impossible_capacitor() {
-        let e = Bus::new(Mains::new(50.0), SupplyParts::stiff(-1.0), 0.0).unwrap_err();
+        let e = Bus::new(SimulatedMains::new(50.0), SupplyParts::stiff(-1.0), 0.0).unwrap_err();
         assert!(e.to_string().contains("bus_capacitance_f"));
     }
 
@@ -314,7 +317,7 @@ mod tests {
             rectifier_r_ohm: 0.0,
             ..SupplyParts::SCHEMATIC
         };
-        let (mains, dt_s) = (Mains::new(50.0), 50e-9);
+        let (mains, dt_s) = (SimulatedMains::new(50.0), 50e-9);
         let mut bus = Bus::new(mains, parts, 0.0).unwrap();
         let (mut t_s, mut most_v) = (0.0, 0.0f64);
         // A resistive load of 10 A at the crest, until there.
@@ -345,7 +348,7 @@ mod tests {
     /// Crest of the mains on a discharged link: ngspice 39 gives 566.2 V after 194.4 µs.
     #[test]
     fn a_discharged_link_swings_beyond_the_crest_as_in_ngspice() {
-        let (mains, dt_s) = (Mains::new(50.0), 50e-9);
+        let (mains, dt_s) = (SimulatedMains::new(50.0), 50e-9);
         let mut bus = Bus::new(mains, SupplyParts::SCHEMATIC, 5e-3).unwrap();
         bus.v = 0.0;
         let (mut t_s, mut most_v, mut at_s) = (5e-3, 0.0f64, 0.0);

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 /// Sliding Fourier sum over the last switching period: a load that follows it follows the envelope, not the carrier.
 #[derive(Clone, Debug)]
-pub struct Envelope {
+pub struct FourierEnvelope {
     cos_sin: Vec<(f64, f64)>,
     ring: Vec<(f64, f64)>,
     sum: (f64, f64),
@@ -12,7 +12,7 @@ pub struct Envelope {
     zeros: usize,
 }
 
-impl Envelope {
+impl FourierEnvelope {
     /// Creates one for a period of `steps` integration steps.
     pub fn new(steps: usize) -> Self {
         let step = TAU / steps as f64;
@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn a_sine_has_its_amplitude_whatever_its_phase_and_offset() {
-        let mut e = Envelope::new(488);
+        let mut e = FourierEnvelope::new(488);
         for n in 0..1000 {
             e.push(n % 488, 3.0 + 7.0 * (TAU * n as f64 / 488.0 + 0.4).cos());
         }
@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn it_is_empty_after_a_period_without_current() {
-        let mut e = Envelope::new(10);
+        let mut e = FourierEnvelope::new(10);
         e.push(3, 1.0);
         for n in 4..13 {
             e.push(n % 10, 0.0);

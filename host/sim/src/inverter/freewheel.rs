@@ -104,12 +104,12 @@ mod tests {
     use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 
     use crate::behavioural::{BehaviouralLoad, PotKind};
-    use crate::inverter::bridge::HalfBridge;
+    use crate::inverter::bridge::SwitchedHalfBridge;
     use crate::inverter::bus::Bus;
-    use crate::inverter::load::{Law, LoadState};
+    use crate::inverter::load::{AmplitudeLaw, LoadState};
     use crate::inverter::supply::SupplyParts;
     use crate::inverter::{Instant, Inverter};
-    use crate::mains::Mains;
+    use crate::mains::SimulatedMains;
     use ihd_field::FieldModel;
     use ihd_field::model::FieldSettings;
 
@@ -118,13 +118,13 @@ mod tests {
 
     fn behavioural(pot: PotKind) -> LoadState {
         let law = BehaviouralLoad::new(pot, F_HZ);
-        LoadState::law(Law::Behavioural(law), STEPS)
+        LoadState::law(AmplitudeLaw::Behavioural(law), STEPS)
     }
 
     /// Switching since the zero crossing, `at_s` into the half-cycle.
     fn running(load: LoadState, at_s: f64) -> Inverter {
-        let bus = Bus::new(Mains::new(50.0), SupplyParts::NONE, 0.0).unwrap();
-        let bridge = HalfBridge::new(0.4e-6, 0.2e-6).unwrap();
+        let bus = Bus::new(SimulatedMains::new(50.0), SupplyParts::NONE, 0.0).unwrap();
+        let bridge = SwitchedHalfBridge::new(0.4e-6, 0.2e-6).unwrap();
         let mut inverter = Inverter::new(bus, bridge, load, F_HZ, STEPS, 0.0);
         while inverter.now_s() < at_s {
             inverter.advance(Bridge::Switching);

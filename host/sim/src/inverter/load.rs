@@ -1,9 +1,9 @@
 //! Load as seen by the circuit: a law for R and L, or the field model.
 
 use super::InverterError;
-use super::envelope::Envelope;
+use super::envelope::FourierEnvelope;
 use crate::behavioural;
-use crate::pot::{Metal, Pot};
+use crate::pot::{Metal, SimulatedPot};
 use crate::surrogate::SurrogateLoad;
 use ihd_field::{FieldLoad, FieldModel};
 
@@ -26,14 +26,14 @@ pub struct FluxStep {
 
 /// R and L as functions of the current's amplitude, at one switching frequency.
 #[derive(Clone, Debug)]
-pub enum Law {
+pub enum AmplitudeLaw {
     /// Closed formulas.
     Behavioural(behavioural::BehaviouralLoad),
     /// A table fitted to the field model.
     Surrogate(Box<SurrogateLoad>),
 }
 
-impl Law {
+impl AmplitudeLaw {
     /// R in ohm, L in henry at an amplitude in ampere.
     pub fn r_l(&self, i_a: f64) -> (f64, f64) {
         match self {
@@ -90,9 +90,9 @@ impl Warmth {
 /// Law in operation, evaluated every [`LAW_STEPS`] steps.
 #[derive(Clone, Debug)]
 pub struct FollowedLaw {
-    law: Law,
+    law: AmplitudeLaw,
     /// Envelope that it follows.
-    envelope: Envelope,
+    envelope: FourierEnvelope,
     /// R in ohm and L in henry at the last evaluation.
     held: (f64, f64),
     /// Number of steps until the next evaluation.
@@ -104,7 +104,7 @@ pub struct FollowedLaw {
 }
 
 impl FollowedLaw {
-    fn new(law: Law, envelope: Envelope) -> Self {
+    fn new(law: AmplitudeLaw, envelope: FourierEnvelope) -> Self {
         Self {
             law,
             envelope,
@@ -144,11 +144,11 @@ pub enum LoadState {
 
 impl LoadState {
     /// Creates a law at rest; `steps` integration steps a period.
-    pub fn law(law: Law, steps: usize) -> Self {
-        Self::following(law, Envelope::new(steps))
+    pub fn law(law: AmplitudeLaw, steps: usize) -> Self {
+        Self::following(law, FourierEnvelope::new(steps))
     }
 
-    fn following(law: Law, envelope: Envelope) -> Self {
+    fn following(law: AmplitudeLaw, envelope: FourierEnvelope) -> Self {
         Self::Law(FollowedLaw::new(law, envelope))
     }
 
@@ -170,7 +170,7 @@ impl LoadState {
     }
 
     /// Returns another law with the same envelope and factors, in a period of `steps` steps.
-    pub fn with_law(&self, law: Law, steps: usize) -> Self {
+    pub fn with_law(&self, law: AmplitudeLaw, steps: usize) -> Self {
         match self {
             Self::Law(before) => {
                 let mut new = Self::following(law, before.envelope.resized(steps));
@@ -182,7 +182,7 @@ impl LoadState {
     }
 
     /// Replaces a law by that of another frequency, in a period of as many steps; no effect on the field.
-    pub fn set_law(&mut self, new: Law) {
+    pub fn set_law(&mut self, new: AmplitudeLaw) {
         if let Self::Law(followed) = self {
             (followed.law, followed.hold) = (new, 0);
         }
@@ -196,7 +196,7 @@ impl LoadState {
     }
 
     /// Heats a law: from now on it is `new`, that of [`Warmth::law_hz`], bent; no effect on the field.
-    pub fn set_hot_law(&mut self, new: Law, by: Warmth) {
+    pub fn set_hot_law(&mut self, new: AmplitudeLaw, by: Warmth) {
         if let Self::Law(followed) = self {
             followed.warmth = by;
             self.set_law(new);
@@ -207,7 +207,11 @@ impl LoadState {
     ///
     /// # Errors
     /// For a temperature that no metal has.
-    pub fn set_temperature(&mut self, pot: &Pot, temperature_c: f64) -> Result<(), InverterError> {
+    pub fn set_temperature(
+        &mut self,
+        pot: &SimulatedPot,
+        temperature_c: f64,
+    ) -> Result<(), InverterError> {
         let Some(material) = pot.material_at(temperature_c) else {
             return Ok(());
         };
@@ -296,7 +300,7 @@ impl LoadState {
 
     /// R in ohm and L in henry of a law over the next `steps` steps, at most [`LAW_STEPS`], with its envelope, which the caller
     /// moves; `None` for the field model.
-    pub(super) fn hold(&mut self, steps: usize) -> Option<(f64, f64, &mut Envelope)> {
+    pub(super) fn hold(&mut self, steps: usize) -> Option<(f64, f64, &mut FourierEnvelope)> {
         let Self::Law(followed) = self else {
             return None;
         };
@@ -328,9 +332,9 @@ mod tests {
     fn the_bent_law_follows_the_hot_field_model() {
         for metal in Metal::ALL {
             let model = |temperature_c| {
-                let pot = Pot {
+                let pot = SimulatedPot {
                     temperature_c,
-                    ..Pot::new(metal, 0.21)
+                    ..SimulatedPot::new(metal, 0.21)
                 };
                 let mut settings = pot.field_settings(0.1).unwrap().remove(0).1;
                 // The shield stays cold.

@@ -16,7 +16,7 @@ use ihd_firmware::drive::bridge::Bridge;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
 use thiserror::Error;
 
-use self::bridge::HalfBridge;
+use self::bridge::SwitchedHalfBridge;
 use self::bus::Bus;
 use self::load::{FluxStep, LoadState};
 use super::circuit::Circuit;
@@ -88,7 +88,7 @@ pub struct Instant {
 /// Sine induced by another coil's field: a voltage in series with the load's, inside the coil's terminals, so that both the coil's
 /// voltage and its current show it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tone {
+pub struct InducedTone {
     /// Frequency in hertz.
     pub f_hz: f64,
     /// Amplitude in volt.
@@ -101,7 +101,7 @@ pub struct Inverter {
     /// Supply.
     pub bus: Bus,
     /// Switches.
-    pub bridge: HalfBridge,
+    pub bridge: SwitchedHalfBridge,
     /// Coil current and capacitor voltage.
     pub circuit: Circuit,
     /// Load.
@@ -109,7 +109,7 @@ pub struct Inverter {
     /// Resistance of the conducting switch or diode, in ohm: in the loop, outside the coil.
     pub bridge_r_ohm: f64,
     /// Voltage induced by another field.
-    pub induced: Option<Tone>,
+    pub induced: Option<InducedTone>,
     f_sw_hz: f64,
     dt_s: f64,
     steps: usize,
@@ -127,7 +127,7 @@ impl Inverter {
     /// Creates a power stage at rest at `t_s`, with `steps` integration steps a period.
     pub fn new(
         bus: Bus,
-        bridge: HalfBridge,
+        bridge: SwitchedHalfBridge,
         load: LoadState,
         f_sw_hz: f64,
         steps: usize,
@@ -294,11 +294,11 @@ impl Inverter {
 #[cfg(test)]
 mod tests {
     use super::harmonic_analyser::HarmonicAnalyser;
-    use super::load::Law;
+    use super::load::AmplitudeLaw;
     use super::supply::SupplyParts;
     use super::*;
     use crate::behavioural::{BehaviouralLoad, PotKind};
-    use crate::mains::Mains;
+    use crate::mains::SimulatedMains;
     use ihd_field::model::FieldSettings;
     use ihd_field::{FieldModel, harmonic};
 
@@ -310,8 +310,8 @@ mod tests {
         periods: usize,
         mains_hz: f64,
     ) -> ihd_signal::truth::PeriodTruth {
-        let bus = Bus::new(Mains::new(mains_hz), SupplyParts::NONE, 0.0).unwrap();
-        let bridge = HalfBridge::new(0.0, 0.2e-6).unwrap();
+        let bus = Bus::new(SimulatedMains::new(mains_hz), SupplyParts::NONE, 0.0).unwrap();
+        let bridge = SwitchedHalfBridge::new(0.0, 0.2e-6).unwrap();
         let mut inverter = Inverter::new(bus, bridge, load, f, steps, 0.0);
         let mut analyser = HarmonicAnalyser::new(steps);
         let mut truth = None;
@@ -332,7 +332,7 @@ mod tests {
     fn the_meter_reads_the_behavioural_law() {
         let law = BehaviouralLoad::new(PotKind::Ferromagnetic, 45e3);
         let truth = run(
-            LoadState::law(Law::Behavioural(law), 1111),
+            LoadState::law(AmplitudeLaw::Behavioural(law), 1111),
             45e3,
             1111,
             150,

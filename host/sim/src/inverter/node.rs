@@ -171,7 +171,7 @@ fn slew(level: &mut f64, i_a: f64, charge_c: f64, duration_s: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::bridge::HalfBridge;
+    use super::super::bridge::SwitchedHalfBridge;
     use super::*;
 
     const T: f64 = 20e-6;
@@ -181,7 +181,7 @@ mod tests {
 
     /// One period in steps of 20 ns with a square current of an amplitude, lagging or leading.
     fn period(i_a: f64) -> (Vec<f64>, Commutations) {
-        let mut bridge = HalfBridge::with_node(DEAD_S, C_F).unwrap();
+        let mut bridge = SwitchedHalfBridge::with_node(DEAD_S, C_F).unwrap();
         let mut levels = Vec::new();
         for _ in 0..2 {
             bridge.take_commutations();

@@ -10,7 +10,7 @@ const SMALLEST_A: f64 = 2.0;
 
 /// Mean relative deviations in percent over the second half-cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Deviation {
+pub struct TableDeviation {
     /// Deviation of R: the table at the field model's current, against the waveform's fundamental.
     pub r_pct: f64,
     /// Deviation of L: the table at the field model's current, against the waveform's fundamental.
@@ -22,7 +22,7 @@ pub struct Deviation {
 }
 
 /// Runs both models with the same settings.
-pub fn surrogate_against_field(settings: &CaptureSpec) -> Result<Deviation, InverterError> {
+pub fn surrogate_against_field(settings: &CaptureSpec) -> Result<TableDeviation, InverterError> {
     let of_kind = |load| CaptureSpec {
         load,
         duration_s: 1.0 / settings.mains_hz,
@@ -39,7 +39,7 @@ pub fn surrogate_against_field(settings: &CaptureSpec) -> Result<Deviation, Inve
         100.0 * (0..pairs.len()).map(|k| value(k).abs()).sum::<f64>() / pairs.len() as f64
     };
     let law_at = |k: usize| law.r_l(pairs[k].0.i_a);
-    Ok(Deviation {
+    Ok(TableDeviation {
         r_pct: mean(&|k| law_at(k).0 / pairs[k].0.r_ohm[0] - 1.0),
         l_pct: mean(&|k| law_at(k).1 / pairs[k].0.l_h[0] - 1.0),
         i_pct: mean(&|k| pairs[k].1.i_a / pairs[k].0.i_a - 1.0),

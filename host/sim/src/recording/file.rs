@@ -6,11 +6,11 @@ use std::path::Path;
 use ihd_capture::mcap::McapFileError;
 use ihd_capture::mcap::cdr;
 use ihd_capture::mcap::cdr::BatchTime;
-use ihd_capture::mcap::save::{Batch, batches, write_head, write_truth};
+use ihd_capture::mcap::save::{PairBatch, batches, write_head, write_truth};
 use ihd_capture::mcap::topics::Topic;
 use ihd_capture::mcap::writer::{Existing, Writer};
 
-use super::run::Recording;
+use super::run::SimulatedRecording;
 
 /// Key of the settings among a capture's metadata, as JSON.
 pub const SETTINGS_KEY: &str = "simulation";
@@ -21,7 +21,11 @@ const MADE_BY_KEY: &str = "made_by";
 /// Writes a recording, replacing an existing file; `clean` adds the waveforms without noise and quantising.
 ///
 /// [`McapFileError`] if the file cannot be written.
-pub fn write(recording: &Recording, path: &Path, clean: bool) -> Result<(), McapFileError> {
+pub fn write(
+    recording: &SimulatedRecording,
+    path: &Path,
+    clean: bool,
+) -> Result<(), McapFileError> {
     let s = &recording.settings;
     let name = format!("ihd simulate: {} at {} kHz", s.pot, s.f_sw_hz / 1e3);
     let mut capture = recording.capture(&name);
@@ -36,7 +40,7 @@ pub fn write(recording: &Recording, path: &Path, clean: bool) -> Result<(), Mcap
     write_head(&mut writer, &capture)?;
     let mut truth = capture.truth.iter().peekable();
     let units = [recording.volt_per_code(), recording.ampere_per_code()];
-    for Batch { from, to, time } in batches(&capture.time, capture.len()) {
+    for PairBatch { from, to, time } in batches(&capture.time, capture.len()) {
         let t0_s = time.t0_s();
         write_truth(&mut writer, &mut truth, capture.time.at(to))?;
         let code = |k: usize| [recording.v_code[k], recording.i_code[k]];
@@ -51,7 +55,12 @@ pub fn write(recording: &Recording, path: &Path, clean: bool) -> Result<(), Mcap
     writer.finish()
 }
 
-fn clean_samples(recording: &Recording, time: &BatchTime<'_>, from: usize, to: usize) -> Vec<u8> {
+fn clean_samples(
+    recording: &SimulatedRecording,
+    time: &BatchTime<'_>,
+    from: usize,
+    to: usize,
+) -> Vec<u8> {
     let pair = |k: usize| [&recording.v_clean_v, &recording.i_clean_a].map(|x| x[k] as f32);
     cdr::singles(time, (from..to).map(pair))
 }
@@ -59,8 +68,8 @@ fn clean_samples(recording: &Recording, time: &BatchTime<'_>, from: usize, to: u
 #[cfg(test)]
 mod tests {
     use ihd_capture::mcap;
-    use ihd_capture::mcap::Reader;
-    use ihd_capture::mcap::reader::Item;
+    use ihd_capture::mcap::McapReader;
+    use ihd_capture::mcap::reader::McapItem;
     use ihd_signal::TimeBase;
 
     use super::super::run::record;
@@ -68,7 +77,7 @@ mod tests {
     use super::super::settings::{CaptureSpec, LoadKind};
     use super::*;
 
-    fn short(rate: Rate) -> Recording {
+    fn short(rate: Rate) -> SimulatedRecording {
         let mut s = CaptureSpec {
             load: LoadKind::Behavioural,
             duration_s: 1e-3,
@@ -114,10 +123,10 @@ mod tests {
         let path = dir.path().join("a.mcap");
         let r = short(Rate::Hz(50e6));
         write(&r, &path, true).unwrap();
-        let mut reader = Reader::open(&path).unwrap();
+        let mut reader = McapReader::open(&path).unwrap();
         let mut clean = Vec::new();
         while let Some(item) = reader.next_item().unwrap() {
-            if let Item::Message(m) = item
+            if let McapItem::Message(m) = item
                 && m.topic == Topic::CleanSamples
             {
                 let samples = cdr::read_samples(m.data, m.as_codes).unwrap();

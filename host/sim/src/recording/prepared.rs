@@ -4,8 +4,8 @@ use super::settings::LoadKind;
 use crate::behavioural;
 use crate::behavioural::PotKind;
 use crate::inverter::InverterError;
-use crate::inverter::load::{Law, LoadState};
-use crate::pot::{Metal, Pot};
+use crate::inverter::load::{AmplitudeLaw, LoadState};
+use crate::pot::{Metal, SimulatedPot};
 use crate::surrogate::SurrogatePot;
 use ihd_field::FieldModel;
 use ihd_field::model::FieldSettings;
@@ -23,7 +23,11 @@ pub enum PreparedLoad {
 
 impl PreparedLoad {
     /// Prepares a pot: some 10 ms for the field, 200 ms for the table.
-    pub fn new(kind: LoadKind, pot: &Pot, winding_r_ohm: f64) -> Result<Self, InverterError> {
+    pub fn new(
+        kind: LoadKind,
+        pot: &SimulatedPot,
+        winding_r_ohm: f64,
+    ) -> Result<Self, InverterError> {
         if kind == LoadKind::Behavioural {
             return Ok(Self::Behavioural(behavioural_kind(pot)));
         }
@@ -54,7 +58,7 @@ impl PreparedLoad {
     }
 
     /// The law at a switching frequency in hertz; `None` for the field model.
-    pub fn law(&self, f_sw_hz: f64) -> Option<Law> {
+    pub fn law(&self, f_sw_hz: f64) -> Option<AmplitudeLaw> {
         match self {
             Self::Field(_) => None,
             Self::Surrogate(pot) => Some(surrogate_law(pot, f_sw_hz)),
@@ -63,17 +67,17 @@ impl PreparedLoad {
     }
 }
 
-fn surrogate_law(pot: &SurrogatePot, f_sw_hz: f64) -> Law {
-    Law::Surrogate(Box::new(pot.at(f_sw_hz)))
+fn surrogate_law(pot: &SurrogatePot, f_sw_hz: f64) -> AmplitudeLaw {
+    AmplitudeLaw::Surrogate(Box::new(pot.at(f_sw_hz)))
 }
 
-fn behavioural_law(kind: PotKind, f_sw_hz: f64) -> Law {
-    Law::Behavioural(behavioural::BehaviouralLoad::new(kind, f_sw_hz))
+fn behavioural_law(kind: PotKind, f_sw_hz: f64) -> AmplitudeLaw {
+    AmplitudeLaw::Behavioural(behavioural::BehaviouralLoad::new(kind, f_sw_hz))
 }
 
 /// Field models of a pot with their weights; without a pot the coil's.
 pub fn field_models(
-    pot: &Pot,
+    pot: &SimulatedPot,
     winding_r_ohm: f64,
 ) -> Result<Vec<(f64, FieldModel)>, InverterError> {
     let mut models = Vec::new();
@@ -91,12 +95,15 @@ pub fn field_models(
 }
 
 /// Table of a pot, or of the coil alone.
-pub fn surrogate_pot(pot: &Pot, winding_r_ohm: f64) -> Result<SurrogatePot, InverterError> {
+pub fn surrogate_pot(
+    pot: &SimulatedPot,
+    winding_r_ohm: f64,
+) -> Result<SurrogatePot, InverterError> {
     Ok(SurrogatePot::new(&field_models(pot, winding_r_ohm)?)?)
 }
 
 /// Load of the formulas for a pot: there are five; sizes go to the nearer of the two ferromagnetic ones.
-fn behavioural_kind(pot: &Pot) -> PotKind {
+fn behavioural_kind(pot: &SimulatedPot) -> PotKind {
     match pot.metal {
         None => PotKind::None,
         Some(Metal::Stainless) => PotKind::Stainless,

@@ -9,16 +9,16 @@ use ihd_signal::{Capture, FrequencyStep, Segment, TimeBase};
 use super::prepared::PreparedLoad;
 use super::sampler::{Sampler, convert};
 use super::sensing::Rate;
-use super::settings::{CaptureSpec, Change};
-use crate::inverter::bridge::HalfBridge;
+use super::settings::{CaptureSpec, RecordingChange};
+use crate::inverter::bridge::SwitchedHalfBridge;
 use crate::inverter::bus::Bus;
 use crate::inverter::harmonic_analyser::{HarmonicAnalyser, PeriodSums};
-use crate::inverter::{Inverter, InverterError, Tone};
-use crate::mains::Mains;
+use crate::inverter::{InducedTone, Inverter, InverterError};
+use crate::mains::SimulatedMains;
 
 /// Result of a recording.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Recording {
+pub struct SimulatedRecording {
     /// Specification.
     pub settings: CaptureSpec,
     /// Sampling instants of the voltage, in seconds after the recording's start.
@@ -35,7 +35,7 @@ pub struct Recording {
     pub truth: Vec<PeriodTruth>,
 }
 
-impl Recording {
+impl SimulatedRecording {
     /// Volt of one voltage code.
     pub fn volt_per_code(&self) -> f64 {
         let s = &self.settings.sensing;
@@ -116,7 +116,7 @@ impl Recording {
 pub fn record(
     settings: &CaptureSpec,
     mut progress: impl FnMut(f64),
-) -> Result<Recording, InverterError> {
+) -> Result<SimulatedRecording, InverterError> {
     settings.check()?;
     let mut prepared = PreparedLoad::new(settings.load, &settings.pot, settings.winding_r_ohm)?;
     let mut inverter = power_stage(settings, &prepared)?;
@@ -131,18 +131,20 @@ pub fn record(
         let elapsed_s = inverter.now_s() - settings.start_s;
         while let Some(event) = events.next_if(|e| e.t_s <= elapsed_s) {
             match event.change {
-                Change::On => bridge = Bridge::Switching,
-                Change::Off => bridge = Bridge::Open,
-                Change::Frequency(f) => {
+                RecordingChange::On => bridge = Bridge::Switching,
+                RecordingChange::Off => bridge = Bridge::Open,
+                RecordingChange::Frequency(f) => {
                     set_hz = f;
                     change_frequency(&mut inverter, &prepared, f, settings)?;
                 }
-                Change::Pot(pot) => {
+                RecordingChange::Pot(pot) => {
                     prepared = PreparedLoad::new(settings.load, &pot, settings.winding_r_ohm)?;
                     let f = inverter.f_sw_hz();
                     inverter.load = prepared.start(f, inverter.steps(), Some(&inverter.load))?;
                 }
-                Change::Load { r_factor, l_factor } => inverter.load.scale(r_factor, l_factor),
+                RecordingChange::Load { r_factor, l_factor } => {
+                    inverter.load.scale(r_factor, l_factor)
+                }
             }
             periods = Periods::new(inverter.steps());
         }
@@ -162,7 +164,7 @@ pub fn record(
     let (v_code, i_code) = sampler.finish(settings.seed);
     let mut t_s = sampler.t_s;
     t_s.iter_mut().for_each(|t| *t -= settings.start_s);
-    Ok(Recording {
+    Ok(SimulatedRecording {
         settings: settings.clone(),
         t_s,
         v_code,
@@ -175,18 +177,18 @@ pub fn record(
 
 /// Creates the power stage at rest, with the load `prepared`.
 fn power_stage(settings: &CaptureSpec, prepared: &PreparedLoad) -> Result<Inverter, InverterError> {
-    let mains = Mains::new(settings.mains_hz).with_harmonics(settings.mains_harmonics);
+    let mains = SimulatedMains::new(settings.mains_hz).with_harmonics(settings.mains_harmonics);
     let steps = settings.steps(settings.f_sw_hz);
     let mut inverter = Inverter::new(
         Bus::new(mains, settings.supply(), settings.start_s)?,
-        HalfBridge::new(settings.dead_s, settings.edge_s)?.with_duty(settings.duty)?,
+        SwitchedHalfBridge::new(settings.dead_s, settings.edge_s)?.with_duty(settings.duty)?,
         prepared.start(settings.f_sw_hz, steps, None)?,
         settings.f_sw_hz,
         steps,
         settings.start_s,
     );
     inverter.bridge_r_ohm = settings.bridge_r_ohm;
-    inverter.induced = settings.neighbour.map(|n| Tone {
+    inverter.induced = settings.neighbour.map(|n| InducedTone {
         f_hz: settings.f_sw_hz + n.offset_hz,
         v: n.v,
     });
@@ -277,11 +279,11 @@ fn change_frequency(
 
 #[cfg(test)]
 mod tests {
-    use super::super::settings::{Event, LoadKind, Neighbour, Sweep};
+    use super::super::settings::{CarrierSweep, LoadKind, Neighbour, RecordingEvent};
     use super::*;
     use crate::behavioural;
     use crate::behavioural::PotKind;
-    use crate::pot::Pot;
+    use crate::pot::SimulatedPot;
     use ihd_field::model::FieldSettings;
     use ihd_field::{FieldModel, harmonic};
 
@@ -323,17 +325,17 @@ mod tests {
     fn events_change_frequency_pot_and_bridge() {
         let mut s = behavioural(10e-3);
         s.events = vec![
-            Event {
+            RecordingEvent {
                 t_s: 3e-3,
-                change: Change::Frequency(60e3),
+                change: RecordingChange::Frequency(60e3),
             },
-            Event {
+            RecordingEvent {
                 t_s: 5e-3,
-                change: Change::Pot(Pot::NONE),
+                change: RecordingChange::Pot(SimulatedPot::NONE),
             },
-            Event {
+            RecordingEvent {
                 t_s: 7e-3,
-                change: Change::Off,
+                change: RecordingChange::Off,
             },
         ];
         let r = record(&s, |_| ()).unwrap();
@@ -355,13 +357,13 @@ mod tests {
             ..CaptureSpec::default()
         };
         s.events = vec![
-            Event {
+            RecordingEvent {
                 t_s: 2e-3,
-                change: Change::Frequency(50e3),
+                change: RecordingChange::Frequency(50e3),
             },
-            Event {
+            RecordingEvent {
                 t_s: 3e-3,
-                change: Change::Pot(Pot::NONE),
+                change: RecordingChange::Pot(SimulatedPot::NONE),
             },
         ];
         let r = record(&s, |_| ()).unwrap();
@@ -418,7 +420,7 @@ mod tests {
     #[test]
     fn a_swept_carrier_has_its_frequency_and_load_in_every_period() {
         let s = CaptureSpec {
-            sweep: Some(Sweep {
+            sweep: Some(CarrierSweep {
                 deviation_hz: 3e3,
                 rate_hz: 500.0,
             }),
@@ -487,7 +489,7 @@ mod tests {
     fn a_neighbour_is_what_r_and_l_leave_unexplained() {
         let s = CaptureSpec {
             load: LoadKind::Behavioural,
-            pot: Pot::NONE,
+            pot: SimulatedPot::NONE,
             start_s: 2e-3,
             duration_s: 5e-3,
             neighbour: Some(Neighbour {
@@ -520,9 +522,9 @@ mod tests {
 
     #[test]
     fn a_load_step_scales_the_law_until_the_next() {
-        let step = |t_s, r_factor, l_factor| Event {
+        let step = |t_s, r_factor, l_factor| RecordingEvent {
             t_s,
-            change: Change::Load { r_factor, l_factor },
+            change: RecordingChange::Load { r_factor, l_factor },
         };
         let s = CaptureSpec {
             events: vec![step(4e-3, 0.6, 1.35), step(6e-3, 1.0, 1.0)],
@@ -553,7 +555,7 @@ mod tests {
         let first = record(&s, |_| ()).unwrap();
         let again = first.with_seed(2);
         assert!(again.v_clean_v == first.v_clean_v && again.truth == first.truth);
-        let noise_a = |r: &Recording| -> Vec<f64> {
+        let noise_a = |r: &SimulatedRecording| -> Vec<f64> {
             let seen = r.i_code.iter().map(|c| f64::from(*c) * r.ampere_per_code());
             seen.zip(&r.i_clean_a).map(|(y, x)| y - x).collect()
         };

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::sensing::{Rate, Sensing};
-use crate::adc::Noise;
+use crate::adc::ConverterNoise;
 use crate::inverter::Instant;
 use crate::low_pass::LowPass;
 
@@ -158,8 +158,8 @@ pub fn convert(
     let n = v_v.len().min(i_a.len());
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let rms = |x: &[f64]| (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt();
-    let noise = s.snr_db.map_or(Noise::default(), |snr| {
-        Noise::from_snr_db(snr, rms(&v_v[..n]), rms(&i_a[..n]))
+    let noise = s.snr_db.map_or(ConverterNoise::default(), |snr| {
+        ConverterNoise::from_snr_db(snr, rms(&v_v[..n]), rms(&i_a[..n]))
     });
     let span_s = t_s.last().map_or(0.0, |t| t - t_s[0]);
     let spike_chance = s.spikes_per_s * span_s / n.max(1) as f64;

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::sensing::Sensing;
 use crate::inverter::supply::SupplyParts;
 use crate::inverter::{InverterError, in_range};
-use crate::pot::{Metal, Pot};
+use crate::pot::{Metal, SimulatedPot};
 
 /// Load model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,11 +27,11 @@ pub enum LoadKind {
 /// Change during a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Change {
+pub enum RecordingChange {
     /// Another switching frequency in hertz.
     Frequency(f64),
     /// Another pot, or none.
-    Pot(Pot),
+    Pot(SimulatedPot),
     /// Bridge off: both switches open.
     Off,
     /// Bridge on.
@@ -47,7 +47,7 @@ pub enum Change {
 
 /// Moving carrier: f_sw(t) = f + deviation · sin(2π · rate · t), t since the recording's start, constant within a switching period.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Sweep {
+pub struct CarrierSweep {
     /// Largest deviation in hertz, 0 to 10 kHz.
     pub deviation_hz: f64,
     /// Frequency of the modulation in hertz, 1 to 5000.
@@ -65,11 +65,11 @@ pub struct Neighbour {
 
 /// Change at a time in seconds after the recording's start; it takes effect at the next period of the switching frequency.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Event {
+pub struct RecordingEvent {
     /// Time in seconds.
     pub t_s: f64,
     /// Change.
-    pub change: Change,
+    pub change: RecordingChange,
 }
 
 /// Complete specification of a recording. Fields missing in a file have the values of [`CaptureSpec::default`].
@@ -79,7 +79,7 @@ pub struct CaptureSpec {
     /// Switching frequency in hertz, 20 to 100 kHz.
     pub f_sw_hz: f64,
     /// Modulation of the switching frequency.
-    pub sweep: Option<Sweep>,
+    pub sweep: Option<CarrierSweep>,
     /// Share of the period in which the upper switch is on, 0.2 to 0.8; 0.5 is the hob's.
     pub duty: f64,
     /// Resistance of the bridge's switches in ohm, 0 to 1: in the loop, outside the coil.
@@ -99,7 +99,7 @@ pub struct CaptureSpec {
     /// Duration of the bridge's edges in seconds.
     pub edge_s: f64,
     /// Pot on the coil at the start.
-    pub pot: Pot,
+    pub pot: SimulatedPot,
     /// Load model.
     pub load: LoadKind,
     /// Resistance of winding and leads in ohm, in series with a field model or its surrogate.
@@ -111,7 +111,7 @@ pub struct CaptureSpec {
     /// Integration step in seconds; rounded so that a switching period is a whole number of steps.
     pub dt_s: f64,
     /// Changes, in order of time.
-    pub events: Vec<Event>,
+    pub events: Vec<RecordingEvent>,
     /// Sensing chain.
     pub sensing: Sensing,
     /// Seed of noise and spikes.
@@ -134,7 +134,7 @@ impl Default for CaptureSpec {
             line_l_h: 0.0,
             dead_s: 0.0,
             edge_s: f64::from(EDGE_NS) * 1e-9,
-            pot: Pot::new(Metal::Ferritic, 0.21),
+            pot: SimulatedPot::new(Metal::Ferritic, 0.21),
             load: LoadKind::Field,
             winding_r_ohm: 0.0,
             start_s: 0.0,
@@ -261,8 +261,8 @@ impl CaptureSpec {
             )?;
             last_s = event.t_s;
             match event.change {
-                Change::Frequency(f) => self.check_frequency("event frequency_hz", f)?,
-                Change::Load { r_factor, l_factor } => {
+                RecordingChange::Frequency(f) => self.check_frequency("event frequency_hz", f)?,
+                RecordingChange::Load { r_factor, l_factor } => {
                     // The field model has no R and L to scale.
                     let (least, most) = match self.load {
                         LoadKind::Field => (1.0, 1.0),
@@ -272,7 +272,7 @@ impl CaptureSpec {
                     in_range("event r_factor", r_factor, least, most, allowed)?;
                     in_range("event l_factor", l_factor, least, most, allowed)?;
                 }
-                Change::Pot(_) | Change::Off | Change::On => {}
+                RecordingChange::Pot(_) | RecordingChange::Off | RecordingChange::On => {}
             }
         }
         Ok(())
@@ -308,7 +308,7 @@ mod tests {
         let back: CaptureSpec = serde_json::from_value(old).unwrap();
         assert_eq!(back, CaptureSpec::default());
         let all = CaptureSpec {
-            sweep: Some(Sweep {
+            sweep: Some(CarrierSweep {
                 deviation_hz: 5e3,
                 rate_hz: 100.0,
             }),
@@ -317,9 +317,9 @@ mod tests {
                 v: 8.0,
             }),
             load: LoadKind::Behavioural,
-            events: vec![Event {
+            events: vec![RecordingEvent {
                 t_s: 1e-3,
-                change: Change::Load {
+                change: RecordingChange::Load {
                     r_factor: 0.6,
                     l_factor: 1.35,
                 },
@@ -339,7 +339,7 @@ mod tests {
             s.check().unwrap_err().to_string()
         };
         assert!(
-            field(|s| s.sweep = Some(Sweep {
+            field(|s| s.sweep = Some(CarrierSweep {
                 deviation_hz: 1e3,
                 rate_hz: 0.0
             }))
@@ -350,7 +350,7 @@ mod tests {
         assert!(
             field(|s| {
                 s.f_sw_hz = 22e3;
-                s.sweep = Some(Sweep {
+                s.sweep = Some(CarrierSweep {
                     deviation_hz: 3e3,
                     rate_hz: 100.0,
                 });
@@ -359,9 +359,9 @@ mod tests {
         );
         // The field model has no R and L to scale.
         assert!(
-            field(|s| s.events = vec![Event {
+            field(|s| s.events = vec![RecordingEvent {
                 t_s: 1e-3,
-                change: Change::Load {
+                change: RecordingChange::Load {
                     r_factor: 2.0,
                     l_factor: 1.0
                 },
@@ -383,9 +383,9 @@ mod tests {
         assert!(field(|s| s.sensing.bits = 7).contains("bits"));
         assert!(field(|s| s.duration_s = f64::INFINITY).contains("duration_s"));
         assert!(
-            field(|s| s.events = vec![Event {
+            field(|s| s.events = vec![RecordingEvent {
                 t_s: 1.0,
-                change: Change::Off
+                change: RecordingChange::Off
             }])
             .contains("event")
         );

@@ -10,11 +10,11 @@ use toml::Spanned;
 
 use super::limits::Limits;
 use super::{ScenarioError, number};
-use crate::adc::Noise;
-use crate::contents::Contents;
+use crate::adc::ConverterNoise;
+use crate::contents::PotContents;
 use crate::hob::HobConfig;
-use crate::injection::{Channel, InjectionKind};
-use crate::pot::Pot;
+use crate::injection::{FaultChannel, InjectionKind};
+use crate::pot::SimulatedPot;
 use crate::recording::settings::LoadKind;
 
 /// Scenario. Unknown fields are rejected.
@@ -44,7 +44,7 @@ pub struct ScenarioFile {
     pub warming: bool,
     /// Contents of the pot, which then warms up: `water-1.5`, `oil-0.5`, `food`, `empty`.
     #[serde(default)]
-    pub contents: Option<Contents>,
+    pub contents: Option<PotContents>,
     /// Bus capacitance in microfarad, 0 for none; default: the hob's.
     #[serde(default, deserialize_with = "number::some_bus_uf")]
     pub bus_capacitance_uf: Option<f64>,
@@ -105,7 +105,7 @@ impl ScenarioFile {
             ntc: self.ntc.unwrap_or(usual.ntc),
             dc_link: self.dc_link,
             anti_alias_hz: self.anti_alias_hz.unwrap_or(usual.anti_alias_hz),
-            noise: self.noise.map_or(usual.noise, |n| Noise {
+            noise: self.noise.map_or(usual.noise, |n| ConverterNoise {
                 v_v: n.v_v,
                 i_a: n.i_a,
             }),
@@ -158,7 +158,7 @@ pub struct MainsField {
 #[derive(Clone, Copy, Debug)]
 pub struct PotField {
     /// The pot.
-    pub pot: Pot,
+    pub pot: SimulatedPot,
     /// In an event: duration in seconds, then restored.
     pub for_s: Option<f64>,
 }
@@ -167,7 +167,7 @@ pub struct PotField {
 #[serde(deny_unknown_fields)]
 struct PotTable {
     #[serde(deserialize_with = "named_pot")]
-    name: Pot,
+    name: SimulatedPot,
     #[serde(default, deserialize_with = "number::lift_mm")]
     lift_mm: f64,
     #[serde(default, deserialize_with = "number::offset_mm")]
@@ -178,19 +178,19 @@ struct PotTable {
     for_s: Option<f64>,
 }
 
-fn named_pot<'de, D: Deserializer<'de>>(from: D) -> Result<Pot, D::Error> {
+fn named_pot<'de, D: Deserializer<'de>>(from: D) -> Result<SimulatedPot, D::Error> {
     let name = String::deserialize(from)?;
     name.parse().map_err(serde::de::Error::custom)
 }
 
-fn some_named_pot<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Pot>, D::Error> {
+fn some_named_pot<'de, D: Deserializer<'de>>(from: D) -> Result<Option<SimulatedPot>, D::Error> {
     named_pot(from).map(Some)
 }
 
 impl Default for PotField {
     fn default() -> Self {
         Self {
-            pot: Pot::new(crate::pot::Metal::Ferritic, 0.21),
+            pot: SimulatedPot::new(crate::pot::Metal::Ferritic, 0.21),
             for_s: None,
         }
     }
@@ -198,7 +198,7 @@ impl Default for PotField {
 
 impl From<PotTable> for PotField {
     fn from(table: PotTable) -> Self {
-        let pot = Pot {
+        let pot = SimulatedPot {
             lift_m: table.lift_mm * 1e-3,
             offset_m: table.offset_mm * 1e-3,
             temperature_c: table.temperature_c.unwrap_or(table.name.temperature_c),
@@ -288,7 +288,7 @@ pub struct EventField {
     /// Value of the fault.
     pub value: Option<f64>,
     /// Channel of the fault.
-    pub channel: Option<Channel>,
+    pub channel: Option<FaultChannel>,
     /// Action of the host.
     pub host: Option<HostWord>,
     /// Period of a repeated action of the host, in seconds.
@@ -301,7 +301,7 @@ pub struct EventField {
     pub file: Option<PathBuf>,
     /// Name of the pot that a lookup describes exactly.
     #[serde(default, deserialize_with = "some_named_pot")]
-    pub of_pot: Option<Pot>,
+    pub of_pot: Option<SimulatedPot>,
     /// Resistance of a lookup, in ohm.
     #[serde(default, deserialize_with = "number::some_r_ohm")]
     pub r_ohm: Option<f64>,

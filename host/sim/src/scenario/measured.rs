@@ -2,7 +2,7 @@
 
 use ihd_firmware::limits::BURST_POWER_W;
 
-use super::record::{HalfCycle, Record};
+use super::record::{Record, TrueHalfCycle};
 
 /// Reader of a word or a truth.
 pub(super) type Word = fn(&Record) -> String;
@@ -11,7 +11,7 @@ pub(super) type Word = fn(&Record) -> String;
 pub(super) type Number = fn(&Record) -> Vec<f64>;
 
 /// Reader of a mean over half-cycles; NaN without any.
-pub(super) type Mean = fn(&[HalfCycle]) -> f64;
+pub(super) type Mean = fn(&[TrueHalfCycle]) -> f64;
 
 /// Share of the largest power that a half-cycle of a burst exceeds; one with a look at the pot does not.
 const OF_BURST: f64 = 0.35;
@@ -67,7 +67,7 @@ pub(super) const NUMBERS: [(&str, Number); 19] = [
     ("longest_on_s", |r| {
         let stretches = r.half_cycles.chunk_by(|a, b| a.bridge_on == b.bridge_on);
         let on = stretches.filter(|stretch| stretch[0].bridge_on);
-        let length = |on: &[HalfCycle]| on[on.len() - 1].t_s - on[0].t_s + HALF_CYCLE_S;
+        let length = |on: &[TrueHalfCycle]| on[on.len() - 1].t_s - on[0].t_s + HALF_CYCLE_S;
         vec![on.map(length).fold(0.0, f64::max)]
     }),
     ("off_after_s", |r| {
@@ -131,7 +131,7 @@ pub(super) const MEANS: [(&str, Mean); 5] = [
     ("power_w_at", |span| mean(span, |h| h.power_w)),
 ];
 
-fn last(record: &Record, of: fn(&HalfCycle) -> &String) -> String {
+fn last(record: &Record, of: fn(&TrueHalfCycle) -> &String) -> String {
     record
         .half_cycles
         .last()
@@ -144,17 +144,17 @@ fn or_never(time_s: Option<f64>) -> f64 {
     time_s.unwrap_or(f64::NAN)
 }
 
-fn mean(span: &[HalfCycle], of: fn(&HalfCycle) -> f64) -> f64 {
+fn mean(span: &[TrueHalfCycle], of: fn(&TrueHalfCycle) -> f64) -> f64 {
     span.iter().map(of).sum::<f64>() / span.len() as f64
 }
 
 impl Record {
-    fn most(&self, of: fn(&HalfCycle) -> f64) -> f64 {
+    fn most(&self, of: fn(&TrueHalfCycle) -> f64) -> f64 {
         self.half_cycles.iter().map(of).fold(0.0, f64::max)
     }
 
     /// Half-cycles, each with `true` if the bridge begins to switch in it.
-    fn half_cycles_with_start(&self) -> impl Iterator<Item = (bool, &HalfCycle)> {
+    fn half_cycles_with_start(&self) -> impl Iterator<Item = (bool, &TrueHalfCycle)> {
         let before = self.half_cycles.iter().map(|h| h.bridge_on);
         let pairs = [false].into_iter().chain(before).zip(&self.half_cycles);
         pairs.map(|(was_on, h)| (!was_on && h.bridge_on, h))
@@ -173,7 +173,7 @@ impl Record {
     /// Numbers of half-cycles of the bursts, without those at the record's ends, which may be cut.
     fn bursts(&self) -> Vec<usize> {
         let least_w = self.burst_from_w();
-        let on = |h: &HalfCycle| h.power_w > least_w;
+        let on = |h: &TrueHalfCycle| h.power_w > least_w;
         let all: Vec<_> = self.half_cycles.chunk_by(|a, b| on(a) == on(b)).collect();
         let inner = all.get(1..all.len().saturating_sub(1)).unwrap_or_default();
         let bursts = inner.iter().filter(|stretch| on(&stretch[0]));

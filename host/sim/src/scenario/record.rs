@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// One half-cycle of the true mains.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct HalfCycle {
+pub struct TrueHalfCycle {
     /// Its start, in seconds.
     pub t_s: f64,
     /// Power requested by the host at its end, in watt.
@@ -55,7 +55,7 @@ pub struct FaultRecord {
 
 /// Result of one power step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Step {
+pub struct PowerStep {
     /// Time of the request, in seconds.
     pub at_s: f64,
     /// Power requested, in watt.
@@ -92,7 +92,7 @@ pub struct Summary {
     /// Energy into the load, in joule.
     pub energy_j: f64,
     /// The power steps.
-    pub steps: Vec<Step>,
+    pub steps: Vec<PowerStep>,
     /// Recoveries after mains and pot events.
     pub recoveries: Vec<Recovery>,
     /// Number of times that the watchdog would have reset the controller.
@@ -103,7 +103,7 @@ pub struct Summary {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// Half-cycles in order of time.
-    pub half_cycles: Vec<HalfCycle>,
+    pub half_cycles: Vec<TrueHalfCycle>,
     /// Faults in order of time.
     pub faults: Vec<FaultRecord>,
     /// Figures.

@@ -7,10 +7,10 @@ use ihd_shared::wire::messages::{Configure, State};
 use super::ScenarioError;
 use super::file::Scenario;
 use super::host::Host;
-use super::record::{FaultRecord, HalfCycle, Record};
+use super::record::{FaultRecord, Record, TrueHalfCycle};
 use super::summary::{self, Kind, Mark};
 use super::surroundings::Surroundings;
-use super::timeline::{Change, RepeatedRequest, TimedChange, timeline};
+use super::timeline::{RepeatedRequest, TimedChange, TimelineChange, timeline};
 use crate::hob::SimHob;
 
 /// Runs a scenario; `progress` is called with the share done, 0 to 1, once a half-cycle.
@@ -42,7 +42,7 @@ pub fn run(scenario: &Scenario, mut progress: impl FnMut(f64)) -> Result<Record,
 struct Run {
     hob: SimHob,
     host: Host,
-    half_cycles: Vec<HalfCycle>,
+    half_cycles: Vec<TrueHalfCycle>,
     faults: Vec<FaultRecord>,
     active_fault: Fault,
     /// Time of the injection that may cause the next fault, in seconds.
@@ -95,29 +95,32 @@ impl Run {
         let now_s = hob.t_s();
         let mut kind = Kind::Other;
         match &timed.change {
-            Change::Power(power_w) => {
+            TimelineChange::Power(power_w) => {
                 kind = Kind::Power(*power_w);
                 host.set_power(hob, *power_w);
             }
-            Change::Pot(_) | Change::PotBack(_) | Change::Mains(_) | Change::MainsBack(_) => {
+            TimelineChange::Pot(_)
+            | TimelineChange::PotBack(_)
+            | TimelineChange::Mains(_)
+            | TimelineChange::MainsBack(_) => {
                 kind = Kind::Disturbed;
             }
-            Change::Inject(_) => self.cause_s = Some(now_s),
-            Change::Panel(PanelEvent::Level(level)) => {
+            TimelineChange::Inject(_) => self.cause_s = Some(now_s),
+            TimelineChange::Panel(PanelEvent::Level(level)) => {
                 self.panel_level = Some(*level);
                 kind = Kind::Power(hob.housekeeping().control().asked_w());
             }
-            Change::Panel(_)
-            | Change::InjectEnd(_)
-            | Change::Unattended(_)
-            | Change::Ambient(_)
-            | Change::HeatSink(_)
-            | Change::Glass(_) => {}
-            Change::Silent => host.fall_silent(),
-            Change::ClearFault => host.clear_fault(hob),
-            Change::ResetLookup => host.reset_lookup(hob),
-            Change::PushLookup(lookup) => host.push_lookup(hob, lookup),
-            Change::Repeat {
+            TimelineChange::Panel(_)
+            | TimelineChange::InjectEnd(_)
+            | TimelineChange::Unattended(_)
+            | TimelineChange::Ambient(_)
+            | TimelineChange::HeatSink(_)
+            | TimelineChange::Glass(_) => {}
+            TimelineChange::Silent => host.fall_silent(),
+            TimelineChange::ClearFault => host.clear_fault(hob),
+            TimelineChange::ResetLookup => host.reset_lookup(hob),
+            TimelineChange::PushLookup(lookup) => host.push_lookup(hob, lookup),
+            TimelineChange::Repeat {
                 what,
                 every_s,
                 until_s,
@@ -164,7 +167,7 @@ impl Run {
         };
         let housekeeping = self.hob.housekeeping();
         let (seen, control) = (housekeeping.summary(), housekeeping.control());
-        self.half_cycles.push(HalfCycle {
+        self.half_cycles.push(TrueHalfCycle {
             t_s: reading.t_s,
             // With a panel the firmware combines it with the host's request.
             asked_w: f64::from(match self.panel_level {

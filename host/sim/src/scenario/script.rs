@@ -7,7 +7,7 @@ use super::timeline::{TimedChange, timeline};
 use crate::hob::SimHob;
 
 /// Changes of pot, mains and panel of a hob behind a link.
-pub struct Script {
+pub struct ScenarioScript {
     events: Vec<TimedChange>,
     duration_s: f64,
     /// Start of this repetition, in seconds of simulated time.
@@ -16,7 +16,7 @@ pub struct Script {
     surroundings: Surroundings,
 }
 
-impl Script {
+impl ScenarioScript {
     /// Creates a script of a scenario's events for a hob, from its present time on; they repeat after the scenario's duration.
     ///
     /// # Errors
@@ -46,7 +46,7 @@ impl Script {
     /// Creates a script that runs once.
     ///
     /// # Errors
-    /// Any error of [`Script::new`].
+    /// Any error of [`ScenarioScript::new`].
     pub fn once(scenario: &Scenario, hob: &mut SimHob) -> Result<Self, ScenarioError> {
         Ok(Self {
             duration_s: f64::INFINITY,
@@ -82,8 +82,8 @@ mod tests {
     use super::*;
     use crate::hob::HobConfig;
 
-    fn script(text: &str, hob: &mut SimHob) -> Result<Script, ScenarioError> {
-        Script::new(&Scenario::parse(text, PathBuf::new())?, hob)
+    fn script(text: &str, hob: &mut SimHob) -> Result<ScenarioScript, ScenarioError> {
+        ScenarioScript::new(&Scenario::parse(text, PathBuf::new())?, hob)
     }
 
     #[test]
@@ -109,7 +109,7 @@ mod tests {
         let text =
             "duration_s = 0.01\n[[event]]\nat_s = 0\npot = { name = \"none\", for_s = 0.03 }\n";
         let scenario = Scenario::parse(text, PathBuf::new()).unwrap();
-        let mut script = Script::once(&scenario, &mut hob).unwrap();
+        let mut script = ScenarioScript::once(&scenario, &mut hob).unwrap();
         let mut seen = Vec::new();
         for at_s in [0.01, 0.05, 0.1] {
             while hob.t_s() < at_s {

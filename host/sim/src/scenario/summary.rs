@@ -2,7 +2,7 @@
 
 use ihd_firmware::limits::{BURST_PERIOD_MS, BURST_POWER_W};
 
-use super::record::{HalfCycle, Recovery, Step, Summary};
+use super::record::{PowerStep, Recovery, Summary, TrueHalfCycle};
 
 /// Tolerance of a settled power, as a share of the requested one.
 const SETTLED: f64 = 0.05;
@@ -38,7 +38,7 @@ pub(super) struct Mark {
 }
 
 /// Half-cycles within a time, including their ends.
-pub(super) fn within(half_cycles: &[HalfCycle], from_s: f64, to_s: f64) -> &[HalfCycle] {
+pub(super) fn within(half_cycles: &[TrueHalfCycle], from_s: f64, to_s: f64) -> &[TrueHalfCycle] {
     let from = half_cycles.partition_point(|h| h.t_s < from_s);
     let to = half_cycles.partition_point(|h| h.t_s < to_s).max(from);
     &half_cycles[from..to]
@@ -46,7 +46,7 @@ pub(super) fn within(half_cycles: &[HalfCycle], from_s: f64, to_s: f64) -> &[Hal
 
 /// Powers that are judged, with the start of their half-cycles: each one, or in bursts the mean of those before. The last
 /// half-cycle of `span` may extend beyond it and is skipped.
-fn counting(span: &[HalfCycle], asked_w: f64) -> Vec<(f64, f64)> {
+fn counting(span: &[TrueHalfCycle], asked_w: f64) -> Vec<(f64, f64)> {
     let whole = &span[..span.len().saturating_sub(1)];
     if !is_in_bursts(span, asked_w) {
         return whole.iter().map(|h| (h.t_s, h.power_w)).collect();
@@ -61,12 +61,12 @@ fn counting(span: &[HalfCycle], asked_w: f64) -> Vec<(f64, f64)> {
 }
 
 /// Returns `true` if it heats in bursts.
-fn is_in_bursts(span: &[HalfCycle], asked_w: f64) -> bool {
-    let pauses = |h: &HalfCycle| h.state == "Heating" && !h.bridge_on;
+fn is_in_bursts(span: &[TrueHalfCycle], asked_w: f64) -> bool {
+    let pauses = |h: &TrueHalfCycle| h.state == "Heating" && !h.bridge_on;
     asked_w > 0.0 && asked_w < BURSTS_BELOW_W && span.iter().any(pauses)
 }
 
-fn mean_w(span: &[HalfCycle]) -> Option<f64> {
+fn mean_w(span: &[TrueHalfCycle]) -> Option<f64> {
     let sum_w: f64 = span.iter().map(|h| h.power_w).sum();
     (!span.is_empty()).then(|| sum_w / span.len() as f64)
 }
@@ -81,7 +81,7 @@ fn settled_after_s(counting: &[(f64, f64)], from_s: f64, asked_w: f64) -> Option
     Some((first_s - from_s).max(0.0))
 }
 
-fn error_pct(span: &[HalfCycle], to_s: f64, asked_w: f64) -> Option<f64> {
+fn error_pct(span: &[TrueHalfCycle], to_s: f64, asked_w: f64) -> Option<f64> {
     let bursts = is_in_bursts(span, asked_w);
     let over_s = if bursts { BURSTS_OVER_S } else { ERROR_OVER_S };
     let last = within(span, to_s - over_s, to_s);
@@ -92,7 +92,7 @@ fn error_pct(span: &[HalfCycle], to_s: f64, asked_w: f64) -> Option<f64> {
 }
 
 /// Computes the summary, except for the fields that only the run knows.
-pub(super) fn of(half_cycles: &[HalfCycle], marks: &[Mark], duration_s: f64) -> Summary {
+pub(super) fn of(half_cycles: &[TrueHalfCycle], marks: &[Mark], duration_s: f64) -> Summary {
     let (mut steps, mut recoveries) = (Vec::new(), Vec::new());
     let mut asked_w = 0.0;
     for (n, mark) in marks.iter().enumerate() {
@@ -105,7 +105,7 @@ pub(super) fn of(half_cycles: &[HalfCycle], marks: &[Mark], duration_s: f64) -> 
                 let powers = counting(span, asked_w);
                 let most_w = powers.iter().map(|(_, w)| *w).fold(0.0, f64::max);
                 let over_pct = 100.0 * (most_w / asked_w - 1.0).max(0.0);
-                steps.push(Step {
+                steps.push(PowerStep {
                     at_s: mark.at_s,
                     power_w: asked_w,
                     settled_after_s: settled_after_s(&powers, mark.at_s, asked_w),
@@ -120,7 +120,8 @@ pub(super) fn of(half_cycles: &[HalfCycle], marks: &[Mark], duration_s: f64) -> 
             Kind::Other => {}
         }
     }
-    let largest = |of: fn(&Step) -> Option<f64>| steps.iter().filter_map(of).fold(0.0, f64::max);
+    let largest =
+        |of: fn(&PowerStep) -> Option<f64>| steps.iter().filter_map(of).fold(0.0, f64::max);
     Summary {
         settled_after_s: steps.iter().map(|s| s.settled_after_s).collect(),
         overshoot_pct: largest(|s| s.overshoot_pct),
@@ -135,13 +136,13 @@ pub(super) fn of(half_cycles: &[HalfCycle], marks: &[Mark], duration_s: f64) -> 
 mod tests {
     use super::*;
 
-    fn half_cycles(powers: impl IntoIterator<Item = f64>) -> Vec<HalfCycle> {
-        let of = |(n, power_w): (usize, f64)| HalfCycle {
+    fn half_cycles(powers: impl IntoIterator<Item = f64>) -> Vec<TrueHalfCycle> {
+        let of = |(n, power_w): (usize, f64)| TrueHalfCycle {
             t_s: n as f64 * 0.01,
             power_w,
             bridge_on: power_w > 0.0,
             state: "Heating".to_owned(),
-            ..HalfCycle::default()
+            ..TrueHalfCycle::default()
         };
         powers.into_iter().enumerate().map(of).collect()
     }

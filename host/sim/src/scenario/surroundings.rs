@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 
 use super::file::MainsField;
-use super::timeline::{Change, TimedChange};
+use super::timeline::{TimedChange, TimelineChange};
 use crate::hob::SimHob;
 use crate::inverter::InverterError;
-use crate::pot::Pot;
+use crate::pot::SimulatedPot;
 
 /// State before each event that is restored later.
 #[derive(Default)]
 pub(super) struct Surroundings {
-    pots: BTreeMap<usize, Pot>,
+    pots: BTreeMap<usize, SimulatedPot>,
     mains: BTreeMap<usize, (f64, f64)>,
     injected: BTreeMap<usize, u32>,
 }
@@ -23,7 +23,7 @@ impl Surroundings {
     /// If there is no model of a pot.
     pub(super) fn prepare(hob: &mut SimHob, events: &[TimedChange]) -> Result<(), InverterError> {
         for timed in events {
-            if let Change::Pot(pot) = &timed.change {
+            if let TimelineChange::Pot(pot) = &timed.change {
                 hob.prepare(pot)?;
             }
         }
@@ -41,47 +41,47 @@ impl Surroundings {
     ) -> Result<(), InverterError> {
         let event = timed.event;
         match &timed.change {
-            Change::Pot(pot) => {
+            TimelineChange::Pot(pot) => {
                 self.pots.insert(event, hob.pot());
                 hob.set_pot(*pot)?;
             }
-            Change::PotBack(event) => {
+            TimelineChange::PotBack(event) => {
                 if let Some(pot) = self.pots.remove(event) {
                     hob.set_pot(pot)?;
                 }
             }
-            Change::Mains(MainsField { v_rms, hz, .. }) => {
+            TimelineChange::Mains(MainsField { v_rms, hz, .. }) => {
                 let before = (hob.mains().v_rms_v(), hob.mains().frequency_hz);
                 self.mains.insert(event, before);
                 hob.set_mains(v_rms.unwrap_or(before.0), hz.unwrap_or(before.1));
             }
-            Change::MainsBack(event) => {
+            TimelineChange::MainsBack(event) => {
                 if let Some((v_rms, hz)) = self.mains.remove(event) {
                     hob.set_mains(v_rms, hz);
                 }
             }
-            Change::Inject(injection) => {
+            TimelineChange::Inject(injection) => {
                 let injected = &mut self.injected;
                 hob.inject(|all| {
                     injected.insert(event, all.start(*injection));
                 });
             }
-            Change::InjectEnd(event) => {
+            TimelineChange::InjectEnd(event) => {
                 if let Some(number) = self.injected.remove(event) {
                     hob.inject(|all| all.end(number));
                 }
             }
-            Change::Panel(touch) => hob.panel(*touch),
-            Change::Unattended(minutes) => hob.pass_unattended(*minutes),
-            Change::Ambient(celsius) => hob.temperatures().ambient_c = *celsius,
-            Change::HeatSink(celsius) => hob.temperatures().heat_sink_c = *celsius,
-            Change::Glass(celsius) => hob.temperatures().glass_c = *celsius,
-            Change::Power(_)
-            | Change::Silent
-            | Change::ClearFault
-            | Change::ResetLookup
-            | Change::PushLookup(_)
-            | Change::Repeat { .. } => {}
+            TimelineChange::Panel(touch) => hob.panel(*touch),
+            TimelineChange::Unattended(minutes) => hob.pass_unattended(*minutes),
+            TimelineChange::Ambient(celsius) => hob.temperatures().ambient_c = *celsius,
+            TimelineChange::HeatSink(celsius) => hob.temperatures().heat_sink_c = *celsius,
+            TimelineChange::Glass(celsius) => hob.temperatures().glass_c = *celsius,
+            TimelineChange::Power(_)
+            | TimelineChange::Silent
+            | TimelineChange::ClearFault
+            | TimelineChange::ResetLookup
+            | TimelineChange::PushLookup(_)
+            | TimelineChange::Repeat { .. } => {}
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::file::Scenario;
 use super::record::Record;
 use super::run::run;
-use super::timeline::{Change, timeline};
+use super::timeline::{TimelineChange, timeline};
 
 fn parse(text: &str) -> Scenario {
     Scenario::parse(text, PathBuf::new()).unwrap()
@@ -106,8 +106,8 @@ fn what_is_for_a_while_is_taken_back_in_order_of_time() {
     let all = timeline(&scenario).unwrap();
     let times: Vec<f64> = all.iter().map(|t| t.at_s).collect();
     assert_eq!(times, [0.5, 0.55, 0.56, 0.6]);
-    assert!(matches!(all[2].change, Change::MainsBack(1)));
-    assert!(matches!(all[3].change, Change::PotBack(0)));
+    assert!(matches!(all[2].change, TimelineChange::MainsBack(1)));
+    assert!(matches!(all[3].change, TimelineChange::PotBack(0)));
 }
 
 #[test]

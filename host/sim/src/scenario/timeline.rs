@@ -12,16 +12,16 @@ use super::ScenarioError;
 use super::file::{EventField, HostWord, MainsField, Scenario};
 use crate::injection::Injection;
 use crate::load_library::WINDING_R_OHM;
-use crate::pot::Pot;
+use crate::pot::SimulatedPot;
 use crate::recording::prepared::surrogate_pot;
 
 /// Change.
 #[derive(Clone, Debug)]
-pub enum Change {
+pub enum TimelineChange {
     /// Power requested by the host, in watt.
     Power(u16),
     /// New pot.
-    Pot(Pot),
+    Pot(SimulatedPot),
     /// Pot as before the event of this number.
     PotBack(usize),
     /// New voltage or frequency.
@@ -61,7 +61,7 @@ pub enum Change {
     },
 }
 
-impl Change {
+impl TimelineChange {
     /// Returns `true` for a change made by the host.
     pub fn is_of_host(&self) -> bool {
         matches!(
@@ -93,7 +93,7 @@ pub struct TimedChange {
     /// Number of its event in the file, from 0.
     pub event: usize,
     /// Change.
-    pub change: Change,
+    pub change: TimelineChange,
 }
 
 /// Returns all changes in order of time and, at the same time, of the file.
@@ -143,7 +143,7 @@ struct Changes<'a> {
 }
 
 impl Changes<'_> {
-    fn push(&mut self, at_s: f64, change: Change) {
+    fn push(&mut self, at_s: f64, change: TimelineChange) {
         self.all.push(TimedChange {
             at_s,
             event: self.event,
@@ -158,18 +158,18 @@ impl Changes<'_> {
             pot.pot
                 .field_settings(0.0)
                 .map_err(|e| format!("pot {}: {e}", pot.pot))?;
-            self.push(field.at_s, Change::Pot(pot.pot));
+            self.push(field.at_s, TimelineChange::Pot(pot.pot));
             if let Some(end_s) = end_s(pot.for_s) {
-                self.push(end_s, Change::PotBack(event));
+                self.push(end_s, TimelineChange::PotBack(event));
             }
         }
         if let Some(mains) = field.mains {
             if mains.v_rms.is_none() && mains.hz.is_none() {
                 return Err("mains: give v_rms, hz or both".to_owned());
             }
-            self.push(field.at_s, Change::Mains(mains));
+            self.push(field.at_s, TimelineChange::Mains(mains));
             if let Some(end_s) = end_s(mains.for_s) {
-                self.push(end_s, Change::MainsBack(event));
+                self.push(end_s, TimelineChange::MainsBack(event));
             }
         }
         self.of_person_and_heat();
@@ -188,14 +188,14 @@ impl Changes<'_> {
         let channel = field.channel.unwrap_or(kind.default_channel());
         self.push(
             field.at_s,
-            Change::Inject(Injection {
+            TimelineChange::Inject(Injection {
                 kind,
                 value,
                 channel,
             }),
         );
         if let Some(end_s) = end_s(None) {
-            self.push(end_s, Change::InjectEnd(event));
+            self.push(end_s, TimelineChange::InjectEnd(event));
         }
         Ok(())
     }
@@ -205,14 +205,14 @@ impl Changes<'_> {
         let level = field.panel.map(|level| PanelEvent::Level(level as u8));
         let key_lock = field.key_lock.map(PanelEvent::KeyLock);
         let changes = [
-            level.map(Change::Panel),
-            key_lock.map(Change::Panel),
+            level.map(TimelineChange::Panel),
+            key_lock.map(TimelineChange::Panel),
             field
                 .unattended_min
-                .map(|minutes| Change::Unattended(minutes as u16)),
-            field.ambient_c.map(Change::Ambient),
-            field.heat_sink_c.map(Change::HeatSink),
-            field.glass_c.map(Change::Glass),
+                .map(|minutes| TimelineChange::Unattended(minutes as u16)),
+            field.ambient_c.map(TimelineChange::Ambient),
+            field.heat_sink_c.map(TimelineChange::HeatSink),
+            field.glass_c.map(TimelineChange::Glass),
         ];
         for change in changes.into_iter().flatten() {
             self.push(field.at_s, change);
@@ -229,20 +229,20 @@ impl Changes<'_> {
         };
         let change = match field.host {
             None => match power_w {
-                Some(power_w) => Change::Power(power_w),
+                Some(power_w) => TimelineChange::Power(power_w),
                 None => return Ok(()),
             },
-            Some(HostWord::Silent) => Change::Silent,
-            Some(HostWord::ClearFault) => Change::ClearFault,
-            Some(HostWord::ResetLookup) => Change::ResetLookup,
-            Some(HostWord::ClearFaultEvery) => Change::Repeat {
+            Some(HostWord::Silent) => TimelineChange::Silent,
+            Some(HostWord::ClearFault) => TimelineChange::ClearFault,
+            Some(HostWord::ResetLookup) => TimelineChange::ResetLookup,
+            Some(HostWord::ClearFaultEvery) => TimelineChange::Repeat {
                 what: RepeatedRequest::ClearFault,
                 every_s: every_s()?,
                 until_s,
             },
             Some(HostWord::SetPowerEvery) => {
                 let power_w = power_w.ok_or(format!("give power_w = 0 to {RATED_POWER_W}"))?;
-                Change::Repeat {
+                TimelineChange::Repeat {
                     what: RepeatedRequest::Power(power_w, field.toggle),
                     every_s: every_s()?,
                     until_s,
@@ -250,7 +250,7 @@ impl Changes<'_> {
             }
             Some(HostWord::PushLookup) => {
                 *versions += 1;
-                Change::PushLookup(Box::new(lookup(field, directory, *versions)?))
+                TimelineChange::PushLookup(Box::new(lookup(field, directory, *versions)?))
             }
         };
         self.push(field.at_s, change);

@@ -21,7 +21,7 @@ use super::hob::SimHob;
 use super::pace::Pace;
 use super::scenario::ScenarioError;
 use super::scenario::file::Scenario;
-use super::scenario::script::Script;
+use super::scenario::script::ScenarioScript;
 
 /// Wall time between two checks of the port: short against the link's time-outs, long against a sleep.
 const SLICE: Duration = Duration::from_millis(2);
@@ -31,7 +31,7 @@ const STEPS: usize = 8;
 
 /// Error of serving the hob.
 #[derive(Debug, thiserror::Error)]
-pub enum ServerError {
+pub enum HobServerError {
     /// The address cannot be listened on.
     #[error("cannot listen on {address}: {source}{hint}", hint = hint(.source))]
     Listen {
@@ -82,22 +82,22 @@ pub enum ServerEvent {
 }
 
 /// Hob and its port.
-pub struct Server {
+pub struct HobServer {
     listener: TcpListener,
     address: SocketAddr,
     hob: SimHob,
     guest: Option<Guest>,
-    scripts: Vec<Script>,
+    scripts: Vec<ScenarioScript>,
     scenarios: Option<Receiver<Scenario>>,
 }
 
-impl Server {
+impl HobServer {
     /// Listens on an address such as `127.0.0.1:4711`; with port 0 the system chooses one.
     ///
     /// # Errors
-    /// [`ServerError::Listen`] if the port is in use or the address is not local.
-    pub fn bind(address: &str, mut hob: SimHob) -> Result<Self, ServerError> {
-        let listen = |source| ServerError::Listen {
+    /// [`HobServerError::Listen`] if the port is in use or the address is not local.
+    pub fn bind(address: &str, mut hob: SimHob) -> Result<Self, HobServerError> {
+        let listen = |source| HobServerError::Listen {
             address: address.to_owned(),
             source,
         };
@@ -126,7 +126,7 @@ impl Server {
     }
 
     /// Sets the events of pot, mains and panel during the run.
-    pub fn set_script(&mut self, script: Script) {
+    pub fn set_script(&mut self, script: ScenarioScript) {
         self.scripts.push(script);
     }
 
@@ -138,13 +138,13 @@ impl Server {
     /// Runs the hob until `stop`, `speed` times as fast as real time, or as fast as the machine can.
     ///
     /// # Errors
-    /// [`ServerError::Accept`]; a disconnecting client is no error.
+    /// [`HobServerError::Accept`]; a disconnecting client is no error.
     pub fn run(
         &mut self,
         speed: f64,
         stop: &AtomicBool,
         mut watch: impl FnMut(ServerEvent),
-    ) -> Result<(), ServerError> {
+    ) -> Result<(), HobServerError> {
         let mut pace = Pace::new(speed, self.hob.t_s(), Instant::now());
         while !stop.load(Ordering::Relaxed) {
             let began = Instant::now();
@@ -168,7 +168,7 @@ impl Server {
     fn begin_wishes(&mut self, watch: &mut impl FnMut(ServerEvent)) {
         self.scripts.retain(|script| !script.is_over());
         while let Some(Ok(wish)) = self.scenarios.as_ref().map(Receiver::try_recv) {
-            match Script::once(&wish, &mut self.hob) {
+            match ScenarioScript::once(&wish, &mut self.hob) {
                 Ok(script) => self.scripts.push(script),
                 Err(why) => watch(ServerEvent::Impossible(why)),
             }
@@ -195,14 +195,14 @@ impl Server {
         &mut self,
         now: Instant,
         watch: &mut impl FnMut(ServerEvent),
-    ) -> Result<(), ServerError> {
+    ) -> Result<(), HobServerError> {
         match self.listener.accept() {
             Ok((stream, from)) => self.admit(stream, from, now, watch),
             Err(e) if would_wait(&e) => {}
             // The client has disconnected already.
             Err(e) if e.kind() == io::ErrorKind::ConnectionAborted => {}
             Err(source) => {
-                return Err(ServerError::Accept {
+                return Err(HobServerError::Accept {
                     address: self.address,
                     source,
                 });

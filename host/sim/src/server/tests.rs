@@ -17,7 +17,7 @@ const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A port without a hob that runs, and what happened at it.
 struct Port {
-    server: Server,
+    server: HobServer,
     began: Instant,
     events: Vec<String>,
 }
@@ -26,7 +26,7 @@ impl Port {
     fn open() -> Self {
         let hob = SimHob::new(&HobConfig::default());
         Self {
-            server: Server::bind("127.0.0.1:0", hob).unwrap(),
+            server: HobServer::bind("127.0.0.1:0", hob).unwrap(),
             began: Instant::now(),
             events: Vec::new(),
         }

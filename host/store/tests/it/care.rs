@@ -3,7 +3,7 @@
 use std::fs;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use ihd_store::{Reader, ResultFilter, Store, StoreError, StoreOptions, WindowFilter, backup};
+use ihd_store::{ResultFilter, Store, StoreError, StoreOptions, StoreReader, WindowFilter, backup};
 
 use super::fixture::*;
 
@@ -40,7 +40,7 @@ fn a_backup_while_it_is_written_is_whole_and_of_one_moment() {
         stop.store(true, Ordering::Relaxed);
         copied.unwrap();
     });
-    let copy = Reader::open(&to).unwrap();
+    let copy = StoreReader::open(&to).unwrap();
     let report = copy.check().unwrap();
     assert_eq!(report.integrity, "ok");
     assert!(
@@ -118,7 +118,7 @@ fn a_check_reads_every_window_beside_the_writer() {
         store.keep_window(session, &window(seq)).unwrap();
     }
     store.record_result(&result(session, 3), None).unwrap();
-    let report = Reader::open(folder.path()).unwrap().check().unwrap();
+    let report = StoreReader::open(folder.path()).unwrap().check().unwrap();
     assert!(report.is_whole());
     assert_eq!(
         (report.windows, report.windows_with_samples, report.results),
@@ -139,7 +139,7 @@ fn a_check_reads_every_window_beside_the_writer() {
     fs::write(&path, &bytes).unwrap();
     let opened = Store::open(folder.path(), &StoreOptions::default()).unwrap();
     assert_eq!(opened.damage, [], "a start looks at pages");
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let report = reader.check().unwrap();
     assert!(
         report.integrity.contains("cannot be unpacked"),

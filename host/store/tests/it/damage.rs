@@ -5,7 +5,7 @@ use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
 use ihd_store::{
-    InsertOutcome, Reader, ResultFilter, SamplePolicy, Store, StoreError, StoreOptions,
+    InsertOutcome, ResultFilter, SamplePolicy, Store, StoreError, StoreOptions, StoreReader,
     WindowFilter,
 };
 
@@ -56,7 +56,7 @@ fn outlived(folder: &Path, name: &str, words: &str) {
     );
     store.record_result(&result(new, 77), Some(b"{}")).unwrap();
     drop(store);
-    let reader = Reader::open(folder).unwrap();
+    let reader = StoreReader::open(folder).unwrap();
     assert_eq!(reader.window("bench", 7, 77).unwrap(), Some(window(77)));
     let events = reader.events(10).unwrap();
     let told = events.iter().find(|event| event.kind == "damage").unwrap();
@@ -193,10 +193,10 @@ fn an_empty_file_is_damage_and_a_database_that_was_not_made_to_the_end_is_none()
     let folder = tempfile::tempdir().unwrap();
     let windows = filled(folder.path());
     fs::write(folder.path().join(&windows), "").unwrap();
-    let report = Reader::open(folder.path()).unwrap().check().unwrap();
+    let report = StoreReader::open(folder.path()).unwrap().check().unwrap();
     assert!(report.integrity.contains("0 bytes"), "{}", report.integrity);
     fs::write(folder.path().join(RECORDS), "").unwrap();
-    let refused = Reader::open(folder.path()).err().unwrap();
+    let refused = StoreReader::open(folder.path()).err().unwrap();
     assert!(refused.is_damage() && refused.to_string().contains("0 bytes"));
     let folder = tempfile::tempdir().unwrap();
     for name in ["ihd.db.new", "ihd.db.new-wal", "windows-2026-11-22.db.new"] {
@@ -223,7 +223,10 @@ fn an_empty_day_under_way_is_set_aside_and_windows_go_on() {
         store.keep_window(new, &window(1)).unwrap(),
         InsertOutcome::New
     );
-    let events = Reader::open(folder.path()).unwrap().events(10).unwrap();
+    let events = StoreReader::open(folder.path())
+        .unwrap()
+        .events(10)
+        .unwrap();
     assert!(
         events
             .iter()
@@ -258,7 +261,7 @@ fn a_torn_log_gives_what_was_committed_before() {
         let file = fs::File::options().write(true).open(&log).unwrap();
         file.set_len(length - cut).unwrap();
         let mut again = open(copy.path(), &StoreOptions::default());
-        let have = Reader::open(copy.path())
+        let have = StoreReader::open(copy.path())
             .unwrap()
             .windows(&WindowFilter::default())
             .unwrap();
@@ -267,7 +270,7 @@ fn a_torn_log_gives_what_was_committed_before() {
         for seq in 0..10 {
             again.keep_window(session, &window(seq)).unwrap();
         }
-        let have = Reader::open(copy.path())
+        let have = StoreReader::open(copy.path())
             .unwrap()
             .windows(&WindowFilter::default())
             .unwrap();
@@ -341,7 +344,7 @@ fn a_day_that_breaks_under_way() {
         names.iter().any(|name| name.contains(".damaged-")),
         "{names:?}"
     );
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     assert!(reader.windows(&WindowFilter::default()).unwrap().len() < 40_000);
     assert!(
         reader
@@ -362,6 +365,8 @@ fn a_folder_that_cannot_be_made_is_an_error_and_no_damage() {
         !error.is_damage() && error.to_string().contains("making the folder"),
         "{error}"
     );
-    let nowhere = Reader::open(&folder.path().join("nowhere")).err().unwrap();
+    let nowhere = StoreReader::open(&folder.path().join("nowhere"))
+        .err()
+        .unwrap();
     assert!(matches!(nowhere, StoreError::NoStore { .. }), "{nowhere}");
 }

@@ -4,14 +4,14 @@ use std::path::Path;
 
 use ihd_capture::mcap::SessionReader;
 use ihd_capture::{OpenOptions, open as open_capture};
-use ihd_link::{Event, Window};
-use ihd_store::export::{Format, windows};
-use ihd_store::{Reader, SamplePolicy, StoreError, StoreOptions, WindowFilter};
+use ihd_link::{DeviceEvent, Window};
+use ihd_store::export::{ExportFormat, windows};
+use ihd_store::{SamplePolicy, StoreError, StoreOptions, StoreReader, WindowFilter};
 
 use super::fixture::*;
 
-fn export(folder: &Path, filter: &WindowFilter, format: Format, to: &Path) -> Vec<String> {
-    let reader = Reader::open(folder).unwrap();
+fn export(folder: &Path, filter: &WindowFilter, format: ExportFormat, to: &Path) -> Vec<String> {
+    let reader = StoreReader::open(folder).unwrap();
     let written = windows(&reader, filter, format, to, &mut || ()).unwrap();
     let names = written
         .files
@@ -52,7 +52,12 @@ fn a_recording_of_a_boot_gives_its_windows_back() {
     let large = sized(1, 16_267);
     store.keep_window(kitchen, &large).unwrap();
     let out = folder.path().join("out");
-    let names = export(folder.path(), &WindowFilter::default(), Format::Mcap, &out);
+    let names = export(
+        folder.path(),
+        &WindowFilter::default(),
+        ExportFormat::Mcap,
+        &out,
+    );
     assert_eq!(names, ["_kitchen__u_1b_-9.mcap", "bench-7.mcap"]);
     for (name, wanted) in [
         ("bench-7.mcap", &stored[..]),
@@ -64,7 +69,7 @@ fn a_recording_of_a_boot_gives_its_windows_back() {
         let mut back = Vec::new();
         while let Some(event) = recording.next_event().unwrap() {
             match event {
-                Event::Window(window) => back.push(*window),
+                DeviceEvent::Window(window) => back.push(*window),
                 other => panic!("{other:?}"),
             }
         }
@@ -91,7 +96,7 @@ fn each_window_is_a_file_of_its_own() {
     for seq in 0..4 {
         store.keep_window(bench, &window(seq)).unwrap();
     }
-    for (format, ending) in [(Format::Csv, "csv"), (Format::Npz, "npz")] {
+    for (format, ending) in [(ExportFormat::Csv, "csv"), (ExportFormat::Npz, "npz")] {
         let out = folder.path().join(ending);
         let names = export(folder.path(), &WindowFilter::default(), format, &out);
         assert_eq!(
@@ -106,21 +111,21 @@ fn each_window_is_a_file_of_its_own() {
         let first_s = capture.time.at(0).unwrap();
         assert!((first_s + 1_234e-9).abs() < 1e-10, "{first_s:e}");
     }
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let all = WindowFilter::default();
     let one = WindowFilter {
         seq: Some(2),
         ..WindowFilter::default()
     };
     let file = folder.path().join("one.csv");
-    let written = windows(&reader, &one, Format::Csv, &file, &mut || ()).unwrap();
+    let written = windows(&reader, &one, ExportFormat::Csv, &file, &mut || ()).unwrap();
     assert_eq!((written.files, written.windows), (vec![file.clone()], 1));
-    let again = windows(&reader, &one, Format::Csv, &file, &mut || ());
+    let again = windows(&reader, &one, ExportFormat::Csv, &file, &mut || ());
     assert!(matches!(again, Err(StoreError::Exists { .. })));
     let two = windows(
         &reader,
         &all,
-        Format::Csv,
+        ExportFormat::Csv,
         &folder.path().join("two.csv"),
         &mut || (),
     );
@@ -128,7 +133,7 @@ fn each_window_is_a_file_of_its_own() {
     let counted = windows(
         &reader,
         &all,
-        Format::Mcap,
+        ExportFormat::Mcap,
         &folder.path().join("m"),
         &mut || (),
     );

@@ -3,8 +3,8 @@
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::{
-    Confidence, Curve, CurveSource, JournalFilter, NewEvent, Reader, SamplePolicy, Store,
-    StoreOptions,
+    Confidence, CurveSource, JournalFilter, NewEvent, SamplePolicy, Store, StoreOptions,
+    StoreReader, StoredCurve,
 };
 
 use super::fixture::*;
@@ -46,7 +46,7 @@ fn events_and_commands_are_one_journal_newest_first() {
             event(NOON_MS + 31_000, "stranger", "state", "searching"),
         ])
         .unwrap();
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let read = |filter: JournalFilter| reader.journal(&filter).unwrap();
     let all = read(JournalFilter::default());
     assert_eq!(all.len(), 23);
@@ -123,7 +123,7 @@ fn confidence_goes_with_its_lookup() {
         .unwrap();
     store.activate_lookup(device, 1).unwrap();
     store.pend_lookup(device, &lookup(2), "", None).unwrap();
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let read = reader.confidence("bench", 1).unwrap().unwrap().cells();
     assert_eq!((read.len(), read[0].len()), (8, 17));
     assert!((read[3][5] - 0.8).abs() <= 0.5 / 255.0);
@@ -141,12 +141,12 @@ fn curves_stay_and_go_with_their_windows_samples() {
     );
     let session = session(&mut store);
     let ramp = |n: usize| (0..n).map(|k| 1.0 + k as f64).collect::<Vec<_>>();
-    let curve = |n: usize| Curve {
+    let curve = |n: usize| StoredCurve {
         t_s: ramp(n),
         r_ohm: ramp(n),
         l_h: ramp(n),
         i_a: ramp(n),
-        ..Curve::default()
+        ..StoredCurve::default()
     };
     for seq in [1, 2] {
         store.keep_window(session, &sized(seq, 300)).unwrap();
@@ -164,7 +164,7 @@ fn curves_stay_and_go_with_their_windows_samples() {
     store
         .keep_curve(session, 9, CurveSource::Network, &curve(50))
         .unwrap();
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let (row, window, curves) = reader.whole_window("bench", 7, 1).unwrap().unwrap();
     assert_eq!((row.seq, window.seq), (1, 1));
     assert_eq!(curves.network, Some(curve(60)));
@@ -214,7 +214,7 @@ fn results_of_a_stretch_are_thinned_evenly_in_time() {
         store.record_result(&result, None).unwrap();
         clock.forward(1_000);
     }
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let within = (NOON_MS, NOON_MS + 100_000);
     let (of, some) = reader.results_between("bench", within, 10).unwrap();
     assert_eq!(of, 100);

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
-use ihd_store::{LookupState, Reader, ResultFilter, StoreOptions, WindowFilter};
+use ihd_store::{LookupState, ResultFilter, StoreOptions, StoreReader, WindowFilter};
 
 use super::fixture::*;
 use super::fixture_process::{FOLDER, writer};
@@ -102,7 +102,7 @@ fn killed_at_any_moment() {
 fn whole(folder: &Path, acknowledged: &HashSet<(String, u32)>, kill: usize) {
     // Its own quick_check finds no damage.
     let store = open(folder, &StoreOptions::default());
-    let reader = Reader::open(folder).unwrap();
+    let reader = StoreReader::open(folder).unwrap();
     let all = ResultFilter {
         limit: Some(u32::MAX),
         ..ResultFilter::default()

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::{
-    LookupState, OpenedStore, Reader, ResultFilter, SessionId, Store, StoreError, StoreOptions,
-    WindowFilter,
+    LookupState, OpenedStore, ResultFilter, SessionId, Store, StoreError, StoreOptions,
+    StoreReader, WindowFilter,
 };
 use rusqlite::Connection;
 
@@ -237,7 +237,7 @@ fn outlives(files: &Files, promised: &Acknowledged, when: &str, with_garbage: bo
     let opened = opened.unwrap_or_else(|error| panic!("{when}: {error}"));
     assert_eq!(opened.damage, [], "{when}");
     let mut store = opened.store;
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let report = reader.check().unwrap();
     assert!(report.is_whole(), "{when}: {}", report.integrity);
     let all = ResultFilter {

@@ -1,6 +1,8 @@
 //! Days are deleted by age, windows are thinned for room, the newest last; what grows for ever does not.
 
-use ihd_store::{NewResult, Reader, ResultFilter, SamplePolicy, Store, StoreOptions, WindowFilter};
+use ihd_store::{
+    NewResult, ResultFilter, SamplePolicy, Store, StoreOptions, StoreReader, WindowFilter,
+};
 
 use super::fixture::*;
 
@@ -42,7 +44,7 @@ fn again(
 
 /// Numbers of the windows that have their samples, in order.
 fn whole(folder: &std::path::Path) -> Vec<u32> {
-    let rows = Reader::open(folder)
+    let rows = StoreReader::open(folder)
         .unwrap()
         .windows(&WindowFilter::default());
     let mut rows = rows.unwrap();
@@ -139,7 +141,7 @@ fn the_newest_windows_stay_when_there_is_no_room_for_all() {
     );
     let figures = store.figures();
     assert_eq!((figures.windows, figures.not_kept_for_size), (200, 0));
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let rows = reader.windows(&WindowFilter::default()).unwrap();
     assert_eq!(rows[0].not_kept.as_deref(), Some("thinned"));
 }
@@ -215,7 +217,7 @@ fn older_windows_are_thinned_to_changes_then_to_minutes_and_the_last_hour_is_who
         ..ResultFilter::default()
     };
     assert_eq!(
-        Reader::open(folder.path())
+        StoreReader::open(folder.path())
             .unwrap()
             .results(&filter)
             .unwrap()

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ihd_store::{InsertOutcome, Reader, ResultFilter, StoreOptions, WindowFilter};
+use ihd_store::{InsertOutcome, ResultFilter, StoreOptions, StoreReader, WindowFilter};
 
 use super::fixture::*;
 use super::fixture_process::{FOLDER, writer};
@@ -68,7 +68,7 @@ fn a_limit_of_the_files_size() {
     // Without the limit: all that was acknowledged is there, and no more, and it goes on.
     let mut store = open(folder.path(), &StoreOptions::default());
     store.try_writing().unwrap();
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let windows = || reader.windows(&WindowFilter::default()).unwrap().len();
     let all = ResultFilter {
         limit: Some(u32::MAX),

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use ihd_store::{
-    Reader, SamplePolicy, Spread, Store, StoreOptions, TelemetrySecond, TelemetrySpan,
+    SamplePolicy, Spread, Store, StoreOptions, StoreReader, TelemetrySecond, TelemetrySpan,
 };
 use rusqlite::Connection;
 
@@ -36,7 +36,12 @@ fn second(device: &str, at_s: i64, power_w: i64, heats: bool) -> TelemetrySecond
     }
 }
 
-fn all(reader: &Reader, device: &str, within: (i64, i64), minutes: bool) -> Vec<TelemetrySpan> {
+fn all(
+    reader: &StoreReader,
+    device: &str,
+    within: (i64, i64),
+    minutes: bool,
+) -> Vec<TelemetrySpan> {
     let mut spans = Vec::new();
     let mut take = |span| spans.push(span);
     reader
@@ -61,7 +66,7 @@ fn seconds_and_minutes_say_the_same_and_devices_stand_alone() {
     for batch in seconds.chunks(7) {
         assert_eq!(store.keep_telemetry(batch).unwrap(), batch.len());
     }
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let seconds = all(&reader, "a", (NOON_S, NOON_S + 90), false);
     assert_eq!(seconds.len(), 90);
     assert_eq!(
@@ -124,7 +129,7 @@ fn midnight_is_passed_and_retention_takes_the_day() {
             .unwrap(),
         0
     );
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let within = (midnight_s - 60, midnight_s + 60);
     let minutes = all(&reader, "a", within, true);
     assert_eq!(
@@ -162,7 +167,7 @@ fn a_second_that_is_told_twice_is_one_and_the_fuller_one_stays() {
     for told in [&part, &full, &part, &full] {
         store.keep_telemetry(std::slice::from_ref(told)).unwrap();
     }
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     for minutes in [false, true] {
         let spans = all(&reader, "a", (NOON_S, NOON_S + 1), minutes);
         assert_eq!(spans.len(), 1);
@@ -204,7 +209,7 @@ fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
         connection.execute_batch(sql).unwrap();
         connection.pragma_update(None, "user_version", 1).unwrap();
     }
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     assert!(reader.window("bench", 7, 1).unwrap().is_some());
     let (_, _, curves) = reader.whole_window("bench", 7, 1).unwrap().unwrap();
     assert_eq!(curves, ihd_store::Curves::default());
@@ -216,7 +221,7 @@ fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
     store
         .keep_telemetry(&[second("bench", now_s, 1, true)])
         .unwrap();
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     assert_eq!(all(&reader, "bench", (now_s, now_s + 1), false).len(), 1);
     // Windows of before are not a fleet's.
     assert_eq!(store.count_due().unwrap(), 0);
@@ -252,7 +257,7 @@ fn a_day_is_read_in_time() {
         .filter(|f| f.starts_with("windows-"))
         .map(|f| std::fs::metadata(folder.path().join(f)).unwrap().len())
         .sum();
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let day = (midnight_s, midnight_s + 86_400);
     let began = Instant::now();
     let minutes = all(&reader, "bench-2", day, true).len();

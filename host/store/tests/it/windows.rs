@@ -5,7 +5,7 @@ use ihd_shared::sampling::{Pair, Scales};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
 use ihd_store::{
-    InsertOutcome, Reader, ResultFilter, SamplePolicy, Store, StoreError, StoreOptions,
+    InsertOutcome, ResultFilter, SamplePolicy, Store, StoreError, StoreOptions, StoreReader,
     WindowFilter,
 };
 use proptest::prelude::*;
@@ -50,7 +50,7 @@ fn any_window_comes_back_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     let mut store = open(folder.path(), &StoreOptions::default());
     let session = session(&mut store);
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let mut runner = proptest::test_runner::TestRunner::new(ProptestConfig::with_cases(60));
     let store = std::cell::RefCell::new(store);
     let stored = runner.run(&any_window(), |window| {
@@ -113,7 +113,7 @@ fn a_window_that_comes_twice_is_stored_once_across_sessions_restarts_and_midnigh
         store.keep_window(other, &window(5)).unwrap(),
         InsertOutcome::New
     );
-    let rows = Reader::open(folder.path())
+    let rows = StoreReader::open(folder.path())
         .unwrap()
         .windows(&WindowFilter::default())
         .unwrap();
@@ -142,7 +142,7 @@ fn of_windows_that_are_not_kept_there_is_a_row() {
             );
         }
     }
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let rows = reader.windows(&WindowFilter::default()).unwrap();
     let kept: Vec<u32> = rows
         .iter()
@@ -187,7 +187,7 @@ fn samples_that_tell_nothing_go_when_the_verdict_comes() {
     clock.forward(DAY_MS / 2 + 1);
     store.keep_window(session, &window(5)).unwrap();
     store.record_result(&verdict(3, true, false), None).unwrap();
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let there = |seq| reader.window("bench", 7, seq).unwrap().is_some();
     let have: Vec<u32> = (0..6).filter(|seq| there(*seq)).collect();
     assert_eq!(have, [1, 2, 4, 5]);
@@ -312,7 +312,7 @@ fn a_session_that_was_cut_off_ends_at_the_next_start() {
     store.end_session(ended, "unplugged").unwrap();
     drop(store);
     let _store = open(folder.path(), &StoreOptions::default());
-    let reader = Reader::open(folder.path()).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
     let of = |id| reader.session(id).unwrap().unwrap();
     assert_eq!(of(ended).why.as_deref(), Some("unplugged"));
     let cut = of(cut);

@@ -7,7 +7,7 @@ use clap::Args;
 use ihd::ensure_usage;
 
 use crate::document::write_into;
-use crate::estimators::{Plan, study, table};
+use crate::estimators::{EstimatorsPlan, study, table};
 use ihd::cli::identify::MethodWord;
 use ihd::cli::output;
 
@@ -49,7 +49,7 @@ impl EstimatorsArgs {
     /// Runs the study.
     pub fn run(&self) -> Result<()> {
         ensure_usage!(self.seeds > 0, "--seeds is 0: give one at least");
-        let plan = Plan {
+        let plan = EstimatorsPlan {
             methods: MethodWord::chosen(&self.method),
             seeds: if self.quick { 2 } else { self.seeds },
             field: !self.quick,

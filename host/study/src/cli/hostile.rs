@@ -8,8 +8,8 @@ use ihd::ensure_usage;
 use serde::Serialize;
 
 use crate::document::write_into;
-use crate::hostile::table::{self, Sum};
-use crate::hostile::{Plan, Run, study};
+use crate::hostile::table::{self, HostileSums};
+use crate::hostile::{HostilePlan, HostileRun, study};
 use ihd::cli::identify::MethodWord;
 use ihd::cli::output;
 
@@ -56,15 +56,15 @@ pub struct HostileArgs {
 /// Results as JSON.
 #[derive(Serialize)]
 struct Answer<'a> {
-    sum: Sum,
+    sum: HostileSums,
     met: bool,
-    runs: &'a [Run],
+    runs: &'a [HostileRun],
 }
 
 impl HostileArgs {
     /// Runs the study.
     pub fn run(&self) -> Result<()> {
-        let plan = Plan {
+        let plan = HostilePlan {
             methods: MethodWord::chosen(&self.method),
             seeds: self.seeds.unwrap_or(if self.short { 1 } else { 3 }),
             only: self.only.clone(),
@@ -79,7 +79,7 @@ impl HostileArgs {
         if let Some(path) = &self.docs {
             write_into(path, (table::BEGIN, table::END), &section)?;
         }
-        let sum = Sum::of(&runs);
+        let sum = HostileSums::of(&runs);
         if self.json {
             output::json(&Answer {
                 sum,

@@ -7,13 +7,13 @@ use clap::Args;
 use ihd::ensure_usage;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_sim::perturbation::Perturbation;
-use ihd_sim::pot::Pot;
+use ihd_sim::pot::SimulatedPot;
 use ihd_sim::recording::settings::LoadKind;
 use serde::Serialize;
 
 use crate::document::write_into;
 use crate::map::places::{POTS, PotPlacement};
-use crate::map::{Plan, Run, figure, study, table};
+use crate::map::{MapPlan, MapRun, figure, study, table};
 use ihd::cli::output;
 use ihd::cli::simulate::LoadWord;
 use ihd::cli::usage::Usage;
@@ -70,8 +70,8 @@ pub struct MapArgs {
 /// Results as JSON.
 #[derive(Serialize)]
 struct Answer<'a> {
-    lines: Vec<table::Line>,
-    runs: &'a [Run],
+    lines: Vec<table::MapLine>,
+    runs: &'a [MapRun],
 }
 
 impl MapArgs {
@@ -99,7 +99,7 @@ impl MapArgs {
         }
     }
 
-    fn plan(&self) -> Result<Plan> {
+    fn plan(&self) -> Result<MapPlan> {
         ensure_usage!(self.seeds > 0, "--seeds is 0: give one at least");
         ensure_usage!(
             !self.power.is_empty(),
@@ -121,7 +121,7 @@ impl MapArgs {
             let pot = placed.pot;
             let moved = pot.lift_m != 0.0
                 || pot.offset_m != 0.0
-                || pot.temperature_c != Pot::NONE.temperature_c;
+                || pot.temperature_c != SimulatedPot::NONE.temperature_c;
             ensure_usage!(
                 load != LoadKind::Behavioural || !moved,
                 "--load behavioural is a formula that knows no {}: choose pots with --pot, or use --load reduced or field",
@@ -142,7 +142,7 @@ impl MapArgs {
             [] => vec![None],
             some => some.iter().copied().map(Some).collect(),
         };
-        Ok(Plan {
+        Ok(MapPlan {
             pots: self.pot.clone(),
             powers_w: self.power.clone(),
             load,

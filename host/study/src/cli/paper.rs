@@ -13,7 +13,7 @@ use ihd_sim::recording::settings::LoadKind;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::estimators::{F_SW_HZ, SNR_DB};
-use crate::paper::{Contender, Job, publish, study};
+use crate::paper::{Contender, PaperJob, publish, study};
 use ihd::cli::output;
 use ihd::cli::simulate::LoadWord;
 
@@ -176,7 +176,7 @@ impl PaperArgs {
     }
 
     /// All cells, by load and frequency, so that each capture is simulated once.
-    fn jobs(&self, presets: &PresetLibrary) -> Result<Vec<Job>> {
+    fn jobs(&self, presets: &PresetLibrary) -> Result<Vec<PaperJob>> {
         let contenders = self.contenders(presets)?;
         let mut jobs = Vec::new();
         for &load in &self.load {
@@ -184,7 +184,7 @@ impl PaperArgs {
                 for snr in &self.snr {
                     for (contender, epochs) in &contenders {
                         for seed in 1..=self.seeds {
-                            jobs.push(Job {
+                            jobs.push(PaperJob {
                                 load: load.into(),
                                 f_sw_hz: 1e3 * khz,
                                 snr_db: snr.0,
@@ -227,7 +227,7 @@ impl PaperArgs {
     }
 
     /// Returns `true` if the job is run: `--quick` omits some, and seeds of estimators without noise and network are redundant.
-    fn wants(&self, job: &Job) -> bool {
+    fn wants(&self, job: &PaperJob) -> bool {
         let trained = matches!(job.contender, Contender::Pinn(_));
         if job.seed > 1 && !trained && job.snr_db.is_none() {
             return false;

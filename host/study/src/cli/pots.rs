@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::document::write_into;
 use crate::map::places::PotPlacement;
-use crate::pots::{Plan, Run, study, table};
+use crate::pots::{PotsPlan, PotsRun, study, table};
 use ihd::cli::output;
 use ihd::cli::simulate::LoadWord;
 use ihd::cli::usage::Usage;
@@ -87,9 +87,9 @@ pub struct PotsArgs {
 /// Results as JSON.
 #[derive(Serialize)]
 struct Answer<'a> {
-    summary: Vec<table::Line>,
-    by_pot: Vec<table::Line>,
-    runs: &'a [Run],
+    summary: Vec<table::PotsLine>,
+    by_pot: Vec<table::PotsLine>,
+    runs: &'a [PotsRun],
 }
 
 impl PotsArgs {
@@ -117,7 +117,7 @@ impl PotsArgs {
         }
     }
 
-    fn plan(&self) -> Result<Plan> {
+    fn plan(&self) -> Result<PotsPlan> {
         ensure_usage!(self.seeds > 0, "--seeds is 0: give one at least");
         let load = LoadKind::from(self.load);
         ensure_usage!(
@@ -133,7 +133,7 @@ impl PotsArgs {
         }
         let mut perturbations = vec![None];
         perturbations.extend(self.perturb.iter().copied().map(Some));
-        Ok(Plan {
+        Ok(PotsPlan {
             pots: self.pot.clone(),
             perturbations,
             others: self.others.clone(),

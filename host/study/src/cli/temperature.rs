@@ -8,9 +8,9 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use crate::document::write_into;
-use crate::temperature::closed_loop::{self, Outcome};
-use crate::temperature::table::{self, Sum};
-use crate::temperature::{Plan, Run, figure, study};
+use crate::temperature::closed_loop::{self, ClosedLoopResult};
+use crate::temperature::table::{self, TemperatureSums};
+use crate::temperature::{TemperaturePlan, TemperatureRun, figure, study};
 use ihd::cli::output;
 
 /// Follow the temperature of pots that are cooked with, and find their boil; and try to make it see one that is none.
@@ -50,15 +50,15 @@ const ALLOY: f64 = 0.2;
 #[derive(Serialize)]
 struct Answer<'a> {
     sets: Vec<Set<'a>>,
-    closed_loop: Option<&'a Outcome>,
+    closed_loop: Option<&'a ClosedLoopResult>,
 }
 
 /// Runs with one spread of alloys.
 #[derive(Serialize)]
 struct Set<'a> {
     name: &'a str,
-    sum: Sum,
-    runs: &'a [Run],
+    sum: TemperatureSums,
+    runs: &'a [TemperatureRun],
 }
 
 impl TemperatureArgs {
@@ -67,7 +67,7 @@ impl TemperatureArgs {
         let bar = super::bar(4 * self.runs, "runs")?;
         let mut sets = Vec::new();
         for (name, alloy) in [("alloy known", 0.0), ("alloy off by up to 20 %", ALLOY)] {
-            let plan = Plan {
+            let plan = TemperaturePlan {
                 runs: self.runs,
                 seed: self.seed,
                 alloy,
@@ -102,8 +102,10 @@ impl TemperatureArgs {
         if !self.json {
             return output::text(&section);
         }
-        let of = |(name, runs): &'_ (String, Vec<Run>)| (name.clone(), Sum::of(runs));
-        let sums: Vec<(String, Sum)> = sets.iter().map(of).collect();
+        let of = |(name, runs): &'_ (String, Vec<TemperatureRun>)| {
+            (name.clone(), TemperatureSums::of(runs))
+        };
+        let sums: Vec<(String, TemperatureSums)> = sets.iter().map(of).collect();
         output::json(&Answer {
             sets: sums
                 .iter()

@@ -25,7 +25,7 @@ pub const SNR_DB: [Option<f64>; 4] = [None, Some(70.0), Some(50.0), Some(30.0)];
 /// Reference of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Reference {
+pub enum ComparisonLoad {
     /// The behavioural reference load, for which v = R·i + L·di/dt holds exactly.
     Behavioural,
     /// Field model: R and L of the waveform's own fundamental, period by period.
@@ -34,7 +34,7 @@ pub enum Reference {
     FieldDescribing,
 }
 
-impl Reference {
+impl ComparisonLoad {
     /// All references, in the order of tables.
     pub const ALL: [Self; 3] = [
         Self::Behavioural,
@@ -52,7 +52,7 @@ impl Reference {
 
 /// Plan of the study.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Plan {
+pub struct EstimatorsPlan {
     /// Estimators.
     pub methods: Vec<Method>,
     /// Seeds of the noise; at least one.
@@ -63,7 +63,7 @@ pub struct Plan {
 
 /// Mean relative errors of R and L in percent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Errors {
+pub struct RlErrors {
     /// Error of R in percent.
     pub r_pct: f64,
     /// Error of L in percent.
@@ -72,9 +72,9 @@ pub struct Errors {
 
 /// Cell of the study: a method at an operating point, over all seeds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Cell {
+pub struct EstimatorsCell {
     /// Reference.
-    pub reference: Reference,
+    pub reference: ComparisonLoad,
     /// Method.
     pub method: Method,
     /// Switching frequency in hertz.
@@ -88,18 +88,18 @@ pub struct Cell {
     /// Reason of the first failure.
     pub failure: Option<String>,
     /// Mean over the runs, whole half-cycle.
-    pub whole: Errors,
+    pub whole: RlErrors,
     /// Largest over the runs, whole half-cycle.
-    pub worst: Errors,
+    pub worst: RlErrors,
     /// Mean over the runs, middle 80 %.
-    pub middle: Errors,
+    pub middle: RlErrors,
     /// Mean over the runs, weighted with |i|².
-    pub weighted: Errors,
+    pub weighted: RlErrors,
 }
 
 /// Error of the study.
 #[derive(Debug, thiserror::Error)]
-pub enum StudyError {
+pub enum EstimatorsStudyError {
     /// The simulator reported an error.
     #[error(transparent)]
     Simulation(#[from] InverterError),
@@ -111,17 +111,17 @@ pub enum StudyError {
 /// Operating point, which is simulated once.
 struct Point {
     trial: Trial,
-    references: Vec<(Reference, Vec<PeriodTruth>)>,
+    references: Vec<(ComparisonLoad, Vec<PeriodTruth>)>,
 }
 
 impl Point {
     fn new(load: LoadKind, f_sw_hz: f64) -> Result<Self, InverterError> {
         let trial = Trial::simulate(load, f_sw_hz)?;
         let mut references = Vec::new();
-        for reference in Reference::ALL.into_iter().filter(|r| r.load() == load) {
+        for reference in ComparisonLoad::ALL.into_iter().filter(|r| r.load() == load) {
             let truth = match reference {
-                Reference::FieldDescribing => trial.describing()?,
-                Reference::Behavioural | Reference::FieldWaveform => trial.truth.clone(),
+                ComparisonLoad::FieldDescribing => trial.describing()?,
+                ComparisonLoad::Behavioural | ComparisonLoad::FieldWaveform => trial.truth.clone(),
             };
             references.push((reference, truth));
         }
@@ -130,17 +130,20 @@ impl Point {
 }
 
 /// Results of one run: every method on one capture.
-type Run = Vec<(Method, Result<Vec<(Reference, Accuracy)>, IdentifyError>)>;
+type Run = Vec<(
+    Method,
+    Result<Vec<(ComparisonLoad, Accuracy)>, IdentifyError>,
+)>;
 
 /// Runs the plan on all cores; the result does not depend on their number. `progress` is called with the numbers of finished and of
 /// all captures.
 ///
 /// # Errors
-/// [`StudyError`].
+/// [`EstimatorsStudyError`].
 pub fn study(
-    plan: &Plan,
+    plan: &EstimatorsPlan,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<Vec<Cell>, StudyError> {
+) -> Result<Vec<EstimatorsCell>, EstimatorsStudyError> {
     let loads: &[LoadKind] = if plan.field {
         &[LoadKind::Behavioural, LoadKind::Field]
     } else {
@@ -178,11 +181,11 @@ pub fn study(
 }
 
 /// Number of seeds; one without noise.
-fn seeds(plan: &Plan, snr_db: Option<f64>) -> usize {
+fn seeds(plan: &EstimatorsPlan, snr_db: Option<f64>) -> usize {
     snr_db.map_or(1, |_| plan.seeds.max(1) as usize)
 }
 
-fn run_all(plan: &Plan, point: &Point, snr_db: Option<f64>, seed: u64) -> Run {
+fn run_all(plan: &EstimatorsPlan, point: &Point, snr_db: Option<f64>, seed: u64) -> Run {
     let segment = point.trial.noisy(snr_db, seed);
     // The paper drops the first half-cycle, in which filters settle.
     let from_s = segment.half_cycle_s();
@@ -191,7 +194,7 @@ fn run_all(plan: &Plan, point: &Point, snr_db: Option<f64>, seed: u64) -> Run {
     settings.pinn.deterministic = true;
     let one = |method: Method| {
         let estimate = run(method, &segment, &settings)?;
-        let against = |(reference, truth): &(Reference, Vec<PeriodTruth>)| {
+        let against = |(reference, truth): &(ComparisonLoad, Vec<PeriodTruth>)| {
             Accuracy::of(&estimate, &segment, truth, from_s).map(|a| (*reference, a))
         };
         Ok(point.references.iter().filter_map(against).collect())
@@ -200,13 +203,13 @@ fn run_all(plan: &Plan, point: &Point, snr_db: Option<f64>, seed: u64) -> Run {
 }
 
 fn cell(
-    reference: Reference,
+    reference: ComparisonLoad,
     method: Method,
     f_sw_hz: f64,
     snr_db: Option<f64>,
     runs: &[&Run],
-) -> Cell {
-    let mut cell = Cell {
+) -> EstimatorsCell {
+    let mut cell = EstimatorsCell {
         reference,
         method,
         f_sw_hz,
@@ -214,10 +217,10 @@ fn cell(
         runs: 0,
         failed: 0,
         failure: None,
-        whole: Errors::default(),
-        worst: Errors::default(),
-        middle: Errors::default(),
-        weighted: Errors::default(),
+        whole: RlErrors::default(),
+        worst: RlErrors::default(),
+        middle: RlErrors::default(),
+        weighted: RlErrors::default(),
     };
     for (_, result) in runs.iter().flat_map(|r| r.iter()).filter(|r| r.0 == method) {
         match result {
@@ -245,7 +248,7 @@ fn cell(
     cell
 }
 
-impl Errors {
+impl RlErrors {
     fn add(&mut self, r_pct: f64, l_pct: f64) {
         self.r_pct += r_pct;
         self.l_pct += l_pct;

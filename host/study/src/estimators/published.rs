@@ -1,6 +1,6 @@
 //! The paper's results for its EKF: Tables 1 to 3.
 
-use super::{Errors, F_SW_HZ, SNR_DB};
+use super::{F_SW_HZ, RlErrors, SNR_DB};
 
 /// MRE of the paper's EKF in percent, (R, L), a row a frequency of [`F_SW_HZ`], a column an SNR of
 /// [`SNR_DB`].
@@ -21,10 +21,10 @@ const EKF_NMSE_PCT: [[(f64, f64); 4]; 4] = [
 ];
 
 /// The paper's figure for its EKF; `None` for an operating point that the paper does not have.
-pub fn ekf(f_sw_hz: f64, snr_db: Option<f64>) -> Option<Errors> {
+pub fn ekf(f_sw_hz: f64, snr_db: Option<f64>) -> Option<RlErrors> {
     let (row, column) = place(f_sw_hz, snr_db)?;
     let (r_pct, l_pct) = EKF_PCT[row][column];
-    Some(Errors { r_pct, l_pct })
+    Some(RlErrors { r_pct, l_pct })
 }
 
 /// NMSE of v and i of the paper's EKF in percent; `None` for an operating point that the paper does not have.

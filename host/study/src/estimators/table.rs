@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use ihd_identify::Method;
 
-use super::{Cell, Errors, F_SW_HZ, Reference, SNR_DB, published};
+use super::{ComparisonLoad, EstimatorsCell, F_SW_HZ, RlErrors, SNR_DB, published};
 
 /// First line of the section in docs/results/estimators.md.
 pub const BEGIN: &str = "<!-- ihd-study estimators: begin -->";
@@ -13,20 +13,21 @@ pub const BEGIN: &str = "<!-- ihd-study estimators: begin -->";
 pub const END: &str = "<!-- ihd-study estimators: end -->";
 
 /// Section without its marks: a table per method and reference, and the statements on all cells.
-pub fn markdown(cells: &[Cell], seeds: u64) -> String {
+pub fn markdown(cells: &[EstimatorsCell], seeds: u64) -> String {
     let mut out = String::new();
     let _ = writeln!(
         out,
         "Last of two mains half-cycles, 50 MS/s, {seeds} seeds of noise a cell (mean over them). A cell is \
          R/L in % over the whole half-cycle · over its middle 80 % · weighted with |i|².\n"
     );
-    for reference in Reference::ALL {
+    for reference in ComparisonLoad::ALL {
         if !cells.iter().any(|c| c.reference == reference) {
             continue;
         }
         let _ = writeln!(out, "### {}\n", title(reference));
-        let of_reference: Vec<&Cell> = cells.iter().filter(|c| c.reference == reference).collect();
-        if reference == Reference::Behavioural {
+        let of_reference: Vec<&EstimatorsCell> =
+            cells.iter().filter(|c| c.reference == reference).collect();
+        if reference == ComparisonLoad::Behavioural {
             for method in methods(&of_reference) {
                 let own = of_reference.iter().filter(|c| c.method == method);
                 out.push_str(&method_table(method, &own.copied().collect::<Vec<_>>()));
@@ -39,11 +40,13 @@ pub fn markdown(cells: &[Cell], seeds: u64) -> String {
     out
 }
 
-fn title(reference: Reference) -> &'static str {
+fn title(reference: ComparisonLoad) -> &'static str {
     match reference {
-        Reference::Behavioural => "Behavioural reference load: v = R·i + L·di/dt holds exactly",
-        Reference::FieldWaveform => "Field model, against the waveform's own fundamental",
-        Reference::FieldDescribing => "Field model, against the describing function",
+        ComparisonLoad::Behavioural => {
+            "Behavioural reference load: v = R·i + L·di/dt holds exactly"
+        }
+        ComparisonLoad::FieldWaveform => "Field model, against the waveform's own fundamental",
+        ComparisonLoad::FieldDescribing => "Field model, against the describing function",
     }
 }
 
@@ -64,12 +67,12 @@ fn pct(x: f64) -> String {
     }
 }
 
-fn pair(e: Errors) -> String {
+fn pair(e: RlErrors) -> String {
     format!("{}/{}", pct(e.r_pct), pct(e.l_pct))
 }
 
 /// Methods that have cells, in the order of tables.
-fn methods(cells: &[&Cell]) -> Vec<Method> {
+fn methods(cells: &[&EstimatorsCell]) -> Vec<Method> {
     let known = |m: &Method| cells.iter().any(|c| c.method == *m);
     Method::ALL.into_iter().filter(known).collect()
 }
@@ -84,7 +87,7 @@ fn heading(name: &str) -> String {
 }
 
 /// One line: a method at one SNR, over the frequencies.
-fn row(name: &str, cells: &[&Cell], snr_db: Option<f64>) -> String {
+fn row(name: &str, cells: &[&EstimatorsCell], snr_db: Option<f64>) -> String {
     let mut out = format!("| {name} |");
     for f in F_SW_HZ {
         let cell = cells.iter().find(|c| c.f_sw_hz == f && c.snr_db == snr_db);
@@ -106,7 +109,7 @@ fn row(name: &str, cells: &[&Cell], snr_db: Option<f64>) -> String {
 }
 
 /// All SNRs of one method.
-fn method_table(method: Method, cells: &[&Cell]) -> String {
+fn method_table(method: Method, cells: &[&EstimatorsCell]) -> String {
     let mut out = heading(method.name());
     for snr_db in SNR_DB {
         out.push_str(&row(&snr(snr_db), cells, snr_db));
@@ -120,10 +123,10 @@ fn method_table(method: Method, cells: &[&Cell]) -> String {
 }
 
 /// All methods without noise and at the largest; the noise between is in the JSON.
-fn field_table(cells: &[&Cell]) -> String {
+fn field_table(cells: &[&EstimatorsCell]) -> String {
     let mut out = heading("method");
     for method in methods(cells) {
-        let own: Vec<&Cell> = cells
+        let own: Vec<&EstimatorsCell> = cells
             .iter()
             .filter(|c| c.method == method)
             .copied()
@@ -137,18 +140,19 @@ fn field_table(cells: &[&Cell]) -> String {
 }
 
 /// Targets, each with the cell nearest to its limit.
-fn verdicts(cells: &[Cell]) -> String {
+fn verdicts(cells: &[EstimatorsCell]) -> String {
     let mut out =
         String::from("### Targets on the behavioural reference load, whole half-cycle\n\n");
     let own = |m: Method| {
-        let of = move |c: &&Cell| c.reference == Reference::Behavioural && c.method == m;
+        let of =
+            move |c: &&EstimatorsCell| c.reference == ComparisonLoad::Behavioural && c.method == m;
         cells.iter().filter(of)
     };
-    let limits: [(Method, Option<f64>, Errors); 3] = [
+    let limits: [(Method, Option<f64>, RlErrors); 3] = [
         (
             Method::LeastSquares,
             None,
-            Errors {
+            RlErrors {
                 r_pct: 0.1,
                 l_pct: 0.3,
             },
@@ -156,7 +160,7 @@ fn verdicts(cells: &[Cell]) -> String {
         (
             Method::LeastSquares,
             Some(30.0),
-            Errors {
+            RlErrors {
                 r_pct: 0.5,
                 l_pct: 0.6,
             },
@@ -164,19 +168,20 @@ fn verdicts(cells: &[Cell]) -> String {
         (
             Method::Lockin,
             None,
-            Errors {
+            RlErrors {
                 r_pct: 0.2,
                 l_pct: 0.15,
             },
         ),
     ];
     for (method, snr_db, limit) in limits {
-        let of_snr: Vec<&Cell> = own(method).filter(|c| c.snr_db == snr_db).collect();
+        let of_snr: Vec<&EstimatorsCell> = own(method).filter(|c| c.snr_db == snr_db).collect();
         if of_snr.is_empty() {
             continue;
         }
-        let largest = |value: fn(&Cell) -> f64| of_snr.iter().map(|c| value(c)).fold(0.0, f64::max);
-        let worst = Errors {
+        let largest =
+            |value: fn(&EstimatorsCell) -> f64| of_snr.iter().map(|c| value(c)).fold(0.0, f64::max);
+        let worst = RlErrors {
             r_pct: largest(|c| c.whole.r_pct),
             l_pct: largest(|c| c.whole.l_pct),
         };
@@ -192,7 +197,7 @@ fn verdicts(cells: &[Cell]) -> String {
             if met { "met" } else { "not met" }
         );
     }
-    let compared: Vec<(&Cell, Errors)> = own(Method::Ekf)
+    let compared: Vec<(&EstimatorsCell, RlErrors)> = own(Method::Ekf)
         .filter_map(|c| Some((c, published::ekf(c.f_sw_hz, c.snr_db)?)))
         .collect();
     if !compared.is_empty() {
@@ -220,9 +225,9 @@ mod tests {
 
     #[test]
     fn a_target_that_is_missed_is_reported() {
-        let errors = |x: f64| Errors { r_pct: x, l_pct: x };
-        let cell = |x: f64| Cell {
-            reference: Reference::Behavioural,
+        let errors = |x: f64| RlErrors { r_pct: x, l_pct: x };
+        let cell = |x: f64| EstimatorsCell {
+            reference: ComparisonLoad::Behavioural,
             method: Method::Lockin,
             f_sw_hz: 45e3,
             snr_db: None,

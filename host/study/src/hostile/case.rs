@@ -3,17 +3,17 @@
 use ihd_identify::Method;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RESONANCE_CAPACITANCE_NF};
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
-use ihd_sim::pot::{Metal, Pot};
+use ihd_sim::pot::{Metal, SimulatedPot};
 use ihd_sim::recording::sensing::Rate;
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 use serde::Serialize;
 
-use super::damage::Damage;
+use super::damage::CaptureDamage;
 
 /// Soundness of a capture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Group {
+pub enum CaptureGroup {
     /// Sound: refusing a correct result is a false refusal.
     Clean,
     /// Sensing, load or carrier have a defect that can make R and L wrong.
@@ -26,13 +26,13 @@ pub struct Case {
     /// Name of its speciality.
     pub name: String,
     /// Soundness.
-    pub group: Group,
+    pub group: CaptureGroup,
     /// `true` if it belongs to the short form.
     pub short: bool,
     /// Specification of the simulation.
     pub settings: CaptureSpec,
     /// Damage done to the samples afterwards.
-    pub damage: Vec<Damage>,
+    pub damage: Vec<CaptureDamage>,
     /// Value of the resonance capacitor in farad, if the user states it.
     pub capacitance_f: Option<f64>,
     /// Code of a remark that suffices at any severity, for a defect that no capture can show.
@@ -43,7 +43,7 @@ impl Case {
     pub(super) fn clean(name: impl Into<String>, settings: CaptureSpec) -> Self {
         Self {
             name: name.into(),
-            group: Group::Clean,
+            group: CaptureGroup::Clean,
             short: false,
             settings,
             damage: Vec::new(),
@@ -54,7 +54,7 @@ impl Case {
 
     pub(super) fn faulty(name: impl Into<String>, settings: CaptureSpec) -> Self {
         Self {
-            group: Group::Faulty,
+            group: CaptureGroup::Faulty,
             ..Self::clean(name, settings)
         }
     }
@@ -65,7 +65,7 @@ impl Case {
         method != Method::Firmware || own.contains(&self.settings.f_sw_hz)
     }
 
-    pub(super) fn damaged(self, damage: Damage) -> Self {
+    pub(super) fn damaged(self, damage: CaptureDamage) -> Self {
         let damage = [self.damage.as_slice(), &[damage]].concat();
         Self { damage, ..self }
     }
@@ -123,7 +123,7 @@ pub(super) fn as_device(s: &mut CaptureSpec) {
 /// Sets a load of R 0.35 ohm: aluminium, above its resonance of 46 kHz.
 pub(super) fn aluminium(s: &mut CaptureSpec) {
     s.load = LoadKind::Surrogate;
-    s.pot = Pot::new(Metal::Aluminium, 0.21);
+    s.pot = SimulatedPot::new(Metal::Aluminium, 0.21);
     s.winding_r_ohm = 0.14;
     s.f_sw_hz = 67e3;
     s.sensing.i_full_scale_a = 160.0;

@@ -1,11 +1,11 @@
 //! Matrix of sound captures. Faulty ones are in [`super::faulty`] and [`super::combined`].
 
-use ihd_sim::pot::{Metal, Pot};
+use ihd_sim::pot::{Metal, SimulatedPot};
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind, RecordingChange, RecordingEvent};
 
 use super::case::{Case, aluminium, as_device, at_rate, base, with};
-use super::damage::Damage;
+use super::damage::CaptureDamage;
 use super::{combined, faulty};
 
 /// All cases, the clean ones first.
@@ -108,16 +108,18 @@ fn mains_and_length() -> Vec<Case> {
         Case::clean("mains 60 Hz", mains(60.0, [0.0; 3])),
         Case::clean("mains 50 Hz, distorted", mains(50.0, distorted)),
         Case::clean("mains 60 Hz, distorted", mains(60.0, distorted)),
-        Case::clean("begins inside a half-cycle", lasting(23.3e-3)).damaged(Damage::Begins(3.3e-3)),
-        Case::clean("4 ms around a crest", lasting(17e-3)).damaged(Damage::Begins(13e-3)),
-        Case::clean("4 ms around a zero crossing", lasting(12e-3)).damaged(Damage::Begins(8e-3)),
+        Case::clean("begins inside a half-cycle", lasting(23.3e-3))
+            .damaged(CaptureDamage::Begins(3.3e-3)),
+        Case::clean("4 ms around a crest", lasting(17e-3)).damaged(CaptureDamage::Begins(13e-3)),
+        Case::clean("4 ms around a zero crossing", lasting(12e-3))
+            .damaged(CaptureDamage::Begins(8e-3)),
         Case::clean("one half-cycle", lasting(10e-3)),
         Case::clean("five half-cycles", lasting(50e-3)),
     ]
 }
 
 fn pots() -> Vec<Case> {
-    let reduced = |pot: Pot, khz: f64| {
+    let reduced = |pot: SimulatedPot, khz: f64| {
         with(|s| {
             s.load = LoadKind::Surrogate;
             s.pot = pot;
@@ -125,50 +127,56 @@ fn pots() -> Vec<Case> {
             s.sensing.snr_db = Some(60.0);
         })
     };
-    let field = |pot: Pot, khz: f64| CaptureSpec {
+    let field = |pot: SimulatedPot, khz: f64| CaptureSpec {
         load: LoadKind::Field,
         ..reduced(pot, khz)
     };
-    let lifted = Pot {
+    let lifted = SimulatedPot {
         lift_m: 10e-3,
-        ..Pot::new(Metal::Ferritic, 0.18)
+        ..SimulatedPot::new(Metal::Ferritic, 0.18)
     };
-    let hot = Pot {
+    let hot = SimulatedPot {
         temperature_c: 150.0,
-        ..Pot::new(Metal::Ferritic, 0.18)
+        ..SimulatedPot::new(Metal::Ferritic, 0.18)
     };
     vec![
         Case::clean(
             "ferritic 18 cm",
-            reduced(Pot::new(Metal::Ferritic, 0.18), 50.0),
+            reduced(SimulatedPot::new(Metal::Ferritic, 0.18), 50.0),
         ),
         Case::clean(
             "ferritic 12 cm",
-            reduced(Pot::new(Metal::Ferritic, 0.12), 45.0),
+            reduced(SimulatedPot::new(Metal::Ferritic, 0.12), 45.0),
         ),
         Case::clean(
             "cast iron 15 cm",
-            reduced(Pot::new(Metal::CastIron, 0.15), 45.0),
+            reduced(SimulatedPot::new(Metal::CastIron, 0.15), 45.0),
         ),
-        Case::clean("stainless", reduced(Pot::new(Metal::Stainless, 0.21), 67.0)),
+        Case::clean(
+            "stainless",
+            reduced(SimulatedPot::new(Metal::Stainless, 0.21), 67.0),
+        ),
         Case::clean("aluminium, 0.35 ohm", with(aluminium)).short(),
-        Case::clean("empty coil", reduced(Pot::NONE, 45.0)),
+        Case::clean("empty coil", reduced(SimulatedPot::NONE, 45.0)),
         Case::clean("lifted 10 mm", reduced(lifted, 45.0)),
         Case::clean("at 150 °C", reduced(hot, 50.0)),
-        Case::clean("field model", field(Pot::new(Metal::Ferritic, 0.21), 45.0)),
+        Case::clean(
+            "field model",
+            field(SimulatedPot::new(Metal::Ferritic, 0.21), 45.0),
+        ),
         Case::clean(
             "field model at 67 kHz",
-            field(Pot::new(Metal::Ferritic, 0.21), 67.0),
+            field(SimulatedPot::new(Metal::Ferritic, 0.21), 67.0),
         ),
         Case::clean(
             "field model, stainless",
-            field(Pot::new(Metal::Stainless, 0.21), 67.0),
+            field(SimulatedPot::new(Metal::Stainless, 0.21), 67.0),
         ),
     ]
 }
 
 fn stages() -> Vec<Case> {
-    let step = |t_s, change| Event { t_s, change };
+    let step = |t_s, change| RecordingEvent { t_s, change };
     let whole = |s: &mut CaptureSpec| {
         s.bus_capacitance_f = 5e-6;
         s.dead_s = 0.5e-6;
@@ -185,7 +193,7 @@ fn stages() -> Vec<Case> {
         Case::clean("a real stage", with(whole)).short(),
         Case::clean(
             "45 to 60 kHz at 10 ms",
-            with(|s| s.events = vec![step(10e-3, Change::Frequency(60e3))]),
+            with(|s| s.events = vec![step(10e-3, RecordingChange::Frequency(60e3))]),
         ),
     ]
 }

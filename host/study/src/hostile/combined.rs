@@ -1,10 +1,12 @@
 //! Captures with several defects at once.
 
-use ihd_sim::pot::{Metal, Pot};
-use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind, Neighbour, Sweep};
+use ihd_sim::pot::{Metal, SimulatedPot};
+use ihd_sim::recording::settings::{
+    CaptureSpec, CarrierSweep, LoadKind, Neighbour, RecordingChange, RecordingEvent,
+};
 
 use super::case::{Case, as_device, at_rate, with};
-use super::damage::Damage;
+use super::damage::CaptureDamage;
 
 /// All cases.
 pub(super) fn all() -> Vec<Case> {
@@ -48,14 +50,14 @@ pub(super) fn all() -> Vec<Case> {
             s.sensing.i_saturation_a = 120.0;
         }),
         faulty("sweep ±1 kHz at 1 kHz, skew 60 ns", |s| {
-            s.sweep = Some(Sweep {
+            s.sweep = Some(CarrierSweep {
                 deviation_hz: 1e3,
                 rate_hz: 1e3,
             });
             s.sensing.skew_s = 60e-9;
         }),
         faulty("sweep ±5 kHz at 100 Hz, 30 dB, mains 60 Hz", |s| {
-            s.sweep = Some(Sweep {
+            s.sweep = Some(CarrierSweep {
                 deviation_hz: 5e3,
                 rate_hz: 100.0,
             });
@@ -64,7 +66,7 @@ pub(super) fn all() -> Vec<Case> {
         }),
         faulty("neighbour, skew 20 ns, stainless", |s| {
             s.load = LoadKind::Surrogate;
-            s.pot = Pot::new(Metal::Stainless, 0.21);
+            s.pot = SimulatedPot::new(Metal::Stainless, 0.21);
             s.f_sw_hz = 67e3;
             s.neighbour = Some(Neighbour {
                 offset_hz: 1.2e3,
@@ -73,9 +75,9 @@ pub(super) fn all() -> Vec<Case> {
             s.sensing.skew_s = 20e-9;
         }),
         faulty("R ×.6, L ×1.35, 30 dB", |s| {
-            s.events = vec![Event {
+            s.events = vec![RecordingEvent {
                 t_s: 5e-3,
-                change: Change::Load {
+                change: RecordingChange::Load {
                     r_factor: 0.6,
                     l_factor: 1.35,
                 },
@@ -88,6 +90,6 @@ pub(super) fn all() -> Vec<Case> {
             s.mains_harmonics = [0.05, -0.03, 0.02];
             s.sensing.skew_s = 60e-9;
         })
-        .damaged(Damage::Begins(10e-3)),
+        .damaged(CaptureDamage::Begins(10e-3)),
     ]
 }

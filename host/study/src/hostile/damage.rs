@@ -4,7 +4,7 @@ use ihd_signal::{Capture, TimeBase};
 
 /// Kind of damage.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Damage {
+pub enum CaptureDamage {
     /// The recording begins at this time in seconds, with the hob running.
     Begins(f64),
     /// Voltage and current are exchanged.
@@ -15,7 +15,7 @@ pub enum Damage {
     Lost(f64, f64),
 }
 
-impl Damage {
+impl CaptureDamage {
     /// Applies the damage.
     pub fn apply(self, capture: &mut Capture) {
         match self {
@@ -65,13 +65,13 @@ mod tests {
     #[test]
     fn what_is_left_keeps_its_times() {
         let mut late = capture();
-        Damage::Begins(2.5).apply(&mut late);
+        CaptureDamage::Begins(2.5).apply(&mut late);
         assert_eq!(
             (late.len(), late.time.at(0), late.v_v[0]),
             (7, Some(3.0), 3.0)
         );
         let mut gap = capture();
-        Damage::Lost(3.5, 6.5).apply(&mut gap);
+        CaptureDamage::Lost(3.5, 6.5).apply(&mut gap);
         assert_eq!(gap.v_v, [0.0, 1.0, 2.0, 3.0, 7.0, 8.0, 9.0]);
         assert_eq!((gap.time.at(3), gap.time.at(4)), (Some(3.0), Some(7.0)));
     }
@@ -79,9 +79,9 @@ mod tests {
     #[test]
     fn probes_are_exchanged_and_turned() {
         let mut wrong = capture();
-        Damage::Swapped.apply(&mut wrong);
+        CaptureDamage::Swapped.apply(&mut wrong);
         assert_eq!((wrong.v_v[1], wrong.i_a[1]), (10.0, 1.0));
-        Damage::Inverted.apply(&mut wrong);
+        CaptureDamage::Inverted.apply(&mut wrong);
         assert_eq!(wrong.i_a[1], -1.0);
     }
 }

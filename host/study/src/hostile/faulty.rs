@@ -1,10 +1,12 @@
 //! Captures with one defect: of sensors, loads and carriers, or files.
 
 use ihd_sim::recording::sensing::Sensing;
-use ihd_sim::recording::settings::{CaptureSpec, Change, Event, Neighbour, Sweep};
+use ihd_sim::recording::settings::{
+    CaptureSpec, CarrierSweep, Neighbour, RecordingChange, RecordingEvent,
+};
 
 use super::case::{Case, aluminium, base, with};
-use super::damage::Damage;
+use super::damage::CaptureDamage;
 
 fn sensing(change: impl FnOnce(&mut Sensing)) -> CaptureSpec {
     with(|s| change(&mut s.sensing))
@@ -54,14 +56,14 @@ pub(super) fn sensors() -> Vec<Case> {
 
 /// Loads that jump, carriers that move, other zones.
 pub(super) fn loads_and_carriers() -> Vec<Case> {
-    let load = |t_s, r_factor, l_factor| Event {
+    let load = |t_s, r_factor, l_factor| RecordingEvent {
         t_s,
-        change: Change::Load { r_factor, l_factor },
+        change: RecordingChange::Load { r_factor, l_factor },
     };
-    let stepped = |events: Vec<Event>| with(|s| s.events = events);
+    let stepped = |events: Vec<RecordingEvent>| with(|s| s.events = events);
     let swept = |deviation_hz, rate_hz| {
         with(|s| {
-            s.sweep = Some(Sweep {
+            s.sweep = Some(CarrierSweep {
                 deviation_hz,
                 rate_hz,
             });
@@ -88,9 +90,9 @@ pub(super) fn loads_and_carriers() -> Vec<Case> {
         Case::faulty("R ×1.3 at 14 ms", stepped(vec![load(14e-3, 1.3, 1.0)])),
         Case::faulty(
             "pot taken off at 12 ms",
-            stepped(vec![Event {
+            stepped(vec![RecordingEvent {
                 t_s: 12e-3,
-                change: Change::Pot(ihd_sim::pot::Pot::NONE),
+                change: RecordingChange::Pot(ihd_sim::pot::SimulatedPot::NONE),
             }]),
         ),
     ]
@@ -109,10 +111,10 @@ pub(super) fn files() -> Vec<Case> {
             sensing(|s| s.v_full_scale_v = 300.0),
         ),
         Case::faulty("2000 spikes a second", sensing(|s| s.spikes_per_s = 2e3)),
-        Case::faulty("channels exchanged", base()).damaged(Damage::Swapped),
+        Case::faulty("channels exchanged", base()).damaged(CaptureDamage::Swapped),
         Case::faulty("current inverted", base())
-            .damaged(Damage::Inverted)
+            .damaged(CaptureDamage::Inverted)
             .short(),
-        Case::faulty("1 ms lost", base()).damaged(Damage::Lost(6.3e-3, 7.3e-3)),
+        Case::faulty("1 ms lost", base()).damaged(CaptureDamage::Lost(6.3e-3, 7.3e-3)),
     ]
 }

@@ -10,7 +10,7 @@ pub mod run;
 mod score;
 pub mod table;
 
-pub use case::{Case, Group};
+pub use case::{CaptureGroup, Case};
 pub use cases::all;
-pub use run::{Plan, Run, study};
-pub use score::{Judgement, LIMIT_L_PCT, LIMIT_R_PCT};
+pub use run::{HostilePlan, HostileRun, study};
+pub use score::{LIMIT_L_PCT, LIMIT_R_PCT, ResultJudgement};

@@ -6,19 +6,19 @@ use ihd_gate::{Examination, ExamineOptions, Reconstruct, examine};
 use ihd_identify::{IdentifyOptions, Method};
 use ihd_signal::{Capture, Remark, Severity};
 use ihd_sim::inverter::InverterError;
-use ihd_sim::recording::run::{Recording, record};
+use ihd_sim::recording::run::{SimulatedRecording, record};
 use ihd_survey::Hints;
 use ihd_survey::calibration::blind::{BlindOptions, CalibrationMode};
 use serde::Serialize;
 
-use super::case::{Case, Group};
+use super::case::{CaptureGroup, Case};
 use super::cases::all;
-use super::score::{Errors, Judgement, Truth, errors};
+use super::score::{CaseTruth, ResultJudgement, StretchErrors, errors};
 use crate::parallel::{WorkerLost, in_parallel};
 
 /// Plan of the study.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Plan {
+pub struct HostilePlan {
     /// Estimators.
     pub methods: Vec<Method>,
     /// Seeds of the noise; at least one.
@@ -29,7 +29,7 @@ pub struct Plan {
     pub short: bool,
 }
 
-impl Plan {
+impl HostilePlan {
     /// Cases of the plan.
     pub fn cases(&self) -> Vec<Case> {
         let named = |case: &Case| {
@@ -46,11 +46,11 @@ impl Plan {
 
 /// Results of a method on a case with one seed, over all stretches.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Run {
+pub struct HostileRun {
     /// Name of the case.
     pub case: String,
     /// Soundness of the case.
-    pub group: Group,
+    pub group: CaptureGroup,
     /// Seed of the noise.
     pub seed: u64,
     /// Method.
@@ -58,14 +58,14 @@ pub struct Run {
     /// Number of identified stretches.
     pub stretches: usize,
     /// Largest errors of the stretches; `None` without an estimate.
-    pub errors: Option<Errors>,
+    pub errors: Option<StretchErrors>,
     /// `true` if a stretch was refused, or nothing could be identified.
     pub refused: bool,
     /// Codes of the findings with severity warning or error, each once.
     #[serde(rename = "said")]
     pub codes: Vec<String>,
     /// Worst judgement of the stretches.
-    pub judged: Judgement,
+    pub judged: ResultJudgement,
     /// Largest error over σ of a stretch that passed without a finding.
     #[serde(rename = "unsaid_per_sigma")]
     pub unremarked_per_sigma: Option<f64>,
@@ -97,9 +97,9 @@ pub enum HostileError {
 /// # Errors
 /// [`HostileError`].
 pub fn study(
-    plan: &Plan,
+    plan: &HostilePlan,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<Vec<Run>, HostileError> {
+) -> Result<Vec<HostileRun>, HostileError> {
     let cases = plan.cases();
     let done = AtomicUsize::new(0);
     let results = in_parallel(&cases, |case| {
@@ -117,9 +117,9 @@ pub fn study(
     Ok(runs)
 }
 
-fn run_case(plan: &Plan, case: &Case) -> Result<Vec<Run>, InverterError> {
+fn run_case(plan: &HostilePlan, case: &Case) -> Result<Vec<HostileRun>, InverterError> {
     let recording = record(&case.settings, |_| ())?;
-    let truth = Truth::new(&case.settings, &recording.truth);
+    let truth = CaseTruth::new(&case.settings, &recording.truth);
     let mut runs = Vec::new();
     for seed in 1..=plan.seeds.max(1) {
         let capture = capture(case, &recording.with_seed(seed));
@@ -129,7 +129,7 @@ fn run_case(plan: &Plan, case: &Case) -> Result<Vec<Run>, InverterError> {
 }
 
 /// User's view of the recording: two waveforms and their times, without the specification.
-fn capture(case: &Case, recording: &Recording) -> Capture {
+fn capture(case: &Case, recording: &SimulatedRecording) -> Capture {
     let mut capture = Capture {
         v_full_scale_v: None,
         i_full_scale_a: None,
@@ -145,7 +145,13 @@ fn capture(case: &Case, recording: &Recording) -> Capture {
     capture
 }
 
-fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Truth<'_>) -> Vec<Run> {
+fn examined(
+    plan: &HostilePlan,
+    case: &Case,
+    seed: u64,
+    capture: &Capture,
+    truth: &CaseTruth<'_>,
+) -> Vec<HostileRun> {
     let mut settings = IdentifyOptions::default();
     // The result must not depend on the machine's load.
     settings.pinn.deterministic = true;
@@ -164,7 +170,7 @@ fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Trut
     };
     let examined = examine(capture, &request, &mut |_, _, _| ());
     let of_method = |&method: &Method| {
-        let nothing = Run {
+        let nothing = HostileRun {
             case: case.name.clone(),
             group: case.group,
             seed,
@@ -173,17 +179,17 @@ fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Trut
             errors: None,
             refused: false,
             codes: Vec::new(),
-            judged: Judgement::Right,
+            judged: ResultJudgement::Right,
             unremarked_per_sigma: None,
             why: None,
             elapsed_s: 0.0,
         };
         match &examined {
             Ok(examined) => together(nothing, case, examined, truth),
-            Err(error) => Run {
+            Err(error) => HostileRun {
                 refused: true,
                 codes: vec!["nothing_to_work_on".to_owned()],
-                judged: Judgement::of(case.group, None, true, false),
+                judged: ResultJudgement::of(case.group, None, true, false),
                 why: Some(error.to_string()),
                 ..nothing
             },
@@ -193,7 +199,12 @@ fn examined(plan: &Plan, case: &Case, seed: u64, capture: &Capture, truth: &Trut
 }
 
 /// Combines all stretches of a method.
-fn together(mut run: Run, case: &Case, examined: &Examination, truth: &Truth<'_>) -> Run {
+fn together(
+    mut run: HostileRun,
+    case: &Case,
+    examined: &Examination,
+    truth: &CaseTruth<'_>,
+) -> HostileRun {
     let own = |o: &&ihd_gate::MethodResult| o.method == run.method;
     for outcome in examined.outcomes.iter().filter(own) {
         let own_errors = errors(truth, outcome, &examined.segments);
@@ -215,7 +226,7 @@ fn together(mut run: Run, case: &Case, examined: &Examination, truth: &Truth<'_>
         run.refused |= refused;
         run.judged = run
             .judged
-            .max(Judgement::of(run.group, own_errors, refused, warned));
+            .max(ResultJudgement::of(run.group, own_errors, refused, warned));
         if !refused && !warned {
             let own = own_errors.and_then(|e| e.per_sigma);
             run.unremarked_per_sigma = match (run.unremarked_per_sigma, own) {
@@ -236,7 +247,7 @@ fn together(mut run: Run, case: &Case, examined: &Examination, truth: &Truth<'_>
     }
     if run.stretches == 0 {
         run.refused = true;
-        run.judged = Judgement::of(run.group, None, true, false);
+        run.judged = ResultJudgement::of(run.group, None, true, false);
         run.why = Some("no stretch holds the middle of a half-cycle".to_owned());
     }
     run
@@ -248,8 +259,8 @@ mod tests {
 
     use super::*;
 
-    fn plan(short: bool) -> Plan {
-        Plan {
+    fn plan(short: bool) -> HostilePlan {
+        HostilePlan {
             methods: vec![Method::LeastSquares],
             seeds: 1,
             only: None,
@@ -268,7 +279,7 @@ mod tests {
         }
         let short = plan(true).cases();
         assert!((15..=30).contains(&short.len()), "{}", short.len());
-        assert!(short.iter().any(|c| c.group == Group::Clean));
+        assert!(short.iter().any(|c| c.group == CaptureGroup::Clean));
     }
 
     /// A refusal is right if it did.
@@ -276,7 +287,7 @@ mod tests {
     fn no_clean_capture_clips_at_length() {
         for case in plan(false).cases() {
             let s = &case.settings;
-            if case.group == Group::Faulty
+            if case.group == CaptureGroup::Faulty
                 || s.load == ihd_sim::recording::settings::LoadKind::Field
             {
                 continue;

@@ -2,13 +2,13 @@
 
 use ihd_gate::MethodResult;
 use ihd_identify::Estimate;
-use ihd_identify::trajectory::Trajectory;
+use ihd_identify::trajectory::TrajectoryCursor;
 use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
 use ihd_sim::recording::settings::CaptureSpec;
 use serde::Serialize;
 
-use super::case::Group;
+use super::case::CaptureGroup;
 
 /// Mean error of R over the middle of a half-cycle above which a finding is required, in percent.
 pub const LIMIT_R_PCT: f64 = 1.0;
@@ -24,7 +24,7 @@ const MIDDLE: std::ops::RangeInclusive<f64> = 0.1..=0.9;
 
 /// Errors of one stretch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Errors {
+pub struct StretchErrors {
     /// Mean |error| of R over the middle 80 % of a half-cycle in percent, of the worst half-cycle.
     pub r_pct: f64,
     /// Mean |error| of L over the middle 80 % of a half-cycle in percent, of the worst half-cycle.
@@ -33,7 +33,7 @@ pub struct Errors {
     pub per_sigma: Option<f64>,
 }
 
-impl Errors {
+impl StretchErrors {
     /// Returns `true` if a finding is required.
     pub fn exceed(&self) -> bool {
         !(self.r_pct <= LIMIT_R_PCT && self.l_pct <= LIMIT_L_PCT)
@@ -55,7 +55,7 @@ impl Errors {
 /// Judgement of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Judgement {
+pub enum ResultJudgement {
     /// Correct, and passed.
     Right,
     /// Correct, passed with a warning.
@@ -70,14 +70,19 @@ pub enum Judgement {
     Silent,
 }
 
-impl Judgement {
+impl ResultJudgement {
     /// Derives the judgement from errors and findings.
-    pub fn of(group: Group, errors: Option<Errors>, refused: bool, warned: bool) -> Self {
+    pub fn of(
+        group: CaptureGroup,
+        errors: Option<StretchErrors>,
+        refused: bool,
+        warned: bool,
+    ) -> Self {
         match errors {
             Some(e) if e.exceed() && (refused || warned) => Self::Said,
             Some(e) if e.exceed() => Self::Silent,
             // A clean capture without any estimate counts as refused.
-            _ if refused && group == Group::Clean => Self::FalselyRefused,
+            _ if refused && group == CaptureGroup::Clean => Self::FalselyRefused,
             None => Self::Said,
             Some(_) if refused => Self::Careful,
             Some(_) if warned => Self::Warned,
@@ -87,14 +92,14 @@ impl Judgement {
 }
 
 /// Truth of a case, with the mains of the simulation: an estimator's own idea of the mains must not decide which periods count.
-pub struct Truth<'a> {
+pub struct CaseTruth<'a> {
     /// Periods in order of time, without those beside an event.
     periods: Vec<&'a PeriodTruth>,
     half_cycle_s: f64,
     start_s: f64,
 }
 
-impl<'a> Truth<'a> {
+impl<'a> CaseTruth<'a> {
     /// Creates the truth of a recording. The two periods beside an event, whose sums mix both loads, are skipped.
     pub fn new(settings: &CaptureSpec, truth: &'a [PeriodTruth]) -> Self {
         let beside = |t: &PeriodTruth| {
@@ -109,9 +114,9 @@ impl<'a> Truth<'a> {
     }
 
     /// Errors of an estimate of `segment`; `None` if both have no middle of a half-cycle in common.
-    pub fn errors(&self, estimate: &Estimate, segment: &Segment) -> Option<Errors> {
+    pub fn errors(&self, estimate: &Estimate, segment: &Segment) -> Option<StretchErrors> {
         let inside = segment.t0_s..=segment.t_s(segment.len());
-        let mut trajectory = Trajectory::from(estimate, f64::NEG_INFINITY)?;
+        let mut trajectory = TrajectoryCursor::from(estimate, f64::NEG_INFINITY)?;
         let mut halves: Vec<Sums> = Vec::new();
         for t in self.periods.iter().filter(|t| inside.contains(&t.t_s)) {
             let at = (t.t_s + self.start_s) / self.half_cycle_s;
@@ -128,7 +133,10 @@ impl<'a> Truth<'a> {
             }
         }
         halves.retain(|half| half.n >= FEWEST_PERIODS);
-        halves.iter().map(Sums::errors).reduce(Errors::or_worse)
+        halves
+            .iter()
+            .map(Sums::errors)
+            .reduce(StretchErrors::or_worse)
     }
 }
 
@@ -163,9 +171,9 @@ impl Sums {
         });
     }
 
-    fn errors(&self) -> Errors {
+    fn errors(&self) -> StretchErrors {
         let n = self.n as f64;
-        Errors {
+        StretchErrors {
             r_pct: 100.0 * self.relative[0] / n,
             l_pct: 100.0 * self.relative[1] / n,
             per_sigma: self.per_sigma.map(|s| (s[0].max(s[1]) / n).sqrt()),
@@ -174,7 +182,11 @@ impl Sums {
 }
 
 /// Errors of an outcome; `None` without an estimate or without truth to compare with.
-pub fn errors(truth: &Truth<'_>, outcome: &MethodResult, segments: &[Segment]) -> Option<Errors> {
+pub fn errors(
+    truth: &CaseTruth<'_>,
+    outcome: &MethodResult,
+    segments: &[Segment],
+) -> Option<StretchErrors> {
     let estimate = outcome.result.as_ref().ok()?;
     truth.errors(estimate, segments.get(outcome.segment)?)
 }
@@ -215,7 +227,7 @@ mod tests {
     fn the_worst_half_cycle_counts_and_its_edges_do_not() {
         let periods: Vec<_> = (0..1000).map(|k| period(f64::from(k) * 20e-6)).collect();
         let settings = CaptureSpec::default();
-        let truth = Truth::new(&settings, &periods);
+        let truth = CaseTruth::new(&settings, &periods);
         let mut estimate = Estimate::new(Method::Lockin, 50e3);
         for k in 0..1000 {
             let t_s = f64::from(k) * 20e-6;
@@ -240,23 +252,25 @@ mod tests {
     #[test]
     fn a_word_saves_a_wrong_result_and_a_refusal_costs_a_right_one() {
         let (right, wrong) = (
-            Some(Errors::default()),
-            Some(Errors {
+            Some(StretchErrors::default()),
+            Some(StretchErrors {
                 r_pct: f64::NAN,
-                ..Errors::default()
+                ..StretchErrors::default()
             }),
         );
-        let of = |errors, refused, warned| Judgement::of(Group::Clean, errors, refused, warned);
-        assert_eq!(of(wrong, false, false), Judgement::Silent);
-        assert_eq!(of(wrong, false, true), Judgement::Said);
-        assert_eq!(of(wrong, true, false), Judgement::Said);
-        assert_eq!(of(right, true, false), Judgement::FalselyRefused);
-        assert_eq!(of(None, true, false), Judgement::FalselyRefused);
-        assert_eq!(of(right, false, true), Judgement::Warned);
-        assert_eq!(of(right, false, false), Judgement::Right);
+        let of = |errors, refused, warned| {
+            ResultJudgement::of(CaptureGroup::Clean, errors, refused, warned)
+        };
+        assert_eq!(of(wrong, false, false), ResultJudgement::Silent);
+        assert_eq!(of(wrong, false, true), ResultJudgement::Said);
+        assert_eq!(of(wrong, true, false), ResultJudgement::Said);
+        assert_eq!(of(right, true, false), ResultJudgement::FalselyRefused);
+        assert_eq!(of(None, true, false), ResultJudgement::FalselyRefused);
+        assert_eq!(of(right, false, true), ResultJudgement::Warned);
+        assert_eq!(of(right, false, false), ResultJudgement::Right);
         assert_eq!(
-            Judgement::of(Group::Faulty, right, true, false),
-            Judgement::Careful
+            ResultJudgement::of(CaptureGroup::Faulty, right, true, false),
+            ResultJudgement::Careful
         );
     }
 }

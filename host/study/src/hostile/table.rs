@@ -6,9 +6,9 @@ use std::fmt::Write;
 use ihd_identify::Method;
 use serde::Serialize;
 
-use super::case::Group;
-use super::run::Run;
-use super::score::{Errors, Judgement, LIMIT_L_PCT, LIMIT_R_PCT};
+use super::case::CaptureGroup;
+use super::run::HostileRun;
+use super::score::{LIMIT_L_PCT, LIMIT_R_PCT, ResultJudgement, StretchErrors};
 
 /// First line of the section in docs/results/hostile.md.
 pub const BEGIN: &str = "<!-- ihd-study hostile: begin -->";
@@ -21,7 +21,7 @@ pub const FALSE_REFUSALS_PCT: f64 = 2.0;
 
 /// Sums of the study, of one method or all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Sum {
+pub struct HostileSums {
     /// Number of runs of clean captures.
     pub clean: usize,
     /// Number of clean runs refused although correct.
@@ -36,17 +36,17 @@ pub struct Sum {
     pub worst_per_sigma: Option<f64>,
 }
 
-impl Sum {
+impl HostileSums {
     /// Sums some runs.
-    pub fn of<'a>(runs: impl IntoIterator<Item = &'a Run>) -> Self {
+    pub fn of<'a>(runs: impl IntoIterator<Item = &'a HostileRun>) -> Self {
         let mut sum = Self::default();
         for run in runs {
-            let clean = run.group == Group::Clean;
+            let clean = run.group == CaptureGroup::Clean;
             sum.clean += usize::from(clean);
             sum.faulty += usize::from(!clean);
-            sum.falsely_refused += usize::from(run.judged == Judgement::FalselyRefused);
-            sum.warned += usize::from(clean && run.judged == Judgement::Warned);
-            sum.silent += usize::from(run.judged == Judgement::Silent);
+            sum.falsely_refused += usize::from(run.judged == ResultJudgement::FalselyRefused);
+            sum.warned += usize::from(clean && run.judged == ResultJudgement::Warned);
+            sum.silent += usize::from(run.judged == ResultJudgement::Silent);
             sum.worst_per_sigma = match (sum.worst_per_sigma, run.unremarked_per_sigma) {
                 (Some(a), Some(b)) => Some(a.max(b)),
                 (a, b) => a.or(b),
@@ -71,7 +71,7 @@ fn share_pct(part: usize, whole: usize) -> f64 {
 }
 
 /// Section without its marks.
-pub fn markdown(runs: &[Run], seeds: u64) -> String {
+pub fn markdown(runs: &[HostileRun], seeds: u64) -> String {
     let methods: Vec<Method> = (Method::ALL.into_iter())
         .filter(|m| runs.iter().any(|r| r.method == *m))
         .collect();
@@ -86,10 +86,10 @@ pub fn markdown(runs: &[Run], seeds: u64) -> String {
     );
     out.push_str(&sums(runs, &methods));
     for (group, title) in [
-        (Group::Clean, "Nothing wrong"),
-        (Group::Faulty, "Something wrong"),
+        (CaptureGroup::Clean, "Nothing wrong"),
+        (CaptureGroup::Faulty, "Something wrong"),
     ] {
-        let own: Vec<&Run> = runs.iter().filter(|r| r.group == group).collect();
+        let own: Vec<&HostileRun> = runs.iter().filter(|r| r.group == group).collect();
         if !own.is_empty() {
             let _ = writeln!(out, "\n### {title}\n");
             out.push_str(&matrix(&own, &methods));
@@ -99,19 +99,19 @@ pub fn markdown(runs: &[Run], seeds: u64) -> String {
 }
 
 /// Names of the cases, in order.
-fn cases(runs: &[Run]) -> Vec<&str> {
+fn cases(runs: &[HostileRun]) -> Vec<&str> {
     let mut names: Vec<&str> = runs.iter().map(|r| r.case.as_str()).collect();
     names.dedup();
     names
 }
 
 /// One line per method, and one for all.
-fn sums(runs: &[Run], methods: &[Method]) -> String {
+fn sums(runs: &[HostileRun], methods: &[Method]) -> String {
     let mut out = String::from(
         "| method | false refusals | warned of, clean and right | silent | worst error/σ without a word |\n\
          |---|---:|---:|---:|---:|\n",
     );
-    let mut line = |name: &str, sum: &Sum| {
+    let mut line = |name: &str, sum: &HostileSums| {
         let _ = writeln!(
             out,
             "| {name} | {} of {} ({:.1} %) | {} ({:.1} %) | {} of {} | {} |",
@@ -128,14 +128,14 @@ fn sums(runs: &[Run], methods: &[Method]) -> String {
     for &method in methods {
         line(
             method.name(),
-            &Sum::of(runs.iter().filter(|r| r.method == method)),
+            &HostileSums::of(runs.iter().filter(|r| r.method == method)),
         );
     }
-    line("all", &Sum::of(runs));
+    line("all", &HostileSums::of(runs));
     out
 }
 
-fn matrix(runs: &[&Run], methods: &[Method]) -> String {
+fn matrix(runs: &[&HostileRun], methods: &[Method]) -> String {
     let mut out = String::from("| capture |");
     methods.iter().for_each(|m| {
         let _ = write!(out, " {m} |");
@@ -146,10 +146,10 @@ fn matrix(runs: &[&Run], methods: &[Method]) -> String {
     let mut names: Vec<&str> = runs.iter().map(|r| r.case.as_str()).collect();
     names.dedup();
     for name in names {
-        let own: Vec<&Run> = runs.iter().copied().filter(|r| r.case == name).collect();
+        let own: Vec<&HostileRun> = runs.iter().copied().filter(|r| r.case == name).collect();
         let _ = write!(out, "| {name} |");
         for method in methods {
-            let of_method: Vec<&Run> = own
+            let of_method: Vec<&HostileRun> = own
                 .iter()
                 .copied()
                 .filter(|r| r.method == *method)
@@ -167,11 +167,11 @@ fn matrix(runs: &[&Run], methods: &[Method]) -> String {
 }
 
 /// All seeds of a method on a case.
-fn cell(runs: &[&Run]) -> String {
+fn cell(runs: &[&HostileRun]) -> String {
     let errors = runs
         .iter()
         .filter_map(|r| r.errors)
-        .reduce(Errors::or_worse);
+        .reduce(StretchErrors::or_worse);
     let mut text = match errors {
         Some(e) => {
             let per_sigma = e
@@ -184,12 +184,12 @@ fn cell(runs: &[&Run]) -> String {
     if let Some(worst) = runs.iter().map(|r| r.judged).max() {
         let count = runs.iter().filter(|r| r.judged == worst).count();
         let mark = match worst {
-            Judgement::Right => return text,
-            Judgement::Warned => "w",
-            Judgement::Said => "s",
-            Judgement::Careful => "c",
-            Judgement::FalselyRefused => "**F**",
-            Judgement::Silent => "**SILENT**",
+            ResultJudgement::Right => return text,
+            ResultJudgement::Warned => "w",
+            ResultJudgement::Said => "s",
+            ResultJudgement::Careful => "c",
+            ResultJudgement::FalselyRefused => "**F**",
+            ResultJudgement::Silent => "**SILENT**",
         };
         let _ = match count == runs.len() {
             true => write!(text, " {mark}"),
@@ -214,14 +214,14 @@ fn number(x: f64) -> String {
 mod tests {
     use super::*;
 
-    fn run(group: Group, seed: u64, r_pct: f64, judged: Judgement) -> Run {
-        Run {
+    fn run(group: CaptureGroup, seed: u64, r_pct: f64, judged: ResultJudgement) -> HostileRun {
+        HostileRun {
             case: "a".into(),
             group,
             seed,
             method: Method::Lockin,
             stretches: 1,
-            errors: Some(Errors {
+            errors: Some(StretchErrors {
                 r_pct,
                 l_pct: 0.1,
                 per_sigma: Some(2.0),
@@ -238,22 +238,22 @@ mod tests {
     #[test]
     fn the_goals_allow_two_percent_of_false_refusals_and_no_silent_error() {
         let mut runs: Vec<_> = (0..50)
-            .map(|s| run(Group::Clean, s, 0.1, Judgement::Right))
+            .map(|s| run(CaptureGroup::Clean, s, 0.1, ResultJudgement::Right))
             .collect();
-        runs[0].judged = Judgement::FalselyRefused;
-        assert!(Sum::of(&runs).is_met(), "2 %");
-        runs[1].judged = Judgement::FalselyRefused;
-        assert!(!Sum::of(&runs).is_met(), "4 %");
-        let silent = [run(Group::Faulty, 1, 3.0, Judgement::Silent)];
-        assert_eq!(Sum::of(&silent).silent, 1);
-        assert!(!Sum::of(&silent).is_met());
+        runs[0].judged = ResultJudgement::FalselyRefused;
+        assert!(HostileSums::of(&runs).is_met(), "2 %");
+        runs[1].judged = ResultJudgement::FalselyRefused;
+        assert!(!HostileSums::of(&runs).is_met(), "4 %");
+        let silent = [run(CaptureGroup::Faulty, 1, 3.0, ResultJudgement::Silent)];
+        assert_eq!(HostileSums::of(&silent).silent, 1);
+        assert!(!HostileSums::of(&silent).is_met());
     }
 
     #[test]
     fn a_cell_shows_the_worst_seed_and_how_many_it_befell() {
         let runs = [
-            run(Group::Faulty, 1, 0.5, Judgement::Right),
-            run(Group::Faulty, 2, 2.0, Judgement::Silent),
+            run(CaptureGroup::Faulty, 1, 0.5, ResultJudgement::Right),
+            run(CaptureGroup::Faulty, 2, 2.0, ResultJudgement::Silent),
         ];
         let text = markdown(&runs, 2);
         assert!(

@@ -8,9 +8,11 @@ use ihd_train::lookup::JudgedCell;
 use plotters::prelude::*;
 
 use super::table::BUILDERS;
-use super::{Run, Verdict};
+use super::{LookupJudgement, MapRun};
 use ihd_plot::legend::header;
-use ihd_plot::{self as plot, Area, Axis, BLUE, Curve, DrawResult, GREY, Panel, Pen, RED, span};
+use ihd_plot::{
+    self as plot, Area, Axis, BLUE, DrawResult, GREY, Pen, PlotCurve, PlotPanel, RED, span,
+};
 use ihd_plot::{FigureError, file};
 
 /// Size of a panel in pixels.
@@ -32,13 +34,13 @@ const COLOURS: [RGBColor; FREQUENCIES] = [
 ];
 
 /// Row of panels: builder of the lookups, and the lookup of each pot.
-type Row<'a> = (&'static str, Vec<(&'a str, &'a Verdict)>);
+type Row<'a> = (&'static str, Vec<(&'a str, &'a LookupJudgement)>);
 
 /// Draws the errors of the first seed of the first two pots; two rows per builder.
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn draw(path: &Path, runs: &[Run]) -> Result<(), FigureError> {
+pub fn draw(path: &Path, runs: &[MapRun]) -> Result<(), FigureError> {
     let rows = rows(runs);
     let columns = rows.iter().map(|r| r.1.len()).max().unwrap_or(0) as u32;
     let size = (
@@ -48,7 +50,7 @@ pub fn draw(path: &Path, runs: &[Run]) -> Result<(), FigureError> {
     file::write(path, size, |root| drawing(root, columns, &rows))
 }
 
-fn rows(runs: &[Run]) -> Vec<Row<'_>> {
+fn rows(runs: &[MapRun]) -> Vec<Row<'_>> {
     let rows = BUILDERS.into_iter().map(|(builder, verdict)| {
         let judged = runs.iter().filter(|r| r.seed == 1);
         let judged = judged.filter_map(|r| Some((r.pot.as_str(), verdict(r)?)));
@@ -61,9 +63,9 @@ fn rows(runs: &[Run]) -> Vec<Row<'_>> {
 
 fn drawing(root: &Area<'_>, columns: u32, rows: &[Row<'_>]) -> DrawResult {
     let all = rows.iter().flat_map(|r| &r.1).flat_map(|(_, v)| &v.cells);
-    let named: Vec<plot::Entry> = (0..FREQUENCIES)
+    let named: Vec<plot::LegendEntry> = (0..FREQUENCIES)
         .filter(|f| all.clone().any(|c| c.frequency == *f))
-        .map(|f| plot::Entry::of(&curve(f, &[])))
+        .map(|f| plot::LegendEntry::of(&curve(f, &[])))
         .collect();
     let below = header(root, "Cells against the truth: dots are observed", &named)?;
     let areas = below.split_evenly((2 * rows.len().max(1), columns.max(1) as usize));
@@ -77,10 +79,10 @@ fn drawing(root: &Area<'_>, columns: u32, rows: &[Row<'_>]) -> DrawResult {
     Ok(())
 }
 
-fn curve(frequency: usize, cells: &[&JudgedCell]) -> Curve {
+fn curve(frequency: usize, cells: &[&JudgedCell]) -> PlotCurve {
     let points = cells.iter().map(|c| (current_a(c.current), c.r_pct));
     let name = format!("{:.0} kHz", frequency_hz(frequency) * 1e-3);
-    Curve::new(&name, COLOURS[frequency], Pen::Line(2), points.collect())
+    PlotCurve::new(&name, COLOURS[frequency], Pen::Line(2), points.collect())
 }
 
 fn over_current(area: &Area<'_>, title: &str, cells: &[JudgedCell]) -> DrawResult {
@@ -92,7 +94,7 @@ fn over_current(area: &Area<'_>, title: &str, cells: &[JudgedCell]) -> DrawResul
             continue;
         }
         curves.push(curve(frequency, &own));
-        curves.push(Curve {
+        curves.push(PlotCurve {
             pen: Pen::Dots,
             ..curve(frequency, &observed)
         });
@@ -103,7 +105,7 @@ fn over_current(area: &Area<'_>, title: &str, cells: &[JudgedCell]) -> DrawResul
         .iter()
         .map(|c| current_a(c.current))
         .fold(10.0, f64::max);
-    let panel = Panel {
+    let panel = PlotPanel {
         x: Axis::linear("current's amplitude / A", 0.0..top_a),
         y: Axis::linear("error of R / %", low.min(0.0) - air..high.max(0.0) + air),
     };
@@ -121,26 +123,26 @@ fn over_deviation(area: &Area<'_>, cells: &[JudgedCell]) -> DrawResult {
         let points = cells.iter().map(of);
         let points =
             points.map(|(sigma, error)| (sigma.max(LEAST_PCT), error.abs().max(LEAST_PCT)));
-        Curve::new(name, colour, Pen::Dots, points.collect())
+        PlotCurve::new(name, colour, Pen::Dots, points.collect())
     };
     let mut curves = vec![
         dots("R", BLUE, |c| (c.r_sigma_pct, c.r_pct)),
         dots("L", RED, |c| (c.l_sigma_pct, c.l_pct)),
     ];
-    let all = curves.iter().flat_map(Curve::points);
+    let all = curves.iter().flat_map(PlotCurve::points);
     let largest = all.flat_map(|(x, y)| [x, y]).fold(1.0, f64::max);
     let range = LEAST_PCT..1.5 * largest;
     let line = |name: &str, pen, times: f64| {
         let ends = [range.start, range.end / times].map(|x| (x, times * x));
-        Curve::new(name, GREY, pen, ends.to_vec())
+        PlotCurve::new(name, GREY, pen, ends.to_vec())
     };
     curves.insert(0, line("error = σ", Pen::Line(2), 1.0));
     curves.insert(1, line("error = 2 σ", Pen::Broken(2), 2.0));
-    let panel = Panel {
+    let panel = PlotPanel {
         x: Axis::decades("stated deviation σ / %", range.clone()),
         y: Axis::decades("|error| / %", range),
     };
-    let entries: Vec<_> = curves.iter().map(plot::Entry::of).collect();
+    let entries: Vec<_> = curves.iter().map(plot::LegendEntry::of).collect();
     let below = header(area, "", &entries)?;
     plot::draw(&below, &panel, &curves)?;
     Ok(())

@@ -20,7 +20,7 @@ use super::parallel::{WorkerLost, in_parallel};
 
 /// Plan of the study.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Plan {
+pub struct MapPlan {
     /// Pots in their places.
     pub pots: Vec<PotPlacement>,
     /// Powers of the windows, in watt.
@@ -39,7 +39,7 @@ pub struct Plan {
 
 /// Operating point of a window.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct OperatingPoint {
+pub struct MapOperatingPoint {
     /// Requested power, in watt.
     pub asked_w: u16,
     /// Switching frequency in hertz.
@@ -50,7 +50,7 @@ pub struct OperatingPoint {
 
 /// Judgement of a lookup.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Verdict {
+pub struct LookupJudgement {
     /// Reason why there is none, or why no device would accept it.
     pub refused: Option<String>,
     /// Errors; `None` if there is no lookup.
@@ -61,7 +61,7 @@ pub struct Verdict {
 
 /// One pot, one departure, one seed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Run {
+pub struct MapRun {
     /// Name of the pot and its place.
     pub pot: String,
     /// Departure from the standard model.
@@ -71,11 +71,11 @@ pub struct Run {
     /// Number of cells that the hob reaches.
     pub reached: usize,
     /// Operating points of the windows.
-    pub shown: Vec<OperatingPoint>,
+    pub shown: Vec<MapOperatingPoint>,
     /// Judgement of the map made of the windows' curves; `None` in the closed loop.
-    pub map: Option<Verdict>,
+    pub map: Option<LookupJudgement>,
     /// Judgement of the closed loop's lookup; `None` without it.
-    pub learned: Option<Verdict>,
+    pub learned: Option<LookupJudgement>,
 }
 
 /// Error of the study.
@@ -94,7 +94,7 @@ pub enum MapStudyError {
     Workers(#[from] WorkerLost),
 }
 
-impl Verdict {
+impl LookupJudgement {
     fn refused(why: String) -> Self {
         Self {
             refused: Some(why),
@@ -119,9 +119,9 @@ impl Verdict {
 /// # Errors
 /// [`MapStudyError`].
 pub fn study(
-    plan: &Plan,
+    plan: &MapPlan,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<Vec<Run>, MapStudyError> {
+) -> Result<Vec<MapRun>, MapStudyError> {
     let jobs: Vec<(&PotPlacement, Option<Perturbation>)> = plan
         .pots
         .iter()

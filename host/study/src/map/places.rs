@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use ihd_sim::pot::{Pot, UnknownPotName};
+use ihd_sim::pot::{SimulatedPot, UnknownPotName};
 use thiserror::Error;
 
 /// Pot in its place, and the name of both.
@@ -11,7 +11,7 @@ pub struct PotPlacement {
     /// Name as written.
     pub name: String,
     /// The pot.
-    pub pot: Pot,
+    pub pot: SimulatedPot,
 }
 
 /// Pots of the study: sizes, metals, places.
@@ -45,7 +45,7 @@ impl FromStr for PotPlacement {
 
     fn from_str(name: &str) -> Result<Self, UnknownPlace> {
         let mut words = name.split('+');
-        let mut pot: Pot = words.next().unwrap_or_default().parse()?;
+        let mut pot: SimulatedPot = words.next().unwrap_or_default().parse()?;
         for word in words {
             let number = |text: &str, unit: &str| {
                 let number = text.strip_suffix(unit)?.parse::<f64>().ok()?;

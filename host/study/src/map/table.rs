@@ -6,7 +6,7 @@ use ihd_sim::perturbation::Perturbation;
 use ihd_train::lookup::{CellErrors, LookupAccuracy};
 use serde::Serialize;
 
-use super::{Plan, Run, Verdict};
+use super::{LookupJudgement, MapPlan, MapRun};
 
 /// First line of the section in docs/results/map.md.
 pub const BEGIN: &str = "<!-- ihd-study map: begin -->";
@@ -18,7 +18,7 @@ pub const END: &str = "<!-- ihd-study map: end -->";
 pub const GOAL_R_PCT: (f64, f64) = (2.0, 5.0);
 
 /// Builder of the lookups of a column.
-pub type Builder = (&'static str, fn(&Run) -> Option<&Verdict>);
+pub type Builder = (&'static str, fn(&MapRun) -> Option<&LookupJudgement>);
 
 /// Builders, in the order of columns.
 pub const BUILDERS: [Builder; 2] = [
@@ -28,7 +28,7 @@ pub const BUILDERS: [Builder; 2] = [
 
 /// Errors over all seeds of a pot: mean of the means, and the worst of all.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Line {
+pub struct MapLine {
     /// Name of the pot and its place.
     pub pot: String,
     /// Departure from the standard model.
@@ -50,10 +50,10 @@ pub struct Line {
 }
 
 /// Lines, by builder and pot.
-pub fn lines(runs: &[Run]) -> Vec<Line> {
+pub fn lines(runs: &[MapRun]) -> Vec<MapLine> {
     let mut lines = Vec::new();
     for (builder, verdict) in BUILDERS {
-        let mut groups: Vec<Vec<&Run>> = Vec::new();
+        let mut groups: Vec<Vec<&MapRun>> = Vec::new();
         for run in runs
             .iter()
             .filter(|r| r.reached == 0 || verdict(r).is_some())
@@ -73,9 +73,13 @@ pub fn lines(runs: &[Run]) -> Vec<Line> {
     lines
 }
 
-fn line(builder: &'static str, runs: &[&Run], verdict: fn(&Run) -> Option<&Verdict>) -> Line {
-    let verdicts: Vec<&Verdict> = runs.iter().filter_map(|r| verdict(r)).collect();
-    let is_refused = |v: &&&Verdict| v.refused.is_some();
+fn line(
+    builder: &'static str,
+    runs: &[&MapRun],
+    verdict: fn(&MapRun) -> Option<&LookupJudgement>,
+) -> MapLine {
+    let verdicts: Vec<&LookupJudgement> = runs.iter().filter_map(|r| verdict(r)).collect();
+    let is_refused = |v: &&&LookupJudgement| v.refused.is_some();
     let refused = verdicts.iter().filter(is_refused).count();
     let all_refused = refused == verdicts.len();
     let errors: Vec<LookupAccuracy> = verdicts
@@ -91,7 +95,7 @@ fn line(builder: &'static str, runs: &[&Run], verdict: fn(&Run) -> Option<&Verdi
             && within(e.l_mean_pct, 0.5 * GOAL_R_PCT.0)
             && within(e.l_worst_pct, 0.5 * GOAL_R_PCT.1)
     };
-    Line {
+    MapLine {
         pot: runs[0].pot.clone(),
         perturbation: runs[0].perturbation,
         builder,
@@ -133,7 +137,7 @@ fn merged(errors: &[LookupAccuracy]) -> Option<LookupAccuracy> {
 }
 
 /// Section without its marks.
-pub fn markdown(plan: &Plan, runs: &[Run]) -> String {
+pub fn markdown(plan: &MapPlan, runs: &[MapRun]) -> String {
     let mut out = String::new();
     let powers: Vec<String> = plan.powers_w.iter().map(ToString::to_string).collect();
     let _ = writeln!(
@@ -152,7 +156,7 @@ pub fn markdown(plan: &Plan, runs: &[Run]) -> String {
     );
     let lines = lines(runs);
     for (builder, _) in BUILDERS {
-        let own: Vec<&Line> = lines.iter().filter(|l| l.builder == builder).collect();
+        let own: Vec<&MapLine> = lines.iter().filter(|l| l.builder == builder).collect();
         if own.is_empty() {
             continue;
         }
@@ -169,7 +173,7 @@ pub fn markdown(plan: &Plan, runs: &[Run]) -> String {
     out
 }
 
-fn load(plan: &Plan) -> &'static str {
+fn load(plan: &MapPlan) -> &'static str {
     use ihd_sim::recording::settings::LoadKind;
     match plan.load {
         LoadKind::Field => "field",
@@ -178,7 +182,7 @@ fn load(plan: &Plan) -> &'static str {
     }
 }
 
-fn row(line: &Line) -> String {
+fn row(line: &MapLine) -> String {
     let pair = |mean: Option<f64>, worst: Option<f64>| match (mean, worst) {
         (Some(mean), Some(worst)) => format!("{mean:.2}/{worst:.2}"),
         _ => "–".into(),
@@ -222,7 +226,7 @@ fn row(line: &Line) -> String {
 mod tests {
     use super::*;
 
-    fn run(pot: &str, seed: u64, r_mean: f64, r_worst: f64, refused: Option<&str>) -> Run {
+    fn run(pot: &str, seed: u64, r_mean: f64, r_worst: f64, refused: Option<&str>) -> MapRun {
         let unseen = CellErrors {
             cells: 9,
             r_mean_pct: Some(r_mean),
@@ -235,13 +239,13 @@ mod tests {
             unseen,
             z_rms: Some(1.5),
         };
-        Run {
+        MapRun {
             pot: pot.into(),
             perturbation: None,
             seed,
             reached: 9,
             shown: Vec::new(),
-            map: Some(Verdict {
+            map: Some(LookupJudgement {
                 refused: refused.map(str::to_owned),
                 error: Some(error),
                 cells: Vec::new(),

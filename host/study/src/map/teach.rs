@@ -1,27 +1,27 @@
 //! Builds lookups from windows of a pot at a few powers, and judges them.
 
 use ihd_link::Client;
-use ihd_map::{Curve, PotMap};
-use ihd_pinn::{Config, PinnError};
+use ihd_map::{CurrentCurve, PotMap};
+use ihd_pinn::{PinnConfig, PinnError};
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
 use ihd_signal::Segment;
 use ihd_signal::truth::MapTruth;
-use ihd_sim::adc::Noise;
+use ihd_sim::adc::ConverterNoise;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::inverter::InverterError;
 use ihd_sim::map_truth::TrueLoad;
 use ihd_sim::perturbation::Perturbation;
-use ihd_sim::pot::Pot;
+use ihd_sim::pot::SimulatedPot;
 use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 use ihd_sim::transport::SharedHob;
 use ihd_sim::trial::Trial;
 use ihd_train::learning::{curve, fit_window};
 use ihd_train::lookup::BuiltLookup;
-use ihd_train::{Source, run};
+use ihd_train::{TrainingSource, run};
 
 use super::places::PotPlacement;
-use super::{OperatingPoint, Plan, Run, Verdict};
+use super::{LookupJudgement, MapOperatingPoint, MapPlan, MapRun};
 use ihd::cli::simulated::RATED_RMS;
 
 /// Resistance of winding and leads in the simulated hob, in ohm.
@@ -32,11 +32,11 @@ const STEP_S: f64 = 40e-9;
 
 /// Runs all seeds of a pot with a departure.
 pub fn runs(
-    plan: &Plan,
+    plan: &MapPlan,
     placed: &PotPlacement,
     perturbation: Option<Perturbation>,
-) -> Result<Vec<Run>, InverterError> {
-    let pot = Pot {
+) -> Result<Vec<MapRun>, InverterError> {
+    let pot = SimulatedPot {
         perturbation,
         ..placed.pot
     };
@@ -49,7 +49,7 @@ pub fn runs(
     };
     let mut runs = Vec::new();
     for seed in 1..=plan.seeds {
-        let mut run = Run {
+        let mut run = MapRun {
             pot: placed.name.clone(),
             perturbation,
             seed,
@@ -63,7 +63,7 @@ pub fn runs(
         } else if heated {
             run.map = Some(match curves(plan, &points, seed) {
                 Ok(curves) => mapped(curves, &truth),
-                Err(why) => Verdict::refused(why.to_string()),
+                Err(why) => LookupJudgement::refused(why.to_string()),
             });
         }
         runs.push(run);
@@ -77,7 +77,7 @@ pub fn runs(
 /// Power, and a half-cycle at it.
 pub struct Point {
     /// Operating point.
-    pub shown: OperatingPoint,
+    pub shown: MapOperatingPoint,
     /// The half-cycle, without noise.
     pub trial: Trial,
 }
@@ -86,7 +86,11 @@ pub struct Point {
 /// model's own frequency differs by a percent.
 ///
 /// [`InverterError`] if the simulator cannot simulate the pot.
-pub fn points(kind: LoadKind, powers_w: &[u16], pot: &Pot) -> Result<Vec<Point>, InverterError> {
+pub fn points(
+    kind: LoadKind,
+    powers_w: &[u16],
+    pot: &SimulatedPot,
+) -> Result<Vec<Point>, InverterError> {
     let table = match kind {
         LoadKind::Field => LoadKind::Surrogate,
         kind => kind,
@@ -113,7 +117,7 @@ pub fn points(kind: LoadKind, powers_w: &[u16], pot: &Pot) -> Result<Vec<Point>,
         })?;
         let crest_a = trial.truth.iter().map(|t| t.i_a).fold(0.0, f64::max);
         points.push(Point {
-            shown: OperatingPoint {
+            shown: MapOperatingPoint {
                 asked_w,
                 f_sw_hz: f_sw_hz.round() as u32,
                 crest_a,
@@ -125,8 +129,8 @@ pub fn points(kind: LoadKind, powers_w: &[u16], pot: &Pot) -> Result<Vec<Point>,
 }
 
 /// Curves that the network identifies from each half-cycle with a seed's noise.
-fn curves(plan: &Plan, points: &[Point], seed: u64) -> Result<Vec<Curve>, PinnError> {
-    let noise = Noise::from_snr_db(plan.snr_db, RATED_RMS.0, RATED_RMS.1);
+fn curves(plan: &MapPlan, points: &[Point], seed: u64) -> Result<Vec<CurrentCurve>, PinnError> {
+    let noise = ConverterNoise::from_snr_db(plan.snr_db, RATED_RMS.0, RATED_RMS.1);
     let curve_of = |(k, point): (usize, &Point)| {
         let segment = point.trial.with_noise(noise, seed * SEEDS_APART + k as u64);
         identified(&segment, k as f64 * APART_S)
@@ -138,11 +142,11 @@ fn curves(plan: &Plan, points: &[Point], seed: u64) -> Result<Vec<Curve>, PinnEr
 ///
 /// # Errors
 /// [`PinnError`] if the network cannot be trained on it.
-pub fn identified(segment: &Segment, t_s: f64) -> Result<Curve, PinnError> {
-    let config = Config {
+pub fn identified(segment: &Segment, t_s: f64) -> Result<CurrentCurve, PinnError> {
+    let config = PinnConfig {
         // The result must not depend on the machine's load.
         deterministic: true,
-        ..Config::default()
+        ..PinnConfig::default()
     };
     let identified = fit_window(segment, config, &mut |_| ())?;
     Ok(curve(segment, &(&identified).into(), t_s))
@@ -155,7 +159,7 @@ const SEEDS_APART: u64 = 1_000;
 const APART_S: f64 = 1.0;
 
 /// Judges the map made of the curves.
-fn mapped(curves: Vec<Curve>, truth: &MapTruth) -> Verdict {
+fn mapped(curves: Vec<CurrentCurve>, truth: &MapTruth) -> LookupJudgement {
     let (mut map, mut now_s) = (PotMap::default(), 0.0);
     for curve in curves {
         now_s = curve.t_s;
@@ -163,38 +167,38 @@ fn mapped(curves: Vec<Curve>, truth: &MapTruth) -> Verdict {
     }
     map.refresh(now_s);
     let Some(cells) = map.cells(now_s) else {
-        return Verdict::refused("no window shows a load".into());
+        return LookupJudgement::refused("no window shows a load".into());
     };
     match BuiltLookup::from_cells(cells, 1) {
-        Ok(built) => Verdict::of(&built, truth),
-        Err(why) => Verdict::refused(why.to_string()),
+        Ok(built) => LookupJudgement::of(&built, truth),
+        Err(why) => LookupJudgement::refused(why.to_string()),
     }
 }
 
 /// Runs a training with the simulated hob, like `ihd trainer`.
 fn closed_loop(
-    plan: &Plan,
-    pot: &Pot,
+    plan: &MapPlan,
+    pot: &SimulatedPot,
     seed: u64,
     truth: &MapTruth,
-) -> Result<(Vec<OperatingPoint>, Option<Verdict>), InverterError> {
+) -> Result<(Vec<MapOperatingPoint>, Option<LookupJudgement>), InverterError> {
     let hob = SharedHob::new(SimHob::assemble(&HobConfig {
         pot: *pot,
         load: plan.load,
-        noise: Noise::from_snr_db(plan.snr_db, RATED_RMS.0, RATED_RMS.1),
+        noise: ConverterNoise::from_snr_db(plan.snr_db, RATED_RMS.0, RATED_RMS.1),
         seed,
         ..HobConfig::default()
     })?);
     let client = match Client::connect(Box::new(hob)) {
         Ok(client) => client,
-        Err(why) => return Ok((Vec::new(), Some(Verdict::refused(why.to_string())))),
+        Err(why) => return Ok((Vec::new(), Some(LookupJudgement::refused(why.to_string())))),
     };
     let known = || Some(truth.clone());
     let settings = ihd_train::RunOptions {
-        source: Source::Powers(plan.powers_w.clone()),
-        pinn: Config {
+        source: TrainingSource::Powers(plan.powers_w.clone()),
+        pinn: PinnConfig {
             deterministic: true,
-            ..Config::default()
+            ..PinnConfig::default()
         },
         store: None,
         follow: false,
@@ -206,17 +210,17 @@ fn closed_loop(
         Ok(report) => (report, None),
         Err(failed) => (failed.report, Some(failed.error.to_string())),
     };
-    let shown = report.points.iter().map(|p| OperatingPoint {
+    let shown = report.points.iter().map(|p| MapOperatingPoint {
         asked_w: p.asked_w.unwrap_or(0),
         f_sw_hz: p.f_sw_hz,
         crest_a: p.i_crest_a,
     });
     let verdict = match &report.built {
-        Some(built) => Verdict {
+        Some(built) => LookupJudgement {
             refused: why,
-            ..Verdict::of(built, truth)
+            ..LookupJudgement::of(built, truth)
         },
-        None => Verdict::refused(why.unwrap_or_else(|| "nothing was taught".into())),
+        None => LookupJudgement::refused(why.unwrap_or_else(|| "nothing was taught".into())),
     };
     Ok((shown.collect(), Some(verdict)))
 }

@@ -4,14 +4,14 @@ use std::path::Path;
 
 use ihd_identify::accuracy::{Accuracy, fundamental};
 use ihd_identify::network::{identify_half_cycle, with_measured_noise};
-use ihd_identify::trajectory::Trajectory;
+use ihd_identify::trajectory::TrajectoryCursor;
 use ihd_identify::{Estimate, IdentifyOptions, Method, ProgressSink};
-use ihd_pinn::{Config, Identification, PresetLibrary};
+use ihd_pinn::{Identification, PinnConfig, PresetLibrary};
 use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
 
 use super::nmse::{Nmse, unfiltered_itself};
-use super::{Cell, Contender, Job, LossAt, PaperStudyError, Point, folder_settings};
+use super::{Contender, LossAt, PaperCell, PaperJob, PaperStudyError, Point, folder_settings};
 
 /// Limit of stored entries of a loss curve or of R(t).
 const KEPT: usize = 250;
@@ -25,12 +25,12 @@ struct CellEstimate {
 
 /// Runs one cell on its capture.
 pub(super) fn run(
-    job: &Job,
+    job: &PaperJob,
     presets: &PresetLibrary,
     point: &Point,
     checkpoint: &Path,
     progress: &mut dyn FnMut(String),
-) -> Result<Cell, PaperStudyError> {
+) -> Result<PaperCell, PaperStudyError> {
     let trial = &point.trial;
     let stem = job.file_stem();
     let nothing = || PaperStudyError::Nothing(stem.clone());
@@ -57,7 +57,7 @@ pub(super) fn run(
     let inside = |t: f64| t >= from_s;
     let truth_points = truth.t_s.iter().zip(truth.r_ohm.iter().zip(&truth.l_h));
     let truth_points = truth_points.map(|(t, (r, l))| (*t, *r, *l));
-    Ok(Cell {
+    Ok(PaperCell {
         job: job.clone(),
         settings: folder_settings(job, presets),
         whole: accuracy.whole.into(),
@@ -85,7 +85,7 @@ pub(super) fn run(
     })
 }
 
-fn configured(job: &Job, mut config: Config) -> Config {
+fn configured(job: &PaperJob, mut config: PinnConfig) -> PinnConfig {
     config.seed = job.seed;
     config.deterministic = true;
     if let (Some(epochs), Some(_)) = (job.epochs, &config.vi_mlp) {
@@ -95,7 +95,7 @@ fn configured(job: &Job, mut config: Config) -> Config {
 }
 
 fn other(
-    job: &Job,
+    job: &PaperJob,
     method: Method,
     point: &Point,
     noisy: &Segment,
@@ -120,8 +120,8 @@ fn other(
 }
 
 fn network(
-    job: &Job,
-    config: &Config,
+    job: &PaperJob,
+    config: &PinnConfig,
     point: &Point,
     noisy: &Segment,
     (from, to): (usize, usize),
@@ -164,7 +164,7 @@ fn power_error_pct(
     from_s: f64,
     right: impl Fn(&PeriodTruth) -> f64,
 ) -> Option<f64> {
-    let mut trajectory = Trajectory::from(estimate, from_s)?;
+    let mut trajectory = TrajectoryCursor::from(estimate, from_s)?;
     let (mut sum, mut weights) = (0.0, 0.0);
     for period in truth.iter().filter(|p| p.t_s >= from_s) {
         let weight = period.i_a * period.i_a;

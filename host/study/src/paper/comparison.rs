@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 use ihd_sim::recording::settings::LoadKind;
 
-use super::{Cell, Contender, distinct};
+use super::{Contender, PaperCell, distinct};
 
 /// Contender of the last line.
 const OURS: &str = "hybrid";
@@ -25,7 +25,7 @@ struct Row {
 
 impl Row {
     /// Creates the row from cells of one operating point.
-    fn new(cells: &[&Cell]) -> Self {
+    fn new(cells: &[&PaperCell]) -> Self {
         let first = &cells[0].job;
         let load = match first.load {
             LoadKind::Behavioural => "behavioural",
@@ -37,7 +37,7 @@ impl Row {
             .map_or("noiseless".into(), |db| format!("{db} dB"));
         let entry = |contender: Contender| {
             let of = || cells.iter().filter(|c| c.job.contender == contender);
-            let mean = |error: fn(&Cell) -> f64| {
+            let mean = |error: fn(&PaperCell) -> f64| {
                 of().map(|c| error(c)).sum::<f64>() / of().count().max(1) as f64
             };
             Entry {
@@ -111,8 +111,8 @@ impl Standing {
 }
 
 /// Table and conclusions; empty with fewer than two contenders.
-pub(super) fn markdown(cells: &[Cell]) -> String {
-    let cells: Vec<&Cell> = cells.iter().collect();
+pub(super) fn markdown(cells: &[PaperCell]) -> String {
+    let cells: Vec<&PaperCell> = cells.iter().collect();
     let contenders = distinct(&cells, |c| c.job.contender.clone());
     if contenders.len() < 2 {
         return String::new();
@@ -120,7 +120,7 @@ pub(super) fn markdown(cells: &[Cell]) -> String {
     let rows: Vec<Row> = distinct(&cells, |c| (c.job.load, c.job.snr_db, c.job.f_sw_hz))
         .into_iter()
         .map(|point| {
-            let of = |c: &&&Cell| (c.job.load, c.job.snr_db, c.job.f_sw_hz) == point;
+            let of = |c: &&&PaperCell| (c.job.load, c.job.snr_db, c.job.f_sw_hz) == point;
             Row::new(&cells.iter().filter(of).copied().collect::<Vec<_>>())
         })
         .collect();
@@ -184,7 +184,7 @@ mod tests {
     use super::*;
     use crate::paper::report::tests::cell;
 
-    fn by(contender: Contender, r_pct: f64) -> Cell {
+    fn by(contender: Contender, r_pct: f64) -> PaperCell {
         let mut cell = cell(1, r_pct);
         cell.job.contender = contender;
         cell

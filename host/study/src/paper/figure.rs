@@ -5,10 +5,12 @@ use std::path::Path;
 use ihd_sim::recording::settings::LoadKind;
 use plotters::prelude::*;
 
-use super::{Cell, Contender};
+use super::{Contender, PaperCell};
 use ihd_plot::legend::{column, header};
 use ihd_plot::panel::beyond;
-use ihd_plot::{self as plot, Area, Axis, Curve, DrawResult, Entry, GREY, Panel, Pen, span};
+use ihd_plot::{
+    self as plot, Area, Axis, DrawResult, GREY, LegendEntry, Pen, PlotCurve, PlotPanel, span,
+};
 use ihd_plot::{FigureError, file};
 
 /// Width of the legend beside a panel, in pixels.
@@ -31,9 +33,9 @@ fn colour(contender: usize) -> RGBColor {
 }
 
 /// Draws all figures of the first seed into `folder`; returns their names.
-pub fn all(cells: &[Cell], folder: &Path) -> Result<Vec<String>, FigureError> {
+pub fn all(cells: &[PaperCell], folder: &Path) -> Result<Vec<String>, FigureError> {
     let mut names = Vec::new();
-    let mut groups: Vec<Vec<&Cell>> = Vec::new();
+    let mut groups: Vec<Vec<&PaperCell>> = Vec::new();
     for cell in cells {
         match groups.iter().position(|group| same_point(group[0], cell)) {
             Some(at) if groups[at][0].job.seed == cell.job.seed => groups[at].push(cell),
@@ -57,12 +59,12 @@ pub fn all(cells: &[Cell], folder: &Path) -> Result<Vec<String>, FigureError> {
     Ok(names)
 }
 
-fn same_point(a: &Cell, b: &Cell) -> bool {
-    let key = |c: &Cell| (c.job.load, c.job.f_sw_hz, c.job.snr_db);
+fn same_point(a: &PaperCell, b: &PaperCell) -> bool {
+    let key = |c: &PaperCell| (c.job.load, c.job.f_sw_hz, c.job.snr_db);
     key(a) == key(b)
 }
 
-fn point_name(cell: &Cell) -> String {
+fn point_name(cell: &PaperCell) -> String {
     let load = match cell.job.load {
         LoadKind::Field => "field",
         LoadKind::Surrogate => "reduced",
@@ -88,7 +90,7 @@ fn draw(
 }
 
 /// R above L over the half-cycle.
-fn load(root: &Area<'_>, cells: &[&Cell]) -> DrawResult {
+fn load(root: &Area<'_>, cells: &[&PaperCell]) -> DrawResult {
     let below = header(root, &point_name(cells[0]), &[])?;
     let areas = below.split_evenly((2, 1));
     type Value = fn(&(f64, f64, f64)) -> f64;
@@ -102,16 +104,16 @@ fn load(root: &Area<'_>, cells: &[&Cell]) -> DrawResult {
 
 /// One quantity over the half-cycle. A failed method may be far off: the truth's range sets the axis.
 fn load_panel(
-    cells: &[&Cell],
+    cells: &[&PaperCell],
     label: &str,
     value: impl Fn(&(f64, f64, f64)) -> f64,
-) -> (Panel, Vec<Curve>) {
+) -> (PlotPanel, Vec<PlotCurve>) {
     let start_s = cells[0].truth.first().map_or(0.0, |p| p.0);
     let points = |trajectory: &[(f64, f64, f64)]| {
         let of = trajectory.iter();
         of.map(|p| ((p.0 - start_s) * 1e3, value(p))).collect()
     };
-    let mut curves = vec![Curve::new(
+    let mut curves = vec![PlotCurve::new(
         "truth",
         GREY,
         Pen::Line(6),
@@ -120,12 +122,12 @@ fn load_panel(
     for (k, cell) in cells.iter().enumerate() {
         let name = cell.job.contender.name();
         let points = points(&cell.trajectory);
-        curves.push(Curve::new(name, colour(k), Pen::Line(2), points));
+        curves.push(PlotCurve::new(name, colour(k), Pen::Line(2), points));
     }
     let (low, high) = span(curves[0].points().map(|p| p.1)).unwrap_or((0.0, 1.0));
     let air = 0.25 * (high - low).max(1e-3);
-    let times = span(curves.iter().flat_map(Curve::points).map(|p| p.0)).unwrap_or((0.0, 1.0));
-    let panel = Panel {
+    let times = span(curves.iter().flat_map(PlotCurve::points).map(|p| p.0)).unwrap_or((0.0, 1.0));
+    let panel = PlotPanel {
         x: Axis::linear("time in the half-cycle / ms", times.0..times.1),
         y: Axis::linear(label, low - air..high + air),
     };
@@ -134,13 +136,13 @@ fn load_panel(
 
 /// Physics and data terms over the steps, both axes in decades. With noise its part of the data term is drawn: the VI branch must
 /// not go below it.
-fn losses(root: &Area<'_>, cells: &[&Cell]) -> DrawResult {
+fn losses(root: &Area<'_>, cells: &[&PaperCell]) -> DrawResult {
     let title = format!("{}: loss", point_name(cells[0]));
     let below = header(root, &title, &[])?;
     let curves = loss_curves(cells);
-    let steps = span(curves.iter().flat_map(Curve::points).map(|p| p.0)).unwrap_or((1.0, 10.0));
-    let terms = span(curves.iter().flat_map(Curve::points).map(|p| p.1)).unwrap_or((1.0, 10.0));
-    let panel = Panel {
+    let steps = span(curves.iter().flat_map(PlotCurve::points).map(|p| p.0)).unwrap_or((1.0, 10.0));
+    let terms = span(curves.iter().flat_map(PlotCurve::points).map(|p| p.1)).unwrap_or((1.0, 10.0));
+    let panel = PlotPanel {
         x: Axis::decades("step", steps.0..steps.1),
         y: Axis::decades("loss term", terms.0 / 2.0..terms.1 * 2.0),
     };
@@ -148,15 +150,15 @@ fn losses(root: &Area<'_>, cells: &[&Cell]) -> DrawResult {
 }
 
 /// Curves without terms that are zero, which have no place on an axis of decades.
-fn loss_curves(cells: &[&Cell]) -> Vec<Curve> {
+fn loss_curves(cells: &[&PaperCell]) -> Vec<PlotCurve> {
     let mut curves = Vec::new();
-    let trained = |c: &&&Cell| matches!(c.job.contender, Contender::Pinn(_));
+    let trained = |c: &&&PaperCell| matches!(c.job.contender, Contender::Pinn(_));
     for (k, cell) in cells.iter().filter(trained).enumerate() {
         let name = cell.job.contender.name();
         let mut add = |term: &str, pen, value: fn(&super::LossAt) -> f64| {
             let points = cell.losses.iter().map(|l| (l.step as f64, value(l)));
             let points = points.filter(|p| p.0 > 0.0 && p.1 > 0.0).collect();
-            curves.push(Curve::new(
+            curves.push(PlotCurve::new(
                 &format!("{name}: {term}"),
                 colour(k),
                 pen,
@@ -166,28 +168,28 @@ fn loss_curves(cells: &[&Cell]) -> Vec<Curve> {
         add("physics L_f", Pen::Line(2), |l| l.l_f);
         add("data L_i", Pen::Broken(2), |l| l.l_i);
     }
-    let steps = span(curves.iter().flat_map(Curve::points).map(|p| p.0));
+    let steps = span(curves.iter().flat_map(PlotCurve::points).map(|p| p.0));
     if let (Some(noise), Some((first, last))) = (cells[0].noise_in_samples, steps)
         && noise > 0.0
     {
         // First, so that it lies under the others.
         let points = vec![(first, noise), (last, noise)];
-        let noise = Curve::new("noise of the samples in L_i", GREY, Pen::Line(5), points);
+        let noise = PlotCurve::new("noise of the samples in L_i", GREY, Pen::Line(5), points);
         curves.insert(0, noise);
     }
     curves
 }
 
 /// Panel with its legend at the right, which states how far each curve extends beyond the frame.
-fn beside_legend(area: &Area<'_>, panel: &Panel, curves: &[Curve]) -> DrawResult {
+fn beside_legend(area: &Area<'_>, panel: &PlotPanel, curves: &[PlotCurve]) -> DrawResult {
     let width = area.dim_in_pixel().0.saturating_sub(LEGEND_PX);
     let (left, right) = area.split_horizontally(width);
     let outside = plot::draw(&left, panel, curves)?;
-    let entry = |(curve, outside): (&Curve, &Vec<_>)| Entry {
+    let entry = |(curve, outside): (&PlotCurve, &Vec<_>)| LegendEntry {
         note: beyond(outside),
-        ..Entry::of(curve)
+        ..LegendEntry::of(curve)
     };
-    let entries: Vec<Entry> = curves.iter().zip(&outside).map(entry).collect();
+    let entries: Vec<LegendEntry> = curves.iter().zip(&outside).map(entry).collect();
     column(&right, &entries)
 }
 
@@ -195,21 +197,21 @@ fn beside_legend(area: &Area<'_>, panel: &Panel, curves: &[Curve]) -> DrawResult
 mod tests {
     use ihd_identify::Method;
 
-    use super::super::{Errors, Job, LossAt};
+    use super::super::{LossAt, PaperErrors, PaperJob};
     use super::*;
     use ihd_plot::svg::Picture;
 
-    fn cell(contender: Contender, r_ohm: f64, losses: Vec<LossAt>) -> Cell {
+    fn cell(contender: Contender, r_ohm: f64, losses: Vec<LossAt>) -> PaperCell {
         let trajectory = |r: f64| {
             let at = (0..=100).map(|k| 1e-4 * f64::from(k));
             at.map(|t| (t, r + 100.0 * t, 20e-6)).collect()
         };
-        let errors = Errors {
+        let errors = PaperErrors {
             r_pct: 0.0,
             l_pct: 0.0,
         };
-        Cell {
-            job: Job {
+        PaperCell {
+            job: PaperJob {
                 load: LoadKind::Behavioural,
                 f_sw_hz: 45e3,
                 snr_db: Some(30.0),
@@ -238,7 +240,7 @@ mod tests {
         }
     }
 
-    fn drawn(cells: &[Cell], name: &str) -> Picture {
+    fn drawn(cells: &[PaperCell], name: &str) -> Picture {
         let folder = tempfile::tempdir().unwrap();
         let names = all(cells, folder.path()).unwrap();
         assert!(names.contains(&name.to_owned()), "{names:?}");

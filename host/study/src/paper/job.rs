@@ -26,7 +26,7 @@ impl Contender {
 
 /// Job of one cell.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Job {
+pub struct PaperJob {
     /// Load model of the capture and the truth.
     pub load: LoadKind,
     /// Switching frequency in hertz.
@@ -41,7 +41,7 @@ pub struct Job {
     pub epochs: Option<usize>,
 }
 
-impl Job {
+impl PaperJob {
     /// Name of the cell's file, without the ending.
     pub fn file_stem(&self) -> String {
         let load = match self.load {

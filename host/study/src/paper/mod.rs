@@ -15,7 +15,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use ihd_identify::IdentifyError;
-use ihd_pinn::{Config, PinnError, PresetLibrary};
+use ihd_pinn::{PinnConfig, PinnError, PresetLibrary};
 use ihd_signal::truth::Mre;
 use ihd_signal::truth::PeriodTruth;
 use ihd_sim::inverter::InverterError;
@@ -23,7 +23,7 @@ use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::trial::Trial;
 use serde::{Deserialize, Serialize};
 
-pub use self::job::{Contender, Job};
+pub use self::job::{Contender, PaperJob};
 use ihd_plot::FigureError;
 
 /// One entry of a loss curve.
@@ -39,14 +39,14 @@ pub struct LossAt {
 
 /// Errors in percent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Errors {
+pub struct PaperErrors {
     /// Mean relative error of R in percent.
     pub r_pct: f64,
     /// Mean relative error of L in percent.
     pub l_pct: f64,
 }
 
-impl From<Mre> for Errors {
+impl From<Mre> for PaperErrors {
     fn from(mre: Mre) -> Self {
         Self {
             r_pct: mre.r_pct,
@@ -57,19 +57,19 @@ impl From<Mre> for Errors {
 
 /// Result of a cell.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Cell {
+pub struct PaperCell {
     /// Job.
-    pub job: Job,
+    pub job: PaperJob,
     /// Settings of a preset from a folder, whose file may change between two runs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub settings: Option<Config>,
+    pub settings: Option<PinnConfig>,
     /// Errors over the last mains half-cycle.
-    pub whole: Errors,
+    pub whole: PaperErrors,
     /// Errors over its middle 80 %.
-    pub middle: Errors,
+    pub middle: PaperErrors,
     /// Errors on the field model over the whole half-cycle against the describing function, which holds for a sinusoidal current.
     #[serde(default)]
-    pub describing: Option<Errors>,
+    pub describing: Option<PaperErrors>,
     /// Order of the impedance law that the network was given or has found.
     #[serde(default)]
     pub impedance_order: Option<f64>,
@@ -155,7 +155,7 @@ struct Point {
 }
 
 impl Point {
-    fn simulate(job: &Job) -> Result<Self, InverterError> {
+    fn simulate(job: &PaperJob) -> Result<Self, InverterError> {
         let trial = Trial::simulate(job.load, job.f_sw_hz)?;
         let describing = match job.load {
             LoadKind::Field => Some(trial.describing()?),
@@ -176,11 +176,11 @@ impl Point {
 /// # Errors
 /// [`PaperStudyError`].
 pub fn study(
-    jobs: &[Job],
+    jobs: &[PaperJob],
     presets: &PresetLibrary,
     folder: &Path,
     progress: &mut dyn FnMut(usize, &str),
-) -> Result<Vec<Cell>, PaperStudyError> {
+) -> Result<Vec<PaperCell>, PaperStudyError> {
     let mut cells = Vec::with_capacity(jobs.len());
     let mut simulated: Option<(LoadKind, f64, Point)> = None;
     for job in jobs {
@@ -223,7 +223,7 @@ pub fn study(
 /// # Errors
 /// [`PaperStudyError`].
 pub fn publish(
-    cells: &[Cell],
+    cells: &[PaperCell],
     presets: &PresetLibrary,
     folder: &Path,
 ) -> Result<PathBuf, PaperStudyError> {
@@ -237,7 +237,7 @@ pub fn publish(
 }
 
 /// Settings of the job's preset from a folder; `None` if it is built in.
-fn folder_settings(job: &Job, presets: &PresetLibrary) -> Option<Config> {
+fn folder_settings(job: &PaperJob, presets: &PresetLibrary) -> Option<PinnConfig> {
     let Contender::Pinn(name) = &job.contender else {
         return None;
     };
@@ -246,7 +246,7 @@ fn folder_settings(job: &Job, presets: &PresetLibrary) -> Option<Config> {
     preset.map(|preset| preset.config)
 }
 
-fn stored_cell(path: &Path) -> Result<Option<Cell>, PaperStudyError> {
+fn stored_cell(path: &Path) -> Result<Option<PaperCell>, PaperStudyError> {
     if !path.exists() {
         return Ok(None);
     }
@@ -267,7 +267,7 @@ fn broken(path: &Path, why: &dyn std::fmt::Display) -> PaperStudyError {
 }
 
 /// Distinct values of a quantity in the cells, in their order.
-fn distinct<T: PartialEq>(cells: &[&Cell], of: impl Fn(&Cell) -> T) -> Vec<T> {
+fn distinct<T: PartialEq>(cells: &[&PaperCell], of: impl Fn(&PaperCell) -> T) -> Vec<T> {
     let mut values = Vec::new();
     for value in cells.iter().map(|c| of(c)) {
         if !values.contains(&value) {

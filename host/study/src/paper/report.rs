@@ -6,7 +6,7 @@ use ihd_pinn::PresetLibrary;
 use ihd_sim::recording::settings::LoadKind;
 
 use super::published::pinn;
-use super::{Cell, Contender, comparison, distinct, waveforms};
+use super::{Contender, PaperCell, comparison, distinct, waveforms};
 use crate::estimators::published::ekf;
 
 /// Mean and spread of a quantity over seeds.
@@ -50,7 +50,7 @@ pub(super) fn number(x: f64) -> String {
 }
 
 /// Returns the report; `figures` are names of files beside it.
-pub fn markdown(cells: &[Cell], presets: &PresetLibrary, figures: &[String]) -> String {
+pub fn markdown(cells: &[PaperCell], presets: &PresetLibrary, figures: &[String]) -> String {
     let mut out = String::from("# The paper's tables, with truth from simulation\n\n");
     out.push_str(
         "Errors in percent over the last mains half-cycle, mean over the seeds and, in brackets, the \
@@ -70,7 +70,7 @@ pub fn markdown(cells: &[Cell], presets: &PresetLibrary, figures: &[String]) -> 
         ),
         (LoadKind::Field, "Field model: R and L of the fundamental"),
     ] {
-        let of: Vec<&Cell> = cells.iter().filter(|c| c.job.load == load).collect();
+        let of: Vec<&PaperCell> = cells.iter().filter(|c| c.job.load == load).collect();
         if !of.is_empty() {
             let _ = writeln!(out, "\n## {title}\n");
         }
@@ -100,7 +100,7 @@ pub fn markdown(cells: &[Cell], presets: &PresetLibrary, figures: &[String]) -> 
 }
 
 /// One table: a row per frequency and contender.
-fn table(out: &mut String, cells: &[&Cell], snr_db: Option<f64>) {
+fn table(out: &mut String, cells: &[&PaperCell], snr_db: Option<f64>) {
     let title = snr_db.map_or("Without noise (Table 1)".into(), |db| {
         format!("{db} dB (Tables 2 and 3)")
     });
@@ -111,10 +111,10 @@ fn table(out: &mut String, cells: &[&Cell], snr_db: Option<f64>) {
          |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
     let of_snr = cells.iter().copied().filter(|c| c.job.snr_db == snr_db);
-    let of_snr: Vec<&Cell> = of_snr.collect();
+    let of_snr: Vec<&PaperCell> = of_snr.collect();
     for f_sw_hz in distinct(&of_snr, |c| c.job.f_sw_hz) {
         let here = of_snr.iter().copied().filter(|c| c.job.f_sw_hz == f_sw_hz);
-        let here: Vec<&Cell> = here.collect();
+        let here: Vec<&PaperCell> = here.collect();
         for contender in distinct(&here, |c| c.job.contender.clone()) {
             let of = here
                 .iter()
@@ -127,8 +127,8 @@ fn table(out: &mut String, cells: &[&Cell], snr_db: Option<f64>) {
     out.push('\n');
 }
 
-fn row(out: &mut String, f_sw_hz: f64, contender: &Contender, cells: &[&Cell]) {
-    let column = |value: &dyn Fn(&Cell) -> Option<f64>| {
+fn row(out: &mut String, f_sw_hz: f64, contender: &Contender, cells: &[&PaperCell]) {
+    let column = |value: &dyn Fn(&PaperCell) -> Option<f64>| {
         let values: Vec<f64> = cells.iter().filter_map(|c| value(c)).collect();
         Spread::of(&values).map_or("–".into(), |s| s.text())
     };
@@ -180,11 +180,11 @@ pub(super) mod tests {
     use ihd_identify::Method;
 
     use super::*;
-    use crate::paper::{Errors, Job};
+    use crate::paper::{PaperErrors, PaperJob};
 
-    pub(in crate::paper) fn cell(seed: u64, r_pct: f64) -> Cell {
-        Cell {
-            job: Job {
+    pub(in crate::paper) fn cell(seed: u64, r_pct: f64) -> PaperCell {
+        PaperCell {
+            job: PaperJob {
                 load: LoadKind::Behavioural,
                 f_sw_hz: 45e3,
                 snr_db: Some(30.0),
@@ -193,8 +193,8 @@ pub(super) mod tests {
                 epochs: None,
             },
             settings: None,
-            whole: Errors { r_pct, l_pct: 1.0 },
-            middle: Errors { r_pct, l_pct: 1.0 },
+            whole: PaperErrors { r_pct, l_pct: 1.0 },
+            middle: PaperErrors { r_pct, l_pct: 1.0 },
             describing: None,
             impedance_order: None,
             nmse_pct: None,

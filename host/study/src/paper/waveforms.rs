@@ -4,16 +4,16 @@
 use std::fmt::Write;
 
 use super::published::pinn;
-use super::{Cell, Contender, distinct};
+use super::{Contender, PaperCell, distinct};
 use crate::estimators::published::ekf_nmse;
 
 /// Voltage and current in percent.
 type Pair = (f64, f64);
 
 /// Table; empty if no contender yields waveforms.
-pub(super) fn markdown(cells: &[Cell]) -> String {
+pub(super) fn markdown(cells: &[PaperCell]) -> String {
     let with = cells.iter().filter(|c| c.nmse_filtered_pct.is_some());
-    let cells: Vec<&Cell> = with.collect();
+    let cells: Vec<&PaperCell> = with.collect();
     if cells.is_empty() {
         return String::new();
     }
@@ -36,7 +36,7 @@ pub(super) fn markdown(cells: &[Cell]) -> String {
 }
 
 /// Rows of one load and SNR: all contenders, the waveforms themselves, the paper.
-fn rows(out: &mut String, cells: &[&Cell], frequencies: &[f64]) {
+fn rows(out: &mut String, cells: &[&PaperCell], frequencies: &[f64]) {
     let snr_db = cells[0].job.snr_db;
     let snr = snr_db.map_or("noiseless".into(), |db| format!("{db} dB"));
     let place = format!("{:?}", cells[0].job.load).to_lowercase() + ", " + &snr;
@@ -71,12 +71,12 @@ fn rows(out: &mut String, cells: &[&Cell], frequencies: &[f64]) {
 }
 
 fn mean(
-    cells: &[&Cell],
+    cells: &[&PaperCell],
     contender: &Contender,
     f_sw_hz: f64,
-    value: fn(&Cell) -> Option<Pair>,
+    value: fn(&PaperCell) -> Option<Pair>,
 ) -> Option<Pair> {
-    let of = |c: &&&Cell| c.job.contender == *contender && c.job.f_sw_hz == f_sw_hz;
+    let of = |c: &&&PaperCell| c.job.contender == *contender && c.job.f_sw_hz == f_sw_hz;
     let pairs: Vec<Pair> = cells.iter().filter(of).filter_map(|c| value(c)).collect();
     let n = pairs.len() as f64;
     let sum = pairs.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0, s.1 + p.1));

@@ -1,12 +1,12 @@
 //! The hob that knows a pot, and the hob that gets it for the first time.
 
-use ihd_map::{Curve, PotEntry, PotMap, Provenance};
+use ihd_map::{CurrentCurve, PotEntry, PotMap, Provenance};
 use ihd_signal::truth::MapTruth;
 use ihd_signal::{Load, Segment};
-use ihd_sim::adc::Noise;
+use ihd_sim::adc::ConverterNoise;
 use ihd_sim::map_truth::TrueLoad;
 use ihd_sim::perturbation::Perturbation;
-use ihd_sim::pot::Pot;
+use ihd_sim::pot::SimulatedPot;
 use ihd_sim::recording::settings::LoadKind;
 
 use super::PotError;
@@ -39,17 +39,17 @@ const SEEDS_APART: u64 = 1_000;
 const OF_FIRST: u64 = 500;
 
 /// The pot on the first hob: centred, at its usual height, at room temperature.
-pub fn at_home(pot: &Pot) -> Pot {
-    Pot {
+pub fn at_home(pot: &SimulatedPot) -> SimulatedPot {
+    SimulatedPot {
         lift_m: 0.0,
         offset_m: 0.0,
-        temperature_c: Pot::NONE.temperature_c,
+        temperature_c: SimulatedPot::NONE.temperature_c,
         ..*pot
     }
 }
 
 /// Returns `true` if both have the same metal and size.
-pub fn is_same(a: &Pot, b: &Pot) -> bool {
+pub fn is_same(a: &SimulatedPot, b: &SimulatedPot) -> bool {
     a.metal == b.metal && (a.diameter_m - b.diameter_m).abs() < 1e-6
 }
 
@@ -59,7 +59,7 @@ pub fn is_same(a: &Pot, b: &Pot) -> bool {
 /// [`PotError`].
 pub fn entry(
     load: LoadKind,
-    pot: &Pot,
+    pot: &SimulatedPot,
     name: &str,
     seed: u64,
 ) -> Result<Option<PotEntry>, PotError> {
@@ -70,7 +70,7 @@ pub fn entry(
     {
         return Ok(None);
     }
-    let noise = Noise::from_snr_db(FIRST_SNR_DB, RATED_RMS.0, RATED_RMS.1);
+    let noise = ConverterNoise::from_snr_db(FIRST_SNR_DB, RATED_RMS.0, RATED_RMS.1);
     let mut map = PotMap::default();
     let mut now_s = 0.0;
     for (k, point) in points(load, &KNOWN_AT_W, pot)?.iter().enumerate() {
@@ -104,7 +104,7 @@ impl SecondHob {
         placed: &PotPlacement,
         perturbation: Option<Perturbation>,
     ) -> Result<Self, PotError> {
-        let pot = Pot {
+        let pot = SimulatedPot {
             perturbation,
             lift_m: placed.pot.lift_m + LIFT_M,
             ..placed.pot
@@ -139,8 +139,8 @@ impl SecondHob {
     ///
     /// # Errors
     /// [`PotError`] if a network cannot be trained.
-    pub fn curves(&self, seed: u64) -> Result<Vec<Curve>, PotError> {
-        let noise = Noise::from_snr_db(SECOND_SNR_DB, RATED_RMS.0, RATED_RMS.1);
+    pub fn curves(&self, seed: u64) -> Result<Vec<CurrentCurve>, PotError> {
+        let noise = ConverterNoise::from_snr_db(SECOND_SNR_DB, RATED_RMS.0, RATED_RMS.1);
         let mut curves = Vec::new();
         for (k, asked_w) in ASKED_W.iter().enumerate() {
             let point = self.points.iter().find(|p| p.shown.asked_w == *asked_w);

@@ -22,7 +22,7 @@ use super::parallel::{WorkerLost, in_parallel};
 
 /// Plan of the study.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Plan {
+pub struct PotsPlan {
     /// Pots in their places on the second hob; the first one knows them centred, cold and at their usual height.
     pub pots: Vec<PotPlacement>,
     /// Departures of the pots from the standard model; `None` for the standard one.
@@ -82,7 +82,7 @@ pub struct TaughtLookup {
 
 /// One pot, one departure, one library, one seed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Run {
+pub struct PotsRun {
     /// Name of the pot and its place on the second hob.
     pub pot: String,
     /// Departure from the standard model.
@@ -150,9 +150,9 @@ impl PotError {
 /// # Errors
 /// [`PotsStudyError`].
 pub fn study(
-    plan: &Plan,
+    plan: &PotsPlan,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<Vec<Run>, PotsStudyError> {
+) -> Result<Vec<PotsRun>, PotsStudyError> {
     let jobs: Vec<_> = plan
         .pots
         .iter()
@@ -187,15 +187,15 @@ pub fn study(
 const OTHERS_SEED: u64 = 99;
 
 fn runs(
-    plan: &Plan,
+    plan: &PotsPlan,
     placed: &PotPlacement,
     perturbation: Option<Perturbation>,
     others: &[(&PotPlacement, PotEntry)],
-) -> Result<Vec<Run>, PotError> {
+) -> Result<Vec<PotsRun>, PotError> {
     let hob = SecondHob::new(plan.load, placed, perturbation)?;
     let mut runs = Vec::new();
     for seed in 1..=plan.seeds {
-        let known = ihd_sim::pot::Pot {
+        let known = ihd_sim::pot::SimulatedPot {
             perturbation,
             ..hobs::at_home(&placed.pot)
         };
@@ -239,7 +239,7 @@ fn runs(
                 map.refresh(curve.t_s);
                 hob.judge(&map, curve.t_s)
             });
-            runs.push(Run {
+            runs.push(PotsRun {
                 pot: placed.name.clone(),
                 perturbation,
                 library,

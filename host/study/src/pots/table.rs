@@ -8,7 +8,7 @@ use ihd_train::lookup::LookupAccuracy;
 use serde::Serialize;
 
 use super::hobs::ASKED_W;
-use super::{LibraryContents, Plan, Run, TaughtLookup};
+use super::{LibraryContents, PotsPlan, PotsRun, TaughtLookup};
 
 /// First line of the section in docs/results/pots.md.
 pub const BEGIN: &str = "<!-- ihd-study pots: begin -->";
@@ -21,7 +21,7 @@ const TAUGHT: f64 = 0.75;
 
 /// Errors after one window and after the last one, over pots and seeds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Line {
+pub struct PotsLine {
     /// Name of the pot, or of a departure for all pots.
     pub pots: String,
     /// Contents of the library.
@@ -29,9 +29,9 @@ pub struct Line {
     /// Number of runs.
     pub runs: usize,
     /// Errors after the first window.
-    pub first: Sum,
+    pub first: PotsSums,
     /// Errors after the last window.
-    pub last: Sum,
+    pub last: PotsSums,
     /// Mean number of windows until the map was complete; a map that never was counts as one more than there were.
     pub windows_to_taught: f64,
     /// Number of runs whose map never was complete.
@@ -40,7 +40,7 @@ pub struct Line {
 
 /// Errors over runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Sum {
+pub struct PotsSums {
     /// Mean error of R in cells that were not seen, in percent.
     pub r_mean_pct: f64,
     /// Largest error of R in unseen cells, in percent.
@@ -59,7 +59,7 @@ pub struct Sum {
     pub refused: usize,
 }
 
-impl Sum {
+impl PotsSums {
     fn of<'a>(after: impl Iterator<Item = &'a TaughtLookup>) -> Self {
         let all: Vec<&TaughtLookup> = after.collect();
         let errors: Vec<LookupAccuracy> = all.iter().filter_map(|a| a.error).collect();
@@ -84,20 +84,20 @@ impl Sum {
     }
 }
 
-impl Line {
-    fn of(pots: String, library: LibraryContents, runs: &[&Run]) -> Self {
-        let taught = |run: &&Run| {
+impl PotsLine {
+    fn of(pots: String, library: LibraryContents, runs: &[&PotsRun]) -> Self {
+        let taught = |run: &&PotsRun| {
             let at = run.after.iter().position(|a| a.known >= TAUGHT);
             at.map_or(run.after.len() + 1, |k| k + 1)
         };
-        let never = |run: &&&Run| run.after.iter().all(|a| a.known < TAUGHT);
+        let never = |run: &&&PotsRun| run.after.iter().all(|a| a.known < TAUGHT);
         let windows: Vec<usize> = runs.iter().map(taught).collect();
         Self {
             pots,
             library,
             runs: runs.len(),
-            first: Sum::of(runs.iter().filter_map(|r| r.after.first())),
-            last: Sum::of(runs.iter().filter_map(|r| r.after.last())),
+            first: PotsSums::of(runs.iter().filter_map(|r| r.after.first())),
+            last: PotsSums::of(runs.iter().filter_map(|r| r.after.last())),
             windows_to_taught: windows.iter().sum::<usize>() as f64 / windows.len().max(1) as f64,
             never_taught: runs.iter().filter(never).count(),
         }
@@ -105,15 +105,15 @@ impl Line {
 }
 
 /// All pots of one departure, by library.
-pub fn summary(plan: &Plan, runs: &[Run]) -> Vec<Line> {
+pub fn summary(plan: &PotsPlan, runs: &[PotsRun]) -> Vec<PotsLine> {
     let mut lines = Vec::new();
     for perturbation in &plan.perturbations {
         for library in LibraryContents::ALL {
-            let own: Vec<&Run> = known_to_first(runs)
+            let own: Vec<&PotsRun> = known_to_first(runs)
                 .filter(|r| r.perturbation == *perturbation && r.library == library)
                 .collect();
             if !own.is_empty() {
-                lines.push(Line::of(departure(*perturbation), library, &own));
+                lines.push(PotsLine::of(departure(*perturbation), library, &own));
             }
         }
     }
@@ -121,13 +121,13 @@ pub fn summary(plan: &Plan, runs: &[Run]) -> Vec<Line> {
 }
 
 /// Every pot, without a library and with the one that holds it among others.
-pub fn by_pot(plan: &Plan, runs: &[Run]) -> Vec<Line> {
+pub fn by_pot(plan: &PotsPlan, runs: &[PotsRun]) -> Vec<PotsLine> {
     let mut lines = Vec::new();
     for perturbation in &plan.perturbations {
         for pot in &plan.pots {
             for library in [LibraryContents::Nothing, LibraryContents::Among] {
-                let of_pot = |r: &&Run| r.pot == pot.name && r.perturbation == *perturbation;
-                let own: Vec<&Run> = known_to_first(runs)
+                let of_pot = |r: &&PotsRun| r.pot == pot.name && r.perturbation == *perturbation;
+                let own: Vec<&PotsRun> = known_to_first(runs)
                     .filter(of_pot)
                     .filter(|r| r.library == library)
                     .collect();
@@ -136,7 +136,7 @@ pub fn by_pot(plan: &Plan, runs: &[Run]) -> Vec<Line> {
                         Some(p) => format!("{}, {p}", pot.name),
                         None => pot.name.clone(),
                     };
-                    lines.push(Line::of(name, library, &own));
+                    lines.push(PotsLine::of(name, library, &own));
                 }
             }
         }
@@ -144,7 +144,7 @@ pub fn by_pot(plan: &Plan, runs: &[Run]) -> Vec<Line> {
     lines
 }
 
-fn known_to_first(runs: &[Run]) -> impl Iterator<Item = &Run> {
+fn known_to_first(runs: &[PotsRun]) -> impl Iterator<Item = &PotsRun> {
     runs.iter().filter(|r| r.told)
 }
 
@@ -153,7 +153,7 @@ fn departure(perturbation: Option<Perturbation>) -> String {
 }
 
 /// Section without its marks.
-pub fn markdown(plan: &Plan, runs: &[Run]) -> String {
+pub fn markdown(plan: &PotsPlan, runs: &[PotsRun]) -> String {
     let mut out = String::new();
     let load = match plan.load {
         LoadKind::Field => "field",
@@ -193,15 +193,15 @@ pub fn markdown(plan: &Plan, runs: &[Run]) -> String {
 }
 
 /// Pots for which the first hob has no entry.
-fn silent(runs: &[Run]) -> Vec<String> {
+fn silent(runs: &[PotsRun]) -> Vec<String> {
     let none = runs
         .iter()
         .filter(|r| !r.told && r.library == LibraryContents::Nothing);
-    let name = |r: &Run| format!("{} ({}, seed {})", r.pot, departure(r.perturbation), r.seed);
+    let name = |r: &PotsRun| format!("{} ({}, seed {})", r.pot, departure(r.perturbation), r.seed);
     none.map(name).collect()
 }
 
-fn row(line: &Line) -> String {
+fn row(line: &PotsLine) -> String {
     let library = match line.library {
         LibraryContents::Nothing => "none",
         LibraryContents::Same => "the pot",
@@ -210,7 +210,7 @@ fn row(line: &Line) -> String {
         LibraryContents::NearMiss => "a near miss",
         LibraryContents::Lie => "a lie",
     };
-    let Sum {
+    let PotsSums {
         worst_known_pct: [r_pct, l_pct],
         ..
     } = line.first;
@@ -267,8 +267,8 @@ mod tests {
         }
     }
 
-    fn run(library: LibraryContents, after: Vec<TaughtLookup>) -> Run {
-        Run {
+    fn run(library: LibraryContents, after: Vec<TaughtLookup>) -> PotsRun {
+        PotsRun {
             pot: "ferritic-18".into(),
             perturbation: None,
             library,
@@ -291,7 +291,7 @@ mod tests {
                 vec![after(2.0, 0.1), after(1.0, 0.74)],
             ),
         ];
-        let line = Line::of(
+        let line = PotsLine::of(
             "all".into(),
             LibraryContents::Nothing,
             &runs.iter().collect::<Vec<_>>(),
@@ -304,7 +304,7 @@ mod tests {
 
     #[test]
     fn pots_of_which_nothing_was_told_are_named_and_in_no_mean() {
-        let plan = Plan {
+        let plan = PotsPlan {
             pots: vec!["ferritic-18".parse().unwrap()],
             perturbations: vec![None],
             others: Vec::new(),

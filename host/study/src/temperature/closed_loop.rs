@@ -3,11 +3,11 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use ihd_link::{Client, Event};
+use ihd_link::{Client, DeviceEvent};
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::transport::SharedHob;
-use ihd_thermal::{HalfCycle, PotEvent, Thermometer};
+use ihd_thermal::{PotEvent, ThermalHalfCycle, Thermometer};
 use serde::Serialize;
 
 /// Time evaluated after the boil, in seconds.
@@ -18,7 +18,7 @@ const LONGEST_S: f64 = 600.0;
 
 /// Result of the run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Outcome {
+pub struct ClosedLoopResult {
     /// Length in seconds of the hob.
     pub duration_s: f64,
     /// ΔT in K rms.
@@ -44,7 +44,7 @@ pub struct Outcome {
 ///
 /// # Errors
 /// If the hob does not answer.
-pub fn run(progress: &dyn Fn(f64)) -> Result<Outcome> {
+pub fn run(progress: &dyn Fn(f64)) -> Result<ClosedLoopResult> {
     let hob = SharedHob::new(SimHob::new(&HobConfig {
         load: LoadKind::Surrogate,
         pot: "ferritic-15".parse()?,
@@ -56,18 +56,18 @@ pub fn run(progress: &dyn Fn(f64)) -> Result<Outcome> {
     client.stream(1, 0)?;
     client.set_power(1000)?;
     let mut thermometer = Thermometer::default();
-    let mut out = Outcome::default();
+    let mut out = ClosedLoopResult::default();
     let (mut squares, mut readings) = (0.0, 0u32);
     loop {
         let event = client.next_event(Duration::from_secs(5))?;
-        let Event::Telemetry(t) = event.context("the hob is silent")? else {
+        let DeviceEvent::Telemetry(t) = event.context("the hob is silent")? else {
             continue;
         };
         // The device switches off ten seconds after the host's last message.
         if t.half_cycle.is_multiple_of(300) {
             client.status()?;
         }
-        thermometer.push(&HalfCycle::from_telemetry(
+        thermometer.push(&ThermalHalfCycle::from_telemetry(
             &t,
             f64::from(t.half_cycle) * 0.01,
         ));
@@ -108,7 +108,7 @@ pub fn run(progress: &dyn Fn(f64)) -> Result<Outcome> {
     Ok(out)
 }
 
-impl Outcome {
+impl ClosedLoopResult {
     /// Text for the document.
     pub fn text(&self) -> String {
         let of = |x: Option<f64>| x.map_or("never".to_owned(), |x| format!("{x:.0} s"));

@@ -2,15 +2,17 @@
 
 use std::path::Path;
 
-use ihd_sim::contents::Contents;
-use ihd_sim::cooking::Deviation;
-use ihd_sim::pot::{Metal, Pot};
+use ihd_sim::contents::PotContents;
+use ihd_sim::cooking::PotDeviation;
+use ihd_sim::pot::{Metal, SimulatedPot};
 use plotters::prelude::*;
 
 use super::kitchen::{Sample, cook};
-use super::{Job, Kind, Run};
+use super::{CookingJob, CookingKind, TemperatureRun};
 use ihd_plot::legend::header;
-use ihd_plot::{self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, GREY, Panel, Pen, RED};
+use ihd_plot::{
+    self as plot, Area, Axis, BLUE, DrawResult, GREY, LegendEntry, Pen, PlotCurve, PlotPanel, RED,
+};
 use ihd_plot::{FigureError, file};
 
 /// Colour between the lines of ± σ.
@@ -21,15 +23,15 @@ const PALE: RGBColor = RGBColor(150, 190, 225);
 /// # Errors
 /// [`FigureError`] if a run cannot be made or the file cannot be written.
 pub fn write(path: &Path) -> Result<(), FigureError> {
-    let job = |kind, contents, power_w, duration_s, moved| Job {
+    let job = |kind, contents, power_w, duration_s, moved| CookingJob {
         seed: 11,
         kind,
-        pot: Pot {
+        pot: SimulatedPot {
             lift_m: 0.2e-3,
-            ..Pot::new(Metal::Ferritic, 0.18)
+            ..SimulatedPot::new(Metal::Ferritic, 0.18)
         },
         contents,
-        deviation: Deviation {
+        deviation: PotDeviation {
             scale: (0.02, -0.01),
             slope: (0.01, 0.005),
             alloy: 0.05,
@@ -43,8 +45,8 @@ pub fn write(path: &Path) -> Result<(), FigureError> {
         (
             "1.5 l of water at 1600 W, ferritic-18, lifted by 0.8 mm at 150 s",
             job(
-                Kind::Boil,
-                Contents::Water(1.5),
+                CookingKind::Boil,
+                PotContents::Water(1.5),
                 1600.0,
                 480.0,
                 Some((150.0, 1e-3)),
@@ -52,7 +54,13 @@ pub fn write(path: &Path) -> Result<(), FigureError> {
         ),
         (
             "The same pot empty at 800 W: beyond 184 K R and L fall with heat",
-            job(Kind::FoodToRest, Contents::Empty, 800.0, 300.0, None),
+            job(
+                CookingKind::FoodToRest,
+                PotContents::Empty,
+                800.0,
+                300.0,
+                None,
+            ),
         ),
     ];
     let mut panels = Vec::new();
@@ -65,12 +73,12 @@ pub fn write(path: &Path) -> Result<(), FigureError> {
     file::write(path, (1000, 760), |root| draw(root, &panels))
 }
 
-fn draw(root: &Area<'_>, panels: &[(&str, Vec<Sample>, Run)]) -> DrawResult {
+fn draw(root: &Area<'_>, panels: &[(&str, Vec<Sample>, TemperatureRun)]) -> DrawResult {
     let areas = root.split_evenly((panels.len(), 1));
     for (k, (area, (title, samples, run))) in areas.iter().zip(panels).enumerate() {
         let curve = |name: &str, colour, pen, value: fn(&Sample) -> f64| {
             let points = samples.iter().map(|s| (s.t_s, value(s)));
-            Curve::new(name, colour, pen, points.collect())
+            PlotCurve::new(name, colour, pen, points.collect())
         };
         let curves = [
             curve("± σ", PALE, Pen::Line(1), |s| {
@@ -83,7 +91,7 @@ fn draw(root: &Area<'_>, panels: &[(&str, Vec<Sample>, Run)]) -> DrawResult {
             curve("true", RED, Pen::Broken(2), |s| s.rise_k),
         ];
         let end_s = samples.last().map_or(1.0, |s| s.t_s);
-        let top_k = plot::span(curves.iter().flat_map(Curve::points).map(|p| p.1));
+        let top_k = plot::span(curves.iter().flat_map(PlotCurve::points).map(|p| p.1));
         let top_k = 1.08 * top_k.map_or(1.0, |(_, high)| high);
         // Times of the boil and of its report.
         let marks = [
@@ -92,25 +100,25 @@ fn draw(root: &Area<'_>, panels: &[(&str, Vec<Sample>, Run)]) -> DrawResult {
         ];
         let marks = marks.into_iter().filter_map(|(name, colour, at_s)| {
             let at_s = at_s?;
-            Some(Curve::new(
+            Some(PlotCurve::new(
                 name,
                 colour,
                 Pen::Broken(1),
                 vec![(at_s, 0.0), (at_s, top_k)],
             ))
         });
-        let all: Vec<Curve> = curves.iter().cloned().chain(marks).collect();
-        let entries: Vec<Entry> = all
+        let all: Vec<PlotCurve> = curves.iter().cloned().chain(marks).collect();
+        let entries: Vec<LegendEntry> = all
             .iter()
             .filter(|c| !c.name.is_empty())
-            .map(plot::Entry::of)
+            .map(plot::LegendEntry::of)
             .collect();
-        let panel = Panel {
+        let panel = PlotPanel {
             x: Axis::linear(if k + 1 == panels.len() { "t / s" } else { "" }, 0.0..end_s),
             y: Axis::linear("ΔT / K", 0.0..top_k),
         };
         let below = header(area, title, &entries)?;
-        let zero = Curve::new("", GREY, Pen::Line(1), vec![(0.0, 0.0), (end_s, 0.0)]);
+        let zero = PlotCurve::new("", GREY, Pen::Line(1), vec![(0.0, 0.0), (end_s, 0.0)]);
         plot::draw(&below, &panel, &[&[zero], all.as_slice()].concat())?;
     }
     Ok(())

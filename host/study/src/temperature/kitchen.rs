@@ -2,9 +2,9 @@
 
 use ihd_sim::cooking::{Cooking, CookingReport};
 use ihd_sim::inverter::InverterError;
-use ihd_thermal::{HalfCycle, PotEvent, Reading, Thermometer};
+use ihd_thermal::{PotEvent, PotReading, ThermalHalfCycle, Thermometer};
 
-use super::{Job, Kind, Run};
+use super::{CookingJob, CookingKind, TemperatureRun};
 
 /// Time after a move in seconds within which it must be reported.
 const MOVE_REPORT_S: f64 = 3.0;
@@ -20,11 +20,11 @@ pub struct Sample {
     /// True rise of the base in kelvin.
     pub rise_k: f64,
     /// Estimate.
-    pub estimate: Reading,
+    pub estimate: PotReading,
 }
 
-fn half_cycle(c: &CookingReport) -> HalfCycle {
-    HalfCycle {
+fn half_cycle(c: &CookingReport) -> ThermalHalfCycle {
+    ThermalHalfCycle {
         t_s: c.t_s,
         f_hz: c.f_hz,
         i_a: c.i_a,
@@ -36,22 +36,22 @@ fn half_cycle(c: &CookingReport) -> HalfCycle {
 }
 
 /// Power requested by the cook, in watt.
-fn asked_w(job: &Job, t_s: f64, base_c: f64) -> f64 {
+fn asked_w(job: &CookingJob, t_s: f64, base_c: f64) -> f64 {
     let p = job.power_w;
     match job.kind {
-        Kind::Boil | Kind::FoodToRest => p,
+        CookingKind::Boil | CookingKind::FoodToRest => p,
         // Once, to between 60 and 100 %.
-        Kind::BoilInSteps if t_s > 0.25 * job.duration_s => {
+        CookingKind::BoilInSteps if t_s > 0.25 * job.duration_s => {
             p * (0.6 + 0.4 * super::share(job.seed, 20))
         }
-        Kind::BoilInSteps => p,
-        Kind::OilSwitched if base_c > 160.0 => 0.0,
-        Kind::OilSwitched => p,
-        Kind::OilHeld => (p - 12.0 * (base_c - 120.0).max(0.0)).max(100.0),
-        Kind::EmptyHeld => (p - 12.0 * (base_c - 100.0).max(0.0)).max(80.0),
-        Kind::Simmer if t_s > 120.0 => 150.0,
-        Kind::Simmer => p,
-        Kind::Restless => [800.0, p.max(1100.0)][(t_s / 20.0) as usize % 2],
+        CookingKind::BoilInSteps => p,
+        CookingKind::OilSwitched if base_c > 160.0 => 0.0,
+        CookingKind::OilSwitched => p,
+        CookingKind::OilHeld => (p - 12.0 * (base_c - 120.0).max(0.0)).max(100.0),
+        CookingKind::EmptyHeld => (p - 12.0 * (base_c - 100.0).max(0.0)).max(80.0),
+        CookingKind::Simmer if t_s > 120.0 => 150.0,
+        CookingKind::Simmer => p,
+        CookingKind::Restless => [800.0, p.max(1100.0)][(t_s / 20.0) as usize % 2],
     }
 }
 
@@ -59,14 +59,17 @@ fn asked_w(job: &Job, t_s: f64, base_c: f64) -> f64 {
 ///
 /// # Errors
 /// If there is no model of the pot.
-pub fn cook(job: &Job, mut each: impl FnMut(Sample)) -> Result<Run, InverterError> {
+pub fn cook(
+    job: &CookingJob,
+    mut each: impl FnMut(Sample),
+) -> Result<TemperatureRun, InverterError> {
     let mut cooking = Cooking::new(job.pot, job.contents, job.deviation, job.seed)?;
     let mut thermometer = Thermometer::default();
     let start_c = job.pot.temperature_c;
     let moved_mm = job
         .moved
         .map_or(0.0, |(_, to_m)| 1e3 * (to_m - job.pot.lift_m));
-    let mut run = Run {
+    let mut run = TemperatureRun {
         seed: job.seed,
         kind: job.kind,
         pot: job.pot.to_string(),
@@ -128,7 +131,7 @@ pub fn cook(job: &Job, mut each: impl FnMut(Sample)) -> Result<Run, InverterErro
     Ok(run)
 }
 
-fn record_event(run: &mut Run, job: &Job, t_s: f64, event: PotEvent) {
+fn record_event(run: &mut TemperatureRun, job: &CookingJob, t_s: f64, event: PotEvent) {
     match event {
         PotEvent::Placed { .. } => {}
         PotEvent::Moved { .. } => {

@@ -8,10 +8,10 @@ pub mod table;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use ihd_sim::contents::Contents;
-use ihd_sim::cooking::Deviation;
+use ihd_sim::contents::PotContents;
+use ihd_sim::cooking::PotDeviation;
 use ihd_sim::inverter::InverterError;
-use ihd_sim::pot::{Metal, Pot};
+use ihd_sim::pot::{Metal, SimulatedPot};
 use serde::Serialize;
 
 use super::parallel::{WorkerLost, in_parallel};
@@ -31,7 +31,7 @@ const LIFT_M: f64 = 1e-3;
 /// Kind of cooking.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Kind {
+pub enum CookingKind {
     /// Water at one power, until it has boiled for some minutes.
     Boil,
     /// Water at a power that the cook changes once.
@@ -50,7 +50,7 @@ pub enum Kind {
     Restless,
 }
 
-impl Kind {
+impl CookingKind {
     /// Kinds that boil.
     pub const BOILS: [Self; 2] = [Self::Boil, Self::BoilInSteps];
 
@@ -81,7 +81,7 @@ impl Kind {
 
 /// Plan of the study.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Plan {
+pub struct TemperaturePlan {
     /// Number of runs that boil, and as many that do not.
     pub runs: u64,
     /// First seed.
@@ -92,17 +92,17 @@ pub struct Plan {
 
 /// Specification of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Job {
+pub struct CookingJob {
     /// Seed.
     pub seed: u64,
     /// Kind.
-    pub kind: Kind,
+    pub kind: CookingKind,
     /// Pot with its lift and its temperature.
-    pub pot: Pot,
+    pub pot: SimulatedPot,
     /// Contents of the pot.
-    pub contents: Contents,
+    pub contents: PotContents,
     /// Deviation of the pot from the physical prediction.
-    pub deviation: Deviation,
+    pub deviation: PotDeviation,
     /// Power in watt.
     pub power_w: f64,
     /// Length in seconds.
@@ -113,11 +113,11 @@ pub struct Job {
 
 /// Result of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Run {
+pub struct TemperatureRun {
     /// Seed.
     pub seed: u64,
     /// Kind.
-    pub kind: Kind,
+    pub kind: CookingKind,
     /// Name of the pot.
     pub pot: String,
     /// Contents of the pot.
@@ -159,7 +159,7 @@ pub struct Run {
 
 /// Error of the study.
 #[derive(Debug, thiserror::Error)]
-pub enum StudyError {
+pub enum TemperatureStudyError {
     /// The simulator reported an error.
     #[error(transparent)]
     Simulation(#[from] InverterError),
@@ -180,25 +180,25 @@ fn share(seed: u64, purpose: u64) -> f64 {
     (x >> 11) as f64 / (1u64 << 53) as f64
 }
 
-impl Plan {
+impl TemperaturePlan {
     /// Runs of the plan.
-    pub fn jobs(&self) -> Vec<Job> {
-        let of = |kinds: &'static [Kind], offset: u64| {
+    pub fn jobs(&self) -> Vec<CookingJob> {
+        let of = |kinds: &'static [CookingKind], offset: u64| {
             (0..self.runs).map(move |k| {
                 let kind = kinds[(k % kinds.len() as u64) as usize];
                 self.job(self.seed + offset + k, kind)
             })
         };
-        of(&Kind::BOILS, 0)
-            .chain(of(&Kind::QUIET, 1_000_000))
+        of(&CookingKind::BOILS, 0)
+            .chain(of(&CookingKind::QUIET, 1_000_000))
             .collect()
     }
 
-    fn job(&self, seed: u64, kind: Kind) -> Job {
+    fn job(&self, seed: u64, kind: CookingKind) -> CookingJob {
         let u = |purpose| share(seed, purpose);
         let around = |purpose, most: f64| most * (2.0 * u(purpose) - 1.0);
         let (metal, diameter_m, most_w) = POTS[(u(0) * POTS.len() as f64) as usize];
-        let most_w = if Kind::BOILS.contains(&kind) {
+        let most_w = if CookingKind::BOILS.contains(&kind) {
             most_w
         } else {
             1400f64.min(most_w)
@@ -206,31 +206,31 @@ impl Plan {
         let power_w = 800.0 + (most_w - 800.0) * u(1);
         let litre = 0.5 + 2.5 * u(2);
         let contents = match kind {
-            Kind::OilSwitched | Kind::OilHeld => Contents::Oil(0.3 + u(2)),
-            Kind::EmptyHeld => Contents::Empty,
-            Kind::FoodToRest => Contents::Food,
-            Kind::Simmer | Kind::Restless => Contents::Water(1.0 + 0.8 * litre),
-            Kind::Boil | Kind::BoilInSteps => Contents::Water(litre),
+            CookingKind::OilSwitched | CookingKind::OilHeld => PotContents::Oil(0.3 + u(2)),
+            CookingKind::EmptyHeld => PotContents::Empty,
+            CookingKind::FoodToRest => PotContents::Food,
+            CookingKind::Simmer | CookingKind::Restless => PotContents::Water(1.0 + 0.8 * litre),
+            CookingKind::Boil | CookingKind::BoilInSteps => PotContents::Water(litre),
         };
         let duration_s = match kind {
             // Time for heating the water at the least power, and some minutes of boiling.
-            Kind::Boil => litre * 4186.0 * 80.0 / power_w * 1.6 + 120.0,
-            Kind::BoilInSteps => litre * 4186.0 * 80.0 / power_w * 2.2 + 120.0,
-            Kind::FoodToRest => 600.0,
-            Kind::Restless => 250.0,
+            CookingKind::Boil => litre * 4186.0 * 80.0 / power_w * 1.6 + 120.0,
+            CookingKind::BoilInSteps => litre * 4186.0 * 80.0 / power_w * 2.2 + 120.0,
+            CookingKind::FoodToRest => 600.0,
+            CookingKind::Restless => 250.0,
             _ => 900.0,
         };
-        let moves = matches!(kind, Kind::Restless) || u(3) < 0.5;
-        Job {
+        let moves = matches!(kind, CookingKind::Restless) || u(3) < 0.5;
+        CookingJob {
             seed,
             kind,
-            pot: Pot {
+            pot: SimulatedPot {
                 lift_m: LIFT_M * u(4),
                 temperature_c: 20.0 + around(5, 5.0),
-                ..Pot::new(metal, diameter_m)
+                ..SimulatedPot::new(metal, diameter_m)
             },
             contents,
-            deviation: Deviation {
+            deviation: PotDeviation {
                 scale: (around(6, 0.02), around(7, 0.01)),
                 slope: (around(8, 0.02), around(9, 0.01)),
                 alloy: around(10, self.alloy),
@@ -246,11 +246,11 @@ impl Plan {
 /// Runs the plan on all cores. `progress` is called with the numbers of finished and of all runs.
 ///
 /// # Errors
-/// [`StudyError`].
+/// [`TemperatureStudyError`].
 pub fn study(
-    plan: &Plan,
+    plan: &TemperaturePlan,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<Vec<Run>, StudyError> {
+) -> Result<Vec<TemperatureRun>, TemperatureStudyError> {
     let jobs = plan.jobs();
     let done = AtomicUsize::new(0);
     let runs = in_parallel(&jobs, |job| {
@@ -260,5 +260,5 @@ pub fn study(
     })?;
     runs.into_iter()
         .collect::<Result<_, _>>()
-        .map_err(StudyError::from)
+        .map_err(TemperatureStudyError::from)
 }

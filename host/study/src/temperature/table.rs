@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::Serialize;
 
-use super::{Kind, Run};
+use super::{CookingKind, TemperatureRun};
 
 /// First line of the section.
 pub const BEGIN: &str = "<!-- ihd-study temperature: begin -->";
@@ -23,7 +23,7 @@ const FALSE_BEFORE_S: f64 = 60.0;
 
 /// Sums of all runs with one spread of alloys.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Sum {
+pub struct TemperatureSums {
     /// Number of runs.
     pub runs: usize,
     /// ΔT in K rms, over the runs that boil; `None` without any.
@@ -71,26 +71,28 @@ fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     values.get((share * last as f64).round() as usize).copied()
 }
 
-fn is_false_boil(run: &Run) -> bool {
+fn is_false_boil(run: &TemperatureRun) -> bool {
     run.boils_reported_s.is_some_and(|reported| {
         run.boils_s
             .is_none_or(|truth| reported < truth - FALSE_BEFORE_S)
     })
 }
 
-impl Sum {
+impl TemperatureSums {
     /// Sums the runs.
-    pub fn of(runs: &[Run]) -> Self {
+    pub fn of(runs: &[TemperatureRun]) -> Self {
         let over = |boils: bool| {
             let of = runs
                 .iter()
-                .filter(|r| Kind::BOILS.contains(&r.kind) == boils);
+                .filter(|r| CookingKind::BOILS.contains(&r.kind) == boils);
             of.fold((0.0, 0), |(s, n), r| (s + r.squares_k2, n + r.readings))
         };
         let (boiling, quiet) = (over(true), over(false));
         let z: f64 = runs.iter().map(|r| r.z_squares).sum();
-        let off = |truth: fn(&Run) -> Option<f64>, reported: fn(&Run) -> Option<f64>| -> Vec<f64> {
-            let of = |r: &Run| Some(reported(r)? - truth(r)?);
+        let off = |truth: fn(&TemperatureRun) -> Option<f64>,
+                   reported: fn(&TemperatureRun) -> Option<f64>|
+         -> Vec<f64> {
+            let of = |r: &TemperatureRun| Some(reported(r)? - truth(r)?);
             runs.iter()
                 .filter(|r| !is_false_boil(r))
                 .filter_map(of)
@@ -99,7 +101,7 @@ impl Sum {
         let boils = off(|r| r.boils_s, |r| r.boils_reported_s);
         let bubbles = off(|r| r.bubbles_s, |r| r.bubbles_reported_s);
         let apart = |x: &[f64]| x.iter().map(|x| x.abs()).collect::<Vec<_>>();
-        let has_moved = |r: &&Run| r.moved_mm.abs() > MOVE_MM;
+        let has_moved = |r: &&TemperatureRun| r.moved_mm.abs() > MOVE_MM;
         Self {
             runs: runs.len(),
             boiling_rms_k: rms(boiling.0, boiling.1),
@@ -134,13 +136,13 @@ fn number(x: Option<f64>, digits: usize) -> String {
 }
 
 /// Section: sums side by side, and a line for each kind of the first.
-pub fn markdown(sums: &[(String, Vec<Run>)]) -> String {
+pub fn markdown(sums: &[(String, Vec<TemperatureRun>)]) -> String {
     let mut out = String::new();
-    let all: Vec<(&String, Sum)> = sums
+    let all: Vec<(&String, TemperatureSums)> = sums
         .iter()
-        .map(|(name, runs)| (name, Sum::of(runs)))
+        .map(|(name, runs)| (name, TemperatureSums::of(runs)))
         .collect();
-    let row = |what: &str, of: &dyn Fn(&Sum) -> String, goal: &str| {
+    let row = |what: &str, of: &dyn Fn(&TemperatureSums) -> String, goal: &str| {
         let cells: Vec<String> = all.iter().map(|(_, sum)| of(sum)).collect();
         format!("| {what} | {} | {goal} |\n", cells.join(" | "))
     };
@@ -222,8 +224,8 @@ pub fn markdown(sums: &[(String, Vec<Run>)]) -> String {
             "\n| {name} | runs | ΔT K rms | worst K | boils said | true |"
         );
         let _ = writeln!(out, "|---|---:|---:|---:|---:|---:|");
-        for kind in Kind::BOILS.into_iter().chain(Kind::QUIET) {
-            let of: Vec<&Run> = runs.iter().filter(|r| r.kind == kind).collect();
+        for kind in CookingKind::BOILS.into_iter().chain(CookingKind::QUIET) {
+            let of: Vec<&TemperatureRun> = runs.iter().filter(|r| r.kind == kind).collect();
             let readings = of.iter().map(|r| r.readings).sum();
             let square = of.iter().map(|r| r.squares_k2).sum();
             let _ = writeln!(
@@ -245,10 +247,10 @@ pub fn markdown(sums: &[(String, Vec<Run>)]) -> String {
 mod tests {
     use super::*;
 
-    fn run(truth_s: Option<f64>, reported_s: Option<f64>) -> Run {
-        Run {
+    fn run(truth_s: Option<f64>, reported_s: Option<f64>) -> TemperatureRun {
+        TemperatureRun {
             seed: 1,
-            kind: Kind::Boil,
+            kind: CookingKind::Boil,
             pot: String::new(),
             contents: String::new(),
             power_w: 1000.0,
@@ -278,7 +280,7 @@ mod tests {
             run(None, Some(50.0)),
             run(None, None),
         ];
-        let sum = Sum::of(&runs);
+        let sum = TemperatureSums::of(&runs);
         assert_eq!((sum.boils, sum.boils_found, sum.false_boils), (4, 2, 2));
         assert_eq!((sum.boils_within_goal, sum.boil_worst_s), (1, Some(40.0)));
         assert_eq!((sum.boiling_rms_k, sum.z_rms), (Some(2.0), Some(1.0)));

@@ -1,10 +1,10 @@
 //! Calibration against the simulator's sensing chain, whose settings are the truth.
 
 use ihd_sim::behavioural::{BehaviouralLoad, PotKind};
-use ihd_sim::pot::{Metal, Pot};
+use ihd_sim::pot::{Metal, SimulatedPot};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{CaptureSpec, Change, Event, LoadKind};
+use ihd_sim::recording::settings::{CaptureSpec, LoadKind, RecordingChange, RecordingEvent};
 
 use super::*;
 use crate::{Hints, Survey};
@@ -24,7 +24,7 @@ fn chain(snr_db: Option<f64>) -> Sensing {
     }
 }
 
-fn settings(pot: Pot, sensing: Sensing, seed: u64) -> CaptureSpec {
+fn settings(pot: SimulatedPot, sensing: Sensing, seed: u64) -> CaptureSpec {
     CaptureSpec {
         load: LoadKind::Behavioural,
         pot,
@@ -51,7 +51,7 @@ const EMPTY: Reference = Reference::NoPot {
 
 #[test]
 fn the_empty_coil_gives_skew_and_offsets_and_with_its_l_the_gains() {
-    let c = capture(&settings(Pot::NONE, chain(Some(50.0)), 1));
+    let c = capture(&settings(SimulatedPot::NONE, chain(Some(50.0)), 1));
     let found = calibrated(&c, EMPTY).unwrap();
     let error_s = (found.skew_s - 37e-9).abs();
     assert!(error_s < 1.5e-9, "{found:?}");
@@ -78,11 +78,11 @@ fn the_empty_coil_gives_skew_and_offsets_and_with_its_l_the_gains() {
 #[test]
 fn frequency_steps_tell_the_coils_r_from_a_skew_too() {
     // No harmonic but the fundamental: 10 samples a period show the third alone, a little.
-    let mut s = settings(Pot::NONE, chain(Some(60.0)), 2);
+    let mut s = settings(SimulatedPot::NONE, chain(Some(60.0)), 2);
     s.duration_s = 20e-3;
-    s.events = vec![Event {
+    s.events = vec![RecordingEvent {
         t_s: 10e-3,
-        change: Change::Frequency(75e3),
+        change: RecordingChange::Frequency(75e3),
     }];
     let found = calibrated(&capture(&s), EMPTY).unwrap();
     assert!(
@@ -94,7 +94,7 @@ fn frequency_steps_tell_the_coils_r_from_a_skew_too() {
 
 #[test]
 fn a_known_load_gives_skew_and_gains() {
-    let pot = Pot::new(Metal::Stainless, 0.21);
+    let pot = SimulatedPot::new(Metal::Stainless, 0.21);
     let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::Stainless, 45e3).r_l(0.0);
     let mut s = settings(pot, chain(Some(50.0)), 3);
     (s.sensing.v_full_scale_v, s.sensing.i_full_scale_a) = (800.0, 400.0);
@@ -120,7 +120,7 @@ fn a_known_load_gives_skew_and_gains() {
 
 #[test]
 fn the_deviation_reported_is_that_of_many_seeds() {
-    let pot = Pot::new(Metal::Stainless, 0.21);
+    let pot = SimulatedPot::new(Metal::Stainless, 0.21);
     let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::Stainless, 45e3).r_l(0.0);
     let both = Reference::Load {
         r_ohm: Some(r_ohm),
@@ -150,7 +150,7 @@ fn the_deviation_reported_is_that_of_many_seeds() {
 
 #[test]
 fn applied_it_takes_the_error_out_of_another_capture() {
-    let pot = Pot::new(Metal::Ferritic, 0.21);
+    let pot = SimulatedPot::new(Metal::Ferritic, 0.21);
     // The board's filter: without it aliasing is 0.1 % of the voltage, 4 ns of its phase.
     for (rate, pole_hz) in [(Rate::Hz(12.5e6), 0.0), (Rate::Locked, 500e3)] {
         let with = |sensing: Sensing| {
@@ -178,7 +178,7 @@ fn applied_it_takes_the_error_out_of_another_capture() {
             pole_hz,
             ..chain(None)
         };
-        let found = calibrated(&capture(&settings(Pot::NONE, empty, 6)), known).unwrap();
+        let found = calibrated(&capture(&settings(SimulatedPot::NONE, empty, 6)), known).unwrap();
         found.apply(&mut c);
         let survey = Survey::of(&c, &Hints::default()).unwrap();
         let right = survey.spans[0].load.unwrap();
@@ -236,7 +236,7 @@ fn files_come_back_and_others_are_refused() {
 
 #[test]
 fn what_gives_no_calibration_is_refused_with_the_reason() {
-    let pot = Pot::new(Metal::Ferritic, 0.21);
+    let pot = SimulatedPot::new(Metal::Ferritic, 0.21);
     let heated = capture(&settings(pot, chain(None), 7));
     let e = calibrated(&heated, EMPTY).unwrap_err();
     assert!(matches!(e, CalibrateError::NotTheReference { .. }), "{e}");
@@ -256,7 +256,7 @@ fn what_gives_no_calibration_is_refused_with_the_reason() {
 /// A current probe of 100 kHz on the empty coil shows a delay that changes with frequency.
 #[test]
 fn a_probe_with_too_little_bandwidth_contradicts_itself() {
-    let mut c = capture(&settings(Pot::NONE, chain(Some(60.0)), 4));
+    let mut c = capture(&settings(SimulatedPot::NONE, chain(Some(60.0)), 4));
     assert_eq!(
         calibrated(&c, EMPTY).unwrap().doubts(),
         Vec::<String>::new()

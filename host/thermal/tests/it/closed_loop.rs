@@ -2,15 +2,15 @@
 
 use std::time::Duration;
 
-use ihd_link::{Client, Event};
+use ihd_link::{Client, DeviceEvent};
 use ihd_shared::wire::messages::Telemetry;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::transport::SharedHob;
-use ihd_thermal::{HalfCycle, Thermometer};
+use ihd_thermal::{ThermalHalfCycle, Thermometer};
 
-fn half_cycle(t: &Telemetry) -> HalfCycle {
-    HalfCycle::from_telemetry(t, f64::from(t.half_cycle) * 0.01)
+fn half_cycle(t: &Telemetry) -> ThermalHalfCycle {
+    ThermalHalfCycle::from_telemetry(t, f64::from(t.half_cycle) * 0.01)
 }
 
 /// The firmware's own control, filter and link; the load is the field's table.
@@ -30,7 +30,7 @@ fn the_firmwares_telemetry_shows_how_warm_the_pot_is_at_length() {
     let (mut squares, mut looks, mut largest_k) = (0.0, 0, 0.0f64);
     loop {
         let event = client.next_event(Duration::from_secs(5)).unwrap();
-        let Some(Event::Telemetry(t)) = event else {
+        let Some(DeviceEvent::Telemetry(t)) = event else {
             continue;
         };
         if t.half_cycle.is_multiple_of(300) {
@@ -76,7 +76,7 @@ fn noise_and_bias_of_the_firmwares_r_and_l() {
         let (mut r_pct, mut l_pct) = (Vec::new(), Vec::new());
         while r_pct.len() < 100 {
             let event = client.next_event(Duration::from_secs(5)).unwrap();
-            let Some(Event::Telemetry(t)) = event.filter(|_| hob.lock().t_s() > 1.0) else {
+            let Some(DeviceEvent::Telemetry(t)) = event.filter(|_| hob.lock().t_s() > 1.0) else {
                 continue;
             };
             let (h, sim) = (half_cycle(&t), hob.lock());

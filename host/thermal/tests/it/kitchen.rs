@@ -1,19 +1,19 @@
 //! Cooking from tables of the field, with pots, noise and bias that the thermometer does not know.
 
-use ihd_sim::cooking::{Cooking, CookingReport, Deviation};
-use ihd_sim::pot::Pot;
-use ihd_thermal::{HalfCycle, PotEvent, Thermometer};
+use ihd_sim::cooking::{Cooking, CookingReport, PotDeviation};
+use ihd_sim::pot::SimulatedPot;
+use ihd_thermal::{PotEvent, ThermalHalfCycle, Thermometer};
 
 /// A pot that is none of its kind: 2 % off in R, 1 % in L, 1 % an e-fold of frequency, bowing by 0.1 mm over 100 K.
-const ODD: Deviation = Deviation {
+const ODD: PotDeviation = PotDeviation {
     scale: (0.02, -0.01),
     slope: (0.01, 0.005),
     alloy: 0.0,
     bow_m: 0.1e-3,
 };
 
-fn seen(c: &CookingReport) -> HalfCycle {
-    HalfCycle {
+fn seen(c: &CookingReport) -> ThermalHalfCycle {
+    ThermalHalfCycle {
         t_s: c.t_s,
         f_hz: c.f_hz,
         i_a: c.i_a,
@@ -36,7 +36,7 @@ struct Kitchen {
 
 impl Kitchen {
     fn new(pot: &str, contents: &str, seed: u64) -> Self {
-        let pot = Pot {
+        let pot = SimulatedPot {
             lift_m: 0.5e-3,
             ..pot.parse().unwrap()
         };
@@ -214,11 +214,11 @@ fn what_is_no_measurement_changes_nothing_and_another_time_begins_anew() {
             *[&mut h.f_hz, &mut h.i_a, &mut h.r_ohm, &mut h.l_h][field] = bad;
             k.thermometer.push(&h);
         }
-        k.thermometer.push(&HalfCycle {
+        k.thermometer.push(&ThermalHalfCycle {
             t_s: f64::NAN,
             ..good
         });
-        k.thermometer.push(&HalfCycle {
+        k.thermometer.push(&ThermalHalfCycle {
             power_w: f64::NAN,
             ..good
         });
@@ -228,7 +228,7 @@ fn what_is_no_measurement_changes_nothing_and_another_time_begins_anew() {
         (after.rise_k - before.rise_k).abs() < 3.0,
         "{before:?} {after:?}"
     );
-    k.thermometer.push(&HalfCycle { t_s: 1.0, ..good });
+    k.thermometer.push(&ThermalHalfCycle { t_s: 1.0, ..good });
     assert_eq!(k.thermometer.reading(), None, "time went back");
 }
 

@@ -5,12 +5,12 @@
 
 use ihd_gate::claim::{self, Claim, ClaimError, Confirmation};
 use ihd_link::Window;
-use ihd_map::{Curve, CurveMatch};
-use ihd_pinn::{Config, Identification};
+use ihd_map::{CurrentCurve, CurveMatch};
+use ihd_pinn::{Identification, PinnConfig};
 use ihd_signal::{Remark, Segment};
 use ihd_survey::calibration::blind::Correction;
 
-use super::sensors::{Evidence, corrected};
+use super::sensors::{SensorEvidence, corrected};
 use super::{Learning, LookupUpdate, judge, network, time_s};
 
 /// Largest age of a window in seconds of device time, against the newest learned one: answers are late and out of order. An older window
@@ -65,7 +65,7 @@ pub enum AnswerError {
 pub fn analyse_window(
     window: &Window,
     correction: Option<&Correction>,
-    config: Config,
+    config: PinnConfig,
 ) -> WindowAnalysis {
     let segment = corrected(&window.segment(), correction);
     let (identified, findings, verdict) =
@@ -81,13 +81,13 @@ pub fn analyse_window(
 pub(super) fn analyse_segment(
     window: &Window,
     segment: &Segment,
-    config: Config,
+    config: PinnConfig,
     sensor_remarks: Vec<Remark>,
-    on_step: &mut dyn FnMut(&ihd_pinn::Progress),
+    on_step: &mut dyn FnMut(&ihd_pinn::TrainingProgress),
 ) -> (
     Option<Box<Identification>>,
     Vec<Remark>,
-    Result<Curve, String>,
+    Result<CurrentCurve, String>,
 ) {
     let identified = match network::fit_window(segment, config, on_step) {
         Ok(identified) => Box::new(identified),
@@ -125,8 +125,8 @@ impl Learning {
         let raw = window.segment();
         let is_checked = window.seq < ALL_CHECKED || window.seq.is_multiple_of(ONE_CHECKED_OF);
         let evidence = match is_checked {
-            true => Evidence::of(&raw),
-            false => Evidence::default(),
+            true => SensorEvidence::of(&raw),
+            false => SensorEvidence::default(),
         };
         if let Some(fault) = evidence.remarks.first() {
             return Err(AnswerError::Sensors(fault.text.clone()));
@@ -170,7 +170,7 @@ impl Learning {
     }
 
     /// Adds a window's evidence on the sensors. If that begins or ends a correction, the map is cleared.
-    pub(super) fn count_evidence(&mut self, evidence: &Evidence) -> Vec<Remark> {
+    pub(super) fn count_evidence(&mut self, evidence: &SensorEvidence) -> Vec<Remark> {
         let before = self.sensors.correction().is_some();
         let remarks = self.sensors.add(evidence);
         if before != self.sensors.correction().is_some() {

@@ -4,7 +4,7 @@
 //! Eddy currents in the pot make R and L depend on a part of the switching period before; the simulator's laws use the amplitude of the
 //! period before. A lag of 14 µs is 0.4 % of R where R falls by a quarter within a millisecond.
 
-use ihd_map::Prediction;
+use ihd_map::RlPrediction;
 use ihd_pinn::Identification;
 use serde::{Deserialize, Serialize};
 
@@ -27,7 +27,7 @@ pub struct Lag {
 
 impl Lag {
     /// Adds a window; `law` is R and L at its currents without lag.
-    pub fn add_window(&mut self, identified: &Identification, law: &[Prediction]) {
+    pub fn add_window(&mut self, identified: &Identification, law: &[RlPrediction]) {
         let most_a = identified.i_amplitude_a.iter().copied().fold(0.0, f64::max);
         let (mut product, mut square) = (0.0, 0.0);
         for k in 1..law.len().min(identified.t_s.len()).saturating_sub(1) {

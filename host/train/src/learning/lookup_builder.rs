@@ -1,6 +1,6 @@
 //! Lookups from the map: when one is due, under which version, and what the device said to those before.
 
-use ihd_map::{Cells, Curve};
+use ihd_map::{Cells, CurrentCurve};
 use ihd_shared::lookup::RlLookup;
 
 use super::LookupUpdate;
@@ -62,7 +62,7 @@ impl LookupBuilder {
     }
 
     /// Returns `true` if the lookup that was built last does not describe a new curve, or none was built.
-    pub fn is_outdated_by(&self, curve: &Curve) -> bool {
+    pub fn is_outdated_by(&self, curve: &CurrentCurve) -> bool {
         let offered = self.offered.as_ref();
         offered.is_none_or(|lookup| significance::curve_changed(curve, lookup))
     }

@@ -24,8 +24,8 @@ mod version;
 use std::sync::Arc;
 
 use ihd_link::Window;
-use ihd_map::{Curve, CurveMatch, Library, PotMap, Prediction};
-use ihd_pinn::{Config, Identification, Parameters};
+use ihd_map::{CurrentCurve, CurveMatch, Library, PotMap, RlPrediction};
+use ihd_pinn::{Identification, Parameters, PinnConfig};
 use ihd_shared::lookup::RlLookup;
 use ihd_signal::Remark;
 
@@ -38,14 +38,14 @@ use crate::lookup::BuiltLookup;
 pub use self::answer::{AnswerError, ConfirmedAnswer, WindowAnalysis, analyse_window};
 pub use self::gate::judge;
 pub use self::network::{LoadTrajectory, curve, fit_window};
-pub use self::sensors::{Evidence, SELF_CALIBRATED, Sensors};
+pub use self::sensors::{SELF_CALIBRATED, SensorEvidence, Sensors};
 pub use self::significance::Contradiction;
 pub use self::state::StateError;
 
 /// State learned from one device's windows: the pot's map, the sensors, and the lookups offered so far.
 #[derive(Clone, Debug)]
 pub struct Learning {
-    network: Config,
+    network: PinnConfig,
     map: PotMap,
     lag: Lag,
     sensors: Sensors,
@@ -98,9 +98,9 @@ pub enum LookupUpdate {
 
 impl Learning {
     /// Creates the state of an unknown device.
-    pub fn new(network: Config) -> Self {
+    pub fn new(network: PinnConfig) -> Self {
         Self {
-            network: Config {
+            network: PinnConfig {
                 start: None,
                 ..network
             },
@@ -176,7 +176,7 @@ impl Learning {
     }
 
     /// Returns the map's R(t) and L(t) for a window, at the times of `identified`; empty if the map holds no window.
-    pub fn predict(&self, window: &Window, identified: &Identification) -> Vec<Prediction> {
+    pub fn predict(&self, window: &Window, identified: &Identification) -> Vec<RlPrediction> {
         let (f_hz, now_s) = (f64::from(window.f_sw_hz), time_s(window));
         self.map
             .along(f_hz, &self.lag.lagged_currents_a(identified), now_s)
@@ -195,14 +195,14 @@ impl Learning {
         &mut self,
         window: &Window,
         always: bool,
-        on_step: &mut dyn FnMut(&ihd_pinn::Progress),
+        on_step: &mut dyn FnMut(&ihd_pinn::TrainingProgress),
     ) -> WindowOutcome {
-        let config = Config {
+        let config = PinnConfig {
             start: self.warm.take(),
             ..self.network.clone()
         };
         let raw = window.segment();
-        let evidence = Evidence::of(&raw);
+        let evidence = SensorEvidence::of(&raw);
         let mut sensor_remarks = evidence.remarks.clone();
         sensor_remarks.extend(self.count_evidence(&evidence));
         let segment = corrected(&raw, self.sensors.correction().as_ref());
@@ -231,7 +231,7 @@ impl Learning {
         }))
     }
 
-    fn learn(&mut self, curve: Curve, always: bool) -> (CurveMatch, LookupUpdate) {
+    fn learn(&mut self, curve: CurrentCurve, always: bool) -> (CurveMatch, LookupUpdate) {
         let now_s = curve.t_s;
         self.map.rebase(now_s);
         let differs = self.builder.is_outdated_by(&curve);

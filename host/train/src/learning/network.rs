@@ -3,8 +3,8 @@
 use std::f64::consts::TAU;
 
 use ihd_identify::network::{waveform, with_measured_noise};
-use ihd_map::{Curve, MeasuredPoint};
-use ihd_pinn::{Config, Identification, PinnError, identify};
+use ihd_map::{CurrentCurve, MeasuredPoint};
+use ihd_pinn::{Identification, PinnConfig, PinnError, identify};
 use ihd_shared::lookup::grid::I_MAX_MA;
 use ihd_signal::Segment;
 use ihd_signal::noise::WhiteNoise;
@@ -16,8 +16,8 @@ use ihd_signal::noise::WhiteNoise;
 /// [`PinnError`] if the window or the configuration cannot be used.
 pub fn fit_window(
     segment: &Segment,
-    config: Config,
-    on_step: &mut dyn FnMut(&ihd_pinn::Progress),
+    config: PinnConfig,
+    on_step: &mut dyn FnMut(&ihd_pinn::TrainingProgress),
 ) -> Result<Identification, PinnError> {
     let config = with_measured_noise(config, segment);
     let waveform = waveform(segment, (0, segment.len()), segment.zero_crossing_s);
@@ -63,7 +63,7 @@ impl<'a> From<&'a Identification> for LoadTrajectory<'a> {
 /// The deviation at each time is that of the samples behind it, |Z| and the noise of both channels over the current, times the model's
 /// misfit. Such deviations are independent from time to time, so that sums over times and windows are right. The network's own
 /// deviations are common to the whole window and would be counted once for each time.
-pub fn curve(segment: &Segment, trajectory: &LoadTrajectory<'_>, t_s: f64) -> Curve {
+pub fn curve(segment: &Segment, trajectory: &LoadTrajectory<'_>, t_s: f64) -> CurrentCurve {
     let noise = WhiteNoise::measure(segment);
     let per_time = segment.len() as f64 / trajectory.r_ohm.len().max(1) as f64;
     let omega = TAU * segment.f_sw_hz;
@@ -90,5 +90,5 @@ pub fn curve(segment: &Segment, trajectory: &LoadTrajectory<'_>, t_s: f64) -> Cu
     let shown = (0..trajectory.r_ohm.len())
         .map(point)
         .filter(|p| (LOWEST_A..=HIGHEST_A).contains(&p.i_a));
-    Curve::new(segment.f_sw_hz, t_s, shown)
+    CurrentCurve::new(segment.f_sw_hz, t_s, shown)
 }

@@ -85,7 +85,7 @@ pub struct Sensors {
 
 /// Evidence of one window on its device's sensors.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Evidence {
+pub struct SensorEvidence {
     /// Set if the window is too noisy for an estimate.
     pub noisy: bool,
     /// Lag of the current in nanoseconds and series capacitance in nanofarad; `None` if the window does not show them.
@@ -95,7 +95,7 @@ pub struct Evidence {
     pub remarks: Vec<Remark>,
 }
 
-impl Evidence {
+impl SensorEvidence {
     /// Estimates the sensor errors from a window as it was sampled.
     pub fn of(segment: &Segment) -> Self {
         let mut evidence = Self::default();
@@ -134,14 +134,14 @@ impl Sensors {
     /// Adds a window; returns it corrected, with the remarks.
     #[cfg(test)]
     fn correct_window(&mut self, segment: &Segment) -> (Segment, Vec<Remark>) {
-        let evidence = Evidence::of(segment);
+        let evidence = SensorEvidence::of(segment);
         let mut said = evidence.remarks.clone();
         said.extend(self.add(&evidence));
         (corrected(segment, self.correction().as_ref()), said)
     }
 
     /// Adds the evidence of a window. Returns the remarks on all windows so far; that on a correction comes once, when it begins.
-    pub fn add(&mut self, evidence: &Evidence) -> Vec<Remark> {
+    pub fn add(&mut self, evidence: &SensorEvidence) -> Vec<Remark> {
         let mut remarks = Vec::new();
         if evidence.noisy {
             return remarks;
@@ -229,7 +229,7 @@ fn settling_s() -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use ihd_sim::pot::{Metal, Pot};
+    use ihd_sim::pot::{Metal, SimulatedPot};
     use ihd_sim::recording::run::record;
     use ihd_sim::recording::sensing::{Rate, Sensing};
     use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
@@ -245,7 +245,7 @@ mod tests {
         let settings = CaptureSpec {
             f_sw_hz,
             load: LoadKind::Behavioural,
-            pot: Pot::new(Metal::Ferritic, 0.21),
+            pot: SimulatedPot::new(Metal::Ferritic, 0.21),
             duration_s: 10e-3,
             seed,
             sensing: Sensing {

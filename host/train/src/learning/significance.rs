@@ -1,6 +1,6 @@
 //! Significance of a change of the lookup: a board writes each pushed lookup to its flash, so that only a real change is worth it.
 
-use ihd_map::Curve;
+use ihd_map::CurrentCurve;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a};
 
@@ -11,7 +11,7 @@ const WORTH_PUSHING: f64 = 2e-2;
 const FROM_A: f64 = 5.0;
 
 /// Returns `true` if a curve differs from a lookup by more than noise.
-pub fn curve_changed(curve: &Curve, active: &RlLookup) -> bool {
+pub fn curve_changed(curve: &CurrentCurve, active: &RlLookup) -> bool {
     let f_sw_hz = curve.f_sw_hz.round() as u32;
     curve.means().filter(|m| m.i_a >= FROM_A).any(|m| {
         let (r, l) = active.interpolate(f_sw_hz, (m.i_a * 1e3) as u32);
@@ -40,7 +40,7 @@ pub struct Contradiction {
 }
 
 /// Returns the first place at which a lookup contradicts a curve.
-pub fn contradiction(curve: &Curve, lookup: &RlLookup) -> Option<Contradiction> {
+pub fn contradiction(curve: &CurrentCurve, lookup: &RlLookup) -> Option<Contradiction> {
     let f_sw_hz = curve.f_sw_hz.round() as u32;
     let seen = curve.means().filter(|m| m.i_a >= FROM_A);
     let mut seen = seen.map(|m| {
@@ -92,7 +92,7 @@ mod tests {
                     l_sigma_h: 1e-7,
                 }
             });
-            Curve::new(45e3, 0.0, points)
+            CurrentCurve::new(45e3, 0.0, points)
         };
         assert!(!curve_changed(&like_the_prior(1.0, |_| true), &active));
         assert!(!curve_changed(&like_the_prior(1.01, |_| true), &active));

@@ -1,7 +1,7 @@
 //! Serialised state of [`Learning`]: JSON, every number exact.
 
 use ihd_map::{PotMap, PotMapState};
-use ihd_pinn::{Config, Parameters};
+use ihd_pinn::{Parameters, PinnConfig};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::blob::BlobError;
 use serde::{Deserialize, Serialize};
@@ -76,7 +76,7 @@ impl Learning {
     ///
     /// # Errors
     /// [`StateError`] if the bytes are damaged; nothing of them is used.
-    pub fn from_bytes(bytes: &[u8], network: Config) -> Result<Self, StateError> {
+    pub fn from_bytes(bytes: &[u8], network: PinnConfig) -> Result<Self, StateError> {
         #[derive(Deserialize)]
         struct Format {
             format: u32,
@@ -110,8 +110,8 @@ impl Learning {
     }
 }
 
-fn fits(start: &Parameters, network: &Config) -> bool {
-    let config = Config {
+fn fits(start: &Parameters, network: &PinnConfig) -> bool {
+    let config = PinnConfig {
         start: Some(start.clone()),
         ..network.clone()
     };
@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn lies_are_refused_and_named() {
-        let config = Config::default;
+        let config = PinnConfig::default;
         let good = Learning::new(config()).to_bytes();
         assert!(Learning::from_bytes(&good, config()).is_ok());
         let text = String::from_utf8(good).unwrap();
@@ -149,18 +149,18 @@ mod tests {
     /// What a build before the sensors wrote.
     #[test]
     fn the_first_format_is_read_and_knows_nothing_of_the_sensors() {
-        let text = String::from_utf8(Learning::new(Config::default()).to_bytes()).unwrap();
+        let text = String::from_utf8(Learning::new(PinnConfig::default()).to_bytes()).unwrap();
         let (before, _) = text.split_once(",\"sensors\"").unwrap();
         let old = before.replacen("\"format\":3", "\"format\":1", 1) + "}";
-        let restored = Learning::from_bytes(old.as_bytes(), Config::default()).unwrap();
+        let restored = Learning::from_bytes(old.as_bytes(), PinnConfig::default()).unwrap();
         assert_eq!(*restored.sensors(), Sensors::default());
     }
 
     #[test]
     fn a_start_that_does_not_fit_the_network_is_left_out() {
-        let mut learning = Learning::new(Config::default());
+        let mut learning = Learning::new(PinnConfig::default());
         learning.warm = Some(Parameters {
-            embedding: Config::default().embedding,
+            embedding: PinnConfig::default().embedding,
             f_mains_hz: 50.0,
             r_scale_ohm: 4.0,
             l_scale_h: 3e-5,
@@ -168,7 +168,7 @@ mod tests {
             vi_layers: Vec::new(),
             inputs: None,
         });
-        let restored = Learning::from_bytes(&learning.to_bytes(), Config::default()).unwrap();
+        let restored = Learning::from_bytes(&learning.to_bytes(), PinnConfig::default()).unwrap();
         assert!(restored.warm.is_none());
     }
 }

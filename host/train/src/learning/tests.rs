@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ihd_gate::claim::{Claim, ClaimError, confirm};
-use ihd_link::{Client, Event, Window};
+use ihd_link::{Client, DeviceEvent, Window};
 use ihd_map::{CurveMatch, PotMap};
-use ihd_pinn::{Config, Identification, StopReason};
+use ihd_pinn::{Identification, PinnConfig, StopReason};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_signal::truth::{Mre, Truth};
@@ -20,10 +20,10 @@ use super::network::fit_window;
 use super::{AnswerError, Learning, LookupUpdate, WindowOutcome, analyse_window, judge};
 use crate::lookup::BuiltLookup;
 
-fn network() -> Config {
-    Config {
+fn network() -> PinnConfig {
+    PinnConfig {
         deterministic: true,
-        ..Config::default()
+        ..PinnConfig::default()
     }
 }
 
@@ -50,10 +50,12 @@ impl Kitchen {
         loop {
             let event = self.client.next_event(Duration::from_secs(5)).unwrap();
             match event.expect("the hob is silent") {
-                Event::Window(w) if last.as_ref().is_some_and(|t| t.state == State::Heating) => {
+                DeviceEvent::Window(w)
+                    if last.as_ref().is_some_and(|t| t.state == State::Heating) =>
+                {
                     return (w, self.hob.lock().t_s());
                 }
-                Event::Telemetry(t) => {
+                DeviceEvent::Telemetry(t) => {
                     if t.half_cycle.is_multiple_of(200) {
                         self.client.status().unwrap();
                     }
@@ -364,13 +366,13 @@ fn ten_windows_at_30_db_know_the_whole_half_cycle() {
 
 #[test]
 fn a_load_is_forgotten_and_what_other_hobs_know_is_not() {
-    let mut learning = Learning::new(Config::default());
+    let mut learning = Learning::new(PinnConfig::default());
     assert!(learning.map().library().is_none());
     learning.use_library(Arc::default());
     learning.forget();
     assert!(learning.map().library().is_some());
     // The library is nobody's state: whoever restores one gives it again.
-    let restored = Learning::from_bytes(&learning.to_bytes(), Config::default()).unwrap();
+    let restored = Learning::from_bytes(&learning.to_bytes(), PinnConfig::default()).unwrap();
     assert!(restored.map().library().is_none());
 }
 

@@ -114,7 +114,7 @@ impl LookupAccuracy {
 
 #[cfg(test)]
 mod tests {
-    use ihd_map::{Cell, Cells, Prediction};
+    use ihd_map::{Cells, MapCell, RlPrediction};
     use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
     use ihd_signal::Load;
 
@@ -127,13 +127,13 @@ mod tests {
 
     /// A lookup of 4 ohm and 25 µH everywhere, with deviations of one percent; nothing is observed.
     fn built(change: impl FnOnce(&mut Cells)) -> BuiltLookup {
-        let value = Prediction {
+        let value = RlPrediction {
             r_ohm: Z.r_ohm,
             l_h: Z.l_h,
             r_sigma: 0.01,
             l_sigma: 0.01,
         };
-        let cell = Cell {
+        let cell = MapCell {
             value,
             confidence: 0.0,
             age_s: None,

@@ -83,18 +83,18 @@ impl BuiltLookup {
 
 #[cfg(test)]
 mod tests {
-    use ihd_map::{Cell, Prediction};
+    use ihd_map::{MapCell, RlPrediction};
 
     use super::*;
 
     fn cells(r_ohm: f64, sigma: f64) -> Cells {
-        let value = Prediction {
+        let value = RlPrediction {
             r_ohm,
             l_h: 25e-6,
             r_sigma: sigma,
             l_sigma: 0.001,
         };
-        let cell = Cell {
+        let cell = MapCell {
             value,
             confidence: 0.0,
             age_s: None,

@@ -9,7 +9,7 @@ pub const MOST_LISTED: usize = 20;
 
 /// One value on which device and host do not agree.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Difference {
+pub struct ReplayDifference {
     /// Time in seconds on the capture's clock.
     pub t_s: f64,
     /// Name of the value: `R`, `L`, `window track`, …
@@ -51,7 +51,7 @@ pub struct ReplayReport {
     /// Number of differences.
     pub differences: usize,
     /// First differences, at most [`MOST_LISTED`].
-    pub first: Vec<Difference>,
+    pub first: Vec<ReplayDifference>,
     /// Wall time in seconds.
     pub seconds: f64,
 }
@@ -76,7 +76,7 @@ impl ReplayReport {
         }
         self.differences += 1;
         if self.first.len() < MOST_LISTED {
-            self.first.push(Difference {
+            self.first.push(ReplayDifference {
                 t_s,
                 what: what.to_owned(),
                 device: text(&device),

@@ -10,6 +10,6 @@ pub mod reference;
 pub mod run;
 pub mod stretch;
 
-pub use compare::{Difference, ReplayReport};
+pub use compare::{ReplayDifference, ReplayReport};
 pub use run::{ReplayError, ReplayOptions, run};
 pub use stretch::Stretch;

@@ -5,7 +5,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use ihd_link::replay::{PAIRS_PER_MESSAGE, retry_unanswered};
-use ihd_link::{Client, Event, LinkError};
+use ihd_link::{Client, DeviceEvent, LinkError};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair, Scales};
@@ -84,7 +84,7 @@ struct Run<'a> {
     settings: ReplayOptions,
     outcome: ReplayReport,
     /// Events of this build that the device has not sent yet.
-    expected: VecDeque<Event>,
+    expected: VecDeque<DeviceEvent>,
     /// Half-cycle number of the device less that of this build; `None` before the first telemetry.
     half_cycles: Option<u32>,
 }
@@ -285,25 +285,29 @@ impl Run<'_> {
 
     /// Handles an event of the device without a counterpart of this build: a window that the link has damaged or both reject, or a fault
     /// of the device alone. A window of a half-cycle that this build did not record is ignored.
-    fn unmatched(&mut self, t_s: f64, device: &Event) {
+    fn unmatched(&mut self, t_s: f64, device: &DeviceEvent) {
         match device {
-            Event::WindowRejected { reason, .. } => {
-                let window =
-                    |e: &Event| matches!(e, Event::Window(_) | Event::WindowRejected { .. });
+            DeviceEvent::WindowRejected { reason, .. } => {
+                let window = |e: &DeviceEvent| {
+                    matches!(
+                        e,
+                        DeviceEvent::Window(_) | DeviceEvent::WindowRejected { .. }
+                    )
+                };
                 let at = self.expected.iter().position(window);
                 match at.and_then(|at| self.expected.remove(at)) {
-                    Some(Event::WindowRejected { reason: host, .. }) if host == *reason => {
+                    Some(DeviceEvent::WindowRejected { reason: host, .. }) if host == *reason => {
                         self.outcome.windows.compared += 1;
                     }
                     Some(_) => self.outcome.windows.lost += 1,
                     None => {}
                 }
             }
-            Event::Fault(f) => {
+            DeviceEvent::Fault(f) => {
                 self.outcome
                     .compare_value(t_s, "fault", f.fault, Fault::NONE, |f| format!("{f:?}"));
             }
-            Event::Window(_) | Event::Telemetry(_) | Event::Log { .. } => {}
+            DeviceEvent::Window(_) | DeviceEvent::Telemetry(_) | DeviceEvent::Log { .. } => {}
         }
     }
 
@@ -319,20 +323,24 @@ impl Run<'_> {
         }
     }
 
-    fn lost(&mut self, event: &Event) {
+    fn lost(&mut self, event: &DeviceEvent) {
         match event {
-            Event::Window(_) | Event::WindowRejected { .. } => self.outcome.windows.lost += 1,
-            Event::Telemetry(_) => self.outcome.telemetry.lost += 1,
-            Event::Fault(_) | Event::Log { .. } => {}
+            DeviceEvent::Window(_) | DeviceEvent::WindowRejected { .. } => {
+                self.outcome.windows.lost += 1
+            }
+            DeviceEvent::Telemetry(_) => self.outcome.telemetry.lost += 1,
+            DeviceEvent::Fault(_) | DeviceEvent::Log { .. } => {}
         }
     }
 
     /// Compares an event of the device with this build's of the same kind and half-cycle.
-    fn event(&mut self, t_s: f64, device: &Event) {
-        let same = |host: &Event| match (device, host) {
-            (Event::Window(a), Event::Window(b)) => Some((a.half_cycle, b.half_cycle)),
-            (Event::Telemetry(a), Event::Telemetry(b)) => Some((a.half_cycle, b.half_cycle)),
-            (Event::Fault(a), Event::Fault(b)) => Some((a.half_cycle, b.half_cycle)),
+    fn event(&mut self, t_s: f64, device: &DeviceEvent) {
+        let same = |host: &DeviceEvent| match (device, host) {
+            (DeviceEvent::Window(a), DeviceEvent::Window(b)) => Some((a.half_cycle, b.half_cycle)),
+            (DeviceEvent::Telemetry(a), DeviceEvent::Telemetry(b)) => {
+                Some((a.half_cycle, b.half_cycle))
+            }
+            (DeviceEvent::Fault(a), DeviceEvent::Fault(b)) => Some((a.half_cycle, b.half_cycle)),
             _ => None,
         };
         let fits = |(a, b): (u32, u32)| {
@@ -350,12 +358,14 @@ impl Run<'_> {
             return;
         };
         match (device, &host) {
-            (Event::Window(a), Event::Window(b)) => self.outcome.compare_windows(t_s, a, b),
-            (Event::Telemetry(a), Event::Telemetry(b)) => {
+            (DeviceEvent::Window(a), DeviceEvent::Window(b)) => {
+                self.outcome.compare_windows(t_s, a, b)
+            }
+            (DeviceEvent::Telemetry(a), DeviceEvent::Telemetry(b)) => {
                 self.half_cycles = Some(by);
                 self.outcome.compare_telemetry(t_s, a, b);
             }
-            (Event::Fault(a), Event::Fault(b)) => {
+            (DeviceEvent::Fault(a), DeviceEvent::Fault(b)) => {
                 self.outcome
                     .compare_value(t_s, "fault", a.fault, b.fault, |f| format!("{f:?}"));
             }

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use ihd_firmware::drive::pwm;
-use ihd_link::{Client, Counters, Event, KEEPALIVE_PERIOD, LinkError, Window};
+use ihd_link::{Client, ClientCounters, DeviceEvent, KEEPALIVE_PERIOD, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
@@ -122,7 +122,7 @@ impl<'a> Device<'a> {
     }
 
     /// Returns the link's counters since it was made; zeros while it is cut.
-    pub fn counters(&self) -> Counters {
+    pub fn counters(&self) -> ClientCounters {
         self.client
             .as_ref()
             .map(Client::counters)
@@ -283,16 +283,16 @@ impl<'a> Device<'a> {
     /// Returns the next telemetry, `None` for another event or none yet. Silence is an error.
     fn next_telemetry(&mut self, point: OperatingPoint) -> Result<Option<Telemetry>, TrainerError> {
         match self.next_event("telemetry")? {
-            Some(Event::Telemetry(t)) => Ok(Some(t)),
-            Some(Event::Fault(f)) => self.note_fault(f.fault, point).map(|()| None),
-            Some(Event::WindowRejected { seq, reason }) => {
+            Some(DeviceEvent::Telemetry(t)) => Ok(Some(t)),
+            Some(DeviceEvent::Fault(f)) => self.note_fault(f.fault, point).map(|()| None),
+            Some(DeviceEvent::WindowRejected { seq, reason }) => {
                 self.report(RunProgress::Rejected {
                     seq,
                     why: &reason.to_string(),
                 });
                 Ok(None)
             }
-            Some(Event::Window(_) | Event::Log { .. }) | None => Ok(None),
+            Some(DeviceEvent::Window(_) | DeviceEvent::Log { .. }) | None => Ok(None),
         }
     }
 
@@ -315,20 +315,25 @@ impl<'a> Device<'a> {
         let mut since = self.client()?.clock();
         loop {
             match self.next_event("a window")? {
-                Some(Event::Window(window)) if window.half_cycle > half_cycle => return Ok(window),
-                Some(Event::WindowRejected { seq, reason }) => {
+                Some(DeviceEvent::Window(window)) if window.half_cycle > half_cycle => {
+                    return Ok(window);
+                }
+                Some(DeviceEvent::WindowRejected { seq, reason }) => {
                     self.report(RunProgress::Rejected {
                         seq,
                         why: &reason.to_string(),
                     });
                 }
-                Some(Event::Telemetry(t))
+                Some(DeviceEvent::Telemetry(t))
                     if self.check_telemetry(&t, point)? == HeatingState::Waits =>
                 {
                     since = self.client()?.clock();
                 }
-                Some(Event::Fault(f)) => self.note_fault(f.fault, point)?,
-                Some(Event::Telemetry(_) | Event::Window(_) | Event::Log { .. }) | None => {}
+                Some(DeviceEvent::Fault(f)) => self.note_fault(f.fault, point)?,
+                Some(
+                    DeviceEvent::Telemetry(_) | DeviceEvent::Window(_) | DeviceEvent::Log { .. },
+                )
+                | None => {}
             }
             if self.client()?.clock().saturating_sub(since) >= PATIENCE {
                 return Err(self.silent("a window"));
@@ -368,7 +373,7 @@ impl<'a> Device<'a> {
     ///
     /// # Errors
     /// [`TrainerError::Interrupted`] if the run is to end; [`TrainerError::Silent`] if nothing has come for 10 s.
-    pub fn next_event(&mut self, what: &'static str) -> Result<Option<Event>, TrainerError> {
+    pub fn next_event(&mut self, what: &'static str) -> Result<Option<DeviceEvent>, TrainerError> {
         if self.is_stopped() {
             return Err(TrainerError::Interrupted);
         }

@@ -4,7 +4,7 @@
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use ihd_link::{Event, LinkError, Window};
+use ihd_link::{DeviceEvent, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Outcome, State, Telemetry};
 
@@ -50,14 +50,17 @@ impl Run<'_, '_> {
         asked_w: u16,
     ) -> Result<Option<Box<Window>>, TrainerError> {
         match self.device.next_event("telemetry")? {
-            Some(Event::Window(window)) if window.half_cycle > since => return Ok(Some(window)),
-            Some(Event::Telemetry(t)) => self.report_state_change(t, asked_w),
-            Some(Event::WindowRejected { seq, reason }) => {
+            Some(DeviceEvent::Window(window)) if window.half_cycle > since => {
+                return Ok(Some(window));
+            }
+            Some(DeviceEvent::Telemetry(t)) => self.report_state_change(t, asked_w),
+            Some(DeviceEvent::WindowRejected { seq, reason }) => {
                 let why = &reason.to_string();
                 self.device.report(RunProgress::Rejected { seq, why });
             }
             // Telemetry shows the effect of a fault.
-            Some(Event::Window(_) | Event::Fault(_) | Event::Log { .. }) | None => {}
+            Some(DeviceEvent::Window(_) | DeviceEvent::Fault(_) | DeviceEvent::Log { .. })
+            | None => {}
         }
         Ok(None)
     }

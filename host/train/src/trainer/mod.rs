@@ -14,5 +14,5 @@ pub use self::error::{RunFailure, TrainerError};
 pub use self::point::PointReport;
 pub use self::progress::RunProgress;
 pub use self::run::{RunOptions, RunReport, run};
-pub use self::source::{OperatingPoint, RecordedHalfCycle, Source};
-pub use ihd_pinn::Config as NetworkConfig;
+pub use self::source::{OperatingPoint, RecordedHalfCycle, TrainingSource};
+pub use ihd_pinn::PinnConfig as NetworkConfig;

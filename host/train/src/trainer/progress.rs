@@ -35,7 +35,7 @@ pub enum RunProgress<'a> {
         /// Number of the window.
         seq: u32,
         /// The optimiser's state.
-        step: &'a ihd_pinn::Progress,
+        step: &'a ihd_pinn::TrainingProgress,
     },
     /// A window was not used.
     Rejected {

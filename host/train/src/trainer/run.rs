@@ -5,9 +5,9 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use ihd_capture::mcap::SessionRecorder;
-use ihd_link::{Client, Counters, DeviceSpec, LinkError, Window};
+use ihd_link::{Client, ClientCounters, DeviceSpec, LinkError, Window};
 use ihd_map::CurveMatch;
-use ihd_pinn::{Config, Identification};
+use ihd_pinn::{Identification, PinnConfig};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Status, Utilisation};
 use ihd_signal::truth::{MapTruth, Truth};
@@ -16,7 +16,7 @@ use ihd_signal::{Remark, Severity};
 use super::device::{Device, TruthSource};
 use super::error::RunFailure;
 use super::point::{self, PointReport};
-use super::{OperatingPoint, RunProgress, Source, TrainerError, store};
+use super::{OperatingPoint, RunProgress, TrainerError, TrainingSource, store};
 use crate::learning::SELF_CALIBRATED;
 use crate::learning::{AcceptedWindow, Learning, LookupUpdate, WindowOutcome};
 use crate::lookup::{BuiltLookup, LookupAccuracy, judge_cells};
@@ -27,9 +27,9 @@ const TRIES: usize = 3;
 /// Options of a run.
 pub struct RunOptions<'a> {
     /// Operating points.
-    pub source: Source,
+    pub source: TrainingSource,
     /// The network's settings.
-    pub pinn: Config,
+    pub pinn: PinnConfig,
     /// Existing folder for the recording, the lookups and the figure; `None` writes nothing.
     pub store: Option<PathBuf>,
     /// Set to go on heating and learning after the last power until `stop` becomes true.
@@ -55,7 +55,7 @@ pub struct RunReport {
     /// Processor load of the device; `None` if the device did not answer.
     pub utilisation: Option<Utilisation>,
     /// Counters of the last link.
-    pub counters: Counters,
+    pub counters: ClientCounters,
     /// Windows that the gate refused.
     pub refused: u32,
     /// Wall time from the start to the first lookup active on the device, in seconds.
@@ -102,7 +102,7 @@ pub fn run<'a>(
             device: name,
             points: Vec::new(),
             built: None,
-            counters: Counters::default(),
+            counters: ClientCounters::default(),
             status: None,
             utilisation: None,
             refused: 0,
@@ -219,7 +219,7 @@ impl Run<'_, '_> {
         let (Some(truth), Some(built)) = (self.settings.map_truth, &self.report.built) else {
             return;
         };
-        if let Source::Powers(_) = self.settings.source {
+        if let TrainingSource::Powers(_) = self.settings.source {
             let judge = |truth| LookupAccuracy::of(&judge_cells(built, &truth));
             self.report.map_error = truth().map(judge);
         }
@@ -234,7 +234,7 @@ impl Run<'_, '_> {
     fn all_points(&mut self) -> Result<(), TrainerError> {
         let settings = self.settings;
         match &settings.source {
-            Source::Powers(powers_w) => {
+            TrainingSource::Powers(powers_w) => {
                 let mut last_w = None;
                 for &asked_w in powers_w {
                     let (since, asked_w) = self.device.settle(asked_w)?;
@@ -246,7 +246,7 @@ impl Run<'_, '_> {
                     self.follow(asked_w)?;
                 }
             }
-            Source::Replay(half_cycles) => {
+            TrainingSource::Replay(half_cycles) => {
                 for recorded in half_cycles {
                     let point = OperatingPoint::Replayed {
                         f_sw_hz: recorded.f_sw_hz,

@@ -13,7 +13,7 @@ const WHOLE: f64 = 0.99;
 
 /// Operating points, in order.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Source {
+pub enum TrainingSource {
     /// Powers in watt that the hob heats with.
     Powers(Vec<u16>),
     /// Recorded half-cycles that replace the samples of the device's ADC; its power outputs are locked off meanwhile.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ihd_map::Cell;
+use ihd_map::MapCell;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE};
 use serde::Serialize;
@@ -36,7 +36,7 @@ pub fn save(store: &Path, built: &BuiltLookup) -> Result<(), TrainerError> {
             .map(|row| row.iter().map(|&c| f64::from(c) * unit).collect())
             .collect()
     };
-    let of = |number: fn(&Cell) -> f64| {
+    let of = |number: fn(&MapCell) -> f64| {
         built
             .cells
             .iter()

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use ihd_gate::{Examination, ExamineOptions, MethodResult, Reconstruct, Verdict, examine};
-use ihd_identify::trajectory::Trajectory;
+use ihd_identify::trajectory::TrajectoryCursor;
 use ihd_identify::{IdentifyOptions, Method};
 use ihd_made_captures::{Kind, MadeCapture, Times, make};
 use ihd_signal::{Capture, Remark, Severity, TimeBase};
@@ -295,7 +295,7 @@ fn half_cycles(made: &MadeCapture, outcome: &MethodResult, examined: &Examinatio
             half.from_s.max(segment.t0_s),
             to_s.min(segment.t_s(segment.len())),
         );
-        let Some(mut trajectory) = Trajectory::from(estimate, f64::NEG_INFINITY) else {
+        let Some(mut trajectory) = TrajectoryCursor::from(estimate, f64::NEG_INFINITY) else {
             continue;
         };
         let (mut sums, mut n) = ([0.0; 2], 0);

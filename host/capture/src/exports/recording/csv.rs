@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::io::Write;
 use std::path::Path;
 
-use super::{ByteBudget, ExportLimits, Row, TableError, nothing, rows};
+use super::{ByteBudget, ExportLimits, RecordingExportError, Row, nothing, rows};
 use crate::mcap::topics::Telemetry;
 
 /// Heading of the samples; the last column is the device's number of the window.
@@ -17,12 +17,12 @@ const HALF_CYCLES: &str = "time_s,half_cycle,state,pot,fault,limit,asked_W,power
 /// Writes the samples of all windows in sequence: time, voltage, current, number of the window.
 ///
 /// # Errors
-/// [`TableError`]; what was written until then is no table.
+/// [`RecordingExportError`]; what was written until then is no table.
 pub fn samples_csv(
     path: &Path,
     mut out: impl Write,
     limits: &ExportLimits<'_>,
-) -> Result<(), TableError> {
+) -> Result<(), RecordingExportError> {
     let mut budget = ByteBudget::of(limits);
     let mut windows = 0;
     let mut text = String::from(SAMPLES);
@@ -54,7 +54,7 @@ pub fn half_cycles_csv(
     path: &Path,
     mut out: impl Write,
     limits: &ExportLimits<'_>,
-) -> Result<(), TableError> {
+) -> Result<(), RecordingExportError> {
     let mut budget = ByteBudget::of(limits);
     let mut count = 0;
     budget.write(&mut out, HALF_CYCLES.as_bytes())?;

@@ -11,10 +11,10 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use crate::mcap::cdr::{Samples, read_samples};
-use crate::mcap::reader::{Item, Message};
+use crate::mcap::cdr::{SamplesMessage, read_samples};
+use crate::mcap::reader::{McapItem, McapMessage};
 use crate::mcap::topics::{FaultNote, META_FREE, Telemetry, Topic, WholeWindow, WindowNote};
-use crate::mcap::{McapFileError, Reader};
+use crate::mcap::{McapFileError, McapReader};
 
 pub use csv::{half_cycles_csv, samples_csv};
 pub use npz::recording_npz;
@@ -38,7 +38,7 @@ pub struct ExportLimits<'a> {
 
 /// Error of exporting a recording.
 #[derive(Debug, thiserror::Error)]
-pub enum TableError {
+pub enum RecordingExportError {
     /// The recording cannot be read.
     #[error(transparent)]
     Recording(#[from] McapFileError),
@@ -81,28 +81,32 @@ enum Row<'a> {
     Window(u32, f64, Box<WholeWindow>, &'a [(f64, f32, f32)]),
 }
 
-type EachRow<'a> = &'a mut dyn FnMut(Row<'_>) -> Result<(), TableError>;
+type EachRow<'a> = &'a mut dyn FnMut(Row<'_>) -> Result<(), RecordingExportError>;
 
 /// Reads a recording; damaged parts are skipped.
-fn rows(path: &Path, limits: &ExportLimits<'_>, each: EachRow<'_>) -> Result<(), TableError> {
-    let mut reader = Reader::open(path)?;
+fn rows(
+    path: &Path,
+    limits: &ExportLimits<'_>,
+    each: EachRow<'_>,
+) -> Result<(), RecordingExportError> {
+    let mut reader = McapReader::open(path)?;
     let mut table = Rows::default();
     loop {
         if limits.stop.load(Ordering::Relaxed) {
-            return Err(TableError::Stopped);
+            return Err(RecordingExportError::Stopped);
         }
         if Instant::now() > limits.until {
-            return Err(TableError::TooLong);
+            return Err(RecordingExportError::TooLong);
         }
         match reader.next_item() {
             Ok(None) => return Ok(()),
-            Ok(Some(Item::Metadata { name, entries })) if name == META_FREE => {
+            Ok(Some(McapItem::Metadata { name, entries })) if name == META_FREE => {
                 let trigger_s = entries.get(TRIGGER_S).and_then(|s| s.parse().ok());
                 table.trigger_s = trigger_s.filter(|s: &f64| s.is_finite()).unwrap_or(0.0);
                 each(Row::Notes(&entries))?;
             }
-            Ok(Some(Item::Metadata { .. })) => {}
-            Ok(Some(Item::Message(message))) => table.take(&message, each)?,
+            Ok(Some(McapItem::Metadata { .. })) => {}
+            Ok(Some(McapItem::Message(message))) => table.take(&message, each)?,
             // A window cut by the damage is dropped.
             Err(damage) if damage.is_damage() => table.pairs.clear(),
             Err(other) => return Err(other.into()),
@@ -118,7 +122,7 @@ struct Rows {
 }
 
 impl Rows {
-    fn take(&mut self, m: &Message<'_>, each: EachRow<'_>) -> Result<(), TableError> {
+    fn take(&mut self, m: &McapMessage<'_>, each: EachRow<'_>) -> Result<(), RecordingExportError> {
         let t_s = m.log_time_ns as f64 * 1e-9 - self.trigger_s;
         match m.topic {
             Topic::Samples => {
@@ -156,7 +160,7 @@ impl Rows {
         Ok(())
     }
 
-    fn samples(&mut self, samples: &Samples) {
+    fn samples(&mut self, samples: &SamplesMessage) {
         for k in 0..samples.len() {
             if let Some((v, i)) = samples.pair(k) {
                 self.pairs.push((samples.at(k) - self.trigger_s, v, i));
@@ -166,7 +170,7 @@ impl Rows {
 }
 
 /// Parses a JSON message; `None` if it is damaged, and thus skipped.
-fn parsed<T: serde::de::DeserializeOwned>(m: &Message<'_>) -> Option<T> {
+fn parsed<T: serde::de::DeserializeOwned>(m: &McapMessage<'_>) -> Option<T> {
     serde_json::from_slice(m.data).ok()
 }
 
@@ -182,16 +186,16 @@ impl ByteBudget {
         Self { left, limit }
     }
 
-    fn write(&mut self, out: &mut impl Write, bytes: &[u8]) -> Result<(), TableError> {
+    fn write(&mut self, out: &mut impl Write, bytes: &[u8]) -> Result<(), RecordingExportError> {
         let left = self.left.checked_sub(bytes.len() as u64);
-        self.left = left.ok_or(TableError::TooLarge { bytes: self.limit })?;
+        self.left = left.ok_or(RecordingExportError::TooLarge { bytes: self.limit })?;
         Ok(out.write_all(bytes)?)
     }
 }
 
-fn nothing(path: &Path, what: &'static str, hint: &'static str) -> TableError {
+fn nothing(path: &Path, what: &'static str, hint: &'static str) -> RecordingExportError {
     let file = path.file_name().unwrap_or(path.as_os_str());
-    TableError::Nothing {
+    RecordingExportError::Nothing {
         file: file.to_string_lossy().into_owned(),
         what,
         hint,

@@ -6,7 +6,7 @@ use std::io::{self, BufReader, BufWriter, Seek};
 use std::path::Path;
 
 use super::super::npz::Archive;
-use super::{ByteBudget, ExportLimits, Row, TableError, nothing, rows};
+use super::{ByteBudget, ExportLimits, RecordingExportError, Row, nothing, rows};
 use crate::mcap::topics::{Telemetry, WholeWindow};
 
 /// Length of a text: the longest name of a fault has 24 characters.
@@ -21,13 +21,13 @@ pub type Spool<'a> = &'a dyn Fn() -> io::Result<File>;
 /// Writes a recording as arrays.
 ///
 /// # Errors
-/// [`TableError`]; what was written until then is no archive.
+/// [`RecordingExportError`]; what was written until then is no archive.
 pub fn recording_npz(
     path: &Path,
     out: File,
     spool: Spool<'_>,
     limits: &ExportLimits<'_>,
-) -> Result<(), TableError> {
+) -> Result<(), RecordingExportError> {
     let mut arrays = Arrays {
         spool,
         columns: Vec::new(),
@@ -61,7 +61,7 @@ struct Arrays<'a> {
 }
 
 impl Arrays<'_> {
-    fn take(&mut self, row: Row<'_>) -> Result<(), TableError> {
+    fn take(&mut self, row: Row<'_>) -> Result<(), RecordingExportError> {
         match row {
             Row::Notes(notes) => {
                 self.notes.clone_from(notes);
@@ -86,7 +86,12 @@ impl Arrays<'_> {
         }
     }
 
-    fn window(&mut self, number: u32, begins_s: f64, w: &WholeWindow) -> Result<(), TableError> {
+    fn window(
+        &mut self,
+        number: u32,
+        begins_s: f64,
+        w: &WholeWindow,
+    ) -> Result<(), RecordingExportError> {
         self.put("windows_number", "<u4", &number.to_le_bytes())?;
         self.double("windows_t_s", begins_s)?;
         self.put("windows_half_cycle", "<u4", &w.half_cycle.to_le_bytes())?;
@@ -95,7 +100,7 @@ impl Arrays<'_> {
         self.put("windows_saturated", "<u2", &saturated)
     }
 
-    fn half_cycle(&mut self, t_s: f64, t: &Telemetry) -> Result<(), TableError> {
+    fn half_cycle(&mut self, t_s: f64, t: &Telemetry) -> Result<(), RecordingExportError> {
         let off = t.f_sw_hz == 0;
         let or_none = |x: f64| if off { f64::NAN } else { x };
         for (name, x) in [
@@ -122,11 +127,11 @@ impl Arrays<'_> {
         self.text("half_cycle_limit", &t.limit)
     }
 
-    fn double(&mut self, name: &'static str, x: f64) -> Result<(), TableError> {
+    fn double(&mut self, name: &'static str, x: f64) -> Result<(), RecordingExportError> {
         self.put(name, "<f8", &x.to_le_bytes())
     }
 
-    fn text(&mut self, name: &'static str, text: &str) -> Result<(), TableError> {
+    fn text(&mut self, name: &'static str, text: &str) -> Result<(), RecordingExportError> {
         let mut bytes = [0; 4 * WORD];
         for (to, c) in bytes.chunks_exact_mut(4).zip(text.chars()) {
             to.copy_from_slice(&u32::from(c).to_le_bytes());
@@ -139,7 +144,7 @@ impl Arrays<'_> {
         name: &'static str,
         descr: &'static str,
         bytes: &[u8],
-    ) -> Result<(), TableError> {
+    ) -> Result<(), RecordingExportError> {
         // Some thirty names; those of a sample are asked for in the same order again and again.
         let column = match self
             .columns

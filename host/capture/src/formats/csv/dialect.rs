@@ -8,7 +8,7 @@ use super::heading::{Heading, headings};
 use super::prelude::Prelude;
 use crate::channels::ChannelRef;
 use crate::error::FormatError;
-use crate::formats::channel::Channel;
+use crate::formats::channel::FileChannel;
 
 /// Source of the samples' times.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,11 +33,11 @@ pub enum TimeColumn {
 
 /// Meaning of the columns.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Layout {
+pub struct ColumnLayout {
     /// The clock.
     pub time: TimeColumn,
     /// Columns that may be voltage or current.
-    pub channels: Vec<Channel>,
+    pub channels: Vec<FileChannel>,
     /// Their indices among all columns.
     pub columns: Vec<usize>,
     /// Sampling interval that the prelude declares, in seconds.
@@ -50,7 +50,7 @@ pub struct Layout {
     pub metadata: BTreeMap<String, String>,
 }
 
-impl Layout {
+impl ColumnLayout {
     /// Finds the clock and the channels, or takes the columns that the user names: time (`-` for
     /// none), voltage, current.
     ///
@@ -75,7 +75,7 @@ impl Layout {
                 (time, all.filter(channel).collect())
             }
         };
-        let channel = |k: &usize| Channel {
+        let channel = |k: &usize| FileChannel {
             name: headings[*k].name.clone(),
             unit: headings[*k].unit,
             full_scale: None,

@@ -1,7 +1,7 @@
 //! Names and units above the columns of a table.
 
 use super::prelude::Prelude;
-use crate::formats::unit::{Quantity, Unit};
+use crate::formats::unit::{ColumnQuantity, Unit};
 
 /// Heading of one column.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -49,7 +49,9 @@ impl Heading {
             "zeit",
             "t_s",
         ];
-        let of_unit = self.unit.is_some_and(|u| u.quantity == Quantity::Time);
+        let of_unit = self
+            .unit
+            .is_some_and(|u| u.quantity == ColumnQuantity::Time);
         of_unit || NAMES.contains(&self.name.to_lowercase().as_str())
     }
 }

@@ -14,12 +14,12 @@ use std::io::{BufReader, Read, SeekFrom};
 
 use ihd_signal::TimeBase;
 
-use self::dialect::{Layout, TimeColumn};
+use self::dialect::{ColumnLayout, TimeColumn};
 use self::prelude::Prelude;
 use self::rows::{LONGEST_LINE, Rows, too_long};
 use super::input::ReadSeek;
 use super::time::time_base;
-use super::{Channel, Progress, Samples, Source};
+use super::{CaptureFile, FileChannel, FileSamples, ReadProgress};
 use crate::channels::ChannelRef;
 use crate::error::FormatError;
 
@@ -32,7 +32,7 @@ const REPORT_EVERY: usize = 4096;
 /// A CSV file whose prelude has been read.
 pub struct CsvSource {
     rows: Rows,
-    layout: Layout,
+    layout: ColumnLayout,
     length: u64,
 }
 
@@ -56,7 +56,7 @@ impl CsvSource {
             return Err(FormatError::at_line(1, too_long()));
         }
         let prelude = Prelude::read(&head)?;
-        let layout = Layout::of(&prelude, columns)?;
+        let layout = ColumnLayout::of(&prelude, columns)?;
         file.seek(SeekFrom::Start(prelude.end.byte()))
             .map_err(failed)?;
         let source = BufReader::with_capacity(1 << 16, file);
@@ -88,8 +88,8 @@ impl Columns {
     }
 }
 
-impl Source for CsvSource {
-    fn channels(&self) -> &[Channel] {
+impl CaptureFile for CsvSource {
+    fn channels(&self) -> &[FileChannel] {
         &self.layout.channels
     }
 
@@ -97,7 +97,11 @@ impl Source for CsvSource {
         self.layout.metadata.clone()
     }
 
-    fn read(&mut self, selected: &[usize], progress: Progress<'_>) -> Result<Samples, FormatError> {
+    fn read(
+        &mut self,
+        selected: &[usize],
+        progress: ReadProgress<'_>,
+    ) -> Result<FileSamples, FormatError> {
         let begin = self.rows.position();
         let columns = self.columns(selected, progress)?;
         self.layout.check_rows(columns.rows, self.rows.position())?;
@@ -113,7 +117,7 @@ impl Source for CsvSource {
                 })?)
             }
         };
-        Ok(Samples {
+        Ok(FileSamples {
             time,
             columns: columns.values,
         })
@@ -124,7 +128,7 @@ impl CsvSource {
     fn columns(
         &mut self,
         selected: &[usize],
-        progress: Progress<'_>,
+        progress: ReadProgress<'_>,
     ) -> Result<Columns, FormatError> {
         let of_channel = |k: &usize| self.layout.columns.get(*k).copied();
         let picked: Vec<usize> = selected.iter().filter_map(of_channel).collect();

@@ -97,13 +97,13 @@ pub fn resolution(field: &[u8]) -> f64 {
 
 /// One row.
 #[derive(Clone, Copy)]
-pub struct Row<'a> {
+pub struct CsvRow<'a> {
     record: &'a ByteRecord,
     syntax: Syntax,
     line: u64,
 }
 
-impl<'a> Row<'a> {
+impl<'a> CsvRow<'a> {
     /// Returns its line number in the file, from 1.
     pub fn line(&self) -> u64 {
         self.line
@@ -214,7 +214,7 @@ impl Rows {
     ///
     /// # Errors
     /// [`FormatError`] when reading fails or a line is too long.
-    pub fn next_row(&mut self) -> Result<Option<Row<'_>>, FormatError> {
+    pub fn next_row(&mut self) -> Result<Option<CsvRow<'_>>, FormatError> {
         let read = self.reader.read_byte_record(&mut self.record);
         let more = read.map_err(|e| {
             let line = self.begin.line() + self.reader.position().line() - 1;
@@ -226,7 +226,7 @@ impl Rows {
             .map_or((0, 1), |at| (at.byte(), at.line()));
         // The reader ends a row at CR and counts the line at LF, which it reads with the next row.
         let uncounted = u64::from(self.syntax.crlf && at_byte > 0);
-        Ok(more.then_some(Row {
+        Ok(more.then_some(CsvRow {
             record: &self.record,
             syntax: self.syntax,
             line: self.begin.line() + line - 1 + uncounted,

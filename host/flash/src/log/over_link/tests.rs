@@ -162,7 +162,7 @@ fn a_device_that_says_nothing_is_asked_and_is_gone_then() {
     let mut waited = Duration::ZERO;
     let why = loop {
         match log.read(Duration::from_millis(500)) {
-            Ok(chunk) => assert_eq!(chunk, Chunk::default()),
+            Ok(chunk) => assert_eq!(chunk, LogChunk::default()),
             Err(why) => break why,
         }
         waited += Duration::from_millis(500);

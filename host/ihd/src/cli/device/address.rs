@@ -3,11 +3,11 @@
 use std::str::FromStr;
 
 use anyhow::{Context, Result};
-use ihd_daemon::config::{Address, Config};
+use ihd_daemon::config::{Address, DaemonConfig};
 use ihd_link::DeviceSpec;
 
 /// Returns the address of a configured device, or parses `device` as an address.
-pub(super) fn address_of(config: &Config, device: &str) -> Result<Address> {
+pub(super) fn address_of(config: &DaemonConfig, device: &str) -> Result<Address> {
     if let Some(configured) = config.devices.iter().find(|d| d.name == device) {
         return Ok(configured.address.clone());
     }

@@ -3,9 +3,9 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
-use ihd_daemon::config::Config;
+use ihd_daemon::config::DaemonConfig;
 use ihd_daemon::firmware::{updates_needed, usb_serial};
-use ihd_link::{Client, Event};
+use ihd_link::{Client, DeviceEvent};
 use ihd_model::{
     Command, CommandReply, DeviceReport, DeviceState, Identity, Live, LookupReport, WindowCounts,
 };
@@ -23,7 +23,7 @@ const ACTIVE_WITHIN: Duration = Duration::from_secs(2);
 /// Link and its device.
 pub(in crate::cli) struct Direct {
     client: Client,
-    config: Config,
+    config: DaemonConfig,
     name: String,
     address: String,
     last: Option<Telemetry>,
@@ -32,7 +32,7 @@ pub(in crate::cli) struct Direct {
 
 impl Direct {
     /// Connects.
-    pub(super) fn open(mut config: Config, address: String, name: &str) -> Result<Self> {
+    pub(super) fn open(mut config: DaemonConfig, address: String, name: &str) -> Result<Self> {
         let open = opener(&mut config)?;
         let place = address_of(&config, &address)?;
         let client = Client::connect(open(&place)?.transport)?;
@@ -119,7 +119,7 @@ impl Direct {
         while self.streams
             && let Some(event) = self.client.next_event(Duration::ZERO)?
         {
-            if let Event::Telemetry(telemetry) = event {
+            if let DeviceEvent::Telemetry(telemetry) = event {
                 self.last = Some(telemetry);
             }
         }
@@ -187,7 +187,7 @@ impl Direct {
     fn before(&mut self) -> Result<RlLookup> {
         let on_device = self.client.status()?.lookup_version;
         let folder = &self.config.store;
-        let store = ihd_store::Reader::open(folder).context(
+        let store = ihd_store::StoreReader::open(folder).context(
             "what was active before stands in the store: give its configuration with --config",
         )?;
         let mut rows = store.lookups()?;

@@ -7,7 +7,7 @@ use std::str::FromStr;
 use anyhow::{Result, bail};
 use ihd_api::ApiClient;
 use ihd_api::client::ClientError;
-use ihd_daemon::config::Config;
+use ihd_daemon::config::DaemonConfig;
 use ihd_link::DeviceSpec;
 #[cfg(feature = "log")]
 use ihd_link::{LinkError, Transport};
@@ -30,7 +30,7 @@ pub(in crate::cli) enum Hob {
 
 impl Hob {
     /// Connects to the device with a name of the configuration, or an address.
-    pub(in crate::cli) fn find(config: Config, device: &str) -> Result<Self> {
+    pub(in crate::cli) fn find(config: DaemonConfig, device: &str) -> Result<Self> {
         let daemon = configured::daemon(&config)?;
         if let Some(client) = daemon {
             let devices = client.devices()?;
@@ -136,11 +136,11 @@ pub(super) fn is_leased_elsewhere(error: &anyhow::Error) -> bool {
     )
 }
 
-fn is_configured(config: &Config, name: &str) -> bool {
+fn is_configured(config: &DaemonConfig, name: &str) -> bool {
     config.devices.iter().any(|device| device.name == name)
 }
 
-fn configured_or_address(config: Config, device: &str) -> Result<(Config, String)> {
+fn configured_or_address(config: DaemonConfig, device: &str) -> Result<(DaemonConfig, String)> {
     if is_configured(&config, device) {
         return Ok((config, device.to_owned()));
     }

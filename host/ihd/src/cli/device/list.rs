@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::Result;
-use ihd_daemon::config::Config;
+use ihd_daemon::config::DaemonConfig;
 use ihd_link::usb;
 use ihd_model::DeviceReport;
 use serde::Serialize;
@@ -35,7 +35,7 @@ impl From<&DeviceReport> for ListedDevice {
 }
 
 /// Prints the daemon's devices, else the known ones.
-pub(super) fn print(config: &Config, json: bool) -> Result<()> {
+pub(super) fn print(config: &DaemonConfig, json: bool) -> Result<()> {
     let daemon = configured::daemon(config)?;
     let listed: Vec<ListedDevice> = match &daemon {
         Some(client) => client.devices()?.iter().map(ListedDevice::from).collect(),
@@ -70,7 +70,7 @@ pub(super) fn print(config: &Config, json: bool) -> Result<()> {
 }
 
 /// Devices of the configuration, and boards on USB that it does not name.
-fn without_daemon(config: &Config) -> Vec<ListedDevice> {
+fn without_daemon(config: &DaemonConfig) -> Vec<ListedDevice> {
     let mut listed: Vec<ListedDevice> = config
         .devices
         .iter()

@@ -11,7 +11,7 @@ mod watch;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
-use ihd_daemon::config::Config;
+use ihd_daemon::config::DaemonConfig;
 use ihd_model::Command;
 
 use super::global::Global;
@@ -186,6 +186,6 @@ fn once(hob: &mut Hob, command: &Command, forces: bool, json: bool) -> Result<()
 }
 
 /// Prints a line for each event of a device until Ctrl-C.
-pub(super) fn lines(config: Config, device: &str, json: bool) -> Result<()> {
+pub(super) fn lines(config: DaemonConfig, device: &str, json: bool) -> Result<()> {
     watch::watch(&mut Hob::find(config, device)?, json)
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use ihd_api::client::ClientError;
 use ihd_api::client::events::StreamItem;
-use ihd_link::Event;
+use ihd_link::DeviceEvent;
 use ihd_model::{DaemonEvent, EventKind};
 
 use super::direct::Direct;
@@ -138,11 +138,13 @@ fn watch_directly(direct: &mut Direct, json: bool) -> Result<()> {
         let event = direct.client().next_event(Duration::from_millis(200))?;
         let Some(event) = event else { continue };
         let due = match &event {
-            Event::Telemetry(t) => t.half_cycle % ONE_IN == 0,
-            Event::Fault(_) => true,
-            Event::Window(_) | Event::WindowRejected { .. } | Event::Log { .. } => false,
+            DeviceEvent::Telemetry(t) => t.half_cycle % ONE_IN == 0,
+            DeviceEvent::Fault(_) => true,
+            DeviceEvent::Window(_)
+            | DeviceEvent::WindowRejected { .. }
+            | DeviceEvent::Log { .. } => false,
         };
-        if due && let Event::Fault(fault) = &event {
+        if due && let DeviceEvent::Fault(fault) = &event {
             say!("{}", one_line(&format!("fault: {fault:?}")))?;
         } else if due {
             let report = direct.report()?;

@@ -15,7 +15,7 @@ pub(super) enum DeviceChoice {
     /// By name in a configuration.
     #[cfg(feature = "daemon")]
     Configured {
-        config: Box<ihd_daemon::config::Config>,
+        config: Box<ihd_daemon::config::DaemonConfig>,
         address: Box<ihd_daemon::config::Address>,
     },
 }

@@ -196,7 +196,7 @@ impl DoctorArgs {
         let needed = ["idle", "comparators", "flash_crc", "option_bytes", "clocks"];
         let failed = needed.into_iter().find(|name| {
             let check = report.check(name);
-            check.is_some_and(|check| check.verdict == ihd_doctor::Verdict::Fail)
+            check.is_some_and(|check| check.verdict == ihd_doctor::CheckResult::Fail)
         });
         let against = match (&lost, failed) {
             (Some(lost), _) => Some(lost.clone()),

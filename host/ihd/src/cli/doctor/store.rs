@@ -4,8 +4,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use ihd_daemon::cause_of;
-use ihd_daemon::config::Config;
-use ihd_doctor::{Check, Evidence};
+use ihd_daemon::config::DaemonConfig;
+use ihd_doctor::{Check, Measurement};
 use ihd_model::StoreFailure;
 use ihd_store::{StoreError, clock, try_folder};
 
@@ -45,7 +45,7 @@ pub(super) fn check(path: Option<&Path>) -> Check {
 }
 
 /// Check from the running daemon's report.
-fn of_daemon(config: &Config, is_well: bool, failure: Option<StoreFailure>) -> Check {
+fn of_daemon(config: &DaemonConfig, is_well: bool, failure: Option<StoreFailure>) -> Check {
     let at = format!("the daemon at {}", config.listen);
     let Some(failure) = failure else {
         return match is_well {
@@ -71,7 +71,7 @@ fn of_daemon(config: &Config, is_well: bool, failure: Option<StoreFailure>) -> C
         ("lost_events", lost.events as f64, ""),
         ("lost_audits", lost.audits as f64, ""),
     ];
-    let numbers = evidence.map(|(name, value, unit)| Evidence::informative(name, value, unit));
+    let numbers = evidence.map(|(name, value, unit)| Measurement::informative(name, value, unit));
     Check::fail(NAME, finding, failure.advice).with_evidence(numbers.into())
 }
 
@@ -86,8 +86,8 @@ fn of_folder(folder: &Path) -> Check {
             ),
         )
         .with_evidence(vec![
-            Evidence::informative("databases", tried.databases as f64, ""),
-            Evidence::informative("checked", tried.checked as f64, ""),
+            Measurement::informative("databases", tried.databases as f64, ""),
+            Measurement::informative("checked", tried.checked as f64, ""),
         ]),
         Err(StoreError::NoStore { folder }) => Check::not_tested(
             NAME,

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use ihd_doctor::{Check, CheckGroup, Report, Verdict};
+use ihd_doctor::{Check, CheckGroup, CheckResult, Report};
 
 /// Width of the column before a finding.
 const INDENT: usize = 32;
@@ -43,7 +43,7 @@ fn of_group(text: &mut String, group: &CheckGroup, device: Option<&str>) {
 
 /// Returns `true` if two checks were not tested for the same reason, which is then printed once.
 fn are_alike(a: &Check, b: &Check) -> bool {
-    a.verdict == Verdict::NotTested && (a.verdict, &a.finding) == (b.verdict, &b.finding)
+    a.verdict == CheckResult::NotTested && (a.verdict, &a.finding) == (b.verdict, &b.finding)
 }
 
 /// Formats checks that were not tested for the same reason.
@@ -63,7 +63,7 @@ fn of_check(text: &mut String, check: &Check) {
     if let Some(remedy) = check
         .remedy
         .as_ref()
-        .filter(|_| check.verdict != Verdict::Pass)
+        .filter(|_| check.verdict != CheckResult::Pass)
     {
         lines.extend(wrapped(&format!("→ {remedy}")));
     }

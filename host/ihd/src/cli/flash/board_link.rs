@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use ihd_flash::BuildId;
-use ihd_flash::install::{Link, RunningBoard};
+use ihd_flash::install::{BoardAccess, RunningBoard};
 use ihd_link::{Client, DeviceSpec, LinkError};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{State, Status};
@@ -37,7 +37,7 @@ impl BoardLink {
     }
 }
 
-impl Link for BoardLink {
+impl BoardAccess for BoardLink {
     fn ask(&mut self) -> Result<RunningBoard, String> {
         let mut silent = Vec::new();
         for spec in &self.links {

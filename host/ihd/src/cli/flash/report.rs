@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use ihd_flash::install::{InstallReport, InstallStep};
-use ihd_flash::options::Deviation;
-use ihd_flash::{Image, Progress};
+use ihd_flash::options::OptionDeviation;
+use ihd_flash::{Image, WriteProgress};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
@@ -97,11 +97,11 @@ impl Screen {
         drop(shown);
     }
 
-    fn advance(&self, progress: Progress) {
+    fn advance(&self, progress: WriteProgress) {
         let (what, done, total) = match progress {
-            Progress::Erasing { done, total } => ("erasing", done, total),
-            Progress::Programming { done, total } => ("programming", done, total),
-            Progress::Verifying { done, total } => ("verifying", done, total),
+            WriteProgress::Erasing { done, total } => ("erasing", done, total),
+            WriteProgress::Programming { done, total } => ("programming", done, total),
+            WriteProgress::Verifying { done, total } => ("verifying", done, total),
         };
         self.bar.set_message(what);
         self.bar.set_length(total.into());
@@ -138,7 +138,7 @@ impl Drop for Screen {
     }
 }
 
-fn deviation_text(one: &Deviation, set: bool) -> String {
+fn deviation_text(one: &OptionDeviation, set: bool) -> String {
     let then = match (set, one.needed) {
         (true, _) => "is set now".into(),
         (false, true) => format!(

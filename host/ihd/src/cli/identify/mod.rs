@@ -17,7 +17,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use self::parts::ManyParts;
 pub use self::results::RefusedResults;
-use self::results::{ResultOptions, Results};
+use self::results::{ResultOptions, ResultWriter};
 use super::capture_args::{CaptureArgs, CaptureParts};
 use super::global::Global;
 use super::interrupt;
@@ -193,7 +193,7 @@ impl IdentifyArgs {
         let is_whole = parts.is_at_end()?;
         let tables: Vec<&Path> = self.ending("csv").collect();
         let figures: Vec<&Path> = self.figures().collect();
-        let mut results = Results::new(ResultOptions {
+        let mut results = ResultWriter::new(ResultOptions {
             capture: self.capture.path(),
             json,
             in_parts: !is_whole,

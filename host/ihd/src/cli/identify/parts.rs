@@ -13,7 +13,7 @@ use indicatif::ProgressBar;
 
 use super::super::capture_args::CaptureParts;
 use super::super::output;
-use super::results::Results;
+use super::results::ResultWriter;
 
 /// Memory in bytes that all parts together may take, results included.
 const MEMORY: usize = 200_000_000;
@@ -47,7 +47,7 @@ impl ManyParts<'_> {
     /// # Errors
     /// If the capture cannot be read or the results cannot be written; the first part's [`SurveyError`] if nothing can be identified in
     /// any; an interruption.
-    pub fn run(&mut self, first: Capture, results: &mut Results<'_>) -> Result<()> {
+    pub fn run(&mut self, first: Capture, results: &mut ResultWriter<'_>) -> Result<()> {
         let at_once = self.at_once(first.len());
         self.bar.set_length(BAR_STEPS as u64);
         let mut batch = vec![first];

@@ -12,7 +12,7 @@ use ihd_identify::{Estimate, Method};
 use ihd_signal::{Capture, Remark, Segment, Severity};
 use serde::Serialize;
 
-use crate::report::table::Table;
+use crate::report::table::TextTable;
 
 /// Results of a capture, with their errors if it has the truth.
 pub struct ReportedCapture<'a> {
@@ -24,7 +24,7 @@ pub struct ReportedCapture<'a> {
 
 /// Object of the JSON array.
 #[derive(Serialize)]
-pub struct Entry<'a> {
+pub struct ReportEntry<'a> {
     method: Method,
     f_sw_hz: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -96,7 +96,7 @@ impl<'a> ReportedCapture<'a> {
     }
 
     /// Outcomes as JSON; a failed method has an `error` and empty vectors.
-    pub fn json(&self) -> Vec<Entry<'a>> {
+    pub fn json(&self) -> Vec<ReportEntry<'a>> {
         let outcomes = self.examined.outcomes.iter().zip(&self.accuracy);
         outcomes.map(|(o, a)| self.entry(o, *a)).collect()
     }
@@ -112,11 +112,11 @@ impl<'a> ReportedCapture<'a> {
         self.examined.pooled.get(segment)?.as_ref()
     }
 
-    fn entry(&self, o: &'a MethodResult, accuracy: Option<Accuracy>) -> Entry<'a> {
+    fn entry(&self, o: &'a MethodResult, accuracy: Option<Accuracy>) -> ReportEntry<'a> {
         let estimate = o.result.as_ref().ok();
         let of = |values: fn(&Estimate) -> &Vec<f64>| found_slice(o, values);
         let segment = self.examined.segments.get(o.segment);
-        Entry {
+        ReportEntry {
             method: o.method,
             f_sw_hz: segment.map_or(0.0, |s| s.f_sw_hz),
             error: o.result.as_ref().err().map(ToString::to_string),
@@ -309,7 +309,7 @@ fn stretch(segment: &Segment, outcomes: &[(&MethodResult, &Option<Accuracy>)]) -
         heading.extend(["MRE R %", "MRE L %"]);
     }
     heading.extend(["NMSE v %", "NMSE i %", "ms"]);
-    let mut table = Table::new(&heading);
+    let mut table = TextTable::new(&heading);
     for (outcome, accuracy) in outcomes {
         let Ok(estimate) = &outcome.result else {
             continue;
@@ -355,7 +355,7 @@ pub fn pooled(law: &PooledLaw) -> String {
         [least, .., most] => (*least, *most),
         _ => return String::new(),
     };
-    let mut table = Table::new(&["I A, amplitude", "R Ω", "±", "L µH", "±"]);
+    let mut table = TextTable::new(&["I A, amplitude", "R Ω", "±", "L µH", "±"]);
     let inside = PRINTED_A.iter().filter(|a| (least_a..most_a).contains(*a));
     for i_a in inside.chain([&most_a]) {
         let [r, l] = law.at(*i_a);

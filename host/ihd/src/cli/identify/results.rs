@@ -44,7 +44,7 @@ pub struct ResultOptions<'a> {
 }
 
 /// Writer of the results of one capture.
-pub struct Results<'a> {
+pub struct ResultWriter<'a> {
     options: ResultOptions<'a>,
     /// JSON on standard output; `None` for text.
     json: Option<JsonArray>,
@@ -60,7 +60,7 @@ pub struct Results<'a> {
     refused: usize,
 }
 
-impl<'a> Results<'a> {
+impl<'a> ResultWriter<'a> {
     /// Creates a writer of nothing yet: files that are there stay until there is a result.
     pub fn new(options: ResultOptions<'a>) -> Self {
         Self {

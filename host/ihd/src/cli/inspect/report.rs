@@ -9,7 +9,7 @@ use ihd_survey::mains::MainsSource;
 use ihd_survey::{ChannelSurvey, Finding, Severity, Survey};
 use serde::Serialize;
 
-use crate::report::table::Table;
+use crate::report::table::TextTable;
 
 /// Finding with its text.
 #[derive(Serialize)]
@@ -205,7 +205,7 @@ fn mains(survey: &Survey) -> String {
 
 /// One row per stretch.
 fn spans(survey: &Survey) -> String {
-    let mut table = Table::new(&["from ms", "to ms", "f_sw kHz", "S/period", "R ohm", "L µH"]);
+    let mut table = TextTable::new(&["from ms", "to ms", "f_sw kHz", "S/period", "R ohm", "L µH"]);
     for span in &survey.spans {
         let load = |value: fn(&ihd_signal::Load) -> f64| {
             span.load

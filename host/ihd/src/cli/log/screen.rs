@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use ihd_flash::log::decoder::Decoded;
 use ihd_flash::log::follow::LogEvent;
-use ihd_flash::log::message::{Level, Message, Place};
+use ihd_flash::log::message::{Level, LogMessage, SourceLocation};
 use jiff::Timestamp;
 use serde::Serialize;
 
@@ -34,7 +34,7 @@ struct Line<'a> {
     level: Option<Level>,
     message: &'a str,
     module: Option<&'a str>,
-    location: Option<&'a Place>,
+    location: Option<&'a SourceLocation>,
     #[serde(skip_serializing_if = "Option::is_none")]
     uptime: Option<&'a str>,
     /// Messages that the board had no room for, bytes lost in transmission, and invalid frames before this message.
@@ -117,7 +117,7 @@ impl Screen {
         self.report_counts()
     }
 
-    fn message(&mut self, message: &Message) -> Result<()> {
+    fn message(&mut self, message: &LogMessage) -> Result<()> {
         let t = Timestamp::now();
         if self.json {
             let line = Line {
@@ -192,7 +192,7 @@ fn written(t: Timestamp) -> String {
 }
 
 /// Parts of a message's line: time, level, module, text, place.
-fn parts(t: &str, message: &Message) -> Vec<(Colour, String)> {
+fn parts(t: &str, message: &LogMessage) -> Vec<(Colour, String)> {
     let (colour, word) = match message.level {
         Some(Level::Error) => (Colour::Red, "error"),
         Some(Level::Warn) => (Colour::Yellow, "warn"),
@@ -221,12 +221,12 @@ fn parts(t: &str, message: &Message) -> Vec<(Colour, String)> {
 mod tests {
     use super::*;
 
-    fn message() -> Message {
-        Message {
+    fn message() -> LogMessage {
+        LogMessage {
             level: Some(Level::Warn),
             text: "lookup 7 was not kept".into(),
             uptime: None,
-            place: Some(Place {
+            place: Some(SourceLocation {
                 module: "ihd_firmware::board".into(),
                 file: "firmware/src/board/mod.rs".into(),
                 line: 54,
@@ -248,7 +248,7 @@ mod tests {
 
     #[test]
     fn without_debug_information_the_text_stands_alone() {
-        let message = Message {
+        let message = LogMessage {
             level: None,
             place: None,
             ..message()

@@ -11,7 +11,7 @@ use ihd_capture::recording::{
     RecordSettings, RecordingLimit, RecordingOptions, RecordingPhase, RecordingSession,
     RecordingStatus, Trigger,
 };
-use ihd_link::{Client, Event, KEEPALIVE_PERIOD};
+use ihd_link::{Client, DeviceEvent, KEEPALIVE_PERIOD};
 use ihd_shared::wire::messages::{Status, Utilisation};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -185,7 +185,7 @@ impl DirectRecording {
                 None => {}
             }
             self.show_statuses(statuses, session.active().is_none())?;
-            if let Some(Event::Fault(_)) = client.next_event(POLL_PERIOD)? {
+            if let Some(DeviceEvent::Fault(_)) = client.next_event(POLL_PERIOD)? {
                 report.faults += 1;
             }
             if client.clock().saturating_sub(heard) >= KEEPALIVE_PERIOD {

@@ -1,6 +1,6 @@
 //! Events on the command line: `3ms:fsw=60k`, `5ms:pot=none`, `5ms:load=0.6,1.35`, `7ms:off`.
 
-use ihd_sim::recording::settings::{Change, Event};
+use ihd_sim::recording::settings::{RecordingChange, RecordingEvent};
 
 use super::quantity::{list, quantity};
 
@@ -15,7 +15,7 @@ pub struct NotAnEvent {
 }
 
 /// Parses one event.
-pub fn event(text: &str) -> Result<Event, NotAnEvent> {
+pub fn event(text: &str) -> Result<RecordingEvent, NotAnEvent> {
     let wrong = |why: String| NotAnEvent {
         text: text.to_owned(),
         why,
@@ -25,25 +25,27 @@ pub fn event(text: &str) -> Result<Event, NotAnEvent> {
         .ok_or_else(|| wrong("no `:`".to_owned()))?;
     let t_s = quantity(time).map_err(|e| wrong(e.to_string()))?;
     let change = match what.split_once('=') {
-        None if what == "off" => Change::Off,
-        None if what == "on" => Change::On,
-        Some(("fsw", f)) => Change::Frequency(quantity(f).map_err(|e| wrong(e.to_string()))?),
-        Some(("pot", pot)) => Change::Pot(
+        None if what == "off" => RecordingChange::Off,
+        None if what == "on" => RecordingChange::On,
+        Some(("fsw", f)) => {
+            RecordingChange::Frequency(quantity(f).map_err(|e| wrong(e.to_string()))?)
+        }
+        Some(("pot", pot)) => RecordingChange::Pot(
             pot.parse()
                 .map_err(|e: ihd_sim::pot::UnknownPotName| wrong(e.to_string()))?,
         ),
         Some(("load", factors)) => {
             let [r_factor, l_factor] = list(factors).map_err(|e| wrong(e.to_string()))?;
-            Change::Load { r_factor, l_factor }
+            RecordingChange::Load { r_factor, l_factor }
         }
         _ => return Err(wrong(format!("unknown change `{what}`"))),
     };
-    Ok(Event { t_s, change })
+    Ok(RecordingEvent { t_s, change })
 }
 
 #[cfg(test)]
 mod tests {
-    use ihd_sim::pot::Pot;
+    use ihd_sim::pot::SimulatedPot;
 
     use super::*;
 
@@ -51,26 +53,26 @@ mod tests {
     fn events_are_read() {
         assert_eq!(
             event("3ms:fsw=60k"),
-            Ok(Event {
+            Ok(RecordingEvent {
                 t_s: 3e-3,
-                change: Change::Frequency(60e3)
+                change: RecordingChange::Frequency(60e3)
             })
         );
         assert_eq!(
             event("0.5:pot=none"),
-            Ok(Event {
+            Ok(RecordingEvent {
                 t_s: 0.5,
-                change: Change::Pot(Pot::NONE)
+                change: RecordingChange::Pot(SimulatedPot::NONE)
             })
         );
         assert_eq!(
             event("5ms:load=0.6,1.35").map(|e| e.change),
-            Ok(Change::Load {
+            Ok(RecordingChange::Load {
                 r_factor: 0.6,
                 l_factor: 1.35
             })
         );
-        assert_eq!(event("1us:off").map(|e| e.change), Ok(Change::Off));
+        assert_eq!(event("1us:off").map(|e| e.change), Ok(RecordingChange::Off));
     }
 
     #[test]

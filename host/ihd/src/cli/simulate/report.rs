@@ -8,7 +8,7 @@ use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_signal::truth::{ORDERS, PeriodTruth};
 use ihd_sim::recording::comparison;
 use ihd_sim::recording::prepared;
-use ihd_sim::recording::run::Recording;
+use ihd_sim::recording::run::SimulatedRecording;
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind, PRESETS};
 
 /// Smallest current amplitude whose R and L are printed, in ampere.
@@ -24,7 +24,7 @@ fn range(truth: &[&PeriodTruth], value: impl Fn(&PeriodTruth) -> f64) -> (f64, f
 }
 
 /// Summary with operating point, truth, resonance interval and speed.
-pub fn summary(recording: &Recording, took: Duration) -> Result<()> {
+pub fn summary(recording: &SimulatedRecording, took: Duration) -> Result<()> {
     let s = &recording.settings;
     say!(
         "simulated  {} at {} kHz, {} Hz mains, {} ms, seed {}",
@@ -92,7 +92,7 @@ pub fn summary(recording: &Recording, took: Duration) -> Result<()> {
     Ok(())
 }
 
-fn table_error(recording: &Recording) -> Result<()> {
+fn table_error(recording: &SimulatedRecording) -> Result<()> {
     let s = &recording.settings;
     let models = prepared::field_models(&s.pot, s.winding_r_ohm)?;
     let error = prepared::surrogate_pot(&s.pot, s.winding_r_ohm)?.error(&models)?;

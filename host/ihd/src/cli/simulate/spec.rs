@@ -1,9 +1,11 @@
 //! Values over a preset: keys of `--set`.
 
 use clap::Args;
-use ihd_sim::pot::Pot;
+use ihd_sim::pot::SimulatedPot;
 use ihd_sim::recording::sensing::Rate;
-use ihd_sim::recording::settings::{CaptureSpec, Event, LoadKind, Neighbour, Sweep};
+use ihd_sim::recording::settings::{
+    CaptureSpec, CarrierSweep, LoadKind, Neighbour, RecordingEvent,
+};
 
 use super::LoadWord;
 use super::event::event;
@@ -44,7 +46,7 @@ pub(super) struct SpecOptions {
     dead_time: Option<f64>,
     /// METAL-D: ferritic, cast-iron, stainless or aluminium, with D = 5 to 26 (cm); or none
     #[arg(long)]
-    pot: Option<Pot>,
+    pot: Option<SimulatedPot>,
     /// Lift the pot, in m (5mm)
     #[arg(long, value_parser = quantity, default_value = "0")]
     lift: f64,
@@ -72,7 +74,7 @@ pub(super) struct SpecOptions {
     /// Change something meanwhile: TIME:fsw=60k, TIME:pot=none, TIME:load=0.6,1.35 (R and L of a law times
     /// these), TIME:off or TIME:on; repeatable
     #[arg(long, value_parser = event, value_name = "EVENT")]
-    at: Vec<Event>,
+    at: Vec<RecordingEvent>,
     #[command(flatten)]
     sensing: SensingOptions,
 }
@@ -143,7 +145,7 @@ impl SpecOptions {
     /// Sets what is given.
     pub(super) fn apply(&self, s: &mut CaptureSpec) {
         set(&mut s.f_sw_hz, self.fsw);
-        s.sweep = self.sweep.map(|[deviation_hz, rate_hz]| Sweep {
+        s.sweep = self.sweep.map(|[deviation_hz, rate_hz]| CarrierSweep {
             deviation_hz,
             rate_hz,
         });

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use ihd_store::{DaySpace, Reader, Store, StoreError, bytes_a_day};
+use ihd_store::{DaySpace, Store, StoreError, StoreReader, bytes_a_day};
 use serde_json::json;
 
 use super::super::output;
-use super::place::Place;
+use super::place::StorePlace;
 
 /// Bytes of a window if there are too few to measure it (docs/daemon.md).
 const BYTES_A_WINDOW: f64 = 30.8e3;
@@ -41,11 +41,11 @@ pub struct BackupArgs {
 }
 
 impl CheckArgs {
-    pub fn run(&self, place: &Place, json: bool) -> Result<()> {
+    pub fn run(&self, place: &StorePlace, json: bool) -> Result<()> {
         if self.collect {
             return collect(place, json);
         }
-        let checked = Reader::open(&place.folder).and_then(|reader| {
+        let checked = StoreReader::open(&place.folder).and_then(|reader| {
             let report = reader.check()?;
             Ok((report, reader.space()?))
         });
@@ -133,9 +133,9 @@ fn say_space(days: &[DaySpace], max_bytes: u64) -> Result<()> {
 }
 
 /// Deletes what is beyond the retention.
-fn collect(place: &Place, json: bool) -> Result<()> {
+fn collect(place: &StorePlace, json: bool) -> Result<()> {
     // Fails if there is no store: cleaning does not create one.
-    drop(Reader::open(&place.folder)?);
+    drop(StoreReader::open(&place.folder)?);
     let opened = Store::open(&place.folder, &place.settings)?;
     let mut store = opened.store;
     let collected = store.collect_garbage()?;
@@ -161,7 +161,7 @@ fn collect(place: &Place, json: bool) -> Result<()> {
 }
 
 impl BackupArgs {
-    pub fn run(&self, place: &Place, json: bool) -> Result<()> {
+    pub fn run(&self, place: &StorePlace, json: bool) -> Result<()> {
         if self.to.as_os_str().is_empty() {
             bail!("TO names no folder");
         }

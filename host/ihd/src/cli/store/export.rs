@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use ihd_store::clock::rfc3339;
-use ihd_store::export::{self, Format};
-use ihd_store::{Reader, ResultFilter, StoreError, WindowFilter};
+use ihd_store::export::{self, ExportFormat};
+use ihd_store::{ResultFilter, StoreError, StoreReader, WindowFilter};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::super::output;
-use super::place::{Place, time};
+use super::place::{StorePlace, time};
 
 /// Write windows, or the table of results, as files for other programs.
 ///
@@ -55,7 +55,7 @@ enum FormatArg {
     Parquet,
 }
 
-impl From<FormatArg> for Format {
+impl From<FormatArg> for ExportFormat {
     fn from(format: FormatArg) -> Self {
         match format {
             FormatArg::Mcap => Self::Mcap,
@@ -67,12 +67,12 @@ impl From<FormatArg> for Format {
 }
 
 impl ExportArgs {
-    pub fn run(&self, place: &Place, json: bool) -> Result<()> {
+    pub fn run(&self, place: &StorePlace, json: bool) -> Result<()> {
         ensure_usage!(
             !self.results || self.format == FormatArg::Csv,
             "--results are written as CSV alone: --format csv"
         );
-        let reader = Reader::open(&place.folder)?;
+        let reader = StoreReader::open(&place.folder)?;
         if self.results {
             return self.results(&reader, json);
         }
@@ -104,7 +104,7 @@ impl ExportArgs {
         Ok(())
     }
 
-    fn results(&self, reader: &Reader, json: bool) -> Result<()> {
+    fn results(&self, reader: &StoreReader, json: bool) -> Result<()> {
         if self.out.exists() {
             let path = self.out.clone();
             return Err(StoreError::Exists { path }.into());

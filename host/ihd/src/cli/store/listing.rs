@@ -7,7 +7,7 @@ use ihd_store::{ResultFilter, ResultId, ResultRow, WindowFilter};
 use serde_json::{Value, json};
 
 use super::super::output;
-use super::place::{Place, time};
+use super::place::{StorePlace, time};
 
 /// List results, newest first; or show one with its window and its connection.
 #[derive(Debug, Args)]
@@ -31,7 +31,7 @@ pub struct LsArgs {
 }
 
 impl LsArgs {
-    pub fn run(&self, place: &Place, json: bool) -> Result<()> {
+    pub fn run(&self, place: &StorePlace, json: bool) -> Result<()> {
         if let Some(id) = self.id {
             return show(id, place, json);
         }
@@ -111,7 +111,7 @@ fn entry(row: &ResultRow) -> Value {
 }
 
 /// Shows a result, its window and its connection.
-fn show(id: ResultId, place: &Place, json: bool) -> Result<()> {
+fn show(id: ResultId, place: &StorePlace, json: bool) -> Result<()> {
     let reader = place.read()?;
     let Some(row) = reader.result(id)? else {
         bail!("there is no result {id}; `ihd store ls` lists them");

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use ihd_store::{Reader, StoreError, StoreOptions};
+use ihd_store::{StoreError, StoreOptions, StoreReader};
 
 use super::super::configured;
 use super::super::global::Global;
@@ -17,18 +17,18 @@ pub struct PlaceArgs {
 }
 
 /// Folder and options of a store.
-pub struct Place {
+pub struct StorePlace {
     pub folder: PathBuf,
     pub settings: StoreOptions,
 }
 
-impl Place {
+impl StorePlace {
     /// Opens the store for reading.
     ///
     /// # Errors
     /// As [`Reader::open`]; names the runs of `ihd trainer` if the folder holds these alone.
-    pub fn read(&self) -> Result<Reader> {
-        Reader::open(&self.folder).map_err(|why| {
+    pub fn read(&self) -> Result<StoreReader> {
+        StoreReader::open(&self.folder).map_err(|why| {
             let run = self.folder.join("run-001");
             let only_runs = matches!(why, StoreError::NoStore { .. }) && run.is_dir();
             let context = format!(
@@ -47,9 +47,9 @@ impl PlaceArgs {
     ///
     /// # Errors
     /// If a named configuration cannot be read or is invalid.
-    pub fn place(&self, global: &Global) -> Result<Place> {
+    pub fn place(&self, global: &Global) -> Result<StorePlace> {
         let config = configured::config(global.config.as_deref())?;
-        Ok(Place {
+        Ok(StorePlace {
             settings: config.store_settings(),
             folder: self.store.clone().unwrap_or(config.store),
         })

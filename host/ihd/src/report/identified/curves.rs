@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use ihd_identify::{Estimate, Method};
-use ihd_plot::{Curve, GREY, Pen};
+use ihd_plot::{GREY, Pen, PlotCurve};
 use ihd_signal::Segment;
 use ihd_signal::truth::Truth;
 use plotters::prelude::RGBColor;
@@ -38,14 +38,14 @@ pub fn colour(method: Method) -> RGBColor {
 
 /// Quantity over time that every method estimates.
 #[derive(Clone, Copy)]
-pub enum Quantity {
+pub enum CurveQuantity {
     /// R in ohm.
     Resistance,
     /// L in microhenry.
     Inductance,
 }
 
-impl Quantity {
+impl CurveQuantity {
     /// Values and standard deviations of an estimate, in the unit of the axis; without σ the second is empty.
     fn of(self, estimate: &Estimate) -> (Vec<f64>, Vec<f64>) {
         let scaled = |values: &[f64], unit: f64| values.iter().map(|x| x / unit).collect();
@@ -76,7 +76,7 @@ struct Point {
     sigma: Option<f64>,
 }
 
-fn points(estimate: &Estimate, quantity: Quantity) -> impl Iterator<Item = Point> {
+fn points(estimate: &Estimate, quantity: CurveQuantity) -> impl Iterator<Item = Point> {
     let (values, sigmas) = quantity.of(estimate);
     let t_s = estimate.t_s.clone();
     values
@@ -91,7 +91,11 @@ fn points(estimate: &Estimate, quantity: Quantity) -> impl Iterator<Item = Point
 }
 
 /// Truth and estimates of a quantity, above bands of ± 2σ.
-pub fn over_time(quantity: Quantity, estimates: &[&Estimate], truth: &Truth) -> Vec<Curve> {
+pub fn over_time(
+    quantity: CurveQuantity,
+    estimates: &[&Estimate],
+    truth: &Truth,
+) -> Vec<PlotCurve> {
     let known = truth.t_s.iter();
     let known: Vec<_> = known
         .filter_map(|&t| Some((t * 1e3, quantity.truth(truth, t)?)))
@@ -99,13 +103,13 @@ pub fn over_time(quantity: Quantity, estimates: &[&Estimate], truth: &Truth) -> 
     let mut curves = by_method(estimates, |e| points(e, quantity).collect());
     if !known.is_empty() {
         let under = curves.partition_point(|c| c.pen == Pen::Area);
-        curves.insert(under, Curve::new("truth", GREY, KNOWN, known));
+        curves.insert(under, PlotCurve::new("truth", GREY, KNOWN, known));
     }
     curves
 }
 
 /// Errors of a quantity in percent of the truth, above bands of ± 2σ; none outside the truth's times.
-pub fn errors(quantity: Quantity, estimates: &[&Estimate], truth: &Truth) -> Vec<Curve> {
+pub fn errors(quantity: CurveQuantity, estimates: &[&Estimate], truth: &Truth) -> Vec<PlotCurve> {
     let ends = (truth.t_s.first(), truth.t_s.last());
     let (Some(&first), Some(&last)) = ends else {
         return Vec::new();
@@ -126,7 +130,7 @@ pub fn errors(quantity: Quantity, estimates: &[&Estimate], truth: &Truth) -> Vec
 }
 
 /// Bands of all methods, then their lines.
-fn by_method(estimates: &[&Estimate], points: impl Fn(&Estimate) -> Vec<Point>) -> Vec<Curve> {
+fn by_method(estimates: &[&Estimate], points: impl Fn(&Estimate) -> Vec<Point>) -> Vec<PlotCurve> {
     let (mut bands, mut lines) = (Vec::new(), Vec::new());
     for method in Method::ALL {
         let of_method = estimates.iter().filter(|e| e.method == method);
@@ -134,7 +138,7 @@ fn by_method(estimates: &[&Estimate], points: impl Fn(&Estimate) -> Vec<Point>) 
         if runs.is_empty() {
             continue;
         }
-        let curve = |pen, runs| Curve {
+        let curve = |pen, runs| PlotCurve {
             name: method.name().into(),
             colour: colour(method),
             pen,
@@ -175,16 +179,16 @@ pub fn waves(
     estimates: &[&Estimate],
     measured: &[f64],
     reconstruction: fn(&Estimate) -> &Vec<f32>,
-) -> Vec<Curve> {
+) -> Vec<PlotCurve> {
     let at = |k: usize| segment.t_s(k) * 1e3;
     let points = range.clone().map(|k| (at(k), measured[k])).collect();
-    let mut curves = vec![Curve::new("measured", GREY, KNOWN, points)];
+    let mut curves = vec![PlotCurve::new("measured", GREY, KNOWN, points)];
     for estimate in estimates {
         let x = reconstruction(estimate);
         if estimate.f_sw_hz == segment.f_sw_hz && x.len() == segment.len() {
             let points = range.clone().map(|k| (at(k), f64::from(x[k]))).collect();
             let (name, colour) = (estimate.method.name(), colour(estimate.method));
-            curves.push(Curve::new(name, colour, Pen::Line(1), points));
+            curves.push(PlotCurve::new(name, colour, Pen::Line(1), points));
         }
     }
     curves
@@ -225,7 +229,7 @@ mod tests {
     #[test]
     fn errors_are_percent_of_the_truth_within_bands_of_two_sigma() {
         let (estimate, truth) = estimate_and_truth();
-        let curves = errors(Quantity::Resistance, &[&estimate], &truth);
+        let curves = errors(CurveQuantity::Resistance, &[&estimate], &truth);
         let [band, line] = curves.as_slice() else {
             panic!("{curves:?}");
         };
@@ -245,8 +249,8 @@ mod tests {
         let (mut estimate, truth) = estimate_and_truth();
         estimate.r_sigma_ohm.clear();
         let nothing = Truth::default();
-        assert!(errors(Quantity::Resistance, &[&estimate], &nothing).is_empty());
-        let curves = over_time(Quantity::Resistance, &[&estimate], &truth);
+        assert!(errors(CurveQuantity::Resistance, &[&estimate], &nothing).is_empty());
+        let curves = over_time(CurveQuantity::Resistance, &[&estimate], &truth);
         let names: Vec<_> = curves.iter().map(|c| c.name.as_str()).collect();
         assert_eq!(names, ["truth", "least-squares"]);
     }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use ihd_identify::Method;
-use ihd_plot::{Curve, Pen, span};
+use ihd_plot::{Pen, PlotCurve, span};
 
 use super::curves::KNOWN;
 
@@ -15,14 +15,14 @@ const OUTLIERS: f64 = 0.02;
 const REACH: f64 = 1.0;
 
 /// Range of the values without the outermost.
-pub fn frame(curves: &[Curve]) -> Option<Range<f64>> {
+pub fn frame(curves: &[PlotCurve]) -> Option<Range<f64>> {
     // The paper's literal preset diverges; arrows at the frame's edge show that.
-    let literal = |c: &&Curve| c.name == Method::EkfPaper.name();
+    let literal = |c: &&PlotCurve| c.name == Method::EkfPaper.name();
     let alone = curves.iter().all(|c| literal(&c));
     let lines = curves.iter().filter(|c| c.pen != Pen::Area);
     let framed = lines.filter(|c| alone || !literal(c));
     let mut y: Vec<f64> = framed
-        .flat_map(Curve::points)
+        .flat_map(PlotCurve::points)
         .map(|p| p.1)
         .filter(|y| y.is_finite())
         .collect();
@@ -37,23 +37,23 @@ pub fn frame(curves: &[Curve]) -> Option<Range<f64>> {
 }
 
 /// Range of the values without the outermost, and zero.
-pub fn with_zero(curves: &[Curve]) -> Option<Range<f64>> {
+pub fn with_zero(curves: &[PlotCurve]) -> Option<Range<f64>> {
     let Range { start, end } = frame(curves)?;
     Some(start.min(0.0)..end.max(0.0))
 }
 
 /// Range of all values; a diverging one is limited to the neighbourhood of the measurement.
-pub fn whole(curves: &[Curve]) -> Option<Range<f64>> {
+pub fn whole(curves: &[PlotCurve]) -> Option<Range<f64>> {
     let (low, high) = known(curves)?;
     let reach = REACH * (high - low);
-    let all = span(curves.iter().flat_map(Curve::points).map(|p| p.1))?;
+    let all = span(curves.iter().flat_map(PlotCurve::points).map(|p| p.1))?;
     Some(with_air(all.0.max(low - reach), all.1.min(high + reach)))
 }
 
 /// Range of known and measured values.
-fn known(curves: &[Curve]) -> Option<(f64, f64)> {
+fn known(curves: &[PlotCurve]) -> Option<(f64, f64)> {
     let known = curves.iter().filter(|c| c.pen == KNOWN);
-    span(known.flat_map(Curve::points).map(|p| p.1))
+    span(known.flat_map(PlotCurve::points).map(|p| p.1))
 }
 
 fn with_air(low: f64, high: f64) -> Range<f64> {

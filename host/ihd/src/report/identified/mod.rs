@@ -9,13 +9,15 @@ use std::path::Path;
 use ihd_identify::accuracy::fundamental;
 use ihd_identify::{Estimate, Method};
 use ihd_plot::legend::header;
-use ihd_plot::{self as plot, Axis, Curve, DrawResult, Entry, GREY, Panel, Pen, span};
+use ihd_plot::{
+    self as plot, Axis, DrawResult, GREY, LegendEntry, Pen, PlotCurve, PlotPanel, span,
+};
 use ihd_plot::{Area, FigureError, file};
 use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
 use plotters::prelude::RGBColor;
 
-use curves::{KNOWN, Quantity, close_up, colour, errors, over_time, waves};
+use curves::{CurveQuantity, KNOWN, close_up, colour, errors, over_time, waves};
 use frame::{frame, whole, with_zero};
 
 /// Width of the figure and height of a row of panels, in pixels.
@@ -63,19 +65,19 @@ fn draw_all(below: &Area<'_>, panels: &[FramedPanel], rows: usize) -> DrawResult
 /// Panel with its axes.
 struct FramedPanel {
     title: &'static str,
-    panel: Panel,
-    curves: Vec<Curve>,
+    panel: PlotPanel,
+    curves: Vec<PlotCurve>,
 }
 
 impl FramedPanel {
     fn new(
         title: &'static str,
         label: &str,
-        curves: Vec<Curve>,
-        y: impl Fn(&[Curve]) -> Option<Range<f64>>,
+        curves: Vec<PlotCurve>,
+        y: impl Fn(&[PlotCurve]) -> Option<Range<f64>>,
     ) -> Option<Self> {
-        let (from, to) = span(curves.iter().flat_map(Curve::points).map(|p| p.0))?;
-        let panel = Panel {
+        let (from, to) = span(curves.iter().flat_map(PlotCurve::points).map(|p| p.0))?;
+        let panel = PlotPanel {
             x: Axis::linear("t / ms", from..to),
             y: Axis::linear(label, y(&curves)?),
         };
@@ -90,7 +92,7 @@ impl FramedPanel {
     fn has_more(&self) -> bool {
         let frame = self.panel.y.scale.ends();
         let lines = self.curves.iter().filter(|c| c.pen != Pen::Area);
-        let mut points = lines.flat_map(Curve::points);
+        let mut points = lines.flat_map(PlotCurve::points);
         points.any(|p| p.1 < frame.start || p.1 > frame.end)
     }
 
@@ -105,7 +107,7 @@ fn panels(
     estimates: &[&Estimate],
     truth: &[PeriodTruth],
 ) -> Vec<FramedPanel> {
-    use Quantity::{Inductance, Resistance};
+    use CurveQuantity::{Inductance, Resistance};
     let truth = fundamental(truth);
     let of = |quantity| over_time(quantity, estimates, &truth);
     let error = |quantity| errors(quantity, estimates, &truth);
@@ -127,19 +129,23 @@ fn panels(
 }
 
 /// Names and colours in one line above the panels.
-fn entries(estimates: &[&Estimate], truth: bool, panels: &[FramedPanel]) -> Vec<Entry> {
+fn entries(estimates: &[&Estimate], truth: bool, panels: &[FramedPanel]) -> Vec<LegendEntry> {
     let grey = if truth { "truth, measured" } else { "measured" };
-    let mut entries = vec![Entry::line(grey, GREY, KNOWN)];
+    let mut entries = vec![LegendEntry::line(grey, GREY, KNOWN)];
     for method in Method::ALL {
         if estimates.iter().any(|e| e.method == method) {
-            entries.push(Entry::line(method.name(), colour(method), Pen::Line(2)));
+            entries.push(LegendEntry::line(
+                method.name(),
+                colour(method),
+                Pen::Line(2),
+            ));
         }
     }
     if panels.iter().any(FramedPanel::has_band) {
-        entries.push(Entry::shade("± 2σ", BAND_SIGN));
+        entries.push(LegendEntry::shade("± 2σ", BAND_SIGN));
     }
     if panels.iter().any(FramedPanel::has_more) {
-        entries.push(Entry::text_only("▲▼ goes on outside"));
+        entries.push(LegendEntry::text_only("▲▼ goes on outside"));
     }
     entries
 }

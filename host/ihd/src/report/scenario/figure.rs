@@ -2,13 +2,14 @@
 
 use std::path::Path;
 
-use ihd_sim::scenario::record::{HalfCycle, Record};
+use ihd_sim::scenario::record::{Record, TrueHalfCycle};
 use plotters::prelude::*;
 
 use ihd_plot::legend::header;
 use ihd_plot::two_axes::{self, Side, Trace, Underlay, Zero};
 use ihd_plot::{
-    self as plot, Area, Axis, BLUE, Curve, DrawResult, Entry, GREY, Panel, Pen, RED, span,
+    self as plot, Area, Axis, BLUE, DrawResult, GREY, LegendEntry, Pen, PlotCurve, PlotPanel, RED,
+    span,
 };
 use ihd_plot::{FigureError, file};
 
@@ -29,9 +30,9 @@ pub fn write(record: &Record, path: &Path) -> Result<(), FigureError> {
 fn draw(root: &Area<'_>, record: &Record) -> DrawResult {
     let (curves, bands) = root.split_vertically(690);
     let panels = curves.split_evenly((3, 1));
-    let curve = |name: &str, colour, value: fn(&HalfCycle) -> f64| {
+    let curve = |name: &str, colour, value: fn(&TrueHalfCycle) -> f64| {
         let points = record.half_cycles.iter().map(|h| (h.t_s, value(h)));
-        Curve::new(name, colour, Pen::Line(1), points.collect())
+        PlotCurve::new(name, colour, Pen::Line(1), points.collect())
     };
     let power = [
         curve("asked", GREY, |h| h.asked_w),
@@ -55,8 +56,8 @@ fn end_s(record: &Record) -> f64 {
 }
 
 /// Legend entry of faults; `None` if there are none.
-fn alarm(record: &Record) -> Option<Entry> {
-    let fault = Entry::line("fault", RED, Pen::Line(1));
+fn alarm(record: &Record) -> Option<LegendEntry> {
+    let fault = LegendEntry::line("fault", RED, Pen::Line(1));
     (!record.faults.is_empty()).then_some(fault)
 }
 
@@ -65,25 +66,25 @@ fn chart(
     title: &str,
     label: &str,
     record: &Record,
-    curves: &[Curve],
+    curves: &[PlotCurve],
 ) -> DrawResult {
-    let values = curves.iter().flat_map(Curve::points).map(|p| p.1);
+    let values = curves.iter().flat_map(PlotCurve::points).map(|p| p.1);
     // Power that rings back into the supply is slightly negative.
     let (low, high) = span(values).unwrap_or((0.0, 1.0));
     let (bottom, top) = (1.08 * low.min(0.0), 1.08 * high.max(1.0));
-    let panel = Panel {
+    let panel = PlotPanel {
         x: Axis::linear("", 0.0..end_s(record)),
         y: Axis::linear(label, bottom..top),
     };
     let named = curves.iter().filter(|c| !c.name.is_empty());
-    let mut entries: Vec<Entry> = named.map(Entry::of).collect();
+    let mut entries: Vec<LegendEntry> = named.map(LegendEntry::of).collect();
     entries.extend(alarm(record));
     // Under the curves.
     let alarms = record
         .faults
         .iter()
         .map(|fault| vec![(fault.t_s, bottom), (fault.t_s, top)]);
-    let mut all = vec![Curve {
+    let mut all = vec![PlotCurve {
         name: String::new(),
         colour: RGBColor(235, 150, 150),
         pen: Pen::Line(1),
@@ -97,7 +98,7 @@ fn chart(
 
 /// Largest current at the left axis, the coil's largest voltage at the right one.
 fn crests(area: &Area<'_>, record: &Record) -> DrawResult {
-    let side = |label: &str, colour, value: fn(&HalfCycle) -> f64| Side {
+    let side = |label: &str, colour, value: fn(&TrueHalfCycle) -> f64| Side {
         label: label.into(),
         colour,
         trace: Trace::Line(
@@ -113,8 +114,8 @@ fn crests(area: &Area<'_>, record: &Record) -> DrawResult {
         side("v / V", BLUE, |h| h.v_coil_peak_v),
     ];
     let entries = [
-        Entry::line("current (left)", RED, Pen::Line(1)),
-        Entry::line("coil voltage (right)", BLUE, Pen::Line(1)),
+        LegendEntry::line("current (left)", RED, Pen::Line(1)),
+        LegendEntry::line("coil voltage (right)", BLUE, Pen::Line(1)),
     ];
     let under = Underlay {
         alarms: record.faults.iter().map(|fault| fault.t_s).collect(),
@@ -144,7 +145,7 @@ fn draw_bands(area: &Area<'_>, record: &Record) -> Result<(), String> {
         .axis_desc_style(("sans-serif", 15))
         .draw()
         .map_err(|e| text(&e))?;
-    let rows: [fn(&HalfCycle) -> &str; 3] = [|h| &h.fault, |h| &h.pot, |h| &h.state];
+    let rows: [fn(&TrueHalfCycle) -> &str; 3] = [|h| &h.fault, |h| &h.pot, |h| &h.state];
     for (row, name) in rows.into_iter().enumerate() {
         let y = row as f64;
         for stretch in record.half_cycles.chunk_by(|a, b| name(a) == name(b)) {

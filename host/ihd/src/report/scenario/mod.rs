@@ -5,9 +5,9 @@ pub mod figure;
 use std::fmt::Write;
 
 use ihd_sim::scenario::limits::LimitCheck;
-use ihd_sim::scenario::record::{HalfCycle, Record};
+use ihd_sim::scenario::record::{Record, TrueHalfCycle};
 
-use super::table::Table;
+use super::table::TextTable;
 
 /// Limit of listed changes of state, pot, fault or request; a host that repeats itself makes many.
 const ROWS: usize = 60;
@@ -21,7 +21,7 @@ pub fn text(record: &Record, checked: &[LimitCheck]) -> String {
         None => "-".to_owned(),
     };
     if !summary.steps.is_empty() {
-        let mut table = Table::new(&["at/s", "asked/W", "settled/s", "overshoot/%", "error/%"]);
+        let mut table = TextTable::new(&["at/s", "asked/W", "settled/s", "overshoot/%", "error/%"]);
         for step in &summary.steps {
             table.row([
                 format!("{:.3}", step.at_s),
@@ -34,7 +34,7 @@ pub fn text(record: &Record, checked: &[LimitCheck]) -> String {
         text += &table.render();
         text.push('\n');
     }
-    let mut table = Table::new(&[
+    let mut table = TextTable::new(&[
         "from/s",
         "state",
         "pot",
@@ -48,9 +48,10 @@ pub fn text(record: &Record, checked: &[LimitCheck]) -> String {
     ]);
     let stretches: Vec<_> = record.half_cycles.chunk_by(alike).collect();
     for stretch in stretches.iter().take(ROWS) {
-        let mean =
-            |of: fn(&HalfCycle) -> f64| stretch.iter().map(of).sum::<f64>() / stretch.len() as f64;
-        let most = |of: fn(&HalfCycle) -> f64| stretch.iter().map(of).fold(0.0, f64::max);
+        let mean = |of: fn(&TrueHalfCycle) -> f64| {
+            stretch.iter().map(of).sum::<f64>() / stretch.len() as f64
+        };
+        let most = |of: fn(&TrueHalfCycle) -> f64| stretch.iter().map(of).fold(0.0, f64::max);
         let (first, last) = (&stretch[0], &stretch[stretch.len() - 1]);
         let hard: u32 = stretch.iter().map(|h| h.hard_edges).sum();
         table.row([
@@ -112,6 +113,6 @@ pub fn text(record: &Record, checked: &[LimitCheck]) -> String {
 }
 
 /// Returns `true` if two half-cycles share a row.
-fn alike(a: &HalfCycle, b: &HalfCycle) -> bool {
+fn alike(a: &TrueHalfCycle, b: &TrueHalfCycle) -> bool {
     a.state == b.state && a.pot == b.pot && a.fault == b.fault && a.asked_w == b.asked_w
 }

@@ -1,6 +1,6 @@
 //! docs/daemon.md says what is: its configuration is read, its commands are there.
 
-use ihd_daemon::config::Config;
+use ihd_daemon::config::DaemonConfig;
 
 use super::processes::{ihd, outcome};
 
@@ -13,7 +13,7 @@ fn example() -> &'static str {
 
 #[test]
 fn the_example_is_read_as_it_is_and_with_everything_that_is_commented_out() {
-    let config = Config::parse(example(), "docs/daemon.md").unwrap();
+    let config = DaemonConfig::parse(example(), "docs/daemon.md").unwrap();
     assert_eq!(config.devices.len(), 2);
     let all: String = example()
         .lines()
@@ -24,7 +24,7 @@ fn the_example_is_read_as_it_is_and_with_everything_that_is_commented_out() {
         })
         .map(|line| format!("{line}\n"))
         .collect();
-    let config = Config::parse(&all, "docs/daemon.md").unwrap();
+    let config = DaemonConfig::parse(&all, "docs/daemon.md").unwrap();
     assert!(config.tls.is_some() && config.token_file.is_some(), "{all}");
     assert!(
         config.keep.max_age_days.is_some() && config.network.is_some(),
@@ -45,7 +45,7 @@ fn every_key_that_there_is_stands_in_the_example() {
         ("[tls]\nx = 1", "[tls]"),
         ("[[device]]\nx = 1", "[[device]]"),
     ] {
-        let error = Config::parse(text, "t").unwrap_err().to_string();
+        let error = DaemonConfig::parse(text, "t").unwrap_err().to_string();
         let (_, keys) = error.split_once("expected").expect("what there is");
         let keys: Vec<&str> = keys.split('`').skip(1).step_by(2).collect();
         assert!(keys.len() >= 2, "{error}");

@@ -1,21 +1,21 @@
 //! Limits of a short record, each met and missed.
 
 use super::*;
-use crate::scenario::record::{FaultRecord, HalfCycle, Step, Summary};
+use crate::scenario::record::{FaultRecord, PowerStep, Summary, TrueHalfCycle};
 
 /// Two bursts, of two half-cycles and of one. The first starts soft and has an edge later, the second starts hard.
 fn record() -> Record {
-    let half_cycle = |(n, power_w): (usize, f64)| HalfCycle {
+    let half_cycle = |(n, power_w): (usize, f64)| TrueHalfCycle {
         t_s: n as f64 * 0.01,
         asked_w: 1000.0,
         power_w,
         state: "Heating".to_owned(),
         hard_edges: u32::from(n == 4) * 2 + u32::from(n == 2),
         bridge_on: power_w > 0.0,
-        ..HalfCycle::default()
+        ..TrueHalfCycle::default()
     };
     let powers = [0.0, 950.0, 1050.0, 0.0, 900.0, 0.0];
-    let step = Step {
+    let step = PowerStep {
         at_s: 0.0,
         power_w: 1000.0,
         settled_after_s: None,
