@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use ihd_link::{Client, Transport};
 use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
-use ihd_sim::adc::{Adc, Noise};
+use ihd_sim::adc::{Adc, ConverterNoise};
 use ihd_sim::behavioural::PotKind;
-use ihd_sim::mains::Mains;
+use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_stm32g474::bench::Bench;
 use ihd_stm32g474::usb::{Board, Cable};
@@ -18,8 +18,8 @@ fn powered() -> (Bench, Cable) {
     let path = std::env::var_os("IHD_STM32G474_IMAGE")
         .expect("`cargo xtask test --only board` names the image");
     let plant = || {
-        let adc = Adc::new(Noise::default(), 1).with_filter(500e3);
-        Plant::new(Mains::new(50.0), PotKind::Ferromagnetic, adc)
+        let adc = Adc::new(ConverterNoise::default(), 1).with_filter(500e3);
+        Plant::new(SimulatedMains::new(50.0), PotKind::Ferromagnetic, adc)
     };
     let bench = Bench::power_up(&PathBuf::from(path), plant).expect("the image is built");
     let cable = bench.with(|machine| machine.cable.clone());

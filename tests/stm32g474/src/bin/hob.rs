@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::{Parser, ValueEnum};
 use ihd_sim::behavioural::PotKind;
-use ihd_sim::mains::Mains;
+use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::settings::LoadKind;
 use ihd_stm32g474::machine::Machine;
@@ -56,7 +56,12 @@ fn main() -> anyhow::Result<()> {
     } else {
         LoadKind::Behavioural
     };
-    let plant = Plant::with_load(Mains::new(arguments.mains_hz), pot, load, front_end(1));
+    let plant = Plant::with_load(
+        SimulatedMains::new(arguments.mains_hz),
+        pot,
+        load,
+        front_end(1),
+    );
     let machine = Machine::new(&arguments.image, plant)?;
     let listener = TcpListener::bind(&arguments.listen)
         .with_context(|| format!("cannot listen on {}", arguments.listen))?;

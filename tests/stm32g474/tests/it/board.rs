@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use ihd_link::{Client, Transport};
 use ihd_sim::behavioural::PotKind;
-use ihd_sim::mains::Mains;
+use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::settings::LoadKind;
 pub use ihd_stm32g474::bench::Bench;
@@ -26,8 +26,14 @@ pub static IMAGE: LazyLock<PathBuf> = LazyLock::new(|| {
 
 /// A board with a pot, powered up.
 pub fn with_pot(pot: PotKind) -> Bench {
-    let plant =
-        move || Plant::with_load(Mains::new(50.0), pot, LoadKind::Behavioural, front_end(1));
+    let plant = move || {
+        Plant::with_load(
+            SimulatedMains::new(50.0),
+            pot,
+            LoadKind::Behavioural,
+            front_end(1),
+        )
+    };
     Bench::power_up(&IMAGE, plant).expect("the image is there")
 }
 

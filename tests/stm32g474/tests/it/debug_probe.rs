@@ -6,11 +6,11 @@ use ihd_debug_port::Contact;
 use ihd_debug_port::probe::Desk;
 use ihd_flash::install::{InstallError, InstallPlan, InstallReport, install};
 use ihd_flash::probe::Probes;
-use ihd_flash::{Erase, Image, ProgramError, Progress};
+use ihd_flash::{Erase, Image, ProgramError, WriteProgress};
 use ihd_shared::image::FLASH_ADDRESS;
 use ihd_shared::wire::messages::State;
 use ihd_sim::behavioural::PotKind;
-use ihd_sim::mains::Mains;
+use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::settings::LoadKind;
 use ihd_stm32g474::bench::Bench;
@@ -28,7 +28,12 @@ fn blank() -> Bench {
     let erased = ihd_stm32g474::image::Image::read(&IMAGE).expect("the image under test");
     let plant = || {
         let pot = PotKind::Ferromagnetic;
-        Plant::with_load(Mains::new(50.0), pot, LoadKind::Behavioural, front_end(1))
+        Plant::with_load(
+            SimulatedMains::new(50.0),
+            pot,
+            LoadKind::Behavioural,
+            front_end(1),
+        )
     };
     Bench::power_up_with(erased.erased(), plant).expect("the emulator starts")
 }
@@ -36,7 +41,7 @@ fn blank() -> Bench {
 fn flash(
     desk: &Desk<DebuggedBoard>,
     image: &Image,
-    on: &mut dyn FnMut(Progress),
+    on: &mut dyn FnMut(WriteProgress),
 ) -> Result<InstallReport, InstallError> {
     let mut programmer = Probes::with(desk.lister()).attach(None)?;
     let plan = InstallPlan {
@@ -65,7 +70,7 @@ fn a_blank_chip_is_flashed_by_sts_algorithm_and_boots() {
     flash(&desk, &image, &mut |progress| last = Some(progress)).unwrap();
     let flat = image.flat();
     assert!(
-        matches!(last, Some(Progress::Verifying { done, total }) if done == total),
+        matches!(last, Some(WriteProgress::Verifying { done, total }) if done == total),
         "{last:?}"
     );
     assert!(
@@ -108,7 +113,7 @@ fn a_probe_that_is_pulled_in_the_middle_leaves_what_a_second_run_mends() {
     let pulled = desk.clone();
     let middle = image.bytes / 2;
     let why = flash(&desk, &image, &mut |progress| {
-        if matches!(progress, Progress::Programming { done, .. } if done > middle) {
+        if matches!(progress, WriteProgress::Programming { done, .. } if done > middle) {
             // The progress is told between two accesses.
             pulled.with(|board| board.set_contact(Contact::NoProbe));
         }

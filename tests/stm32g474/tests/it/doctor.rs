@@ -1,6 +1,6 @@
 //! What `ihd doctor` asks of a board, asked of the image: the simulated hob has no clocks, comparators, supply or flash.
 
-use ihd_doctor::{Check, Verdict, board};
+use ihd_doctor::{Check, CheckResult, board};
 use ihd_shared::sampling::Pair;
 use ihd_sim::behavioural::PotKind;
 use ihd_stm32g474::machine::Machine;
@@ -23,7 +23,7 @@ fn examine(bench: &Bench) -> Vec<Check> {
     examined.checks
 }
 
-fn names(checks: &[Check], verdict: Verdict) -> Vec<&str> {
+fn names(checks: &[Check], verdict: CheckResult) -> Vec<&str> {
     let those = checks.iter().filter(|check| check.verdict == verdict);
     those.map(|check| check.name).collect()
 }
@@ -34,8 +34,8 @@ fn a_healthy_board_passes_every_check() {
     let checks = examine(&bench);
     let all: Vec<_> = checks.iter().map(|check| check.name).collect();
     assert_eq!(all, board::NAMES);
-    assert_eq!(names(&checks, Verdict::Fail), [""; 0]);
-    assert_eq!(names(&checks, Verdict::NotTested), [""; 0]);
+    assert_eq!(names(&checks, CheckResult::Fail), [""; 0]);
+    assert_eq!(names(&checks, CheckResult::NotTested), [""; 0]);
     assert_no_violations(&bench);
 }
 
@@ -61,7 +61,7 @@ fn fails_its_own_check(&(expected, defect): &(&[&str], Defect)) {
         defect(machine);
         machine.power_cycle().unwrap();
     });
-    assert_eq!(names(&examine(&bench), Verdict::Fail), expected);
+    assert_eq!(names(&examine(&bench), CheckResult::Fail), expected);
 }
 
 #[test]

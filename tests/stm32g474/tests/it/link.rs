@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
-use ihd_link::{Client, Event, Window};
+use ihd_link::{Client, DeviceEvent, Window};
 use ihd_shared::sampling::{ADC_LOCK_P, CODE_HALF_RANGE, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::usb::PRODUCT;
@@ -29,7 +29,7 @@ fn windows(client: &mut Client, wanted: usize) -> Vec<Window> {
         let event = client
             .next_event(Duration::from_secs(2))
             .expect("the link holds");
-        if let Event::Window(window) = event.expect("windows come") {
+        if let DeviceEvent::Window(window) = event.expect("windows come") {
             found.push(*window);
         }
     }

@@ -7,7 +7,7 @@ use ihd_flash::Image;
 use ihd_flash::log::decoder::{Decoded, Decoder};
 use ihd_flash::log::find::Places;
 use ihd_flash::log::follow::LogOpener;
-use ihd_flash::log::message::{Level, Message};
+use ihd_flash::log::message::{Level, LogMessage};
 use ihd_flash::log::over_link::LinkLogOpener;
 use ihd_flash::log::over_probe::ProbeLogOpener;
 use ihd_flash::probe::Probes;
@@ -17,7 +17,7 @@ use ihd_stm32g474::debugged::DebuggedBoard;
 use crate::board::{IMAGE, assert_no_violations, with_pot};
 
 /// What the image's text says where a message stands.
-fn line_of(message: &Message) -> String {
+fn line_of(message: &LogMessage) -> String {
     let place = message
         .place
         .as_ref()
@@ -50,7 +50,7 @@ fn listen(way: &mut dyn LogOpener) -> Vec<Decoded> {
     found
 }
 
-fn messages(found: &[Decoded]) -> Vec<&Message> {
+fn messages(found: &[Decoded]) -> Vec<&LogMessage> {
     found
         .iter()
         .map(|one| match one {

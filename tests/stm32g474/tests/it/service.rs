@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ihd_link::{Client, Event, LinkError};
+use ihd_link::{Client, DeviceEvent, LinkError};
 use ihd_shared::image::{self, Header};
 use ihd_shared::sampling::Pair;
 use ihd_shared::wire::messages::{Outcome, Program, State};
@@ -265,7 +265,7 @@ fn logged(client: &mut Client, while_s: f64) -> (Vec<u8>, u32) {
     let until = client.clock() + Duration::from_secs_f64(while_s);
     let (mut all, mut dropped) = (Vec::new(), 0);
     while client.clock() < until {
-        if let Some(Event::Log {
+        if let Some(DeviceEvent::Log {
             seq,
             dropped: so_far,
             data,

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use ihd_sim::adc::{Adc, Noise};
+use ihd_sim::adc::{Adc, ConverterNoise};
 use ihd_sim::behavioural::PotKind;
-use ihd_sim::mains::Mains;
+use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_stm32g474::bench::Bench;
 use ihd_stm32g474::usb::Cable;
@@ -23,10 +23,10 @@ pub struct Board {
 impl Board {
     /// The image, on a chip whose unique number begins with `unique`; it runs from now on, as fast as it can.
     pub fn emulated(image: &Path, unique: u8) -> anyhow::Result<Self> {
-        let filtered = |seed| Adc::new(Noise::default(), seed).with_filter(500e3);
+        let filtered = |seed| Adc::new(ConverterNoise::default(), seed).with_filter(500e3);
         let plant = move || {
             Plant::new(
-                Mains::new(50.0),
+                SimulatedMains::new(50.0),
                 PotKind::Ferromagnetic,
                 filtered(unique.into()),
             )
