@@ -134,12 +134,6 @@ impl Pair {
         bytemuck::must_cast_ref(words)
     }
 
-    /// Bytes as places for pairs in the wire's layout, where they begin at a word and are a whole number of pairs.
-    pub fn on_bytes(bytes: &mut [u8]) -> Option<&mut [Self]> {
-        const { assert!(cfg!(target_endian = "little")) };
-        bytemuck::try_cast_slice_mut(bytes).ok()
-    }
-
     /// The layout on the wire and in files: v then i, little-endian 16 bit.
     pub fn to_le_bytes(self) -> [u8; 4] {
         let [v0, v1] = self.v.to_le_bytes();

@@ -200,7 +200,7 @@ fn pairs(
     out: &mut [u8; MAX_ENCODED],
 ) -> (u16, usize) {
     let mut raw = [0; CHUNK_BYTES];
-    let n = read_in_halves(&mut raw, offset, lock, Recorder::read_pairs);
+    let n = read_in_parts(&mut raw, offset, lock, Recorder::read_pairs);
     let data = &raw[..usize::from(n) * PAIR_BYTES];
     digest.update(data);
     let data = Raw(data);
@@ -219,7 +219,7 @@ fn trajectory(
     out: &mut [u8; MAX_ENCODED],
 ) -> (u16, usize) {
     let mut raw = [0; CHUNK_BYTES];
-    let n = read_in_halves(&mut raw, offset, lock, Recorder::read_trajectory);
+    let n = read_in_parts(&mut raw, offset, lock, Recorder::read_trajectory);
     let data = &raw[..usize::from(n) * TRAJECTORY_ENTRY_BYTES];
     digest.update(data);
     let data = Raw(data);
@@ -227,24 +227,27 @@ fn trajectory(
     (n, frames.write(&chunk, out))
 }
 
-const HALF_CHUNK_BYTES: usize = CHUNK_BYTES / 2;
+/// Bytes that are read under one lock.
+const READ_BYTES: usize = CHUNK_BYTES / 8;
 const _: () = assert!(
-    HALF_CHUNK_BYTES.is_multiple_of(PAIR_BYTES)
-        && HALF_CHUNK_BYTES.is_multiple_of(TRAJECTORY_ENTRY_BYTES)
+    CHUNK_BYTES.is_multiple_of(READ_BYTES)
+        && READ_BYTES.is_multiple_of(PAIR_BYTES)
+        && READ_BYTES.is_multiple_of(TRAJECTORY_ENTRY_BYTES)
 );
 
-/// Reads a chunk in two halves, each under the lock by itself, so that a block waits for one half at most. The window stays as it
-/// is between the two: only its sender releases it.
+/// Reads a chunk in eight parts, each under the lock by itself, so that a block waits for one part at most. The window stays as it
+/// is meanwhile: only its sender releases it.
 #[inline(always)]
-fn read_in_halves(
+fn read_in_parts(
     raw: &mut [u8; CHUNK_BYTES],
     offset: u16,
     lock: &mut impl SamplingLock,
     read: impl Fn(&Recorder, u16, &mut [u8]) -> u16,
 ) -> u16 {
-    let (first, second) = raw.split_at_mut(HALF_CHUNK_BYTES);
-    let n = lock.with(|rt| read(rt.recorder(), offset, first));
-    n + lock.with(|rt| read(rt.recorder(), offset + n, second))
+    let parts = raw.chunks_exact_mut(READ_BYTES);
+    parts.fold(0, |n, part| {
+        n + lock.with(|rt| read(rt.recorder(), offset + n, part))
+    })
 }
 
 fn end(cursor: &Cursor, frames: &mut FrameWriter, out: &mut [u8; MAX_ENCODED]) -> usize {

@@ -12,6 +12,7 @@
 
 pub mod half_cycle;
 pub mod mains_clock;
+pub mod packed_blocks;
 pub mod path;
 pub mod recorder;
 pub mod utilisation;

@@ -1,11 +1,13 @@
 //! The sampling path, once per block of 61 pairs, in the sampling interrupt.
 //!
-//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 430
-//! instructions of it, 33 %, most of them to correlate and estimate. firmware/budget.toml holds the ceilings of its
+//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 343
+//! instructions of it, 32 %, most of them to correlate and estimate. firmware/budget.toml holds the ceilings of its
 //! parts, docs/performance.md what was counted, and an estimate in cycles that exceeds 36 %. A block that
 //! comes late is counted as lost; the third of a half-cycle trips [`Fault::SAMPLES_LOST`].
 //! Nothing here waits, allocates, divides by a variable of 64 bit, uses
 //! floating point or can panic.
+
+use core::marker::PhantomData;
 
 use ihd_shared::fault::Fault;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
@@ -24,8 +26,9 @@ use crate::sampling::half_cycle::{HalfCycleSums, HalfCycles};
 use crate::sampling::mains_clock::MainsClock;
 use crate::sampling::recorder::Recorder;
 use crate::sampling::utilisation::{HousekeepingGap, Utilisation};
-use crate::sense::correlation::{BlockSums, correlate};
+use crate::sense::correlation::{BlockSums, correlate_by};
 use crate::sense::demodulator::Demodulator;
+use crate::sense::product_sums::{PairMultiplier, PlainMultiplier};
 
 /// One block as the board delivers it.
 #[derive(Clone, Copy, Debug)]
@@ -43,20 +46,26 @@ pub struct AdcBlock<'a> {
 }
 
 /// Exclusive use of the sampling path for the duration of a closure. The board takes a critical
-/// section; every closure is short (the longest copies one 960-byte chunk).
+/// section; every closure is short (the longest copies 120 bytes of a window).
 pub trait SamplingLock {
+    /// Arithmetic of the path.
+    type Multiplier: PairMultiplier;
+
     /// Runs `f` on the sampling path.
-    fn with<R>(&mut self, f: impl FnOnce(&mut SamplingPath) -> R) -> R;
+    fn with<R>(&mut self, f: impl FnOnce(&mut SamplingPath<Self::Multiplier>) -> R) -> R;
 }
 
-impl SamplingLock for SamplingPath {
-    fn with<R>(&mut self, f: impl FnOnce(&mut SamplingPath) -> R) -> R {
+impl<M: PairMultiplier> SamplingLock for SamplingPath<M> {
+    type Multiplier = M;
+
+    fn with<R>(&mut self, f: impl FnOnce(&mut Self) -> R) -> R {
         f(self)
     }
 }
 
-/// Everything the sampling interrupt owns.
-pub struct SamplingPath {
+/// Everything the sampling interrupt owns. A board may bring its own arithmetic for the sums of a block.
+pub struct SamplingPath<M = PlainMultiplier> {
+    multiplier: PhantomData<M>,
     clock: MainsClock,
     sequencer: DriveSequencer,
     demodulator: Demodulator,
@@ -81,11 +90,14 @@ impl SamplingPath {
         new.begin(r, l);
         new
     }
+}
 
-    /// All bits zero: 68 KiB that a board places in its cleared memory and that never cross a
+impl<M: PairMultiplier> SamplingPath<M> {
+    /// All bits zero: 53 KiB that a board places in its cleared memory and that never cross a
     /// stack. [`SamplingPath::begin`] comes before anything else.
     pub const fn blank() -> Self {
         Self {
+            multiplier: PhantomData,
             clock: MainsClock::blank(),
             sequencer: DriveSequencer::blank(),
             demodulator: Demodulator::blank(),
@@ -133,7 +145,7 @@ impl SamplingPath {
 }
 
 /// Requests of control and link, between two blocks.
-impl SamplingPath {
+impl<M: PairMultiplier> SamplingPath<M> {
     /// Requests another drive: off at once, anything else at the next zero crossing, at the nearest
     /// frequency of the grid; out of off, the lower switch closes first, at once ([`crate::drive::bridge`]). Ignored while a
     /// fault is active.
@@ -270,10 +282,10 @@ impl SamplingPath {
 }
 
 /// Steps of a block.
-impl SamplingPath {
+impl<M: PairMultiplier> SamplingPath<M> {
     /// Takes one block; returns the estimate it led to; `None` while the demodulator fills.
     fn take_block(&mut self, block: &AdcBlock<'_>) -> Option<TrajectoryEntry> {
-        let sums = correlate(block.pairs);
+        let sums = correlate_by::<M>(block.pairs);
         self.saturated_pairs = self.saturated_pairs.wrapping_add(u32::from(sums.saturated));
         let crossing = block.zero_crossing.filter(|_| self.clock.may_cross());
         let at_crossing = crossing.is_some();
@@ -296,8 +308,11 @@ impl SamplingPath {
             self.raise(fault);
         }
         match crossing {
-            Some(at) => self.cross_zero(block, usize::from(at).min(ADC_LOCK_P)),
-            None => self.recorder.push(block.pairs, sums.saturated == 0),
+            Some(at) => self.cross_zero(block, usize::from(at).min(ADC_LOCK_P), sums.saturated),
+            None => {
+                let all = 0..ADC_LOCK_P;
+                self.recorder.push(block.pairs, all, sums.saturated);
+            }
         }
         let estimate = self.estimate(&sums);
         self.recorder.advance(block_ns);
@@ -313,10 +328,9 @@ impl SamplingPath {
     }
 
     /// Ends a half-cycle before pair `at` of the block and begins the next with it.
-    fn cross_zero(&mut self, block: &AdcBlock<'_>, at: usize) {
-        let (before, after) = block.pairs.split_at(at);
+    fn cross_zero(&mut self, block: &AdcBlock<'_>, at: usize, saturated: u16) {
         let over = self.clock.cross_zero(at);
-        self.recorder.push(before, false);
+        self.recorder.push(block.pairs, 0..at, saturated);
         self.recorder.end(over.duration_ns);
         self.finish_half_cycle(over.half_cycle, over.duration_ns, block.bus_dv, false);
         let drive = self.sequencer.drive();
@@ -328,7 +342,8 @@ impl SamplingPath {
         {
             self.recorder
                 .begin(half_cycle, drive.f_sw_hz, over.block_start_ns);
-            self.recorder.push(after, false);
+            let after = at..ADC_LOCK_P;
+            self.recorder.push(block.pairs, after, saturated);
         }
     }
 

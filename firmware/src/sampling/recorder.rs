@@ -5,11 +5,14 @@
 //! few blocks after its half-cycle has ended.
 
 use core::hint::black_box;
+use core::ops::Range;
 
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::window::{
     MAX_PAIRS, MAX_TRAJECTORY, PAIR_BYTES, TRAJECTORY_ENTRY_BYTES, TrajectoryEntry,
 };
+
+use crate::sampling::packed_blocks::PackedBlocks;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
@@ -72,7 +75,10 @@ pub struct Recorder {
     lookup_version: u32,
     /// Time of the current block's first pair since the window's zero crossing.
     block_start_ns: i64,
-    pairs: [Pair; MAX_PAIRS],
+    /// Blocks in the slot, and the first one's pairs that lie before the window.
+    blocks: u16,
+    skipped: u16,
+    packed: PackedBlocks,
     trajectory: [TrajectoryEntry; MAX_TRAJECTORY],
 }
 
@@ -112,7 +118,9 @@ impl Recorder {
             period: 0,
             lookup_version: 0,
             block_start_ns: 0,
-            pairs: [Pair { v: 0, i: 0 }; MAX_PAIRS],
+            blocks: 0,
+            skipped: 0,
+            packed: PackedBlocks::blank(),
             trajectory: [NO_ENTRY; MAX_TRAJECTORY],
         }
     }
@@ -149,6 +157,7 @@ impl Recorder {
             return;
         }
         self.stage = Stage::Recording;
+        self.blocks = 0;
         self.block_start_ns = block_start_ns;
         self.header = WindowHeader {
             seq,
@@ -159,30 +168,34 @@ impl Recorder {
         };
     }
 
-    /// Adds pairs of the half-cycle, in order. `ordinary` when the caller knows that none of them is
-    /// saturated.
+    /// Adds the pairs of the half-cycle that a block has, from the first to before the last: in the window's first block the
+    /// latter, in its last one the former, in all others all. `saturated` are those of the whole block.
     #[inline(always)]
-    pub fn push(&mut self, pairs: &[Pair], ordinary: bool) {
+    pub fn push(&mut self, block: &[Pair; ADC_LOCK_P], pairs: Range<usize>, saturated: u16) {
         if self.stage == Stage::Recording {
-            self.take(pairs, ordinary);
+            self.take(block, pairs, saturated);
         }
     }
 
     #[inline(never)]
-    fn take(&mut self, pairs: &[Pair], ordinary: bool) {
-        let at = usize::from(self.header.pairs);
-        let Some(free) = self.pairs.get_mut(at..) else {
+    fn take(&mut self, block: &[Pair; ADC_LOCK_P], pairs: Range<usize>, saturated: u16) {
+        // What is recorded raw takes no notice of crossings.
+        let pairs = if self.raw { 0..ADC_LOCK_P } else { pairs };
+        let at = usize::from(self.blocks);
+        // A saturated code may have more than 12 bits.
+        if !self.packed.put(at, block, saturated == 0) {
             return;
-        };
-        let room = pairs.len().min(free.len());
-        if let (Some(free), Some(pairs)) = (free.get_mut(..room), pairs.get(..room)) {
-            copy(pairs, free);
         }
-        if !ordinary {
-            let recorded = pairs.iter().take(room);
+        if at == 0 {
+            self.skipped = pairs.start as u16;
+        }
+        self.blocks += 1;
+        let room = MAX_PAIRS.saturating_sub(self.header.pairs.into());
+        self.header.pairs += pairs.len().min(room) as u16;
+        if saturated > 0 {
+            let recorded = block.iter().take(pairs.end).skip(pairs.start).take(room);
             self.header.saturated += recorded.filter(|p| p.is_saturated()).count() as u16;
         }
-        self.header.pairs += room as u16;
     }
 
     /// The half-cycle is over.
@@ -249,19 +262,10 @@ impl Recorder {
 
     /// Copies pairs from `offset` on as wire bytes; returns how many pairs fitted.
     pub fn read_pairs(&self, offset: u16, out: &mut [u8]) -> u16 {
-        let all = &self.pairs[..usize::from(self.header.pairs).min(MAX_PAIRS)];
-        let rest = all.get(usize::from(offset)..).unwrap_or(&[]);
-        let room = rest.len().min(out.len() / PAIR_BYTES);
-        let (rest, out) = (&rest[..room], &mut out[..room * PAIR_BYTES]);
-        // Word by word where the bytes begin at a word: the sampling path waits meanwhile.
-        if let Some(slots) = Pair::on_bytes(out) {
-            copy(rest, slots);
-        } else {
-            let (slots, _) = out.as_chunks_mut();
-            for (pair, slot) in rest.iter().zip(slots) {
-                *slot = pair.to_le_bytes();
-            }
-        }
+        let rest = usize::from(self.header.pairs.saturating_sub(offset));
+        let room = rest.min(out.len() / PAIR_BYTES);
+        let at = usize::from(self.skipped) + usize::from(offset);
+        self.packed.read(at, &mut out[..room * PAIR_BYTES]);
         room as u16
     }
 
@@ -297,6 +301,7 @@ impl Recorder {
         if free {
             self.raw = true;
             self.stage = Stage::Recording;
+            self.blocks = 0;
             self.header = WindowHeader::default();
         }
         free
@@ -326,8 +331,7 @@ impl Recorder {
 }
 
 /// Copies, twelve at a time, as much as both have. What the compiler sees to be a copy becomes a call of the library's, of
-/// seven cycles a word: the sampling path copies a block of 61, and stands still while the thread copies a chunk of 240.
-/// `black_box` hides it.
+/// seven cycles a word, and the sampling path stands still meanwhile. `black_box` hides it.
 fn copy<T: Copy>(from: &[T], to: &mut [T]) {
     let (twelves, rest) = from.as_chunks::<12>();
     let (room_for_twelves, room) = to.as_chunks_mut::<12>();
@@ -364,12 +368,14 @@ mod tests {
         let mut recorder = Box::new(Recorder::new());
         assert!(recorder.begin_raw() && !recorder.begin_raw());
         let pair = |v| Pair { v, i: 7 };
-        recorder.push(&[pair(1), pair(2)], true);
+        recorder.push(&core::array::from_fn(|k| pair(k as i16)), 0..9, 0);
         recorder.end(10_000_000);
-        recorder.push(&[pair(3)], true);
+        recorder.push(&[pair(100); ADC_LOCK_P], 0..ADC_LOCK_P, 0);
         let mut raw = [0; 16];
-        assert_eq!(recorder.read_pairs(1, &mut raw), 2);
-        assert_eq!(raw[..4], pair(2).to_le_bytes());
+        assert_eq!(recorder.read_pairs(ADC_LOCK_P as u16 - 1, &mut raw), 4);
+        assert_eq!(raw[..4], pair(60).to_le_bytes());
+        assert_eq!(raw[4..8], pair(100).to_le_bytes());
+        assert_eq!(recorder.read_pairs(2 * ADC_LOCK_P as u16, &mut raw), 0);
         assert!(recorder.is_raw() && recorder.ready().is_none());
         // The bridge begins to switch, and a window is due.
         recorder.interrupt();
@@ -377,7 +383,7 @@ mod tests {
         recorder.begin(1, 45_000, 0);
         assert!(!recorder.begin_raw());
         recorder.end_raw();
-        recorder.push(&[pair(4)], true);
+        recorder.push(&[pair(4); ADC_LOCK_P], 60..ADC_LOCK_P, 0);
         assert_eq!(recorder.read_pairs(0, &mut raw), 1);
         assert_eq!(recorder.counters().dropped, 0);
     }
@@ -390,11 +396,11 @@ mod tests {
             v: k as i16,
             i: 2047,
         });
-        r.push(&pairs[9..], false);
+        r.push(&pairs, 9..ADC_LOCK_P, 61);
         for k in 0..4 {
             r.estimate(entry(k), 66_667, 2);
             r.advance(66_667);
-            r.push(&pairs, false);
+            r.push(&pairs, 0..ADC_LOCK_P, 61);
         }
         // Centres: -10000 + 33333 - 133334 < 0 for two blocks, then 23.3 µs and 90 µs.
         r.end(200_000);
@@ -423,7 +429,7 @@ mod tests {
             v: k as i16 - 30,
             i: 2_047 - 3 * k as i16,
         });
-        r.push(&pairs, true);
+        r.push(&pairs, 0..ADC_LOCK_P, 0);
         for k in 0..31 {
             r.estimate(entry(k), 60_000, 0);
         }
@@ -488,7 +494,7 @@ mod tests {
         let mut r = recorder();
         r.begin(0, 80_000, 0);
         for _ in 0..400 {
-            r.push(&[Pair::default(); ADC_LOCK_P], true);
+            r.push(&[Pair::default(); ADC_LOCK_P], 0..ADC_LOCK_P, 0);
             r.estimate(entry(1), 37_500, 0);
             r.advance(37_500);
         }

@@ -3,8 +3,8 @@
 //! A block spans exactly q = 3 switching periods, so the sum of its pairs times a 61-entry table of e^(−jθ) is the block's
 //! fundamental, every other harmonic at a zero of the sum.
 //!
-//! Budget: one pair costs five multiply-accumulates of 16-bit halves and four
-//! instructions to see if it is out of the ordinary. Sums are exact integers.
+//! Budget: on the board two pairs cost nine instructions, five of which multiply twice, and eight to see if they are out of the
+//! ordinary. Sums are exact integers.
 
 use core::hint::black_box;
 
@@ -12,11 +12,12 @@ use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_MAX, CODE_MIN, Pair};
 
 use crate::fixed::Complex;
 use crate::sense::codes::{SOFT_CURRENT_CODE, SOFT_VOLTAGE_CODE, TRIP_CODE};
+use crate::sense::product_sums::{PairMultiplier, PlainMultiplier, ProductSums, high, low};
 
 /// Fractional bits of the heterodyne table. 14, because 61 · 2^11 · 2^14 still fits an i32.
 pub const TABLE_BITS: u32 = 14;
 
-/// cos (low half) and −sin (high half) of 2π·q·k/p, as one load brings them.
+/// cos and −sin of 2π·q·k/p: for two k one word with the cosines and one with the sines; cosine and sine of the last k.
 static TABLE: [u32; ADC_LOCK_P] = packed(table());
 
 /// Sine of 2π·n/d for 0 ≤ n < d, by its Taylor series after folding to ±π/2, at compile time.
@@ -65,25 +66,17 @@ const fn table() -> [(i16, i16); ADC_LOCK_P] {
 const fn packed(table: [(i16, i16); ADC_LOCK_P]) -> [u32; ADC_LOCK_P] {
     let mut words = [0; ADC_LOCK_P];
     let mut k = 0;
-    while k < ADC_LOCK_P {
-        words[k] = halves(table[k].0, table[k].1);
-        k += 1;
+    while k + 1 < ADC_LOCK_P {
+        words[k] = halves(table[k].0, table[k + 1].0);
+        words[k + 1] = halves(table[k].1, table[k + 1].1);
+        k += 2;
     }
+    words[k] = halves(table[k].0, table[k].1);
     words
 }
 
 const fn halves(low: i16, high: i16) -> u32 {
     low as u16 as u32 | (high as u16 as u32) << 16
-}
-
-#[inline(always)]
-fn low(word: u32) -> i32 {
-    i32::from(word as u16 as i16)
-}
-
-#[inline(always)]
-fn high(word: u32) -> i32 {
-    word as i32 >> 16
 }
 
 /// Codes from here on are out of the ordinary: the soft limits, below any trip level.
@@ -122,63 +115,61 @@ const SIGNS: u32 = 0x8000_8000;
 
 /// Correlates one block with the fundamental. Two loops run per sample, and a third one for a block that holds a sample out
 /// of the ordinary.
-#[inline(never)]
 pub fn correlate(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
+    correlate_by::<PlainMultiplier>(pairs)
+}
+
+/// Sums of a block by a board's own arithmetic.
+#[inline(never)]
+pub fn correlate_by<M: PairMultiplier>(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
     let words = Pair::words(pairs);
-    let mut sums = Correlation::default();
-    for (&pair, &phase) in words.iter().zip(&TABLE) {
-        sums.add(pair, phase);
-    }
+    let sums = correlation::<M>(words);
     let mut s = BlockSums {
-        v: sums.v,
-        i: sums.i,
+        v: Complex {
+            re: sums.v_c,
+            im: sums.v_s,
+        },
+        i: Complex {
+            re: sums.i_c,
+            im: sums.i_s,
+        },
+        vi: sums.v_i.into(),
         ..BlockSums::default()
     };
-    let (vi, alarm) = power_and_alarm(words);
-    s.vi = i64::from(vi);
-    if alarm {
+    if has_alarm(words) {
         find_peaks(pairs, &mut s);
     }
     s
 }
 
-/// The sums of a block under way.
-#[derive(Default)]
-struct Correlation {
-    v: Complex,
-    i: Complex,
-}
-
-impl Correlation {
-    #[inline(always)]
-    fn add(&mut self, pair: u32, phase: u32) {
-        self.v.re = self.v.re.wrapping_add(low(pair) * low(phase));
-        self.v.im = self.v.im.wrapping_add(low(pair) * high(phase));
-        self.i.re = self.i.re.wrapping_add(high(pair) * low(phase));
-        self.i.im = self.i.im.wrapping_add(high(pair) * high(phase));
+/// Sums of the pairs times their phases, and of the products of their codes.
+fn correlation<M: PairMultiplier>(words: &[u32; ADC_LOCK_P]) -> ProductSums {
+    let (twelves, last) = words.as_chunks();
+    let (phases, last_phase) = TABLE.as_chunks();
+    let mut sums = M::product_sums(twelves, phases);
+    if let (&[pair], &[phase]) = (last, last_phase) {
+        let (v, i) = (low(pair), high(pair));
+        sums.v_c = sums.v_c.wrapping_add(v * low(phase));
+        sums.v_s = sums.v_s.wrapping_add(v * high(phase));
+        sums.i_c = sums.i_c.wrapping_add(i * low(phase));
+        sums.i_s = sums.i_s.wrapping_add(i * high(phase));
+        sums.v_i = sums.v_i.wrapping_add(v.wrapping_mul(i));
     }
+    sums
 }
 
-/// Σ v·i, and whether any pair is out of the ordinary. A loop of its own: one for all would need more
-/// registers than there are.
+/// Returns `true` if any pair is out of the ordinary. A loop of its own: one for all would need more registers than there are.
 #[inline(never)]
-fn power_and_alarm(words: &[u32; ADC_LOCK_P]) -> (i32, bool) {
-    let look = |word: u32| word.wrapping_add(ABOVE) | word.wrapping_add(BELOW);
-    let add = |(vi, alarm): (i32, u32), word: u32| {
-        (
-            vi.wrapping_add(low(word).wrapping_mul(high(word))),
-            alarm | look(word),
-        )
-    };
+fn has_alarm(words: &[u32; ADC_LOCK_P]) -> bool {
+    let look =
+        |alarm: u32, &word: &u32| alarm | word.wrapping_add(ABOVE) | word.wrapping_add(BELOW);
     let (by_twelve, rest) = words.as_chunks::<12>();
-    let mut both = rest.iter().fold((0, 0), |both, &word| add(both, word));
+    let mut alarm = rest.iter().fold(0, look);
     for twelve in by_twelve {
         // Unrolled no further than this.
-        let twelve = black_box(twelve);
-        both = twelve.iter().fold(both, |both, &word| add(both, word));
+        alarm = black_box(twelve).iter().fold(alarm, look);
     }
-    let (vi, alarm) = both;
-    (vi, alarm & SIGNS != 0)
+    alarm & SIGNS != 0
 }
 
 /// Pairs beyond the limits, the voltage's peak and saturated pairs, exactly. Codes that no 12-bit converter gives, which only a replay can

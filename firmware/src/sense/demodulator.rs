@@ -11,7 +11,7 @@ use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, CODE_HALF_RANGE, I_FULL_SCALE_A, V_FULL_SCALE_V,
 };
 
-use crate::fixed::{Complex, narrow, saturate};
+use crate::fixed::{Complex, narrow_within, saturate};
 use crate::sense::correlation::{BlockSums, TABLE_BITS};
 
 /// One ampere unit of the estimator is 16 A, one volt unit 32 V, one ohm unit 2 ohm; all states
@@ -159,7 +159,7 @@ impl Demodulator {
             return None;
         }
         let scaled = |k: usize, gain: i32| -> i32 {
-            narrow(self.second_sum[k] * i64::from(gain), GAIN_BITS)
+            narrow_within(self.second_sum[k] * i64::from(gain), GAIN_BITS)
         };
         Some(Phasors {
             v: Complex {

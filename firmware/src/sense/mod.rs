@@ -12,4 +12,5 @@ pub mod correlation;
 pub mod demodulator;
 pub mod dma_buffer;
 pub mod mains;
+pub mod product_sums;
 pub mod supply;

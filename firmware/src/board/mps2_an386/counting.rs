@@ -11,7 +11,7 @@ use ihd_firmware::estimate::ekf::{Ekf, Noise};
 use ihd_firmware::fixed::Complex;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingLock, SamplingPath};
-use ihd_firmware::sense::correlation::correlate;
+use ihd_firmware::sense::correlation::correlate_by;
 use ihd_firmware::sense::demodulator::{Demodulator, Phasors};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
@@ -23,6 +23,7 @@ use ihd_shared::wire::messages::{Raw, WindowChunk};
 
 use super::float_filter::FloatEkf;
 use crate::board::sampling;
+use crate::board::smlad::SmladMultiplier;
 
 /// Times each subject runs: 40 instructions of resolution over 200 runs are 0.2.
 const RUNS: u32 = 200;
@@ -97,10 +98,10 @@ fn main() -> ! {
 fn estimator() {
     let pairs = block();
     let correlated = tenths(|_| {
-        black_box(correlate(black_box(&pairs)));
+        black_box(correlate_by::<SmladMultiplier>(black_box(&pairs)));
     });
     report("pair", correlated / ADC_LOCK_P as u32);
-    let sums = correlate(&pairs);
+    let sums = correlate_by::<SmladMultiplier>(&pairs);
     let mut demod = Demodulator::new(70_000);
     report(
         "boxcars",
@@ -173,7 +174,11 @@ fn sampling_path() {
     });
 }
 
-fn take(rt: &mut SamplingPath, pairs: &[Pair; ADC_LOCK_P], zero_crossing: Option<u8>) {
+fn take(
+    rt: &mut SamplingPath<SmladMultiplier>,
+    pairs: &[Pair; ADC_LOCK_P],
+    zero_crossing: Option<u8>,
+) {
     black_box(rt.replay_block(&AdcBlock {
         pairs,
         zero_crossing,
@@ -183,6 +188,8 @@ fn take(rt: &mut SamplingPath, pairs: &[Pair; ADC_LOCK_P], zero_crossing: Option
     }));
 }
 
+/// Not inlined, so that what is counted here does not depend on the rest.
+#[inline(never)]
 fn lookup_and_link() {
     let lookup = prior();
     report(

@@ -35,6 +35,10 @@ fn cycles(bench: &Bench, duration_s: f64) -> (f64, f64) {
 fn a_block_is_done_within_its_budget() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
+    let (mean, _) = cycles(&bench, 0.1);
+    let f_sw_hz = bench.with(|machine| machine.chip().hrtim.f_sw_hz());
+    let open = 100.0 * mean / block_cycles(f_sw_hz);
+    println!("bridge open, {f_sw_hz:.0} Hz: mean {mean:.0} cycles, {open:.1} %");
     client.stream(1, 10).unwrap();
     client.set_power(500).unwrap();
     bench.run_s(0.1);
