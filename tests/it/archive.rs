@@ -6,6 +6,8 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use crate::document_links::faults;
+
 /// Stands in for the program that writes the pages: a page, and a line for each shell.
 const PAGES: &str = "#!/bin/sh\n\
     mkdir -p \"$1/man/man1\" \"$1/completions\" && echo page > \"$1/man/man1/ihd.1\"\n\
@@ -29,6 +31,13 @@ fn make_program(folder: &Path, name: &str, script: &str) {
     fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
 }
 
+/// Lines that a program prints about a file.
+fn listed(program: &str, arguments: &[&str], file: &Path) -> Vec<String> {
+    let output = Command::new(program).args(arguments).arg(file).output();
+    let text = String::from_utf8(output.unwrap().stdout).unwrap();
+    text.lines().map(str::to_owned).collect()
+}
+
 #[test]
 fn an_archive_holds_program_pages_completions_rule_and_licences() {
     let folder = tempfile::tempdir().unwrap();
@@ -41,15 +50,14 @@ fn an_archive_holds_program_pages_completions_rule_and_licences() {
         assert!(packed.status.success(), "{packed:?}");
     }
     let out = folder.path().join("out");
-    let mut tar = Command::new("tar");
-    let listed = tar.arg("-tzf").arg(out.join("ihd-v1-here.tar.gz"));
-    let listed = String::from_utf8(listed.output().unwrap().stdout).unwrap();
-    let files = listed.lines().filter(|line| !line.ends_with('/'));
-    let files: BTreeSet<&str> = files
-        .map(|file| file.strip_prefix("ihd-v1-here/").unwrap())
-        .collect();
+    let archive = out.join("ihd-v1-here.tar.gz");
+    let files = listed("tar", &["-tzf"], &archive);
+    let files = files.iter().filter_map(|line| {
+        let file = line.strip_prefix("ihd-v1-here/")?;
+        (!file.is_empty() && !file.ends_with('/') && !file.starts_with("docs/")).then_some(file)
+    });
+    let files: BTreeSet<&str> = files.collect();
     let expected = BTreeSet::from([
-        "70-ihd.rules",
         "CHANGELOG.md",
         "LICENSE-APACHE",
         "LICENSE-MIT",
@@ -59,15 +67,20 @@ fn an_archive_holds_program_pages_completions_rule_and_licences() {
         "completions/ihd.elv",
         "completions/ihd.fish",
         "completions/ihd.ps1",
-        "docs/board.md",
-        "docs/bring-up.md",
-        "docs/daemon.md",
         "ihd",
         "ihd-fleet",
         "man/man1/ihd.1",
-        "systemd/ihd.service",
+        "packaging/systemd/ihd.service",
     ]);
     assert_eq!(files, expected);
+    let unpacked = folder.path().join("unpacked");
+    fs::create_dir(&unpacked).unwrap();
+    let mut tar = Command::new("tar");
+    let tar = tar.arg("-xzf").arg(&archive).arg("-C").arg(&unpacked);
+    assert!(tar.status().unwrap().success());
+    let (faults, documents) = faults(&unpacked);
+    assert!(documents > 15, "{documents} documents");
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
     assert_eq!(fs::read_dir(&out).unwrap().count(), 1, "the folder is gone");
 }
 
@@ -85,4 +98,59 @@ fn a_program_that_fails_or_is_not_there_makes_no_archive() {
         let out = fs::read_dir(folder.path().join("out")).unwrap();
         assert_eq!(out.count(), 0);
     }
+}
+
+/// Debian's own paths; the documents' links hold where they lie then, and the configuration is the user's to keep.
+#[test]
+fn a_debian_package_puts_each_file_where_debian_looks_for_it() {
+    if Command::new("dpkg-deb").arg("--version").output().is_err() {
+        println!("skipped: no dpkg-deb");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    make_program(folder.path(), "ihd", "#!/bin/sh\n");
+    make_program(folder.path(), "pages", PAGES);
+    assert!(pack(folder.path()).status.success());
+    let out = folder.path().join("out");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../packaging/deb");
+    let mut command = Command::new(script);
+    command
+        .arg(out.join("ihd-v1-here.tar.gz"))
+        .arg("1.2.3")
+        .arg(&out);
+    let made = command.output().unwrap();
+    assert!(made.status.success(), "{made:?}");
+    let all = fs::read_dir(&out)
+        .unwrap()
+        .flatten()
+        .map(|entry| entry.path());
+    let package = all
+        .into_iter()
+        .find(|path| path.extension().is_some_and(|end| end == "deb"));
+    let package = package.unwrap();
+    let unpacked = folder.path().join("unpacked");
+    let mut extract = Command::new("dpkg-deb");
+    let extract = extract.arg("--extract").arg(&package).arg(&unpacked);
+    assert!(extract.status().unwrap().success());
+    for file in [
+        "usr/bin/ihd",
+        "usr/lib/udev/rules.d/70-ihd.rules",
+        "usr/share/man/man1/ihd.1.gz",
+        "usr/share/bash-completion/completions/ihd",
+        "usr/share/zsh/vendor-completions/_ihd",
+        "usr/share/fish/vendor_completions.d/ihd.fish",
+        "usr/share/doc/ihd/copyright",
+        "usr/share/doc/ihd/docs/daemon.md",
+        "etc/ihd/ihd.toml",
+    ] {
+        assert!(unpacked.join(file).is_file(), "{file}");
+    }
+    let service = fs::read_to_string(unpacked.join("usr/lib/systemd/system/ihd.service")).unwrap();
+    assert!(service.contains("ExecStart=/usr/bin/ihd trainer --daemon --config /etc/ihd/ihd.toml"));
+    assert_eq!(faults(&unpacked).0, Vec::<String>::new());
+    let kept = listed("dpkg-deb", &["--info"], &package).join("\n");
+    assert!(
+        kept.contains("conffiles") && kept.contains("Version: 1.2.3"),
+        "{kept}"
+    );
 }

@@ -67,22 +67,28 @@ fn fault(document: &Path, target: &str) -> Option<&'static str> {
     is_missing.then_some("no such heading")
 }
 
-#[test]
-fn links_of_documents_lead_somewhere() {
+/// Faults of the links of all documents below a folder, and the number of these documents.
+pub fn faults(folder: &Path) -> (Vec<String>, usize) {
     let mut documents = Vec::new();
-    files(&root(), &[".md"], &mut documents);
-    assert!(documents.len() > 30, "{} documents", documents.len());
+    files(folder, &[".md"], &mut documents);
     let mut faults = Vec::new();
-    for document in documents {
-        let text = fs::read_to_string(&document).unwrap();
+    for document in &documents {
+        let text = fs::read_to_string(document).unwrap();
         let text: String = text.split("\n```").step_by(2).collect();
         for target in targets(&text) {
             let is_outside = target.contains("://") || target.contains(' ');
-            if let Some(fault) = (!is_outside).then(|| fault(&document, target)).flatten() {
+            if let Some(fault) = (!is_outside).then(|| fault(document, target)).flatten() {
                 faults.push(format!("{}: {target}: {fault}", document.display()));
             }
         }
     }
+    (faults, documents.len())
+}
+
+#[test]
+fn links_of_documents_lead_somewhere() {
+    let (faults, documents) = faults(&root());
+    assert!(documents > 30, "{documents} documents");
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 

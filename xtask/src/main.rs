@@ -5,6 +5,7 @@ mod budget;
 mod call_graph;
 mod cycles;
 mod dashboard;
+mod dist;
 mod emulator;
 mod fleet;
 mod fuzz;
@@ -78,6 +79,9 @@ enum Chore {
         #[arg(long, value_name = "TOML")]
         board: Option<PathBuf>,
     },
+    /// Make a release for this machine's Linux in target/dist: archive, .deb, firmware, SBOM, checksums.
+    #[command(after_help = "Example:\n  cargo xtask dist")]
+    Dist,
     /// Flash an image through a debug probe and show its log, until ^C: what `cargo run` in firmware/ does.
     ///
     /// Seals a copy first, as an image without its CRC heats nothing, and hands it to `probe-rs run`.
@@ -173,6 +177,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         }
         Chore::Setup => session.set_up(),
         Chore::Firmware { .. } => session.images(),
+        Chore::Dist => session.dist(),
         Chore::Run { image } => images::run_on_board(&session.workspace, &image),
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),

@@ -9,7 +9,8 @@ use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, say};
 use crate::workspace::{Workspace, compilations, run};
 use crate::{
-    board, budget, cycles, dashboard, emulator, fleet, fuzz, guest, on_target, python, toolchain,
+    board, budget, cycles, dashboard, dist, emulator, fleet, fuzz, guest, on_target, python,
+    toolchain,
 };
 
 const IMAGES: [Image; 3] = [STM32G474, MPS2_AN386, COUNTS];
@@ -66,6 +67,7 @@ pub const STEPS: &[Step] = &[
     Step { name: "lints", about: "Clippy on benchmarks and examples too", tier: Tier::Full, run: |on| on.whole("clippy", "--all-targets -- -D warnings") },
     Step { name: "docs", about: "rustdoc without broken links, and its examples", tier: Tier::Full, run: Session::docs },
     Step { name: "hostile", about: "every capture that may fool the identification", tier: Tier::Full, run: Session::hostile },
+    Step { name: "dist", about: "a release's package, installed in a clean Debian and removed", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_package(&on.workspace)) },
     Step { name: "fuzz", about: "coverage-guided fuzzing of each target", tier: Tier::Full, run: |on| fuzz::fuzz(&on.workspace, None, FUZZ_SECONDS) },
 ];
 
@@ -144,6 +146,11 @@ impl Session {
     fn image(&self, image: Image) -> anyhow::Result<PathBuf> {
         toolchain::ensure_target()?;
         image.build(&self.workspace)
+    }
+
+    /// Makes a release in target/dist.
+    pub fn dist(&self) -> anyhow::Result<()> {
+        dist::make(&self.workspace, &self.image(STM32G474)?)
     }
 
     /// Builds every image and prints its path.

@@ -2,6 +2,7 @@
 use std::net::TcpListener;
 use std::process::{Command, Output};
 
+use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 use serde_json::Value;
 
 use crate::process::Hob;
@@ -85,6 +86,20 @@ fn alone_it_shows_the_next_command_for_what_is_here() {
     assert_eq!(wrong.0, 0);
     assert!(wrong.2.contains("none.toml"), "{}", wrong.2);
     assert!(wrong.1.contains("ihd inspect"), "{}", wrong.1);
+}
+
+#[test]
+fn the_version_names_program_protocol_and_image() {
+    let (code, text, _) = run("--version");
+    let protocol = format!("protocol {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}");
+    let lines: Vec<&str> = text.lines().collect();
+    let [program, second, image] = lines[..] else {
+        panic!("{text}");
+    };
+    assert_eq!(code, 0);
+    assert_eq!(program, concat!("ihd ", env!("CARGO_PKG_VERSION")));
+    assert_eq!(second, protocol);
+    assert!(image.starts_with("image "), "{image}");
 }
 
 #[test]
