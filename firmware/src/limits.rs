@@ -217,6 +217,8 @@ limits! {
     FAN_OFF_C: i16 = 42, "°C";
     /// Off for so long gives a used-up time without a touch of the panel back.
     REST_MIN: u16 = 60, "min";
+    /// Time above the second-highest level; then that level, and as long until the next boost.
+    BOOST_MIN: u16 = 10, "min";
     /// Glass from which it is shown as hot.
     GLASS_HOT_C: i16 = 60, "°C";
     /// Glass below which it is no longer.

@@ -44,7 +44,7 @@ scenarios! {
     sags { dip dropout swell }
     steps { dither steps taught }
     temperatures { derating glass over sensors }
-    unattended { host level touch }
+    unattended { boost boost_of_host host level timer touch }
     zvs { powers }
 }
 

@@ -290,6 +290,7 @@ fn status() -> Status {
         key_locked: true,
         off_reason: OffReason::Unattended,
         glass_hot: true,
+        timer_min: 90,
     }
 }
 

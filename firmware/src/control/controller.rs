@@ -4,7 +4,9 @@ use ihd_shared::fault::{Fault, RestartClass};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{Limit, OffReason, Pot, State};
 
+use crate::control::cooking_times::CookingTimes;
 use crate::control::heating::{Heating, HeatingStep};
+use crate::control::panel::PanelState;
 use crate::control::parts::ControlParts;
 use crate::control::plausibility::Plausibility;
 use crate::control::pot::classify;
@@ -12,7 +14,6 @@ use crate::control::request::{PanelEvent, PanelResult, PowerRequest};
 use crate::control::restart::{RestartPolicy, RestartVerdict};
 use crate::control::status::{Action, SamplingStatus};
 use crate::control::temperature::{TemperatureCodes, Temperatures};
-use crate::control::unattended::Unattended;
 use crate::control::waiting::Waiting;
 use crate::drive::bridge::Drive;
 use crate::drive::pwm;
@@ -127,6 +128,22 @@ impl Control {
         self.off_reason
     }
 
+    /// State that the panel shows.
+    pub fn panel_state(&self) -> PanelState {
+        PanelState {
+            state: self.state(),
+            level: self.parts.request.level(),
+            is_on: self.asked_w() > 0,
+            timer_min: self.timer_min(),
+            glass_hot: self.parts.temperatures.is_glass_hot(),
+        }
+    }
+
+    /// Time left on the timer in minutes; 0 without one.
+    pub fn timer_min(&self) -> u8 {
+        self.parts.times.timer.left_min()
+    }
+
     /// Panel and host.
     pub fn request(&self) -> &PowerRequest {
         &self.parts.request
@@ -158,14 +175,14 @@ impl Control {
             tries_used: restart.tries_used(),
             panel_off: request.level() == Some(0),
             key_locked: request.is_key_locked(),
-            unattended: self.parts.unattended.used_share(),
+            unattended: self.parts.times.unattended.used_share(),
         }
     }
 
     /// Goes on with what was kept; a fault that is active then has been seen. To be called once, before anything else.
     pub fn restore(&mut self, kept: RetainedControl, status: &SamplingStatus) {
         self.parts.request = PowerRequest::restored(kept.panel_off, kept.key_locked);
-        self.parts.unattended = Unattended::restored(kept.unattended, status.now_ms);
+        self.parts.times = CookingTimes::restored(kept.unattended, status.now_ms);
         let (tries_used, locked_out) = (kept.tries_used, kept.locked_out);
         self.parts.restart = RestartPolicy::restored(tries_used, locked_out, status.now_ms);
         if locked_out {
@@ -196,10 +213,14 @@ impl Control {
     pub fn panel(&mut self, event: PanelEvent) -> Action {
         let result = self.parts.request.panel(event);
         if result != PanelResult::Nothing {
-            self.parts.unattended.touched();
+            self.parts.times.unattended.touched();
             self.off_reason = OffReason::None;
         }
         match result {
+            PanelResult::Timer(minutes) => {
+                self.parts.times.timer.set(minutes);
+                Action::Keep
+            }
             PanelResult::SwitchedOn if self.parts.restart.is_locked_out() => {
                 self.parts.restart.forgive();
                 self.plausibility.reset();
@@ -227,11 +248,34 @@ impl Control {
         self.follow_request()
     }
 
-    /// Lets time without a touch of the panel pass at once, for simulated hobs.
-    pub fn pass_unattended(&mut self, minutes: u16) {
-        let asked_w = self.parts.request.power_w();
+    /// Lets minutes pass at once for the times of cooking, on a simulated hob.
+    pub fn pass_minutes(&mut self, minutes: u16) -> Action {
         for _ in 0..minutes {
-            self.parts.unattended.count(asked_w, 60);
+            match self.count_time(60) {
+                Action::Keep => {}
+                action => return action,
+            }
+        }
+        Action::Keep
+    }
+
+    /// Counts the times of cooking, and switches off at the end of one.
+    #[inline(never)]
+    fn count_time(&mut self, elapsed_s: u32) -> Action {
+        let asked_w = self.parts.request.power_w();
+        let heats = matches!(self.state, ControlState::Heating(_));
+        match self.parts.times.count(asked_w, heats, elapsed_s) {
+            OffReason::None => {
+                if self.parts.times.boost.is_over() {
+                    self.parts.request.end_boost();
+                }
+                Action::Keep
+            }
+            reason => {
+                self.off_reason = reason;
+                self.parts.request.switch_off_at_panel();
+                self.follow_request()
+            }
         }
     }
 
@@ -362,13 +406,14 @@ impl Control {
         }
         // A bare board has no sensors, and heats nothing; recordings can be replayed on it.
         let condition = self.parts.condition();
-        let asked_w = self.parts.request.power_w();
-        let is_on = asked_w > 0;
-        if self.parts.unattended.is_used_up(asked_w, status.now_ms) {
-            self.off_reason = OffReason::Unattended;
-            self.parts.request.switch_off_at_panel();
-            return self.follow_request();
+        let elapsed_s = self.parts.times.elapsed_s(status.now_ms);
+        if elapsed_s > 0 {
+            let action = self.count_time(elapsed_s);
+            if action != Action::Keep {
+                return action;
+            }
         }
+        let is_on = self.parts.request.power_w() > 0;
         // Switched off meanwhile: the next pot may be another one.
         self.resumes &= is_on;
         if condition != Fault::NONE && is_on && !status.replaying && status.fault == Fault::NONE {

@@ -4,11 +4,11 @@ use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::{Limit, Pot};
 
+use crate::control::cooking_times::{BELOW_BOOST_W, CookingTimes};
 use crate::control::power::PowerControl;
 use crate::control::request::PowerRequest;
 use crate::control::restart::RestartPolicy;
 use crate::control::temperature::Temperatures;
-use crate::control::unattended::Unattended;
 use crate::drive::pwm;
 use crate::limits::SMALL_POT_PERCENT;
 use crate::sense::supply::Supply;
@@ -20,8 +20,8 @@ pub struct ControlParts {
     pub request: PowerRequest,
     /// Tries and pauses.
     pub restart: RestartPolicy,
-    /// Time without a touch of the panel.
-    pub unattended: Unattended,
+    /// Time without a touch of the panel, boost and timer.
+    pub times: CookingTimes,
     /// Heat sink, glass, coil and fan.
     pub temperatures: Temperatures,
     /// The analogue supply.
@@ -39,7 +39,7 @@ impl Default for ControlParts {
         Self {
             request: PowerRequest::default(),
             restart: RestartPolicy::default(),
-            unattended: Unattended::default(),
+            times: CookingTimes::default(),
             temperatures: Temperatures::default(),
             supply: Supply::default(),
             power: PowerControl::default(),
@@ -63,18 +63,18 @@ impl ControlParts {
         let asked_w = self.request.power_w();
         let hot_w =
             (u32::from(RATED_POWER_W) * u32::from(self.temperatures.power_percent()) / 100) as u16;
-        let pot_w = if self.pot == Pot::Small {
-            (u32::from(RATED_POWER_W) * u32::from(SMALL_POT_PERCENT) / 100) as u16
-        } else {
-            RATED_POWER_W
-        };
-        let limit = if asked_w > hot_w {
-            Limit::Temperature
-        } else if asked_w > pot_w {
-            Limit::SmallPot
-        } else {
-            Limit::None
-        };
-        (asked_w.min(pot_w).min(hot_w), limit)
+        let small_w = (u32::from(RATED_POWER_W) * u32::from(SMALL_POT_PERCENT) / 100) as u16;
+        let is_small = self.pot == Pot::Small;
+        let mut granted = (asked_w, Limit::None);
+        for (holds, most_w, limit) in [
+            (true, hot_w, Limit::Temperature),
+            (is_small, small_w, Limit::SmallPot),
+            (self.times.boost.is_over(), BELOW_BOOST_W, Limit::Boost),
+        ] {
+            if holds && granted.0 > most_w {
+                granted = (most_w, limit);
+            }
+        }
+        granted
     }
 }

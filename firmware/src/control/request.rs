@@ -16,6 +16,8 @@ pub enum PanelEvent {
     Level(u8),
     /// Locks the keys, or unlocks them.
     KeyLock(bool),
+    /// Switches off after so many minutes; 0 takes it back. Nothing while nothing is on.
+    Timer(u8),
 }
 
 /// The requests of panel and host.
@@ -36,6 +38,8 @@ pub enum PanelResult {
     Changed,
     /// On, after off at the panel: a person is there.
     SwitchedOn,
+    /// Off after so many minutes; 0 takes it back.
+    Timer(u8),
 }
 
 impl PowerRequest {
@@ -59,7 +63,9 @@ impl PowerRequest {
                 self.switch_off_at_panel();
                 PanelResult::Changed
             }
-            PanelEvent::Level(_) if self.key_locked => PanelResult::Nothing,
+            PanelEvent::Level(_) | PanelEvent::Timer(_) if self.key_locked => PanelResult::Nothing,
+            PanelEvent::Timer(_) if self.power_w() == 0 => PanelResult::Nothing,
+            PanelEvent::Timer(minutes) => PanelResult::Timer(minutes),
             PanelEvent::Level(level) => {
                 let was_off = self.level == Some(0);
                 self.level = Some(level.min(9));
@@ -106,6 +112,12 @@ impl PowerRequest {
     pub fn switch_off_at_panel(&mut self) {
         self.level = Some(0);
         self.host_w = None;
+    }
+
+    /// Takes the panel's highest level one lower.
+    pub fn end_boost(&mut self) {
+        let below = LEVELS.len() as u8 - 1;
+        self.level = self.level.map(|level| level.min(below));
     }
 
     /// Requested power, in watt.

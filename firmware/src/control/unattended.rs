@@ -5,12 +5,6 @@
 
 use crate::limits::{LEVELS, Level, REST_MIN};
 
-/// Interval at which time is counted: a division once a second, not once a block.
-const COUNTED_EVERY_S: u32 = 1;
-
-/// Longest time that is counted at once, which keeps products within 32 bit.
-const COUNTED_AT_ONCE_S: u32 = 3_600;
-
 /// The allowance, in milliseconds of level 1.
 const ALLOWANCE: u32 = LEVELS[0].unattended_min as u32 * 60_000;
 
@@ -19,15 +13,13 @@ const ALLOWANCE: u32 = LEVELS[0].unattended_min as u32 * 60_000;
 pub struct Unattended {
     /// In milliseconds of level 1.
     used: u32,
-    counted_ms: u32,
 }
 
 impl Unattended {
     /// As much is used up as before a reset.
-    pub fn restored(used_share: u8, now_ms: u32) -> Self {
+    pub fn restored(used_share: u8) -> Self {
         Self {
             used: u32::from(used_share) * (ALLOWANCE / 255),
-            counted_ms: now_ms,
         }
     }
 
@@ -36,17 +28,12 @@ impl Unattended {
         u8::try_from(self.used.div_ceil(ALLOWANCE / 255)).unwrap_or(u8::MAX)
     }
 
-    /// Takes the requested power of now; returns `true` once the allowance is used up. To be called after each block.
-    pub fn is_used_up(&mut self, asked_w: u16, now_ms: u32) -> bool {
-        let elapsed_s = now_ms.wrapping_sub(self.counted_ms) / 1_000;
-        if elapsed_s >= COUNTED_EVERY_S {
-            self.counted_ms = self.counted_ms.wrapping_add(elapsed_s * 1_000);
-            self.count(asked_w, elapsed_s.min(COUNTED_AT_ONCE_S));
-        }
-        asked_w > 0 && self.used >= ALLOWANCE
+    /// Returns `true` once the allowance is used up.
+    pub fn is_used_up(&self) -> bool {
+        self.used == ALLOWANCE
     }
 
-    /// Counts time at a requested power, at most [`COUNTED_AT_ONCE_S`].
+    /// Counts time at a requested power, an hour at most.
     pub fn count(&mut self, asked_w: u16, elapsed_s: u32) {
         let of_whole = |minutes: u16| (elapsed_s * (ALLOWANCE / 60)).div_ceil(u32::from(minutes));
         self.used = match Level::of_power(asked_w) {
@@ -66,23 +53,20 @@ impl Unattended {
 mod tests {
     use super::*;
 
-    /// Minutes until the allowance is used up, with a clock that wraps on the way.
+    /// Minutes until the allowance is used up.
     fn minutes_at(unattended: &mut Unattended, asked_w: u16) -> u32 {
-        let used_up = |&s: &u32| {
-            let now_ms = unattended.counted_ms.wrapping_add(1_000);
-            unattended.is_used_up(asked_w, now_ms) || s > 50_000
-        };
-        (1..).find(used_up).map_or(0, |s| s.div_ceil(60))
+        let mut seconds: u32 = 0;
+        while !unattended.is_used_up() {
+            unattended.count(asked_w, 1);
+            seconds += 1;
+        }
+        seconds.div_ceil(60)
     }
 
     #[test]
     fn each_level_has_its_time() {
         for level in LEVELS {
-            let mut unattended = Unattended {
-                counted_ms: u32::MAX - 5_000,
-                ..Unattended::default()
-            };
-            let minutes = minutes_at(&mut unattended, level.power_w);
+            let minutes = minutes_at(&mut Unattended::default(), level.power_w);
             assert_eq!(minutes, u32::from(level.unattended_min), "{level:?}");
         }
     }
@@ -108,7 +92,7 @@ mod tests {
         let whole_s = u32::from(last.unattended_min) * 60;
         let (mut on_s, mut off_s) = (60, 0);
         unattended.count(last.power_w, 60);
-        while on_s < 2 * whole_s && !unattended.is_used_up(last.power_w, 0) {
+        while on_s < 2 * whole_s && !unattended.is_used_up() {
             unattended.count(0, 1);
             unattended.count(last.power_w, 60);
             (on_s, off_s) = (on_s + 60, off_s + 1);
@@ -119,11 +103,7 @@ mod tests {
     #[test]
     fn a_reset_gives_nothing_back() {
         for used in [0, 1, ALLOWANCE / 3, ALLOWANCE - 1, ALLOWANCE] {
-            let before = Unattended {
-                used,
-                counted_ms: 0,
-            };
-            let after = Unattended::restored(before.used_share(), 0);
+            let after = Unattended::restored(Unattended { used }.used_share());
             assert!(after.used >= used.min(ALLOWANCE / 255 * 255));
             assert!(after.used - used.min(after.used) <= ALLOWANCE / 255);
         }
@@ -131,10 +111,14 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_jumps_is_counted_once() {
+    fn the_longest_time_that_is_counted_at_once_fits() {
+        let [first, .., last] = LEVELS;
         let mut unattended = Unattended::default();
-        assert!(!unattended.is_used_up(100, u32::MAX / 2));
-        assert!(!unattended.is_used_up(100, u32::MAX / 2));
+        unattended.count(first.power_w, 3_600);
         assert_eq!(unattended.used, ALLOWANCE / 10);
+        unattended.count(last.power_w, 3_600);
+        assert!(unattended.is_used_up());
+        unattended.count(0, 3_600);
+        assert_eq!(unattended.used, 0);
     }
 }

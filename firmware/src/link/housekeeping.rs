@@ -330,9 +330,10 @@ impl Housekeeping {
         self.act(lock, action);
     }
 
-    /// Lets time without a touch of the panel pass at once, for simulated hobs.
-    pub fn pass_unattended(&mut self, minutes: u16) {
-        self.control.pass_unattended(minutes);
+    /// Lets minutes pass at once for the times of cooking, on a simulated hob.
+    pub fn pass_minutes(&mut self, lock: &mut impl SamplingLock, minutes: u16) {
+        let action = self.control.pass_minutes(minutes);
+        self.act(lock, action);
     }
 
     /// A reading of the chip's reference voltage, some hundred times a second; returns the correction of every reading from

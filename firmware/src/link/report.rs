@@ -93,6 +93,7 @@ pub fn status(
         key_locked: control.request().is_key_locked(),
         off_reason: control.off_reason(),
         glass_hot: control.temperatures().is_glass_hot(),
+        timer_min: control.timer_min(),
     }
 }
 

@@ -174,7 +174,7 @@ pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
             )
         }
         Outcome::PanelOff => {
-            "it was switched off at its panel, or by itself after a time without a touch of it; only the panel switches it on again".into()
+            "it was switched off at its panel, by its timer, or by itself after a time without a touch; only the panel switches it on again".into()
         }
         Outcome::OutOfRange => {
             format!("field {detail} of the message is outside its range; nothing was changed")

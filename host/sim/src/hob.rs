@@ -480,9 +480,9 @@ impl SimHob {
         self.housekeeping.panel(&mut *self.realtime, event);
     }
 
-    /// Lets time without a touch of the panel pass at once, for the firmware's cooking time alone.
-    pub fn pass_unattended(&mut self, minutes: u16) {
-        self.housekeeping.pass_unattended(minutes);
+    /// Lets minutes pass at once for the firmware's times of cooking.
+    pub fn pass_minutes(&mut self, minutes: u16) {
+        self.housekeeping.pass_minutes(&mut *self.realtime, minutes);
     }
 
     fn run_link(&mut self, elapsed_s: f64) {

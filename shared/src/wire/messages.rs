@@ -93,6 +93,8 @@ wire_enum! {
         Mains = 8,
         /// The panel's level.
         Panel = 9,
+        /// The boost is over: the level below it.
+        Boost = 10,
     }
 }
 
@@ -105,6 +107,8 @@ wire_enum! {
         NoPot = 1,
         /// Nobody has touched the panel for as long as the level allows. Only a touch switches on again.
         Unattended = 2,
+        /// The timer ended. Only a touch of the panel switches on again.
+        Timer = 3,
     }
 }
 
@@ -160,7 +164,7 @@ wire_enum! {
         LockedOut = 14,
         /// Lookup too many versions ahead of the active one; `detail` is the highest accepted.
         LookupStep = 15,
-        /// Switched off at the panel, or by the hob because nobody touched it for too long: only a person switches on again.
+        /// Switched off at the panel, by its timer, or because nobody touched it for too long: only a person switches on again.
         PanelOff = 16,
         /// A setting outside its range, and none was changed; `detail` is the field's place in its
         /// message, from 0.
@@ -517,6 +521,8 @@ message_table! { 'a;
         off_reason: OffReason,
         /// `true` while the glass is hot enough to burn, or nothing is known of it.
         glass_hot: bool,
+        /// Minutes until the panel's timer switches off, rounded up; 0 without one.
+        timer_min: u8,
     }
     /// One half-cycle in numbers.
     0x82 Event Telemetry {
@@ -808,6 +814,7 @@ impl OffReason {
         match self {
             Self::None => "",
             Self::NoPot => "it switched itself off: no pot was put on",
+            Self::Timer => "its timer switched it off; only the panel switches it on again",
             Self::Unattended => {
                 "it switched itself off: nobody touched its panel for as long as the level allows; only the panel switches it on again"
             }

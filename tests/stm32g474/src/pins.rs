@@ -22,7 +22,7 @@ const BUS_RANGE_V: f64 = 500.0;
 const NOMINAL_VDDA_V: f64 = 3.3;
 
 /// Lines of port C with a button of the panel.
-const PANEL_LINES: [u32; 3] = [6, 8, 9];
+const PANEL_LINES: [u32; 4] = [6, 8, 9, 7];
 
 const CODES: f64 = 4096.0;
 const MIDDLE: f64 = CODE_HALF_RANGE as f64;
@@ -79,8 +79,8 @@ pub struct Pins {
     pub vdda_v: f64,
     /// The chip's reference voltage over what it should be.
     pub reference_ratio: f64,
-    /// Buttons of the panel that are pressed: PC6, PC8, PC9 to ground.
-    pub pressed: [bool; 3],
+    /// Buttons of the panel that are pressed, on/off, plus, minus, timer: PC6, PC8, PC9, PC7 to ground.
+    pub pressed: [bool; 4],
     /// Added to every pair's codes: offsets of the two sensors.
     pub offset: Pair,
     /// Added to what the current sensor shows, in ampere: a test's surge.
@@ -106,7 +106,7 @@ impl Pins {
             temperatures_c: [25.0; 3],
             vdda_v: NOMINAL_VDDA_V,
             reference_ratio: 1.0,
-            pressed: [false; 3],
+            pressed: [false; 4],
             offset: Pair::default(),
             surge_a: 0.0,
             fed: VecDeque::new(),

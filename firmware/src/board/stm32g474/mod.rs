@@ -8,8 +8,8 @@
 //! PB1, PB0    ADC3 IN1, IN12      bus voltage, mains voltage
 //! PB12, 14, 15  ADC4 IN3, 4, 5    thermistors of heat sink, glass, coil
 //! PB5         output            fan, on by a high level
-//! PC6, 8, 9   inputs              panel: on/off, plus, minus, closed to ground
-//! PC10, PC11  outputs             panel: lights of power and fault
+//! PC6 to PC9  inputs              panel: on/off, timer, plus, minus, closed to ground
+//! PC10 to 12  outputs             panel: lights of power, fault, hot glass
 //! PA2, PA3    LPUART1             the ST-LINK's serial port of a NUCLEO
 //! PA5         LED                 LD2 of a NUCLEO
 //! PA11, PA12  USB                 vendor bulk interface

@@ -180,7 +180,7 @@ fn start(
         self_test,
         temperatures: Temperatures::start(cycles::now()),
         fan: Output::new(p.PB5, Level::Low, Speed::Low),
-        panel: Panel::new((p.PC6, p.PC8, p.PC9), (p.PC10, p.PC11)),
+        panel: Panel::new((p.PC6, p.PC8, p.PC9, p.PC7), (p.PC10, p.PC11, p.PC12)),
     };
     if let Ok(token) = nonvolatile_pages::keep(pages) {
         spawner.spawn(token);

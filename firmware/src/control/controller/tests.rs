@@ -125,6 +125,11 @@ impl Bench {
         self.act(action);
     }
 
+    fn pass_minutes(&mut self, minutes: u16) {
+        let action = self.control.pass_minutes(minutes);
+        self.act(action);
+    }
+
     fn trip(&mut self, fault: Fault) {
         self.act(Action::Fault(fault));
     }
@@ -324,11 +329,11 @@ fn what_nobody_watches_ends_and_a_host_is_refused() {
         let mut bench = Bench::new(load);
         bench.ask(2_500);
         bench.run(5);
-        bench.control.pass_unattended(59);
+        bench.pass_minutes(59);
         bench.run(99);
         assert_eq!(bench.control.off_reason(), OffReason::None);
         bench.trip(fault);
-        bench.control.pass_unattended(1);
+        bench.pass_minutes(1);
         bench.run(200);
         assert_eq!(bench.control.off_reason(), OffReason::Unattended);
         assert_eq!(bench.control.state(), State::Idle, "{fault}");
@@ -365,11 +370,56 @@ fn a_wait_that_was_given_up_is_told_until_the_next_request() {
 fn a_restart_is_no_touch() {
     let mut bench = heating();
     bench.ask(2_500);
-    bench.control.pass_unattended(40);
+    bench.pass_minutes(40);
     let mut after = Control::default();
     after.restore(bench.control.retained(), &bench.status());
     after.host(2_500);
-    after.pass_unattended(20);
+    after.pass_minutes(20);
     after.tick(&bench.status());
     assert_eq!(after.off_reason(), OffReason::Unattended);
+}
+
+#[test]
+fn a_boost_of_the_panel_falls_to_the_level_below_and_a_hosts_is_capped() {
+    let mut bench = Bench::new(POT);
+    bench.control.panel(PanelEvent::Level(9));
+    bench.run(50);
+    assert_eq!(bench.control.asked_w(), 2_500);
+    bench.pass_minutes(10);
+    bench.run(2);
+    assert_eq!(bench.control.request().level(), Some(8));
+    let mut bench = heating();
+    bench.ask(2_500);
+    bench.pass_minutes(10);
+    bench.run(2);
+    // Its lease has the power that it asked for.
+    assert_eq!(
+        (bench.control.asked_w(), bench.control.limit()),
+        (2_500, Limit::Boost)
+    );
+    bench.pass_minutes(20);
+    bench.ask(2_500);
+    bench.run(2);
+    assert_eq!(bench.control.limit(), Limit::Boost, "it stands");
+    bench.ask(1_000);
+    bench.run(100);
+    bench.ask(2_500);
+    bench.run(2);
+    assert_ne!(bench.control.limit(), Limit::Boost);
+}
+
+#[test]
+fn the_timer_switches_off_for_good() {
+    let mut bench = heating();
+    bench.control.panel(PanelEvent::Timer(20));
+    bench.pass_minutes(19);
+    assert_eq!(
+        (bench.control.timer_min(), bench.control.asked_w()),
+        (1, 1_500)
+    );
+    bench.pass_minutes(1);
+    bench.run(2);
+    assert_eq!(bench.control.off_reason(), OffReason::Timer);
+    assert!(!bench.drive.is_switching());
+    assert_eq!(bench.control.host(1_500), None);
 }

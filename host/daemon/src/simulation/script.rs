@@ -323,6 +323,7 @@ impl ScriptedHob {
             key_locked: false,
             off_reason: OffReason::None,
             glass_hot: false,
+            timer_min: 0,
         });
     }
 }

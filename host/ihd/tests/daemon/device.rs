@@ -364,6 +364,7 @@ pub fn idle_status() -> Status {
         key_locked: false,
         off_reason: OffReason::None,
         glass_hot: false,
+        timer_min: 0,
     }
 }
 

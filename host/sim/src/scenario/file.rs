@@ -269,11 +269,14 @@ pub struct EventField {
     /// A user sets the panel's power level: 0 (off) to 9.
     #[serde(default, deserialize_with = "number::some_level")]
     pub panel: Option<f64>,
+    /// A user sets the panel's timer, in minutes; 0 takes it back.
+    #[serde(default, deserialize_with = "number::some_timer_min")]
+    pub timer_min: Option<f64>,
     /// A user locks the panel's keys (`true`) or unlocks them.
     pub key_lock: Option<bool>,
-    /// Minutes without a touch of the panel that pass at once, for the cooking time alone.
-    #[serde(default, deserialize_with = "number::some_unattended_min")]
-    pub unattended_min: Option<f64>,
+    /// Minutes that pass at once for the times of cooking.
+    #[serde(default, deserialize_with = "number::some_pass_min")]
+    pub pass_min: Option<f64>,
     /// New temperature around the hob, in °C.
     #[serde(default, deserialize_with = "number::some_temperature_c")]
     pub ambient_c: Option<f64>,

@@ -47,7 +47,8 @@ numbers! {
     noise_v some_noise_v 0.0 400.0 "0 to 400 V";
     noise_a some_noise_a 0.0 80.0 "0 to 80 A";
     permille some_permille 0.0 10.0 "0 to 10 permille";
+    timer_min some_timer_min 0.0 255.0 "0 to 255 min";
     level some_level 0.0 9.0 "0 to 9";
-    unattended_min some_unattended_min 0.0 600.0 "0 to 600 min";
+    pass_min some_pass_min 0.0 600.0 "0 to 600 min";
     give_up_s some_give_up_s 60.0 600.0 "60 to 600 s";
 }

@@ -112,7 +112,7 @@ impl Run {
             }
             TimelineChange::Panel(_)
             | TimelineChange::InjectEnd(_)
-            | TimelineChange::Unattended(_)
+            | TimelineChange::Pass(_)
             | TimelineChange::Ambient(_)
             | TimelineChange::HeatSink(_)
             | TimelineChange::Glass(_) => {}

@@ -72,7 +72,7 @@ impl Surroundings {
                 }
             }
             TimelineChange::Panel(touch) => hob.panel(*touch),
-            TimelineChange::Unattended(minutes) => hob.pass_unattended(*minutes),
+            TimelineChange::Pass(minutes) => hob.pass_minutes(*minutes),
             TimelineChange::Ambient(celsius) => hob.temperatures().ambient_c = *celsius,
             TimelineChange::HeatSink(celsius) => hob.temperatures().heat_sink_c = *celsius,
             TimelineChange::Glass(celsius) => hob.temperatures().glass_c = *celsius,

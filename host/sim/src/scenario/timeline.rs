@@ -34,8 +34,8 @@ pub enum TimelineChange {
     InjectEnd(usize),
     /// User's action on the panel.
     Panel(PanelEvent),
-    /// Minutes without a touch of the panel.
-    Unattended(u16),
+    /// Minutes pass for the times of cooking.
+    Pass(u16),
     /// Ambient temperature in °C.
     Ambient(f64),
     /// The heat sink's temperature in °C.
@@ -110,7 +110,8 @@ pub fn timeline(scenario: &Scenario) -> Result<Vec<TimedChange>, ScenarioError> 
             line: scenario.lines[event],
             why,
         };
-        let touches = field.panel.is_some() || field.key_lock.is_some();
+        let touches =
+            field.panel.is_some() || field.key_lock.is_some() || field.timer_min.is_some();
         if touches && !scenario.file.panel {
             return Err(wrong("there is no panel: panel = false".to_owned()));
         }
@@ -126,7 +127,7 @@ pub fn timeline(scenario: &Scenario) -> Result<Vec<TimedChange>, ScenarioError> 
             .map_err(wrong)?;
         if all.len() == before {
             return Err(wrong(
-                "nothing happens: give power_w, pot, mains, inject, host, panel, key_lock, unattended_min, \
+                "nothing happens: give power_w, pot, mains, inject, host, panel, key_lock, timer_min, pass_min, \
                  ambient_c, heat_sink_c or glass_c".to_owned(),
             ));
         }
@@ -204,12 +205,14 @@ impl Changes<'_> {
         let field = self.field;
         let level = field.panel.map(|level| PanelEvent::Level(level as u8));
         let key_lock = field.key_lock.map(PanelEvent::KeyLock);
+        let timer = field.timer_min.map(|min| PanelEvent::Timer(min as u8));
         let changes = [
             level.map(TimelineChange::Panel),
             key_lock.map(TimelineChange::Panel),
+            timer.map(TimelineChange::Panel),
             field
-                .unattended_min
-                .map(|minutes| TimelineChange::Unattended(minutes as u16)),
+                .pass_min
+                .map(|minutes| TimelineChange::Pass(minutes as u16)),
             field.ambient_c.map(TimelineChange::Ambient),
             field.heat_sink_c.map(TimelineChange::HeatSink),
             field.glass_c.map(TimelineChange::Glass),

@@ -46,6 +46,7 @@ export function potText(pot) {
 const LIMITS = {
   None: "", Frequency: "an end of the frequency range", Current: "the coil current", CoilVoltage: "the coil voltage",
   Resonance: "nearness of the resonance", SoftSwitching: "current left at turn-off",
+  Boost: "the boost is over",
 };
 
 /**

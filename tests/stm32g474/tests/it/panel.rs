@@ -6,22 +6,24 @@ use ihd_stm32g474::registers::{gpioc, syscfg};
 
 use crate::board::{Bench, assert_no_violations, connect, with_pot};
 
-const ON_OFF: [bool; 3] = [true, false, false];
-const PLUS: [bool; 3] = [false, true, false];
+const ON_OFF: [bool; 4] = [true, false, false, false];
+const PLUS: [bool; 4] = [false, true, false, false];
+
+const TIMER: [bool; 4] = [false, false, false, true];
 
 /// Presses a button for 60 ms, and lets go.
-fn press(bench: &Bench, button: [bool; 3]) {
-    for pressed in [button, [false; 3]] {
+fn press(bench: &Bench, button: [bool; 4]) {
+    for pressed in [button, [false; 4]] {
         bench.with(move |machine| machine.chip().pins.pressed = pressed);
         bench.run_s(0.06);
     }
 }
 
-/// Lights of power and fault.
-fn lights(bench: &Bench) -> [bool; 2] {
+/// Lights of power, fault and hot glass.
+fn lights(bench: &Bench) -> [bool; 3] {
     bench.with(|machine| {
         let out = machine.chip().file.word(gpioc::odr::ADDRESS);
-        [10, 11].map(|pin| out >> pin & 1 == 1)
+        [10, 11, 12].map(|pin| out >> pin & 1 == 1)
     })
 }
 
@@ -31,7 +33,7 @@ fn a_person_at_the_panel_ends_a_lock_out_and_heats_without_a_host() {
     // Plus is held while the power comes on, and let go: nothing.
     bench.with(|machine| machine.chip().pins.pressed = PLUS);
     bench.run_s(0.15);
-    press(&bench, [false; 3]);
+    press(&bench, [false; 4]);
     press(&bench, PLUS);
     let mut client = connect(&bench);
     assert_eq!(client.status().unwrap().asked_w, 0);
@@ -52,5 +54,32 @@ fn a_person_at_the_panel_ends_a_lock_out_and_heats_without_a_host() {
     assert!(!lights(&bench)[1]);
     press(&bench, ON_OFF);
     assert_eq!(client.status().unwrap().state, State::Idle);
+    assert_no_violations(&bench);
+}
+
+/// The light follows the thermistor of the glass, on or off, with its hysteresis; the timer shows in the status.
+#[test]
+fn hot_glass_is_lit_and_the_timer_is_set() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    let mut lit_at = |glass_c| {
+        bench.with(move |machine| machine.chip().pins.temperatures_c[1] = glass_c);
+        bench.run_s(0.01);
+        (lights(&bench)[2], client.status().unwrap().glass_hot)
+    };
+    let seen = [25.0, 65.0, 55.0, 45.0, 55.0].map(&mut lit_at);
+    assert_eq!(
+        seen,
+        [false, true, true, false, false].map(|lit| (lit, lit))
+    );
+    press(&bench, [false; 4]);
+    press(&bench, ON_OFF);
+    press(&bench, PLUS);
+    press(&bench, TIMER);
+    press(&bench, TIMER);
+    assert_eq!(client.status().unwrap().timer_min, 20);
+    press(&bench, ON_OFF);
+    bench.run_s(1.0);
+    assert_eq!(client.status().unwrap().timer_min, 0);
     assert_no_violations(&bench);
 }
