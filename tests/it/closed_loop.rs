@@ -4,9 +4,10 @@ use ihd_firmware::drive::pwm;
 use ihd_link::DeviceEvent;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::RATED_POWER_W;
+use ihd_shared::sampling::ADC_LOCK_Q;
 use ihd_shared::wire::messages::{Pot, State, Telemetry};
 use ihd_sim::behavioural::PotKind;
-use ihd_sim::hob::HobConfig;
+use ihd_sim::hob::{HobConfig, PanelEvent, SimHob};
 use ihd_sim::pot::SimulatedPot as PotOnCoil;
 use ihd_sim::recording::settings::LoadKind;
 use ihd_tests::simulated_hob::Kitchen;
@@ -84,6 +85,32 @@ fn every_frequency_is_one_that_a_board_can_make() {
     for t in seen.iter().filter(|t| t.f_sw_hz > 0) {
         assert_eq!(t.f_sw_hz, pwm::nearest_hz(t.f_sw_hz), "{t:?}");
     }
+}
+
+/// As on the board: the timers take new periods when the block that runs has ended, so the block after a decision is of the
+/// frequency before it. The length of a block tells its frequency.
+#[test]
+fn new_periods_begin_a_block_after_the_one_that_runs() {
+    let mut hob = SimHob::new(&HobConfig::default());
+    hob.panel(PanelEvent::Level(7));
+    let off = hob.realtime().drive();
+    let (mut before, mut last, mut changes) = (off, off, 0);
+    while hob.t_s() < 0.5 {
+        let start_s = hob.t_s();
+        hob.step();
+        let block_s = hob.t_s() - start_s;
+        if before.is_switching() && last.is_switching() {
+            let is_hz = f64::from(ADC_LOCK_Q) / block_s;
+            let off_by = is_hz / f64::from(before.f_sw_hz) - 1.0;
+            assert!(
+                off_by.abs() < 1e-4,
+                "{is_hz} Hz at {start_s} s, not {before:?}"
+            );
+            changes += u32::from(before.f_sw_hz != last.f_sw_hz);
+        }
+        (before, last) = (last, hob.realtime().drive());
+    }
+    assert!(changes > 10, "{changes}");
 }
 
 #[test]
