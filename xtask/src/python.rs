@@ -5,16 +5,13 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, bail};
 
 use crate::setup::{install, say};
 use crate::workspace::{Workspace, first_line, run};
 
 /// Folder of the package in the checkout.
 const FOLDER: &str = "python";
-
-/// Oldest Python of the package, as in its pyproject.toml.
-const OLDEST: (u32, u32) = (3, 10);
 
 /// PyPI's packages: the wheel's builder, as in pyproject.toml, numpy, which the package needs, and matplotlib for the notebooks.
 const PACKAGES: [&str; 4] = [
@@ -26,14 +23,10 @@ const PACKAGES: [&str; 4] = [
 
 /// Installs [`PACKAGES`] into a folder of their own beside the build, once, and returns it.
 pub fn tools(on: &Workspace) -> anyhow::Result<PathBuf> {
-    let version = r#"import sys; print("{}.{}".format(*sys.version_info))"#;
+    // Oldest as in the package's pyproject.toml.
+    let version = r#"import sys; print("{}.{}".format(*sys.version_info)); sys.exit(sys.version_info < (3, 10))"#;
     let version = first_line(python().args(["-c", version]));
-    let version = version.context("the package needs `python3` on the PATH")?;
-    let (major, minor) = OLDEST;
-    ensure!(
-        is_new_enough(&version),
-        "python3 is {version}: the package needs Python {major}.{minor} or later"
-    );
+    let version = version.context("the package needs `python3` 3.10 or later on the PATH")?;
     let folder = on.target.join("tools/python");
     let mark = folder.join("installed");
     let wanted = format!("Python {version}: {}", PACKAGES.join(", "));
@@ -56,12 +49,6 @@ fn pip(folder: &Path) -> Command {
     pip.args(["-m", "pip", "install", "--quiet", "--upgrade", "--target"]);
     pip.arg(folder);
     pip
-}
-
-fn is_new_enough(version: &str) -> bool {
-    let numbers = version.split_once('.');
-    let numbers = numbers.and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
-    numbers.is_some_and(|version: (u32, u32)| version >= OLDEST)
 }
 
 /// The program, with which the package's results are compared, and all libraries. An example lets cargo choose features as it does for
@@ -163,19 +150,4 @@ fn of_whole_workspace(on: &Workspace, maturin: &mut Command) -> anyhow::Result<P
     fs::write(&path, script)?;
     fs::set_permissions(&path, fs::Permissions::from_mode(0o755))?;
     Ok(folder)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn pythons_from_3_10_on_are_new_enough() {
-        for new in ["3.10", "3.14", "4.0"] {
-            assert!(is_new_enough(new), "{new}");
-        }
-        for old in ["3.9", "2.7", "3", "", "x.y"] {
-            assert!(!is_new_enough(old), "{old}");
-        }
-    }
 }
