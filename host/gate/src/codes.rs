@@ -115,6 +115,13 @@ const CAPTURE: &[Code] = &[
         "capture longer, or give --input mains=HZ,zero-crossing=S",
     ),
     code(
+        "time_base",
+        "error",
+        "the envelope is that of a mains of 25, 30, 100 or 120 Hz: the rate is wrong by two",
+        "a fiftieth of the envelope's variance, a tenth of what 45 to 65 Hz leave",
+        "give the rate: --input rate=HZ",
+    ),
+    code(
         "clipping",
         "error",
         "samples of this stretch are at an end of the range",
@@ -158,17 +165,31 @@ const CAPTURE: &[Code] = &[
     ),
     code(
         "swapped",
-        "error",
+        "warning: put right; error where that contradicts --input, and in `ihd inspect`",
         "voltage and current are exchanged",
         "none",
         "--input swap",
     ),
     code(
         "inverted",
-        "error",
+        "warning: put right; error where that contradicts --input, and in `ihd inspect`",
         "one probe is reversed",
         "R and L above 0",
         "--input invert",
+    ),
+    code(
+        "spikes",
+        "warning",
+        "single samples far out of those around them; the mean of their neighbours is taken",
+        "a quarter of the rms value, 8 σ",
+        "look at the cables",
+    ),
+    code(
+        "phase_step",
+        "warning",
+        "samples are missing without a mark: both phases jump, the impedance does not; the capture is cut there",
+        "3.5°, 12 times what is usual",
+        "record again",
     ),
     code(
         "negative_resistance",
@@ -225,7 +246,7 @@ const SENSORS: &[Code] = &[
     code(
         "sensor_nonlinear",
         "warning",
-        "the current's gain changes with the current",
+        "the current's gain changes with the current; put right where a saturation explains it",
         "0.4 % at the largest current",
         "a probe of more range",
     ),
@@ -246,7 +267,7 @@ const SENSORS: &[Code] = &[
     code(
         "gain",
         "warning",
-        "the ratio of the gains contradicts the capacitance given",
+        "the ratio of the gains contradicts the capacitance given; the voltage is put right, to 20 %",
         "1 %, 3 σ",
         "check the probes' factors",
     ),

@@ -2,9 +2,9 @@
 //! the trainer and the lookup share it.
 //!
 //! ```text
-//! Capture ─► neighbours removed ─► survey ─► segments ─► methods ─► Estimate ──┐
-//!                         └─► Reference: least squares,   ├─► judge ─► findings, Gate { pass | refuse | cannot tell, why }
-//!                             lock-in, foreign tones ────┘
+//! Capture ─► repaired, neighbours removed ─► survey ─► segments ─► methods ─► Estimate ──┐
+//!                                   └─► Reference: least squares,   ├─► judge ─► findings, Gate { pass | refuse | cannot tell, why }
+//!                                       lock-in, foreign tones ────┘
 //! ```
 //!
 //! A finding of severity error refuses the estimate; `too_short` leaves it open; nothing else does. Each half-cycle has its own verdict. All codes are in [`codes::CODES`].
@@ -22,6 +22,7 @@ pub mod neighbours;
 pub mod path;
 pub mod reference;
 pub mod remarks;
+pub mod repair;
 pub mod sensors;
 pub mod static_load;
 pub mod verdict;

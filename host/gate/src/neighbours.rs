@@ -70,18 +70,24 @@ fn remove_from(capture: &Capture, survey: &Survey) -> Neighbours {
     let settings = IdentifyOptions::default();
     let mut out: Option<WithoutNeighbours> = None;
     let mut all = Vec::with_capacity(survey.spans.len());
+    // Clipping makes tones of its own, and without them its plateau is gone.
+    let clipping = |f: &Finding| matches!(f, Finding::Clipping { .. });
+    let clips = survey.findings.iter().any(clipping);
     for span in &survey.spans {
         let segment = survey.segment(capture, span);
         let found = interference::find(&segment);
         let tones: Vec<Tone> = found.neighbours().cloned().collect();
         all.push(found);
-        if tones.is_empty() {
+        if tones.is_empty() || clips {
             continue;
         }
         let clean = interference::remove_tones(&segment, &tones);
         let by = |segment: &Segment| run(Method::LeastSquares, segment, &settings).ok();
         let remark = by(&segment).zip(by(&clean)).and_then(|(with, without)| {
-            interference::remark(&segment, &tones, &with, &without, true)
+            // Tones would hide a step of the load, which no tone makes.
+            let steps = with.remarks.iter().any(|r| r.code == "load_step");
+            let remark = || interference::remark(&segment, &tones, &with, &without, true);
+            (!steps).then(remark).flatten()
         });
         // A tone that costs nothing stays.
         let Some(remark) = remark else {

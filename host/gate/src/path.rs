@@ -16,7 +16,8 @@ use crate::judge::{Evidence, judge, judge_failure};
 use crate::neighbours::{self, Neighbours};
 use crate::reference::Reference;
 use crate::remarks;
-use crate::sensors::{CorrectionUncertainty, calibrate};
+use crate::repair;
+use crate::sensors::{CorrectionUncertainty, calibrate, correct_gain};
 use crate::verdict::Judgement;
 
 /// Least relative deviation of R and of L: splines and 12 bit resolve no more. The methods differ by this much on captures
@@ -123,7 +124,9 @@ fn examine_samples(
     request: &ExamineOptions<'_>,
     progress: &mut OnProgress<'_>,
 ) -> Result<Examination, SurveyError> {
-    let mut survey = Survey::of(&capture, &request.hints)?;
+    let repaired = repair::repair(capture, &request.hints)?;
+    capture = repaired.capture;
+    let mut survey = repaired.survey;
     let (mut removed, mut interference) = (None, Vec::new());
     match neighbours::remove(&capture, &survey, &request.hints)? {
         Neighbours::Absent(of_spans) => interference = of_spans,
@@ -142,16 +145,22 @@ fn examine_samples(
         mode,
         ..request.sensors
     };
-    let calibrated = calibrate(&capture, survey, &request.hints, sensors)?;
-    let sensors = calibrated.remarks();
-    if calibrated.correction.is_some() {
+    let mut calibrated = calibrate(&capture, survey, &request.hints, sensors)?;
+    let mut sensors = calibrated.remarks();
+    let gain = (mode == CalibrationMode::Auto)
+        .then(|| correct_gain(&mut calibrated))
+        .flatten();
+    let uncertainty = CorrectionUncertainty::of(&calibrated, gain.is_some());
+    if let Some(gain) = gain {
+        calibrated.survey = Survey::of(&calibrated.capture, &request.hints)?;
+        sensors.retain(|r| r.code != gain.code);
+        sensors.push(gain);
+    }
+    sensors.extend(repaired.remarks);
+    if uncertainty.is_some() {
         // Corrected samples have another residual.
         interference.clear();
     }
-    let uncertainty = match (&calibrated.correction, &calibrated.sensors) {
-        (Some(_), Some(Ok(sensors))) => Some(CorrectionUncertainty::of(sensors)),
-        _ => None,
-    };
     let survey = calibrated.survey;
     if let Cow::Owned(corrected) = calibrated.capture {
         capture = Cow::Owned(corrected);

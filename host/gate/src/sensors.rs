@@ -41,7 +41,11 @@ pub fn calibrate<'a>(
     let rate_hz = calibrated.survey.rate_hz;
     let coarse = rate_hz < LEAST_RATE_HZ;
     // Distortions that no delay explains are reported at any rate.
-    if coarse && sensors.is_sound() && sensors.lag_s.value.abs() * rate_hz < COARSE_SHARE {
+    if coarse
+        && sensors.is_sound()
+        && calibrated.saturation.is_none()
+        && sensors.lag_s.value.abs() * rate_hz < COARSE_SHARE
+    {
         let survey = match calibrated.correction {
             Some(_) => Survey::of(capture, hints)?,
             None => calibrated.survey,
@@ -51,13 +55,44 @@ pub fn calibrate<'a>(
             survey,
             sensors: None,
             correction: None,
+            saturation: None,
         });
     }
     Ok(calibrated)
 }
 
+/// Relative standard deviation of a capacitance that is known to a percent.
+const CAPACITANCE_SHARE: f64 = 5e-3;
+
+/// Corrects the ratio of the gains by the capacitance that the user gave; R and L depend on the ratio alone. Returns a warning,
+/// which replaces that of the self-calibration, or `None` if there is nothing to correct.
+pub fn correct_gain(calibrated: &mut CalibratedCapture<'_>) -> Option<Remark> {
+    let Some(Ok(sensors)) = &calibrated.sensors else {
+        return None;
+    };
+    let (off, limit) = sensors.gain_off()?;
+    if off.abs() <= limit || off.abs() > MOST_GAIN || !sensors.is_sound() {
+        return None;
+    }
+    let factor = (1.0 / (1.0 + off)) as f32;
+    let capture = calibrated.capture.to_mut();
+    capture.v_v.iter_mut().for_each(|v| *v *= factor);
+    let full_scale = capture.v_full_scale_v.as_mut();
+    full_scale.into_iter().for_each(|v| *v *= f64::from(factor));
+    let text = format!(
+        "the gain of the voltage over that of the current is off by {:+.2} %, as the capacitance given shows: the voltage is \
+         corrected, and R and L are as right as that capacitance",
+        100.0 * off
+    );
+    let remark = Remark::new("gain", Severity::Warning, text);
+    Some(remark.with(100.0 * off, Some(100.0 * limit)))
+}
+
+/// Largest error of the gains that is corrected: beyond, a probe's factor is wrong, or the capacitance.
+const MOST_GAIN: f64 = 0.2;
+
 /// Uncertainty of an applied sensor correction.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CorrectionUncertainty {
     /// Standard deviation of the delay in seconds.
     lag_sigma_s: f64,
@@ -66,11 +101,31 @@ pub struct CorrectionUncertainty {
     /// Square of the lag in s² if skew and low bandwidth cannot be told apart, else 0: their gains differ by half of
     /// (ω·lag)².
     ambiguous_lag_s2: f64,
+    /// Relative standard deviation of the ratio of the gains.
+    gain_share: f64,
 }
 
 impl CorrectionUncertainty {
-    /// Derives the uncertainty from a self-calibration that was applied.
-    pub fn of(sensors: &SelfCalibration) -> Self {
+    /// Derives the uncertainty from a self-calibration that was applied, with the gains corrected or not; `None` if nothing was.
+    pub fn of(calibrated: &CalibratedCapture<'_>, gain_corrected: bool) -> Option<Self> {
+        let Some(Ok(sensors)) = &calibrated.sensors else {
+            return None;
+        };
+        let of_lag = calibrated.correction.map(|_| Self::of_lag(sensors));
+        let c = sensors.capacitance_f;
+        let of_gain = match gain_corrected {
+            true => CAPACITANCE_SHARE.hypot(c.sigma / c.value),
+            false => 0.0,
+        };
+        let of_bend = calibrated.saturation.map_or(0.0, |s| s.left);
+        let gain_share = of_gain.hypot(of_bend);
+        (of_lag.is_some() || gain_share > 0.0).then(|| Self {
+            gain_share,
+            ..of_lag.unwrap_or_default()
+        })
+    }
+
+    fn of_lag(sensors: &SelfCalibration) -> Self {
         let lag_s = sensors.lag_s.value;
         Self {
             lag_sigma_s: sensors.lag_s.sigma.hypot(MODEL * lag_s),
@@ -80,13 +135,16 @@ impl CorrectionUncertainty {
             } else {
                 lag_s * lag_s
             },
+            gain_share: 0.0,
         }
     }
 
     /// Standard deviations of R in ohm and L in henry that a lag of `sigma_s` seconds adds at a load and a frequency.
     fn sigmas(&self, sigma_s: f64, load: Load, f_sw_hz: f64) -> (f64, f64) {
         let omega = TAU * f_sw_hz;
-        let gain = 0.5 * omega * omega * self.ambiguous_lag_s2;
+        let gain = self
+            .gain_share
+            .hypot(0.5 * omega * omega * self.ambiguous_lag_s2);
         let r = (omega * omega * load.l_h * sigma_s).hypot(gain * load.r_ohm);
         let l = (load.r_ohm * sigma_s).hypot(gain * load.l_h);
         (r, l)
@@ -111,7 +169,7 @@ impl CorrectionUncertainty {
     /// Warning on a correction that is uncertain, else `None`.
     pub fn remark(&self, segment: &Segment, load: Option<Load>) -> Option<Remark> {
         let rate_hz = 1.0 / segment.dt_s;
-        if rate_hz < LEAST_RATE_HZ {
+        if rate_hz < LEAST_RATE_HZ && self.lag_sigma_s > 0.0 {
             let text = format!(
                 "the sensors were corrected from samples at {:.2} MS/s only, of which few lie between the edges: sample faster, \
                  or compare with --self-calibrate off",
@@ -144,7 +202,7 @@ mod tests {
         let uncertainty = CorrectionUncertainty {
             lag_sigma_s: 3e-9,
             bridge_s: 4e-9,
-            ambiguous_lag_s2: 0.0,
+            ..CorrectionUncertainty::default()
         };
         let mut estimate = Estimate::new(Method::LeastSquares, 45e3);
         estimate.t_s = vec![0.0];

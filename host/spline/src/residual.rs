@@ -38,8 +38,18 @@ pub struct Excess {
     /// Time of the first window's middle in seconds after the first sample; `step_s` is the distance to the next.
     first_s: f64,
     step_s: f64,
-    /// Mean squared amplitude beyond white noise, of voltage and current, in their units.
-    squares: Vec<[f64; 2]>,
+    windows: Vec<Left>,
+    /// Squared amplitudes that count as chance, of voltage and current.
+    chance: [f64; 2],
+}
+
+/// Mean squared amplitudes of the residuals around a window, and their product.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Left {
+    v: f64,
+    i: f64,
+    /// V·I*
+    product: Phasor,
 }
 
 impl Excess {
@@ -62,31 +72,40 @@ impl Excess {
             .map(|(b, (v, i))| correlator.block(b * windows.block, v, i))
             .map(|sums| [sums.v[0], sums.i[0]]);
         let blocks: Vec<[Phasor; 2]> = blocks.collect();
-        let left: Vec<[f64; 2]> = (0..windows.count)
+        let left: Vec<[Phasor; 2]> = (0..windows.count)
             .map(|w| windows.left(w, fit, &blocks, fitted))
             .collect();
-        let chance = white.map(|sigma| CHANCE * LEFT * sigma * sigma * windows.white);
-        let squares = (0..left.len()).map(|w| {
+        let means = (0..left.len()).map(|w| {
             let near = &left[w.saturating_sub(REACH)..(w + REACH + 1).min(left.len())];
-            std::array::from_fn(|x| {
-                let mean = near.iter().map(|square| square[x]).sum::<f64>() / near.len() as f64;
-                (mean - chance[x]).max(0.0)
-            })
+            let n = near.len() as f64;
+            Left {
+                v: near.iter().map(|[v, _]| v.norm_sqr()).sum::<f64>() / n,
+                i: near.iter().map(|[_, i]| i.norm_sqr()).sum::<f64>() / n,
+                product: near.iter().map(|[v, i]| v * i.conj()).sum::<Phasor>() / n,
+            }
         });
         Self {
             first_s: 0.5 * windows.length_s(fit),
             step_s: (windows.hop * windows.block) as f64 * fit.dt_s,
-            squares: squares.collect(),
+            windows: means.collect(),
+            chance: white.map(|sigma| CHANCE * LEFT * sigma * sigma * windows.white),
         }
     }
 
-    /// Mean squared amplitudes of voltage and current beyond white noise around a time in seconds after the first sample; zero
-    /// if the stretch is shorter than a window.
-    pub fn at(&self, tau_s: f64) -> [f64; 2] {
+    /// Mean squared amplitude of V − Z·I of the residuals beyond white noise, around a time in seconds after the first sample;
+    /// zero if the stretch is shorter than a window.
+    ///
+    /// A neighbour's tone that was taken off the voltage still flows in the current, and through the load: it is in both residuals,
+    /// costs nothing, and is not in this one.
+    pub fn misfit(&self, tau_s: f64, z: Phasor) -> f64 {
         let place = ((tau_s - self.first_s) / self.step_s).round().max(0.0);
-        let last = self.squares.len().saturating_sub(1);
-        let squares = self.squares.get((place as usize).min(last));
-        squares.copied().unwrap_or([0.0; 2])
+        let last = self.windows.len().saturating_sub(1);
+        let Some(left) = self.windows.get((place as usize).min(last)) else {
+            return 0.0;
+        };
+        let z2 = z.norm_sqr();
+        let square = left.v + z2 * left.i - 2.0 * (z.conj() * left.product).re;
+        (square - self.chance[0] - z2 * self.chance[1]).max(0.0)
     }
 }
 
@@ -133,14 +152,14 @@ impl Windows {
         (self.weights.len() * self.block) as f64 * fit.dt_s
     }
 
-    /// Squared amplitudes of the residuals of voltage and current in a window.
+    /// Residuals of voltage and current in a window.
     fn left(
         &self,
         window: usize,
         fit: &HarmonicFit<'_>,
         blocks: &[[Phasor; 2]],
         fitted: [&[f64]; 2],
-    ) -> [f64; 2] {
+    ) -> [Phasor; 2] {
         let from = window * self.hop;
         let mut amplitudes = [Complex::new(0.0, 0.0); 2];
         for (w, sums) in self.weights.iter().zip(&blocks[from..]) {
@@ -162,7 +181,7 @@ impl Windows {
             weights += weight;
         }
         let gain = fit.gains.first().copied().unwrap_or(1.0);
-        std::array::from_fn(|x| (amplitudes[x] - expected[x] * (gain / weights)).norm_sqr())
+        std::array::from_fn(|x| amplitudes[x] - expected[x] * (gain / weights))
     }
 }
 
@@ -202,12 +221,15 @@ mod tests {
     #[test]
     fn a_fit_that_holds_leaves_nothing_and_a_tone_beside_it_its_amplitude() {
         let clean = excess(|_| 0.0, 0.0);
-        assert!(clean.squares.len() > 50);
-        assert!(clean.squares.iter().all(|s| s[0] < 1e-4), "{clean:?}");
+        assert!(clean.windows.len() > 50);
+        assert!(clean.windows.iter().all(|s| s.v < 1e-4), "{clean:?}");
         // 3 kHz away is beyond the splines, and within the windows.
         let tone = excess(|t| 8.0 * libm::cos(TAU * (48e3 * t).fract()), 0.5);
-        let middle = tone.at(5e-3);
-        assert!((8.0..64.0).contains(&middle[0]), "{middle:?}");
+        let middle = tone.misfit(5e-3, 0.0.into());
+        assert!((8.0..64.0).contains(&middle), "{middle:?}");
+        // Both channels are the same here: with an impedance of 1 nothing is left.
+        let same = tone.misfit(5e-3, 1.0.into());
+        assert!(same < 1e-6, "{same}");
     }
 
     #[test]
@@ -218,7 +240,7 @@ mod tests {
         };
         let found = excess(burst, 0.5);
         assert!(
-            found.at(3e-3)[0] > 10.0 && found.at(7e-3)[0] < 0.1,
+            found.misfit(3e-3, 0.0.into()) > 10.0 && found.misfit(7e-3, 0.0.into()) < 0.1,
             "{found:?}"
         );
     }

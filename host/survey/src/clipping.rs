@@ -104,21 +104,24 @@ fn extent(x: &[f32]) -> (f64, f64) {
 
 /// Width of a bin: at least the step between the samples' levels, and a whole multiple of it.
 fn bin_width(x: &[f32], range: f64) -> f64 {
+    let width = range / BINS;
+    match level_step(x) {
+        Some(step) => (width / step).ceil().max(1.0) * step,
+        None => width,
+    }
+}
+
+/// Smallest step between the levels of some of the samples; `None` if all are equal or one is not finite.
+pub(crate) fn level_step(x: &[f32]) -> Option<f64> {
     let stride = (x.len() / FEW).max(1);
     let mut few: Vec<f64> = x.iter().step_by(stride).map(|x| f64::from(*x)).collect();
     few.sort_by(f64::total_cmp);
-    let rounding = range * 1e-6;
-    let step = few
-        .windows(2)
-        .map(|w| w[1] - w[0])
+    let rounding = (few.last()? - few.first()?) * 1e-6;
+    let steps = few.windows(2).map(|w| w[1] - w[0]);
+    let step = steps
         .filter(|d| *d > rounding)
         .fold(f64::INFINITY, f64::min);
-    let width = range / BINS;
-    if step.is_finite() {
-        (width / step).ceil().max(1.0) * step
-    } else {
-        width
-    }
+    step.is_finite().then_some(step)
 }
 
 #[cfg(test)]

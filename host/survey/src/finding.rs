@@ -131,6 +131,13 @@ pub enum Finding {
         /// (Largest − smallest)/largest of the voltage's amplitude.
         modulation: f64,
     },
+    /// The envelope is that of a mains that no grid has, half or twice a usual one: the time base is wrong.
+    TimeBase {
+        /// Mains frequency that the envelope shows, in hertz.
+        shown_hz: f64,
+        /// Usual frequency in hertz.
+        usual_hz: f64,
+    },
     /// A channel rests at an end of its range.
     Clipping {
         /// Channel that clips.
@@ -231,6 +238,7 @@ impl Finding {
             | Self::NotFinite { .. }
             | Self::Aliasing { .. } => Severity::Warning,
             Self::TimeNotAscending { .. }
+            | Self::TimeBase { .. }
             | Self::Clipping { .. }
             | Self::Swapped { .. }
             | Self::Inverted { .. }
@@ -254,6 +262,7 @@ impl Finding {
             Self::FrequencyDiffers { .. } => "frequency_differs",
             Self::MainsDiffers { .. } => "mains_differs",
             Self::MainsUnknown { .. } => "mains_unknown",
+            Self::TimeBase { .. } => "time_base",
             Self::Clipping { .. } => "clipping",
             Self::Offset { .. } => "offset",
             Self::Implausible { .. } => "implausible",
@@ -281,6 +290,7 @@ impl Finding {
                 *measured_hz
             }
             Self::MainsUnknown { half_cycles, .. } => *half_cycles,
+            Self::TimeBase { shown_hz, .. } => *shown_hz,
             Self::Offset { mean, .. } => *mean,
             Self::Implausible { peak, .. } => *peak,
             Self::Noisy { snr_db, .. } => *snr_db,
@@ -296,6 +306,7 @@ impl Finding {
         Some(match self {
             Self::FrequencyDiffers { specified_hz, .. }
             | Self::MainsDiffers { specified_hz, .. } => *specified_hz,
+            Self::TimeBase { usual_hz, .. } => *usual_hz,
             Self::Implausible { most, .. } => *most,
             Self::CoarselySampled { .. } => super::COARSE,
             Self::Aliasing { .. } => ALIASING_WARNING_PCT,
@@ -401,6 +412,12 @@ impl fmt::Display for Finding {
                  {assumed_hz} Hz assumed; give the mains frequency and a zero crossing, or capture \
                  at least a half-cycle",
                 modulation * 100.0
+            ),
+            Self::TimeBase { shown_hz, usual_hz } => write!(
+                f,
+                "the envelope is that of a mains of {shown_hz} Hz, so that the time base is wrong by a factor of {}, and L and the \
+                 frequencies with it: give the rate (--input rate=HZ)",
+                shown_hz.max(*usual_hz) / shown_hz.min(*usual_hz)
             ),
             Self::Clipping {
                 channel,

@@ -140,6 +140,9 @@ pub fn find(
             });
         }
     }
+    if seen && specified_hz.is_none() {
+        findings.extend(wrong_time_base(&envelopes, measured, span_s));
+    }
     let hz = specified_hz
         .or(measured.map(|m| m.hz))
         .unwrap_or(NOMINAL_HZ[0]);
@@ -172,6 +175,30 @@ pub fn find(
         });
     }
     mains
+}
+
+/// Mains frequencies in hertz that no grid has, and the usual ones that a rate wrong by two turns into them.
+const UNUSUAL_HZ: [(f64, f64); 4] = [(25.0, 50.0), (30.0, 60.0), (100.0, 50.0), (120.0, 60.0)];
+
+/// Largest unexplained variance of an unusual frequency, and relative to that of the usual range.
+const UNUSUAL_LEFT: f64 = 0.02;
+const UNUSUAL_BETTER: f64 = 0.1;
+
+/// Finding that the envelope shows a mains of half or twice a usual frequency, and by far not one of the usual range.
+fn wrong_time_base(envelopes: &[Envelope], usual: Option<Fit>, span_s: f64) -> Option<Finding> {
+    let of = |(shown_hz, usual_hz): (f64, f64)| {
+        // Shorter ones cannot separate a constant from a lower frequency.
+        let enough = 2.0 * span_s * shown_hz >= FREE_HALF_CYCLES;
+        let fit = enough
+            .then(|| fit(envelopes, Some(shown_hz), true))
+            .flatten()?;
+        Some((fit.unexplained, shown_hz, usual_hz))
+    };
+    let all = UNUSUAL_HZ.into_iter().filter_map(of);
+    let (left, shown_hz, usual_hz) = all.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let of_usual = usual.map_or(1.0, |fit| fit.unexplained);
+    (left < UNUSUAL_LEFT.min(UNUSUAL_BETTER * of_usual))
+        .then_some(Finding::TimeBase { shown_hz, usual_hz })
 }
 
 /// Means of an envelope over [`SPACING_S`].
@@ -375,6 +402,23 @@ mod tests {
                     "{hz} {length_s}: {m:?}"
                 );
             }
+        }
+    }
+
+    /// A rate told twice as high makes 25 Hz of 50; no grid has that.
+    #[test]
+    fn half_or_twice_a_mains_is_a_wrong_time_base() {
+        for (shown_hz, usual_hz) in UNUSUAL_HZ {
+            for floor in [0.0, 30.0] {
+                let (_, findings) = found(&[envelope(shown_hz, 1.234e-3, 0.0, 0.1, floor)]);
+                let expected = Finding::TimeBase { shown_hz, usual_hz };
+                assert!(findings.contains(&expected), "{shown_hz}: {findings:?}");
+            }
+        }
+        for (hz, length_s) in [(50.0, 0.1), (47.0, 0.02), (63.0, 0.0079), (50.0, 0.004)] {
+            let (_, findings) = found(&[envelope(hz, 1.234e-3, 0.0, length_s, 0.0)]);
+            let is_wrong = |f: &Finding| matches!(f, Finding::TimeBase { .. });
+            assert!(!findings.iter().any(is_wrong), "{hz}: {findings:?}");
         }
     }
 

@@ -91,8 +91,9 @@ pub fn fit(
         let near =
             &left[nearest.saturating_sub(PER_INTERVAL)..(nearest + PER_INTERVAL + 1).min(points)];
         let beyond = near.iter().sum::<f64>() / near.len() as f64 - variance;
-        let [v, i] = phasors.excess.at(tau_s);
-        let chi2 = 1.0 + (0.5 * (v + z2 * i) + beyond.max(0.0)) / variance;
+        let z = nalgebra::Complex::new(found[0], found[1]);
+        let misfit = phasors.excess.misfit(tau_s, z);
+        let chi2 = 1.0 + (0.5 * misfit + beyond.max(0.0)) / variance;
         let chi2 = chi2.max(ripple.chi2_at(tau_s / duration_s));
         let ripple = ripple.square_at(tau_s / duration_s);
         let square = phasors.at(tau_s).i.norm_sqr();

@@ -2,6 +2,7 @@
 
 use ihd_spline::CubicSpline;
 use ihd_spline::residual::Excess;
+use nalgebra::Complex;
 
 use super::pass::Pass;
 use crate::correction::{Correction, Problem};
@@ -23,8 +24,6 @@ pub(super) struct CorrectedNetwork<'a> {
     left: Vec<f64>,
     /// Variance of one component of the phasors' V − Z·I under white noise, normalised.
     variance: f64,
-    /// |Z|² of the constant that fits best, normalised.
-    z_squared: f64,
 }
 
 impl<'a> CorrectedNetwork<'a> {
@@ -71,7 +70,6 @@ impl<'a> CorrectedNetwork<'a> {
             left: Vec::new(),
             physics,
             variance: 2.0 * white * intervals as f64 / samples.len() as f64 + floor,
-            z_squared,
         };
         corrected.left = (0..corrected.physics.tau_s.len())
             .map(|k| corrected.residual(&residuals, k) * by_weight)
@@ -125,7 +123,9 @@ impl<'a> CorrectedNetwork<'a> {
         let nearest = nearest.min(count - 1);
         let near = &self.left[nearest.saturating_sub(REACH)..(nearest + REACH + 1).min(count)];
         let beyond = near.iter().sum::<f64>() / near.len() as f64 - self.variance;
-        let [v, i] = self.excess.at(tau_s);
-        1.0 + (0.5 * (v + self.z_squared * i) + beyond.max(0.0)) / self.variance
+        let samples = &self.pass.inputs.samples;
+        let (r_ohm, l_h) = self.r_l_at(tau_s);
+        let z = Complex::new(r_ohm, samples.omega * l_h) * samples.impedance_scale();
+        1.0 + (0.5 * self.excess.misfit(tau_s, z) + beyond.max(0.0)) / self.variance
     }
 }

@@ -20,7 +20,9 @@ const WRONG_PCT: [f64; 2] = [1.0, 0.7];
 const FEWEST_PERIODS: usize = 20;
 
 /// Codes that name a cause.
-const CAUSES: [&str; 16] = [
+const CAUSES: [&str; 18] = [
+    "time_base",
+    "phase_step",
     "interference",
     "skew",
     "bandwidth",
@@ -61,11 +63,12 @@ fn accepted(kind: Kind) -> &'static [&'static str] {
         Kind::Saturation => &["sensor_nonlinear"],
         Kind::Lost => &["phase_step", "gap"],
         Kind::LostStamped => &["gap"],
-        Kind::WrongRate => &["mains_unknown", "mains_differs"],
+        Kind::WrongRate => &["time_base", "mains_unknown", "mains_differs"],
         Kind::TooShort => &["too_short", "mains_unknown", "piece_too_short"],
-        Kind::Jitter | Kind::Coloured | Kind::Noise10Db | Kind::Coarse | Kind::Spikes => {
+        Kind::Jitter | Kind::Coloured | Kind::Noise10Db | Kind::Coarse => {
             &["noisy", "uncertain", "model_residual"]
         }
+        Kind::Spikes => &["spikes", "noisy", "uncertain", "model_residual"],
         Kind::LoadStep => &["load_step"],
         Kind::Drift => &["load_moves"],
         Kind::Swapped => &["swapped"],

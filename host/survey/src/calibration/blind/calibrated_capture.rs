@@ -8,6 +8,7 @@ use super::correction::Correction;
 use super::error::BlindError;
 use super::estimate::estimate;
 use super::self_calibration::SelfCalibration;
+use super::straighten::{Saturation, straighten};
 use crate::{Hints, Survey, SurveyError};
 
 /// Extent of the self-calibration.
@@ -42,6 +43,8 @@ pub struct CalibratedCapture<'a> {
     pub sensors: Option<Result<SelfCalibration, BlindError>>,
     /// Correction that was applied; `None` if there was none.
     pub correction: Option<Correction>,
+    /// Saturation of the current's sensor that was corrected before all else; `None` if there was none.
+    pub saturation: Option<Saturation>,
 }
 
 impl CalibratedCapture<'_> {
@@ -49,7 +52,11 @@ impl CalibratedCapture<'_> {
     pub fn remarks(&self) -> Vec<Remark> {
         match &self.sensors {
             None => Vec::new(),
-            Some(Ok(sensors)) => sensors.remarks(self.correction.is_some()),
+            Some(Ok(sensors)) => {
+                let straightened = self.saturation.map(|s| s.remark());
+                let of_sensors = sensors.remarks(self.correction.is_some());
+                straightened.into_iter().chain(of_sensors).collect()
+            }
             Some(Err(why)) => vec![why.remark()],
         }
     }
@@ -77,27 +84,35 @@ pub fn calibrate_surveyed<'a>(
     hints: &Hints,
     options: BlindOptions,
 ) -> Result<CalibratedCapture<'a>, SurveyError> {
-    let sensors = (options.mode != CalibrationMode::Off)
+    let mut sensors = (options.mode != CalibrationMode::Off)
         .then(|| estimate(capture, &survey, options.capacitance_f));
+    let auto = options.mode == CalibrationMode::Auto;
+    let mut changed: Option<Capture> = None;
+    let mut saturation = None;
+    if let (true, Some(Ok(bent))) = (auto, &sensors)
+        && bent.is_bent()
+        && let Some((straight, again, found)) = straighten(capture, &survey, bent)
+    {
+        changed = Some(straight);
+        sensors = Some(Ok(again));
+        saturation = Some(found);
+    }
     let correction = match &sensors {
-        Some(Ok(sensors)) if options.mode == CalibrationMode::Auto => sensors.correction(),
+        Some(Ok(sensors)) if auto => sensors.correction(),
         _ => None,
     };
-    let Some(correction) = correction else {
-        return Ok(CalibratedCapture {
-            capture: Cow::Borrowed(capture),
-            survey,
-            sensors,
-            correction: None,
-        });
+    if let Some(correction) = &correction {
+        correction.apply(changed.get_or_insert_with(|| capture.clone()));
+    }
+    let survey = match &changed {
+        Some(changed) => Survey::of(changed, hints)?,
+        None => survey,
     };
-    let mut corrected = capture.clone();
-    correction.apply(&mut corrected);
-    let survey = Survey::of(&corrected, hints)?;
     Ok(CalibratedCapture {
-        capture: Cow::Owned(corrected),
+        capture: changed.map_or(Cow::Borrowed(capture), Cow::Owned),
         survey,
         sensors,
-        correction: Some(correction),
+        correction,
+        saturation,
     })
 }

@@ -1,6 +1,6 @@
 //! Errors of a self-calibration.
 
-use crate::Finding;
+use crate::{Channel, Finding};
 
 /// Reason why a capture does not show its sensors.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -29,6 +29,18 @@ pub enum BlindError {
          would contain the resonance capacitor; connect the probe across the coil"
     )]
     BridgeVoltage,
+    /// Few levels: their rounding is no noise, and looks like a lag.
+    #[error(
+        "the sensors cannot be judged: the {channel} has steps of {step:.3}, {of_rms_pct:.0} % of its rms; use more bits or a smaller range"
+    )]
+    TooCoarse {
+        /// Channel with the steps.
+        channel: Channel,
+        /// Distance of its levels, in its unit.
+        step: f64,
+        /// The same in percent of its rms value.
+        of_rms_pct: f64,
+    },
     /// Noise hides the capacitor's voltage.
     #[error(
         "the sensors cannot be judged: noise hides the capacitor's voltage ({per_farad:.0} ± {sigma:.0} 1/F)"

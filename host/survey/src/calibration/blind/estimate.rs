@@ -11,7 +11,14 @@ use super::error::BlindError;
 use super::fit::{Estimate, Model};
 use super::self_calibration::{ModelTests, Response, SIGNIFICANT, SelfCalibration};
 use super::settle::{SettledChoice, settle};
-use crate::{Finding, Severity, Survey};
+use crate::clipping::level_step;
+use crate::{Channel, Finding, Severity, Survey};
+
+/// Step between a channel's levels, as a share of its rms value, above which rounding is taken for a lag: 6 bits have 9 %, 7 have 4.
+const COARSE: f64 = 0.06;
+
+/// Noise over the step that hides it; rounding alone is measured as .29.
+const HIDES: f64 = 0.6;
 
 /// Lag in seconds that cables and samplers do not cause.
 const LONG_S: f64 = 100e-9;
@@ -35,6 +42,22 @@ pub fn estimate(
     };
     if let Some(finding) = survey.findings.iter().find(unfit) {
         return Err(BlindError::Unfit(finding.clone()));
+    }
+    let channels = [
+        (Channel::Voltage, &capture.v_v, &survey.voltage),
+        (Channel::Current, &capture.i_a, &survey.current),
+    ];
+    for (channel, x, numbers) in channels {
+        let step = level_step(x).unwrap_or(0.0);
+        // Noise of more than half a step makes noise of the rounding.
+        let is_hidden = numbers.noise.is_some_and(|sigma| sigma > HIDES * step);
+        if step > COARSE * numbers.rms && !is_hidden {
+            return Err(BlindError::TooCoarse {
+                channel,
+                step,
+                of_rms_pct: 100.0 * step / numbers.rms,
+            });
+        }
     }
     let sign = if survey.wiring.inverted { -1.0 } else { 1.0 };
     let mut room = LONGEST;

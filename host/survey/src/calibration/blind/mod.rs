@@ -24,6 +24,7 @@ mod plateau;
 mod remarks;
 mod self_calibration;
 mod settle;
+mod straighten;
 #[cfg(test)]
 mod tests;
 
@@ -35,3 +36,4 @@ pub use self::error::BlindError;
 pub use self::estimate::{estimate, estimate_segment};
 pub use self::fit::Estimate;
 pub use self::self_calibration::{ModelTests, Response, SelfCalibration};
+pub use self::straighten::Saturation;

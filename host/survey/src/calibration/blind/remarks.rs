@@ -6,12 +6,10 @@ use ihd_signal::{Remark, Severity};
 
 use super::error::BlindError;
 use super::self_calibration::{Response, SelfCalibration};
+use super::straighten::Saturation;
 
 /// Error of R in percent from which an uncorrected lag is a warning.
 const COSTLY_PCT: f64 = 0.5;
-
-/// Largest relative difference of C from the one given, beside its standard deviations.
-const GAIN: f64 = 0.01;
 
 impl BlindError {
     /// Converts to a remark: an error if the wrong voltage was measured, else an information.
@@ -24,6 +22,20 @@ impl BlindError {
                 self.to_string(),
             ),
         }
+    }
+}
+
+impl Saturation {
+    /// Warning on a saturation that was corrected.
+    pub fn remark(&self) -> Remark {
+        let text = format!(
+            "the current's sensor saturates (tanh, {:.0} A): its gain was off by {:.1} % at the largest current, which is corrected to \
+             {:.2} %; better take a probe of more range",
+            self.at_a,
+            100.0 * self.bend,
+            100.0 * self.left
+        );
+        Remark::new("sensor_nonlinear", Severity::Warning, text).with(100.0 * self.bend, Some(0.4))
     }
 }
 
@@ -101,18 +113,21 @@ impl SelfCalibration {
             return Remark::new("self_calibrated", Severity::Info, text).with(ns, None);
         }
         let costly = self.cost_pct.is_none_or(|(r, _)| r > COSTLY_PCT);
-        let severity = if costly {
+        // A sensor that is not linear looks like one with droop or skew: the failed test is the warning.
+        let severity = if costly && self.is_sound() {
             Severity::Warning
         } else {
             Severity::Info
         };
         let why = if !self.is_sound() {
-            "; it is not corrected, because the model does not hold".to_owned()
+            "; linear sensors do not explain the capture, so this may come from that fault, and is not corrected".to_owned()
         } else if self.may_be_the_bridge() {
             format!(
                 "; a resistance of the bridge of {:.0} mohm looks the same, so it is not corrected: calibrate against a reference",
                 self.bridge_r_ohm() * 1e3
             )
+        } else if !self.is_costly() {
+            "; that is too little to be corrected".to_owned()
         } else {
             "; it is not corrected: --self-calibrate auto does".to_owned()
         };
@@ -155,15 +170,14 @@ impl SelfCalibration {
             self.capacitance_f.value * 1e9,
             self.capacitance_f.sigma * 1e9,
         );
-        let Some(known_f) = self.known_capacitance_f else {
+        let (Some(known_f), Some((off, limit))) = (self.known_capacitance_f, self.gain_off())
+        else {
             let text = format!(
                 "the series capacitor is {nf:.1} ± {sigma:.1} nF if both gains are right; which of the three is off cannot be told: \
                  give its value (--input resonance-capacitance) to have the gains checked"
             );
             return Remark::new("gain_unknown", Severity::Info, text).with(nf, None);
         };
-        let off = known_f / self.capacitance_f.value - 1.0;
-        let limit = GAIN.max(3.0 * self.capacitance_f.sigma / self.capacitance_f.value);
         if off.abs() <= limit {
             let text = format!(
                 "the gains are right to {:.2} %: {nf:.1} ± {sigma:.1} nF",

@@ -84,11 +84,17 @@ const BRIDGE_R_OHM: f64 = 0.05;
 /// Lag in seconds below which no correction is made.
 const LEAST_LAG_S: f64 = 0.5e-9;
 
+/// Error of R in percent below which a lag is left: plateaus are trusted no further.
+const LEAST_COST_PCT: f64 = 0.25;
+
 /// Lag beside droop, in seconds, below which it may be a bridge's resistance.
 const LEAST_BESIDE_DROOP_S: f64 = 3e-9;
 
 /// Standard deviations from which a lag is significant.
 pub(super) const SIGNIFICANT: f64 = 3.0;
+
+/// Largest relative difference of C from the one given, beside its standard deviations.
+const GAIN: f64 = 0.01;
 
 /// Relative change of the current's gain above which the sensor is not linear.
 const BENT: f64 = 4e-3;
@@ -111,6 +117,11 @@ impl SelfCalibration {
         let lag = self.lag_s;
         self.response != Response::Right
             && lag.value.abs() > (SIGNIFICANT * lag.sigma).max(LEAST_LAG_S)
+    }
+
+    /// Returns `true` if the lag matters to R.
+    pub fn is_costly(&self) -> bool {
+        self.cost_pct.is_none_or(|(r, _)| r > LEAST_COST_PCT)
     }
 
     /// Returns `true` if a resistance of the bridge could explain the whole lag, droop aside: the current seems late by no more
@@ -138,9 +149,17 @@ impl SelfCalibration {
         }
     }
 
+    /// Gain of the voltage over that of the current less 1, and the least that is significant; `None` without a known capacitance.
+    pub fn gain_off(&self) -> Option<(f64, f64)> {
+        let c = self.capacitance_f;
+        let limit = GAIN.max(SIGNIFICANT * c.sigma / c.value);
+        self.known_capacitance_f
+            .map(|known_f| (known_f / c.value - 1.0, limit))
+    }
+
     /// Correction of the channels; `None` if the lag is not significant, not sound, or could be the bridge's resistance.
     pub fn correction(&self) -> Option<Correction> {
-        (self.is_significant() && self.is_sound() && !self.may_be_the_bridge())
+        (self.is_significant() && self.is_costly() && self.is_sound() && !self.may_be_the_bridge())
             .then(|| self.full_correction())
     }
 

@@ -228,6 +228,55 @@ fn a_saturating_sensor_is_warned_of_and_not_corrected() {
         said.iter()
             .any(|r| r.code == "sensor_nonlinear" && r.severity == Severity::Warning)
     );
+    // A lag is what a linear sensor would have: of this one it is no cause.
+    let of_model = ["sensor_nonlinear", "plateaus_not_flat"];
+    let mut warned = said.iter().filter(|r| r.severity > Severity::Info);
+    assert!(warned.all(|r| of_model.contains(&r.code)), "{said:?}");
+}
+
+/// The correction assumes tanh; of another curve with the same cubic term it leaves what its deviation says.
+#[test]
+fn a_saturation_is_taken_out_to_its_deviation() {
+    let clean = capture(&settings(scope(), 5));
+    let truth = load(&clean);
+    let curves: [fn(f64) -> f64; 2] = [f64::tanh, |x| {
+        // x − x³/3 + …, as tanh.
+        x.atan()
+    }];
+    for curve in curves {
+        let mut bent = clean.clone();
+        for i in &mut bent.i_a {
+            *i = (120.0 * curve(f64::from(*i) / 120.0)) as f32;
+        }
+        let found = calibrate(&bent, &Hints::default(), BlindOptions::default()).unwrap();
+        let saturation = found.saturation.unwrap();
+        let right = load(&found.capture);
+        let off = (right.l_h / truth.l_h - 1.0).abs();
+        let before = (load(&bent).l_h / truth.l_h - 1.0).abs();
+        println!("{saturation:?} {off:e} {before:e}");
+        assert!(before > 8.0 * off, "{off:e} {before:e}");
+        assert!(off < 3.0 * saturation.left, "{off:e} {saturation:?}");
+        let said = found.remarks();
+        assert!(said.iter().any(|r| r.code == "sensor_nonlinear"));
+    }
+}
+
+#[test]
+fn steps_of_a_few_bits_are_not_taken_for_a_lag() {
+    let mut few = capture(&settings(
+        Sensing {
+            snr_db: None,
+            ..scope()
+        },
+        9,
+    ));
+    for (x, step) in [(&mut few.v_v, 20.0), (&mut few.i_a, 4.0)] {
+        x.iter_mut().for_each(|x| *x = (*x / step).round() * step);
+    }
+    let survey = Survey::of(&few, &Hints::default()).unwrap();
+    let e = estimate(&few, &survey, None).unwrap_err();
+    assert!(matches!(e, BlindError::TooCoarse { .. }), "{e:?}");
+    assert_eq!(e.remark().severity, Severity::Info);
 }
 
 #[test]

@@ -1,0 +1,50 @@
+//! Repair of faults of a capture that its own samples show and undo: exchanged or reversed channels, single samples that are off,
+//! samples that are missing without a mark.
+//!
+//! ```text
+//! Capture ─► wiring ─► spikes ─► gaps ─► Capture, remarks
+//! ```
+//!
+//! Each repair is a warning, and what it leaves is judged as any other capture.
+
+mod gaps;
+mod spikes;
+#[cfg(test)]
+mod tests;
+mod wiring;
+
+use std::borrow::Cow;
+
+use ihd_signal::{Capture, Remark};
+use ihd_survey::{Hints, Survey, SurveyError};
+
+/// Capture after the repairs.
+#[derive(Clone, Debug)]
+pub struct Repaired<'a> {
+    /// Capture, changed if anything was repaired.
+    pub capture: Cow<'a, Capture>,
+    /// Survey of `capture`.
+    pub survey: Survey,
+    /// Warnings on what was repaired.
+    pub remarks: Vec<Remark>,
+}
+
+/// Repairs a capture and surveys it.
+///
+/// # Errors
+/// [`SurveyError`] if the capture holds nothing that can be identified.
+pub fn repair<'a>(capture: Cow<'a, Capture>, hints: &Hints) -> Result<Repaired<'a>, SurveyError> {
+    let survey = Survey::of(&capture, hints)?;
+    let mut repaired = Repaired {
+        capture,
+        survey,
+        remarks: Vec::new(),
+    };
+    for step in [wiring::repair, spikes::repair, gaps::repair] {
+        if let Some(remark) = step(&mut repaired.capture, &repaired.survey) {
+            repaired.remarks.push(remark);
+            repaired.survey = Survey::of(&repaired.capture, hints)?;
+        }
+    }
+    Ok(repaired)
+}

@@ -1,0 +1,98 @@
+//! Spikes: single samples far outside those around them. A sensor's fault that lasts one sample would otherwise be taken for
+//! noise, and by the plateaus for a lag.
+
+use std::borrow::Cow;
+use std::ops::Range;
+
+use ihd_signal::{Capture, Remark, Severity};
+use ihd_survey::Survey;
+
+/// Fewest samples of a switching period: of fewer, a crest or an overshoot is a single sample, too.
+const LEAST_PER_PERIOD: f64 = 40.0;
+
+/// Least height over the samples around it: a share of the channel's rms value, and standard deviations of its noise.
+const LEAST_SHARE: f64 = 0.25;
+const LEAST_SIGMAS: f64 = 8.0;
+
+/// Most spikes of a channel per switching period: what comes at each edge is ringing.
+const MOST_PER_PERIOD: f64 = 0.3;
+
+/// Puts the mean of the neighbours in the place of each spike.
+pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<Remark> {
+    let mut counts = [0usize; 2];
+    for channel in 0..2 {
+        let numbers = [&survey.voltage, &survey.current][channel];
+        let x = [&capture.v_v, &capture.i_a][channel];
+        let height =
+            (LEAST_SHARE * numbers.rms).max(LEAST_SIGMAS * numbers.noise.unwrap_or(0.0)) as f32;
+        let mut found = Vec::new();
+        for span in &survey.spans {
+            let per_period = 1.0 / (span.f_sw_hz * span.dt_s);
+            if per_period < LEAST_PER_PERIOD {
+                continue;
+            }
+            let of_span = find(x, span.first..span.first + span.samples, height);
+            let most = MOST_PER_PERIOD * span.samples as f64 / per_period;
+            if (of_span.len() as f64) < most {
+                found.extend(of_span);
+            }
+        }
+        if found.is_empty() {
+            continue;
+        }
+        counts[channel] = found.len();
+        let capture = capture.to_mut();
+        let x = [&mut capture.v_v, &mut capture.i_a];
+        let x = &mut *x.into_iter().nth(channel)?;
+        for k in found {
+            x[k] = 0.5 * (x[k - 1] + x[k + 1]);
+        }
+    }
+    let all = counts[0] + counts[1];
+    (all > 0).then(|| {
+        let text = format!(
+            "{} samples of the voltage and {} of the current stand far out of those around them: the mean of their neighbours \
+             is taken; look at the cables and at what switches beside the hob",
+            counts[0], counts[1]
+        );
+        Remark::new("spikes", Severity::Warning, text).with(all as f64, None)
+    })
+}
+
+/// Samples that exceed the two before and the two after by more than a height. An edge is monotonous and has none.
+fn find(x: &[f32], range: Range<usize>, height: f32) -> Vec<usize> {
+    let Some(x_of) = x.get(range.clone()) else {
+        return Vec::new();
+    };
+    let stands_out = |w: &[f32]| {
+        let (low, high) = (
+            w[0].min(w[1]).min(w[3]).min(w[4]),
+            w[0].max(w[1]).max(w[3]).max(w[4]),
+        );
+        w[2] > high + height || w[2] < low - height
+    };
+    let all = x_of.windows(5).enumerate();
+    all.filter(|(_, w)| stands_out(w))
+        .map(|(k, _)| range.start + k + 2)
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_spike_is_found_and_edges_and_crests_are_not() {
+        // Square wave on a sine, 100 samples a period.
+        let mut x: Vec<f32> = (0..1000)
+            .map(|k| {
+                let phase = std::f32::consts::TAU * k as f32 / 100.0;
+                100.0 * phase.sin() + if k % 100 < 50 { 150.0 } else { -150.0 }
+            })
+            .collect();
+        assert!(find(&x, 0..1000, 30.0).is_empty());
+        x[333] += 80.0;
+        x[700] -= 400.0;
+        assert_eq!(find(&x, 0..1000, 30.0), [333, 700]);
+    }
+}
