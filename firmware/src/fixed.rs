@@ -30,22 +30,26 @@ pub fn narrow(x: i64, shift: u32) -> i32 {
     saturate((x >> (shift - 1)).saturating_add(1) >> 1)
 }
 
-/// Same as [`narrow`], for `x` below 2^62 in magnitude: a third of its instructions.
+/// Same as [`narrow`], for `x` below 2^62 in magnitude; what does not fit ends within 2^(32 − shift) of the bound.
 #[inline(always)]
 pub fn narrow_within(x: i64, shift: u32) -> i32 {
+    narrow_to(x, shift, 32)
+}
+
+/// Same as [`narrow_within`], to so many bits, where `shift + bits` is above 32.
+#[inline(always)]
+pub fn narrow_to(x: i64, shift: u32, bits: u32) -> i32 {
     debug_assert!(x.unsigned_abs() <= 1 << 62 && (1..=62).contains(&shift));
+    debug_assert!(bits <= 32 && shift + bits > 32);
     let x = x.wrapping_add(1 << (shift - 1));
     if shift > 31 {
-        return saturate(x >> shift);
+        let bound = 1_i64 << (bits - 1);
+        return (x >> shift).clamp(-bound, bound - 1) as i32;
     }
-    // By halves: what does not fit shows in the upper one before it is shifted.
-    let upper = (x >> 32) as i32;
-    let shifted = upper << (32 - shift) | (x as u32 >> shift) as i32;
-    if upper >> (shift - 1) == upper >> 31 {
-        shifted
-    } else {
-        upper >> 31 ^ i32::MAX
-    }
+    // By halves: what does not fit shows in the upper one before it is shifted, where one instruction bounds it.
+    let bound = 1 << (shift + bits - 33);
+    let upper = ((x >> 32) as i32).clamp(-bound, bound - 1);
+    upper << (32 - shift) | (x as u32 >> shift) as i32
 }
 
 /// Same as [`narrow_within`], where the result is known to fit.
@@ -89,36 +93,96 @@ pub struct Reciprocal {
 
 impl Reciprocal {
     /// The reciprocal of a positive integer to within 2^-29 of its value; of 0, that of 1.
-    ///
-    /// One 32-bit hardware division gives 15 bits, one Newton step doubles them. A 64-bit
-    /// division would be a library call of variable time on a Cortex-M4.
     pub fn of(n: u64) -> Self {
         let n = n.max(1);
         let zeros = n.leading_zeros();
-        // m ≤ n·2^(zeros-32) < m + 1, 2^31 ≤ m < 2^32.
-        let m = ((n << zeros) >> 32) as u32;
+        Self::of_normalised(((n << zeros) >> 32) as u32, zeros)
+    }
+
+    /// Same as [`Reciprocal::of`], for a positive `n` of 32 bits.
+    #[inline(always)]
+    pub fn of_short(n: u32) -> Self {
+        debug_assert!(n > 0);
+        let zeros = (n | 1).leading_zeros();
+        Self::of_normalised(n << zeros, 32 + zeros)
+    }
+
+    /// Same as [`Reciprocal::of`], for `n` from 2^32 on.
+    #[inline(always)]
+    pub fn of_long(n: u64) -> Self {
+        debug_assert!(n >> 32 > 0);
+        let (upper, lower) = ((n >> 32) as u32, n as u32);
+        let zeros = (upper | 1).leading_zeros();
+        let m = upper << zeros | lower >> 1 >> (31 - zeros);
+        Self::of_normalised(m, zeros)
+    }
+
+    /// The reciprocal of n, with m ≤ n·2^(zeros − 32) < m + 1 and 2^31 ≤ m < 2^32.
+    ///
+    /// One 32-bit hardware division gives 15 bits, one Newton step doubles them. A 64-bit
+    /// division would be a library call of variable time on a Cortex-M4.
+    #[inline(always)]
+    fn of_normalised(m: u32, zeros: u32) -> Self {
+        let upper_half = |a: u32, b: u32| ((u64::from(a) * u64::from(b)) >> 32) as u32;
         // The bit is set already; naming it shows the compiler that nothing is divided by zero.
-        let seed = u32::MAX / (m >> 16 | 1 << 15); // ≈ 2^48 / m, 16 to 17 bits
-        // m · seed ≈ 2^48, so `product` ≈ 2^31 and 2^32 − product ≈ 2^31.
-        let product = (u64::from(m) * u64::from(seed)) >> 17;
-        let correction = (1u64 << 32).saturating_sub(product);
-        let mantissa = ((u64::from(seed) * correction) >> 17) as u32; // ≈ 2^62 / m
+        let seed = (u32::MAX / (m >> 16 | 1 << 15)) << 15; // ≈ 2^63 / m, 16 to 17 bits
+        let product = upper_half(m, seed); // ≈ 2^31
+        let mantissa = upper_half(seed, product.wrapping_neg()); // ≈ 2^62 / m
+        // Below 2^31, for a power of two as well: a Newton step ends below its goal.
+        debug_assert!(mantissa >> 31 == 0);
         Self {
-            // 2^31 itself, for a power of two, would need a wider product everywhere.
-            mantissa: mantissa.min(i32::MAX.unsigned_abs()) as i32,
+            mantissa: mantissa as i32,
             exponent: 94 - zeros as i32,
         }
     }
 
-    /// The factor `2^q / n` for several products, where `1 ≤ exponent − q ≤ 62`: for n between 2^a
-    /// and 2^b that is q from a − 32 to a + 29 and the same for b.
+    /// Leading zeros of n, of 64 bits.
     #[inline(always)]
-    pub fn factor(self, q: i32) -> Factor {
-        debug_assert!((1..=62).contains(&(self.exponent - q)));
-        Factor {
-            mantissa: self.mantissa,
-            shift: (self.exponent - q).clamp(1, 62) as u32,
+    pub fn zeros(self) -> u32 {
+        (94 - self.exponent) as u32
+    }
+
+    /// Same as [`Reciprocal::scale`], where the result is known to fit 31 bits, `x · 2^spare` to fit 32, and `exponent − q +
+    /// spare` to be from 33 to 62: the product's upper half is enough.
+    #[inline(always)]
+    pub fn scale_positive(self, x: u32, q: i32, spare: u32) -> i32 {
+        let shift = self.exponent - q + spare as i32;
+        debug_assert!((33..=62).contains(&shift) && x << spare >> spare == x);
+        let product = u64::from(x << spare) * u64::from(self.mantissa as u32);
+        ((product >> 32) as i32 + (1 << (shift - 33))) >> (shift - 32)
+    }
+
+    /// Same as [`Reciprocal::scale`], for `x` up to n, n of 32 bits and q up to 28.
+    #[inline(always)]
+    pub fn share(self, x: u32, q: u32) -> i32 {
+        // As many bits as n has to spare make the shift 62 − q.
+        let spare = self.zeros() - 32;
+        debug_assert!(q <= 28 && x << spare >> spare == x);
+        let product = u64::from(x << spare) * u64::from(self.mantissa as u32);
+        ((product >> 32) as i32 + (1 << (29 - q))) >> (30 - q)
+    }
+
+    /// Same as [`Reciprocal::scale`] for both parts, where `exponent − q` is from 1 to 62.
+    #[inline(always)]
+    pub fn scale_both(self, x: Complex, q: i32) -> Complex {
+        let shift = (self.exponent - q) as u32;
+        debug_assert!((1..=62).contains(&shift));
+        let [re, im] = [x.re, x.im].map(|part| wide(part, self.mantissa));
+        if shift > 31 {
+            let [re, im] = [re, im].map(|x| saturate((x + (1 << (shift - 1))) >> shift));
+            return Complex { re, im };
         }
+        let half = i64::from(1_u32 << (shift - 1));
+        let [re, im] = [re, im].map(|x| {
+            let x = x + half;
+            let upper = (x >> 32) as i32;
+            if upper >> (shift - 1) == upper >> 31 {
+                upper << (32 - shift) | (x as u32 >> shift) as i32
+            } else {
+                upper >> 31 ^ i32::MAX
+            }
+        });
+        Complex { re, im }
     }
 
     /// `x · 2^q / n`, rounded and saturated.
@@ -157,28 +221,6 @@ pub fn quotient(n: u64, d: u64) -> i64 {
     quotient
 }
 
-/// A factor `mantissa / 2^shift`, from [`Reciprocal::factor`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Factor {
-    mantissa: i32,
-    shift: u32,
-}
-
-impl Factor {
-    /// `x` times the factor, rounded and saturated.
-    #[inline(always)]
-    pub fn times(self, x: i32) -> i32 {
-        let product = wide(x, self.mantissa);
-        saturate(product.wrapping_add(1 << (self.shift - 1)) >> self.shift)
-    }
-
-    /// Same as [`Factor::times`], where the result is known to fit.
-    #[inline(always)]
-    pub fn times_fitting(self, x: i32) -> i32 {
-        narrow_fitting(wide(x, self.mantissa), self.shift)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -193,6 +235,14 @@ mod tests {
         assert_eq!(narrow(i64::MIN, 1), i32::MIN);
     }
 
+    #[test]
+    fn the_reciprocal_of_a_power_of_two_and_of_what_is_next_to_it_fits() {
+        for n in (1 << 31)..(1 << 31) + (1 << 17) {
+            let value = f64::from(Reciprocal::of_short(n).mantissa) * 2f64.powi(-62);
+            assert!((value * f64::from(n) - 1.0).abs() < 2e-9, "1/{n} = {value}");
+        }
+    }
+
     proptest! {
         #[test]
         fn the_short_forms_equal_the_general_ones(
@@ -202,11 +252,34 @@ mod tests {
             bits in 0u32..64,
             q in -40i32..60,
         ) {
-            prop_assert_eq!(narrow_within(x, shift), narrow(x, shift));
+            let (within, general) = (narrow_within(x, shift), narrow(x, shift));
+            let is_bound = general == i32::MAX || general == i32::MIN;
+            let off = (i64::from(within) - i64::from(general)).abs();
+            let may_be_off = if is_bound { 1 << (32 - shift.min(32)) } else { 1 };
+            prop_assert!(off < may_be_off, "{} for {}", within, general);
             let inverse = Reciprocal::of(1 << bits | 12_345);
-            if (1..=62).contains(&(inverse.exponent - q)) {
-                prop_assert_eq!(inverse.factor(q).times(y), inverse.scale(y, q));
+            let shift = inverse.exponent - q;
+            if (1..=62).contains(&shift) {
+                let both = inverse.scale_both(Complex { re: y, im: !y }, q);
+                prop_assert_eq!([both.re, both.im], [y, !y].map(|y| inverse.scale(y, q)));
             }
+            let (x, spare) = (y.unsigned_abs(), y.unsigned_abs().leading_zeros().min(31));
+            let expected = inverse.scale((x >> 1) as i32, q);
+            if (33..=62).contains(&(shift + spare as i32)) && expected < 1 << 30 {
+                prop_assert_eq!(inverse.scale_positive(x >> 1, q, spare), expected);
+            }
+        }
+
+        #[test]
+        fn reciprocals_of_short_and_long_numbers_are_the_general_one(n in any::<u64>(), bits in 0u32..32) {
+            let (short, long) = (((n as u32) >> bits).max(1), (n >> bits).max(1 << 32));
+            let by_short = Reciprocal::of_short(short);
+            prop_assert_eq!(by_short, Reciprocal::of(u64::from(short)));
+            prop_assert_eq!(Reciprocal::of_long(long), Reciprocal::of(long));
+            let part = ((n >> 32) as u32 % short) >> 1;
+            prop_assert_eq!(by_short.share(part, 24), by_short.scale(part as i32, 24));
+            let whole = f64::from(by_short.share(short, 24)) / 2f64.powi(24);
+            prop_assert!((whole - 1.0).abs() < 1e-7, "{}", whole);
         }
 
         #[test]

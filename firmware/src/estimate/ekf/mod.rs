@@ -89,13 +89,14 @@ const VARIANCE_CEILING: i32 = 1 << (COVARIANCE_BITS - 2);
 /// Smallest variance of R or X: 1e-5 ohm², below what the process noise adds in a step.
 const VARIANCE_FLOOR: i32 = 1_342;
 
-/// Bound of what is multiplied with a saturated mantissa: two such products stay below 2^62. It is
+/// Bits of what is multiplied with a saturated mantissa: two such products stay below 2^62. They are
 /// 128 A/ohm for a sensitivity, far beyond any load.
-const WITHIN: i32 = (1 << 30) - 1;
+const WITHIN_BITS: u32 = 31;
 
 #[inline(always)]
 fn within(x: i32) -> i32 {
-    x.clamp(-WITHIN - 1, WITHIN)
+    const BOUND: i32 = 1 << (WITHIN_BITS - 1);
+    x.clamp(-BOUND, BOUND - 1)
 }
 
 /// Covariance of the complex states I and Z = R + jX, as that of one component: E(δa δb*)/2.

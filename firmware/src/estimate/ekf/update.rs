@@ -16,18 +16,14 @@ impl Ekf {
     pub(super) fn update(&mut self, measured: Complex) {
         let r = self.noise.measurement;
         let p = &mut self.p;
-        let s = u64::from(p.ii.unsigned_abs()) + u64::from(r.unsigned_abs());
-        // P and S share their format, so a gain is a plain ratio. S is between 2^12 and 2^32, for
-        // which the factor exists.
-        let by_s = Reciprocal::of(s).factor(GAIN_BITS as i32);
-        // S is the sum of these two: both ratios are at most 1.
-        let (shrink, to_i) = (by_s.times_fitting(r), by_s.times_fitting(p.ii));
-        let to_z = Complex {
-            re: by_s.times(p.iz.re),
-            im: by_s.times(p.iz.im).saturating_neg(),
-        };
+        // P and S share their format, so a gain is a plain ratio. S is the sum of these two, below 2^32: each is at most 1.
+        let (of_r, of_ii) = (r as u32, p.ii as u32);
+        let by_s = Reciprocal::of_short(of_r.wrapping_add(of_ii));
+        let (shrink, to_i) = (by_s.share(of_r, GAIN_BITS), by_s.share(of_ii, GAIN_BITS));
+        // K_Z*.
+        let to_z = by_s.scale_both(p.iz, GAIN_BITS as i32);
         let shrunk = |x: i32| narrow_fitting(wide(x, shrink), GAIN_BITS);
-        let lost = wide(to_z.re, p.iz.re) - wide(to_z.im, p.iz.im);
+        let lost = wide(to_z.re, p.iz.re) + wide(to_z.im, p.iz.im);
         p.zz =
             p.zz.saturating_sub(narrow_within(lost, GAIN_BITS))
                 .max(VARIANCE_FLOOR);
@@ -46,7 +42,7 @@ impl Ekf {
             re: moved(self.i.re, wide(to_i, e.re)),
             im: moved(self.i.im, wide(to_i, e.im)),
         };
-        self.r = moved(self.r, wide(to_z.re, e.re) - wide(to_z.im, e.im));
-        self.x = moved(self.x, wide(to_z.re, e.im) + wide(to_z.im, e.re));
+        self.r = moved(self.r, wide(to_z.re, e.re) + wide(to_z.im, e.im));
+        self.x = moved(self.x, wide(to_z.re, e.im) - wide(to_z.im, e.re));
     }
 }
