@@ -142,10 +142,14 @@ fn find(segment: &Segment) -> Vec<Jump> {
         let high = around(2 * reach).filter(|n| sizes[*n] > 0.5 * sizes[top]);
         let (sum, count) = high.fold((0, 0), |(sum, count), n| (sum + n, count + 1));
         let periods = (0.5 * (v + i) / TAU).rem_euclid(1.0);
-        jumps.push(Jump {
-            at: phasors[0].centre + (places.start as f64 + sum as f64 / f64::from(count)) * stride,
-            missing: ((periods * per_period).round() as usize).max(1),
-        });
+        // A jump is seen over the reach on both of its sides; a bend of the phases for longer, a place beside a weak current alone.
+        if (2..=3 * reach).contains(&(count as usize)) {
+            jumps.push(Jump {
+                at: phasors[0].centre
+                    + (places.start as f64 + sum as f64 / f64::from(count)) * stride,
+                missing: ((periods * per_period).round() as usize).max(1),
+            });
+        }
         let near = around(beside + 2 * reach);
         sizes[near].fill(0.0);
     }

@@ -20,7 +20,7 @@ use ihd_survey::{Hints, Survey, SurveyError};
 
 /// Capture after the repairs.
 #[derive(Clone, Debug)]
-pub struct Repaired<'a> {
+pub struct RepairedCapture<'a> {
     /// Capture, changed if anything was repaired.
     pub capture: Cow<'a, Capture>,
     /// Survey of `capture`.
@@ -33,9 +33,12 @@ pub struct Repaired<'a> {
 ///
 /// # Errors
 /// [`SurveyError`] if the capture holds nothing that can be identified.
-pub fn repair<'a>(capture: Cow<'a, Capture>, hints: &Hints) -> Result<Repaired<'a>, SurveyError> {
+pub fn repair<'a>(
+    capture: Cow<'a, Capture>,
+    hints: &Hints,
+) -> Result<RepairedCapture<'a>, SurveyError> {
     let survey = Survey::of(&capture, hints)?;
-    let mut repaired = Repaired {
+    let mut repaired = RepairedCapture {
         capture,
         survey,
         remarks: Vec::new(),

@@ -36,17 +36,17 @@ fn a_sound_capture_passes_and_is_right() {
     }
 }
 
-/// The current probe the wrong way round: R and L have the wrong sign, so nothing else could save it.
+/// The current probe the wrong way round: R and L would have the wrong sign. The samples show it, so it is put right and told.
 #[test]
-fn a_turned_probe_is_wrong_and_refused() {
+fn a_turned_probe_is_corrected_with_a_warning() {
     let (code, answer) = study("current inverted");
     assert_eq!(code, Some(0), "{answer}");
     for run in answer["runs"].as_array().expect("runs") {
         assert_eq!(
-            (&run["judged"], &run["refused"]),
-            (&"said".into(), &true.into()),
+            (&run["judged"], &run["said"][0]),
+            (&"warned".into(), &"inverted".into()),
             "{run}"
         );
-        assert!(run["errors"]["r_pct"].as_f64().expect("an error of R") > 190.0);
+        assert!(run["errors"]["r_pct"].as_f64().expect("an error of R") < 0.3);
     }
 }
