@@ -61,10 +61,10 @@ fn a_block_is_done_within_its_budget() {
         share_50 * 100.0,
         worst_50 * 100.0
     );
-    assert!(share <= 0.60, "{share}");
-    assert!(share_50 <= 0.40, "{share_50}");
+    assert!(share <= 0.54, "{share}");
+    assert!(share_50 <= 0.34, "{share_50}");
     assert!(
-        worst_share <= 0.80 && worst_50 <= 0.60,
+        worst_share <= 0.70 && worst_50 <= 0.45,
         "{worst_share} {worst_50}"
     );
     assert_no_violations(&bench);
@@ -223,7 +223,7 @@ fn a_zero_crossing_with_another_frequency_is_done_within_its_block() {
     );
     assert!(changes >= 20, "{f_sw_hz:?}");
     // The rest is for one that begins late: the thread masks interrupts for up to 1 000 cycles.
-    assert!(share <= 0.80, "{share}");
+    assert!(share <= 0.72, "{share}");
     assert_no_violations(&bench);
 }
 
