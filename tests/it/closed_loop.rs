@@ -87,7 +87,7 @@ fn every_frequency_is_one_that_a_board_can_make() {
     }
 }
 
-/// As on the board: the timers take new periods when the block that runs has ended, so the block after a decision is of the
+/// Timers, like the board's, take new periods when the block that runs has ended, so the block after a decision is of the
 /// frequency before it. The length of a block tells its frequency.
 #[test]
 fn new_periods_begin_a_block_after_the_one_that_runs() {

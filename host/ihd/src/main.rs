@@ -4,6 +4,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
+use clap::error::ErrorKind;
 use ihd::cli::{self, Cli, moved, output};
 
 fn main() -> ExitCode {
@@ -37,6 +38,14 @@ fn shown(answer: &clap::Error) -> ExitCode {
         // A list of keys is no error, though clap writes so.
         Some(keys) if answer.exit_code() == 0 => std::io::stdout().write_all(keys.as_bytes()),
         _ => answer.print(),
+    };
+    let is_version = answer.kind() == ErrorKind::DisplayVersion;
+    let is_long = || arguments().iter().any(|argument| argument == "--version");
+    let printed = match is_version && is_long() {
+        true => {
+            printed.and_then(|()| std::io::stdout().write_all(cli::version_details().as_bytes()))
+        }
+        false => printed,
     };
     let printed = printed.and_then(|()| std::io::stdout().flush());
     match (printed, answer.exit_code()) {

@@ -50,8 +50,6 @@ pub mod ui;
 #[cfg(feature = "daemon")]
 pub mod watch;
 
-use std::sync::LazyLock;
-
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use ihd_flash::Image;
@@ -59,7 +57,7 @@ use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
 /// Identifies an induction hob's load and teaches its controller.
 #[derive(Debug, Parser)]
-#[command(name = "ihd", version, long_version = long_version(), about)]
+#[command(name = "ihd", version, about)]
 pub struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
@@ -67,18 +65,15 @@ pub struct Cli {
     global: global::Global,
 }
 
-/// Text of `ihd --version` after the name: program, protocol, and the firmware's image in this program.
-fn long_version() -> &'static str {
-    static TEXT: LazyLock<String> = LazyLock::new(|| {
-        let image = match Image::built_in() {
-            Some(Ok(image)) => format!("{}, build {}", image.build, image.build_id),
-            Some(Err(error)) => error.to_string(),
-            None => "none in this build".into(),
-        };
-        let program = env!("CARGO_PKG_VERSION");
-        format!("{program}\nprotocol {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}\nimage    {image}")
-    });
-    &TEXT
+/// Lines of `ihd --version` below the program's own: protocol, and the firmware's image in this program. Reading the image takes
+/// time that no other command needs.
+pub fn version_details() -> String {
+    let image = match Image::built_in() {
+        Some(Ok(image)) => format!("{}, build {}", image.build, image.build_id),
+        Some(Err(error)) => error.to_string(),
+        None => "none in this build".into(),
+    };
+    format!("protocol {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}\nimage    {image}\n")
 }
 
 #[derive(Debug, Subcommand)]
