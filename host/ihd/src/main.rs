@@ -41,12 +41,9 @@ fn shown(answer: &clap::Error) -> ExitCode {
     };
     let is_version = answer.kind() == ErrorKind::DisplayVersion;
     let is_long = || arguments().iter().any(|argument| argument == "--version");
-    let printed = match is_version && is_long() {
-        true => {
-            printed.and_then(|()| std::io::stdout().write_all(cli::version_details().as_bytes()))
-        }
-        false => printed,
-    };
+    let details = (is_version && is_long()).then(cli::version_details);
+    let details = details.unwrap_or_default();
+    let printed = printed.and_then(|()| std::io::stdout().write_all(details.as_bytes()));
     let printed = printed.and_then(|()| std::io::stdout().flush());
     match (printed, answer.exit_code()) {
         (Err(error), 0) => {
