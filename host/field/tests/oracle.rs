@@ -168,16 +168,23 @@ fn model_is_near_finite_elements() {
 fn model_is_near_finite_elements_at_length() {
     let rows = Row::all();
     let found = differences(&rows);
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/results/field.md");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/results/simulator.md");
     let text = table(&rows, &found);
+    let document = std::fs::read_to_string(path).unwrap();
+    let (begin, end) = (
+        "<!-- finite elements: begin -->\n",
+        "<!-- finite elements: end -->\n",
+    );
+    let (before, rest) = document.split_once(begin).expect("the section's begin");
+    let (committed, after) = rest.split_once(end).expect("the section's end");
     if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(path, &text).unwrap();
+        std::fs::write(path, [before, begin, &text, end, after].concat()).unwrap();
+        return check(&rows, &found);
     }
     check(&rows, &found);
-    let committed = std::fs::read_to_string(path).unwrap();
     assert!(
         committed == text,
-        "docs/results/field.md: UPDATE_DOCS=1 cargo test -p ihd-field --test oracle"
+        "docs/results/simulator.md: UPDATE_DOCS=1 cargo test -p ihd-field --test oracle"
     );
 }
 
@@ -189,8 +196,7 @@ fn table(rows: &[Row], found: &[(Option<f64>, f64)]) -> String {
         .unwrap()
         .trim_start_matches("# ");
     let mut out = format!(
-        "# Field model against finite elements\n\n\
-         Generated: `UPDATE_DOCS=1 cargo test -p ihd-field --test oracle` from tests/field-oracle/field.csv ({stamp}). \
+        "Generated: `UPDATE_DOCS=1 cargo test -p ihd-field --test oracle` from tests/field-oracle/field.csv ({stamp}). \
          Turns calibration 1, aluminium shield of 1 mm, base of 5 mm, no wall, no lift where nothing else is said; \
          a wall is 2 mm thick.\n\n\
          Model less finite elements in percent, R / L; limits ±2 / ±1 for linear metals, ±1 / ±1 with saturation.\n\n\

@@ -2,7 +2,7 @@
 //! neither load, circuit nor sensors are those of `ihd-sim`.
 //!
 //! `cargo nextest run -p ihd-made-captures --profile full verdicts_at_length` counts 5 seeds of all kinds (`MADE_SEEDS`, `MADE_FIRST`, `MADE_ONLY`);
-//! `UPDATE_DOCS=1` writes docs/results/made-captures.md.
+//! `UPDATE_DOCS=1` writes docs/results/hostile.md.
 
 mod score;
 
@@ -86,16 +86,27 @@ fn verdicts_at_length() {
     let text = document(&all, first, seeds);
     println!("{text}");
     if std::env::var_os("UPDATE_DOCS").is_some() {
-        let path =
-            Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/made-captures.md");
-        std::fs::write(path, text).expect("docs/results can be written");
+        write_into_document(&text);
     }
+}
+
+/// Replaces the section of docs/results/hostile.md that this test makes.
+fn write_into_document(section: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/hostile.md");
+    let document = std::fs::read_to_string(&path).expect("docs/results/hostile.md can be read");
+    let (begin, end) = (
+        "<!-- made captures: begin -->\n",
+        "<!-- made captures: end -->\n",
+    );
+    let (before, rest) = document.split_once(begin).expect("the section's begin");
+    let (_, after) = rest.split_once(end).expect("the section's end");
+    let document = [before, begin, section, end, after].concat();
+    std::fs::write(path, document).expect("docs/results can be written");
 }
 
 fn document(all: &[Row], first: u64, seeds: u64) -> String {
     let mut text = format!(
-        "# Captures of another generator\n\n\
-         What `ihd identify` says about {} captures ({} kinds, seeds {first} to {}) of tests/made-captures, whose circuit, loads and sensors\n\
+        "What `ihd identify` says about {} captures ({} kinds, seeds {first} to {}) of tests/made-captures, whose circuit, loads and sensors\n\
          share no code with the simulator. A result is wrong where a half-cycle is off by more than 1 % of R or .7 % of L (mean over its middle\n\
          80 %). A cause is named wrongly where none of its codes stands among the findings, or that of another disturbance does.\n\n\
          Command: `UPDATE_DOCS=1 MADE_FIRST={first} MADE_SEEDS={seeds} cargo nextest run -p ihd-made-captures --profile full verdicts_at_length`\n\n",
@@ -105,13 +116,13 @@ fn document(all: &[Row], first: u64, seeds: u64) -> String {
     );
     let head = "| captures | wrong, silent | wrong, warned or refused | cause named wrongly | refused though right | right and passed |\n\
                 |---:|---:|---:|---:|---:|---:|\n";
-    text += "## By method\n\n| method ";
+    text += "### By method\n\n| method ";
     text += &head.replacen("|---:", "|---|---:", 1);
     for method in score::METHODS {
         let counts = Counts::of(all.iter().filter(|r| r.method == method));
         let _ = writeln!(text, "| `{method}` {counts}");
     }
-    text += "\n## By kind, least squares\n\n| kind ";
+    text += "\n### By kind, least squares\n\n| kind ";
     text += &head.replacen("|---:", "|---|---:", 1);
     for kind in Kind::ALL {
         let of_kind = all
