@@ -10,6 +10,7 @@ mod closed_loop_link;
 mod control_doc;
 mod document;
 mod document_links;
+mod document_words;
 // Needs the firmware's image and QEMU: `cargo xtask test` builds the one and installs the other.
 #[cfg(feature = "emulator")]
 mod emulated_board;

@@ -168,7 +168,10 @@ fn model_is_near_finite_elements() {
 fn model_is_near_finite_elements_at_length() {
     let rows = Row::all();
     let found = differences(&rows);
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/results/simulator.md");
+    let path = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../docs/results/simulator.md"
+    );
     let text = table(&rows, &found);
     let document = std::fs::read_to_string(path).unwrap();
     let (begin, end) = (
