@@ -6,51 +6,24 @@ use std::process::Command;
 
 use anyhow::{Context, ensure};
 
-use crate::setup::{apt_get, install, say};
+use crate::pypi;
 use crate::workspace::{Workspace, first_line, run};
-
-/// Packages of the tools on PyPI, and on Debian for machines without Python.
-const PYPI: [&str; 2] = ["cmake", "libclang"];
-const DEBIAN: [&str; 2] = ["cmake", "libclang-dev"];
 
 /// Folder of the emulator in the checkout.
 const FOLDER: &str = "tests/stm32g474";
 
-/// Finds or installs the tools of Unicorn's build.
-pub fn tools(on: &Workspace) -> anyhow::Result<()> {
-    let folder = on.target.join("tools/unicorn");
-    if !folder.join("clang/native").is_dir() && !debian_has_both() {
-        let mut pip = Command::new("python3");
-        pip.args(["-m", "pip", "install", "--quiet", "--target"]);
-        install(pip.arg(&folder).args(PYPI)).or_else(|why| apt_get(&DEBIAN).context(why))?;
-    }
-    let mut cmake = Command::new("cmake");
-    give_tools(on, &mut cmake);
-    let version = first_line(cmake.arg("--version")).context("cmake does not start")?;
-    say(&format!("Unicorn's build: {version}"));
-    Ok(())
-}
-
-fn debian_has_both() -> bool {
-    let mut query = Command::new("dpkg-query");
-    first_line(query.args(["--show", DEBIAN[0], DEBIAN[1]])).is_some()
-}
-
 /// Puts cmake on the command's path, and names libclang with the compiler's own headers, which PyPI's package lacks.
-fn give_tools(on: &Workspace, command: &mut Command) {
-    let folder = on.target.join("tools/unicorn");
-    if folder.is_dir() {
-        let path = std::env::var("PATH").unwrap_or_default();
-        command.env("PATH", format!("{}:{path}", folder.join("bin").display()));
-        command
-            .env("PYTHONPATH", &folder)
-            .env("LIBCLANG_PATH", folder.join("clang/native"));
-        let headers = first_line(Command::new("cc").arg("-print-file-name=include"));
-        command.env(
-            "BINDGEN_EXTRA_CLANG_ARGS",
-            format!("-I{}", headers.unwrap_or_default()),
-        );
-    }
+fn give_tools(on: &Workspace, command: &mut Command) -> anyhow::Result<()> {
+    let folder = pypi::tools(on, "unicorn")?;
+    let path = std::env::var("PATH").unwrap_or_default();
+    let headers = first_line(Command::new("cc").arg("-print-file-name=include"));
+    let headers = headers.context("no C compiler: `cc` does not start")?;
+    command
+        .env("PATH", format!("{}:{path}", folder.join("bin").display()))
+        .env("PYTHONPATH", &folder)
+        .env("LIBCLANG_PATH", folder.join("clang/native"))
+        .env("BINDGEN_EXTRA_CLANG_ARGS", format!("-I{headers}"));
+    Ok(())
 }
 
 /// Writes a workspace with the emulator as an additional member of the main one, and returns its manifest.
@@ -97,7 +70,7 @@ fn joined(on: &Workspace) -> anyhow::Result<PathBuf> {
 pub fn cargo(on: &Workspace, subcommand: &str, rest: &str) -> anyhow::Result<Command> {
     let manifest = joined(on)?;
     let mut command = on.whole(subcommand, rest);
-    give_tools(on, &mut command);
+    give_tools(on, &mut command)?;
     command.arg("--manifest-path").arg(manifest);
     command.env("CARGO_TARGET_DIR", &on.target);
     Ok(command)
@@ -105,7 +78,6 @@ pub fn cargo(on: &Workspace, subcommand: &str, rest: &str) -> anyhow::Result<Com
 
 /// Runs the tests of these targets of the emulator; `full` includes those of the full tier.
 pub fn run_tests(on: &Workspace, targets: &[&str], full: bool) -> anyhow::Result<Command> {
-    tools(on)?;
     let profile = if full {
         "--profile full --run-ignored all"
     } else {
@@ -135,7 +107,6 @@ pub fn test(on: &Workspace, image: &Path, full: bool) -> anyhow::Result<()> {
 
 /// Runs the board as a process, with the link on TCP.
 pub fn hob(on: &Workspace, image: &Path, arguments: &[String]) -> anyhow::Result<()> {
-    tools(on)?;
     run(&mut cargo(on, "build", "--bin hob")?)?;
     let mut hob = Command::new(on.target.join("debug/hob"));
     run(hob.arg("--image").arg(image).args(arguments))

@@ -1,13 +1,13 @@
 //! The dashboard in a real browser: the page's own tests (`host/ui/tests`) and `tests/dashboard`, both in Node.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 use std::{env, fs};
 
 use anyhow::Context;
 
-use crate::setup::{apt_get, say};
-use crate::workspace::{Workspace, first_line, run};
+use crate::setup::{program, say};
+use crate::workspace::{Workspace, run};
 
 /// Tests with a browser.
 const OF_BROWSER: &str = "tests/dashboard";
@@ -18,8 +18,6 @@ const BROWSERS: [&str; 4] = [
     "google-chrome",
     "google-chrome-stable",
 ];
-/// Report of the failed tests, in the target directory.
-const FAILURES: &str = "dashboard/failures.tap";
 /// Lock file of npm, which also shows if the installed packages are up to date.
 const LOCK: &str = "package-lock.json";
 
@@ -42,67 +40,31 @@ pub fn test(on: &Workspace, full: bool) -> anyhow::Result<()> {
     if full {
         test.env("IHD_DASHBOARD_FULL", "1");
     }
-    let failures = on.target.join(FAILURES);
-    test.env("IHD_FAILURES", &failures);
-    run(&mut test).with_context(|| failed_tests(&failures))
-}
-
-/// Returns the failed tests with their errors, for the end of a long log.
-fn failed_tests(file: &Path) -> String {
-    let mut inside = false;
-    let of_failure = |line: &&str| {
-        let line = line.trim_start();
-        inside = line.starts_with("not ok") || inside && !line.starts_with("code:");
-        inside
-    };
-    let text = fs::read_to_string(file).unwrap_or_default();
-    text.lines()
-        .filter(of_failure)
-        .collect::<Vec<_>>()
-        .join("\n")
+    run(&mut test)
 }
 
 /// Finds Node, npm and a browser, or installs them; returns the browser's path.
 pub fn tools() -> anyhow::Result<PathBuf> {
-    let mut missing = Vec::new();
-    for (program, package) in [("node", "nodejs"), ("npm", "npm")] {
-        if version(program).is_none() {
-            missing.push(package);
-        }
-    }
-    if browser().is_none() {
-        missing.push("chromium");
-    }
-    if !missing.is_empty() {
-        apt_get(&missing).with_context(|| {
-            format!(
-                "the dashboard's tests need {}: install them",
-                missing.join(", ")
-            )
-        })?;
-    }
-    let node = version("node").context("`node` is missing; install Node 20 or later")?;
-    version("npm").context("`npm` is missing; install it beside Node")?;
-    let browser = browser().context("no Chromium: install it, or name one in IHD_CHROMIUM")?;
+    let node = program("node", "nodejs")?;
+    program("npm", "npm")?;
+    let browser = match browser() {
+        Some(browser) => browser,
+        None => program(BROWSERS[0], BROWSERS[0])
+            .map(|_| BROWSERS[0].into())
+            .context("or name another browser in IHD_CHROMIUM")?,
+    };
     say(&format!("dashboard: node {node}, {}", browser.display()));
     Ok(browser)
 }
 
-fn version(program: &str) -> Option<String> {
-    first_line(Command::new(program).arg("--version"))
-}
-
+/// The browser that IHD_CHROMIUM names, or the first on the PATH.
 fn browser() -> Option<PathBuf> {
-    if let Some(named) = env::var_os("IHD_CHROMIUM") {
-        return Some(named.into());
-    }
-    let folders = env::var_os("PATH")?;
-    let folders: Vec<_> = env::split_paths(&folders).collect();
-    let mut all = BROWSERS.iter().flat_map(|name| {
-        let places = folders.iter().map(|folder| folder.join(name));
-        places.collect::<Vec<_>>()
-    });
-    all.find(|path| path.is_file())
+    let named = env::var_os("IHD_CHROMIUM").map(PathBuf::from);
+    let path = env::var_os("PATH").unwrap_or_default();
+    let on_path = BROWSERS
+        .iter()
+        .flat_map(|name| env::split_paths(&path).map(move |folder| folder.join(name)));
+    named.or_else(|| on_path.into_iter().find(|path| path.is_file()))
 }
 
 /// Installs npm's packages beside the build, pinned by the hashes of the lock file in the source tree.
@@ -128,9 +90,10 @@ fn modules(on: &Workspace) -> anyhow::Result<PathBuf> {
 /// Command of Node's test runner on files by a shell pattern, in the workspace's root.
 fn node(on: &Workspace, files: &str) -> Command {
     let mut command = Command::new("sh");
-    command.current_dir(&on.root).arg("-c");
-    // The second report, in TAP, is for `failed_tests`.
-    let reports = r#"--test-reporter=spec --test-reporter-destination=stdout --test-reporter=tap --test-reporter-destination="${IHD_FAILURES:-/dev/null}""#;
-    command.arg(format!("exec node --test {reports} {files}"));
+    command.current_dir(&on.root);
+    command.args([
+        "-c",
+        &format!("exec node --test --test-reporter=spec {files}"),
+    ]);
     command
 }

@@ -3,18 +3,14 @@
 use std::path::Path;
 use std::process::Command;
 
-use anyhow::Context;
-
-use crate::setup::{apt_get, install};
+use crate::setup::{install, program};
 use crate::workspace::{Workspace, first_line, run};
 
 /// Makes target/dist with the firmware's `image` in the program.
 pub fn make(on: &Workspace, image: &Path) -> anyhow::Result<()> {
     let target = format!("{}-unknown-linux-musl", std::env::consts::ARCH);
     install(Command::new("rustup").args(["target", "add", &target]))?;
-    if first_line(Command::new("musl-gcc").arg("--version")).is_none() {
-        apt_get(&["musl-tools"]).context("a static program needs musl-gcc")?;
-    }
+    program("musl-gcc", "musl-tools")?;
     if first_line(&mut on.cargo(["cyclonedx", "--version"])).is_none() {
         install(&mut on.cargo(["install", "cargo-cyclonedx", "--locked"]))?;
     }
@@ -26,9 +22,7 @@ pub fn make(on: &Workspace, image: &Path) -> anyhow::Result<()> {
 
 /// Installs the package in a new Debian, uses the program, and removes both: as root, with debootstrap.
 pub fn try_package(on: &Workspace) -> anyhow::Result<()> {
-    if first_line(Command::new("debootstrap").arg("--version")).is_none() {
-        apt_get(&["debootstrap"])?;
-    }
+    program("debootstrap", "debootstrap")?;
     let mut script = Command::new(on.root.join("packaging/try-deb"));
     run(script
         .arg(on.target.join("dist"))

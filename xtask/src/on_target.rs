@@ -17,16 +17,9 @@ const MANIFEST: &str = "firmware/on-target/Cargo.toml";
 /// Section in which embedded-test stores the tests: for each a symbol whose name is JSON, and its entry's address.
 const SECTION: &str = ".embedded_test";
 
-/// A test in the image.
-#[derive(Debug, PartialEq, Eq)]
-struct Test {
-    name: String,
-    should_panic: bool,
-    entry: u32,
-}
-
+/// Test in the image.
 #[derive(Deserialize)]
-struct Symbol {
+struct Test {
     name: String,
     ignored: bool,
     should_panic: bool,
@@ -54,30 +47,23 @@ fn build(on: &Workspace, board: bool) -> anyhow::Result<PathBuf> {
     file.with_context(|| format!("cargo named no test of {TARGET}"))
 }
 
-fn tests(image: &[u8]) -> anyhow::Result<Vec<Test>> {
+/// Reads the tests that run, each with the address of its entry.
+fn tests(image: &[u8]) -> anyhow::Result<Vec<(Test, u32)>> {
     let elf = object::File::parse(image)?;
     let section = elf.section_by_name(SECTION);
     let section = section.with_context(|| format!("no section {SECTION}"))?;
     let data = section.data()?;
     let mut tests = Vec::new();
     for symbol in elf.symbols() {
-        let Ok(Symbol {
-            name,
-            ignored: false,
-            should_panic,
-        }) = serde_json::from_str(symbol.name().unwrap_or_default())
-        else {
+        let Ok(test) = serde_json::from_str::<Test>(symbol.name().unwrap_or_default()) else {
             continue;
         };
         let at = symbol.address().wrapping_sub(section.address()) as usize;
         let entry = data.get(at..).and_then(|data| data.first_chunk());
-        let entry = u32::from_le_bytes(*entry.with_context(|| format!("{name} has no entry"))?);
-        tests.push(Test {
-            name,
-            should_panic,
-            entry,
-        });
+        let entry = entry.with_context(|| format!("{} has no entry", test.name))?;
+        tests.push((test, u32::from_le_bytes(*entry)));
     }
+    tests.retain(|(test, _)| !test.ignored);
     ensure!(!tests.is_empty(), "the image has no tests");
     Ok(tests)
 }
@@ -91,9 +77,9 @@ pub fn in_emulator(on: &Workspace, qemu: &Path) -> anyhow::Result<()> {
     let bytes = std::fs::read(&image).with_context(|| image.display().to_string())?;
     let tests = tests(&bytes)?;
     let mut failed = Vec::new();
-    for test in &tests {
+    for (test, entry) in &tests {
         // Semihosting's command line selects the test, and its exit code has the result, as with probe-rs.
-        let semihosting = format!("enable=on,target=native,arg=run_addr,arg={}", test.entry);
+        let semihosting = format!("enable=on,target=native,arg=run_addr,arg={entry}");
         let output = emulator::an386(qemu, &semihosting, &image).output()?;
         let passed = output.status.success() != test.should_panic;
         println!(

@@ -29,6 +29,20 @@ fn component(workspace: &Workspace, tool: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Finds a program or installs the Debian package that has it; returns its version.
+///
+/// # Errors
+/// If it is missing, with a remedy.
+pub fn program(name: &str, package: &str) -> anyhow::Result<String> {
+    let version = || first_line(Command::new(name).arg("--version"));
+    if let Some(version) = version() {
+        return Ok(version);
+    }
+    let remedy = || format!("`{name}` is missing: install {package}");
+    apt_get(&[package]).with_context(remedy)?;
+    version().with_context(remedy)
+}
+
 /// Installs Debian packages, removing none: a conflicting package may be the user's choice.
 pub fn apt_get(packages: &[&str]) -> anyhow::Result<()> {
     let apt = first_line(Command::new("apt-get").arg("--version"));

