@@ -74,8 +74,8 @@ impl Kitchen {
 
     /// Highest resonant frequency of the true load in a half-cycle, in hertz.
     pub fn resonance_hz(&self, half_cycle: u32) -> f64 {
-        let hob = self.hob.lock();
-        let truth = hob
+        let truth = self
+            .hob
             .truth(half_cycle)
             .expect("the truth of what was reported");
         let l_h = truth.l_h.iter().copied().fold(f64::INFINITY, f64::min);

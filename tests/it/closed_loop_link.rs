@@ -28,12 +28,14 @@ const CROSSING_S: f64 = 30e-6;
 /// Errors of a window's track over the middle 80 %, against the half-cycle's truth.
 fn track_error(kitchen: &Kitchen, window: &Window) -> Mre {
     let half_cycle_s = f64::from(window.half_cycle_ns) * 1e-9;
-    let hob = kitchen.hob.lock();
-    let truth = hob.truth(window.half_cycle).expect("a recent half-cycle");
+    let truth = kitchen
+        .hob
+        .truth(window.half_cycle)
+        .expect("a recent half-cycle");
     assert_eq!(truth.f_sw_hz, f64::from(window.f_sw_hz));
     let track = window.trajectory.iter().enumerate();
     let track = track.map(|(k, e)| (window.trajectory_time_s(k), e.r.ohm(), e.l.henry()));
-    Mre::of(truth, track, 0.1 * half_cycle_s, 0.9 * half_cycle_s).expect("a track")
+    Mre::of(&truth, track, 0.1 * half_cycle_s, 0.9 * half_cycle_s).expect("a track")
 }
 
 #[test]

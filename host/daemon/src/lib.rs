@@ -67,8 +67,7 @@ pub use store_thread::StoreThreadError;
 pub use upkeep::Upkeep;
 pub use view::{Recordings, View};
 
-/// Source of the true R and L of a recent half-cycle, by the device's half-cycle count; may block briefly on the
-/// simulation.
+/// Source of the true R and L of a recent half-cycle, by the device's half-cycle count; does not wait for the simulation.
 pub type TruthFn = dyn Fn(u32) -> Option<Truth> + Send + Sync;
 
 /// Opened device: its transport and, if simulated, its true R and L.

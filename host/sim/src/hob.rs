@@ -40,13 +40,11 @@ use super::mains::SimulatedMains;
 use super::meter::MeterReading;
 use super::plant::{LoadPoint, Plant};
 use super::pot::SimulatedPot;
+use super::recent_truths::RecentTruths;
 use super::recording::settings::LoadKind;
 use super::slow_adc::SlowAdc;
 use super::temperatures::{AMBIENT_C, Heat, LumpTemperatures};
 use super::thermal_model::ThermalModel;
-
-/// Number of half-cycles whose truth is kept: more than the slowest link takes to deliver a window.
-const TRUTHS_KEPT: usize = 256;
 
 /// Time after the start of a half-cycle, in seconds, by which its drive is in force: the detector may see a crossing a block early
 /// or late.
@@ -247,7 +245,7 @@ pub struct SimHob {
     link_bytes_per_s: f64,
     link_credit: f64,
     truth: Truth,
-    truths: VecDeque<Truth>,
+    truths: RecentTruths,
 }
 
 impl SimHob {
@@ -305,7 +303,7 @@ impl SimHob {
             link_bytes_per_s: config.link_bytes_per_s,
             link_credit: 0.0,
             truth: Truth::default(),
-            truths: VecDeque::new(),
+            truths: RecentTruths::default(),
         })
     }
 
@@ -408,10 +406,7 @@ impl SimHob {
                     half_cycle,
                     ..Truth::default()
                 };
-                truths.push_back(std::mem::replace(truth, next));
-                if truths.len() > TRUTHS_KEPT {
-                    truths.pop_front();
-                }
+                truths.push(std::mem::replace(truth, next));
             }
             if usize::from(k).is_multiple_of(TRUTH_EVERY) {
                 truth.t_s.push(mains.since_crossing_s(point.t_s));
@@ -609,8 +604,13 @@ impl SimHob {
     }
 
     /// Truth of a completed half-cycle, if it is recent enough.
-    pub fn truth(&self, half_cycle: u32) -> Option<&Truth> {
-        self.truths.iter().find(|t| t.half_cycle == half_cycle)
+    pub fn truth(&self, half_cycle: u32) -> Option<Truth> {
+        self.truths.get(half_cycle)
+    }
+
+    /// Truth of the last completed half-cycles, for a reader beside the simulation.
+    pub fn truths(&self) -> &RecentTruths {
+        &self.truths
     }
 
     /// Truth of a lookup for the pot on the coil; `progress` is called with the share done. The field model takes some seconds.

@@ -24,6 +24,7 @@ pub mod pace;
 pub mod perturbation;
 pub mod plant;
 pub mod pot;
+pub mod recent_truths;
 pub mod recording;
 pub mod scenario;
 pub mod server;

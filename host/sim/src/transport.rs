@@ -10,27 +10,34 @@ use ihd_signal::truth::Truth;
 
 use super::hob::SimHob;
 use super::pace::Pace;
+use super::recent_truths::RecentTruths;
 
 /// Hob shared by the host's transport and readers of its truth.
 #[derive(Clone)]
-pub struct SharedHob(Arc<Mutex<SimHob>>);
+pub struct SharedHob {
+    hob: Arc<Mutex<SimHob>>,
+    truths: RecentTruths,
+}
 
 impl SharedHob {
     /// Shares a hob.
     pub fn new(hob: SimHob) -> Self {
-        Self(Arc::new(Mutex::new(hob)))
+        Self {
+            truths: hob.truths().clone(),
+            hob: Arc::new(Mutex::new(hob)),
+        }
     }
 
     /// Locks the hob. Poisoning is ignored: every step leaves a complete state.
     pub fn lock(&self) -> MutexGuard<'_, SimHob> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.hob.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl SharedHob {
-    /// Truth of one of the last half-cycles, numbered like the firmware's.
+    /// Truth of one of the last half-cycles, numbered like the firmware's. Does not wait for the simulation.
     pub fn truth(&self, half_cycle: u32) -> Option<Truth> {
-        self.lock().truth(half_cycle).cloned()
+        self.truths.get(half_cycle)
     }
 }
 

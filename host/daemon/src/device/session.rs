@@ -47,9 +47,6 @@ const MAX_WINDOWS_PER_S: u32 = 30;
 /// Largest number of faults, rejected windows and pot changes published per second.
 const MAX_EVENTS_PER_S: u32 = 10;
 
-/// Time limit for the simulation to return the true R and L.
-pub(super) const TRUTH_TIMEOUT: Duration = Duration::from_millis(200);
-
 /// Shortest time between two changes of state, so that a person can follow them.
 const MIN_STATE_DURATION: Duration = Duration::from_millis(400);
 
@@ -193,7 +190,7 @@ impl<'a> Session<'a> {
         match event {
             DeviceEvent::Telemetry(t) => self.on_telemetry(t).await,
             DeviceEvent::Window(window) => {
-                self.on_window(window).await;
+                self.on_window(window);
                 Ok(())
             }
             DeviceEvent::WindowRejected { seq, reason } => {

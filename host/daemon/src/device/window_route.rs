@@ -7,7 +7,7 @@ use ihd_model::{EventKind, RecordKind};
 use ihd_signal::truth::Truth;
 use ihd_store::{CurveSource, DeviceId, SessionId, Store, StoreError};
 
-use super::session::{Session, TRUTH_TIMEOUT};
+use super::session::Session;
 use crate::device_record::DeviceRecord;
 use crate::fleet::delegation::Delegation;
 use crate::learning::{LearnInput, LearnJob, Learner, truth_curve};
@@ -54,11 +54,12 @@ impl WindowRoute {
         });
         let (_, is_due) = stored?;
         let (boot, seq) = (self.boot, window.seq);
-        self.record.publish(EventKind::WindowStored { boot, seq });
         if let Some(truth) = &truth {
             let curve = truth_curve(truth, &window);
             store.keep_curve(self.session, seq, CurveSource::Truth, &curve)?;
         }
+        // Last: a subscriber reads the window with its truth.
+        self.record.publish(EventKind::WindowStored { boot, seq });
         if !is_learnable {
             self.count(WindowCounter::Unfit);
         } else if !(is_due && self.delegation.is_delegated()) {
@@ -84,7 +85,7 @@ impl WindowRoute {
 
 impl Session<'_> {
     /// Sends a window on its route.
-    pub(super) async fn on_window(&mut self, window: Box<Window>) {
+    pub(super) fn on_window(&mut self, window: Box<Window>) {
         // If a fit has locked the tracker, the next window sets the same value.
         if let Some(mut tracker) = self.record.try_pot_tracker() {
             tracker.set_half_cycle(1e-9 * f64::from(window.half_cycle_ns));
@@ -102,7 +103,7 @@ impl Session<'_> {
         }
         let is_queued = match route.filter(|_| self.window_limit.allow()) {
             Some(route) => {
-                let arrived = self.arrived_window(window).await;
+                let arrived = self.arrived_window(window);
                 let store = self.store().writing_once(RecordKind::Windows);
                 store.offer(move |store| route.follow(store, arrived))
             }
@@ -128,26 +129,18 @@ impl Session<'_> {
     }
 
     /// Adds to a window what is known about its half-cycle.
-    async fn arrived_window(&self, window: Box<Window>) -> ArrivedWindow {
+    fn arrived_window(&self, window: Box<Window>) -> ArrivedWindow {
         let half_cycle = window.half_cycle;
         let telemetry = self.recent_powers.iter().find(|(at, ..)| *at == half_cycle);
         ArrivedWindow {
             window,
             is_learnable: telemetry.is_none_or(|(_, is_heating, _)| *is_heating),
             power_w: telemetry.map(|(_, _, power_mw)| f64::from(*power_mw) * 1e-3),
-            truth: self.query_truth(half_cycle).await,
+            truth: self
+                .truth
+                .as_ref()
+                .and_then(|truth| truth(half_cycle))
+                .map(Arc::new),
         }
-    }
-
-    /// Returns the true R and L of a half-cycle; `None` if they are unknown.
-    async fn query_truth(&self, half_cycle: u32) -> Option<Arc<Truth>> {
-        let truth = Arc::clone(self.truth.as_ref()?);
-        // May block on the simulation.
-        let query = self
-            .context
-            .machine
-            .spawn_blocking(move || truth(half_cycle));
-        let outcome = tokio::time::timeout(TRUTH_TIMEOUT, query).await;
-        outcome.ok()?.ok()?.map(Arc::new)
     }
 }
