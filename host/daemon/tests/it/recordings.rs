@@ -191,15 +191,22 @@ async fn armed_it_outlives_the_link_and_can_be_stopped_without_one() {
     assert_eq!(done.file.as_ref(), Some(&second));
     assert_eq!(daemon.view().device("bench").unwrap().recording_now, None);
     assert!(stop(&daemon).await.is_err());
+    // The first file is completed on another thread.
+    let any_under_way = async || {
+        let files = daemon.recordings().list().await.unwrap();
+        files.iter().any(|file| file.under_way)
+    };
+    while any_under_way().await {
+        nap().await;
+    }
     for file in [&first, &second] {
         let mut session = SessionReader::open(Path::new(file)).unwrap();
         while session.next_event().unwrap().is_some() {}
-        assert!(
-            !session.is_cut() && session.counters().windows.received >= 1,
-            "{file}"
-        );
+        let counters = session.counters();
+        assert!(!session.is_cut(), "{file}: {counters:?}");
+        assert!(counters.windows.received >= 1, "{file}: {counters:?}");
         // The frame that was cut with the link.
-        assert!(session.counters().frames_bad <= 1, "{file}");
+        assert!(counters.frames_bad <= 1, "{file}: {counters:?}");
     }
     assert_eq!(daemon.recordings().list().await.unwrap().len(), 2);
     daemon.stop().await;
