@@ -43,6 +43,7 @@ fn an_archive_holds_program_pages_completions_rule_and_licences() {
     let folder = tempfile::tempdir().unwrap();
     make_program(folder.path(), "ihd", "#!/bin/sh\n");
     make_program(folder.path(), "ihd-fleet", "#!/bin/sh\n");
+    fs::write(folder.path().join("THIRD-PARTY-LICENCES"), "texts\n").unwrap();
     make_program(folder.path(), "pages", PAGES);
     // Twice: what is there is replaced.
     for _ in 0..2 {
@@ -62,6 +63,7 @@ fn an_archive_holds_program_pages_completions_rule_and_licences() {
         "LICENSE-APACHE",
         "LICENSE-MIT",
         "README.md",
+        "THIRD-PARTY-LICENCES",
         "completions/_ihd",
         "completions/ihd.bash",
         "completions/ihd.elv",
@@ -109,6 +111,7 @@ fn a_debian_package_puts_each_file_where_debian_looks_for_it() {
     }
     let folder = tempfile::tempdir().unwrap();
     make_program(folder.path(), "ihd", "#!/bin/sh\n");
+    fs::write(folder.path().join("THIRD-PARTY-LICENCES"), "texts\n").unwrap();
     make_program(folder.path(), "pages", PAGES);
     assert!(pack(folder.path()).status.success());
     let out = folder.path().join("out");
@@ -140,6 +143,7 @@ fn a_debian_package_puts_each_file_where_debian_looks_for_it() {
         "usr/share/zsh/vendor-completions/_ihd",
         "usr/share/fish/vendor_completions.d/ihd.fish",
         "usr/share/doc/ihd/copyright",
+        "usr/share/doc/ihd/THIRD-PARTY-LICENCES",
         "usr/share/doc/ihd/docs/daemon.md",
         "etc/ihd/ihd.toml",
     ] {
