@@ -344,8 +344,8 @@ pub fn status(url: &str) -> Option<Value> {
     (code == 0).then(|| serde_json::from_str(&text).expect("JSON"))
 }
 
-/// Time-out of a hang; no test measures it.
-pub const PATIENCE: Duration = Duration::from_secs(600);
+/// Time-out of a hang; no test measures it. Less than the runner's, which shows no log.
+pub const PATIENCE: Duration = Duration::from_secs(500);
 
 /// Waits until a condition holds; returns the time.
 pub fn until(what: &str, within: Duration, mut holds: impl FnMut() -> bool) -> Duration {
