@@ -123,9 +123,9 @@ const CAPTURE: &[Code] = &[
     ),
     code(
         "clipping",
-        "error",
-        "samples of this stretch are at an end of the range",
-        "none at the range's end; 16 piled up where the range is unknown",
+        "warning, error",
+        "samples of this stretch are at an end of the range; a warning where the other channel says what they were",
+        "none at the range's end; 16 piled up where the range is unknown; restored to half of 1 % of R and .7 % of L",
         "use a larger range",
     ),
     code(
@@ -306,7 +306,7 @@ const ESTIMATORS: &[Code] = &[
         "load_step",
         "info, warning",
         "the load steps inside a half-cycle: the pieces were identified, or the method passes over it",
-        "6 % of the impedance, above noise and trend",
+        "6 % of the impedance, above noise and trend; less where two laws of the current fit and one does not",
         "nothing, or least-squares, lockin, pinn",
     ),
     code(

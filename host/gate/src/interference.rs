@@ -100,8 +100,24 @@ impl Interference {
         self.tones.iter().filter(|tone| !tone.alias)
     }
 
+    /// Time in seconds, from the segment's first sample, at which the load steps; `None` if it does not.
+    fn step_s(&self) -> Option<f64> {
+        self.fits.iter().find_map(|f| match f.cause {
+            Cause::Step(t_s) => Some(t_s),
+            _ => None,
+        })
+    }
+
     /// Warning that R and L are not functions of the current alone, and that no tone explains it; else `None`.
     pub fn law_remark(&self, segment: &Segment) -> Option<Remark> {
+        if let Some(step_s) = self.step_s() {
+            let t_s = segment.t0_s + step_s;
+            let text = format!(
+                "the load steps near {:.1} ms: before and after R and L are functions of the current, but not the same ones",
+                t_s * 1e3
+            );
+            return Some(Remark::new("load_step", Severity::Warning, text).with(t_s, None));
+        }
         let unexplained = |f: &&JointFit| matches!(f.cause, Cause::Drift | Cause::Unknown);
         let share = |f: &JointFit| {
             (f.misfit_pct[0] / TOLERABLE_PCT[0]).max(f.misfit_pct[1] / TOLERABLE_PCT[1])
@@ -192,6 +208,9 @@ pub fn remove_tones(segment: &Segment, tones: &[Tone]) -> Segment {
     }
 }
 
+/// Time in seconds on either side of a step that is left out: the mean of a tenth of a millisecond in which it lies, and a boxcar.
+const STEP_S: f64 = 0.2e-3;
+
 /// Longest part that is fitted jointly, in seconds: six half-cycles.
 const JOINT_S: f64 = 60e-3;
 
@@ -210,6 +229,8 @@ pub fn find(segment: &Segment) -> Interference {
         }
     }
     residual.subtract(&found.tones);
+    let step_s = found.step_s();
+    step_s.into_iter().for_each(|t_s| residual.split(t_s));
     let aliases = aliases_hz(segment);
     let chunks = residual.periods.len().div_ceil(MOST_PHASORS).max(1);
     let length = residual.periods.len() / chunks;
@@ -227,6 +248,7 @@ pub fn find(segment: &Segment) -> Interference {
         let mut check = Residual::of(segment, CHECK_PERIODS);
         if let Some(check) = &mut check {
             check.subtract(&found.tones);
+            step_s.into_iter().for_each(|t_s| check.split(t_s));
         }
         far.retain(|tone| check.as_ref().is_some_and(|check| check.confirms(tone)));
     }
@@ -406,6 +428,22 @@ impl Residual {
     }
 
     /// Subtracts tones from the phasors.
+    /// Takes one law before a step and another after it, at a time in seconds from the segment's first sample.
+    fn split(&mut self, step_s: f64) {
+        let at = (step_s / self.dt_s - self.place.0) / self.place.1;
+        let beside = STEP_S / (self.place.1 * self.dt_s);
+        let n = self.periods.len();
+        let before = ((at - beside).max(0.0) as usize).min(n);
+        let after = ((at + beside).max(0.0).ceil() as usize).clamp(before, n);
+        let of = |range: std::ops::Range<usize>| {
+            let length = range.len();
+            static_load::residual(&self.periods[range])
+                .unwrap_or_else(|| vec![Complex::new(0.0, 0.0); length])
+        };
+        let step = vec![Complex::new(0.0, 0.0); after - before];
+        self.v = [of(0..before), step, of(after..n)].concat();
+    }
+
     fn subtract(&mut self, tones: &[Tone]) {
         if tones.is_empty() {
             return;

@@ -1,7 +1,7 @@
 //! Joint fit of a static load, a slow drift and tones within some kilohertz of the carrier.
 //!
 //! ```text
-//! phasors ─► means of .1 ms ─► static law: misfit ─► + drift: misfit ─► + tones, one by one: misfit
+//! phasors ─► means of .1 ms ─► static law: misfit ─► + drift: misfit ─► + tones, one by one, or a step: misfit
 //! ```
 //!
 //! The search by spectrum (`interference.rs`) sees a tone from five of its lines on, 250 Hz for two half-cycles; this one from
@@ -41,6 +41,16 @@ const LEAST_OUTSIDE: f64 = 0.01;
 /// Most tones.
 const MOST_TONES: usize = 3;
 
+/// Fewest means before and after a step.
+const BESIDE_STEP: usize = 8;
+
+/// Means from one place to the next at which a step is looked for first.
+const STEP_STRIDE: usize = 4;
+
+/// Numbers of a tone: frequency, amplitude, phase; those of a step beside its laws: its time.
+const NUMBERS_OF_TONE: usize = 3;
+const NUMBERS_OF_STEP: usize = 1;
+
 /// Tone as it appears in the means.
 #[derive(Clone, Debug)]
 pub struct NearTone {
@@ -61,6 +71,8 @@ pub enum Cause {
     None,
     /// They drift, or a tone turns less than once.
     Drift,
+    /// They step at this time in seconds: two functions of the current, which explain it.
+    Step(f64),
     /// Tones, which explain it.
     Tones(Vec<NearTone>),
     /// Something else.
@@ -89,6 +101,13 @@ pub struct Means {
     white: Vec<f64>,
     /// Length of a mean in seconds.
     mean_s: f64,
+}
+
+/// Bayesian information criterion of a residual beside so many numbers: the lower, the likelier.
+fn cost(left: &[f64], numbers: usize) -> f64 {
+    let n = left.len() as f64;
+    let power: f64 = left.iter().map(|x| x * x).sum();
+    n * libm::log(power.max(f64::MIN_POSITIVE)) + numbers as f64 * libm::log(n)
 }
 
 impl Means {
@@ -171,15 +190,54 @@ impl Means {
         if !self.is_misfit(drift_pct) {
             return done(drift_pct, Cause::Drift);
         }
+        let share = |pct: [f64; 2]| (pct[0] / MISFIT_PCT[0]).hypot(pct[1] / MISFIT_PCT[1]);
+        let explains = |pct: &[f64; 2]| share(*pct) <= EXPLAINED * share(misfit_pct);
         let tones = self.tones(&space, &v);
         let mut all = space.clone();
         tones.iter().for_each(|t| self.add(&mut all, t));
-        let left_pct = self.misfit_pct(&all.outside(&v));
-        let share = |pct: [f64; 2]| (pct[0] / MISFIT_PCT[0]).hypot(pct[1] / MISFIT_PCT[1]);
-        if tones.is_empty() || share(left_pct) > EXPLAINED * share(misfit_pct) {
+        let beside_tones = all.outside(&v);
+        let left_pct = self.misfit_pct(&beside_tones);
+        let by_tones = !tones.is_empty() && explains(&left_pct);
+        let tones_cost = cost(
+            &beside_tones,
+            all.dimension() + tones.len() * (NUMBERS_OF_TONE - 2),
+        );
+        let step = self.step(&v).filter(|(_, left, numbers)| {
+            explains(&self.misfit_pct(left)) && !(by_tones && tones_cost < cost(left, *numbers))
+        });
+        if let Some((at, left, _)) = step {
+            return done(self.misfit_pct(&left), Cause::Step(self.t_s[at]));
+        }
+        if !by_tones {
             return done(drift_pct, Cause::Unknown);
         }
         done(left_pct, Cause::Tones(tones))
+    }
+
+    /// Most likely step: its mean, what is left with it, and its numbers; `None` if there are too few means.
+    fn step(&self, v: &[f64]) -> Option<(usize, Vec<f64>, usize)> {
+        let n = self.periods.len();
+        let of = |at: usize| {
+            let mut space = Space::of_static_loads(&self.periods[..at])?;
+            let mut after = Space::of_static_loads(&self.periods[at + 1..])?;
+            space.widen(0, n - at);
+            after.widen(at + 1, 0);
+            space.join(after);
+            let mut left = space.outside(v);
+            // The step lies within this mean.
+            (left[at], left[n + at]) = (0.0, 0.0);
+            Some((at, left, space.dimension() + 2 + NUMBERS_OF_STEP))
+        };
+        let power = |left: &[f64]| left.iter().map(|x| x * x).sum::<f64>();
+        let best = |places: &mut dyn Iterator<Item = usize>| {
+            places
+                .filter_map(of)
+                .min_by(|a, b| power(&a.1).total_cmp(&power(&b.1)))
+        };
+        let (first, end) = (BESIDE_STEP, n.checked_sub(BESIDE_STEP)?);
+        let (near, ..) = best(&mut (first..end).step_by(STEP_STRIDE))?;
+        let from = near.saturating_sub(STEP_STRIDE - 1).max(first);
+        best(&mut (from..(near + STEP_STRIDE).min(end)))
     }
 
     /// Root mean square of ΔR/R and ΔL/L that a residual means, without that of white noise, in percent.

@@ -126,6 +126,7 @@ fn examine_samples(
 ) -> Result<Examination, SurveyError> {
     let repaired = repair::repair(capture, &request.hints)?;
     capture = repaired.capture;
+    let [r_restored, l_restored] = repaired.shares;
     let mut survey = repaired.survey;
     let (mut removed, mut interference) = (None, Vec::new());
     match neighbours::remove(&capture, &survey, &request.hints)? {
@@ -136,10 +137,11 @@ fn examine_samples(
             removed = Some(without);
         }
     }
-    // What is left of a tone would be taken for a fault of the sensors.
-    let mode = match removed {
-        Some(_) => CalibrationMode::Off,
-        None => request.sensors.mode,
+    // What is left of a tone would be taken for a fault of the sensors, and restored samples have no edges of their own.
+    let is_whole = removed.is_none() && repaired.shares == [0.0; 2];
+    let mode = match is_whole {
+        true => request.sensors.mode,
+        false => CalibrationMode::Off,
     };
     let sensors = BlindOptions {
         mode,
@@ -214,7 +216,11 @@ fn examine_samples(
                 if let Some(uncertainty) = uncertainty {
                     uncertainty.widen(estimate);
                 }
-                widen(estimate, RESOLUTION, RESOLUTION);
+                widen(
+                    estimate,
+                    RESOLUTION.hypot(r_restored),
+                    RESOLUTION.hypot(l_restored),
+                );
                 if let Some(aliasing) = &survey.aliasing {
                     widen(estimate, 0.01 * aliasing.r_pct, 0.01 * aliasing.l_pct);
                 }

@@ -76,6 +76,20 @@ impl Space {
         self.add(weighed(periods, |k, p| p.d * at(k)));
     }
 
+    /// Puts so many periods, of which the space says nothing, before and after its own.
+    pub fn widen(&mut self, before: usize, after: usize) {
+        for b in &mut self.basis {
+            let (re, im) = b.split_at(b.len() / 2);
+            let part = |x: &[f64]| [&vec![0.0; before], x, &vec![0.0; after]].concat();
+            *b = [part(re), part(im)].concat();
+        }
+    }
+
+    /// Adds the dimensions of a space that is orthogonal to this one.
+    pub fn join(&mut self, other: Self) {
+        self.basis.extend(other.basis);
+    }
+
     /// Number of its dimensions.
     pub fn dimension(&self) -> usize {
         self.basis.len()

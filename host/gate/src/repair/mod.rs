@@ -1,12 +1,14 @@
 //! Repair of faults of a capture that its own samples show and undo: exchanged or reversed channels, single samples that are off,
-//! samples that are missing without a mark.
+//! samples that are missing without a mark, samples beyond a channel's range.
 //!
 //! ```text
-//! Capture ─► wiring ─► spikes ─► gaps ─► Capture, remarks
+//! Capture ─► wiring ─► spikes ─► gaps ─► clipping ─► Capture, remarks
 //! ```
 //!
 //! Each repair is a warning, and what it leaves is judged as any other capture.
 
+mod censored;
+mod clipping;
 mod gaps;
 mod spikes;
 #[cfg(test)]
@@ -27,6 +29,8 @@ pub struct RepairedCapture<'a> {
     pub survey: Survey,
     /// Warnings on what was repaired.
     pub remarks: Vec<Remark>,
+    /// Standard deviations of R and of L, as shares, that restored samples add.
+    pub shares: [f64; 2],
 }
 
 /// Repairs a capture and surveys it.
@@ -42,12 +46,18 @@ pub fn repair<'a>(
         capture,
         survey,
         remarks: Vec::new(),
+        shares: [0.0; 2],
     };
     for step in [wiring::repair, spikes::repair, gaps::repair] {
         if let Some(remark) = step(&mut repaired.capture, &repaired.survey) {
             repaired.remarks.push(remark);
             repaired.survey = Survey::of(&repaired.capture, hints)?;
         }
+    }
+    if let Some(restored) = clipping::repair(&mut repaired.capture, &repaired.survey) {
+        repaired.remarks.push(restored.remark);
+        repaired.shares = restored.shares;
+        repaired.survey = Survey::of(&repaired.capture, hints)?;
     }
     Ok(repaired)
 }

@@ -247,3 +247,50 @@ fn a_known_capacitance_corrects_the_ratio_of_the_gains() {
         gain.text
     );
 }
+
+/// Largest magnitude of a channel.
+fn largest(x: &[f32]) -> f32 {
+    x.iter().fold(0.0, |a, x| a.max(x.abs()))
+}
+
+fn clip(x: &mut [f32], share: f32) {
+    let rail = share * largest(x);
+    x.iter_mut().for_each(|x| *x = x.clamp(-rail, rail));
+}
+
+#[test]
+fn a_channel_that_clips_is_restored_with_a_warning() {
+    let right = capture(&settings());
+    for share in [0.75, 0.9] {
+        for voltage in [false, true] {
+            let mut wrong = right.clone();
+            clip(
+                if voltage {
+                    &mut wrong.v_v
+                } else {
+                    &mut wrong.i_a
+                },
+                share,
+            );
+            let found = examined(&wrong, Hints::default(), None);
+            assert_eq!(warned(&found), ["clipping"], "{share} {voltage}");
+            let pct = errors_pct(&found, &right);
+            assert!(pct[0] < 0.5 && pct[1] < 0.35, "{share} {voltage}: {pct:?}");
+        }
+    }
+}
+
+/// Nothing says what is beyond the rails where both channels clip, or no period lies within them.
+#[test]
+fn what_cannot_be_restored_stays_refused() {
+    let right = capture(&settings());
+    let mut both = right.clone();
+    clip(&mut both.v_v, 0.8);
+    clip(&mut both.i_a, 0.8);
+    let mut most = right.clone();
+    clip(&mut most.i_a, 0.05);
+    for wrong in [both, most] {
+        let found = examined(&wrong, Hints::default(), None);
+        assert!(found.outcomes.iter().all(|o| !o.judgement.gate.passes()));
+    }
+}

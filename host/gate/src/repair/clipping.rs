@@ -1,0 +1,119 @@
+//! Samples at an end of a channel's range: the other channel and what is left of this one say what they were.
+
+use std::borrow::Cow;
+
+use ihd_signal::carrier::Carrier;
+use ihd_signal::{Capture, Remark, Severity};
+use ihd_survey::{Channel, Finding, Survey};
+
+use super::censored::{Censored, Pair};
+use crate::limits::TOLERABLE_PCT;
+
+/// Fewest samples of a switching period: 31 harmonics would not be there, and the edges fold onto those that are.
+const LEAST_PER_PERIOD: f64 = 16.0;
+
+/// Samples within this share of the range from an end count as clipped, because noise behind an amplifier that clips blurs the end.
+/// That costs little: a crest within it is fitted as well.
+const AT_END: f64 = 1.5 / 128.0;
+
+/// Duration over which errors average, in seconds: R and L of the estimators have no more than one value in it.
+const PART_S: f64 = 0.4e-3;
+
+/// Fewest parts in which the fit is tried.
+const LEAST_PARTS: usize = 4;
+
+/// Standard deviations that must lie within the tolerable error.
+const SIGMAS: f64 = 2.0;
+
+/// Samples beyond a channel's range were restored.
+#[derive(Clone, Debug)]
+pub struct RestoredSamples {
+    /// Warning.
+    pub remark: Remark,
+    /// Standard deviation of R and of L as shares, by which they were restored wrongly.
+    pub shares: [f64; 2],
+}
+
+/// Restores the samples at the ends of one channel's range; `None` if none are there, or too little beside them.
+pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<RestoredSamples> {
+    let clipped = |f: &Finding| match f {
+        Finding::Clipping {
+            channel,
+            samples,
+            level,
+        } => Some((*channel, *samples, *level)),
+        _ => None,
+    };
+    let mut all = survey.findings.iter().filter_map(clipped);
+    // If both clip, neither says what the other one was.
+    let ((channel, samples, level), None) = (all.next()?, all.next()) else {
+        return None;
+    };
+    let is_voltage = channel == Channel::Voltage;
+    let numbers = match is_voltage {
+        true => [&survey.voltage, &survey.current],
+        false => [&survey.current, &survey.voltage],
+    };
+    let margin = AT_END * (numbers[0].max - numbers[0].min);
+    let rails = [numbers[0].min + margin, numbers[0].max - margin];
+    let noise = [numbers[0].noise?, numbers[1].noise?];
+    let (mut values, mut errors) = (Vec::new(), Vec::new());
+    for span in &survey.spans {
+        let range = span.first..span.first + span.samples;
+        let (v, i) = (capture.v_v.get(range.clone())?, capture.i_a.get(range)?);
+        let (x, y) = if is_voltage { (v, i) } else { (i, v) };
+        let inside = |x: &f32| (rails[0]..=rails[1]).contains(&f64::from(*x));
+        if x.iter().all(inside) {
+            continue;
+        }
+        let per_period = 1.0 / (span.f_sw_hz * span.dt_s);
+        let moves = || Carrier::of(&survey.segment(capture, span)).is_some_and(|c| c.moves());
+        if per_period < LEAST_PER_PERIOD || moves() {
+            return None;
+        }
+        let model = Censored::of(Pair {
+            x,
+            y,
+            is_voltage,
+            per_period,
+            noise,
+            rails,
+        })?;
+        let parts = model.errors((PART_S * span.f_sw_hz) as usize);
+        if parts.len() < LEAST_PARTS {
+            return None;
+        }
+        errors.extend(parts);
+        let of_span = model.values().into_iter();
+        values.extend(of_span.map(|(k, x)| (span.first + k, x)));
+    }
+    let rms =
+        |k: usize| (errors.iter().map(|e| e[k] * e[k]).sum::<f64>() / errors.len() as f64).sqrt();
+    let shares = [rms(0), rms(1)];
+    let right = (0..2).all(|k| SIGMAS * 100.0 * shares[k] <= TOLERABLE_PCT[k]);
+    if values.is_empty() || !right {
+        return None;
+    }
+    let capture = capture.to_mut();
+    let (x, full_scale) = match is_voltage {
+        true => (&mut capture.v_v, &mut capture.v_full_scale_v),
+        false => (&mut capture.i_a, &mut capture.i_full_scale_a),
+    };
+    for (k, value) in values {
+        x[k] = value;
+    }
+    // Values beyond the range are no clipping any more.
+    *full_scale = None;
+    let (name, unit, other) = match is_voltage {
+        true => ("voltage", "V", "current"),
+        false => ("current", "A", "voltage"),
+    };
+    let text = format!(
+        "the {name} was clipped at {level:.4} {unit}, {samples} samples: they were left out, and what they were follows from \
+         the {other} and the samples beside them, R to {:.2} % and L to {:.2} %; better use a larger range",
+        100.0 * shares[0],
+        100.0 * shares[1]
+    );
+    let remark = Remark::new("clipping", Severity::Warning, text).with(samples as f64, None);
+    Some(RestoredSamples { remark, shares })
+}
