@@ -186,6 +186,7 @@ pub fn remark(
         match (strongest.alias, removed) {
             (true, _) => "it is an alias of the inverter's edges: sample at another rate",
             (false, false) => "switch the coil beside this one off",
+            (false, true) if severity == Severity::Info => "it was removed",
             (false, true) =>
                 "it was removed, and the sensors were not calibrated; better switch the coil beside this one off",
         }

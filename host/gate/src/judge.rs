@@ -57,10 +57,15 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     let within = |f: &Remark| f.severity != Severity::Error && f.value <= f.limit;
     let harmless = |f: &HalfCycleRemark| f.remark.severity == Severity::Info || within(&f.remark);
     let confirmed = agreement.iter().all(harmless) && evidence.reference.least_squares.is_ok();
-    let uncertain = match &evidence.reference.least_squares {
-        Ok(reference) if confirmed => uncertainty(segment, reference),
-        _ => uncertainty(segment, estimate),
+    let refuted = agreement
+        .iter()
+        .any(|f| f.remark.severity == Severity::Error);
+    let sigmas = match &evidence.reference.least_squares {
+        Ok(reference) if confirmed => comparison::sigmas_pct(segment, reference),
+        Ok(reference) if !refuted => within_reference(segment, estimate, reference),
+        _ => comparison::sigmas_pct(segment, estimate),
     };
+    let uncertain = uncertainty(segment, &sigmas);
     if confirmed {
         // The network stopped at its limit of steps, but with the right result.
         let unsettled = findings.iter_mut().filter(|f| f.code == "not_converged");
@@ -167,7 +172,7 @@ fn worse(values: [f64; 2], limits: [f64; 2]) -> (&'static str, f64, f64) {
 }
 
 /// Remarks on the noise of the half-cycles; [`TOO_SHORT`] if a stub is all there is, and its deviation is large or unknown.
-fn uncertainty(segment: &Segment, estimate: &Estimate) -> Vec<HalfCycleRemark> {
+fn uncertainty(segment: &Segment, sigmas_pct: &[(f64, [f64; 2])]) -> Vec<HalfCycleRemark> {
     let judged = comparison::judged(segment);
     let Some(first) = judged.first() else {
         let crossing_s = comparison::half_cycles(segment)
@@ -184,7 +189,7 @@ fn uncertainty(segment: &Segment, estimate: &Estimate) -> Vec<HalfCycleRemark> {
         }];
     };
     let is_stub = !first.is_whole();
-    let remark = |(crossing_s, pct): (f64, [f64; 2])| {
+    let remark = |&(crossing_s, pct): &(f64, [f64; 2])| {
         let (name, value, tolerable) = worse(pct, TOLERABLE_PCT);
         let share = value / tolerable;
         let most = pct[0].max(pct[1]);
@@ -220,8 +225,30 @@ fn uncertainty(segment: &Segment, estimate: &Estimate) -> Vec<HalfCycleRemark> {
             }
         })
     };
-    let sigmas = comparison::sigmas_pct(segment, estimate).into_iter();
-    sigmas.filter_map(remark).collect()
+    sigmas_pct.iter().filter_map(remark).collect()
+}
+
+/// Standard deviations of an estimate that least squares does not refute, in percent, by half-cycle: its difference and the σ of
+/// least squares, where its own states more.
+fn within_reference(
+    segment: &Segment,
+    estimate: &Estimate,
+    reference: &Estimate,
+) -> Vec<(f64, [f64; 2])> {
+    let differences = comparison::differences(segment, estimate, reference);
+    let known = comparison::sigmas_pct(segment, reference);
+    let mut sigmas = comparison::sigmas_pct(segment, estimate);
+    for (crossing_s, own) in &mut sigmas {
+        let apart = differences.iter().find(|d| d.crossing_s == *crossing_s);
+        let of_reference = known.iter().find(|(at_s, _)| at_s == crossing_s);
+        let (Some(apart), Some((_, of_reference))) = (apart, of_reference) else {
+            continue;
+        };
+        for (k, own) in own.iter_mut().enumerate() {
+            *own = own.min(apart.mean_pct[k].hypot(of_reference[k]));
+        }
+    }
+    sigmas
 }
 
 fn no_reference(reference: &Reference) -> Remark {

@@ -1,7 +1,7 @@
 //! Removal of other hobs' tones from a capture, before its sensors are calibrated: a tone would look like a fault of a sensor.
 
 use ihd_identify::{IdentifyOptions, Method, run};
-use ihd_signal::{Capture, Remark, Segment};
+use ihd_signal::{Capture, Remark, Segment, Severity};
 use ihd_survey::{Finding, Hints, Survey, SurveyError};
 
 use crate::interference::{self, Interference, Tone};
@@ -16,6 +16,11 @@ pub struct WithoutNeighbours {
 }
 
 impl WithoutNeighbours {
+    /// Returns `true` if what is left of the tones may look like a fault of the sensors: they cost more than is mentioned only.
+    pub fn hide_sensors(&self) -> bool {
+        self.remarks.iter().any(|r| r.2.severity > Severity::Info)
+    }
+
     /// Remarks that concern a segment.
     pub fn remarks_on(&self, segment: &Segment) -> impl Iterator<Item = &Remark> {
         let (from_s, to_s) = (segment.t0_s, segment.t_s(segment.len()));

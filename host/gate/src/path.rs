@@ -138,10 +138,10 @@ fn examine_samples(
         }
     }
     // What is left of a tone would be taken for a fault of the sensors, and restored samples have no edges of their own.
-    let is_whole = removed.is_none() && repaired.shares == [0.0; 2];
-    let mode = match is_whole {
-        true => request.sensors.mode,
-        false => CalibrationMode::Off,
+    let hidden = removed.as_ref().is_some_and(|r| r.hide_sensors());
+    let mode = match hidden || repaired.shares != [0.0; 2] {
+        true => CalibrationMode::Off,
+        false => request.sensors.mode,
     };
     let sensors = BlindOptions {
         mode,

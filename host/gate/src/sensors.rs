@@ -8,6 +8,8 @@ use ihd_signal::{Capture, Load, Remark, Segment, Severity};
 use ihd_survey::calibration::blind::{self, BlindOptions, CalibratedCapture, SelfCalibration};
 use ihd_survey::{Hints, Survey, SurveyError};
 
+use crate::limits::TOLERABLE_PCT;
+
 /// Least relative error of a corrected lag, whatever the samples say: a probe is only roughly of first order.
 const MODEL: f64 = 0.02;
 
@@ -23,6 +25,9 @@ const COARSE_SHARE: f64 = 0.04;
 
 /// Share of R in percent above which a correction's own deviation is reported.
 const DOUBTFUL_PCT: f64 = 0.35;
+
+/// Standard deviations that must lie within the tolerable error where the bridge's resistance is taken for a delay.
+const BRIDGE_SIGMAS: f64 = 2.0;
 
 /// Calibrates the sensors of a surveyed capture. A lag that is an artefact of coarse sampling is not corrected.
 ///
@@ -181,12 +186,23 @@ impl CorrectionUncertainty {
         let load = load?;
         let (r, _) = self.sigmas(self.lag_sigma_s, load, segment.f_sw_hz);
         let pct = 100.0 * (r / load.r_ohm).abs();
-        (pct > DOUBTFUL_PCT).then(|| {
+        if pct > DOUBTFUL_PCT {
             let text = format!(
                 "the correction of the sensors leaves R uncertain by {pct:.1} %: compare with --self-calibrate off, or calibrate \
                  against a reference"
             );
-            Remark::new("correction_doubtful", Severity::Warning, text).with(pct, Some(DOUBTFUL_PCT))
+            let remark = Remark::new("correction_doubtful", Severity::Warning, text);
+            return Some(remark.with(pct, Some(DOUBTFUL_PCT)));
+        }
+        let (r, _) = self.sigmas(self.lag_sigma_s.hypot(self.bridge_s), load, segment.f_sw_hz);
+        let pct = 100.0 * (r / load.r_ohm).abs();
+        (BRIDGE_SIGMAS * pct > TOLERABLE_PCT[0]).then(|| {
+            let text = format!(
+                "the sensors were corrected for a delay, of which the bridge's resistance may be a part: R is uncertain by \
+                 {pct:.1} %; calibrate against a reference"
+            );
+            let remark = Remark::new("correction_doubtful", Severity::Warning, text);
+            remark.with(pct, Some(TOLERABLE_PCT[0] / BRIDGE_SIGMAS))
         })
     }
 }
