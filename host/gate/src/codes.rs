@@ -409,7 +409,7 @@ const GATE: &[Code] = &[
         "correction_doubtful",
         "warning",
         "the correction of the sensors is uncertain",
-        "6 MS/s (below, a lag under 4 % of the sampling interval is ignored); .35 % of R",
+        "6 MS/s (below, a lag under 4 % of the sampling interval is ignored); .35 % of R; half of 1 % with a bridge of 10 mΩ",
         "sample faster, --self-calibrate off, or ihd calibrate",
     ),
     code(
