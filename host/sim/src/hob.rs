@@ -100,6 +100,8 @@ pub struct HobConfig {
     pub warming: bool,
     /// Contents of the pot if it warms up.
     pub contents: PotContents,
+    /// Conductance from the pot to the glass, as a multiple of a flat base's.
+    pub glass_contact: f64,
     /// Corner of the anti-alias filter of both ADC channels in hertz; 0 for none. Without it the
     /// 121st and 123rd harmonics of the voltage's edges alias onto the fundamental and cost up to
     /// 0.6 % of R (measured on tests/fixtures/half_cycle, which have none).
@@ -129,6 +131,7 @@ impl Default for HobConfig {
             load: LoadKind::Behavioural,
             warming: false,
             contents: PotContents::default(),
+            glass_contact: 1.0,
             anti_alias_hz: f64::from(ihd_shared::sampling::ANTI_ALIAS_HZ),
             // Half an LSB: what a good 12-bit converter has left.
             noise: ConverterNoise {
@@ -276,7 +279,7 @@ impl SimHob {
             plant.set_bench_supply(supply_v);
         }
         if config.warming {
-            plant.enable_warming(config.contents);
+            plant.enable_warming(config.contents, config.glass_contact);
         }
         Ok(Self {
             plant,
@@ -292,7 +295,10 @@ impl SimHob {
             fed_s: 0.0,
             watchdog_bites: 0,
             injections: Injections::default(),
-            temperatures: LumpTemperatures::at(config.ambient_c),
+            temperatures: LumpTemperatures {
+                contact: config.glass_contact,
+                ..LumpTemperatures::at(config.ambient_c)
+            },
             ntc: config.ntc,
             dc_link: config.dc_link,
             reading: None,

@@ -72,6 +72,7 @@ pub struct Plant {
     measured: LoadPoint,
     warming: Option<ThermalModel>,
     contents: PotContents,
+    contact: f64,
     /// Present temperature of the load, in °C.
     load_c: f64,
 }
@@ -137,6 +138,7 @@ impl Plant {
             measured: LoadPoint::default(),
             warming: None,
             contents: PotContents::default(),
+            contact: 1.0,
             load_c: pot.temperature_c,
         })
     }
@@ -164,10 +166,11 @@ impl Plant {
         self.meter.last.take()
     }
 
-    /// Enables warming of the pot with these contents, from its temperature, by the power it takes.
-    pub fn enable_warming(&mut self, contents: PotContents) {
-        self.contents = contents;
-        self.warming = Some(ThermalModel::new(contents, &self.pot));
+    /// Enables warming of the pot with these contents, from its temperature, by the power it takes; `contact` is that of
+    /// [`ThermalModel::with_contact`].
+    pub fn enable_warming(&mut self, contents: PotContents, contact: f64) {
+        (self.contents, self.contact) = (contents, contact);
+        self.warming = Some(ThermalModel::new(contents, &self.pot).with_contact(contact));
     }
 
     /// Temperature of the pot's base in °C; `None` if it does not warm up.
@@ -245,8 +248,8 @@ impl Plant {
         )?;
         if pot.metal != self.pot.metal || pot.diameter_m != self.pot.diameter_m {
             // A new pot has the same contents, at its own temperature.
-            let contents = self.contents;
-            self.warming = self.warming.map(|_| ThermalModel::new(contents, &pot));
+            let new = ThermalModel::new(self.contents, &pot).with_contact(self.contact);
+            self.warming = self.warming.map(|_| new);
         }
         self.pot = pot;
         self.load_c = pot.temperature_c;
@@ -604,7 +607,7 @@ mod tests {
     fn r_drifts_upwards_as_the_pot_warms() {
         for load in [LoadKind::Behavioural, LoadKind::Field] {
             let mut plant = at_full_power(load);
-            plant.enable_warming(PotContents::Food);
+            plant.enable_warming(PotContents::Food, 1.0);
             // 900 J/K, and 14 W/K of which little is lost in a tenth of a second.
             plant.warming.as_mut().unwrap().advance(9.007e5, 0.1);
             let hot_c = plant.temperature_c().unwrap();

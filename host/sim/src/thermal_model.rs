@@ -67,6 +67,8 @@ pub struct ThermalModel {
     base_c: f64,
     bulk_c: f64,
     glass_c: f64,
+    /// Conductance from the base to the glass over that of a flat base.
+    contact: f64,
     /// Temperature of the base's inner face, in °C.
     face_c: f64,
     /// Mass left in the pot, in kg.
@@ -119,6 +121,7 @@ impl ThermalModel {
             base_c: start_c,
             bulk_c: start_c,
             glass_c: ROOM_C,
+            contact: 1.0,
             face_c: start_c,
             mass_kg: match contents {
                 PotContents::Water(litre) => litre,
@@ -127,6 +130,11 @@ impl ThermalModel {
             },
             body: Body::of(pot),
         }
+    }
+
+    /// The same pot with another conductance to the glass, as a multiple of a flat base's: a bowed base, feet or a mat have less.
+    pub fn with_contact(self, contact: f64) -> Self {
+        Self { contact, ..self }
     }
 
     /// Temperature of the base, where the eddy currents flow, in °C.
@@ -173,7 +181,7 @@ impl ThermalModel {
             return;
         }
         let (from_pot, to_air, to_coil) = GLASS_W_PER_K;
-        let glass_w = from_pot * (self.base_c - self.glass_c);
+        let glass_w = self.contact * from_pot * (self.base_c - self.glass_c);
         self.glass_c +=
             (glass_w - (to_air + to_coil) * (self.glass_c - ROOM_C)) * dt_s / GLASS_J_PER_K;
         let up_w = if self.mass_kg > 0.0 {

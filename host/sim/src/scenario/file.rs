@@ -45,6 +45,9 @@ pub struct ScenarioFile {
     /// Contents of the pot, which then warms up: `water-1.5`, `oil-0.5`, `food`, `empty`.
     #[serde(default)]
     pub contents: Option<PotContents>,
+    /// Conductance from the pot to the glass, as a multiple of a flat base's: 0.1 to 3, default 1.
+    #[serde(default, deserialize_with = "number::some_contact")]
+    pub glass_contact: Option<f64>,
     /// Bus capacitance in microfarad, 0 for none; default: the hob's.
     #[serde(default, deserialize_with = "number::some_bus_uf")]
     pub bus_capacitance_uf: Option<f64>,
@@ -101,6 +104,7 @@ impl ScenarioFile {
             load: self.load,
             warming: self.warming || self.contents.is_some(),
             contents: self.contents.unwrap_or_default(),
+            glass_contact: self.glass_contact.unwrap_or(usual.glass_contact),
             ambient_c: self.ambient_c.unwrap_or(usual.ambient_c),
             ntc: self.ntc.unwrap_or(usual.ntc),
             dc_link: self.dc_link,

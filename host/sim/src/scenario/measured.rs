@@ -20,11 +20,12 @@ const OF_BURST: f64 = 0.35;
 const HALF_CYCLE_S: f64 = 0.01;
 
 /// Quantities that are a word or a truth.
-pub(super) const WORDS: [(&str, Word); 6] = [
+pub(super) const WORDS: [(&str, Word); 7] = [
     ("fault", |r| {
         r.faults.first().map_or("None", |f| &f.name).to_owned()
     }),
     ("latched", |r| r.summary.latched.to_string()),
+    ("limit", |r| last(r, |h| &h.limit)),
     ("off_reason", |r| last(r, |h| &h.off_reason)),
     ("pot", |r| last(r, |h| &h.pot)),
     ("state", |r| last(r, |h| &h.state)),
@@ -34,13 +35,15 @@ pub(super) const WORDS: [(&str, Word); 6] = [
 ];
 
 /// Quantities that are numbers.
-pub(super) const NUMBERS: [(&str, Number); 19] = [
+pub(super) const NUMBERS: [(&str, Number); 21] = [
+    ("base_c", |r| r.hottest_c(|h| h.base_c)),
     ("burst_w", |r| {
         let least_w = r.burst_from_w();
         let on = r.half_cycles.iter().map(|h| h.power_w);
         let on: Vec<f64> = on.filter(|w| *w > least_w).collect();
         vec![on.iter().sum::<f64>() / on.len() as f64]
     }),
+    ("contents_c", |r| r.hottest_c(|h| h.contents_c)),
     ("energy_j", |r| vec![r.summary.energy_j]),
     ("energy_per_start_j", |r| {
         vec![r.summary.energy_j / r.starts().len().max(1) as f64]
@@ -151,6 +154,12 @@ fn mean(span: &[TrueHalfCycle], of: fn(&TrueHalfCycle) -> f64) -> f64 {
 impl Record {
     fn most(&self, of: fn(&TrueHalfCycle) -> f64) -> f64 {
         self.half_cycles.iter().map(of).fold(0.0, f64::max)
+    }
+
+    /// Highest of temperatures in °C; none where there are none.
+    fn hottest_c(&self, of: fn(&TrueHalfCycle) -> Option<f64>) -> Vec<f64> {
+        let all = self.half_cycles.iter().filter_map(of);
+        all.reduce(f64::max).into_iter().collect()
     }
 
     /// Half-cycles, each with `true` if the bridge begins to switch in it.

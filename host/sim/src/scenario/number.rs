@@ -46,6 +46,7 @@ numbers! {
     corner_hz some_corner_hz 0.0 1e7 "0 (none), or up to 10 MHz";
     noise_v some_noise_v 0.0 400.0 "0 to 400 V";
     noise_a some_noise_a 0.0 80.0 "0 to 80 A";
+    contact some_contact 0.1 3.0 "0.1 to 3";
     permille some_permille 0.0 10.0 "0 to 10 permille";
     timer_min some_timer_min 0.0 255.0 "0 to 255 min";
     level some_level 0.0 9.0 "0 to 9";

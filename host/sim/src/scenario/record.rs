@@ -23,6 +23,12 @@ pub struct TrueHalfCycle {
     pub pot: String,
     /// Reason for which the hob has switched itself off, at its end.
     pub off_reason: String,
+    /// What holds the firmware's power below the request, at its end.
+    pub limit: String,
+    /// Temperature of the pot's base in °C, at its end; null if it does not warm up.
+    pub base_c: Option<f64>,
+    /// Temperature of the pot's contents in °C, at its end; null without any.
+    pub contents_c: Option<f64>,
     /// `true` if the firmware shows the glass as hot, at its end.
     pub glass_hot: bool,
     /// The firmware's estimate at the crest, in ohm.

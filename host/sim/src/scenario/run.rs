@@ -12,6 +12,7 @@ use super::summary::{self, Kind, Mark};
 use super::surroundings::Surroundings;
 use super::timeline::{RepeatedRequest, TimedChange, TimelineChange, timeline};
 use crate::hob::SimHob;
+use crate::thermal_model::ThermalModel;
 
 /// Runs a scenario; `progress` is called with the share done, 0 to 1, once a half-cycle.
 ///
@@ -181,6 +182,9 @@ impl Run {
             fault: format!("{:?}", self.active_fault),
             pot: format!("{:?}", control.pot()),
             off_reason: format!("{:?}", control.off_reason()),
+            limit: format!("{:?}", control.limit()),
+            base_c: self.hob.thermal().map(ThermalModel::temperature_c),
+            contents_c: self.hob.thermal().and_then(ThermalModel::bulk_c),
             glass_hot: control.temperatures().is_glass_hot(),
             r_ohm: seen.r.ohm(),
             l_uh: seen.l.henry() * 1e6,

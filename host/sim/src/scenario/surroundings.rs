@@ -75,7 +75,7 @@ impl Surroundings {
             TimelineChange::Pass(minutes) => hob.pass_minutes(*minutes),
             TimelineChange::Ambient(celsius) => hob.temperatures().ambient_c = *celsius,
             TimelineChange::HeatSink(celsius) => hob.temperatures().heat_sink_c = *celsius,
-            TimelineChange::Glass(celsius) => hob.temperatures().glass_c = *celsius,
+            TimelineChange::Glass(celsius) => hob.temperatures().set_glass(*celsius),
             TimelineChange::Power(_)
             | TimelineChange::Silent
             | TimelineChange::ClearFault
