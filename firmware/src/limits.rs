@@ -207,6 +207,14 @@ limits! {
     GLASS_DERATE_C: i16 = 260, "°C";
     /// Glass at which none is left.
     GLASS_OFF_C: i16 = 300, "°C";
+    /// Base of a pot, as the glass lets it be estimated, from which power is taken back.
+    POT_HOT_C: i16 = 230, "°C";
+    /// Base at which only the lowest level's power is left.
+    POT_TOO_HOT_C: i16 = 260, "°C";
+    /// Lead of a pot's base over the glass's sensor: heat capacity of the glass by half of a flat base's conductance, and the sensor's lag.
+    POT_LEAD_S: i16 = 80, "s";
+    /// Conductance from the glass to the room by half of a flat base's.
+    POT_LOSS_PERCENT: i16 = 38, "%";
     /// Coil from which power is taken back.
     COIL_DERATE_C: i16 = 140, "°C";
     /// Coil at which none is left.

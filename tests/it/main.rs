@@ -19,6 +19,7 @@ mod field_loop;
 // Each target is a program of its own, with the modules that it needs.
 #[allow(clippy::duplicate_mod)]
 mod fuzz_targets;
+mod hot_pots;
 mod import;
 mod link_device;
 mod link_late;

@@ -43,7 +43,7 @@ scenarios! {
     restart { doubled host_clears host_repeats lookups person tries }
     sags { dip dropout swell }
     steps { dither steps taught }
-    temperatures { derating glass over sensors }
+    temperatures { derating empty_pan glass oil over sensors water }
     unattended { boost boost_of_host host level timer touch }
     zvs { powers }
 }

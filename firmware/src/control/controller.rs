@@ -10,6 +10,7 @@ use crate::control::panel::PanelState;
 use crate::control::parts::ControlParts;
 use crate::control::plausibility::Plausibility;
 use crate::control::pot::classify;
+use crate::control::pot_heat::PotHeat;
 use crate::control::request::{PanelEvent, PanelResult, PowerRequest};
 use crate::control::restart::{RestartPolicy, RestartVerdict};
 use crate::control::status::{Action, SamplingStatus};
@@ -163,6 +164,11 @@ impl Control {
     pub fn temperatures(&self) -> &Temperatures {
         &self.parts.temperatures
     }
+
+    /// Heat of what stands on the glass.
+    pub fn pot_heat(&self) -> &PotHeat {
+        &self.parts.pot_heat
+    }
 }
 
 /// What outlives a reset.
@@ -207,6 +213,7 @@ impl Control {
     /// Takes the codes of the temperature sensors.
     pub fn set_temperatures(&mut self, codes: TemperatureCodes) {
         self.parts.temperatures.update(codes);
+        self.parts.pot_heat.take(self.parts.temperatures.glass());
     }
 
     /// Takes a touch of the panel.
@@ -408,6 +415,7 @@ impl Control {
         let condition = self.parts.condition();
         let elapsed_s = self.parts.times.elapsed_s(status.now_ms);
         if elapsed_s > 0 {
+            self.parts.pot_heat.count(elapsed_s);
             let action = self.count_time(elapsed_s);
             if action != Action::Keep {
                 return action;

@@ -18,7 +18,7 @@
 //! half-cycle ─► plausibility ─► heating: pot, burst or power ─► Action ─► sampling path
 //! buttons ─► panel ──┬► request ► │
 //! host ──────────────┘            │
-//! sensors ─► temperature ──────► │
+//! sensors ─► temperature, pot heat ► │
 //! ```
 //!
 //! [`controller::Control`] takes one half-cycle and answers with an [`status::Action`]. The frequency of a new
@@ -34,6 +34,7 @@ pub mod panel;
 pub mod parts;
 pub mod plausibility;
 pub mod pot;
+pub mod pot_heat;
 pub mod power;
 pub mod request;
 pub mod restart;

@@ -5,6 +5,7 @@ use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::{Limit, Pot};
 
 use crate::control::cooking_times::{BELOW_BOOST_W, CookingTimes};
+use crate::control::pot_heat::PotHeat;
 use crate::control::power::PowerControl;
 use crate::control::request::PowerRequest;
 use crate::control::restart::RestartPolicy;
@@ -24,6 +25,8 @@ pub struct ControlParts {
     pub times: CookingTimes,
     /// Heat sink, glass, coil and fan.
     pub temperatures: Temperatures,
+    /// Heat of what stands on the glass.
+    pub pot_heat: PotHeat,
     /// The analogue supply.
     pub supply: Supply,
     /// Search for the frequency.
@@ -41,6 +44,7 @@ impl Default for ControlParts {
             restart: RestartPolicy::default(),
             times: CookingTimes::default(),
             temperatures: Temperatures::default(),
+            pot_heat: PotHeat::default(),
             supply: Supply::default(),
             power: PowerControl::default(),
             pot: Pot::Unknown,
@@ -68,6 +72,7 @@ impl ControlParts {
         let mut granted = (asked_w, Limit::None);
         for (holds, most_w, limit) in [
             (true, hot_w, Limit::Temperature),
+            (true, self.pot_heat.power_w(), Limit::Temperature),
             (is_small, small_w, Limit::SmallPot),
             (self.times.boost.is_over(), BELOW_BOOST_W, Limit::Boost),
         ] {

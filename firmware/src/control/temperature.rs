@@ -41,7 +41,8 @@ pub struct TemperatureCodes {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Temperatures {
     heat_sink_c: Option<i16>,
-    glass_c: Option<i16>,
+    /// In 1/16 °C.
+    glass: Option<i32>,
     coil_c: Option<i16>,
     fault: Fault,
     fan: bool,
@@ -52,10 +53,10 @@ impl Temperatures {
     /// Takes new codes.
     pub fn update(&mut self, codes: TemperatureCodes) {
         self.fault = Fault::NONE;
-        self.heat_sink_c = self.read(codes.heat_sink, Ntc::Of10K);
-        self.glass_c = self.read(codes.glass, Ntc::Of100K);
-        self.coil_c = self.read(codes.coil, Ntc::Of100K);
-        self.glass_hot = match self.glass_c {
+        self.heat_sink_c = self.read(codes.heat_sink, Ntc::Of10K).map(whole);
+        self.glass = self.read(codes.glass, Ntc::Of100K);
+        self.coil_c = self.read(codes.coil, Ntc::Of100K).map(whole);
+        self.glass_hot = match self.glass.map(whole) {
             Some(c) if self.glass_hot => c >= GLASS_COOL_C,
             Some(c) => c >= GLASS_HOT_C,
             // A sensor that fails, or none, shows nothing that could be touched.
@@ -69,9 +70,9 @@ impl Temperatures {
         }
     }
 
-    fn read(&mut self, code: Option<u16>, ntc: Ntc) -> Option<i16> {
-        match ntc.celsius(code?) {
-            Ok(celsius) => Some(celsius),
+    fn read(&mut self, code: Option<u16>, ntc: Ntc) -> Option<i32> {
+        match ntc.sixteenths(code?) {
+            Ok(sixteenths) => Some(sixteenths),
             Err(fault) => {
                 self.fault = fault;
                 None
@@ -95,7 +96,7 @@ impl Temperatures {
             100 - (i32::from(above) * 100 / i32::from(off_c - from_c)) as u16
         };
         left(self.heat_sink_c, SINK_DERATE_C, SINK_OFF_C)
-            .min(left(self.glass_c, GLASS_DERATE_C, GLASS_OFF_C))
+            .min(left(self.glass.map(whole), GLASS_DERATE_C, GLASS_OFF_C))
             .min(left(self.coil_c, COIL_DERATE_C, COIL_OFF_C))
     }
 
@@ -111,7 +112,12 @@ impl Temperatures {
 
     /// Heat sink, glass and coil, in °C.
     pub fn celsius(&self) -> [Option<i16>; 3] {
-        [self.heat_sink_c, self.glass_c, self.coil_c]
+        [self.heat_sink_c, self.glass.map(whole), self.coil_c]
+    }
+
+    /// Glass in 1/16 °C; `None` without a sensor, or if it failed.
+    pub fn glass(&self) -> Option<i32> {
+        self.glass
     }
 }
 
@@ -122,8 +128,8 @@ enum Ntc {
 }
 
 impl Ntc {
-    /// Temperature of a code in °C, or what is wrong with the wire.
-    fn celsius(self, code: u16) -> Result<i16, Fault> {
+    /// Temperature of a code in 1/16 °C, or what is wrong with the wire.
+    fn sixteenths(self, code: u16) -> Result<i32, Fault> {
         let table = &TABLES[self as usize];
         if code > table[0] {
             return Err(Fault::NTC_OPEN);
@@ -134,11 +140,17 @@ impl Ntc {
         // Codes fall with temperature.
         let above = table.partition_point(|&entry| entry >= code);
         let Some((&low, &high)) = table.get(above).zip(table.get(above.wrapping_sub(1))) else {
-            return Ok(FROM_C + STEP_C * (ENTRIES as i16 - 1));
+            return Ok(16 * i32::from(FROM_C + STEP_C * (ENTRIES as i16 - 1)));
         };
-        let share = i32::from(STEP_C) * i32::from(high - code) / i32::from((high - low).max(1));
-        Ok(FROM_C + STEP_C * (above as i16 - 1) + share as i16)
+        let share =
+            16 * i32::from(STEP_C) * i32::from(high - code) / i32::from((high - low).max(1));
+        Ok(16 * i32::from(FROM_C + STEP_C * (above as i16 - 1)) + share)
     }
+}
+
+/// Whole degrees of 1/16 °C.
+fn whole(sixteenths: i32) -> i16 {
+    (sixteenths >> 4) as i16
 }
 
 /// Codes of [`Ntc::Of10K`] and [`Ntc::Of100K`].
@@ -192,13 +204,13 @@ mod tests {
     #[test]
     fn codes_become_degrees() {
         for celsius in (-20..=130).step_by(3) {
-            let got = Ntc::Of10K.celsius(code(10_000.0, f64::from(celsius)));
-            let error = f64::from(got.expect("in range")) - f64::from(celsius);
+            let got = Ntc::Of10K.sixteenths(code(10_000.0, f64::from(celsius)));
+            let error = f64::from(got.expect("in range")) / 16.0 - f64::from(celsius);
             assert!(error.abs() <= 1.5, "{celsius}: {error}");
         }
         for celsius in (20..=300).step_by(7) {
-            let got = Ntc::Of100K.celsius(code(100_000.0, f64::from(celsius)));
-            let error = f64::from(got.expect("in range")) - f64::from(celsius);
+            let got = Ntc::Of100K.sixteenths(code(100_000.0, f64::from(celsius)));
+            let error = f64::from(got.expect("in range")) / 16.0 - f64::from(celsius);
             assert!(error.abs() <= 3.0, "{celsius}: {error}");
         }
     }

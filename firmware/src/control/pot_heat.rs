@@ -1,0 +1,92 @@
+//! Limit of what stands on the glass: the highest temperature that a pot's base may have, by what the glass's sensor shows of it.
+//!
+//! Base and glass, for an area of 1 m²: c dT_glass/dt = h (T_base − T_glass) − g (T_glass − T_room). The sensor follows the glass with
+//! a lag τ, so that
+//!
+//! ```text
+//! T_base = T_sensor + (c/h + τ) dT_sensor/dt + g/h (T_sensor − T_room)
+//! ```
+//!
+//! but for what the lag changes within its own time. c is 8.1 kJ/m²K (4 mm of glass ceramic), g 43 W/m²K, τ 10 s. h is unknown: a flat base
+//! has some 230 W/m²K. Half of it is assumed: c/h + τ = 80 s, g/h = 3/8. A flatter base is then taken for hotter than it is, the more the faster it
+//! heats: an empty pan is slowed from 180 °C on, and held near 230 °C. A base with less than half of that conductance (feet, a mat)
+//! is taken for colder: the limits of [`super::temperature`] remain.
+
+use crate::limits::{LEVELS, POT_HOT_C, POT_LEAD_S, POT_LOSS_PERCENT, POT_TOO_HOT_C};
+use ihd_shared::hob::RATED_POWER_W;
+
+/// Time constant of the mean that the rate is taken against, in seconds.
+const MEAN_S: i32 = 5;
+
+/// Room temperature in °C: 10 K more are 4 K of the base.
+const ROOM_C: i32 = 25;
+
+/// One degree, of the numbers here.
+const ONE_C: i32 = 1 << 8;
+
+/// Readings that a sum takes: an hour without a second is none.
+const READINGS_MAX: i32 = 4_096;
+
+/// Highest temperature of a base by its glass, and what it takes from the power.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PotHeat {
+    /// Sum of the readings of this second in 1/16 °C, and their number.
+    readings: (i32, i32),
+    /// Mean of the sensor over [`MEAN_S`]; `None` before its first reading.
+    mean: Option<i32>,
+    base: i32,
+    /// Share of the rating that is taken away, in percent.
+    taken_percent: i32,
+}
+
+impl PotHeat {
+    /// Takes a reading of the glass's sensor in 1/16 °C; `None` if there is none, or it failed.
+    pub fn take(&mut self, glass: Option<i32>) {
+        let (sum, readings) = self.readings;
+        match glass {
+            Some(glass) if readings < READINGS_MAX => self.readings = (sum + glass, readings + 1),
+            // A loose wire does not hide a rate: what was read before stands.
+            Some(_) | None => {}
+        }
+    }
+
+    /// Counts time, once a second; power comes back by 1 % of the rating a second.
+    pub fn count(&mut self, elapsed_s: u32) {
+        let elapsed_s = elapsed_s.min(100) as i32;
+        let (sum, readings) = core::mem::take(&mut self.readings);
+        let wanted = if readings > 0 {
+            self.estimate(sum * (ONE_C / 16) / readings, elapsed_s);
+            let (from, to) = (
+                i32::from(POT_HOT_C) * ONE_C,
+                i32::from(POT_TOO_HOT_C) * ONE_C,
+            );
+            (self.base.clamp(from, to) - from) * 100 / (to - from)
+        } else {
+            0
+        };
+        self.taken_percent = wanted.max(self.taken_percent - elapsed_s);
+    }
+
+    fn estimate(&mut self, glass: i32, elapsed_s: i32) {
+        let mean = self.mean.get_or_insert(glass);
+        let above = glass - *mean;
+        *mean += above * elapsed_s.min(MEAN_S) / MEAN_S;
+        let lead = above * i32::from(POT_LEAD_S) / MEAN_S;
+        let loss = (*mean - ROOM_C * ONE_C).max(0) * i32::from(POT_LOSS_PERCENT) / 100;
+        self.base = *mean + lead + loss;
+    }
+
+    /// Highest temperature that the base may have with half of a flat one's contact, in °C.
+    pub fn base_c(&self) -> i32 {
+        self.base / ONE_C
+    }
+
+    /// Power that is left, in watt: the lowest level's at least.
+    pub fn power_w(&self) -> u16 {
+        let left_w = i32::from(RATED_POWER_W) * (100 - self.taken_percent) / 100;
+        (left_w as u16).max(LEVELS[0].power_w)
+    }
+}
+
+#[cfg(test)]
+mod tests;
