@@ -1,4 +1,4 @@
-//! `cargo xtask dist`: a release of this checkout for Linux, made by packaging/dist.
+//! `cargo xtask dist`: a release of this checkout for Linux, made by packaging/dist; `cargo xtask docs`: the documents as a book.
 
 use std::path::Path;
 use std::process::Command;
@@ -18,6 +18,14 @@ pub fn make(on: &Workspace, image: &Path) -> anyhow::Result<()> {
     make.env("IHD_IMAGE", image)
         .env("CARGO_TARGET_DIR", &on.target);
     run(make.arg(on.target.join("dist")))
+}
+
+/// Makes target/book/html of the documents.
+pub fn book(on: &Workspace) -> anyhow::Result<()> {
+    if first_line(Command::new("mdbook").arg("--version")).is_none() {
+        install(&mut on.cargo(["install", "mdbook", "--locked"]))?;
+    }
+    run(Command::new(on.root.join("packaging/book")).arg(on.target.join("book")))
 }
 
 /// Installs the package in a new Debian, uses the program, and removes both: as root, with debootstrap.

@@ -82,6 +82,9 @@ enum Chore {
     /// Make a release for this machine's Linux in target/dist: archive, .deb, firmware, SBOM, checksums.
     #[command(after_help = "Example:\n  cargo xtask dist")]
     Dist,
+    /// Make one book of the documents, to search in a browser: target/book/html/index.html.
+    #[command(after_help = "Example:\n  cargo xtask docs")]
+    Docs,
     /// Flash an image through a debug probe and show its log, until ^C: what `cargo run` in firmware/ does.
     ///
     /// Seals a copy first, as an image without its CRC heats nothing, and hands it to `probe-rs run`.
@@ -178,6 +181,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Setup => session.set_up(),
         Chore::Firmware { .. } => session.images(),
         Chore::Dist => session.dist(),
+        Chore::Docs => dist::book(&session.workspace),
         Chore::Run { image } => images::run_on_board(&session.workspace, &image),
         Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),

@@ -68,7 +68,7 @@ pub const STEPS: &[Step] = &[
     Step { name: "board", about: "the flash image on an emulated STM32G474", tier: Tier::Quick, run: Session::board },
     Step { name: "usb", about: "that board on the USB of a Linux with the host program", tier: Tier::Quick, run: Session::usb },
     Step { name: "lints", about: "Clippy on benchmarks and examples too", tier: Tier::Full, run: |on| on.whole("clippy", "--all-targets -- -D warnings") },
-    Step { name: "docs", about: "rustdoc without broken links, and its examples", tier: Tier::Full, run: Session::docs },
+    Step { name: "docs", about: "rustdoc without broken links, its examples, the documents' book", tier: Tier::Full, run: Session::docs },
     Step { name: "hostile", about: "every capture that may fool the identification", tier: Tier::Full, run: Session::hostile },
     Step { name: "dist", about: "a release's package, installed in a clean Debian and removed", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_package(&on.workspace)) },
     Step { name: "fuzz", about: "coverage-guided fuzzing of each target", tier: Tier::Full, run: |on| fuzz::fuzz(&on.workspace, None, FUZZ_SECONDS) },
@@ -136,7 +136,8 @@ impl Session {
     fn docs(&self) -> anyhow::Result<()> {
         let mut doc = self.workspace.whole("doc", "--no-deps");
         run(doc.env("RUSTDOCFLAGS", "-D warnings"))?;
-        self.whole("test", "--doc --no-fail-fast")
+        self.whole("test", "--doc --no-fail-fast")?;
+        dist::book(&self.workspace)
     }
 
     fn hostile(&self) -> anyhow::Result<()> {
