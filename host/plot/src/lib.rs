@@ -1,8 +1,9 @@
-//! Figures as SVG or PDF: axes, curves that end where the frame does, envelopes, legends beside the curves.
+//! Figures as SVG or PDF: axes, curves that end where the frame does, envelopes, legends beside the curves; panels of a page to zoom.
 //!
 //! ```text
 //! shapes ◄─ clip, envelope, scale ◄─ legend, panel ◄─ two_axes
 //! shapes ◄─ pdf ◄─ file
+//! panel, envelope ◄─ zoom
 //! ```
 
 pub mod clip;
@@ -16,6 +17,7 @@ pub mod scale;
 mod shapes;
 pub mod svg;
 pub mod two_axes;
+pub mod zoom;
 
 pub use figure_error::FigureError;
 pub use legend::LegendEntry;

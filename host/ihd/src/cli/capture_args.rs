@@ -111,6 +111,11 @@ impl CaptureArgs {
         std::iter::once(self.path()).chain(self.second.as_deref())
     }
 
+    /// Keys of `--input` as they were given.
+    pub fn given(&self) -> String {
+        self.input.join(",")
+    }
+
     /// Parses the keys of `--input`.
     ///
     /// # Errors
@@ -361,10 +366,10 @@ impl CaptureParts {
         self.reader.share()
     }
 
-    /// Result of a command that computed `result` from the parts, as [`LoadedCapture::finish`].
-    pub fn finish(&self, result: Result<()>) -> Result<()> {
+    /// Description of the losses so far; `None` for a complete file.
+    pub fn incomplete(&self) -> Option<IncompleteCapture> {
         let losses = self.reader.losses();
-        let incomplete = (!losses.is_none()).then(|| IncompleteCapture {
+        (!losses.is_none()).then(|| IncompleteCapture {
             file: self.path.display().to_string(),
             losses,
             pairs: self.pairs,
@@ -372,7 +377,11 @@ impl CaptureParts {
                 .span_s
                 .map_or(0.0, |(first, last)| (last - first) * 1e3),
             but: String::new(),
-        });
-        finished(incomplete, result)
+        })
+    }
+
+    /// Result of a command that computed `result` from the parts, as [`LoadedCapture::finish`].
+    pub fn finish(&self, result: Result<()>) -> Result<()> {
+        finished(self.incomplete(), result)
     }
 }

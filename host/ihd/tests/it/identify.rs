@@ -5,12 +5,12 @@ use std::path::Path;
 use assert_cmd::Command;
 use serde_json::Value;
 
-fn ihd() -> Command {
+pub fn ihd() -> Command {
     Command::cargo_bin("ihd").expect("the command is built")
 }
 
 /// A mains cycle of the behavioural reference load, 50 kHz, 5 MS/s, 50 dB, as a table with other column names.
-fn table(folder: &Path) -> (std::path::PathBuf, Vec<f64>) {
+pub fn table(folder: &Path) -> (std::path::PathBuf, Vec<f64>) {
     use ihd_sim::recording::sensing::{Rate, Sensing};
     use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
     use ihd_sim::trial::Trial;
@@ -197,7 +197,7 @@ fn a_refused_result_is_printed_and_ends_with_7() {
 }
 
 /// Simulates 130 ms at 50 MS/s: three parts.
-fn long_capture(folder: &Path) {
+pub fn long_capture(folder: &Path) {
     let words = "simulate --set load=behavioural,duration=.13,rate=50M,snr=40 -o long.mcap";
     let output = ihd().current_dir(folder).args(words.split(' ')).output();
     assert!(output.expect("it runs").status.success());

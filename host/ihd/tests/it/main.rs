@@ -11,6 +11,7 @@ mod documents;
 mod exit_codes;
 mod flash;
 mod identify;
+mod identify_page;
 mod inspect;
 #[cfg(all(feature = "log", unix))]
 mod log;

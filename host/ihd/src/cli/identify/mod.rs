@@ -1,5 +1,7 @@
 //! `ihd identify`: R(t) and L(t) of a capture, by one or all estimators.
 
+mod crest;
+mod page;
 mod parts;
 mod report;
 mod results;
@@ -71,8 +73,8 @@ pub struct IdentifyArgs {
     /// End with 0 even where a result is refused
     #[arg(long)]
     anyway: bool,
-    /// Write the estimates to this file as a table (.csv), or draw R, L and the reconstructed waveforms to it (.svg, .pdf); both by giving
-    /// it again
+    /// Write to this file the estimates as a table (.csv), the curves of R, L and the reconstructed waveforms (.svg, .pdf), or a page of
+    /// what was captured, found and doubted, with curves to zoom (.html); give it again for another one
     #[arg(long, short, value_name = "FILE", value_parser = output_file)]
     out: Vec<PathBuf>,
     // Last: its heading in the help applies to everything after it.
@@ -93,12 +95,14 @@ struct NetworkOptions {
     deterministic: bool,
 }
 
-/// Parses the name of a table or a figure.
+/// Parses the name of a table, a figure or a report.
 fn output_file(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     match path.extension().and_then(|ending| ending.to_str()) {
-        Some(ending) if ending == "csv" || ENDINGS.contains(&ending) => Ok(path),
-        _ => Err("a table ends with .csv, a figure with .svg or .pdf".to_owned()),
+        Some(ending) if ["csv", "html"].contains(&ending) || ENDINGS.contains(&ending) => Ok(path),
+        _ => Err(
+            "a table ends with .csv, a figure with .svg or .pdf, a report with .html".to_owned(),
+        ),
     }
 }
 
@@ -176,12 +180,15 @@ impl IdentifyArgs {
         (json, bar): (bool, &ProgressBar),
     ) -> Result<()> {
         let input = self.capture.input()?;
+        let tables: Vec<&Path> = self.ending("csv").collect();
+        let figures: Vec<&Path> = self.figures().collect();
+        let pages: Vec<&Path> = self.ending("html").collect();
         let request = ExamineOptions {
             hints: input.hints(),
             sensors: self.sensors.options(&input),
             methods,
             settings,
-            reconstruct: if self.figures().next().is_some() {
+            reconstruct: if !(figures.is_empty() && pages.is_empty()) {
                 Reconstruct::Waveforms
             } else {
                 Reconstruct::Errors
@@ -191,15 +198,14 @@ impl IdentifyArgs {
             return Ok(());
         };
         let is_whole = parts.is_at_end()?;
-        let tables: Vec<&Path> = self.ending("csv").collect();
-        let figures: Vec<&Path> = self.figures().collect();
         let mut results = ResultWriter::new(ResultOptions {
-            capture: self.capture.path(),
+            capture: &self.capture,
             json,
             in_parts: !is_whole,
             from_s: self.from.unwrap_or(f64::NEG_INFINITY),
             tables: &tables,
             figures: &figures,
+            pages: &pages,
             anyway: self.anyway,
         });
         if is_whole {
@@ -210,7 +216,7 @@ impl IdentifyArgs {
             })?;
             bar.finish_and_clear();
             results.take(first, examined)?;
-            results.finish()?;
+            results.finish(parts.incomplete().map(|i| i.to_string()))?;
         } else {
             let mut many = ManyParts {
                 parts,

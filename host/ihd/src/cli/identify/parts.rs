@@ -73,7 +73,7 @@ impl ManyParts<'_> {
             batch = match next {
                 Ok(next) => next,
                 Err(error) => {
-                    results.finish()?;
+                    results.finish(Some(format!("{error:#}")))?;
                     return Err(error);
                 }
             };
@@ -82,13 +82,14 @@ impl ManyParts<'_> {
             let until_s = until.unwrap_or(0.0);
             self.bar.set_message(format!("up to {until_s:.3} s"));
             if self.stop.load(Ordering::Relaxed) && !batch.is_empty() {
-                results.finish()?;
-                bail!("interrupted: what was found up to {until_s:.3} s was written");
+                let text = format!("interrupted: what was found up to {until_s:.3} s was written");
+                results.finish(Some(text.clone()))?;
+                bail!(text);
             }
         }
         match failed {
             Some(error) if !any => Err(error.into()),
-            _ => results.finish(),
+            _ => results.finish(self.parts.incomplete().map(|i| i.to_string())),
         }
     }
 

@@ -10,7 +10,9 @@ use ihd_identify::pooled::{PoolPhasors, pool_phasors};
 use ihd_signal::truth::PeriodTruth;
 use ihd_signal::{Capture, Segment, Severity};
 
+use super::super::capture_args::CaptureArgs;
 use super::super::output::{self, JsonArray};
+use super::page::ReportPage;
 use super::report::{self, CsvTable, ReportedCapture};
 use crate::report::identified;
 
@@ -27,8 +29,8 @@ pub struct RefusedResults {
 /// Options of the output.
 #[derive(Clone, Copy, Debug)]
 pub struct ResultOptions<'a> {
-    /// Name of the capture for messages.
-    pub capture: &'a Path,
+    /// Files of the capture, and how they are read.
+    pub capture: &'a CaptureArgs,
     /// JSON on standard output, else text.
     pub json: bool,
     /// `true` if several parts come.
@@ -39,6 +41,8 @@ pub struct ResultOptions<'a> {
     pub tables: &'a [&'a Path],
     /// Files of figures.
     pub figures: &'a [&'a Path],
+    /// Files of reports.
+    pub pages: &'a [&'a Path],
     /// `true` if a refused result is no error.
     pub anyway: bool,
 }
@@ -50,6 +54,7 @@ pub struct ResultWriter<'a> {
     json: Option<JsonArray>,
     tables: Vec<CsvTable>,
     figure: Option<Figure>,
+    page: Option<ReportPage>,
     /// Parts that have a finding, by its code.
     found: BTreeMap<&'static str, usize>,
     parts: usize,
@@ -63,11 +68,13 @@ pub struct ResultWriter<'a> {
 impl<'a> ResultWriter<'a> {
     /// Creates a writer of nothing yet: files that are there stay until there is a result.
     pub fn new(options: ResultOptions<'a>) -> Self {
+        let draws = !(options.figures.is_empty() && options.pages.is_empty());
         Self {
             options,
             json: options.json.then(JsonArray::default),
             tables: Vec::new(),
-            figure: (!options.figures.is_empty()).then(Figure::default),
+            figure: draws.then(Figure::default),
+            page: (!options.pages.is_empty()).then(|| ReportPage::new(options.capture)),
             found: BTreeMap::new(),
             parts: 0,
             calibration: String::new(),
@@ -94,6 +101,9 @@ impl<'a> ResultWriter<'a> {
         match &mut self.json {
             Some(array) => reported.json().iter().try_for_each(|e| array.push(e))?,
             None => output::text(&reported.text(self.phasors.is_some()))?,
+        }
+        if let Some(page) = &mut self.page {
+            page.take(&reported, self.options.in_parts);
         }
         self.calibration = reported.calibration_text();
         if let Some(phasors) = &mut self.phasors {
@@ -133,11 +143,11 @@ impl<'a> ResultWriter<'a> {
         self.parts += 1;
     }
 
-    /// Completes the output.
+    /// Completes the output; `missing` is the reason why a part of the capture is not in it.
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn finish(&mut self) -> Result<()> {
+    pub fn finish(&mut self, missing: Option<String>) -> Result<()> {
         let again: Vec<String> = (self.found.iter())
             .filter(|(_, parts)| **parts > 1)
             .map(|(code, parts)| format!("{code} in {parts}"))
@@ -159,6 +169,16 @@ impl<'a> ResultWriter<'a> {
                 output::text(&self.calibration)?;
             }
         }
+        if let (Some(page), Some(figure)) = (&mut self.page, &self.figure) {
+            if let Some(missing) = missing {
+                page.doubt_file(&missing);
+            }
+            let html = page.html(&self.calibration, &figure.zoomable());
+            for path in self.options.pages {
+                std::fs::write(path, &html)
+                    .with_context(|| format!("cannot write {}", path.display()))?;
+            }
+        }
         if let Some(figure) = &self.figure {
             for path in self.options.figures {
                 figure.draw(path)?;
@@ -173,7 +193,7 @@ impl<'a> ResultWriter<'a> {
     /// If no method had a result, or if results are refused without `--anyway`.
     pub fn verdict(&self) -> Result<()> {
         if self.successes == 0 {
-            let capture = self.options.capture.display();
+            let capture = self.options.capture.path().display();
             bail!("no method could identify {capture}");
         }
         if self.refused == 0 || self.options.anyway {
@@ -238,6 +258,11 @@ impl Figure {
         self.estimates.extend(estimates);
         self.truth.extend(capture.truth);
         self.name = capture.name;
+    }
+
+    fn zoomable(&self) -> String {
+        let estimates: Vec<_> = self.estimates.iter().collect();
+        identified::zoomable(&self.segments, &estimates, &self.truth)
     }
 
     fn draw(&self, path: &Path) -> Result<()> {

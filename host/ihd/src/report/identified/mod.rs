@@ -3,16 +3,17 @@
 mod curves;
 mod frame;
 
+use std::fmt::Write;
 use std::ops::Range;
 use std::path::Path;
 
 use ihd_identify::accuracy::fundamental;
 use ihd_identify::{Estimate, Method};
-use ihd_plot::legend::header;
+use ihd_plot::legend::{Sign, header};
 use ihd_plot::{
     self as plot, Axis, DrawResult, GREY, LegendEntry, Pen, PlotCurve, PlotPanel, span,
 };
-use ihd_plot::{Area, FigureError, file};
+use ihd_plot::{Area, FigureError, file, zoom};
 use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
 use plotters::prelude::RGBColor;
@@ -51,6 +52,30 @@ pub fn draw(
         let below = header(root, name, &entries)?;
         draw_all(&below, &panels, rows)
     })
+}
+
+/// Draws the panels of [`draw`] to be zoomed in a page ([`zoom`]), after a legend; empty if no method gave an estimate.
+pub fn zoomable(segments: &[Segment], estimates: &[&Estimate], truth: &[PeriodTruth]) -> String {
+    if estimates.iter().all(|e| e.t_s.is_empty()) {
+        return String::new();
+    }
+    let panels = panels(segments, estimates, truth);
+    let mut out = String::from("<p class=\"legend\">");
+    for entry in entries(estimates, !truth.is_empty(), &panels) {
+        let sign = match entry.sign {
+            Sign::Curve(colour, _) | Sign::Shade(colour) => {
+                format!("<b style=\"color:{}\">■</b> ", zoom::hex(colour))
+            }
+            // Nothing points outside of these frames: they are moved.
+            Sign::None => continue,
+        };
+        let _ = write!(out, "<span>{sign}{}</span> ", zoom::escape(&entry.name));
+    }
+    out.push_str("</p>\n<div class=\"panels\">\n");
+    for framed in &panels {
+        out += &zoom::panel(framed.title, &framed.panel, &framed.curves);
+    }
+    out + "</div>\n"
 }
 
 fn draw_all(below: &Area<'_>, panels: &[FramedPanel], rows: usize) -> DrawResult {

@@ -1,0 +1,71 @@
+//! Choice of the estimates that stand for a half-cycle: at the crest of the current, and means weighted by its square.
+
+use ihd_identify::Estimate;
+use ihd_signal::Segment;
+
+/// Largest distance from the crest, in half-cycles.
+const AT_CREST: f64 = 0.02;
+
+/// Mean square of the current over a switching period around each time, in A²: the weights of means over a half-cycle.
+pub fn squared_current(segment: &Segment, t_s: &[f64]) -> Vec<f64> {
+    let reach = (0.5 * segment.samples_per_period()).ceil() as usize;
+    let last = segment.len();
+    let range = |t: &f64| {
+        let at = (((t - segment.t0_s) / segment.dt_s).max(0.0) as usize).min(last);
+        (at.saturating_sub(reach), (at + reach).min(last))
+    };
+    let ranges: Vec<(usize, usize)> = t_s.iter().map(range).collect();
+    let mut ends: Vec<usize> = ranges.iter().flat_map(|r| [r.0, r.1]).collect();
+    ends.sort_unstable();
+    ends.dedup();
+    let sums = square_sums(segment, &ends);
+    let sum_to = |end: usize| ends.binary_search(&end).map_or(0.0, |k| sums[k]);
+    let mean = |(from, to): (usize, usize)| (sum_to(to) - sum_to(from)) / (to - from).max(1) as f64;
+    ranges.into_iter().map(mean).collect()
+}
+
+/// Samples that are converted to doubles at a time.
+const AT_ONCE: usize = 1 << 15;
+
+/// Sums of the squared current up to each of these indices, which ascend.
+fn square_sums(segment: &Segment, ends: &[usize]) -> Vec<f64> {
+    let (mut out, mut sum, mut buffer) = (Vec::with_capacity(ends.len()), 0.0, Vec::new());
+    for first in (0..=segment.len()).step_by(AT_ONCE) {
+        let block = first..(first + AT_ONCE).min(segment.len());
+        let samples = segment.i_a.block(block, &mut buffer);
+        for k in 0..AT_ONCE {
+            while ends.get(out.len()) == Some(&(first + k)) {
+                out.push(sum);
+            }
+            let Some(i) = samples.get(k) else { break };
+            sum += i * i;
+        }
+    }
+    out
+}
+
+/// Estimate nearest to the middle of the last complete half-cycle: the current's crest.
+pub fn crest(segment: &Segment, estimate: &Estimate) -> Option<usize> {
+    let half_s = segment.half_cycle_s();
+    let off = |t: f64| (segment.since_crossing_s(t) - 0.5 * half_s).abs();
+    let near = estimate
+        .t_s
+        .iter()
+        .enumerate()
+        .filter(|(_, t)| off(**t) < AT_CREST * half_s);
+    let last = near.clone().next_back().map(|(_, t)| *t)?;
+    let of_last = near.filter(|(_, t)| last - **t < 0.5 * half_s);
+    of_last
+        .min_by(|a, b| off(*a.1).total_cmp(&off(*b.1)))
+        .map(|(k, _)| k)
+}
+
+/// Estimate nearest to the middle of the half-cycle that begins at `from_s`.
+pub fn crest_of(segment: &Segment, estimate: &Estimate, from_s: f64) -> Option<usize> {
+    let half_s = segment.half_cycle_s();
+    let off = |t: f64| (t - from_s - 0.5 * half_s).abs();
+    let all = estimate.t_s.iter().enumerate();
+    let near = all.filter(|(_, t)| off(**t) < AT_CREST * half_s);
+    near.min_by(|a, b| off(*a.1).total_cmp(&off(*b.1)))
+        .map(|(k, _)| k)
+}
