@@ -231,7 +231,9 @@ pub fn find(segment: &Segment) -> Interference {
     }
     residual.subtract(&found.tones);
     let step_s = found.step_s();
-    step_s.into_iter().for_each(|t_s| residual.split(t_s));
+    if let Some(step_s) = step_s {
+        residual.split(step_s);
+    }
     let aliases = aliases_hz(segment);
     let chunks = residual.periods.len().div_ceil(MOST_PHASORS).max(1);
     let length = residual.periods.len() / chunks;
@@ -249,7 +251,9 @@ pub fn find(segment: &Segment) -> Interference {
         let mut check = Residual::of(segment, CHECK_PERIODS);
         if let Some(check) = &mut check {
             check.subtract(&found.tones);
-            step_s.into_iter().for_each(|t_s| check.split(t_s));
+            if let Some(step_s) = step_s {
+                check.split(step_s);
+            }
         }
         far.retain(|tone| check.as_ref().is_some_and(|check| check.confirms(tone)));
     }
@@ -428,7 +432,6 @@ impl Residual {
         fits
     }
 
-    /// Subtracts tones from the phasors.
     /// Takes one law before a step and another after it, at a time in seconds from the segment's first sample.
     fn split(&mut self, step_s: f64) {
         let at = (step_s / self.dt_s - self.place.0) / self.place.1;
@@ -445,6 +448,7 @@ impl Residual {
         self.v = [of(0..before), step, of(after..n)].concat();
     }
 
+    /// Subtracts tones from the phasors.
     fn subtract(&mut self, tones: &[Tone]) {
         if tones.is_empty() {
             return;

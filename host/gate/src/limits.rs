@@ -5,6 +5,9 @@ use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, plausible};
 /// Tolerable mean error of R and of L in percent; a larger one is always reported.
 pub const TOLERABLE_PCT: [f64; 2] = [1.0, 0.7];
 
+/// Standard deviations of a correction that must lie within [`TOLERABLE_PCT`].
+pub const TOLERABLE_SIGMAS: f64 = 2.0;
+
 /// Share of [`TOLERABLE_PCT`] from which a difference is a warning: the rest is left for the reference's own error.
 pub const WARNING_SHARE: f64 = 0.7;
 

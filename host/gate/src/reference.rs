@@ -56,13 +56,12 @@ impl Reference {
             Ok(_) => known.unwrap_or_else(|| interference::find(segment)),
             Err(_) => Interference::default(),
         };
-        let law = found.law_remark(segment);
         // Least squares says when and by how much a load steps.
-        let known = |code: &str| {
-            let said = least_squares.as_ref().map(|estimate| &estimate.remarks);
-            said.is_ok_and(|r| r.iter().any(|r| r.code == code && code == "load_step"))
-        };
-        let mut remarks: Vec<Remark> = law.into_iter().filter(|r| !known(r.code)).collect();
+        let is_step = |r: &Remark| r.code == "load_step";
+        let step_is_known = matches!(&least_squares, Ok(e) if e.remarks.iter().any(is_step));
+        let law = found.law_remark(segment);
+        let mut remarks: Vec<Remark> =
+            (law.into_iter().filter(|r| !(step_is_known && is_step(r)))).collect();
         let tones = found.tones;
         if tones.is_empty() {
             return Self {

@@ -8,7 +8,7 @@ use ihd_signal::{Capture, Load, Remark, Segment, Severity};
 use ihd_survey::calibration::blind::{self, BlindOptions, CalibratedCapture, SelfCalibration};
 use ihd_survey::{Hints, Survey, SurveyError};
 
-use crate::limits::TOLERABLE_PCT;
+use crate::limits::{TOLERABLE_PCT, TOLERABLE_SIGMAS};
 
 /// Least relative error of a corrected lag, whatever the samples say: a probe is only roughly of first order.
 const MODEL: f64 = 0.02;
@@ -25,9 +25,6 @@ const COARSE_SHARE: f64 = 0.04;
 
 /// Share of R in percent above which a correction's own deviation is reported.
 const DOUBTFUL_PCT: f64 = 0.35;
-
-/// Standard deviations that must lie within the tolerable error where the bridge's resistance is taken for a delay.
-const BRIDGE_SIGMAS: f64 = 2.0;
 
 /// Calibrates the sensors of a surveyed capture. A lag that is an artefact of coarse sampling is not corrected.
 ///
@@ -196,13 +193,13 @@ impl CorrectionUncertainty {
         }
         let (r, _) = self.sigmas(self.lag_sigma_s.hypot(self.bridge_s), load, segment.f_sw_hz);
         let pct = 100.0 * (r / load.r_ohm).abs();
-        (BRIDGE_SIGMAS * pct > TOLERABLE_PCT[0]).then(|| {
+        (TOLERABLE_SIGMAS * pct > TOLERABLE_PCT[0]).then(|| {
             let text = format!(
                 "the sensors were corrected for a delay, of which the bridge's resistance may be a part: R is uncertain by \
                  {pct:.1} %; calibrate against a reference"
             );
             let remark = Remark::new("correction_doubtful", Severity::Warning, text);
-            remark.with(pct, Some(TOLERABLE_PCT[0] / BRIDGE_SIGMAS))
+            remark.with(pct, Some(TOLERABLE_PCT[0] / TOLERABLE_SIGMAS))
         })
     }
 }

@@ -5,8 +5,8 @@
 //! other channel ─► harmonics, period by period ─────────────────────┴─► x = c + Re g·y₁ + Σ harmonics ─► samples beyond the rail
 //! ```
 //!
-//! Of a clipped sample only one thing is known: its value lies beyond the rail. It is left out of the fit, and replaced by the mean
-//! value beyond the rail that the fit expects.
+//! A clipped sample tells only that its value lies beyond the rail. It is left out of the fit, and replaced by the mean value
+//! beyond the rail that the fit expects.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -49,6 +49,11 @@ pub(super) struct Pair<'a> {
     pub rails: [f64; 2],
 }
 
+/// Returns `true` if a sample lies within the ends of its channel's range.
+pub(super) fn is_inside(x: f32, [low, high]: [f64; 2]) -> bool {
+    (low..=high).contains(&f64::from(x))
+}
+
 /// Fit of a window.
 #[derive(Clone, Copy, Debug)]
 struct Fit {
@@ -89,7 +94,6 @@ impl<'a> Censored<'a> {
         let hann: Vec<f64> = (0..length)
             .map(|k| 1.0 - libm::cos(TAU * (k as f64 + 0.5) / length as f64))
             .collect();
-        let [low, high] = pair.rails;
         let mut model = Self {
             pair,
             hann,
@@ -99,7 +103,7 @@ impl<'a> Censored<'a> {
             z: Vec::new(),
             amplitude: Vec::new(),
         };
-        let inside = |x: &f32| (low..=high).contains(&f64::from(*x));
+        let inside = |x: &f32| is_inside(*x, pair.rails);
         model.whole = (0..windows)
             .map(|p| pair.x[model.window(p)].iter().all(inside))
             .collect();
@@ -115,6 +119,11 @@ impl<'a> Censored<'a> {
         let first = (p as f64 * self.pair.per_period).round() as usize;
         let last = self.pair.x.len().saturating_sub(self.hann.len());
         first.min(last)..first.min(last) + self.hann.len()
+    }
+
+    /// Place of a sample among the windows' middles, in windows.
+    fn place(&self, k: usize) -> f64 {
+        (k as f64 + 0.5) / self.pair.per_period - 0.5 * WINDOW as f64
     }
 
     /// Phasors of a channel's harmonics in a window.
@@ -156,15 +165,15 @@ impl<'a> Censored<'a> {
         let counts = |x: &Vec<Phasor>| x[0].norm() > LEAST_AMPLITUDE * largest;
         self.z = vec![zero; windows];
         self.amplitude = vec![0.0; windows];
-        let mut nearest = x.iter().flatten().find(|x| counts(x))?.len();
-        self.ratios = vec![(1.0, 1.0); nearest];
+        let highest = x.iter().flatten().find(|x| counts(x))?.len();
+        self.ratios = vec![(1.0, 1.0); highest];
         // Variance of a phasor under the window.
         let share = 3.0 * 2.0 / self.hann.len() as f64;
         let [noise_v, noise_i] = match self.pair.is_voltage {
             true => self.pair.noise,
             false => [self.pair.noise[1], self.pair.noise[0]],
         };
-        let mut sums = vec![[[0.0f64; 3]; 2]; nearest];
+        let mut sums = vec![[[0.0f64; 3]; 2]; highest];
         for (p, x) in x.iter().enumerate() {
             let Some(x) = x.as_ref().filter(|x| counts(x)) else {
                 continue;
@@ -201,7 +210,7 @@ impl<'a> Censored<'a> {
             self.ratios[h] = (of(s[0], before.0), of(s[1], before.1));
         }
         // Others begin with the load of the nearest one.
-        nearest = (0..windows).find(|p| self.amplitude[*p] > 0.0)?;
+        let mut nearest = (0..windows).find(|p| self.amplitude[*p] > 0.0)?;
         for p in 0..windows {
             if self.amplitude[p] > 0.0 {
                 nearest = p;
@@ -254,7 +263,17 @@ impl<'a> Censored<'a> {
 
     fn parts(&self, samples: Range<usize>) -> Parts {
         let windows = self.y.len();
-        let clipped: Vec<Vec<Phasor>> = (0..windows)
+        // The windows on either side of a sample's place.
+        let beside = |k: usize| {
+            let at = self.place(k).clamp(0.0, (windows - 1) as f64);
+            let p = (at as usize).min(windows.saturating_sub(2));
+            (at, p, (p + 1).min(windows - 1))
+        };
+        let (first, last) = match samples.len() {
+            0 => (0, 0),
+            _ => (beside(samples.start).1, beside(samples.end - 1).2),
+        };
+        let clipped: Vec<Vec<Phasor>> = (first..=last)
             .map(|p| {
                 let of = |(h, y): (usize, &Phasor)| {
                     let z = self.of_harmonic(p, h);
@@ -269,16 +288,15 @@ impl<'a> Censored<'a> {
             harmonics: Vec::with_capacity(samples.len()),
         };
         for k in samples {
-            let at = (k as f64 + 0.5) / self.pair.per_period - 0.5 * WINDOW as f64;
-            let at = at.clamp(0.0, (windows - 1) as f64);
-            let p = (at as usize).min(windows.saturating_sub(2));
-            let (w, next) = (at - p as f64, (p + 1).min(windows - 1));
+            let (at, p, next) = beside(k);
+            let w = at - p as f64;
             let turn = self.turn(k);
             parts
                 .y
                 .push((self.y[p][0] * (1.0 - w) + self.y[next][0] * w) * turn);
             let (mut by, mut sum) = (turn * turn, 0.0);
-            for (a, b) in clipped[p].iter().zip(&clipped[next]).skip(1) {
+            let of_both = clipped[p - first].iter().zip(&clipped[next - first]);
+            for (a, b) in of_both.skip(1) {
                 sum += ((a * (1.0 - w) + b * w) * by).re;
                 by *= turn;
             }
@@ -305,9 +323,9 @@ impl<'a> Censored<'a> {
     }
 
     /// Weights of a window's samples: none beyond the rails, and less beside them.
-    fn weights(&self, x: &[f32], [low, high]: [f64; 2]) -> Vec<f64> {
+    fn weights(&self, x: &[f32], rails: [f64; 2]) -> Vec<f64> {
         let reach = self.pair.per_period / TAPER;
-        let inside = |x: &f32| (low..=high).contains(&f64::from(*x));
+        let inside = |x: &f32| is_inside(*x, rails);
         let mut distance = vec![f64::INFINITY; x.len()];
         let mut last = f64::INFINITY;
         for (x, distance) in x.iter().zip(&mut distance) {
@@ -346,18 +364,20 @@ impl<'a> Censored<'a> {
                 .map(|p| self.fit(&parts, p, self.pair.rails))
                 .collect();
             for k in samples {
-                let x = f64::from(self.pair.x[k]);
-                if (self.pair.rails[0]..=self.pair.rails[1]).contains(&x) {
+                let x = self.pair.x[k];
+                if is_inside(x, self.pair.rails) {
                     continue;
                 }
                 // The window whose middle is nearest.
-                let p = (k as f64 + 0.5) / self.pair.per_period - 0.5 * WINDOW as f64;
-                let n = (p.round().max(stretch.start as f64) as usize - stretch.start)
+                let n = (self.place(k).round().max(stretch.start as f64) as usize - stretch.start)
                     .min(fits.len() - 1);
                 let Some(fit) = fits[n] else { continue };
                 let j = k - parts.first;
                 let fitted = fit.mean + (fit.gain * parts.y[j]).re + parts.harmonics[j];
-                out.push((k, self.expected(fitted, x, self.pair.rails) as f32));
+                out.push((
+                    k,
+                    self.expected(fitted, f64::from(x), self.pair.rails) as f32,
+                ));
             }
         }
         out

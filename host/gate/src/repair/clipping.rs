@@ -6,14 +6,14 @@ use ihd_signal::carrier::Carrier;
 use ihd_signal::{Capture, Remark, Severity};
 use ihd_survey::{Channel, Finding, Survey};
 
-use super::censored::{Censored, Pair};
-use crate::limits::TOLERABLE_PCT;
+use super::censored::{Censored, Pair, is_inside};
+use crate::limits::{TOLERABLE_PCT, TOLERABLE_SIGMAS};
 
 /// Fewest samples of a switching period: 31 harmonics would not be there, and the edges fold onto those that are.
 const LEAST_PER_PERIOD: f64 = 16.0;
 
 /// Samples within this share of the range from an end count as clipped, because noise behind an amplifier that clips blurs the end.
-/// That costs little: a crest within it is fitted as well.
+/// A crest within it is fitted as well, at little cost.
 const AT_END: f64 = 1.5 / 128.0;
 
 /// Duration over which errors average, in seconds: R and L of the estimators have no more than one value in it.
@@ -21,9 +21,6 @@ const PART_S: f64 = 0.4e-3;
 
 /// Fewest parts in which the fit is tried.
 const LEAST_PARTS: usize = 4;
-
-/// Standard deviations that must lie within the tolerable error.
-const SIGMAS: f64 = 2.0;
 
 /// Samples beyond a channel's range were restored.
 #[derive(Clone, Debug)]
@@ -62,8 +59,7 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
         let range = span.first..span.first + span.samples;
         let (v, i) = (capture.v_v.get(range.clone())?, capture.i_a.get(range)?);
         let (x, y) = if is_voltage { (v, i) } else { (i, v) };
-        let inside = |x: &f32| (rails[0]..=rails[1]).contains(&f64::from(*x));
-        if x.iter().all(inside) {
+        if x.iter().all(|x| is_inside(*x, rails)) {
             continue;
         }
         let per_period = 1.0 / (span.f_sw_hz * span.dt_s);
@@ -90,7 +86,7 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
     let rms =
         |k: usize| (errors.iter().map(|e| e[k] * e[k]).sum::<f64>() / errors.len() as f64).sqrt();
     let shares = [rms(0), rms(1)];
-    let right = (0..2).all(|k| SIGMAS * 100.0 * shares[k] <= TOLERABLE_PCT[k]);
+    let right = (0..2).all(|k| TOLERABLE_SIGMAS * 100.0 * shares[k] <= TOLERABLE_PCT[k]);
     if values.is_empty() || !right {
         return None;
     }
