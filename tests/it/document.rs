@@ -1,4 +1,4 @@
-//! Sections of documents that tests generate, between two lines of marks.
+//! Sections of documents that tests generate, between two lines of marks. Tests of other packages include this file by its path.
 
 use std::fs::File;
 use std::io::{Read, Seek, Write};
@@ -9,9 +9,11 @@ use std::path::Path;
 /// # Panics
 /// Where they differ, with the command that rewrites it.
 pub fn hold(document: &str, mark: &str, generated: &str, command: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../docs")
-        .join(document);
+    let above = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
+    let path = above
+        .map(|folder| folder.join("docs").join(document))
+        .find(|path| path.exists());
+    let path = path.unwrap_or_else(|| panic!("no docs/{document} in the checkout"));
     let mut file = File::options().read(true).write(true).open(path).unwrap();
     // Tests of other sections of this document run at the same time, in this process or another.
     file.lock().unwrap();

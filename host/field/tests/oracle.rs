@@ -1,5 +1,8 @@
 //! Field model against finite elements of scikit-fem: R and L of tests/field-oracle/field.csv, limits on both sides.
 
+#[path = "../../../tests/it/document.rs"]
+mod document;
+
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -168,27 +171,10 @@ fn model_is_near_finite_elements() {
 fn model_is_near_finite_elements_at_length() {
     let rows = Row::all();
     let found = differences(&rows);
-    let path = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../docs/results/simulator.md"
-    );
     let text = table(&rows, &found);
-    let document = std::fs::read_to_string(path).unwrap();
-    let (begin, end) = (
-        "<!-- finite elements: begin -->\n",
-        "<!-- finite elements: end -->\n",
-    );
-    let (before, rest) = document.split_once(begin).expect("the section's begin");
-    let (committed, after) = rest.split_once(end).expect("the section's end");
-    if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(path, [before, begin, &text, end, after].concat()).unwrap();
-        return check(&rows, &found);
-    }
+    let command = "cargo test -p ihd-field --test oracle";
+    document::hold("results/simulator.md", "finite elements", &text, command);
     check(&rows, &found);
-    assert!(
-        committed == text,
-        "docs/results/simulator.md: UPDATE_DOCS=1 cargo test -p ihd-field --test oracle"
-    );
 }
 
 /// Table of all differences: one line an arrangement.

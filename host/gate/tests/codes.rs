@@ -1,11 +1,11 @@
 //! Agreement of docs/identification.md, the table of codes and the sources.
 
+#[path = "../../../tests/it/document.rs"]
+mod document;
+
 use std::path::{Path, PathBuf};
 
 use ihd_gate::codes::{CODES, find, markdown};
-
-const BEGIN: &str = "<!-- codes: begin -->\n";
-const END: &str = "<!-- codes: end -->\n";
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
@@ -13,16 +13,9 @@ fn root() -> PathBuf {
 
 #[test]
 fn the_document_holds_the_table() {
-    let path = root().join("docs/identification.md");
-    let text = std::fs::read_to_string(&path).unwrap();
-    let (before, rest) = text.split_once(BEGIN).expect("a mark where it begins");
-    let (_, after) = rest.split_once(END).expect("a mark where it ends");
-    let expected = format!("{before}{BEGIN}{}\n{END}{after}", markdown());
-    if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(&path, &expected).unwrap();
-    } else {
-        assert_eq!(text, expected, "run with UPDATE_DOCS=1");
-    }
+    let command = "cargo test -p ihd-gate --test codes";
+    let table = format!("{}\n", markdown());
+    document::hold("identification.md", "codes", &table, command);
 }
 
 #[test]

@@ -4,10 +4,11 @@
 //! `cargo nextest run -p ihd-made-captures --profile full verdicts_at_length` counts 5 seeds of all kinds (`MADE_SEEDS`, `MADE_FIRST`, `MADE_ONLY`);
 //! `UPDATE_DOCS=1` writes docs/results/hostile.md.
 
+#[path = "../../it/document.rs"]
+mod document;
 mod score;
 
 use std::fmt::Write;
-use std::path::Path;
 
 use ihd_made_captures::Kind;
 
@@ -85,28 +86,15 @@ fn verdicts_at_length() {
     for row in &all {
         println!("{row}");
     }
-    let text = document(&all, first, seeds);
+    let text = section(&all, first, seeds);
     println!("{text}");
     if std::env::var_os("UPDATE_DOCS").is_some() {
-        write_into_document(&text);
+        let command = "cargo nextest run -p ihd-made-captures --profile full verdicts_at_length";
+        document::hold("results/hostile.md", "made captures", &text, command);
     }
 }
 
-/// Replaces the section of docs/results/hostile.md that this test makes.
-fn write_into_document(section: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/hostile.md");
-    let document = std::fs::read_to_string(&path).expect("docs/results/hostile.md can be read");
-    let (begin, end) = (
-        "<!-- made captures: begin -->\n",
-        "<!-- made captures: end -->\n",
-    );
-    let (before, rest) = document.split_once(begin).expect("the section's begin");
-    let (_, after) = rest.split_once(end).expect("the section's end");
-    let document = [before, begin, section, end, after].concat();
-    std::fs::write(path, document).expect("docs/results can be written");
-}
-
-fn document(all: &[Row], first: u64, seeds: u64) -> String {
+fn section(all: &[Row], first: u64, seeds: u64) -> String {
     let mut text = format!(
         "What `ihd identify` says about {} captures ({} kinds, seeds {first} to {}) of tests/made-captures, whose circuit, loads and sensors\n\
          share no code with the simulator. A result is wrong where a half-cycle is off by more than 1 % of R or .7 % of L (mean over its middle\n\
