@@ -33,7 +33,7 @@ const POWERS: [f64; 3] = [2_500.0, 1_400.0, 700.0];
 /// Length of a run and its step, in seconds.
 const RUN_S: (f64, f64) = (900.0, 0.1);
 
-/// What a run showed.
+/// Highest temperatures of a run, and the first loss of power.
 struct Shown {
     base_c: f64,
     contents_c: f64,

@@ -10,7 +10,6 @@ use crate::control::panel::PanelState;
 use crate::control::parts::ControlParts;
 use crate::control::plausibility::Plausibility;
 use crate::control::pot::classify;
-use crate::control::pot_heat::PotHeat;
 use crate::control::request::{PanelEvent, PanelResult, PowerRequest};
 use crate::control::restart::{RestartPolicy, RestartVerdict};
 use crate::control::status::{Action, SamplingStatus};
@@ -163,11 +162,6 @@ impl Control {
     /// Heat sink, glass, coil and fan.
     pub fn temperatures(&self) -> &Temperatures {
         &self.parts.temperatures
-    }
-
-    /// Heat of what stands on the glass.
-    pub fn pot_heat(&self) -> &PotHeat {
-        &self.parts.pot_heat
     }
 }
 

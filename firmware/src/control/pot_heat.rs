@@ -34,6 +34,7 @@ pub struct PotHeat {
     readings: (i32, i32),
     /// Mean of the sensor over [`MEAN_S`]; `None` before its first reading.
     mean: Option<i32>,
+    /// Highest temperature that the base may have with half of a flat one's contact.
     base: i32,
     /// Share of the rating that is taken away, in percent.
     taken_percent: i32,
@@ -74,11 +75,6 @@ impl PotHeat {
         let lead = above * i32::from(POT_LEAD_S) / MEAN_S;
         let loss = (*mean - ROOM_C * ONE_C).max(0) * i32::from(POT_LOSS_PERCENT) / 100;
         self.base = *mean + lead + loss;
-    }
-
-    /// Highest temperature that the base may have with half of a flat one's contact, in °C.
-    pub fn base_c(&self) -> i32 {
-        self.base / ONE_C
     }
 
     /// Power that is left, in watt: the lowest level's at least.

@@ -71,8 +71,6 @@ pub struct Plant {
     analyser: HarmonicAnalyser,
     measured: LoadPoint,
     warming: Option<ThermalModel>,
-    contents: PotContents,
-    contact: f64,
     /// Present temperature of the load, in °C.
     load_c: f64,
 }
@@ -137,8 +135,6 @@ impl Plant {
             analyser: HarmonicAnalyser::new(STEPS_PER_PERIOD),
             measured: LoadPoint::default(),
             warming: None,
-            contents: PotContents::default(),
-            contact: 1.0,
             load_c: pot.temperature_c,
         })
     }
@@ -169,7 +165,6 @@ impl Plant {
     /// Enables warming of the pot with these contents, from its temperature, by the power it takes; `contact` is that of
     /// [`ThermalModel::with_contact`].
     pub fn enable_warming(&mut self, contents: PotContents, contact: f64) {
-        (self.contents, self.contact) = (contents, contact);
         self.warming = Some(ThermalModel::new(contents, &self.pot).with_contact(contact));
     }
 
@@ -248,8 +243,7 @@ impl Plant {
         )?;
         if pot.metal != self.pot.metal || pot.diameter_m != self.pot.diameter_m {
             // A new pot has the same contents, at its own temperature.
-            let new = ThermalModel::new(self.contents, &pot).with_contact(self.contact);
-            self.warming = self.warming.map(|_| new);
+            self.warming = self.warming.map(|old| old.exchanged(&pot));
         }
         self.pot = pot;
         self.load_c = pot.temperature_c;

@@ -137,6 +137,11 @@ impl ThermalModel {
         Self { contact, ..self }
     }
 
+    /// Another pot with the same contents, new, and the same contact.
+    pub fn exchanged(&self, pot: &SimulatedPot) -> Self {
+        Self::new(self.contents, pot).with_contact(self.contact)
+    }
+
     /// Temperature of the base, where the eddy currents flow, in °C.
     pub fn temperature_c(&self) -> f64 {
         self.base_c

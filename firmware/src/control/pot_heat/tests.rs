@@ -4,6 +4,12 @@ use std::vec::Vec;
 
 use super::*;
 
+impl PotHeat {
+    fn base_c(&self) -> i32 {
+        self.base / ONE_C
+    }
+}
+
 /// The same in floating point.
 #[derive(Default)]
 struct Oracle {

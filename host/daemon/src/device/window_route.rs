@@ -21,7 +21,7 @@ struct ArrivedWindow {
     /// Power of the half-cycle in watt; `None` if unknown.
     power_w: Option<f64>,
     /// True R and L; `None` unless the device is simulated in this process.
-    truth: Option<Arc<Truth>>,
+    truth: Option<Truth>,
 }
 
 /// Route of the windows of one session.
@@ -136,11 +136,7 @@ impl Session<'_> {
             window,
             is_learnable: telemetry.is_none_or(|(_, is_heating, _)| *is_heating),
             power_w: telemetry.map(|(_, _, power_mw)| f64::from(*power_mw) * 1e-3),
-            truth: self
-                .truth
-                .as_ref()
-                .and_then(|truth| truth(half_cycle))
-                .map(Arc::new),
+            truth: self.truth.as_ref().and_then(|truth| truth(half_cycle)),
         }
     }
 }

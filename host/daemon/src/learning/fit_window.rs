@@ -26,7 +26,7 @@ pub(super) fn fit_window(
     }
     let window = job.input.window();
     let outcome = (shared.observe)(&mut device_learning.learning, window);
-    WindowResult::from_outcome(window, outcome, job.truth.as_deref())
+    WindowResult::from_outcome(window, outcome, job.truth.as_ref())
 }
 
 /// Learns from a worker's answer if the window confirms it; `None` if it does not. The verdict is recorded for the worker either way.

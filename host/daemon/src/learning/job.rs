@@ -1,6 +1,5 @@
 //! Job of the learner: one window of a device, and its result.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use ihd_link::Window;
@@ -47,7 +46,7 @@ pub struct LearnJob {
     /// Mean power of its half-cycle in watt; `None` without telemetry.
     pub power_w: Option<f64>,
     /// True R and L; `None` unless the device is simulated in the daemon.
-    pub truth: Option<Arc<Truth>>,
+    pub truth: Option<Truth>,
     /// Channel that is signalled when the result is stored.
     pub stored: Option<oneshot::Sender<()>>,
 }

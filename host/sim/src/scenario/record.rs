@@ -23,7 +23,7 @@ pub struct TrueHalfCycle {
     pub pot: String,
     /// Reason for which the hob has switched itself off, at its end.
     pub off_reason: String,
-    /// What holds the firmware's power below the request, at its end.
+    /// Limit that holds the firmware's power below the request, at its end.
     pub limit: String,
     /// Temperature of the pot's base in °C, at its end; null if it does not warm up.
     pub base_c: Option<f64>,
