@@ -15,9 +15,13 @@ const PAGES: &str = "#!/bin/sh\n\
 
 /// Packs `folder/ihd` with the pages of `folder/pages` into `folder/out`.
 fn pack(folder: &Path) -> Output {
+    pack_program(folder, "ihd")
+}
+
+fn pack_program(folder: &Path, program: &str) -> Output {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../packaging/archive");
     let mut command = Command::new(script);
-    command.args([folder.join("ihd"), folder.join("pages")]);
+    command.args([folder.join(program), folder.join("pages")]);
     command
         .arg("ihd-v1-here")
         .arg(folder.join("out"))
@@ -84,6 +88,33 @@ fn an_archive_holds_program_pages_completions_rule_and_licences() {
     assert!(documents > 15, "{documents} documents");
     assert!(faults.is_empty(), "{}", faults.join("\n"));
     assert_eq!(fs::read_dir(&out).unwrap().count(), 1, "the folder is gone");
+}
+
+/// Task Scheduler wants UTF-16, the command interpreter its own ends of lines. The installer is made of this (packaging/windows/msi).
+#[test]
+fn an_archive_for_windows_holds_what_its_installer_starts() {
+    let folder = tempfile::tempdir().unwrap();
+    make_program(folder.path(), "ihd.exe", "not run here");
+    make_program(folder.path(), "pages", PAGES);
+    let packed = pack_program(folder.path(), "ihd.exe");
+    assert!(packed.status.success(), "{packed:?}");
+    let mut unpack = Command::new("python3");
+    unpack.args(["-m", "zipfile", "-e", "out/ihd-v1-here.zip", "."]);
+    assert!(unpack.current_dir(&folder).status().unwrap().success());
+    let read = |name: &str| fs::read(folder.path().join("ihd-v1-here").join(name)).unwrap();
+    assert_eq!(read("ihd.exe"), b"not run here");
+    assert!(read("README.md").starts_with(b"# ihd"));
+    let task = read("ihd-task.xml");
+    let units = task
+        .chunks_exact(2)
+        .map(|b| u16::from_le_bytes([b[0], b[1]]));
+    let task = String::from_utf16(&units.collect::<Vec<_>>()).unwrap();
+    assert!(task.starts_with("\u{feff}<?xml"), "{task}");
+    let line = r#"\ihd\ihd-daemon.cmd" run"</Arguments>"#;
+    assert!(task.contains(line), "{task}");
+    let script = String::from_utf8(read("ihd-daemon.cmd")).unwrap();
+    assert!(script.contains("trainer --daemon"));
+    assert_eq!(script.matches('\n').count(), script.matches("\r\n").count());
 }
 
 #[test]

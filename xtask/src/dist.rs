@@ -1,4 +1,4 @@
-//! `cargo xtask dist`: a release of this checkout for Linux, made by packaging/dist; `cargo xtask docs`: the documents as a book.
+//! `cargo xtask dist`: a release of this checkout, made by packaging/dist; `cargo xtask docs`: the documents as a book.
 
 use std::path::Path;
 use std::process::Command;
@@ -9,8 +9,12 @@ use crate::workspace::{Workspace, first_line, run};
 /// Makes target/dist with the firmware's `image` in the program.
 pub fn make(on: &Workspace, image: &Path) -> anyhow::Result<()> {
     let target = format!("{}-unknown-linux-musl", std::env::consts::ARCH);
-    install(Command::new("rustup").args(["target", "add", &target]))?;
+    let targets = ["target", "add", &target, "x86_64-pc-windows-gnu"];
+    install(Command::new("rustup").args(targets))?;
     program("musl-gcc", "musl-tools")?;
+    program("x86_64-w64-mingw32-gcc", "gcc-mingw-w64-x86-64")?;
+    program("wixl", "wixl")?;
+    program("msiinfo", "msitools")?;
     if first_line(&mut on.cargo(["cyclonedx", "--version"])).is_none() {
         install(&mut on.cargo(["install", "cargo-cyclonedx", "--locked"]))?;
     }
@@ -28,11 +32,10 @@ pub fn book(on: &Workspace) -> anyhow::Result<()> {
     run(Command::new(on.root.join("packaging/book")).arg(on.target.join("book")))
 }
 
-/// Installs the package in a new Debian, uses the program, and removes both: as root, with debootstrap.
-pub fn try_package(on: &Workspace) -> anyhow::Result<()> {
-    program("debootstrap", "debootstrap")?;
-    let mut script = Command::new(on.root.join("packaging/try-deb"));
-    run(script
-        .arg(on.target.join("dist"))
-        .arg(on.target.join("debian")))
+/// Runs a script that installs a release, uses the program and removes it, with the Debian package `tool`.
+pub fn try_out(on: &Workspace, tool: &str, script: &str) -> anyhow::Result<()> {
+    program(tool, tool)?;
+    let mut script = Command::new(on.root.join(script));
+    let [release, folder] = ["dist", "tried"].map(|name| on.target.join(name));
+    run(script.arg(release).arg(folder))
 }

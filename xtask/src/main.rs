@@ -79,7 +79,8 @@ enum Chore {
         #[arg(long, value_name = "TOML")]
         board: Option<PathBuf>,
     },
-    /// Make a release for this machine's Linux in target/dist: archive, .deb, firmware, SBOM, checksums.
+    /// Make a release in target/dist: archive and .deb for this machine's Linux, archive and installer for Windows,
+    /// firmware, SBOM, checksums.
     #[command(after_help = "Example:\n  cargo xtask dist")]
     Dist,
     /// Make one book of the documents, to search in a browser: target/book/html/index.html.

@@ -63,14 +63,15 @@ pub const STEPS: &[Step] = &[
     Step { name: "cycles", about: "instruction counts against firmware/budget.toml", tier: Tier::Quick, run: |on| on.cycles(false) },
     Step { name: "tests", about: "all tests of the workspace, linted by Clippy as they compile", tier: Tier::Quick, run: Session::tests },
     Step { name: "python", about: "the Python package, installed from its wheel", tier: Tier::Quick, run: |on| python::test(&on.workspace, on.tier == Tier::Full) },
-    Step { name: "dashboard", about: "the page in a real browser", tier: Tier::Quick, run: Session::dashboard },
+    Step { name: "dashboard", about: "the page in a real browser", tier: Tier::Quick, run: |on| dashboard::test(&on.workspace, on.tier == Tier::Full) },
     Step { name: "on-target", about: "the controller's own tests, in QEMU", tier: Tier::Quick, run: Session::on_target },
     Step { name: "board", about: "the flash image on an emulated STM32G474", tier: Tier::Quick, run: Session::board },
     Step { name: "usb", about: "that board on the USB of a Linux with the host program", tier: Tier::Quick, run: Session::usb },
     Step { name: "lints", about: "Clippy on benchmarks and examples too", tier: Tier::Full, run: |on| on.whole("clippy", "--all-targets -- -D warnings") },
     Step { name: "docs", about: "rustdoc without broken links, its examples, the documents' book", tier: Tier::Full, run: Session::docs },
     Step { name: "hostile", about: "every capture that may fool the identification", tier: Tier::Full, run: Session::hostile },
-    Step { name: "dist", about: "a release's package, installed in a clean Debian and removed", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_package(&on.workspace)) },
+    Step { name: "dist", about: "a release's package, installed in a clean Debian and removed", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_out(&on.workspace, "debootstrap", "packaging/try-deb")) },
+    Step { name: "windows", about: "a release's installer for Windows, used under Wine and removed", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_out(&on.workspace, "wine", "packaging/windows/try")) },
     Step { name: "fuzz", about: "coverage-guided fuzzing of each target", tier: Tier::Full, run: |on| fuzz::fuzz(&on.workspace, None, FUZZ_SECONDS) },
 ];
 
@@ -127,10 +128,6 @@ impl Session {
             tests.env(NATS, nats.join("bin/nats-server"));
         }
         run(&mut tests)
-    }
-
-    fn dashboard(&self) -> anyhow::Result<()> {
-        dashboard::test(&self.workspace, self.tier == Tier::Full)
     }
 
     fn docs(&self) -> anyhow::Result<()> {
@@ -192,20 +189,14 @@ impl Session {
 
     /// Lets a Linux drive the board's image over USB.
     fn usb(&self) -> anyhow::Result<()> {
-        guest::test(
-            &self.workspace,
-            &self.image(STM32G474)?,
-            self.tier == Tier::Full,
-        )
+        let (image, full) = (self.image(STM32G474)?, self.tier == Tier::Full);
+        guest::test(&self.workspace, &image, full)
     }
 
     /// Tests the image as it is flashed on the emulated board.
     fn board(&self) -> anyhow::Result<()> {
-        board::test(
-            &self.workspace,
-            &self.image(STM32G474)?,
-            self.tier == Tier::Full,
-        )
+        let (image, full) = (self.image(STM32G474)?, self.tier == Tier::Full);
+        board::test(&self.workspace, &image, full)
     }
 
     /// Runs the emulated board as a process, with `image` or the one of this checkout.

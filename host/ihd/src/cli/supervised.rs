@@ -8,6 +8,12 @@ use ihd_daemon::Daemon;
 pub struct Signals {
     #[cfg(unix)]
     all: [(&'static str, tokio::signal::unix::Signal); 3],
+    #[cfg(windows)]
+    all: (
+        tokio::signal::windows::CtrlC,
+        tokio::signal::windows::CtrlClose,
+        tokio::signal::windows::CtrlShutdown,
+    ),
 }
 
 impl Signals {
@@ -39,22 +45,26 @@ impl Signals {
         }
     }
 
-    /// Catches the signals from now on.
+    /// Catches the events from now on.
     ///
     /// # Errors
-    /// Never on this system: each wait catches them itself.
-    #[cfg(not(unix))]
+    /// If the system does not allow it.
+    #[cfg(windows)]
     pub fn new() -> io::Result<Self> {
-        Ok(Self {})
+        use tokio::signal::windows::{ctrl_c, ctrl_close, ctrl_shutdown};
+        Ok(Self {
+            all: (ctrl_c()?, ctrl_close()?, ctrl_shutdown()?),
+        })
     }
 
-    /// Waits for the next signal.
-    #[cfg(not(unix))]
+    /// Waits for the next event; Windows kills the process 5 s after the last two.
+    #[cfg(windows)]
     pub async fn next(&mut self) -> &'static str {
-        match tokio::signal::ctrl_c().await {
-            Ok(()) => "^C",
-            // No signal can be caught: it ends with the process.
-            Err(_) => std::future::pending().await,
+        let (c, close, shutdown) = &mut self.all;
+        tokio::select! {
+            _ = c.recv() => "^C",
+            _ = close.recv() => "closed window",
+            _ = shutdown.recv() => "shutdown",
         }
     }
 }
