@@ -60,6 +60,18 @@ fn failed<'a>(report: &'a Value, groups: &[&str]) -> Vec<&'a str> {
 }
 
 #[test]
+fn a_simulated_hob_of_a_configuration_is_checked_by_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = "[[device]]\nname = \"bench\"\naddress = \"sim\"\n";
+    fs::write(folder.path().join("ihd.toml"), text).unwrap();
+    let mut doctor = ihd("doctor bench --json");
+    let output = doctor.current_dir(folder.path()).output().unwrap();
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["device"], "bench");
+    assert!(group(&report, "firmware").contains(&("connection", "pass")));
+}
+
+#[test]
 fn the_simulated_hob_is_well() {
     let (_, report) = json("doctor sim --json");
     assert_eq!(report["format"], 1);

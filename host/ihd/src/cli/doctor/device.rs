@@ -15,7 +15,7 @@ pub(super) enum DeviceChoice {
     /// By name in a configuration.
     #[cfg(feature = "daemon")]
     Configured {
-        config: Box<ihd_daemon::config::DaemonConfig>,
+        open: std::sync::Arc<ihd_daemon::OpenDevice>,
         address: Box<ihd_daemon::config::Address>,
     },
 }
@@ -29,12 +29,12 @@ pub(super) fn of_name(name: &str, config: Option<&std::path::Path>) -> Result<De
     }
     let mut config = crate::cli::configured::config(config)?;
     // Checks the options of the simulated hobs, and marks their devices.
-    crate::cli::opener::opener(&mut config)?;
+    let open = crate::cli::opener::opener(&mut config)?;
     let named = config.devices.iter().find(|device| device.name == name);
     match (named, of_spec) {
         (Some(device), _) => Ok(DeviceChoice::Configured {
+            open,
             address: Box::new(device.address.clone()),
-            config: Box::new(config),
         }),
         (None, Ok(spec)) => Ok(DeviceChoice::Spec(spec)),
         (None, Err(error)) => Err(Usage(format!("{error}, or a name of the configuration")).into()),
@@ -58,13 +58,7 @@ impl DeviceChoice {
                 Ok(Client::connect(spec.open(sim)?)?)
             }
             #[cfg(feature = "daemon")]
-            Self::Configured {
-                mut config,
-                address,
-            } => {
-                let open = crate::cli::opener::opener(&mut config)?;
-                Ok(Client::connect(open(&address)?.transport)?)
-            }
+            Self::Configured { open, address } => Ok(Client::connect(open(&address)?.transport)?),
         }
     }
 }
