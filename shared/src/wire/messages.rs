@@ -3,9 +3,13 @@
 use core::ops::RangeInclusive;
 
 use heapless::String;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
-use super::schema::{Entry, FNV_BASIS, Item, Part, fold_entry, wire_enum};
+pub use super::enumerations::{ENUMS, Limit, OffReason, Outcome, Piece, Pot, Program, State};
+pub use super::message_table::{DecodeError, Message, Request, decode};
+use super::message_table::{bind_answer, message_table};
+pub use super::raw::Raw;
+use super::schema::{Entry, FNV_BASIS, Item, Part, fold_entry};
 use crate::fault::Fault;
 use crate::sampling::Scales;
 use crate::units::{MicroOhm, PicoHenry};
@@ -15,316 +19,6 @@ pub const PROTOCOL_MAJOR: u16 = 4;
 
 /// Raised by a new message or a new fault.
 pub const PROTOCOL_MINOR: u16 = 0;
-
-/// Bytes that travel as they are: a varint length, then the bytes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Raw<'a>(pub &'a [u8]);
-
-impl Serialize for Raw<'_> {
-    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        s.serialize_bytes(self.0)
-    }
-}
-
-impl<'de: 'a, 'a> Deserialize<'de> for Raw<'a> {
-    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
-        <&'a [u8]>::deserialize(d).map(Raw)
-    }
-}
-
-/// A message with its number in the table.
-pub trait Message: Serialize {
-    /// Number of the message; never reused.
-    const ID: u8;
-    /// Name in the table.
-    const NAME: &'static str;
-    /// Part that it plays.
-    const PART: Part;
-}
-
-/// A request, bound to its answer.
-pub trait Request: Message {
-    /// Answer where the request is carried out; [`Reply`] where it is not.
-    type Answer<'a>: Message + Deserialize<'a>;
-    /// `true` if it is sent once only. Any other is sent again, under its number, while its answer stays away: a device
-    /// carries it out once.
-    const IS_SENT_ONCE: bool;
-}
-
-wire_enum! {
-    /// State of the controller.
-    pub enum State {
-        /// Inverter off, waiting for a power request.
-        Idle = 0,
-        /// A few half-cycles at the highest frequency to see what stands on the coil.
-        Probing = 1,
-        /// Regulating power.
-        Heating = 2,
-        /// Inverter off for good: its tries are used up, or the controller itself is faulty. A person
-        /// switches off and on.
-        LockedOut = 3,
-        /// No suitable pot; probes for one from time to time.
-        WaitingForPot = 4,
-        /// Inverter off after a trip, or without good mains; starts again by itself.
-        Pausing = 5,
-    }
-}
-
-wire_enum! {
-    /// Limit that holds the power below the request.
-    pub enum Limit {
-        /// Nothing: it is the request, or the inverter is off.
-        None = 0,
-        /// An end of the frequency range.
-        Frequency = 1,
-        /// The coil current's crest.
-        Current = 2,
-        /// The coil voltage's crest.
-        CoilVoltage = 3,
-        /// Nearness of the tank's resonance.
-        Resonance = 4,
-        /// The current that is left at a turn-off, which has to turn the bridge's node over.
-        SoftSwitching = 5,
-        /// A pot too small for more.
-        SmallPot = 6,
-        /// A temperature.
-        Temperature = 7,
-        /// Mains too low.
-        Mains = 8,
-        /// The panel's level.
-        Panel = 9,
-        /// The boost is over: the level below it.
-        Boost = 10,
-    }
-}
-
-wire_enum! {
-    /// Reason for which the hob has switched itself off, until power is requested again or its panel is touched.
-    pub enum OffReason {
-        /// It has not.
-        None = 0,
-        /// No pot that can be heated, for as long as it waits.
-        NoPot = 1,
-        /// Nobody has touched the panel for as long as the level allows. Only a touch switches on again.
-        Unattended = 2,
-        /// The timer ended. Only a touch of the panel switches on again.
-        Timer = 3,
-    }
-}
-
-wire_enum! {
-    /// Pot on the coil.
-    pub enum Pot {
-        /// Not judged yet.
-        Unknown = 0,
-        /// Nothing.
-        Absent = 1,
-        /// A ferromagnetic pot that can be heated.
-        Ferromagnetic = 2,
-        /// A ferromagnetic pot much smaller than the coil, or far off its centre.
-        Small = 3,
-        /// A non-ferromagnetic load (aluminium, copper, austenitic stainless).
-        Unsuitable = 4,
-    }
-}
-
-wire_enum! {
-    /// Answer to a command.
-    pub enum Outcome {
-        /// Done. To `SetPower`, `detail` is the requested power as the device took it, in watt: at most its rating.
-        Ok = 0,
-        /// The payload is not a message of that id, or has no number.
-        Malformed = 1,
-        /// No message of that id, or one that only a device sends.
-        UnknownMessage = 2,
-        /// No compatible `Hello` has been exchanged.
-        NotPaired = 3,
-        /// Asked power that no hob gives; `detail` is the largest that may be asked, in watt.
-        PowerOutOfRange = 4,
-        /// A fault is active; clear it first. `detail` is its number; 0 when it is replay mode that
-        /// locks the power outputs.
-        FaultActive = 5,
-        /// Lookup of the wrong length; `detail` is the length expected.
-        LookupLength = 6,
-        /// Lookup does not begin with its magic or is of an unknown format.
-        LookupFormat = 7,
-        /// Lookup fails its CRC-32.
-        LookupCrc = 8,
-        /// Lookup not newer than the active one; `detail` is the active version.
-        LookupStale = 9,
-        /// A lookup cell is outside the plausible range; `detail` is the cell's index.
-        LookupRange = 10,
-        /// Neighbouring lookup cells differ too much; `detail` is the cell's index.
-        LookupSlope = 11,
-        /// R or L runs the wrong way with frequency or current; `detail` is the cell's index.
-        LookupNotMonotone = 12,
-        /// A lookup is already waiting for its half-cycle boundary; try again.
-        Busy = 13,
-        /// The inverter is off until a person switches off and on; `detail` is the fault's number.
-        LockedOut = 14,
-        /// Lookup too many versions ahead of the active one; `detail` is the highest accepted.
-        LookupStep = 15,
-        /// Switched off at the panel, by its timer, or because nobody touched it for too long: only a person switches on again.
-        PanelOff = 16,
-        /// A setting outside its range, and none was changed; `detail` is the field's place in its
-        /// message, from 0.
-        OutOfRange = 17,
-        /// The inverter must be off for this: power is requested, or flows.
-        NotIdle = 18,
-        /// This device has not what it takes: a simulated hob has no ROM bootloader, no comparators and no log.
-        Unavailable = 19,
-        /// The device is not in replay mode.
-        NotReplaying = 20,
-    }
-}
-
-wire_enum! {
-    /// A piece of a window, as it travels in one message.
-    pub enum Piece {
-        /// Its `WindowStart`.
-        Start = 0,
-        /// A `WindowChunk`.
-        Pairs = 1,
-        /// A `TrajectoryChunk`.
-        Trajectory = 2,
-        /// Its `WindowEnd`.
-        End = 3,
-        /// None: the host has the window, or has given it up.
-        Nothing = 4,
-    }
-}
-
-wire_enum! {
-    /// Program after a `Restart`.
-    pub enum Program {
-        /// The firmware, from its beginning.
-        Firmware = 0,
-        /// The chip's ROM bootloader, which takes another firmware over USB (DFU) or the serial port. It stays until
-        /// the next reset.
-        Bootloader = 1,
-    }
-}
-
-/// Implements [`Request`] for a row with an answer.
-macro_rules! bind_answer {
-    ([$($request:tt)+] [$($generics:tt)*]) => {};
-    ([$($request:tt)+] [$($generics:tt)*] $answer:ident $($once:ident)?) => {
-        impl $($generics)* Request for $($request)+ {
-            type Answer<'answer> = $answer;
-            const IS_SENT_ONCE: bool = bind_answer!(@once $($once)?);
-        }
-    };
-    ([$($request:tt)+] [$($generics:tt)*] $answer:ident<$lt:lifetime> $($once:ident)?) => {
-        impl $($generics)* Request for $($request)+ {
-            type Answer<'answer> = $answer<'answer>;
-            const IS_SENT_ONCE: bool = bind_answer!(@once $($once)?);
-        }
-    };
-    (@once once) => { true };
-    (@once) => { false };
-}
-
-macro_rules! message_table {
-    ($lt:lifetime; $(
-        $(#[doc = $doc:literal])+
-        $id:literal $part:ident $name:ident $(<$l:lifetime>)?
-        $(-> $answer:ident $(<$al:lifetime>)? $($once:ident)?)? {
-            $($(#[doc = $fdoc:literal])+ $(#[serde($attr:ident)])? $field:ident : $ty:ty,)*
-        }
-    )+) => {
-        $(
-            $(#[doc = $doc])+
-            #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-            pub struct $name $(<$l>)? {
-                $($(#[doc = $fdoc])+ $(#[serde($attr)])? pub $field: $ty,)*
-            }
-            impl $(<$l>)? Message for $name $(<$l>)? {
-                const ID: u8 = $id;
-                const NAME: &'static str = stringify!($name);
-                const PART: Part = Part::$part;
-            }
-            bind_answer!([$name $(<$l>)?] [$(<$l>)?] $($answer $(<$al>)? $($once)?)?);
-        )+
-
-        /// Any message of the table, borrowed from the bytes it was decoded from.
-        #[derive(Clone, Debug, PartialEq)]
-        pub enum AnyMessage<$lt> {
-            $(
-                #[doc = concat!("See [`", stringify!($name), "`].")]
-                $name($name $(<$l>)?),
-            )+
-        }
-
-        impl<$lt> AnyMessage<$lt> {
-            /// Decodes the bytes of message `id` behind its number; they must be used up.
-            pub fn decode(id: u8, bytes: &$lt [u8]) -> Result<Self, DecodeError> {
-                match id {
-                    $($id => decode::<$name>(bytes).map(Self::$name),)+
-                    _ => Err(DecodeError::UnknownId { id }),
-                }
-            }
-
-            /// The message's id, and its bytes behind the number written to the front of `out`; `None` where that
-            /// is too small.
-            pub fn bytes<'o>(&self, out: &'o mut [u8]) -> Option<(u8, &'o [u8])> {
-                match self {
-                    $(Self::$name(m) => Some(($id, &*postcard::to_slice(m, out).ok()?)),)+
-                }
-            }
-        }
-
-        /// Part that message `id` plays; `None` for one that is not in the table.
-        pub const fn part_of(id: u8) -> Option<Part> {
-            match id {
-                $($id => Some(Part::$part),)+
-                _ => None,
-            }
-        }
-
-        /// Every message, in table order.
-        pub const MESSAGES: &[Entry] = &[$(Entry {
-            id: Some($id),
-            part: Some(Part::$part),
-            answer: message_table!(@answer $($answer)?),
-            is_sent_once: message_table!(@once $($($once)?)?),
-            name: stringify!($name),
-            doc: concat!($($doc),+),
-            items: &[$(Item {
-                name: stringify!($field),
-                kind: stringify!($ty),
-                doc: concat!($($fdoc),+),
-            }),*],
-        }),+];
-    };
-    (@answer) => { None };
-    (@answer $answer:ident) => { Some(stringify!($answer)) };
-    (@once) => { false };
-    (@once once) => { true };
-}
-
-/// Returns `true` if a frame of this id begins with a request's number: any that is not known does, as it may be a newer request.
-pub const fn is_numbered(id: u8) -> bool {
-    match part_of(id) {
-        Some(part) => part.is_numbered(),
-        None => true,
-    }
-}
-
-/// Decodes a message from its bytes behind the number; they must be used up.
-///
-/// # Errors
-/// [`DecodeError::Malformed`], [`DecodeError::Trailing`].
-pub fn decode<'a, M: Message + Deserialize<'a>>(bytes: &'a [u8]) -> Result<M, DecodeError> {
-    let id = M::ID;
-    match postcard::take_from_bytes(bytes) {
-        Ok((message, [])) => Ok(message),
-        Ok((_, rest)) => Err(DecodeError::Trailing {
-            id,
-            bytes: rest.len(),
-        }),
-        Err(_) => Err(DecodeError::Malformed { id }),
-    }
-}
 
 message_table! { 'a;
     /// First message in both directions. Frozen for ever: same id, same layout, whatever the version.
@@ -788,6 +482,14 @@ message_table! { 'a;
     }
 }
 
+/// Returns `true` if a frame of this id begins with a request's number: any that is not known does, as it may be a newer request.
+pub const fn is_numbered(id: u8) -> bool {
+    match part_of(id) {
+        Some(part) => part.is_numbered(),
+        None => true,
+    }
+}
+
 impl WindowStart {
     /// Scales of its codes.
     pub fn scales(&self) -> Scales {
@@ -804,20 +506,6 @@ impl FrontEnd {
         Scales {
             v_full_scale_mv: self.v_full_scale_mv,
             i_full_scale_ma: self.i_full_scale_ma,
-        }
-    }
-}
-
-impl OffReason {
-    /// Returns the reason in plain English; empty for [`OffReason::None`].
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::None => "",
-            Self::NoPot => "it switched itself off: no pot was put on",
-            Self::Timer => "its timer switched it off; only the panel switches it on again",
-            Self::Unattended => {
-                "it switched itself off: nobody touched its panel for as long as the level allows; only the panel switches it on again"
-            }
         }
     }
 }
@@ -856,17 +544,6 @@ pub const NO_SENSOR_C: i16 = -300;
 /// Value of [`Status::panel_level`] if no panel was ever touched.
 pub const NO_PANEL: u8 = u8::MAX;
 
-/// Every enumeration that messages use.
-pub const ENUMS: &[Entry] = &[
-    State::ENTRY,
-    Limit::ENTRY,
-    OffReason::ENTRY,
-    Pot::ENTRY,
-    Outcome::ENTRY,
-    Piece::ENTRY,
-    Program::ENTRY,
-];
-
 /// Hash of the whole table: names, ids, fields, types and enumeration numbers. Not the faults: they
 /// are open ([`crate::fault`]).
 pub const SCHEMA_HASH: u64 = {
@@ -883,39 +560,3 @@ pub const SCHEMA_HASH: u64 = {
     }
     hash
 };
-
-/// Reason that a payload is not a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DecodeError {
-    /// No message has this id.
-    UnknownId {
-        /// The id.
-        id: u8,
-    },
-    /// The payload does not decode as the message of this id.
-    Malformed {
-        /// The id.
-        id: u8,
-    },
-    /// The message decoded, but bytes were left over.
-    Trailing {
-        /// The id.
-        id: u8,
-        /// Number of bytes left.
-        bytes: usize,
-    },
-}
-
-impl core::fmt::Display for DecodeError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::UnknownId { id } => write!(f, "no message has id {id:#04x}"),
-            Self::Malformed { id } => write!(f, "payload does not decode as message {id:#04x}"),
-            Self::Trailing { id, bytes } => {
-                write!(f, "{bytes} bytes left over after message {id:#04x}")
-            }
-        }
-    }
-}
-
-impl core::error::Error for DecodeError {}

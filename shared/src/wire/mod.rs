@@ -16,11 +16,14 @@
 //! so that any two builds can find out that they do not fit.
 
 pub mod deframer;
+mod enumerations;
 pub mod frame;
 pub mod hello;
 pub mod link_test;
+mod message_table;
 pub mod messages;
 pub mod number;
+mod raw;
 pub mod schema;
 pub mod timing;
 
