@@ -2,13 +2,26 @@
 
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 
-/// Coil current and capacitor voltage.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// Coil current, and voltage of the capacitor with its capacitance.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Circuit {
     /// Coil current in ampere.
     pub i_a: f64,
     /// Voltage of the resonance capacitor in volt.
     pub v_c_v: f64,
+    /// Capacitance of the resonance capacitor in farad.
+    pub c_f: f64,
+}
+
+/// At rest, with the schematic's capacitor.
+impl Default for Circuit {
+    fn default() -> Self {
+        Self {
+            i_a: 0.0,
+            v_c_v: 0.0,
+            c_f: f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9,
+        }
+    }
 }
 
 impl Circuit {
@@ -25,7 +38,7 @@ impl Circuit {
     /// The same step for a load whose flux linkage changes by `change0_wb` + `l_h` · i(new), as
     /// the field model's does.
     pub fn step_flux(&mut self, v_mean_v: f64, r_ohm: f64, change0_wb: f64, l_h: f64, dt_s: f64) {
-        let by_c = Self::volt_per_ampere(dt_s);
+        let by_c = self.volt_per_ampere(dt_s);
         let drop = 0.5 * dt_s * (r_ohm + by_c);
         let i = (dt_s * (v_mean_v - self.v_c_v) - change0_wb - drop * self.i_a) / (l_h + drop);
         self.v_c_v += by_c * (self.i_a + i);
@@ -33,14 +46,13 @@ impl Circuit {
     }
 
     /// Change of the capacitor's voltage in a step for each ampere of the sum of both ends' currents.
-    pub(crate) fn volt_per_ampere(dt_s: f64) -> f64 {
-        let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
-        dt_s / (2.0 * c_f)
+    pub(crate) fn volt_per_ampere(&self, dt_s: f64) -> f64 {
+        dt_s / (2.0 * self.c_f)
     }
 
     /// Advances one step in which the current ends.
     pub fn end_current(&mut self, dt_s: f64) {
-        self.v_c_v += Self::volt_per_ampere(dt_s) * self.i_a;
+        self.v_c_v += self.volt_per_ampere(dt_s) * self.i_a;
         self.i_a = 0.0;
     }
 }
@@ -55,11 +67,23 @@ mod tests {
     /// Against the phasor solution of the series circuit, harmonic by harmonic.
     #[test]
     fn steady_state_has_the_phasors_of_the_series_circuit() {
+        phasors_of_the_series_circuit(1080e-9);
+    }
+
+    #[test]
+    fn a_capacitor_that_has_aged_has_its_own_phasors() {
+        phasors_of_the_series_circuit(864e-9);
+    }
+
+    fn phasors_of_the_series_circuit(c_f: f64) {
         let (f, r, l, bus) = (45e3, 3.0, 20e-6, 100.0);
         let steps = 488;
         let dt_s = 1.0 / (f * steps as f64);
         let mut bridge = SwitchedHalfBridge::new(0.0, 200e-9).unwrap();
-        let mut circuit = Circuit::default();
+        let mut circuit = Circuit {
+            c_f,
+            ..Circuit::default()
+        };
         let mut phasor = [(0.0, 0.0); 2];
         let periods = 400;
         for p in 0..periods {
@@ -80,7 +104,7 @@ mod tests {
             // Trapezoid of edge τ: 2/(πh) · sinc(h f τ).
             let edge = PI * h * f * 200e-9;
             let v = 2.0 / (PI * h) * bus * edge.sin() / edge;
-            let x = TAU * h * f * l - 1.0 / (TAU * h * f * 1080e-9);
+            let x = TAU * h * f * l - 1.0 / (TAU * h * f * c_f);
             let expected = v / r.hypot(x);
             let got: f64 = f64::hypot(sum.0, sum.1);
             assert!(

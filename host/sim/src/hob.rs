@@ -577,9 +577,11 @@ impl SimHob {
         self.plant.set_mains(changed);
     }
 
-    /// Changes the injected faults of sensors and sampling.
+    /// Changes the injected faults.
     pub fn inject(&mut self, change: impl FnOnce(&mut Injections)) {
         change(&mut self.injections);
+        let share = self.injections.product(InjectionKind::ResonanceCapacitance);
+        self.plant.set_resonance_share(share);
         self.set_comparator();
     }
 

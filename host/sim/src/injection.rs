@@ -1,4 +1,4 @@
-//! Faults of sensors, sampling and crossings, injected between plant and firmware.
+//! Faults of sensors, sampling and crossings, injected between plant and firmware, and of the resonance capacitor.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -48,6 +48,8 @@ pub enum InjectionKind {
     Supply,
     /// The chip's reference voltage is multiplied by the value.
     Reference,
+    /// The resonance capacitor's capacitance is multiplied by the value; its voltage stays.
+    ResonanceCapacitance,
 }
 
 /// Channel of the fault, for kinds that have a choice.
@@ -91,6 +93,7 @@ impl InjectionKind {
                 Some((0.0, 10.0, "a factor from 0 to 10"))
             }
             Self::Supply | Self::Reference => Some((0.8, 1.2, "a factor from 0.8 to 1.2")),
+            Self::ResonanceCapacitance => Some((0.1, 2.0, "a factor from 0.1 to 2")),
             Self::CurrentOffset => Some((-160.0, 160.0, "-160 to 160 A")),
             Self::VoltageOffset => Some((-1300.0, 1300.0, "-1300 to 1300 V")),
             Self::AdcBitStuck => Some((0.0, 11.0, "a bit from 0 to 11")),
@@ -277,7 +280,8 @@ impl ActiveInjection {
                 | InjectionKind::ComparatorDead
                 | InjectionKind::NtcOpen
                 | InjectionKind::NtcShort
-                | InjectionKind::Reference => return,
+                | InjectionKind::Reference
+                | InjectionKind::ResonanceCapacitance => return,
             }
         }
     }
@@ -336,6 +340,7 @@ mod tests {
         assert_eq!(current(K::AdcBitStuck, 10.0), PAIR);
         assert_eq!(after(K::AdcBitStuck, 0.0, FaultChannel::Voltage).v, 801);
         assert_eq!(current(K::ComparatorDead, 0.0), PAIR);
+        assert_eq!(current(K::ResonanceCapacitance, 0.8), PAIR);
     }
 
     fn one(kind: InjectionKind, value: f64) -> Injections {

@@ -8,6 +8,7 @@ use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 use ihd_signal::truth::MapTruth;
 
 use super::adc::Adc;
+use super::circuit::Circuit;
 use super::contents::PotContents;
 use super::dividers::Dividers;
 use super::inverter::bridge::SwitchedHalfBridge;
@@ -275,6 +276,11 @@ impl Plant {
             Bridge::LowerOn | Bridge::Switching => self.open_since_s = None,
         }
         self.drive = drive;
+    }
+
+    /// Sets the resonance capacitor's capacitance, as a share of the schematic's, from now on; its voltage stays.
+    pub fn set_resonance_share(&mut self, share: f64) {
+        self.inverter.circuit.c_f = share * Circuit::default().c_f;
     }
 
     /// Sets the share of the period in which the upper switch is on, from now on.

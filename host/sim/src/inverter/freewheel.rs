@@ -7,7 +7,7 @@
 //! When the bus falls below the node, or the capacitor is below ground, a diode conducts again: so the capacitor follows the mains
 //! to its next zero. The ringing of the coil with the node's few nanofarad is not modelled.
 
-use ihd_shared::board::{COIL_DIVIDER_OHM, RESONANCE_CAPACITANCE_NF};
+use ihd_shared::board::COIL_DIVIDER_OHM;
 
 use super::load::FluxStep;
 use super::{Instant, Inverter};
@@ -15,9 +15,6 @@ use super::{Instant, Inverter};
 /// Margin of the capacitor below the bus with which the upper diode blocks for a microsecond, in volt: the steepest mains falls by
 /// 0.15 V.
 const REST_MARGIN_V: f64 = 1.0;
-
-/// Time constant in seconds of the resonance capacitor with the divider of the coil's voltage.
-const DIVIDER_S: f64 = COIL_DIVIDER_OHM as f64 * RESONANCE_CAPACITANCE_NF as f64 * 1e-9;
 
 impl Inverter {
     /// Advances one step with both switches open.
@@ -87,7 +84,8 @@ impl Inverter {
 
     fn float(&mut self, open_v: f64, to_s: f64, dt_s: f64) {
         // The divider of the coil's voltage discharges the capacitor.
-        let lost_v = self.circuit.v_c_v * (dt_s / DIVIDER_S);
+        let divider_s = f64::from(COIL_DIVIDER_OHM) * self.circuit.c_f;
+        let lost_v = self.circuit.v_c_v * (dt_s / divider_s);
         self.circuit.v_c_v -= lost_v;
         let open_v = open_v - lost_v;
         let bus_v = self.bus.advance(to_s, dt_s, 0.0);

@@ -60,11 +60,15 @@ impl Inverter {
         let (r_ohm, l_h, envelope) = self.load.hold(charging.steps)?;
         self.floating_v = None;
         // The step of `Circuit::step_flux`, solved for the new current.
-        let by_c = Circuit::volt_per_ampere(dt_s);
+        let by_c = self.circuit.volt_per_ampere(dt_s);
         let drop = 0.5 * dt_s * (r_ohm + self.bridge_r_ohm + by_c);
         let per_l = 1.0 / (l_h + drop);
         let (keep, gain) = ((l_h - drop) * per_l, dt_s * per_l);
-        let Circuit { mut i_a, mut v_c_v } = self.circuit;
+        let Circuit {
+            mut i_a,
+            mut v_c_v,
+            c_f,
+        } = self.circuit;
         let (mut bus_v, mut before_a) = (self.bus.v(), self.before_a);
         let (mut charge_a, mut power_w) = (0.0, 0.0);
         let (mut done, mut goes_on) = (0, true);
@@ -92,7 +96,7 @@ impl Inverter {
                 induced_v: 0.0,
             });
         }
-        self.circuit = Circuit { i_a, v_c_v };
+        self.circuit = Circuit { i_a, v_c_v, c_f };
         self.before_a = before_a;
         self.bus.set_v(bus_v);
         self.link_charge_c += charge_a * dt_s;
