@@ -109,10 +109,11 @@ fault_table! {
     /// Coil voltage, coil current and bus voltage contradict each other.
     BRIDGE_BALANCE = 17 "BridgeBalance" Trip:
         "coil voltage, coil current and bus voltage contradict each other; check gain and wiring of the \
-         three sensors";
-    /// A channel's mean over whole periods is not zero.
+         three sensors, and the resonance capacitor";
+    /// A channel's mean over whole periods is not zero, or a bit of its converter sticks.
     SENSOR_OFFSET = 18 "SensorOffset" Trip:
-        "coil voltage or current has an offset, which the capacitor allows none of; check the sensor";
+        "coil voltage or current has an offset, which the capacitor allows none of, or a bit of its converter sticks; \
+         check the sensor, and replace the controller if it is right";
     /// The samples repeat themselves to the last bit.
     SAMPLES_FROZEN = 19 "SamplesFrozen" Trip:
         "the same samples come again and again; check the ADC trigger and DMA";

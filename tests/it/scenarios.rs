@@ -38,7 +38,7 @@ scenarios! {
     noise { snr_20 snr_25 snr_30 }
     objects { refused smallest }
     panel { host_silent key_lock levels off_wins }
-    plausibility { aged_capacitor dead_comparator gains mains_hz off offsets stuck supply timing unseen }
+    plausibility { aged_capacitor bits dead_comparator gains mains_hz off offsets stuck supply timing unseen }
     pots { places recovered_mains risen_mains }
     restart { doubled host_clears host_repeats lookups person tries }
     sags { dip dropout swell }

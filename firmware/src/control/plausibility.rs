@@ -7,7 +7,8 @@
 //! and an error of the current's gain is lost in the tolerances; a sensor of the DC link sees it there.
 //!
 //! A capacitor in series lets no direct current through, and a winding holds no direct voltage: the
-//! means over whole periods are zero, bridge on or off.
+//! means over whole periods are zero, bridge on or off. A current that swings through zero has codes on both
+//! sides of it, unless a bit of its converter sticks.
 
 use ihd_shared::fault::Fault;
 
@@ -36,6 +37,7 @@ const POWER_FROM_MW: u32 = 200_000;
 pub struct Plausibility {
     balance: ContradictionCount,
     offset: ContradictionCount,
+    gap: ContradictionCount,
     current: ContradictionCount,
     power: ContradictionCount,
     bus: ContradictionCount,
@@ -69,8 +71,14 @@ impl Plausibility {
         let on_bus = summary.f_sw_hz > 0 && summary.bus_peak_dv >= COMPARED_FROM_DV;
         let flows = summary.i_crest_ma >= POT_CURRENT_MIN_MA;
         let seen = steady && on_bus && flows;
+        // More than any offset that is none yet.
+        let swings = summary.f_sw_hz > 0 && summary.i_crest_ma >= 2 * CURRENT_OFFSET_MA;
         let checks = [
             (self.offset.push(has_offset(summary)), Fault::SENSOR_OFFSET),
+            (
+                self.gap.push_if(swings, summary.i_gap),
+                Fault::SENSOR_OFFSET,
+            ),
             (
                 self.balance.push_if(seen, !is_balanced(summary)),
                 Fault::BRIDGE_BALANCE,
@@ -270,6 +278,9 @@ mod tests {
         };
         assert_eq!(with(|s| s.i_offset_ma = -5_000), Some(Fault::SENSOR_OFFSET));
         assert_eq!(with(|s| s.v_offset_dv = 400), Some(Fault::SENSOR_OFFSET));
+        assert_eq!(with(|s| s.i_gap = true), Some(Fault::SENSOR_OFFSET));
+        let without_current = |s: &mut HalfCycle| (s.i_gap, s.i_crest_ma) = (true, 5_000);
+        assert_eq!(with(without_current), None);
         assert_eq!(with(|s| s.i_crest_ma = 200), Some(Fault::NO_COIL_CURRENT));
         assert_eq!(with(|s| s.bus_peak_dv = 0), Some(Fault::BUS_RANGE));
     }

@@ -21,6 +21,15 @@ const _: () = assert!(MILLIWATT < 1 << (64 - 2 * (CODE_BITS - 1) as u32));
 /// One block in so many counts for the offset: the mean over three whole periods.
 const OFFSET_EVERY: u32 = 16;
 
+/// One block in so many is looked at for codes beside zero, the first of them soon after the zero crossing, when the current is
+/// small.
+const NEAR_ZERO_EVERY: u32 = 16;
+const NEAR_ZERO_FIRST: u32 = 8;
+
+/// Codes beside zero: fewer than a converter lacks there of which bit 7 or a higher one sticks, 128 at the least, with the
+/// correction for the supply (`sense::supply`) of 2.4 %. Of 61 samples a turn, a sine of up to 45 A has one on each side.
+const NEAR_ZERO_CODES: u32 = 120;
+
 /// Measurements over one mains half-cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HalfCycle {
@@ -58,6 +67,8 @@ pub struct HalfCycle {
     pub v_offset_dv: i32,
     /// Mean of the coil current, in milliampere.
     pub i_offset_ma: i32,
+    /// The current has no code just below zero, or none just above: a bit of the converter sticks.
+    pub i_gap: bool,
     /// Mean power out of the DC link, in milliwatt, where a sensor is fitted.
     pub dc_link_mw: Option<u32>,
 }
@@ -85,6 +96,7 @@ impl HalfCycle {
         is_pot_probe: false,
         v_offset_dv: 0,
         i_offset_ma: 0,
+        i_gap: false,
         dc_link_mw: None,
     };
 
@@ -105,6 +117,8 @@ pub struct HalfCycleAccumulator {
     /// Sums of codes of the blocks that count for the offset, and their number.
     offsets: (i32, i32),
     offset_blocks: i32,
+    /// The current had a code just below zero, and one from zero on.
+    near_zero: (bool, bool),
     /// Σ of bus voltage times DC-link current, in decivolt milliampere, and the number of blocks with one.
     dc_link: u64,
     dc_link_blocks: u32,
@@ -121,6 +135,7 @@ impl HalfCycleAccumulator {
             turn_off_ma: None,
             offsets: (0, 0),
             offset_blocks: 0,
+            near_zero: (false, false),
             dc_link: 0,
             dc_link_blocks: 0,
         }
@@ -156,6 +171,24 @@ impl HalfCycleAccumulator {
         self.offsets.0 += v;
         self.offsets.1 += i;
         self.offset_blocks += 1;
+    }
+
+    /// Looks for codes of the current on both sides of zero, in one block of sixteen, until both were seen.
+    ///
+    /// A bit that sticks at one leaves no codes from 0 to its weight, one that sticks at zero none as far below: of offset
+    /// binary codes as of these, that differ in the sign's bit.
+    pub fn look_near_zero(&mut self, pairs: &[Pair; ADC_LOCK_P]) {
+        if self.near_zero == (true, true) || self.blocks % NEAR_ZERO_EVERY != NEAR_ZERO_FIRST {
+            return;
+        }
+        let look = |(below, above), &word: &u32| {
+            let code = word as i32 >> 16;
+            (
+                below | ((!code as u32) < NEAR_ZERO_CODES),
+                above | ((code as u32) < NEAR_ZERO_CODES),
+            )
+        };
+        self.near_zero = Pair::words(pairs).iter().fold(self.near_zero, look);
     }
 
     /// Adds the result of the soft limits.
@@ -207,6 +240,8 @@ impl HalfCycleSums {
             i_turn_off_min_ma: sums.turn_off_ma.unwrap_or(i32::MAX),
             v_offset_dv: mean(sums.offsets.0, V_FULL_SCALE_MV / 100),
             i_offset_ma: mean(sums.offsets.1, I_FULL_SCALE_MA),
+            // A half-cycle in which nothing was looked at has no offset either.
+            i_gap: sums.offset_blocks > 0 && sums.near_zero != (true, true),
             // Decivolt times milliampere are a tenth of a milliwatt.
             dc_link_mw: (sums.dc_link_blocks > 0)
                 .then(|| (sums.dc_link / u64::from(sums.dc_link_blocks) / 10) as u32),
@@ -287,7 +322,9 @@ fn unfiltered(power_mw: u64, f_sw_hz: u32) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ihd_shared::sampling::{AMPERE_PER_CODE, VOLT_PER_CODE};
+    use crate::sense::supply::SupplyScale;
+    use ihd_shared::sampling::{ADC_LOCK_Q, AMPERE_PER_CODE, CODE_HALF_RANGE, VOLT_PER_CODE};
+    use std::f64::consts::{PI, TAU};
 
     /// Half-cycle that ends here, as the thread evaluates it.
     fn ended(a: &mut HalfCycles, half_cycle: u32, f_sw_hz: u32, duration_ns: u32) -> HalfCycle {
@@ -368,6 +405,54 @@ mod tests {
                 "{i}: {} {i_ma}",
                 s.i_offset_ma
             );
+        }
+    }
+
+    /// A half-cycle of a coil current with this crest and mean, of a converter that does `fault` to its offset binary codes, at a
+    /// supply that is corrected.
+    fn has_gap(crest_a: f64, mean_a: f64, supply: f64, fault: impl Fn(u16) -> u16) -> bool {
+        let scale = SupplyScale::from_bits((supply * 65_536.0) as u32);
+        let blocks = 113;
+        let mut a = HalfCycles::blank();
+        for block in 0..blocks {
+            let envelope_a = crest_a * (PI * f64::from(block) / f64::from(blocks)).sin();
+            let pairs = core::array::from_fn(|n| {
+                let turns = f64::from(ADC_LOCK_Q) * n as f64 / ADC_LOCK_P as f64;
+                let i_a = mean_a + envelope_a * (TAU * turns + 0.7).sin();
+                let code = (i_a / AMPERE_PER_CODE / supply).round() as i16;
+                let i = fault((code + CODE_HALF_RANGE) as u16) as i16 - CODE_HALF_RANGE;
+                let scaled = scale.pair((i as u16 as u32) << 16);
+                Pair {
+                    v: 0,
+                    i: (scaled as i32 >> 16) as i16,
+                }
+            });
+            a.running().add_block(&BlockSums::default(), 0, None);
+            a.running().add_offsets(&pairs);
+            a.running().look_near_zero(&pairs);
+        }
+        ended(&mut a, 0, 34_000, 10_000_000).i_gap
+    }
+
+    #[test]
+    fn a_bit_that_sticks_leaves_a_gap_beside_zero() {
+        for crest_a in [6.0, 22.0, 40.0, 70.0] {
+            for supply in [0.976, 0.999, 1.0, 1.001, 1.024] {
+                for mean_a in [-2.9, 0.0, 2.9] {
+                    let gap = has_gap(crest_a, mean_a, supply, |code| code);
+                    assert!(!gap, "{crest_a} {supply} {mean_a}");
+                }
+                for bit in 7..12 {
+                    assert!(
+                        has_gap(crest_a, 0.0, supply, |code| code | 1 << bit),
+                        "bit {bit} at one: {crest_a} {supply}"
+                    );
+                    assert!(
+                        has_gap(crest_a, 0.0, supply, |code| code & !(1 << bit)),
+                        "bit {bit} at zero: {crest_a} {supply}"
+                    );
+                }
+            }
         }
     }
 

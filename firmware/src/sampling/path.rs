@@ -294,6 +294,7 @@ impl<M: PairMultiplier> SamplingPath<M> {
         running.add_block(&sums, block.bus_dv, block.dc_link_ma);
         if !at_crossing {
             running.add_offsets(block.pairs);
+            running.look_near_zero(block.pairs);
         }
         let tripped = self.protection.check_block(
             &sums,

@@ -17,7 +17,7 @@ export const LEASE_MS = 10000;
 
 export const FAULTS = {
   4: 'coil current at the trip level; ask for less power, or check the current sensor',
-  17: 'coil voltage, coil current and bus voltage contradict each other; check gain and wiring of the three sensors',
+  17: 'coil voltage, coil current and bus voltage contradict each other; check gain and wiring of the three sensors, and the resonance capacitor',
   24: 'heat sink, glass or coil is too hot; let it cool down, and check fan and air inlets',
 };
 
