@@ -2,24 +2,20 @@
 
 use std::time::Duration;
 
-use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_HOST, check, ours};
 use ihd_shared::wire::link_test::LinkTestCounts;
 use ihd_shared::wire::messages::{
-    ClearFault, Configure, FrontEnd, GetFrontEnd, GetStatus, GetUtilisation, Hello, Message,
-    Outcome, Piece, PushLookup, Raw, ReadLookup, Reply, Request, ResendWindow, ResetLookup,
-    SetPower, Status, Stream, Utilisation,
+    FrontEnd, GetFrontEnd, Hello, Message, Outcome, Reply, Request, SetPower,
 };
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
 use serde::Deserialize;
 
 use super::frame_tee::FrameTee;
-use super::granted_power::GrantedPower;
 use super::off::OffPreemption;
 use super::receiver::{DeviceEvent, RawResponse, Receiver};
-use super::resend::{Resend, ResendStep};
+use super::resend::Resend;
 use super::{ClientCounters, FrameSink, LinkError, Transport, printable_hello};
 
 /// Time that a command waits for its answer unless [`Client::set_timeout`] changes it.
@@ -212,111 +208,10 @@ impl Client {
         self.tap.close().map_err(LinkError::Recording)
     }
 
-    /// Requests a mean power in watt; 0 switches off. Returns what the device took: at most its rating.
-    ///
-    /// # Errors
-    /// [`LinkError::Refused`] while a fault is active, or above
-    /// [`REQUESTED_POWER_MAX_W`](ihd_shared::hob::REQUESTED_POWER_MAX_W), else any error of [`Client::request`].
-    pub fn set_power(&mut self, power_w: u16) -> Result<GrantedPower, LinkError> {
-        let reply: Reply = self.request(&SetPower { power_w })?;
-        Ok(GrantedPower::from_detail(power_w, reply.detail))
-    }
-
     /// Lets waiting commands be preempted while `off_waits` returns `true`: they end with [`LinkError::Preempted`].
     #[cfg(feature = "async")]
     pub(crate) fn yield_to_off(&mut self, off_waits: impl Fn() -> bool + Send + 'static) {
         self.off_preemption.off_waits = Some(Box::new(off_waits));
-    }
-
-    /// Switches off; this command is never preempted.
-    ///
-    /// # Errors
-    /// Any error of [`Client::request`].
-    pub fn off(&mut self) -> Result<(), LinkError> {
-        self.off_preemption.runs_off = true;
-        let off = self.set_power(0);
-        self.off_preemption.runs_off = false;
-        off.map(drop)
-    }
-
-    /// Requests telemetry and a window every so many half-cycles; 0 for none.
-    ///
-    /// # Errors
-    /// Any error of [`Client::request`].
-    pub fn stream(&mut self, telemetry_every: u8, windows_every: u8) -> Result<(), LinkError> {
-        let stream = Stream {
-            telemetry_every,
-            windows_every,
-        };
-        self.order(&stream)
-    }
-
-    /// Reads the state of the controller.
-    ///
-    /// # Errors
-    /// Any error of [`Client::request`].
-    pub fn status(&mut self) -> Result<Status, LinkError> {
-        self.request(&GetStatus {})
-    }
-
-    /// Reads the controller's processor load since the last call.
-    ///
-    /// # Errors
-    /// Any error of [`Client::request`].
-    pub fn utilisation(&mut self) -> Result<Utilisation, LinkError> {
-        self.request(&GetUtilisation {})
-    }
-
-    /// Sends a lookup. If accepted, it becomes active at the next half-cycle boundary, which [`Client::status`] shows; if refused,
-    /// the device keeps its own.
-    ///
-    /// # Errors
-    /// [`LinkError::Refused`] with the device's reason, else any error of [`Client::request`].
-    pub fn push_lookup(&mut self, lookup: &RlLookup) -> Result<(), LinkError> {
-        self.push_lookup_bytes(&lookup.to_bytes())
-    }
-
-    /// Sends arbitrary bytes as a lookup; the device checks them.
-    ///
-    /// # Errors
-    /// As [`Client::push_lookup`]; [`LinkError::Unsendable`] for more bytes than a frame holds.
-    pub fn push_lookup_bytes(&mut self, blob: &[u8]) -> Result<(), LinkError> {
-        self.order(&PushLookup { blob: Raw(blob) })
-    }
-
-    /// Reads the active lookup.
-    ///
-    /// # Errors
-    /// [`LinkError::DamagedLookup`] when it fails the checks, else any error of [`Client::request`].
-    pub fn read_lookup(&mut self) -> Result<RlLookup, LinkError> {
-        let device = self.describe();
-        let read = self.request(&ReadLookup {})?;
-        RlLookup::from_bytes(read.blob.0)
-            .map_err(|source| LinkError::DamagedLookup { device, source })
-    }
-
-    /// Restores the built-in lookup, version 0, at the next half-cycle boundary.
-    ///
-    /// # Errors
-    /// Any error of [`Client::request`].
-    pub fn reset_lookup(&mut self) -> Result<(), LinkError> {
-        self.order(&ResetLookup {})
-    }
-
-    /// Changes the device's settings until its next boot.
-    ///
-    /// # Errors
-    /// [`LinkError::Refused`] when one is outside its range, else any error of [`Client::request`].
-    pub fn configure(&mut self, settings: &Configure) -> Result<(), LinkError> {
-        self.order(settings)
-    }
-
-    /// Leaves the safe state after a fault; power must be requested again.
-    ///
-    /// # Errors
-    /// Any error of [`Client::request`].
-    pub fn clear_fault(&mut self) -> Result<(), LinkError> {
-        self.order(&ClearFault {})
     }
 
     /// Returns the next event, in the order the device sent them; `None` if `timeout` has passed on the transport's clock. A zero
@@ -510,53 +405,6 @@ impl Client {
         }
     }
 
-    /// Lets the device release the windows that were completed or rejected since there were `known` events.
-    fn release_windows(&mut self, known: usize) -> Result<(), LinkError> {
-        let newest = self.receiver.events.iter().skip(known).rev();
-        let seq = newest.into_iter().find_map(|event| match event {
-            DeviceEvent::Window(window) => Some(window.seq),
-            DeviceEvent::WindowRejected { seq, .. } => Some(*seq),
-            DeviceEvent::Telemetry(_) | DeviceEvent::Fault(_) | DeviceEvent::Log { .. } => None,
-        });
-        // The device holds one window at a time: earlier ones are gone.
-        let release = seq.map(|seq| ResendWindow {
-            seq,
-            piece: Piece::Nothing,
-            offset: 0,
-        });
-        self.send_requests(release.as_slice())
-    }
-
-    /// Requests missing pieces of the window under way if they are due; returns the time until the next are.
-    fn ask_for_pieces(&mut self) -> Result<Duration, LinkError> {
-        loop {
-            let now = self.transport.clock();
-            let window = self.receiver.unfinished();
-            match self.resend.step(now, window.as_ref()) {
-                ResendStep::Wait(pause) => return Ok(pause),
-                ResendStep::GiveUp(seq) => self.receiver.give_up(seq),
-                ResendStep::Ask(pieces) => {
-                    self.pieces_asked = self.pieces_asked.wrapping_add(pieces.len() as u32);
-                    self.send_requests(&pieces)?;
-                }
-            }
-        }
-    }
-
-    fn send_requests(&mut self, requests: &[ResendWindow]) -> Result<(), LinkError> {
-        let mut frames = Vec::new();
-        for request in requests {
-            let mut frame = [0; MAX_ENCODED];
-            let length = self.framed(request, Number::NONE, &mut frame)?;
-            self.tap.give(self.transport.clock(), &frame[..length]);
-            frames.extend_from_slice(&frame[..length]);
-        }
-        if frames.is_empty() {
-            return Ok(());
-        }
-        self.transport.send(&frames)
-    }
-
     /// Limits the queue of events: drops telemetry first, then the oldest.
     fn limit_events(&mut self) {
         let events = &mut self.receiver.events;
@@ -611,6 +459,9 @@ impl Client {
         Ok(length)
     }
 }
+
+mod commands;
+mod pieces;
 
 #[cfg(test)]
 mod hostile_tests;

@@ -4,8 +4,11 @@
 //! [`Housekeeping`], and the drive back to the plant. Zero crossings and bus voltage come from the firmware's detector on noisy
 //! codes; the truth counts half-cycles by the mains itself.
 
+mod board;
+mod config;
+mod link;
+
 use std::collections::VecDeque;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 pub use ihd_firmware::control::request::PanelEvent;
 use ihd_firmware::drive::bridge::{Bridge, Drive};
@@ -13,37 +16,32 @@ use ihd_firmware::drive::soft_start::{self, SoftStart};
 use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::link::identity::DeviceIdentity;
-use ihd_firmware::link::service::BoardServices;
 use ihd_firmware::retained::reset::ResetReason;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::self_test::heartbeat::Heartbeat;
-use ihd_firmware::sense::codes::TRIP_CODE;
 use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
-use ihd_firmware::sense::supply::{Reference, SupplyScale};
-use ihd_shared::board::{self, TRIP_DELAY_NS};
+use ihd_firmware::sense::supply::SupplyScale;
+use ihd_shared::board::TRIP_DELAY_NS;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, NODE_CAPACITANCE_NF};
 use ihd_shared::lookup::prior::prior;
-use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, Pair};
-use ihd_shared::wire::frame::MAX_ENCODED;
+use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
-use ihd_shared::wire::messages::Program;
 use ihd_signal::truth::{MapTruth, Truth};
 
-use super::adc::{Adc, ConverterNoise};
-use super::behavioural::PotKind;
-use super::contents::PotContents;
+use board::{SimulatedBoard, comparator_a, reference};
+pub use config::HobConfig;
+
+use super::adc::Adc;
 use super::injection::{InjectionKind, Injections};
 use super::inverter::InverterError;
-use super::inverter::supply::SupplyParts;
 use super::mains::SimulatedMains;
 use super::meter::MeterReading;
 use super::plant::{LoadPoint, Plant};
 use super::pot::SimulatedPot;
 use super::recent_truths::RecentTruths;
-use super::recording::settings::LoadKind;
 use super::slow_adc::SlowAdc;
-use super::temperatures::{AMBIENT_C, Heat, LumpTemperatures};
+use super::temperatures::{Heat, LumpTemperatures};
 use super::thermal_model::ThermalModel;
 
 /// Time after the start of a half-cycle, in seconds, by which its drive is in force: the detector may see a crossing a block early
@@ -53,16 +51,9 @@ const SETTLED_AFTER_S: f64 = 0.5e-3;
 /// ADC samples per point of the kept truth: 9 µs at 45 kHz.
 const TRUTH_EVERY: usize = 8;
 
-/// Code of the chip's reference voltage at 3.0 V, as its maker found it, and the front end's supply, in volt.
-const REFERENCE_CALIBRATION: u16 = 1_655;
-const NOMINAL_SUPPLY_V: f64 = 3.3;
-
 /// Time from there to an open switch, in seconds (docs/board.md, "Current and trip"): anti-alias filter on a ramp, comparator,
 /// filter of the fault input, gate driver, IGBT.
 const TRIP_DELAY_S: f64 = TRIP_DELAY_NS as f64 * 1e-9;
-
-/// Capacity of a bounded link's buffer in bytes: about a window.
-const LINK_BUFFER: usize = 64 * 1024;
 
 /// Time without feeding after which the board's watchdog resets, in seconds.
 const WATCHDOG_S: f64 = 60e-3;
@@ -73,111 +64,6 @@ pub const BENCH_TRANSFORMER_V: f64 = 24.0;
 /// FLASH_OPTR of a board with correct option bytes: as delivered (RM0440, "FLASH option register": 0xFFEF F8AA) with SRAM_PE, bit
 /// 24, cleared and BOR_LEV, bits 10:8, at 4.
 const OPTION_BYTES: u32 = 0xFEEF_FCAA;
-
-/// Configuration of a simulated hob.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct HobConfig {
-    /// Mains frequency in hertz.
-    pub mains_hz: f64,
-    /// Mains voltage in volt rms.
-    pub mains_v: f64,
-    /// Parts between mains and bridge.
-    pub supply: SupplyParts,
-    /// DC voltage of a bench supply that feeds the bus instead of the mains, in volt, as in docs/bring-up.md; the mains'
-    /// detector then sees a transformer of [`BENCH_TRANSFORMER_V`].
-    pub bench_supply_v: Option<f64>,
-    /// Pot on the coil at the start.
-    pub pot: SimulatedPot,
-    /// Temperature around the hob, in °C.
-    pub ambient_c: f64,
-    /// `true` if heat sink, glass and coil have temperature sensors.
-    pub ntc: bool,
-    /// `true` if the DC link has a current sensor.
-    pub dc_link: bool,
-    /// Load model.
-    pub load: LoadKind,
-    /// `true` if the pot warms up, so that R and L drift over minutes.
-    pub warming: bool,
-    /// Contents of the pot if it warms up.
-    pub contents: PotContents,
-    /// Conductance from the pot to the glass, as a multiple of a flat base's.
-    pub glass_contact: f64,
-    /// Corner of the anti-alias filter of both ADC channels in hertz; 0 for none. Without it the
-    /// 121st and 123rd harmonics of the voltage's edges alias onto the fundamental and cost up to
-    /// 0.6 % of R (measured on tests/fixtures/half_cycle, which have none).
-    pub anti_alias_hz: f64,
-    /// Noise of the ADC channels.
-    pub noise: ConverterNoise,
-    /// Seed of the noise.
-    pub seed: u64,
-    /// Number that distinguishes this boot; `None` for the seed, so that the same run gives the same bytes.
-    pub boot: Option<u32>,
-    /// Rate of the link in bytes per second of simulated time. USB full speed with single-buffered bulk endpoints reaches a few
-    /// hundred kilobytes.
-    pub link_bytes_per_s: f64,
-}
-
-impl Default for HobConfig {
-    fn default() -> Self {
-        Self {
-            mains_hz: f64::from(board::MAINS_FREQUENCY_HZ),
-            mains_v: f64::from(board::MAINS_VOLTAGE_V),
-            supply: SupplyParts::SCHEMATIC,
-            bench_supply_v: None,
-            ambient_c: AMBIENT_C,
-            ntc: true,
-            dc_link: false,
-            pot: PotKind::Ferromagnetic.into(),
-            load: LoadKind::Behavioural,
-            warming: false,
-            contents: PotContents::default(),
-            glass_contact: 1.0,
-            anti_alias_hz: f64::from(ihd_shared::sampling::ANTI_ALIAS_HZ),
-            // Half an LSB: what a good 12-bit converter has left.
-            noise: ConverterNoise {
-                v_v: 0.16,
-                i_a: 0.02,
-            },
-            seed: 1,
-            boot: None,
-            link_bytes_per_s: 400e3,
-        }
-    }
-}
-
-impl HobConfig {
-    /// Sets the boot number to the present time: in a process of its own, a host that stores the hob's data must distinguish this
-    /// boot from the one before.
-    pub fn with_unique_boot(self) -> Self {
-        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH);
-        let boot = since_1970.map_or(0, |t| t.as_micros() as u32);
-        Self {
-            boot: Some(boot),
-            ..self
-        }
-    }
-}
-
-/// Coil current at which the comparator opens the bridge, in ampere: its threshold is a share of the supply.
-fn comparator_a(scale: SupplyScale, injections: &Injections) -> f64 {
-    if injections.has(InjectionKind::ComparatorDead) {
-        return f64::INFINITY;
-    }
-    let supply = injections.product(InjectionKind::Supply);
-    f64::from(scale.dac_code(TRIP_CODE)) * AMPERE_PER_CODE * supply
-}
-
-/// Reading of the chip's reference voltage.
-fn reference(injections: &Injections) -> Reference {
-    let supply_v = NOMINAL_SUPPLY_V * injections.product(InjectionKind::Supply);
-    let ratio = injections.product(InjectionKind::Reference);
-    let code =
-        f64::from(REFERENCE_CALIBRATION) * f64::from(Reference::CALIBRATED_MV) * 1e-3 / supply_v;
-    Reference {
-        code: (code * ratio).round() as u16,
-        calibrated: REFERENCE_CALIBRATION,
-    }
-}
 
 fn booted_realtime() -> Box<SamplingPath> {
     let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
@@ -195,28 +81,6 @@ fn booted_housekeeping(boot_id: u32, reason: ResetReason, starts: u8) -> Houseke
         ..DeviceIdentity::default()
     });
     housekeeping
-}
-
-/// Services of a simulated board: converters, and a program that can restart.
-struct Board {
-    slow: SlowCodes,
-    reference: Reference,
-    restarts: bool,
-}
-
-impl BoardServices for Board {
-    fn has_program(&self, into: Program) -> bool {
-        into == Program::Firmware
-    }
-    fn restart(&mut self, _: Program) {
-        self.restarts = true;
-    }
-    fn slow_codes(&mut self) -> Option<SlowCodes> {
-        Some(self.slow)
-    }
-    fn reference(&mut self) -> Option<Reference> {
-        Some(self.reference)
-    }
 }
 
 /// Simulated hob.
@@ -351,7 +215,7 @@ impl SimHob {
         }
         self.run_link(end_s - start_s);
         self.housekeeping.poll(&mut *self.realtime);
-        let mut board = Board {
+        let mut board = SimulatedBoard {
             slow: SlowCodes {
                 bus: bus_code,
                 mains: mains_code as i16,
@@ -486,54 +350,6 @@ impl SimHob {
         self.housekeeping.pass_minutes(&mut *self.realtime, minutes);
     }
 
-    fn run_link(&mut self, elapsed_s: f64) {
-        let bytes = self.inbound.make_contiguous();
-        let taken = self.housekeeping.receive(&mut *self.realtime, bytes);
-        self.inbound.drain(..taken);
-        // An idle link accumulates credit for one frame only.
-        self.link_credit =
-            (self.link_credit + elapsed_s * self.link_bytes_per_s).min(MAX_ENCODED as f64);
-        let mut frame = [0; MAX_ENCODED];
-        while self.link_credit > 0.0 && self.outbound.len() < self.outbound_room {
-            let n = self.housekeeping.transmit(&mut *self.realtime, &mut frame);
-            if n == 0 {
-                break;
-            }
-            self.link_credit -= n as f64;
-            self.outbound.extend(&frame[..n]);
-        }
-    }
-
-    /// Passes bytes from the host.
-    pub fn send(&mut self, bytes: &[u8]) {
-        self.inbound.extend(bytes);
-    }
-
-    /// Takes bytes for the host; returns how many.
-    pub fn receive(&mut self, buf: &mut [u8]) -> usize {
-        let n = buf.len().min(self.outbound.len());
-        for (slot, byte) in buf.iter_mut().zip(self.outbound.drain(..n)) {
-            *slot = byte;
-        }
-        n
-    }
-
-    /// Bounds the link's buffer: like a board whose endpoint is not read, the firmware then waits for the link, and drops and
-    /// counts what it has no room for.
-    pub fn bound_link(&mut self) {
-        self.outbound_room = LINK_BUFFER;
-    }
-
-    /// Number of bytes from the host that the firmware has not read yet: it reads none while its answers wait.
-    pub fn unread(&self) -> usize {
-        self.inbound.len()
-    }
-
-    /// Number of bytes that wait for the host.
-    pub fn waiting(&self) -> usize {
-        self.outbound.len()
-    }
-
     /// Simulated time in seconds.
     pub fn t_s(&self) -> f64 {
         self.plant.t_s()
@@ -623,6 +439,7 @@ impl SimHob {
 
     /// Truth of a lookup for the pot on the coil; `progress` is called with the share done. The field model takes some seconds.
     ///
+    /// # Errors
     /// If there is no model of it.
     pub fn map_truth(&self, progress: &mut dyn FnMut(f64)) -> Result<MapTruth, InverterError> {
         self.plant.map_truth(progress)
