@@ -2,26 +2,22 @@
 //! the carrier. Those near the carrier are fitted together with a static load ([`crate::joint`]), the others found in the spectrum
 //! of what that load leaves. The cost of a tone is measured: least squares with it against least squares without it.
 
-use std::f64::consts::{PI, TAU};
+mod residual;
+mod tone;
 
 use ihd_identify::Estimate;
-use ihd_identify::lockin::{Boxcar, demodulate};
 use ihd_signal::carrier::Carrier;
-use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
-use nalgebra::Complex;
+
+use residual::Residual;
+pub use tone::{Tone, remove_tones};
 
 use crate::comparison::{self, Difference};
-use crate::joint::{Cause, JointFit, Means};
-use crate::limits::{TOLERABLE_PCT, WARNING_SHARE};
-use crate::lines::{Lines, peak};
-use crate::static_load::{self, Period};
+use crate::joint::{Cause, JointFit};
+use crate::limits::{INFO_SHARE, TOLERABLE_PCT, WARNING_SHARE};
 
 /// Most phasors that are searched together, because a tone need not last longer.
 const MOST_PHASORS: usize = 8192;
-
-/// Fewest phasors in which a tone is searched for.
-const LEAST_PHASORS: usize = 128;
 
 /// Switching periods of a boxcar: of two, three and four there is one that whole samples nearly fill, also at 61/3 samples
 /// a period, so that the harmonics lie on its zeros.
@@ -29,61 +25,6 @@ const BOXCAR_PERIODS: f64 = 3.0;
 
 /// Switching periods of the boxcar that confirms a tone: a tone seen by one boxcar only is that boxcar's artefact.
 const CHECK_PERIODS: f64 = 5.0;
-
-/// Largest difference between the two boxcars' results, as a share of the tone.
-const SAME: f64 = 0.35;
-
-/// Most tones that are removed from one stretch.
-const MOST_TONES: usize = 6;
-
-/// Share of [`TOLERABLE_PCT`] above which a tone is mentioned.
-const INFO_SHARE: f64 = 0.2;
-
-/// A tone beside the carrier.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Tone {
-    /// Frequency less f_sw, in hertz.
-    pub offset_hz: f64,
-    /// Amplitude and phase in volt, counted from the segment's first sample.
-    pub v: Complex<f64>,
-    /// Shape over time with a mean of 1: constant, or that of the bus.
-    pub shape: Vec<f64>,
-    /// Position of the shape's first value, and distance from one value to the next, in samples.
-    pub place: (f64, f64),
-    /// Samples of the part in which the tone was found, from the segment's first to its last where the part is at an end.
-    pub reach: std::ops::Range<f64>,
-    /// Error of R in percent that an estimator makes if it follows the tone; least squares follows up to about 1 kHz.
-    pub may_cost_pct: f64,
-    /// `true` if a harmonic of the inverter's own edges aliases to this frequency.
-    pub alias: bool,
-}
-
-impl Tone {
-    /// Calls with the tone's voltage in volt, sample by sample of a segment, up to `samples`.
-    pub fn each(&self, segment: &Segment, samples: usize, mut each: impl FnMut(usize, f64)) {
-        let periods = (segment.f_sw_hz + self.offset_hz) * segment.dt_s;
-        for k in 0..samples {
-            let Some(shape) = self.at(k) else {
-                continue;
-            };
-            let (sin, cos) = libm::sincos(TAU * (periods * k as f64).fract());
-            each(k, shape * (self.v.re * cos - self.v.im * sin));
-        }
-    }
-
-    /// Shape at a sample, constant beyond its values; `None` outside the part in which the tone was searched for.
-    fn at(&self, sample: usize) -> Option<f64> {
-        if !self.reach.contains(&(sample as f64)) {
-            return None;
-        }
-        let x = (sample as f64 - self.place.0) / self.place.1;
-        let last = self.shape.len().checked_sub(1)?;
-        let x = x.clamp(0.0, last as f64);
-        let k = (x as usize).min(last.saturating_sub(1));
-        let next = self.shape.get(k + 1).unwrap_or(&self.shape[k]);
-        Some(self.shape[k] + (x - k as f64) * (next - self.shape[k]))
-    }
-}
 
 /// Disturbances of a segment.
 #[derive(Clone, Debug, Default)]
@@ -197,24 +138,6 @@ pub fn remark(
     Some(remark.with(cost.mean_pct[worse], Some(TOLERABLE_PCT[worse])))
 }
 
-/// Returns the segment with these tones subtracted from its voltage.
-pub fn remove_tones(segment: &Segment, tones: &[Tone]) -> Segment {
-    let mut v_v = segment.v_v.to_vec();
-    for tone in tones {
-        tone.each(segment, v_v.len(), |k, v| v_v[k] -= v);
-    }
-    Segment {
-        v_v: v_v.into(),
-        ..segment.clone()
-    }
-}
-
-/// Time in seconds on either side of a step that is left out: the mean of a tenth of a millisecond in which it lies, and a boxcar.
-const STEP_S: f64 = 0.2e-3;
-
-/// Longest part that is fitted jointly, in seconds: six half-cycles.
-const JOINT_S: f64 = 60e-3;
-
 /// Searches for tones, and checks whether R and L are functions of the current alone.
 pub fn find(segment: &Segment) -> Interference {
     let mut found = Interference::default();
@@ -235,8 +158,8 @@ pub fn find(segment: &Segment) -> Interference {
         residual.split(step_s);
     }
     let aliases = aliases_hz(segment);
-    let chunks = residual.periods.len().div_ceil(MOST_PHASORS).max(1);
-    let length = residual.periods.len() / chunks;
+    let chunks = residual.len().div_ceil(MOST_PHASORS).max(1);
+    let length = residual.len() / chunks;
     let mut far: Vec<Tone> = (0..chunks)
         .flat_map(|k| {
             residual.tones(
@@ -288,274 +211,10 @@ pub fn disturbs_lockin(segment: &Segment) -> bool {
 /// Offset in hertz up to which least squares follows a tone: half a wave in each of its intervals of 0.4 ms.
 const FOLLOWED_HZ: f64 = 1.2e3;
 
-/// Voltage that R and L, as functions of the current's amplitude, leave unexplained, phasor by phasor.
-struct Residual {
-    /// Phasors, weighted with the sine squared of the mains' phase: 1 at the crest, 0 where R and L have their kinks.
-    periods: Vec<Period>,
-    /// Unexplained voltage in volt.
-    v: Vec<Complex<f64>>,
-    /// Position of the first phasor's centre, and distance from one to the next, in samples.
-    place: (f64, f64),
-    dt_s: f64,
-    /// Duration of a boxcar in seconds.
-    boxcar_s: f64,
-}
-
-impl Residual {
-    fn of(segment: &Segment, periods: f64) -> Option<Self> {
-        let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
-        let boxcar = Boxcar::fitting(per_period, f_sw_hz, periods / f_sw_hz);
-        let phasors = demodulate(segment, boxcar);
-        if phasors.len() < LEAST_PHASORS {
-            return None;
-        }
-        let omega = TAU * f_sw_hz;
-        let half_s = segment.half_cycle_s();
-        let stride = phasors[1].centre - phasors[0].centre;
-        let mut periods = Vec::with_capacity(phasors.len());
-        for w in phasors.windows(3) {
-            let t_s = segment.t0_s + w[1].centre * segment.dt_s;
-            let slope = (w[2].i - w[0].i) / (2.0 * stride * segment.dt_s);
-            let sin = libm::sin(PI * segment.since_crossing_s(t_s) / half_s);
-            periods.push(Period {
-                v: w[1].v,
-                i: w[1].i,
-                d: w[1].i * Complex::new(0.0, 1.0) + slope / omega,
-                weight: sin * sin,
-            });
-        }
-        Some(Self {
-            v: static_load::residual(&periods)?,
-            periods,
-            place: (phasors[1].centre, stride),
-            dt_s: segment.dt_s,
-            boxcar_s: boxcar.samples() as f64 * segment.dt_s,
-        })
-    }
-
-    /// Position of phasor `k` in samples of the segment.
-    fn sample(&self, k: usize) -> f64 {
-        self.place.0 + k as f64 * self.place.1
-    }
-
-    /// Samples of a part of so many phasors; those at the ends include the segment's ends.
-    fn reach(&self, part: usize, parts: usize, length: usize) -> std::ops::Range<f64> {
-        let from = match part {
-            0 => 0.0,
-            _ => self.sample(part * length),
-        };
-        let to = match part + 1 < parts {
-            true => self.sample((part + 1) * length),
-            false => f64::INFINITY,
-        };
-        from..to
-    }
-
-    /// e^(−jωt) of an offset in hertz at phasor `k`.
-    fn turn(&self, offset_hz: f64, k: usize) -> Complex<f64> {
-        Complex::from_polar(1.0, -TAU * offset_hz * self.sample(k) * self.dt_s)
-    }
-
-    /// Gain of both boxcars for a tone at this offset in hertz.
-    fn passed(&self, offset_hz: f64) -> f64 {
-        let x = PI * offset_hz * self.boxcar_s;
-        if x == 0.0 {
-            1.0
-        } else {
-            (libm::sin(x) / x).powi(2)
-        }
-    }
-
-    /// Amplitude in volt of a tone that costs 1 % of R if it is followed. A tone rotates: its mean share of R is 2/π.
-    fn volt_per_pct(&self) -> f64 {
-        let weights: f64 = self.periods.iter().map(|p| p.weight).sum();
-        let mean = |of: fn(&Period) -> f64| {
-            let weighted = self.periods.iter().map(|p| p.weight * of(p));
-            weighted.sum::<f64>() / weights.max(f64::MIN_POSITIVE)
-        };
-        // Power over the squared current is R.
-        let r_ohm =
-            mean(|p| (p.v * p.i.conj()).re) / mean(|p| p.i.norm_sqr()).max(f64::MIN_POSITIVE);
-        (0.5 * PI * 1e-2 * mean(|p| p.i.norm()) * r_ohm.abs()).max(f64::MIN_POSITIVE)
-    }
-
-    /// Fits a static load and tones to parts of the segment, and adds the tones.
-    fn joint_fits(
-        &self,
-        segment: &Segment,
-        volt_per_pct: f64,
-        tones: &mut Vec<Tone>,
-    ) -> Vec<JointFit> {
-        let noise = WhiteNoise::measure(segment);
-        let white = |p: &Period| {
-            let z2 = (p.v.norm_sqr() / p.i.norm_sqr().max(f64::MIN_POSITIVE)).min(1e6);
-            noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a
-        };
-        let step_s = self.place.1 * self.dt_s;
-        let parts = (self.periods.len() as f64 * step_s / JOINT_S)
-            .ceil()
-            .max(1.0) as usize;
-        let length = self.periods.len() / parts;
-        let mut fits = Vec::new();
-        for part in 0..parts {
-            let from = part * length;
-            let t0_s = self.sample(from) * self.dt_s;
-            let phasors = &self.periods[from..from + length];
-            let means = Means::new(phasors, t0_s, step_s, white, self.dt_s);
-            let Some(fit) = means.fit() else {
-                continue;
-            };
-            if let Cause::Tones(near) = &fit.cause {
-                for tone in near {
-                    let passed = self.passed(tone.offset_hz) * means.passed(tone.offset_hz);
-                    let spacing = match &means.t_s[..] {
-                        [a, b, ..] => (b - a) / self.dt_s,
-                        _ => self.place.1,
-                    };
-                    let shape = match tone.follows_bus {
-                        true => means.bus.clone(),
-                        false => vec![1.0; means.bus.len()],
-                    };
-                    tones.push(Tone {
-                        offset_hz: tone.offset_hz,
-                        v: tone.v / passed,
-                        shape,
-                        place: (means.t_s[0] / self.dt_s, spacing),
-                        reach: self.reach(part, parts, length),
-                        may_cost_pct: tone.v.norm() / volt_per_pct,
-                        alias: false,
-                    });
-                }
-            }
-            fits.push(fit);
-        }
-        fits
-    }
-
-    /// Takes one law before a step and another after it, at a time in seconds from the segment's first sample.
-    fn split(&mut self, step_s: f64) {
-        let at = (step_s / self.dt_s - self.place.0) / self.place.1;
-        let beside = STEP_S / (self.place.1 * self.dt_s);
-        let n = self.periods.len();
-        let before = ((at - beside).max(0.0) as usize).min(n);
-        let after = ((at + beside).max(0.0).ceil() as usize).clamp(before, n);
-        let of = |range: std::ops::Range<usize>| {
-            let length = range.len();
-            static_load::residual(&self.periods[range])
-                .unwrap_or_else(|| vec![Complex::new(0.0, 0.0); length])
-        };
-        let step = vec![Complex::new(0.0, 0.0); after - before];
-        self.v = [of(0..before), step, of(after..n)].concat();
-    }
-
-    /// Subtracts tones from the phasors.
-    fn subtract(&mut self, tones: &[Tone]) {
-        if tones.is_empty() {
-            return;
-        }
-        for tone in tones {
-            let passed = self.passed(tone.offset_hz);
-            for k in 0..self.periods.len() {
-                if let Some(shape) = tone.at(self.sample(k).max(0.0) as usize) {
-                    let turn = self.turn(tone.offset_hz, k).conj();
-                    self.periods[k].v -= tone.v * (shape * passed) * turn;
-                }
-            }
-        }
-        if let Some(left) = static_load::residual(&self.periods) {
-            self.v = left;
-        }
-    }
-
-    fn tones(
-        &self,
-        range: std::ops::Range<usize>,
-        volt_per_pct: f64,
-        aliases_hz: &[f64],
-        segment: &Segment,
-    ) -> Vec<Tone> {
-        let n = range.len();
-        let hann = |k: usize| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / n as f64);
-        let weight: Vec<f64> = (0..n)
-            .map(|k| hann(k) * self.periods[range.start + k].weight)
-            .collect();
-        let sum: f64 = weight.iter().sum();
-        if n < LEAST_PHASORS || sum <= 0.0 {
-            return Vec::new();
-        }
-        let bus_v = || self.periods[range.clone()].iter().map(|p| p.v.norm());
-        let mean_v = bus_v().zip(&weight).map(|(v, w)| v * w).sum::<f64>() / sum;
-        let shapes = [vec![1.0; n], bus_v().map(|v| v / mean_v).collect()];
-        let spacing_hz = 1.0 / (n as f64 * self.place.1 * self.dt_s);
-        // The sidebands of the bus belong to the alias.
-        let reach_hz = 2.0 * spacing_hz + 4.0 * segment.mains_hz;
-        let is_alias = |line: i64| {
-            let hz = line as f64 * spacing_hz;
-            aliases_hz.iter().any(|a| (a - hz).abs() < reach_hz)
-        };
-        let mut left = self.v[range.clone()].to_vec();
-        let amplitude = |x: &[Complex<f64>], shape: &[f64], hz: f64| {
-            let terms = x.iter().zip(&weight).zip(shape).enumerate();
-            let sum: Complex<f64> = terms
-                .map(|(k, ((x, w), s))| x * (w * s) * self.turn(hz, range.start + k))
-                .sum();
-            let power: f64 = weight.iter().zip(shape).map(|(w, s)| w * s * s).sum();
-            (sum / power, sum.norm_sqr() / power)
-        };
-        let mut tones = Vec::new();
-        while tones.len() < MOST_TONES {
-            let lines = Lines::of(&left, &weight);
-            let Some(line) = lines.and_then(|lines| lines.strongest(is_alias)) else {
-                break;
-            };
-            let power = |hz: f64| amplitude(&left, &shapes[0], hz).1;
-            let offset_hz = peak(line as f64 * spacing_hz, spacing_hz, power);
-            let explained = |shape: &&Vec<f64>| amplitude(&left, shape, offset_hz).1;
-            let shape = shapes
-                .iter()
-                .max_by(|a, b| explained(a).total_cmp(&explained(b)));
-            let Some(shape) = shape else {
-                break;
-            };
-            let (v, _) = amplitude(&left, shape, offset_hz);
-            let may_cost_pct = v.norm() / volt_per_pct.max(f64::MIN_POSITIVE);
-            if may_cost_pct < INFO_SHARE * TOLERABLE_PCT[0] {
-                break;
-            }
-            for (k, (x, s)) in left.iter_mut().zip(shape).enumerate() {
-                *x -= v * *s * self.turn(offset_hz, range.start + k).conj();
-            }
-            tones.push(Tone {
-                offset_hz,
-                v: v / self.passed(offset_hz).max(0.1),
-                shape: shape.clone(),
-                place: (self.sample(range.start), self.place.1),
-                reach: self.reach(range.start / n, self.periods.len() / n, n),
-                may_cost_pct,
-                alias: is_alias(line),
-            });
-        }
-        tones
-    }
-
-    /// Returns `true` if this boxcar sees the same tone.
-    fn confirms(&self, tone: &Tone) -> bool {
-        let passed = self.passed(tone.offset_hz);
-        let (mut sum, mut power) = (Complex::new(0.0, 0.0), 0.0);
-        for (k, (x, p)) in self.v.iter().zip(&self.periods).enumerate() {
-            let w = p.weight;
-            if let Some(shape) = tone.at(self.sample(k).max(0.0) as usize) {
-                sum += x * (w * shape) * self.turn(tone.offset_hz, k);
-                power += w * shape * shape;
-            }
-        }
-        let seen = sum / (power * passed).max(f64::MIN_POSITIVE);
-        (seen - tone.v).norm() < SAME * tone.v.norm()
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::TAU;
+
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};

@@ -11,6 +11,9 @@ pub const TOLERABLE_SIGMAS: f64 = 2.0;
 /// Share of [`TOLERABLE_PCT`] from which a difference is a warning: the rest is left for the reference's own error.
 pub const WARNING_SHARE: f64 = 0.7;
 
+/// Share of [`TOLERABLE_PCT`] above which a tone is mentioned.
+pub const INFO_SHARE: f64 = 0.2;
+
 /// Largest mean standard deviation of R and of L in percent of the value.
 pub const MAX_SIGMA_PCT: f64 = 3.0;
 
