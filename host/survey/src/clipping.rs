@@ -12,6 +12,9 @@ const FEW: usize = 4096;
 /// amplitude less than 1.
 const PILE: f64 = 5.0;
 
+/// Fine bins in a bin: of 12 bits, one code.
+const FINE: usize = 32;
+
 /// Fewest samples at an end that count as clipping.
 const LEAST: usize = 16;
 
@@ -53,7 +56,7 @@ pub fn count_clipped(x: &[f32], full_scale: Option<f64>) -> ClippedSamples {
         }
     }
     let width = bin_width(x, high - low);
-    let mut counts = [[0usize; 2]; 2];
+    let mut ends = [RangeEnd::EMPTY; 2];
     // Two and a half bins at either end, and the rounding of a sample; values between are in none of these bins.
     let far = (high - 2.5 * width) as f32..=(low + 2.5 * width) as f32;
     for x in x {
@@ -61,23 +64,62 @@ pub fn count_clipped(x: &[f32], full_scale: Option<f64>) -> ClippedSamples {
             continue;
         }
         let x = f64::from(*x);
-        for (counts, distance) in counts.iter_mut().zip([high - x, x - low]) {
-            // Half a bin of slack, so that a level lies within its bin.
-            let bin = (distance / width + 0.5) as usize;
-            if let Some(count) = counts.get_mut(bin) {
-                *count += 1;
-            }
+        for (end, distance) in ends.iter_mut().zip([high - x, x - low]) {
+            end.count(distance / width);
         }
     }
-    let piled = |[end, next]: [usize; 2]| end >= LEAST && end as f64 > PILE * next as f64;
     let mut out = ClippedSamples::default();
-    for (counts, level) in counts.into_iter().zip([high, low]) {
-        if piled(counts) {
-            out.samples += counts[0];
+    for (end, level) in ends.into_iter().zip([high, low]) {
+        let samples = end.clipped();
+        if samples > 0 {
+            out.samples += samples;
             out.level = out.level.max(level.abs());
         }
     }
     out
+}
+
+/// Histogram at an end of the range.
+struct RangeEnd {
+    /// Samples in the end bin and in the next one.
+    bins: [usize; 2],
+    /// Samples in the fine bins of both: a channel that clips a few percent of its crests, without noise behind it, piles up in the
+    /// first of them alone.
+    fine: [usize; 2 * FINE],
+}
+
+impl RangeEnd {
+    const EMPTY: Self = Self {
+        bins: [0; 2],
+        fine: [0; 2 * FINE],
+    };
+
+    /// Counts a sample at a distance from the end, in bins.
+    fn count(&mut self, distance: f64) {
+        // Half a bin of slack, so that a level lies within its bin.
+        if let Some(count) = self.bins.get_mut((distance + 0.5) as usize) {
+            *count += 1;
+        }
+        if let Some(count) = self.fine.get_mut((distance * FINE as f64 + 0.5) as usize) {
+            *count += 1;
+        }
+    }
+
+    /// Number of samples in a pile at the end; 0 if there is none.
+    fn clipped(&self) -> usize {
+        let piled = |end: usize, beside: usize| end >= LEAST && end as f64 > PILE * beside as f64;
+        let [end, next] = self.bins;
+        let [first, rest @ ..] = &self.fine;
+        // A pattern that repeats has as many samples at other levels.
+        let most = rest.iter().copied().max().unwrap_or(0);
+        if piled(end, next) {
+            end
+        } else if piled(*first, most) {
+            *first
+        } else {
+            0
+        }
+    }
 }
 
 /// Smallest and largest of the finite samples; infinite with exchanged signs if there are none.
@@ -158,6 +200,28 @@ mod tests {
                 );
                 assert!((flat.level - 0.8).abs() < 0.03, "{flat:?}");
             }
+        }
+    }
+
+    /// Three percent off the highest crests, as a rail in front of the converter cuts them; 8 bits are too coarse for so little.
+    #[test]
+    fn a_few_percent_of_the_crests_are_seen_and_a_repeated_pattern_is_none() {
+        for bits in [10, 12, 16] {
+            let x = sine(bits, 0.97, 0.0);
+            let top = x.iter().copied().fold(0.0, f32::max);
+            let truth = x.iter().filter(|x| x.abs() >= top).count();
+            let found = count_clipped(&x, None);
+            assert!(
+                truth > 100 && found.samples >= truth,
+                "{bits}: {found:?} {truth}"
+            );
+            assert!(found.samples < 2 * truth, "{bits}: {found:?} {truth}");
+        }
+        // The ADC locked to the bridge, and scopes whose rate is a multiple of it.
+        for per_period in [61.0 / 3.0, 24.5, 1000.0] {
+            let wave = |k: u32| (TAU * f64::from(k) / per_period).cos() as f32;
+            let repeated: Vec<f32> = (0..100_000).map(wave).collect();
+            assert_eq!(count_clipped(&repeated, None).samples, 0, "{per_period}");
         }
     }
 
