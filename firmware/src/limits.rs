@@ -10,7 +10,7 @@ use ihd_shared::wire::messages::Configure;
 
 /// A row of the table.
 #[derive(Clone, Copy, Debug)]
-pub struct Row {
+pub struct LimitRow {
     /// Name of the constant.
     pub name: &'static str,
     /// Its value.
@@ -26,7 +26,7 @@ macro_rules! limits {
         $($(#[doc = $doc])+ pub const $name: $ty = $value;)+
 
         /// The whole table.
-        pub const TABLE: &[Row] = &[$(Row {
+        pub const TABLE: &[LimitRow] = &[$(LimitRow {
             name: stringify!($name),
             value: $name as f64,
             unit: $unit,
@@ -237,7 +237,7 @@ limits! {
 
 /// A level of the panel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Level {
+pub struct PowerLevel {
     /// Power, in watt.
     pub power_w: u16,
     /// Time at this level after which the hob switches off, unless somebody touches the panel, in minutes.
@@ -245,9 +245,9 @@ pub struct Level {
 }
 
 /// Levels 1 to 9.
-pub const LEVELS: [Level; 9] = {
-    const fn level(power_w: u16, unattended_min: u16) -> Level {
-        Level {
+pub const LEVELS: [PowerLevel; 9] = {
+    const fn level(power_w: u16, unattended_min: u16) -> PowerLevel {
+        PowerLevel {
             power_w,
             unattended_min,
         }
@@ -265,7 +265,7 @@ pub const LEVELS: [Level; 9] = {
     ]
 };
 
-impl Level {
+impl PowerLevel {
     /// The lowest level with at least this power; `None` for 0 W.
     pub fn of_power(power_w: u16) -> Option<Self> {
         let [.., highest] = LEVELS;

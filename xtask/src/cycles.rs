@@ -33,10 +33,10 @@ const SUBJECTS: [(&str, &str); 8] = [
 ];
 
 /// Counts, by subject.
-pub type Counts = BTreeMap<String, f64>;
+pub type InstructionCounts = BTreeMap<String, f64>;
 
 /// Runs the counting image in the emulator `qemu`.
-pub fn count(qemu: &Path, image: &Path) -> anyhow::Result<Counts> {
+pub fn count(qemu: &Path, image: &Path) -> anyhow::Result<InstructionCounts> {
     let mut qemu = emulator::an386(qemu, "enable=on,target=native", image);
     qemu.args(["-icount", "shift=0"]);
     let line = spelled(&qemu);
@@ -55,7 +55,7 @@ pub fn count(qemu: &Path, image: &Path) -> anyhow::Result<Counts> {
     Ok(counts)
 }
 
-fn parse(text: &str) -> Counts {
+fn parse(text: &str) -> InstructionCounts {
     let count = |line: &str| {
         let (name, count) = line.strip_prefix("count ")?.split_once(' ')?;
         Some((name.to_owned(), count.parse().ok()?))
@@ -79,7 +79,7 @@ fn agree(text: &str) -> anyhow::Result<()> {
 }
 
 /// Returns every count outside its limits.
-pub fn check(counts: &Counts, limits: &BudgetLimits) -> Vec<String> {
+pub fn check(counts: &InstructionCounts, limits: &BudgetLimits) -> Vec<String> {
     let verdict = |(subject, _): &(&str, _)| {
         let what = format!("{subject} instructions");
         verdict(&what, counts[*subject], limits.instructions.get(*subject))
@@ -88,7 +88,7 @@ pub fn check(counts: &Counts, limits: &BudgetLimits) -> Vec<String> {
 }
 
 /// Table of docs/performance.md.
-pub fn table(counts: &Counts, limits: &BudgetLimits) -> String {
+pub fn table(counts: &InstructionCounts, limits: &BudgetLimits) -> String {
     let short = |count: f64| format!("{count:.*}", usize::from(count < 100.0));
     let mut table = String::from("| subject | instructions | ceiling |\n|---|---:|---:|\n");
     for (subject, what) in SUBJECTS {

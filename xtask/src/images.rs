@@ -12,18 +12,18 @@ use crate::workspace::{Workspace, first_line, run};
 
 /// Image of the firmware.
 #[derive(Clone, Copy)]
-pub struct Image {
+pub struct ImageSpec {
     /// Name of its file.
     pub name: &'static str,
     features: &'static str,
 }
 
 /// Image for the controller board.
-pub const STM32G474: Image = Image::new("stm32g474", "stm32g474");
+pub const STM32G474: ImageSpec = ImageSpec::new("stm32g474", "stm32g474");
 /// Image for QEMU's mps2-an386.
-pub const MPS2_AN386: Image = Image::new("mps2-an386", "mps2-an386");
+pub const MPS2_AN386: ImageSpec = ImageSpec::new("mps2-an386", "mps2-an386");
 /// Image that counts instructions on the same machine, and ends.
-pub const COUNTS: Image = Image::new("instruction-counts", "mps2-an386,instruction-counts");
+pub const COUNTS: ImageSpec = ImageSpec::new("instruction-counts", "mps2-an386,instruction-counts");
 
 /// Flashes a sealed copy of an image and shows its log, by probe-rs's own command.
 pub fn run_on_board(on: &Workspace, image: &Path) -> anyhow::Result<()> {
@@ -47,7 +47,7 @@ pub fn probe_rs_run(elf: &Path) -> anyhow::Result<()> {
     run(probe_rs.args(["run", "--chip", "STM32G474RETx"]).arg(elf))
 }
 
-impl Image {
+impl ImageSpec {
     const fn new(name: &'static str, features: &'static str) -> Self {
         Self { name, features }
     }

@@ -26,7 +26,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 
-use steps::{Session, Tier};
+use steps::{TestSession, Tier};
 use workspace::Workspace;
 
 /// Tasks of ihd: set-up, tests, fuzzing, the firmware's images and their limits.
@@ -163,7 +163,7 @@ fn run(cli: Cli) -> anyhow::Result<()> {
         Chore::Test { full: true, .. } => Tier::Full,
         _ => Tier::Quick,
     };
-    let session = Session { workspace, tier };
+    let session = TestSession { workspace, tier };
     match cli.chore {
         Chore::Test {
             only,

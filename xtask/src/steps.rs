@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
 
-use crate::images::{COUNTS, Image, MPS2_AN386, STM32G474};
+use crate::images::{COUNTS, ImageSpec, MPS2_AN386, STM32G474};
 use crate::setup::{self, say};
 use crate::workspace::{Workspace, compilations, run};
 use crate::{
@@ -16,7 +16,7 @@ use crate::{
 /// Names another NATS server for the fleet's tests than PyPI's.
 const NATS: &str = "IHD_NATS_SERVER";
 
-const IMAGES: [Image; 3] = [STM32G474, MPS2_AN386, COUNTS];
+const IMAGES: [ImageSpec; 3] = [STM32G474, MPS2_AN386, COUNTS];
 
 /// Variables that lengthen tests in the full tier, unless they are set by hand.
 const AT_LENGTH: [(&str, &str); 11] = [
@@ -50,26 +50,26 @@ pub struct Step {
     about: &'static str,
     /// Smallest tier that contains it.
     tier: Tier,
-    run: fn(&Session) -> anyhow::Result<()>,
+    run: fn(&TestSession) -> anyhow::Result<()>,
 }
 
 /// All steps; the firmware's images come before the host's tests, which run them.
 #[rustfmt::skip]
 pub const STEPS: &[Step] = &[
-    Step { name: "setup", about: "tools and compilers, found or installed", tier: Tier::Quick, run: Session::set_up },
+    Step { name: "setup", about: "tools and compilers, found or installed", tier: Tier::Quick, run: TestSession::set_up },
     Step { name: "fmt", about: "formatting, by rustfmt", tier: Tier::Quick, run: |on| run(&mut on.workspace.cargo(["fmt", "--all", "--check"])) },
-    Step { name: "firmware", about: "the firmware's images, linted", tier: Tier::Quick, run: Session::firmware },
-    Step { name: "budget", about: "flash, RAM and panic paths against firmware/budget.toml", tier: Tier::Quick, run: Session::budget },
+    Step { name: "firmware", about: "the firmware's images, linted", tier: Tier::Quick, run: TestSession::firmware },
+    Step { name: "budget", about: "flash, RAM and panic paths against firmware/budget.toml", tier: Tier::Quick, run: TestSession::budget },
     Step { name: "cycles", about: "instruction counts against firmware/budget.toml", tier: Tier::Quick, run: |on| on.cycles(false) },
-    Step { name: "tests", about: "all tests of the workspace, linted by Clippy as they compile", tier: Tier::Quick, run: Session::tests },
+    Step { name: "tests", about: "all tests of the workspace, linted by Clippy as they compile", tier: Tier::Quick, run: TestSession::tests },
     Step { name: "python", about: "the Python package, installed from its wheel", tier: Tier::Quick, run: |on| python::test(&on.workspace, on.tier == Tier::Full) },
     Step { name: "dashboard", about: "the page in a real browser", tier: Tier::Quick, run: |on| dashboard::test(&on.workspace, on.tier == Tier::Full) },
-    Step { name: "on-target", about: "the controller's own tests, in QEMU", tier: Tier::Quick, run: Session::on_target },
-    Step { name: "board", about: "the flash image on an emulated STM32G474", tier: Tier::Quick, run: Session::board },
-    Step { name: "usb", about: "that board on the USB of a Linux with the host program", tier: Tier::Quick, run: Session::usb },
+    Step { name: "on-target", about: "the controller's own tests, in QEMU", tier: Tier::Quick, run: TestSession::on_target },
+    Step { name: "board", about: "the flash image on an emulated STM32G474", tier: Tier::Quick, run: TestSession::board },
+    Step { name: "usb", about: "that board on the USB of a Linux with the host program", tier: Tier::Quick, run: TestSession::usb },
     Step { name: "lints", about: "Clippy on benchmarks and examples too", tier: Tier::Full, run: |on| on.whole("clippy", "--all-targets -- -D warnings") },
-    Step { name: "docs", about: "rustdoc without broken links, its examples, the documents' book", tier: Tier::Full, run: Session::docs },
-    Step { name: "hostile", about: "every capture that may fool the identification", tier: Tier::Full, run: Session::hostile },
+    Step { name: "docs", about: "rustdoc without broken links, its examples, the documents' book", tier: Tier::Full, run: TestSession::docs },
+    Step { name: "hostile", about: "every capture that may fool the identification", tier: Tier::Full, run: TestSession::hostile },
     Step { name: "dist", about: "a release's package, installed in a clean Debian and removed", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_out(&on.workspace, "debootstrap", "packaging/try-deb")) },
     Step { name: "windows", about: "a release's installer for Windows, used under Wine and removed", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_out(&on.workspace, "wine", "packaging/windows/try")) },
     Step { name: "fuzz", about: "coverage-guided fuzzing of each target", tier: Tier::Full, run: |on| fuzz::fuzz(&on.workspace, None, FUZZ_SECONDS) },
@@ -79,14 +79,14 @@ pub const STEPS: &[Step] = &[
 const FUZZ_SECONDS: u64 = 300;
 
 /// State shared by the steps.
-pub struct Session {
+pub struct TestSession {
     /// The checkout.
     pub workspace: Workspace,
     /// Extent of the run.
     pub tier: Tier,
 }
 
-impl Session {
+impl TestSession {
     fn whole(&self, subcommand: &str, rest: &str) -> anyhow::Result<()> {
         run(&mut self.workspace.whole(subcommand, rest))
     }
@@ -142,7 +142,7 @@ impl Session {
         run(study.current_dir(&self.workspace.root).arg("hostile"))
     }
 
-    fn image(&self, image: Image) -> anyhow::Result<PathBuf> {
+    fn image(&self, image: ImageSpec) -> anyhow::Result<PathBuf> {
         toolchain::ensure_target()?;
         image.build(&self.workspace)
     }
@@ -164,7 +164,7 @@ impl Session {
     fn firmware(&self) -> anyhow::Result<()> {
         self.images()?;
         // Clippy of the host's workspace does not see code that is only compiled for a board.
-        let lint = |image: &Image| image.lint(&self.workspace);
+        let lint = |image: &ImageSpec| image.lint(&self.workspace);
         IMAGES.iter().try_for_each(lint)
     }
 
@@ -262,7 +262,7 @@ pub fn select(tier: Tier, only: &[&str], skip: &[&str]) -> anyhow::Result<Vec<&'
 ///
 /// # Errors
 /// The failed steps, with their errors.
-pub fn run_all(session: &Session, steps: &[&Step], fail_fast: bool) -> anyhow::Result<()> {
+pub fn run_all(session: &TestSession, steps: &[&Step], fail_fast: bool) -> anyhow::Result<()> {
     std::thread::scope(|threads| {
         // The images link on one core: meanwhile the host's tests compile on the other. The step "tests" tells what failed.
         if steps.len() > 1 && steps.iter().any(|step| step.name == "tests") {
@@ -272,7 +272,7 @@ pub fn run_all(session: &Session, steps: &[&Step], fail_fast: bool) -> anyhow::R
     })
 }
 
-fn in_sequence(session: &Session, steps: &[&Step], fail_fast: bool) -> anyhow::Result<()> {
+fn in_sequence(session: &TestSession, steps: &[&Step], fail_fast: bool) -> anyhow::Result<()> {
     let (mut table, mut failed) = (String::new(), Vec::new());
     let all = Instant::now();
     for (index, step) in steps.iter().enumerate() {

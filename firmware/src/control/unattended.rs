@@ -3,7 +3,7 @@
 //! A touch of the panel gives the allowance back whole. Off gives it back in [`REST_MIN`], so that a host gains nothing by switching
 //! off and on; nothing else that a host sends counts. Once it is used up the hob is off as if switched off at its panel.
 
-use crate::limits::{LEVELS, Level, REST_MIN};
+use crate::limits::{LEVELS, PowerLevel, REST_MIN};
 
 /// The allowance, in milliseconds of level 1.
 const ALLOWANCE: u32 = LEVELS[0].unattended_min as u32 * 60_000;
@@ -36,7 +36,7 @@ impl Unattended {
     /// Counts time at a requested power, an hour at most.
     pub fn count(&mut self, asked_w: u16, elapsed_s: u32) {
         let of_whole = |minutes: u16| (elapsed_s * (ALLOWANCE / 60)).div_ceil(u32::from(minutes));
-        self.used = match Level::of_power(asked_w) {
+        self.used = match PowerLevel::of_power(asked_w) {
             Some(level) => self.used.saturating_add(of_whole(level.unattended_min)),
             None => self.used.saturating_sub(of_whole(REST_MIN)),
         }

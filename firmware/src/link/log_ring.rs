@@ -27,12 +27,12 @@ pub struct LogRing<'a> {
 
 /// A frame that is being written, and is not seen before it is whole.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Frame {
+pub struct LogFrame {
     at: u32,
     fits: bool,
 }
 
-impl Frame {
+impl LogFrame {
     /// None, which finds no room.
     pub const NONE: Self = Self { at: 0, fits: false };
 }
@@ -50,15 +50,15 @@ impl LogRing<'_> {
     }
 
     /// Begins a frame.
-    pub fn begin(&self) -> Frame {
-        Frame {
+    pub fn begin(&self) -> LogFrame {
+        LogFrame {
             at: self.write.load(Ordering::Relaxed),
             fits: true,
         }
     }
 
     /// Adds bytes to it, as far as there is room.
-    pub fn add(&self, frame: &mut Frame, bytes: &[u8]) {
+    pub fn add(&self, frame: &mut LogFrame, bytes: &[u8]) {
         for &byte in bytes {
             let next = self.after(frame.at);
             frame.fits &= next != self.read.load(Ordering::Acquire);
@@ -72,7 +72,7 @@ impl LogRing<'_> {
     }
 
     /// Ends it; whether it found room.
-    pub fn end(&self, frame: Frame) -> bool {
+    pub fn end(&self, frame: LogFrame) -> bool {
         if frame.fits {
             self.write.store(frame.at, Ordering::Release);
         }

@@ -13,7 +13,7 @@ const LEAST_TURNS: u32 = 50;
 
 /// Counts of each task; all of them wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct TaskCounts {
     /// Cycles that the blocks which the sampling path took should have lasted.
     pub sampled_cycles: u32,
     /// Blocks that it took.
@@ -50,13 +50,13 @@ pub enum Flow {
 #[derive(Clone, Copy, Debug)]
 pub struct ProgramFlow {
     began_at: u32,
-    before: Counts,
+    before: TaskCounts,
     right: bool,
 }
 
 impl ProgramFlow {
     /// Begins a window now; the task that keeps lookups has been called.
-    pub fn new(now_cycles: u32, counts: Counts) -> Self {
+    pub fn new(now_cycles: u32, counts: TaskCounts) -> Self {
         Self {
             began_at: now_cycles,
             before: counts,
@@ -65,7 +65,7 @@ impl ProgramFlow {
     }
 
     /// Looks at the counts; called more often than every 10 ms.
-    pub fn check(&mut self, now_cycles: u32, counts: Counts) -> Flow {
+    pub fn check(&mut self, now_cycles: u32, counts: TaskCounts) -> Flow {
         let passed = now_cycles.wrapping_sub(self.began_at);
         if passed < WINDOW_CYCLES {
             return Flow::Going;
@@ -81,7 +81,7 @@ impl ProgramFlow {
         self.right
     }
 
-    fn wrong(&self, passed: u32, counts: Counts) -> Option<Task> {
+    fn wrong(&self, passed: u32, counts: TaskCounts) -> Option<Task> {
         let since = |now: u32, before: u32| now.wrapping_sub(before);
         let sampled = since(counts.sampled_cycles, self.before.sampled_cycles);
         let blocks = since(counts.blocks, self.before.blocks);
@@ -107,7 +107,7 @@ mod tests {
     /// A window in which each task runs at a multiple of its rate.
     fn window(sampling: f64, turns_a_block: f64, answers: u32) -> Flow {
         let began = u32::MAX - 1_000;
-        let before = Counts {
+        let before = TaskCounts {
             sampled_cycles: u32::MAX - 7,
             blocks: u32::MAX,
             turns: 3,
@@ -118,7 +118,7 @@ mod tests {
         loop {
             blocks += 1;
             let passed = (f64::from(blocks * block_cycles) / sampling) as u32;
-            let counts = Counts {
+            let counts = TaskCounts {
                 sampled_cycles: before.sampled_cycles.wrapping_add(blocks * block_cycles),
                 blocks: before.blocks.wrapping_add(blocks),
                 turns: before.turns + (f64::from(blocks) * turns_a_block) as u32,

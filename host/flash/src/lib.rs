@@ -19,6 +19,6 @@ pub mod probe;
 pub mod programmer;
 
 pub use image::{BuildId, Image, ImageError};
-pub use log_source::LogSource;
+pub use log_source::LogByteSource;
 pub use options::OptionBytes;
 pub use programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, WriteProgress};

@@ -3,14 +3,14 @@
 use crate::programmer::ProgramError;
 
 /// Open source of the bytes that defmt writes: frames, each ended by a zero.
-pub trait LogSource {
+pub trait LogByteSource {
     /// Description of the access.
     fn describe(&self) -> String;
 
     /// Appends the bytes received since the last call and returns their number; never waits.
     ///
     /// # Errors
-    /// Errors that [`LogSource::resume`] may cure: probe or chip are disconnected.
+    /// Errors that [`LogByteSource::resume`] may cure: probe or chip are disconnected.
     fn read(&mut self, out: &mut Vec<u8>) -> Result<usize, ProgramError>;
 
     /// Tries once to reconnect after an error, without a reset of the chip.

@@ -52,7 +52,7 @@ struct Limit {
 
 /// R(t) and L(t) as stated by the other machine.
 #[derive(Clone, Copy, Debug)]
-pub struct Claim<'a> {
+pub struct ClaimedResult<'a> {
     /// Times in seconds after the segment's zero crossing, rising.
     pub t_s: &'a [f64],
     /// R at these times, in ohm.
@@ -129,7 +129,7 @@ pub enum ClaimError {
 ///
 /// # Errors
 /// [`ClaimError`] names the first thing that is wrong.
-pub fn confirm(segment: &Segment, claim: &Claim<'_>) -> Result<Confirmation, ClaimError> {
+pub fn confirm(segment: &Segment, claim: &ClaimedResult<'_>) -> Result<Confirmation, ClaimError> {
     claim.check(segment)?;
     let points = residuals(segment, claim)?;
     let noise = WhiteNoise::measure(segment);
@@ -173,7 +173,7 @@ fn stretch(phase: f64) -> Option<usize> {
     (0.0..STRETCHES as f64).contains(&at).then_some(at as usize)
 }
 
-impl Claim<'_> {
+impl ClaimedResult<'_> {
     fn check(&self, segment: &Segment) -> Result<(), ClaimError> {
         let n = self.t_s.len();
         let rises = self.t_s.windows(2).all(|w| w[1] > w[0]);
@@ -267,7 +267,7 @@ fn boxcar(samples_per_period: f64) -> Boxcar {
     }
 }
 
-fn residuals(segment: &Segment, claim: &Claim<'_>) -> Result<Vec<Residual>, ClaimError> {
+fn residuals(segment: &Segment, claim: &ClaimedResult<'_>) -> Result<Vec<Residual>, ClaimError> {
     let per_period = segment.samples_per_period();
     let phasors = demodulate(segment, boxcar(per_period));
     let least = STRETCHES * LEAST_PHASORS;

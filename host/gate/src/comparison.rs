@@ -23,14 +23,14 @@ const MEAN_MAGNITUDE: f64 = 0.8;
 
 /// Half-cycle of a segment.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct HalfCycle {
+pub struct HalfCycleSpan {
     /// Zero crossing in seconds, on the capture's clock.
     pub crossing_s: f64,
     /// Share of its middle that lies in the segment, 0 to 1.
     pub seen: f64,
 }
 
-impl HalfCycle {
+impl HalfCycleSpan {
     /// Returns `true` if enough of the middle is there for a judgement of its own.
     pub fn is_whole(&self) -> bool {
         self.seen >= LEAST_SEEN
@@ -38,12 +38,12 @@ impl HalfCycle {
 }
 
 /// Half-cycles of a segment, stubs at its ends included.
-pub fn half_cycles(segment: &Segment) -> Vec<HalfCycle> {
+pub fn half_cycles(segment: &Segment) -> Vec<HalfCycleSpan> {
     let ranges = segment.half_cycles().into_iter();
     let crossings = ranges
         .filter(|(from, to)| to > from)
         .map(|range| segment.crossing_of_s(range));
-    let of = |crossing_s: f64| HalfCycle {
+    let of = |crossing_s: f64| HalfCycleSpan {
         crossing_s,
         seen: times_s(segment, crossing_s, &[]).len() as f64 / POINTS as f64,
     };
@@ -52,13 +52,17 @@ pub fn half_cycles(segment: &Segment) -> Vec<HalfCycle> {
 
 /// Half-cycles that are judged: the whole ones; of a segment without any the one of which most is there. Empty if no middle
 /// of a half-cycle has points enough.
-pub fn judged(segment: &Segment) -> Vec<HalfCycle> {
+pub fn judged(segment: &Segment) -> Vec<HalfCycleSpan> {
     let all = half_cycles(segment);
-    let whole: Vec<_> = all.iter().copied().filter(HalfCycle::is_whole).collect();
+    let whole: Vec<_> = all
+        .iter()
+        .copied()
+        .filter(HalfCycleSpan::is_whole)
+        .collect();
     if !whole.is_empty() {
         return whole;
     }
-    let enough = |h: &HalfCycle| h.seen * POINTS as f64 >= LEAST_POINTS as f64;
+    let enough = |h: &HalfCycleSpan| h.seen * POINTS as f64 >= LEAST_POINTS as f64;
     let longest = all.into_iter().max_by(|a, b| a.seen.total_cmp(&b.seen));
     longest.filter(enough).into_iter().collect()
 }

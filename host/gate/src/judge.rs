@@ -6,7 +6,7 @@ use ihd_signal::{Remark, Segment, Severity};
 use crate::comparison::{self, Difference};
 use crate::interference;
 use crate::limits::{MAX_SIGMA_PCT, TOLERABLE_PCT, WARNING_SHARE, plausible_ranges};
-use crate::reference::Reference;
+use crate::reference::ReferenceResults;
 use crate::remarks;
 use crate::verdict::{Gate, HalfCycleVerdict, Judgement, TOO_SHORT};
 
@@ -27,7 +27,7 @@ pub struct Evidence<'a> {
     /// Estimate to judge.
     pub estimate: &'a Estimate,
     /// Reference results for the segment.
-    pub reference: &'a Reference,
+    pub reference: &'a ReferenceResults,
 }
 
 /// Judges one estimate.
@@ -115,7 +115,7 @@ fn verdicts(
     of_half_cycles: &[HalfCycleRemark],
 ) -> Vec<HalfCycleVerdict> {
     let judged = comparison::judged(segment);
-    let verdict = |half: comparison::HalfCycle| {
+    let verdict = |half: comparison::HalfCycleSpan| {
         let own = of_half_cycles
             .iter()
             .filter(|f| f.crossing_s == half.crossing_s);
@@ -251,7 +251,7 @@ fn within_reference(
     sigmas
 }
 
-fn no_reference(reference: &Reference) -> Remark {
+fn no_reference(reference: &ReferenceResults) -> Remark {
     let why = reference.least_squares.as_ref().err();
     let why = why.map_or_else(String::new, ToString::to_string);
     Remark::new(

@@ -31,5 +31,5 @@ pub use judge::{Evidence, judge};
 pub use path::{
     Examination, ExamineOptions, MethodResult, OnProgress, Reconstruct, examine, examine_taking,
 };
-pub use reference::Reference;
+pub use reference::ReferenceResults;
 pub use verdict::{Gate, HalfCycleVerdict, Judgement, Verdict};

@@ -14,7 +14,7 @@ use ihd_survey::{Hints, Survey, SurveyError};
 use crate::comparison;
 use crate::judge::{Evidence, judge, judge_failure};
 use crate::neighbours::{self, Neighbours};
-use crate::reference::Reference;
+use crate::reference::ReferenceResults;
 use crate::remarks;
 use crate::repair;
 use crate::sensors::{CorrectionUncertainty, calibrate, correct_gain};
@@ -183,7 +183,7 @@ fn examine_samples(
         remarks.extend(uncertainty.and_then(|u| u.remark(segment, load)));
         remarks.extend(removed.iter().flat_map(|r| r.remarks_on(segment)).cloned());
         let known = interference.get_mut(index).map(std::mem::take);
-        let reference = Reference::compute_with(segment, known);
+        let reference = ReferenceResults::compute_with(segment, known);
         let of_segment = is_law(&reference).then(|| PoolPhasors::of(segment));
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
         phasors.extend(of_segment);
@@ -248,7 +248,7 @@ fn examine_samples(
 const NO_LAW: [&str; 2] = ["load_moves", "load_step"];
 
 /// Returns `true` if nothing speaks against a law R(I), L(I).
-fn is_law(reference: &Reference) -> bool {
+fn is_law(reference: &ReferenceResults) -> bool {
     let Ok(least_squares) = &reference.least_squares else {
         return false;
     };
@@ -278,7 +278,7 @@ fn widen(estimate: &mut Estimate, r_share: f64, l_share: f64) {
 fn judge_result(
     remarks: &[Remark],
     segment: &Segment,
-    reference: &Reference,
+    reference: &ReferenceResults,
     method: Method,
     result: &Result<Estimate, IdentifyError>,
 ) -> Judgement {

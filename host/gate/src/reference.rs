@@ -10,7 +10,7 @@ use crate::interference::{self, Interference};
 
 /// Reference results for a segment, computed once and used for every method's estimate.
 #[derive(Clone, Debug)]
-pub struct Reference {
+pub struct ReferenceResults {
     /// Least squares with its default options, or the error with which it failed.
     pub least_squares: Result<Estimate, IdentifyError>,
     /// Least squares on the segment without foreign tones; `None` if there are none.
@@ -22,7 +22,7 @@ pub struct Reference {
     pub remarks: Vec<Remark>,
 }
 
-impl Reference {
+impl ReferenceResults {
     /// Result of a method with these options if it is known already.
     pub fn result_of(
         &self,

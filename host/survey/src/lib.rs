@@ -344,7 +344,7 @@ fn wiring_findings(
 }
 
 /// Amplitudes of the voltage's fundamental, piece by piece.
-fn envelopes(tracks: &[Track], wiring: Wiring) -> Vec<mains::Envelope> {
+fn envelopes(tracks: &[Track], wiring: Wiring) -> Vec<mains::PieceEnvelope> {
     tracks
         .iter()
         .filter_map(|t| {
@@ -353,7 +353,7 @@ fn envelopes(tracks: &[Track], wiring: Wiring) -> Vec<mains::Envelope> {
             } else {
                 t.v_v.first()
             };
-            Some(mains::Envelope {
+            Some(mains::PieceEnvelope {
                 t_s: t.t_s.clone(),
                 level: v?.iter().map(|v| v.norm()).collect(),
             })

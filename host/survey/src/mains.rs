@@ -57,7 +57,7 @@ const MOST_CROSSINGS: usize = 1_000_000;
 
 /// Envelope of one piece: times in seconds and amplitudes.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Envelope {
+pub struct PieceEnvelope {
     /// Times in seconds.
     pub t_s: Vec<f64>,
     /// Amplitudes in any unit.
@@ -110,13 +110,13 @@ const FIRST_LOOK_S: f64 = 60e-3;
 /// Determines frequency and zero crossing: as specified, else from the envelope, else assumed with a finding. `start_s` is the
 /// time of the capture's first sample.
 pub fn find(
-    envelopes: &[Envelope],
+    envelopes: &[PieceEnvelope],
     specified_hz: Option<f64>,
     specified_crossing_s: Option<f64>,
     start_s: f64,
     findings: &mut Vec<Finding>,
 ) -> Mains {
-    let envelopes: Vec<Envelope> = envelopes.iter().map(thinned).collect();
+    let envelopes: Vec<PieceEnvelope> = envelopes.iter().map(thinned).collect();
     let (span_s, modulation) = extent(&envelopes);
     let half_cycles = span_s * 2.0 * NOMINAL_HZ[0];
     let specified_hz = specified_hz.filter(|f| f.is_finite() && *f > 0.0);
@@ -185,7 +185,11 @@ const UNUSUAL_LEFT: f64 = 0.02;
 const UNUSUAL_BETTER: f64 = 0.1;
 
 /// Finding that the envelope shows a mains of half or twice a usual frequency, and by far not one of the usual range.
-fn wrong_time_base(envelopes: &[Envelope], usual: Option<Fit>, span_s: f64) -> Option<Finding> {
+fn wrong_time_base(
+    envelopes: &[PieceEnvelope],
+    usual: Option<Fit>,
+    span_s: f64,
+) -> Option<Finding> {
     let of = |(shown_hz, usual_hz): (f64, f64)| {
         // Shorter ones cannot separate a constant from a lower frequency.
         let enough = 2.0 * span_s * shown_hz >= FREE_HALF_CYCLES;
@@ -202,21 +206,21 @@ fn wrong_time_base(envelopes: &[Envelope], usual: Option<Fit>, span_s: f64) -> O
 }
 
 /// Means of an envelope over [`SPACING_S`].
-fn thinned(envelope: &Envelope) -> Envelope {
+fn thinned(envelope: &PieceEnvelope) -> PieceEnvelope {
     let n = envelope.t_s.len().min(envelope.level.len());
     let every = match (envelope.t_s.first(), envelope.t_s.get(1)) {
         (Some(a), Some(b)) => ((SPACING_S / (b - a)) as usize).max(1),
         _ => 1,
     };
     let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
-    Envelope {
+    PieceEnvelope {
         t_s: envelope.t_s[..n].chunks(every).map(mean).collect(),
         level: envelope.level[..n].chunks(every).map(mean).collect(),
     }
 }
 
 /// Time from first to last point in seconds, and depth of modulation.
-fn extent(envelopes: &[Envelope]) -> (f64, f64) {
+fn extent(envelopes: &[PieceEnvelope]) -> (f64, f64) {
     let all = || envelopes.iter().flat_map(|e| &e.t_s);
     let (from, to) = all().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &t| {
         (a.min(t), b.max(t))
@@ -243,7 +247,7 @@ struct Fit {
 }
 
 /// Fits by a grid over the beginning, then by a search with a doubling view; `free` allows any frequency in range.
-fn fit(envelopes: &[Envelope], specified_hz: Option<f64>, free: bool) -> Option<Fit> {
+fn fit(envelopes: &[PieceEnvelope], specified_hz: Option<f64>, free: bool) -> Option<Fit> {
     let start_s = envelopes.iter().find_map(|e| e.t_s.first()).copied()?;
     let end_s = envelopes.iter().rev().find_map(|e| e.t_s.last()).copied()?;
     let mut look_s = FIRST_LOOK_S.min(end_s - start_s);
@@ -286,7 +290,7 @@ fn fit(envelopes: &[Envelope], specified_hz: Option<f64>, free: bool) -> Option<
 }
 
 /// Pattern search in frequency and crossing over a view in seconds.
-fn refined(envelopes: &[Envelope], view: Range<f64>, from: Fit, free: bool, law: Law) -> Fit {
+fn refined(envelopes: &[PieceEnvelope], view: Range<f64>, from: Fit, free: bool, law: Law) -> Fit {
     let half_s = 0.5 / from.hz;
     let (look_s, end_s) = (view.end - view.start, view.end);
     // The crossing nearest to the middle does not depend on the frequency.
@@ -335,7 +339,7 @@ enum Law {
 }
 
 /// Share of the envelopes' variance that the model leaves, without points after `end_s`.
-fn residual(envelopes: &[Envelope], end_s: f64, hz: f64, t0_s: f64, law: Law) -> f64 {
+fn residual(envelopes: &[PieceEnvelope], end_s: f64, hz: f64, t0_s: f64, law: Law) -> f64 {
     let (mut left, mut all) = (0.0, 0.0);
     for envelope in envelopes {
         let n = envelope.t_s.partition_point(|t| *t <= end_s);
@@ -372,20 +376,20 @@ mod tests {
     use super::*;
 
     /// A rectified envelope that a load bends and a capacitor may hold up.
-    fn envelope(hz: f64, t0_s: f64, from_s: f64, to_s: f64, floor: f64) -> Envelope {
+    fn envelope(hz: f64, t0_s: f64, from_s: f64, to_s: f64, floor: f64) -> PieceEnvelope {
         let n = ((to_s - from_s) / 50e-6) as usize;
         let t_s: Vec<f64> = (0..n).map(|k| from_s + 50e-6 * k as f64).collect();
         let level = |t: &f64| {
             let s = (TAU * hz * (t - t0_s)).sin().abs();
             (s * 200.0 / (1.0 + 0.3 * s)).max(floor)
         };
-        Envelope {
+        PieceEnvelope {
             level: t_s.iter().map(level).collect(),
             t_s,
         }
     }
 
-    fn found(e: &[Envelope]) -> (Mains, Vec<Finding>) {
+    fn found(e: &[PieceEnvelope]) -> (Mains, Vec<Finding>) {
         let mut findings = Vec::new();
         (find(e, None, None, e[0].t_s[0], &mut findings), findings)
     }
@@ -475,7 +479,7 @@ mod tests {
     /// Windows that a device sends every 20 half-cycles: 48.74 Hz fit them as well, and were reported.
     #[test]
     fn half_cycles_with_pauses_do_not_contradict_the_frequency_told() {
-        let windows = |hz: f64| -> Vec<Envelope> {
+        let windows = |hz: f64| -> Vec<PieceEnvelope> {
             let half_s = 0.5 / hz;
             (0..24)
                 .map(|k| f64::from(20 * k) * half_s)

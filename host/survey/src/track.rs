@@ -33,7 +33,7 @@ pub struct Track {
 
 /// Phasors of the current's fundamental.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Fundamental {
+pub struct TrackedFundamental {
     /// Times in seconds.
     pub t_s: Vec<f64>,
     /// Phasors of the current, amplitudes in ampere.
@@ -72,12 +72,12 @@ pub fn track(capture: &Capture, run: &Run, f_hz: f64) -> Track {
 }
 
 /// Phasors of the current's fundamental, two periods per frame and a frame every half period.
-pub fn fundamental(capture: &Capture, run: &Run, f_hz: f64) -> Fundamental {
+pub fn fundamental(capture: &Capture, run: &Run, f_hz: f64) -> TrackedFundamental {
     let per_period = 1.0 / (f_hz * run.dt_s);
     let frame = (2.0 * per_period).round() as usize;
     let hop = (0.5 * per_period).round().max(1.0) as usize;
     let (t_s, mut i_a) = channel(&capture.i_a, run, f_hz, frame, hop, &[1]);
-    Fundamental {
+    TrackedFundamental {
         t_s,
         i_a: i_a.pop().unwrap_or_default(),
     }

@@ -9,7 +9,7 @@
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 
-use ihd_firmware::link::log_ring::{Frame, LogRing, LogSource};
+use ihd_firmware::link::log_ring::{LogFrame, LogRing, LogSource};
 use ihd_firmware::link::log_sender::LOG_BYTES;
 
 /// Bytes for the probe: half of what defmt-rtt takes, the other half is the link's.
@@ -88,8 +88,8 @@ fn link() -> LogRing<'static> {
 /// A frame on its way into both.
 struct FrameInProgress {
     encoder: defmt::Encoder,
-    rtt: Frame,
-    link: Frame,
+    rtt: LogFrame,
+    link: LogFrame,
 }
 
 /// Reached only while [`TAKEN`] is held.
@@ -101,8 +101,8 @@ unsafe impl Sync for Place {}
 static TAKEN: AtomicBool = AtomicBool::new(false);
 static WRITING: Place = Place(UnsafeCell::new(FrameInProgress {
     encoder: defmt::Encoder::new(),
-    rtt: Frame::NONE,
-    link: Frame::NONE,
+    rtt: LogFrame::NONE,
+    link: LogFrame::NONE,
 }));
 /// Contexts that found it taken and whose frame is being thrown away: an interrupt within an interrupt at most.
 static STRANGERS: AtomicU32 = AtomicU32::new(0);
@@ -140,7 +140,7 @@ impl FrameInProgress {
     }
 }
 
-fn add(probe: &mut Frame, host: &mut Frame, bytes: &[u8]) {
+fn add(probe: &mut LogFrame, host: &mut LogFrame, bytes: &[u8]) {
     rtt().add(probe, bytes);
     link().add(host, bytes);
 }

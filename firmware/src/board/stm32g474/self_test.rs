@@ -9,7 +9,7 @@ use embassy_stm32::crc::{Config, Crc, InputReverseConfig, PolySize};
 use embassy_stm32::peripherals::CRC;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::self_test::clock::{ClockCapture, ClockCheck};
-use ihd_firmware::self_test::flow::{Counts, Flow, ProgramFlow, Task};
+use ihd_firmware::self_test::flow::{Flow, ProgramFlow, Task, TaskCounts};
 use ihd_firmware::self_test::image::{CopyCheck, Crc32, ImageCheck};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::Clocks;
@@ -140,7 +140,7 @@ impl SelfTest {
             image: ImageCheck::new(image, crc),
             copies,
             clock: ClockCheck::default(),
-            flow: ProgramFlow::new(0, Counts::default()),
+            flow: ProgramFlow::new(0, TaskCounts::default()),
             turns: 0,
             sliced_at: 0,
             second_at: 0,
@@ -218,8 +218,8 @@ impl SelfTest {
             .or_else(|| self.slice(blocks))
     }
 
-    fn counts(&self, blocks: u32) -> Counts {
-        Counts {
+    fn counts(&self, blocks: u32) -> TaskCounts {
+        TaskCounts {
             sampled_cycles: sampled_cycles(),
             blocks,
             turns: self.turns,

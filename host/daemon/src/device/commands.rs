@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use super::heating::HeatError;
 use super::recording;
 use super::request::{DeviceRequest, ReplySender};
-use super::session::{Session, SessionEnd};
+use super::session::{DeviceSession, SessionEnd};
 use super::sweep::SweepState;
 use crate::learning::LookupToPush;
 use crate::lease::{LeaseError, LeaseId};
@@ -18,7 +18,7 @@ use crate::printable::printable;
 /// Largest number of powers in a sweep.
 const MAX_SWEEP_POWERS: usize = 64;
 
-impl Session<'_> {
+impl DeviceSession<'_> {
     /// Carries out a request.
     ///
     /// # Errors

@@ -10,7 +10,7 @@ use tokio::runtime::Handle;
 use tokio::time::Instant;
 
 use super::contact::DueCheck;
-use super::session::{Session, SessionEnd};
+use super::session::{DeviceSession, SessionEnd};
 use super::sweep::{SweepState, SweepStep};
 use crate::lease::{LeaseError, LeaseId, LostLease};
 use crate::switching_off::switch_off;
@@ -26,7 +26,7 @@ pub(super) enum HeatError {
     Link(#[from] LinkError),
 }
 
-impl Session<'_> {
+impl DeviceSession<'_> {
     /// Sends the keep-alive while heating for a lease, and queries a silent device.
     pub(super) async fn keep_alive(&mut self) -> Result<(), SessionEnd> {
         let heats_for_us = self.record.lock().lease.heats(Instant::now());

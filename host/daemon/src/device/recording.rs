@@ -7,11 +7,11 @@ use ihd_link::LinkError;
 use ihd_model::{CommandError, CommandReply, RecordSettings};
 
 use super::request::ReplySender;
-use super::session::{Session, SessionEnd};
+use super::session::{DeviceSession, SessionEnd};
 use crate::device_record::DeviceRecord;
 use crate::printable::printable;
 
-impl Session<'_> {
+impl DeviceSession<'_> {
     /// Attaches the recorder to the link, from now on.
     ///
     /// # Errors

@@ -62,7 +62,7 @@ pub enum SessionEnd {
 }
 
 /// State of a session.
-pub struct Session<'a> {
+pub struct DeviceSession<'a> {
     pub(super) record: &'a Arc<DeviceRecord>,
     pub(super) context: &'a Context,
     pub(super) link: DeviceLink,
@@ -88,7 +88,7 @@ pub struct Session<'a> {
     pub(super) truth: Option<Arc<TruthFn>>,
 }
 
-impl<'a> Session<'a> {
+impl<'a> DeviceSession<'a> {
     /// Creates the session of a device after the handshake.
     pub fn new(
         record: &'a Arc<DeviceRecord>,

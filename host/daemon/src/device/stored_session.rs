@@ -2,12 +2,12 @@
 
 use ihd_model::RecordKind;
 
-use super::session::{Session, SessionEnd};
+use super::session::{DeviceSession, SessionEnd};
 use crate::printable::printable;
 use crate::store_thread::StoreAccess;
 
-impl Session<'_> {
-    /// Begins the session in the store. If that fails, nothing is stored until [`Session::retry_store`] succeeds.
+impl DeviceSession<'_> {
+    /// Begins the session in the store. If that fails, nothing is stored until [`DeviceSession::retry_store`] succeeds.
     pub(super) async fn begin_stored_session(&mut self) {
         let (name, address) = (self.record.name.clone(), self.record.address.clone());
         let hello = self.link.client.hello().clone();

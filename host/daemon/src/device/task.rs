@@ -12,7 +12,7 @@ use tokio::time::Instant;
 use super::recording;
 use super::report::{not_connected_error, publish_lease_expired};
 use super::request::DeviceRequest;
-use super::session::{Session, SessionEnd};
+use super::session::{DeviceSession, SessionEnd};
 use crate::TruthFn;
 use crate::clocks::Backoff;
 use crate::config::Address;
@@ -179,7 +179,7 @@ impl DeviceTask {
             inner.client = Some(Arc::clone(&client));
             inner.last = None;
         }
-        let mut session = Session::new(
+        let mut session = DeviceSession::new(
             &self.record,
             &self.context,
             Arc::clone(&client),

@@ -7,7 +7,7 @@ use ihd_model::{EventKind, RecordKind};
 use ihd_signal::truth::Truth;
 use ihd_store::{CurveSource, DeviceId, SessionId, Store, StoreError};
 
-use super::session::Session;
+use super::session::DeviceSession;
 use crate::device_record::DeviceRecord;
 use crate::fleet::delegation::Delegation;
 use crate::learning::{LearnInput, LearnJob, Learner, truth_curve};
@@ -83,7 +83,7 @@ impl WindowRoute {
     }
 }
 
-impl Session<'_> {
+impl DeviceSession<'_> {
     /// Sends a window on its route.
     pub(super) fn on_window(&mut self, window: Box<Window>) {
         // If a fit has locked the tracker, the next window sets the same value.

@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use ihd_gate::claim::{Claim, Confirmation};
+use ihd_gate::claim::{ClaimedResult, Confirmation};
 use ihd_link::Window;
 use ihd_model::{FitRemark, FitStep};
 use ihd_signal::Segment;
@@ -92,8 +92,8 @@ impl WorkerAnswer {
 
 impl StatedLoad {
     /// Returns the claim that is checked against the samples.
-    pub fn claim(&self) -> Claim<'_> {
-        Claim {
+    pub fn claim(&self) -> ClaimedResult<'_> {
+        ClaimedResult {
             t_s: &self.t_s,
             r_ohm: &self.r_ohm,
             l_h: &self.l_h,

@@ -11,7 +11,7 @@ use std::time::Duration;
 use ihd_link::{Client, DeviceEvent, KEEPALIVE_PERIOD, LinkError, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{FrontEnd, Status};
-use ihd_survey::calibration::Reference;
+use ihd_survey::calibration::ReferenceLoad;
 
 use crate::Check;
 use crate::board::{bus_volt, is_off};
@@ -74,7 +74,7 @@ struct SwitchingRecord {
 /// result is the reason for an early end if the link was lost.
 pub fn run(
     client: &mut Client,
-    reference: Option<Reference>,
+    reference: Option<ReferenceLoad>,
     stop: &AtomicBool,
 ) -> (Vec<Check>, Option<String>) {
     let scales = client.front_end().clone();

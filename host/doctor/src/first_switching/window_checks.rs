@@ -7,7 +7,7 @@ use ihd_link::Window;
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_shared::wire::messages::FrontEnd;
 use ihd_signal::{Capture, TimeBase};
-use ihd_survey::calibration::{Reference, estimate};
+use ihd_survey::calibration::{ReferenceLoad, estimate};
 use ihd_survey::{Hints, Survey};
 
 use super::period::Period;
@@ -71,7 +71,7 @@ pub(super) fn window(
     window: &Window,
     scales: &FrontEnd,
     bus_v: f64,
-    reference: Option<Reference>,
+    reference: Option<ReferenceLoad>,
 ) -> Vec<Check> {
     let Some(period) = Period::of(window) else {
         let names = super::NAMES.into_iter().skip(3);
@@ -200,7 +200,7 @@ fn load(period: &Period, f_sw_hz: u32) -> Vec<Check> {
 }
 
 /// Checks the skew of the current against the voltage, if the load is known.
-fn skew(window: &Window, scales: &FrontEnd, reference: Option<Reference>) -> Check {
+fn skew(window: &Window, scales: &FrontEnd, reference: Option<ReferenceLoad>) -> Check {
     const NAME: &str = "skew";
     let Some(reference) = reference else {
         return Check::not_tested(NAME, "skew and load look alike where nothing is known of the load").with_remedy(

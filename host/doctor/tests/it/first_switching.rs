@@ -9,7 +9,7 @@ use ihd_shared::wire::messages::State;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::inverter::supply::SupplyParts;
 use ihd_sim::transport::SharedHob;
-use ihd_survey::calibration::Reference;
+use ihd_survey::calibration::ReferenceLoad;
 
 use crate::desk::{Watched, complete, connected, failed, of, on_bench};
 
@@ -66,7 +66,7 @@ fn the_load_and_the_edges_are_those_of_the_table() {
 #[test]
 fn a_known_load_gives_the_skew() {
     let (_, _, r_ohm, l_uh) = TABLE[0];
-    let reference = Reference::Load {
+    let reference = ReferenceLoad::Load {
         r_ohm: Some(r_ohm),
         l_h: Some(l_uh * 1e-6),
     };

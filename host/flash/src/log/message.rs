@@ -7,7 +7,7 @@ use serde::{Serialize, Serializer};
 /// Severity of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Level {
+pub enum LogLevel {
     /// Every step.
     Trace,
     /// Information for debugging.
@@ -20,7 +20,7 @@ pub enum Level {
     Error,
 }
 
-impl Level {
+impl LogLevel {
     /// All levels, the lowest first.
     pub const ALL: [Self; 5] = [
         Self::Trace,
@@ -42,7 +42,7 @@ impl Level {
     }
 }
 
-impl From<defmt_parser::Level> for Level {
+impl From<defmt_parser::Level> for LogLevel {
     fn from(level: defmt_parser::Level) -> Self {
         use defmt_parser::Level as Of;
         match level {
@@ -82,7 +82,7 @@ impl Serialize for SourceLocation {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogMessage {
     /// Severity; `None` if the firmware prints without a level.
-    pub level: Option<Level>,
+    pub level: Option<LogLevel>,
     /// Text.
     pub text: String,
     /// Time of the board; `None` if it sends none.

@@ -6,7 +6,7 @@ use defmt_decoder::{Encoding, Locations};
 use object::{Object, ObjectSection, ObjectSymbol};
 use serde::{Deserialize, Serialize};
 
-use super::message::{Level, LogMessage, SourceLocation};
+use super::message::{LogLevel, LogMessage, SourceLocation};
 use super::rzcobs;
 use super::walk::{self, Format, Formats};
 use ihd_signal::printable;
@@ -116,7 +116,7 @@ impl LogTable {
         let (frame, _) = self.defmt.decode(&bytes).ok()?;
         let place = self.locations.get(&frame.index());
         Some(LogMessage {
-            level: frame.level().map(Level::from),
+            level: frame.level().map(LogLevel::from),
             text: printable(&frame.display_message().to_string()).to_string(),
             uptime: frame
                 .display_timestamp()

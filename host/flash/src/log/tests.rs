@@ -4,7 +4,7 @@ use ihd_signal::printable::is_shown;
 use proptest::prelude::*;
 
 use super::decoder::{Decoded, Decoder};
-use super::message::{Level, LogMessage};
+use super::message::{LogLevel, LogMessage};
 use super::table::{LogTable, LogTableError};
 use ihd_fakes::SampleLog;
 
@@ -30,12 +30,12 @@ fn message(number: u16, values: &[u8]) -> LogMessage {
 fn values_are_put_into_the_texts() {
     let watchdog = message(1, &[0xE8, 3, 0, 0]);
     assert_eq!(watchdog.text, "watchdog runs: 1000 µs");
-    assert_eq!(watchdog.level, Some(Level::Info));
+    assert_eq!(watchdog.level, Some(LogLevel::Info));
     assert_eq!(watchdog.place, None);
     let fault = message(2, &[0x2A, 0]);
     assert_eq!(
         (fault.text.as_str(), fault.level),
-        ("self-test: fault 0x002a", Some(Level::Error))
+        ("self-test: fault 0x002a", Some(LogLevel::Error))
     );
     let values = [
         &[2, 0, 0, 0][..],

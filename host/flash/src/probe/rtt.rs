@@ -4,7 +4,7 @@
 
 use super::running_target::RunningTarget;
 use super::{ProbeInfo, Probes, errors};
-use crate::log_source::LogSource;
+use crate::log_source::LogByteSource;
 use crate::programmer::{FlashStep, ProgramError};
 
 /// Address range of the program's variables (memory.x): between the stack and the crash record.
@@ -24,7 +24,7 @@ const READ: u32 = 40;
 const MOST_BYTES: u32 = 64 << 10;
 
 /// See [`Probes::log`]. While a chip is in reset or its program has not initialised the log, reading returns nothing. A
-/// disconnected probe or supply is an error, which [`LogSource::resume`] cures once it is back.
+/// disconnected probe or supply is an error, which [`LogByteSource::resume`] cures once it is back.
 #[derive(Debug)]
 pub struct RttSource {
     probes: Probes,
@@ -89,7 +89,7 @@ impl RttSource {
     /// Reads memory while following the log.
     ///
     /// # Errors
-    /// Any error of [`LogSource::read`].
+    /// Any error of [`LogByteSource::read`].
     pub fn memory(&mut self, address: u32, out: &mut [u8]) -> Result<(), ProgramError> {
         if self.target.is_none() {
             self.resume()?;
@@ -148,7 +148,7 @@ fn drain(
     Ok(Some(bytes.len()))
 }
 
-impl LogSource for RttSource {
+impl LogByteSource for RttSource {
     fn describe(&self) -> String {
         format!("RTT through {}", self.info.describe())
     }

@@ -16,7 +16,7 @@ use super::{AccessArgs, ago};
 #[command(
     after_help = "Example: ihd-fleet capture get lab-1/bench-2026-11-23T08-00-00Z.mcap bench.mcap"
 )]
-pub struct CaptureArgs {
+pub struct FleetCaptureArgs {
     #[command(subcommand)]
     command: Command,
 }
@@ -42,7 +42,7 @@ enum Command {
     },
 }
 
-impl CaptureArgs {
+impl FleetCaptureArgs {
     /// Returns `true` if the command has JSON to print.
     pub(super) fn prints_json(&self) -> bool {
         matches!(self.command, Command::Ls)

@@ -54,7 +54,7 @@ enum Command {
     Status(status::StatusArgs),
     Retry(dead::RetryArgs),
     Lookup(lookups::LookupArgs),
-    Capture(captures::CaptureArgs),
+    Capture(captures::FleetCaptureArgs),
 }
 
 /// Error of `ihd-fleet status --check`: the fleet needs attention.

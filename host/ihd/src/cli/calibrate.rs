@@ -6,7 +6,7 @@ use anyhow::{Result, ensure};
 use clap::Args;
 use ihd_signal::Capture;
 use ihd_survey::Survey;
-use ihd_survey::calibration::{Calibration, Reference, blind, estimate};
+use ihd_survey::calibration::{Calibration, ReferenceLoad, blind, estimate};
 
 use super::capture_args::CaptureArgs;
 use super::global::Global;
@@ -41,7 +41,7 @@ pub struct CalibrateArgs {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Against {
     /// Load with known properties.
-    Known(Reference),
+    Known(ReferenceLoad),
     /// The plateaus between the bridge's edges, with any load.
     Plateaus,
 }
@@ -55,7 +55,7 @@ fn against(text: &str) -> Result<Against> {
 }
 
 /// Parses `no-pot`, `no-pot,r=0.1,l=72u`, `r=3.3,l=25u`.
-pub(super) fn reference(text: &str) -> Result<Reference> {
+pub(super) fn reference(text: &str) -> Result<ReferenceLoad> {
     let (mut no_pot, mut r_ohm, mut l_h) = (false, None, None);
     for word in text.split(',').map(str::trim) {
         if word == "no-pot" {
@@ -74,9 +74,9 @@ pub(super) fn reference(text: &str) -> Result<Reference> {
         *slot.0 = Some(number);
     }
     Ok(if no_pot {
-        Reference::NoPot { r_ohm, l_h }
+        ReferenceLoad::NoPot { r_ohm, l_h }
     } else {
-        Reference::Load { r_ohm, l_h }
+        ReferenceLoad::Load { r_ohm, l_h }
     })
 }
 
@@ -156,14 +156,14 @@ mod tests {
 
     #[test]
     fn words_become_references() {
-        let empty = Reference::NoPot {
+        let empty = ReferenceLoad::NoPot {
             r_ohm: None,
             l_h: None,
         };
         assert_eq!(reference("no-pot").ok(), Some(empty));
         let known = reference("no-pot,r=0.1,l=72u").unwrap();
         assert!(
-            matches!(known, Reference::NoPot { r_ohm: Some(r), l_h: Some(l) }
+            matches!(known, ReferenceLoad::NoPot { r_ohm: Some(r), l_h: Some(l) }
             if r == 0.1 && (l / 72e-6 - 1.0).abs() < 1e-9)
         );
         assert_eq!(known.to_string(), "no-pot,r=0.1,l=72.0000u");

@@ -5,7 +5,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use ihd_signal::Capture;
 use nalgebra::Complex;
 
-use super::{CONTRADICT, Calibration, Reference, WELL_KNOWN_S};
+use super::{CONTRADICT, Calibration, ReferenceLoad, WELL_KNOWN_S};
 use crate::impedance::{Wiring, load_of_order};
 use crate::track::{ORDERS, Track, track};
 use crate::{Finding, Severity, Survey, SurveyError};
@@ -71,7 +71,7 @@ const STEEP: f64 = 0.15;
 pub fn estimate(
     capture: &Capture,
     survey: &Survey,
-    reference: Reference,
+    reference: ReferenceLoad,
 ) -> Result<Calibration, CalibrateError> {
     // A negative R is no obstacle, because a skew causes it; every other finding of this severity is.
     let unfit = |f: &&Finding| {
@@ -86,8 +86,8 @@ pub fn estimate(
     let points = points(capture, survey);
     let mut assumed = vec!["no direct current in the coil (offsets)".to_owned()];
     let result = match reference {
-        Reference::NoPot { r_ohm, l_h } => no_pot(survey, &points, r_ohm, l_h, &mut assumed)?,
-        Reference::Load { r_ohm, l_h } => load(survey, &points, r_ohm, l_h, &mut assumed)?,
+        ReferenceLoad::NoPot { r_ohm, l_h } => no_pot(survey, &points, r_ohm, l_h, &mut assumed)?,
+        ReferenceLoad::Load { r_ohm, l_h } => load(survey, &points, r_ohm, l_h, &mut assumed)?,
     };
     Ok(Calibration {
         skew_s: result.skew.0,

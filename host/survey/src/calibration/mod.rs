@@ -17,11 +17,11 @@ mod reference;
 use std::path::{Path, PathBuf};
 
 pub use self::blind::Correction;
-use self::blind::{Response, SelfCalibration};
+use self::blind::{SelfCalibration, SensorResponse};
 use crate::Survey;
 pub use estimate::{CalibrateError, estimate};
 use ihd_signal::Capture;
-pub use reference::Reference;
+pub use reference::ReferenceLoad;
 use serde::{Deserialize, Serialize};
 
 use crate::time::runs;
@@ -98,7 +98,7 @@ impl Calibration {
         }
         Self {
             skew_s: match sensors.response {
-                Response::Right => 0.0,
+                SensorResponse::Right => 0.0,
                 _ => alike.skew_s,
             },
             skew_sigma_s: sensors.lag_s.sigma,

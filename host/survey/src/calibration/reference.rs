@@ -4,7 +4,7 @@ use std::fmt;
 
 /// Load with known properties.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Reference {
+pub enum ReferenceLoad {
     /// Coil without a pot: its R is small and grows no faster than √f, its L is constant.
     NoPot {
         /// R in ohm at the lowest frequency; `None` if unknown.
@@ -21,7 +21,7 @@ pub enum Reference {
     },
 }
 
-impl fmt::Display for Reference {
+impl fmt::Display for ReferenceLoad {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (words, r_ohm, l_h) = match *self {
             Self::NoPot { r_ohm, l_h } => ("no-pot", r_ohm, l_h),

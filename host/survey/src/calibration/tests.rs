@@ -39,12 +39,12 @@ fn capture(settings: &CaptureSpec) -> Capture {
     record(settings, |_| ()).unwrap().capture("reference")
 }
 
-fn calibrated(capture: &Capture, reference: Reference) -> Result<Calibration, CalibrateError> {
+fn calibrated(capture: &Capture, reference: ReferenceLoad) -> Result<Calibration, CalibrateError> {
     let survey = Survey::of(capture, &Hints::default()).unwrap();
     estimate(capture, &survey, reference)
 }
 
-const EMPTY: Reference = Reference::NoPot {
+const EMPTY: ReferenceLoad = ReferenceLoad::NoPot {
     r_ohm: None,
     l_h: None,
 };
@@ -65,7 +65,7 @@ fn the_empty_coil_gives_skew_and_offsets_and_with_its_l_the_gains() {
 
     // R and L as the simulator has them.
     let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::None, 45e3).r_l(0.0);
-    let known = Reference::NoPot {
+    let known = ReferenceLoad::NoPot {
         r_ohm: Some(r_ohm),
         l_h: Some(l_h),
     };
@@ -98,7 +98,7 @@ fn a_known_load_gives_skew_and_gains() {
     let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::Stainless, 45e3).r_l(0.0);
     let mut s = settings(pot, chain(Some(50.0)), 3);
     (s.sensing.v_full_scale_v, s.sensing.i_full_scale_a) = (800.0, 400.0);
-    let both = Reference::Load {
+    let both = ReferenceLoad::Load {
         r_ohm: Some(r_ohm),
         l_h: Some(l_h),
     };
@@ -110,7 +110,7 @@ fn a_known_load_gives_skew_and_gains() {
     );
     // R alone: the gains have to be right.
     (s.sensing.v_gain, s.sensing.i_gain) = (1.0, 1.0);
-    let r_only = Reference::Load {
+    let r_only = ReferenceLoad::Load {
         r_ohm: Some(r_ohm),
         l_h: None,
     };
@@ -122,7 +122,7 @@ fn a_known_load_gives_skew_and_gains() {
 fn the_deviation_reported_is_that_of_many_seeds() {
     let pot = SimulatedPot::new(Metal::Stainless, 0.21);
     let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::Stainless, 45e3).r_l(0.0);
-    let both = Reference::Load {
+    let both = ReferenceLoad::Load {
         r_ohm: Some(r_ohm),
         l_h: Some(l_h),
     };
@@ -169,7 +169,7 @@ fn applied_it_takes_the_error_out_of_another_capture() {
         let (mut c, wrong) = with(chain(None));
         assert!((wrong.r_ohm / truth.r_ohm - 1.0).abs() > 0.02);
         let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::None, 45e3).r_l(0.0);
-        let known = Reference::NoPot {
+        let known = ReferenceLoad::NoPot {
             r_ohm: Some(r_ohm),
             l_h: Some(l_h),
         };
@@ -240,7 +240,7 @@ fn what_gives_no_calibration_is_refused_with_the_reason() {
     let heated = capture(&settings(pot, chain(None), 7));
     let e = calibrated(&heated, EMPTY).unwrap_err();
     assert!(matches!(e, CalibrateError::NotTheReference { .. }), "{e}");
-    let small = Reference::Load {
+    let small = ReferenceLoad::Load {
         r_ohm: None,
         l_h: Some(80e-6),
     };

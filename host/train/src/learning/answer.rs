@@ -3,7 +3,7 @@
 //! [`analyse_window`] runs there, with the same result on every machine. [`Learning::learn_from_answer`] runs at the device's daemon and
 //! accepts only what the window's own samples confirm.
 
-use ihd_gate::claim::{self, Claim, ClaimError, Confirmation};
+use ihd_gate::claim::{self, ClaimError, ClaimedResult, Confirmation};
 use ihd_link::Window;
 use ihd_map::{CurrentCurve, CurveMatch};
 use ihd_pinn::{Identification, PinnConfig};
@@ -120,7 +120,7 @@ impl Learning {
         &mut self,
         boot: u32,
         window: &Window,
-        claim: &Claim<'_>,
+        claim: &ClaimedResult<'_>,
     ) -> Result<ConfirmedAnswer, AnswerError> {
         let raw = window.segment();
         let is_checked = window.seq < ALL_CHECKED || window.seq.is_multiple_of(ONE_CHECKED_OF);

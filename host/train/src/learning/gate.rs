@@ -1,6 +1,6 @@
 //! Gate of the lookup: the judgement of `ihd identify` with two findings raised to errors.
 
-use ihd_gate::{Evidence, Judgement, Reference};
+use ihd_gate::{Evidence, Judgement, ReferenceResults};
 use ihd_identify::network::append;
 use ihd_identify::{Estimate, Method};
 use ihd_pinn::Identification;
@@ -18,7 +18,7 @@ pub fn judge(segment: &Segment, identified: &Identification, sensors: &[Remark])
         remarks: sensors,
         segment,
         estimate: &estimate,
-        reference: &Reference::compute(segment),
+        reference: &ReferenceResults::compute(segment),
     });
     let mut findings = judgement.findings;
     for finding in &mut findings {

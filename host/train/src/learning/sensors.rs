@@ -7,7 +7,7 @@ use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
-use ihd_survey::calibration::blind::{BlindError, Correction, Estimate, estimate_segment};
+use ihd_survey::calibration::blind::{BlindError, Correction, FittedValue, estimate_segment};
 use serde::{Deserialize, Serialize};
 
 /// Code of the remark that is made once when a correction begins.
@@ -44,7 +44,7 @@ struct Mean {
 }
 
 impl Mean {
-    fn add(&mut self, found: Estimate) {
+    fn add(&mut self, found: FittedValue) {
         let weight = found.sigma.powi(-2);
         if !(weight.is_finite() && found.value.is_finite()) {
             return;
@@ -56,8 +56,8 @@ impl Mean {
         };
     }
 
-    fn mean(&self) -> Option<Estimate> {
-        (self.weight > 0.0).then(|| Estimate {
+    fn mean(&self) -> Option<FittedValue> {
+        (self.weight > 0.0).then(|| FittedValue {
             value: self.weighted / self.weight,
             sigma: self.weight_squared.sqrt() / self.weight,
         })
@@ -89,7 +89,7 @@ pub struct SensorEvidence {
     /// Set if the window is too noisy for an estimate.
     pub noisy: bool,
     /// Lag of the current in nanoseconds and series capacitance in nanofarad; `None` if the window does not show them.
-    pub found: Option<[Estimate; 2]>,
+    pub found: Option<[FittedValue; 2]>,
     /// Faults of this window; not serialised.
     #[serde(skip)]
     pub remarks: Vec<Remark>,
@@ -103,7 +103,7 @@ impl SensorEvidence {
             evidence.noisy = true;
             return evidence;
         }
-        let scaled = |f: Estimate, by: f64| Estimate {
+        let scaled = |f: FittedValue, by: f64| FittedValue {
             value: by * f.value,
             sigma: by.abs() * f.sigma,
         };
@@ -160,8 +160,8 @@ impl Sensors {
     }
 
     /// Returns the current's lag behind the voltage in seconds, with its deviation; `None` before the first window.
-    pub fn lag_s(&self) -> Option<Estimate> {
-        self.lag_ns.mean().map(|f| Estimate {
+    pub fn lag_s(&self) -> Option<FittedValue> {
+        self.lag_ns.mean().map(|f| FittedValue {
             value: 1e-9 * f.value,
             sigma: 1e-9 * f.sigma,
         })

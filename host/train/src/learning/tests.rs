@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ihd_gate::claim::{Claim, ClaimError, confirm};
+use ihd_gate::claim::{ClaimError, ClaimedResult, confirm};
 use ihd_link::{Client, DeviceEvent, Window};
 use ihd_map::{CurveMatch, PotMap};
 use ihd_pinn::{Identification, PinnConfig, StopReason};
@@ -376,8 +376,8 @@ fn a_load_is_forgotten_and_what_other_hobs_know_is_not() {
     assert!(restored.map().library().is_none());
 }
 
-fn claim_of(found: &Identification) -> Claim<'_> {
-    Claim {
+fn claim_of(found: &Identification) -> ClaimedResult<'_> {
+    ClaimedResult {
         t_s: &found.t_s,
         r_ohm: &found.r_ohm,
         l_h: &found.l_h,
@@ -488,7 +488,7 @@ fn a_lie_is_refuted_by_the_samples_and_moves_nothing() {
                 assert!(matches!(why, AnswerError::Refuted(_)), "{name}: {why}");
                 assert_eq!(learning.to_bytes(), before, "{name}");
             }
-            let half = Claim {
+            let half = ClaimedResult {
                 t_s: &found.t_s[..found.t_s.len() / 2],
                 r_ohm: &found.r_ohm[..found.t_s.len() / 2],
                 l_h: &found.l_h[..found.t_s.len() / 2],

@@ -7,7 +7,7 @@ use ihd_flash::Image;
 use ihd_flash::log::decoder::{Decoded, Decoder};
 use ihd_flash::log::find::Places;
 use ihd_flash::log::follow::LogOpener;
-use ihd_flash::log::message::{Level, LogMessage};
+use ihd_flash::log::message::{LogLevel, LogMessage};
 use ihd_flash::log::over_link::LinkLogOpener;
 use ihd_flash::log::over_probe::ProbeLogOpener;
 use ihd_flash::probe::Probes;
@@ -83,7 +83,7 @@ fn assert_tells_the_start(found: &[Decoded]) {
         assert!(line_of(message).contains(text.trim()), "{message:?}");
     }
     let watchdog = &messages[places[4]];
-    assert_eq!(watchdog.level, Some(Level::Info));
+    assert_eq!(watchdog.level, Some(LogLevel::Info));
     let us = watchdog
         .text
         .strip_prefix("watchdog runs: ")

@@ -16,7 +16,7 @@ use ihd_doctor::machine::{self, LocalSystem, System};
 use ihd_doctor::{Check, CheckGroup, Report, board, firmware, first_switching};
 use ihd_flash::{Image, ImageError};
 use ihd_link::Client;
-use ihd_survey::calibration::Reference;
+use ihd_survey::calibration::ReferenceLoad;
 
 use super::global::Global;
 use super::output::complain;
@@ -52,7 +52,7 @@ pub struct DoctorArgs {
     yes: bool,
     /// Known load, for the skew of the channels: r=OHM,l=HENRY, or no-pot,r=OHM
     #[arg(long, value_name = "REF", value_parser = super::calibrate::reference, requires = "first_switching")]
-    reference: Option<Reference>,
+    reference: Option<ReferenceLoad>,
     /// The image that should run; without one what this program carries, or the checkout's
     #[arg(long, value_name = "ELF")]
     image: Option<PathBuf>,

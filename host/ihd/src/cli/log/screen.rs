@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use ihd_flash::log::decoder::Decoded;
 use ihd_flash::log::follow::LogEvent;
-use ihd_flash::log::message::{Level, LogMessage, SourceLocation};
+use ihd_flash::log::message::{LogLevel, LogMessage, SourceLocation};
 use jiff::Timestamp;
 use serde::Serialize;
 
@@ -31,7 +31,7 @@ pub(super) struct Screen {
 struct Line<'a> {
     /// Time of the host.
     t: String,
-    level: Option<Level>,
+    level: Option<LogLevel>,
     message: &'a str,
     module: Option<&'a str>,
     location: Option<&'a SourceLocation>,
@@ -194,9 +194,9 @@ fn written(t: Timestamp) -> String {
 /// Parts of a message's line: time, level, module, text, place.
 fn parts(t: &str, message: &LogMessage) -> Vec<(Colour, String)> {
     let (colour, word) = match message.level {
-        Some(Level::Error) => (Colour::Red, "error"),
-        Some(Level::Warn) => (Colour::Yellow, "warn"),
-        Some(Level::Info) => (Colour::Green, "info"),
+        Some(LogLevel::Error) => (Colour::Red, "error"),
+        Some(LogLevel::Warn) => (Colour::Yellow, "warn"),
+        Some(LogLevel::Info) => (Colour::Green, "info"),
         Some(level) => (Colour::Dim, level.as_str()),
         None => (Colour::Plain, "-"),
     };
@@ -223,7 +223,7 @@ mod tests {
 
     fn message() -> LogMessage {
         LogMessage {
-            level: Some(Level::Warn),
+            level: Some(LogLevel::Warn),
             text: "lookup 7 was not kept".into(),
             uptime: None,
             place: Some(SourceLocation {

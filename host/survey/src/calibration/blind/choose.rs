@@ -3,7 +3,7 @@
 use super::basis::Bases;
 use super::edges::Stretch;
 use super::error::BlindError;
-use super::fit::{Estimate, Fit, Model, Scope};
+use super::fit::{Fit, FittedValue, Model, Scope};
 use super::plateau::{Guards, Plateau, of_stretch};
 
 /// Chosen model and its results.
@@ -13,7 +13,7 @@ pub(super) struct ModelChoice {
     /// Side of the plateaus that were used: the one whose level is ground; `None` for both.
     pub side: Option<usize>,
     /// Relative change of the charge at the largest current, proportional to the cubed current.
-    pub bend: Estimate,
+    pub bend: FittedValue,
     /// Squared deviations that the chosen model explains beyond a skew.
     pub beyond_skew: f64,
     pub plateaus: usize,
@@ -22,7 +22,7 @@ pub(super) struct ModelChoice {
     /// Largest amplitude of the current in ampere.
     pub i_a: f64,
     /// Lag expressed as a skew, whatever its cause.
-    pub skew_s: Estimate,
+    pub skew_s: FittedValue,
 }
 
 /// Guards after an edge in seconds, tried in order: an edge of 0.2 µs with ringing; a filter of 500 kHz; the slowest that
@@ -128,7 +128,7 @@ fn judge(plateaus: &[Plateau], settling_s: Option<f64>) -> Option<ModelChoice> {
     let i_a = used().map(|p| p.carrier.i_a).fold(0.0, f64::max);
     let bend = scope
         .fit(fit.model)
-        .map_or(Estimate::default(), |f| Estimate {
+        .map_or(FittedValue::default(), |f| FittedValue {
             value: 0.75 * f.cubic.value * i_a * i_a,
             sigma: 0.75 * f.cubic.sigma * i_a * i_a,
         });
@@ -146,7 +146,7 @@ fn judge(plateaus: &[Plateau], settling_s: Option<f64>) -> Option<ModelChoice> {
 }
 
 fn agree(a: &Fit, b: &Fit) -> bool {
-    let within = |a: Estimate, b: Estimate, least: f64| {
+    let within = |a: FittedValue, b: FittedValue, least: f64| {
         let apart = (a.value - b.value).abs();
         apart <= least.max(SIDES_SIGMAS * a.sigma.hypot(b.sigma))
     };
@@ -156,7 +156,7 @@ fn agree(a: &Fit, b: &Fit) -> bool {
 
 /// Model with the least Bayesian information criterion; the equivalent skew; and the squared deviations that the model
 /// explains beyond a skew.
-fn best_model(scope: &Scope) -> Option<(Fit, Estimate, f64)> {
+fn best_model(scope: &Scope) -> Option<(Fit, FittedValue, f64)> {
     let all: Vec<Fit> = [
         Model::Right,
         Model::Skew,

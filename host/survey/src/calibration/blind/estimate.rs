@@ -8,8 +8,8 @@ use ihd_signal::{Capture, Load};
 use super::choose::{ModelChoice, TOLD_APART};
 use super::edges::Stretch;
 use super::error::BlindError;
-use super::fit::{Estimate, Model};
-use super::self_calibration::{ModelTests, Response, SIGNIFICANT, SelfCalibration};
+use super::fit::{FittedValue, Model};
+use super::self_calibration::{ModelTests, SIGNIFICANT, SelfCalibration, SensorResponse};
 use super::settle::{SettledChoice, settle};
 use crate::clipping::level_step;
 use crate::{Channel, Finding, Severity, Survey};
@@ -147,12 +147,12 @@ fn judged(
         (100.0 * angle * x / r, 100.0 * angle * r / x)
     });
     Ok(SelfCalibration {
-        capacitance_f: Estimate {
+        capacitance_f: FittedValue {
             value: 1.0 / e.value,
             sigma: e.sigma / (e.value * e.value),
         },
         lag_s,
-        as_skew_s: Estimate {
+        as_skew_s: FittedValue {
             value: chosen.skew_s.value + v_tau_s + settled.skew_s,
             sigma: chosen.skew_s.sigma,
         },
@@ -175,29 +175,29 @@ fn judged(
 /// Amplitude of a capacitor's voltage in volt that would have been visible.
 const HIDDEN_V: f64 = 10.0;
 
-fn response(settled: &SettledChoice) -> Response {
+fn response(settled: &SettledChoice) -> SensorResponse {
     let (chosen, v_tau_s, before_s) = (&settled.chosen, settled.v_tau_s, settled.skew_s);
     if v_tau_s > 0.0 {
-        return Response::SlowVoltage { tau_s: v_tau_s };
+        return SensorResponse::SlowVoltage { tau_s: v_tau_s };
     }
     let (t_s, corner_hz) = (chosen.fit.time_s.value, chosen.fit.droop.value / TAU);
-    let droop = |skew_s, tau_s| Response::Droop {
+    let droop = |skew_s, tau_s| SensorResponse::Droop {
         corner_hz,
         skew_s: before_s + skew_s,
         tau_s,
     };
-    let skew = |skew_s| Response::Skew {
+    let skew = |skew_s| SensorResponse::Skew {
         skew_s: before_s + skew_s,
     };
     match chosen.fit.model {
-        Model::Right if before_s == 0.0 => Response::Right,
+        Model::Right if before_s == 0.0 => SensorResponse::Right,
         Model::Right => skew(0.0),
         Model::Skew => skew(t_s),
         // So long a lag comes from a probe rather than a delay, unless the delay explains more.
         Model::SlowCurrent
             if before_s == 0.0 && (chosen.beyond_skew > TOLD_APART || t_s > LONG_S) =>
         {
-            Response::SlowCurrent { tau_s: t_s }
+            SensorResponse::SlowCurrent { tau_s: t_s }
         }
         // A skew explains it as well and needs no filter.
         Model::SlowCurrent => skew(-t_s),
@@ -207,7 +207,7 @@ fn response(settled: &SettledChoice) -> Response {
     }
 }
 
-fn lag(chosen: &ModelChoice, omega: f64) -> Estimate {
+fn lag(chosen: &ModelChoice, omega: f64) -> FittedValue {
     let (time, skew) = (chosen.fit.time_s, chosen.skew_s);
     let droop_s = chosen.fit.droop.value / (omega * omega);
     let value = match chosen.fit.model {
@@ -217,7 +217,7 @@ fn lag(chosen: &ModelChoice, omega: f64) -> Estimate {
         Model::Droop | Model::SkewAndDroop => -time.value - droop_s,
     };
     // Time and corner are estimated together: their sum is as precise as a skew.
-    Estimate {
+    FittedValue {
         value,
         sigma: skew.sigma,
     }

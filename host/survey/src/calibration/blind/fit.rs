@@ -59,7 +59,7 @@ impl Model {
 
 /// Value and its standard deviation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Estimate {
+pub struct FittedValue {
     /// Estimated value.
     pub value: f64,
     /// Standard deviation of the value.
@@ -71,13 +71,13 @@ pub struct Estimate {
 pub(super) struct Fit {
     pub model: Model,
     /// 1/C in 1/farad.
-    pub elastance: Estimate,
+    pub elastance: FittedValue,
     /// Skew or time constant in seconds.
-    pub time_s: Estimate,
+    pub time_s: FittedValue,
     /// Corner of the high-pass in radian per second.
-    pub droop: Estimate,
+    pub droop: FittedValue,
     /// Coefficient of the integral of the cubed current over 1/C; zero unless it was fitted.
-    pub cubic: Estimate,
+    pub cubic: FittedValue,
     /// Change of each side's level per change of the bridge's amplitude.
     pub follows_bus: [f64; 2],
     /// Sum of squared residuals, and their number.
@@ -192,11 +192,11 @@ impl Scope<'_> {
         let (cov, left, misfit) = self.spread(model, (e, t_s, droop), &normal, &x)?;
         let sigma = |k: usize| cov[(k, k)].max(0.0).sqrt();
         let estimate = |has: bool, k: usize, value: f64| match has {
-            true => Estimate {
+            true => FittedValue {
                 value,
                 sigma: sigma(k),
             },
-            false => Estimate::default(),
+            false => FittedValue::default(),
         };
         let nuisance = columns - 2 * self.of_a_side();
         Some(Fit {
@@ -206,7 +206,7 @@ impl Scope<'_> {
             droop: estimate(model.has_droop(), 1 + usize::from(model.has_time()), droop),
             cubic: match self.cubic {
                 true => estimate(true, nuisance - 1, x[nuisance - 1]),
-                false => Estimate::default(),
+                false => FittedValue::default(),
             },
             follows_bus: [x[nuisance + 1], x[nuisance + self.of_a_side() + 1]],
             left,

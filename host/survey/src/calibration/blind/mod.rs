@@ -34,6 +34,6 @@ pub use self::calibrated_capture::{
 pub use self::correction::Correction;
 pub use self::error::BlindError;
 pub use self::estimate::{estimate, estimate_segment};
-pub use self::fit::Estimate;
-pub use self::self_calibration::{ModelTests, Response, SelfCalibration};
+pub use self::fit::FittedValue;
+pub use self::self_calibration::{ModelTests, SelfCalibration, SensorResponse};
 pub use self::straighten::Saturation;

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use ihd_signal::{Remark, Severity};
 
 use super::error::BlindError;
-use super::self_calibration::{Response, SelfCalibration};
+use super::self_calibration::{SelfCalibration, SensorResponse};
 use super::straighten::Saturation;
 
 /// Error of R in percent from which an uncorrected lag is a warning.
@@ -145,17 +145,17 @@ impl SelfCalibration {
             )
         };
         match self.response {
-            Response::Right | Response::Skew { .. } if lag > 0.0 => (
+            SensorResponse::Right | SensorResponse::Skew { .. } if lag > 0.0 => (
                 "skew",
                 format!("the current is behind by {lag:.1} ± {sigma:.1} ns"),
             ),
-            Response::Right | Response::Skew { .. } => (
+            SensorResponse::Right | SensorResponse::Skew { .. } => (
                 "skew",
                 format!("the current is sampled {:.1} ± {sigma:.1} ns late", -lag),
             ),
-            Response::SlowCurrent { tau_s } => ("bandwidth", band("current", tau_s)),
-            Response::SlowVoltage { tau_s } => ("bandwidth", band("voltage", tau_s)),
-            Response::Droop { corner_hz, .. } => (
+            SensorResponse::SlowCurrent { tau_s } => ("bandwidth", band("current", tau_s)),
+            SensorResponse::SlowVoltage { tau_s } => ("bandwidth", band("voltage", tau_s)),
+            SensorResponse::Droop { corner_hz, .. } => (
                 "droop",
                 format!(
                     "the current droops with a corner of {corner_hz:.0} Hz, and is {:.1} ± {sigma:.1} ns ahead in all",

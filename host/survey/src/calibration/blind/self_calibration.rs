@@ -3,12 +3,12 @@
 use serde::Serialize;
 
 use super::correction::Correction;
-use super::fit::Estimate;
+use super::fit::FittedValue;
 
 /// Response of the sensors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
-pub enum Response {
+pub enum SensorResponse {
     /// Both channels are equal.
     Right,
     /// The current is sampled later; or both channels have different delays for any reason.
@@ -45,7 +45,7 @@ pub struct ModelTests {
     /// `true` if the misfit is within noise or below its limit.
     pub flat: bool,
     /// Relative change of the current sensor's gain at the largest current; positive for a saturating sensor.
-    pub bend: Estimate,
+    pub bend: FittedValue,
     /// `true` if both sides of the bridge agree; else the one at ground was used.
     pub sides_agree: bool,
 }
@@ -54,14 +54,14 @@ pub struct ModelTests {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SelfCalibration {
     /// Series capacitance in farad, times gain of the current over gain of the voltage.
-    pub capacitance_f: Estimate,
+    pub capacitance_f: FittedValue,
     /// Lag of the current behind the voltage in seconds, to first order at the switching frequency: the time constant of a slow
     /// current, a negative skew, and the bridge's resistance times C.
-    pub lag_s: Estimate,
+    pub lag_s: FittedValue,
     /// Lag as a pure skew in seconds, positive if the current is later; its deviation contains no choice of model.
-    pub as_skew_s: Estimate,
+    pub as_skew_s: FittedValue,
     /// Sensor response that explains it.
-    pub response: Response,
+    pub response: SensorResponse,
     /// `true` if the capture distinguishes that response from a mere skew of the same lag.
     pub told_apart: bool,
     /// Tests of the model.
@@ -115,7 +115,7 @@ impl SelfCalibration {
     /// Returns `true` if the channels differ by more than noise.
     pub fn is_significant(&self) -> bool {
         let lag = self.lag_s;
-        self.response != Response::Right
+        self.response != SensorResponse::Right
             && lag.value.abs() > (SIGNIFICANT * lag.sigma).max(LEAST_LAG_S)
     }
 
@@ -128,9 +128,9 @@ impl SelfCalibration {
     /// than a bridge's resistance causes, and no sensor fault is distinguished.
     pub fn may_be_the_bridge(&self) -> bool {
         let least_s = match self.response {
-            Response::Skew { .. } => 0.0,
+            SensorResponse::Skew { .. } => 0.0,
             // Less precise, because it is estimated together with the corner.
-            Response::Droop { .. } => LEAST_BESIDE_DROOP_S,
+            SensorResponse::Droop { .. } => LEAST_BESIDE_DROOP_S,
             _ => return false,
         };
         (least_s..BRIDGE_R_OHM * self.capacitance_f.value).contains(&self.beside_droop_s())
@@ -144,7 +144,7 @@ impl SelfCalibration {
     /// Lag of the current without droop's share, in seconds.
     fn beside_droop_s(&self) -> f64 {
         match self.response {
-            Response::Droop { skew_s, tau_s, .. } => tau_s - skew_s,
+            SensorResponse::Droop { skew_s, tau_s, .. } => tau_s - skew_s,
             _ => self.lag_s.value,
         }
     }
@@ -167,17 +167,17 @@ impl SelfCalibration {
     pub fn full_correction(&self) -> Correction {
         let none = Correction::default();
         match self.response {
-            Response::Right => none,
-            Response::Skew { skew_s } => Correction { skew_s, ..none },
-            Response::SlowCurrent { tau_s } => Correction {
+            SensorResponse::Right => none,
+            SensorResponse::Skew { skew_s } => Correction { skew_s, ..none },
+            SensorResponse::SlowCurrent { tau_s } => Correction {
                 i_tau_s: tau_s,
                 ..none
             },
-            Response::SlowVoltage { tau_s } => Correction {
+            SensorResponse::SlowVoltage { tau_s } => Correction {
                 v_tau_s: tau_s,
                 ..none
             },
-            Response::Droop {
+            SensorResponse::Droop {
                 corner_hz,
                 skew_s,
                 tau_s,

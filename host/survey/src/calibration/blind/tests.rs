@@ -98,7 +98,7 @@ fn a_skew_is_found_from_any_load_and_none_where_there_is_none() {
 
 #[test]
 fn the_deviation_told_is_that_of_many_seeds() {
-    let seen: Vec<Estimate> = (0..12)
+    let seen: Vec<FittedValue> = (0..12)
         .map(|seed| {
             let sensing = Sensing {
                 skew_s: 30e-9,
@@ -130,7 +130,10 @@ fn a_slow_current_probe_is_known_as_such_and_taken_out() {
         println!("{corner_hz}: {f:?}");
         assert!((f.lag_s.value - tau_s).abs() < 4.0 * f.lag_s.sigma, "{f:?}");
         if told_apart {
-            assert!(matches!(f.response, Response::SlowCurrent { .. }), "{f:?}");
+            assert!(
+                matches!(f.response, SensorResponse::SlowCurrent { .. }),
+                "{f:?}"
+            );
         }
         f.correction().unwrap().apply(&mut slow);
         let right = load(&slow);

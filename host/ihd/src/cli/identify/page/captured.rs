@@ -7,7 +7,7 @@ use ihd_signal::Capture;
 use ihd_survey::ChannelSurvey;
 
 use super::super::super::capture_args::CaptureArgs;
-use super::html::{Column, Row, table};
+use super::html::{TableColumn, TableRow, table};
 
 /// Facts on the capture, gathered part by part.
 pub struct CapturedFacts {
@@ -107,21 +107,21 @@ impl CapturedFacts {
         let corrections = self.corrections.iter();
         facts.extend(corrections.map(|text| ("Corrected", text.clone())));
         let fact = |(name, value): (&str, String)| plain(vec![name.to_owned(), value]);
-        let mut rows: Vec<Row> = facts.into_iter().map(fact).collect();
+        let mut rows: Vec<TableRow> = facts.into_iter().map(fact).collect();
         let metadata = self.metadata.iter();
         rows.extend(metadata.map(|(key, value)| plain(vec![key.clone(), value.clone()])));
-        let columns = [Column::Text("Capture"), Column::Long("")];
+        let columns = [TableColumn::Text("Capture"), TableColumn::Long("")];
         table(&columns, &rows) + "<p></p>\n" + &self.channels_html()
     }
 
     fn channels_html(&self) -> String {
         let columns = [
-            Column::Text("Channel"),
-            Column::Number("from"),
-            Column::Number("to"),
-            Column::Number("full scale"),
-            Column::Number("SNR dB"),
-            Column::Number("samples at the end of the range"),
+            TableColumn::Text("Channel"),
+            TableColumn::Number("from"),
+            TableColumn::Number("to"),
+            TableColumn::Number("full scale"),
+            TableColumn::Number("SNR dB"),
+            TableColumn::Number("samples at the end of the range"),
         ];
         let row = |(k, name): (usize, &&str)| {
             let channel = self.channels[k].as_ref()?;
@@ -135,13 +135,13 @@ impl CapturedFacts {
             ]))
         };
         let names = ["Voltage V", "Current A"];
-        let rows: Vec<Row> = names.iter().enumerate().filter_map(row).collect();
+        let rows: Vec<TableRow> = names.iter().enumerate().filter_map(row).collect();
         table(&columns, &rows)
     }
 }
 
-fn plain(cells: Vec<String>) -> Row {
-    Row { class: "", cells }
+fn plain(cells: Vec<String>) -> TableRow {
+    TableRow { class: "", cells }
 }
 
 /// Joins the numbers of a later part: the whole range, the lowest SNR.

@@ -4,7 +4,7 @@ use ihd_gate::codes;
 use ihd_signal::{Remark, Severity};
 
 use super::super::report::ReportedCapture;
-use super::html::{Column, Row, table};
+use super::html::{TableColumn, TableRow, table};
 
 /// Doubt, with the number of parts that have it.
 struct Doubt {
@@ -107,16 +107,16 @@ impl DoubtList {
         }
         self.0.sort_by_key(|d| std::cmp::Reverse(d.severity));
         let mut columns = vec![
-            Column::Text("On"),
-            Column::Text("Severity"),
-            Column::Long("Finding"),
-            Column::Long("Remedy"),
-            Column::Text("Code"),
+            TableColumn::Text("On"),
+            TableColumn::Text("Severity"),
+            TableColumn::Long("Finding"),
+            TableColumn::Long("Remedy"),
+            TableColumn::Text("Code"),
         ];
         if in_parts {
-            columns.push(Column::Number("Parts"));
+            columns.push(TableColumn::Number("Parts"));
         }
-        let row = |d: &Doubt| Row {
+        let row = |d: &Doubt| TableRow {
             class: match d.severity {
                 Severity::Error => "error",
                 _ => "warning",
@@ -130,7 +130,7 @@ impl DoubtList {
                 d.parts.to_string(),
             ],
         };
-        let rows: Vec<Row> = self.0.iter().map(row).collect();
+        let rows: Vec<TableRow> = self.0.iter().map(row).collect();
         table(&columns, &rows)
     }
 }

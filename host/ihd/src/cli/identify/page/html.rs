@@ -12,7 +12,7 @@ pub fn text(text: &str) -> String {
 }
 
 /// Row of a table.
-pub struct Row {
+pub struct TableRow {
     /// Class by which the style chooses a colour.
     pub class: &'static str,
     /// Cells.
@@ -21,7 +21,7 @@ pub struct Row {
 
 /// Column of a table.
 #[derive(Clone, Copy)]
-pub enum Column {
+pub enum TableColumn {
     /// Text, left.
     Text(&'static str),
     /// Text of any length, broken where it must be.
@@ -30,7 +30,7 @@ pub enum Column {
     Number(&'static str),
 }
 
-impl Column {
+impl TableColumn {
     fn cell(self, kind: &str, value: &str) -> String {
         let class = match self {
             Self::Text(_) => "",
@@ -42,10 +42,11 @@ impl Column {
 }
 
 /// Table under a heading.
-pub fn table(columns: &[Column], rows: &[Row]) -> String {
+pub fn table(columns: &[TableColumn], rows: &[TableRow]) -> String {
     let mut out = String::from("<div class=\"scroll\"><table>\n<thead><tr>");
     for column in columns {
-        let (Column::Text(name) | Column::Long(name) | Column::Number(name)) = column;
+        let (TableColumn::Text(name) | TableColumn::Long(name) | TableColumn::Number(name)) =
+            column;
         out += &column.cell("th", name);
     }
     out += "</tr></thead>\n<tbody>\n";

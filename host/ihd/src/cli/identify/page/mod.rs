@@ -13,23 +13,23 @@ use ihd_signal::Segment;
 
 use self::captured::CapturedFacts;
 use self::doubted::DoubtList;
-use self::html::{Column, Row, page, table, text};
+use self::html::{TableColumn, TableRow, page, table, text};
 use super::super::capture_args::CaptureArgs;
 use super::crest::{crest_of, squared_current};
 use super::report::{self, ReportedCapture};
 
 /// Columns of a stretch's table.
-const COLUMNS: [Column; 10] = [
-    Column::Text("Method"),
-    Column::Number("Half-cycle from ms"),
-    Column::Number("R Ω, mean"),
-    Column::Number("crest"),
-    Column::Number("± σ"),
-    Column::Number("L µH, mean"),
-    Column::Number("crest"),
-    Column::Number("± σ"),
-    Column::Text("Verdict"),
-    Column::Long("Cause"),
+const COLUMNS: [TableColumn; 10] = [
+    TableColumn::Text("Method"),
+    TableColumn::Number("Half-cycle from ms"),
+    TableColumn::Number("R Ω, mean"),
+    TableColumn::Number("crest"),
+    TableColumn::Number("± σ"),
+    TableColumn::Number("L µH, mean"),
+    TableColumn::Number("crest"),
+    TableColumn::Number("± σ"),
+    TableColumn::Text("Verdict"),
+    TableColumn::Long("Cause"),
 ];
 
 /// Sentence above the curves.
@@ -114,10 +114,10 @@ impl ReportPage {
 }
 
 /// Rows of a method's half-cycles; of a capture in parts without those of which a cut left nothing.
-fn rows(segment: &Segment, outcome: &MethodResult, in_parts: bool) -> Vec<Row> {
+fn rows(segment: &Segment, outcome: &MethodResult, in_parts: bool) -> Vec<TableRow> {
     let Ok(estimate) = &outcome.result else {
         let cells = vec![outcome.method.name().into()];
-        return vec![Row {
+        return vec![TableRow {
             class: "error",
             cells: [cells, vec!["–".into(); 7], vec!["failed".into()]].concat(),
         }];
@@ -129,7 +129,12 @@ fn rows(segment: &Segment, outcome: &MethodResult, in_parts: bool) -> Vec<Row> {
         .collect()
 }
 
-fn row(segment: &Segment, estimate: &Estimate, half: &HalfCycleVerdict, weights: &[f64]) -> Row {
+fn row(
+    segment: &Segment,
+    estimate: &Estimate,
+    half: &HalfCycleVerdict,
+    weights: &[f64],
+) -> TableRow {
     let crest = crest_of(segment, estimate, half.from_s);
     let at = |x: &[f64], scale: f64| {
         let value = crest.and_then(|k| x.get(k)).filter(|x| x.is_finite());
@@ -153,7 +158,7 @@ fn row(segment: &Segment, estimate: &Estimate, half: &HalfCycleVerdict, weights:
         Verdict::Refuse => ("refuse", "refuse"),
         Verdict::CannotTell => ("cannot_tell", "cannot tell"),
     };
-    Row {
+    TableRow {
         class,
         cells: vec![
             estimate.method.name().into(),
