@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::drift::Drift;
 use crate::misfit::current_knots;
 
 /// Bins per knot of the lookup's current axis.
@@ -66,12 +67,17 @@ impl Bin {
         mix(&mut self.i_weighted, other.i_weighted);
     }
 
-    /// Mean of the bin; `None` if it is empty or its R and L are no load.
-    fn mean(&self, most_a: f64) -> Option<Mean> {
-        let (r_ohm, l_h) = (
+    /// R in ohm and L in henry; NaN if the bin is empty.
+    fn load(&self) -> [f64; 2] {
+        [
             self.r_weighted / self.r_weight,
             self.l_weighted / self.l_weight,
-        );
+        ]
+    }
+
+    /// Mean of the bin, with variances of the curve's level; `None` if it is empty or its R and L are no load.
+    fn mean(&self, most_a: f64, level: [f64; 2]) -> Option<Mean> {
+        let [r_ohm, l_h] = self.load();
         let sound = r_ohm > 0.0 && l_h > 0.0 && r_ohm.is_finite() && l_h.is_finite();
         let i_a = self.i_a();
         let relative = |weight: f64, x: f64, least: f64| {
@@ -84,6 +90,7 @@ impl Bin {
                 relative(self.r_weight, r_ohm, LEAST_SIGMA[0]),
                 relative(self.l_weight, l_h, LEAST_SIGMA[1]),
             ],
+            level,
         })
     }
 
@@ -116,8 +123,10 @@ pub struct Mean {
     pub i_a: f64,
     /// ln of R in ohm and of L in henry.
     pub ln: [f64; 2],
-    /// Variances of `ln`.
+    /// Variances of `ln`, independent from mean to mean.
     pub variance: [f64; 2],
+    /// Variances of `ln` that all means of a curve share: its level, which may have drifted.
+    pub level: [f64; 2],
 }
 
 /// R and L over current at one switching frequency.
@@ -130,6 +139,13 @@ pub struct CurrentCurve {
     /// Number of windows that were fused.
     pub windows: u32,
     bins: Vec<Bin>,
+    /// Drift of R and L; absent in states of builds that did not follow it.
+    #[serde(default = "no_drift")]
+    drift: [Drift; 2],
+}
+
+fn no_drift() -> [Drift; 2] {
+    [0, 1].map(|q| Drift::new(q, LEAST_SIGMA[q].powi(2)))
 }
 
 impl CurrentCurve {
@@ -148,19 +164,55 @@ impl CurrentCurve {
                 bin.add(&p);
             }
         }
-        Self {
+        let mut curve = Self {
             f_sw_hz,
             t_s,
             windows: 1,
             bins,
-        }
+            drift: no_drift(),
+        };
+        let levels = curve.level_over(&curve, [1.0; 2]);
+        curve.drift = [0, 1].map(|q| Drift::new(q, levels[q].map_or(0.0, |l| l.1)));
+        curve
     }
 
-    /// Fuses another window; `ratio` holds R and L at this curve's frequency over those at the window's frequency.
+    /// ln R and ln L of a window over those of this curve, as weighted means over the bins of both, with the window's variances.
+    fn level_over(&self, window: &Self, ratio: [f64; 2]) -> [Option<(f64, f64)>; 2] {
+        let mut sums = [[0.0f64; 2]; 2];
+        for (bin, other) in self.bins.iter().zip(&window.bins) {
+            let (mine, its) = (bin.load(), other.load());
+            let weights = [other.r_weight, other.l_weight];
+            for q in 0..2 {
+                let over = (its[q] * ratio[q] / mine[q]).ln();
+                let weight = weights[q] * its[q] * its[q];
+                if over.is_finite() && weight.is_finite() {
+                    sums[q][0] += weight * over;
+                    sums[q][1] += weight;
+                }
+            }
+        }
+        [0, 1].map(|q| {
+            let [weighted, weight] = sums[q];
+            let variance = 1.0 / weight + LEAST_SIGMA[q].powi(2);
+            (weight > 0.0).then(|| (weighted / weight, variance))
+        })
+    }
+
+    /// Fuses another window; `ratio` holds R and L at this curve's frequency over those at the window's frequency. The level follows
+    /// the pot's drift; the form over current is a mean of some fifty windows.
     pub(crate) fn fuse(&mut self, other: &Self, ratio: [f64; 2]) {
+        let step_s = (other.t_s - self.t_s).max(0.0);
+        let seen = self.level_over(other, ratio);
+        let (mut old, mut new) = ([1.0; 2], ratio);
+        for q in 0..2 {
+            let level = self.drift[q].follow(q, step_s, seen[q]);
+            old[q] = level.exp();
+            new[q] *= seen[q].map_or(1.0, |(its, _)| (level - its).exp());
+        }
         for (bin, other) in self.bins.iter_mut().zip(&other.bins) {
             let mut other = *other;
-            other.scale(ratio[0], ratio[1]);
+            other.scale(new[0], new[1]);
+            bin.scale(old[0], old[1]);
             bin.fuse(&other, KEPT);
         }
         self.t_s = self.t_s.max(other.t_s);
@@ -170,13 +222,29 @@ impl CurrentCurve {
     /// Means of the bins that hold points, at rising currents.
     pub fn means(&self) -> impl Iterator<Item = Mean> + '_ {
         let most_a = self.bins.iter().map(Bin::i_a).fold(0.0, f64::max);
-        self.bins.iter().filter_map(move |bin| bin.mean(most_a))
+        let level = self.level_variance();
+        self.bins
+            .iter()
+            .filter_map(move |bin| bin.mean(most_a, level))
+    }
+
+    /// Variances of the level beyond those that the bins' own have.
+    fn level_variance(&self) -> [f64; 2] {
+        let sum = |of: fn(&Bin) -> f64| self.bins.iter().map(of).sum::<f64>();
+        let weights = [
+            sum(|b| b.r_weight * b.load()[0].powi(2).max(0.0)),
+            sum(|b| b.l_weight * b.load()[1].powi(2).max(0.0)),
+        ];
+        [0, 1].map(|q| (self.drift[q].level_variance() - 1.0 / weights[q]).max(0.0))
     }
 
     /// Returns `true` if windows can have produced these numbers.
     pub fn is_sound(&self) -> bool {
         let known = FREQUENCIES_HZ.contains(&self.f_sw_hz) && self.t_s.is_finite();
-        known && self.bins.len() == MOST_BINS && self.bins.iter().all(Bin::is_sound)
+        known
+            && self.bins.len() == MOST_BINS
+            && self.bins.iter().all(Bin::is_sound)
+            && self.drift.iter().all(Drift::is_sound)
     }
 }
 
@@ -197,10 +265,10 @@ mod tests {
     #[test]
     fn windows_of_one_frequency_average_and_know_it() {
         let mut curve = CurrentCurve::new(45e3, 0.0, [point(20.0, 3.98)].into_iter());
-        for k in 1..16 {
-            let r_ohm = if k % 2 == 0 { 3.98 } else { 4.02 };
+        for k in 1u32..16 {
+            let r_ohm = if k.is_multiple_of(2) { 3.98 } else { 4.02 };
             curve.fuse(
-                &CurrentCurve::new(45e3, f64::from(k), [point(20.0, r_ohm)].into_iter()),
+                &CurrentCurve::new(45e3, 0.0, [point(20.0, r_ohm)].into_iter()),
                 [1.0; 2],
             );
         }
@@ -208,7 +276,35 @@ mod tests {
         assert!((mean.ln[0].exp() - 4.0).abs() < 2e-3);
         // Sixteen windows: a quarter of one window's deviation, .01/4, and a little more for the weight that is lost.
         assert!((2.4e-3 / 4.0..3e-3 / 4.0).contains(&mean.variance[0].sqrt()));
-        assert_eq!((curve.t_s, curve.windows), (15.0, 16));
+        assert_eq!((curve.t_s, curve.windows), (0.0, 16));
+    }
+
+    /// A pot that warms by .1 % of R a second: a mean of fifty windows, five a second, would be 1 % late.
+    #[test]
+    fn the_level_follows_a_warming_pot_and_the_form_remains_a_mean() {
+        let law = |i_a: f64, k: u32| {
+            let noise = if k.is_multiple_of(2) { 1e-3 } else { -1e-3 };
+            (4.0 - 0.02 * i_a) * (1.0 + 1e-3 * 0.2 * f64::from(k)) * (1.0 + noise)
+        };
+        let currents = [10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0];
+        let window = |k: u32| {
+            let points = currents.map(|i_a| point(i_a, law(i_a, k)));
+            CurrentCurve::new(45e3, 0.2 * f64::from(k), points.into_iter())
+        };
+        let mut curve = window(0);
+        for k in 1..200 {
+            curve.fuse(&window(k), [1.0; 2]);
+            if k < 25 {
+                continue;
+            }
+            for mean in curve.means() {
+                let truth = (4.0 - 0.02 * mean.i_a) * (1.0 + 1e-3 * 0.2 * f64::from(k));
+                let off = (mean.ln[0].exp() / truth - 1.0).abs();
+                assert!(off < 6e-4, "window {k}, {} A: {off}", mean.i_a);
+                assert!(off < 3.0 * mean.variance[0].sqrt(), "window {k}: {off}");
+            }
+        }
+        assert!(curve.is_sound());
     }
 
     #[test]

@@ -4,6 +4,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use crate::PotModel;
+use crate::heat::changes;
 use crate::misfit::Place;
 use crate::parameters::{self, CENTRED, COUNT, Prior, Vector};
 
@@ -16,11 +17,6 @@ const SETTLED: f64 = 1e-3;
 /// Step of the numerical derivatives, in spreads.
 const STEP: f64 = 1e-3;
 
-/// Change of ln s per second by heating: 2 K/s times half of 1.1e-3 per kelvin (docs/map.md). `HEATING_ENDS_S` is the time
-/// in seconds after which it ends.
-const HEATING_PER_S: f64 = 1e-3;
-const HEATING_ENDS_S: f64 = 150.0;
-
 /// Step of ln s for its numerical derivative.
 const STEP_LN_S: f64 = 1e-3;
 
@@ -31,13 +27,15 @@ pub(crate) struct Datum {
     pub i_a: f64,
     pub ln: [f64; 2],
     pub variance: [f64; 2],
-    /// Age in seconds.
+    /// Variances that all data of one frequency share.
+    pub level: [f64; 2],
+    /// Age in seconds; negative ahead of now.
     pub age_s: f64,
 }
 
 impl Datum {
     pub fn place(&self) -> Place {
-        Place::of(self.f_hz, self.i_a)
+        Place::of(self.f_hz, self.i_a).aged(self.age_s)
     }
 }
 
@@ -85,7 +83,8 @@ pub(crate) fn derivatives(
     all
 }
 
-/// Covariance of measured data around the physics: errors of measurement, and the misfit of deviations `tau`.
+/// Covariance of measured data around the physics: errors of measurement, the level of each curve, and the misfit of deviations
+/// `tau`.
 pub(crate) fn covariance(data: &[Datum], tau: [f64; 2]) -> DMatrix<f64> {
     let count = data.len();
     let places: Vec<Place> = data.iter().map(Datum::place).collect();
@@ -95,7 +94,13 @@ pub(crate) fn covariance(data: &[Datum], tau: [f64; 2]) -> DMatrix<f64> {
             let correlation = places[m].correlation(places[n]);
             for (x, tau) in tau.iter().enumerate() {
                 let (row, column) = (x * count + m, x * count + n);
-                all[(row, column)] = tau * tau * correlation;
+                let shared = data[m].f_hz == data[n].f_hz;
+                let level = if shared {
+                    data[m].level[x].min(data[n].level[x])
+                } else {
+                    0.0
+                };
+                all[(row, column)] = tau * tau * correlation + level;
                 all[(column, row)] = all[(row, column)];
             }
         }
@@ -134,7 +139,8 @@ pub(crate) fn fit(
     tau: [f64; 2],
     most_steps: usize,
 ) -> Option<Descent> {
-    let white: Cholesky<f64, Dyn> = covariance(data, tau).cholesky()?;
+    let heat = Heat::of(&parameters::moved(prior, &begin), data);
+    let white: Cholesky<f64, Dyn> = (covariance(data, tau) + heat.covariance()).cholesky()?;
     let seen = measured(data);
     let cost = |steps: &Vector| {
         let left = &seen - predicted(&parameters::moved(prior, steps), data);
@@ -215,18 +221,47 @@ pub(crate) fn fit_off_centre(data: &[Datum], centred: &Descent, tau: [f64; 2]) -
     (shifted.cost + WORTH < centred.cost).then_some(shifted)
 }
 
-/// Standard deviations of ln R and ln L by heating since each datum, fully correlated.
-pub(crate) fn heat(model: &PotModel, data: &[Datum]) -> DVector<f64> {
-    let hotter = PotModel {
-        ln_s: model.ln_s + STEP_LN_S,
-        ..*model
-    };
-    let mut all = (predicted(&hotter, data) - predicted(model, data)) / STEP_LN_S;
-    let count = data.len();
-    for k in 0..2 * count {
-        let age_s = data[k % count].age_s.max(0.0);
-        let moved = HEATING_PER_S * HEATING_ENDS_S * (1.0 - (-age_s / HEATING_ENDS_S).exp());
-        all[k] *= moved;
+/// Changes of ln R and ln L by heating between each datum and now.
+pub(crate) struct Heat {
+    /// Change of ln R and ln L for one of ln s.
+    per_ln_s: DVector<f64>,
+    ages_s: Vec<f64>,
+}
+
+impl Heat {
+    pub fn of(model: &PotModel, data: &[Datum]) -> Self {
+        let hotter = PotModel {
+            ln_s: model.ln_s + STEP_LN_S,
+            ..*model
+        };
+        Self {
+            per_ln_s: (predicted(&hotter, data) - predicted(model, data)) / STEP_LN_S,
+            ages_s: data.iter().map(|d| d.age_s).collect(),
+        }
     }
-    all
+
+    /// Variance of one row: ln R of all data, then ln L of all.
+    pub fn variance(&self, row: usize) -> f64 {
+        let age_s = self.ages_s[row % self.ages_s.len()];
+        self.per_ln_s[row].powi(2) * changes(age_s, age_s)
+    }
+
+    pub fn covariance(&self) -> DMatrix<f64> {
+        let count = self.ages_s.len();
+        let mut all = &self.per_ln_s * self.per_ln_s.transpose();
+        for m in 0..count {
+            for n in 0..count {
+                let moved = changes(self.ages_s[m], self.ages_s[n]);
+                for (row, column) in [
+                    (m, n),
+                    (count + m, n),
+                    (m, count + n),
+                    (count + m, count + n),
+                ] {
+                    all[(row, column)] *= moved;
+                }
+            }
+        }
+        all
+    }
 }

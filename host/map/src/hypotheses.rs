@@ -103,6 +103,7 @@ impl LibraryHypothesis {
                 i_a: m.i_a,
                 ln: [0, 1].map(|x| m.ln[x] - beside[x]),
                 variance: [0, 1].map(|x| m.variance[x] + variance[x]),
+                level: m.level,
             }
         };
         let means: Vec<_> = means.iter().map(less).collect();
@@ -311,8 +312,15 @@ fn compare(posterior: &Posterior, f_hz: f64, means: &[Mean], ahead_s: f64) -> Op
     let off = DVector::from_fn(2 * count, |k, _| {
         means[k % count].ln[k / count] - expected[k]
     });
-    for k in 0..2 * count {
-        covariance[(k, k)] += means[k % count].variance[k / count];
+    for (k, mean) in means.iter().enumerate() {
+        for x in 0..2 {
+            let first = x * count;
+            covariance[(first + k, first + k)] += mean.variance[x];
+            // One curve has one level.
+            for n in 0..count {
+                covariance[(first + k, first + n)] += mean.level[x];
+            }
+        }
     }
     let mean_square = |x: usize| off.rows(x * count, count).norm_squared() / count as f64;
     let chi2 = off.dot(&covariance.cholesky()?.solve(&off)) / (2 * count) as f64;

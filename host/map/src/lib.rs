@@ -10,8 +10,10 @@
 //! does not, they follow the measured curves, and their deviations are larger.
 
 pub mod curve;
+mod drift;
 mod fit;
 pub mod gap_table;
+mod heat;
 mod hypotheses;
 pub mod library;
 mod misfit;

@@ -2,12 +2,17 @@
 
 use ihd_shared::lookup::grid::{CURRENTS, I_BEND_MA, I_MAX_MA};
 
+use crate::heat::changes;
+
 /// Correlation length of the misfit in ln f: half the way from 30 to 80 kHz. Its causes, harmonics of the current and
 /// shapes of B(H), change R by a few percent that vary this slowly.
 const REACH_LN_F: f64 = 0.5;
 
 /// Correlation length of the misfit in knots of the current axis: half of it.
 const REACH_KNOTS: f64 = 8.0;
+
+/// Correlation length of the misfit in ln s: heat and frequency act through the skin depth alone, and 1/f changes it like s².
+const REACH_LN_S: f64 = 0.5 * REACH_LN_F;
 
 /// Share of the misfit's variance that is rougher over frequency, by the factor `FINER`. A perfectly smooth process would make
 /// the deviations between and beside measured frequencies too small.
@@ -28,11 +33,13 @@ pub fn current_of_knots(knots: f64) -> f64 {
     bend_a * ((knots / (CURRENTS - 1) as f64 * whole).exp() - 1.0)
 }
 
-/// Place of the map: frequency and current.
+/// Place of the map: frequency, current and time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Place {
     pub ln_f: f64,
     pub knots: f64,
+    /// Age in seconds.
+    age_s: f64,
 }
 
 impl Place {
@@ -40,15 +47,23 @@ impl Place {
         Self {
             ln_f: f_hz.ln(),
             knots: current_knots(i_a),
+            age_s: 0.0,
         }
+    }
+
+    /// The same place at another time.
+    pub fn aged(self, age_s: f64) -> Self {
+        Self { age_s, ..self }
     }
 
     /// Correlation of the misfits at two places.
     pub fn correlation(self, other: Self) -> f64 {
         let f = (self.ln_f - other.ln_f) / REACH_LN_F;
         let i = (self.knots - other.knots) / REACH_KNOTS;
-        let rough = (FINER * f).powi(2) + i * i;
-        (1.0 - ROUGH) * (-0.5 * (f * f + i * i)).exp() + ROUGH * (-0.5 * rough).exp()
+        let apart_s = self.age_s - other.age_s;
+        let i = i * i + changes(apart_s, apart_s) / REACH_LN_S.powi(2);
+        let rough = (FINER * f).powi(2) + i;
+        (1.0 - ROUGH) * (-0.5 * (f * f + i)).exp() + ROUGH * (-0.5 * rough).exp()
     }
 }
 

@@ -5,7 +5,7 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-use crate::fit::{Datum, covariance, derivatives, heat, measured, predicted};
+use crate::fit::{Datum, Heat, covariance, derivatives, measured, predicted};
 use crate::misfit::Place;
 use crate::parameters::{self, COUNT, Prior};
 use crate::pot_fit::{PotFit, fit_pot};
@@ -50,9 +50,8 @@ impl Posterior {
     /// Conditions an existing fit on data; `None` if a Cholesky factorisation fails.
     pub fn conditioned(fit: PotFit, data: Vec<Datum>) -> Option<Self> {
         let slopes = derivatives(&fit.prior(), &fit.steps, &data, fit.used);
-        let heat = heat(&fit.model(), &data);
-        let all =
-            covariance(&data, fit.misfit) + &slopes * slopes.transpose() + &heat * heat.transpose();
+        let heat = Heat::of(&fit.model(), &data).covariance();
+        let all = covariance(&data, fit.misfit) + &slopes * slopes.transpose() + heat;
         let factor = all.cholesky()?;
         // The model is linear in the numbers: at the prior's mean it would give `predicted − slopes · steps`.
         let expected = predicted(&fit.model(), &data) - &slopes * free(&fit);
@@ -104,7 +103,7 @@ impl Posterior {
         let predicted = self.predict(places, ahead_s);
         let prior = covariance(&predicted.at, self.fit.misfit)
             + &predicted.slopes * predicted.slopes.transpose()
-            + &predicted.heat * predicted.heat.transpose();
+            + predicted.heat.covariance();
         let known = predicted.cross.tr_mul(&self.factor.solve(&predicted.cross));
         (predicted.mean, prior - known)
     }
@@ -121,7 +120,7 @@ impl Posterior {
             let misfit = self.fit.misfit[row / count];
             let prior = misfit.powi(2)
                 + predicted.slopes.row(row).norm_squared()
-                + predicted.heat[row].powi(2);
+                + predicted.heat.variance(row);
             let known = whitened
                 .as_ref()
                 .map_or(0.0, |w| w.column(row).norm_squared());
@@ -156,7 +155,7 @@ impl Posterior {
         let expected = predicted(&self.fit.model(), &at) - &slopes * free(&self.fit);
         JointPrediction {
             mean: expected + cross.tr_mul(&self.weights),
-            heat: heat(&self.fit.model(), &at),
+            heat: Heat::of(&self.fit.model(), &at),
             slopes,
             cross,
             at,
@@ -169,7 +168,7 @@ struct JointPrediction {
     at: Vec<Datum>,
     mean: DVector<f64>,
     slopes: DMatrix<f64>,
-    heat: DVector<f64>,
+    heat: Heat,
     /// Covariance of measured data and predictions.
     cross: DMatrix<f64>,
 }
@@ -184,6 +183,7 @@ fn place(f_hz: f64, i_a: f64, ahead_s: f64) -> Datum {
         i_a,
         ln: [0.0; 2],
         variance: [0.0; 2],
-        age_s: ahead_s,
+        level: [0.0; 2],
+        age_s: -ahead_s.max(0.0),
     }
 }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
 use crate::fit::{
-    Datum, Descent, MOST_STEPS, covariance, derivatives, fit, fit_any, fit_off_centre, heat,
+    Datum, Descent, Heat, MOST_STEPS, covariance, derivatives, fit, fit_any, fit_off_centre,
     measured, predicted,
 };
 use crate::parameters::{self, CENTRED, COUNT, PotSpread, Prior, Vector};
@@ -123,8 +123,7 @@ fn thinned(data: &[Datum]) -> Vec<Datum> {
 fn best_misfit(data: &[Datum], fitted: &Descent, begin: [f64; 2]) -> Option<[f64; 2]> {
     let slopes = derivatives(&fitted.prior, &fitted.steps, data, fitted.used);
     let numbers = &slopes * slopes.transpose();
-    let heat = heat(&fitted.model(), data);
-    let numbers = numbers + &heat * heat.transpose();
+    let numbers = numbers + Heat::of(&fitted.model(), data).covariance();
     let steps = DVector::from_fn(fitted.used, |k, _| fitted.steps[k]);
     let left = measured(data) - (predicted(&fitted.model(), data) - slopes * steps);
     let evidence = |tau: [f64; 2]| {

@@ -423,12 +423,13 @@ impl PotMap {
 /// Means of all curves, with their ages at a time in seconds of the device.
 fn data(curves: &[CurrentCurve], now_s: f64) -> Vec<Datum> {
     let of = |curve: &CurrentCurve| {
-        let (f_hz, age_s) = (curve.f_sw_hz, now_s - curve.t_s);
+        let (f_hz, age_s) = (curve.f_sw_hz, (now_s - curve.t_s).max(0.0));
         let datum = |m: crate::curve::Mean| Datum {
             f_hz,
             i_a: m.i_a,
             ln: m.ln,
             variance: m.variance,
+            level: m.level,
             age_s,
         };
         curve.means().map(datum).collect::<Vec<_>>()

@@ -175,6 +175,46 @@ fn a_warming_pot_is_followed_at_length() {
     assert!(pushed >= 5);
 }
 
+/// At one power R grows by .1 % a second: it is no other pot, and the map is not late.
+#[test]
+fn a_warming_pot_stays_the_same_and_its_map_is_not_late() {
+    let mut kitchen = Kitchen::new(true, 20);
+    let mut learning = Learning::new(network());
+    kitchen.client.set_power(1_800).unwrap();
+    let (mut squares, mut count) = ([0.0f64; 2], 0.0);
+    for k in 0..100 {
+        let (window, _) = kitchen.window();
+        let outcome = learning.observe(&window, false, &mut |_| ());
+        let WindowOutcome::Accepted(accepted) = outcome else {
+            panic!("window {k}: {outcome:?}");
+        };
+        let another = matches!(accepted.seen, CurveMatch::Another { .. });
+        assert!(!another, "window {k}: {:?}", accepted.seen);
+        if k < 50 {
+            continue;
+        }
+        let truth = kitchen.hob.truth(window.half_cycle).expect("recent");
+        let most_a = truth.i_a.iter().copied().fold(0.0, f64::max);
+        let now_s = learning.map().newest_s();
+        let mut map = learning.map().clone();
+        map.refresh(now_s);
+        let at = map.along(f64::from(window.f_sw_hz), &truth.i_a, now_s);
+        for (k, at) in at.iter().enumerate() {
+            if truth.i_a[k] > 0.3 * most_a {
+                squares[0] += (at.r_ohm / truth.r_ohm[k] - 1.0).powi(2);
+                squares[1] += (at.l_h / truth.l_h[k] - 1.0).powi(2);
+                count += 1.0;
+            }
+        }
+    }
+    let [r_pct, l_pct] = squares.map(|s| 100.0 * (s / count).sqrt());
+    println!("rms of the map: R {r_pct:.3} %, L {l_pct:.3} %");
+    assert!(
+        r_pct < 0.15 && l_pct < 0.12,
+        "R {r_pct:.3} %, L {l_pct:.3} %"
+    );
+}
+
 /// The judge of `ihd identify` stands before the lookup: what least squares contradicts and what has not settled teach nothing.
 #[test]
 fn a_window_that_is_contradicted_teaches_nothing() {
