@@ -75,21 +75,25 @@ impl Bin {
         ]
     }
 
+    /// Inverse variances of ln R and ln L; 0 if the bin is empty.
+    fn ln_weights(&self) -> [f64; 2] {
+        let [r_ohm, l_h] = self.load();
+        [self.r_weight * r_ohm * r_ohm, self.l_weight * l_h * l_h]
+            .map(|weight| if weight.is_finite() { weight } else { 0.0 })
+    }
+
     /// Mean of the bin, with variances of the curve's level; `None` if it is empty or its R and L are no load.
     fn mean(&self, most_a: f64, level: [f64; 2]) -> Option<Mean> {
         let [r_ohm, l_h] = self.load();
         let sound = r_ohm > 0.0 && l_h > 0.0 && r_ohm.is_finite() && l_h.is_finite();
         let i_a = self.i_a();
-        let relative = |weight: f64, x: f64, least: f64| {
-            1.0 / (weight * x * x) + (least * most_a / i_a.max(1e-3)).powi(2)
-        };
+        let weights = self.ln_weights();
+        let relative =
+            |q: usize| 1.0 / weights[q] + (LEAST_SIGMA[q] * most_a / i_a.max(1e-3)).powi(2);
         sound.then(|| Mean {
             i_a,
             ln: [r_ohm.ln(), l_h.ln()],
-            variance: [
-                relative(self.r_weight, r_ohm, LEAST_SIGMA[0]),
-                relative(self.l_weight, l_h, LEAST_SIGMA[1]),
-            ],
+            variance: [0, 1].map(relative),
             level,
         })
     }
@@ -180,14 +184,12 @@ impl CurrentCurve {
     fn level_over(&self, window: &Self, ratio: [f64; 2]) -> [Option<(f64, f64)>; 2] {
         let mut sums = [[0.0f64; 2]; 2];
         for (bin, other) in self.bins.iter().zip(&window.bins) {
-            let (mine, its) = (bin.load(), other.load());
-            let weights = [other.r_weight, other.l_weight];
+            let (mine, its, weights) = (bin.load(), other.load(), other.ln_weights());
             for q in 0..2 {
                 let over = (its[q] * ratio[q] / mine[q]).ln();
-                let weight = weights[q] * its[q] * its[q];
-                if over.is_finite() && weight.is_finite() {
-                    sums[q][0] += weight * over;
-                    sums[q][1] += weight;
+                if over.is_finite() {
+                    sums[q][0] += weights[q] * over;
+                    sums[q][1] += weights[q];
                 }
             }
         }
@@ -230,12 +232,10 @@ impl CurrentCurve {
 
     /// Variances of the level beyond those that the bins' own have.
     fn level_variance(&self) -> [f64; 2] {
-        let sum = |of: fn(&Bin) -> f64| self.bins.iter().map(of).sum::<f64>();
-        let weights = [
-            sum(|b| b.r_weight * b.load()[0].powi(2).max(0.0)),
-            sum(|b| b.l_weight * b.load()[1].powi(2).max(0.0)),
-        ];
-        [0, 1].map(|q| (self.drift[q].level_variance() - 1.0 / weights[q]).max(0.0))
+        [0, 1].map(|q| {
+            let weight: f64 = self.bins.iter().map(|bin| bin.ln_weights()[q]).sum();
+            (self.drift[q].level_variance() - 1.0 / weight).max(0.0)
+        })
     }
 
     /// Returns `true` if windows can have produced these numbers.

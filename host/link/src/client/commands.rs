@@ -72,7 +72,7 @@ impl Client {
     /// Sends arbitrary bytes as a lookup; the device checks them.
     ///
     /// # Errors
-    /// As [`Client::push_lookup`]; [`LinkError::Unsendable`] for more bytes than a frame holds.
+    /// Any error of [`Client::push_lookup`]; [`LinkError::Unsendable`] for more bytes than a frame holds.
     pub fn push_lookup_bytes(&mut self, blob: &[u8]) -> Result<(), LinkError> {
         self.order(&PushLookup { blob: Raw(blob) })
     }
