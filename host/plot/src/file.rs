@@ -1,14 +1,17 @@
-//! Files of figures: SVG or PDF, by the ending of the name.
+//! Files of figures: SVG, PDF or PNG, by the ending of the name.
 
 use std::path::Path;
 
 use plotters::prelude::{IntoDrawingArea, SVGBackend, WHITE};
 
-use crate::pdf;
-use crate::{Area, DrawResult, FigureError};
+use crate::drawing::Drawing;
+use crate::{Area, DrawResult, FigureError, pdf, png};
 
 /// Endings of the names of figures.
-pub const ENDINGS: [&str; 2] = ["svg", "pdf"];
+pub const ENDINGS: [&str; 3] = ["svg", "pdf", "png"];
+
+/// [`ENDINGS`] in a sentence.
+pub const ENDING_NAMES: &str = ".svg, .pdf or .png";
 
 /// Draws a figure on white, and returns it as SVG.
 fn svg(
@@ -25,7 +28,7 @@ fn svg(
     Ok(text)
 }
 
-/// Draws a figure of this size in pixels on white to a file: PDF for `.pdf`, else SVG.
+/// Draws a figure of this size in pixels on white to a file: PDF for `.pdf`, PNG of twice as many pixels for `.png`, else SVG.
 ///
 /// # Errors
 /// [`FigureError`] with the file's name if it cannot be drawn or written.
@@ -38,7 +41,7 @@ pub fn write(
     std::fs::write(path, figure).map_err(|why| FigureError::new(path, &why))
 }
 
-/// Draws a figure of this size in pixels on white, and returns the bytes of a file of this name: PDF for `.pdf`, else SVG.
+/// Draws a figure of this size in pixels on white, and returns the bytes of [such a file](write) of this name.
 ///
 /// # Errors
 /// [`FigureError`] with the file's name if drawing fails.
@@ -47,9 +50,13 @@ pub fn bytes(
     size: (u32, u32),
     draw: impl FnOnce(&Area<'_>) -> DrawResult,
 ) -> Result<Vec<u8>, FigureError> {
-    let drawn = svg(size, draw).map_err(|why| FigureError::new(path, &why))?;
-    if path.extension().is_some_and(|ending| ending == "pdf") {
-        return pdf::of_svg(&drawn).map_err(|why| FigureError::new(path, &why));
+    let failed = |why: &dyn std::fmt::Display| FigureError::new(path, why);
+    let drawn = svg(size, draw).map_err(|why| failed(&why))?;
+    let drawing = || Drawing::of(&drawn);
+    match path.extension().and_then(|ending| ending.to_str()) {
+        Some("pdf") => drawing().map(|drawing| pdf::of(&drawing)),
+        Some("png") => drawing().and_then(|drawing| png::of(&drawing)),
+        _ => return Ok(drawn.into_bytes()),
     }
-    Ok(drawn.into_bytes())
+    .map_err(|why| failed(&why))
 }

@@ -1,18 +1,20 @@
-//! Figures as SVG or PDF: axes, curves that end where the frame does, envelopes, legends beside the curves; panels of a page to zoom.
+//! Figures as SVG, PDF or PNG: axes, curves that end where the frame does, envelopes, legends beside the curves; panels of a page to zoom.
 //!
 //! ```text
 //! shapes ◄─ clip, envelope, scale ◄─ legend, panel ◄─ two_axes
-//! shapes ◄─ pdf ◄─ file
+//! shapes ◄─ drawing ◄─ pdf, png ◄─ file
 //! panel, envelope ◄─ zoom
 //! ```
 
 pub mod clip;
+mod drawing;
 pub mod envelope;
 mod figure_error;
 pub mod file;
 pub mod legend;
 pub mod panel;
 mod pdf;
+mod png;
 pub mod scale;
 mod shapes;
 pub mod svg;

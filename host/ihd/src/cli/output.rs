@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use ihd_plot::file::ENDINGS;
+use ihd_plot::file::{ENDING_NAMES, ENDINGS};
 use ihd_signal::printable::is_shown;
 use serde::Serialize;
 
@@ -82,7 +82,7 @@ pub fn figure_file(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     match path.extension().and_then(|ending| ending.to_str()) {
         Some(ending) if ENDINGS.contains(&ending) => Ok(path),
-        _ => Err("the name of a figure ends with .svg or .pdf".to_owned()),
+        _ => Err(format!("the name of a figure ends with {ENDING_NAMES}")),
     }
 }
 

@@ -24,7 +24,7 @@ const CLOSE_UP_PERIODS: f64 = 4.0;
 const SMALLEST_A: f64 = 0.5;
 
 /// Draws voltage and current over the whole recording and in a close-up at the largest current,
-/// and R and L of the fundamental, to a file: SVG or PDF by its ending.
+/// and R and L of the fundamental, to a file: SVG, PDF or PNG by its ending.
 pub fn write(recording: &SimulatedRecording, path: &Path) -> Result<(), FigureError> {
     let peak = recording
         .truth

@@ -39,7 +39,7 @@ const LINE_PX: u32 = 19;
 
 const LEFT_OUT: RGBColor = RGBColor(225, 225, 225);
 
-/// Writes the figure: SVG or PDF by the name's ending.
+/// Writes the figure: SVG, PDF or PNG by the name's ending.
 ///
 /// # Errors
 /// [`FigureError`] if the file cannot be written.

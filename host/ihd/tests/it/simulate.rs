@@ -22,10 +22,10 @@ fn simulate(dir: &Path, args: &[&str]) -> std::process::Output {
 fn writes_a_recording_and_a_figure_and_repeats_to_the_last_digit() {
     let dir = tempfile::tempdir().unwrap();
     let args = "--set fsw=45k,mains=60,pot=ferritic-18,snr=30,rate=50M --seed 1 --set duration=1ms";
-    for name in ["a", "b"] {
-        let out = format!("{name}.mcap");
+    for (name, ending) in [("a", "svg"), ("b", "png")] {
+        let (out, plot) = (format!("{name}.mcap"), format!("{name}.{ending}"));
         let mut all: Vec<_> = args.split(' ').collect();
-        all.extend(["--out", &out, "--plot", "a.svg"]);
+        all.extend(["--out", &out, "--plot", &plot]);
         let result = simulate(dir.path(), &all);
         let stdout = String::from_utf8_lossy(&result.stdout);
         assert!(
@@ -43,6 +43,7 @@ fn writes_a_recording_and_a_figure_and_repeats_to_the_last_digit() {
     assert_eq!(settings.mains_hz, 60.0);
     assert_eq!(settings.pot.diameter_m, 0.18);
     assert!(String::from_utf8(read("a.svg")).unwrap().contains("<svg"));
+    assert!(read("b.png").starts_with(b"\x89PNG\r\n\x1a\n"));
 }
 
 /// Not physics: these digits were printed on the first machine (x86-64, AVX-512), and every other

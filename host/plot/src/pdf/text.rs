@@ -3,9 +3,8 @@
 use pdf_writer::types::TextRenderingMode;
 use pdf_writer::writers::{Resources, Type1Font};
 use pdf_writer::{Content, Finish, Name, Str};
-use roxmltree::Node;
 
-use super::{PdfError, colour, number, unreadable};
+use crate::drawing::Words;
 
 /// Width in thousandths of the size of Helvetica's characters from the space to the tilde (Adobe's font metrics).
 const HELVETICA: [u16; 95] = [
@@ -77,9 +76,6 @@ const EXPONENTS: [(char, u8); 8] = [
     ('⁻', b'-'),
 ];
 
-/// Height of an x in sizes of the text.
-const EX: f32 = 0.52;
-
 /// Font of a character.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Font {
@@ -148,118 +144,51 @@ fn glyph(c: char) -> (Font, u8, u16) {
     found.unwrap_or((Font::Helvetica, b'?', 556))
 }
 
-/// A text with its place.
-pub(super) struct Words {
-    runs: Vec<(Font, Vec<u8>)>,
-    size: f32,
-    colour: [f32; 3],
-    /// Sine and cosine of the rotation, clockwise.
-    turn: (f32, f32),
-    /// Left end of the baseline in pixels.
-    at: (f32, f32),
-    is_bold: bool,
-}
-
-impl Words {
-    /// Reads a text element.
-    pub(super) fn of(shape: &Node<'_, '_>) -> Result<Self, PdfError> {
-        let size = number(shape, "font-size")?;
-        let mut runs: Vec<(Font, Vec<u8>)> = Vec::new();
-        let mut width = 0.0;
-        for c in shape.text().unwrap_or_default().trim().chars() {
-            let (font, code, thousandths) = glyph(c);
-            width += f32::from(thousandths) * 1e-3 * size * font.size_and_rise().0;
-            match runs.last_mut() {
-                Some((last, codes)) if *last == font => codes.push(code),
-                _ => runs.push((font, vec![code])),
-            }
+/// Writes a text; later runs go on where the one before ended.
+pub(super) fn write(content: &mut Content, words: &Words) {
+    let size = words.size;
+    let mut runs: Vec<(Font, Vec<u8>)> = Vec::new();
+    let mut width = 0.0;
+    for c in words.text.chars() {
+        let (font, code, thousandths) = glyph(c);
+        width += f32::from(thousandths) * 1e-3 * size * font.size_and_rise().0;
+        match runs.last_mut() {
+            Some((last, codes)) if *last == font => codes.push(code),
+            _ => runs.push((font, vec![code])),
         }
-        let back = match shape.attribute("text-anchor") {
-            None | Some("start") => 0.0,
-            Some("middle") => 0.5 * width,
-            Some("end") => width,
-            Some(_) => return Err(unreadable(shape, "text-anchor")),
-        };
-        let down = below(shape, size)?;
-        let (sin, cos) = turn(shape)?;
-        let (x, y) = (number(shape, "x")?, number(shape, "y")?);
-        Ok(Self {
-            runs,
-            size,
-            colour: colour(shape, "fill")?.unwrap_or_default(),
-            turn: (sin, cos),
-            at: (x - back * cos - down * sin, y - back * sin + down * cos),
-            is_bold: shape.attribute("font-weight") == Some("bold"),
-        })
     }
-
-    /// Writes the text; later runs go on where the one before ended.
-    pub(super) fn write(&self, content: &mut Content) {
-        let [r, g, b] = self.colour;
-        let ((sin, cos), (x, y)) = (self.turn, self.at);
-        content.begin_text().set_fill_rgb(r, g, b);
-        if self.is_bold {
-            content
-                .set_stroke_rgb(r, g, b)
-                .set_line_width(0.03 * self.size);
-            content.set_text_rendering_mode(TextRenderingMode::FillStroke);
-        }
-        // The page's y runs downwards, a text's upwards.
-        content.set_text_matrix([cos, sin, sin, -cos, x, y]);
-        for (font, codes) in &self.runs {
-            let (size, rise) = font.size_and_rise();
-            content.set_font(font.name(), size * self.size);
-            content.set_rise(rise * self.size);
-            content.show(Str(codes));
-        }
-        content.set_rise(0.0);
-        if self.is_bold {
-            content.set_text_rendering_mode(TextRenderingMode::Fill);
-        }
-        content.end_text();
+    let [r, g, b] = words.colour;
+    let ((sin, cos), (x, y)) = (words.turn, words.start(width));
+    content.begin_text().set_fill_rgb(r, g, b);
+    if words.is_bold {
+        content.set_stroke_rgb(r, g, b).set_line_width(0.03 * size);
+        content.set_text_rendering_mode(TextRenderingMode::FillStroke);
     }
-}
-
-/// Distance of the baseline below the text's place, in pixels.
-fn below(shape: &Node<'_, '_>, size: f32) -> Result<f32, PdfError> {
-    let Some(dy) = shape.attribute("dy") else {
-        return Ok(0.0);
-    };
-    let of = |unit, factor: f32| {
-        let number: f32 = dy.strip_suffix(unit)?.parse().ok()?;
-        Some(number * factor * size)
-    };
-    let distance = of("em", 1.0)
-        .or_else(|| of("ex", EX))
-        .or_else(|| dy.parse().ok());
-    distance.ok_or_else(|| unreadable(shape, "dy"))
-}
-
-/// Sine and cosine of the rotation, clockwise: plotters writes `rotate(270, x, y)` about the text's place.
-fn turn(shape: &Node<'_, '_>) -> Result<(f32, f32), PdfError> {
-    let Some(text) = shape.attribute("transform") else {
-        return Ok((0.0, 1.0));
-    };
-    let degrees = text
-        .strip_prefix("rotate(")
-        .and_then(|rest| rest.split_once(','));
-    match degrees.map(|(degrees, _)| degrees) {
-        Some("90") => Ok((1.0, 0.0)),
-        Some("180") => Ok((0.0, -1.0)),
-        Some("270") => Ok((-1.0, 0.0)),
-        _ => Err(unreadable(shape, "transform")),
+    // The page's y runs downwards, a text's upwards.
+    content.set_text_matrix([cos, sin, sin, -cos, x, y]);
+    for (font, codes) in &runs {
+        let (share, rise) = font.size_and_rise();
+        content.set_font(font.name(), share * size);
+        content.set_rise(rise * size);
+        content.show(Str(codes));
     }
+    content.set_rise(0.0);
+    if words.is_bold {
+        content.set_text_rendering_mode(TextRenderingMode::Fill);
+    }
+    content.end_text();
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::of_svg;
+    use super::super::of;
+    use crate::drawing::Drawing;
 
     fn page(text: &str, more: &str) -> String {
         let svg = format!(
             r##"<svg width="200" height="100"><text x="100" y="50" font-size="10" fill="#000000" {more}>{text}</text></svg>"##
         );
-        String::from_utf8_lossy(&of_svg(&svg).unwrap()).into_owned()
+        String::from_utf8_lossy(&of(&Drawing::of(&svg).unwrap())).into_owned()
     }
 
     #[test]

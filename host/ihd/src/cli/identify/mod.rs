@@ -14,7 +14,7 @@ use clap::{Args, ValueEnum};
 use ihd_gate::{ExamineOptions, Reconstruct, examine_taking};
 use ihd_identify::pinn::preset_names;
 use ihd_identify::{IdentifyOptions, Method};
-use ihd_plot::file::ENDINGS;
+use ihd_plot::file::{ENDING_NAMES, ENDINGS};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use self::parts::ManyParts;
@@ -73,7 +73,7 @@ pub struct IdentifyArgs {
     /// End with 0 even where a result is refused
     #[arg(long)]
     anyway: bool,
-    /// Write to this file the estimates as a table (.csv), the curves of R, L and the reconstructed waveforms (.svg, .pdf), or a page of
+    /// Write to this file the estimates as a table (.csv), the curves of R, L and the reconstructed waveforms (.svg, .pdf, .png), or a page of
     /// what was captured, found and doubted, with curves to zoom (.html); give it again for another one
     #[arg(long, short, value_name = "FILE", value_parser = output_file)]
     out: Vec<PathBuf>,
@@ -100,9 +100,9 @@ fn output_file(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     match path.extension().and_then(|ending| ending.to_str()) {
         Some(ending) if ["csv", "html"].contains(&ending) || ENDINGS.contains(&ending) => Ok(path),
-        _ => Err(
-            "a table ends with .csv, a figure with .svg or .pdf, a report with .html".to_owned(),
-        ),
+        _ => Err(format!(
+            "a table ends with .csv, a figure with {ENDING_NAMES}, a report with .html"
+        )),
     }
 }
 

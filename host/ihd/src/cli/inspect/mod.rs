@@ -30,7 +30,7 @@ pub struct InspectArgs {
     capture: CaptureArgs,
     #[command(flatten)]
     sensors: SensorArgs,
-    /// Draw the capture, two periods, the spectra and the findings to this file (.svg or .pdf)
+    /// Draw the capture, two periods, the spectra and the findings to this file (.svg, .pdf or .png)
     #[arg(long, value_name = "FILE", value_parser = output::figure_file)]
     plot: Option<PathBuf>,
 }

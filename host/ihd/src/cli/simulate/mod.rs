@@ -87,7 +87,7 @@ pub struct SimulateArgs {
     /// Write the waveforms without noise and quantising too
     #[arg(long, requires = "out")]
     clean: bool,
-    /// Draw waveforms, R and L to this file (.svg or .pdf)
+    /// Draw waveforms, R and L to this file (.svg, .pdf or .png)
     #[arg(long)]
     plot: Option<PathBuf>,
     /// List the cost of each approximation of the field model, and do nothing else

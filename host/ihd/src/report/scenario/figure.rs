@@ -16,7 +16,7 @@ use ihd_plot::{FigureError, file};
 /// Width of the crests' right axis, left free in the other panels, so that their times are aligned.
 const RIGHT_AXIS_PX: i32 = 54;
 
-/// Draws a record to a file: SVG or PDF by its ending.
+/// Draws a record to a file: SVG, PDF or PNG by its ending.
 ///
 /// # Errors
 /// [`FigureError`] if there is no half-cycle or the file cannot be written.
