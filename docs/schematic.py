@@ -44,6 +44,11 @@ DEAD_TIME_NS = BOARD["bridge"]["dead_time_ns"]
 TICK_HZ = 8 * 170e6
 MAINS_FULL_SCALE_V = BOARD["sensors"]["mains_full_scale_mv"] / 1e3
 ANTI_ALIAS_HZ = BOARD["sensors"]["anti_alias_hz"]
+# Resistance at 25 °C, B, resistor to 3V3.
+NTCS = {
+    sensor: [BOARD["thermistors"][f"{sensor}_{key}"] for key in ("ntc_ohm", "ntc_b_k", "pull_up_ohm")]
+    for sensor in ("heat_sink", "glass", "coil")
+}
 V_REF_V, V_ADC_V, HALF_CODES = 1.65, 3.3, 2048
 
 # The parts, in ohm, farad and turns: E96 resistors, E6 or E12 capacitors.
@@ -172,8 +177,8 @@ def values():
     f_slow = f_top * 61 / 3 / 2
     row("ADC3's input as a resistance", 1e-3 / (f_slow * 5e-12), "kΩ", "1 / (813 kHz · 5 pF)")
     for name, r25, beta, up, temperatures in (
-        ("heat sink", 10e3, 3950, 10e3, (-20, 25, 85, 150)),
-        ("glass, coil", 100e3, 3950, 10e3, (-20, 25, 85, 200, 300)),
+        ("heat sink", *NTCS["heat_sink"], (-20, 25, 85, 150)),
+        ("glass, coil", *NTCS["glass"], (-20, 25, 85, 200, 300)),
     ):
         for celsius in temperatures:
             ntc = r25 * math.exp(beta * (1 / (celsius + 273.15) - 1 / 298.15))
@@ -635,7 +640,7 @@ def reference(s, y):
 def thermistors(s, y):
     s.text(968, y - 54, "NTCs on ADC4", "h")
     for k, (where, ntc, up) in enumerate(
-        (("heat sink", "10 kΩ\nB 3950", "10 kΩ"), ("glass", "100 kΩ\nB 3950", "10 kΩ"), ("coil", "100 kΩ\nB 3950", "10 kΩ"))
+        (sensor.replace("_", " "), f"{ohm(r25)}\nB {b_k}", ohm(up)) for sensor, (r25, b_k, up) in NTCS.items()
     ):
         x = 986 + 84 * k
         s.supply(x, y - 12, "3V3")

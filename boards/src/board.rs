@@ -8,7 +8,11 @@ use toml::de::{DeTable, DeValue};
 
 use crate::error::BoardError;
 use crate::order::ORDER;
+use crate::thermistors;
 use crate::values::VALUES;
+
+/// Answer to a key that no board has.
+const UNKNOWN: &str = "unknown; boards/reference.toml has every value";
 
 /// Values of a board.
 #[derive(Clone, Debug)]
@@ -75,11 +79,7 @@ impl Board {
                 .iter()
                 .find(|v| v.section == section && v.key == key.get_ref().as_ref());
             let Some(known) = known else {
-                return Err(self.error(
-                    &name,
-                    line,
-                    "unknown; boards/reference.toml has every value".to_owned(),
-                ));
+                return Err(self.error(&name, line, UNKNOWN.to_owned()));
             };
             let number = match value.get_ref() {
                 DeValue::Integer(number) => {
@@ -112,7 +112,7 @@ impl Board {
         }
         for order in ORDER {
             let ((lower, lower_line), (upper, line)) =
-                (self.values[order.lower], self.values[order.upper]);
+                (self.value(order.lower), self.value(order.upper));
             if lower as f64 * order.factor >= upper as f64 {
                 let why = format!(
                     "is {upper}, too small beside {} = {lower} in line {lower_line}: {}",
@@ -121,10 +121,15 @@ impl Board {
                 return Err(self.error(order.upper, line, why));
             }
         }
-        Ok(())
+        thermistors::check(self)
     }
 
-    fn error(&self, name: &str, line: usize, why: String) -> BoardError {
+    /// Value and line of a section and key that [`VALUES`] has.
+    pub(crate) fn value(&self, name: &str) -> (i64, usize) {
+        self.values[name]
+    }
+
+    pub(crate) fn error(&self, name: &str, line: usize, why: String) -> BoardError {
         BoardError::Value {
             path: self.path.clone(),
             line,
@@ -140,7 +145,7 @@ impl Board {
             self.name
         );
         for value in VALUES {
-            let (number, _) = self.values[&format!("{}.{}", value.section, value.key)];
+            let (number, _) = self.value(&format!("{}.{}", value.section, value.key));
             let name = value.key.to_uppercase();
             let _ = writeln!(
                 text,
@@ -148,7 +153,7 @@ impl Board {
                 value.doc, value.kind
             );
         }
-        text
+        text + &thermistors::constants(self)
     }
 }
 
@@ -158,15 +163,15 @@ fn line(text: &str, at: usize) -> usize {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    fn reference() -> String {
+    pub(crate) fn reference() -> String {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("reference.toml");
         std::fs::read_to_string(path).unwrap()
     }
 
-    fn refused(from: &str, to: &str) -> String {
+    pub(crate) fn refused(from: &str, to: &str) -> String {
         let text = reference();
         assert!(text.contains(from), "{from}");
         let wrong = Board::parse(Path::new("my.toml"), &text.replace(from, to));

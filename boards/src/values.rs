@@ -74,4 +74,15 @@ values! {
         bus_start_max_dv: u16 100..=15_000, "Bus voltage above which the bridge does not begin to switch, in decivolt.";
         bus_trip_dv: u16 100..=15_000, "Bus voltage that opens both switches, in decivolt.";
     }
+    thermistors {
+        heat_sink_ntc_ohm: u32 1_000..=1_000_000, "Resistance of the heat sink's NTC at 25 °C, in ohm.";
+        heat_sink_ntc_b_k: u32 1_000..=6_000, "B of the heat sink's NTC, in kelvin.";
+        heat_sink_pull_up_ohm: u32 1_000..=1_000_000, "Resistor from the heat sink's NTC to the converter's reference, in ohm.";
+        glass_ntc_ohm: u32 1_000..=1_000_000, "Resistance of the glass's NTC at 25 °C, in ohm.";
+        glass_ntc_b_k: u32 1_000..=6_000, "B of the glass's NTC, in kelvin.";
+        glass_pull_up_ohm: u32 1_000..=1_000_000, "Resistor from the glass's NTC to the converter's reference, in ohm.";
+        coil_ntc_ohm: u32 1_000..=1_000_000, "Resistance of the coil's NTC at 25 °C, in ohm.";
+        coil_ntc_b_k: u32 1_000..=6_000, "B of the coil's NTC, in kelvin.";
+        coil_pull_up_ohm: u32 1_000..=1_000_000, "Resistor from the coil's NTC to the converter's reference, in ohm.";
+    }
 }

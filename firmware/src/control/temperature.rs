@@ -1,10 +1,10 @@
 //! Temperatures of heat sink, glass and coil: from NTC codes to °C, to the power that is left, to the
 //! fan.
 //!
-//! Each NTC lies between the converter's input and ground, with 10 kohm to the converter's reference.
-//! The heat sink's has 10 kohm at 25 °C, the hotter glass's and coil's 100 kohm; B = 3950 K for all.
-//! A line between table entries of 10 K is off by less than 0.5 K.
+//! Each NTC lies between the converter's input and ground, with a resistor to the converter's reference; the board's file has
+//! both. A line between table entries of 10 K is off by less than 0.5 K.
 
+use ihd_shared::board::{NTC_CODES, NTC_FROM_C, NTC_SHORT_BELOW, NTC_STEP_C};
 use ihd_shared::fault::Fault;
 
 use crate::limits::{
@@ -12,19 +12,9 @@ use crate::limits::{
     GLASS_OFF_C, SINK_DERATE_C, SINK_OFF_C,
 };
 
-/// B of the NTCs, in kelvin.
-const B_K: f64 = 3_950.0;
-
-/// Resistor to the reference, in ohm.
-const PULL_UP_OHM: f64 = 10_000.0;
-
-/// First temperature of the tables, their step and length.
-const FROM_C: i16 = -40;
-const STEP_C: i16 = 10;
-const ENTRIES: usize = 37;
-
-/// Shorter than any NTC at 320 °C, or a wire to ground.
-const SHORT_BELOW: [u16; 2] = [2, 20];
+/// A constant would be copied wherever it is used.
+static CODES: [[u16; ENTRIES]; 3] = NTC_CODES;
+const ENTRIES: usize = NTC_CODES[0].len();
 
 /// Codes of one sensor; `None` where none is fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -53,9 +43,9 @@ impl Temperatures {
     /// Takes new codes.
     pub fn update(&mut self, codes: TemperatureCodes) {
         self.fault = Fault::NONE;
-        self.heat_sink_c = self.read(codes.heat_sink, Ntc::Of10K).map(whole);
-        self.glass = self.read(codes.glass, Ntc::Of100K);
-        self.coil_c = self.read(codes.coil, Ntc::Of100K).map(whole);
+        self.heat_sink_c = self.read(codes.heat_sink, Ntc::HeatSink).map(whole);
+        self.glass = self.read(codes.glass, Ntc::Glass);
+        self.coil_c = self.read(codes.coil, Ntc::Coil).map(whole);
         self.glass_hot = match self.glass.map(whole) {
             Some(c) if self.glass_hot => c >= GLASS_COOL_C,
             Some(c) => c >= GLASS_HOT_C,
@@ -121,30 +111,32 @@ impl Temperatures {
     }
 }
 
+/// Index in the board's tables.
 #[derive(Clone, Copy)]
 enum Ntc {
-    Of10K,
-    Of100K,
+    HeatSink,
+    Glass,
+    Coil,
 }
 
 impl Ntc {
     /// Temperature of a code in 1/16 °C, or what is wrong with the wire.
     fn sixteenths(self, code: u16) -> Result<i32, Fault> {
-        let table = &TABLES[self as usize];
+        let table = &CODES[self as usize];
         if code > table[0] {
             return Err(Fault::NTC_OPEN);
         }
-        if code < SHORT_BELOW[self as usize] {
+        if code < NTC_SHORT_BELOW[self as usize] {
             return Err(Fault::NTC_SHORT);
         }
         // Codes fall with temperature.
         let above = table.partition_point(|&entry| entry >= code);
         let Some((&low, &high)) = table.get(above).zip(table.get(above.wrapping_sub(1))) else {
-            return Ok(16 * i32::from(FROM_C + STEP_C * (ENTRIES as i16 - 1)));
+            return Ok(16 * i32::from(NTC_FROM_C + NTC_STEP_C * (ENTRIES as i16 - 1)));
         };
         let share =
-            16 * i32::from(STEP_C) * i32::from(high - code) / i32::from((high - low).max(1));
-        Ok(16 * i32::from(FROM_C + STEP_C * (above as i16 - 1)) + share)
+            16 * i32::from(NTC_STEP_C) * i32::from(high - code) / i32::from((high - low).max(1));
+        Ok(16 * i32::from(NTC_FROM_C + NTC_STEP_C * (above as i16 - 1)) + share)
     }
 }
 
@@ -153,50 +145,38 @@ fn whole(sixteenths: i32) -> i16 {
     (sixteenths >> 4) as i16
 }
 
-/// Codes of [`Ntc::Of10K`] and [`Ntc::Of100K`].
-static TABLES: [[u16; ENTRIES]; 2] = [table(10_000.0), table(100_000.0)];
-
-const fn table(ohm_at_25c: f64) -> [u16; ENTRIES] {
-    let mut codes = [0; ENTRIES];
-    let mut k = 0;
-    while k < ENTRIES {
-        let kelvin = 273.15 + (FROM_C + STEP_C * k as i16) as f64;
-        let ohm = ohm_at_25c * exp(B_K * (1.0 / kelvin - 1.0 / 298.15));
-        codes[k] = (4_096.0 * ohm / (ohm + PULL_UP_OHM) + 0.5) as u16;
-        k += 1;
-    }
-    codes
-}
-
-/// e^x for |x| below 16, by the series of x/64.
-const fn exp(x: f64) -> f64 {
-    let small = x / 64.0;
-    let (mut sum, mut term, mut k) = (1.0, 1.0, 1);
-    while k < 16 {
-        term *= small / k as f64;
-        sum += term;
-        k += 1;
-    }
-    let mut squarings = 0;
-    while squarings < 6 {
-        sum *= sum;
-        squarings += 1;
-    }
-    sum
-}
-
 #[cfg(test)]
 mod tests {
+    use ihd_shared::board;
+
     use super::*;
 
-    fn code(ohm_at_25c: f64, celsius: f64) -> u16 {
-        let ohm = ohm_at_25c * (3_950.0 * (1.0 / (celsius + 273.15) - 1.0 / 298.15)).exp();
-        (4_096.0 * ohm / (ohm + 10_000.0)).round() as u16
+    fn code(ntc: Ntc, celsius: f64) -> u16 {
+        let (ohm, b_k, pull_up_ohm) = match ntc {
+            Ntc::HeatSink => (
+                board::HEAT_SINK_NTC_OHM,
+                board::HEAT_SINK_NTC_B_K,
+                board::HEAT_SINK_PULL_UP_OHM,
+            ),
+            Ntc::Glass => (
+                board::GLASS_NTC_OHM,
+                board::GLASS_NTC_B_K,
+                board::GLASS_PULL_UP_OHM,
+            ),
+            Ntc::Coil => (
+                board::COIL_NTC_OHM,
+                board::COIL_NTC_B_K,
+                board::COIL_PULL_UP_OHM,
+            ),
+        };
+        let colder = 1.0 / (celsius + 273.15) - 1.0 / 298.15;
+        let ohm = f64::from(ohm) * (f64::from(b_k) * colder).exp();
+        (4_096.0 * ohm / (ohm + f64::from(pull_up_ohm))).round() as u16
     }
 
     fn of_sink(celsius: f64) -> TemperatureCodes {
         TemperatureCodes {
-            heat_sink: Some(code(10_000.0, celsius)),
+            heat_sink: Some(code(Ntc::HeatSink, celsius)),
             ..TemperatureCodes::default()
         }
     }
@@ -204,14 +184,16 @@ mod tests {
     #[test]
     fn codes_become_degrees() {
         for celsius in (-20..=130).step_by(3) {
-            let got = Ntc::Of10K.sixteenths(code(10_000.0, f64::from(celsius)));
+            let got = Ntc::HeatSink.sixteenths(code(Ntc::HeatSink, f64::from(celsius)));
             let error = f64::from(got.expect("in range")) / 16.0 - f64::from(celsius);
             assert!(error.abs() <= 1.5, "{celsius}: {error}");
         }
-        for celsius in (20..=300).step_by(7) {
-            let got = Ntc::Of100K.sixteenths(code(100_000.0, f64::from(celsius)));
-            let error = f64::from(got.expect("in range")) / 16.0 - f64::from(celsius);
-            assert!(error.abs() <= 3.0, "{celsius}: {error}");
+        for ntc in [Ntc::Glass, Ntc::Coil] {
+            for celsius in (20..=300).step_by(7) {
+                let got = ntc.sixteenths(code(ntc, f64::from(celsius)));
+                let error = f64::from(got.expect("in range")) / 16.0 - f64::from(celsius);
+                assert!(error.abs() <= 3.0, "{celsius}: {error}");
+            }
         }
     }
 
@@ -227,7 +209,7 @@ mod tests {
         };
         assert_eq!(with(4_095), Fault::NTC_OPEN);
         assert_eq!(with(0), Fault::NTC_SHORT);
-        assert_eq!(with(code(100_000.0, 25.0)), Fault::NONE);
+        assert_eq!(with(code(Ntc::Glass, 25.0)), Fault::NONE);
     }
 
     #[test]
@@ -259,14 +241,14 @@ mod tests {
             });
             t.is_glass_hot()
         };
-        let mut at_c = |celsius| at(Some(code(100_000.0, celsius)));
+        let mut at_c = |celsius| at(Some(code(Ntc::Glass, celsius)));
         let seen = [55.0, 62.0, 55.0, 48.0, 55.0].map(&mut at_c);
         assert_eq!(seen, [false, true, true, false, false]);
         // Open, short, not fitted: then it has to be found cool again.
         for broken in [Some(4_095), Some(0), None] {
             assert!(at(broken));
-            assert!(at(Some(code(100_000.0, 55.0))));
-            assert!(!at(Some(code(100_000.0, 45.0))));
+            assert!(at(Some(code(Ntc::Glass, 55.0))));
+            assert!(!at(Some(code(Ntc::Glass, 45.0))));
         }
     }
 

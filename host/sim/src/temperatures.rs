@@ -1,6 +1,7 @@
 //! Temperatures of heat sink, glass and coil, and the codes of their sensors.
 
 use ihd_firmware::control::temperature::TemperatureCodes;
+use ihd_shared::board;
 
 use crate::injection::{FaultChannel, InjectionKind, Injections};
 
@@ -116,25 +117,57 @@ impl LumpTemperatures {
         self.coil_c += coil_w * dt_s / COIL_J_PER_K;
     }
 
-    /// Codes of the sensors: NTCs of 10 kohm (heat sink) and 100 kohm at 25 °C, below 10 kohm to the reference.
+    /// Codes of the sensors: NTCs below a resistor to the reference.
     pub fn codes(&self, injections: &Injections) -> TemperatureCodes {
-        let code = |channel, ohm_at_25c, celsius| match injections.ntc(channel) {
+        let code = |channel, ntc: Ntc, celsius| match injections.ntc(channel) {
             Some(InjectionKind::NtcOpen) => Some(4_095),
             Some(_) => Some(0),
-            None => Some(ntc_code(ohm_at_25c, celsius)),
+            None => Some(ntc.code(celsius)),
         };
+        let [heat_sink, glass, coil] = NTCS;
         TemperatureCodes {
-            heat_sink: code(FaultChannel::HeatSink, 10e3, self.heat_sink_c),
-            glass: code(FaultChannel::Glass, 100e3, self.glass_sensor_c),
-            coil: code(FaultChannel::Coil, 100e3, self.coil_c),
+            heat_sink: code(FaultChannel::HeatSink, heat_sink, self.heat_sink_c),
+            glass: code(FaultChannel::Glass, glass, self.glass_sensor_c),
+            coil: code(FaultChannel::Coil, coil, self.coil_c),
         }
     }
 }
 
-/// Code of an NTC with B = 3950 K; docs/board.md has the divider.
-fn ntc_code(ohm_at_25c: f64, celsius: f64) -> u16 {
-    let ohm = ohm_at_25c * libm::exp(3_950.0 * (1.0 / (celsius + 273.15) - 1.0 / 298.15));
-    (4_096.0 * ohm / (ohm + 10e3)).round().min(4_095.0) as u16
+/// NTC to ground, with its resistor to the converter's reference.
+#[derive(Clone, Copy, Debug)]
+pub struct Ntc {
+    ohm_at_25c: u32,
+    b_k: u32,
+    pull_up_ohm: u32,
+}
+
+/// The board's, of heat sink, glass and coil.
+pub const NTCS: [Ntc; 3] = [
+    Ntc {
+        ohm_at_25c: board::HEAT_SINK_NTC_OHM,
+        b_k: board::HEAT_SINK_NTC_B_K,
+        pull_up_ohm: board::HEAT_SINK_PULL_UP_OHM,
+    },
+    Ntc {
+        ohm_at_25c: board::GLASS_NTC_OHM,
+        b_k: board::GLASS_NTC_B_K,
+        pull_up_ohm: board::GLASS_PULL_UP_OHM,
+    },
+    Ntc {
+        ohm_at_25c: board::COIL_NTC_OHM,
+        b_k: board::COIL_NTC_B_K,
+        pull_up_ohm: board::COIL_PULL_UP_OHM,
+    },
+];
+
+impl Ntc {
+    /// Code of 12 bit at a temperature in °C.
+    pub fn code(self, celsius: f64) -> u16 {
+        let colder = 1.0 / (celsius + 273.15) - 1.0 / 298.15;
+        let ohm = f64::from(self.ohm_at_25c) * libm::exp(f64::from(self.b_k) * colder);
+        let code = 4_096.0 * ohm / (ohm + f64::from(self.pull_up_ohm));
+        code.round().min(4_095.0) as u16
+    }
 }
 
 #[cfg(test)]
@@ -199,6 +232,11 @@ mod tests {
         }
         let codes = LumpTemperatures::at(AMBIENT_C).codes(&injections);
         assert_eq!((codes.glass, codes.heat_sink), (Some(4_095), Some(0)));
-        assert_eq!(codes.coil, Some(3_724), "100 kohm over 110 kohm");
+        let (ntc, all) = (
+            board::COIL_NTC_OHM,
+            board::COIL_NTC_OHM + board::COIL_PULL_UP_OHM,
+        );
+        let half = 4_096.0 * f64::from(ntc) / f64::from(all);
+        assert_eq!(codes.coil, Some(half.round() as u16), "at 25 °C");
     }
 }

@@ -4,19 +4,21 @@ use std::collections::VecDeque;
 
 use ihd_firmware::drive::bridge;
 use ihd_firmware::sense::mains::MAINS_FULL_SCALE_V;
+use ihd_shared::board::BUS_FULL_SCALE_DV;
 use ihd_shared::sampling::{
     AMPERE_PER_CODE, CODE_HALF_RANGE, CODE_MAX, CODE_MIN, Pair, VOLT_PER_CODE,
 };
 use ihd_sim::adc::Adc;
 use ihd_sim::hob::HobConfig;
 use ihd_sim::plant::Plant;
+use ihd_sim::temperatures::NTCS;
 
 use crate::chip::hrtim::Bridge;
 use crate::processor::REFERENCE_CALIBRATION;
 use crate::usb::host::HostController;
 
 /// Volt of the bus over the range of 12 bit (docs/board.md: PB1).
-const BUS_RANGE_V: f64 = 500.0;
+const BUS_RANGE_V: f64 = BUS_FULL_SCALE_DV as f64 / 10.0;
 
 /// Supply by which the front end's scales are given, in volt (docs/board.md).
 const NOMINAL_VDDA_V: f64 = 3.3;
@@ -132,19 +134,15 @@ impl Pins {
         }
     }
 
-    /// The 12-bit code of a channel of ADC4: a thermistor to ground with B = 3950 K, of 10 kΩ at 25 °C on the heat sink and
-    /// 100 kΩ at glass and coil, below 10 kΩ to the reference (docs/board.md).
+    /// The 12-bit code of a channel of ADC4: a thermistor of heat sink, glass or coil (docs/board.md).
     pub fn thermistor_code(&self, channel: u32) -> u32 {
-        let (place, ratio_at_25_c) = match channel {
-            3 => (0, 1.0),
-            4 => (1, 10.0),
-            5 => (2, 10.0),
+        let place = match channel {
+            3 => 0,
+            4 => 1,
+            5 => 2,
             _ => return 0,
         };
-        let inverse = |celsius: f64| 1.0 / (celsius + 273.15);
-        let ratio =
-            ratio_at_25_c * (3950.0 * (inverse(self.temperatures_c[place]) - inverse(25.0))).exp();
-        (CODES * ratio / (ratio + 1.0)).round().min(CODES - 1.0) as u32
+        NTCS[place].code(self.temperatures_c[place]).into()
     }
 
     /// The 12-bit code of the reference voltage, 1.2122 V, at this supply.
