@@ -8,6 +8,7 @@ use toml::de::{DeTable, DeValue};
 
 use crate::error::BoardError;
 use crate::order::ORDER;
+use crate::pins::{self, PINS};
 use crate::thermistors;
 use crate::values::VALUES;
 
@@ -21,6 +22,8 @@ pub struct Board {
     name: String,
     /// Value and line, by section and key.
     values: BTreeMap<String, (i64, usize)>,
+    /// Port, line of the port, and line of the file, by key.
+    pins: BTreeMap<&'static str, ((u8, u8), usize)>,
 }
 
 impl Board {
@@ -49,12 +52,14 @@ impl Board {
             path: path.to_owned(),
             name: String::new(),
             values: BTreeMap::new(),
+            pins: BTreeMap::new(),
         };
         for (key, value) in table.get_ref() {
             let line = line(text, value.span().start);
             let key = key.get_ref().as_ref();
             match value.get_ref() {
                 DeValue::String(name) if key == "name" => board.name = name.to_string(),
+                DeValue::Table(section) if key == "pins" => board.take_pins(section, text)?,
                 DeValue::Table(section) => board.take(key, section, text)?,
                 _ => {
                     return Err(board.error(
@@ -99,6 +104,24 @@ impl Board {
         Ok(())
     }
 
+    fn take_pins(&mut self, table: &DeTable<'_>, text: &str) -> Result<(), BoardError> {
+        for (key, value) in table {
+            let line = line(text, value.span().start);
+            let known = PINS.iter().find(|pin| pin.key == key.get_ref().as_ref());
+            let pin = match (known, value.get_ref()) {
+                (None, _) => Err(UNKNOWN.to_owned()),
+                (Some(known), DeValue::String(name)) => {
+                    pins::of(known, name).map(|pin| (known.key, pin))
+                }
+                _ => Err("must be a pin's name".to_owned()),
+            };
+            let name = format!("pins.{}", key.get_ref());
+            let (key, pin) = pin.map_err(|why| self.error(&name, line, why))?;
+            self.pins.insert(key, (pin, line));
+        }
+        Ok(())
+    }
+
     fn check(&self) -> Result<(), BoardError> {
         for value in VALUES {
             let name = format!("{}.{}", value.section, value.key);
@@ -107,6 +130,15 @@ impl Board {
                     path: self.path.clone(),
                     name,
                     purpose: value.doc,
+                });
+            }
+        }
+        for pin in PINS {
+            if !self.pins.contains_key(pin.key) {
+                return Err(BoardError::Missing {
+                    path: self.path.clone(),
+                    name: format!("pins.{}", pin.key),
+                    purpose: pin.doc,
                 });
             }
         }
@@ -121,7 +153,13 @@ impl Board {
                 return Err(self.error(order.upper, line, why));
             }
         }
+        pins::check(self)?;
         thermistors::check(self)
+    }
+
+    /// Port and line of a function that [`PINS`] has, and its line of the file.
+    pub(crate) fn pin(&self, key: &str) -> ((u8, u8), usize) {
+        self.pins[key]
     }
 
     /// Value and line of a section and key that [`VALUES`] has.
@@ -153,7 +191,7 @@ impl Board {
                 value.doc, value.kind
             );
         }
-        text + &thermistors::constants(self)
+        text + &thermistors::constants(self) + &pins::constants(self)
     }
 }
 

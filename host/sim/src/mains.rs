@@ -1,5 +1,7 @@
 //! The rectified mains behind the half-bridge's bus.
 
+use ihd_shared::board;
+
 /// Mains whose voltage and frequency may change at any instant with a continuous phase.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedMains {
@@ -23,6 +25,13 @@ impl SimulatedMains {
             harmonics: [0.0; 3],
             changed: (0.0, 0.0),
         }
+    }
+
+    /// Creates the board's mains.
+    pub fn of_board() -> Self {
+        let frequency_hz = f64::from(board::MAINS_FREQUENCY_HZ);
+        let v_rms_v = f64::from(board::MAINS_VOLTAGE_V);
+        Self::new(frequency_hz).changed(0.0, v_rms_v, frequency_hz)
     }
 
     /// Sets third, fifth and seventh harmonic as shares of the fundamental.

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use ihd_firmware::drive::bridge;
 use ihd_firmware::sense::mains::MAINS_FULL_SCALE_V;
-use ihd_shared::board::BUS_FULL_SCALE_DV;
+use ihd_shared::board::{self, BUS_FULL_SCALE_DV, Pin};
 use ihd_shared::sampling::{
     AMPERE_PER_CODE, CODE_HALF_RANGE, CODE_MAX, CODE_MIN, Pair, VOLT_PER_CODE,
 };
@@ -23,8 +23,20 @@ const BUS_RANGE_V: f64 = BUS_FULL_SCALE_DV as f64 / 10.0;
 /// Supply by which the front end's scales are given, in volt (docs/board.md).
 const NOMINAL_VDDA_V: f64 = 3.3;
 
-/// Lines of port C with a button of the panel.
-const PANEL_LINES: [u32; 4] = [6, 8, 9, 7];
+/// Pins of the panel's buttons: on/off, plus, minus, timer.
+const BUTTONS: [Pin; 4] = [
+    board::BUTTON_ON_OFF_PIN,
+    board::BUTTON_PLUS_PIN,
+    board::BUTTON_MINUS_PIN,
+    board::BUTTON_TIMER_PIN,
+];
+
+/// Pins of the thermistors of heat sink, glass and coil.
+const THERMISTORS: [Pin; 3] = [
+    board::HEAT_SINK_NTC_PIN,
+    board::GLASS_NTC_PIN,
+    board::COIL_NTC_PIN,
+];
 
 const CODES: f64 = 4096.0;
 const MIDDLE: f64 = CODE_HALF_RANGE as f64;
@@ -75,13 +87,13 @@ pub struct Pins {
     above_s: [f64; 2],
     /// Comparators that never trip: a test's interference.
     pub dead_comparators: [bool; 2],
-    /// Temperatures of heat sink, glass and coil in °C, at thermistors on PB12, PB14 and PB15.
+    /// Temperatures of heat sink, glass and coil in °C.
     pub temperatures_c: [f64; 3],
     /// The analogue supply, in volt, which every channel is a ratio of.
     pub vdda_v: f64,
     /// The chip's reference voltage over what it should be.
     pub reference_ratio: f64,
-    /// Buttons of the panel that are pressed, on/off, plus, minus, timer: PC6, PC8, PC9, PC7 to ground.
+    /// Buttons of the panel that are pressed, on/off, plus, minus, timer.
     pub pressed: [bool; 4],
     /// Added to every pair's codes: offsets of the two sensors.
     pub offset: Pair,
@@ -134,15 +146,20 @@ impl Pins {
         }
     }
 
-    /// The 12-bit code of a channel of ADC4: a thermistor of heat sink, glass or coil (docs/board.md).
+    /// The 12-bit code of a channel of ADC4: a thermistor at PB12, PB14 or PB15.
     pub fn thermistor_code(&self, channel: u32) -> u32 {
-        let place = match channel {
-            3 => 0,
-            4 => 1,
-            5 => 2,
+        let line = match channel {
+            3 => 12,
+            4 => 14,
+            5 => 15,
             _ => return 0,
         };
-        NTCS[place].code(self.temperatures_c[place]).into()
+        let place = THERMISTORS
+            .iter()
+            .position(|pin| *pin == Pin { port: 1, line });
+        place.map_or(0, |place| {
+            NTCS[place].code(self.temperatures_c[place]).into()
+        })
     }
 
     /// The 12-bit code of the reference voltage, 1.2122 V, at this supply.
@@ -151,12 +168,12 @@ impl Pins {
         code.round() as u32
     }
 
-    /// Levels of port C, of which the panel's lines are high where a pull-up holds them and no button closes them.
-    pub fn port_c(&self, pulled_up: u32) -> u32 {
-        let buttons = PANEL_LINES.iter().zip(self.pressed);
+    /// Levels of a port, 0 for A, of which the panel's lines are high where a pull-up holds them and no button closes them.
+    pub fn levels(&self, port: u8, pulled_up: u32) -> u32 {
+        let buttons = BUTTONS.iter().zip(self.pressed);
         let closed: u32 = buttons
-            .filter(|(_, pressed)| *pressed)
-            .map(|(line, _)| 1 << line)
+            .filter(|(pin, pressed)| *pressed && pin.port == port)
+            .map(|(pin, _)| 1 << pin.line)
             .sum();
         pulled_up & !closed
     }

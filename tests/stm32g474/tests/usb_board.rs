@@ -19,7 +19,7 @@ fn powered() -> (Bench, Cable) {
         .expect("`cargo xtask test --only board` names the image");
     let plant = || {
         let adc = Adc::new(ConverterNoise::default(), 1).with_filter(500e3);
-        Plant::new(SimulatedMains::new(50.0), PotKind::Ferromagnetic, adc)
+        Plant::new(SimulatedMains::of_board(), PotKind::Ferromagnetic, adc)
     };
     let bench = Bench::power_up(&PathBuf::from(path), plant).expect("the image is built");
     let cable = bench.with(|machine| machine.cable.clone());

@@ -1,4 +1,4 @@
-//! The NUCLEO's green LED (LD2 on PA5), for who stands beside the board without a host.
+//! The LED, on the reference board the NUCLEO's green one (LD2), for who stands beside the board without a host.
 //!
 //! | LED | meaning |
 //! |---|---|
@@ -7,19 +7,24 @@
 //! | n flashes, a pause | fault n |
 //! | n flashes, or a flicker, and the host gets no answer | the program ended too often in a row and stays so (`crash.rs`); fault n was active before, or none |
 
-use embassy_stm32::Peri;
-use embassy_stm32::gpio::{Level, Output, Speed};
+use embassy_stm32::gpio::{Level, Output};
 use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::vals::Moder;
 use embassy_stm32::pac::iwdg::vals::Key;
 use embassy_stm32::pac::rcc::vals::Sw;
-use embassy_stm32::peripherals::PA5;
+use ihd_shared::board::LED_PIN;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::State;
 
+use super::panel::low_output;
 use super::registers::clocks::CORE_MHZ;
 
-const PIN: usize = 5;
+const PORT: pac::gpio::Gpio = match LED_PIN.port {
+    0 => pac::GPIOA,
+    1 => pac::GPIOB,
+    _ => pac::GPIOC,
+};
+const LINE: usize = LED_PIN.line as usize;
 
 /// Half of the time from one flash of a fault to the next, and the pause after the last.
 const FLASH_MS: u32 = 200;
@@ -37,9 +42,9 @@ pub struct Led {
 
 impl Led {
     /// Dark.
-    pub fn new(pin: Peri<'static, PA5>, now: u32) -> Self {
+    pub fn new(now: u32) -> Self {
         Self {
-            pin: Output::new(pin, Level::Low, Speed::Low),
+            pin: low_output(LED_PIN),
             at: now,
             ms: 0,
         }
@@ -68,11 +73,10 @@ fn flashes(number: u32, ms: u32) -> bool {
 /// Flashes a fault's number for ever, or flickers without one, feeding the watchdog should it run. Registers alone: whatever came
 /// before cannot be trusted.
 pub fn flash_for_ever(number: u16) -> ! {
-    pac::RCC.ahb2enr().modify(|w| w.set_gpioaen(true));
+    // RCC_AHB2ENR: GPIOAEN is bit 0, and so on.
+    pac::RCC.ahb2enr().modify(|w| w.0 |= 1 << LED_PIN.port);
     let _ = pac::RCC.ahb2enr().read();
-    pac::GPIOA
-        .moder()
-        .modify(|w| w.set_moder(PIN, Moder::OUTPUT));
+    PORT.moder().modify(|w| w.set_moder(LINE, Moder::OUTPUT));
     let mhz = match pac::RCC.cfgr().read().sws() {
         Sw::PLL1_R => CORE_MHZ,
         _ => 16,
@@ -83,9 +87,9 @@ pub fn flash_for_ever(number: u16) -> ! {
             0 => ms % 200 < 100,
             _ => flashes(u32::from(number), ms),
         };
-        pac::GPIOA.bsrr().write(|w| match lit {
-            true => w.set_bs(PIN, true),
-            false => w.set_br(PIN, true),
+        PORT.bsrr().write(|w| match lit {
+            true => w.set_bs(LINE, true),
+            false => w.set_br(LINE, true),
         });
         pac::IWDG.kr().write(|w| w.set_key(Key::RESET));
         cortex_m::asm::delay(mhz * 1_000);

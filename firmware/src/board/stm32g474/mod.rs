@@ -6,14 +6,11 @@
 //! PA1         ADC2 IN2, COMP1+    coil current; COMP1 trips on its positive peak
 //! PA7         COMP2+              coil current inverted; COMP2 trips on the other peak
 //! PB1, PB0    ADC3 IN1, IN12      bus voltage, mains voltage
-//! PB12, 14, 15  ADC4 IN3, 4, 5    thermistors of heat sink, glass, coil
-//! PB5         output            fan, on by a high level
-//! PC6 to PC9  inputs              panel: on/off, timer, plus, minus, closed to ground
-//! PC10 to 12  outputs             panel: lights of power, fault, hot glass
 //! PA2, PA3    LPUART1             the ST-LINK's serial port of a NUCLEO
-//! PA5         LED                 LD2 of a NUCLEO
 //! PA11, PA12  USB                 vendor bulk interface
 //! ```
+//!
+//! Thermistors, fan, panel and LED are where the board's file says.
 //!
 //! Coil voltage is ADC1 and current ADC2, so that the common data register holds them in the order
 //! of a [`ihd_shared::sampling::Pair`], and the DMA writes pairs.
@@ -27,6 +24,7 @@ mod led;
 mod log;
 mod nonvolatile;
 mod panel;
+mod pins;
 mod registers;
 pub mod safe_state;
 mod self_test;

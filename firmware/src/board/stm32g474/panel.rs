@@ -1,26 +1,12 @@
 //! The panel: four buttons to ground with the chip's own pull-ups, three lights on by a high level.
 
-use embassy_stm32::Peri;
-use embassy_stm32::gpio::{Input, Level, Output, Pin, Pull, Speed};
-use embassy_stm32::peripherals::{PC6, PC7, PC8, PC9, PC10, PC11, PC12};
+use embassy_stm32::gpio::{Input, Level, Output, Pull, Speed};
 use ihd_firmware::control::panel::{PanelButtons, PanelLines};
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::path::SamplingLock;
+use ihd_shared::board::{self, Pin};
 
-/// Pins of the buttons: on/off, plus, minus, timer.
-type Buttons = (
-    Peri<'static, PC6>,
-    Peri<'static, PC8>,
-    Peri<'static, PC9>,
-    Peri<'static, PC7>,
-);
-
-/// Pins of the lights of power, fault and hot glass.
-type Lights = (
-    Peri<'static, PC10>,
-    Peri<'static, PC11>,
-    Peri<'static, PC12>,
-);
+use super::pins::of_board;
 
 /// Lines and lights.
 pub struct Panel {
@@ -36,16 +22,15 @@ pub struct Panel {
 
 impl Panel {
     /// Lights off; a button that is closed by now counts once it has been released.
-    pub fn new(buttons: Buttons, (on, fault, hot): Lights) -> Self {
-        let (on_off, plus, minus, timer) = buttons;
+    pub fn new() -> Self {
         Self {
-            on_off: Input::new(on_off, Pull::Up),
-            plus: Input::new(plus, Pull::Up),
-            minus: Input::new(minus, Pull::Up),
-            timer: Input::new(timer, Pull::Up),
-            on: light(on),
-            fault: light(fault),
-            hot: light(hot),
+            on_off: button(board::BUTTON_ON_OFF_PIN),
+            plus: button(board::BUTTON_PLUS_PIN),
+            minus: button(board::BUTTON_MINUS_PIN),
+            timer: button(board::BUTTON_TIMER_PIN),
+            on: low_output(board::LIGHT_POWER_PIN),
+            fault: low_output(board::LIGHT_FAULT_PIN),
+            hot: low_output(board::LIGHT_HOT_GLASS_PIN),
             buttons: PanelButtons::default(),
         }
     }
@@ -71,7 +56,11 @@ impl Panel {
     }
 }
 
-/// Light that is off.
-fn light(pin: Peri<'static, impl Pin>) -> Output<'static> {
-    Output::new(pin, Level::Low, Speed::Low)
+fn button(pin: Pin) -> Input<'static> {
+    Input::new(of_board(pin), Pull::Up)
+}
+
+/// Light, or fan, that is off.
+pub fn low_output(pin: Pin) -> Output<'static> {
+    Output::new(of_board(pin), Level::Low, Speed::Low)
 }

@@ -3,7 +3,7 @@
 use embassy_executor::raw::TaskStorage;
 use embassy_executor::{Executor, Spawner};
 use embassy_stm32::flash::{self, Flash};
-use embassy_stm32::gpio::{AfType, Flex, Level, Output, OutputType, Speed};
+use embassy_stm32::gpio::{AfType, Flex, Output, OutputType, Speed};
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::peripherals::{CRC, IWDG, LPUART1, USB};
 use embassy_stm32::rcc;
@@ -17,6 +17,7 @@ use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::retained::{nonvolatile, reset};
 use ihd_firmware::sampling::path::SamplingLock;
 use ihd_firmware::self_test::heartbeat::Heartbeat;
+use ihd_shared::board::{COIL_NTC_PIN, FAN_PIN, GLASS_NTC_PIN, HEAT_SINK_NTC_PIN};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::F_SW_MAX_HZ;
 use ihd_shared::lookup::prior::prior;
@@ -28,7 +29,8 @@ use super::adc::{self, Adc, SAMPLING_EXECUTOR};
 use super::led::Led;
 use super::log::LinkLog;
 use super::nonvolatile::{self as nonvolatile_pages, LookupPages, TO_KEEP};
-use super::panel::Panel;
+use super::panel::{Panel, low_output};
+use super::pins::of_board;
 use super::self_test::SelfTest;
 use super::service::{self, ChipServices};
 use super::temperatures::Temperatures;
@@ -131,7 +133,7 @@ fn start(
     housekeeping.set_identity(service::identity(reset_flags, last, &self_test));
     housekeeping.set_log(&LinkLog);
     let pages = lookup_pages(p.FLASH, housekeeping);
-    let led = Led::new(p.PA5, cycles::now());
+    let led = Led::new(cycles::now());
     // The thresholds first, then what compares with them, then what could switch on.
     registers::comparators::start();
     defmt::info!("comparators on");
@@ -141,9 +143,9 @@ fn start(
         Flex::new(p.PA7),
         Flex::new(p.PB0),
         Flex::new(p.PB1),
-        Flex::new(p.PB12),
-        Flex::new(p.PB14),
-        Flex::new(p.PB15),
+        Flex::new(of_board(HEAT_SINK_NTC_PIN)),
+        Flex::new(of_board(GLASS_NTC_PIN)),
+        Flex::new(of_board(COIL_NTC_PIN)),
     ] {
         analog(pin);
     }
@@ -179,8 +181,8 @@ fn start(
         kept_changes: housekeeping.lookup_changes(),
         self_test,
         temperatures: Temperatures::start(cycles::now()),
-        fan: Output::new(p.PB5, Level::Low, Speed::Low),
-        panel: Panel::new((p.PC6, p.PC8, p.PC9, p.PC7), (p.PC10, p.PC11, p.PC12)),
+        fan: low_output(FAN_PIN),
+        panel: Panel::new(),
     };
     if let Ok(token) = nonvolatile_pages::keep(pages) {
         spawner.spawn(token);

@@ -5,6 +5,7 @@ use core::arch::global_asm;
 
 use ihd_firmware::retained::control::RetainedControl;
 use ihd_firmware::retained::reset::{CrashRecord, NEXT_BOOTLOADER};
+use ihd_shared::board::LED_PIN;
 use ihd_shared::fault::Fault;
 
 /// Crash record of a start that finds the RAM broken: the fault, for a start that finds it whole.
@@ -21,6 +22,16 @@ const BROKEN_RAM: [u32; 4] = CrashRecord {
     },
 }
 .to_words();
+
+/// GPIOx_MODER after a reset (RM0440, 9.4.1), with the LED as an output.
+const LED_MODE: u32 = {
+    let reset: u32 = match LED_PIN.port {
+        0 => 0xABFF_FFFF,
+        1 => 0xFFFF_FEBF,
+        _ => 0xFFFF_FFFF,
+    };
+    reset & !(0b11 << (2 * LED_PIN.line)) | 0b01 << (2 * LED_PIN.line)
+};
 
 // cortex-m-rt calls this before it fills .data and .bss, with the stack pointer set and nothing else. Assembly, as Rust
 // code may use what is not there yet. No stack: it is among what is tested. It runs from flash at 16 MHz.
@@ -40,7 +51,7 @@ const BROKEN_RAM: [u32; 4] = CrashRecord {
 //    one and keep what they hold: ⇑(w0) ⇑(r0,w1) ⇑(r1,w0) ⇓(r0,w1) ⇓(r1,w0) ⇑(r0). r9 gathers what was wrong. With RAM
 //    parity on (option bit SRAM_PE) a word must be written before it is read, or NMI comes (RM0440, section 2.4.1): the
 //    march begins with that, and leaves zeros.
-//    Where a cell is broken nothing may run: the watchdog is started as it is after a reset (512 ms), PA5 flickers at 8 Hz,
+//    Where a cell is broken nothing may run: the watchdog is started as it is after a reset (512 ms), the LED flickers at 8 Hz,
 //    and the next reset tests again. Outputs are off, as no pin has left its reset state.
 // 3. The sampling path and all constants into the CCM SRAM (firmware/ccm.x).
 // 4. The vectors too, and VTOR (Armv7-M, B3.2.5): the processor fetches a vector while it pushes
@@ -274,15 +285,15 @@ global_asm!(
     "ldr r0, =0x40003000",
     "movw r1, #0xCCCC",
     "str r1, [r0]",
-    // RCC_AHB2ENR: GPIOAEN. GPIOA_MODER: PA5 is an output, the others as after reset. GPIOA_BSRR.
+    // RCC_AHB2ENR: the clock of the LED's port. GPIOx_MODER: the LED is an output, the others as after reset. GPIOx_BSRR.
     "ldr r0, =0x4002104C",
-    "movs r1, #1",
+    "movs r1, #{led_clock}",
     "str r1, [r0]",
     "ldr r1, [r0]",
-    "ldr r0, =0x48000000",
-    "ldr r1, =0xABFFF7FF",
+    "ldr r0, ={led_port}",
+    "ldr r1, ={led_mode}",
     "str r1, [r0]",
-    "movs r2, #0x20",
+    "ldr r2, ={led_line}",
     "1: str r2, [r0, #0x18]",
     "ror r2, r2, #16",
     // 62 ms of 16 MHz, 4 cycles a turn.
@@ -297,4 +308,8 @@ global_asm!(
     record_2 = const BROKEN_RAM[2],
     record_3 = const BROKEN_RAM[3],
     next_bootloader = const NEXT_BOOTLOADER,
+    led_clock = const 1 << LED_PIN.port,
+    led_port = const 0x4800_0000 + 0x400 * LED_PIN.port as u32,
+    led_mode = const LED_MODE,
+    led_line = const 1 << LED_PIN.line,
 );

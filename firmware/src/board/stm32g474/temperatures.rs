@@ -3,13 +3,27 @@
 
 use ihd_firmware::control::temperature::TemperatureCodes;
 use ihd_firmware::sense::supply::Reference;
+use ihd_shared::board::{COIL_NTC_PIN, GLASS_NTC_PIN, HEAT_SINK_NTC_PIN, Pin};
 
 use super::registers::clocks::CORE_MHZ;
 use super::registers::{adc, supply};
 
-/// Heat sink on PB12, glass on PB14, coil on PB15, VREFINT (ADC, table "ADC internal channels": input 18, whose sampling
-/// takes 4 µs at least).
-const CHANNELS: [u8; 4] = [3, 4, 5, 18];
+/// Heat sink, glass, coil, VREFINT (ADC, table "ADC internal channels": input 18, whose sampling takes 4 µs at least).
+const CHANNELS: [u8; 4] = [
+    channel(HEAT_SINK_NTC_PIN),
+    channel(GLASS_NTC_PIN),
+    channel(COIL_NTC_PIN),
+    18,
+];
+
+/// Input of ADC4 at PB12, PB14 or PB15 (DS12288, table "Pin definition").
+const fn channel(pin: Pin) -> u8 {
+    match pin.line {
+        12 => 3,
+        14 => 4,
+        _ => 5,
+    }
+}
 
 /// From one conversion to the next: 1 ms, so each is looked at every 4 ms.
 const EVERY_CYCLES: u32 = CORE_MHZ * 1_000;

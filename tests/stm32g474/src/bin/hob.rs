@@ -29,9 +29,9 @@ struct Arguments {
     /// What stands on the coil
     #[arg(long, value_enum, default_value_t = Pot::Ferromagnetic)]
     pot: Pot,
-    /// Mains frequency in hertz
-    #[arg(long, default_value_t = 50.0)]
-    mains_hz: f64,
+    /// Mains frequency in hertz; default: the board's
+    #[arg(long)]
+    mains_hz: Option<f64>,
     /// How the load is modelled: by the field, which is slower and truer, or by its behaviour
     #[arg(long)]
     field: bool,
@@ -56,12 +56,11 @@ fn main() -> anyhow::Result<()> {
     } else {
         LoadKind::Behavioural
     };
-    let plant = Plant::with_load(
-        SimulatedMains::new(arguments.mains_hz),
-        pot,
-        load,
-        front_end(1),
-    );
+    let mut mains = SimulatedMains::of_board();
+    if let Some(hz) = arguments.mains_hz {
+        mains = mains.changed(0.0, mains.v_rms_v(), hz);
+    }
+    let plant = Plant::with_load(mains, pot, load, front_end(1));
     let machine = Machine::new(&arguments.image, plant)?;
     let listener = TcpListener::bind(&arguments.listen)
         .with_context(|| format!("cannot listen on {}", arguments.listen))?;

@@ -1,5 +1,7 @@
 //! What a read or a write of the processor does: which peripheral it reaches, and what the chip does after it.
 
+use ihd_shared::board::Pin;
+
 use super::{Chip, Reset, clocks};
 use crate::cpu::nvic::NMI;
 use crate::registers as reg;
@@ -9,6 +11,9 @@ use super::register_file::RegisterFile;
 
 const PMA: u32 = 0x4000_6000;
 const PMA_BYTES: u32 = 0x400;
+
+/// Distance from a port's registers to the next one's.
+const PORT_BYTES: u32 = 0x400;
 
 impl Chip {
     /// Reads `bytes` at an address of a peripheral.
@@ -32,12 +37,9 @@ impl Chip {
             a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.read(a, &self.file, now),
             a if in_block(a, reg::lpuart1::BASE, 0x400) => self.serial.read(a, &self.file),
             a if in_block(a, reg::flash::BASE, 0x400) => self.flash.read(a, &self.file),
-            reg::gpioc::idr::ADDRESS => {
-                // GPIOx_PUPDR: 1 is a pull-up.
-                let pulls = self.file.word(reg::gpioc::pupdr::ADDRESS);
-                let pulled_up = (0..16).filter(|pin| pulls >> (2 * pin) & 3 == 1);
-                self.pins.port_c(pulled_up.map(|pin| 1 << pin).sum())
-            }
+            reg::gpioa::idr::ADDRESS => self.levels(0),
+            reg::gpiob::idr::ADDRESS => self.levels(1),
+            reg::gpioc::idr::ADDRESS => self.levels(2),
             reg::crc::dr::ADDRESS => self.checksum.read(&self.file),
             a if in_block(a, reg::tim16::BASE, 0x400) => self.read_timer(a),
             a if in_block(a, reg::tim2::BASE, 0x400) => {
@@ -50,6 +52,24 @@ impl Chip {
         };
         self.update_lines();
         word >> (8 * (address & 3))
+    }
+
+    /// Levels of a port, 0 for A.
+    fn levels(&self, port: u8) -> u32 {
+        // GPIOx_PUPDR: 1 is a pull-up.
+        let pulls = self
+            .file
+            .word(reg::gpioa::pupdr::ADDRESS + PORT_BYTES * u32::from(port));
+        let pulled_up = (0..16).filter(|pin| pulls >> (2 * pin) & 3 == 1);
+        self.pins.levels(port, pulled_up.map(|pin| 1 << pin).sum())
+    }
+
+    /// Level that the program drives a pin to.
+    pub fn driven(&self, pin: Pin) -> bool {
+        let out = self
+            .file
+            .word(reg::gpioa::odr::ADDRESS + PORT_BYTES * u32::from(pin.port));
+        out >> pin.line & 1 == 1
     }
 
     /// Writes `bytes` at an address of a peripheral.

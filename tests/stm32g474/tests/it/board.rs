@@ -28,7 +28,7 @@ pub static IMAGE: LazyLock<PathBuf> = LazyLock::new(|| {
 pub fn with_pot(pot: PotKind) -> Bench {
     let plant = move || {
         Plant::with_load(
-            SimulatedMains::new(50.0),
+            SimulatedMains::of_board(),
             pot,
             LoadKind::Behavioural,
             front_end(1),

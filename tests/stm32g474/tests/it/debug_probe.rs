@@ -29,7 +29,7 @@ fn blank() -> Bench {
     let plant = || {
         let pot = PotKind::Ferromagnetic;
         Plant::with_load(
-            SimulatedMains::new(50.0),
+            SimulatedMains::of_board(),
             pot,
             LoadKind::Behavioural,
             front_end(1),

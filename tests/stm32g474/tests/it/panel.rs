@@ -1,8 +1,9 @@
 //! The panel's buttons and lights on the board's pins.
 
+use ihd_shared::board::{LIGHT_FAULT_PIN, LIGHT_HOT_GLASS_PIN, LIGHT_POWER_PIN};
 use ihd_shared::wire::messages::State;
 use ihd_sim::behavioural::PotKind;
-use ihd_stm32g474::registers::{gpioc, syscfg};
+use ihd_stm32g474::registers::syscfg;
 
 use crate::board::{Bench, assert_no_violations, connect, with_pot};
 
@@ -21,10 +22,8 @@ fn press(bench: &Bench, button: [bool; 4]) {
 
 /// Lights of power, fault and hot glass.
 fn lights(bench: &Bench) -> [bool; 3] {
-    bench.with(|machine| {
-        let out = machine.chip().file.word(gpioc::odr::ADDRESS);
-        [10, 11, 12].map(|pin| out >> pin & 1 == 1)
-    })
+    let pins = [LIGHT_POWER_PIN, LIGHT_FAULT_PIN, LIGHT_HOT_GLASS_PIN];
+    bench.with(move |machine| pins.map(|pin| machine.chip().driven(pin)))
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! The self-tests (docs/board.md): each finds its fault, and none finds one on a healthy board.
 
+use ihd_shared::board::LED_PIN;
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
@@ -7,7 +8,6 @@ use ihd_sim::behavioural::PotKind;
 use ihd_stm32g474::RegisterARM;
 use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::machine::Machine;
-use ihd_stm32g474::registers::gpioa;
 use ihd_stm32g474::time::{TICKS_PER_S, Ticks, seconds, us};
 
 use crate::board::{Bench, assert_no_violations, connect, resets, with_pot};
@@ -161,7 +161,7 @@ fn lets_nothing_run(cells: &[u32]) {
             let mut lit = Vec::new();
             for _ in 0..40 {
                 machine.run_for(us(12_000)).unwrap();
-                lit.push(machine.chip().file.word(gpioa::odr::ADDRESS) >> 5 & 1);
+                lit.push(machine.chip().driven(LED_PIN));
             }
             (machine.bites_at_start.len(), answered, lit)
         });

@@ -26,7 +26,7 @@ impl Board {
         let filtered = |seed| Adc::new(ConverterNoise::default(), seed).with_filter(500e3);
         let plant = move || {
             Plant::new(
-                SimulatedMains::new(50.0),
+                SimulatedMains::of_board(),
                 PotKind::Ferromagnetic,
                 filtered(unique.into()),
             )

@@ -1,0 +1,12 @@
+//! Pins that the board's file chooses.
+
+use embassy_stm32::Peri;
+use embassy_stm32::gpio::AnyPin;
+use ihd_shared::board::Pin;
+
+/// Pin of the file.
+pub fn of_board(pin: Pin) -> Peri<'static, AnyPin> {
+    // SAFETY: the file's pins differ from one another and from those that start.rs takes by name (boards/src/pins.rs), and each
+    // is asked for once.
+    unsafe { AnyPin::steal(pin.port * 16 + pin.line) }
+}
