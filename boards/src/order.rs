@@ -30,6 +30,12 @@ pub(crate) const ORDER: &[Order] = &[
         "the controller needs a range",
     ),
     order(
+        "coil.coil_inner_um",
+        "coil.coil_outer_um",
+        1.0,
+        "the coil needs a width",
+    ),
+    order(
         "limits.planned_current_ma",
         "limits.soft_current_ma",
         1.0,

@@ -54,6 +54,20 @@ values! {
         trip_delay_ns: u32 0..=10_000, "Time from the trip level to an open switch, in nanosecond.";
         resonance_capacitance_nf: u32 100..=10_000, "Series resonance capacitor C_r, in nanofarad.";
     }
+    coil {
+        coil_turns: u32 4..=27, "Turns of the coil; with more a pot's inductance exceeds the 64 µH of the lookup.";
+        coil_inner_um: u32 0..=500_000, "Inner radius of the coil, in micrometre.";
+        coil_outer_um: u32 10_000..=500_000, "Outer radius of the coil, in micrometre.";
+        coil_thickness_um: u32 100..=50_000, "Thickness of the coil, in micrometre.";
+        pot_gap_um: u32 100..=50_000, "Distance from the coil to a pot's base, glass included, in micrometre.";
+        ferrite_gap_um: u32 100..=50_000, "Distance from the ferrite to the coil, in micrometre.";
+        ferrite_thickness_um: u32 100..=50_000, "Thickness of the ferrite, a plate in the simulation, in micrometre.";
+        ferrite_radius_um: u32 10_000..=500_000, "Outer radius of the ferrite, in micrometre.";
+        ferrite_mu_r: u32 1..=100_000, "Relative permeability of the ferrite.";
+        shield_gap_um: u32 100..=50_000, "Distance from the aluminium shield to the ferrite, in micrometre.";
+        shield_thickness_um: u32 0..=50_000, "Thickness of the aluminium shield, in micrometre; 0 is a perfect conductor.";
+        winding_mohm: u32 1..=1_000, "Resistance of the winding and its leads, in milliohm.";
+    }
     sensors {
         coil_voltage_full_scale_mv: u32 50_000..=2_000_000, "Half the input range of the coil voltage's channel, in millivolt.";
         coil_current_full_scale_ma: u32 5_000..=500_000, "Half the input range of the coil current's channel, in milliampere.";

@@ -19,6 +19,10 @@ pub const TANK_CAPACITANCE_PF: u32 = {
     (c_r * 1_000 * c_2 * 1_000_000 / (c_2 * 1_000_000 + c_r * 297_358)) as u32
 };
 
+/// Turns of the coil over the 23 of the paper's coil, for which [`crate::lookup::prior`] and the simulation's formulas are given. With
+/// other turns in the same place R and L are its square times as large, at currents that are so many times smaller.
+pub const TURNS_RATIO: f64 = crate::board::COIL_TURNS as f64 / 23.0;
+
 /// Peak of the rectified mains of a 230 V supply, in volt (paper, section IV).
 pub const BUS_PEAK_V: f64 = 230.0 * core::f64::consts::SQRT_2;
 

@@ -1,5 +1,7 @@
 //! Dimensions of coil, ferrite, shield and load.
 
+use ihd_shared::board;
+
 use super::error::{FieldError, in_range};
 
 /// Share of the 23 turns that acts on the field: H and flux linkage both scale with it, L and R
@@ -72,6 +74,25 @@ impl Geometry {
             shield_gap_m: 0.5e-3,
             shield_thickness_m: 1e-3,
             turns_calibration: TURNS_CALIBRATION,
+        }
+    }
+
+    /// Arrangement of the board's coil under a pot of 21 cm.
+    pub fn of_board() -> Self {
+        let metre = |um: u32| f64::from(um) / 1e6;
+        Self {
+            turns: f64::from(board::COIL_TURNS),
+            coil_inner_m: metre(board::COIL_INNER_UM),
+            coil_outer_m: metre(board::COIL_OUTER_UM),
+            coil_thickness_m: metre(board::COIL_THICKNESS_UM),
+            load_gap_m: metre(board::POT_GAP_UM),
+            ferrite_gap_m: metre(board::FERRITE_GAP_UM),
+            ferrite_thickness_m: metre(board::FERRITE_THICKNESS_UM),
+            ferrite_radius_m: metre(board::FERRITE_RADIUS_UM),
+            ferrite_mu_r: f64::from(board::FERRITE_MU_R),
+            shield_gap_m: metre(board::SHIELD_GAP_UM),
+            shield_thickness_m: metre(board::SHIELD_THICKNESS_UM),
+            ..Self::paper()
         }
     }
 
@@ -181,6 +202,14 @@ impl Geometry {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_reference_board_has_the_papers_coil() {
+        if board::NAME == "reference" {
+            assert_eq!(Geometry::of_board(), Geometry::paper());
+        }
+        Geometry::of_board().check().unwrap();
+    }
 
     #[test]
     fn impossible_dimensions_are_refused_by_name() {

@@ -171,6 +171,24 @@ mod tests {
         );
     }
 
+    /// Ampere-turns make the field, and every turn sees its flux: what `TURNS_RATIO` of the prior and the formulas says.
+    #[test]
+    fn fewer_turns_in_the_same_place_are_the_square_at_a_larger_current() {
+        let (mut few, k) = (FieldSettings::paper(), 17.0 / 23.0);
+        few.geometry.turns *= k;
+        let [few, paper] =
+            [few, FieldSettings::paper()].map(|settings| FieldModel::new(&settings).unwrap());
+        for i_a in [1.0, 20.0, 70.0] {
+            let is = impedance(&few, 45e3, i_a).unwrap();
+            let of = impedance(&paper, 45e3, k * i_a).unwrap();
+            assert!(
+                (is.r_ohm / of.r_ohm / (k * k) - 1.0).abs() < 1e-4,
+                "{i_a} A"
+            );
+            assert!((is.l_h / of.l_h / (k * k) - 1.0).abs() < 1e-4, "{i_a} A");
+        }
+    }
+
     #[test]
     fn refuses_what_is_not_a_number() {
         let model = FieldModel::new(&FieldSettings::paper()).unwrap();

@@ -1,5 +1,7 @@
 //! Numbers of a [`PotModel`] as a vector, in units of their expected spread, and the prior on them.
 
+use ihd_shared::board::WINDING_MOHM;
+use ihd_shared::hob::TURNS_RATIO;
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
@@ -13,7 +15,7 @@ pub(crate) const CENTRED: usize = COUNT - 1;
 pub(crate) type Vector = [f64; COUNT];
 
 /// Prior deviation of each number: α and s within a class of metals, hot and cold included; the base's radius, its lift,
-/// turns against the paper's coil, its winding, and the offset.
+/// turns against the board's coil, its winding, and the offset.
 pub(crate) const SPREAD: Vector = [0.8, 0.4, 0.03, 0.006, 0.02, 0.03, 0.02];
 
 /// Limits of the gap's table and of metals.
@@ -79,7 +81,7 @@ pub(crate) fn raw(model: &PotModel) -> Vector {
         model.ln_s,
         model.radius_m,
         model.lift_m,
-        model.ln_turns,
+        model.ln_turns - TURNS_RATIO.ln(),
         model.winding_r_ohm,
         model.offset_m,
     ]
@@ -93,7 +95,7 @@ pub(crate) fn clamped(numbers: &Vector) -> PotModel {
         ln_s: at(1),
         radius_m: at(2),
         lift_m: at(3),
-        ln_turns: at(4),
+        ln_turns: at(4) + TURNS_RATIO.ln(),
         winding_r_ohm: at(5),
         offset_m: at(6),
     }
@@ -161,7 +163,7 @@ const CLASSES: [(f64, f64, f64); 5] = [
 ];
 
 /// Winding and leads of a hob's coil in ohm.
-const WINDING_R_OHM: f64 = 0.1;
+const WINDING_R_OHM: f64 = WINDING_MOHM as f64 / 1e3;
 
 /// Pots with which a fit begins.
 pub(crate) fn classes() -> impl Iterator<Item = PotModel> {
@@ -169,6 +171,7 @@ pub(crate) fn classes() -> impl Iterator<Item = PotModel> {
         ln_alpha: alpha.ln(),
         ln_s: s.ln(),
         radius_m,
+        ln_turns: TURNS_RATIO.ln(),
         winding_r_ohm: WINDING_R_OHM,
         ..PotModel::PAPER
     })
@@ -179,7 +182,7 @@ pub(crate) fn anywhere(pot: &PotModel) -> PotModel {
     PotModel {
         lift_m: 0.0,
         offset_m: 0.0,
-        ln_turns: 0.0,
+        ln_turns: TURNS_RATIO.ln(),
         winding_r_ohm: WINDING_R_OHM,
         ..*pot
     }

@@ -5,6 +5,8 @@
 
 use std::fmt;
 
+use ihd_shared::hob::TURNS_RATIO;
+
 /// Kind of pot on the coil.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum PotKind {
@@ -77,8 +79,10 @@ impl BehaviouralLoad {
     ///
     /// Ferromagnetic: R = (2.2 + 3.5/(1 + I/15))·(f/45k)^½ ohm,
     /// L = 16 + (1 + 15/(1 + (I/14)^1.5))·(f/45k)^−0.3 µH, I in ampere, f in hertz. Small: a ferritic pot of 12 cm by the field
-    /// model, 3.18 ohm and 32.9 µH at 77.4 kHz and 16.2 A, 1.51 ohm and 31.9 µH at 36.7 kHz and 60.6 A.
+    /// model, 3.18 ohm and 32.9 µH at 77.4 kHz and 16.2 A, 1.51 ohm and 31.9 µH at 36.7 kHz and 60.6 A. All over 23 turns
+    /// ([`TURNS_RATIO`]).
     pub fn r_l(&self, i_a: f64) -> (f64, f64) {
+        let i_a = i_a * TURNS_RATIO;
         let (r, gap_uh, material_uh) = match self.pot {
             PotKind::Ferromagnetic => {
                 let y = i_a / 14.0;
@@ -97,9 +101,10 @@ impl BehaviouralLoad {
             PotKind::Stainless => (0.76, 18.0, 0.0),
             PotKind::None => (0.1, 70.0, 0.0),
         };
+        let square = TURNS_RATIO * TURNS_RATIO;
         (
-            r * self.r_factor,
-            (gap_uh + material_uh * self.l_factor) * 1e-6,
+            square * r * self.r_factor,
+            square * (gap_uh + material_uh * self.l_factor) * 1e-6,
         )
     }
 }

@@ -8,7 +8,7 @@ use super::recording::prepared::PreparedLoad;
 use super::recording::settings::LoadKind;
 
 /// Resistance of the winding in ohm, beside a load from the field model.
-pub(super) const WINDING_R_OHM: f64 = 0.1;
+pub(super) const WINDING_R_OHM: f64 = ihd_shared::board::WINDING_MOHM as f64 / 1e3;
 
 /// Pots of one load model, prepared for the coil.
 #[derive(Clone, Debug)]

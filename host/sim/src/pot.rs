@@ -167,13 +167,13 @@ impl SimulatedPot {
         };
         let weight = 1.0 / radii.len() as f64;
         let of_radius = |load_radius_m: f64| {
-            let paper = Geometry::paper();
+            let coil = Geometry::of_board();
             let settings = FieldSettings {
                 geometry: Geometry {
                     load_radius_m,
-                    load_gap_m: paper.load_gap_m + self.lift_m,
+                    load_gap_m: coil.load_gap_m + self.lift_m,
                     load_thickness_m: BASE_THICKNESS_M,
-                    ..paper
+                    ..coil
                 },
                 material: metal.at(self.temperature_c),
                 winding_r_ohm,

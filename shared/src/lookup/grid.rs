@@ -109,7 +109,7 @@ const FREQUENCY_KNOTS_HZ: [f64; FREQUENCIES] = [
 ];
 
 /// 5 A · (17^(k/16) − 1); tests compare with the formula.
-const CURRENT_KNOTS_A: [f64; CURRENTS] = [
+pub(super) const CURRENT_KNOTS_A: [f64; CURRENTS] = [
     0.0,
     0.9686080719195012,
     2.124856463236524,

@@ -8,6 +8,7 @@ use crate::inverter::load::{AmplitudeLaw, LoadState};
 use crate::pot::{Metal, SimulatedPot};
 use crate::surrogate::SurrogatePot;
 use ihd_field::FieldModel;
+use ihd_field::geometry::Geometry;
 use ihd_field::model::FieldSettings;
 
 /// Pot prepared for one kind of load model, at any frequency.
@@ -83,6 +84,7 @@ pub fn field_models(
     let mut models = Vec::new();
     if pot.metal.is_none() {
         let settings = FieldSettings {
+            geometry: Geometry::of_board(),
             winding_r_ohm,
             ..FieldSettings::paper()
         };

@@ -25,7 +25,7 @@ use super::{LookupJudgement, MapOperatingPoint, MapPlan, MapRun};
 use ihd::cli::simulated::RATED_RMS;
 
 /// Resistance of winding and leads in the simulated hob, in ohm.
-const WINDING_R_OHM: f64 = 0.1;
+const WINDING_R_OHM: f64 = ihd_shared::board::WINDING_MOHM as f64 / 1e3;
 
 /// Integration step in seconds: a fifth of the bridge's edge, and some 500 per period, like the simulated hob.
 const STEP_S: f64 = 40e-9;
