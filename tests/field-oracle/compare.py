@@ -24,7 +24,12 @@ METALS = {
     "ferritic": PAPER,
     "cast-iron": CAST_IRON,
     "ferritic-saturating": PAPER_SATURATING,
+    # Aluminium on a foil.
+    "clad": ALUMINIUM,
+    "clad-saturating": ALUMINIUM,
 }
+FOILS = {"clad": PAPER, "clad-saturating": PAPER_SATURATING}
+FOIL_MM = 0.5
 COLUMNS = ["metal", "diameter_mm", "thickness_mm", "wall_mm", "lift_mm", "shield_mm", "f_khz", "current_a"]
 HERE = Path(__file__).parent
 
@@ -50,13 +55,19 @@ def rows():
     for diameter in (120, 180, 210):
         for current in (10, 40):
             yield "ferritic-saturating", diameter, 5, 0, 0, 1, 45, current
+            yield "clad-saturating", diameter, 5, 0, 0, 1, 45, current
+    for diameter in (80, 120, 180, 210, 280):
+        for f in (30, 45, 80):
+            yield "clad", diameter, 5, 0, 0, 1, f, 0
+    for diameter in (120, 210):
+        yield "clad", diameter, 5, 0, 10, 1, 45, 0
 
 
 def case(row):
     metal, diameter, thickness, wall, lift, shield, f, current = row
     return replace(
         Case(), pot=METALS[metal], pot_radius_m=diameter / 2e3, pot_thickness_m=thickness / 1e3,
-        wall_height_m=wall / 1e3, load_gap_m=Case.load_gap_m + lift / 1e3,
+        foil=FOILS.get(metal), foil_thickness_m=FOIL_MM / 1e3 if metal in FOILS else 0.0, wall_height_m=wall / 1e3, load_gap_m=Case.load_gap_m + lift / 1e3,
         shield_thickness_m=shield / 1e3, f_hz=f * 1e3, current_a=current)
 
 
@@ -94,16 +105,15 @@ def convergence(path):
 def own(path):
     """Arrangements of a TOML file with the keys of host/field's Geometry (metre), f_hz, current_a and [metal]."""
     for entry in tomllib.loads(Path(path).read_text())["case"]:
-        metal = entry.pop("metal", None)
-        if metal:
-            metal = Metal(metal["mu_r"], metal["sigma_s_per_m"], metal.get("alpha_a_per_m", float("inf")))
+        metal, foil = (entry.pop(key, None) for key in ("metal", "foil"))
+        of = lambda m: m and Metal(m["mu_r"], m["sigma_s_per_m"], m.get("alpha_a_per_m", float("inf")))
         renamed = {"load_radius_m": "pot_radius_m", "load_thickness_m": "pot_thickness_m"}
         entry = {renamed.get(key, key): value for key, value in entry.items()}
         unknown = set(entry) - {f.name for f in names(Case)} - {"name"}
         if unknown:
             raise SystemExit(f"{path}: unknown keys {sorted(unknown)}")
         name = entry.pop("name", "")
-        r, l, n = Field(replace(Case(), pot=metal, **entry)).impedance()
+        r, l, n = Field(replace(Case(), pot=of(metal), foil=of(foil), **entry)).impedance()
         print(f"{name:24} {r:9.5f} ohm {l * 1e6:9.4f} µH  ({n} unknowns)")
 
 

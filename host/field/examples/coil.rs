@@ -31,7 +31,8 @@ fn number(key: &str, value: &toml::Value) -> Result<f64, String> {
 fn print(case: &toml::Table) -> Result<(), Box<dyn Error>> {
     let mut s = FieldSettings::paper();
     s.geometry.turns_calibration = 1.0;
-    let (mut name, mut f_hz, mut i_a, mut metal) = ("", 45e3, 0.0, None);
+    let (mut name, mut f_hz, mut i_a) = ("", 45e3, 0.0);
+    let (mut metal, mut foil) = (None, None);
     for (key, value) in case {
         let g = &mut s.geometry;
         let field = match key.as_str() {
@@ -43,6 +44,10 @@ fn print(case: &toml::Table) -> Result<(), Box<dyn Error>> {
                 metal = value.as_table();
                 continue;
             }
+            "foil" => {
+                foil = value.as_table();
+                continue;
+            }
             "f_hz" => &mut f_hz,
             "current_a" => &mut i_a,
             "turns" => &mut g.turns,
@@ -52,6 +57,7 @@ fn print(case: &toml::Table) -> Result<(), Box<dyn Error>> {
             "load_gap_m" => &mut g.load_gap_m,
             "load_radius_m" => &mut g.load_radius_m,
             "load_thickness_m" => &mut g.load_thickness_m,
+            "foil_thickness_m" => &mut g.foil_thickness_m,
             "wall_height_m" => &mut g.wall_height_m,
             "wall_thickness_m" => &mut g.wall_thickness_m,
             "ferrite_gap_m" => &mut g.ferrite_gap_m,
@@ -63,6 +69,9 @@ fn print(case: &toml::Table) -> Result<(), Box<dyn Error>> {
             other => return Err(format!("unknown key {other}").into()),
         };
         *field = number(key, value)?;
+    }
+    if let Some(foil) = foil {
+        s.foil = material(foil)?;
     }
     let model = match metal {
         None => FieldModel::bare_coil(&s)?,

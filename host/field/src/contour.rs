@@ -6,6 +6,7 @@
 //! couple through the gap alone and the error still falls with a high power of the element's length.
 
 use super::geometry::Geometry;
+use super::profile::Section;
 
 /// Rings at the standard resolution; finer ones have a multiple of it.
 pub const RINGS: usize = 16;
@@ -16,6 +17,14 @@ const BOTTOM: [f64; 5] = [0.25, 0.25, 0.2, 0.18, 0.12];
 /// Lengths of the last three elements, over a disc's radius. The rest of the way to the axis has no field.
 const BEYOND: [f64; 3] = [0.15, 0.35, 0.3];
 
+/// The same over a foil, which the flux leaves near its edge; its edge and the side above it have two elements each.
+const BOTTOM_FOIL: [f64; 3] = [0.5, 0.37, 0.13];
+const BEYOND_FOIL: [f64; 2] = [0.15, 0.35];
+
+/// Length of the lower one of the two at a foil's edge over its thickness, and of the one above the foil over the rest of the side.
+const LOWER_EDGE: f64 = 0.75;
+const ABOVE_FOIL: f64 = 0.2;
+
 /// Two lengths closer than this are equal.
 const SAME_M: f64 = 1e-8;
 
@@ -24,6 +33,7 @@ struct Element {
     from_m: f64,
     to_m: f64,
     quadratic: bool,
+    section: Section,
 }
 
 /// Surface line of a load with its rings.
@@ -35,22 +45,11 @@ pub(super) struct Contour<'a> {
 impl<'a> Contour<'a> {
     /// Divides the surface into `rings` rings, a multiple of [`RINGS`].
     pub(super) fn new(geometry: &'a Geometry, rings: usize) -> Self {
-        let radius = geometry.load_radius_m;
-        // A wall takes the place of the disc's top.
-        let beyond = if geometry.wall_height_m > 0.0 {
-            geometry.wall_height_m / BEYOND.iter().sum::<f64>()
-        } else {
-            radius
-        };
-        let lengths = BOTTOM
-            .iter()
-            .map(|share| share * radius)
-            .chain([geometry.load_thickness_m])
-            .chain(BEYOND.iter().map(|share| share * beyond));
-        let last = BOTTOM.len() + BEYOND.len();
+        let lengths = lengths_m(geometry);
+        let last = lengths.len() - 1;
         let mut elements = Vec::new();
         let mut from_m = 0.0;
-        for (n, length) in lengths.enumerate() {
+        for (n, (length, section)) in lengths.into_iter().enumerate() {
             // The last element remains one: its end is not a ring.
             let parts = if n == last { 1 } else { rings / RINGS };
             for _ in 0..parts {
@@ -59,11 +58,23 @@ impl<'a> Contour<'a> {
                     from_m,
                     to_m,
                     quadratic: n < last,
+                    section,
                 });
                 from_m = to_m;
             }
         }
         Self { geometry, elements }
+    }
+
+    /// Returns each ring's part of the surface. Between foil and base it is the base, as almost no flux enters that.
+    pub(super) fn sections(&self) -> Vec<Section> {
+        let next = self.elements.iter().skip(1).map(|element| element.section);
+        let pairs = self.elements.iter().zip(next);
+        let of = |(element, next): (&Element, Section)| match next {
+            Section::Base => [element.section, next],
+            Section::Bottom | Section::FoilEdge => [element.section; 2],
+        };
+        pairs.flat_map(of).collect()
     }
 
     /// Arc length of a point on the line; `None` for a point beside it.
@@ -144,6 +155,33 @@ impl<'a> Contour<'a> {
     }
 }
 
+/// Lengths of the elements from the axis on, with their part of the surface.
+fn lengths_m(geometry: &Geometry) -> Vec<(f64, Section)> {
+    let radius = geometry.load_radius_m;
+    let (foil_m, base_m) = (geometry.foil_thickness_m, geometry.load_thickness_m);
+    let (bottom, side, shares): (&[f64], Vec<_>, &[f64]) = if foil_m > 0.0 {
+        let (lower_m, above_m) = (LOWER_EDGE * foil_m, base_m - foil_m);
+        let side = [
+            (lower_m, Section::FoilEdge),
+            (foil_m - lower_m, Section::FoilEdge),
+            (ABOVE_FOIL * above_m, Section::Base),
+            ((1.0 - ABOVE_FOIL) * above_m, Section::Base),
+        ];
+        (&BOTTOM_FOIL, side.into(), &BEYOND_FOIL)
+    } else {
+        (&BOTTOM, [(base_m, Section::Base)].into(), &BEYOND)
+    };
+    let bottom = bottom.iter().map(|share| (share * radius, Section::Bottom));
+    // A wall takes the place of the disc's top.
+    let beyond = if geometry.wall_height_m > 0.0 {
+        geometry.wall_height_m / shares.iter().sum::<f64>()
+    } else {
+        radius
+    };
+    let beyond = shares.iter().map(|share| (share * beyond, Section::Base));
+    bottom.chain(side).chain(beyond).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -167,6 +205,9 @@ mod tests {
     #[test]
     fn a_flux_that_is_quadratic_in_s_is_interpolated_exactly() {
         let g = Geometry::paper();
+        let mut foil = g.clone();
+        foil.foil_thickness_m = 0.4e-3;
+        assert_eq!(Contour::new(&foil, 16).sections().len(), 16);
         let contour = Contour::new(&g, 16);
         let flux = |s: f64| s * (0.3 - s);
         // Rings' arc lengths: where a ring's share is 1.

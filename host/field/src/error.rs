@@ -38,6 +38,9 @@ pub enum FieldError {
     /// A law whose B falls with H has no stable field in time.
     #[error("the paper's literal µ_r(H) has no time domain: B falls beyond H = α")]
     NoTimeDomain,
+    /// A foil's or its base's law is another than Fröhlich's.
+    #[error("in the time domain a foil and its base follow Fröhlich's law or are linear")]
+    FoilLaw,
     /// The harmonic iteration did not converge.
     #[error(
         "harmonic balance at {f_hz} Hz, {i_a} A did not settle: relative change {change:e} after {iterations} iterations"

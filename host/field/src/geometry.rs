@@ -32,6 +32,8 @@ pub struct Geometry {
     pub load_radius_m: f64,
     /// Thickness of the load's base.
     pub load_thickness_m: f64,
+    /// Thickness of a ferromagnetic foil that the base's lower side consists of; 0 for none.
+    pub foil_thickness_m: f64,
     /// Height of the load's wall above its base; 0 is a disc.
     pub wall_height_m: f64,
     /// Thickness of the wall.
@@ -65,6 +67,7 @@ impl Geometry {
             load_gap_m: 5.5e-3,
             load_radius_m: 105e-3,
             load_thickness_m: 5e-3,
+            foil_thickness_m: 0.0,
             wall_height_m: 0.0,
             wall_thickness_m: 2e-3,
             ferrite_gap_m: 1e-3,
@@ -115,6 +118,13 @@ impl Geometry {
             in_range(field, value, 1e-4, 1.0, mm)?;
         }
         in_range("coil_inner_m", self.coil_inner_m, 0.0, 1.0, "0 to 1 m")?;
+        in_range(
+            "foil_thickness_m",
+            self.foil_thickness_m,
+            0.0,
+            0.1,
+            "0 to 100 mm",
+        )?;
         in_range("wall_height_m", self.wall_height_m, 0.0, 0.3, "0 to 0.3 m")?;
         in_range(
             "shield_thickness_m",
@@ -137,6 +147,14 @@ impl Geometry {
                 smaller_m: self.coil_inner_m,
                 larger: "coil_outer_m",
                 larger_m: self.coil_outer_m,
+            });
+        }
+        if self.foil_thickness_m >= self.load_thickness_m {
+            return Err(FieldError::Order {
+                smaller: "foil_thickness_m",
+                smaller_m: self.foil_thickness_m,
+                larger: "load_thickness_m",
+                larger_m: self.load_thickness_m,
             });
         }
         if self.wall_height_m > 0.0 && self.wall_thickness_m >= self.load_radius_m {
@@ -173,6 +191,11 @@ impl Geometry {
     /// Height of the load's surface above the shield.
     pub fn load_surface_m(&self) -> f64 {
         self.coil_top_m() + self.load_gap_m
+    }
+
+    /// Height of a foil's upper face above the shield.
+    pub fn foil_top_m(&self) -> f64 {
+        self.load_surface_m() + self.foil_thickness_m
     }
 
     /// Height of the base's upper face above the shield.

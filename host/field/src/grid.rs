@@ -25,6 +25,9 @@ const COIL_CELL_Z_M: f64 = 0.6e-3;
 /// Size of the cells at the top of a wall, in metre.
 const WALL_TOP_CELL_M: f64 = 4e-3;
 
+/// Size of the cells at a foil's edge over its thickness.
+const FOIL_CELL: f64 = 0.25;
+
 /// First cell at a resolved conductor's face, in skin depths at [`F_FACE_HZ`].
 const FIRST_CELL: f64 = 0.2;
 
@@ -142,6 +145,16 @@ fn load(g: &Geometry, cell_m: f64, r: &mut Vec<Mark>, z: &mut Vec<Mark>) {
     };
     r.push(near(g.load_radius_m));
     z.extend([g.load_surface_m(), g.load_top_m()].map(near));
+    if g.foil_thickness_m > 0.0 {
+        let cell_m = cell_m.min(g.foil_thickness_m * FOIL_CELL);
+        for at_m in [g.load_surface_m(), g.foil_top_m()] {
+            z.push(Mark { at_m, cell_m });
+        }
+        r.push(Mark {
+            at_m: g.load_radius_m.min(FAR_M),
+            cell_m,
+        });
+    }
     if g.wall_height_m > 0.0 {
         r.push(near(g.wall_inner_m()));
         // There is little field there.

@@ -9,7 +9,9 @@ use nalgebra::{Complex, DMatrix, DVector};
 
 use super::depth::DepthGrid;
 use super::error::{FieldError, in_range};
+use super::material::BhCurve;
 use super::model::{Body, FieldModel, Rings};
+use super::profile::Profile;
 
 /// Most iterations.
 const MAX_ITERATIONS: usize = 200;
@@ -39,18 +41,14 @@ pub fn impedance(model: &FieldModel, f_hz: f64, i_a: f64) -> Result<Load, FieldE
 /// λ/i of a saturating load, in henry; its imaginary part is −R/ω.
 fn inductance_h(model: &Rings, f_hz: f64, i_a: f64) -> Result<Complex<f64>, FieldError> {
     let omega = 2.0 * core::f64::consts::PI * f_hz;
-    let (rings, nodes) = (model.gap.rings(), model.depth.nodes());
-    let curve = model.material.curve();
-    let mut mu = DMatrix::from_element(nodes, rings, curve.describing_h_per_m(0.0));
+    let rings = model.gap.rings();
+    let ways = Way::all(model);
+    let way = |ring: usize| &ways[model.of_ring[ring]];
+    let mut mu: Vec<Vec<f64>> = (0..rings).map(|j| way(j).mu_initial_h_per_m()).collect();
     let mut last = Complex::new(0.0, 0.0);
     let mut change = f64::INFINITY;
     for _ in 0..MAX_ITERATIONS {
-        let columns: Vec<Column> = (0..rings)
-            .map(|j| {
-                let sigma_s_per_m = model.material.sigma_s_per_m();
-                Column::solve(&model.depth, sigma_s_per_m, omega, mu.column(j).as_slice())
-            })
-            .collect();
+        let columns: Vec<Column> = (0..rings).map(|j| way(j).column(omega, &mu[j])).collect();
         let a = surface_flux(model, &columns)?;
         let lambda = model.gap.l0_h
             + (0..rings)
@@ -64,11 +62,12 @@ fn inductance_h(model: &Rings, f_hz: f64, i_a: f64) -> Result<Complex<f64>, Fiel
         last = lambda;
         for (j, column) in columns.iter().enumerate() {
             let mut h = a[j] / column.flux_per_h * i_a;
-            for n in 0..nodes {
+            let curves = &way(j).curves;
+            for (n, (mu, curve)) in mu[j].iter_mut().zip(curves).enumerate() {
                 if n > 0 {
                     h *= column.down[n];
                 }
-                mu[(n, j)] = curve.describing_h_per_m(magnitude(h));
+                *mu = curve.describing_h_per_m(magnitude(h));
             }
         }
     }
@@ -83,11 +82,9 @@ fn inductance_h(model: &Rings, f_hz: f64, i_a: f64) -> Result<Complex<f64>, Fiel
 /// Resistance in ohm that the shield adds under a saturating load, at [`SHIELD_F_HZ`] and no current: what the time domain has of it.
 pub(super) fn shield_r_ohm(model: &Rings) -> Result<f64, FieldError> {
     let omega = 2.0 * core::f64::consts::PI * SHIELD_F_HZ;
-    let material = &model.material;
-    let mu = vec![material.mu_initial_h_per_m(); model.depth.nodes()];
-    let columns: Vec<Column> = (0..model.gap.rings())
-        .map(|_| Column::solve(&model.depth, material.sigma_s_per_m(), omega, &mu))
-        .collect();
+    let ways = Way::all(model);
+    let column = |way: &usize| ways[*way].column(omega, &ways[*way].mu_initial_h_per_m());
+    let columns: Vec<Column> = model.of_ring.iter().map(column).collect();
     let a = surface_flux(model, &columns)?;
     Ok(-omega * model.shield_h(&a, SHIELD_F_HZ).im)
 }
@@ -95,6 +92,33 @@ pub(super) fn shield_r_ohm(model: &Rings) -> Result<f64, FieldError> {
 /// |z| with IEEE operations only; `hypot` differs between platforms.
 pub(super) fn magnitude(z: Complex<f64>) -> f64 {
     z.norm_sqr().sqrt()
+}
+
+/// Way into the load, ready for the columns of a frequency.
+struct Way<'a> {
+    depth: &'a DepthGrid,
+    sheet_s: Vec<f64>,
+    curves: Vec<BhCurve>,
+}
+
+impl<'a> Way<'a> {
+    fn all(model: &'a Rings) -> Vec<Self> {
+        let of = |profile: &'a Profile| Self {
+            depth: &profile.depth,
+            sheet_s: profile.sheet_s(&model.metals),
+            curves: profile.curves(&model.metals),
+        };
+        model.profiles.iter().map(of).collect()
+    }
+
+    fn mu_initial_h_per_m(&self) -> Vec<f64> {
+        let slope = |curve: &BhCurve| curve.slope_h_per_m(0.0);
+        self.curves.iter().map(slope).collect()
+    }
+
+    fn column(&self, omega: f64, mu: &[f64]) -> Column {
+        Column::solve(self.depth, &self.sheet_s, omega, mu)
+    }
 }
 
 /// Linear diffusion under one ring.
@@ -106,20 +130,20 @@ pub(super) struct Column {
 }
 
 impl Column {
-    /// Solves one ring; `mu` is the permeability of each node in H/m.
-    pub(super) fn solve(depth: &DepthGrid, sigma_s_per_m: f64, omega: f64, mu: &[f64]) -> Self {
-        let (cell, step) = (&depth.cell_m, &depth.step_m);
-        let j_omega_sigma = Complex::i() * omega * sigma_s_per_m;
+    /// Solves one ring; `sheet` is conductivity times distance to the next node in siemens, `mu` the permeability of each node in H/m.
+    pub(super) fn solve(depth: &DepthGrid, sheet: &[f64], omega: f64, mu: &[f64]) -> Self {
+        let cell = &depth.cell_m;
+        let j_omega = Complex::i() * omega;
         let nodes = cell.len();
         let mut down = vec![Complex::new(0.0, 0.0); nodes + 1];
         for n in (1..nodes).rev() {
-            let (up_g, down_g) = (1.0 / step[n - 1], 1.0 / step[n]);
-            let diagonal = j_omega_sigma * cell[n] * mu[n] + up_g + down_g - down[n + 1] * down_g;
+            let (up_g, down_g) = (1.0 / sheet[n - 1], 1.0 / sheet[n]);
+            let diagonal = j_omega * cell[n] * mu[n] + up_g + down_g - down[n + 1] * down_g;
             down[n] = Complex::new(up_g, 0.0) / diagonal;
         }
-        let entering = (Complex::new(1.0, 0.0) - down[1]) / step[0];
+        let entering = (Complex::new(1.0, 0.0) - down[1]) / sheet[0];
         Self {
-            flux_per_h: entering / j_omega_sigma + cell[0] * mu[0],
+            flux_per_h: entering / j_omega + cell[0] * mu[0],
             down,
         }
     }
@@ -152,9 +176,8 @@ mod tests {
         let model = Rings::new(&FieldSettings::paper()).unwrap();
         let (f_hz, mu) = (45e3, Material::PAPER.mu_initial_h_per_m());
         let omega = 2.0 * core::f64::consts::PI * f_hz;
-        let sigma_s_per_m = Material::PAPER.sigma_s_per_m();
-        let nodes = model.depth.nodes();
-        let column = Column::solve(&model.depth, sigma_s_per_m, omega, &vec![mu; nodes]);
+        let way = &Way::all(&model)[0];
+        let column = way.column(omega, &vec![mu; way.curves.len()]);
         let expected = Complex::new(1.0, -1.0) * (mu * Material::PAPER.skin_depth_m(f_hz) / 2.0);
         let error = (column.flux_per_h - expected).norm() / expected.norm();
         assert!(error < 3e-3, "{error:e}");

@@ -35,6 +35,7 @@ pub mod load;
 pub mod material;
 pub mod model;
 pub mod modes;
+pub mod profile;
 mod reluctance;
 pub mod spd;
 pub mod surface;

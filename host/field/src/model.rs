@@ -2,12 +2,13 @@
 
 use nalgebra::{Complex, DVector};
 
-use super::depth::DepthGrid;
+use super::contour::Contour;
 use super::error::{FieldError, in_range};
 use super::gap::GapOperator;
 use super::geometry::Geometry;
 use super::material::{MU_0, Material};
 use super::modes::Modes;
+use super::profile::{Metals, Profile, Section};
 
 pub use super::contour::RINGS;
 
@@ -19,8 +20,10 @@ pub const DEPTH_NODES: usize = 44;
 pub struct FieldSettings {
     /// Dimensions in metre.
     pub geometry: Geometry,
-    /// Load material.
+    /// Metal of the load.
     pub material: Material,
+    /// Metal of the foil below its base, where [`Geometry::foil_thickness_m`] is above 0.
+    pub foil: Material,
     /// Resistance of the winding and its leads in ohm.
     pub winding_r_ohm: f64,
     /// Rings of the load's surface, a multiple of [`RINGS`].
@@ -37,10 +40,19 @@ impl FieldSettings {
         Self {
             geometry: Geometry::paper(),
             material: Material::PAPER,
+            foil: Material::PAPER,
             winding_r_ohm: 0.0,
             rings: RINGS,
             depth_nodes: DEPTH_NODES,
             gap_refinement: 1.0,
+        }
+    }
+
+    /// Metals of the load.
+    pub fn metals(&self) -> Metals {
+        Metals {
+            base: self.material,
+            foil: self.foil,
         }
     }
 }
@@ -50,10 +62,12 @@ impl FieldSettings {
 pub struct Rings {
     /// Condensed gap.
     pub gap: GapOperator,
-    /// Depth grid of the load.
-    pub depth: DepthGrid,
-    /// Load material.
-    pub material: Material,
+    /// Ways into the load, and its metals.
+    pub profiles: Vec<Profile>,
+    /// Metals of the load.
+    pub metals: Metals,
+    /// Each ring's place in `profiles`.
+    pub of_ring: Vec<usize>,
     /// Shield with loss; otherwise a perfect conductor.
     pub lossy_shield: bool,
 }
@@ -85,10 +99,10 @@ impl FieldModel {
         check(settings)?;
         let (geometry, material) = (&settings.geometry, settings.material);
         let body = match material {
-            Material::Linear { .. } => {
+            Material::Linear { .. } if geometry.foil_thickness_m == 0.0 => {
                 Body::Modes(Modes::loaded(geometry, &material, settings.gap_refinement)?)
             }
-            Material::Froehlich { .. } | Material::Saturating { .. } => {
+            Material::Linear { .. } | Material::Froehlich { .. } | Material::Saturating { .. } => {
                 Body::Rings(Box::new(Rings::new(settings)?))
             }
         };
@@ -122,14 +136,22 @@ impl Rings {
     pub fn new(settings: &FieldSettings) -> Result<Self, FieldError> {
         check(settings)?;
         let geometry = &settings.geometry;
+        let gap = GapOperator::new(geometry, settings.rings, settings.gap_refinement)?;
+        let mut sections = Contour::new(geometry, settings.rings).sections();
+        if geometry.foil_thickness_m == 0.0 {
+            sections.fill(Section::Bottom);
+        }
+        let mut parts = sections.clone();
+        parts.dedup();
+        let profiles = parts.iter().map(|part| part.profile(settings));
         Ok(Self {
-            gap: GapOperator::new(geometry, settings.rings, settings.gap_refinement)?,
-            depth: DepthGrid::new(
-                &settings.material,
-                geometry.load_thickness_m,
-                settings.depth_nodes,
-            )?,
-            material: settings.material,
+            gap,
+            profiles: profiles.collect::<Result<_, _>>()?,
+            metals: settings.metals(),
+            of_ring: sections
+                .iter()
+                .map(|section| parts.iter().take_while(|part| *part != section).count())
+                .collect(),
             lossy_shield: geometry.shield_thickness_m > 0.0,
         })
     }
@@ -169,5 +191,6 @@ fn check(settings: &FieldSettings) -> Result<(), FieldError> {
         10.0,
         "0 to 10 ohm",
     )?;
+    settings.foil.check()?;
     settings.material.check()
 }

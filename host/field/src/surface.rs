@@ -42,13 +42,15 @@ const SETTLED: f64 = 1e-9;
 pub fn flux_of_field(h: f64) -> Result<Complex<f64>, FieldError> {
     in_range("h", h, 0.0, LARGEST_FIELD, "0 to 60")?;
     let depth = DepthGrid::new(&METAL, 0.1, NODES)?;
+    let sigma = METAL.sigma_s_per_m();
+    let sheet_s: Vec<f64> = depth.step_m.iter().map(|step| sigma * step).collect();
     let curve = METAL.curve();
     let omega = 2.0 * core::f64::consts::PI * F_HZ;
     let unit = METAL.mu_initial_h_per_m() * METAL.skin_depth_m(F_HZ);
     let mut mu = vec![curve.describing_h_per_m(0.0); NODES];
     let (mut last, mut change) = (Complex::new(0.0, 0.0), f64::INFINITY);
     for _ in 0..MAX_ITERATIONS {
-        let column = Column::solve(&depth, METAL.sigma_s_per_m(), omega, &mu);
+        let column = Column::solve(&depth, &sheet_s, omega, &mu);
         let f = column.flux_per_h / unit;
         change = magnitude(f - last) / magnitude(f);
         if change < SETTLED {

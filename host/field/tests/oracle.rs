@@ -15,6 +15,9 @@ const FINITE_ELEMENTS: &str = include_str!("../../../tests/field-oracle/field.cs
 const LINEAR_PCT: (f64, f64) = (2.0, 1.0);
 const SATURATING_PCT: (f64, f64) = (1.0, 1.0);
 
+/// Thickness of the ferritic foil below an aluminium base, in metre.
+const FOIL_M: f64 = 0.5e-3;
+
 /// Diameters of the short form, in millimetre.
 const SHORT_MM: [f64; 3] = [80.0, 120.0, 210.0];
 
@@ -108,6 +111,10 @@ impl Row {
             // At no current the laws of ferromagnetic metals are linear.
             "ferritic" | "ferritic-saturating" => Material::PAPER,
             "cast-iron" => Material::GREY_CAST_IRON,
+            "clad" | "clad-saturating" => {
+                s.geometry.foil_thickness_m = FOIL_M;
+                Material::ALUMINIUM
+            }
             other => panic!("metal {other}"),
         };
         FieldModel::new(&s).unwrap()
@@ -187,7 +194,7 @@ fn table(rows: &[Row], found: &[(Option<f64>, f64)]) -> String {
     let mut out = format!(
         "Generated: `UPDATE_DOCS=1 cargo test -p ihd-field --test oracle` from tests/field-oracle/field.csv ({stamp}). \
          Turns calibration 1, aluminium shield of 1 mm, base of 5 mm, no wall, no lift where nothing else is said; \
-         a wall is 2 mm thick.\n\n\
+         a wall is 2 mm thick; clad is aluminium on a ferritic foil of 0.5 mm, both within the 5 mm.\n\n\
          Model less finite elements in percent, R / L; limits ±2 / ±1 for linear metals, ±1 / ±1 with saturation.\n\n\
          | pot | 30 kHz | 45 kHz | 80 kHz |\n|---|---|---|---|\n"
     );

@@ -9,23 +9,47 @@
 //! [`RingLoad::predict`] eliminates the field down to λ = λ0 + L i, [`RingLoad::commit`] takes
 //! the current and finishes the field.
 
+pub mod nodes;
 mod state;
 mod step;
 
 use pulp::Arch;
 
+use self::nodes::{FoilAndBase, NodeCoefficients, OneMetal};
 pub use self::state::{FluxLine, RingLoad};
 use self::state::{History, Surface};
 use self::step::{Commit, Predict};
 use super::error::FieldError;
-use super::material::{Knee, Material};
 use super::model::Rings;
+use super::profile::Metals;
 
 impl<const N: usize> RingLoad<N> {
-    /// Creates an unmagnetised load that is stepped with `dt_s` seconds. The model must have `N` rings.
+    /// Creates an unmagnetised load of one metal that is stepped with `dt_s` seconds. The model must have `N` rings.
+    ///
+    /// # Errors
+    /// [`FieldError`] of the step, the metal or the number of rings.
     pub fn new(model: &Rings, dt_s: f64) -> Result<Self, FieldError> {
+        Self::with_nodes(model, dt_s, OneMetal::new)
+    }
+}
+
+impl<const N: usize> RingLoad<N, FoilAndBase<N>> {
+    /// The same for a load with a foil.
+    ///
+    /// # Errors
+    /// [`FieldError`] of the step, the metals or the number of rings.
+    pub fn with_foil(model: &Rings, dt_s: f64) -> Result<Self, FieldError> {
+        Self::with_nodes(model, dt_s, FoilAndBase::new)
+    }
+}
+
+impl<const N: usize, C: NodeCoefficients<N>> RingLoad<N, C> {
+    fn with_nodes(
+        model: &Rings,
+        dt_s: f64,
+        coefficients: fn(&Rings, f64) -> Result<C, FieldError>,
+    ) -> Result<Self, FieldError> {
         super::error::in_range("dt_s", dt_s, 1e-10, 1e-6, "0.1 ns to 1 µs")?;
-        has_time_domain(&model.material)?;
         let rings = |v: &[f64]| -> Result<[f64; N], FieldError> {
             v.try_into().map_err(|_| FieldError::OutOfRange {
                 field: "rings",
@@ -33,8 +57,7 @@ impl<const N: usize> RingLoad<N> {
                 allowed: "the ring count the time-domain model was compiled for",
             })
         };
-        let nodes = model.depth.nodes();
-        let sigma = model.material.sigma_s_per_m();
+        let nodes = model.profiles[0].depth.nodes();
         let zeros = || History {
             now: vec![[0.0; N]; nodes],
             before: vec![[0.0; N]; nodes],
@@ -46,16 +69,7 @@ impl<const N: usize> RingLoad<N> {
         }
         Ok(Self {
             arch: Arch::new(),
-            storage: model
-                .depth
-                .cell_m
-                .iter()
-                .map(|c| 1.5 * sigma * c / dt_s)
-                .collect(),
-            conductance: model.depth.step_m.iter().map(|d| 1.0 / d).collect(),
-            sigma,
-            curve: model.material.curve(),
-            dt_over_sigma: dt_s / (1.5 * sigma),
+            nodes: coefficients(model, dt_s)?,
             l0_h: model.gap.l0_h,
             p,
             w: rings(&model.gap.w_m2)?,
@@ -82,25 +96,23 @@ impl<const N: usize> RingLoad<N> {
 
     /// Changes the time step, in second; the next step treats the old instants as if they had the new distance. For steps within
     /// a percent of each other, as a change of the switching frequency makes them.
+    ///
+    /// # Errors
+    /// [`FieldError::OutOfRange`].
     pub fn set_dt(&mut self, dt_s: f64) -> Result<(), FieldError> {
         super::error::in_range("dt_s", dt_s, 1e-10, 1e-6, "0.1 ns to 1 µs")?;
-        let ratio = dt_s / (self.dt_over_sigma * 1.5 * self.sigma);
-        self.storage.iter_mut().for_each(|s| *s /= ratio);
-        self.dt_over_sigma *= ratio;
+        self.nodes.set_dt(dt_s);
         Ok(())
     }
 
-    /// Changes the material, as a slow change of temperature does; the field strength stays.
-    pub fn set_material(&mut self, material: &Material) -> Result<(), FieldError> {
-        material.check()?;
-        has_time_domain(material)?;
-        let sigma = material.sigma_s_per_m();
-        let ratio = sigma / self.sigma;
-        self.storage.iter_mut().for_each(|s| *s *= ratio);
-        self.dt_over_sigma /= ratio;
-        self.sigma = sigma;
-        self.curve = material.curve();
-        Ok(())
+    /// Changes the metals, as a slow change of temperature does; the field strength stays.
+    ///
+    /// # Errors
+    /// [`FieldError`] of a metal.
+    pub fn set_metals(&mut self, metals: &Metals) -> Result<(), FieldError> {
+        metals.base.check()?;
+        metals.foil.check()?;
+        self.nodes.set_metals(metals)
     }
 
     /// Relation between flux linkage and current at the next instant.
@@ -137,24 +149,18 @@ impl<const N: usize> RingLoad<N> {
                     0.0
                 };
                 let step = self.h.now[n][j] - below;
-                ring += step * step * self.conductance[n];
+                ring += step * step * self.nodes.conductance(n)[j];
             }
             sum += self.w[j] * ring;
         }
-        sum / self.sigma
+        sum * self.nodes.loss_unit()
     }
-}
-
-fn has_time_domain(material: &Material) -> Result<(), FieldError> {
-    if material.curve().knee == Knee::Literal {
-        return Err(FieldError::NoTimeDomain);
-    }
-    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::harmonic;
+    use super::super::material::{Knee, Material};
     use super::super::model::{FieldModel, FieldSettings};
     use super::super::tank::ImpressedCurrent;
     use super::*;

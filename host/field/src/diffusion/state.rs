@@ -3,7 +3,7 @@
 
 use pulp::Arch;
 
-use crate::material::BhCurve;
+use super::nodes::OneMetal;
 
 /// Flux linkage at the next instant as a function of the current then: λ = λ0 + L i.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,16 +23,9 @@ pub(super) struct History<T> {
 
 /// State of the load in time, with `N` rings.
 #[derive(Clone, Debug)]
-pub struct RingLoad<const N: usize> {
+pub struct RingLoad<const N: usize, C = OneMetal> {
     pub(super) arch: Arch,
-    /// Coefficients per depth node: 1.5 σ cell/dt.
-    pub(super) storage: Vec<f64>,
-    /// 1/step to the next node.
-    pub(super) conductance: Vec<f64>,
-    pub(super) sigma: f64,
-    pub(super) curve: BhCurve,
-    /// dt/(1.5 σ) in s·m/S.
-    pub(super) dt_over_sigma: f64,
+    pub(super) nodes: C,
     pub(super) l0_h: f64,
     pub(super) p: [f64; N],
     pub(super) w: [f64; N],

@@ -3,15 +3,15 @@
 
 use pulp::{Simd, WithSimd};
 
+use super::nodes::NodeCoefficients;
 use super::state::{FluxLine, RingLoad};
-use crate::material::Knee;
 use crate::spd;
 
 /// The first half of a step, compiled for each instruction set that `pulp` detects. Only the
 /// number of lanes differs, never the operations: results are the same on all of them.
-pub(super) struct Predict<'a, const N: usize>(pub(super) &'a mut RingLoad<N>);
+pub(super) struct Predict<'a, const N: usize, C>(pub(super) &'a mut RingLoad<N, C>);
 
-impl<const N: usize> WithSimd for Predict<'_, N> {
+impl<const N: usize, C: NodeCoefficients<N>> WithSimd for Predict<'_, N, C> {
     type Output = FluxLine;
 
     #[inline(always)]
@@ -23,9 +23,9 @@ impl<const N: usize> WithSimd for Predict<'_, N> {
 }
 
 /// The second half of a step.
-pub(super) struct Commit<'a, const N: usize>(pub(super) &'a mut RingLoad<N>, pub(super) f64);
+pub(super) struct Commit<'a, const N: usize, C>(pub(super) &'a mut RingLoad<N, C>, pub(super) f64);
 
-impl<const N: usize> WithSimd for Commit<'_, N> {
+impl<const N: usize, C: NodeCoefficients<N>> WithSimd for Commit<'_, N, C> {
     type Output = ();
 
     #[inline(always)]
@@ -34,7 +34,7 @@ impl<const N: usize> WithSimd for Commit<'_, N> {
     }
 }
 
-impl<const N: usize> RingLoad<N> {
+impl<const N: usize, C: NodeCoefficients<N>> RingLoad<N, C> {
     #[inline(always)]
     fn linearise(&mut self) {
         for n in 0..self.h.now.len() {
@@ -50,35 +50,7 @@ impl<const N: usize> RingLoad<N> {
     /// Tangent of B(H) at the trial field of depth node `n`.
     #[inline(always)]
     pub(super) fn tangent(&mut self, n: usize, trial: &[f64; N]) {
-        let mut slope = [0.0; N];
-        let mut offset = [0.0; N];
-        let curve = self.curve;
-        match curve.knee {
-            Knee::Froehlich => {
-                for j in 0..N {
-                    let q = 1.0 / (curve.alpha_a_per_m + curve.saturating * trial[j].abs());
-                    let chord = curve.b_sat_t * q;
-                    slope[j] = chord * curve.alpha_a_per_m * q;
-                    offset[j] = (chord - slope[j]) * trial[j];
-                }
-            }
-            // Refused by `RingLoad::new`.
-            Knee::Literal => {}
-            Knee::Sharp => {
-                let square = curve.alpha_a_per_m * curve.alpha_a_per_m;
-                for j in 0..N {
-                    let q = 1.0 / (square + trial[j] * trial[j]).sqrt();
-                    let chord = curve.b_sat_t * q;
-                    slope[j] = chord * square * q * q;
-                    offset[j] = (chord - slope[j]) * trial[j];
-                }
-            }
-        }
-        for slope in &mut slope {
-            *slope += curve.tail_h_per_m;
-        }
-        self.slope[n] = slope;
-        self.offset[n] = offset;
+        (self.slope[n], self.offset[n]) = self.nodes.tangent(n, trial);
     }
 
     /// From the deepest node up: each node's H as a linear function of the one above.
@@ -87,16 +59,16 @@ impl<const N: usize> RingLoad<N> {
         let nodes = self.h.now.len();
         let (mut e, mut f) = ([0.0; N], [0.0; N]);
         for n in (1..nodes).rev() {
-            let (up, down) = (self.conductance[n - 1], self.conductance[n]);
-            let store = self.storage[n];
+            let (up, down) = (self.nodes.conductance(n - 1), self.nodes.conductance(n));
+            let store = self.nodes.storage(n);
             let (slope, offset) = (&self.slope[n], &self.offset[n]);
             let (now, before) = (&self.b.now[n], &self.b.before[n]);
             for j in 0..N {
-                let diagonal = store * slope[j] + up + down - down * e[j];
-                let known =
-                    store * ((4.0 * now[j] - before[j]) * (1.0 / 3.0) - offset[j]) + down * f[j];
+                let diagonal = store[j] * slope[j] + up[j] + down[j] - down[j] * e[j];
+                let known = store[j] * ((4.0 * now[j] - before[j]) * (1.0 / 3.0) - offset[j])
+                    + down[j] * f[j];
                 let inverse = 1.0 / diagonal;
-                e[j] = up * inverse;
+                e[j] = up[j] * inverse;
                 f[j] = known * inverse;
             }
             self.e[n] = e;
@@ -105,21 +77,18 @@ impl<const N: usize> RingLoad<N> {
     }
 
     /// Rings, gap and coil: solves for A = a0 + a1 i.
-    #[expect(
-        clippy::needless_range_loop,
-        reason = "one index for the lanes of all arrays"
-    )]
     #[inline(always)]
     pub(super) fn couple(&mut self) -> FluxLine {
-        let cell = self.storage[0] * self.dt_over_sigma;
-        let drive = self.dt_over_sigma * self.conductance[0];
+        let unit = self.nodes.unit();
+        let cell = self.nodes.storage(0).map(|storage| storage * unit);
+        let drive = self.nodes.conductance(0).map(|g| unit * g);
         let mut m = self.s;
         let mut out = self.surface;
         for j in 0..N {
             let (now, before) = (self.a_inner.now[j], self.a_inner.before[j]);
-            out.inner_base[j] = (4.0 * now - before) * (1.0 / 3.0) - drive * self.f[1][j];
-            out.base[j] = out.inner_base[j] + cell * self.offset[0][j];
-            out.gain[j] = drive * (1.0 - self.e[1][j]) + cell * self.slope[0][j];
+            out.inner_base[j] = (4.0 * now - before) * (1.0 / 3.0) - drive[j] * self.f[1][j];
+            out.base[j] = out.inner_base[j] + cell[j] * self.offset[0][j];
+            out.gain[j] = drive[j] * (1.0 - self.e[1][j]) + cell[j] * self.slope[0][j];
             let stiffness = self.w[j] / out.gain[j];
             m[j][j] += stiffness;
             out.a0[j] = stiffness * out.base[j];
@@ -141,14 +110,15 @@ impl<const N: usize> RingLoad<N> {
     /// From the surface down with the current known; shifts the history.
     #[inline(always)]
     fn back_substitute(&mut self, i_a: f64) {
-        let drive = self.dt_over_sigma * self.conductance[0];
+        let unit = self.nodes.unit();
+        let drive = self.nodes.conductance(0).map(|g| unit * g);
         let nodes = self.h.now.len();
         let mut h = [0.0; N];
         let mut inner = [0.0; N];
         for j in 0..N {
             let s = &self.surface;
             h[j] = (s.a0[j] + s.a1[j] * i_a - s.base[j]) / s.gain[j];
-            inner[j] = s.inner_base[j] + drive * (1.0 - self.e[1][j]) * h[j];
+            inner[j] = s.inner_base[j] + drive[j] * (1.0 - self.e[1][j]) * h[j];
         }
         self.a_inner.before = self.a_inner.now;
         self.a_inner.now = inner;

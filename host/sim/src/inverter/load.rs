@@ -212,12 +212,12 @@ impl LoadState {
         pot: &SimulatedPot,
         temperature_c: f64,
     ) -> Result<(), InverterError> {
-        let Some(material) = pot.material_at(temperature_c) else {
+        let Some(metals) = pot.metals_at(temperature_c) else {
             return Ok(());
         };
         if let Self::Field { sectors, .. } = self {
             for (_, load) in sectors {
-                load.set_material(&material)?;
+                load.set_metals(&metals)?;
             }
         }
         Ok(())
@@ -356,7 +356,7 @@ mod tests {
                     // A linear metal's grid is made for its skin depth.
                     let allowed = match metal {
                         Metal::Ferritic | Metal::CastIron => 2e-4,
-                        Metal::Stainless | Metal::Aluminium => 1e-2,
+                        Metal::Stainless | Metal::Aluminium | Metal::Clad => 1e-2,
                     };
                     assert!(
                         r.abs() < allowed && l.abs() < allowed,

@@ -110,7 +110,9 @@ fn behavioural_kind(pot: &SimulatedPot) -> PotKind {
         None => PotKind::None,
         Some(Metal::Stainless) => PotKind::Stainless,
         Some(Metal::Aluminium) => PotKind::Aluminium,
-        Some(Metal::Ferritic | Metal::CastIron) if pot.diameter_m < 0.15 => PotKind::Small,
-        Some(Metal::Ferritic | Metal::CastIron) => PotKind::Ferromagnetic,
+        Some(Metal::Ferritic | Metal::CastIron | Metal::Clad) if pot.diameter_m < 0.15 => {
+            PotKind::Small
+        }
+        Some(Metal::Ferritic | Metal::CastIron | Metal::Clad) => PotKind::Ferromagnetic,
     }
 }
