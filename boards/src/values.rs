@@ -69,7 +69,7 @@ values! {
         winding_mohm: u32 1..=1_000, "Resistance of the winding and its leads, in milliohm.";
     }
     sensors {
-        coil_voltage_full_scale_mv: u32 50_000..=2_000_000, "Half the input range of the coil voltage's channel, in millivolt.";
+        coil_voltage_full_scale_mv: u32 50_000..=1_000_000, "Half the input range of the coil voltage's channel, in millivolt.";
         coil_current_full_scale_ma: u32 5_000..=500_000, "Half the input range of the coil current's channel, in milliampere.";
         bus_full_scale_dv: u32 500..=15_000, "Bus voltage at the end of the converter's range, in decivolt.";
         mains_full_scale_mv: u32 50_000..=1_000_000, "Half the input range of the mains voltage's channel, in millivolt.";

@@ -244,24 +244,24 @@ pub struct PowerLevel {
     pub unattended_min: u16,
 }
 
-/// Levels 1 to 9.
+/// Levels 1 to 9, as shares of the rating.
 pub const LEVELS: [PowerLevel; 9] = {
-    const fn level(power_w: u16, unattended_min: u16) -> PowerLevel {
+    const fn level(percent: u32, unattended_min: u16) -> PowerLevel {
         PowerLevel {
-            power_w,
+            power_w: (RATED_POWER_W as u32 * percent / 100) as u16,
             unattended_min,
         }
     }
     [
-        level(100, 600),
-        level(200, 480),
-        level(350, 360),
-        level(500, 300),
-        level(700, 240),
-        level(1_000, 180),
-        level(1_400, 120),
-        level(1_900, 90),
-        level(RATED_POWER_W, 60),
+        level(4, 600),
+        level(8, 480),
+        level(14, 360),
+        level(20, 300),
+        level(28, 240),
+        level(40, 180),
+        level(56, 120),
+        level(76, 90),
+        level(100, 60),
     ]
 };
 

@@ -8,7 +8,7 @@
 //! additions and four scalings. Sums are exact integers: nothing drifts.
 
 use ihd_shared::sampling::{
-    ADC_LOCK_P, ADC_LOCK_Q, CODE_HALF_RANGE, I_FULL_SCALE_A, V_FULL_SCALE_V,
+    ADC_LOCK_P, ADC_LOCK_Q, CODE_HALF_RANGE, I_FULL_SCALE_MA, V_FULL_SCALE_MV,
 };
 
 use crate::fixed::{Complex, narrow_within, saturate};
@@ -27,25 +27,11 @@ pub const VOLT_PER_UNIT: f64 = 32.0;
 /// Ohm per estimator unit of impedance.
 pub const OHM_PER_UNIT: f64 = VOLT_PER_UNIT / AMPERE_PER_UNIT;
 
-/// Fractional bits of the scaling mantissas: the largest, [`GAIN_V`] / 61 with N = 1, stays below 2^28.
+/// Fractional bits of the scaling mantissas: the largest, of one block and the largest full scale, stays below 2^28.
 const GAIN_BITS: u32 = 26;
 
-/// Twice the estimator's units per code, times what the table's bits fall short of the state's: p·N² times a
-/// channel's gain.
-const fn gain_numerator(full_scale: f64, per_unit: f64) -> u64 {
-    let units_per_code = full_scale / CODE_HALF_RANGE as f64 / per_unit;
-    let numerator = 2.0 * units_per_code * (1u64 << (STATE_BITS - TABLE_BITS)) as f64;
-    // A scale that is no whole number here would read wrong by the rounding.
-    assert!(numerator as u64 as f64 == numerator);
-    numerator as u64
-}
-
-const GAIN_V: u64 = gain_numerator(V_FULL_SCALE_V, VOLT_PER_UNIT);
-
-const GAIN_I: u64 = gain_numerator(I_FULL_SCALE_A, AMPERE_PER_UNIT);
-
-/// Sums of p·2^25·N² times a gain of 2^26·128/(p·N²) are 58 bits, whatever N.
-const _: () = assert!(GAIN_V < 128 && GAIN_I < 128);
+/// Sums of p·2^25·N² times a gain of 2^26·128/(p·N²) are 58 bits, whatever N. The ranges of boards/src/values.rs keep it.
+const _: () = assert!(V_FULL_SCALE_MV < 1_024_000 && I_FULL_SCALE_MA < 512_000);
 
 /// Most blocks of a boxcar: 0.2 ms at 80 kHz are 5.3.
 pub const MAX_BOXCAR: usize = 6;
@@ -53,14 +39,20 @@ pub const MAX_BOXCAR: usize = 6;
 /// Scale of the sums of V and I behind boxcars of N blocks, N from 1: amplitude = 2/p · mean over N² sums.
 /// At compile time, as a crossing with another frequency has no time for divisions of 64 bit.
 static GAINS: [(i32, i32); MAX_BOXCAR] = {
-    const fn gain(numerator: u64, n: u64) -> i32 {
-        let divisor = ADC_LOCK_P as u64 * n * n;
-        (((numerator << GAIN_BITS) + divisor / 2) / divisor) as i32
+    /// Twice the estimator's units per code, times what the table's bits fall short of the state's, over p·N².
+    const fn gain(full_scale_milli: u32, per_unit: f64, n: u128) -> i32 {
+        let bits = 1 + STATE_BITS - TABLE_BITS + GAIN_BITS;
+        let codes = CODE_HALF_RANGE as u128 * per_unit as u128 * 1_000;
+        let divisor = codes * ADC_LOCK_P as u128 * n * n;
+        ((((full_scale_milli as u128) << bits) + divisor / 2) / divisor) as i32
     }
     let mut gains = [(0, 0); MAX_BOXCAR];
     let mut n = 1;
     while n <= MAX_BOXCAR {
-        gains[n - 1] = (gain(GAIN_V, n as u64), gain(GAIN_I, n as u64));
+        gains[n - 1] = (
+            gain(V_FULL_SCALE_MV, VOLT_PER_UNIT, n as u128),
+            gain(I_FULL_SCALE_MA, AMPERE_PER_UNIT, n as u128),
+        );
         n += 1;
     }
     gains
