@@ -15,8 +15,15 @@ pub const MOST_BINS: usize = 32;
 const KEPT: f64 = 0.98;
 
 /// Least relative deviations of R and L at the largest current, which no number of windows reduces; they grow as the current
-/// falls. They cover systematic errors of network, bins and sensors (.05 % of R over a half-cycle without noise, docs/identification.md).
+/// falls. They cover errors of bins and sensors.
 const LEAST_SIGMA: [f64; 2] = [2e-4, 1e-4];
+
+/// Relative deviations of R and L at the largest current that the network has in common at all windows: it rounds off R and L where
+/// the current rises steeply (host/train/src/trainer/deviations.rs). They grow as the current falls.
+const COMMON_SIGMA: [f64; 2] = [1.8e-4, 1.4e-4];
+
+/// Reach of that error in ln of the current over the largest one.
+const COMMON_REACH: f64 = 1.0;
 
 /// Range of switching frequencies in hertz, wider than that of any hob.
 const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
@@ -88,13 +95,14 @@ impl Bin {
         let sound = r_ohm > 0.0 && l_h > 0.0 && r_ohm.is_finite() && l_h.is_finite();
         let i_a = self.i_a();
         let weights = self.ln_weights();
-        let relative =
-            |q: usize| 1.0 / weights[q] + (LEAST_SIGMA[q] * most_a / i_a.max(1e-3)).powi(2);
+        let grown = most_a / i_a.max(1e-3);
+        let relative = |q: usize| 1.0 / weights[q] + (LEAST_SIGMA[q] * grown).powi(2);
         sound.then(|| Mean {
             i_a,
             ln: [r_ohm.ln(), l_h.ln()],
             variance: [0, 1].map(relative),
             level,
+            common: COMMON_SIGMA.map(|sigma| sigma * grown),
         })
     }
 
@@ -131,6 +139,19 @@ pub struct Mean {
     pub variance: [f64; 2],
     /// Variances of `ln` that all means of a curve share: its level, which may have drifted.
     pub level: [f64; 2],
+    /// Deviations of `ln` that windows of all frequencies share ([`common_covariance`]).
+    pub common: [f64; 2],
+}
+
+/// Covariance of the errors that two means have in common, from their deviations; 0 if one has none.
+pub(crate) fn common_covariance(a: f64, b: f64) -> f64 {
+    let product = a * b;
+    if product <= 0.0 {
+        return 0.0;
+    }
+    // The deviation grows as one over the current.
+    let apart = (a / b).ln() / COMMON_REACH;
+    product * (-0.5 * apart * apart).exp()
 }
 
 /// R and L over current at one switching frequency.

@@ -4,6 +4,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use crate::PotModel;
+use crate::curve::common_covariance;
 use crate::heat::changes;
 use crate::misfit::Place;
 use crate::parameters::{self, CENTRED, COUNT, Prior, Vector};
@@ -29,6 +30,8 @@ pub(crate) struct Datum {
     pub variance: [f64; 2],
     /// Variances that all data of one frequency share.
     pub level: [f64; 2],
+    /// Deviations that all data share.
+    pub common: [f64; 2],
     /// Age in seconds; negative ahead of now.
     pub age_s: f64,
 }
@@ -83,8 +86,8 @@ pub(crate) fn derivatives(
     all
 }
 
-/// Covariance of measured data around the physics: errors of measurement, the level of each curve, and the misfit of deviations
-/// `tau`.
+/// Covariance of measured data around the physics: errors of measurement, the level of each curve, what all have in common, and
+/// the misfit of deviations `tau`.
 pub(crate) fn covariance(data: &[Datum], tau: [f64; 2]) -> DMatrix<f64> {
     let count = data.len();
     let places: Vec<Place> = data.iter().map(Datum::place).collect();
@@ -100,7 +103,8 @@ pub(crate) fn covariance(data: &[Datum], tau: [f64; 2]) -> DMatrix<f64> {
                 } else {
                     0.0
                 };
-                all[(row, column)] = tau * tau * correlation + level;
+                let common = common_covariance(data[m].common[x], data[n].common[x]);
+                all[(row, column)] = tau * tau * correlation + level + common;
                 all[(column, row)] = all[(row, column)];
             }
         }

@@ -8,7 +8,7 @@ use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
-use crate::curve::{CurrentCurve, Mean};
+use crate::curve::{CurrentCurve, Mean, common_covariance};
 use crate::fit::Datum;
 use crate::library::{Candidate, Library, Shape, ShapeState, shape_places, without};
 use crate::posterior::{Posterior, RlPrediction};
@@ -104,6 +104,7 @@ impl LibraryHypothesis {
                 ln: [0, 1].map(|x| m.ln[x] - beside[x]),
                 variance: [0, 1].map(|x| m.variance[x] + variance[x]),
                 level: m.level,
+                common: m.common,
             }
         };
         let means: Vec<_> = means.iter().map(less).collect();
@@ -317,8 +318,9 @@ fn compare(posterior: &Posterior, f_hz: f64, means: &[Mean], ahead_s: f64) -> Op
             let first = x * count;
             covariance[(first + k, first + k)] += mean.variance[x];
             // One curve has one level.
-            for n in 0..count {
-                covariance[(first + k, first + n)] += mean.level[x];
+            for (n, other) in means.iter().enumerate() {
+                covariance[(first + k, first + n)] +=
+                    mean.level[x] + common_covariance(mean.common[x], other.common[x]);
             }
         }
     }

@@ -184,6 +184,7 @@ fn place(f_hz: f64, i_a: f64, ahead_s: f64) -> Datum {
         ln: [0.0; 2],
         variance: [0.0; 2],
         level: [0.0; 2],
+        common: [0.0; 2],
         age_s: -ahead_s.max(0.0),
     }
 }

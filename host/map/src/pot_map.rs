@@ -430,6 +430,7 @@ fn data(curves: &[CurrentCurve], now_s: f64) -> Vec<Datum> {
             ln: m.ln,
             variance: m.variance,
             level: m.level,
+            common: m.common,
             age_s,
         };
         curve.means().map(datum).collect::<Vec<_>>()

@@ -219,7 +219,8 @@ impl Plant {
     /// # Errors
     /// If there is no model of it.
     pub fn map_truth(&self, progress: &mut dyn FnMut(f64)) -> Result<MapTruth, InverterError> {
-        TrueLoad::new(self.load_library.kind(), &self.pot, self.temperature_c())?.map(progress)
+        let load = TrueLoad::new(self.load_library.kind(), &self.pot, self.temperature_c())?;
+        load.fed_by(*self.inverter.bus.parts()).map(progress)
     }
 
     /// Prepares a pot, so that putting it on later takes no time.

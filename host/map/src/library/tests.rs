@@ -213,6 +213,7 @@ fn window() -> Vec<Datum> {
             ln: [z.r_ohm.ln(), z.l_h.ln()],
             variance: [1e-6, 1e-6],
             level: [0.0; 2],
+            common: [0.0; 2],
             age_s: 0.0,
         }
     };

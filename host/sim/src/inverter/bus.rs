@@ -135,6 +135,11 @@ impl Bus {
         })
     }
 
+    /// Parts that feed it.
+    pub fn parts(&self) -> &SupplyParts {
+        &self.parts
+    }
+
     /// Feeds the bus from a bench supply of this voltage from now on, instead of the rectifier.
     pub fn set_supply(&mut self, supply_v: f64) {
         self.supply_v = Some(supply_v);

@@ -16,7 +16,7 @@ use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 use ihd_sim::transport::SharedHob;
 use ihd_sim::trial::Trial;
-use ihd_train::learning::{curve, fit_window};
+use ihd_train::learning::{curve, fit_window, unfiltered};
 use ihd_train::lookup::BuiltLookup;
 use ihd_train::{TrainingSource, run};
 
@@ -40,7 +40,13 @@ pub fn runs(
         perturbation,
         ..placed.pot
     };
-    let truth = TrueLoad::new(plan.load, &pot, None)?.map(&mut |_| ())?;
+    let supply = match plan.closed_loop {
+        true => HobConfig::default().supply,
+        false => CaptureSpec::default().supply(),
+    };
+    let truth = TrueLoad::new(plan.load, &pot, None)?
+        .fed_by(supply)
+        .map(&mut |_| ())?;
     let heated = truth.reached() > 0;
     let points = if heated && !plan.closed_loop {
         points(plan.load, &plan.powers_w, &pot)?
@@ -138,7 +144,7 @@ fn curves(plan: &MapPlan, points: &[Point], seed: u64) -> Result<Vec<CurrentCurv
     points.iter().enumerate().map(curve_of).collect()
 }
 
-/// R and L over current of a half-cycle at a time in seconds, from a newly initialised network.
+/// R and L over current of a half-cycle behind the board's filters at a time in seconds, from a newly initialised network.
 ///
 /// # Errors
 /// [`PinnError`] if the network cannot be trained on it.
@@ -148,6 +154,7 @@ pub fn identified(segment: &Segment, t_s: f64) -> Result<CurrentCurve, PinnError
         deterministic: true,
         ..PinnConfig::default()
     };
+    let segment = &unfiltered(segment.clone());
     let identified = fit_window(segment, config, &mut |_| ())?;
     Ok(curve(segment, &(&identified).into(), t_s))
 }

@@ -125,9 +125,24 @@ impl SensorEvidence {
     }
 }
 
-/// Returns a window with the sensor correction applied.
+/// Returns a window with the sensor correction applied, in volt and ampere before the anti-alias filters.
 pub(super) fn corrected(segment: &Segment, correction: Option<&Correction>) -> Segment {
-    correction.map_or_else(|| segment.clone(), |c| c.applied(segment))
+    unfiltered(match correction {
+        Some(correction) => correction.applied(segment),
+        None => segment.clone(),
+    })
+}
+
+/// Returns a window with both channels scaled to before the anti-alias filters, of which the fundamental loses 1 % at 70 kHz. R
+/// and L do not change; the current to which they belong does.
+pub fn unfiltered(segment: Segment) -> Segment {
+    let loss = f64::hypot(1.0, segment.f_sw_hz / f64::from(ANTI_ALIAS_HZ));
+    let scaled = |x: &[f64]| x.iter().map(|x| x * loss).collect();
+    Segment {
+        v_v: scaled(&segment.v_v),
+        i_a: scaled(&segment.i_a),
+        ..segment
+    }
 }
 
 impl Sensors {
@@ -137,7 +152,8 @@ impl Sensors {
         let evidence = SensorEvidence::of(segment);
         let mut said = evidence.remarks.clone();
         said.extend(self.add(&evidence));
-        (corrected(segment, self.correction().as_ref()), said)
+        let applied = self.correction().map(|c| c.applied(segment));
+        (applied.unwrap_or_else(|| segment.clone()), said)
     }
 
     /// Adds the evidence of a window. Returns the remarks on all windows so far; that on a correction comes once, when it begins.

@@ -1,5 +1,7 @@
 //! A training run: from a connected device, or a capture, to a report.
 
+#[cfg(test)]
+mod deviations;
 mod device;
 mod error;
 mod follow;
