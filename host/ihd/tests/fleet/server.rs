@@ -195,9 +195,24 @@ impl Server {
         }
     }
 
-    /// Suspends its process (SIGSTOP): connections stay, nothing is answered.
+    /// Suspends its process (SIGSTOP) and waits until all its threads stand still: connections stay, nothing is answered.
     pub fn freeze(&self) {
         self.signal("STOP");
+        let deadline = Instant::now() + PATIENCE;
+        while !self.stands_still() {
+            assert!(Instant::now() < deadline, "it goes on:\n{}", self.log());
+            thread::sleep(POLL_PERIOD);
+        }
+    }
+
+    /// Returns `true` if each of its threads is stopped (proc(5): state T after the name in brackets).
+    fn stands_still(&self) -> bool {
+        let threads = fs::read_dir(format!("/proc/{}/task", self.pid())).expect("a server");
+        threads.flatten().all(|thread| {
+            let state = fs::read_to_string(thread.path().join("stat")).unwrap_or_default();
+            let after_name = state.rsplit_once(") ").map(|(_, rest)| rest);
+            after_name.is_some_and(|rest| rest.starts_with('T'))
+        })
     }
 
     /// Ends [`Server::freeze`].
