@@ -143,11 +143,15 @@ impl Rings {
         }
         let mut parts = sections.clone();
         parts.dedup();
-        let profiles = parts.iter().map(|part| part.profile(settings));
+        let metals = settings.metals();
+        let nodes = settings.depth_nodes;
+        let profiles = parts
+            .iter()
+            .map(|part| part.profile(geometry, &metals, nodes));
         Ok(Self {
             gap,
             profiles: profiles.collect::<Result<_, _>>()?,
-            metals: settings.metals(),
+            metals,
             of_ring: sections
                 .iter()
                 .map(|section| parts.iter().take_while(|part| *part != section).count())

@@ -2,8 +2,8 @@
 
 use super::depth::DepthGrid;
 use super::error::FieldError;
+use super::geometry::Geometry;
 use super::material::{BhCurve, Material};
-use super::model::FieldSettings;
 
 /// Part of a foil's nodes that lies in the base behind it: one in so many.
 const BEHIND: usize = 4;
@@ -94,19 +94,24 @@ pub enum Section {
 }
 
 impl Section {
-    /// Returns the profile under a ring of this part.
+    /// Returns the profile under a ring of this part, of so many nodes.
     ///
     /// # Errors
     /// [`FieldError::OutOfRange`] of a thickness, or of too few nodes.
-    pub(crate) fn profile(self, settings: &FieldSettings) -> Result<Profile, FieldError> {
-        let (metals, nodes) = (settings.metals(), settings.depth_nodes);
-        let g = &settings.geometry;
-        let (foil_m, base_m) = (g.foil_thickness_m, g.load_thickness_m);
+    pub(crate) fn profile(
+        self,
+        geometry: &Geometry,
+        metals: &Metals,
+        nodes: usize,
+    ) -> Result<Profile, FieldError> {
+        let (foil_m, base_m) = (geometry.foil_thickness_m, geometry.load_thickness_m);
         match self {
             Self::Bottom if foil_m > 0.0 => {
-                Profile::foil_on_base(&metals, foil_m, base_m - foil_m, nodes)
+                Profile::foil_on_base(metals, foil_m, base_m - foil_m, nodes)
             }
-            Self::FoilEdge => Profile::solid(&metals.foil, g.load_radius_m.min(MOST_M), nodes, 1.0),
+            Self::FoilEdge => {
+                Profile::solid(&metals.foil, geometry.load_radius_m.min(MOST_M), nodes, 1.0)
+            }
             Self::Bottom | Self::Base => Profile::solid(&metals.base, base_m, nodes, 0.0),
         }
     }
