@@ -23,6 +23,9 @@ pub const TANK_CAPACITANCE_PF: u32 = {
 /// other turns in the same place R and L are its square times as large, at currents that are so many times smaller.
 pub const TURNS_RATIO: f64 = crate::board::COIL_TURNS as f64 / 23.0;
 
+/// Resistance of the winding and its leads, in ohm.
+pub const WINDING_R_OHM: f64 = crate::board::WINDING_MOHM as f64 / 1e3;
+
 /// Peak of the rectified mains of a 230 V supply, in volt (paper, section IV).
 pub const BUS_PEAK_V: f64 = 230.0 * core::f64::consts::SQRT_2;
 

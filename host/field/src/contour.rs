@@ -72,7 +72,7 @@ impl<'a> Contour<'a> {
         let pairs = self.elements.iter().zip(next);
         let of = |(element, next): (&Element, Section)| match next {
             Section::Base => [element.section, next],
-            Section::Bottom | Section::FoilEdge => [element.section; 2],
+            Section::Foil | Section::FoilEdge => [element.section; 2],
         };
         pairs.flat_map(of).collect()
     }
@@ -159,7 +159,7 @@ impl<'a> Contour<'a> {
 fn lengths_m(geometry: &Geometry) -> Vec<(f64, Section)> {
     let radius = geometry.load_radius_m;
     let (foil_m, base_m) = (geometry.foil_thickness_m, geometry.load_thickness_m);
-    let (bottom, side, shares): (&[f64], Vec<_>, &[f64]) = if foil_m > 0.0 {
+    let (bottom, below, side, shares): (&[f64], _, Vec<_>, &[f64]) = if foil_m > 0.0 {
         let (lower_m, above_m) = (LOWER_EDGE * foil_m, base_m - foil_m);
         let side = [
             (lower_m, Section::FoilEdge),
@@ -167,11 +167,16 @@ fn lengths_m(geometry: &Geometry) -> Vec<(f64, Section)> {
             (ABOVE_FOIL * above_m, Section::Base),
             ((1.0 - ABOVE_FOIL) * above_m, Section::Base),
         ];
-        (&BOTTOM_FOIL, side.into(), &BEYOND_FOIL)
+        (&BOTTOM_FOIL, Section::Foil, side.into(), &BEYOND_FOIL)
     } else {
-        (&BOTTOM, [(base_m, Section::Base)].into(), &BEYOND)
+        (
+            &BOTTOM,
+            Section::Base,
+            [(base_m, Section::Base)].into(),
+            &BEYOND,
+        )
     };
-    let bottom = bottom.iter().map(|share| (share * radius, Section::Bottom));
+    let bottom = bottom.iter().map(|share| (share * radius, below));
     // A wall takes the place of the disc's top.
     let beyond = if geometry.wall_height_m > 0.0 {
         geometry.wall_height_m / shares.iter().sum::<f64>()

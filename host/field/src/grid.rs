@@ -146,14 +146,12 @@ fn load(g: &Geometry, cell_m: f64, r: &mut Vec<Mark>, z: &mut Vec<Mark>) {
     r.push(near(g.load_radius_m));
     z.extend([g.load_surface_m(), g.load_top_m()].map(near));
     if g.foil_thickness_m > 0.0 {
-        let cell_m = cell_m.min(g.foil_thickness_m * FOIL_CELL);
-        for at_m in [g.load_surface_m(), g.foil_top_m()] {
-            z.push(Mark { at_m, cell_m });
-        }
-        r.push(Mark {
-            at_m: g.load_radius_m.min(FAR_M),
-            cell_m,
-        });
+        let fine = |at_m| Mark {
+            cell_m: cell_m.min(g.foil_thickness_m * FOIL_CELL),
+            ..near(at_m)
+        };
+        r.push(fine(g.load_radius_m));
+        z.extend([g.load_surface_m(), g.foil_top_m()].map(fine));
     }
     if g.wall_height_m > 0.0 {
         r.push(near(g.wall_inner_m()));

@@ -8,7 +8,7 @@ use super::gap::GapOperator;
 use super::geometry::Geometry;
 use super::material::{MU_0, Material};
 use super::modes::Modes;
-use super::profile::{Metals, Profile, Section};
+use super::profile::{Metals, Profile};
 
 pub use super::contour::RINGS;
 
@@ -137,10 +137,7 @@ impl Rings {
         check(settings)?;
         let geometry = &settings.geometry;
         let gap = GapOperator::new(geometry, settings.rings, settings.gap_refinement)?;
-        let mut sections = Contour::new(geometry, settings.rings).sections();
-        if geometry.foil_thickness_m == 0.0 {
-            sections.fill(Section::Bottom);
-        }
+        let sections = Contour::new(geometry, settings.rings).sections();
         let mut parts = sections.clone();
         parts.dedup();
         let metals = settings.metals();

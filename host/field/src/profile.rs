@@ -85,11 +85,11 @@ impl Profile {
 /// Part of a load's surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Section {
-    /// Bottom: the foil, where there is one.
-    Bottom,
+    /// Lower face of the foil.
+    Foil,
     /// Edge of the foil.
     FoilEdge,
-    /// Side and top, or wall, of the base.
+    /// The base; all of a load without a foil.
     Base,
 }
 
@@ -106,13 +106,11 @@ impl Section {
     ) -> Result<Profile, FieldError> {
         let (foil_m, base_m) = (geometry.foil_thickness_m, geometry.load_thickness_m);
         match self {
-            Self::Bottom if foil_m > 0.0 => {
-                Profile::foil_on_base(metals, foil_m, base_m - foil_m, nodes)
-            }
+            Self::Foil => Profile::foil_on_base(metals, foil_m, base_m - foil_m, nodes),
             Self::FoilEdge => {
                 Profile::solid(&metals.foil, geometry.load_radius_m.min(MOST_M), nodes, 1.0)
             }
-            Self::Bottom | Self::Base => Profile::solid(&metals.base, base_m, nodes, 0.0),
+            Self::Base => Profile::solid(&metals.base, base_m, nodes, 0.0),
         }
     }
 }

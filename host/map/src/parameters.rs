@@ -1,7 +1,7 @@
 //! Numbers of a [`PotModel`] as a vector, in units of their expected spread, and the prior on them.
 
-use ihd_shared::board::WINDING_MOHM;
 use ihd_shared::hob::TURNS_RATIO;
+use ihd_shared::hob::WINDING_R_OHM;
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
@@ -161,9 +161,6 @@ const CLASSES: [(f64, f64, f64); 5] = [
     (1e6, 9.6e-7, 0.1),
     (1e6, 1.9e-7, 0.1),
 ];
-
-/// Winding and leads of a hob's coil in ohm.
-const WINDING_R_OHM: f64 = WINDING_MOHM as f64 / 1e3;
 
 /// Pots with which a fit begins.
 pub(crate) fn classes() -> impl Iterator<Item = PotModel> {

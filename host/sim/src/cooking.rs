@@ -14,11 +14,11 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::contents::PotContents;
 use crate::inverter::InverterError;
 use crate::inverter::load::{AmplitudeLaw, Warmth};
-use crate::load_library::WINDING_R_OHM;
 use crate::pot::SimulatedPot;
 use crate::recording::prepared::surrogate_pot;
 use crate::surrogate::SurrogatePot;
 use crate::thermal_model::ThermalModel;
+use ihd_shared::hob::WINDING_R_OHM;
 
 /// A half-cycle of 50 Hz, in seconds.
 pub const HALF_CYCLE_S: f64 = 0.01;

@@ -1,14 +1,13 @@
 //! Load library of the simulated hob: each pot is prepared when it is first put on the coil.
 
+use ihd_shared::hob::WINDING_R_OHM;
+
 use super::behavioural::PotKind;
 use super::inverter::InverterError;
 use super::inverter::load::{AmplitudeLaw, LoadState};
 use super::pot::{Metal, SimulatedPot};
 use super::recording::prepared::PreparedLoad;
 use super::recording::settings::LoadKind;
-
-/// Resistance of the winding in ohm, beside a load from the field model.
-pub(super) const WINDING_R_OHM: f64 = ihd_shared::board::WINDING_MOHM as f64 / 1e3;
 
 /// Pots of one load model, prepared for the coil.
 #[derive(Clone, Debug)]

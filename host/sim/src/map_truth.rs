@@ -38,11 +38,11 @@ use crate::inverter::harmonic_analyser::HarmonicAnalyser;
 use crate::inverter::load::Warmth;
 use crate::inverter::supply::SupplyParts;
 use crate::inverter::{Inverter, InverterError, STEPS_PER_PERIOD};
-use crate::load_library::WINDING_R_OHM;
 use crate::mains::SimulatedMains;
 use crate::pot::SimulatedPot;
 use crate::recording::prepared::PreparedLoad;
 use crate::recording::settings::LoadKind;
+use ihd_shared::hob::WINDING_R_OHM;
 
 /// Resonance capacitor in farad.
 const C_RES_F: f64 = RESONANCE_CAPACITANCE_NF as f64 * 1e-9;

@@ -2,6 +2,7 @@
 
 use ihd_firmware::control::temperature::TemperatureCodes;
 use ihd_shared::board;
+use ihd_shared::hob::WINDING_R_OHM;
 
 use crate::injection::{FaultChannel, InjectionKind, Injections};
 
@@ -13,9 +14,6 @@ const SWITCH_V: f64 = 1.7;
 
 /// Voltage across the mains rectifier's two diodes, in volt.
 const RECTIFIER_V: f64 = 1.8;
-
-/// Winding of the coil, in ohm, as in the load library.
-const WINDING_R_OHM: f64 = crate::load_library::WINDING_R_OHM;
 
 /// Heat capacity of 0.28 kg of aluminium, in J/K.
 const SINK_J_PER_K: f64 = 250.0;

@@ -16,7 +16,7 @@ use ihd_shared::board::LED_PIN;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::State;
 
-use super::panel::low_output;
+use super::pins::low_output;
 use super::registers::clocks::CORE_MHZ;
 
 const PORT: pac::gpio::Gpio = match LED_PIN.port {

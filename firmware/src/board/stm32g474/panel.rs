@@ -1,12 +1,12 @@
 //! The panel: four buttons to ground with the chip's own pull-ups, three lights on by a high level.
 
-use embassy_stm32::gpio::{Input, Level, Output, Pull, Speed};
+use embassy_stm32::gpio::{Input, Output, Pull};
 use ihd_firmware::control::panel::{PanelButtons, PanelLines};
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::path::SamplingLock;
 use ihd_shared::board::{self, Pin};
 
-use super::pins::of_board;
+use super::pins::{low_output, of_board};
 
 /// Lines and lights.
 pub struct Panel {
@@ -58,9 +58,4 @@ impl Panel {
 
 fn button(pin: Pin) -> Input<'static> {
     Input::new(of_board(pin), Pull::Up)
-}
-
-/// Light, or fan, that is off.
-pub fn low_output(pin: Pin) -> Output<'static> {
-    Output::new(of_board(pin), Level::Low, Speed::Low)
 }

@@ -47,7 +47,6 @@ pub struct OneMetal {
     curve: BhCurve,
     storage: Vec<f64>,
     conductance: Vec<f64>,
-    dt_over_sigma: f64,
 }
 
 impl OneMetal {
@@ -62,7 +61,6 @@ impl OneMetal {
             curve: metal.curve(),
             storage: vec![0.0; depth.nodes()],
             conductance: depth.step_m.iter().map(|step| 1.0 / step).collect(),
-            dt_over_sigma: 0.0,
         };
         nodes.scale();
         Ok(nodes)
@@ -72,7 +70,6 @@ impl OneMetal {
         for (storage, cell) in self.storage.iter_mut().zip(&self.depth.cell_m) {
             *storage = BDF2 * self.sigma * cell / self.dt_s;
         }
-        self.dt_over_sigma = self.dt_s / (BDF2 * self.sigma);
     }
 }
 
@@ -89,7 +86,7 @@ impl<const N: usize> NodeCoefficients<N> for OneMetal {
 
     #[inline(always)]
     fn unit(&self) -> f64 {
-        self.dt_over_sigma
+        self.dt_s / (BDF2 * self.sigma)
     }
 
     fn loss_unit(&self) -> f64 {
@@ -222,11 +219,12 @@ impl<const N: usize> NodeCoefficients<N> for FoilAndBase<N> {
                 return Err(FieldError::FoilLaw);
             }
         }
+        let of = |profile: &Profile| (profile.sheet_s(metals), profile.curves(metals));
+        let ways: Vec<_> = self.profiles.iter().map(of).collect();
         for (j, way) in self.of_ring.iter().enumerate() {
-            let profile = &self.profiles[*way];
-            let (sheet_s, curves) = (profile.sheet_s(metals), profile.curves(metals));
+            let (sheet_s, curves) = &ways[*way];
             for (n, curve) in curves.iter().enumerate() {
-                self.cell_m[n][j] = profile.depth.cell_m[n];
+                self.cell_m[n][j] = self.profiles[*way].depth.cell_m[n];
                 self.conductance[n][j] = 1.0 / sheet_s[n];
                 self.alpha_a_per_m[n][j] = curve.alpha_a_per_m;
                 self.saturating[n][j] = curve.saturating;

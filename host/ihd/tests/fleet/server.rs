@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 
-use super::site::PATIENCE;
+use super::site::{PATIENCE, until};
 
 /// Environment variable with another program than that of `cargo xtask setup`.
 pub const PROGRAM: &str = "IHD_NATS_SERVER";
@@ -198,11 +198,9 @@ impl Server {
     /// Suspends its process (SIGSTOP) and waits until all its threads stand still: connections stay, nothing is answered.
     pub fn freeze(&self) {
         self.signal("STOP");
-        let deadline = Instant::now() + PATIENCE;
-        while !self.stands_still() {
-            assert!(Instant::now() < deadline, "it goes on:\n{}", self.log());
-            thread::sleep(POLL_PERIOD);
-        }
+        until("a server that stands still", PATIENCE, || {
+            self.stands_still()
+        });
     }
 
     /// Returns `true` if each of its threads is stopped (proc(5): state T after the name in brackets).

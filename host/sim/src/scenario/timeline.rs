@@ -11,9 +11,9 @@ use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
 use super::ScenarioError;
 use super::file::{EventField, HostWord, MainsField, Scenario};
 use crate::injection::Injection;
-use crate::load_library::WINDING_R_OHM;
 use crate::pot::SimulatedPot;
 use crate::recording::prepared::surrogate_pot;
+use ihd_shared::hob::WINDING_R_OHM;
 
 /// Change.
 #[derive(Clone, Debug)]

@@ -3,6 +3,7 @@
 use ihd_link::Client;
 use ihd_map::{CurrentCurve, PotMap};
 use ihd_pinn::{PinnConfig, PinnError};
+use ihd_shared::hob::WINDING_R_OHM;
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
 use ihd_signal::Segment;
 use ihd_signal::truth::MapTruth;
@@ -23,9 +24,6 @@ use ihd_train::{TrainingSource, run};
 use super::places::PotPlacement;
 use super::{LookupJudgement, MapOperatingPoint, MapPlan, MapRun};
 use ihd::cli::simulated::RATED_RMS;
-
-/// Resistance of winding and leads in the simulated hob, in ohm.
-const WINDING_R_OHM: f64 = ihd_shared::board::WINDING_MOHM as f64 / 1e3;
 
 /// Integration step in seconds: a fifth of the bridge's edge, and some 500 per period, like the simulated hob.
 const STEP_S: f64 = 40e-9;

@@ -127,10 +127,11 @@ impl SensorEvidence {
 
 /// Returns a window with the sensor correction applied, in volt and ampere before the anti-alias filters.
 pub(super) fn corrected(segment: &Segment, correction: Option<&Correction>) -> Segment {
-    unfiltered(match correction {
-        Some(correction) => correction.applied(segment),
-        None => segment.clone(),
-    })
+    unfiltered(applied(segment, correction))
+}
+
+fn applied(segment: &Segment, correction: Option<&Correction>) -> Segment {
+    correction.map_or_else(|| segment.clone(), |c| c.applied(segment))
 }
 
 /// Returns a window with both channels scaled to before the anti-alias filters, of which the fundamental loses 1 % at 70 kHz. R
@@ -152,8 +153,7 @@ impl Sensors {
         let evidence = SensorEvidence::of(segment);
         let mut said = evidence.remarks.clone();
         said.extend(self.add(&evidence));
-        let applied = self.correction().map(|c| c.applied(segment));
-        (applied.unwrap_or_else(|| segment.clone()), said)
+        (applied(segment, self.correction().as_ref()), said)
     }
 
     /// Adds the evidence of a window. Returns the remarks on all windows so far; that on a correction comes once, when it begins.
