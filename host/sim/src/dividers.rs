@@ -1,8 +1,18 @@
 //! Dividers of bus and mains in front of the slow converter: their poles (docs/board.md).
 
+use ihd_firmware::sense::mains::BUS_MEAN;
 use ihd_shared::board::{BUS_POLE_HZ, MAINS_POLE_HZ, SLOW_PIN_POLE_HZ};
 
 use super::low_pass::LowPass;
+
+/// Voltages that the slow converter takes in one block and the firmware uses, as volt at the dividers' inputs.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DividedVoltages {
+    /// Bus voltage over the block's last switching period.
+    pub bus_v: [f64; BUS_MEAN],
+    /// Newest mains voltage.
+    pub mains_v: f64,
+}
 
 /// Voltages behind the dividers' poles, as volt at their inputs.
 #[derive(Clone, Debug)]

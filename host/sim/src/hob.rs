@@ -19,7 +19,7 @@ use ihd_firmware::link::identity::DeviceIdentity;
 use ihd_firmware::retained::reset::ResetReason;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::self_test::heartbeat::Heartbeat;
-use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
+use ihd_firmware::sense::mains::{BUS_MEAN, ZeroCrossingDetector, bus_dv, mean_bus_code};
 use ihd_firmware::sense::supply::SupplyScale;
 use ihd_shared::board::TRIP_DELAY_NS;
 use ihd_shared::fault::Fault;
@@ -183,17 +183,16 @@ impl SimHob {
         let link_before_c = self.plant.link_charge_c();
         let mut pairs = self.sample();
         let (mains, end_s) = (self.plant.mains(), self.plant.t_s());
-        let dividers = self.plant.dividers();
-        let mains_code = self.slow_adc.mains(dividers.mains_v());
-        let crossing = self.zero_crossing.on_block(mains_code);
-        let bus_code = self.slow_adc.bus(dividers.bus_v());
+        let slow = self.slow_adc.block(self.plant.divided());
+        let crossing = self.zero_crossing.on_block(slow.mains);
+        let bus_code = mean_bus_code(slow.bus.map(|code| self.injections.on_bus(code)));
         self.injections.on_pairs(&mut pairs);
         let scale = self.housekeeping.control().supply_scale();
         let words = Pair::words(&pairs).map(|word| scale.pair(word));
         let block = AdcBlock {
             pairs: Pair::of_words(&words),
             zero_crossing: self.injections.on_crossing(crossing, start_s, end_s),
-            bus_dv: bus_dv(scale.code(self.injections.on_bus(bus_code))),
+            bus_dv: bus_dv(scale.code(bus_code)),
             dc_link_ma: self.dc_link.then(|| {
                 let charge_c = self.plant.link_charge_c() - link_before_c;
                 // A current that flows back reads as zero.
@@ -217,8 +216,8 @@ impl SimHob {
         self.housekeeping.poll(&mut *self.realtime);
         let mut board = SimulatedBoard {
             slow: SlowCodes {
-                bus: bus_code,
-                mains: mains_code as i16,
+                bus: slow.bus[BUS_MEAN - 1],
+                mains: slow.mains as i16,
             },
             reference: reference(&self.injections),
             restarts: false,

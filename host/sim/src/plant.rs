@@ -3,6 +3,7 @@
 use ihd_firmware::drive::bridge::Bridge;
 use ihd_firmware::drive::bridge::Drive;
 use ihd_firmware::drive::pwm::DEAD_TIME_NS;
+use ihd_firmware::sense::mains::{bus_places, mains_place};
 use ihd_shared::hob::NODE_CAPACITANCE_NF;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 use ihd_signal::truth::MapTruth;
@@ -10,7 +11,7 @@ use ihd_signal::truth::MapTruth;
 use super::adc::Adc;
 use super::circuit::Circuit;
 use super::contents::PotContents;
-use super::dividers::Dividers;
+use super::dividers::{DividedVoltages, Dividers};
 use super::inverter::bridge::SwitchedHalfBridge;
 use super::inverter::bus::Bus;
 use super::inverter::harmonic_analyser::HarmonicAnalyser;
@@ -56,6 +57,9 @@ struct Meter {
 pub struct Plant {
     adc: Adc,
     dividers: Dividers,
+    divided: DividedVoltages,
+    /// Half of the double buffer that the next block fills, 0 or 1.
+    half: usize,
     pot: SimulatedPot,
     load_library: LoadLibrary,
     drive: Drive,
@@ -124,6 +128,8 @@ impl Plant {
         Ok(Self {
             adc,
             dividers: Dividers::default(),
+            divided: DividedVoltages::default(),
+            half: 0,
             pot,
             load_library,
             drive,
@@ -202,6 +208,11 @@ impl Plant {
     /// Bus voltage in volt.
     pub fn bus_v(&self) -> f64 {
         self.inverter.bus.v()
+    }
+
+    /// Voltages that the slow converter took in the last block.
+    pub fn divided(&self) -> &DividedVoltages {
+        &self.divided
     }
 
     /// Voltages at the pins of the slow converter, as volt at the dividers' inputs.
@@ -295,10 +306,18 @@ impl Plant {
     /// A law is known at the sample itself; for the field model `seen` gets the values of the last complete switching period.
     pub fn block(&mut self, mut seen: impl FnMut(&LoadPoint)) -> [Pair; ADC_LOCK_P] {
         let mut pairs = [Pair::default(); ADC_LOCK_P];
-        for pair in &mut pairs {
+        let mut taken_v = [(0.0, 0.0); ADC_LOCK_P];
+        for (pair, taken_v) in pairs.iter_mut().zip(&mut taken_v) {
             seen(&self.load_point());
+            *taken_v = (self.dividers.bus_v(), self.dividers.mains_v());
             *pair = self.sample(|_| ());
         }
+        let at = |place: usize| taken_v[place % ADC_LOCK_P];
+        self.divided = DividedVoltages {
+            bus_v: bus_places(self.half).map(|place| at(place).0),
+            mains_v: at(mains_place(self.half)).1,
+        };
+        self.half = 1 - self.half;
         self.warm_up();
         pairs
     }

@@ -1,16 +1,27 @@
-//! Slow ADC: bus and mains voltage, once a block, as read by the board's third converter.
+//! Slow ADC: bus and mains voltage, as read by the board's third converter.
 
-use ihd_firmware::sense::mains::{BUS_DV_FULL_SCALE, MAINS_FULL_SCALE_V};
+use ihd_firmware::sense::mains::{BUS_DV_FULL_SCALE, BUS_MEAN, MAINS_FULL_SCALE_V};
 use ihd_shared::sampling::{CODE_HALF_RANGE, CODE_MAX, CODE_MIN};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+
+use super::dividers::DividedVoltages;
 
 /// White noise after the dividers' filters, standard deviation in codes.
 const NOISE_CODES: f64 = 1.0;
 
 /// Codes of the bus: 12 bit without a sign.
 const BUS_CODES: f64 = 4_096.0;
+
+/// Codes of one block.
+#[derive(Clone, Copy, Debug)]
+pub struct SlowBlock {
+    /// Bus over the block's last switching period, from 0 on.
+    pub bus: [u16; BUS_MEAN],
+    /// Newest of the mains, with a sign.
+    pub mains: i32,
+}
 
 /// Converter; deterministic for a seed.
 #[derive(Clone, Debug)]
@@ -23,6 +34,14 @@ impl SlowAdc {
     pub fn new(seed: u64) -> Self {
         Self {
             rng: ChaCha8Rng::seed_from_u64(!seed),
+        }
+    }
+
+    /// Codes of a block, as far as the firmware uses them.
+    pub fn block(&mut self, divided: &DividedVoltages) -> SlowBlock {
+        SlowBlock {
+            bus: divided.bus_v.map(|bus_v| self.bus(bus_v)),
+            mains: self.mains(divided.mains_v),
         }
     }
 

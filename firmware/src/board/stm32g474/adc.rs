@@ -13,7 +13,9 @@ use ihd_firmware::drive::soft_start::{self, SoftStart};
 use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::sampling::path::AdcBlock;
 use ihd_firmware::sense::dma_buffer::DmaDoubleBuffer;
-use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
+use ihd_firmware::sense::mains::{
+    SLOW_CODES, ZeroCrossingDetector, bus_dv, bus_places, mains_place, mean_bus_code,
+};
 use ihd_firmware::sense::supply::SupplyScale;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 
@@ -35,31 +37,31 @@ struct DmaMemory<T>(UnsafeCell<T>);
 unsafe impl<T> Sync for DmaMemory<T> {}
 
 static PAIRS: DmaMemory<[u32; WORDS]> = DmaMemory(UnsafeCell::new([0; WORDS]));
-static SLOW: DmaMemory<[i16; 2]> = DmaMemory(UnsafeCell::new([0; 2]));
+static SLOW: DmaMemory<[i16; SLOW_CODES]> = DmaMemory(UnsafeCell::new([0; SLOW_CODES]));
 
 /// Addresses that a DMA writes at any moment, interrupts masked or not.
 pub fn written_by_dma() -> [Range<usize>; 2] {
     let (pairs, slow) = (PAIRS.0.get() as usize, SLOW.0.get() as usize);
     [
         pairs..pairs + size_of::<[u32; WORDS]>(),
-        slow..slow + size_of::<[i16; 2]>(),
+        slow..slow + size_of::<[i16; SLOW_CODES]>(),
     ]
 }
 
-/// Last codes of bus and mains.
+/// Code of bus or mains at one of the [`SLOW_CODES`] places.
 #[inline(always)]
-pub fn slow_codes() -> SlowCodes {
+fn slow_code(place: usize) -> i16 {
     let codes = SLOW.0.get().cast::<i16>();
-    // SAFETY: both are inside SLOW, and a half-word is read as a whole.
-    let (bus, mains) = unsafe {
-        (
-            ptr::read_volatile(codes),
-            ptr::read_volatile(codes.wrapping_add(1)),
-        )
-    };
+    // SAFETY: the remainder is inside SLOW, and a half-word is read as a whole.
+    unsafe { ptr::read_volatile(codes.wrapping_add(place % SLOW_CODES)) }
+}
+
+/// A code of bus and mains each, two blocks old at most.
+pub fn slow_codes() -> SlowCodes {
+    let [.., bus] = bus_places(0);
     SlowCodes {
-        bus: bus.unsigned_abs(),
-        mains,
+        bus: slow_code(bus).unsigned_abs(),
+        mains: slow_code(mains_place(0)),
     }
 }
 
@@ -115,7 +117,7 @@ impl Adc {
         bridge::prepare_timers(periods);
         // SAFETY: both are static, and only the DMA writes them.
         unsafe {
-            adc::start_slow(BUS, MAINS, SLOW.0.get().cast());
+            adc::start_slow(BUS, MAINS, SLOW.0.get().cast(), SLOW_CODES as u16);
             adc::start_pairs(VOLTAGE, CURRENT, PAIRS.0.get().cast(), WORDS as u16);
         }
         bridge::run_timers();
@@ -189,11 +191,11 @@ impl SampleSource for Adc {
         // This interrupt is the only writer.
         let sampled = sampled_cycles().wrapping_add(self.block_cycles);
         SAMPLED_CYCLES.store(sampled, Ordering::Relaxed);
-        let slow = slow_codes();
+        let bus_codes = bus_places(half).map(|place| slow_code(place).unsigned_abs());
         let drive = take(&AdcBlock {
             pairs: Pair::of_words(&self.pairs),
-            zero_crossing: self.mains.on_block(slow.mains.into()),
-            bus_dv: bus_dv(scale.code(slow.bus)),
+            zero_crossing: self.mains.on_block(slow_code(mains_place(half)).into()),
+            bus_dv: bus_dv(scale.code(mean_bus_code(bus_codes))),
             dc_link_ma: None,
             lost: self.ring.take_lost(),
         });

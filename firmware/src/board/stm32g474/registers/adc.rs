@@ -108,7 +108,7 @@ pub unsafe fn start_pairs(voltage: u8, current: u8, pairs: *mut u32, length: u16
 }
 
 /// ADC3 converts bus and mains in turn, one a trigger (ADC, "Discontinuous mode"), into a circular
-/// DMA of two half-words.
+/// DMA of `length` half-words, an even number.
 ///
 /// One takes 6.5 + 12.5 cycles and at most 3 to begin (DS12288, t_LATR): 518 ns. Triggers come every
 /// 3 / 61 of 12.5 µs, 615 ns, at the highest frequency; with a sampling time of 12.5 cycles one would
@@ -117,7 +117,7 @@ pub unsafe fn start_pairs(voltage: u8, current: u8, pairs: *mut u32, length: u16
 ///
 /// # Safety
 /// As [`dma::start_slow`].
-pub unsafe fn start_slow(bus: u8, mains: u8, codes: *mut i16) {
+pub unsafe fn start_slow(bus: u8, mains: u8, codes: *mut i16, length: u16) {
     pac::ADC345_COMMON.ccr().write(|w| {
         w.set_ckmode(Ckmode::SYNC_DIV4);
         // The reference reaches ADC4; may change only while all three are off.
@@ -144,7 +144,7 @@ pub unsafe fn start_slow(bus: u8, mains: u8, codes: *mut i16) {
         w.set_exten(Exten::RISING_EDGE);
     });
     // SAFETY: what the caller promises.
-    unsafe { dma::start_slow(codes) };
+    unsafe { dma::start_slow(codes, length) };
     start(pac::ADC3);
 }
 

@@ -33,13 +33,13 @@ pub unsafe fn start_pairs(pairs: *mut u32, length: u16) {
     });
 }
 
-/// ADC3's data register into two half-words.
+/// ADC3's data register into a ring of half-words.
 ///
 /// # Safety
 /// As [`start_pairs`], for `codes`.
-pub unsafe fn start_slow(codes: *mut i16) {
+pub unsafe fn start_slow(codes: *mut i16, length: u16) {
     let from = pac::ADC3.dr().as_ptr() as u32;
-    connect(SLOW, REQUEST_ADC3, from, codes as u32, 2);
+    connect(SLOW, REQUEST_ADC3, from, codes as u32, length);
     pac::DMA1.ch(SLOW).cr().write(|w| {
         w.set_dir(Dir::FROM_PERIPHERAL);
         w.set_circ(true);
