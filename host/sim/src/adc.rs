@@ -6,6 +6,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::inverter::Instant;
 use super::low_pass::LowPass;
 
 /// Resolution of the board's converters.
@@ -60,11 +61,11 @@ impl Adc {
         }
     }
 
-    /// Advances the filters by `dt_s` to a coil voltage in volt and current in ampere.
+    /// Advances the filters by a step of `dt_s` that ends with these coil voltage and current.
     #[inline]
-    pub fn advance(&mut self, v_v: f64, i_a: f64, dt_s: f64) {
-        self.filters[0].advance(v_v, dt_s);
-        self.filters[1].advance(i_a, dt_s);
+    pub fn advance(&mut self, now: &Instant, dt_s: f64) {
+        self.filters[0].advance_mean(now.coil_mean_v, now.coil_v, dt_s);
+        self.filters[1].advance(now.i_a, dt_s);
     }
 
     /// Converts the present outputs of the filters.

@@ -9,8 +9,10 @@ pub struct LowPass {
     corner_hz: f64,
     input: f64,
     output: f64,
-    /// Step in seconds, and half of it as a share of the filter's time constant.
-    step: (f64, f64),
+    /// Step in seconds that the factors are of.
+    step_s: f64,
+    /// Factors of the last output, the last input and the new one.
+    factors: [f64; 3],
 }
 
 impl LowPass {
@@ -20,23 +22,45 @@ impl LowPass {
             corner_hz,
             input: value,
             output: value,
-            step: (0.0, 0.0),
+            step_s: 0.0,
+            factors: [0.0, 0.0, 1.0],
         }
     }
 
     /// Advances by `dt_s` seconds to the next input; returns the output. Trapezoidal: stable for any step.
     #[inline]
     pub fn advance(&mut self, input: f64, dt_s: f64) -> f64 {
-        if self.step.0 != dt_s {
-            self.step = (dt_s, 0.5 * TAU * self.corner_hz * dt_s);
+        if self.step_s != dt_s {
+            self.set_step(dt_s);
         }
-        let (_, g) = self.step;
-        self.output = match self.corner_hz {
-            0.0 => input,
-            _ => ((1.0 - g) * self.output + g * (self.input + input)) / (1.0 + g),
-        };
+        let [keep, old, new] = self.factors;
+        self.output = keep * self.output + (old * self.input + new * input);
         self.input = input;
         self.output
+    }
+
+    /// Advances by `dt_s` seconds over an input of this mean, which ends at `input`: of an input with edges it keeps their place.
+    #[inline]
+    pub fn advance_mean(&mut self, mean: f64, input: f64, dt_s: f64) {
+        if self.step_s != dt_s {
+            self.set_step(dt_s);
+        }
+        let [keep, old, new] = self.factors;
+        self.output = match self.corner_hz {
+            0.0 => input,
+            _ => keep * self.output + (old + new) * mean,
+        };
+        self.input = input;
+    }
+
+    fn set_step(&mut self, dt_s: f64) {
+        self.step_s = dt_s;
+        // Half of the step as a share of the time constant.
+        let g = 0.5 * TAU * self.corner_hz * dt_s;
+        if self.corner_hz > 0.0 {
+            let by = g / (1.0 + g);
+            self.factors = [(1.0 - g) / (1.0 + g), by, by];
+        }
     }
 
     /// Present output.
@@ -67,6 +91,22 @@ mod tests {
             (sum.0 - 0.5).abs() < 1e-3 && (sum.1 + 0.5).abs() < 1e-3,
             "{sum:?}"
         );
+    }
+
+    /// Half of a step at 1 V is a step at half a volt; at its ends it would be all or nothing.
+    #[test]
+    fn an_edge_inside_a_step_counts_by_its_share() {
+        let mut pole = LowPass::settled(500e3, 0.0);
+        pole.advance_mean(0.5, 1.0, 80e-9);
+        let expected = 1.0 - (-TAU * 500e3 * 40e-9f64).exp();
+        assert!(
+            (pole.output() / expected - 1.0).abs() < 0.06,
+            "{}",
+            pole.output()
+        );
+        let mut none = LowPass::settled(0.0, 0.0);
+        none.advance_mean(0.5, 1.0, 80e-9);
+        assert_eq!(none.output(), 1.0);
     }
 
     #[test]

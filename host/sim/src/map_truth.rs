@@ -358,10 +358,10 @@ impl TrueLoad {
         let mut truth = Vec::with_capacity(periods);
         for _ in 0..periods {
             let start = inverter.instant();
-            analyser.push(0, start.coil_v, start.i_a);
+            analyser.start(start.i_a);
             for n in 1..=STEPS_PER_PERIOD {
                 let now = inverter.advance(Bridge::Switching);
-                analyser.push(n, now.coil_v, now.i_a);
+                analyser.push_mean(n, now.coil_mean_v, now.i_a);
             }
             let sums = analyser.sums();
             if let Some(before) = before.replace(sums.clone()) {

@@ -23,7 +23,7 @@ impl Inverter {
         let to_s = self.period_start_s + (self.step + 1) as f64 * dt_s;
         let flux = self.load.predict(i_a);
         let induced_v = self.induced_v(to_s);
-        let open_v = self.circuit.v_c_v + flux.change0_wb / dt_s + induced_v;
+        let open_v = self.circuit.v_c_v + flux.change0_wb / self.loop_dt_s + induced_v;
         let bus_v = self.bus.v();
         let upper = match i_a {
             i if i > 0.0 => Some(false),
@@ -77,9 +77,9 @@ impl Inverter {
         if (circuit.i_a < 0.0) != upper {
             // The diode blocks: the current ends within this step.
             *circuit = before;
-            circuit.end_current(dt_s);
+            circuit.end_current(self.loop_dt_s);
         }
-        self.meter_energy(mean_v, before, dt_s);
+        self.meter(mean_v, before, dt_s);
     }
 
     fn float(&mut self, open_v: f64, to_s: f64, dt_s: f64) {
@@ -90,6 +90,7 @@ impl Inverter {
         let open_v = open_v - lost_v;
         let bus_v = self.bus.advance(to_s, dt_s, 0.0);
         self.floating_v = Some(open_v);
+        self.coil_mean_v = open_v - self.circuit.v_c_v;
         // The next edge begins here.
         self.bridge
             .float_at(if bus_v > 0.0 { open_v / bus_v } else { 0.0 });

@@ -1,6 +1,6 @@
 //! Truth of a waveform: impedance of the fundamental and of harmonics, period by period.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 use ihd_signal::truth::{ORDERS, PeriodTruth};
 use nalgebra::Complex;
@@ -19,6 +19,9 @@ pub struct HarmonicAnalyser {
     turn: Vec<Complex<f64>>,
     sums: PeriodSums,
     i_start_a: f64,
+    i_before_a: f64,
+    /// Phasor of each order by that of its steps' means at their ends' mean turn: 1/cos²(hπ/N).
+    mean_factor: [f64; ORDERS.len()],
 }
 
 /// Sums over a period, each plain and with a weight that rises from 0 to 1.
@@ -151,6 +154,8 @@ impl HarmonicAnalyser {
             turn,
             sums,
             i_start_a: 0.0,
+            i_before_a: 0.0,
+            mean_factor: ORDERS.map(|h| libm::cos(PI * h as f64 / steps as f64).powi(-2)),
         }
     }
 
@@ -174,6 +179,39 @@ impl HarmonicAnalyser {
         };
         add(&mut self.sums.plain, 1.0);
         add(&mut self.sums.rising, n as f64 / steps as f64);
+    }
+
+    /// Adds the coil voltage's mean over the step that ends at boundary `n`, and the current there; [`HarmonicAnalyser::start`] first.
+    /// An edge inside the step has its full effect, where samples at the boundaries would shift it by up to half a step.
+    pub fn push_mean(&mut self, n: usize, v_mean_v: f64, i_a: f64) {
+        let steps = self.sums.steps;
+        // Currents at the boundaries, as in `push`.
+        let i_before_a = std::mem::replace(&mut self.i_before_a, i_a);
+        let i_mean_a = 0.5 * (i_before_a + i_a);
+        let add = |sums: &mut Sums, [before, now]: [f64; 2]| {
+            for (k, order) in ORDERS.into_iter().enumerate() {
+                let (from, to) = (
+                    self.turn[order * (n - 1) % steps],
+                    self.turn[order * n % steps],
+                );
+                sums.v[k] += (from * before + to * now) * (0.5 * self.mean_factor[k] * v_mean_v);
+                sums.i[k] += (from * (before * i_before_a) + to * (now * i_a)) * 0.5;
+            }
+            let middle = 0.5 * (before + now);
+            sums.power += middle * v_mean_v * i_mean_a;
+            sums.square += 0.5 * (before * i_before_a * i_before_a + now * i_a * i_a);
+        };
+        add(&mut self.sums.plain, [1.0, 1.0]);
+        add(
+            &mut self.sums.rising,
+            [n - 1, n].map(|n| n as f64 / steps as f64),
+        );
+    }
+
+    /// Begins a period at a current in ampere, for [`HarmonicAnalyser::push_mean`].
+    pub fn start(&mut self, i_a: f64) {
+        (self.sums.plain, self.sums.rising) = Default::default();
+        (self.i_start_a, self.i_before_a) = (i_a, i_a);
     }
 
     /// Truth of the period, after its last boundary; `t_s` is its middle.
@@ -220,6 +258,31 @@ mod tests {
             assert!((truth.l_h[k] / l - 1.0).abs() < 1e-4, "L {}", truth.l_h[k]);
         }
         assert!((truth.i_a - 10.0 * 4.5 / 4.0).abs() < 0.3);
+    }
+
+    /// Voltages of trapezoidal steps, prewarped to the fundamental: its R and L come back, whatever the number of steps.
+    #[test]
+    fn means_over_coarse_steps_give_the_circuits_r_and_l_back() {
+        let (r, l, f, steps) = (3.0, 22e-6, 45e3, 61);
+        let dt_s = libm::tan(PI / steps as f64) / (PI * f);
+        let current = |n: usize| {
+            let angle = TAU * n as f64 / steps as f64;
+            20.0 * (angle + 0.4).sin() + 0.8 * (3.0 * angle).cos()
+        };
+        let mut analyser = HarmonicAnalyser::new(steps);
+        analyser.start(current(0));
+        for n in 1..=steps {
+            let (from, to) = (current(n - 1), current(n));
+            analyser.push_mean(n, 0.5 * r * (from + to) + l * (to - from) / dt_s, to);
+        }
+        let truth = analyser.truth(0.0, f, current(steps));
+        assert!((truth.r_ohm[0] / r - 1.0).abs() < 1e-9, "{truth:?}");
+        assert!((truth.l_h[0] / l - 1.0).abs() < 1e-9, "{truth:?}");
+        assert!((truth.i_a / 20.0 - 1.0).abs() < 1e-9, "{truth:?}");
+        // The third harmonic's reactance is warped: tan 3θ for 3 tan θ.
+        let theta = PI / steps as f64;
+        let warped = libm::tan(3.0 * theta) / (3.0 * libm::tan(theta));
+        assert!((truth.l_h[1] / l / warped - 1.0).abs() < 1e-9, "{truth:?}");
     }
 
     /// The carrier's phase runs on through a step of its frequency by 1 %, a hundred times what a sweep does.

@@ -10,7 +10,7 @@ use ihd_field::{FieldLoad, FieldModel};
 /// Number of rings of the time-domain field model.
 pub const RINGS: usize = ihd_field::model::RINGS;
 
-/// Number of steps for which a law's R and L are held: 0.3 µs at 20 ns, in which the envelope of the mains moves by 1e-4 at most.
+/// Number of steps for which a law's R and L are held: 1.5 µs at 91 ns, in which the envelope of the mains moves by 5e-4 of its crest at most.
 pub(super) const LAW_STEPS: u32 = 16;
 
 /// Change of the flux linkage over one step, `change0_wb` + `l_h` · i(new), and the resistance.

@@ -5,9 +5,9 @@
 
 use ihd_firmware::drive::bridge::Bridge;
 
+use super::linear_step::{LinearStep, LoopState};
 use super::load::LAW_STEPS;
 use super::{Instant, Inverter};
-use crate::circuit::Circuit;
 
 impl Inverter {
     /// Advances by up to `steps` steps; `seen` gets the quantities after each and returns `false` to end there. Returns the number
@@ -59,47 +59,43 @@ impl Inverter {
         let charging = self.bus.hold(self.now_s(), dt_s, steps)?;
         let (r_ohm, l_h, envelope) = self.load.hold(charging.steps)?;
         self.floating_v = None;
-        // The step of `Circuit::step_flux`, solved for the new current.
-        let by_c = self.circuit.volt_per_ampere(dt_s);
-        let drop = 0.5 * dt_s * (r_ohm + self.bridge_r_ohm + by_c);
-        let per_l = 1.0 / (l_h + drop);
-        let (keep, gain) = ((l_h - drop) * per_l, dt_s * per_l);
-        let Circuit {
-            mut i_a,
-            mut v_c_v,
-            c_f,
-        } = self.circuit;
-        let (mut bus_v, mut before_a) = (self.bus.v(), self.before_a);
+        let by_c = self.circuit.volt_per_ampere(self.loop_dt_s);
+        let of_loop = (r_ohm + self.bridge_r_ohm, l_h, by_c);
+        let step = LinearStep::new(of_loop, self.loop_dt_s, level, &charging);
+        let mut now = LoopState {
+            i_a: self.circuit.i_a,
+            before_a: self.before_a,
+            v_c_v: self.circuit.v_c_v,
+            bus_v: self.bus.v(),
+        };
         let (mut charge_a, mut power_w) = (0.0, 0.0);
         let (mut done, mut goes_on) = (0, true);
         while goes_on && done < charging.steps {
-            let drawn_a = level * (1.5 * i_a - 0.5 * before_a);
-            charge_a += drawn_a;
-            let into_a = charging.rectifier_a - drawn_a - bus_v * charging.bleeder_s;
-            let new_bus_v = (bus_v + charging.volt_per_ampere * into_a).max(0.0);
-            let node_v = 0.5 * (bus_v + new_bus_v) * level;
-            let new_a = keep * i_a + gain * (node_v - v_c_v);
-            let new_v = v_c_v + by_c * (i_a + new_a);
-            let mean_a = 0.5 * (i_a + new_a);
-            power_w += (node_v - self.bridge_r_ohm * mean_a - 0.5 * (v_c_v + new_v)) * mean_a;
-            (before_a, i_a, v_c_v, bus_v) = (i_a, new_a, new_v, new_bus_v);
+            let old = now;
+            now = step.advance(&old);
+            charge_a += 1.5 * old.i_a - 0.5 * old.before_a;
+            let node_v = 0.5 * level * (old.bus_v + now.bus_v);
+            let mean_a = 0.5 * (old.i_a + now.i_a);
+            let coil_mean_v = node_v - self.bridge_r_ohm * mean_a - 0.5 * (old.v_c_v + now.v_c_v);
+            power_w += coil_mean_v * mean_a;
             done += 1;
             let n = self.step + done;
-            envelope.push(if n == self.steps { 0 } else { n }, i_a);
-            let bridge_v = bus_v * level - self.bridge_r_ohm * i_a;
+            envelope.push(if n == self.steps { 0 } else { n }, now.i_a);
+            let bridge_v = now.bus_v * level - self.bridge_r_ohm * now.i_a;
             goes_on = seen(&Instant {
                 t_s: self.period_start_s + n as f64 * dt_s,
-                bus_v,
+                bus_v: now.bus_v,
                 bridge_v,
-                coil_v: bridge_v - v_c_v,
-                i_a,
+                coil_v: bridge_v - now.v_c_v,
+                coil_mean_v,
+                i_a: now.i_a,
                 induced_v: 0.0,
             });
         }
-        self.circuit = Circuit { i_a, v_c_v, c_f };
-        self.before_a = before_a;
-        self.bus.set_v(bus_v);
-        self.link_charge_c += charge_a * dt_s;
+        (self.circuit.i_a, self.circuit.v_c_v) = (now.i_a, now.v_c_v);
+        self.before_a = now.before_a;
+        self.bus.set_v(now.bus_v);
+        self.link_charge_c += level * charge_a * dt_s;
         self.load_energy_j += power_w * dt_s;
         self.step += done;
         self.end_period();
