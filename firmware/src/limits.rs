@@ -147,8 +147,8 @@ limits! {
     GOOD_RUN_MS: u32 = 10_000, "ms";
     /// Above the frequency at which a trip opened the bridge: so much higher is where the search of the next start begins.
     RESUME_ABOVE_PERCENT: u32 = 15, "%";
-    /// Power within a burst, at least.
-    BURST_POWER_W: u16 = 720, "W";
+    /// Power within a burst, at least: 28.8 % of the rating.
+    BURST_POWER_W: u16 = (RATED_POWER_W as u32 * 288 / 1_000) as u16, "W";
     /// From one burst to the next: ten seconds have a whole number of them.
     BURST_PERIOD_MS: u32 = 1_000, "ms";
     /// Blocks lost in a half-cycle that are still an interrupt that came late.

@@ -26,8 +26,8 @@ pub const TURNS_RATIO: f64 = crate::board::COIL_TURNS as f64 / 23.0;
 /// Resistance of the winding and its leads, in ohm.
 pub const WINDING_R_OHM: f64 = crate::board::WINDING_MOHM as f64 / 1e3;
 
-/// Peak of the rectified mains of a 230 V supply, in volt (paper, section IV).
-pub const BUS_PEAK_V: f64 = 230.0 * core::f64::consts::SQRT_2;
+/// Peak of the rectified mains of nominal voltage, in volt; on the reference board that of the paper, section IV.
+pub const BUS_PEAK_V: f64 = crate::board::MAINS_VOLTAGE_V as f64 * core::f64::consts::SQRT_2;
 
 /// Duration of the inverter's voltage edges, in nanoseconds (paper, section IV).
 pub const EDGE_NS: u32 = 200;

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 
+use ihd_shared::board;
 use ihd_sim::scenario::limits::{LimitCheck, MeasuredValues, three_digits};
 use ihd_sim::scenario::run::run;
 use ihd_sim::scenario::variants::{self, Variant};
@@ -18,12 +19,12 @@ macro_rules! scenarios {
         $(mod $family {
             $(#[test]
             fn $file() {
-                super::first_variant(concat!(stringify!($family), "/", stringify!($file)));
+                super::first_variant(concat!("scenarios/", stringify!($family), "/", stringify!($file)));
             })+
 
             #[test]
             fn table_of_all_variants() {
-                super::all_variants(stringify!($family), &[$(stringify!($file)),+]);
+                super::all_variants("scenarios", stringify!($family), &[$(stringify!($file)),+]);
             }
         })+
     };
@@ -48,13 +49,14 @@ scenarios! {
     zvs { powers }
 }
 
-fn directory() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("scenarios")
+/// Folder of tests/.
+fn directory(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 
-/// Variants of a file, by its path without ending.
+/// Variants of a file, by its path in tests/ without ending.
 fn read(name: &str) -> Vec<Variant> {
-    let path = directory().join(name).with_extension("toml");
+    let path = directory(name).with_extension("toml");
     variants::read(&path).unwrap_or_else(|e| panic!("{name}: {e}"))
 }
 
@@ -80,13 +82,13 @@ fn first_variant(name: &str) {
     assert!(missed.is_empty(), "limits missed:\n{}", missed.join("\n"));
 }
 
-fn all_variants(family: &str, files: &[&str]) {
+fn all_variants(folder: &str, family: &str, files: &[&str]) {
     let mut table = String::from(
         "| scenario | runs | what | allowed | measured | |\n|---|---:|---|---|---|---|\n",
     );
     let mut all_missed = Vec::new();
     for file in files {
-        let variants = read(&format!("{family}/{file}"));
+        let variants = read(&format!("{folder}/{family}/{file}"));
         let mut rows: Vec<Row> = Vec::new();
         for variant in &variants {
             let checked = check(variant);
@@ -155,7 +157,7 @@ impl Row {
 #[test]
 fn every_file_has_its_test() {
     let mut files = BTreeSet::new();
-    for family in fs::read_dir(directory()).unwrap() {
+    for family in fs::read_dir(directory("scenarios")).unwrap() {
         let family = family.unwrap();
         for file in fs::read_dir(family.path()).unwrap() {
             let (family, file) = (family.file_name(), file.unwrap().path());
@@ -165,4 +167,33 @@ fn every_file_has_its_test() {
         }
     }
     assert_eq!(files, FILES.iter().map(|file| (*file).to_owned()).collect());
+}
+
+/// Scenarios of the board that this build is for, if it is another than the reference; theirs are in tests/boards.
+#[test]
+#[ignore = "`cargo xtask test --only other-board` builds for that board"]
+fn of_another_board() {
+    let folder = directory("boards").join(board::NAME);
+    let files = fs::read_dir(&folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
+    let stem = |file: fs::DirEntry| file.path().file_stem()?.to_str().map(str::to_owned);
+    let mut files: Vec<_> = files.filter_map(|file| stem(file.unwrap())).collect();
+    files.sort();
+    let files: Vec<_> = files.iter().map(String::as_str).collect();
+    all_variants("boards", board::NAME, &files);
+}
+
+#[test]
+fn scenarios_of_other_boards_are_of_a_board_and_can_be_read() {
+    for folder in fs::read_dir(directory("boards")).unwrap() {
+        let folder = folder.unwrap();
+        let name = folder.file_name().into_string().unwrap();
+        let board = directory("../boards").join(&name).with_extension("toml");
+        assert!(board.is_file(), "{}", board.display());
+        let files: Vec<_> = fs::read_dir(folder.path()).unwrap().collect();
+        assert!(!files.is_empty(), "{name}");
+        for file in files {
+            let stem = file.unwrap().path().with_extension("");
+            read(stem.to_str().unwrap());
+        }
+    }
 }

@@ -72,7 +72,6 @@ pub fn cargo(on: &Workspace, subcommand: &str, rest: &str) -> anyhow::Result<Com
     let mut command = on.whole(subcommand, rest);
     give_tools(on, &mut command)?;
     command.arg("--manifest-path").arg(manifest);
-    command.env("CARGO_TARGET_DIR", &on.target);
     Ok(command)
 }
 
@@ -93,14 +92,8 @@ pub fn run_tests(on: &Workspace, targets: &[&str], full: bool) -> anyhow::Result
 /// Checks the formatting and runs the tests with the image; `full` includes those of the full tier.
 pub fn test(on: &Workspace, image: &Path, full: bool) -> anyhow::Result<()> {
     let manifest = joined(on)?;
-    let mut format = on.cargo([
-        "fmt",
-        "--check",
-        "--package",
-        "ihd-stm32g474",
-        "--manifest-path",
-    ]);
-    run(format.arg(manifest))?;
+    let mut format = on.cargo(["fmt", "--check", "--package", "ihd-stm32g474"]);
+    run(format.arg("--manifest-path").arg(manifest))?;
     let mut test = run_tests(on, &["board_parts", "board", "usb_board"], full)?;
     run(test.env("IHD_STM32G474_IMAGE", image))
 }

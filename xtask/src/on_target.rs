@@ -82,21 +82,15 @@ pub fn in_emulator(on: &Workspace, qemu: &Path) -> anyhow::Result<()> {
         let semihosting = format!("enable=on,target=native,arg=run_addr,arg={entry}");
         let output = emulator::an386(qemu, &semihosting, &image).output()?;
         let passed = output.status.success() != test.should_panic;
-        println!(
-            "on target, QEMU: {} … {}",
-            test.name,
-            if passed { "ok" } else { "FAILED" }
-        );
+        let verdict = if passed { "ok" } else { "FAILED" };
+        println!("on target, QEMU: {} … {verdict}", test.name);
         if !passed {
             print!("{}", String::from_utf8_lossy(&output.stderr));
             failed.push(test.name.as_str());
         }
     }
-    println!(
-        "on target, QEMU: {} passed, {} failed",
-        tests.len() - failed.len(),
-        failed.len()
-    );
+    let (passed, failures) = (tests.len() - failed.len(), failed.len());
+    println!("on target, QEMU: {passed} passed, {failures} failed");
     ensure!(failed.is_empty(), "failed: {}", failed.join(", "));
     Ok(())
 }

@@ -67,6 +67,7 @@ pub const STEPS: &[Step] = &[
     Step { name: "on-target", about: "the controller's own tests, in QEMU", tier: Tier::Quick, run: TestSession::on_target },
     Step { name: "board", about: "the flash image on an emulated STM32G474", tier: Tier::Quick, run: TestSession::board },
     Step { name: "usb", about: "that board on the USB of a Linux with the host program", tier: Tier::Quick, run: TestSession::usb },
+    Step { name: "other-board", about: "boards/120v.toml: image, emulated board, scenarios", tier: Tier::Full, run: TestSession::other_board },
     Step { name: "lints", about: "Clippy on benchmarks and examples too", tier: Tier::Full, run: |on| on.whole("clippy", "--all-targets -- -D warnings") },
     Step { name: "docs", about: "rustdoc without broken links, its examples, the documents' book", tier: Tier::Full, run: TestSession::docs },
     Step { name: "hostile", about: "every capture that may fool the identification", tier: Tier::Full, run: TestSession::hostile },
@@ -199,6 +200,27 @@ impl TestSession {
         board::test(&self.workspace, &image, full)
     }
 
+    /// Builds and tests for boards/120v.toml in a target folder of its own, with the same tools.
+    fn other_board(&self) -> anyhow::Result<()> {
+        let own = &self.workspace;
+        let target = own.target.join("120v");
+        std::fs::create_dir_all(&target)?;
+        let mut link = std::process::Command::new("ln");
+        run(link.arg("-sfn").arg(own.target.join("tools")).arg(&target))?;
+        let workspace = Workspace {
+            root: own.root.clone(),
+            target,
+            board: Some("boards/120v.toml".into()),
+        };
+        let tier = Tier::Quick;
+        let other = Self { workspace, tier };
+        other.budget()?;
+        other.board()?;
+        let scenarios = "--test it --profile full --ignore-default-filter --run-ignored only";
+        let mut tests = other.workspace.whole("nextest run", scenarios);
+        run(tests.args(["-E", "test(/^scenarios::of_another_board$/)"]))
+    }
+
     /// Runs the emulated board as a process, with `image` or the one of this checkout.
     pub fn hob(&self, image: Option<PathBuf>, options: &[String]) -> anyhow::Result<()> {
         let image = match image {
@@ -238,7 +260,7 @@ pub fn parse(name: &str) -> anyhow::Result<&'static str> {
     let list = || {
         STEPS
             .iter()
-            .map(|step| format!("\n  {:<10} {}", step.name, step.about))
+            .map(|step| format!("\n  {:<11} {}", step.name, step.about))
     };
     let step = step.with_context(|| format!("there are{}", list().collect::<String>()))?;
     Ok(step.name)
@@ -278,7 +300,7 @@ fn in_sequence(session: &TestSession, steps: &[&Step], fail_fast: bool) -> anyho
     for (index, step) in steps.iter().enumerate() {
         let name = step.name;
         if fail_fast && !failed.is_empty() {
-            table += &format!("{name:<10} not run\n");
+            table += &format!("{name:<11} not run\n");
             continue;
         }
         println!("\n━━ {}/{} {name}: {}", index + 1, steps.len(), step.about);
@@ -287,7 +309,7 @@ fn in_sequence(session: &TestSession, steps: &[&Step], fail_fast: bool) -> anyho
         let seconds = started.elapsed().as_secs_f64();
         let verdict = if result.is_ok() { "ok" } else { "FAILED" };
         println!("━━ {name} {verdict} in {seconds:.1} s");
-        table += &format!("{name:<10} {verdict:<8} {seconds:>8.1}\n");
+        table += &format!("{name:<11} {verdict:<8} {seconds:>8.1}\n");
         if let Err(why) = result {
             let why = format!("\n{name}: {why:#}");
             eprintln!("{why}");
@@ -296,7 +318,7 @@ fn in_sequence(session: &TestSession, steps: &[&Step], fail_fast: bool) -> anyho
     }
     let seconds = all.elapsed().as_secs_f64();
     println!(
-        "\n━━ summary\nstep       result    seconds\n{table}{:<19} {seconds:>8.1}",
+        "\n━━ summary\nstep        result    seconds\n{table}{:<20} {seconds:>8.1}",
         "all"
     );
     println!("{}", compilations());

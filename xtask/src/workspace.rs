@@ -55,10 +55,8 @@ impl Workspace {
 
     /// A program that the tests have built.
     pub fn program(&self, name: &str) -> PathBuf {
-        self.target
-            .join("debug")
-            .join(name)
-            .with_extension(env::consts::EXE_EXTENSION)
+        let program = self.target.join("debug").join(name);
+        program.with_extension(env::consts::EXE_EXTENSION)
     }
 
     /// Returns `cargo <subcommand>` that also lints: Clippy's compiler is rustc with more lints, so no second compilation is
@@ -84,6 +82,7 @@ impl Workspace {
                 command.env_remove(name);
             }
         }
+        command.env("CARGO_TARGET_DIR", &self.target);
         if let Some(board) = &self.board {
             command.env("IHD_BOARD", board);
         }
@@ -154,12 +153,8 @@ pub fn compilations() -> String {
     let all = COMPILED.lock().unwrap_or_else(PoisonError::into_inner);
     let again: Vec<_> = all.iter().filter(|(_, times)| **times > 1).collect();
     let names: Vec<_> = again.iter().map(|(name, _)| name.as_str()).collect();
-    let twice = names.join(", ");
-    format!(
-        "{} packages compiled; more than once: {} {twice}",
-        all.len(),
-        again.len()
-    )
+    let (all, again, twice) = (all.len(), again.len(), names.join(", "));
+    format!("{all} packages compiled; more than once: {again} {twice}")
 }
 
 /// First line that a command prints, if it succeeds.
@@ -196,10 +191,8 @@ mod tests {
         assert_eq!(compiled("   Compiling syn v2.0.119"), package);
         let coloured = "\u{1b}[1m\u{1b}[92m   Compiling\u{1b}[0m syn v2.0.119\n";
         assert_eq!(compiled(coloured), package);
-        assert_eq!(
-            compiled("   Compiling ihd v0.1.0 (/work/host/ihd)"),
-            Some("ihd v0.1.0".into())
-        );
+        let ihd = compiled("   Compiling ihd v0.1.0 (/work/host/ihd)");
+        assert_eq!(ihd, Some("ihd v0.1.0".into()));
         assert_eq!(compiled("a test says: Compiling takes long"), None);
         assert_eq!(compiled("    Finished `test` profile"), None);
     }

@@ -1,11 +1,12 @@
 //! Simulation of hours of cooking in seconds: the field model's table instead of waveforms, one half-cycle per step.
 //!
 //! Effects shorter than a half-cycle are omitted. A simple power control replaces the firmware's: a ramp from the highest
-//! frequency, a dead band of 1 %, bursts of a second below 720 W. R and L have the noise and bias measured for the firmware's
+//! frequency, a dead band of 1 %, bursts of a second below a least power. R and L have the noise and bias measured for the firmware's
 //! filter.
 
 use std::f64::consts::{FRAC_2_PI, PI, TAU};
 
+use ihd_firmware::limits::BURST_POWER_W;
 use ihd_shared::hob::{BUS_PEAK_V, F_SW_MAX_HZ, F_SW_MIN_HZ, RESONANCE_CAPACITANCE_NF};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -32,7 +33,7 @@ const NOISE: (f64, f64) = (2e-4, 8e-5);
 const BIAS: (f64, f64, f64) = (6e-4, 1.2e-4, 6e3);
 
 /// Lowest power without bursts in watt, and period of the bursts in half-cycles.
-const BURST: (f64, u32) = (720.0, 100);
+const BURST: (f64, u32) = (BURST_POWER_W as f64, 100);
 
 /// Largest relative change of frequency between half-cycles, and the power's relative dead band.
 const CONTROL: (f64, f64) = (0.033, 0.01);

@@ -17,7 +17,7 @@ pub struct SimulatedMains {
 }
 
 impl SimulatedMains {
-    /// Creates a mains of nominal European or American frequency at 230 V.
+    /// Creates a mains of the board's nominal voltage.
     pub fn new(frequency_hz: f64) -> Self {
         Self {
             frequency_hz,
@@ -29,9 +29,7 @@ impl SimulatedMains {
 
     /// Creates the board's mains.
     pub fn of_board() -> Self {
-        let frequency_hz = f64::from(board::MAINS_FREQUENCY_HZ);
-        let v_rms_v = f64::from(board::MAINS_VOLTAGE_V);
-        Self::new(frequency_hz).changed(0.0, v_rms_v, frequency_hz)
+        Self::new(f64::from(board::MAINS_FREQUENCY_HZ))
     }
 
     /// Sets third, fifth and seventh harmonic as shares of the fundamental.

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_link::{Client, DeviceEvent, Window};
-use ihd_shared::sampling::{ADC_LOCK_P, CODE_HALF_RANGE, Pair};
+use ihd_shared::board::MAINS_FREQUENCY_HZ;
+use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_HALF_RANGE, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::usb::PRODUCT;
 use ihd_shared::window::TrajectoryEntry;
@@ -85,7 +86,11 @@ fn windows_over_usb_are_pair_for_pair_what_the_converters_found() {
     for window in windows(&mut client, 3) {
         let taken = bench.with(|machine| machine.chip().pins.taken.clone().expect("they are kept"));
         let length = window.pairs.len();
-        assert!(length > 9_000, "{length} pairs at {} Hz", window.f_sw_hz);
+        // Blocks of a half-cycle, but for one at each end.
+        let half_cycle_s = 0.5 / f64::from(MAINS_FREQUENCY_HZ);
+        let blocks = f64::from(window.f_sw_hz) / f64::from(ADC_LOCK_Q) * half_cycle_s;
+        let off = length as f64 / ADC_LOCK_P as f64 - blocks;
+        assert!(off.abs() < 2.0, "{length} pairs at {} Hz", window.f_sw_hz);
         let same = taken
             .windows(length)
             .position(|stretch| stretch == window.pairs);

@@ -1,5 +1,6 @@
 //! Everything that opens the bridge, each caused, with its time to outputs off.
 
+use ihd_shared::board::TRIP_CURRENT_MA;
 use ihd_shared::fault::Fault;
 use ihd_sim::behavioural::PotKind;
 use ihd_stm32g474::chip::Reset;
@@ -77,8 +78,8 @@ fn a_surge_below_the_level_does_not_trip() {
     let bench = heating();
     bench.with(|machine| {
         machine.chip().hrtim.off_at = None;
-        // On top of some 30 A of crest: 76 A is the level.
-        machine.chip().pins.surge_a = 40.0;
+        // On top of what heats, at the reference board some 30 A.
+        machine.chip().pins.surge_a = 0.53e-3 * f64::from(TRIP_CURRENT_MA);
         machine.run_for(us(300)).unwrap();
         machine.chip().pins.surge_a = 0.0;
         assert_eq!(machine.chip().hrtim.off_at, None);

@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use ihd_link::{Client, DeviceEvent, LinkError};
+use ihd_shared::board::{MAINS_FULL_SCALE_MV, MAINS_VOLTAGE_V};
 use ihd_shared::image::{self, Header};
-use ihd_shared::sampling::Pair;
+use ihd_shared::sampling::{CODE_HALF_RANGE, Pair};
 use ihd_shared::wire::messages::{Outcome, Program, State};
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 use ihd_sim::behavioural::PotKind;
@@ -169,12 +170,10 @@ fn the_channels_show_offsets_that_are_on_the_pins() {
     assert!(near(none.v_mean, 0) && near(none.i_mean, 0), "{none:?}");
     assert!(near(some.v_mean, -9) && near(some.i_mean, 14), "{some:?}");
     assert!(some.samples > 10_000 && some.slow_samples > 300, "{some:?}");
-    // 230 V of 400 V that are 2 048 codes at 3.3 V.
-    let mains = f64::from(some.mains_rms) / 256.0;
-    assert!(
-        (mains / (1_177.6 * 3.3 / 3.2) - 1.0).abs() < 0.02,
-        "{some:?}"
-    );
+    // On the reference board 230 V of 400 V that are 2 048 codes at 3.3 V.
+    let share = f64::from(MAINS_VOLTAGE_V) * 1e3 / f64::from(MAINS_FULL_SCALE_MV);
+    let mains = f64::from(some.mains_rms) / 256.0 / (share * f64::from(CODE_HALF_RANGE));
+    assert!((mains * 3.2 / 3.3 - 1.0).abs() < 0.02, "{some:?}");
     for (found, vdda_mv) in [(&none, 3_300), (&some, 3_200)] {
         assert!(found.vdda_mv.abs_diff(vdda_mv) < 3, "{found:?}");
     }

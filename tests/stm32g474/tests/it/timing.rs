@@ -1,6 +1,10 @@
 //! How long the sampling path and the thread take, by published timings of the processor and a model of the flash
 //! (src/cpu/instructions.rs, src/cpu/flash_accelerator.rs).
 
+use std::time::Duration;
+
+use ihd_link::DeviceEvent;
+use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::ADC_LOCK_P;
@@ -12,6 +16,9 @@ use ihd_stm32g474::registers::dma1::cndtr1;
 use ihd_stm32g474::time::{seconds, us};
 
 use crate::board::{Bench, SAMPLING, assert_no_violations, connect, with_pot};
+
+/// Power that is given at, or just below, the highest frequency: blocks are shortest there.
+const LITTLE_W: u16 = RATED_POWER_W / 5;
 
 /// Cycles of the processor in a block at a switching frequency.
 fn block_cycles(f_sw_hz: f64) -> f64 {
@@ -40,7 +47,7 @@ fn a_block_is_done_within_its_budget() {
     let open = 100.0 * mean / block_cycles(f_sw_hz);
     println!("bridge open, {f_sw_hz:.0} Hz: mean {mean:.0} cycles, {open:.1} %");
     client.stream(1, 10).unwrap();
-    client.set_power(500).unwrap();
+    client.set_power(LITTLE_W).unwrap();
     bench.run_s(0.1);
     let (mean, worst) = cycles(&bench, 0.1);
     let (share, worst_share) = (mean / block_cycles(80e3), worst / block_cycles(80e3));
@@ -49,10 +56,10 @@ fn a_block_is_done_within_its_budget() {
         share * 100.0,
         worst_share * 100.0
     );
-    client.set_power(1_400).unwrap();
+    client.set_power(RATED_POWER_W * 14 / 25).unwrap();
     bench.run_s(0.5);
     let f_sw_hz = bench.with(|machine| machine.chip().hrtim.f_sw_hz());
-    assert!((47e3..54e3).contains(&f_sw_hz), "{f_sw_hz}");
+    assert!((47e3..58e3).contains(&f_sw_hz), "{f_sw_hz}");
     let (mean, worst_50) = cycles(&bench, 0.1);
     let share_50 = mean / block_cycles(50e3);
     let worst_50 = worst_50 / block_cycles(f_sw_hz);
@@ -103,8 +110,9 @@ fn the_watchdog_is_fed_in_time_at_two_cycles_an_instruction() {
 fn the_load_that_it_reports_is_the_load_that_it_has() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
-    client.set_power(500).unwrap();
-    bench.run_s(0.1);
+    client.set_power(LITTLE_W).unwrap();
+    // Until the frequency stays: the shares are of blocks at one.
+    bench.run_s(0.25);
     client.utilisation().unwrap();
     let f_sw_hz = bench.with(|machine| machine.chip().hrtim.f_sw_hz());
     let (mean, worst) = cycles(&bench, 0.1);
@@ -169,8 +177,9 @@ fn the_thread_holds_no_block_up_for_long() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
     client.stream(1, 10).unwrap();
-    client.set_power(500).unwrap();
-    bench.run_s(0.1);
+    client.set_power(LITTLE_W).unwrap();
+    // Until the frequency stays.
+    bench.run_s(0.25);
     let block = block_cycles(bench.with(|machine| machine.chip().hrtim.f_sw_hz()));
     let runs = runs(&bench, 0.25);
     // Entry, end of an instruction and another exception's return among it: it is late by this at least now and then.
@@ -200,30 +209,34 @@ fn a_zero_crossing_with_another_frequency_is_done_within_its_block() {
         })
         .unwrap();
     client.stream(1, 4).unwrap();
-    client.set_power(650).unwrap();
+    client.set_power(RATED_POWER_W * 9 / 25).unwrap();
     bench.run_s(0.2);
-    bench.with(|machine| machine.timing().trace = Some(Trace::of(SAMPLING)));
     let mut f_sw_hz = Vec::new();
-    for _ in 0..100 {
-        bench.run_s(0.005);
+    let mut longest: Option<TracedRun> = None;
+    // The serial port carries a window in 0.6 s, and none is recorded meanwhile.
+    for _ in 0..300 {
+        let runs = runs(&bench, 0.005);
+        let one = runs.into_iter().max_by_key(|run| run.cycles);
+        longest = longest.into_iter().chain(one).max_by_key(|run| run.cycles);
         f_sw_hz.push(bench.with(|machine| machine.chip().hrtim.f_sw_hz()));
     }
-    let trace = bench.with(|machine| machine.timing().trace.take());
+    let mut windows = 0;
+    while let Some(event) = client.next_event(Duration::from_millis(1)).unwrap() {
+        windows += u32::from(matches!(event, DeviceEvent::Window(_)));
+    }
     let changes = f_sw_hz.windows(2).filter(|f| f[0] != f[1]).count();
-    let runs = trace.expect("begun above").runs;
-    let longest = runs.iter().max_by_key(|run| run.cycles);
     let longest = longest.expect("blocks came");
     // What it does is the same at each frequency, and its time shortest at the highest.
     let share = longest.cycles as f64 / block_cycles(80e3);
     let most: Vec<_> = longest.most_at(8).iter().map(hex).collect();
     println!(
-        "{changes} changes: longest block {} cycles, {:.1} % at 80 kHz; most of it at {most:?}",
+        "{windows} windows, {changes} changes: longest block {} cycles, {:.1} % at 80 kHz; most of it at {most:?}",
         longest.cycles,
         share * 100.0,
     );
-    assert!(changes >= 20, "{f_sw_hz:?}");
+    assert!(windows >= 2 && changes >= 60, "{windows} {f_sw_hz:?}");
     // The rest is for one that begins late: the thread masks interrupts for up to 1 000 cycles.
-    assert!(share <= 0.72, "{share}");
+    assert!(share <= 0.75, "{share}");
     assert_no_violations(&bench);
 }
 
