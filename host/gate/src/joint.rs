@@ -202,7 +202,7 @@ impl Means {
             &beside_tones,
             all.dimension() + tones.len() * (NUMBERS_OF_TONE - 2),
         );
-        let step = self.step(&v).filter(|(_, left, numbers)| {
+        let step = self.step(&space, &v).filter(|(_, left, numbers)| {
             explains(&self.misfit_pct(left)) && !(by_tones && tones_cost < cost(left, *numbers))
         });
         if let Some((at, left, _)) = step {
@@ -215,11 +215,11 @@ impl Means {
     }
 
     /// Most likely step: its mean, what is left with it, and its numbers; `None` if there are too few means.
-    fn step(&self, v: &[f64]) -> Option<(usize, Vec<f64>, usize)> {
+    fn step(&self, whole: &Space, v: &[f64]) -> Option<(usize, Vec<f64>, usize)> {
         let n = self.periods.len();
         let of = |at: usize| {
-            let mut space = Space::of_static_loads(&self.periods[..at])?;
-            let mut after = Space::of_static_loads(&self.periods[at + 1..])?;
+            let mut space = whole.alike(&self.periods[..at])?;
+            let mut after = whole.alike(&self.periods[at + 1..])?;
             space.widen(0, n - at);
             after.widen(at + 1, 0);
             space.join(after);

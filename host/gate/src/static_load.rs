@@ -1,13 +1,19 @@
 //! R and L as functions of the current's amplitude alone, which hold while the pot is not moved; and the space of what such a
-//! load, a slow drift and tones beside the carrier explain.
+//! load, a slow drift and tones beside the carrier explain. A load follows the amplitude at once, or within a switching period.
 //!
 //! A tone would hide in R and L that may change at any time. In a static law it cannot: within a half-cycle each amplitude comes
 //! twice, and where a tone disturbs R evenly about the crest it disturbs L oddly.
+
+use std::f64::consts::TAU;
 
 use nalgebra::Complex;
 
 /// Polynomials of the amplitude for each of R and L.
 const TERMS: usize = 6;
+
+/// Lags in switching periods of R and L behind the amplitude; the one that leaves least is taken. A sensor's own lag makes the
+/// apparent R small, and then half a period is .4 % of it.
+const LAGS: [f64; 3] = [0.0, 0.5, 1.0];
 
 /// Share of a column that must lie outside the others: a constant amplitude determines one term only.
 const LEAST_NEW: f64 = 1e-5;
@@ -23,6 +29,18 @@ pub struct Period {
     pub d: Complex<f64>,
     /// Weight in the fit.
     pub weight: f64,
+}
+
+impl Period {
+    /// Amplitude in ampere so many switching periods earlier.
+    fn amplitude_before(&self, periods: f64) -> f64 {
+        let a = self.i.norm();
+        let slope = self.d - self.i * Complex::new(0.0, 1.0);
+        match a > 0.0 {
+            true => (a - TAU * periods * (slope * self.i.conj()).re / a).max(0.0),
+            false => 0.0,
+        }
+    }
 }
 
 /// Largest amplitude in ampere; `None` if there is no current.
@@ -46,6 +64,8 @@ pub fn weighed(periods: &[Period], of: impl Fn(usize, &Period) -> Complex<f64>) 
 #[derive(Clone, Debug, Default)]
 pub struct Space {
     basis: Vec<Vec<f64>>,
+    /// Lag of the static load, in switching periods.
+    lag: f64,
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -53,14 +73,34 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 impl Space {
-    /// Space of the voltages of static laws; `None` if there is no current.
+    /// Space of the voltages of static laws, with the lag that leaves least; `None` if there is no current.
     pub fn of_static_loads(periods: &[Period]) -> Option<Self> {
+        let v = weighed(periods, |_, p| p.v);
+        let left = |space: &Self| {
+            let left = space.outside(&v);
+            dot(&left, &left)
+        };
+        let all = LAGS.iter().filter_map(|lag| Self::with_lag(periods, *lag));
+        all.map(|space| (left(&space), space))
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, space)| space)
+    }
+
+    /// Space of static laws of other periods, with this one's lag; `None` if there is no current.
+    pub fn alike(&self, periods: &[Period]) -> Option<Self> {
+        Self::with_lag(periods, self.lag)
+    }
+
+    fn with_lag(periods: &[Period], lag: f64) -> Option<Self> {
         let largest_a = largest_a(periods)?;
-        let mut space = Self::default();
+        let mut space = Self {
+            basis: Vec::new(),
+            lag,
+        };
         for term in 0..TERMS {
             // Chebyshev polynomial of the amplitude.
             let shape = |p: &Period| {
-                let x = (2.0 * p.i.norm() / largest_a - 1.0).clamp(-1.0, 1.0);
+                let x = (2.0 * p.amplitude_before(lag) / largest_a - 1.0).clamp(-1.0, 1.0);
                 libm::cos(term as f64 * libm::acos(x))
             };
             space.add(weighed(periods, |_, p| p.i * shape(p)));

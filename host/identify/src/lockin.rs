@@ -5,7 +5,7 @@
 //! kernel, so that V = R·I + L·(jωI + dI/dt) holds behind it while R and L are constant within it. Near the zero crossings they
 //! are not, which is the method's error.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 use std::time::Instant;
 
 use ihd_signal::Segment;
@@ -48,10 +48,27 @@ pub struct Boxcar {
 /// Most samples of a block: a longer table exceeds the cache without being faster.
 const MAX_BLOCK: usize = 64;
 
+/// Multiples of f_sw, from the carrier, at which the double boxcar's gain counts: images and harmonics as far as the fifth.
+const MULTIPLES: std::ops::RangeInclusive<u32> = 1..=6;
+
+/// Distance of the sidebands in hertz: the amplitude follows the mains, so that the image and the harmonics are no single lines.
+const SIDEBAND_HZ: f64 = 100.0;
+
+/// Gain of a boxcar over `n` values for a frequency in turns from one value to the next.
+fn boxcar_gain(n: f64, turns: f64) -> f64 {
+    let one = libm::sin(PI * turns);
+    if one.abs() < 1e-9 {
+        return 1.0;
+    }
+    (libm::sin(PI * n * turns) / (n * one)).abs()
+}
+
 impl Boxcar {
-    /// Chooses the boxcar nearest to `boxcar_s` seconds that contains a nearly whole number of switching periods in whole blocks.
-    /// With a residue of ε periods about ε/(2·periods) of the double frequency passes one boxcar, and its square both: a
-    /// hundredth of a period costs 1e-6.
+    /// Chooses the boxcar nearest to `boxcar_s` seconds that lets the least of the image at twice f_sw and of the harmonics pass.
+    ///
+    /// The first boxcar sums samples, the second one sums of blocks: what turns by whole turns from block to block passes the second
+    /// one undamped. A block of half a switching period leaves the image to the first boxcar alone, and a thousandth of it, beside a
+    /// carrier that is sampled once a period, is a tone some hertz away.
     pub fn fitting(samples_per_period: f64, f_sw_hz: f64, boxcar_s: f64) -> Self {
         let ideal = (boxcar_s * f_sw_hz).round().max(1.0);
         let (from, to) = ((0.75 * ideal).floor().max(1.0), (1.25 * ideal).ceil());
@@ -66,20 +83,33 @@ impl Boxcar {
         while periods <= to {
             let samples = periods * samples_per_period;
             for block in 1..=MAX_BLOCK {
-                let blocks = (samples / block as f64).round().max(1.0);
-                let residue = (blocks * block as f64 - samples).abs() / samples_per_period;
+                let blocks = (samples / block as f64).round().max(1.0) as usize;
+                let boxcar = Self { block, blocks };
+                let passed = boxcar.passed(samples_per_period, SIDEBAND_HZ / f_sw_hz);
                 // A long block is faster, the requested duration is more accurate.
-                let left = 0.5 * residue / periods;
-                let score =
-                    left * left + 1e-7 * ((periods - ideal).abs() / ideal + 4.0 / block as f64);
+                let score = passed + 1e-6 * ((periods - ideal).abs() / ideal + 2.0 / block as f64);
                 if score < best.0 {
-                    let blocks = blocks as usize;
-                    best = (score, Self { block, blocks });
+                    best = (score, boxcar);
                 }
             }
             periods += 1.0;
         }
         best.1
+    }
+
+    /// Largest share of the fundamental that its image or a square wave's harmonic adds, with sidebands at this share of f_sw.
+    fn passed(self, samples_per_period: f64, sideband: f64) -> f64 {
+        let gain = |multiple: f64| {
+            let turns = multiple / samples_per_period;
+            let first = boxcar_gain(self.samples() as f64, turns);
+            first * boxcar_gain(self.blocks as f64, turns * self.block as f64)
+        };
+        let of = |multiple: u32| match f64::from(multiple) {
+            // An offset has no sidebands.
+            1.0 => gain(1.0),
+            m => gain(m - sideband).max(gain(m + sideband)) / (m - 1.0),
+        };
+        MULTIPLES.map(of).fold(0.0, f64::max)
     }
 
     /// Number of samples of a boxcar.
@@ -252,4 +282,47 @@ pub fn identify(segment: &Segment, settings: &LockinSettings) -> Result<Estimate
 fn triangle_power(boxcar: Boxcar) -> f64 {
     let n = boxcar.blocks as f64;
     (2.0 * n * n + 1.0) / (3.0 * n * n * n * boxcar.block as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sine whose amplitude is |sin| of the mains' phase, at rates where a block of half a period nearly fits, and at others.
+    #[test]
+    fn the_image_at_twice_the_frequency_is_no_tone() {
+        let phasors = |f_sw_hz: f64, rate_hz: f64| {
+            let of = |k: usize| {
+                let t_s = k as f64 / rate_hz;
+                (TAU * 50.0 * t_s).sin().abs() * (TAU * f_sw_hz * t_s).cos()
+            };
+            let x: Vec<f64> = (0..(0.02 * rate_hz) as usize).map(of).collect();
+            let segment = Segment {
+                f_sw_hz,
+                mains_hz: 50.0,
+                zero_crossing_s: 0.0,
+                t0_s: 0.0,
+                dt_s: 1.0 / rate_hz,
+                v_v: x.clone().into(),
+                i_a: x.into(),
+            };
+            let boxcar = Boxcar::fitting(rate_hz / f_sw_hz, f_sw_hz, 3.0 / f_sw_hz);
+            demodulate(&segment, boxcar)
+        };
+        for (f_sw_hz, rate_hz) in [
+            (70_095.2, 8e6),
+            (66_597.9, 8e6),
+            (69_477.0, 2.5e6),
+            (67_900.0, 2.5e6),
+            (45e3, 12.5e6),
+            (45e3, 915e3),
+        ] {
+            // The phase is that of the carrier; at the crests the image would be all of the imaginary part.
+            let worst = (phasors(f_sw_hz, rate_hz).iter())
+                .filter(|p| (TAU * 50.0 * p.centre / rate_hz).sin().abs() > 0.7)
+                .map(|p| (p.v.im / p.v.re).abs())
+                .fold(0.0, f64::max);
+            assert!(worst < 2e-5, "{f_sw_hz} Hz at {rate_hz} S/s: {worst}");
+        }
+    }
 }
