@@ -639,16 +639,15 @@ def reference(s, y):
 
 def thermistors(s, y):
     s.text(968, y - 54, "NTCs on ADC4", "h")
-    for k, (where, ntc, up) in enumerate(
-        (sensor.replace("_", " "), f"{ohm(r25)}\nB {b_k}", ohm(up)) for sensor, (r25, b_k, up) in NTCS.items()
-    ):
+    for k, (sensor, (r25, b_k, pull_up)) in enumerate(NTCS.items()):
+        where, ntc, up = sensor.replace("_", " "), f"{ohm(r25)}\nB {b_k}", ohm(pull_up)
         x = 986 + 84 * k
         s.supply(x, y - 12, "3V3")
         s.wire((x, y - 12), (x, y - 6))
         s.resistor(x, y - 6, 56, "v"), s.ntc(x, y + 50, 56, "v"), s.ground(x, y + 106)
         s.text(x + 12, y + 18, up, "t")
         s.dot(x, y + 50)
-        s.flag(x + 8, y + 50, ("PB12", "PB14", "PB15")[k], "right", "pin", 46), s.wire((x, y + 50), (x + 8, y + 50))
+        s.flag(x + 8, y + 50, BOARD["pins"][f"{sensor}_ntc"], "right", "pin", 46), s.wire((x, y + 50), (x + 8, y + 50))
         s.text(x - 12, y + 134, where + "\n" + ntc, "n")
 
 
@@ -671,7 +670,8 @@ def controller(s):
     s.text(x + 6, at + 5, "ADC4", "n")
     s.text(x + 6, y + h - 10, "VSS, VSSA", "n")
     s.wire((x + 34, y + h), (x + 34, y + h + 8)), s.ground(x + 34, y + h + 8)
-    pins = {"PA2": 24, "PA3": 52, "PA12": 96, "PA11": 124, "PA5": 204, "NRST": 242, "VDDA": 290, "VDD": 334}
+    led = BOARD["pins"]["led"]
+    pins = {"PA2": 24, "PA3": 52, "PA12": 96, "PA11": 124, led: 204, "NRST": 242, "VDDA": 290, "VDD": 334}
     for pin in pins:
         pins[pin] += y
         s.text(edge - 6, pins[pin] + 5, pin, "n", "end")
@@ -692,7 +692,7 @@ def controller(s):
     s.text(barrier - 8, y - 12, "live", "r", "end"), s.text(barrier + 8, y - 12, "safe", "t")
     s.text(1444, pins["PA11"] + 34, "USB: a NUCLEO has no\nsocket for it; wire one", "n", step=14)
     # LED.
-    at = pins["PA5"]
+    at = pins[led]
     s.wire((edge, at), (1470, at)), s.resistor(1470, at, 56, "h"), s.diode(1526, at, 50, "h")
     s.wire((1576, at), (1600, at), (1600, at + 8)), s.ground(1600, at + 8)
     s.text(1498, at + 23, "510 Ω", "t", "middle")

@@ -29,7 +29,7 @@ pub const HALF_CYCLE_NS: u64 = 10_000_000;
 const BUS_PEAK_V: f64 = 325.0;
 const LOAD_L_H: f64 = 26e-6;
 /// R at 45 kHz and L of the coil alone.
-const EMPTY: (f64, f64) = (0.1, 70e-6);
+const EMPTY: (f64, f64) = (0.1, 50.5e-6);
 const C_F: f64 = 1080e-9;
 
 /// Effect of the link on a frame to the host: the bytes that arrive.

@@ -67,6 +67,7 @@ values! {
         shield_gap_um: u32 100..=50_000, "Distance from the aluminium shield to the ferrite, in micrometre.";
         shield_thickness_um: u32 0..=50_000, "Thickness of the aluminium shield, in micrometre; 0 is a perfect conductor.";
         winding_mohm: u32 1..=1_000, "Resistance of the winding and its leads, in milliohm.";
+        bare_coil_nh: u32 1_000..=64_000, "Inductance of the coil with nothing on it, at the probe frequency, in nanohenry: a pot probe without a pot tests the current's gain with it.";
     }
     sensors {
         coil_voltage_full_scale_mv: u32 50_000..=1_000_000, "Half the input range of the coil voltage's channel, in millivolt.";

@@ -38,7 +38,7 @@ macro_rules! limits {
 limits! {
     /// Crest of the coil current that power control plans with, fundamental and third harmonic, at the bus
     /// voltage of now and of a mains that has recovered. The rating of 2500 W into a 21 cm pot takes 64 A
-    /// at 230 V and 69 A at 180 V.
+    /// at 230 V and 67 A at 200 V; below, the distance from resonance ends it: 2150 W at 180 V.
     PLANNED_CURRENT_MA: u32 = board::PLANNED_CURRENT_MA, "mA";
     /// Crest of the coil current from here on raises the frequency within a block or two: by [`SOFT_PAIRS`].
     SOFT_CURRENT_MA: u32 = board::SOFT_CURRENT_MA, "mA";
@@ -124,7 +124,7 @@ limits! {
     /// Amplitude of the coil current below which no pot can be judged.
     POT_CURRENT_MIN_MA: u32 = 1_500, "mA";
     /// Duration of a pot probe, from a zero crossing on: it ends before the crest, with at
-    /// most 2 J into any load at 265 V.
+    /// most 2 J into any pot at 265 V, 3.4 J into household foil.
     PROBE_NS: u32 = 3_300_000, "ns";
     /// From one pot probe to the next, in the first time after one was taken away: it may be on
     /// its way back.
@@ -180,10 +180,14 @@ limits! {
     LINK_CAPACITANCE_MAX_NF: u32 = board::LINK_CAPACITANCE_MAX_NF, "nF";
     /// Half-cycles in a row that an implausible reading lasts before it is a fault.
     IMPLAUSIBLE_HALF_CYCLES: u8 = 4, "half-cycles";
-    /// By so much coil voltage plus that of the resonance capacitor may differ from the bridge's.
-    BALANCE_PERCENT: u32 = 6, "%";
-    /// The same above 60 kHz, where the capacitor's share is small.
-    BALANCE_HIGH_PERCENT: u32 = 12, "%";
+    /// By so much coil voltage plus that of the resonance capacitor may be below the bridge's.
+    BALANCE_LOW_PERCENT: u32 = 6, "%";
+    /// By so much it may be above, which a capacitor of nine tenths brings at 2500 W: 6.2 %.
+    BALANCE_HIGH_PERCENT: u32 = 7, "%";
+    /// Up to so much R at a pot probe there is the coil alone, or metal that takes next to nothing: three times the winding's.
+    BARE_COIL_MOHM: u32 = 3 * board::WINDING_MOHM, "mohm";
+    /// By so much the bare coil's L may be above that of the board's file, and its voltage differ from the bridge's.
+    BARE_COIL_PERCENT: u32 = 4, "%";
     /// By so much the power into the coil may differ from the DC link's, where a sensor is fitted.
     POWER_BALANCE_PERCENT: u32 = 12, "%";
     /// Mean of the coil current over whole periods: the capacitor lets none through.

@@ -37,13 +37,13 @@ scenarios! {
     link { pots stop_at_crest trip_at_crest unsuitable }
     mains { low_then_high short_swell }
     noise { snr_20 snr_25 snr_30 }
-    objects { refused smallest }
+    objects { refused sandwich sheets smallest }
     panel { host_silent key_lock levels off_wins }
-    plausibility { aged_capacitor bits dead_comparator gains mains_hz off offsets stuck supply timing unseen }
+    plausibility { aged_capacitor bare_coil bits dead_comparator gains mains_hz off offsets stuck supply timing unseen }
     pots { places recovered_mains risen_mains }
     restart { doubled host_clears host_repeats lookups person tries }
     sags { dip dropout swell }
-    steps { dither steps taught }
+    steps { dither low_mains steps taught }
     temperatures { derating empty_pan glass oil over sensors water }
     unattended { boost boost_of_host host level timer touch }
     zvs { powers }

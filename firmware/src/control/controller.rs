@@ -369,6 +369,9 @@ impl Control {
             self.dark_probes = 0;
             return Action::Fault(Fault::NO_COIL_CURRENT);
         }
+        if let Some(fault) = self.plausibility.on_pot_probe(summary) {
+            return Action::Fault(fault);
+        }
         match classify(summary, self.parts.pot) {
             pot @ (Pot::Ferromagnetic | Pot::Small) => {
                 self.parts.pot = pot;

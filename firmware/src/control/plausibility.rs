@@ -6,25 +6,27 @@
 //! (g − 1)·X_C, a voltage by (g − 1)·|R + jX_L|, the bus directly. Near 80 kHz X_C is a tenth of X_L
 //! and an error of the current's gain is lost in the tolerances; a sensor of the DC link sees it there.
 //!
+//! The bare coil is a known impedance: nothing that a kitchen has raises its inductance. A pot probe without a pot that
+//! finds more of it has a current that reads too little, or a voltage that reads too much; and the balance of voltage and bus at
+//! the probe frequency hardly asks for C_r.
+//!
 //! A capacitor in series lets no direct current through, and a winding holds no direct voltage: the
 //! means over whole periods are zero, bridge on or off. A current that swings through zero has codes on both
 //! sides of it, unless a bit of its converter sticks.
 
+use ihd_shared::board::BARE_COIL_NH;
 use ihd_shared::fault::Fault;
 
 use crate::estimate::tank::TankAt;
 use crate::fixed::Complex;
 use crate::limits::{
-    BALANCE_HIGH_PERCENT, BALANCE_PERCENT, BUS_AT_CROSSING_PERCENT, BUS_MIN_DV, COMPARED_FROM_DV,
-    CURRENT_OFFSET_MA, HALF_CYCLE_MAX_NS, HALF_CYCLE_MIN_NS, IMPLAUSIBLE_HALF_CYCLES,
-    IRREGULAR_HALF_CYCLES, LINK_CAPACITANCE_MAX_NF, POT_CURRENT_MIN_MA, POWER_BALANCE_PERCENT,
-    VOLTAGE_OFFSET_DV,
+    BALANCE_HIGH_PERCENT, BALANCE_LOW_PERCENT, BARE_COIL_MOHM, BARE_COIL_PERCENT,
+    BUS_AT_CROSSING_PERCENT, BUS_MIN_DV, COMPARED_FROM_DV, CURRENT_OFFSET_MA, HALF_CYCLE_MAX_NS,
+    HALF_CYCLE_MIN_NS, IMPLAUSIBLE_HALF_CYCLES, IRREGULAR_HALF_CYCLES, LINK_CAPACITANCE_MAX_NF,
+    POT_CURRENT_MIN_MA, POWER_BALANCE_PERCENT, VOLTAGE_OFFSET_DV,
 };
-use crate::sampling::half_cycle::HalfCycle;
+use crate::sampling::half_cycle::{HalfCycle, filter_loss_q16};
 use crate::sense::demodulator::amplitude_dv;
-
-/// From this frequency on [`BALANCE_HIGH_PERCENT`] counts.
-const HIGH_HZ: u32 = 60_000;
 
 /// A bus that a bench supply holds up, 60 V at most, is no zero crossing out of place.
 const BENCH_BUS_DV: u32 = 600;
@@ -36,6 +38,7 @@ const POWER_FROM_MW: u32 = 200_000;
 #[derive(Clone, Debug, Default)]
 pub struct Plausibility {
     balance: ContradictionCount,
+    bare_coil: ContradictionCount,
     offset: ContradictionCount,
     gap: ContradictionCount,
     current: ContradictionCount,
@@ -45,7 +48,7 @@ pub struct Plausibility {
     irregular: u8,
 }
 
-/// Half-cycles in a row.
+/// Half-cycles, or pot probes, in a row.
 #[derive(Clone, Copy, Debug, Default)]
 struct ContradictionCount(u8);
 
@@ -80,7 +83,10 @@ impl Plausibility {
                 Fault::SENSOR_OFFSET,
             ),
             (
-                self.balance.push_if(seen, !is_balanced(summary)),
+                self.balance.push_if(
+                    seen,
+                    !is_balanced(summary, BALANCE_LOW_PERCENT, BALANCE_HIGH_PERCENT),
+                ),
                 Fault::BRIDGE_BALANCE,
             ),
             (
@@ -99,6 +105,19 @@ impl Plausibility {
         checks
             .into_iter()
             .find_map(|(bad, fault)| bad.then_some(fault))
+    }
+
+    /// Takes a pot probe; the fault that has lasted long enough. A probe with a load says nothing.
+    pub fn on_pot_probe(&mut self, summary: &HalfCycle) -> Option<Fault> {
+        let is_bare = summary.bus_peak_dv >= COMPARED_FROM_DV
+            && summary.i_crest_ma >= POT_CURRENT_MIN_MA
+            && i64::from(summary.r.0) <= 1_000 * i64::from(BARE_COIL_MOHM);
+        let most_ph = i64::from(BARE_COIL_NH) * i64::from(10 * (100 + BARE_COIL_PERCENT));
+        let bad = i64::from(summary.l.0) > most_ph
+            || !is_balanced(summary, BARE_COIL_PERCENT, BARE_COIL_PERCENT);
+        self.bare_coil
+            .push_if(is_bare, bad)
+            .then_some(Fault::BRIDGE_BALANCE)
     }
 
     /// Forgets what was counted.
@@ -136,16 +155,14 @@ fn has_offset(summary: &HalfCycle) -> bool {
         || summary.v_offset_dv.unsigned_abs() >= VOLTAGE_OFFSET_DV
 }
 
-/// |V + I/(jωC)| against 2/π of the bus.
-fn is_balanced(summary: &HalfCycle) -> bool {
-    let bridge_dv = bridge_dv(summary);
-    let expected_dv = u32::from(summary.bus_peak_dv) * 6_366 / 10_000;
-    let percent = if summary.f_sw_hz < HIGH_HZ {
-        BALANCE_PERCENT
-    } else {
-        BALANCE_HIGH_PERCENT
-    };
-    bridge_dv.abs_diff(expected_dv) * 100 <= expected_dv * percent
+/// |V + I/(jωC)| against 2/π of the bus, at the crest of the current.
+fn is_balanced(summary: &HalfCycle, low_percent: u32, high_percent: u32) -> bool {
+    let filtered_dv = bridge_dv(summary);
+    // √(1 + x) ≈ 1 + x/2 of the anti-alias filter.
+    let bridge_dv = filtered_dv + ((filtered_dv * (filter_loss_q16(summary.f_sw_hz) / 2)) >> 16);
+    let expected_dv = u32::from(summary.bus_at_crest_dv) * 6_366 / 10_000;
+    let share = (expected_dv * (100 - low_percent))..=(expected_dv * (100 + high_percent));
+    share.contains(&(bridge_dv * 100))
 }
 
 /// Amplitude of the bridge's fundamental by coil voltage and current, in decivolt.
@@ -175,10 +192,12 @@ fn is_power_balanced(summary: &HalfCycle) -> bool {
 mod tests {
     use super::*;
     use crate::sense::demodulator::{AMPERE_PER_UNIT, Phasors, STATE_BITS, VOLT_PER_UNIT};
-    use ihd_shared::hob::TANK_CAPACITANCE_PF;
+    use ihd_shared::hob::{TANK_CAPACITANCE_PF, WINDING_R_OHM};
+    use ihd_shared::sampling::ANTI_ALIAS_HZ;
+    use ihd_shared::units::{MicroOhm, PicoHenry};
     use std::f64::consts::{FRAC_2_PI, TAU};
 
-    /// What sensors of the given gains show of a load at a bus of 325 V.
+    /// Half-cycle of a load at a bus of 325 V, by sensors of the given gains behind their anti-alias filters.
     fn seen(
         f_hz: f64,
         (r, l_uh): (f64, f64),
@@ -193,17 +212,21 @@ mod tests {
         // I = V1/Z with V1 real, V = I·(R + jX_L).
         let i = (v1 * r / z2, -v1 * (x_l - x_c) / z2);
         let v = (i.0 * r - i.1 * x_l, i.0 * x_l + i.1 * r);
+        let filter = 1.0 / f64::hypot(1.0, f_hz / f64::from(ANTI_ALIAS_HZ));
         let mantissa = |x: f64, unit: f64| (x / unit * f64::from(1u32 << STATE_BITS)) as i32;
         let complex = |(re, im): (f64, f64), gain: f64, unit: f64| Complex {
-            re: mantissa(re * gain, unit),
-            im: mantissa(im * gain, unit),
+            re: mantissa(re * gain * filter, unit),
+            im: mantissa(im * gain * filter, unit),
         };
         HalfCycle {
             f_sw_hz: f_hz as u32,
             duration_ns: 10_000_000,
+            r: MicroOhm((r * v_gain / i_gain * 1e6) as i32),
+            l: PicoHenry((l_uh * v_gain / i_gain * 1e6) as i32),
             i_crest_ma: (i.0.hypot(i.1) * i_gain * 1e3) as u32,
             power_mw: 1_000_000,
             bus_peak_dv: (3_250.0 * bus_gain) as u16,
+            bus_at_crest_dv: (3_250.0 * bus_gain) as u16,
             crest: Phasors {
                 v: complex(v, v_gain, VOLT_PER_UNIT),
                 i: complex(i, i_gain, AMPERE_PER_UNIT),
@@ -214,23 +237,27 @@ mod tests {
 
     const POT: (f64, f64) = (3.6, 24.0);
     const SMALL: (f64, f64) = (1.0, 45.0);
-    const AIR: (f64, f64) = (0.1, 60.0);
+    /// Nothing but the coil.
+    const BARE: (f64, f64) = (WINDING_R_OHM, BARE_COIL_NH as f64 * 1e-3);
 
     fn fault_of(summary: HalfCycle) -> Option<Fault> {
         let mut plausibility = Plausibility::default();
         (0..10).find_map(|_| plausibility.on_half_cycle(&summary))
     }
 
+    fn fault_of_probe(summary: HalfCycle) -> Option<Fault> {
+        let mut plausibility = Plausibility::default();
+        (0..4).find_map(|_| plausibility.on_pot_probe(&summary))
+    }
+
     #[test]
     fn honest_sensors_pass_within_their_tolerances() {
-        for load in [POT, SMALL, AIR] {
+        for load in [POT, SMALL, BARE] {
             for f_hz in [38e3, 47e3, 60e3, 79e3] {
                 for (v, i, bus) in [(1.0, 1.0, 1.0), (1.01, 0.99, 0.99), (0.99, 1.01, 1.01)] {
-                    assert_eq!(
-                        fault_of(seen(f_hz, load, v, i, bus)),
-                        None,
-                        "{f_hz} {load:?}"
-                    );
+                    let summary = seen(f_hz, load, v, i, bus);
+                    assert_eq!(fault_of(summary), None, "{f_hz} {load:?}");
+                    assert_eq!(fault_of_probe(summary), None, "{f_hz} {load:?}");
                 }
             }
         }
@@ -255,6 +282,29 @@ mod tests {
                 );
             }
         }
+    }
+
+    /// Each of them makes the hob heat with 5 % too much, or its protection act late.
+    #[test]
+    fn the_bare_coil_shows_a_current_that_reads_too_little_and_a_voltage_that_does_not_fit_the_bus()
+    {
+        for (v, i, bus) in [
+            (1.0, 0.95, 1.0),
+            (1.0, 0.9, 1.0),
+            (0.95, 1.0, 1.0),
+            (1.05, 1.0, 1.0),
+            (1.0, 1.0, 0.95),
+            (1.0, 1.0, 1.05),
+        ] {
+            let wrong = |load| fault_of_probe(seen(79_911.0, load, v, i, bus));
+            assert_eq!(wrong(BARE), Some(Fault::BRIDGE_BALANCE), "{v} {i} {bus}");
+            // A load hides it, and is no fault.
+            assert_eq!(wrong(SMALL), None, "{v} {i} {bus}");
+        }
+        // A capacitor of four fifths is none of a sensor.
+        let mut aged = seen(79_911.0, BARE, 1.0, 1.0, 1.0);
+        aged.bus_at_crest_dv = (3_250.0 * (1.0 - 0.25 * 0.078)) as u16;
+        assert_eq!(fault_of_probe(aged), None);
     }
 
     /// docs/control.md: a current that reads four fifths at the probe frequency.

@@ -2,7 +2,7 @@
 //! that was pushed has no say: whatever it holds, a pot is the same pot.
 //!
 //! At 45 kHz (R, L): ferromagnetic 21 cm 6.6-3.7 ohm / 37-24 µH, 12 cm 2.4-1.7 / 33-32, aluminium
-//! 0.22 / 17, stainless 304 0.76 / 18, none 0.1 / 55-90. All scale alike with frequency, so ratios
+//! 0.22 / 17, stainless 304 0.76 / 18, none 0.1 / 50. All scale alike with frequency, so ratios
 //! to the prior at the same frequency and current separate them: R below half of the expected is
 //! no full pot, and below 30 % L separates air (above) from a non-magnetic plate (below). A steel that
 //! covers half of the coil lies between.
@@ -10,6 +10,10 @@
 //! By the field model a ferritic or cast-iron disc has, of the prior's R from 80 to 34 kHz: 13-15 % with 5 cm, 24-26 % with
 //! 7 cm, 30-33 % with 8 cm, 48-63 % with 12 cm, 28-29 % with 10 cm lifted by 10 mm. Less than 8 cm is cutlery, a ring or a lid's
 //! knob, and is not heated.
+//!
+//! A sheet thinner than its skin depth may have the R of a pot, but its surface adds no reactance: R and L together are less than any
+//! pot's. Of the prior's, at 80 kHz and 180 to 265 V: household foil of 14 to 26 cm 50/96 to 48/57 %, a lid of 0.6 mm of 304 of 12 to
+//! 26 cm 33/114 to 32/57 %; ferritic pots of 12 to 26 cm 49/133 to 85/91 %, sandwich bases of 12, 15, 26 cm 32/122, 49/102, 85/91 %.
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
@@ -40,6 +44,12 @@ const STILL_SMALL_R_PERCENT: i64 = 27;
 /// L above this percentage of the prior's means an empty coil.
 const AIR_L_PERCENT: i64 = 125;
 
+/// R and L of a pot together, at least this percentage of the prior's.
+const POT_R_AND_L_PERCENT: i64 = 145;
+
+/// The same for a pot that is being heated, whose steel saturates: 142 % at least, a sandwich base of 18 cm at 73 A.
+const STILL_POT_R_AND_L_PERCENT: i64 = 135;
+
 /// Judges the pot by a half-cycle; `before` is the pot that was judged before. [`Pot::Unknown`] if current or mains is too
 /// low.
 pub fn classify(summary: &HalfCycle, before: Pot) -> Pot {
@@ -57,11 +67,13 @@ pub fn classify(summary: &HalfCycle, before: Pot) -> Pot {
     } else {
         FULL_R_PERCENT
     };
-    let small = match before {
-        Pot::Small | Pot::Ferromagnetic => STILL_SMALL_R_PERCENT,
-        Pot::Unknown | Pot::Absent | Pot::Unsuitable => SMALL_R_PERCENT,
+    let (small, both) = match before {
+        Pot::Small | Pot::Ferromagnetic => (STILL_SMALL_R_PERCENT, STILL_POT_R_AND_L_PERCENT),
+        Pot::Unknown | Pot::Absent | Pot::Unsuitable => (SMALL_R_PERCENT, POT_R_AND_L_PERCENT),
     };
-    if r >= full {
+    if r + l < both {
+        Pot::Unsuitable
+    } else if r >= full {
         Pot::Ferromagnetic
     } else if r >= PART_R_PERCENT || (l >= AIR_L_PERCENT && r >= small) {
         Pot::Small
@@ -140,6 +152,34 @@ mod tests {
         let border = (77_413, 1.75, 44.3, 12.0);
         assert_eq!(judged(border, Pot::Absent), Pot::Absent);
         assert_eq!(judged(border, Pot::Small), Pot::Small);
+    }
+
+    /// R and L by the field model at 79.9 kHz and the current of a probe at 230 V: household foil, lids of 304, and the pots nearest to
+    /// them, sandwich bases of 15 and 12 cm.
+    #[test]
+    fn foil_and_lids_are_no_pots() {
+        for sheet in [
+            (79_911, 2.60, 16.7, 23.4),
+            (79_911, 2.46, 13.6, 29.9),
+            (79_911, 2.13, 11.6, 36.5),
+            (79_911, 1.96, 19.9, 19.1),
+            (79_911, 1.63, 11.9, 38.9),
+        ] {
+            for before in [
+                Pot::Unknown,
+                Pot::Absent,
+                Pot::Unsuitable,
+                Pot::Ferromagnetic,
+            ] {
+                assert_eq!(judged(sheet, before), Pot::Unsuitable, "{sheet:?}");
+            }
+        }
+        for (pot, size) in [
+            ((79_911, 2.95, 22.9, 18.9), Pot::Ferromagnetic),
+            ((79_911, 2.05, 28.4, 14.8), Pot::Small),
+        ] {
+            assert_eq!(judged(pot, Pot::Absent), size, "{pot:?}");
+        }
     }
 
     #[test]

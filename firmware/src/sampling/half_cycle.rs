@@ -51,6 +51,8 @@ pub struct HalfCycle {
     pub bus_peak_dv: u16,
     /// Bus voltage at the zero crossing that ended it, in decivolt.
     pub bus_at_crossing_dv: u16,
+    /// Bus voltage where the current's amplitude was largest, in decivolt.
+    pub bus_at_crest_dv: u16,
     /// Coil voltage and current where the current's amplitude was largest.
     pub crest: Phasors,
     /// Largest sample of the coil voltage where it reached its soft limit, in decivolt; else 0.
@@ -85,6 +87,7 @@ impl HalfCycle {
         power_mw: 0,
         bus_peak_dv: 0,
         bus_at_crossing_dv: 0,
+        bus_at_crest_dv: 0,
         crest: Phasors {
             v: Complex { re: 0, im: 0 },
             i: Complex { re: 0, im: 0 },
@@ -207,11 +210,12 @@ impl HalfCycleAccumulator {
     }
 
     /// Adds one estimate.
-    pub fn add_estimate(&mut self, z: &Phasors, ekf: &Ekf) {
+    pub fn add_estimate(&mut self, z: &Phasors, ekf: &Ekf, bus_dv: u16) {
         let norm = z.i.norm_squared();
         if norm > self.crest_norm && !ekf.is_held() {
             self.crest_norm = norm;
             self.crest.crest = *z;
+            self.crest.bus_at_crest_dv = bus_dv;
             self.crest.r = ekf.r();
             self.crest.l = ekf.l();
         }
@@ -312,11 +316,16 @@ impl HalfCycles {
     }
 }
 
-/// The power before the anti-alias filters, which take 1/(1 + (f/f_c)²) of the product: 0.5 % at
-/// 34 kHz, 2.5 % at 80 kHz. The harmonics' power is a hundredth of it.
+/// The power before the anti-alias filters. The harmonics' power is a hundredth of it.
 fn unfiltered(power_mw: u64, f_sw_hz: u32) -> u64 {
+    power_mw + ((power_mw * u64::from(filter_loss_q16(f_sw_hz))) >> 16)
+}
+
+/// (f/f_c)² of the anti-alias filters, in 2⁻¹⁶: they leave 1/(1 + (f/f_c)²) of a product of two filtered quantities, the root of it
+/// of one. 0.5 % at 34 kHz, 2.5 % at 80 kHz.
+pub fn filter_loss_q16(f_sw_hz: u32) -> u32 {
     let share_q16 = (u64::from(f_sw_hz) << 16) / u64::from(ANTI_ALIAS_HZ);
-    power_mw + ((power_mw * ((share_q16 * share_q16) >> 16)) >> 16)
+    ((share_q16 * share_q16) >> 16) as u32
 }
 
 #[cfg(test)]

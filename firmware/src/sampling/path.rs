@@ -315,7 +315,7 @@ impl<M: PairMultiplier> SamplingPath<M> {
                 self.recorder.push(block.pairs, all, sums.saturated);
             }
         }
-        let estimate = self.estimate(&sums);
+        let estimate = self.estimate(&sums, block.bus_dv);
         self.recorder.advance(block_ns);
         self.clock.advance();
         self.sequencer
@@ -363,13 +363,14 @@ impl<M: PairMultiplier> SamplingPath<M> {
 
     /// Demodulates and estimates while the bridge switches, and checks the estimate.
     #[inline]
-    fn estimate(&mut self, sums: &BlockSums) -> Option<TrajectoryEntry> {
+    fn estimate(&mut self, sums: &BlockSums, bus_dv: u16) -> Option<TrajectoryEntry> {
         if !self.sequencer.drive().is_switching() {
             return None;
         }
         let phasors = self.demodulator.push(sums)?;
         self.ekf.step(&phasors);
-        self.half_cycles.running().add_estimate(&phasors, &self.ekf);
+        let running = self.half_cycles.running();
+        running.add_estimate(&phasors, &self.ekf, bus_dv);
         let entry = TrajectoryEntry {
             r: self.ekf.r(),
             l: self.ekf.l(),

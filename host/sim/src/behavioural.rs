@@ -99,7 +99,7 @@ impl BehaviouralLoad {
             ),
             PotKind::Aluminium => (0.22, 17.0, 0.0),
             PotKind::Stainless => (0.76, 18.0, 0.0),
-            PotKind::None => (0.1, 70.0, 0.0),
+            PotKind::None => (0.1, 50.5, 0.0),
         };
         let square = TURNS_RATIO * TURNS_RATIO;
         (

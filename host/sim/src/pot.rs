@@ -17,6 +17,16 @@ use crate::perturbation::Perturbation;
 /// Thickness of a pot's base in metre.
 const BASE_THICKNESS_M: f64 = 5e-3;
 
+/// Thickness of a lid in metre.
+const LID_THICKNESS_M: f64 = 0.6e-3;
+
+/// Thickness of a household's foil in metre.
+const HOUSEHOLD_FOIL_M: f64 = 15e-6;
+
+/// Thickness that stands for it in metre, as the field model takes none below: a sheet far thinner than its skin depth acts by the
+/// product of thickness and conductivity alone.
+const SHEET_M: f64 = 1e-4;
+
 /// Thickness of a sandwich base's foil in metre: 0.4 to 0.6 mm are usual.
 const FOIL_THICKNESS_M: f64 = 0.5e-3;
 
@@ -56,6 +66,10 @@ pub enum Metal {
     Aluminium,
     /// Aluminium on a foil of ferritic steel: a sandwich base.
     Clad,
+    /// A household's aluminium foil, flat on the glass.
+    Foil,
+    /// A lid of stainless steel 304.
+    Lid,
 }
 
 /// Pot, or none.
@@ -79,7 +93,7 @@ pub struct SimulatedPot {
 /// A name that denotes no pot.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "unknown pot `{0}`: use ferritic-D, cast-iron-D, stainless-D, aluminium-D or clad-D with D = 5 to 26 (base in cm), or none"
+    "unknown pot `{0}`: use ferritic-D, cast-iron-D, stainless-D, aluminium-D, clad-D, foil-D or lid-D with D = 5 to 26 (base in cm), or none"
 )]
 pub struct UnknownPotName(String);
 
@@ -178,7 +192,7 @@ impl SimulatedPot {
                 geometry: Geometry {
                     load_radius_m,
                     load_gap_m: coil.load_gap_m + self.lift_m,
-                    load_thickness_m: BASE_THICKNESS_M,
+                    load_thickness_m: metal.thickness_m(),
                     foil_thickness_m: metal.foil_thickness_m(),
                     ..coil
                 },
@@ -234,12 +248,14 @@ impl SimulatedPot {
 
 impl Metal {
     /// All metals.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 7] = [
         Self::Ferritic,
         Self::CastIron,
         Self::Stainless,
         Self::Aluminium,
         Self::Clad,
+        Self::Foil,
+        Self::Lid,
     ];
 
     /// Name on the command line and in files.
@@ -250,6 +266,8 @@ impl Metal {
             Self::Stainless => "stainless",
             Self::Aluminium => "aluminium",
             Self::Clad => "clad",
+            Self::Foil => "foil",
+            Self::Lid => "lid",
         }
     }
 
@@ -257,11 +275,27 @@ impl Metal {
         Self::ALL.into_iter().find(|metal| metal.name() == name)
     }
 
+    /// Thickness of the base in metre.
+    fn thickness_m(self) -> f64 {
+        match self {
+            Self::Foil => SHEET_M,
+            Self::Lid => LID_THICKNESS_M,
+            Self::Ferritic | Self::CastIron | Self::Stainless | Self::Aluminium | Self::Clad => {
+                BASE_THICKNESS_M
+            }
+        }
+    }
+
     /// Thickness of the foil below the base in metre; 0 for none.
     fn foil_thickness_m(self) -> f64 {
         match self {
             Self::Clad => FOIL_THICKNESS_M,
-            Self::Ferritic | Self::CastIron | Self::Stainless | Self::Aluminium => 0.0,
+            Self::Ferritic
+            | Self::CastIron
+            | Self::Stainless
+            | Self::Aluminium
+            | Self::Foil
+            | Self::Lid => 0.0,
         }
     }
 
@@ -270,8 +304,8 @@ impl Metal {
         let per_kelvin = match self {
             Self::Ferritic | Self::Clad => 1.1e-3,
             Self::CastIron => 1.9e-3,
-            Self::Stainless => 0.9e-3,
-            Self::Aluminium => 4.0e-3,
+            Self::Stainless | Self::Lid => 0.9e-3,
+            Self::Aluminium | Self::Foil => 4.0e-3,
         };
         1.0 + per_kelvin * (temperature_c - 20.0)
     }
@@ -279,7 +313,7 @@ impl Metal {
     /// Saturation of a ferromagnetic metal at a temperature in °C over that at 20 °C: 1 − (ΔT/660 K)².
     fn saturation_factor(self, temperature_c: f64) -> f64 {
         match self {
-            Self::Stainless | Self::Aluminium => 1.0,
+            Self::Stainless | Self::Aluminium | Self::Foil | Self::Lid => 1.0,
             Self::Ferritic | Self::CastIron | Self::Clad => {
                 let x = (temperature_c - 20.0).max(0.0) / CURIE_RISE_K;
                 (1.0 - x * x).max(LEAST_SATURATION)
@@ -301,8 +335,8 @@ impl Metal {
         match self {
             Self::Ferritic => (7700.0, 460.0, 26.0),
             Self::CastIron => (7200.0, 500.0, 48.0),
-            Self::Stainless => (8000.0, 500.0, 16.0),
-            Self::Aluminium | Self::Clad => (2700.0, 900.0, 230.0),
+            Self::Stainless | Self::Lid => (8000.0, 500.0, 16.0),
+            Self::Aluminium | Self::Clad | Self::Foil => (2700.0, 900.0, 230.0),
         }
     }
 
@@ -312,8 +346,12 @@ impl Metal {
         let material = match self {
             Self::Ferritic => Material::PAPER,
             Self::CastIron => Material::GREY_CAST_IRON,
-            Self::Stainless => Material::STAINLESS_304,
+            Self::Stainless | Self::Lid => Material::STAINLESS_304,
             Self::Aluminium => Material::ALUMINIUM,
+            Self::Foil => Material::Linear {
+                mu_r: 1.0,
+                sigma_s_per_m: Material::ALUMINIUM.sigma_s_per_m() * HOUSEHOLD_FOIL_M / SHEET_M,
+            },
             Self::Clad => return Self::Aluminium.at(temperature_c),
         };
         let hot_sigma = material.sigma_s_per_m() / self.resistivity_factor(temperature_c);
@@ -360,6 +398,8 @@ mod tests {
             "stainless-5",
             "aluminium-12.5",
             "clad-16",
+            "foil-18",
+            "lid-20",
             "ferritic-26",
             "none",
         ] {
@@ -475,7 +515,7 @@ mod tests {
                 // The grid into the depth is made for each material, a linear one's in all directions.
                 let allowed = match metal {
                     Metal::Ferritic | Metal::CastIron => 1e-3,
-                    Metal::Stainless | Metal::Aluminium => 1e-2,
+                    Metal::Stainless | Metal::Aluminium | Metal::Foil | Metal::Lid => 1e-2,
                     // Its base heats by another factor than its foil.
                     Metal::Clad => 2e-2,
                 };

@@ -106,7 +106,7 @@ fn a_calibration_is_written_and_applied() {
     simulate(dir, "", "right.mcap");
     let found = ihd(
         dir,
-        "calibrate empty.mcap --reference no-pot,r=0.1,l=70u -o c.toml --json",
+        "calibrate empty.mcap --reference no-pot,r=0.1,l=50.5u -o c.toml --json",
     );
     let skew_s = json(&found)["skew_s"].as_f64().unwrap();
     assert!((skew_s - 40e-9).abs() < 1e-9, "{skew_s}");

@@ -356,7 +356,11 @@ mod tests {
                     // A linear metal's grid is made for its skin depth.
                     let allowed = match metal {
                         Metal::Ferritic | Metal::CastIron => 2e-4,
-                        Metal::Stainless | Metal::Aluminium | Metal::Clad => 1e-2,
+                        Metal::Stainless
+                        | Metal::Aluminium
+                        | Metal::Clad
+                        | Metal::Foil
+                        | Metal::Lid => 1e-2,
                     };
                     assert!(
                         r.abs() < allowed && l.abs() < allowed,

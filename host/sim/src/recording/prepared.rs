@@ -108,8 +108,8 @@ pub fn surrogate_pot(
 fn behavioural_kind(pot: &SimulatedPot) -> PotKind {
     match pot.metal {
         None => PotKind::None,
-        Some(Metal::Stainless) => PotKind::Stainless,
-        Some(Metal::Aluminium) => PotKind::Aluminium,
+        Some(Metal::Stainless | Metal::Lid) => PotKind::Stainless,
+        Some(Metal::Aluminium | Metal::Foil) => PotKind::Aluminium,
         Some(Metal::Ferritic | Metal::CastIron | Metal::Clad) if pot.diameter_m < 0.15 => {
             PotKind::Small
         }

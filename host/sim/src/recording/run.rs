@@ -343,7 +343,7 @@ mod tests {
         assert_eq!(at(2e-3).f_sw_hz, 45e3);
         assert_eq!(at(4e-3).f_sw_hz, 60e3);
         assert!(
-            (at(6e-3).l_h[0] / 70e-6 - 1.0).abs() < 0.02,
+            (at(6e-3).l_h[0] / 50.5e-6 - 1.0).abs() < 0.02,
             "{:?}",
             at(6e-3)
         );

@@ -16,6 +16,9 @@ const ERROR_OVER_S: f64 = 0.2;
 /// Power in watt below which bursts are used.
 const BURSTS_BELOW_W: f64 = BURST_POWER_W as f64;
 
+/// Longest start with its pot probe.
+const START_S: f64 = 0.2;
+
 /// Averaging time in bursts, in seconds: two periods.
 const BURSTS_OVER_S: f64 = 2e-3 * BURST_PERIOD_MS as f64;
 
@@ -60,9 +63,10 @@ fn counting(span: &[TrueHalfCycle], asked_w: f64) -> Vec<(f64, f64)> {
     .collect()
 }
 
-/// Returns `true` if it heats in bursts.
+/// Returns `true` if it heats in bursts: the bridge pauses once a start is over, which pauses after its pot probe.
 fn is_in_bursts(span: &[TrueHalfCycle], asked_w: f64) -> bool {
-    let pauses = |h: &TrueHalfCycle| h.state == "Heating" && !h.bridge_on;
+    let started_s = span.first().map_or(0.0, |h| h.t_s) + START_S;
+    let pauses = |h: &TrueHalfCycle| h.t_s > started_s && h.state == "Heating" && !h.bridge_on;
     asked_w > 0.0 && asked_w < BURSTS_BELOW_W && span.iter().any(pauses)
 }
 
