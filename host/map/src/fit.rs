@@ -59,10 +59,10 @@ pub(crate) fn predicted(model: &PotModel, data: &[Datum]) -> DVector<f64> {
     all
 }
 
-/// Derivatives of [`predicted`] by the first `used` numbers, per spread.
+/// Derivatives of [`predicted`], which is `here` at these steps, by the first `used` numbers, per spread.
 pub(crate) fn derivatives(
-    prior: &Prior,
-    steps: &Vector,
+    here: &DVector<f64>,
+    (prior, steps): (&Prior, &Vector),
     data: &[Datum],
     used: usize,
 ) -> DMatrix<f64> {
@@ -72,14 +72,13 @@ pub(crate) fn derivatives(
         there[k] += step;
         predicted(&parameters::moved(prior, &there), data)
     };
-    let here = predicted(&parameters::moved(prior, steps), data);
     for k in 0..used {
         let up = at(k, STEP);
         // At the end of a range only one side exists.
-        let slope = if up == here {
-            (here.clone() - at(k, -STEP)) / STEP
+        let slope = if up == *here {
+            (here - at(k, -STEP)) / STEP
         } else {
-            (up - &here) / STEP
+            (up - here) / STEP
         };
         all.set_column(k, &slope);
     }
@@ -143,21 +142,23 @@ pub(crate) fn fit(
     tau: [f64; 2],
     most_steps: usize,
 ) -> Option<Descent> {
-    let heat = Heat::of(&parameters::moved(prior, &begin), data);
+    let first = parameters::moved(prior, &begin);
+    let mut here = predicted(&first, data);
+    let heat = Heat::of(&here, &first, data);
     let white: Cholesky<f64, Dyn> = (covariance(data, tau) + heat.covariance()).cholesky()?;
     let seen = measured(data);
-    let cost = |steps: &Vector| {
-        let left = &seen - predicted(&parameters::moved(prior, steps), data);
+    let cost = |steps: &Vector, predicted: &DVector<f64>| {
+        let left = &seen - predicted;
         let whitened = white.l_dirty().solve_lower_triangular(&left)?;
         let believed: f64 = steps.iter().map(|s| s * s).sum();
         Some(0.5 * (whitened.norm_squared() + believed))
     };
     let mut steps = begin;
-    let mut best = cost(&steps)?;
+    let mut best = cost(&steps, &here)?;
     let mut damping = 1e-2;
     for _ in 0..most_steps.min(MOST_STEPS) {
-        let slopes = derivatives(prior, &steps, data, used);
-        let left = &seen - predicted(&parameters::moved(prior, &steps), data);
+        let slopes = derivatives(&here, (prior, &steps), data, used);
+        let left = &seen - &here;
         let slopes = white.l_dirty().solve_lower_triangular(&slopes)?;
         let left = white.l_dirty().solve_lower_triangular(&left)?;
         let normal = slopes.tr_mul(&slopes);
@@ -178,9 +179,10 @@ pub(crate) fn fit(
             }
             // Clamped to the numbers' ranges, so that the prior counts the step that was made.
             there = parameters::steps(prior, &parameters::moved(prior, &there));
-            let next = cost(&there)?;
+            let expected = predicted(&parameters::moved(prior, &there), data);
+            let next = cost(&there, &expected)?;
             if next < best {
-                (steps, best) = (there, next);
+                (steps, best, here) = (there, next, expected);
                 damping = (damping * 0.2).max(1e-6);
                 break;
             }
@@ -233,13 +235,14 @@ pub(crate) struct Heat {
 }
 
 impl Heat {
-    pub fn of(model: &PotModel, data: &[Datum]) -> Self {
+    /// Computes the changes of a model's predictions `here`.
+    pub fn of(here: &DVector<f64>, model: &PotModel, data: &[Datum]) -> Self {
         let hotter = PotModel {
             ln_s: model.ln_s + STEP_LN_S,
             ..*model
         };
         Self {
-            per_ln_s: (predicted(&hotter, data) - predicted(model, data)) / STEP_LN_S,
+            per_ln_s: (predicted(&hotter, data) - here) / STEP_LN_S,
             ages_s: data.iter().map(|d| d.age_s).collect(),
         }
     }

@@ -49,12 +49,13 @@ impl Posterior {
 
     /// Conditions an existing fit on data; `None` if a Cholesky factorisation fails.
     pub fn conditioned(fit: PotFit, data: Vec<Datum>) -> Option<Self> {
-        let slopes = derivatives(&fit.prior(), &fit.steps, &data, fit.used);
-        let heat = Heat::of(&fit.model(), &data).covariance();
+        let here = predicted(&fit.model(), &data);
+        let slopes = derivatives(&here, (&fit.prior(), &fit.steps), &data, fit.used);
+        let heat = Heat::of(&here, &fit.model(), &data).covariance();
         let all = covariance(&data, fit.misfit) + &slopes * slopes.transpose() + heat;
         let factor = all.cholesky()?;
         // The model is linear in the numbers: at the prior's mean it would give `predicted − slopes · steps`.
-        let expected = predicted(&fit.model(), &data) - &slopes * free(&fit);
+        let expected = here - &slopes * free(&fit);
         let left = measured(&data) - expected;
         let weights = factor.solve(&left);
         let determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
@@ -141,21 +142,24 @@ impl Posterior {
             .iter()
             .map(|&(f_hz, i_a)| place(f_hz, i_a, ahead_s))
             .collect();
-        let slopes = derivatives(&self.fit.prior(), &self.fit.steps, &at, self.fit.used);
+        let fit = &self.fit;
+        let there = predicted(&fit.model(), &at);
+        let slopes = derivatives(&there, (&fit.prior(), &fit.steps), &at, fit.used);
+        let heat = Heat::of(&there, &fit.model(), &at);
         let mut cross = &self.slopes * slopes.transpose();
         let here: Vec<Place> = self.data.iter().map(Datum::place).collect();
-        for (n, there) in at.iter().map(Datum::place).enumerate() {
+        for (n, place) in at.iter().map(Datum::place).enumerate() {
             for (m, seen) in here.iter().enumerate() {
-                let correlation = seen.correlation(there);
-                for (x, tau) in self.fit.misfit.iter().enumerate() {
+                let correlation = seen.correlation(place);
+                for (x, tau) in fit.misfit.iter().enumerate() {
                     cross[(x * here.len() + m, x * at.len() + n)] += tau * tau * correlation;
                 }
             }
         }
-        let expected = predicted(&self.fit.model(), &at) - &slopes * free(&self.fit);
+        let expected = there - &slopes * free(fit);
         JointPrediction {
             mean: expected + cross.tr_mul(&self.weights),
-            heat: Heat::of(&self.fit.model(), &at),
+            heat,
             slopes,
             cross,
             at,

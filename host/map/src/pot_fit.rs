@@ -121,11 +121,12 @@ fn thinned(data: &[Datum]) -> Vec<Datum> {
 
 /// Misfits of R and L with the largest evidence, chosen in turn.
 fn best_misfit(data: &[Datum], fitted: &Descent, begin: [f64; 2]) -> Option<[f64; 2]> {
-    let slopes = derivatives(&fitted.prior, &fitted.steps, data, fitted.used);
+    let here = predicted(&fitted.model(), data);
+    let slopes = derivatives(&here, (&fitted.prior, &fitted.steps), data, fitted.used);
     let numbers = &slopes * slopes.transpose();
-    let numbers = numbers + Heat::of(&fitted.model(), data).covariance();
+    let numbers = numbers + Heat::of(&here, &fitted.model(), data).covariance();
     let steps = DVector::from_fn(fitted.used, |k, _| fitted.steps[k]);
-    let left = measured(data) - (predicted(&fitted.model(), data) - slopes * steps);
+    let left = measured(data) - (here - slopes * steps);
     let evidence = |tau: [f64; 2]| {
         let factor = (covariance(data, tau) + &numbers).cholesky()?;
         let determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
