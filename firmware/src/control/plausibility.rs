@@ -107,7 +107,7 @@ impl Plausibility {
             .find_map(|(bad, fault)| bad.then_some(fault))
     }
 
-    /// Takes a pot probe; the fault that has lasted long enough. A probe with a load says nothing.
+    /// Takes a pot probe; the fault that has lasted long enough. A probe with a load shows nothing.
     pub fn on_pot_probe(&mut self, summary: &HalfCycle) -> Option<Fault> {
         let is_bare = summary.bus_peak_dv >= COMPARED_FROM_DV
             && summary.i_crest_ma >= POT_CURRENT_MIN_MA
@@ -161,8 +161,8 @@ fn is_balanced(summary: &HalfCycle, low_percent: u32, high_percent: u32) -> bool
     // √(1 + x) ≈ 1 + x/2 of the anti-alias filter.
     let bridge_dv = filtered_dv + ((filtered_dv * (filter_loss_q16(summary.f_sw_hz) / 2)) >> 16);
     let expected_dv = u32::from(summary.bus_at_crest_dv) * 6_366 / 10_000;
-    let share = (expected_dv * (100 - low_percent))..=(expected_dv * (100 + high_percent));
-    share.contains(&(bridge_dv * 100))
+    let allowed = (expected_dv * (100 - low_percent))..=(expected_dv * (100 + high_percent));
+    allowed.contains(&(bridge_dv * 100))
 }
 
 /// Amplitude of the bridge's fundamental by coil voltage and current, in decivolt.

@@ -104,6 +104,8 @@ fn pots() -> [SimulatedPot; 5] {
 }
 
 fn assert_follow(pots: &[SimulatedPot]) {
+    let mut all_squares = Vec::new();
+    let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
     for pot in pots {
         let models = models(pot);
         let cells = taught(&models, 1).cells(2.0).unwrap();
@@ -124,7 +126,6 @@ fn assert_follow(pots: &[SimulatedPot]) {
                 }
             }
         }
-        let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
         let worst = |x: &[f64]| x.iter().copied().fold(0.0, f64::max);
         let z_rms = mean(&squares).sqrt();
         println!(
@@ -139,8 +140,11 @@ fn assert_follow(pots: &[SimulatedPot]) {
         );
         assert!(r.len() > 9);
         assert!(mean(&r) < 2.0 && worst(&r) < 5.0 && mean(&l) < 1.0 && worst(&l) < 2.5);
-        assert!((0.3..2.0).contains(&z_rms));
+        assert!(z_rms < 2.0);
+        all_squares.append(&mut squares);
     }
+    // A pot's errors are of few numbers, and may all be small; those of all pots are not.
+    assert!(mean(&all_squares).sqrt() > 0.3);
 }
 
 /// A load that the physics does not have: cells follow what was taught, and do not claim more than that.

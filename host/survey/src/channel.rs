@@ -5,7 +5,7 @@ use ihd_signal::vectorised::vectorised;
 use serde::Serialize;
 
 use super::carrier::Piece;
-use super::clipping::{self, ClippedSamples};
+use super::clipping::{self, ChannelNoise, ClippedSamples};
 use super::finding::{Channel, Finding};
 use super::track::Track;
 
@@ -88,9 +88,17 @@ pub(super) fn survey(
         |sigma: f64| 10.0 * ((variance - sigma * sigma).max(0.0) / (sigma * sigma)).log10();
     let measured = out.noise.filter(|s| *s > 0.0).map(signal);
     out.snr_db = measured.filter(|db| db.is_finite());
+    let noise = longest.zip(out.noise.zip(out.snr_db));
+    let noise = noise.map(|(piece, (sigma, snr_db))| ChannelNoise {
+        sigma,
+        snr_db,
+        per_period: 1.0 / (piece.f_hz * piece.run.dt_s),
+    });
+    let are_tails = noise.is_some_and(|noise| clipped.are_tails_of_noise(x, &noise));
     if is_dead(which, tracks, variance) {
         findings.push(Finding::Dead { channel: which });
     } else {
+        let clipped = Some(clipped).filter(|c| c.samples > 0 && !are_tails);
         report(which, &out, clipped, findings);
     }
     out
@@ -147,8 +155,13 @@ fn is_dead(which: Channel, tracks: &[Track], variance: f64) -> bool {
 }
 
 /// Clipping, offset and noise of a channel that is alive.
-fn report(which: Channel, c: &ChannelSurvey, clipped: ClippedSamples, findings: &mut Vec<Finding>) {
-    if clipped.samples > 0 {
+fn report(
+    which: Channel,
+    c: &ChannelSurvey,
+    clipped: Option<ClippedSamples>,
+    findings: &mut Vec<Finding>,
+) {
+    if let Some(clipped) = clipped {
         findings.push(Finding::Clipping {
             channel: which,
             samples: clipped.samples,

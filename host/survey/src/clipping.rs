@@ -22,6 +22,25 @@ const LEAST: usize = 16;
 /// converter's range is a code short of it.
 const FULL_SCALE: f64 = 1.0 - 1.01 / 2048.0;
 
+/// SNR in decibel below which noise may reach the ends of the range.
+const TAILS_BELOW_DB: f64 = 20.0;
+
+/// Fewest samples of a switching period with which a clipped crest has more than one sample at the end of the range.
+const LEAST_PER_PERIOD: f64 = 16.0;
+
+/// Share of clipped samples followed by another one, above which the signal itself clips: the probability that noise reaches an end
+/// that is 1.3 deviations away.
+const FOLLOWED: f64 = 0.1;
+
+/// Mean excess of such a noise beyond the end, in deviations.
+const EXCESS: f64 = 0.47;
+
+/// Ratio of clipped samples at the mains' crest to their mean.
+const AT_CREST: f64 = 4.0;
+
+/// Share of the amplitude that noise may lose at the ends and is no fault: half of what R may be off.
+const TOLERABLE: f64 = 5e-3;
+
 /// Clipping of a channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ClippedSamples {
@@ -29,6 +48,36 @@ pub struct ClippedSamples {
     pub samples: usize,
     /// Magnitude of the level at which they rest, in the channel's unit.
     pub level: f64,
+}
+
+/// Noise of a channel.
+#[derive(Clone, Copy, Debug)]
+pub struct ChannelNoise {
+    /// Standard deviation, in the channel's unit.
+    pub sigma: f64,
+    /// Signal-to-noise ratio in decibel.
+    pub snr_db: f64,
+    /// Samples of a switching period.
+    pub per_period: f64,
+}
+
+impl ClippedSamples {
+    /// Returns `true` if only noise reaches the ends of the range, and what it loses there does not matter: with isolated samples,
+    /// the signal's crest is 1.3 deviations below the end, and n of N samples lose 2 n/N · 0.47 σ of the amplitude.
+    pub fn are_tails_of_noise(&self, x: &[f32], noise: &ChannelNoise) -> bool {
+        if noise.snr_db > TAILS_BELOW_DB || noise.per_period < LEAST_PER_PERIOD {
+            return false;
+        }
+        let at_end = |x: f32| f64::from(x.abs()) >= FULL_SCALE * self.level;
+        let clipped = x.iter().filter(|x| at_end(**x)).count() as f64;
+        let followed = x
+            .windows(2)
+            .filter(|x| at_end(x[0]) && at_end(x[1]))
+            .count() as f64;
+        let amplitude = std::f64::consts::SQRT_2 * noise.sigma * 10f64.powf(noise.snr_db / 20.0);
+        let lost = AT_CREST * 2.0 * clipped / x.len() as f64 * EXCESS * noise.sigma / amplitude;
+        followed < FOLLOWED * clipped && lost < TOLERABLE
+    }
 }
 
 /// Counts samples at the ends of the range: at `full_scale`, in the channel's unit, if it is known, else at levels where
@@ -170,6 +219,10 @@ pub(crate) fn level_step(x: &[f32]) -> Option<f64> {
 mod tests {
     use std::f64::consts::TAU;
 
+    use rand::{RngExt as _, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::StandardNormal;
+
     use super::*;
 
     /// A modulated sine of amplitude 1 in codes of `bits`, cut off at `rail`.
@@ -222,6 +275,29 @@ mod tests {
             let wave = |k: u32| (TAU * f64::from(k) / per_period).cos() as f32;
             let repeated: Vec<f32> = (0..100_000).map(wave).collect();
             assert_eq!(count_clipped(&repeated, None).samples, 0, "{per_period}");
+        }
+    }
+
+    #[test]
+    fn noise_that_reaches_the_ends_is_none_and_a_clipped_crest_in_noise_is() {
+        let noisy = |rail: f64| {
+            let mut rng = ChaCha8Rng::seed_from_u64(1);
+            let wave = |k: u32| (TAU * f64::from(k) / 40.3).sin();
+            let noise = move |_| -> f64 { 0.22 * rng.sample::<f64, _>(StandardNormal) };
+            let x = (0..200_000).map(wave).zip((0..).map(noise));
+            let x: Vec<f32> = x.map(|(x, n)| (x + n).clamp(-rail, rail) as f32).collect();
+            let clipped = count_clipped(&x, Some(rail));
+            assert!(clipped.samples > 100, "{rail}: {clipped:?}");
+            let noise = ChannelNoise {
+                sigma: 0.22,
+                snr_db: 10.0,
+                per_period: 40.3,
+            };
+            clipped.are_tails_of_noise(&x, &noise)
+        };
+        assert!(noisy(1.5));
+        for rail in [1.2, 1.0, 0.8] {
+            assert!(!noisy(rail), "{rail}");
         }
     }
 
