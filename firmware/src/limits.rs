@@ -186,6 +186,9 @@ limits! {
     BALANCE_HIGH_PERCENT: u32 = 7, "%";
     /// Up to so much R at a pot probe there is the coil alone, or metal that takes next to nothing: three times the winding's.
     BARE_COIL_MOHM: u32 = 3 * board::WINDING_MOHM, "mohm";
+    /// By so much coil voltage plus that of the resonance capacitor may differ from the bridge's at a pot probe with a load, where
+    /// the bus changes within the estimator's delay.
+    PROBE_BALANCE_PERCENT: u32 = 10, "%";
     /// By so much the bare coil's L may be above that of the board's file, and its voltage differ from the bridge's.
     BARE_COIL_PERCENT: u32 = 4, "%";
     /// By so much the power into the coil may differ from the DC link's, where a sensor is fitted.

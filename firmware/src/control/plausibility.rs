@@ -23,7 +23,7 @@ use crate::limits::{
     BALANCE_HIGH_PERCENT, BALANCE_LOW_PERCENT, BARE_COIL_MOHM, BARE_COIL_PERCENT,
     BUS_AT_CROSSING_PERCENT, BUS_MIN_DV, COMPARED_FROM_DV, CURRENT_OFFSET_MA, HALF_CYCLE_MAX_NS,
     HALF_CYCLE_MIN_NS, IMPLAUSIBLE_HALF_CYCLES, IRREGULAR_HALF_CYCLES, LINK_CAPACITANCE_MAX_NF,
-    POT_CURRENT_MIN_MA, POWER_BALANCE_PERCENT, VOLTAGE_OFFSET_DV,
+    POT_CURRENT_MIN_MA, POWER_BALANCE_PERCENT, PROBE_BALANCE_PERCENT, VOLTAGE_OFFSET_DV,
 };
 use crate::sampling::half_cycle::{HalfCycle, filter_loss_q16};
 use crate::sense::demodulator::amplitude_dv;
@@ -38,7 +38,7 @@ const POWER_FROM_MW: u32 = 200_000;
 #[derive(Clone, Debug, Default)]
 pub struct Plausibility {
     balance: ContradictionCount,
-    bare_coil: ContradictionCount,
+    probe: ContradictionCount,
     offset: ContradictionCount,
     gap: ContradictionCount,
     current: ContradictionCount,
@@ -107,16 +107,22 @@ impl Plausibility {
             .find_map(|(bad, fault)| bad.then_some(fault))
     }
 
-    /// Takes a pot probe; the fault that has lasted long enough. A probe with a load shows nothing.
+    /// Takes a pot probe; the fault that has lasted long enough.
     pub fn on_pot_probe(&mut self, summary: &HalfCycle) -> Option<Fault> {
-        let is_bare = summary.bus_peak_dv >= COMPARED_FROM_DV
-            && summary.i_crest_ma >= POT_CURRENT_MIN_MA
-            && i64::from(summary.r.0) <= 1_000 * i64::from(BARE_COIL_MOHM);
-        let most_ph = i64::from(BARE_COIL_NH) * i64::from(10 * (100 + BARE_COIL_PERCENT));
-        let bad = i64::from(summary.l.0) > most_ph
-            || !is_balanced(summary, BARE_COIL_PERCENT, BARE_COIL_PERCENT);
-        self.bare_coil
-            .push_if(is_bare, bad)
+        let flows =
+            summary.bus_peak_dv >= COMPARED_FROM_DV && summary.i_crest_ma >= POT_CURRENT_MIN_MA;
+        let is_bare = summary.r.0 <= 1_000 * BARE_COIL_MOHM as i32;
+        let bad = if is_bare {
+            let most_ph = BARE_COIL_NH * 10 * (100 + BARE_COIL_PERCENT);
+            i64::from(summary.l.0) > i64::from(most_ph)
+                || !is_balanced(summary, BARE_COIL_PERCENT, BARE_COIL_PERCENT)
+        } else {
+            !is_balanced(summary, PROBE_BALANCE_PERCENT, PROBE_BALANCE_PERCENT)
+        };
+        // A load that fits shows little of what the bare coil contradicts.
+        let shows = flows && (is_bare || bad);
+        self.probe
+            .push_if(shows, bad)
             .then_some(Fault::BRIDGE_BALANCE)
     }
 
@@ -298,10 +304,14 @@ mod tests {
         ] {
             let wrong = |load| fault_of_probe(seen(79_911.0, load, v, i, bus));
             assert_eq!(wrong(BARE), Some(Fault::BRIDGE_BALANCE), "{v} {i} {bus}");
-            // A load hides it, and is no fault.
+            // A load hides so little.
             assert_eq!(wrong(SMALL), None, "{v} {i} {bus}");
         }
-        // A capacitor of four fifths is none of a sensor.
+        for (v, bus) in [(0.8, 1.0), (1.0, 1.25)] {
+            let wrong = fault_of_probe(seen(79_911.0, POT, v, 1.0, bus));
+            assert_eq!(wrong, Some(Fault::BRIDGE_BALANCE), "{v} {bus}");
+        }
+        // A capacitor of four fifths moves the balance by 2 % there.
         let mut aged = seen(79_911.0, BARE, 1.0, 1.0, 1.0);
         aged.bus_at_crest_dv = (3_250.0 * (1.0 - 0.25 * 0.078)) as u16;
         assert_eq!(fault_of_probe(aged), None);
