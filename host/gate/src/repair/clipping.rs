@@ -1,4 +1,4 @@
-//! Samples at an end of a channel's range: the other channel and what is left of this one show what they were.
+//! Samples at an end of a channel's range: the other channel and what is left of this one say what they were.
 
 use std::borrow::Cow;
 
@@ -31,75 +31,22 @@ pub struct RestoredSamples {
     pub shares: [f64; 2],
 }
 
-/// Channel that clips.
-struct ClippedChannel {
-    channel: Channel,
-    samples: usize,
-    /// Magnitude of the end of its range, in its unit.
-    level: f64,
-}
-
-/// Restores the samples at the ends of the channels' ranges; `None` if none are there, or too little beside them. The second
-/// channel is restored by the first as that was restored, the first by the second as it is: what clipping takes of the second's
-/// amplitude is taken of every sample's model alike, and the fit to the samples that are there gives it back.
+/// Restores the samples at the ends of one channel's range; `None` if none are there, or too little beside them.
 pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<RestoredSamples> {
     let clipped = |f: &Finding| match f {
         Finding::Clipping {
             channel,
             samples,
             level,
-        } => Some(ClippedChannel {
-            channel: *channel,
-            samples: *samples,
-            level: *level,
-        }),
+        } => Some((*channel, *samples, *level)),
         _ => None,
     };
-    let all: Vec<_> = survey.findings.iter().filter_map(clipped).collect();
-    if all.is_empty() {
+    let mut all = survey.findings.iter().filter_map(clipped);
+    // If both clip, neither says what the other one was.
+    let ((channel, samples, level), None) = (all.next()?, all.next()) else {
         return None;
-    }
-    let mut whole = capture.clone();
-    let mut squares = [0.0; 2];
-    for one in &all {
-        let shares = restore(&mut whole, survey, one)?;
-        (0..2).for_each(|k| squares[k] += shares[k] * shares[k]);
-    }
-    let shares = squares.map(f64::sqrt);
-    let right = (0..2).all(|k| TOLERABLE_SIGMAS * 100.0 * shares[k] <= TOLERABLE_PCT[k]);
-    if !right {
-        return None;
-    }
-    *capture = whole;
-    let named = |one: &ClippedChannel| {
-        let (name, unit) = match one.channel {
-            Channel::Voltage => ("voltage", "V"),
-            Channel::Current => ("current", "A"),
-        };
-        format!(
-            "the {name} at {:.4} {unit}, {} samples",
-            one.level, one.samples
-        )
     };
-    let text = format!(
-        "clipped: {}; these samples were left out, and what they were follows from the other channel and the samples beside \
-         them, R to {:.2} % and L to {:.2} %; better use a larger range",
-        all.iter().map(named).collect::<Vec<_>>().join(", "),
-        100.0 * shares[0],
-        100.0 * shares[1]
-    );
-    let samples: usize = all.iter().map(|one| one.samples).sum();
-    let remark = Remark::new("clipping", Severity::Warning, text).with(samples as f64, None);
-    Some(RestoredSamples { remark, shares })
-}
-
-/// Restores one channel by the other; the deviations of R and L as shares by which it may be wrong. `None` if it cannot be told.
-fn restore(
-    capture: &mut Cow<'_, Capture>,
-    survey: &Survey,
-    clipped: &ClippedChannel,
-) -> Option<[f64; 2]> {
-    let is_voltage = clipped.channel == Channel::Voltage;
+    let is_voltage = channel == Channel::Voltage;
     let numbers = match is_voltage {
         true => [&survey.voltage, &survey.current],
         false => [&survey.current, &survey.voltage],
@@ -136,7 +83,11 @@ fn restore(
         let of_span = model.values().into_iter();
         values.extend(of_span.map(|(k, x)| (span.first + k, x)));
     }
-    if values.is_empty() {
+    let rms =
+        |k: usize| (errors.iter().map(|e| e[k] * e[k]).sum::<f64>() / errors.len() as f64).sqrt();
+    let shares = [rms(0), rms(1)];
+    let right = (0..2).all(|k| TOLERABLE_SIGMAS * 100.0 * shares[k] <= TOLERABLE_PCT[k]);
+    if values.is_empty() || !right {
         return None;
     }
     let capture = capture.to_mut();
@@ -149,7 +100,16 @@ fn restore(
     }
     // Values beyond the range are no clipping any more.
     *full_scale = None;
-    let rms =
-        |k: usize| (errors.iter().map(|e| e[k] * e[k]).sum::<f64>() / errors.len() as f64).sqrt();
-    Some([rms(0), rms(1)])
+    let (name, unit, other) = match is_voltage {
+        true => ("voltage", "V", "current"),
+        false => ("current", "A", "voltage"),
+    };
+    let text = format!(
+        "the {name} was clipped at {level:.4} {unit}, {samples} samples: they were left out, and what they were follows from \
+         the {other} and the samples beside them, R to {:.2} % and L to {:.2} %; better use a larger range",
+        100.0 * shares[0],
+        100.0 * shares[1]
+    );
+    let remark = Remark::new("clipping", Severity::Warning, text).with(samples as f64, None);
+    Some(RestoredSamples { remark, shares })
 }
