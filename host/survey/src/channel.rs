@@ -5,7 +5,7 @@ use ihd_signal::vectorised::vectorised;
 use serde::Serialize;
 
 use super::carrier::Piece;
-use super::clipping::{self, ChannelNoise, ClippedSamples};
+use super::clipping::{self, ClippedSamples};
 use super::finding::{Channel, Finding};
 use super::track::Track;
 
@@ -79,22 +79,17 @@ pub(super) fn survey(
     out.rms = variance.sqrt();
     let clipped = clipping::count_clipped(x, full_scale);
     out.clipped = clipped.samples;
+    let per_period = |p: &Piece| 1.0 / (p.f_hz * p.run.dt_s);
     let longest = pieces.iter().max_by_key(|p| p.run.samples.len());
-    out.noise = longest.and_then(|p| {
-        let per_period = 1.0 / (p.f_hz * p.run.dt_s);
-        ihd_signal::noise::deviation(&x[p.run.samples.clone()], per_period)
-    });
+    out.noise = longest
+        .and_then(|p| ihd_signal::noise::deviation(&x[p.run.samples.clone()], per_period(p)));
     let signal =
         |sigma: f64| 10.0 * ((variance - sigma * sigma).max(0.0) / (sigma * sigma)).log10();
     let measured = out.noise.filter(|s| *s > 0.0).map(signal);
     out.snr_db = measured.filter(|db| db.is_finite());
-    let noise = longest.zip(out.noise.zip(out.snr_db));
-    let noise = noise.map(|(piece, (sigma, snr_db))| ChannelNoise {
-        sigma,
-        snr_db,
-        per_period: 1.0 / (piece.f_hz * piece.run.dt_s),
-    });
-    let are_tails = noise.is_some_and(|noise| clipped.are_tails_of_noise(x, &noise));
+    let are_tails = longest
+        .zip(out.snr_db)
+        .is_some_and(|(piece, snr_db)| clipped.are_tails_of_noise(x, snr_db, per_period(piece)));
     if is_dead(which, tracks, variance) {
         findings.push(Finding::Dead { channel: which });
     } else {

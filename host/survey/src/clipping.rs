@@ -50,22 +50,12 @@ pub struct ClippedSamples {
     pub level: f64,
 }
 
-/// Noise of a channel.
-#[derive(Clone, Copy, Debug)]
-pub struct ChannelNoise {
-    /// Standard deviation, in the channel's unit.
-    pub sigma: f64,
-    /// Signal-to-noise ratio in decibel.
-    pub snr_db: f64,
-    /// Samples of a switching period.
-    pub per_period: f64,
-}
-
 impl ClippedSamples {
     /// Returns `true` if only noise reaches the ends of the range, and what it loses there does not matter: with isolated samples,
-    /// the signal's crest is 1.3 deviations below the end, and n of N samples lose 2 n/N · 0.47 σ of the amplitude.
-    pub fn are_tails_of_noise(&self, x: &[f32], noise: &ChannelNoise) -> bool {
-        if noise.snr_db > TAILS_BELOW_DB || noise.per_period < LEAST_PER_PERIOD {
+    /// the signal's crest is 1.3 deviations below the end, and n of N samples lose 2 n/N · 0.47 σ of the amplitude. `snr_db` is the
+    /// channel's, `per_period` the samples of a switching period.
+    pub fn are_tails_of_noise(&self, x: &[f32], snr_db: f64, per_period: f64) -> bool {
+        if self.samples == 0 || snr_db > TAILS_BELOW_DB || per_period < LEAST_PER_PERIOD {
             return false;
         }
         let at_end = |x: f32| f64::from(x.abs()) >= FULL_SCALE * self.level;
@@ -74,8 +64,9 @@ impl ClippedSamples {
             .windows(2)
             .filter(|x| at_end(x[0]) && at_end(x[1]))
             .count() as f64;
-        let amplitude = std::f64::consts::SQRT_2 * noise.sigma * 10f64.powf(noise.snr_db / 20.0);
-        let lost = AT_CREST * 2.0 * clipped / x.len() as f64 * EXCESS * noise.sigma / amplitude;
+        // The amplitude in deviations: √2 of the signal's rms.
+        let amplitude = std::f64::consts::SQRT_2 * 10f64.powf(snr_db / 20.0);
+        let lost = AT_CREST * 2.0 * clipped / x.len() as f64 * EXCESS / amplitude;
         followed < FOLLOWED * clipped && lost < TOLERABLE
     }
 }
@@ -288,12 +279,7 @@ mod tests {
             let x: Vec<f32> = x.map(|(x, n)| (x + n).clamp(-rail, rail) as f32).collect();
             let clipped = count_clipped(&x, Some(rail));
             assert!(clipped.samples > 100, "{rail}: {clipped:?}");
-            let noise = ChannelNoise {
-                sigma: 0.22,
-                snr_db: 10.0,
-                per_period: 40.3,
-            };
-            clipped.are_tails_of_noise(&x, &noise)
+            clipped.are_tails_of_noise(&x, 10.0, 40.3)
         };
         assert!(noisy(1.5));
         for rail in [1.2, 1.0, 0.8] {
