@@ -147,13 +147,17 @@ fn a_debian_package_puts_each_file_where_debian_looks_for_it() {
     assert!(pack(folder.path()).status.success());
     let out = folder.path().join("out");
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../packaging/deb");
-    let mut command = Command::new(script);
-    command
-        .arg(out.join("ihd-v1-here.tar.gz"))
-        .arg("1.2.3")
-        .arg(&out);
-    let made = command.output().unwrap();
-    assert!(made.status.success(), "{made:?}");
+    let make = |archive: &str| {
+        let mut command = Command::new(&script);
+        let made = command.arg(out.join(archive)).arg("1.2.3").arg(&out);
+        let made = made.output().unwrap();
+        assert!(made.status.success(), "{made:?}");
+    };
+    let cross_built = "ihd-v1-aarch64-unknown-linux-musl.tar.gz";
+    fs::copy(out.join("ihd-v1-here.tar.gz"), out.join(cross_built)).unwrap();
+    make(cross_built);
+    fs::remove_file(out.join("ihd_1.2.3_arm64.deb")).unwrap();
+    make("ihd-v1-here.tar.gz");
     let all = fs::read_dir(&out)
         .unwrap()
         .flatten()

@@ -71,8 +71,9 @@ pub const STEPS: &[Step] = &[
     Step { name: "lints", about: "Clippy on benchmarks and examples too", tier: Tier::Full, run: |on| on.whole("clippy", "--all-targets -- -D warnings") },
     Step { name: "docs", about: "rustdoc without broken links, its examples, the documents' book", tier: Tier::Full, run: TestSession::docs },
     Step { name: "hostile", about: "every capture that may fool the identification", tier: Tier::Full, run: TestSession::hostile },
-    Step { name: "dist", about: "a release's package, installed in a clean Debian and removed", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_out(&on.workspace, "debootstrap", "packaging/try-deb")) },
-    Step { name: "windows", about: "a release's installer for Windows, used under Wine and removed", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_out(&on.workspace, "wine", "packaging/windows/try")) },
+    Step { name: "dist", about: "a release's package, installed in a clean Debian and removed", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_out(&on.workspace, &[["debootstrap"; 2]], "packaging/try-deb")) },
+    Step { name: "windows", about: "a release's installer for Windows, used under Wine and removed", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_out(&on.workspace, &[["wine"; 2]], "packaging/windows/try")) },
+    Step { name: "aarch64", about: "a release's program and wheel for Linux on aarch64, used under QEMU", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_out(&on.workspace, &[["debootstrap"; 2], ["qemu-aarch64-static", "qemu-user-static"]], "packaging/aarch64/try")) },
     Step { name: "fuzz", about: "coverage-guided fuzzing of each target", tier: Tier::Full, run: |on| fuzz::fuzz(&on.workspace, None, FUZZ_SECONDS) },
 ];
 
