@@ -4,60 +4,28 @@ use ihd_shared::fault::{Fault, RestartClass};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{Limit, OffReason, Pot, State};
 
+use crate::control::controller::state::ControlState;
 use crate::control::cooking_times::CookingTimes;
-use crate::control::heating::{Heating, HeatingStep};
+use crate::control::heating::HeatingStep;
 use crate::control::panel::PanelState;
 use crate::control::parts::ControlParts;
 use crate::control::plausibility::Plausibility;
-use crate::control::pot::classify;
-use crate::control::request::{PanelEvent, PanelResult, PowerRequest};
+use crate::control::request::PowerRequest;
 use crate::control::restart::{RestartPolicy, RestartVerdict};
 use crate::control::status::{Action, SamplingStatus};
-use crate::control::temperature::{TemperatureCodes, Temperatures};
-use crate::control::waiting::Waiting;
+use crate::control::temperature::Temperatures;
 use crate::drive::bridge::Drive;
-use crate::drive::pwm;
-use crate::limits::{
-    BUS_MIN_DV, BUS_TRIP_DV, COMPARED_FROM_DV, GIVE_UP_MS, HALF_CYCLE_MAX_NS, HALF_CYCLE_MIN_NS,
-    POT_CURRENT_MIN_MA, RESUME_ABOVE_PERCENT, UNJUDGED_MS,
-};
+use crate::limits::{BUS_MIN_DV, BUS_TRIP_DV, GIVE_UP_MS, RESUME_ABOVE_PERCENT};
 use crate::retained::control::RetainedControl;
 use crate::sampling::half_cycle::HalfCycle;
-use crate::sense::supply::{Reference, SupplyScale};
+use crate::sense::supply::SupplyScale;
+
+mod probing;
+mod requests;
+mod state;
 
 /// Half-cycles of a mains that is as it must be before a pause for its sake ends.
 const GOOD_HALF_CYCLES: u8 = 3;
-
-/// Probes in a row without any current that are a fault: even an empty coil carries 5 A.
-const DARK_PROBES: u8 = 2;
-
-/// A state with what it alone needs.
-#[derive(Clone, Debug)]
-enum ControlState {
-    Idle,
-    Probing {
-        /// Start of the probe, in milliseconds.
-        judged_ms: u32,
-    },
-    Heating(Heating),
-    WaitingForPot(Waiting),
-    Pausing,
-    LockedOut,
-}
-
-impl ControlState {
-    /// The state as telemetry names it.
-    fn wire(&self) -> State {
-        match self {
-            Self::Idle => State::Idle,
-            Self::Probing { .. } => State::Probing,
-            Self::Heating(_) => State::Heating,
-            Self::WaitingForPot(_) => State::WaitingForPot,
-            Self::Pausing => State::Pausing,
-            Self::LockedOut => State::LockedOut,
-        }
-    }
-}
 
 /// State machine, requests, and everything that outlives a state.
 #[derive(Clone, Debug)]
@@ -192,134 +160,6 @@ impl Control {
     }
 }
 
-/// Requests of panel and host.
-impl Control {
-    /// Sets the longest wait for a pot, in seconds.
-    pub fn set_give_up_s(&mut self, give_up_s: u16) {
-        self.give_up_ms = u32::from(give_up_s) * 1_000;
-    }
-
-    /// Takes a reading of the chip's reference voltage.
-    pub fn set_reference(&mut self, reference: Reference) {
-        self.parts.supply.update(reference);
-    }
-
-    /// Takes the codes of the temperature sensors.
-    pub fn set_temperatures(&mut self, codes: TemperatureCodes) {
-        self.parts.temperatures.update(codes);
-        self.parts.pot_heat.take(self.parts.temperatures.glass());
-    }
-
-    /// Takes a touch of the panel.
-    pub fn panel(&mut self, event: PanelEvent) -> Action {
-        let result = self.parts.request.panel(event);
-        if result != PanelResult::Nothing {
-            self.parts.times.unattended.touched();
-            self.off_reason = OffReason::None;
-        }
-        match result {
-            PanelResult::Timer(minutes) => {
-                self.parts.times.timer.set(minutes);
-                Action::Keep
-            }
-            PanelResult::SwitchedOn if self.parts.restart.is_locked_out() => {
-                self.parts.restart.forgive();
-                self.plausibility.reset();
-                self.leave_fault()
-            }
-            _ => self.follow_request(),
-        }
-    }
-
-    /// Takes a host's request, at most [`ihd_shared::hob::RATED_POWER_W`]; `None` if the panel is off.
-    pub fn host(&mut self, power_w: u16) -> Option<Action> {
-        let accepted = self.parts.request.host(power_w);
-        accepted.then(|| self.follow_request())
-    }
-
-    /// Ends the host's request.
-    pub fn host_lost(&mut self) -> Action {
-        self.parts.request.host_lost();
-        self.follow_request()
-    }
-
-    /// Switches off, for a reason of the hob's own.
-    pub fn switch_off(&mut self) -> Action {
-        self.parts.request.switch_off();
-        self.follow_request()
-    }
-
-    /// Lets minutes pass at once for the times of cooking, on a simulated hob.
-    pub fn pass_minutes(&mut self, minutes: u16) -> Action {
-        for _ in 0..minutes {
-            match self.count_time(60) {
-                Action::Keep => {}
-                action => return action,
-            }
-        }
-        Action::Keep
-    }
-
-    /// Counts the times of cooking, and switches off at the end of one.
-    #[inline(never)]
-    fn count_time(&mut self, elapsed_s: u32) -> Action {
-        let asked_w = self.parts.request.power_w();
-        let heats = matches!(self.state, ControlState::Heating(_));
-        match self.parts.times.count(asked_w, heats, elapsed_s) {
-            OffReason::None => {
-                if self.parts.times.boost.is_over() {
-                    self.parts.request.end_boost();
-                }
-                Action::Keep
-            }
-            reason => {
-                self.off_reason = reason;
-                self.parts.request.switch_off_at_panel();
-                self.follow_request()
-            }
-        }
-    }
-
-    /// Clears the active fault for the host; power must be requested again. A lock-out stays, and
-    /// no pause becomes shorter.
-    pub fn clear_fault(&mut self) -> Action {
-        let off = self.switch_off();
-        if matches!(self.state, ControlState::Pausing) {
-            self.leave_fault()
-        } else {
-            off
-        }
-    }
-
-    fn leave_fault(&mut self) -> Action {
-        self.enter(ControlState::Idle);
-        // One that stands, or comes again at once, counts anew.
-        self.seen_fault = Fault::NONE;
-        Action::ClearFault
-    }
-
-    fn follow_request(&mut self) -> Action {
-        let asked_w = self.parts.request.power_w();
-        match &mut self.state {
-            ControlState::Idle | ControlState::Pausing | ControlState::LockedOut => Action::Keep,
-            // At the crest the line's current would charge the DC link.
-            ControlState::Heating(_) if asked_w == 0 => {
-                self.enter(ControlState::Idle);
-                Action::OffAtCrossing
-            }
-            _ if asked_w == 0 => {
-                self.enter(ControlState::Idle);
-                Action::Drive(Drive::OFF)
-            }
-            ControlState::Heating(heating) => {
-                heating.follow_request(&mut self.parts);
-                Action::Keep
-            }
-            ControlState::Probing { .. } | ControlState::WaitingForPot(_) => Action::Keep,
-        }
-    }
-}
-
 /// Half-cycles, and the search for a frequency between them.
 impl Control {
     /// Takes a half-cycle, or a pot probe.
@@ -328,9 +168,8 @@ impl Control {
         if summary.is_pot_probe {
             return self.judge(summary, status);
         }
-        let in_time = (HALF_CYCLE_MIN_NS..=HALF_CYCLE_MAX_NS).contains(&summary.duration_ns);
         let in_range = (BUS_MIN_DV..BUS_TRIP_DV).contains(&summary.bus_peak_dv);
-        self.good_half_cycles = if in_time && in_range {
+        self.good_half_cycles = if summary.is_in_time() && in_range {
             self.good_half_cycles.saturating_add(1)
         } else {
             0
@@ -354,34 +193,6 @@ impl Control {
         }
     }
 
-    /// Judges a pot probe.
-    fn judge(&mut self, summary: &HalfCycle, status: &SamplingStatus) -> Action {
-        if !matches!(
-            self.state,
-            ControlState::Probing { .. } | ControlState::WaitingForPot(_)
-        ) {
-            return Action::Keep;
-        }
-        let dark =
-            summary.i_crest_ma < POT_CURRENT_MIN_MA && summary.bus_peak_dv >= COMPARED_FROM_DV;
-        self.dark_probes = if dark { self.dark_probes + 1 } else { 0 };
-        if self.dark_probes >= DARK_PROBES {
-            self.dark_probes = 0;
-            return Action::Fault(Fault::NO_COIL_CURRENT);
-        }
-        if let Some(fault) = self.plausibility.on_pot_probe(summary) {
-            return Action::Fault(fault);
-        }
-        match classify(summary, self.parts.pot) {
-            pot @ (Pot::Ferromagnetic | Pot::Small) => {
-                self.parts.pot = pot;
-                self.enter(ControlState::Heating(Heating::new(status.now_ms)));
-                Action::Drive(Drive::switching(pwm::HIGHEST_HZ))
-            }
-            pot => self.lose_pot(pot, status),
-        }
-    }
-
     /// Takes a step of the search for a frequency, after each block: at most
     /// [`crate::control::power::INSTRUCTIONS_PER_STEP`].
     #[inline(never)]
@@ -396,7 +207,7 @@ impl Control {
     }
 }
 
-/// Faults, pauses and probes, after each block.
+/// Faults, pauses and times, after each block.
 impl Control {
     /// Takes a step after each block.
     #[inline(never)]
@@ -450,6 +261,7 @@ impl Control {
         }
     }
 
+    /// Reacts to a fault that has tripped: a pause, or a lock-out.
     fn tripped(&mut self, status: &SamplingStatus) {
         self.good_half_cycles = 0;
         self.plausibility.reset();
@@ -483,72 +295,15 @@ impl Control {
         self.leave_fault()
     }
 
-    /// Starts for a request, if a start is permitted.
-    fn start(&mut self, status: &SamplingStatus) -> Action {
-        if status.replaying
-            || status.fault != Fault::NONE
-            || !self.parts.restart.permits(status.now_ms)
-        {
-            return Action::Keep;
-        }
-        if !core::mem::take(&mut self.resumes) {
-            self.parts.power.restart();
-        }
-        self.enter(ControlState::Probing {
-            judged_ms: status.now_ms,
-        });
-        self.probe(status)
+    /// Leaves the safe state; power that is requested starts anew.
+    fn leave_fault(&mut self) -> Action {
+        self.enter(ControlState::Idle);
+        // One that stands, or comes again at once, counts anew.
+        self.seen_fault = Fault::NONE;
+        Action::ClearFault
     }
 
-    /// Begins a pot probe.
-    fn probe(&mut self, status: &SamplingStatus) -> Action {
-        self.parts.restart.started(status.now_ms);
-        if let Some(judged_ms) = self.judged_ms() {
-            *judged_ms = status.now_ms;
-        }
-        Action::ProbePot
-    }
-
-    /// Opens a bridge in time that switches without a pot that was judged, whatever the reason.
-    fn watch_judgement(&mut self, status: &SamplingStatus) -> Action {
-        let Some(judged_ms) = self.judged_ms() else {
-            return Action::Keep;
-        };
-        if !status.switching {
-            // It charges the bootstrap capacitor, or waits for the mains.
-            *judged_ms = status.now_ms;
-        } else if status.now_ms.wrapping_sub(*judged_ms) >= UNJUDGED_MS - 1 {
-            return self.lose_pot(Pot::Unknown, status);
-        }
-        Action::Keep
-    }
-
-    /// Time at which a pot was judged last, or the bridge began to probe for one.
-    fn judged_ms(&mut self) -> Option<&mut u32> {
-        match &mut self.state {
-            ControlState::Probing { judged_ms } => Some(judged_ms),
-            ControlState::Heating(heating) => Some(heating.judged_ms()),
-            ControlState::WaitingForPot(waiting) => Some(waiting.judged_ms()),
-            ControlState::Idle | ControlState::Pausing | ControlState::LockedOut => None,
-        }
-    }
-
-    /// Switches off without a pot to heat, and schedules the next probe.
-    #[inline(never)]
-    fn lose_pot(&mut self, pot: Pot, status: &SamplingStatus) -> Action {
-        if !matches!(self.state, ControlState::WaitingForPot(_)) {
-            let may_return = matches!(self.state, ControlState::Heating(_));
-            self.parts.power.pause(self.parts.heated_hz);
-            let waiting = Waiting::new(status.now_ms, may_return);
-            self.enter(ControlState::WaitingForPot(waiting));
-        }
-        if let ControlState::WaitingForPot(waiting) = &mut self.state {
-            waiting.schedule_probe(status.now_ms);
-        }
-        self.parts.pot = pot;
-        Action::Drive(Drive::OFF)
-    }
-
+    /// Changes the state, with what any change ends.
     #[inline(never)]
     fn enter(&mut self, state: ControlState) {
         if !matches!(state, ControlState::Heating(_)) {

@@ -21,9 +21,9 @@ use crate::estimate::tank::TankAt;
 use crate::fixed::Complex;
 use crate::limits::{
     BALANCE_HIGH_PERCENT, BALANCE_LOW_PERCENT, BARE_COIL_MOHM, BARE_COIL_PERCENT,
-    BUS_AT_CROSSING_PERCENT, BUS_MIN_DV, COMPARED_FROM_DV, CURRENT_OFFSET_MA, HALF_CYCLE_MAX_NS,
-    HALF_CYCLE_MIN_NS, IMPLAUSIBLE_HALF_CYCLES, IRREGULAR_HALF_CYCLES, LINK_CAPACITANCE_MAX_NF,
-    POT_CURRENT_MIN_MA, POWER_BALANCE_PERCENT, PROBE_BALANCE_PERCENT, VOLTAGE_OFFSET_DV,
+    BUS_AT_CROSSING_PERCENT, BUS_MIN_DV, CURRENT_OFFSET_MA, IMPLAUSIBLE_HALF_CYCLES,
+    IRREGULAR_HALF_CYCLES, LINK_CAPACITANCE_MAX_NF, POWER_BALANCE_PERCENT, PROBE_BALANCE_PERCENT,
+    VOLTAGE_OFFSET_DV,
 };
 use crate::sampling::half_cycle::{HalfCycle, filter_loss_q16};
 use crate::sense::demodulator::amplitude_dv;
@@ -71,8 +71,8 @@ impl Plausibility {
     pub fn on_half_cycle(&mut self, summary: &HalfCycle) -> Option<Fault> {
         let steady = summary.f_sw_hz > 0 && !summary.disturbed;
         // Without current the soft limits disturb every half-cycle.
-        let on_bus = summary.f_sw_hz > 0 && summary.bus_peak_dv >= COMPARED_FROM_DV;
-        let flows = summary.i_crest_ma >= POT_CURRENT_MIN_MA;
+        let on_bus = summary.f_sw_hz > 0 && summary.is_comparable();
+        let flows = summary.has_coil_current();
         let seen = steady && on_bus && flows;
         // More than any offset that is none yet.
         let swings = summary.f_sw_hz > 0 && summary.i_crest_ma >= 2 * CURRENT_OFFSET_MA;
@@ -109,8 +109,7 @@ impl Plausibility {
 
     /// Takes a pot probe; the fault that has lasted long enough.
     pub fn on_pot_probe(&mut self, summary: &HalfCycle) -> Option<Fault> {
-        let flows =
-            summary.bus_peak_dv >= COMPARED_FROM_DV && summary.i_crest_ma >= POT_CURRENT_MIN_MA;
+        let flows = summary.is_comparable() && summary.has_coil_current();
         let is_bare = summary.r.0 <= 1_000 * BARE_COIL_MOHM as i32;
         let bad = if is_bare {
             let most_ph = BARE_COIL_NH * 10 * (100 + BARE_COIL_PERCENT);
@@ -132,13 +131,12 @@ impl Plausibility {
     }
 
     fn is_irregular(&mut self, summary: &HalfCycle) -> bool {
-        let in_time = (HALF_CYCLE_MIN_NS..=HALF_CYCLE_MAX_NS).contains(&summary.duration_ns);
         // A link that little discharges stays up, so only a bridge that carries power shows its zero.
         let limit_dv = u32::from(summary.bus_peak_dv) * BUS_AT_CROSSING_PERCENT / 100;
         let in_place = summary.f_sw_hz == 0
             || !discharges_link(summary)
             || u32::from(summary.bus_at_crossing_dv) <= limit_dv.max(BENCH_BUS_DV);
-        self.irregular = self.irregular << 1 | u8::from(!(in_time && in_place));
+        self.irregular = self.irregular << 1 | u8::from(!(summary.is_in_time() && in_place));
         self.irregular.count_ones() >= IRREGULAR_HALF_CYCLES
     }
 }

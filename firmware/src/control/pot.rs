@@ -19,7 +19,7 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::messages::Pot;
 
-use crate::limits::{BUS_MIN_DV, POT_CURRENT_MIN_MA};
+use crate::limits::BUS_MIN_DV;
 use crate::sampling::half_cycle::HalfCycle;
 
 /// R and L of a full-size pot before any was measured.
@@ -54,10 +54,7 @@ const STILL_POT_R_AND_L_PERCENT: i64 = 120;
 /// Judges the pot by a half-cycle; `before` is the pot that was judged before. [`Pot::Unknown`] if current or mains is too
 /// low.
 pub fn classify(summary: &HalfCycle, before: Pot) -> Pot {
-    if summary.f_sw_hz == 0
-        || summary.i_crest_ma < POT_CURRENT_MIN_MA
-        || summary.bus_peak_dv < BUS_MIN_DV
-    {
+    if summary.f_sw_hz == 0 || !summary.has_coil_current() || summary.bus_peak_dv < BUS_MIN_DV {
         return Pot::Unknown;
     }
     let (r, l) = PRIOR.interpolate(summary.f_sw_hz, summary.i_crest_ma);

@@ -8,6 +8,7 @@ use ihd_shared::wire::messages::Limit;
 
 use crate::estimate::ekf::Ekf;
 use crate::fixed::Complex;
+use crate::limits::{COMPARED_FROM_DV, HALF_CYCLE_MAX_NS, HALF_CYCLE_MIN_NS, POT_CURRENT_MIN_MA};
 use crate::protect::soft_limit::SoftLimitCheck;
 use crate::sense::correlation::BlockSums;
 use crate::sense::demodulator::{Phasors, amplitude_ma};
@@ -102,6 +103,21 @@ impl HalfCycle {
         i_gap: false,
         dc_link_mw: None,
     };
+
+    /// Returns `true` if it lasted as long as a mains' half-cycle does.
+    pub fn is_in_time(&self) -> bool {
+        (HALF_CYCLE_MIN_NS..=HALF_CYCLE_MAX_NS).contains(&self.duration_ns)
+    }
+
+    /// Returns `true` if the bus was high enough to compare readings with each other.
+    pub fn is_comparable(&self) -> bool {
+        self.bus_peak_dv >= COMPARED_FROM_DV
+    }
+
+    /// Returns `true` if the coil carried enough current to judge a load by.
+    pub fn has_coil_current(&self) -> bool {
+        self.i_crest_ma >= POT_CURRENT_MIN_MA
+    }
 
     /// Amplitude of the coil voltage's fundamental at the crest, in decivolt.
     pub fn v_crest_dv(&self) -> u32 {

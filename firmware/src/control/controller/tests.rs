@@ -1,4 +1,6 @@
 use super::*;
+use crate::control::request::PanelEvent;
+use crate::drive::pwm;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use std::boxed::Box;

@@ -1,0 +1,103 @@
+//! Search for a pot: probes, their judgement, and the time that a bridge may switch without one.
+
+use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::Pot;
+
+use crate::control::controller::Control;
+use crate::control::controller::state::ControlState;
+use crate::control::heating::Heating;
+use crate::control::pot::classify;
+use crate::control::status::{Action, SamplingStatus};
+use crate::control::waiting::Waiting;
+use crate::drive::bridge::Drive;
+use crate::drive::pwm;
+use crate::limits::UNJUDGED_MS;
+use crate::sampling::half_cycle::HalfCycle;
+
+/// Probes in a row without any current that are a fault: even an empty coil carries 5 A.
+const DARK_PROBES: u8 = 2;
+
+impl Control {
+    /// Starts for a request, if a start is permitted.
+    pub(super) fn start(&mut self, status: &SamplingStatus) -> Action {
+        if status.replaying
+            || status.fault != Fault::NONE
+            || !self.parts.restart.permits(status.now_ms)
+        {
+            return Action::Keep;
+        }
+        if !core::mem::take(&mut self.resumes) {
+            self.parts.power.restart();
+        }
+        self.enter(ControlState::Probing {
+            judged_ms: status.now_ms,
+        });
+        self.probe(status)
+    }
+
+    /// Begins a pot probe.
+    pub(super) fn probe(&mut self, status: &SamplingStatus) -> Action {
+        self.parts.restart.started(status.now_ms);
+        if let Some(judged_ms) = self.state.judged_ms() {
+            *judged_ms = status.now_ms;
+        }
+        Action::ProbePot
+    }
+
+    /// Judges a pot probe.
+    pub(super) fn judge(&mut self, summary: &HalfCycle, status: &SamplingStatus) -> Action {
+        if !matches!(
+            self.state,
+            ControlState::Probing { .. } | ControlState::WaitingForPot(_)
+        ) {
+            return Action::Keep;
+        }
+        let dark = summary.is_comparable() && !summary.has_coil_current();
+        self.dark_probes = if dark { self.dark_probes + 1 } else { 0 };
+        if self.dark_probes >= DARK_PROBES {
+            self.dark_probes = 0;
+            return Action::Fault(Fault::NO_COIL_CURRENT);
+        }
+        if let Some(fault) = self.plausibility.on_pot_probe(summary) {
+            return Action::Fault(fault);
+        }
+        match classify(summary, self.parts.pot) {
+            pot @ (Pot::Ferromagnetic | Pot::Small) => {
+                self.parts.pot = pot;
+                self.enter(ControlState::Heating(Heating::new(status.now_ms)));
+                Action::Drive(Drive::switching(pwm::HIGHEST_HZ))
+            }
+            pot => self.lose_pot(pot, status),
+        }
+    }
+
+    /// Opens a bridge in time that switches without a pot that was judged, whatever the reason.
+    pub(super) fn watch_judgement(&mut self, status: &SamplingStatus) -> Action {
+        let Some(judged_ms) = self.state.judged_ms() else {
+            return Action::Keep;
+        };
+        if !status.switching {
+            // It charges the bootstrap capacitor, or waits for the mains.
+            *judged_ms = status.now_ms;
+        } else if status.now_ms.wrapping_sub(*judged_ms) >= UNJUDGED_MS - 1 {
+            return self.lose_pot(Pot::Unknown, status);
+        }
+        Action::Keep
+    }
+
+    /// Switches off without a pot to heat, and schedules the next probe.
+    #[inline(never)]
+    pub(super) fn lose_pot(&mut self, pot: Pot, status: &SamplingStatus) -> Action {
+        if !matches!(self.state, ControlState::WaitingForPot(_)) {
+            let may_return = matches!(self.state, ControlState::Heating(_));
+            self.parts.power.pause(self.parts.heated_hz);
+            let waiting = Waiting::new(status.now_ms, may_return);
+            self.enter(ControlState::WaitingForPot(waiting));
+        }
+        if let ControlState::WaitingForPot(waiting) = &mut self.state {
+            waiting.schedule_probe(status.now_ms);
+        }
+        self.parts.pot = pot;
+        Action::Drive(Drive::OFF)
+    }
+}
