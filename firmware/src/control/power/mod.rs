@@ -20,20 +20,19 @@
 pub mod bounds;
 pub mod memory;
 pub mod prediction;
+mod search;
 
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::Limit;
 
 use crate::drive::pwm;
-use crate::estimate::tank::Tank;
-use crate::limits::{
-    DEAD_BAND_PERCENT, RESONANCE_MARGIN_PERCENT, STEP_DOWN_HZ, STEP_UP_HZ, TAUGHT_STEP_DOWN_HZ,
-};
+use crate::limits::{STEP_DOWN_HZ, STEP_UP_HZ, TAUGHT_STEP_DOWN_HZ};
 use crate::sampling::half_cycle::HalfCycle;
 use bounds::Bounds;
 use memory::OperatingMemory;
 use prediction::predict;
+use search::{Search, grid_step_hz};
 
 /// Range of the learnt factor, in 1/1024: 0.4 to 2.5.
 const FACTOR_Q10: core::ops::RangeInclusive<u64> = 410..=2_560;
@@ -47,17 +46,6 @@ pub const INSTRUCTIONS_PER_STEP: u32 = 20_000;
 /// Steps of one search, at most: one to learn the factor, then the widest bracket, 30 kHz, is halved
 /// until it is no wider than the grid is at 34 kHz.
 pub const STEPS_PER_SEARCH: u32 = 11;
-
-/// The smallest step for a measured error, in hertz: above resonance P ∝ f^−2 to f^−6, so a
-/// sixth of the relative error never overshoots.
-fn trim_hz(f_sw_hz: u32, error_mw: u64, asked_mw: u64) -> u32 {
-    let trim = u64::from(f_sw_hz) * error_mw / (6 * asked_mw.max(1));
-    trim.min(u64::from(TAUGHT_STEP_DOWN_HZ)) as u32
-}
-
-/// The largest step, in smallest ones: half of the relative error, for P ∝ f^−2. What the lookup
-/// solves for counts between the two.
-const MAX_OF_TRIM: u32 = 3;
 
 /// Power control's memory, and the search that is under way.
 #[derive(Clone, Debug)]
@@ -80,18 +68,6 @@ impl Default for PowerControl {
             search: None,
         }
     }
-}
-
-/// A frequency being searched for a half-cycle.
-#[derive(Clone, Copy, Debug)]
-struct Search {
-    summary: HalfCycle,
-    asked_mw: u64,
-    bounds: Bounds,
-    /// Between these two lies the frequency, in hertz; `None` until the factor is learnt.
-    bracket_hz: Option<(u32, u32)>,
-    /// Limit that forbade a lower frequency.
-    refused: Limit,
 }
 
 impl PowerControl {
@@ -233,252 +209,5 @@ impl PowerControl {
     }
 }
 
-/// Distance of two frequencies of the grid, f²/22.3 MHz, in hertz.
-fn grid_step_hz(f_sw_hz: u32) -> u32 {
-    (f_sw_hz >> 10) * (f_sw_hz >> 10) / 21
-}
-
-impl Search {
-    fn now_hz(&self) -> u32 {
-        self.summary.f_sw_hz.clamp(F_SW_MIN_HZ, F_SW_MAX_HZ)
-    }
-
-    fn error_mw(&self) -> i64 {
-        i64::from(self.summary.power_mw) - self.asked_mw as i64
-    }
-
-    fn is_within_dead_band(&self) -> bool {
-        self.error_mw().unsigned_abs() * 100 <= self.asked_mw * u64::from(DEAD_BAND_PERCENT)
-    }
-
-    /// Lowest and highest frequency by the measured power; both alike where it alone decides.
-    fn by_measurement(&self, step_down_hz: u32) -> (u32, u32) {
-        let (summary, asked_mw) = (&self.summary, self.asked_mw);
-        let now = self.now_hz();
-        let measured = Tank::new(now, summary.r, summary.l);
-        let error = self.error_mw();
-        let trim = trim_hz(now, error.unsigned_abs(), asked_mw);
-        let most = MAX_OF_TRIM * trim;
-        if summary.i_crest_ma > 0 && !measured.is_above_resonance(RESONANCE_MARGIN_PERCENT / 2) {
-            // The load is not the lookup's: leave resonance first.
-            (now + STEP_UP_HZ, now + STEP_UP_HZ)
-        } else if self.is_within_dead_band() {
-            (now, now)
-        } else if error > 0 {
-            (now + trim.min(STEP_UP_HZ), now + most.min(STEP_UP_HZ))
-        } else if measured.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
-            (now - most.min(step_down_hz), now - trim.min(STEP_DOWN_HZ))
-        } else {
-            // More power lies below the margin.
-            (now, now)
-        }
-    }
-
-    /// Limit that holds the power at a frequency that was found.
-    fn held_by(&self, f_sw_hz: u32) -> Limit {
-        if self.is_within_dead_band() {
-            Limit::None
-        } else if self.refused != Limit::None {
-            self.refused
-        } else if self.error_mw() < 0 && f_sw_hz <= F_SW_MIN_HZ + grid_step_hz(F_SW_MIN_HZ) {
-            Limit::Frequency
-        } else {
-            Limit::None
-        }
-    }
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use ihd_shared::lookup::prior::prior;
-
-    /// A plant whose power is the prediction times a factor the control does not know.
-    fn settle(asked_w: u64, plant: f64) -> (u32, f64) {
-        settle_on(&prior(), &prior(), asked_w, plant)
-    }
-
-    /// All of a search at once, and its steps.
-    fn search(
-        control: &mut PowerControl,
-        summary: &HalfCycle,
-        asked_mw: u64,
-        lookup: &RlLookup,
-    ) -> (u32, u32) {
-        control.begin(summary, asked_mw);
-        for step in 1..=STEPS_PER_SEARCH {
-            if let Some(f_sw_hz) = control.advance(lookup) {
-                assert!(!control.is_searching());
-                return (f_sw_hz, step);
-            }
-        }
-        panic!("{asked_mw} mW from {summary:?} takes more steps");
-    }
-
-    fn settle_on(load: &RlLookup, lookup: &RlLookup, asked_w: u64, plant: f64) -> (u32, f64) {
-        let mut control = PowerControl::default();
-        let mut f = pwm::HIGHEST_HZ;
-        let mut power = 0.0;
-        for _ in 0..60 {
-            power = predict(load, f, 3_253).map_or(0.0, |p| p.power_mw as f64 * plant);
-            let (r, l) = load.interpolate(f, 30_000);
-            let summary = HalfCycle {
-                f_sw_hz: f,
-                power_mw: power as u32,
-                bus_peak_dv: 3_253,
-                i_crest_ma: 30_000,
-                r,
-                l,
-                ..HalfCycle::default()
-            };
-            let (next, _) = search(&mut control, &summary, asked_w * 1_000, lookup);
-            assert_eq!(next, pwm::nearest_hz(next));
-            // Half of the grid's widest step beyond.
-            assert!(
-                next + STEP_DOWN_HZ + 144 >= f && next <= f + STEP_UP_HZ + 144,
-                "{f} -> {next}"
-            );
-            f = next;
-        }
-        (f, power / 1e3)
-    }
-
-    #[test]
-    fn reaches_the_asked_power_whatever_the_lookup_misses() {
-        // 0.7 of what 68 A and the margin allow are 1,870 W.
-        for asked in [700, 1_000, 1_500, 1_800] {
-            for plant in [0.7, 1.0, 1.3] {
-                let (_, power) = settle(asked, plant);
-                let error = (power / asked as f64 - 1.0).abs();
-                assert!(error <= 0.02, "{asked} W, plant {plant}: {power}");
-            }
-        }
-    }
-
-    #[test]
-    fn more_than_the_load_can_take_stops_at_the_margin() {
-        let (f, power) = settle(2_500, 0.5);
-        assert!(power < 2_500.0);
-        assert!(
-            predict(&prior(), f, 3_253).is_some(),
-            "it must stay above resonance"
-        );
-    }
-
-    /// Taught up to 45 A with a load of less R and L than the prior, which the cells above keep: at
-    /// the seam the prediction falls with falling frequency.
-    #[test]
-    fn a_half_taught_lookup_does_not_hold_the_frequency() {
-        let mut lookup = prior();
-        let taught = |cell: u16| (f32::from(cell) * 0.8) as u16;
-        for row in lookup.r.iter_mut().chain(&mut lookup.l) {
-            row[..13].iter_mut().for_each(|cell| *cell = taught(*cell));
-        }
-        // The plant is the load that the lookup was taught with, at every current.
-        let mut plant = prior();
-        for row in plant.r.iter_mut().chain(&mut plant.l) {
-            row.iter_mut().for_each(|cell| *cell = taught(*cell));
-        }
-        let power = settle_on(&plant, &lookup, 1_900, 1.0).1;
-        assert!((power / 1_900.0 - 1.0).abs() <= 0.02, "{power}");
-    }
-
-    #[test]
-    fn a_load_near_resonance_sends_the_frequency_up() {
-        let mut control = PowerControl::default();
-        let summary = HalfCycle {
-            f_sw_hz: 40_000,
-            power_mw: 100_000,
-            bus_peak_dv: 3_253,
-            i_crest_ma: 20_000,
-            r: ihd_shared::units::MicroOhm(3_000_000),
-            l: ihd_shared::units::PicoHenry(15_000_000),
-            ..HalfCycle::default()
-        };
-        let next = search(&mut control, &summary, 2_000_000, &prior());
-        // 8 kHz away from resonance, and further still: saturated, this load takes 70 A at 49 kHz.
-        assert!((48_000..52_000).contains(&next.0), "{next:?}");
-    }
-
-    /// The oracle: bisection over the whole range at once, then the measurement's bounds.
-    fn whole_range(summary: &HalfCycle, asked_mw: u64, lookup: &RlLookup, factor_q10: u64) -> u32 {
-        let (mut low, mut high) = (F_SW_MIN_HZ, F_SW_MAX_HZ);
-        while high - low > 1 {
-            let middle = low.midpoint(high);
-            match predict(lookup, middle, summary.bus_peak_dv) {
-                Some(p) if (p.power_mw * factor_q10) >> 10 <= asked_mw => high = middle,
-                _ => low = middle,
-            }
-        }
-        let now = summary.f_sw_hz;
-        let error = i64::from(summary.power_mw) - asked_mw as i64;
-        let trim = trim_hz(now, error.unsigned_abs(), asked_mw).min(STEP_UP_HZ);
-        if error > 0 {
-            high.clamp(now + trim, now + (3 * trim).min(STEP_UP_HZ))
-        } else {
-            high.clamp(
-                now - (3 * trim).min(STEP_DOWN_HZ),
-                now - trim.min(STEP_DOWN_HZ),
-            )
-        }
-        .clamp(F_SW_MIN_HZ, F_SW_MAX_HZ)
-    }
-
-    /// In its steps, which are few, the search finds what it would find at once.
-    #[test]
-    fn a_search_in_steps_finds_the_frequency_of_one_over_the_whole_range() {
-        let lookup = prior();
-        let mut taught = prior();
-        taught.observed.fill(0xFF);
-        let mut most_steps = 0;
-        for asked_mw in (300_000..=2_500_000).step_by(170_000) {
-            for f in (40_000..F_SW_MAX_HZ).step_by(1_777) {
-                let f_sw_hz = pwm::nearest_hz(f);
-                for plant_percent in [40, 80, 130, 230] {
-                    let Some(predicted) = predict(&lookup, f_sw_hz, 3_253) else {
-                        continue;
-                    };
-                    let power_mw = predicted.power_mw * plant_percent / 100;
-                    if power_mw.abs_diff(asked_mw) * 100 <= asked_mw * 2 {
-                        continue;
-                    }
-                    let (r, l) = lookup.interpolate(f_sw_hz, 30_000);
-                    let summary = HalfCycle {
-                        f_sw_hz,
-                        power_mw: power_mw as u32,
-                        bus_peak_dv: 3_253,
-                        i_crest_ma: 30_000,
-                        r,
-                        l,
-                        ..HalfCycle::default()
-                    };
-                    let mut control = PowerControl::default();
-                    let (found, steps) = search(&mut control, &summary, asked_mw, &lookup);
-                    let at_once = whole_range(&summary, asked_mw, &lookup, control.factor_q10);
-                    // One step of the grid.
-                    let tolerance = grid_step_hz(at_once) * 5 / 4;
-                    assert!(
-                        found.abs_diff(at_once) <= tolerance,
-                        "{asked_mw} {f_sw_hz} {plant_percent}: {found} {at_once}"
-                    );
-                    let (_, steps_if_taught) =
-                        search(&mut PowerControl::default(), &summary, asked_mw, &taught);
-                    most_steps = most_steps.max(steps).max(steps_if_taught);
-                }
-            }
-        }
-        assert!(
-            most_steps >= STEPS_PER_SEARCH - 1,
-            "{most_steps}: tighten it"
-        );
-    }
-
-    /// At the start of a half-cycle of 60 Hz, at any frequency, there are blocks enough.
-    #[test]
-    fn a_search_ends_well_before_the_next_zero_crossing() {
-        for f_sw_hz in [F_SW_MIN_HZ, F_SW_MAX_HZ] {
-            let block_ns = ihd_shared::sampling::block_ns(f_sw_hz);
-            assert!((1 + STEPS_PER_SEARCH) * block_ns < 8_333_333 / 5);
-        }
-    }
-}
+mod tests;

@@ -1,0 +1,94 @@
+//! A search for a frequency: the half-cycle and the request that it starts from, and what the measured power says.
+
+use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
+use ihd_shared::wire::messages::Limit;
+
+use crate::control::power::bounds::Bounds;
+use crate::estimate::tank::Tank;
+use crate::limits::{
+    DEAD_BAND_PERCENT, RESONANCE_MARGIN_PERCENT, STEP_DOWN_HZ, STEP_UP_HZ, TAUGHT_STEP_DOWN_HZ,
+};
+use crate::sampling::half_cycle::HalfCycle;
+
+/// The smallest step for a measured error, in hertz: above resonance P ∝ f^−2 to f^−6, so a
+/// sixth of the relative error never overshoots.
+pub(super) fn trim_hz(f_sw_hz: u32, error_mw: u64, asked_mw: u64) -> u32 {
+    let trim = u64::from(f_sw_hz) * error_mw / (6 * asked_mw.max(1));
+    trim.min(u64::from(TAUGHT_STEP_DOWN_HZ)) as u32
+}
+
+/// The largest step, in smallest ones: half of the relative error, for P ∝ f^−2. What the lookup
+/// solves for counts between the two.
+const MAX_OF_TRIM: u32 = 3;
+
+/// A frequency being searched for a half-cycle.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Search {
+    /// The half-cycle that is over.
+    pub summary: HalfCycle,
+    /// Requested power, in milliwatt.
+    pub asked_mw: u64,
+    /// Bounds of the frequency.
+    pub bounds: Bounds,
+    /// Between these two lies the frequency, in hertz; `None` until the factor is learnt.
+    pub bracket_hz: Option<(u32, u32)>,
+    /// Limit that forbade a lower frequency.
+    pub refused: Limit,
+}
+
+impl Search {
+    /// The half-cycle's frequency, within the rated range, in hertz.
+    pub fn now_hz(&self) -> u32 {
+        self.summary.f_sw_hz.clamp(F_SW_MIN_HZ, F_SW_MAX_HZ)
+    }
+
+    /// Measured less requested power, in milliwatt.
+    fn error_mw(&self) -> i64 {
+        i64::from(self.summary.power_mw) - self.asked_mw as i64
+    }
+
+    fn is_within_dead_band(&self) -> bool {
+        self.error_mw().unsigned_abs() * 100 <= self.asked_mw * u64::from(DEAD_BAND_PERCENT)
+    }
+
+    /// Lowest and highest frequency by the measured power; both alike where it alone decides.
+    pub fn by_measurement(&self, step_down_hz: u32) -> (u32, u32) {
+        let (summary, asked_mw) = (&self.summary, self.asked_mw);
+        let now = self.now_hz();
+        let measured = Tank::new(now, summary.r, summary.l);
+        let error = self.error_mw();
+        let trim = trim_hz(now, error.unsigned_abs(), asked_mw);
+        let most = MAX_OF_TRIM * trim;
+        if summary.i_crest_ma > 0 && !measured.is_above_resonance(RESONANCE_MARGIN_PERCENT / 2) {
+            // The load is not the lookup's: leave resonance first.
+            (now + STEP_UP_HZ, now + STEP_UP_HZ)
+        } else if self.is_within_dead_band() {
+            (now, now)
+        } else if error > 0 {
+            (now + trim.min(STEP_UP_HZ), now + most.min(STEP_UP_HZ))
+        } else if measured.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
+            (now - most.min(step_down_hz), now - trim.min(STEP_DOWN_HZ))
+        } else {
+            // More power lies below the margin.
+            (now, now)
+        }
+    }
+
+    /// Limit that holds the power at a frequency that was found.
+    pub fn held_by(&self, f_sw_hz: u32) -> Limit {
+        if self.is_within_dead_band() {
+            Limit::None
+        } else if self.refused != Limit::None {
+            self.refused
+        } else if self.error_mw() < 0 && f_sw_hz <= F_SW_MIN_HZ + grid_step_hz(F_SW_MIN_HZ) {
+            Limit::Frequency
+        } else {
+            Limit::None
+        }
+    }
+}
+
+/// Distance of two frequencies of the grid, f²/22.3 MHz, in hertz.
+pub(super) fn grid_step_hz(f_sw_hz: u32) -> u32 {
+    (f_sw_hz >> 10) * (f_sw_hz >> 10) / 21
+}
