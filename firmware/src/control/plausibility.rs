@@ -25,7 +25,8 @@ use crate::limits::{
     IRREGULAR_HALF_CYCLES, LINK_CAPACITANCE_MAX_NF, POWER_BALANCE_PERCENT, PROBE_BALANCE_PERCENT,
     VOLTAGE_OFFSET_DV,
 };
-use crate::sampling::half_cycle::{HalfCycle, filter_loss_q16};
+use crate::sampling::half_cycle::HalfCycle;
+use crate::sampling::half_cycle_sums::filter_loss_q16;
 use crate::sense::demodulator::amplitude_dv;
 
 /// A bus that a bench supply holds up, 60 V at most, is no zero crossing out of place.
@@ -75,11 +76,11 @@ impl Plausibility {
         let flows = summary.has_coil_current();
         let seen = steady && on_bus && flows;
         // More than any offset that is none yet.
-        let swings = summary.f_sw_hz > 0 && summary.i_crest_ma >= 2 * CURRENT_OFFSET_MA;
+        let swings = summary.f_sw_hz > 0 && summary.crest.i_ma >= 2 * CURRENT_OFFSET_MA;
         let checks = [
             (self.offset.push(has_offset(summary)), Fault::SENSOR_OFFSET),
             (
-                self.gap.push_if(swings, summary.i_gap),
+                self.gap.push_if(swings, summary.channels.i_gap),
                 Fault::SENSOR_OFFSET,
             ),
             (
@@ -110,10 +111,10 @@ impl Plausibility {
     /// Takes a pot probe; the fault that has lasted long enough.
     pub fn on_pot_probe(&mut self, summary: &HalfCycle) -> Option<Fault> {
         let flows = summary.is_comparable() && summary.has_coil_current();
-        let is_bare = summary.r.0 <= 1_000 * BARE_COIL_MOHM as i32;
+        let is_bare = summary.crest.r.0 <= 1_000 * BARE_COIL_MOHM as i32;
         let bad = if is_bare {
             let most_ph = BARE_COIL_NH * 10 * (100 + BARE_COIL_PERCENT);
-            i64::from(summary.l.0) > i64::from(most_ph)
+            i64::from(summary.crest.l.0) > i64::from(most_ph)
                 || !is_balanced(summary, BARE_COIL_PERCENT, BARE_COIL_PERCENT)
         } else {
             !is_balanced(summary, PROBE_BALANCE_PERCENT, PROBE_BALANCE_PERCENT)
@@ -155,8 +156,8 @@ fn discharges_link(summary: &HalfCycle) -> bool {
 }
 
 fn has_offset(summary: &HalfCycle) -> bool {
-    summary.i_offset_ma.unsigned_abs() >= CURRENT_OFFSET_MA
-        || summary.v_offset_dv.unsigned_abs() >= VOLTAGE_OFFSET_DV
+    summary.channels.i_offset_ma.unsigned_abs() >= CURRENT_OFFSET_MA
+        || summary.channels.v_offset_dv.unsigned_abs() >= VOLTAGE_OFFSET_DV
 }
 
 /// |V + I/(jωC)| against 2/π of the bus, at the crest of the current.
@@ -164,7 +165,7 @@ fn is_balanced(summary: &HalfCycle, low_percent: u32, high_percent: u32) -> bool
     let filtered_dv = bridge_dv(summary);
     // √(1 + x) ≈ 1 + x/2 of the anti-alias filter.
     let bridge_dv = filtered_dv + ((filtered_dv * (filter_loss_q16(summary.f_sw_hz) / 2)) >> 16);
-    let expected_dv = u32::from(summary.bus_at_crest_dv) * 6_366 / 10_000;
+    let expected_dv = u32::from(summary.crest.bus_dv) * 6_366 / 10_000;
     let allowed = (expected_dv * (100 - low_percent))..=(expected_dv * (100 + high_percent));
     allowed.contains(&(bridge_dv * 100))
 }
@@ -172,7 +173,7 @@ fn is_balanced(summary: &HalfCycle, low_percent: u32, high_percent: u32) -> bool
 /// Amplitude of the bridge's fundamental by coil voltage and current, in decivolt.
 fn bridge_dv(summary: &HalfCycle) -> u32 {
     let x_c_mohm = TankAt::new(summary.f_sw_hz).x_c_mohm();
-    let (v, i) = (summary.crest.v, summary.crest.i);
+    let (v, i) = (summary.crest.phasors.v, summary.crest.phasors.i);
     // −jX·(a + jb) = bX − jaX; mantissas of 16 A and 32 V, so an ohm counts half.
     let part = |v: i32, i: i32| (i64::from(v) + i64::from(i) * x_c_mohm / 2_000) as i32;
     let sum = Complex {
@@ -195,6 +196,7 @@ fn is_power_balanced(summary: &HalfCycle) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sampling::half_cycle::CurrentCrest;
     use crate::sense::demodulator::{AMPERE_PER_UNIT, Phasors, STATE_BITS, VOLT_PER_UNIT};
     use ihd_shared::hob::{TANK_CAPACITANCE_PF, WINDING_R_OHM};
     use ihd_shared::sampling::ANTI_ALIAS_HZ;
@@ -225,16 +227,18 @@ mod tests {
         HalfCycle {
             f_sw_hz: f_hz as u32,
             duration_ns: 10_000_000,
-            r: MicroOhm((r * v_gain / i_gain * 1e6) as i32),
-            l: PicoHenry((l_uh * v_gain / i_gain * 1e6) as i32),
-            i_crest_ma: (i.0.hypot(i.1) * i_gain * 1e3) as u32,
+            crest: CurrentCrest {
+                r: MicroOhm((r * v_gain / i_gain * 1e6) as i32),
+                l: PicoHenry((l_uh * v_gain / i_gain * 1e6) as i32),
+                i_ma: (i.0.hypot(i.1) * i_gain * 1e3) as u32,
+                bus_dv: (3_250.0 * bus_gain) as u16,
+                phasors: Phasors {
+                    v: complex(v, v_gain, VOLT_PER_UNIT),
+                    i: complex(i, i_gain, AMPERE_PER_UNIT),
+                },
+            },
             power_mw: 1_000_000,
             bus_peak_dv: (3_250.0 * bus_gain) as u16,
-            bus_at_crest_dv: (3_250.0 * bus_gain) as u16,
-            crest: Phasors {
-                v: complex(v, v_gain, VOLT_PER_UNIT),
-                i: complex(i, i_gain, AMPERE_PER_UNIT),
-            },
             ..HalfCycle::default()
         }
     }
@@ -311,7 +315,7 @@ mod tests {
         }
         // A capacitor of four fifths moves the balance by 2 % there.
         let mut aged = seen(79_911.0, BARE, 1.0, 1.0, 1.0);
-        aged.bus_at_crest_dv = (3_250.0 * (1.0 - 0.25 * 0.078)) as u16;
+        aged.crest.bus_dv = (3_250.0 * (1.0 - 0.25 * 0.078)) as u16;
         assert_eq!(fault_of_probe(aged), None);
     }
 
@@ -334,12 +338,21 @@ mod tests {
             change(&mut summary);
             fault_of(summary)
         };
-        assert_eq!(with(|s| s.i_offset_ma = -5_000), Some(Fault::SENSOR_OFFSET));
-        assert_eq!(with(|s| s.v_offset_dv = 400), Some(Fault::SENSOR_OFFSET));
-        assert_eq!(with(|s| s.i_gap = true), Some(Fault::SENSOR_OFFSET));
-        let without_current = |s: &mut HalfCycle| (s.i_gap, s.i_crest_ma) = (true, 5_000);
+        assert_eq!(
+            with(|s| s.channels.i_offset_ma = -5_000),
+            Some(Fault::SENSOR_OFFSET)
+        );
+        assert_eq!(
+            with(|s| s.channels.v_offset_dv = 400),
+            Some(Fault::SENSOR_OFFSET)
+        );
+        assert_eq!(
+            with(|s| s.channels.i_gap = true),
+            Some(Fault::SENSOR_OFFSET)
+        );
+        let without_current = |s: &mut HalfCycle| (s.channels.i_gap, s.crest.i_ma) = (true, 5_000);
         assert_eq!(with(without_current), None);
-        assert_eq!(with(|s| s.i_crest_ma = 200), Some(Fault::NO_COIL_CURRENT));
+        assert_eq!(with(|s| s.crest.i_ma = 200), Some(Fault::NO_COIL_CURRENT));
         assert_eq!(with(|s| s.bus_peak_dv = 0), Some(Fault::BUS_RANGE));
     }
 

@@ -57,9 +57,12 @@ pub fn classify(summary: &HalfCycle, before: Pot) -> Pot {
     if summary.f_sw_hz == 0 || !summary.has_coil_current() || summary.bus_peak_dv < BUS_MIN_DV {
         return Pot::Unknown;
     }
-    let (r, l) = PRIOR.interpolate(summary.f_sw_hz, summary.i_crest_ma);
+    let (r, l) = PRIOR.interpolate(summary.f_sw_hz, summary.crest.i_ma);
     let percent = |is: i32, of: i32| i64::from(is) * 100 / i64::from(of.max(1));
-    let (r, l) = (percent(summary.r.0, r.0), percent(summary.l.0, l.0));
+    let (r, l) = (
+        percent(summary.crest.r.0, r.0),
+        percent(summary.crest.l.0, l.0),
+    );
     let full = if before == Pot::Small {
         FULL_AFTER_SMALL_R_PERCENT
     } else {
@@ -85,15 +88,19 @@ pub fn classify(summary: &HalfCycle, before: Pot) -> Pot {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sampling::half_cycle::CurrentCrest;
     use ihd_shared::units::{MicroOhm, PicoHenry};
 
     /// R in ohm, L in µH, current in ampere.
     fn judged((f_sw_hz, r, l, i): (u32, f64, f64, f64), before: Pot) -> Pot {
         let summary = HalfCycle {
             f_sw_hz,
-            r: MicroOhm((r * 1e6) as i32),
-            l: PicoHenry((l * 1e6) as i32),
-            i_crest_ma: (i * 1e3) as u32,
+            crest: CurrentCrest {
+                r: MicroOhm((r * 1e6) as i32),
+                l: PicoHenry((l * 1e6) as i32),
+                i_ma: (i * 1e3) as u32,
+                ..CurrentCrest::default()
+            },
             bus_peak_dv: 3_253,
             ..HalfCycle::default()
         };

@@ -18,8 +18,8 @@ pub fn telemetry(
     control: &Control,
     lookup_version: u32,
 ) -> Telemetry {
-    let phase_mrad = if s.f_sw_hz > 0 && s.i_crest_ma > 0 {
-        Tank::new(s.f_sw_hz, s.r, s.l).phase_mrad()
+    let phase_mrad = if s.f_sw_hz > 0 && s.crest.i_ma > 0 {
+        Tank::new(s.f_sw_hz, s.crest.r, s.crest.l).phase_mrad()
     } else {
         0
     };
@@ -31,9 +31,9 @@ pub fn telemetry(
         fault,
         pot: control.pot(),
         f_sw_hz: s.f_sw_hz,
-        r: s.r,
-        l: s.l,
-        i_crest_ma: s.i_crest_ma,
+        r: s.crest.r,
+        l: s.crest.l,
+        i_crest_ma: s.crest.i_ma,
         power_mw: s.power_mw,
         phase_mrad,
         lookup_version,

@@ -11,6 +11,7 @@
 //! below it and reach it through [`path::SamplingLock`].
 
 pub mod half_cycle;
+pub mod half_cycle_sums;
 pub mod mains_clock;
 pub mod packed_blocks;
 pub mod path;

@@ -22,7 +22,7 @@ use crate::limits::PROBE_NS;
 use crate::protect::fault_latch::FaultLatch;
 use crate::protect::soft_limit::SoftLimits;
 use crate::protect::trips::TripChecks;
-use crate::sampling::half_cycle::{HalfCycleSums, HalfCycles};
+use crate::sampling::half_cycle_sums::{HalfCycleSums, HalfCycles};
 use crate::sampling::mains_clock::MainsClock;
 use crate::sampling::recorder::Recorder;
 use crate::sampling::utilisation::{HousekeepingGap, Utilisation};

@@ -21,7 +21,7 @@ use ihd_firmware::control::power::bounds::Bounds;
 use ihd_firmware::drive::bridge::Bridge;
 use ihd_firmware::drive::pwm::{DEAD_TIME_NS, HIGHEST_HZ};
 use ihd_firmware::limits::SMALL_POT_PERCENT;
-use ihd_firmware::sampling::half_cycle::HalfCycle;
+use ihd_firmware::sampling::half_cycle::{CurrentCrest, HalfCycle};
 use ihd_shared::hob::{
     BUS_PEAK_V, F_SW_MAX_HZ, F_SW_MIN_HZ, NODE_CAPACITANCE_NF, RATED_POWER_W,
     RESONANCE_CAPACITANCE_NF,
@@ -121,9 +121,12 @@ impl TrueCurve {
         let (i_a, load) = self.points.last().copied().unwrap_or_default();
         HalfCycle {
             f_sw_hz: self.f_sw_hz.round() as u32,
-            r: MicroOhm((load.r_ohm * 1e6) as i32),
-            l: PicoHenry((load.l_h * 1e12) as i32),
-            i_crest_ma: (i_a * 1e3) as u32,
+            crest: CurrentCrest {
+                r: MicroOhm((load.r_ohm * 1e6) as i32),
+                l: PicoHenry((load.l_h * 1e12) as i32),
+                i_ma: (i_a * 1e3) as u32,
+                ..CurrentCrest::default()
+            },
             power_mw: (self.power_w * 1e3) as u32,
             bus_peak_dv: BUS_PEAK_DV,
             ..HalfCycle::default()

@@ -1,6 +1,7 @@
 use super::*;
 use crate::control::request::PanelEvent;
 use crate::drive::pwm;
+use crate::sampling::half_cycle::CurrentCrest;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use std::boxed::Box;
@@ -107,9 +108,12 @@ impl Bench {
         HalfCycle {
             f_sw_hz: if on { self.drive.f_sw_hz } else { 0 },
             duration_ns: 10_000_000,
-            r: MicroOhm((r * 1e6) as i32),
-            l: PicoHenry((l * 1e6) as i32),
-            i_crest_ma: if on { (i * 1e3) as u32 } else { 0 },
+            crest: CurrentCrest {
+                r: MicroOhm((r * 1e6) as i32),
+                l: PicoHenry((l * 1e6) as i32),
+                i_ma: if on { (i * 1e3) as u32 } else { 0 },
+                ..CurrentCrest::default()
+            },
             power_mw: if on { 400_000 } else { 0 },
             bus_peak_dv: 3_253,
             ..HalfCycle::default()

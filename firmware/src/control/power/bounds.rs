@@ -31,13 +31,13 @@ pub struct Bounds {
 impl Bounds {
     /// For the load of a half-cycle, on a bus of `bus_dv` at the crest.
     pub fn new(summary: &HalfCycle, bus_dv: u16) -> Self {
-        let (r, l) = PRIOR.interpolate(summary.f_sw_hz, summary.i_crest_ma);
+        let (r, l) = PRIOR.interpolate(summary.f_sw_hz, summary.crest.i_ma);
         // 10 mohm and 1 µH at least stand for an estimate at its bound.
         let ratio = |is: i32, of: i32| ((i64::from(is.max(1)) << 10) / i64::from(of.max(1))) as u32;
         Self {
-            r_q10: ratio(summary.r.0, r.0).clamp(2, 8 << 10),
-            l_q10: ratio(summary.l.0, l.0).clamp(2, 8 << 10),
-            i_ma: summary.i_crest_ma,
+            r_q10: ratio(summary.crest.r.0, r.0).clamp(2, 8 << 10),
+            l_q10: ratio(summary.crest.l.0, l.0).clamp(2, 8 << 10),
+            i_ma: summary.crest.i_ma,
             bus_dv,
         }
     }
@@ -98,15 +98,19 @@ fn crest_ma(tank: &Tank, i_ma: u32, v1_uv: u32) -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sampling::half_cycle::CurrentCrest;
     use ihd_shared::hob::TANK_CAPACITANCE_PF;
     use std::f64::consts::{FRAC_2_PI, TAU};
 
     fn summary(f_hz: u32, r: f64, l_uh: f64, i_a: f64) -> HalfCycle {
         HalfCycle {
             f_sw_hz: f_hz,
-            r: MicroOhm((r * 1e6) as i32),
-            l: PicoHenry((l_uh * 1e6) as i32),
-            i_crest_ma: (i_a * 1e3) as u32,
+            crest: CurrentCrest {
+                r: MicroOhm((r * 1e6) as i32),
+                l: PicoHenry((l_uh * 1e6) as i32),
+                i_ma: (i_a * 1e3) as u32,
+                ..CurrentCrest::default()
+            },
             ..HalfCycle::default()
         }
     }

@@ -169,14 +169,18 @@ impl OperatingMemory {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sampling::half_cycle::CurrentCrest;
     use ihd_shared::units::{MicroOhm, PicoHenry};
 
     fn half_cycle(l_uh: f64, bus_dv: u16) -> HalfCycle {
         HalfCycle {
             f_sw_hz: 45_000,
-            r: MicroOhm(3_500_000),
-            l: PicoHenry((l_uh * 1e6) as i32),
-            i_crest_ma: 30_000,
+            crest: CurrentCrest {
+                r: MicroOhm(3_500_000),
+                l: PicoHenry((l_uh * 1e6) as i32),
+                i_ma: 30_000,
+                ..CurrentCrest::default()
+            },
             bus_peak_dv: bus_dv,
             ..HalfCycle::default()
         }

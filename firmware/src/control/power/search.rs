@@ -55,11 +55,11 @@ impl Search {
     pub fn by_measurement(&self, step_down_hz: u32) -> (u32, u32) {
         let (summary, asked_mw) = (&self.summary, self.asked_mw);
         let now = self.now_hz();
-        let measured = Tank::new(now, summary.r, summary.l);
+        let measured = Tank::new(now, summary.crest.r, summary.crest.l);
         let error = self.error_mw();
         let trim = trim_hz(now, error.unsigned_abs(), asked_mw);
         let most = MAX_OF_TRIM * trim;
-        if summary.i_crest_ma > 0 && !measured.is_above_resonance(RESONANCE_MARGIN_PERCENT / 2) {
+        if summary.crest.i_ma > 0 && !measured.is_above_resonance(RESONANCE_MARGIN_PERCENT / 2) {
             // The load is not the lookup's: leave resonance first.
             (now + STEP_UP_HZ, now + STEP_UP_HZ)
         } else if self.is_within_dead_band() {

@@ -1,6 +1,17 @@
 use super::search::trim_hz;
 use super::*;
+use crate::sampling::half_cycle::CurrentCrest;
 use ihd_shared::lookup::prior::prior;
+use ihd_shared::units::{MicroOhm, PicoHenry};
+
+fn crest(r: MicroOhm, l: PicoHenry, i_ma: u32) -> CurrentCrest {
+    CurrentCrest {
+        r,
+        l,
+        i_ma,
+        ..CurrentCrest::default()
+    }
+}
 
 /// A plant whose power is the prediction times a factor the control does not know.
 fn settle(asked_w: u64, plant: f64) -> (u32, f64) {
@@ -35,9 +46,7 @@ fn settle_on(load: &RlLookup, lookup: &RlLookup, asked_w: u64, plant: f64) -> (u
             f_sw_hz: f,
             power_mw: power as u32,
             bus_peak_dv: 3_253,
-            i_crest_ma: 30_000,
-            r,
-            l,
+            crest: crest(r, l, 30_000),
             ..HalfCycle::default()
         };
         let (next, _) = search(&mut control, &summary, asked_w * 1_000, lookup);
@@ -99,9 +108,7 @@ fn a_load_near_resonance_sends_the_frequency_up() {
         f_sw_hz: 40_000,
         power_mw: 100_000,
         bus_peak_dv: 3_253,
-        i_crest_ma: 20_000,
-        r: ihd_shared::units::MicroOhm(3_000_000),
-        l: ihd_shared::units::PicoHenry(15_000_000),
+        crest: crest(MicroOhm(3_000_000), PicoHenry(15_000_000), 20_000),
         ..HalfCycle::default()
     };
     let next = search(&mut control, &summary, 2_000_000, &prior());
@@ -156,9 +163,7 @@ fn a_search_in_steps_finds_the_frequency_of_one_over_the_whole_range() {
                     f_sw_hz,
                     power_mw: power_mw as u32,
                     bus_peak_dv: 3_253,
-                    i_crest_ma: 30_000,
-                    r,
-                    l,
+                    crest: crest(r, l, 30_000),
                     ..HalfCycle::default()
                 };
                 let mut control = PowerControl::default();
