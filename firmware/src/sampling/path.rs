@@ -3,13 +3,12 @@
 //! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 053
 //! instructions of it, 28 %, most of them to correlate and estimate. firmware/budget.toml holds the ceilings of its
 //! parts, docs/performance.md what was counted, and an estimate in cycles that exceeds 36 %. A block that
-//! comes late is counted as lost; the third of a half-cycle trips [`Fault::SAMPLES_LOST`].
+//! comes late is counted as lost; the third of a half-cycle trips [`SAMPLES_LOST`](ihd_shared::fault::Fault::SAMPLES_LOST).
 //! Nothing here waits, allocates, divides by a variable of 64 bit, uses
 //! floating point or can panic.
 
 use core::marker::PhantomData;
 
-use ihd_shared::fault::Fault;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
@@ -22,13 +21,15 @@ use crate::limits::PROBE_NS;
 use crate::protect::fault_latch::FaultLatch;
 use crate::protect::soft_limit::SoftLimits;
 use crate::protect::trips::TripChecks;
-use crate::sampling::half_cycle_sums::{HalfCycleSums, HalfCycles};
+use crate::sampling::half_cycle_sums::HalfCycles;
 use crate::sampling::mains_clock::MainsClock;
 use crate::sampling::recorder::Recorder;
 use crate::sampling::utilisation::{HousekeepingGap, Utilisation};
 use crate::sense::correlation::{BlockSums, correlate_by};
 use crate::sense::demodulator::Demodulator;
 use crate::sense::product_sums::{PairMultiplier, PlainMultiplier};
+
+mod requests;
 
 /// One block as the board delivers it.
 #[derive(Clone, Copy, Debug)]
@@ -141,143 +142,6 @@ impl<M: PairMultiplier> SamplingPath<M> {
         } else {
             None
         }
-    }
-}
-
-/// Requests of control and link, between two blocks.
-impl<M: PairMultiplier> SamplingPath<M> {
-    /// Requests another drive: off at once, anything else at the next zero crossing, at the nearest
-    /// frequency of the grid; out of off, the lower switch closes first, at once ([`crate::drive::bridge`]). Ignored while a
-    /// fault is active.
-    pub fn request(&mut self, drive: Drive) {
-        self.sequencer.request(drive);
-    }
-
-    /// Requests a pot probe: a pulse at the highest frequency, from the next zero crossing to
-    /// before the crest.
-    pub fn request_pot_probe(&mut self) {
-        self.sequencer.request_pot_probe();
-    }
-
-    /// Requests that both switches open at the next zero crossing.
-    pub fn request_off_at_crossing(&mut self) {
-        self.sequencer.request_off_at_crossing();
-    }
-
-    /// The last request, or what a soft limit has made of it.
-    pub fn requested_drive(&self) -> Drive {
-        self.sequencer.requested()
-    }
-
-    /// Varies the switching frequency from half-cycle to half-cycle, in permille, at most
-    /// [`crate::limits::DITHER_MAX_PERMILLE`], outside windows: +, 0, −, 0.
-    pub fn set_dither(&mut self, permille: u8) {
-        self.sequencer.set_dither(permille);
-    }
-
-    /// The drive in force at the bridge.
-    pub fn drive(&self) -> Drive {
-        if self.replaying {
-            Drive::OFF
-        } else {
-            self.sequencer.drive()
-        }
-    }
-
-    /// Enters or leaves replay mode. Either way the bridge is off and the estimator begins anew
-    /// with the given load; in replay mode it sees a bridge that runs at `f_sw_hz`.
-    pub fn set_replay(&mut self, replay: bool, f_sw_hz: u32, r: MicroOhm, l: PicoHenry) {
-        let drive = if replay && !self.faults.is_active() {
-            Drive::switching(f_sw_hz)
-        } else {
-            Drive::OFF
-        };
-        self.replaying = replay;
-        self.sequencer.force(drive);
-        self.clock.set_frequency(drive.f_sw_hz);
-        self.clock.restart_half_cycle();
-        self.demodulator = Demodulator::new(drive.f_sw_hz);
-        self.ekf = Ekf::new(drive.f_sw_hz, r, l, Noise::TUNED);
-        self.protection.set_frequency(drive.f_sw_hz);
-        self.soft_limits
-            .set_frequency(drive.f_sw_hz, self.protection.l_min());
-        self.protection.reset();
-        self.half_cycles.restart();
-        self.recorder.interrupt();
-    }
-
-    /// Returns `true` if samples come from a host.
-    pub fn is_replaying(&self) -> bool {
-        self.replaying
-    }
-
-    /// Enters the safe state for a reason that lies outside the samples: the pot, the hardware.
-    pub fn raise(&mut self, fault: Fault) {
-        self.faults.trip(fault, self.clock.half_cycle());
-    }
-
-    /// Enters the safe state for good: the board is not as it must be, and clearing does not help.
-    pub fn latch_fault(&mut self, fault: Fault) {
-        self.faults.latch(fault, self.clock.half_cycle());
-    }
-
-    /// The active fault.
-    pub fn fault(&self) -> Fault {
-        self.faults.active()
-    }
-
-    /// The half-cycle in which the active fault tripped; the present one without a fault.
-    pub fn fault_half_cycle(&self) -> u32 {
-        let present = self.clock.half_cycle();
-        self.faults.half_cycle().unwrap_or(present)
-    }
-
-    /// Leaves the safe state, but for a standing fault; the bridge stays off until it is requested
-    /// again.
-    pub fn clear_fault(&mut self) {
-        self.faults.clear();
-        self.sequencer.withdraw();
-        self.protection.reset();
-    }
-
-    /// The last half-cycle, once; the thread works out its summary.
-    pub fn take_half_cycle(&mut self) -> Option<HalfCycleSums> {
-        self.half_cycles.take()
-    }
-
-    /// The window recorder, for the link to set and read.
-    pub fn recorder(&mut self) -> &mut Recorder {
-        &mut self.recorder
-    }
-
-    /// Time since boot, in milliseconds; wraps after 49 days.
-    pub fn now_ms(&self) -> u32 {
-        self.clock.now_ms()
-    }
-
-    /// Blocks from the ADC since boot.
-    pub fn blocks(&self) -> u32 {
-        self.clock.blocks()
-    }
-
-    /// Half-cycles since boot.
-    pub fn half_cycles(&self) -> u32 {
-        self.clock.half_cycle()
-    }
-
-    /// Sample pairs at the end of the ADC's range since boot.
-    pub fn saturated_pairs(&self) -> u32 {
-        self.saturated_pairs
-    }
-
-    /// Share of the processor's time, for the board to add each block to.
-    pub fn utilisation(&mut self) -> &mut Utilisation {
-        &mut self.utilisation
-    }
-
-    /// Time between two turns of housekeeping.
-    pub fn housekeeping_gap(&mut self) -> &mut HousekeepingGap {
-        &mut self.housekeeping_gap
     }
 }
 
@@ -461,121 +325,4 @@ impl<M: PairMultiplier> SamplingPath<M> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::drive::bridge::Bridge;
-    use crate::estimate::tank::resonant_inductance;
-    use crate::limits::BOOTSTRAP_CHARGE_NS;
-    use std::boxed::Box;
-    use std::vec::Vec;
-
-    /// 37.5 µs at 80 kHz: blocks of a half-cycle of 50 Hz.
-    const HALF_CYCLE: u32 = 266;
-
-    struct Board {
-        realtime: Box<SamplingPath>,
-        block: u32,
-    }
-
-    impl Board {
-        fn new() -> Self {
-            let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
-            Self {
-                realtime: Box::new(SamplingPath::new(r, l)),
-                block: 0,
-            }
-        }
-
-        /// The bridge after each of so many blocks.
-        fn run(&mut self, blocks: u32) -> Vec<Bridge> {
-            (0..blocks)
-                .map(|_| {
-                    self.block += 1;
-                    let crossing = self.block.is_multiple_of(HALF_CYCLE);
-                    // No two blocks are alike, or they would be frozen.
-                    let i = (self.block % 7) as i16;
-                    let block = AdcBlock {
-                        pairs: &core::array::from_fn::<_, ADC_LOCK_P, _>(|k| Pair {
-                            v: 0,
-                            i: if k == 0 { i } else { 0 },
-                        }),
-                        zero_crossing: crossing.then_some(0),
-                        bus_dv: 300,
-                        dc_link_ma: None,
-                        lost: 0,
-                    };
-                    self.realtime.on_block(&block).bridge
-                })
-                .collect()
-        }
-
-        fn heat(&mut self) {
-            self.realtime.request(Drive::switching(60_000));
-        }
-    }
-
-    /// Whenever power is requested, the lower switch is closed for a millisecond before the upper
-    /// one may be, and switching begins at a zero crossing.
-    #[test]
-    fn the_bootstrap_capacitor_is_charged_before_the_bridge_switches() {
-        for asked_at in [1, 30, HALF_CYCLE - 60, HALF_CYCLE - 28, HALF_CYCLE - 20] {
-            let mut board = Board::new();
-            assert!(board.run(asked_at).iter().all(|b| *b == Bridge::Open));
-            board.heat();
-            let seen = board.run(2 * HALF_CYCLE);
-            let lower_on = seen.iter().take_while(|b| **b == Bridge::LowerOn).count() as u32;
-            assert!(
-                seen[lower_on as usize..]
-                    .iter()
-                    .all(|b| *b == Bridge::Switching)
-            );
-            // The first block's answer counts from the next one.
-            assert!(lower_on * 37_500 >= BOOTSTRAP_CHARGE_NS, "{lower_on}");
-            assert!(lower_on <= HALF_CYCLE + 27, "{lower_on}");
-            assert_eq!((asked_at + lower_on + 1) % HALF_CYCLE, 0);
-        }
-    }
-
-    /// The first drive has the frequency of off, so that no change of it sets the resonant inductance.
-    #[test]
-    fn resonance_is_checked_from_the_first_start_on() {
-        let mut board = Board::new();
-        let l_min = board.realtime.protection.l_min();
-        assert_eq!(l_min, resonant_inductance(Drive::OFF.f_sw_hz));
-        board.realtime.request(Drive::switching(Drive::OFF.f_sw_hz));
-        board.run(2 * HALF_CYCLE);
-        assert_eq!(board.realtime.protection.l_min(), l_min);
-    }
-
-    #[test]
-    fn off_and_faults_open_both_switches_at_once_from_any_state() {
-        for blocks in [5, 2 * HALF_CYCLE] {
-            let mut board = Board::new();
-            board.heat();
-            assert_ne!(board.run(blocks).pop(), Some(Bridge::Open));
-            board.realtime.request(Drive::OFF);
-            assert_eq!(board.run(1), [Bridge::Open]);
-
-            let mut board = Board::new();
-            board.heat();
-            board.run(blocks);
-            board.realtime.raise(Fault::HARDWARE_OVER_CURRENT);
-            assert_eq!(board.run(3), [Bridge::Open; 3]);
-            // Cleared, it stays open until power is requested; then it charges again, once the mains has
-            // passed its zero if it switched.
-            board.realtime.clear_fault();
-            assert_eq!(board.run(3), [Bridge::Open; 3]);
-            board.heat();
-            let switched = blocks > HALF_CYCLE;
-            let to_crossing = if switched {
-                HALF_CYCLE - board.block % HALF_CYCLE
-            } else {
-                1
-            };
-            let waited = board.run(to_crossing);
-            let (last, before) = waited.split_last().expect("at least one");
-            assert!(before.iter().all(|b| *b == Bridge::Open));
-            assert_eq!(*last, Bridge::LowerOn);
-        }
-    }
-}
+mod tests;

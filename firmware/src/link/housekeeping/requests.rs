@@ -1,0 +1,294 @@
+//! Frames from the host: what they request, and the responses.
+
+use ihd_shared::fault::Fault;
+use ihd_shared::hob::{RATED_POWER_W, REQUESTED_POWER_MAX_W};
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
+use ihd_shared::window::CHUNK_BYTES;
+use ihd_shared::wire::hello::{CAP_REPLAYING, check};
+use ihd_shared::wire::messages::{
+    AnyMessage, Configure, DecodeError, Hello, Message, Outcome, Program, ReplayMode, ReplayStart,
+    ResendWindow, State, Status, Stream, TestLink, is_numbered,
+};
+use ihd_shared::wire::number::Number;
+
+use crate::link::conversation::{Conversation, RequestOrder};
+use crate::link::housekeeping::Housekeeping;
+use crate::link::report;
+use crate::link::response::Response;
+use crate::link::service::{BoardServices, BoardTest};
+use crate::link::transmit_queue::TransmitQueue;
+use crate::sampling::path::SamplingLock;
+
+/// Frames, requests that the board carries out, and the conversation.
+impl Housekeeping {
+    /// Takes bytes from the link; returns how many. Fewer than given means that responses wait for
+    /// the link: offer the rest again later.
+    #[inline(never)]
+    pub fn receive(&mut self, lock: &mut impl SamplingLock, bytes: &[u8]) -> usize {
+        for (taken, &byte) in bytes.iter().enumerate() {
+            if self.queue.is_full() {
+                return taken;
+            }
+            let Some(Ok(frame)) = self.deframer.push(byte) else {
+                continue;
+            };
+            let id = frame.id;
+            // A host sends it by itself for as long as windows come: it keeps no power up.
+            if id != ResendWindow::ID {
+                self.half_cycles_unheard = 0;
+            }
+            let (number, bytes) = frame.split();
+            if self.paired
+                && is_numbered(id)
+                && !is_new_request(&mut self.conversation, &mut self.queue, number)
+            {
+                continue;
+            }
+            let response = match AnyMessage::decode(id, bytes) {
+                // These three borrow from the deframer; the rest may borrow all of self.
+                Ok(AnyMessage::PushLookup(push)) if self.paired => {
+                    let offered = RlLookup::from_bytes(push.blob.0);
+                    let (outcome, detail) = match offered {
+                        Ok(lookup) => self.lookup.accept(lookup),
+                        Err(why) => why.outcome(),
+                    };
+                    Some(Response::reply(outcome, detail))
+                }
+                Ok(AnyMessage::ReplayBlocks(blocks)) if self.paired => {
+                    let replayed = self.replay.blocks(lock, &blocks);
+                    Some(replayed.map_or_else(Response::outcome, Response::ReplayEstimates))
+                }
+                Ok(AnyMessage::LinkData(data)) if self.paired => {
+                    self.service.take_link_data(&data);
+                    None
+                }
+                Ok(AnyMessage::ResendWindow(m)) if self.paired => {
+                    self.queue.resend(lock, m);
+                    None
+                }
+                Ok(AnyMessage::Hello(theirs)) => {
+                    self.pair(lock, &theirs);
+                    None
+                }
+                _ if !is_numbered(id) => None,
+                _ if !self.paired => Some(Response::outcome(Outcome::NotPaired)),
+                Ok(AnyMessage::TestChannels(_)) => self.begin_test(number, BoardTest::Channels),
+                Ok(AnyMessage::TestComparators(_)) => {
+                    self.begin_test(number, BoardTest::Comparators)
+                }
+                Ok(AnyMessage::TestClocks(_)) => self.begin_test(number, BoardTest::Clocks),
+                Ok(AnyMessage::Restart(m)) => self.begin_restart(number, m.into),
+                Ok(AnyMessage::SetPower(m)) => {
+                    let (outcome, detail) = self.host_power(lock, m.power_w);
+                    Some(Response::reply(outcome, detail))
+                }
+                Ok(AnyMessage::Stream(m)) => Some(self.stream(lock, &m)),
+                Ok(AnyMessage::GetStatus(_)) => Some(Response::Status(self.status(lock))),
+                Ok(AnyMessage::ReadLookup(_)) => Some(Response::Lookup),
+                Ok(AnyMessage::ResetLookup(_)) => {
+                    let (outcome, detail) = self.lookup.replace(prior());
+                    Some(Response::reply(outcome, detail))
+                }
+                Ok(AnyMessage::Configure(m)) => Some(self.configure(lock, m)),
+                Ok(AnyMessage::GetFrontEnd(_)) => Some(Response::FrontEnd),
+                Ok(AnyMessage::ClearFault(_)) => Some(self.clear_fault(lock)),
+                Ok(AnyMessage::GetUtilisation(_)) => {
+                    Some(Response::Utilisation(lock.with(report::utilisation)))
+                }
+                Ok(AnyMessage::ReplayStart(m)) => Some(self.start_replay(lock, &m)),
+                Ok(AnyMessage::ReplayEnd(_)) => {
+                    let mode = self.replay.end(lock);
+                    Some(self.replay_mode(mode))
+                }
+                Ok(AnyMessage::GetBoard(_)) => Some(Response::Board),
+                Ok(AnyMessage::TestLink(m)) => Some(self.test_link(&m)),
+                Ok(AnyMessage::StreamLog(m)) => Some(match self.queue.stream_log(m.on) {
+                    true => Response::outcome(Outcome::Ok),
+                    false => Response::outcome(Outcome::Unavailable),
+                }),
+                Ok(_) | Err(DecodeError::UnknownId { .. }) => {
+                    Some(Response::outcome(Outcome::UnknownMessage))
+                }
+                Err(DecodeError::Malformed { .. } | DecodeError::Trailing { .. }) => {
+                    Some(Response::outcome(Outcome::Malformed))
+                }
+            };
+            if let Some(response) = response {
+                self.respond(number, response);
+            }
+        }
+        bytes.len()
+    }
+
+    /// Responds to a request, now and when it comes again.
+    fn respond(&mut self, number: Number, response: Response) {
+        self.conversation.keep(number, &response);
+        self.queue.respond(number, response);
+    }
+
+    /// Pairs with a host that sends its hello: it starts from a silent device that heats for no host.
+    fn pair(&mut self, lock: &mut impl SamplingLock, theirs: &Hello) {
+        self.end_host_power(lock);
+        let fits = check(self.queue.hello(), theirs).is_ok();
+        self.paired = fits && !self.service.is_leaving();
+        self.conversation = Conversation::default();
+        self.queue.restart(lock);
+        self.service.forget(lock);
+        self.telemetry_every = 0;
+        // A new host must learn of an active fault, even if it was reported to another before.
+        self.reported_fault = Fault::NONE;
+        lock.with(|rt| rt.recorder().set_period(0));
+        // One that does not fit sees it in ours.
+        self.queue.announce(Response::Hello);
+    }
+
+    /// Ends the conversation until the next hello.
+    fn unpair(&mut self) {
+        self.paired = false;
+        self.telemetry_every = 0;
+    }
+
+    /// Begins a test of the board, which is responded to later, or responds that something else is under way.
+    fn begin_test(&mut self, number: Number, test: BoardTest) -> Option<Response> {
+        let begun = self.service.begin_test(number, test);
+        (!begun).then_some(Response::outcome(Outcome::Busy))
+    }
+
+    /// Begins a restart in the same way.
+    fn begin_restart(&mut self, number: Number, into: Program) -> Option<Response> {
+        let begun = self.service.begin_restart(number, into);
+        (!begun).then_some(Response::outcome(Outcome::Busy))
+    }
+
+    /// To be called after each block, behind [`Housekeeping::poll`]: carries out what a host has requested of the board,
+    /// a step at a time.
+    #[inline(never)]
+    pub fn serve(&mut self, lock: &mut impl SamplingLock, board: &mut impl BoardServices) {
+        // A full queue would lose the response.
+        if self.queue.is_full() {
+            return;
+        }
+        let idle = self.control.asked_w() == 0 || self.control.state() == State::LockedOut;
+        let Some((number, response)) = self.service.poll(idle, lock, board) else {
+            return;
+        };
+        self.respond(number, response);
+        if self.service.is_leaving() {
+            self.unpair();
+        }
+    }
+}
+
+/// Requests by their message.
+impl Housekeeping {
+    /// Takes a host's request of power, at most the rating; the detail of [`Outcome::Ok`] is the power that was taken.
+    fn host_power(&mut self, lock: &mut impl SamplingLock, power_w: u16) -> (Outcome, u32) {
+        let (fault, replaying) = lock.with(|rt| (rt.fault(), rt.is_replaying()));
+        if power_w > REQUESTED_POWER_MAX_W {
+            return (Outcome::PowerOutOfRange, u32::from(REQUESTED_POWER_MAX_W));
+        }
+        let power_w = power_w.min(RATED_POWER_W);
+        if power_w > 0 && replaying {
+            // Nothing may be heated; there is no fault to name.
+            return (Outcome::FaultActive, 0);
+        }
+        if power_w > 0 && self.control.state() == State::LockedOut {
+            return (Outcome::LockedOut, u32::from(fault.number()));
+        }
+        match self.control.host(power_w) {
+            Some(action) => {
+                self.act(lock, action);
+                (Outcome::Ok, u32::from(power_w))
+            }
+            None => (Outcome::PanelOff, 0),
+        }
+    }
+
+    fn clear_fault(&mut self, lock: &mut impl SamplingLock) -> Response {
+        let action = self.control.clear_fault();
+        self.act(lock, action);
+        let standing = lock.with(|rt| rt.fault());
+        let outcome = match standing {
+            Fault::NONE => Outcome::Ok,
+            _ if self.control.state() == State::LockedOut => Outcome::LockedOut,
+            _ => Outcome::FaultActive,
+        };
+        Response::reply(outcome, u32::from(standing.number()))
+    }
+
+    fn start_replay(&mut self, lock: &mut impl SamplingLock, m: &ReplayStart) -> Response {
+        let off = self.control.switch_off();
+        self.act(lock, off);
+        match self.replay.start(lock, m) {
+            Ok(mode) => self.replay_mode(mode),
+            Err((outcome, detail)) => Response::reply(outcome, detail),
+        }
+    }
+
+    fn replay_mode(&mut self, mode: ReplayMode) -> Response {
+        self.queue.set_capability(CAP_REPLAYING, mode.active);
+        Response::ReplayMode(mode)
+    }
+
+    fn stream(&mut self, lock: &mut impl SamplingLock, m: &Stream) -> Response {
+        self.telemetry_every = m.telemetry_every;
+        lock.with(|rt| rt.recorder().set_period(m.windows_every));
+        Response::outcome(Outcome::Ok)
+    }
+
+    fn configure(&mut self, lock: &mut impl SamplingLock, settings: Configure) -> Response {
+        match settings.check() {
+            Ok(()) => {
+                self.control.set_give_up_s(settings.give_up_s);
+                lock.with(|rt| rt.set_dither(settings.dither_permille));
+                self.settings = settings;
+                Response::outcome(Outcome::Ok)
+            }
+            Err(field) => Response::reply(Outcome::OutOfRange, field),
+        }
+    }
+
+    fn test_link(&mut self, test: &TestLink) -> Response {
+        if usize::from(test.bytes) > CHUNK_BYTES {
+            return Response::reply(Outcome::OutOfRange, 1);
+        }
+        let tested = self.service.take_link_counts();
+        self.queue.send_link_data(test.frames, test.bytes);
+        Response::LinkTested(tested)
+    }
+
+    #[inline(never)]
+    fn status(&mut self, lock: &mut impl SamplingLock) -> Status {
+        let received = self.deframer.counters();
+        let telemetry_dropped = self.queue.telemetry_dropped();
+        let (control, version, last) = (&self.control, self.lookup.version, &self.last);
+        lock.with(|path| Status {
+            telemetry_dropped,
+            frames_bad: received.bad,
+            frames_lost: received.lost,
+            ..report::status(path, control, last, version)
+        })
+    }
+}
+
+/// Returns `true` if a request of this number is to be carried out. One that comes again gets its response again.
+fn is_new_request(
+    conversation: &mut Conversation,
+    queue: &mut TransmitQueue,
+    number: Number,
+) -> bool {
+    match conversation.turn(number) {
+        RequestOrder::New => return true,
+        RequestOrder::Again => {
+            if let Some(response) = conversation.response() {
+                queue.respond(number, response.clone());
+            }
+        }
+        RequestOrder::Past => {}
+        RequestOrder::Unnumbered => {
+            queue.respond(number, Response::outcome(Outcome::Malformed));
+        }
+    }
+    false
+}

@@ -1,0 +1,117 @@
+use super::*;
+use crate::drive::bridge::Bridge;
+use crate::estimate::tank::resonant_inductance;
+use crate::limits::BOOTSTRAP_CHARGE_NS;
+use ihd_shared::fault::Fault;
+use std::boxed::Box;
+use std::vec::Vec;
+
+/// 37.5 µs at 80 kHz: blocks of a half-cycle of 50 Hz.
+const HALF_CYCLE: u32 = 266;
+
+struct Board {
+    realtime: Box<SamplingPath>,
+    block: u32,
+}
+
+impl Board {
+    fn new() -> Self {
+        let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
+        Self {
+            realtime: Box::new(SamplingPath::new(r, l)),
+            block: 0,
+        }
+    }
+
+    /// The bridge after each of so many blocks.
+    fn run(&mut self, blocks: u32) -> Vec<Bridge> {
+        (0..blocks)
+            .map(|_| {
+                self.block += 1;
+                let crossing = self.block.is_multiple_of(HALF_CYCLE);
+                // No two blocks are alike, or they would be frozen.
+                let i = (self.block % 7) as i16;
+                let block = AdcBlock {
+                    pairs: &core::array::from_fn::<_, ADC_LOCK_P, _>(|k| Pair {
+                        v: 0,
+                        i: if k == 0 { i } else { 0 },
+                    }),
+                    zero_crossing: crossing.then_some(0),
+                    bus_dv: 300,
+                    dc_link_ma: None,
+                    lost: 0,
+                };
+                self.realtime.on_block(&block).bridge
+            })
+            .collect()
+    }
+
+    fn heat(&mut self) {
+        self.realtime.request(Drive::switching(60_000));
+    }
+}
+
+/// Whenever power is requested, the lower switch is closed for a millisecond before the upper
+/// one may be, and switching begins at a zero crossing.
+#[test]
+fn the_bootstrap_capacitor_is_charged_before_the_bridge_switches() {
+    for asked_at in [1, 30, HALF_CYCLE - 60, HALF_CYCLE - 28, HALF_CYCLE - 20] {
+        let mut board = Board::new();
+        assert!(board.run(asked_at).iter().all(|b| *b == Bridge::Open));
+        board.heat();
+        let seen = board.run(2 * HALF_CYCLE);
+        let lower_on = seen.iter().take_while(|b| **b == Bridge::LowerOn).count() as u32;
+        assert!(
+            seen[lower_on as usize..]
+                .iter()
+                .all(|b| *b == Bridge::Switching)
+        );
+        // The first block's answer counts from the next one.
+        assert!(lower_on * 37_500 >= BOOTSTRAP_CHARGE_NS, "{lower_on}");
+        assert!(lower_on <= HALF_CYCLE + 27, "{lower_on}");
+        assert_eq!((asked_at + lower_on + 1) % HALF_CYCLE, 0);
+    }
+}
+
+/// The first drive has the frequency of off, so that no change of it sets the resonant inductance.
+#[test]
+fn resonance_is_checked_from_the_first_start_on() {
+    let mut board = Board::new();
+    let l_min = board.realtime.protection.l_min();
+    assert_eq!(l_min, resonant_inductance(Drive::OFF.f_sw_hz));
+    board.realtime.request(Drive::switching(Drive::OFF.f_sw_hz));
+    board.run(2 * HALF_CYCLE);
+    assert_eq!(board.realtime.protection.l_min(), l_min);
+}
+
+#[test]
+fn off_and_faults_open_both_switches_at_once_from_any_state() {
+    for blocks in [5, 2 * HALF_CYCLE] {
+        let mut board = Board::new();
+        board.heat();
+        assert_ne!(board.run(blocks).pop(), Some(Bridge::Open));
+        board.realtime.request(Drive::OFF);
+        assert_eq!(board.run(1), [Bridge::Open]);
+
+        let mut board = Board::new();
+        board.heat();
+        board.run(blocks);
+        board.realtime.raise(Fault::HARDWARE_OVER_CURRENT);
+        assert_eq!(board.run(3), [Bridge::Open; 3]);
+        // Cleared, it stays open until power is requested; then it charges again, once the mains has
+        // passed its zero if it switched.
+        board.realtime.clear_fault();
+        assert_eq!(board.run(3), [Bridge::Open; 3]);
+        board.heat();
+        let switched = blocks > HALF_CYCLE;
+        let to_crossing = if switched {
+            HALF_CYCLE - board.block % HALF_CYCLE
+        } else {
+            1
+        };
+        let waited = board.run(to_crossing);
+        let (last, before) = waited.split_last().expect("at least one");
+        assert!(before.iter().all(|b| *b == Bridge::Open));
+        assert_eq!(*last, Bridge::LowerOn);
+    }
+}
