@@ -199,13 +199,14 @@ fn pairs(
     frames: &mut FrameWriter,
     out: &mut [u8; MAX_ENCODED],
 ) -> (u16, usize) {
-    let mut raw = [0; CHUNK_BYTES];
-    let n = read_in_parts(&mut raw, offset, lock, Recorder::read_pairs);
-    let data = &raw[..usize::from(n) * PAIR_BYTES];
-    digest.update(data);
-    let data = Raw(data);
-    let chunk = WindowChunk { seq, offset, data };
-    (n, frames.write(&chunk, out))
+    chunk(
+        offset,
+        Recorder::read_pairs,
+        PAIR_BYTES,
+        digest,
+        lock,
+        |data| frames.write(&WindowChunk { seq, offset, data }, out),
+    )
 }
 
 /// Does for the trajectory the same as `pairs`.
@@ -218,13 +219,27 @@ fn trajectory(
     frames: &mut FrameWriter,
     out: &mut [u8; MAX_ENCODED],
 ) -> (u16, usize) {
+    let read = Recorder::read_trajectory;
+    chunk(offset, read, TRAJECTORY_ENTRY_BYTES, digest, lock, |data| {
+        frames.write(&TrajectoryChunk { seq, offset, data }, out)
+    })
+}
+
+/// Reads a chunk of entries of so many bytes and writes its frame; returns the number of entries and the frame's length.
+#[inline(always)]
+fn chunk(
+    offset: u16,
+    read: impl Fn(&Recorder, u16, &mut [u8]) -> u16,
+    entry_bytes: usize,
+    digest: &mut Digest,
+    lock: &mut impl SamplingLock,
+    write: impl FnOnce(Raw<'_>) -> usize,
+) -> (u16, usize) {
     let mut raw = [0; CHUNK_BYTES];
-    let n = read_in_parts(&mut raw, offset, lock, Recorder::read_trajectory);
-    let data = &raw[..usize::from(n) * TRAJECTORY_ENTRY_BYTES];
+    let n = read_in_parts(&mut raw, offset, lock, read);
+    let data = &raw[..usize::from(n) * entry_bytes];
     digest.update(data);
-    let data = Raw(data);
-    let chunk = TrajectoryChunk { seq, offset, data };
-    (n, frames.write(&chunk, out))
+    (n, write(Raw(data)))
 }
 
 /// Bytes that are read under one lock.
