@@ -38,7 +38,7 @@ pub type Mangle = Box<dyn FnMut(&[u8]) -> Vec<u8> + Send>;
 /// Firmware, load and the device's end of the link.
 pub struct DeskHob {
     housekeeping: Housekeeping,
-    realtime: Box<SamplingPath>,
+    sampling_path: Box<SamplingPath>,
     time_ns: u64,
     /// R of the load at 45 kHz, in ohm; 0 for no pot: the empty coil.
     pub load_ohm: f64,
@@ -67,7 +67,7 @@ impl DeskHob {
         let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
         Self {
             housekeeping: Housekeeping::new(hello),
-            realtime: Box::new(SamplingPath::new(r, l)),
+            sampling_path: Box::new(SamplingPath::new(r, l)),
             time_ns: 0,
             load_ohm: 4.5,
             blocks: 0,
@@ -92,8 +92,8 @@ impl DeskHob {
     }
 
     /// The firmware's sampling path.
-    pub fn realtime(&mut self) -> &mut SamplingPath {
-        &mut self.realtime
+    pub fn sampling_path(&mut self) -> &mut SamplingPath {
+        &mut self.sampling_path
     }
 
     /// Time since boot, in nanoseconds.
@@ -143,7 +143,7 @@ impl DeskHob {
 
     /// One block of samples, then the link.
     pub fn step(&mut self) {
-        let drive = self.realtime.drive();
+        let drive = self.sampling_path.drive();
         let duration = u64::from(block_ns(drive.f_sw_hz));
         let pairs = self.pairs(drive);
         let next_crossing = (self.time_ns / HALF_CYCLE_NS + 1) * HALF_CYCLE_NS;
@@ -156,17 +156,17 @@ impl DeskHob {
             dc_link_ma: None,
             lost: 0,
         };
-        self.realtime.on_block(&block);
+        self.sampling_path.on_block(&block);
         let block_cycles = (duration * 170 / 1_000) as u32;
-        self.realtime
+        self.sampling_path
             .utilisation()
             .add(block_cycles / 4, block_cycles);
         self.time_ns += duration;
         self.blocks += 1;
         if self.blocks.is_multiple_of(self.turn_every) {
-            self.housekeeping.poll(&mut *self.realtime);
+            self.housekeeping.poll(&mut *self.sampling_path);
             self.housekeeping
-                .serve(&mut *self.realtime, &mut NoBoardServices);
+                .serve(&mut *self.sampling_path, &mut NoBoardServices);
         }
         self.exchange();
     }
@@ -210,12 +210,14 @@ impl DeskHob {
 
     fn exchange(&mut self) {
         let offered = self.to_device.make_contiguous();
-        let taken = self.housekeeping.receive(&mut *self.realtime, offered);
+        let taken = self.housekeeping.receive(&mut *self.sampling_path, offered);
         self.to_device.drain(..taken);
         let mut frame = [0; MAX_ENCODED];
         let mut carried = 0;
         while carried < self.bytes_per_block {
-            let length = self.housekeeping.transmit(&mut *self.realtime, &mut frame);
+            let length = self
+                .housekeeping
+                .transmit(&mut *self.sampling_path, &mut frame);
             if length == 0 {
                 break;
             }

@@ -92,7 +92,7 @@ fn of_load(r_ohm: f64, x_ohm: f64, crest_a: f64) -> Vec<[Pair; ADC_LOCK_P]> {
 
 struct Soak {
     random: Random,
-    realtime: Box<SamplingPath>,
+    sampling_path: Box<SamplingPath>,
     housekeeping: Box<Housekeeping>,
     pot: Vec<[Pair; ADC_LOCK_P]>,
     air: Vec<[Pair; ADC_LOCK_P]>,
@@ -109,7 +109,7 @@ impl Soak {
         let hello = ours(ROLE_DEVICE, 0, 1, "soak", "soak");
         Self {
             random: Random(seed),
-            realtime: Box::new(SamplingPath::new(
+            sampling_path: Box::new(SamplingPath::new(
                 MicroOhm(4_000_000),
                 PicoHenry(26_000_000),
             )),
@@ -150,7 +150,7 @@ impl Soak {
         };
         // No two blocks of a converter are alike.
         pairs[0].v ^= (n & 3) as i16;
-        if !self.realtime.drive().is_switching() && !self.random.one_in(50) {
+        if !self.sampling_path.drive().is_switching() && !self.random.one_in(50) {
             return [Pair::default(); ADC_LOCK_P];
         }
         pairs
@@ -158,7 +158,7 @@ impl Soak {
 
     /// The bus that drives the pot's current at this frequency, in decivolt: sensors that agree.
     fn bus_peak_dv(&self) -> f64 {
-        let f_hz = f64::from(self.realtime.drive().f_sw_hz);
+        let f_hz = f64::from(self.sampling_path.drive().f_sw_hz);
         let x_c_ohm = 1e12 / (TAU * f_hz * f64::from(TANK_CAPACITANCE_PF));
         let (r_ohm, x_ohm, crest_a) = POT;
         10.0 * crest_a * r_ohm.hypot(x_ohm - x_c_ohm) / FRAC_2_PI
@@ -182,8 +182,8 @@ impl Soak {
         } else {
             (self.bus_peak_dv() * (TAU * 0.5 * phase).sin()) as u16
         };
-        let was = self.realtime.fault();
-        let drive = self.realtime.on_block(&AdcBlock {
+        let was = self.sampling_path.fault();
+        let drive = self.sampling_path.on_block(&AdcBlock {
             pairs: &pairs,
             zero_crossing: crossing.then(|| self.random.below(255) as u8),
             bus_dv,
@@ -193,7 +193,7 @@ impl Soak {
                 .then_some(self.random.next() as u32),
             lost: u32::from(self.random.one_in(20_000)),
         });
-        let fault = self.realtime.fault();
+        let fault = self.sampling_path.fault();
         self.faults += u64::from(fault != Fault::NONE && was == Fault::NONE);
         let f_sw_hz = drive.f_sw_hz;
         assert!(
@@ -208,7 +208,7 @@ impl Soak {
         }
         // A thread that is late now and then.
         if !self.random.one_in(10) {
-            self.housekeeping.poll(&mut *self.realtime);
+            self.housekeeping.poll(&mut *self.sampling_path);
             self.after_poll(n);
         }
     }
@@ -219,9 +219,9 @@ impl Soak {
         self.states[state as usize] += 1;
         assert!(control.asked_w() <= RATED_POWER_W && control.restart().tries_left() <= TRIES);
         // With a fault active, the request before has no effect.
-        let wants = self.realtime.requested_drive().is_switching()
-            && self.realtime.fault() == Fault::NONE
-            && !self.realtime.is_replaying();
+        let wants = self.sampling_path.requested_drive().is_switching()
+            && self.sampling_path.fault() == Fault::NONE
+            && !self.sampling_path.is_replaying();
         let may = matches!(
             state,
             State::Probing | State::Heating | State::WaitingForPot
@@ -237,10 +237,14 @@ impl Soak {
         self.frames += 1;
         let mut left = bytes;
         for _ in 0..20 {
-            let taken = self.housekeeping.receive(&mut *self.realtime, left);
+            let taken = self.housekeeping.receive(&mut *self.sampling_path, left);
             left = &left[taken..];
             let mut out = [0; MAX_ENCODED];
-            while self.housekeeping.transmit(&mut *self.realtime, &mut out) > 0 {}
+            while self
+                .housekeeping
+                .transmit(&mut *self.sampling_path, &mut out)
+                > 0
+            {}
         }
     }
 
@@ -338,7 +342,7 @@ impl Soak {
             1..4 => PanelEvent::Level(0),
             _ => PanelEvent::Level((bits >> 40) as u8 % 12),
         };
-        self.housekeeping.panel(&mut *self.realtime, event);
+        self.housekeeping.panel(&mut *self.sampling_path, event);
     }
 }
 

@@ -62,7 +62,7 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
 /// The firmware, the board around it, and a host that listens.
 struct Device {
     housekeeping: Housekeeping,
-    realtime: Box<SamplingPath>,
+    sampling_path: Box<SamplingPath>,
     board: Board,
     host: Receiver,
     to_device: Vec<u8>,
@@ -80,7 +80,7 @@ impl Device {
         let hello = ours(ROLE_DEVICE, CAP_SIMULATED, 7, "fuzz 0.0.0", "fuzz");
         let mut new = Self {
             housekeeping: Housekeeping::new(hello),
-            realtime: Box::new(SamplingPath::new(r, l)),
+            sampling_path: Box::new(SamplingPath::new(r, l)),
             board: Board::default(),
             host: Receiver::default(),
             to_device: Vec::new(),
@@ -151,7 +151,7 @@ impl Device {
                 let length = usize::from(reader.u8());
                 self.offer(reader.bytes(length));
             }
-            _ => self.realtime.raise(Fault::HARDWARE_OVER_CURRENT),
+            _ => self.sampling_path.raise(Fault::HARDWARE_OVER_CURRENT),
         }
     }
 
@@ -196,10 +196,10 @@ impl Device {
     }
 
     fn rest_of_half_cycle(&mut self) {
-        let half_cycle = self.realtime.half_cycles();
+        let half_cycle = self.sampling_path.half_cycles();
         for _ in 0..300 {
             self.block();
-            if self.realtime.half_cycles() != half_cycle {
+            if self.sampling_path.half_cycles() != half_cycle {
                 break;
             }
         }
@@ -210,9 +210,9 @@ impl Device {
         let pairs = self.board.pairs(self.drive);
         let block = self.board.block(&pairs, self.drive);
         let was = self.drive;
-        self.drive = self.realtime.on_block(&block);
+        self.drive = self.sampling_path.on_block(&block);
         self.blocks += 1;
-        assert_eq!(self.drive, self.realtime.drive());
+        assert_eq!(self.drive, self.sampling_path.drive());
         self.check_drive();
         if self.drive.is_switching() && was != self.drive {
             assert_ne!(was.bridge, Bridge::Open);
@@ -224,7 +224,7 @@ impl Device {
                 self.drive
             );
         }
-        self.housekeeping.poll(&mut *self.realtime);
+        self.housekeeping.poll(&mut *self.sampling_path);
         let lookup = self.housekeeping.lookup();
         if lookup.version != self.lookup_version {
             assert!(lookup.version > self.lookup_version || lookup.version == 0);
@@ -242,10 +242,10 @@ impl Device {
         );
         if drive.bridge != Bridge::Open {
             let control = self.housekeeping.control();
-            assert_eq!(self.realtime.fault(), Fault::NONE);
-            assert!(!self.realtime.is_replaying());
+            assert_eq!(self.sampling_path.fault(), Fault::NONE);
+            assert!(!self.sampling_path.is_replaying());
             // Off waits for the zero crossing.
-            let ends = !self.realtime.requested_drive().is_switching();
+            let ends = !self.sampling_path.requested_drive().is_switching();
             let may = matches!(
                 control.state(),
                 State::Probing | State::Heating | State::WaitingForPot
@@ -269,7 +269,7 @@ impl Device {
     fn receive(&mut self) -> usize {
         let taken = self
             .housekeeping
-            .receive(&mut *self.realtime, &self.to_device);
+            .receive(&mut *self.sampling_path, &self.to_device);
         self.to_device.drain(..taken);
         taken
     }
@@ -277,7 +277,9 @@ impl Device {
     fn transmit(&mut self) {
         let mut frame = [0; MAX_ENCODED];
         loop {
-            let length = self.housekeeping.transmit(&mut *self.realtime, &mut frame);
+            let length = self
+                .housekeeping
+                .transmit(&mut *self.sampling_path, &mut frame);
             if length == 0 {
                 return self.listen();
             }

@@ -113,9 +113,9 @@ fn lookup(c: &mut Criterion) {
 /// A sampling path that has recorded the fixture as a window: the bridge goes on at the first zero
 /// crossing, the window begins with the second and is complete soon after the third.
 fn recorded(blocks: &[[Pair; ADC_LOCK_P]]) -> Box<SamplingPath> {
-    let mut realtime = Box::new(SamplingPath::new(START.0, START.1));
-    realtime.recorder().set_period(1);
-    realtime.request(Drive::switching(F_SW_HZ));
+    let mut sampling_path = Box::new(SamplingPath::new(START.0, START.1));
+    sampling_path.recorder().set_period(1);
+    sampling_path.request(Drive::switching(F_SW_HZ));
     let mut since_ns = 0;
     for pairs in blocks.iter().cycle().take(5 * blocks.len()) {
         let crosses = since_ns >= 10_000_000;
@@ -127,23 +127,23 @@ fn recorded(blocks: &[[Pair; ADC_LOCK_P]]) -> Box<SamplingPath> {
             lost: 0,
         };
         since_ns = if crosses { 0 } else { since_ns };
-        let drive = realtime.on_block(&block);
+        let drive = sampling_path.on_block(&block);
         since_ns += block_ns(drive.f_sw_hz);
-        if realtime.recorder().ready().is_some() {
+        if sampling_path.recorder().ready().is_some() {
             break;
         }
     }
-    realtime
+    sampling_path
 }
 
 /// Every frame of the recorded window.
-fn transmitted(realtime: &mut SamplingPath) -> Vec<u8> {
+fn transmitted(sampling_path: &mut SamplingPath) -> Vec<u8> {
     let hello = ours(ROLE_DEVICE, CAP_SIMULATED, 1, "bench", "bench");
     let (mut queue, lookup) = (TransmitQueue::new(hello), prior());
     let mut frame = [0; MAX_ENCODED];
     let mut stream = Vec::new();
     loop {
-        match queue.transmit(realtime, &lookup, &mut frame) {
+        match queue.transmit(sampling_path, &lookup, &mut frame) {
             0 => return stream,
             length => stream.extend_from_slice(&frame[..length]),
         }
@@ -171,7 +171,7 @@ fn window(c: &mut Criterion) {
     group.bench_function("encode", |b| {
         b.iter_batched_ref(
             || recorded(&blocks),
-            |realtime| transmitted(realtime),
+            |sampling_path| transmitted(sampling_path),
             BatchSize::LargeInput,
         );
     });

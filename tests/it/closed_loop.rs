@@ -93,7 +93,7 @@ fn every_frequency_is_one_that_a_board_can_make() {
 fn new_periods_begin_a_block_after_the_one_that_runs() {
     let mut hob = SimHob::new(&HobConfig::default());
     hob.panel(PanelEvent::Level(7));
-    let off = hob.realtime().drive();
+    let off = hob.sampling_path().drive();
     let (mut before, mut last, mut changes) = (off, off, 0);
     while hob.t_s() < 0.5 {
         let start_s = hob.t_s();
@@ -108,7 +108,7 @@ fn new_periods_begin_a_block_after_the_one_that_runs() {
             );
             changes += u32::from(before.f_sw_hz != last.f_sw_hz);
         }
-        (before, last) = (last, hob.realtime().drive());
+        (before, last) = (last, hob.sampling_path().drive());
     }
     assert!(changes > 10, "{changes}");
 }

@@ -149,12 +149,12 @@ impl Board {
 
 /// The host-compiled library on the same blocks.
 fn on_this_machine(h: &HalfCycle) -> Vec<Option<TrajectoryEntry>> {
-    let mut realtime = Box::new(SamplingPath::new(START.0, START.1));
-    realtime.set_replay(true, h.f_sw_hz, START.0, START.1);
+    let mut sampling_path = Box::new(SamplingPath::new(START.0, START.1));
+    sampling_path.set_replay(true, h.f_sw_hz, START.0, START.1);
     let blocks = h.blocks().enumerate();
     blocks
         .map(|(k, pairs)| {
-            realtime.replay_block(&AdcBlock {
+            sampling_path.replay_block(&AdcBlock {
                 pairs,
                 zero_crossing: (k == 0).then_some(0),
                 bus_dv: BUS_DV,

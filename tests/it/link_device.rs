@@ -90,7 +90,7 @@ fn the_scales_are_known_once_it_is_connected() {
 #[test]
 fn a_standing_fault_is_reported_and_cannot_be_cleared() {
     let link = DeskLink::new(DeskHob::new(desk_hello()));
-    link.hob().realtime().latch_fault(Fault::OPTION_BYTES);
+    link.hob().sampling_path().latch_fault(Fault::OPTION_BYTES);
     link.hob().run(1);
     let mut client = Client::connect(Box::new(link.clone())).unwrap();
     let number = u32::from(Fault::OPTION_BYTES.number());
@@ -637,7 +637,7 @@ fn a_hello_ends_the_power_that_the_host_before_it_asked_for() {
         let mut hob = link.hob();
         let control = hob.housekeeping().control();
         assert_eq!((control.state(), control.asked_w()), (State::Idle, 0));
-        assert!(!hob.realtime().drive().is_switching());
+        assert!(!hob.sampling_path().drive().is_switching());
     }
 }
 
@@ -657,7 +657,7 @@ fn a_new_host_begins_a_new_sequence_and_hears_of_the_fault() {
     let (mut client, link) = connected();
     client.set_power(1_000).unwrap();
     link.hob().run(10);
-    link.hob().realtime().latch_fault(Fault::FLASH_ECC);
+    link.hob().sampling_path().latch_fault(Fault::FLASH_ECC);
     for _ in 0..100 {
         client.status().unwrap();
     }

@@ -302,7 +302,7 @@ fn windows_that_nobody_lets_go_of_are_kept_for_a_while() {
     };
     link.hob().offer(&framed(&stream, 2));
     link.hob().run(40);
-    let recorded = link.hob().realtime().recorder().counters().recorded;
+    let recorded = link.hob().sampling_path().recorder().counters().recorded;
     assert!((1..=3).contains(&recorded), "{recorded}");
 }
 

@@ -136,7 +136,7 @@ pub async fn run(
             None => {
                 housekeeping.poll(&mut path);
                 // Before anything that may lead to a reset.
-                let fault = path.with(|rt| rt.fault());
+                let fault = path.with(|path| path.fault());
                 crash::note_state(fault.number(), housekeeping.control().retained());
                 tick(housekeeping, &mut path);
                 // Where a turn takes longer than a block, nothing above ever waits: the executor's other tasks would get no

@@ -58,8 +58,8 @@ impl InterruptSide {
     fn on_block(&mut self, block: &AdcBlock<'_>) -> Drive {
         // SAFETY: begun by `split`, which made this side. The thread's side masks interrupts
         // while it holds its reference, and the task that owns this side is no thread.
-        let realtime = unsafe { &mut *PLACE.0.get() };
-        realtime.on_block(block)
+        let sampling_path = unsafe { &mut *PLACE.0.get() };
+        sampling_path.on_block(block)
     }
 
     /// Counts the cycles that a block took, without the interrupt's entry and exit, some 30.
@@ -69,8 +69,8 @@ impl InterruptSide {
             return;
         }
         // SAFETY: as in `on_block`.
-        let realtime = unsafe { &mut *PLACE.0.get() };
-        realtime.utilisation().add(busy_cycles, block_cycles);
+        let sampling_path = unsafe { &mut *PLACE.0.get() };
+        sampling_path.utilisation().add(busy_cycles, block_cycles);
     }
 }
 

@@ -31,7 +31,7 @@ pub enum RestartVerdict {
 pub struct RestartPolicy {
     tries_used: u8,
     locked_out: bool,
-    /// No start before this, while set.
+    /// End of the pause under way, in milliseconds; `None` without one.
     not_before_ms: Option<u32>,
     heating_since_ms: Option<u32>,
 }
@@ -149,7 +149,7 @@ pub(crate) fn is_reached(now_ms: u32, at_ms: u32) -> bool {
 mod tests {
     use super::*;
 
-    /// When the bridge may be started, by a clock of a millisecond.
+    /// Milliseconds from `from_ms` on until the bridge may be started.
     fn permitted_after(restart: &mut RestartPolicy, from_ms: u32) -> u32 {
         (0..)
             .find(|&ms| restart.permits(from_ms.wrapping_add(ms)))

@@ -11,7 +11,7 @@ const ALLOWANCE: u32 = LEVELS[0].unattended_min as u32 * 60_000;
 /// Part of the allowance that is used up.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Unattended {
-    /// In milliseconds of level 1.
+    /// Used time, in milliseconds of level 1.
     used: u32,
 }
 

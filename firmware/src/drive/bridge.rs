@@ -20,7 +20,7 @@ pub enum Bridge {
     Open,
     /// The lower one closed: it charges the upper driver's bootstrap capacitor.
     LowerOn,
-    /// In turn, with dead time.
+    /// Both closed in turn, with dead time.
     Switching,
 }
 

@@ -26,7 +26,7 @@ pub struct TankAt {
 }
 
 impl TankAt {
-    /// At a switching frequency in hertz, up to 300 kHz.
+    /// Computes it for a switching frequency in hertz, up to 300 kHz.
     pub fn new(f_sw_hz: u32) -> Self {
         /// 2π · 1e-9 · 2^42, in thousandths.
         const OMEGA_PER_HZ: u64 = 27_633_741;

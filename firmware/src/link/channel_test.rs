@@ -109,21 +109,21 @@ impl ChannelTest {
             _ => elapsed_ms >= MEASURED_MS,
         };
         if over {
-            lock.with(|rt| rt.recorder().end_raw());
+            lock.with(|path| path.recorder().end_raw());
         }
         over
     }
 
     fn take_pairs(&mut self, lock: &mut impl SamplingLock) {
         let Some(taken) = self.taken else {
-            if lock.with(|rt| rt.recorder().begin_raw()) {
+            if lock.with(|path| path.recorder().begin_raw()) {
                 self.taken = Some(0);
             }
             return;
         };
         let mut raw = [0; CHUNK_BYTES];
-        let n = lock.with(|rt| match rt.recorder().is_raw() {
-            true => Some(rt.recorder().read_pairs(taken, &mut raw)),
+        let n = lock.with(|path| match path.recorder().is_raw() {
+            true => Some(path.recorder().read_pairs(taken, &mut raw)),
             false => None,
         });
         let Some(n) = n else {
@@ -139,7 +139,7 @@ impl ChannelTest {
         }
         self.taken = Some(taken + n);
         if usize::from(taken + n) >= MAX_PAIRS {
-            lock.with(|rt| rt.recorder().end_raw());
+            lock.with(|path| path.recorder().end_raw());
             self.taken = None;
         }
     }

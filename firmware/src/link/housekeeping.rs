@@ -27,19 +27,24 @@ use crate::sense::supply::{Reference, SupplyScale};
 
 mod requests;
 
-/// The link's incoming side, control and lookup.
+/// Everything that the thread owns: the conversation with a host, control, the active lookup.
 pub struct Housekeeping {
     deframer: Deframer,
     conversation: Conversation,
     queue: TransmitQueue,
     control: Control,
     service: Service,
+    /// A host's hello has been answered, and it fits.
     paired: bool,
+    /// Half-cycles from telemetry to telemetry; 0 for none.
     telemetry_every: u8,
     lookup: ActiveLookup,
     settings: Configure,
+    /// The fault that the host was told of last.
     reported_fault: Fault,
+    /// Half-cycles since the last frame from the host, but for those that come by themselves.
     half_cycles_unheard: u32,
+    /// The last half-cycle.
     last: HalfCycle,
     replay: Replay,
 }
@@ -76,11 +81,11 @@ impl Housekeeping {
         kept: RetainedControl,
         fault: Fault,
     ) {
-        let status = lock.with(|rt| {
+        let status = lock.with(|path| {
             if kept.locked_out {
-                rt.raise(fault);
+                path.raise(fault);
             }
-            SamplingStatus::read(rt)
+            SamplingStatus::read(path)
         });
         self.control.restore(kept, &status);
     }
@@ -171,9 +176,9 @@ impl Housekeeping {
     /// frequency is the longest it does.
     #[inline(never)]
     pub fn poll(&mut self, lock: &mut impl SamplingLock) {
-        let (sums, status) = lock.with(|rt| {
-            rt.housekeeping_gap().end();
-            (rt.take_half_cycle(), SamplingStatus::read(rt))
+        let (sums, status) = lock.with(|path| {
+            path.housekeeping_gap().end();
+            (path.take_half_cycle(), SamplingStatus::read(path))
         });
         let action = match sums.map(|half_cycle| half_cycle.evaluate()) {
             Some(probe) if probe.is_pot_probe => self.control.on_half_cycle(&probe, &status),
@@ -182,10 +187,10 @@ impl Housekeeping {
         };
         self.act(lock, action);
         // The request that was just made counts.
-        let status = lock.with(|rt| SamplingStatus::read(rt));
+        let status = lock.with(|path| SamplingStatus::read(path));
         let action = self.control.tick(&status);
         self.act(lock, action);
-        let (fault, half_cycle) = lock.with(|rt| (rt.fault(), rt.fault_half_cycle()));
+        let (fault, half_cycle) = lock.with(|path| (path.fault(), path.fault_half_cycle()));
         if fault != self.reported_fault && self.paired && !self.queue.is_full() {
             self.reported_fault = fault;
             self.queue
@@ -201,7 +206,7 @@ impl Housekeeping {
         status: &SamplingStatus,
     ) -> Action {
         if let Some(version) = self.lookup.on_half_cycle() {
-            lock.with(|rt| rt.recorder().set_lookup_version(version));
+            lock.with(|path| path.recorder().set_lookup_version(version));
         }
         self.watch_host(lock);
         self.queue.on_half_cycle(lock);
@@ -229,10 +234,10 @@ impl Housekeeping {
     fn act(&mut self, lock: &mut impl SamplingLock, action: Action) {
         match action {
             Action::Keep => {}
-            Action::Drive(drive) => lock.with(|rt| rt.request(drive)),
+            Action::Drive(drive) => lock.with(|path| path.request(drive)),
             Action::ProbePot => lock.with(SamplingPath::request_pot_probe),
             Action::OffAtCrossing => lock.with(SamplingPath::request_off_at_crossing),
-            Action::Fault(fault) => lock.with(|rt| rt.raise(fault)),
+            Action::Fault(fault) => lock.with(|path| path.raise(fault)),
             Action::ClearFault => lock.with(SamplingPath::clear_fault),
         }
     }
@@ -243,7 +248,7 @@ impl Housekeeping {
         if !self.paired || every == 0 || !s.half_cycle.is_multiple_of(every) {
             return;
         }
-        let fault = lock.with(|rt| rt.fault());
+        let fault = lock.with(|path| path.fault());
         let (control, version) = (&self.control, self.lookup.version);
         self.queue
             .telemetry(|seq, dropped| report::telemetry(seq, dropped, s, fault, control, version));

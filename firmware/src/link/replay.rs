@@ -66,11 +66,11 @@ impl Replay {
         if !(F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&m.f_sw_hz) {
             return Err((Outcome::Malformed, 0));
         }
-        let fault = lock.with(|rt| {
-            if rt.fault() == Fault::NONE {
-                rt.set_replay(true, m.f_sw_hz, m.r, m.l);
+        let fault = lock.with(|path| {
+            if path.fault() == Fault::NONE {
+                path.set_replay(true, m.f_sw_hz, m.r, m.l);
             }
-            rt.fault()
+            path.fault()
         });
         if fault != Fault::NONE {
             return Err((Outcome::FaultActive, u32::from(fault.number())));
@@ -85,9 +85,9 @@ impl Replay {
     /// Leaves replay mode; the estimator expects the built-in prior's load again.
     pub fn end(&mut self, lock: &mut impl SamplingLock) -> ReplayMode {
         let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
-        lock.with(|rt| {
-            if rt.is_replaying() {
-                rt.set_replay(false, F_SW_MAX_HZ, r, l);
+        lock.with(|path| {
+            if path.is_replaying() {
+                path.set_replay(false, F_SW_MAX_HZ, r, l);
             }
         });
         ReplayMode {
@@ -112,7 +112,7 @@ impl Replay {
         if !bytes.len().is_multiple_of(BLOCK_BYTES) || count > BLOCKS_PER_MESSAGE {
             return Err(Outcome::Malformed);
         }
-        if !lock.with(|rt| rt.is_replaying()) {
+        if !lock.with(|path| path.is_replaying()) {
             return Err(Outcome::NotReplaying);
         }
         if count == 0 {
@@ -148,8 +148,8 @@ fn replay_one(
         *pair = Pair::from_le_bytes([b[0], b[1], b[2], b[3]]);
     }
     let zero_crossing = crossing.filter(|&at| at < ADC_LOCK_P).map(|at| at as u8);
-    lock.with(|rt| {
-        rt.replay_block(&AdcBlock {
+    lock.with(|path| {
+        path.replay_block(&AdcBlock {
             pairs: &pairs,
             zero_crossing,
             bus_dv,

@@ -106,7 +106,7 @@ impl Service {
 
     /// Forgets the requests of a host that is gone.
     pub fn forget(&mut self, lock: &mut impl SamplingLock) {
-        lock.with(|rt| rt.recorder().end_raw());
+        lock.with(|path| path.recorder().end_raw());
         if !self.is_leaving() {
             self.job = None;
         }
@@ -146,7 +146,7 @@ impl Service {
         board: &mut impl BoardServices,
     ) -> Option<(Number, Response)> {
         let (number, job) = self.job.take()?;
-        let now_ms = lock.with(|rt| rt.now_ms());
+        let now_ms = lock.with(|path| path.now_ms());
         if let ServiceJob::Leaving(into, since_ms) = job {
             if now_ms.wrapping_sub(since_ms) >= RESTART_AFTER_MS {
                 board.restart(into);
@@ -157,7 +157,7 @@ impl Service {
         let step = if idle && is_bridge_open(lock) {
             job.step(now_ms, lock, board)
         } else {
-            lock.with(|rt| rt.recorder().end_raw());
+            lock.with(|path| path.recorder().end_raw());
             Step::Response(Response::outcome(Outcome::NotIdle))
         };
         match step {
@@ -215,8 +215,8 @@ impl ServiceJob {
 
 /// Returns `true` if both switches are open, nothing requests anything else, and the samples are the ADC's.
 fn is_bridge_open(lock: &mut impl SamplingLock) -> bool {
-    lock.with(|rt| {
-        let bridges = [rt.drive().bridge, rt.requested_drive().bridge];
-        bridges == [Bridge::Open; 2] && !rt.is_replaying()
+    lock.with(|path| {
+        let bridges = [path.drive().bridge, path.requested_drive().bridge];
+        bridges == [Bridge::Open; 2] && !path.is_replaying()
     })
 }

@@ -41,7 +41,7 @@ impl WindowSender {
     /// Forgets the window, of a host that is gone.
     pub fn forget(&mut self, lock: &mut impl SamplingLock) {
         self.cursor = None;
-        lock.with(|rt| rt.recorder().abandon());
+        lock.with(|path| path.recorder().abandon());
     }
 
     /// Keeps the window as long as after it was sent: the host has requested a piece.
@@ -69,7 +69,7 @@ impl WindowSender {
 
     fn free(&mut self, lock: &mut impl SamplingLock) {
         self.cursor = None;
-        lock.with(|rt| rt.recorder().release());
+        lock.with(|path| path.recorder().release());
     }
 
     /// Writes the next frame of a recorded window; returns its length, 0 if there is none.
@@ -80,7 +80,7 @@ impl WindowSender {
         out: &mut [u8; MAX_ENCODED],
     ) -> usize {
         if self.cursor.is_none() {
-            let header = lock.with(|rt| rt.recorder().ready().copied());
+            let header = lock.with(|path| path.recorder().ready().copied());
             self.cursor = header.map(|header| Cursor {
                 header,
                 stage: Stage::Start,
@@ -173,7 +173,7 @@ fn start(
 ) -> usize {
     let start = WindowStart {
         seq: h.seq,
-        dropped: lock.with(|rt| rt.recorder().counters().dropped),
+        dropped: lock.with(|path| path.recorder().counters().dropped),
         half_cycle: h.half_cycle,
         f_sw_hz: h.f_sw_hz,
         half_cycle_ns: h.half_cycle_ns,
@@ -261,7 +261,7 @@ fn read_in_parts(
 ) -> u16 {
     let parts = raw.chunks_exact_mut(READ_BYTES);
     parts.fold(0, |n, part| {
-        n + lock.with(|rt| read(rt.recorder(), offset + n, part))
+        n + lock.with(|path| read(path.recorder(), offset + n, part))
     })
 }
 

@@ -71,7 +71,7 @@ impl CrashRecord {
         [MAGIC, reason, counts, !(MAGIC ^ reason ^ counts)]
     }
 
-    /// From words; `None` for anything that [`CrashRecord::to_words`] did not write.
+    /// The record in these words; `None` for anything that [`CrashRecord::to_words`] did not write.
     pub fn from_words(words: [u32; WORDS]) -> Option<Self> {
         let [magic, reason, counts, check] = words;
         if magic != MAGIC || check != !(magic ^ reason ^ counts) {

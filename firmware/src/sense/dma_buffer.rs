@@ -43,8 +43,8 @@ impl DmaDoubleBuffer {
         Some(half)
     }
 
-    /// After half `half` was copied: whether it is whole, given the index in the double block that
-    /// the DMA writes next. If not, it is lost.
+    /// Returns `true` if the copy of a half is whole, by the index in the double block that the DMA writes next; one that is not
+    /// counts as lost.
     pub fn is_whole(&mut self, half: usize, writes_at: usize) -> bool {
         let inside = (half * ADC_LOCK_P..(half + 1) * ADC_LOCK_P).contains(&writes_at);
         if inside {

@@ -65,7 +65,7 @@ pub const BENCH_TRANSFORMER_V: f64 = 24.0;
 /// 24, cleared and BOR_LEV, bits 10:8, at 4.
 const OPTION_BYTES: u32 = 0xFEEF_FCAA;
 
-fn booted_realtime() -> Box<SamplingPath> {
+fn booted_sampling_path() -> Box<SamplingPath> {
     let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
     Box::new(SamplingPath::new(r, l))
 }
@@ -91,7 +91,7 @@ pub struct SimHob {
     soft_start: SoftStart,
     slow_adc: SlowAdc,
     zero_crossing: ZeroCrossingDetector,
-    realtime: Box<SamplingPath>,
+    sampling_path: Box<SamplingPath>,
     housekeeping: Housekeeping,
     boot_id: u32,
     starts: u8,
@@ -151,7 +151,7 @@ impl SimHob {
             soft_start: SoftStart::new(),
             slow_adc: SlowAdc::new(config.seed),
             zero_crossing: ZeroCrossingDetector::default(),
-            realtime: booted_realtime(),
+            sampling_path: booted_sampling_path(),
             housekeeping: booted_housekeeping(boot_id, ResetReason::PowerOn, 1),
             boot_id,
             starts: 1,
@@ -202,10 +202,10 @@ impl SimHob {
         };
         let drive = if self.injections.on_block() {
             self.lost += 1;
-            self.realtime.drive()
+            self.sampling_path.drive()
         } else {
             self.lost = 0;
-            self.realtime.on_block(&block)
+            self.sampling_path.on_block(&block)
         };
         self.put_in_force(drive);
         let since_s = mains.since_crossing_s(end_s);
@@ -213,7 +213,7 @@ impl SimHob {
             self.truth.f_sw_hz = f64::from(drive.f_sw_hz);
         }
         self.run_link(end_s - start_s);
-        self.housekeeping.poll(&mut *self.realtime);
+        self.housekeeping.poll(&mut *self.sampling_path);
         let mut board = SimulatedBoard {
             slow: SlowCodes {
                 bus: slow.bus[BUS_MEAN - 1],
@@ -222,7 +222,8 @@ impl SimHob {
             reference: reference(&self.injections),
             restarts: false,
         };
-        self.housekeeping.serve(&mut *self.realtime, &mut board);
+        self.housekeeping
+            .serve(&mut *self.sampling_path, &mut board);
         self.after_block();
         if board.restarts {
             self.restart();
@@ -247,19 +248,19 @@ impl SimHob {
     fn restart(&mut self) {
         let (kept, fault) = (
             self.housekeeping.control().retained(),
-            self.realtime.fault(),
+            self.sampling_path.fault(),
         );
         self.starts = self.starts.saturating_add(1);
         self.boot_id = self.boot_id.wrapping_add(1);
-        self.realtime = booted_realtime();
+        self.sampling_path = booted_sampling_path();
         self.housekeeping = booted_housekeeping(self.boot_id, ResetReason::Software, self.starts);
         self.housekeeping
-            .restore_control(&mut *self.realtime, kept, fault);
+            .restore_control(&mut *self.sampling_path, kept, fault);
         self.heartbeat = Heartbeat::default();
         self.zero_crossing = ZeroCrossingDetector::default();
         self.inbound.clear();
         self.outbound.clear();
-        let drive = self.realtime.drive();
+        let drive = self.sampling_path.drive();
         self.put_in_force(drive);
     }
 
@@ -289,8 +290,8 @@ impl SimHob {
 
     /// Passes the readings of the board's hardware after a block, and checks the watchdog.
     fn after_block(&mut self) {
-        if self.plant.is_tripped() && self.realtime.drive().bridge != Bridge::Open {
-            self.realtime.raise(Fault::HARDWARE_OVER_CURRENT);
+        if self.plant.is_tripped() && self.sampling_path.drive().bridge != Bridge::Open {
+            self.sampling_path.raise(Fault::HARDWARE_OVER_CURRENT);
         }
         if let Some(reading) = self.plant.take_reading() {
             self.warm_up(&reading);
@@ -299,7 +300,7 @@ impl SimHob {
             self.reading = Some(reading);
         }
         let t_s = self.plant.t_s();
-        if self.heartbeat.beat(self.realtime.blocks()) {
+        if self.heartbeat.beat(self.sampling_path.blocks()) {
             self.fed_s = t_s;
         } else if t_s - self.fed_s > WATCHDOG_S {
             self.watchdog_bites += 1;
@@ -341,12 +342,13 @@ impl SimHob {
 
     /// Passes a user's action on the panel.
     pub fn panel(&mut self, event: PanelEvent) {
-        self.housekeeping.panel(&mut *self.realtime, event);
+        self.housekeeping.panel(&mut *self.sampling_path, event);
     }
 
     /// Lets minutes pass at once for the firmware's times of cooking.
     pub fn pass_minutes(&mut self, minutes: u16) {
-        self.housekeeping.pass_minutes(&mut *self.realtime, minutes);
+        self.housekeeping
+            .pass_minutes(&mut *self.sampling_path, minutes);
     }
 
     /// Simulated time in seconds.
@@ -422,8 +424,8 @@ impl SimHob {
     }
 
     /// The firmware's sampling path, for inspection.
-    pub fn realtime(&self) -> &SamplingPath {
-        &self.realtime
+    pub fn sampling_path(&self) -> &SamplingPath {
+        &self.sampling_path
     }
 
     /// Truth of a completed half-cycle, if it is recent enough.

@@ -165,7 +165,7 @@ impl Bench {
             let before_s = self.hob.t_s();
             self.hob.step();
             let now_s = self.hob.t_s();
-            if self.hob.realtime().drive().is_switching() {
+            if self.hob.sampling_path().drive().is_switching() {
                 let since_s = *self.on_since_s.get_or_insert(before_s);
                 self.longest_on_s = self.longest_on_s.max(now_s - since_s);
                 self.on_s += now_s - before_s;
@@ -199,7 +199,7 @@ fn locked_out() -> Bench {
 
 fn assert_locked_out(hob: &SimHob) {
     assert_eq!(hob.housekeeping().control().state(), State::LockedOut);
-    assert_ne!(hob.realtime().fault(), Fault::NONE);
+    assert_ne!(hob.sampling_path().fault(), Fault::NONE);
 }
 
 /// Locked out, the board is off: service may restart it. What it was locked out for does not go with the reset.
@@ -209,7 +209,7 @@ fn a_restart_over_the_link_is_carried_out_and_ends_no_lock_out() {
     for _ in 0..2 {
         bench.send(&Sent::Restart);
         bench.run(0.3, assert_locked_out);
-        let since_boot_ms = bench.hob.realtime().now_ms();
+        let since_boot_ms = bench.hob.sampling_path().now_ms();
         assert!(since_boot_ms < 300, "not restarted for {since_boot_ms} ms");
         bench.send(&Sent::Hello);
         bench.send(&Sent::SetPower(2_000));
@@ -248,7 +248,7 @@ fn a_restart_brings_no_try_back_and_does_not_switch_the_panel_on() {
     bench.hob.panel(PanelEvent::Level(0));
     bench.send(&Sent::Restart);
     bench.run(0.3, |_| ());
-    assert!(bench.hob.realtime().now_ms() < 300);
+    assert!(bench.hob.sampling_path().now_ms() < 300);
     assert_eq!(tries(&bench), left);
 }
 

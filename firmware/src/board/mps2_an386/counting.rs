@@ -161,25 +161,25 @@ fn sampling_path() {
         return;
     };
     let pairs = block();
-    path.with(|rt| {
-        rt.recorder().set_period(1);
-        rt.set_replay(true, 70_000, r, l);
-        take(rt, &pairs, Some(0));
-        report("block", tenths(|_| take(rt, &pairs, None)));
+    path.with(|path| {
+        path.recorder().set_period(1);
+        path.set_replay(true, 70_000, r, l);
+        take(path, &pairs, Some(0));
+        report("block", tenths(|_| take(path, &pairs, None)));
         // 200 blocks of 42.9 µs have passed: the next crossing counts. One run is all there is.
         let before = SYST::get_current();
-        take(rt, &pairs, Some(30));
+        take(path, &pairs, Some(30));
         let ticks = before.wrapping_sub(SYST::get_current()) & TOP;
         report("block-at-crossing", ticks * PER_TICK * 10);
     });
 }
 
 fn take(
-    rt: &mut SamplingPath<SmladMultiplier>,
+    path: &mut SamplingPath<SmladMultiplier>,
     pairs: &[Pair; ADC_LOCK_P],
     zero_crossing: Option<u8>,
 ) {
-    black_box(rt.replay_block(&AdcBlock {
+    black_box(path.replay_block(&AdcBlock {
         pairs,
         zero_crossing,
         bus_dv: 3_000,

@@ -32,7 +32,7 @@ pub struct ClockCount {
 }
 
 impl ClockCount {
-    /// From now on.
+    /// Begins to count now.
     pub fn begin(now: u32) -> Self {
         let frame = usb_frame::number();
         Self {

@@ -62,7 +62,7 @@ static _SEGGER_RTT: ControlBlock = ControlBlock {
     },
 };
 
-/// For the link; one byte stays free.
+/// Ring of the log for the link; one byte stays free.
 static LINK: [AtomicU8; LOG_BYTES] = [const { AtomicU8::new(0) }; LOG_BYTES];
 static LINK_WRITE: AtomicU32 = AtomicU32::new(0);
 static LINK_READ: AtomicU32 = AtomicU32::new(0);

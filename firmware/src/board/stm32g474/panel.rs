@@ -37,7 +37,7 @@ impl Panel {
 
     /// Hands touches to the hob and shows its state; called every millisecond.
     pub fn exchange(&mut self, housekeeping: &mut Housekeeping, path: &mut impl SamplingLock) {
-        let now_ms = path.with(|rt| rt.now_ms());
+        let now_ms = path.with(|path| path.now_ms());
         let lines = PanelLines {
             on_off: self.on_off.is_low(),
             plus: self.plus.is_low(),

@@ -125,7 +125,7 @@ fn start(
     let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_US);
     let housekeeping = HOUSEKEEPING.init_with(|| Housekeeping::new(hello));
     if !option_bytes_ok() {
-        thread_side.with(|rt| rt.latch_fault(Fault::OPTION_BYTES));
+        thread_side.with(|path| path.latch_fault(Fault::OPTION_BYTES));
     }
     let mut self_test = self_test(p.CRC, &mut thread_side, watchdog_fault);
     let (kept, fault) = reset::CrashRecord::kept_control(last, flags);
@@ -163,10 +163,10 @@ fn start(
     }
     defmt::info!("timers and ADCs run, faults armed");
     if !is_sound(&registers::comparators::trip()) {
-        thread_side.with(|rt| rt.latch_fault(Fault::COMPARATOR_TEST));
+        thread_side.with(|path| path.latch_fault(Fault::COMPARATOR_TEST));
     }
     if !registers::sampling_watchdog::is_sound() {
-        thread_side.with(|rt| rt.latch_fault(Fault::WATCHDOG_TEST));
+        thread_side.with(|path| path.latch_fault(Fault::WATCHDOG_TEST));
     }
     let driver = Driver::new(p.USB, Irqs, p.PA12, p.PA11);
     let (device, usb_receiver, usb_sender) = usb::start(driver, uid::uid_hex());
@@ -210,7 +210,7 @@ fn self_test(
     let (self_test, faults) = SelfTest::at_start(unit);
     for fault in faults.into_iter().chain([watchdog_fault]).flatten() {
         defmt::error!("self-test: fault {=u16}", fault.number());
-        path.with(|rt| rt.latch_fault(fault));
+        path.with(|path| path.latch_fault(fault));
     }
     self_test
 }
@@ -313,17 +313,17 @@ impl Board {
     /// Exchanges faults, temperatures and the fan with the hardware after each block.
     fn after_block(&mut self, housekeeping: &mut Housekeeping, path: &mut ThreadSide) {
         let tripped = registers::faults::hardware_fault();
-        let blocks = path.with(|rt| {
+        let blocks = path.with(|path| {
             // A trip counts while a switch should be closed: closing one clears what is left of it.
             if let Some(fault) = tripped
-                && rt.drive().bridge != Bridge::Open
+                && path.drive().bridge != Bridge::Open
             {
-                rt.raise(fault);
+                path.raise(fault);
             }
-            rt.blocks()
+            path.blocks()
         });
         let control = housekeeping.control();
-        let (state, fault) = (control.state(), path.with(|rt| rt.fault()));
+        let (state, fault) = (control.state(), path.with(|path| path.fault()));
         self.led.show(state, fault, cycles::now());
         if self.temperatures.after_block(cycles::now()) {
             housekeeping.set_temperatures(self.temperatures.codes());
@@ -337,14 +337,14 @@ impl Board {
         }
         let failed = self.self_test.after_block(housekeeping, blocks);
         if let Some(fault) = failed {
-            path.with(|rt| rt.latch_fault(fault));
+            path.with(|path| path.latch_fault(fault));
         }
         let mut services = ChipServices {
             self_test: &mut self.self_test,
             temperatures: &self.temperatures,
         };
         housekeeping.serve(path, &mut services);
-        let is_open = path.with(|rt| rt.drive().bridge == Bridge::Open);
+        let is_open = path.with(|path| path.drive().bridge == Bridge::Open);
         if self.heartbeat.beat(blocks) && (self.self_test.is_flow_right() || is_open) {
             self.watchdog.pet();
         }

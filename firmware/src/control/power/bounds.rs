@@ -29,7 +29,7 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// For the load of a half-cycle, on a bus of `bus_dv` at the crest.
+    /// Bounds for the load of a half-cycle, on a bus of `bus_dv` at the crest.
     pub fn new(summary: &HalfCycle, bus_dv: u16) -> Self {
         let (r, l) = PRIOR.interpolate(summary.f_sw_hz, summary.crest.i_ma);
         // 10 mohm and 1 µH at least stand for an estimate at its bound.

@@ -154,7 +154,7 @@ impl OperatingMemory {
         }
     }
 
-    /// Only what is known of the mains.
+    /// Memory of the mains alone, for another pot.
     pub fn of_mains(&self) -> Self {
         Self {
             bus_dv: self.bus_dv,

@@ -138,7 +138,7 @@ impl Housekeeping {
         self.telemetry_every = 0;
         // A new host must learn of an active fault, even if it was reported to another before.
         self.reported_fault = Fault::NONE;
-        lock.with(|rt| rt.recorder().set_period(0));
+        lock.with(|path| path.recorder().set_period(0));
         // One that does not fit sees it in ours.
         self.queue.announce(Response::Hello);
     }
@@ -184,7 +184,7 @@ impl Housekeeping {
 impl Housekeeping {
     /// Takes a host's request of power, at most the rating; the detail of [`Outcome::Ok`] is the power that was taken.
     fn host_power(&mut self, lock: &mut impl SamplingLock, power_w: u16) -> (Outcome, u32) {
-        let (fault, replaying) = lock.with(|rt| (rt.fault(), rt.is_replaying()));
+        let (fault, replaying) = lock.with(|path| (path.fault(), path.is_replaying()));
         if power_w > REQUESTED_POWER_MAX_W {
             return (Outcome::PowerOutOfRange, u32::from(REQUESTED_POWER_MAX_W));
         }
@@ -208,7 +208,7 @@ impl Housekeeping {
     fn clear_fault(&mut self, lock: &mut impl SamplingLock) -> Response {
         let action = self.control.clear_fault();
         self.act(lock, action);
-        let standing = lock.with(|rt| rt.fault());
+        let standing = lock.with(|path| path.fault());
         let outcome = match standing {
             Fault::NONE => Outcome::Ok,
             _ if self.control.state() == State::LockedOut => Outcome::LockedOut,
@@ -233,7 +233,7 @@ impl Housekeeping {
 
     fn stream(&mut self, lock: &mut impl SamplingLock, m: &Stream) -> Response {
         self.telemetry_every = m.telemetry_every;
-        lock.with(|rt| rt.recorder().set_period(m.windows_every));
+        lock.with(|path| path.recorder().set_period(m.windows_every));
         Response::outcome(Outcome::Ok)
     }
 
@@ -241,7 +241,7 @@ impl Housekeeping {
         match settings.check() {
             Ok(()) => {
                 self.control.set_give_up_s(settings.give_up_s);
-                lock.with(|rt| rt.set_dither(settings.dither_permille));
+                lock.with(|path| path.set_dither(settings.dither_permille));
                 self.settings = settings;
                 Response::outcome(Outcome::Ok)
             }

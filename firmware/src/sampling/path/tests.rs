@@ -10,7 +10,7 @@ use std::vec::Vec;
 const HALF_CYCLE: u32 = 266;
 
 struct Board {
-    realtime: Box<SamplingPath>,
+    sampling_path: Box<SamplingPath>,
     block: u32,
 }
 
@@ -18,7 +18,7 @@ impl Board {
     fn new() -> Self {
         let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
         Self {
-            realtime: Box::new(SamplingPath::new(r, l)),
+            sampling_path: Box::new(SamplingPath::new(r, l)),
             block: 0,
         }
     }
@@ -41,13 +41,13 @@ impl Board {
                     dc_link_ma: None,
                     lost: 0,
                 };
-                self.realtime.on_block(&block).bridge
+                self.sampling_path.on_block(&block).bridge
             })
             .collect()
     }
 
     fn heat(&mut self) {
-        self.realtime.request(Drive::switching(60_000));
+        self.sampling_path.request(Drive::switching(60_000));
     }
 }
 
@@ -77,11 +77,13 @@ fn the_bootstrap_capacitor_is_charged_before_the_bridge_switches() {
 #[test]
 fn resonance_is_checked_from_the_first_start_on() {
     let mut board = Board::new();
-    let l_min = board.realtime.protection.l_min();
+    let l_min = board.sampling_path.protection.l_min();
     assert_eq!(l_min, resonant_inductance(Drive::OFF.f_sw_hz));
-    board.realtime.request(Drive::switching(Drive::OFF.f_sw_hz));
+    board
+        .sampling_path
+        .request(Drive::switching(Drive::OFF.f_sw_hz));
     board.run(2 * HALF_CYCLE);
-    assert_eq!(board.realtime.protection.l_min(), l_min);
+    assert_eq!(board.sampling_path.protection.l_min(), l_min);
 }
 
 #[test]
@@ -90,17 +92,17 @@ fn off_and_faults_open_both_switches_at_once_from_any_state() {
         let mut board = Board::new();
         board.heat();
         assert_ne!(board.run(blocks).pop(), Some(Bridge::Open));
-        board.realtime.request(Drive::OFF);
+        board.sampling_path.request(Drive::OFF);
         assert_eq!(board.run(1), [Bridge::Open]);
 
         let mut board = Board::new();
         board.heat();
         board.run(blocks);
-        board.realtime.raise(Fault::HARDWARE_OVER_CURRENT);
+        board.sampling_path.raise(Fault::HARDWARE_OVER_CURRENT);
         assert_eq!(board.run(3), [Bridge::Open; 3]);
         // Cleared, it stays open until power is requested; then it charges again, once the mains has
         // passed its zero if it switched.
-        board.realtime.clear_fault();
+        board.sampling_path.clear_fault();
         assert_eq!(board.run(3), [Bridge::Open; 3]);
         board.heat();
         let switched = blocks > HALF_CYCLE;

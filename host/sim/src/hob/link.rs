@@ -11,14 +11,16 @@ impl SimHob {
     /// Passes waiting bytes to the firmware, and takes as many from it as the cable carries in `elapsed_s`.
     pub(super) fn run_link(&mut self, elapsed_s: f64) {
         let bytes = self.inbound.make_contiguous();
-        let taken = self.housekeeping.receive(&mut *self.realtime, bytes);
+        let taken = self.housekeeping.receive(&mut *self.sampling_path, bytes);
         self.inbound.drain(..taken);
         // An idle link accumulates credit for one frame only.
         self.link_credit =
             (self.link_credit + elapsed_s * self.link_bytes_per_s).min(MAX_ENCODED as f64);
         let mut frame = [0; MAX_ENCODED];
         while self.link_credit > 0.0 && self.outbound.len() < self.outbound_room {
-            let n = self.housekeeping.transmit(&mut *self.realtime, &mut frame);
+            let n = self
+                .housekeeping
+                .transmit(&mut *self.sampling_path, &mut frame);
             if n == 0 {
                 break;
             }

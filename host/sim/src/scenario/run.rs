@@ -138,7 +138,7 @@ impl Run {
 
     /// Records a fault that has become active, and the time at which its bridge opens.
     fn watch_fault(&mut self) {
-        let fault = self.hob.realtime().fault();
+        let fault = self.hob.sampling_path().fault();
         let now_s = self.hob.t_s();
         if fault != self.active_fault && fault != Fault::NONE {
             self.opening = Some((self.faults.len(), self.cause_s.take().unwrap_or(now_s)));
@@ -161,7 +161,7 @@ impl Run {
             return false;
         };
         self.energy_j += reading.energy_j;
-        let drive = self.hob.realtime().drive();
+        let drive = self.hob.sampling_path().drive();
         let f_sw_hz = match drive.is_switching() {
             true => f64::from(drive.f_sw_hz),
             false => 0.0,

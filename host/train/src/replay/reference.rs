@@ -13,7 +13,7 @@ use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 /// Firmware and the device's end of a link.
 pub struct ReferenceDevice {
     housekeeping: Housekeeping,
-    realtime: Box<SamplingPath>,
+    sampling_path: Box<SamplingPath>,
     to_host: Vec<u8>,
 }
 
@@ -23,7 +23,7 @@ impl Default for ReferenceDevice {
         let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
         Self {
             housekeeping: Housekeeping::new(ours(ROLE_DEVICE, CAP_SIMULATED, 0, build, "host")),
-            realtime: Box::new(SamplingPath::new(r, l)),
+            sampling_path: Box::new(SamplingPath::new(r, l)),
             to_host: Vec::new(),
         }
     }
@@ -33,8 +33,10 @@ impl ReferenceDevice {
     fn transmit(&mut self) {
         let mut frame = [0; MAX_ENCODED];
         loop {
-            self.housekeeping.poll(&mut *self.realtime);
-            let length = self.housekeeping.transmit(&mut *self.realtime, &mut frame);
+            self.housekeeping.poll(&mut *self.sampling_path);
+            let length = self
+                .housekeeping
+                .transmit(&mut *self.sampling_path, &mut frame);
             if length == 0 {
                 return;
             }
@@ -46,7 +48,7 @@ impl ReferenceDevice {
 impl Transport for ReferenceDevice {
     fn send(&mut self, mut bytes: &[u8]) -> Result<(), LinkError> {
         while !bytes.is_empty() {
-            let taken = self.housekeeping.receive(&mut *self.realtime, bytes);
+            let taken = self.housekeeping.receive(&mut *self.sampling_path, bytes);
             bytes = &bytes[taken..];
             // Makes room for the rest.
             self.transmit();
