@@ -137,7 +137,8 @@ impl<const N: usize, C: NodeCoefficients<N>> RingLoad<N, C> {
     }
 
     /// Heat developed in the load at the last instant, in watt: ∫ J²/σ.
-    pub fn loss_w(&self) -> f64 {
+    #[cfg(test)]
+    fn loss_w(&self) -> f64 {
         let nodes = self.h.now.len();
         let mut sum = 0.0;
         for j in 0..N {

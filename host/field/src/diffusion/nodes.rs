@@ -23,6 +23,7 @@ pub trait NodeCoefficients<const N: usize>: Clone + Debug {
     fn unit(&self) -> f64;
 
     /// Scale over σ and distance: what makes ∫ J²/σ of a scaled conductance.
+    #[cfg(test)]
     fn loss_unit(&self) -> f64;
 
     /// Slope and offset of B = slope·H + offset at a node's trial field.
@@ -89,6 +90,7 @@ impl<const N: usize> NodeCoefficients<N> for OneMetal {
         self.dt_s / (BDF2 * self.sigma)
     }
 
+    #[cfg(test)]
     fn loss_unit(&self) -> f64 {
         1.0 / self.sigma
     }
@@ -99,11 +101,15 @@ impl<const N: usize> NodeCoefficients<N> for OneMetal {
         let curve = self.curve;
         match curve.knee {
             Knee::Froehlich => {
+                let BhCurve {
+                    alpha_a_per_m,
+                    saturating,
+                    b_sat_t,
+                    ..
+                } = curve;
                 for j in 0..N {
-                    let q = 1.0 / (curve.alpha_a_per_m + curve.saturating * trial[j].abs());
-                    let chord = curve.b_sat_t * q;
-                    slope[j] = chord * curve.alpha_a_per_m * q;
-                    offset[j] = (chord - slope[j]) * trial[j];
+                    (slope[j], offset[j]) =
+                        froehlich_tangent(alpha_a_per_m, saturating, b_sat_t, trial[j]);
                 }
             }
             // Refused by `has_time_domain`.
@@ -190,6 +196,7 @@ impl<const N: usize> NodeCoefficients<N> for FoilAndBase<N> {
         self.dt_s / BDF2
     }
 
+    #[cfg(test)]
     fn loss_unit(&self) -> f64 {
         1.0
     }
@@ -200,11 +207,8 @@ impl<const N: usize> NodeCoefficients<N> for FoilAndBase<N> {
         let (alpha, saturating) = (&self.alpha_a_per_m[node], &self.saturating[node]);
         let (b_sat, tail) = (&self.b_sat_t[node], &self.tail_h_per_m[node]);
         for j in 0..N {
-            let q = 1.0 / (alpha[j] + saturating[j] * trial[j].abs());
-            let chord = b_sat[j] * q;
-            let bent = chord * alpha[j] * q;
-            offset[j] = (chord - bent) * trial[j];
-            slope[j] = bent + tail[j];
+            let (bent, beside) = froehlich_tangent(alpha[j], saturating[j], b_sat[j], trial[j]);
+            (slope[j], offset[j]) = (bent + tail[j], beside);
         }
         (slope, offset)
     }
@@ -236,6 +240,16 @@ impl<const N: usize> NodeCoefficients<N> for FoilAndBase<N> {
     }
 }
 
+/// Slope and offset of the tangent of b_sat · H / (α + s |H|) at a field in A/m.
+#[inline(always)]
+fn froehlich_tangent(alpha_a_per_m: f64, saturating: f64, b_sat_t: f64, h: f64) -> (f64, f64) {
+    let q = 1.0 / (alpha_a_per_m + saturating * h.abs());
+    let chord = b_sat_t * q;
+    let slope = chord * alpha_a_per_m * q;
+    (slope, (chord - slope) * h)
+}
+
+/// Checks that the law has a tangent at any field.
 fn has_time_domain(metal: &Material) -> Result<(), FieldError> {
     if metal.curve().knee == Knee::Literal {
         return Err(FieldError::NoTimeDomain);
