@@ -54,12 +54,7 @@ impl EstimatorsArgs {
             seeds: if self.quick { 2 } else { self.seeds },
             field: !self.quick,
         };
-        let bar = super::bar(1, "captures")?;
-        let cells = study(&plan, &|done, total| {
-            bar.set_length(total as u64);
-            bar.set_position(done as u64);
-        })?;
-        bar.finish_and_clear();
+        let cells = super::with_bar("captures", |progress| study(&plan, progress))??;
         let section = table::markdown(&cells, plan.seeds);
         let json = serde_json::to_string_pretty(&cells)?;
         if let Some(folder) = &self.out {

@@ -7,11 +7,9 @@ use clap::Args;
 use ihd::ensure_usage;
 use serde::Serialize;
 
-use crate::document::write_into;
 use crate::hostile::table::{self, HostileSums};
 use crate::hostile::{HostilePlan, HostileRun, study};
 use ihd::cli::identify::MethodWord;
-use ihd::cli::output;
 
 /// Estimators of a run without `--method`.
 const DEFAULT: &str = "least-squares,pinn,lockin,firmware,kf";
@@ -72,23 +70,16 @@ impl HostileArgs {
         };
         ensure_usage!(plan.seeds > 0, "--seeds is 0: give one at least");
         ensure_usage!(!plan.cases().is_empty(), "no capture has that in its name");
-        let bar = super::bar(plan.cases().len() as u64, "captures")?;
-        let runs = study(&plan, &|done, _| bar.set_position(done as u64))?;
-        bar.finish_and_clear();
+        let runs = super::with_bar("captures", |progress| study(&plan, progress))??;
         let section = table::markdown(&runs, plan.seeds);
-        if let Some(path) = &self.docs {
-            write_into(path, (table::BEGIN, table::END), &section)?;
-        }
         let sum = HostileSums::of(&runs);
-        if self.json {
-            output::json(&Answer {
-                sum,
-                met: sum.is_met(),
-                runs: &runs,
-            })?;
-        } else {
-            output::text(&section)?;
-        }
+        let results = self.json.then(|| Answer {
+            sum,
+            met: sum.is_met(),
+            runs: &runs,
+        });
+        let marks = (table::BEGIN, table::END);
+        super::publish(&section, self.docs.as_deref(), marks, results.as_ref())?;
         if sum.is_met() {
             return Ok(());
         }

@@ -7,9 +7,15 @@ mod paper;
 mod pots;
 mod temperature;
 
+use std::path::Path;
+
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
+use ihd::cli::output;
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use crate::document::write_into;
 
 /// Studies of ihd: many captures with truth, many estimators, one table each.
 #[derive(Debug, Parser)]
@@ -53,6 +59,34 @@ impl Cli {
             Study::Pots(args) => args.run(),
             Study::Temperature(args) => args.run(),
         }
+    }
+}
+
+/// Runs a study below a progress bar of `things`.
+fn with_bar<T>(things: &str, study: impl FnOnce(&(dyn Fn(usize, usize) + Sync)) -> T) -> Result<T> {
+    let bar = bar(1, things)?;
+    let results = study(&|done, total| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+    });
+    bar.finish_and_clear();
+    Ok(results)
+}
+
+/// Writes a section into a document between its marks, if one is given, and prints the results as JSON, if there are any, else the
+/// section.
+fn publish(
+    section: &str,
+    docs: Option<&Path>,
+    marks: (&str, &str),
+    results: Option<&impl Serialize>,
+) -> Result<()> {
+    if let Some(path) = docs {
+        write_into(path, marks, section)?;
+    }
+    match results {
+        Some(results) => output::json(results),
+        None => output::text(section),
     }
 }
 

@@ -9,10 +9,8 @@ use ihd_sim::perturbation::Perturbation;
 use ihd_sim::recording::settings::LoadKind;
 use serde::Serialize;
 
-use crate::document::write_into;
 use crate::map::places::PotPlacement;
 use crate::pots::{PotsPlan, PotsRun, study, table};
-use ihd::cli::output;
 use ihd::cli::simulate::LoadWord;
 use ihd::cli::usage::Usage;
 
@@ -96,25 +94,15 @@ impl PotsArgs {
     /// Runs the study.
     pub fn run(&self) -> Result<()> {
         let plan = self.plan()?;
-        let bar = super::bar(1, "pots")?;
-        let runs = study(&plan, &|done, total| {
-            bar.set_length(total as u64);
-            bar.set_position(done as u64);
-        })?;
-        bar.finish_and_clear();
+        let runs = super::with_bar("pots", |progress| study(&plan, progress))??;
         let section = table::markdown(&plan, &runs);
-        if let Some(path) = &self.docs {
-            write_into(path, (table::BEGIN, table::END), &section)?;
-        }
-        if self.json {
-            output::json(&Answer {
-                summary: table::summary(&plan, &runs),
-                by_pot: table::by_pot(&plan, &runs),
-                runs: &runs,
-            })
-        } else {
-            output::text(&section)
-        }
+        let results = self.json.then(|| Answer {
+            summary: table::summary(&plan, &runs),
+            by_pot: table::by_pot(&plan, &runs),
+            runs: &runs,
+        });
+        let marks = (table::BEGIN, table::END);
+        super::publish(&section, self.docs.as_deref(), marks, results.as_ref())
     }
 
     fn plan(&self) -> Result<PotsPlan> {
