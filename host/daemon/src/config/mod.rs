@@ -15,9 +15,6 @@ use serde::{Deserialize, Deserializer};
 
 use self::fleet::FleetConfig;
 
-/// Default address of API and dashboard.
-pub const DEFAULT_LISTEN: &str = "127.0.0.1:8731";
-
 /// Default folder of the store.
 pub const DEFAULT_STORE: &str = "ihd-store";
 
@@ -62,6 +59,7 @@ fn default_store() -> PathBuf {
     DEFAULT_STORE.into()
 }
 
+/// Address of API and dashboard where the file has none.
 fn default_listen() -> SocketAddr {
     SocketAddr::from(([127, 0, 0, 1], 8731))
 }
@@ -388,7 +386,7 @@ mod tests {
     fn the_example_of_the_issue_is_read() {
         let config = DaemonConfig::parse(ISSUE, "ihd.toml").unwrap();
         assert_eq!(config.store, Path::new("ihd-store"));
-        assert_eq!(config.listen.to_string(), DEFAULT_LISTEN);
+        assert_eq!(config.listen.to_string(), "127.0.0.1:8731");
         assert_eq!(config.devices.len(), 1);
         assert_eq!(config.devices[0].name, "bench");
         assert_eq!(config.devices[0].address.to_string(), "tcp:127.0.0.1:4711");

@@ -178,7 +178,8 @@ impl Learner {
     }
 
     /// Serialises the learning of a device; `None` if it is unknown, or a thread is using its learning.
-    pub fn state_of(&self, device: &str) -> Option<Vec<u8>> {
+    #[cfg(test)]
+    pub(super) fn state_of(&self, device: &str) -> Option<Vec<u8>> {
         let state = self.shared.lock();
         Some(state.queue.learning(device)?.to_bytes())
     }
