@@ -18,7 +18,7 @@ const NEIGHBOURS: usize = 32;
 /// Lines that the window's main lobe covers on either side.
 const LOBE: usize = 4;
 
-/// Largest offset that is searched, as a share of the signal's rate: a boxcar's first zero is near beyond it.
+/// Largest offset that is searched, as a share of the signal's rate: a boxcar's first zero lies just beyond it.
 const MOST_OFFSET: f64 = 0.25;
 
 /// Steps of the search for a line's frequency.

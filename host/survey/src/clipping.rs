@@ -25,8 +25,9 @@ const FULL_SCALE: f64 = 1.0 - 1.01 / 2048.0;
 /// SNR in decibel below which noise may reach the ends of the range.
 const TAILS_BELOW_DB: f64 = 20.0;
 
-/// Fewest samples of a switching period with which a clipped crest has more than one sample at the end of the range.
-const LEAST_PER_PERIOD: f64 = 16.0;
+/// Fewest samples of a switching period with which clipping is judged and restored: a clipped crest has more than one sample at the
+/// end of the range, and most of a current's 31 harmonics do not fold onto one another.
+pub const LEAST_PER_PERIOD: f64 = 16.0;
 
 /// Share of clipped samples followed by another one, above which the signal itself clips: the probability that noise reaches an end
 /// that is 1.3 deviations away.

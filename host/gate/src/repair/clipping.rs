@@ -4,13 +4,11 @@ use std::borrow::Cow;
 
 use ihd_signal::carrier::Carrier;
 use ihd_signal::{Capture, Remark, Severity};
+use ihd_survey::clipping::LEAST_PER_PERIOD;
 use ihd_survey::{Channel, Finding, Survey};
 
 use super::censored::{Censored, Pair, is_inside};
 use crate::limits::{TOLERABLE_PCT, TOLERABLE_SIGMAS};
-
-/// Fewest samples of a switching period: 31 harmonics would not be there, and the edges fold onto those that are.
-const LEAST_PER_PERIOD: f64 = 16.0;
 
 /// Samples within this share of the range from an end count as clipped, because noise behind an amplifier that clips blurs the end.
 /// A crest within it is fitted as well, at little cost.
