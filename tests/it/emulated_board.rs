@@ -212,15 +212,10 @@ fn the_trainer_identifies_what_is_replayed_and_teaches_the_board_at_length() {
         bus_dv: BUS_DV,
         truth: None,
     };
-    let settings = RunOptions {
-        source: TrainingSource::Replay(half_cycles.iter().map(recorded).collect()),
-        pinn: NetworkConfig::default(),
-        store: None,
-        follow: false,
-        stop: None,
-        reopen: None,
-        map_truth: None,
-    };
+    let settings = RunOptions::new(
+        TrainingSource::Replay(half_cycles.iter().map(recorded).collect()),
+        NetworkConfig::default(),
+    );
     let report = ihd_train::run(board.connect(), None, &settings, &mut |_| ()).unwrap();
     for (point, h) in report.points.iter().zip(&half_cycles) {
         let (r_ohm, l_h) = h.at(5e-3);

@@ -19,7 +19,7 @@ use ihd_sim::transport::SharedHob;
 use ihd_sim::trial::Trial;
 use ihd_train::learning::{curve, fit_window, unfiltered};
 use ihd_train::lookup::BuiltLookup;
-use ihd_train::{TrainingSource, run};
+use ihd_train::{RunOptions, TrainingSource, run};
 
 use super::places::PotPlacement;
 use super::{LookupJudgement, MapOperatingPoint, MapPlan, MapRun};
@@ -199,18 +199,14 @@ fn closed_loop(
         Err(why) => return Ok((Vec::new(), Some(LookupJudgement::refused(why.to_string())))),
     };
     let known = || Some(truth.clone());
-    let settings = ihd_train::RunOptions {
-        source: TrainingSource::Powers(plan.powers_w.clone()),
-        pinn: PinnConfig {
+    let mut settings = RunOptions::new(
+        TrainingSource::Powers(plan.powers_w.clone()),
+        PinnConfig {
             deterministic: true,
             ..PinnConfig::default()
         },
-        store: None,
-        follow: false,
-        stop: None,
-        reopen: None,
-        map_truth: Some(&known),
-    };
+    );
+    settings.map_truth = Some(&known);
     let (report, why) = match run(client, None, &settings, &mut |_| ()) {
         Ok(report) => (report, None),
         Err(failed) => (failed.report, Some(failed.error.to_string())),

@@ -21,18 +21,13 @@ fn taught(load: LoadKind, seed: u64) -> Vec<JudgedCell> {
     );
     let truth = hob.lock().map_truth(&mut |_| ()).unwrap();
     let client = Client::connect(Box::new(hob)).unwrap();
-    let settings = RunOptions {
-        source: TrainingSource::Powers(vec![1500, 2000, 1000, 700]),
-        pinn: PinnConfig {
+    let settings = RunOptions::new(
+        TrainingSource::Powers(vec![1500, 2000, 1000, 700]),
+        PinnConfig {
             deterministic: true,
             ..PinnConfig::default()
         },
-        store: None,
-        follow: false,
-        stop: None,
-        reopen: None,
-        map_truth: None,
-    };
+    );
     let report = run(client, None, &settings, &mut |_| ()).unwrap();
     judge_cells(&report.built.expect("a lookup"), &truth)
 }

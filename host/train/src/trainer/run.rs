@@ -42,6 +42,21 @@ pub struct RunOptions<'a> {
     pub map_truth: Option<&'a dyn Fn() -> Option<MapTruth>>,
 }
 
+impl RunOptions<'_> {
+    /// Options of a run on a hob that is there throughout: it writes nothing and ends after the last operating point.
+    pub fn new(source: TrainingSource, pinn: PinnConfig) -> Self {
+        Self {
+            source,
+            pinn,
+            store: None,
+            follow: false,
+            stop: None,
+            reopen: None,
+            map_truth: None,
+        }
+    }
+}
+
 /// Report of a run.
 pub struct RunReport {
     /// Description of the device.
