@@ -14,6 +14,7 @@ use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::link::service::NoBoardServices;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_link::{Client, LinkError, Transport};
+use ihd_shared::board::BARE_COIL_NH;
 use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, block_ns,
 };
@@ -29,7 +30,7 @@ pub const HALF_CYCLE_NS: u64 = 10_000_000;
 const BUS_PEAK_V: f64 = 325.0;
 const LOAD_L_H: f64 = 26e-6;
 /// R at 45 kHz and L of the coil alone.
-const EMPTY: (f64, f64) = (0.1, 50.5e-6);
+const EMPTY: (f64, f64) = (0.1, BARE_COIL_NH as f64 * 1e-9);
 const C_F: f64 = 1080e-9;
 
 /// Effect of the link on a frame to the host: the bytes that arrive.

@@ -5,6 +5,7 @@
 
 use std::fmt;
 
+use ihd_shared::board::BARE_COIL_NH;
 use ihd_shared::hob::TURNS_RATIO;
 
 /// Kind of pot on the coil.
@@ -83,6 +84,7 @@ impl BehaviouralLoad {
     /// ([`TURNS_RATIO`]).
     pub fn r_l(&self, i_a: f64) -> (f64, f64) {
         let i_a = i_a * TURNS_RATIO;
+        let square = TURNS_RATIO * TURNS_RATIO;
         let (r, gap_uh, material_uh) = match self.pot {
             PotKind::Ferromagnetic => {
                 let y = i_a / 14.0;
@@ -99,9 +101,9 @@ impl BehaviouralLoad {
             ),
             PotKind::Aluminium => (0.22, 17.0, 0.0),
             PotKind::Stainless => (0.76, 18.0, 0.0),
-            PotKind::None => (0.1, 50.5, 0.0),
+            // The board file's, on the reference coil.
+            PotKind::None => (0.1, f64::from(BARE_COIL_NH) * 1e-3 / square, 0.0),
         };
-        let square = TURNS_RATIO * TURNS_RATIO;
         (
             square * r * self.r_factor,
             square * (gap_uh + material_uh * self.l_factor) * 1e-6,
