@@ -8,20 +8,20 @@ use ihd_firmware::control::temperature::Temperatures;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_sim::contents::PotContents;
 use ihd_sim::injection::Injections;
-use ihd_sim::pot::{Metal, SimulatedPot};
+use ihd_sim::pot::{PotBase, SimulatedPot};
 use ihd_sim::temperatures::{AMBIENT_C, Heat, LumpTemperatures};
 use ihd_sim::thermal_model::ThermalModel;
 
 use super::document;
 
-/// Metal, diameter in metre, and the most that the firmware gives it, in watt.
-const POTS: [(Metal, f64, f64); 6] = [
-    (Metal::Ferritic, 0.12, 1_250.0),
-    (Metal::Ferritic, 0.15, 2_500.0),
-    (Metal::Ferritic, 0.18, 2_500.0),
-    (Metal::Ferritic, 0.21, 2_500.0),
-    (Metal::Ferritic, 0.26, 2_500.0),
-    (Metal::CastIron, 0.21, 2_500.0),
+/// Base, its diameter in metre, and the most that the firmware gives it, in watt.
+const POTS: [(PotBase, f64, f64); 6] = [
+    (PotBase::Ferritic, 0.12, 1_250.0),
+    (PotBase::Ferritic, 0.15, 2_500.0),
+    (PotBase::Ferritic, 0.18, 2_500.0),
+    (PotBase::Ferritic, 0.21, 2_500.0),
+    (PotBase::Ferritic, 0.26, 2_500.0),
+    (PotBase::CastIron, 0.21, 2_500.0),
 ];
 
 /// Temperatures of pot and glass at the start in °C: cold; the glass of the pot before; a pot from another zone; both.

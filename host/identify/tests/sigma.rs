@@ -6,7 +6,7 @@ use ihd_identify::accuracy::fundamental;
 use ihd_identify::{Estimate, IdentifyOptions, Method, run};
 use ihd_signal::truth::PeriodTruth;
 use ihd_signal::{Segment, Severity};
-use ihd_sim::pot::{Metal, SimulatedPot};
+use ihd_sim::pot::{PotBase, SimulatedPot};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{CaptureSpec as Recording, LoadKind};
@@ -120,7 +120,7 @@ fn cases(more: bool) -> Vec<Case> {
             s.load = LoadKind::Surrogate;
             s.events = vec![RecordingEvent {
                 t_s: 15e-3,
-                change: RecordingChange::Pot(SimulatedPot::new(Metal::Ferritic, 0.14)),
+                change: RecordingChange::Pot(SimulatedPot::new(PotBase::Ferritic, 0.14)),
             }];
         }),
     );

@@ -207,8 +207,8 @@ impl Cooking {
     }
 
     fn laws(&self, base_c: f64) -> Laws {
-        let metal = self.pot.metal.unwrap_or(crate::pot::Metal::Ferritic);
-        let nominal = metal.heat_factor(base_c) / metal.heat_factor(20.0);
+        let base = self.pot.base.unwrap_or(crate::pot::PotBase::Ferritic);
+        let nominal = base.heat_factor(base_c) / base.heat_factor(20.0);
         let factor = nominal.powf(1.0 + self.deviation.alloy);
         let warmth = Warmth::new(factor, WINDING_R_OHM);
         let law_hz = warmth.law_hz(self.f_hz);
@@ -310,7 +310,7 @@ mod tests {
     fn between_its_lifts_it_is_the_field() {
         let pot = |lift_m| SimulatedPot {
             lift_m,
-            ..SimulatedPot::new(crate::pot::Metal::Ferritic, 0.18)
+            ..SimulatedPot::new(crate::pot::PotBase::Ferritic, 0.18)
         };
         let mut fast =
             Cooking::new(pot(0.7e-3), PotContents::Food, PotDeviation::default(), 1).unwrap();

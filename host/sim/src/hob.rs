@@ -324,7 +324,7 @@ impl SimHob {
             // Each edge dissipates at most the energy of the whole bus voltage.
             edges_j: f64::from(reading.hard_edges) * 0.5 * node_f * bus_v * bus_v,
             pot_c: pot
-                .metal
+                .base
                 .map(|_| self.plant.temperature_c().unwrap_or(pot.temperature_c)),
         };
         let fan = self.housekeeping.fan();

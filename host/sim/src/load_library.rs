@@ -5,7 +5,7 @@ use ihd_shared::hob::WINDING_R_OHM;
 use super::behavioural::PotKind;
 use super::inverter::InverterError;
 use super::inverter::load::{AmplitudeLaw, LoadState};
-use super::pot::{Metal, SimulatedPot};
+use super::pot::{PotBase, SimulatedPot};
 use super::recording::prepared::PreparedLoad;
 use super::recording::settings::LoadKind;
 
@@ -78,10 +78,10 @@ impl LoadLibrary {
 impl From<PotKind> for SimulatedPot {
     fn from(kind: PotKind) -> Self {
         match kind {
-            PotKind::Ferromagnetic => Self::new(Metal::Ferritic, 0.21),
-            PotKind::Small => Self::new(Metal::Ferritic, 0.12),
-            PotKind::Aluminium => Self::new(Metal::Aluminium, 0.21),
-            PotKind::Stainless => Self::new(Metal::Stainless, 0.21),
+            PotKind::Ferromagnetic => Self::new(PotBase::Ferritic, 0.21),
+            PotKind::Small => Self::new(PotBase::Ferritic, 0.12),
+            PotKind::Aluminium => Self::new(PotBase::Aluminium, 0.21),
+            PotKind::Stainless => Self::new(PotBase::Stainless, 0.21),
             PotKind::None => Self::NONE,
         }
     }

@@ -260,8 +260,8 @@ impl TrueLoad {
 
     fn law(&self, f_sw_hz: f64) -> Result<TrueCurve, InverterError> {
         let mut state = self.prepared.start(f_sw_hz, STEPS_PER_PERIOD, None)?;
-        if let (Some(warm_c), Some(metal)) = (self.warm_c, self.pot.metal) {
-            let warmth = Warmth::of(metal, (self.pot.temperature_c, warm_c), self.winding_r_ohm);
+        if let (Some(warm_c), Some(base)) = (self.warm_c, self.pot.base) {
+            let warmth = Warmth::of(base, (self.pot.temperature_c, warm_c), self.winding_r_ohm);
             if let Some(law) = self.prepared.law(warmth.law_hz(f_sw_hz)) {
                 state.set_hot_law(law, warmth);
             }
@@ -412,7 +412,7 @@ fn between(points: &[(f64, Load)], i_a: f64) -> Option<Load> {
 mod tests {
     use super::*;
     use crate::behavioural::{BehaviouralLoad, PotKind};
-    use crate::pot::Metal;
+    use crate::pot::PotBase;
     use crate::recording::prepared::field_models;
     use crate::surrogate::exact;
     use ihd_field::harmonic;
@@ -475,7 +475,7 @@ mod tests {
     /// harmonics' few percent at large ones (docs/simulator.md).
     #[test]
     fn the_fields_truth_is_the_waveforms() {
-        let pot = SimulatedPot::new(Metal::Ferritic, 0.18);
+        let pot = SimulatedPot::new(PotBase::Ferritic, 0.18);
         let field = load(LoadKind::Field, pot);
         let PreparedLoad::Field(models) = &field.prepared else {
             panic!("a field model");
@@ -503,14 +503,14 @@ mod tests {
         let of = |pot| load(LoadKind::Surrogate, pot).map(&mut |_| ()).unwrap();
         for pot in [
             SimulatedPot::NONE,
-            SimulatedPot::new(Metal::Aluminium, 0.21),
-            SimulatedPot::new(Metal::Stainless, 0.21),
+            SimulatedPot::new(PotBase::Aluminium, 0.21),
+            SimulatedPot::new(PotBase::Stainless, 0.21),
         ] {
             assert_eq!(of(pot).reached(), 0, "{pot}");
         }
         // Rows are whole: from zero current to the crest, without holes.
         for cm in [12.0, 21.0] {
-            let map = of(SimulatedPot::new(Metal::Ferritic, cm * 1e-2));
+            let map = of(SimulatedPot::new(PotBase::Ferritic, cm * 1e-2));
             println!("{cm} cm: {} cells", map.reached());
             assert!(map.reached() > 20);
             for row in &map.cells {
@@ -524,7 +524,7 @@ mod tests {
     fn an_asked_power_is_taken_where_no_limit_forbids_it() {
         let full = load(
             LoadKind::Surrogate,
-            SimulatedPot::new(Metal::Ferritic, 0.21),
+            SimulatedPot::new(PotBase::Ferritic, 0.21),
         );
         for power_w in [1200.0, 2000.0] {
             let curve = full.heated_with(power_w).unwrap();
@@ -534,7 +534,7 @@ mod tests {
         // A small pot gets half of the rating at most.
         let small = load(
             LoadKind::Surrogate,
-            SimulatedPot::new(Metal::Ferritic, 0.12),
+            SimulatedPot::new(PotBase::Ferritic, 0.12),
         );
         let curve = small.heated_with(2000.0).unwrap();
         println!("{} W at {} Hz", curve.power_w, curve.f_sw_hz);
@@ -543,7 +543,7 @@ mod tests {
 
     #[test]
     fn heat_bends_the_truth_as_the_hobs() {
-        let pot = SimulatedPot::new(Metal::Ferritic, 0.21);
+        let pot = SimulatedPot::new(PotBase::Ferritic, 0.21);
         let at = |warm_c| {
             let load = TrueLoad::new(LoadKind::Surrogate, &pot, warm_c).unwrap();
             load.curve(50e3).unwrap().at(10.0).unwrap()

@@ -134,13 +134,13 @@ impl FromStr for Perturbation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pot::{Metal, SimulatedPot};
+    use crate::pot::{PotBase, SimulatedPot};
     use ihd_field::{FieldModel, harmonic};
 
     fn z(perturbation: Option<Perturbation>, i_a: f64) -> (f64, f64) {
         let pot = SimulatedPot {
             perturbation,
-            ..SimulatedPot::new(Metal::Ferritic, 0.18)
+            ..SimulatedPot::new(PotBase::Ferritic, 0.18)
         };
         let settings = pot.field_settings(0.1).unwrap().remove(0).1;
         let z = harmonic::impedance(&FieldModel::new(&settings).unwrap(), 50e3, i_a).unwrap();

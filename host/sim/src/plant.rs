@@ -254,7 +254,7 @@ impl Plant {
             STEPS_PER_PERIOD,
             Some(&self.inverter.load),
         )?;
-        if pot.metal != self.pot.metal || pot.diameter_m != self.pot.diameter_m {
+        if pot.base != self.pot.base || pot.diameter_m != self.pot.diameter_m {
             // A new pot has the same contents, at its own temperature.
             self.warming = self.warming.map(|old| old.exchanged(&pot));
         }
@@ -460,7 +460,7 @@ impl Plant {
 
     /// Adapts the load to the pot's temperature.
     fn apply_temperature(&mut self) {
-        let (Some(warming), Some(_)) = (&self.warming, self.pot.metal) else {
+        let (Some(warming), Some(_)) = (&self.warming, self.pot.base) else {
             return;
         };
         let hot_c = warming.temperature_c();
@@ -472,12 +472,12 @@ impl Plant {
 
     /// Sets the load's temperature.
     fn heat_load(&mut self) {
-        let (Some(_), Some(metal)) = (&self.warming, self.pot.metal) else {
+        let (Some(_), Some(base)) = (&self.warming, self.pot.base) else {
             return;
         };
         // The law is that of the pot at the temperature at which it was put on.
         let heated_c = (self.pot.temperature_c, self.load_c);
-        let warmth = Warmth::of(metal, heated_c, self.load_library.winding_r_ohm());
+        let warmth = Warmth::of(base, heated_c, self.load_library.winding_r_ohm());
         let law_hz = warmth.law_hz(self.inverter.f_sw_hz());
         if let Some(law) = self.load_library.law(&self.pot, law_hz) {
             self.inverter.load.set_hot_law(law, warmth);

@@ -52,10 +52,10 @@ const CURIE_RISE_K: f64 = 660.0;
 /// Smallest remaining share of the saturation: a law that saturates at zero has no skin.
 const LEAST_SATURATION: f64 = 0.02;
 
-/// Metals of pots.
+/// Base of a pot by its metals, or what a household has in its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Metal {
+pub enum PotBase {
     /// Ferromagnetic stainless steel: the paper's load.
     Ferritic,
     /// Grey cast iron.
@@ -75,8 +75,9 @@ pub enum Metal {
 /// Pot, or none.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SimulatedPot {
-    /// Metal; `None` if there is no pot.
-    pub metal: Option<Metal>,
+    /// Base; `None` if there is no pot.
+    #[serde(rename = "metal")]
+    pub base: Option<PotBase>,
     /// Diameter of its base in metre.
     pub diameter_m: f64,
     /// Distance above its usual place, in metre.
@@ -102,34 +103,34 @@ impl FromStr for SimulatedPot {
 
     fn from_str(name: &str) -> Result<Self, UnknownPotName> {
         let unknown = || UnknownPotName(name.to_owned());
-        let (metal, cm) = match name {
+        let (base, cm) = match name {
             "none" => return Ok(Self::NONE),
             // Names of the formulas' loads.
             "ferromagnetic" => ("ferritic", 21.0),
             "small" => ("ferritic", 12.0),
-            _ if Metal::of_name(name).is_some() => (name, 21.0),
+            _ if PotBase::of_name(name).is_some() => (name, 21.0),
             _ => {
-                let (metal, cm) = name.rsplit_once('-').ok_or_else(unknown)?;
-                (metal, cm.parse::<f64>().map_err(|_| unknown())?)
+                let (base, cm) = name.rsplit_once('-').ok_or_else(unknown)?;
+                (base, cm.parse::<f64>().map_err(|_| unknown())?)
             }
         };
         if !DIAMETERS_CM.contains(&cm) {
             return Err(unknown());
         }
-        let metal = Metal::of_name(metal).ok_or_else(unknown)?;
-        Ok(Self::new(metal, cm * 1e-2))
+        let base = PotBase::of_name(base).ok_or_else(unknown)?;
+        Ok(Self::new(base, cm * 1e-2))
     }
 }
 
 impl fmt::Display for SimulatedPot {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.metal {
+        match self.base {
             None => f.write_str("none"),
             // Rounded to a thousandth of a millimetre: 0.07 m are not 7.000000000000001 cm.
-            Some(metal) => write!(
+            Some(base) => write!(
                 f,
                 "{}-{}",
-                metal.name(),
+                base.name(),
                 (self.diameter_m * 1e6).round() / 1e4
             ),
         }
@@ -139,7 +140,7 @@ impl fmt::Display for SimulatedPot {
 impl SimulatedPot {
     /// No pot.
     pub const NONE: Self = Self {
-        metal: None,
+        base: None,
         diameter_m: 0.21,
         lift_m: 0.0,
         offset_m: 0.0,
@@ -148,9 +149,9 @@ impl SimulatedPot {
     };
 
     /// Creates a centred pot at room temperature.
-    pub fn new(metal: Metal, diameter_m: f64) -> Self {
+    pub fn new(base: PotBase, diameter_m: f64) -> Self {
         Self {
-            metal: Some(metal),
+            base: Some(base),
             diameter_m,
             ..Self::NONE
         }
@@ -166,7 +167,7 @@ impl SimulatedPot {
         &self,
         winding_r_ohm: f64,
     ) -> Result<Vec<(f64, FieldSettings)>, FieldError> {
-        let Some(metal) = self.metal else {
+        let Some(base) = self.base else {
             return Ok(Vec::new());
         };
         self.check()?;
@@ -192,12 +193,12 @@ impl SimulatedPot {
                 geometry: Geometry {
                     load_radius_m,
                     load_gap_m: coil.load_gap_m + self.lift_m,
-                    load_thickness_m: metal.thickness_m(),
-                    foil_thickness_m: metal.foil_thickness_m(),
+                    load_thickness_m: base.thickness_m(),
+                    foil_thickness_m: base.foil_thickness_m(),
                     ..coil
                 },
-                material: metal.at(self.temperature_c),
-                foil: Metal::Ferritic.at(self.temperature_c),
+                material: base.at(self.temperature_c),
+                foil: PotBase::Ferritic.at(self.temperature_c),
                 winding_r_ohm,
                 ..FieldSettings::paper()
             };
@@ -212,11 +213,11 @@ impl SimulatedPot {
 
     /// Properties of the metals of this pot at a temperature in °C; `None` without a pot.
     pub fn metals_at(&self, temperature_c: f64) -> Option<Metals> {
-        let standard = self.metal?.at(temperature_c);
+        let standard = self.base?.at(temperature_c);
         let perturbed = self.perturbation.map(|p| p.material(standard));
         Some(Metals {
             base: perturbed.unwrap_or(standard),
-            foil: Metal::Ferritic.at(temperature_c),
+            foil: PotBase::Ferritic.at(temperature_c),
         })
     }
 
@@ -246,8 +247,8 @@ impl SimulatedPot {
     }
 }
 
-impl Metal {
-    /// All metals.
+impl PotBase {
+    /// All bases.
     pub const ALL: [Self; 7] = [
         Self::Ferritic,
         Self::CastIron,
@@ -272,7 +273,7 @@ impl Metal {
     }
 
     fn of_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|metal| metal.name() == name)
+        Self::ALL.into_iter().find(|base| base.name() == name)
     }
 
     /// Thickness of the base in metre.
@@ -420,15 +421,15 @@ mod tests {
     fn old_names_are_understood() {
         assert_eq!(
             "ferromagnetic".parse(),
-            Ok(SimulatedPot::new(Metal::Ferritic, 0.21))
+            Ok(SimulatedPot::new(PotBase::Ferritic, 0.21))
         );
         assert_eq!(
             "small".parse(),
-            Ok(SimulatedPot::new(Metal::Ferritic, 0.12))
+            Ok(SimulatedPot::new(PotBase::Ferritic, 0.12))
         );
         assert_eq!(
             "cast-iron".parse(),
-            Ok(SimulatedPot::new(Metal::CastIron, 0.21))
+            Ok(SimulatedPot::new(PotBase::CastIron, 0.21))
         );
     }
 
@@ -436,20 +437,20 @@ mod tests {
     fn the_least_and_the_most_that_can_be_put_on_has_a_load() {
         let bare = z(SimulatedPot {
             lift_m: 0.1,
-            ..SimulatedPot::new(Metal::Ferritic, 0.05)
+            ..SimulatedPot::new(PotBase::Ferritic, 0.05)
         });
         let off = z(SimulatedPot {
             offset_m: 0.06,
-            ..SimulatedPot::new(Metal::CastIron, 0.12)
+            ..SimulatedPot::new(PotBase::CastIron, 0.12)
         });
-        let wide = z(SimulatedPot::new(Metal::CastIron, 0.26));
+        let wide = z(SimulatedPot::new(PotBase::CastIron, 0.26));
         println!("{bare:?} {off:?} {wide:?}");
         assert!(bare.0 < 0.05 && (4e-5..6e-5).contains(&bare.1), "{bare:?}");
         assert!((0.2..2.5).contains(&off.0) && off.1 > 3e-5, "{off:?}");
         assert!(wide.0 > 2.5 && wide.1 < 3.5e-5, "{wide:?}");
         let too_far = SimulatedPot {
             offset_m: 0.061,
-            ..SimulatedPot::new(Metal::CastIron, 0.12)
+            ..SimulatedPot::new(PotBase::CastIron, 0.12)
         };
         let refused = too_far.field_settings(0.0).unwrap_err().to_string();
         assert!(refused.contains("60 mm for 12 cm"), "{refused}");
@@ -457,11 +458,11 @@ mod tests {
 
     #[test]
     fn smaller_and_lifted_pots_couple_less() {
-        let full = z(SimulatedPot::new(Metal::Ferritic, 0.21));
-        let small = z(SimulatedPot::new(Metal::Ferritic, 0.12));
+        let full = z(SimulatedPot::new(PotBase::Ferritic, 0.21));
+        let small = z(SimulatedPot::new(PotBase::Ferritic, 0.12));
         let lifted = z(SimulatedPot {
             lift_m: 0.02,
-            ..SimulatedPot::new(Metal::Ferritic, 0.21)
+            ..SimulatedPot::new(PotBase::Ferritic, 0.21)
         });
         assert!(
             // Finite elements at 10 A: 2.95 of 5.22 ohm (tests/field-oracle).
@@ -473,14 +474,14 @@ mod tests {
 
     #[test]
     fn off_centre_tends_to_centred() {
-        let centred = z(SimulatedPot::new(Metal::Ferritic, 0.18));
+        let centred = z(SimulatedPot::new(PotBase::Ferritic, 0.18));
         let nearly = z(SimulatedPot {
             offset_m: 1e-3,
-            ..SimulatedPot::new(Metal::Ferritic, 0.18)
+            ..SimulatedPot::new(PotBase::Ferritic, 0.18)
         });
         let far = z(SimulatedPot {
             offset_m: 0.05,
-            ..SimulatedPot::new(Metal::Ferritic, 0.18)
+            ..SimulatedPot::new(PotBase::Ferritic, 0.18)
         });
         assert!(
             (nearly.0 / centred.0 - 1.0).abs() < 0.01,
@@ -497,9 +498,9 @@ mod tests {
             settings.geometry.shield_thickness_m = 0.0;
             harmonic::impedance(&FieldModel::new(&settings).unwrap(), f_hz, i_a).unwrap()
         };
-        for metal in Metal::ALL {
+        for base in PotBase::ALL {
             for (temperature_c, i_a) in [(90.0, 3.0), (150.0, 30.0), (400.0, 60.0)] {
-                let cold = SimulatedPot::new(metal, 0.18);
+                let cold = SimulatedPot::new(base, 0.18);
                 let hot = at(
                     SimulatedPot {
                         temperature_c,
@@ -508,16 +509,16 @@ mod tests {
                     45e3,
                     i_a,
                 );
-                let factor = metal.heat_factor(temperature_c);
+                let factor = base.heat_factor(temperature_c);
                 let like = at(cold, 45e3 / factor, i_a);
                 let (r, l) = (factor * like.r_ohm / hot.r_ohm, like.l_h / hot.l_h);
-                println!("{metal:?} {temperature_c} °C {i_a} A: {factor} {r} {l}");
+                println!("{base:?} {temperature_c} °C {i_a} A: {factor} {r} {l}");
                 // The grid into the depth is made for each material, a linear one's in all directions.
-                let allowed = match metal {
-                    Metal::Ferritic | Metal::CastIron => 1e-3,
-                    Metal::Stainless | Metal::Aluminium | Metal::Foil | Metal::Lid => 1e-2,
+                let allowed = match base {
+                    PotBase::Ferritic | PotBase::CastIron => 1e-3,
+                    PotBase::Stainless | PotBase::Aluminium | PotBase::Foil | PotBase::Lid => 1e-2,
                     // Its base heats by another factor than its foil.
-                    Metal::Clad => 2e-2,
+                    PotBase::Clad => 2e-2,
                 };
                 assert!((r - 1.0).abs() < allowed && (l - 1.0).abs() < allowed);
             }
@@ -526,10 +527,10 @@ mod tests {
 
     #[test]
     fn heat_raises_the_resistance_of_aluminium_as_the_root_of_its_resistivity() {
-        let cold = z(SimulatedPot::new(Metal::Aluminium, 0.21));
+        let cold = z(SimulatedPot::new(PotBase::Aluminium, 0.21));
         let hot = z(SimulatedPot {
             temperature_c: 120.0,
-            ..SimulatedPot::new(Metal::Aluminium, 0.21)
+            ..SimulatedPot::new(PotBase::Aluminium, 0.21)
         });
         assert!((hot.0 / cold.0 / 1.4f64.sqrt() - 1.0).abs() < 0.02);
     }

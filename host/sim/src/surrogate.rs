@@ -148,14 +148,14 @@ impl SurrogateLoad {
 
 #[cfg(test)]
 mod tests {
-    use super::super::pot::{Metal, SimulatedPot};
+    use super::super::pot::{PotBase, SimulatedPot};
     use super::*;
 
     #[test]
     fn between_its_points_the_table_is_within_a_thousandth() {
         for pot in [
-            SimulatedPot::new(Metal::Ferritic, 0.21),
-            SimulatedPot::new(Metal::Stainless, 0.18),
+            SimulatedPot::new(PotBase::Ferritic, 0.21),
+            SimulatedPot::new(PotBase::Stainless, 0.18),
         ] {
             let models: Vec<_> = pot
                 .field_settings(0.1)

@@ -9,7 +9,7 @@
 //! thickness of the base.
 
 use super::contents::PotContents;
-use super::pot::{Metal, SimulatedPot};
+use super::pot::{PotBase, SimulatedPot};
 use super::temperatures::{GLASS_J_PER_K, GLASS_W_PER_K};
 
 /// Room temperature in °C.
@@ -90,7 +90,7 @@ struct Body {
 
 impl Body {
     fn of(pot: &SimulatedPot) -> Self {
-        let (kg_per_m3, j_per_kgk, w_per_mk) = pot.metal.unwrap_or(Metal::Ferritic).thermal();
+        let (kg_per_m3, j_per_kgk, w_per_mk) = pot.base.unwrap_or(PotBase::Ferritic).thermal();
         let area_m2 = 0.25 * std::f64::consts::PI * pot.diameter_m * pot.diameter_m;
         let rim_m = std::f64::consts::PI * pot.diameter_m;
         let wall_m = WALL.0 * pot.diameter_m;
@@ -277,7 +277,7 @@ mod tests {
     use super::*;
 
     fn pot() -> SimulatedPot {
-        SimulatedPot::new(Metal::Ferritic, 0.21)
+        SimulatedPot::new(PotBase::Ferritic, 0.21)
     }
 
     /// Seconds until `is` holds, at most an hour.

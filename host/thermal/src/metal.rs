@@ -114,10 +114,13 @@ mod tests {
     /// Comparison with the simulator's metals, which are written independently.
     #[test]
     fn classes_are_the_simulators_metals() {
-        use ihd_sim::pot::Metal;
-        for (law, metal) in MetalLaw::ALL.iter().zip([Metal::Ferritic, Metal::CastIron]) {
+        use ihd_sim::pot::PotBase;
+        for (law, base) in MetalLaw::ALL
+            .iter()
+            .zip([PotBase::Ferritic, PotBase::CastIron])
+        {
             for rise_k in [30.0, 130.0, 300.0] {
-                let expected = 0.5 * metal.heat_factor(20.0 + rise_k).ln();
+                let expected = 0.5 * base.heat_factor(20.0 + rise_k).ln();
                 assert!((law.ln_s_change(rise_k).0 - expected).abs() < 1e-9);
             }
         }

@@ -203,7 +203,7 @@ impl SimOptions {
         let formulas = LoadKind::from(self.load) == LoadKind::Behavioural;
         let standard = SimulatedPot {
             diameter_m: pot.diameter_m,
-            metal: pot.metal,
+            base: pot.base,
             ..SimulatedPot::NONE
         };
         ensure_usage!(

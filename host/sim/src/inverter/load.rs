@@ -3,7 +3,7 @@
 use super::InverterError;
 use super::envelope::FourierEnvelope;
 use crate::behavioural;
-use crate::pot::{Metal, SimulatedPot};
+use crate::pot::{PotBase, SimulatedPot};
 use crate::surrogate::SurrogateLoad;
 use ihd_field::{FieldLoad, FieldModel};
 
@@ -44,7 +44,7 @@ impl AmplitudeLaw {
 }
 
 /// Effect of heat on R and L of a law: a hot load is the cold one at a lower frequency, with R and X of the load larger by the
-/// ratio of both ([`Metal::heat_factor`]). The winding is not affected.
+/// ratio of both ([`PotBase::heat_factor`]). The winding is not affected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warmth {
     factor: f64,
@@ -70,8 +70,8 @@ impl Warmth {
     }
 
     /// Creates one for a law of a metal at the first of two temperatures in °C, heated to the second.
-    pub fn of(metal: Metal, (law_c, hot_c): (f64, f64), winding_r_ohm: f64) -> Self {
-        let factor = metal.heat_factor(hot_c) / metal.heat_factor(law_c);
+    pub fn of(base: PotBase, (law_c, hot_c): (f64, f64), winding_r_ohm: f64) -> Self {
+        let factor = base.heat_factor(hot_c) / base.heat_factor(law_c);
         Self::new(factor, winding_r_ohm)
     }
 
@@ -330,11 +330,11 @@ mod tests {
 
     #[test]
     fn the_bent_law_follows_the_hot_field_model() {
-        for metal in Metal::ALL {
+        for base in PotBase::ALL {
             let model = |temperature_c| {
                 let pot = SimulatedPot {
                     temperature_c,
-                    ..SimulatedPot::new(metal, 0.21)
+                    ..SimulatedPot::new(base, 0.21)
                 };
                 let mut settings = pot.field_settings(0.1).unwrap().remove(0).1;
                 // The shield stays cold.
@@ -343,7 +343,7 @@ mod tests {
             };
             let pot = SurrogatePot::new(&[(1.0, model(20.0))]).unwrap();
             for hot_c in [60.0, 150.0, 350.0] {
-                let warmth = Warmth::new(metal.heat_factor(hot_c), 0.1);
+                let warmth = Warmth::new(base.heat_factor(hot_c), 0.1);
                 for (f_hz, i_a) in [(36e3, 1.0), (45e3, 30.0), (70e3, 60.0)] {
                     if warmth.law_hz(f_hz) < 20e3 {
                         // Aluminium beyond 250 °C: the table ends at 19 kHz.
@@ -352,19 +352,19 @@ mod tests {
                     let hot = harmonic::impedance(&model(hot_c), f_hz, i_a).unwrap();
                     let (r, l) = warmth.bend(pot.at(warmth.law_hz(f_hz)).r_l(i_a));
                     let (r, l) = (r / hot.r_ohm - 1.0, l / hot.l_h - 1.0);
-                    println!("{metal:?} {hot_c} °C {f_hz} Hz {i_a} A: {r:.1e} {l:.1e}");
+                    println!("{base:?} {hot_c} °C {f_hz} Hz {i_a} A: {r:.1e} {l:.1e}");
                     // A linear metal's grid is made for its skin depth.
-                    let allowed = match metal {
-                        Metal::Ferritic | Metal::CastIron => 2e-4,
-                        Metal::Stainless
-                        | Metal::Aluminium
-                        | Metal::Clad
-                        | Metal::Foil
-                        | Metal::Lid => 1e-2,
+                    let allowed = match base {
+                        PotBase::Ferritic | PotBase::CastIron => 2e-4,
+                        PotBase::Stainless
+                        | PotBase::Aluminium
+                        | PotBase::Clad
+                        | PotBase::Foil
+                        | PotBase::Lid => 1e-2,
                     };
                     assert!(
                         r.abs() < allowed && l.abs() < allowed,
-                        "{metal:?} {hot_c} {i_a} A"
+                        "{base:?} {hot_c} {i_a} A"
                     );
                 }
             }

@@ -5,7 +5,7 @@ use crate::behavioural;
 use crate::behavioural::PotKind;
 use crate::inverter::InverterError;
 use crate::inverter::load::{AmplitudeLaw, LoadState};
-use crate::pot::{Metal, SimulatedPot};
+use crate::pot::{PotBase, SimulatedPot};
 use crate::surrogate::SurrogatePot;
 use ihd_field::FieldModel;
 use ihd_field::geometry::Geometry;
@@ -33,7 +33,7 @@ impl PreparedLoad {
             return Ok(Self::Behavioural(behavioural_kind(pot)));
         }
         let models = field_models(pot, winding_r_ohm)?;
-        Ok(if kind == LoadKind::Field && pot.metal.is_some() {
+        Ok(if kind == LoadKind::Field && pot.base.is_some() {
             Self::Field(models)
         } else {
             Self::Surrogate(Box::new(SurrogatePot::new(&models)?))
@@ -82,7 +82,7 @@ pub fn field_models(
     winding_r_ohm: f64,
 ) -> Result<Vec<(f64, FieldModel)>, InverterError> {
     let mut models = Vec::new();
-    if pot.metal.is_none() {
+    if pot.base.is_none() {
         let settings = FieldSettings {
             geometry: Geometry::of_board(),
             winding_r_ohm,
@@ -106,13 +106,13 @@ pub fn surrogate_pot(
 
 /// Load of the formulas for a pot: there are five; sizes go to the nearer of the two ferromagnetic ones.
 fn behavioural_kind(pot: &SimulatedPot) -> PotKind {
-    match pot.metal {
+    match pot.base {
         None => PotKind::None,
-        Some(Metal::Stainless | Metal::Lid) => PotKind::Stainless,
-        Some(Metal::Aluminium | Metal::Foil) => PotKind::Aluminium,
-        Some(Metal::Ferritic | Metal::CastIron | Metal::Clad) if pot.diameter_m < 0.15 => {
+        Some(PotBase::Stainless | PotBase::Lid) => PotKind::Stainless,
+        Some(PotBase::Aluminium | PotBase::Foil) => PotKind::Aluminium,
+        Some(PotBase::Ferritic | PotBase::CastIron | PotBase::Clad) if pot.diameter_m < 0.15 => {
             PotKind::Small
         }
-        Some(Metal::Ferritic | Metal::CastIron | Metal::Clad) => PotKind::Ferromagnetic,
+        Some(PotBase::Ferritic | PotBase::CastIron | PotBase::Clad) => PotKind::Ferromagnetic,
     }
 }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::sensing::Sensing;
 use crate::inverter::supply::SupplyParts;
 use crate::inverter::{InverterError, in_range};
-use crate::pot::{Metal, SimulatedPot};
+use crate::pot::{PotBase, SimulatedPot};
 
 /// Load model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -134,7 +134,7 @@ impl Default for CaptureSpec {
             line_l_h: 0.0,
             dead_s: 0.0,
             edge_s: f64::from(EDGE_NS) * 1e-9,
-            pot: SimulatedPot::new(Metal::Ferritic, 0.21),
+            pot: SimulatedPot::new(PotBase::Ferritic, 0.21),
             load: LoadKind::Field,
             winding_r_ohm: 0.0,
             start_s: 0.0,

@@ -194,7 +194,7 @@ fn some_named_pot<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Simulated
 impl Default for PotField {
     fn default() -> Self {
         Self {
-            pot: SimulatedPot::new(crate::pot::Metal::Ferritic, 0.21),
+            pot: SimulatedPot::new(crate::pot::PotBase::Ferritic, 0.21),
             for_s: None,
         }
     }

@@ -98,7 +98,7 @@ mod tests {
                 script.turn(&mut hob);
                 hob.step();
             }
-            there.push(hob.pot().metal.is_some());
+            there.push(hob.pot().base.is_some());
         }
         assert_eq!(there, [true, false, true, true, false, true, true, false]);
     }
@@ -116,7 +116,7 @@ mod tests {
                 script.turn(&mut hob);
                 hob.step();
             }
-            seen.push((hob.pot().metal.is_some(), script.is_over()));
+            seen.push((hob.pot().base.is_some(), script.is_over()));
         }
         assert_eq!(seen, [(false, false), (true, true), (true, true)]);
     }

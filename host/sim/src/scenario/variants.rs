@@ -143,7 +143,7 @@ mod tests {
         assert!(sixty.matrix.is_empty());
         let none = &all[6].scenario.file;
         assert_eq!(none.event[0].get_ref().power_w, Some(500.0));
-        assert!(none.pot.pot.metal.is_none());
+        assert!(none.pot.pot.base.is_none());
     }
 
     #[test]

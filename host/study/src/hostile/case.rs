@@ -3,7 +3,7 @@
 use ihd_identify::Method;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ, RESONANCE_CAPACITANCE_NF};
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
-use ihd_sim::pot::{Metal, SimulatedPot};
+use ihd_sim::pot::{PotBase, SimulatedPot};
 use ihd_sim::recording::sensing::Rate;
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
 use serde::Serialize;
@@ -123,7 +123,7 @@ pub(super) fn as_device(s: &mut CaptureSpec) {
 /// Sets a load of R 0.35 ohm: aluminium, above its resonance of 46 kHz.
 pub(super) fn aluminium(s: &mut CaptureSpec) {
     s.load = LoadKind::Surrogate;
-    s.pot = SimulatedPot::new(Metal::Aluminium, 0.21);
+    s.pot = SimulatedPot::new(PotBase::Aluminium, 0.21);
     s.winding_r_ohm = 0.14;
     s.f_sw_hz = 67e3;
     s.sensing.i_full_scale_a = 160.0;

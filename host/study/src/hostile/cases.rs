@@ -1,6 +1,6 @@
 //! Matrix of sound captures. Faulty ones are in [`super::faulty`] and [`super::combined`].
 
-use ihd_sim::pot::{Metal, SimulatedPot};
+use ihd_sim::pot::{PotBase, SimulatedPot};
 use ihd_sim::recording::sensing::Rate;
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind, RecordingChange, RecordingEvent};
 
@@ -133,28 +133,28 @@ fn pots() -> Vec<Case> {
     };
     let lifted = SimulatedPot {
         lift_m: 10e-3,
-        ..SimulatedPot::new(Metal::Ferritic, 0.18)
+        ..SimulatedPot::new(PotBase::Ferritic, 0.18)
     };
     let hot = SimulatedPot {
         temperature_c: 150.0,
-        ..SimulatedPot::new(Metal::Ferritic, 0.18)
+        ..SimulatedPot::new(PotBase::Ferritic, 0.18)
     };
     vec![
         Case::clean(
             "ferritic 18 cm",
-            reduced(SimulatedPot::new(Metal::Ferritic, 0.18), 50.0),
+            reduced(SimulatedPot::new(PotBase::Ferritic, 0.18), 50.0),
         ),
         Case::clean(
             "ferritic 12 cm",
-            reduced(SimulatedPot::new(Metal::Ferritic, 0.12), 45.0),
+            reduced(SimulatedPot::new(PotBase::Ferritic, 0.12), 45.0),
         ),
         Case::clean(
             "cast iron 15 cm",
-            reduced(SimulatedPot::new(Metal::CastIron, 0.15), 45.0),
+            reduced(SimulatedPot::new(PotBase::CastIron, 0.15), 45.0),
         ),
         Case::clean(
             "stainless",
-            reduced(SimulatedPot::new(Metal::Stainless, 0.21), 67.0),
+            reduced(SimulatedPot::new(PotBase::Stainless, 0.21), 67.0),
         ),
         Case::clean("aluminium, 0.35 ohm", with(aluminium)).short(),
         Case::clean("empty coil", reduced(SimulatedPot::NONE, 45.0)),
@@ -162,15 +162,15 @@ fn pots() -> Vec<Case> {
         Case::clean("at 150 °C", reduced(hot, 50.0)),
         Case::clean(
             "field model",
-            field(SimulatedPot::new(Metal::Ferritic, 0.21), 45.0),
+            field(SimulatedPot::new(PotBase::Ferritic, 0.21), 45.0),
         ),
         Case::clean(
             "field model at 67 kHz",
-            field(SimulatedPot::new(Metal::Ferritic, 0.21), 67.0),
+            field(SimulatedPot::new(PotBase::Ferritic, 0.21), 67.0),
         ),
         Case::clean(
             "field model, stainless",
-            field(SimulatedPot::new(Metal::Stainless, 0.21), 67.0),
+            field(SimulatedPot::new(PotBase::Stainless, 0.21), 67.0),
         ),
     ]
 }

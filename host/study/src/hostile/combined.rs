@@ -1,6 +1,6 @@
 //! Captures with several defects at once.
 
-use ihd_sim::pot::{Metal, SimulatedPot};
+use ihd_sim::pot::{PotBase, SimulatedPot};
 use ihd_sim::recording::settings::{
     CaptureSpec, CarrierSweep, LoadKind, Neighbour, RecordingChange, RecordingEvent,
 };
@@ -66,7 +66,7 @@ pub(super) fn all() -> Vec<Case> {
         }),
         faulty("neighbour, skew 20 ns, stainless", |s| {
             s.load = LoadKind::Surrogate;
-            s.pot = SimulatedPot::new(Metal::Stainless, 0.21);
+            s.pot = SimulatedPot::new(PotBase::Stainless, 0.21);
             s.f_sw_hz = 67e3;
             s.neighbour = Some(Neighbour {
                 offset_hz: 1.2e3,

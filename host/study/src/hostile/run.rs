@@ -282,7 +282,7 @@ mod tests {
         assert!(short.iter().any(|c| c.group == CaptureGroup::Clean));
     }
 
-    /// A refusal is right if it did.
+    /// The study counts a refusal of a clean capture as a defect, so none may clip.
     #[test]
     fn no_clean_capture_clips_at_length() {
         for case in plan(false).cases() {

@@ -50,7 +50,7 @@ pub fn at_home(pot: &SimulatedPot) -> SimulatedPot {
 
 /// Returns `true` if both have the same metal and size.
 pub fn is_same(a: &SimulatedPot, b: &SimulatedPot) -> bool {
-    a.metal == b.metal && (a.diameter_m - b.diameter_m).abs() < 1e-6
+    a.base == b.base && (a.diameter_m - b.diameter_m).abs() < 1e-6
 }
 
 /// Entry of the first hob for a pot; `None` if it has none.

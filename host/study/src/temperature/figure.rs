@@ -4,7 +4,7 @@ use std::path::Path;
 
 use ihd_sim::contents::PotContents;
 use ihd_sim::cooking::PotDeviation;
-use ihd_sim::pot::{Metal, SimulatedPot};
+use ihd_sim::pot::{PotBase, SimulatedPot};
 use plotters::prelude::*;
 
 use super::kitchen::{Sample, cook};
@@ -28,7 +28,7 @@ pub fn write(path: &Path) -> Result<(), FigureError> {
         kind,
         pot: SimulatedPot {
             lift_m: 0.2e-3,
-            ..SimulatedPot::new(Metal::Ferritic, 0.18)
+            ..SimulatedPot::new(PotBase::Ferritic, 0.18)
         },
         contents,
         deviation: PotDeviation {

@@ -11,18 +11,18 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use ihd_sim::contents::PotContents;
 use ihd_sim::cooking::PotDeviation;
 use ihd_sim::inverter::InverterError;
-use ihd_sim::pot::{Metal, SimulatedPot};
+use ihd_sim::pot::{PotBase, SimulatedPot};
 use serde::Serialize;
 
 use super::parallel::{WorkerLost, in_parallel};
 pub use kitchen::{Sample, cook};
 
 /// Pots of the study: metal, diameter in metre, and the largest power, in watt.
-const POTS: [(Metal, f64, f64); 4] = [
-    (Metal::Ferritic, 0.15, 1200.0),
-    (Metal::Ferritic, 0.18, 1800.0),
-    (Metal::Ferritic, 0.21, 2200.0),
-    (Metal::CastIron, 0.21, 2200.0),
+const POTS: [(PotBase, f64, f64); 4] = [
+    (PotBase::Ferritic, 0.15, 1200.0),
+    (PotBase::Ferritic, 0.18, 1800.0),
+    (PotBase::Ferritic, 0.21, 2200.0),
+    (PotBase::CastIron, 0.21, 2200.0),
 ];
 
 /// Range of a pot's lift when it is put on or moved, in metre.

@@ -1,7 +1,7 @@
 //! Calibration against the simulator's sensing chain, whose settings are the truth.
 
 use ihd_sim::behavioural::{BehaviouralLoad, PotKind};
-use ihd_sim::pot::{Metal, SimulatedPot};
+use ihd_sim::pot::{PotBase, SimulatedPot};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind, RecordingChange, RecordingEvent};
@@ -94,7 +94,7 @@ fn frequency_steps_tell_the_coils_r_from_a_skew_too() {
 
 #[test]
 fn a_known_load_gives_skew_and_gains() {
-    let pot = SimulatedPot::new(Metal::Stainless, 0.21);
+    let pot = SimulatedPot::new(PotBase::Stainless, 0.21);
     let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::Stainless, 45e3).r_l(0.0);
     let mut s = settings(pot, chain(Some(50.0)), 3);
     (s.sensing.v_full_scale_v, s.sensing.i_full_scale_a) = (800.0, 400.0);
@@ -120,7 +120,7 @@ fn a_known_load_gives_skew_and_gains() {
 
 #[test]
 fn the_deviation_reported_is_that_of_many_seeds() {
-    let pot = SimulatedPot::new(Metal::Stainless, 0.21);
+    let pot = SimulatedPot::new(PotBase::Stainless, 0.21);
     let (r_ohm, l_h) = BehaviouralLoad::new(PotKind::Stainless, 45e3).r_l(0.0);
     let both = ReferenceLoad::Load {
         r_ohm: Some(r_ohm),
@@ -150,7 +150,7 @@ fn the_deviation_reported_is_that_of_many_seeds() {
 
 #[test]
 fn applied_it_takes_the_error_out_of_another_capture() {
-    let pot = SimulatedPot::new(Metal::Ferritic, 0.21);
+    let pot = SimulatedPot::new(PotBase::Ferritic, 0.21);
     // The board's filter: without it aliasing is 0.1 % of the voltage, 4 ns of its phase.
     for (rate, pole_hz) in [(Rate::Hz(12.5e6), 0.0), (Rate::Locked, 500e3)] {
         let with = |sensing: Sensing| {
@@ -236,7 +236,7 @@ fn files_come_back_and_others_are_refused() {
 
 #[test]
 fn what_gives_no_calibration_is_refused_with_the_reason() {
-    let pot = SimulatedPot::new(Metal::Ferritic, 0.21);
+    let pot = SimulatedPot::new(PotBase::Ferritic, 0.21);
     let heated = capture(&settings(pot, chain(None), 7));
     let e = calibrated(&heated, EMPTY).unwrap_err();
     assert!(matches!(e, CalibrateError::NotTheReference { .. }), "{e}");

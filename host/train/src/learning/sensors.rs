@@ -245,7 +245,7 @@ fn settling_s() -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use ihd_sim::pot::{Metal, SimulatedPot};
+    use ihd_sim::pot::{PotBase, SimulatedPot};
     use ihd_sim::recording::run::record;
     use ihd_sim::recording::sensing::{Rate, Sensing};
     use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
@@ -261,7 +261,7 @@ mod tests {
         let settings = CaptureSpec {
             f_sw_hz,
             load: LoadKind::Behavioural,
-            pot: SimulatedPot::new(Metal::Ferritic, 0.21),
+            pot: SimulatedPot::new(PotBase::Ferritic, 0.21),
             duration_s: 10e-3,
             seed,
             sensing: Sensing {

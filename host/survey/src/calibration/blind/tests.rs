@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use ihd_signal::segment::Segment;
 use ihd_signal::{Capture, Load};
-use ihd_sim::pot::{Metal, SimulatedPot};
+use ihd_sim::pot::{PotBase, SimulatedPot};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind};
@@ -25,7 +25,7 @@ fn scope() -> Sensing {
 fn settings(sensing: Sensing, seed: u64) -> CaptureSpec {
     CaptureSpec {
         load: LoadKind::Behavioural,
-        pot: SimulatedPot::new(Metal::Ferritic, 0.21),
+        pot: SimulatedPot::new(PotBase::Ferritic, 0.21),
         duration_s: 20e-3,
         sensing,
         seed,
