@@ -21,9 +21,6 @@ pub enum Backend {
     /// burn on a GPU through WebGPU, Vulkan or Metal; single precision, so not for `hybrid`.
     #[cfg(feature = "wgpu")]
     Wgpu,
-    /// burn on an NVIDIA GPU.
-    #[cfg(feature = "cuda")]
-    Cuda,
 }
 
 impl Backend {
@@ -33,21 +30,20 @@ impl Backend {
         Self::Ndarray,
         #[cfg(feature = "wgpu")]
         Self::Wgpu,
-        #[cfg(feature = "cuda")]
-        Self::Cuda,
     ];
 
     /// Device of burn for this backend, without autodiff; `None` for the own kernels.
-    pub(crate) fn device(self) -> Option<Device> {
+    ///
+    /// # Errors
+    /// [`PinnError::Backend`] if this machine has no such device.
+    pub(crate) fn device(self) -> Result<Option<Device>, PinnError> {
         match self {
-            Self::Fused => None,
+            Self::Fused => Ok(None),
             // Required although burn deprecates it: see the variant.
             #[allow(deprecated)]
-            Self::Ndarray => Some(Device::ndarray()),
+            Self::Ndarray => Ok(Some(Device::ndarray())),
             #[cfg(feature = "wgpu")]
-            Self::Wgpu => Some(Device::wgpu(Default::default())),
-            #[cfg(feature = "cuda")]
-            Self::Cuda => Some(Device::cuda(Default::default())),
+            Self::Wgpu => gpu().map(Some),
         }
     }
 
@@ -57,6 +53,18 @@ impl Backend {
     }
 }
 
+/// The GPU, opened once a process.
+#[cfg(feature = "wgpu")]
+fn gpu() -> Result<Device, PinnError> {
+    use std::sync::OnceLock;
+    static GPU: OnceLock<Result<Device, String>> = OnceLock::new();
+    let opened = GPU.get_or_init(|| Device::wgpu_options().init().map_err(|e| e.to_string()));
+    opened.clone().map_err(|detail| PinnError::Backend {
+        backend: Backend::Wgpu.to_string(),
+        detail,
+    })
+}
+
 impl fmt::Display for Backend {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -64,8 +72,6 @@ impl fmt::Display for Backend {
             Self::Ndarray => "ndarray",
             #[cfg(feature = "wgpu")]
             Self::Wgpu => "wgpu",
-            #[cfg(feature = "cuda")]
-            Self::Cuda => "cuda",
         })
     }
 }
@@ -84,7 +90,7 @@ impl FromStr for Backend {
             .ok_or_else(|| PinnError::UnknownName {
                 what: "backend",
                 name: name.to_owned(),
-                known: "fused, ndarray (wgpu, cuda in builds with these features)".to_owned(),
+                known: "fused, ndarray (wgpu in builds with this feature)".to_owned(),
             })
     }
 }

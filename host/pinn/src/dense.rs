@@ -46,12 +46,11 @@ fn trained<const D: usize>(tensor: Tensor<D>) -> Tensor<D> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Backend;
+    use crate::trial;
 
     #[test]
     fn the_gradient_of_the_sum_is_that_of_x_w_plus_b() {
-        let backend = Backend::Ndarray;
-        let plain = backend.device().expect("a burn backend");
+        let plain = trial::device();
         for device in [plain.clone(), plain.autodiff()] {
             let (weights, biases) = (vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0], vec![0.5, -0.5]);
             let layer = Dense::new(weights, biases, &device, DType::F64);

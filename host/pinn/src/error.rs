@@ -111,8 +111,8 @@ pub enum PinnError {
         /// Row at which the Cholesky factorisation broke down.
         row: usize,
     },
-    /// A burn tensor could not be read back.
-    #[error("burn backend {backend}: {detail}; try the other backend")]
+    /// burn has no such device, or a tensor could not be read back.
+    #[error("burn backend {backend}: {detail}; take fused, which needs none")]
     Backend {
         /// The backend in use.
         backend: String,

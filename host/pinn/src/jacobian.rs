@@ -69,7 +69,7 @@ mod tests {
         let branch = trial::fitted(&samples);
         let physics = trial::physics(&branch, &samples, &network, &[0, 1], 32);
         let backend = Backend::Ndarray;
-        let device = backend.device().expect("a burn backend");
+        let device = trial::device();
         let plain = physics.on_device(&samples, &network, backend, &device);
         let module = RlMlp::from_parameters(&network, &plain.device);
         let rows = jacobian(&plain, &module).expect("readable");

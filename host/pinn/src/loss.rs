@@ -311,7 +311,7 @@ mod tests {
     fn the_burn_tensors_and_the_plain_parameters_are_one_function() {
         let (samples, network) = (trial::samples(), trial::network());
         let backend = Backend::Ndarray;
-        let device = backend.device().expect("a burn backend");
+        let device = trial::device();
         let module = RlMlp::from_parameters(&network, &device);
         let features = network.embedding.features(3e-3, samples.f_mains_hz);
         let row = matrix(features.clone(), [1, features.len()], &device);

@@ -44,16 +44,16 @@ impl SlowModel {
         samples: &NormalisedWaveform,
         parameters: &Parameters,
         config: &PinnConfig,
-    ) -> Self {
-        let Some(device) = config.backend.device() else {
-            return Self::own(physics, samples, parameters);
+    ) -> Result<Self, PinnError> {
+        let Some(device) = config.backend.device()? else {
+            return Ok(Self::own(physics, samples, parameters));
         };
         let device = match config.optimiser {
             Optimiser::LevenbergMarquardt => device,
             Optimiser::Adam => device.autodiff(),
         };
         let tensors = physics.on_device(samples, parameters, config.backend, &device);
-        Self::Burn(Box::new(tensors))
+        Ok(Self::Burn(Box::new(tensors)))
     }
 
     /// Creates the model in own code.
@@ -162,7 +162,7 @@ mod tests {
         let physics = trial::physics(&branch, &samples, &network, &[0, 1], 32);
         let own = SlowModel::own(&physics, &samples, &network);
         let backend = Backend::Ndarray;
-        let device = backend.device().expect("a burn backend").autodiff();
+        let device = trial::device().autodiff();
         let tensors = physics.on_device(&samples, &network, backend, &device);
         let burn = SlowModel::Burn(Box::new(tensors));
         let close = |a: &[f64], b: &[f64]| {

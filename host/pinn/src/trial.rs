@@ -8,8 +8,15 @@ use crate::loss::{SlowPhysics, slow_times_s};
 use crate::parameters::Parameters;
 use crate::vi_system::DataSystem;
 use crate::waveform::NormalisedWaveform;
-use crate::{SlowEmbedding, Waveform};
+use crate::{Backend, SlowEmbedding, Waveform};
+use burn::tensor::Device;
 use ihd_spline::CubicSpline;
+
+/// The device of burn-ndarray.
+pub(crate) fn device() -> Device {
+    let device = Backend::Ndarray.device().expect("needs no hardware");
+    device.expect("a backend of burn")
+}
 
 /// A half-cycle of a constant 4 ohm, 20 uH at 45 kHz, with a third harmonic.
 pub(crate) fn samples() -> NormalisedWaveform {

@@ -39,7 +39,7 @@ pub(crate) fn hybrid(
     };
     loop {
         log.pass += 1;
-        let pass = Pass::new(&inputs, &branch, network);
+        let pass = Pass::new(&inputs, &branch, network)?;
         let descent = pass.train(&mut log)?;
         let converged = log.pass > 1 && pass.change_to(&descent.parameters) < pass.tolerance;
         if converged || log.pass >= config.outer_passes || !descent.stopped.is_converged() {

@@ -46,7 +46,14 @@ pub(super) struct Pass<'a> {
 
 impl<'a> Pass<'a> {
     /// Creates a pass from the network of the last one, or from an outline without layers, which gets initial weights.
-    pub fn new(inputs: &'a Inputs<'a>, branch: &HarmonicBranch, network: Parameters) -> Self {
+    ///
+    /// # Errors
+    /// [`PinnError::Backend`] if the configured backend has no device here.
+    pub fn new(
+        inputs: &'a Inputs<'a>,
+        branch: &HarmonicBranch,
+        network: Parameters,
+    ) -> Result<Self, PinnError> {
         let (samples, config) = (inputs.samples, inputs.config);
         let times = slow_times_s(samples.duration_s(), config.slow_points);
         let physics =
@@ -62,8 +69,8 @@ impl<'a> Pass<'a> {
         let [r, l] = constant;
         let typical = [r * start.r_scale_ohm, l * start.l_scale_h];
         let noise = noise_variance(samples, white, config.w_f, typical);
-        Self {
-            model: SlowModel::new(&physics, samples, &start, config),
+        Ok(Self {
+            model: SlowModel::new(&physics, samples, &start, config)?,
             prior: Prior {
                 strength: match config.weight_width {
                     0.0 => 0.0,
@@ -84,7 +91,7 @@ impl<'a> Pass<'a> {
             start,
             noise,
             data_losses,
-        }
+        })
     }
 
     /// Trains the network until R and L have converged, or a limit of the log is reached.

@@ -7,7 +7,7 @@ mod tests;
 use std::ops::Range;
 
 use burn::tensor::activation::softplus;
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 
 use super::kernel::{Kernel, Problem, Terms, Weights};
 use super::shape::LayerPlace;
@@ -21,23 +21,24 @@ struct Networks {
     rl: Vec<Dense>,
 }
 
-/// Points of a batch as tensors, one row per point.
+/// Points of a batch as tensors, a row each, in groups: a layer's gradient is a sum over all rows, which a GPU takes in parallel for the
+/// groups alone.
 #[derive(Debug, Clone)]
 struct Batch {
-    fast: Tensor<2>,
-    fast_rate: Tensor<2>,
-    slow: Tensor<2>,
-    v: Tensor<2>,
-    i: Tensor<2>,
+    fast: Tensor<3>,
+    fast_rate: Tensor<3>,
+    slow: Tensor<3>,
+    v: Tensor<3>,
+    i: Tensor<3>,
 }
 
 /// Outputs of both networks and the tangent of i, one column each.
 struct Outputs {
-    v: Tensor<2>,
-    i: Tensor<2>,
-    i_rate: Tensor<2>,
-    r: Tensor<2>,
-    x: Tensor<2>,
+    v: Tensor<3>,
+    i: Tensor<3>,
+    i_rate: Tensor<3>,
+    r: Tensor<3>,
+    x: Tensor<3>,
 }
 
 /// burn on one of its devices.
@@ -69,8 +70,10 @@ impl Burn {
         }
     }
 
-    fn matrix(&self, values: &[f32], width: usize) -> Tensor<2> {
-        let shape = [values.len() / width.max(1), width];
+    fn rows(&self, values: &[f32], width: usize) -> Tensor<3> {
+        let rows = values.len() / width.max(1);
+        let groups = groups_of(rows);
+        let shape = [groups, rows / groups, width];
         Tensor::from_data(
             TensorData::new(values.to_vec(), shape),
             (&self.device, self.dtype),
@@ -97,7 +100,7 @@ impl Burn {
         }
         let points = problem.points;
         let rows = |values: &[f32], width: usize| {
-            self.matrix(&values[range.start * width..range.end * width], width)
+            self.rows(&values[range.start * width..range.end * width], width)
         };
         let batch = Batch {
             fast: rows(&points.fast, points.fast_width),
@@ -122,19 +125,35 @@ impl Burn {
             .try_into_vec::<f32>()
             .map_err(|e| broken(format!("{e:?}")))
     }
+}
 
-    fn scalar(&self, tensor: Tensor<1>) -> Result<f64, PinnError> {
-        let values = self.read(tensor)?;
-        Ok(f64::from(values.first().copied().unwrap_or(f32::NAN)))
-    }
+/// Most groups of rows: as many blocks as keep a large GPU busy.
+const MOST_GROUPS: usize = 256;
+
+/// Largest number of equal groups of so many rows.
+fn groups_of(rows: usize) -> usize {
+    let divides = |groups: &usize| rows.is_multiple_of(*groups);
+    (1..=MOST_GROUPS).rev().find(divides).unwrap_or(1)
+}
+
+/// x W + b, not as `Dense::forward`, which joins the groups.
+fn forward(layer: &Dense, x: Tensor<3>) -> Tensor<3> {
+    x.matmul(layer.weight.clone().unsqueeze()) + layer.bias.clone().unsqueeze()
+}
+
+/// Gradient of the loss by `parameter`, row by row; zero for one that the loss does not depend on.
+fn by<const D: usize>(parameter: &Tensor<D>, gradients: &Gradients) -> Tensor<1> {
+    let gradient = parameter.grad(gradients);
+    let gradient = gradient.unwrap_or_else(|| parameter.clone().inner().zeros_like());
+    gradient.flatten(0, D - 1)
 }
 
 impl Networks {
     fn outputs(&self, batch: &Batch, problem: &Problem<'_>) -> Outputs {
         let (mut x, mut rate) = (batch.fast.clone(), batch.fast_rate.clone());
         for (index, layer) in self.vi.iter().enumerate() {
-            x = layer.forward(x);
-            rate = rate.matmul(layer.weight.clone());
+            x = forward(layer, x);
+            rate = rate.matmul(layer.weight.clone().unsqueeze());
             if index + 1 < self.vi.len() {
                 rate = rate * x.clone().cos();
                 x = x.sin();
@@ -142,13 +161,13 @@ impl Networks {
         }
         let mut y = batch.slow.clone();
         for (index, layer) in self.rl.iter().enumerate() {
-            y = layer.forward(y);
+            y = forward(layer, y);
             if index + 1 < self.rl.len() {
                 y = y.tanh();
             }
         }
         let y = softplus(y, 1.0);
-        let column = |x: &Tensor<2>, at| x.clone().narrow(1, at, 1);
+        let column = |x: &Tensor<3>, at| x.clone().narrow(2, at, 1);
         Outputs {
             v: column(&x, 0),
             i: column(&x, 1),
@@ -171,7 +190,7 @@ impl Kernel for Burn {
         let networks = self.networks(problem, theta);
         let batch = self.batch(problem, &batch);
         let outputs = networks.outputs(&batch, problem);
-        let mean = |e: Tensor<2>| (e.clone() * e).mean();
+        let mean = |e: Tensor<3>| (e.clone() * e).mean();
         let l_f =
             mean(outputs.v.clone() - outputs.r * outputs.i.clone() - outputs.x * outputs.i_rate);
         let l_i1 = mean(outputs.v - batch.v);
@@ -180,20 +199,22 @@ impl Kernel for Burn {
         let total = l_f.clone() * weights.w_f + data * weights.w_i;
         let gradients = total.backward();
         let layers = networks.vi.iter().chain(&networks.rl);
-        for (place, layer) in problem.shape.layers().zip(layers) {
-            // A parameter that the loss does not depend on has no gradient: zero.
-            gradient[place.weights.start..place.biases.end].fill(0.0);
-            if let Some(by_weight) = layer.weight.grad(&gradients) {
-                gradient[place.weights.clone()].copy_from_slice(&self.read(by_weight)?);
-            }
-            if let Some(by_bias) = layer.bias.grad(&gradients) {
-                gradient[place.biases.clone()].copy_from_slice(&self.read(by_bias)?);
-            }
+        let layers =
+            layers.flat_map(|layer| [by(&layer.weight, &gradients), by(&layer.bias, &gradients)]);
+        // Terms and gradient are read in one piece: each reading waits for the device.
+        let terms = [l_f, l_i1, l_i2].map(Tensor::inner);
+        let values = self.read(Tensor::cat(terms.into_iter().chain(layers).collect(), 0))?;
+        let (terms, mut rest) = values.split_at(3);
+        for place in problem.shape.layers() {
+            let own;
+            (own, rest) = rest.split_at(place.biases.end - place.weights.start);
+            gradient[place.weights.start..place.biases.end].copy_from_slice(own);
         }
+        let term = |at: usize| f64::from(terms[at]);
         Ok(Terms {
-            l_f: self.scalar(l_f)?,
-            l_i1: self.scalar(l_i1)?,
-            l_i2: self.scalar(l_i2)?,
+            l_f: term(0),
+            l_i1: term(1),
+            l_i2: term(2),
         })
     }
 

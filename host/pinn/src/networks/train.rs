@@ -64,7 +64,7 @@ pub(crate) fn identify(
         config,
         vi,
         problem,
-        kernel: match config.backend.device() {
+        kernel: match config.backend.device()? {
             None => Box::new(Fused::new(&shape)),
             Some(device) => Box::new(Burn::new(config.backend, device)),
         },

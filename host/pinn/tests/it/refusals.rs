@@ -181,7 +181,7 @@ fn names_are_read_back_as_written_and_others_listed() {
     let error = "tpu".parse::<Backend>().expect_err("no such backend");
     assert_eq!(
         error.to_string(),
-        r#"unknown backend "tpu"; known: fused, ndarray (wgpu, cuda in builds with these features)"#
+        r#"unknown backend "tpu"; known: fused, ndarray (wgpu in builds with this feature)"#
     );
     assert!("sgd".parse::<Optimiser>().is_err());
 }

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use ihd::{ensure_usage, say};
 use ihd_identify::Method;
-use ihd_pinn::PresetLibrary;
+use ihd_pinn::{Backend, PresetLibrary};
 use ihd_sim::recording::settings::LoadKind;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -28,6 +28,15 @@ const DEFAULT_PRESETS: [&str; 5] = [
 
 /// Epochs of the paper's presets with `--quick`.
 const QUICK_EPOCHS: usize = 100;
+
+/// Contender with what the command line changes of its preset.
+struct Entrant {
+    contender: Contender,
+    /// Limit of epochs; `None` for the preset's own number.
+    epochs: Option<usize>,
+    /// `None` for the preset's own.
+    backend: Option<Backend>,
+}
 
 /// Signal-to-noise ratio in decibel, or none.
 #[derive(Clone, Copy, Debug)]
@@ -117,6 +126,10 @@ pub struct PaperArgs {
     /// Most epochs of the presets with a VI-MLP; 5000 as the paper's if not given
     #[arg(long)]
     epochs: Option<usize>,
+    /// Backend of the presets with a VI-MLP in place of their own: fused, ndarray, and in a build with
+    /// this feature wgpu, a GPU
+    #[arg(long, value_name = "NAME")]
+    backend: Option<Backend>,
     /// One seed, the behavioural reference load, no noise and 30 dB; presets with a VI-MLP at 45 kHz
     /// without noise, cut after 100 epochs
     #[arg(long)]
@@ -182,15 +195,16 @@ impl PaperArgs {
         for &load in &self.load {
             for khz in &self.khz {
                 for snr in &self.snr {
-                    for (contender, epochs) in &contenders {
+                    for entrant in &contenders {
                         for seed in 1..=self.seeds {
                             jobs.push(PaperJob {
                                 load: load.into(),
                                 f_sw_hz: 1e3 * khz,
                                 snr_db: snr.0,
-                                contender: contender.clone(),
+                                contender: entrant.contender.clone(),
                                 seed,
-                                epochs: *epochs,
+                                epochs: entrant.epochs,
+                                backend: entrant.backend,
                             });
                         }
                     }
@@ -201,8 +215,8 @@ impl PaperArgs {
         Ok(jobs)
     }
 
-    /// Contenders, with the limit of epochs of presets that have a VI-MLP.
-    fn contenders(&self, presets: &PresetLibrary) -> Result<Vec<(Contender, Option<usize>)>> {
+    /// Contenders; presets that have a VI-MLP with the limit of epochs and the backend.
+    fn contenders(&self, presets: &PresetLibrary) -> Result<Vec<Entrant>> {
         let names: Vec<&str> = if self.preset.is_empty() {
             DEFAULT_PRESETS
                 .into_iter()
@@ -218,11 +232,22 @@ impl PaperArgs {
             let taken = Method::ALL.iter().any(|method| method.name() == name);
             ensure_usage!(!taken, "{name} is an estimator: rename the preset's file");
             let preset = presets.get(name)?;
-            let epochs = preset.config.vi_mlp.and(cut);
-            contenders.push((Contender::Pinn(preset.name), epochs));
+            let (epochs, backend) = match preset.config.vi_mlp {
+                Some(_) => (cut, self.backend),
+                None => (None, None),
+            };
+            contenders.push(Entrant {
+                contender: Contender::Pinn(preset.name),
+                epochs,
+                backend,
+            });
         }
         let others = [Method::LeastSquares, Method::Ekf, Method::Lockin];
-        contenders.extend(others.map(|method| (Contender::Other(method), None)));
+        contenders.extend(others.map(|method| Entrant {
+            contender: Contender::Other(method),
+            epochs: None,
+            backend: None,
+        }));
         Ok(contenders)
     }
 

@@ -88,8 +88,9 @@ pub(super) fn run(
 fn configured(job: &PaperJob, mut config: PinnConfig) -> PinnConfig {
     config.seed = job.seed;
     config.deterministic = true;
-    if let (Some(epochs), Some(_)) = (job.epochs, &config.vi_mlp) {
-        config.max_iterations = epochs;
+    if config.vi_mlp.is_some() {
+        config.backend = job.backend.unwrap_or(config.backend);
+        config.max_iterations = job.epochs.unwrap_or(config.max_iterations);
     }
     config
 }

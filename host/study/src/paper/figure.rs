@@ -218,6 +218,7 @@ mod tests {
                 contender,
                 seed: 1,
                 epochs: None,
+                backend: None,
             },
             settings: None,
             whole: errors,

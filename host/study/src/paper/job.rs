@@ -1,6 +1,7 @@
 //! Job of a cell.
 
 use ihd_identify::Method;
+use ihd_pinn::Backend;
 use ihd_sim::recording::settings::LoadKind;
 use serde::{Deserialize, Serialize};
 
@@ -39,6 +40,9 @@ pub struct PaperJob {
     pub seed: u64,
     /// Limit of epochs of presets with a VI-MLP; `None` for the preset's own number.
     pub epochs: Option<usize>,
+    /// Backend of presets with a VI-MLP; `None` for the preset's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub backend: Option<Backend>,
 }
 
 impl PaperJob {
@@ -51,7 +55,11 @@ impl PaperJob {
         };
         let snr = self.snr_db.map_or("clean".into(), |db| format!("{db}dB"));
         let epochs = self.epochs.map_or(String::new(), |n| format!("-{n}epochs"));
+        let backend = self.backend.map_or(String::new(), |b| format!("-{b}"));
         let (khz, name) = (self.f_sw_hz * 1e-3, self.contender.name());
-        format!("{load}-{khz}kHz-{snr}-{name}-seed{}{epochs}", self.seed)
+        format!(
+            "{load}-{khz}kHz-{snr}-{name}-seed{}{epochs}{backend}",
+            self.seed
+        )
     }
 }

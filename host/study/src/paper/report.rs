@@ -191,6 +191,7 @@ pub(super) mod tests {
                 contender: Contender::Other(Method::Lockin),
                 seed,
                 epochs: None,
+                backend: None,
             },
             settings: None,
             whole: PaperErrors { r_pct, l_pct: 1.0 },

@@ -32,10 +32,6 @@ fn assert_close(a: &[f32], b: &[f32], tolerance: f32, what: &str) {
     }
 }
 
-fn device() -> Device {
-    Backend::Ndarray.device().expect("a backend of burn")
-}
-
 #[test]
 fn fused_and_ndarray_give_one_loss_and_one_gradient_to_rounding() {
     for (hidden_layers, slow) in [
@@ -60,7 +56,7 @@ fn fused_and_ndarray_give_one_loss_and_one_gradient_to_rounding() {
             (terms.expect("computes"), gradient)
         };
         let (terms, gradient) = evaluate(&mut Fused::new(&shape));
-        let mut burn = Burn::new(Backend::Ndarray, device());
+        let mut burn = Burn::new(Backend::Ndarray, trial::device());
         let (by_burn, burns) = evaluate(&mut burn);
         assert_close(&gradient, &burns, 2e-5, "gradient");
         let ours = [terms.l_f, terms.l_i1, terms.l_i2];
@@ -94,7 +90,7 @@ fn the_gradient_is_the_finite_difference_of_burns_loss_in_double_precision() {
     let mut fused = Fused::new(&shape);
     let computed = fused.loss(&problem, &theta, all.clone(), WEIGHTS, &mut gradient);
     computed.expect("computes");
-    let mut burn = Burn::double(Backend::Ndarray, device());
+    let mut burn = Burn::double(Backend::Ndarray, trial::device());
     let largest = gradient.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
     let mut unused = vec![0.0; shape.len];
     for p in (0..shape.len).step_by(13) {
@@ -128,10 +124,10 @@ fn the_tangent_of_the_network_is_its_finite_difference_in_double_precision() {
         points: &points,
         impedances,
     };
-    let burn = Burn::double(Backend::Ndarray, device());
+    let burn = Burn::double(Backend::Ndarray, trial::device());
     let networks = burn.networks(&problem, &shape.xavier(9));
-    let wide = |values: Vec<f64>, width: usize| -> Tensor<2> {
-        let shape = [values.len() / width, width];
+    let wide = |values: Vec<f64>, width: usize| -> Tensor<3> {
+        let shape = [1, values.len() / width, width];
         Tensor::from_data(TensorData::new(values, shape), (&burn.device, DType::F64))
     };
     let (f_sw_hz, step) = (45e3, 1e-5);
@@ -147,7 +143,7 @@ fn the_tangent_of_the_network_is_its_finite_difference_in_double_precision() {
                 i: wide(vec![0.0], 1),
             };
             let outputs = networks.outputs(&batch, &problem);
-            let number = |x: Tensor<2>| x.into_data().try_into_vec::<f64>().expect("f64")[0];
+            let number = |x: Tensor<3>| x.into_data().try_into_vec::<f64>().expect("f64")[0];
             (number(outputs.i), number(outputs.i_rate))
         };
         let numeric = (at(step).0 - at(-step).0) / (2.0 * step);
