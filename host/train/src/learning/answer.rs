@@ -17,11 +17,6 @@ use super::{Learning, LookupUpdate, judge, network, time_s};
 /// may show a pot that has been removed.
 const OLDEST_S: f64 = 30.0;
 
-/// Windows after a boot that are all checked for sensor errors. Afterwards one of [`ONE_CHECKED_OF`] is: the check takes five times as long
-/// as the rest, and a mean over 200 windows needs no more.
-const ALL_CHECKED: u32 = 32;
-const ONE_CHECKED_OF: u32 = 16;
-
 /// Identification and verdict of one window, from its samples alone.
 #[derive(Clone, Debug)]
 pub struct WindowAnalysis {
@@ -123,11 +118,7 @@ impl Learning {
         claim: &ClaimedResult<'_>,
     ) -> Result<ConfirmedAnswer, AnswerError> {
         let raw = window.segment();
-        let is_checked = window.seq < ALL_CHECKED || window.seq.is_multiple_of(ONE_CHECKED_OF);
-        let evidence = match is_checked {
-            true => SensorEvidence::of(&raw),
-            false => SensorEvidence::default(),
-        };
+        let evidence = SensorEvidence::of_window(window.seq, &raw);
         if let Some(fault) = evidence.remarks.first() {
             return Err(AnswerError::Sensors(fault.text.clone()));
         }

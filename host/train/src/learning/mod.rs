@@ -202,7 +202,7 @@ impl Learning {
             ..self.network.clone()
         };
         let raw = window.segment();
-        let evidence = SensorEvidence::of(&raw);
+        let evidence = SensorEvidence::of_window(window.seq, &raw);
         let mut sensor_remarks = evidence.remarks.clone();
         sensor_remarks.extend(self.count_evidence(&evidence));
         let segment = corrected(&raw, self.sensors.correction().as_ref());

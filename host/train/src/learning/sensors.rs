@@ -13,8 +13,13 @@ use serde::{Deserialize, Serialize};
 /// Code of the remark that is made once when a correction begins.
 pub const SELF_CALIBRATED: &str = "self_calibrated";
 
-/// Share of the past that counts at the next window: 200 windows, some 40 s.
+/// Share of the past that counts at the next window that is checked: 200 of them.
 const FORGETTING: f64 = 0.995;
+
+/// Windows after a boot that are all checked. Afterwards one of [`ONE_CHECKED_OF`] is: the check costs as much as the fit, and a mean over
+/// 200 windows needs no more.
+const ALL_CHECKED: u32 = 32;
+const ONE_CHECKED_OF: u32 = 16;
 
 /// Fewest windows that a correction rests on.
 const FEWEST: u32 = 8;
@@ -96,6 +101,15 @@ pub struct SensorEvidence {
 }
 
 impl SensorEvidence {
+    /// Estimates the sensor errors from the window with this number since a boot, as it was sampled; no evidence where it is not checked.
+    pub fn of_window(seq: u32, segment: &Segment) -> Self {
+        if seq < ALL_CHECKED || seq.is_multiple_of(ONE_CHECKED_OF) {
+            Self::of(segment)
+        } else {
+            Self::default()
+        }
+    }
+
     /// Estimates the sensor errors from a window as it was sampled.
     pub fn of(segment: &Segment) -> Self {
         let mut evidence = Self::default();
