@@ -283,12 +283,7 @@ impl PoolPhasors {
     }
 }
 
-/// Pools all half-cycles of a segment; `None` if there are too few phasors, or no load.
-pub fn pool(segment: &Segment) -> Option<PooledLaw> {
-    pool_phasors(&PoolPhasors::of(segment))
-}
-
-/// Pools as [`pool`] the phasors of a segment, or of several.
+/// Pools the half-cycles of a segment, or of several; `None` if there are too few phasors, or no load.
 pub fn pool_phasors(phasors: &PoolPhasors) -> Option<PooledLaw> {
     let means = &phasors.means;
     if means.len() < FEWEST {

@@ -233,11 +233,6 @@ impl Hypotheses {
         1.0 - self.others.iter().map(|r| r.share).sum::<f64>()
     }
 
-    /// Deviations of ln R and ln L around the physics under the likeliest hypothesis.
-    pub fn misfit(&self) -> [f64; 2] {
-        self.likeliest().misfit()
-    }
-
     fn likeliest(&self) -> &Posterior {
         let best = self
             .others

@@ -15,9 +15,6 @@ use crate::parameters::{self, CENTRED, COUNT, PotSpread, Prior, Vector};
 const MISFITS_R: [f64; 7] = [0.004, 0.008, 0.016, 0.03, 0.06, 0.12, 0.24];
 const MISFITS_L: [f64; 7] = [0.002, 0.004, 0.008, 0.016, 0.03, 0.06, 0.12];
 
-/// Misfits of R and L above which the physics does not describe the pot: twice the effect of the current's harmonics.
-pub const MISFIT_WARNING: [f64; 2] = [0.025, 0.012];
-
 /// Most data that the fit uses: more determine seven numbers no better.
 const MOST_DATA: usize = 48;
 

@@ -14,7 +14,7 @@ use crate::hypotheses::{Comparison, Hypotheses, LibraryHypothesisState};
 use crate::library::Library;
 use crate::misfit::{current_knots, current_of_knots};
 use crate::posterior::{Posterior, RlPrediction};
-use crate::pot_fit::{MISFIT_WARNING, PotFit};
+use crate::pot_fit::PotFit;
 use crate::surface_table::lagrange;
 
 /// Relative difference below which two switching frequencies share a curve; R and L are converted by the pot's own law.
@@ -315,18 +315,6 @@ impl PotMap {
     /// Fitted physics; `None` before the first window.
     pub fn model(&self) -> Option<PotModel> {
         self.learned.as_ref().map(|l| l.hypotheses.model())
-    }
-
-    /// Returns `Some(true)` if the physics describes the pot, which may fail far off centre or for a pot made of parts;
-    /// `None` before the first window.
-    pub fn is_described(&self) -> Option<bool> {
-        let misfit = self.learned.as_ref()?.hypotheses.misfit();
-        Some(
-            misfit
-                .iter()
-                .zip(MISFIT_WARNING)
-                .all(|(misfit, most)| *misfit < most),
-        )
     }
 
     /// Predicts R and L along a half-cycle: at a switching frequency in hertz and many currents in ampere, interpolated

@@ -170,23 +170,6 @@ impl Store {
         })
     }
 
-    /// Marks the lookup of this version as active, and the one before as superseded. A lookup that
-    /// was superseded or refused becomes active too, because the device's report decides. Idempotent.
-    ///
-    /// # Errors
-    /// [`StoreError::NoLookup`], or an error of the database.
-    pub fn activate_lookup(&mut self, device: DeviceId, version: u32) -> Result<(), StoreError> {
-        let at_ms = self.now();
-        let lookup = self.change("activating a lookup", |change| {
-            let lookup = newest(change, device, version)?;
-            if let Some((id, _)) = lookup {
-                make_active(change, device, id, at_ms)?;
-            }
-            Ok(lookup)
-        })?;
-        lookup.map(drop).ok_or(StoreError::NoLookup { version })
-    }
-
     /// Marks the lookup of this version as refused by the device.
     ///
     /// # Errors
@@ -216,8 +199,8 @@ impl Store {
         }
     }
 
-    /// Marks a lookup that was read from the device as active. If the store has it, bit for bit, it is
-    /// that one; otherwise it is stored as a new one of the device's.
+    /// Marks a lookup that was read from the device as active, and the one before as superseded. If the store has it, bit for
+    /// bit, it is that one, even if superseded or refused; otherwise it is stored as a new one of the device's. Idempotent.
     ///
     /// # Errors
     /// Errors of the database.

@@ -102,7 +102,7 @@ fn filled(folder: &Path) -> Store {
     }
     let lookup = |version| RlLookup { version, ..prior() };
     store.pend_lookup(device, &lookup(1), "", None).unwrap();
-    store.activate_lookup(device, 1).unwrap();
+    store.adopt_lookup(device, &lookup(1)).unwrap();
     store.pend_lookup(device, &lookup(2), "", None).unwrap();
     store
 }

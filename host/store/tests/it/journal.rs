@@ -121,7 +121,7 @@ fn confidence_goes_with_its_lookup() {
     store
         .pend_lookup(device, &lookup(1), "", Some(&confidence))
         .unwrap();
-    store.activate_lookup(device, 1).unwrap();
+    store.adopt_lookup(device, &lookup(1)).unwrap();
     store.pend_lookup(device, &lookup(2), "", None).unwrap();
     let reader = StoreReader::open(folder.path()).unwrap();
     let read = reader.confidence("bench", 1).unwrap().unwrap().cells();

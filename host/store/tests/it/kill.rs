@@ -48,7 +48,7 @@ fn a_writer_that_is_killed() {
             };
             store.pend_lookup(device, &lookup, "", None).unwrap();
             writeln!(out, "pending {}", seq + 1).unwrap();
-            store.activate_lookup(device, seq + 1).unwrap();
+            store.adopt_lookup(device, &lookup).unwrap();
             writeln!(out, "active {}", seq + 1).unwrap();
         }
         if seq % 7 == 0 {

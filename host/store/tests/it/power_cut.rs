@@ -204,7 +204,7 @@ impl Course {
             let lookup = RlLookup { version, ..prior() };
             self.store.pend_lookup(device, &lookup, "", None).unwrap();
             self.step(Step::Log, now.clone());
-            self.store.activate_lookup(device, version).unwrap();
+            self.store.adopt_lookup(device, &lookup).unwrap();
             now.active = version;
             self.step(Step::Log, now);
         }
