@@ -14,7 +14,7 @@ use crate::control::temperature::TemperatureCodes;
 use crate::link::active_lookup::ActiveLookup;
 use crate::link::conversation::Conversation;
 use crate::link::identity::DeviceIdentity;
-use crate::link::log_ring::LogSource;
+use crate::link::log_ring::LinkLog;
 use crate::link::replay::Replay;
 use crate::link::report;
 use crate::link::response::Response;
@@ -96,7 +96,7 @@ impl Housekeeping {
     }
 
     /// Sets the place where the log is kept until it is sent.
-    pub fn set_log(&mut self, log: &'static dyn LogSource) {
+    pub fn set_log(&mut self, log: &'static LinkLog) {
         self.queue.set_log(log);
     }
 }

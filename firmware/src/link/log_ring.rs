@@ -6,14 +6,6 @@
 
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
-/// Source of the log for the transmit queue.
-pub trait LogSource: Sync {
-    /// Moves the oldest frames that fit to the front of `out`; returns how many bytes.
-    fn take(&self, out: &mut [u8]) -> usize;
-    /// Frames that found no room since boot.
-    fn dropped(&self) -> u32;
-}
-
 /// A ring of bytes, one of which stays free.
 #[derive(Clone, Copy)]
 pub struct LogRing<'a> {
@@ -23,6 +15,15 @@ pub struct LogRing<'a> {
     pub write: &'a AtomicU32,
     /// Index of the oldest byte that was not read; a reader may write nonsense there.
     pub read: &'a AtomicU32,
+}
+
+/// The log for the link.
+#[derive(Clone, Copy)]
+pub struct LinkLog {
+    /// Its frames until they are sent.
+    pub ring: LogRing<'static>,
+    /// Frames since boot that found no room in it, or that met another one.
+    pub dropped: &'static AtomicU32,
 }
 
 /// A frame that is being written, and is not seen before it is whole.

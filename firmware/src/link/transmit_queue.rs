@@ -22,7 +22,7 @@ use ihd_shared::wire::number::Number;
 use crate::link::frame_writer::FrameWriter;
 use crate::link::identity::DeviceIdentity;
 use crate::link::link_test_sender::LinkTestSender;
-use crate::link::log_ring::LogSource;
+use crate::link::log_ring::LinkLog;
 use crate::link::log_sender::LogSender;
 use crate::link::replay::ReplayedEstimates;
 use crate::link::response::{Response, front_end};
@@ -77,8 +77,8 @@ impl TransmitQueue {
     }
 
     /// Sets the place where the log is kept until it is sent.
-    pub fn set_log(&mut self, log: &'static dyn LogSource) {
-        self.log.set_source(log);
+    pub fn set_log(&mut self, log: &'static LinkLog) {
+        self.log.set_log(log);
     }
 
     /// Sends the log from now on, or no more; returns `false` if there is none.

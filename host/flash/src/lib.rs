@@ -12,13 +12,11 @@ mod fake;
 pub mod image;
 pub mod install;
 pub mod log;
-pub mod log_source;
 pub mod options;
 #[cfg(feature = "probe")]
 pub mod probe;
 pub mod programmer;
 
 pub use image::{BuildId, Image, ImageError};
-pub use log_source::LogByteSource;
 pub use options::OptionBytes;
 pub use programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, WriteProgress};

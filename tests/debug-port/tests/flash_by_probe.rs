@@ -6,9 +6,7 @@ use ihd_debug_port::{Chip, Contact};
 use ihd_fakes::SampleImage;
 use ihd_flash::install::{FlashContents, InstallError, InstallPlan, InstallReport, install};
 use ihd_flash::probe::{ProbeProgrammer, Probes};
-use ihd_flash::{
-    Erase, FlashStep, Image, LogByteSource, OptionBytes, ProgramError, Programmer, WriteProgress,
-};
+use ihd_flash::{Erase, FlashStep, Image, OptionBytes, ProgramError, Programmer, WriteProgress};
 use ihd_shared::image::{FLASH_ADDRESS, LOOKUP_ADDRESS, PAGE_BYTES};
 use std::time::Duration;
 

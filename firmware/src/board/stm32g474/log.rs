@@ -9,7 +9,7 @@
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 
-use ihd_firmware::link::log_ring::{LogFrame, LogRing, LogSource};
+use ihd_firmware::link::log_ring::{LinkLog, LogFrame, LogRing};
 use ihd_firmware::link::log_sender::LOG_BYTES;
 
 /// Bytes for the probe: half of what defmt-rtt takes, the other half is the link's.
@@ -66,7 +66,6 @@ static _SEGGER_RTT: ControlBlock = ControlBlock {
 static LINK: [AtomicU8; LOG_BYTES] = [const { AtomicU8::new(0) }; LOG_BYTES];
 static LINK_WRITE: AtomicU32 = AtomicU32::new(0);
 static LINK_READ: AtomicU32 = AtomicU32::new(0);
-/// Frames that the link's ring had no room for, or that met another one.
 static LINK_DROPPED: AtomicU32 = AtomicU32::new(0);
 
 fn rtt() -> LogRing<'static> {
@@ -77,13 +76,15 @@ fn rtt() -> LogRing<'static> {
     }
 }
 
-fn link() -> LogRing<'static> {
-    LogRing {
+/// The link's end of the log.
+pub static LINK_LOG: LinkLog = LinkLog {
+    ring: LogRing {
         bytes: &LINK,
         write: &LINK_WRITE,
         read: &LINK_READ,
-    }
-}
+    },
+    dropped: &LINK_DROPPED,
+};
 
 /// A frame on its way into both.
 struct FrameInProgress {
@@ -116,7 +117,7 @@ fn drop_one() {
 
 impl FrameInProgress {
     fn start(&mut self) {
-        (self.rtt, self.link) = (rtt().begin(), link().begin());
+        (self.rtt, self.link) = (rtt().begin(), LINK_LOG.ring.begin());
         let Self { encoder, rtt, link } = self;
         encoder.start_frame(|bytes| add(rtt, link, bytes));
     }
@@ -134,7 +135,7 @@ impl FrameInProgress {
         } = self;
         encoder.end_frame(|bytes| add(probe, host, bytes));
         rtt().end(*probe);
-        if !link().end(*host) {
+        if !LINK_LOG.ring.end(*host) {
             drop_one();
         }
     }
@@ -142,7 +143,7 @@ impl FrameInProgress {
 
 fn add(probe: &mut LogFrame, host: &mut LogFrame, bytes: &[u8]) {
     rtt().add(probe, bytes);
-    link().add(host, bytes);
+    LINK_LOG.ring.add(host, bytes);
 }
 
 /// Runs `f` on the frame that this context writes; not where it met another's.
@@ -184,18 +185,5 @@ unsafe impl defmt::Logger for Logger {
 
     unsafe fn write(bytes: &[u8]) {
         writing(|frame| frame.write(bytes));
-    }
-}
-
-/// The link's end of the log.
-pub struct LinkLog;
-
-impl LogSource for LinkLog {
-    fn take(&self, out: &mut [u8]) -> usize {
-        link().take(out)
-    }
-
-    fn dropped(&self) -> u32 {
-        LINK_DROPPED.load(Ordering::Relaxed)
     }
 }

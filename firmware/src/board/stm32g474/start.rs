@@ -27,7 +27,7 @@ use static_cell::StaticCell;
 
 use super::adc::{self, Adc, SAMPLING_EXECUTOR};
 use super::led::Led;
-use super::log::LinkLog;
+use super::log::LINK_LOG;
 use super::nonvolatile::{self as nonvolatile_pages, LookupPages, TO_KEEP};
 use super::panel::Panel;
 use super::pins::{low_output, of_board};
@@ -131,7 +131,7 @@ fn start(
     let (kept, fault) = reset::CrashRecord::kept_control(last, flags);
     housekeeping.restore_control(&mut thread_side, kept, fault);
     housekeeping.set_identity(service::identity(reset_flags, last, &self_test));
-    housekeeping.set_log(&LinkLog);
+    housekeeping.set_log(&LINK_LOG);
     let pages = lookup_pages(p.FLASH, housekeeping);
     let led = Led::new(cycles::now());
     // The thresholds first, then what compares with them, then what could switch on.

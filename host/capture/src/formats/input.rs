@@ -5,7 +5,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use super::ReadProgress;
 use crate::error::FormatError;
 
-/// Readable and seekable source: a file, or bytes in memory.
+/// Readable and seekable source, a file or bytes in memory: a `dyn` takes one trait that has methods.
 pub trait ReadSeek: Read + Seek {}
 
 impl<T: Read + Seek> ReadSeek for T {}

@@ -8,7 +8,6 @@ use ihd_shared::image::{HEADER_ADDRESS, HEADER_BYTES, Header, NOTE_ADDRESS, NOTE
 use super::follow::{LogChunk, LogError, LogOpener, OpenLog};
 use super::running::RunningProgram;
 use crate::image::BuildId;
-use crate::log_source::LogByteSource;
 use crate::probe::{Probes, RttSource};
 use crate::programmer::Programmer;
 

@@ -4,7 +4,6 @@
 
 use super::running_target::RunningTarget;
 use super::{ProbeInfo, Probes, errors};
-use crate::log_source::LogByteSource;
 use crate::programmer::{FlashStep, ProgramError};
 
 /// Address range of the program's variables (memory.x): between the stack and the crash record.
@@ -24,7 +23,7 @@ const READ: u32 = 40;
 const MOST_BYTES: u32 = 64 << 10;
 
 /// See [`Probes::log`]. While a chip is in reset or its program has not initialised the log, reading returns nothing. A
-/// disconnected probe or supply is an error, which [`LogByteSource::resume`] cures once it is back.
+/// disconnected probe or supply is an error, which [`RttSource::resume`] cures once it is back.
 #[derive(Debug)]
 pub struct RttSource {
     probes: Probes,
@@ -86,10 +85,54 @@ impl RttSource {
         }
     }
 
+    /// Description of the access.
+    pub fn describe(&self) -> String {
+        format!("RTT through {}", self.info.describe())
+    }
+
+    /// Appends the bytes received since the last call and returns their number; never waits.
+    ///
+    /// # Errors
+    /// Errors that [`RttSource::resume`] may cure: probe or chip are disconnected.
+    pub fn read(&mut self, out: &mut Vec<u8>) -> Result<usize, ProgramError> {
+        if self.target.is_none() {
+            self.resume()?;
+        }
+        let Some(target) = &mut self.target else {
+            return Ok(0);
+        };
+        let read = match self.block {
+            Some(block) => drain(target, block, out),
+            None => find(target, self.named).and_then(|at| {
+                self.block = at;
+                at.map_or(Ok(None), |block| drain(target, block, out))
+            }),
+        };
+        match read {
+            Ok(Some(count)) => Ok(count),
+            Ok(None) => {
+                self.block = None;
+                Ok(0)
+            }
+            Err(why) => Err(self.lost(&why)),
+        }
+    }
+
+    /// Tries once to reconnect after an error, without a reset of the chip.
+    ///
+    /// # Errors
+    /// The reason why it cannot reconnect.
+    pub fn resume(&mut self) -> Result<(), ProgramError> {
+        // Disconnects first: a probe is exclusive.
+        (self.target, self.block) = (None, None);
+        self.target = Some(self.probes.attach_running(&self.info)?);
+        Ok(())
+    }
+
     /// Reads memory while following the log.
     ///
     /// # Errors
-    /// Any error of [`LogByteSource::read`].
+    /// Any error of [`RttSource::read`].
     pub fn memory(&mut self, address: u32, out: &mut [u8]) -> Result<(), ProgramError> {
         if self.target.is_none() {
             self.resume()?;
@@ -146,43 +189,6 @@ fn drain(
     }
     out.extend_from_slice(&bytes);
     Ok(Some(bytes.len()))
-}
-
-impl LogByteSource for RttSource {
-    fn describe(&self) -> String {
-        format!("RTT through {}", self.info.describe())
-    }
-
-    fn read(&mut self, out: &mut Vec<u8>) -> Result<usize, ProgramError> {
-        if self.target.is_none() {
-            self.resume()?;
-        }
-        let Some(target) = &mut self.target else {
-            return Ok(0);
-        };
-        let read = match self.block {
-            Some(block) => drain(target, block, out),
-            None => find(target, self.named).and_then(|at| {
-                self.block = at;
-                at.map_or(Ok(None), |block| drain(target, block, out))
-            }),
-        };
-        match read {
-            Ok(Some(count)) => Ok(count),
-            Ok(None) => {
-                self.block = None;
-                Ok(0)
-            }
-            Err(why) => Err(self.lost(&why)),
-        }
-    }
-
-    fn resume(&mut self) -> Result<(), ProgramError> {
-        // Disconnects first: a probe is exclusive.
-        (self.target, self.block) = (None, None);
-        self.target = Some(self.probes.attach_running(&self.info)?);
-        Ok(())
-    }
 }
 
 #[cfg(test)]
