@@ -16,7 +16,6 @@ from ._native import Truth
 from .identification import Identification
 
 Channel = int | str
-Method = Literal["kf", "ekf", "ekf-paper", "rts", "lockin", "least-squares", "rls", "firmware", "pinn"]
 
 
 class CaptureWarning(UserWarning):
@@ -111,7 +110,7 @@ class Capture:
 
     def identify(
         self,
-        method: Method = "least-squares",
+        method: str = "least-squares",
         *,
         f_sw: float | None = None,
         f_mains: float | None = None,
@@ -124,7 +123,7 @@ class Capture:
     ) -> Identification:
         """Identifies R(t) and L(t), as `ihd identify` does, and judges the result.
 
-        `f_sw`, `f_mains` (Hz) and `zero_crossing` (s) replace what the capture shows. `preset` and `deterministic`
+        `method` is one of `ihd.methods()`. `f_sw`, `f_mains` (Hz) and `zero_crossing` (s) replace what the capture shows. `preset` and `deterministic`
         are the network's, of method "pinn"; without `deterministic` a limit of time may change its last digits.
         `settings` are the estimators' own, as in the file of `ihd identify --settings`. `self_calibrate` and
         `capacitance` (F, of the resonance) are for the sensors.
@@ -160,7 +159,7 @@ def _samples(x: ArrayLike) -> NDArray[Any]:
     return array if array.dtype in (np.float64, np.float32) else array.astype(np.float64)
 
 
-def identify(v: ArrayLike, i: ArrayLike, fs: float, method: Method = "least-squares", **options: Any) -> Identification:
+def identify(v: ArrayLike, i: ArrayLike, fs: float, method: str = "least-squares", **options: Any) -> Identification:
     """Identifies R(t) and L(t) from coil voltage in volt and current in ampere; options as `Capture.identify`."""
     return Capture(v, i, fs).identify(method, **options)
 

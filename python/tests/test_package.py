@@ -6,11 +6,10 @@ import inspect
 import unittest
 from importlib.resources import files
 from pathlib import Path
-from typing import get_args, get_type_hints
+from typing import get_type_hints
 
 import ihd
 from ihd import _native
-from ihd.captures import Method
 from program import ROOT
 
 
@@ -34,9 +33,6 @@ class Package(unittest.TestCase):
             for member in [thing, *vars(thing).values()] if inspect.isclass(thing) else [thing]:
                 if inspect.isfunction(member) and member.__name__ != "to_pandas":
                     get_type_hints(member)
-
-    def test_the_methods_types_are_the_programs(self) -> None:
-        self.assertEqual(list(get_args(Method)), ihd.methods())
 
     def test_stubs_name_what_the_extension_has(self) -> None:
         stub = ast.parse(files("ihd").joinpath("_native.pyi").read_text())
