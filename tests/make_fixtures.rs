@@ -6,7 +6,7 @@
 
 use ihd_firmware::drive::bridge::Drive;
 use ihd_shared::sampling::{AMPERE_PER_CODE, Pair, VOLT_PER_CODE};
-use ihd_sim::adc::{Adc, ConverterNoise};
+use ihd_sim::adc::{ConverterNoise, SimulatedAdc};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::inverter::supply::SupplyParts;
 use ihd_sim::mains::SimulatedMains;
@@ -21,7 +21,7 @@ fn record(f_sw_hz: u32, noise: ConverterNoise) -> HalfCycle {
     let mains = SimulatedMains::new(50.0);
     let half_s = mains.half_cycle_s();
     let (pot, load) = (PotKind::Ferromagnetic.into(), LoadKind::Behavioural);
-    let adc = Adc::new(noise, 7);
+    let adc = SimulatedAdc::new(noise, 7);
     let mut plant =
         Plant::assemble(mains, pot, load, SupplyParts::NONE, adc).expect("a law has every pot");
     plant.set_drive(Drive::switching(f_sw_hz));

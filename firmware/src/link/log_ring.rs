@@ -28,12 +28,12 @@ pub struct LinkLog {
 
 /// A frame that is being written, and is not seen before it is whole.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct LogFrame {
+pub struct RingFrame {
     at: u32,
     fits: bool,
 }
 
-impl LogFrame {
+impl RingFrame {
     /// None, which finds no room.
     pub const NONE: Self = Self { at: 0, fits: false };
 }
@@ -51,15 +51,15 @@ impl LogRing<'_> {
     }
 
     /// Begins a frame.
-    pub fn begin(&self) -> LogFrame {
-        LogFrame {
+    pub fn begin(&self) -> RingFrame {
+        RingFrame {
             at: self.write.load(Ordering::Relaxed),
             fits: true,
         }
     }
 
     /// Adds bytes to it, as far as there is room.
-    pub fn add(&self, frame: &mut LogFrame, bytes: &[u8]) {
+    pub fn add(&self, frame: &mut RingFrame, bytes: &[u8]) {
         for &byte in bytes {
             let next = self.after(frame.at);
             frame.fits &= next != self.read.load(Ordering::Acquire);
@@ -73,7 +73,7 @@ impl LogRing<'_> {
     }
 
     /// Ends it; whether it found room.
-    pub fn end(&self, frame: LogFrame) -> bool {
+    pub fn end(&self, frame: RingFrame) -> bool {
         if frame.fits {
             self.write.store(frame.at, Ordering::Release);
         }

@@ -10,7 +10,7 @@ use std::time::Instant;
 
 use ihd_signal::Segment;
 use ihd_signal::SegmentError;
-use ihd_signal::correlation::{BlockSums, Correlator};
+use ihd_signal::correlation::{Correlator, HarmonicSums};
 use ihd_signal::noise::WhiteNoise;
 use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
@@ -159,7 +159,7 @@ impl Lockin {
     /// Adds the next block of samples; returns phasors once both boxcars are full.
     pub fn push(&mut self, v_v: &[f64], i_a: &[f64]) -> Option<LockInPhasors> {
         let length = self.correlator.length();
-        let BlockSums { v, i } = self.correlator.block(self.taken * length, v_v, i_a);
+        let HarmonicSums { v, i } = self.correlator.block(self.taken * length, v_v, i_a);
         let at = self.taken % self.blocks;
         for (k, new) in [v[0], i[0]].into_iter().enumerate() {
             self.first_sum[k] += new - self.first[at][k];

@@ -13,7 +13,7 @@ use super::vectorised::vectorised;
 
 /// Sums of one block, Σ x·e^(−jhωt), one per order.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BlockSums<const ORDERS: usize> {
+pub struct HarmonicSums<const ORDERS: usize> {
     /// Sums of the voltage in volt; 2/n of a sum is the amplitude.
     pub v: [Complex<f64>; ORDERS],
     /// Sums of the current in ampere.
@@ -65,7 +65,7 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
     }
 
     /// Sums over a block that begins with sample `first` of the segment; the block may be shorter than the table.
-    pub fn block(&self, first: usize, v_v: &[f64], i_a: &[f64]) -> BlockSums<ORDERS> {
+    pub fn block(&self, first: usize, v_v: &[f64], i_a: &[f64]) -> HarmonicSums<ORDERS> {
         self.block_turned(&self.turn(first), v_v, i_a)
     }
 
@@ -75,7 +75,7 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
         turn: &[Complex<f64>; ORDERS],
         v_v: &[f64],
         i_a: &[f64],
-    ) -> BlockSums<ORDERS> {
+    ) -> HarmonicSums<ORDERS> {
         let [v_sums, i_sums] = vectorised(
             #[inline(always)]
             || [self.sums(v_v), self.sums(i_a)],
@@ -84,7 +84,7 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
         let phasor = |re: &[f64; ORDERS], im: &[f64; ORDERS]| {
             std::array::from_fn(|h| Complex::new(re[h], im[h]) * turn[h])
         };
-        BlockSums {
+        HarmonicSums {
             v: phasor(&sums[0], &sums[1]),
             i: phasor(&sums[2], &sums[3]),
         }

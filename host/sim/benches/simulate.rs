@@ -10,7 +10,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use ihd_field::model::FieldSettings;
 use ihd_field::{FieldModel, harmonic};
 use ihd_firmware::drive::bridge::Drive;
-use ihd_sim::adc::{Adc, ConverterNoise};
+use ihd_sim::adc::{ConverterNoise, SimulatedAdc};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::mains::SimulatedMains;
@@ -50,7 +50,7 @@ fn plant(c: &mut Criterion) {
     let mut group = c.benchmark_group("plant, one mains half-cycle at 45 kHz");
     group.sample_size(10);
     for load in [LoadKind::Field, LoadKind::Surrogate, LoadKind::Behavioural] {
-        let adc = Adc::new(ConverterNoise::default(), 1);
+        let adc = SimulatedAdc::new(ConverterNoise::default(), 1);
         let mut plant =
             Plant::with_load(SimulatedMains::new(50.0), PotKind::Ferromagnetic, load, adc);
         plant.set_drive(Drive::switching(45_000));

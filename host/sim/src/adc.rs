@@ -37,13 +37,13 @@ impl ConverterNoise {
 
 /// Sampler; deterministic for a seed.
 #[derive(Clone, Debug)]
-pub struct Adc {
+pub struct SimulatedAdc {
     noise: ConverterNoise,
     rng: ChaCha8Rng,
     filters: [LowPass; 2],
 }
 
-impl Adc {
+impl SimulatedAdc {
     /// Creates an ADC with a noise and a seed.
     pub fn new(noise: ConverterNoise, seed: u64) -> Self {
         Self {
@@ -98,7 +98,7 @@ mod tests {
 
     #[test]
     fn codes_round_and_saturate() {
-        let mut adc = Adc::new(ConverterNoise::default(), 0);
+        let mut adc = SimulatedAdc::new(ConverterNoise::default(), 0);
         assert_eq!(
             adc.convert(V_FULL_SCALE_V, -I_FULL_SCALE_A),
             Pair {
@@ -116,7 +116,7 @@ mod tests {
         let noise = ConverterNoise::from_snr_db(30.0, 178.0, 20.0);
         assert!((noise.v_v / 178.0 - 0.031_622_8).abs() < 1e-6);
         let run = |seed| {
-            let mut adc = Adc::new(noise, seed);
+            let mut adc = SimulatedAdc::new(noise, seed);
             (0..20_000)
                 .map(|_| adc.convert(0.0, 0.0))
                 .collect::<Vec<_>>()

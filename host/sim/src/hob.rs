@@ -32,7 +32,7 @@ use ihd_signal::truth::{MapTruth, Truth};
 use board::{SimulatedBoard, comparator_a, reference};
 pub use config::HobConfig;
 
-use super::adc::Adc;
+use super::adc::SimulatedAdc;
 use super::injection::{InjectionKind, Injections};
 use super::inverter::InverterError;
 use super::mains::SimulatedMains;
@@ -130,7 +130,7 @@ impl SimHob {
     /// If there is no model of the pot, or no such parts of the supply.
     pub fn assemble(config: &HobConfig) -> Result<Self, InverterError> {
         let boot_id = config.boot.unwrap_or(config.seed as u32);
-        let adc = Adc::new(config.noise, config.seed).with_filter(config.anti_alias_hz);
+        let adc = SimulatedAdc::new(config.noise, config.seed).with_filter(config.anti_alias_hz);
         let mains_v = match config.bench_supply_v {
             Some(_) => BENCH_TRANSFORMER_V,
             None => config.mains_v,

@@ -8,7 +8,7 @@ use ihd_shared::hob::NODE_CAPACITANCE_NF;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 use ihd_signal::truth::MapTruth;
 
-use super::adc::Adc;
+use super::adc::SimulatedAdc;
 use super::circuit::Circuit;
 use super::contents::PotContents;
 use super::dividers::{DividedVoltages, Dividers};
@@ -55,7 +55,7 @@ struct Meter {
 /// Mains, half-bridge, capacitor, load and ADC.
 #[derive(Clone, Debug)]
 pub struct Plant {
-    adc: Adc,
+    adc: SimulatedAdc,
     dividers: Dividers,
     divided: DividedVoltages,
     /// Half of the double buffer that the next block fills, 0 or 1.
@@ -82,7 +82,7 @@ pub struct Plant {
 
 impl Plant {
     /// Creates a plant with the schematic's parts at rest, at a mains zero crossing, with a behavioural load.
-    pub fn new(mains: SimulatedMains, pot: impl Into<SimulatedPot>, adc: Adc) -> Self {
+    pub fn new(mains: SimulatedMains, pot: impl Into<SimulatedPot>, adc: SimulatedAdc) -> Self {
         Self::with_load(mains, pot, LoadKind::Behavioural, adc)
     }
 
@@ -94,7 +94,7 @@ impl Plant {
         mains: SimulatedMains,
         pot: impl Into<SimulatedPot>,
         load: LoadKind,
-        adc: Adc,
+        adc: SimulatedAdc,
     ) -> Self {
         Self::assemble(mains, pot.into(), load, SupplyParts::SCHEMATIC, adc)
             .expect("a pot that has a model")
@@ -109,7 +109,7 @@ impl Plant {
         pot: SimulatedPot,
         load: LoadKind,
         supply: SupplyParts,
-        adc: Adc,
+        adc: SimulatedAdc,
     ) -> Result<Self, InverterError> {
         let drive = Drive::OFF;
         let f_sw_hz = f64::from(drive.f_sw_hz);
@@ -540,7 +540,7 @@ mod tests {
     use crate::behavioural::{BehaviouralLoad, PotKind};
 
     fn at_full_power(load: LoadKind) -> Plant {
-        let adc = Adc::new(ConverterNoise::default(), 1);
+        let adc = SimulatedAdc::new(ConverterNoise::default(), 1);
         let mut plant =
             Plant::with_load(SimulatedMains::new(50.0), PotKind::Ferromagnetic, load, adc);
         plant.set_drive(Drive::switching(50_000));
@@ -560,7 +560,7 @@ mod tests {
 
     #[test]
     fn the_wattmeter_reads_r_i_squared() {
-        let adc = Adc::new(ConverterNoise::default(), 1);
+        let adc = SimulatedAdc::new(ConverterNoise::default(), 1);
         let mut plant = Plant::new(SimulatedMains::new(50.0), PotKind::Aluminium, adc);
         plant.set_drive(Drive::switching(60_000));
         let mut readings = Vec::new();

@@ -35,7 +35,7 @@ const OFF_HOPS: usize = 10;
 
 /// Part of a run with one switching frequency.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Piece {
+pub struct CarrierPiece {
     /// Samples and times of the piece.
     pub run: Run,
     /// Switching frequency in hertz, to some 20 Hz; the mean if it moves.
@@ -48,7 +48,7 @@ pub struct Piece {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CarrierPieces {
     /// Pieces with a carrier, in order of time.
-    pub pieces: Vec<Piece>,
+    pub pieces: Vec<CarrierPiece>,
     /// Intervals without a carrier: beginning and end in seconds.
     pub off_s: Vec<(f64, f64)>,
 }
@@ -167,7 +167,7 @@ fn steps(
     lines: &Lines,
     valid: &[bool],
     frames: Range<usize>,
-    out: &mut Vec<Piece>,
+    out: &mut Vec<CarrierPiece>,
 ) {
     let held = held(lines, valid, frames.clone());
     let cuts = steady(&held);
@@ -184,7 +184,7 @@ fn steps(
             let guard = (2.0 / (f.min(*f_after) * run.dt_s)) as usize;
             (to, next) = (boundary.saturating_sub(guard), boundary + guard);
         }
-        pieces.push(Piece {
+        pieces.push(CarrierPiece {
             run: run.part(from..to),
             f_hz: *f,
             sweep: None,
@@ -199,13 +199,18 @@ fn steps(
 
 /// Whole run as one piece if its frequency moves within the pieces that steps would give, else `None`; `held_hz` are the
 /// frames' frequencies in hertz.
-fn moving(capture: &Capture, run: &Run, held_hz: &[f64], pieces: &[Piece]) -> Option<Piece> {
+fn moving(
+    capture: &Capture,
+    run: &Run,
+    held_hz: &[f64],
+    pieces: &[CarrierPiece],
+) -> Option<CarrierPiece> {
     let mean = held_hz.iter().sum::<f64>() / held_hz.len().max(1) as f64;
     let (v, i) = (&capture.v_v, &capture.i_a);
     let range = run.samples.clone();
     let carrier = Carrier::follow(&v[range.clone()], &i[range], run.t0_s, run.dt_s, mean)?;
     // The carrier's tracking smooths over the edges of a step.
-    let inside = |p: &Piece, t_s: f64| {
+    let inside = |p: &CarrierPiece, t_s: f64| {
         let (from_s, to_s) = (
             p.run.t0_s + SMOOTHED_S,
             p.run.t_s(p.run.samples.end) - SMOOTHED_S,
@@ -219,7 +224,7 @@ fn moving(capture: &Capture, run: &Run, held_hz: &[f64], pieces: &[Piece]) -> Op
         let at = pieces.iter().position(|p| inside(p, t_s))?;
         of_piece.get(at).copied()
     };
-    carrier.moves_from(expected).then(|| Piece {
+    carrier.moves_from(expected).then(|| CarrierPiece {
         run: run.clone(),
         f_hz: carrier.mean_hz(),
         sweep: Some(carrier.sweep()),

@@ -4,7 +4,7 @@ use ihd_signal::Capture;
 use ihd_signal::vectorised::vectorised;
 use serde::Serialize;
 
-use super::carrier::Piece;
+use super::carrier::CarrierPiece;
 use super::clipping::{self, ClippedSamples};
 use super::finding::{Channel, Finding};
 use super::track::Track;
@@ -48,7 +48,7 @@ pub struct ChannelSurvey {
 pub(super) fn survey(
     which: Channel,
     capture: &Capture,
-    pieces: &[Piece],
+    pieces: &[CarrierPiece],
     tracks: &[Track],
     findings: &mut Vec<Finding>,
 ) -> ChannelSurvey {
@@ -79,7 +79,7 @@ pub(super) fn survey(
     out.rms = variance.sqrt();
     let clipped = clipping::count_clipped(x, full_scale);
     out.clipped = clipped.samples;
-    let per_period = |p: &Piece| 1.0 / (p.f_hz * p.run.dt_s);
+    let per_period = |p: &CarrierPiece| 1.0 / (p.f_hz * p.run.dt_s);
     let longest = pieces.iter().max_by_key(|p| p.run.samples.len());
     out.noise = longest
         .and_then(|p| ihd_signal::noise::deviation(&x[p.run.samples.clone()], per_period(p)));

@@ -26,7 +26,7 @@ use ihd_signal::{Capture, Load, Samples, TimeBase};
 use serde::Serialize;
 
 use self::aliasing::Aliasing;
-use self::carrier::Piece;
+use self::carrier::CarrierPiece;
 pub use self::channel::ChannelSurvey;
 pub use self::error::SurveyError;
 pub use self::finding::{Channel, Finding, Severity};
@@ -363,7 +363,7 @@ fn envelopes(tracks: &[Track], wiring: Wiring) -> Vec<mains::PieceEnvelope> {
 
 /// Expected effect of aliasing on the strongest piece; adds findings on it and on coarse sampling.
 fn expected_aliasing(
-    pieces: &[Piece],
+    pieces: &[CarrierPiece],
     tracks: &[Track],
     loads: &[Option<Load>],
     strongest: usize,
@@ -389,7 +389,7 @@ fn expected_aliasing(
 /// Error of R by aliasing in percent above which it is reported.
 const ALIASING_PCT: f64 = 0.1;
 
-fn span((piece, load): (&Piece, &Option<Load>)) -> Span {
+fn span((piece, load): (&CarrierPiece, &Option<Load>)) -> Span {
     Span {
         first: piece.run.samples.start,
         samples: piece.run.samples.len(),

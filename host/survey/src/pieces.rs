@@ -4,7 +4,7 @@ use ihd_signal::segment::MIN_PERIODS;
 use ihd_signal::{Capture, FrequencyStep};
 
 use super::Hints;
-use super::carrier::{self, Piece};
+use super::carrier::{self, CarrierPiece};
 use super::error::SurveyError;
 use super::finding::Finding;
 use super::lines::LARGEST_HZ;
@@ -26,7 +26,7 @@ pub(super) fn find(
     hints: &Hints,
     runs: &[Run],
     findings: &mut Vec<Finding>,
-) -> Result<(Vec<Piece>, Vec<Track>), SurveyError> {
+) -> Result<(Vec<CarrierPiece>, Vec<Track>), SurveyError> {
     let band = carrier::band(hints.f_sw_hz);
     let longest = runs
         .iter()
@@ -136,7 +136,7 @@ fn no_carrier(capture: &Capture, hints: &Hints, run: &Run, band: (f64, f64)) -> 
 }
 
 /// Refines a piece's frequency by the slope of the phase, and computes its phasors.
-fn refined(capture: &Capture, piece: Piece) -> (Piece, Track) {
+fn refined(capture: &Capture, piece: CarrierPiece) -> (CarrierPiece, Track) {
     if piece.sweep.is_some() {
         let track = track::track(capture, &piece.run, piece.f_hz);
         return (piece, track);
@@ -152,14 +152,14 @@ fn refined(capture: &Capture, piece: Piece) -> (Piece, Track) {
         f_hz
     };
     let track = track::track(capture, &piece.run, f_hz);
-    (Piece { f_hz, ..piece }, track)
+    (CarrierPiece { f_hz, ..piece }, track)
 }
 
 /// Adds findings on sweeps and steps of the frequency, and on differences from the one specified.
 pub(super) fn frequency_findings(
     capture: &Capture,
     hints: &Hints,
-    pieces: &[Piece],
+    pieces: &[CarrierPiece],
     findings: &mut Vec<Finding>,
 ) {
     for piece in pieces {

@@ -8,7 +8,7 @@ use ihd_shared::board::{self, BUS_FULL_SCALE_DV, Pin};
 use ihd_shared::sampling::{
     AMPERE_PER_CODE, CODE_HALF_RANGE, CODE_MAX, CODE_MIN, Pair, VOLT_PER_CODE,
 };
-use ihd_sim::adc::Adc;
+use ihd_sim::adc::SimulatedAdc;
 use ihd_sim::hob::HobConfig;
 use ihd_sim::plant::Plant;
 use ihd_sim::temperatures::NTCS;
@@ -42,9 +42,9 @@ const CODES: f64 = 4096.0;
 const MIDDLE: f64 = CODE_HALF_RANGE as f64;
 
 /// The analogue front end that `ihd hob` has: half an LSB of noise, with this seed, behind its anti-alias filter.
-pub fn front_end(seed: u64) -> Adc {
+pub fn front_end(seed: u64) -> SimulatedAdc {
     let hob = HobConfig::default();
-    Adc::new(hob.noise, seed).with_filter(hob.anti_alias_hz)
+    SimulatedAdc::new(hob.noise, seed).with_filter(hob.anti_alias_hz)
 }
 
 /// What the converters find at a trigger.

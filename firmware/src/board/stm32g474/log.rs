@@ -9,7 +9,7 @@
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 
-use ihd_firmware::link::log_ring::{LinkLog, LogFrame, LogRing};
+use ihd_firmware::link::log_ring::{LinkLog, LogRing, RingFrame};
 use ihd_firmware::link::log_sender::LOG_BYTES;
 
 /// Bytes for the probe: half of what defmt-rtt takes, the other half is the link's.
@@ -89,8 +89,8 @@ pub static LINK_LOG: LinkLog = LinkLog {
 /// A frame on its way into both.
 struct FrameInProgress {
     encoder: defmt::Encoder,
-    rtt: LogFrame,
-    link: LogFrame,
+    rtt: RingFrame,
+    link: RingFrame,
 }
 
 /// Reached only while [`TAKEN`] is held.
@@ -102,8 +102,8 @@ unsafe impl Sync for Place {}
 static TAKEN: AtomicBool = AtomicBool::new(false);
 static WRITING: Place = Place(UnsafeCell::new(FrameInProgress {
     encoder: defmt::Encoder::new(),
-    rtt: LogFrame::NONE,
-    link: LogFrame::NONE,
+    rtt: RingFrame::NONE,
+    link: RingFrame::NONE,
 }));
 /// Contexts that found it taken and whose frame is being thrown away: an interrupt within an interrupt at most.
 static STRANGERS: AtomicU32 = AtomicU32::new(0);
@@ -141,7 +141,7 @@ impl FrameInProgress {
     }
 }
 
-fn add(probe: &mut LogFrame, host: &mut LogFrame, bytes: &[u8]) {
+fn add(probe: &mut RingFrame, host: &mut RingFrame, bytes: &[u8]) {
     rtt().add(probe, bytes);
     LINK_LOG.ring.add(host, bytes);
 }

@@ -10,7 +10,7 @@ use ihd_shared::wire::messages::{Clocks, Comparators, Program};
 
 use super::registers::{comparators, supply};
 use super::self_test::SelfTest;
-use super::temperatures::Temperatures;
+use super::temperatures::TemperatureAdc;
 use super::{adc, image};
 use crate::board::crash;
 
@@ -19,7 +19,7 @@ pub struct ChipServices<'a> {
     /// Has the clocks.
     pub self_test: &'a mut SelfTest,
     /// Has the reference.
-    pub temperatures: &'a Temperatures,
+    pub temperatures: &'a TemperatureAdc,
 }
 
 impl BoardServices for ChipServices<'_> {

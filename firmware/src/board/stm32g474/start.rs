@@ -33,7 +33,7 @@ use super::panel::Panel;
 use super::pins::{low_output, of_board};
 use super::self_test::SelfTest;
 use super::service::{self, ChipServices};
-use super::temperatures::Temperatures;
+use super::temperatures::TemperatureAdc;
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
 use crate::board::sampling::{self, SamplingTask, ThreadSide};
@@ -65,7 +65,7 @@ struct Board {
     heartbeat: Heartbeat,
     kept_changes: u32,
     self_test: SelfTest,
-    temperatures: Temperatures,
+    temperatures: TemperatureAdc,
     fan: Output<'static>,
     panel: Panel,
 }
@@ -180,7 +180,7 @@ fn start(
         heartbeat: Heartbeat::default(),
         kept_changes: housekeeping.lookup_changes(),
         self_test,
-        temperatures: Temperatures::start(cycles::now()),
+        temperatures: TemperatureAdc::start(cycles::now()),
         fan: low_output(FAN_PIN),
         panel: Panel::new(),
     };

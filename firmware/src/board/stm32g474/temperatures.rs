@@ -35,13 +35,13 @@ const OPEN: u16 = 4_095;
 const PATIENCE: u32 = 2_000;
 
 /// The converter and what it found.
-pub struct Temperatures {
+pub struct TemperatureAdc {
     codes: [u16; 4],
     turn: usize,
     started_at: u32,
 }
 
-impl Temperatures {
+impl TemperatureAdc {
     /// Starts the converter, and looks at each thermistor once. The clock of ADC3, which is its own too, is set already.
     pub fn start(now: u32) -> Self {
         adc::start_single(&CHANNELS);

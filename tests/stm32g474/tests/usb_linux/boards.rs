@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ihd_sim::adc::{Adc, ConverterNoise};
+use ihd_sim::adc::{ConverterNoise, SimulatedAdc};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
@@ -23,7 +23,7 @@ pub struct Board {
 impl Board {
     /// The image, on a chip whose unique number begins with `unique`; it runs from now on, as fast as it can.
     pub fn emulated(image: &Path, unique: u8) -> anyhow::Result<Self> {
-        let filtered = |seed| Adc::new(ConverterNoise::default(), seed).with_filter(500e3);
+        let filtered = |seed| SimulatedAdc::new(ConverterNoise::default(), seed).with_filter(500e3);
         let plant = move || {
             Plant::new(
                 SimulatedMains::of_board(),
