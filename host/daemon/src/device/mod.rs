@@ -10,6 +10,7 @@ mod commands;
 mod contact;
 mod device_link;
 mod device_lookups;
+mod flood_limits;
 mod heating;
 mod lookup_push;
 mod lookup_rows;

@@ -16,12 +16,12 @@ use tokio::time::Instant;
 use super::contact::Contact;
 use super::device_link::DeviceLink;
 use super::device_lookups::DeviceLookups;
+use super::flood_limits::FloodLimits;
 use super::pot_follower::{PotFollower, publish_change};
 use super::report::publish_lease_expired;
 use super::request::DeviceRequest;
 use super::sweep::SweepState;
 use crate::TruthFn;
-use crate::clocks::RateLimit;
 use crate::context::Context;
 use crate::device_record::DeviceRecord;
 use crate::lease::LeaseId;
@@ -41,12 +41,6 @@ const POWER_HISTORY: usize = 256;
 /// Period of retrying failed jobs of the store.
 const STORE_RETRY_PERIOD: Duration = Duration::from_secs(10);
 
-/// Largest number of windows accepted per second; a device sends six as configured.
-const MAX_WINDOWS_PER_S: u32 = 30;
-
-/// Largest number of faults, rejected windows and pot changes published per second.
-const MAX_EVENTS_PER_S: u32 = 10;
-
 /// Shortest time between two changes of state, so that a person can follow them.
 const MIN_STATE_DURATION: Duration = Duration::from_millis(400);
 
@@ -61,26 +55,28 @@ pub enum SessionEnd {
     Suspended(String),
 }
 
+/// Rows of a session and its device in the store.
+#[derive(Clone, Copy)]
+pub(super) struct StoredIds {
+    pub(super) device: DeviceId,
+    pub(super) session: SessionId,
+}
+
 /// State of a session.
 pub struct DeviceSession<'a> {
     pub(super) record: &'a Arc<DeviceRecord>,
     pub(super) context: &'a Context,
     pub(super) link: DeviceLink,
-    /// Row of the device in the store; `None` until it is stored.
-    pub(super) device_id: Option<DeviceId>,
-    /// Row of the session in the store; `None` until it is stored.
-    pub(super) session_id: Option<SessionId>,
+    /// Rows of the session in the store; `None` until it is stored.
+    pub(super) stored: Option<StoredIds>,
     /// Sweep with the lease under which it was started.
     pub(super) sweep: Option<(LeaseId, SweepState)>,
     pub(super) lookups: DeviceLookups<'a>,
     published_half_cycle: Option<u32>,
     /// Logged jumps in the window numbering.
     logged_jumps: u32,
-    /// Frames of this link already counted as beyond what a hob sends.
-    frames_beyond: u64,
     last_store_retry: Instant,
-    pub(super) window_limit: RateLimit,
-    event_limit: RateLimit,
+    pub(super) flood: FloodLimits,
     /// Last half-cycles: count, `true` if heating, power in milliwatt.
     pub(super) recent_powers: VecDeque<(u32, bool, u32)>,
     pot: PotFollower,
@@ -103,16 +99,13 @@ impl<'a> DeviceSession<'a> {
                 client,
                 contact: Contact::new(&context.machine),
             },
-            device_id: None,
-            session_id: None,
+            stored: None,
             sweep: None,
             lookups: DeviceLookups::new(record, context),
             published_half_cycle: None,
             logged_jumps: 0,
-            frames_beyond: 0,
             last_store_retry: Instant::now(),
-            window_limit: RateLimit::new(MAX_WINDOWS_PER_S),
-            event_limit: RateLimit::new(MAX_EVENTS_PER_S),
+            flood: FloodLimits::default(),
             recent_powers: VecDeque::new(),
             pot: PotFollower::default(),
             truth,
@@ -201,13 +194,13 @@ impl<'a> DeviceSession<'a> {
                         inner.windows.count(WindowCounter::Refused);
                     }
                 }
-                if self.event_limit.allow() {
+                if self.flood.events.allow() {
                     tracing::debug!(device = self.record.name, seq, why, "window refused");
                     self.record.publish(EventKind::WindowRefused { seq, why });
                 }
                 Ok(())
             }
-            DeviceEvent::Fault(_) if !self.event_limit.allow() => Ok(()),
+            DeviceEvent::Fault(_) if !self.flood.events.allow() => Ok(()),
             // The daemon requests no log.
             DeviceEvent::Log { .. } => Ok(()),
             DeviceEvent::Fault(event) => {
@@ -232,7 +225,7 @@ impl<'a> DeviceSession<'a> {
         self.record.ring().push(&t, Instant::now());
         let buffer = &self.context.telemetry;
         buffer.push(&self.record.name, &t, self.context.machine.now_ms());
-        if self.pot.detect(t.pot) && self.event_limit.allow() {
+        if self.pot.detect(t.pot) && self.flood.events.allow() {
             publish_change(self.record, t.pot);
         }
         self.pot.push(&t, self.context.machine.now_ms());
@@ -351,7 +344,7 @@ impl<'a> DeviceSession<'a> {
                 "its windows are numbered in jumps"
             );
         }
-        let beyond = self.event_limit.take_rejected() + self.window_limit.take_rejected();
+        let beyond = self.flood.take_rejected();
         if beyond > 0 {
             tracing::warn!(
                 device = self.record.name,
@@ -368,7 +361,7 @@ impl<'a> DeviceSession<'a> {
 
     /// Counts frames beyond what a hob sends, of this link `frames_beyond` so far; reports them once per connection.
     fn report_flood(&mut self, frames_beyond: u64) {
-        let more = frames_beyond - std::mem::replace(&mut self.frames_beyond, frames_beyond);
+        let more = self.flood.new_frames(frames_beyond);
         if more == 0 {
             return;
         }
@@ -398,7 +391,7 @@ impl<'a> DeviceSession<'a> {
             SessionEnd::Stopping => "the daemon stopped".to_owned(),
             SessionEnd::Link(why) | SessionEnd::Suspended(why) => printable(why),
         };
-        if let Some(session) = self.session_id {
+        if let Some(StoredIds { session, .. }) = self.stored {
             let ending = self
                 .context
                 .in_store(move |store| store.end_session(session, &why));

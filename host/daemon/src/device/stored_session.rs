@@ -2,7 +2,7 @@
 
 use ihd_model::RecordKind;
 
-use super::session::{DeviceSession, SessionEnd};
+use super::session::{DeviceSession, SessionEnd, StoredIds};
 use crate::printable::printable;
 use crate::store_thread::StoreAccess;
 
@@ -24,9 +24,8 @@ impl DeviceSession<'_> {
         });
         // Errors of the store are reported by its thread.
         if let Some((device, session, learned)) = began.await {
-            self.device_id = Some(device);
+            self.stored = Some(StoredIds { device, session });
             self.lookups.set_device(device);
-            self.session_id = Some(session);
             self.record.lock().is_resumed = true;
             let added = self
                 .context
@@ -41,7 +40,7 @@ impl DeviceSession<'_> {
 
     /// Stores an event of the device. Without room in the store it is dropped and counted.
     pub(super) fn store_event(&self, kind: &'static str, text: &str) {
-        let (device, text) = (self.device_id, printable(text));
+        let (device, text) = (self.stored.map(|ids| ids.device), printable(text));
         let store = self.store().writing_once(RecordKind::Events);
         store.offer(move |store| store.event(device, kind, &text));
     }
@@ -53,13 +52,13 @@ impl DeviceSession<'_> {
 
     /// Retries what the store failed to do.
     pub(super) async fn retry_store(&mut self) -> Result<(), SessionEnd> {
-        if self.session_id.is_none() {
+        if self.stored.is_none() {
             self.begin_stored_session().await;
-            if self.session_id.is_some() {
+            if self.stored.is_some() {
                 self.lookups.require_reconciliation();
             }
         }
-        if self.session_id.is_some() {
+        if self.stored.is_some() {
             let reconciled = self.lookups.retry_reconciliation(&mut self.link).await;
             reconciled.map_err(|error| SessionEnd::Link(error.to_string()))?;
         }

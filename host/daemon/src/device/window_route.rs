@@ -7,7 +7,7 @@ use ihd_model::{EventKind, RecordKind};
 use ihd_signal::truth::Truth;
 use ihd_store::{CurveSource, DeviceId, SessionId, Store, StoreError};
 
-use super::session::DeviceSession;
+use super::session::{DeviceSession, StoredIds};
 use crate::device_record::DeviceRecord;
 use crate::fleet::delegation::Delegation;
 use crate::learning::{LearnInput, LearnJob, Learner, truth_curve};
@@ -101,7 +101,7 @@ impl DeviceSession<'_> {
             // A window's row refers to the session's, which is not stored.
             self.context.store.count_dropped(RecordKind::Windows, 1);
         }
-        let is_queued = match route.filter(|_| self.window_limit.allow()) {
+        let is_queued = match route.filter(|_| self.flood.windows.allow()) {
             Some(route) => {
                 let arrived = self.arrived_window(window);
                 let store = self.store().writing_once(RecordKind::Windows);
@@ -117,12 +117,12 @@ impl DeviceSession<'_> {
 
     /// Returns the route of a window; `None` if the session is not stored.
     fn window_route(&self) -> Option<WindowRoute> {
-        let (device_id, session) = self.device_id.zip(self.session_id)?;
+        let StoredIds { device, session } = self.stored?;
         Some(WindowRoute {
             record: Arc::clone(self.record),
             learner: Arc::clone(&self.context.learner),
             delegation: Arc::clone(&self.context.delegation),
-            device_id,
+            device_id: device,
             session,
             boot: self.link.client.hello().boot_id,
         })
