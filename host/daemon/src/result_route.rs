@@ -4,7 +4,7 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use ihd_model::{EventKind, Fit, RecordKind};
-use ihd_store::{Confidence, CurveSource, NewResult};
+use ihd_store::{Certainty, CurveSource, NewResult};
 use tokio::sync::mpsc;
 
 use crate::device::DeviceRequest;
@@ -29,7 +29,7 @@ pub async fn route_results(
         let Some(built) = new_lookup else { continue };
         let version = built.lookup.version;
         let lookup = LookupToPush {
-            confidence: Some(Confidence::of(&built.confidence())),
+            certainty: Some(Certainty::of(&built.confidence(), &built.sigma())),
             lookup: built.lookup,
         };
         if !push(&devices, &device, lookup)

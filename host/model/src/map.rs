@@ -28,7 +28,12 @@ pub struct Map {
     pub power_w: Vec<Vec<f64>>,
     /// `true` for cells that rest on observations.
     pub observed: Vec<Vec<bool>>,
-    /// Confidence of each cell, 0 to 1; `None` if unknown (a lookup from before the daemon's start).
+    /// Standard deviation of R of each cell in percent of R, as it was when the lookup was built; `None` if unknown (pushed by hand, or
+    /// built by an earlier version).
+    pub sigma_r_pct: Option<Vec<Vec<f64>>>,
+    /// Standard deviation of L, likewise.
+    pub sigma_l_pct: Option<Vec<Vec<f64>>>,
+    /// Confidence of each cell: from 0, no window has measured it, to 1, many have; `None` if unknown.
     pub confidence: Option<Vec<Vec<f64>>>,
     /// Seconds since the last accepted result near the cell; `None` if there was none.
     pub age_s: Vec<Vec<Option<f64>>>,

@@ -68,42 +68,72 @@ pub struct LookupRow {
     pub blob: Vec<u8>,
 }
 
-/// Confidence of each cell of a lookup, `[frequency][current]`, 0 to 1 in 255 steps.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Confidence(Vec<u8>);
+/// A number of each cell of a lookup, `[frequency][current]`.
+type CellTable = [[f64; CURRENTS]; FREQUENCIES];
 
-impl Confidence {
-    /// Quantises a table of 0 to 1.
-    pub fn of(cells: &[[f64; CURRENTS]; FREQUENCIES]) -> Self {
+/// How well each cell of a lookup is known: confidence, 0 to 1 in 255 steps, and standard deviations of R and L in steps of 0.01 %.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Certainty {
+    confidence: Vec<u8>,
+    sigma: Option<Vec<u8>>,
+}
+
+impl Certainty {
+    /// Quantises a table of 0 to 1, and relative deviations of R and L.
+    pub fn of(confidence: &CellTable, sigma: &[CellTable; 2]) -> Self {
         let byte = |x: &f64| (x.clamp(0.0, 1.0) * 255.0).round() as u8;
-        Self(cells.iter().flatten().map(byte).collect())
+        // A deviation that is no number is a large one.
+        let code = |x: &f64| match x.is_nan() {
+            true => u16::MAX,
+            false => (x * 100.0 * SIGMA_STEPS).round() as u16,
+        };
+        let codes = sigma.iter().flatten().flatten().map(code);
+        Self {
+            confidence: confidence.iter().flatten().map(byte).collect(),
+            sigma: Some(codes.flat_map(u16::to_le_bytes).collect()),
+        }
     }
 
-    /// Returns the table, 0 to 1.
-    pub fn cells(&self) -> Vec<Vec<f64>> {
-        let rows = self.0.chunks(CURRENTS);
+    /// Returns the confidence, 0 to 1.
+    pub fn confidence(&self) -> Vec<Vec<f64>> {
+        let rows = self.confidence.chunks(CURRENTS);
         let cell = |byte: &u8| f64::from(*byte) / 255.0;
         rows.map(|row| row.iter().map(cell).collect()).collect()
     }
+
+    /// Returns the standard deviations of R and L in percent of them; `None` in a lookup that an earlier version built.
+    pub fn sigma_pct(&self) -> Option<[Vec<Vec<f64>>; 2]> {
+        let (r, l) = self.sigma.as_ref()?.split_at(2 * CELLS);
+        let cell = |code: &[u8; 2]| f64::from(u16::from_le_bytes(*code)) / SIGMA_STEPS;
+        let row = |row: &[[u8; 2]]| row.iter().map(cell).collect();
+        Some([r, l].map(|of| of.as_chunks().0.chunks(CURRENTS).map(row).collect()))
+    }
 }
 
-/// Returns the confidence of the latest lookup of a version; `None` if it is not known.
-pub(crate) fn confidence(
+/// Steps of a percent in which deviations are stored.
+const SIGMA_STEPS: f64 = 100.0;
+
+/// Returns how well the cells of the latest lookup of a version are known; `None` if nobody told. `sigma` is `false` in a database that has
+/// no such column yet.
+pub(crate) fn certainty(
     connection: &Connection,
     device: &str,
     version: u32,
-) -> rusqlite::Result<Option<Confidence>> {
-    let bytes: Option<Option<Vec<u8>>> = connection
-        .query_row(
-            "SELECT confidence FROM lookups WHERE version = ?2
-             AND device = (SELECT id FROM devices WHERE name = ?1)
-             ORDER BY state = 'pending' DESC, id DESC LIMIT 1",
-            params![device, version],
-            |row| row.get(0),
-        )
-        .optional()?;
-    let whole = bytes.flatten().filter(|bytes| bytes.len() == CELLS);
-    Ok(whole.map(Confidence))
+    sigma: bool,
+) -> rusqlite::Result<Option<Certainty>> {
+    let sigma = if sigma { "sigma" } else { "NULL" };
+    let sql = format!(
+        "SELECT confidence, {sigma} FROM lookups WHERE version = ?2
+         AND device = (SELECT id FROM devices WHERE name = ?1)
+         ORDER BY state = 'pending' DESC, id DESC LIMIT 1"
+    );
+    let whole = |bytes: Option<Vec<u8>>, length| bytes.filter(|bytes| bytes.len() == length);
+    let read = |row: &rusqlite::Row<'_>| {
+        let sigma = whole(row.get(1)?, 4 * CELLS);
+        Ok(whole(row.get(0)?, CELLS).map(|confidence| Certainty { confidence, sigma }))
+    };
+    let found = connection.query_row(&sql, params![device, version], read);
+    found.optional().map(Option::flatten)
 }
 
 const ROWS: &str = "
@@ -133,7 +163,7 @@ pub(crate) fn rows(
 }
 
 impl Store {
-    /// Stores a lookup that is about to be pushed, with the confidence of its cells if known. Another pending one is superseded; the same
+    /// Stores a lookup that is about to be pushed, with how well its cells are known if somebody can tell. Another pending one is superseded; the same
     /// one, pushed again, is not stored twice.
     ///
     /// # Errors
@@ -143,7 +173,7 @@ impl Store {
         device: DeviceId,
         lookup: &RlLookup,
         why: &str,
-        confidence: Option<&Confidence>,
+        certainty: Option<&Certainty>,
     ) -> Result<(), StoreError> {
         let (at_ms, blob, why) = (self.now(), lookup.to_bytes(), printable(why));
         self.change("storing a lookup", |change| {
@@ -160,10 +190,11 @@ impl Store {
             if same == 0 {
                 insert(change, device, lookup, ("pending", "host"), at_ms, &why)?;
             }
-            if let Some(confidence) = confidence {
+            if let Some(Certainty { confidence, sigma }) = certainty {
                 change.execute(
-                    "UPDATE lookups SET confidence = ?2 WHERE device = ?1 AND state = 'pending'",
-                    params![device, confidence.0],
+                    "UPDATE lookups SET confidence = ?2, sigma = ?3
+                     WHERE device = ?1 AND state = 'pending'",
+                    params![device, confidence, sigma],
                 )?;
             }
             Ok(())
@@ -234,13 +265,13 @@ impl Store {
         })
     }
 
-    /// Returns the confidence of a device's lookup of this version; `None` if it is not known.
+    /// Returns how well the cells of a device's lookup of this version are known; `None` if nobody told.
     ///
     /// # Errors
     /// Errors of the database.
-    pub fn confidence(&self, device: &str, version: u32) -> Result<Option<Confidence>, StoreError> {
-        confidence(self.records(), device, version)
-            .map_err(self.failed("reading a lookup's confidence"))
+    pub fn certainty(&self, device: &str, version: u32) -> Result<Option<Certainty>, StoreError> {
+        certainty(self.records(), device, version, true)
+            .map_err(self.failed("reading how well a lookup is known"))
     }
 
     /// Returns every lookup of a device, oldest first.

@@ -10,7 +10,7 @@ use super::curves::Curves;
 use super::folder::{self, RECORDS};
 use super::windows::{Day, WindowFilter, WindowRow};
 use super::{
-    AuditRow, Confidence, EventRow, JournalFilter, JournalRow, LastAccepted, LookupRow,
+    AuditRow, Certainty, EventRow, JournalFilter, JournalRow, LastAccepted, LookupRow,
     ResultFilter, ResultId, ResultRow, SessionId, StoreError, database, journal, lookups, results,
     schema,
 };
@@ -176,19 +176,23 @@ impl StoreReader {
         row.map_err(self.failed("reading a session"))
     }
 
-    /// Returns the confidence of a device's lookup of this version; `None` if it is not known.
+    /// Returns how well the cells of a device's lookup of this version are known; `None` if nobody told.
     ///
     /// # Errors
     /// Errors of the database.
-    pub fn confidence(&self, device: &str, version: u32) -> Result<Option<Confidence>, StoreError> {
-        // A store of an earlier version that was not opened for writing since has no such column.
-        let sql =
-            "SELECT EXISTS (SELECT 1 FROM pragma_table_info('lookups') WHERE name = 'confidence')";
-        let there = self.records.query_row(sql, [], |row| row.get(0));
-        let failed = || self.failed("reading a lookup's confidence");
-        match there.map_err(failed())? {
-            true => lookups::confidence(&self.records, device, version).map_err(failed()),
-            false => Ok(None),
+    pub fn certainty(&self, device: &str, version: u32) -> Result<Option<Certainty>, StoreError> {
+        // A store of an earlier version that was not opened for writing since lacks one of the columns, or both.
+        let sql = "SELECT count(*) FROM pragma_table_info('lookups') WHERE name IN ('confidence', 'sigma')";
+        let failed = || self.failed("reading how well a lookup is known");
+        let there: u8 = self
+            .records
+            .query_row(sql, [], |row| row.get(0))
+            .map_err(failed())?;
+        match there {
+            0 => Ok(None),
+            columns => {
+                lookups::certainty(&self.records, device, version, columns == 2).map_err(failed())
+            }
         }
     }
 

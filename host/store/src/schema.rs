@@ -22,7 +22,7 @@ const WINDOWS_ID: i32 = i32::from_be_bytes(*b"IHDw");
 /// `ihd.db`.
 pub static RECORDS: Schema = Schema {
     application_id: RECORDS_ID,
-    steps: &[RECORDS_1, RECORDS_2, RECORDS_3, RECORDS_4],
+    steps: &[RECORDS_1, RECORDS_2, RECORDS_3, RECORDS_4, RECORDS_5],
     tables: &[
         &[
             "devices", "sessions", "results", "lookups", "learned", "events", "audit",
@@ -30,6 +30,7 @@ pub static RECORDS: Schema = Schema {
         &[],
         &["fleet"],
         &["used"],
+        &[],
     ],
     shrinks: false,
     synchronous: "FULL",
@@ -246,6 +247,12 @@ CREATE TABLE used (
     day     TEXT PRIMARY KEY,              -- when a day's file was seen first; '' is now
     used_ms INTEGER NOT NULL
 ) STRICT;
+";
+
+const RECORDS_5: &str = "
+-- Standard deviation of each cell, first of all R, then of all L, [frequency][current]: a little-endian uint16 in 0.01 % of the cell's
+-- value, 65535 for that and more. NULL where nobody told.
+ALTER TABLE lookups ADD COLUMN sigma BLOB;
 ";
 
 const WINDOWS_4: &str = "

@@ -75,7 +75,7 @@ impl DeviceSession<'_> {
             Command::LookupPush { blob } => match RlLookup::from_bytes(&blob) {
                 Ok(lookup) => {
                     // The reply is sent once the device uses the lookup.
-                    let lookup = LookupToPush::without_confidence(lookup);
+                    let lookup = LookupToPush::without_certainty(lookup);
                     let why = "pushed by hand";
                     let push = self.lookups.push(&mut self.link, lookup, why, Some(reply));
                     let _ = push.await;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use ihd_link::{Client, LinkError};
 use ihd_model::{CommandError, CommandReply, EventKind};
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
-use ihd_store::{Confidence, DeviceId};
+use ihd_store::{Certainty, DeviceId};
 use tokio::time::Instant;
 
 use super::device_link::DeviceLink;
@@ -108,7 +108,7 @@ impl<'a> DeviceLookups<'a> {
                 Reconcile::Nothing => {}
                 Reconcile::Activate(_) | Reconcile::Adopt => self.adopt(&lookup).await,
                 Reconcile::Push(lookup, why) => {
-                    let lookup = LookupToPush::without_confidence(*lookup);
+                    let lookup = LookupToPush::without_certainty(*lookup);
                     let _ = self.push(link, lookup, why, None).await;
                 }
             }
@@ -176,10 +176,10 @@ impl<'a> DeviceLookups<'a> {
     ) -> Result<(), String> {
         let LookupToPush {
             mut lookup,
-            confidence,
+            certainty,
         } = pushed;
         let learned_version = is_learned.then_some(lookup.version);
-        let outcome = self.try_push(link, &mut lookup, confidence, why).await;
+        let outcome = self.try_push(link, &mut lookup, certainty, why).await;
         let version = lookup.version;
         match outcome {
             Ok(()) => {
@@ -211,7 +211,7 @@ impl<'a> DeviceLookups<'a> {
         &self,
         link: &mut DeviceLink,
         lookup: &mut RlLookup,
-        confidence: Option<Confidence>,
+        certainty: Option<Certainty>,
         why: &str,
     ) -> Result<(), String> {
         if self.rows.device_id.is_none() {
@@ -229,7 +229,7 @@ impl<'a> DeviceLookups<'a> {
         if lookup.version <= on_device || lookup.version > highest {
             lookup.version = next_version(on_device, &rows)?;
         }
-        let pending = self.rows.pend(lookup, printable(why), confidence);
+        let pending = self.rows.pend(lookup, printable(why), certainty);
         let not_stored = "the store cannot keep it: nothing is pushed that it does not know";
         pending.await.ok_or(not_stored)?;
         let version = lookup.version;

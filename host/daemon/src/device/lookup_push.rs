@@ -115,7 +115,7 @@ mod tests {
     }
 
     fn learned(version: u32) -> Box<LookupToPush> {
-        Box::new(LookupToPush::without_confidence(lookup(version)))
+        Box::new(LookupToPush::without_certainty(lookup(version)))
     }
 
     fn under_way(version: u32) -> UnderWay {

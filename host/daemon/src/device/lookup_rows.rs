@@ -2,7 +2,7 @@
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
-use ihd_store::{Confidence, DeviceId, LookupRow};
+use ihd_store::{Certainty, DeviceId, LookupRow};
 
 use super::reconcile::previous_lookup;
 use crate::context::Context;
@@ -46,11 +46,11 @@ impl LookupRows<'_> {
             None => "the store holds no lookup that was active before".to_owned(),
         })?;
         let (name, version) = (self.name.to_owned(), lookup.version);
-        let confidence = self
+        let certainty = self
             .context
-            .in_store(move |store| store.confidence(&name, version));
+            .in_store(move |store| store.certainty(&name, version));
         Ok(LookupToPush {
-            confidence: confidence.await.flatten(),
+            certainty: certainty.await.flatten(),
             lookup,
         })
     }
@@ -60,12 +60,12 @@ impl LookupRows<'_> {
         &self,
         lookup: &RlLookup,
         why: String,
-        confidence: Option<Confidence>,
+        certainty: Option<Certainty>,
     ) -> Option<()> {
         let (device, pending) = (self.device_id?, lookup.clone());
         let stored = self
             .context
-            .in_store(move |store| store.pend_lookup(device, &pending, &why, confidence.as_ref()));
+            .in_store(move |store| store.pend_lookup(device, &pending, &why, certainty.as_ref()));
         stored.await
     }
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 use ihd_link::Window;
 use ihd_shared::lookup::RlLookup;
 use ihd_signal::truth::Truth;
-use ihd_store::{Confidence, DeviceId, NewResult, SessionId};
+use ihd_store::{Certainty, DeviceId, NewResult, SessionId};
 use ihd_train::lookup::BuiltLookup;
 use tokio::sync::oneshot;
 
@@ -56,15 +56,15 @@ pub struct LearnJob {
 pub struct LookupToPush {
     /// The lookup.
     pub lookup: RlLookup,
-    /// Confidence of its cells; `None` if unknown.
-    pub confidence: Option<Confidence>,
+    /// How well its cells are known; `None` if nobody can tell.
+    pub certainty: Option<Certainty>,
 }
 
 impl LookupToPush {
-    /// Creates a lookup whose cells' confidence is unknown.
-    pub fn without_confidence(lookup: RlLookup) -> Self {
-        let confidence = None;
-        Self { lookup, confidence }
+    /// Creates a lookup of which nobody can tell how well its cells are known.
+    pub fn without_certainty(lookup: RlLookup) -> Self {
+        let certainty = None;
+        Self { lookup, certainty }
     }
 }
 

@@ -1,4 +1,4 @@
-//! Lookup in ohm and henry, with confidence and age of its cells.
+//! Lookup in ohm and henry, with deviation, confidence and age of its cells.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -6,7 +6,7 @@ use ihd_model::Map;
 use ihd_shared::lookup::grid::{CURRENTS, F_MAX_HZ, F_MIN_HZ, FREQUENCIES, I_BEND_MA, I_MAX_MA};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
-use ihd_store::{Confidence, LookupRow, LookupState};
+use ihd_store::{Certainty, LookupRow, LookupState};
 
 use super::View;
 use super::cell_ages::CellAges;
@@ -43,12 +43,12 @@ impl View {
             let version = version.unwrap_or(0);
             let mut ages = ages;
             ages.add(&reader.last_accepted(device, ages.last)?);
-            let confidence = reader.confidence(device, version)?;
+            let certainty = reader.certainty(device, version)?;
             let row = newest(&rows, version).cloned();
-            Ok((version, row, confidence, ages))
+            Ok((version, row, certainty, ages))
         });
-        let (version, row, confidence, ages) = read.await?;
-        let map = map(version, row.as_ref(), confidence.as_ref(), &ages);
+        let (version, row, certainty, ages) = read.await?;
+        let map = map(version, row.as_ref(), certainty.as_ref(), &ages);
         lock(&self.ages).insert(device.to_owned(), ages);
         Ok(map)
     }
@@ -57,7 +57,7 @@ impl View {
 fn map(
     version: u32,
     row: Option<&LookupRow>,
-    confidence: Option<&Confidence>,
+    certainty: Option<&Certainty>,
     ages: &CellAges,
 ) -> Option<Map> {
     if version == 0 {
@@ -72,13 +72,18 @@ fn map(
     let row = row?;
     // The store checks lookups before writing them.
     let lookup = RlLookup::from_bytes(&row.blob).ok()?;
+    let [sigma_r_pct, sigma_l_pct] = certainty
+        .and_then(Certainty::sigma_pct)
+        .map_or([None, None], |sigma| sigma.map(Some));
     let map = Map {
         version,
         state: row.state.to_string(),
         at_ms: row.at_ms,
         origin: row.origin.clone(),
         why: row.why.clone(),
-        confidence: confidence.map(Confidence::cells),
+        sigma_r_pct,
+        sigma_l_pct,
+        confidence: certainty.map(Certainty::confidence),
         ..Map::default()
     };
     Some(fill(map, &lookup, ages))

@@ -154,11 +154,25 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
         assert!(Instant::now() < deadline, "{both} cells are known");
         nap().await;
     };
+    // Known is what its deviations make known: 3 % of R and 1.5 % of L.
+    let sigma = |of: &Option<Vec<Vec<f64>>>| of.as_ref().unwrap().concat();
+    let (sigma_r, sigma_l) = (sigma(&map.sigma_r_pct), sigma(&map.sigma_l_pct));
+    let known = map.observed.concat();
+    assert_eq!((sigma_r.len(), sigma_l.len()), (known.len(), known.len()));
+    for (k, known) in known.into_iter().enumerate() {
+        let (r, l) = (sigma_r[k], sigma_l[k]);
+        assert!(
+            !known || (r > 0.0 && r < 3.01 && l > 0.0 && l < 1.51),
+            "{k}: {r} {l}"
+        );
+        assert!(known || r > 2.99 || l > 1.49, "{k}: {r} {l}");
+    }
     let ages = map.age_s.iter().flatten().flatten();
     let at_most_s = 1.0 + (now_ms() - began_ms) as f64 * 1e-3;
     assert!(ages.clone().count() > 5 && ages.clone().all(|age| *age <= at_most_s));
     let prior = daemon.view().map("bench", Some(0)).await.unwrap().unwrap();
     assert_eq!((prior.state.as_str(), prior.confidence), ("prior", None));
+    assert_eq!((prior.sigma_r_pct, prior.sigma_l_pct), (None, None));
     assert!(
         daemon
             .view()

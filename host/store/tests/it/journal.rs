@@ -3,7 +3,7 @@
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::{
-    Confidence, CurveSource, JournalFilter, NewEvent, SamplePolicy, Store, StoreOptions,
+    Certainty, CurveSource, JournalFilter, NewEvent, SamplePolicy, Store, StoreOptions,
     StoreReader, StoredCurve,
 };
 
@@ -108,7 +108,7 @@ fn events_and_commands_are_one_journal_newest_first() {
 }
 
 #[test]
-fn confidence_goes_with_its_lookup() {
+fn how_well_cells_are_known_goes_with_their_lookup() {
     let folder = tempfile::tempdir().unwrap();
     let mut store = open(folder.path(), &StoreOptions::default());
     let device = store.device("bench", "").unwrap();
@@ -117,19 +117,37 @@ fn confidence_goes_with_its_lookup() {
     cells[7][16] = 1.0;
     cells[0][0] = f64::NAN;
     let lookup = |version| RlLookup { version, ..prior() };
-    let confidence = Confidence::of(&cells);
+    let mut sigma = [[[0.0; 17]; 8]; 2];
+    sigma[0][3][5] = 0.01234;
+    sigma[0][0][0] = f64::NAN;
+    sigma[1][7][16] = 99.0;
+    let certainty = Certainty::of(&cells, &sigma);
     store
-        .pend_lookup(device, &lookup(1), "", Some(&confidence))
+        .pend_lookup(device, &lookup(1), "", Some(&certainty))
         .unwrap();
     store.adopt_lookup(device, &lookup(1)).unwrap();
     store.pend_lookup(device, &lookup(2), "", None).unwrap();
     let reader = StoreReader::open(folder.path()).unwrap();
-    let read = reader.confidence("bench", 1).unwrap().unwrap().cells();
+    let known = reader.certainty("bench", 1).unwrap().unwrap();
+    let read = known.confidence();
     assert_eq!((read.len(), read[0].len()), (8, 17));
     assert!((read[3][5] - 0.8).abs() <= 0.5 / 255.0);
     assert_eq!((read[7][16], read[0][0], read[2][5]), (1.0, 0.0, 0.0));
-    assert_eq!(reader.confidence("bench", 2).unwrap(), None);
-    assert_eq!(reader.confidence("bench", 9).unwrap(), None);
+    let [r, l] = known.sigma_pct().unwrap();
+    assert_eq!((l.len(), l[7].len()), (8, 17));
+    assert!((r[3][5] - 1.234).abs() <= 0.5e-2 && r[3][6] == 0.0 && l[3][5] == 0.0);
+    // What is no number, and what is out of range, is not taken for a small deviation.
+    assert!(r[0][0] > 600.0 && l[7][16] > 600.0);
+    assert_eq!(reader.certainty("bench", 2).unwrap(), None);
+    assert_eq!(reader.certainty("bench", 9).unwrap(), None);
+    // A store of version 4, which knows no deviations, that nobody has opened for writing since.
+    drop((reader, store));
+    let records = rusqlite::Connection::open(folder.path().join("ihd.db")).unwrap();
+    let drop_it = "ALTER TABLE lookups DROP COLUMN sigma; PRAGMA user_version = 4";
+    records.execute_batch(drop_it).unwrap();
+    let reader = StoreReader::open(folder.path()).unwrap();
+    let known = reader.certainty("bench", 1).unwrap().unwrap();
+    assert_eq!((known.confidence(), known.sigma_pct()), (read, None));
 }
 
 #[test]

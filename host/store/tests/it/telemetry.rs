@@ -201,7 +201,7 @@ fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
         (
             folder.path().join("ihd.db"),
             "DROP INDEX events_in_time; DROP INDEX audit_in_time;
-             ALTER TABLE lookups DROP COLUMN confidence; DROP TABLE fleet;
+             ALTER TABLE lookups DROP COLUMN confidence; ALTER TABLE lookups DROP COLUMN sigma; DROP TABLE fleet;
              DROP TABLE used;",
         ),
     ] {
@@ -214,7 +214,7 @@ fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
     let (_, _, curves) = reader.whole_window("bench", 7, 1).unwrap().unwrap();
     assert_eq!(curves, ihd_store::Curves::default());
     assert!(all(&reader, "bench", (0, i64::MAX / 1_000), false).is_empty());
-    assert_eq!(reader.confidence("bench", 1).unwrap(), None);
+    assert_eq!(reader.certainty("bench", 1).unwrap(), None);
     drop(reader);
     let mut store = open(folder.path(), &StoreOptions::default());
     let now_s = store.results(&Default::default()).unwrap()[0].at_ms / 1_000;

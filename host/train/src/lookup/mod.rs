@@ -5,7 +5,7 @@
 
 pub mod error;
 
-use ihd_map::Cells;
+use ihd_map::{Cells, MapCell};
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
 use ihd_shared::lookup::plausible::{self, Implausible, L_CODES, R_CODES};
 use ihd_shared::lookup::{HENRY_PER_CODE, OBSERVED_BYTES, OHM_PER_CODE, RlLookup};
@@ -79,11 +79,17 @@ impl BuiltLookup {
     pub fn confidence(&self) -> [[f64; CURRENTS]; FREQUENCIES] {
         self.cells.map(|row| row.map(|cell| cell.confidence))
     }
+
+    /// Returns the relative standard deviations of R and of L of each cell.
+    pub fn sigma(&self) -> [[[f64; CURRENTS]; FREQUENCIES]; 2] {
+        let of: [fn(&MapCell) -> f64; 2] = [|cell| cell.value.r_sigma, |cell| cell.value.l_sigma];
+        of.map(|of| self.cells.each_ref().map(|row| row.each_ref().map(of)))
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use ihd_map::{MapCell, RlPrediction};
+    use ihd_map::RlPrediction;
 
     use super::*;
 
