@@ -177,6 +177,89 @@ test('questions can be read, answered and left by keyboard', async () => {
   await context.close();
 });
 
+/** The map of a version, which heating does not change, as the daemon tells it and as it is shown. */
+async function mapOfVersion(page, version) {
+  await show(page, fake.url, 'map');
+  await chooseVersion(page, version);
+  await until('it is shown', async () => (await page.locator('.map-title strong').innerText()).endsWith(`version ${version}`));
+  return (await fetch(`${fake.url}/api/v1/devices/desk/map?version=${version}`)).json();
+}
+
+const chooseVersion = (page, version) => page.locator('.map-tools select').nth(1).selectOption(String(version));
+
+test('the map tells how far each cell may be off, in percent, and which are known by that', async () => {
+  const { page, context, problems } = await open(chromium, fake.url);
+  const map = await mapOfVersion(page, 3);
+  const cells = page.locator('.heatmap-cell');
+  const seen = () => cells.evaluateAll((all) => all.map((c) => ({ f: +c.dataset.f, i: +c.dataset.i, value: Number(c.dataset.value ?? NaN), hatched: c.dataset.hatch !== '', text: c.innerText })));
+  const quantity = page.getByLabel('Quantity');
+  for (const [name, letter, most] of [['σ of R', 'r', 3], ['σ of L', 'l', 1.5]]) {
+    await quantity.selectOption({ label: name });
+    for (const { f, i, value, hatched, text } of await seen()) {
+      const told = map[`sigma_${letter}_pct`][f][i];
+      assert.ok(Math.abs(value - told) < 1e-9 && value > 0, `${name} of ${f}, ${i}: ${value}, not ${told}`);
+      assert.ok(Math.abs(Number(text) / told - 1) < 0.06 || told < 0.1, `${text} for ${told} %`);
+      assert.equal(hatched, value > most, `${name} of ${f}, ${i} is ${value} %: known or not`);
+    }
+    assert.match(await page.locator('.map-bar').getAttribute('aria-label'), new RegExp(`^Colours from [\\d.]+ to [\\d.]+: ${name} / %$`));
+  }
+  // Beside R and L of the cell that is looked at, and in the file.
+  await page.getByTestId('map-cell-3-9').hover();
+  const near = (pct) => `±\\s${pct.toFixed(pct < 0.995 ? 2 : pct < 9.95 ? 1 : 0)}\\s%`;
+  const [r, l] = [map.sigma_r_pct[3][9], map.sigma_l_pct[3][9]];
+  assert.match(await page.locator('.map-readout').innerText(), new RegExp(`Ω\\s${near(r)}[^]*H\\s${near(l)}`));
+  const [download] = await Promise.all([page.waitForEvent('download'), page.getByRole('button', { name: 'Save the map as CSV' }).click()]);
+  const [head, ...rows] = (await readFile(await download.path(), 'utf8')).trim().split(/\r?\n/).filter((line) => !line.startsWith('#'));
+  const column = fields(head).findIndex((name) => name.startsWith('sigma_r_pct'));
+  assert.ok(Math.abs(parseFloat(fields(rows[3 * 17 + 9])[column]) / r - 1) < 1e-3, `${head}\n${rows[3 * 17 + 9]}`);
+  // Of the built-in map nobody can tell, and it says so; it shows no colours for nothing.
+  await chooseVersion(page, 0);
+  await until('why there is none', async () => /is a guess/.test(await page.locator('.map-state').innerText()));
+  assert.equal(await page.locator('.map-bar').isVisible(), false);
+  assert.ok((await seen()).every(({ value, text }) => Number.isNaN(value) && text === '–'));
+  noProblems(problems);
+  await context.close();
+});
+
+test('on a phone: every view within reach, and the map with its legend, its numbers and the touched cell in view at once', async () => {
+  const { page, context, problems } = await open(chromium, fake.url, { viewport: { width: 390, height: 844 }, hasTouch: true });
+  const map = await mapOfVersion(page, 3);
+  const inView = (locator) => locator.evaluate((e) => {
+    const { left, right, top, bottom, width } = e.getBoundingClientRect();
+    return width > 0 && left >= 0 && top >= 0 && right <= innerWidth && bottom <= innerHeight;
+  });
+  for (const width of [360, 390, 500]) {
+    await page.setViewportSize({ width, height: 844 });
+    await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => { scrollTo(0, 0); done(); }))));
+    const links = await page.locator('#views a').all();
+    assert.equal(links.length, VIEWS.length);
+    for (const link of links) {
+      assert.ok(await inView(link), `${await link.innerText()} at ${width} px`);
+      // Nothing lies over it, and a finger finds it.
+      assert.ok(await link.evaluate((e) => {
+        const { left, top, width: w, height } = e.getBoundingClientRect();
+        return height >= 24 && w >= 24 && document.elementFromPoint(left + w / 2, top + height / 2) === e;
+      }), `${await link.innerText()} at ${width} px`);
+    }
+    await page.getByLabel('Quantity').selectOption('r');
+    for (const [f, i] of [[0, 16], [3, 9], [7, 2]]) {
+      const cell = page.getByTestId(`map-cell-${f}-${i}`);
+      await cell.tap();
+      const picked = page.getByTestId('map-picked');
+      const r = map.r_ohm[f][i].toPrecision(4);
+      assert.match(await picked.innerText(), new RegExp(`^Chosen cell: .*\\sA · R\\s${r}\\sΩ\\s±`), `cell ${f}, ${i} at ${width} px`);
+      for (const part of [cell, picked, page.locator('.map-bar')]) assert.ok(await inView(part), `cell ${f}, ${i}, its value and the legend at ${width} px`);
+    }
+    for (const quantity of await page.getByLabel('Quantity').locator('option').evaluateAll((all) => all.map((o) => o.value))) {
+      await page.getByLabel('Quantity').selectOption(quantity);
+      const cut = await page.locator('.heatmap-cell').evaluateAll((all) => all.filter((c) => c.innerText === '' || c.scrollWidth > c.clientWidth).map((c) => c.innerText));
+      assert.deepEqual(cut, [], `numbers of ${quantity} that do not fit at ${width} px`);
+    }
+  }
+  noProblems(problems);
+  await context.close();
+});
+
 /** Tabs once around the page. */
 async function walk(page) {
   await page.evaluate(() => {

@@ -1,5 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { tickText, title } from "../page/js/map/words.js";
 import { asMap, cellText, change, coordinate, differencePct, lowestAllowed, quantity, sameAxes, scaleOf, values } from "../page/js/map/values.js";
 
 // The firmware's axes and its prior (shared/src/lookup/grid.rs, prior.rs): R(I) = 3 + 4 / (1 + I / 9 A), L(I) = 20.5 + 18 / (1 + I / 10 A) µH at
@@ -15,6 +16,8 @@ const prior = {
   l_h: grid((f, i) => (20.5 + 18 / (1 + i / 10)) * 1e-6 * (f / 45e3) ** -0.3),
   power_w: grid((f, i) => ((3 + 4 / (1 + i / 9)) * (f / 45e3) ** 0.5 * i * i) / 2),
   observed: grid(() => false),
+  sigma_r_pct: null,
+  sigma_l_pct: null,
   confidence: null,
   age_s: grid(() => null),
 };
@@ -50,9 +53,12 @@ test("what is not known has no value; ages grow while the map is looked at", () 
 
 test("what is no map is refused before anything is drawn", () => {
   assert.equal(asMap(prior), prior);
-  for (const wrong of [null, {}, [], "map", { ...prior, l_h: [] }, { ...prior, observed: prior.observed.slice(1) }, { ...prior, i_a: [1] }, { ...prior, confidence: 1 }]) {
+  for (const wrong of [null, {}, [], "map", { ...prior, l_h: [] }, { ...prior, observed: prior.observed.slice(1) }, { ...prior, i_a: [1] }, { ...prior, confidence: 1 }, { ...prior, sigma_l_pct: [[1]] }]) {
     assert.throws(() => asMap(wrong), /no map/);
   }
+  const { sigma_r_pct, sigma_l_pct, ...before } = prior;
+  assert.equal(asMap(before), before, "a daemon that tells no deviations yet");
+  assert.deepEqual(values(before, "r-sigma").flat().filter((v) => v !== null), []);
   asMap({ ...prior, r_ohm: prior.r_ohm.map((row) => row.map(() => null)) });
 });
 
@@ -72,7 +78,7 @@ test("a linear scale spans the values, a logarithmic one decades, and neither br
   assert.ok(Math.abs(log.place(100) - 0.5) < 1e-9);
   assert.equal(log.place(0), 0);
   assert.deepEqual(log.ticks.map(Math.round), [1, 10, 100, 1000, 10_000]);
-  for (const id of ["r", "power", "age", "r-difference", "confidence"]) {
+  for (const id of ["r", "power", "r-sigma", "age", "r-difference", "confidence"]) {
     for (const cells of [[[5, 5]], [[null, null]], [[0, 0]]]) {
       const scale = scaleOf(quantity(id), cells);
       for (const value of cells.flat()) assert.ok(value === null || Number.isFinite(scale.place(value)), `${id} ${value}`);
@@ -114,6 +120,9 @@ test("numbers of cells have three digits and one prefix for all", () => {
   assert.deepEqual([0, 0.43, 12.4, 999.6, 11_900].map((p) => cellText(quantity("power"), p, power)), ["0", "430m", "12", "1k", "12k"]);
   const pct = scaleOf(quantity("r-difference"), [[-3, 3]]);
   assert.deepEqual([-2.04, 0.01, 1.96, 240].map((d) => cellText(quantity("r-difference"), d, pct)), ["\u22122.0", "0", "+2.0", "+240"]);
+  const sigma = scaleOf(quantity("r-sigma"), [[0.04, 45]]);
+  assert.deepEqual([0, 0.04, 0.996, 4.21, 9.96, 42.4, 655.35].map((s) => cellText(quantity("r-sigma"), s, sigma)), ["0", "0.04", "1.0", "4.2", "10", "42", "655"]);
+  assert.deepEqual([title(quantity("r-sigma"), sigma), ...sigma.ticks.map((tick) => tickText(quantity("r-sigma"), tick, sigma))], ["σ of R / %", "0.1", "0.3", "1", "3", "10", "30"]);
   assert.equal(cellText(quantity("age"), null, scale), "–");
   assert.deepEqual([45, 720, 10_800, 700_000].map((s) => cellText(quantity("age"), s, scale)), ["45s", "12m", "3h", "8d"]);
 });

@@ -100,8 +100,13 @@ export class Lookups {
     const all = (name) => of?.[name] ?? this.grid((row, column) => prior(ROWS_HZ[row], COLUMNS_A[column])[name]);
     const [r, l] = [all('r'), all('l')];
     const observed = of?.observed ?? this.grid(() => false);
+    // Cells are observed up to a deviation of 3 % of R and 1.5 % of L.
+    const sigma = (name, most) => {
+      const doubt = (row, column) => uniform(this.hob.seed * (name === 'r' ? 47 : 53), row * 17 + column);
+      return this.grid((row, column) => most * (observed[row][column] ? 0.03 + 0.9 * doubt(row, column) : 1.1 + 9 * doubt(row, column)));
+    };
     const old = (row, column) => Math.floor(5 + 3000 * uniform(this.hob.seed * 43, row * 17 + column));
-    // As in the daemon: of what was built before its start, confidence is not known.
+    // As in the daemon: of what an earlier version of it built it is not known how sure it is.
     const confident = of && of.at_ms >= nowMs - 3 * 3600e3;
     return {
       version: of?.version ?? 0,
@@ -115,6 +120,8 @@ export class Lookups {
       l_h: l,
       power_w: this.grid((row, column) => (r[row][column] * COLUMNS_A[column] ** 2) / 2),
       observed,
+      sigma_r_pct: confident ? sigma('r', 3) : null,
+      sigma_l_pct: confident ? sigma('l', 1.5) : null,
       confidence: confident ? this.grid((row, column) => (observed[row][column] ? 1 - old(row, column) / 4000 : 0)) : null,
       age_s: this.grid((row, column) => (observed[row][column] ? old(row, column) : null)),
     };

@@ -12,9 +12,6 @@ import { cellText, coordinate } from "./map/values.js";
 /** Below this width, in CSS pixels, currents run upwards instead of to the right. */
 const NARROW_PX = 620;
 
-/** From this width on cells hold their numbers. */
-const NUMBERS_PX = 900;
-
 /**
  * What is shown; tables are [frequency][current].
  * @typedef {object} Picture
@@ -72,8 +69,6 @@ export class Heatmap {
     /** @type {[number, number]} frequency, current */
     this.active = [0, 0];
     this.turned = false;
-    /** Whether cells hold their numbers. */
-    this.numbers = false;
     /** Whether the trail's newest point is where the hob works now. */
     this.on = false;
     /** @type {any[][]} cells by [frequency][current] */
@@ -196,8 +191,8 @@ export class Heatmap {
         cell.dataset.hatch = observed ? "" : hatchOn(colour);
         cell.classList.toggle("heatmap-unknown", colour === null);
         setAttribute(cell, "data-value", value === null ? null : String(value));
-        const text = this.numbers ? cellText(picture.quantity, value, picture.scale) : "";
-        setAttribute(cell, "aria-label", text ? `${text}: ${picture.describe(f, i)}` : picture.describe(f, i));
+        const text = cellText(picture.quantity, value, picture.scale);
+        setAttribute(cell, "aria-label", `${text}: ${picture.describe(f, i)}`);
         setText(cell, text);
       }),
     );
@@ -255,10 +250,10 @@ export class Heatmap {
 
   #fit() {
     const width = this.root.clientWidth;
-    const [turned, numbers] = [width < NARROW_PX, width >= NUMBERS_PX];
-    const changed = turned !== this.turned || numbers !== this.numbers;
-    [this.turned, this.numbers] = [turned, numbers];
-    this.frame.classList.toggle("heatmap-turned", turned === true);
+    const turned = width < NARROW_PX;
+    const changed = turned !== this.turned;
+    this.turned = turned;
+    this.frame.classList.toggle("heatmap-turned", turned);
     if (!changed || !this.picture) return;
     this.#build();
     this.#paint();

@@ -3,7 +3,7 @@
 
 import { h, setText } from "../dom.js";
 import { duration, fixed, NOTHING, si } from "../format.js";
-import { percent } from "./words.js";
+import { percent, withDeviation } from "./words.js";
 
 const FIELDS = /** @type {[string, string][]} */ ([
   ["f", "f_sw"],
@@ -11,7 +11,7 @@ const FIELDS = /** @type {[string, string][]} */ ([
   ["r", "R, crest"],
   ["l", "L, crest"],
   ["power", "P, mean"],
-  ["observed", "Observed"],
+  ["observed", "Known"],
   ["confidence", "Confidence"],
   ["age", "Learned"],
   ["difference", "Difference"],
@@ -37,8 +37,8 @@ export class Readout {
     const said = {
       f: si(cell.f_sw_hz, "Hz", 4),
       i: `${fixed(cell.i_a, 2)}\u00a0A`,
-      r: si(cell.r_ohm, "Ω", 4),
-      l: si(cell.l_h, "H", 4),
+      r: withDeviation(si(cell.r_ohm, "Ω", 4), cell.sigma_r_pct),
+      l: withDeviation(si(cell.l_h, "H", 4), cell.sigma_l_pct),
       power: si(cell.power_w, "W", 3),
       observed: cell.observed ? "yes" : "no",
       confidence: fixed(cell.confidence, 2),

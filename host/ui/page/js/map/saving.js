@@ -29,7 +29,7 @@ const nameOf = (seen) => [seen.device, `map-v${seen.map.version}`, seen.picture.
 export function saveCsv(seen) {
   const { map } = seen;
   const reference = seen.reference && sameAxes(map, seen.reference) ? seen.reference.version : "none";
-  const head = ["f_sw_hz", "i_a", "r_ohm", "l_h", "power_w", "observed", "confidence", "age_s", "r_difference_pct", "l_difference_pct"];
+  const head = ["f_sw_hz", "i_a", "r_ohm", "l_h", "power_w", "sigma_r_pct", "sigma_l_pct", "observed", "confidence", "age_s", "r_difference_pct", "l_difference_pct"];
   const rows = map.f_sw_hz.flatMap((_, f) => map.i_a.map((_, i) => Object.values(seen.numbers(f, i))));
   const remarks = [
     `lookup of ${seen.device}, version ${map.version} (${map.state}); differences to version ${reference}`,

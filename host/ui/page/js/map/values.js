@@ -15,11 +15,13 @@
  * @property {number[][]} l_h
  * @property {number[][]} power_w
  * @property {boolean[][]} observed
+ * @property {number[][] | null} [sigma_r_pct] of a daemon that tells it
+ * @property {number[][] | null} [sigma_l_pct]
  * @property {number[][] | null} confidence
  * @property {(number | null)[][]} age_s
  */
 
-/** @typedef {"r" | "l" | "power" | "age" | "confidence" | "r-difference" | "l-difference"} QuantityId */
+/** @typedef {"r" | "l" | "power" | "r-sigma" | "l-sigma" | "age" | "confidence" | "r-difference" | "l-difference"} QuantityId */
 
 /**
  * @typedef {object} Quantity
@@ -36,6 +38,8 @@ export const QUANTITIES = [
   { id: "r", name: "R", column: "r_ohm", unit: "Ω", scale: "linear", colours: "viridis" },
   { id: "l", name: "L", column: "l_h", unit: "H", scale: "linear", colours: "viridis" },
   { id: "power", name: "Power", column: "power_w", unit: "W", scale: "log", colours: "cividis" },
+  { id: "r-sigma", name: "σ of R", column: "sigma_r_pct", unit: "%", scale: "log", colours: "cividis" },
+  { id: "l-sigma", name: "σ of L", column: "sigma_l_pct", unit: "%", scale: "log", colours: "cividis" },
   { id: "age", name: "Age", column: "age_s", unit: "s", scale: "log", colours: "cividis" },
   { id: "confidence", name: "Confidence", column: "confidence", unit: "", scale: "unit", colours: "cividis" },
   { id: "r-difference", name: "R, difference", column: "r_difference_pct", unit: "%", scale: "diverging", colours: "diverging" },
@@ -59,13 +63,14 @@ export function asMap(answer) {
     list(answer.f_sw_hz) &&
     list(answer.i_a) &&
     [answer.r_ohm, answer.l_h, answer.power_w, answer.observed, answer.age_s].every(table) &&
-    (answer.confidence === null || table(answer.confidence));
+    [answer.confidence, answer.sigma_r_pct ?? null, answer.sigma_l_pct ?? null].every((of) => of === null || table(of));
   if (!fits) throw new Error("the daemon's answer is no map; reload the page, which may be of another version than the daemon");
   return answer;
 }
 
-/** Marks of a colour bar: seconds to months, and powers of ten. */
+/** Marks of a colour bar: seconds to months, percent, and powers of ten. */
 const AGES_S = [0.1, 1, 10, 60, 600, 3600, 6 * 3600, 86_400, 7 * 86_400, 30 * 86_400, 365 * 86_400];
+const PERCENTS = [0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100, 300];
 const DECADES = Array.from({ length: 25 }, (_, k) => Number(`1e${k - 12}`));
 
 /** Whether two maps lie on the same axes. @param {LookupMap} a @param {LookupMap} b */
@@ -106,6 +111,10 @@ export function values(map, id, reference = null, olderBy_s = 0) {
       return table(map.power_w);
     case "confidence":
       return table(map.confidence);
+    case "r-sigma":
+      return table(map.sigma_r_pct);
+    case "l-sigma":
+      return table(map.sigma_l_pct);
     case "age":
       return table(map.age_s).map((row) => row.map((age) => (age === null ? null : age + olderBy_s)));
     case "r-difference":
@@ -147,7 +156,8 @@ export function scaleOf(of, cells) {
     let low = positive.length === 0 ? 0.1 : Math.max(Math.min(...positive), high * 1e-6);
     if (high / low < 1.01) low = high / 10;
     const ratio = Math.log(high / low);
-    const ticks = (of.unit === "s" ? AGES_S : DECADES).filter((tick) => tick >= low * 0.999999 && tick <= high * 1.000001);
+    const marks = of.unit === "s" ? AGES_S : of.unit === "%" ? PERCENTS : DECADES;
+    const ticks = marks.filter((tick) => tick >= low * 0.999999 && tick <= high * 1.000001);
     if (ticks.length < 2) ticks.splice(0, ticks.length, low, high);
     return { low, high, place: (v) => (v <= 0 ? 0 : Math.min(Math.max(Math.log(v / low) / ratio, 0), 1)), ticks, empty };
   }
@@ -264,6 +274,7 @@ export function cellText(of, value, scale) {
   }
   if (of.scale === "log") {
     if (value === 0) return "0";
+    if (of.unit === "%") return shortPercent(value);
     const size = Math.abs(Number(value.toPrecision(2)));
     const [factor, prefix] = PREFIXES.find(([f]) => size >= f) ?? [1e-9, "n"];
     const scaled = Number((value / factor).toPrecision(2));
@@ -272,6 +283,9 @@ export function cellText(of, value, scale) {
   const scaled = value / prefixOf(of, scale)[0];
   return minus(scaled.toPrecision(3).includes("e") ? scaled.toFixed(0) : scaled.toPrecision(3));
 }
+
+/** Percent in at most four characters: `0.04`, `4.2`, `42`. @param {number} value */
+const shortPercent = (value) => value.toFixed(value < 0.995 ? 2 : value < 9.95 ? 1 : 0);
 
 /** Seconds in at most four characters: `45s`, `12m`, `3h`, `8d`. @param {number} seconds */
 function shortAge(seconds) {

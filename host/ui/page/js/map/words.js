@@ -24,10 +24,19 @@ export function percent(value) {
   return `${value > 0 && Number(text) !== 0 ? "+" : ""}${text}\u00a0%`;
 }
 
+/** A deviation in percent, as finely as the store keeps it. @param {number} value */
+export function deviation(value) {
+  if (value < 0.01) return "under\u00a00.01\u00a0%";
+  return value > 600 ? "over\u00a0600\u00a0%" : `${fixed(value, value < 0.995 ? 2 : value < 9.95 ? 1 : 0)}\u00a0%`;
+}
+
+/** A value with its deviation where that is known. @param {string} text @param {number | null} sigma_pct */
+export const withDeviation = (text, sigma_pct) => (sigma_pct === null ? text : `${text}\u00a0±\u00a0${deviation(sigma_pct)}`);
+
 /** A tick of the colour bar. @param {import("./values.js").Quantity} of @param {number} tick @param {import("./values.js").Scale} scale */
 export function tickText(of, tick, scale) {
   if (of.id === "age") return tick < 60 ? `${fixed(tick, tick < 1 ? 1 : 0)}\u00a0s` : duration(tick).replace(/\u00a0(min|h|d) 0\u00a0\S+$/, "\u00a0$1");
-  if (of.scale === "log") return si(tick, of.unit, 1);
+  if (of.scale === "log") return of.unit === "%" ? String(Number(tick.toPrecision(1))) : si(tick, of.unit, 1);
   if (of.scale === "unit") return String(tick);
   if (of.scale === "diverging") return `${tick > 0 ? "+" : ""}${fixed(tick, decimals(scale))}`;
   return fixed(tick / prefixOf(of, scale)[0], decimals(scale, prefixOf(of, scale)[0]));
@@ -45,7 +54,7 @@ function decimals(scale, factor = 1) {
  * @param {import("./values.js").Scale} scale
  */
 export function title(of, scale) {
-  if (of.scale === "unit" || of.scale === "log") return of.name;
+  if (of.scale === "unit" || (of.scale === "log" && of.unit !== "%")) return of.name;
   return `${of.name} / ${prefixOf(of, scale)[1]}${of.unit}`;
 }
 
@@ -57,6 +66,8 @@ export function title(of, scale) {
  * @property {number | null} r_ohm
  * @property {number | null} l_h
  * @property {number | null} power_w
+ * @property {number | null} sigma_r_pct
+ * @property {number | null} sigma_l_pct
  * @property {boolean} observed
  * @property {number | null} confidence
  * @property {number | null} age_s
@@ -73,11 +84,12 @@ export function title(of, scale) {
 export function cellWords(cell, of, value) {
   const parts = [
     `${si(cell.f_sw_hz, "Hz")}, ${fixed(cell.i_a, 1)}\u00a0A`,
-    `R ${si(cell.r_ohm, "Ω", 4)}`,
-    `L ${si(cell.l_h, "H", 4)}`,
+    `R\u00a0${withDeviation(si(cell.r_ohm, "Ω", 4), cell.sigma_r_pct)}`,
+    `L\u00a0${withDeviation(si(cell.l_h, "H", 4), cell.sigma_l_pct)}`,
     cell.observed ? "known" : "not known",
   ];
-  if (of.id !== "r" && of.id !== "l") parts.splice(1, 0, `${of.name} ${valueText(of, value)}`);
+  // R and L are there with their deviations.
+  if (!/^[rl](-sigma)?$/.test(of.id)) parts.splice(1, 0, `${of.name} ${valueText(of, value)}`);
   return parts.join(" · ");
 }
 

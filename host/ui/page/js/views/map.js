@@ -17,7 +17,7 @@ import { Newest } from "../newest.js";
 /** Points of the working point's trail: so many seconds at ten a second. */
 const TRAIL_POINTS = 100;
 
-/** Results come several times a second; ages and confidence are read again this often at most, in milliseconds. */
+/** Results come several times a second; ages and deviations are read again this often at most, in milliseconds. */
 const AGAIN_MS = 4000;
 
 /** @typedef {import("../context.js").Context} Context */
@@ -120,6 +120,7 @@ class MapView {
       },
     });
     this.bar = new Bar(context.theme);
+    this.picked = h("p", { class: "map-picked", data: { testid: "map-picked" } });
     this.readout = new Readout();
     const view = {
       show: (/** @type {number} */ version) => this.show(version),
@@ -135,7 +136,7 @@ class MapView {
       { class: "map-content", hidden: true },
       this.caption,
       this.area,
-      h("div", { class: "map-below" }, this.bar.element, legend()),
+      h("div", { class: "map-below" }, this.bar.element, this.picked, legend()),
       this.readout.element,
       h("div", { class: "map-heading" }, h("h2", null, "Versions"), pushButton(context, view)),
       cannot ? h("p", { class: "quiet" }, cannot) : null,
@@ -303,6 +304,8 @@ class MapView {
       r_ohm: of("r"),
       l_h: of("l"),
       power_w: of("power"),
+      sigma_r_pct: of("r-sigma"),
+      sigma_l_pct: of("l-sigma"),
       observed: map.observed[f]?.[i] === true,
       confidence: of("confidence"),
       age_s: of("age"),
@@ -317,7 +320,8 @@ class MapView {
     this.now = picture;
     const { version, state, at_ms, why } = this.shown;
     const history = version === 0 ? "built in" : [state, at_ms ? `since ${dateTime(at_ms)}` : "", why].filter(Boolean).join(", ");
-    this.caption.replaceChildren(h("strong", null, this.titleText()), ` · ${history}`);
+    const meaning = this.quantity.id.endsWith("-sigma") ? "two times in three the truth lies within ± σ · " : "";
+    this.caption.replaceChildren(h("strong", null, this.titleText()), ` · ${meaning}${history}`);
     this.heatmap.show(picture, `${this.titleText()}: rows are switching frequencies, columns amplitudes of the current; arrow keys walk`);
     this.drawBar();
     this.readOut();
@@ -341,6 +345,7 @@ class MapView {
     const [f, i] = [Math.min(this.cell[0], this.shown.f_sw_hz.length - 1), Math.min(this.cell[1], this.shown.i_a.length - 1)];
     const whose = this.follows && this.on ? "Cell at the working point" : "Chosen cell";
     this.readout.show(whose, this.numbers(this.shown, f, i), this.reference?.version ?? null);
+    if (this.now) setText(this.picked, `${whose}: ${this.now.describe(f, i)}`);
   }
 
   /** @param {import("../telemetry.js").DeviceTelemetry | undefined} told */
@@ -396,7 +401,10 @@ class MapView {
 
 /** @param {string} id @param {LookupMap | null} map @param {LookupMap | null} reference */
 function emptyWords(id, map, reference) {
-  if (id === "confidence") return "The confidence of this version is not known: it was made before the daemon was started.";
+  if (id === "confidence" || id.endsWith("-sigma")) {
+    if (map?.version === 0) return "The built-in map is a guess: how far off it is for your pot, nobody knows.";
+    return "How sure this version is is not known: it was pushed by hand, found on the device, or built by an earlier version of ihd.";
+  }
   if (id === "age") return "Nothing of this map was learned since the daemon was started.";
   if (id.endsWith("-difference") && map && reference && !sameAxes(map, reference)) return "The two versions lie on different axes and cannot be compared.";
   return "No cell has a value.";
