@@ -1,7 +1,9 @@
 // A daemon that is killed under an open page, a link that is slow, a daemon that says nothing.
 
 import assert from 'node:assert/strict';
-import { readFile } from 'node:fs/promises';
+import { spawnSync } from 'node:child_process';
+import { appendFile, readFile } from 'node:fs/promises';
+import { join } from 'node:path';
 import { test } from 'node:test';
 
 import { Api } from './harness/api.mjs';
@@ -52,6 +54,32 @@ async function exported(page) {
   const times = rows.map((row) => row.split(',')[0]).map((first) => (/^\d{4}-/.test(first) ? Date.parse(first) : Number(first)));
   return times.map((x) => (x > 1e9 && x < 1e11 ? x * 1000 : x)).filter((x) => x > 1.6e12);
 }
+
+test('whoever has no board and does what the page says has a hob on it', async (t) => {
+  const daemon = await Daemon.start(t, '', { head: 'discover_usb = false' });
+  const { page, problems } = await open(await browser(t), daemon.url, { permissions: ['clipboard-read', 'clipboard-write'] });
+  const guide = page.getByTestId('first-run');
+  await guide.waitFor();
+  const texts = await guide.locator('code').allInnerTexts();
+  // Every command is one of the program, with options that it has; the daemon's is the one that the test starts it with.
+  const commands = texts.filter((text) => text.startsWith('ihd '));
+  assert.ok(commands.includes('ihd trainer --daemon') && commands.includes('ihd doctor'), commands.join());
+  for (const command of commands) {
+    const words = command.split(' ').slice(1);
+    const { status, stderr } = spawnSync(process.env.IHD_BIN, [...words, '--help'], { encoding: 'utf8' });
+    assert.equal(status, 0, `${command}: ${stderr}`);
+  }
+  await page.getByRole('button', { name: /^Copy \[\[device\]\]/ }).click();
+  await until('copied', async () => (await page.evaluate(() => navigator.clipboard.readText())).startsWith('[[device]]'));
+  const copied = await page.evaluate(() => navigator.clipboard.readText());
+  await daemon.kill();
+  await appendFile(join(daemon.folder, 'ihd.toml'), `\n${copied}\n`);
+  await daemon.run(t);
+  // The same page, not loaded again.
+  await page.locator('.device').filter({ hasText: 'simulated' }).filter({ hasText: 'idle' }).waitFor();
+  assert.equal(await guide.isVisible(), false);
+  noProblems(problems, NO_DAEMON);
+});
 
 test('a daemon that says nothing is stale after three seconds, and fresh when it speaks', async (t) => {
   const fake = await Fake.start(t);

@@ -260,6 +260,35 @@ test('on a phone: every view within reach, and the map with its legend, its numb
   await context.close();
 });
 
+test('without a device the page says how to begin, until one is there', async () => {
+  const none = await Fake.start(life, '--devices', '0');
+  for (const [colorScheme, width] of LOOKS) {
+    const { page, context, problems } = await open(chromium, none.url, { colorScheme, viewport: { width, height: 844 }, permissions: ['clipboard-read', 'clipboard-write'] });
+    const guide = page.getByTestId('first-run');
+    await guide.waitFor();
+    assert.deepEqual(await violations(page), []);
+    assert.equal(await overhang(page), 0);
+    // What is copied is what is read.
+    for (const command of await guide.locator('.first-command').all()) {
+      await command.getByRole('button', { name: 'Copy' }).click();
+      const text = await command.locator('code').innerText();
+      await until(`copied: ${text}`, async () => (await page.evaluate(() => navigator.clipboard.readText())) === text);
+    }
+    // Whoever came in by another view finds it.
+    for (const view of ['live', 'map', 'training']) {
+      await page.goto(`${none.url}/#/${view}`);
+      await page.getByRole('link', { name: 'How to begin' }).click();
+      await guide.waitFor();
+    }
+    noProblems(problems);
+    await context.close();
+  }
+  const { page, context } = await open(chromium, address(fake.url, 'devices'));
+  await page.locator('.device').first().waitFor();
+  assert.equal(await page.getByTestId('first-run').isVisible(), false);
+  await context.close();
+});
+
 /** Tabs once around the page. */
 async function walk(page) {
   await page.evaluate(() => {

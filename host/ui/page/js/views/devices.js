@@ -2,6 +2,7 @@
 /** Every device: what it does, and whether it is well. One card each, from 1 to 32. */
 
 import { h, setAttribute, setText } from "../dom.js";
+import { firstRun } from "../first-run.js";
 import { duration, fixed, NOTHING, si, watt, words } from "../format.js";
 import { hashOf } from "../router.js";
 import { firmwareText, holderText, lookupText, potText, stateClass, STATE_MARK } from "../device-words.js";
@@ -15,7 +16,8 @@ export function mount(root, context) {
   const { fleet, stream } = context;
   const summary = h("p", { class: "quiet devices-summary" });
   const list = h("ul", { class: "devices" });
-  root.append(h("h1", {}, "Devices"), summary, list);
+  const begin = firstRun(context);
+  root.append(h("h1", {}, "Devices"), summary, begin, list);
   /** @type {Map<string, Card>} */
   const cards = new Map();
 
@@ -34,6 +36,7 @@ export function mount(root, context) {
       }
       card.show(report);
     }
+    begin.hidden = fleet.reports.size > 0;
     setText(summary, summaryText([...fleet.reports.values()]));
   };
   const showLive = () => {
@@ -53,7 +56,7 @@ export function mount(root, context) {
 /** @param {any[]} reports */
 function summaryText(reports) {
   if (reports.length === 0) {
-    return "No device is known to the daemon. Plug a board in, or name one in ihd.toml ([[device]], docs/daemon.md).";
+    return "No device is there yet.";
   }
   const count = (/** @type {string[]} */ states) => reports.filter((report) => states.includes(report.state)).length;
   const parts = [`${reports.length} ${reports.length === 1 ? "device" : "devices"}`];

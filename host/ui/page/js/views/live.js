@@ -2,6 +2,7 @@
 /** One device as on an oscilloscope: numbers, power, the pot's temperature, the last window, the past. */
 
 import { h } from "../dom.js";
+import { noDevice } from "../first-run.js";
 import { Acts } from "../live/acts.js";
 import { Numbers } from "../live/numbers.js";
 import { PotTemperatureView } from "../live/pot-temperature.js";
@@ -16,7 +17,7 @@ import { Trends } from "../live/trends.js";
  */
 export function mount(root, context) {
   if (!context.device) {
-    root.append(h("h1", {}, "Live"), h("p", {}, "No device is known to the daemon yet. As soon as one is there, it is shown here."));
+    noDevice(root, "Live");
     return { unmount: () => {} };
   }
   const side = h("div", { class: "live-side" });

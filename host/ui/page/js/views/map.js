@@ -3,6 +3,7 @@
 
 import { mayNot } from "../acting.js";
 import { append, h, setAttribute, setText } from "../dom.js";
+import { noDevice } from "../first-run.js";
 import { dateTime } from "../format.js";
 import { Heatmap } from "../heatmap.js";
 import { Bar, legend } from "../map/bar.js";
@@ -26,7 +27,7 @@ const AGAIN_MS = 4000;
 /** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   if (!context.device) {
-    root.append(h("p", { class: "quiet" }, "There is no device: nothing has a map. Add one to the daemon's configuration."));
+    noDevice(root, "Map");
     return { unmount() {} };
   }
   const view = new MapView(root, context);

@@ -3,6 +3,7 @@
 
 import { append, h, setAttribute, setText } from "../dom.js";
 import { csv, downloadCsv, fileName } from "../export.js";
+import { noDevice } from "../first-run.js";
 import { clock, dateTime, isoUtc, NOTHING, si } from "../format.js";
 import { Newest } from "../newest.js";
 import { Plot } from "../plot.js";
@@ -21,7 +22,7 @@ const AGAIN_MS = 1500;
 /** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
   if (!context.device) {
-    root.append(h("p", { class: "quiet" }, "There is no device: nothing is learned. Add one to the daemon's configuration."));
+    noDevice(root, "Training");
     return { unmount() {} };
   }
   const view = new TrainingView(root, context);
