@@ -12,7 +12,7 @@ mod smlad;
 #[embedded_test::tests]
 mod tests {
     use ihd_firmware::sampling::path::SamplingPath;
-    use ihd_firmware::sense::product_sums::{PairMultiplier, PlainMultiplier};
+    use ihd_firmware::sense::product_sums::{Bounds, PairMultiplier, PlainMultiplier};
     use ihd_on_target::digits;
     use ihd_shared::lookup::RlLookup;
     use ihd_shared::lookup::prior::prior;
@@ -63,6 +63,26 @@ mod tests {
             let expected = PlainMultiplier::product_sums(pairs, factors);
             assert_eq!(sums, expected, "round {round}");
         }
+    }
+
+    /// Every code of either half is beyond its bounds where its magnitude is, wherever its word stands.
+    #[test]
+    #[timeout(60)]
+    fn no_half_beyond_its_bounds_is_missed() {
+        let reach = [1_899, 1_499];
+        let bounds = Bounds::new(reach[0], reach[1]);
+        for code in i16::MIN..=i16::MAX {
+            for (shift, reach) in [0, 16].into_iter().zip(reach) {
+                let mut words = [0x0001_FFFF; 24];
+                let magnitude = code.unsigned_abs();
+                let at = usize::from(magnitude) % words.len();
+                words[at] &= !(0xFFFF << shift);
+                words[at] |= u32::from(code as u16) << shift;
+                let is_beyond = SmladMultiplier::is_any_beyond(words.as_chunks().0, bounds);
+                assert_eq!(is_beyond, magnitude > reach, "{code} << {shift}");
+            }
+        }
+        assert!(!SmladMultiplier::is_any_beyond(&[], bounds));
     }
 
     #[test]

@@ -1,8 +1,9 @@
-//! SMLAD, an instruction of the Cortex-M4 that multiplies two pairs of 16-bit halves and adds both products.
+//! Instructions of the Cortex-M4 for two 16-bit halves at once: SMLAD multiplies two pairs and adds both products; SADD16 and UQSUB16 see
+//! if a half is out of bounds.
 
 use core::arch::asm;
 
-use ihd_firmware::sense::product_sums::{PairMultiplier, ProductSums};
+use ihd_firmware::sense::product_sums::{Bounds, PairMultiplier, ProductSums};
 
 /// Nine instructions for two sample pairs, five of them SMLAD. firmware/on-target compares it with its twin in plain Rust.
 pub struct SmladMultiplier;
@@ -51,5 +52,46 @@ impl PairMultiplier for SmladMultiplier {
             );
         }
         sums
+    }
+
+    #[inline(always)]
+    fn is_any_beyond(words: &[[u32; 12]], bounds: Bounds) -> bool {
+        let range = words.as_ptr_range();
+        if range.is_empty() {
+            return false;
+        }
+        let (reach, span) = bounds.words();
+        let mut beyond = 0_u32;
+        // SAFETY: reads the words from the first to before `range.end`, at least twelve and a multiple of that; writes registers
+        // alone. UQSUB16 leaves of a half what is above `span`. Of the flags SADD16 sets GE, which nothing reads (Armv7-M with the
+        // DSP extension, A7.7).
+        unsafe {
+            asm!(
+                "2:",
+                ".rept 2",
+                "ldmia {word}!, {{r0, r1, r2, r3, r4, r5}}",
+                ".irp half, r0, r1, r2, r3, r4, r5",
+                "sadd16 \\half, \\half, {reach}",
+                "uqsub16 \\half, \\half, {span}",
+                "orr {beyond}, {beyond}, \\half",
+                ".endr",
+                ".endr",
+                "cmp {word}, {end}",
+                "bne 2b",
+                word = inout(reg) range.start => _,
+                end = in(reg) range.end,
+                reach = in(reg) reach,
+                span = in(reg) span,
+                beyond = inout(reg) beyond,
+                out("r0") _,
+                out("r1") _,
+                out("r2") _,
+                out("r3") _,
+                out("r4") _,
+                out("r5") _,
+                options(pure, readonly, nostack),
+            );
+        }
+        beyond != 0
     }
 }

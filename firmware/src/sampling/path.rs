@@ -1,7 +1,7 @@
 //! The sampling path, once per block of 61 pairs, in the sampling interrupt.
 //!
-//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 2 053
-//! instructions of it, 28 %, most of them to correlate and estimate. firmware/budget.toml holds the ceilings of its
+//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 1 957
+//! instructions of it, 27 %, most of them to correlate and estimate. firmware/budget.toml holds the ceilings of its
 //! parts, docs/performance.md what was counted, and an estimate in cycles that exceeds 36 %. A block that
 //! comes late is counted as lost; the third of a half-cycle trips [`SAMPLES_LOST`](ihd_shared::fault::Fault::SAMPLES_LOST).
 //! Nothing here waits, allocates, divides by a variable of 64 bit, uses

@@ -3,16 +3,14 @@
 //! A block spans exactly q = 3 switching periods, so the sum of its pairs times a 61-entry table of e^(−jθ) is the block's
 //! fundamental, every other harmonic at a zero of the sum.
 //!
-//! Budget: on the board two pairs cost nine instructions, five of which multiply twice, and eight to see if they are out of the
+//! Budget: on the board two pairs cost nine instructions, five of which multiply twice, and seven to see if they are out of the
 //! ordinary. Sums are exact integers.
-
-use core::hint::black_box;
 
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_MAX, CODE_MIN, Pair};
 
 use crate::fixed::Complex;
 use crate::sense::codes::{SOFT_CURRENT_CODE, SOFT_VOLTAGE_CODE, TRIP_CODE};
-use crate::sense::product_sums::{PairMultiplier, PlainMultiplier, ProductSums, high, low};
+use crate::sense::product_sums::{Bounds, PairMultiplier, PlainMultiplier, ProductSums, high, low};
 
 /// Fractional bits of the heterodyne table. 14, because 61 · 2^11 · 2^14 still fits an i32.
 pub const TABLE_BITS: u32 = 14;
@@ -79,9 +77,8 @@ const fn halves(low: i16, high: i16) -> u32 {
     low as u16 as u32 | (high as u16 as u32) << 16
 }
 
-/// Codes from here on are out of the ordinary: the soft limits, below any trip level.
-const ALARM_I: i16 = SOFT_CURRENT_CODE as i16;
-const ALARM_V: i16 = SOFT_VOLTAGE_CODE as i16;
+/// Codes within are ordinary: below the soft limits, which are below any trip level.
+const ORDINARY: Bounds = Bounds::new(SOFT_VOLTAGE_CODE - 1, SOFT_CURRENT_CODE - 1);
 
 /// Sums and peaks of a block's pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -103,15 +100,6 @@ pub struct BlockSums {
     /// Pairs at the end of either channel's range.
     pub saturated: u16,
 }
-
-/// Adding ABOVE or BELOW to a packed pair sets a half-word's sign bit when its code reaches the
-/// soft limit. A carry may make the current's act one code early; `find_peaks` then checks exactly.
-const ABOVE: u32 = halves(
-    i16::MIN.wrapping_sub(ALARM_V),
-    i16::MIN.wrapping_sub(ALARM_I),
-);
-const BELOW: u32 = halves(ALARM_V - 1, ALARM_I - 2);
-const SIGNS: u32 = 0x8000_8000;
 
 /// Correlates one block with the fundamental. Two loops run per sample, and a third one for a block that holds a sample out
 /// of the ordinary.
@@ -136,7 +124,7 @@ pub fn correlate_by<M: PairMultiplier>(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums 
         vi: sums.v_i.into(),
         ..BlockSums::default()
     };
-    if has_alarm(words) {
+    if has_alarm::<M>(words) {
         find_peaks(pairs, &mut s);
     }
     s
@@ -160,16 +148,9 @@ fn correlation<M: PairMultiplier>(words: &[u32; ADC_LOCK_P]) -> ProductSums {
 
 /// Returns `true` if any pair is out of the ordinary. A loop of its own: one for all would need more registers than there are.
 #[inline(never)]
-fn has_alarm(words: &[u32; ADC_LOCK_P]) -> bool {
-    let look =
-        |alarm: u32, &word: &u32| alarm | word.wrapping_add(ABOVE) | word.wrapping_add(BELOW);
-    let (by_twelve, rest) = words.as_chunks::<12>();
-    let mut alarm = rest.iter().fold(0, look);
-    for twelve in by_twelve {
-        // Unrolled no further than this.
-        alarm = black_box(twelve).iter().fold(alarm, look);
-    }
-    alarm & SIGNS != 0
+fn has_alarm<M: PairMultiplier>(words: &[u32; ADC_LOCK_P]) -> bool {
+    let (twelves, rest) = words.as_chunks();
+    M::is_any_beyond(twelves, ORDINARY) | rest.iter().any(|&word| ORDINARY.is_beyond(word))
 }
 
 /// Pairs beyond the limits, the voltage's peak and saturated pairs, exactly. Codes that no 12-bit converter gives, which only a replay can

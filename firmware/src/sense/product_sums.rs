@@ -36,6 +36,44 @@ pub trait PairMultiplier {
     /// the first in its lower half and c of the second in its upper one, and a word of the same with s. What one of the two has
     /// more than the other does not count.
     fn product_sums(pairs: &[[u32; 12]], factors: &[[u32; 12]]) -> ProductSums;
+
+    /// Returns `true` if a half of any word is beyond its bounds.
+    fn is_any_beyond(words: &[[u32; 12]], bounds: Bounds) -> bool;
+}
+
+/// Symmetric bounds of both halves of a word, packed like it: halves from −`reach` to `reach` are within.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds {
+    reach: u32,
+    /// Twice `reach`: a half plus `reach`, without a sign, is at most that.
+    span: u32,
+}
+
+impl Bounds {
+    /// Bounds from −`low` to `low` of the lower half, and likewise of the upper one; below 2^14 each.
+    pub const fn new(low: u16, high: u16) -> Self {
+        assert!(low < 1 << 14 && high < 1 << 14);
+        let reach = low as u32 | (high as u32) << 16;
+        Self {
+            reach,
+            span: reach << 1,
+        }
+    }
+
+    /// Words with `reach` and `span`.
+    pub fn words(self) -> (u32, u32) {
+        (self.reach, self.span)
+    }
+
+    /// Returns `true` if a half of the word is beyond its bounds.
+    #[inline(always)]
+    pub fn is_beyond(self, word: u32) -> bool {
+        let beyond = |shift: u32| {
+            let half = |word: u32| (word >> shift) as u16;
+            half(word).wrapping_add(half(self.reach)) > half(self.span)
+        };
+        beyond(0) | beyond(16)
+    }
 }
 
 /// Arithmetic of any processor.
@@ -60,6 +98,11 @@ impl PairMultiplier for PlainMultiplier {
             add(&mut sums.v_i, v, i);
         }
         sums
+    }
+
+    fn is_any_beyond(words: &[[u32; 12]], bounds: Bounds) -> bool {
+        let words = words.as_flattened().iter();
+        words.fold(false, |any, &word| any | bounds.is_beyond(word))
     }
 }
 
