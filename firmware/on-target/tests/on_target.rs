@@ -134,7 +134,7 @@ mod tests {
     }
 
     /// A block at 80 kHz lasts 6 375 cycles of 170 MHz. Here the core runs from HSI16 without wait states, which the emulated
-    /// chip counts with 3 095 cycles (docs/performance.md); half as much again is a defect of one of them.
+    /// chip counts with 3 090 cycles (docs/performance.md); half as much again is a defect of one of them.
     #[cfg(feature = "stm32g474")]
     #[test]
     #[timeout(20)]

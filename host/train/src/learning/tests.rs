@@ -257,7 +257,7 @@ fn processor_s() -> Option<f64> {
     Some(text.split_whitespace().next()?.parse::<f64>().ok()? * 1e-9)
 }
 
-/// The figure of docs/daemon.md: `cargo test --release -p ihd-train --features pinn fits_of_a_core -- --ignored --nocapture`.
+/// The figure of docs/performance.md: `cargo test -p ihd-train --features pinn fits_of_a_core -- --ignored --nocapture`.
 #[test]
 #[ignore = "a measurement, whatever it gives"]
 fn fits_of_a_core() {
