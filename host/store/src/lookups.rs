@@ -113,7 +113,7 @@ impl Certainty {
 /// Steps of a percent in which deviations are stored.
 const SIGMA_STEPS: f64 = 100.0;
 
-/// Returns how well the cells of the latest lookup of a version are known; `None` if nobody told. `sigma` is `false` in a database that has
+/// Returns how well the cells of the latest lookup of a version are known; `None` if it was not stored. `sigma` is `false` in a database that has
 /// no such column yet.
 pub(crate) fn certainty(
     connection: &Connection,
@@ -163,7 +163,7 @@ pub(crate) fn rows(
 }
 
 impl Store {
-    /// Stores a lookup that is about to be pushed, with how well its cells are known if somebody can tell. Another pending one is superseded; the same
+    /// Stores a lookup that is about to be pushed, with how well its cells are known, where it was learned. Another pending one is superseded; the same
     /// one, pushed again, is not stored twice.
     ///
     /// # Errors
@@ -265,7 +265,7 @@ impl Store {
         })
     }
 
-    /// Returns how well the cells of a device's lookup of this version are known; `None` if nobody told.
+    /// Returns how well the cells of a device's lookup of this version are known; `None` if it was not stored.
     ///
     /// # Errors
     /// Errors of the database.

@@ -176,7 +176,7 @@ impl StoreReader {
         row.map_err(self.failed("reading a session"))
     }
 
-    /// Returns how well the cells of a device's lookup of this version are known; `None` if nobody told.
+    /// Returns how well the cells of a device's lookup of this version are known; `None` if it was not stored.
     ///
     /// # Errors
     /// Errors of the database.
