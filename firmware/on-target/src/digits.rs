@@ -1,7 +1,7 @@
 //! The sampling path on samples that are made of integers alone: the same bits wherever it runs.
 
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
-use ihd_firmware::sense::product_sums::PairMultiplier;
+use ihd_firmware::sense::product_sums::PairArithmetic;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
@@ -51,7 +51,7 @@ pub struct Digits {
 }
 
 /// Replays [`BLOCKS`] blocks.
-pub fn run(path: &mut SamplingPath<impl PairMultiplier>) -> Digits {
+pub fn run(path: &mut SamplingPath<impl PairArithmetic>) -> Digits {
     let (r, l) = START;
     path.set_replay(true, 70_000, r, l);
     let (mut digest, mut noise) = (CRC32.digest(), 1);

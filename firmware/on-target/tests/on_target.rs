@@ -5,14 +5,14 @@
 
 /// The file of the board's image.
 #[cfg(test)]
-#[path = "../../src/board/smlad.rs"]
-mod smlad;
+#[path = "../../src/board/dsp.rs"]
+mod dsp;
 
 #[cfg(test)]
 #[embedded_test::tests]
 mod tests {
     use ihd_firmware::sampling::path::SamplingPath;
-    use ihd_firmware::sense::product_sums::{Bounds, PairMultiplier, PlainMultiplier};
+    use ihd_firmware::sense::product_sums::{Bounds, PairArithmetic, PlainArithmetic};
     use ihd_on_target::digits;
     use ihd_shared::lookup::RlLookup;
     use ihd_shared::lookup::prior::prior;
@@ -23,13 +23,13 @@ mod tests {
     use ihd_shared::wire::number::Number;
     use static_cell::ConstStaticCell;
 
-    use crate::smlad::SmladMultiplier;
+    use crate::dsp::DspArithmetic;
 
     /// 53 KiB: never on the stack.
-    static PATH: ConstStaticCell<SamplingPath<SmladMultiplier>> =
+    static PATH: ConstStaticCell<SamplingPath<DspArithmetic>> =
         ConstStaticCell::new(SamplingPath::blank());
 
-    fn path() -> &'static mut SamplingPath<SmladMultiplier> {
+    fn path() -> &'static mut SamplingPath<DspArithmetic> {
         let path = PATH.take();
         path.begin(MicroOhm(4_000_000), PicoHenry(25_000_000));
         path
@@ -59,8 +59,8 @@ mod tests {
             let (n, m) = (round % 6, round / 6 % 6);
             let (pairs, _) = pairs[round % 12..][..12 * n].as_chunks();
             let (factors, _) = factors[..12 * m].as_chunks();
-            let sums = SmladMultiplier::product_sums(pairs, factors);
-            let expected = PlainMultiplier::product_sums(pairs, factors);
+            let sums = DspArithmetic::product_sums(pairs, factors);
+            let expected = PlainArithmetic::product_sums(pairs, factors);
             assert_eq!(sums, expected, "round {round}");
         }
     }
@@ -78,11 +78,11 @@ mod tests {
                 let at = usize::from(magnitude) % words.len();
                 words[at] &= !(0xFFFF << shift);
                 words[at] |= u32::from(code as u16) << shift;
-                let is_beyond = SmladMultiplier::is_any_beyond(words.as_chunks().0, bounds);
+                let is_beyond = DspArithmetic::is_any_beyond(words.as_chunks().0, bounds);
                 assert_eq!(is_beyond, magnitude > reach, "{code} << {shift}");
             }
         }
-        assert!(!SmladMultiplier::is_any_beyond(&[], bounds));
+        assert!(!DspArithmetic::is_any_beyond(&[], bounds));
     }
 
     #[test]

@@ -18,10 +18,10 @@
 
 mod crash;
 mod cycles;
+mod dsp;
 #[cfg(not(feature = "instruction-counts"))]
 mod link;
 mod sampling;
-mod smlad;
 
 #[cfg(feature = "mps2-an386")]
 mod mps2_an386;

@@ -19,10 +19,10 @@ use ihd_firmware::sampling::path::{AdcBlock, SamplingLock, SamplingPath};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
 use super::cycles;
-use super::smlad::SmladMultiplier;
+use super::dsp::DspArithmetic;
 
 /// The one sampling path. Its window alone is 50 KiB, so it is never moved.
-struct Place(UnsafeCell<SamplingPath<SmladMultiplier>>);
+struct Place(UnsafeCell<SamplingPath<DspArithmetic>>);
 
 // SAFETY: reached only through `InterruptSide` and `ThreadSide`, of which `split` makes one each.
 // The former runs at an interrupt's priority and is never preempted by the latter; the latter masks
@@ -75,9 +75,9 @@ impl InterruptSide {
 }
 
 impl SamplingLock for ThreadSide {
-    type Multiplier = SmladMultiplier;
+    type Arithmetic = DspArithmetic;
 
-    fn with<R>(&mut self, f: impl FnOnce(&mut SamplingPath<SmladMultiplier>) -> R) -> R {
+    fn with<R>(&mut self, f: impl FnOnce(&mut SamplingPath<DspArithmetic>) -> R) -> R {
         critical_section::with(|_| {
             // SAFETY: begun by `split`. Interrupts are masked, so the other side does not
             // run; `&mut self` keeps `f` from coming back here.

@@ -4,7 +4,7 @@ use ihd_shared::fault::Fault;
 
 use crate::drive::bridge::Drive;
 use crate::sampling::path::SamplingPath;
-use crate::sense::product_sums::PairMultiplier;
+use crate::sense::product_sums::PairArithmetic;
 
 /// Change that control requests of the sampling path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,7 +40,7 @@ pub struct SamplingStatus {
 
 impl SamplingStatus {
     /// Reads it from the sampling path.
-    pub fn read(path: &SamplingPath<impl PairMultiplier>) -> Self {
+    pub fn read(path: &SamplingPath<impl PairArithmetic>) -> Self {
         Self {
             now_ms: path.now_ms(),
             fault: path.fault(),

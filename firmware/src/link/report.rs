@@ -7,7 +7,7 @@ use crate::control::controller::Control;
 use crate::estimate::tank::Tank;
 use crate::sampling::half_cycle::HalfCycle;
 use crate::sampling::path::SamplingPath;
-use crate::sense::product_sums::PairMultiplier;
+use crate::sense::product_sums::PairArithmetic;
 
 /// Telemetry of a half-cycle.
 pub fn telemetry(
@@ -53,7 +53,7 @@ pub fn telemetry(
 
 /// Status of sampling path and control; the link's counters are left at 0.
 pub fn status(
-    path: &mut SamplingPath<impl PairMultiplier>,
+    path: &mut SamplingPath<impl PairArithmetic>,
     control: &Control,
     last: &HalfCycle,
     lookup_version: u32,
@@ -98,7 +98,7 @@ pub fn status(
 }
 
 /// Load of the controller since the last call.
-pub fn utilisation(path: &mut SamplingPath<impl PairMultiplier>) -> Utilisation {
+pub fn utilisation(path: &mut SamplingPath<impl PairArithmetic>) -> Utilisation {
     let shares = path.utilisation().take();
     Utilisation {
         blocks: shares.blocks,

@@ -33,7 +33,7 @@ const NEAR_ZERO_CODES: u32 = 120;
 #[derive(Clone, Debug, Default)]
 pub struct HalfCycleAccumulator {
     crest_norm: u64,
-    /// What needs no evaluation.
+    /// Results that need no evaluation at the end.
     half_cycle: HalfCycle,
     vi: i64,
     blocks: u32,

@@ -27,7 +27,7 @@ use crate::sampling::recorder::Recorder;
 use crate::sampling::utilisation::{HousekeepingGap, Utilisation};
 use crate::sense::correlation::{BlockSums, correlate_by};
 use crate::sense::demodulator::Demodulator;
-use crate::sense::product_sums::{PairMultiplier, PlainMultiplier};
+use crate::sense::product_sums::{PairArithmetic, PlainArithmetic};
 
 mod requests;
 
@@ -50,14 +50,14 @@ pub struct AdcBlock<'a> {
 /// section; every closure is short (the longest copies 120 bytes of a window).
 pub trait SamplingLock {
     /// Arithmetic of the path.
-    type Multiplier: PairMultiplier;
+    type Arithmetic: PairArithmetic;
 
     /// Runs `f` on the sampling path.
-    fn with<R>(&mut self, f: impl FnOnce(&mut SamplingPath<Self::Multiplier>) -> R) -> R;
+    fn with<R>(&mut self, f: impl FnOnce(&mut SamplingPath<Self::Arithmetic>) -> R) -> R;
 }
 
-impl<M: PairMultiplier> SamplingLock for SamplingPath<M> {
-    type Multiplier = M;
+impl<M: PairArithmetic> SamplingLock for SamplingPath<M> {
+    type Arithmetic = M;
 
     fn with<R>(&mut self, f: impl FnOnce(&mut Self) -> R) -> R {
         f(self)
@@ -65,8 +65,8 @@ impl<M: PairMultiplier> SamplingLock for SamplingPath<M> {
 }
 
 /// Everything the sampling interrupt owns. A board may bring its own arithmetic for the sums of a block.
-pub struct SamplingPath<M = PlainMultiplier> {
-    multiplier: PhantomData<M>,
+pub struct SamplingPath<M = PlainArithmetic> {
+    arithmetic: PhantomData<M>,
     clock: MainsClock,
     sequencer: DriveSequencer,
     demodulator: Demodulator,
@@ -93,12 +93,12 @@ impl SamplingPath {
     }
 }
 
-impl<M: PairMultiplier> SamplingPath<M> {
+impl<M: PairArithmetic> SamplingPath<M> {
     /// All bits zero: 53 KiB that a board places in its cleared memory and that never cross a
     /// stack. [`SamplingPath::begin`] comes before anything else.
     pub const fn blank() -> Self {
         Self {
-            multiplier: PhantomData,
+            arithmetic: PhantomData,
             clock: MainsClock::blank(),
             sequencer: DriveSequencer::blank(),
             demodulator: Demodulator::blank(),
@@ -146,7 +146,7 @@ impl<M: PairMultiplier> SamplingPath<M> {
 }
 
 /// Steps of a block.
-impl<M: PairMultiplier> SamplingPath<M> {
+impl<M: PairArithmetic> SamplingPath<M> {
     /// Takes one block; returns the estimate it led to; `None` while the demodulator fills.
     fn take_block(&mut self, block: &AdcBlock<'_>) -> Option<TrajectoryEntry> {
         let sums = correlate_by::<M>(block.pairs);

@@ -10,7 +10,9 @@ use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_MAX, CODE_MIN, Pair};
 
 use crate::fixed::Complex;
 use crate::sense::codes::{SOFT_CURRENT_CODE, SOFT_VOLTAGE_CODE, TRIP_CODE};
-use crate::sense::product_sums::{Bounds, PairMultiplier, PlainMultiplier, ProductSums, high, low};
+use crate::sense::product_sums::{
+    Bounds, PairArithmetic, PlainArithmetic, ProductSums, halves, high, low,
+};
 
 /// Fractional bits of the heterodyne table. 14, because 61 · 2^11 · 2^14 still fits an i32.
 pub const TABLE_BITS: u32 = 14;
@@ -73,10 +75,6 @@ const fn packed(table: [(i16, i16); ADC_LOCK_P]) -> [u32; ADC_LOCK_P] {
     words
 }
 
-const fn halves(low: i16, high: i16) -> u32 {
-    low as u16 as u32 | (high as u16 as u32) << 16
-}
-
 /// Codes within are ordinary: below the soft limits, which are below any trip level.
 const ORDINARY: Bounds = Bounds::new(SOFT_VOLTAGE_CODE - 1, SOFT_CURRENT_CODE - 1);
 
@@ -104,12 +102,12 @@ pub struct BlockSums {
 /// Correlates one block with the fundamental. Two loops run per sample, and a third one for a block that holds a sample out
 /// of the ordinary.
 pub fn correlate(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
-    correlate_by::<PlainMultiplier>(pairs)
+    correlate_by::<PlainArithmetic>(pairs)
 }
 
 /// Sums of a block by a board's own arithmetic.
 #[inline(never)]
-pub fn correlate_by<M: PairMultiplier>(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
+pub fn correlate_by<M: PairArithmetic>(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums {
     let words = Pair::words(pairs);
     let sums = correlation::<M>(words);
     let mut s = BlockSums {
@@ -131,7 +129,7 @@ pub fn correlate_by<M: PairMultiplier>(pairs: &[Pair; ADC_LOCK_P]) -> BlockSums 
 }
 
 /// Sums of the pairs times their phases, and of the products of their codes.
-fn correlation<M: PairMultiplier>(words: &[u32; ADC_LOCK_P]) -> ProductSums {
+fn correlation<M: PairArithmetic>(words: &[u32; ADC_LOCK_P]) -> ProductSums {
     let (twelves, last) = words.as_chunks();
     let (phases, last_phase) = TABLE.as_chunks();
     let mut sums = M::product_sums(twelves, phases);
@@ -148,7 +146,7 @@ fn correlation<M: PairMultiplier>(words: &[u32; ADC_LOCK_P]) -> ProductSums {
 
 /// Returns `true` if any pair is out of the ordinary. A loop of its own: one for all would need more registers than there are.
 #[inline(never)]
-fn has_alarm<M: PairMultiplier>(words: &[u32; ADC_LOCK_P]) -> bool {
+fn has_alarm<M: PairArithmetic>(words: &[u32; ADC_LOCK_P]) -> bool {
     let (twelves, rest) = words.as_chunks();
     M::is_any_beyond(twelves, ORDINARY) | rest.iter().any(|&word| ORDINARY.is_beyond(word))
 }

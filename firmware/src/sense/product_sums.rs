@@ -1,7 +1,7 @@
 //! Sums of products of sample pairs, two pairs at once.
 //!
-//! The Cortex-M4 has an instruction for it, SMLAD, that stable Rust has no function for: a board brings it (`src/board/smlad.rs`) as
-//! [`PairMultiplier`] of its sampling path. Everything else takes [`PlainMultiplier`], which gives the same bits.
+//! The Cortex-M4 has an instruction for it, SMLAD, that stable Rust has no function for: a board brings it (`src/board/dsp.rs`) as
+//! [`PairArithmetic`] of its sampling path. Everything else takes [`PlainArithmetic`], which gives the same bits.
 
 /// Sums over sample pairs (v, i) with the factors c and s of each pair; they wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -18,6 +18,11 @@ pub struct ProductSums {
     pub v_i: i32,
 }
 
+/// Word of two halves.
+pub const fn halves(low: i16, high: i16) -> u32 {
+    low as u16 as u32 | (high as u16 as u32) << 16
+}
+
 /// Signed lower half of a word.
 #[inline(always)]
 pub fn low(word: u32) -> i32 {
@@ -30,8 +35,8 @@ pub fn high(word: u32) -> i32 {
     word as i32 >> 16
 }
 
-/// Arithmetic of [`ProductSums`].
-pub trait PairMultiplier {
+/// Arithmetic on words of two halves: [`ProductSums`], and codes beyond [`Bounds`].
+pub trait PairArithmetic {
     /// Sums over pairs with v in the lower half of each word and i in the upper one. For two pairs `factors` has a word with c of
     /// the first in its lower half and c of the second in its upper one, and a word of the same with s. What one of the two has
     /// more than the other does not count.
@@ -53,7 +58,7 @@ impl Bounds {
     /// Bounds from −`low` to `low` of the lower half, and likewise of the upper one; below 2^14 each.
     pub const fn new(low: u16, high: u16) -> Self {
         assert!(low < 1 << 14 && high < 1 << 14);
-        let reach = low as u32 | (high as u32) << 16;
+        let reach = halves(low as i16, high as i16);
         Self {
             reach,
             span: reach << 1,
@@ -78,9 +83,9 @@ impl Bounds {
 
 /// Arithmetic of any processor.
 #[derive(Clone, Copy, Debug)]
-pub struct PlainMultiplier;
+pub struct PlainArithmetic;
 
-impl PairMultiplier for PlainMultiplier {
+impl PairArithmetic for PlainArithmetic {
     fn product_sums(pairs: &[[u32; 12]], factors: &[[u32; 12]]) -> ProductSums {
         let (pairs, _) = pairs.as_flattened().as_chunks();
         let (factors, _) = factors.as_flattened().as_chunks();
@@ -142,7 +147,7 @@ mod tests {
             v_i: sum(&|_, pair| v(pair) * i(pair)),
         };
         let sums = |pairs: &[u32], factors: &[u32]| {
-            PlainMultiplier::product_sums(pairs.as_chunks().0, factors.as_chunks().0)
+            PlainArithmetic::product_sums(pairs.as_chunks().0, factors.as_chunks().0)
         };
         assert_eq!(sums(&words, &factors), expected);
         assert_eq!(sums(&words, &factors[..12]), sums(&words[..12], &factors));

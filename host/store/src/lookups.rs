@@ -71,7 +71,7 @@ pub struct LookupRow {
 /// A number of each cell of a lookup, `[frequency][current]`.
 type CellTable = [[f64; CURRENTS]; FREQUENCIES];
 
-/// How well each cell of a lookup is known: confidence, 0 to 1 in 255 steps, and standard deviations of R and L in steps of 0.01 %.
+/// Confidence of each cell of a lookup, 0 to 1 in 255 steps, and standard deviations of R and L in steps of 0.01 %.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Certainty {
     confidence: Vec<u8>,

@@ -22,8 +22,8 @@ use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{Raw, WindowChunk};
 
 use super::float_filter::FloatEkf;
+use crate::board::dsp::DspArithmetic;
 use crate::board::sampling;
-use crate::board::smlad::SmladMultiplier;
 
 /// Times each subject runs: 40 instructions of resolution over 200 runs are 0.2.
 const RUNS: u32 = 200;
@@ -98,10 +98,10 @@ fn main() -> ! {
 fn estimator() {
     let pairs = block();
     let correlated = tenths(|_| {
-        black_box(correlate_by::<SmladMultiplier>(black_box(&pairs)));
+        black_box(correlate_by::<DspArithmetic>(black_box(&pairs)));
     });
     report("pair", correlated / ADC_LOCK_P as u32);
-    let sums = correlate_by::<SmladMultiplier>(&pairs);
+    let sums = correlate_by::<DspArithmetic>(&pairs);
     let mut demod = Demodulator::new(70_000);
     report(
         "boxcars",
@@ -175,7 +175,7 @@ fn sampling_path() {
 }
 
 fn take(
-    path: &mut SamplingPath<SmladMultiplier>,
+    path: &mut SamplingPath<DspArithmetic>,
     pairs: &[Pair; ADC_LOCK_P],
     zero_crossing: Option<u8>,
 ) {

@@ -10,10 +10,10 @@ use crate::sampling::path::SamplingPath;
 use crate::sampling::recorder::Recorder;
 use crate::sampling::utilisation::{HousekeepingGap, Utilisation};
 use crate::sense::demodulator::Demodulator;
-use crate::sense::product_sums::PairMultiplier;
+use crate::sense::product_sums::PairArithmetic;
 
 /// Drive and replay.
-impl<M: PairMultiplier> SamplingPath<M> {
+impl<M: PairArithmetic> SamplingPath<M> {
     /// Requests another drive: off at once, anything else at the next zero crossing, at the nearest
     /// frequency of the grid; out of off, the lower switch closes first, at once ([`crate::drive::bridge`]). Ignored while a
     /// fault is active.
@@ -81,7 +81,7 @@ impl<M: PairMultiplier> SamplingPath<M> {
 }
 
 /// Faults.
-impl<M: PairMultiplier> SamplingPath<M> {
+impl<M: PairArithmetic> SamplingPath<M> {
     /// Enters the safe state for a reason that lies outside the samples: the pot, the hardware.
     pub fn raise(&mut self, fault: Fault) {
         self.faults.trip(fault, self.clock.half_cycle());
@@ -113,7 +113,7 @@ impl<M: PairMultiplier> SamplingPath<M> {
 }
 
 /// Half-cycles, windows, counters.
-impl<M: PairMultiplier> SamplingPath<M> {
+impl<M: PairArithmetic> SamplingPath<M> {
     /// The last half-cycle, once; the thread works out its summary.
     pub fn take_half_cycle(&mut self) -> Option<HalfCycleSums> {
         self.half_cycles.take()

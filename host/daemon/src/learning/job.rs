@@ -56,7 +56,7 @@ pub struct LearnJob {
 pub struct LookupToPush {
     /// The lookup.
     pub lookup: RlLookup,
-    /// How well its cells are known; `None` if nobody can tell.
+    /// Confidence and deviations of its cells; `None` if they are not known.
     pub certainty: Option<Certainty>,
 }
 

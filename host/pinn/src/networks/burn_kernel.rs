@@ -142,7 +142,7 @@ fn forward(layer: &Dense, x: Tensor<3>) -> Tensor<3> {
 }
 
 /// Gradient of the loss by `parameter`, row by row; zero for one that the loss does not depend on.
-fn by<const D: usize>(parameter: &Tensor<D>, gradients: &Gradients) -> Tensor<1> {
+fn gradient_by<const D: usize>(parameter: &Tensor<D>, gradients: &Gradients) -> Tensor<1> {
     let gradient = parameter.grad(gradients);
     let gradient = gradient.unwrap_or_else(|| parameter.clone().inner().zeros_like());
     gradient.flatten(0, D - 1)
@@ -199,8 +199,12 @@ impl Kernel for Burn {
         let total = l_f.clone() * weights.w_f + data * weights.w_i;
         let gradients = total.backward();
         let layers = networks.vi.iter().chain(&networks.rl);
-        let layers =
-            layers.flat_map(|layer| [by(&layer.weight, &gradients), by(&layer.bias, &gradients)]);
+        let layers = layers.flat_map(|layer| {
+            [
+                gradient_by(&layer.weight, &gradients),
+                gradient_by(&layer.bias, &gradients),
+            ]
+        });
         // Terms and gradient are read in one piece: each reading waits for the device.
         let terms = [l_f, l_i1, l_i2].map(Tensor::inner);
         let values = self.read(Tensor::cat(terms.into_iter().chain(layers).collect(), 0))?;

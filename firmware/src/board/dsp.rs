@@ -3,12 +3,12 @@
 
 use core::arch::asm;
 
-use ihd_firmware::sense::product_sums::{Bounds, PairMultiplier, ProductSums};
+use ihd_firmware::sense::product_sums::{Bounds, PairArithmetic, ProductSums};
 
 /// Nine instructions for two sample pairs, five of them SMLAD. firmware/on-target compares it with its twin in plain Rust.
-pub struct SmladMultiplier;
+pub struct DspArithmetic;
 
-impl PairMultiplier for SmladMultiplier {
+impl PairArithmetic for DspArithmetic {
     #[inline(always)]
     fn product_sums(pairs: &[[u32; 12]], factors: &[[u32; 12]]) -> ProductSums {
         let mut sums = ProductSums::default();
