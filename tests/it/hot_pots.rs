@@ -203,5 +203,5 @@ fn the_document_says_how_hot_pots_become() {
         }
     }
     let command = "cargo test -p ihd-tests hot_pots";
-    document::hold("results/scenarios.md", "hot pots", &table, command);
+    document::hold("control.md", "hot pots", &table, command);
 }

@@ -112,7 +112,7 @@ fn all_variants(folder: &str, family: &str, files: &[&str]) {
     );
     let mark = format!("scenarios {family}");
     let command = "cargo nextest run -p ihd-tests --ignore-default-filter scenarios";
-    document::hold("results/scenarios.md", &mark, &table, command);
+    document::hold("control.md", &mark, &table, command);
 }
 
 /// A limit over all variants that have it in the same form.
