@@ -56,7 +56,7 @@ const OTHERS: [&str; 20] = [
 #[command(after_help = "Examples:\n  \
     ihd-study pots --pot ferritic-18,ferritic-12\n  \
     ihd-study pots --perturb tail,sharp-knee --seeds 1\n  \
-    ihd-study pots --docs docs/results/map.md")]
+    ihd-study pots --docs docs/map.md")]
 pub struct PotsArgs {
     /// Pots, with commas between them, as `ihd hob` names them; a place behind: +lift-10mm, +offset-30mm, +150C
     #[arg(long, value_name = "POT,…", value_delimiter = ',', default_values = POTS)]

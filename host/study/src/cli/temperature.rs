@@ -21,7 +21,7 @@ use ihd::cli::output;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd-study temperature --runs 12\n  \
-    ihd-study temperature --closed-loop --docs docs/results/map.md --plot docs/pot-temperature.svg")]
+    ihd-study temperature --closed-loop --docs docs/map.md --plot docs/pot-temperature.svg")]
 pub struct TemperatureArgs {
     /// Runs that boil, and as many that do not
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=10_000))]

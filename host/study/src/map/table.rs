@@ -1,4 +1,4 @@
-//! The study as Markdown, for docs/results/map.md.
+//! The study as Markdown, for docs/map.md.
 
 use std::fmt::Write;
 
@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::{LookupJudgement, MapPlan, MapRun};
 
-/// First line of the section in docs/results/map.md.
+/// First line of the section in docs/map.md.
 pub const BEGIN: &str = "<!-- ihd-study map: begin -->";
 
 /// Last line of the section.

@@ -1,4 +1,4 @@
-//! The study as Markdown, for docs/results/map.md.
+//! The study as Markdown, for docs/map.md.
 
 use std::fmt::Write;
 
@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::hobs::ASKED_W;
 use super::{LibraryContents, PotsPlan, PotsRun, TaughtLookup};
 
-/// First line of the section in docs/results/map.md.
+/// First line of the section in docs/map.md.
 pub const BEGIN: &str = "<!-- ihd-study pots: begin -->";
 
 /// Last line of the section.

@@ -391,7 +391,7 @@ fn learn_at_30_db(load: LoadKind, f_sw_hz: f64, windows: u64) -> Vec<[Both; 2]> 
 }
 
 /// The goal of the issue: whole half-cycle within .07/.05 % after ten windows; with the law's form known the bound of one
-/// window is .050/.039 % (docs/results/map.md).
+/// window is .050/.039 % (docs/map.md).
 #[test]
 fn ten_windows_at_30_db_know_the_whole_half_cycle() {
     for f_sw_hz in [45e3, 70e3] {
