@@ -2,7 +2,7 @@
 //! `cargo run --release -p ihd-tests --example make_circuit_oracle` (Debian's ngspice; half a minute).
 //!
 //! Writes tests/circuit-oracle/values.csv, which the test `circuit_oracle` holds the simulation to, and the figures of
-//! docs/results/simulator.md; prints the table there.
+//! docs/simulator.md; prints the table there.
 
 use std::path::Path;
 

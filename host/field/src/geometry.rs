@@ -11,7 +11,7 @@ use super::error::{FieldError, in_range};
 /// 1080 nF; the paper reads 27-36 kHz from its simulation and 29-34 kHz from its prototype. With 0.84 the interval lies within
 /// the first and contains the second (test `resonance_interval_is_the_papers`). The paper leaves the ferrite's permeability,
 /// thickness and radius open, and does not state how its permeability law was evaluated at an amplitude;
-/// `docs/results/simulator.md` shows what each could account for.
+/// `docs/simulator.md` shows what each could account for.
 pub const TURNS_CALIBRATION: f64 = 0.84;
 
 /// Axisymmetric arrangement, bottom to top: aluminium shield, gap, ferrite plate, gap, coil, gap, load. The load is a disc, or a

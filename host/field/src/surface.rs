@@ -22,7 +22,7 @@ const METAL: Material = Material::Froehlich {
 /// Frequency for which the depth grid is made, where it covers most skin depths.
 const F_HZ: f64 = 20e3;
 
-/// Nodes into the depth: 176 leave .02 % of R and L (docs/results/simulator.md); these a quarter of that.
+/// Nodes into the depth: 176 leave .02 % of R and L (docs/simulator.md); these a quarter of that.
 const NODES: usize = 352;
 
 /// Largest h: the saturated front is then eight skin depths deep, and the grid has sixteen.

@@ -180,7 +180,7 @@ fn model_is_near_finite_elements_at_length() {
     let found = differences(&rows);
     let text = table(&rows, &found);
     let command = "cargo test -p ihd-field --test oracle";
-    document::hold("results/simulator.md", "finite elements", &text, command);
+    document::hold("simulator.md", "finite elements", &text, command);
     check(&rows, &found);
 }
 

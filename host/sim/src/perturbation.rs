@@ -167,7 +167,7 @@ mod tests {
                 Perturbation::SharpKnee => {
                     assert!(small.0.abs() < 5.0 && (2.0..19.0).contains(&large.0));
                 }
-                // Discretisation: docs/results/simulator.md.
+                // Discretisation: docs/simulator.md.
                 Perturbation::Rings | Perturbation::FineGap => {
                     assert!(large.0.abs() < 2.0 && large.0 != 0.0);
                 }
