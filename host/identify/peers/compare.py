@@ -9,7 +9,7 @@ Captures come from `ihd simulate`: 20 ms at 50 MS/s, 45 and 70 kHz, behavioural 
 noise and at 30 dB. Everybody is told the switching and mains frequency, and is held against the same truth
 at the same times. One thread on one core. Peers: processor time of the second of two runs, so that
 compiling does not count (the Kalman filters: of the only one). ihd: the least wall-clock time of its
-estimators in --repeats runs, which is no less than their processor time. Prints Markdown; docs/results/estimators.md
+estimators in --repeats runs, which is no less than their processor time. Prints Markdown; docs/accuracy.md
 has what it printed.
 """
 

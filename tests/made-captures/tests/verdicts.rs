@@ -2,7 +2,7 @@
 //! neither load, circuit nor sensors are those of `ihd-sim`.
 //!
 //! `cargo nextest run -p ihd-made-captures --profile full verdicts_at_length` counts 5 seeds of all kinds (`MADE_SEEDS`, `MADE_FIRST`, `MADE_ONLY`);
-//! `UPDATE_DOCS=1` writes docs/results/hostile.md.
+//! `UPDATE_DOCS=1` writes docs/identification.md.
 
 #[path = "../../it/document.rs"]
 mod document;
@@ -90,7 +90,7 @@ fn verdicts_at_length() {
     println!("{text}");
     if std::env::var_os("UPDATE_DOCS").is_some() {
         let command = "cargo nextest run -p ihd-made-captures --profile full verdicts_at_length";
-        document::hold("results/hostile.md", "made captures", &text, command);
+        document::hold("identification.md", "made captures", &text, command);
     }
 }
 

@@ -11,7 +11,7 @@ fn repaired(change: impl FnOnce(&mut ViMlp)) -> PinnConfig {
     config
 }
 
-/// Settings of each ablation, written in Rust: their digits are in docs/results/estimators.md.
+/// Settings of each ablation, written in Rust: their digits are in docs/accuracy.md.
 fn ablations() -> [(&'static str, PinnConfig); 8] {
     let hybrid = PinnConfig::default;
     [

@@ -16,7 +16,7 @@ use ihd::cli::output;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd-study estimators --quick\n  \
-    ihd-study estimators --seeds 10 --out study --docs docs/results/estimators.md\n  \
+    ihd-study estimators --seeds 10 --out study --docs docs/accuracy.md\n  \
     ihd-study estimators --quick --json --method lockin,least-squares")]
 pub struct EstimatorsArgs {
     /// Estimators, with commas between them, or all
@@ -64,7 +64,8 @@ impl EstimatorsArgs {
             std::fs::write(folder.join("estimators.json"), &json).with_context(cannot)?;
         }
         if let Some(path) = &self.docs {
-            write_into(path, (table::BEGIN, table::END), &section)?;
+            write_into(path, table::OVERVIEW_MARKS, &table::overview(&cells))?;
+            write_into(path, table::MARKS, &section)?;
         }
         if self.json {
             output::json(&cells)

@@ -22,7 +22,7 @@ const DEFAULT: &str = "least-squares,pinn,lockin,firmware,kf";
 #[command(after_help = "Examples:\n  \
     ihd-study hostile --short\n  \
     ihd-study hostile --only skew --method least-squares --seeds 1\n  \
-    ihd-study hostile --docs docs/results/hostile.md")]
+    ihd-study hostile --docs docs/identification.md")]
 pub struct HostileArgs {
     /// Estimators, with commas between them, or all
     #[arg(

@@ -1,4 +1,4 @@
-//! The study as Markdown, for docs/results/estimators.md.
+//! The study as Markdown, for docs/accuracy.md.
 
 use std::fmt::Write;
 
@@ -6,11 +6,17 @@ use ihd_identify::Method;
 
 use super::{ComparisonLoad, EstimatorsCell, F_SW_HZ, RlErrors, SNR_DB, published};
 
-/// First line of the section in docs/results/estimators.md.
-pub const BEGIN: &str = "<!-- ihd-study estimators: begin -->";
+/// First and last line of all tables in docs/accuracy.md.
+pub const MARKS: (&str, &str) = (
+    "<!-- ihd-study estimators: begin -->",
+    "<!-- ihd-study estimators: end -->",
+);
 
-/// Last line of the section.
-pub const END: &str = "<!-- ihd-study estimators: end -->";
+/// First and last line of the overview there.
+pub const OVERVIEW_MARKS: (&str, &str) = (
+    "<!-- ihd-study estimators, overview: begin -->",
+    "<!-- ihd-study estimators, overview: end -->",
+);
 
 /// Section without its marks: a table per method and reference, and the statements on all cells.
 pub fn markdown(cells: &[EstimatorsCell], seeds: u64) -> String {
@@ -139,6 +145,45 @@ fn field_table(cells: &[&EstimatorsCell]) -> String {
     out
 }
 
+/// One line a method, of a few cells over the whole half-cycle, from the least error of R with noise on.
+pub fn overview(cells: &[EstimatorsCell]) -> String {
+    let columns = [
+        (ComparisonLoad::Behavioural, 45e3),
+        (ComparisonLoad::Behavioural, 70e3),
+        (ComparisonLoad::FieldWaveform, 45e3),
+    ];
+    let cell = |method, (reference, f_sw_hz), snr_db| {
+        let is_it = |c: &&EstimatorsCell| {
+            c.method == method
+                && c.reference == reference
+                && c.f_sw_hz == f_sw_hz
+                && c.snr_db == snr_db
+                && c.runs > 0
+        };
+        cells.iter().find(is_it).map(|c| c.whole)
+    };
+    let with_noise = |method: &Method| {
+        cell(*method, columns[0], Some(30.0)).map_or(f64::INFINITY, |errors| errors.r_pct)
+    };
+    let mut methods = methods(&cells.iter().collect::<Vec<_>>());
+    methods.sort_by(|a, b| with_noise(a).total_cmp(&with_noise(b)));
+    let mut out = String::from(
+        "| method | behavioural, 45 kHz: noiseless | 30 dB | 70 kHz: noiseless | 30 dB | field, 45 kHz: noiseless | 30 dB |\n\
+         |---|---:|---:|---:|---:|---:|---:|\n",
+    );
+    for method in methods {
+        let _ = write!(out, "| `{method}` |");
+        for column in columns {
+            for snr_db in [None, Some(30.0)] {
+                let text = cell(method, column, snr_db).map_or("–".into(), pair);
+                let _ = write!(out, " {text} |");
+            }
+        }
+        out.push('\n');
+    }
+    out
+}
+
 /// Targets, each with the cell nearest to its limit.
 fn verdicts(cells: &[EstimatorsCell]) -> String {
     let mut out =
@@ -223,23 +268,48 @@ fn verdicts(cells: &[EstimatorsCell]) -> String {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_target_that_is_missed_is_reported() {
-        let errors = |x: f64| RlErrors { r_pct: x, l_pct: x };
-        let cell = |x: f64| EstimatorsCell {
+    /// A cell of the behavioural load at 45 kHz.
+    fn cell(method: Method, snr_db: Option<f64>, error_pct: f64) -> EstimatorsCell {
+        let errors = RlErrors {
+            r_pct: error_pct,
+            l_pct: error_pct,
+        };
+        EstimatorsCell {
             reference: ComparisonLoad::Behavioural,
-            method: Method::Lockin,
+            method,
             f_sw_hz: 45e3,
-            snr_db: None,
+            snr_db,
             runs: 1,
             failed: 0,
             failure: None,
-            whole: errors(x),
-            worst: errors(x),
-            middle: errors(x),
-            weighted: errors(x),
-        };
-        assert!(markdown(&[cell(0.1)], 1).contains("target 0.2/0.15 %: met"));
-        assert!(markdown(&[cell(0.16)], 1).contains("target 0.2/0.15 %: not met"));
+            whole: errors,
+            worst: errors,
+            middle: errors,
+            weighted: errors,
+        }
+    }
+
+    #[test]
+    fn a_target_that_is_missed_is_reported() {
+        let lockin = |error_pct| markdown(&[cell(Method::Lockin, None, error_pct)], 1);
+        assert!(lockin(0.1).contains("target 0.2/0.15 %: met"));
+        assert!(lockin(0.16).contains("target 0.2/0.15 %: not met"));
+    }
+
+    #[test]
+    fn the_overview_begins_with_the_least_error() {
+        let cells = [
+            cell(Method::Ekf, Some(30.0), 0.5),
+            cell(Method::Lockin, Some(30.0), 0.3),
+            cell(Method::Lockin, None, 12.0),
+        ];
+        let lines: Vec<String> = overview(&cells).lines().map(str::to_owned).collect();
+        assert_eq!(
+            lines[2..],
+            [
+                "| `lockin` | 12/12 | .30/.30 | – | – | – | – |",
+                "| `ekf` | – | .50/.50 | – | – | – | – |",
+            ]
+        );
     }
 }

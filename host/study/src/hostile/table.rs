@@ -1,4 +1,4 @@
-//! The study as Markdown, for docs/results/hostile.md, and its verdict.
+//! The study as Markdown, for docs/identification.md, and its verdict.
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -10,7 +10,7 @@ use super::case::CaptureGroup;
 use super::run::HostileRun;
 use super::score::{LIMIT_L_PCT, LIMIT_R_PCT, ResultJudgement, StretchErrors};
 
-/// First line of the section in docs/results/hostile.md.
+/// First line of the section in docs/identification.md.
 pub const BEGIN: &str = "<!-- ihd-study hostile: begin -->";
 
 /// Last line of the section.

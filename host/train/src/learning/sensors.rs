@@ -1,5 +1,5 @@
 //! Self-calibration of a device's sensors from its windows. One window of 61 samples in three periods gives the skew to some nanoseconds, a
-//! hundred windows to a tenth of that (docs/results/hostile.md).
+//! hundred windows to a tenth of that (docs/accuracy.md).
 
 use std::f64::consts::TAU;
 
