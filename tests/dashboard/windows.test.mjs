@@ -58,7 +58,7 @@ test('eight windows share one stream, and Off in the last is acknowledged at its
   for (const of of problems) noProblems(of, NO_DAEMON);
 });
 
-/** A benchmark of docs/results/robustness.md: it judges nothing by the clock. */
+/** A benchmark of docs/daemon.md: it judges nothing by the clock. */
 const measured = process.env.IHD_DASHBOARD_FULL === '1' ? test : test.skip;
 const OFFS = 20;
 

@@ -1,5 +1,5 @@
 //! The daemon and the commands on bad links, with hostile devices, killed at random, and for long. What takes longer than twenty
-//! seconds is ignored here, has a short case beside it, and is run by `cargo xtask test --full`; docs/results/robustness.md has the results of the
+//! seconds is ignored here, has a short case beside it, and is run by `cargo xtask test --full`; docs/daemon.md has the results of the
 //! long forms.
 #![cfg(all(feature = "daemon", target_os = "linux"))]
 

@@ -1,5 +1,5 @@
 //! Time that `off` takes to reach a device, and to be answered, beside other work. A benchmark: it prints a table and
-//! judges only that each `off` came through; docs/results/robustness.md has its last results.
+//! judges only that each `off` came through; docs/daemon.md has its last results.
 
 use std::collections::VecDeque;
 use std::fs;

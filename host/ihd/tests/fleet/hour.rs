@@ -1,4 +1,4 @@
-//! An hour of 200 edges on one server with four workers, compressed in time: the table of docs/results/robustness.md (`--profile full hour`).
+//! An hour of 200 edges on one server with four workers, compressed in time: the table of docs/fleet.md (`--profile full hour`).
 //!
 //! Real: the server, the workers' processes with their network, the messages with their numbers, the edges' connections, consumers, acknowledgements,
 //! states, cards and checks of their name. Simplified: an edge is a task of this process without daemon, store and learner, whose share

@@ -1,5 +1,5 @@
 //! A worker with false answers, a real edge and a real server: no false answer is accepted, learning continues, and edge and operator report
-//! it (the table in docs/results/robustness.md).
+//! it (the table in docs/fleet.md).
 
 use async_nats::jetstream::{self, consumer::PullConsumer};
 use futures_util::StreamExt;

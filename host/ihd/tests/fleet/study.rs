@@ -1,4 +1,4 @@
-//! Measured costs and throughput of a fleet: the tables of docs/results/robustness.md (`--profile full study`). Server, edge and workers
+//! Measured costs and throughput of a fleet: the tables of docs/fleet.md (`--profile full study`). Server, edge and workers
 //! share one machine.
 
 use std::sync::Arc;

@@ -6,11 +6,9 @@ use std::path::{Path, PathBuf};
 /// Documents, from the root of the repository.
 fn documents(root: &Path) -> Vec<PathBuf> {
     let mut found = vec![root.join("README.md"), root.join("CONTRIBUTING.md")];
-    for folder in ["docs", "docs/results"] {
-        let entries = fs::read_dir(root.join(folder)).expect("a folder");
-        let paths = entries.map(|entry| entry.expect("an entry").path());
-        found.extend(paths.filter(|path| path.extension().is_some_and(|ending| ending == "md")));
-    }
+    let entries = fs::read_dir(root.join("docs")).expect("a folder");
+    let paths = entries.map(|entry| entry.expect("an entry").path());
+    found.extend(paths.filter(|path| path.extension().is_some_and(|ending| ending == "md")));
     found.sort();
     found
 }

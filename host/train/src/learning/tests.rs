@@ -289,7 +289,7 @@ fn fits_of_a_core() {
     }
 }
 
-/// The figures of docs/results/robustness.md: `cargo test --release -p ihd-train --features pinn cost_of_an_answer -- --ignored --nocapture`.
+/// The figures of docs/fleet.md: `cargo test --release -p ihd-train --features pinn cost_of_an_answer -- --ignored --nocapture`.
 #[test]
 #[ignore = "a measurement, whatever it gives"]
 fn cost_of_an_answer() {
