@@ -1,5 +1,7 @@
 //! The simulated power stage against ngspice's committed values (tests/circuit-oracle).
 
+use std::path::Path;
+
 use ihd_tests::circuit_oracle::{CASES, Values, folder};
 
 /// Largest difference from ngspice, as a share.
@@ -56,9 +58,9 @@ fn every_case_is_ngspices() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// The board of the netlist is the schematic's: a value that changes there shows here.
+/// docs/power-stage.cir is the netlist with the schematic's values: one that changes there shows here. `UPDATE_DOCS=1` rewrites it.
 #[test]
-fn the_netlist_has_the_schematics_parts() {
+fn the_documents_netlist_has_the_schematics_parts() {
     let netlist = CASES[2].netlist(None);
     for part in [
         "C2 dc 0 4.700000e-6",
@@ -70,4 +72,13 @@ fn the_netlist_has_the_schematics_parts() {
     ] {
         assert!(netlist.contains(part), "{part}\n{netlist}");
     }
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/power-stage.cir");
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(&path, &netlist).expect("docs can be written");
+    }
+    let committed = std::fs::read_to_string(&path).expect("docs/power-stage.cir");
+    assert_eq!(
+        committed, netlist,
+        "UPDATE_DOCS=1 cargo test -p ihd-tests circuit_oracle"
+    );
 }
