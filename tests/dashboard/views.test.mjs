@@ -266,6 +266,7 @@ test('without a device the page says how to begin, until one is there', async ()
     const { page, context, problems } = await open(chromium, none.url, { colorScheme, viewport: { width, height: 844 }, permissions: ['clipboard-read', 'clipboard-write'] });
     const guide = page.getByTestId('first-run');
     await guide.waitFor();
+    assert.equal(await page.getByTestId('device-chooser').isVisible(), false);
     assert.deepEqual(await violations(page), []);
     assert.equal(await overhang(page), 0);
     // What is copied is what is read.
@@ -286,6 +287,7 @@ test('without a device the page says how to begin, until one is there', async ()
   const { page, context } = await open(chromium, address(fake.url, 'devices'));
   await page.locator('.device').first().waitFor();
   assert.equal(await page.getByTestId('first-run').isVisible(), false);
+  assert.equal(await page.getByTestId('device-chooser').isVisible(), true);
   await context.close();
 });
 

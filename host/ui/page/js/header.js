@@ -47,14 +47,14 @@ export class Header {
     this.#showTitle();
   }
 
-  /** Whether the daemon is an edge of a fleet. @param {boolean} edge */
+  /** Shows the fleet's views if the daemon is an edge. @param {boolean} edge */
   showFleet(edge) {
     this.links.forEach((link, i) => {
       if (VIEWS[i].edge) link.hidden = !edge;
     });
   }
 
-  /** The devices that there are. */
+  /** Lists the devices with their states; without one there is nothing to choose. */
   showDevices() {
     const names = this.parts.fleet.names();
     const known = [...this.chooser.options].map((option) => option.value);
@@ -66,7 +66,7 @@ export class Header {
       const text = report ? `${option.value} · ${words(report.state)}` : option.value;
       if (option.text !== text) option.text = text;
     }
-    this.chooser.disabled = names.length === 0;
+    this.chooser.hidden = names.length === 0;
     this.chooser.value = this.parts.device();
   }
 
