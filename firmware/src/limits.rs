@@ -191,6 +191,9 @@ limits! {
     PROBE_BALANCE_PERCENT: u32 = 10, "%";
     /// By so much the bare coil's L may be above that of the board's file, and its voltage differ from the bridge's.
     BARE_COIL_PERCENT: u32 = 4, "%";
+    /// By so much a gain of current or voltage may have drifted, by the L of a pot that stays and the balance together. Honest boards
+    /// show 2 % at most: 180 to 265 V, C2 from 1 to 10 µF, 20 dB of noise, pots that are moved and get warm.
+    GAIN_DRIFT_PERMILLE: i32 = 35, "permille";
     /// By so much the power into the coil may differ from the DC link's, where a sensor is fitted.
     POWER_BALANCE_PERCENT: u32 = 12, "%";
     /// Mean of the coil current over whole periods: the capacitor lets none through.

@@ -106,10 +106,10 @@ fault_table! {
     OPTION_BYTES = 16 "OptionBytes" Standing:
         "the controller's option bytes are wrong (one flash bank, or RAM parity off); set DBANK=1 and \
          SRAM_PE=0 with a debug probe (docs/board.md), then reset it";
-    /// Coil voltage, coil current and bus voltage contradict each other, or the bare coil's inductance.
+    /// Coil voltage, coil current and bus voltage contradict each other or the bare coil's inductance, or a gain has drifted.
     BRIDGE_BALANCE = 17 "BridgeBalance" Trip:
-        "coil voltage, coil current and bus voltage contradict each other or the bare coil's inductance; check gain and \
-         wiring of the three sensors, and the resonance capacitor";
+        "coil voltage, coil current and bus voltage contradict each other or the bare coil's inductance, or a gain has \
+         drifted; lift the pot once, check gain and wiring of the three sensors, and the resonance capacitor";
     /// A channel's mean over whole periods is not zero, or a bit of its converter sticks.
     SENSOR_OFFSET = 18 "SensorOffset" Trip:
         "coil voltage or current has an offset, which the capacitor allows none of, or a bit of its converter sticks; \

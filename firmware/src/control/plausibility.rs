@@ -10,6 +10,8 @@
 //! finds more of it has a current that reads too little, or a voltage that reads too much; and the balance of voltage and bus at
 //! the probe frequency hardly asks for C_r.
 //!
+//! [`gain_drift`] compares both with their own past, while a pot stays.
+//!
 //! A capacitor in series lets no direct current through, and a winding holds no direct voltage: the
 //! means over whole periods are zero, bridge on or off. A current that swings through zero has codes on both
 //! sides of it, unless a bit of its converter sticks.
@@ -17,8 +19,9 @@
 use ihd_shared::board::BARE_COIL_NH;
 use ihd_shared::fault::Fault;
 
+use self::gain_drift::GainDrift;
 use crate::estimate::tank::TankAt;
-use crate::fixed::Complex;
+use crate::fixed::{Complex, saturate};
 use crate::limits::{
     BALANCE_HIGH_PERCENT, BALANCE_LOW_PERCENT, BARE_COIL_MOHM, BARE_COIL_PERCENT,
     BUS_AT_CROSSING_PERCENT, BUS_MIN_DV, CURRENT_OFFSET_MA, IMPLAUSIBLE_HALF_CYCLES,
@@ -28,6 +31,8 @@ use crate::limits::{
 use crate::sampling::half_cycle::HalfCycle;
 use crate::sampling::half_cycle_sums::filter_loss_q16;
 use crate::sense::demodulator::amplitude_dv;
+
+mod gain_drift;
 
 /// A bus that a bench supply holds up, 60 V at most, is no zero crossing out of place.
 const BENCH_BUS_DV: u32 = 600;
@@ -45,6 +50,7 @@ pub struct Plausibility {
     current: ContradictionCount,
     power: ContradictionCount,
     bus: ContradictionCount,
+    drift: GainDrift,
     /// A bit for each of the last eight half-cycles that was not as it must be.
     irregular: u8,
 }
@@ -91,6 +97,10 @@ impl Plausibility {
                 Fault::BRIDGE_BALANCE,
             ),
             (
+                seen && self.drift.push(summary, balance_ppm(summary)),
+                Fault::BRIDGE_BALANCE,
+            ),
+            (
                 self.power.push_if(steady, !is_power_balanced(summary)),
                 Fault::POWER_BALANCE,
             ),
@@ -112,13 +122,18 @@ impl Plausibility {
     pub fn on_pot_probe(&mut self, summary: &HalfCycle) -> Option<Fault> {
         let flows = summary.is_comparable() && summary.has_coil_current();
         let is_bare = summary.crest.r.0 <= 1_000 * BARE_COIL_MOHM as i32;
+        let l_ph = i64::from(summary.crest.l.0);
+        let bare_ph = |percent: u32| i64::from(BARE_COIL_NH * 10 * percent);
         let bad = if is_bare {
-            let most_ph = BARE_COIL_NH * 10 * (100 + BARE_COIL_PERCENT);
-            i64::from(summary.crest.l.0) > i64::from(most_ph)
+            l_ph > bare_ph(100 + BARE_COIL_PERCENT)
                 || !is_balanced(summary, BARE_COIL_PERCENT, BARE_COIL_PERCENT)
         } else {
             !is_balanced(summary, PROBE_BALANCE_PERCENT, PROBE_BALANCE_PERCENT)
         };
+        if flows && is_bare && !bad && l_ph >= bare_ph(100 - BARE_COIL_PERCENT) {
+            self.drift = GainDrift::default();
+        }
+        self.drift.leave();
         // A load that fits shows little of what the bare coil contradicts.
         let shows = flows && (is_bare || bad);
         self.probe
@@ -126,9 +141,12 @@ impl Plausibility {
             .then_some(Fault::BRIDGE_BALANCE)
     }
 
-    /// Forgets what was counted.
+    /// Forgets what was counted; a gain that has drifted is none the better for it.
     pub fn reset(&mut self) {
-        *self = Self::default();
+        *self = Self {
+            drift: core::mem::take(&mut self.drift),
+            ..Self::default()
+        };
     }
 
     fn is_irregular(&mut self, summary: &HalfCycle) -> bool {
@@ -162,12 +180,23 @@ fn has_offset(summary: &HalfCycle) -> bool {
 
 /// |V + I/(jωC)| against 2/π of the bus, at the crest of the current.
 fn is_balanced(summary: &HalfCycle, low_percent: u32, high_percent: u32) -> bool {
+    let (bridge_dv, expected_dv) = bridge_and_expected_dv(summary);
+    let allowed = (expected_dv * (100 - low_percent))..=(expected_dv * (100 + high_percent));
+    allowed.contains(&(bridge_dv * 100))
+}
+
+/// Their ratio, in millionths.
+fn balance_ppm(summary: &HalfCycle) -> i32 {
+    let (bridge_dv, expected_dv) = bridge_and_expected_dv(summary);
+    saturate(i64::from(bridge_dv) * 1_000_000 / i64::from(expected_dv.max(1)))
+}
+
+/// Amplitude of the bridge's fundamental before the anti-alias filter, by coil and capacitor and by the bus, in decivolt.
+fn bridge_and_expected_dv(summary: &HalfCycle) -> (u32, u32) {
     let filtered_dv = bridge_dv(summary);
     // √(1 + x) ≈ 1 + x/2 of the anti-alias filter.
     let bridge_dv = filtered_dv + ((filtered_dv * (filter_loss_q16(summary.f_sw_hz) / 2)) >> 16);
-    let expected_dv = u32::from(summary.crest.bus_dv) * 6_366 / 10_000;
-    let allowed = (expected_dv * (100 - low_percent))..=(expected_dv * (100 + high_percent));
-    allowed.contains(&(bridge_dv * 100))
+    (bridge_dv, u32::from(summary.crest.bus_dv) * 6_366 / 10_000)
 }
 
 /// Amplitude of the bridge's fundamental by coil voltage and current, in decivolt.
@@ -204,7 +233,7 @@ mod tests {
     use std::f64::consts::{FRAC_2_PI, TAU};
 
     /// Half-cycle of a load at a bus of 325 V, by sensors of the given gains behind their anti-alias filters.
-    fn seen(
+    pub(super) fn seen(
         f_hz: f64,
         (r, l_uh): (f64, f64),
         v_gain: f64,
@@ -243,10 +272,10 @@ mod tests {
         }
     }
 
-    const POT: (f64, f64) = (3.6, 24.0);
-    const SMALL: (f64, f64) = (1.0, 45.0);
+    pub(super) const POT: (f64, f64) = (3.6, 24.0);
+    pub(super) const SMALL: (f64, f64) = (1.0, 45.0);
     /// Nothing but the coil.
-    const BARE: (f64, f64) = (WINDING_R_OHM, BARE_COIL_NH as f64 * 1e-3);
+    pub(super) const BARE: (f64, f64) = (WINDING_R_OHM, BARE_COIL_NH as f64 * 1e-3);
 
     fn fault_of(summary: HalfCycle) -> Option<Fault> {
         let mut plausibility = Plausibility::default();

@@ -1,0 +1,282 @@
+//! A gain of current or voltage that drifts while a pot stays on the glass.
+//!
+//! With X = X_L − X_C, a current that reads g times too much makes L look 1/g as large, and moves the balance of the bridge by
+//! (1 − g)·X_C·X/|Z|²: by half of the gain's share at 45 kHz, a fifth at 80 kHz. A pot that is moved or gets warm changes L, but the
+//! balance holds for any load. The tank's capacitance, the bus and what the mains' filter does to them move the balance, but not L,
+//! which is of voltage and current alone. Only a gain moves both, in one direction: the lesser of the two is the drift. The ratio of
+//! X_L to R is free of gains, and little of the frequency: another ratio is another pot, or another place of it.
+//!
+//! What is compared is one operating point with its own past. A drift stays known when the point changes, less what honest changes
+//! bring, until a bare coil has shown that the gains are right.
+
+use crate::estimate::tank::{Tank, TankAt};
+use crate::fixed::saturate;
+use crate::limits::GAIN_DRIFT_PERMILLE;
+use crate::sampling::half_cycle::HalfCycle;
+
+/// Half-cycles whose mean an operating point begins with, and whose weight the mean keeps.
+const AVERAGED: u8 = 16;
+
+/// Frequencies further apart than this are different operating points. A drift of the limit moves the frequency by half of it.
+const POINT_HZ_PERMILLE: u64 = 35;
+
+/// While an operating point is learned.
+const LEARNED_HZ_PERMILLE: u64 = 25;
+
+/// Crests of the bus further apart than this are different operating points.
+const POINT_BUS_PERMILLE: u64 = 80;
+
+/// Ratios of X_L to R further apart than this are different loads.
+const LOAD_PERMILLE: u64 = 20;
+
+/// L has changed by more than this, and the balance shows less than half of it: so has the load.
+const LOAD_PPM: i64 = 20_000;
+
+/// A drift that an honest board may show where it leaves an operating point.
+const HONEST_PPM: i32 = 15_000;
+
+const LIMIT_PPM: i32 = 1_000 * GAIN_DRIFT_PERMILLE;
+
+/// What a gain changes, and what shows that it was something else.
+#[derive(Clone, Copy, Debug, Default)]
+struct LoadReading {
+    l_ph: i32,
+    /// Ratio of X_L to R, in 1e-5.
+    x_l_to_r: i32,
+    /// Ratio of the bridge's voltage by coil and capacitor to that by the bus, in 1e-6.
+    balance_ppm: i32,
+}
+
+/// Drift of a gain since a bare coil was seen, as far as operating points show it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct GainDrift {
+    f_sw_hz: u32,
+    bus_dv: u16,
+    /// Half-cycles at this operating point, up to [`AVERAGED`].
+    half_cycles: u8,
+    learned: LoadReading,
+    mean: LoadReading,
+    /// Share by which the current reads too little, or the voltage too much, since the operating point was learned.
+    here_ppm: i32,
+    /// The same before.
+    before_ppm: i32,
+}
+
+impl GainDrift {
+    /// Takes a half-cycle of heating with its balance; returns `true` if a gain has drifted too far.
+    pub(super) fn push(&mut self, summary: &HalfCycle, balance_ppm: i32) -> bool {
+        let crest = &summary.crest;
+        let tank = TankAt::new(summary.f_sw_hz).with_load(crest.r, crest.l);
+        if tank.x_mohm() > 0 && tank.r_mohm > 0 {
+            let reading = LoadReading {
+                l_ph: crest.l.0,
+                x_l_to_r: saturate(100_000 * tank.x_l_mohm / tank.r_mohm),
+                balance_ppm,
+            };
+            if self.is_elsewhere(summary) {
+                self.leave();
+            }
+            self.average(summary, reading);
+            self.compare(tank);
+        }
+        self.known_ppm().abs() >= LIMIT_PPM
+    }
+
+    /// The load may be another one from here on.
+    pub(super) fn leave(&mut self) {
+        let known_ppm = self.known_ppm();
+        self.before_ppm = if known_ppm.abs() >= LIMIT_PPM {
+            known_ppm
+        } else {
+            known_ppm - known_ppm.clamp(-HONEST_PPM, HONEST_PPM)
+        };
+        (self.here_ppm, self.half_cycles) = (0, 0);
+    }
+
+    fn known_ppm(&self) -> i32 {
+        self.before_ppm.saturating_add(self.here_ppm)
+    }
+
+    fn is_elsewhere(&self, summary: &HalfCycle) -> bool {
+        let (f_sw_hz, learned_hz) = (summary.f_sw_hz.into(), self.f_sw_hz.into());
+        if self.half_cycles < AVERAGED {
+            return differ(f_sw_hz, learned_hz, LEARNED_HZ_PERMILLE);
+        }
+        let ratio = |reading: &LoadReading| reading.x_l_to_r.unsigned_abs().into();
+        differ(f_sw_hz, learned_hz, POINT_HZ_PERMILLE)
+            || differ(
+                summary.bus_peak_dv.into(),
+                self.bus_dv.into(),
+                POINT_BUS_PERMILLE,
+            )
+            || differ(ratio(&self.mean), ratio(&self.learned), LOAD_PERMILLE)
+    }
+
+    fn average(&mut self, summary: &HalfCycle, reading: LoadReading) {
+        if self.half_cycles == 0 {
+            (self.f_sw_hz, self.mean) = (summary.f_sw_hz, reading);
+        }
+        let learns = self.half_cycles < AVERAGED;
+        self.half_cycles += u8::from(learns);
+        let weight = i64::from(self.half_cycles);
+        let towards = |mean: &mut i32, new: i32| {
+            *mean = saturate(i64::from(*mean) + (i64::from(new) - i64::from(*mean)) / weight);
+        };
+        towards(&mut self.mean.l_ph, reading.l_ph);
+        towards(&mut self.mean.x_l_to_r, reading.x_l_to_r);
+        towards(&mut self.mean.balance_ppm, reading.balance_ppm);
+        if learns {
+            (self.bus_dv, self.learned) = (summary.bus_peak_dv, self.mean);
+        }
+        if learns && self.half_cycles == AVERAGED {
+            self.f_sw_hz = summary.f_sw_hz;
+        }
+    }
+
+    fn compare(&mut self, tank: Tank) {
+        let l_ph = i64::from(self.learned.l_ph.max(1));
+        let by_l_ppm = (i64::from(self.mean.l_ph) - l_ph) * 1_000_000 / l_ph;
+        // |Z|²/(X_C·X), and a quarter more, so that a balance that changes with the frequency hides no drift.
+        let (r, x) = (tank.r_mohm, tank.x_mohm());
+        let moved_ppm = i64::from(self.mean.balance_ppm) - i64::from(self.learned.balance_ppm);
+        let by_balance_ppm =
+            moved_ppm.saturating_mul(5 * (r * r + x * x)) / (4 * tank.x_c_mohm * x).max(1);
+        let same_way_ppm = by_balance_ppm * by_l_ppm.signum();
+        self.here_ppm = saturate(by_l_ppm.abs().min(same_way_ppm.max(0)) * by_l_ppm.signum());
+        if by_l_ppm.abs() > LOAD_PPM && 2 * same_way_ppm < by_l_ppm.abs() {
+            self.leave();
+        }
+    }
+}
+
+/// Returns `true` if two quantities are further apart than this share of the second.
+fn differ(a: u64, b: u64, permille: u64) -> bool {
+    a.abs_diff(b) * 1_000 > b * permille
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_shared::fault::Fault;
+
+    use super::super::Plausibility;
+    use super::super::tests::{BARE, POT, SMALL, seen};
+    use super::*;
+
+    /// Fault of a second of heating at gains of voltage and current.
+    fn heated(
+        plausibility: &mut Plausibility,
+        f_hz: f64,
+        pot: (f64, f64),
+        v: f64,
+        i: f64,
+    ) -> Fault {
+        (0..100)
+            .find_map(|_| plausibility.on_half_cycle(&seen(f_hz, pot, v, i, 1.0)))
+            .unwrap_or(Fault::NONE)
+    }
+
+    /// Half-cycles until a fault.
+    fn found_after(
+        plausibility: &mut Plausibility,
+        reading: impl Fn(u32) -> HalfCycle,
+    ) -> Option<u32> {
+        (1..=6_000).find(|&n| plausibility.on_half_cycle(&reading(n)).is_some())
+    }
+
+    /// A power that is wrong by 5 % is 1/0.95 or 1/1.05 of a gain.
+    #[test]
+    fn a_gain_that_steps_by_4_percent_is_found_within_half_a_second() {
+        for f_hz in [45e3, 52e3, 65e3, 79e3] {
+            for pot in [POT, SMALL] {
+                for (v, i) in [
+                    (1.0, 0.96),
+                    (1.0, 1.05),
+                    (0.95, 1.0),
+                    (1.04, 1.0),
+                    (1.0, 0.93),
+                    (1.0, 1.07),
+                ] {
+                    let mut plausibility = Plausibility::default();
+                    assert_eq!(heated(&mut plausibility, f_hz, pot, 1.0, 1.0), Fault::NONE);
+                    let after = found_after(&mut plausibility, |_| seen(f_hz, pot, v, i, 1.0));
+                    assert!(
+                        after.is_some_and(|n| n <= 50),
+                        "{f_hz} {pot:?} {v} {i}: {after:?}"
+                    );
+                }
+            }
+        }
+    }
+
+    /// 0.1 % a second, as the frequency follows the power: −1/2.6 of it.
+    #[test]
+    fn a_slow_drift_is_found_before_the_power_is_wrong_by_5_percent() {
+        for sign in [-1.0, 1.0] {
+            let mut plausibility = Plausibility::default();
+            heated(&mut plausibility, 50e3, POT, 1.0, 1.0);
+            let gain = |n: u32| 1.0 + sign * 1e-5 * f64::from(n);
+            let after = found_after(&mut plausibility, |n| {
+                seen(50e3 * (1.0 + (gain(n) - 1.0) / 2.6), POT, 1.0, gain(n), 1.0)
+            });
+            let error = 1.0 / gain(after.unwrap()) - 1.0;
+            assert!(error.abs() < 0.05, "{error}");
+        }
+    }
+
+    /// What a kitchen changes: the pot's place and temperature, the power, the mains; and what no power depends on: the bus's gain.
+    #[test]
+    fn no_honest_change_is_a_drift() {
+        let mut plausibility = Plausibility::default();
+        for (f_hz, (r, l_uh)) in [
+            (50e3, (3.0, 20.0)),
+            // Moved, at the same frequency and at the one that follows.
+            (50e3, (2.8, 20.8)),
+            (48e3, (2.7, 20.9)),
+            // Warm: R and L by a tenth.
+            (48e3, (2.75, 21.2)),
+            (48e3, (2.82, 21.8)),
+            (48e3, (2.9, 22.5)),
+            (48e3, (2.97, 23.1)),
+            // Another power.
+            (67e3, (4.1, 20.5)),
+            (43e3, (2.5, 19.2)),
+        ] {
+            for bus in [1.0, 1.03, 0.98, 0.99] {
+                for _ in 0..60 {
+                    let summary = seen(f_hz, (r, l_uh), 1.0, 1.0, bus);
+                    assert_eq!(
+                        plausibility.on_half_cycle(&summary),
+                        None,
+                        "{f_hz} {r} {l_uh} {bus}"
+                    );
+                }
+            }
+        }
+    }
+
+    /// Neither a trip nor a probe with the pot makes a gain right; a bare coil that is as it must be shows it is.
+    #[test]
+    fn a_drift_stands_until_a_bare_coil_was_seen() {
+        let mut plausibility = Plausibility::default();
+        let (right, wrong) = ((50e3, POT, 1.0, 1.0), (50e3, POT, 1.0, 0.95));
+        let heat = |plausibility: &mut Plausibility, (f_hz, pot, v, i)| {
+            heated(plausibility, f_hz, pot, v, i)
+        };
+        assert_eq!(heat(&mut plausibility, right), Fault::NONE);
+        assert_eq!(heat(&mut plausibility, wrong), Fault::BRIDGE_BALANCE);
+        for _ in 0..3 {
+            plausibility.reset();
+            assert_eq!(
+                plausibility.on_pot_probe(&seen(79_911.0, POT, 1.0, 0.95, 1.0)),
+                None
+            );
+            assert_eq!(heat(&mut plausibility, wrong), Fault::BRIDGE_BALANCE);
+        }
+        // 7 % too much hides in a coil that metal may be near.
+        for (i, fault) in [(1.07, Fault::BRIDGE_BALANCE), (1.0, Fault::NONE)] {
+            plausibility.reset();
+            plausibility.on_pot_probe(&seen(79_911.0, BARE, 1.0, i, 1.0));
+            assert_eq!(heat(&mut plausibility, (50e3, POT, 1.0, i)), fault, "{i}");
+        }
+    }
+}
