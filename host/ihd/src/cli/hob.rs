@@ -93,6 +93,8 @@ impl HobArgs {
         if let Some(script) = script {
             server.set_script(script);
         }
+        // Before it says how it is stopped.
+        let stop = interrupt::flag().context("cannot catch ^C")?;
         say!(
             "simulated hob with {pot} on tcp:{}; stop with ^C",
             server.address()
@@ -106,7 +108,6 @@ impl HobArgs {
         if self.script.iter().any(|file| file == Path::new(STDIN)) {
             server.receive_scenarios(stdin_scenarios());
         }
-        let stop = interrupt::flag().context("cannot catch ^C")?;
         let speed = self.speed;
         server.run(speed, stop, |event| print_event(speed, event))?;
         Ok(())

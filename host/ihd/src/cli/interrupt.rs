@@ -29,3 +29,11 @@ pub fn flag() -> Result<&'static AtomicBool, ctrlc::Error> {
     })?;
     Ok(&STOP)
 }
+
+/// Lets Ctrl-C or a termination signal end the process with exit code 0, where nothing needs to be switched off.
+///
+/// # Errors
+/// If the handler cannot be installed.
+pub fn ends() -> Result<(), ctrlc::Error> {
+    ctrlc::set_handler(|| std::process::exit(0))
+}

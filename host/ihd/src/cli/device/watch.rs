@@ -22,7 +22,8 @@ pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
     match hob {
         Hob::Direct(direct) => watch_directly(direct, json),
         Hob::Daemon { client, name } => {
-            // Nothing needs to be switched off: Ctrl-C ends the process.
+            // Not by a flag: the next event may be a while off.
+            interrupt::ends().context("cannot catch ^C")?;
             let mut shown_ms = i64::MIN;
             for event in client.events(Some(name.as_str()))? {
                 let cut = |e: std::io::Error| ClientError::Unreachable {
