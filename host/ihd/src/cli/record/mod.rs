@@ -32,7 +32,7 @@ const WINDOWS_EVERY: u8 = 20;
 /// the daemon, with its store's options, into its folder `recordings`; --out downloads the file.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    ihd record --device usb --out kitchen.mcap\n  \
+    ihd record --device usb --power 1000 --out kitchen.mcap\n  \
     ihd record --device bench --trigger 'level:power>1000' --pre-trigger 5 --duration 30\n  \
     ihd record --device sim --power 1500 --duration 5s --out hob.mcap\n  \
     ihd record --device tcp:127.0.0.1:4711 --max-size 100M --out long.mcap --json\n\n\
