@@ -17,7 +17,7 @@ use ihd_shared::wire::number::Number;
 use serde_json::Value;
 
 /// Bytes of log before these, dropped messages, bytes.
-type Logged = (u32, u32, Vec<u8>);
+pub type Logged = (u32, u32, Vec<u8>);
 
 /// Number of the request that is answered, and frames sent so far.
 struct Sent {
@@ -108,7 +108,7 @@ fn talk(mut stream: TcpStream, build_id: u8, logs: &[Logged], short: bool) {
 }
 
 /// A board for so many connections, each with what it logs; all but the last are cut off.
-fn board(build_id: u8, connections: Vec<Vec<Logged>>) -> (String, JoinHandle<()>) {
+pub fn board(build_id: u8, connections: Vec<Vec<Logged>>) -> (String, JoinHandle<()>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("tcp:{}", listener.local_addr().unwrap());
     let board = thread::spawn(move || {
@@ -122,7 +122,7 @@ fn board(build_id: u8, connections: Vec<Vec<Logged>>) -> (String, JoinHandle<()>
 }
 
 /// The image of the board: its build id is all 0xB1.
-fn image(dir: &Path) {
+pub fn image(dir: &Path) {
     let elf = SampleLog::of_everything().within(SampleImage::default().elf());
     std::fs::write(dir.join("board.elf"), elf).unwrap();
 }

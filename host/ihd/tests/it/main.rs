@@ -6,6 +6,8 @@ mod convert;
 #[cfg(all(feature = "daemon", unix))]
 mod daemon;
 mod doctor;
+#[cfg(all(feature = "daemon", feature = "log", target_os = "linux"))]
+mod documented;
 #[cfg(all(feature = "daemon", feature = "log"))]
 mod documents;
 mod exit_codes;

@@ -126,18 +126,3 @@ fn key_exists(command: &str, new: &str) {
     let is_there = |line: &str| line.trim().split('=').next() == Some(key);
     assert!(help.lines().any(is_there), "{new}: {help}");
 }
-
-#[test]
-fn the_documents_call_commands_that_there_are() {
-    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let calls = super::documents::calls(&root, "ihd");
-    assert!(calls.len() > 60, "{} commands only", calls.len());
-    let refused: Vec<String> = calls
-        .iter()
-        .filter_map(|(place, words)| {
-            let error = pages::command().try_get_matches_from(words).err()?;
-            Some(format!("{place}: {}\n{error}", words.join(" ")))
-        })
-        .collect();
-    assert!(refused.is_empty(), "{}", refused.join("\n"));
-}

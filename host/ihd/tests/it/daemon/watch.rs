@@ -1,108 +1,7 @@
 //! `ihd watch` on a pseudo-terminal, as a person at the bench has it.
 
-use std::io::{Read, Write};
-use std::os::fd::OwnedFd;
-use std::process::{Child, Command, Stdio};
-use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
-
-use nix::pty::{Winsize, openpty};
-use nix::sys::termios::{LocalFlags, tcgetattr};
-
 use super::processes::{Kitchen, free_port, ihd, outcome};
-use crate::process::PATIENCE;
-
-/// The parser's own size, too.
-const ROWS: u16 = 24;
-const COLUMNS: u16 = 80;
-
-/// A terminal, and the command that draws on it.
-struct Screen {
-    child: Child,
-    keys: std::fs::File,
-    terminal: OwnedFd,
-    shown: Arc<Mutex<vt100::Parser>>,
-}
-
-impl Screen {
-    /// Starts the command on a terminal of 80 columns and 24 rows.
-    fn start(command: &mut Command) -> Self {
-        let size = Winsize {
-            ws_row: ROWS,
-            ws_col: COLUMNS,
-            ws_xpixel: 0,
-            ws_ypixel: 0,
-        };
-        let pty = openpty(Some(&size), None).expect("a pseudo-terminal");
-        let end = || Stdio::from(pty.slave.try_clone().expect("its end"));
-        command.stdin(end()).stdout(end()).stderr(end());
-        let child = command.env("TERM", "xterm-256color").spawn();
-        let shown = Arc::new(Mutex::new(vt100::Parser::default()));
-        let (screen, master) = (Arc::clone(&shown), pty.master.try_clone());
-        let mut master = std::fs::File::from(master.expect("the person's end"));
-        std::thread::spawn(move || {
-            let mut bytes = [0; 4096];
-            while let Ok(n) = master.read(&mut bytes)
-                && n > 0
-            {
-                screen.lock().unwrap().process(&bytes[..n]);
-            }
-        });
-        Self {
-            child: child.expect("it starts"),
-            keys: pty.master.into(),
-            terminal: pty.slave,
-            shown,
-        }
-    }
-
-    fn text(&self) -> String {
-        self.shown.lock().unwrap().screen().contents()
-    }
-
-    fn until(&self, what: &str, is: impl Fn(&str) -> bool) -> String {
-        let until = Instant::now() + PATIENCE;
-        loop {
-            let text = self.text();
-            if is(&text) {
-                return text;
-            }
-            assert!(Instant::now() < until, "{what}: never\n{text}");
-            std::thread::sleep(Duration::from_millis(50));
-        }
-    }
-
-    fn press(&mut self, keys: &[u8]) {
-        self.keys.write_all(keys).expect("it listens to keys");
-    }
-
-    /// Its exit code; the terminal must be as it was: not raw, and on its first screen with a cursor.
-    fn ended(mut self) -> i32 {
-        let until = Instant::now() + PATIENCE;
-        let code = loop {
-            if let Some(status) = self.child.try_wait().unwrap() {
-                break status.code().unwrap_or(-1);
-            }
-            assert!(Instant::now() < until, "it does not end\n{}", self.text());
-            std::thread::sleep(Duration::from_millis(20));
-        };
-        let settings = tcgetattr(&self.terminal).expect("a terminal");
-        let cooked = LocalFlags::ICANON | LocalFlags::ECHO;
-        assert!(settings.local_flags.contains(cooked), "it is raw");
-        self.until("the first screen", |_| {
-            let shown = self.shown.lock().unwrap();
-            !shown.screen().alternate_screen() && !shown.screen().hide_cursor()
-        });
-        code
-    }
-}
-
-impl Drop for Screen {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
+use super::screen::Screen;
 
 fn watch(kitchen: &Kitchen, more: &[&str]) -> Screen {
     let config = kitchen.dir.path().join("ihd.toml");
@@ -159,8 +58,7 @@ fn a_daemon_that_ends_is_told_and_comes_back_by_itself() {
     });
     assert!(back.contains("bench: "), "{back}");
     // Ended from outside, too, it leaves the terminal as it was.
-    let id = screen.child.id().to_string();
-    Command::new("kill").arg(id).status().expect("kill");
+    screen.terminate();
     assert_eq!(screen.ended(), 0);
 }
 
