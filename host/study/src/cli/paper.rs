@@ -171,7 +171,7 @@ impl PaperArgs {
         let bar = ProgressBar::new(jobs.len() as u64);
         let style = ProgressStyle::with_template("{bar:24} {pos}/{len} cells {wide_msg}");
         bar.set_style(style.context("progress bar")?);
-        let cells = study(&jobs, &presets, &self.out, &mut |done, text| {
+        let cells = study(&jobs, &presets, &self.out, &|done, text| {
             bar.set_position(done as u64);
             bar.set_message(text.to_owned());
         })?;
@@ -188,25 +188,23 @@ impl PaperArgs {
         Ok(())
     }
 
-    /// All cells, by load and frequency, so that each capture is simulated once.
+    /// All cells, seed by seed: an interrupted study has the table of the first seeds.
     fn jobs(&self, presets: &PresetLibrary) -> Result<Vec<PaperJob>> {
         let contenders = self.contenders(presets)?;
         let mut jobs = Vec::new();
-        for &load in &self.load {
-            for khz in &self.khz {
-                for snr in &self.snr {
-                    for entrant in &contenders {
-                        for seed in 1..=self.seeds {
-                            jobs.push(PaperJob {
-                                load: load.into(),
-                                f_sw_hz: 1e3 * khz,
-                                snr_db: snr.0,
-                                contender: entrant.contender.clone(),
-                                seed,
-                                epochs: entrant.epochs,
-                                backend: entrant.backend,
-                            });
-                        }
+        for seed in 1..=self.seeds {
+            for &load in &self.load {
+                for khz in &self.khz {
+                    for snr in &self.snr {
+                        jobs.extend(contenders.iter().map(|entrant| PaperJob {
+                            load: load.into(),
+                            f_sw_hz: 1e3 * khz,
+                            snr_db: snr.0,
+                            contender: entrant.contender.clone(),
+                            seed,
+                            epochs: entrant.epochs,
+                            backend: entrant.backend,
+                        }));
                     }
                 }
             }

@@ -13,6 +13,7 @@ mod waveforms;
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use ihd_identify::IdentifyError;
 use ihd_pinn::{PinnConfig, PinnError, PresetLibrary};
@@ -24,6 +25,7 @@ use ihd_sim::trial::Trial;
 use serde::{Deserialize, Serialize};
 
 pub use self::job::{Contender, PaperJob};
+use crate::parallel::{WorkerLost, in_parallel};
 use ihd_plot::FigureError;
 
 /// One entry of a loss curve.
@@ -144,10 +146,15 @@ pub enum PaperStudyError {
     /// A figure cannot be drawn.
     #[error(transparent)]
     Figure(#[from] FigureError),
+    /// A worker ended early.
+    #[error(transparent)]
+    Worker(#[from] WorkerLost),
 }
 
 /// Operating point, which is simulated once.
 struct Point {
+    load: LoadKind,
+    f_sw_hz: f64,
     trial: Trial,
     /// Voltage in volt and current in ampere without noise, after the paper's low-pass.
     filtered: (Vec<f64>, Vec<f64>),
@@ -155,67 +162,99 @@ struct Point {
 }
 
 impl Point {
-    fn simulate(job: &PaperJob) -> Result<Self, InverterError> {
-        let trial = Trial::simulate(job.load, job.f_sw_hz)?;
-        let describing = match job.load {
+    fn simulate(load: LoadKind, f_sw_hz: f64) -> Result<Self, InverterError> {
+        let trial = Trial::simulate(load, f_sw_hz)?;
+        let describing = match load {
             LoadKind::Field => Some(trial.describing()?),
             LoadKind::Behavioural | LoadKind::Surrogate => None,
         };
         let filtered = |x: &[f64]| lowpass::zero_phase(x, trial.clean.dt_s);
         Ok(Self {
+            load,
+            f_sw_hz,
             filtered: (filtered(&trial.clean.v_v), filtered(&trial.clean.i_a)),
             trial,
             describing,
         })
     }
+
+    fn is_of(&self, job: &PaperJob) -> bool {
+        (self.load, self.f_sw_hz) == (job.load, job.f_sw_hz)
+    }
 }
 
-/// Runs the jobs in order; a cell with a file in `folder` is read instead. `progress` is called with the number of finished cells
-/// and the network's reports.
+/// Runs the jobs on all cores; a cell with a file in `folder` is read instead. The result does not depend on the number of cores.
+/// `progress` is called with the number of finished cells and the networks' reports.
 ///
 /// # Errors
-/// [`PaperStudyError`].
+/// [`PaperStudyError`]: the first of the jobs' order, after all have run.
 pub fn study(
     jobs: &[PaperJob],
     presets: &PresetLibrary,
     folder: &Path,
-    progress: &mut dyn FnMut(usize, &str),
+    progress: &(dyn Fn(usize, &str) + Sync),
 ) -> Result<Vec<PaperCell>, PaperStudyError> {
-    let mut cells = Vec::with_capacity(jobs.len());
-    let mut simulated: Option<(LoadKind, f64, Point)> = None;
-    for job in jobs {
-        let stem = job.file_stem();
-        let path = folder.join(format!("{stem}.json"));
-        let done = cells.len();
-        progress(done, &stem);
-        let settings = folder_settings(job, presets);
-        if let Some(cell) = stored_cell(&path)? {
-            if cell.settings != settings {
-                return Err(broken(&path, &"is of other settings of this preset"));
-            }
-            cells.push(cell);
-            continue;
-        }
-        let point = match simulated.take() {
-            Some((load, f, point)) if (load, f) == (job.load, job.f_sw_hz) => point,
-            _ => Point::simulate(job)?,
-        };
-        let checkpoint = folder.join(format!("{stem}.bpk"));
-        let cell = cell::run(job, presets, &point, &checkpoint, &mut |text| {
-            progress(done, &format!("{stem}: {text}"));
-        })?;
-        write(
-            &path,
-            &serde_json::to_vec(&cell).map_err(|e| broken(&path, &e))?,
-        )?;
-        // The file of the cell holds everything from here on.
-        if checkpoint.exists() {
-            fs::remove_file(&checkpoint).map_err(|e| broken(&checkpoint, &e))?;
-        }
-        cells.push(cell);
-        simulated = Some((job.load, job.f_sw_hz, point));
+    let stored: Vec<Option<PaperCell>> = jobs
+        .iter()
+        .map(|job| stored_cell(job, presets, folder))
+        .collect::<Result<_, _>>()?;
+    let missing: Vec<&PaperJob> = jobs
+        .iter()
+        .zip(&stored)
+        .filter(|(_, cell)| cell.is_none())
+        .map(|(job, _)| job)
+        .collect();
+    let points = simulate(&missing)?;
+    let done = AtomicUsize::new(jobs.len() - missing.len());
+    let run = |job: &&PaperJob| {
+        let report = |text: String| progress(done.load(Ordering::Relaxed), &text);
+        let cell = run_and_store(job, presets, folder, &points, &report);
+        done.fetch_add(1, Ordering::Relaxed);
+        report(job.file_stem());
+        cell
+    };
+    let results = in_parallel(&missing, run)?;
+    let mut cells = stored;
+    for (empty, cell) in cells.iter_mut().filter(|c| c.is_none()).zip(results) {
+        *empty = Some(cell?);
     }
-    Ok(cells)
+    Ok(cells.into_iter().flatten().collect())
+}
+
+/// Simulates the operating points of the jobs, each once.
+fn simulate(jobs: &[&PaperJob]) -> Result<Vec<Point>, PaperStudyError> {
+    let settings = distinct(jobs, |job| (job.load, job.f_sw_hz));
+    let points = in_parallel(&settings, |(load, f_sw_hz)| {
+        Point::simulate(*load, *f_sw_hz)
+    })?;
+    Ok(points.into_iter().collect::<Result<_, _>>()?)
+}
+
+/// Runs a job and writes its cell's file.
+fn run_and_store(
+    job: &PaperJob,
+    presets: &PresetLibrary,
+    folder: &Path,
+    points: &[Point],
+    report: &dyn Fn(String),
+) -> Result<PaperCell, PaperStudyError> {
+    let stem = job.file_stem();
+    let point = points.iter().find(|point| point.is_of(job));
+    let point = point.ok_or_else(|| PaperStudyError::Nothing(stem.clone()))?;
+    let checkpoint = folder.join(format!("{stem}.bpk"));
+    let cell = cell::run(job, presets, point, &checkpoint, &mut |text| {
+        report(format!("{stem}: {text}"));
+    })?;
+    let path = folder.join(format!("{stem}.json"));
+    write(
+        &path,
+        &serde_json::to_vec(&cell).map_err(|e| broken(&path, &e))?,
+    )?;
+    // The file of the cell holds everything from here on.
+    if checkpoint.exists() {
+        fs::remove_file(&checkpoint).map_err(|e| broken(&checkpoint, &e))?;
+    }
+    Ok(cell)
 }
 
 /// Writes report.md, cells.json and the figures into `folder`; returns the report's path. `presets` has their descriptions.
@@ -246,12 +285,21 @@ fn folder_settings(job: &PaperJob, presets: &PresetLibrary) -> Option<PinnConfig
     preset.map(|preset| preset.config)
 }
 
-fn stored_cell(path: &Path) -> Result<Option<PaperCell>, PaperStudyError> {
+/// Cell in the folder's file of the job, if there is one.
+fn stored_cell(
+    job: &PaperJob,
+    presets: &PresetLibrary,
+    folder: &Path,
+) -> Result<Option<PaperCell>, PaperStudyError> {
+    let path = folder.join(format!("{}.json", job.file_stem()));
     if !path.exists() {
         return Ok(None);
     }
-    let bytes = fs::read(path).map_err(|e| broken(path, &e))?;
-    let cell = serde_json::from_slice(&bytes).map_err(|e| broken(path, &e))?;
+    let bytes = fs::read(&path).map_err(|e| broken(&path, &e))?;
+    let cell: PaperCell = serde_json::from_slice(&bytes).map_err(|e| broken(&path, &e))?;
+    if cell.settings != folder_settings(job, presets) {
+        return Err(broken(&path, &"is of other settings of this preset"));
+    }
     Ok(Some(cell))
 }
 
@@ -266,10 +314,10 @@ fn broken(path: &Path, why: &dyn std::fmt::Display) -> PaperStudyError {
     }
 }
 
-/// Distinct values of a quantity in the cells, in their order.
-fn distinct<T: PartialEq>(cells: &[&PaperCell], of: impl Fn(&PaperCell) -> T) -> Vec<T> {
+/// Distinct values of a quantity of the items, in their order.
+fn distinct<I, T: PartialEq>(items: &[&I], of: impl Fn(&I) -> T) -> Vec<T> {
     let mut values = Vec::new();
-    for value in cells.iter().map(|c| of(c)) {
+    for value in items.iter().map(|item| of(item)) {
         if !values.contains(&value) {
             values.push(value);
         }
