@@ -72,6 +72,12 @@ impl Basis {
         out
     }
 
+    /// First coefficient of a function of the sample's number.
+    pub fn level(&self, of: impl Fn(usize) -> f64) -> f64 {
+        let constant = self.values.column(0);
+        constant.iter().enumerate().map(|(k, x)| x * of(k)).sum()
+    }
+
     /// Values at the samples.
     pub fn at_samples(&self, coefficients: &DVector<f64>) -> DVector<f64> {
         &self.values * coefficients

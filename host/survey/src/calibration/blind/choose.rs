@@ -3,7 +3,7 @@
 use super::basis::Bases;
 use super::edges::Stretch;
 use super::error::BlindError;
-use super::fit::{Fit, FittedValue, Model, Scope};
+use super::fit::{Fit, FittedValue, Model, Scope, moments};
 use super::plateau::{Guards, Plateau, of_stretch};
 
 /// Chosen model and its results.
@@ -59,10 +59,10 @@ pub(super) fn choose(
         };
         let plateaus: Vec<Plateau> = edges
             .iter()
-            .flat_map(|(s, edges)| of_stretch(s, edges, of(s), &mut bases))
+            .flat_map(|(s, edges)| of_stretch(s, edges, of(s), settling_s, &mut bases))
             .collect();
         most = most.max(plateaus.len());
-        let Some(now) = judge(&plateaus, settling_s) else {
+        let Some(now) = judge(&plateaus, settling_s.is_some()) else {
             continue;
         };
         let fits = now.is_flat();
@@ -97,12 +97,14 @@ const SIDES_SIGMAS: f64 = 3.5;
 const SIDES_SHARE: f64 = 2e-3;
 const SIDES_S: f64 = 1.5e-9;
 
-fn judge(plateaus: &[Plateau], settling_s: Option<f64>) -> Option<ModelChoice> {
+fn judge(plateaus: &[Plateau], tail: bool) -> Option<ModelChoice> {
+    let moments = moments(plateaus);
     let scope = |side| Scope {
         plateaus,
+        moments: &moments,
         side,
         cubic: false,
-        settling_s,
+        tail,
     };
     let of_side = |side: usize| {
         let enough = plateaus.iter().filter(|p| p.side == side).count() >= FEWEST;

@@ -39,8 +39,15 @@ pub(super) struct Track {
     frames: Vec<Carrier>,
 }
 
-/// Carrier, and the phases between its edges in periods.
-pub(super) type Edges = (Track, [Range<f64>; 2]);
+/// Carrier, and the phases at which the bridge does not switch.
+#[derive(Clone, Debug)]
+pub(super) struct Edges {
+    pub track: Track,
+    /// Phases between the edges in periods, from the end of one to the beginning of the next; the second may exceed 1.
+    pub between: [Range<f64>; 2],
+    /// Charge in coulomb at the carrier's frequency, sample by sample.
+    pub charge_c: Vec<f64>,
+}
 
 /// Switching periods in a frame, and from frame to frame.
 const FRAME: f64 = 4.0;
@@ -72,8 +79,7 @@ impl Stretch {
     }
 
     /// Charge in coulomb at the carrier's frequency: less its mean over three periods.
-    pub fn swinging_charge_c(&self) -> Vec<f64> {
-        let q_c = self.charge_c();
+    fn swinging_charge_c(&self, q_c: &[f64]) -> Vec<f64> {
         let half = ((1.5 * self.per_period()).round() as usize).max(1);
         let mut sums = Vec::with_capacity(q_c.len() + 1);
         sums.push(0.0);
@@ -91,8 +97,7 @@ impl Stretch {
 
     /// 1/C in 1/farad: the median ratio of voltage steps to the charge that flowed. The few steps that contain an edge do not
     /// change the median.
-    fn elastance(&self) -> Option<f64> {
-        let q_c = self.charge_c();
+    fn elastance(&self, q_c: &[f64]) -> Option<f64> {
         let m = ((0.05 * self.per_period()) as usize).max(1);
         let every = (self.v_v.len() / 100_000).max(1);
         let mut steps: Vec<(f64, f64)> = (0..self.v_v.len().saturating_sub(m))
@@ -162,10 +167,10 @@ impl Stretch {
     }
 
     /// Root mean square of steps of v + q/C by phase, each relative to the bridge's amplitude at that time.
-    fn fold(&self, track: &Track, elastance: f64, least_v: f64) -> Fold {
+    fn fold(&self, track: &Track, elastance: f64, q_c: &[f64]) -> Fold {
+        let least_v = LEAST * track.largest_v();
         let bins = (3.0 * self.per_period()).clamp(24.0, 512.0) as usize;
         let m = ((STEP * self.per_period()).round() as usize).max(1);
-        let q_c = self.charge_c();
         let mut sums = vec![(0.0, 0u32); bins];
         for k in m..self.v_v.len() {
             let c = track.at(k);
@@ -173,7 +178,7 @@ impl Stretch {
                 continue;
             }
             let step = self.v_v[k] - self.v_v[k - m] + elastance * (q_c[k] - q_c[k - m]);
-            let bin = (c.periods.rem_euclid(1.0) * bins as f64) as usize;
+            let bin = (fraction(c.periods) * bins as f64) as usize;
             let sum = &mut sums[bin.min(bins - 1)];
             *sum = (sum.0 + (step / c.v_v).powi(2), sum.1 + 1);
         }
@@ -191,20 +196,23 @@ impl Stretch {
         }
     }
 
-    /// Carrier, and the phases between its edges; `None` if nothing switches.
+    /// Carrier, and the phases between its edges; `None` if nothing switches, or no two edges are found.
     pub fn edges(&self) -> Option<Edges> {
-        let elastance = self.elastance()?;
+        let q_c = self.charge_c();
+        let elastance = self.elastance(&q_c)?;
         let track = self.track(elastance)?;
-        let between = self.between_edges(&track, elastance)?;
-        Some((track, between))
+        Some(Edges {
+            between: self.fold(&track, elastance, &q_c).between_edges()?,
+            charge_c: self.swinging_charge_c(&q_c),
+            track,
+        })
     }
+}
 
-    /// Phases between the edges in periods, from the end of one to the beginning of the next; the second may exceed 1. `None` if
-    /// no two edges are found.
-    fn between_edges(&self, track: &Track, elastance: f64) -> Option<[Range<f64>; 2]> {
-        self.fold(track, elastance, LEAST * track.largest_v())
-            .between_edges()
-    }
+/// Part of `x` beyond the next lower whole number, as `rem_euclid(1.0)` without a division.
+fn fraction(x: f64) -> f64 {
+    let beyond = x - (x as i64) as f64;
+    if beyond < 0.0 { beyond + 1.0 } else { beyond }
 }
 
 /// Share of the largest amplitude of the bridge's voltage from which a plateau is used: weaker ones have little weight.

@@ -1,8 +1,8 @@
 //! Regression of v = level − (1/C) ∫ (current behind its sensor) between edges, with several models of the sensor.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
-use super::plateau::Plateau;
+use super::plateau::{Plateau, REGRESSORS, Regressor};
 
 /// Fault of a sensor that plateaus can show.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -95,16 +95,34 @@ pub(super) struct Misfit {
     pub share: f64,
 }
 
+/// Sums of products of the regressors over the plateaus of one side: every model's normal equations follow from them.
+pub(super) type Moments = SMatrix<f64, REGRESSORS, REGRESSORS>;
+
+/// Moments of both sides.
+pub(super) fn moments(plateaus: &[Plateau]) -> [Moments; 2] {
+    let mut sums = [[[0.0; REGRESSORS]; REGRESSORS]; 2];
+    for p in plateaus {
+        let sums = &mut sums[p.side];
+        for row in &p.rows {
+            for (sums, x) in sums.iter_mut().zip(row) {
+                sums.iter_mut().zip(row).for_each(|(s, y)| *s += x * y);
+            }
+        }
+    }
+    sums.map(|sums| Moments::from_fn(|a, b| sums[a][b]))
+}
+
 /// Selection of plateaus, and terms beside the model.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Scope<'a> {
     pub plateaus: &'a [Plateau],
+    pub moments: &'a [Moments; 2],
     /// Side of the plateaus; `None` for both.
     pub side: Option<usize>,
     /// Set to fit the integral of the cubed current, too.
     pub cubic: bool,
-    /// Time constant in seconds of a filter's tail after each edge; `None` if there is none.
-    pub settling_s: Option<f64>,
+    /// Set to fit a filter's tail after each edge, too.
+    pub tail: bool,
 }
 
 /// Steps of the Gauss-Newton iteration, which is nearly linear.
@@ -118,51 +136,51 @@ impl Scope<'_> {
             .filter(move |p| side.is_none_or(|s| s == p.side))
     }
 
+    fn sides(&self) -> impl Iterator<Item = usize> {
+        (0..2).filter(|side| self.side.is_none_or(|s| s == *side))
+    }
+
     /// Number of columns: 1/C, those of the model, the cubed current; for each side the slope, the bus, the tail.
     fn columns(&self, model: Model) -> usize {
         1 + model.parameters() + usize::from(self.cubic) + 2 * self.of_a_side()
     }
 
     fn of_a_side(&self) -> usize {
-        2 + usize::from(self.settling_s.is_some())
+        2 + usize::from(self.tail)
     }
 
-    /// Rows of one plateau: regressors in columns, the voltage last.
-    fn rows(&self, p: &Plateau, model: Model, e: f64, t_s: f64, droop: f64) -> DMatrix<f64> {
+    /// Columns of one side's plateaus as shares of the regressors: those of the design, the voltage last.
+    fn shares(&self, model: Model, side: usize, (e, t_s, droop): (f64, f64, f64)) -> DMatrix<f64> {
         let columns = self.columns(model);
-        let mut rows = DMatrix::zeros(p.v.len(), columns + 1);
-        let shares = model.expansion(t_s);
-        let droop = if model.has_droop() { droop } else { 0.0 };
-        let first = columns - 2 * self.of_a_side() + p.side * self.of_a_side();
-        let tail = self.settling_s.map(|tau_s| p.settling(tau_s));
-        for j in 0..p.v.len() {
-            let parts = [p.current[j], p.slopes[0][j], p.slopes[1][j]];
-            let sum = |of: fn(&(f64, f64)) -> f64| -> f64 {
-                shares.iter().zip(parts).map(|(s, x)| of(s) * x).sum()
-            };
-            let mut column = 0;
-            let mut put = |x: f64| {
-                rows[(j, column)] = x;
-                column += 1;
-            };
-            put(-(p.charge[j] + sum(|s| s.0) + droop * p.area[j]));
-            if model.has_time() {
-                put(-e * sum(|s| s.1));
-            }
-            if model.has_droop() {
-                put(-e * p.area[j]);
-            }
-            if self.cubic {
-                put(-e * p.cubed[j]);
-            }
-            rows[(j, first)] = p.time[j];
-            rows[(j, first + 1)] = p.time[j] * p.carrier.v_per_s;
-            if let Some(tail) = &tail {
-                rows[(j, first + 2)] = tail[j] * p.carrier.v_v;
-            }
-            rows[(j, columns)] = p.v[j];
+        let mut shares = DMatrix::zeros(REGRESSORS, columns + 1);
+        let of_current = model.expansion(t_s);
+        let parts = [Regressor::Current, Regressor::Slope, Regressor::Bend];
+        shares[(Regressor::Charge as usize, 0)] = -1.0;
+        for (part, share) in parts.into_iter().zip(of_current) {
+            shares[(part as usize, 0)] = -share.0;
         }
-        rows
+        let mut column = 1;
+        if model.has_time() {
+            for (part, share) in parts.into_iter().zip(of_current) {
+                shares[(part as usize, column)] = -e * share.1;
+            }
+            column += 1;
+        }
+        if model.has_droop() {
+            shares[(Regressor::Area as usize, 0)] = -droop;
+            shares[(Regressor::Area as usize, column)] = -e;
+            column += 1;
+        }
+        if self.cubic {
+            shares[(Regressor::Cubed as usize, column)] = -e;
+        }
+        let first = columns - 2 * self.of_a_side() + side * self.of_a_side();
+        let of_side = [Regressor::Time, Regressor::Bus, Regressor::Tail];
+        for (k, regressor) in of_side.into_iter().take(self.of_a_side()).enumerate() {
+            shares[(regressor as usize, first + k)] = 1.0;
+        }
+        shares[(Regressor::Voltage as usize, columns)] = 1.0;
+        shares
     }
 
     /// Fits a model; `None` if the plateaus do not determine it.
@@ -173,7 +191,7 @@ impl Scope<'_> {
         for step in 0..STEPS {
             // The first step fits 1/C with a sensor without fault.
             let model = if step == 0 { Model::Right } else { model };
-            let normal = self.normal(model, e, t_s, droop)?;
+            let normal = self.normal(model, (e, t_s, droop))?;
             let x = normal.solution()?;
             e = x[0];
             let mut next = 1;
@@ -214,12 +232,12 @@ impl Scope<'_> {
         })
     }
 
-    fn normal(&self, model: Model, e: f64, t_s: f64, droop: f64) -> Option<Normal> {
+    fn normal(&self, model: Model, at: (f64, f64, f64)) -> Option<Normal> {
         let columns = self.columns(model);
         let mut all = DMatrix::zeros(columns + 1, columns + 1);
-        for p in self.of() {
-            let rows = self.rows(p, model, e, t_s, droop);
-            all.gemm_tr(1.0, &rows, &rows, 1.0);
+        for side in self.sides() {
+            let shares = self.shares(model, side, at);
+            all += shares.tr_mul(&(self.moments[side] * &shares));
         }
         Normal::of(&all)
     }
@@ -228,32 +246,39 @@ impl Scope<'_> {
     fn spread(
         &self,
         model: Model,
-        (e, t_s, droop): (f64, f64, f64),
+        at: (f64, f64, f64),
         normal: &Normal,
         x: &DVector<f64>,
     ) -> Option<(DMatrix<f64>, (f64, usize), Misfit)> {
         let columns = self.columns(model);
         let mut meat = DMatrix::zeros(columns, columns);
         let (mut left, mut numbers) = (0.0, 0);
-        let most = self.of().map(|p| p.v.len()).max()?;
+        let most = self.of().map(|p| p.rows.len()).max()?;
         let mut shape = vec![(0.0, 0.0); 2 * most];
         let mut capacitor = 0.0;
-        for p in self.of() {
-            let rows = self.rows(p, model, e, t_s, droop);
-            let design = rows.columns(0, columns);
-            let r = rows.column(columns) - design * x;
-            let score = design.transpose() * &r;
-            meat.ger(1.0, &score, &score, 1.0);
-            left += r.norm_squared();
-            numbers += r.len();
-            for (j, r) in r.iter().enumerate() {
-                let sums = &mut shape[p.side * most + j];
-                *sums = (
-                    sums.0 + r * p.carrier.v_v,
-                    sums.1 + p.carrier.v_v * p.carrier.v_v,
-                );
+        for side in self.sides() {
+            let shares = self.shares(model, side, at);
+            let design = shares.columns(0, columns);
+            let of_residual = shares.column(columns) - design * x;
+            let charge = design.column(0);
+            capacitor += at.0 * at.0 * charge.dot(&(self.moments[side] * charge));
+            let mut scores = Moments::zeros();
+            for p in self.of().filter(|p| p.side == side) {
+                let mut score = SVector::<f64, REGRESSORS>::zeros();
+                for (row, sums) in p.rows.iter().zip(&mut shape[side * most..]) {
+                    let row = SVector::from(*row);
+                    let r = of_residual.dot(&row);
+                    score.axpy(r, &row, 1.0);
+                    left += r * r;
+                    *sums = (
+                        sums.0 + r * p.carrier.v_v,
+                        sums.1 + p.carrier.v_v * p.carrier.v_v,
+                    );
+                }
+                scores.ger(1.0, &score, &score, 1.0);
+                numbers += p.rows.len();
             }
-            capacitor += e * e * rows.column(0).norm_squared();
+            meat += design.tr_mul(&(scores * design));
         }
         let free = numbers.checked_sub(columns).filter(|n| *n > 0)?;
         let variance = left / free as f64;

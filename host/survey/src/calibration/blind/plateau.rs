@@ -1,10 +1,6 @@
 //! Plateaus: voltage and current between two edges, as coefficients of polynomials.
 
-use std::rc::Rc;
-
-use nalgebra::DVector;
-
-use super::basis::{Bases, Basis, FEWEST};
+use super::basis::{Bases, FEWEST};
 use super::edges::{Carrier, Edges, LEAST, Stretch};
 
 /// Times in seconds that are left out around edges.
@@ -16,7 +12,35 @@ pub(super) struct Guards {
     pub after_s: f64,
 }
 
-/// Voltage and current between two edges. Every list has one entry per polynomial, without the constant: the level is free.
+/// Number of regressors of a plateau.
+pub(super) const REGRESSORS: usize = 10;
+
+/// Quantities that the models of a sensor are made of, by their place in a plateau's rows.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Regressor {
+    /// Charge in coulomb.
+    Charge,
+    /// Current in ampere.
+    Current,
+    /// Derivative of the current in ampere per second.
+    Slope,
+    /// Second derivative of the current.
+    Bend,
+    /// Integral of the charge in coulomb seconds.
+    Area,
+    /// Integral of the cubed current.
+    Cubed,
+    /// Time in seconds.
+    Time,
+    /// Time times the change of the bridge's amplitude, in volt.
+    Bus,
+    /// Exponential decay from the edge, times the bridge's amplitude, in volt; zero where no filter leaves one.
+    Tail,
+    /// Voltage in volt.
+    Voltage,
+}
+
+/// Voltage and current between two edges.
 #[derive(Clone, Debug)]
 pub(super) struct Plateau {
     /// Half of the period, 0 or 1.
@@ -25,49 +49,23 @@ pub(super) struct Plateau {
     pub carrier: Carrier,
     /// Number of samples.
     pub samples: usize,
-    /// Voltage in volt.
-    pub v: Vec<f64>,
-    /// Charge in coulomb.
-    pub charge: Vec<f64>,
-    /// Current in ampere.
-    pub current: Vec<f64>,
-    /// Derivative of the current in ampere per second, and the second one.
-    pub slopes: [Vec<f64>; 2],
-    /// Integral of the charge in coulomb seconds.
-    pub area: Vec<f64>,
-    /// Integral of the cubed current.
-    pub cubed: Vec<f64>,
-    /// Time in seconds.
-    pub time: Vec<f64>,
-    basis: Rc<Basis>,
-    since_edge_s: f64,
-    dt_s: f64,
-}
-
-impl Plateau {
-    /// Exponential decay from the edge with this time constant, as a filter leaves it.
-    pub fn settling(&self, tau_s: f64) -> Vec<f64> {
-        let at = |k: usize| libm::exp(-(self.since_edge_s + k as f64 * self.dt_s) / tau_s);
-        without_level(&self.basis.project(at))
-    }
-}
-
-fn without_level(coefficients: &DVector<f64>) -> Vec<f64> {
-    coefficients.as_slice().get(1..).unwrap_or(&[]).to_vec()
+    /// Regressors, a row per polynomial without the constant: the level is free.
+    pub rows: Vec<[f64; REGRESSORS]>,
 }
 
 /// Most plateaus of a stretch, taken evenly: with more, errors of the model dominate.
 const MOST: usize = 6_000;
 
-/// Plateaus of a stretch, between given edges.
+/// Plateaus of a stretch, between given edges. `settling_s` is the time constant of a filter's tail after each edge.
 pub(super) fn of_stretch(
     stretch: &Stretch,
-    (track, between): &Edges,
+    edges: &Edges,
     guards: Guards,
+    settling_s: Option<f64>,
     bases: &mut Bases,
 ) -> Vec<Plateau> {
+    let track = &edges.track;
     let least_v = LEAST * track.largest_v();
-    let charge_c = stretch.swinging_charge_c();
     let samples = stretch.v_v.len();
     let f_hz = stretch.f_sw_hz;
     let (begin, end) = (
@@ -76,7 +74,7 @@ pub(super) fn of_stretch(
     );
     let every = ((2.0 * (end - begin)) as usize / MOST).max(1);
     let mut out = Vec::new();
-    for (side, between) in between.iter().enumerate() {
+    for (side, between) in edges.between.iter().enumerate() {
         let (from, to) = (
             between.start + guards.after_s * f_hz,
             between.end - guards.before_s * f_hz,
@@ -98,18 +96,28 @@ pub(super) fn of_stretch(
                 continue;
             }
             let edge = n as f64 + between.start;
-            let since_edge_s = (track.at(a).periods - edge) / f_hz;
+            let tail = settling_s.map(|tau_s| Tail {
+                tau_s,
+                since_edge_s: (track.at(a).periods - edge) / f_hz,
+            });
             out.push(plateau(
                 stretch,
                 (a, b + 1),
                 side,
                 carrier,
-                since_edge_s,
-                (charge_c.as_slice(), &mut *bases),
+                tail,
+                (edges.charge_c.as_slice(), &mut *bases),
             ));
         }
     }
     out
+}
+
+/// Tail that a filter leaves after an edge.
+struct Tail {
+    tau_s: f64,
+    /// Time in seconds from the edge to the plateau's first sample.
+    since_edge_s: f64,
 }
 
 fn plateau(
@@ -117,35 +125,47 @@ fn plateau(
     (from, to): (usize, usize),
     side: usize,
     carrier: Carrier,
-    since_edge_s: f64,
+    tail: Option<Tail>,
     (charge_c, bases): (&[f64], &mut Bases),
 ) -> Plateau {
     let basis = bases.of(to - from);
-    let half_s = 0.5 * (to - from - 1) as f64 * stretch.dt_s;
+    let dt_s = stretch.dt_s;
+    let half_s = 0.5 * (to - from - 1) as f64 * dt_s;
     let v = basis.project(|k| stretch.v_v[from + k]);
     let i = basis.project(|k| stretch.i_a[from + k]);
     let smooth = basis.at_samples(&i);
     let cubes = basis.project(|k| smooth[k].powi(3));
     let mut charge = basis.integrated(&i, half_s);
     // The charge's level enters its integral.
-    charge[0] = basis.project(|k| charge_c[from + k])[0];
+    charge[0] = basis.level(|k| charge_c[from + k]);
     let slope = basis.derived(&i, half_s);
+    let bend = basis.derived(&slope, half_s);
+    let area = basis.integrated(&charge, half_s);
+    let cubed = basis.integrated(&cubes, half_s);
+    let tail = tail.map(|tail| {
+        basis.project(|k| libm::exp(-(tail.since_edge_s + k as f64 * dt_s) / tail.tau_s))
+    });
+    let row = |l: usize| {
+        let time = basis.line[l] * half_s;
+        let tail = tail.as_ref().map_or(0.0, |tail| tail[l] * carrier.v_v);
+        // In the order of [`Regressor`].
+        [
+            charge[l],
+            i[l],
+            slope[l],
+            bend[l],
+            area[l],
+            cubed[l],
+            time,
+            time * carrier.v_per_s,
+            tail,
+            v[l],
+        ]
+    };
     Plateau {
         side,
         carrier,
         samples: to - from,
-        area: without_level(&basis.integrated(&charge, half_s)),
-        cubed: without_level(&basis.integrated(&cubes, half_s)),
-        slopes: [
-            without_level(&slope),
-            without_level(&basis.derived(&slope, half_s)),
-        ],
-        time: without_level(&(&basis.line * half_s)),
-        v: without_level(&v),
-        charge: without_level(&charge),
-        current: without_level(&i),
-        basis,
-        since_edge_s,
-        dt_s: stretch.dt_s,
+        rows: (1..basis.len()).map(row).collect(),
     }
 }
