@@ -15,6 +15,7 @@ from .captures import Capture
 
 if TYPE_CHECKING:
     import pandas
+    import pyarrow
 
 Time = datetime | np.datetime64 | str
 
@@ -27,6 +28,12 @@ class Columns(dict[str, NDArray[Any]]):
         import pandas
 
         return pandas.DataFrame(dict(self))
+
+    def to_arrow(self) -> pyarrow.Table:
+        """An Arrow table of the columns; pyarrow has to be installed."""
+        import pyarrow
+
+        return pyarrow.table(dict(self))
 
 
 class Store:

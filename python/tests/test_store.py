@@ -72,15 +72,17 @@ class Stored(unittest.TestCase):
         self.assertTrue(np.all(seconds["r_min_ohm"][heats] <= seconds["r_max_ohm"][heats]))
         self.assertTrue(np.all((seconds["l_mean_h"][heats] > 2e-6) & (seconds["l_mean_h"][heats] < 100e-6)))
 
-    def test_pandas_is_asked_for_only_where_it_is_used(self) -> None:
+    def test_frames_have_the_columns_with_their_types(self) -> None:
         results = self.store.results()
-        try:
-            import pandas  # noqa: F401
-        except ImportError:
-            with self.assertRaises(ImportError):
-                results.to_pandas()
-        else:
-            self.assertEqual(len(results.to_pandas()), len(results["at"]))
+        frame, table = results.to_pandas(), results.to_arrow()
+        self.assertEqual(list(frame), list(results))
+        self.assertEqual(table.column_names, list(results))
+        for name, column in results.items():
+            np.testing.assert_array_equal(frame[name].to_numpy(), column, name)
+            np.testing.assert_array_equal(table[name].to_numpy(), column, name)
+        self.assertEqual(frame["at"].dtype, np.dtype("datetime64[ms]"))
+        self.assertEqual(str(table.schema.field("at").type), "timestamp[ms]")
+        self.assertEqual(str(table.schema.field("device").type), "string")
 
 
 class Errors(unittest.TestCase):
