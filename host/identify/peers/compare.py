@@ -77,7 +77,7 @@ def peer(identify, capture, slow):
 
 
 def point(args, load, khz, snr_db, folder):
-    """Means over the seeds at one operating point: {name: (array of four errors, seconds)}."""
+    """Everybody at one operating point: {name: (four errors per seed, mean of the seconds)}."""
     gathered = defaultdict(list)
     # Without noise there is nothing to repeat.
     for seed in range(1, 1 + (args.seeds if snr_db else 1)):
@@ -87,7 +87,7 @@ def point(args, load, khz, snr_db, folder):
         for name, (errors, seconds) in measured(args, capture, seed <= args.filter_seeds).items():
             gathered[name].append((np.ravel(errors), seconds))
     return {
-        name: (np.mean([errors for errors, _ in runs], axis=0), np.mean([s for _, s in runs]))
+        name: (np.array([errors for errors, _ in runs]), np.mean([s for _, s in runs]))
         for name, runs in gathered.items()
     }
 
@@ -105,8 +105,8 @@ def table(points):
     for name in names:
         cells = []
         for found in points.values():
-            least = np.min([errors for errors, _ in found.values()], axis=0)
-            r, l, middle_r, middle_l = (number(x, y) for x, y in zip(found[name][0], least))
+            least = np.min([errors.mean(axis=0) for errors, _ in found.values()], axis=0)
+            r, l, middle_r, middle_l = (number(x, y) for x, y in zip(found[name][0].mean(axis=0), least))
             cells.append(f"{r}/{l} · {middle_r}/{middle_l}")
         ms = 1e3 * np.mean([found[name][1] for found in points.values()])
         lines.append(f"| {name} | {' | '.join(cells)} | {ms:.3g} |")
@@ -114,19 +114,29 @@ def table(points):
 
 
 def standing(all_points):
-    """Who has the least error of R or L over the whole half-cycle, in how many pairs."""
-    best, ours, pairs = defaultdict(int), 0, 0
+    """Who has the least error of R or L over the whole half-cycle, in how many pairs, and by how much."""
+    best, beyond = defaultdict(int), defaultdict(int)
     for found in all_points:
         for quantity in (0, 1):
-            least = min(found, key=lambda name: found[name][0][quantity])
-            best[least] += 1
-            ours += least.startswith("ihd")
-            pairs += 1
+            ranked = sorted(found, key=lambda name: found[name][0][:, quantity].mean())
+            best[ranked[0]] += 1
+            ours = next(name for name in ranked if name.startswith("ihd"))
+            theirs = next(name for name in ranked if not name.startswith("ihd"))
+            beyond[apart(found[ours][0][:, quantity], found[theirs][0][:, quantity])] += 1
     words = ", ".join(f"{name} {n}" for name, n in sorted(best.items(), key=lambda b: -b[1]))
     return (
-        f"Least error over the whole half-cycle, of {pairs} pairs of operating point and R or L: {words}. "
-        f"An estimator of ihd has it in {ours}, a peer in {pairs - ours}."
+        f"Least error over the whole half-cycle, of {sum(best.values())} pairs of operating point and R or L: {words}. Seed by seed, "
+        f"the best estimator of ihd against the best peer: better by more than two standard errors in {beyond[-1]}, worse by more in "
+        f"{beyond[1]}, within them in {beyond[0]}; without noise there is no error to count by, and the lesser is the better."
     )
+
+
+def apart(ours, theirs):
+    """-1, 0 or 1: `ours` is less than, like or more than `theirs` by two standard errors of the paired differences."""
+    count = min(len(ours), len(theirs))
+    differences = ours[:count] - theirs[:count]
+    error = np.std(differences, ddof=1) / np.sqrt(count) if count > 1 else 0.0
+    return int(np.sign(differences.mean())) if abs(differences.mean()) > 2 * error else 0
 
 
 def main():
