@@ -1,12 +1,6 @@
 //! Exit code and message of wrong arguments.
 
-use std::path::Path;
-
 use assert_cmd::Command;
-use clap::CommandFactory;
-use ihd_study::cli::Cli;
-
-use super::documents;
 
 #[test]
 fn wrong_usage_is_2_and_names_what_is_wrong() {
@@ -37,17 +31,5 @@ fn wrong_usage_is_2_and_names_what_is_wrong() {
         assert_eq!(output.status.code(), Some(2), "{args}: {stderr}");
         assert!(output.stdout.is_empty(), "{args}");
         assert!(stderr.contains(word), "{args}: {word} not in {stderr}");
-    }
-}
-
-#[test]
-fn the_documents_call_studies_that_there_are() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let calls = documents::calls(&root, "ihd-study");
-    assert!(calls.len() >= 10, "{} commands only", calls.len());
-    for (place, words) in calls {
-        if let Err(error) = Cli::command().try_get_matches_from(&words) {
-            panic!("{place}: {}\n{error}", words.join(" "));
-        }
     }
 }
