@@ -79,7 +79,7 @@ impl Stretch {
     }
 
     /// Charge in coulomb at the carrier's frequency: less its mean over three periods.
-    fn swinging_charge_c(&self, q_c: &[f64]) -> Vec<f64> {
+    fn swinging_charge_c(&self, mut q_c: Vec<f64>) -> Vec<f64> {
         let half = ((1.5 * self.per_period()).round() as usize).max(1);
         let mut sums = Vec::with_capacity(q_c.len() + 1);
         sums.push(0.0);
@@ -88,11 +88,13 @@ impl Stretch {
             sum += q;
             sum
         }));
+        let samples = q_c.len();
         let mean = |k: usize| {
-            let (a, b) = (k.saturating_sub(half), (k + half).min(q_c.len()));
+            let (a, b) = (k.saturating_sub(half), (k + half).min(samples));
             (sums[b] - sums[a]) / (b - a).max(1) as f64
         };
-        q_c.iter().enumerate().map(|(k, q)| q - mean(k)).collect()
+        q_c.iter_mut().enumerate().for_each(|(k, q)| *q -= mean(k));
+        q_c
     }
 
     /// 1/C in 1/farad: the median ratio of voltage steps to the charge that flowed. The few steps that contain an edge do not
@@ -203,7 +205,7 @@ impl Stretch {
         let track = self.track(elastance)?;
         Some(Edges {
             between: self.fold(&track, elastance, &q_c).between_edges()?,
-            charge_c: self.swinging_charge_c(&q_c),
+            charge_c: self.swinging_charge_c(q_c),
             track,
         })
     }
