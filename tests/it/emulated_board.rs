@@ -84,6 +84,29 @@ fn free_address() -> String {
 impl Board {
     /// Switches a board on; `inject` is what fault_injection.rs of the board understands.
     fn start(inject: &str) -> Self {
+        // A port that was free may be another process's before the emulator has it.
+        let mut boards = (0..10).map(|_| Self::spawn(inject));
+        let board = boards.find_map(|mut board| board.listens().then_some(board));
+        board.expect("QEMU ended ten times: its reasons stand above")
+    }
+
+    /// Waits until the emulator greets; `false` if it has ended instead.
+    fn listens(&mut self) -> bool {
+        while self.qemu.try_wait().unwrap().is_none() {
+            let greeting = TcpStream::connect(&self.monitor).and_then(|mut monitor| {
+                monitor.set_read_timeout(Some(Duration::from_secs(1)))?;
+                let mut buf = [0; 4];
+                monitor.read_exact(&mut buf).map(|()| buf)
+            });
+            if greeting.is_ok_and(|bytes| bytes == *b"QEMU") {
+                return true;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        false
+    }
+
+    fn spawn(inject: &str) -> Self {
         let (link, monitor) = (free_address(), free_address());
         let port = |address: &str| format!("tcp:{address},server=on,wait=off");
         let qemu = Command::new(&*QEMU)
