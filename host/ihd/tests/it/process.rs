@@ -9,6 +9,21 @@ use std::time::{Duration, Instant};
 /// Longest wait for an event; it only ends a hang.
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
+/// Polls until there is a value; the text of `late` tells of a hang.
+#[cfg(all(feature = "pinn", unix))]
+pub fn wait_for<T>(mut poll: impl FnMut() -> Option<T>, late: impl FnOnce() -> String) -> T {
+    let until = Instant::now() + PATIENCE;
+    loop {
+        if let Some(value) = poll() {
+            return value;
+        }
+        if Instant::now() >= until {
+            panic!("{}", late());
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
 /// A process whose lines are read as they come; killed at the end.
 pub struct Process {
     child: Child,
@@ -79,6 +94,16 @@ impl Process {
     }
 }
 
+/// Exit code of a process, once it has ended; -1 where a signal ended it.
+#[cfg(all(feature = "pinn", unix))]
+pub fn exit_code(child: &mut Child, said: impl FnOnce() -> String) -> i32 {
+    let status = wait_for(
+        || child.try_wait().expect("a child"),
+        || format!("it does not end:\n{}", said()),
+    );
+    status.code().unwrap_or(-1)
+}
+
 #[cfg(all(feature = "pinn", unix))]
 impl Process {
     /// Sends a signal: `TERM`.
@@ -91,14 +116,7 @@ impl Process {
 
     /// Its exit code, once it has ended; -1 where a signal ended it.
     pub fn code(&mut self) -> i32 {
-        let until = Instant::now() + PATIENCE;
-        loop {
-            if let Some(status) = self.child.try_wait().expect("a child") {
-                return status.code().unwrap_or(-1);
-            }
-            assert!(Instant::now() < until, "it does not end:\n{}", self.said);
-            std::thread::sleep(Duration::from_millis(20));
-        }
+        exit_code(&mut self.child, || self.said.clone())
     }
 
     /// Exit code, standard output and standard error, after its end; of a process whose lines are those of standard error.

@@ -4,12 +4,11 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Output};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::process::{Hob, PATIENCE, Process};
+use crate::process::{Hob, Process, wait_for};
 
 pub fn ihd() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ihd"));
@@ -85,15 +84,8 @@ impl Kitchen {
 
     /// Waits until the device is as it should be.
     pub fn until(&self, what: &str, is: impl Fn(&Value) -> bool) -> Value {
-        let until = Instant::now() + PATIENCE;
-        loop {
-            let report = self.report();
-            if is(&report) {
-                return report;
-            }
-            assert!(Instant::now() < until, "{what}: never; {report:#}");
-            std::thread::sleep(Duration::from_millis(50));
-        }
+        let poll = || Some(self.report()).filter(|report| is(report));
+        wait_for(poll, || format!("{what}: never; {:#}", self.report()))
     }
 
     /// Another command with this configuration.

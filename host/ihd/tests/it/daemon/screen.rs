@@ -3,12 +3,11 @@
 use std::io::{Read, Write};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
 
 use nix::pty::{Winsize, openpty};
 use nix::sys::termios::{LocalFlags, tcgetattr};
 
-use crate::process::PATIENCE;
+use crate::process::{exit_code, wait_for};
 
 /// The parser's own size, too.
 const ROWS: u16 = 24;
@@ -55,19 +54,12 @@ impl Screen {
     }
 
     fn text(&self) -> String {
-        self.shown.lock().unwrap().screen().contents()
+        text(&self.shown)
     }
 
     pub fn until(&self, what: &str, is: impl Fn(&str) -> bool) -> String {
-        let until = Instant::now() + PATIENCE;
-        loop {
-            let text = self.text();
-            if is(&text) {
-                return text;
-            }
-            assert!(Instant::now() < until, "{what}: never\n{text}");
-            std::thread::sleep(Duration::from_millis(50));
-        }
+        let poll = || Some(self.text()).filter(|text| is(text));
+        wait_for(poll, || format!("{what}: never\n{}", self.text()))
     }
 
     pub fn press(&mut self, keys: &[u8]) {
@@ -86,14 +78,8 @@ impl Screen {
 
     /// [`Screen::ended`], and the text that is left on the screen.
     pub fn ended_with(mut self) -> (i32, String) {
-        let until = Instant::now() + PATIENCE;
-        let code = loop {
-            if let Some(status) = self.child.try_wait().unwrap() {
-                break status.code().unwrap_or(-1);
-            }
-            assert!(Instant::now() < until, "it does not end\n{}", self.text());
-            std::thread::sleep(Duration::from_millis(20));
-        };
+        let shown = Arc::clone(&self.shown);
+        let code = exit_code(&mut self.child, || text(&shown));
         let settings = tcgetattr(&self.terminal).expect("a terminal");
         let cooked = LocalFlags::ICANON | LocalFlags::ECHO;
         assert!(settings.local_flags.contains(cooked), "it is raw");
@@ -109,6 +95,10 @@ impl Screen {
         let text = self.until(last, |text| text.contains(last));
         (code, text)
     }
+}
+
+fn text(shown: &Mutex<vt100::Parser>) -> String {
+    shown.lock().unwrap().screen().contents()
 }
 
 impl Drop for Screen {

@@ -2,13 +2,12 @@
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
-use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
 use super::processes::{alone, ihd};
-use crate::process::{PATIENCE, Process};
+use crate::process::{Process, wait_for};
 
 /// A demonstration, what it said, and where.
 fn demonstration(dir: &Path, args: &[&str]) -> (Process, String) {
@@ -36,15 +35,9 @@ fn get(url: &str, path: &str) -> Value {
 }
 
 fn until(url: &str, what: &str, met: impl Fn(&Value) -> bool) -> Value {
-    let until = Instant::now() + PATIENCE;
-    loop {
-        let device = get(url, "api/v1/devices/simulated");
-        if met(&device) {
-            return device;
-        }
-        assert!(Instant::now() < until, "never: {what}; {device:#}");
-        std::thread::sleep(Duration::from_millis(100));
-    }
+    let device = || get(url, "api/v1/devices/simulated");
+    let poll = || Some(device()).filter(|device| met(device));
+    wait_for(poll, || format!("never: {what}; {:#}", device()))
 }
 
 #[test]
@@ -107,11 +100,10 @@ fn a_browser_is_opened_where_there_is_a_screen() {
         .args(["trainer", "--ui"]);
     let mut process = Process::start(&mut command, false);
     let url = url(&process.line_with("http"));
-    let until = Instant::now() + PATIENCE;
-    while !opened.exists() {
-        assert!(Instant::now() < until, "nothing was opened");
-        std::thread::sleep(Duration::from_millis(50));
-    }
+    wait_for(
+        || opened.exists().then_some(()),
+        || "nothing was opened".to_owned(),
+    );
     assert_eq!(std::fs::read_to_string(&opened).unwrap().trim(), url);
     process.signal("TERM");
     assert_eq!(process.code(), 0);

@@ -73,7 +73,7 @@ impl Desk {
     /// Runs a documented call to its end.
     ///
     /// # Errors
-    /// What it did instead of what it should.
+    /// Exit code and outputs of a call that ended otherwise.
     pub fn run(&mut self, call: &[String]) -> Result<(), String> {
         let text = call.join(" ");
         let special = SPECIAL.iter().find(|special| special.call == text);
@@ -108,7 +108,7 @@ impl Desk {
         words.into_iter().map(|word| self.address(word)).collect()
     }
 
-    /// Where the device of a documented address is.
+    /// Address of the hob that stands for a documented one.
     fn address(&mut self, word: &str) -> String {
         if word == "{board}" {
             let said = SampleLog::frame(1, &60_000u32.to_le_bytes());
@@ -228,7 +228,7 @@ impl Desk {
     }
 }
 
-/// Whether a call goes through the daemon.
+/// Returns `true` if a call goes through the daemon.
 fn is_client(words: &[String]) -> bool {
     let names_it = words
         .iter()

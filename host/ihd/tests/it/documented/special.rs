@@ -28,7 +28,7 @@ pub struct Special {
     pub end: End,
     /// A part of what it says, on either output.
     pub says: &'static str,
-    /// Whether the daemon of the other terminal must have ended.
+    /// `true` if the daemon of the other terminal must have ended.
     pub is_alone: bool,
 }
 
