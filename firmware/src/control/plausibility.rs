@@ -83,6 +83,7 @@ impl Plausibility {
         let seen = steady && on_bus && flows;
         // More than any offset that is none yet.
         let swings = summary.f_sw_hz > 0 && summary.crest.i_ma >= 2 * CURRENT_OFFSET_MA;
+        let balance = BridgeBalance::of(summary);
         let checks = [
             (self.offset.push(has_offset(summary)), Fault::SENSOR_OFFSET),
             (
@@ -92,12 +93,12 @@ impl Plausibility {
             (
                 self.balance.push_if(
                     seen,
-                    !is_balanced(summary, BALANCE_LOW_PERCENT, BALANCE_HIGH_PERCENT),
+                    !balance.is_within(BALANCE_LOW_PERCENT, BALANCE_HIGH_PERCENT),
                 ),
                 Fault::BRIDGE_BALANCE,
             ),
             (
-                seen && self.drift.push(summary, balance_ppm(summary)),
+                seen && self.drift.push(summary, balance.ppm()),
                 Fault::BRIDGE_BALANCE,
             ),
             (
@@ -124,11 +125,12 @@ impl Plausibility {
         let is_bare = summary.crest.r.0 <= 1_000 * BARE_COIL_MOHM as i32;
         let l_ph = i64::from(summary.crest.l.0);
         let bare_ph = |percent: u32| i64::from(BARE_COIL_NH * 10 * percent);
+        let balance = BridgeBalance::of(summary);
         let bad = if is_bare {
             l_ph > bare_ph(100 + BARE_COIL_PERCENT)
-                || !is_balanced(summary, BARE_COIL_PERCENT, BARE_COIL_PERCENT)
+                || !balance.is_within(BARE_COIL_PERCENT, BARE_COIL_PERCENT)
         } else {
-            !is_balanced(summary, PROBE_BALANCE_PERCENT, PROBE_BALANCE_PERCENT)
+            !balance.is_within(PROBE_BALANCE_PERCENT, PROBE_BALANCE_PERCENT)
         };
         if flows && is_bare && !bad && l_ph >= bare_ph(100 - BARE_COIL_PERCENT) {
             self.drift = GainDrift::default();
@@ -178,25 +180,34 @@ fn has_offset(summary: &HalfCycle) -> bool {
         || summary.channels.v_offset_dv.unsigned_abs() >= VOLTAGE_OFFSET_DV
 }
 
-/// |V + I/(jωC)| against 2/π of the bus, at the crest of the current.
-fn is_balanced(summary: &HalfCycle, low_percent: u32, high_percent: u32) -> bool {
-    let (bridge_dv, expected_dv) = bridge_and_expected_dv(summary);
-    let allowed = (expected_dv * (100 - low_percent))..=(expected_dv * (100 + high_percent));
-    allowed.contains(&(bridge_dv * 100))
+/// |V + I/(jωC)| against 2/π of the bus, at the crest of the current: amplitudes of the bridge's fundamental before the anti-alias
+/// filter, in decivolt.
+struct BridgeBalance {
+    by_coil_dv: u32,
+    by_bus_dv: u32,
 }
 
-/// Their ratio, in millionths.
-fn balance_ppm(summary: &HalfCycle) -> i32 {
-    let (bridge_dv, expected_dv) = bridge_and_expected_dv(summary);
-    saturate(i64::from(bridge_dv) * 1_000_000 / i64::from(expected_dv.max(1)))
-}
+impl BridgeBalance {
+    fn of(summary: &HalfCycle) -> Self {
+        let filtered_dv = bridge_dv(summary);
+        // √(1 + x) ≈ 1 + x/2 of the anti-alias filter.
+        let loss_dv = (filtered_dv * (filter_loss_q16(summary.f_sw_hz) / 2)) >> 16;
+        Self {
+            by_coil_dv: filtered_dv + loss_dv,
+            by_bus_dv: u32::from(summary.crest.bus_dv) * 6_366 / 10_000,
+        }
+    }
 
-/// Amplitude of the bridge's fundamental before the anti-alias filter, by coil and capacitor and by the bus, in decivolt.
-fn bridge_and_expected_dv(summary: &HalfCycle) -> (u32, u32) {
-    let filtered_dv = bridge_dv(summary);
-    // √(1 + x) ≈ 1 + x/2 of the anti-alias filter.
-    let bridge_dv = filtered_dv + ((filtered_dv * (filter_loss_q16(summary.f_sw_hz) / 2)) >> 16);
-    (bridge_dv, u32::from(summary.crest.bus_dv) * 6_366 / 10_000)
+    fn is_within(&self, low_percent: u32, high_percent: u32) -> bool {
+        let bus_dv = self.by_bus_dv;
+        let allowed = (bus_dv * (100 - low_percent))..=(bus_dv * (100 + high_percent));
+        allowed.contains(&(self.by_coil_dv * 100))
+    }
+
+    /// Their ratio, in millionths.
+    fn ppm(&self) -> i32 {
+        saturate(i64::from(self.by_coil_dv) * 1_000_000 / i64::from(self.by_bus_dv.max(1)))
+    }
 }
 
 /// Amplitude of the bridge's fundamental by coil voltage and current, in decivolt.

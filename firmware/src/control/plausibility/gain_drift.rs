@@ -6,7 +6,7 @@
 //! which is of voltage and current alone. Only a gain moves both, in one direction: the lesser of the two is the drift. The ratio of
 //! X_L to R is free of gains, and little of the frequency: another ratio is another pot, or another place of it.
 //!
-//! What is compared is one operating point with its own past. A drift stays known when the point changes, less what honest changes
+//! One operating point is compared with its own past. A drift stays known when the point changes, less what honest changes
 //! bring, until a bare coil has shown that the gains are right.
 
 use crate::estimate::tank::{Tank, TankAt};
@@ -37,7 +37,7 @@ const HONEST_PPM: i32 = 15_000;
 
 const LIMIT_PPM: i32 = 1_000 * GAIN_DRIFT_PERMILLE;
 
-/// What a gain changes, and what shows that it was something else.
+/// Quantities that a gain changes, and one that another load changes.
 #[derive(Clone, Copy, Debug, Default)]
 struct LoadReading {
     l_ph: i32,
@@ -223,7 +223,7 @@ mod tests {
         }
     }
 
-    /// What a kitchen changes: the pot's place and temperature, the power, the mains; and what no power depends on: the bus's gain.
+    /// Changes that a kitchen brings: the pot's place and temperature, the power, the mains; and the bus's gain, on which no power depends.
     #[test]
     fn no_honest_change_is_a_drift() {
         let mut plausibility = Plausibility::default();
