@@ -19,6 +19,9 @@ const LANES: usize = 4;
 /// Pairs among the four splines that are non-zero at a time.
 const PAIRS: usize = 10;
 
+/// Four splines of voltage and of current.
+const SIGNALS: usize = 8;
+
 /// Array of complex numbers with real and imaginary parts apart.
 #[derive(Clone, Debug)]
 struct Parts {
@@ -54,29 +57,45 @@ impl Parts {
     fn get(&self, k: usize) -> Complex<f64> {
         Complex::new(self.re[k / LANES][k % LANES], self.im[k / LANES][k % LANES])
     }
+}
 
-    /// Sets this to the elementwise product of two arrays.
-    #[inline(always)]
-    fn set_product(&mut self, a: &Self, b: &Self) {
-        let re = self.re.iter_mut().zip(a.re.iter().zip(&b.re));
-        let im = self.im.iter_mut().zip(a.im.iter().zip(&b.im));
-        for ((re, (a_re, b_re)), (im, (a_im, b_im))) in re.zip(im) {
-            for k in 0..LANES {
-                re[k] = a_re[k] * b_re[k] - a_im[k] * b_im[k];
-                im[k] = a_re[k] * b_im[k] + a_im[k] * b_re[k];
-            }
+/// Real and imaginary parts of [`LANES`] numbers.
+type Lanes = [[f64; LANES]; 2];
+
+/// Sets `out` to the products of the numbers of one lane group of `base` and `table`, entry by entry of the table.
+#[inline(always)]
+fn turn(out: &mut [Lanes], base: &Parts, table: &[Parts], group: usize) {
+    let (a_re, a_im) = (base.re[group], base.im[group]);
+    for (out, entry) in out.iter_mut().zip(table) {
+        let (b_re, b_im) = (entry.re[group], entry.im[group]);
+        for k in 0..LANES {
+            out[0][k] = a_re[k] * b_re[k] - a_im[k] * b_im[k];
+            out[1][k] = a_re[k] * b_im[k] + a_im[k] * b_re[k];
         }
     }
+}
 
-    #[inline(always)]
-    fn add_times(&mut self, other: &Self, weight: f64) {
-        for (sums, x) in [(&mut self.re, &other.re), (&mut self.im, &other.im)] {
-            for (sums, x) in sums.iter_mut().zip(x) {
+/// Adds weight times number to the sums of `N` rows of weights, sample by sample: all sums of a lane group stay in registers.
+#[inline(always)]
+fn add_products<const N: usize>(
+    sums: &mut [Parts],
+    weights: &[[f64; STRETCH]],
+    turned: &[Lanes],
+    group: usize,
+) {
+    let (sums, rows) = (&mut sums[..N], &weights[..N]);
+    let mut totals: [Lanes; N] = std::array::from_fn(|r| [sums[r].re[group], sums[r].im[group]]);
+    for (n, x) in turned.iter().enumerate().take(STRETCH) {
+        for r in 0..N {
+            for part in 0..2 {
                 for k in 0..LANES {
-                    sums[k] = weight.mul_add(x[k], sums[k]);
+                    totals[r][part][k] = rows[r][n].mul_add(x[part][k], totals[r][part][k]);
                 }
             }
         }
+    }
+    for (sums, [re, im]) in sums.iter_mut().zip(totals) {
+        (sums.re[group], sums.im[group]) = (re, im);
     }
 }
 
@@ -109,10 +128,8 @@ pub(crate) struct Sums {
     order_table: Vec<Parts>,
     /// Sums of each multiple, by pair of splines.
     products: Vec<Parts>,
-    /// Sums of each order, by spline.
-    v: Vec<Parts>,
-    i: Vec<Parts>,
-    turned: [Parts; 2],
+    /// Sums of each order, by spline: of the voltage, then of the current.
+    signals: Vec<Parts>,
 }
 
 impl Sums {
@@ -127,9 +144,7 @@ impl Sums {
             multiple_table: table(&multiples),
             order_table: table(orders),
             products: vec![Parts::zeros(multiples.len()); PAIRS],
-            v: vec![Parts::zeros(orders.len()); 4],
-            i: vec![Parts::zeros(orders.len()); 4],
-            turned: [Parts::zeros(multiples.len()), Parts::zeros(orders.len())],
+            signals: vec![Parts::zeros(orders.len()); SIGNALS],
             multiples,
             orders: orders.to_vec(),
         }
@@ -138,11 +153,7 @@ impl Sums {
     /// Begins another interval.
     pub fn clear(&mut self, first: usize) {
         self.first = first;
-        let all = self
-            .products
-            .iter_mut()
-            .chain(&mut self.v)
-            .chain(&mut self.i);
+        let all = self.products.iter_mut().chain(&mut self.signals);
         all.for_each(Parts::clear);
     }
 
@@ -177,25 +188,43 @@ impl Sums {
         stretch: usize,
         range: std::ops::Range<usize>,
     ) -> usize {
-        let [multiples, orders] = &mut self.turned;
+        let mut pairs = [[0.0; STRETCH]; PAIRS];
+        let mut signals = [[0.0; STRETCH]; SIGNALS];
+        let mut count = 0;
         for n in range.clone() {
             let (first, values) = samples.splines_at(n);
             if first != self.first {
-                return n;
+                break;
             }
-            multiples.set_product(&bases[0], &self.multiple_table[n - stretch]);
-            orders.set_product(&bases[1], &self.order_table[n - stretch]);
             let mut pair = 0;
             for m in 0..4 {
-                self.v[m].add_times(orders, values[m] * samples.v[n]);
-                self.i[m].add_times(orders, values[m] * samples.i[n]);
+                signals[m][count] = values[m] * samples.v[n];
+                signals[4 + m][count] = values[m] * samples.i[n];
                 for other in 0..=m {
-                    self.products[pair].add_times(multiples, values[m] * values[other]);
+                    pairs[pair][count] = values[m] * values[other];
                     pair += 1;
                 }
             }
+            count += 1;
         }
-        range.end
+        let from = range.start - stretch;
+        let mut turned = [[[0.0; LANES]; 2]; STRETCH];
+        let turned = &mut turned[..count];
+        for group in 0..bases[0].re.len() {
+            turn(turned, &bases[0], &self.multiple_table[from..], group);
+            for at in (0..PAIRS).step_by(PAIRS / 2) {
+                let sums = &mut self.products[at..];
+                add_products::<{ PAIRS / 2 }>(sums, &pairs[at..], turned, group);
+            }
+        }
+        for group in 0..bases[1].re.len() {
+            turn(turned, &bases[1], &self.order_table[from..], group);
+            for at in (0..SIGNALS).step_by(SIGNALS / 2) {
+                let sums = &mut self.signals[at..];
+                add_products::<{ SIGNALS / 2 }>(sums, &signals[at..], turned, group);
+            }
+        }
+        range.start + count
     }
 
     /// Σ b·b'·e^(−jkωt) of each multiple, by pair of splines.
@@ -205,12 +234,12 @@ impl Sums {
 
     /// Σ b·v·e^(−jhωt) of each order, by spline.
     pub fn v(&self) -> Vec<Complex<f64>> {
-        listed(&self.v, self.orders.len())
+        listed(&self.signals[..4], self.orders.len())
     }
 
     /// Σ b·i·e^(−jhωt) of each order, by spline.
     pub fn i(&self) -> Vec<Complex<f64>> {
-        listed(&self.i, self.orders.len())
+        listed(&self.signals[4..], self.orders.len())
     }
 }
 
