@@ -4,7 +4,7 @@
 use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, run, run_preprocessed,
 };
-use ihd_signal::{Remark, Segment};
+use ihd_signal::{Remark, Segment, SegmentError};
 
 use crate::interference::{self, Interference};
 
@@ -46,12 +46,17 @@ impl ReferenceResults {
     /// Computes the reference results of a segment, of which the interference may be known already.
     pub fn compute_with(segment: &Segment, known: Option<Interference>) -> Self {
         let settings = IdentifyOptions::default();
-        let preprocessing = Preprocessing::new(segment);
-        let by = |method: Method| match &preprocessing {
-            Ok(preprocessing) => run_preprocessed(method, segment, preprocessing, &settings),
-            Err(e) => Err(e.clone().into()),
+        let mut preprocessing = Preprocessing::new(segment);
+        let by = |method: Method, preprocessing: &Result<Preprocessing, SegmentError>| {
+            match preprocessing {
+                Ok(preprocessing) => run_preprocessed(method, segment, preprocessing, &settings),
+                Err(e) => Err(e.clone().into()),
+            }
         };
-        let least_squares = by(Method::LeastSquares);
+        let least_squares = by(Method::LeastSquares, &preprocessing);
+        if let Ok(estimate) = &least_squares {
+            preprocessing = preprocessing.map(|p| p.with_least_squares(estimate.clone()));
+        }
         let found = match &least_squares {
             Ok(_) => known.unwrap_or_else(|| interference::find(segment)),
             Err(_) => Interference::default(),
@@ -65,7 +70,7 @@ impl ReferenceResults {
         let tones = found.tones;
         if tones.is_empty() {
             return Self {
-                lockin: by(Method::Lockin),
+                lockin: by(Method::Lockin, &preprocessing),
                 least_squares,
                 cleaned: None,
                 remarks,

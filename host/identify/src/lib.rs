@@ -202,6 +202,8 @@ pub struct Preprocessing {
     /// Carrier of the segment; `None` if its frequency is constant.
     carrier: Option<Carrier>,
     steps: steps::Steps,
+    /// Result of least squares with its default options, with which other methods are compared.
+    least_squares: Option<Estimate>,
 }
 
 impl Preprocessing {
@@ -214,7 +216,22 @@ impl Preprocessing {
         Ok(Self {
             carrier: sweep::moving(segment),
             steps: steps::Steps::of(segment),
+            least_squares: None,
         })
+    }
+
+    /// Adds the segment's result of least squares, so that methods that are compared with it need not repeat it.
+    #[must_use]
+    pub fn with_least_squares(mut self, estimate: Estimate) -> Self {
+        self.least_squares = Some(estimate);
+        self
+    }
+
+    /// Result of least squares on the whole segment, at one frequency and without steps.
+    fn least_squares(&self, settings: &IdentifyOptions) -> Option<&Estimate> {
+        let default = least_squares::LeastSquaresSettings::default();
+        let is_whole = self.carrier.is_none() && self.steps.is_empty();
+        (self.least_squares.as_ref()).filter(|_| is_whole && settings.least_squares == default)
     }
 }
 
@@ -256,7 +273,10 @@ fn run_on(
             preprocessing.map(|preprocessing| &preprocessing.steps),
             settings,
             &|t_s| t_s,
-            |segment, settings| at_constant_load(method, segment, settings, sink),
+            |segment, settings| {
+                let known = preprocessing.and_then(|p| p.least_squares(settings));
+                at_constant_load(method, segment, known, settings, sink)
+            },
         );
     };
     sweep::identify(
@@ -269,7 +289,7 @@ fn run_on(
             let (truth, report) = (None, &mut *sink.report);
             let mut sink = ProgressSink { truth, report };
             steps::identify(method, warped, None, settings, clock, |warped, settings| {
-                at_constant_load(method, warped, settings, &mut sink)
+                at_constant_load(method, warped, None, settings, &mut sink)
             })
         },
     )
@@ -281,10 +301,11 @@ fn needs_offsets_removed(method: Method) -> bool {
     !matches!(method, Method::Lockin | Method::Firmware | Method::EkfPaper)
 }
 
-/// Runs a method on a segment of one frequency without steps of the load.
+/// Runs a method on a segment of one frequency without steps of the load. `known`: the segment's result of least squares, if it is known.
 fn at_constant_load(
     method: Method,
     segment: &Segment,
+    known: Option<&Estimate>,
     settings: &IdentifyOptions,
     sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
@@ -300,7 +321,7 @@ fn at_constant_load(
         Method::Pinn => pinn::identify(segment, settings, sink),
     }?;
     if !matches!(method, Method::LeastSquares | Method::Pinn) {
-        reference::raise_sigmas(&mut estimate, segment, settings);
+        reference::raise_sigmas(&mut estimate, segment, known, settings);
     }
     Ok(estimate)
 }

@@ -16,14 +16,29 @@ const CHANCE: f64 = 1.5;
 const LIMITS: [f64; 2] = [1e-2, 7e-3];
 
 /// Raises σ of `estimate` by its contradiction to least squares, which uses the fundamental alone and the whole half-cycle.
-/// Leaves it unchanged if least squares fails, or the estimate states no σ.
-pub(crate) fn raise_sigmas(estimate: &mut Estimate, segment: &Segment, settings: &IdentifyOptions) {
+/// Leaves it unchanged if least squares fails, or the estimate states no σ. `known`: the result of least squares if it is known.
+pub(crate) fn raise_sigmas(
+    estimate: &mut Estimate,
+    segment: &Segment,
+    known: Option<&Estimate>,
+    settings: &IdentifyOptions,
+) {
     if estimate.r_sigma_ohm.len() != estimate.t_s.len() {
         return;
     }
-    let result = least_squares::identify(&segment.without_offsets(), &settings.least_squares);
-    let Ok(reference) = result else { return };
-    let Some(mut trajectory) = TrajectoryCursor::from(&reference, f64::NEG_INFINITY) else {
+    let computed;
+    let reference = match known {
+        Some(known) => known,
+        None => {
+            let centred = segment.without_offsets();
+            match least_squares::identify(&centred, &settings.least_squares) {
+                Ok(estimate) => computed = estimate,
+                Err(_) => return,
+            }
+            &computed
+        }
+    };
+    let Some(mut trajectory) = TrajectoryCursor::from(reference, f64::NEG_INFINITY) else {
         return;
     };
     let (mut r, mut l) = (Vec::new(), Vec::new());

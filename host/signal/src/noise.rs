@@ -50,11 +50,13 @@ pub struct WhiteNoise {
 impl WhiteNoise {
     /// Measures the noise of a segment; zero if it is shorter than 12 switching periods.
     pub fn measure(segment: &Segment) -> Self {
-        let per_period = segment.samples_per_period();
+        let Some(floor) = SpectralFloor::of(segment.len(), segment.samples_per_period()) else {
+            return Self::default();
+        };
         // An offset is not noise.
         let of = |x: &Samples| match x.raw() {
-            RawSamples::Doubles(x) => deviation(x, per_period).unwrap_or(0.0),
-            RawSamples::Singles(x, _) => deviation(x, per_period).unwrap_or(0.0),
+            RawSamples::Doubles(x) => floor.deviation(x).unwrap_or(0.0),
+            RawSamples::Singles(x, _) => floor.deviation(x).unwrap_or(0.0),
         };
         Self {
             v_v: of(&segment.v_v),
@@ -71,41 +73,61 @@ impl WhiteNoise {
 /// Standard deviation of a channel's white noise near the first harmonics, in its unit; `None` if the samples are
 /// too few.
 pub fn deviation<T: Copy + Into<f64>>(x: &[T], samples_per_period: f64) -> Option<f64> {
-    let frames = Frames::of(x.len(), samples_per_period)?;
-    let places = frames.places();
-    if places.is_empty() {
-        return None;
+    SpectralFloor::of(x.len(), samples_per_period)?.deviation(x)
+}
+
+/// Measurement of the floor between the harmonics, for channels of one length.
+struct SpectralFloor {
+    frames: Frames,
+    places: Vec<usize>,
+    window: Vec<f64>,
+    low_pass: Vec<f64>,
+}
+
+impl SpectralFloor {
+    /// `None` if the samples are too few.
+    fn of(samples: usize, samples_per_period: f64) -> Option<Self> {
+        let frames = Frames::of(samples, samples_per_period)?;
+        let places = frames.places();
+        (!places.is_empty()).then(|| Self {
+            window: sin6(frames.points),
+            low_pass: low_pass(frames.block),
+            places,
+            frames,
+        })
     }
-    let mut powers = vec![Vec::with_capacity(frames.count); places.len()];
-    let fft = fourier::forward(frames.points);
-    let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
-    let window = sin6(frames.points);
-    let low_pass = low_pass(frames.block);
-    for frame in 0..frames.count {
-        let samples = x[frame * frames.stride..].windows(low_pass.len());
-        for ((y, x), w) in input
-            .iter_mut()
-            .zip(samples.step_by(frames.block))
-            .zip(&window)
-        {
-            *y = w * filtered(&low_pass, x);
+
+    fn deviation<T: Copy + Into<f64>>(&self, x: &[T]) -> Option<f64> {
+        let (frames, places) = (&self.frames, &self.places);
+        let mut powers = vec![Vec::with_capacity(frames.count); places.len()];
+        let fft = fourier::forward(frames.points);
+        let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
+        for frame in 0..frames.count {
+            let samples = x[frame * frames.stride..].windows(self.low_pass.len());
+            for ((y, x), w) in input
+                .iter_mut()
+                .zip(samples.step_by(frames.block))
+                .zip(&self.window)
+            {
+                *y = w * filtered(&self.low_pass, x);
+            }
+            fft.process(&mut input, &mut output).ok()?;
+            for (power, place) in powers.iter_mut().zip(places) {
+                power.push(output[*place].norm_sqr());
+            }
         }
-        fft.process(&mut input, &mut output).ok()?;
-        for (power, place) in powers.iter_mut().zip(&places) {
-            power.push(output[*place].norm_sqr());
-        }
+        // |X|² of white noise is exponential with mean σ²·Σw², times the low-pass gain there, over the decimation factor.
+        let mean = self.window.iter().map(|w| w * w).sum::<f64>() / frames.block as f64;
+        let floor = |(power, place): (Vec<f64>, &usize)| {
+            let turn = *place as f64 / (frames.points * frames.block) as f64;
+            Some(median(power)? / (mean * gain(&self.low_pass, turn)))
+        };
+        let mut floors: Vec<f64> = powers.into_iter().zip(places).filter_map(floor).collect();
+        let at = (QUANTILE * floors.len() as f64) as usize;
+        let quiet = *floors.select_nth_unstable_by(at, f64::total_cmp).1;
+        let share = (at as f64 + 0.6) / (floors.len() as f64 + 0.2);
+        Some((quiet / quantile_of_median(frames.count, share)).sqrt()).filter(|s| s.is_finite())
     }
-    // |X|² of white noise is exponential with mean σ²·Σw², times the low-pass gain there, over the decimation factor.
-    let mean = window.iter().map(|w| w * w).sum::<f64>() / frames.block as f64;
-    let floor = |(power, place): (Vec<f64>, &usize)| {
-        let turn = *place as f64 / (frames.points * frames.block) as f64;
-        Some(median(power)? / (mean * gain(&low_pass, turn)))
-    };
-    let mut floors: Vec<f64> = powers.into_iter().zip(&places).filter_map(floor).collect();
-    let at = (QUANTILE * floors.len() as f64) as usize;
-    let quiet = *floors.select_nth_unstable_by(at, f64::total_cmp).1;
-    let share = (at as f64 + 0.6) / (floors.len() as f64 + 0.2);
-    Some((quiet / quantile_of_median(frames.count, share)).sqrt()).filter(|s| s.is_finite())
 }
 
 /// Hann low-pass over four times the decimation factor: edges that fold to below the eighth harmonic are reduced to less
@@ -199,8 +221,13 @@ impl Frames {
 
 /// sin⁶: its lobe is 4 bins wide, and 8 bins away it is below 1e-6.
 fn sin6(n: usize) -> Vec<f64> {
-    let at = |k: usize| libm::sin(PI * (k as f64 + 0.5) / n as f64);
-    (0..n).map(|k| libm::pow(at(k), 6.0)).collect()
+    let at = |k: usize| {
+        let sine = libm::sin(PI * (k as f64 + 0.5) / n as f64);
+        let square = sine * sine;
+        square * square * square
+    };
+    let half: Vec<f64> = (0..n.div_ceil(2)).map(at).collect();
+    (0..n).map(|k| half[k.min(n - 1 - k)]).collect()
 }
 
 /// Median, of an even number of values the lower one; `None` if there are none.

@@ -27,6 +27,10 @@ impl Steps {
     pub(super) fn of(segment: &Segment) -> Self {
         Self(detect::steps(segment))
     }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
 }
 
 /// Identifies a segment with steps of the load, at `known` steps or detected ones. If the method's R and L are smooth, `identify`
