@@ -185,7 +185,7 @@ fn none_found(selector: Option<&str>) -> String {
             "no probe {selector} is plugged in; without --probe the only one is taken, and `ihd doctor` lists them"
         ),
         None => "no debug probe is plugged in: connect the board's ST-LINK socket (a NUCLEO has one on board), or an ST-LINK, \
-                 a CMSIS-DAP or a J-Link; without one, --dfu flashes through the chip's own USB. `ihd doctor` looks closer"
+                 a CMSIS-DAP or a J-Link. Without one the chip's own USB serves: `ihd flash --dfu`, `ihd log usb`. `ihd doctor` looks closer"
             .into(),
     }
 }

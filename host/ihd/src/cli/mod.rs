@@ -32,6 +32,7 @@ pub mod network_args;
 pub mod opener;
 pub mod pages;
 pub mod record;
+pub mod recording_file;
 pub mod replay;
 pub mod sensor_args;
 #[cfg(feature = "daemon")]

@@ -136,6 +136,7 @@ fn bad_input_is_refused_by_name() {
         ("--set saturation=.1", "i_saturation_a"),
         ("--set at=3ms:load=2", "2 numbers"),
         ("--set at=3ms:load=2,1", "r_factor"),
+        ("--out x.csv", "ihd convert x.mcap --out x.csv"),
     ] {
         let result = simulate(dir.path(), &args.split(' ').collect::<Vec<_>>());
         let stderr = String::from_utf8_lossy(&result.stderr);

@@ -19,6 +19,7 @@ use self::direct::DirectRecording;
 #[cfg(feature = "daemon")]
 use super::device::Hob;
 use super::global::Global;
+use super::recording_file;
 use super::simulate::quantity::quantity;
 use super::simulated::SimulatedHobArgs;
 use super::usage::Usage;
@@ -42,7 +43,7 @@ pub struct RecordArgs {
     #[arg(long, value_name = "DEVICE", default_value = "sim")]
     device: String,
     /// The capture file; an existing one is never overwritten
-    #[arg(long, short, value_name = "FILE")]
+    #[arg(long, short, value_name = "FILE", value_parser = recording_file::parse)]
     out: Option<PathBuf>,
     /// End after this long, in s
     #[arg(long, value_name = "S", value_parser = quantity)]

@@ -18,6 +18,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use self::spec::SpecOptions;
 use crate::cli::global::Global;
 use crate::cli::keys;
+use crate::cli::recording_file;
 use crate::cli::usage::Usage;
 use crate::report::recording;
 
@@ -82,7 +83,7 @@ pub struct SimulateArgs {
     #[arg(long)]
     seed: Option<u64>,
     /// Write the recording to this file (MCAP, docs/captures.md)
-    #[arg(long, short)]
+    #[arg(long, short, value_parser = recording_file::parse)]
     out: Option<PathBuf>,
     /// Write the waveforms without noise and quantising too
     #[arg(long, requires = "out")]
