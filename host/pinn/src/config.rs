@@ -50,7 +50,7 @@ impl FromStr for Optimiser {
 }
 
 /// Settings of [`crate::identify`]. The default is the hybrid: harmonic VI branch solved linearly,
-/// RL-MLP of 2 x 8 by Levenberg-Marquardt, the paper's weights.
+/// RL-MLP of 2 x 6 by Levenberg-Marquardt, the paper's weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PinnConfig {
@@ -115,8 +115,8 @@ pub struct PinnConfig {
     /// Most alternations between the VI branch and the RL-MLP.
     pub outer_passes: usize,
     /// Limit of the mean relative change of R and L, the larger, for convergence: over 5 steps of Levenberg-Marquardt, 200 of
-    /// Adam, 200 epochs with a VI-MLP, and over a pass; 0 never. `hybrid` uses a tenth of the standard deviation that noise
-    /// would leave for a constant load if that is more.
+    /// Adam, 200 epochs with a VI-MLP, and over a pass; 0 never. `hybrid` uses four tenths of the standard deviation that
+    /// noise would leave for a constant load if that is more.
     pub tolerance: f64,
     /// Wall-clock limit of the optimiser, s; when it is reached, the best parameters so far are the result.
     pub time_limit_s: f64,
@@ -138,13 +138,13 @@ impl Default for PinnConfig {
             most_points: 50_000,
             spline_intervals: 24,
             slow_points: 128,
-            hidden_layers: vec![8, 8],
+            hidden_layers: vec![6, 6],
             embedding: SlowEmbedding::default(),
             r_scale_ohm: 4.0,
             l_scale_h: 20e-6,
             w_f: 5.0,
             w_i: 1.0,
-            weight_width: 1.0,
+            weight_width: 0.8,
             correction: true,
             noise: None,
             optimiser: Optimiser::default(),

@@ -12,7 +12,7 @@ use crate::{ImpedanceOrder, NamedOrder, Optimiser, PinnConfig, PinnError, SlowEm
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
-    /// Harmonic VI branch solved linearly, RL-MLP of 2 x 8 by Levenberg-Marquardt.
+    /// Harmonic VI branch solved linearly, RL-MLP of 2 x 6 by Levenberg-Marquardt.
     #[default]
     Hybrid,
     /// The paper as written: eqs. (2), (3) with m, n from 1, outputs not scaled.
@@ -64,7 +64,7 @@ impl Preset {
     pub fn description(self) -> &'static str {
         match self {
             Self::Hybrid => {
-                "harmonic VI branch solved linearly, RL-MLP of 2 x 8 by Levenberg-Marquardt; harmonics up \
+                "harmonic VI branch solved linearly, RL-MLP of 2 x 6 by Levenberg-Marquardt; harmonics up \
                  to the 7th, so NMSE_v holds what the edges have beyond"
             }
             Self::PaperLiteral => {

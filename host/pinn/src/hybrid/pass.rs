@@ -22,7 +22,7 @@ use crate::{Optimiser, PinnError, adam};
 
 /// Convergence limit of a pass: the share of the standard deviation that noise would leave for a constant load. Smaller changes
 /// of R and L are noise.
-const SHARE_OF_NOISE: f64 = 0.1;
+const SHARE_OF_NOISE: f64 = 0.4;
 
 /// Problem of the RL-MLP with one VI branch.
 pub(super) struct Pass<'a> {

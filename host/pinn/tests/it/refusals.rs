@@ -161,8 +161,8 @@ fn a_warm_start_of_another_shape_or_with_damage() {
         ..PinnConfig::default()
     };
     let error = refused(&recording.waveform(), &config);
-    assert!(error.to_string().contains("[8, 8]"), "{error}");
-    config.hidden_layers = vec![8, 8];
+    assert!(error.to_string().contains("[6, 6]"), "{error}");
+    config.hidden_layers = vec![6, 6];
     if let Some(start) = &mut config.start {
         start.layers[1].weights[3] = f64::NAN;
     }
