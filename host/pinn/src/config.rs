@@ -79,7 +79,7 @@ pub struct PinnConfig {
     pub hidden_layers: Vec<usize>,
     /// Inputs of the RL-MLP made from time.
     pub embedding: SlowEmbedding,
-    /// Scale of the R output, ohm.
+    /// Scale of the R output, ohm. Far below it the softplus is an exponential, and the prior one of ln R and ln L.
     pub r_scale_ohm: f64,
     /// Scale of the L output, H.
     pub l_scale_h: f64,
@@ -140,11 +140,11 @@ impl Default for PinnConfig {
             slow_points: 128,
             hidden_layers: vec![6, 6],
             embedding: SlowEmbedding::default(),
-            r_scale_ohm: 4.0,
-            l_scale_h: 20e-6,
+            r_scale_ohm: 20.0,
+            l_scale_h: 1e-4,
             w_f: 5.0,
             w_i: 1.0,
-            weight_width: 0.8,
+            weight_width: 0.7,
             correction: true,
             noise: None,
             optimiser: Optimiser::default(),

@@ -134,6 +134,8 @@ fn paper(vi: ViMlp) -> PinnConfig {
         vi_mlp: Some(vi),
         embedding: SlowEmbedding::Symmetric,
         hidden_layers: vec![16; 4],
+        r_scale_ohm: 4.0,
+        l_scale_h: 20e-6,
         optimiser: Optimiser::Adam,
         learning_rate: 1e-3,
         max_iterations: PAPER_EPOCHS,

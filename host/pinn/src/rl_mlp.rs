@@ -11,7 +11,7 @@ use crate::parameters::Parameters;
 
 /// Multilayer perceptron with tanh hidden layers and softplus outputs.
 ///
-/// The softplus works on R / 4 ohm and L / 20 uH (see [`crate::PinnConfig`]): on SI-scaled L its
+/// The softplus works on R and L over their scales (see [`crate::PinnConfig`]): on SI-scaled L its
 /// argument would have to reach -11, where its slope of 2e-5 stops any training.
 #[derive(Debug)]
 pub(crate) struct RlMlp {
