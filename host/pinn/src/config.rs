@@ -79,7 +79,7 @@ pub struct PinnConfig {
     pub hidden_layers: Vec<usize>,
     /// Inputs of the RL-MLP made from time.
     pub embedding: SlowEmbedding,
-    /// Scale of the R output, ohm. Far below it the softplus is an exponential, and the prior one of ln R and ln L.
+    /// Scale of the R output, ohm. Where R is far below it the softplus is an exponential: the prior then limits changes of ln R.
     pub r_scale_ohm: f64,
     /// Scale of the L output, H.
     pub l_scale_h: f64,
