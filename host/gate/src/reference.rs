@@ -4,7 +4,7 @@
 use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, run, run_preprocessed,
 };
-use ihd_signal::{Remark, Segment, SegmentError};
+use ihd_signal::{Remark, Segment};
 
 use crate::interference::{self, Interference};
 
@@ -46,17 +46,12 @@ impl ReferenceResults {
     /// Computes the reference results of a segment, of which the interference may be known already.
     pub fn compute_with(segment: &Segment, known: Option<Interference>) -> Self {
         let settings = IdentifyOptions::default();
-        let mut preprocessing = Preprocessing::new(segment);
-        let by = |method: Method, preprocessing: &Result<Preprocessing, SegmentError>| {
-            match preprocessing {
-                Ok(preprocessing) => run_preprocessed(method, segment, preprocessing, &settings),
-                Err(e) => Err(e.clone().into()),
-            }
+        let preprocessing = Preprocessing::new(segment);
+        let by = |method: Method, known: Option<&Estimate>| match &preprocessing {
+            Ok(preprocessing) => run_preprocessed(method, segment, preprocessing, known, &settings),
+            Err(e) => Err(e.clone().into()),
         };
-        let least_squares = by(Method::LeastSquares, &preprocessing);
-        if let Ok(estimate) = &least_squares {
-            preprocessing = preprocessing.map(|p| p.with_least_squares(estimate.clone()));
-        }
+        let least_squares = by(Method::LeastSquares, None);
         let found = match &least_squares {
             Ok(_) => known.unwrap_or_else(|| interference::find(segment)),
             Err(_) => Interference::default(),
@@ -70,7 +65,7 @@ impl ReferenceResults {
         let tones = found.tones;
         if tones.is_empty() {
             return Self {
-                lockin: by(Method::Lockin, &preprocessing),
+                lockin: by(Method::Lockin, least_squares.as_ref().ok()),
                 least_squares,
                 cleaned: None,
                 remarks,

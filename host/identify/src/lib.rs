@@ -192,7 +192,7 @@ pub fn run_with_progress(
     settings: &IdentifyOptions,
     sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
-    run_on(method, segment, None, settings, sink)
+    run_on(method, segment, None, None, settings, sink)
 }
 
 /// Preprocessing of a segment that all methods share: its check, its carrier and the load's steps. It takes as long as least
@@ -202,8 +202,6 @@ pub struct Preprocessing {
     /// Carrier of the segment; `None` if its frequency is constant.
     carrier: Option<Carrier>,
     steps: steps::Steps,
-    /// Result of least squares with its default options, with which other methods are compared.
-    least_squares: Option<Estimate>,
 }
 
 impl Preprocessing {
@@ -216,26 +214,17 @@ impl Preprocessing {
         Ok(Self {
             carrier: sweep::moving(segment),
             steps: steps::Steps::of(segment),
-            least_squares: None,
         })
     }
 
-    /// Adds the segment's result of least squares, so that methods that are compared with it need not repeat it.
-    #[must_use]
-    pub fn with_least_squares(mut self, estimate: Estimate) -> Self {
-        self.least_squares = Some(estimate);
-        self
-    }
-
-    /// Result of least squares on the whole segment, at one frequency and without steps.
-    fn least_squares(&self, settings: &IdentifyOptions) -> Option<&Estimate> {
-        let default = least_squares::LeastSquaresSettings::default();
-        let is_whole = self.carrier.is_none() && self.steps.is_empty();
-        (self.least_squares.as_ref()).filter(|_| is_whole && settings.least_squares == default)
+    /// Returns `true` if the segment is identified as a whole: at one frequency, without steps.
+    fn is_whole(&self) -> bool {
+        self.carrier.is_none() && self.steps.is_empty()
     }
 }
 
-/// Identifies as [`run`] does, with the preprocessing of the same segment.
+/// Identifies as [`run`] does, with the preprocessing of the same segment. `least_squares`: its result by least squares with the same
+/// settings, if it is known; a method that is compared with it need not repeat it.
 ///
 /// # Errors
 /// As [`run`].
@@ -243,17 +232,27 @@ pub fn run_preprocessed(
     method: Method,
     segment: &Segment,
     preprocessing: &Preprocessing,
+    least_squares: Option<&Estimate>,
     settings: &IdentifyOptions,
 ) -> Result<Estimate, IdentifyError> {
     let (truth, report) = (None, &mut |_| {});
     let mut sink = ProgressSink { truth, report };
-    run_on(method, segment, Some(preprocessing), settings, &mut sink)
+    let known = least_squares.filter(|_| preprocessing.is_whole());
+    run_on(
+        method,
+        segment,
+        Some(preprocessing),
+        known,
+        settings,
+        &mut sink,
+    )
 }
 
 fn run_on(
     method: Method,
     segment: &Segment,
     preprocessing: Option<&Preprocessing>,
+    known: Option<&Estimate>,
     settings: &IdentifyOptions,
     sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
@@ -273,10 +272,7 @@ fn run_on(
             preprocessing.map(|preprocessing| &preprocessing.steps),
             settings,
             &|t_s| t_s,
-            |segment, settings| {
-                let known = preprocessing.and_then(|p| p.least_squares(settings));
-                at_constant_load(method, segment, known, settings, sink)
-            },
+            |segment, settings| at_constant_load(method, segment, known, settings, sink),
         );
     };
     sweep::identify(

@@ -1,6 +1,8 @@
 //! Comparison of standard deviations with least squares on the same segment, for estimators that know only noise or their own
 //! tuning. A difference from least squares beyond the deviations of both is an error of one of them.
 
+use std::borrow::Cow;
+
 use ihd_signal::{Remark, Segment, Severity};
 
 use super::trajectory::TrajectoryCursor;
@@ -26,19 +28,14 @@ pub(crate) fn raise_sigmas(
     if estimate.r_sigma_ohm.len() != estimate.t_s.len() {
         return;
     }
-    let computed;
-    let reference = match known {
-        Some(known) => known,
-        None => {
-            let centred = segment.without_offsets();
-            match least_squares::identify(&centred, &settings.least_squares) {
-                Ok(estimate) => computed = estimate,
-                Err(_) => return,
-            }
-            &computed
-        }
+    let computed = || {
+        let centred = segment.without_offsets();
+        least_squares::identify(&centred, &settings.least_squares).map(Cow::Owned)
     };
-    let Some(mut trajectory) = TrajectoryCursor::from(reference, f64::NEG_INFINITY) else {
+    let Ok(reference) = known.map_or_else(computed, |known| Ok(Cow::Borrowed(known))) else {
+        return;
+    };
+    let Some(mut trajectory) = TrajectoryCursor::from(&reference, f64::NEG_INFINITY) else {
         return;
     };
     let (mut r, mut l) = (Vec::new(), Vec::new());
