@@ -99,6 +99,19 @@ fn add_products<const N: usize>(
     }
 }
 
+/// Adds the products of all rows of weights, `N` at a time.
+#[inline(always)]
+fn add_all<const N: usize>(
+    sums: &mut [Parts],
+    weights: &[[f64; STRETCH]],
+    turned: &[Lanes],
+    group: usize,
+) {
+    for (sums, weights) in sums.chunks_exact_mut(N).zip(weights.chunks_exact(N)) {
+        add_products::<N>(sums, weights, turned, group);
+    }
+}
+
 /// Samples of voltage and current with their positions.
 pub(crate) struct Samples<'a> {
     pub spline: &'a CubicSpline,
@@ -212,17 +225,11 @@ impl Sums {
         let turned = &mut turned[..count];
         for group in 0..bases[0].re.len() {
             turn(turned, &bases[0], &self.multiple_table[from..], group);
-            for at in (0..PAIRS).step_by(PAIRS / 2) {
-                let sums = &mut self.products[at..];
-                add_products::<{ PAIRS / 2 }>(sums, &pairs[at..], turned, group);
-            }
+            add_all::<{ PAIRS / 2 }>(&mut self.products, &pairs, turned, group);
         }
         for group in 0..bases[1].re.len() {
             turn(turned, &bases[1], &self.order_table[from..], group);
-            for at in (0..SIGNALS).step_by(SIGNALS / 2) {
-                let sums = &mut self.signals[at..];
-                add_products::<{ SIGNALS / 2 }>(sums, &signals[at..], turned, group);
-            }
+            add_all::<{ SIGNALS / 2 }>(&mut self.signals, &signals, turned, group);
         }
         range.start + count
     }
