@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use ihd_capture::exports::ExportError;
 use ihd_capture::format;
 
 /// Parses the name of a recording, which is MCAP and so must not have another format's ending.
@@ -13,7 +14,7 @@ pub fn parse(name: &str) -> Result<PathBuf, String> {
     let is_mcap = path
         .extension()
         .is_some_and(|e| e.eq_ignore_ascii_case("mcap"));
-    if is_mcap || format::check(&path).is_err() {
+    if is_mcap || matches!(format::check(&path), Err(ExportError::Ending { .. })) {
         return Ok(path);
     }
     let mcap = path.with_extension("mcap");
