@@ -37,7 +37,7 @@ const BUS_DV: u16 = 3_000;
 const START: (MicroOhm, PicoHenry) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
 
 /// The stack of memory.x, and what start-up paints it with (cortex-m-rt).
-const STACK: (u32, usize) = (0x2000_0000, 16 * 1024);
+const STACK: (u32, usize) = (0x2000_0000, 12 * 1024);
 const PAINT: u32 = 0xCCCC_CCCC;
 
 /// Ends a hang before the runner does, which shows no log: a busy machine emulates slowly.

@@ -24,6 +24,8 @@ const FLASH: [&str; 8] = [
     ".image_crc",
 ];
 const RAM: [&str; 5] = [".data", ".tables", ".bss", ".uninit", ".crash_record"];
+/// RAM of the STM32G474 in bytes: SRAM1, SRAM2, CCM SRAM (RM0440, section 2.4).
+const CHIP_RAM: u64 = 128 * 1024;
 /// Sections in the CCM SRAM.
 const CCM: [&str; 2] = [".ccm_vectors", ".ccm"];
 
@@ -39,7 +41,7 @@ const PANIC: [&str; 4] = ["panicking", "rust_begin_unwind", "_fail", "panic_"];
 /// Limits of firmware/budget.toml.
 #[derive(Debug, Deserialize)]
 pub struct BudgetLimits {
-    /// Bytes: `flash`, `static_ram`, `ccm`, `stack`.
+    /// Bytes: `flash`, `ram`, `static_ram`, `ccm`, `stack`.
     pub memory: BTreeMap<String, f64>,
     /// Instructions by subject.
     pub instructions: BTreeMap<String, f64>,
@@ -99,9 +101,14 @@ pub fn check(image: &Path, limits: &BudgetLimits) -> anyhow::Result<Vec<String>>
     let flash = memory("bytes of flash", total.flash, "flash");
     let ram = memory("bytes of static RAM", total.ram, "static_ram");
     let ccm = memory("bytes of CCM SRAM", total.ccm, "ccm");
+    let stack = place_of(&elf, "_stack_start")?.saturating_sub(place_of(&elf, "_stack_end")?);
+    let all = total.ram + total.ccm + stack;
+    let percent = 100.0 * all as f64 / CHIP_RAM as f64;
+    println!("RAM, CCM and a stack of {stack}: {all} of {CHIP_RAM} bytes, {percent:.1} %\n");
+    let all = memory("bytes of all RAM", all, "ram");
     let graph = CallGraph::read(&elf)?;
     let (panics, slow) = (panic_path(&graph)?, in_flash(&graph)?);
-    Ok([flash, ram, ccm, panics, slow]
+    Ok([flash, all, ram, ccm, panics, slow]
         .into_iter()
         .flatten()
         .collect())
@@ -164,6 +171,14 @@ fn sampling_path(graph: &CallGraph) -> anyhow::Result<BTreeSet<u64>> {
         bail!("the image has no {INTERRUPT}, no {TASK} or no {WAKE}");
     }
     Ok(&(&interrupt | &polls) | &wakes)
+}
+
+/// Address of a symbol of memory.x.
+fn place_of(elf: &object::File<'_>, name: &str) -> anyhow::Result<u64> {
+    let symbol = elf.symbol_by_name(name);
+    Ok(symbol
+        .with_context(|| format!("the image has no {name}"))?
+        .address())
 }
 
 fn by_module(elf: &object::File<'_>) -> anyhow::Result<BTreeMap<String, ModuleBytes>> {

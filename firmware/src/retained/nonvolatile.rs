@@ -79,32 +79,40 @@ pub fn load<F: Flash>(flash: &mut F) -> Option<RlLookup> {
     newest(flash).map(|(_, _, lookup)| lookup)
 }
 
-/// Keeps a lookup, and reads it back: embassy-stm32's asynchronous driver clears an error before it reads it.
+/// A lookup's record; [`save`] adds the sequence.
+pub fn record_of(lookup: &RlLookup) -> [u8; RECORD_BYTES] {
+    let mut record = [0xFF; RECORD_BYTES];
+    record[WORD..][..LEN].copy_from_slice(&lookup.to_bytes());
+    record
+}
+
+/// Keeps a record, and reads it back: embassy-stm32's asynchronous driver clears an error before it reads it.
 ///
 /// # Errors
 /// [`SaveError`]; the lookup kept before is still there.
-pub async fn save<F: Flash>(flash: &mut F, lookup: &RlLookup) -> Result<(), SaveError<F::Error>> {
+pub async fn save<F: Flash>(
+    flash: &mut F,
+    record: &mut [u8; RECORD_BYTES],
+) -> Result<(), SaveError<F::Error>> {
     let (page, sequence) = match newest(flash) {
         Some((page, sequence, _)) => (1 - page, sequence.wrapping_add(1)),
         None => (0, 0),
     };
-    let mut bytes = [0xFF; RECORD_BYTES - WORD];
-    bytes[..LEN].copy_from_slice(&lookup.to_bytes());
-    let mut head = [0; WORD];
+    let (head, rest) = record.split_at_mut(WORD);
     head[..4].copy_from_slice(&sequence.to_le_bytes());
     head[4..].copy_from_slice(&(!sequence).to_le_bytes());
     flash.erase(page).await.map_err(SaveError::Flash)?;
     flash
-        .write(page, WORD, &bytes)
+        .write(page, WORD, rest)
         .await
         .map_err(SaveError::Flash)?;
-    flash
-        .write(page, 0, &head)
-        .await
-        .map_err(SaveError::Flash)?;
-    match read(flash, page) {
-        Some((found, kept)) if found == sequence && kept == *lookup => Ok(()),
-        _ => Err(SaveError::NotThere),
+    flash.write(page, 0, head).await.map_err(SaveError::Flash)?;
+    let mut kept = [0; RECORD_BYTES];
+    flash.read(page, &mut kept);
+    if kept == *record {
+        Ok(())
+    } else {
+        Err(SaveError::NotThere)
     }
 }
 
@@ -167,7 +175,8 @@ mod tests {
 
     /// This flash never waits.
     fn save<F: Flash>(flash: &mut F, lookup: &RlLookup) -> Result<(), SaveError<F::Error>> {
-        let saving = pin!(super::save(flash, lookup));
+        let mut record = record_of(lookup);
+        let saving = pin!(super::save(flash, &mut record));
         match saving.poll(&mut Context::from_waker(Waker::noop())) {
             Poll::Ready(saved) => saved,
             Poll::Pending => unreachable!("it never waits"),

@@ -42,16 +42,16 @@ pub fn answers() -> u32 {
 pub async fn keep(mut pages: LookupPages) -> ! {
     loop {
         // The question first: however often lookups come, it is answered between two.
-        let lookup = match select(ASKED.wait(), TO_KEEP.wait()).await {
+        let (version, mut record) = match select(ASKED.wait(), TO_KEEP.wait()).await {
             Either::First(()) => {
                 ANSWERS.store(answers().wrapping_add(1), Ordering::Relaxed);
                 continue;
             }
-            Either::Second(lookup) => lookup,
+            Either::Second(lookup) => (lookup.version, nonvolatile::record_of(&lookup)),
         };
-        if nonvolatile::save(&mut pages, &lookup).await.is_err() {
+        if nonvolatile::save(&mut pages, &mut record).await.is_err() {
             // Not tried again: the lookup is still active, and is pushed again.
-            defmt::warn!("lookup {=u32} was not kept", lookup.version);
+            defmt::warn!("lookup {=u32} was not kept", version);
         }
     }
 }

@@ -328,7 +328,7 @@ fn keeps_both_values(words: core::ops::Range<usize>) -> bool {
 fn is_canary_alive() -> bool {
     let end = &raw const _stack_end;
     (0..CANARY_WORDS).all(|k| {
-        // SAFETY: inside the stack's memory, which is 16 KiB; volatile, as the compiler knows no writer.
+        // SAFETY: inside the stack's memory, which is larger; volatile, as the compiler knows no writer.
         let word = unsafe { ptr::read_volatile(end.wrapping_add(k)) };
         word == cortex_m_rt::STACK_PAINT_VALUE
     })

@@ -53,7 +53,7 @@ const LED_MODE: u32 = {
 //    march begins with that, and leaves zeros.
 //    Where a cell is broken nothing may run: the watchdog is started as it is after a reset (512 ms), the LED flickers at 8 Hz,
 //    and the next reset tests again. Outputs are off, as no pin has left its reset state.
-// 3. The sampling path and all constants into the CCM SRAM (firmware/ccm.x).
+// 3. The sampling path and its constants into the CCM SRAM (firmware/ccm.x).
 // 4. The vectors too, and VTOR (Armv7-M, B3.2.5): the processor fetches a vector while it pushes
 //    registers over another bus.
 global_asm!(

@@ -7,7 +7,7 @@ use super::{ProbeInfo, Probes, errors};
 use crate::programmer::{FlashStep, ProgramError};
 
 /// Address range of the program's variables (memory.x): between the stack and the crash record.
-const VARIABLES: std::ops::Range<u32> = 0x2000_4000..0x2001_7FE0;
+const VARIABLES: std::ops::Range<u32> = 0x2000_3000..0x2001_7FE0;
 
 /// First bytes of a control block.
 const MAGIC: [u8; 16] = *b"SEGGER RTT\0\0\0\0\0\0";

@@ -39,7 +39,7 @@ fn windows(client: &mut Client, wanted: usize) -> Vec<Window> {
 
 /// Bytes of the stack that were ever used: start-up paints it (cortex-m-rt), memory.x says where it is.
 fn stack_used(bench: &Bench) -> usize {
-    const STACK: (u32, usize) = (0x2000_0000, 16 * 1024);
+    const STACK: (u32, usize) = (0x2000_0000, 12 * 1024);
     const PAINT: [u8; 4] = 0xCCCC_CCCC_u32.to_le_bytes();
     let stack = bench.with(|machine| machine.memory(STACK.0, STACK.1));
     let untouched = stack.chunks(4).take_while(|word| **word == PAINT).count();

@@ -336,7 +336,7 @@ fn a_sampling_path_at_half_its_rate_is_found() {
 
 /// Where in the RAM the active lookup's cells are.
 fn active_lookup(machine: &Machine, lookup: &RlLookup) -> u32 {
-    let (begin, bytes) = (0x2000_4000, 0x13FE0);
+    let (begin, bytes) = (0x2000_3000, 0x14FE0);
     let ram = machine.memory(begin, bytes);
     let cells = lookup.to_bytes();
     let cells = &cells[9..9 + 64];
