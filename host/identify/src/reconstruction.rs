@@ -8,6 +8,7 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 use ihd_signal::correlation::Correlator;
+use ihd_signal::vectorised::vectorised;
 use ihd_signal::{Samples, Segment};
 use nalgebra::Complex;
 
@@ -20,6 +21,9 @@ const ORDERS: usize = 16;
 
 /// Samples that are converted to doubles at a time.
 const AT_ONCE: usize = 1 << 15;
+
+/// Partial sums of an NMSE.
+const SUMS: usize = 8;
 
 /// Adds the waveforms that the estimator has not reconstructed itself, and the errors of all.
 /// An estimate without points is left unchanged.
@@ -83,16 +87,17 @@ fn covered(segment: &Segment, estimate: &Estimate) -> Range<usize> {
 /// Σ(x̂ − x)²/Σx² over a range of samples.
 struct Nmse {
     range: Range<usize>,
-    error: f64,
-    square: f64,
+    /// Partial sums, so that a sum does not wait for the one before.
+    errors: [f64; SUMS],
+    squares: [f64; SUMS],
 }
 
 impl Nmse {
     fn over(range: Range<usize>) -> Self {
         Self {
             range,
-            error: 0.0,
-            square: 0.0,
+            errors: [0.0; SUMS],
+            squares: [0.0; SUMS],
         }
     }
 
@@ -100,10 +105,20 @@ impl Nmse {
     fn add(&mut self, first: usize, estimated: &[f32], right: &[f64]) {
         let within = |k: usize| k.clamp(first, first + estimated.len()) - first;
         let range = within(self.range.start)..within(self.range.end);
-        for (estimated, right) in estimated[range.clone()].iter().zip(&right[range]) {
-            self.error += (f64::from(*estimated) - right).powi(2);
-            self.square += right * right;
-        }
+        let (errors, squares) = (&mut self.errors, &mut self.squares);
+        vectorised(
+            #[inline(always)]
+            || {
+                let all = estimated[range.clone()].chunks(SUMS);
+                for (estimated, right) in all.zip(right[range.clone()].chunks(SUMS)) {
+                    for (k, (estimated, right)) in estimated.iter().zip(right).enumerate() {
+                        let error = f64::from(*estimated) - right;
+                        errors[k] += error * error;
+                        squares[k] += right * right;
+                    }
+                }
+            },
+        );
     }
 
     fn add_all(&mut self, estimated: &[f32], right: &Samples) {
@@ -120,7 +135,8 @@ impl Nmse {
 
     /// NMSE in percent; `None` if there are no samples, or the result is not finite.
     fn pct(&self) -> Option<f64> {
-        let nmse = 100.0 * self.error / self.square;
+        let sum = |parts: &[f64; SUMS]| parts.iter().sum::<f64>();
+        let nmse = 100.0 * sum(&self.errors) / sum(&self.squares);
         nmse.is_finite().then_some(nmse)
     }
 }

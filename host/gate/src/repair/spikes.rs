@@ -4,6 +4,7 @@
 use std::borrow::Cow;
 use std::ops::Range;
 
+use ihd_signal::vectorised::vectorised;
 use ihd_signal::{Capture, Remark, Severity};
 use ihd_survey::Survey;
 
@@ -59,22 +60,42 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
     })
 }
 
+/// Samples that are tested together: most stretches of that length have no spike.
+const TOGETHER: usize = 256;
+
 /// Samples that exceed the two before and the two after by more than a height. An edge is monotonous and has none.
 fn find(x: &[f32], range: Range<usize>, height: f32) -> Vec<usize> {
     let Some(x_of) = x.get(range.clone()) else {
         return Vec::new();
     };
-    let stands_out = |w: &[f32]| {
-        let (low, high) = (
-            w[0].min(w[1]).min(w[3]).min(w[4]),
-            w[0].max(w[1]).max(w[3]).max(w[4]),
+    let firsts = (0..x_of.len().saturating_sub(4)).step_by(TOGETHER);
+    let of_stretch = |first: usize| {
+        let x = &x_of[first..(first + TOGETHER + 4).min(x_of.len())];
+        let any = vectorised(
+            #[inline(always)]
+            || any_stands_out(x, height),
         );
-        w[2] > high + height || w[2] < low - height
+        let fives = x.array_windows().enumerate().filter(move |_| any);
+        let spikes = fives.filter(move |(_, five)| stands_out(five, height));
+        spikes.map(move |(k, _)| range.start + first + k + 2)
     };
-    let all = x_of.windows(5).enumerate();
-    all.filter(|(_, w)| stands_out(w))
-        .map(|(k, _)| range.start + k + 2)
-        .collect()
+    firsts.flat_map(of_stretch).collect()
+}
+
+/// Returns `true` if a sample of the stretch stands out; without a branch, for SIMD.
+#[inline(always)]
+fn any_stands_out(x: &[f32], height: f32) -> bool {
+    let all = x
+        .array_windows()
+        .map(|five| u32::from(stands_out(five, height)));
+    all.sum::<u32>() > 0
+}
+
+/// Returns `true` if the middle one of five samples is outside the others by more than a height.
+#[inline(always)]
+fn stands_out(&[a, b, middle, c, d]: &[f32; 5], height: f32) -> bool {
+    let (low, high) = (a.min(b).min(c).min(d), a.max(b).max(c).max(d));
+    (middle > high + height) | (middle < low - height)
 }
 
 #[cfg(test)]
