@@ -54,7 +54,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let sigma = found.relative_sigma_pct().unwrap_or((f64::NAN, f64::NAN));
             let (whole, middle) = (mre_pct(&found, &hob, 0.0), mre_pct(&found, &hob, 0.1));
             println!(
-                "{f_sw_khz} {seed:2} | {:.3} {:.3} | {:.3} {:.3} | {:.3} {:.3} | {} {:3} {:4.0} {} | \
+                "{f_sw_khz} {seed:2} | {:.3} {:.3} | {:.3} {:.3} | {:.3} {:.3} | {} {:3} {:5.2} {} | \
                  {:.4} {:.4}",
                 whole.0,
                 whole.1,

@@ -87,6 +87,9 @@ pub struct PinnConfig {
     pub w_f: f64,
     /// Weight of the data terms in eq. (7).
     pub w_i: f64,
+    /// Takes R and L from a law of the current that was learned from simulated loads, in closed form, where its residual is no more
+    /// than noise explains; the network is trained only elsewhere. Not used with a VI-MLP; for an `ensemble` of 1 only.
+    pub at_once: bool,
     /// Expected standard deviation of the RL-MLP's weights. With noise in the samples, a prior of that width keeps R and L from
     /// following the noise. 0 for eq. (7) alone. Levenberg-Marquardt only.
     pub weight_width: f64,
@@ -144,6 +147,7 @@ impl Default for PinnConfig {
             l_scale_h: 1e-4,
             w_f: 5.0,
             w_i: 1.0,
+            at_once: false,
             weight_width: 0.7,
             correction: true,
             noise: None,

@@ -5,9 +5,10 @@
 //! noise the evidence supports no correction and the splines vanish; without noise they fit the rest.
 
 use ihd_spline::CubicSpline;
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{DMatrix, DVector};
 
 use crate::loss::SlowPhysics;
+use crate::normal_matrix::Factor;
 use crate::parameters::OUTPUTS;
 
 /// Possible widths of the prior, as shares of |Z| at full current.
@@ -45,7 +46,7 @@ impl Correction {
     pub fn fit(problem: &Problem<'_>) -> Option<Self> {
         let (gram, right) = problem.normal_equations();
         let precision = problem.precision();
-        let evidence = |width: f64| -> Option<(f64, Cholesky<f64, Dyn>)> {
+        let evidence = |width: f64| -> Option<(f64, Factor)> {
             let mut posterior = gram.clone();
             let mut log_prior = 0.0;
             for (k, p) in precision.iter().enumerate() {
@@ -53,9 +54,9 @@ impl Correction {
                 posterior[(k, k)] += p;
                 log_prior += p.ln();
             }
-            let factor = Cholesky::new(posterior)?;
+            let factor = Factor::new(&posterior, 0.0)?;
             let explained = right.dot(&factor.solve(&right));
-            let evidence = 0.5 * (explained + log_prior - log_determinant(&factor));
+            let evidence = 0.5 * (explained + log_prior - factor.log_determinant());
             Some((evidence, factor))
         };
         let all = WIDTHS.into_iter().filter_map(evidence);
@@ -144,15 +145,6 @@ impl Problem<'_> {
             .flat_map(|share| self.z.map(|z| share.powf(2.0 * GROWTH) / (z * z)))
             .collect()
     }
-}
-
-fn log_determinant(factor: &Cholesky<f64, Dyn>) -> f64 {
-    2.0 * factor
-        .l_dirty()
-        .diagonal()
-        .iter()
-        .map(|x| x.ln())
-        .sum::<f64>()
 }
 
 #[cfg(test)]

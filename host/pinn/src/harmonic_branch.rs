@@ -78,7 +78,7 @@ impl HarmonicBranch {
     pub fn phasors(&self, tau_s: f64, index: usize) -> Phasors {
         let local = self.basis.spline.at(tau_s);
         let orders = self.basis.harmonics.len();
-        let phasor = |x: &[f64], weights| phasor(x, orders, index, &local, weights);
+        let phasor = |x: &[f64], weights| phasor(x, orders, index, local.first, weights);
         Phasors {
             v: phasor(&self.v, &local.values),
             i: phasor(&self.i, &local.values),
@@ -132,13 +132,22 @@ impl HarmonicBranch {
         Excess::of(&fit, [&samples.v, &samples.i], [&self.v, &self.i], white)
     }
 
+    /// Amplitude of the current's fundamental, harmonic 0 of the basis, at `tau_s` seconds after the first pair, normalised.
+    pub fn amplitude(&self, tau_s: f64) -> f64 {
+        let (first, values) = self.basis.spline.values_at(tau_s);
+        phasor(&self.i, self.basis.harmonics.len(), 0, first, &values).norm()
+    }
+
     /// P / I_rms^2 over all harmonics at `tau_s` seconds after the first pair, normalised.
     pub fn power_ratio(&self, tau_s: f64) -> f64 {
+        let (first, values) = self.basis.spline.values_at(tau_s);
+        let orders = self.basis.harmonics.len();
         let (mut power, mut square) = (0.0, 0.0);
-        for index in 0..self.basis.harmonics.len() {
-            let at = self.phasors(tau_s, index);
-            power += (at.v * at.i.conj()).re;
-            square += at.i.norm_sqr();
+        for index in 0..orders {
+            let of = |x: &[f64]| phasor(x, orders, index, first, &values);
+            let (v, i) = (of(&self.v), of(&self.i));
+            power += (v * i.conj()).re;
+            square += i.norm_sqr();
         }
         power / square
     }

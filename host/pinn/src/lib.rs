@@ -35,6 +35,7 @@
 //! ```
 
 mod adam;
+mod at_once;
 mod backend;
 mod config;
 mod config_file;

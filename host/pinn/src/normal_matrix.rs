@@ -280,6 +280,34 @@ impl Factor {
         forms
     }
 
+    /// ln det(L Lᵀ).
+    pub fn log_determinant(&self) -> f64 {
+        let diagonal = (0..self.size).map(|k| self.rows[k * self.width + k]);
+        2.0 * diagonal.map(f64::ln).sum::<f64>()
+    }
+
+    /// (L Lᵀ)⁻¹.
+    pub fn inverse(&self) -> DMatrix<f64> {
+        let mut below = DMatrix::zeros(self.size, self.size);
+        for first in (0..self.size).step_by(TOGETHER) {
+            let mut solved = vec![[0.0; TOGETHER]; self.size];
+            for (lane, row) in solved[first..].iter_mut().take(TOGETHER).enumerate() {
+                row[lane] = 1.0;
+            }
+            vectorised(
+                #[inline(always)]
+                || self.forward(&mut solved),
+            );
+            let these = TOGETHER.min(self.size - first);
+            for (k, lanes) in solved.iter().enumerate() {
+                for (lane, x) in lanes[..these].iter().enumerate() {
+                    below[(k, first + lane)] = *x;
+                }
+            }
+        }
+        gram(&below)
+    }
+
     /// Solves L x = b in place, lane by lane; returns |x|² of each.
     #[inline(always)]
     fn forward(&self, solved: &mut [[f64; TOGETHER]]) -> [f64; TOGETHER] {
@@ -338,6 +366,10 @@ mod tests {
             let x = factor.solve(&right);
             let left = &product * &x + &x * ridge;
             assert!((left - &right).amax() < 1e-11, "{size}");
+            let identity = (&product + DMatrix::identity(size, size) * ridge) * factor.inverse();
+            assert!((identity - DMatrix::identity(size, size)).amax() < 1e-10);
+            let determinant = (&product + DMatrix::identity(size, size) * ridge).determinant();
+            assert!((factor.log_determinant() - determinant.ln()).abs() < 1e-9);
             // More right-hand sides than go together, and none whole.
             let rows = random(TOGETHER + 3, size);
             for (k, form) in factor.inverse_forms(&rows).into_iter().enumerate() {

@@ -13,7 +13,7 @@ macro_rules! ablations {
     };
 }
 
-const ABLATIONS: [(&str, &str); 8] = ablations![
+const ABLATIONS: [(&str, &str); 9] = ablations![
     "repaired-unscaled",
     "repaired-fast-only",
     "repaired-eq3",
@@ -22,6 +22,7 @@ const ABLATIONS: [(&str, &str); 8] = ablations![
     "hybrid-paper-net",
     "hybrid-adam",
     "hybrid-no-prior",
+    "at-once",
 ];
 
 /// Configuration with a name.

@@ -66,18 +66,18 @@ impl NormalEquations {
     }
 }
 
-/// Phasor of the order at index `index` of `orders`, from a signal's coefficients; `weights` are the splines' values or
-/// slopes at a time.
+/// Phasor of the order at index `index` of `orders`, from a signal's coefficients; `weights` are values or slopes of the splines
+/// from `first` on at a time.
 pub fn phasor(
     coefficients: &[f64],
     orders: usize,
     index: usize,
-    local: &BasisValues,
+    first: usize,
     weights: &[f64; 4],
 ) -> Phasor {
     // a cos + b sin = Re{(a − jb)·e^(jθ)}.
     (0..4).fold(Complex::new(0.0, 0.0), |sum, m| {
-        let at = 2 * ((local.first + m) * orders + index);
+        let at = 2 * ((first + m) * orders + index);
         sum + Complex::new(coefficients[at], -coefficients[at + 1]) * weights[m]
     })
 }
@@ -365,7 +365,7 @@ mod tests {
             let ([v, i], spline) = fitted(&orders, block, &[1.0; 3]);
             for tau_s in [0.1e-3, 2.9e-3, 5.7e-3] {
                 let local = spline.at(tau_s);
-                let of = |x: &[f64], index| phasor(x, 3, index, &local, &local.values);
+                let of = |x: &[f64], index| phasor(x, 3, index, local.first, &local.values);
                 let growing = Complex::from_polar(1.0 + 50.0 * tau_s, 0.3);
                 for (found, right) in [
                     (of(&v, 0), growing),
@@ -376,7 +376,7 @@ mod tests {
                 ] {
                     assert!((found - right).norm() < 1e-5, "{block}: {found} {right}");
                 }
-                let slope = phasor(&v, 3, 0, &local, &local.slopes_per_s);
+                let slope = phasor(&v, 3, 0, local.first, &local.slopes_per_s);
                 assert!(
                     (slope - Complex::from_polar(50.0, 0.3)).norm() < 2e-2,
                     "{slope}"

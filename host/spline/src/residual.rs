@@ -26,6 +26,9 @@ const LEFT: f64 = 0.49;
 /// Times of a window at which the fitted phasor is evaluated.
 const TIMES: usize = 8;
 
+/// Blocks after which the carrier's phase is computed anew; it is turned on in between.
+const EXACT: usize = 64;
+
 /// Windows on either side that are averaged.
 const REACH: usize = 4;
 
@@ -65,12 +68,20 @@ impl Excess {
             return Self::default();
         };
         let correlator = Correlator::with_rate(fit.periods_per_sample, windows.block, [1.0]);
+        let step = correlator.turn(windows.block)[0];
+        let mut turn = [Complex::new(1.0, 0.0)];
         let blocks = samples[0]
             .chunks_exact(windows.block)
             .zip(samples[1].chunks_exact(windows.block))
             .enumerate()
-            .map(|(b, (v, i))| correlator.block(b * windows.block, v, i))
-            .map(|sums| [sums.v[0], sums.i[0]]);
+            .map(|(b, (v, i))| {
+                if b % EXACT == 0 {
+                    turn = correlator.turn(b * windows.block);
+                }
+                let sums = correlator.block_turned(&turn, v, i);
+                turn[0] *= step;
+                [sums.v[0], sums.i[0]]
+            });
         let blocks: Vec<[Phasor; 2]> = blocks.collect();
         let left: Vec<[Phasor; 2]> = (0..windows.count)
             .map(|w| windows.left(w, fit, &blocks, fitted))
@@ -115,6 +126,8 @@ struct Windows {
     block: usize,
     /// sin⁴ over the blocks of a window; their sum is 1.
     weights: Vec<f64>,
+    /// The same over [`TIMES`] times.
+    time_weights: [f64; TIMES],
     /// Distance from one window to the next in blocks.
     hop: usize,
     count: usize,
@@ -134,14 +147,18 @@ impl Windows {
         if blocks < 8 || all < blocks {
             return None;
         }
-        let at = |b: usize| libm::sin(PI * (b as f64 + 0.5) / blocks as f64);
-        let raw: Vec<f64> = (0..blocks).map(|b| libm::pow(at(b), 4.0)).collect();
+        let bell =
+            |k: usize, of: usize| libm::pow(libm::sin(PI * (k as f64 + 0.5) / of as f64), 4.0);
+        let raw: Vec<f64> = (0..blocks).map(|b| bell(b, blocks)).collect();
         let sum: f64 = raw.iter().sum();
+        let times: [f64; TIMES] = std::array::from_fn(|k| bell(k, TIMES));
+        let of_times: f64 = times.iter().sum();
         let weights: Vec<f64> = raw.iter().map(|w| w / sum).collect();
         Some(Self {
             // |2Σwx|² of white noise is 4σ²Σw², where each sample of a block carries its share.
             white: 4.0 * weights.iter().map(|w| w * w).sum::<f64>() / block as f64,
             weights,
+            time_weights: times.map(|w| w / of_times),
             hop,
             count: (all - blocks) / hop + 1,
             block,
@@ -168,20 +185,18 @@ impl Windows {
             }
         }
         let start_s = (from * self.block) as f64 * fit.dt_s;
-        let (length_s, mut weights) = (self.length_s(fit), 0.0);
+        let length_s = self.length_s(fit);
         let mut expected = [Complex::new(0.0, 0.0); 2];
-        for k in 0..TIMES {
+        for (k, weight) in self.time_weights.iter().enumerate() {
             let share = (k as f64 + 0.5) / TIMES as f64;
-            let weight = libm::pow(libm::sin(PI * share), 4.0);
-            let local = fit.spline.at(start_s + share * length_s - 0.5 * fit.dt_s);
+            let tau_s = start_s + share * length_s - 0.5 * fit.dt_s;
+            let (first, values) = fit.spline.values_at(tau_s);
             for (expected, coefficients) in expected.iter_mut().zip(fitted) {
-                *expected +=
-                    phasor(coefficients, fit.orders.len(), 0, &local, &local.values) * weight;
+                *expected += phasor(coefficients, fit.orders.len(), 0, first, &values) * weight;
             }
-            weights += weight;
         }
         let gain = fit.gains.first().copied().unwrap_or(1.0);
-        std::array::from_fn(|x| amplitudes[x] - expected[x] * (gain / weights))
+        std::array::from_fn(|x| amplitudes[x] - expected[x] * gain)
     }
 }
 

@@ -139,13 +139,14 @@ impl SplineFit {
             return self.at(tau_s).v.norm() * self.aliased;
         }
         let local = self.spline.at(tau_s);
-        phasor(&self.v, self.orders, 1, &local, &local.values).norm() / self.third * self.aliased
+        phasor(&self.v, self.orders, 1, local.first, &local.values).norm() / self.third
+            * self.aliased
     }
 
     /// The fundamental at `tau_s` seconds after the stretch's first sample.
     pub fn at(&self, tau_s: f64) -> Fundamental {
         let local = self.spline.at(tau_s);
-        let of = |x: &[f64], weights| phasor(x, self.orders, 0, &local, weights);
+        let of = |x: &[f64], weights| phasor(x, self.orders, 0, local.first, weights);
         Fundamental {
             v: of(&self.v, &local.values),
             i: of(&self.i, &local.values),

@@ -22,6 +22,12 @@ impl PinnConfig {
         within("max_iterations", self.max_iterations, 1..=10_000_000)?;
         self.validate_numbers()?;
         within("ensemble", self.ensemble, 1..=64)?;
+        if self.at_once && self.ensemble > 1 {
+            return wrong(
+                "at_once",
+                "finds the same in every member of an ensemble: give one of both",
+            );
+        }
         validate_embedding("embedding", self.embedding)?;
         self.validate_networks()?;
         self.validate_start()

@@ -4,15 +4,19 @@
 //!
 //! by block-coordinate descent: the harmonic VI branch by linear least squares, with R(t) and L(t) held; then
 //! the RL-MLP by the configured optimiser, with the branch held; alternating. The first branch is fitted to
-//! the data terms (5), (6) alone.
+//! the data terms (5), (6) alone. With `at_once` a law that was learned from simulated loads comes first, and the network only
+//! where that does not hold.
 
 mod corrected;
 mod inputs;
+pub(crate) mod law;
+mod misfit;
 mod pass;
 mod result;
 mod setup;
 
 use self::inputs::Inputs;
+use self::law::LawWindow;
 use self::pass::Pass;
 use crate::progress::Log;
 use crate::vi_system::{DataSystem, PhysicsTerm};
@@ -37,13 +41,20 @@ pub(crate) fn hybrid(
         order,
         laws: setup::laws(order, &branch.basis, config),
     };
+    if config.at_once
+        && let Some(found) = LawWindow::new(&inputs, &by_data, &network).found()
+    {
+        log.pass = 1;
+        return Ok(result::assemble(&inputs, &by_data, found, log));
+    }
     loop {
         log.pass += 1;
         let pass = Pass::new(&inputs, &branch, network)?;
         let descent = pass.train(&mut log)?;
         let converged = log.pass > 1 && pass.change_to(&descent.parameters) < pass.tolerance;
         if converged || log.pass >= config.outer_passes || !descent.stopped.is_converged() {
-            return result::assemble(&pass, [&by_data, &branch], descent, log);
+            let found = result::of_network(&pass, &by_data, descent)?;
+            return Ok(result::assemble(&inputs, &branch, found, log));
         }
         network = descent.parameters;
         branch = system.fit_with_physics(&PhysicsTerm {

@@ -1,24 +1,43 @@
 //! The result of the last pass: R(t), L(t) at evenly spaced times, their standard deviations, the losses.
 
 use super::corrected::CorrectedNetwork;
+use super::inputs::Inputs;
 use super::pass::Pass;
 use crate::harmonic_branch::HarmonicBranch;
 use crate::optimiser::Descent;
-use crate::progress::Log;
+use crate::parameters::Parameters;
+use crate::progress::{Log, StopReason};
 use crate::result::{Reconstruction, nmse_pct, result_times_s};
 use crate::uncertainty::laplace;
 use crate::{Identification, LossTerms, PinnError};
 
-pub(super) fn assemble(
+/// R(t) and L(t) by a network or a law.
+pub(super) struct Found {
+    /// Times after the first pair, s.
+    pub tau_s: Vec<f64>,
+    pub r_ohm: Vec<f64>,
+    pub l_h: Vec<f64>,
+    pub r_sigma_ohm: Vec<f64>,
+    pub l_sigma_h: Vec<f64>,
+    pub chi2: Vec<f64>,
+    /// `w_f L_f`, eq. (4).
+    pub physics_loss: f64,
+    /// L_i1 and L_i2, eqs. (5) and (6).
+    pub data_losses: (f64, f64),
+    /// Network to start a later window from.
+    pub parameters: Parameters,
+    pub stopped: StopReason,
+}
+
+/// R(t) and L(t) of the last pass' network; `by_data` is the branch fitted to the data alone.
+pub(super) fn of_network(
     pass: &Pass<'_>,
-    [by_data, branch]: [&HarmonicBranch; 2],
+    by_data: &HarmonicBranch,
     descent: Descent,
-    log: Log<'_>,
-) -> Result<Identification, PinnError> {
+) -> Result<Found, PinnError> {
     let (samples, config) = (pass.inputs.samples, pass.inputs.config);
     let tau_s = result_times_s(samples, config);
     let t_s: Vec<f64> = tau_s.iter().map(|tau| samples.t0_s + tau).collect();
-    let losses = losses(pass, &descent);
     let parameters = descent.parameters;
     let corrected = CorrectedNetwork::new(pass, by_data, &parameters);
     let (r_ohm, l_h) = tau_s.iter().map(|tau| corrected.r_l_at(*tau)).unzip();
@@ -30,41 +49,56 @@ pub(super) fn assemble(
     for ((tau, r), l) in tau_s.iter().zip(&mut r_sigma_ohm).zip(&mut l_sigma_h) {
         chi2.push(corrected.raise(*tau, [r, l]));
     }
-    // The fundamental is harmonic 0 of the basis: the configuration is checked for that.
-    let amplitude = |tau: &f64| branch.phasors(*tau, 0).i.norm() * samples.i_max_ampere;
-    let power_ratio = |tau: &f64| branch.power_ratio(*tau) / samples.impedance_scale();
-    Ok(Identification {
-        impedance_order: pass.inputs.order,
-        i_amplitude_a: tau_s.iter().map(amplitude).collect(),
-        r_power_ohm: tau_s.iter().map(power_ratio).collect(),
-        t_s,
+    Ok(Found {
+        tau_s,
         r_ohm,
         l_h,
         r_sigma_ohm,
         l_sigma_h,
         chi2,
-        losses,
-        iterations: log.iteration,
-        passes: log.pass,
-        stopped_because: descent.stopped,
-        elapsed_s: log.elapsed_s(),
-        nmse_v_pct: nmse_pct(losses.l_i1, &samples.v),
-        nmse_i_pct: nmse_pct(losses.l_i2, &samples.i),
-        reconstruction: Reconstruction::of_branch(samples, branch),
-        history: log.history,
+        physics_loss: descent.squares + pass.floor,
+        data_losses: pass.data_losses,
         parameters,
+        stopped: descent.stopped,
     })
 }
 
-/// Terms of eq. (7) at the final parameters.
-fn losses(pass: &Pass<'_>, descent: &Descent) -> LossTerms {
-    let config = pass.inputs.config;
-    let (l_i1, l_i2) = pass.data_losses;
-    let l_f = (descent.squares + pass.floor) / config.w_f;
-    LossTerms {
-        l_f,
-        l_i1,
-        l_i2,
-        total: config.w_f * l_f + config.w_i * (l_i1 + l_i2),
+/// Result of the window whose VI branch is `branch`.
+pub(super) fn assemble(
+    inputs: &Inputs<'_>,
+    branch: &HarmonicBranch,
+    found: Found,
+    log: Log<'_>,
+) -> Identification {
+    let (samples, config) = (inputs.samples, inputs.config);
+    let amplitude = |tau: &f64| branch.amplitude(*tau) * samples.i_max_ampere;
+    let power_ratio = |tau: &f64| branch.power_ratio(*tau) / samples.impedance_scale();
+    let (l_i1, l_i2) = found.data_losses;
+    Identification {
+        impedance_order: inputs.order,
+        i_amplitude_a: found.tau_s.iter().map(amplitude).collect(),
+        r_power_ohm: found.tau_s.iter().map(power_ratio).collect(),
+        t_s: found.tau_s.iter().map(|tau| samples.t0_s + tau).collect(),
+        r_ohm: found.r_ohm,
+        l_h: found.l_h,
+        r_sigma_ohm: found.r_sigma_ohm,
+        l_sigma_h: found.l_sigma_h,
+        chi2: found.chi2,
+        // The terms of eq. (7) at the final parameters.
+        losses: LossTerms {
+            l_f: found.physics_loss / config.w_f,
+            l_i1,
+            l_i2,
+            total: found.physics_loss + config.w_i * (l_i1 + l_i2),
+        },
+        iterations: log.iteration,
+        passes: log.pass,
+        stopped_because: found.stopped,
+        elapsed_s: log.elapsed_s(),
+        nmse_v_pct: nmse_pct(l_i1, &samples.v),
+        nmse_i_pct: nmse_pct(l_i2, &samples.i),
+        reconstruction: Reconstruction::of_branch(samples, branch),
+        history: log.history,
+        parameters: found.parameters,
     }
 }

@@ -12,7 +12,7 @@ fn repaired(change: impl FnOnce(&mut ViMlp)) -> PinnConfig {
 }
 
 /// Settings of each ablation, written in Rust: their digits are in docs/accuracy.md.
-fn ablations() -> [(&'static str, PinnConfig); 8] {
+fn ablations() -> [(&'static str, PinnConfig); 9] {
     let hybrid = PinnConfig::default;
     [
         (
@@ -58,6 +58,13 @@ fn ablations() -> [(&'static str, PinnConfig); 8] {
             PinnConfig {
                 weight_width: 0.0,
                 correction: false,
+                ..hybrid()
+            },
+        ),
+        (
+            "at-once",
+            PinnConfig {
+                at_once: true,
                 ..hybrid()
             },
         ),
