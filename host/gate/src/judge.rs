@@ -60,12 +60,16 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     let refuted = agreement
         .iter()
         .any(|f| f.remark.severity == Severity::Error);
+    let known = match &evidence.reference.least_squares {
+        Ok(reference) => comparison::sigmas_pct(segment, reference),
+        Err(_) => Vec::new(),
+    };
     let sigmas = match &evidence.reference.least_squares {
-        Ok(reference) if confirmed => comparison::sigmas_pct(segment, reference),
-        Ok(reference) if !refuted => within_reference(segment, estimate, reference),
+        Ok(_) if confirmed => known.clone(),
+        Ok(reference) if !refuted => within_reference(segment, estimate, reference, &known),
         _ => comparison::sigmas_pct(segment, estimate),
     };
-    let uncertain = uncertainty(segment, &sigmas);
+    let uncertain = uncertainty(segment, &sigmas, &known);
     if confirmed {
         // The network stopped at its limit of steps, but with the right result.
         let unsettled = findings.iter_mut().filter(|f| f.code == "not_converged");
@@ -171,8 +175,13 @@ fn worse(values: [f64; 2], limits: [f64; 2]) -> (&'static str, f64, f64) {
     }
 }
 
-/// Remarks on the noise of the half-cycles; [`TOO_SHORT`] if a stub is all there is, and its deviation is large or unknown.
-fn uncertainty(segment: &Segment, sigmas_pct: &[(f64, [f64; 2])]) -> Vec<HalfCycleRemark> {
+/// Remarks on the deviations of the half-cycles, of which least squares knows those in `known_pct`; [`TOO_SHORT`] if a stub is all
+/// there is, and its deviation is large or unknown.
+fn uncertainty(
+    segment: &Segment,
+    sigmas_pct: &[(f64, [f64; 2])],
+    known_pct: &[(f64, [f64; 2])],
+) -> Vec<HalfCycleRemark> {
     let judged = comparison::judged(segment);
     let Some(first) = judged.first() else {
         let crossing_s = comparison::half_cycles(segment)
@@ -213,11 +222,20 @@ fn uncertainty(segment: &Segment, sigmas_pct: &[(f64, [f64; 2])]) -> Vec<HalfCyc
             true => (Severity::Error, MAX_SIGMA_PCT),
             false => (Severity::Warning, WARNING_SHARE * tolerable),
         };
+        let known = known_pct.iter().find(|(at_s, _)| *at_s == crossing_s);
+        let known = known.map(|(_, pct)| worse(*pct, TOLERABLE_PCT));
+        // Noise is not the cause where least squares knows more of the same samples.
+        let known = known.filter(|(_, known, limit)| known / limit < WARNING_SHARE);
         (share > WARNING_SHARE).then(|| {
-            let text = format!(
-                "noise leaves {name} uncertain by {value:.1} % in the half-cycle from {crossing_s:.4} s: take a longer \
-                 capture, a smaller range or more bits"
-            );
+            let of = format!("{name} uncertain by {value:.1} % in the half-cycle from {crossing_s:.4} s");
+            let text = match known {
+                Some((name, known, _)) => format!(
+                    "this estimator leaves {of}, and least squares leaves {name} by {known:.2} %: take another method"
+                ),
+                None => format!(
+                    "noise leaves {of}: take a longer capture, a smaller range or more bits"
+                ),
+            };
             HalfCycleRemark {
                 crossing_s,
                 share,
@@ -234,9 +252,9 @@ fn within_reference(
     segment: &Segment,
     estimate: &Estimate,
     reference: &Estimate,
+    known: &[(f64, [f64; 2])],
 ) -> Vec<(f64, [f64; 2])> {
     let differences = comparison::differences(segment, estimate, reference);
-    let known = comparison::sigmas_pct(segment, reference);
     let mut sigmas = comparison::sigmas_pct(segment, estimate);
     for (crossing_s, own) in &mut sigmas {
         let apart = differences.iter().find(|d| d.crossing_s == *crossing_s);

@@ -202,6 +202,15 @@ fn the_linear_filter_is_refused_in_noise_and_least_squares_is_not() {
         panic!("{} outcomes", examined.outcomes.len());
     };
     assert!(!kf.judgement.gate.passes() && codes(kf).contains(&"disagreement"));
+    // The samples are good enough for least squares: a longer capture would not help the filter.
+    let of_kf = kf.judgement.findings.iter();
+    let uncertain = of_kf.filter(|f| f.code == "uncertain").collect::<Vec<_>>();
+    assert!(
+        !uncertain.is_empty()
+            && uncertain
+                .iter()
+                .all(|f| f.text.contains("take another method"))
+    );
     assert!(least_squares.judgement.gate.passes());
 }
 

@@ -36,7 +36,7 @@ pub enum RecordingTable {
 /// Blocks and uses one core for up to minutes. Ends early once `stop` is `true`.
 ///
 /// # Errors
-/// [`TableError`], among them the limits of size and time.
+/// [`RecordingExportError`], among them the limits of size and time.
 pub fn table(
     recording: &Path,
     which: RecordingTable,
