@@ -128,6 +128,11 @@ impl ContentsFit {
         self.state
     }
 
+    /// Rise of the boiling point in kelvin; `None` if the contents do not boil.
+    pub fn boiling_point_k(&self) -> Option<f64> {
+        self.boiling.filter(|_| self.state.boils).map(|x| x[4])
+    }
+
     /// Adds energy in joule until `t_s`, and ΔT in kelvin at that time if it is known.
     pub fn push(&mut self, t_s: f64, energy_j: f64, rise_k: Option<f64>) {
         self.energy_j += energy_j;

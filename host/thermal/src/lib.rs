@@ -8,6 +8,7 @@
 //! Heat acts on R and L through one number, the metal's resistivity times its saturation. Lift changes R and L in a different
 //! ratio, so that both can be found from two measured values. The temperature is never absolute, and never an input of protection.
 
+mod alloy;
 pub mod batch;
 pub mod contents;
 pub mod filter;

@@ -16,6 +16,8 @@ pub struct MetalLaw {
     pub ln_alpha: f64,
     /// ln s of the class at room temperature.
     pub ln_s: f64,
+    /// Effect of heat relative to the class: 1 for an alloy that is not known.
+    pub effect: f64,
 }
 
 /// Largest deviation in kelvin: where the slope is zero, both sides of the turn are this far apart.
@@ -28,6 +30,7 @@ impl MetalLaw {
         curie_rise_k: Some(660.0),
         ln_alpha: 7.313,
         ln_s: -11.258,
+        effect: 1.0,
     };
 
     /// Grey cast iron (EN 1561: 0.70 to 0.77 µΩm; +0.19 %/K).
@@ -36,6 +39,7 @@ impl MetalLaw {
         curie_rise_k: Some(660.0),
         ln_alpha: 8.613,
         ln_s: -11.074,
+        effect: 1.0,
     };
 
     /// Classes that a hob can heat.
@@ -69,7 +73,12 @@ impl MetalLaw {
             change += 0.5 * left.ln();
             slope -= x / (curie_k * left);
         }
-        (change, slope)
+        (self.effect * change, self.effect * slope)
+    }
+
+    /// The same class with another effect of heat.
+    pub fn with_effect(self, effect: f64) -> Self {
+        Self { effect, ..self }
     }
 
     /// Relative standard deviation if the class is unknown, too: cast iron changes 1.7 times as much as ferritic steel.

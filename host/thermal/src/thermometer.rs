@@ -2,11 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::alloy::KnownAlloys;
 use crate::batch::{Batches, ThermalHalfCycle};
 use crate::contents::{BASE_J_PER_M2K, ContentsFit, WALL_J_PER_K};
 use crate::filter::{PotMotion, ThermalFilter};
 use crate::metal::MetalLaw;
-use crate::placement::Placement;
+use crate::placement::{PlacedPot, Placement};
 use crate::prior::HeatPrior;
 use crate::turnover::TurnoverDetector;
 
@@ -93,7 +94,8 @@ pub enum PotEvent {
     },
 }
 
-/// Thermometer of the pot on one coil.
+/// Thermometer of the pot on one coil. A pot that boils water teaches the effect of heat on its metal, which is used when it is put on
+/// again.
 #[derive(Clone, Debug, Default)]
 pub struct Thermometer {
     last: Option<ThermalHalfCycle>,
@@ -103,12 +105,17 @@ pub struct Thermometer {
     energy_j: f64,
     tracked: Option<Box<TrackedPot>>,
     events: Vec<PotEvent>,
+    /// Alloys of pots that boiled water here.
+    alloys: KnownAlloys,
 }
 
 #[derive(Clone, Debug)]
 struct TrackedPot {
+    placed: PlacedPot,
     filter: ThermalFilter,
     contents: ContentsFit,
+    /// Last rise of the boiling point in kelvin; `None` if nothing boiled.
+    boil_k: Option<f64>,
     tick_s: f64,
     /// Heat in joule since the last tick, and since the pot was put on.
     energy_j: f64,
@@ -133,8 +140,13 @@ impl Thermometer {
     /// Starts anew with ΔT = 0, for a pot that was taken away or may be another one.
     pub fn begin_anew(&mut self) {
         let events = std::mem::take(&mut self.events);
+        let mut alloys = std::mem::take(&mut self.alloys);
+        if let Some((tracked, boil_k)) = self.tracked.as_ref().and_then(|t| Some((t, t.boil_k?))) {
+            alloys.teach(&tracked.placed, tracked.filter.metal(), boil_k);
+        }
         *self = Self {
             events,
+            alloys,
             ..Self::default()
         };
     }
@@ -197,17 +209,24 @@ impl Thermometer {
             is_cast_iron: placed.metal == MetalLaw::CAST_IRON,
             is_sure,
         });
+        let class_spread = match is_sure {
+            true => MetalLaw::SPREAD,
+            false => MetalLaw::CLASS_SPREAD,
+        };
+        let (effect, spread) = self.alloys.effect(&placed, class_spread);
         let mut contents = ContentsFit::new(placed.pot.radius_m, t_s);
         contents.push(t_s, self.energy_j, Some(rise_k));
         self.tracked = Some(Box::new(TrackedPot {
             filter: ThermalFilter::new(
                 placed.pot,
-                placed.metal,
+                placed.metal.with_effect(effect),
                 t_s,
                 (rise_k, rate_k_per_s),
                 base_j_per_k,
             ),
+            placed,
             contents,
+            boil_k: None,
             tick_s: t_s,
             energy_j: 0.0,
             heat_j: self.energy_j,
@@ -218,10 +237,7 @@ impl Thermometer {
             overheats: false,
             toward_curie: false,
             turnover: TurnoverDetector::default(),
-            spread: match is_sure {
-                true => MetalLaw::SPREAD,
-                false => MetalLaw::CLASS_SPREAD,
-            },
+            spread,
             no_water: false,
         }));
     }
@@ -301,6 +317,7 @@ impl TrackedPot {
             events.push(PotEvent::Boils { since_s });
         }
         self.boils = state.boils;
+        self.boil_k = self.contents.boiling_point_k().or(self.boil_k);
     }
 
     fn check_overheating(&mut self, rise_k: f64, sigma_k: f64, events: &mut Vec<PotEvent>) {

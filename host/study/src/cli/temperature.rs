@@ -16,8 +16,8 @@ use ihd::cli::output;
 /// Follow the temperature of pots that are cooked with, and find their boil; and try to make it see one that is none.
 ///
 /// Cooks from tables of the field model with the noise of the firmware's filter: pots of 15 to 21 cm, 0.5 to 3 litre, 800 to 2200 W, lift of 0 to 1 mm
-/// that is not known, moves, pots that differ from what physics predicts; as many runs that must not boil. All of it twice: with the alloy's
-/// coefficients as known, and with each pot's off by up to 20 %.
+/// that is not known, moves, pots that differ from what physics predicts; as many runs that must not boil. All of it with the alloy's
+/// coefficients as known, with each pot's off by up to 20 %, and with these after the pot has boiled water three times.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd-study temperature --runs 12\n  \
@@ -43,8 +43,15 @@ pub struct TemperatureArgs {
     plot: Option<PathBuf>,
 }
 
-/// Spread of the alloys' coefficients in the second half of the study.
+/// Spread of the alloys' coefficients in the second part of the study.
 const ALLOY: f64 = 0.2;
+
+/// Parts of the study: spread of the alloys, and boils of water in the same pot before.
+const SETS: [(&str, f64, u64); 3] = [
+    ("alloy known", 0.0, 0),
+    ("alloy off by up to 20 %", ALLOY, 0),
+    ("the same after three boils", ALLOY, 3),
+];
 
 /// Results as JSON.
 #[derive(Serialize)]
@@ -64,13 +71,14 @@ struct Set<'a> {
 impl TemperatureArgs {
     /// Runs the study.
     pub fn run(&self) -> Result<()> {
-        let bar = super::bar(4 * self.runs, "runs")?;
+        let bar = super::bar(2 * SETS.len() as u64 * self.runs, "runs")?;
         let mut sets = Vec::new();
-        for (name, alloy) in [("alloy known", 0.0), ("alloy off by up to 20 %", ALLOY)] {
+        for (name, alloy, lessons) in SETS {
             let plan = TemperaturePlan {
                 runs: self.runs,
                 seed: self.seed,
                 alloy,
+                lessons,
             };
             let before = bar.position();
             let runs = study(&plan, &|done, _| bar.set_position(before + done as u64))?;

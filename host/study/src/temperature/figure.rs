@@ -39,6 +39,7 @@ pub fn write(path: &Path) -> Result<(), FigureError> {
         },
         power_w,
         duration_s,
+        lessons: 0,
         moved,
     };
     let jobs = [

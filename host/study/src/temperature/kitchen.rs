@@ -65,6 +65,10 @@ pub fn cook(
 ) -> Result<TemperatureRun, InverterError> {
     let mut cooking = Cooking::new(job.pot, job.contents, job.deviation, job.seed)?;
     let mut thermometer = Thermometer::default();
+    for number in 0..job.lessons {
+        boil(&job.lesson(number), &mut thermometer)?;
+    }
+    thermometer.take_events();
     let start_c = job.pot.temperature_c;
     let moved_mm = job
         .moved
@@ -129,6 +133,17 @@ pub fn cook(
         });
     }
     Ok(run)
+}
+
+/// Cooks before `thermometer`, and takes the pot off.
+fn boil(job: &CookingJob, thermometer: &mut Thermometer) -> Result<(), InverterError> {
+    let mut cooking = Cooking::new(job.pot, job.contents, job.deviation, job.seed)?;
+    cooking.set_power(job.power_w);
+    while cooking.t_s() < job.duration_s {
+        thermometer.push(&half_cycle(&cooking.half_cycle()));
+    }
+    thermometer.begin_anew();
+    Ok(())
 }
 
 fn record_event(run: &mut TemperatureRun, job: &CookingJob, t_s: f64, event: PotEvent) {

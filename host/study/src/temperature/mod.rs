@@ -88,6 +88,8 @@ pub struct TemperaturePlan {
     pub seed: u64,
     /// Largest deviation of an alloy's heat coefficients from those of its class, as a share.
     pub alloy: f64,
+    /// Boils of water in the same pot before each run.
+    pub lessons: u64,
 }
 
 /// Specification of a run.
@@ -107,6 +109,8 @@ pub struct CookingJob {
     pub power_w: f64,
     /// Length in seconds.
     pub duration_s: f64,
+    /// Boils of water in the same pot before.
+    pub lessons: u64,
     /// Time of its move in seconds, and the new lift in metre; `None` if it is not moved.
     pub moved: Option<(f64, f64)>,
 }
@@ -213,8 +217,8 @@ impl TemperaturePlan {
             CookingKind::Boil | CookingKind::BoilInSteps => PotContents::Water(litre),
         };
         let duration_s = match kind {
-            // Time for heating the water at the least power, and some minutes of boiling.
-            CookingKind::Boil => litre * 4186.0 * 80.0 / power_w * 1.6 + 120.0,
+            CookingKind::Boil => boil_s(litre, power_w),
+            // At the least power.
             CookingKind::BoilInSteps => litre * 4186.0 * 80.0 / power_w * 2.2 + 120.0,
             CookingKind::FoodToRest => 600.0,
             CookingKind::Restless => 250.0,
@@ -238,9 +242,36 @@ impl TemperaturePlan {
             },
             power_w,
             duration_s,
+            lessons: self.lessons,
             moved: moves.then(|| (30.0 + (duration_s - 60.0) * u(12), LIFT_M * u(13))),
         }
     }
+}
+
+impl CookingJob {
+    /// Boil of water in the same pot, put on anew: another lift, temperature, power and amount of water.
+    fn lesson(&self, number: u64) -> Self {
+        let u = |purpose| share(self.seed, 100 * (number + 1) + purpose);
+        let (litre, power_w) = (0.5 + 0.7 * u(0), self.power_w.max(1200.0));
+        Self {
+            kind: CookingKind::Boil,
+            pot: SimulatedPot {
+                lift_m: LIFT_M * u(1),
+                temperature_c: 15.0 + 10.0 * u(2),
+                ..self.pot
+            },
+            contents: PotContents::Water(litre),
+            power_w,
+            duration_s: boil_s(litre, power_w),
+            moved: None,
+            ..*self
+        }
+    }
+}
+
+/// Time in seconds for heating water at a power, and some minutes of boiling.
+fn boil_s(litre: f64, power_w: f64) -> f64 {
+    litre * 4186.0 * 80.0 / power_w * 1.6 + 120.0
 }
 
 /// Runs the plan on all cores. `progress` is called with the numbers of finished and of all runs.

@@ -36,12 +36,18 @@ struct Kitchen {
 
 impl Kitchen {
     fn new(pot: &str, contents: &str, seed: u64) -> Self {
+        Self::with_alloy(pot, contents, 0.0, seed)
+    }
+
+    /// A pot of an alloy whose heat acts so much more than its class's.
+    fn with_alloy(pot: &str, contents: &str, alloy: f64, seed: u64) -> Self {
         let pot = SimulatedPot {
             lift_m: 0.5e-3,
             ..pot.parse().unwrap()
         };
+        let odd = PotDeviation { alloy, ..ODD };
         Self {
-            cooking: Cooking::new(pot, contents.parse().unwrap(), ODD, seed).unwrap(),
+            cooking: Cooking::new(pot, contents.parse().unwrap(), odd, seed).unwrap(),
             thermometer: Thermometer::default(),
             events: Vec::new(),
             squares: (0.0, 0.0, 0),
@@ -133,6 +139,28 @@ fn a_boil_is_followed_from_cold_water_on() {
         );
         assert_eq!(k.said(|e| matches!(e, PotEvent::Moved { .. })), None);
     }
+}
+
+#[test]
+fn an_alloy_is_known_once_the_pot_has_boiled_water() {
+    let mut thermometer = Thermometer::default();
+    let heated: Vec<Kitchen> = (1..=3)
+        .map(|seed| {
+            let mut kitchen = Kitchen::with_alloy("ferritic-18", "water-0.7", 0.12, seed);
+            std::mem::swap(&mut kitchen.thermometer, &mut thermometer);
+            let mut kitchen = kitchen.cook(330.0, |_, _| 1200.0);
+            kitchen.thermometer.begin_anew();
+            std::mem::swap(&mut kitchen.thermometer, &mut thermometer);
+            kitchen
+        })
+        .collect();
+    let [first, _, third] = &heated[..] else {
+        panic!("three")
+    };
+    println!("{} K, then {} K", first.rms_k(), third.rms_k());
+    assert!(first.boil_said_s().is_some());
+    // All put on at 20 °C: what is left is the filter's own error, as in the test above.
+    assert!(third.rms_k() < 5.0 && third.rms_k() < 0.6 * first.rms_k());
 }
 
 #[test]
