@@ -10,7 +10,7 @@
 //! finds more of it has a current that reads too little, or a voltage that reads too much; and the balance of voltage and bus at
 //! the probe frequency hardly asks for C_r.
 //!
-//! [`gain_drift`] compares both with their own past, while a pot stays.
+//! `gain_drift` compares both with their own past, while a pot stays.
 //!
 //! A capacitor in series lets no direct current through, and a winding holds no direct voltage: the
 //! means over whole periods are zero, bridge on or off. A current that swings through zero has codes on both

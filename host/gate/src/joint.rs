@@ -90,7 +90,7 @@ pub struct JointFit {
     pub cause: Cause,
 }
 
-/// Means of phasors over [`MEAN_S`].
+/// Means of phasors over `MEAN_S`.
 pub struct Means {
     periods: Vec<Period>,
     /// Times of the means in seconds.

@@ -57,7 +57,7 @@ pub fn waveform(segment: &Segment, (from, to): (usize, usize), crossing_s: f64) 
 /// Trains on the samples of a mains half-cycle and appends the result to the estimate.
 ///
 /// # Errors
-/// [`PinnError`] of [`Task::run`]; the estimate is then unchanged.
+/// [`PinnError`] of [`IdentifyTask::run`]; the estimate is then unchanged.
 pub fn identify_half_cycle(
     segment: &Segment,
     range: (usize, usize),

@@ -15,7 +15,7 @@ use super::{Client, LinkError};
 /// Silence after which the rest of a test's bytes counts as lost.
 const SILENCE: Duration = Duration::from_millis(500);
 
-/// Identity of a board and its program, as in [`UsbBoard`].
+/// Identity of a board and its program, as in [`UsbBoard`](crate::usb::UsbBoard).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BoardFacts {
     /// DBGMCU_IDCODE; 0 if there is no chip.

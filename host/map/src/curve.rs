@@ -139,7 +139,7 @@ pub struct Mean {
     pub variance: [f64; 2],
     /// Variances of `ln` that all means of a curve share: its level, which may have drifted.
     pub level: [f64; 2],
-    /// Deviations of `ln` that windows of all frequencies share ([`common_covariance`]).
+    /// Deviations of `ln` that windows of all frequencies share (`common_covariance`).
     pub common: [f64; 2],
 }
 

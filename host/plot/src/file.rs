@@ -41,7 +41,7 @@ pub fn write(
     std::fs::write(path, figure).map_err(|why| FigureError::new(path, &why))
 }
 
-/// Draws a figure of this size in pixels on white, and returns the bytes of [such a file](write) of this name.
+/// Draws a figure of this size in pixels on white, and returns the bytes of [such a file](write()) of this name.
 ///
 /// # Errors
 /// [`FigureError`] with the file's name if drawing fails.

@@ -30,7 +30,7 @@ pub struct SlowAdc {
 }
 
 impl SlowAdc {
-    /// Creates one with a seed. Its noise differs from that of [`crate::adc::Adc`] of the same seed.
+    /// Creates one with a seed. Its noise differs from that of [`crate::adc::SimulatedAdc`] of the same seed.
     pub fn new(seed: u64) -> Self {
         Self {
             rng: ChaCha8Rng::seed_from_u64(!seed),

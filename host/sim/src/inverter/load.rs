@@ -87,7 +87,7 @@ impl Warmth {
     }
 }
 
-/// Law in operation, evaluated every [`LAW_STEPS`] steps.
+/// Law in operation, evaluated every `LAW_STEPS` steps.
 #[derive(Clone, Debug)]
 pub struct FollowedLaw {
     law: AmplitudeLaw,
