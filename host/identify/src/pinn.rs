@@ -16,7 +16,7 @@ pub struct PinnSettings {
     pub backend: Option<String>,
     /// Set for no wall-clock limit, so that two runs give the same digits.
     pub deterministic: bool,
-    /// Any other setting of `ihd_pinn::Config` by its name.
+    /// Any other setting of `ihd_pinn::PinnConfig` by its name.
     pub config: toml::Table,
     /// Carrier of the segment; `None` if its frequency is constant.
     #[serde(skip)]

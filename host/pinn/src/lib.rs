@@ -15,7 +15,7 @@
 //! Both minimise the paper's loss, eq. (7): `L = w_f L_f + w_i (L_i1 + L_i2)`.
 //!
 //! ```
-//! use ihd_pinn::{Config, Waveform, identify};
+//! use ihd_pinn::{PinnConfig, Waveform, identify};
 //!
 //! // One half-cycle of a constant 4 ohm, 20 uH load at 45 kHz, sampled at 45 kHz * 61/3.
 //! let (f_sw_hz, dt_s) = (45e3, 3.0 / (61.0 * 45e3));
@@ -28,7 +28,7 @@
 //! let v: Vec<f64> = t.iter().zip(&i).map(|(&t, i)| 4.0 * i + 20e-6 * di(t)).collect();
 //!
 //! let window = Waveform { f_sw_hz, f_mains_hz: 50.0, t0_s: 0.0, dt_s, v_volt: &v, i_ampere: &i };
-//! let result = identify(&window, &Config::default(), &mut |_| {})?;
+//! let result = identify(&window, &PinnConfig::default(), &mut |_| {})?;
 //! assert!((result.r_at(5e-3) / 4.0 - 1.0).abs() < 0.01);
 //! assert!((result.l_at(5e-3) / 20e-6 - 1.0).abs() < 0.01);
 //! # Ok::<(), ihd_pinn::PinnError>(())
