@@ -126,6 +126,10 @@ limits! {
     /// Duration of a pot probe, from a zero crossing on: it ends before the crest, with at
     /// most 2 J into any pot at 265 V, 3.4 J into household foil.
     PROBE_NS: u32 = 3_300_000, "ns";
+    /// Frequency of the second pot probe, of what may be a sheet thinner than its skin depth.
+    SECOND_PROBE_HZ: u32 = 50_000, "Hz";
+    /// Duration of the second pot probe: with three times the power of the first at the same bus voltage it ends sooner.
+    SECOND_PROBE_NS: u32 = 2_200_000, "ns";
     /// From one pot probe to the next, in the first time after one was taken away: it may be on
     /// its way back.
     QUICK_PROBE_MS: u32 = 200, "ms";
@@ -180,10 +184,11 @@ limits! {
     LINK_CAPACITANCE_MAX_NF: u32 = board::LINK_CAPACITANCE_MAX_NF, "nF";
     /// Half-cycles in a row that an implausible reading lasts before it is a fault.
     IMPLAUSIBLE_HALF_CYCLES: u8 = 4, "half-cycles";
-    /// By so much coil voltage plus that of the resonance capacitor may be below the bridge's.
-    BALANCE_LOW_PERCENT: u32 = 6, "%";
-    /// By so much it may be above, which a capacitor of nine tenths brings at 2500 W: 6.2 %.
-    BALANCE_HIGH_PERCENT: u32 = 7, "%";
+    /// By so much coil voltage plus that of the resonance capacitor may differ from the bridge's, whatever the load: the gains of
+    /// voltage and bus, noise of 20 dB.
+    BALANCE_PERCENT: u32 = 5, "%";
+    /// By so much more, times X_C·X/|Z|²: what C_r and the gain of the current add. 2.2 % at 1500 W, 2.8 % at 2500 W, at most 6 %.
+    BALANCE_TANK_PERCENT: u32 = 6, "%";
     /// Up to so much R at a pot probe there is the coil alone, or metal that takes next to nothing: three times the winding's.
     BARE_COIL_MOHM: u32 = 3 * board::WINDING_MOHM, "mohm";
     /// By so much coil voltage plus that of the resonance capacitor may differ from the bridge's at a pot probe with a load, where

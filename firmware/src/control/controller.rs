@@ -10,6 +10,7 @@ use crate::control::heating::HeatingStep;
 use crate::control::panel::PanelState;
 use crate::control::parts::ControlParts;
 use crate::control::plausibility::Plausibility;
+use crate::control::pot::FirstProbe;
 use crate::control::request::PowerRequest;
 use crate::control::restart::{RestartPolicy, RestartVerdict};
 use crate::control::status::{Action, SamplingStatus};
@@ -37,6 +38,8 @@ pub struct Control {
     good_half_cycles: u8,
     /// Probes in a row that saw a mains and no current.
     dark_probes: u8,
+    /// First probe of what may be a sheet, until the second.
+    doubtful: Option<FirstProbe>,
     /// Longest wait for a pot, in milliseconds.
     give_up_ms: u32,
     /// The fault that control has reacted to.
@@ -54,6 +57,7 @@ impl Default for Control {
             plausibility: Plausibility::default(),
             good_half_cycles: 0,
             dark_probes: 0,
+            doubtful: None,
             give_up_ms: GIVE_UP_MS,
             seen_fault: Fault::NONE,
             resumes: false,

@@ -23,7 +23,7 @@ use self::gain_drift::GainDrift;
 use crate::estimate::tank::TankAt;
 use crate::fixed::{Complex, saturate};
 use crate::limits::{
-    BALANCE_HIGH_PERCENT, BALANCE_LOW_PERCENT, BARE_COIL_MOHM, BARE_COIL_PERCENT,
+    BALANCE_PERCENT, BALANCE_TANK_PERCENT, BARE_COIL_MOHM, BARE_COIL_PERCENT,
     BUS_AT_CROSSING_PERCENT, BUS_MIN_DV, CURRENT_OFFSET_MA, IMPLAUSIBLE_HALF_CYCLES,
     IRREGULAR_HALF_CYCLES, LINK_CAPACITANCE_MAX_NF, POWER_BALANCE_PERCENT, PROBE_BALANCE_PERCENT,
     VOLTAGE_OFFSET_DV,
@@ -91,10 +91,7 @@ impl Plausibility {
                 Fault::SENSOR_OFFSET,
             ),
             (
-                self.balance.push_if(
-                    seen,
-                    !balance.is_within(BALANCE_LOW_PERCENT, BALANCE_HIGH_PERCENT),
-                ),
+                self.balance.push_if(seen, !balance.is_within_tolerances()),
                 Fault::BRIDGE_BALANCE,
             ),
             (
@@ -127,10 +124,9 @@ impl Plausibility {
         let bare_ph = |percent: u32| i64::from(BARE_COIL_NH * 10 * percent);
         let balance = BridgeBalance::of(summary);
         let bad = if is_bare {
-            l_ph > bare_ph(100 + BARE_COIL_PERCENT)
-                || !balance.is_within(BARE_COIL_PERCENT, BARE_COIL_PERCENT)
+            l_ph > bare_ph(100 + BARE_COIL_PERCENT) || !balance.is_within(BARE_COIL_PERCENT)
         } else {
-            !balance.is_within(PROBE_BALANCE_PERCENT, PROBE_BALANCE_PERCENT)
+            !balance.is_within(PROBE_BALANCE_PERCENT)
         };
         if flows && is_bare && !bad && l_ph >= bare_ph(100 - BARE_COIL_PERCENT) {
             self.drift = GainDrift::default();
@@ -185,23 +181,38 @@ fn has_offset(summary: &HalfCycle) -> bool {
 struct BridgeBalance {
     by_coil_dv: u32,
     by_bus_dv: u32,
+    /// X_C·X/|Z|², by which an error of C_r or of the current's gain moves the sum, in permille; at most 1.
+    by_tank_permille: u32,
 }
 
 impl BridgeBalance {
     fn of(summary: &HalfCycle) -> Self {
         let filtered_dv = bridge_dv(summary);
         // √(1 + x) ≈ 1 + x/2 of the anti-alias filter.
+        let tank = TankAt::new(summary.f_sw_hz).with_load(summary.crest.r, summary.crest.l);
+        // Without a frequency X_C has 28 bits.
+        let z_mohm = i64::from(saturate(tank.z_mohm() as i64));
+        let by_tank = tank.x_c_mohm * tank.x_mohm() / (z_mohm * z_mohm / 1_000).max(1);
         let loss_dv = (filtered_dv * (filter_loss_q16(summary.f_sw_hz) / 2)) >> 16;
         Self {
             by_coil_dv: filtered_dv + loss_dv,
             by_bus_dv: u32::from(summary.crest.bus_dv) * 6_366 / 10_000,
+            by_tank_permille: by_tank.clamp(0, 1_000) as u32,
         }
     }
 
-    fn is_within(&self, low_percent: u32, high_percent: u32) -> bool {
-        let bus_dv = self.by_bus_dv;
-        let allowed = (bus_dv * (100 - low_percent))..=(bus_dv * (100 + high_percent));
-        allowed.contains(&(self.by_coil_dv * 100))
+    /// Returns `true` if the two differ by no more than the parts and sensors of an honest board let them.
+    fn is_within_tolerances(&self) -> bool {
+        let tank_permille = BALANCE_TANK_PERCENT * self.by_tank_permille / 100;
+        self.is_within_permille(10 * BALANCE_PERCENT + tank_permille)
+    }
+
+    fn is_within(&self, percent: u32) -> bool {
+        self.is_within_permille(10 * percent)
+    }
+
+    fn is_within_permille(&self, permille: u32) -> bool {
+        self.by_coil_dv.abs_diff(self.by_bus_dv) * 1_000 <= self.by_bus_dv * permille
     }
 
     /// Their ratio, in millionths.
@@ -308,6 +319,32 @@ mod tests {
                     assert_eq!(fault_of_probe(summary), None, "{f_hz} {load:?}");
                 }
             }
+        }
+    }
+
+    /// C_r of ±5 % and gains of ±2 % at once, where they add up most; C_r of four fifths is no such board.
+    #[test]
+    fn a_board_of_honest_parts_passes_whatever_their_sum() {
+        // |V + I·(−jX_C)| with X_C of a C_r of another size, by the bus that gives it.
+        let with_capacitor = |f_hz: f64, (r, l_uh): (f64, f64), share: f64, gain: f64| {
+            let summary = seen(f_hz, (r, l_uh), 1.0, gain, 1.0);
+            let x_c = 1e12 / (TAU * f_hz * f64::from(TANK_CAPACITANCE_PF));
+            let x_l = TAU * f_hz * l_uh * 1e-6;
+            let real = r.hypot(x_l - x_c / share) / r.hypot(x_l - x_c);
+            let bus_dv = f64::from(summary.crest.bus_dv) * real * gain;
+            let mut summary = summary;
+            summary.crest.bus_dv = bus_dv as u16;
+            fault_of(summary)
+        };
+        for (f_hz, load) in [(38e3, POT), (47e3, POT), (60e3, POT), (45e3, (2.2, 33.0))] {
+            for (share, gain) in [(0.95, 0.98), (1.05, 1.02), (0.9, 1.0), (1.0, 1.0)] {
+                let found = with_capacitor(f_hz, load, share, gain);
+                assert_eq!(found, None, "{f_hz} {load:?} {share} {gain}");
+            }
+        }
+        for f_hz in [38e3, 47e3] {
+            let found = with_capacitor(f_hz, POT, 0.8, 1.0);
+            assert_eq!(found, Some(Fault::BRIDGE_BALANCE), "{f_hz}");
         }
     }
 

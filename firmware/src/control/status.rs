@@ -3,6 +3,7 @@
 use ihd_shared::fault::Fault;
 
 use crate::drive::bridge::Drive;
+use crate::drive::sequencer::PotProbe;
 use crate::sampling::path::SamplingPath;
 use crate::sense::product_sums::PairArithmetic;
 
@@ -14,7 +15,7 @@ pub enum Action {
     /// Request this drive.
     Drive(Drive),
     /// Probe for a pot from the next zero crossing.
-    ProbePot,
+    ProbePot(PotProbe),
     /// Open both switches at the next zero crossing.
     OffAtCrossing,
     /// Enter the safe state.

@@ -7,8 +7,34 @@ use crate::drive::bridge::{Bridge, Drive};
 use crate::drive::bus_watch::BusWatch;
 use crate::drive::pwm;
 use crate::limits::{
-    BUS_AT_START_DV, BUS_START_MAX_DV, DITHER_MAX_PERMILLE, IDLE_LINK_NS, SOFT_STEP_PERMILLE,
+    BUS_AT_START_DV, BUS_START_MAX_DV, DITHER_MAX_PERMILLE, IDLE_LINK_NS, PROBE_NS,
+    SECOND_PROBE_HZ, SECOND_PROBE_NS, SOFT_STEP_PERMILLE,
 };
+
+/// Pulse that shows what stands on the coil: from a zero crossing to before the crest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PotProbe {
+    f_sw_hz: u32,
+    lasts_ns: u32,
+}
+
+impl PotProbe {
+    /// Switching frequency, in hertz.
+    pub fn f_sw_hz(self) -> u32 {
+        self.f_sw_hz
+    }
+
+    /// At the highest frequency, where any load takes least.
+    pub const FIRST: Self = Self {
+        f_sw_hz: pwm::HIGHEST_HZ,
+        lasts_ns: PROBE_NS,
+    };
+    /// At a lower one: how R changes with the frequency.
+    pub const SECOND: Self = Self {
+        f_sw_hz: SECOND_PROBE_HZ,
+        lasts_ns: SECOND_PROBE_NS,
+    };
+}
 
 /// Conditions of a block for the next drive.
 #[derive(Clone, Copy, Debug)]
@@ -45,8 +71,8 @@ pub struct DriveSequencer {
     tank_discharged: bool,
     /// Off, which was requested, waits for a zero crossing.
     off_at_crossing: bool,
-    /// The next half-cycle that the bridge switches is a pot probe, and ends before its crest.
-    probing: bool,
+    /// The next half-cycle that the bridge switches is a pot probe, which ends so long after its zero crossing; 0 for none.
+    probe_ns: u32,
     dither_permille: u8,
     bus: BusWatch,
 }
@@ -64,7 +90,7 @@ impl DriveSequencer {
             lower_on_ns: 0,
             tank_discharged: false,
             off_at_crossing: false,
-            probing: false,
+            probe_ns: 0,
             dither_permille: 0,
             bus: BusWatch::blank(),
         }
@@ -85,17 +111,17 @@ impl DriveSequencer {
     /// Requests another drive, at the nearest frequency of the grid.
     pub fn request(&mut self, drive: Drive) {
         self.off_at_crossing = false;
-        self.probing = false;
+        self.probe_ns = 0;
         self.requested = Drive {
             f_sw_hz: pwm::nearest_hz(drive.f_sw_hz),
             ..drive
         };
     }
 
-    /// Requests a pot probe: the highest frequency, from the next zero crossing to before the crest.
-    pub fn request_pot_probe(&mut self) {
-        self.request(Drive::switching(pwm::HIGHEST_HZ));
-        self.probing = true;
+    /// Requests a pot probe from the next zero crossing on.
+    pub fn request_pot_probe(&mut self, probe: PotProbe) {
+        self.request(Drive::switching(probe.f_sw_hz));
+        self.probe_ns = probe.lasts_ns;
     }
 
     /// Requests that both switches open, a bridge that switches at the next zero crossing.
@@ -107,7 +133,7 @@ impl DriveSequencer {
     /// Withdraws what was requested: off.
     pub fn withdraw(&mut self) {
         self.requested = Drive::OFF;
-        (self.off_at_crossing, self.probing) = (false, false);
+        (self.off_at_crossing, self.probe_ns) = (false, 0);
     }
 
     /// Varies the switching frequency from half-cycle to half-cycle, in permille, at most
@@ -144,10 +170,10 @@ impl DriveSequencer {
         }
     }
 
-    /// Returns `true` if the bridge switches, or is about to, for a pot probe.
+    /// Duration of the pot probe for which the bridge switches, or is about to, in nanoseconds; 0 for none.
     #[inline]
-    pub fn is_probing(&self) -> bool {
-        self.probing
+    pub fn probe_ns(&self) -> u32 {
+        self.probe_ns
     }
 
     /// Takes the bus voltage of a block, in decivolt.

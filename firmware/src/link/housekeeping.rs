@@ -235,7 +235,7 @@ impl Housekeeping {
         match action {
             Action::Keep => {}
             Action::Drive(drive) => lock.with(|path| path.request(drive)),
-            Action::ProbePot => lock.with(SamplingPath::request_pot_probe),
+            Action::ProbePot(probe) => lock.with(|path| path.request_pot_probe(probe)),
             Action::OffAtCrossing => lock.with(SamplingPath::request_off_at_crossing),
             Action::Fault(fault) => lock.with(|path| path.raise(fault)),
             Action::ClearFault => lock.with(SamplingPath::clear_fault),

@@ -17,7 +17,6 @@ use ihd_shared::wire::messages::Limit;
 use crate::drive::bridge::Drive;
 use crate::drive::sequencer::{BlockConditions, DriveSequencer};
 use crate::estimate::ekf::{Ekf, Noise};
-use crate::limits::PROBE_NS;
 use crate::protect::fault_latch::FaultLatch;
 use crate::protect::soft_limit::SoftLimits;
 use crate::protect::trips::TripChecks;
@@ -272,10 +271,11 @@ impl<M: PairArithmetic> SamplingPath<M> {
 
     /// Ends a pot probe once it has lasted, and hands over its measurements.
     fn end_pot_probe(&mut self, bus_dv: u16) {
-        if !self.sequencer.is_probing() || self.clock.since_crossing_ns() < i64::from(PROBE_NS) {
+        let lasts_ns = self.sequencer.probe_ns();
+        if lasts_ns == 0 || self.clock.since_crossing_ns() < i64::from(lasts_ns) {
             return;
         }
-        self.finish_half_cycle(self.clock.half_cycle(), PROBE_NS, bus_dv, true);
+        self.finish_half_cycle(self.clock.half_cycle(), lasts_ns, bus_dv, true);
         self.half_cycles.running().disturb();
         self.request(Drive::OFF);
     }

@@ -20,6 +20,9 @@ const BASE_THICKNESS_M: f64 = 5e-3;
 /// Thickness of a lid in metre.
 const LID_THICKNESS_M: f64 = 0.6e-3;
 
+/// Width of cutlery in metre: a tablespoon's bowl has 4 cm, its handle 1 to 2.
+const CUTLERY_WIDTH_M: f64 = 30e-3;
+
 /// Thickness of a household's foil in metre.
 const HOUSEHOLD_FOIL_M: f64 = 15e-6;
 
@@ -34,7 +37,7 @@ const FOIL_THICKNESS_M: f64 = 0.5e-3;
 const SECTORS: usize = 4;
 
 /// Range of a base's diameters that have a name, in centimetre.
-const DIAMETERS_CM: RangeInclusive<f64> = 5.0..=26.0;
+const DIAMETERS_CM: RangeInclusive<f64> = 4.0..=28.0;
 
 /// Smallest distance of the rim of an off-centre pot from the coil's axis, in metre; a nearer rim is set to it. At 8 mm beyond the
 /// coil's inner radius, above 2 of its 23 turns, it is as good as no pot.
@@ -70,6 +73,8 @@ pub enum PotBase {
     Foil,
     /// A lid of stainless steel 304.
     Lid,
+    /// Cutlery of ferritic steel through the coil's axis, as long as a pot is wide.
+    Spoon,
 }
 
 /// Pot, or none.
@@ -94,7 +99,7 @@ pub struct SimulatedPot {
 /// A name that denotes no pot.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "unknown pot `{0}`: use ferritic-D, cast-iron-D, stainless-D, aluminium-D, clad-D, foil-D or lid-D with D = 5 to 26 (base in cm), or none"
+    "unknown pot `{0}`: use ferritic-D, cast-iron-D, stainless-D, aluminium-D, clad-D, foil-D, lid-D or spoon-D with D = 4 to 28 (base or length in cm), or none"
 )]
 pub struct UnknownPotName(String);
 
@@ -163,6 +168,9 @@ impl SimulatedPot {
     /// Each sector of the coil's turns is taken as if the pot had radius ρ(θ) all round; the
     /// sectors carry the same current and their voltages add. Fields that cross from one sector to
     /// the next are neglected.
+    ///
+    /// Cutlery of width w covers 2w/πR of a disc of radius R, but for the coil's: so much of the turns sees the disc, and the rest
+    /// next to nothing. What returns at its edges is neglected, as in steel the current flows in a skin far thinner than wide.
     pub fn field_settings(
         &self,
         winding_r_ohm: f64,
@@ -187,15 +195,22 @@ impl SimulatedPot {
                 .collect()
         };
         let weight = 1.0 / radii.len() as f64;
-        let of_radius = |load_radius_m: f64| {
-            let coil = Geometry::of_board();
+        let coil = Geometry::of_board();
+        let covered = match base {
+            PotBase::Spoon => {
+                let within_m = radius_m.min(coil.coil_outer_m);
+                (2.0 * CUTLERY_WIDTH_M / (std::f64::consts::PI * within_m)).min(1.0)
+            }
+            _ => 1.0,
+        };
+        let of_radius = |(weight, load_radius_m): (f64, f64)| {
             let settings = FieldSettings {
                 geometry: Geometry {
                     load_radius_m,
                     load_gap_m: coil.load_gap_m + self.lift_m,
                     load_thickness_m: base.thickness_m(),
                     foil_thickness_m: base.foil_thickness_m(),
-                    ..coil
+                    ..coil.clone()
                 },
                 material: base.at(self.temperature_c),
                 foil: PotBase::Ferritic.at(self.temperature_c),
@@ -208,7 +223,9 @@ impl SimulatedPot {
             };
             (weight, settings)
         };
-        Ok(radii.into_iter().map(of_radius).collect())
+        let seen = radii.into_iter().map(|radius| (covered * weight, radius));
+        let rest = (covered < 1.0).then_some((1.0 - covered, LEAST_RIM_M));
+        Ok(seen.chain(rest).map(of_radius).collect())
     }
 
     /// Properties of the metals of this pot at a temperature in °C; `None` without a pot.
@@ -223,7 +240,7 @@ impl SimulatedPot {
 
     fn check(&self) -> Result<(), FieldError> {
         use ihd_field::error::in_range;
-        in_range("pot diameter_m", self.diameter_m, 0.05, 0.4, "5 to 40 cm")?;
+        in_range("pot diameter_m", self.diameter_m, 0.04, 0.4, "4 to 40 cm")?;
         in_range("pot lift_m", self.lift_m, 0.0, 0.1, "0 to 100 mm")?;
         let wide = if self.diameter_m < 2.0 * WIDE_OFFSET_M - 1e-9 {
             0.0
@@ -249,7 +266,7 @@ impl SimulatedPot {
 
 impl PotBase {
     /// All bases.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Ferritic,
         Self::CastIron,
         Self::Stainless,
@@ -257,6 +274,7 @@ impl PotBase {
         Self::Clad,
         Self::Foil,
         Self::Lid,
+        Self::Spoon,
     ];
 
     /// Name on the command line and in files.
@@ -269,6 +287,7 @@ impl PotBase {
             Self::Clad => "clad",
             Self::Foil => "foil",
             Self::Lid => "lid",
+            Self::Spoon => "spoon",
         }
     }
 
@@ -281,9 +300,12 @@ impl PotBase {
         match self {
             Self::Foil => SHEET_M,
             Self::Lid => LID_THICKNESS_M,
-            Self::Ferritic | Self::CastIron | Self::Stainless | Self::Aluminium | Self::Clad => {
-                BASE_THICKNESS_M
-            }
+            Self::Ferritic
+            | Self::CastIron
+            | Self::Stainless
+            | Self::Aluminium
+            | Self::Clad
+            | Self::Spoon => BASE_THICKNESS_M,
         }
     }
 
@@ -296,14 +318,15 @@ impl PotBase {
             | Self::Stainless
             | Self::Aluminium
             | Self::Foil
-            | Self::Lid => 0.0,
+            | Self::Lid
+            | Self::Spoon => 0.0,
         }
     }
 
     /// Resistivity at a temperature in °C over that at 20 °C; of a sandwich base the foil's, in which most heat arises.
     pub fn resistivity_factor(self, temperature_c: f64) -> f64 {
         let per_kelvin = match self {
-            Self::Ferritic | Self::Clad => 1.1e-3,
+            Self::Ferritic | Self::Clad | Self::Spoon => 1.1e-3,
             Self::CastIron => 1.9e-3,
             Self::Stainless | Self::Lid => 0.9e-3,
             Self::Aluminium | Self::Foil => 4.0e-3,
@@ -315,7 +338,7 @@ impl PotBase {
     fn saturation_factor(self, temperature_c: f64) -> f64 {
         match self {
             Self::Stainless | Self::Aluminium | Self::Foil | Self::Lid => 1.0,
-            Self::Ferritic | Self::CastIron | Self::Clad => {
+            Self::Ferritic | Self::CastIron | Self::Clad | Self::Spoon => {
                 let x = (temperature_c - 20.0).max(0.0) / CURIE_RISE_K;
                 (1.0 - x * x).max(LEAST_SATURATION)
             }
@@ -334,7 +357,7 @@ impl PotBase {
     /// iron).
     pub fn thermal(self) -> (f64, f64, f64) {
         match self {
-            Self::Ferritic => (7700.0, 460.0, 26.0),
+            Self::Ferritic | Self::Spoon => (7700.0, 460.0, 26.0),
             Self::CastIron => (7200.0, 500.0, 48.0),
             Self::Stainless | Self::Lid => (8000.0, 500.0, 16.0),
             Self::Aluminium | Self::Clad | Self::Foil => (2700.0, 900.0, 230.0),
@@ -345,7 +368,7 @@ impl PotBase {
     /// falls as 1 − (ΔT/ΔT_Curie)² with a Curie point of 680 °C.
     pub fn at(self, temperature_c: f64) -> Material {
         let material = match self {
-            Self::Ferritic => Material::PAPER,
+            Self::Ferritic | Self::Spoon => Material::PAPER,
             Self::CastIron => Material::GREY_CAST_IRON,
             Self::Stainless | Self::Lid => Material::STAINLESS_304,
             Self::Aluminium => Material::ALUMINIUM,
@@ -401,6 +424,7 @@ mod tests {
             "clad-16",
             "foil-18",
             "lid-20",
+            "spoon-4",
             "ferritic-26",
             "none",
         ] {
@@ -515,7 +539,7 @@ mod tests {
                 println!("{base:?} {temperature_c} °C {i_a} A: {factor} {r} {l}");
                 // The grid into the depth is made for each material, a linear one's in all directions.
                 let allowed = match base {
-                    PotBase::Ferritic | PotBase::CastIron => 1e-3,
+                    PotBase::Ferritic | PotBase::CastIron | PotBase::Spoon => 1e-3,
                     PotBase::Stainless | PotBase::Aluminium | PotBase::Foil | PotBase::Lid => 1e-2,
                     // Its base heats by another factor than its foil.
                     PotBase::Clad => 2e-2,

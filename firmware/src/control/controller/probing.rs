@@ -6,11 +6,12 @@ use ihd_shared::wire::messages::Pot;
 use crate::control::controller::Control;
 use crate::control::controller::state::ControlState;
 use crate::control::heating::Heating;
-use crate::control::pot::classify;
+use crate::control::pot::{FirstProbe, classify};
 use crate::control::status::{Action, SamplingStatus};
 use crate::control::waiting::Waiting;
 use crate::drive::bridge::Drive;
 use crate::drive::pwm;
+use crate::drive::sequencer::PotProbe;
 use crate::limits::UNJUDGED_MS;
 use crate::sampling::half_cycle::HalfCycle;
 
@@ -41,10 +42,11 @@ impl Control {
         if let Some(judged_ms) = self.state.judged_ms() {
             *judged_ms = status.now_ms;
         }
-        Action::ProbePot
+        self.doubtful = None;
+        Action::ProbePot(PotProbe::FIRST)
     }
 
-    /// Judges a pot probe.
+    /// Judges a pot probe. What may be a sheet is probed a second time.
     pub(super) fn judge(&mut self, summary: &HalfCycle, status: &SamplingStatus) -> Action {
         if !matches!(
             self.state,
@@ -58,11 +60,30 @@ impl Control {
             self.dark_probes = 0;
             return Action::Fault(Fault::NO_COIL_CURRENT);
         }
-        if let Some(fault) = self.plausibility.on_pot_probe(summary) {
-            return Action::Fault(fault);
+        let first = self.doubtful.take();
+        let before = first.as_ref().map_or(self.parts.pot, |first| first.pot);
+        let pot = match classify(summary, before) {
+            Pot::Ferromagnetic | Pot::Small
+                if first.is_some_and(|first| first.shows_sheet(summary)) =>
+            {
+                Pot::Unsuitable
+            }
+            pot => pot,
+        };
+        if first.is_none() {
+            if let Some(fault) = self.plausibility.on_pot_probe(summary) {
+                return Action::Fault(fault);
+            }
+            self.doubtful = FirstProbe::doubtful(summary, pot);
+            if self.doubtful.is_some() {
+                if let Some(judged_ms) = self.state.judged_ms() {
+                    *judged_ms = status.now_ms;
+                }
+                return Action::ProbePot(PotProbe::SECOND);
+            }
         }
-        match classify(summary, self.parts.pot) {
-            pot @ (Pot::Ferromagnetic | Pot::Small) => {
+        match pot {
+            Pot::Ferromagnetic | Pot::Small => {
                 self.parts.pot = pot;
                 self.enter(ControlState::Heating(Heating::new(status.now_ms)));
                 Action::Drive(Drive::switching(pwm::HIGHEST_HZ))

@@ -1,6 +1,7 @@
 use super::*;
 use crate::control::request::PanelEvent;
 use crate::drive::pwm;
+use crate::drive::sequencer::PotProbe;
 use crate::sampling::half_cycle::CurrentCrest;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::units::{MicroOhm, PicoHenry};
@@ -22,7 +23,7 @@ struct Bench {
     ms: u32,
     load: Load,
     off_at_crossing: bool,
-    probe_requested: bool,
+    probe_requested: Option<PotProbe>,
     probes: u32,
 }
 
@@ -36,7 +37,7 @@ impl Bench {
             ms: 0,
             load,
             off_at_crossing: false,
-            probe_requested: false,
+            probe_requested: None,
             probes: 0,
         }
     }
@@ -56,8 +57,8 @@ impl Bench {
             Action::Keep => {}
             Action::Drive(drive) => (self.wanted, self.off_at_crossing) = (drive, false),
             Action::OffAtCrossing => (self.wanted, self.off_at_crossing) = (Drive::OFF, true),
-            Action::ProbePot => {
-                self.probe_requested = true;
+            Action::ProbePot(probe) => {
+                self.probe_requested = Some(probe);
                 self.probes += 1;
             }
             Action::Fault(fault) => self.fault = fault,
@@ -81,11 +82,15 @@ impl Bench {
             let action = self.control.tick(&self.status());
             self.act(action);
         }
-        if core::mem::take(&mut self.probe_requested) {
-            let probe = HalfCycle {
+        if let Some(probe) = self.probe_requested.take() {
+            let mut probe = HalfCycle {
                 is_pot_probe: true,
+                f_sw_hz: probe.f_sw_hz(),
                 ..self.summary(true)
             };
+            // As in a pot's skin.
+            let share = (f64::from(probe.f_sw_hz) / f64::from(pwm::HIGHEST_HZ)).sqrt();
+            probe.crest.r.0 = (f64::from(probe.crest.r.0) * share * 0.95) as i32;
             let action = self.control.on_half_cycle(&probe, &self.status());
             self.act(action);
         }

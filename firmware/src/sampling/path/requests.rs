@@ -4,6 +4,7 @@ use ihd_shared::fault::Fault;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
 use crate::drive::bridge::Drive;
+use crate::drive::sequencer::PotProbe;
 use crate::estimate::ekf::{Ekf, Noise};
 use crate::sampling::half_cycle_sums::HalfCycleSums;
 use crate::sampling::path::SamplingPath;
@@ -21,10 +22,9 @@ impl<M: PairArithmetic> SamplingPath<M> {
         self.sequencer.request(drive);
     }
 
-    /// Requests a pot probe: a pulse at the highest frequency, from the next zero crossing to
-    /// before the crest.
-    pub fn request_pot_probe(&mut self) {
-        self.sequencer.request_pot_probe();
+    /// Requests a pot probe from the next zero crossing on.
+    pub fn request_pot_probe(&mut self, probe: PotProbe) {
+        self.sequencer.request_pot_probe(probe);
     }
 
     /// Requests that both switches open at the next zero crossing.

@@ -355,7 +355,7 @@ mod tests {
                     println!("{base:?} {hot_c} °C {f_hz} Hz {i_a} A: {r:.1e} {l:.1e}");
                     // A linear metal's grid is made for its skin depth.
                     let allowed = match base {
-                        PotBase::Ferritic | PotBase::CastIron => 2e-4,
+                        PotBase::Ferritic | PotBase::CastIron | PotBase::Spoon => 2e-4,
                         PotBase::Stainless
                         | PotBase::Aluminium
                         | PotBase::Clad

@@ -107,7 +107,7 @@ pub fn surrogate_pot(
 /// Load of the formulas for a pot: there are five; sizes go to the nearer of the two ferromagnetic ones.
 fn behavioural_kind(pot: &SimulatedPot) -> PotKind {
     match pot.base {
-        None => PotKind::None,
+        None | Some(PotBase::Spoon) => PotKind::None,
         Some(PotBase::Stainless | PotBase::Lid) => PotKind::Stainless,
         Some(PotBase::Aluminium | PotBase::Foil) => PotKind::Aluminium,
         Some(PotBase::Ferritic | PotBase::CastIron | PotBase::Clad) if pot.diameter_m < 0.15 => {
