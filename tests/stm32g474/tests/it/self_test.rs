@@ -208,7 +208,7 @@ fn held_up_by(registers: &[RegisterARM], masks: &[u32]) {
 /// In the stack, where nothing has used it, and where the test comes to soon after the start.
 #[test]
 fn a_cell_of_the_ram_that_sticks_while_it_heats_is_found() {
-    is_found_while_it_heats(0x2000_2800, 3);
+    is_found_while_it_heats(0x2000_1000, 3);
 }
 
 /// Where the test was before, and in the last word before the crash record.
