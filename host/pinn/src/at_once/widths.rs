@@ -7,10 +7,11 @@ use crate::parameters::OUTPUTS;
 /// Widths relative to R₀ and L₀, and the length on the law's axis over which R and L change.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Widths {
-    /// Of R(I) and L(I).
+    /// Widths of R(I) and L(I).
     pub law: [f64; OUTPUTS],
-    /// Of the difference between the flanks, half of it.
+    /// Widths of half the difference between the flanks.
     pub flanks: [f64; OUTPUTS],
+    /// Length on the axis ln(1 + I/4 A).
     pub length: f64,
 }
 

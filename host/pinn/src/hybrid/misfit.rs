@@ -1,4 +1,4 @@
-//! What R(t) and L(t) leave of the voltage at the fundamental, against white noise.
+//! Residual voltage of R(t) and L(t) at the fundamental, against white noise.
 
 use ihd_spline::residual::Excess;
 use nalgebra::Complex;
