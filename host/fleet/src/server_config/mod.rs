@@ -159,7 +159,7 @@ pub fn server_config(
     keys: &BTreeMap<String, UserKey>,
 ) -> Result<String, ServerConfigError> {
     unique("site", sites.iter().map(|site| &site.name))?;
-    let mut text = head(server)?;
+    let mut text = head(server, sites)?;
     text += "\naccounts {\n";
     for site in sites {
         check_site(site)?;
@@ -177,8 +177,8 @@ pub fn server_config(
     Ok(text)
 }
 
-/// Returns the server's own settings: addresses, TLS, JetStream, MQTT.
-fn head(server: &ServerSettings) -> Result<String, ServerConfigError> {
+/// Returns the server's own settings: addresses, TLS, JetStream with the space of all `sites`, MQTT.
+fn head(server: &ServerSettings, sites: &[Site]) -> Result<String, ServerConfigError> {
     check("server", &server.name)?;
     let tls = match &server.tls {
         Some(TlsFiles { certificate, key }) => {
@@ -197,11 +197,16 @@ fn head(server: &ServerSettings) -> Result<String, ServerConfigError> {
     if !tls.is_empty() {
         let _ = writeln!(text, "{tls}");
     }
-    // On the disk before the acknowledgement: after it the edge does not send the window again.
+    // On the disk before the acknowledgement: after it the edge does not send the window again. Without `max_file_store` the
+    // limit is three quarters of the space that is free at its start: once it holds more than that, it takes no message
+    // after a restart.
     let store = path(&server.store)?;
+    let disk_bytes: u64 = sites.iter().map(|site| site.disk_bytes).sum();
+    let memory_bytes: u64 = sites.iter().map(|site| site.memory_bytes).sum();
     let _ = writeln!(
         text,
-        "jetstream {{ store_dir: {store}, sync_interval: always }}"
+        "jetstream {{\n  store_dir: {store}\n  sync_interval: always\n  max_file_store: {disk_bytes}\n  \
+         max_memory_store: {memory_bytes}\n}}"
     );
     if let Some(listen) = &server.mqtt_listen {
         let _ = writeln!(text, "mqtt {{\n  listen: {listen:?}\n  {tls}\n}}");

@@ -29,6 +29,9 @@ impl Lab {
         let lab = Site::new("lab", vec![first, "lab-2=hob-c".parse().unwrap()], 2);
         let field = Site::new("field", vec!["field-1=hob-a".parse().unwrap()], 1);
         let lab = Self::of(vec![lab, field]);
+        // 12 GB for each site, in GiB, independent of the disk's free space.
+        let log = lab.server.log();
+        assert!(log.contains("Max Storage:     22.35 GB"), "{log}");
         for site in &lab.sites {
             lab.make_streams(site).await;
         }
@@ -36,9 +39,7 @@ impl Lab {
     }
 
     /// Starts an empty server for sites.
-    pub fn of(mut sites: Vec<Site>) -> Self {
-        // Available on any machine.
-        sites.iter_mut().for_each(|site| site.disk_bytes = 1 << 30);
+    pub fn of(sites: Vec<Site>) -> Self {
         let names = sites.iter().flat_map(|site| site.key_names(true));
         let keys: BTreeMap<_, _> = names.map(|name| (name, UserKey::make().unwrap())).collect();
         let server = Server::configured(|place| server_config(&at(place), &sites, &keys).unwrap());
@@ -104,16 +105,7 @@ impl Lab {
     /// Files of the operator (`ihd-fleet init`).
     async fn make_streams(&self, site: &Site) {
         let js = self.jetstream(&format!("{}-operator", site.name)).await;
-        let most = 100 << 20;
-        let limits = FleetLimits {
-            windows_bytes: most,
-            results_bytes: most,
-            events_bytes: most,
-            dead_bytes: most,
-            captures_bytes: most,
-            ..FleetLimits::default()
-        };
-        init(&js, &limits).await.unwrap();
+        init(&js, &FleetLimits::default()).await.unwrap();
         for edge in &site.edges {
             let made = init_edge(&js, &edge.name, &edge.hobs).await;
             made.unwrap();

@@ -34,12 +34,13 @@ impl Place {
         format!("\"{}:-1\"", self.address)
     }
 
-    /// Returns the first lines of every configuration here: address, and JetStream with synchronous writes.
+    /// Returns the first lines of every configuration here: address, and JetStream with synchronous writes and a limit that does
+    /// not depend on the free space of this machine's disk.
     pub fn basics(&self) -> String {
         let (listen, store) = (self.any_port(), self.folder.join("store"));
         format!(
             "server_name: ihd-test\nlisten: {listen}\n\
-             jetstream {{ store_dir: {store:?}, sync_interval: always }}\n"
+             jetstream {{ store_dir: {store:?}, sync_interval: always, max_file_store: 12GB }}\n"
         )
     }
 }
