@@ -65,7 +65,7 @@ impl Lines {
         let stands_out = |k: &i64| {
             let around =
                 (LOBE..LOBE + NEIGHBOURS).flat_map(|d| [of(k - d as i64), of(k + d as i64)]);
-            let floor = median(around.collect()).unwrap_or(f64::INFINITY) / LN_2;
+            let floor = median(&mut around.collect::<Vec<_>>()).unwrap_or(f64::INFINITY) / LN_2;
             let mirror = (-k - 1..=-k + 1).map(of).fold(0.0, f64::max);
             of(*k) > LINE * floor && (of(*k) > ONE_SIDED * mirror || expected(*k))
         };

@@ -86,5 +86,5 @@ fn raise(sigma: &mut [f64], values: &[f64], reference: &[(f64, f64)]) -> f64 {
         .iter()
         .zip(reference)
         .map(|(x, (right, _))| (x / right - 1.0).abs());
-    ihd_signal::noise::median(relative.collect()).unwrap_or(0.0)
+    ihd_signal::noise::median(&mut relative.collect::<Vec<_>>()).unwrap_or(0.0)
 }

@@ -38,6 +38,8 @@ pub enum StopReason {
     Settled,
     /// No damping gives a smaller loss: a minimum to working precision.
     NoDescent,
+    /// The law of `at_once` holds and was solved in closed form; nothing was trained.
+    ClosedForm,
     /// The configured number of steps is reached.
     IterationLimit,
     /// The configured time is reached.
@@ -50,7 +52,7 @@ impl StopReason {
     /// Returns `true` if the parameters are a minimum and not just the best so far.
     #[must_use]
     pub fn is_converged(self) -> bool {
-        matches!(self, Self::Settled | Self::NoDescent)
+        matches!(self, Self::Settled | Self::NoDescent | Self::ClosedForm)
     }
 }
 
@@ -59,6 +61,7 @@ impl fmt::Display for StopReason {
         f.write_str(match self {
             Self::Settled => "R and L settled",
             Self::NoDescent => "no further descent",
+            Self::ClosedForm => "learned law, in closed form",
             Self::IterationLimit => "iteration limit",
             Self::TimeLimit => "time limit",
             Self::RolledBack => "loss not finite, rolled back to the last good parameters",

@@ -1,15 +1,34 @@
 //! Fourier transforms of real samples for all crates. The library is generic, so that each crate that plans a transform itself
 //! would compile all kernels again (4 to 8 s of processor time, and 2 MB in the program).
 
+use std::cell::RefCell;
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use realfft::RealFftPlanner;
 pub use realfft::{ComplexToReal, RealToComplex};
 
+/// Plans that a thread keeps: windows of a device repeat few lengths, captures may have any.
+const KEPT: usize = 4;
+
+thread_local! {
+    /// Latest plans, the newest first.
+    static LATEST: RefCell<VecDeque<Arc<dyn RealToComplex<f64>>>> = const { RefCell::new(VecDeque::new()) };
+}
+
 /// Plans the transform of this many samples to their spectrum.
 #[inline(never)]
 pub fn forward(points: usize) -> Arc<dyn RealToComplex<f64>> {
-    RealFftPlanner::new().plan_fft_forward(points)
+    LATEST.with_borrow_mut(|latest| {
+        let known = latest.iter().position(|plan| plan.len() == points);
+        let plan = match known.and_then(|k| latest.remove(k)) {
+            Some(plan) => plan,
+            None => RealFftPlanner::new().plan_fft_forward(points),
+        };
+        latest.truncate(KEPT - 1);
+        latest.push_front(Arc::clone(&plan));
+        plan
+    })
 }
 
 /// Plans the transform of a spectrum back to this many samples, which come out `points` times as large.

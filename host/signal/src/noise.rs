@@ -99,7 +99,8 @@ impl SpectralFloor {
 
     fn deviation<T: Copy + Into<f64>>(&self, x: &[T]) -> Option<f64> {
         let (frames, places) = (&self.frames, &self.places);
-        let mut powers = vec![Vec::with_capacity(frames.count); places.len()];
+        // One row per place, one column per frame.
+        let mut powers = vec![0.0; places.len() * frames.count];
         let fft = fourier::forward(frames.points);
         let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
         for frame in 0..frames.count {
@@ -112,17 +113,18 @@ impl SpectralFloor {
                 *y = w * filtered(&self.low_pass, x);
             }
             fft.process(&mut input, &mut output).ok()?;
-            for (power, place) in powers.iter_mut().zip(places) {
-                power.push(output[*place].norm_sqr());
+            for (row, place) in powers.chunks_exact_mut(frames.count).zip(places) {
+                row[frame] = output[*place].norm_sqr();
             }
         }
         // |X|² of white noise is exponential with mean σ²·Σw², times the low-pass gain there, over the decimation factor.
         let mean = self.window.iter().map(|w| w * w).sum::<f64>() / frames.block as f64;
-        let floor = |(power, place): (Vec<f64>, &usize)| {
+        let floor = |(row, place): (&mut [f64], &usize)| {
             let turn = *place as f64 / (frames.points * frames.block) as f64;
-            Some(median(power)? / (mean * gain(&self.low_pass, turn)))
+            Some(median(row)? / (mean * gain(&self.low_pass, turn)))
         };
-        let mut floors: Vec<f64> = powers.into_iter().zip(places).filter_map(floor).collect();
+        let rows = powers.chunks_exact_mut(frames.count);
+        let mut floors: Vec<f64> = rows.zip(places).filter_map(floor).collect();
         let at = (QUANTILE * floors.len() as f64) as usize;
         let quiet = *floors.select_nth_unstable_by(at, f64::total_cmp).1;
         let share = (at as f64 + 0.6) / (floors.len() as f64 + 0.2);
@@ -154,6 +156,9 @@ fn filtered<T: Copy + Into<f64>>(h: &[f64], x: &[T]) -> f64 {
 
 /// |Σ h·e^(−j2πfn)|² at f = `turn` periods per sample.
 fn gain(h: &[f64], turn: f64) -> f64 {
+    if let [only] = h {
+        return only * only;
+    }
     let step = Complex::from_polar(1.0, -2.0 * PI * turn);
     let mut at = Complex::new(1.0, 0.0);
     let mut sum = Complex::new(0.0, 0.0);
@@ -230,8 +235,8 @@ fn sin6(n: usize) -> Vec<f64> {
     (0..n).map(|k| half[k.min(n - 1 - k)]).collect()
 }
 
-/// Median, of an even number of values the lower one; `None` if there are none.
-pub fn median(mut x: Vec<f64>) -> Option<f64> {
+/// Median of values, which are reordered; of an even number the lower one. `None` if there are none.
+pub fn median(x: &mut [f64]) -> Option<f64> {
     let middle = x.len().saturating_sub(1) / 2;
     (!x.is_empty()).then(|| *x.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

@@ -119,7 +119,7 @@ fn find(segment: &Segment) -> Vec<Jump> {
         let [v, i] = (*turn)?;
         Some(v.abs().max(i.abs()) * share(k))
     });
-    let Some(usual) = median(noise.collect()) else {
+    let Some(usual) = median(&mut noise.collect::<Vec<_>>()) else {
         return Vec::new();
     };
     let size_at = |k: usize| {

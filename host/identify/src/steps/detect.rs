@@ -56,7 +56,7 @@ pub(super) fn steps(segment: &Segment) -> Vec<Step> {
     let differences: Vec<f64> = (0..frames.z.len()).map(|k| frames.difference(k)).collect();
     let weighted = |k: usize| differences[k] * frames.current(k);
     let noise = (0..differences.len()).filter(|k| differences[*k] > 0.0);
-    let Some(noise) = median(noise.map(weighted).collect()) else {
+    let Some(noise) = median(&mut noise.map(weighted).collect::<Vec<_>>()) else {
         return Vec::new();
     };
     let stands_out = |k: &usize| {

@@ -5,7 +5,7 @@
 //!   R / R₀ = 1 + r(z) + cos(φ) r'(z),   L / L₀ = 1 + l(z) + cos(φ) l'(z),   z = ln(1 + I/4 A),
 //!
 //! I being the amplitude of the current's fundamental, φ the mains' phase, R₀ and L₀ the constant load that fits best.
-//! A load unlike those learned from leaves a residual: its χ² decides whether the network is needed ([`LawFit::holds`]).
+//! A load unlike those learned from leaves a residual, which decides whether the network is needed ([`LawFit::holds`]).
 
 #[cfg(test)]
 mod loads;
@@ -34,8 +34,8 @@ const INTERVALS: [usize; 2] = [11, 3];
 /// Standard deviation of R₀ and L₀ relative to the constant load that fits best.
 const LEVEL: f64 = 0.1;
 
-/// Most mean χ² of the residual at which the law holds.
-const MOST_CHI2: f64 = 1.6;
+/// Most mean residual of the load, relative to what is no fault of it, at which the law holds.
+const MOST_RESIDUAL: f64 = 0.6;
 
 /// Place in a half-cycle: the current's amplitude in ampere and the cosine of the mains' phase.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -147,10 +147,11 @@ impl LawFit {
         (std::array::from_fn(value), std::array::from_fn(variance))
     }
 
-    /// Returns `true` if the residual's χ² at the slow times leaves nothing for a network to find.
-    pub fn holds(chi2: &[f64]) -> bool {
+    /// Returns `true` if the law's residuals at the slow times, relative to noise and to what the VI branch leaves, are too small for a
+    /// network to find more.
+    pub fn holds(residuals: &[f64]) -> bool {
         // The comparison is false for NaN.
-        chi2.iter().sum::<f64>() <= MOST_CHI2 * chi2.len() as f64
+        residuals.iter().sum::<f64>() <= MOST_RESIDUAL * residuals.len() as f64
     }
 }
 

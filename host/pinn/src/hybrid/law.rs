@@ -75,11 +75,11 @@ impl<'a> LawWindow<'a> {
         let branch = (self.branch, self.white);
         let misfit = Misfit::new(samples, branch, by_physics, &outputs, self.typical);
         let scales = [self.outline.r_scale_ohm, self.outline.l_scale_h];
-        let chi2 = |(tau_s, [r, l]): (&f64, &[f64; 2])| {
-            misfit.chi2(*tau_s, (r * scales[0], l * scales[1]))
+        let share = |(tau_s, [r, l]): (&f64, &[f64; 2])| {
+            misfit.share_of_load(*tau_s, (r * scales[0], l * scales[1]))
         };
-        let left: Vec<f64> = physics.tau_s.iter().zip(&outputs).map(chi2).collect();
-        if !LawFit::holds(&left) {
+        let shares: Vec<f64> = physics.tau_s.iter().zip(&outputs).map(share).collect();
+        if !LawFit::holds(&shares) {
             return None;
         }
         let squares: f64 = physics.residuals(&outputs).iter().map(|e| e * e).sum();
@@ -93,7 +93,7 @@ impl<'a> LawWindow<'a> {
             physics_loss: squares + physics.floor,
             data_losses: self.data_losses,
             parameters: self.network(),
-            stopped: StopReason::NoDescent,
+            stopped: StopReason::ClosedForm,
         };
         for &tau_s in &found.tau_s {
             let ([r, l], variances) = law.at(place(samples, self.branch, tau_s));

@@ -50,13 +50,27 @@ impl<'a> Misfit<'a> {
     }
 
     /// χ² at `tau_s` seconds after the first point, where the load is R (ohm) and L (H).
-    pub fn chi2(&self, tau_s: f64, (r_ohm, l_h): (f64, f64)) -> f64 {
+    pub fn chi2(&self, tau_s: f64, r_l: (f64, f64)) -> f64 {
+        self.chi2_of_branch(tau_s, r_l) + self.beyond(tau_s) / self.variance
+    }
+
+    /// Residual of eq. (1) at the same place relative to white noise and the VI branch's own residual, which no R and L change.
+    pub fn share_of_load(&self, tau_s: f64, r_l: (f64, f64)) -> f64 {
+        self.beyond(tau_s) / (self.variance * self.chi2_of_branch(tau_s, r_l))
+    }
+
+    /// χ² of the VI branch alone.
+    fn chi2_of_branch(&self, tau_s: f64, (r_ohm, l_h): (f64, f64)) -> f64 {
+        let z = Complex::new(r_ohm, self.samples.omega * l_h) * self.samples.impedance_scale();
+        1.0 + 0.5 * self.excess.misfit(tau_s, z) / self.variance
+    }
+
+    /// Mean square of V − Z·I beyond noise, normalised.
+    fn beyond(&self, tau_s: f64) -> f64 {
         let count = self.left.len();
         let nearest = (tau_s / self.samples.duration_s() * count as f64) as usize;
         let nearest = nearest.min(count - 1);
         let near = &self.left[nearest.saturating_sub(REACH)..(nearest + REACH + 1).min(count)];
-        let beyond = near.iter().sum::<f64>() / near.len() as f64 - self.variance;
-        let z = Complex::new(r_ohm, self.samples.omega * l_h) * self.samples.impedance_scale();
-        1.0 + (0.5 * self.excess.misfit(tau_s, z) + beyond.max(0.0)) / self.variance
+        (near.iter().sum::<f64>() / near.len() as f64 - self.variance).max(0.0)
     }
 }
