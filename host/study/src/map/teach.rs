@@ -6,6 +6,7 @@ use ihd_pinn::{PinnConfig, PinnError};
 use ihd_shared::hob::WINDING_R_OHM;
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
 use ihd_signal::Segment;
+use ihd_signal::noise::WhiteNoise;
 use ihd_signal::truth::MapTruth;
 use ihd_sim::adc::ConverterNoise;
 use ihd_sim::hob::{HobConfig, SimHob};
@@ -154,7 +155,8 @@ pub fn identified(segment: &Segment, t_s: f64) -> Result<CurrentCurve, PinnError
     };
     let segment = &unfiltered(segment.clone());
     let identified = fit_window(segment, config, &mut |_| ())?;
-    Ok(curve(segment, &(&identified).into(), t_s))
+    let noise = WhiteNoise::measure(segment);
+    Ok(curve(segment, noise, &(&identified).into(), t_s))
 }
 
 /// Distance of the seeds of two powers, for independent noise.

@@ -7,6 +7,7 @@ use ihd_gate::claim::{self, ClaimError, ClaimedResult, Confirmation};
 use ihd_link::Window;
 use ihd_map::{CurrentCurve, CurveMatch};
 use ihd_pinn::{Identification, PinnConfig};
+use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment};
 use ihd_survey::calibration::blind::Correction;
 
@@ -84,6 +85,11 @@ pub(super) fn analyse_segment(
     Vec<Remark>,
     Result<CurrentCurve, String>,
 ) {
+    let noise = WhiteNoise::measure(segment);
+    let config = PinnConfig {
+        noise: config.noise.or(noise.measured()),
+        ..config
+    };
     let identified = match network::fit_window(segment, config, on_step) {
         Ok(identified) => Box::new(identified),
         Err(why) => return (None, sensor_remarks, Err(why.to_string())),
@@ -93,6 +99,7 @@ pub(super) fn analyse_segment(
         true => Err(judgement.gate.why.join("; ")),
         false => Ok(network::curve(
             segment,
+            noise,
             &(&*identified).into(),
             time_s(window),
         )),
@@ -136,7 +143,12 @@ impl Learning {
             l_h: claim.l_h,
             chi2: &confirmed.chi2,
         };
-        let mut curve = network::curve(&segment, &trajectory, time_s(window));
+        let mut curve = network::curve(
+            &segment,
+            WhiteNoise::measure(&segment),
+            &trajectory,
+            time_s(window),
+        );
         self.sensors = sensors;
         let newest_s = self.map.newest_s();
         if self.boot == Some(boot) && newest_s.is_finite() {

@@ -8,8 +8,13 @@ use ihd_map::RlPrediction;
 use ihd_pinn::Identification;
 use serde::{Deserialize, Serialize};
 
-/// Share of the past that counts at the next window, as in the map's curves.
+/// Share of the past that counts at the next window of those that are taken, as in the map's curves.
 const FORGETTING: f64 = 0.98;
+
+/// First windows, which are all taken, and the share of the later ones: the map's law along a window costs as much as the rest of its
+/// learning, and a lag changes with the pot only.
+const ALL_TAKEN: u32 = 16;
+const ONE_TAKEN_OF: u32 = 8;
 
 /// Longest lag in seconds: three switching periods at 30 kHz. A load that lags more is no function of its current.
 const LONGEST_S: f64 = 100e-6;
@@ -23,9 +28,19 @@ const COUNTS_FROM: f64 = 0.05;
 pub struct Lag {
     weighted_s: f64,
     weight: f64,
+    /// Windows so far, taken or not.
+    #[serde(default)]
+    windows: u32,
 }
 
 impl Lag {
+    /// Counts a window; returns `true` if it is one of those to add.
+    pub fn takes_next(&mut self) -> bool {
+        let before = self.windows;
+        self.windows = before.saturating_add(1);
+        before < ALL_TAKEN || before.is_multiple_of(ONE_TAKEN_OF)
+    }
+
     /// Adds a window; `law` is R and L at its currents without lag.
     pub fn add_window(&mut self, identified: &Identification, law: &[RlPrediction]) {
         let most_a = identified.i_amplitude_a.iter().copied().fold(0.0, f64::max);

@@ -220,9 +220,11 @@ impl Learning {
         };
         self.warm = Some(identified.parameters.clone());
         let (seen, taught) = self.learn(curve, always);
-        let (f_hz, now_s) = (f64::from(window.f_sw_hz), time_s(window));
-        let law = self.map.along(f_hz, &identified.i_amplitude_a, now_s);
-        self.lag.add_window(&identified, &law);
+        if self.lag.takes_next() {
+            let (f_hz, now_s) = (f64::from(window.f_sw_hz), time_s(window));
+            let law = self.map.along(f_hz, &identified.i_amplitude_a, now_s);
+            self.lag.add_window(&identified, &law);
+        }
         WindowOutcome::Accepted(Box::new(AcceptedWindow {
             identified,
             findings,

@@ -58,13 +58,17 @@ impl<'a> From<&'a Identification> for LoadTrajectory<'a> {
     }
 }
 
-/// Builds R and L over current for the map; `t_s` is the window's time in seconds of the device.
+/// Builds R and L over current for the map; `noise` is the segment's, `t_s` the window's time in seconds of the device.
 ///
 /// The deviation at each time is that of the samples behind it, |Z| and the noise of both channels over the current, times the model's
 /// misfit. Such deviations are independent from time to time, so that sums over times and windows are right. The network's own
 /// deviations are common to the whole window and would be counted once for each time.
-pub fn curve(segment: &Segment, trajectory: &LoadTrajectory<'_>, t_s: f64) -> CurrentCurve {
-    let noise = WhiteNoise::measure(segment);
+pub fn curve(
+    segment: &Segment,
+    noise: WhiteNoise,
+    trajectory: &LoadTrajectory<'_>,
+    t_s: f64,
+) -> CurrentCurve {
     let per_time = segment.len() as f64 / trajectory.r_ohm.len().max(1) as f64;
     let omega = TAU * segment.f_sw_hz;
     let most_a = trajectory.i_amplitude_a.iter().copied().fold(0.0, f64::max);
