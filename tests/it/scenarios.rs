@@ -37,7 +37,7 @@ scenarios! {
     link { pots stop_at_crest trip_at_crest unsuitable }
     mains { low_then_high short_swell }
     noise { snr_20 snr_25 snr_30 tolerances }
-    objects { cutlery refused sandwich sheets smallest }
+    objects { cutlery refused rings sandwich sheets smallest }
     panel { host_silent key_lock levels off_wins }
     plausibility { aged_capacitor bare_coil bits dead_comparator gain_drift gains mains_hz no_drift off offsets slow_drift stuck supply timing unseen }
     pots { places recovered_mains risen_mains }

@@ -30,6 +30,8 @@ pub struct Geometry {
     pub load_gap_m: f64,
     /// Radius of the load's base; larger than the modelled space means an infinite plate.
     pub load_radius_m: f64,
+    /// Radius of a hole around the axis of a load that does not saturate; 0 for none.
+    pub hole_radius_m: f64,
     /// Thickness of the load's base.
     pub load_thickness_m: f64,
     /// Thickness of a ferromagnetic foil that the base's lower side consists of; 0 for none.
@@ -66,6 +68,7 @@ impl Geometry {
             coil_thickness_m: 3e-3,
             load_gap_m: 5.5e-3,
             load_radius_m: 105e-3,
+            hole_radius_m: 0.0,
             load_thickness_m: 5e-3,
             foil_thickness_m: 0.0,
             wall_height_m: 0.0,
@@ -149,6 +152,15 @@ impl Geometry {
                 larger_m: self.coil_outer_m,
             });
         }
+        in_range("hole_radius_m", self.hole_radius_m, 0.0, 1.0, "0 to 1 m")?;
+        if self.hole_radius_m >= self.load_radius_m {
+            return Err(FieldError::Order {
+                smaller: "hole_radius_m",
+                smaller_m: self.hole_radius_m,
+                larger: "load_radius_m",
+                larger_m: self.load_radius_m,
+            });
+        }
         if self.foil_thickness_m >= self.load_thickness_m {
             return Err(FieldError::Order {
                 smaller: "foil_thickness_m",
@@ -213,7 +225,7 @@ impl Geometry {
         let (surface, top) = (self.load_surface_m(), self.load_top_m());
         let base = (surface..top).contains(&z_m);
         let wall = (top..top + self.wall_height_m).contains(&z_m) && r_m > self.wall_inner_m();
-        r_m < self.load_radius_m && (base || wall)
+        (self.hole_radius_m..self.load_radius_m).contains(&r_m) && (base || wall)
     }
 
     /// Turns per square metre of the coil's cross-section.

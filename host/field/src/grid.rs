@@ -144,6 +144,9 @@ fn load(g: &Geometry, cell_m: f64, r: &mut Vec<Mark>, z: &mut Vec<Mark>) {
         cell_m,
     };
     r.push(near(g.load_radius_m));
+    if g.hole_radius_m > 0.0 {
+        r.push(near(g.hole_radius_m));
+    }
     z.extend([g.load_surface_m(), g.load_top_m()].map(near));
     if g.foil_thickness_m > 0.0 {
         let fine = |at_m| Mark {

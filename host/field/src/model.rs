@@ -136,6 +136,8 @@ impl Rings {
     pub fn new(settings: &FieldSettings) -> Result<Self, FieldError> {
         check(settings)?;
         let geometry = &settings.geometry;
+        let none = "0: only a linear metal without a foil may have a hole";
+        in_range("hole_radius_m", geometry.hole_radius_m, 0.0, 0.0, none)?;
         let gap = GapOperator::new(geometry, settings.rings, settings.gap_refinement)?;
         let sections = Contour::new(geometry, settings.rings).sections();
         let mut parts = sections.clone();

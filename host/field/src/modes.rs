@@ -271,6 +271,7 @@ fn eigen(mut a: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::material::MU_0;
 
     #[test]
     fn rotations_find_the_eigenvalues_of_a_known_matrix() {
@@ -301,5 +302,68 @@ mod tests {
         let r = |f_hz: f64| -f_hz * at(&bare, f_hz).im;
         assert!((r(80e3) / r(45e3) / (80f64 / 45.0).sqrt() - 1.0).abs() < 0.05);
         assert!(bare.tau_s.iter().chain(&loaded.l_h).all(|x| *x >= 0.0));
+    }
+
+    /// Complete elliptic integrals K(k) and E(k), by the arithmetic-geometric mean.
+    fn elliptic(k: f64) -> (f64, f64) {
+        let (mut a, mut b, mut c, mut power) = (1.0, (1.0 - k * k).sqrt(), k, 0.5);
+        let mut sum = power * c * c;
+        for _ in 0..20 {
+            (a, b, c) = (0.5 * (a + b), (a * b).sqrt(), 0.5 * (a - b));
+            power *= 2.0;
+            sum += power * c * c;
+        }
+        let whole = core::f64::consts::FRAC_PI_2 / a;
+        (whole, whole * (1.0 - sum))
+    }
+
+    /// Mutual inductance in henry of two coaxial circles of radii `a_m` and `b_m` (Maxwell, Treatise, § 701).
+    fn circles_h(a_m: f64, b_m: f64, distance_m: f64) -> f64 {
+        let k = (4.0 * a_m * b_m / ((a_m + b_m).powi(2) + distance_m * distance_m)).sqrt();
+        let (whole, second) = elliptic(k);
+        MU_0 * (a_m * b_m).sqrt() * ((2.0 / k - k) * whole - 2.0 / k * second)
+    }
+
+    /// A narrow ring at a low frequency is a loop of known resistance: R = (ωM)² / R_ring, with the images behind a perfect shield.
+    #[test]
+    fn a_narrow_ring_has_the_loss_of_a_loop() {
+        for radius_m in [60e-3, 100e-3] {
+            let g = Geometry {
+                load_radius_m: radius_m + 2e-3,
+                hole_radius_m: radius_m - 2e-3,
+                load_thickness_m: 2e-3,
+                ferrite_mu_r: 1.0,
+                shield_thickness_m: 0.0,
+                ..Geometry::paper()
+            };
+            let metal = Material::STAINLESS_304;
+            let f_hz = 1e3;
+            let omega = 2.0 * core::f64::consts::PI * f_hz;
+            let ring_ohm =
+                2.0 * core::f64::consts::PI * radius_m / (metal.sigma_s_per_m() * 4e-3 * 2e-3);
+            let (coil_m, ring_m) = (
+                g.coil_bottom_m() + 0.5 * g.coil_thickness_m,
+                g.load_surface_m() + 1e-3,
+            );
+            let steps = 400;
+            let each_m = (g.coil_outer_m - g.coil_inner_m) / f64::from(steps);
+            let m_h: f64 = (0..steps)
+                .map(|n| g.coil_inner_m + (f64::from(n) + 0.5) * each_m)
+                .map(|r_m| {
+                    circles_h(r_m, radius_m, ring_m - coil_m)
+                        - circles_h(r_m, radius_m, ring_m + coil_m)
+                })
+                .sum::<f64>()
+                * g.turns
+                * g.turns_calibration
+                / f64::from(steps);
+            let expected_ohm = (omega * m_h).powi(2) / ring_ohm;
+            let modes = Modes::loaded(&g, &metal, 1.0).unwrap();
+            let found_ohm = -omega * modes.inductance_h(f_hz).im;
+            assert!(
+                (found_ohm / expected_ohm - 1.0).abs() < 0.03,
+                "{radius_m} m: {found_ohm} for {expected_ohm} ohm"
+            );
+        }
     }
 }

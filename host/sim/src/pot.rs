@@ -23,6 +23,10 @@ const LID_THICKNESS_M: f64 = 0.6e-3;
 /// Width of cutlery in metre: a tablespoon's bowl has 4 cm, its handle 1 to 2.
 const CUTLERY_WIDTH_M: f64 = 30e-3;
 
+/// Width and thickness of a ring in metre: a trivet, or the ring under a round-bottomed pan.
+const RING_WIDTH_M: f64 = 20e-3;
+const RING_THICKNESS_M: f64 = 3e-3;
+
 /// Thickness of a household's foil in metre.
 const HOUSEHOLD_FOIL_M: f64 = 15e-6;
 
@@ -75,6 +79,8 @@ pub enum PotBase {
     Lid,
     /// Cutlery of ferritic steel through the coil's axis, as long as a pot is wide.
     Spoon,
+    /// A flat ring of stainless steel 304.
+    Ring,
 }
 
 /// Pot, or none.
@@ -99,7 +105,7 @@ pub struct SimulatedPot {
 /// A name that denotes no pot.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "unknown pot `{0}`: use ferritic-D, cast-iron-D, stainless-D, aluminium-D, clad-D, foil-D, lid-D or spoon-D with D = 4 to 28 (base or length in cm), or none"
+    "unknown pot `{0}`: use ferritic-D, cast-iron-D, stainless-D, aluminium-D, clad-D, foil-D, lid-D, spoon-D or ring-D with D = 4 to 28 (base or length in cm), or none"
 )]
 pub struct UnknownPotName(String);
 
@@ -207,6 +213,7 @@ impl SimulatedPot {
             let settings = FieldSettings {
                 geometry: Geometry {
                     load_radius_m,
+                    hole_radius_m: base.hole_radius_m(load_radius_m),
                     load_gap_m: coil.load_gap_m + self.lift_m,
                     load_thickness_m: base.thickness_m(),
                     foil_thickness_m: base.foil_thickness_m(),
@@ -266,7 +273,7 @@ impl SimulatedPot {
 
 impl PotBase {
     /// All bases.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Ferritic,
         Self::CastIron,
         Self::Stainless,
@@ -275,6 +282,7 @@ impl PotBase {
         Self::Foil,
         Self::Lid,
         Self::Spoon,
+        Self::Ring,
     ];
 
     /// Name on the command line and in files.
@@ -288,6 +296,7 @@ impl PotBase {
             Self::Foil => "foil",
             Self::Lid => "lid",
             Self::Spoon => "spoon",
+            Self::Ring => "ring",
         }
     }
 
@@ -300,6 +309,7 @@ impl PotBase {
         match self {
             Self::Foil => SHEET_M,
             Self::Lid => LID_THICKNESS_M,
+            Self::Ring => RING_THICKNESS_M,
             Self::Ferritic
             | Self::CastIron
             | Self::Stainless
@@ -319,6 +329,22 @@ impl PotBase {
             | Self::Aluminium
             | Self::Foil
             | Self::Lid
+            | Self::Spoon
+            | Self::Ring => 0.0,
+        }
+    }
+
+    /// Radius in metre of the hole in a base of this radius; 0 for none.
+    fn hole_radius_m(self, radius_m: f64) -> f64 {
+        match self {
+            Self::Ring => (radius_m - RING_WIDTH_M).max(0.0),
+            Self::Ferritic
+            | Self::CastIron
+            | Self::Stainless
+            | Self::Aluminium
+            | Self::Clad
+            | Self::Foil
+            | Self::Lid
             | Self::Spoon => 0.0,
         }
     }
@@ -328,7 +354,7 @@ impl PotBase {
         let per_kelvin = match self {
             Self::Ferritic | Self::Clad | Self::Spoon => 1.1e-3,
             Self::CastIron => 1.9e-3,
-            Self::Stainless | Self::Lid => 0.9e-3,
+            Self::Stainless | Self::Lid | Self::Ring => 0.9e-3,
             Self::Aluminium | Self::Foil => 4.0e-3,
         };
         1.0 + per_kelvin * (temperature_c - 20.0)
@@ -337,7 +363,7 @@ impl PotBase {
     /// Saturation of a ferromagnetic metal at a temperature in °C over that at 20 °C: 1 − (ΔT/660 K)².
     fn saturation_factor(self, temperature_c: f64) -> f64 {
         match self {
-            Self::Stainless | Self::Aluminium | Self::Foil | Self::Lid => 1.0,
+            Self::Stainless | Self::Aluminium | Self::Foil | Self::Lid | Self::Ring => 1.0,
             Self::Ferritic | Self::CastIron | Self::Clad | Self::Spoon => {
                 let x = (temperature_c - 20.0).max(0.0) / CURIE_RISE_K;
                 (1.0 - x * x).max(LEAST_SATURATION)
@@ -359,7 +385,7 @@ impl PotBase {
         match self {
             Self::Ferritic | Self::Spoon => (7700.0, 460.0, 26.0),
             Self::CastIron => (7200.0, 500.0, 48.0),
-            Self::Stainless | Self::Lid => (8000.0, 500.0, 16.0),
+            Self::Stainless | Self::Lid | Self::Ring => (8000.0, 500.0, 16.0),
             Self::Aluminium | Self::Clad | Self::Foil => (2700.0, 900.0, 230.0),
         }
     }
@@ -370,7 +396,7 @@ impl PotBase {
         let material = match self {
             Self::Ferritic | Self::Spoon => Material::PAPER,
             Self::CastIron => Material::GREY_CAST_IRON,
-            Self::Stainless | Self::Lid => Material::STAINLESS_304,
+            Self::Stainless | Self::Lid | Self::Ring => Material::STAINLESS_304,
             Self::Aluminium => Material::ALUMINIUM,
             Self::Foil => Material::Linear {
                 mu_r: 1.0,
@@ -425,6 +451,7 @@ mod tests {
             "foil-18",
             "lid-20",
             "spoon-4",
+            "ring-20",
             "ferritic-26",
             "none",
         ] {
@@ -540,7 +567,11 @@ mod tests {
                 // The grid into the depth is made for each material, a linear one's in all directions.
                 let allowed = match base {
                     PotBase::Ferritic | PotBase::CastIron | PotBase::Spoon => 1e-3,
-                    PotBase::Stainless | PotBase::Aluminium | PotBase::Foil | PotBase::Lid => 1e-2,
+                    PotBase::Stainless
+                    | PotBase::Aluminium
+                    | PotBase::Foil
+                    | PotBase::Lid
+                    | PotBase::Ring => 1e-2,
                     // Its base heats by another factor than its foil.
                     PotBase::Clad => 2e-2,
                 };

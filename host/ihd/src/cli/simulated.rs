@@ -60,7 +60,7 @@ impl SimulatedHobArgs {
 /// Options of the simulated hob: keys of `--sim`, and of `sim` in the daemon's configuration.
 #[derive(Debug, Args)]
 pub struct SimOptions {
-    /// Pot on the coil: METAL-DIAMETER with ferritic, cast-iron, stainless, aluminium, clad, foil, lid or spoon and 4 to 28 cm, or none.
+    /// Pot on the coil: METAL-DIAMETER with ferritic, cast-iron, stainless, aluminium, clad, foil, lid, spoon or ring and 4 to 28 cm, or none.
     #[arg(long, value_name = "POT", default_value = "ferritic-21")]
     pot: SimulatedPot,
     /// Lift the pot, in m (5mm).

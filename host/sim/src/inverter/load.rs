@@ -360,7 +360,8 @@ mod tests {
                         | PotBase::Aluminium
                         | PotBase::Clad
                         | PotBase::Foil
-                        | PotBase::Lid => 1e-2,
+                        | PotBase::Lid
+                        | PotBase::Ring => 1e-2,
                     };
                     assert!(
                         r.abs() < allowed && l.abs() < allowed,

@@ -108,7 +108,7 @@ pub fn surrogate_pot(
 fn behavioural_kind(pot: &SimulatedPot) -> PotKind {
     match pot.base {
         None | Some(PotBase::Spoon) => PotKind::None,
-        Some(PotBase::Stainless | PotBase::Lid) => PotKind::Stainless,
+        Some(PotBase::Stainless | PotBase::Lid | PotBase::Ring) => PotKind::Stainless,
         Some(PotBase::Aluminium | PotBase::Foil) => PotKind::Aluminium,
         Some(PotBase::Ferritic | PotBase::CastIron | PotBase::Clad) if pot.diameter_m < 0.15 => {
             PotKind::Small

@@ -44,7 +44,7 @@ pub(super) struct SpecOptions {
     /// Dead time of the half-bridge in s
     #[arg(long, value_parser = quantity)]
     dead_time: Option<f64>,
-    /// METAL-D: ferritic, cast-iron, stainless, aluminium, clad (aluminium on a ferritic foil), foil, lid or spoon, with D = 4 to 28 (cm); or none
+    /// METAL-D: ferritic, cast-iron, stainless, aluminium, clad (aluminium on a ferritic foil), foil, lid, spoon or ring, with D = 4 to 28 (cm); or none
     #[arg(long)]
     pot: Option<SimulatedPot>,
     /// Lift the pot, in m (5mm)
