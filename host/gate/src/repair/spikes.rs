@@ -68,18 +68,20 @@ fn find(x: &[f32], range: Range<usize>, height: f32) -> Vec<usize> {
     let Some(x_of) = x.get(range.clone()) else {
         return Vec::new();
     };
-    let firsts = (0..x_of.len().saturating_sub(4)).step_by(TOGETHER);
-    let of_stretch = |first: usize| {
-        let x = &x_of[first..(first + TOGETHER + 4).min(x_of.len())];
-        let any = vectorised(
+    let stretch = |first: usize| &x_of[first..(first + TOGETHER + 4).min(x_of.len())];
+    let has_any = |first: &usize| {
+        vectorised(
             #[inline(always)]
-            || any_stands_out(x, height),
-        );
-        let fives = x.array_windows().enumerate().filter(move |_| any);
-        let spikes = fives.filter(move |(_, five)| stands_out(five, height));
+            || any_stands_out(stretch(*first), height),
+        )
+    };
+    let spikes_of = |first: usize| {
+        let fives = stretch(first).array_windows().enumerate();
+        let spikes = fives.filter(|(_, five)| stands_out(five, height));
         spikes.map(move |(k, _)| range.start + first + k + 2)
     };
-    firsts.flat_map(of_stretch).collect()
+    let firsts = (0..x_of.len().saturating_sub(4)).step_by(TOGETHER);
+    firsts.filter(has_any).flat_map(spikes_of).collect()
 }
 
 /// Returns `true` if a sample of the stretch stands out; without a branch, for SIMD.
