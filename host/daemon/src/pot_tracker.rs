@@ -1,12 +1,12 @@
 //! Pot on a device's coil: temperature rise ΔT from telemetry, and pot events.
 //!
-//! The state lasts as long as the daemon: after a restart ΔT begins at 0.
+//! The state lasts as long as the daemon: after a restart ΔT begins at 0. The alloys of pots that boiled water are stored.
 
 use std::collections::VecDeque;
 
 use ihd_model::{PotCurve, PotPoint, PotTemperature};
 use ihd_shared::wire::messages::{Pot, Telemetry};
-use ihd_thermal::{PotEvent, ThermalHalfCycle, Thermometer};
+use ihd_thermal::{KnownAlloys, PotEvent, ThermalHalfCycle, Thermometer};
 
 /// Interval between two points of the curve, in milliseconds.
 const POINT_MS: i64 = 2_000;
@@ -27,6 +27,8 @@ const LARGEST_GAP: u32 = 60_000;
 #[derive(Debug)]
 pub struct PotTracker {
     thermometer: Thermometer,
+    /// Alloys as they are stored.
+    stored_alloys: KnownAlloys,
     half_cycle_s: f64,
     boot: Option<u32>,
     /// Last half-cycle and its time in seconds.
@@ -39,6 +41,7 @@ impl Default for PotTracker {
     fn default() -> Self {
         Self {
             thermometer: Thermometer::default(),
+            stored_alloys: KnownAlloys::default(),
             half_cycle_s: HALF_CYCLE_S,
             boot: None,
             last: None,
@@ -49,6 +52,32 @@ impl Default for PotTracker {
 }
 
 impl PotTracker {
+    /// Sets the alloys that the store has, as JSON.
+    ///
+    /// # Errors
+    /// If the text is something else; the alloys stay as they are.
+    pub fn set_stored_alloys(&mut self, json: &[u8]) -> serde_json::Result<()> {
+        self.stored_alloys = serde_json::from_slice(json)?;
+        self.thermometer.set_alloys(self.stored_alloys.clone());
+        Ok(())
+    }
+
+    /// Returns the alloys as JSON if they have changed since they were stored, and takes them for stored.
+    pub fn take_unstored_alloys(&mut self) -> Option<Vec<u8>> {
+        let alloys = self.thermometer.alloys();
+        if *alloys == self.stored_alloys {
+            return None;
+        }
+        let json = serde_json::to_vec(alloys).ok()?;
+        self.stored_alloys = alloys.clone();
+        Some(json)
+    }
+
+    /// Records that the store does not have the alloys after all.
+    pub fn alloys_were_not_stored(&mut self) {
+        self.stored_alloys = KnownAlloys::default();
+    }
+
     /// Sets the measured duration of a half-cycle in seconds; ignored if out of range.
     pub fn set_half_cycle(&mut self, half_cycle_s: f64) {
         if HALF_CYCLES_S.contains(&half_cycle_s) {
@@ -198,6 +227,7 @@ mod tests {
     use ihd_sim::hob::{HobConfig, SimHob};
     use ihd_sim::recording::settings::LoadKind;
     use ihd_sim::transport::SharedHob;
+    use ihd_thermal::MetalLaw;
     use std::time::Duration;
 
     use super::*;
@@ -258,6 +288,43 @@ mod tests {
         assert_eq!(tracker.now(), None);
         all.iter().for_each(|t| drop(tracker.push(t, 10)));
         assert!(tracker.now().is_some());
+    }
+
+    #[test]
+    fn alloys_are_stored_once_and_what_no_boil_taught_is_refused() {
+        let alloy = serde_json::json!({
+            "metal": MetalLaw::FERRITIC, "numbers": [7.3, -11.2, 0.09], "effects": [1.1, 1.12],
+        });
+        let stored = serde_json::json!([alloy]).to_string();
+        let mut tracker = PotTracker::default();
+        assert_eq!(tracker.take_unstored_alloys(), None);
+        tracker.set_stored_alloys(stored.as_bytes()).unwrap();
+        assert_eq!(tracker.take_unstored_alloys(), None);
+        // As after a boil.
+        let mut taught = PotTracker::default();
+        let alloys = tracker.thermometer.alloys().clone();
+        taught.thermometer.set_alloys(alloys);
+        let json = taught.take_unstored_alloys().unwrap();
+        assert_eq!(taught.take_unstored_alloys(), None);
+        taught.alloys_were_not_stored();
+        assert_eq!(taught.take_unstored_alloys().unwrap(), json);
+        let mut restored = PotTracker::default();
+        restored.set_stored_alloys(&json).unwrap();
+        assert_eq!(restored.thermometer.alloys(), tracker.thermometer.alloys());
+        for wrong in [
+            "",
+            "{}",
+            r#"[{"metal":null}]"#,
+            &serde_json::json!(vec![&alloy; 17]).to_string(),
+            &stored.replace("[1.1,1.12]", "[]"),
+            &stored.replace("[1.1,1.12]", "[1,1,1,1,1,1]"),
+        ] {
+            assert!(
+                restored.set_stored_alloys(wrong.as_bytes()).is_err(),
+                "{wrong}"
+            );
+        }
+        assert_eq!(restored.thermometer.alloys(), tracker.thermometer.alloys());
     }
 
     #[test]

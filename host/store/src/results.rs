@@ -325,6 +325,32 @@ impl Store {
         state.map_err(self.failed("reading what was learned"))
     }
 
+    /// Stores the alloys of pots on a device, in place of those before.
+    ///
+    /// # Errors
+    /// Errors of the database.
+    pub fn keep_alloys(&mut self, device: DeviceId, state: &[u8]) -> Result<(), StoreError> {
+        let at_ms = self.now();
+        self.change("storing alloys", |change| {
+            change.execute(
+                "INSERT INTO alloys (device, at_ms, state) VALUES (?1, ?2, ?3)
+                 ON CONFLICT (device) DO UPDATE SET at_ms = excluded.at_ms, state = excluded.state",
+                params![device, at_ms, state],
+            )?;
+            Ok(())
+        })
+    }
+
+    /// Returns the stored alloys of pots on a device; `None` if there are none.
+    ///
+    /// # Errors
+    /// Errors of the database.
+    pub fn alloys(&self, device: DeviceId) -> Result<Option<Vec<u8>>, StoreError> {
+        let sql = "SELECT state FROM alloys WHERE device = ?1";
+        let state = self.records().query_row(sql, [device], |row| row.get(0));
+        state.optional().map_err(self.failed("reading alloys"))
+    }
+
     /// Deletes the stored state of a device's learner; results stay.
     ///
     /// # Errors

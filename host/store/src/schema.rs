@@ -22,7 +22,9 @@ const WINDOWS_ID: i32 = i32::from_be_bytes(*b"IHDw");
 /// `ihd.db`.
 pub static RECORDS: Schema = Schema {
     application_id: RECORDS_ID,
-    steps: &[RECORDS_1, RECORDS_2, RECORDS_3, RECORDS_4, RECORDS_5],
+    steps: &[
+        RECORDS_1, RECORDS_2, RECORDS_3, RECORDS_4, RECORDS_5, RECORDS_6,
+    ],
     tables: &[
         &[
             "devices", "sessions", "results", "lookups", "learned", "events", "audit",
@@ -31,6 +33,7 @@ pub static RECORDS: Schema = Schema {
         &["fleet"],
         &["used"],
         &[],
+        &["alloys"],
     ],
     shrinks: false,
     synchronous: "FULL",
@@ -253,6 +256,15 @@ const RECORDS_5: &str = "
 -- Standard deviation of each cell, first of all R, then of all L, [frequency][current]: a little-endian uint16 in 0.01 % of the cell's
 -- value, 65535 for that and more. NULL where nobody told.
 ALTER TABLE lookups ADD COLUMN sigma BLOB;
+";
+
+const RECORDS_6: &str = "
+-- Effects of heat on the metals of pots that boiled water on a device's coil.
+CREATE TABLE alloys (
+    device INTEGER PRIMARY KEY REFERENCES devices (id),
+    at_ms  INTEGER NOT NULL,
+    state  BLOB NOT NULL                   -- JSON of the thermometer's own
+) STRICT;
 ";
 
 const WINDOWS_4: &str = "

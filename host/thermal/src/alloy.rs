@@ -1,6 +1,8 @@
 //! Effect of heat on the metals of pots that were seen before. Steels of one class differ; water that boils says how hot the base is,
 //! and so by how much.
 
+use serde::{Deserialize, Serialize};
+
 use crate::metal::MetalLaw;
 use crate::placement::PlacedPot;
 
@@ -26,11 +28,27 @@ const BELIEVED: f64 = 2.5;
 /// Largest differences of one pot at two placements: ln α, ln s and radius in metre. Its start's temperature is in ln s.
 const SAME: [f64; 3] = [0.15, 0.04, 4e-3];
 
-/// Effects of heat by pot, relative to those of their classes.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct KnownAlloys(Vec<KnownAlloy>);
+/// Effects of heat by pot, relative to those of their classes, the newest last.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Vec<KnownAlloy>")]
+pub struct KnownAlloys(Vec<KnownAlloy>);
 
-#[derive(Clone, Debug)]
+/// Error of stored alloys: more than are remembered, or numbers that no boil gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("no effects of heat that boils have taught")]
+pub struct ImpossibleAlloys;
+
+impl TryFrom<Vec<KnownAlloy>> for KnownAlloys {
+    type Error = ImpossibleAlloys;
+
+    fn try_from(all: Vec<KnownAlloy>) -> Result<Self, ImpossibleAlloys> {
+        let is_sound = all.len() <= MOST && all.iter().all(KnownAlloy::is_sound);
+        is_sound.then_some(Self(all)).ok_or(ImpossibleAlloys)
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct KnownAlloy {
     metal: MetalLaw,
     numbers: [f64; 3],
@@ -39,6 +57,11 @@ struct KnownAlloy {
 }
 
 impl KnownAlloy {
+    fn is_sound(&self) -> bool {
+        let all = self.numbers.iter().chain(&self.effects);
+        (1..=MOST_BOILS).contains(&self.effects.len()) && all.into_iter().all(|x| x.is_finite())
+    }
+
     fn is_of(&self, placed: &PlacedPot) -> bool {
         let pairs = self.numbers.into_iter().zip(numbers(placed));
         self.metal == placed.metal && pairs.zip(SAME).all(|((a, b), most)| (a - b).abs() < most)
@@ -61,7 +84,7 @@ fn numbers(placed: &PlacedPot) -> [f64; 3] {
 impl KnownAlloys {
     /// Effect of heat on a pot's metal and its standard deviation, both relative to the class, whose alloys have the deviation
     /// `spread`.
-    pub fn effect(&self, placed: &PlacedPot, spread: f64) -> (f64, f64) {
+    pub(crate) fn effect(&self, placed: &PlacedPot, spread: f64) -> (f64, f64) {
         let Some(known) = self.0.iter().rev().find(|known| known.is_of(placed)) else {
             return (1.0, spread);
         };
@@ -81,7 +104,7 @@ impl KnownAlloys {
     }
 
     /// Learns from a boil at a rise in kelvin by the law `metal` of this pot.
-    pub fn teach(&mut self, placed: &PlacedPot, metal: &MetalLaw, boil_k: f64) {
+    pub(crate) fn teach(&mut self, placed: &PlacedPot, metal: &MetalLaw, boil_k: f64) {
         let effect = metal.ln_s_change(boil_k).0 / placed.metal.ln_s_change(BOIL_K).0;
         if !effect.is_finite() {
             return;

@@ -19,6 +19,7 @@ pub mod prior;
 pub mod thermometer;
 pub mod turnover;
 
+pub use alloy::{ImpossibleAlloys, KnownAlloys};
 pub use batch::ThermalHalfCycle;
 pub use metal::MetalLaw;
 pub use thermometer::{PotEvent, PotReading, Thermometer};

@@ -137,6 +137,16 @@ struct TrackedPot {
 }
 
 impl Thermometer {
+    /// Returns the alloys of pots that boiled water here.
+    pub fn alloys(&self) -> &KnownAlloys {
+        &self.alloys
+    }
+
+    /// Sets the alloys that are known from before, for the pots that are put on from now on.
+    pub fn set_alloys(&mut self, alloys: KnownAlloys) {
+        self.alloys = alloys;
+    }
+
     /// Starts anew with ΔT = 0, for a pot that was taken away or may be another one.
     pub fn begin_anew(&mut self) {
         let events = std::mem::take(&mut self.events);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use ihd_link::{AsyncClient, Client, ClientCounters, DeviceEvent, LinkError};
-use ihd_model::{DeviceState, EventKind};
+use ihd_model::{DeviceState, EventKind, RecordKind};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_store::{DeviceId, SessionId};
@@ -278,7 +278,10 @@ impl<'a> DeviceSession<'a> {
         self.keep_alive().await?;
         self.record.recorder.tick();
         self.publish_live();
-        self.pot.track(self.record, &self.context.machine);
+        let device = self.stored.map(|ids| ids.device);
+        let store = self.store().writing(RecordKind::State);
+        self.pot
+            .track(self.record, &self.context.machine, device, store);
         self.lookups.tick(&mut self.link).await;
         if let Some(sweep) = self.active_sweep() {
             let step = sweep.tick(Instant::now());

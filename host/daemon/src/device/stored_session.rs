@@ -16,14 +16,14 @@ impl DeviceSession<'_> {
         let began = self.context.in_store(move |store| {
             let device = store.device(&name, &address)?;
             let session = store.begin_session(device, &hello, &front_end)?;
-            let learned = match is_resumed {
-                true => None,
-                false => store.learner_state(device)?,
+            let (learned, alloys) = match is_resumed {
+                true => (None, None),
+                false => (store.learner_state(device)?, store.alloys(device)?),
             };
-            Ok((device, session, learned))
+            Ok((device, session, learned, alloys))
         });
         // Errors of the store are reported by its thread.
-        if let Some((device, session, learned)) = began.await {
+        if let Some((device, session, learned, alloys)) = began.await {
             self.stored = Some(StoredIds { device, session });
             self.lookups.set_device(device);
             self.record.lock().is_resumed = true;
@@ -34,6 +34,11 @@ impl DeviceSession<'_> {
             if let Err(error) = added {
                 tracing::warn!(device = self.record.name, %error, "what was learned is lost");
                 self.store_event("learned", &error.to_string());
+            }
+            let known = alloys.map(|json| self.record.pot_tracker().set_stored_alloys(&json));
+            if let Some(Err(error)) = known {
+                tracing::warn!(device = self.record.name, %error, "the pots' alloys are lost");
+                self.store_event("learned", &format!("the pots' alloys: {error}"));
             }
         }
     }

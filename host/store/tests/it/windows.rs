@@ -287,6 +287,13 @@ fn result_and_what_was_learned_are_one_and_learning_again_replaces() {
     store.forget_learner_state(device).unwrap();
     assert_eq!(store.learner_state(device).unwrap(), None);
     assert_eq!(store.results(&ResultFilter::default()).unwrap().len(), 1);
+    // What its pots taught is its own.
+    assert_eq!(store.alloys(device).unwrap(), None);
+    for state in [b"[1]", b"[2]"] {
+        store.keep_alloys(device, state).unwrap();
+    }
+    assert_eq!(store.alloys(device).unwrap().unwrap(), b"[2]");
+    assert!(store.keep_alloys(99, b"[3]").is_err());
     // Of a session that there is not, nothing is stored.
     let nobodys = store.record_result(&result(99, 2), Some(b"state 2"));
     assert!(matches!(
