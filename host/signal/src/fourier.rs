@@ -8,8 +8,9 @@ use std::sync::Arc;
 use realfft::RealFftPlanner;
 pub use realfft::{ComplexToReal, RealToComplex};
 
-/// Plans that a thread keeps: windows of a device repeat few lengths, captures may have any.
+/// Plans that a thread keeps, and their longest length: windows of a device repeat few lengths, captures may have any.
 const KEPT: usize = 4;
+const LONGEST_KEPT: usize = 1 << 14;
 
 thread_local! {
     /// Latest plans, the newest first.
@@ -19,12 +20,14 @@ thread_local! {
 /// Plans the transform of this many samples to their spectrum.
 #[inline(never)]
 pub fn forward(points: usize) -> Arc<dyn RealToComplex<f64>> {
+    let planned = || RealFftPlanner::new().plan_fft_forward(points);
+    if points > LONGEST_KEPT {
+        return planned();
+    }
     LATEST.with_borrow_mut(|latest| {
         let known = latest.iter().position(|plan| plan.len() == points);
-        let plan = match known.and_then(|k| latest.remove(k)) {
-            Some(plan) => plan,
-            None => RealFftPlanner::new().plan_fft_forward(points),
-        };
+        let plan = known.and_then(|k| latest.remove(k));
+        let plan = plan.unwrap_or_else(planned);
         latest.truncate(KEPT - 1);
         latest.push_front(Arc::clone(&plan));
         plan
