@@ -29,9 +29,9 @@ const BYTES_PER_PAIR: usize = 32;
 /// Steps of the bar over the whole capture.
 const BAR_STEPS: f64 = 1000.0;
 
-/// Parts that are read, identified or not yet written, for each that is identified at once: a thread then never waits for the
+/// Parts that are read, identified or not yet written, beyond those that are identified at once: a thread then rarely waits for the
 /// slowest of the others.
-const IN_FLIGHT: usize = 2;
+const IN_RESERVE: usize = 1;
 
 /// Part after its identification.
 struct Examined {
@@ -138,7 +138,7 @@ impl ManyParts<'_> {
     ) -> Result<Option<anyhow::Error>> {
         let (mut next, mut early, mut unread) = (Some(first), BTreeMap::new(), None);
         loop {
-            let full = course.read - course.written >= IN_FLIGHT * at_once;
+            let full = course.read - course.written >= at_once + IN_RESERVE;
             if !full && !course.at_end && !self.stop.load(Ordering::Relaxed) {
                 let read = next
                     .take()
