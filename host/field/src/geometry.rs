@@ -144,38 +144,36 @@ impl Geometry {
             2.0,
             "0.1 to 2",
         )?;
-        if self.coil_inner_m >= self.coil_outer_m {
-            return Err(FieldError::Order {
-                smaller: "coil_inner_m",
-                smaller_m: self.coil_inner_m,
-                larger: "coil_outer_m",
-                larger_m: self.coil_outer_m,
-            });
-        }
         in_range("hole_radius_m", self.hole_radius_m, 0.0, 1.0, "0 to 1 m")?;
-        if self.hole_radius_m >= self.load_radius_m {
-            return Err(FieldError::Order {
-                smaller: "hole_radius_m",
-                smaller_m: self.hole_radius_m,
-                larger: "load_radius_m",
-                larger_m: self.load_radius_m,
-            });
+        let mut ordered = vec![
+            (
+                ("coil_inner_m", self.coil_inner_m),
+                ("coil_outer_m", self.coil_outer_m),
+            ),
+            (
+                ("hole_radius_m", self.hole_radius_m),
+                ("load_radius_m", self.load_radius_m),
+            ),
+            (
+                ("foil_thickness_m", self.foil_thickness_m),
+                ("load_thickness_m", self.load_thickness_m),
+            ),
+        ];
+        if self.wall_height_m > 0.0 {
+            ordered.push((
+                ("wall_thickness_m", self.wall_thickness_m),
+                ("load_radius_m", self.load_radius_m),
+            ));
         }
-        if self.foil_thickness_m >= self.load_thickness_m {
-            return Err(FieldError::Order {
-                smaller: "foil_thickness_m",
-                smaller_m: self.foil_thickness_m,
-                larger: "load_thickness_m",
-                larger_m: self.load_thickness_m,
-            });
-        }
-        if self.wall_height_m > 0.0 && self.wall_thickness_m >= self.load_radius_m {
-            return Err(FieldError::Order {
-                smaller: "wall_thickness_m",
-                smaller_m: self.wall_thickness_m,
-                larger: "load_radius_m",
-                larger_m: self.load_radius_m,
-            });
+        for ((smaller, smaller_m), (larger, larger_m)) in ordered {
+            if smaller_m >= larger_m {
+                return Err(FieldError::Order {
+                    smaller,
+                    smaller_m,
+                    larger,
+                    larger_m,
+                });
+            }
         }
         Ok(())
     }

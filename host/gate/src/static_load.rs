@@ -6,6 +6,7 @@
 
 use std::f64::consts::TAU;
 
+use ihd_signal::vectorised::dot;
 use nalgebra::Complex;
 
 /// Polynomials of the amplitude for each of R and L.
@@ -66,17 +67,6 @@ pub struct Space {
     basis: Vec<Vec<f64>>,
     /// Lag of the static load, in switching periods.
     lag: f64,
-}
-
-/// Scalar product as eight partial sums, which the compiler can vectorise.
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sums = [0.0; 8];
-    for (a, b) in a.chunks(8).zip(b.chunks(8)) {
-        for ((sum, a), b) in sums.iter_mut().zip(a).zip(b) {
-            *sum += a * b;
-        }
-    }
-    sums.iter().sum()
 }
 
 impl Space {

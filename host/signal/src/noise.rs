@@ -9,6 +9,7 @@ use std::f64::consts::PI;
 
 use nalgebra::Complex;
 
+use super::vectorised::dot;
 use super::{RawSamples, Samples, Segment, fourier};
 
 /// Most switching periods of a frame: three eighths of the lobes of sin⁶ between aliases at thirds of f_sw (61/3).
@@ -110,7 +111,7 @@ impl SpectralFloor {
                 .zip(samples.step_by(frames.block))
                 .zip(&self.window)
             {
-                *y = w * filtered(&self.low_pass, x);
+                *y = w * dot(&self.low_pass, x);
             }
             fft.process(&mut input, &mut output).ok()?;
             for (row, place) in powers.chunks_exact_mut(frames.count).zip(places) {
@@ -141,17 +142,6 @@ fn low_pass(block: usize) -> Vec<f64> {
     let taps = 4 * block;
     let at = |k: usize| libm::sin(PI * (k as f64 + 0.5) / taps as f64);
     (0..taps).map(|k| at(k) * at(k)).collect()
-}
-
-/// Σ h·x as eight partial sums, which the compiler can vectorise.
-fn filtered<T: Copy + Into<f64>>(h: &[f64], x: &[T]) -> f64 {
-    let mut sums = [0.0; 8];
-    for (h, x) in h.chunks(8).zip(x.chunks(8)) {
-        for ((sum, h), x) in sums.iter_mut().zip(h).zip(x) {
-            *sum += h * (*x).into();
-        }
-    }
-    sums.iter().sum()
 }
 
 /// |Σ h·e^(−j2πfn)|² at f = `turn` periods per sample.
