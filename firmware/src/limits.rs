@@ -230,6 +230,14 @@ limits! {
     POT_LEAD_S: i16 = 80, "s";
     /// Conductance from the glass to the room by half of a flat base's.
     POT_LOSS_PERCENT: i16 = 38, "%";
+    /// Base that is kept warm without power: contents of 70 °C take 50 to 150 W.
+    KEEP_WARM_C: i16 = 76, "°C";
+    /// Power for each degree below it.
+    KEEP_WARM_W_PER_K: i16 = 50, "W/K";
+    /// Conductance from the glass to the room by .8 of a flat base's, to which keeping warm regulates.
+    KEEP_WARM_LOSS_PERCENT: i16 = 24, "%";
+    /// Level of the panel whose power and time are the most of keeping warm.
+    KEEP_WARM_LEVEL: u8 = 3, "level";
     /// Coil from which power is taken back.
     COIL_DERATE_C: i16 = 140, "°C";
     /// Coil at which none is left.
@@ -279,6 +287,9 @@ pub const LEVELS: [PowerLevel; 9] = {
         level(100, 60),
     ]
 };
+
+/// Highest power that keeps warm, in watt.
+pub const KEEP_WARM_W: u16 = LEVELS[KEEP_WARM_LEVEL as usize - 1].power_w;
 
 impl PowerLevel {
     /// The lowest level with at least this power; `None` for 0 W.

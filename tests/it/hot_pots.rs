@@ -31,7 +31,12 @@ const STARTS: [(f64, f64); 4] = [(20.0, 25.0), (20.0, 150.0), (95.0, 25.0), (95.
 const POWERS: [f64; 3] = [2_500.0, 1_400.0, 700.0];
 
 /// Length of a run and its step, in seconds.
-const RUN_S: (f64, f64) = (900.0, 0.1);
+const RUN_S: u32 = 900;
+const STEP_S: f64 = 1.0 / STEPS_PER_S as f64;
+const STEPS_PER_S: u32 = 10;
+
+/// Length of a run that keeps warm, and of its end that counts, in seconds: two litres cool by 10 K an hour.
+const WARM_S: (u32, u32) = (4 * 3_600, 1_800);
 
 /// Highest temperatures of a run, and the first loss of power.
 struct Shown {
@@ -39,6 +44,49 @@ struct Shown {
     contents_c: f64,
     /// Temperature of the base at which power was taken first, in °C.
     slowed_at_c: Option<f64>,
+}
+
+/// A pot on a glass, with the firmware's view of it.
+struct Hob {
+    thermal: ThermalModel,
+    lumps: LumpTemperatures,
+    sensors: Temperatures,
+    heat: PotHeat,
+    steps: u32,
+}
+
+impl Hob {
+    fn new(pot: &SimulatedPot, contents: PotContents, contact: f64, glass_c: f64) -> Self {
+        let mut lumps = LumpTemperatures {
+            contact,
+            ..LumpTemperatures::at(AMBIENT_C)
+        };
+        lumps.set_glass(glass_c);
+        Self {
+            thermal: ThermalModel::new(contents, pot).with_contact(contact),
+            lumps,
+            sensors: Temperatures::default(),
+            heat: PotHeat::default(),
+            steps: 0,
+        }
+    }
+
+    /// Advances by a step at a power in watt, and reads the sensors.
+    fn advance(&mut self, power_w: f64) {
+        self.thermal.advance(power_w, STEP_S);
+        let below = Heat {
+            pot_c: Some(self.thermal.temperature_c()),
+            ..Heat::default()
+        };
+        self.lumps.advance(STEP_S, &below, true);
+        self.sensors
+            .update(self.lumps.codes(&Injections::default()));
+        self.heat.take(self.sensors.glass());
+        self.steps += 1;
+        if self.steps.is_multiple_of(STEPS_PER_S) {
+            self.heat.count(1);
+        }
+    }
 }
 
 /// Cooks at one power, less what the firmware takes away: for its sensors alone, or for the pot as well.
@@ -49,45 +97,28 @@ fn cook(
     setting: (f64, f64, bool),
 ) -> Shown {
     let (asked_w, glass_c, limited) = setting;
-    let mut thermal = ThermalModel::new(contents, pot).with_contact(contact);
-    let mut lumps = LumpTemperatures {
-        contact,
-        ..LumpTemperatures::at(AMBIENT_C)
-    };
-    lumps.set_glass(glass_c);
-    let (mut sensors, mut heat) = (Temperatures::default(), PotHeat::default());
+    let mut hob = Hob::new(pot, contents, contact, glass_c);
     let mut shown = Shown {
         base_c: 0.0,
         contents_c: 0.0,
         slowed_at_c: None,
     };
-    let (run_s, step_s) = RUN_S;
-    for step in 0..(run_s / step_s) as u32 {
-        sensors.update(lumps.codes(&Injections::default()));
-        heat.take(sensors.glass());
-        if step % 10 == 9 {
-            heat.count(1);
-        }
-        let sensors_w = f64::from(RATED_POWER_W) * f64::from(sensors.power_percent()) / 100.0;
+    for _ in 0..RUN_S * STEPS_PER_S {
+        let sensors_w = f64::from(RATED_POWER_W) * f64::from(hob.sensors.power_percent()) / 100.0;
         let pot_w = if limited {
-            f64::from(heat.power_w())
+            f64::from(hob.heat.power_w())
         } else {
             asked_w
         };
         let power_w = asked_w.min(sensors_w).min(pot_w);
         if power_w < 0.98 * asked_w {
-            shown.slowed_at_c.get_or_insert(thermal.temperature_c());
+            shown.slowed_at_c.get_or_insert(hob.thermal.temperature_c());
         }
-        thermal.advance(power_w, step_s);
-        let below = Heat {
-            pot_c: Some(thermal.temperature_c()),
-            ..Heat::default()
-        };
-        lumps.advance(step_s, &below, true);
-        shown.base_c = shown.base_c.max(thermal.temperature_c());
-        shown.contents_c = shown.contents_c.max(thermal.bulk_c().unwrap_or(0.0));
+        hob.advance(power_w);
+        shown.base_c = shown.base_c.max(hob.thermal.temperature_c());
+        shown.contents_c = shown.contents_c.max(hob.thermal.bulk_c().unwrap_or(0.0));
         // Water that has boiled away leaves an empty pot, which has rows of its own.
-        if matches!(contents, PotContents::Water(_)) && thermal.bulk_c().is_none() {
+        if matches!(contents, PotContents::Water(_)) && hob.thermal.bulk_c().is_none() {
             break;
         }
     }
@@ -204,4 +235,63 @@ fn the_document_says_how_hot_pots_become() {
     }
     let command = "cargo test -p ihd-tests hot_pots";
     document::hold("control.md", "hot pots", &table, command);
+}
+
+/// Lowest and highest temperature of water that is kept warm, at the end of a run, in °C, and the power then, in watt.
+fn keep_warm(pot: &SimulatedPot, litre: f64, contact: f64, glass_c: f64) -> [(f64, f64); 2] {
+    let mut hob = Hob::new(pot, PotContents::Water(litre), contact, glass_c);
+    let none = (f64::INFINITY, 0.0);
+    let widened = |(low, high): (f64, f64), x: f64| (low.min(x), high.max(x));
+    let (mut water_c, mut given_w) = (none, none);
+    for s in 0..WARM_S.0 {
+        let power_w = f64::from(hob.heat.warm_w());
+        (0..STEPS_PER_S).for_each(|_| hob.advance(power_w));
+        if s >= WARM_S.0 - WARM_S.1 {
+            water_c = widened(water_c, hob.thermal.bulk_c().expect("water"));
+            given_w = widened(given_w, power_w);
+        }
+    }
+    [water_c, given_w]
+}
+
+#[test]
+fn the_document_says_how_warm_pots_are_kept() {
+    let mut table =
+        String::from("| contact | runs | water, °C | power, W |\n|---:|---:|---:|---:|\n");
+    for contact in [0.25, 0.5, 0.75, 1.0, 1.5] {
+        let mut all = Vec::new();
+        for (pot_c, glass_c) in [(20.0, 25.0), (95.0, 80.0), (60.0, 150.0)] {
+            for (metal, diameter_m, _) in POTS {
+                let pot = SimulatedPot {
+                    temperature_c: pot_c,
+                    ..SimulatedPot::new(metal, diameter_m)
+                };
+                all.extend([0.5, 2.0].map(|litre| keep_warm(&pot, litre, contact, glass_c)));
+            }
+        }
+        let [water_c, given_w] = [0, 1].map(|what| {
+            let ranges = all.iter().map(|run| run[what]);
+            ranges.fold((f64::INFINITY, 0.0_f64), |(low, high), run| {
+                (low.min(run.0), high.max(run.1))
+            })
+        });
+        // A `String` takes every line.
+        let _ = writeln!(
+            table,
+            "| {contact} | {} | {:.0} to {:.0} | {:.0} to {:.0} |",
+            all.len(),
+            water_c.0,
+            water_c.1,
+            given_w.0,
+            given_w.1
+        );
+        assert!(given_w.0 > 0.0, "contact {contact}: still cooling");
+        if contact >= 0.5 {
+            // In whole degrees, as the document has it.
+            let within = water_c.0.round() >= 65.0 && water_c.1.round() <= 75.0;
+            assert!(within, "contact {contact}: {water_c:?} °C");
+        }
+    }
+    let command = "cargo test -p ihd-tests hot_pots";
+    document::hold("control.md", "warm pots", &table, command);
 }

@@ -44,7 +44,7 @@ scenarios! {
     restart { doubled host_clears host_repeats lookups person tries }
     sags { dip dropout swell }
     steps { dither low_mains steps taught }
-    temperatures { derating empty_pan glass oil over sensors water }
+    temperatures { derating empty_pan glass keep_warm oil over sensors water }
     unattended { boost boost_of_host host level timer touch }
     zvs { powers }
 }

@@ -106,6 +106,7 @@ impl Control {
             state: self.state(),
             level: self.parts.request.level(),
             is_on: self.asked_w() > 0,
+            keeps_warm: self.parts.request.keeps_warm(),
             timer_min: self.timer_min(),
             glass_hot: self.parts.temperatures.is_glass_hot(),
         }

@@ -35,8 +35,8 @@ pub struct Heating {
     without_pot: u8,
     /// Half-cycles in a row at the highest frequency with more power than was granted.
     at_floor: u8,
-    /// Power that is given in bursts until another is granted, as no frequency gives as little; 0 for none.
-    bursts_for_w: u16,
+    /// Power up to which it is given in bursts, as no frequency gives as little; 0 until that was seen.
+    bursts_to_w: u16,
     /// Bursts under way.
     bursts: Option<PowerBursts>,
     /// Half-cycles since the bridge switches.
@@ -52,7 +52,7 @@ impl Heating {
             judged_ms: now_ms,
             without_pot: 0,
             at_floor: 0,
-            bursts_for_w: 0,
+            bursts_to_w: 0,
             bursts: None,
             half_cycles_on: 0,
             limit: Limit::None,
@@ -132,7 +132,7 @@ impl Heating {
     ) -> Action {
         let granted_w = self.grant(parts);
         self.watch_floor(summary, granted_w);
-        if granted_w == self.bursts_for_w {
+        if granted_w <= self.bursts_to_w {
             return self.give_bursts(summary, granted_w, status, parts);
         }
         if self.bursts.take().is_some() && !status.requested.is_switching() {
@@ -142,19 +142,19 @@ impl Heating {
         Action::Keep
     }
 
-    /// Counts half-cycles with more power than was granted and no higher frequency: then bursts, as long as the same power
-    /// is granted.
+    /// Counts half-cycles with more power than was granted and no higher frequency: then bursts, as long as no more than that
+    /// power is granted.
     fn watch_floor(&mut self, summary: &HalfCycle, granted_w: u16) {
-        if granted_w == self.bursts_for_w {
+        if granted_w <= self.bursts_to_w {
             return;
         }
-        self.bursts_for_w = 0;
         let too_much = summary.f_sw_hz == pwm::HIGHEST_HZ
             && u64::from(summary.power_mw) > u64::from(granted_w) * 10 * (100 + TOO_MUCH_PERCENT);
         self.at_floor = if too_much { self.at_floor + 1 } else { 0 };
         if self.at_floor >= FLOOR_HALF_CYCLES {
             self.at_floor = 0;
-            self.bursts_for_w = granted_w;
+            let floor_w = summary.power_mw / (10 * (100 + TOO_MUCH_PERCENT as u32));
+            self.bursts_to_w = u16::try_from(floor_w).unwrap_or(u16::MAX);
         }
     }
 

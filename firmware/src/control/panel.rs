@@ -4,7 +4,7 @@
 //! |---|---|
 //! | on/off | switches off; from off it wakes the panel for 10 s, which heats nothing |
 //! | plus | awake: level 1; on: one level more, to 9 |
-//! | minus | one level less; below 1 off |
+//! | minus | awake: keeps warm; on: one level less, below 1 off |
 //! | timer | on: off after the next whole ten minutes and ten more, to 90; then none |
 //!
 //! A press is a line that was released for 30 ms and is closed for 30 ms. A button that is closed at power-on or stuck is pressed
@@ -57,6 +57,8 @@ pub struct PanelState {
     pub level: Option<u8>,
     /// Power is requested, by whomever.
     pub is_on: bool,
+    /// The panel is set to keep warm.
+    pub keeps_warm: bool,
     /// Minutes left on the timer; 0 without one.
     pub timer_min: u8,
     /// The glass is hot.
@@ -66,7 +68,7 @@ pub struct PanelState {
 /// Lights of the panel, `true` if lit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PanelLights {
-    /// Flashes the level; fast while the panel is awake; tens of minutes for 5 s after a press of the timer.
+    /// Flashes the level, lit while it keeps warm; fast while the panel is awake; tens of minutes for 5 s after a press of the timer.
     pub on: bool,
     /// Lit when locked out, flashes during a pause.
     pub fault: bool,
@@ -148,7 +150,9 @@ impl PanelButtons {
         if !shown.is_on || self.timer_shown_ms.is_some_and(timer_over) {
             self.timer_shown_ms = None;
         }
-        let (level, is_awake) = (shown.level.unwrap_or(0), self.awake_until_ms.is_some());
+        // Below level 1, and above off.
+        let level = shown.level.filter(|_| !shown.keeps_warm).unwrap_or(0);
+        let is_awake = self.awake_until_ms.is_some();
         if on_off {
             let wakes = !shown.is_on && !is_awake;
             self.awake_until_ms = wakes.then(|| now_ms.wrapping_add(AWAKE_MS));
@@ -156,11 +160,17 @@ impl PanelButtons {
         }
         // Two at once mean nothing.
         match (plus, minus, timer) {
-            (true, false, false) if level > 0 || is_awake => {
+            (true, false, false) if level > 0 || shown.keeps_warm || is_awake => {
                 self.awake_until_ms = None;
                 Some(PanelEvent::Level(level.saturating_add(1).min(9)))
             }
-            (false, true, false) if level > 0 => Some(PanelEvent::Level(level - 1)),
+            (false, true, false) if level > 0 || shown.keeps_warm => {
+                Some(PanelEvent::Level(level.saturating_sub(1)))
+            }
+            (false, true, false) if is_awake => {
+                self.awake_until_ms = None;
+                Some(PanelEvent::KeepWarm)
+            }
             (false, false, true) if shown.is_on => {
                 self.timer_shown_ms = Some(now_ms);
                 Some(PanelEvent::Timer(next_timer_min(shown.timer_min)))
@@ -177,6 +187,7 @@ impl PanelButtons {
                 let tens = shown.timer_min.div_ceil(TIMER_STEP_MIN);
                 is_flash(tens, TIMER_FLASH_MS, now_ms.wrapping_sub(since_ms))
             }
+            (None, _) if shown.keeps_warm => true,
             (None, Some(level)) => is_flash(level, FLASH_MS, now_ms),
             (None, None) => false,
         };

@@ -74,6 +74,11 @@ impl ControlParts {
             (true, hot_w, Limit::Temperature),
             (true, self.pot_heat.power_w(), Limit::Temperature),
             (is_small, small_w, Limit::SmallPot),
+            (
+                self.request.keeps_warm(),
+                self.pot_heat.warm_w(),
+                Limit::KeepWarm,
+            ),
             (self.times.boost.is_over(), BELOW_BOOST_W, Limit::Boost),
         ] {
             if holds && granted.0 > most_w {

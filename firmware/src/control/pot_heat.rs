@@ -11,8 +11,14 @@
 //! has some 230 W/m²K. Half of it is assumed: c/h + τ = 80 s, g/h = 3/8. A flatter base is then taken for hotter than it is, the more the faster it
 //! heats: an empty pan is slowed from 180 °C on, and held near 230 °C. A base with less than half of that conductance (feet, a mat)
 //! is taken for colder: the limits of [`super::temperature`] remain.
+//!
+//! Keeping warm needs no bound but the temperature itself, which changes slowly: T_base = T_sensor + g/h (T_sensor − T_room), with a
+//! contact of .8 (g/h = .24). From half of a flat base's contact to one and a half the sensor differs by 7 °C at 70 °C.
 
-use crate::limits::{LEVELS, POT_HOT_C, POT_LEAD_S, POT_LOSS_PERCENT, POT_TOO_HOT_C};
+use crate::limits::{
+    KEEP_WARM_C, KEEP_WARM_LOSS_PERCENT, KEEP_WARM_W, KEEP_WARM_W_PER_K, LEVELS, POT_HOT_C,
+    POT_LEAD_S, POT_LOSS_PERCENT, POT_TOO_HOT_C,
+};
 use ihd_shared::hob::RATED_POWER_W;
 
 /// Time constant of the mean that the rate is taken against, in seconds.
@@ -73,8 +79,18 @@ impl PotHeat {
         let above = glass - *mean;
         *mean += above * elapsed_s.min(MEAN_S) / MEAN_S;
         let lead = above * i32::from(POT_LEAD_S) / MEAN_S;
-        let loss = (*mean - ROOM_C * ONE_C).max(0) * i32::from(POT_LOSS_PERCENT) / 100;
-        self.base = *mean + lead + loss;
+        self.base = *mean + lead + loss(*mean, POT_LOSS_PERCENT);
+    }
+
+    /// Power that keeps the pot warm, in watt, at most [`KEEP_WARM_W`]; without a sensor the lowest level's.
+    pub fn warm_w(&self) -> u16 {
+        let Some(mean) = self.mean else {
+            return LEVELS[0].power_w;
+        };
+        let base = mean + loss(mean, KEEP_WARM_LOSS_PERCENT);
+        let missing = i32::from(KEEP_WARM_C) * ONE_C - base;
+        let power_w = missing * i32::from(KEEP_WARM_W_PER_K) / ONE_C;
+        power_w.clamp(0, i32::from(KEEP_WARM_W)) as u16
     }
 
     /// Power that is left, in watt: the lowest level's at least.
@@ -82,6 +98,11 @@ impl PotHeat {
         let left_w = i32::from(RATED_POWER_W) * (100 - self.taken_percent) / 100;
         (left_w as u16).max(LEVELS[0].power_w)
     }
+}
+
+/// Difference from glass to base at rest, for a share of their conductance that the glass has to the room.
+fn loss(glass: i32, percent: i16) -> i32 {
+    (glass - ROOM_C * ONE_C).max(0) * i32::from(percent) / 100
 }
 
 #[cfg(test)]

@@ -7,24 +7,39 @@
 //! - The key lock keeps the panel from asking for more; off always works, locked or not.
 //! - Switching on at the panel after switching off there is what a person does to end a lock-out.
 
-use crate::limits::LEVELS;
+use crate::limits::{KEEP_WARM_LEVEL, LEVELS};
 
 /// Touch of the panel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PanelEvent {
     /// Power level 0 (off) to 9; a higher one counts as 9.
     Level(u8),
+    /// Keeps warm what stands on the glass.
+    KeepWarm,
     /// Locks the keys, or unlocks them.
     KeyLock(bool),
     /// Switches off after so many minutes; 0 takes it back. Nothing while nothing is on.
     Timer(u8),
 }
 
+/// Setting of the panel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum PanelSetting {
+    #[default]
+    Untouched,
+    /// 0 is a person's off, which alone refuses the host.
+    Level(u8),
+    KeepWarm,
+}
+
+impl PanelSetting {
+    const OFF: Self = Self::Level(0);
+}
+
 /// The requests of panel and host.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PowerRequest {
-    /// `None` until the panel is touched.
-    level: Option<u8>,
+    setting: PanelSetting,
     key_locked: bool,
     host_w: Option<u16>,
 }
@@ -46,7 +61,11 @@ impl PowerRequest {
     /// The requests after a reset: none, and what the panel refused is still refused.
     pub fn restored(panel_off: bool, key_locked: bool) -> Self {
         Self {
-            level: panel_off.then_some(0),
+            setting: if panel_off {
+                PanelSetting::OFF
+            } else {
+                PanelSetting::Untouched
+            },
             key_locked,
             host_w: None,
         }
@@ -63,18 +82,22 @@ impl PowerRequest {
                 self.switch_off_at_panel();
                 PanelResult::Changed
             }
-            PanelEvent::Level(_) | PanelEvent::Timer(_) if self.key_locked => PanelResult::Nothing,
+            PanelEvent::Level(_) | PanelEvent::KeepWarm | PanelEvent::Timer(_)
+                if self.key_locked =>
+            {
+                PanelResult::Nothing
+            }
             PanelEvent::Timer(_) if self.power_w() == 0 => PanelResult::Nothing,
             PanelEvent::Timer(minutes) => PanelResult::Timer(minutes),
-            PanelEvent::Level(level) => {
-                let was_off = self.level == Some(0);
-                self.level = Some(level.min(9));
-                if was_off {
-                    PanelResult::SwitchedOn
-                } else {
-                    PanelResult::Changed
-                }
-            }
+            PanelEvent::Level(level) => self.set(PanelSetting::Level(level.min(9))),
+            PanelEvent::KeepWarm => self.set(PanelSetting::KeepWarm),
+        }
+    }
+
+    fn set(&mut self, setting: PanelSetting) -> PanelResult {
+        match core::mem::replace(&mut self.setting, setting) {
+            PanelSetting::OFF => PanelResult::SwitchedOn,
+            _ => PanelResult::Changed,
         }
     }
 
@@ -84,7 +107,7 @@ impl PowerRequest {
             self.switch_off();
             return true;
         }
-        if self.level == Some(0) {
+        if self.setting == PanelSetting::OFF {
             return false;
         }
         self.host_w = Some(power_w);
@@ -104,25 +127,28 @@ impl PowerRequest {
     /// Switches off for a reason of the hob's own; panel or host may request power again.
     pub fn switch_off(&mut self) {
         self.host_w = None;
-        // A level of 0 is a person's: it alone refuses the host.
-        self.level = self.level.filter(|&level| level == 0);
+        if self.setting != PanelSetting::OFF {
+            self.setting = PanelSetting::Untouched;
+        }
     }
 
     /// Switches off until somebody touches the panel: a host is refused.
     pub fn switch_off_at_panel(&mut self) {
-        self.level = Some(0);
+        self.setting = PanelSetting::OFF;
         self.host_w = None;
     }
 
     /// Takes the panel's highest level one lower.
     pub fn end_boost(&mut self) {
         let below = LEVELS.len() as u8 - 1;
-        self.level = self.level.map(|level| level.min(below));
+        if let PanelSetting::Level(level) = &mut self.setting {
+            *level = below.min(*level);
+        }
     }
 
     /// Requested power, in watt.
     pub fn power_w(&self) -> u16 {
-        let panel_w = self.level.map(level_power_w);
+        let panel_w = self.level().map(level_power_w);
         match (panel_w, self.host_w) {
             (Some(panel_w), Some(host_w)) => panel_w.min(host_w),
             (panel_w, host_w) => panel_w.or(host_w).unwrap_or(0),
@@ -134,9 +160,18 @@ impl PowerRequest {
         self.host_w.is_some_and(|host_w| self.power_w() < host_w)
     }
 
-    /// The panel's level; `None` until it is touched.
+    /// The panel's level, [`KEEP_WARM_LEVEL`] for keeping warm; `None` until it is touched.
     pub fn level(&self) -> Option<u8> {
-        self.level
+        match self.setting {
+            PanelSetting::Untouched => None,
+            PanelSetting::Level(level) => Some(level),
+            PanelSetting::KeepWarm => Some(KEEP_WARM_LEVEL),
+        }
+    }
+
+    /// Returns `true` if the panel is set to keep warm what stands on the glass.
+    pub fn keeps_warm(&self) -> bool {
+        self.setting == PanelSetting::KeepWarm
     }
 
     /// Returns `true` if the keys are locked.

@@ -46,6 +46,10 @@ wire_enum! {
         Panel = 9,
         /// The boost is over: the level below it.
         Boost = 10,
+        /// The temperature that the panel is set to keep warm.
+        KeepWarm = 11,
+        /// The other zone of a shared supply.
+        SharedSupply = 12,
     }
 }
 

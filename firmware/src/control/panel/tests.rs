@@ -28,6 +28,7 @@ fn shown(state: State, level: Option<u8>) -> PanelState {
         state,
         level,
         is_on: level > Some(0),
+        keeps_warm: false,
         timer_min: 0,
         glass_hot: false,
     }
@@ -59,6 +60,7 @@ impl Person {
             self.now_ms = self.now_ms.wrapping_add(1);
             let shown = PanelState {
                 is_on: self.request.power_w() > 0,
+                keeps_warm: self.request.keeps_warm(),
                 timer_min: self.timer_min,
                 ..shown(State::Idle, self.request.level())
             };
@@ -99,6 +101,24 @@ fn on_takes_two_buttons_and_off_takes_one() {
     // Off, not awake.
     person.press(PLUS);
     assert_eq!(person.request.power_w(), 0);
+}
+
+/// Minus is the other way from awake: less than level 1, and more than off.
+#[test]
+fn keeping_warm_is_below_level_1() {
+    let mut person = Person::at_power_on();
+    person.press(MINUS);
+    assert_eq!(person.request.power_w(), 0, "asleep");
+    for (next, power_w) in [(PLUS, 100), (MINUS, 0)] {
+        person.press(ON_OFF);
+        person.press(MINUS);
+        assert!(person.request.keeps_warm());
+        assert_eq!(person.request.power_w(), 350);
+        person.press(next);
+        assert!(!person.request.keeps_warm());
+        assert_eq!(person.request.power_w(), power_w);
+        person.press(ON_OFF);
+    }
 }
 
 #[test]
@@ -221,6 +241,11 @@ fn the_lights_show_level_lock_out_and_hot_glass() {
     };
     assert_eq!([None, Some(0), Some(1), Some(9)].map(count), [0, 0, 1, 9]);
     let off = shown(State::Idle, None);
+    let warm = PanelState {
+        keeps_warm: true,
+        ..shown(State::Heating, Some(3))
+    };
+    assert!((0..10_000).all(|now_ms| buttons.lights(&warm, now_ms).on));
     assert!(buttons.lights(&shown(State::LockedOut, None), 0).fault);
     assert_eq!(buttons.lights(&off, 0), PanelLights::default());
     let hot = PanelState {

@@ -273,6 +273,8 @@ pub struct EventField {
     /// A user sets the panel's power level: 0 (off) to 9.
     #[serde(default, deserialize_with = "number::some_level")]
     pub panel: Option<f64>,
+    /// A user sets the panel to keep warm (`true`).
+    pub keep_warm: Option<bool>,
     /// A user sets the panel's timer, in minutes; 0 takes it back.
     #[serde(default, deserialize_with = "number::some_timer_min")]
     pub timer_min: Option<f64>,

@@ -1,6 +1,7 @@
 //! Run of a scenario, block by block.
 
 use ihd_firmware::control::request::PanelEvent;
+use ihd_firmware::limits::KEEP_WARM_LEVEL;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Configure, State};
 
@@ -111,6 +112,7 @@ impl Run {
                 self.panel_level = Some(*level);
                 kind = Kind::Power(hob.housekeeping().control().asked_w());
             }
+            TimelineChange::Panel(PanelEvent::KeepWarm) => self.panel_level = Some(KEEP_WARM_LEVEL),
             TimelineChange::Panel(_)
             | TimelineChange::InjectEnd(_)
             | TimelineChange::Pass(_)

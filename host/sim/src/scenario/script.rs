@@ -28,8 +28,8 @@ impl ScenarioScript {
             return Err(ScenarioError::Event {
                 number: timed.event + 1,
                 line: scenario.lines[timed.event],
-                why: "the host is whoever connects: give pot, mains, panel, key_lock, timer_min, pass_min, inject, \
-                      ambient_c, heat_sink_c or glass_c"
+                why: "the host is whoever connects: give pot, mains, panel, keep_warm, key_lock, timer_min, pass_min, \
+                      inject, ambient_c, heat_sink_c or glass_c"
                     .to_owned(),
             });
         }

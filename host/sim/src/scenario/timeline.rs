@@ -110,8 +110,10 @@ pub fn timeline(scenario: &Scenario) -> Result<Vec<TimedChange>, ScenarioError> 
             line: scenario.lines[event],
             why,
         };
-        let touches =
-            field.panel.is_some() || field.key_lock.is_some() || field.timer_min.is_some();
+        let touches = field.panel.is_some()
+            || field.keep_warm.is_some()
+            || field.key_lock.is_some()
+            || field.timer_min.is_some();
         if touches && !scenario.file.panel {
             return Err(wrong("there is no panel: panel = false".to_owned()));
         }
@@ -127,8 +129,8 @@ pub fn timeline(scenario: &Scenario) -> Result<Vec<TimedChange>, ScenarioError> 
             .map_err(wrong)?;
         if all.len() == before {
             return Err(wrong(
-                "nothing happens: give power_w, pot, mains, inject, host, panel, key_lock, timer_min, pass_min, \
-                 ambient_c, heat_sink_c or glass_c".to_owned(),
+                "nothing happens: give power_w, pot, mains, inject, host, panel, keep_warm, key_lock, timer_min, \
+                 pass_min, ambient_c, heat_sink_c or glass_c".to_owned(),
             ));
         }
     }
@@ -204,10 +206,12 @@ impl Changes<'_> {
     fn of_person_and_heat(&mut self) {
         let field = self.field;
         let level = field.panel.map(|level| PanelEvent::Level(level as u8));
+        let warm = (field.keep_warm == Some(true)).then_some(PanelEvent::KeepWarm);
         let key_lock = field.key_lock.map(PanelEvent::KeyLock);
         let timer = field.timer_min.map(|min| PanelEvent::Timer(min as u8));
         let changes = [
             level.map(TimelineChange::Panel),
+            warm.map(TimelineChange::Panel),
             key_lock.map(TimelineChange::Panel),
             timer.map(TimelineChange::Panel),
             field

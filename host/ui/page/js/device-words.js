@@ -47,6 +47,8 @@ const LIMITS = {
   None: "", Frequency: "an end of the frequency range", Current: "the coil current", CoilVoltage: "the coil voltage",
   Resonance: "nearness of the resonance", SoftSwitching: "current left at turn-off",
   Boost: "the boost is over",
+  KeepWarm: "keeps warm",
+  SharedSupply: "the supply is shared with the other zone",
 };
 
 /**

@@ -1,7 +1,7 @@
 //! The panel's buttons and lights on the board's pins.
 
 use ihd_shared::board::{LIGHT_FAULT_PIN, LIGHT_HOT_GLASS_PIN, LIGHT_POWER_PIN};
-use ihd_shared::wire::messages::State;
+use ihd_shared::wire::messages::{Limit, State};
 use ihd_sim::behavioural::PotKind;
 use ihd_stm32g474::registers::syscfg;
 
@@ -9,7 +9,7 @@ use crate::board::{Bench, assert_no_violations, connect, with_pot};
 
 const ON_OFF: [bool; 4] = [true, false, false, false];
 const PLUS: [bool; 4] = [false, true, false, false];
-
+const MINUS: [bool; 4] = [false, false, true, false];
 const TIMER: [bool; 4] = [false, false, false, true];
 
 /// Presses a button for 60 ms, and lets go.
@@ -80,5 +80,34 @@ fn hot_glass_is_lit_and_the_timer_is_set() {
     press(&bench, ON_OFF);
     bench.run_s(1.0);
     assert_eq!(client.status().unwrap().timer_min, 0);
+    assert_no_violations(&bench);
+}
+
+/// Awake, then minus. A base of 62 °C gets all that keeps warm, one of 94 °C nothing.
+#[test]
+fn what_stands_on_the_glass_is_kept_warm() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    bench.with(|machine| machine.chip().pins.temperatures_c[1] = 55.0);
+    press(&bench, [false; 4]);
+    press(&bench, ON_OFF);
+    press(&bench, MINUS);
+    bench.run_s(0.3);
+    let status = client.status().unwrap();
+    assert_eq!((status.state, status.asked_w), (State::Heating, 350));
+    assert!(lights(&bench)[0]);
+    bench.with(|machine| machine.chip().pins.temperatures_c[1] = 80.0);
+    bench.run_s(5.0);
+    let status = client.status().unwrap();
+    assert_eq!(
+        (status.state, status.limit),
+        (State::Heating, Limit::KeepWarm)
+    );
+    // A burst would come within a second.
+    bench.with(|machine| machine.chip().hrtim.off_at = None);
+    bench.run_s(1.1);
+    assert_eq!(bench.with(|machine| machine.chip().hrtim.off_at), None);
+    press(&bench, MINUS);
+    assert_eq!(client.status().unwrap().state, State::Idle);
     assert_no_violations(&bench);
 }
