@@ -37,6 +37,10 @@ pub(crate) const PINS: &[PinUse] = &[
     any("light_power", "Light of power, on by a high level."),
     any("light_fault", "Light of a fault, on by a high level."),
     any("light_hot_glass", "Light of hot glass, on by a high level."),
+    any(
+        "share_wire",
+        "Wire to the other zone of a shared supply, pulled low by either.",
+    ),
     thermistor("heat_sink_ntc", "Thermistor of the heat sink."),
     thermistor("glass_ntc", "Thermistor of the glass."),
     thermistor("coil_ntc", "Thermistor of the coil."),

@@ -155,6 +155,15 @@ limits! {
     BURST_POWER_W: u16 = (RATED_POWER_W as u32 * 288 / 1_000) as u16, "W";
     /// From one burst to the next: ten seconds have a whole number of them.
     BURST_PERIOD_MS: u32 = 1_000, "ms";
+    /// Half-cycles from the release of a shared supply to the end of the burst: the other zone's lower switch is closed for
+    /// [`IDLE_LINK_NS`] before it begins.
+    HANDOVER_HALF_CYCLES: u32 = 4, "half-cycles";
+    /// Longest burst while a supply is shared.
+    SHARED_BURST_HALF_CYCLES: u32 = 240, "half-cycles";
+    /// For so long, once in `BURST_PERIOD_MS`, a zone that heats alone lets go of the wire of a shared supply: the other one may pull it.
+    OFFER_MS: u16 = 5, "ms";
+    /// For so long after its last pull the other zone of a shared supply counts as on.
+    PARTNER_SILENT_MS: u16 = 3_000, "ms";
     /// Blocks lost in a half-cycle that are still an interrupt that came late.
     LOST_BLOCKS: u32 = 2, "blocks";
     /// Pairs at the end of the converters' range in a block that mean a broken sensor and not a spike.

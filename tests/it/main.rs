@@ -32,5 +32,6 @@ mod replay;
 mod scenarios;
 mod service;
 mod session_file;
+mod two_zones;
 mod window_damage;
 mod wire_golden;

@@ -2,11 +2,18 @@
 //!
 //! Every [`BURST_PERIOD_MS`] the energy that is due is given at [`crate::limits::BURST_POWER_W`]; what a burst gives
 //! too much or too little, because it has whole cycles, the next one makes good. So the mean follows
-//! the measured energy exactly, and no direct current is drawn from the mains.
+//! the measured energy exactly, and no direct current is drawn from the mains. While a supply is shared a burst waits for its turn
+//! ([`super::supply_share`]).
 
 use crate::control::restart::is_reached;
-use crate::limits::BURST_PERIOD_MS;
+use crate::control::supply_share::SupplyShare;
+use crate::limits::{
+    BURST_PERIOD_MS, BUS_AT_START_DV, HANDOVER_HALF_CYCLES, SHARED_BURST_HALF_CYCLES,
+};
 use crate::sampling::half_cycle::HalfCycle;
+
+/// Periods whose energy is given at once, at most, while a supply is shared.
+const SHARED_PERIODS: i64 = 4;
 
 /// Action for the bridge after a half-cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,22 +32,36 @@ pub struct PowerBursts {
     /// Energy that is due, in microjoule; negative where too much was given.
     due_uj: i64,
     next_ms: u32,
+    /// A burst is due, and waits for the supply.
+    waits: bool,
     on: bool,
     ending: bool,
-    /// Half-cycles of this burst that are over.
+    /// Half-cycles of this burst that were over when the supply was left to the other zone.
+    released_at: Option<u16>,
+    /// More was due than is saved up.
+    short: bool,
+    /// Half-cycles of this burst that are over; before it begins, those since the claim.
     half_cycles: u32,
 }
 
 impl PowerBursts {
-    /// Begins with the bridge on, `half_cycles` of which are over.
-    pub fn new(asked_w: u16, now_ms: u32, half_cycles: u32) -> Self {
+    /// Begins with the bridge on, `half_cycles` of which are over; or with the bridge off, and a burst that is due.
+    pub fn new(asked_w: u16, now_ms: u32, half_cycles: Option<u32>) -> Self {
         Self {
             due_uj: period_uj(asked_w),
             next_ms: now_ms.wrapping_add(BURST_PERIOD_MS),
-            on: true,
-            half_cycles,
+            waits: half_cycles.is_none(),
+            on: half_cycles.is_some(),
+            half_cycles: half_cycles.unwrap_or(0),
             ending: false,
+            released_at: None,
+            short: false,
         }
+    }
+
+    /// Returns `true` if less is given than was asked, as the other zone has the supply.
+    pub fn is_short(&self) -> bool {
+        self.short
     }
 
     /// Returns `true` while a burst is under way.
@@ -48,22 +69,46 @@ impl PowerBursts {
         self.on
     }
 
-    /// Takes a half-cycle that is over.
-    pub fn on_half_cycle(&mut self, summary: &HalfCycle, asked_w: u16, now_ms: u32) -> BurstStep {
+    /// Takes a half-cycle that is over; claims and releases the supply.
+    pub fn on_half_cycle(
+        &mut self,
+        summary: &HalfCycle,
+        asked_w: u16,
+        now_ms: u32,
+        supply: &mut SupplyShare,
+    ) -> BurstStep {
         let given_uj = i64::from(summary.power_mw) * i64::from(summary.duration_ns) / 1_000_000;
         self.due_uj -= given_uj;
         let is_due = is_reached(now_ms, self.next_ms);
         if is_due {
             self.next_ms = now_ms.wrapping_add(BURST_PERIOD_MS);
-            // Nothing is saved up beyond a period: a hob that could not give it does not make up for it.
+            // Nothing is saved up beyond a period, or the other zone's turn: a hob that could not give it does not make up for it.
+            let periods = if supply.is_shared() {
+                SHARED_PERIODS
+            } else {
+                2
+            };
             let period_uj = period_uj(asked_w);
-            self.due_uj = (self.due_uj + period_uj).min(2 * period_uj);
+            let due_uj = self.due_uj + period_uj;
+            self.due_uj = due_uj.min(periods * period_uj);
+            self.short = due_uj > self.due_uj;
+            self.waits |= self.due_uj > 0;
         }
         if !self.on {
-            if !is_due || self.due_uj <= 0 {
+            if !self.waits || !supply.claim() {
+                self.half_cycles = 0;
                 return BurstStep::Keep;
             }
-            (self.on, self.ending, self.half_cycles) = (true, false, 0);
+            // A link that the other zone discharges would let the bridge begin before that one ends.
+            let is_early = supply.is_shared()
+                && summary.bus_at_crossing_dv < BUS_AT_START_DV
+                && self.half_cycles < HANDOVER_HALF_CYCLES - 2;
+            if is_early {
+                self.half_cycles += 1;
+                return BurstStep::Keep;
+            }
+            (self.on, self.waits, self.released_at) = (true, false, None);
+            (self.ending, self.half_cycles) = (false, 0);
             return BurstStep::On;
         }
         if self.ending {
@@ -76,10 +121,28 @@ impl PowerBursts {
             return BurstStep::Keep;
         }
         self.half_cycles += 1;
-        // With the half-cycle that runs now the burst has whole cycles, and half of the next whole
-        // cycle would already be too much.
-        if self.half_cycles % 2 == 1 && self.due_uj - given_uj < given_uj {
+        let is_last = match self.released_at {
+            Some(at) => self.half_cycles >= u32::from(at) + HANDOVER_HALF_CYCLES - 1,
+            // The other zone has taken it.
+            None if !supply.holds() => true,
+            None if supply.is_shared() => {
+                let is_over = self.half_cycles >= SHARED_BURST_HALF_CYCLES
+                    || self.due_uj <= i64::from(HANDOVER_HALF_CYCLES) * given_uj;
+                if self.half_cycles.is_multiple_of(2) && is_over {
+                    supply.release();
+                    self.released_at = u16::try_from(self.half_cycles).ok();
+                }
+                false
+            }
+            // Half of the next whole cycle would already be too much.
+            None => self.due_uj - given_uj < given_uj,
+        };
+        // With the half-cycle that runs now the burst has whole cycles.
+        if self.half_cycles % 2 == 1 && is_last {
+            supply.release();
             self.ending = true;
+            // It was ended early.
+            self.waits |= self.due_uj > i64::from(HANDOVER_HALF_CYCLES) * given_uj;
             return BurstStep::OffAtCrossing;
         }
         BurstStep::Keep
@@ -100,7 +163,8 @@ mod tests {
 
     /// Mean power of ten seconds after two, and the half-cycles of each burst.
     fn bursts(asked_w: u16, burst_w: u32) -> (f64, Vec<u32>) {
-        let mut burst = PowerBursts::new(asked_w, 0, 0);
+        let mut supply = SupplyShare::default();
+        let mut burst = PowerBursts::new(asked_w, 0, Some(0));
         let (mut energy_j, mut lengths, mut length) = (0.0, Vec::new(), 0);
         // The bridge begins a half-cycle late: it charges its bootstrap capacitor first.
         let (mut bridge, mut charging) = (true, false);
@@ -117,7 +181,8 @@ mod tests {
                 ..HalfCycle::default()
             };
             let ended = bridge && burst.ending;
-            let step = burst.on_half_cycle(&summary, asked_w, (k + 1) * HALF_CYCLE_MS);
+            let now_ms = (k + 1) * HALF_CYCLE_MS;
+            let step = burst.on_half_cycle(&summary, asked_w, now_ms, &mut supply);
             if ended {
                 lengths.push(core::mem::take(&mut length));
                 bridge = false;

@@ -313,6 +313,7 @@ impl Control {
     fn enter(&mut self, state: ControlState) {
         if !matches!(state, ControlState::Heating(_)) {
             self.parts.restart.stopped();
+            self.parts.supply_share.release();
         }
         if matches!(state, ControlState::Idle) {
             self.parts.pot = Pot::Unknown;

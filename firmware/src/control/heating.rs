@@ -132,13 +132,19 @@ impl Heating {
     ) -> Action {
         let granted_w = self.grant(parts);
         self.watch_floor(summary, granted_w);
-        if granted_w <= self.bursts_to_w {
+        parts.supply_share.note(summary.power_mw);
+        if parts.supply_share.is_shared() || granted_w <= self.bursts_to_w {
             return self.give_bursts(summary, granted_w, status, parts);
         }
-        if self.bursts.take().is_some() && !status.requested.is_switching() {
-            return Action::Drive(Drive::switching(parts.heated_hz));
+        self.bursts = None;
+        match (parts.supply_share.claim(), status.requested.is_switching()) {
+            (true, true) => regulate(summary, granted_w, status, parts),
+            (true, false) if parts.restart.permits(status.now_ms) => {
+                return Action::Drive(Drive::switching(parts.heated_hz));
+            }
+            (false, true) => return Action::OffAtCrossing,
+            (_, false) => {}
         }
-        regulate(summary, granted_w, status, parts);
         Action::Keep
     }
 
@@ -167,10 +173,17 @@ impl Heating {
     ) -> Action {
         // The half-cycle that is just over is counted by the burst itself.
         let before = self.half_cycles_on.wrapping_sub(1);
+        let before = status.requested.is_switching().then_some(before);
         let bursts = self
             .bursts
             .get_or_insert_with(|| PowerBursts::new(granted_w, status.now_ms, before));
-        match bursts.on_half_cycle(summary, granted_w, status.now_ms) {
+        let supply = &mut parts.supply_share;
+        let (is_shared, shared_w) = (supply.is_shared(), supply.burst_w());
+        let step = bursts.on_half_cycle(summary, granted_w, status.now_ms, supply);
+        if is_shared && bursts.is_short() && self.limit == Limit::None {
+            self.limit = Limit::SharedSupply;
+        }
+        match step {
             BurstStep::On if parts.restart.permits(status.now_ms) => {
                 parts.power.cancel();
                 Action::Drive(Drive::switching(parts.heated_hz))
@@ -182,7 +195,9 @@ impl Heating {
             }
             BurstStep::Keep => {
                 if bursts.is_on() {
-                    regulate(summary, BURST_POWER_W.max(granted_w), status, parts);
+                    let most_w = parts.most_w().0.max(BURST_POWER_W);
+                    let burst_w = if is_shared { shared_w } else { BURST_POWER_W };
+                    regulate(summary, burst_w.max(granted_w).min(most_w), status, parts);
                 }
                 Action::Keep
             }

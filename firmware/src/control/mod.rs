@@ -12,7 +12,7 @@
 //! 0 W leads from Probing, Heating and WaitingForPot to Idle at once; it comes from panel and host
 //! ([`request`]), from a host that is silent for 10 s, from replay mode, and from a cooking time that is over ([`cooking_times`]). A fault leads from
 //! any state to Pausing or LockedOut, as [`restart`] decides, which every start passes too. In
-//! Heating the bridge is off between bursts ([`burst`]).
+//! Heating the bridge is off between bursts ([`burst`]), and while a second zone has the supply ([`supply_share`]).
 //!
 //! ```text
 //! half-cycle ─► plausibility ─► heating: pot, burst or power ─► Action ─► sampling path
@@ -39,6 +39,7 @@ pub mod power;
 pub mod request;
 pub mod restart;
 pub mod status;
+pub mod supply_share;
 pub mod temperature;
 pub mod unattended;
 pub mod waiting;

@@ -9,6 +9,7 @@ use crate::control::pot_heat::PotHeat;
 use crate::control::power::PowerControl;
 use crate::control::request::PowerRequest;
 use crate::control::restart::RestartPolicy;
+use crate::control::supply_share::SupplyShare;
 use crate::control::temperature::Temperatures;
 use crate::drive::pwm;
 use crate::limits::SMALL_POT_PERCENT;
@@ -29,6 +30,8 @@ pub struct ControlParts {
     pub pot_heat: PotHeat,
     /// The analogue supply.
     pub supply: Supply,
+    /// Mains that is shared with a second zone.
+    pub supply_share: SupplyShare,
     /// Search for the frequency.
     pub power: PowerControl,
     /// The pot that was judged last.
@@ -46,6 +49,7 @@ impl Default for ControlParts {
             temperatures: Temperatures::default(),
             pot_heat: PotHeat::default(),
             supply: Supply::default(),
+            supply_share: SupplyShare::default(),
             power: PowerControl::default(),
             pot: Pot::Unknown,
             heated_hz: pwm::HIGHEST_HZ,
@@ -64,16 +68,27 @@ impl ControlParts {
 
     /// Granted part of the requested power, in watt, and the limit that holds it below.
     pub fn granted_w(&self) -> (u16, Limit) {
-        let asked_w = self.request.power_w();
-        let hot_w =
-            (u32::from(RATED_POWER_W) * u32::from(self.temperatures.power_percent()) / 100) as u16;
-        let small_w = (u32::from(RATED_POWER_W) * u32::from(SMALL_POT_PERCENT) / 100) as u16;
+        let (asked_w, most) = (self.request.power_w(), self.most_w());
+        if asked_w > most.0 {
+            most
+        } else {
+            (asked_w, Limit::None)
+        }
+    }
+
+    /// Highest power that can be granted, in watt, and the limit that it is.
+    pub fn most_w(&self) -> (u16, Limit) {
+        let percent = |share: u16| (u32::from(RATED_POWER_W) * u32::from(share) / 100) as u16;
         let is_small = self.pot == Pot::Small;
-        let mut granted = (asked_w, Limit::None);
+        let mut most = (RATED_POWER_W, Limit::None);
         for (holds, most_w, limit) in [
-            (true, hot_w, Limit::Temperature),
+            (
+                true,
+                percent(self.temperatures.power_percent()),
+                Limit::Temperature,
+            ),
             (true, self.pot_heat.power_w(), Limit::Temperature),
-            (is_small, small_w, Limit::SmallPot),
+            (is_small, percent(SMALL_POT_PERCENT), Limit::SmallPot),
             (
                 self.request.keeps_warm(),
                 self.pot_heat.warm_w(),
@@ -81,10 +96,10 @@ impl ControlParts {
             ),
             (self.times.boost.is_over(), BELOW_BOOST_W, Limit::Boost),
         ] {
-            if holds && granted.0 > most_w {
-                granted = (most_w, limit);
+            if holds && most.0 > most_w {
+                most = (most_w, limit);
             }
         }
-        granted
+        most
     }
 }

@@ -151,6 +151,12 @@ impl Housekeeping {
         self.act(lock, action);
     }
 
+    /// Takes the level of the wire to the other zone of a shared supply ([`Control::share_supply`]).
+    pub fn share_supply(&mut self, lock: &mut impl SamplingLock, is_high: bool) -> bool {
+        let now_ms = lock.with(|path| path.now_ms());
+        self.control.share_supply(is_high, now_ms)
+    }
+
     /// Lets minutes pass at once for the times of cooking, on a simulated hob.
     pub fn pass_minutes(&mut self, lock: &mut impl SamplingLock, minutes: u16) {
         let action = self.control.pass_minutes(minutes);

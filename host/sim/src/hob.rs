@@ -102,6 +102,9 @@ pub struct SimHob {
     temperatures: LumpTemperatures,
     ntc: bool,
     dc_link: bool,
+    /// Wire to the other zone of a shared supply, `true` while that one pulls it low; `None` if there is no wire.
+    share_wire: Option<bool>,
+    pulls_share_wire: bool,
     reading: Option<MeterReading>,
     /// Number of blocks lost since the last one that arrived.
     lost: u32,
@@ -165,6 +168,8 @@ impl SimHob {
             },
             ntc: config.ntc,
             dc_link: config.dc_link,
+            share_wire: None,
+            pulls_share_wire: false,
             reading: None,
             lost: 0,
             inbound: VecDeque::new(),
@@ -224,6 +229,10 @@ impl SimHob {
         };
         self.housekeeping
             .serve(&mut *self.sampling_path, &mut board);
+        let is_high = self.share_wire == Some(false) && !self.pulls_share_wire;
+        self.pulls_share_wire = self
+            .housekeeping
+            .share_supply(&mut *self.sampling_path, is_high);
         self.after_block();
         if board.restarts {
             self.restart();
@@ -343,6 +352,17 @@ impl SimHob {
     /// Passes a user's action on the panel.
     pub fn panel(&mut self, event: PanelEvent) {
         self.housekeeping.panel(&mut *self.sampling_path, event);
+    }
+
+    /// Connects the wire to the other zone of a shared supply, `true` while that one pulls it low; `None` is no wire, or a broken
+    /// one at the board without its resistor.
+    pub fn set_share_wire(&mut self, wire: Option<bool>) {
+        self.share_wire = wire;
+    }
+
+    /// Returns `true` while this hob pulls that wire low.
+    pub fn pulls_share_wire(&self) -> bool {
+        self.pulls_share_wire
     }
 
     /// Lets minutes pass at once for the firmware's times of cooking.

@@ -95,6 +95,8 @@ pub struct Pins {
     pub reference_ratio: f64,
     /// Buttons of the panel that are pressed, on/off, plus, minus, timer.
     pub pressed: [bool; 4],
+    /// The wire to a second zone is there with its resistor, and that zone does not pull it.
+    pub share_wire_high: bool,
     /// Added to every pair's codes: offsets of the two sensors.
     pub offset: Pair,
     /// Added to what the current sensor shows, in ampere: a test's surge.
@@ -121,6 +123,7 @@ impl Pins {
             vdda_v: NOMINAL_VDDA_V,
             reference_ratio: 1.0,
             pressed: [false; 4],
+            share_wire_high: false,
             offset: Pair::default(),
             surge_a: 0.0,
             fed: VecDeque::new(),
@@ -168,14 +171,19 @@ impl Pins {
         code.round() as u32
     }
 
-    /// Levels of a port, 0 for A, of which the panel's lines are high where a pull-up holds them and no button closes them.
-    pub fn levels(&self, port: u8, pulled_up: u32) -> u32 {
+    /// Levels of a port, 0 for A, of which the panel's lines are high where a pull-up holds them and no button closes them, and the
+    /// wire to a second zone where neither zone pulls it: `released` are the lines that the program does not.
+    pub fn levels(&self, port: u8, pulled_up: u32, released: u32) -> u32 {
         let buttons = BUTTONS.iter().zip(self.pressed);
         let closed: u32 = buttons
             .filter(|(pin, pressed)| *pressed && pin.port == port)
             .map(|(pin, _)| 1 << pin.line)
             .sum();
-        pulled_up & !closed
+        let wire = match board::SHARE_WIRE_PIN {
+            pin if pin.port == port && self.share_wire_high => (1 << pin.line) & released,
+            _ => 0,
+        };
+        pulled_up & !closed | wire
     }
 
     /// What the bridge does.

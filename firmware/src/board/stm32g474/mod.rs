@@ -10,7 +10,7 @@
 //! PA11, PA12  USB                 vendor bulk interface
 //! ```
 //!
-//! Thermistors, fan, panel and LED are where the board's file says.
+//! Thermistors, fan, panel, LED and the wire to a second zone are where the board's file says.
 //!
 //! Coil voltage is ADC1 and current ADC2, so that the common data register holds them in the order
 //! of a [`ihd_shared::sampling::Pair`], and the DMA writes pairs.
@@ -30,6 +30,7 @@ pub mod safe_state;
 mod self_test;
 mod serial;
 mod service;
+mod share_wire;
 mod start;
 mod start_up;
 mod temperatures;

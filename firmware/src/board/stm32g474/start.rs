@@ -33,6 +33,7 @@ use super::panel::Panel;
 use super::pins::{low_output, of_board};
 use super::self_test::SelfTest;
 use super::service::{self, ChipServices};
+use super::share_wire::ShareWire;
 use super::temperatures::TemperatureAdc;
 use super::{registers, serial, usb};
 use crate::board::link::NoPort;
@@ -68,6 +69,7 @@ struct Board {
     temperatures: TemperatureAdc,
     fan: Output<'static>,
     panel: Panel,
+    share_wire: ShareWire,
 }
 
 #[cortex_m_rt::entry]
@@ -183,6 +185,7 @@ fn start(
         temperatures: TemperatureAdc::start(cycles::now()),
         fan: low_output(FAN_PIN),
         panel: Panel::new(),
+        share_wire: ShareWire::new(),
     };
     if let Ok(token) = nonvolatile_pages::keep(pages) {
         spawner.spawn(token);
@@ -334,6 +337,7 @@ impl Board {
             }
             self.fan.set_level(housekeeping.fan().into());
             self.panel.exchange(housekeeping, path);
+            self.share_wire.exchange(housekeeping, path);
         }
         let failed = self.self_test.after_block(housekeeping, blocks);
         if let Some(fault) = failed {

@@ -84,9 +84,13 @@ impl Control {
         }
         match pot {
             Pot::Ferromagnetic | Pot::Small => {
-                self.parts.pot = pot;
+                (self.parts.pot, self.parts.heated_hz) = (pot, pwm::HIGHEST_HZ);
                 self.enter(ControlState::Heating(Heating::new(status.now_ms)));
-                Action::Drive(Drive::switching(pwm::HIGHEST_HZ))
+                if self.parts.supply_share.claim() {
+                    Action::Drive(Drive::switching(pwm::HIGHEST_HZ))
+                } else {
+                    Action::Drive(Drive::OFF)
+                }
             }
             pot => self.lose_pot(pot, status),
         }

@@ -26,6 +26,12 @@ impl Control {
 
 /// Requests.
 impl Control {
+    /// Takes the level of the wire to the other zone of a shared supply, every millisecond or more often; returns `true` if this
+    /// zone pulls it low from now on.
+    pub fn share_supply(&mut self, is_high: bool, now_ms: u32) -> bool {
+        self.parts.supply_share.exchange(is_high, now_ms)
+    }
+
     /// Sets the longest wait for a pot, in seconds.
     pub fn set_give_up_s(&mut self, give_up_s: u16) {
         self.give_up_ms = u32::from(give_up_s) * 1_000;

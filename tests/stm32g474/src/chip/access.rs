@@ -61,7 +61,11 @@ impl Chip {
             .file
             .word(reg::gpioa::pupdr::ADDRESS + PORT_BYTES * u32::from(port));
         let pulled_up = (0..16).filter(|pin| pulls >> (2 * pin) & 3 == 1);
-        self.pins.levels(port, pulled_up.map(|pin| 1 << pin).sum())
+        let released = self
+            .file
+            .word(reg::gpioa::odr::ADDRESS + PORT_BYTES * u32::from(port));
+        let pulled_up = pulled_up.map(|pin| 1 << pin).sum();
+        self.pins.levels(port, pulled_up, released)
     }
 
     /// Level that the program drives a pin to.
