@@ -163,7 +163,7 @@ limits! {
     /// For so long, once in `BURST_PERIOD_MS`, a zone that heats alone lets go of the wire of a shared supply: the other one may pull it.
     OFFER_MS: u16 = 5, "ms";
     /// For so long after its last pull the other zone of a shared supply counts as on.
-    PARTNER_SILENT_MS: u16 = 3_000, "ms";
+    OTHER_ZONE_SILENT_MS: u16 = 3_000, "ms";
     /// Blocks lost in a half-cycle that are still an interrupt that came late.
     LOST_BLOCKS: u32 = 2, "blocks";
     /// Pairs at the end of the converters' range in a block that mean a broken sensor and not a spike.

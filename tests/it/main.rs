@@ -29,6 +29,7 @@ mod link_windows;
 mod protocol_doc;
 mod regression;
 mod replay;
+mod scenario_table;
 mod scenarios;
 mod service;
 mod session_file;

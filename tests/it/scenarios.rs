@@ -5,11 +5,12 @@ use std::fs;
 use std::path::PathBuf;
 
 use ihd_shared::board;
-use ihd_sim::scenario::limits::{LimitCheck, MeasuredValues, three_digits};
+use ihd_sim::scenario::limits::LimitCheck;
 use ihd_sim::scenario::run::run;
 use ihd_sim::scenario::variants::{self, Variant};
 
 use super::document;
+use super::scenario_table::{self, FileLimits};
 
 /// Two kinds of tests for each family: the first variant of each file, and all of them with the family's table.
 macro_rules! scenarios {
@@ -83,27 +84,17 @@ fn first_variant(name: &str) {
 }
 
 fn all_variants(folder: &str, family: &str, files: &[&str]) {
-    let mut table = String::from(
-        "| scenario | runs | what | allowed | measured | |\n|---|---:|---|---|---|---|\n",
-    );
+    let mut table = scenario_table::head("scenario");
     let mut all_missed = Vec::new();
     for file in files {
         let variants = read(&format!("{folder}/{family}/{file}"));
-        let mut rows: Vec<Row> = Vec::new();
+        let mut limits = FileLimits::default();
         for variant in &variants {
             let checked = check(variant);
             all_missed.extend(missed(file, &variant.name, &checked));
-            checked
-                .into_iter()
-                .for_each(|checked| add(&mut rows, checked));
+            checked.into_iter().for_each(|checked| limits.add(checked));
         }
-        for (n, row) in rows.iter().enumerate() {
-            let head = match n {
-                0 => format!("{} | {}", variants[0].scenario.file.title, variants.len()),
-                _ => " | ".to_owned(),
-            };
-            table += &format!("| {head} | {} |\n", row.text());
-        }
+        table += &limits.lines(&variants[0].scenario.file.title, variants.len());
     }
     assert!(
         all_missed.is_empty(),
@@ -113,45 +104,6 @@ fn all_variants(folder: &str, family: &str, files: &[&str]) {
     let mark = format!("scenarios {family}");
     let command = "cargo nextest run -p ihd-tests --ignore-default-filter scenarios";
     document::hold("control.md", &mark, &table, command);
-}
-
-/// A limit over all variants that have it in the same form.
-struct Row {
-    name: &'static str,
-    allowed: String,
-    numbers: Vec<f64>,
-    words: BTreeSet<String>,
-}
-
-fn add(rows: &mut Vec<Row>, checked: LimitCheck) {
-    let same = |row: &Row| row.name == checked.name && row.allowed == checked.allowed;
-    let at = rows.iter().position(same).unwrap_or_else(|| {
-        rows.push(Row {
-            name: checked.name,
-            allowed: checked.allowed.clone(),
-            numbers: Vec::new(),
-            words: BTreeSet::new(),
-        });
-        rows.len() - 1
-    });
-    match checked.measured {
-        MeasuredValues::Numbers(numbers) => rows[at].numbers.extend(numbers),
-        MeasuredValues::Word(word) => drop(rows[at].words.insert(word)),
-    }
-}
-
-impl Row {
-    fn text(&self) -> String {
-        let words: Vec<&str> = self.words.iter().map(String::as_str).collect();
-        let least = self.numbers.iter().copied().reduce(f64::min);
-        let most = self.numbers.iter().copied().reduce(f64::max);
-        let measured = match (least.map(three_digits), most.map(three_digits)) {
-            (Some(least), Some(most)) if least == most => least,
-            (Some(least), Some(most)) => format!("{least} to {most}"),
-            _ => words.join(", "),
-        };
-        format!("{} | {} | {measured} | ", self.name, self.allowed)
-    }
 }
 
 #[test]

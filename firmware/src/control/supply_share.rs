@@ -10,7 +10,7 @@
 
 use ihd_shared::hob::RATED_POWER_W;
 
-use crate::limits::{BURST_PERIOD_MS, BURST_POWER_W, OFFER_MS, PARTNER_SILENT_MS};
+use crate::limits::{BURST_PERIOD_MS, BURST_POWER_W, OFFER_MS, OTHER_ZONE_SILENT_MS};
 
 /// Readings of a high wire in a row, one a millisecond, after which it is there.
 const FITTED_READINGS: u8 = 100;
@@ -85,15 +85,15 @@ impl SupplyShare {
             self.high = if is_high { self.high + 1 } else { 0 };
             return false;
         }
-        let others = !self.pulls && !is_high;
-        self.silent_ms = if others {
+        let other_pulls = !self.pulls && !is_high;
+        self.silent_ms = if other_pulls {
             0
         } else {
             self.silent_ms.saturating_add(elapsed_ms)
         };
         self.claim = match self.claim {
             // It has taken what was offered.
-            Claim::Held if others => Claim::None,
+            Claim::Held if other_pulls => Claim::None,
             Claim::Wanted if !self.pulls && is_high => {
                 // What it has just got it does not offer.
                 self.offer_ms = self.counted_ms + FIRST_OFFER_MS;
@@ -101,7 +101,7 @@ impl SupplyShare {
             }
             claim => claim,
         };
-        self.count(elapsed_ms, self.pulls || others);
+        self.count(elapsed_ms, self.pulls || other_pulls);
         // The other zone cannot say that it waits but by pulling a wire that is free.
         let offers = !self.is_shared()
             && (self.offer_ms..self.offer_ms + OFFER_MS).contains(&self.counted_ms);
@@ -156,7 +156,7 @@ impl SupplyShare {
 
     /// Returns `true` while the other zone is on.
     pub fn is_shared(&self) -> bool {
-        self.is_fitted() && self.silent_ms < PARTNER_SILENT_MS
+        self.is_fitted() && self.silent_ms < OTHER_ZONE_SILENT_MS
     }
 
     /// Power of a burst while the supply is shared, in watt.
@@ -267,15 +267,15 @@ mod tests {
         wire.step();
         for ms in 0..60_000_u32 {
             let zone = &mut wire.zones[0];
-            let others = ms % 500 < 250;
-            if others {
+            let other_pulls = ms % 500 < 250;
+            if other_pulls {
                 zone.release();
             } else if ms % 500 < 375 {
                 zone.claim();
             } else {
                 zone.release();
             }
-            let is_high = !others && !zone.pulls;
+            let is_high = !other_pulls && !zone.pulls;
             wire.now_ms = wire.now_ms.wrapping_add(1);
             zone.exchange(is_high, wire.now_ms);
             if ms == 5_500 {

@@ -1,6 +1,6 @@
 //! Results of windows, and the learner's state.
 
-use rusqlite::{Connection, OptionalExtension, Row, params};
+use rusqlite::{Connection, OptionalExtension, Row, Transaction, params};
 use serde::Serialize;
 
 use super::text::printable;
@@ -110,6 +110,23 @@ const COLUMNS: &str = "
 SELECT results.id, devices.name, boot, seq, session, half_cycle, at_ms, f_sw_hz, i_crest_a, power_w,
     r_ohm, l_h, sigma_r_pct, sigma_l_pct, pass, why, changed_lookup, iterations
 FROM results JOIN devices ON devices.id = results.device";
+
+/// Stores a device's state in a table that has one row for each device.
+fn put_state(
+    change: &Transaction<'_>,
+    table: &str,
+    device: DeviceId,
+    at_ms: i64,
+    state: &[u8],
+) -> rusqlite::Result<()> {
+    let sql = format!(
+        "INSERT INTO {table} (device, at_ms, state) VALUES (?1, ?2, ?3)
+         ON CONFLICT (device) DO UPDATE SET at_ms = excluded.at_ms, state = excluded.state"
+    );
+    change
+        .execute(&sql, params![device, at_ms, state])
+        .map(drop)
+}
 
 /// Returns the results that match a filter, newest first.
 pub(crate) fn rows(
@@ -291,11 +308,7 @@ impl Store {
             ];
             let id = change.query_row(INSERT, values, |row| row.get(0))?;
             if let Some(state) = learner_state {
-                change.execute(
-                    "INSERT INTO learned (device, at_ms, state) VALUES (?1, ?2, ?3)
-                     ON CONFLICT (device) DO UPDATE SET at_ms = excluded.at_ms, state = excluded.state",
-                    params![device, at_ms, state],
-                )?;
+                put_state(change, "learned", device, at_ms, state)?;
             }
             Ok(id)
         })?;
@@ -332,12 +345,7 @@ impl Store {
     pub fn keep_alloys(&mut self, device: DeviceId, state: &[u8]) -> Result<(), StoreError> {
         let at_ms = self.now();
         self.change("storing alloys", |change| {
-            change.execute(
-                "INSERT INTO alloys (device, at_ms, state) VALUES (?1, ?2, ?3)
-                 ON CONFLICT (device) DO UPDATE SET at_ms = excluded.at_ms, state = excluded.state",
-                params![device, at_ms, state],
-            )?;
-            Ok(())
+            put_state(change, "alloys", device, at_ms, state)
         })
     }
 

@@ -1,6 +1,7 @@
 //! Effect of heat on the metals of pots that were seen before. Steels of one class differ; water that boils says how hot the base is,
 //! and so by how much.
 
+use ihd_signal::noise::median;
 use serde::{Deserialize, Serialize};
 
 use crate::metal::MetalLaw;
@@ -69,10 +70,7 @@ impl KnownAlloy {
 
     /// Median of the effects, of which there is one at least.
     fn median(&self) -> f64 {
-        let mut sorted = self.effects.clone();
-        sorted.sort_by(f64::total_cmp);
-        let middle = |k: usize| sorted.get(k).copied().unwrap_or(1.0);
-        0.5 * (middle(sorted.len() / 2) + middle(sorted.len().saturating_sub(1) / 2))
+        median(&mut self.effects.clone()).unwrap_or(1.0)
     }
 }
 

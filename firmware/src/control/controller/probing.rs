@@ -39,11 +39,16 @@ impl Control {
     /// Begins a pot probe.
     pub(super) fn probe(&mut self, status: &SamplingStatus) -> Action {
         self.parts.restart.started(status.now_ms);
+        self.doubtful = None;
+        self.begin_probe(PotProbe::FIRST, status)
+    }
+
+    /// Lets the bridge switch for a probe: the time without a judgement counts from now.
+    fn begin_probe(&mut self, probe: PotProbe, status: &SamplingStatus) -> Action {
         if let Some(judged_ms) = self.state.judged_ms() {
             *judged_ms = status.now_ms;
         }
-        self.doubtful = None;
-        Action::ProbePot(PotProbe::FIRST)
+        Action::ProbePot(probe)
     }
 
     /// Judges a pot probe. What may be a sheet is probed a second time.
@@ -76,10 +81,7 @@ impl Control {
             }
             self.doubtful = FirstProbe::doubtful(summary, pot);
             if self.doubtful.is_some() {
-                if let Some(judged_ms) = self.state.judged_ms() {
-                    *judged_ms = status.now_ms;
-                }
-                return Action::ProbePot(PotProbe::SECOND);
+                return self.begin_probe(PotProbe::SECOND, status);
             }
         }
         match pot {

@@ -14,7 +14,7 @@ mod number;
 pub mod record;
 pub mod run;
 pub mod script;
-mod summary;
+pub mod summary;
 mod surroundings;
 #[cfg(test)]
 mod tests;

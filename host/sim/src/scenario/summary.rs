@@ -24,7 +24,7 @@ const BURSTS_OVER_S: f64 = 2e-3 * BURST_PERIOD_MS as f64;
 
 /// Kind of an event with respect to the power.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Kind {
+pub enum Kind {
     /// Power requested, in watt.
     Power(u16),
     /// Change of mains or pot.
@@ -35,9 +35,11 @@ pub(super) enum Kind {
 
 /// Event with its time in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Mark {
-    pub(super) at_s: f64,
-    pub(super) kind: Kind,
+pub struct Mark {
+    /// Time in seconds.
+    pub at_s: f64,
+    /// Its kind.
+    pub kind: Kind,
 }
 
 /// Half-cycles within a time, including their ends.
@@ -96,7 +98,7 @@ fn error_pct(span: &[TrueHalfCycle], to_s: f64, asked_w: f64) -> Option<f64> {
 }
 
 /// Computes the summary, except for the fields that only the run knows.
-pub(super) fn of(half_cycles: &[TrueHalfCycle], marks: &[Mark], duration_s: f64) -> Summary {
+pub fn of(half_cycles: &[TrueHalfCycle], marks: &[Mark], duration_s: f64) -> Summary {
     let (mut steps, mut recoveries) = (Vec::new(), Vec::new());
     let mut asked_w = 0.0;
     for (n, mark) in marks.iter().enumerate() {

@@ -77,17 +77,18 @@ const PRELOADED: [&[u32]; 2] = [
         hrtim_tima::rsta1r::ADDRESS,
         hrtim_tima::dtar::ADDRESS,
     ],
-    &[hrtim_timb::perbr::ADDRESS],
+    &[hrtim_timb::perbr::ADDRESS, hrtim_timb::cmp3br::ADDRESS],
 ];
 
 impl Hrtim {
-    /// The next moment at which timer B rolls over, which triggers the ADCs if HRTIM_ADC1R says so.
+    /// The next moment at which timer B triggers the ADCs, as HRTIM_ADC1R says: at its compare 3.
     pub fn next_trigger(&self, file: &RegisterFile, now: Ticks) -> Option<Ticks> {
-        let on = self.b.running && self.b.period > 0 && file.is(hrtim_common::adc1r::AD1TBPER);
+        let on = self.b.running && self.b.period > 0 && file.is(hrtim_common::adc1r::AD1TBC3);
         on.then(|| {
-            let elapsed = now.saturating_sub(self.b.started);
-            let periods = elapsed / Ticks::from(self.b.period) + 1;
-            self.b.started + periods * Ticks::from(self.b.period)
+            let compare = Ticks::from(self.in_force(1, hrtim_timb::cmp3br::ADDRESS));
+            let period = Ticks::from(self.b.period);
+            let elapsed = (now + period).saturating_sub(self.b.started + compare);
+            self.b.started + compare + elapsed / period * period
         })
     }
 
@@ -252,7 +253,8 @@ impl Hrtim {
             }
             hrtim_tima::perar::ADDRESS
             | hrtim_tima::cmp1ar::ADDRESS
-            | hrtim_timb::perbr::ADDRESS => {
+            | hrtim_timb::perbr::ADDRESS
+            | hrtim_timb::cmp3br::ADDRESS => {
                 // RM0440, 27.3.4, table "Timer period and compare min and max values": prescaler 2.
                 if !(0x60..=0xFFDF).contains(&value) {
                     log.broken(format!(

@@ -3,6 +3,8 @@
 mod board;
 mod debug_probe;
 mod doctor;
+#[path = "../../../it/document.rs"]
+mod document;
 mod heating;
 mod link;
 mod lock_out;
@@ -11,6 +13,9 @@ mod lookup;
 mod memory;
 mod panel;
 mod protection;
+#[path = "../../../it/scenario_table.rs"]
+mod scenario_table;
+mod scenarios;
 mod self_test;
 mod service;
 mod start;

@@ -170,7 +170,7 @@ fn sampling_that_stops_opens_the_bridge_in_hardware() {
     type Cause = fn(&mut Machine);
     let causes: [(&str, Cause); 3] = [
         ("no triggers", |machine| {
-            clear(machine, hrtim_common::adc1r::AD1TBPER)
+            clear(machine, hrtim_common::adc1r::AD1TBC3)
         }),
         ("DMA stopped", |machine| clear(machine, dma1::ccr1::EN)),
         // NVIC_ICER0: DMA1's first channel is interrupt 11.

@@ -15,6 +15,9 @@ const PRESCALER: u8 = 2;
 const DEAD_TIME_STEPS: u16 = (DEAD_TIME_NS * CORE_MHZ).div_ceil(1_000) as u16;
 const _: () = assert!(DEAD_TIME_STEPS > 0 && DEAD_TIME_STEPS < 512);
 
+/// Least value of a compare register (HRTIM, "Timer period and compare min and max values"), in ticks: 70 ns.
+const TRIGGER_TICKS: u16 = 0x60;
+
 /// Value of TIMxREP: one less than the periods between two repetition events. 61 of the sampling timer
 /// are as long as 3 of the bridge's, so both timers' come at the same tick, for ever.
 const REPETITION: [(usize, u8); 2] = [
@@ -84,6 +87,11 @@ pub fn prepare_timers(periods: Periods) {
         }
     });
     preload(periods, periods.half());
+    // HRTIM_CMP3BR.
+    hrtim
+        .tim(SAMPLING)
+        .cmp(2)
+        .write(|w| w.set_cmp(TRIGGER_TICKS));
     // HRTIM_CR2: from preload to active, now; the timers stand still.
     hrtim.cr2().write(|w| {
         w.set_tswu(BRIDGE, true);
@@ -99,11 +107,12 @@ pub fn prepare_timers(periods: Periods) {
     });
     sampling_watchdog::start();
     faults::start();
-    // HRTIM_ADC1R: trigger 1 on the sampling timer's period.
-    hrtim.adc1r(0).write(|w| w.set_adctper(SAMPLING, true));
+    // HRTIM_ADC1R: trigger 1 at the begin of the sampling timer's period. Its end would be a pair later than the soft limits
+    // take the one behind a turn-off for.
+    hrtim.adc1r(0).write(|w| w.set_adctc3(SAMPLING, true));
 }
 
-/// HRTIM_MCR: both counters in one write, once the ADCs wait for their triggers: then the 61st pair of a
+/// HRTIM_MCR: both counters in one write, once the ADCs wait for their triggers: then the first pair of a
 /// block is taken at the repetition event, and new periods begin with a block.
 pub fn run_timers() {
     pac::HRTIM1.mcr().modify(|w| {
