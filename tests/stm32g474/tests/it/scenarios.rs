@@ -6,6 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use ihd_link::{Client, DeviceEvent};
+use ihd_shared::board;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_sim::adc::SimulatedAdc;
@@ -268,8 +269,9 @@ fn run(scenario: &Scenario) -> Record {
     run.finish(duration_s)
 }
 
+/// Variants of a file, by its path in tests/ without ending.
 fn read(file: &str) -> Vec<Variant> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let path = folder.join(file).with_extension("toml");
     variants::read(&path).unwrap_or_else(|e| panic!("{file}: {e}"))
 }
@@ -293,7 +295,7 @@ fn check(file: &str, variants: &[Variant], missed: &mut Vec<String>) -> FileLimi
 fn all_variants(family: &str, files: &[&str]) {
     let (mut table, mut missed) = (scenario_table::head("on the image"), Vec::new());
     for file in files {
-        let file = format!("{family}/{file}");
+        let file = format!("scenarios/{family}/{file}");
         let variants = read(&file);
         let limits = check(&file, &variants, &mut missed);
         table += &limits.lines(&variants[0].scenario.file.title, variants.len());
@@ -310,9 +312,16 @@ fn all_variants(family: &str, files: &[&str]) {
 
 #[test]
 fn the_image_holds_the_librarys_limits() {
+    let files = match board::NAME {
+        "reference" => {
+            ["lift/shift", "objects/smallest", "sags/dip"].map(|file| format!("scenarios/{file}"))
+        }
+        // Its own ones.
+        name => ["mains", "rating", "small"].map(|file| format!("boards/{name}/{file}")),
+    };
     let mut missed = Vec::new();
-    for file in ["lift/shift", "objects/smallest", "sags/dip"] {
-        check(file, &read(file)[..1], &mut missed);
+    for file in files {
+        check(&file, &read(&file)[..1], &mut missed);
     }
     assert!(missed.is_empty(), "limits missed:\n{}", missed.join("\n"));
 }
@@ -321,7 +330,7 @@ fn the_image_holds_the_librarys_limits() {
 /// and the soft limit then acts where nothing is wrong.
 #[test]
 fn the_pair_behind_a_turn_off_is_the_librarys() {
-    let variant = read("pots/places").swap_remove(0);
+    let variant = read("scenarios/pots/places").swap_remove(0);
     let mut hob = SimHob::new(&variant.scenario.file.hob());
     hob.panel(PanelEvent::Level(7));
     while hob.t_s() < 0.6 {
