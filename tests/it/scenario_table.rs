@@ -1,17 +1,78 @@
-//! Table of scenarios: each limit of a file with what its runs showed. Tests of other packages include this file by its path.
+//! Scenarios of tests/ against the limits in their files, with a table of what came of them. Tests of other packages include this file by
+//! its path.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 
 use ihd_sim::scenario::limits::{LimitCheck, MeasuredValues, three_digits};
+use ihd_sim::scenario::record::Record;
+use ihd_sim::scenario::variants::{self, Variant};
 
-/// Head of the table, with the name of its first column.
-pub fn head(first: &str) -> String {
-    format!("| {first} | runs | what | allowed | measured | |\n|---|---:|---|---|---|---|\n")
+/// Variants of a file, by its path in tests/ without ending.
+pub fn read(name: &str) -> Vec<Variant> {
+    let above = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
+    let folder = above
+        .map(|folder| folder.join("tests"))
+        .find(|folder| folder.join("scenarios").is_dir());
+    let path = folder.expect("tests/scenarios").join(name);
+    variants::read(&path.with_extension("toml")).unwrap_or_else(|e| panic!("{name}: {e}"))
+}
+
+/// Limits of all files that were run.
+pub struct ScenarioTable<R> {
+    run: R,
+    text: String,
+    /// Lines of limits that were missed.
+    missed: Vec<String>,
+}
+
+impl<R: Fn(&Variant) -> Record> ScenarioTable<R> {
+    /// Begins with the name of the first column, and what runs a variant.
+    pub fn new(first: &str, run: R) -> Self {
+        let text = format!(
+            "| {first} | runs | what | allowed | measured | |\n|---|---:|---|---|---|---|\n"
+        );
+        Self {
+            run,
+            text,
+            missed: Vec::new(),
+        }
+    }
+
+    /// Runs variants of a file.
+    ///
+    /// # Panics
+    /// If one has no limits.
+    pub fn run(&mut self, file: &str, variants: &[Variant]) {
+        let mut limits = FileLimits::default();
+        for variant in variants {
+            let name = &variant.name;
+            let checked = variant.scenario.file.limits.check(&(self.run)(variant));
+            assert!(!checked.is_empty(), "{name}: no [limits]");
+            for checked in checked {
+                if !checked.ok {
+                    self.missed.push(format!("{file} {name}: {checked}"));
+                }
+                limits.add(checked);
+            }
+        }
+        self.text += &limits.lines(&variants[0].scenario.file.title, variants.len());
+    }
+
+    /// Returns the table.
+    ///
+    /// # Panics
+    /// If a limit was missed.
+    pub fn finish(self) -> String {
+        let missed = self.missed;
+        assert!(missed.is_empty(), "limits missed:\n{}", missed.join("\n"));
+        self.text
+    }
 }
 
 /// Limits of a file's runs.
 #[derive(Default)]
-pub struct FileLimits(Vec<Row>);
+struct FileLimits(Vec<Row>);
 
 /// A limit over all variants that have it in the same form.
 struct Row {
@@ -23,7 +84,7 @@ struct Row {
 
 impl FileLimits {
     /// Takes a limit of a run.
-    pub fn add(&mut self, checked: LimitCheck) {
+    fn add(&mut self, checked: LimitCheck) {
         let rows = &mut self.0;
         let same = |row: &Row| row.name == checked.name && row.allowed == checked.allowed;
         let at = rows.iter().position(same).unwrap_or_else(|| {
@@ -42,7 +103,7 @@ impl FileLimits {
     }
 
     /// Lines of the table.
-    pub fn lines(&self, title: &str, runs: usize) -> String {
+    fn lines(&self, title: &str, runs: usize) -> String {
         let line = |(n, row): (usize, &Row)| match n {
             0 => format!("| {title} | {runs} | {} |\n", row.text()),
             _ => format!("|  |  | {} |\n", row.text()),

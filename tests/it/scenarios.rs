@@ -5,12 +5,12 @@ use std::fs;
 use std::path::PathBuf;
 
 use ihd_shared::board;
-use ihd_sim::scenario::limits::LimitCheck;
+use ihd_sim::scenario::record::Record;
 use ihd_sim::scenario::run::run;
-use ihd_sim::scenario::variants::{self, Variant};
+use ihd_sim::scenario::variants::Variant;
 
 use super::document;
-use super::scenario_table::{self, FileLimits};
+use super::scenario_table::{ScenarioTable, read};
 
 /// Two kinds of tests for each family: the first variant of each file, and all of them with the family's table.
 macro_rules! scenarios {
@@ -55,55 +55,26 @@ fn directory(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 
-/// Variants of a file, by its path in tests/ without ending.
-fn read(name: &str) -> Vec<Variant> {
-    let path = directory(name).with_extension("toml");
-    variants::read(&path).unwrap_or_else(|e| panic!("{name}: {e}"))
-}
-
-/// Limits of a variant, each with what its run showed.
-fn check(variant: &Variant) -> Vec<LimitCheck> {
-    let name = &variant.name;
-    let record = run(&variant.scenario, |_| ()).unwrap_or_else(|e| panic!("{name}: {e}"));
-    let checked = variant.scenario.file.limits.check(&record);
-    assert!(!checked.is_empty(), "{name}: no [limits]");
-    checked
-}
-
-/// Lines of limits that a variant missed.
-fn missed(file: &str, variant: &str, checked: &[LimitCheck]) -> Vec<String> {
-    let missed = checked.iter().filter(|checked| !checked.ok);
-    let line = |checked| format!("{file} {variant}: {checked}");
-    missed.map(line).collect()
+/// Runs a variant with the firmware's library.
+fn run_library(variant: &Variant) -> Record {
+    run(&variant.scenario, |_| ()).unwrap_or_else(|e| panic!("{}: {e}", variant.name))
 }
 
 fn first_variant(name: &str) {
-    let first = &read(name)[0];
-    let missed = missed(name, &first.name, &check(first));
-    assert!(missed.is_empty(), "limits missed:\n{}", missed.join("\n"));
+    let mut table = ScenarioTable::new("scenario", run_library);
+    table.run(name, &read(name)[..1]);
+    table.finish();
 }
 
 fn all_variants(folder: &str, family: &str, files: &[&str]) {
-    let mut table = scenario_table::head("scenario");
-    let mut all_missed = Vec::new();
+    let mut table = ScenarioTable::new("scenario", run_library);
     for file in files {
-        let variants = read(&format!("{folder}/{family}/{file}"));
-        let mut limits = FileLimits::default();
-        for variant in &variants {
-            let checked = check(variant);
-            all_missed.extend(missed(file, &variant.name, &checked));
-            checked.into_iter().for_each(|checked| limits.add(checked));
-        }
-        table += &limits.lines(&variants[0].scenario.file.title, variants.len());
+        let name = format!("{folder}/{family}/{file}");
+        table.run(&name, &read(&name));
     }
-    assert!(
-        all_missed.is_empty(),
-        "limits missed:\n{}",
-        all_missed.join("\n")
-    );
     let mark = format!("scenarios {family}");
     let command = "cargo nextest run -p ihd-tests --ignore-default-filter scenarios";
-    document::hold("control.md", &mark, &table, command);
+    document::hold("control.md", &mark, &table.finish(), command);
 }
 
 #[test]

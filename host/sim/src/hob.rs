@@ -30,9 +30,8 @@ use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 use ihd_signal::truth::{MapTruth, Truth};
 
 use board::{SimulatedBoard, comparator_a, reference};
-pub use config::HobConfig;
+pub use config::{BENCH_TRANSFORMER_V, HobConfig};
 
-use super::adc::SimulatedAdc;
 use super::injection::{InjectionKind, Injections};
 use super::inverter::InverterError;
 use super::mains::SimulatedMains;
@@ -57,9 +56,6 @@ const TRIP_DELAY_S: f64 = TRIP_DELAY_NS as f64 * 1e-9;
 
 /// Time without feeding after which the board's watchdog resets, in seconds.
 const WATCHDOG_S: f64 = 60e-3;
-
-/// Secondary of the transformer that feeds the mains' detector on a bench, in volt rms.
-pub const BENCH_TRANSFORMER_V: f64 = 24.0;
 
 /// FLASH_OPTR of a board with correct option bytes: as delivered (RM0440, "FLASH option register": 0xFFEF F8AA) with SRAM_PE, bit
 /// 24, cleared and BOR_LEV, bits 10:8, at 4.
@@ -133,21 +129,9 @@ impl SimHob {
     /// If there is no model of the pot, or no such parts of the supply.
     pub fn assemble(config: &HobConfig) -> Result<Self, InverterError> {
         let boot_id = config.boot.unwrap_or(config.seed as u32);
-        let adc = SimulatedAdc::new(config.noise, config.seed).with_filter(config.anti_alias_hz);
-        let mains_v = match config.bench_supply_v {
-            Some(_) => BENCH_TRANSFORMER_V,
-            None => config.mains_v,
-        };
-        let mains = SimulatedMains::new(config.mains_hz).changed(0.0, mains_v, config.mains_hz);
-        let mut plant = Plant::assemble(mains, config.pot, config.load, config.supply, adc)?;
+        let mut plant = config.plant()?;
         let trip_a = comparator_a(SupplyScale::NOMINAL, &Injections::default());
         plant.set_comparator(trip_a, TRIP_DELAY_S);
-        if let Some(supply_v) = config.bench_supply_v {
-            plant.set_bench_supply(supply_v);
-        }
-        if config.warming {
-            plant.enable_warming(config.contents, config.glass_contact);
-        }
         Ok(Self {
             plant,
             drive: (Drive::OFF, soft_start::WHOLE),

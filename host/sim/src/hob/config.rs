@@ -4,13 +4,19 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use ihd_shared::board;
 
-use crate::adc::ConverterNoise;
+use crate::adc::{ConverterNoise, SimulatedAdc};
 use crate::behavioural::PotKind;
 use crate::contents::PotContents;
+use crate::inverter::InverterError;
 use crate::inverter::supply::SupplyParts;
+use crate::mains::SimulatedMains;
+use crate::plant::Plant;
 use crate::pot::SimulatedPot;
 use crate::recording::settings::LoadKind;
 use crate::temperatures::AMBIENT_C;
+
+/// Secondary of the transformer that feeds the mains' detector on a bench, in volt rms.
+pub const BENCH_TRANSFORMER_V: f64 = 24.0;
 
 /// Configuration of a simulated hob.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,7 +28,7 @@ pub struct HobConfig {
     /// Parts between mains and bridge.
     pub supply: SupplyParts,
     /// DC voltage of a bench supply that feeds the bus instead of the mains, in volt, as in docs/bring-up.md; the mains'
-    /// detector then sees a transformer of [`super::BENCH_TRANSFORMER_V`].
+    /// detector then sees a transformer of [`BENCH_TRANSFORMER_V`].
     pub bench_supply_v: Option<f64>,
     /// Pot on the coil at the start.
     pub pot: SimulatedPot,
@@ -84,6 +90,27 @@ impl Default for HobConfig {
 }
 
 impl HobConfig {
+    /// Power stage of the hob, at a mains zero crossing.
+    ///
+    /// # Errors
+    /// If there is no model of the pot, or no such parts of the supply.
+    pub fn plant(&self) -> Result<Plant, InverterError> {
+        let adc = SimulatedAdc::new(self.noise, self.seed).with_filter(self.anti_alias_hz);
+        let mains_v = match self.bench_supply_v {
+            Some(_) => BENCH_TRANSFORMER_V,
+            None => self.mains_v,
+        };
+        let mains = SimulatedMains::new(self.mains_hz).changed(0.0, mains_v, self.mains_hz);
+        let mut plant = Plant::assemble(mains, self.pot, self.load, self.supply, adc)?;
+        if let Some(supply_v) = self.bench_supply_v {
+            plant.set_bench_supply(supply_v);
+        }
+        if self.warming {
+            plant.enable_warming(self.contents, self.glass_contact);
+        }
+        Ok(plant)
+    }
+
     /// Sets the boot number to the present time: in a process of its own, a host that stores the hob's data must distinguish this
     /// boot from the one before.
     pub fn with_unique_boot(self) -> Self {

@@ -18,6 +18,7 @@ mod scenario_table;
 mod scenarios;
 mod self_test;
 mod service;
+mod share_wire;
 mod start;
 mod supply;
 mod temperatures;

@@ -1,15 +1,13 @@
 //! Scenarios of tests/scenarios on the image as it is flashed, against the same limits as the library's: those whose events are power
-//! asked over the link, pots, mains and temperatures.
+//! asked over the link, pots and mains.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::time::Duration;
 
 use ihd_link::{Client, DeviceEvent};
 use ihd_shared::board;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{State, Telemetry};
-use ihd_sim::adc::SimulatedAdc;
 use ihd_sim::hob::{PanelEvent, SimHob};
 use ihd_sim::mains::SimulatedMains;
 use ihd_sim::meter::MeterReading;
@@ -19,11 +17,11 @@ use ihd_sim::scenario::file::{MainsField, Scenario};
 use ihd_sim::scenario::record::{FaultRecord, Record, TrueHalfCycle};
 use ihd_sim::scenario::summary::{self, Kind, Mark};
 use ihd_sim::scenario::timeline::{TimedChange, TimelineChange, timeline};
-use ihd_sim::scenario::variants::{self, Variant};
+use ihd_sim::scenario::variants::Variant;
 
 use crate::board::{Bench, IMAGE, assert_no_violations, connect};
 use crate::document;
-use crate::scenario_table::{self, FileLimits};
+use crate::scenario_table::{ScenarioTable, read};
 
 /// All variants of each family, with its table.
 macro_rules! scenarios {
@@ -85,12 +83,7 @@ impl ImageRun {
             })
             .collect();
         let plant = move || {
-            let adc =
-                SimulatedAdc::new(config.noise, config.seed).with_filter(config.anti_alias_hz);
-            let mains = SimulatedMains::new(config.mains_hz);
-            let mains = mains.changed(0.0, config.mains_v, config.mains_hz);
-            let mut plant = Plant::assemble(mains, config.pot, config.load, config.supply, adc)
-                .expect("a pot that has a model");
+            let mut plant = config.plant().expect("a pot that has a model");
             for pot in &pots {
                 plant.prepare(pot).expect("a pot that has a model");
             }
@@ -122,9 +115,7 @@ impl ImageRun {
 
     /// Time of the scenario, in seconds.
     fn now_s(&self) -> f64 {
-        let began_s = self.began_s;
-        self.bench
-            .with(move |machine| machine.chip().pins.plant.t_s() - began_s)
+        self.plant(|plant| plant.t_s()) - self.began_s
     }
 
     fn plant<R: Send + 'static>(&self, job: impl FnOnce(&mut Plant) -> R + Send + 'static) -> R {
@@ -253,8 +244,9 @@ impl ImageRun {
     }
 }
 
-/// Runs a scenario on the board.
-fn run(scenario: &Scenario) -> Record {
+/// Runs a variant on the board.
+fn run(variant: &Variant) -> Record {
+    let scenario = &variant.scenario;
     let events = timeline(scenario).expect("the library runs it too");
     let mut run = ImageRun::new(scenario, &events);
     let duration_s = scenario.file.duration_s;
@@ -269,45 +261,16 @@ fn run(scenario: &Scenario) -> Record {
     run.finish(duration_s)
 }
 
-/// Variants of a file, by its path in tests/ without ending.
-fn read(file: &str) -> Vec<Variant> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    let path = folder.join(file).with_extension("toml");
-    variants::read(&path).unwrap_or_else(|e| panic!("{file}: {e}"))
-}
-
-/// Runs variants of a file, and adds the limits that were missed.
-fn check(file: &str, variants: &[Variant], missed: &mut Vec<String>) -> FileLimits {
-    let mut limits = FileLimits::default();
-    for variant in variants {
-        let record = run(&variant.scenario);
-        for checked in variant.scenario.file.limits.check(&record) {
-            if !checked.ok {
-                missed.push(format!("{file} {}: {checked}", variant.name));
-            }
-            limits.add(checked);
-        }
-    }
-    limits
-}
-
 /// Runs a family; docs/control.md has what came of it.
 fn all_variants(family: &str, files: &[&str]) {
-    let (mut table, mut missed) = (scenario_table::head("on the image"), Vec::new());
+    let mut table = ScenarioTable::new("on the image", run);
     for file in files {
-        let file = format!("scenarios/{family}/{file}");
-        let variants = read(&file);
-        let limits = check(&file, &variants, &mut missed);
-        table += &limits.lines(&variants[0].scenario.file.title, variants.len());
+        let name = format!("scenarios/{family}/{file}");
+        table.run(&name, &read(&name));
     }
-    assert!(missed.is_empty(), "limits missed:\n{}", missed.join("\n"));
     let mark = format!("image {family}");
-    document::hold(
-        "control.md",
-        &mark,
-        &table,
-        "cargo xtask test --full --only board",
-    );
+    let command = "cargo xtask test --full --only board";
+    document::hold("control.md", &mark, &table.finish(), command);
 }
 
 #[test]
@@ -319,11 +282,11 @@ fn the_image_holds_the_librarys_limits() {
         // Its own ones.
         name => ["mains", "rating", "small"].map(|file| format!("boards/{name}/{file}")),
     };
-    let mut missed = Vec::new();
+    let mut table = ScenarioTable::new("on the image", run);
     for file in files {
-        check(&file, &read(&file)[..1], &mut missed);
+        table.run(&file, &read(&file)[..1]);
     }
-    assert!(missed.is_empty(), "limits missed:\n{}", missed.join("\n"));
+    table.finish();
 }
 
 /// The current at a turn-off is read from one pair of a block. A trigger of the ADCs that comes a pair late shows 2 A too little at 42 kHz,
