@@ -9,6 +9,9 @@ pub const FLASH_ADDRESS: u32 = 0x0800_0000;
 /// Bytes of the flash of an STM32G474xE.
 pub const FLASH_BYTES: u32 = 512 * 1024;
 
+/// The same in KiB, the unit of the chip's `FLASHSIZE` register.
+pub const FLASH_KIB: u16 = (FLASH_BYTES / 1024) as u16;
+
 /// Bytes of a page, the least that can be erased, with two banks (option byte DBANK = 1).
 pub const PAGE_BYTES: u32 = 2_048;
 

@@ -21,7 +21,7 @@ const BLOCK_CYCLES: f64 = 3.0 / 70e3 * 170e6;
 
 /// Subjects, in the order of the table, with the meaning of one count of each.
 #[rustfmt::skip]
-const SUBJECTS: [(&str, &str); 8] = [
+const SUBJECTS: [(&str, &str); 9] = [
     ("pair", "demodulating one sample pair"),
     ("boxcars", "both boxcars, per phasor pair"),
     ("ekf", "one EKF update, fixed point"),
@@ -29,6 +29,7 @@ const SUBJECTS: [(&str, &str); 8] = [
     ("block", "the whole sampling path, per block, window recorded"),
     ("block-at-crossing", "the same for the block with the zero crossing"),
     ("lookup", "one lookup, bilinear"),
+    ("search-step", "longest step of the search for a frequency"),
     ("window-chunk", "encoding one window chunk of 960 bytes"),
 ];
 

@@ -198,8 +198,7 @@ impl Control {
         }
     }
 
-    /// Takes a step of the search for a frequency, after each block: at most
-    /// [`crate::control::power::INSTRUCTIONS_PER_STEP`].
+    /// Takes a step of the search for a frequency, after each block (instructions: `search-step` in firmware/budget.toml).
     #[inline(never)]
     pub fn advance(&mut self, lookup: &RlLookup, status: &SamplingStatus) -> Action {
         let requested = status.requested;

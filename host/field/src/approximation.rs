@@ -207,7 +207,7 @@ pub fn time_step(f_hz: f64, i_a: f64, steps: usize) -> Result<Cost, FieldError> 
     ))
 }
 
-/// Resonance of a load with 1080 nF at several currents.
+/// Resonance of a load with the board's resonance capacitor at several currents.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resonance {
     /// Law of the load's metal.

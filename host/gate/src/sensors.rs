@@ -14,7 +14,7 @@ use crate::limits::{TOLERABLE_PCT, TOLERABLE_SIGMAS};
 const MODEL: f64 = 0.02;
 
 /// Standard deviation of the bridge's resistance in ohm: switches of hobs have 10 to 20 mohm, and the capture does not show it.
-const BRIDGE_R_OHM: f64 = 0.01;
+const BRIDGE_R_SIGMA_OHM: f64 = 0.01;
 
 /// Sampling rate in hertz from which the plateaus between edges have enough samples.
 const LEAST_RATE_HZ: f64 = 6e6;
@@ -131,7 +131,7 @@ impl CorrectionUncertainty {
         let lag_s = sensors.lag_s.value;
         Self {
             lag_sigma_s: sensors.lag_s.sigma.hypot(MODEL * lag_s),
-            bridge_s: BRIDGE_R_OHM * sensors.capacitance_f.value,
+            bridge_s: BRIDGE_R_SIGMA_OHM * sensors.capacitance_f.value,
             ambiguous_lag_s2: if sensors.told_apart {
                 0.0
             } else {

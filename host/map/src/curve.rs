@@ -26,7 +26,7 @@ const COMMON_SIGMA: [f64; 2] = [1.8e-4, 1.4e-4];
 const COMMON_REACH: f64 = 1.0;
 
 /// Range of switching frequencies in hertz, wider than that of any hob.
-const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
+pub(crate) const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
 
 /// R and L at one current, with independent errors.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -50,7 +50,7 @@ pub struct Hob {
     pub f_sw_min_hz: u32,
     /// Highest switching frequency, in hertz.
     pub f_sw_max_hz: u32,
-    /// Series resonance capacitor, in farad.
+    /// Capacitance that resonates with the load, in farad: the resonance capacitor, and the bus capacitor in series.
     pub resonance_capacitance_f: f64,
     /// Smallest ratio of switching to resonance frequency that the controller allows.
     pub resonance_margin: f64,

@@ -164,7 +164,8 @@ pub enum Reach {
 impl TrueLoad {
     /// Prepares the load of the simulated hob. `warm_c`: present temperature of a pot that warms up, in °C.
     ///
-    /// If there is no model of that pot.
+    /// # Errors
+    /// [`InverterError::Field`] if there is no model of that pot.
     pub fn new(
         kind: LoadKind,
         pot: &SimulatedPot,
@@ -205,7 +206,8 @@ impl TrueLoad {
     /// R and L over current at a frequency in hertz. A law takes no time, the field model half a second and four times that off
     /// centre.
     ///
-    /// If the model does not exist at that frequency.
+    /// # Errors
+    /// [`InverterError::Field`] if there is no model at that frequency.
     pub fn curve(&self, f_sw_hz: f64) -> Result<TrueCurve, InverterError> {
         match &self.prepared {
             PreparedLoad::Field(_) => self.waveform(f_sw_hz),

@@ -7,12 +7,15 @@ use cortex_m::Peripherals;
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m_semihosting::{debug, hprintln};
+use ihd_firmware::control::power::PowerControl;
 use ihd_firmware::estimate::ekf::{Ekf, Noise};
 use ihd_firmware::fixed::Complex;
 use ihd_firmware::link::housekeeping::Housekeeping;
+use ihd_firmware::sampling::half_cycle::{CurrentCrest, HalfCycle};
 use ihd_firmware::sampling::path::{AdcBlock, SamplingLock, SamplingPath};
 use ihd_firmware::sense::correlation::correlate_by;
 use ihd_firmware::sense::demodulator::{Demodulator, Phasors};
+use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
@@ -198,6 +201,7 @@ fn lookup_and_link() {
             black_box(lookup.interpolate(black_box(40_000 + 100 * k), black_box(150 * k)));
         }),
     );
+    report("search-step", longest_search_step(&lookup));
     let data = [0xA5; CHUNK_BYTES];
     let mut frame = [0; MAX_ENCODED];
     report(
@@ -214,4 +218,32 @@ fn lookup_and_link() {
     // Once per half-cycle below the sampling path: control on a summary.
     let hello = ours(ROLE_DEVICE, CAP_SIMULATED, 0, "", "");
     black_box(Housekeeping::new(hello));
+}
+
+/// Tenths of instructions of the longest step in searches for 100 to 2,000 W.
+fn longest_search_step(lookup: &RlLookup) -> u32 {
+    let mut control = PowerControl::default();
+    let mut longest = 0;
+    for asked_mw in (100_000..=2_000_000).step_by(100_000) {
+        let (r, l) = lookup.interpolate(50_000, 20_000);
+        let summary = HalfCycle {
+            f_sw_hz: 50_000,
+            power_mw: 800_000,
+            bus_peak_dv: 3_253,
+            crest: CurrentCrest {
+                r,
+                l,
+                i_ma: 20_000,
+                ..CurrentCrest::default()
+            },
+            ..HalfCycle::default()
+        };
+        control.begin(&summary, asked_mw);
+        while control.is_searching() {
+            let before = SYST::get_current();
+            black_box(control.advance(lookup));
+            longest = longest.max(before.wrapping_sub(SYST::get_current()) & TOP);
+        }
+    }
+    longest * PER_TICK * 10
 }

@@ -8,16 +8,15 @@ use embassy_stm32::flash::{Async, Error, Flash};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
 use ihd_firmware::retained::nonvolatile::{self, RECORD_BYTES};
+use ihd_shared::image::{FLASH_ADDRESS, LOOKUP_ADDRESS, PAGE_BYTES};
 use ihd_shared::lookup::RlLookup;
 
 use super::registers;
 
-const PAGE: u32 = 2 * 1024;
+/// Offset of the first page in the flash: beyond what memory.x gives to the program.
+const FIRST: u32 = LOOKUP_ADDRESS - FLASH_ADDRESS;
 
-/// Beyond what memory.x gives to the program.
-const FIRST: u32 = 508 * 1024;
-
-const _: () = assert!(RECORD_BYTES <= PAGE as usize);
+const _: () = assert!(RECORD_BYTES <= PAGE_BYTES as usize);
 
 /// The flash behind the pages; none where it has one bank, as then a page has another size, and the program
 /// would stand still while one is erased.
@@ -72,7 +71,7 @@ pub fn is_damaged_page() -> bool {
 }
 
 fn offset(page: usize) -> u32 {
-    FIRST + PAGE * (page as u32 & 1)
+    FIRST + PAGE_BYTES * (page as u32 & 1)
 }
 
 impl nonvolatile::Flash for LookupPages {
@@ -95,7 +94,7 @@ impl nonvolatile::Flash for LookupPages {
     }
 
     async fn erase(&mut self, page: usize) -> Result<(), Error> {
-        let end = offset(page) + PAGE;
+        let end = offset(page) + PAGE_BYTES;
         self.flash()?.erase(offset(page), end).await
     }
 

@@ -12,7 +12,7 @@
 //! from [`memory`], by recent events of mains and pot.
 //!
 //! A search is cut into steps of one prediction each ([`PowerControl::advance`]), one after each
-//! block: [`INSTRUCTIONS_PER_STEP`], so that the watchdog is fed in between, and at most
+//! block (instructions: `search-step` in firmware/budget.toml), so that the watchdog is fed in between, and at most
 //! [`STEPS_PER_SEARCH`]. Eleven blocks are 0.4 ms at 80 kHz and 1 ms at 34 kHz; where a step takes
 //! longer than a block (0.6 ms at two cycles an instruction, the sampling path taking 60 % of them),
 //! 7 ms of a half-cycle's 8.3. The drive takes effect at the next zero crossing anyway.
@@ -39,9 +39,6 @@ const FACTOR_Q10: core::ops::RangeInclusive<u64> = 410..=2_560;
 
 /// A lookup whose factor lies here predicts well enough to go all the way at once: 0.8 to 1.25.
 const TRUSTED_Q10: core::ops::RangeInclusive<u64> = 819..=1_280;
-
-/// Instructions of one step, at most.
-pub const INSTRUCTIONS_PER_STEP: u32 = 20_000;
 
 /// Steps of one search, at most: one to learn the factor, then the widest bracket, 30 kHz, is halved
 /// until it is no wider than the grid is at 34 kHz.

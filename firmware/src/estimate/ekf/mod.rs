@@ -22,8 +22,8 @@
 //! the noise is the same in the real and the imaginary part, so the real covariance stays circular
 //! (each 2×2 block a scaled rotation) but for one term: L/dt = κX follows X alone, which adds
 //! κ(I − I')/D to ∂I'/∂X. The filter leaves it out: L/dt is taken as known where I' is
-//! differentiated, never where it is predicted. The exact Jacobian estimates no better (measured in
-//! `tests/estimator.rs`) and costs twice the instructions. Joseph's form is not needed: measured
+//! differentiated, never where it is predicted. The exact Jacobian estimates no better
+//! (`the_exact_jacobian_is_no_better` of tests/it/estimator.rs) and costs twice the instructions. Joseph's form is not needed: measured
 //! variances are formed without a subtraction, and P_ZZ has a floor (module `update`).
 //!
 //! Formats: states carry 26 fractional bits in the units of [`crate::sense::demodulator`], covariances 29 in

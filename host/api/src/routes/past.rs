@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
-use ihd_daemon::JournalFilter;
+use ihd_daemon::{JournalFilter, MAX_COLUMNS};
 use ihd_model::{
     Fit, History, JournalEntry, Map, PotCurve, Problem, Scope, WindowQuery, WindowSummary,
 };
@@ -21,14 +21,11 @@ const HISTORY_COLUMNS: u32 = 600;
 /// Default number of columns of a window.
 const WINDOW_COLUMNS: u32 = 1_200;
 
-/// Maximum number of columns; no display is wider.
-const MAX_COLUMNS: u32 = 4_000;
-
 /// Default span of a history, in milliseconds.
 const HISTORY_MS: i64 = 300_000;
 
 /// Maximum number of rows in a response.
-const MAX_ROWS: u32 = 10_000;
+const MAX_ROWS: usize = 10_000;
 
 /// Returns `value`, or `default` if it is `None`.
 ///
@@ -38,10 +35,10 @@ fn checked_count(
     name: &str,
     value: Option<u32>,
     default: u32,
-    max: u32,
+    max: usize,
 ) -> Result<usize, ErrorResponse> {
     match value.unwrap_or(default) {
-        n if (1..=max).contains(&n) => Ok(n as usize),
+        n if (1..=max).contains(&(n as usize)) => Ok(n as usize),
         n => Err(bad_query(format!(
             "{name} is {n}, but must lie between 1 and {max}"
         ))),

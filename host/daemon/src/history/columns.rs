@@ -201,7 +201,7 @@ mod tests {
         };
         let mut columns = Columns::new(ColumnGrid::new(0, 40_000, 5));
         columns.add(&second(0, 1_000_000, Some(2_000_000)));
-        columns.add(&second(1, 3_000_000, Some(8_415_000)));
+        columns.add(&second(1, 3_000_000, Some(7_967_480)));
         columns.add(&second(35, 500, None));
         columns.add(&second(40, 1, None));
         let history = columns.history((0, 40_000), HistoryResults::default());
@@ -217,7 +217,7 @@ mod tests {
             (history.phase_deg[1], history.resonance_hz[1]),
             (None, None)
         );
-        // X = 5.2075 ohm (tank.rs) and R = 5.2075 ohm in the mean.
+        // X = 4.98374 ohm (tank.rs) and R = 4.98374 ohm in the mean.
         assert!((history.phase_deg[0].unwrap() - 45.0).abs() < 0.01);
         assert_eq!(history.fault, [12, 0]);
         assert_eq!(

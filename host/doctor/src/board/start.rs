@@ -3,13 +3,10 @@
 use ihd_flash::OptionBytes;
 use ihd_link::BoardFacts;
 use ihd_shared::fault::Fault;
-use ihd_shared::image::{DEVICE_ID, FLASH_BYTES};
+use ihd_shared::image::{DEVICE_ID, FLASH_KIB};
 use ihd_shared::wire::messages::{Hello, Status};
 
 use crate::{Check, Measurement};
-
-/// Flash size in KiB that the image and its lookups are laid out for.
-const FLASH_KIB: u16 = (FLASH_BYTES / 1024) as u16;
 
 /// Checks the reason of the last start, and the fault before it.
 pub(super) fn reset_cause(hello: &Hello) -> Check {

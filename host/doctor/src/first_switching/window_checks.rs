@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use ihd_link::Window;
-use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
+use ihd_shared::hob::{LINK_CAPACITANCE_NF, RESONANCE_CAPACITANCE_NF, TANK_CAPACITANCE_PF};
 use ihd_shared::wire::messages::FrontEnd;
 use ihd_signal::{Capture, TimeBase};
 use ihd_survey::calibration::{ReferenceLoad, estimate};
@@ -179,14 +179,12 @@ fn load(period: &Period, f_sw_hz: u32) -> Vec<Check> {
         ],
         "Negative: polarity of SW − X or of T1. Else gains (docs/bring-up.md, D), or another coil",
     );
-    let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
+    let c_f = f64::from(TANK_CAPACITANCE_PF) * 1e-12;
     let resonance_khz = 1e-3 / (TAU * (z.l_h * c_f).sqrt());
     let most_khz = f_khz / ABOVE_RESONANCE;
     let resonance = Check::measured(
         "resonance",
-        format!(
-            "{resonance_khz:.1} kHz with {RESONANCE_CAPACITANCE_NF} nF, switched at {f_khz:.1} kHz"
-        ),
+        format!("{resonance_khz:.1} kHz with C_r and C2, switched at {f_khz:.1} kHz"),
         vec![Measurement::between(
             "resonance",
             resonance_khz,
@@ -194,7 +192,9 @@ fn load(period: &Period, f_sw_hz: u32) -> Vec<Check> {
             LEAST_RESONANCE_KHZ,
             most_khz,
         )],
-        "The firmware believes C_r to be 1080 nF: measure it",
+        format!(
+            "C_r is {RESONANCE_CAPACITANCE_NF} nF, C2 {LINK_CAPACITANCE_NF} nF in the board's file: measure them"
+        ),
     );
     vec![load, resonance]
 }

@@ -1,6 +1,6 @@
 //! Programmer for a chip behind a debug probe.
 
-use ihd_shared::image::{DEVICE_ID, FLASH_ADDRESS, FLASH_BYTES, PAGE_BYTES};
+use ihd_shared::image::{DEVICE_ID, FLASH_ADDRESS, FLASH_BYTES, FLASH_KIB, PAGE_BYTES};
 
 use super::connection::ProbeConnection;
 use super::registers as reg;
@@ -9,9 +9,6 @@ use super::{ProbeInfo, Probes, flashing, option_registers};
 use crate::image::Image;
 use crate::options::{OptionBytes, ReadProtection};
 use crate::programmer::{Chip, Erase, FlashStep, ProgramError, Programmer, WriteProgress};
-
-/// Flash size in KiB that the firmware needs: the lookup's pages are at its end.
-const FLASH_KIB: u16 = 512;
 
 /// See [`Probes::attach`].
 #[derive(Debug)]
@@ -72,6 +69,7 @@ impl Programmer for ProbeProgrammer {
             level => return Err(ProgramError::ReadProtected { level }),
         }
         let flash_kib = self.connection.read_word(doing, reg::FLASH_SIZE)? as u16;
+        // The lookup's pages are at the flash's end.
         if flash_kib < FLASH_KIB {
             return Err(ProgramError::SmallChip { flash_kib });
         }

@@ -1,11 +1,16 @@
 //! Connection to the chip behind a debug probe.
 
+use std::time::Duration;
+
 use probe_rs::{Core, MemoryInterface, Session};
 
 use super::registers as reg;
 use super::running_target::RunningTarget;
 use super::{ProbeInfo, Probes, errors};
 use crate::programmer::{FlashStep, ProgramError};
+
+/// Time limit for halting the core.
+pub const HALTED_WITHIN: Duration = Duration::from_millis(500);
 
 /// State of a connection.
 #[derive(Debug)]

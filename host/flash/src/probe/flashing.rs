@@ -1,7 +1,5 @@
 //! Erasing, programming and verifying by ST's algorithm, which probe-rs runs on the chip.
 
-use std::time::Duration;
-
 use ihd_shared::image::{FLASH_ADDRESS, FLASH_BYTES, PAGE_BYTES};
 use probe_rs::MemoryInterface;
 use probe_rs::Session;
@@ -9,7 +7,7 @@ use probe_rs::flashing::{
     self, DownloadOptions, FlashError, FlashProgress, ProgressEvent, ProgressOperation,
 };
 
-use super::connection::ProbeConnection;
+use super::connection::{HALTED_WITHIN, ProbeConnection};
 use super::errors;
 use super::registers as reg;
 use crate::image::Image;
@@ -20,9 +18,6 @@ const READ_BYTES: usize = 4_096;
 
 /// Number of bytes after a difference that a message shows.
 const SHOWN_BYTES: usize = 8;
-
-/// Time limit for halting the core.
-const HALTED_WITHIN: Duration = Duration::from_millis(500);
 
 /// Progress, from probe-rs's events.
 struct Meter<'a> {

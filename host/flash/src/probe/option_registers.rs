@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use probe_rs::MemoryInterface;
 
-use super::connection::ProbeConnection;
+use super::connection::{HALTED_WITHIN, ProbeConnection};
 use super::registers as reg;
 use crate::options::OptionBytes;
 use crate::programmer::{FlashStep, ProgramError};
@@ -15,9 +15,6 @@ const WRITTEN_WITHIN: Duration = Duration::from_millis(500);
 
 /// Time limit for the chip and its debug port to return after loading them.
 const BACK_WITHIN: Duration = Duration::from_secs(2);
-
-/// Time limit for halting the core.
-const HALTED_WITHIN: Duration = Duration::from_millis(500);
 
 /// Reads the option bytes.
 pub fn read(chip: &mut ProbeConnection) -> Result<OptionBytes, ProgramError> {

@@ -10,11 +10,10 @@ use ihd_model::{Command, CommandError, DaemonEvent, EventKind};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep};
 
+use super::device::RENEW_PERIOD;
+
 /// Name of the demonstration as a client.
 const HOLDER: &str = "demonstration";
-
-/// Period of renewing the lease, which lasts 10 s.
-const RENEW_PERIOD: Duration = Duration::from_secs(3);
 
 /// Polling period.
 const POLL_PERIOD: Duration = Duration::from_millis(500);

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::LibraryError;
 use super::shape::{self, Range, ShapeState};
 use crate::PotModel;
+use crate::curve::FREQUENCIES_HZ;
 use crate::parameters::{self, COUNT, OF_POT};
 
 /// Version of the layout of [`PotEntry`].
@@ -26,8 +27,7 @@ const TRIANGLE: usize = COUNT * (COUNT + 1) / 2;
 /// Deviation of a pot's own numbers, in spreads of any pot, above which an entry is not worth sharing.
 const WORTH_SHARING: f64 = 1.0;
 
-/// Ranges of switching frequencies in hertz and currents in ampere that a hob can have.
-const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
+/// Range of currents in ampere that a hob can have.
 const CURRENTS_A: std::ops::RangeInclusive<f64> = 0.0..=500.0;
 
 /// Hob and build that measured a pot, and the time.

@@ -117,7 +117,10 @@ impl Calibration {
             },
             reference: "blind".to_owned(),
             assumed: vec![
-                "a bridge without resistance: 10 mohm would be 11 ns at 1080 nF".to_owned(),
+                format!(
+                    "a bridge without resistance: 10 mohm would be {:.0} ns",
+                    10e-3 * sensors.capacitance_f.value * 1e9
+                ),
                 "no direct current in the coil (offsets)".to_owned(),
             ],
             capture: survey.name.clone(),

@@ -7,7 +7,9 @@ use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
-use ihd_survey::calibration::blind::{BlindError, Correction, FittedValue, estimate_segment};
+use ihd_survey::calibration::blind::{
+    BRIDGE_R_MAX_OHM, BlindError, Correction, FittedValue, estimate_segment,
+};
 use serde::{Deserialize, Serialize};
 
 /// Code of the remark that is made once when a correction begins.
@@ -32,9 +34,6 @@ const LEAST_S: f64 = 3e-9;
 /// Noise of a channel over its rms up to which a window counts. The lag from plateaus has an error that grows with the noise squared: 27 ns
 /// at 72 kHz and 30 dB, 10 ns at 35 dB, which a bridge's resistance would explain and is not corrected.
 const MOST_NOISE: f64 = 0.02;
-
-/// Largest plausible resistance of the bridge in ohm: it has the same effect as a current that lags.
-const BRIDGE_R_OHM: f64 = 0.05;
 
 /// Tolerance of the resonance capacitor, as a share.
 const CAPACITANCE: f64 = 0.05;
@@ -206,7 +205,8 @@ impl Sensors {
     pub fn correction(&self) -> Option<Correction> {
         let lag = self.lag_s()?;
         let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
-        let bridge = (0.0..BRIDGE_R_OHM * c_f).contains(&lag.value);
+        // The bridge's resistance has the same effect as a current that lags.
+        let bridge = (0.0..BRIDGE_R_MAX_OHM * c_f).contains(&lag.value);
         let significant = lag.value.abs() > (SIGNIFICANT * lag.sigma).max(LEAST_S);
         (self.windows >= FEWEST && significant && !bridge).then(|| Correction {
             skew_s: -lag.value,

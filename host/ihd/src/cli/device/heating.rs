@@ -6,6 +6,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use ihd_daemon::LEASE_S;
 use ihd_model::{Command, DeviceReport};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -16,8 +17,8 @@ use super::text::{of_live, one_line};
 use crate::cli::usage::Usage;
 use crate::cli::{interrupt, output};
 
-/// Period of renewing the lease, which lasts 10 s.
-const RENEW_PERIOD: Duration = Duration::from_secs(3);
+/// Period of renewing the lease: three times while it lasts.
+pub const RENEW_PERIOD: Duration = Duration::from_secs(LEASE_S / 3);
 
 /// Polling period.
 const POLL_PERIOD: Duration = Duration::from_millis(500);

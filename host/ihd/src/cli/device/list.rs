@@ -12,7 +12,7 @@ use super::text::one_line;
 use crate::cli::{configured, output};
 
 /// Time limit of the daemon's health check; it reports a hanging store after five seconds.
-const HEALTH_WITHIN: Duration = Duration::from_secs(10);
+pub const HEALTH_WITHIN: Duration = Duration::from_secs(10);
 
 #[derive(Serialize)]
 struct ListedDevice {

@@ -18,9 +18,11 @@ use super::global::Global;
 use super::simulate::quantity::{power_w, quantity};
 use super::{configured, output};
 pub use heating::DoesNotHeat;
+pub(in crate::cli) use heating::RENEW_PERIOD;
 pub(in crate::cli) use hob::Hob;
 #[cfg(feature = "log")]
 pub use hob::direct_opener;
+pub(in crate::cli) use list::HEALTH_WITHIN;
 use lookup::Offer;
 pub(in crate::cli) use text::{of_pot, one_line};
 pub(in crate::cli) use watch::event_text;

@@ -1,7 +1,6 @@
 //! Check `store`: reported by a running daemon, or a trial of the folder.
 
 use std::path::Path;
-use std::time::Duration;
 
 use ihd_daemon::cause_of;
 use ihd_daemon::config::DaemonConfig;
@@ -10,11 +9,9 @@ use ihd_model::StoreFailure;
 use ihd_store::{StoreError, clock, try_folder};
 
 use crate::cli::configured;
+use crate::cli::device::HEALTH_WITHIN;
 
 const NAME: &str = "store";
-
-/// Time limit of the daemon's health check; it reports a hanging store after five seconds.
-const HEALTH_WITHIN: Duration = Duration::from_secs(10);
 
 /// Checks the store of a configuration.
 pub(super) fn check(path: Option<&Path>) -> Check {

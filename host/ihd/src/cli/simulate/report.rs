@@ -124,7 +124,7 @@ pub fn approximations() -> Result<()> {
             c.l_pct
         )?;
     }
-    say!("\nresonance with 1080 nF in kHz at 0, 7, 40 and 60 A:")?;
+    say!("\nresonance with {RESONANCE_CAPACITANCE_NF} nF in kHz at 0, 7, 40 and 60 A:")?;
     for r in approximation::resonances()? {
         let [a, b, c, d] = r.f_hz.map(|f| f / 1e3);
         let (law, turns) = (r.law, r.turns_calibration);

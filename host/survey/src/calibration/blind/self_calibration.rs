@@ -79,7 +79,7 @@ pub struct SelfCalibration {
 }
 
 /// Largest plausible resistance of a bridge in ohm: IGBTs drop 1.5 V at 40 A.
-const BRIDGE_R_OHM: f64 = 0.05;
+pub const BRIDGE_R_MAX_OHM: f64 = 0.05;
 
 /// Lag in seconds below which no correction is made.
 const LEAST_LAG_S: f64 = 0.5e-9;
@@ -133,7 +133,7 @@ impl SelfCalibration {
             SensorResponse::Droop { .. } => LEAST_BESIDE_DROOP_S,
             _ => return false,
         };
-        (least_s..BRIDGE_R_OHM * self.capacitance_f.value).contains(&self.beside_droop_s())
+        (least_s..BRIDGE_R_MAX_OHM * self.capacitance_f.value).contains(&self.beside_droop_s())
     }
 
     /// Resistance of the bridge in ohm that would cause this lag, droop aside.
