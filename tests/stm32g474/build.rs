@@ -1,5 +1,5 @@
-//! Turns svd/registers.txt into Rust: a module a peripheral, in it a module a register, in that a constant a field;
-//! and one table of all registers.
+//! Generates Rust from svd/registers.txt: a module for each peripheral, in it a module for each register, in that a constant for
+//! each field; and one table of all registers.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;

@@ -1,6 +1,6 @@
-//! A board on a test bench: the machine in a thread of its own, and the ends of its cables as the host's client wants
-//! them. Emulated time passes only while somebody waits for bytes, so a run gives the same digits whatever else the
-//! computer does; [`Bench::run_freely`] lets it pass all the time.
+//! Board on a test bench: the machine in a thread of its own, and the host's end of its serial cable as a [`Transport`] of the
+//! host's client. Emulated time passes only while a caller waits, so results do not depend on the load of the computer;
+//! [`Bench::run_freely`] lets it pass all the time.
 
 use std::path::Path;
 use std::sync::mpsc::{self, Receiver, Sender, TryRecvError};
@@ -14,22 +14,22 @@ use crate::image::Image;
 use crate::machine::{Machine, MachineError};
 use crate::time::{TICKS_PER_S, Ticks, seconds, us};
 
-/// Emulated time between two looks at the outside.
+/// Emulated time between two checks for a job or for sent bytes.
 const SLICE: Ticks = us(200);
 
 type Job = Box<dyn FnOnce(&mut Machine, &mut bool) + Send>;
 
-/// The board.
+/// Handle of a board that runs in a thread of its own.
 #[derive(Clone)]
 pub struct Bench {
     jobs: Sender<Job>,
 }
 
 impl Bench {
-    /// Powers a board up, with the power stage that `plant` makes on its pins.
+    /// Powers up a board with an image and the power stage that `plant` creates.
     ///
     /// # Errors
-    /// The image cannot be read.
+    /// The image cannot be read, or the emulator fails.
     pub fn power_up(
         image: &Path,
         plant: impl FnOnce() -> Plant + Send + 'static,
@@ -37,10 +37,10 @@ impl Bench {
         Self::power_up_with(Image::read(image)?, plant)
     }
 
-    /// Powers a board up with any content of the flash.
+    /// Powers up a board with any content of the flash.
     ///
     /// # Errors
-    /// Of the emulator.
+    /// The emulator fails.
     pub fn power_up_with(
         image: Image,
         plant: impl FnOnce() -> Plant + Send + 'static,
@@ -62,10 +62,10 @@ impl Bench {
         Ok(Self { jobs })
     }
 
-    /// Does something with the machine and returns its answer.
+    /// Runs a job on the machine's thread and returns its result.
     ///
     /// # Panics
-    /// Where the machine's thread has ended, which is a defect of the emulator.
+    /// The machine's thread has ended, which is a defect of the emulator.
     pub fn with<R: Send + 'static>(
         &self,
         job: impl FnOnce(&mut Machine) -> R + Send + 'static,
@@ -78,7 +78,7 @@ impl Bench {
         result.recv().expect("the machine's thread answers")
     }
 
-    /// Lets emulated time pass, in seconds.
+    /// Runs the machine for a duration in seconds.
     pub fn run_s(&self, duration_s: f64) {
         let ticks = (duration_s * TICKS_PER_S as f64) as Ticks;
         self.with(move |machine| machine.run_for(ticks).expect("the emulator runs"));
@@ -89,13 +89,13 @@ impl Bench {
         self.with(|machine| seconds(machine.now()))
     }
 
-    /// From now on emulated time passes all the time, or only while somebody waits.
+    /// Lets emulated time pass all the time, or only while a caller waits.
     pub fn run_freely(&self, freely: bool) {
         let job: Job = Box::new(move |_, free| *free = freely);
         let _ = self.jobs.send(job);
     }
 
-    /// The serial port's far end.
+    /// Returns the host's end of the serial cable.
     pub fn serial(&self) -> SerialCable {
         SerialCable(self.clone())
     }
@@ -123,7 +123,7 @@ fn serve(mut machine: Machine, inbox: &Receiver<Job>) {
     }
 }
 
-/// The host's end of the serial cable.
+/// Host's end of the serial cable.
 pub struct SerialCable(Bench);
 
 impl Transport for SerialCable {

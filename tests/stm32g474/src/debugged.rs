@@ -1,4 +1,4 @@
-//! The board behind a debug port: what probe-rs attaches to in tests.
+//! Board behind a debug port, to which probe-rs attaches in tests.
 
 use std::fmt;
 
@@ -8,21 +8,21 @@ use crate::bench::Bench;
 use crate::machine::{Machine, Stands};
 use crate::time::{Ticks, us};
 
-/// Emulated time that passes between two accesses of a probe while the processor runs. A probe at 4 MHz makes some forty
-/// accesses in a millisecond.
+/// Emulated time between two accesses of a probe while the processor runs. A probe at 4 MHz makes some forty accesses in a
+/// millisecond.
 const BETWEEN_ACCESSES: Ticks = us(25);
 
-/// The most that passes at once while the flash's controller is busy: an algorithm waits for it.
+/// Emulated time between two accesses while the flash controller is busy, as a flash algorithm waits for it.
 const BUSY: Ticks = us(2_000);
 
-/// The board, as a debug port sees it.
+/// Board as a debug port accesses it.
 pub struct DebuggedBoard {
     bench: Bench,
     contact: Contact,
 }
 
 impl DebuggedBoard {
-    /// Behind a probe that works.
+    /// Board behind a probe that works.
     pub fn new(bench: Bench) -> Self {
         Self {
             bench,
@@ -30,7 +30,7 @@ impl DebuggedBoard {
         }
     }
 
-    /// From now on probe and board are reached, or not: a test's interference.
+    /// Sets the contact between probe and board, for fault injection.
     pub fn set_contact(&mut self, contact: Contact) {
         self.contact = contact;
     }

@@ -1,35 +1,35 @@
-//! The flash image: bytes at addresses, and the names that tests look up.
+//! Flash image: bytes at addresses, and the symbols that tests use.
 
 use std::collections::HashMap;
 use std::path::Path;
 
 use object::{Object as _, ObjectSegment as _, ObjectSymbol as _};
 
-/// Why an image is refused.
+/// Error in reading an image.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
     /// The file cannot be read.
     #[error("cannot read {path}: {source}; `cargo xtask firmware` builds it")]
     Read {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// What the operating system reports.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// It is no ELF file, or a damaged one.
+    /// The file is no ELF file, or is damaged.
     #[error("{path} is no ELF image: {source}")]
     Elf {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// What is wrong with it.
+        /// Error of the ELF parser.
         source: object::Error,
     },
-    /// It holds bytes that do not lie in the flash.
+    /// The file holds bytes outside the flash.
     #[error("the image has {bytes} bytes at {address:#010x}, which is not flash")]
     Outside {
-        /// Where.
+        /// Address of the bytes.
         address: u64,
-        /// How many.
+        /// Number of bytes.
         bytes: usize,
     },
 }
@@ -37,16 +37,16 @@ pub enum ImageError {
 /// First address of the flash.
 pub const FLASH: u64 = 0x0800_0000;
 
-/// Bytes of it that hold the program; the two pages behind are the program's own to write.
+/// Size of the program's part in bytes; the program may write the two pages after it.
 pub const PROGRAM_BYTES: usize = 508 * 1024;
 
-/// The bytes that are flashed.
+/// Content of the flash, with the symbols of its program.
 #[derive(Clone, Debug)]
 pub struct Image {
     /// The program's part of the flash; 0xFF where nothing was written.
     pub flash: Vec<u8>,
-    /// Whether some of them are copied to CCM SRAM: then the RAM's last 32 KiB, which are the same memory, are not
-    /// there for the program.
+    /// Set if some bytes are copied to CCM SRAM. The program then has no access to the RAM's last 32 KiB, which are the same
+    /// memory.
     pub uses_ccm: bool,
     symbols: HashMap<String, u32>,
 }
@@ -100,7 +100,7 @@ impl Image {
         })
     }
 
-    /// The same chip before anything was flashed.
+    /// Image of the same chip before it was flashed.
     pub fn erased(&self) -> Self {
         Self {
             flash: vec![0xFF; PROGRAM_BYTES],

@@ -1,4 +1,4 @@
-//! An emulated STM32G474 that runs the flash image, with the simulated power stage on its pins.
+//! Emulated STM32G474 that runs the flash image, with the simulated power stage at its pins.
 
 pub use unicorn_engine::RegisterARM;
 

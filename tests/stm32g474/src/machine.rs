@@ -1,4 +1,4 @@
-//! The emulated board: processor, chip, power stage. Time passes while [`Machine::run_until`] runs.
+//! Emulated board: processor, chip, power stage. Time passes while [`Machine::run_until`] runs.
 
 mod debug;
 mod probe;
@@ -20,16 +20,16 @@ use crate::violation::Violation;
 
 pub use debug::Stands;
 
-/// WFE.
+/// Opcode of WFE.
 const WFE: u16 = 0xBF20;
 
-/// An end of a run that is no end of the program.
+/// Failure of the emulation, independent of the program.
 #[derive(Debug, thiserror::Error)]
 pub enum MachineError {
     /// The image cannot be read.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// Unicorn refuses; a defect of the emulator.
+    /// Unicorn fails, which is a defect of the emulator.
     #[error("the processor's emulator: {0:?}")]
     Engine(uc_error),
 }
@@ -40,34 +40,34 @@ impl From<uc_error> for MachineError {
     }
 }
 
-/// A chip with its program, on its board.
+/// Chip with its program, on its board.
 pub struct Machine {
     cpu: Unicorn<'static, State>,
     image: Image,
-    /// The other end of the USB cable.
+    /// Other end of the USB cable.
     pub cable: Cable,
     locked_up: bool,
     debugger: debug::Debugger,
-    /// Bites of the watchdog before the timers ran: start-up tries it once after power-on, and a start that finds the RAM
-    /// broken ends in one.
+    /// Times of watchdog resets before the timers ran: start-up tests the watchdog once after power-on, and a start that detects
+    /// broken RAM ends in one.
     pub bites_at_start: Vec<Ticks>,
-    /// The other resets since power-on, with their causes.
+    /// Other resets since power-on, with their causes.
     pub resets: Vec<(Ticks, Reset)>,
 }
 
 impl Machine {
-    /// A board that has just got its power, with `plant` on its pins.
+    /// Board at power-on, with `plant` at its pins.
     ///
     /// # Errors
-    /// The image cannot be read.
+    /// The image cannot be read, or the emulator fails.
     pub fn new(image: &Path, plant: Plant) -> Result<Self, MachineError> {
         Self::with(Image::read(image)?, plant)
     }
 
-    /// A board with any content of the flash.
+    /// Board at power-on, with any content of the flash.
     ///
     /// # Errors
-    /// Of the emulator.
+    /// The emulator fails.
     pub fn with(image: Image, plant: Plant) -> Result<Self, MachineError> {
         let (cable, host) = Cable::new();
         let cpu = processor(&image, plant, host)?;
@@ -84,22 +84,22 @@ impl Machine {
         Ok(machine)
     }
 
-    /// The chip.
+    /// Chip around the processor.
     pub fn chip(&mut self) -> &mut Chip {
         &mut self.cpu.get_data_mut().chip
     }
 
-    /// Time-keeping of the processor.
+    /// Timing of the processor.
     pub fn timing(&mut self) -> &mut Timing {
         &mut self.cpu.get_data_mut().timing
     }
 
-    /// Counts cycles another way.
+    /// Selects another cycle model.
     pub fn set_cycle_model(&mut self, model: CycleModel) {
         self.timing().model = model;
     }
 
-    /// The image.
+    /// Flash image of the board.
     pub fn image(&self) -> &Image {
         &self.image
     }
@@ -109,7 +109,7 @@ impl Machine {
         self.cpu.get_data().chip.log.now
     }
 
-    /// What the program did that the manual forbids, the USB peripheral's included.
+    /// Violations of the reference manual by the program, those of the USB peripheral included.
     pub fn violations(&self) -> Vec<Violation> {
         let chip = &self.cpu.get_data().chip;
         let of_usb = chip.usb.violations.iter().map(|rule| Violation {
@@ -120,7 +120,7 @@ impl Machine {
         chip.log.violations.iter().cloned().chain(of_usb).collect()
     }
 
-    /// Reset of the processor: stack pointer and program counter from the vector table.
+    /// Resets the processor: stack pointer and program counter from the vector table.
     fn start(&mut self) -> Result<(), MachineError> {
         let vectors = self.memory(FLASH as u32, 8);
         let word = |at: usize| {
@@ -148,10 +148,10 @@ impl Machine {
         Ok(())
     }
 
-    /// The power goes and comes back: RAM is lost, flash is not.
+    /// Switches the power off and on: RAM is lost, flash is not.
     ///
     /// # Errors
-    /// Of the emulator.
+    /// The emulator fails.
     pub fn power_cycle(&mut self) -> Result<(), MachineError> {
         self.chip().flash.cut_power();
         self.fill_ram()?;
@@ -159,7 +159,7 @@ impl Machine {
     }
 
     fn fill_ram(&mut self) -> Result<(), MachineError> {
-        // RAM comes up with anything in it.
+        // The content of RAM at power-on is arbitrary.
         let noise: Vec<u8> = (0..RAM_BYTES as u32)
             .map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8)
             .collect();
@@ -179,10 +179,10 @@ impl Machine {
         self.start()
     }
 
-    /// Runs until a moment.
+    /// Runs until a time.
     ///
     /// # Errors
-    /// Of the emulator; whatever the program does is no error.
+    /// The emulator fails; a fault of the program is no error.
     pub fn run_until(&mut self, until: Ticks) -> Result<(), MachineError> {
         while self.now() < until {
             self.step(until)?;
@@ -193,13 +193,13 @@ impl Machine {
     /// Runs for a duration.
     ///
     /// # Errors
-    /// As [`Machine::run_until`].
+    /// The emulator fails.
     pub fn run_for(&mut self, ticks: Ticks) -> Result<(), MachineError> {
         let until = self.now() + ticks;
         self.run_until(until)
     }
 
-    /// Executes until the next thing that is not plain execution, and does that.
+    /// Executes code until an event, an exception or the end of the run, and handles it.
     fn step(&mut self, until: Ticks) -> Result<(), MachineError> {
         self.settle()?;
         if let Some(why) = self.chip().reset {
@@ -238,7 +238,7 @@ impl Machine {
         self.execute(until)
     }
 
-    /// Lets everything happen that is due, and moves what the DMA has.
+    /// Processes all events that are due, and carries out the DMA's writes.
     fn settle(&mut self) -> Result<(), MachineError> {
         let chip = self.chip();
         if chip.log.now >= chip.next_event() {
@@ -259,7 +259,7 @@ impl Machine {
         }
         let state = self.cpu.get_data_mut();
         state.run_until = until;
-        // Stopped behind that block, or gone elsewhere since.
+        // Valid only if the run continues with the block before which it was stopped.
         state.stopped_at = state.stopped_at.filter(|&at| at == pc);
         let ended = self.cpu.emu_start(u64::from(pc | 1), u64::MAX, 0, 0);
         let Err(error) = ended else { return Ok(()) };
@@ -267,7 +267,7 @@ impl Machine {
         if exceptions::is_return(pc) {
             return Ok(());
         }
-        // Unicorn has no WFE; it stops at it or behind it.
+        // Unicorn does not implement WFE; it stops at it or after it.
         let wfe = [pc.wrapping_sub(2), pc]
             .into_iter()
             .find(|&at| self.half(at) == WFE);
@@ -277,7 +277,7 @@ impl Machine {
             state.sleeping = !std::mem::take(&mut state.event);
             return Ok(());
         }
-        // Unicorn stops at BKPT or behind it.
+        // Unicorn stops at BKPT or after it.
         if error == uc_error::EXCEPTION && self.meets_breakpoint(&[pc, pc.wrapping_sub(2)]) {
             return Ok(());
         }

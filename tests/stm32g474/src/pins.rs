@@ -1,4 +1,4 @@
-//! What is wired to the chip's pins: the project's own power stage with a load, and the other end of the USB cable.
+//! Circuits at the chip's pins: the project's own power stage with a load, and the other end of the USB cable.
 
 use std::collections::VecDeque;
 
@@ -17,10 +17,10 @@ use crate::chip::hrtim::Bridge;
 use crate::processor::REFERENCE_CALIBRATION;
 use crate::usb::host::HostController;
 
-/// Volt of the bus over the range of 12 bit (docs/board.md: PB1).
+/// Bus voltage at the full scale of 12 bit, in volt (docs/board.md: PB1).
 const BUS_RANGE_V: f64 = BUS_FULL_SCALE_DV as f64 / 10.0;
 
-/// Supply by which the front end's scales are given, in volt (docs/board.md).
+/// Supply at which the front end's scales are specified, in volt (docs/board.md).
 const NOMINAL_VDDA_V: f64 = 3.3;
 
 /// Pins of the panel's buttons: on/off, plus, minus, timer.
@@ -41,24 +41,24 @@ const THERMISTORS: [Pin; 3] = [
 const CODES: f64 = 4096.0;
 const MIDDLE: f64 = CODE_HALF_RANGE as f64;
 
-/// The analogue front end that `ihd hob` has: half an LSB of noise, with this seed, behind its anti-alias filter.
+/// Analogue front end of `ihd hob`: half an LSB of noise, with this seed, after its anti-alias filter.
 pub fn front_end(seed: u64) -> SimulatedAdc {
     let hob = HobConfig::default();
     SimulatedAdc::new(hob.noise, seed).with_filter(hob.anti_alias_hz)
 }
 
-/// What the converters find at a trigger.
+/// Inputs of the converters at a trigger.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sample {
     pair: Pair,
     bus_v: f64,
     mains_v: f64,
-    /// The supply over the nominal one.
+    /// Supply over the nominal one.
     supply: f64,
 }
 
 impl Sample {
-    /// The 12-bit code of a channel of an ADC (docs/board.md, "Pins").
+    /// 12-bit code of a channel of an ADC (docs/board.md, "Pins").
     pub fn code(&self, adc: u32, channel: u32) -> u32 {
         let code = |value: f64| value.round().clamp(0.0, CODES - 1.0) as u32;
         // The front end's zero is half the supply.
@@ -68,49 +68,49 @@ impl Sample {
             (2, 2) => from_middle(self.pair.i.into()),
             (3, 1) => code(self.bus_v / BUS_RANGE_V * CODES / self.supply),
             (3, 12) => from_middle(self.mains_v / MAINS_FULL_SCALE_V * MIDDLE),
-            // A pin that nothing is wired to.
+            // Pin without a connection.
             _ => 0,
         }
     }
 }
 
-/// The world outside the chip.
+/// Circuits outside the chip.
 pub struct Pins {
-    /// The power stage.
+    /// Power stage with its load.
     pub plant: Plant,
-    /// What is at the other end of the USB cable.
+    /// Other end of the USB cable.
     pub usb: HostController,
     bridge: Bridge,
-    /// The comparators' settings: PA1 and PA7, the latter inverted. `None` does not compare.
+    /// Settings of the comparators at PA1 and PA7, the latter inverted; `None` if off.
     pub comparators: [Option<Comparator>; 2],
     /// Time for which each comparator has been above its threshold, in seconds.
     above_s: [f64; 2],
-    /// Comparators that never trip: a test's interference.
+    /// Fault injection: comparators that never trip.
     pub dead_comparators: [bool; 2],
     /// Temperatures of heat sink, glass and coil in °C.
     pub temperatures_c: [f64; 3],
-    /// The analogue supply, in volt, which every channel is a ratio of.
+    /// Analogue supply in volt, to which every channel is ratiometric.
     pub vdda_v: f64,
-    /// The chip's reference voltage over what it should be.
+    /// Ratio of the chip's reference voltage to its nominal value.
     pub reference_ratio: f64,
-    /// Buttons of the panel that are pressed, on/off, plus, minus, timer.
+    /// Pressed buttons of the panel: on/off, plus, minus, timer.
     pub pressed: [bool; 4],
-    /// The wire to a second zone is there with its resistor, and that zone does not pull it.
+    /// Set if the wire to a second zone is fitted with its resistor and that zone does not pull it.
     pub share_wire_high: bool,
-    /// Added to every pair's codes: offsets of the two sensors.
+    /// Offsets of the two sensors, added to the codes of every pair.
     pub offset: Pair,
-    /// Added to what the current sensor shows, in ampere: a test's surge.
+    /// Fault injection: surge in ampere, added to the current at the comparators.
     pub surge_a: f64,
-    /// Pairs that the converters find in place of the power stage's, while there are any.
+    /// Pairs that the converters return instead of the power stage's, while there are any.
     pub fed: VecDeque<Pair>,
-    /// Energy that the pairs have carried, in joule, and the time that took, in seconds: a wattmeter.
+    /// Wattmeter: energy of the pairs in joule, and its duration in seconds.
     pub wattmeter: (f64, f64),
-    /// What the converters found, if somebody wants it.
+    /// Pairs that the converters returned, if they are recorded.
     pub taken: Option<Vec<Pair>>,
 }
 
 impl Pins {
-    /// A power stage on the pins, and one end of a USB cable.
+    /// Power stage at the pins, and one end of a USB cable.
     pub fn new(plant: Plant, usb: HostController) -> Self {
         Self {
             plant,
@@ -132,7 +132,7 @@ impl Pins {
         }
     }
 
-    /// What the bridge does from now on.
+    /// Sets the state of the bridge.
     pub fn drive(&mut self, bridge: Bridge, f_sw_hz: f64) {
         self.bridge = bridge;
         let state = match bridge {
@@ -149,7 +149,7 @@ impl Pins {
         }
     }
 
-    /// The 12-bit code of a channel of ADC4: a thermistor at PB12, PB14 or PB15.
+    /// 12-bit code of a channel of ADC4: a thermistor at PB12, PB14 or PB15.
     pub fn thermistor_code(&self, channel: u32) -> u32 {
         let line = match channel {
             3 => 12,
@@ -165,14 +165,14 @@ impl Pins {
         })
     }
 
-    /// The 12-bit code of the reference voltage, 1.2122 V, at this supply.
+    /// 12-bit code of the reference voltage, 1.2122 V, at this supply.
     pub fn reference_code(&self) -> u32 {
         let code = f64::from(REFERENCE_CALIBRATION) * 3.0 / self.vdda_v * self.reference_ratio;
         code.round() as u32
     }
 
-    /// Levels of a port, 0 for A, of which the panel's lines are high where a pull-up holds them and no button closes them, and the
-    /// wire to a second zone where neither zone pulls it: `released` are the lines that the program does not.
+    /// Levels of a port, 0 for A. A line of the panel is high if it is pulled up and no button closes it; the wire to a second zone
+    /// is high if neither zone pulls it. `released` are the lines that the program does not pull.
     pub fn levels(&self, port: u8, pulled_up: u32, released: u32) -> u32 {
         let buttons = BUTTONS.iter().zip(self.pressed);
         let closed: u32 = buttons
@@ -186,13 +186,13 @@ impl Pins {
         pulled_up & !closed | wire
     }
 
-    /// What the bridge does.
+    /// State of the bridge.
     pub fn bridge(&self) -> Bridge {
         self.bridge
     }
 
-    /// Lets the power stage go on for one sampling period, and takes what stands at its beginning. Also returns which
-    /// comparators tripped, and how long after the beginning, in seconds.
+    /// Samples the power stage and advances it by one sampling period. Also returns the times at which comparators tripped, in
+    /// seconds from the beginning.
     pub fn sample(&mut self) -> (Sample, [Option<f64>; 2]) {
         let t_s = self.plant.t_s();
         let dividers = self.plant.dividers();
@@ -244,11 +244,11 @@ impl Pins {
     }
 }
 
-/// A comparator of the chip with the filter behind it.
+/// Comparator of the chip, with the filter after it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Comparator {
-    /// The DAC's code at its other input.
+    /// DAC code at its other input.
     pub threshold_code: f64,
-    /// What is shorter than this does not trip, in seconds.
+    /// Duration above which a pulse trips, in seconds.
     pub filter_s: f64,
 }

@@ -1,4 +1,4 @@
-//! The processor with its memory map, and what Unicorn calls back: registers, flash pages, and each block of code.
+//! Processor with its memory map, and Unicorn's callbacks: registers, flash pages, and each block of code.
 
 use ihd_sim::plant::Plant;
 use unicorn_engine::{Arch, Mode, Prot, Unicorn, uc_error};
@@ -11,27 +11,27 @@ use crate::pins::Pins;
 use crate::registers::flash::flash_acr;
 use crate::usb::HostController;
 
-/// First address of the RAM, and its bytes with the alias of CCM SRAM.
+/// First address of the RAM.
 pub const RAM: u64 = 0x2000_0000;
-/// See [`RAM`].
+/// Size of the RAM in bytes, with the alias of CCM SRAM.
 pub const RAM_BYTES: usize = 128 * 1024;
 
-/// CCM SRAM, where code executes without wait states.
+/// First address of CCM SRAM, where code executes without wait states.
 pub const CCM: u64 = 0x1000_0000;
 pub(crate) const CCM_BYTES: usize = 32 * 1024;
 
-/// Device number, flash size and calibration values of the factory.
+/// Address of the factory's data: device number, flash size and calibration values.
 const FACTORY: u64 = 0x1FFF_7000;
 
-/// System memory, where ST's bootloader begins (AN2606), and the stack pointer of what stands in for it.
+/// First address of system memory, which holds ST's bootloader (AN2606).
 pub const BOOTLOADER: u64 = 0x1FFF_0000;
-/// See [`BOOTLOADER`].
+/// Initial stack pointer of the code in place of ST's bootloader.
 pub const BOOTLOADER_STACK: u32 = 0x2000_2000;
 
-/// Code of the reference voltage at 3.0 V: 1.212 V of it (DS12288: 1.182 to 1.232 V).
+/// Code of the reference voltage at a supply of 3.0 V: 1.212 V (DS12288: 1.182 to 1.232 V).
 pub const REFERENCE_CALIBRATION: u16 = 1_655;
 
-/// Writes to memory what the DMA has moved.
+/// Applies erased pages, refused stores and the DMA's writes to memory.
 pub(crate) fn move_transfers(cpu: &mut Unicorn<'_, State>) -> Result<(), uc_error> {
     while let Some(page) = cpu.get_data_mut().chip.flash.erased.pop() {
         cpu.mem_write(u64::from(page), &[0xFF; PAGE_BYTES as usize])?;
@@ -49,13 +49,13 @@ pub(crate) fn move_transfers(cpu: &mut Unicorn<'_, State>) -> Result<(), uc_erro
             &transfer.value.to_le_bytes()[..transfer.bytes],
         )?;
     }
-    // Its room is used again.
+    // The allocation is reused.
     transfers.clear();
     cpu.get_data_mut().chip.transfers = transfers;
     Ok(())
 }
 
-/// Processor and memory map.
+/// Creates the processor with its memory map.
 pub(crate) fn processor(
     image: &Image,
     plant: Plant,
@@ -87,7 +87,7 @@ pub(crate) fn processor(
     )?;
     cpu.mem_write(FACTORY + 0x5E0, &512u16.to_le_bytes())?;
     cpu.mem_write(FACTORY + 0x5AA, &REFERENCE_CALIBRATION.to_le_bytes())?;
-    // In place of ST's bootloader: a stack pointer, a first instruction, and that one for ever (B .).
+    // In place of ST's bootloader: a stack pointer, a first instruction, and an endless loop (B .).
     cpu.mem_map(BOOTLOADER, 0x7000, Prot::READ | Prot::EXEC)?;
     let words = [BOOTLOADER_STACK, BOOTLOADER as u32 + 9, 0xE7FE_E7FE];
     cpu.mem_write(BOOTLOADER, &words.map(u32::to_le_bytes).concat())?;
@@ -103,7 +103,7 @@ pub(crate) fn processor(
         PAGES_BYTES as u64,
         Some(|cpu: &mut Unicorn<'_, State>, offset: u64, bytes: usize| {
             let read = cpu.get_data_mut().chip.read_page(offset as u32, bytes);
-            // NMI comes with the load: Unicorn leaves it undone here, and it is done after the handler.
+            // NMI interrupts the load: Unicorn does not complete it here, and it is repeated after the handler.
             u64::from(read.unwrap_or_else(|| {
                 let _ = cpu.emu_stop();
                 0
@@ -137,7 +137,7 @@ pub(crate) fn processor(
     Ok(cpu)
 }
 
-/// UC_CPU_ARM_CORTEX_M4 of Unicorn's list.
+/// UC_CPU_ARM_CORTEX_M4 in Unicorn's list.
 const CORTEX_M4: i32 = 9;
 
 fn map_registers(cpu: &mut Unicorn<'static, State>, base: u32, bytes: u32) -> Result<(), uc_error> {
@@ -163,7 +163,7 @@ fn map_registers(cpu: &mut Unicorn<'static, State>, base: u32, bytes: u32) -> Re
     )
 }
 
-/// Ends the run where the chip starts again; Unicorn leaves the instruction undone, which no longer matters.
+/// Ends the run on a reset; Unicorn does not complete the instruction, which no longer matters.
 fn stop_if_reset(cpu: &mut Unicorn<'_, State>) {
     let chip = &cpu.get_data().chip;
     if chip.reset.is_some() || chip.flash.power_gone {
@@ -171,8 +171,8 @@ fn stop_if_reset(cpu: &mut Unicorn<'_, State>) {
     }
 }
 
-/// CCM SRAM is one memory seen at two addresses, and this emulator has two memories: an image with code there does
-/// without the RAM's last 32 KiB, the alias.
+/// Size of the RAM in bytes. CCM SRAM is one memory at two addresses, and this emulator has two memories: an image with code
+/// there has no access to the RAM's last 32 KiB, the alias.
 pub(crate) fn ram_bytes(image: &Image) -> usize {
     if image.uses_ccm {
         RAM_BYTES - CCM_BYTES
@@ -181,7 +181,7 @@ pub(crate) fn ram_bytes(image: &Image) -> usize {
     }
 }
 
-/// Cells that are stuck have their value again, whatever was written; seen by the next block of code.
+/// Restores the stuck bits after any write, before the next block of code.
 fn hold_stuck_bits(cpu: &mut Unicorn<'_, State>) {
     if let Some((register, mask)) = cpu.get_data().stuck_register
         && let Ok(value) = cpu.reg_read(register)
@@ -197,10 +197,10 @@ fn hold_stuck_bits(cpu: &mut Unicorn<'_, State>) {
     }
 }
 
-/// Before each block of code: its time passes, and what is due meanwhile happens.
+/// Handles a block of code before it is executed: counts its time and processes the events due in it.
 fn on_block(cpu: &mut Unicorn<'_, State>, address: u64, bytes: u32) {
     let address = address as u32;
-    // A block that was stopped before it began has had its time already.
+    // The time of a block that was stopped before it began has been counted already.
     if cpu.get_data_mut().stopped_at.take() == Some(address) {
         return;
     }

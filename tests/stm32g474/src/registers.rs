@@ -1,6 +1,6 @@
 //! Addresses, reset values and fields of the registers, from ST's SVD (svd/make_registers.py).
 
-/// A field of a register.
+/// Field of a register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Field {
     /// Address of the register.
@@ -10,7 +10,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// `width` bits from `bit` of the register at `address`.
+    /// Field of `width` bits from `bit` of the register at `address`.
     pub const fn new(address: u32, bit: u32, width: u32) -> Self {
         Self {
             address,
@@ -19,39 +19,39 @@ impl Field {
         }
     }
 
-    /// The same bits of another register.
+    /// Field with the same bits in another register.
     pub const fn at(self, address: u32) -> Self {
         Self { address, ..self }
     }
 
-    /// Its bits, in place.
+    /// Mask of the field's bits in the register.
     pub const fn mask(self) -> u32 {
         (((1u64 << self.width) - 1) << self.bit) as u32
     }
 
-    /// Its value in a register's.
+    /// Value of the field in a register's value.
     pub const fn of(self, register: u32) -> u32 {
         (register & self.mask()) >> self.bit
     }
 
-    /// A register with another value of this field.
+    /// Value of a register with another value of this field.
     pub const fn put(self, register: u32, value: u32) -> u32 {
         (register & !self.mask()) | ((value << self.bit) & self.mask())
     }
 }
 
-/// A register of the SVD.
+/// Register of the SVD.
 #[derive(Clone, Copy, Debug)]
 pub struct Register {
-    /// Peripheral that it belongs to.
+    /// Peripheral of the register.
     pub peripheral: &'static str,
-    /// Its name in the reference manual, without the peripheral.
+    /// Name in the reference manual, without the peripheral.
     pub name: &'static str,
-    /// Where it is.
+    /// Address of the register.
     pub address: u32,
     /// Value after reset.
     pub reset: u32,
-    /// Bits that are no reserved ones.
+    /// Bits that are not reserved.
     pub bits: u32,
     /// Bits that a program may write.
     pub writable: u32,

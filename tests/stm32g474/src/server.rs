@@ -1,5 +1,5 @@
-//! The board's serial port behind a TCP port. Emulated time passes as fast as it can, but never faster than real time;
-//! how much slower it is, is printed.
+//! Serial port of the board behind a TCP port. Emulated time passes as fast as possible, but never faster than real time; the
+//! ratio is printed.
 
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
@@ -9,16 +9,16 @@ use std::time::{Duration, Instant};
 use crate::machine::{Machine, MachineError};
 use crate::time::{Ticks, seconds, us};
 
-/// Emulated time between two looks at the socket.
+/// Emulated time between two polls of the socket.
 const SLICE: Ticks = us(500);
 
 /// Real time between two reports.
 const REPORT: Duration = Duration::from_secs(10);
 
-/// Why the board is no longer served.
+/// Error that ends the server.
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
-    /// The port failed.
+    /// The TCP port failed.
     #[error("the port: {0}")]
     Port(#[from] std::io::Error),
     /// The emulator failed.
@@ -26,10 +26,10 @@ pub enum ServerError {
     Machine(#[from] MachineError),
 }
 
-/// Serves the board for ever, to one host at a time.
+/// Serves the board without end, to one host at a time.
 ///
 /// # Errors
-/// Of the port and of the emulator.
+/// The TCP port or the emulator fails.
 pub fn serve(mut machine: Machine, listener: &TcpListener) -> Result<(), ServerError> {
     listener.set_nonblocking(true)?;
     let mut host = None::<TcpStream>;
@@ -71,7 +71,7 @@ pub fn serve(mut machine: Machine, listener: &TcpListener) -> Result<(), ServerE
     }
 }
 
-/// Moves what is there in both directions; an error when the host is gone.
+/// Moves available bytes in both directions; returns an error if the host is disconnected.
 fn exchange(machine: &mut Machine, stream: &mut TcpStream) -> std::io::Result<()> {
     let mut bytes = [0; 1024];
     match stream.read(&mut bytes) {

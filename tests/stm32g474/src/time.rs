@@ -1,7 +1,7 @@
-//! Emulated time, in ticks of HRTIM: 1/8 of a cycle of 170 MHz. The internal 16 MHz oscillator is 85 of them, so
-//! every clock of the image is a whole number of ticks.
+//! Emulated time, in ticks of HRTIM: 1/8 of a cycle of 170 MHz. A cycle of the internal 16 MHz oscillator is 85 ticks, so
+//! a cycle of every clock of the image is a whole number of ticks.
 
-/// A moment or a duration, in ticks of 1/1.36 GHz.
+/// Time or duration, in ticks of 1/1.36 GHz.
 pub type Ticks = u64;
 
 /// Ticks in a second.
@@ -12,7 +12,7 @@ pub const fn us(microseconds: u64) -> Ticks {
     microseconds * (TICKS_PER_S / 1_000_000)
 }
 
-/// Seconds of a duration.
+/// Duration in seconds.
 pub fn seconds(ticks: Ticks) -> f64 {
     ticks as f64 / TICKS_PER_S as f64
 }

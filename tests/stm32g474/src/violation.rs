@@ -1,17 +1,17 @@
-//! What the program did that the reference manual forbids.
+//! Violations of the reference manual by the program.
 
 use std::fmt;
 
 use crate::time::{Ticks, seconds};
 
-/// A rule of the chip that was broken.
+/// Broken rule of the chip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Violation {
-    /// When.
+    /// Time of the violation.
     pub at: Ticks,
-    /// Program counter, as far as it is known: the beginning of the block of code.
+    /// Program counter, as far as known: the beginning of the block of code.
     pub pc: u32,
-    /// The rule, with the section of RM0440 or the erratum that it comes from.
+    /// Broken rule, with its section of RM0440 or its erratum.
     pub rule: String,
 }
 
@@ -22,19 +22,19 @@ impl fmt::Display for Violation {
     }
 }
 
-/// The violations of a run. Each rule is kept once, so that a loop does not fill the memory.
+/// Log of the violations in a run. Each rule is kept once, so that a loop does not fill the memory.
 #[derive(Clone, Debug, Default)]
 pub struct Log {
-    /// What was found, in order.
+    /// Violations in the order of their times.
     pub violations: Vec<Violation>,
-    /// Time, kept by the machine.
+    /// Present time, set by the machine.
     pub now: Ticks,
-    /// Program counter, kept by the machine.
+    /// Program counter, set by the machine.
     pub pc: u32,
 }
 
 impl Log {
-    /// Notes that a rule was broken now.
+    /// Logs a violation at the present time.
     pub fn broken(&mut self, rule: impl Into<String>) {
         let rule = rule.into();
         if self.violations.iter().all(|known| known.rule != rule) {

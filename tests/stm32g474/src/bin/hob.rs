@@ -1,4 +1,4 @@
-//! The emulated board as a process: `cargo xtask hob`.
+//! Emulated board as a process: `cargo xtask hob`.
 
 use std::net::TcpListener;
 use std::path::PathBuf;
@@ -20,19 +20,19 @@ use ihd_stm32g474::server;
     cargo xtask hob\n  \
     ihd record --device tcp:127.0.0.1:4711 --power 1200 --windows 3 out.mcap")]
 struct Arguments {
-    /// The image, as it is flashed
+    /// Flash image of the controller
     #[arg(long, value_name = "ELF")]
     image: PathBuf,
-    /// Where to listen for a host
+    /// Address to listen on for a host
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:4711")]
     listen: String,
-    /// What stands on the coil
+    /// Pot on the coil
     #[arg(long, value_enum, default_value_t = Pot::Ferromagnetic)]
     pot: Pot,
     /// Mains frequency in hertz; default: the board's
     #[arg(long)]
     mains_hz: Option<f64>,
-    /// How the load is modelled: by the field, which is slower and truer, or by its behaviour
+    /// Field model of the load, slower and more accurate than the behavioural one
     #[arg(long)]
     field: bool,
 }

@@ -1,4 +1,4 @@
-//! What a read or a write of the processor does: which peripheral it reaches, and what the chip does after it.
+//! Read and write accesses of the processor: dispatch to the peripherals, and the effects of a write on the chip.
 
 use ihd_shared::board::Pin;
 
@@ -12,7 +12,7 @@ use super::register_file::RegisterFile;
 const PMA: u32 = 0x4000_6000;
 const PMA_BYTES: u32 = 0x400;
 
-/// Distance from a port's registers to the next one's.
+/// Address distance between the registers of two neighbouring ports.
 const PORT_BYTES: u32 = 0x400;
 
 impl Chip {
@@ -23,7 +23,7 @@ impl Chip {
         }
         let aligned = address & !3;
         if in_block(aligned, reg::usb_fs_device::BASE, 0x100) {
-            // Its registers are checked there; the SVD lacks some.
+            // The USB peripheral checks its registers itself: the SVD lacks some.
             self.before_usb_access();
             let word = self.usb.read(aligned - reg::usb_fs_device::BASE);
             self.update_lines();
@@ -54,7 +54,7 @@ impl Chip {
         word >> (8 * (address & 3))
     }
 
-    /// Levels of a port, 0 for A.
+    /// Input levels of a port, 0 for A.
     fn levels(&self, port: u8) -> u32 {
         // GPIOx_PUPDR: 1 is a pull-up.
         let pulls = self
@@ -68,7 +68,7 @@ impl Chip {
         self.pins.levels(port, pulled_up, released)
     }
 
-    /// Level that the program drives a pin to.
+    /// Output level that the program sets at a pin.
     pub fn driven(&self, pin: Pin) -> bool {
         let out = self
             .file
@@ -113,7 +113,7 @@ impl Chip {
         }
     }
 
-    /// TIM16: what it has captured by now. Reading CCR1 clears CC1IF (RM0440 29.6.5).
+    /// Reads a register of TIM16, captures up to now included. Reading CCR1 clears CC1IF (RM0440 29.6.5).
     fn read_timer(&mut self, address: u32) -> u32 {
         let (lsi, file, now) = (&self.lsi, &mut self.file, self.log.now);
         self.capture.advance(lsi, self.ticks_per_cycle, file, now);
@@ -193,8 +193,8 @@ impl Chip {
         }
     }
 
-    /// Reads from the pages that the program may write. A double error pends NMI (RM0440, 3.3.2): then there is nothing
-    /// to be had until the handler has run and the load is tried again.
+    /// Reads from the pages that the program may write. A double error pends NMI and returns `None` (RM0440, 3.3.2); the load
+    /// succeeds when it is repeated after the handler.
     pub fn read_page(&mut self, offset: u32, bytes: usize) -> Option<u32> {
         let (word, damaged) = self.flash.read_page(offset, bytes, &mut self.file);
         let reported = std::mem::take(&mut self.reported_page_word);
@@ -207,7 +207,7 @@ impl Chip {
         Some(word)
     }
 
-    /// Writes to those pages.
+    /// Writes to the pages that the program may write.
     pub fn write_page(&mut self, offset: u32, bytes: usize, value: u32) {
         self.flash
             .write_page(offset, value, bytes, &mut self.file, &mut self.log);
@@ -230,7 +230,7 @@ impl Chip {
         }
     }
 
-    /// Writes one.
+    /// Writes a register of the processor at an offset from 0xE000_0000.
     pub fn write_system(&mut self, offset: u32, bytes: usize, value: u32) {
         const CYCCNT: u32 = 0x1004;
         const AIRCR: u32 = 0xED0C;
@@ -261,7 +261,7 @@ fn converter(address: u32) -> Option<usize> {
     .position(|&base| in_block(address, base, 0x100))
 }
 
-/// Registers without a life of their own, but for locks and bits that are written to act.
+/// Handles a write to a register without a model of its own: locks, and bits that act when written. Returns the word to store.
 fn plain_write(
     address: u32,
     before: u32,

@@ -1,4 +1,4 @@
-//! ADC1 to 3: start-up in its order, regular conversions triggered by HRTIM (RM0440, 21).
+//! ADC1 to 4: start-up sequence, regular conversions triggered by HRTIM or software (RM0440, 21).
 
 use crate::registers::{Field, adc1, adc2, adc3, adc4, adc12_common, adc345_common};
 use crate::time::{TICKS_PER_S, Ticks, us};
@@ -6,10 +6,10 @@ use crate::violation::Log;
 
 use super::register_file::RegisterFile;
 
-/// Start of the voltage regulator (DS12288, table "ADC characteristics": t_ADCVREG_STUP).
+/// Start-up time of the voltage regulator (DS12288, table "ADC characteristics": t_ADCVREG_STUP).
 const REGULATOR_START: Ticks = us(20);
 
-/// Calibration takes 112 cycles of the ADC's clock (DS12288: t_CAL, 1 / f_ADC each).
+/// Duration of the calibration in cycles of the ADC's clock (DS12288: t_CAL, 1 / f_ADC each).
 const CALIBRATION_CYCLES: u64 = 112;
 
 /// Highest clock of the ADC in range 1 (DS12288: f_ADC, all ADCs in single-ended mode 60 MHz).
@@ -21,7 +21,7 @@ const AFTER_CALIBRATION_CYCLES: u64 = 4;
 /// Latency of a trigger in cycles of the ADC's clock at CKMODE = HCLK/4 (DS12288: t_LATR, 2.5 at most with margin).
 const TRIGGER_LATENCY_CYCLES: f64 = 2.125;
 
-/// Conversion itself at 12 bit, in cycles (RM0440, 21.4.15).
+/// Conversion time at 12 bit without sampling, in cycles (RM0440, 21.4.15).
 const CONVERSION_CYCLES: f64 = 12.5;
 
 /// Sampling times of SMPx in cycles (RM0440, 21.7.6).
@@ -30,7 +30,7 @@ const SAMPLING_CYCLES: [f64; 8] = [2.5, 6.5, 12.5, 24.5, 47.5, 92.5, 247.5, 640.
 /// External trigger 21 of every ADC: hrtim_adc_trg1 (RM0440, tables 163 and 164).
 const HRTIM_TRIGGER_1: u32 = 21;
 
-/// One converter: the addresses of its registers and what is under way.
+/// One converter: addresses of its registers and state of its conversion.
 #[derive(Clone, Debug)]
 pub struct Converter {
     base: u32,
@@ -40,15 +40,15 @@ pub struct Converter {
     calibrated_at: Option<Ticks>,
     calibrating_until: Ticks,
     enabled_at: Option<Ticks>,
-    /// End of the conversion that is under way, and its place in the sequence.
+    /// End of the current conversion; `rank` is the place of the next one in the sequence.
     busy_until: Ticks,
     rank: u32,
-    /// Conversions of each channel since the last reset.
+    /// Number of conversions of each channel since the last reset.
     pub taken: [u32; 19],
 }
 
 impl Converter {
-    /// ADC1, 2, 3 or 4, by number from 0.
+    /// Converter by its number from 0: ADC1, 2, 3 or 4.
     pub fn new(number: usize) -> Self {
         let (base, name, common_clock) = [
             (adc1::BASE, "ADC1", adc12_common::ccr::CKMODE),
@@ -70,7 +70,7 @@ impl Converter {
         }
     }
 
-    /// The same field as ADC1's, in this converter.
+    /// Field of this converter that corresponds to a field of ADC1.
     fn field(&self, of_adc1: Field) -> Field {
         of_adc1.at(of_adc1.address - adc1::BASE + self.base)
     }
@@ -79,13 +79,13 @@ impl Converter {
         file.get(self.field(field))
     }
 
-    /// Clock in hertz: synchronous, HCLK over 1, 2 or 4; 0 where CKMODE asks for the asynchronous one.
+    /// Clock in hertz: HCLK over 1, 2 or 4 if synchronous, HCLK if CKMODE selects the asynchronous clock.
     fn clock_hz(&self, hclk_hz: u64, file: &RegisterFile) -> u64 {
         match file.get(self.common_clock) {
             1 => hclk_hz,
             2 => hclk_hz / 2,
             3 => hclk_hz / 4,
-            // Asynchronous: CCIPR.ADCxSEL is the system's clock in this image, PRESC undivided.
+            // Asynchronous: this image selects the system clock in CCIPR.ADCxSEL and leaves it undivided in PRESC.
             _ => hclk_hz,
         }
     }
@@ -112,7 +112,7 @@ impl Converter {
         }
     }
 
-    /// Takes a write that is about to be stored; what is to be stored.
+    /// Handles a write before it is stored; returns the word to store.
     pub fn write(
         &mut self,
         address: u32,
@@ -217,11 +217,11 @@ impl Converter {
             }
             self.rank = 0;
         }
-        // ADCAL is cleared by hardware; reading decides when.
+        // Hardware clears ADCAL: `read` computes it.
         value
     }
 
-    /// A conversion that software started has ended: its result is there, and ADSTART falls (RM0440 21.4.17).
+    /// Ends a conversion that software started: stores the result and clears ADSTART (RM0440 21.4.17).
     pub fn finish(&self, value: u32, file: &mut RegisterFile) {
         file.set_word(self.base + 0x40, value);
         file.set(self.field(adc1::isr::EOC), 1);
@@ -229,14 +229,14 @@ impl Converter {
         file.set(self.field(adc1::cr::ADSTART), 0);
     }
 
-    /// Whether this converter takes HRTIM's first trigger now.
+    /// Returns `true` if HRTIM's first trigger starts a conversion now.
     pub fn takes_trigger(&self, file: &RegisterFile) -> bool {
         self.get(adc1::cr::ADSTART, file) == 1
             && self.get(adc1::cfgr::EXTEN, file) == 1
             && self.get(adc1::cfgr::EXTSEL, file) == HRTIM_TRIGGER_1
     }
 
-    /// Takes a trigger: the channel that it converts, and when that ends. None where it is busy.
+    /// Starts a conversion on a trigger; returns its channel and its end, `None` if the converter is busy.
     pub fn trigger(
         &mut self,
         hclk_hz: u64,
@@ -283,7 +283,7 @@ impl Converter {
         SAMPLING_CYCLES[smp as usize]
     }
 
-    /// The data register's content for a 12-bit code from 0 to 4095: an offset makes it signed (RM0440, 21.4.25).
+    /// Content of the data register for a 12-bit code from 0 to 4095; an offset makes it signed (RM0440, 21.4.25).
     pub fn data(&self, channel: u32, code: u32, file: &RegisterFile) -> u32 {
         for k in 0..4 {
             let word = file.word(self.base + 0x60 + 4 * k);

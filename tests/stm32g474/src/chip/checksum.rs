@@ -1,16 +1,16 @@
-//! The CRC unit: 32 bits, with the polynomial and the reversals of its registers (RM0440, 16).
+//! CRC unit: 32 bits, with the polynomial and the bit reversals of its registers (RM0440, 16).
 
 use crate::registers::crc;
 use crate::violation::Log;
 
 use super::register_file::RegisterFile;
 
-/// What stands in the unit.
+/// CRC unit with its current value.
 #[derive(Clone, Debug)]
 pub struct Checksum(u32);
 
 impl Default for Checksum {
-    /// The value after reset of DR and INIT.
+    /// Value of DR and INIT after reset.
     fn default() -> Self {
         Self(u32::MAX)
     }
@@ -26,7 +26,7 @@ impl Checksum {
         }
     }
 
-    /// Takes a write of `bytes` that is about to be stored; what is to be stored.
+    /// Handles a write of `bytes` before it is stored; returns the word to store.
     pub fn write(
         &mut self,
         address: u32,
@@ -78,7 +78,7 @@ impl Checksum {
 mod tests {
     use super::*;
 
-    /// The check value of CRC-32/ISO-HDLC is that of "123456789"; of its first eight bytes it is 0x9AE0_DAAF (zlib's).
+    /// CRC-32/ISO-HDLC is specified by its check value for "123456789"; the first eight bytes of that give 0x9AE0_DAAF (zlib).
     #[test]
     fn with_both_reversals_it_is_the_crc_32_of_zlib() {
         let (mut file, mut log, mut unit) =

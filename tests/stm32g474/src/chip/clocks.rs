@@ -1,4 +1,4 @@
-//! RCC, PWR and the wait states of the flash: which clock runs how fast, and the order in which it may be changed.
+//! RCC, PWR and the wait states of the flash: frequencies of the clocks, and the order in which they may be changed.
 
 use crate::registers::{Field, REGISTERS, flash, pwr, rcc};
 use crate::time::{TICKS_PER_S, Ticks};
@@ -8,7 +8,7 @@ use super::register_file::{RegisterFile, clock_of};
 
 const HSI_HZ: u64 = 16_000_000;
 
-/// SYSCLK and HCLK in hertz, from the registers (RM0440, 7.2).
+/// SYSCLK in hertz, from the registers (RM0440, 7.2).
 fn sysclk_hz(file: &RegisterFile) -> u64 {
     if file.get(rcc::rcc_cfgr::SWS) != 3 {
         return HSI_HZ;
@@ -36,12 +36,12 @@ pub fn hclk_hz(file: &RegisterFile) -> u64 {
     divided(sysclk_hz(file), file.get(rcc::rcc_cfgr::HPRE))
 }
 
-/// Ticks of a cycle of HCLK.
+/// Length of a cycle of HCLK in ticks.
 pub fn ticks_per_cycle(file: &RegisterFile) -> Ticks {
     TICKS_PER_S / hclk_hz(file).max(1)
 }
 
-/// Least wait states at a frequency (RM0440, table 29: range 1 boost 34 MHz a step, range 1 normal 30, range 2 12).
+/// Minimum of wait states at a frequency (RM0440, table 29: range 1 boost 34 MHz a step, range 1 normal 30, range 2 12).
 fn least_wait_states(file: &RegisterFile, hz: u64) -> u64 {
     let step = match (file.get(pwr::pwr_cr1::VOS), boosted(file)) {
         (1, true) => 34_000_000,
@@ -51,13 +51,13 @@ fn least_wait_states(file: &RegisterFile, hz: u64) -> u64 {
     hz.div_ceil(step).saturating_sub(1)
 }
 
-/// PWR_CR5.R1MODE is 0 for the boost mode (RM0440, 6.4.26).
+/// Returns `true` in boost mode: PWR_CR5.R1MODE is 0 (RM0440, 6.4.26).
 pub fn boosted(file: &RegisterFile) -> bool {
     !file.is(pwr::pwr_cr5::R1MODE)
 }
 
 fn check_speed(file: &RegisterFile, log: &mut Log) {
-    // The range limits SYSCLK too, whatever the AHB divides it by.
+    // The voltage range also limits SYSCLK, before the AHB's prescaler.
     let hz = sysclk_hz(file);
     let limit = match (file.get(pwr::pwr_cr1::VOS), boosted(file)) {
         (1, true) => 170_000_000,
@@ -78,12 +78,12 @@ fn check_speed(file: &RegisterFile, log: &mut Log) {
     }
 }
 
-/// Whether the peripheral's reset bit of RCC stands beside its clock's: same register, 0x20 below.
+/// Address of the RCC register with a peripheral's reset bit: 0x20 below the register of its clock bit, at the same position.
 fn reset_of(clock: Field) -> u32 {
     clock.address - 0x20
 }
 
-/// A write to RCC has been stored; does what follows from it.
+/// Applies the effects of a stored write to RCC.
 pub fn after_rcc_write(address: u32, before: u32, file: &mut RegisterFile, log: &mut Log) {
     use rcc::{rcc_bdcr, rcc_cfgr, rcc_cr, rcc_crrcr, rcc_csr};
     match address {
@@ -121,7 +121,7 @@ pub fn after_rcc_write(address: u32, before: u32, file: &mut RegisterFile, log: 
     }
 }
 
-/// Peripherals whose reset bit is set take their values after reset.
+/// Resets the registers of all peripherals whose reset bit is set.
 fn reset_peripherals(address: u32, file: &mut RegisterFile) {
     let word = file.word(address);
     let mut names: Vec<_> = REGISTERS
@@ -132,7 +132,7 @@ fn reset_peripherals(address: u32, file: &mut RegisterFile) {
     for name in names {
         let in_reset =
             clock_of(name).is_some_and(|clock| reset_of(clock) == address && clock.of(word) != 0);
-        // These are reset by nothing but the whole chip, or share the bit of another.
+        // The registers of FLASH are reset only with the whole chip.
         if in_reset && !matches!(name, "FLASH") {
             file.reset(name);
         }
@@ -164,12 +164,12 @@ fn switch(before: u32, file: &mut RegisterFile, log: &mut Log) {
     check_speed(file, log);
 }
 
-/// A write to PWR has been stored.
+/// Checks clocks and wait states after a write to PWR.
 pub fn after_pwr_write(file: &RegisterFile, log: &mut Log) {
     check_speed(file, log);
 }
 
-/// A write to FLASH_ACR has been stored.
+/// Checks clocks and wait states after a write to FLASH_ACR.
 pub fn after_wait_states_write(file: &RegisterFile, log: &mut Log) {
     check_speed(file, log);
 }
@@ -178,7 +178,7 @@ pub fn after_wait_states_write(file: &RegisterFile, log: &mut Log) {
 mod tests {
     use super::*;
 
-    /// The order of RM0440 6.1.5 for 170 MHz, with or without each of its steps.
+    /// Violations in the sequence of RM0440 6.1.5 for 170 MHz, with or without boost mode and the division of HCLK.
     fn started(boost: bool, divide: bool) -> Vec<String> {
         use rcc::{rcc_cfgr, rcc_cr, rcc_pllcfgr};
         let (mut file, mut log) = (RegisterFile::default(), Log::default());

@@ -7,24 +7,24 @@ use super::register_file::RegisterFile;
 
 const CHANNELS: u32 = 8;
 
-/// Interrupt of channel 1; the others follow (RM0440, 14.3, vector table).
+/// Interrupt number of channel 1; the others follow (RM0440, 14.3, vector table).
 pub const FIRST_INTERRUPT: usize = 11;
 
-/// A write to memory that a request led to.
+/// Write to memory that a request causes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transfer {
-    /// Where.
+    /// Address in memory.
     pub address: u32,
-    /// What.
+    /// Value to write.
     pub value: u32,
-    /// Bytes of it.
+    /// Size in bytes.
     pub bytes: usize,
 }
 
-/// The controller.
+/// DMA controller.
 #[derive(Clone, Debug, Default)]
 pub struct Dma {
-    /// CNDTRx as it was written, for the reload of a circular channel.
+    /// Value written to CNDTRx, for the reload of a circular channel.
     length: [u32; CHANNELS as usize],
 }
 
@@ -35,7 +35,7 @@ fn channel_register(first: u32, channel: u32) -> u32 {
 }
 
 impl Dma {
-    /// A peripheral requests: `request` is its DMAMUX input.
+    /// Handles a request of a peripheral; `request` is its DMAMUX input. Returns the write to memory, `None` if no channel serves it.
     pub fn request(
         &mut self,
         request: u32,
@@ -90,7 +90,7 @@ impl Dma {
         })
     }
 
-    /// Takes a write that is about to be stored; what is to be stored.
+    /// Handles a write before it is stored; returns the word to store.
     pub fn write(
         &mut self,
         address: u32,
@@ -138,7 +138,7 @@ impl Dma {
         value
     }
 
-    /// Level of a channel's interrupt.
+    /// Level of a channel's interrupt line.
     pub fn line(&self, channel: u32, file: &RegisterFile) -> bool {
         let flags = file.word(dma1::isr::ADDRESS) >> (4 * channel) & 0b1110;
         let enabled = file.word(channel_register(dma1::ccr1::ADDRESS, channel)) & 0b1110;

@@ -1,7 +1,7 @@
-//! The flash's controller, and the pages at its end that the program writes: program, erase, ECC (RM0440, 3.3).
+//! Flash controller, and the pages at the end of the flash that the program writes: program, erase, ECC (RM0440, 3.3).
 //!
-//! Those pages are reached through callbacks, so a read of a word with two wrong bits can do what it does on the chip.
-//! The program's own pages are plain memory.
+//! Callbacks serve those pages, so a read of a double word with two wrong bits has its effect on the chip. The pages that hold
+//! the program are plain memory.
 
 use std::collections::BTreeSet;
 
@@ -11,11 +11,11 @@ use crate::violation::Log;
 
 use super::register_file::RegisterFile;
 
-/// Where the pages begin that the program may write, and how many bytes they have: the last two of bank 2.
+/// First address of the pages that the program may write, the last two of bank 2.
 pub const PAGES: u32 = 0x0807_F000;
-/// See [`PAGES`].
+/// Size of the pages from [`PAGES`] on, in bytes.
 pub const PAGES_BYTES: usize = 0x1000;
-/// Bytes of a page.
+/// Size of a page in bytes.
 pub const PAGE_BYTES: u32 = 2048;
 const BANK_2: u32 = 0x0804_0000;
 
@@ -25,7 +25,7 @@ const ERASE: Ticks = us(22_020);
 
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
-/// What is being done.
+/// Operation of the controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Operation {
     Program {
@@ -35,7 +35,7 @@ enum Operation {
     Erase {
         offset: u32,
     },
-    /// Of the program's own part, by a debugger's algorithm: the machine writes that memory.
+    /// Programming of the program's own part by a debugger's flash algorithm; the machine writes that memory.
     ProgramElsewhere,
     EraseElsewhere {
         first: u32,
@@ -43,13 +43,13 @@ enum Operation {
     },
 }
 
-/// The pages' content, which outlives the power.
+/// Content of the pages, which is kept without power.
 #[derive(Clone, Debug)]
 pub struct Pages {
     bytes: Vec<u8>,
     /// Double words with two wrong bits.
     damaged: BTreeSet<u32>,
-    /// Double words that were programmed since the last erasure.
+    /// Double words programmed since the last erasure.
     programmed: BTreeSet<u32>,
 }
 
@@ -64,41 +64,41 @@ impl Default for Pages {
 }
 
 impl Pages {
-    /// Damages a double word: two wrong bits, at an offset from [`PAGES`].
+    /// Damages a double word with two wrong bits, at an offset from [`PAGES`].
     pub fn damage(&mut self, offset: u32) {
         self.damaged.insert(offset & !7);
     }
 
-    /// The content.
+    /// Content of the pages.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 }
 
-/// The controller.
+/// Flash controller.
 #[derive(Clone, Debug, Default)]
 pub struct FlashController {
-    /// The pages.
+    /// Pages that the program may write.
     pub pages: Pages,
     keys: usize,
     busy: Option<(Operation, Ticks)>,
     first_half: Option<(u32, u32)>,
-    /// Operations begun since power-on: what a power cut is counted in.
+    /// Number of operations begun since power-on; `cut_at_operation` refers to it.
     pub operations: u64,
-    /// At the beginning of this operation the power goes.
+    /// Number of the operation at whose beginning the power is cut.
     pub cut_at_operation: Option<u64>,
-    /// The power is to go now.
+    /// Set when the power is to be cut now.
     pub power_gone: bool,
-    /// A debugger may change the program; the program itself must not.
+    /// Set once a debugger is attached: it may change the program, the program itself must not.
     pub is_debugged: bool,
-    /// Pages of the program that are erased now, by address; the machine empties them.
+    /// Addresses of erased pages of the program; the machine clears that memory.
     pub erased: Vec<u32>,
-    /// Words of the program that were stored and must not have been, and what lay there; the machine puts it back.
+    /// Address and previous value of each word of the program whose store was refused; the machine restores it.
     pub refused: Vec<(u32, u32)>,
 }
 
 impl FlashController {
-    /// A controller of pages with this content.
+    /// Controller of pages with this content.
     pub fn with(pages: Pages) -> Self {
         Self {
             pages,
@@ -106,12 +106,12 @@ impl FlashController {
         }
     }
 
-    /// When the operation under way ends.
+    /// End of the operation in progress.
     pub fn next(&self) -> Option<Ticks> {
         self.busy.map(|(_, until)| until)
     }
 
-    /// Level of the interrupt: the end of an operation, or an error (RM0440, 3.6).
+    /// Level of the interrupt line: the end of an operation, or an error (RM0440, 3.6).
     pub fn line(file: &RegisterFile) -> bool {
         use flash::{flash_cr, flash_sr};
         const ERRORS: u32 = 0xC3FA;
@@ -119,7 +119,7 @@ impl FlashController {
         (file.is(flash_cr::EOPIE) && file.is(flash_sr::EOP)) || (file.is(flash_cr::ERRIE) && errors)
     }
 
-    /// Completes what is due. EOP is set only if its interrupt is enabled (RM0440, 3.7.5).
+    /// Completes the operation in progress if it is due. EOP is set only if its interrupt is enabled (RM0440, 3.7.5).
     pub fn advance(&mut self, now: Ticks, file: &mut RegisterFile) {
         if let Some((operation, until)) = self.busy
             && now >= until
@@ -154,11 +154,11 @@ impl FlashController {
         }
     }
 
-    /// The power goes: what is under way is left half done.
+    /// Cuts the power: an operation in progress is left half done.
     pub fn cut_power(&mut self) {
         match self.busy.take() {
             Some((Operation::Program { offset, value }, _)) => {
-                // Some of the 72 cells have taken their charge.
+                // Some of the 72 cells are programmed.
                 let half = value | 0xFFFF_FFFF_0000_0000;
                 self.pages.bytes[offset as usize..][..8].copy_from_slice(&half.to_le_bytes());
                 self.pages.damage(offset);
@@ -166,7 +166,7 @@ impl FlashController {
             }
             Some((Operation::Erase { offset }, _)) => {
                 for word in (offset..offset + PAGE_BYTES).step_by(8) {
-                    // Neither erased nor as it was.
+                    // Neither erased nor as before.
                     if word % 24 == 0 {
                         self.pages.damage(word);
                     } else if word % 16 == 0 {
@@ -175,7 +175,7 @@ impl FlashController {
                     self.pages.programmed.insert(word);
                 }
             }
-            // Half programmed or half erased: not as it was, and not as it was to be.
+            // Interrupted erasure: only the first page is erased.
             Some((Operation::EraseElsewhere { first, .. }, _)) => self.erased.push(first),
             Some((Operation::ProgramElsewhere, _)) | None => {}
         }
@@ -191,14 +191,14 @@ impl FlashController {
         }
     }
 
-    /// What lies in the pages, for who reads past the processor.
+    /// Reads from the pages for a debugger, without effects on the controller.
     pub fn peek(&self, offset: u32, bytes: usize) -> u32 {
         let mut word = [0; 4];
         word[..bytes].copy_from_slice(&self.pages.bytes[offset as usize..][..bytes]);
         u32::from_le_bytes(word)
     }
 
-    /// Reads from the pages; whether the word has two wrong bits, which FLASH_ECCR then reports.
+    /// Reads from the pages. The second value is `true` if the double word has two wrong bits, which FLASH_ECCR then reports.
     pub fn read_page(&mut self, offset: u32, bytes: usize, file: &mut RegisterFile) -> (u32, bool) {
         let mut word = [0; 4];
         word[..bytes].copy_from_slice(&self.pages.bytes[offset as usize..][..bytes]);
@@ -259,7 +259,7 @@ impl FlashController {
         }
     }
 
-    /// A write to the program's part of the flash: whether it is programmed there. `was` is what lies in that word.
+    /// Handles a write to the program's part of the flash; returns `true` if it is programmed. `was` is the word before the write.
     pub fn write_elsewhere(
         &mut self,
         address: u32,
@@ -309,7 +309,7 @@ impl FlashController {
         }
     }
 
-    /// Takes a write that is about to be stored; what is to be stored.
+    /// Handles a write before it is stored; returns the word to store.
     pub fn write(
         &mut self,
         address: u32,
@@ -391,7 +391,7 @@ impl FlashController {
         START.put(value, 0)
     }
 
-    /// Mass erasure of one bank or both; the pages of the second are ours.
+    /// Starts the mass erasure of one bank or both; bank 2 includes the pages that the program may write.
     fn erase_banks(&mut self, banks: [bool; 2], log: &mut Log) {
         if !self.is_debugged {
             log.broken("mass erasure by the program");

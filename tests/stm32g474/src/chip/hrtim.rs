@@ -1,7 +1,7 @@
-//! HRTIM: timer A on the bridge, timer B as the trigger of the ADCs, outputs with dead time, faults (RM0440, 27).
+//! HRTIM: timer A drives the bridge, timer B triggers the ADCs; outputs with dead time, faults (RM0440, 27).
 //!
-//! A timer that counts is a period and the moment at which it began to count from 0; the counter is computed where it
-//! is asked for. Both timers use prescaler 2 in this image, so one count is one tick; others are a violation.
+//! A running timer is modelled by its period and the time of count 0; the counter is computed when it is read. Both timers
+//! use prescaler 2 in this image, so one count is one tick; other prescalers are a violation.
 
 mod faults;
 
@@ -12,31 +12,31 @@ use crate::violation::Log;
 use self::faults::{INPUTS, sources_written};
 use super::register_file::RegisterFile;
 
-/// Time for the DLL's calibration (RM0440, 27.3.4: 14 µs at 170 MHz).
+/// Duration of the DLL's calibration (RM0440, 27.3.4: 14 µs at 170 MHz).
 const DLL_CALIBRATION: Ticks = us(14);
 
-/// What the bridge's two switches do.
+/// State of the bridge's two switches.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Bridge {
     /// Both open.
     #[default]
     Open,
-    /// The lower one is closed all the time.
+    /// Lower switch permanently closed.
     LowerClosed,
-    /// They alternate.
+    /// Switches closed in turn.
     Switching {
         /// Period in ticks.
         period: u32,
-        /// End of the upper switch's part of it, in ticks.
+        /// End of the upper switch's on-time in the period, in ticks.
         on: u32,
     },
 }
 
-/// A timer's counter, and the values that are in force.
+/// Counter of a timer, with its active period.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Counter {
     running: bool,
-    /// When it was at 0 at the last repetition event, or when it began to count.
+    /// Time of count 0: the last repetition event, reset or start.
     started: Ticks,
     period: u32,
 }
@@ -51,16 +51,16 @@ impl Counter {
     }
 }
 
-/// The timer unit.
+/// HRTIM unit.
 #[derive(Clone, Debug, Default)]
 pub struct Hrtim {
     a: Counter,
     b: Counter,
-    /// What is in force of the registers that are preloaded.
+    /// Active values of the preloaded registers, by address.
     active: [Vec<(u32, u32)>; 2],
     dll_ready_at: Option<Ticks>,
     enabled: [bool; 2],
-    /// When the outputs went from on to off, each time.
+    /// Time at which the outputs last went off.
     pub off_at: Option<Ticks>,
     dead_time_locked: bool,
 }
@@ -68,7 +68,7 @@ pub struct Hrtim {
 const OUTPUT_1: u32 = 1;
 const OUTPUT_2: u32 = 2;
 
-/// The registers that are preloaded, of those that the image writes (RM0440, table 231); the period first.
+/// Preloaded registers that the image writes (RM0440, table 231); the period first.
 const PRELOADED: [&[u32]; 2] = [
     &[
         hrtim_tima::perar::ADDRESS,
@@ -81,7 +81,7 @@ const PRELOADED: [&[u32]; 2] = [
 ];
 
 impl Hrtim {
-    /// The next moment at which timer B triggers the ADCs, as HRTIM_ADC1R says: at its compare 3.
+    /// Time of the next trigger of the ADCs by timer B: its compare 3, if HRTIM_ADC1R selects it.
     pub fn next_trigger(&self, file: &RegisterFile, now: Ticks) -> Option<Ticks> {
         let on = self.b.running && self.b.period > 0 && file.is(hrtim_common::adc1r::AD1TBC3);
         on.then(|| {
@@ -92,7 +92,7 @@ impl Hrtim {
         })
     }
 
-    /// The next repetition event of a timer that is updated by it (RM0440, 27.3.4, "Repetition counter").
+    /// Time of the next repetition event that updates a timer (RM0440, 27.3.4, "Repetition counter").
     pub fn next_repetition(&self, file: &RegisterFile) -> Option<Ticks> {
         (0..2)
             .filter_map(|timer| self.repetition(timer, file))
@@ -115,7 +115,7 @@ impl Hrtim {
         by_repetition.then(|| counter.started + periods * Ticks::from(counter.period))
     }
 
-    /// Does what repetition events that are due now do: what was preloaded comes into force.
+    /// Processes repetition events that are due: preloaded values become active.
     pub fn repeat(&mut self, file: &RegisterFile, now: Ticks) {
         for timer in 0..2 {
             if self.repetition(timer, file).is_some_and(|at| now >= at) {
@@ -132,7 +132,7 @@ impl Hrtim {
         if timer == 0 { &mut self.a } else { &mut self.b }
     }
 
-    /// Everything preloaded of a timer comes into force.
+    /// Activates all preloaded values of a timer.
     fn update(&mut self, timer: usize, file: &RegisterFile) {
         self.active[timer] = PRELOADED[timer]
             .iter()
@@ -141,13 +141,13 @@ impl Hrtim {
         self.counter(timer).period = self.in_force(timer, PRELOADED[timer][0]);
     }
 
-    /// What is in force of a preloaded register.
+    /// Active value of a preloaded register.
     fn in_force(&self, timer: usize, address: u32) -> u32 {
         let found = self.active[timer].iter().find(|(at, _)| *at == address);
         found.map_or(0, |(_, value)| *value)
     }
 
-    /// What the switches do now.
+    /// Present state of the switches.
     pub fn bridge(&self, file: &RegisterFile) -> Bridge {
         let set = hrtim_tima::seta1r::PER.of(self.in_force(0, hrtim_tima::seta1r::ADDRESS)) == 1;
         let reset = hrtim_tima::rsta1r::CMP1.of(self.in_force(0, hrtim_tima::rsta1r::ADDRESS)) == 1;
@@ -157,24 +157,24 @@ impl Hrtim {
                 period: self.a.period,
                 on: self.in_force(0, hrtim_tima::cmp1ar::ADDRESS),
             },
-            // With dead time output 2 is the complement of output 1, which no event sets, or which is not on the pin.
+            // With dead time, output 2 is the complement of output 1; no event sets output 1, or it is not on the pin.
             [_, true] if file.is(hrtim_tima::outar::DTEN) => Bridge::LowerClosed,
             _ => Bridge::Open,
         }
     }
 
-    /// Whether the bridge's timer counts.
+    /// Returns `true` if the bridge's timer counts.
     pub fn is_running(&self) -> bool {
         self.a.running
     }
 
-    /// Frequency at which timer A counts, in hertz.
+    /// Switching frequency by timer A's period, in hertz.
     pub fn f_sw_hz(&self) -> f64 {
         crate::time::TICKS_PER_S as f64 / f64::from(self.a.period.max(1))
     }
 
-    /// The two dead times in force, before the rising and behind the falling edge of output 1, in seconds: steps of
-    /// 2^DTPRSC / 8 cycles of 170 MHz (RM0440, 27.5.20).
+    /// Active dead times before the rising and after the falling edge of output 1, in seconds: steps of 2^DTPRSC / 8 cycles of
+    /// 170 MHz (RM0440, 27.5.20).
     pub fn dead_times_s(&self) -> [f64; 2] {
         use hrtim_tima::dtar::{DTFX, DTPRSC, DTRX};
         let dead_time = self.in_force(0, hrtim_tima::dtar::ADDRESS);
@@ -206,7 +206,7 @@ impl Hrtim {
         }
     }
 
-    /// Takes a write that is about to be stored; what is to be stored.
+    /// Handles a write before it is stored; returns the word to store.
     pub fn write(
         &mut self,
         address: u32,
@@ -313,7 +313,7 @@ impl Hrtim {
         value
     }
 
-    /// A register has been stored: without preload it is in force at once.
+    /// Applies a stored write: without preload the register is active at once.
     pub fn after_write(&mut self, address: u32, file: &RegisterFile) {
         for (timer, preload) in [
             (0, hrtim_tima::timacr::PREEN),
@@ -325,7 +325,7 @@ impl Hrtim {
         }
     }
 
-    /// HRTIM_CR2: registers updated and counters reset by software.
+    /// Handles a write to HRTIM_CR2: updates registers and resets counters.
     fn software_update(&mut self, value: u32, file: &RegisterFile, log: &mut Log) {
         use hrtim_common::cr2::{TARST, TASWU, TBRST, TBSWU};
         let now = log.now;
@@ -342,7 +342,7 @@ impl Hrtim {
         }
         for (timer, update, reset) in [(0, TASWU, TARST), (1, TBSWU, TBRST)] {
             if update.of(value) == 1 {
-                // The counter goes on from where it is.
+                // The counter continues from its present count.
                 let count = self.counter(timer).count(now);
                 self.counter(timer).started = now - Ticks::from(count);
                 self.update(timer, file);
@@ -373,7 +373,7 @@ impl Hrtim {
         if value & !(OUTPUT_1 | OUTPUT_2) != 0 {
             log.broken("HRTIM: an output enabled that is not wired");
         }
-        // The rules of order of what must be armed before an output may be enabled (RM0440, 27.3.22).
+        // Conditions for enabling an output (RM0440, 27.3.22).
         let armed = file.word(hrtim_tima::fltar::ADDRESS);
         for input in [0, 1, 3] {
             let [enable, ..] = INPUTS[input];
@@ -392,7 +392,7 @@ impl Hrtim {
         }
         let tripped = file.word(hrtim_common::isr::ADDRESS) & armed & 0x1F != 0;
         if tripped || file.is(hrtim_common::isr::SYSFLT) {
-            // An active fault holds the outputs (RM0440, 27.3.17).
+            // An active fault keeps the outputs off (RM0440, 27.3.17).
             return;
         }
         for (output, bit) in [(0, OUTPUT_1), (1, OUTPUT_2)] {

@@ -1,6 +1,6 @@
-//! LSI, the oscillator of its own that the watchdog has, and TIM16, which captures its edges (RM0440, 7.2.5 and 29).
+//! LSI, the separate oscillator of the watchdog, and TIM16, which captures its edges (RM0440, 7.2.5 and 29).
 //!
-//! Time here is the processor's own: a main clock that runs 10 % too fast is an LSI, and everything else outside, that is 10 %
+//! Time here is the processor's: a main clock that is 10 % too fast is modelled by an LSI, and all else outside, that is 10 %
 //! too slow.
 
 use crate::registers::{rcc, tim16};
@@ -12,10 +12,10 @@ use super::register_file::RegisterFile;
 /// Frequency of the LSI in hertz (DS12288: 31.04 to 32.96 kHz at 30 °C; the middle).
 pub const LSI_HZ: u64 = 32_000;
 
-/// TISEL's number for it (stm32g4xx_hal_tim_ex.h, `TIM_TIM16_TI1_LSI`).
+/// Value of TISEL that selects the LSI (stm32g4xx_hal_tim_ex.h, `TIM_TIM16_TI1_LSI`).
 const TI1_LSI: u32 = 6;
 
-/// The oscillator: its frequency, and its edges so far.
+/// Low-speed oscillator: its frequency, and its edges so far.
 #[derive(Clone, Copy, Debug)]
 pub struct Lsi {
     hz: u64,
@@ -34,23 +34,23 @@ impl Default for Lsi {
 }
 
 impl Lsi {
-    /// Its frequency in hertz.
+    /// Frequency in hertz.
     pub fn hz(&self) -> u64 {
         self.hz
     }
 
-    /// From now on another frequency, in hertz: a test's interference.
+    /// Sets another frequency from now on, in hertz, for fault injection.
     pub fn set_hz(&mut self, hz: u64, now: Ticks) {
         self.edges = self.edges_at(now);
         (self.hz, self.since) = (hz, now);
     }
 
-    /// Rising edges until a moment.
+    /// Number of rising edges until a time.
     fn edges_at(&self, now: Ticks) -> u64 {
         self.edges + now.saturating_sub(self.since) * self.hz / TICKS_PER_S
     }
 
-    /// When an edge comes, of those since the frequency was set.
+    /// Time of an edge by its number, for edges after the last change of the frequency.
     fn time_of(&self, edge: u64) -> Ticks {
         let from_here = edge.saturating_sub(self.edges);
         self.since + (from_here * TICKS_PER_S).div_ceil(self.hz.max(1))
@@ -60,16 +60,16 @@ impl Lsi {
 /// TIM16 with channel 1 as an input capture.
 #[derive(Clone, Debug, Default)]
 pub struct Capture {
-    /// When the counter was at 0, and the edge at which channel 1 was enabled.
+    /// Time at which the counter was 0; `enabled_at_edge` is the edge at which channel 1 was enabled.
     counts_since: Ticks,
     enabled_at_edge: u64,
-    /// PSC is taken over by an update event (RM0440 29.4.1).
+    /// Active prescaler: an update event loads it from PSC (RM0440 29.4.1).
     prescaler: u32,
     captures: u64,
 }
 
 impl Capture {
-    /// Captures that are due by now set CC1IF, or CC1OF if that stands already.
+    /// Processes captures that are due: sets CC1IF, and CC1OF if a capture was overwritten.
     pub fn advance(
         &mut self,
         lsi: &Lsi,
@@ -101,7 +101,7 @@ impl Capture {
         file.set_word(tim16_ccr1::ADDRESS, (counts % length) as u32);
     }
 
-    /// Takes a write that is about to be stored; what is to be stored.
+    /// Handles a write before it is stored; returns the word to store.
     pub fn write(
         &mut self,
         address: u32,

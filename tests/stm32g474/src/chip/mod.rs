@@ -1,4 +1,4 @@
-//! The chip around the processor: every register the image touches, and what happens in time.
+//! Chip around the processor: every register that the image uses, and the events of the peripherals over time.
 
 mod access;
 pub mod adc;
@@ -31,69 +31,69 @@ use self::serial::Serial;
 use self::timer_2::Timer2;
 use self::watchdog::Watchdog;
 
-/// Requests of ADC1 and ADC3 at DMAMUX (RM0440, table 91).
+/// DMAMUX requests of ADC1 and ADC3 (RM0440, table 91).
 const REQUEST_ADC1: u32 = 5;
 const REQUEST_ADC3: u32 = 37;
 
-/// USB_LP and FLASH (RM0440, 14.3, vector table).
+/// Interrupt numbers of USB_LP and FLASH (RM0440, 14.3, vector table).
 const USB_LP: usize = 20;
 const FLASH: usize = 4;
 
-/// How often the other end of the USB cable is looked after: a full-speed packet of 64 bytes takes 50 µs.
+/// Polling period of the other end of the USB cable: a full-speed packet of 64 bytes takes 50 µs.
 const USB_POLL: Ticks = us(25);
 
-/// Which comparator is on which fault input of HRTIM (RM0440, table 221): COMP2 on 1, COMP1 on 4.
+/// Pairs of comparator and fault input of HRTIM, both from 0 (RM0440, table 221): COMP2 on input 1, COMP1 on input 4.
 const COMPARATOR_INPUTS: [(usize, usize); 2] = [(0, 3), (1, 0)];
 
-/// Why the program starts again.
+/// Cause of a reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reset {
-    /// The program asked for it.
+    /// Request by the program.
     Software,
-    /// The watchdog.
+    /// Timeout of the watchdog.
     Watchdog,
-    /// The power came back.
+    /// Power-on.
     Power,
 }
 
-/// Place of ADC4 among the converters: it is started by software, and no DMA takes what it finds.
+/// Index of ADC4 among the converters: software starts it, and no DMA moves its result.
 const ADC4: usize = 3;
 
-/// A conversion whose result is due.
+/// Conversion in progress, with its result.
 #[derive(Clone, Copy, Debug)]
 struct Conversion {
     at: Ticks,
-    /// Of the DMA; none for ADC4, whose result waits in its data register.
+    /// DMA request; `None` for ADC4, whose result stays in its data register.
     request: Option<u32>,
     value: u32,
 }
 
-/// Everything but the processor and its memory.
+/// Whole chip without the processor and its memory.
 pub struct Chip {
     /// All registers.
     pub file: RegisterFile,
     /// Violations, time, program counter.
     pub log: Log,
-    /// The interrupt controller.
+    /// Interrupt controller.
     pub nvic: Nvic,
     /// HRTIM.
     pub hrtim: Hrtim,
-    /// The serial port and its line.
+    /// Serial port and its line.
     pub serial: Serial,
-    /// The USB device.
+    /// USB device.
     pub usb: Usb,
-    /// The flash's controller.
+    /// Flash controller.
     pub flash: FlashController,
-    /// The watchdog.
+    /// Independent watchdog.
     pub watchdog: Watchdog,
-    /// What is wired to the pins.
+    /// Circuits at the pins.
     pub pins: Pins,
-    /// The low-speed oscillator.
+    /// Low-speed oscillator.
     pub lsi: Lsi,
-    /// A test's interference: every other trigger of the ADCs is lost.
+    /// Fault injection: every second trigger of the ADCs is lost.
     pub loses_triggers: bool,
     trigger_is_lost: bool,
-    /// The converters: ADC1, 2, 3, 4.
+    /// Converters ADC1, 2, 3 and 4.
     adcs: [Converter; 4],
     checksum: Checksum,
     capture: Capture,
@@ -101,25 +101,25 @@ pub struct Chip {
     dma: Dma,
     conversions: Vec<Conversion>,
     next_trigger: Option<Ticks>,
-    /// The load that NMI was pended for, and that comes again after it.
+    /// Offset of the load for which NMI was pended; the load is repeated after the handler.
     reported_page_word: Option<u32>,
-    /// When something happened last.
+    /// Time of the last event.
     happened_at: Ticks,
     next_usb_poll: Ticks,
-    /// Something asked for a reset.
+    /// Pending reset.
     pub reset: Option<Reset>,
-    /// System registers of the processor: VTOR, CCR, SHCSR, DEMCR, DWT.
+    /// System registers of the processor, by offset: VTOR, CCR, SHCSR, DEMCR, DWT.
     pub system: std::collections::HashMap<u32, u32>,
     /// Cycles of the processor since power-on, for DWT.
     pub cycles: u64,
     cycle_origin: u64,
     ticks_per_cycle: Ticks,
-    /// What the DMA writes to memory; the machine does it.
+    /// Writes of the DMA to memory, which the machine carries out.
     pub transfers: Vec<Transfer>,
 }
 
 impl Chip {
-    /// A chip that has just got its power.
+    /// Chip at power-on.
     pub fn new(pins: Pins, pages: flash::Pages) -> Self {
         let mut chip = Self {
             file: RegisterFile::default(),
@@ -155,12 +155,12 @@ impl Chip {
         chip
     }
 
-    /// Option bytes as they should be; tests set others.
+    /// Sets a field of the option bytes, for tests.
     pub fn set_option(&mut self, option: Field, value: u32) {
         self.file.set(option, value);
     }
 
-    /// Everything but memory, time and what is outside takes its state after a reset.
+    /// Resets everything but memory, time and the circuits outside.
     pub fn after_reset(&mut self, why: Reset) {
         let options = self.file.word(reg::flash::flash_optr::ADDRESS);
         let flags = self.file.word(reg::rcc::rcc_csr::ADDRESS) & 0xFE00_0000;
@@ -180,7 +180,7 @@ impl Chip {
         self.file
             .set_word(reg::rcc::rcc_csr::ADDRESS, kept | cause.mask() | pin);
         self.file.set_word(reg::flash::flash_optr::ADDRESS, options);
-        // As delivered: no page is write-protected, the first behind the last.
+        // State as delivered: no page is write-protected, as each area's start lies after its end.
         for protection in [
             reg::flash::flash_wrp1ar::ADDRESS,
             reg::flash::flash_wrp1br::ADDRESS,
@@ -196,7 +196,7 @@ impl Chip {
         };
         self.hrtim = Hrtim::default();
         self.hrtim.off_at = off_at;
-        // What is on the line is no part of the chip: what has left it, and what has not reached it.
+        // Bytes on the line, already sent or not yet received, are outside the chip and stay.
         let line = std::mem::take(&mut self.serial);
         (self.serial.sent, self.serial.inbound) = (line.sent, line.inbound);
         self.usb = Usb::new();
@@ -214,12 +214,12 @@ impl Chip {
         self.drive_pins();
     }
 
-    /// Ticks of a cycle of the processor.
+    /// Length of a cycle of the processor in ticks.
     pub fn ticks_per_cycle(&self) -> Ticks {
         self.ticks_per_cycle
     }
 
-    /// The next moment at which something happens by itself.
+    /// Time of the next event.
     pub fn next_event(&self) -> Ticks {
         [
             self.next_trigger,
@@ -240,7 +240,7 @@ impl Chip {
         .unwrap_or(Ticks::MAX)
     }
 
-    /// Lets everything happen that is due by now, each thing at its own moment.
+    /// Processes all events that are due by now, each at its own time.
     pub fn advance(&mut self) {
         let now = self.log.now;
         while self.reset.is_none() {
@@ -248,7 +248,7 @@ impl Chip {
             if at > now {
                 break;
             }
-            // What was put on a line meanwhile begins now, not when the line fell silent.
+            // No event is earlier than the last one: bytes put on an idle line start now, not when it became idle.
             self.happened_at = self.happened_at.max(at);
             self.log.now = self.happened_at;
             self.happen();
@@ -258,7 +258,7 @@ impl Chip {
         self.update_lines();
     }
 
-    /// What is due at this moment.
+    /// Processes the events that are due at this time.
     fn happen(&mut self) {
         let now = self.log.now;
         if self.watchdog.bites_at.is_some_and(|at| now >= at) {
@@ -315,7 +315,7 @@ impl Chip {
         self.nvic.set_line(FLASH, FlashController::line(&self.file));
     }
 
-    /// HRTIM's first trigger: the power stage goes on to this moment, and the converters take what is there.
+    /// Handles HRTIM's first trigger: advances the power stage to this time and starts the conversions.
     fn trigger(&mut self) {
         let hclk_hz = clocks::hclk_hz(&self.file);
         self.drive_pins();
@@ -360,18 +360,18 @@ impl Chip {
         self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
     }
 
-    /// Conversions of each channel of an ADC since the last reset; the ADCs count from 0.
+    /// Number of conversions of each channel of an ADC since the last reset; ADCs are numbered from 0.
     pub fn conversions(&self, adc: usize) -> [u32; 19] {
         self.adcs[adc].taken
     }
 
-    /// Software starts ADC4: what stands at its pin is taken at once.
+    /// Starts ADC4 by software: the level at its pin is sampled at once.
     fn start_adc4(&mut self) {
         let hclk_hz = clocks::hclk_hz(&self.file);
         let adc = &mut self.adcs[ADC4];
         if let Some((channel, at)) = adc.trigger(hclk_hz, &self.file, &mut self.log) {
             let code = match channel {
-                // VREFINT, once it is led there (RM0440, ADCx_CCR).
+                // VREFINT, if it is connected (RM0440, ADCx_CCR).
                 18 if self.file.is(reg::adc345_common::ccr::VREFEN) => self.pins.reference_code(),
                 _ => self.pins.thermistor_code(channel),
             };
@@ -384,7 +384,7 @@ impl Chip {
         }
     }
 
-    /// What the comparators compare with, for the pins.
+    /// Sets threshold and filter of the comparators at the pins.
     fn set_comparators(&mut self) {
         use reg::comp::comp_c1csr::{EN, INMSEL};
         use reg::dac1::{dac_cr, dac_dhr12r1, dac_dhr12r2};
@@ -404,7 +404,7 @@ impl Chip {
         }
     }
 
-    /// Comparators that have tripped: HRTIM's fault inputs, at their moment.
+    /// Applies comparator trips to HRTIM's fault inputs, each at its time.
     fn trip(&mut self, tripped: [Option<f64>; 2]) {
         for (comparator, input) in COMPARATOR_INPUTS {
             if let Some(after_s) = tripped[comparator] {
@@ -415,7 +415,7 @@ impl Chip {
         self.drive_pins();
     }
 
-    /// Moment from which HRTIM's external event 2 is active: TIM2's trigger output, active high.
+    /// Time from which HRTIM's external event 2 is active: TIM2's trigger output, active high.
     fn event_2_from(&self) -> Option<Ticks> {
         use reg::hrtim_common::eecr1::{EE2POL, EE2SRC};
         const TIM2_TRGO: u32 = 2;
@@ -424,13 +424,13 @@ impl Chip {
         from.filter(|_| wired)
     }
 
-    /// The next moment at which it becomes active.
+    /// Next time at which external event 2 becomes active with an effect.
     fn next_event_2(&self) -> Option<Ticks> {
         let from = self.event_2_from();
         from.filter(|_| !self.hrtim.is_event_2_taken(&self.file))
     }
 
-    /// External event 2 is a level on fault input 2, where that takes it (RM0440, table 221).
+    /// Applies external event 2: a level on fault input 2, if that input uses it (RM0440, table 221).
     fn check_event_2(&mut self) {
         let now = self.log.now;
         if self.event_2_from().is_some_and(|at| now >= at)
@@ -441,7 +441,7 @@ impl Chip {
         }
     }
 
-    /// A system fault that SYSCFG_CFGR2 connects to HRTIM, by its bit there.
+    /// Applies a system fault if its bit in SYSCFG_CFGR2 connects it to HRTIM.
     pub fn system_fault(&mut self, connected_by: Field) {
         if self.file.is(connected_by) {
             let now = self.log.now;
@@ -450,7 +450,7 @@ impl Chip {
         }
     }
 
-    /// The bridge's pins carry HRTIM's outputs only in alternate function 13 (DS12288, table 13).
+    /// Drives the bridge's pins, which carry HRTIM's outputs only in alternate function 13 (DS12288, table 13).
     fn drive_pins(&mut self) {
         let moder = self.file.word(reg::gpioa::moder::ADDRESS);
         let afrh = self.file.word(reg::gpioa::afrh::ADDRESS);

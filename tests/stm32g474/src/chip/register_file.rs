@@ -1,5 +1,5 @@
-//! All registers as plain words, with what holds for each of them: it exists, its peripheral is clocked, its reserved
-//! bits stay.
+//! All registers as plain words, with the rules for each of them: it exists, its peripheral is clocked, its reserved bits
+//! stay unchanged.
 
 use std::sync::LazyLock;
 
@@ -9,8 +9,8 @@ use crate::violation::Log;
 /// Words of address space in the ranges that have registers.
 const PLACES: usize = 0xB400;
 
-/// For each word of address space the number of its register and 1, or 0: registers are looked up some ten times in each block of code, and
-/// hashing their addresses took half of the emulator's time.
+/// Number of the register plus 1 for each word of address space, or 0. Registers are looked up some ten times in each block of
+/// code; hashing their addresses took half of the emulator's time.
 static INDEX: LazyLock<[u16; PLACES]> = LazyLock::new(|| {
     let mut index = [0; PLACES];
     for (number, register) in (1..).zip(REGISTERS) {
@@ -19,7 +19,7 @@ static INDEX: LazyLock<[u16; PLACES]> = LazyLock::new(|| {
     index
 });
 
-/// Place of an address in [`INDEX`]. Inlined, as what calls it is, since most addresses are constants.
+/// Place of an address in [`INDEX`]. Inlined, as are its callers, since most addresses are constants.
 #[inline]
 fn place(address: u32) -> Option<usize> {
     let (first, base, bytes) = match address >> 24 {
@@ -33,14 +33,14 @@ fn place(address: u32) -> Option<usize> {
     (offset < bytes && offset.is_multiple_of(4)).then_some(first + offset as usize / 4)
 }
 
-/// The words.
+/// Values of all registers.
 #[derive(Clone, Debug)]
 pub struct RegisterFile {
     index: &'static [u16; PLACES],
     values: Vec<u32>,
 }
 
-/// The bit of RCC that clocks a peripheral (RM0440, 7.2.16 and the RCC_xxxENR registers); none for those that are always clocked.
+/// RCC bit that clocks a peripheral (RM0440, 7.2.16 and the RCC_xxxENR registers); `None` if it is always clocked.
 pub fn clock_of(peripheral: &str) -> Option<Field> {
     Some(match peripheral {
         "DMA1" => rcc::rcc_ahb1enr::DMA1EN,
@@ -80,7 +80,7 @@ impl RegisterFile {
         usize::from(self.index[place(address)?]).checked_sub(1)
     }
 
-    /// A register's word; 0 where there is none.
+    /// Word of a register; 0 if there is none at the address.
     #[inline]
     pub fn word(&self, address: u32) -> u32 {
         self.number(address).map_or(0, |k| self.values[k])
@@ -93,13 +93,13 @@ impl RegisterFile {
         }
     }
 
-    /// A field's value.
+    /// Value of a field.
     #[inline]
     pub fn get(&self, field: Field) -> u32 {
         field.of(self.word(field.address))
     }
 
-    /// Whether a field is not 0.
+    /// Returns `true` if a field is not 0.
     #[inline]
     pub fn is(&self, field: Field) -> bool {
         self.get(field) != 0
@@ -110,7 +110,7 @@ impl RegisterFile {
         self.set_word(field.address, field.put(self.word(field.address), value));
     }
 
-    /// Every register of a peripheral takes its value after reset.
+    /// Resets every register of a peripheral.
     pub fn reset(&mut self, peripheral: &str) {
         for (value, register) in self.values.iter_mut().zip(REGISTERS) {
             if register.peripheral == peripheral {
@@ -119,7 +119,7 @@ impl RegisterFile {
         }
     }
 
-    /// Whether an access is one that the chip takes; notes it where it is not.
+    /// Checks an access and logs violations; returns `false` if the chip ignores it.
     pub fn check_access(&self, address: u32, written: Option<u32>, log: &mut Log) -> bool {
         let Some(k) = self.number(address) else {
             log.broken(format!(
@@ -138,7 +138,7 @@ impl RegisterFile {
             return false;
         }
         if let Some(value) = written {
-            // Drivers clear flags by writing back what they read, whose other bits no manual keeps at reset.
+            // Drivers clear flags by writing back the word that they read; no manual requires its other bits to stay at reset.
             let clears_flags = matches!((of, name), ("LPUART1", "ICR"));
             let reserved = if clears_flags { 0 } else { !register.bits };
             if (value ^ self.values[k]) & reserved != 0 && value & reserved != 0 {

@@ -1,4 +1,4 @@
-//! LPUART1: bytes at the rate that BRR sets (RM0440, 38).
+//! LPUART1 at the baud rate of BRR (RM0440, 38).
 
 use std::collections::VecDeque;
 
@@ -14,7 +14,7 @@ pub const INTERRUPT: usize = 91;
 /// Bits on the line for a byte: start, 8, stop.
 const FRAME_BITS: u64 = 10;
 
-/// The port with both ends of its line.
+/// Serial port with both ends of its line.
 #[derive(Clone, Debug)]
 pub struct Serial {
     /// Bytes that the chip has sent.
@@ -27,7 +27,7 @@ pub struct Serial {
     next_receive: Ticks,
     overrun: bool,
     complete: bool,
-    /// When the line will have been idle for a byte's time, and whether that was flagged.
+    /// Time at which the line has been idle for one byte; `idle` is the flag.
     idle_at: Option<Ticks>,
     idle: bool,
 }
@@ -42,7 +42,7 @@ impl Default for Serial {
             received: VecDeque::new(),
             next_receive: 0,
             overrun: false,
-            // ISR after reset: nothing is left to be sent.
+            // ISR after reset: transmission complete.
             complete: true,
             idle_at: None,
             idle: false,
@@ -68,12 +68,12 @@ impl Serial {
         file.is(lpuart1::cr1::UE)
     }
 
-    /// Bytes that each direction holds: the data register alone, or the FIFO (RM0440, 38.4.3: 8 bytes).
+    /// Capacity of each direction in bytes: the data register alone, or the FIFO (RM0440, 38.4.3: 8 bytes).
     fn depth(file: &RegisterFile) -> usize {
         if file.is(lpuart1::cr1::FIFOEN) { 8 } else { 1 }
     }
 
-    /// When this has something to do next.
+    /// Time of the next event.
     pub fn next(&self, file: &RegisterFile) -> Option<Ticks> {
         let sending = self.shifting.map(|(_, until)| until);
         let receiving =
@@ -86,7 +86,7 @@ impl Serial {
             .min()
     }
 
-    /// Does what is due.
+    /// Processes the events that are due.
     pub fn advance(&mut self, now: Ticks, hclk_hz: u64, file: &RegisterFile) {
         if let Some((byte, until)) = self.shifting
             && now >= until
@@ -103,7 +103,7 @@ impl Serial {
             && now >= self.next_receive
             && let Some(byte) = self.inbound.pop_front()
         {
-            // A byte that finds no room is lost (ORE).
+            // Without room the byte is lost (ORE).
             if self.received.len() >= Self::depth(file) {
                 self.overrun = true;
             } else {
@@ -117,7 +117,7 @@ impl Serial {
         }
     }
 
-    /// Level of the interrupt.
+    /// Level of the interrupt line.
     pub fn line(&self, file: &RegisterFile) -> bool {
         use lpuart1::{cr1, cr3};
         (file.is(cr1::TXEIE) && self.holding.len() < Self::depth(file) && Self::is_on(file))
@@ -127,7 +127,7 @@ impl Serial {
             || (file.is(cr3::EIE) && self.overrun)
     }
 
-    /// Reads a register; reading RDR takes the byte.
+    /// Reads a register; a read of RDR removes the byte.
     pub fn read(&mut self, address: u32, file: &RegisterFile) -> u32 {
         use lpuart1::isr;
         match address {
@@ -152,7 +152,7 @@ impl Serial {
         }
     }
 
-    /// Takes a write.
+    /// Handles a write.
     pub fn write(
         &mut self,
         address: u32,

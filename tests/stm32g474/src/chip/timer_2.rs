@@ -1,4 +1,4 @@
-//! TIM2 as it counts up from 0, its first compare and its trigger output (RM0440, 29).
+//! TIM2: counter from 0 upwards, first compare and trigger output (RM0440, 29).
 
 use crate::registers::tim2;
 use crate::time::Ticks;
@@ -12,12 +12,12 @@ const PWM_MODE_2: u32 = 7;
 /// OC1REF as trigger output in MMS.
 const OC1REF: u32 = 4;
 
-/// The counter. Its clock is the processor's: APB1 is not divided in this image.
+/// Counter of TIM2. Its clock is the processor's: APB1 is not divided in this image.
 #[derive(Clone, Debug, Default)]
 pub struct Timer2 {
-    /// Moment at which it was at 0, once it counts.
+    /// Time at which the counter was 0; `None` while it is stopped.
     zero_at: Option<Ticks>,
-    /// PSC is taken over by an update event (RM0440 29.4.1).
+    /// Active prescaler: an update event loads it from PSC (RM0440 29.4.1).
     prescaler: u32,
 }
 
@@ -31,8 +31,8 @@ impl Timer2 {
         (elapsed / self.ticks(1, ticks_per_cycle)) as u32
     }
 
-    /// Moment from which the trigger output is high, until the counter begins anew; `None` if it does not follow OC1REF in PWM
-    /// mode 2. The counter wraps after 25 s, which is not modelled.
+    /// Time from which the trigger output is high, until the counter restarts; `None` if the counter is stopped or the output does
+    /// not follow OC1REF in PWM mode 2. The wrap of the counter after 25 s is not modelled.
     pub fn high_from(&self, ticks_per_cycle: Ticks, file: &RegisterFile) -> Option<Ticks> {
         let follows = file.get(tim2::tim2_cr2::MMS) == OC1REF
             && file.get(tim2::tim2_ccmr1_alternate::OC1M) == PWM_MODE_2;
@@ -54,7 +54,7 @@ impl Timer2 {
         }
     }
 
-    /// Takes a write that is about to be stored; what is to be stored.
+    /// Handles a write before it is stored; returns the word to store.
     pub fn write(
         &mut self,
         address: u32,
@@ -73,7 +73,7 @@ impl Timer2 {
                 self.zero_at = on.then(|| self.zero_at.unwrap_or(log.now));
                 value
             }
-            // UG: the counter begins anew.
+            // UG: the counter restarts.
             tim2_egr::ADDRESS => {
                 self.prescaler = file.word(tim2::tim2_psc::ADDRESS);
                 self.zero_at = self.zero_at.map(|_| log.now);

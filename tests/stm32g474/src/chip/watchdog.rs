@@ -1,4 +1,4 @@
-//! IWDG, with the oscillator of its own (RM0440, 44).
+//! IWDG, with its separate oscillator (RM0440, 44).
 
 use crate::registers::iwdg;
 use crate::time::{TICKS_PER_S, Ticks};
@@ -6,21 +6,21 @@ use crate::violation::Log;
 
 use super::register_file::RegisterFile;
 
-/// The watchdog.
+/// Independent watchdog.
 #[derive(Clone, Debug, Default)]
 pub struct Watchdog {
-    /// When it bites, once it runs.
+    /// Time at which it resets the chip; `None` before its start.
     pub bites_at: Option<Ticks>,
     fed_at: Option<Ticks>,
     /// Longest time between two feeds.
     pub longest_gap: Ticks,
     unlocked: bool,
-    /// It never bites: a test's interference.
+    /// Fault injection: the watchdog never resets the chip.
     pub broken: bool,
 }
 
 impl Watchdog {
-    /// As it is after a reset; what is broken stays so.
+    /// Watchdog after a reset; `broken` is kept.
     pub fn after_reset(&self) -> Self {
         Self {
             broken: self.broken,
@@ -33,7 +33,7 @@ impl Watchdog {
         (u64::from(file.get(iwdg::rlr::RL)) + 1) * prescaler * TICKS_PER_S / lsi_hz.max(1)
     }
 
-    /// Takes a write; whether it is stored.
+    /// Handles a write; returns `true` if it is stored.
     pub fn write(
         &mut self,
         address: u32,

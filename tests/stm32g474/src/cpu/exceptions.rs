@@ -1,4 +1,4 @@
-//! Entry and return of exceptions, as the processor does them (Armv7-M Architecture Reference Manual, B1.5.6-B1.5.8).
+//! Entry and return of exceptions (Armv7-M Architecture Reference Manual, B1.5.6-B1.5.8).
 
 use unicorn_engine::{RegisterARM, Unicorn, uc_error};
 
@@ -11,7 +11,7 @@ const ENTRY_CYCLES: u64 = 12;
 const RETURN_CYCLES: u64 = 12;
 const TAIL_CYCLES: u64 = 6;
 
-/// EXC_RETURN: to a handler or the thread on the main stack, with or without floating-point registers.
+/// EXC_RETURN values: return to a handler or the thread on the main stack, with or without floating-point registers.
 const RETURN_MIN: u32 = 0xFFFF_FFE0;
 const TO_THREAD: u32 = 0xFFFF_FFF9;
 const TO_HANDLER: u32 = 0xFFFF_FFF1;
@@ -47,12 +47,12 @@ fn word(cpu: &Cpu<'_>, address: u32) -> Result<u32, uc_error> {
 const IT_STATE: u32 = 0x0600_FC00;
 const EXCEPTION: u32 = 0x3FF;
 
-/// Whether a program counter is one of EXC_RETURN's.
+/// Returns `true` if a program counter is an EXC_RETURN value.
 pub fn is_return(pc: u32) -> bool {
     pc >= RETURN_MIN
 }
 
-/// The exception to be taken now.
+/// Exception to be taken now.
 pub fn next(cpu: &mut Cpu<'_>) -> Option<usize> {
     if !cpu.get_data().chip.nvic.any_pending() {
         return None;
@@ -62,14 +62,14 @@ pub fn next(cpu: &mut Cpu<'_>) -> Option<usize> {
     cpu.get_data_mut().chip.nvic.next(primask, basepri)
 }
 
-/// Why the processor stands still for good.
+/// Lock-up: the processor stops until a reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LockUp;
 
-/// Takes an exception: pushes the frame and goes to the handler.
+/// Takes an exception: pushes the frame and jumps to the handler.
 ///
 /// # Errors
-/// [`LockUp`] where the vector cannot be read.
+/// [`LockUp`] if the vector cannot be read.
 pub fn enter(cpu: &mut Cpu<'_>, exception: usize, pc: u32) -> Result<(), LockUp> {
     let floats = register(cpu, RegisterARM::CONTROL) & FPCA as u32 != 0;
     let bytes = if floats { 26 * 4 } else { 8 * 4 };
@@ -89,7 +89,7 @@ pub fn enter(cpu: &mut Cpu<'_>, exception: usize, pc: u32) -> Result<(), LockUp>
     let bytes: Vec<u8> = words.iter().flat_map(|value| value.to_le_bytes()).collect();
     if cpu.mem_write(u64::from(frame), &bytes).is_err() && exception > HARD_FAULT {
         // A fault in stacking comes before the interrupt (B1.5.6, derived exceptions), which waits. The fault's handler
-        // executes though its own push fails.
+        // runs even if its own push fails.
         return enter(cpu, HARD_FAULT, pc);
     }
     let vectors = cpu
@@ -127,14 +127,14 @@ fn register_s(cpu: &Cpu<'_>, k: i32) -> u32 {
 }
 
 fn set(cpu: &mut Cpu<'_>, which: RegisterARM, value: u32) {
-    // A register of the processor always takes a value.
+    // A write to a register of the processor cannot fail.
     let _ = cpu.reg_write(which, u64::from(value));
 }
 
-/// Returns from an exception to where its frame says; the new program counter.
+/// Returns from an exception to the address in its frame, which is the result.
 ///
 /// # Errors
-/// [`LockUp`] where the frame cannot be read.
+/// [`LockUp`] if the frame cannot be read.
 pub fn leave(cpu: &mut Cpu<'_>, exc_return: u32) -> Result<u32, LockUp> {
     let state = cpu.get_data_mut();
     if let Some((exception, began)) = state.chip.nvic.leave() {
@@ -164,7 +164,7 @@ pub fn leave(cpu: &mut Cpu<'_>, exc_return: u32) -> Result<u32, LockUp> {
         set(cpu, which, value);
     }
     let xpsr = frame[7];
-    // With the state of an IT block that was interrupted.
+    // Includes the state of an interrupted IT block.
     let now = register(cpu, RegisterARM::XPSR);
     set(cpu, RegisterARM::XPSR, xpsr & !EXCEPTION | now & EXCEPTION);
     let control = register(cpu, RegisterARM::CONTROL) & !(FPCA as u32);
@@ -186,10 +186,10 @@ pub fn leave(cpu: &mut Cpu<'_>, exc_return: u32) -> Result<u32, LockUp> {
     Ok(frame[6])
 }
 
-/// A fault of the processor: HardFault, or lock-up where it is running at that priority already.
+/// Raises a fault of the processor: HardFault, or lock-up if it runs at that priority already.
 ///
 /// # Errors
-/// [`LockUp`].
+/// [`LockUp`] if no handler can run.
 pub fn fault(cpu: &mut Cpu<'_>, pc: u32) -> Result<(), LockUp> {
     if cpu.get_data().chip.nvic.running_priority() < 0 {
         return Err(LockUp);

@@ -1,8 +1,8 @@
-//! What the flash costs in cycles: wait states, prefetch and the two caches (RM0440, 3.3.4 and 3.3.5).
+//! Cost of flash accesses in cycles: wait states, prefetch and the two caches (RM0440, 3.3.4 and 3.3.5).
 
 use std::collections::VecDeque;
 
-/// Bytes of a read with two banks (RM0440, 3.3.1: 72 bits with its ECC).
+/// Bytes of a flash read with two banks (RM0440, 3.3.1: 72 bits with its ECC).
 const READ_BYTES: u32 = 8;
 
 /// Cache lines hold four reads; 32 of them for instructions, 8 for data (RM0440, 3.3.5).
@@ -10,7 +10,7 @@ const LINE_BYTES: u32 = 32;
 const INSTRUCTION_LINES: usize = 32;
 const DATA_LINES: usize = 8;
 
-/// A least-recently-used cache of lines whose reads are valid one by one.
+/// Least-recently-used cache of lines whose reads are valid one by one.
 #[derive(Clone, Debug)]
 struct Cache {
     lines: VecDeque<(u32, u8)>,
@@ -25,7 +25,7 @@ impl Cache {
         }
     }
 
-    /// Looks a read up, and keeps it.
+    /// Looks up a read and stores it; returns `true` on a hit.
     fn hit(&mut self, address: u32) -> bool {
         let line = address / LINE_BYTES;
         let bit = 1 << (address % LINE_BYTES / READ_BYTES);
@@ -49,7 +49,7 @@ impl Cache {
     }
 }
 
-/// FLASH_ACR as the accelerator sees it.
+/// Fields of FLASH_ACR that concern the accelerator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Access {
     /// LATENCY.
@@ -62,14 +62,14 @@ pub struct Access {
     pub data_cache: bool,
 }
 
-/// The accelerator between processor and flash.
+/// Accelerator between processor and flash.
 #[derive(Clone, Debug)]
 pub struct FlashAccelerator {
-    /// How it is set.
+    /// Settings by FLASH_ACR.
     pub access: Access,
     instructions: Cache,
     data: Cache,
-    /// The read that the prefetch has begun after the last one.
+    /// Address of the read that the prefetch has begun.
     prefetched: u32,
 }
 
@@ -96,7 +96,7 @@ impl FlashAccelerator {
     pub fn fetch(&mut self, start: u32, end: u32, cycles: u32) -> u32 {
         let first = start & !(READ_BYTES - 1);
         let reads = (end - first).div_ceil(READ_BYTES);
-        // What executes while the next read is under way.
+        // Cycles of execution during the next read.
         let overlap = cycles / reads.max(1);
         let mut lost = 0;
         for read in (0..reads).map(|k| first + k * READ_BYTES) {

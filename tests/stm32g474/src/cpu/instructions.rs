@@ -1,27 +1,27 @@
-//! What a stretch of Thumb code costs on a Cortex-M4 (Technical Reference Manual r0p1, table 3-1 and 3.3.2, and the
-//! floating-point unit's table 7-1), memory without wait states.
+//! Cost of Thumb code in cycles on a Cortex-M4 (Technical Reference Manual r0p1, table 3-1 and 3.3.2, and the floating-point
+//! unit's table 7-1), with memory without wait states.
 
-/// What is known of a block of code before it runs.
+/// Properties of a block of code that follow from its instructions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Block {
     /// Address of the first instruction.
     pub start: u32,
-    /// Address behind the last one.
+    /// Address after the last one.
     pub end: u32,
-    /// Instructions.
+    /// Number of instructions.
     pub instructions: u32,
     /// Cycles without wait states and without the refill of a taken branch at the end.
     pub cycles: u32,
-    /// Words that it loads relative to the program counter.
+    /// Addresses of the words that it loads relative to the program counter.
     pub literals: Vec<u32>,
-    /// Whether it sends an event (SEV).
+    /// Set if the block sends an event (SEV).
     pub sends_event: bool,
 }
 
-/// Cycles to refill the pipeline after a taken branch: P is 1 to 3 (TRM 3.3.1), 2 stands for it.
+/// Cycles to refill the pipeline after a taken branch: 1 to 3 (TRM 3.3.1, P), modelled as 2.
 pub const REFILL: u32 = 2;
 
-/// Cycles of a division: 2 to 12 (TRM), the worst.
+/// Cycles of a division: the worst of 2 to 12 (TRM).
 const DIVIDE: u32 = 12;
 
 /// Decodes the code of a block.
@@ -82,7 +82,7 @@ fn literal_wide(block: &mut Block, address: u32, first: u16, second: u16) {
         .push(if up { base + offset } else { base - offset });
 }
 
-/// Cycles of a 16-bit instruction, and whether it is a single load or store.
+/// Cycles of a 16-bit instruction; `true` if it is a single load or store.
 fn narrow_cycles(op: u16) -> (u32, bool) {
     match op >> 12 {
         // LDR literal is 0x48-0x4F; BX and BLX are branches, counted when taken.
@@ -96,7 +96,7 @@ fn narrow_cycles(op: u16) -> (u32, bool) {
     }
 }
 
-/// The same for a 32-bit instruction.
+/// Cycles of a 32-bit instruction; `true` if it is a single load or store.
 fn wide_cycles(first: u16, second: u16) -> (u32, bool) {
     match first >> 9 & 0x3F {
         // LDM, STM, PUSH.W, POP.W
@@ -106,9 +106,9 @@ fn wide_cycles(first: u16, second: u16) -> (u32, bool) {
         // Coprocessor: VLDR, VSTR, VLDM, VSTM, VMOV, arithmetic.
         0b110110 | 0b111110 => vfp_memory(first, second),
         0b110111 | 0b111111 => vfp_arithmetic(first, second),
-        // LDR, STR and their kin (1111 100x), multiply and divide (1111 1011).
+        // LDR, STR and their variants (1111 100x), multiply and divide (1111 1011).
         0b111100 => (2, true),
-        // SDIV and UDIV end in 1111; MLA and MLS take two cycles, the long ones and MUL one.
+        // SDIV and UDIV end in 1111; MLA and MLS take two cycles, long multiplications and MUL one.
         0b111101 if matches!(first & 0xFFF0, 0xFB90 | 0xFBB0) && second & 0xF0 == 0xF0 => {
             (DIVIDE, false)
         }
@@ -124,7 +124,7 @@ fn wide_cycles(first: u16, second: u16) -> (u32, bool) {
 
 fn vfp_memory(first: u16, second: u16) -> (u32, bool) {
     let words = u32::from(second & 0xFF);
-    // P = 1, W = 0 is a single one; else a block. MOV between cores is 1110 1100 010x.
+    // P = 1, W = 0 is a single transfer; else a block. MOV between cores is 1110 1100 010x.
     match (first >> 8 & 1, first >> 5 & 1) {
         (1, 0) => (1 + if second & 0x100 != 0 { 2 } else { 1 }, false),
         _ if first & 0xFFE0 == 0xEC40 => (2, false),

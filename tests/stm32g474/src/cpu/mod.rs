@@ -1,4 +1,4 @@
-//! The processor: Unicorn executes the instructions; exceptions, sleep and time are here.
+//! Processor: Unicorn executes the instructions; exceptions, sleep and time are modelled here.
 
 pub mod exceptions;
 pub mod flash_accelerator;
@@ -21,27 +21,27 @@ use crate::image::{FLASH, PROGRAM_BYTES};
 use crate::registers::flash::flash_acr;
 use crate::time::Ticks;
 
-/// Where code has been counted: how many instructions and cycles.
+/// Cost of executed code.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Cost {
-    /// Instructions.
+    /// Number of instructions.
     pub instructions: u64,
     /// Cycles, wait states included.
     pub cycles: u64,
 }
 
-/// How the time of the instructions is counted.
+/// Model of the instructions' time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum CycleModel {
     /// Published timings of the Cortex-M4, wait states and caches of the flash.
     #[default]
     Published,
-    /// This many cycles an instruction, whatever it is: a pessimist's bound.
+    /// Fixed number of cycles for each instruction: a pessimistic bound.
     PerInstruction(u32),
 }
 
-/// A hash of an address, for the lookup before each block of code: the standard library's, which nobody can foresee, takes longer than
-/// the block.
+/// Hash of an address, for the lookup before each block of code: the standard library's hash, which is keyed at random, takes
+/// longer than the block.
 #[derive(Default)]
 struct AddressHasher(u64);
 
@@ -53,7 +53,7 @@ impl Hasher for AddressHasher {
     }
 
     fn write_u32(&mut self, word: u32) {
-        // The golden ratio of 2^64 spreads neighbours over all bits; the table wants good ones at both ends.
+        // The golden ratio of 2^64 spreads neighbours over all bits; the table needs well-spread bits at both ends.
         let spread = (self.0 ^ u64::from(word)).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         self.0 = spread ^ (spread >> 32);
     }
@@ -63,31 +63,31 @@ impl Hasher for AddressHasher {
     }
 }
 
-/// Time-keeping of the instructions.
+/// Timing of the instructions.
 pub struct Timing {
-    /// How they are counted.
+    /// Model in use.
     pub model: CycleModel,
-    /// The flash behind its accelerator.
+    /// Flash accelerator.
     pub flash: FlashAccelerator,
     blocks: HashMap<u32, Rc<Block>, BuildHasherDefault<AddressHasher>>,
-    /// Where the last block ended: a block that begins elsewhere was branched to.
+    /// End of the last block: a block that begins elsewhere was branched to.
     last_end: u32,
-    /// Everything since power-on.
+    /// Cost of all code since power-on.
     pub total: Cost,
-    /// What each exception's handler has taken, by its number.
+    /// Time of each exception's handler, by the exception's number.
     pub handlers: HashMap<usize, HandlerTime>,
-    /// The runs of one exception's handler, where somebody wants them.
+    /// Trace of one exception's handler, if requested.
     pub trace: Option<Trace>,
 }
 
-/// The time of an exception's handler, from its entry to the return, in cycles.
+/// Time of an exception's handler, from its entry to the return, in cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HandlerTime {
-    /// Runs.
+    /// Number of runs.
     pub runs: u64,
-    /// Cycles of all of them.
+    /// Cycles of all runs.
     pub cycles: u64,
-    /// Cycles of the longest.
+    /// Cycles of the longest run.
     pub worst: u64,
 }
 
@@ -106,7 +106,7 @@ impl Default for Timing {
 }
 
 impl Timing {
-    /// A block that was seen before.
+    /// Block of code that was decoded before.
     pub fn known(&self, address: u32, bytes: u32) -> Option<Rc<Block>> {
         self.blocks
             .get(&address)
@@ -114,19 +114,19 @@ impl Timing {
             .cloned()
     }
 
-    /// Decodes a block that is seen for the first time.
+    /// Decodes a block of code and stores it.
     pub fn learn(&mut self, address: u32, code: &[u8]) -> Rc<Block> {
         let block = Rc::new(instructions::decode(address, code));
         self.blocks.insert(address, Rc::clone(&block));
         block
     }
 
-    /// What was code may be other code now.
+    /// Drops all decoded blocks, as the memory may hold other code now.
     pub fn forget(&mut self) {
         self.blocks.clear();
     }
 
-    /// Takes FLASH_ACR over.
+    /// Applies the fields of FLASH_ACR.
     pub fn set_access(&mut self, file: &RegisterFile) {
         self.flash.access = Access {
             wait_states: file.get(flash_acr::LATENCY),
@@ -136,7 +136,7 @@ impl Timing {
         };
     }
 
-    /// Cycles that a block takes now.
+    /// Counts one run of a block; returns its cycles.
     pub fn run(&mut self, block: &Block) -> u32 {
         let mut cycles = block.cycles;
         if block.start != self.last_end {
@@ -160,32 +160,32 @@ impl Timing {
     }
 }
 
-/// What Unicorn's callbacks reach.
+/// State that Unicorn's callbacks access.
 pub struct State {
     /// The chip around the processor.
     pub chip: Chip,
-    /// Time-keeping.
+    /// Timing of the instructions.
     pub timing: Timing,
     /// The event register (Armv7-M, B1.5.18).
     pub event: bool,
-    /// The program waits for an event.
+    /// Set while the program waits for an event.
     pub sleeping: bool,
-    /// When the run is to end.
+    /// Time at which the run ends.
     pub run_until: Ticks,
     /// The block before which Unicorn was stopped.
     pub stopped_at: Option<u32>,
-    /// Bits of the RAM that are stuck at 1, as an address and a mask: a test's interference.
+    /// Fault injection: bits of the RAM that are stuck at 1, as an address and a mask.
     pub stuck: Vec<(u32, u8)>,
-    /// Bits of a register of the processor that are stuck at 1: a test's interference.
+    /// Fault injection: bits of a register of the processor that are stuck at 1.
     pub stuck_register: Option<(RegisterARM, u32)>,
-    /// Which bytes of the RAM were written, if that is watched.
+    /// Bytes of the RAM that have been written, if that is watched.
     pub written: Vec<bool>,
-    /// What was read before that, and by which block of code.
+    /// Addresses read before they were written, with the address of the block of code.
     pub read_unwritten: Vec<(u32, u32)>,
 }
 
 impl State {
-    /// Notes a block of code for whoever traces its handler.
+    /// Adds a block of code to the trace if the traced handler runs.
     pub fn note(&mut self, address: u32, cycles: u32) {
         if let Some(trace) = &mut self.timing.trace
             && self.chip.nvic.runs(trace.exception())
@@ -194,7 +194,7 @@ impl State {
         }
     }
 
-    /// Lets time pass by cycles of the processor.
+    /// Advances time by cycles of the processor.
     pub fn pass(&mut self, cycles: u64) {
         self.chip.cycles += cycles;
         self.chip.log.now += cycles * self.chip.ticks_per_cycle();

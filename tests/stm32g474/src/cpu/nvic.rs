@@ -1,18 +1,18 @@
-//! The interrupt controller: what is pending, what is active, and which comes next (Armv7-M Architecture Reference
-//! Manual, B1.5 and B3.4).
+//! Interrupt controller: pending and active exceptions, and the next one to be taken (Armv7-M Architecture Reference Manual,
+//! B1.5 and B3.4).
 
-/// Exception numbers.
+/// Exception number of the non-maskable interrupt.
 pub const NMI: usize = 2;
-/// Every fault of the processor, as the image enables none of the others.
+/// Exception number of HardFault: every fault of the processor, as the image enables no other.
 pub const HARD_FAULT: usize = 3;
-/// The first interrupt's.
+/// Exception number of the first interrupt.
 pub const FIRST_INTERRUPT: usize = 16;
 const EXCEPTIONS: usize = FIRST_INTERRUPT + 102;
 
-/// Lowest of all: no exception is active.
+/// Priority below all others: no exception is active.
 const THREAD: i32 = 256;
 
-/// The controller.
+/// Interrupt controller.
 #[derive(Clone, Debug)]
 pub struct Nvic {
     enabled: [bool; EXCEPTIONS],
@@ -21,9 +21,9 @@ pub struct Nvic {
     /// Levels of the peripherals' lines.
     level: [bool; EXCEPTIONS],
     any_pending: bool,
-    /// Nested exceptions with the cycle at which each began, the running one last.
+    /// Active exceptions with the cycle at which each began, the running one last.
     active: Vec<(usize, u64)>,
-    /// Entries of each exception since reset.
+    /// Number of entries of each exception since reset.
     pub entries: Vec<u64>,
 }
 
@@ -53,7 +53,7 @@ impl Nvic {
         }
     }
 
-    /// A peripheral's line: an edge upwards pends, and so does the end of a handler that leaves it high.
+    /// Sets the level of a peripheral's line. A rising edge pends the interrupt, and so does the end of a handler with the line high.
     pub fn set_line(&mut self, interrupt: usize, high: bool) {
         let exception = FIRST_INTERRUPT + interrupt;
         if high && !self.level[exception] {
@@ -62,7 +62,7 @@ impl Nvic {
         self.level[exception] = high;
     }
 
-    /// Whether anything waits, enabled or not: a cheap question.
+    /// Returns `false` if no exception is pending, enabled or not: a cheap check before [`Nvic::next`].
     pub fn any_pending(&self) -> bool {
         self.any_pending
     }
@@ -76,7 +76,7 @@ impl Nvic {
         }
     }
 
-    /// Priority of what runs.
+    /// Priority of the running handler or of the thread.
     pub fn running_priority(&self) -> i32 {
         let active = self
             .active
@@ -85,7 +85,7 @@ impl Nvic {
         active.min().unwrap_or(THREAD)
     }
 
-    /// The exception to be taken now, if any, with PRIMASK and BASEPRI as given.
+    /// Exception to be taken now, if any, at this PRIMASK and BASEPRI.
     pub fn next(&mut self, primask: bool, basepri: u8) -> Option<usize> {
         let mut limit = self.running_priority();
         if primask {
@@ -108,19 +108,19 @@ impl Nvic {
         best.filter(|&n| self.priority_of(n) < limit)
     }
 
-    /// Whether an enabled exception waits that would wake the processor from WFE whatever PRIMASK says.
+    /// Returns `true` if a pending, enabled exception would wake the processor from WFE, regardless of PRIMASK.
     pub fn would_wake(&mut self) -> bool {
         self.next(false, 0).is_some()
     }
 
-    /// The handler of an exception begins, at a cycle.
+    /// Starts the handler of an exception, at a cycle.
     pub fn enter(&mut self, exception: usize, cycle: u64) {
         self.pending[exception] = false;
         self.active.push((exception, cycle));
         self.entries[exception] += 1;
     }
 
-    /// The running handler ends; returns which it was and when it began.
+    /// Ends the running handler; returns its exception and the cycle at which it began.
     pub fn leave(&mut self) -> Option<(usize, u64)> {
         let ended = self.active.pop()?;
         if self.level[ended.0] {
@@ -129,12 +129,12 @@ impl Nvic {
         Some(ended)
     }
 
-    /// Whether the handler of an exception runs, nothing more urgent having interrupted it.
+    /// Returns `true` if the handler of an exception runs and none of higher priority has interrupted it.
     pub fn runs(&self, exception: usize) -> bool {
         self.active.last().is_some_and(|&(n, _)| n == exception)
     }
 
-    /// Whether a handler runs.
+    /// Returns `true` if a handler runs.
     pub fn is_handler(&self) -> bool {
         !self.active.is_empty()
     }
@@ -164,7 +164,7 @@ impl Nvic {
         }
     }
 
-    /// Writes a register at an offset from 0xE000E000; whether it is the controller's.
+    /// Writes a register at an offset from 0xE000E000; returns `true` if it belongs to the interrupt controller.
     pub fn write(&mut self, offset: u32, size: usize, value: u32) -> bool {
         let each = |first: usize| {
             (0..32)

@@ -1,30 +1,30 @@
-//! Each run of an exception's handler: when it began, what it interrupted, and where its cycles went.
+//! Trace of an exception's handler: start of each run, interrupted code, and cycles of each block of code.
 
-/// The runs of one exception's handler.
+/// Runs of one exception's handler.
 #[derive(Clone, Debug)]
 pub struct Trace {
     exception: usize,
     interrupted: u32,
     blocks: Vec<(u32, u32)>,
-    /// Those that have ended.
+    /// Completed runs.
     pub runs: Vec<TracedRun>,
 }
 
-/// A run of a handler.
+/// Run of a handler.
 #[derive(Clone, Debug)]
 pub struct TracedRun {
-    /// When it began, in cycles since power-on.
+    /// Start, in cycles since power-on.
     pub begun: u64,
-    /// How long it took, in cycles.
+    /// Duration in cycles.
     pub cycles: u64,
-    /// Address of what it interrupted.
+    /// Address of the interrupted code.
     pub interrupted: u32,
     /// Address and cycles of each block of code, in order.
     pub blocks: Vec<(u32, u32)>,
 }
 
 impl TracedRun {
-    /// The `count` blocks of code that took most, as address and cycles of all their turns.
+    /// The `count` blocks of code with the most cycles: address, and cycles of all their executions.
     pub fn most_at(&self, count: usize) -> Vec<(u32, u32)> {
         let mut sums = std::collections::BTreeMap::new();
         for &(address, cycles) in &self.blocks {
@@ -38,7 +38,7 @@ impl TracedRun {
 }
 
 impl Trace {
-    /// Of the handler of an exception, by its number.
+    /// Trace of the handler of an exception, by its number.
     pub fn of(exception: usize) -> Self {
         Self {
             exception,
@@ -53,19 +53,19 @@ impl Trace {
         self.exception
     }
 
-    /// A handler begins, in place of what is at an address.
+    /// Records the start of a handler and the address that it interrupts.
     pub fn begin(&mut self, exception: usize, interrupted: u32) {
         if exception == self.exception {
             self.interrupted = interrupted;
         }
     }
 
-    /// A block of code of the handler has run.
+    /// Records an executed block of code of the handler.
     pub fn note(&mut self, address: u32, cycles: u32) {
         self.blocks.push((address, cycles));
     }
 
-    /// A handler ends, so many cycles after it began.
+    /// Records the end of a handler, with its start and duration in cycles.
     pub fn end(&mut self, exception: usize, begun: u64, cycles: u64) {
         if exception == self.exception {
             self.runs.push(TracedRun {

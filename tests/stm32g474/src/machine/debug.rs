@@ -1,4 +1,4 @@
-//! What a debugger does to the processor: it stands, steps, meets breakpoints, and its memory is reached past it.
+//! Debugger access to the processor: halt, step and breakpoints, and memory accesses past the processor.
 
 use unicorn_engine::{HookType, MemType, Prot, RegisterARM, Unicorn, uc_error};
 
@@ -9,7 +9,7 @@ use crate::cpu::State;
 use crate::image::{FLASH, PROGRAM_BYTES};
 use crate::time::Ticks;
 
-/// Registers of the processor as `DCRSR` numbers them.
+/// Registers of the processor by their numbers in `DCRSR`.
 const NUMBERED: [RegisterARM; 19] = [
     RegisterARM::R0,
     RegisterARM::R1,
@@ -32,24 +32,24 @@ const NUMBERED: [RegisterARM; 19] = [
     RegisterARM::PSP,
 ];
 
-/// Peripherals, and those of the processor's own side.
+/// Addresses of the peripherals and of the processor's own registers.
 const PERIPHERALS: std::ops::Range<u32> = 0x4000_0000..0x6000_0000;
 const SYSTEM: std::ops::Range<u32> = 0xE000_0000..0xE010_0000;
 
-/// Why the processor stands.
+/// Cause of a halt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stands {
-    /// The debugger wants it.
+    /// Request of the debugger.
     Halted,
-    /// It met BKPT.
+    /// BKPT instruction.
     Breakpoint,
 }
 
-/// What a debugger has done.
+/// State of the debugger.
 #[derive(Debug, Default)]
 pub(super) struct Debugger {
     stands: Option<Stands>,
-    /// It has halted the processor once: BKPT halts from then on, and flash may be written.
+    /// Set once the debugger has halted the processor: from then on BKPT halts, and flash may be written.
     attached: bool,
 }
 
@@ -60,20 +60,20 @@ impl Debugger {
 }
 
 impl Machine {
-    /// Why the processor stands, by a debugger's doing.
+    /// Cause of the present halt; `None` if the processor is not halted.
     pub fn stands(&self) -> Option<Stands> {
         self.debugger.stands
     }
 
-    /// Whether there is no program that could go on.
+    /// Returns `true` if the processor is in lock-up.
     pub fn is_locked_up(&self) -> bool {
         self.locked_up
     }
 
-    /// Stops the processor; peripherals go on.
+    /// Halts the processor; peripherals continue.
     ///
     /// # Errors
-    /// Of the emulator.
+    /// The emulator fails.
     pub fn halt(&mut self) -> Result<(), MachineError> {
         if !self.debugger.attached {
             self.debugger.attached = true;
@@ -84,13 +84,13 @@ impl Machine {
         Ok(())
     }
 
-    /// Lets it go on from where it stands.
+    /// Continues after a halt.
     ///
     /// # Errors
-    /// Of the emulator.
+    /// The emulator fails.
     pub fn go_on(&mut self) -> Result<(), MachineError> {
         if self.debugger.stands.take().is_some() {
-            // What was code may be other code now.
+            // The memory may hold other code now.
             self.cpu.ctl_flush_tb()?;
             let state = self.cpu.get_data_mut();
             state.timing.forget();
@@ -99,26 +99,26 @@ impl Machine {
         Ok(())
     }
 
-    /// One instruction, and it stands again.
+    /// Executes one instruction and halts again.
     ///
     /// # Errors
-    /// Of the emulator.
+    /// The emulator fails.
     pub fn step_once(&mut self) -> Result<(), MachineError> {
         self.go_on()?;
         let pc = self.pc();
         if !self.meets_breakpoint(&[pc]) {
             self.cpu.get_data_mut().run_until = Ticks::MAX;
-            // What a step cannot do, the run behind it does or shows.
+            // An error is ignored: the next run handles or reports an instruction that a step cannot execute.
             let _ = self.cpu.emu_start(u64::from(pc | 1), u64::MAX, 0, 1);
         }
         self.debugger.stands.get_or_insert(Stands::Halted);
         Ok(())
     }
 
-    /// The reset that a debugger asks for.
+    /// Resets the chip on a debugger's request.
     ///
     /// # Errors
-    /// Of the emulator.
+    /// The emulator fails.
     pub fn reset_by_debugger(&mut self) -> Result<(), MachineError> {
         self.debugger.stands = None;
         self.cpu.ctl_flush_tb()?;
@@ -126,13 +126,13 @@ impl Machine {
         self.reset(Reset::Software)
     }
 
-    /// A register by its number in `DCRSR`; 0 for those that are not kept here.
+    /// Value of a register by its number in `DCRSR`; 0 if it is not modelled.
     pub fn register(&self, number: u32) -> u32 {
         let which = NUMBERED.get(number as usize);
         which.map_or(0, |&which| self.cpu.reg_read(which).unwrap_or(0) as u32)
     }
 
-    /// Sets one.
+    /// Sets a register by its number in `DCRSR`.
     pub fn set_register(&mut self, number: u32, value: u32) {
         let Some(&which) = NUMBERED.get(number as usize) else {
             return;
@@ -145,7 +145,7 @@ impl Machine {
         }
     }
 
-    /// Reads past the processor; `None` where nothing answers. What a debugger reads breaks no rule of the program.
+    /// Reads past the processor; `None` if there is nothing at the address. A debugger's read is no violation by the program.
     pub fn bus_read(&mut self, address: u32, bytes: u32) -> Option<u32> {
         let chip = self.chip();
         let rules = chip.log.violations.len();
@@ -154,7 +154,7 @@ impl Machine {
         } else if SYSTEM.contains(&address) {
             Some(chip.read_system(address - SYSTEM.start))
         } else if let Some(offset) = in_pages(address) {
-            // Two wrong bits are for the program to find.
+            // A double error is only for the program to detect.
             Some(self.chip().flash.peek(offset, bytes as usize))
         } else {
             let mut word = [0; 4];
@@ -166,7 +166,7 @@ impl Machine {
         read
     }
 
-    /// Writes past the processor; `None` where nothing answers.
+    /// Writes past the processor; `None` if nothing can be written at the address.
     pub fn bus_write(&mut self, address: u32, bytes: u32, value: u32) -> Option<()> {
         let rules = self.chip().log.violations.len();
         let written = if PERIPHERALS.contains(&address) {
@@ -187,7 +187,7 @@ impl Machine {
         written
     }
 
-    /// Time passes, and the processor does nothing.
+    /// Lets time pass while the processor is halted.
     pub(super) fn stand(&mut self, until: Ticks) {
         let state = self.cpu.get_data_mut();
         let now = state.chip.log.now;
@@ -196,7 +196,7 @@ impl Machine {
         state.pass(cycles);
     }
 
-    /// Whether it stands at a BKPT in one of these places now, because there is a debugger.
+    /// Halts at a BKPT at one of these addresses, if a debugger is attached; returns `true` if it does.
     pub(super) fn meets_breakpoint(&mut self, places: &[u32]) -> bool {
         let is_breakpoint = |at: &&u32| self.half(**at) >> 8 == 0xBE;
         let at = places.iter().find(is_breakpoint).copied();
@@ -208,7 +208,7 @@ impl Machine {
         true
     }
 
-    /// From now on the program's part of the flash is programmed by what writes to it, as its controller allows.
+    /// Hooks stores to the program's part of the flash: from now on they program it, as the flash controller allows.
     fn watch_flash(&mut self) -> Result<(), uc_error> {
         let bytes = PROGRAM_BYTES as u64;
         self.cpu.mem_protect(FLASH, bytes, Prot::ALL)?;
@@ -224,7 +224,7 @@ fn in_pages(address: u32) -> Option<u32> {
     (offset < PAGES_BYTES as u32).then_some(offset)
 }
 
-/// Before a store to the program's flash, which Unicorn then carries out: what is refused is put back behind it.
+/// Handles a store to the program's flash before Unicorn carries it out; a refused store is undone afterwards.
 fn on_flash_write(
     cpu: &mut Unicorn<'_, State>,
     _: MemType,

@@ -1,4 +1,4 @@
-//! What a test looks at from outside, and interferes with.
+//! Observation of the machine by tests, and fault injection.
 
 use unicorn_engine::{HookType, RegisterARM};
 
@@ -13,23 +13,23 @@ impl Machine {
             .unwrap_or_default()
     }
 
-    /// Writes memory: a test's interference.
+    /// Writes memory, for fault injection.
     pub fn set_memory(&mut self, address: u32, bytes: &[u8]) {
         let _ = self.cpu.mem_write(u64::from(address), bytes);
     }
 
-    /// From now on a bit of the RAM is stuck at 1: a test's interference.
+    /// Makes a bit of the RAM stuck at 1, for fault injection.
     pub fn stick_bit(&mut self, address: u32, bit: u32) {
         let stuck = (address + bit / 8, 1 << (bit % 8));
         self.cpu.get_data_mut().stuck.push(stuck);
     }
 
-    /// From now on bits of one of the processor's registers are stuck at 1: a test's interference.
+    /// Makes bits of one of the processor's registers stuck at 1, for fault injection.
     pub fn stick_register(&mut self, register: RegisterARM, mask: u32) {
         self.cpu.get_data_mut().stuck_register = Some((register, mask));
     }
 
-    /// No bit is stuck any more.
+    /// Releases all stuck bits.
     pub fn release_bits(&mut self) {
         let state = self.cpu.get_data_mut();
         state.stuck.clear();
@@ -41,27 +41,27 @@ impl Machine {
         self.cpu.pc_read().unwrap_or(0) as u32
     }
 
-    /// Lets the program go on elsewhere: a test's interference.
+    /// Sets the program counter, for fault injection.
     pub fn set_pc(&mut self, pc: u32) {
         let _ = self.cpu.set_pc(u64::from(pc | 1));
     }
 
-    /// The stack pointer.
+    /// Stack pointer.
     pub fn sp(&self) -> u32 {
         self.cpu.reg_read(RegisterARM::SP).unwrap_or(0) as u32
     }
 
-    /// Moves the stack pointer: a test's interference.
+    /// Sets the stack pointer, for fault injection.
     pub fn set_sp(&mut self, sp: u32) {
         let _ = self.cpu.reg_write(RegisterARM::SP, u64::from(sp));
     }
 
-    /// Whether the program waits for an event.
+    /// Returns `true` if the program waits for an event.
     pub fn sleeping(&self) -> bool {
         self.cpu.get_data().sleeping
     }
 
-    /// Entries of an exception since the last reset.
+    /// Number of entries of an exception since the last reset.
     pub fn entries(&self, exception: usize) -> u64 {
         self.cpu
             .get_data()
@@ -73,10 +73,10 @@ impl Machine {
             .unwrap_or(0)
     }
 
-    /// From now on notes what of the RAM is read before it was written; slow.
+    /// Starts to record reads of RAM that was not written before; slow.
     ///
     /// # Errors
-    /// Of the emulator.
+    /// The emulator fails.
     pub fn watch_ram(&mut self) -> Result<(), MachineError> {
         let length = ram_bytes(&self.image);
         let end = RAM + length as u64 - 1;
@@ -108,12 +108,12 @@ impl Machine {
         Ok(())
     }
 
-    /// Which bytes of the RAM have been written since [`Machine::watch_ram`].
+    /// Flag for each byte of the RAM: written since [`Machine::watch_ram`].
     pub fn written(&self) -> Vec<bool> {
         self.cpu.get_data().written.clone()
     }
 
-    /// Addresses that were read before they were written, with the block of code that did it.
+    /// Addresses read before they were written, with the block of code that read them.
     pub fn read_unwritten(&self) -> Vec<(u32, u32)> {
         self.cpu.get_data().read_unwritten.clone()
     }

@@ -6,7 +6,7 @@ use crate::registers::{Field, hrtim_common, hrtim_tima};
 use crate::time::Ticks;
 use crate::violation::Log;
 
-/// Enable and lock bits of the fault inputs 1 to 4 in FLTINR1.
+/// Enable, polarity, source, filter and lock fields of the fault inputs 1 to 4 in FLTINR1.
 pub(super) const INPUTS: [[Field; 5]; 4] = {
     use hrtim_common::fltinr1::*;
     [
@@ -17,7 +17,7 @@ pub(super) const INPUTS: [[Field; 5]; 4] = {
     ]
 };
 
-/// A write of FLTINR2, which holds the upper bits of the sources of inputs 1 to 4; what is to be stored.
+/// Handles a write to FLTINR2, which holds the upper bits of the sources of inputs 1 to 4; returns the word to store.
 pub(super) fn sources_written(before: u32, value: u32, file: &RegisterFile, log: &mut Log) -> u32 {
     use hrtim_common::fltinr2::{FLT1SRC_1, FLT2SRC_1, FLT3SRC_1};
     for (source, [enable, ..]) in [FLT1SRC_1, FLT2SRC_1, FLT3SRC_1].into_iter().zip(INPUTS) {
@@ -29,7 +29,7 @@ pub(super) fn sources_written(before: u32, value: u32, file: &RegisterFile, log:
 }
 
 impl Hrtim {
-    /// Returns `true` if external event 2 can change nothing: fault input 2 does not take it, or has tripped already.
+    /// Returns `true` if external event 2 has no effect: fault input 2 does not use it, or has tripped already.
     pub fn is_event_2_taken(&self, file: &RegisterFile) -> bool {
         use hrtim_common::{fltinr1, fltinr2, isr};
         // FLT2SRC = 2: the external event; FLT2P: active high.
@@ -40,7 +40,7 @@ impl Hrtim {
         !takes || file.is(isr::FLT2)
     }
 
-    /// A fault input is active: outputs off where it is armed.
+    /// Handles an active fault input: switches the outputs off if it is armed.
     pub fn fault_input(&mut self, input: usize, file: &mut RegisterFile, now: Ticks) {
         let [enable, ..] = INPUTS[input];
         if !file.is(enable) {
@@ -53,8 +53,8 @@ impl Hrtim {
         }
     }
 
-    /// What is shorter than this on a fault input does not trip, in seconds: FLTxF samples in a row of f_HRTIM or of
-    /// f_FLTS divided (RM0440, 27.5.50; FLTSD 27.5.51).
+    /// Duration from which a pulse on a fault input trips, in seconds: FLTxF samples in a row of f_HRTIM or of f_FLTS divided
+    /// (RM0440, 27.5.50; FLTSD 27.5.51).
     pub fn fault_filter_s(&self, input: usize, file: &RegisterFile) -> f64 {
         let [_, _, _, filter, _] = INPUTS[input];
         let divided = f64::from(1u32 << file.get(hrtim_common::fltinr2::FLTSD));
@@ -76,11 +76,11 @@ impl Hrtim {
             14 => (6.0, 32.0 * divided),
             _ => (8.0, 32.0 * divided),
         };
-        // Up to one more period of the filter's clock passes before the first sample.
+        // One more period of the filter's clock may pass before the first sample.
         (samples + 1.0) * cycles / 170e6
     }
 
-    /// SYSCFG's system fault: outputs off, always.
+    /// Handles SYSCFG's system fault: switches the outputs off in any case.
     pub fn system_fault(&mut self, file: &mut RegisterFile, now: Ticks) {
         file.set(hrtim_common::isr::SYSFLT, 1);
         self.switch_off(now);
