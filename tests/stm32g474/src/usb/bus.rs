@@ -1,6 +1,6 @@
-//! What travels on the bus, and a device as the bus sees it.
+//! Packets on the bus, and the interface between a device and the bus.
 
-/// Which of the two data packets follow each other in turn (USB 2.0, 8.6).
+/// Data toggle: DATA0 and DATA1 alternate (USB 2.0, 8.6).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Toggle {
     /// DATA0.
@@ -11,7 +11,7 @@ pub enum Toggle {
 }
 
 impl Toggle {
-    /// The one that follows.
+    /// Toggle of the next packet.
     #[must_use]
     pub fn next(self) -> Self {
         match self {
@@ -21,52 +21,52 @@ impl Toggle {
     }
 }
 
-/// How a device answers a packet that it is sent.
+/// Response of a device to a packet from the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Handshake {
-    /// Taken.
+    /// Packet accepted.
     Ack,
-    /// Not now.
+    /// Not ready.
     Nak,
-    /// Never, until the host has cleared the condition.
+    /// Refused until the host has cleared the condition.
     Stall,
-    /// No answer: not addressed, not enabled, or the packet was lost.
+    /// No response: not addressed, not enabled, or the packet was lost.
     Nothing,
 }
 
-/// How a device answers when it is asked for a packet.
+/// Response of a device to a request for a packet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Answer {
     /// A packet; the host acknowledges it.
     Data(Toggle, Vec<u8>),
-    /// Not now.
+    /// Not ready.
     Nak,
-    /// Never, until the host has cleared the condition.
+    /// Refused until the host has cleared the condition.
     Stall,
-    /// No answer.
+    /// No response.
     Nothing,
 }
 
-/// A full-speed device as the bus sees it: the chip's peripheral, or a stand-in in a test.
+/// Full-speed device on the bus: the chip's peripheral, or a stand-in in a test.
 pub trait Device {
-    /// Whether its pull-up says that there is a device.
+    /// Returns `true` if its pull-up signals a device.
     fn attached(&self) -> bool;
 
-    /// The host resets the bus.
+    /// Handles a reset of the bus.
     fn bus_reset(&mut self);
 
-    /// The host starts a frame: each millisecond, with the number of the frame.
+    /// Handles the start of a frame: each millisecond, with the number of the frame.
     fn start_of_frame(&mut self, number: u16);
 
-    /// A millisecond passes without a frame: the bus sleeps, or nothing is plugged in.
+    /// Handles a millisecond without a frame: the bus is suspended, or nothing is plugged in.
     fn missing_frame(&mut self);
 
-    /// SETUP and its eight bytes.
+    /// Handles SETUP with its eight bytes.
     fn setup(&mut self, address: u8, endpoint: u8, packet: [u8; 8]) -> Handshake;
 
-    /// OUT and a data packet.
+    /// Handles OUT with a data packet.
     fn out(&mut self, address: u8, endpoint: u8, toggle: Toggle, data: &[u8]) -> Handshake;
 
-    /// IN; data that come are acknowledged.
+    /// Handles IN; a data packet in the response is acknowledged.
     fn input(&mut self, address: u8, endpoint: u8) -> Answer;
 }

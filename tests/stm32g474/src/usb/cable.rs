@@ -1,4 +1,4 @@
-//! The cable: what other threads hold of the host's controller.
+//! USB cable: the handle by which other threads use the host controller.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -8,14 +8,14 @@ use std::time::Duration;
 use super::host::HostController;
 use super::transfer::{Done, Outcome, Request};
 
-/// What the controller is asked for.
+/// Command to the host controller.
 pub(super) enum Command {
     Plug(bool),
     Submit(u64, Request, Done),
     Cancel(u64),
 }
 
-/// What both ends see.
+/// State shared by both ends.
 #[derive(Default)]
 pub(super) struct Shared {
     pub attached: AtomicBool,
@@ -25,7 +25,7 @@ pub(super) struct Shared {
     pub next_id: AtomicU64,
 }
 
-/// A cable with a board at the other end: held by the threads that play the host's drivers.
+/// Cable with a board at the other end, for the threads that act as the host's drivers.
 #[derive(Clone)]
 pub struct Cable {
     commands: Sender<Command>,
@@ -33,7 +33,7 @@ pub struct Cable {
 }
 
 impl Cable {
-    /// A cable, unplugged, and the controller that the machine polls.
+    /// Unplugged cable, and the host controller that the machine polls.
     pub fn new() -> (Self, HostController) {
         let (commands, receiver) = mpsc::channel();
         let shared = Arc::<Shared>::default();
@@ -46,35 +46,35 @@ impl Cable {
         self.command(Command::Plug(true));
     }
 
-    /// Pulls the cable out: every transfer ends.
+    /// Unplugs the cable: every transfer ends.
     pub fn unplug(&self) {
         self.command(Command::Plug(false));
     }
 
-    /// Asks for a transfer; `done` takes its end, or is dropped with the machine.
+    /// Submits a transfer and returns its number; `done` is called at its end, or dropped with the machine.
     pub fn submit(&self, request: Request, done: impl FnOnce(Outcome) + Send + 'static) -> u64 {
         let id = self.shared.next_id.fetch_add(1, Ordering::Relaxed);
         self.command(Command::Submit(id, request, Box::new(done)));
         id
     }
 
-    /// Takes a transfer back, if it is not over: then it ends as cancelled.
+    /// Cancels a transfer that has not ended; it then ends as cancelled.
     pub fn cancel(&self, id: u64) {
         self.command(Command::Cancel(id));
     }
 
-    /// Whether the board is plugged in and says so.
+    /// Returns `true` if the board is plugged in and attached.
     pub fn attached(&self) -> bool {
         self.shared.attached.load(Ordering::Relaxed)
     }
 
-    /// From now on emulated time waits for a host that is slower than the board, as a whole emulated computer is: it
-    /// stands still while whoever reads all the time has not asked for more.
+    /// Makes emulated time wait for a host that is slower than the board, such as a whole emulated computer: time stops while a
+    /// pipe that is read continuously has no pending request.
     pub fn be_patient(&self) {
         self.shared.patient.store(true, Ordering::Relaxed);
     }
 
-    /// Whether the machine is gone.
+    /// Returns `true` if the machine has ended.
     pub fn ended(&self) -> bool {
         self.shared.ended.load(Ordering::Relaxed)
     }
@@ -84,7 +84,7 @@ impl Cable {
         Duration::from_nanos(self.shared.now_ns.load(Ordering::Relaxed))
     }
 
-    /// A machine that is gone takes no commands; what waits for their ends sees it.
+    /// Sends a command. If the machine has ended, the command is dropped together with its `done`.
     fn command(&self, command: Command) {
         let _ = self.commands.send(command);
     }

@@ -1,5 +1,5 @@
-//! A host without an operating system: it enumerates the board as Linux and Windows do, and gives its bulk
-//! endpoints as the link's [`ihd_link::Transport`].
+//! Host without an operating system: it enumerates the board as Linux and Windows do, and provides the board's bulk endpoints
+//! as the link's [`ihd_link::Transport`].
 
 use std::sync::mpsc;
 use std::time::Duration;
@@ -13,10 +13,10 @@ pub(super) mod tests;
 
 pub use link::BulkLink;
 
-/// The wall's time that a control transfer may take: emulation is slow.
+/// Longest real time for a control transfer: emulation is slow.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// GET_DESCRIPTOR, and the kinds of descriptors.
+/// Request code GET_DESCRIPTOR, and the types of descriptors.
 const GET_DESCRIPTOR: u8 = 6;
 const DEVICE: u8 = 1;
 const CONFIGURATION: u8 = 2;
@@ -25,69 +25,69 @@ const QUALIFIER: u8 = 6;
 const BOS: u8 = 15;
 /// wIndex of the request for Microsoft's descriptor set.
 const MICROSOFT_SET: u16 = 7;
-/// American English.
+/// Language code of American English.
 const LANGUAGE: u16 = 0x0409;
-/// {D8DD60DF-4589-4CC7-9CD2-659D9E648A9F}, as it lies in a BOS: Microsoft's platform capability.
+/// Microsoft's platform capability {D8DD60DF-4589-4CC7-9CD2-659D9E648A9F}, in the byte order of a BOS.
 const MICROSOFT: [u8; 16] = [
     0xDF, 0x60, 0xDD, 0xD8, 0x89, 0x45, 0xC7, 0x4C, 0x9C, 0xD2, 0x65, 0x9D, 0x9E, 0x64, 0x8A, 0x9F,
 ];
 
-/// Why a board could not be enumerated.
+/// Error in the enumeration of a board.
 #[derive(Debug, thiserror::Error)]
 pub enum EnumerationError {
-    /// A transfer ended otherwise than it should.
+    /// A transfer ended with another status than done.
     #[error("{what}: {status:?}")]
     Refused {
-        /// What was asked for.
+        /// Request of the host.
         what: String,
-        /// How that ended.
+        /// Status at the end of the transfer.
         status: Status,
     },
-    /// The machine ended, or takes for ever.
+    /// The machine ended, or is too slow.
     #[error("{what}: the machine is gone, or slower than {PATIENCE:?} for it")]
     NoAnswer {
-        /// What was asked for.
+        /// Request of the host.
         what: String,
     },
-    /// What came is no such descriptor.
+    /// The response is not a valid descriptor.
     #[error("{what} is malformed: {bytes:02x?}")]
     Malformed {
-        /// Which descriptor.
+        /// Name of the descriptor.
         what: String,
-        /// What came.
+        /// Bytes of the response.
         bytes: Vec<u8>,
     },
 }
 
-/// What a board says of itself.
+/// Descriptors of a board.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Description {
-    /// The device descriptor.
+    /// Device descriptor.
     pub device: Vec<u8>,
-    /// The configuration with its interfaces and endpoints.
+    /// Configuration with its interfaces and endpoints.
     pub configuration: Vec<u8>,
-    /// What USB 2.1 adds; empty before that.
+    /// Binary object store (BOS) of USB 2.1; empty for older versions.
     pub bos: Vec<u8>,
-    /// Microsoft's descriptor set (MS OS 2.0), empty where the BOS names none.
+    /// Microsoft's descriptor set (MS OS 2.0); empty if the BOS names none.
     pub microsoft: Vec<u8>,
     /// Manufacturer, product, serial number.
     pub strings: [String; 3],
-    /// Whether it has a device qualifier, which only a high-speed device may have.
+    /// Set if the board has a device qualifier, which only a high-speed device may have.
     pub qualifier: bool,
 }
 
-/// A board, enumerated and configured.
+/// Enumerated and configured board.
 pub struct Board {
     cable: Cable,
-    /// What it says of itself.
+    /// Descriptors of the board.
     pub description: Description,
 }
 
 impl Board {
-    /// Plugs the board in and does what a host does with a new device.
+    /// Plugs the board in and enumerates it as a new device.
     ///
     /// # Errors
-    /// When it does not answer as USB 2.0, chapter 9, wants it.
+    /// The board does not respond as USB 2.0, chapter 9, requires.
     pub fn enumerate(cable: &Cable, address: u8) -> Result<Self, EnumerationError> {
         cable.plug();
         let board = Self {
@@ -95,7 +95,7 @@ impl Board {
             description: Description::default(),
         };
         board.ask("reset", Request::Reset)?;
-        // The first eight bytes say how long its packets on endpoint 0 are.
+        // The first eight bytes contain the packet size of endpoint 0.
         board.descriptor(DEVICE, 0, 0, 8)?;
         board.ask("reset", Request::Reset)?;
         board.control("SET_ADDRESS", [0, 5, address, 0, 0, 0, 0, 0])?;
@@ -107,7 +107,7 @@ impl Board {
         })
     }
 
-    /// The link over its bulk endpoints, those of number 1.
+    /// Link over the board's bulk endpoints, number 1 in both directions.
     pub fn link(&self) -> BulkLink {
         BulkLink::new(self.cable.clone(), &self.description.strings[2])
     }
@@ -141,7 +141,7 @@ impl Board {
         })
     }
 
-    /// A descriptor whose own bytes 2 and 3 say how long it is with what follows it.
+    /// Reads a descriptor with all that follows it; its bytes 2 and 3 contain the total length.
     fn whole(&self, kind: u8) -> Result<Vec<u8>, EnumerationError> {
         let head = self.descriptor(kind, 0, 0, 9)?;
         match head[..] {
@@ -165,7 +165,7 @@ impl Board {
         })
     }
 
-    /// Microsoft's descriptor set, by the request and of the length that the BOS names.
+    /// Reads Microsoft's descriptor set, with the request and the length that the BOS contains.
     fn microsoft(&self, bos: &[u8]) -> Result<Vec<u8>, EnumerationError> {
         let Some(place) = bos
             .windows(MICROSOFT.len())
@@ -207,10 +207,10 @@ impl Board {
         Ok(self.control(&what, setup)?.data)
     }
 
-    /// A control transfer without data, or with data from the board.
+    /// Runs a control transfer without data, or with data from the board.
     ///
     /// # Errors
-    /// When it does not end as done.
+    /// The transfer ends with another status than done.
     pub fn control(&self, what: &str, setup: [u8; 8]) -> Result<Outcome, EnumerationError> {
         self.ask(
             what,

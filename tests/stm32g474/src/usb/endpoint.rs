@@ -1,17 +1,17 @@
-//! An endpoint register USB_EPnR (RM0440, 45.6.1): half of its bits are not written but toggled.
+//! Endpoint register USB_EPnR (RM0440, 45.6.1): half of its bits are toggled by a write, not written.
 
 use crate::registers::Field;
 use crate::registers::usb_fs_device::ep0r::{
     CTR_RX, CTR_TX, DTOG_RX, DTOG_TX, EA, EP_KIND, EP_TYPE, SETUP, STAT_RX, STAT_TX,
 };
 
-/// STAT_TX and STAT_RX.
+/// Value of STAT_TX and STAT_RX: no packet is answered.
 pub const DISABLED: u32 = 0;
 /// Every packet is answered with STALL.
 pub const STALL: u32 = 1;
 /// Every packet is answered with NAK.
 pub const NAK: u32 = 2;
-/// The next packet is taken or sent.
+/// The next packet is accepted or sent.
 pub const VALID: u32 = 3;
 
 /// EP_TYPE of a bulk endpoint.
@@ -21,49 +21,49 @@ pub const CONTROL: u32 = 1;
 /// EP_TYPE of an isochronous endpoint.
 pub const ISOCHRONOUS: u32 = 2;
 
-/// Bits that say that a transaction is complete.
+/// Bits that report a complete transaction.
 const COMPLETE: u32 = CTR_RX.mask() | CTR_TX.mask();
 /// Bits that a written 1 toggles.
 const TOGGLED: u32 = STAT_RX.mask() | STAT_TX.mask() | DTOG_RX.mask() | DTOG_TX.mask();
-/// Bits that are written as in any register.
+/// Bits written as in any register.
 const WRITTEN: u32 = EA.mask() | EP_KIND.mask() | EP_TYPE.mask();
 
-/// One register.
+/// Endpoint register.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Endpoint {
     value: u32,
-    /// Those of its CTR bits that the program has read as set.
+    /// CTR bits that the program has read as set.
     seen: u32,
 }
 
 impl Endpoint {
-    /// As the program reads it.
+    /// Reads the register for the program.
     pub fn read(&mut self) -> u32 {
         self.seen = self.value & COMPLETE;
         self.value
     }
 
-    /// A field, without the program noticing.
+    /// Reads a field without effect on the program.
     pub fn get(&self, field: Field) -> u32 {
         field.of(self.value)
     }
 
-    /// The hardware sets a field.
+    /// Sets a field for the hardware.
     pub fn put(&mut self, field: Field, value: u32) {
         self.value = field.put(self.value, value);
     }
 
-    /// Whether a transaction is complete that the program has not acknowledged.
+    /// Returns `true` if the program has not acknowledged a complete transaction.
     pub fn complete(&self) -> bool {
         self.value & COMPLETE != 0
     }
 
-    /// A reset of the bus leaves only what is complete already.
+    /// Handles a reset of the bus: only the bits of complete transactions stay.
     pub fn bus_reset(&mut self) {
         self.value &= COMPLETE;
     }
 
-    /// As the program writes it; what it does wrong, if anything.
+    /// Writes the register for the program; returns the program's error, if any.
     pub fn write(&mut self, value: u32) -> Option<&'static str> {
         let old = self.value;
         let kept = old & SETUP.mask();

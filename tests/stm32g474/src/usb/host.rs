@@ -1,7 +1,7 @@
-//! The host's controller at the other end of the cable, in emulated time.
+//! Host controller at the other end of the cable, in emulated time.
 //!
-//! Frames of a millisecond, in each of them as many transactions as full speed has room for (19 of 64
-//! bytes); NAK waits, STALL ends a transfer. Other threads hold a [`super::Cable`], by which they ask for transfers.
+//! Frames of a millisecond, each with as many transactions as full speed allows (19 of 64 bytes); NAK repeats a transaction,
+//! STALL ends a transfer. Other threads submit transfers through a [`super::Cable`].
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Bound::{Excluded, Unbounded};
@@ -18,43 +18,43 @@ use super::transfer::{Pipe, Progress, Request, Status, Transfer};
 mod tests;
 
 const FRAME_US: f64 = 1_000.0;
-/// A start of frame on the bus.
+/// Duration of a start of frame on the bus.
 const START_US: f64 = 4.0;
-/// The longest transaction: none begins that would reach into the next frame.
+/// Duration of the longest transaction: none begins that would reach into the next frame.
 const LONGEST_US: f64 = 52.0;
-/// With nothing to do, the controller looks again after this.
+/// Polling period of the idle controller.
 const IDLE_US: f64 = 10.0;
-/// A reset of the bus, and what a device then has to recover (USB 2.0, 7.1.7.5).
+/// Duration of a reset of the bus, and of a device's recovery after it (USB 2.0, 7.1.7.5).
 const RESET_US: f64 = 10_000.0;
 const RECOVERY_US: f64 = 10_000.0;
-/// After SET_ADDRESS a device has this long (USB 2.0, 9.2.6.3).
+/// Time that a device has after SET_ADDRESS (USB 2.0, 9.2.6.3).
 const ADDRESS_US: f64 = 2_000.0;
-/// The wall's time that emulated time waits for a slow reader.
+/// Real time that emulated time waits for a slow reader.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// More than this is not caught up with after a pause.
+/// Longest time that is made up for after a pause.
 const BEHIND_US: f64 = 5_000.0;
 
-/// The controller: polled by the machine's thread.
+/// Host controller, polled by the machine's thread.
 pub struct HostController {
     commands: Receiver<Command>,
     shared: Arc<Shared>,
     queues: BTreeMap<Pipe, VecDeque<Transfer>>,
     toggles: BTreeMap<Pipe, Toggle>,
-    /// Served last.
+    /// Pipe that was served last.
     last: Pipe,
     plugged: bool,
-    /// The bus was reset since the device came: only then is there anything on it.
+    /// Set if the bus was reset since the device was attached: only then are there packets on it.
     enabled: bool,
     address: u8,
     frame: u16,
-    /// When the bus is free; none before the first poll.
+    /// Time from which the bus is free; `None` before the first poll.
     free_us: Option<f64>,
     next_frame_us: f64,
-    /// Until then the bus is held in reset.
+    /// End of the reset of the bus.
     reset_until_us: f64,
-    /// Pipes that rest until a time, since the device was silent there.
+    /// Pipes that pause until a time, for example since the device did not respond.
     resting: BTreeMap<Pipe, f64>,
-    /// From here somebody reads all the time.
+    /// Pipe that is read continuously.
     read: Option<Pipe>,
 }
 
@@ -84,7 +84,7 @@ impl HostController {
         }
     }
 
-    /// Does what the bus has had time for until `now_us`. To be called often: every ten microseconds or so.
+    /// Processes the bus until `now_us`; to be called about every ten microseconds.
     pub fn poll(&mut self, device: &mut dyn Device, now_us: f64) {
         let free = *self.free_us.get_or_insert(now_us);
         if now_us < free {
@@ -110,7 +110,7 @@ impl HostController {
         match command {
             Command::Plug(plugged) => {
                 self.plugged = plugged;
-                // At once: it may be plugged in again before anybody looks.
+                // At once: the cable may be plugged in again before the next poll.
                 if !plugged {
                     self.lost();
                 }
@@ -149,13 +149,13 @@ impl HostController {
             }
             match self.commands.recv_timeout(PATIENCE) {
                 Ok(command) => self.obey(command),
-                // It has read all it wanted.
+                // The reader has stopped.
                 Err(_) => self.read = None,
             }
         }
     }
 
-    /// Notices when the device comes or goes.
+    /// Detects that the device is attached or detached.
     fn watch(&mut self, device: &dyn Device) {
         let attached = self.plugged && device.attached();
         let before = self.shared.attached.swap(attached, Ordering::Relaxed);
@@ -164,7 +164,7 @@ impl HostController {
         }
     }
 
-    /// Nothing is at the end of the cable any more.
+    /// Ends all transfers, as no device is attached any more.
     fn lost(&mut self) {
         self.enabled = false;
         self.read = None;
@@ -173,7 +173,7 @@ impl HostController {
         }
     }
 
-    /// One thing on the bus; the microseconds that it takes.
+    /// Advances the bus by one step; returns its duration in microseconds.
     fn advance(&mut self, device: &mut dyn Device, time: f64) -> f64 {
         let attached = self.shared.attached.load(Ordering::Relaxed);
         if time < self.reset_until_us && self.enabled {
@@ -200,7 +200,7 @@ impl HostController {
         }
     }
 
-    /// The next pipe with something to do, in turn.
+    /// Next pipe with a pending transfer, in turn.
     fn next_pipe(&mut self, time: f64) -> Option<Pipe> {
         self.resting.retain(|_, until| *until > time);
         let after = self.queues.range((Excluded(self.last), Unbounded));
@@ -230,7 +230,7 @@ impl HostController {
         }
     }
 
-    /// The first transfer of a pipe is over: what the controller has to know of it.
+    /// Ends the first transfer of a pipe and updates the controller's state.
     fn over(&mut self, device: &mut dyn Device, pipe: Pipe, status: Status, time: f64) {
         let Some(transfer) = self.queues.get_mut(&pipe).and_then(VecDeque::pop_front) else {
             return;
@@ -250,7 +250,7 @@ impl HostController {
                 } else {
                     0.0
                 };
-                // Drivers hear of the end by an interrupt at the next frame, so the next control transfer is not earlier.
+                // Drivers are notified by an interrupt at the next frame, so the next control transfer is not earlier.
                 self.resting
                     .insert(pipe, self.next_frame_us.max(time + waits));
             }
@@ -259,7 +259,7 @@ impl HostController {
         transfer.finish(status);
     }
 
-    /// A control transfer was done: how long the device then has; some change what the controller does next.
+    /// Applies a completed control transfer to the controller's state; returns the time that the device then has, in microseconds.
     fn heard(&mut self, setup: [u8; 8]) -> f64 {
         match setup {
             // SET_ADDRESS.
@@ -267,7 +267,7 @@ impl HostController {
                 self.address = address & 0x7F;
                 return ADDRESS_US;
             }
-            // SET_CONFIGURATION, SET_INTERFACE: all begin with DATA0.
+            // SET_CONFIGURATION, SET_INTERFACE: all endpoints begin with DATA0.
             [0x00, 9, ..] | [0x01, 11, ..] => self.toggles.clear(),
             // CLEAR_FEATURE of an endpoint's halt.
             [0x02, 1, 0, 0, endpoint, ..] => {

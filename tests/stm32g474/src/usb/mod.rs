@@ -1,4 +1,4 @@
-//! USB: the chip's peripheral, and what is at the other end of the cable.
+//! USB: the chip's peripheral, and the host at the other end of the cable.
 //!
 //! ```text
 //!  firmware ── registers, packet memory ──► peripheral::Usb ◄── packets ── host::HostController ◄── cable::Cable

@@ -1,35 +1,35 @@
-//! The packet memory and the buffer descriptor table in it (RM0440, 45.6.2).
+//! Packet memory, with the buffer descriptor table in it (RM0440, 45.6.2).
 //!
-//! On the G4 the memory is 1 KiB, seen by the program as it is: "2 x 16 bits / word".
+//! On the G4 the memory is 1 KiB, which the program addresses without gaps: "2 x 16 bits / word".
 
-/// Bytes of it.
+/// Size in bytes.
 pub const SIZE: usize = 1024;
 
-/// A descriptor: ADDRn_TX, COUNTn_TX, ADDRn_RX, COUNTn_RX.
+/// Bytes of a descriptor: ADDRn_TX, COUNTn_TX, ADDRn_RX, COUNTn_RX.
 const DESCRIPTOR: usize = 8;
-/// Descriptors of the table.
+/// Number of descriptors in the table.
 const ENDPOINTS: usize = 8;
-/// The low ten bits of a COUNT.
+/// Low ten bits of a COUNT.
 const COUNT: u16 = 0x3FF;
 
-/// The memory.
+/// Packet memory of the USB peripheral.
 pub struct PacketMemory {
     bytes: [u8; SIZE],
-    /// Where the descriptors are: USB_BTABLE.
+    /// Offset of the descriptors: USB_BTABLE.
     pub table: usize,
 }
 
-/// Part of the memory, in bytes.
+/// Part of the packet memory, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Buffer {
-    /// First byte.
+    /// Offset of the first byte.
     pub start: usize,
-    /// Bytes.
+    /// Number of bytes.
     pub length: usize,
 }
 
 impl Buffer {
-    /// Whether an access touches it.
+    /// Returns `true` if an access overlaps the buffer.
     pub fn touches(self, offset: usize, size: usize) -> bool {
         offset < self.start + self.length && self.start < offset + size
     }
@@ -45,13 +45,13 @@ impl Default for PacketMemory {
 }
 
 impl PacketMemory {
-    /// `size` bytes from `offset`, little-endian; zeros outside.
+    /// Reads `size` bytes from `offset`, little-endian; zeros outside the memory.
     pub fn read(&self, offset: usize, size: usize) -> u32 {
         let byte = |i: usize| u32::from(self.bytes.get(offset + i).copied().unwrap_or(0));
         (0..size).fold(0, |value, i| value | byte(i) << (8 * i))
     }
 
-    /// Writes `size` bytes from `offset`; nothing outside.
+    /// Writes `size` bytes from `offset`; no effect outside the memory.
     pub fn write(&mut self, offset: usize, size: usize, value: u32) {
         for (i, byte) in value.to_le_bytes().into_iter().take(size).enumerate() {
             if let Some(place) = self.bytes.get_mut(offset + i) {
@@ -65,7 +65,7 @@ impl PacketMemory {
         self.read(self.table + DESCRIPTOR * index + 2 * place, 2) as u16
     }
 
-    /// What register `index` sends.
+    /// Buffer that register `index` sends.
     pub fn sent(&self, index: usize) -> Buffer {
         let length = usize::from(self.half(index, 1) & COUNT);
         Buffer {
@@ -74,7 +74,7 @@ impl PacketMemory {
         }
     }
 
-    /// Where register `index` receives: blocks of 2 bytes, or of 32 bytes and one more than it says.
+    /// Buffer into which register `index` receives: blocks of 2 bytes, or of 32 bytes and one more than the field's value.
     pub fn received(&self, index: usize) -> Buffer {
         let count = self.half(index, 3);
         let blocks = usize::from(count >> 10 & 0x1F);
@@ -89,7 +89,7 @@ impl PacketMemory {
         }
     }
 
-    /// What is wrong with a buffer of register `index`.
+    /// Defect of a buffer of register `index`, if any.
     pub fn defect(&self, index: usize, buffer: Buffer) -> Option<&'static str> {
         let own_descriptors = self.table..self.table + DESCRIPTOR * (index + 1);
         if !buffer.start.is_multiple_of(2) {
@@ -106,13 +106,13 @@ impl PacketMemory {
         }
     }
 
-    /// The bytes of a buffer.
+    /// Bytes of a buffer.
     pub fn bytes(&self, buffer: Buffer) -> Vec<u8> {
         let all = self.bytes.get(buffer.start..buffer.start + buffer.length);
         all.map_or_else(Vec::new, <[u8]>::to_vec)
     }
 
-    /// A packet arrives for register `index`; false where it does not fit, of which only the beginning is kept.
+    /// Stores a packet for register `index`; returns `false` if it does not fit, and stores only its beginning.
     pub fn receive(&mut self, index: usize, packet: &[u8]) -> bool {
         let buffer = self.received(index);
         let kept = packet.len().min(buffer.length);

@@ -1,7 +1,7 @@
-//! The chip's USB full-speed device (RM0440, chapter 45): registers, packet memory, interrupt.
+//! USB full-speed device of the chip (RM0440, chapter 45): registers, packet memory, interrupt.
 //!
 //! The program's side is [`Usb::read`], [`Usb::write`], [`Usb::pma_read`], [`Usb::pma_write`] and
-//! [`Usb::interrupt`]; the bus's side is the trait [`Device`]. What the manual forbids is noted in
+//! [`Usb::interrupt`]; the bus's side is the trait [`Device`]. Violations of the manual are logged in
 //! [`Usb::violations`].
 
 use crate::registers::Field;
@@ -15,7 +15,7 @@ mod bus_side;
 #[cfg(test)]
 mod tests;
 
-/// Endpoint registers.
+/// Number of endpoint registers.
 const ENDPOINTS: usize = 8;
 
 const LAST_EPNR: u32 = ep7r::ADDRESS - BASE;
@@ -24,7 +24,7 @@ const ISTR: u32 = istr::ADDRESS - BASE;
 const FNR: u32 = fnr::ADDRESS - BASE;
 const DADDR: u32 = daddr::ADDRESS - BASE;
 const BTABLE: u32 = 0x50;
-/// Missing from ST's SVD, as is the next.
+/// Offset of LPMCSR; ST's SVD lacks this register and BCDR.
 const LPMCSR: u32 = 0x54;
 const BCDR: u32 = 0x58;
 
@@ -35,7 +35,7 @@ const BCDR_WRITTEN: u32 = PULL_UP | 0xF;
 /// LPMCSR.LPMEN.
 const LPM_ENABLED: u32 = 1;
 
-/// After leaving power-down, tSTARTUP must pass before the reset is lifted (RM0440, 45.5.2).
+/// tSTARTUP: minimum time between leaving power-down and lifting the reset (RM0440, 45.5.2).
 const STARTUP_US: f64 = 1.0;
 
 /// Flags of USB_ISTR that a written 0 clears; CTR, DIR and EP_ID follow the endpoint registers.
@@ -48,9 +48,9 @@ const CLEARED: u32 = istr::PMAOVR.mask()
     | istr::ESOF.mask()
     | istr::L1REQ.mask();
 
-/// The peripheral.
+/// USB peripheral of the chip.
 pub struct Usb {
-    /// What the program did that the manual forbids, each once.
+    /// Violations of the manual by the program, each once.
     pub violations: Vec<String>,
     endpoints: [Endpoint; ENDPOINTS],
     memory: PacketMemory,
@@ -62,7 +62,7 @@ pub struct Usb {
     charging: u32,
     /// Milliseconds without a frame.
     silent: u32,
-    /// Frames since the last silence, as far as three.
+    /// Number of frames since the last silence, up to three.
     frames: u32,
     now_us: Option<f64>,
     powered_us: Option<f64>,
@@ -75,7 +75,7 @@ impl Default for Usb {
 }
 
 impl Usb {
-    /// As it is after a reset of the chip: powered down, and its logic held in reset.
+    /// Peripheral after a reset of the chip: powered down, with its logic held in reset.
     pub fn new() -> Self {
         Self {
             violations: Vec::new(),
@@ -94,7 +94,7 @@ impl Usb {
         }
     }
 
-    /// The time at which the next access is made; without it, start-up times are not checked.
+    /// Sets the time of the next access; without it, start-up times are not checked.
     pub fn set_time(&mut self, now_us: f64) {
         self.now_us = Some(now_us);
     }
@@ -157,9 +157,9 @@ impl Usb {
         self.memory.write(offset as usize, size, value);
     }
 
-    /// Whether the interrupt USB_LP is asked for.
+    /// Returns `true` if the interrupt USB_LP is requested.
     pub fn interrupt(&self) -> bool {
-        // The masks lie where the flags do.
+        // The masks have the positions of the flags.
         let masks = CLEARED | istr::CTR.mask();
         self.status() & self.control & masks != 0
     }
@@ -176,7 +176,7 @@ impl Usb {
     }
 
     fn status(&self) -> u32 {
-        // The lowest number comes first: without isochronous or double-buffered endpoints there is one class only.
+        // The lowest number has priority: without isochronous or double-buffered endpoints there is one class only.
         let Some(index) = self.endpoints.iter().position(Endpoint::complete) else {
             return self.flags;
         };
@@ -188,7 +188,7 @@ impl Usb {
     fn frame_register(&self) -> u32 {
         let lost = fnr::LSOF.put(0, self.silent.min(3));
         let locked = fnr::LCK.put(0, u32::from(self.frames >= 2));
-        // At rest D+ is high, by the pull-up.
+        // The pull-up holds D+ high at rest.
         let line = fnr::RXDP.put(0, u32::from(self.attached()));
         fnr::FN.put(0, self.frame) | lost | locked | line
     }
@@ -213,7 +213,7 @@ impl Usb {
         if self.on(cntr::RESUME) || self.on(cntr::L1RESUME) {
             self.report("remote wake-up is not modelled");
         }
-        // Held for as long as FRES is set.
+        // The reset holds for as long as FRES is set.
         if self.on(cntr::FRES) {
             self.reset();
         }
@@ -265,7 +265,7 @@ impl Usb {
         }
     }
 
-    /// The program may touch packet memory by half-words, and never what the hardware is about to use.
+    /// Checks an access of the program to packet memory: by half-words only, and not to a buffer that the hardware is about to use.
     fn check_access(&mut self, doing: &str, offset: u32, size: usize) {
         let start = offset as usize;
         if size != 2 || !start.is_multiple_of(2) {

@@ -1,5 +1,5 @@
-//! The chip's bootloader in ROM on the bus: the model of `ihd-rom-bootloader`, which knows control transfers, by their
-//! packets.
+//! Bootloader in the chip's ROM on the bus: packets for the model of `ihd-rom-bootloader`, which handles whole control
+//! transfers.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -15,21 +15,21 @@ use super::transfer::PACKET;
 #[cfg(test)]
 mod tests;
 
-/// SET_ADDRESS.
+/// First two bytes of SET_ADDRESS.
 const SET_ADDRESS: [u8; 2] = [0x00, 5];
-/// How often the bus goes on: a frame has a millisecond.
+/// Polling period of the bus: a frame has a millisecond.
 const TURN: Duration = Duration::from_micros(200);
 
-/// A control transfer under way.
+/// Control transfer in progress.
 struct Control {
     setup: [u8; 8],
-    /// What has come from the host.
+    /// Bytes received from the host.
     received: Vec<u8>,
-    /// What is left to go to it; none where the request was refused.
+    /// Bytes still to be sent to the host; `None` if the request was refused or not yet carried out.
     answer: Option<Vec<u8>>,
 }
 
-/// The device.
+/// USB device of the bootloader.
 pub struct RomDevice {
     rom: Arc<Mutex<Bootloader>>,
     address: u8,
@@ -38,7 +38,7 @@ pub struct RomDevice {
 }
 
 impl RomDevice {
-    /// Of a model, which the test goes on holding.
+    /// Device of a model, to which the test keeps access.
     pub fn new(rom: Arc<Mutex<Bootloader>>) -> Self {
         Self {
             rom,
@@ -48,7 +48,7 @@ impl RomDevice {
         }
     }
 
-    /// On a cable, on a thread of its own and the wall's time, for as long as the process lives.
+    /// Connects the device to a cable, on a thread of its own in real time, for the life of the process.
     pub fn on_a_cable(self) -> Cable {
         let (cable, controller) = Cable::new();
         thread::spawn(move || run(self, controller));
@@ -59,7 +59,7 @@ impl RomDevice {
         self.rom.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Has the model do it: at the beginning where data come from it, else at the end.
+    /// Carries out the request in the model: at the beginning if data come from it, else at the end.
     fn perform(&mut self) {
         let Some(control) = self.control.take() else {
             return;
@@ -72,7 +72,7 @@ impl RomDevice {
         } else {
             self.rom().control(*setup, received)
         };
-        // One that has gone answers nothing: `attached` tells.
+        // A device that has left does not respond: `attached` shows that.
         let answer = answer.ok();
         self.control = Some(Control { answer, ..control });
     }
@@ -126,13 +126,13 @@ impl Device for RomDevice {
         };
         let to_host = control.setup[0] & 0x80 != 0;
         if to_host {
-            // The status stage of what was sent.
+            // Status stage of a transfer to the host.
             return match control.answer {
                 Some(_) => Handshake::Ack,
                 None => Handshake::Stall,
             };
         }
-        // The same once more is acknowledged, and no more.
+        // A repeated packet is acknowledged and dropped.
         if toggle == self.toggle {
             control.received.extend(data);
             self.toggle = toggle.next();
@@ -149,7 +149,7 @@ impl Device for RomDevice {
         };
         let to_host = setup[0] & 0x80 != 0;
         if !to_host {
-            // The status stage: the data are all here.
+            // Status stage: all data have been received.
             self.perform();
             self.toggle = Toggle::Data1;
         }

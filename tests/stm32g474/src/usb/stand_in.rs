@@ -1,23 +1,23 @@
-//! A device without a chip: it answers as the board does, for tests of what is at the other end of the cable.
+//! Device without a chip that responds as the board does, for tests of the other end of the cable.
 
 use super::bus::{Answer, Device, Handshake, Toggle};
 use super::transfer::PACKET;
 
 mod answers;
 
-/// What the device does with the bytes on its bulk endpoints.
+/// Use of the bytes on a device's bulk endpoints.
 pub trait Function: Send {
-    /// Bytes from the host; false when there is no room.
+    /// Takes bytes from the host; returns `false` if there is no room.
     fn take(&mut self, bytes: &[u8]) -> bool;
 
-    /// The next packet for the host, of less than 64 bytes, if there is one.
+    /// Next packet for the host, of less than 64 bytes, if there is one.
     fn give(&mut self) -> Option<Vec<u8>>;
 
-    /// A millisecond goes by.
+    /// Handles the end of a millisecond.
     fn millisecond(&mut self) {}
 }
 
-/// Gives back what it takes.
+/// Function that returns all bytes that it takes.
 #[derive(Default)]
 pub struct Echo(std::collections::VecDeque<Vec<u8>>);
 
@@ -32,23 +32,23 @@ impl Function for Echo {
     }
 }
 
-/// The device.
+/// Stand-in for the board.
 pub struct StandIn {
     serial: String,
     function: Box<dyn Function>,
     present: bool,
     address: u8,
-    /// From SET_ADDRESS until its status stage.
+    /// Address by SET_ADDRESS, until its status stage.
     new_address: Option<u8>,
     configured: bool,
-    /// What endpoint 0 still has to send, or nothing where it stalls.
+    /// Bytes still to be sent by endpoint 0; `None` if it stalls.
     control: Option<Vec<u8>>,
-    /// DATA toggles of endpoint 0's data, of bulk in and of bulk out.
+    /// Toggles of endpoint 0's data, of bulk in and of bulk out.
     toggles: [Toggle; 3],
 }
 
 impl StandIn {
-    /// With a serial number, plugged in.
+    /// Plugged-in device with a serial number.
     pub fn new(serial: &str, function: impl Function + 'static) -> Self {
         Self {
             serial: serial.to_owned(),
@@ -62,7 +62,7 @@ impl StandIn {
         }
     }
 
-    /// Whether the pull-up is on.
+    /// Switches the pull-up on or off.
     pub fn set_present(&mut self, present: bool) {
         self.present = present;
     }
@@ -125,7 +125,7 @@ impl Device for StandIn {
             0 if self.control.is_some() => Handshake::Ack,
             0 => Handshake::Stall,
             1 if !self.configured => Handshake::Nothing,
-            // Sent again.
+            // Repeated packet.
             1 if toggle != self.toggles[2] => Handshake::Ack,
             1 if self.function.take(data) => {
                 self.toggles[2] = toggle.next();

@@ -1,82 +1,82 @@
-//! Transfers: what a driver asks of the host's controller, and how one becomes transactions (USB 2.0, 5.5 and 5.8).
+//! Transfers: a driver's requests to the host controller, and their transactions (USB 2.0, 5.5 and 5.8).
 
 use super::bus::{Answer, Device, Handshake, Toggle};
 
-/// Bytes of a packet, on endpoint 0 as on the bulk endpoints: all that the boards have.
+/// Bytes of a packet on endpoint 0 and on the bulk endpoints; the boards have no others.
 pub const PACKET: usize = 64;
 
-/// A controller gives up at the third transaction without an answer.
+/// Number of transactions without a response after which the controller gives up.
 const STRIKES: u8 = 3;
 
-/// Microseconds a byte takes at 12 Mbit/s.
+/// Duration of a byte at 12 Mbit/s, in microseconds.
 const BYTE_US: f64 = 8.0 / 12.0;
-/// What a transaction takes beside its data, in bytes (USB 2.0, table 5-9).
+/// Length of a transaction beside its data, in bytes (USB 2.0, table 5-9).
 const OVERHEAD: usize = 13;
-/// What one takes that was answered with a handshake where data could have come.
+/// Length of a transaction with a handshake in place of data, in bytes.
 const REFUSED: usize = 8;
 
-/// What a driver may ask for.
+/// Request of a driver.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Request {
-    /// Wait until there is a device, then reset the bus: it has address 0.
+    /// Waits for a device, then resets the bus: the device has address 0.
     Reset,
-    /// A control transfer, with the data that go to the device.
+    /// Control transfer, with the data for the device.
     Control {
         /// bmRequestType, bRequest, wValue, wIndex, wLength.
         setup: [u8; 8],
-        /// As long as wLength says, where they go to the device.
+        /// Data for the device, of length wLength.
         data: Vec<u8>,
     },
-    /// At most `length` bytes from a bulk endpoint, ended by a short packet.
+    /// Read of at most `length` bytes from a bulk endpoint, ended by a short packet.
     In {
-        /// Without the direction's bit.
+        /// Number of the endpoint, without the direction's bit.
         endpoint: u8,
-        /// Room for this.
+        /// Maximum number of bytes.
         length: usize,
     },
-    /// Bytes for a bulk endpoint.
+    /// Write to a bulk endpoint.
     Out {
-        /// Its number.
+        /// Number of the endpoint.
         endpoint: u8,
-        /// What goes there.
+        /// Bytes for the endpoint.
         data: Vec<u8>,
-        /// An empty packet shows the end where the last one is full.
+        /// Set if an empty packet marks the end after a full packet.
         ends_short: bool,
     },
 }
 
-/// How a transfer ended.
+/// Status at the end of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
-    /// As asked for.
+    /// Completed as requested.
     Done,
-    /// The device refused.
+    /// Refused by the device.
     Stalled,
-    /// Whoever had asked for it took that back.
+    /// Cancelled by the driver.
     Cancelled,
-    /// The device was unplugged, or went by itself.
+    /// The device was unplugged, or detached itself.
     Gone,
-    /// The device did not answer, or not in turn.
+    /// No response by the device, or not the expected one.
     Failed,
-    /// More came than there was room for.
+    /// More bytes than there was room for.
     Overrun,
 }
 
-/// The end of a transfer.
+/// End of a transfer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outcome {
-    /// How it ended.
+    /// Status at the end.
     pub status: Status,
-    /// What the device sent.
+    /// Bytes from the device.
     pub data: Vec<u8>,
-    /// Bytes sent or received.
+    /// Number of bytes sent or received.
     pub length: usize,
 }
 
-/// Takes the end of a transfer, on the machine's thread.
+/// Callback at the end of a transfer, on the machine's thread.
 pub type Done = Box<dyn FnOnce(Outcome) + Send>;
 
-/// Where a transfer queues: an endpoint, and whether data come from it. Endpoint 0 has one queue.
+/// Queue of a transfer: an endpoint, and `true` if data come from it. Endpoint 0 has one queue.
 pub(super) type Pipe = (u8, bool);
 
 impl Request {
@@ -96,20 +96,20 @@ enum Stage {
     Status,
 }
 
-/// What a transaction led to.
+/// Result of a transaction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Progress {
-    /// The transfer goes on.
+    /// The transfer continues.
     More,
-    /// The device has nothing, or no room.
+    /// The device has no data, or no room.
     Refused,
-    /// No answer; it is asked again in the next frame.
+    /// No response; the transaction is repeated in the next frame.
     Silence,
-    /// The transfer is over.
+    /// The transfer has ended.
     Over(Status),
 }
 
-/// A transfer under way.
+/// Transfer in progress.
 pub(super) struct Transfer {
     pub id: u64,
     pub request: Request,
@@ -118,7 +118,7 @@ pub(super) struct Transfer {
     received: Vec<u8>,
     sent: usize,
     strikes: u8,
-    /// Of the data stage of a control transfer.
+    /// Toggle in the data stage of a control transfer.
     toggle: Toggle,
 }
 
@@ -137,7 +137,7 @@ impl Transfer {
         }
     }
 
-    /// Tells whoever asked.
+    /// Ends the transfer and calls `done`.
     pub fn finish(self, status: Status) {
         let length = self.sent + self.received.len();
         (self.done)(Outcome {
@@ -147,7 +147,7 @@ impl Transfer {
         });
     }
 
-    /// One transaction, and the microseconds that it takes; `toggle` is the pipe's.
+    /// Runs one transaction; returns its duration in microseconds. `toggle` is the pipe's.
     pub fn step(
         &mut self,
         device: &mut dyn Device,
@@ -155,7 +155,7 @@ impl Transfer {
         toggle: &mut Toggle,
     ) -> (f64, Progress) {
         let (bytes, progress) = match self.request {
-            // The controller does that itself.
+            // The controller resets the bus itself.
             Request::Reset => (0, Progress::Over(Status::Done)),
             Request::Control { .. } => self.control(device, address),
             Request::In { endpoint, length } => {
@@ -201,7 +201,7 @@ impl Transfer {
                 if handshake == Handshake::Ack {
                     return (OVERHEAD + 8, Progress::More);
                 }
-                // A device may not refuse a SETUP otherwise.
+                // A device cannot refuse a SETUP: any other response counts as none.
                 self.stage = Stage::Setup;
                 (OVERHEAD + 8, Progress::Silence)
             }
@@ -219,7 +219,7 @@ impl Transfer {
                 }
                 (bytes, progress)
             }
-            // The other way than the data, always DATA1.
+            // Direction opposite to the data's, always DATA1.
             Stage::Status if to_host && length > 0 => {
                 let handshake = device.out(address, 0, Toggle::Data1, &[]);
                 (OVERHEAD, after(handshake, Progress::Over(Status::Done)))
@@ -251,7 +251,7 @@ impl Transfer {
             Answer::Nothing => return (REFUSED, Progress::Silence),
         };
         let bytes = OVERHEAD + data.len();
-        // The same once more: our acknowledgement was lost.
+        // Repeated packet: the host's acknowledgement was lost.
         if came != *toggle {
             return (bytes, Progress::More);
         }

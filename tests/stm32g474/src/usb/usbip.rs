@@ -1,7 +1,7 @@
-//! A USB/IP server in front of emulated boards, so that a Linux kernel drives them as if they were plugged in.
+//! USB/IP server in front of emulated boards, so that a Linux kernel drives them as if they were plugged in.
 //!
-//! To import a board is to plug it in. The kernel's side resets no bus and sets no address by itself, so both are
-//! done here, before the import is answered. Every transfer and every unlink gets an answer, or the kernel hangs.
+//! An import plugs a board in. The kernel's side does not reset the bus or set an address, so the server does both before it
+//! answers the import. Every transfer and every unlink gets a response, or the kernel hangs.
 
 use std::collections::HashMap;
 use std::io::{self, Write};
@@ -21,21 +21,21 @@ pub mod wire;
 
 use wire::{Command, Identity, Operation};
 
-/// How often a connection looks whether its board is still there.
+/// Period at which a connection checks that its board is still attached.
 const WATCH: Duration = Duration::from_millis(20);
-/// The wall's time that a board has for its reset and its device descriptor, emulation being slow.
+/// Longest real time for a board's reset and its device descriptor: emulation is slow.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// GET_DESCRIPTOR of the device, whole.
+/// GET_DESCRIPTOR of the whole device descriptor.
 const DEVICE: [u8; 8] = [0x80, 6, 0, 1, 0, 0, 18, 0];
 
-/// Linux's numbers for what goes wrong.
+/// Error numbers of Linux.
 const PIPE: i32 = -32;
 const PROTOCOL: i32 = -71;
 const OVERFLOW: i32 = -75;
 const CONNECTION_RESET: i32 = -104;
 const SHUT_DOWN: i32 = -108;
 
-/// A board that can be imported.
+/// Board that can be imported.
 struct Export {
     bus_id: String,
     number: u32,
@@ -43,16 +43,16 @@ struct Export {
     taken: AtomicBool,
 }
 
-/// The server, on threads of its own for as long as the process lives.
+/// USB/IP server, on threads of its own for the life of the process.
 pub struct Server {
     address: SocketAddr,
 }
 
 impl Server {
-    /// Listens on a port of this machine that the system chooses; the boards' bus ids are 1-1, 1-2 and so on.
+    /// Listens on a local port that the system chooses; the boards' bus ids are 1-1, 1-2 and so on.
     ///
     /// # Errors
-    /// When the system has no port.
+    /// The system has no free port.
     pub fn start(cables: impl IntoIterator<Item = Cable>) -> io::Result<Self> {
         let export = |(number, cable)| Export {
             bus_id: format!("1-{number}"),
@@ -66,14 +66,14 @@ impl Server {
         thread::spawn(move || {
             for stream in listener.incoming().flatten() {
                 let exports = Arc::clone(&exports);
-                // A client that goes away or talks nonsense ends its own connection only.
+                // A client that disconnects or violates the protocol ends only its own connection.
                 thread::spawn(move || drop(serve(stream, &exports)));
             }
         });
         Ok(Self { address })
     }
 
-    /// Where it listens.
+    /// Address of the server.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -104,7 +104,7 @@ fn serve(mut stream: TcpStream, exports: &[Export]) -> io::Result<()> {
 }
 
 impl Export {
-    /// What the board says of itself, by plugging it in for a moment.
+    /// Identity of the board, which is plugged in for a moment.
     fn look(&self) -> Option<Identity> {
         let identity = self.plug();
         self.cable.unplug();
@@ -130,7 +130,7 @@ impl Export {
         })
     }
 
-    /// Plugs it in, resets the bus, sets the address.
+    /// Plugs the board in, resets the bus and sets the address.
     fn plug(&self) -> Option<Identity> {
         self.cable.plug();
         self.ask(Request::Reset)?;
@@ -144,7 +144,7 @@ impl Export {
         })
     }
 
-    /// The board in the kernel's hands, until either side ends it.
+    /// Serves the board to the kernel until either side ends the connection.
     fn plugged_in(&self, mut stream: TcpStream) -> io::Result<()> {
         let identity = self.plug();
         stream.write_all(&wire::imported(identity.as_ref()))?;
@@ -165,7 +165,7 @@ impl Export {
                     break;
                 }
             }
-            // Unplugged: the kernel notices by the end of the connection.
+            // Unplugged: the end of the connection informs the kernel.
             drop(back.shutdown(Shutdown::Both));
         });
         let pending = Arc::new(Pending {
@@ -180,16 +180,16 @@ impl Export {
     }
 }
 
-/// A transfer that the kernel waits for.
+/// Transfer that the kernel waits for.
 #[derive(Clone, Copy, Default)]
 struct Waiting {
-    /// The cable's number for it, once it has one.
+    /// Number of the transfer on the cable, once it has one.
     id: Option<u64>,
-    /// The unlink that took it back.
+    /// Sequence number of the unlink that cancelled it.
     unlink: Option<u32>,
 }
 
-/// The transfers under way, by the kernel's numbers, and the way back to it.
+/// Transfers in progress by the kernel's numbers, and the channel for responses to the kernel.
 struct Pending {
     answers: Sender<Vec<u8>>,
     transfers: Mutex<HashMap<u32, Waiting>>,
@@ -202,7 +202,7 @@ impl Pending {
             .unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A writer that has ended needs no answers.
+    /// Queues a response; it is dropped if the writer has ended.
     fn answer(&self, bytes: Vec<u8>) {
         drop(self.answers.send(bytes));
     }
@@ -257,12 +257,12 @@ impl Pending {
             Status::Cancelled => CONNECTION_RESET,
         };
         match (outcome.status, waiting.unlink) {
-            // Taken back: the unlink is answered in place of the transfer.
+            // Cancelled: the unlink is answered in place of the transfer.
             (Status::Cancelled, Some(unlink)) => self.answer(wire::unlinked(unlink, status)),
             (_, unlink) => {
                 let data = if input { outcome.data.as_slice() } else { &[] };
                 self.answer(wire::submitted(sequence, status, outcome.length, data));
-                // It came too late.
+                // The unlink came too late.
                 if let Some(unlink) = unlink {
                     self.answer(wire::unlinked(unlink, 0));
                 }
@@ -273,7 +273,7 @@ impl Pending {
     fn unlink(&self, sequence: u32, transfer: u32, cable: &Cable) {
         let mut transfers = self.transfers();
         let Some(waiting) = transfers.get_mut(&transfer) else {
-            // Its end is on the way already.
+            // The transfer has ended already.
             return self.answer(wire::unlinked(sequence, 0));
         };
         waiting.unlink = Some(sequence);

@@ -1,4 +1,4 @@
-//! The link's [`Transport`] over a board's bulk endpoints.
+//! [`Transport`] of the link over a board's bulk endpoints.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind};
@@ -10,27 +10,27 @@ use ihd_link::{LinkError, Transport};
 use super::super::cable::Cable;
 use super::super::transfer::{Outcome, PACKET, Request, Status};
 
-/// Emulated time after which the board must have taken what is sent, as in the host's own transport.
+/// Emulated time within which the board must accept sent bytes, as in the host's own transport.
 const SEND_TIMEOUT: Duration = Duration::from_secs(5);
-/// Transfers that wait for the board's bytes.
+/// Number of pending transfers for the board's bytes.
 const IN_FLIGHT: usize = 16;
-/// How often the emulated clock is looked at, in the wall's time.
+/// Polling period of the emulated clock, in real time.
 const GLANCE: Duration = Duration::from_micros(500);
 
-/// The link over a board's bulk endpoints; its clock is the emulated one.
+/// Link over a board's bulk endpoints; its clock is the emulated one.
 pub struct BulkLink {
     cable: Cable,
     serial: String,
     sender: Sender<Outcome>,
     arrived: Receiver<Outcome>,
-    /// Received and not yet asked for.
+    /// Bytes that were received and not yet read.
     left: Vec<u8>,
-    /// Transfers that wait for the board's bytes, the oldest first.
+    /// Pending transfers for the board's bytes, the oldest first.
     waiting: VecDeque<u64>,
 }
 
 impl BulkLink {
-    /// The link of an enumerated board; `serial` is for messages.
+    /// Link of an enumerated board; `serial` is for messages.
     pub(super) fn new(cable: Cable, serial: &str) -> Self {
         let (sender, arrived) = mpsc::channel();
         let (serial, left, waiting) = (serial.to_owned(), Vec::new(), VecDeque::new());
@@ -71,7 +71,7 @@ impl BulkLink {
         }
     }
 
-    /// The end of what waits in `receiver`; none after `timeout` of emulated time.
+    /// Waits for the outcome in `receiver`; returns `None` after `timeout` of emulated time.
     fn wait(
         &self,
         receiver: &Receiver<Outcome>,
@@ -92,7 +92,7 @@ impl BulkLink {
 }
 
 impl Drop for BulkLink {
-    /// What comes from now on is for whoever opens the link next.
+    /// Cancels the pending transfers, so that later bytes go to the next link.
     fn drop(&mut self) {
         self.waiting.iter().for_each(|id| self.cable.cancel(*id));
     }
@@ -130,7 +130,7 @@ impl Transport for BulkLink {
             let Some(outcome) = waited.map_err(|status| self.failed("receive", status))? else {
                 return Ok(0);
             };
-            // They end in the order in which they were asked for.
+            // Transfers end in the order of their requests.
             self.waiting.pop_front();
             self.ask_for_more();
             self.left = outcome.data;

@@ -6,7 +6,7 @@ use super::super::stand_in::{Echo, StandIn};
 use super::*;
 use ihd_link::{LinkError, Transport};
 
-/// A machine with nothing but the stand-in, on a thread of its own; it ends when this is dropped.
+/// Machine with only the stand-in, on a thread of its own; it ends when this is dropped.
 pub struct Machine {
     pub cable: Cable,
     stop: Arc<AtomicBool>,

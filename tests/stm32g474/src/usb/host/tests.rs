@@ -6,7 +6,7 @@ use super::super::stand_in::{Echo, StandIn};
 use super::super::transfer::Outcome;
 use super::*;
 
-/// A controller, a cable and a device; time goes by as it is asked for.
+/// Controller, cable and device; time passes on request.
 struct Bench {
     cable: Cable,
     controller: HostController,
@@ -54,7 +54,7 @@ impl Bench {
         outcome.try_recv().expect("30 ms are enough")
     }
 
-    /// Plugged in, with an address and a configuration.
+    /// Bench with a device that is plugged in, addressed and configured.
     fn configured() -> Self {
         let mut bench = Self::new();
         bench.cable.plug();
@@ -240,7 +240,7 @@ fn a_device_that_leaves_by_itself_ends_all_and_comes_back_without_an_address() {
 fn a_device_that_never_answers_fails_at_the_third_try() {
     let mut bench = Bench::configured();
     bench.ask(Request::Reset);
-    // Its program never acknowledges the reset.
+    // The program of this device never acknowledges the reset.
     let mut usb = Usb::new();
     usb.write(0x40, 0);
     usb.write(0x58, 0x8000);

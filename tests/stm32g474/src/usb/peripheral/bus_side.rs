@@ -1,9 +1,9 @@
-//! The peripheral as the bus sees it (RM0440, 45.5.2 and 45.5.5).
+//! Bus side of the peripheral (RM0440, 45.5.2 and 45.5.5).
 
 use super::*;
 
 impl Usb {
-    /// What a reset does, be it the bus's or FRES: transactions complete already stay so.
+    /// Handles a reset, by the bus or by FRES: complete transactions stay complete.
     pub(super) fn reset(&mut self) {
         self.flags |= istr::RESET.mask();
         self.address = 0;
@@ -16,7 +16,7 @@ impl Usb {
         !self.on(cntr::PDWN) && !self.on(cntr::FRES)
     }
 
-    /// Something moves on the bus: a sleeping peripheral wakes.
+    /// Handles activity on the bus: a suspended peripheral wakes.
     fn activity(&mut self) {
         self.silent = 0;
         if self.on(cntr::FSUSP) {
@@ -25,7 +25,7 @@ impl Usb {
         }
     }
 
-    /// The register that answers for an endpoint: none before the reset is acknowledged, while asleep, or for others.
+    /// Register that serves an endpoint; `None` before the reset is acknowledged, in suspend, or for another address or endpoint.
     fn addressed(&self, address: u8, endpoint: u8, status: Field) -> Option<usize> {
         let listens = self.powered()
             && istr::RESET.of(self.flags) == 0
@@ -38,7 +38,7 @@ impl Usb {
         self.endpoints.iter().position(answers).filter(|_| listens)
     }
 
-    /// Puts a packet away; its handshake.
+    /// Stores a packet; returns its handshake.
     fn take(&mut self, index: usize, packet: &[u8]) -> Handshake {
         if !self.memory.receive(index, packet) {
             let length = packet.len();
@@ -80,7 +80,7 @@ impl Device for Usb {
     }
 
     fn missing_frame(&mut self) {
-        // Asleep, it waits for nothing.
+        // In suspend, no frame is expected.
         if !self.powered() || self.on(cntr::FSUSP) {
             return;
         }
@@ -97,7 +97,7 @@ impl Device for Usb {
             return Handshake::Nothing;
         };
         let register = &self.endpoints[index];
-        // While the last one is not acknowledged, none is taken: it would be lost.
+        // No SETUP is accepted before the last one is acknowledged: it would be lost.
         if register.get(ep0r::EP_TYPE) != endpoint::CONTROL || register.get(ep0r::CTR_RX) != 0 {
             return Handshake::Nothing;
         }
@@ -122,7 +122,7 @@ impl Device for Usb {
             VALID => {}
             _ => return Handshake::Nak,
         }
-        // Sent again, since our handshake was lost: acknowledged again.
+        // Repeated packet, since the device's handshake was lost: acknowledged again.
         if register.get(ep0r::DTOG_RX) != bit(toggle) {
             return Handshake::Ack;
         }

@@ -2,15 +2,15 @@
 
 use super::*;
 
-/// Where the tests keep the buffers of endpoint 0 and of endpoint 1.
+/// Offsets of the buffers of endpoint 0 and of endpoint 1.
 const CONTROL_OUT: u32 = 0x40;
 const CONTROL_IN: u32 = 0x80;
 const BULK_OUT: u32 = 0xC0;
 const BULK_IN: u32 = 0x100;
-/// COUNTn_RX of 64 bytes: BL_SIZE, and one block more.
+/// COUNTn_RX of 64 bytes: BL_SIZE, and two blocks, written as 1.
 const BLOCKS_64: u32 = 0x8400;
 
-/// Powered, out of reset, pulled up.
+/// Peripheral that is powered, out of reset and pulled up.
 fn started() -> Usb {
     let mut usb = Usb::new();
     usb.set_time(0.0);
@@ -22,7 +22,7 @@ fn started() -> Usb {
     usb
 }
 
-/// The reset of the bus handled, endpoint 0 of type control and endpoint 1 bulk, with address 5.
+/// Peripheral with address 5 after a reset of the bus: endpoint 0 of type control, endpoint 1 bulk.
 fn configured() -> Usb {
     let mut usb = started();
     usb.bus_reset();
@@ -114,7 +114,7 @@ fn a_setup_is_taken_in_spite_of_nak_and_sets_both_toggles() {
     assert_eq!(usb.read(ISTR), 0x8010);
     assert_eq!(usb.pma_read(6, 2), BLOCKS_64 | 8);
     assert_eq!(usb.pma_read(CONTROL_OUT, 2), 0x0680);
-    // The next is lost as long as this one is not acknowledged.
+    // The next is lost until this one is acknowledged.
     assert_eq!(usb.setup(5, 0, packet), Handshake::Nothing);
     usb.write(0, 0x0280);
     assert_eq!(usb.setup(5, 0, packet), Handshake::Ack);

@@ -7,7 +7,7 @@ use super::super::client::Board;
 use super::super::transfer::{Outcome, Request, Status};
 use super::*;
 
-/// A bootloader on a cable, configured.
+/// Configured bootloader on a cable.
 struct Desk {
     rom: Arc<Mutex<Bootloader>>,
     board: Board,
@@ -41,7 +41,7 @@ impl Desk {
         self.control(setup, data).status
     }
 
-    /// The state, after the operation.
+    /// State after the operation.
     fn state(&self) -> u8 {
         loop {
             let told = self.control([0xA1, 3, 0, 0, 0, 0, 6, 0], &[]).data;
@@ -68,7 +68,7 @@ fn it_is_enumerated_and_a_page_is_written_and_read_back() {
         assert_eq!(desk.state(), 5);
     }
     assert_eq!(desk.send(6, 0, &[]), Status::Done);
-    // All of 2048 bytes, which is a multiple of a packet; then more than there is room for in the last memory.
+    // 2048 bytes, a multiple of a packet.
     let read = desk.control([0xA1, 2, 2, 0, 0, 0, 0, 8], &[]);
     assert_eq!((read.status, read.data == page), (Status::Done, true));
     assert!(desk.rom.lock().unwrap().chip.flash[..PAGE] == page);

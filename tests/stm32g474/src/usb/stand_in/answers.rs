@@ -1,8 +1,8 @@
-//! Descriptors as the board's image gives them.
+//! Descriptors as the board's image returns them.
 
 use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
 
-/// The answer to a request for a descriptor; none is a STALL.
+/// Response to a request for a descriptor; `None` is a STALL.
 pub fn descriptor(packet: [u8; 8], serial: &str) -> Option<Vec<u8>> {
     let [kind, request, index, which, ..] = packet;
     match (kind, request, which) {
@@ -20,7 +20,7 @@ fn device() -> Vec<u8> {
     let ([vendor, vendor_high], [product, product_high]) =
         (VENDOR_ID.to_le_bytes(), PRODUCT_ID.to_le_bytes());
     let ids = [vendor, vendor_high, product, product_high];
-    // USB 2.1, for the BOS; class of the vendor; 64 bytes.
+    // USB 2.1, for the BOS; vendor-specific class; 64 bytes.
     let head = [18, 1, 0x10, 0x02, 0xFF, 0, 0, 64];
     let tail = [0x10, 0x00, 1, 2, 3, 1];
     [&head[..], &ids, &tail].concat()
@@ -47,7 +47,7 @@ fn string(index: u8, serial: &str) -> Option<Vec<u8>> {
     Some([&[length, 3], units.as_slice()].concat())
 }
 
-/// One capability: Microsoft's platform, whose descriptors are asked for by request 0x20.
+/// One capability: Microsoft's platform, whose descriptors are read with request 0x20.
 fn bos() -> Vec<u8> {
     let uuid = [
         0xDF, 0x60, 0xDD, 0xD8, 0x89, 0x45, 0xC7, 0x4C, 0x9C, 0xD2, 0x65, 0x9D, 0x9E, 0x64, 0x8A,
@@ -58,7 +58,7 @@ fn bos() -> Vec<u8> {
     [&[5, 15, 33, 0, 1, 28, 16, 5, 0][..], &uuid, &windows_8_1].concat()
 }
 
-/// WINUSB for all of the device.
+/// WINUSB for the whole device.
 fn microsoft() -> Vec<u8> {
     let header = [10, 0, 0, 0, 0x00, 0x00, 0x03, 0x06, 30, 0];
     let compatible = [20, 0, 3, 0];

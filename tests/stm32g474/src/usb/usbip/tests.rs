@@ -3,7 +3,7 @@ use std::io::Read;
 use super::super::client::tests::Machine;
 use super::*;
 
-/// The kernel's end, without a kernel.
+/// Client in place of the kernel.
 struct Kernel(TcpStream);
 
 impl Kernel {
@@ -63,7 +63,7 @@ impl Kernel {
         );
     }
 
-    /// Command, sequence number, status, data of the next answer.
+    /// Command, sequence number, status and data of the next response.
     fn answer(&mut self, has_data: bool) -> (u32, u32, i32, Vec<u8>) {
         let header = self.read(48);
         let word = |i: usize| u32::from_be_bytes(header[4 * i..4 * i + 4].try_into().unwrap());
@@ -86,7 +86,7 @@ fn a_board_is_imported_once_at_a_time_and_answers_transfers() {
     kernel.control(7, DEVICE);
     let (command, sequence, status, data) = kernel.answer(true);
     assert_eq!((command, sequence, status, data.len()), (3, 7, 0, 18));
-    // The qualifier of a device that is none for high speed.
+    // Device qualifier, which a full-speed device does not have.
     kernel.control(8, [0x80, 6, 0, 6, 0, 0, 10, 0]);
     assert_eq!(kernel.answer(true), (3, 8, PIPE, Vec::new()));
 }
@@ -116,7 +116,7 @@ fn a_pulled_cable_ends_the_connection_and_the_board_can_be_imported_again() {
     let mut kernel = Kernel::import(&server, "1-1").unwrap();
     machine.cable.unplug();
     assert_eq!(kernel.0.read(&mut [0; 64]).unwrap(), 0);
-    // The server needs a moment to see that the connection is over.
+    // The server detects the end of the connection a moment later.
     let again = (0..100).find_map(|_| {
         thread::sleep(Duration::from_millis(10));
         Kernel::import(&server, "1-1")
@@ -132,7 +132,7 @@ fn the_list_names_the_boards_that_are_free() {
     kernel.0.write_all(&[1, 0x11, 0x80, 5, 0, 0, 0, 0]).unwrap();
     assert_eq!(kernel.read(12)[8..], [0, 0, 0, 1]);
     assert_eq!(kernel.read(316)[256..260], *b"1-1\0");
-    // The machine hears of the unplugging a moment later.
+    // The machine processes the unplugging a moment later.
     while machine.cable.attached() {
         thread::yield_now();
     }

@@ -1,4 +1,4 @@
-//! The packets of USB/IP, version 1.1.1 (Linux: Documentation/usb/usbip_protocol.rst). Numbers are big-endian.
+//! Packets of USB/IP, version 1.1.1 (Linux: Documentation/usb/usbip_protocol.rst). Numbers are big-endian.
 
 use std::io::{self, Read};
 
@@ -13,62 +13,62 @@ const CMD_UNLINK: u32 = 2;
 const RET_SUBMIT: u32 = 3;
 const RET_UNLINK: u32 = 4;
 
-/// Bytes of a command's and an answer's header.
+/// Bytes of the header of a command or a response.
 const HEADER: usize = 48;
 const BUS_ID: usize = 32;
 /// Linux's USB_SPEED_FULL.
 const FULL_SPEED: u32 = 2;
 /// Linux's URB_ZERO_PACKET.
 const ZERO_PACKET: u32 = 0x40;
-/// More than the kernel sends in one go.
+/// Longest transfer: more than the kernel requests at once.
 const LONGEST: usize = 1 << 20;
 
-/// What a client asks for before it has a device.
+/// Request of a client before it imports a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Operation {
-    /// Which devices there are.
+    /// List of all devices.
     List,
-    /// One of them, by its bus id.
+    /// Import of a device, by its bus id.
     Import(String),
 }
 
-/// What the kernel asks of a device.
+/// Request of the kernel to a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// A transfer.
+    /// Submission of a transfer.
     Submit {
-        /// Its number.
+        /// Sequence number of the command.
         sequence: u32,
-        /// Endpoint.
+        /// Number of the endpoint.
         endpoint: u8,
-        /// Whether data come from it.
+        /// Set if data come from the endpoint.
         input: bool,
-        /// An empty packet after a full last one.
+        /// Set if an empty packet follows a full last one.
         ends_short: bool,
-        /// Room.
+        /// Length of the data or of the room for them.
         length: usize,
-        /// Of a control transfer.
+        /// Setup packet of a control transfer.
         setup: [u8; 8],
-        /// What goes to the device.
+        /// Data for the device.
         data: Vec<u8>,
     },
-    /// Takes a transfer back.
+    /// Cancellation of a transfer.
     Unlink {
-        /// Its own number.
+        /// Sequence number of the command.
         sequence: u32,
-        /// The transfer's.
+        /// Sequence number of the transfer.
         transfer: u32,
     },
 }
 
-/// What a client is told of a device before it has it.
+/// Description of a device for a client that has not imported it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Identity {
-    /// Such as "1-1".
+    /// Bus id, such as "1-1".
     pub bus_id: String,
-    /// Its number on the bus.
+    /// Number on the bus.
     pub number: u32,
-    /// The device descriptor, 18 bytes.
+    /// Device descriptor, 18 bytes.
     pub device: Vec<u8>,
 }
 
@@ -88,7 +88,7 @@ fn word(bytes: &[u8], place: usize) -> u32 {
 }
 
 impl Operation {
-    /// Reads one.
+    /// Reads an operation.
     pub fn read(from: &mut impl Read) -> io::Result<Self> {
         let [version, version_low, code, code_low, ..] = exactly::<8>(from)?;
         if u16::from_be_bytes([version, version_low]) != VERSION {
@@ -107,7 +107,7 @@ impl Operation {
 }
 
 impl Command {
-    /// Reads one.
+    /// Reads a command.
     pub fn read(from: &mut impl Read) -> io::Result<Self> {
         let header = exactly::<HEADER>(from)?;
         let word = |place| word(&header, place);
@@ -148,19 +148,19 @@ fn reply(code: u16, status: u32) -> Vec<u8> {
     [head, status.to_be_bytes().to_vec()].concat()
 }
 
-/// The answer to [`Operation::List`].
+/// Response to [`Operation::List`].
 pub fn device_list(devices: &[Identity]) -> Vec<u8> {
     let mut bytes = reply(OP_REP_DEVLIST, 0);
     bytes.extend((devices.len() as u32).to_be_bytes());
     for device in devices {
         bytes.extend(device.encode());
-        // Its interface: of the vendor's class.
+        // One interface of vendor-specific class.
         bytes.extend([0xFF, 0, 0, 0]);
     }
     bytes
 }
 
-/// The answer to [`Operation::Import`]; none: there is no such device, or it is taken.
+/// Response to [`Operation::Import`]; `None` if the device does not exist or is in use.
 pub fn imported(device: Option<&Identity>) -> Vec<u8> {
     let mut bytes = reply(OP_REP_IMPORT, u32::from(device.is_none()));
     bytes.extend(device.map(Identity::encode).unwrap_or_default());
@@ -196,12 +196,12 @@ fn header(command: u32, sequence: u32, status: i32, length: usize) -> Vec<u8> {
     bytes
 }
 
-/// The end of a transfer.
+/// Response at the end of a transfer.
 pub fn submitted(sequence: u32, status: i32, length: usize, data: &[u8]) -> Vec<u8> {
     [&header(RET_SUBMIT, sequence, status, length)[..], data].concat()
 }
 
-/// The answer to [`Command::Unlink`].
+/// Response to [`Command::Unlink`].
 pub fn unlinked(sequence: u32, status: i32) -> Vec<u8> {
     header(RET_UNLINK, sequence, status, 0)
 }
