@@ -1,5 +1,5 @@
-//! Runs in the guest: `usb-descriptors SERIAL` prints what the host's USB library is told by a board, a line each, in
-//! hexadecimal: its descriptors, and Microsoft's, as Windows asks for them.
+//! Program of the guest: `usb-descriptors SERIAL` prints a board's descriptors as the host's USB library reads them, and
+//! Microsoft's, as Windows reads them; a line each, in hexadecimal.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -8,14 +8,14 @@ use nusb::MaybeFuture;
 use nusb::transfer::{ControlIn, ControlType, Recipient};
 
 const TIMEOUT: Duration = Duration::from_secs(5);
-/// Kinds of descriptors.
+/// Types of descriptors.
 const KINDS: [(&str, u8); 4] = [
     ("device", 1),
     ("configuration", 2),
     ("qualifier", 6),
     ("bos", 15),
 ];
-/// bRequest, as the BOS names it, and wIndex of the request for Microsoft's descriptor set.
+/// bRequest by the BOS, and wIndex, of the request for Microsoft's descriptor set.
 const MICROSOFT: (u8, u16) = (0x20, 7);
 
 fn show(name: &str, bytes: Option<Vec<u8>>) {

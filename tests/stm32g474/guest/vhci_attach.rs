@@ -1,5 +1,5 @@
-//! Runs in the guest: `vhci-attach HOST:PORT BUS_ID PORT` imports a board over USB/IP and hands the connection to the
-//! kernel's virtual host controller, which goes on by itself.
+//! Program of the guest: `vhci-attach HOST:PORT BUS_ID PORT` imports a board over USB/IP and passes the connection to the
+//! kernel's virtual host controller, which then needs no program.
 
 use std::fs;
 use std::io::{self, Read, Write};
@@ -13,7 +13,7 @@ const FULL_SPEED: u32 = 2;
 /// Version 1.1.1, OP_REQ_IMPORT, status 0.
 const REQUEST: [u8; 8] = [0x01, 0x11, 0x80, 0x03, 0, 0, 0, 0];
 const BUS_ID: usize = 32;
-/// The answer: as long a head, then the device, with the numbers of bus and device at these places.
+/// Bytes of the device in the response, after its head, and the offsets of the numbers of bus and device in it.
 const DEVICE: usize = 312;
 const BUS_NUMBER: usize = 288;
 const DEVICE_NUMBER: usize = 292;

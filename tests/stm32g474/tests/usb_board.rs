@@ -1,5 +1,5 @@
-//! The image's USB in process: a host without an operating system, in emulated time. `cargo xtask test --only board` names the
-//! image.
+//! USB of the image in process: a host without an operating system, in emulated time. `cargo xtask test --only board` sets the
+//! image's path.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use ihd_sim::plant::Plant;
 use ihd_stm32g474::bench::Bench;
 use ihd_stm32g474::usb::{Board, Cable};
 
-/// A board that runs freely, and its cable.
+/// Board that runs freely, and its cable.
 fn powered() -> (Bench, Cable) {
     let path = std::env::var_os("IHD_STM32G474_IMAGE")
         .expect("`cargo xtask test --only board` names the image");
@@ -27,7 +27,7 @@ fn powered() -> (Bench, Cable) {
     (bench, cable)
 }
 
-/// What the image did that the manual forbids, and resets.
+/// Asserts that the image neither violated the manual nor was reset.
 fn is_clean(bench: &Bench) {
     let violations = bench.with(|machine| machine.violations());
     let violations: Vec<_> = violations.iter().map(ToString::to_string).collect();
@@ -44,9 +44,9 @@ fn it_is_enumerated_with_the_descriptors_that_hosts_look_for() {
     let [vendor, product] = [VENDOR_ID, PRODUCT_ID].map(u16::to_le_bytes);
     assert_eq!(told.device[8..12], [vendor, product].concat());
     assert!(told.strings[1].starts_with(PRODUCT));
-    // The chip's unique number, as Bench's factory writes it.
+    // The chip's unique number in the emulated factory data.
     assert_eq!(told.strings[2], "123456789ABCDEF011223344");
-    // A vendor's interface with 64 bytes each way.
+    // Vendor-specific interface with 64 bytes each way.
     assert_eq!(told.configuration[9..18], [9, 4, 0, 0, 2, 0xFF, 0, 0, 0]);
     assert_eq!(told.configuration[18..25], [7, 5, 0x01, 2, 64, 0, 0]);
     assert_eq!(told.configuration[25..32], [7, 5, 0x81, 2, 64, 0, 0]);
@@ -112,7 +112,7 @@ fn it_comes_back_each_time_that_it_is_plugged_in_again() {
     for address in 1..=5 {
         let board = Board::enumerate(&cable, address).unwrap();
         let mut link = board.link();
-        // Half of a frame, and a pulled cable in the middle of what the board says.
+        // Half of a frame, and a cable that is pulled while the board sends.
         link.send(&[3, 1, 2]).unwrap();
         drop(link);
         let mut client = Client::connect(Box::new(board.link())).unwrap();
@@ -128,7 +128,7 @@ fn it_comes_back_each_time_that_it_is_plugged_in_again() {
 fn what_it_does_not_know_it_refuses_and_goes_on() {
     let (bench, cable) = powered();
     let board = Board::enumerate(&cable, 5).unwrap();
-    // A vendor's request that it does not have, an interface that it does not have, a descriptor of no kind.
+    // Unknown request of the vendor, unknown interface, unknown type of descriptor.
     for setup in [
         [0xC0, 0x77, 0, 0, 0, 0, 8, 0],
         [0x01, 11, 0, 0, 9, 0, 0, 0],

@@ -1,4 +1,4 @@
-//! Linux drives boards over USB: a guest under QEMU with the host program in it, and the image on an emulated chip
+//! Boards driven by Linux over USB: a guest under QEMU with the host program in it, and the image on an emulated chip
 //! plugged into it over USB/IP. `cargo xtask test --only usb` runs this.
 
 #[path = "usb_linux/boards.rs"]
@@ -19,7 +19,7 @@ use boards::Board;
 use desk::{Desk, number};
 use ihd_stm32g474::usb::Board as Host;
 
-/// What `ihd` ends with when the device or the link to it fails.
+/// Exit status of `ihd` when the device or the link to it fails.
 const DEVICE: i32 = 3;
 const MINUTES: Duration = Duration::from_secs(180);
 
@@ -29,7 +29,7 @@ fn image() -> PathBuf {
     path.into()
 }
 
-/// The image, plugged in; its serial number.
+/// Desk with the image plugged in, and its serial number.
 fn plugged_in() -> (Desk, String) {
     let board = Board::emulated(&image(), 0x12).unwrap();
     let mut desk = Desk::new(vec![board]).unwrap();
@@ -43,7 +43,7 @@ fn hexadecimal(bytes: &[u8]) -> String {
 
 #[test]
 fn linux_sees_the_descriptors_that_the_image_gives() {
-    // First without an operating system, which also shows that the board takes a second host after the first.
+    // First without an operating system, which also shows that the board accepts a second host after the first.
     let board = Board::emulated(&image(), 0x12).unwrap();
     let host = Host::enumerate(&board.cable, 9).unwrap();
     let told = host.description.clone();
@@ -64,9 +64,9 @@ fn linux_sees_the_descriptors_that_the_image_gives() {
         let wanted = format!("{name} {}", hexadecimal(bytes));
         assert!(seen.contains(&wanted), "{wanted}\n{seen}");
     }
-    // Windows binds its driver by this.
+    // Windows binds its driver by this descriptor.
     assert!(told.microsoft.windows(6).any(|bytes| bytes == b"WINUSB"));
-    // No class of the standard's, so no driver of the kernel's own takes it.
+    // No standard class, so no driver of the kernel binds to it.
     let driver = desk
         .guest
         .shell("cat /sys/bus/usb/devices/1-1:1.0/uevent")
@@ -85,7 +85,7 @@ fn whole_windows_are_recorded_over_usb() {
     for damage in ["windows_rejected", "frames_bad", "frames_lost"] {
         assert_eq!(number(&report, damage), 0.0, "{damage}: {report}");
     }
-    // A host that is slow to read has the device drop some, which it counts: nothing is lost in silence.
+    // With a host that reads slowly the device drops some, and counts them: every loss is reported.
     for what in ["windows", "telemetry"] {
         let missing = number(&report, &format!("{what}_missing"));
         let dropped = number(&report, &format!("{what}_dropped"));
@@ -120,7 +120,7 @@ fn a_cable_pulled_while_streaming_ends_the_recording_and_put_back_works_again() 
     desk.guest
         .shell("ihd record --device usb --out pulled.mcap --power 1000 >record.log 2>&1 & echo $!")
         .unwrap();
-    // In the guest, and seldom: each look is two processes, beside which the program under test is to keep up.
+    // In the guest, and seldom: each poll starts two processes, which slow down the program under test.
     let written = "test $(stat -c %s pulled.mcap 2>/dev/null || echo 0) -gt 150000";
     let wait = format!("while kill -0 $! && ! {written}; do sleep 1; done");
     desk.guest.run(&wait, MINUTES).unwrap();
@@ -207,8 +207,8 @@ fn two_boards_at_once_are_told_apart_by_their_serial_numbers() {
         assert!(report.contains(&format!("usb ({serial})")), "{report}");
         assert!(number(&report, "windows") >= 2.0, "{report}");
         assert_eq!(number(&report, "frames_bad"), 0.0, "{report}");
-        // Two emulated boards and a guest on one machine: a host that is late has windows dropped, which are counted. None is
-        // missing besides.
+        // Two emulated boards and a guest on one machine: with a late host the boards drop windows, and count them. No others are
+        // missing.
         let missing = number(&report, "windows_missing");
         assert_eq!(missing, number(&report, "windows_dropped"), "{report}");
     }

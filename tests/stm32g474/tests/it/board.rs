@@ -1,4 +1,4 @@
-//! A board for a test: the image that `cargo xtask test --only board` built, a pot, the serial cable.
+//! Board for a test: the image that `cargo xtask test --only board` built, a pot, the serial cable.
 
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -14,17 +14,17 @@ use ihd_stm32g474::chip::Reset;
 use ihd_stm32g474::cpu::nvic::FIRST_INTERRUPT;
 use ihd_stm32g474::pins::front_end;
 
-/// Exception of DMA1's first channel: the sampling path.
+/// Exception number of DMA1's first channel: the sampling path.
 pub const SAMPLING: usize = FIRST_INTERRUPT + 11;
 
-/// The image under test.
+/// Image under test.
 pub static IMAGE: LazyLock<PathBuf> = LazyLock::new(|| {
     let path = std::env::var_os("IHD_STM32G474_IMAGE")
         .expect("`cargo xtask test --only board` names the image");
     PathBuf::from(path)
 });
 
-/// A board with a pot, powered up.
+/// Powered-up board with a pot.
 pub fn with_pot(pot: PotKind) -> Bench {
     let plant = move || {
         Plant::with_load(
@@ -37,26 +37,26 @@ pub fn with_pot(pot: PotKind) -> Bench {
     Bench::power_up(&IMAGE, plant).expect("the image is there")
 }
 
-/// The host's own client at the serial cable.
+/// Client of the host at the serial cable.
 pub fn connect(bench: &Bench) -> Client {
     over(bench.serial())
 }
 
-/// The host's own client over any cable.
+/// Client of the host over any cable.
 pub fn over(transport: impl Transport + 'static) -> Client {
     let mut client = Client::connect(Box::new(transport)).expect("the board answers");
     client.set_timeout(Duration::from_secs(2));
     client
 }
 
-/// Fails where the program did what the reference manual forbids.
+/// Fails if the program violated the reference manual.
 pub fn assert_no_violations(bench: &Bench) {
     let violations = bench.with(|machine| machine.violations());
     let list: Vec<_> = violations.iter().map(ToString::to_string).collect();
     assert!(list.is_empty(), "{}", list.join("\n"));
 }
 
-/// Why the board has started again, each time.
+/// Causes of all resets of the board since power-on.
 pub fn resets(bench: &Bench) -> Vec<Reset> {
     bench.with(|machine| machine.resets.iter().map(|reset| reset.1).collect())
 }

@@ -1,4 +1,4 @@
-//! `ihd flash` through a debug probe onto the emulated chip: ST's algorithm executes there, and what was flashed boots.
+//! `ihd flash` through a debug probe onto the emulated chip: ST's flash algorithm runs there, and the flashed image boots.
 
 use std::time::Duration;
 
@@ -23,7 +23,7 @@ fn image() -> Image {
     Image::read(&IMAGE).expect("the image under test")
 }
 
-/// A board as it comes: nothing in its flash.
+/// Board as delivered, with an empty flash.
 fn blank() -> Bench {
     let erased = ihd_stm32g474::image::Image::read(&IMAGE).expect("the image under test");
     let plant = || {
@@ -114,7 +114,7 @@ fn a_probe_that_is_pulled_in_the_middle_leaves_what_a_second_run_mends() {
     let middle = image.bytes / 2;
     let why = flash(&desk, &image, &mut |progress| {
         if matches!(progress, WriteProgress::Programming { done, .. } if done > middle) {
-            // The progress is told between two accesses.
+            // The progress is reported between two accesses.
             pulled.with(|board| board.set_contact(Contact::NoProbe));
         }
     });

@@ -1,4 +1,4 @@
-//! What `ihd doctor` asks of a board, asked of the image: the simulated hob has no clocks, comparators, supply or flash.
+//! Checks of `ihd doctor` on the image: the simulated hob has no clocks, comparators, supply or flash.
 
 use ihd_doctor::{Check, CheckResult, board};
 use ihd_shared::sampling::Pair;
@@ -8,7 +8,7 @@ use ihd_stm32g474::machine::Machine;
 use crate::board::{Bench, assert_no_violations, connect, with_pot};
 
 fn examine(bench: &Bench) -> Vec<Check> {
-    // Until the mains' detector has seen it.
+    // Long enough for the detection of the mains.
     bench.run_s(0.1);
     let examined = board::examine(&mut connect(bench));
     assert_eq!(examined.lost, None);
@@ -41,7 +41,7 @@ fn a_healthy_board_passes_every_check() {
 
 type Defect = fn(&mut Machine);
 
-// The start's own test has found the last two as well.
+// The self-test at start detects the last two as well.
 const DEFECTS: [(&[&str], Defect); 3] = [
     (&["channels"], |machine| {
         machine.chip().pins.offset = Pair { v: 0, i: 30 };

@@ -1,4 +1,4 @@
-//! A pot that is heated with the power asked for.
+//! Heating of a pot with the requested power.
 
 use ihd_shared::wire::messages::{Pot, State};
 use ihd_sim::behavioural::PotKind;
@@ -6,7 +6,7 @@ use ihd_stm32g474::time::seconds;
 
 use crate::board::{Bench, assert_no_violations, connect, with_pot};
 
-/// What a wattmeter at the coil shows over a time, in watt.
+/// Mean power over a time in watt, by a wattmeter at the coil.
 fn watt_over(bench: &Bench, duration_s: f64) -> f64 {
     let read = |bench: &Bench| bench.with(|machine| machine.chip().pins.wattmeter);
     let before = read(bench);
@@ -15,7 +15,7 @@ fn watt_over(bench: &Bench, duration_s: f64) -> f64 {
     (after.0 - before.0) / (after.1 - before.1)
 }
 
-/// Pins that it left Probing never at 78153fe (80,000 Hz asked for, 79,911 Hz made).
+/// Regression test: at 78153fe the state never left Probing (80,000 Hz requested, 79,911 Hz generated).
 #[test]
 fn it_heats_a_pot_with_the_power_asked_for() {
     let bench = with_pot(PotKind::Ferromagnetic);

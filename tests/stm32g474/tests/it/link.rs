@@ -1,4 +1,4 @@
-//! What comes over the link is what was there: windows over USB, replays bit for bit, the load it reports.
+//! Data over the link: windows equal the sampled pairs, and replays are equal bit for bit.
 
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use ihd_stm32g474::usb::Board as UsbHost;
 
 use crate::board::{Bench, assert_no_violations, connect, over, with_pot};
 
-/// A client at the USB socket, as a host without an operating system reaches it. Time passes by itself from now on.
+/// USB host without an operating system, and a client on it. Emulated time passes all the time from now on.
 fn over_usb(bench: &Bench) -> (UsbHost, Client) {
     let cable = bench.with(|machine| machine.cable.clone());
     bench.run_s(0.03);
@@ -37,7 +37,7 @@ fn windows(client: &mut Client, wanted: usize) -> Vec<Window> {
     found
 }
 
-/// Bytes of the stack that were ever used: start-up paints it (cortex-m-rt), memory.x says where it is.
+/// Bytes of the stack that were ever used: start-up paints it (cortex-m-rt), memory.x has its address.
 fn stack_used(bench: &Bench) -> usize {
     const STACK: (u32, usize) = (0x2000_0000, 12 * 1024);
     const PAINT: [u8; 4] = 0xCCCC_CCCC_u32.to_le_bytes();
@@ -46,7 +46,7 @@ fn stack_used(bench: &Bench) -> usize {
     STACK.1 - 4 * untouched
 }
 
-/// What the budget allows.
+/// Bytes of the stack that the budget allows.
 fn stack_budget() -> usize {
     let budget = include_str!("../../../../firmware/budget.toml");
     let line = budget
@@ -56,7 +56,7 @@ fn stack_budget() -> usize {
         .expect("stack = BYTES")
 }
 
-/// Pins that a frame above 256 bytes was retried for ever: a window travels in frames of up to a kilobyte.
+/// Regression test: a frame above 256 bytes was retried for ever. A window has frames of up to a kilobyte.
 #[test]
 fn a_window_comes_over_the_serial_port_too() {
     let bench = with_pot(PotKind::Ferromagnetic);
@@ -86,7 +86,7 @@ fn windows_over_usb_are_pair_for_pair_what_the_converters_found() {
     for window in windows(&mut client, 3) {
         let taken = bench.with(|machine| machine.chip().pins.taken.clone().expect("they are kept"));
         let length = window.pairs.len();
-        // Blocks of a half-cycle, but for one at each end.
+        // Blocks of a half-cycle, with a tolerance of one at each end.
         let half_cycle_s = 0.5 / f64::from(MAINS_FREQUENCY_HZ);
         let blocks = f64::from(window.f_sw_hz) / f64::from(ADC_LOCK_Q) * half_cycle_s;
         let off = length as f64 / ADC_LOCK_P as f64 - blocks;
@@ -106,7 +106,7 @@ fn windows_over_usb_are_pair_for_pair_what_the_converters_found() {
     assert_no_violations(&bench);
 }
 
-/// A half-cycle at 50 kHz whose current lags, with nothing in it that a compiler could have got wrong twice.
+/// Half-cycle at 50 kHz with a lagging current, computed without code of the firmware.
 fn blocks() -> Vec<[Pair; ADC_LOCK_P]> {
     let sample = |n: usize| {
         let phase = std::f64::consts::TAU * 3.0 * n as f64 / ADC_LOCK_P as f64;

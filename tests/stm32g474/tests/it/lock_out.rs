@@ -1,4 +1,4 @@
-//! A hob that has locked out is off: what service may do with it, and that nothing but the panel and the mains ends it.
+//! Lock-out of the hob: services that stay available, and its end by the panel or the mains only.
 
 use ihd_link::LinkError;
 use ihd_shared::fault::Fault;
@@ -10,7 +10,7 @@ use ihd_stm32g474::registers::syscfg;
 
 use crate::board::{Bench, assert_no_violations, connect, resets, with_pot};
 
-/// A board that locked out while it heated: a lock-up of the processor that it came out of.
+/// Board that locked out while it heated, by a lock-up of the processor that has ended.
 fn locked_out() -> Bench {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
@@ -26,7 +26,7 @@ fn locked_out() -> Bench {
     bench
 }
 
-/// Whoever connects finds it locked out, for what it was; power is refused, and no switch closes.
+/// Asserts on a new connection that the board is locked out by that fault; power is refused, and no switch closes.
 fn assert_locked_out(bench: &Bench) {
     let mut client = connect(bench);
     bench.with(|machine| machine.chip().hrtim.off_at = None);
@@ -68,7 +68,7 @@ fn no_reset_ends_a_lock_out_but_the_loss_of_power() {
     connect(&bench).restart(Program::Firmware).unwrap();
     bench.run_s(0.25);
     assert_locked_out(&bench);
-    // Into the bootloader and back, as after a flash by DFU; the pin and a debug probe reset it so too.
+    // Into the bootloader and back, as after a flash by DFU; the reset pin and a debug probe have the same effect.
     connect(&bench).restart(Program::Bootloader).unwrap();
     bench.run_s(0.2);
     bench.with(|machine| machine.chip().reset = Some(Reset::Software));

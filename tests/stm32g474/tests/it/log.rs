@@ -1,4 +1,4 @@
-//! What the image logs, decoded as `ihd log` does it: over the link, and over RTT through a debug probe.
+//! Log of the image, decoded as by `ihd log`: over the link, and over RTT through a debug probe.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ use ihd_stm32g474::debugged::DebuggedBoard;
 
 use crate::board::{IMAGE, assert_no_violations, with_pot};
 
-/// What the image's text says where a message stands.
+/// Source text at the place of a message.
 fn line_of(message: &LogMessage) -> String {
     let place = message
         .place
@@ -26,11 +26,11 @@ fn line_of(message: &LogMessage) -> String {
     let file = std::fs::read_to_string(format!("{root}/{}", place.file));
     let file = file.unwrap_or_else(|why| panic!("{place}: {why}"));
     let lines: Vec<&str> = file.lines().collect();
-    // The statement and its text, which may stand on the next line.
+    // The statement and its text, which may be on the next line.
     lines[place.line as usize - 1..][..2].join(" ")
 }
 
-/// Listens until something has come and a while longer.
+/// Reads the log ten times, with a timeout of 50 ms each.
 fn listen(way: &mut dyn LogOpener) -> Vec<Decoded> {
     let mut log = way.open().expect("the log opens");
     let places = Places {
@@ -60,7 +60,7 @@ fn messages(found: &[Decoded]) -> Vec<&LogMessage> {
         .collect()
 }
 
-/// The start of the board, in order, with where it stands in the firmware's text.
+/// Asserts that the log has the messages of the start in order, each with its place in the firmware's source.
 fn assert_tells_the_start(found: &[Decoded]) {
     let messages = messages(found);
     let place = |text: &str| {
@@ -122,7 +122,7 @@ fn over_rtt_it_tells_the_start_and_the_program_goes_on() {
     assert_no_violations(&bench);
 }
 
-/// One image, one build id: its own file says the same as the flash.
+/// The build id in the image's own file equals the one in the flash.
 #[test]
 fn what_runs_is_known_by_its_build_id_both_ways() {
     let image = Image::read(&IMAGE).expect("the image under test");

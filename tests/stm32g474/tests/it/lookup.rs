@@ -1,4 +1,4 @@
-//! The lookup in flash: kept through a reset, and a loss of power at any moment of its writing.
+//! Lookup in flash: kept through a reset, and through a loss of power at any time of its writing.
 
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
@@ -15,7 +15,7 @@ fn version(version: u32) -> RlLookup {
     RlLookup { version, ..prior() }
 }
 
-/// Pushes a lookup and waits until it is kept: an erasure of 22 ms and 70 double words.
+/// Pushes a lookup and waits until it is stored: an erasure of 22 ms and 70 double words.
 fn push(bench: &Bench, number: u32) {
     let mut client = connect(bench);
     client.push_lookup(&version(number)).unwrap();
@@ -37,7 +37,8 @@ fn a_lookup_is_back_after_the_power_was_gone() {
     assert_no_violations(&bench);
 }
 
-/// Pins that a half-written record raised NMI at every start. Cut are the erasure, a double word in the middle, and the last two.
+/// Regression test: a half-written record raised NMI at every start. The power is cut at the erasure, at a double word in the
+/// middle, and at the last two.
 #[test]
 fn the_power_may_go_while_a_lookup_is_written() {
     let (pages, operations) = written();
@@ -45,7 +46,7 @@ fn the_power_may_go_while_a_lookup_is_written() {
     assert!(kept > 0);
 }
 
-/// The erasure, and each of the double words.
+/// Power cuts at the erasure and at each of the double words.
 #[test]
 fn the_power_may_go_at_any_operation_of_a_write_all_variants() {
     let (pages, operations) = written();
@@ -66,7 +67,7 @@ fn the_power_may_go_at_any_operation_of_a_write_all_variants() {
     assert!(kept > 0);
 }
 
-/// Pages with two lookups, and how many operations it takes to write a third.
+/// Pages with two lookups, and the number of operations to write a third.
 fn written() -> (Pages, u64) {
     let bench = with_pot(PotKind::Ferromagnetic);
     push(&bench, 1);
@@ -83,7 +84,7 @@ fn written() -> (Pages, u64) {
     (pages, operations)
 }
 
-/// Cuts the power at each of these operations; how often the old lookup came back.
+/// Cuts the power at each of these operations; returns the number of times that the old lookup came back.
 fn cuts(pages: &Pages, at: impl IntoIterator<Item = u64>) -> u32 {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut old = 0;
@@ -93,7 +94,7 @@ fn cuts(pages: &Pages, at: impl IntoIterator<Item = u64>) -> u32 {
             let done = machine.chip().flash.operations;
             machine.chip().flash.cut_at_operation = Some(done + cut);
         });
-        // The power may go before the answer has come.
+        // The power may be cut before the response.
         let _ = connect(&bench).push_lookup(&version(3));
         bench.run_s(0.06);
         assert_eq!(
@@ -104,7 +105,7 @@ fn cuts(pages: &Pages, at: impl IntoIterator<Item = u64>) -> u32 {
         let found = active(&bench);
         assert!(found == 2 || found == 3, "cut {cut}: version {found}");
         old += u32::from(found == 2);
-        // And what comes next is kept; seldom, as it takes its time.
+        // The next lookup is stored too; checked at few cuts, as it takes time.
         if cut % 16 == 1 {
             push(&bench, 4);
             bench.with(|machine| machine.power_cycle().unwrap());
@@ -114,7 +115,7 @@ fn cuts(pages: &Pages, at: impl IntoIterator<Item = u64>) -> u32 {
     old
 }
 
-/// The board with other pages, from power-on.
+/// Restarts the board at power-on with other pages.
 fn restart_with(bench: &Bench, pages: Pages) {
     bench.with(move |machine| {
         machine.chip().flash.pages = pages;
@@ -124,8 +125,8 @@ fn restart_with(bench: &Bench, pages: Pages) {
     });
 }
 
-/// One bank, which would hold the program up while a lookup is written; or RAM without parity, as chips are delivered.
-/// It must say so, not restart for ever.
+/// One bank, which would stall the program while a lookup is written; or RAM without parity, as chips are delivered. The board
+/// must report it, not restart for ever.
 #[test]
 fn wrong_option_bytes_are_reported_and_nothing_is_driven() {
     for (option, value) in [(flash_optr::DBANK, 0), (flash_optr::SRAM_PE, 1)] {

@@ -1,4 +1,4 @@
-//! The image as it is flashed, on the emulated STM32G474. `cargo xtask test --only board` builds the image and names it.
+//! Tests of the flash image on the emulated STM32G474. `cargo xtask test --only board` builds the image and sets its path.
 
 mod board;
 mod debug_probe;

@@ -1,14 +1,14 @@
-//! The RAM after power-on holds anything, with any parity: a word must be written before it is read (RM0440, 2.4.3).
+//! RAM after power-on: content and parity are arbitrary, so a word must be written before it is read (RM0440, 2.4.3).
 
 use ihd_sim::behavioural::PotKind;
 
 use crate::board::with_pot;
 
 /// End of SRAM1, in bytes from the RAM's beginning; parity is checked in its first 32 KiB and in CCM SRAM. SRAM2 has
-/// none, and the crash record lies there on purpose: it is read before anything else.
+/// none. It holds the crash record, which start-up reads before anything else.
 const SRAM1_BYTES: usize = 80 * 1024;
 
-/// Until the program proper begins; Unicorn's exclusive stores fail while memory is watched, so not longer.
+/// Time until the program proper begins; not longer, as Unicorn's exclusive stores fail while memory is watched.
 const START_S: f64 = 0.061;
 
 #[test]

@@ -1,4 +1,4 @@
-//! The panel's buttons and lights on the board's pins.
+//! Buttons and lights of the panel at the board's pins.
 
 use ihd_firmware::limits::KEEP_WARM_W;
 use ihd_shared::board::{LIGHT_FAULT_PIN, LIGHT_HOT_GLASS_PIN, LIGHT_POWER_PIN};
@@ -13,7 +13,7 @@ const PLUS: [bool; 4] = [false, true, false, false];
 const MINUS: [bool; 4] = [false, false, true, false];
 const TIMER: [bool; 4] = [false, false, false, true];
 
-/// Presses a button for 60 ms, and lets go.
+/// Presses a button for 60 ms and releases it for 60 ms.
 fn press(bench: &Bench, button: [bool; 4]) {
     for pressed in [button, [false; 4]] {
         bench.with(move |machine| machine.chip().pins.pressed = pressed);
@@ -21,7 +21,7 @@ fn press(bench: &Bench, button: [bool; 4]) {
     }
 }
 
-/// Lights of power, fault and hot glass.
+/// States of the lights of power, fault and hot glass.
 fn lights(bench: &Bench) -> [bool; 3] {
     let pins = [LIGHT_POWER_PIN, LIGHT_FAULT_PIN, LIGHT_HOT_GLASS_PIN];
     bench.with(move |machine| pins.map(|pin| machine.chip().driven(pin)))
@@ -30,7 +30,7 @@ fn lights(bench: &Bench) -> [bool; 3] {
 #[test]
 fn a_person_at_the_panel_ends_a_lock_out_and_heats_without_a_host() {
     let bench = with_pot(PotKind::Ferromagnetic);
-    // Plus is held while the power comes on, and let go: nothing.
+    // Plus is held at power-on and then released, without effect.
     bench.with(|machine| machine.chip().pins.pressed = PLUS);
     bench.run_s(0.15);
     press(&bench, [false; 4]);
@@ -57,7 +57,7 @@ fn a_person_at_the_panel_ends_a_lock_out_and_heats_without_a_host() {
     assert_no_violations(&bench);
 }
 
-/// The light follows the thermistor of the glass, on or off, with its hysteresis; the timer shows in the status.
+/// The light follows the thermistor of the glass, with its hysteresis; the timer is in the status.
 #[test]
 fn hot_glass_is_lit_and_the_timer_is_set() {
     let bench = with_pot(PotKind::Ferromagnetic);
@@ -84,7 +84,7 @@ fn hot_glass_is_lit_and_the_timer_is_set() {
     assert_no_violations(&bench);
 }
 
-/// Awake, then minus. A base of 62 °C gets all that keeps warm, one of 94 °C nothing.
+/// Awake, then minus. A base of 62 °C gets the full power of keeping warm, one of 94 °C none.
 #[test]
 fn what_stands_on_the_glass_is_kept_warm() {
     let bench = with_pot(PotKind::Ferromagnetic);

@@ -1,4 +1,4 @@
-//! Everything that opens the bridge, each caused, with its time to outputs off.
+//! Each cause that opens the bridge, with its time to outputs off.
 
 use ihd_shared::board::TRIP_CURRENT_MA;
 use ihd_shared::fault::Fault;
@@ -13,7 +13,7 @@ use ihd_stm32g474::time::{seconds, us};
 
 use crate::board::{Bench, connect, resets, with_pot};
 
-/// A board that heats.
+/// Board that heats.
 fn heating() -> Bench {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
@@ -24,7 +24,7 @@ fn heating() -> Bench {
     bench
 }
 
-/// Does something to the machine; microseconds until the outputs are off, at most `within_ms` later.
+/// Applies `what` to the machine; returns the microseconds until the outputs are off, at most `within_ms` later.
 fn time_to_off(
     bench: &Bench,
     within_ms: u64,
@@ -33,7 +33,7 @@ fn time_to_off(
     bench.with(move |machine| {
         machine.chip().hrtim.off_at = None;
         what(machine);
-        // Only now: the thread may have been busy until it could be reached.
+        // Measured from here, as the thread may have been busy before.
         let began = machine.now();
         machine.run_for(us(1_000 * within_ms)).unwrap();
         let off = machine.chip().hrtim.off_at.expect("the outputs went off");
@@ -41,7 +41,7 @@ fn time_to_off(
     })
 }
 
-/// What the board says about its last end, after it has started again.
+/// Reset reason and fault before the reset, as the restarted board reports them.
 fn after_reset(bench: &Bench) -> (u8, u16) {
     let client = connect(bench);
     (
@@ -50,7 +50,7 @@ fn after_reset(bench: &Bench) -> (u8, u16) {
     )
 }
 
-/// A place in the thread: it waits for an event, and no handler runs.
+/// Runs until the thread waits for an event and no handler runs.
 fn reach_thread(machine: &mut Machine) {
     while machine.chip().nvic.is_handler() || !machine.sleeping() {
         machine.run_for(500).unwrap();
@@ -59,7 +59,7 @@ fn reach_thread(machine: &mut Machine) {
 
 #[test]
 fn a_surge_of_current_trips_the_comparator_without_software() {
-    // Beyond the level at any phase of what heats.
+    // Above the trip level at any phase of the heating current.
     let most_a = 1.6e-3 * f64::from(TRIP_CURRENT_MA);
     for surge_a in [most_a, -most_a] {
         let bench = heating();
@@ -67,7 +67,7 @@ fn a_surge_of_current_trips_the_comparator_without_software() {
             machine.chip().pins.surge_a = surge_a
         });
         println!("comparator, {surge_a} A: off after {off_us:.2} µs");
-        // A sampling period of 0.82 µs at 60 kHz until the surge is there, the filter's 0.33 µs.
+        // A sampling period of 0.82 µs at 60 kHz until the surge acts, and the filter's 0.33 µs.
         assert!(off_us < 2.0, "{off_us} µs");
         bench.with(|machine| machine.chip().pins.surge_a = 0.0);
         let status = connect(&bench).status().unwrap();
@@ -80,7 +80,7 @@ fn a_surge_below_the_level_does_not_trip() {
     let bench = heating();
     bench.with(|machine| {
         machine.chip().hrtim.off_at = None;
-        // On top of what heats, at the reference board some 30 A.
+        // In addition to the heating current, some 30 A on the reference board.
         machine.chip().pins.surge_a = 0.53e-3 * f64::from(TRIP_CURRENT_MA);
         machine.run_for(us(300)).unwrap();
         machine.chip().pins.surge_a = 0.0;
@@ -148,7 +148,7 @@ fn a_thread_that_stands_still_is_reset_by_the_watchdog() {
     let bench = heating();
     let off_us = time_to_off(&bench, 100, |machine| {
         reach_thread(machine);
-        // `b .` at the bottom of the stack, which nothing has reached.
+        // `b .` at the bottom of the stack, which was never used.
         machine.set_memory(0x2000_0100, &0xE7FEu16.to_le_bytes());
         machine.set_pc(0x2000_0100);
     });
@@ -158,13 +158,13 @@ fn a_thread_that_stands_still_is_reset_by_the_watchdog() {
     assert_eq!(after_reset(&bench).0, 1);
 }
 
-/// Clears a bit as the program could.
+/// Clears a bit by a write, as the program could.
 fn clear(machine: &mut Machine, bit: Field) {
     let without = bit.put(machine.chip().file.word(bit.address), 0);
     machine.chip().write(bit.address, 4, without);
 }
 
-/// Whatever ends the sampling: the sampling watchdog opens the bridge in hardware 0.5 ms after the last block was taken.
+/// Any end of the sampling: the sampling watchdog opens the bridge in hardware 0.5 ms after the last block.
 #[test]
 fn sampling_that_stops_opens_the_bridge_in_hardware() {
     type Cause = fn(&mut Machine);
@@ -182,7 +182,7 @@ fn sampling_that_stops_opens_the_bridge_in_hardware() {
         let bench = heating();
         let off_us = time_to_off(&bench, 1, cause);
         println!("{name}: off after {off_us:.0} µs");
-        // The last block ended 50 µs before at the most, or is being worked on for 30 µs.
+        // The last block ended at most 50 µs before, or is being processed for 30 µs.
         assert!((430.0..=535.0).contains(&off_us), "{name}: {off_us}");
     }
 }
@@ -200,7 +200,7 @@ fn sampling_that_stops_for_a_while_is_a_fault_with_its_number() {
     assert_eq!(status.fault, Fault::SAMPLES_LOST);
 }
 
-/// Interrupts that are masked for less than the watchdog's time cost nothing.
+/// Interrupts that are masked for less than the watchdog's time have no effect.
 #[test]
 fn a_short_delay_of_the_sampling_does_not_trip() {
     let bench = heating();
@@ -227,7 +227,7 @@ fn a_panic_a_processor_fault_and_a_stack_overflow_end_with_the_outputs_off() {
                 .expect("a panic in the image");
             machine.set_pc(panic);
         }),
-        // Nothing is there to be executed.
+        // There is no code at this address.
         ("processor fault", 2, |machine| machine.set_pc(0x0900_0000)),
         // The next interrupt's frame no longer fits below this.
         ("stack overflow", 6, |machine| machine.set_sp(0x2000_0010)),
@@ -239,7 +239,7 @@ fn a_panic_a_processor_fault_and_a_stack_overflow_end_with_the_outputs_off() {
             cause(machine);
         });
         println!("{name}: off after {off_us:.2} µs");
-        // The thread sleeps until the next block, 42 µs at the most, whose interrupt takes as long at the most.
+        // The thread sleeps until the next block, at most 42 µs, whose interrupt takes at most as long.
         assert!(off_us < 84.0, "{name}: {off_us}");
         assert_eq!(after_reset(&bench).0, reason, "{name}");
     }

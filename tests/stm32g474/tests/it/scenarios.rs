@@ -1,5 +1,5 @@
-//! Scenarios of tests/scenarios on the image as it is flashed, against the same limits as the library's: those whose events are power
-//! asked over the link, pots and mains.
+//! Scenarios of tests/scenarios on the flash image, with the limits of the library: those whose events are requests of power over
+//! the link, pots and mains.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -23,7 +23,7 @@ use crate::board::{Bench, IMAGE, assert_no_violations, connect};
 use crate::document;
 use crate::scenario_table::{ScenarioTable, read};
 
-/// All variants of each family, with its table.
+/// Tests of all variants of each family, with its table.
 macro_rules! scenarios {
     ($($family:ident { $($file:ident)+ })+) => {
         $(mod $family {
@@ -48,17 +48,17 @@ scenarios! {
     zvs { powers }
 }
 
-/// Time between two looks at the board, in seconds.
+/// Time between two polls of the board, in seconds.
 const LOOK_S: f64 = 2e-3;
 
-/// Time between two signs of life of the host, in seconds.
+/// Time between two keep-alive requests of the host, in seconds.
 const ALIVE_S: f64 = 1.0;
 
-/// Scenario under way on the board.
+/// Scenario in progress on the board.
 struct ImageRun {
     bench: Bench,
     client: Client,
-    /// The power stage's time at the scenario's begin, in seconds.
+    /// Time of the power stage at the beginning of the scenario, in seconds.
     began_s: f64,
     asked_w: u16,
     alive_s: f64,
@@ -72,7 +72,7 @@ struct ImageRun {
 }
 
 impl ImageRun {
-    /// A board that was switched on a while ago, at a zero crossing.
+    /// Board some time after power-on, at a zero crossing.
     fn new(scenario: &Scenario, events: &[TimedChange]) -> Self {
         let config = scenario.file.hob();
         let pots: Vec<_> = events
@@ -113,7 +113,7 @@ impl ImageRun {
         }
     }
 
-    /// Time of the scenario, in seconds.
+    /// Time in the scenario, in seconds.
     fn now_s(&self) -> f64 {
         self.plant(|plant| plant.t_s()) - self.began_s
     }
@@ -130,7 +130,7 @@ impl ImageRun {
             TimelineChange::Power(power_w) => {
                 kind = Kind::Power(*power_w);
                 self.asked_w = *power_w;
-                // Refused where it is locked out, which the limits judge.
+                // Refused if the board is locked out, which the limits check.
                 let _ = self.client.set_power(*power_w);
             }
             TimelineChange::Pot(pot) => {
@@ -173,7 +173,7 @@ impl ImageRun {
         });
     }
 
-    /// Lets time pass up to an event, at most one look, and takes what the board and the wattmeter show.
+    /// Lets time pass up to an event, at most one polling period, and records the readings of board and wattmeter.
     fn look(&mut self, until_s: f64) {
         let left_s = until_s - self.now_s();
         self.bench.run_s(left_s.clamp(1e-5, LOOK_S));
@@ -261,7 +261,7 @@ fn run(variant: &Variant) -> Record {
     run.finish(duration_s)
 }
 
-/// Runs a family; docs/control.md has what came of it.
+/// Runs a family and compares its table with the one in docs/control.md.
 fn all_variants(family: &str, files: &[&str]) {
     let mut table = ScenarioTable::new("on the image", run);
     for file in files {
@@ -279,7 +279,7 @@ fn the_image_holds_the_librarys_limits() {
         "reference" => {
             ["lift/shift", "objects/smallest", "sags/dip"].map(|file| format!("scenarios/{file}"))
         }
-        // Its own ones.
+        // Scenarios of this board.
         name => ["mains", "rating", "small"].map(|file| format!("boards/{name}/{file}")),
     };
     let mut table = ScenarioTable::new("on the image", run);
@@ -289,8 +289,8 @@ fn the_image_holds_the_librarys_limits() {
     table.finish();
 }
 
-/// The current at a turn-off is read from one pair of a block. A trigger of the ADCs that comes a pair late shows 2 A too little at 42 kHz,
-/// and the soft limit then acts where nothing is wrong.
+/// The current at a turn-off is read from one pair of a block. A trigger of the ADCs that is late by one pair gives 2 A too little
+/// at 42 kHz, and the soft limit then acts without cause.
 #[test]
 fn the_pair_behind_a_turn_off_is_the_librarys() {
     let variant = read("scenarios/pots/places").swap_remove(0);

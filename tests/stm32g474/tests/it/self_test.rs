@@ -1,4 +1,4 @@
-//! The self-tests (docs/board.md): each finds its fault, and none finds one on a healthy board.
+//! Self-tests (docs/board.md): each detects its fault, and none reports one on a healthy board.
 
 use ihd_shared::board::LED_PIN;
 use ihd_shared::fault::Fault;
@@ -12,7 +12,7 @@ use ihd_stm32g474::time::{TICKS_PER_S, Ticks, seconds, us};
 
 use crate::board::{Bench, assert_no_violations, connect, resets, with_pot};
 
-/// A board that was powered up with something wrong from the beginning.
+/// Board with a defect from power-on on.
 fn started_with(what: impl FnOnce(&mut Machine) + Send + 'static) -> Bench {
     let bench = with_pot(PotKind::Ferromagnetic);
     bench.with(move |machine| {
@@ -24,7 +24,7 @@ fn started_with(what: impl FnOnce(&mut Machine) + Send + 'static) -> Bench {
     bench
 }
 
-/// A board that heats.
+/// Board that heats.
 fn heating() -> Bench {
     let bench = with_pot(PotKind::Ferromagnetic);
     connect(&bench).set_power(1_200).unwrap();
@@ -34,7 +34,7 @@ fn heating() -> Bench {
     bench
 }
 
-/// Does something to a board that heats; seconds until the outputs are off, at most `within_s` later.
+/// Applies `what` to a board that heats; returns the seconds until the outputs are off, at most `within_s` later.
 fn off_after_s(
     bench: &Bench,
     within_s: f64,
@@ -53,7 +53,7 @@ fn off_after_s(
     })
 }
 
-/// The fault stands: it is told, clearing does not end it, power is refused, nothing is driven.
+/// Asserts a standing fault: it is reported, clearing does not end it, power is refused, nothing is driven.
 fn assert_stands(bench: &Bench, fault: Fault) {
     let mut client = connect(bench);
     bench.run_s(0.05);
@@ -67,7 +67,7 @@ fn assert_stands(bench: &Bench, fault: Fault) {
     assert_eq!(resets(bench), [], "it stays to tell");
 }
 
-/// Code that no run comes to.
+/// Address of code that no run reaches.
 fn unused_code(machine: &Machine) -> u32 {
     let panic = machine.image().symbol_like("panicking9panic_fmt");
     panic.expect("a panic in the image") & !3
@@ -102,7 +102,7 @@ fn heats_without_a_fault(seconds_of_heat: usize) {
     assert_eq!(client.hello().reset_reason, 0, "power-on, not the watchdog");
     client.set_power(1_200).unwrap();
     bench.run_s(0.3);
-    // A lookup is kept meanwhile, and becomes active.
+    // Meanwhile a lookup is stored and becomes active.
     let lookup = RlLookup {
         version: 1,
         ..prior()
@@ -165,7 +165,7 @@ fn lets_nothing_run(cells: &[u32]) {
             }
             (machine.bites_at_start.len(), answered, lit)
         });
-        // The trial, then one after each 512 ms and the march.
+        // The test of the watchdog, then one reset after each 512 ms and the march test.
         assert!((3..=4).contains(&bites), "{cell:#x}: {bites} bites");
         assert!(!answered, "{cell:#x}");
         let changes = lit.windows(2).filter(|two| two[0] != two[1]).count();
@@ -179,7 +179,7 @@ fn lets_nothing_run(cells: &[u32]) {
 fn a_register_of_the_processor_that_is_stuck_lets_nothing_run() {
     use RegisterARM::{R7, S31};
     held_up_by(&[R7, S31], &[1]);
-    // And it is these registers that hold it up.
+    // The stuck bits are the cause: without them the board starts.
     let bench = started_with(|machine| machine.stick_register(R7, 0));
     drop(connect(&bench));
 }
@@ -205,13 +205,13 @@ fn held_up_by(registers: &[RegisterARM], masks: &[u32]) {
     }
 }
 
-/// In the stack, where nothing has used it, and where the test comes to soon after the start.
+/// Cell in the unused part of the stack, which the test reaches soon after the start.
 #[test]
 fn a_cell_of_the_ram_that_sticks_while_it_heats_is_found() {
     is_found_while_it_heats(0x2000_1000, 3);
 }
 
-/// Where the test was before, and in the last word before the crash record.
+/// Cell that the test has passed already, and one in the last word before the crash record.
 #[test]
 fn a_cell_of_the_ram_that_sticks_while_it_heats_is_found_all_variants() {
     is_found_while_it_heats(0x2000_0180, 3);
@@ -236,13 +236,13 @@ fn a_ram_that_was_broken_is_reported_by_the_next_start_that_finds_it_whole() {
     assert_eq!(client.hello().fault_before_reset, Fault::RAM_TEST.number());
 }
 
-/// Ten percent of the main clock is, seen from it, that of everything else: LSI × 1.1 is a main clock 9 % too slow, and so on.
+/// An error of ten percent in the main clock appears as one of all other clocks: LSI × 1.1 is a main clock 9 % too slow, and so on.
 #[test]
 fn a_clock_that_is_ten_percent_off_is_found_at_start_and_while_it_heats() {
     clocks_are_found(&[28_800], &[35_200]);
 }
 
-/// At both ends, and an oscillator that stands still.
+/// Both ends of the range, and an oscillator that is stopped.
 #[test]
 fn a_clock_that_is_ten_percent_off_is_found_at_start_and_while_it_heats_all_variants() {
     clocks_are_found(&[29_091, 35_200, 35_556], &[28_800, 0]);
@@ -285,7 +285,7 @@ fn are_no_fault(clocks_hz: &[u64]) {
             machine.chip().lsi.set_hz(lsi_hz, now);
         });
         let mut client = connect(&bench);
-        // Found within 1.2 s where one is off.
+        // A wrong clock is detected within 1.2 s.
         bench.run_s(1.2);
         assert_eq!(client.status().unwrap().fault, Fault::NONE, "{lsi_hz}");
     }
@@ -328,13 +328,13 @@ fn a_sampling_path_at_half_its_rate_is_found() {
     bench.with(|machine| machine.chip().loses_triggers = true);
     bench.run_s(0.25);
     assert_stands(&bench, Fault::PROGRAM_FLOW);
-    // While it heats others may see it first.
+    // While it heats, other tests may detect it first.
     let bench = heating();
     let off_s = off_after_s(&bench, 0.25, |machine| machine.chip().loses_triggers = true);
     println!("half the triggers lost: off after {:.1} ms", off_s * 1e3);
 }
 
-/// Where in the RAM the active lookup's cells are.
+/// Address of the active lookup's cells in the RAM.
 fn active_lookup(machine: &Machine, lookup: &RlLookup) -> u32 {
     let (begin, bytes) = (0x2000_3000, 0x14FE0);
     let ram = machine.memory(begin, bytes);

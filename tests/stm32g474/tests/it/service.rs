@@ -1,4 +1,4 @@
-//! What a host asks of the board besides heating (docs/protocol.md, 2.2): restart, what it is, tests, link, log.
+//! Services of the board besides heating (docs/protocol.md, 2.2): restart, identity, tests, link, log.
 
 use std::time::Duration;
 
@@ -39,7 +39,7 @@ fn it_says_what_it_is() {
     assert_eq!(facts.id_code & 0xFFF, image::DEVICE_ID);
     assert_eq!(facts.flash_kib, 512);
     assert_eq!(facts.starts, 1);
-    // BORRSTF and IWDGRSTF: power came on, and the watchdog was tried.
+    // BORRSTF and IWDGRSTF: power-on, and the test of the watchdog.
     assert_eq!(facts.reset_flags & 0x2800_0000, 0x2800_0000);
     // DBANK 1, SRAM_PE 0.
     assert_eq!(facts.option_bytes & 0x0140_0000, 0x0040_0000);
@@ -48,7 +48,7 @@ fn it_says_what_it_is() {
         b"\x12\x34\x56\x78\x9a\xbc\xde\xf0\x11\x22\x33\x44"
     );
     assert_eq!(facts.image_crc, facts.sealed_crc);
-    // What a probe finds in the flash is the same.
+    // A probe reads the same from the flash.
     let flash = |address, bytes| bench.with(move |machine| machine.memory(address, bytes));
     let header = Header::parse(&flash(image::HEADER_ADDRESS, image::HEADER_BYTES)).unwrap();
     assert_eq!(
@@ -62,7 +62,7 @@ fn it_says_what_it_is() {
     assert_no_violations(&bench);
 }
 
-/// As after a reset: nothing of the chip is switched on, and the pins are released.
+/// State as after a reset: no part of the chip is switched on, and the pins are released.
 #[test]
 fn it_restarts_into_the_bootloader_and_comes_back() {
     let bench = with_pot(PotKind::Ferromagnetic);
@@ -76,7 +76,7 @@ fn it_restarts_into_the_bootloader_and_comes_back() {
         assert_eq!(machine.sp(), BOOTLOADER_STACK);
         let file = &machine.chip().file;
         assert_eq!(file.word(reg::gpioa::moder::ADDRESS), 0xABFF_FFFF);
-        // HSI16, and the clocks that are on after a reset (RM0440, 7.4: RTCAPBEN alone of these).
+        // HSI16, and the clocks that are on after a reset (RM0440, 7.4: only RTCAPBEN of these).
         assert_eq!(file.word(reg::rcc::rcc_cfgr::ADDRESS) & 0xF, 5);
         for (enabled, after_reset) in [
             (reg::rcc::rcc_ahb2enr::ADDRESS, 0),
@@ -89,7 +89,7 @@ fn it_restarts_into_the_bootloader_and_comes_back() {
         assert_eq!(file.word(reg::syscfg::memrmp::ADDRESS) & 7, 1);
     });
     assert_eq!(bridge(&bench), Bridge::Open);
-    // Once: the next reset starts the firmware.
+    // Only once: the next reset starts the firmware.
     bench.run_s(0.1);
     bench.with(|machine| machine.chip().reset = Some(Reset::Software));
     bench.run_s(0.1);
@@ -98,13 +98,13 @@ fn it_restarts_into_the_bootloader_and_comes_back() {
     assert_no_violations(&bench);
 }
 
-/// ST's bootloader leaves by a jump, with its clock on.
+/// ST's bootloader starts a program by a jump, with its clock on.
 #[test]
 fn who_jumps_to_it_from_another_program_gets_it_from_its_beginning() {
     let bench = with_pot(PotKind::Ferromagnetic);
     drop(connect(&bench));
     bench.with(|machine| {
-        // On the PLL, as the program has left it.
+        // With the PLL on, as the program has left it.
         let entry = machine.memory(image::FLASH_ADDRESS + 4, 4);
         machine.set_pc(u32::from_le_bytes(entry.try_into().unwrap()) & !1);
     });
@@ -143,7 +143,7 @@ fn while_it_heats_nothing_of_it_is_done() {
     assert_eq!(outcome(client.comparators()), Outcome::NotIdle);
     assert_eq!(outcome(client.channels()), Outcome::NotIdle);
     assert_eq!(outcome(client.clocks()), Outcome::NotIdle);
-    // What only asks is answered.
+    // Requests that only read are answered.
     client.board().unwrap();
     bench.run_s(0.2);
     assert!(matches!(bridge(&bench), Bridge::Switching { .. }));
@@ -170,7 +170,7 @@ fn the_channels_show_offsets_that_are_on_the_pins() {
     assert!(near(none.v_mean, 0) && near(none.i_mean, 0), "{none:?}");
     assert!(near(some.v_mean, -9) && near(some.i_mean, 14), "{some:?}");
     assert!(some.samples > 10_000 && some.slow_samples > 300, "{some:?}");
-    // On the reference board 230 V of 400 V that are 2 048 codes at 3.3 V.
+    // On the reference board 230 V of a full scale of 400 V, which is 2 048 codes at 3.3 V.
     let share = f64::from(MAINS_VOLTAGE_V) * 1e3 / f64::from(MAINS_FULL_SCALE_MV);
     let mains = f64::from(some.mains_rms) / 256.0 / (share * f64::from(CODE_HALF_RANGE));
     assert!((mains * 3.2 / 3.3 - 1.0).abs() < 0.02, "{some:?}");
@@ -204,7 +204,7 @@ fn comparators_that_work_and_one_that_does_not_are_told_apart() {
         [true, true, false, true]
     );
     bench.with(|machine| machine.chip().pins.dead_comparators = [false; 2]);
-    // And it heats as before.
+    // Heating works as before.
     client.set_power(1_200).unwrap();
     bench.run_s(0.3);
     assert_eq!(client.status().unwrap().state, State::Heating);
@@ -224,7 +224,7 @@ fn the_clocks_are_counted_against_each_other() {
     assert!((lsi_hz / 32_000.0 - 1.0).abs() < 0.002, "{lsi_hz}");
     // No cable.
     assert_eq!((found.usb_frames, found.hsi48_off), (0, 0));
-    // The self-tests went on meanwhile.
+    // The self-tests continued meanwhile.
     bench.run_s(0.7);
     assert_eq!(client.status().unwrap().fault.number(), 0);
     assert_no_violations(&bench);
@@ -246,7 +246,7 @@ fn the_serial_link_carries_what_it_should_in_both_directions() {
     assert_no_violations(&bench);
 }
 
-/// What RTT's buffer holds, which nobody reads.
+/// Content of RTT's buffer, which no probe has read.
 fn rtt(bench: &Bench) -> Vec<u8> {
     bench.with(|machine| {
         let block = machine.image().symbol("_SEGGER_RTT").unwrap();
@@ -259,7 +259,7 @@ fn rtt(bench: &Bench) -> Vec<u8> {
     })
 }
 
-/// Log bytes that come within a while, and the frames dropped before the last of them.
+/// Log bytes that arrive within a time, and the frames dropped before the last of them.
 fn logged(client: &mut Client, while_s: f64) -> (Vec<u8>, u32) {
     let until = client.clock() + Duration::from_secs_f64(while_s);
     let (mut all, mut dropped) = (Vec::new(), 0);
@@ -283,7 +283,7 @@ fn logged(client: &mut Client, while_s: f64) -> (Vec<u8>, u32) {
 fn the_log_over_the_link_is_the_log_over_rtt() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
-    // As in a recording of boots: nobody asked until now, and the lines of the start are there.
+    // Late request, as in a recording of boots: the lines of the start are there.
     client.stream_log(true).unwrap();
     let (link, dropped) = logged(&mut client, 0.3);
     let probe = rtt(&bench);
@@ -292,7 +292,7 @@ fn the_log_over_the_link_is_the_log_over_rtt() {
         "{probe:?}"
     );
     assert_eq!((link, dropped), (probe, 0));
-    // Another host has to ask for itself.
+    // Each host must request the log itself.
     let mut other = connect(&bench);
     assert_eq!(logged(&mut other, 0.1), (vec![], 0));
     assert_no_violations(&bench);

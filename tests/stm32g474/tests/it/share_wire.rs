@@ -1,4 +1,4 @@
-//! The wire to a second zone of a shared supply.
+//! Wire to a second zone of a shared supply.
 
 use ihd_shared::board::SHARE_WIRE_PIN;
 use ihd_shared::wire::messages::State;
@@ -6,7 +6,7 @@ use ihd_sim::behavioural::PotKind;
 
 use crate::board::{Bench, assert_no_violations, connect, with_pot};
 
-/// A board pulls the wire while it draws power, gives way when the other zone takes what it offers, and takes its turn afterwards.
+/// A board pulls the wire while it draws power, releases it when the other zone accepts its offer, and pulls it again afterwards.
 #[test]
 fn a_shared_supply_is_left_to_the_other_zone() {
     let bench = with_pot(PotKind::Ferromagnetic);
@@ -19,7 +19,7 @@ fn a_shared_supply_is_left_to_the_other_zone() {
     bench.run_s(0.4);
     assert_eq!(client.status().unwrap().state, State::Heating);
     assert!(pulls(&bench));
-    // The other zone pulls as soon as the wire is free.
+    // The other zone pulls as soon as the wire is released.
     let offered = (0..2_000).any(|_| {
         bench.run_s(0.001);
         !pulls(&bench)

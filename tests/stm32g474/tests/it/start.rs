@@ -1,4 +1,4 @@
-//! From power-on to the first answer; what a wrong option byte does.
+//! Start from power-on to the first response, dead time, and rate of the sampling interrupt.
 
 use ihd_firmware::drive::pwm::DEAD_TIME_NS;
 use ihd_shared::wire::messages::State;
@@ -6,7 +6,7 @@ use ihd_sim::behavioural::PotKind;
 
 use crate::board::{assert_no_violations, connect, with_pot};
 
-/// Pins that interrupt livelock of 78153fe: the sampling interrupt pended itself for ever, and the thread never ran.
+/// Regression test for the interrupt livelock of 78153fe: the sampling interrupt pended itself for ever, and the thread never ran.
 #[test]
 fn it_boots_and_says_what_it_is() {
     let bench = with_pot(PotKind::Ferromagnetic);
@@ -20,7 +20,7 @@ fn it_boots_and_says_what_it_is() {
     assert_no_violations(&bench);
 }
 
-/// What is written to HRTIM is the dead time of the library, in whole cycles.
+/// The dead time in HRTIM is the library's, in whole cycles.
 #[test]
 fn the_dead_time_is_that_of_the_library() {
     let bench = with_pot(PotKind::Ferromagnetic);
@@ -31,7 +31,7 @@ fn the_dead_time_is_that_of_the_library() {
     }
 }
 
-/// One entry of the sampling interrupt a block, none besides.
+/// One entry of the sampling interrupt per block, and no other.
 #[test]
 fn the_sampling_interrupt_comes_once_a_block() {
     let bench = with_pot(PotKind::Ferromagnetic);

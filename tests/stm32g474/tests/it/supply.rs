@@ -1,4 +1,4 @@
-//! The analogue supply and the chip's own reference voltage: what reads by them is right, or nothing is heated.
+//! Analogue supply and the chip's reference voltage: readings by them are correct, or heating stops.
 
 use ihd_firmware::limits::TRIES;
 use ihd_firmware::sense::codes::TRIP_CODE;
@@ -9,7 +9,7 @@ use ihd_stm32g474::registers::dac1;
 
 use crate::board::{Bench, assert_no_violations, connect, with_pot};
 
-/// Power into the pot over a while, in watt, by a meter that no supply changes.
+/// Mean power into the pot over a time in watt, by a meter that does not depend on the supply.
 fn delivered_w(bench: &Bench, while_s: f64) -> f64 {
     bench.with(|machine| machine.chip().pins.wattmeter = (0.0, 0.0));
     bench.run_s(while_s);
@@ -38,7 +38,7 @@ fn a_supply_that_drifts_changes_neither_power_nor_trip_and_one_that_is_wrong_is_
         let load = client.utilisation().unwrap();
         println!("{} permille of the processor", load.mean_permille);
         println!("VDDA x {factor}: {power_w:.0} W of {nominal_w:.0}, trip x {trip:.4}");
-        // The dead band is 2 %. Without the correction 4.5 % of power are missing beside it, and 2.2 % of the trip.
+        // The dead band is 2 %. Without the correction 4.5 % of power would be missing besides, and 2.2 % of the trip level.
         assert!((power_w / 1_200.0 - 1.0).abs() < 0.023, "{power_w}");
         assert!((trip - 1.0).abs() < 0.002, "{trip}");
         assert_eq!(client.status().unwrap().state, State::Heating);
@@ -53,7 +53,7 @@ fn a_supply_that_drifts_changes_neither_power_nor_trip_and_one_that_is_wrong_is_
             (State::Pausing, Fault::SUPPLY_RANGE),
             "{supply} {reference}"
         );
-        // It passes, and costs no try.
+        // The fault ends with its cause and costs no try.
         set_supply(&bench, 1.0);
         bench.with(|machine| machine.chip().pins.reference_ratio = 1.0);
         bench.run_s(0.45);

@@ -1,4 +1,4 @@
-//! Thermistors at ADC4, and what must not suffer from them.
+//! Thermistors at ADC4, and conversions that they must not affect.
 
 use ihd_shared::board::FAN_PIN;
 use ihd_sim::behavioural::PotKind;
@@ -7,7 +7,7 @@ use ihd_stm32g474::registers::adc4;
 
 use crate::board::{assert_no_violations, connect, with_pot};
 
-/// Heat sink, glass and coil.
+/// Temperatures of heat sink, glass and coil.
 const TEMPERATURES_C: [f64; 3] = [25.0, 85.0, 150.0];
 
 /// Channels of heat sink, glass and coil (docs/board.md).
@@ -26,12 +26,12 @@ fn each_thermistor_is_converted_every_four_milliseconds_beside_the_others() {
     let [slow_before, before] = counts(&bench);
     bench.run_s(0.3);
     let [slow_after, after] = counts(&bench);
-    // One of four each millisecond, looked at after the block in which it ends: up to three periods of 34 kHz later.
+    // One of four each millisecond, processed after the block in which it ends: up to three periods of 34 kHz later.
     for channel in CHANNELS {
         let taken = after[channel] - before[channel];
         assert!((68..=76).contains(&taken), "channel {channel}: {taken}");
     }
-    // Bus and mains in turn at f_sw * 61 / 3, as without them.
+    // Bus and mains in turn at f_sw * 61 / 3, as without the thermistors.
     let [bus, mains] = [1, 12].map(|channel| slow_after[channel] - slow_before[channel]);
     assert!(bus.abs_diff(mains) <= 1, "{bus} {mains}");
     assert!(bus > 100_000, "{bus}");
@@ -44,7 +44,7 @@ fn each_thermistor_is_converted_every_four_milliseconds_beside_the_others() {
     found.sort_unstable();
     found.dedup();
     let thermistors = [0, 1, 2].map(|place| u32::from(NTCS[place].code(TEMPERATURES_C[place])));
-    // And the reference at 3.3 V.
+    // The reference at 3.3 V.
     let mut expected = [&thermistors[..], &[1505]].concat();
     expected.sort_unstable();
     assert_eq!(found, expected);

@@ -1,4 +1,4 @@
-//! How long the sampling path and the thread take, by published timings of the processor and a model of the flash
+//! Durations of the sampling path and of the thread, by published timings of the processor and a model of the flash
 //! (src/cpu/instructions.rs, src/cpu/flash_accelerator.rs).
 
 use std::time::Duration;
@@ -17,7 +17,7 @@ use ihd_stm32g474::time::{seconds, us};
 
 use crate::board::{Bench, SAMPLING, assert_no_violations, connect, with_pot};
 
-/// Power that is given at, or just below, the highest frequency: blocks are shortest there.
+/// Power that is delivered at, or just below, the highest frequency: blocks are shortest there.
 const LITTLE_W: u16 = RATED_POWER_W / 5;
 
 /// Cycles of the processor in a block at a switching frequency.
@@ -25,7 +25,7 @@ fn block_cycles(f_sw_hz: f64) -> f64 {
     3.0 / f_sw_hz * 170e6
 }
 
-/// Mean and worst cycles that the sampling interrupt takes a block.
+/// Mean and worst cycles of the sampling interrupt per block.
 fn cycles(bench: &Bench, duration_s: f64) -> (f64, f64) {
     bench.with(|machine| {
         machine
@@ -77,14 +77,14 @@ fn a_block_is_done_within_its_budget() {
     assert_no_violations(&bench);
 }
 
-/// Pins that a control step starved the watchdog of 60 ms at CPI 2.
+/// Regression test: at two cycles per instruction, a control step starved the watchdog of 60 ms.
 #[test]
 fn the_watchdog_is_fed_in_time_at_two_cycles_an_instruction() {
     let bench = with_pot(PotKind::Ferromagnetic);
     bench.with(|machine| machine.set_cycle_model(CycleModel::PerInstruction(2)));
     let mut client = connect(&bench);
     client.stream(1, 10).unwrap();
-    // A page is erased meanwhile, 22 ms, and the lookup written.
+    // Meanwhile a page is erased, 22 ms, and the lookup is written.
     let lookup = RlLookup {
         version: 1,
         ..prior()
@@ -103,15 +103,15 @@ fn the_watchdog_is_fed_in_time_at_two_cycles_an_instruction() {
     assert!(gap > 0 && gap_ms <= 20.0, "{gap_ms} ms");
 }
 
-/// The board measures itself with the cycle counter of DWT; the emulator, which moves that counter, measures from
-/// outside. The board's figure begins when the task is polled: it lacks the entry and the return of the interrupt and the
-/// executor's way to the task, some 240 cycles.
+/// The board measures its load with the cycle counter of DWT; the emulator, which advances that counter, measures from outside.
+/// The board's figure begins when the task is polled: it excludes the entry and the return of the interrupt and the executor's
+/// way to the task, some 240 cycles.
 #[test]
 fn the_load_that_it_reports_is_the_load_that_it_has() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
     client.set_power(LITTLE_W).unwrap();
-    // Until the frequency stays: the shares are of blocks at one.
+    // Waits for a constant frequency: the shares are of blocks at one frequency.
     bench.run_s(0.25);
     client.utilisation().unwrap();
     let f_sw_hz = bench.with(|machine| machine.chip().hrtim.f_sw_hz());
@@ -136,7 +136,7 @@ fn the_load_that_it_reports_is_the_load_that_it_has() {
     assert!((1..20_000).contains(&told.longest_gap_us), "{told:?}");
 }
 
-/// The library takes a block to be of one frequency.
+/// The library assumes one frequency in a block.
 #[test]
 fn new_periods_begin_with_a_block() {
     let bench = with_pot(PotKind::Ferromagnetic);
@@ -155,14 +155,14 @@ fn new_periods_begin_with_a_block() {
         }
         left
     });
-    // All are there; the first of the next block is triggered 70 ns after that tick, and converted half a microsecond later.
+    // All pairs are there; the first of the next block is triggered 70 ns after that tick, and converted half a microsecond later.
     assert!(
         left.iter().all(|pairs| [0, ADC_LOCK_P - 1].contains(pairs)),
         "{left:?} pairs of the block were left"
     );
 }
 
-/// Runs of the sampling interrupt over a time.
+/// Runs of the sampling interrupt within a time.
 fn runs(bench: &Bench, duration_s: f64) -> Vec<TracedRun> {
     bench.with(|machine| machine.timing().trace = Some(Trace::of(SAMPLING)));
     bench.run_s(duration_s);
@@ -170,19 +170,19 @@ fn runs(bench: &Bench, duration_s: f64) -> Vec<TracedRun> {
     trace.expect("begun above").runs
 }
 
-/// Blocks come at their own pace; a handler that begins late was held up by what masks interrupts. Pins that the thread
-/// copied a chunk of a window byte by byte in 2,650 cycles, so that two blocks were taken in a row, 129 % of one.
+/// Blocks have a constant period; a handler that begins late was delayed by masked interrupts. Regression test: the thread copied
+/// a chunk of a window byte by byte in 2,650 cycles, so that two blocks were processed in a row, 129 % of one.
 #[test]
 fn the_thread_holds_no_block_up_for_long() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
     client.stream(1, 10).unwrap();
     client.set_power(LITTLE_W).unwrap();
-    // Until the frequency stays.
+    // Waits for a constant frequency.
     bench.run_s(0.25);
     let block = block_cycles(bench.with(|machine| machine.chip().hrtim.f_sw_hz()));
     let runs = runs(&bench, 0.25);
-    // Entry, end of an instruction and another exception's return among it: it is late by this at least now and then.
+    // Includes the entry, the end of an instruction and the return of another exception, which delay some of the blocks.
     let late = |pair: &[TracedRun]| (pair[1].begun - pair[0].begun) as f64 - block;
     let (most, at) = runs
         .windows(2)
@@ -196,7 +196,7 @@ fn the_thread_holds_no_block_up_for_long() {
     assert!(most <= 1_000.0, "{most:.0} cycles, with what is at {at:#x}");
 }
 
-/// Another frequency at each second half-cycle, and windows that end and begin beside it.
+/// Another frequency at every second half-cycle, and windows that end and begin at the same time.
 #[test]
 fn a_zero_crossing_with_another_frequency_is_done_within_its_block() {
     let bench = with_pot(PotKind::Ferromagnetic);
@@ -226,7 +226,7 @@ fn a_zero_crossing_with_another_frequency_is_done_within_its_block() {
     }
     let changes = f_sw_hz.windows(2).filter(|f| f[0] != f[1]).count();
     let longest = longest.expect("blocks came");
-    // What it does is the same at each frequency, and its time shortest at the highest.
+    // The work is the same at each frequency, and the time for it shortest at the highest.
     let share = longest.cycles as f64 / block_cycles(80e3);
     let most: Vec<_> = longest.most_at(8).iter().map(hex).collect();
     println!(
@@ -235,7 +235,7 @@ fn a_zero_crossing_with_another_frequency_is_done_within_its_block() {
         share * 100.0,
     );
     assert!(windows >= 2 && changes >= 60, "{windows} {f_sw_hz:?}");
-    // The rest is for one that begins late: the thread masks interrupts for up to 1 000 cycles.
+    // The rest is for a block that begins late: the thread masks interrupts for up to 1 000 cycles.
     assert!(share <= 0.75, "{share}");
     assert_no_violations(&bench);
 }

@@ -1,4 +1,4 @@
-//! What is plugged into the guest: the image on emulated chips, each on a thread of its own.
+//! Boards that are plugged into the guest: the image on emulated chips, each on a thread of its own.
 
 use std::path::Path;
 
@@ -9,19 +9,19 @@ use ihd_sim::plant::Plant;
 use ihd_stm32g474::bench::Bench;
 use ihd_stm32g474::usb::Cable;
 
-/// Where the factory writes the chip's unique number, of which the board makes its serial number.
+/// Address of the chip's unique number from the factory, from which the board derives its serial number.
 const UNIQUE: u32 = 0x1FFF_7590;
 
-/// A machine: its cable, and what ends with this value.
+/// Emulated board with its cable; it ends with this value.
 pub struct Board {
-    /// To be given to a USB/IP server.
+    /// Cable for a USB/IP server.
     pub cable: Cable,
-    /// The emulated chip.
+    /// Bench with the emulated chip.
     pub bench: Bench,
 }
 
 impl Board {
-    /// The image, on a chip whose unique number begins with `unique`; it runs from now on, as fast as it can.
+    /// Runs the image as fast as possible on a chip whose unique number begins with `unique`.
     pub fn emulated(image: &Path, unique: u8) -> anyhow::Result<Self> {
         let filtered = |seed| SimulatedAdc::new(ConverterNoise::default(), seed).with_filter(500e3);
         let plant = move || {

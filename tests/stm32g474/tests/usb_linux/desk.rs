@@ -1,4 +1,4 @@
-//! A guest, the boards beside it, and the USB/IP server between them.
+//! Guest, boards beside it, and the USB/IP server between them.
 
 use std::net::SocketAddr;
 use std::thread;
@@ -12,21 +12,21 @@ use ihd_stm32g474::usb::usbip::Server;
 use crate::boards::Board;
 use crate::guest::Guest;
 
-/// From plugging a board in until the kernel has its serial number.
+/// Longest time from plugging a board in until the kernel has its serial number.
 const ENUMERATION: Duration = Duration::from_secs(60);
-/// Between two looks at something that takes its time.
+/// Time between two polls.
 const GLANCE: Duration = Duration::from_millis(100);
 
-/// The desk.
+/// Guest with boards that can be plugged into it.
 pub struct Desk {
-    /// The computer.
+    /// Guest computer.
     pub guest: Guest,
-    /// What can be plugged into it.
+    /// Boards that can be plugged into it.
     pub boards: Vec<Board>,
     server: SocketAddr,
 }
 
-/// A number of a report in JSON, by its name; where there are several of the name, the first.
+/// Number in a JSON report by its name; the first if there are several.
 pub fn number(report: &str, name: &str) -> f64 {
     let value = report
         .split_once(&format!("\"{name}\": "))
@@ -38,13 +38,13 @@ pub fn number(report: &str, name: &str) -> f64 {
 }
 
 impl Desk {
-    /// Boots the guest; nothing is plugged in.
+    /// Boots the guest with no board plugged in.
     pub fn new(boards: Vec<Board>) -> anyhow::Result<Self> {
         let desk = Self::of(boards.iter().map(|board| board.cable.clone()))?;
         Ok(Self { boards, ..desk })
     }
 
-    /// The same, with cables that have something else than boards at their other ends.
+    /// Boots the guest with cables that have other devices than boards at their ends.
     pub fn of(cables: impl IntoIterator<Item = Cable>) -> anyhow::Result<Self> {
         let server = Server::start(cables)?.address();
         let began = Instant::now();
@@ -60,7 +60,7 @@ impl Desk {
         })
     }
 
-    /// The line of shell that plugs a board in.
+    /// Shell command that plugs a board in.
     pub fn attach(&self, board: usize) -> String {
         let (port, bus_id) = (self.server.port(), board + 1);
         format!("vhci-attach 10.0.2.2:{port} 1-{bus_id} {board}")
@@ -70,7 +70,7 @@ impl Desk {
     pub fn plug(&mut self, board: usize) -> anyhow::Result<String> {
         let began = Instant::now();
         let bus_id = format!("1-{}", board + 1);
-        // The port of the virtual controller is free again a moment after something was unplugged.
+        // The port of the virtual controller is free a moment after an unplugging.
         let attach = self.attach(board);
         self.until(&attach, ENUMERATION)?;
         let serial = format!("cat /sys/bus/usb/devices/{bus_id}/serial");
@@ -95,7 +95,7 @@ impl Desk {
         }
     }
 
-    /// `ihd record` into a file of the guest; its report in JSON.
+    /// Runs `ihd record` into a file of the guest; returns its report in JSON.
     pub fn record(
         &mut self,
         file: &str,
@@ -111,7 +111,7 @@ impl Desk {
         let report = answer.text;
         ensure!(report.contains("\"link\""), "{line}: {report}");
         let (wall, passed) = (began.elapsed().as_secs_f64(), emulated(self) - from);
-        // Those of the file come before those of the link.
+        // The numbers of the file come before those of the link.
         let link = report.split_once("\"link\"").map_or("", |(_, link)| link);
         let (bytes, windows) = (number(link, "bytes"), number(link, "windows"));
         println!(
@@ -120,7 +120,7 @@ impl Desk {
         Ok(report)
     }
 
-    /// The end: no board did what its manual forbids, or was reset.
+    /// Asserts at the end that no board violated its manual or was reset.
     pub fn end(self) {
         for board in &self.boards {
             let ended = |machine: &mut Machine| (machine.violations(), machine.resets.clone());

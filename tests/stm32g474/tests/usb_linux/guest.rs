@@ -1,4 +1,4 @@
-//! A Linux guest under QEMU, told what to do over its serial port.
+//! Linux guest under QEMU, controlled over its serial port.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -11,28 +11,28 @@ use anyhow::{Context, bail, ensure};
 
 use crate::initramfs::{Archive, scratch};
 
-/// Until its shell answers: three seconds on an idle machine.
+/// Longest time until its shell answers: three seconds on an idle machine.
 const BOOT: Duration = Duration::from_secs(120);
 const INIT: &[u8] = include_bytes!("../../guest/init");
 
-/// The guest; it ends with this value.
+/// Linux guest; it ends with this value.
 pub struct Guest {
     qemu: Child,
     input: ChildStdin,
     lines: Receiver<String>,
 }
 
-/// What a command in the guest came to.
+/// Result of a command in the guest.
 #[derive(Debug)]
 pub struct Answer {
-    /// Its exit status.
+    /// Exit status.
     pub status: i32,
-    /// What it printed, errors included.
+    /// Output, errors included.
     pub text: String,
 }
 
 impl Answer {
-    /// The text of a command that must succeed.
+    /// Output of a command that must succeed.
     pub fn text(self) -> anyhow::Result<String> {
         ensure!(
             self.status == 0,
@@ -50,7 +50,7 @@ fn variable(name: &str) -> anyhow::Result<PathBuf> {
     Ok(path.into())
 }
 
-/// busybox, the modules in order, `ihd`, `vhci-attach`, the board's image.
+/// Archive with busybox, the kernel's modules, `ihd`, `vhci-attach`, `usb-descriptors` and the board's image.
 fn initramfs(files: &Path) -> anyhow::Result<Vec<u8>> {
     let mut archive = Archive::default();
     archive.file("init", INIT);
@@ -83,7 +83,7 @@ fn initramfs(files: &Path) -> anyhow::Result<Vec<u8>> {
 }
 
 impl Guest {
-    /// Boots one.
+    /// Boots a guest.
     pub fn boot() -> anyhow::Result<Self> {
         let files = variable("IHD_GUEST")?;
         let image = scratch();
@@ -101,7 +101,7 @@ impl Guest {
         ]);
         command.args(["-serial", "stdio", "-netdev", "user,id=net"]);
         command.args(["-device", "virtio-net-pci,netdev=net,romfile="]);
-        // The time stamp counter of an emulated processor runs wild under load.
+        // The time stamp counter of an emulated processor is not reliable under load.
         command.args([
             "-append",
             "console=ttyS0 quiet panic=-1 tsc=unstable clocksource=hpet",
@@ -141,7 +141,7 @@ impl Guest {
         Ok(guest)
     }
 
-    /// Lines as far as one that begins with `end`, and the rest of that.
+    /// Reads lines up to one that begins with `end`; returns them and the rest of that line.
     fn until(&mut self, end: &str, timeout: Duration) -> anyhow::Result<(String, String)> {
         let (deadline, mut text) = (Instant::now() + timeout, String::new());
         loop {
@@ -169,7 +169,7 @@ impl Guest {
         })
     }
 
-    /// Runs a line of shell that must succeed. The limit only ends a hang: the guest's processor is emulated.
+    /// Runs a line of shell that must succeed. The time limit only ends a hang: the guest's processor is emulated.
     pub fn shell(&mut self, line: &str) -> anyhow::Result<String> {
         let answer = self.run(line, Duration::from_secs(600))?;
         answer.text().with_context(|| line.to_owned())

@@ -1,4 +1,4 @@
-//! The guest's file system in memory: a cpio archive of the kind "newc" (Linux: buffer-format.rst).
+//! File system of the guest in memory: a cpio archive of the format "newc" (Linux: buffer-format.rst).
 
 use std::path::{Path, PathBuf};
 use std::process::{self, Command};
@@ -10,14 +10,14 @@ use anyhow::{Context, ensure};
 const FOLDER: u32 = 0o040_755;
 const PROGRAM: u32 = 0o100_755;
 
-/// A file of the test's own in the system's folder for such.
+/// Path of a temporary file of this test.
 pub fn scratch() -> PathBuf {
     static NEXT: AtomicU32 = AtomicU32::new(0);
     let number = NEXT.fetch_add(1, Ordering::Relaxed);
     env::temp_dir().join(format!("ihd-guest-{}-{number}", process::id()))
 }
 
-/// An archive.
+/// Archive in the format "newc".
 #[derive(Default)]
 pub struct Archive {
     bytes: Vec<u8>,
@@ -69,19 +69,19 @@ impl Archive {
         self.entry(&path.display().to_string(), FOLDER, &[]);
     }
 
-    /// An executable file, with the folders that lead to it.
+    /// Adds an executable file, with its parent folders.
     pub fn file(&mut self, path: &str, content: &[u8]) {
         let path = path.trim_start_matches('/');
         self.folder(Path::new(path).parent().unwrap_or(Path::new("")));
         self.entry(path, PROGRAM, content);
     }
 
-    /// An empty folder.
+    /// Adds an empty folder.
     pub fn mount_point(&mut self, path: &str) {
         self.folder(Path::new(path));
     }
 
-    /// A program without its debug information, and the libraries that it is linked to.
+    /// Adds a program without its debug information, and its shared libraries.
     pub fn program(&mut self, path: &str, program: &Path) -> anyhow::Result<()> {
         let stripped = scratch();
         let strip = Command::new("strip")
@@ -102,7 +102,7 @@ impl Archive {
         for word in String::from_utf8_lossy(&ldd.stdout).split_whitespace() {
             let missing = !self.folders.iter().any(|known| known == Path::new(word));
             if word.starts_with('/') && missing {
-                // A library once is enough.
+                // Each library is added once.
                 self.folders.push(word.into());
                 self.file(word, &fs::read(word).with_context(|| word.to_owned())?);
             }
@@ -110,7 +110,7 @@ impl Archive {
         Ok(())
     }
 
-    /// The archive, closed.
+    /// Closes the archive and returns its bytes.
     pub fn finish(mut self) -> Vec<u8> {
         self.entry("TRAILER!!!", 0, &[]);
         self.bytes

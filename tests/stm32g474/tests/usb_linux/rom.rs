@@ -10,10 +10,10 @@ use ihd_stm32g474::usb::RomDevice;
 
 use super::{DEVICE, Desk, MINUTES, image};
 
-/// Nothing answers after the flash: the model starts no program.
+/// Command that flashes the image. No device responds after it: the model starts no program.
 const FLASH_COMMAND: &str = "ihd flash --dfu --image /image.elf";
 
-/// A used chip in its bootloader, plugged in.
+/// Desk with a used chip in its bootloader plugged in.
 fn plugged_in() -> (Desk, Arc<Mutex<Bootloader>>) {
     let mut chip = Chip::default();
     chip.flash.fill(0x11);
@@ -27,7 +27,7 @@ fn plugged_in() -> (Desk, Arc<Mutex<Bootloader>>) {
     (desk, rom)
 }
 
-/// The image is in the flash, from its beginning to the end of its last page, and the rest is what it was.
+/// Asserts that the flash holds the image up to the end of its last page, and its old content after that.
 fn assert_flashed(rom: &Mutex<Bootloader>) {
     let image = Image::read(&image()).unwrap();
     let used = image.flash.iter().rposition(|byte| *byte != 0xFF).unwrap() + 1;
@@ -49,7 +49,7 @@ fn the_image_goes_through_the_bootloader_over_usb() {
         began.elapsed().as_secs_f64(),
         flashed.text
     );
-    // No hello: the model runs no program, and nobody said which link the board has.
+    // No hello: the model runs no program, and the command names no link of the board.
     assert_eq!(flashed.status, 0, "{}", flashed.text);
     assert_flashed(&rom);
     assert_eq!(rom.lock().unwrap().early, 0);
