@@ -1,21 +1,22 @@
-//! Every limit of control and protection, in one table. No limit here can be changed by the host, and
-//! none depends on a lookup. docs/control.md is generated from it.
+//! Limits of control and protection in one table. The host can change none of them but [`GIVE_UP_MS`], and none depends on a
+//! lookup. docs/control.md is generated from it.
 //!
-//! Currents go up in steps: what control plans with (70 A), what is corrected within a block (73 A),
-//! what trips (76 A, the comparator at one crest, samples by three of a block), what the converter can show (80 A). The same for the coil's voltage (540, 590 and 640 V).
+//! Levels of the coil current, in rising order: planned by power control (70 A), corrected within a block (73 A), trip (76 A, by
+//! the comparator at one crest, by three samples of a block), full scale of the converter (80 A). Likewise for the coil voltage:
+//! 540, 590 and 640 V.
 
 use ihd_shared::board;
 use ihd_shared::hob::RATED_POWER_W;
 use ihd_shared::wire::messages::Configure;
 
-/// A row of the table.
+/// Row of the table.
 #[derive(Clone, Copy, Debug)]
 pub struct LimitRow {
     /// Name of the constant.
     pub name: &'static str,
-    /// Its value.
+    /// Value of the constant.
     pub value: f64,
-    /// Its unit.
+    /// Unit of the value.
     pub unit: &'static str,
     /// Purpose, and the reason for the value.
     pub doc: &'static str,
@@ -25,7 +26,7 @@ macro_rules! limits {
     ($($(#[doc = $doc:literal])+ $name:ident: $ty:ty = $value:expr, $unit:literal;)+) => {
         $($(#[doc = $doc])+ pub const $name: $ty = $value;)+
 
-        /// The whole table.
+        /// All limits, in the order of their definition.
         pub const TABLE: &[LimitRow] = &[$(LimitRow {
             name: stringify!($name),
             value: $name as f64,
@@ -36,243 +37,243 @@ macro_rules! limits {
 }
 
 limits! {
-    /// Crest of the coil current that power control plans with, fundamental and third harmonic, at the bus
-    /// voltage of now and of a mains that has recovered. The rating of 2500 W into a 21 cm pot takes 64 A
-    /// at 230 V and 67 A at 200 V; below, the distance from resonance ends it: 2150 W at 180 V.
+    /// Crest of the coil current that power control plans with, fundamental and third harmonic, at the present bus voltage and at
+    /// that of a recovered mains. The rating of 2500 W into a 21 cm pot takes 64 A at 230 V and 67 A at 200 V; below, the
+    /// distance from resonance limits it: 2150 W at 180 V.
     PLANNED_CURRENT_MA: u32 = board::PLANNED_CURRENT_MA, "mA";
-    /// Crest of the coil current from here on raises the frequency within a block or two: by [`SOFT_PAIRS`].
+    /// Crest of the coil current that raises the frequency within a block or two: by [`SOFT_PAIRS`].
     SOFT_CURRENT_MA: u32 = board::SOFT_CURRENT_MA, "mA";
-    /// Crest of the coil current from here on opens both switches: the comparator at once, [`TRIP_PAIRS`] samples of a block after it.
+    /// Crest of the coil current that opens both switches: the comparator at once, [`TRIP_PAIRS`] samples of a block after it.
     TRIP_CURRENT_MA: u32 = board::TRIP_CURRENT_MA, "mA";
     /// Crest of the coil voltage that power control plans with.
     PLANNED_COIL_VOLTAGE_DV: u32 = board::PLANNED_COIL_VOLTAGE_DV, "dV";
-    /// Crest of the coil voltage from here on raises the frequency within a block or two: by [`SOFT_PAIRS`].
+    /// Crest of the coil voltage that raises the frequency within a block or two: by [`SOFT_PAIRS`].
     SOFT_COIL_VOLTAGE_DV: u32 = board::SOFT_COIL_VOLTAGE_DV, "dV";
-    /// The lower switch is closed for at least this long before the bridge switches. The bootstrap
-    /// capacitor charges with 10 ohm × 1 µF = 10 µs, through a diode that takes its last tenths of a volt
-    /// slowly; a board with ten times of both still has ten time constants.
+    /// Shortest time with the lower switch closed before the bridge switches. The bootstrap capacitor charges with 10 ohm × 1
+    /// µF = 10 µs, at the end slowly through its diode; a board with 100 µs still has ten time constants.
     BOOTSTRAP_CHARGE_NS: u32 = 1_000_000, "ns";
-    /// A lower switch closed for so long has seen a whole half-cycle: a bus that did not go down in it is
-    /// a link that nothing discharges.
+    /// Time with the lower switch closed that contains a whole half-cycle: a bus that is still high after it is a link that
+    /// nothing discharges.
     IDLE_LINK_NS: u32 = 25_000_000, "ns";
     /// Bus voltage that opens both switches.
     BUS_TRIP_DV: u16 = board::BUS_TRIP_DV, "dV";
-    /// For so long the bus may be above that while the bridge does not switch. Where it opens at the mains' crest, the line's
+    /// Longest time of a bus above [`BUS_TRIP_DV`] while the bridge does not switch. If it opens at the mains' crest, the line's
     /// inductance charges the link: 533 V at 265 V and 2500 W behind 0.8 mH, of which the bleeder leaves 420 V after 105 ms.
     BUS_SURGE_NS: u32 = 500_000_000, "ns";
     /// Bus voltage above which the bridge does not begin to switch: the crest of 265 V is 375 V.
     BUS_START_MAX_DV: u16 = board::BUS_START_MAX_DV, "dV";
-    /// Below this highest bus voltage of a half-cycle nothing is heated and nothing judged.
+    /// Peak bus voltage of a half-cycle below which there is no heating and no pot is judged.
     BUS_MIN_DV: u16 = 250, "dV";
-    /// Below this one readings are not compared with each other: 100 V.
+    /// Peak bus voltage below which readings are not compared with each other.
     COMPARED_FROM_DV: u16 = 1_000, "dV";
-    /// Bus voltage below which the mains is at its zero, or away.
+    /// Bus voltage below which the mains is at its zero, or lost.
     BUS_DOWN_DV: u16 = 150, "dV";
-    /// For so long the bus may be down while the bridge switches; then both switches open until the
-    /// next zero crossing. The mains passes its zero in 0.4 ms at 180 V and 45 Hz, in 1 ms at 70 V.
+    /// Longest time of a bus that is down while the bridge switches; then both switches open until the next zero crossing. The
+    /// mains passes its zero in 0.4 ms at 180 V and 45 Hz, in 1 ms at 70 V.
     BUS_DOWN_NS: u32 = 1_500_000, "ns";
-    /// While the bus is below this share of what it was, the power is not raised: the mains may
-    /// come back at once.
+    /// Share of the previous bus voltage below which the power is not raised: the mains may recover at once.
     SAG_PERCENT: u32 = 85, "%";
-    /// So long a lower bus voltage lasts before it counts as the new one.
+    /// Time after which a lower bus voltage counts as the new one.
     SAG_FORGOTTEN_MS: u32 = 10_000, "ms";
-    /// Reactance above resonance that power control keeps, of the coil's.
+    /// Reactance above resonance that power control keeps, as a share of the coil's.
     RESONANCE_MARGIN_PERCENT: i64 = 12, "%";
-    /// With less than this for [`SOFT_RESONANCE_SHORTAGE_PERCENT`], the frequency is raised.
+    /// Least reactance above resonance; a shortage of [`SOFT_RESONANCE_SHORTAGE_PERCENT`] raises the frequency.
     SOFT_RESONANCE_PERCENT: u32 = 4, "%";
-    /// Shortage of reactance that raises the frequency, summed over blocks: a coil in resonance has it after three. Below
+    /// Shortage of reactance, summed over blocks, that raises the frequency: a coil in resonance has it after three. Below
     /// [`SOFT_RESONANCE_FROM_MA`] a block counts by its current squared, as its noise is larger and its harm less.
     SOFT_RESONANCE_SHORTAGE_PERCENT: i64 = 12, "%·blocks";
-    /// Amplitude of the coil current from which on a block counts in full.
+    /// Amplitude of the coil current from which a block counts in full.
     SOFT_RESONANCE_FROM_MA: u32 = 16_000, "mA";
-    /// Blocks in a row with the estimate below resonance or at its bound that open both switches:
-    /// 0.3 to 0.7 ms, more than the estimator takes to settle.
+    /// Consecutive blocks with the estimate below resonance or at its bound that open both switches: 0.3 to 0.7 ms, more than the
+    /// estimator takes to settle.
     ESTIMATE_BLOCKS: u8 = 8, "blocks";
-    /// Turn-off current that power control keeps, of what the node's charge needs within the dead time.
+    /// Turn-off current that power control keeps, relative to the need of the node's charge within the dead time.
     TURN_OFF_PERCENT: u32 = 150, "%";
-    /// With less than this for [`SOFT_TURN_OFF_SHORTAGE_MA`], the frequency is raised.
+    /// Least turn-off current; a shortage of [`SOFT_TURN_OFF_SHORTAGE_MA`] raises the frequency.
     SOFT_TURN_OFF_PERCENT: u32 = 115, "%";
-    /// Shortage of turn-off current that raises the frequency, summed over blocks for each switch: a current that turns off at zero
-    /// at 325 V has it after six blocks (0.2 to 0.5 ms, at most 36 edges of 1 mJ), one that leads by 26 A after one.
+    /// Shortage of turn-off current, summed over blocks for each switch, that raises the frequency: a turn-off at zero current at
+    /// 325 V has it after six blocks (0.2 to 0.5 ms, at most 36 edges of 1 mJ), a lead by 26 A after one.
     SOFT_TURN_OFF_SHORTAGE_MA: i32 = 32_000, "mA·blocks";
-    /// Below this bus voltage a hard edge costs less than 7 µJ, and turn-off current is not checked.
+    /// Bus voltage below which a hard edge costs less than 7 µJ and turn-off current is not checked.
     SOFT_SWITCHING_FROM_DV: u16 = 500, "dV";
-    /// Least step of the frequency at a soft limit.
+    /// Smallest step of the frequency at a soft limit.
     SOFT_STEP_PERMILLE: u32 = 80, "permille";
     /// Blocks until the next soft limit may act: new periods begin a block later, and the tank follows
     /// within another.
     SOFT_HOLD_BLOCKS: u8 = 3, "blocks";
-    /// For so long a frequency at which a soft limit acted is not gone below.
+    /// Time for which the frequency at which a soft limit acted is a lower bound.
     SOFT_REMEMBERED_MS: u32 = 600, "ms";
-    /// For so long the frequency at which a pot was lifted is not gone below.
+    /// Time for which the frequency at which a pot was lifted is a lower bound.
     LIFT_REMEMBERED_MS: u32 = 2_000, "ms";
-    /// Largest step towards more power per half-cycle, with a lookup that holds no observation.
+    /// Largest step towards more power per half-cycle, with a lookup without observations.
     STEP_DOWN_HZ: u32 = 2_500, "Hz";
-    /// The same where the lookup rests on observations and agrees with what is measured, and on the way
-    /// back to where the same pot was heated.
+    /// Largest such step if the lookup rests on observations and agrees with the measurement, or on the way back to a point of
+    /// the same pot.
     TAUGHT_STEP_DOWN_HZ: u32 = 30_000, "Hz";
     /// Largest step towards less power per half-cycle.
     STEP_UP_HZ: u32 = 8_000, "Hz";
-    /// Deviation from the request that is near enough.
+    /// Deviation from the request that is not corrected.
     DEAD_BAND_PERCENT: u32 = 2, "%";
-    /// Share of the rating that a small pot gets: it takes the whole flux on a small base.
+    /// Share of the rating for a small pot, whose small base takes the whole flux.
     SMALL_POT_PERCENT: u16 = 50, "%";
-    /// Longest time that the bridge switches without a pot that was judged.
+    /// Longest time that the bridge switches without a judged pot.
     UNJUDGED_MS: u32 = 60, "ms";
-    /// Half-cycles in a row without a pot that end heating.
+    /// Consecutive half-cycles without a pot that end heating.
     POT_GONE_HALF_CYCLES: u8 = 2, "half-cycles";
     /// Amplitude of the coil current below which no pot can be judged.
     POT_CURRENT_MIN_MA: u32 = 1_500, "mA";
-    /// Duration of a pot probe, from a zero crossing on: it ends before the crest, with at
-    /// most 2 J into any pot at 265 V, 3.4 J into household foil.
+    /// Duration of a pot probe from a zero crossing: it ends before the crest, with at most 2 J into any pot at 265 V, 3.4 J into
+    /// household foil.
     PROBE_NS: u32 = 3_300_000, "ns";
-    /// Frequency of the second pot probe, of what may be a sheet thinner than its skin depth.
+    /// Frequency of the second pot probe, for a possible sheet thinner than its skin depth.
     SECOND_PROBE_HZ: u32 = 50_000, "Hz";
-    /// Duration of the second pot probe: with three times the power of the first at the same bus voltage it ends sooner.
+    /// Duration of the second pot probe: shorter, as its power is three times that of the first at the same bus voltage.
     SECOND_PROBE_NS: u32 = 2_200_000, "ns";
-    /// From one pot probe to the next, in the first time after one was taken away: it may be on
-    /// its way back.
+    /// Period of the pot probes just after a pot was removed: it may return.
     QUICK_PROBE_MS: u32 = 200, "ms";
-    /// Duration of that first time.
+    /// Duration of these pot probes.
     QUICK_PROBES_FOR_MS: u32 = 1_600, "ms";
-    /// From one pot probe to the next after it.
+    /// Period of the pot probes after them.
     PROBE_MS: u32 = 700, "ms";
-    /// Waiting for a pot ends after this, unless the host sets another time, 60 to 600 s.
+    /// Longest time of waiting for a pot, unless the host sets another one, 60 to 600 s.
     GIVE_UP_MS: u32 = Configure::DEFAULT.give_up_s as u32 * 1_000, "ms";
-    /// Starts again after trips before the lock-out.
+    /// Restarts after trips before the lock-out.
     TRIES: u8 = 4, "tries";
-    /// Pause before the first of them: a mains that jumped, or a sensor that was wrong for a moment. The link's surge is down by then.
+    /// Pause before the first restart: for a jump of the mains, or a sensor that was wrong for a moment. The link's surge is over
+    /// by then.
     QUICK_PAUSE_MS: u32 = 100, "ms";
-    /// Pause before the second; each further one is twice as long.
+    /// Pause before the second restart; each further one is twice as long.
     SECOND_PAUSE_MS: u32 = 1_000, "ms";
-    /// Pause after a fault of the mains, or one that lasts as long as its cause; it counts no try.
+    /// Pause after a fault of the mains, or one that lasts as long as its cause; it costs no try.
     MAINS_PAUSE_MS: u32 = 200, "ms";
-    /// Heating without a trip for so long gives a try back.
+    /// Time of heating without a trip that gives a try back.
     GOOD_RUN_MS: u32 = 10_000, "ms";
-    /// Above the frequency at which a trip opened the bridge: so much higher is where the search of the next start begins.
+    /// Margin above the tripping frequency at which the next search begins.
     RESUME_ABOVE_PERCENT: u32 = 15, "%";
-    /// Power within a burst, at least: 28.8 % of the rating.
+    /// Least power within a burst: 28.8 % of the rating.
     BURST_POWER_W: u16 = (RATED_POWER_W as u32 * 288 / 1_000) as u16, "W";
-    /// From one burst to the next: ten seconds have a whole number of them.
+    /// Period of the bursts: ten seconds are a whole number of them.
     BURST_PERIOD_MS: u32 = 1_000, "ms";
     /// Half-cycles from the release of a shared supply to the end of the burst: the other zone's lower switch is closed for
-    /// [`IDLE_LINK_NS`] before it begins.
+    /// [`IDLE_LINK_NS`] before its burst.
     HANDOVER_HALF_CYCLES: u32 = 4, "half-cycles";
     /// Longest burst while a supply is shared.
     SHARED_BURST_HALF_CYCLES: u32 = 240, "half-cycles";
-    /// For so long, once in `BURST_PERIOD_MS`, a zone that heats alone lets go of the wire of a shared supply: the other one may pull it.
+    /// Time, once in `BURST_PERIOD_MS`, for which a zone that heats alone releases the wire of a shared supply: the other one may
+    /// pull it.
     OFFER_MS: u16 = 5, "ms";
-    /// For so long after its last pull the other zone of a shared supply counts as on.
+    /// Time after its last pull for which the other zone of a shared supply counts as on.
     OTHER_ZONE_SILENT_MS: u16 = 3_000, "ms";
-    /// Blocks lost in a half-cycle that are still an interrupt that came late.
+    /// Most lost blocks in a half-cycle that count as a late interrupt.
     LOST_BLOCKS: u32 = 2, "blocks";
-    /// Pairs at the end of the converters' range in a block that mean a broken sensor and not a spike.
+    /// Pairs at the end of the converters' range in a block that indicate a broken sensor, not a spike.
     SATURATED_PAIRS: u16 = 16, "pairs";
-    /// Samples beyond a soft limit of current or voltage that act: together, less one a block, so that noise does not. A crest 1 % above
+    /// Samples beyond a soft limit of current or voltage that act: their sum, less one a block against noise. A crest 1 % above
     /// has six in a block.
     SOFT_PAIRS: u16 = 3, "pairs";
     /// Samples of a block beyond the trip level that trip. A crest 1 % above has five; the comparator needs none of them.
     TRIP_PAIRS: u16 = 3, "pairs";
-    /// Without a zero crossing for so long the mains is gone.
+    /// Longest time without a zero crossing before the mains counts as lost.
     MAINS_LOST_NS: u32 = 30_000_000, "ns";
-    /// A zero crossing sooner than this after the last one is an echo of it.
+    /// Shortest time between zero crossings; an earlier one is an echo.
     SHORTEST_HALF_CYCLE_NS: i64 = 7_000_000, "ns";
-    /// Shortest half-cycle of a mains that is as it must be: 66 Hz.
+    /// Shortest half-cycle of a regular mains: 66 Hz.
     HALF_CYCLE_MIN_NS: u32 = 7_576_000, "ns";
-    /// Longest: 44 Hz, as 45 Hz must heat.
+    /// Longest half-cycle of a regular mains: 44 Hz, as 45 Hz must still heat.
     HALF_CYCLE_MAX_NS: u32 = 11_364_000, "ns";
-    /// Half-cycles of another length, or zero crossings away from the bus's zero, among the last eight
-    /// that stop heating.
+    /// Half-cycles among the last eight that stop heating: of another length, or with the zero crossing away from the bus's zero.
     IRREGULAR_HALF_CYCLES: u32 = 3, "of 8";
-    /// At a zero crossing with more than this on the bus, the bridge does not begin to switch: it is no
-    /// zero crossing, but a mains that came back. A link that nothing discharges is excepted.
+    /// Bus voltage at a zero crossing above which the bridge does not begin to switch: the mains has just returned. A link that
+    /// nothing discharges is excepted.
     BUS_AT_START_DV: u16 = 600, "dV";
-    /// Share of its peak that the bus may have at a zero crossing, where the load discharges the link.
+    /// Largest share of its peak that the bus may have at a zero crossing, if the load discharges the link.
     BUS_AT_CROSSING_PERCENT: u32 = 20, "%";
-    /// Largest capacitance of the DC link for that: with less power than discharges it to 15 % the crossing's place is not judged.
+    /// Largest capacitance of the DC link for this check: below the power that discharges it to 15 % the crossing is not judged.
     LINK_CAPACITANCE_MAX_NF: u32 = board::LINK_CAPACITANCE_MAX_NF, "nF";
-    /// Half-cycles in a row that an implausible reading lasts before it is a fault.
+    /// Consecutive half-cycles of an implausible reading that are a fault.
     IMPLAUSIBLE_HALF_CYCLES: u8 = 4, "half-cycles";
-    /// By so much coil voltage plus that of the resonance capacitor may differ from the bridge's, whatever the load: the gains of
-    /// voltage and bus, noise of 20 dB.
+    /// Largest relative difference between coil plus capacitor voltage and bridge voltage, for any load: the gains of voltage and
+    /// bus, noise of 20 dB.
     BALANCE_PERCENT: u32 = 5, "%";
-    /// By so much more, times X_C·X/|Z|²: what C_r and the gain of the current add. 2.2 % at 1500 W, 2.8 % at 2500 W, at most 6 %.
+    /// Additional difference, times X_C·X/|Z|²: by C_r and the gain of the current. 2.2 % at 1500 W, 2.8 % at 2500 W, at most
+    /// 6 %.
     BALANCE_TANK_PERCENT: u32 = 6, "%";
-    /// Up to so much R at a pot probe there is the coil alone, or metal that takes next to nothing: three times the winding's.
+    /// Largest R at a pot probe of the coil alone, or of metal that takes next to nothing: three times the winding's.
     BARE_COIL_MOHM: u32 = 3 * board::WINDING_MOHM, "mohm";
-    /// By so much coil voltage plus that of the resonance capacitor may differ from the bridge's at a pot probe with a load, where
-    /// the bus changes within the estimator's delay.
+    /// Largest relative difference of these voltages at a pot probe with a load, where the bus changes within the estimator's
+    /// delay.
     PROBE_BALANCE_PERCENT: u32 = 10, "%";
-    /// By so much the bare coil's L may be above that of the board's file, and its voltage differ from the bridge's.
+    /// Largest excess of the bare coil's L over the board file's, and largest difference of these voltages.
     BARE_COIL_PERCENT: u32 = 4, "%";
-    /// By so much a gain of current or voltage may have drifted, by the L of a pot that stays and the balance together. Honest boards
-    /// show 2 % at most: 180 to 265 V, C2 from 1 to 10 µF, 20 dB of noise, pots that are moved and get warm.
+    /// Largest drift of the gain of current or voltage, by the L of a pot that stays and the balance together. Sound boards show
+    /// 2 % at most: 180 to 265 V, C2 from 1 to 10 µF, 20 dB of noise, pots that are moved and get warm.
     GAIN_DRIFT_PERMILLE: i32 = 35, "permille";
-    /// By so much the power into the coil may differ from the DC link's, where a sensor is fitted.
+    /// Largest relative difference between coil power and DC link power, if a sensor is fitted.
     POWER_BALANCE_PERCENT: u32 = 12, "%";
-    /// Mean of the coil current over whole periods: the capacitor lets none through.
+    /// Mean of the coil current over whole periods that is a fault: the capacitor blocks it.
     CURRENT_OFFSET_MA: u32 = 3_000, "mA";
-    /// Mean of the coil voltage over whole periods: the winding holds none.
+    /// Mean of the coil voltage over whole periods that is a fault: the winding holds none.
     VOLTAGE_OFFSET_DV: u32 = 200, "dV";
-    /// Lowest analogue supply that readings are corrected for: 2.4 % below 3.3 V are 4.9 % of power, which a reference that
-    /// is wrong instead would cost.
+    /// Lowest analogue supply for which readings are corrected: 2.4 % below 3.3 V are 4.9 % of power, the error if the reference
+    /// is wrong instead.
     SUPPLY_MIN_MV: u32 = 3_221, "mV";
-    /// Highest.
+    /// Highest analogue supply for which readings are corrected.
     SUPPLY_MAX_MV: u32 = 3_379, "mV";
-    /// Readings of the reference in a row, one every 4 ms, outside this range that stop heating, and within it that permit it.
+    /// Consecutive readings of the reference, one every 4 ms, that stop heating outside this range and permit it within.
     SUPPLY_READINGS: u8 = 3, "readings";
-    /// Blocks in a row that are alike to the last bit.
+    /// Consecutive blocks, equal to the last bit, that are a fault.
     FROZEN_BLOCKS: u8 = 4, "blocks";
-    /// Heat sink from which power is taken back.
+    /// Heat sink temperature from which power is reduced.
     SINK_DERATE_C: i16 = 85, "°C";
-    /// Heat sink at which none is left.
+    /// Heat sink temperature at which no power is left.
     SINK_OFF_C: i16 = 105, "°C";
-    /// Glass from which power is taken back.
+    /// Glass temperature from which power is reduced.
     GLASS_DERATE_C: i16 = 260, "°C";
-    /// Glass at which none is left.
+    /// Glass temperature at which no power is left.
     GLASS_OFF_C: i16 = 300, "°C";
-    /// Base of a pot, as the glass lets it be estimated, from which power is taken back.
+    /// Temperature of a pot's base, estimated from the glass, from which power is reduced.
     POT_HOT_C: i16 = 230, "°C";
-    /// Base at which only the lowest level's power is left.
+    /// Base temperature at which only the lowest level's power is left.
     POT_TOO_HOT_C: i16 = 260, "°C";
-    /// Lead of a pot's base over the glass's sensor: heat capacity of the glass by half of a flat base's conductance, and the sensor's lag.
+    /// Lead of a pot's base over the glass's sensor: heat capacity of the glass over half of a flat base's conductance, and the
+    /// sensor's lag.
     POT_LEAD_S: i16 = 80, "s";
-    /// Conductance from the glass to the room by half of a flat base's.
+    /// Conductance from the glass to the room over half of a flat base's.
     POT_LOSS_PERCENT: i16 = 38, "%";
-    /// Base that is kept warm without power: contents of 70 °C take 50 to 150 W.
+    /// Base temperature at which keeping warm gives no power: contents of 70 °C take 50 to 150 W.
     KEEP_WARM_C: i16 = 76, "°C";
-    /// Power for each degree below it.
+    /// Power for each kelvin below [`KEEP_WARM_C`].
     KEEP_WARM_W_PER_K: i16 = 50, "W/K";
-    /// Conductance from the glass to the room by .8 of a flat base's, to which keeping warm regulates.
+    /// Conductance from the glass to the room over 0.8 of a flat base's, by which keeping warm regulates.
     KEEP_WARM_LOSS_PERCENT: i16 = 24, "%";
-    /// Level of the panel whose power and time are the most of keeping warm.
+    /// Level of the panel whose power and time limit keeping warm.
     KEEP_WARM_LEVEL: u8 = 3, "level";
-    /// Coil from which power is taken back.
+    /// Coil temperature from which power is reduced.
     COIL_DERATE_C: i16 = 140, "°C";
-    /// Coil at which none is left.
+    /// Coil temperature at which no power is left.
     COIL_OFF_C: i16 = 180, "°C";
-    /// Heat sink from which the fan runs.
+    /// Heat sink temperature from which the fan runs.
     FAN_ON_C: i16 = 50, "°C";
-    /// Heat sink below which it stops.
+    /// Heat sink temperature below which the fan stops.
     FAN_OFF_C: i16 = 42, "°C";
-    /// Off for so long gives a used-up time without a touch of the panel back.
+    /// Time off that restores a used-up time without a touch of the panel.
     REST_MIN: u16 = 60, "min";
-    /// Time above the second-highest level; then that level, and as long until the next boost.
+    /// Longest time above the second-highest level; then that level for as long until the next boost.
     BOOST_MIN: u16 = 10, "min";
-    /// Glass from which it is shown as hot.
+    /// Glass temperature from which it is shown as hot.
     GLASS_HOT_C: i16 = 60, "°C";
-    /// Glass below which it is no longer.
+    /// Glass temperature below which it is no longer shown as hot.
     GLASS_COOL_C: i16 = 50, "°C";
     /// Largest dither of the switching frequency that can be set.
     DITHER_MAX_PERMILLE: u8 = *Configure::DITHER_PERMILLE.end(), "permille";
 }
 
-/// A level of the panel.
+/// Level of the panel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PowerLevel {
     /// Power, in watt.
     pub power_w: u16,
-    /// Time at this level after which the hob switches off, unless somebody touches the panel, in minutes.
+    /// Time at this level without a touch of the panel after which the hob switches off, in minutes.
     pub unattended_min: u16,
 }
 
@@ -301,7 +302,7 @@ pub const LEVELS: [PowerLevel; 9] = {
 pub const KEEP_WARM_W: u16 = LEVELS[KEEP_WARM_LEVEL as usize - 1].power_w;
 
 impl PowerLevel {
-    /// The lowest level with at least this power; `None` for 0 W.
+    /// Lowest level with at least this power; `None` for 0 W.
     pub fn of_power(power_w: u16) -> Option<Self> {
         let [.., highest] = LEVELS;
         let level = LEVELS.into_iter().find(|level| power_w <= level.power_w);
