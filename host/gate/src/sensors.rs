@@ -17,7 +17,7 @@ const MODEL: f64 = 0.02;
 const BRIDGE_R_SIGMA_OHM: f64 = 0.01;
 
 /// Sampling rate in hertz from which the plateaus between edges have enough samples.
-const LEAST_RATE_HZ: f64 = 6e6;
+pub const LEAST_RATE_HZ: f64 = 6e6;
 
 /// Share of the sampling interval by which a lag may be wrong below that rate: clean captures of 61 samples in three periods
 /// show lags of 10 to 29 ns, 1 to 3 % of it.
@@ -25,6 +25,14 @@ const COARSE_SHARE: f64 = 0.04;
 
 /// Share of R in percent above which a correction's own deviation is reported.
 const DOUBTFUL_PCT: f64 = 0.35;
+
+/// Returns `true` if a lag is an artefact of sampling too coarse for plateaus, at a rate in hertz. Distortions that no delay explains
+/// are none at any rate.
+pub fn is_of_sampling(sensors: &SelfCalibration, rate_hz: f64) -> bool {
+    rate_hz < LEAST_RATE_HZ
+        && sensors.is_sound()
+        && sensors.lag_s.value.abs() * rate_hz < COARSE_SHARE
+}
 
 /// Calibrates the sensors of a surveyed capture. A lag that is an artefact of coarse sampling is not corrected.
 ///
@@ -40,14 +48,7 @@ pub fn calibrate<'a>(
     let Some(Ok(sensors)) = &calibrated.sensors else {
         return Ok(calibrated);
     };
-    let rate_hz = calibrated.survey.rate_hz;
-    let coarse = rate_hz < LEAST_RATE_HZ;
-    // Distortions that no delay explains are reported at any rate.
-    if coarse
-        && sensors.is_sound()
-        && calibrated.saturation.is_none()
-        && sensors.lag_s.value.abs() * rate_hz < COARSE_SHARE
-    {
+    if calibrated.saturation.is_none() && is_of_sampling(sensors, calibrated.survey.rate_hz) {
         let survey = match calibrated.correction {
             Some(_) => Survey::of(capture, hints)?,
             None => calibrated.survey,

@@ -1,7 +1,6 @@
 //! Phasors of harmonics over time, from Hann-windowed frames of a few switching periods.
 
 use std::f64::consts::TAU;
-use std::ops::Range;
 
 use ihd_signal::Capture;
 use ihd_signal::vectorised::vectorised;
@@ -12,9 +11,9 @@ use super::time::Run;
 /// Orders of the phasors; a half-bridge has no even ones.
 pub const ORDERS: [u32; 4] = [1, 3, 5, 7];
 
-/// Possible switching periods per frame. The one whose length is nearest to a whole number of samples is used, so that the
-/// window's nulls lie on the other harmonics.
-const PERIODS: Range<u32> = 3..8;
+/// Least switching periods per frame, and the largest number of them.
+const LEAST_PERIODS: f64 = 3.0;
+const MOST_PERIODS: f64 = 30.0;
 
 /// Phasors at the middles of frames: x(t) = Σ Re(X_h e^{jhω(t − t0)}), amplitudes, with `t0` the time of the first sample.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,12 +49,7 @@ pub fn hann(n: usize) -> Vec<f64> {
 /// Phasors of a run at `f_hz` in hertz, frames overlapping by half.
 pub fn track(capture: &Capture, run: &Run, f_hz: f64) -> Track {
     let per_period = 1.0 / (f_hz * run.dt_s);
-    let mismatch = |p: &u32| {
-        let n = f64::from(*p) * per_period;
-        (n - n.round()).abs() / n
-    };
-    let periods = PERIODS.min_by(|a, b| mismatch(a).total_cmp(&mismatch(b)));
-    let frame = (f64::from(periods.unwrap_or(PERIODS.start)) * per_period).round() as usize;
+    let frame = samples_per_frame(per_period);
     let orders: Vec<u32> = ORDERS
         .into_iter()
         .filter(|&h| h == 1 || f64::from(h) * 2.2 < per_period)
@@ -69,6 +63,23 @@ pub fn track(capture: &Capture, run: &Run, f_hz: f64) -> Track {
         i_a,
         frame,
     }
+}
+
+/// Samples per frame: of five numbers of periods the one that is nearest to a whole number of samples, so that the window's nulls lie
+/// on the other harmonics. The mirror image, at the sampling rate less the switching frequency, is beyond the window's main lobe,
+/// two of its bins wide.
+fn samples_per_frame(per_period: f64) -> usize {
+    let least = if per_period > 2.0 {
+        (2.0 / (per_period - 2.0))
+            .ceil()
+            .clamp(LEAST_PERIODS, MOST_PERIODS)
+    } else {
+        LEAST_PERIODS
+    };
+    let lengths = (0..5).map(|more| (least + f64::from(more)) * per_period);
+    let mismatch = |n: &f64| (n - n.round()).abs() / n;
+    let length = lengths.min_by(|a, b| mismatch(a).total_cmp(&mismatch(b)));
+    length.unwrap_or(least * per_period).round() as usize
 }
 
 /// Phasors of the current's fundamental, two periods per frame and a frame every half period.
@@ -252,6 +263,7 @@ mod tests {
     use ihd_signal::TimeBase;
 
     use super::*;
+    use crate::{Hints, Survey};
 
     /// x(t) of the test: fundamental, third harmonic, offset.
     fn tone(rate_hz: f64, f_hz: f64) -> (Capture, Run) {
@@ -276,6 +288,37 @@ mod tests {
             dt_s: 1.0 / rate_hz,
         };
         (capture, run)
+    }
+
+    /// Half-cycle of 3 Ω and 22 µH at 45 kHz: exact v = Ri + L di/dt.
+    #[test]
+    fn little_more_than_two_samples_a_period_show_the_load() {
+        for rate_hz in [95e3, 100e3, 103.7e3, 106e3, 112e3, 125e3] {
+            let (mains, carrier) = (TAU * 50.0, TAU * 45e3);
+            let sample = |k: usize| {
+                let t = k as f64 / rate_hz;
+                let (swell, turn) = (mains * t, carrier * t);
+                let i = 40.0 * swell.sin() * turn.cos();
+                let slope =
+                    40.0 * (mains * swell.cos() * turn.cos() - carrier * swell.sin() * turn.sin());
+                ((3.0 * i + 22e-6 * slope) as f32, i as f32)
+            };
+            let (v_v, i_a) = (0..(0.02 * rate_hz) as usize).map(sample).unzip();
+            let capture = Capture {
+                name: "slow".to_owned(),
+                time: TimeBase::Even {
+                    t0_s: 0.0,
+                    dt_s: 1.0 / rate_hz,
+                },
+                v_v,
+                i_a,
+                ..Capture::default()
+            };
+            let survey = Survey::of(&capture, &Hints::default()).unwrap();
+            let load = survey.spans[0].load.unwrap();
+            assert!((load.r_ohm / 3.0 - 1.0).abs() < 0.01, "{rate_hz} {load:?}");
+            assert!((load.l_h / 22e-6 - 1.0).abs() < 0.01, "{rate_hz} {load:?}");
+        }
     }
 
     #[test]

@@ -385,6 +385,8 @@ impl<'a> DeviceSession<'a> {
                 tracing::warn!(device = self.record.name, %error, "could not be switched off; it ends by itself within 10 s");
             }
         }
+        // Without a link nobody knows what it does.
+        self.record.lock().last = None;
         self.detach_recorder(end).await;
         if *end == SessionEnd::Stopping {
             let _ = self.link.request(|client| client.stream(0, 0)).await;

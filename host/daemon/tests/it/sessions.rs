@@ -76,6 +76,7 @@ async fn a_cut_link_is_found_again_with_the_hob_off_and_nothing_counted_twice() 
     rig.bench().unplugged.store(true, Ordering::Relaxed);
     let gone = until_state(&daemon, DeviceState::Searching).await;
     assert!(!gone.detail.is_empty());
+    assert!(gone.live.is_none(), "nobody knows what it does");
     let refused = power(&daemon, "me", 1_000).await.unwrap_err().to_string();
     assert!(refused.contains("not connected"), "{refused}");
     rig.bench().unplugged.store(false, Ordering::Relaxed);

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use clap::Args;
+use ihd_gate::sensors::{LEAST_RATE_HZ, is_of_sampling};
 use ihd_signal::Capture;
 use ihd_survey::Survey;
 use ihd_survey::calibration::{Calibration, ReferenceLoad, blind, estimate};
@@ -97,6 +98,15 @@ impl CalibrateArgs {
             Against::Known(reference) => estimate(capture, &survey, reference)?,
             Against::Plateaus => {
                 let calibration = blind::estimate(capture, &survey, input.capacitance_f())?;
+                ensure!(
+                    !is_of_sampling(&calibration, survey.rate_hz),
+                    "{}: a lag of {:.0} ns is no more than the sampling at {:.2} MS/s causes by itself: sample at {:.0} MS/s or \
+                     more, or calibrate with a known load (--reference)",
+                    self.capture.path().display(),
+                    calibration.lag_s.value * 1e9,
+                    survey.rate_hz / 1e6,
+                    LEAST_RATE_HZ / 1e6
+                );
                 for remark in calibration.remarks(true) {
                     output::complain(format_args!("{remark}"));
                 }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use ihd_daemon::LEASE_S;
-use ihd_model::{Command, DeviceReport};
+use ihd_model::{Command, CommandError, DeviceReport, DeviceState};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use thiserror::Error;
@@ -223,7 +223,7 @@ fn hold(
         }
         let now = Instant::now();
         let turn = poll(hob, now.duration_since(renewed) >= RENEW_PERIOD);
-        match turn {
+        match turn.and_then(connected) {
             Ok((report, again)) => {
                 heard = now;
                 if again {
@@ -266,6 +266,20 @@ fn poll(hob: &mut Hob, renew: bool) -> Result<(DeviceReport, bool)> {
         hob.take_lease(false)?;
     }
     Ok((hob.report()?, renew))
+}
+
+/// Passes the report of a hob that answers; the daemon reports one that it has lost, too.
+fn connected((report, renewed): (DeviceReport, bool)) -> Result<(DeviceReport, bool)> {
+    match report.state {
+        DeviceState::Searching | DeviceState::Suspended | DeviceState::Incompatible => {
+            Err(CommandError::NotConnected {
+                name: report.name,
+                detail: report.detail,
+            }
+            .into())
+        }
+        _ => Ok((report, renewed)),
+    }
 }
 
 fn count(summary: &mut HeatingSummary, report: &DeviceReport, began: Instant, since: Duration) {
@@ -322,7 +336,6 @@ fn bar(json: bool) -> ProgressBar {
 #[cfg(test)]
 mod tests {
     use ihd_api::client::ClientError;
-    use ihd_model::CommandError;
 
     use super::*;
 

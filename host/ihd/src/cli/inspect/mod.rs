@@ -7,8 +7,8 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use ihd_capture::open::{LoneChannel, lone_channel};
-use ihd_survey::calibration::blind::calibrate;
-use ihd_survey::{Finding, Severity};
+use ihd_gate::sensors::calibrate;
+use ihd_survey::{Finding, Severity, Survey};
 
 use super::capture_args::{CaptureArgs, LoadedCapture};
 use super::global::Global;
@@ -73,7 +73,8 @@ impl InspectArgs {
     fn inspect(&self, loaded: &LoadedCapture, json: bool) -> Result<()> {
         let input = self.capture.input()?;
         let sensors = self.sensors.options(&input);
-        let calibrated = calibrate(&loaded.capture, &input.hints(), sensors)?;
+        let survey = Survey::of(&loaded.capture, &input.hints())?;
+        let calibrated = calibrate(&loaded.capture, survey, &input.hints(), sensors)?;
         let remarks = calibrated.remarks();
         let (capture, survey) = (calibrated.capture.as_ref(), &calibrated.survey);
         let incomplete = loaded.incomplete().map(|what| what.to_string());

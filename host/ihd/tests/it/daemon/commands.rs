@@ -97,6 +97,16 @@ fn an_interrupted_power_leaves_the_hob_off() {
 }
 
 #[test]
+fn power_ends_with_a_hob_that_is_gone() {
+    let mut kitchen = Kitchen::start();
+    let mut power = kitchen.in_the_background(&["bench", "power", "900"]);
+    kitchen.until("it heats", |r| r["live"]["power_w"].as_f64() > Some(500.0));
+    kitchen.hob.process.kill();
+    kitchen.until("nothing is known of it", |r| r["live"].is_null());
+    assert_eq!(power.code(), 3, "no device");
+}
+
+#[test]
 fn one_commands_and_force_takes_over_and_the_other_is_told() {
     let kitchen = Kitchen::start();
     let mut first = kitchen.in_the_background(&["bench", "power", "900"]);
