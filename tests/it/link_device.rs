@@ -18,7 +18,7 @@ use ihd_shared::wire::messages::{
     State, is_numbered,
 };
 use ihd_shared::wire::number::Number;
-use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use ihd_shared::wire::timing::HOST_UNHEARD_MS;
 use ihd_sim::hob::{HobConfig, PanelEvent, SimHob};
 use ihd_sim::transport::SharedHob;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
@@ -604,13 +604,13 @@ proptest! {
 fn a_host_that_falls_silent_no_longer_heats() {
     let (mut client, link) = connected();
     client.set_power(1_000).unwrap();
-    link.hob().run(u64::from(HOST_UNHEARD_HALF_CYCLES) - 10);
+    link.hob().run(u64::from(HOST_UNHEARD_MS / 10) - 10);
     assert_eq!(
         client.status().unwrap().asked_w,
         1_000,
         "it was heard in time"
     );
-    link.hob().run(u64::from(HOST_UNHEARD_HALF_CYCLES) + 2);
+    link.hob().run(u64::from(HOST_UNHEARD_MS / 10) + 2);
     let status = client.status().unwrap();
     assert_eq!(
         (status.state, status.asked_w, status.f_sw_hz),

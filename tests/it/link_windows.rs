@@ -18,7 +18,7 @@ use ihd_shared::wire::messages::{
     WindowStart,
 };
 use ihd_shared::wire::number::Number;
-use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use ihd_shared::wire::timing::HOST_UNHEARD_MS;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello, heating, heating_where};
 
 /// Events of the client during the next half-cycles, all of them.
@@ -310,7 +310,7 @@ fn windows_that_nobody_lets_go_of_are_kept_for_a_while() {
 fn windows_that_are_asked_for_keep_no_power_on() {
     let (mut client, _link) = heating();
     // Windows are let go of all the while, and nothing is commanded.
-    let events = watch(&mut client, u64::from(HOST_UNHEARD_HALF_CYCLES) + 10);
+    let events = watch(&mut client, u64::from(HOST_UNHEARD_MS / 10) + 10);
     assert!(events.len() > 100);
     assert_eq!(client.status().unwrap().asked_w, 0);
 }

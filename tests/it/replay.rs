@@ -15,8 +15,9 @@ use ihd_shared::wire::messages::{
     AnyMessage, FrontEnd, Message, Outcome as Answer, Raw, ReplayEstimates, State, Telemetry,
     WindowEnd,
 };
+use ihd_shared::wire::timing::HOST_UNHEARD_MS;
 use ihd_signal::Segment;
-use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::hob::{HobConfig, PanelEvent, SimHob};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::Rate;
 use ihd_sim::recording::settings;
@@ -375,6 +376,70 @@ fn replay_mode_locks_the_power_outputs_and_says_so() {
     assert!(second.set_power(1_000).is_err());
     second.continue_replay(0).end().unwrap();
     second.set_power(1_000).unwrap();
+}
+
+/// Lets a hob's simulated time pass.
+fn pass(hob: &SharedHob, duration_s: f64) {
+    let mut hob = hob.lock();
+    let until_s = hob.t_s() + duration_s;
+    while hob.t_s() < until_s {
+        hob.step();
+    }
+}
+
+/// Each entry and each end cuts a half-cycle, at any place of it.
+#[test]
+fn replays_one_after_the_other_do_not_look_like_a_broken_mains() {
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let mut client = client(hob.clone()).unwrap();
+    pass(&hob, 0.1);
+    for k in 0..20 {
+        let (r, l) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
+        let replay = client.start_replay(45_000, r, l).unwrap();
+        pass(&hob, 0.009);
+        replay.end().unwrap();
+        pass(&hob, 0.004 + 0.001 * f64::from(k % 9));
+        assert_eq!(client.status().unwrap().fault, Fault::NONE, "replay {k}");
+    }
+}
+
+/// Nobody ends the replay of a host that is gone: a touch of the panel does, and so do ten seconds of silence.
+#[test]
+fn the_replay_of_a_host_that_is_gone_ends() {
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let start = |hob: &SharedHob| {
+        let mut client = client(hob.clone()).unwrap();
+        pass(hob, 0.1);
+        let (r, l) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
+        client.start_replay(45_000, r, l).unwrap();
+    };
+    start(&hob);
+    hob.lock().panel(PanelEvent::Level(6));
+    pass(&hob, 1.0);
+    let state = |hob: &SharedHob| hob.lock().housekeeping().control().state();
+    assert_eq!(state(&hob), State::Heating, "a person does not wait");
+    hob.lock().panel(PanelEvent::Level(0));
+    start(&hob);
+    pass(&hob, f64::from(HOST_UNHEARD_MS) / 1e3 + 0.1);
+    assert_eq!(client(hob).unwrap().hello().capabilities & CAP_REPLAYING, 0);
+}
+
+/// Without mains no half-cycle ends, and the host's time runs on: with the mains back nothing heats for a host that is gone.
+#[test]
+fn a_host_that_falls_silent_while_the_mains_is_away_is_gone() {
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let mut host = client(hob.clone()).unwrap();
+    host.set_power(1_500).unwrap();
+    pass(&hob, 1.0);
+    assert_eq!(host.status().unwrap().state, State::Heating);
+    hob.lock().set_mains(0.0, 50.0);
+    pass(&hob, 0.5);
+    assert_eq!(host.status().unwrap().delivered_mw, 0);
+    pass(&hob, f64::from(HOST_UNHEARD_MS) / 1e3);
+    hob.lock().set_mains(230.0, 50.0);
+    pass(&hob, 1.0);
+    let status = host.status().unwrap();
+    assert_eq!((status.state, status.asked_w), (State::Idle, 0));
 }
 
 #[test]

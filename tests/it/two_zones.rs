@@ -182,7 +182,7 @@ fn a_zone_alone_has_the_supply_until_the_other_is_switched_on() {
     assert!(zones.means_w(1)[1] > 250.0);
     // It leaves: its pot is taken away in the middle of a turn.
     zones.hobs[1].set_pot(SimulatedPot::NONE).unwrap();
-    zones.run(6.0);
+    zones.run(7.0);
     let [first_w, second_w] = zones.means_w(1);
     assert!((first_w / 1_000.0 - 1.0).abs() < 0.03, "{first_w} W");
     assert!(second_w < 5.0, "{second_w} W");
@@ -196,6 +196,23 @@ fn turns_do_not_overlap_without_a_capacitor_at_the_link() {
     let (both, none) = zones.both_and_none(4);
     assert_eq!(both, 0, "half-cycles of both");
     assert!(none < 60, "{none} of 400 half-cycles without power");
+}
+
+/// A watchdog's reset, or one over the link: the other zone heats on, and this one waits for the wire before it heats again.
+#[test]
+fn a_zone_that_is_reset_does_not_heat_beside_the_other() {
+    let mut zones = Zones::of_schematic().switched_on([6, 0]);
+    zones.run(2.0);
+    zones.hobs[1].restart();
+    zones.run(0.013);
+    zones.set([6, 5]);
+    zones.run(8.0);
+    assert_eq!(zones.both_and_none(8).0, 0, "half-cycles of both");
+    let [first_w, second_w] = zones.means_w(6);
+    assert!(
+        first_w > 700.0 && second_w > 500.0,
+        "{first_w} and {second_w} W"
+    );
 }
 
 /// A wire that fails never lets both heat at once.

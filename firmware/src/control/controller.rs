@@ -146,7 +146,7 @@ impl Control {
         RetainedControl {
             locked_out: restart.is_locked_out(),
             tries_used: restart.tries_used(),
-            panel_off: request.level() == Some(0),
+            panel_off: request.is_off_at_panel(),
             key_locked: request.is_key_locked(),
             unattended: self.parts.times.unattended.used_share(),
         }
@@ -228,6 +228,7 @@ impl Control {
         let elapsed_s = self.parts.times.elapsed_s(status.now_ms);
         if elapsed_s > 0 {
             self.parts.pot_heat.count(elapsed_s);
+            self.parts.restart.pass_time(status.now_ms);
             let action = self.count_time(elapsed_s);
             if action != Action::Keep {
                 return action;

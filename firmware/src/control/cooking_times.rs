@@ -54,7 +54,7 @@ impl CookingTimes {
     pub fn count(&mut self, asked_w: u16, heats: bool, elapsed_s: u32) -> OffReason {
         self.unattended.count(asked_w, elapsed_s);
         self.boost.count(asked_w, heats, elapsed_s);
-        let timer_ends = self.timer.ends(asked_w, elapsed_s);
+        let timer_ends = self.timer.ends(elapsed_s);
         if timer_ends {
             OffReason::Timer
         } else if asked_w > 0 && self.unattended.is_used_up() {
@@ -117,15 +117,11 @@ impl Timer {
         self.left_s.div_ceil(60) as u8
     }
 
-    /// Counts; returns `true` if it ends. It ends unnoticed with the request.
-    fn ends(&mut self, asked_w: u16, elapsed_s: u32) -> bool {
-        let ran = self.left_s > 0 && asked_w > 0;
+    /// Counts, with or without power, as a host may be off for a second; returns `true` if it ends.
+    fn ends(&mut self, elapsed_s: u32) -> bool {
+        let ran = self.left_s > 0;
         let elapsed_s = elapsed_s.min(COUNTED_AT_ONCE_S) as u16;
-        self.left_s = if ran {
-            self.left_s.saturating_sub(elapsed_s)
-        } else {
-            0
-        };
+        self.left_s = self.left_s.saturating_sub(elapsed_s);
         ran && self.left_s == 0
     }
 }
@@ -192,19 +188,18 @@ mod tests {
     }
 
     #[test]
-    fn the_timer_ends_once_and_with_its_request() {
+    fn the_timer_ends_once_with_or_without_power() {
         let mut timer = Timer::default();
-        assert!(!timer.ends(100, 1));
+        assert!(!timer.ends(1));
         timer.set(2);
-        assert!(!timer.ends(100, 119));
+        assert!(!timer.ends(119));
         assert_eq!(timer.left_min(), 1);
-        assert!(timer.ends(100, 5));
-        assert!(!timer.ends(100, 5));
+        assert!(timer.ends(5));
+        assert!(!timer.ends(5));
         timer.set(u8::MAX);
         assert_eq!(timer.left_min(), u8::MAX);
-        assert!(!timer.ends(0, 1));
-        assert!(!timer.ends(100, 3_600));
-        assert_eq!(timer.left_min(), 0);
+        assert!(!timer.ends(3_600));
+        assert_eq!(timer.left_min(), 195);
     }
 
     /// The clock wraps after 49 days.

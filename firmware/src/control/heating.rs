@@ -103,7 +103,9 @@ impl Heating {
                 }
             }
         }
-        parts.restart.heating(status.now_ms);
+        if summary.f_sw_hz > 0 {
+            parts.restart.heated();
+        }
         HeatingStep::Act(self.set_power(summary, status, parts))
     }
 

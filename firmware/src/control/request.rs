@@ -1,8 +1,10 @@
 //! Requests of power: from the panel on the hob and from a host.
 //!
 //! - Off at the panel switches off, and stays: a host is refused until the panel requests power again.
-//! - Off from the host switches off whatever the panel shows; panel or host may switch on again.
-//! - With both asking, the lower power counts: a host never heats more than the person chose.
+//! - Off from the host, or for a reason of the hob's own, switches off whatever the panel shows; panel or host may switch on again.
+//! - With both asking, the lower power counts. The panel's setting limits a host until somebody touches the panel again, off by the
+//!   host or not: a host never heats more than the person chose.
+//! - A host that is lost leaves no more power than it asked for, until somebody touches the panel or a host asks again.
 //! - A panel that was never touched (a bare board has none) leaves everything to the host.
 //! - The key lock keeps the panel from asking for more; off always works, locked or not.
 //! - Switching on at the panel after switching off there is what a person does to end a lock-out.
@@ -34,14 +36,34 @@ enum PanelSetting {
 
 impl PanelSetting {
     const OFF: Self = Self::Level(0);
+
+    fn level(self) -> Option<u8> {
+        match self {
+            Self::Untouched => None,
+            Self::Level(level) => Some(level),
+            Self::KeepWarm => Some(KEEP_WARM_LEVEL),
+        }
+    }
+}
+
+/// Request of a host, in watt.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum HostRequest {
+    #[default]
+    None,
+    Power(u16),
+    /// The last one of a host that is lost, which limits the panel's.
+    Lost(u16),
 }
 
 /// The requests of panel and host.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PowerRequest {
     setting: PanelSetting,
+    /// The setting requests power; else it only limits the host's.
+    panel_requests: bool,
     key_locked: bool,
-    host_w: Option<u16>,
+    host: HostRequest,
 }
 
 /// Result of a touch of the panel.
@@ -67,7 +89,7 @@ impl PowerRequest {
                 PanelSetting::Untouched
             },
             key_locked,
-            host_w: None,
+            ..Self::default()
         }
     }
 
@@ -95,6 +117,10 @@ impl PowerRequest {
     }
 
     fn set(&mut self, setting: PanelSetting) -> PanelResult {
+        self.panel_requests = true;
+        if let HostRequest::Lost(_) = self.host {
+            self.host = HostRequest::None;
+        }
         match core::mem::replace(&mut self.setting, setting) {
             PanelSetting::OFF => PanelResult::SwitchedOn,
             _ => PanelResult::Changed,
@@ -110,32 +136,39 @@ impl PowerRequest {
         if self.setting == PanelSetting::OFF {
             return false;
         }
-        self.host_w = Some(power_w);
+        self.host = HostRequest::Power(power_w);
         true
     }
 
-    /// Ends the host's request: the host is silent, or another one sends its hello. The panel's stays.
+    /// Ends the host's request: the host is silent, or another one sends its hello. The panel's stays, with no more power than before.
     pub fn host_lost(&mut self) {
-        self.host_w = None;
+        self.host = match self.host {
+            HostRequest::Power(power_w) if self.panel_requests => HostRequest::Lost(power_w),
+            HostRequest::Power(_) => HostRequest::None,
+            host => host,
+        };
     }
 
     /// Returns `true` if the host requests power.
     pub fn is_of_host(&self) -> bool {
-        self.host_w.is_some()
+        matches!(self.host, HostRequest::Power(_))
     }
 
     /// Switches off for a reason of the hob's own; panel or host may request power again.
     pub fn switch_off(&mut self) {
-        self.host_w = None;
-        if self.setting != PanelSetting::OFF {
-            self.setting = PanelSetting::Untouched;
-        }
+        self.host = HostRequest::None;
+        self.panel_requests = false;
     }
 
     /// Switches off until somebody touches the panel: a host is refused.
     pub fn switch_off_at_panel(&mut self) {
         self.setting = PanelSetting::OFF;
-        self.host_w = None;
+        self.switch_off();
+    }
+
+    /// Returns `true` if the panel is off and refuses the host.
+    pub fn is_off_at_panel(&self) -> bool {
+        self.setting == PanelSetting::OFF
     }
 
     /// Takes the panel's highest level one lower.
@@ -148,30 +181,33 @@ impl PowerRequest {
 
     /// Requested power, in watt.
     pub fn power_w(&self) -> u16 {
-        let panel_w = self.level().map(level_power_w);
-        match (panel_w, self.host_w) {
-            (Some(panel_w), Some(host_w)) => panel_w.min(host_w),
-            (panel_w, host_w) => panel_w.or(host_w).unwrap_or(0),
+        let panel_w = self.setting.level().map_or(u16::MAX, level_power_w);
+        match self.host {
+            HostRequest::Power(host_w) => panel_w.min(host_w),
+            HostRequest::Lost(host_w) if self.panel_requests => panel_w.min(host_w),
+            HostRequest::None if self.panel_requests => panel_w,
+            HostRequest::Lost(_) | HostRequest::None => 0,
         }
     }
 
     /// Returns `true` if the panel holds the power below the host's request.
     pub fn is_held_by_panel(&self) -> bool {
-        self.host_w.is_some_and(|host_w| self.power_w() < host_w)
+        matches!(self.host, HostRequest::Power(host_w) if self.power_w() < host_w)
     }
 
-    /// The panel's level, [`KEEP_WARM_LEVEL`] for keeping warm; `None` until it is touched.
+    /// The panel's level, [`KEEP_WARM_LEVEL`] for keeping warm; `None` until it is touched, and while its setting neither requests
+    /// power nor limits a host's.
     pub fn level(&self) -> Option<u8> {
-        match self.setting {
-            PanelSetting::Untouched => None,
-            PanelSetting::Level(level) => Some(level),
-            PanelSetting::KeepWarm => Some(KEEP_WARM_LEVEL),
-        }
+        self.setting.level().filter(|_| self.is_setting_in_force())
     }
 
-    /// Returns `true` if the panel is set to keep warm what stands on the glass.
+    /// Returns `true` if what stands on the glass is to be kept warm.
     pub fn keeps_warm(&self) -> bool {
-        self.setting == PanelSetting::KeepWarm
+        self.setting == PanelSetting::KeepWarm && self.is_setting_in_force()
+    }
+
+    fn is_setting_in_force(&self) -> bool {
+        self.panel_requests || self.is_of_host() || self.is_off_at_panel()
     }
 
     /// Returns `true` if the keys are locked.
@@ -227,6 +263,60 @@ mod tests {
         assert_eq!(request.power_w(), 0);
         request.host_lost();
         assert_eq!(request.power_w(), 0, "the panel's level must not come back");
+    }
+
+    /// A daemon that takes a hob from another host switches it off first; a pot that is gone for long switches off as well.
+    #[test]
+    fn a_host_never_heats_more_than_the_person_chose_whatever_switched_off_before() {
+        for (touch, most_w, keeps_warm) in [
+            (PanelEvent::Level(1), 100, false),
+            (PanelEvent::KeepWarm, 350, true),
+        ] {
+            let off: [fn(&mut PowerRequest); 4] = [
+                |request| assert!(request.host(0)),
+                PowerRequest::switch_off,
+                |request| {
+                    request.host_lost();
+                    request.switch_off();
+                },
+                PowerRequest::host_lost,
+            ];
+            for switch_off in off {
+                let mut request = PowerRequest::default();
+                request.panel(touch);
+                assert!(request.host(2_500));
+                switch_off(&mut request);
+                assert!(request.host(2_500));
+                assert_eq!(request.power_w(), most_w, "{touch:?}");
+                assert!(request.is_held_by_panel());
+                assert_eq!(request.keeps_warm(), keeps_warm);
+                assert!(request.host(0));
+                assert_eq!((request.power_w(), request.level()), (0, None));
+                assert_eq!(
+                    request.panel(PanelEvent::Level(9)),
+                    PanelResult::Changed,
+                    "it was not off at the panel"
+                );
+                assert!(request.host(2_500));
+                assert_eq!(request.power_w(), 2_500);
+            }
+        }
+    }
+
+    #[test]
+    fn the_end_of_a_link_raises_no_power() {
+        let mut request = PowerRequest::default();
+        request.panel(PanelEvent::Level(9));
+        assert!(request.host(100));
+        request.host_lost();
+        request.host_lost();
+        assert_eq!(request.power_w(), 100);
+        assert_eq!(request.level(), Some(9));
+        assert!(request.host(300));
+        assert_eq!(request.power_w(), 300);
+        request.host_lost();
+        request.panel(PanelEvent::Level(8));
+        assert_eq!(request.power_w(), 1_900);
     }
 
     #[test]

@@ -8,13 +8,13 @@
 //!
 //! Every start passes [`RestartPolicy::permits`], from panel and host alike. A lock-out ends when a person switches off
 //! and on at the panel, or takes the mains away; nothing that comes over the link ends it, brings a
-//! try back or makes a pause shorter, a reset included ([`crate::retained::control`]). Each ten seconds of heating without a trip give a try
-//! back.
+//! try back or makes a pause shorter, a reset included ([`crate::retained::control`]). Each ten seconds of power without a trip give a
+//! try back.
 
 use ihd_shared::fault::{Fault, RestartClass};
 
 use crate::limits::{
-    GOOD_RUN_MS, MAINS_PAUSE_MS, QUICK_PAUSE_MS, QUICK_PROBE_MS, SECOND_PAUSE_MS, TRIES,
+    GOOD_RUN_HALF_CYCLES, MAINS_PAUSE_MS, QUICK_PAUSE_MS, QUICK_PROBE_MS, SECOND_PAUSE_MS, TRIES,
 };
 
 /// Consequence of a fault.
@@ -33,7 +33,8 @@ pub struct RestartPolicy {
     locked_out: bool,
     /// End of the pause under way, in milliseconds; `None` without one.
     not_before_ms: Option<u32>,
-    heating_since_ms: Option<u32>,
+    /// Half-cycles with power since a trip, or since a try came back.
+    good_half_cycles: u16,
 }
 
 impl RestartPolicy {
@@ -50,11 +51,16 @@ impl RestartPolicy {
         restored
     }
 
-    /// Returns `true` if the bridge may be started now.
-    pub fn permits(&mut self, now_ms: u32) -> bool {
+    /// Ends a pause that is over; to be called once a second, as the clock's wrap would begin it again.
+    pub fn pass_time(&mut self, now_ms: u32) {
         if self.not_before_ms.is_some_and(|at| is_reached(now_ms, at)) {
             self.not_before_ms = None;
         }
+    }
+
+    /// Returns `true` if the bridge may be started now.
+    pub fn permits(&mut self, now_ms: u32) -> bool {
+        self.pass_time(now_ms);
         !self.locked_out && self.not_before_ms.is_none()
     }
 
@@ -66,7 +72,7 @@ impl RestartPolicy {
 
     /// A fault tripped.
     pub fn tripped(&mut self, fault: Fault, now_ms: u32) -> RestartVerdict {
-        self.heating_since_ms = None;
+        self.stopped();
         match fault.class() {
             RestartClass::Passing => self.not_before(now_ms, MAINS_PAUSE_MS),
             RestartClass::Trip if self.tries_used < TRIES => {
@@ -82,18 +88,18 @@ impl RestartPolicy {
         }
     }
 
-    /// A pot is heated, each half-cycle.
-    pub fn heating(&mut self, now_ms: u32) {
-        let since = *self.heating_since_ms.get_or_insert(now_ms);
-        if now_ms.wrapping_sub(since) >= GOOD_RUN_MS {
+    /// A pot took power for a half-cycle.
+    pub fn heated(&mut self) {
+        self.good_half_cycles += 1;
+        if self.good_half_cycles >= GOOD_RUN_HALF_CYCLES {
             self.tries_used = self.tries_used.saturating_sub(1);
-            self.heating_since_ms = Some(now_ms);
+            self.stopped();
         }
     }
 
     /// Heating ended without a trip.
     pub fn stopped(&mut self) {
-        self.heating_since_ms = None;
+        self.good_half_cycles = 0;
     }
 
     /// A person switched off and on.
@@ -182,15 +188,17 @@ mod tests {
         let mut restart = RestartPolicy::default();
         restart.tripped(Fault::OVER_CURRENT, 0);
         restart.tripped(Fault::OVER_CURRENT, 500);
-        for now_ms in (1_000..1_000 + GOOD_RUN_MS).step_by(10) {
-            restart.heating(now_ms);
+        for _ in 1..GOOD_RUN_HALF_CYCLES {
+            restart.heated();
         }
         assert_eq!(restart.tries_left(), TRIES - 2);
-        restart.heating(1_000 + GOOD_RUN_MS);
+        restart.heated();
         assert_eq!(restart.tries_left(), TRIES - 1);
-        restart.heating(1_000 + 2 * GOOD_RUN_MS - 1);
+        for _ in 1..GOOD_RUN_HALF_CYCLES {
+            restart.heated();
+        }
         assert_eq!(restart.tries_left(), TRIES - 1);
-        restart.heating(1_000 + 2 * GOOD_RUN_MS);
+        restart.heated();
         assert_eq!(restart.tries_left(), TRIES);
     }
 
@@ -199,12 +207,12 @@ mod tests {
     fn rare_trips_cost_a_tenth_of_a_second_each() {
         let mut restart = RestartPolicy::default();
         for k in 0..1_000 {
-            let now_ms = k * (GOOD_RUN_MS + 1_000);
+            let now_ms = k * 11_000;
             let verdict = restart.tripped(Fault::SENSOR_OFFSET, now_ms);
             assert_eq!(verdict, RestartVerdict::Pause);
             assert_eq!(permitted_after(&mut restart, now_ms), QUICK_PAUSE_MS);
-            for ms in (500..=500 + GOOD_RUN_MS).step_by(10) {
-                restart.heating(now_ms + ms);
+            for _ in 0..GOOD_RUN_HALF_CYCLES {
+                restart.heated();
             }
         }
     }
@@ -246,11 +254,13 @@ mod tests {
     fn heating_that_stopped_between_is_no_good_run() {
         let mut restart = RestartPolicy::default();
         restart.tripped(Fault::OVER_CURRENT, 0);
-        restart.heating(1_000);
+        restart.heated();
         restart.stopped();
-        restart.heating(1_000 + GOOD_RUN_MS);
+        for _ in 1..GOOD_RUN_HALF_CYCLES {
+            restart.heated();
+        }
         assert_eq!(restart.tries_left(), TRIES - 1);
-        restart.heating(1_000 + 2 * GOOD_RUN_MS);
+        restart.heated();
         assert_eq!(restart.tries_left(), TRIES);
     }
 

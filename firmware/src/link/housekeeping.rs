@@ -5,11 +5,12 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::messages::{Configure, FaultEvent, Hello};
-use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use ihd_shared::wire::timing::HOST_UNHEARD_MS;
 
 use crate::control::controller::Control;
 use crate::control::request::PanelEvent;
 use crate::control::status::{Action, SamplingStatus};
+use crate::control::supply_share::WireDrive;
 use crate::control::temperature::TemperatureCodes;
 use crate::link::active_lookup::ActiveLookup;
 use crate::link::conversation::Conversation;
@@ -42,8 +43,8 @@ pub struct Housekeeping {
     settings: Configure,
     /// The fault that the host was told of last.
     reported_fault: Fault,
-    /// Half-cycles since the last frame from the host, but for those that come by themselves.
-    half_cycles_unheard: u32,
+    /// Time of the last frame from the host, but for those that come by themselves, in milliseconds.
+    heard_ms: u32,
     /// The last half-cycle.
     last: HalfCycle,
     replay: Replay,
@@ -63,7 +64,7 @@ impl Housekeeping {
             lookup: ActiveLookup::default(),
             settings: Configure::DEFAULT,
             reported_fault: Fault::NONE,
-            half_cycles_unheard: 0,
+            heard_ms: 0,
             last: HalfCycle::default(),
             replay: Replay::default(),
         }
@@ -147,12 +148,14 @@ impl Housekeeping {
         if self.service.is_leaving() {
             return;
         }
+        // A person does not wait for a recording.
+        self.end_replay(lock);
         let action = self.control.panel(event);
         self.act(lock, action);
     }
 
     /// Takes the level of the wire to the other zone of a shared supply ([`Control::share_supply`]).
-    pub fn share_supply(&mut self, lock: &mut impl SamplingLock, is_high: bool) -> bool {
+    pub fn share_supply(&mut self, lock: &mut impl SamplingLock, is_high: bool) -> WireDrive {
         let now_ms = lock.with(|path| path.now_ms());
         self.control.share_supply(is_high, now_ms)
     }
@@ -194,6 +197,7 @@ impl Housekeeping {
         self.act(lock, action);
         // The request that was just made counts.
         let status = lock.with(|path| SamplingStatus::read(path));
+        self.watch_host(lock, &status);
         let action = self.control.tick(&status);
         self.act(lock, action);
         let (fault, half_cycle) = lock.with(|path| (path.fault(), path.fault_half_cycle()));
@@ -214,7 +218,6 @@ impl Housekeeping {
         if let Some(version) = self.lookup.on_half_cycle() {
             lock.with(|path| path.recorder().set_lookup_version(version));
         }
-        self.watch_host(lock);
         self.queue.on_half_cycle(lock);
         self.last = *summary;
         let action = self.control.on_half_cycle(summary, status);
@@ -222,11 +225,13 @@ impl Housekeeping {
         action
     }
 
-    /// Power that was requested over the link lapses with the link.
-    fn watch_host(&mut self, lock: &mut impl SamplingLock) {
-        self.half_cycles_unheard = self.half_cycles_unheard.saturating_add(1);
-        if self.half_cycles_unheard >= HOST_UNHEARD_HALF_CYCLES {
+    /// Ends power and replay that were requested over the link with the link, with or without mains.
+    fn watch_host(&mut self, lock: &mut impl SamplingLock, status: &SamplingStatus) {
+        if status.now_ms.wrapping_sub(self.heard_ms) >= HOST_UNHEARD_MS {
             self.end_host_power(lock);
+            if status.replaying {
+                self.end_replay(lock);
+            }
         }
     }
 

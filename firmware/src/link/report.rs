@@ -69,7 +69,12 @@ pub fn status(
         fault: path.fault(),
         pot: control.pot(),
         asked_w: control.asked_w(),
-        delivered_mw: last.power_mw,
+        // The last half-cycle is long over where the mains are away.
+        delivered_mw: if drive.is_switching() {
+            last.power_mw
+        } else {
+            0
+        },
         f_sw_hz: if drive.is_switching() {
             drive.f_sw_hz
         } else {

@@ -12,9 +12,11 @@ use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::RESTART_AFTER_MS;
 
 use crate::drive::bridge::Bridge;
+use crate::limits::BUS_MIN_DV;
 use crate::link::channel_test::{ChannelTest, SlowCodes};
 use crate::link::response::Response;
 use crate::sampling::path::SamplingLock;
+use crate::sense::mains::bus_dv;
 use crate::sense::supply::Reference;
 
 /// Longest count of the clocks before the test is given up, in milliseconds.
@@ -174,6 +176,12 @@ impl Service {
     }
 }
 
+/// Returns `true` if there is voltage on the DC link: ST's bootloader drives the pins of both switches (AN2606: USART1, I2C2).
+fn has_bus_voltage(board: &mut impl BoardServices) -> bool {
+    let codes = board.slow_codes();
+    codes.is_some_and(|codes| bus_dv(codes.bus) >= BUS_MIN_DV)
+}
+
 impl ServiceJob {
     fn step(
         self,
@@ -182,6 +190,11 @@ impl ServiceJob {
         board: &mut impl BoardServices,
     ) -> Step {
         let response = match self {
+            Self::Restart(into @ Program::Bootloader)
+                if board.has_program(into) && has_bus_voltage(board) =>
+            {
+                Some(Response::outcome(Outcome::NotIdle))
+            }
             Self::Restart(into) | Self::Leaving(into, _) if board.has_program(into) => {
                 return Step::Leave(into);
             }

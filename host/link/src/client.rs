@@ -9,7 +9,7 @@ use ihd_shared::wire::messages::{
     FrontEnd, GetFrontEnd, Hello, Message, Outcome, Reply, Request, SetPower,
 };
 use ihd_shared::wire::number::Number;
-use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use ihd_shared::wire::timing::HOST_UNHEARD_MS;
 use serde::Deserialize;
 
 use super::frame_tee::FrameTee;
@@ -22,9 +22,8 @@ use super::{ClientCounters, FrameSink, LinkError, Transport, printable_hello};
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Longest pause between two requests of a host whose power is to stay on. The device switches off after
-/// [`HOST_UNHEARD_HALF_CYCLES`] without one, 10 s at 50 Hz; this is a fifth of it.
-pub const KEEPALIVE_PERIOD: Duration =
-    Duration::from_millis(HOST_UNHEARD_HALF_CYCLES as u64 * 10 / 5);
+/// [`HOST_UNHEARD_MS`] without one; this is a fifth of it.
+pub const KEEPALIVE_PERIOD: Duration = Duration::from_millis(HOST_UNHEARD_MS as u64 / 5);
 
 /// Number of times that a request is sent within its time-out, since answers get lost like any frame.
 const TRIES: u32 = 3;

@@ -183,7 +183,7 @@ pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
             "it is busy with one already (a lookup that waits for its half-cycle, or a test of the board); try again"
                 .into()
         }
-        Outcome::NotIdle => "its inverter is on, or power is asked for; switch it off first".into(),
+        Outcome::NotIdle => "its inverter is on, or power is asked for; switch it off first, and for the bootloader take the mains off".into(),
         Outcome::NotReplaying => "it is not in replay mode".into(),
         Outcome::Unavailable => {
             "it has not what that takes (a simulated hob has no ROM bootloader, no comparators and no log)".into()

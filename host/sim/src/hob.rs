@@ -11,6 +11,7 @@ mod link;
 use std::collections::VecDeque;
 
 pub use ihd_firmware::control::request::PanelEvent;
+use ihd_firmware::control::supply_share::WireDrive;
 use ihd_firmware::drive::bridge::{Bridge, Drive};
 use ihd_firmware::drive::soft_start::{self, SoftStart};
 use ihd_firmware::link::channel_test::SlowCodes;
@@ -100,7 +101,7 @@ pub struct SimHob {
     dc_link: bool,
     /// Wire to the other zone of a shared supply, `true` while that one pulls it low; `None` if there is no wire.
     share_wire: Option<bool>,
-    pulls_share_wire: bool,
+    wire_drive: WireDrive,
     reading: Option<MeterReading>,
     /// Number of blocks lost since the last one that arrived.
     lost: u32,
@@ -153,7 +154,7 @@ impl SimHob {
             ntc: config.ntc,
             dc_link: config.dc_link,
             share_wire: None,
-            pulls_share_wire: false,
+            wire_drive: WireDrive::default(),
             reading: None,
             lost: 0,
             inbound: VecDeque::new(),
@@ -213,8 +214,11 @@ impl SimHob {
         };
         self.housekeeping
             .serve(&mut *self.sampling_path, &mut board);
-        let is_high = self.share_wire == Some(false) && !self.pulls_share_wire;
-        self.pulls_share_wire = self
+        let is_high = match self.share_wire {
+            Some(other_pulls) => !other_pulls && self.wire_drive != WireDrive::Low,
+            None => self.wire_drive == WireDrive::WeaklyUp,
+        };
+        self.wire_drive = self
             .housekeeping
             .share_supply(&mut *self.sampling_path, is_high);
         self.after_block();
@@ -238,7 +242,7 @@ impl SimHob {
     }
 
     /// Restarts the controller as after a reset, with an empty link; pot, mains and temperatures continue.
-    fn restart(&mut self) {
+    pub fn restart(&mut self) {
         let (kept, fault) = (
             self.housekeeping.control().retained(),
             self.sampling_path.fault(),
@@ -249,6 +253,7 @@ impl SimHob {
         self.housekeeping = booted_housekeeping(self.boot_id, ResetReason::Software, self.starts);
         self.housekeeping
             .restore_control(&mut *self.sampling_path, kept, fault);
+        self.wire_drive = WireDrive::default();
         self.heartbeat = Heartbeat::default();
         self.zero_crossing = ZeroCrossingDetector::default();
         self.inbound.clear();
@@ -346,7 +351,7 @@ impl SimHob {
 
     /// Returns `true` while this hob pulls that wire low.
     pub fn pulls_share_wire(&self) -> bool {
-        self.pulls_share_wire
+        self.wire_drive == WireDrive::Low
     }
 
     /// Lets minutes pass at once for the firmware's times of cooking.

@@ -95,8 +95,8 @@ pub struct Pins {
     pub reference_ratio: f64,
     /// Pressed buttons of the panel: on/off, plus, minus, timer.
     pub pressed: [bool; 4],
-    /// Set if the wire to a second zone is fitted with its resistor and that zone does not pull it.
-    pub share_wire_high: bool,
+    /// Wire to a second zone, with its resistor: `true` while that zone does not pull it low. `None` without a wire.
+    pub share_wire: Option<bool>,
     /// Offsets of the two sensors, added to the codes of every pair.
     pub offset: Pair,
     /// Fault injection: surge in ampere, added to the current at the comparators.
@@ -123,7 +123,7 @@ impl Pins {
             vdda_v: NOMINAL_VDDA_V,
             reference_ratio: 1.0,
             pressed: [false; 4],
-            share_wire_high: false,
+            share_wire: None,
             offset: Pair::default(),
             surge_a: 0.0,
             fed: VecDeque::new(),
@@ -179,11 +179,14 @@ impl Pins {
             .filter(|(pin, pressed)| *pressed && pin.port == port)
             .map(|(pin, _)| 1 << pin.line)
             .sum();
-        let wire = match board::SHARE_WIRE_PIN {
-            pin if pin.port == port && self.share_wire_high => (1 << pin.line) & released,
-            _ => 0,
-        };
-        pulled_up & !closed | wire
+        let pin = board::SHARE_WIRE_PIN;
+        let wire = u32::from(pin.port == port) << pin.line;
+        let levels = pulled_up & !closed;
+        match self.share_wire {
+            Some(true) => levels | wire & released,
+            Some(false) => levels & !wire,
+            None => levels & (released | !wire),
+        }
     }
 
     /// State of the bridge.

@@ -6,6 +6,7 @@ use crate::control::controller::Control;
 use crate::control::controller::state::ControlState;
 use crate::control::request::{PanelEvent, PanelResult};
 use crate::control::status::Action;
+use crate::control::supply_share::WireDrive;
 use crate::control::temperature::TemperatureCodes;
 use crate::drive::bridge::Drive;
 use crate::sense::supply::Reference;
@@ -26,9 +27,9 @@ impl Control {
 
 /// Requests.
 impl Control {
-    /// Takes the level of the wire to the other zone of a shared supply, every millisecond or more often; returns `true` if this
-    /// zone pulls it low from now on.
-    pub fn share_supply(&mut self, is_high: bool, now_ms: u32) -> bool {
+    /// Takes the level of the wire to the other zone of a shared supply, every millisecond or more often; returns how this zone
+    /// drives it from now on.
+    pub fn share_supply(&mut self, is_high: bool, now_ms: u32) -> WireDrive {
         self.parts.supply_share.exchange(is_high, now_ms)
     }
 
@@ -43,6 +44,9 @@ impl Control {
         if result != PanelResult::Nothing {
             self.parts.times.unattended.touched();
             self.off_reason = OffReason::None;
+        }
+        if self.parts.request.is_off_at_panel() {
+            self.parts.times.timer.set(0);
         }
         match result {
             PanelResult::Timer(minutes) => {
@@ -68,6 +72,11 @@ impl Control {
     pub fn host_lost(&mut self) -> Action {
         self.parts.request.host_lost();
         self.follow_request()
+    }
+
+    /// Forgets the half-cycles so far: the one in which a replay begins or ends is cut.
+    pub fn on_replay_mode(&mut self) {
+        self.plausibility.reset();
     }
 
     /// Switches off, for a reason of the hob's own.
@@ -112,6 +121,7 @@ impl Control {
             }
             reason => {
                 self.off_reason = reason;
+                self.parts.times.timer.set(0);
                 self.parts.request.switch_off_at_panel();
                 self.follow_request()
             }

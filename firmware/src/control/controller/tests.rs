@@ -434,3 +434,40 @@ fn the_timer_switches_off_for_good() {
     assert!(!bench.drive.is_switching());
     assert_eq!(bench.control.host(1_500), None);
 }
+
+/// Its link is lost for some seconds, or another host takes over.
+#[test]
+fn the_timer_outlasts_a_host_that_asks_again() {
+    let mut bench = heating();
+    bench.control.panel(PanelEvent::Timer(10));
+    bench.control.host_lost();
+    bench.pass_minutes(1);
+    bench.ask(1_500);
+    bench.pass_minutes(8);
+    assert_eq!(
+        (bench.control.timer_min(), bench.control.asked_w()),
+        (1, 1_500)
+    );
+    bench.pass_minutes(1);
+    assert_eq!(bench.control.off_reason(), OffReason::Timer);
+    assert_eq!(bench.control.host(1_500), None);
+    bench.control.panel(PanelEvent::Level(5));
+    bench.control.panel(PanelEvent::Timer(10));
+    bench.control.panel(PanelEvent::Level(0));
+    assert_eq!(bench.control.timer_min(), 0, "off at the panel ends it");
+}
+
+/// The clock wraps after 49.7 days: the pause after a probe must not seem to lie ahead.
+#[test]
+fn a_hob_that_was_off_for_weeks_heats() {
+    let mut bench = heating();
+    bench.control.host(0);
+    bench.run(10);
+    for _ in 0..28 * 24 * 60 {
+        bench.ms = bench.ms.wrapping_add(60_000);
+        assert_eq!(bench.control.tick(&bench.status()), Action::Keep);
+    }
+    bench.control.panel(PanelEvent::Level(6));
+    bench.run(50);
+    assert_eq!(bench.control.state(), State::Heating);
+}

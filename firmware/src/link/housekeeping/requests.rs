@@ -36,7 +36,7 @@ impl Housekeeping {
             let id = frame.id;
             // A host sends it by itself for as long as windows come: it keeps no power up.
             if id != ResendWindow::ID {
-                self.half_cycles_unheard = 0;
+                self.heard_ms = lock.with(|path| path.now_ms());
             }
             let (number, bytes) = frame.split();
             if self.paired
@@ -97,10 +97,7 @@ impl Housekeeping {
                     Some(Response::Utilisation(lock.with(report::utilisation)))
                 }
                 Ok(AnyMessage::ReplayStart(m)) => Some(self.start_replay(lock, &m)),
-                Ok(AnyMessage::ReplayEnd(_)) => {
-                    let mode = self.replay.end(lock);
-                    Some(self.replay_mode(mode))
-                }
+                Ok(AnyMessage::ReplayEnd(_)) => Some(self.end_replay(lock)),
                 Ok(AnyMessage::GetBoard(_)) => Some(Response::Board),
                 Ok(AnyMessage::TestLink(m)) => Some(self.test_link(&m)),
                 Ok(AnyMessage::StreamLog(m)) => Some(match self.queue.stream_log(m.on) {
@@ -226,7 +223,13 @@ impl Housekeeping {
         }
     }
 
+    pub(super) fn end_replay(&mut self, lock: &mut impl SamplingLock) -> Response {
+        let mode = self.replay.end(lock);
+        self.replay_mode(mode)
+    }
+
     fn replay_mode(&mut self, mode: ReplayMode) -> Response {
+        self.control.on_replay_mode();
         self.queue.set_capability(CAP_REPLAYING, mode.active);
         Response::ReplayMode(mode)
     }

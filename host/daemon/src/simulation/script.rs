@@ -17,7 +17,7 @@ use ihd_shared::wire::messages::{
     Raw, Reply, State, Status, Telemetry, TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
 };
 use ihd_shared::wire::number::Number;
-use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use ihd_shared::wire::timing::HOST_UNHEARD_MS;
 
 use super::hob::{WorldHob, read_frame};
 use super::samples;
@@ -375,7 +375,7 @@ impl WorldHob for ScriptedHob {
         while self.now() + HALF_CYCLE <= now {
             self.half_cycle += 1;
             self.unheard = self.unheard.saturating_add(1);
-            if self.unheard >= HOST_UNHEARD_HALF_CYCLES {
+            if self.unheard * 10 >= HOST_UNHEARD_MS {
                 self.asked_w = 0;
             }
             if let Some(lookup) = self.pending.take() {

@@ -12,7 +12,7 @@ use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{
     FaultEvent, Message, Pot, SetPower, State, Telemetry, WindowStart,
 };
-use ihd_shared::wire::timing::HOST_UNHEARD_HALF_CYCLES;
+use ihd_shared::wire::timing::HOST_UNHEARD_MS;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 
@@ -301,7 +301,7 @@ impl Truth {
     ) -> (Option<Heard>, Option<(WindowStart, usize, usize)>) {
         let h = self.half_cycles;
         self.half_cycles += 1;
-        if h.saturating_sub(self.heard) > HOST_UNHEARD_HALF_CYCLES {
+        if h.saturating_sub(self.heard) * 10 > HOST_UNHEARD_MS {
             self.device.status.asked_w = 0;
         }
         let state = self.state();

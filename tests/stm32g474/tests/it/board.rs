@@ -49,6 +49,21 @@ pub fn over(transport: impl Transport + 'static) -> Client {
     client
 }
 
+/// Takes the mains off until the DC link is discharged: 4.7 µF into the bleeder, 0.44 s from 325 V to 120 V.
+pub fn take_mains_off(bench: &Bench) {
+    set_mains(bench, 0.0);
+    bench.run_s(1.5);
+}
+
+/// Sets the voltage of the mains in volt rms.
+pub fn set_mains(bench: &Bench, v_rms_v: f64) {
+    bench.with(move |machine| {
+        let plant = &mut machine.chip().pins.plant;
+        let changed = plant.mains().changed(plant.t_s(), v_rms_v, 50.0);
+        plant.set_mains(changed);
+    });
+}
+
 /// Fails if the program violated the reference manual.
 pub fn assert_no_violations(bench: &Bench) {
     let violations = bench.with(|machine| machine.violations());

@@ -1,6 +1,7 @@
 //! Lock-out of the hob: services that stay available, and its end by the panel or the mains only.
 
 use ihd_link::LinkError;
+use ihd_shared::board::MAINS_VOLTAGE_V;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Outcome, Program, State};
 use ihd_sim::behavioural::PotKind;
@@ -8,7 +9,7 @@ use ihd_stm32g474::chip::Reset;
 use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::registers::syscfg;
 
-use crate::board::{Bench, assert_no_violations, connect, resets, with_pot};
+use crate::board::{Bench, assert_no_violations, connect, resets, set_mains, take_mains_off, with_pot};
 
 /// Board that locked out while it heated, by a lock-up of the processor that has ended.
 fn locked_out() -> Bench {
@@ -69,6 +70,7 @@ fn no_reset_ends_a_lock_out_but_the_loss_of_power() {
     bench.run_s(0.25);
     assert_locked_out(&bench);
     // Into the bootloader and back, as after a flash by DFU; the reset pin and a debug probe have the same effect.
+    take_mains_off(&bench);
     connect(&bench).restart(Program::Bootloader).unwrap();
     bench.run_s(0.2);
     bench.with(|machine| machine.chip().reset = Some(Reset::Software));
@@ -87,6 +89,7 @@ fn no_reset_ends_a_lock_out_but_the_loss_of_power() {
         ]
     );
     bench.with(|machine| machine.power_cycle().unwrap());
+    set_mains(&bench, f64::from(MAINS_VOLTAGE_V));
     bench.run_s(0.1);
     let mut client = connect(&bench);
     client.set_power(1_200).unwrap();

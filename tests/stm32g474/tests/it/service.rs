@@ -14,7 +14,7 @@ use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::processor::{BOOTLOADER, BOOTLOADER_STACK};
 use ihd_stm32g474::registers as reg;
 
-use crate::board::{Bench, assert_no_violations, connect, resets, with_pot};
+use crate::board::{Bench, assert_no_violations, connect, resets, take_mains_off, with_pot};
 
 fn outcome<T: std::fmt::Debug>(result: Result<T, LinkError>) -> Outcome {
     match result {
@@ -67,6 +67,9 @@ fn it_says_what_it_is() {
 fn it_restarts_into_the_bootloader_and_comes_back() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
+    // The bootloader drives the pins of both switches.
+    assert_eq!(outcome(client.restart(Program::Bootloader)), Outcome::NotIdle);
+    take_mains_off(&bench);
     client.restart(Program::Bootloader).unwrap();
     assert!(!is_in_bootloader(&bench), "the answer must leave first");
     bench.run_s(0.2);

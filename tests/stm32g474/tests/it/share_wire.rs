@@ -12,7 +12,7 @@ fn a_shared_supply_is_left_to_the_other_zone() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
     let pulls = |bench: &Bench| !bench.with(|machine| machine.chip().driven(SHARE_WIRE_PIN));
-    bench.with(|machine| machine.chip().pins.share_wire_high = true);
+    bench.with(|machine| machine.chip().pins.share_wire = Some(true));
     bench.run_s(0.3);
     assert!(!pulls(&bench));
     client.set_power(1_000).unwrap();
@@ -25,16 +25,32 @@ fn a_shared_supply_is_left_to_the_other_zone() {
         !pulls(&bench)
     });
     assert!(offered);
-    bench.with(|machine| machine.chip().pins.share_wire_high = false);
+    bench.with(|machine| machine.chip().pins.share_wire = Some(false));
     bench.run_s(0.03);
     bench.with(|machine| machine.chip().hrtim.off_at = None);
     bench.run_s(0.5);
     assert_eq!(bench.with(|machine| machine.chip().hrtim.off_at), None);
-    bench.with(|machine| machine.chip().pins.share_wire_high = true);
+    bench.with(|machine| machine.chip().pins.share_wire = Some(true));
     bench.run_s(0.2);
     assert!(pulls(&bench));
     client.set_power(0).unwrap();
     bench.run_s(0.02);
     assert!(!pulls(&bench));
+    assert_no_violations(&bench);
+}
+
+/// The board starts while the other zone heats: it knows of the wire before it draws power.
+#[test]
+fn a_board_that_starts_while_the_other_zone_heats_waits() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    bench.with(|machine| machine.chip().pins.share_wire = Some(false));
+    let mut client = connect(&bench);
+    client.set_power(1_000).unwrap();
+    bench.run_s(1.0);
+    let status = client.status().unwrap();
+    assert_eq!((status.state, status.f_sw_hz), (State::Heating, 0));
+    bench.with(|machine| machine.chip().pins.share_wire = Some(true));
+    bench.run_s(0.2);
+    assert!(client.status().unwrap().f_sw_hz > 0);
     assert_no_violations(&bench);
 }
