@@ -66,7 +66,7 @@ fn the_firmware_regulates_power_into_the_reduced_field_model() {
 
 #[test]
 fn the_firmware_sees_the_pot_of_the_field_model_and_starts_to_heat() {
-    let (_, seen) = heat(LoadKind::Field, 7);
+    let (_, seen) = heat(LoadKind::Field, 9);
     let last = seen.last().unwrap();
     println!("{last:?}");
     assert_eq!((last.state, last.fault), (State::Heating, Fault::NONE));

@@ -642,13 +642,15 @@ fn a_hello_ends_the_power_that_the_host_before_it_asked_for() {
 }
 
 #[test]
-fn a_hello_leaves_the_panels_power() {
+fn a_hello_leaves_the_panel_no_more_than_both_asked_for() {
     let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
     let mut first = Client::connect(Box::new(hob.clone())).unwrap();
     hob.lock().panel(PanelEvent::Level(5));
     first.set_power(300).unwrap();
     assert_eq!(first.status().unwrap().asked_w, 300);
-    let mut second = Client::connect(Box::new(hob)).unwrap();
+    let mut second = Client::connect(Box::new(hob.clone())).unwrap();
+    assert_eq!(second.status().unwrap().asked_w, 300);
+    hob.lock().panel(PanelEvent::Level(5));
     assert_eq!(second.status().unwrap().asked_w, 700);
 }
 

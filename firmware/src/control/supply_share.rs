@@ -233,6 +233,11 @@ impl SupplyShare {
         }
     }
 
+    /// Returns `true` while it is not known whether there is a wire, just after a start.
+    pub fn is_sought(&self) -> bool {
+        self.wire == Wire::Sought
+    }
+
     /// Returns `true` while the other zone is on.
     pub fn is_shared(&self) -> bool {
         self.silent_ms < OTHER_ZONE_SILENT_MS

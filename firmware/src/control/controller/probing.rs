@@ -23,6 +23,7 @@ impl Control {
     pub(super) fn start(&mut self, status: &SamplingStatus) -> Action {
         if status.replaying
             || status.fault != Fault::NONE
+            || self.parts.supply_share.is_sought()
             || !self.parts.restart.permits(status.now_ms)
         {
             return Action::Keep;
