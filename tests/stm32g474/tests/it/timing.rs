@@ -214,7 +214,7 @@ fn a_zero_crossing_with_another_frequency_is_done_within_its_block() {
     let mut f_sw_hz = Vec::new();
     let mut longest: Option<TracedRun> = None;
     // The serial port carries a window in 0.6 s, and none is recorded meanwhile.
-    for _ in 0..300 {
+    for _ in 0..360 {
         let runs = runs(&bench, 0.005);
         let one = runs.into_iter().max_by_key(|run| run.cycles);
         longest = longest.into_iter().chain(one).max_by_key(|run| run.cycles);
