@@ -91,11 +91,21 @@ impl<A: Arrays> ArraySource<A> {
             Some(*k) != time && arrays[*k].length == length && !arrays[*k].name.starts_with(TRUTH)
         };
         let columns: Vec<usize> = (0..arrays.len()).filter(is_channel).collect();
-        if length < 2 || columns.is_empty() {
-            let names: Vec<_> = arrays.iter().take(12).map(|a| a.name.as_str()).collect();
+        let is_passed_over = |k: &usize| {
+            let a = &arrays[*k];
+            let is_scalar = a.scalar.is_some() || a.text.is_some();
+            Some(*k) != time && a.length != length && !is_scalar && !a.name.starts_with(TRUTH)
+        };
+        let passed_over: Vec<usize> = (0..arrays.len()).filter(is_passed_over).collect();
+        if length < 2 || columns.is_empty() || (columns.len() == 1 && !passed_over.is_empty()) {
+            let described = |a: &Array| match a.length {
+                0 | 1 => format!("`{}` is none", a.name),
+                n => format!("`{}` has {n}", a.name),
+            };
+            let list: Vec<_> = arrays.iter().take(12).map(described).collect();
             let what = format!(
-                "no vectors of samples; save each channel as a vector. Arrays: {}",
-                names.join(", ")
+                "no two channels: save each as a vector of real numbers, of one length, 32 or 64 bit or integers; {}",
+                list.join(", ")
             );
             return Err(FormatError::at_byte(0, what));
         }
@@ -310,4 +320,47 @@ const SMALL: u64 = 1 << 24;
 /// Returns `true` if `packed` bytes can plausibly unpack to `unpacked` bytes; this bounds memory.
 pub fn plausible(packed: u64, unpacked: u64) -> bool {
     unpacked <= SMALL || unpacked / LARGEST_RATIO <= packed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct NoNumbers;
+
+    impl Arrays for NoNumbers {
+        fn numbers(&mut self, _: usize, _: &mut dyn FnMut(f64)) -> Result<(), FormatError> {
+            Ok(())
+        }
+    }
+
+    fn channels(arrays: &[(&str, u64)]) -> Result<usize, String> {
+        let arrays = arrays.iter().map(|(name, length)| Array {
+            name: (*name).to_owned(),
+            length: *length,
+            offset: 0,
+            scalar: (*length == 1).then_some(1e-6),
+            text: None,
+        });
+        ArraySource::new(NoNumbers, arrays.collect(), "test")
+            .map(|source| source.channels.len())
+            .map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn an_array_that_does_not_fit_is_named_and_not_passed_over_in_silence() {
+        assert_eq!(
+            channels(&[("v", 9), ("i", 9), ("dt", 1), ("window", 4)]),
+            Ok(2)
+        );
+        assert_eq!(
+            channels(&[("v", 9), ("dt", 1)]),
+            Ok(1),
+            "the other file has i"
+        );
+        let short = channels(&[("t", 9), ("v", 8), ("i", 9)]).unwrap_err();
+        assert!(short.contains("`v` has 8, `i` has 9"), "{short}");
+        let complex = channels(&[("t", 9), ("v", 0), ("i", 0)]).unwrap_err();
+        assert!(complex.contains("`v` is none, `i` is none"), "{complex}");
+    }
 }

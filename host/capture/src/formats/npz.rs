@@ -35,7 +35,8 @@ pub struct NpzArrays {
 /// [`FormatError`] for a damaged file and one without vectors.
 pub fn open(source: impl ReadSeek + 'static) -> Result<ArraySource<NpzArrays>, FormatError> {
     let source: Box<dyn ReadSeek> = Box::new(source);
-    let mut archive = ZipArchive::new(source).map_err(|e| in_archive(0, "ZIP archive", &e))?;
+    let mut archive = ZipArchive::new(source)
+        .map_err(|e| in_archive(0, "no ZIP archive, or its end is cut off", &e))?;
     if archive.len() > MOST_ARRAYS {
         let what = format!("{} arrays; {MOST_ARRAYS} are the most", archive.len());
         return Err(FormatError::at_byte(0, what));
@@ -56,7 +57,19 @@ pub fn open(source: impl ReadSeek + 'static) -> Result<ArraySource<NpzArrays>, F
         let (packed, unpacked) = (member.compressed_size(), member.size());
         let wrong = |what: String| FormatError::at_byte(offset, format!("array `{name}`: {what}"));
         let header = Header::read(&mut member).map_err(wrong)?;
+        if header.is_text {
+            continue;
+        }
         let Some((kind, endian)) = header.kind else {
+            drop(member);
+            arrays.push(Array {
+                length: 0,
+                name,
+                offset,
+                scalar: None,
+                text: None,
+            });
+            members.push(index);
             continue;
         };
         let bytes = header.count.checked_mul(kind.bytes() as u64);
@@ -119,6 +132,8 @@ impl Arrays for NpzArrays {
 struct Header {
     /// Storage of numbers; `None` for texts, complex numbers and objects.
     kind: Option<(SampleType, Endian)>,
+    /// Set for strings.
+    is_text: bool,
     /// Number of elements.
     count: u64,
     /// Set if it has one dimension, or several of which all but one are 1.
@@ -178,6 +193,7 @@ impl Header {
             .try_fold(1u64, |product, s| product.checked_mul(*s));
         Ok(Self {
             kind: code.and_then(number),
+            is_text: code.is_some_and(|code| code.contains(['U', 'S'])),
             count: count.ok_or_else(missing)?,
             vector: sizes.iter().filter(|s| **s != 1).count() <= 1,
             bytes,
@@ -224,7 +240,9 @@ mod tests {
         let matrix = of("{'descr': '<f4', 'fortran_order': True, 'shape': (2, 3), }").unwrap();
         assert!(!matrix.vector && matrix.count == 6);
         let text = of("{'descr': '<U5', 'fortran_order': False, 'shape': (), }").unwrap();
-        assert_eq!(text.kind, None);
+        assert!(text.is_text && text.kind.is_none());
+        let complex = of("{'descr': '<c16', 'fortran_order': False, 'shape': (9,), }").unwrap();
+        assert!(!complex.is_text && complex.kind.is_none());
         for bad in ["", "{'descr': '<f8'}", "{'descr': '<f8', 'shape': (-1,)}"] {
             assert!(of(bad).is_err(), "{bad}");
         }

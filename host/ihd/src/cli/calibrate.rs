@@ -24,8 +24,8 @@ use super::simulate::quantity::quantity;
     ihd calibrate dummy.csv --reference r=3.3,l=25u --out bench.json --json\n  \
     ihd calibrate any-load.csv --reference blind --out bench.toml\n  \
     ihd identify capture.csv --calibration bench.toml\n\n\
-    Exit codes: 0 done, 1 the capture gives no calibration, 2 wrong usage, 7 the file is empty, cut or\n\
-    damaged (what could be read is the result)")]
+    Exit codes: 0 done, 1 the capture gives no calibration, 2 wrong usage, 7 the file is empty or a\n\
+    cut MCAP (what could be read is the result)")]
 pub struct CalibrateArgs {
     #[command(flatten)]
     capture: CaptureArgs,

@@ -23,7 +23,7 @@ use super::usage::Usage;
     ihd convert coil_voltage.wfm coil_current.wfm --out capture.mcap\n  \
     ihd convert scope.csv --input channels=CH1,CH3,probe=100,10,invert=i --out capture.npz\n  \
     ihd convert table.csv --input columns=1,4,2,units=V,mA --out capture.mcap --json\n\n\
-    Exit codes: 0 converted, 1 failed, 2 wrong usage, 7 the file is empty, cut or damaged (what could be\n\
+    Exit codes: 0 converted, 1 failed, 2 wrong usage, 7 the file is empty or a cut MCAP (what could be\n\
     read is converted)")]
 pub struct ConvertArgs {
     #[command(flatten)]

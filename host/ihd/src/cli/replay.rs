@@ -27,7 +27,7 @@ use crate::report::table::TextTable;
     ihd replay coil_v.wfm coil_i.wfm --device usb --input fsw=45k\n  \
     ihd replay kitchen.mcap --device tcp:127.0.0.1:4711 --speed 1 --json\n\n\
     Exit codes: 0 identical, 1 failed, 2 wrong usage, 3 device or link, 6 the device differs,\n\
-    7 the capture is empty, cut or damaged (what could be read is replayed)")]
+    7 the capture is empty or a cut MCAP (what could be read is replayed)")]
 pub struct ReplayArgs {
     #[command(flatten)]
     capture: CaptureArgs,

@@ -40,7 +40,7 @@ use super::usage::Usage;
     ihd identify capture.mcap --method pinn --preset hybrid --network backend=ndarray\n  \
     ihd identify scope_ch1.isf scope_ch2.isf --input probe=50,0.1 --method rts --json\n\n\
     Exit codes: 0 done, 1 failed or every method failed, 2 wrong usage, 7 a result is refused (it is printed, with the\n\
-    reason; --anyway makes it 0), or the file is empty, cut or damaged (what could be read is identified)")]
+    reason; --anyway makes it 0), or the file is empty or a cut MCAP (what could be read is identified)")]
 pub struct IdentifyArgs {
     /// Estimators, with commas between them, or all
     #[arg(

@@ -23,7 +23,7 @@ use crate::report::survey;
     ihd inspect scope_ch1.isf scope_ch2.isf --plot capture.svg\n  \
     ihd inspect capture.mcap --json | jq '.findings[].message'\n\n\
     Exit codes: 0 fit for identification, 1 cannot be read or has no switching frequency, 2 wrong \
-    usage, 7 R and L would be wrong (a finding of severity error), or the file is empty, cut, damaged or of\n\
+    usage, 7 R and L would be wrong (a finding of severity error), or the file is empty, a cut MCAP or of\n\
     one channel (what could be read is shown)")]
 pub struct InspectArgs {
     #[command(flatten)]
