@@ -59,7 +59,7 @@ fn limit_text(t: &Telemetry) -> String {
         Limit::None => String::new(),
         // Near these limits it changes with every half-cycle.
         Limit::Frequency | Limit::Resonance | Limit::SoftSwitching => String::new(),
-        limit => format!("{limit:?} keeps the power down"),
+        limit => format!("{} keeps the power down", limit.name()),
     }
 }
 
@@ -68,14 +68,14 @@ pub fn live(t: &Telemetry) -> Live {
     let fault = t.fault.number();
     Live {
         half_cycle: t.half_cycle,
-        state: format!("{:?}", t.state),
-        pot: format!("{:?}", t.pot),
+        state: t.state.name().to_owned(),
+        pot: t.pot.name().to_owned(),
         fault,
         fault_text: match fault {
             0 => String::new(),
             _ => t.fault.text().to_owned(),
         },
-        limit: format!("{:?}", t.limit),
+        limit: t.limit.name().to_owned(),
         asked_w: t.asked_w,
         power_w: f64::from(t.power_mw) * 1e-3,
         f_sw_hz: t.f_sw_hz,

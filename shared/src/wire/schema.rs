@@ -124,6 +124,12 @@ macro_rules! wire_enum {
             }
         }
         impl $name {
+            /// Name in documentation, files and API.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => stringify!($variant),)+
+                }
+            }
             /// Every variant, in order of its number.
             pub const ALL: &'static [$name] = &[$($name::$variant),+];
             /// The entry in the protocol's documentation and schema hash.

@@ -194,8 +194,8 @@ pub fn json(report: &RunReport) -> serde_json::Value {
         "asked_w": s.map(|s| s.asked_w),
         "delivered_w": s.map(|s| f64::from(s.delivered_mw) * 1e-3),
         "f_sw_hz": s.map(|s| s.f_sw_hz),
-        "pot": s.map(|s| format!("{:?}", s.pot).to_lowercase()),
-        "state": s.map(|s| format!("{:?}", s.state).to_lowercase()),
+        "pot": s.map(|s| s.pot.name().to_lowercase()),
+        "state": s.map(|s| s.state.name().to_lowercase()),
         "fault": s.map(|s| s.fault.number()),
         "processor": utilisation::json(report.utilisation.as_ref()),
         "windows": Windows {

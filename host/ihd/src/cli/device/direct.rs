@@ -225,14 +225,14 @@ fn live(status: &Status, telemetry: Option<&Telemetry>) -> Live {
     let of = |number: fn(&Telemetry) -> f64| telemetry.map_or(f64::NAN, number);
     Live {
         half_cycle: status.half_cycles,
-        state: format!("{:?}", status.state),
-        pot: format!("{:?}", status.pot),
+        state: status.state.name().to_owned(),
+        pot: status.pot.name().to_owned(),
         fault: status.fault.number(),
         fault_text: match status.fault {
             Fault::NONE => String::new(),
             fault => fault.text().to_owned(),
         },
-        limit: format!("{:?}", status.limit),
+        limit: status.limit.name().to_owned(),
         asked_w: status.asked_w,
         power_w: f64::from(status.delivered_mw) * 1e-3,
         f_sw_hz: status.f_sw_hz,
