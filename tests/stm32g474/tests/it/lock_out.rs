@@ -9,7 +9,9 @@ use ihd_stm32g474::chip::Reset;
 use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::registers::syscfg;
 
-use crate::board::{Bench, assert_no_violations, connect, resets, set_mains, take_mains_off, with_pot};
+use crate::board::{
+    Bench, assert_no_violations, connect, resets, set_mains, take_mains_off, with_pot,
+};
 
 /// Board that locked out while it heated, by a lock-up of the processor that has ended.
 fn locked_out() -> Bench {

@@ -68,7 +68,10 @@ fn it_restarts_into_the_bootloader_and_comes_back() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);
     // The bootloader drives the pins of both switches.
-    assert_eq!(outcome(client.restart(Program::Bootloader)), Outcome::NotIdle);
+    assert_eq!(
+        outcome(client.restart(Program::Bootloader)),
+        Outcome::NotIdle
+    );
     take_mains_off(&bench);
     client.restart(Program::Bootloader).unwrap();
     assert!(!is_in_bootloader(&bench), "the answer must leave first");
