@@ -141,7 +141,7 @@ fn results_windows_and_lookups_are_shown_beside_the_writer() {
         1
     );
     assert_eq!(
-        json(folder.path(), &["ls", "--device", "x"]),
+        json(folder.path(), &["ls", "--since", "2099-01-01"]),
         Value::Array(vec![])
     );
     let id = refused["id"].to_string();
@@ -251,6 +251,11 @@ fn what_is_exported_and_backed_up_can_be_read() {
 fn damage_is_7_and_wrong_usage_2() {
     let folder = tempfile::tempdir().unwrap();
     drop(filled(folder.path()));
+    for command in [&["ls"][..], &["export", "--format", "csv", "--out", "out"]] {
+        let args = [command, &["--device", "nosuch"]].concat();
+        let (code, _, stderr) = ihd(folder.path(), &args);
+        assert!(code == 2 && stderr.contains("it has: bench"), "{stderr}");
+    }
     let records = folder.path().join("kept/ihd.db");
     let mut bytes = fs::read(&records).unwrap();
     let page = 4_096;

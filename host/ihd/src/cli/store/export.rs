@@ -72,7 +72,7 @@ impl ExportArgs {
             !self.results || self.format == FormatArg::Csv,
             "--results are written as CSV alone: --format csv"
         );
-        let reader = StoreReader::open(&place.folder)?;
+        let reader = place.read_of(self.device.as_deref())?;
         if self.results {
             return self.results(&reader, json);
         }

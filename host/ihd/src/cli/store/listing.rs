@@ -43,7 +43,7 @@ impl LsArgs {
                 limit => limit,
             }),
         };
-        let rows = place.read()?.results(&filter)?;
+        let rows = place.read_of(self.device.as_deref())?.results(&filter)?;
         if json {
             let entries: Vec<Value> = rows.iter().map(entry).collect();
             return output::json(&entries);

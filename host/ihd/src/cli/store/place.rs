@@ -26,7 +26,7 @@ impl StorePlace {
     /// Opens the store for reading.
     ///
     /// # Errors
-    /// As [`Reader::open`]; names the runs of `ihd trainer` if the folder holds these alone.
+    /// As [`StoreReader::open`]; names the runs of `ihd trainer` if the folder holds these alone.
     pub fn read(&self) -> Result<StoreReader> {
         StoreReader::open(&self.folder).map_err(|why| {
             let run = self.folder.join("run-001");
@@ -39,6 +39,24 @@ impl StorePlace {
             let why = anyhow::Error::from(why);
             if only_runs { why.context(context) } else { why }
         })
+    }
+
+    /// Opens the store to read what it has of a device, or of all.
+    ///
+    /// # Errors
+    /// As [`StorePlace::read`]; a device that the store does not have.
+    pub fn read_of(&self, device: Option<&str>) -> Result<StoreReader> {
+        let reader = self.read()?;
+        if let Some(device) = device {
+            let names: Vec<_> = reader.devices()?.into_iter().map(|d| d.name).collect();
+            ensure_usage!(
+                names.iter().any(|name| name == device),
+                "{} has no device `{device}`; it has: {}",
+                self.folder.display(),
+                names.join(", ")
+            );
+        }
+        Ok(reader)
     }
 }
 
