@@ -214,7 +214,7 @@ impl SupplyShare {
         self.holds()
     }
 
-    /// Takes the power of a half-cycle, in milliwatt, for its noise.
+    /// Takes the power of a half-cycle or a pot probe, in milliwatt, for its noise.
     pub fn note(&mut self, power_mw: u32) {
         self.noise = self.noise.rotate_left(3) ^ power_mw as u8;
     }

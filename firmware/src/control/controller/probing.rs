@@ -89,6 +89,7 @@ impl Control {
             Pot::Ferromagnetic | Pot::Small => {
                 (self.parts.pot, self.parts.heated_hz) = (pot, pwm::HIGHEST_HZ);
                 self.enter(ControlState::Heating(Heating::new(status.now_ms)));
+                self.parts.supply_share.note(summary.power_mw);
                 if self.parts.supply_share.claim() {
                     Action::Drive(Drive::switching(pwm::HIGHEST_HZ))
                 } else {
