@@ -18,6 +18,7 @@ use ihd_shared::wire::messages::{
 use ihd_shared::wire::timing::HOST_UNHEARD_MS;
 use ihd_signal::Segment;
 use ihd_sim::hob::{HobConfig, PanelEvent, SimHob};
+use ihd_sim::injection::{Injection, InjectionKind};
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::Rate;
 use ihd_sim::recording::settings;
@@ -401,6 +402,31 @@ fn replays_one_after_the_other_do_not_look_like_a_broken_mains() {
         pass(&hob, 0.004 + 0.001 * f64::from(k % 9));
         assert_eq!(client.status().unwrap().fault, Fault::NONE, "replay {k}");
     }
+}
+
+/// A host that ends a replay all the time, where none is, keeps no check from acting: that of the mains takes several half-cycles.
+#[test]
+fn the_end_of_no_replay_forgets_nothing() {
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let mut client = client(hob.clone()).unwrap();
+    client.set_power(1_000).unwrap();
+    pass(&hob, 1.0);
+    assert_eq!(client.status().unwrap().state, State::Heating);
+    let kind = InjectionKind::LostCrossings;
+    hob.lock().inject(|injections| {
+        injections.start(Injection {
+            kind,
+            value: 2.0,
+            channel: kind.default_channel(),
+        });
+    });
+    let trips = (0..100).any(|_| {
+        pass(&hob, 0.01);
+        client.continue_replay(0).end().unwrap();
+        hob.lock().panel(PanelEvent::KeyLock(false));
+        client.status().unwrap().fault != Fault::NONE
+    });
+    assert!(trips);
 }
 
 /// Nobody ends the replay of a host that is gone: a touch of the panel does, and so do ten seconds of silence.

@@ -180,8 +180,6 @@ impl Control {
             0
         };
         if status.replaying {
-            // A recording has no mains and no bridge of its own.
-            self.plausibility.reset();
             return Action::Keep;
         }
         let implausible = self.plausibility.on_half_cycle(summary);
@@ -216,6 +214,10 @@ impl Control {
     /// Takes a step after each block.
     #[inline(never)]
     pub fn tick(&mut self, status: &SamplingStatus) -> Action {
+        if status.replaying {
+            // A recording has no mains and no bridge of its own; the half-cycle in which it begins or ends is cut.
+            self.plausibility.reset();
+        }
         if status.fault != self.seen_fault {
             self.seen_fault = status.fault;
             if status.fault != Fault::NONE {

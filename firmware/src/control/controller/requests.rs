@@ -45,9 +45,6 @@ impl Control {
             self.parts.times.unattended.touched();
             self.off_reason = OffReason::None;
         }
-        if self.parts.request.is_off_at_panel() {
-            self.parts.times.timer.set(0);
-        }
         match result {
             PanelResult::Timer(minutes) => {
                 self.parts.times.timer.set(minutes);
@@ -72,11 +69,6 @@ impl Control {
     pub fn host_lost(&mut self) -> Action {
         self.parts.request.host_lost();
         self.follow_request()
-    }
-
-    /// Forgets the half-cycles so far: the one in which a replay begins or ends is cut.
-    pub fn on_replay_mode(&mut self) {
-        self.plausibility.reset();
     }
 
     /// Switches off, for a reason of the hob's own.
@@ -121,7 +113,6 @@ impl Control {
             }
             reason => {
                 self.off_reason = reason;
-                self.parts.times.timer.set(0);
                 self.parts.request.switch_off_at_panel();
                 self.follow_request()
             }
@@ -130,6 +121,9 @@ impl Control {
 
     /// Acts on a request of power that may have changed.
     fn follow_request(&mut self) -> Action {
+        if self.parts.request.is_off_at_panel() {
+            self.parts.times.timer.set(0);
+        }
         let asked_w = self.parts.request.power_w();
         match &mut self.state {
             ControlState::Idle | ControlState::Pausing | ControlState::LockedOut => Action::Keep,

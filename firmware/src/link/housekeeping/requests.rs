@@ -229,7 +229,6 @@ impl Housekeeping {
     }
 
     fn replay_mode(&mut self, mode: ReplayMode) -> Response {
-        self.control.on_replay_mode();
         self.queue.set_capability(CAP_REPLAYING, mode.active);
         Response::ReplayMode(mode)
     }

@@ -26,7 +26,7 @@ impl StorePlace {
     /// Opens the store for reading.
     ///
     /// # Errors
-    /// As [`StoreReader::open`]; names the runs of `ihd trainer` if the folder holds these alone.
+    /// Errors of [`StoreReader::open`]; names the runs of `ihd trainer` if the folder holds these alone.
     pub fn read(&self) -> Result<StoreReader> {
         StoreReader::open(&self.folder).map_err(|why| {
             let run = self.folder.join("run-001");
@@ -44,7 +44,7 @@ impl StorePlace {
     /// Opens the store to read what it has of a device, or of all.
     ///
     /// # Errors
-    /// As [`StorePlace::read`]; a device that the store does not have.
+    /// Errors of [`StorePlace::read`]; a device that the store does not have.
     pub fn read_of(&self, device: Option<&str>) -> Result<StoreReader> {
         let reader = self.read()?;
         if let Some(device) = device {
