@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 use std::time::Duration;
 
+use ihd_firmware::control::request::PanelEvent;
 use ihd_link::{Client, DeviceEvent, Window};
 use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, CODE_MAX, Pair, VOLT_PER_CODE, f_adc_hz,
@@ -19,6 +20,8 @@ use ihd_shared::wire::messages::{
 };
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_MS;
+use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::transport::SharedHob;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello, heating, heating_where};
 
 /// Events of the client during the next half-cycles, all of them.
@@ -444,4 +447,28 @@ fn what_a_slow_link_makes_the_device_drop_is_counted_on_both_ends() {
     // Those dropped after the last one sent show with the next.
     assert!(seen <= known && known - seen <= 3, "{seen} of {known}");
     assert_eq!(counters.windows_rejected_total(), 0);
+}
+
+/// Bursts come in whole seconds, and windows in whole fifths of one: each burst shows a window, whatever half-cycle it began in.
+#[test]
+fn each_burst_of_a_low_level_shows_a_window() {
+    const BURSTS: usize = 4;
+    for delay in (0..20).step_by(4) {
+        let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+        let mut client = Client::connect(Box::new(hob.clone())).unwrap();
+        client.stream(0, 20).unwrap();
+        watch(&mut client, 20 + delay);
+        hob.lock().panel(PanelEvent::Level(1));
+        // The pot is found, and the first burst's frequency.
+        watch(&mut client, 300);
+        let events = watch(&mut client, 100 * BURSTS as u64);
+        let windows = events
+            .iter()
+            .filter(|e| matches!(e, DeviceEvent::Window(_)));
+        assert_eq!(
+            windows.count(),
+            BURSTS,
+            "switched on {delay} half-cycles later"
+        );
+    }
 }

@@ -69,8 +69,10 @@ pub struct Recorder {
     raw: bool,
     header: WindowHeader,
     counters: WindowCounters,
-    /// Half-cycles from window to window; 0 for none.
+    /// Least half-cycles from window to window; 0 for none.
     period: u8,
+    /// Half-cycle of the last window that was due.
+    last_due: u32,
     /// Version of the active lookup, for the windows' headers.
     lookup_version: u32,
     /// Time of the current block's first pair since the window's zero crossing.
@@ -116,6 +118,7 @@ impl Recorder {
                 dropped: 0,
             },
             period: 0,
+            last_due: 0,
             lookup_version: 0,
             block_start_ns: 0,
             blocks: 0,
@@ -130,7 +133,7 @@ impl Recorder {
         self.counters
     }
 
-    /// Sets the half-cycles from window to window; 0 for none.
+    /// Sets the least half-cycles from window to window; 0 for none.
     pub fn set_period(&mut self, half_cycles: u8) {
         self.period = half_cycles;
     }
@@ -140,11 +143,12 @@ impl Recorder {
         self.lookup_version = version;
     }
 
-    /// Returns `true` if a window of this half-cycle is due.
+    /// Returns `true` if a window of this half-cycle is due: a period has passed since the last one. It stays due until
+    /// [`Recorder::begin`], so that bursts in the period's rhythm show windows too.
     #[inline]
     pub fn is_due(&self, half_cycle: u32) -> bool {
         let period = u32::from(self.period);
-        period > 0 && half_cycle.is_multiple_of(period)
+        period > 0 && half_cycle.wrapping_sub(self.last_due) >= period
     }
 
     /// Begins a window that is due. The sequence number counts before the slot is claimed, so that a drop shows
@@ -152,6 +156,7 @@ impl Recorder {
     pub fn begin(&mut self, half_cycle: u32, f_sw_hz: u32, block_start_ns: i64) {
         let seq = self.counters.due;
         self.counters.due = seq.wrapping_add(1);
+        self.last_due = half_cycle;
         if self.stage != Stage::Free {
             self.counters.dropped = self.counters.dropped.wrapping_add(1);
             return;

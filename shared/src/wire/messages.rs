@@ -55,7 +55,7 @@ message_table! { 'a;
     0x03 Request Stream -> Reply {
         /// A `Telemetry` every this many half-cycles; 0 for none.
         telemetry_every: u8,
-        /// A window every this many half-cycles; 0 for none.
+        /// A window whenever this many half-cycles have passed and the bridge switches at one frequency; 0 for none.
         windows_every: u8,
     }
     /// Asks for a `Status`.
