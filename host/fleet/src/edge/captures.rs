@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use async_nats::jetstream::Context;
 
-use super::Link;
+use super::link::Link;
 use crate::captures;
 use crate::jetstream::JetStreamError;
 use crate::names;
@@ -16,26 +16,35 @@ const POLL_PERIOD: Duration = Duration::from_secs(10);
 
 /// Uploads each finished recording once, as `EDGE/FILE`, until the edge stops.
 pub async fn run(link: Arc<Link>, context: Context) {
-    let mut there: BTreeSet<String> = BTreeSet::new();
-    let mut known = false;
-    loop {
-        if link.is_admitted() {
-            if !known {
-                let listed = captures::list(&context).await;
-                known = listed.is_ok();
-                there.extend(listed.unwrap_or_default().into_iter().map(|c| c.name));
-            }
-            if known {
-                match upload_new(&link, &context, &mut there).await {
-                    Ok(()) => link.works("captures"),
-                    Err(why) => link.failed("captures", &why),
-                }
-            }
+    let mut there = None;
+    while link
+        .turn(
+            "captures",
+            POLL_PERIOD,
+            take_turn(&link, &context, &mut there),
+        )
+        .await
+    {}
+}
+
+/// Uploads the recordings that are not `there`, once the fleet's are known; returns the pause before the next search.
+async fn take_turn(
+    link: &Link,
+    context: &Context,
+    there: &mut Option<BTreeSet<String>>,
+) -> Result<Duration, JetStreamError> {
+    if link.is_admitted() {
+        if there.is_none()
+            && let Ok(listed) = captures::list(context).await
+        {
+            *there = Some(listed.into_iter().map(|c| c.name).collect());
         }
-        if !link.wait(POLL_PERIOD).await {
-            return;
+        if let Some(there) = there {
+            upload_new(link, context, there).await?;
+            link.works("captures");
         }
     }
+    Ok(POLL_PERIOD)
 }
 
 async fn upload_new(

@@ -9,8 +9,8 @@ use ihd_daemon::learning::{WorkerFigures, sum_answers};
 use ihd_model::{DeviceReport, FleetAnswers, FleetDevice, FleetEdge, FleetReport, FleetStates};
 use tokio::time::Instant;
 
-use super::Link;
 use super::alarms::Alarms;
+use super::link::Link;
 use crate::clock::now_ms;
 use crate::jetstream::{self, JetStreamError, SILENT_AFTER};
 use crate::names;

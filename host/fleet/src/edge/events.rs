@@ -7,7 +7,7 @@ use std::time::Duration;
 use ihd_store::EventRow;
 use serde::{Deserialize, Serialize};
 
-use super::{Link, TRY_AGAIN};
+use super::link::{Link, RETRY_PAUSE};
 use crate::names;
 use crate::stream_message::{Outgoing, PendingAck};
 
@@ -34,28 +34,20 @@ pub struct EventMessage {
 
 /// Sends until the edge stops. Events of the daemon itself, without a device, stay in its store.
 pub async fn run(link: Arc<Link>) {
-    loop {
-        let pause = match link.is_admitted() {
-            true => match send_batch(&link).await {
-                Ok(sent) => {
-                    link.works("events");
-                    if sent == BATCH {
-                        Duration::ZERO
-                    } else {
-                        POLL_PERIOD
-                    }
-                }
-                Err(why) => {
-                    link.failed("events", &why);
-                    TRY_AGAIN
-                }
-            },
-            false => POLL_PERIOD,
-        };
-        if !link.wait(pause).await {
-            return;
-        }
+    while link.turn("events", RETRY_PAUSE, take_turn(&link)).await {}
+}
+
+/// Sends a batch; returns the pause before the next one.
+async fn take_turn(link: &Link) -> Result<Duration, String> {
+    if !link.is_admitted() {
+        return Ok(POLL_PERIOD);
     }
+    let sent = send_batch(link).await?;
+    link.works("events");
+    Ok(match sent {
+        BATCH => Duration::ZERO,
+        _ => POLL_PERIOD,
+    })
 }
 
 async fn send_batch(link: &Link) -> Result<usize, String> {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::Link;
+use super::link::Link;
 use crate::dead_letters;
 
 /// Period of the checks.
@@ -18,24 +18,19 @@ const ASKED_AFTER_MS: i64 = 20_000;
 /// Checks until the edge stops.
 pub async fn run(link: Arc<Link>) {
     let mut passed = 0;
-    loop {
-        if link.is_admitted() {
-            match link
-                .unless_stopping(check_dead_letters(&link, passed))
-                .await
-            {
-                None => return,
-                Some(Ok(next)) => {
-                    link.works("given up");
-                    passed = next;
-                }
-                Some(Err(why)) => link.failed("given up", &why),
-            }
-        }
-        if !link.wait(POLL_PERIOD).await {
-            return;
-        }
+    while link
+        .turn_until_stop("given up", POLL_PERIOD, take_turn(&link, &mut passed))
+        .await
+    {}
+}
+
+/// Checks windows behind the first `passed`; returns the pause before the next check.
+async fn take_turn(link: &Link, passed: &mut usize) -> Result<Duration, String> {
+    if link.is_admitted() {
+        *passed = check_dead_letters(link, *passed).await?;
+        link.works("given up");
     }
+    Ok(POLL_PERIOD)
 }
 
 /// Checks unanswered windows behind the first `passed`; returns `passed` of the next check.

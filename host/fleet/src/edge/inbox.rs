@@ -10,7 +10,9 @@ use ihd_daemon::learning::WorkerAnswer;
 use ihd_store::FleetMark;
 use tokio::time::Instant;
 
-use super::{Link, TRY_AGAIN, lock, outbox};
+use super::link::{Link, RETRY_PAUSE};
+use super::outbox;
+use super::state::lock;
 use crate::jetstream::JetStreamError;
 use crate::names;
 use crate::server::{Incoming, ResultConsumer};
@@ -33,21 +35,22 @@ const ANSWERED_WITHIN: Duration = Duration::from_secs(REQUEST_TIME.as_secs() + 4
 
 /// Receives results until the edge stops.
 pub async fn run(link: Arc<Link>) {
-    loop {
-        if link.is_admitted() {
-            let ended = link.unless_stopping(receive_results(&link)).await;
-            match ended {
-                None => return,
-                Some(Ok(())) => {}
-                Some(Err(why)) => link.failed("results", &why),
-            }
-        }
-        link.state().signs.answered(false, Instant::now());
-        link.renew_delegation();
-        if !link.wait(TRY_AGAIN).await {
-            return;
-        }
+    while link
+        .turn_until_stop("results", RETRY_PAUSE, take_turn(&link))
+        .await
+    {}
+}
+
+/// Receives results as long as the server answers; returns the pause before the next attempt.
+async fn take_turn(link: &Link) -> Result<Duration, JetStreamError> {
+    if link.is_admitted()
+        && let Err(why) = receive_results(link).await
+    {
+        link.failed("results", &why);
     }
+    link.state().signs.answered(false, Instant::now());
+    link.renew_delegation();
+    Ok(RETRY_PAUSE)
 }
 
 /// Receives results until the consumer fails, the server does not answer or the daemon's devices change.

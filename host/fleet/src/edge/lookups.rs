@@ -14,7 +14,7 @@ use ihd_shared::lookup::RlLookup;
 use ihd_store::LookupState;
 use tokio::sync::broadcast::error::RecvError;
 
-use super::{Link, TRY_AGAIN};
+use super::link::{Link, RETRY_PAUSE};
 use crate::jetstream;
 use crate::lookups::LookupMessage;
 use crate::names;
@@ -27,18 +27,18 @@ const POLL_PERIOD: Duration = Duration::from_secs(5);
 
 /// Reconciles hobs and fleet until the edge stops.
 pub async fn run(link: Arc<Link>, context: Context) {
-    loop {
-        if link.is_admitted() {
-            match link.unless_stopping(follow(&link, &context)).await {
-                None => return,
-                Some(Err(why)) => link.failed("lookups", &why),
-                Some(Ok(())) => {}
-            }
-        }
-        if !link.wait(TRY_AGAIN).await {
-            return;
-        }
+    while link
+        .turn_until_stop("lookups", RETRY_PAUSE, take_turn(&link, &context))
+        .await
+    {}
+}
+
+/// Reconciles as long as the edge is admitted; returns the pause before the next attempt.
+async fn take_turn(link: &Link, context: &Context) -> Result<Duration, String> {
+    if link.is_admitted() {
+        follow(link, context).await?;
     }
+    Ok(RETRY_PAUSE)
 }
 
 async fn follow(link: &Link, context: &Context) -> Result<(), String> {

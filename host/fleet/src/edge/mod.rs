@@ -18,6 +18,7 @@ mod events;
 mod faults;
 mod given_up;
 mod inbox;
+mod link;
 mod lookups;
 mod name;
 mod outbox;
@@ -26,28 +27,25 @@ pub(crate) mod state;
 mod states;
 mod trust;
 
-use std::future::Future;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use async_nats::Event;
 use ihd_daemon::Daemon;
 use ihd_daemon::fleet::FleetConfig;
-use tokio::sync::{Notify, watch};
+use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::Instant;
 
 use crate::access::{Access, AccessError};
 use crate::server::FleetServer;
-use crate::standing::Standing;
 
-pub(crate) use self::state::{State, lock};
+use self::link::Link;
+use self::state::lock;
+
+pub(crate) use self::state::State;
 
 pub use self::events::EventMessage;
 pub use self::states::StateMessage;
-
-/// Pause after a failure.
-const TRY_AGAIN: Duration = Duration::from_secs(2);
 
 /// Longest time that the tasks have to stop.
 const END_WITHIN: Duration = Duration::from_secs(5);
@@ -56,19 +54,6 @@ const END_WITHIN: Duration = Duration::from_secs(5);
 pub struct Edge {
     stop: watch::Sender<bool>,
     tasks: JoinSet<()>,
-}
-
-/// Data shared by the tasks of an edge.
-pub(crate) struct Link {
-    pub daemon: Daemon,
-    pub server: FleetServer,
-    pub edge: String,
-    /// Address of the server, without secrets.
-    pub address: String,
-    state: Arc<Mutex<State>>,
-    /// Ends all waiting in [`Link::wait`].
-    wake: Notify,
-    stop: watch::Receiver<bool>,
 }
 
 impl Edge {
@@ -107,15 +92,7 @@ impl Edge {
         state: Arc<Mutex<State>>,
     ) -> (Arc<Link>, Self) {
         let (stop, stopped) = watch::channel(false);
-        let link = Arc::new(Link {
-            daemon,
-            server,
-            address,
-            edge,
-            state,
-            wake: Notify::new(),
-            stop: stopped,
-        });
+        let link = Arc::new(Link::new(daemon, edge, address, server, state, stopped));
         let mut tasks = JoinSet::new();
         tasks.spawn(name::run(Arc::clone(&link)));
         tasks.spawn(outbox::run(Arc::clone(&link)));
@@ -131,108 +108,6 @@ impl Edge {
         let ended = async { while self.tasks.join_next().await.is_some() {} };
         if tokio::time::timeout(END_WITHIN, ended).await.is_err() {
             tracing::warn!("what was on its way to the fleet is sent at the next start");
-        }
-    }
-}
-
-impl Link {
-    pub fn state(&self) -> MutexGuard<'_, State> {
-        lock(&self.state)
-    }
-
-    /// Returns `true` while this edge takes part in the fleet: the server answers, can do what is needed, and the edge's name is this store's.
-    pub fn is_admitted(&self) -> bool {
-        self.is_reachable() && self.state().standing == Standing::Held
-    }
-
-    /// Records a failure of a part; each text is logged once.
-    pub fn failed(&self, part: &'static str, why: &dyn std::fmt::Display) {
-        let why = why.to_string();
-        if self.state().faults.failed(part, &why) {
-            tracing::warn!("fleet: {part}: {why}");
-        }
-    }
-
-    /// Records that a part works, which ends its failures.
-    pub fn works(&self, part: &str) {
-        let failures = self.state().faults.works(part);
-        if failures > 0 {
-            tracing::info!(failures, "fleet: {part}: it works again");
-        }
-    }
-
-    /// Returns the text of all present failures, empty without any.
-    pub fn failure_text(&self) -> String {
-        let state = self.state();
-        let refused = match &state.standing {
-            Standing::Refused(why) => why.as_str(),
-            Standing::Unknown | Standing::Held => "",
-        };
-        let texts = [&*state.away, refused, &state.faults.text()];
-        let texts = texts.into_iter().filter(|text| !text.is_empty());
-        texts.collect::<Vec<_>>().join("; ")
-    }
-
-    /// Delegates windows to the fleet for as long as [`Signs`](trust::Signs) allow.
-    pub fn renew_delegation(&self) {
-        let mut state = self.state();
-        let State { signs, answers, .. } = &mut *state;
-        let until = signs.delegated_until(answers, Instant::now());
-        let until = until.filter(|_| state.connected && state.standing == Standing::Held);
-        if until.is_some() {
-            state.away.clear();
-        }
-        drop(state);
-        self.daemon.fleet().delegate_until(until);
-    }
-
-    /// Returns `true` if the server answers and is new enough; records the failure if it is too old.
-    pub fn is_reachable(&self) -> bool {
-        if !self.state().connected {
-            return false;
-        }
-        match self.server.check() {
-            Ok(()) => {
-                self.works("server");
-                true
-            }
-            Err(why) => {
-                self.failed("server", &why);
-                false
-            }
-        }
-    }
-
-    /// Returns the names of this daemon's devices.
-    pub fn hobs(&self) -> Vec<String> {
-        let devices = self.daemon.view().devices().into_iter().map(|d| d.name);
-        devices
-            .filter(|name| ihd_daemon::config::is_name(name))
-            .collect()
-    }
-
-    /// Waits until the edge stops.
-    pub async fn stopping(&self) {
-        let _ = self.stop.clone().wait_for(|&stopping| stopping).await;
-    }
-
-    /// Waits for a time or until [`Link::wake_waiting`]; returns `false` if the edge stops.
-    pub async fn wait(&self, time: Duration) -> bool {
-        let wake = tokio::time::timeout(time, self.wake.notified());
-        self.unless_stopping(wake).await.is_some()
-    }
-
-    /// Ends all waiting, because the edge was admitted to the fleet or refused.
-    pub fn wake_waiting(&self) {
-        self.wake.notify_waiters();
-    }
-
-    /// Waits for a future; `None` if the edge stops before.
-    pub async fn unless_stopping<T>(&self, what: impl Future<Output = T>) -> Option<T> {
-        tokio::select! {
-            biased;
-            () = self.stopping() => None,
-            done = what => Some(done),
         }
     }
 }

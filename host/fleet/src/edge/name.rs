@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ihd_daemon::fleet::host_name;
 
-use super::{Link, TRY_AGAIN};
+use super::link::{Link, RETRY_PAUSE};
 use crate::claims::{self, Claim, ClaimVerdict};
 use crate::jetstream::JetStreamError;
 use crate::message_ids::MessageIds;
@@ -17,23 +17,21 @@ const POLL_PERIOD: Duration = Duration::from_secs(5);
 /// Checks the claim of the name until the edge stops.
 pub async fn run(link: Arc<Link>) {
     let mut mine = None;
-    loop {
-        let mut pause = TRY_AGAIN;
-        if link.is_reachable() {
-            match link.unless_stopping(check_claim(&link, &mut mine)).await {
-                None => return,
-                Some(Ok(())) => {
-                    link.works("name");
-                    pause = POLL_PERIOD;
-                }
-                // The last known standing stays.
-                Some(Err(why)) => link.failed("name", &why),
-            }
-        }
-        if !link.wait(pause).await {
-            return;
-        }
+    while link
+        .turn_until_stop("name", RETRY_PAUSE, take_turn(&link, &mut mine))
+        .await
+    {}
+}
+
+/// Checks the claim; returns the pause before the next check.
+async fn take_turn(link: &Link, mine: &mut Option<Claim>) -> Result<Duration, JetStreamError> {
+    if !link.is_reachable() {
+        return Ok(RETRY_PAUSE);
     }
+    // After a failure the last known standing stays.
+    check_claim(link, mine).await?;
+    link.works("name");
+    Ok(POLL_PERIOD)
 }
 
 async fn check_claim(link: &Link, mine: &mut Option<Claim>) -> Result<(), JetStreamError> {

@@ -12,7 +12,7 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::time::Instant;
 
 use super::acknowledged::{self, all_until};
-use super::{Link, TRY_AGAIN};
+use super::link::{Link, RETRY_PAUSE};
 use crate::message_ids::MessageIds;
 use crate::names;
 use crate::stream_message::{Acknowledged, Outgoing, PendingAck, PublishFailure};
@@ -54,7 +54,7 @@ pub async fn run(link: Arc<Link>) {
             Ok(secret) => break MessageIds::new(secret),
             Err(why) => link.failed("store", &why),
         }
-        if !link.wait(TRY_AGAIN).await {
+        if !link.wait(RETRY_PAUSE).await {
             return;
         }
     };
@@ -84,7 +84,7 @@ pub async fn run(link: Arc<Link>) {
             Ok(None) => {}
             Err(why) => {
                 link.failed("sending", &why);
-                if !link.wait(TRY_AGAIN).await {
+                if !link.wait(RETRY_PAUSE).await {
                     return;
                 }
                 continue;

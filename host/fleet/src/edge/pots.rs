@@ -7,7 +7,7 @@ use std::time::Duration;
 use async_nats::jetstream::Context;
 use ihd_map::library::{Library, LibraryError, MOST_OF_ONE_HOB, PotEntry, Provenance};
 
-use super::{Link, TRY_AGAIN};
+use super::link::{Link, RETRY_PAUSE};
 use crate::clock::now_ms;
 use crate::jetstream::{self, JetStreamError};
 use crate::names;
@@ -17,24 +17,20 @@ const POLL_PERIOD: Duration = Duration::from_secs(60);
 
 /// Exchanges pots until the edge stops.
 pub async fn run(link: Arc<Link>, context: Context) {
-    loop {
-        let pause = match link.is_admitted() {
-            true => match exchange(&link, &context).await {
-                Ok(()) => {
-                    link.works("pots");
-                    POLL_PERIOD
-                }
-                Err(why) => {
-                    link.failed("pots", &why);
-                    POLL_PERIOD
-                }
-            },
-            false => TRY_AGAIN,
-        };
-        if !link.wait(pause).await {
-            return;
-        }
+    while link
+        .turn("pots", POLL_PERIOD, take_turn(&link, &context))
+        .await
+    {}
+}
+
+/// Exchanges pots; returns the pause before the next exchange.
+async fn take_turn(link: &Link, context: &Context) -> Result<Duration, JetStreamError> {
+    if !link.is_admitted() {
+        return Ok(RETRY_PAUSE);
     }
+    exchange(link, context).await?;
+    link.works("pots");
+    Ok(POLL_PERIOD)
 }
 
 async fn exchange(link: &Link, context: &Context) -> Result<(), JetStreamError> {

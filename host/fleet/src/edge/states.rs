@@ -8,7 +8,7 @@ use futures_util::StreamExt;
 use ihd_model::DeviceReport;
 use serde::{Deserialize, Serialize};
 
-use super::{Link, TRY_AGAIN};
+use super::link::{Link, RETRY_PAUSE};
 use crate::clock::now_ms;
 use crate::{discovery, names};
 
@@ -65,19 +65,18 @@ impl StateMessage {
 
 /// Publishes states until the edge stops, and discovery messages at each start of Home Assistant.
 pub async fn run(link: Arc<Link>, client: Client) {
-    loop {
-        if link.is_admitted() {
-            let published = link.unless_stopping(publish_states(&link, &client)).await;
-            match published {
-                None => return,
-                Some(Err(why)) => link.failed("states", &why),
-                Some(Ok(())) => {}
-            }
-        }
-        if !link.wait(TRY_AGAIN).await {
-            return;
-        }
+    while link
+        .turn_until_stop("states", RETRY_PAUSE, take_turn(&link, &client))
+        .await
+    {}
+}
+
+/// Publishes as long as the edge is admitted; returns the pause before the next attempt.
+async fn take_turn(link: &Link, client: &Client) -> Result<Duration, String> {
+    if link.is_admitted() {
+        publish_states(link, client).await?;
     }
+    Ok(RETRY_PAUSE)
 }
 
 async fn publish_states(link: &Link, client: &Client) -> Result<(), String> {

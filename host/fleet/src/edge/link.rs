@@ -1,0 +1,176 @@
+//! Link of an edge's tasks: their shared data, and the turns that each takes.
+
+use std::fmt::Display;
+use std::future::Future;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+use ihd_daemon::Daemon;
+use tokio::sync::{Notify, watch};
+use tokio::time::Instant;
+
+use super::state::{State, lock};
+use crate::server::FleetServer;
+use crate::standing::Standing;
+
+/// Pause after a failure, and while the edge is not admitted.
+pub const RETRY_PAUSE: Duration = Duration::from_secs(2);
+
+/// Data shared by the tasks of an edge.
+pub(crate) struct Link {
+    pub daemon: Daemon,
+    pub server: FleetServer,
+    pub edge: String,
+    /// Address of the server, without secrets.
+    pub address: String,
+    state: Arc<Mutex<State>>,
+    /// Ends all waiting in [`Link::wait`].
+    wake: Notify,
+    stop: watch::Receiver<bool>,
+}
+
+impl Link {
+    pub fn new(
+        daemon: Daemon,
+        edge: String,
+        address: String,
+        server: FleetServer,
+        state: Arc<Mutex<State>>,
+        stop: watch::Receiver<bool>,
+    ) -> Self {
+        Self {
+            daemon,
+            server,
+            edge,
+            address,
+            state,
+            wake: Notify::new(),
+            stop,
+        }
+    }
+
+    pub fn state(&self) -> MutexGuard<'_, State> {
+        lock(&self.state)
+    }
+
+    /// Returns `true` while this edge takes part in the fleet: the server answers, can do what is needed, and the edge's name is this store's.
+    pub fn is_admitted(&self) -> bool {
+        self.is_reachable() && self.state().standing == Standing::Held
+    }
+
+    /// Records a failure of a part; each text is logged once.
+    pub fn failed(&self, part: &'static str, why: &dyn Display) {
+        let why = why.to_string();
+        if self.state().faults.failed(part, &why) {
+            tracing::warn!("fleet: {part}: {why}");
+        }
+    }
+
+    /// Records that a part works, which ends its failures.
+    pub fn works(&self, part: &str) {
+        let failures = self.state().faults.works(part);
+        if failures > 0 {
+            tracing::info!(failures, "fleet: {part}: it works again");
+        }
+    }
+
+    /// Returns the text of all present failures, empty without any.
+    pub fn failure_text(&self) -> String {
+        let state = self.state();
+        let refused = match &state.standing {
+            Standing::Refused(why) => why.as_str(),
+            Standing::Unknown | Standing::Held => "",
+        };
+        let texts = [&*state.away, refused, &state.faults.text()];
+        let texts = texts.into_iter().filter(|text| !text.is_empty());
+        texts.collect::<Vec<_>>().join("; ")
+    }
+
+    /// Delegates windows to the fleet for as long as [`Signs`](super::trust::Signs) allow.
+    pub fn renew_delegation(&self) {
+        let mut state = self.state();
+        let State { signs, answers, .. } = &mut *state;
+        let until = signs.delegated_until(answers, Instant::now());
+        let until = until.filter(|_| state.connected && state.standing == Standing::Held);
+        if until.is_some() {
+            state.away.clear();
+        }
+        drop(state);
+        self.daemon.fleet().delegate_until(until);
+    }
+
+    /// Returns `true` if the server answers and is new enough; records the failure if it is too old.
+    pub fn is_reachable(&self) -> bool {
+        if !self.state().connected {
+            return false;
+        }
+        match self.server.check() {
+            Ok(()) => {
+                self.works("server");
+                true
+            }
+            Err(why) => {
+                self.failed("server", &why);
+                false
+            }
+        }
+    }
+
+    /// Returns the names of this daemon's devices.
+    pub fn hobs(&self) -> Vec<String> {
+        let devices = self.daemon.view().devices().into_iter().map(|d| d.name);
+        devices
+            .filter(|name| ihd_daemon::config::is_name(name))
+            .collect()
+    }
+
+    /// Waits until the edge stops.
+    pub async fn stopping(&self) {
+        let _ = self.stop.clone().wait_for(|&stopping| stopping).await;
+    }
+
+    /// Waits for a time or until [`Link::wake_waiting`]; returns `false` if the edge stops.
+    pub async fn wait(&self, time: Duration) -> bool {
+        let wake = tokio::time::timeout(time, self.wake.notified());
+        self.unless_stopping(wake).await.is_some()
+    }
+
+    /// Ends all waiting, because the edge was admitted to the fleet or refused.
+    pub fn wake_waiting(&self) {
+        self.wake.notify_waiters();
+    }
+
+    /// Waits for a future; `None` if the edge stops before.
+    pub async fn unless_stopping<T>(&self, what: impl Future<Output = T>) -> Option<T> {
+        tokio::select! {
+            biased;
+            () = self.stopping() => None,
+            done = what => Some(done),
+        }
+    }
+
+    /// Takes a turn of a part, and the pause that it returns, `failure_pause` if it fails; returns `false` if the edge stops.
+    pub async fn turn<E: Display>(
+        &self,
+        part: &'static str,
+        failure_pause: Duration,
+        turn: impl Future<Output = Result<Duration, E>>,
+    ) -> bool {
+        let pause = turn.await.unwrap_or_else(|why| {
+            self.failed(part, &why);
+            failure_pause
+        });
+        self.wait(pause).await
+    }
+
+    /// Takes a turn as [`Link::turn`] does; a stop of the edge ends it at once.
+    pub async fn turn_until_stop<E: Display>(
+        &self,
+        part: &'static str,
+        failure_pause: Duration,
+        turn: impl Future<Output = Result<Duration, E>>,
+    ) -> bool {
+        let turn = self.turn(part, failure_pause, turn);
+        self.unless_stopping(turn).await.unwrap_or(false)
+    }
+}
