@@ -20,6 +20,7 @@ pub mod limits;
 pub mod lines;
 pub mod neighbours;
 pub mod path;
+mod prepared;
 pub mod reference;
 pub mod remarks;
 pub mod repair;

@@ -8,21 +8,14 @@ use ihd_identify::{
     run_with_progress,
 };
 use ihd_signal::{Capture, Remark, Segment, Severity};
-use ihd_survey::calibration::blind::{BlindOptions, CalibrationMode};
+use ihd_survey::calibration::blind::BlindOptions;
 use ihd_survey::{Hints, Survey, SurveyError};
 
 use crate::comparison;
 use crate::judge::{Evidence, judge, judge_failure};
-use crate::neighbours::{self, Neighbours};
+use crate::prepared::PreparedCapture;
 use crate::reference::ReferenceResults;
-use crate::remarks;
-use crate::repair;
-use crate::sensors::{CorrectionUncertainty, calibrate, correct_gain};
 use crate::verdict::Judgement;
-
-/// Least relative deviation of R and of L: splines and 12 bit resolve no more. The methods differ by this much on captures
-/// without noise.
-const RESOLUTION: f64 = 5e-5;
 
 /// Options of [`examine`].
 #[derive(Clone, Copy, Debug)]
@@ -120,69 +113,21 @@ pub fn examine_taking(
 }
 
 fn examine_samples(
-    mut capture: Cow<'_, Capture>,
+    capture: Cow<'_, Capture>,
     request: &ExamineOptions<'_>,
     progress: &mut OnProgress<'_>,
 ) -> Result<Examination, SurveyError> {
-    let repaired = repair::repair(capture, &request.hints)?;
-    capture = repaired.capture;
-    let [r_restored, l_restored] = repaired.shares;
-    let mut survey = repaired.survey;
-    let (mut removed, mut interference) = (None, Vec::new());
-    match neighbours::remove(&capture, &survey, &request.hints)? {
-        Neighbours::Absent(of_spans) => interference = of_spans,
-        Neighbours::Removed(mut without) => {
-            capture = Cow::Owned(std::mem::take(&mut without.capture));
-            survey = Survey::of(&capture, &request.hints)?;
-            removed = Some(without);
-        }
-    }
-    // What is left of a tone would be taken for a fault of the sensors, and restored samples have no edges of their own.
-    let hidden = removed.as_ref().is_some_and(|r| r.hide_sensors());
-    let mode = match hidden || repaired.shares != [0.0; 2] {
-        true => CalibrationMode::Off,
-        false => request.sensors.mode,
-    };
-    let sensors = BlindOptions {
-        mode,
-        ..request.sensors
-    };
-    let mut calibrated = calibrate(&capture, survey, &request.hints, sensors)?;
-    let mut sensors = calibrated.remarks();
-    let gain = (mode == CalibrationMode::Auto)
-        .then(|| correct_gain(&mut calibrated))
-        .flatten();
-    let uncertainty = CorrectionUncertainty::of(&calibrated, gain.is_some());
-    if let Some(gain) = gain {
-        calibrated.survey = Survey::of(&calibrated.capture, &request.hints)?;
-        sensors.retain(|r| r.code != gain.code);
-        sensors.push(gain);
-    }
-    sensors.extend(repaired.remarks);
-    if uncertainty.is_some() {
-        // Corrected samples have another residual.
-        interference.clear();
-    }
-    let survey = calibrated.survey;
-    if let Cow::Owned(corrected) = calibrated.capture {
-        capture = Cow::Owned(corrected);
-    }
-    let segments = match &mut capture {
-        Cow::Owned(capture) => survey.take_segments(capture),
-        Cow::Borrowed(capture) => survey.segments(capture),
-    };
-    let truth = (!capture.truth.is_empty()).then(|| accuracy::fundamental(&capture.truth));
+    let mut prepared = PreparedCapture::prepare(capture, &request.hints, request.sensors)?;
+    let segments = prepared.take_segments();
+    let truth = &prepared.capture.truth;
+    let truth = (!truth.is_empty()).then(|| accuracy::fundamental(truth));
     let total = segments.len() * request.methods.len();
     let mut outcomes = Vec::with_capacity(total);
     let (mut pooled, mut phasors) = (Vec::with_capacity(segments.len()), Vec::new());
     for (index, segment) in segments.iter().enumerate() {
         progress("reference", outcomes.len(), total);
-        let mut remarks = remarks::from_survey(&survey, segment);
-        remarks.extend(sensors.iter().cloned());
-        let load = survey.spans.get(index).and_then(|span| span.load);
-        remarks.extend(uncertainty.and_then(|u| u.remark(segment, load)));
-        remarks.extend(removed.iter().flat_map(|r| r.remarks_on(segment)).cloned());
-        let known = interference.get_mut(index).map(std::mem::take);
+        let remarks = prepared.remarks_on(index, segment);
+        let known = prepared.take_interference(index);
         let reference = ReferenceResults::compute_with(segment, known);
         let of_segment = is_law(&reference).then(|| PoolPhasors::of(segment));
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
@@ -194,36 +139,14 @@ fn examine_samples(
                 truth: truth.as_ref(),
                 report: &mut |text| progress(&format!("{method}: {text}"), done, total),
             };
-            let mut result = match reference.result_of(method, request.settings) {
-                Some(known) => known,
-                None => run_with_progress(method, segment, request.settings, &mut sink),
-            };
-            if let Ok(estimate) = &mut result {
-                match request.reconstruct {
-                    Reconstruct::No => {}
-                    Reconstruct::Errors => reconstruction::errors(segment, estimate),
-                    Reconstruct::Waveforms => reconstruction::complete(segment, estimate),
-                }
-            }
+            let mut result = identify(method, segment, &reference, request, &mut sink);
             let judgement = judge_result(&remarks, segment, &reference, method, &result);
-            if let (Ok(estimate), true) =
-                (&mut result, request.reconstruct != Reconstruct::Waveforms)
-            {
-                (estimate.v_hat_v, estimate.i_hat_a) = (Vec::new(), Vec::new());
-            }
-            // Only after the judgement: a deviation that all methods share explains no difference between them.
             if let Ok(estimate) = &mut result {
-                if let Some(uncertainty) = uncertainty {
-                    uncertainty.widen(estimate);
+                if request.reconstruct != Reconstruct::Waveforms {
+                    (estimate.v_hat_v, estimate.i_hat_a) = (Vec::new(), Vec::new());
                 }
-                widen(
-                    estimate,
-                    RESOLUTION.hypot(r_restored),
-                    RESOLUTION.hypot(l_restored),
-                );
-                if let Some(aliasing) = &survey.aliasing {
-                    widen(estimate, 0.01 * aliasing.r_pct, 0.01 * aliasing.l_pct);
-                }
+                // Only after the judgement: a deviation that all methods share explains no difference between them.
+                prepared.widen(estimate);
             }
             outcomes.push(MethodResult {
                 method,
@@ -235,13 +158,33 @@ fn examine_samples(
     }
     progress("", total, total);
     Ok(Examination {
-        survey,
-        sensors,
+        survey: prepared.survey,
+        sensors: prepared.sensors,
         segments,
         pooled,
         phasors,
         outcomes,
     })
+}
+
+/// Runs a method unless the reference has its result, and reconstructs the waveforms as far as requested.
+fn identify(
+    method: Method,
+    segment: &Segment,
+    reference: &ReferenceResults,
+    request: &ExamineOptions<'_>,
+    sink: &mut ProgressSink<'_>,
+) -> Result<Estimate, IdentifyError> {
+    let mut estimate = match reference.result_of(method, request.settings) {
+        Some(known) => known,
+        None => run_with_progress(method, segment, request.settings, sink),
+    }?;
+    match request.reconstruct {
+        Reconstruct::No => {}
+        Reconstruct::Errors => reconstruction::errors(segment, &mut estimate),
+        Reconstruct::Waveforms => reconstruction::complete(segment, &mut estimate),
+    }
+    Ok(estimate)
 }
 
 /// Findings of a load that is no function of the current alone.
@@ -262,17 +205,6 @@ fn pooled_law(segment: &Segment, phasors: &PoolPhasors) -> Option<PooledLaw> {
     (whole >= 2)
         .then(|| pooled::pool_phasors(phasors))
         .flatten()
-}
-
-/// Adds shares of R and of L to the standard deviations.
-fn widen(estimate: &mut Estimate, r_share: f64, l_share: f64) {
-    let add = |sigma: &mut [f64], values: &[f64], share: f64| {
-        for (sigma, value) in sigma.iter_mut().zip(values) {
-            *sigma = sigma.hypot(share * value);
-        }
-    };
-    add(&mut estimate.r_sigma_ohm, &estimate.r_ohm, r_share);
-    add(&mut estimate.l_sigma_h, &estimate.l_h, l_share);
 }
 
 fn judge_result(
