@@ -46,9 +46,17 @@ impl ActiveLookup {
         self.changes
     }
 
+    /// Checks and accepts the bytes of a lookup. Returns outcome and detail.
+    pub fn push(&mut self, bytes: &[u8]) -> (Outcome, u32) {
+        match RlLookup::from_bytes(bytes) {
+            Ok(lookup) => self.accept(lookup),
+            Err(why) => why.outcome(),
+        }
+    }
+
     /// Accepts a lookup that passed every check of its content; it must still be newer than the active one, and
     /// leave room for later ones. Returns outcome and detail.
-    pub fn accept(&mut self, lookup: RlLookup) -> (Outcome, u32) {
+    fn accept(&mut self, lookup: RlLookup) -> (Outcome, u32) {
         let highest = self.active.version.saturating_add(LOOKUP_VERSION_STEP);
         if self.pending.is_some() {
             (Outcome::Busy, 0)

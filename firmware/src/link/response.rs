@@ -56,6 +56,13 @@ impl Response {
     }
 }
 
+impl From<(Outcome, u32)> for Response {
+    /// An outcome with its detail.
+    fn from((outcome, detail): (Outcome, u32)) -> Self {
+        Self::reply(outcome, detail)
+    }
+}
+
 /// Scales of the codes of this firmware's channels.
 pub fn front_end() -> FrontEnd {
     FrontEnd {

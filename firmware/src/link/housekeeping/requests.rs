@@ -2,13 +2,14 @@
 
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{RATED_POWER_W, REQUESTED_POWER_MAX_W};
-use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::hello::{CAP_REPLAYING, check};
 use ihd_shared::wire::messages::{
-    AnyMessage, Configure, DecodeError, Hello, Message, Outcome, Program, ReplayMode, ReplayStart,
-    ResendWindow, State, Status, Stream, TestLink, is_numbered,
+    AnyMessage, ClearFault, Configure, DecodeError, GetBoard, GetFrontEnd, GetStatus,
+    GetUtilisation, Hello, Message, Outcome, Program, ReadLookup, ReplayEnd, ReplayMode,
+    ReplayStart, ResendWindow, ResetLookup, State, Status, Stream, TestChannels, TestClocks,
+    TestComparators, TestLink, is_numbered,
 };
 use ihd_shared::wire::number::Number;
 
@@ -48,12 +49,7 @@ impl Housekeeping {
             let response = match AnyMessage::decode(id, bytes) {
                 // These three borrow from the deframer; the rest may borrow all of self.
                 Ok(AnyMessage::PushLookup(push)) if self.paired => {
-                    let offered = RlLookup::from_bytes(push.blob.0);
-                    let (outcome, detail) = match offered {
-                        Ok(lookup) => self.lookup.accept(lookup),
-                        Err(why) => why.outcome(),
-                    };
-                    Some(Response::reply(outcome, detail))
+                    Some(self.lookup.push(push.blob.0).into())
                 }
                 Ok(AnyMessage::ReplayBlocks(blocks)) if self.paired => {
                     let replayed = self.replay.blocks(lock, &blocks);
@@ -73,49 +69,44 @@ impl Housekeeping {
                 }
                 _ if !is_numbered(id) => None,
                 _ if !self.paired => Some(Response::outcome(Outcome::NotPaired)),
-                Ok(AnyMessage::TestChannels(_)) => self.begin_test(number, BoardTest::Channels),
-                Ok(AnyMessage::TestComparators(_)) => {
-                    self.begin_test(number, BoardTest::Comparators)
-                }
-                Ok(AnyMessage::TestClocks(_)) => self.begin_test(number, BoardTest::Clocks),
                 Ok(AnyMessage::Restart(m)) => self.begin_restart(number, m.into),
-                Ok(AnyMessage::SetPower(m)) => {
-                    let (outcome, detail) = self.host_power(lock, m.power_w);
-                    Some(Response::reply(outcome, detail))
-                }
+                Ok(AnyMessage::SetPower(m)) => Some(self.host_power(lock, m.power_w).into()),
                 Ok(AnyMessage::Stream(m)) => Some(self.stream(lock, &m)),
-                Ok(AnyMessage::GetStatus(_)) => Some(Response::Status(self.status(lock))),
-                Ok(AnyMessage::ReadLookup(_)) => Some(Response::Lookup),
-                Ok(AnyMessage::ResetLookup(_)) => {
-                    let (outcome, detail) = self.lookup.replace(prior());
-                    Some(Response::reply(outcome, detail))
-                }
                 Ok(AnyMessage::Configure(m)) => Some(self.configure(lock, m)),
-                Ok(AnyMessage::GetFrontEnd(_)) => Some(Response::FrontEnd),
-                Ok(AnyMessage::ClearFault(_)) => Some(self.clear_fault(lock)),
-                Ok(AnyMessage::GetUtilisation(_)) => {
-                    Some(Response::Utilisation(lock.with(report::utilisation)))
-                }
                 Ok(AnyMessage::ReplayStart(m)) => Some(self.start_replay(lock, &m)),
-                Ok(AnyMessage::ReplayEnd(_)) => Some(self.end_replay(lock)),
-                Ok(AnyMessage::GetBoard(_)) => Some(Response::Board),
                 Ok(AnyMessage::TestLink(m)) => Some(self.test_link(&m)),
-                Ok(AnyMessage::StreamLog(m)) => Some(match self.queue.stream_log(m.on) {
-                    true => Response::outcome(Outcome::Ok),
-                    false => Response::outcome(Outcome::Unavailable),
-                }),
-                Ok(_) | Err(DecodeError::UnknownId { .. }) => {
-                    Some(Response::outcome(Outcome::UnknownMessage))
-                }
-                Err(DecodeError::Malformed { .. } | DecodeError::Trailing { .. }) => {
-                    Some(Response::outcome(Outcome::Malformed))
-                }
+                Ok(AnyMessage::StreamLog(m)) => Some(self.stream_log(m.on)),
+                Ok(_) => self.request_without_fields(lock, number, id),
+                Err(why) => Some(Response::outcome(outcome_of(&why))),
             };
             if let Some(response) = response {
                 self.respond(number, response);
             }
         }
         bytes.len()
+    }
+
+    /// Carries out a request without fields by its id: the message itself borrows from the deframer.
+    fn request_without_fields(
+        &mut self,
+        lock: &mut impl SamplingLock,
+        number: Number,
+        id: u8,
+    ) -> Option<Response> {
+        Some(match id {
+            TestChannels::ID => return self.begin_test(number, BoardTest::Channels),
+            TestComparators::ID => return self.begin_test(number, BoardTest::Comparators),
+            TestClocks::ID => return self.begin_test(number, BoardTest::Clocks),
+            GetStatus::ID => Response::Status(self.status(lock)),
+            ReadLookup::ID => Response::Lookup,
+            ResetLookup::ID => self.lookup.replace(prior()).into(),
+            GetFrontEnd::ID => Response::FrontEnd,
+            ClearFault::ID => self.clear_fault(lock),
+            GetUtilisation::ID => Response::Utilisation(lock.with(report::utilisation)),
+            ReplayEnd::ID => self.end_replay(lock),
+            GetBoard::ID => Response::Board,
+            _ => Response::outcome(Outcome::UnknownMessage),
+        })
     }
 
     /// Responds to a request, now and when it comes again.
@@ -239,6 +230,13 @@ impl Housekeeping {
         Response::outcome(Outcome::Ok)
     }
 
+    fn stream_log(&mut self, on: bool) -> Response {
+        Response::outcome(match self.queue.stream_log(on) {
+            true => Outcome::Ok,
+            false => Outcome::Unavailable,
+        })
+    }
+
     fn configure(&mut self, lock: &mut impl SamplingLock, settings: Configure) -> Response {
         match settings.check() {
             Ok(()) => {
@@ -271,6 +269,13 @@ impl Housekeeping {
             frames_lost: received.lost,
             ..report::status(path, control, last, version)
         })
+    }
+}
+
+fn outcome_of(why: &DecodeError) -> Outcome {
+    match why {
+        DecodeError::UnknownId { .. } => Outcome::UnknownMessage,
+        DecodeError::Malformed { .. } | DecodeError::Trailing { .. } => Outcome::Malformed,
     }
 }
 
