@@ -1,0 +1,127 @@
+//! Plant against its laws, its instruments and its comparator.
+
+use super::*;
+use crate::adc::ConverterNoise;
+use crate::behavioural::{BehaviouralLoad, PotKind};
+
+fn at_full_power(load: LoadKind) -> Plant {
+    let adc = SimulatedAdc::new(ConverterNoise::default(), 1);
+    let mut plant = Plant::with_load(SimulatedMains::new(50.0), PotKind::Ferromagnetic, load, adc);
+    plant.set_drive(Drive::switching(50_000));
+    while plant.t_s() < 5e-3 {
+        plant.block(|_| ());
+    }
+    plant
+}
+
+#[test]
+fn the_load_point_is_the_law_at_the_envelope() {
+    let point = at_full_power(LoadKind::Behavioural).load_point();
+    let (r, l) = BehaviouralLoad::new(PotKind::Ferromagnetic, 50e3).r_l(point.i_a);
+    assert!(point.i_a > 30.0, "{point:?}");
+    assert_eq!((point.r_ohm, point.l_h), (r, l));
+}
+
+#[test]
+fn the_wattmeter_reads_r_i_squared() {
+    let adc = SimulatedAdc::new(ConverterNoise::default(), 1);
+    let mut plant = Plant::new(SimulatedMains::new(50.0), PotKind::Aluminium, adc);
+    plant.set_drive(Drive::switching(60_000));
+    let mut readings = Vec::new();
+    while readings.len() < 3 {
+        plant.block(|_| ());
+        readings.extend(plant.take_reading());
+    }
+    let (last, r_ohm) = (readings[2], 0.22 * (60.0f64 / 45.0).sqrt());
+    let expected_w = r_ohm * last.i_square_a2;
+    assert!((last.t_s - 0.02).abs() < 2e-6 && (last.duration_s - 0.01).abs() < 2e-6);
+    assert!(last.i_peak_a > 20.0 && last.bridge_on(), "{last:?}");
+    assert!(
+        (last.power_w() / expected_w - 1.0).abs() < 2e-3,
+        "{last:?} {expected_w}"
+    );
+    // The bus gave what the load took: the capacitor is empty at each zero crossing.
+    let link_c = plant.link_charge_c();
+    assert!(link_c > 0.0, "{link_c}");
+}
+
+#[test]
+fn the_comparator_opens_within_a_step_until_the_drive_has_been_open() {
+    let mut plant = at_full_power(LoadKind::Behavioural);
+    let mut last_a = 40.0f64;
+    while last_a.abs() > 20.0 {
+        plant.sample(|i_a| last_a = i_a);
+    }
+    plant.set_comparator(30.0, 0.0);
+    let mut most_a: f64 = 0.0;
+    while !plant.is_tripped() {
+        plant.sample(|i_a| most_a = most_a.max(i_a.abs()));
+    }
+    // 400 V on 16 µH for a step of 82 ns are 2 A.
+    assert!((30.0..32.0).contains(&most_a), "{most_a}");
+    let since_s = plant.open_since_s().unwrap();
+    plant.set_comparator(f64::INFINITY, 0.0);
+    for drive in [Drive::switching(50_000), Drive::switching(60_000)] {
+        plant.set_drive(drive);
+        plant.block(|_| ());
+        assert!(plant.is_tripped());
+        assert_eq!(plant.open_since_s(), Some(since_s));
+    }
+    plant.set_drive(Drive::OFF);
+    assert_eq!(
+        (plant.is_tripped(), plant.open_since_s()),
+        (false, Some(since_s))
+    );
+    plant.set_drive(Drive::switching(50_000));
+    assert_eq!(plant.open_since_s(), None);
+}
+
+#[test]
+fn the_table_stands_for_the_field() {
+    let field = at_full_power(LoadKind::Field).load_point();
+    let table = at_full_power(LoadKind::Surrogate).load_point();
+    println!("{field:?} {table:?}");
+    assert!((table.l_h / field.l_h - 1.0).abs() < 0.03);
+    assert!((table.r_ohm / field.r_ohm - 1.0).abs() < 0.06);
+    assert!((table.i_a / field.i_a - 1.0).abs() < 0.1);
+}
+
+#[test]
+fn r_drifts_upwards_as_the_pot_warms() {
+    for load in [LoadKind::Behavioural, LoadKind::Field] {
+        let mut plant = at_full_power(load);
+        plant.enable_warming(PotContents::Food, 1.0);
+        // 900 J/K, and 14 W/K of which little is lost in a tenth of a second.
+        plant.coil.warming.as_mut().unwrap().advance(9.007e5, 0.1);
+        let hot_c = plant.temperature_c().unwrap();
+        assert!((hot_c - 120.0).abs() < 0.1, "{hot_c}");
+        let cold = plant.load_point();
+        let then_s = plant.t_s() + 1e-4;
+        while plant.t_s() < then_s {
+            plant.block(|_| ());
+        }
+        let hot = plant.load_point();
+        let ratio = hot.r_ohm / cold.r_ohm;
+        // ρ B_s: 1.11 · (1 − (100/660)²).
+        assert!(
+            (ratio / 1.0845f64.sqrt() - 1.0).abs() < 0.015,
+            "{load:?} {ratio}"
+        );
+    }
+}
+
+#[test]
+fn pots_are_exchanged_and_frequency_changed_in_operation() {
+    for load in [LoadKind::Behavioural, LoadKind::Field] {
+        let mut plant = at_full_power(load);
+        let before = plant.load_point();
+        plant.set_pot(PotKind::None).unwrap();
+        plant.set_drive(Drive::switching(60_000));
+        while plant.t_s() < 6e-3 {
+            plant.block(|_| ());
+        }
+        let after = plant.load_point();
+        assert!(after.l_h > 1.5 * before.l_h, "{before:?} {after:?}");
+        assert!(after.r_ohm < 0.2 * before.r_ohm, "{before:?} {after:?}");
+    }
+}
