@@ -1,8 +1,10 @@
 //! Checks of clocks, channels, supply, comparators and temperatures against limits.
 
+use ihd_link::Client;
 use ihd_shared::sampling::CODE_HALF_RANGE;
 use ihd_shared::wire::messages::{Channels, Clocks, Comparators, FrontEnd, NO_SENSOR_C, Status};
 
+use crate::check_session::CheckSession;
 use crate::{Check, Measurement};
 
 /// Factor by which a message scales codes.
@@ -35,8 +37,37 @@ const VDDA_MV: (f64, f64) = (3_135.0, 3_465.0);
 /// Range of a cold board's temperatures in degrees Celsius.
 const TEMPERATURE_C: (f64, f64) = (-20.0, 85.0);
 
+/// Examines clocks, measuring channels, comparators and temperatures.
+pub(super) fn examine(session: &mut CheckSession<'_>, scales: &FrontEnd, status: Option<&Status>) {
+    if let Some(found) = session.check_answer("clocks", Client::clocks) {
+        session.add(clocks(&found));
+    }
+    match session.check_answer("channels", Client::channels) {
+        Some(found) => {
+            session.add(offsets(&found, scales));
+            session.add(noise(&found));
+            session.add(supply(&found));
+        }
+        None => {
+            for name in ["noise", "supply"] {
+                session.add(Check::not_tested(name, "the channels were not measured"));
+            }
+        }
+    }
+    if let Some(found) = session.check_answer("comparators", Client::comparators) {
+        session.add(comparators(&found));
+    }
+    match status {
+        Some(status) => session.add(temperatures(status)),
+        None => session.add(Check::not_tested(
+            "temperatures",
+            "the device did not report it",
+        )),
+    }
+}
+
 /// Compares the clocks with each other.
-pub(super) fn clocks(c: &Clocks) -> Check {
+fn clocks(c: &Clocks) -> Check {
     const NAME: &str = "clocks";
     let remedy = "Another controller: one of the oscillators is off (docs/board.md)";
     if c.main_hz == 0 || c.lsi_periods == 0 {
@@ -79,7 +110,7 @@ pub(super) fn clocks(c: &Clocks) -> Check {
 }
 
 /// Checks the means of the channels without current and voltage.
-pub(super) fn offsets(c: &Channels, scales: &FrontEnd) -> Check {
+fn offsets(c: &Channels, scales: &FrontEnd) -> Check {
     const NAME: &str = "channels";
     if c.samples == 0 {
         return Check::fail(
@@ -119,7 +150,7 @@ pub(crate) fn bus_volt(c: &Channels, scales: &FrontEnd) -> f64 {
 }
 
 /// Checks the noise of the fast channels.
-pub(super) fn noise(c: &Channels) -> Check {
+fn noise(c: &Channels) -> Check {
     let of = |name, rms: u32| {
         let codes = f64::from(rms) / PARTS;
         Measurement::between(name, codes, "codes rms", LEAST_NOISE_CODES, NOISE_CODES)
@@ -136,7 +167,7 @@ pub(super) fn noise(c: &Channels) -> Check {
 }
 
 /// Checks the analogue supply by the chip's own reference.
-pub(super) fn supply(c: &Channels) -> Check {
+fn supply(c: &Channels) -> Check {
     const NAME: &str = "supply";
     if c.vdda_mv == 0 || c.reference == 0 {
         return Check::not_tested(NAME, "the device did not measure its reference");
@@ -155,7 +186,7 @@ pub(super) fn supply(c: &Channels) -> Check {
 }
 
 /// Checks the trip in hardware.
-pub(super) fn comparators(c: &Comparators) -> Check {
+fn comparators(c: &Comparators) -> Check {
     const NAME: &str = "comparators";
     let seen = [
         (
@@ -194,7 +225,7 @@ pub(super) fn comparators(c: &Comparators) -> Check {
 }
 
 /// Checks the temperatures of heat sink, glass and coil.
-pub(super) fn temperatures(status: &Status) -> Check {
+fn temperatures(status: &Status) -> Check {
     const NAME: &str = "temperatures";
     let all = [
         ("heat sink", status.heat_sink_c),

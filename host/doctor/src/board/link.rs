@@ -6,6 +6,7 @@ use ihd_link::{Client, LinkError, LinkTest};
 use ihd_shared::window::CHUNK_BYTES;
 use ihd_shared::wire::messages::{LinkTested, Utilisation};
 
+use crate::check_session::CheckSession;
 use crate::{Check, Measurement};
 
 /// Number of requests timed.
@@ -34,8 +35,28 @@ const WORST_PCT: f64 = 80.0;
 
 const CABLE: &str = "Another cable, no hub, a shorter way; over a serial port the ST-LINK's firmware. docs/protocol.md says what a frame loses";
 
+/// Examines the controller's load and the link.
+pub(super) fn examine(session: &mut CheckSession<'_>) {
+    if let Some(used) = session.check_answer("processor", Client::utilisation) {
+        session.add(processor(&used));
+    }
+    if let Some(waits) = session.check_answer("latency", answer_times) {
+        session.add(latency(waits));
+    }
+    match session.check_answer("link_to_device", run_test) {
+        Some(test) => {
+            session.add(to_device(&test));
+            session.add(from_device(&test));
+        }
+        None => session.add(Check::not_tested(
+            "link_from_device",
+            "the link was not tested",
+        )),
+    }
+}
+
 /// Measures the times of a hundred answers on the transport's clock.
-pub(super) fn answer_times(client: &mut Client) -> Result<Vec<Duration>, LinkError> {
+fn answer_times(client: &mut Client) -> Result<Vec<Duration>, LinkError> {
     (0..QUESTIONS)
         .map(|_| {
             let begin = client.clock();
@@ -46,7 +67,7 @@ pub(super) fn answer_times(client: &mut Client) -> Result<Vec<Duration>, LinkErr
 }
 
 /// Checks the median and the 99th percentile.
-pub(super) fn latency(mut waits: Vec<Duration>) -> Check {
+fn latency(mut waits: Vec<Duration>) -> Check {
     waits.sort();
     let at = |share: f64| {
         let k = (share * waits.len() as f64).ceil() as usize;
@@ -69,12 +90,12 @@ pub(super) fn latency(mut waits: Vec<Duration>) -> Check {
 }
 
 /// Runs the link test in both directions.
-pub(super) fn run_test(client: &mut Client) -> Result<LinkTest, LinkError> {
+fn run_test(client: &mut Client) -> Result<LinkTest, LinkError> {
     client.test_link(FRAMES, CHUNK_BYTES as u16)
 }
 
 /// Checks the direction to the device.
-pub(super) fn to_device(test: &LinkTest) -> Check {
+fn to_device(test: &LinkTest) -> Check {
     direction(
         "link_to_device",
         &test.to_device,
@@ -84,7 +105,7 @@ pub(super) fn to_device(test: &LinkTest) -> Check {
 }
 
 /// Checks the direction from the device.
-pub(super) fn from_device(test: &LinkTest) -> Check {
+fn from_device(test: &LinkTest) -> Check {
     direction(
         "link_from_device",
         &test.from_device,
@@ -108,7 +129,7 @@ fn direction(name: &'static str, tested: &LinkTested, took: Duration, least_kb_s
 }
 
 /// Checks the processor's load.
-pub(super) fn processor(used: &Utilisation) -> Check {
+fn processor(used: &Utilisation) -> Check {
     const NAME: &str = "processor";
     let gap_ms = f64::from(used.longest_gap_us) * 1e-3;
     if used.blocks == 0 {

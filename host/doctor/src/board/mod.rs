@@ -72,66 +72,9 @@ pub fn examine(client: &mut Client) -> BoardExamination {
         )),
         None => {}
     }
-    // Checks without a request do not depend on the link.
-    session.add(start::reset_cause(&hello));
-    match &status {
-        Some(status) => session.add(start::fault(status)),
-        None => session.add(Check::not_tested("fault", "the device did not report it")),
-    }
-    let facts = session.check_answer("chip", Client::board);
-    match &facts {
-        Some(facts) => {
-            session.add(start::chip(facts));
-            session.add(start::option_bytes(facts));
-            session.add(start::flash_crc(facts));
-        }
-        None => {
-            for name in ["option_bytes", "flash_crc"] {
-                session.add(Check::not_tested(name, "the device did not report it"));
-            }
-        }
-    }
-    if let Some(clocks) = session.check_answer("clocks", Client::clocks) {
-        session.add(electrical::clocks(&clocks));
-    }
-    match session.check_answer("channels", Client::channels) {
-        Some(found) => {
-            session.add(electrical::offsets(&found, &scales));
-            session.add(electrical::noise(&found));
-            session.add(electrical::supply(&found));
-        }
-        None => {
-            for name in ["noise", "supply"] {
-                session.add(Check::not_tested(name, "the channels were not measured"));
-            }
-        }
-    }
-    if let Some(found) = session.check_answer("comparators", Client::comparators) {
-        session.add(electrical::comparators(&found));
-    }
-    match &status {
-        Some(status) => session.add(electrical::temperatures(status)),
-        None => session.add(Check::not_tested(
-            "temperatures",
-            "the device did not report it",
-        )),
-    }
-    if let Some(used) = session.check_answer("processor", Client::utilisation) {
-        session.add(link::processor(&used));
-    }
-    if let Some(waits) = session.check_answer("latency", link::answer_times) {
-        session.add(link::latency(waits));
-    }
-    match session.check_answer("link_to_device", link::run_test) {
-        Some(test) => {
-            session.add(link::to_device(&test));
-            session.add(link::from_device(&test));
-        }
-        None => session.add(Check::not_tested(
-            "link_from_device",
-            "the link was not tested",
-        )),
-    }
+    let facts = start::examine(&mut session, &hello, status.as_ref());
+    electrical::examine(&mut session, &scales, status.as_ref());
+    link::examine(&mut session);
     let (checks, lost) = session.finish();
     let facts = facts.ok_or_else(|| {
         let chip = checks.iter().find(|check| check.name == "chip");

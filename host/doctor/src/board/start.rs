@@ -1,15 +1,44 @@
 //! Checks of the last start and of the identity of chip and program.
 
 use ihd_flash::OptionBytes;
-use ihd_link::BoardFacts;
+use ihd_link::{BoardFacts, Client};
 use ihd_shared::fault::Fault;
 use ihd_shared::image::{DEVICE_ID, FLASH_KIB};
 use ihd_shared::wire::messages::{Hello, Status};
 
+use crate::check_session::CheckSession;
 use crate::{Check, Measurement};
 
+/// Examines how the device started and what it is; returns its identity, `None` if there is no answer.
+pub(super) fn examine(
+    session: &mut CheckSession<'_>,
+    hello: &Hello,
+    status: Option<&Status>,
+) -> Option<BoardFacts> {
+    // Checks without a request do not depend on the link.
+    session.add(reset_cause(hello));
+    match status {
+        Some(status) => session.add(fault(status)),
+        None => session.add(Check::not_tested("fault", "the device did not report it")),
+    }
+    let facts = session.check_answer("chip", Client::board);
+    match &facts {
+        Some(facts) => {
+            session.add(chip(facts));
+            session.add(option_bytes(facts));
+            session.add(flash_crc(facts));
+        }
+        None => {
+            for name in ["option_bytes", "flash_crc"] {
+                session.add(Check::not_tested(name, "the device did not report it"));
+            }
+        }
+    }
+    facts
+}
+
 /// Checks the reason of the last start, and the fault before it.
-pub(super) fn reset_cause(hello: &Hello) -> Check {
+fn reset_cause(hello: &Hello) -> Check {
     const NAME: &str = "reset_cause";
     let before = Fault::from_number(hello.fault_before_reset);
     let words = match before {
@@ -45,7 +74,7 @@ pub(super) fn reset_cause(hello: &Hello) -> Check {
 }
 
 /// Checks the active fault.
-pub(super) fn fault(status: &Status) -> Check {
+fn fault(status: &Status) -> Check {
     const NAME: &str = "fault";
     match status.fault {
         Fault::NONE => Check::pass(NAME, "none"),
@@ -65,7 +94,7 @@ pub(super) fn fault(status: &Status) -> Check {
 }
 
 /// Checks the type of the chip.
-pub(super) fn chip(facts: &BoardFacts) -> Check {
+fn chip(facts: &BoardFacts) -> Check {
     const NAME: &str = "chip";
     if facts.id_code == 0 {
         return Check::not_tested(NAME, "the device has no chip: it is simulated");
@@ -94,7 +123,7 @@ pub(super) fn chip(facts: &BoardFacts) -> Check {
 }
 
 /// Compares FLASH_OPTR with the firmware's requirements.
-pub(super) fn option_bytes(facts: &BoardFacts) -> Check {
+fn option_bytes(facts: &BoardFacts) -> Check {
     const NAME: &str = "option_bytes";
     // The device does not report write protection: 0 would be page 0 of each bank.
     let options = OptionBytes {
@@ -127,7 +156,7 @@ pub(super) fn option_bytes(facts: &BoardFacts) -> Check {
 }
 
 /// Checks the program in flash against its own CRC.
-pub(super) fn flash_crc(facts: &BoardFacts) -> Check {
+fn flash_crc(facts: &BoardFacts) -> Check {
     const NAME: &str = "flash_crc";
     if facts.image_bytes == 0 {
         return Check::not_tested(NAME, "the device has no program in flash: it is simulated");
