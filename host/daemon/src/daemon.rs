@@ -78,15 +78,7 @@ impl Daemon {
     ) -> Result<Self, DaemonError> {
         let event_bus = EventBus::new(machine.clone());
         let network = config.network().map_err(DaemonError::Config)?;
-        let (folder, settings) = (config.store.clone(), config.store_settings());
-        let clock = machine.clock();
-        let opening = machine
-            .spawn_blocking(move || Store::open_with_clock(&folder, &settings, clock))
-            .await;
-        let opened = opening.map_err(|_| StoreThreadError::Gone("opening it panicked"))??;
-        let damage = report_damage(opened.damage);
-        let store = StoreThread::start(opened.store, event_bus.clone(), &machine)
-            .map_err(DaemonError::NoThread)?;
+        let (store, damage) = open_store(&machine, &config, &event_bus).await?;
         let (stop, stopped) = watch::channel(false);
         let (results, learned) = mpsc::channel(RESULTS);
         let settings = LearnerSettings {
@@ -110,19 +102,7 @@ impl Daemon {
             stop: stopped,
         };
         let devices = Arc::new(Devices::default());
-        // Subscribed before the first event is published.
-        devices.spawn(event_log::run(context.clone(), event_bus.subscribe()));
-        devices.spawn(history::write_periodically(context.clone()));
-        for device in &config.devices {
-            let (name, address) = (device.name.clone(), device.address.clone());
-            devices.start(name, address, &context, &event_bus);
-        }
-        if config.discovers_usb() {
-            let following = follow_usb(Arc::clone(&devices), context.clone(), event_bus.clone());
-            devices.spawn(following);
-        }
-        devices.spawn(store_watch::watch(context.clone()));
-        devices.spawn(collect_garbage(context));
+        start_tasks(&config, &devices, context, &event_bus);
         let routing = tokio::spawn(route_results(
             learned,
             Arc::clone(&devices),
@@ -259,6 +239,46 @@ impl Daemon {
     pub(crate) fn handle_of(&self, name: &str) -> Option<crate::supervisor::Handle> {
         self.inner.running.devices.get(name)
     }
+}
+
+/// Opens the store on a thread of its own; returns it with the damaged files that were set aside, as text.
+async fn open_store(
+    machine: &Machine,
+    config: &DaemonConfig,
+    event_bus: &EventBus,
+) -> Result<(StoreThread, Vec<String>), DaemonError> {
+    let (folder, settings) = (config.store.clone(), config.store_settings());
+    let clock = machine.clock();
+    let opening = machine
+        .spawn_blocking(move || Store::open_with_clock(&folder, &settings, clock))
+        .await;
+    let opened = opening.map_err(|_| StoreThreadError::Gone("opening it panicked"))??;
+    let damage = report_damage(opened.damage);
+    let store = StoreThread::start(opened.store, event_bus.clone(), machine)
+        .map_err(DaemonError::NoThread)?;
+    Ok((store, damage))
+}
+
+/// Starts the tasks of the devices and of the store's upkeep.
+fn start_tasks(
+    config: &DaemonConfig,
+    devices: &Arc<Devices>,
+    context: Context,
+    event_bus: &EventBus,
+) {
+    // Subscribed before the first event is published.
+    devices.spawn(event_log::run(context.clone(), event_bus.subscribe()));
+    devices.spawn(history::write_periodically(context.clone()));
+    for device in &config.devices {
+        let (name, address) = (device.name.clone(), device.address.clone());
+        devices.start(name, address, &context, event_bus);
+    }
+    if config.discovers_usb() {
+        let following = follow_usb(Arc::clone(devices), context.clone(), event_bus.clone());
+        devices.spawn(following);
+    }
+    devices.spawn(store_watch::watch(context.clone()));
+    devices.spawn(collect_garbage(context));
 }
 
 /// Logs damaged files that were set aside; returns them as text.
