@@ -6,13 +6,13 @@
 use crate::drive::bridge::Drive;
 
 /// Blocks that half the period counts.
-pub const WHOLE: u32 = 32;
+pub const WHOLE_SHARE: u32 = 32;
 
 /// Share of the first block: the upper switch is on for a little longer than the dead time.
-const FIRST: u32 = 8;
+const FIRST_SHARE: u32 = 8;
 
 /// Blocks until the whole share.
-pub const BLOCKS: u8 = (WHOLE - FIRST) as u8;
+pub const BLOCKS: u8 = (WHOLE_SHARE - FIRST_SHARE) as u8;
 
 /// Soft start of a bridge.
 #[derive(Clone, Debug, Default)]
@@ -26,17 +26,17 @@ impl SoftStart {
         Self { share: 0 }
     }
 
-    /// Takes the drive from the next block on; returns the upper switch's part of half the period in it, in 1/[`WHOLE`]; all of
+    /// Takes the drive from the next block on; returns the upper switch's part of half the period in it, in 1/[`WHOLE_SHARE`]; all of
     /// it while the bridge does not switch.
     #[inline(always)]
     pub fn on_block(&mut self, drive: Drive) -> u32 {
         self.share = match (drive.is_switching(), self.share) {
             (false, _) => {
                 self.share = 0;
-                return WHOLE;
+                return WHOLE_SHARE;
             }
-            (true, 0) => FIRST,
-            (true, share) => (share + 1).min(WHOLE),
+            (true, 0) => FIRST_SHARE,
+            (true, share) => (share + 1).min(WHOLE_SHARE),
         };
         self.share
     }
@@ -51,18 +51,24 @@ mod tests {
     fn the_share_grows_to_the_whole_and_begins_anew_after_off() {
         let mut soft = SoftStart::new();
         let drive = Drive::switching(HIGHEST_HZ);
-        for share in FIRST..WHOLE {
+        for share in FIRST_SHARE..WHOLE_SHARE {
             assert_eq!(soft.on_block(drive), share);
         }
-        assert_eq!([soft.on_block(drive), soft.on_block(drive)], [WHOLE; 2]);
-        assert_eq!(soft.on_block(Drive::OFF), WHOLE);
-        assert_eq!(soft.on_block(drive), FIRST);
+        assert_eq!(
+            [soft.on_block(drive), soft.on_block(drive)],
+            [WHOLE_SHARE; 2]
+        );
+        assert_eq!(soft.on_block(Drive::OFF), WHOLE_SHARE);
+        assert_eq!(soft.on_block(drive), FIRST_SHARE);
     }
 
     /// A pulse shorter than the dead time is none.
     #[test]
     fn the_first_pulse_is_longer_than_the_dead_time() {
         let half_ns = 500_000_000 / HIGHEST_HZ;
-        assert!(half_ns * FIRST / WHOLE > DEAD_TIME_NS, "{half_ns}");
+        assert!(
+            half_ns * FIRST_SHARE / WHOLE_SHARE > DEAD_TIME_NS,
+            "{half_ns}"
+        );
     }
 }

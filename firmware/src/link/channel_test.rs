@@ -35,10 +35,10 @@ struct Moments {
 
 impl Moments {
     /// So many codes of 12 bits keep every product below within 64 bits.
-    const MOST: u32 = 1 << 19;
+    const MAX_CODES: u32 = 1 << 19;
 
     fn add(&mut self, code: i32) {
-        if self.n < Self::MOST {
+        if self.n < Self::MAX_CODES {
             self.n += 1;
             self.sum += i64::from(code);
             self.squares += u64::from(code.unsigned_abs().pow(2));
@@ -185,10 +185,10 @@ mod tests {
     #[test]
     fn the_ends_of_the_range_for_ever_overflow_nothing() {
         let mut moments = Moments::default();
-        for k in 0..Moments::MOST + 10 {
+        for k in 0..Moments::MAX_CODES + 10 {
             moments.add(if k % 2 == 0 { -2_048 } else { 4_095 });
         }
-        assert_eq!(moments.n, Moments::MOST);
+        assert_eq!(moments.n, Moments::MAX_CODES);
         assert_eq!(moments.mean(), 2_047 * 256 / 2);
         // Half of the distance between the two.
         assert_eq!(moments.rms(), 6_143 * 256 / 2);

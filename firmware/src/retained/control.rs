@@ -19,11 +19,11 @@ impl RetainedControl {
     const LOCKED_OUT: u8 = 1 << 7;
     const PANEL_OFF: u8 = 1 << 6;
     const KEY_LOCKED: u8 = 1 << 5;
-    const TRIES: u8 = Self::KEY_LOCKED - 1;
+    const TRIES_MASK: u8 = Self::KEY_LOCKED - 1;
 
     /// Encodes as two bytes; all bits zero for the default.
     pub const fn to_bytes(self) -> [u8; 2] {
-        let mut byte = self.tries_used & Self::TRIES;
+        let mut byte = self.tries_used & Self::TRIES_MASK;
         if self.locked_out {
             byte |= Self::LOCKED_OUT;
         }
@@ -40,7 +40,7 @@ impl RetainedControl {
     pub const fn from_bytes([byte, unattended]: [u8; 2]) -> Self {
         Self {
             locked_out: byte & Self::LOCKED_OUT != 0,
-            tries_used: byte & Self::TRIES,
+            tries_used: byte & Self::TRIES_MASK,
             panel_off: byte & Self::PANEL_OFF != 0,
             key_locked: byte & Self::KEY_LOCKED != 0,
             unattended,

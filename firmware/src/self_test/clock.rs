@@ -14,12 +14,12 @@ const NOMINAL: u32 = COUNTS_PER_S * PERIODS / LSI_HZ;
 /// Counts between two captures that two sound oscillators may have: −8 % to +9.8 %. Over all temperatures and supplies the
 /// low-speed one is 29.5 to 34 kHz (DS12288, LSI), which is +8.5 to −5.9 % of counts, and HSI16 ±1 % from 0 to 85 °C. Narrow
 /// enough to find 10 % of either.
-const LEAST: u32 = NOMINAL * 920 / 1_000;
-const MOST: u32 = NOMINAL * 1_098 / 1_000;
+const MIN_COUNTS: u32 = NOMINAL * 920 / 1_000;
+const MAX_COUNTS: u32 = NOMINAL * 1_098 / 1_000;
 
 /// Captures that were late in a row, or a measurement that was out of limits, before the verdict: a capture can be
 /// overtaken while an interrupt runs.
-const TRIES: u8 = 4;
+const MAX_BAD_CAPTURES: u8 = 4;
 
 /// Capture of the timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,7 +65,7 @@ impl ClockCheck {
                 *self = Self::default();
                 Some(true)
             }
-            Some(false) if self.wrong + 1 < TRIES => {
+            Some(false) if self.wrong + 1 < MAX_BAD_CAPTURES => {
                 self.wrong += 1;
                 None
             }
@@ -83,7 +83,7 @@ impl ClockCheck {
 }
 
 fn agree(counts: u16) -> bool {
-    (LEAST..=MOST).contains(&u32::from(counts))
+    (MIN_COUNTS..=MAX_COUNTS).contains(&u32::from(counts))
 }
 
 #[cfg(test)]

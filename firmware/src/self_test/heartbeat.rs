@@ -1,7 +1,7 @@
 //! Condition for feeding the watchdog: blocks arrive, housekeeping runs, and both keep pace.
 
 /// Blocks between two feedings: 2.4 ms at 80 kHz, 5.7 ms at 34 kHz.
-const EVERY: u32 = 64;
+const PERIOD_BLOCKS: u32 = 64;
 
 /// Most blocks that housekeeping may be behind: 60 ms at 80 kHz. The longest that it was away on the
 /// emulated chip is 11 ms at two cycles an instruction (docs/board.md). Who is later than five times
@@ -22,7 +22,7 @@ impl Heartbeat {
         if since > BEHIND {
             return false;
         }
-        let feed = since >= EVERY;
+        let feed = since >= PERIOD_BLOCKS;
         if feed {
             self.fed_at = blocks;
         }

@@ -178,12 +178,12 @@ mod tests {
     use crate::machine::Machine;
 
     /// Longest wait for another thread; it only ends a hang.
-    const PATIENCE: Duration = Duration::from_secs(300);
+    const HANG_TIMEOUT: Duration = Duration::from_secs(300);
 
     async fn until(condition: impl Fn() -> bool) {
         let began = Instant::now();
         while !condition() {
-            assert!(began.elapsed() < PATIENCE, "it does not happen");
+            assert!(began.elapsed() < HANG_TIMEOUT, "it does not happen");
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
     }

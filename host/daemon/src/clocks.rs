@@ -93,15 +93,15 @@ pub struct Backoff {
 }
 
 /// First wait.
-const SHORTEST: Duration = Duration::from_millis(200);
+const FIRST_WAIT: Duration = Duration::from_millis(200);
 /// Longest wait, before jitter.
-const LONGEST: Duration = Duration::from_secs(5);
+const MAX_WAIT: Duration = Duration::from_secs(5);
 
 impl Backoff {
     /// Creates a back-off from a seed, so that a run is reproducible.
     pub fn new(seed: u64) -> Self {
         Self {
-            next: SHORTEST,
+            next: FIRST_WAIT,
             state: seed,
         }
     }
@@ -117,13 +117,13 @@ impl Backoff {
         let wait = self
             .next
             .mul_f64(0.75 + 0.5 * (z >> 11) as f64 / (1u64 << 53) as f64);
-        self.next = (2 * self.next).min(LONGEST);
+        self.next = (2 * self.next).min(MAX_WAIT);
         wait
     }
 
     /// Resets the wait to the shortest, after success.
     pub fn reset(&mut self) {
-        self.next = SHORTEST;
+        self.next = FIRST_WAIT;
     }
 }
 
@@ -162,16 +162,16 @@ mod tests {
     #[test]
     fn waits_grow_from_a_fifth_of_a_second_to_five() {
         let mut backoff = Backoff::new(1);
-        let mut expected = SHORTEST;
+        let mut expected = FIRST_WAIT;
         for _ in 0..20 {
             let wait = backoff.wait();
             assert!(wait >= expected.mul_f64(0.749) && wait <= expected.mul_f64(1.251));
-            expected = (2 * expected).min(LONGEST);
+            expected = (2 * expected).min(MAX_WAIT);
         }
         let other: Vec<_> = (0..3).map(|_| Backoff::new(2).wait()).collect();
         assert_eq!(other[0], other[1], "the same seed waits the same");
         backoff.reset();
-        assert!(backoff.wait() <= SHORTEST.mul_f64(1.251));
+        assert!(backoff.wait() <= FIRST_WAIT.mul_f64(1.251));
         assert_ne!(Backoff::new(1).wait(), Backoff::new(2).wait());
     }
 }

@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use ihd_model::WindowCounts;
 
 /// Missing windows remembered by number, in case they arrive late; older ones stay missing.
-const REMEMBERED: usize = 1_024;
+const MAX_MISSING: usize = 1_024;
 
 /// Largest gap in the numbering: a day with a window every half-cycle. Beyond it the device has restarted or its count is
 /// wrong, and numbering restarts there.
@@ -70,7 +70,7 @@ struct Boot {
     next: u32,
     /// Count of skipped numbers.
     missing: u64,
-    /// Remembered skipped numbers, at most `REMEMBERED`.
+    /// Remembered skipped numbers, at most `MAX_MISSING`.
     gaps: BTreeSet<u32>,
     /// The device's own count of drops at the first connection of this boot.
     dropped_at_start: u32,
@@ -124,10 +124,10 @@ impl WindowAccounting {
         }
         self.announced += u64::from(gap);
         boot.missing += u64::from(gap);
-        let remembered = gap.min(REMEMBERED as u32);
+        let remembered = gap.min(MAX_MISSING as u32);
         boot.gaps
             .extend((0..remembered).map(|k| due.wrapping_sub(1 + k)));
-        while boot.gaps.len() > REMEMBERED {
+        while boot.gaps.len() > MAX_MISSING {
             boot.gaps.pop_first();
         }
         boot.next = due;
@@ -297,7 +297,7 @@ mod tests {
             store(&mut windows, [k.wrapping_mul(2_654_435_761)]);
         }
         assert!(windows.jumps() > 0);
-        assert!(windows.boot.as_ref().unwrap().gaps.len() <= REMEMBERED);
+        assert!(windows.boot.as_ref().unwrap().gaps.len() <= MAX_MISSING);
         windows.dropped_by_device(u32::MAX);
         balanced(&windows);
     }

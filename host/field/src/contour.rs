@@ -15,7 +15,7 @@ pub const RINGS: usize = 16;
 const BOTTOM: [f64; 5] = [0.25, 0.25, 0.2, 0.18, 0.12];
 
 /// Lengths of the last three elements, over a disc's radius. The rest of the way to the axis has no field.
-const BEYOND: [f64; 3] = [0.15, 0.35, 0.3];
+const LAST_LENGTHS: [f64; 3] = [0.15, 0.35, 0.3];
 
 /// The same over a foil, which the flux leaves near its edge; its edge and the side above it have two elements each.
 const BOTTOM_FOIL: [f64; 3] = [0.5, 0.37, 0.13];
@@ -173,7 +173,7 @@ fn lengths_m(geometry: &Geometry) -> Vec<(f64, Section)> {
             &BOTTOM,
             Section::Base,
             [(base_m, Section::Base)].into(),
-            &BEYOND,
+            &LAST_LENGTHS,
         )
     };
     let bottom = bottom.iter().map(|share| (share * radius, below));

@@ -20,7 +20,7 @@ const MAX_ITERATIONS: usize = 200;
 const SHIELD_F_HZ: f64 = 50e3;
 
 /// Relative change of the impedance at which the iteration ends.
-const SETTLED: f64 = 1e-10;
+const IMPEDANCE_TOLERANCE: f64 = 1e-10;
 
 /// R and L of the fundamental at `f_hz` (1 kHz to 1 MHz) and current amplitude `i_a` (0 to 1000 A; 0 is small
 /// signal).
@@ -56,7 +56,7 @@ fn inductance_h(model: &Rings, f_hz: f64, i_a: f64) -> Result<Complex<f64>, Fiel
                 .sum::<Complex<f64>>()
             + model.shield_h(&a, f_hz);
         change = magnitude(lambda - last) / magnitude(lambda);
-        if change < SETTLED {
+        if change < IMPEDANCE_TOLERANCE {
             return Ok(lambda);
         }
         last = lambda;

@@ -32,7 +32,7 @@ pub const LARGEST_FIELD: f64 = 60.0;
 const MAX_ITERATIONS: usize = 400;
 
 /// Relative change of F at which the iteration ends.
-const SETTLED: f64 = 1e-9;
+const F_TOLERANCE: f64 = 1e-9;
 
 /// F at an amplitude h of the surface field over α, 0 to [`LARGEST_FIELD`], by describing function; F(0) is
 /// (1 − j)/2.
@@ -53,7 +53,7 @@ pub fn flux_of_field(h: f64) -> Result<Complex<f64>, FieldError> {
         let column = Column::solve(&depth, &sheet_s, omega, &mu);
         let f = column.flux_per_h / unit;
         change = magnitude(f - last) / magnitude(f);
-        if change < SETTLED {
+        if change < F_TOLERANCE {
             return Ok(f);
         }
         last = f;

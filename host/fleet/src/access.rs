@@ -10,10 +10,10 @@ use ihd_daemon::fleet::FleetConfig;
 use crate::server_config::{KeyError, UserKey};
 
 /// Time-out of a connection and of a request.
-const WITHIN: Duration = Duration::from_secs(5);
+const TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Oldest supported server: it has several filters of a consumer, and streams that refuse a second message of a subject.
-const OLDEST: (u64, u64, u64) = (2, 10, 23);
+const MIN_SERVER_VERSION: (u64, u64, u64) = (2, 10, 23);
 
 /// Period of pings on an idle connection; three without an answer end it.
 const PING_EVERY: Duration = Duration::from_secs(5);
@@ -111,8 +111,8 @@ impl Access {
     fn options(&self, name: &str) -> Result<ConnectOptions, AccessError> {
         let mut options = ConnectOptions::new()
             .name(name)
-            .connection_timeout(WITHIN)
-            .request_timeout(Some(WITHIN))
+            .connection_timeout(TIMEOUT)
+            .request_timeout(Some(TIMEOUT))
             .ping_interval(PING_EVERY)
             .custom_inbox_prefix(format!("_INBOX_{name}"))
             .require_tls(self.url.contains("tls://"));
@@ -173,7 +173,7 @@ impl Access {
     /// [`AccessError::Old`].
     pub fn check(&self, client: &Client) -> Result<(), AccessError> {
         let version = client.server_info().version;
-        match is_at_least(&version, OLDEST) {
+        match is_at_least(&version, MIN_SERVER_VERSION) {
             true => Ok(()),
             false => Err(AccessError::Old {
                 url: self.shown(),
@@ -185,8 +185,8 @@ impl Access {
 
 fn context(client: Client) -> Context {
     jetstream::ContextBuilder::new()
-        .timeout(WITHIN)
-        .ack_timeout(WITHIN)
+        .timeout(TIMEOUT)
+        .ack_timeout(TIMEOUT)
         .max_ack_inflight(IN_FLIGHT)
         .build(client)
 }
@@ -234,7 +234,11 @@ mod tests {
             ("3.0", true),
             ("", false),
         ] {
-            assert_eq!(is_at_least(version, OLDEST), enough, "{version}");
+            assert_eq!(
+                is_at_least(version, MIN_SERVER_VERSION),
+                enough,
+                "{version}"
+            );
         }
     }
 }

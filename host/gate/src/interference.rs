@@ -196,7 +196,7 @@ fn aliases_hz(segment: &Segment) -> Vec<f64> {
 }
 
 /// Samples per switching period below which edges of 0.2 µs have strong harmonics beyond half the sampling rate.
-const COARSE: f64 = 150.0;
+const COARSE_SAMPLES_PER_PERIOD: f64 = 150.0;
 
 /// Offset in hertz up to which the lock-in's boxcars of 0.1 ms let a tone through.
 const LOCKIN_HZ: f64 = 10e3;
@@ -205,7 +205,8 @@ const LOCKIN_HZ: f64 = 10e3;
 /// the error is the lock-in's.
 pub fn disturbs_lockin(segment: &Segment) -> bool {
     let passed = |hz: &f64| (FOLLOWED_HZ..LOCKIN_HZ).contains(&hz.abs());
-    segment.samples_per_period() < COARSE && aliases_hz(segment).iter().any(passed)
+    segment.samples_per_period() < COARSE_SAMPLES_PER_PERIOD
+        && aliases_hz(segment).iter().any(passed)
 }
 
 /// Offset in hertz up to which least squares follows a tone: half a wave in each of its intervals of 0.4 ms.

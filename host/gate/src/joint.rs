@@ -30,7 +30,7 @@ const MISFIT_SIGMAS: f64 = 5.0;
 const LEAST_GAIN: f64 = 50.0;
 
 /// Largest misfit beside the tones over that without them, for tones as its cause.
-const EXPLAINED: f64 = 0.35;
+const MAX_MISFIT_RATIO: f64 = 0.35;
 
 /// Least turns of a tone in the stretch: a slower one is a drift.
 const LEAST_TURNS: f64 = 0.8;
@@ -191,7 +191,7 @@ impl Means {
             return done(drift_pct, Cause::Drift);
         }
         let share = |pct: [f64; 2]| (pct[0] / MISFIT_PCT[0]).hypot(pct[1] / MISFIT_PCT[1]);
-        let explains = |pct: &[f64; 2]| share(*pct) <= EXPLAINED * share(misfit_pct);
+        let explains = |pct: &[f64; 2]| share(*pct) <= MAX_MISFIT_RATIO * share(misfit_pct);
         let tones = self.tones(&space, &v);
         let mut all = space.clone();
         tones.iter().for_each(|t| self.add(&mut all, t));

@@ -37,7 +37,7 @@ const MEAN_WIDTH: f64 = 2.0;
 const DRIFT_WIDTH: f64 = 0.05;
 
 /// Fewest means.
-const FEWEST: usize = 60;
+const MIN_MEANS: usize = 60;
 
 /// R and L over the current's amplitude, with standard deviations. All vectors have one length.
 #[derive(Clone, Debug, PartialEq)]
@@ -286,7 +286,7 @@ impl PoolPhasors {
 /// Pools the half-cycles of a segment, or of several; `None` if there are too few phasors, or no load.
 pub fn pool_phasors(phasors: &PoolPhasors) -> Option<PooledLaw> {
     let means = &phasors.means;
-    if means.len() < FEWEST {
+    if means.len() < MIN_MEANS {
         return None;
     }
     let power = |of: &dyn Fn(&Mean) -> Complex<f64>| {

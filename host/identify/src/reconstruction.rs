@@ -20,7 +20,7 @@ use super::trajectory::TrajectoryCursor;
 const ORDERS: usize = 16;
 
 /// Samples that are converted to doubles at a time.
-const AT_ONCE: usize = 1 << 15;
+const CHUNK_SAMPLES: usize = 1 << 15;
 
 /// Partial sums of an NMSE.
 const SUMS: usize = 8;
@@ -123,8 +123,8 @@ impl Nmse {
 
     fn add_all(&mut self, estimated: &[f32], right: &Samples) {
         let mut buffer = Vec::new();
-        for first in (0..estimated.len()).step_by(AT_ONCE) {
-            let range = first..(first + AT_ONCE).min(estimated.len());
+        for first in (0..estimated.len()).step_by(CHUNK_SAMPLES) {
+            let range = first..(first + CHUNK_SAMPLES).min(estimated.len());
             self.add(
                 first,
                 &estimated[range.clone()],
@@ -150,8 +150,8 @@ fn driven_current(
 ) {
     let rate_hz = 1.0 / segment.dt_s;
     let (mut i, mut before) = (None, 0.0);
-    let mut current = Vec::with_capacity(AT_ONCE);
-    for_chunks(segment, AT_ONCE, |first, v_v, i_a| {
+    let mut current = Vec::with_capacity(CHUNK_SAMPLES);
+    for_chunks(segment, CHUNK_SAMPLES, |first, v_v, i_a| {
         current.clear();
         for (k, v) in v_v.iter().enumerate() {
             let at = match i {

@@ -9,10 +9,10 @@ use super::trajectory::TrajectoryCursor;
 use super::{Estimate, IdentifyOptions, least_squares};
 
 /// Points on either side over which squared differences are averaged.
-const REACH: usize = 10;
+const NEIGHBOUR_POINTS: usize = 10;
 
 /// Largest mean squared difference by chance, relative to the stated variances.
-const CHANCE: f64 = 1.5;
+const MAX_CHANCE_RATIO: f64 = 1.5;
 
 /// Relative differences of R and L from which they are a warning: the errors that must be reported.
 const LIMITS: [f64; 2] = [1e-2, 7e-3];
@@ -69,11 +69,12 @@ fn raise(sigma: &mut [f64], values: &[f64], reference: &[(f64, f64)]) -> f64 {
         .map(|k| {
             let (right, admitted) = reference[k];
             let variance = sigma[k] * sigma[k] + admitted * admitted;
-            [(values[k] - right).powi(2), CHANCE * variance]
+            [(values[k] - right).powi(2), MAX_CHANCE_RATIO * variance]
         })
         .collect();
     for (k, sigma) in sigma.iter_mut().enumerate() {
-        let near = &beyond[k.saturating_sub(REACH)..(k + REACH + 1).min(beyond.len())];
+        let near = &beyond
+            [k.saturating_sub(NEIGHBOUR_POINTS)..(k + NEIGHBOUR_POINTS + 1).min(beyond.len())];
         let mean = |x: usize| near.iter().map(|b| b[x]).sum::<f64>() / near.len() as f64;
         let admitted = reference[k].1;
         let raised = *sigma * *sigma + admitted * admitted + (mean(0) - mean(1)).max(0.0);

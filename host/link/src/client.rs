@@ -26,10 +26,10 @@ pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(2);
 pub const KEEPALIVE_PERIOD: Duration = Duration::from_millis(HOST_UNHEARD_MS as u64 / 5);
 
 /// Number of times that a request is sent within its time-out, since answers get lost like any frame.
-const TRIES: u32 = 3;
+const MAX_SENDS: u32 = 3;
 
 /// Time that a preempted command still waits for its answer.
-const GRACE: Duration = Duration::from_millis(50);
+const PREEMPTED_WAIT: Duration = Duration::from_millis(50);
 
 /// Events that may wait for [`Client::next_event`] while commands are answered; a window takes
 /// 70 kB.
@@ -37,8 +37,8 @@ const MAX_EVENTS: usize = 256;
 
 /// Limits of [`Client::next_event`] for reading available bytes after its time-out: reads and time. A whole window comes in a
 /// thousand packets over USB. The number is for clocks that stand still meanwhile.
-const OVERTIME_READS: u32 = 4_096;
-const OVERTIME: Duration = Duration::from_millis(50);
+const MAX_OVERTIME_READS: u32 = 4_096;
+const MAX_OVERTIME: Duration = Duration::from_millis(50);
 
 /// A device, connected and compatible.
 pub struct Client {
@@ -116,7 +116,7 @@ impl Client {
             id: Hello::ID,
             number: Number::NONE,
         };
-        let theirs: Hello = client.exchange(&ours, greeted, TRIES)?;
+        let theirs: Hello = client.exchange(&ours, greeted, MAX_SENDS)?;
         let theirs = printable_hello(theirs);
         check(&ours, &theirs).map_err(|why| LinkError::Mismatch {
             device: format!("{} ({})", client.transport.describe(), theirs.build),
@@ -141,7 +141,7 @@ impl Client {
             id: <R::Answer<'_> as Message>::ID,
             number: self.number,
         };
-        let tries = if R::IS_SENT_ONCE { 1 } else { TRIES };
+        let tries = if R::IS_SENT_ONCE { 1 } else { MAX_SENDS };
         self.exchange(request, awaited, tries)
     }
 
@@ -232,7 +232,7 @@ impl Client {
             let now = self.transport.clock();
             let left = deadline.saturating_sub(now);
             overtime_reads += u32::from(left.is_zero());
-            if overtime_reads > OVERTIME_READS || now.saturating_sub(deadline) > OVERTIME {
+            if overtime_reads > MAX_OVERTIME_READS || now.saturating_sub(deadline) > MAX_OVERTIME {
                 return Ok(None);
             }
             let length = self.receive(left)?;
@@ -339,7 +339,7 @@ impl Client {
         // A request for power is dropped at once.
         Ok(Some(match id {
             SetPower::ID => Duration::ZERO,
-            _ => GRACE,
+            _ => PREEMPTED_WAIT,
         }))
     }
 

@@ -15,7 +15,7 @@ use super::{Client, LinkError};
 pub const PAIRS_PER_MESSAGE: usize = BLOCKS_PER_MESSAGE * ADC_LOCK_P;
 
 /// Attempts to send a message, or to read the last answer, before the link is given up.
-const TRIES: u32 = 8;
+const MAX_ATTEMPTS: u32 = 8;
 
 /// Request for the last estimates again.
 const LAST: ReplayBlocks<'static> = ReplayBlocks {
@@ -91,7 +91,7 @@ pub fn retry_unanswered<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Res
     let mut tries = 1;
     loop {
         match ask() {
-            Err(LinkError::NoAnswer { .. }) if tries < TRIES => tries += 1,
+            Err(LinkError::NoAnswer { .. }) if tries < MAX_ATTEMPTS => tries += 1,
             other => return other,
         }
     }
@@ -157,7 +157,7 @@ impl ReplayMode<'_> {
                         device: self.client.describe(),
                     });
                 }
-                Err(LinkError::NoAnswer { .. }) if tries < 2 * TRIES => self.unsure = true,
+                Err(LinkError::NoAnswer { .. }) if tries < 2 * MAX_ATTEMPTS => self.unsure = true,
                 Err(other) => return Err(other),
             }
             self.repeats += 1;

@@ -14,7 +14,7 @@ use super::assembler::UnfinishedWindow;
 pub const PIECES: usize = 4;
 
 /// Silence before each batch of requests. The longest is far below the time for which a device keeps a window.
-const PATIENCE: [Duration; 6] = [
+const REQUEST_DELAYS: [Duration; 6] = [
     Duration::from_millis(30),
     Duration::from_millis(30),
     Duration::from_millis(60),
@@ -130,7 +130,7 @@ impl Resend {
         } else {
             PATIENCE_WITHIN
         };
-        let patience = PATIENCE.get(rounds)?;
+        let patience = REQUEST_DELAYS.get(rounds)?;
         Some((*patience).max(2 * self.spacing).max(least))
     }
 }

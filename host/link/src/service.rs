@@ -13,7 +13,7 @@ use ihd_shared::wire::number::Number;
 use super::{Client, LinkError};
 
 /// Silence after which the rest of a test's bytes counts as lost.
-const SILENCE: Duration = Duration::from_millis(500);
+const SILENCE_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Identity of a board and its program, as in [`UsbBoard`](crate::usb::UsbBoard).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -164,11 +164,11 @@ impl Client {
         let mut last = begin;
         while self.link_data().seen() < u32::from(frames) {
             let before = self.link_data();
-            self.receive(SILENCE)?;
+            self.receive(SILENCE_TIMEOUT)?;
             let now = self.clock();
             if self.link_data() != before {
                 last = now;
-            } else if now.saturating_sub(last) >= SILENCE {
+            } else if now.saturating_sub(last) >= SILENCE_TIMEOUT {
                 break;
             }
         }

@@ -12,7 +12,7 @@ const PER_KNOT: f64 = 1.5;
 pub const MOST_BINS: usize = 32;
 
 /// Share of a curve's weight that remains when another window is fused: about fifty windows count, ten seconds.
-const KEPT: f64 = 0.98;
+const KEPT_WEIGHT_SHARE: f64 = 0.98;
 
 /// Least relative deviations of R and L at the largest current, which no number of windows reduces; they grow as the current
 /// falls. They cover errors of bins and sensors.
@@ -236,7 +236,7 @@ impl CurrentCurve {
             let mut other = *other;
             other.scale(new[0], new[1]);
             bin.scale(old[0], old[1]);
-            bin.fuse(&other, KEPT);
+            bin.fuse(&other, KEPT_WEIGHT_SHARE);
         }
         self.t_s = self.t_s.max(other.t_s);
         self.windows = self.windows.saturating_add(other.windows);

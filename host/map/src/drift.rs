@@ -7,7 +7,7 @@ const DRIFT_PER_S: [f64; 2] = [1e-3, 3e-4];
 const LASTS_S: f64 = 60.0;
 
 /// Largest variance of a level: nothing is known.
-const WIDEST: f64 = 1.0;
+const MAX_LEVEL_VARIANCE: f64 = 1.0;
 
 /// Largest drift, and largest surprise that changes it, in standard deviations.
 const MOST_DEVIATIONS: f64 = 10.0;
@@ -27,7 +27,7 @@ impl Drift {
     pub fn new(quantity: usize, level_variance: f64) -> Self {
         Self {
             per_s: 0.0,
-            level_variance: level_variance.min(WIDEST),
+            level_variance: level_variance.min(MAX_LEVEL_VARIANCE),
             per_s_variance: DRIFT_PER_S[quantity].powi(2),
             covariance: 0.0,
         }
@@ -53,7 +53,7 @@ impl Drift {
         self.covariance = stays * (self.covariance + reach_s * self.per_s_variance)
             + widest * LASTS_S * (1.0 - stays) * (1.0 - stays);
         self.per_s_variance = stays * stays * self.per_s_variance + widest * (1.0 - stays * stays);
-        self.level_variance = self.level_variance.min(WIDEST);
+        self.level_variance = self.level_variance.min(MAX_LEVEL_VARIANCE);
         let Some((level, variance)) = seen else {
             return expected;
         };
@@ -75,7 +75,7 @@ impl Drift {
     pub fn is_sound(&self) -> bool {
         let most = MOST_DEVIATIONS * DRIFT_PER_S[0];
         self.per_s.abs() <= most
-            && (0.0..=WIDEST).contains(&self.level_variance)
+            && (0.0..=MAX_LEVEL_VARIANCE).contains(&self.level_variance)
             && self.per_s_variance >= 0.0
             && self.per_s_variance.is_finite()
             && self.covariance.is_finite()

@@ -13,7 +13,7 @@ use crate::parameters::{self, CENTRED, COUNT, Prior, Vector};
 pub(crate) const MOST_STEPS: usize = 12;
 
 /// Fall of the cost at which a descent ends: a number then moves far less than its deviation.
-const SETTLED: f64 = 1e-3;
+const COST_TOLERANCE: f64 = 1e-3;
 
 /// Step of the numerical derivatives, in spreads.
 const STEP: f64 = 1e-3;
@@ -188,7 +188,7 @@ pub(crate) fn fit(
             }
             damping *= 8.0;
         }
-        if before - best < SETTLED {
+        if before - best < COST_TOLERANCE {
             break;
         }
     }
@@ -220,11 +220,11 @@ pub(crate) fn fit_any(data: &[Datum], tau: [f64; 2]) -> Option<Descent> {
 /// Fits the same pot off centre; `None` if that is not better by more than chance.
 pub(crate) fn fit_off_centre(data: &[Datum], centred: &Descent, tau: [f64; 2]) -> Option<Descent> {
     /// Least fall of the cost that justifies another parameter.
-    const WORTH: f64 = 4.0;
+    const MIN_COST_FALL: f64 = 4.0;
     let mut begin = centred.steps;
     begin[CENTRED] = 1.0;
     let shifted = fit(data, (&centred.prior, begin), COUNT, tau, MOST_STEPS)?;
-    (shifted.cost + WORTH < centred.cost).then_some(shifted)
+    (shifted.cost + MIN_COST_FALL < centred.cost).then_some(shifted)
 }
 
 /// Changes of ln R and ln L by heating between each datum and now.

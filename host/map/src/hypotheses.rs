@@ -19,13 +19,13 @@ const OF_AN_ENTRY: f64 = 1.0 / 40.0;
 const OF_ALL_ENTRIES: f64 = 0.5;
 
 /// Least share of "any pot", whatever the evidence. An entry is advice: it may be another pot, or forged to fit all that this hob
-/// has measured. With [`BELIEVABLE`], all entries together then move the map by at most one of this hob's own deviations in the mean
+/// has measured. With [`MAX_DEVIATIONS`], all entries together then move the map by at most one of this hob's own deviations in the mean
 /// of the squares, and what they add to the deviations keeps a wrong cell from being marked (docs/map.md).
-const LEAST_ANY: f64 = 0.5;
+const MIN_ANY_POT_SHARE: f64 = 0.5;
 
 /// Most deviations of "any pot", root mean square over the map, by which an entry's map may differ from it: docs/map.md
 /// finds them too small by 1.8 at most.
-const BELIEVABLE: f64 = 2.0;
+const MAX_DEVIATIONS: f64 = 2.0;
 
 /// Least relative deviations of R and L in that comparison.
 const LEAST_SIGMA: [f64; 2] = [0.004, 0.002];
@@ -80,7 +80,7 @@ impl LibraryHypothesis {
         };
         let values = self.at(&shape_places(), 0.0);
         let squares: f64 = values.iter().zip(alone).map(square).sum();
-        squares < BELIEVABLE * BELIEVABLE * alone.len() as f64
+        squares < MAX_DEVIATIONS * MAX_DEVIATIONS * alone.len() as f64
     }
 
     fn at(&self, places: &[(f64, f64)], ahead_s: f64) -> Vec<RlPrediction> {
@@ -175,7 +175,7 @@ impl Hypotheses {
         let sum: f64 = none + others.iter().map(|r| r.share).sum::<f64>();
         others.retain(|r| r.share >= DROPPED * sum);
         let left: f64 = others.iter().map(|r| r.share).sum();
-        let most = (left / (none + left)).min(1.0 - LEAST_ANY);
+        let most = (left / (none + left)).min(1.0 - MIN_ANY_POT_SHARE);
         others.iter_mut().for_each(|r| r.share *= most / left);
         Self { any, others }
     }

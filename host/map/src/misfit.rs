@@ -14,10 +14,10 @@ const REACH_KNOTS: f64 = 8.0;
 /// Correlation length of the misfit in ln s: heat and frequency act through the skin depth alone, and 1/f changes it like s².
 const REACH_LN_S: f64 = 0.5 * REACH_LN_F;
 
-/// Share of the misfit's variance that is rougher over frequency, by the factor `FINER`. A perfectly smooth process would make
+/// Share of the misfit's variance that is rougher over frequency, by the factor `ROUGHNESS_FACTOR`. A perfectly smooth process would make
 /// the deviations between and beside measured frequencies too small.
-const ROUGH: f64 = 1e-3;
-const FINER: f64 = 4.0;
+const ROUGH_SHARE: f64 = 1e-3;
+const ROUGHNESS_FACTOR: f64 = 4.0;
 
 /// Coordinate of a current's amplitude in ampere on the lookup's axis, in knots.
 pub fn current_knots(i_a: f64) -> f64 {
@@ -62,8 +62,8 @@ impl Place {
         let i = (self.knots - other.knots) / REACH_KNOTS;
         let apart_s = self.age_s - other.age_s;
         let i = i * i + changes(apart_s, apart_s) / REACH_LN_S.powi(2);
-        let rough = (FINER * f).powi(2) + i;
-        (1.0 - ROUGH) * (-0.5 * (f * f + i)).exp() + ROUGH * (-0.5 * rough).exp()
+        let rough = (ROUGHNESS_FACTOR * f).powi(2) + i;
+        (1.0 - ROUGH_SHARE) * (-0.5 * (f * f + i)).exp() + ROUGH_SHARE * (-0.5 * rough).exp()
     }
 }
 

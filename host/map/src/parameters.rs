@@ -19,8 +19,8 @@ pub(crate) type Vector = [f64; COUNT];
 pub(crate) const SPREAD: Vector = [0.8, 0.4, 0.03, 0.006, 0.02, 0.03, 0.02];
 
 /// Limits of the gap's table and of metals.
-const LEAST: Vector = [5.3, -16.5, 0.025, -0.002, -0.2, 0.0, 0.0];
-const MOST: Vector = [13.9, -9.0, 0.13, 0.065, 0.2, 0.5, 0.06];
+const LOWER_LIMITS: Vector = [5.3, -16.5, 0.025, -0.002, -0.2, 0.0, 0.0];
+const UPPER_LIMITS: Vector = [13.9, -9.0, 0.13, 0.065, 0.2, 0.5, 0.06];
 
 /// Number of leading parameters that are the pot's own, α, s and radius; the others depend on place and coil.
 pub(crate) const OF_POT: usize = 3;
@@ -89,7 +89,7 @@ pub(crate) fn raw(model: &PotModel) -> Vector {
 
 /// Model with each number clamped to its range.
 pub(crate) fn clamped(numbers: &Vector) -> PotModel {
-    let at = |k: usize| numbers[k].clamp(LEAST[k], MOST[k]);
+    let at = |k: usize| numbers[k].clamp(LOWER_LIMITS[k], UPPER_LIMITS[k]);
     PotModel {
         ln_alpha: at(0),
         ln_s: at(1),
@@ -103,7 +103,7 @@ pub(crate) fn clamped(numbers: &Vector) -> PotModel {
 
 /// Returns `true` if each number is finite and in its range.
 pub(crate) fn is_sound(model: &PotModel) -> bool {
-    let ranges = LEAST.iter().zip(&MOST);
+    let ranges = LOWER_LIMITS.iter().zip(&UPPER_LIMITS);
     let mut all = raw(model).into_iter().zip(ranges);
     all.all(|(x, (least, most))| (*least..=*most).contains(&x))
 }

@@ -25,7 +25,7 @@ const LEAST_OFFSET_M: f64 = 0.5e-3;
 const MAX_ITERATIONS: usize = 60;
 
 /// Relative change of the impedance at which the iteration ends.
-const SETTLED: f64 = 1e-7;
+const IMPEDANCE_TOLERANCE: f64 = 1e-7;
 
 /// Numbers of a pot over the coil of the paper (section IV).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -192,7 +192,7 @@ impl Sector {
             }
             let change = (inductance - last).norm_sqr();
             last = inductance;
-            if change < SETTLED * SETTLED * inductance.norm_sqr() {
+            if change < IMPEDANCE_TOLERANCE * IMPEDANCE_TOLERANCE * inductance.norm_sqr() {
                 break;
             }
         }

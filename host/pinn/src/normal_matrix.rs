@@ -19,7 +19,7 @@ const TILE: (usize, usize) = (3, 3);
 const PANEL: usize = 8;
 
 /// Right-hand sides that are solved at a time.
-const TOGETHER: usize = 32;
+const BATCH_SIDES: usize = 32;
 
 /// `n` rounded up to whole lanes.
 fn padded(n: usize) -> usize {
@@ -264,9 +264,9 @@ impl Factor {
     pub fn inverse_forms(&self, rows: &DMatrix<f64>) -> Vec<f64> {
         let count = rows.nrows();
         let mut forms = Vec::with_capacity(count);
-        let mut solved = vec![[0.0; TOGETHER]; self.size];
-        for first in (0..count).step_by(TOGETHER) {
-            let these = TOGETHER.min(count - first);
+        let mut solved = vec![[0.0; BATCH_SIDES]; self.size];
+        for first in (0..count).step_by(BATCH_SIDES) {
+            let these = BATCH_SIDES.min(count - first);
             for (k, lanes) in solved.iter_mut().enumerate() {
                 let column = &rows.as_slice()[k * count + first..][..these];
                 lanes[..these].copy_from_slice(column);
@@ -289,16 +289,16 @@ impl Factor {
     /// (L Lᵀ)⁻¹.
     pub fn inverse(&self) -> DMatrix<f64> {
         let mut below = DMatrix::zeros(self.size, self.size);
-        for first in (0..self.size).step_by(TOGETHER) {
-            let mut solved = vec![[0.0; TOGETHER]; self.size];
-            for (lane, row) in solved[first..].iter_mut().take(TOGETHER).enumerate() {
+        for first in (0..self.size).step_by(BATCH_SIDES) {
+            let mut solved = vec![[0.0; BATCH_SIDES]; self.size];
+            for (lane, row) in solved[first..].iter_mut().take(BATCH_SIDES).enumerate() {
                 row[lane] = 1.0;
             }
             vectorised(
                 #[inline(always)]
                 || self.forward(&mut solved),
             );
-            let these = TOGETHER.min(self.size - first);
+            let these = BATCH_SIDES.min(self.size - first);
             for (k, lanes) in solved.iter().enumerate() {
                 for (lane, x) in lanes[..these].iter().enumerate() {
                     below[(k, first + lane)] = *x;
@@ -310,8 +310,8 @@ impl Factor {
 
     /// Solves L x = b in place, lane by lane; returns |x|² of each.
     #[inline(always)]
-    fn forward(&self, solved: &mut [[f64; TOGETHER]]) -> [f64; TOGETHER] {
-        let mut squares = [0.0; TOGETHER];
+    fn forward(&self, solved: &mut [[f64; BATCH_SIDES]]) -> [f64; BATCH_SIDES] {
+        let mut squares = [0.0; BATCH_SIDES];
         for k in 0..solved.len() {
             let (before, from_here) = solved.split_at_mut(k);
             let mut lanes = from_here[0];
@@ -371,7 +371,7 @@ mod tests {
             let determinant = (&product + DMatrix::identity(size, size) * ridge).determinant();
             assert!((factor.log_determinant() - determinant.ln()).abs() < 1e-9);
             // More right-hand sides than go together, and none whole.
-            let rows = random(TOGETHER + 3, size);
+            let rows = random(BATCH_SIDES + 3, size);
             for (k, form) in factor.inverse_forms(&rows).into_iter().enumerate() {
                 let row = rows.row(k).transpose();
                 let right = row.dot(&factor.solve(&row));

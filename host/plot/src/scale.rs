@@ -8,10 +8,10 @@ use plotters::coord::ranged1d::{
 use plotters::coord::types::RangedCoordf64;
 
 /// Smallest value of an axis of decades.
-const LEAST: f64 = 1e-300;
+const MIN_DECADE_VALUE: f64 = 1e-300;
 
 /// Largest magnitude of any axis.
-const MOST: f64 = 1e300;
+const MAX_MAGNITUDE: f64 = 1e300;
 
 /// Range and division of an axis.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,7 +26,7 @@ impl Scale {
     /// Creates equal steps; a range that is empty or not finite is replaced by a valid one.
     pub fn linear(range: Range<f64>) -> Self {
         let Range { start, end } = range;
-        if !(start.abs() < MOST && end.abs() < MOST) {
+        if !(start.abs() < MAX_MAGNITUDE && end.abs() < MAX_MAGNITUDE) {
             return Self::Linear(0.0..1.0);
         }
         let least = 1e-9 * start.abs().max(end.abs()).max(1e-12);
@@ -36,7 +36,7 @@ impl Scale {
     /// Creates equal ratios; values that are not positive are cut off.
     pub fn decades(range: Range<f64>) -> Self {
         let start = if range.start.is_finite() {
-            range.start.clamp(LEAST, MOST)
+            range.start.clamp(MIN_DECADE_VALUE, MAX_MAGNITUDE)
         } else {
             1.0
         };

@@ -34,7 +34,7 @@ const MOVES_FAR_HZ: f64 = 250.0;
 const MOST_RARELY: f64 = 0.04;
 
 /// Share of the largest power above which a value is the carrier's frequency and not noise.
-const STRONG: f64 = 0.05;
+const MIN_POWER_SHARE: f64 = 0.05;
 
 /// Motion of a carrier.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -175,7 +175,7 @@ impl Carrier {
     /// Returns mean, deviation and rate of the motion.
     pub fn sweep(&self) -> Sweep {
         let mean_hz = self.mean_hz();
-        let strong = || self.values().filter(|v| v.2 > STRONG);
+        let strong = || self.values().filter(|v| v.2 > MIN_POWER_SHARE);
         let mut f: Vec<f64> = strong().map(|v| v.1).collect();
         f.sort_by(f64::total_cmp);
         let rank = |share: f64| f.get((share * f.len() as f64) as usize).copied();

@@ -9,7 +9,7 @@ use realfft::RealFftPlanner;
 pub use realfft::{ComplexToReal, RealToComplex};
 
 /// Plans that a thread keeps, and their longest length: windows of a device repeat few lengths, captures may have any.
-const KEPT: usize = 4;
+const MAX_PLANS: usize = 4;
 const LONGEST_KEPT: usize = 1 << 14;
 
 thread_local! {
@@ -28,7 +28,7 @@ pub fn forward(points: usize) -> Arc<dyn RealToComplex<f64>> {
         let known = latest.iter().position(|plan| plan.len() == points);
         let plan = known.and_then(|k| latest.remove(k));
         let plan = plan.unwrap_or_else(planned);
-        latest.truncate(KEPT - 1);
+        latest.truncate(MAX_PLANS - 1);
         latest.push_front(Arc::clone(&plan));
         plan
     })

@@ -252,7 +252,7 @@ pub enum SegmentError {
 }
 
 /// Largest magnitude of a sample, in volt or ampere, whose powers are still finite numbers.
-const LARGEST: f64 = 1e30;
+const MAX_SAMPLE: f64 = 1e30;
 
 fn check_channel(channel: &'static str, x: &Samples) -> Result<(), SegmentError> {
     match x.raw() {
@@ -272,9 +272,9 @@ fn check_values<T: Copy + Into<f64>>(
         // The comparison is false for NaN.
         let sound = x
             .iter()
-            .fold(true, |sound, x| sound & (value(*x).abs() <= LARGEST));
+            .fold(true, |sound, x| sound & (value(*x).abs() <= MAX_SAMPLE));
         if !sound {
-            let bad = |x: &T| value(*x).is_nan() || value(*x).abs() > LARGEST;
+            let bad = |x: &T| value(*x).is_nan() || value(*x).abs() > MAX_SAMPLE;
             let index = x.iter().position(bad).unwrap_or(0);
             return Err(SegmentError::NotFinite {
                 channel,
@@ -282,7 +282,7 @@ fn check_values<T: Copy + Into<f64>>(
                 value: value(x[index]),
             });
         }
-        loud = loud || x.iter().any(|x| value(*x).abs() >= 1.0 / LARGEST);
+        loud = loud || x.iter().any(|x| value(*x).abs() >= 1.0 / MAX_SAMPLE);
     }
     if loud {
         Ok(())

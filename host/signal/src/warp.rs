@@ -7,7 +7,7 @@ use crate::carrier::Carrier;
 
 /// Samples per period from which four neighbours are enough for interpolation. The fundamental then has an error of 4e-7 at
 /// 100 samples per period with four, and of 1e-7 at 20 with eight.
-const FINE: f64 = 100.0;
+const FINE_SAMPLES_PER_PERIOD: f64 = 100.0;
 
 /// Part of a segment with a time in which the carrier's frequency is constant, its mean there. Both ends of the part keep
 /// their times.
@@ -54,7 +54,7 @@ impl<'a> Warp<'a> {
             (search.time_s(periods) - self.segment.t0_s) / dt_s
         });
         let places: Vec<f64> = places.collect();
-        let fine = self.segment.samples_per_period() > FINE;
+        let fine = self.segment.samples_per_period() > FINE_SAMPLES_PER_PERIOD;
         Segment {
             f_sw_hz: self.f_hz,
             t0_s: self.start_s(),
@@ -85,7 +85,7 @@ impl<'a> Warp<'a> {
             (periods - self.periods_at_first) / (self.f_hz * dt_s)
         };
         let places: Vec<f64> = (0..self.len).map(place).collect();
-        let fine = self.segment.samples_per_period() > FINE;
+        let fine = self.segment.samples_per_period() > FINE_SAMPLES_PER_PERIOD;
         let out = interpolated(&x, &places, fine);
         out.into_iter().map(|x| x as f32).collect()
     }

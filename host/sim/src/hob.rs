@@ -135,7 +135,7 @@ impl SimHob {
         plant.set_comparator(trip_a, TRIP_DELAY_S);
         Ok(Self {
             plant,
-            drive: (Drive::OFF, soft_start::WHOLE),
+            drive: (Drive::OFF, soft_start::WHOLE_SHARE),
             soft_start: SoftStart::new(),
             slow_adc: SlowAdc::new(config.seed),
             zero_crossing: ZeroCrossingDetector::default(),
@@ -238,7 +238,7 @@ impl SimHob {
         };
         self.plant.set_drive(due);
         self.plant
-            .set_duty(0.5 * f64::from(share) / f64::from(soft_start::WHOLE));
+            .set_duty(0.5 * f64::from(share) / f64::from(soft_start::WHOLE_SHARE));
     }
 
     /// Restarts the controller as after a reset, with an empty link; pot, mains and temperatures continue.

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use ihd_signal::truth::Truth;
 
 /// Number of half-cycles that are kept: more than the slowest link takes to deliver a window.
-const KEPT: usize = 256;
+const MAX_HALF_CYCLES: usize = 256;
 
 /// Truth of the last half-cycles of a simulated hob. Clones share it.
 #[derive(Clone, Debug, Default)]
@@ -17,7 +17,7 @@ impl RecentTruths {
     pub(crate) fn push(&self, truth: Truth) {
         let mut truths = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         truths.push_back(truth);
-        if truths.len() > KEPT {
+        if truths.len() > MAX_HALF_CYCLES {
             truths.pop_front();
         }
     }

@@ -20,7 +20,7 @@ type Phasor = Complex<f64>;
 const PAIRS: usize = 10;
 
 /// Orders that are summed in one pass over a block.
-const AT_ONCE: usize = 4;
+const ORDERS_PER_PASS: usize = 4;
 
 /// Problem to fit: splines, orders and the positions of samples.
 #[derive(Clone, Copy, Debug)]
@@ -89,9 +89,9 @@ impl HarmonicFit<'_> {
         if self.block == 1 {
             return self.of_single_samples(&turns, v, i);
         }
-        let correlators: Vec<Correlator<AT_ONCE>> = self
+        let correlators: Vec<Correlator<ORDERS_PER_PASS>> = self
             .orders
-            .chunks(AT_ONCE)
+            .chunks(ORDERS_PER_PASS)
             .map(|orders| {
                 let order = |k| orders.get(k).map_or(0.0, |h: &u32| f64::from(*h));
                 let all = std::array::from_fn(order);
@@ -111,15 +111,15 @@ impl HarmonicFit<'_> {
             }
             turns.powers(first, &mut powers);
             for (group, correlator) in correlators.iter().enumerate() {
-                let orders = &self.orders[group * AT_ONCE..];
+                let orders = &self.orders[group * ORDERS_PER_PASS..];
                 let turn = |k| {
                     orders
                         .get(k)
                         .map_or(powers[0], |h: &u32| powers[*h as usize])
                 };
                 let sums = correlator.block_turned(&std::array::from_fn(turn), v, i);
-                for k in 0..orders.len().min(AT_ONCE) {
-                    interval.add_signals(group * AT_ONCE + k, &local, sums.v[k], sums.i[k]);
+                for k in 0..orders.len().min(ORDERS_PER_PASS) {
+                    interval.add_signals(group * ORDERS_PER_PASS + k, &local, sums.v[k], sums.i[k]);
                 }
             }
             interval.add_products(&local, &turns, &powers);

@@ -21,19 +21,19 @@ const LEAST_PERIODS: f64 = 6.0;
 const OVERLAP: f64 = 4.0;
 
 /// Share of white noise that the spline's own freedom leaves in a window.
-const LEFT: f64 = 0.49;
+const NOISE_SHARE_LEFT: f64 = 0.49;
 
 /// Times of a window at which the fitted phasor is evaluated.
 const TIMES: usize = 8;
 
 /// Blocks after which the carrier's phase is computed anew; it is turned on in between.
-const EXACT: usize = 64;
+const PHASE_RENEWAL_BLOCKS: usize = 64;
 
 /// Windows on either side that are averaged.
-const REACH: usize = 4;
+const NEIGHBOUR_WINDOWS: usize = 4;
 
 /// Mean square relative to white noise that counts as chance: means of so many windows seldom exceed it.
-const CHANCE: f64 = 1.8;
+const MAX_CHANCE_RATIO: f64 = 1.8;
 
 /// Excess of a fit's residual at the fundamental over white noise, along the stretch.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -75,7 +75,7 @@ impl Excess {
             .zip(samples[1].chunks_exact(windows.block))
             .enumerate()
             .map(|(b, (v, i))| {
-                if b % EXACT == 0 {
+                if b % PHASE_RENEWAL_BLOCKS == 0 {
                     turn = correlator.turn(b * windows.block);
                 }
                 let sums = correlator.block_turned(&turn, v, i);
@@ -87,7 +87,8 @@ impl Excess {
             .map(|w| windows.left(w, fit, &blocks, fitted))
             .collect();
         let means = (0..left.len()).map(|w| {
-            let near = &left[w.saturating_sub(REACH)..(w + REACH + 1).min(left.len())];
+            let near = &left
+                [w.saturating_sub(NEIGHBOUR_WINDOWS)..(w + NEIGHBOUR_WINDOWS + 1).min(left.len())];
             let n = near.len() as f64;
             Left {
                 v: near.iter().map(|[v, _]| v.norm_sqr()).sum::<f64>() / n,
@@ -99,7 +100,8 @@ impl Excess {
             first_s: 0.5 * windows.length_s(fit),
             step_s: (windows.hop * windows.block) as f64 * fit.dt_s,
             windows: means.collect(),
-            chance: white.map(|sigma| CHANCE * LEFT * sigma * sigma * windows.white),
+            chance: white
+                .map(|sigma| MAX_CHANCE_RATIO * NOISE_SHARE_LEFT * sigma * sigma * windows.white),
         }
     }
 

@@ -13,7 +13,7 @@ use super::folder;
 use super::schema::Schema;
 
 /// Longest wait for another connection that writes.
-const BUSY: Duration = Duration::from_secs(5);
+const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Longest wait for another connection in a trial: longer than any write takes.
 const BUSY_IN_TRIAL: Duration = Duration::from_secs(1);
@@ -85,7 +85,7 @@ pub fn open_to_read(path: &Path, schema: &Schema) -> Result<Connection, StoreErr
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let connection = Connection::open_with_flags(path, flags).map_err(as_error(path, "opening"))?;
     connection
-        .busy_timeout(BUSY)
+        .busy_timeout(BUSY_TIMEOUT)
         .map_err(as_error(path, "opening"))?;
     let version = version(&connection, path, schema)?;
     if version == 0 {
@@ -121,7 +121,7 @@ pub fn try_writing(
 
 fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<(), StoreError> {
     let opening = || as_error(path, "opening");
-    connection.busy_timeout(BUSY).map_err(opening())?;
+    connection.busy_timeout(BUSY_TIMEOUT).map_err(opening())?;
     let version = version(connection, path, schema)?;
     if version == 0 && schema.shrinks {
         // Before the first page is written.

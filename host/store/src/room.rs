@@ -14,7 +14,7 @@ const A_BATCH: usize = 64;
 const A_ROUND: usize = 512;
 
 /// Windows of the last hour that are thinned together if nothing older is left.
-const A_FEW: usize = 8;
+const THINNED_WINDOWS: usize = 8;
 
 const IDENTIFIED: &str = "
 SELECT r_ohm, l_h, sigma_r_pct, sigma_l_pct, pass FROM results
@@ -120,7 +120,7 @@ impl Store {
     fn drop_oldest(&mut self) -> Result<usize, StoreError> {
         for file in self.in_order()? {
             let mut cursor = Cursor::new(Tier::Nothing);
-            match self.thin_file(file, &mut cursor, None, A_FEW)? {
+            match self.thin_file(file, &mut cursor, None, THINNED_WINDOWS)? {
                 0 => {}
                 windows => return Ok(windows),
             }

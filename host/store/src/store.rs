@@ -76,8 +76,8 @@ pub struct StoreFigures {
     pub thinned: u64,
 }
 
-/// Windows may exceed their limit by 1/`BEYOND` of it until room is made.
-const BEYOND: u64 = 10;
+/// Windows may exceed their limit by 1/`EXCESS_DIVISOR` of it until room is made.
+const EXCESS_DIVISOR: u64 = 10;
 
 const END_CUT_OFF: &str = "UPDATE sessions SET ended_ms = ?1,
     why = 'cut off: the process ended without ending it' WHERE ended_ms IS NULL";
@@ -373,7 +373,7 @@ impl Store {
             tracing::warn!(%error, "room for newer windows could not be made");
         }
         let max = self.options.retention.max_bytes;
-        if self.excess_bytes()? <= max / BEYOND {
+        if self.excess_bytes()? <= max / EXCESS_DIVISOR {
             return Ok(None);
         }
         let today = self.days.today.as_ref().map(|day| day.file.day.clone());

@@ -18,7 +18,7 @@ const HINT_WIDTH: f64 = 0.1;
 const LINE_OVER_MEDIAN: f64 = 30.0;
 
 /// Power of a line relative to the strongest, below which it does not determine the frequency: 1 % of amplitude.
-const WEAK: f64 = 1e-4;
+const MIN_POWER_RATIO: f64 = 1e-4;
 
 /// Share of the current's amplitude nearby above which the bridge is on: well above noise of 30 dB, and low enough for an
 /// edge at a zero crossing.
@@ -67,7 +67,7 @@ pub fn find_pieces(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> Carrier
     let valid: Vec<bool> = lines
         .frames
         .iter()
-        .map(|l| l.contrast > LINE_OVER_MEDIAN && l.power > WEAK * strongest)
+        .map(|l| l.contrast > LINE_OVER_MEDIAN && l.power > MIN_POWER_RATIO * strongest)
         .collect();
     let mut result = CarrierPieces::default();
     let mut end = run.samples.start;

@@ -23,7 +23,7 @@ const LARGEST_A: f64 = 300.0;
 const NOISY_DB: f64 = 25.0;
 
 /// Share of a channel's power in its fundamental below which the channel is dead.
-const DEAD: f64 = 1e-2;
+const MIN_FUNDAMENTAL_SHARE: f64 = 1e-2;
 
 /// Numbers of one channel, in its unit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -63,7 +63,7 @@ pub(super) fn survey(
     };
     let (mut n, mut sum, mut square) = (0.0, 0.0, 0.0);
     for piece in pieces {
-        for x in x[piece.run.samples.clone()].chunks(TOGETHER) {
+        for x in x[piece.run.samples.clone()].chunks(BLOCK_SAMPLES) {
             let part = vectorised(
                 #[inline(always)]
                 || Sums::of(x),
@@ -100,7 +100,7 @@ pub(super) fn survey(
 }
 
 /// Samples that are summed together.
-const TOGETHER: usize = 1 << 14;
+const BLOCK_SAMPLES: usize = 1 << 14;
 
 /// Sums from which a channel's numbers are computed.
 struct Sums {
@@ -146,7 +146,7 @@ fn is_dead(which: Channel, tracks: &[Track], variance: f64) -> bool {
         .map(|x| 0.5 * x.iter().map(|x| x.norm_sqr()).sum::<f64>())
         .sum();
     let frames: usize = tracks.iter().map(|t| t.t_s.len()).sum();
-    !(fundamental / frames.max(1) as f64 > DEAD * variance && variance > 0.0)
+    !(fundamental / frames.max(1) as f64 > MIN_FUNDAMENTAL_SHARE * variance && variance > 0.0)
 }
 
 /// Clipping, offset and noise of a channel that is alive.

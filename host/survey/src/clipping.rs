@@ -6,17 +6,17 @@ use ihd_signal::vectorised::vectorised;
 const BINS: f64 = 128.0;
 
 /// Samples in which the smallest step between levels is searched.
-const FEW: usize = 4096;
+const STEP_SEARCH_SAMPLES: usize = 4096;
 
 /// Least ratio of samples in the end bin to those in the next one: a sine of constant amplitude has 2.4, one with varying
 /// amplitude less than 1.
 const PILE: f64 = 5.0;
 
 /// Fine bins in a bin: of 12 bits, one code.
-const FINE: usize = 32;
+const FINE_BINS: usize = 32;
 
 /// Fewest samples at an end that count as clipping.
-const LEAST: usize = 16;
+const MIN_CLIPPED_SAMPLES: usize = 16;
 
 /// Share of full scale from which a sample counts as clipped: a code of 12 bits below it, because the upper end of a
 /// converter's range is a code short of it.
@@ -40,7 +40,7 @@ const EXCESS: f64 = 0.47;
 const AT_CREST: f64 = 4.0;
 
 /// Share of the amplitude that noise may lose at the ends and is no fault: half of what R may be off.
-const TOLERABLE: f64 = 5e-3;
+const MAX_NOISE_SHARE: f64 = 5e-3;
 
 /// Clipping of a channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -68,7 +68,7 @@ impl ClippedSamples {
         // The amplitude in deviations: √2 of the signal's rms.
         let amplitude = std::f64::consts::SQRT_2 * 10f64.powf(snr_db / 20.0);
         let lost = AT_CREST * 2.0 * clipped / x.len() as f64 * EXCESS / amplitude;
-        followed < FOLLOWED * clipped && lost < TOLERABLE
+        followed < FOLLOWED * clipped && lost < MAX_NOISE_SHARE
     }
 }
 
@@ -126,13 +126,13 @@ struct RangeEnd {
     bins: [usize; 2],
     /// Samples in the fine bins of both: a channel that clips a few percent of its crests, without noise behind it, piles up in the
     /// first of them alone.
-    fine: [usize; 2 * FINE],
+    fine: [usize; 2 * FINE_BINS],
 }
 
 impl RangeEnd {
     const EMPTY: Self = Self {
         bins: [0; 2],
-        fine: [0; 2 * FINE],
+        fine: [0; 2 * FINE_BINS],
     };
 
     /// Counts a sample at a distance from the end, in bins.
@@ -141,14 +141,19 @@ impl RangeEnd {
         if let Some(count) = self.bins.get_mut((distance + 0.5) as usize) {
             *count += 1;
         }
-        if let Some(count) = self.fine.get_mut((distance * FINE as f64 + 0.5) as usize) {
+        if let Some(count) = self
+            .fine
+            .get_mut((distance * FINE_BINS as f64 + 0.5) as usize)
+        {
             *count += 1;
         }
     }
 
     /// Number of samples in a pile at the end; 0 if there is none.
     fn clipped(&self) -> usize {
-        let piled = |end: usize, beside: usize| end >= LEAST && end as f64 > PILE * beside as f64;
+        let piled = |end: usize, beside: usize| {
+            end >= MIN_CLIPPED_SAMPLES && end as f64 > PILE * beside as f64
+        };
         let [end, next] = self.bins;
         let [first, rest @ ..] = &self.fine;
         // A pattern that repeats has as many samples at other levels.
@@ -196,7 +201,7 @@ fn bin_width(x: &[f32], range: f64) -> f64 {
 
 /// Smallest step between the levels of some of the samples; `None` if all are equal or one is not finite.
 pub(crate) fn level_step(x: &[f32]) -> Option<f64> {
-    let stride = (x.len() / FEW).max(1);
+    let stride = (x.len() / STEP_SEARCH_SAMPLES).max(1);
     let mut few: Vec<f64> = x.iter().step_by(stride).map(|x| f64::from(*x)).collect();
     few.sort_by(f64::total_cmp);
     let rounding = (few.last()? - few.first()?) * 1e-6;

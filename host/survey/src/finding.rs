@@ -308,7 +308,7 @@ impl Finding {
             | Self::MainsDiffers { specified_hz, .. } => *specified_hz,
             Self::TimeBase { usual_hz, .. } => *usual_hz,
             Self::Implausible { most, .. } => *most,
-            Self::CoarselySampled { .. } => super::COARSE,
+            Self::CoarselySampled { .. } => super::COARSE_SAMPLES_PER_PERIOD,
             Self::Aliasing { .. } => ALIASING_WARNING_PCT,
             _ => return None,
         })

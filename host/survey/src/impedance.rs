@@ -32,14 +32,14 @@ pub struct SkewCost {
 pub const SKEWS_S: [f64; 3] = [10e-9, 20e-9, 100e-9];
 
 /// Share of the largest current below which frames do not count for the skew's cost.
-const WEAK: f64 = 0.05;
+const MIN_CURRENT_SHARE: f64 = 0.05;
 
 /// Ratio of a harmonic's impedance to the fundamental's below which the impedance falls with frequency; that of an ohmic and
 /// inductive coil grows.
-const FALLS: f64 = 0.75;
+const FALLING_BELOW_RATIO: f64 = 0.75;
 
 /// Ratio above which the impedance grows.
-const GROWS: f64 = 1.0 / FALLS;
+const GROWING_ABOVE_RATIO: f64 = 1.0 / FALLING_BELOW_RATIO;
 
 /// Energy of a harmonic relative to the fundamental below which it is not used: 0.3 % of amplitude.
 const VISIBLE: f64 = 1e-5;
@@ -123,8 +123,8 @@ pub fn wiring(track: &Track) -> Wiring {
     };
     let straight = Wiring::default();
     let falls = (1..ORDERS.len()).find_map(|order| match ratio(order)? {
-        x if x < FALLS => Some(true),
-        x if x > GROWS => Some(false),
+        x if x < FALLING_BELOW_RATIO => Some(true),
+        x if x > GROWING_ABOVE_RATIO => Some(false),
         _ => None,
     });
     let swapped = falls.unwrap_or_else(|| {
@@ -160,7 +160,7 @@ pub fn skew_costs(tracks: &[Track], wiring: Wiring) -> Vec<SkewCost> {
         };
         let omega = TAU * track.f_sw_hz;
         let sign = if wiring.inverted { -1.0 } else { 1.0 };
-        for k in (0..i.len()).filter(|&k| i[k].norm() > WEAK * largest) {
+        for k in (0..i.len()).filter(|&k| i[k].norm() > MIN_CURRENT_SHARE * largest) {
             let mut normal = Normal::default();
             if let Some(row) = row(i, k, hop_s, omega) {
                 normal.add(row, v[k] * sign);

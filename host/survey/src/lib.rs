@@ -119,7 +119,7 @@ pub struct Survey {
 
 /// Samples per switching period below which it is reported: filters in the time domain degrade (1 MS/s at the paper's
 /// frequencies: 14 to 22 samples).
-const COARSE: f64 = 12.0;
+const COARSE_SAMPLES_PER_PERIOD: f64 = 12.0;
 
 impl Survey {
     /// Surveys a capture.
@@ -371,7 +371,7 @@ fn expected_aliasing(
 ) -> Option<Aliasing> {
     let (piece, track) = (pieces.get(strongest)?, tracks.get(strongest)?);
     let samples_per_period = 1.0 / (piece.f_hz * piece.run.dt_s);
-    if samples_per_period < COARSE {
+    if samples_per_period < COARSE_SAMPLES_PER_PERIOD {
         findings.push(Finding::CoarselySampled { samples_per_period });
     }
     let aliasing = aliasing::expected(track, piece.run.dt_s, (*loads.get(strongest)?)?)?;

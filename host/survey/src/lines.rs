@@ -26,7 +26,7 @@ const FRAME_S: f64 = 0.8e-3;
 pub(super) const HOPS: usize = 8;
 
 /// Least power of a line at the user's frequency relative to the strongest line; a third harmonic is weaker.
-const BESIDE: f64 = 0.1;
+const MIN_POWER_RATIO: f64 = 0.1;
 
 /// Strongest line of one frame.
 #[derive(Clone, Copy, Debug)]
@@ -205,7 +205,7 @@ impl Spectrum {
         let strongest = power[self.all.clone()].iter().copied().fold(0.0, f64::max);
         let is_line = power[top] > 0.0
             && power[top] >= power[top - 1].max(power[top + 1])
-            && power[top] >= BESIDE * strongest;
+            && power[top] >= MIN_POWER_RATIO * strongest;
         Line {
             f_hz: (top as f64 + self.summit(top)) * self.hz_per_bin,
             power: power[top],

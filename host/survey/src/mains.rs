@@ -92,7 +92,7 @@ const DIFFERS_HZ: f64 = 1.0;
 const CLEARLY_BETTER: f64 = 0.5;
 
 /// Share of the envelope's variance below which no other frequency can explain more.
-const WELL_EXPLAINED: f64 = 1e-3;
+const MAX_UNEXPLAINED_SHARE: f64 = 1e-3;
 
 /// Most doublings of the view during the search: 60 ms to 30 000 years.
 const MOST_VIEWS: u32 = 64;
@@ -130,8 +130,9 @@ pub fn find(
         let own = fit(&envelopes, None, true);
         // Half-cycles with pauses between them fit several frequencies equally well.
         let as_told = measured.map_or(1.0, |told| told.unexplained);
-        let better =
-            |own: &Fit| as_told > WELL_EXPLAINED && own.unexplained < CLEARLY_BETTER * as_told;
+        let better = |own: &Fit| {
+            as_told > MAX_UNEXPLAINED_SHARE && own.unexplained < CLEARLY_BETTER * as_told
+        };
         let differs = |own: &Fit| (own.hz - specified_hz).abs() > DIFFERS_HZ && better(own);
         if let Some(own) = own.filter(differs) {
             findings.push(Finding::MainsDiffers {

@@ -5,7 +5,7 @@ use ihd_signal::fourier;
 use super::track::hann;
 
 /// Most samples of a frame.
-const LONGEST: usize = 1 << 17;
+const MAX_FRAME_SAMPLES: usize = 1 << 17;
 
 /// Lowest level of the result, in decibel below the largest line.
 const FLOOR_DB: f64 = -120.0;
@@ -13,7 +13,7 @@ const FLOOR_DB: f64 = -120.0;
 /// Amplitudes of a channel under a Hann window up to `to_hz`, as frequency in hertz and decibel relative to the largest; uses
 /// at most 2¹⁷ samples from the middle.
 pub fn amplitude_db(x: &[f32], dt_s: f64, to_hz: f64) -> Vec<(f64, f64)> {
-    let n = x.len().min(LONGEST) / 2 * 2;
+    let n = x.len().min(MAX_FRAME_SAMPLES) / 2 * 2;
     if n < 4 {
         return Vec::new();
     }

@@ -123,11 +123,11 @@ fn channel(
         .collect();
     let mut t_s = Vec::new();
     let mut out = vec![Vec::new(); orders.len()];
-    let mut buffers = vec![vec![0.0; frame]; TOGETHER];
-    let mut sums = vec![[[0.0; 2]; ORDERS.len()]; TOGETHER];
+    let mut buffers = vec![vec![0.0; frame]; BATCH_FRAMES];
+    let mut sums = vec![[[0.0; 2]; ORDERS.len()]; BATCH_FRAMES];
     let frames = (x.len() + 1).saturating_sub(frame).div_ceil(hop.max(1));
-    for first in (0..frames).step_by(TOGETHER) {
-        let starts = (first..frames.min(first + TOGETHER)).map(|k| k * hop.max(1));
+    for first in (0..frames).step_by(BATCH_FRAMES) {
+        let starts = (first..frames.min(first + BATCH_FRAMES)).map(|k| k * hop.max(1));
         let starts: Vec<usize> = starts.collect();
         vectorised(
             #[inline(always)]
@@ -163,7 +163,7 @@ fn channel(
 }
 
 /// Frames that are correlated together; then samples of the tables per pass.
-const TOGETHER: usize = 8;
+const BATCH_FRAMES: usize = 8;
 const STRETCH: usize = 256;
 
 /// Converts samples to doubles without their mean.

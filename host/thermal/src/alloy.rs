@@ -8,7 +8,7 @@ use crate::metal::MetalLaw;
 use crate::placement::PlacedPot;
 
 /// Pots that are remembered.
-const MOST: usize = 16;
+const MAX_POTS: usize = 16;
 
 /// Boils of a pot that are remembered.
 const MOST_BOILS: usize = 5;
@@ -21,13 +21,13 @@ const BOIL_K: f64 = 80.0;
 const BY_ONE_BOIL: f64 = 0.045;
 
 /// Standard deviations of one boil from the median beyond which it does not count.
-const APART: f64 = 3.0;
+const MAX_SIGMAS_FROM_MEDIAN: f64 = 3.0;
 
 /// Standard deviations from the class beyond which boils are not believed: the pots were put on warm.
-const BELIEVED: f64 = 2.5;
+const MAX_SIGMAS_FROM_CLASS: f64 = 2.5;
 
 /// Largest differences of one pot at two placements: ln α, ln s and radius in metre. Its start's temperature is in ln s.
-const SAME: [f64; 3] = [0.15, 0.04, 4e-3];
+const MAX_PLACEMENT_DIFFERENCES: [f64; 3] = [0.15, 0.04, 4e-3];
 
 /// Effects of heat by pot, relative to those of their classes, the newest last.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -43,7 +43,7 @@ impl TryFrom<Vec<KnownAlloy>> for KnownAlloys {
     type Error = ImpossibleAlloys;
 
     fn try_from(all: Vec<KnownAlloy>) -> Result<Self, ImpossibleAlloys> {
-        let is_sound = all.len() <= MOST && all.iter().all(KnownAlloy::is_sound);
+        let is_sound = all.len() <= MAX_POTS && all.iter().all(KnownAlloy::is_sound);
         is_sound.then_some(Self(all)).ok_or(ImpossibleAlloys)
     }
 }
@@ -65,7 +65,10 @@ impl KnownAlloy {
 
     fn is_of(&self, placed: &PlacedPot) -> bool {
         let pairs = self.numbers.into_iter().zip(numbers(placed));
-        self.metal == placed.metal && pairs.zip(SAME).all(|((a, b), most)| (a - b).abs() < most)
+        self.metal == placed.metal
+            && pairs
+                .zip(MAX_PLACEMENT_DIFFERENCES)
+                .all(|((a, b), most)| (a - b).abs() < most)
     }
 
     /// Median of the effects, of which there is one at least.
@@ -88,12 +91,12 @@ impl KnownAlloys {
         };
         // A boil of a pot that was put on warm is far from the others.
         let median = known.median();
-        let near = |effect: &f64| (effect - median).abs() < APART * BY_ONE_BOIL;
+        let near = |effect: &f64| (effect - median).abs() < MAX_SIGMAS_FROM_MEDIAN * BY_ONE_BOIL;
         let near: Vec<f64> = known.effects.iter().copied().filter(near).collect();
         let boils = near.len() as f64;
         let mean = near.iter().sum::<f64>() / boils;
         let sigma = BY_ONE_BOIL / boils.sqrt();
-        if near.is_empty() || (mean - 1.0).abs() > BELIEVED * spread.hypot(sigma) {
+        if near.is_empty() || (mean - 1.0).abs() > MAX_SIGMAS_FROM_CLASS * spread.hypot(sigma) {
             return (1.0, spread);
         }
         let (prior, measured) = (spread.powi(-2), sigma.powi(-2));
@@ -120,7 +123,7 @@ impl KnownAlloys {
             known.effects.remove(0);
         }
         known.effects.push(effect);
-        if self.0.len() == MOST {
+        if self.0.len() == MAX_POTS {
             self.0.remove(0);
         }
         self.0.push(known);

@@ -40,10 +40,10 @@ impl ThermalHalfCycle {
 const HALF_CYCLES: usize = 50;
 
 /// Fewest half-cycles of a usable batch; a smaller one is dropped when the operating point changes.
-const FEWEST: usize = 8;
+const MIN_HALF_CYCLES: usize = 8;
 
 /// Relative change of frequency or current that ends a batch.
-const MOVED: f64 = 0.02;
+const MAX_RELATIVE_CHANGE: f64 = 0.02;
 
 /// Half-cycles that are left out after a change of operating point, while the device's filter settles.
 const SETTLING: usize = 3;
@@ -89,7 +89,8 @@ impl Batches {
             return self.end();
         }
         let moved = self.first.is_none_or(|first| {
-            (h.f_hz / first.f_hz - 1.0).abs() > MOVED || (h.i_a / first.i_a - 1.0).abs() > MOVED
+            (h.f_hz / first.f_hz - 1.0).abs() > MAX_RELATIVE_CHANGE
+                || (h.i_a / first.i_a - 1.0).abs() > MAX_RELATIVE_CHANGE
         });
         if moved {
             let batch = self.end();
@@ -123,7 +124,7 @@ impl Batches {
     }
 
     fn mean(&self) -> Option<HalfCycleBatch> {
-        if self.count < FEWEST {
+        if self.count < MIN_HALF_CYCLES {
             return None;
         }
         let n = self.count as f64;

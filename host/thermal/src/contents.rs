@@ -11,7 +11,7 @@ use crate::gauss_newton::{FitResult, Prior, fit};
 const STEP_S: f64 = 2.0;
 
 /// Most steps: half an hour of initial ones. A fit takes some milliseconds with them.
-const MOST: usize = 900;
+const MAX_STEPS: usize = 900;
 
 /// Standard deviation of a step's ΔT against its model, in kelvin. Noise of ΔT at 2 s is below 1 K; the rest stands for errors
 /// that last for many steps.
@@ -22,7 +22,7 @@ const SIGMA_K: f64 = 2.0;
 const EVIDENCE: f64 = 25.0;
 
 /// χ² per step above which a model does not explain the curve: it is fitted from other starts, and boiling is not reported.
-const UNEXPLAINED: f64 = 1.0;
+const MAX_CHI2_PER_STEP: f64 = 1.0;
 
 /// Additional starts of the model without boiling, in J/K and W/m²K^(4/3): empty pot, oil, soup.
 const OTHER_STARTS: [(f64, f64); 3] = [(150.0, 10.0), (1e3, 40.0), (1e4, 200.0)];
@@ -32,10 +32,10 @@ const OTHER_STARTS: [(f64, f64); 3] = [(150.0, 10.0), (1e3, 40.0), (1e4, 200.0)]
 const NEAR_BOIL_K: f64 = 2.0;
 
 /// Steps between two fits.
-const EVERY: usize = 3;
+const STEPS_PER_FIT: usize = 3;
 
 /// Steps after placement in which no boiling is reported: only bases heat so quickly.
-const EARLIEST: usize = 15;
+const FIRST_BOILING_STEP: usize = 15;
 
 /// Nucleate boiling, W/m²K³ (Rohsenow, water on polished steel).
 const NUCLEATE: f64 = 131.0;
@@ -141,7 +141,7 @@ impl ContentsFit {
             self.sums.2 += 1;
         }
         while t_s >= self.began_s + (self.steps.len() + 1) as f64 * self.step_s {
-            if self.steps.len() >= MOST {
+            if self.steps.len() >= MAX_STEPS {
                 self.halve();
                 continue;
             }
@@ -151,7 +151,9 @@ impl ContentsFit {
                 rise_k: known.then(|| self.sums.0 / self.sums.2 as f64),
             });
             (self.energy_j, self.sums) = (0.0, (0.0, 0.0, 0));
-            if self.steps.len() >= EARLIEST && self.steps.len().is_multiple_of(EVERY) {
+            if self.steps.len() >= FIRST_BOILING_STEP
+                && self.steps.len().is_multiple_of(STEPS_PER_FIT)
+            {
                 self.evaluate();
             }
         }
@@ -184,7 +186,7 @@ impl ContentsFit {
                 boils_at = Some(k);
             }
         });
-        let explained = boiling.chi2 < UNEXPLAINED * self.known();
+        let explained = boiling.chi2 < MAX_CHI2_PER_STEP * self.known();
         let sure = explained && evidence > EVIDENCE;
         let (bubbles, boils) = (sure && state.bubbles > 0.5, sure && boils_at.is_some());
         // Reported only after two evaluations agree.
@@ -251,7 +253,7 @@ impl ContentsFit {
             }));
         }
         for start in starts {
-            if best.chi2 > UNEXPLAINED * self.known() {
+            if best.chi2 > MAX_CHI2_PER_STEP * self.known() {
                 let other = from(start);
                 if other.chi2 < best.chi2 {
                     best = other;

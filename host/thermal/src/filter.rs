@@ -39,13 +39,13 @@ const SLOPE: (f64, f64) = (20.0, 10.0);
 const MODEL_AT_FIRST: f64 = 30.0;
 
 /// Deviation of a rise after a change of side at the turn, as a share of the distance between both sides.
-const ACROSS: f64 = 0.3;
+const SIDE_CHANGE_SHARE: f64 = 0.3;
 
 /// Limit of χ² of two residuals, which chance exceeds in 3e-7 of batches.
-const UNLIKELY: f64 = 30.0;
+const MAX_CHI2: f64 = 30.0;
 
 /// Changes of lift in mm and of the model in ‰ that a move may cause.
-const MOVED: (f64, f64) = (2.0, 30.0);
+const MOVE_MM_PERMILLE: (f64, f64) = (2.0, 30.0);
 
 /// Least changes in mm and ‰ that are reported as a move.
 const REPORTED: (f64, f64) = (0.15, 8.0);
@@ -163,7 +163,7 @@ impl ThermalFilter {
         self.x[0] = rise_k;
         self.x[1] = -self.x[1];
         // The rise meanwhile is unknown.
-        self.p[(0, 0)] += (ACROSS * off) * (ACROSS * off);
+        self.p[(0, 0)] += (SIDE_CHANGE_SHARE * off) * (SIDE_CHANGE_SHARE * off);
     }
 
     /// Predicts the state at a time, with the present mean power in watt.
@@ -208,17 +208,17 @@ impl ThermalFilter {
         if !innovation.r.iter().all(|r| r.is_finite()) {
             return PotMotion::Same;
         }
-        if innovation.chi2(&self.p) < UNLIKELY {
+        if innovation.chi2(&self.p) < MAX_CHI2 {
             self.correct(&innovation);
             return PotMotion::Same;
         }
         // Faster than heat can be: the pot was moved.
         let before = self.x;
-        self.p[(2, 2)] += MOVED.0 * MOVED.0;
-        let straight = innovation.chi2(&self.p) < UNLIKELY;
+        self.p[(2, 2)] += MOVE_MM_PERMILLE.0 * MOVE_MM_PERMILLE.0;
+        let straight = innovation.chi2(&self.p) < MAX_CHI2;
         if !straight {
-            self.p[(3, 3)] += MOVED.1 * MOVED.1;
-            self.p[(4, 4)] += MOVED.1 * MOVED.1;
+            self.p[(3, 3)] += MOVE_MM_PERMILLE.1 * MOVE_MM_PERMILLE.1;
+            self.p[(4, 4)] += MOVE_MM_PERMILLE.1 * MOVE_MM_PERMILLE.1;
         }
         self.correct(&innovation);
         let change = self.x - before;

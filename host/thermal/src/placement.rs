@@ -7,10 +7,10 @@ use crate::gauss_newton::{Prior, fit};
 use crate::metal::MetalLaw;
 
 /// Most operating points that are kept.
-const MOST: usize = 40;
+const MAX_POINTS: usize = 40;
 
 /// Relative change of frequency or current that begins another point.
-const APART: f64 = 0.04;
+const MIN_POINT_CHANGE: f64 = 0.04;
 
 /// Relative errors of the device's R and L at one half-cycle, noise and bias: docs/accuracy.md has .5 and .3 % in the
 /// middle of a settled half-cycle; after a frequency step they are larger.
@@ -60,7 +60,8 @@ impl Placement {
             return;
         }
         let near = |p: &&mut Point| {
-            (h.f_hz / p.f_hz - 1.0).abs() < APART && (h.i_a / p.i_a - 1.0).abs() < APART
+            (h.f_hz / p.f_hz - 1.0).abs() < MIN_POINT_CHANGE
+                && (h.i_a / p.i_a - 1.0).abs() < MIN_POINT_CHANGE
         };
         let (ln_r, ln_l) = (h.r_ohm.ln(), h.l_h.ln());
         if let Some(p) = self.points.iter_mut().find(near) {
@@ -74,7 +75,7 @@ impl Placement {
             ] {
                 *mean += (x - *mean) / p.weight;
             }
-        } else if self.points.len() < MOST {
+        } else if self.points.len() < MAX_POINTS {
             self.points.push(Point {
                 f_hz: h.f_hz,
                 i_a: h.i_a,

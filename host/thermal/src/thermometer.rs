@@ -30,7 +30,7 @@ const OVERHEATS_K: (f64, f64) = (180.0, 150.0);
 const NO_WATER_K: f64 = 140.0;
 
 /// χ² by which the other class of metals must be worse for this one to be certain: 3 σ.
-const SURE: f64 = 9.0;
+const CLASS_CHI2: f64 = 9.0;
 
 /// Deviation in kelvin above which ΔT is not used.
 const UNKNOWN_K: f64 = 40.0;
@@ -207,7 +207,7 @@ impl Thermometer {
         let Some(placed) = self.placement.place() else {
             return;
         };
-        let is_sure = placed.margin > SURE;
+        let is_sure = placed.margin > CLASS_CHI2;
         // At first all heat stays in the base.
         let radius_m = placed.pot.radius_m;
         let area_m2 = std::f64::consts::PI * radius_m * radius_m;

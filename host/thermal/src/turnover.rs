@@ -15,7 +15,7 @@ const SLOW_S: f64 = 12.0;
 
 /// Least effect of heat on ln s at the extreme, over its maximum, for an extreme that may be the turn. The rest allows for another
 /// alloy of the class and the filter's own error.
-const NEAR: f64 = 0.95;
+const MIN_EFFECT_SHARE: f64 = 0.95;
 
 /// Power over that of the extreme: least value of constant heating, and largest value of less heating.
 const POWER: (f64, f64) = (0.95, 0.5);
@@ -75,7 +75,7 @@ impl TurnoverDetector {
             return None;
         }
         let turn_k = metal.turning_rise_k();
-        let near = metal.ln_s_change(extreme_k).0 > NEAR * metal.ln_s_change(turn_k).0;
+        let near = metal.ln_s_change(extreme_k).0 > MIN_EFFECT_SHARE * metal.ln_s_change(turn_k).0;
         let fits = match self.beyond {
             false => self.mean_w >= POWER.0 * then_w && then_w > 0.0,
             true => self.mean_w <= POWER.1 * self.passed_w,

@@ -103,7 +103,7 @@ pub struct Adc {
     mains: ZeroCrossingDetector,
     drive: Drive,
     soft_start: SoftStart,
-    /// Upper switch's part of half the period, in 1/[`soft_start::WHOLE`].
+    /// Upper switch's part of half the period, in 1/[`soft_start::WHOLE_SHARE`].
     share: u32,
     block_cycles: u32,
     /// Pairs of the block that is taken, a word each.
@@ -126,7 +126,7 @@ impl Adc {
             mains: ZeroCrossingDetector::default(),
             drive: Drive::OFF,
             soft_start: SoftStart::new(),
-            share: soft_start::WHOLE,
+            share: soft_start::WHOLE_SHARE,
             block_cycles: block_cycles(periods),
             pairs: [0; ADC_LOCK_P],
         }
@@ -159,7 +159,7 @@ impl Adc {
         }
         if drive.f_sw_hz != self.drive.f_sw_hz || share != self.share {
             let periods = Periods::nearest(drive.f_sw_hz);
-            let on = u32::from(periods.half()) * share / soft_start::WHOLE;
+            let on = u32::from(periods.half()) * share / soft_start::WHOLE_SHARE;
             bridge::set_periods(periods, on as u16);
             self.block_cycles = block_cycles(periods);
         }

@@ -21,11 +21,11 @@ use super::registers::clocks::CORE_MHZ;
 use super::registers::low_speed;
 use crate::board::cycles;
 
-/// Words of the image, and of a copy, that are looked at every [`EVERY`] blocks: 131 KiB in 3 s at 34 kHz, the CCM SRAM in 1 s.
+/// Words of the image, and of a copy, that are looked at every [`SLICE_PERIOD_BLOCKS`] blocks: 131 KiB in 3 s at 34 kHz, the CCM SRAM in 1 s.
 const SLICE_WORDS: usize = 64;
-const EVERY: u32 = 64;
+const SLICE_PERIOD_BLOCKS: u32 = 64;
 
-/// Words of the RAM that are tested every [`EVERY`] blocks: all 96 KiB in 4 s at 80 kHz, 9 s at 34 kHz. Interrupts are masked
+/// Words of the RAM that are tested every [`SLICE_PERIOD_BLOCKS`] blocks: all 96 KiB in 4 s at 80 kHz, 9 s at 34 kHz. Interrupts are masked
 /// for some 600 cycles, as long as for a copy of a chunk.
 const RAM_SLICE_WORDS: usize = 16;
 
@@ -251,7 +251,7 @@ impl SelfTest {
     }
 
     fn slice(&mut self, blocks: u32) -> Option<Fault> {
-        if blocks.wrapping_sub(self.sliced_at) < EVERY {
+        if blocks.wrapping_sub(self.sliced_at) < SLICE_PERIOD_BLOCKS {
             return None;
         }
         self.sliced_at = blocks;

@@ -32,7 +32,7 @@ const EVERY_CYCLES: u32 = CORE_MHZ * 1_000;
 const OPEN: u16 = 4_095;
 
 /// Looks at a conversion of 6 µs before the converter is taken to be silent.
-const PATIENCE: u32 = 2_000;
+const MAX_POLLS: u32 = 2_000;
 
 /// The converter and what it found.
 pub struct TemperatureAdc {
@@ -47,7 +47,9 @@ impl TemperatureAdc {
         adc::start_single(&CHANNELS);
         let codes = CHANNELS.map(|channel| {
             adc::convert(channel);
-            (0..PATIENCE).find_map(|_| adc::converted()).unwrap_or(OPEN)
+            (0..MAX_POLLS)
+                .find_map(|_| adc::converted())
+                .unwrap_or(OPEN)
         });
         adc::convert(CHANNELS[0]);
         Self {

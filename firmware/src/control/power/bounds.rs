@@ -16,7 +16,7 @@ use crate::protect::soft_limit::turn_off_need_ma;
 use crate::sampling::half_cycle::HalfCycle;
 
 /// Rounds of the fixed point: from the measured current in proportion to the bus, four leave 1 %.
-const ROUNDS: u32 = 4;
+const ITERATIONS: u32 = 4;
 
 /// The load and the bus that bound the frequency.
 #[derive(Clone, Copy, Debug, Default)]
@@ -60,7 +60,7 @@ impl Bounds {
             )
         };
         let mut i_ma = self.i_ma;
-        for _ in 0..ROUNDS {
+        for _ in 0..ITERATIONS {
             i_ma = v1_uv / tank(i_ma).z_mohm().clamp(1, u64::from(u32::MAX)) as u32;
         }
         let tank = tank(i_ma);

@@ -11,7 +11,7 @@ use crate::limits::{RESONANCE_MARGIN_PERCENT, TRIP_CURRENT_MA};
 const ENVELOPE_Q10: [u32; 4] = [200, 569, 851, 1_004];
 
 /// Rounds of the fixed point at each of them.
-const ROUNDS: u32 = 4;
+const ITERATIONS: u32 = 4;
 
 /// Prediction of a half-cycle at one frequency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,7 +40,7 @@ pub fn predict(lookup: &RlLookup, f_sw_hz: u32, bus_peak_dv: u16) -> Option<Pred
         let v1_uv = (u64::from(v1_peak_mv) * u64::from(sine) * 1_000 / 1_024) as u32;
         i_ma = i_ma * sine / last_sine;
         last_sine = sine;
-        for _ in 0..ROUNDS {
+        for _ in 0..ITERATIONS {
             i_ma = v1_uv / load.tank(i_ma).z_mohm().clamp(1, u64::from(u32::MAX)) as u32;
         }
         let tank = load.tank(i_ma);

@@ -30,7 +30,7 @@ const TIMEOUT: Duration = Duration::from_secs(25);
 const BACKUP_TIMEOUT: Duration = Duration::from_secs(610);
 
 /// Time without an event or comment after which the connection counts as lost: three heartbeats.
-const SILENCE: Duration = Duration::from_secs(45);
+const SILENCE_TIMEOUT: Duration = Duration::from_secs(45);
 
 /// Maximum size of a response, in bytes.
 const MAX_RESPONSE_BYTES: u64 = 64 << 20;
@@ -283,7 +283,7 @@ impl ApiClient {
         Ok(Events::new(answer.into_body().into_reader()))
     }
 
-    /// Requests a response of any duration; it ends only after [`SILENCE`].
+    /// Requests a response of any duration; it ends only after [`SILENCE_TIMEOUT`].
     fn stream(&self, path: &str) -> Result<Response<Body>, ClientError> {
         let mut request = self
             .agent
@@ -291,7 +291,7 @@ impl ApiClient {
             .config()
             .timeout_global(None)
             .timeout_recv_response(Some(TIMEOUT))
-            .timeout_per_read(Some(SILENCE))
+            .timeout_per_read(Some(SILENCE_TIMEOUT))
             .build();
         if let Some(bearer) = self.bearer() {
             request = request.header("authorization", bearer);

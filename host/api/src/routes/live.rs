@@ -40,7 +40,7 @@ const MIN_INTERVAL_MS: u32 = 100;
 const MAX_INTERVAL_MS: u32 = 5_000;
 
 /// Maximum time without an event, by which the client detects a dead connection.
-const SILENCE: Duration = Duration::from_secs(1);
+const MAX_SILENCE: Duration = Duration::from_secs(1);
 
 /// Period of `devices` without a change.
 const DEVICES_PERIOD: Duration = Duration::from_secs(2);
@@ -150,7 +150,7 @@ impl Subscriber {
     /// Sends events until the client disconnects or the server ends.
     async fn run(mut self) {
         let mut telemetry = ticks(self.every);
-        let mut silence = ticks(self.every.min(SILENCE));
+        let mut silence = ticks(self.every.min(MAX_SILENCE));
         let (tx, mut stopping) = (self.tx.clone(), self.stopping.clone());
         loop {
             let is_writable = !self.stall.as_ref().is_some_and(WriteStall::is_stalled);
@@ -178,7 +178,7 @@ impl Subscriber {
 
     /// Returns `true` if an event may be due.
     fn is_due(&self) -> bool {
-        let silent = self.outbox.silent_for(Instant::now()) >= SILENCE;
+        let silent = self.outbox.silent_for(Instant::now()) >= MAX_SILENCE;
         self.outbox.is_pending() || silent || self.outbox.devices.is_none()
     }
 
@@ -203,7 +203,8 @@ impl Subscriber {
         if let Some(notice) = self.outbox.notices.pop_front() {
             return json("notice", &*notice);
         }
-        (self.outbox.silent_for(now) >= SILENCE).then(|| json("telemetry", &empty_telemetry()))?
+        (self.outbox.silent_for(now) >= MAX_SILENCE)
+            .then(|| json("telemetry", &empty_telemetry()))?
     }
 
     /// Returns the reports if they are due: first, after a change, and every [`DEVICES_PERIOD`]; at most once per interval, so that frequent

@@ -11,10 +11,10 @@ const HALF_CYCLE_S: f64 = 12.5e-3;
 const BLOCK_S: f64 = 0.1e-3;
 
 /// Sums on either side of the smallest one through which a parabola gives its vertex: 1 ms, where v² of the mains is one.
-const REACH: usize = 10;
+const PARABOLA_SUMS: usize = 10;
 
 /// Furthest vertex from the smallest sum, in blocks.
-const FURTHEST: f64 = 3.0;
+const MAX_VERTEX_BLOCKS: f64 = 3.0;
 
 /// Index at which a capture is cut, in the last half-cycle of `range`, never at its beginning.
 pub fn place(capture: &Capture, range: Range<usize>) -> usize {
@@ -56,14 +56,14 @@ fn smallest(sums: &[f64]) -> Option<usize> {
 /// Vertex of the parabola through the sums around one, in blocks from it; zero without one.
 fn vertex(sums: &[f64], middle: usize) -> f64 {
     let Some(around) = middle
-        .checked_sub(REACH)
-        .and_then(|from| sums.get(from..=middle + REACH))
+        .checked_sub(PARABOLA_SUMS)
+        .and_then(|from| sums.get(from..=middle + PARABOLA_SUMS))
     else {
         return 0.0;
     };
     let (mut y0, mut y1, mut y2, mut x2, mut x4) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for (k, y) in around.iter().enumerate() {
-        let x = k as f64 - REACH as f64;
+        let x = k as f64 - PARABOLA_SUMS as f64;
         y0 += y;
         y1 += x * y;
         y2 += x * x * y;
@@ -73,7 +73,7 @@ fn vertex(sums: &[f64], middle: usize) -> f64 {
     let n = around.len() as f64;
     let (slope, bend) = (y1 / x2, (n * y2 - x2 * y0) / (n * x4 - x2 * x2));
     let vertex = -0.5 * slope / bend;
-    if bend > 0.0 && vertex.abs() <= FURTHEST {
+    if bend > 0.0 && vertex.abs() <= MAX_VERTEX_BLOCKS {
         vertex
     } else {
         0.0

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Number of last fits that the percentiles are taken of.
-const REMEMBERED: usize = 512;
+const PERCENTILE_FITS: usize = 512;
 
 /// Figures of the learner's load since its start.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -42,7 +42,7 @@ impl Meter {
     pub fn add_fit(&mut self, took: Duration) {
         self.learned += 1;
         self.busy = self.busy.saturating_add(took);
-        if self.last.len() == REMEMBERED {
+        if self.last.len() == PERCENTILE_FITS {
             self.last.pop_front();
         }
         self.last.push_back(took);
@@ -85,7 +85,7 @@ mod tests {
         assert_eq!((f.fit_p50_s, f.fit_p99_s), (Some(0.05), Some(0.099)));
         assert_eq!((f.learned, f.waiting), (100, 3));
         assert!((f.busy_s - 5.05).abs() < 1e-9);
-        for _ in 0..REMEMBERED {
+        for _ in 0..PERCENTILE_FITS {
             meter.add_fit(Duration::from_millis(7));
         }
         assert_eq!(meter.figures(1, 0).fit_p99_s, Some(7e-3));

@@ -15,7 +15,7 @@ const BLOCK: usize = ADC_LOCK_P;
 const PERIODS: usize = ADC_LOCK_Q as usize;
 
 /// Highest harmonic below half the sampling rate.
-const HIGHEST: usize = (BLOCK - 1) / 2 / PERIODS;
+const MAX_HARMONIC: usize = (BLOCK - 1) / 2 / PERIODS;
 
 #[derive(Clone, Copy, Default)]
 struct Complex {
@@ -57,8 +57,8 @@ impl Complex {
     }
 }
 
-/// Returns the complex amplitudes of the harmonics 1 to [`HIGHEST`] of a block.
-fn harmonics(block: &[f64], table: &[Complex; BLOCK]) -> [Complex; HIGHEST] {
+/// Returns the complex amplitudes of the harmonics 1 to [`MAX_HARMONIC`] of a block.
+fn harmonics(block: &[f64], table: &[Complex; BLOCK]) -> [Complex; MAX_HARMONIC] {
     std::array::from_fn(|n| {
         let line = (n + 1) * PERIODS;
         let turned = block
@@ -74,12 +74,12 @@ fn harmonics(block: &[f64], table: &[Complex; BLOCK]) -> [Complex; HIGHEST] {
 /// amplitude: noise averages out, and the envelope has no effect.
 #[derive(Default)]
 struct Distortion {
-    ratios: [Complex; HIGHEST],
+    ratios: [Complex; MAX_HARMONIC],
     weight: f64,
 }
 
 impl Distortion {
-    fn add(&mut self, harmonics: &[Complex; HIGHEST]) {
+    fn add(&mut self, harmonics: &[Complex; MAX_HARMONIC]) {
         let amplitude = harmonics[0].magnitude();
         if amplitude <= 0.0 {
             return;
@@ -212,7 +212,7 @@ mod tests {
         near(m.power_w, power, 1e-9);
         near(m.i_rms_a, (50.0f64 + 4.5).sqrt(), 1e-9);
         // The tenth is the highest below half the sampling rate of 61/3.
-        assert_eq!(HIGHEST, 10);
+        assert_eq!(MAX_HARMONIC, 10);
         let tenth = wave(610, &[(1.0, 1.0, 0.0), (10.0, 0.1, 40.0)], |_| 1.0);
         near(measure(&tenth, &tenth).thd_v_pct, 10.0, 1e-9);
     }

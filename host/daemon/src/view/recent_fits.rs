@@ -6,7 +6,7 @@ use ihd_model::Fit;
 use ihd_store::ResultRow;
 
 /// Number of fits of a device that are held with their steps.
-const REMEMBERED: usize = 64;
+const MAX_FITS: usize = 64;
 
 /// Last fits of a device, with the steps, which the store does not hold.
 #[derive(Default)]
@@ -15,7 +15,7 @@ pub struct RecentFits(VecDeque<Fit>);
 impl RecentFits {
     /// Adds a stored fit.
     pub fn push(&mut self, fit: Fit) {
-        if self.0.len() == REMEMBERED {
+        if self.0.len() == MAX_FITS {
             self.0.pop_front();
         }
         self.0.push_back(fit);

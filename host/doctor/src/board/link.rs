@@ -25,7 +25,7 @@ const FROM_DEVICE_KB_S: f64 = 40.0;
 const TO_DEVICE_KB_S: f64 = 5.0;
 
 /// Shortest time from which a rate is computed: in process no time passes while bytes are sent.
-const SHORTEST: Duration = Duration::from_millis(10);
+const MIN_RATE_TIME: Duration = Duration::from_millis(10);
 
 /// Limit of the time between two feedings of the watchdog: half of the 60 ms that it allows.
 const LONGEST_GAP_MS: f64 = 30.0;
@@ -115,7 +115,7 @@ fn from_device(test: &LinkTest) -> Check {
 }
 
 fn direction(name: &'static str, tested: &LinkTested, took: Duration, least_kb_s: f64) -> Check {
-    let kb_s = f64::from(tested.bytes) / took.max(SHORTEST).as_secs_f64() * 1e-3;
+    let kb_s = f64::from(tested.bytes) / took.max(MIN_RATE_TIME).as_secs_f64() * 1e-3;
     let sent = f64::from(FRAMES);
     let evidence = vec![
         Measurement::at_least("rate", kb_s, "kB/s", least_kb_s),
@@ -123,7 +123,11 @@ fn direction(name: &'static str, tested: &LinkTested, took: Duration, least_kb_s
         Measurement::at_most("lost", tested.lost.into(), "", 0.0),
         Measurement::at_most("bad", tested.bad.into(), "", 0.0),
     ];
-    let at_least = if took < SHORTEST { "at least " } else { "" };
+    let at_least = if took < MIN_RATE_TIME {
+        "at least "
+    } else {
+        ""
+    };
     let finding = format!("{at_least}{kb_s:.0} kB/s, none of {FRAMES} frames lost or damaged");
     Check::measured(name, finding, evidence, CABLE)
 }

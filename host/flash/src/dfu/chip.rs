@@ -28,7 +28,7 @@ const RDP: u32 = 0xFF;
 const DOUBLE_WORD: usize = 8;
 
 /// Time limit from a reset until the chip's bootloader is on the bus again.
-const PATIENCE: Duration = Duration::from_secs(8);
+const RESET_TIMEOUT: Duration = Duration::from_secs(8);
 
 /// Reopens the same chip's bootloader; `None` if it does not appear within this time.
 pub type Reopen<IO> = Box<dyn FnMut(Duration) -> Result<Option<IO>, ProgramError>>;
@@ -156,9 +156,9 @@ impl<IO: BootloaderIo> Dfu<IO> {
             Ok(()) => Ok(()),
             // The restart may cut an answer; its error is ignored.
             Err(DfuError::Gone(_) | DfuError::Strange(_)) => {
-                let reopened = (self.reopen)(PATIENCE)?;
+                let reopened = (self.reopen)(RESET_TIMEOUT)?;
                 let io = reopened.ok_or(ProgramError::NotBack {
-                    seconds: PATIENCE.as_secs(),
+                    seconds: RESET_TIMEOUT.as_secs(),
                 })?;
                 self.protocol = Protocol::new(io);
                 Ok(())

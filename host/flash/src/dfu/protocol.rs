@@ -26,9 +26,9 @@ const FIRST_BLOCK: u16 = 2;
 const STATUS_BYTES: usize = 6;
 
 /// Time limit of an operation of the flash: all 256 pages take less than 6 s one by one.
-const LONGEST: Duration = Duration::from_secs(15);
+const FLASH_TIMEOUT: Duration = Duration::from_secs(15);
 /// Shortest pause between two requests for the status.
-const SHORTEST: Duration = Duration::from_millis(1);
+const MIN_POLL_PAUSE: Duration = Duration::from_millis(1);
 /// Limit of requests until a device must be idle, in whatever state it was.
 const TRIES_TO_IDLE: u32 = 8;
 
@@ -224,9 +224,9 @@ impl<IO: BootloaderIo> Protocol<IO> {
     }
 
     fn wait(&self, poll: Duration, waited: &mut Duration) -> Result<(), DfuError> {
-        let poll = poll.max(SHORTEST);
+        let poll = poll.max(MIN_POLL_PAUSE);
         *waited += poll;
-        if *waited > LONGEST {
+        if *waited > FLASH_TIMEOUT {
             return Err(DfuError::Stuck(*waited));
         }
         self.io.wait(poll);

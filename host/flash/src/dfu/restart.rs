@@ -10,7 +10,7 @@ use super::usb::{self, Usb};
 use crate::programmer::ProgramError;
 
 /// Time limit from the answer until the system lists the bootloader, which measures its clock by the first frames.
-const PATIENCE: Duration = Duration::from_secs(10);
+const LISTING_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Error of starting a chip's bootloader.
 #[derive(Debug, thiserror::Error)]
@@ -57,7 +57,7 @@ fn enter(device: &DeviceSpec) -> Result<Dfu<Usb>, EnterError> {
         .collect();
     let transport = device.open(|| unreachable!("a simulated hob was refused"))?;
     send_into_bootloader(transport)?;
-    let fresh = usb::wait_for_other_than(&before, PATIENCE)?;
+    let fresh = usb::wait_for_other_than(&before, LISTING_TIMEOUT)?;
     fresh.ok_or_else(|| not_found(not_seen(device)))
 }
 
@@ -66,7 +66,7 @@ fn not_found(what: String) -> EnterError {
 }
 
 fn not_seen(device: &DeviceSpec) -> String {
-    let seconds = PATIENCE.as_secs();
+    let seconds = LISTING_TIMEOUT.as_secs();
     let socket = match device {
         DeviceSpec::Usb(_) => {
             "Press reset, which starts the program again, and see whether another program takes USB devices away \

@@ -10,7 +10,7 @@ use super::running::RunningProgram;
 use crate::image::{BuildId, Image};
 
 /// Limit of cached images; the oldest are removed.
-pub const MOST: usize = 24;
+pub const MAX_IMAGES: usize = 24;
 
 /// Folder of images.
 #[derive(Clone, Debug)]
@@ -51,7 +51,7 @@ impl ImageCache {
         atomic::write(&path, image.elf())?;
         let mut cache = self.list();
         cache.sort_by_key(|path| fs::metadata(path).and_then(|file| file.modified()).ok());
-        let too_many = cache.len().saturating_sub(MOST);
+        let too_many = cache.len().saturating_sub(MAX_IMAGES);
         // A failed removal is repeated the next time.
         for old in cache.iter().filter(|old| **old != path).take(too_many) {
             let _ = fs::remove_file(old);
@@ -170,14 +170,14 @@ mod tests {
         let long_ago = std::time::SystemTime::UNIX_EPOCH;
         let file = fs::File::options().write(true).open(&first).unwrap();
         file.set_modified(long_ago).unwrap();
-        for k in 0..MOST as u8 {
+        for k in 0..MAX_IMAGES as u8 {
             assert!(cache.keep(&image(k)).unwrap().exists());
         }
-        assert_eq!(cache.list().len(), MOST);
+        assert_eq!(cache.list().len(), MAX_IMAGES);
         assert!(!first.exists() && other.exists());
         // Kept once more, it is no further file.
         cache.keep(&image(5)).unwrap();
-        assert_eq!(cache.list().len(), MOST);
+        assert_eq!(cache.list().len(), MAX_IMAGES);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use defmt_parser::{DisplayHint, Fragment, Parameter, ParserMode, Type, get_max_b
 const MOST_VALUES: u32 = 4096;
 
 /// Limit of the nesting depth.
-const DEEPEST: u32 = 32;
+const MAX_DEPTH: u32 = 32;
 
 /// Format string of the image.
 #[derive(Clone, Debug)]
@@ -63,7 +63,7 @@ impl<'a> Walk<'a> {
     }
 
     fn values_of(&mut self, format: &str, depth: u32) -> Option<()> {
-        if depth > DEEPEST {
+        if depth > MAX_DEPTH {
             return None;
         }
         let types = types(format)?;

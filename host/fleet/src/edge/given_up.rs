@@ -10,7 +10,7 @@ use crate::dead_letters;
 const POLL_PERIOD: Duration = Duration::from_secs(10);
 
 /// Windows for each check; the next check continues behind them.
-const AT_ONCE: usize = 64;
+const CHECK_BATCH: usize = 64;
 
 /// Time in milliseconds without an answer after which a window is searched among the dead letters.
 const ASKED_AFTER_MS: i64 = 20_000;
@@ -39,7 +39,7 @@ async fn check_dead_letters(link: &Link, passed: usize) -> Result<usize, String>
     let windows = link
         .daemon
         .fleet()
-        .unanswered(before_ms, passed, AT_ONCE)
+        .unanswered(before_ms, passed, CHECK_BATCH)
         .await;
     let windows = windows.map_err(|e| e.to_string())?;
     let (mut still, count) = (0, windows.len());
@@ -55,5 +55,9 @@ async fn check_dead_letters(link: &Link, passed: usize) -> Result<usize, String>
         tracing::warn!(hob, boot, seq, why, "the fleet has given up a window");
         link.state().answers.remove(&(hob.clone(), boot, seq));
     }
-    Ok(if count < AT_ONCE { 0 } else { passed + still })
+    Ok(if count < CHECK_BATCH {
+        0
+    } else {
+        passed + still
+    })
 }

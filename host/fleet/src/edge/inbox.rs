@@ -19,7 +19,7 @@ use crate::server::{Incoming, ResultConsumer};
 use crate::wire::AnswerMessage;
 
 /// Results processed at once.
-const AT_ONCE: usize = 32;
+const RESULT_BATCH: usize = 32;
 
 /// Delay of the redelivery of a result that could not be stored.
 const AGAIN_AFTER: Duration = Duration::from_secs(5);
@@ -81,9 +81,12 @@ fn record_answer(link: &Link) {
 async fn receive_batch(link: &Link, results: &ResultConsumer) -> Result<(), JetStreamError> {
     let failed = |why: String| JetStreamError::new(names::RESULTS, why);
     let asked = Instant::now();
-    let fetched = results.fetch(AT_ONCE, REQUEST_TIME).await.map_err(failed)?;
+    let fetched = results
+        .fetch(RESULT_BATCH, REQUEST_TIME)
+        .await
+        .map_err(failed)?;
     let (came, broken) = (AtomicBool::new(false), Mutex::new(None));
-    let received = fetched.for_each_concurrent(AT_ONCE, |message| async {
+    let received = fetched.for_each_concurrent(RESULT_BATCH, |message| async {
         match message {
             Ok(message) => {
                 came.store(true, Relaxed);

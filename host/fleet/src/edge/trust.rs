@@ -13,7 +13,7 @@ use tokio::time::Instant;
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(300);
 
 /// Most unanswered windows; with more the fleet is behind in any case.
-const MOST: usize = 8_192;
+const MAX_UNANSWERED: usize = 8_192;
 
 /// Hob, boot and number of a window.
 pub type WindowKey = (String, u32, u32);
@@ -27,7 +27,7 @@ pub struct Answers {
 impl Answers {
     /// Adds a window that the fleet has received.
     pub fn insert(&mut self, key: WindowKey, now: Instant) {
-        if self.waited_for.len() < MOST {
+        if self.waited_for.len() < MAX_UNANSWERED {
             self.waited_for.insert(key, now);
         }
     }
@@ -47,7 +47,7 @@ impl Answers {
         self.waited_for
             .retain(|_, since| now.duration_since(*since) < FORGOTTEN_AFTER);
         let oldest = self.waited_for.values().min();
-        (self.waited_for.len() < MOST).then(|| oldest.copied().unwrap_or(now))
+        (self.waited_for.len() < MAX_UNANSWERED).then(|| oldest.copied().unwrap_or(now))
     }
 }
 

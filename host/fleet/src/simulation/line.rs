@@ -20,7 +20,7 @@ use crate::names;
 use crate::stream_message::{Acknowledged, Outgoing, PendingAck, PublishFailure, StoredMessage};
 
 /// Time-out of the client (crate::access).
-const WITHIN: Duration = Duration::from_secs(5);
+const CLIENT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Step of waiting.
 const STEP: Duration = Duration::from_millis(50);
@@ -130,9 +130,9 @@ impl SimulatedConnection {
     /// Requests something of the server, with the client's time-out.
     async fn ask<T>(&self, answer: impl FnOnce() -> T) -> Result<T, String> {
         let asked = Instant::now();
-        let passed = tokio::time::timeout(WITHIN, self.pass()).await;
+        let passed = tokio::time::timeout(CLIENT_TIMEOUT, self.pass()).await;
         if passed.is_err() || self.happens(|weather| weather.lost) {
-            let rest = WITHIN.saturating_sub(asked.elapsed());
+            let rest = CLIENT_TIMEOUT.saturating_sub(asked.elapsed());
             sleep(rest).await;
             return Err("timed out".to_owned());
         }
@@ -156,7 +156,7 @@ impl SimulatedConnection {
         // It continues if the caller does not wait any more.
         let sent = tokio::spawn(async move { sends.send(message).await });
         Ok(Box::pin(async move {
-            let answer = match tokio::time::timeout(WITHIN, sent).await {
+            let answer = match tokio::time::timeout(CLIENT_TIMEOUT, sent).await {
                 Ok(Ok(answer)) => answer?,
                 Ok(Err(_)) | Err(_) => return Err(PublishFailure::Other("timed out".to_owned())),
             };
@@ -279,7 +279,7 @@ impl SimulatedConsumer {
     ) -> Result<BoxStream<'static, Result<Delivered, String>>, String> {
         let line = &self.line;
         // The client ends an unanswered request 5 s after its duration.
-        let deadline = Instant::now() + wait + WITHIN;
+        let deadline = Instant::now() + wait + CLIENT_TIMEOUT;
         if tokio::time::timeout_at(deadline, line.pass())
             .await
             .is_err()

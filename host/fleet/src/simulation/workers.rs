@@ -21,7 +21,7 @@ use crate::wire::{AnswerMessage, WindowMessage};
 const TURN: Duration = Duration::from_millis(200);
 
 /// Windows for each poll.
-const AT_ONCE: usize = 8;
+const WINDOWS_PER_POLL: usize = 8;
 
 /// Prefix of the names of workers with false answers, and the least relative error of their R.
 pub const LIAR: &str = "liar";
@@ -42,7 +42,7 @@ pub async fn work(line: SimulatedConnection, seed: u64) {
         let now = line.world.now();
         let (given, disk) = {
             let mut disk = line.memory.disk();
-            (disk.give_windows(now, AT_ONCE), disk.before)
+            (disk.give_windows(now, WINDOWS_PER_POLL), disk.before)
         };
         for (number, message, times) in given {
             let (line, seed) = (line.clone(), rng.random());

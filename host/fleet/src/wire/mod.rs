@@ -12,7 +12,7 @@ mod window;
 use ihd_daemon::config::is_name;
 
 pub use self::answer::AnswerMessage;
-pub use self::packing::LARGEST;
+pub use self::packing::MAX_BYTES;
 pub use self::window::WindowMessage;
 
 /// Version of the messages.

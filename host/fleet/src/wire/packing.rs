@@ -11,10 +11,10 @@ use super::MessageError;
 const LEVEL: i32 = 1;
 
 /// Largest unpacked message in bytes: twice the longest window.
-pub const LARGEST: usize = 4 << 20;
+pub const MAX_BYTES: usize = 4 << 20;
 
 /// Deepest nesting of a message.
-const DEEPEST: usize = 8;
+const MAX_DEPTH: usize = 8;
 
 pub(super) fn pack<T: Serialize>(message: &T) -> Result<Vec<u8>, MessageError> {
     let mut bytes = Vec::new();
@@ -29,8 +29,8 @@ pub(super) fn pack<T: Serialize>(message: &T) -> Result<Vec<u8>, MessageError> {
 }
 
 pub(super) fn unpack<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, MessageError> {
-    let bytes = zstd::bulk::decompress(bytes, LARGEST).map_err(MessageError::Packed)?;
-    let read = ciborium::de::from_reader_with_recursion_limit(bytes.as_slice(), DEEPEST);
+    let bytes = zstd::bulk::decompress(bytes, MAX_BYTES).map_err(MessageError::Packed)?;
+    let read = ciborium::de::from_reader_with_recursion_limit(bytes.as_slice(), MAX_DEPTH);
     read.map_err(|e| MessageError::Fields(e.to_string()))
 }
 

@@ -21,7 +21,7 @@ const LEAST_PHASORS: usize = 128;
 const MOST_TONES: usize = 6;
 
 /// Largest difference between the two boxcars' results, as a share of the tone.
-const SAME: f64 = 0.35;
+const MAX_BOXCAR_DIFFERENCE: f64 = 0.35;
 
 /// Time in seconds on either side of a step that is left out: the mean of a tenth of a millisecond in which it lies, and a boxcar.
 const STEP_S: f64 = 0.2e-3;
@@ -280,7 +280,7 @@ impl Residual {
             }
         }
         let seen = sum / (power * passed).max(f64::MIN_POSITIVE);
-        (seen - tone.v).norm() < SAME * tone.v.norm()
+        (seen - tone.v).norm() < MAX_BOXCAR_DIFFERENCE * tone.v.norm()
     }
 }
 

@@ -18,7 +18,7 @@ const WINDOW: usize = 4;
 
 /// Highest harmonic of a voltage and of a current. On one side of an edge those beyond n sum up to 1/(π²·n) of it in the
 /// fundamental; a current has bends only.
-const HIGHEST: [usize; 2] = [127, 31];
+const MAX_HARMONICS: [usize; 2] = [127, 31];
 
 /// Parts of a switching period over which the weights rise from a clipped sample on. A sharp end would turn the highest harmonics,
 /// and the noise of the current's derivative, into the fundamental.
@@ -128,7 +128,7 @@ impl<'a> Censored<'a> {
 
     /// Phasors of a channel's harmonics in a window.
     fn harmonics(&self, x: &[f32], p: usize) -> Vec<Phasor> {
-        let highest = HIGHEST[usize::from(!self.pair.is_voltage)];
+        let highest = MAX_HARMONICS[usize::from(!self.pair.is_voltage)];
         let highest = highest.min((0.5 * self.pair.per_period) as usize - 1);
         let mut sums = vec![Complex::new(0.0, 0.0); highest];
         for (k, w) in self.window(p).zip(&self.hann) {

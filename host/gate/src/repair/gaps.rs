@@ -24,7 +24,7 @@ const LEAST_RAD: f64 = 0.06;
 const LEAST_MEDIANS: f64 = 12.0;
 
 /// Largest difference of the channels' jumps as a share of the jump, and largest change of their amplitudes.
-const SAME: f64 = 0.15;
+const MAX_JUMP_DIFFERENCE: f64 = 0.15;
 const SAME_AMPLITUDE: f64 = 0.1;
 
 /// Least current as a share of the largest one.
@@ -34,7 +34,7 @@ const LEAST_CURRENT: f64 = 0.12;
 const LEFT_OUT_PERIODS: f64 = 1.5;
 
 /// Most jumps of a stretch: more are noise, or a carrier that moves.
-const MOST: usize = 8;
+const MAX_JUMPS: usize = 8;
 
 /// Jump of the phase.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -132,7 +132,7 @@ fn find(segment: &Segment) -> Vec<Jump> {
     let mut sizes: Vec<f64> = (0..turns.len()).map(size_at).collect();
     let mut jumps = Vec::new();
     // The largest first: what lies beside it compares with it, and seems to jump by half of it.
-    while jumps.len() <= MOST
+    while jumps.len() <= MAX_JUMPS
         && let Some(top) = (0..sizes.len()).max_by(|a, b| sizes[*a].total_cmp(&sizes[*b]))
         && sizes[top] >= LEAST_RAD
         && let Some([v, i]) = turns[top]
@@ -156,7 +156,7 @@ fn find(segment: &Segment) -> Vec<Jump> {
     jumps.sort_by(|a, b| a.at.total_cmp(&b.at));
     // A carrier that moves turns both phases, too.
     let moves = || Carrier::of(segment).is_some_and(|carrier| carrier.moves());
-    if jumps.is_empty() || jumps.len() > MOST || moves() {
+    if jumps.is_empty() || jumps.len() > MAX_JUMPS || moves() {
         return Vec::new();
     }
     jumps
@@ -165,7 +165,7 @@ fn find(segment: &Segment) -> Vec<Jump> {
 /// Common size of the turns of voltage and current; 0 if they differ.
 fn size([v, i]: &[f64; 2]) -> f64 {
     let mean = 0.5 * (v + i).abs();
-    match (v - i).abs() <= SAME * mean {
+    match (v - i).abs() <= MAX_JUMP_DIFFERENCE * mean {
         true => mean,
         false => 0.0,
     }

@@ -61,14 +61,14 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
 }
 
 /// Samples that are tested together: most stretches of that length have no spike.
-const TOGETHER: usize = 256;
+const BLOCK_SAMPLES: usize = 256;
 
 /// Samples that exceed the two before and the two after by more than a height. An edge is monotonous and has none.
 fn find(x: &[f32], range: Range<usize>, height: f32) -> Vec<usize> {
     let Some(x_of) = x.get(range.clone()) else {
         return Vec::new();
     };
-    let stretch = |first: usize| &x_of[first..(first + TOGETHER + 4).min(x_of.len())];
+    let stretch = |first: usize| &x_of[first..(first + BLOCK_SAMPLES + 4).min(x_of.len())];
     let has_any = |first: &usize| {
         vectorised(
             #[inline(always)]
@@ -80,7 +80,7 @@ fn find(x: &[f32], range: Range<usize>, height: f32) -> Vec<usize> {
         let spikes = fives.filter(|(_, five)| stands_out(five, height));
         spikes.map(move |(k, _)| range.start + first + k + 2)
     };
-    let firsts = (0..x_of.len().saturating_sub(4)).step_by(TOGETHER);
+    let firsts = (0..x_of.len().saturating_sub(4)).step_by(BLOCK_SAMPLES);
     firsts.filter(has_any).flat_map(spikes_of).collect()
 }
 

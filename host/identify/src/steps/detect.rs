@@ -24,13 +24,13 @@ pub(super) struct Step {
 }
 
 /// Frames, one per switching period, that are averaged on either side.
-const BESIDE: usize = 5;
+const SIDE_FRAMES: usize = 5;
 
 /// Frames between the two sides: a frame and its slope extend over two periods.
-const BETWEEN: usize = 4;
+const GAP_FRAMES: usize = 4;
 
 /// Frames from a position to the outermost one that is used.
-const REACH: usize = BESIDE + BETWEEN / 2;
+const REACH_FRAMES: usize = SIDE_FRAMES + GAP_FRAMES / 2;
 
 /// Switching periods on either side of a position in which the step is located.
 const NEAR_PERIODS: f64 = 4.0;
@@ -39,7 +39,7 @@ const NEAR_PERIODS: f64 = 4.0;
 const LEAST_CURRENT: f64 = 0.12;
 
 /// Least step that is reported, as a share of the impedance.
-const LEAST: f64 = 0.06;
+const MIN_STEP_SHARE: f64 = 0.06;
 
 /// Frames on either side of a step that show a part of it.
 const BLURRED: usize = 2;
@@ -60,7 +60,7 @@ pub(super) fn steps(segment: &Segment) -> Vec<Step> {
         return Vec::new();
     };
     let stands_out = |k: &usize| {
-        differences[*k] > LEAST
+        differences[*k] > MIN_STEP_SHARE
             && weighted(*k) > OVER_NOISE * noise
             && differences[*k] > OVER_TREND * trend(&differences, *k)
     };
@@ -70,7 +70,7 @@ pub(super) fn steps(segment: &Segment) -> Vec<Step> {
     for k in candidates {
         if positions
             .iter()
-            .all(|other| k.abs_diff(*other) > REACH + BLURRED)
+            .all(|other| k.abs_diff(*other) > REACH_FRAMES + BLURRED)
         {
             positions.push(k);
         }
@@ -85,11 +85,12 @@ pub(super) fn steps(segment: &Segment) -> Vec<Step> {
 
 /// Natural change of R and L around a position: the lower quartile, which a step nearby does not affect.
 fn trend(differences: &[f64], k: usize) -> f64 {
-    let near =
-        |j: &usize| j.abs_diff(k) > REACH && j.abs_diff(k) <= 3 * REACH && differences[*j] > 0.0;
+    let near = |j: &usize| {
+        j.abs_diff(k) > REACH_FRAMES && j.abs_diff(k) <= 3 * REACH_FRAMES && differences[*j] > 0.0
+    };
     let (from, to) = (
-        k.saturating_sub(3 * REACH),
-        (k + 3 * REACH + 1).min(differences.len()),
+        k.saturating_sub(3 * REACH_FRAMES),
+        (k + 3 * REACH_FRAMES + 1).min(differences.len()),
     );
     let mut x: Vec<f64> = (from..to).filter(near).map(|j| differences[j]).collect();
     x.sort_by(f64::total_cmp);
@@ -183,8 +184,8 @@ impl Frames {
 
     /// Frames before and after the one at `k`; `None` near the ends.
     fn sides(&self, k: usize) -> Option<[std::ops::Range<usize>; 2]> {
-        let before = k.checked_sub(REACH)?..k - BETWEEN / 2;
-        let after = k + BETWEEN / 2 + 1..k + REACH + 1;
+        let before = k.checked_sub(REACH_FRAMES)?..k - GAP_FRAMES / 2;
+        let after = k + GAP_FRAMES / 2 + 1..k + REACH_FRAMES + 1;
         (after.end <= self.z.len()).then_some([before, after])
     }
 
@@ -238,8 +239,8 @@ impl Frames {
 
     /// Mean impedance in ohm before and after frame `k`; fewer frames near the ends.
     fn means(&self, k: usize) -> (Complex<f64>, Complex<f64>) {
-        let last = self.z.len().saturating_sub(REACH + 1);
-        let k = k.clamp(REACH.min(last), last);
+        let last = self.z.len().saturating_sub(REACH_FRAMES + 1);
+        let k = k.clamp(REACH_FRAMES.min(last), last);
         let [before, after] = self.sides(k).unwrap_or([k..k + 1, k..k + 1]);
         (self.mean(before), self.mean(after))
     }

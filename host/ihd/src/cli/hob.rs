@@ -21,7 +21,7 @@ use super::simulated::SimulatedHobArgs;
 const STDIN: &str = "-";
 
 /// Limit of the speed; the machine may not reach it, which the hob reports.
-const FASTEST: f64 = 1000.0;
+const MAX_SPEED: f64 = 1000.0;
 
 /// Runs a simulated hob, controlled by the firmware itself, behind a TCP port.
 ///
@@ -80,8 +80,8 @@ impl HobArgs {
     /// An invalid script, or a port that cannot be listened on.
     pub fn run(&self) -> Result<()> {
         ensure_usage!(
-            self.speed.is_finite() && self.speed > 0.0 && self.speed <= FASTEST,
-            "--speed is {}, but must lie between 0 and {FASTEST}",
+            self.speed.is_finite() && self.speed > 0.0 && self.speed <= MAX_SPEED,
+            "--speed is {}, but must lie between 0 and {MAX_SPEED}",
             self.speed
         );
         let (mut hob, script) = self.hob()?;

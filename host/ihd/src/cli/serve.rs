@@ -26,7 +26,7 @@ use super::{configured, supervised, ui};
 const END_WITHIN: Duration = Duration::from_secs(30);
 
 /// Time left for switching off after a second Ctrl-C; the first has started it.
-const AT_ONCE: Duration = Duration::from_secs(1);
+const FORCED_STOP_TIME: Duration = Duration::from_secs(1);
 
 /// Threads of the server: while one converts a recording or thins out a stream, the other answers.
 const SERVER_THREADS: usize = 2;
@@ -234,7 +234,7 @@ async fn serve(
         },
         signal = signals.next() => {
             tracing::warn!(signal, "once more: ending at once");
-            let _ = timeout(AT_ONCE, ending).await;
+            let _ = timeout(FORCED_STOP_TIME, ending).await;
             exit(INTERRUPTED);
         }
     }

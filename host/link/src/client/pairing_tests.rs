@@ -12,7 +12,7 @@ use super::*;
 
 /// Time-out of a request, and of each time that it is sent.
 const WITHIN_MS: u64 = 600;
-const TRY_MS: u64 = WITHIN_MS / TRIES as u64;
+const TRY_MS: u64 = WITHIN_MS / MAX_SENDS as u64;
 
 /// Milliseconds from the sending of a request until each copy of its answer arrives; none where it is lost.
 type Fate = Vec<u64>;
@@ -117,7 +117,7 @@ proptest! {
     /// Each request gets its own answer as soon as one is there, and none where there is none in time.
     #[test]
     fn an_answer_is_taken_for_no_other_requests(
-        requests in prop::collection::vec((any::<bool>(), prop::collection::vec(fate(), TRIES as usize)), 1..30),
+        requests in prop::collection::vec((any::<bool>(), prop::collection::vec(fate(), MAX_SENDS as usize)), 1..30),
     ) {
         let fates = Arc::new(Mutex::new(VecDeque::new()));
         let echo = Echo {

@@ -181,7 +181,7 @@ impl Library {
         const MISFIT: [f64; 2] = [0.016, 0.008];
         const SCREENING_STEPS: usize = 3;
         /// Most candidates that get a complete fit.
-        const MOST: usize = 3;
+        const MAX_FITTED: usize = 3;
         let every = data.len().div_ceil(SCREENING_DATA).max(1);
         let few: Vec<Datum> = data.iter().copied().step_by(every).collect();
         let screen = |entry: &PotEntry| {
@@ -199,7 +199,7 @@ impl Library {
         };
         let mut likely: Vec<_> = self.entries.iter().filter_map(screen).collect();
         likely.sort_by(|a, b| a.0.total_cmp(&b.0));
-        likely.truncate(MOST);
+        likely.truncate(MAX_FITTED);
         likely.into_iter().map(|(_, candidate)| candidate).collect()
     }
 }

@@ -9,7 +9,7 @@ use crate::parameters::OUTPUTS;
 use crate::waveform::NormalisedWaveform;
 
 /// Slow times on either side over which the residual of eq. (1) is averaged.
-const REACH: usize = 6;
+const NEIGHBOUR_TIMES: usize = 6;
 
 /// Residual along the window.
 pub(super) struct Misfit<'a> {
@@ -70,7 +70,8 @@ impl<'a> Misfit<'a> {
         let count = self.left.len();
         let nearest = (tau_s / self.samples.duration_s() * count as f64) as usize;
         let nearest = nearest.min(count - 1);
-        let near = &self.left[nearest.saturating_sub(REACH)..(nearest + REACH + 1).min(count)];
+        let near = &self.left
+            [nearest.saturating_sub(NEIGHBOUR_TIMES)..(nearest + NEIGHBOUR_TIMES + 1).min(count)];
         (near.iter().sum::<f64>() / near.len() as f64 - self.variance).max(0.0)
     }
 }

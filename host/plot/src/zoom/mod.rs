@@ -27,7 +27,7 @@ const MOST_POINTS: usize = 8000;
 const COLUMNS: usize = 4000;
 
 /// Bound of coordinates in sizes of the frame: a diverging curve stays a number that browsers draw.
-const FARTHEST: f64 = 1e3;
+const MAX_FRAME_SIZES: f64 = 1e3;
 
 /// Most numbers at an axis.
 const NUMBERS: usize = 6;
@@ -177,7 +177,11 @@ fn path(panel: &PlotPanel, pen: Pen, points: &[(f64, f64)]) -> String {
             is_down = false;
             continue;
         }
-        let unit = |axis: &Axis, value| axis.scale.unit(value).clamp(-FARTHEST, FARTHEST);
+        let unit = |axis: &Axis, value| {
+            axis.scale
+                .unit(value)
+                .clamp(-MAX_FRAME_SIZES, MAX_FRAME_SIZES)
+        };
         let (px, py) = (unit(&panel.x, *x) * w, (1.0 - unit(&panel.y, *y)) * h);
         let command = if is_down { "L" } else { "M" };
         let _ = write!(d, "{command}{px:.2} {py:.2}");

@@ -5,7 +5,7 @@ use ihd_firmware::limits::{BURST_PERIOD_MS, BURST_POWER_W};
 use super::record::{PowerStep, Recovery, Summary, TrueHalfCycle};
 
 /// Tolerance of a settled power, as a share of the requested one.
-const SETTLED: f64 = 0.05;
+const SETTLED_TOLERANCE: f64 = 0.05;
 
 /// Smallest tolerance, in watt.
 const SETTLED_LEAST_W: f64 = 5.0;
@@ -79,7 +79,7 @@ fn mean_w(span: &[TrueHalfCycle]) -> Option<f64> {
 
 /// Time after `from_s` from which on the power stays within the tolerance.
 fn settled_after_s(counting: &[(f64, f64)], from_s: f64, asked_w: f64) -> Option<f64> {
-    let tolerance_w = (SETTLED * asked_w).max(SETTLED_LEAST_W);
+    let tolerance_w = (SETTLED_TOLERANCE * asked_w).max(SETTLED_LEAST_W);
     let near = |(_, power_w): &&(f64, f64)| (power_w - asked_w).abs() <= tolerance_w;
     let stays = counting.iter().rev().take_while(near).count();
     // Its first half-cycle is where it begins; that takes no time.

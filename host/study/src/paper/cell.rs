@@ -14,7 +14,7 @@ use super::nmse::{Nmse, unfiltered_itself};
 use super::{Contender, LossAt, PaperCell, PaperJob, PaperStudyError, Point, folder_settings};
 
 /// Limit of stored entries of a loss curve or of R(t).
-const KEPT: usize = 250;
+const MAX_ENTRIES: usize = 250;
 
 /// Estimate over the last half-cycle, and additional results of its estimator.
 struct CellEstimate {
@@ -196,9 +196,9 @@ fn loss_curve(identified: &Identification) -> Vec<LossAt> {
     thinned(all.collect())
 }
 
-/// Returns at most [`KEPT`] entries, evenly chosen, including the last.
+/// Returns at most [`MAX_ENTRIES`] entries, evenly chosen, including the last.
 fn thinned<T: Copy>(all: Vec<T>) -> Vec<T> {
-    let step = all.len().div_ceil(KEPT).max(1);
+    let step = all.len().div_ceil(MAX_ENTRIES).max(1);
     let mut few: Vec<T> = all.iter().rev().step_by(step).copied().collect();
     few.reverse();
     few

@@ -58,10 +58,10 @@ struct Point {
 }
 
 /// Phase noise above which a harmonic is left out, in radian.
-const NOISIEST: f64 = 0.02;
+const MAX_PHASE_NOISE_RAD: f64 = 0.02;
 
 /// Least angle of the impedance's phase from 0 or 90° at which one of R and L determines it.
-const STEEP: f64 = 0.15;
+const MIN_PHASE_ANGLE_RAD: f64 = 0.15;
 
 /// Estimates the calibration of the channels from a capture of `reference`.
 ///
@@ -125,7 +125,7 @@ fn points(capture: &Capture, survey: &Survey) -> Vec<Point> {
             };
             let omega = TAU * span.f_sw_hz * f64::from(h);
             let sigma = phase_sigma(&track, order, noise);
-            if order == 0 || sigma < NOISIEST {
+            if order == 0 || sigma < MAX_PHASE_NOISE_RAD {
                 out.push(Point {
                     omega,
                     z: Complex::new(z.r_ohm, omega * z.l_h),
@@ -341,8 +341,8 @@ fn load(
             }
         };
         let undetermined = match (r_ohm, l_h) {
-            (Some(_), None) => theta < STEEP,
-            (None, _) => FRAC_PI_2 - theta < STEEP,
+            (Some(_), None) => theta < MIN_PHASE_ANGLE_RAD,
+            (None, _) => FRAC_PI_2 - theta < MIN_PHASE_ANGLE_RAD,
             _ => false,
         };
         if undetermined {

@@ -24,7 +24,7 @@ const ALL_CHECKED: u32 = 32;
 const ONE_CHECKED_OF: u32 = 16;
 
 /// Fewest windows that a correction rests on.
-const FEWEST: u32 = 8;
+const MIN_WINDOWS: u32 = 8;
 
 /// Standard deviations from which a lag is corrected, and its least size in seconds: the uncertainty that the settling filter and ten
 /// samples a plateau add.
@@ -208,7 +208,7 @@ impl Sensors {
         // The bridge's resistance has the same effect as a current that lags.
         let bridge = (0.0..BRIDGE_R_MAX_OHM * c_f).contains(&lag.value);
         let significant = lag.value.abs() > (SIGNIFICANT * lag.sigma).max(LEAST_S);
-        (self.windows >= FEWEST && significant && !bridge).then(|| Correction {
+        (self.windows >= MIN_WINDOWS && significant && !bridge).then(|| Correction {
             skew_s: -lag.value,
             ..Correction::default()
         })
@@ -229,7 +229,7 @@ impl Sensors {
         let capacitance_nf = self.capacitance_nf.mean()?;
         let off = f64::from(RESONANCE_CAPACITANCE_NF) / capacitance_nf.value - 1.0;
         let limit = CAPACITANCE + SIGNIFICANT * capacitance_nf.sigma / capacitance_nf.value;
-        (self.windows >= FEWEST && off.abs() > limit).then(|| {
+        (self.windows >= MIN_WINDOWS && off.abs() > limit).then(|| {
             let text = format!(
                 "the gain of the voltage over that of the current is off by {:+.1} %, or the resonance capacitor is {:.0} nF",
                 100.0 * off,
@@ -348,6 +348,6 @@ mod tests {
             let (same, said) = sensors.correct_window(&window);
             assert_eq!((same, said), (window, Vec::new()), "{sensors:?}");
         }
-        assert!(sensors.windows() >= FEWEST, "{sensors:?}");
+        assert!(sensors.windows() >= MIN_WINDOWS, "{sensors:?}");
     }
 }

@@ -16,7 +16,7 @@ use super::version::Versions;
 const FORMAT: u32 = 3;
 
 /// Oldest format that is read. Format 1 has no sensors; format 2 has load curves without deviations, which the map does not use.
-const OLDEST: u32 = 1;
+const MIN_FORMAT: u32 = 1;
 
 /// Reason for which bytes are not a state of [`Learning`].
 #[derive(Debug, thiserror::Error)]
@@ -82,7 +82,7 @@ impl Learning {
             format: u32,
         }
         let Format { format } = serde_json::from_slice(bytes)?;
-        if !(OLDEST..=FORMAT).contains(&format) {
+        if !(MIN_FORMAT..=FORMAT).contains(&format) {
             return Err(StateError::Format(format));
         }
         let saved: Saved = serde_json::from_slice(bytes)?;

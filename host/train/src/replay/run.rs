@@ -23,7 +23,7 @@ const RECONNECTS: u32 = 8;
 const RECONNECT_AFTER: Duration = Duration::from_millis(200);
 
 /// Longest wait for a window: 57 kB take 5 s on a serial line of 115 200 baud.
-const PATIENCE: Duration = Duration::from_secs(10);
+const WINDOW_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Options of a replay.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -267,7 +267,7 @@ impl Run<'_> {
         while let Some(event) = self.host.next_event(Duration::ZERO)? {
             self.expected.push_back(event);
         }
-        let patience = self.settings.patience.unwrap_or(PATIENCE);
+        let patience = self.settings.patience.unwrap_or(WINDOW_TIMEOUT);
         while !self.expected.is_empty() {
             match self.device.next_event(patience) {
                 Ok(Some(event)) => self.event(t_s, &event),

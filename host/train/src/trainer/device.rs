@@ -30,10 +30,10 @@ pub const WINDOWS_EVERY: u8 = 20;
 const STOP_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 /// Longest wait for an event or a window, in device time.
-pub(super) const PATIENCE: Duration = Duration::from_secs(10);
+pub(super) const TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Times that an idempotent command is sent.
-const TRIES: usize = 3;
+const MAX_SENDS: usize = 3;
 
 /// Truth by half-cycle number of the device, from a simulated hob; `None` on a real one.
 pub type TruthSource = Option<Box<dyn Fn(u32) -> Option<Truth>>>;
@@ -138,7 +138,7 @@ impl<'a> Device<'a> {
         loop {
             let client = self.client()?;
             match command(client) {
-                Err(LinkError::NoAnswer { .. }) if tries < TRIES => tries += 1,
+                Err(LinkError::NoAnswer { .. }) if tries < MAX_SENDS => tries += 1,
                 answer => {
                     self.last_sent = client.clock();
                     return Ok(answer?);
@@ -235,7 +235,7 @@ impl<'a> Device<'a> {
         while heated < SETTLE_WITHIN {
             let Some(telemetry) = self.next_telemetry(point)? else {
                 // Other events do not replace telemetry.
-                if self.client()?.clock().saturating_sub(last_telemetry) >= PATIENCE {
+                if self.client()?.clock().saturating_sub(last_telemetry) >= TIMEOUT {
                     return Err(self.silent("telemetry"));
                 }
                 continue;
@@ -335,7 +335,7 @@ impl<'a> Device<'a> {
                 )
                 | None => {}
             }
-            if self.client()?.clock().saturating_sub(since) >= PATIENCE {
+            if self.client()?.clock().saturating_sub(since) >= TIMEOUT {
                 return Err(self.silent("a window"));
             }
         }
@@ -390,7 +390,7 @@ impl<'a> Device<'a> {
         }
         if event.is_some() {
             self.last_received = now;
-        } else if now.saturating_sub(self.last_received) >= PATIENCE {
+        } else if now.saturating_sub(self.last_received) >= TIMEOUT {
             return Err(self.silent(what));
         }
         Ok(event)
@@ -408,7 +408,7 @@ impl<'a> Device<'a> {
         let c = self.counters();
         TrainerError::Silent {
             what,
-            seconds: PATIENCE.as_secs(),
+            seconds: TIMEOUT.as_secs(),
             windows: format!(
                 "{} received, {} missing, {} rejected, {} dropped by the device",
                 c.windows.received,

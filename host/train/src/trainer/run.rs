@@ -22,7 +22,7 @@ use crate::learning::{AcceptedWindow, Learning, LookupUpdate, WindowOutcome};
 use crate::lookup::{BuiltLookup, LookupAccuracy, judge_cells};
 
 /// Windows that are tried at one operating point before the run fails.
-const TRIES: usize = 3;
+const MAX_WINDOWS: usize = 3;
 
 /// Options of a run.
 pub struct RunOptions<'a> {
@@ -282,7 +282,7 @@ impl Run<'_, '_> {
         next: impl Fn(&mut Device<'_>) -> Result<Box<Window>, TrainerError>,
     ) -> Result<(), TrainerError> {
         let mut why = String::new();
-        for _ in 0..TRIES {
+        for _ in 0..MAX_WINDOWS {
             let window = next(&mut self.device)?;
             match self.learn(window, point, truth, true)? {
                 Ok(()) => return Ok(()),

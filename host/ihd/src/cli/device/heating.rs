@@ -24,7 +24,7 @@ pub const RENEW_PERIOD: Duration = Duration::from_secs(LEASE_S / 3);
 const POLL_PERIOD: Duration = Duration::from_millis(500);
 
 /// Time without an answer after which heating ends; the lease ends after 10 s.
-const SILENCE: Duration = Duration::from_secs(8);
+const SILENCE_TIMEOUT: Duration = Duration::from_secs(8);
 
 /// Period of output lines if standard output is no terminal.
 const LINE_PERIOD: Duration = Duration::from_secs(10);
@@ -255,9 +255,9 @@ fn hold(
 }
 
 /// Returns `true` if an error ends the heating: another client holds the lease, or nothing was received for longer than
-/// [`SILENCE`].
+/// [`SILENCE_TIMEOUT`].
 fn lasts(error: &anyhow::Error, silent: Duration) -> bool {
-    is_leased_elsewhere(error) || silent > SILENCE
+    is_leased_elsewhere(error) || silent > SILENCE_TIMEOUT
 }
 
 /// Reads the hob's report, and renews the lease; the second result is `true` if it was renewed.

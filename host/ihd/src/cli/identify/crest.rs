@@ -25,15 +25,15 @@ pub fn squared_current(segment: &Segment, t_s: &[f64]) -> Vec<f64> {
 }
 
 /// Samples that are converted to doubles at a time.
-const AT_ONCE: usize = 1 << 15;
+const CHUNK_SAMPLES: usize = 1 << 15;
 
 /// Sums of the squared current up to each of these indices, which ascend.
 fn square_sums(segment: &Segment, ends: &[usize]) -> Vec<f64> {
     let (mut out, mut sum, mut buffer) = (Vec::with_capacity(ends.len()), 0.0, Vec::new());
-    for first in (0..=segment.len()).step_by(AT_ONCE) {
-        let block = first..(first + AT_ONCE).min(segment.len());
+    for first in (0..=segment.len()).step_by(CHUNK_SAMPLES) {
+        let block = first..(first + CHUNK_SAMPLES).min(segment.len());
         let samples = segment.i_a.block(block, &mut buffer);
-        for k in 0..AT_ONCE {
+        for k in 0..CHUNK_SAMPLES {
             while ends.get(out.len()) == Some(&(first + k)) {
                 out.push(sum);
             }

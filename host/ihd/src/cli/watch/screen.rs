@@ -18,7 +18,7 @@ use crate::cli::device::{of_pot, one_line};
 const LISTED: usize = 9;
 
 /// Width from which on the three trends are side by side.
-const WIDE: u16 = 110;
+const TRENDS_ABREAST_COLUMNS: u16 = 110;
 
 /// Height from which on a trend has axes; below it is a line of bars.
 const CHART_ROWS: u16 = 5;
@@ -321,7 +321,7 @@ fn draw_trends(frame: &mut Frame<'_>, area: Rect, trend: &Trend, now_ms: i64) {
         return;
     }
     let thirds = [Constraint::Ratio(1, 3); 3];
-    let panes: [Rect; 3] = if area.width >= WIDE {
+    let panes: [Rect; 3] = if area.width >= TRENDS_ABREAST_COLUMNS {
         Layout::horizontal(thirds).areas(area)
     } else if area.height >= 3 {
         Layout::vertical(thirds).areas(area)

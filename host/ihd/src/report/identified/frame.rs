@@ -9,10 +9,10 @@ use super::curves::KNOWN;
 
 /// Share of the values at either end that may lie outside the frame: the initial transient of a filter and the estimates at zero
 /// crossings must not flatten everything else.
-const OUTLIERS: f64 = 0.02;
+const OUTLIER_SHARE: f64 = 0.02;
 
 /// Range in which a reconstructed waveform is shown beyond the measured one, in spans of it.
-const REACH: f64 = 1.0;
+const MARGIN_SPANS: f64 = 1.0;
 
 /// Range of the values without the outermost.
 pub fn frame(curves: &[PlotCurve]) -> Option<Range<f64>> {
@@ -27,7 +27,7 @@ pub fn frame(curves: &[PlotCurve]) -> Option<Range<f64>> {
         .filter(|y| y.is_finite())
         .collect();
     y.sort_unstable_by(f64::total_cmp);
-    let cut = (OUTLIERS * y.len() as f64) as usize;
+    let cut = (OUTLIER_SHARE * y.len() as f64) as usize;
     let (mut low, mut high) = (*y.get(cut)?, *y.get(y.len() - 1 - cut)?);
     // Known curves are shown completely.
     if let Some(known) = known(curves) {
@@ -45,7 +45,7 @@ pub fn with_zero(curves: &[PlotCurve]) -> Option<Range<f64>> {
 /// Range of all values; a diverging one is limited to the neighbourhood of the measurement.
 pub fn whole(curves: &[PlotCurve]) -> Option<Range<f64>> {
     let (low, high) = known(curves)?;
-    let reach = REACH * (high - low);
+    let reach = MARGIN_SPANS * (high - low);
     let all = span(curves.iter().flat_map(PlotCurve::points).map(|p| p.1))?;
     Some(with_air(all.0.max(low - reach), all.1.min(high + reach)))
 }

@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector};
 const DEGREE: usize = 8;
 
 /// Fewest samples, so that they are more than the polynomials' own freedom.
-pub(super) const FEWEST: usize = 6;
+pub(super) const MIN_SAMPLES: usize = 6;
 
 /// Orthonormal polynomials on a number of samples.
 #[derive(Debug)]
@@ -29,7 +29,7 @@ pub(super) struct Basis {
 }
 
 impl Basis {
-    /// Creates the basis for a number of samples, at least [`FEWEST`].
+    /// Creates the basis for a number of samples, at least [`MIN_SAMPLES`].
     fn new(samples: usize) -> Self {
         let m = DEGREE.min(samples - 2) + 1;
         let at = |k: usize| 2.0 * k as f64 / (samples - 1) as f64 - 1.0;
@@ -122,7 +122,7 @@ pub(super) struct Bases(BTreeMap<usize, Rc<Basis>>);
 impl Bases {
     /// Returns the basis for a number of samples.
     pub fn of(&mut self, samples: usize) -> Rc<Basis> {
-        let samples = samples.max(FEWEST);
+        let samples = samples.max(MIN_SAMPLES);
         let new = || Rc::new(Basis::new(samples));
         Rc::clone(self.0.entry(samples).or_insert_with(new))
     }

@@ -33,7 +33,7 @@ const AFTER_S: [f64; 5] = [0.3e-6, 0.7e-6, 1.2e-6, 1.8e-6, 2.6e-6];
 const BEFORE_S: f64 = 0.1e-6;
 
 /// Fewest plateaus per side.
-const FEWEST: usize = 20;
+const MIN_PLATEAUS: usize = 20;
 
 /// Least gain in squared deviations over a skew, for a model of equal freedom, to distinguish it from a skew.
 pub(super) const TOLD_APART: f64 = 12.0;
@@ -107,7 +107,7 @@ fn judge(plateaus: &[Plateau], tail: bool) -> Option<ModelChoice> {
         tail,
     };
     let of_side = |side: usize| {
-        let enough = plateaus.iter().filter(|p| p.side == side).count() >= FEWEST;
+        let enough = plateaus.iter().filter(|p| p.side == side).count() >= MIN_PLATEAUS;
         let fit = scope(Some(side)).fit(Model::Skew);
         fit.filter(|_| enough)
     };

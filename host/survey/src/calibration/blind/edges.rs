@@ -170,7 +170,7 @@ impl Stretch {
 
     /// Root mean square of steps of v + q/C by phase, each relative to the bridge's amplitude at that time.
     fn fold(&self, track: &Track, elastance: f64, q_c: &[f64]) -> Fold {
-        let least_v = LEAST * track.largest_v();
+        let least_v = MIN_AMPLITUDE_SHARE * track.largest_v();
         let bins = (3.0 * self.per_period()).clamp(24.0, 512.0) as usize;
         let m = ((STEP * self.per_period()).round() as usize).max(1);
         let mut sums = vec![(0.0, 0u32); bins];
@@ -218,7 +218,7 @@ fn fraction(x: f64) -> f64 {
 }
 
 /// Share of the largest amplitude of the bridge's voltage from which a plateau is used: weaker ones have little weight.
-pub(super) const LEAST: f64 = 0.1;
+pub(super) const MIN_AMPLITUDE_SHARE: f64 = 0.1;
 
 /// Steps of v + q/C by phase.
 struct Fold {
@@ -231,14 +231,14 @@ struct Fold {
 const EDGE: f64 = 0.12;
 
 /// Least ratio of the largest step to the usual one for edges to be detected.
-const STANDS_OUT: f64 = 3.0;
+const MIN_STEP_RATIO: f64 = 3.0;
 
 impl Fold {
     fn between_edges(&self) -> Option<[Range<f64>; 2]> {
         let mut sorted = self.rms.clone();
         sorted.sort_by(f64::total_cmp);
         let (usual, most) = (sorted[sorted.len() / 2], *sorted.last()?);
-        if most.is_nan() || most <= STANDS_OUT * usual {
+        if most.is_nan() || most <= MIN_STEP_RATIO * usual {
             return None;
         }
         let limit = usual + EDGE * (most - usual);

@@ -15,7 +15,7 @@ use crate::clipping::level_step;
 use crate::{Channel, Finding, Severity, Survey};
 
 /// Step between a channel's levels, as a share of its rms value, above which rounding is taken for a lag: 6 bits have 9 %, 7 have 4.
-const COARSE: f64 = 0.06;
+const COARSE_STEP_SHARE: f64 = 0.06;
 
 /// Noise over the step that hides it; rounding alone is measured as .29.
 const HIDES: f64 = 0.6;
@@ -24,7 +24,7 @@ const HIDES: f64 = 0.6;
 const LONG_S: f64 = 100e-9;
 
 /// Most samples of a stretch: 20 ms at 125 MS/s.
-const LONGEST: usize = 2_500_000;
+const MAX_STRETCH_SAMPLES: usize = 2_500_000;
 
 /// Estimates the errors of a capture's sensors.
 ///
@@ -51,7 +51,7 @@ pub fn estimate(
         let step = level_step(x).unwrap_or(0.0);
         // Noise of more than half a step makes noise of the rounding.
         let is_hidden = numbers.noise.is_some_and(|sigma| sigma > HIDES * step);
-        if step > COARSE * numbers.rms && !is_hidden {
+        if step > COARSE_STEP_SHARE * numbers.rms && !is_hidden {
             return Err(BlindError::TooCoarse {
                 channel,
                 step,
@@ -60,7 +60,7 @@ pub fn estimate(
         }
     }
     let sign = if survey.wiring.inverted { -1.0 } else { 1.0 };
-    let mut room = LONGEST;
+    let mut room = MAX_STRETCH_SAMPLES;
     let mut stretches = Vec::new();
     // The longest spans first, because the number of samples is limited.
     let mut spans: Vec<_> = survey.spans.iter().collect();
@@ -97,7 +97,11 @@ pub fn estimate_segment(
     known_capacitance_f: Option<f64>,
     settling_s: Option<f64>,
 ) -> Result<SelfCalibration, BlindError> {
-    let n = segment.v_v.len().min(segment.i_a.len()).min(LONGEST);
+    let n = segment
+        .v_v
+        .len()
+        .min(segment.i_a.len())
+        .min(MAX_STRETCH_SAMPLES);
     let (v_v, i_a) = (segment.v_v[..n].to_vec(), segment.i_a[..n].to_vec());
     let one = [stretch(v_v, i_a, segment.dt_s, segment.f_sw_hz)];
     judged(&one, segment.f_sw_hz, load, known_capacitance_f, settling_s)

@@ -1,7 +1,7 @@
 //! Plateaus: voltage and current between two edges, as coefficients of polynomials.
 
-use super::basis::{Bases, FEWEST};
-use super::edges::{Carrier, Edges, LEAST, Stretch};
+use super::basis::{Bases, MIN_SAMPLES};
+use super::edges::{Carrier, Edges, MIN_AMPLITUDE_SHARE, Stretch};
 
 /// Times in seconds that are left out around edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,7 +54,7 @@ pub(super) struct Plateau {
 }
 
 /// Most plateaus of a stretch, taken evenly: with more, errors of the model dominate.
-const MOST: usize = 6_000;
+const MAX_PLATEAUS: usize = 6_000;
 
 /// Plateaus of a stretch, between given edges. `settling_s` is the time constant of a filter's tail after each edge.
 pub(super) fn of_stretch(
@@ -65,14 +65,14 @@ pub(super) fn of_stretch(
     bases: &mut Bases,
 ) -> Vec<Plateau> {
     let track = &edges.track;
-    let least_v = LEAST * track.largest_v();
+    let least_v = MIN_AMPLITUDE_SHARE * track.largest_v();
     let samples = stretch.v_v.len();
     let f_hz = stretch.f_sw_hz;
     let (begin, end) = (
         track.at(0).periods,
         track.at(samples.saturating_sub(1)).periods,
     );
-    let every = ((2.0 * (end - begin)) as usize / MOST).max(1);
+    let every = ((2.0 * (end - begin)) as usize / MAX_PLATEAUS).max(1);
     let mut out = Vec::new();
     for (side, between) in edges.between.iter().enumerate() {
         let (from, to) = (
@@ -92,7 +92,7 @@ pub(super) fn of_stretch(
             }
             let (a, b) = (a.ceil() as usize, b.floor() as usize);
             let carrier = track.at((a + b) / 2);
-            if b < a + FEWEST - 1 || carrier.v_v < least_v {
+            if b < a + MIN_SAMPLES - 1 || carrier.v_v < least_v {
                 continue;
             }
             let edge = n as f64 + between.start;

@@ -26,7 +26,7 @@ const STARTS: [f64; 4] = [1.0, 0.75, 0.55, 0.4];
 const BETTER: f64 = 0.5;
 
 /// Most rounds of a search; the second constant is the change in seconds that ends it.
-const ROUNDS: usize = 6;
+const MAX_ROUNDS: usize = 6;
 const ROUND_S: f64 = 0.2e-9;
 
 /// Chooses a model, and searches for faults that reach over the edges if a skew explains too little.
@@ -103,7 +103,7 @@ fn choose_corrected(
 /// Adds the remaining skew to the value as long as it becomes smaller.
 fn refined(start: f64, look: impl Fn(f64) -> Option<ModelChoice>) -> Option<(f64, ModelChoice)> {
     let (mut number, mut now) = (start, look(start)?);
-    for _ in 0..ROUNDS {
+    for _ in 0..MAX_ROUNDS {
         let left = now.skew_s.value;
         if left.abs() < ROUND_S {
             break;

@@ -24,11 +24,11 @@ pub struct Saturation {
 const LEAST_OVER_LARGEST: f64 = 1.1;
 
 /// Most rounds of the search.
-const ROUNDS: usize = 5;
+const MAX_ROUNDS: usize = 5;
 
 /// Remaining bend that ends the search, and standard deviations of it.
-const LEFT: f64 = 5e-4;
-const LEFT_SIGMAS: f64 = 1.0;
+const MAX_BEND: f64 = 5e-4;
+const MAX_BEND_SIGMAS: f64 = 1.0;
 
 /// Curves of sensors that plateaus cannot tell apart differ by this share of the squared bend.
 const CURVES: f64 = 0.5;
@@ -44,7 +44,7 @@ pub(super) fn straighten(
         |sensors: &SelfCalibration| 4.0 * sensors.tests.bend.value / (sensors.i_a * sensors.i_a);
     let mut inverse_square = curvature(bent);
     let mut found = None;
-    for _ in 0..ROUNDS {
+    for _ in 0..MAX_ROUNDS {
         if inverse_square <= 0.0 {
             return None;
         }
@@ -54,7 +54,7 @@ pub(super) fn straighten(
         let sensors = estimate(&straight, survey, bent.known_capacitance_f).ok()?;
         let left = sensors.tests.bend;
         inverse_square += curvature(&sensors);
-        let done = left.value.abs() < LEFT.max(LEFT_SIGMAS * left.sigma);
+        let done = left.value.abs() < MAX_BEND.max(MAX_BEND_SIGMAS * left.sigma);
         found = Some((straight, sensors, at_a));
         if done {
             break;
