@@ -5,13 +5,14 @@ use std::time::Duration;
 
 use ihd_capture::recording::RecordingSession;
 use ihd_link::AsyncClient;
-use ihd_model::{DeviceReport, DeviceState, EventKind, Identity, LookupReport, PotCurve};
+use ihd_model::{DeviceReport, DeviceState, EventKind, Identity, Live, LookupReport, PotCurve};
 use ihd_shared::wire::messages::{Hello, Telemetry};
 use tokio::time::Instant;
 
 use crate::event_bus::EventBus;
 use crate::firmware::usb_serial;
 use crate::lease::LeaseBook;
+use crate::live::RecentPower;
 use crate::live::ring::LiveRing;
 use crate::pot_tracker::PotTracker;
 use crate::printable::printable;
@@ -47,6 +48,8 @@ pub struct Inner {
     pub updates_needed: String,
     /// Last half-cycle of this connection; `None` before the first telemetry.
     pub last: Option<Telemetry>,
+    /// Mean power of the last second.
+    pub power: RecentPower,
     /// Versions of its lookup.
     pub lookup: LookupReport,
     /// Counts of its windows.
@@ -63,6 +66,13 @@ pub struct Inner {
     pub is_resumed: bool,
     /// Connection, for switching off without the device's task; `None` if not connected.
     pub client: Option<Arc<AsyncClient>>,
+}
+
+impl Inner {
+    /// Returns the report of the last half-cycle; `None` before the first telemetry.
+    pub fn live(&self) -> Option<Live> {
+        self.last.as_ref().map(|last| live(last, &self.power))
+    }
 }
 
 impl DeviceRecord {
@@ -89,6 +99,7 @@ impl DeviceRecord {
                 identity: None,
                 updates_needed: String::new(),
                 last: None,
+                power: RecentPower::default(),
                 lookup: LookupReport::default(),
                 windows: WindowAccounting::default(),
                 lease: LeaseBook::default(),
@@ -193,7 +204,7 @@ impl DeviceRecord {
             since_s: inner.since.elapsed().as_secs(),
             detail: inner.detail.clone(),
             identity: inner.identity.clone(),
-            live: inner.last.as_ref().map(live),
+            live: inner.live(),
             lookup: inner.lookup.clone(),
             windows: inner.windows.counts(),
             asked_by_daemon_w: inner.lease.asked_w(),

@@ -4,6 +4,8 @@ use ihd_model::{DeviceState, Live};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Limit, Pot, State, Telemetry};
 
+use crate::live::RecentPower;
+
 /// Returns the device state and its reason from a half-cycle; a pot probe keeps the state `before`.
 pub fn device_state(t: &Telemetry, before: DeviceState) -> (DeviceState, String) {
     let fault = t.fault != Fault::NONE;
@@ -63,8 +65,8 @@ fn limit_text(t: &Telemetry) -> String {
     }
 }
 
-/// Returns the report of a half-cycle in SI units.
-pub fn live(t: &Telemetry) -> Live {
+/// Returns the report of a half-cycle in SI units, with the mean power of the last second.
+pub fn live(t: &Telemetry, power: &RecentPower) -> Live {
     let fault = t.fault.number();
     Live {
         half_cycle: t.half_cycle,
@@ -77,7 +79,7 @@ pub fn live(t: &Telemetry) -> Live {
         },
         limit: t.limit.name().to_owned(),
         asked_w: t.asked_w,
-        power_w: f64::from(t.power_mw) * 1e-3,
+        power_w: power.mean_w(),
         f_sw_hz: t.f_sw_hz,
         i_crest_a: f64::from(t.i_crest_ma) * 1e-3,
         r_ohm: t.r.ohm(),
@@ -89,6 +91,7 @@ pub fn live(t: &Telemetry) -> Live {
 #[cfg(test)]
 mod tests {
     use ihd_fakes::telemetry;
+    use tokio::time::Instant;
 
     use super::*;
 
@@ -128,7 +131,9 @@ mod tests {
         let mut t = telemetry(State::Heating);
         t.power_mw = 1_234_500;
         t.i_crest_ma = 42_000;
-        let live = live(&t);
+        let mut power = RecentPower::default();
+        power.push(&t, Instant::now());
+        let live = live(&t, &power);
         assert_eq!((live.power_w, live.i_crest_a), (1_234.5, 42.0));
         assert!((live.l_h - 20e-6).abs() < 1e-12 && (live.r_ohm - 1.0).abs() < 1e-12);
         assert_eq!(

@@ -76,7 +76,7 @@ pub struct Live {
     pub limit: String,
     /// Requested power, in watt.
     pub asked_w: u16,
-    /// Mean power of the half-cycle, in watt.
+    /// Mean power of the last second, in watt: below the least continuous power, most half-cycles have none.
     pub power_w: f64,
     /// Switching frequency in hertz; 0 if the inverter is off.
     pub f_sw_hz: u32,

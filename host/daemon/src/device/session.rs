@@ -26,7 +26,7 @@ use crate::context::Context;
 use crate::device_record::DeviceRecord;
 use crate::lease::LeaseId;
 use crate::printable::printable;
-use crate::states::{device_state, live};
+use crate::states::device_state;
 use crate::window_accounting::{Arrival, WindowCounter};
 
 /// Period of the session timer (lease, keep-alive, live view); 10 Hz is as fast as the page draws.
@@ -222,7 +222,8 @@ impl<'a> DeviceSession<'a> {
     }
 
     async fn on_telemetry(&mut self, t: Telemetry) -> Result<(), SessionEnd> {
-        self.record.ring().push(&t, Instant::now());
+        let now = Instant::now();
+        self.record.ring().push(&t, now);
         let buffer = &self.context.telemetry;
         buffer.push(&self.record.name, &t, self.context.machine.now_ms());
         if self.pot.detect(t.pot) && self.flood.events.allow() {
@@ -232,6 +233,7 @@ impl<'a> DeviceSession<'a> {
         let before = {
             let mut inner = self.record.lock();
             inner.lookup.on_device = Some(t.lookup_version);
+            inner.power.push(&t, now);
             inner.last.replace(t.clone())
         };
         if self.recent_powers.len() == POWER_HISTORY {
@@ -304,7 +306,9 @@ impl<'a> DeviceSession<'a> {
         self.update_state(&t);
         if self.published_half_cycle != Some(t.half_cycle) {
             self.published_half_cycle = Some(t.half_cycle);
-            self.record.publish(EventKind::Telemetry { live: live(&t) });
+            if let Some(live) = self.record.lock().live() {
+                self.record.publish(EventKind::Telemetry { live });
+            }
         }
     }
 

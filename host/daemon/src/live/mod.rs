@@ -2,11 +2,15 @@
 //! session.
 //!
 //! ```text
-//! session ─► LiveRing (600 buckets of 0.1 s) ◄─ LiveTap of a reader: extremes since its last poll
-//!            ring.rs                            tap.rs
+//! session ─┬► LiveRing (600 buckets of 0.1 s) ◄─ LiveTap of a reader: extremes since its last poll
+//!          │  ring.rs                            tap.rs
+//!          └► RecentPower: mean power of the last second, in each report
+//!             recent_power.rs
 //! ```
 
+mod recent_power;
 pub(crate) mod ring;
 mod tap;
 
+pub use recent_power::RecentPower;
 pub use tap::LiveTap;

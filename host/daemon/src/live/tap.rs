@@ -10,7 +10,6 @@ use tokio::time::Instant;
 use super::ring::{Extent, heats};
 use crate::device_record::DeviceRecord;
 use crate::event_bus::now_ms;
-use crate::states::live;
 use crate::supervisor::Devices;
 use crate::tank;
 
@@ -90,7 +89,10 @@ fn device(
     skipped: u32,
     extent: &Extent,
 ) -> Option<LiveDevice> {
-    let last = record.lock().last.clone()?;
+    let (last, live) = {
+        let inner = record.lock();
+        (inner.last.clone()?, inner.live()?)
+    };
     let (r_ohm, l_h, f_sw_hz) = (last.r.ohm(), last.l.henry(), f64::from(last.f_sw_hz));
     let heats = heats(&last);
     Some(LiveDevice {
@@ -102,7 +104,7 @@ fn device(
         r_ohm: extent.r_ohm,
         l_h: extent.l_h,
         f_sw_hz: extent.f_sw_hz,
-        last: live(&last),
+        last: live,
     })
 }
 

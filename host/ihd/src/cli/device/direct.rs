@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow};
 use ihd_daemon::config::DaemonConfig;
 use ihd_daemon::firmware::{updates_needed, usb_serial};
+use ihd_daemon::live::RecentPower;
 use ihd_link::{Client, DeviceEvent};
 use ihd_model::{
     Command, CommandReply, DeviceReport, DeviceState, Identity, Live, LookupReport, WindowCounts,
@@ -27,6 +28,7 @@ pub(in crate::cli) struct Direct {
     name: String,
     address: String,
     last: Option<Telemetry>,
+    power: RecentPower,
     streams: bool,
 }
 
@@ -42,6 +44,7 @@ impl Direct {
             name: name.to_owned(),
             address: place.to_string(),
             last: None,
+            power: RecentPower::default(),
             streams: false,
         })
     }
@@ -89,7 +92,7 @@ impl Direct {
                 boot_id: hello.boot_id,
                 reset_reason: hello.reset_reason,
             }),
-            live: Some(live(&status, self.last.as_ref())),
+            live: Some(live(&status, self.last.as_ref(), &self.power)),
             lookup: LookupReport {
                 on_device: Some(status.lookup_version),
                 active: None,
@@ -120,6 +123,7 @@ impl Direct {
             && let Some(event) = self.client.next_event(Duration::ZERO)?
         {
             if let DeviceEvent::Telemetry(telemetry) = event {
+                self.power.push(&telemetry, Instant::now().into());
                 self.last = Some(telemetry);
             }
         }
@@ -220,8 +224,8 @@ fn state(status: &Status) -> DeviceState {
     }
 }
 
-/// R, L and the crest are only known from half-cycles.
-fn live(status: &Status, telemetry: Option<&Telemetry>) -> Live {
+/// R, L, the crest and the mean power are only known from half-cycles.
+fn live(status: &Status, telemetry: Option<&Telemetry>, power: &RecentPower) -> Live {
     let of = |number: fn(&Telemetry) -> f64| telemetry.map_or(f64::NAN, number);
     Live {
         half_cycle: status.half_cycles,
@@ -234,7 +238,10 @@ fn live(status: &Status, telemetry: Option<&Telemetry>) -> Live {
         },
         limit: status.limit.name().to_owned(),
         asked_w: status.asked_w,
-        power_w: f64::from(status.delivered_mw) * 1e-3,
+        power_w: match telemetry {
+            Some(_) => power.mean_w(),
+            None => f64::from(status.delivered_mw) * 1e-3,
+        },
         f_sw_hz: status.f_sw_hz,
         i_crest_a: of(|t| f64::from(t.i_crest_ma) * 1e-3),
         r_ohm: of(|t| t.r.ohm()),
