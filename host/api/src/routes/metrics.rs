@@ -281,7 +281,7 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
         text,
         devices,
         "power_watts",
-        "Mean power of the last half-cycle",
+        "Mean power of the last second",
         "gauge",
         |d| d.live.as_ref().map_or(0.0, |live| live.power_w),
     );
