@@ -173,8 +173,8 @@ impl Heating {
         status: &SamplingStatus,
         parts: &mut ControlParts,
     ) -> Action {
-        // The half-cycle that is just over is counted by the burst itself.
-        let before = self.half_cycles_on.wrapping_sub(1);
+        // The half-cycle that is just over is counted by the burst itself, unless the bridge is only about to switch.
+        let before = self.half_cycles_on.saturating_sub(1);
         let before = status.requested.is_switching().then_some(before);
         let bursts = self
             .bursts

@@ -1,8 +1,10 @@
 use super::*;
 use crate::control::request::PanelEvent;
+use crate::control::temperature::TemperatureCodes;
 use crate::drive::pwm;
 use crate::drive::sequencer::PotProbe;
 use crate::sampling::half_cycle::CurrentCrest;
+use ihd_shared::board;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use std::boxed::Box;
@@ -330,6 +332,27 @@ fn little_power_comes_in_bursts_of_whole_cycles() {
 }
 
 /// Heating, waiting for a pot, pausing: the time ends whatever becomes of the request, and a reset does not give it back.
+/// What was cooked is to be kept warm: no power is granted while the bridge is about to switch.
+#[test]
+fn keeping_warm_what_is_too_hot_takes_one_whole_cycle() {
+    let mut bench = Bench::new(POT);
+    let at_90_c = (90 - board::NTC_FROM_C) / board::NTC_STEP_C;
+    bench.control.set_temperatures(TemperatureCodes {
+        glass: Some(board::NTC_CODES[1][at_90_c as usize]),
+        ..TemperatureCodes::default()
+    });
+    bench.run(110);
+    let action = bench.control.panel(PanelEvent::KeepWarm);
+    bench.act(action);
+    let mut on = 0;
+    for _ in 0..300 {
+        bench.half_cycle();
+        on += u32::from(bench.drive.is_switching());
+    }
+    assert_eq!((bench.control.state(), on), (State::Heating, 2));
+    assert_eq!(bench.control.limit(), Limit::KeepWarm);
+}
+
 #[test]
 fn what_nobody_watches_ends_and_a_host_is_refused() {
     for (load, fault) in [
