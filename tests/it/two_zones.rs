@@ -215,6 +215,18 @@ fn a_zone_that_is_reset_does_not_heat_beside_the_other() {
     );
 }
 
+/// The wire is free between two bursts of the other zone, so that a zone has it before the pause after its probe is over.
+#[test]
+fn a_zone_that_starts_between_bursts_of_the_other_heats_at_once() {
+    let mut zones = Zones::of_schematic().switched_on([1, 0]);
+    zones.run(3.3);
+    let draws = |zones: &Zones| zones.last(1).map(|w| w.iter().any(|w| *w > 250.0));
+    assert_eq!(draws(&zones), [true, false]);
+    zones.set([1, 1]);
+    zones.run(1.3);
+    assert_eq!(draws(&zones), [true, true]);
+}
+
 /// A wire that fails never lets both heat at once.
 #[test]
 fn a_wire_that_fails_leaves_one_zone_or_none() {

@@ -69,12 +69,13 @@ impl PowerBursts {
         self.on
     }
 
-    /// Takes a half-cycle that is over; claims and releases the supply.
+    /// Takes a half-cycle that is over; claims and releases the supply. No burst begins unless it `may_start`.
     pub fn on_half_cycle(
         &mut self,
         summary: &HalfCycle,
         asked_w: u16,
         now_ms: u32,
+        may_start: bool,
         supply: &mut SupplyShare,
     ) -> BurstStep {
         let given_uj = i64::from(summary.power_mw) * i64::from(summary.duration_ns) / 1_000_000;
@@ -95,7 +96,7 @@ impl PowerBursts {
             self.waits |= self.due_uj > 0;
         }
         if !self.on {
-            if !self.waits || !supply.claim() {
+            if !self.waits || !may_start || !supply.claim() {
                 self.half_cycles = 0;
                 return BurstStep::Keep;
             }
@@ -182,7 +183,7 @@ mod tests {
             };
             let ended = bridge && burst.ending;
             let now_ms = (k + 1) * HALF_CYCLE_MS;
-            let step = burst.on_half_cycle(&summary, asked_w, now_ms, &mut supply);
+            let step = burst.on_half_cycle(&summary, asked_w, now_ms, true, &mut supply);
             if ended {
                 lengths.push(core::mem::take(&mut length));
                 bridge = false;

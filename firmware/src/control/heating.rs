@@ -179,18 +179,18 @@ impl Heating {
         let bursts = self
             .bursts
             .get_or_insert_with(|| PowerBursts::new(granted_w, status.now_ms, before));
+        let may_start = parts.restart.permits(status.now_ms);
         let supply = &mut parts.supply_share;
         let (is_shared, shared_w) = (supply.is_shared(), supply.burst_w());
-        let step = bursts.on_half_cycle(summary, granted_w, status.now_ms, supply);
+        let step = bursts.on_half_cycle(summary, granted_w, status.now_ms, may_start, supply);
         if is_shared && bursts.is_short() && self.limit == Limit::None {
             self.limit = Limit::SharedSupply;
         }
         match step {
-            BurstStep::On if parts.restart.permits(status.now_ms) => {
+            BurstStep::On => {
                 parts.power.cancel();
                 Action::Drive(Drive::switching(parts.heated_hz))
             }
-            BurstStep::On => Action::Keep,
             BurstStep::OffAtCrossing => {
                 parts.power.cancel();
                 Action::OffAtCrossing
