@@ -331,7 +331,6 @@ fn little_power_comes_in_bursts_of_whole_cycles() {
     assert_eq!(bench.control.state(), State::Heating);
 }
 
-/// Heating, waiting for a pot, pausing: the time ends whatever becomes of the request, and a reset does not give it back.
 /// What was cooked is to be kept warm: no power is granted while the bridge is about to switch.
 #[test]
 fn keeping_warm_what_is_too_hot_takes_one_whole_cycle() {
@@ -353,6 +352,7 @@ fn keeping_warm_what_is_too_hot_takes_one_whole_cycle() {
     assert_eq!(bench.control.limit(), Limit::KeepWarm);
 }
 
+/// Heating, waiting for a pot, pausing: the time ends whatever becomes of the request, and a reset does not give it back.
 #[test]
 fn what_nobody_watches_ends_and_a_host_is_refused() {
     for (load, fault) in [
