@@ -39,3 +39,13 @@ pub fn forward(points: usize) -> Arc<dyn RealToComplex<f64>> {
 pub fn inverse(points: usize) -> Arc<dyn ComplexToReal<f64>> {
     RealFftPlanner::new().plan_fft_inverse(points)
 }
+
+/// Returns sin(πx)/(πx), the spectrum of a rectangle of width 1.
+pub fn sinc(x: f64) -> f64 {
+    let angle = std::f64::consts::PI * x;
+    if angle == 0.0 {
+        1.0
+    } else {
+        libm::sin(angle) / angle
+    }
+}

@@ -11,6 +11,7 @@ pub mod capture;
 pub mod carrier;
 pub mod correlation;
 pub mod fourier;
+pub mod interpolation;
 pub mod load;
 pub mod noise;
 pub mod printable;

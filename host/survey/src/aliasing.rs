@@ -5,7 +5,7 @@
 //! V_h = E/h · sinc(h f t_e), t_e their duration; the current has hardly any. With a whole even n the first such orders are
 //! h = n ± 1, with 61/3 they are 121 and 123.
 
-use std::f64::consts::{FRAC_1_SQRT_2, PI};
+use std::f64::consts::FRAC_1_SQRT_2;
 
 use ihd_shared::hob::EDGE_NS;
 use nalgebra::Complex;
@@ -13,6 +13,7 @@ use serde::Serialize;
 
 use super::track::{ORDERS, Track};
 use ihd_signal::Load;
+use ihd_signal::fourier::sinc;
 
 /// Passband of an estimator: two boxcars of this length in seconds (the firmware's demodulator; longer ones pass less).
 const BOXCAR_S: f64 = 0.2e-3;
@@ -83,14 +84,6 @@ fn edge_strength(track: &Track, v1: f64) -> f64 {
 
 fn rms(x: &[Complex<f64>]) -> f64 {
     (x.iter().map(|x| x.norm_sqr()).sum::<f64>() / x.len().max(1) as f64).sqrt()
-}
-
-fn sinc(x: f64) -> f64 {
-    if x == 0.0 {
-        1.0
-    } else {
-        libm::sin(PI * x) / (PI * x)
-    }
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use ihd_link::Window;
 use ihd_model::{FitRemark, FitStep};
 use ihd_pinn::{Identification, TrainingProgress};
 use ihd_signal::Remark;
+use ihd_signal::interpolation::linear;
 use ihd_signal::truth::Truth;
 use ihd_store::{MAX_POINTS, StoredCurve};
 use serde::{Deserialize, Serialize};
@@ -117,22 +118,11 @@ pub fn truth_curve(truth: &Truth, window: &Window) -> StoredCurve {
         curve.t_s.push(t_s);
         curve.r_ohm.push(r_ohm);
         curve.l_h.push(l_h);
-        curve.i_a.push(current_at(truth, t_s));
+        curve
+            .i_a
+            .push(linear(&truth.t_s, &truth.i_a, t_s).unwrap_or(0.0));
     }
     curve
-}
-
-/// Returns the true amplitude of the current at a time, linear between the points.
-fn current_at(truth: &Truth, t_s: f64) -> f64 {
-    let last = truth.t_s.len().saturating_sub(1);
-    let above = truth.t_s.partition_point(|t| *t < t_s);
-    let (a, b) = (above.saturating_sub(1), above.min(last));
-    let at = |k: usize| truth.i_a.get(k).copied().unwrap_or(0.0);
-    let width = truth.t_s[b] - truth.t_s[a];
-    match width > 0.0 {
-        true => at(a) + (at(b) - at(a)) * ((t_s - truth.t_s[a]) / width).clamp(0.0, 1.0),
-        false => at(b),
-    }
 }
 
 /// Summary of a fit.

@@ -2,6 +2,7 @@
 
 use ihd_link::Window;
 use ihd_model::{Scope, Trajectory, WindowQuery, WindowSummary};
+use ihd_signal::interpolation::linear;
 use ihd_store::{Curves, ResultRow, StoreError, StoredCurve, WindowRow};
 
 use super::measurement::measure;
@@ -188,25 +189,10 @@ fn mean_of(curve: &StoredCurve, value: &[f64], weights: &StoredCurve) -> Option<
     let terms = weights.t_s.iter().zip(&weights.i_a);
     let (mut sum, mut weight) = (0.0, 0.0);
     for (t_s, i_a) in terms {
-        sum += i_a * i_a * interpolated(&curve.t_s, value, *t_s)?;
+        sum += i_a * i_a * linear(&curve.t_s, value, *t_s)?;
         weight += i_a * i_a;
     }
     finite(sum / weight)
-}
-
-/// Interpolates linearly, constant beyond the ends; `None` without points.
-fn interpolated(t_s: &[f64], value: &[f64], at_s: f64) -> Option<f64> {
-    let above = t_s.partition_point(|t| *t < at_s);
-    let (before, after) = (
-        above.saturating_sub(1),
-        above.min(t_s.len().saturating_sub(1)),
-    );
-    let (a, b) = (*value.get(before)?, *value.get(after)?);
-    let width = t_s[after] - t_s[before];
-    if width <= 0.0 || at_s < t_s[before] {
-        return Some(b);
-    }
-    Some(a + (b - a) * ((at_s - t_s[before]) / width).clamp(0.0, 1.0))
 }
 
 #[cfg(test)]
@@ -330,9 +316,5 @@ mod tests {
             (scope.network.unwrap().t_s[0] + 2e-6).abs() < 1e-15,
             "after the first pair"
         );
-        assert_eq!(interpolated(&[0.0, 1.0], &[1.0, 3.0], 0.25), Some(1.5));
-        assert_eq!(interpolated(&[0.0, 1.0], &[1.0, 3.0], 9.0), Some(3.0));
-        assert_eq!(interpolated(&[0.0, 1.0], &[1.0, 3.0], -9.0), Some(1.0));
-        assert_eq!(interpolated(&[], &[], 0.0), None);
     }
 }

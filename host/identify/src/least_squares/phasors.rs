@@ -4,6 +4,7 @@
 use std::ops::Range;
 
 use ihd_signal::Segment;
+use ihd_signal::fourier::sinc;
 use ihd_signal::noise::WhiteNoise;
 use ihd_spline::harmonic::{HarmonicFit, phasor};
 use ihd_spline::residual::Excess;
@@ -158,15 +159,6 @@ impl SplineFit {
 /// Variance of a sample's noise over the mean square of the signal.
 fn relative_noise(x: &[f64], sigma: f64) -> f64 {
     sigma * sigma * x.len() as f64 / x.iter().map(|x| x * x).sum::<f64>()
-}
-
-fn sinc(x: f64) -> f64 {
-    let angle = std::f64::consts::PI * x;
-    if angle == 0.0 {
-        1.0
-    } else {
-        libm::sin(angle) / angle
-    }
 }
 
 /// Root of the sum of squares of the edges' odd harmonics that lie within `band_hz` of the fundamental after sampling,
