@@ -38,7 +38,7 @@ mod result_route;
 mod running;
 #[cfg(any(test, feature = "simulation"))]
 pub mod simulation;
-mod states;
+pub mod states;
 mod store_health;
 mod store_queue;
 mod store_thread;

@@ -2,7 +2,7 @@
 
 use ihd_model::{DeviceState, Live};
 use ihd_shared::fault::Fault;
-use ihd_shared::wire::messages::{Limit, Pot, State, Telemetry};
+use ihd_shared::wire::messages::{Limit, Pot, State, Status, Telemetry};
 
 use crate::live::RecentPower;
 
@@ -67,16 +67,12 @@ fn limit_text(t: &Telemetry) -> String {
 
 /// Returns the report of a half-cycle in SI units, with the mean power of the last second.
 pub fn live(t: &Telemetry, power: &RecentPower) -> Live {
-    let fault = t.fault.number();
     Live {
         half_cycle: t.half_cycle,
         state: t.state.name().to_owned(),
         pot: t.pot.name().to_owned(),
-        fault,
-        fault_text: match fault {
-            0 => String::new(),
-            _ => t.fault.text().to_owned(),
-        },
+        fault: t.fault.number(),
+        fault_text: fault_text(t.fault),
         limit: t.limit.name().to_owned(),
         asked_w: t.asked_w,
         power_w: power.mean_w(),
@@ -85,6 +81,37 @@ pub fn live(t: &Telemetry, power: &RecentPower) -> Live {
         r_ohm: t.r.ohm(),
         l_h: t.l.henry(),
         glass_hot: t.glass_hot,
+    }
+}
+
+/// Returns the report of a status in SI units. Without a half-cycle's telemetry R, L and the crest are NaN, and the power is that of one
+/// half-cycle.
+pub fn live_of_status(status: &Status, telemetry: Option<&Telemetry>, power: &RecentPower) -> Live {
+    let of = |number: fn(&Telemetry) -> f64| telemetry.map_or(f64::NAN, number);
+    Live {
+        half_cycle: status.half_cycles,
+        state: status.state.name().to_owned(),
+        pot: status.pot.name().to_owned(),
+        fault: status.fault.number(),
+        fault_text: fault_text(status.fault),
+        limit: status.limit.name().to_owned(),
+        asked_w: status.asked_w,
+        power_w: match telemetry {
+            Some(_) => power.mean_w(),
+            None => f64::from(status.delivered_mw) * 1e-3,
+        },
+        f_sw_hz: status.f_sw_hz,
+        i_crest_a: of(|t| f64::from(t.i_crest_ma) * 1e-3),
+        r_ohm: of(|t| t.r.ohm()),
+        l_h: of(|t| t.l.henry()),
+        glass_hot: status.glass_hot,
+    }
+}
+
+fn fault_text(fault: Fault) -> String {
+    match fault {
+        Fault::NONE => String::new(),
+        fault => fault.text().to_owned(),
     }
 }
 

@@ -6,9 +6,10 @@ use anyhow::{Context, Result, anyhow};
 use ihd_daemon::config::DaemonConfig;
 use ihd_daemon::firmware::{updates_needed, usb_serial};
 use ihd_daemon::live::RecentPower;
+use ihd_daemon::states::live_of_status;
 use ihd_link::{Client, DeviceEvent};
 use ihd_model::{
-    Command, CommandReply, DeviceReport, DeviceState, Identity, Live, LookupReport, WindowCounts,
+    Command, CommandReply, DeviceReport, DeviceState, Identity, LookupReport, WindowCounts,
 };
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
@@ -92,7 +93,7 @@ impl Direct {
                 boot_id: hello.boot_id,
                 reset_reason: hello.reset_reason,
             }),
-            live: Some(live(&status, self.last.as_ref(), &self.power)),
+            live: Some(live_of_status(&status, self.last.as_ref(), &self.power)),
             lookup: LookupReport {
                 on_device: Some(status.lookup_version),
                 active: None,
@@ -221,31 +222,5 @@ fn state(status: &Status) -> DeviceState {
         State::WaitingForPot => DeviceState::WaitingForPot,
         State::Heating => DeviceState::Connected,
         State::Idle | State::Probing | State::Pausing => DeviceState::Idle,
-    }
-}
-
-/// R, L, the crest and the mean power are only known from half-cycles.
-fn live(status: &Status, telemetry: Option<&Telemetry>, power: &RecentPower) -> Live {
-    let of = |number: fn(&Telemetry) -> f64| telemetry.map_or(f64::NAN, number);
-    Live {
-        half_cycle: status.half_cycles,
-        state: status.state.name().to_owned(),
-        pot: status.pot.name().to_owned(),
-        fault: status.fault.number(),
-        fault_text: match status.fault {
-            Fault::NONE => String::new(),
-            fault => fault.text().to_owned(),
-        },
-        limit: status.limit.name().to_owned(),
-        asked_w: status.asked_w,
-        power_w: match telemetry {
-            Some(_) => power.mean_w(),
-            None => f64::from(status.delivered_mw) * 1e-3,
-        },
-        f_sw_hz: status.f_sw_hz,
-        i_crest_a: of(|t| f64::from(t.i_crest_ma) * 1e-3),
-        r_ohm: of(|t| t.r.ohm()),
-        l_h: of(|t| t.l.henry()),
-        glass_hot: status.glass_hot,
     }
 }
