@@ -38,6 +38,7 @@ pub mod pot_heat;
 pub mod power;
 pub mod request;
 pub mod restart;
+pub mod share_wire;
 pub mod status;
 pub mod supply_share;
 pub mod temperature;

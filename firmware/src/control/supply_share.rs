@@ -5,20 +5,14 @@
 //! bursts of whole mains cycles ([`super::burst`]). The power of a burst is lowered until one burst follows the other, so that the
 //! supply's current stays; it follows from the time for which the wire is low, which both zones see alike.
 //!
-//! A resistor on one of the two boards pulls the wire up. A board looks for the wire by pulling its own end weakly up and down in
-//! turn: a free wire stays high, one that the other zone pulls stays low, a pin without a wire follows. So a zone that is reset
-//! while the other one heats knows of it in some 40 ms. From then on the end is pulled weakly down, and a zone
+//! Once the wire is found ([`super::share_wire`]) its end is pulled weakly down, and a zone
 //! that pulls lets go for a millisecond in some ten: a wire that is low then is broken, or pulled by the other zone as well. So a wire
 //! that breaks leaves the zone with the resistor alone, and the other without power.
 
 use ihd_shared::hob::RATED_POWER_W;
 
+use super::share_wire::{WireDrive, WireSearch, WireState};
 use crate::limits::{BURST_PERIOD_MS, BURST_POWER_W, OFFER_MS, OTHER_ZONE_SILENT_MS};
-
-/// Excess of equal or of unequal readings, one a millisecond, that decides about the wire: the weak pull changes from each to the next,
-/// and a wire that is there stays as it is but for the other zone's checks.
-const DRIVEN_READINGS: i8 = 20;
-const ABSENT_READINGS: i8 = -DRIVEN_READINGS;
 
 /// Readings of a high wire in a row after which it is free: the check of a zone that pulls it is shorter.
 const FREE_READINGS: u8 = 3;
@@ -39,29 +33,6 @@ const FALL_PERCENT: u32 = 5;
 /// Time from a claim to the first offer, in milliseconds.
 const FIRST_OFFER_MS: u16 = 500;
 
-/// Drive of this end of the wire.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum WireDrive {
-    /// Pulled low: the zone has the supply.
-    Low,
-    /// Weakly down.
-    #[default]
-    WeaklyDown,
-    /// Weakly up.
-    WeaklyUp,
-}
-
-/// Knowledge of the wire.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Wire {
-    /// Never read: a board without a pin for it.
-    Unread,
-    Sought,
-    /// There is none: the zone has its supply alone.
-    Absent,
-    Present,
-}
-
 /// Claim on the supply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Claim {
@@ -79,11 +50,7 @@ enum Claim {
 pub struct SupplyShare {
     /// Time of the last reading.
     read_ms: u32,
-    wire: Wire,
-    /// Level of the last reading while the wire is sought.
-    was_high: bool,
-    /// Readings that were equal to the one before, less those that were not.
-    equal: i8,
+    wire: WireSearch,
     claim: Claim,
     /// Readings of a high wire in a row, up to [`FREE_READINGS`].
     high: u8,
@@ -105,9 +72,7 @@ impl Default for SupplyShare {
     fn default() -> Self {
         Self {
             read_ms: 0,
-            wire: Wire::Unread,
-            was_high: false,
-            equal: 0,
+            wire: WireSearch::default(),
             claim: Claim::None,
             high: 0,
             drive: WireDrive::default(),
@@ -125,37 +90,16 @@ impl SupplyShare {
     /// Takes the wire's level, every millisecond or more often; returns how this end is driven from now on.
     pub fn exchange(&mut self, is_high: bool, now_ms: u32) -> WireDrive {
         let elapsed_ms = now_ms.wrapping_sub(self.read_ms).min(100) as u16;
-        if elapsed_ms == 0 && self.wire != Wire::Unread {
+        if elapsed_ms == 0 && self.wire.state() != WireState::Unread {
             return self.drive;
         }
         self.read_ms = now_ms;
-        self.drive = if self.wire == Wire::Present {
+        self.drive = if self.wire.state() == WireState::Present {
             self.take_turns(is_high, elapsed_ms)
         } else {
-            self.seek(is_high)
+            self.wire.seek(is_high, self.drive)
         };
         self.drive
-    }
-
-    /// Looks for a wire that does not follow the weak pull.
-    fn seek(&mut self, is_high: bool) -> WireDrive {
-        let is_equal = is_high == core::mem::replace(&mut self.was_high, is_high);
-        let equal = match self.wire {
-            Wire::Unread => 0,
-            _ if is_equal => self.equal + 1,
-            _ => self.equal - 1,
-        };
-        self.equal = equal.clamp(ABSENT_READINGS, DRIVEN_READINGS);
-        self.wire = match (self.equal, self.wire) {
-            (DRIVEN_READINGS.., _) => Wire::Present,
-            (..=ABSENT_READINGS, _) => Wire::Absent,
-            (_, Wire::Unread) => Wire::Sought,
-            (_, wire) => wire,
-        };
-        match (self.wire, self.drive) {
-            (Wire::Present, _) | (_, WireDrive::WeaklyUp) => WireDrive::WeaklyDown,
-            _ => WireDrive::WeaklyUp,
-        }
     }
 
     fn take_turns(&mut self, is_high: bool, elapsed_ms: u16) -> WireDrive {
@@ -241,16 +185,16 @@ impl SupplyShare {
 
     /// Returns `true` if this zone may draw power.
     pub fn holds(&self) -> bool {
-        match self.wire {
-            Wire::Unread | Wire::Absent => true,
-            Wire::Sought => false,
-            Wire::Present => matches!(self.claim, Claim::Held(_)),
+        match self.wire.state() {
+            WireState::Unread | WireState::Absent => true,
+            WireState::Sought => false,
+            WireState::Present => matches!(self.claim, Claim::Held(_)),
         }
     }
 
     /// Returns `true` while it is not known whether there is a wire, just after a start.
     pub fn is_sought(&self) -> bool {
-        self.wire == Wire::Sought
+        self.wire.state() == WireState::Sought
     }
 
     /// Returns `true` while the other zone is on.

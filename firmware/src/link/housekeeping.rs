@@ -9,8 +9,8 @@ use ihd_shared::wire::timing::HOST_UNHEARD_MS;
 
 use crate::control::controller::Control;
 use crate::control::request::PanelEvent;
+use crate::control::share_wire::WireDrive;
 use crate::control::status::{Action, SamplingStatus};
-use crate::control::supply_share::WireDrive;
 use crate::control::temperature::TemperatureCodes;
 use crate::link::active_lookup::ActiveLookup;
 use crate::link::conversation::Conversation;

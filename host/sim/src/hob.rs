@@ -11,7 +11,7 @@ mod link;
 use std::collections::VecDeque;
 
 pub use ihd_firmware::control::request::PanelEvent;
-use ihd_firmware::control::supply_share::WireDrive;
+use ihd_firmware::control::share_wire::WireDrive;
 use ihd_firmware::drive::bridge::{Bridge, Drive};
 use ihd_firmware::drive::soft_start::{self, SoftStart};
 use ihd_firmware::link::channel_test::SlowCodes;

@@ -1,7 +1,7 @@
 //! Wire to the other zone of a shared supply: open drain, with the chip's weak pulls; one of the two boards has a resistor to 3.3 V.
 
 use embassy_stm32::gpio::{Flex, Pull, Speed};
-use ihd_firmware::control::supply_share::WireDrive;
+use ihd_firmware::control::share_wire::WireDrive;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::path::SamplingLock;
 use ihd_shared::board::SHARE_WIRE_PIN;
