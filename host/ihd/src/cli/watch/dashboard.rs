@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use ihd_model::{DaemonEvent, DeviceReport, EventKind};
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use ratatui::style::{Color, Modifier, Style};
 
 use super::feed::FeedUpdate;
 use super::trend::Trend;
@@ -24,6 +25,17 @@ pub(super) enum Grade {
     Warning,
     /// Alarm.
     Alarm,
+}
+
+impl Grade {
+    /// Style of the text.
+    pub(super) fn style(self) -> Style {
+        match self {
+            Self::Plain => Style::new(),
+            Self::Warning => Style::new().fg(Color::Yellow),
+            Self::Alarm => Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
+        }
+    }
 }
 
 /// Event.

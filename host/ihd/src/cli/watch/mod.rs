@@ -5,9 +5,11 @@
 //! ```
 
 mod dashboard;
+mod device_panes;
 mod feed;
 mod screen;
 mod trend;
+mod trend_charts;
 
 use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};

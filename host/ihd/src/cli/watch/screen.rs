@@ -1,30 +1,18 @@
 //! Frame: devices, the chosen one in full, its last minutes, events. If the terminal is too small, parts are omitted from below.
 
-use ihd_model::{DeviceReport, DeviceState, Live};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
-use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
-use ratatui::widgets::{
-    Axis, Block, Borders, Chart, Dataset, GraphType, Paragraph, Row, Sparkline, Table,
-};
+use ratatui::widgets::{Block, Borders, Paragraph};
 
 use super::dashboard::{Dashboard, Grade};
-use super::trend::{Quantity, SPAN_S, Trend};
-use crate::cli::device::{of_pot, one_line};
+use super::device_panes::{details, device_list};
+use super::trend_charts::draw_trends;
+use crate::cli::device::one_line;
 
 /// Limit of devices in the list; of more, those around the chosen one are shown.
 const LISTED: usize = 9;
-
-/// Width from which on the three trends are side by side.
-const TRENDS_ABREAST_COLUMNS: u16 = 110;
-
-/// Height from which on a trend has axes; below it is a line of bars.
-const CHART_ROWS: u16 = 5;
-
-/// Steps of a bar: eight to a row.
-const BAR_STEPS: f64 = 64.0;
 
 /// Draws everything.
 pub(super) fn draw(frame: &mut Frame<'_>, dashboard: &Dashboard, now_ms: i64) {
@@ -101,7 +89,7 @@ fn footer_line(dashboard: &Dashboard) -> Line<'static> {
         let style = if *ok {
             Style::new().add_modifier(Modifier::BOLD)
         } else {
-            graded(Grade::Alarm)
+            Grade::Alarm.style()
         };
         let keys = Span::styled("  q ends, o off", Style::new().add_modifier(Modifier::DIM));
         return Line::from(vec![Span::styled(text.clone(), style), keys]);
@@ -113,293 +101,6 @@ fn footer_line(dashboard: &Dashboard) -> Line<'static> {
         format!("o or Esc: {chosen} off   arrows, 1-9: choose   p: pause   q: end"),
         Style::new().add_modifier(Modifier::DIM),
     )
-}
-
-fn device_list(frame: &mut Frame<'_>, area: Rect, dashboard: &Dashboard, stale: bool) {
-    let head = [
-        "  device",
-        "state",
-        "W",
-        "of W",
-        "kHz",
-        "R Ω",
-        "L µH",
-        "pot, fault",
-    ];
-    let bold = Style::new().add_modifier(Modifier::BOLD);
-    let chosen = dashboard.place();
-    // The list scrolls so that the chosen device is visible.
-    let shown = usize::from(area.height.saturating_sub(1)).max(1);
-    let first = chosen.map_or(0, |place| (place + 1).saturating_sub(shown));
-    let listed = dashboard.devices.iter().enumerate().skip(first).take(shown);
-    let rows = listed.map(|(k, device)| device_row(k, device, chosen == Some(k), stale));
-    let widths = [
-        Constraint::Length(16),
-        Constraint::Length(15),
-        Constraint::Length(5),
-        Constraint::Length(5),
-        Constraint::Length(6),
-        Constraint::Length(6),
-        Constraint::Length(6),
-        Constraint::Min(0),
-    ];
-    let table = Table::new(rows, widths).header(Row::new(head).style(bold));
-    frame.render_widget(table, area);
-}
-
-fn device_row(place: usize, device: &DeviceReport, chosen: bool, stale: bool) -> Row<'static> {
-    let mark = if chosen { '>' } else { ' ' };
-    let number = if place < 9 {
-        (place + 1).to_string()
-    } else {
-        " ".into()
-    };
-    let name = format!("{mark}{number} {}", one_line(&device.name));
-    let known = device.live.as_ref().filter(|_| is_heard(device.state));
-    let of = |text: &dyn Fn(&Live) -> String| known.map_or("–".to_owned(), text);
-    let heats = known.filter(|live| live.f_sw_hz > 0);
-    let heating = |text: &dyn Fn(&Live) -> String| heats.map_or("–".to_owned(), text);
-    let finite = |x: f64, text: String| if x.is_finite() { text } else { "–".into() };
-    let last = match known {
-        Some(live) if live.fault != 0 => {
-            format!("fault {}: {}", live.fault, one_line(&live.fault_text))
-        }
-        Some(live) => one_line(&live.pot),
-        None => one_line(&device.detail),
-    };
-    let row = Row::new([
-        name,
-        device.state.as_str().to_owned(),
-        of(&|l| format!("{:.0}", l.power_w)),
-        of(&|l| l.asked_w.to_string()),
-        heating(&|l| format!("{:.2}", f64::from(l.f_sw_hz) * 1e-3)),
-        heating(&|l| finite(l.r_ohm, format!("{:.3}", l.r_ohm))),
-        heating(&|l| finite(l.l_h, format!("{:.2}", l.l_h * 1e6))),
-        last,
-    ]);
-    let mut style = state_style(device, known);
-    if chosen {
-        style = style.add_modifier(Modifier::BOLD);
-    }
-    if stale {
-        style = Style::new().add_modifier(Modifier::DIM);
-    }
-    row.style(style)
-}
-
-/// Returns `true` if the device's last report is current.
-fn is_heard(state: DeviceState) -> bool {
-    !matches!(
-        state,
-        DeviceState::Searching | DeviceState::Suspended | DeviceState::Incompatible
-    )
-}
-
-/// The colour supplements the text and never replaces it.
-fn state_style(device: &DeviceReport, known: Option<&Live>) -> Style {
-    let faulted = known.is_some_and(|live| live.fault != 0);
-    match device.state {
-        DeviceState::Faulted => Style::new().fg(Color::Red),
-        _ if faulted => Style::new().fg(Color::Red),
-        DeviceState::Learning => Style::new().fg(Color::Green),
-        DeviceState::WaitingForPot | DeviceState::Incompatible => Style::new().fg(Color::Yellow),
-        DeviceState::Searching | DeviceState::Suspended => Style::new().add_modifier(Modifier::DIM),
-        DeviceState::Connected | DeviceState::Idle => Style::new(),
-    }
-}
-
-/// Details of the chosen device in five lines.
-fn details(device: &DeviceReport, stale: bool) -> Vec<Line<'static>> {
-    let mut state = format!(
-        "{}: {} for {}",
-        device.name,
-        device.state.as_str(),
-        duration(device.since_s)
-    );
-    if !device.detail.is_empty() {
-        state += &format!(": {}", device.detail);
-    }
-    let known = device.live.as_ref().filter(|_| is_heard(device.state));
-    let now = match known {
-        None => Line::from("not heard now"),
-        Some(live) => Line::from(now_words(live)),
-    };
-    let fault = match known {
-        Some(live) if live.fault != 0 => {
-            let text = format!("fault {}: {}", live.fault, one_line(&live.fault_text));
-            Line::styled(text, graded(Grade::Alarm))
-        }
-        Some(live) => Line::from(format!(
-            "controller {}, pot {}, limit {}{}; no fault",
-            one_line(&live.state),
-            one_line(&live.pot),
-            one_line(&live.limit),
-            if live.glass_hot { ", glass hot" } else { "" }
-        )),
-        None => Line::default(),
-    };
-    let lines = vec![
-        Line::from(one_line(&state)),
-        now,
-        fault,
-        Line::from(format!("{}{}", pot_text(device), lookup_text(device))),
-        Line::from(one_line(&command_words(device))),
-    ];
-    if stale {
-        let dim = Style::new().add_modifier(Modifier::DIM);
-        return lines
-            .into_iter()
-            .map(|line| line.patch_style(dim))
-            .collect();
-    }
-    lines
-}
-
-fn now_words(live: &Live) -> String {
-    let mut text = format!("{:.0} W of {} W asked", live.power_w, live.asked_w);
-    if live.f_sw_hz > 0 {
-        let khz = f64::from(live.f_sw_hz) * 1e-3;
-        text += &format!(" at {khz:.2} kHz, crest {:.1} A", live.i_crest_a);
-        if live.r_ohm.is_finite() && live.l_h.is_finite() {
-            text += &format!(", R {:.3} Ω, L {:.2} µH", live.r_ohm, live.l_h * 1e6);
-        }
-    }
-    text
-}
-
-/// Temperature of its pot, before other text.
-fn pot_text(device: &DeviceReport) -> String {
-    let pot = device.pot_temperature.as_ref();
-    pot.map_or(String::new(), |pot| format!("pot {}; ", of_pot(pot)))
-}
-
-fn lookup_text(device: &DeviceReport) -> String {
-    let lookup = &device.lookup;
-    let version = match lookup.on_device {
-        None => "lookup not known yet".into(),
-        Some(0) => "built-in lookup".into(),
-        Some(v) => format!("lookup {v}, {} cells known", lookup.observed_cells),
-    };
-    let pending = lookup
-        .pending
-        .map_or(String::new(), |v| format!(" ({v} pending)"));
-    let w = &device.windows;
-    let mut windows = format!("windows: {} stored, {} learned", w.stored, w.learned);
-    let bad = [
-        (w.unfit, "unfit"),
-        (w.refused, "refused"),
-        (w.lost, "lost"),
-        (w.dropped_by_device, "dropped"),
-        (w.not_stored, "not stored"),
-    ];
-    for (count, word) in bad.into_iter().filter(|(count, _)| *count > 0) {
-        windows += &format!(", {count} {word}");
-    }
-    format!("{version}{pending}; {windows}")
-}
-
-fn command_words(device: &DeviceReport) -> String {
-    let mut text = match &device.lease {
-        None => "nobody commands it".to_owned(),
-        Some(lease) => format!(
-            "{} commands it, {} s more",
-            lease.holder, lease.expires_in_s
-        ),
-    };
-    if !device.sweep_left_w.is_empty() {
-        let left: Vec<String> = device.sweep_left_w.iter().map(u16::to_string).collect();
-        text += &format!("; sweep, to come: {} W", left.join(", "));
-    }
-    if let Some(file) = &device.recording {
-        text += &format!("; records {file}");
-    }
-    text
-}
-
-fn draw_trends(frame: &mut Frame<'_>, area: Rect, trend: &Trend, now_ms: i64) {
-    if area.height == 0 {
-        return;
-    }
-    let thirds = [Constraint::Ratio(1, 3); 3];
-    let panes: [Rect; 3] = if area.width >= TRENDS_ABREAST_COLUMNS {
-        Layout::horizontal(thirds).areas(area)
-    } else if area.height >= 3 {
-        Layout::vertical(thirds).areas(area)
-    } else {
-        // Power alone.
-        Layout::vertical([
-            Constraint::Length(1),
-            Constraint::Length(0),
-            Constraint::Length(0),
-        ])
-        .areas(area)
-    };
-    for (quantity, pane) in Quantity::ALL.into_iter().zip(panes) {
-        if pane.height >= CHART_ROWS {
-            chart(frame, pane, trend, quantity, now_ms);
-        } else {
-            bars(frame, pane, trend, quantity, now_ms);
-        }
-    }
-}
-
-/// Ends of the axis: power from 0, R and L with some margin.
-fn ends(quantity: Quantity, (low, high): (f64, f64)) -> (f64, f64) {
-    match quantity {
-        Quantity::Power => (0.0, (1.05 * high).max(1.0)),
-        Quantity::R | Quantity::L => {
-            let air = (0.1 * (high - low)).max(0.002 * high.abs()).max(1e-9);
-            (low - air, high + air)
-        }
-    }
-}
-
-fn chart(frame: &mut Frame<'_>, area: Rect, trend: &Trend, quantity: Quantity, now_ms: i64) {
-    let title = format!("{} over {} min", quantity.letter(), SPAN_S / 60);
-    let block = Block::new().borders(Borders::TOP).title(title);
-    let Some(range) = trend.range(quantity, now_ms) else {
-        frame.render_widget(Paragraph::new("not known").block(block), area);
-        return;
-    };
-    let (low, high) = ends(quantity, range);
-    let runs = trend.runs(quantity, now_ms);
-    let sets = runs.iter().map(|run| {
-        Dataset::default()
-            .marker(Marker::Braille)
-            .graph_type(GraphType::Line)
-            .style(Style::new().fg(Color::Cyan))
-            .data(run)
-    });
-    let x = Axis::default()
-        .bounds([-(SPAN_S as f64), 0.0])
-        .labels([format!("-{} min", SPAN_S / 60), "now".into()]);
-    let y = Axis::default()
-        .bounds([low, high])
-        .labels([quantity.text(low), quantity.text(high)]);
-    let chart = Chart::new(sets.collect()).block(block).x_axis(x).y_axis(y);
-    frame.render_widget(chart, area);
-}
-
-fn bars(frame: &mut Frame<'_>, area: Rect, trend: &Trend, quantity: Quantity, now_ms: i64) {
-    let range = trend.range(quantity, now_ms);
-    let text = range.map_or(format!("{} not known", quantity.letter()), |(low, high)| {
-        let (low, high) = (quantity.text(low), quantity.text(high));
-        format!("{} {low} to {high}", quantity.letter())
-    });
-    let [words, bars] =
-        Layout::horizontal([Constraint::Length(25), Constraint::Min(0)]).areas(area);
-    frame.render_widget(Paragraph::new(text), words);
-    let Some(range) = range else { return };
-    let (low, high) = ends(quantity, range);
-    let columns = trend.columns(quantity, usize::from(bars.width), now_ms);
-    let step = |x: f64| ((x - low) / (high - low) * BAR_STEPS).round().max(1.0) as u64;
-    let data: Vec<Option<u64>> = columns.into_iter().map(|x| x.map(step)).collect();
-    let line = Sparkline::default()
-        .data(data)
-        .max(BAR_STEPS as u64)
-        .absent_value_symbol(" ")
-        .style(Style::new().fg(Color::Cyan));
-    frame.render_widget(line, bars);
 }
 
 fn draw_events(frame: &mut Frame<'_>, area: Rect, dashboard: &Dashboard) {
@@ -415,33 +116,16 @@ fn draw_events(frame: &mut Frame<'_>, area: Rect, dashboard: &Dashboard) {
             &event.device
         };
         let text = format!("{} {who}: {}", clock(event.at_ms), event.text);
-        Line::styled(text, graded(event.grade))
+        Line::styled(text, event.grade.style())
     });
     let block = Block::new().borders(Borders::TOP).title("events");
     frame.render_widget(Paragraph::new(lines.collect::<Vec<_>>()).block(block), area);
-}
-
-fn graded(grade: Grade) -> Style {
-    match grade {
-        Grade::Plain => Style::new(),
-        Grade::Warning => Style::new().fg(Color::Yellow),
-        Grade::Alarm => Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
-    }
 }
 
 /// Time of day, UTC.
 fn clock(at_ms: i64) -> String {
     let s = at_ms.div_euclid(1000).rem_euclid(86_400);
     format!("{:02}:{:02}:{:02} UTC", s / 3600, s / 60 % 60, s % 60)
-}
-
-/// Formats a duration with the necessary units.
-fn duration(s: u64) -> String {
-    match s {
-        0..60 => format!("{s} s"),
-        60..3600 => format!("{} min {} s", s / 60, s % 60),
-        _ => format!("{} h {} min", s / 3600, s / 60 % 60),
-    }
 }
 
 #[cfg(test)]
@@ -451,6 +135,7 @@ mod tests {
     use ratatui::backend::TestBackend;
 
     use super::super::dashboard::tests::{notice, report};
+    use super::super::device_panes::duration;
     use super::super::feed::FeedUpdate;
     use super::*;
 
