@@ -19,9 +19,6 @@ use super::trajectory::TrajectoryCursor;
 /// Number of odd harmonics, 1 to 31: the paper's NMSE of the voltage needs about that many.
 const ORDERS: usize = 16;
 
-/// Samples that are converted to doubles at a time.
-const CHUNK_SAMPLES: usize = 1 << 15;
-
 /// Partial sums of an NMSE.
 const SUMS: usize = 8;
 
@@ -123,8 +120,8 @@ impl Nmse {
 
     fn add_all(&mut self, estimated: &[f32], right: &Samples) {
         let mut buffer = Vec::new();
-        for first in (0..estimated.len()).step_by(CHUNK_SAMPLES) {
-            let range = first..(first + CHUNK_SAMPLES).min(estimated.len());
+        for first in (0..estimated.len()).step_by(Samples::CHUNK) {
+            let range = first..(first + Samples::CHUNK).min(estimated.len());
             self.add(
                 first,
                 &estimated[range.clone()],
@@ -150,8 +147,8 @@ fn driven_current(
 ) {
     let rate_hz = 1.0 / segment.dt_s;
     let (mut i, mut before) = (None, 0.0);
-    let mut current = Vec::with_capacity(CHUNK_SAMPLES);
-    for_chunks(segment, CHUNK_SAMPLES, |first, v_v, i_a| {
+    let mut current = Vec::with_capacity(Samples::CHUNK);
+    for_chunks(segment, Samples::CHUNK, |first, v_v, i_a| {
         current.clear();
         for (k, v) in v_v.iter().enumerate() {
             let at = match i {

@@ -44,6 +44,9 @@ pub enum RawSamples<'a> {
 }
 
 impl Samples {
+    /// Number of samples to convert to doubles at a time ([`Samples::block`]).
+    pub const CHUNK: usize = 1 << 15;
+
     /// Stores single-precision samples without an offset.
     pub fn singles(samples: Vec<f32>) -> Self {
         let range = 0..samples.len();

@@ -70,14 +70,11 @@ pub struct PreparedSegment {
     pub start: EnvelopeFilter,
 }
 
-/// Samples that are converted to doubles at a time.
-const CHUNK_SAMPLES: usize = 1 << 15;
-
 /// Calls `each` with all samples as doubles, in order.
 fn for_each(x: &Samples, mut each: impl FnMut(f64)) {
     let mut buffer = Vec::new();
-    for from in (0..x.len()).step_by(CHUNK_SAMPLES) {
-        let range = from..(from + CHUNK_SAMPLES).min(x.len());
+    for from in (0..x.len()).step_by(Samples::CHUNK) {
+        let range = from..(from + Samples::CHUNK).min(x.len());
         x.block(range, &mut buffer).iter().for_each(|x| each(*x));
     }
 }

@@ -1,7 +1,7 @@
 //! Choice of the estimates that stand for a half-cycle: at the crest of the current, and means weighted by its square.
 
 use ihd_identify::Estimate;
-use ihd_signal::Segment;
+use ihd_signal::{Samples, Segment};
 
 /// Largest distance from the crest, in half-cycles.
 const AT_CREST: f64 = 0.02;
@@ -24,16 +24,13 @@ pub fn squared_current(segment: &Segment, t_s: &[f64]) -> Vec<f64> {
     ranges.into_iter().map(mean).collect()
 }
 
-/// Samples that are converted to doubles at a time.
-const CHUNK_SAMPLES: usize = 1 << 15;
-
 /// Sums of the squared current up to each of these indices, which ascend.
 fn square_sums(segment: &Segment, ends: &[usize]) -> Vec<f64> {
     let (mut out, mut sum, mut buffer) = (Vec::with_capacity(ends.len()), 0.0, Vec::new());
-    for first in (0..=segment.len()).step_by(CHUNK_SAMPLES) {
-        let block = first..(first + CHUNK_SAMPLES).min(segment.len());
+    for first in (0..=segment.len()).step_by(Samples::CHUNK) {
+        let block = first..(first + Samples::CHUNK).min(segment.len());
         let samples = segment.i_a.block(block, &mut buffer);
-        for k in 0..CHUNK_SAMPLES {
+        for k in 0..Samples::CHUNK {
             while ends.get(out.len()) == Some(&(first + k)) {
                 out.push(sum);
             }
