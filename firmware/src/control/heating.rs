@@ -15,7 +15,7 @@ use crate::sampling::half_cycle::HalfCycle;
 const FLOOR_HALF_CYCLES: u8 = 2;
 
 /// Excess over the granted power that is too much.
-const TOO_MUCH_PERCENT: u64 = 1;
+const MAX_EXCESS_PERCENT: u64 = 1;
 
 /// Consequence of a half-cycle of heating.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -157,11 +157,11 @@ impl Heating {
             return;
         }
         let too_much = summary.f_sw_hz == pwm::HIGHEST_HZ
-            && u64::from(summary.power_mw) > u64::from(granted_w) * 10 * (100 + TOO_MUCH_PERCENT);
+            && u64::from(summary.power_mw) > u64::from(granted_w) * 10 * (100 + MAX_EXCESS_PERCENT);
         self.at_floor = if too_much { self.at_floor + 1 } else { 0 };
         if self.at_floor >= FLOOR_HALF_CYCLES {
             self.at_floor = 0;
-            let floor_w = summary.power_mw / (10 * (100 + TOO_MUCH_PERCENT as u32));
+            let floor_w = summary.power_mw / (10 * (100 + MAX_EXCESS_PERCENT as u32));
             self.bursts_to_w = u16::try_from(floor_w).unwrap_or(u16::MAX);
         }
     }

@@ -6,7 +6,7 @@ const PERIOD_BLOCKS: u32 = 64;
 /// Most blocks that housekeeping may be behind: 60 ms at 80 kHz. The longest that it was away on the
 /// emulated chip is 11 ms at two cycles an instruction (docs/board.md). Who is later than five times
 /// that is not in control.
-const BEHIND: u32 = 1_600;
+const MAX_BLOCKS_BEHIND: u32 = 1_600;
 
 /// Feeds the watchdog of a control loop that is whole.
 #[derive(Clone, Copy, Debug, Default)]
@@ -19,7 +19,7 @@ impl Heartbeat {
     /// Without new blocks it never does, nor after housekeeping has stood still for too long.
     pub fn beat(&mut self, blocks: u32) -> bool {
         let since = blocks.wrapping_sub(self.fed_at);
-        if since > BEHIND {
+        if since > MAX_BLOCKS_BEHIND {
             return false;
         }
         let feed = since >= PERIOD_BLOCKS;
@@ -55,7 +55,7 @@ mod tests {
         let mut h = Heartbeat::default();
         assert!(h.beat(64));
         assert!(h.beat(64 + 900), "a lookup was kept");
-        let late = 64 + 900 + BEHIND;
+        let late = 64 + 900 + MAX_BLOCKS_BEHIND;
         for blocks in late + 1..late + 500 {
             assert!(!h.beat(blocks), "the reset is due");
         }

@@ -6,7 +6,7 @@ use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
 
 /// The voltage must have been this far from zero, in codes, before a change of its sign counts: a
 /// twelfth of the crest of 230 V on the range of [`MAINS_FULL_SCALE_MV`].
-const ARMED_AT: i32 = 140;
+const ARMING_CODES: i32 = 140;
 
 pub use ihd_shared::board::{BUS_FULL_SCALE_DV as BUS_DV_FULL_SCALE, MAINS_FULL_SCALE_MV};
 
@@ -56,7 +56,7 @@ impl ZeroCrossingDetector {
     /// first pair after a zero crossing, if one fell into it.
     ///
     /// A crossing is where a straight line through the last two samples crosses zero. A half-cycle
-    /// that has not risen to `ARMED_AT` cannot end: noise around zero gives one crossing.
+    /// that has not risen to `ARMING_CODES` cannot end: noise around zero gives one crossing.
     pub fn on_block(&mut self, code: i32) -> Option<u8> {
         let before = self.last;
         self.last = code;
@@ -64,7 +64,7 @@ impl ZeroCrossingDetector {
         let crossed = armed && code.signum() * self.sign < 0;
         if crossed {
             self.sign = 0;
-        } else if !armed && code.abs() >= ARMED_AT {
+        } else if !armed && code.abs() >= ARMING_CODES {
             self.sign = code.signum();
         }
         if !crossed {

@@ -36,7 +36,7 @@ use crate::view::{Recordings, View};
 const GARBAGE_PERIOD: Duration = Duration::from_secs(600);
 
 /// Capacity of the queue of learning results for the store.
-const RESULTS: usize = 64;
+const MAX_QUEUED_RESULTS: usize = 64;
 
 /// Largest number of concurrent readers of the store; further ones wait.
 const READERS: usize = 4;
@@ -80,7 +80,7 @@ impl Daemon {
         let network = config.network().map_err(DaemonError::Config)?;
         let (store, damage) = open_store(&machine, &config, &event_bus).await?;
         let (stop, stopped) = watch::channel(false);
-        let (results, learned) = mpsc::channel(RESULTS);
+        let (results, learned) = mpsc::channel(MAX_QUEUED_RESULTS);
         let settings = LearnerSettings {
             threads: config.learning.threads,
             queue: config.learning.queue,

@@ -12,7 +12,7 @@ use ihd_thermal::{KnownAlloys, PotEvent, ThermalHalfCycle, Thermometer};
 const POINT_MS: i64 = 2_000;
 
 /// Length of the curve in points: one hour.
-const POINTS: usize = 1_800;
+const MAX_POINTS: usize = 1_800;
 
 /// Half-cycle of 50 Hz in seconds, until a window brings the measured one.
 const HALF_CYCLE_S: f64 = 0.01;
@@ -145,7 +145,7 @@ impl PotTracker {
         else {
             return;
         };
-        if self.points.len() == POINTS {
+        if self.points.len() == MAX_POINTS {
             self.points.pop_front();
         }
         self.points.push_back(PotPoint {
@@ -340,7 +340,7 @@ mod tests {
             t.power_mw = k.wrapping_mul(1_103_515_245);
             tracker.push(&t, i64::from(k));
         }
-        assert!(tracker.curve().points.len() <= POINTS);
+        assert!(tracker.curve().points.len() <= MAX_POINTS);
         tracker.set_half_cycle(f64::NAN);
         tracker.set_half_cycle(1.0);
         assert_eq!(tracker.half_cycle_s, HALF_CYCLE_S);

@@ -6,7 +6,7 @@ use ihd_shared::wire::messages::Outcome;
 use crate::Check;
 
 /// Missing answers after which the link counts as lost; each costs its time-out.
-const SILENCES: u32 = 2;
+const MAX_MISSING_ANSWERS: u32 = 2;
 
 /// Checks of one device, until its link is lost.
 pub(crate) struct CheckSession<'a> {
@@ -61,7 +61,7 @@ impl<'a> CheckSession<'a> {
                 .with_remedy("Switch it off: ihd device DEV off; then again"),
             LinkError::NoAnswer { .. } => {
                 self.silences += 1;
-                if self.silences >= SILENCES {
+                if self.silences >= MAX_MISSING_ANSWERS {
                     self.lost = Some(format!("it answers no more: {error}"));
                 }
                 Check::fail(

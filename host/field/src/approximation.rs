@@ -107,7 +107,7 @@ pub fn describing_function(f_hz: f64, i_a: f64) -> Result<Cost, FieldError> {
 const ORDERS: usize = 16;
 
 /// Periods until the half-bridge's current repeats: the tank's quality is below 4.
-const SETTLING: usize = 40;
+const SETTLING_PERIODS: usize = 40;
 
 /// R and L of the fundamental under a current with `share` of the harmonics that a half-bridge of `bus_v` drives through the
 /// load, compared with the half-bridge's own. With a share of 1 both are the same; with 0 the current is a sine of the same
@@ -126,7 +126,7 @@ pub fn harmonics_in_the_current(f_hz: f64, bus_v: f64, share: f64) -> Result<Cos
         &model,
         (f_hz, bus_v),
         1e-9 * f64::from(RESONANCE_CAPACITANCE_NF),
-        (steps, SETTLING),
+        (steps, SETTLING_PERIODS),
         ORDERS,
     )?;
     let mut current = bridge.current;

@@ -19,7 +19,7 @@ const MIN_SERVER_VERSION: (u64, u64, u64) = (2, 10, 23);
 const PING_EVERY: Duration = Duration::from_secs(5);
 
 /// Most published messages without acknowledgement.
-const IN_FLIGHT: usize = 256;
+const MAX_UNACKNOWLEDGED: usize = 256;
 
 /// Address and credentials.
 #[derive(Clone, Debug, Default)]
@@ -187,7 +187,7 @@ fn context(client: Client) -> Context {
     jetstream::ContextBuilder::new()
         .timeout(TIMEOUT)
         .ack_timeout(TIMEOUT)
-        .max_ack_inflight(IN_FLIGHT)
+        .max_ack_inflight(MAX_UNACKNOWLEDGED)
         .build(client)
 }
 

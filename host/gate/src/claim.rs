@@ -41,7 +41,7 @@ const OWN_MEAN_ERROR: Limit = Limit {
 
 /// Share of the voltage in percent that R and L may leave beside noise; a tone beside the switching frequency or a moving
 /// frequency leaves more.
-const LEFT_PCT: f64 = 1.0;
+const MAX_LEFT_PCT: f64 = 1.0;
 
 /// Largest difference that is not refuted: a share of R and of L in percent, and standard deviations of noise.
 #[derive(Clone, Copy, Debug)]
@@ -115,7 +115,7 @@ pub enum ClaimError {
         l_limit_pct: f64,
     },
     /// R and L leave more of the voltage than noise explains.
-    #[error("it leaves {left_pct:.2} % of the voltage unexplained; {LEFT_PCT} % is allowed")]
+    #[error("it leaves {left_pct:.2} % of the voltage unexplained; {MAX_LEFT_PCT} % is allowed")]
     Unexplained {
         /// Root-mean-square of the unexplained voltage, in percent of the voltage.
         left_pct: f64,
@@ -366,7 +366,7 @@ fn left(all: &[&Residual], noise: WhiteNoise, samples: f64) -> Result<(), ClaimE
         whole += p.v.norm_sqr();
     }
     let left_pct = 100.0 * ((power - 2.0 * white).max(0.0) / whole).sqrt();
-    match left_pct <= LEFT_PCT {
+    match left_pct <= MAX_LEFT_PCT {
         true => Ok(()),
         false => Err(ClaimError::Unexplained { left_pct }),
     }

@@ -16,7 +16,7 @@ const ONE_SIDED: f64 = 4.0;
 const NEIGHBOURS: usize = 32;
 
 /// Lines that the window's main lobe covers on either side.
-const LOBE: usize = 4;
+const LOBE_LINES: usize = 4;
 
 /// Largest offset that is searched, as a share of the signal's rate: a boxcar's first zero lies just beyond it.
 const MOST_OFFSET: f64 = 0.25;
@@ -63,15 +63,15 @@ impl Lines {
         let of = |k: i64| self.power(k);
         let most = (MOST_OFFSET * self.0.len() as f64) as i64;
         let stands_out = |k: &i64| {
-            let around =
-                (LOBE..LOBE + NEIGHBOURS).flat_map(|d| [of(k - d as i64), of(k + d as i64)]);
+            let around = (LOBE_LINES..LOBE_LINES + NEIGHBOURS)
+                .flat_map(|d| [of(k - d as i64), of(k + d as i64)]);
             let floor = median(&mut around.collect::<Vec<_>>()).unwrap_or(f64::INFINITY) / LN_2;
             let mirror = (-k - 1..=-k + 1).map(of).fold(0.0, f64::max);
             of(*k) > LINE * floor && (of(*k) > ONE_SIDED * mirror || expected(*k))
         };
         let is_peak = |k: &i64| of(*k) >= of(k - 1) && of(*k) >= of(k + 1);
         (-most..=most)
-            .filter(|k| k.unsigned_abs() as usize > LOBE)
+            .filter(|k| k.unsigned_abs() as usize > LOBE_LINES)
             .filter(is_peak)
             .filter(stands_out)
             .max_by(|a, b| of(*a).total_cmp(&of(*b)))

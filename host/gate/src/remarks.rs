@@ -72,7 +72,7 @@ fn is_measured(finding: &Finding, segment: &Segment) -> bool {
 const AT_LEVEL: f64 = 0.99;
 
 /// Samples that are read at a time.
-const STRETCH: usize = 1 << 15;
+const STRETCH_SAMPLES: usize = 1 << 15;
 
 /// Returns `true` if a finding concerns a segment. Clipping and missing carrier concern the segments where they happen, all
 /// other findings every segment.
@@ -85,9 +85,9 @@ fn concerns(finding: &Finding, segment: &Segment) -> bool {
                 Channel::Current => &segment.i_a,
             };
             let mut buffer = Vec::new();
-            let mut stretches = (0..x.len()).step_by(STRETCH);
+            let mut stretches = (0..x.len()).step_by(STRETCH_SAMPLES);
             stretches.any(|from| {
-                let x = x.block(from..(from + STRETCH).min(x.len()), &mut buffer);
+                let x = x.block(from..(from + STRETCH_SAMPLES).min(x.len()), &mut buffer);
                 x.iter().any(|x| x.abs() >= AT_LEVEL * level)
             })
         }

@@ -19,7 +19,7 @@ pub struct RejectedWindow {
 }
 
 /// Windows under way at once: one that ends and one that begins, if the link reorders frames.
-const UNDER_WAY: usize = 2;
+const MAX_WINDOWS: usize = 2;
 
 /// Closed windows that are remembered, so that their late messages are recognised.
 const CLOSED: usize = 8;
@@ -131,7 +131,7 @@ impl Assembler {
         }
         let known = self.under_way.iter().any(|b| b.seq == seq);
         if !known {
-            if self.under_way.len() == UNDER_WAY {
+            if self.under_way.len() == MAX_WINDOWS {
                 self.give_up_oldest(&mut out);
             }
             self.under_way.push(PartialWindow::new(seq));

@@ -23,12 +23,12 @@ use tokio::time::{sleep, timeout};
 use super::{Client, DeviceEvent, LinkError, Transport};
 
 /// Time that the thread waits for an event before it checks for orders, on the transport's clock.
-const SLICE: Duration = Duration::from_millis(10);
+const EVENT_WAIT: Duration = Duration::from_millis(10);
 
 /// Capacity of the queue of orders; a caller waits if it is full.
 const ORDERS: usize = 8;
 
-/// [`SLICE`] for a simulated device: its frames may wait a little longer, which makes the simulation faster.
+/// [`EVENT_WAIT`] for a simulated device: its frames may wait a little longer, which makes the simulation faster.
 #[cfg(feature = "simulation")]
 const SIMULATED_SLICE: Duration = Duration::from_millis(40);
 
@@ -363,7 +363,7 @@ impl LinkThread {
                 }
             }
             let slice = if lanes.orders.is_empty() && lanes.offs.is_empty() {
-                SLICE
+                EVENT_WAIT
             } else {
                 Duration::ZERO
             };

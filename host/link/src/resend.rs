@@ -11,7 +11,7 @@ use ihd_shared::wire::messages::ResendWindow;
 use super::assembler::UnfinishedWindow;
 
 /// PartialPayload in one batch of requests: half of what the device's answer queue and the host's buffer have room for.
-pub const PIECES: usize = 4;
+pub const PIECES_PER_BATCH: usize = 4;
 
 /// Silence before each batch of requests. The longest is far below the time for which a device keeps a window.
 const REQUEST_DELAYS: [Duration; 6] = [
@@ -88,7 +88,7 @@ impl Resend {
                 patience.map_or(left, |p| p.saturating_sub(silence).min(left)),
             );
         }
-        let pieces = window.missing(PIECES);
+        let pieces = window.missing(PIECES_PER_BATCH);
         if let Some(asked) = &mut self.window {
             asked.rounds += usize::from(impatient);
             asked.since = now;

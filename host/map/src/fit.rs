@@ -209,10 +209,17 @@ pub(crate) fn measured(data: &[Datum]) -> DVector<f64> {
 /// Fits all classes of pots and keeps the best; off centre only if nothing else explains the data.
 pub(crate) fn fit_any(data: &[Datum], tau: [f64; 2]) -> Option<Descent> {
     /// Steps of the first descent of each class.
-    const LOOKS: usize = 3;
+    const FIRST_DESCENT_STEPS: usize = 3;
     let begin = [0.0; COUNT];
-    let looks = parameters::classes()
-        .filter_map(|class| fit(data, (&class.into(), begin), CENTRED, tau, LOOKS));
+    let looks = parameters::classes().filter_map(|class| {
+        fit(
+            data,
+            (&class.into(), begin),
+            CENTRED,
+            tau,
+            FIRST_DESCENT_STEPS,
+        )
+    });
     let best = looks.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
     fit(data, (&best.prior, best.steps), CENTRED, tau, MOST_STEPS)
 }

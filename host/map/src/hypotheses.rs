@@ -15,8 +15,8 @@ use crate::posterior::{Posterior, RlPrediction};
 use crate::pot_fit::PotFit;
 
 /// Prior share of each entry: one of forty pots that may come. All entries together have half at most.
-const OF_AN_ENTRY: f64 = 1.0 / 40.0;
-const OF_ALL_ENTRIES: f64 = 0.5;
+const ENTRY_SHARE: f64 = 1.0 / 40.0;
+const MAX_ENTRIES_SHARE: f64 = 0.5;
 
 /// Least share of "any pot", whatever the evidence. An entry is advice: it may be another pot, or forged to fit all that this hob
 /// has measured. With [`MAX_DEVIATIONS`], all entries together then move the map by at most one of this hob's own deviations in the mean
@@ -167,7 +167,7 @@ impl Hypotheses {
         }
         let highest = others.iter().map(|r| r.posterior.evidence());
         let highest = highest.fold(any.evidence(), f64::max);
-        let of_all = OF_ALL_ENTRIES.min(entries * OF_AN_ENTRY);
+        let of_all = MAX_ENTRIES_SHARE.min(entries * ENTRY_SHARE);
         let none = (1.0 - of_all) * (any.evidence() - highest).exp();
         for r in &mut others {
             r.share = of_all / entries * (r.posterior.evidence() - highest).exp();

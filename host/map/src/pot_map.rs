@@ -18,7 +18,7 @@ use crate::pot_fit::PotFit;
 use crate::surface_table::lagrange;
 
 /// Relative difference below which two switching frequencies share a curve; R and L are converted by the pot's own law.
-const SAME_FREQUENCY: f64 = 5e-3;
+const MAX_FREQUENCY_DIFFERENCE: f64 = 5e-3;
 
 /// Most curves of a map: more than the eight rows of a lookup can resolve.
 pub const MOST_CURVES: usize = 10;
@@ -32,16 +32,16 @@ const ANOTHER: f64 = 3.0;
 const NEVER_ANOTHER: f64 = 3e-3;
 
 /// Mean square above which a window causes another fit.
-const WORTH_FITTING: f64 = 1.6;
+const MIN_MEAN_SQUARE: f64 = 1.6;
 
 /// Least current in ampere of compared points: below, R and L are uncertain.
 const COUNTS_FROM_A: f64 = 3.0;
 
 /// Confidence from which a cell counts as observed: a curve within three quarters of a step.
-const OBSERVED_FROM: f64 = 0.5;
+const MIN_CONFIDENCE: f64 = 0.5;
 
 /// Weight of a curve at which confidence is one half.
-const HALF_CONFIDENT: f64 = 0.25;
+const HALF_CONFIDENCE_WEIGHT: f64 = 0.25;
 
 /// Comparison of a window's curve with the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -80,7 +80,7 @@ pub struct MapCell {
 impl MapCell {
     /// Returns `true` if the cell rests on observations and not on the pot's physics alone.
     pub fn is_observed(&self) -> bool {
-        self.confidence >= OBSERVED_FROM
+        self.confidence >= MIN_CONFIDENCE
     }
 }
 
@@ -240,7 +240,7 @@ impl PotMap {
         } else {
             (
                 CurveMatch::Same { chi2 },
-                most_chi2.is_nan() || most_chi2 >= WORTH_FITTING,
+                most_chi2.is_nan() || most_chi2 >= MIN_MEAN_SQUARE,
             )
         }
     }
@@ -256,7 +256,7 @@ impl PotMap {
             )
         };
         let nearest = (0..self.curves.len())
-            .filter(|k| away(&self.curves[*k]) < SAME_FREQUENCY)
+            .filter(|k| away(&self.curves[*k]) < MAX_FREQUENCY_DIFFERENCE)
             .min_by(|a, b| away(&self.curves[*a]).total_cmp(&away(&self.curves[*b])));
         if let Some(k) = nearest {
             let ratio = ratio_to(self.curves[k].f_sw_hz);
@@ -366,7 +366,7 @@ impl PotMap {
         Some(std::array::from_fn(|f| {
             std::array::from_fn(|i| MapCell {
                 value: values[f * CURRENTS + i],
-                confidence: mass[f][i] / (mass[f][i] + HALF_CONFIDENT),
+                confidence: mass[f][i] / (mass[f][i] + HALF_CONFIDENCE_WEIGHT),
                 age_s: last_s[f][i].map(|t_s| (now_s - t_s).max(0.0)),
             })
         }))
@@ -397,7 +397,7 @@ impl PotMap {
                 for (f, share) in [(row, 1.0 - above), (row + 1, above)] {
                     let weight = share * within;
                     mass[f][i] += weight;
-                    if weight / (weight + HALF_CONFIDENT) >= OBSERVED_FROM {
+                    if weight / (weight + HALF_CONFIDENCE_WEIGHT) >= MIN_CONFIDENCE {
                         let last: &mut Option<f64> = &mut last_s[f][i];
                         *last = Some(last.map_or(curve.t_s, |t_s| t_s.max(curve.t_s)));
                     }

@@ -184,11 +184,11 @@ fn waveforms(samples: &NormalisedWaveform, signals: Signals) -> ViWaveforms {
 }
 
 /// Results per slow time: at the ends R bends within 0.1 ms.
-const RESULTS: usize = 4;
+const RESULTS_PER_TIME: usize = 4;
 
 /// Times of the results after the first pair, s.
 pub(crate) fn result_times_s(samples: &NormalisedWaveform, config: &PinnConfig) -> Vec<f64> {
-    let count = RESULTS * config.slow_points;
+    let count = RESULTS_PER_TIME * config.slow_points;
     let last = (count - 1) as f64;
     (0..count)
         .map(|k| k as f64 / last * samples.duration_s())

@@ -12,10 +12,10 @@ use super::folder::{self, Lock, RECORDS};
 use super::{Store, StoreError, clock, schema};
 
 /// Room that a trial requires: several windows with SQLite's log.
-const ROOM: usize = 1 << 20;
+const ROOM_BYTES: usize = 1 << 20;
 
 /// Time limit of the checks of all databases in a trial.
-const CHECKS: Duration = Duration::from_secs(5);
+const CHECKS_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Outcome of a trial of a store.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -37,13 +37,13 @@ pub fn try_folder(folder: &Path) -> Result<TrialReport, StoreError> {
         return Err(StoreError::NoStore { folder });
     }
     drop(Lock::take(folder)?);
-    write_beside(&records, ROOM).map_err(StoreError::files(&records, "looking for room"))?;
+    write_beside(&records, ROOM_BYTES).map_err(StoreError::files(&records, "looking for room"))?;
     let days = folder::days(folder)?.into_iter().rev();
     let days = days.map(|day| (day.path, &schema::WINDOWS));
     let began = Instant::now();
     let mut tried = TrialReport::default();
     for (path, schema) in once((records, &schema::RECORDS)).chain(days) {
-        let left = CHECKS.saturating_sub(began.elapsed());
+        let left = CHECKS_TIMEOUT.saturating_sub(began.elapsed());
         let integrity = database::try_writing(&path, schema, left)?;
         tried.databases += 1;
         tried.checked += usize::from(integrity == IntegrityCheck::Ok);
@@ -58,7 +58,7 @@ impl Store {
     /// Errors of the databases or the operating system, for which writing would fail too.
     pub fn try_writing(&mut self) -> Result<(), StoreError> {
         let path = self.path().to_owned();
-        write_beside(&path, ROOM).map_err(StoreError::files(&path, "looking for room"))?;
+        write_beside(&path, ROOM_BYTES).map_err(StoreError::files(&path, "looking for room"))?;
         commit(self.records()).map_err(self.failed("a trial of writing"))?;
         self.turn_to(&clock::day(self.now()))?;
         if let Some(day) = &self.days.today {

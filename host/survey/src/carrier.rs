@@ -7,7 +7,7 @@ use ihd_signal::Capture;
 use ihd_signal::carrier::{Carrier, Sweep};
 use nalgebra::Complex;
 
-use super::lines::{HOPS, LARGEST_HZ, LEAST_HZ, Lines};
+use super::lines::{HOPS_PER_FRAME, LARGEST_HZ, LEAST_HZ, Lines};
 use super::time::Run;
 use super::track;
 
@@ -256,7 +256,7 @@ fn held(lines: &Lines, valid: &[bool], frames: Range<usize>) -> Vec<f64> {
 
 /// Ranges of frames with a constant frequency, and the median frequency of each.
 fn steady(f_hz: &[f64]) -> Vec<(Range<usize>, f64)> {
-    let half = HOPS / 2;
+    let half = HOPS_PER_FRAME / 2;
     // Frames a whole frame apart share no sample.
     let steps = |k: usize| {
         k >= half && k + half < f_hz.len() && (f_hz[k + half] - f_hz[k - half]).abs() > STEP_HZ
@@ -277,12 +277,12 @@ fn steady(f_hz: &[f64]) -> Vec<(Range<usize>, f64)> {
         }
     }
     // Ranges shorter than a frame are transitions.
-    if out.iter().any(|(range, _)| range.len() >= HOPS) {
-        out.retain(|(range, _)| range.len() >= HOPS);
+    if out.iter().any(|(range, _)| range.len() >= HOPS_PER_FRAME) {
+        out.retain(|(range, _)| range.len() >= HOPS_PER_FRAME);
     }
     // A step of the load turns the phase once; the frequency before and after is the same.
     out.dedup_by(|b, a| {
-        let same = (a.1 - b.1).abs() < 0.5 * STEP_HZ && b.0.start - a.0.end <= 2 * HOPS;
+        let same = (a.1 - b.1).abs() < 0.5 * STEP_HZ && b.0.start - a.0.end <= 2 * HOPS_PER_FRAME;
         if same {
             *a = (a.0.start..b.0.end, median(a.0.start..b.0.end));
         }

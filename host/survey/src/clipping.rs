@@ -10,7 +10,7 @@ const STEP_SEARCH_SAMPLES: usize = 4096;
 
 /// Least ratio of samples in the end bin to those in the next one: a sine of constant amplitude has 2.4, one with varying
 /// amplitude less than 1.
-const PILE: f64 = 5.0;
+const MIN_PILE_RATIO: f64 = 5.0;
 
 /// Fine bins in a bin: of 12 bits, one code.
 const FINE_BINS: usize = 32;
@@ -31,10 +31,10 @@ pub const LEAST_PER_PERIOD: f64 = 16.0;
 
 /// Share of clipped samples followed by another one, above which the signal itself clips: the probability that noise reaches an end
 /// that is 1.3 deviations away.
-const FOLLOWED: f64 = 0.1;
+const MAX_FOLLOWED_SHARE: f64 = 0.1;
 
 /// Mean excess of such a noise beyond the end, in deviations.
-const EXCESS: f64 = 0.47;
+const MEAN_EXCESS_SIGMAS: f64 = 0.47;
 
 /// Ratio of clipped samples at the mains' crest to their mean.
 const AT_CREST: f64 = 4.0;
@@ -67,8 +67,8 @@ impl ClippedSamples {
             .count() as f64;
         // The amplitude in deviations: √2 of the signal's rms.
         let amplitude = std::f64::consts::SQRT_2 * 10f64.powf(snr_db / 20.0);
-        let lost = AT_CREST * 2.0 * clipped / x.len() as f64 * EXCESS / amplitude;
-        followed < FOLLOWED * clipped && lost < MAX_NOISE_SHARE
+        let lost = AT_CREST * 2.0 * clipped / x.len() as f64 * MEAN_EXCESS_SIGMAS / amplitude;
+        followed < MAX_FOLLOWED_SHARE * clipped && lost < MAX_NOISE_SHARE
     }
 }
 
@@ -152,7 +152,7 @@ impl RangeEnd {
     /// Number of samples in a pile at the end; 0 if there is none.
     fn clipped(&self) -> usize {
         let piled = |end: usize, beside: usize| {
-            end >= MIN_CLIPPED_SAMPLES && end as f64 > PILE * beside as f64
+            end >= MIN_CLIPPED_SAMPLES && end as f64 > MIN_PILE_RATIO * beside as f64
         };
         let [end, next] = self.bins;
         let [first, rest @ ..] = &self.fine;

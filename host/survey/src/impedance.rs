@@ -42,7 +42,7 @@ const FALLING_BELOW_RATIO: f64 = 0.75;
 const GROWING_ABOVE_RATIO: f64 = 1.0 / FALLING_BELOW_RATIO;
 
 /// Energy of a harmonic relative to the fundamental below which it is not used: 0.3 % of amplitude.
-const VISIBLE: f64 = 1e-5;
+const MIN_HARMONIC_ENERGY: f64 = 1e-5;
 
 /// Phasors of a channel's harmonic over time.
 type Phasors<'a> = &'a [Complex<f64>];
@@ -119,7 +119,7 @@ pub fn wiring(track: &Track) -> Wiring {
             energy(&track.v_v, order) / energy(&track.v_v, 0),
             energy(&track.i_a, order) / energy(&track.i_a, 0),
         );
-        (v > VISIBLE && i > VISIBLE).then(|| (v / i).sqrt())
+        (v > MIN_HARMONIC_ENERGY && i > MIN_HARMONIC_ENERGY).then(|| (v / i).sqrt())
     };
     let straight = Wiring::default();
     let falls = (1..ORDERS.len()).find_map(|order| match ratio(order)? {

@@ -23,7 +23,7 @@ const SEARCH_RATE_HZ: f64 = 4.0 * LARGEST_HZ;
 const FRAME_S: f64 = 0.8e-3;
 
 /// Frames per frame length: each begins an eighth later.
-pub(super) const HOPS: usize = 8;
+pub(super) const HOPS_PER_FRAME: usize = 8;
 
 /// Least power of a line at the user's frequency relative to the strongest line; a third harmonic is weaker.
 const MIN_POWER_RATIO: f64 = 0.1;
@@ -67,7 +67,7 @@ impl Lines {
         });
         let n = channels[0].0.len();
         let length = ((FRAME_S / dt_s) as usize).clamp(1, n.max(1));
-        let hop = (length / HOPS).max(1);
+        let hop = (length / HOPS_PER_FRAME).max(1);
         let mut spectrum = Spectrum::new(length, dt_s, band_hz);
         let mut frames = Vec::new();
         let mut start = 0;

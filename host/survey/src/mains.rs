@@ -89,7 +89,7 @@ const LEAST_EXPLAINED: f64 = 0.8;
 const DIFFERS_HZ: f64 = 1.0;
 
 /// Largest unexplained variance of another frequency, relative to the one specified, to be reported.
-const CLEARLY_BETTER: f64 = 0.5;
+const MAX_UNEXPLAINED_RATIO: f64 = 0.5;
 
 /// Share of the envelope's variance below which no other frequency can explain more.
 const MAX_UNEXPLAINED_SHARE: f64 = 1e-3;
@@ -131,7 +131,7 @@ pub fn find(
         // Half-cycles with pauses between them fit several frequencies equally well.
         let as_told = measured.map_or(1.0, |told| told.unexplained);
         let better = |own: &Fit| {
-            as_told > MAX_UNEXPLAINED_SHARE && own.unexplained < CLEARLY_BETTER * as_told
+            as_told > MAX_UNEXPLAINED_SHARE && own.unexplained < MAX_UNEXPLAINED_RATIO * as_told
         };
         let differs = |own: &Fit| (own.hz - specified_hz).abs() > DIFFERS_HZ && better(own);
         if let Some(own) = own.filter(differs) {
@@ -182,7 +182,7 @@ pub fn find(
 const UNUSUAL_HZ: [(f64, f64); 4] = [(25.0, 50.0), (30.0, 60.0), (100.0, 50.0), (120.0, 60.0)];
 
 /// Largest unexplained variance of an unusual frequency, and relative to that of the usual range.
-const UNUSUAL_LEFT: f64 = 0.02;
+const MAX_UNUSUAL_UNEXPLAINED: f64 = 0.02;
 const UNUSUAL_BETTER: f64 = 0.1;
 
 /// Finding that the envelope shows a mains of half or twice a usual frequency, and by far not one of the usual range.
@@ -202,7 +202,7 @@ fn wrong_time_base(
     let all = UNUSUAL_HZ.into_iter().filter_map(of);
     let (left, shown_hz, usual_hz) = all.min_by(|a, b| a.0.total_cmp(&b.0))?;
     let of_usual = usual.map_or(1.0, |fit| fit.unexplained);
-    (left < UNUSUAL_LEFT.min(UNUSUAL_BETTER * of_usual))
+    (left < MAX_UNUSUAL_UNEXPLAINED.min(UNUSUAL_BETTER * of_usual))
         .then_some(Finding::TimeBase { shown_hz, usual_hz })
 }
 

@@ -12,7 +12,7 @@ use super::time::Run;
 use super::track::{self, Track};
 
 /// Relative difference of frequencies that is reported.
-const DIFFERS: f64 = 5e-3;
+const MAX_RELATIVE_DIFFERENCE: f64 = 5e-3;
 
 /// Total length in seconds below which left-out pieces are not reported.
 const SCRAPS_S: f64 = 0.5e-3;
@@ -188,7 +188,8 @@ pub(super) fn frequency_findings(
     };
     let differs = pieces.iter().find_map(|p| {
         let specified_hz = specified_at(p.run.t_s((p.run.samples.start + p.run.samples.end) / 2))?;
-        ((p.f_hz / specified_hz - 1.0).abs() > DIFFERS).then_some((specified_hz, p.f_hz))
+        ((p.f_hz / specified_hz - 1.0).abs() > MAX_RELATIVE_DIFFERENCE)
+            .then_some((specified_hz, p.f_hz))
     });
     if let Some((specified_hz, measured_hz)) = differs {
         findings.push(Finding::FrequencyDiffers {

@@ -46,7 +46,7 @@ const MIN_HALF_CYCLES: usize = 8;
 const MAX_RELATIVE_CHANGE: f64 = 0.02;
 
 /// Half-cycles that are left out after a change of operating point, while the device's filter settles.
-const SETTLING: usize = 3;
+const SETTLING_HALF_CYCLES: usize = 3;
 
 /// Relative errors of R and of L beside white noise: aliasing that changes with the frequency within a batch.
 const FLOOR: (f64, f64) = (3e-4, 1.5e-4);
@@ -97,7 +97,7 @@ impl Batches {
             self.first = Some(*h);
             return batch;
         }
-        if self.skipped < SETTLING {
+        if self.skipped < SETTLING_HALF_CYCLES {
             self.skipped += 1;
             return None;
         }

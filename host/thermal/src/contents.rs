@@ -19,7 +19,7 @@ const SIGMA_K: f64 = 2.0;
 
 /// χ² by which the model without boiling must be worse. By Wilks' theorem an excess beyond 25 of two more parameters has a
 /// probability of 4e-6 per evaluation; evaluations of one pot share their data.
-const EVIDENCE: f64 = 25.0;
+const MIN_BOILING_CHI2: f64 = 25.0;
 
 /// χ² per step above which a model does not explain the curve: it is fitted from other starts, and boiling is not reported.
 const MAX_CHI2_PER_STEP: f64 = 1.0;
@@ -187,7 +187,7 @@ impl ContentsFit {
             }
         });
         let explained = boiling.chi2 < MAX_CHI2_PER_STEP * self.known();
-        let sure = explained && evidence > EVIDENCE;
+        let sure = explained && evidence > MIN_BOILING_CHI2;
         let (bubbles, boils) = (sure && state.bubbles > 0.5, sure && boils_at.is_some());
         // Reported only after two evaluations agree.
         self.agreed = if bubbles { self.agreed + 1 } else { 0 };

@@ -48,7 +48,7 @@ const MAX_CHI2: f64 = 30.0;
 const MOVE_MM_PERMILLE: (f64, f64) = (2.0, 30.0);
 
 /// Least changes in mm and ‰ that are reported as a move.
-const REPORTED: (f64, f64) = (0.15, 8.0);
+const MIN_MOVE_MM_PERMILLE: (f64, f64) = (0.15, 8.0);
 
 /// Motion of the pot that a batch shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -222,8 +222,8 @@ impl ThermalFilter {
         }
         self.correct(&innovation);
         let change = self.x - before;
-        let reported =
-            change[2].abs() > REPORTED.0 || change[3].abs().max(change[4].abs()) > REPORTED.1;
+        let reported = change[2].abs() > MIN_MOVE_MM_PERMILLE.0
+            || change[3].abs().max(change[4].abs()) > MIN_MOVE_MM_PERMILLE.1;
         match reported {
             true => PotMotion::Moved {
                 lift_mm: change[2],

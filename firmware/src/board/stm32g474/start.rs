@@ -51,7 +51,7 @@ bind_interrupts!(struct Irqs {
 const WATCHDOG_US: u32 = 60_000;
 
 /// So many blocks after the start, 1.2 s at 80 kHz and 2.9 s at 34 kHz, it was a good one.
-const RAN_WELL: u32 = 32_768;
+const GOOD_START_BLOCKS: u32 = 32_768;
 
 static SAMPLING_TASK: TaskStorage<SamplingTask<Adc>> = TaskStorage::new();
 static EXECUTOR: StaticCell<Executor> = StaticCell::new();
@@ -352,7 +352,7 @@ impl Board {
         if self.heartbeat.beat(blocks) && (self.self_test.is_flow_right() || is_open) {
             self.watchdog.pet();
         }
-        if blocks == RAN_WELL {
+        if blocks == GOOD_START_BLOCKS {
             crash::ran_well();
         }
         // Not its version, which returns after a reset.

@@ -3,7 +3,7 @@
 use ihd_signal::TimeBase;
 
 /// Largest deviation from an even grid, as a fraction of the sampling interval.
-const JITTER: f64 = 1e-3;
+const MAX_JITTER: f64 = 1e-3;
 
 /// Error for stamps that do not ascend.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -40,7 +40,7 @@ pub fn time_base(
     let descends = stamps.windows(2).any(|pair| pair[1] < pair[0]);
     for dt_s in declared_s.into_iter().chain([mean_s]) {
         let rounding = f64::EPSILON * first.abs().max(last.abs());
-        let tolerance = (1.5 * resolution_s).max(JITTER * dt_s) + 4.0 * rounding;
+        let tolerance = (1.5 * resolution_s).max(MAX_JITTER * dt_s) + 4.0 * rounding;
         let even = |(k, t): (usize, &f64)| (t - first - k as f64 * dt_s).abs() <= tolerance;
         if dt_s > 0.0 && !descends && stamps.iter().enumerate().all(even) {
             return Ok(TimeBase::Even { t0_s: first, dt_s });

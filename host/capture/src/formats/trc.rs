@@ -17,7 +17,7 @@ use crate::error::FormatError;
 const DESCRIPTOR: &[u8] = b"WAVEDESC";
 
 /// Range in bytes within which the descriptor must begin: the length of a block may precede it.
-const LEAD: usize = 64;
+const MAX_LEAD_BYTES: usize = 64;
 
 /// Smallest size of a descriptor, in bytes.
 const LEAST_DESCRIPTOR: u64 = 346;
@@ -52,7 +52,7 @@ mod field {
 
 /// Offset of the descriptor in a file with this beginning; `None` if there is none.
 pub fn descriptor(head: &[u8]) -> Option<usize> {
-    let lead = head.get(..LEAD.min(head.len()))?;
+    let lead = head.get(..MAX_LEAD_BYTES.min(head.len()))?;
     lead.windows(DESCRIPTOR.len()).position(|w| w == DESCRIPTOR)
 }
 
@@ -104,7 +104,7 @@ impl TrcSource {
     /// # Errors
     /// [`FormatError`] for a damaged file, another template, and sequences.
     pub fn open(mut input: Input) -> Result<Self, FormatError> {
-        let mut head = vec![0; LEAD.min(input.length() as usize)];
+        let mut head = vec![0; MAX_LEAD_BYTES.min(input.length() as usize)];
         input.exact(&mut head)?;
         let begin = descriptor(&head).map(|k| k as u64);
         let begin = begin.ok_or_else(|| FormatError::at_byte(0, "no WAVEDESC"))?;

@@ -13,7 +13,7 @@ use super::queue::{DeviceLearning, LearningEvent};
 use super::shared::Shared;
 
 /// Longest time between two saves of a device's learning to the store while its lookup does not change.
-const SAVE_EVERY: Duration = Duration::from_secs(10);
+const SAVE_PERIOD: Duration = Duration::from_secs(10);
 
 /// Longest wait of a thread of a closed learner for room in the channel of results.
 const HAND_OVER_WITHIN: Duration = Duration::from_secs(2);
@@ -44,7 +44,7 @@ pub(super) fn settle(
             new_lookup = None;
         }
     }
-    let state = device_learning.take_due_save(new_lookup.is_some(), SAVE_EVERY);
+    let state = device_learning.take_due_save(new_lookup.is_some(), SAVE_PERIOD);
     let summary = window_result.summary;
     LearnResult {
         device: job.device.clone(),

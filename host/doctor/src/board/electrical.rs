@@ -8,7 +8,7 @@ use crate::check_session::CheckSession;
 use crate::{Check, Measurement};
 
 /// Factor by which a message scales codes.
-const PARTS: f64 = 256.0;
+const CODE_SCALE: f64 = 256.0;
 
 /// Limit of the offset by docs/bring-up.md D1: 10 mV at the pin, in codes of 0.8 mV.
 pub(crate) const OFFSET_CODES: f64 = 12.0;
@@ -119,10 +119,13 @@ fn offsets(c: &Channels, scales: &FrontEnd) -> Check {
             "ihd log; press NRST",
         );
     }
-    let (v, i) = (f64::from(c.v_mean) / PARTS, f64::from(c.i_mean) / PARTS);
+    let (v, i) = (
+        f64::from(c.v_mean) / CODE_SCALE,
+        f64::from(c.i_mean) / CODE_SCALE,
+    );
     let code_mv = |full_scale: u32| f64::from(full_scale) / f64::from(CODE_HALF_RANGE) / 1e3;
     let bus_v = bus_volt(c, scales);
-    let mains_v = f64::from(c.mains_rms) / PARTS * code_mv(scales.mains_full_scale_mv);
+    let mains_v = f64::from(c.mains_rms) / CODE_SCALE * code_mv(scales.mains_full_scale_mv);
     let evidence = vec![
         Measurement::between("coil voltage", v, "codes", -OFFSET_CODES, OFFSET_CODES),
         Measurement::between("coil current", i, "codes", -OFFSET_CODES, OFFSET_CODES),
@@ -146,13 +149,13 @@ fn offsets(c: &Channels, scales: &FrontEnd) -> Check {
 /// Bus voltage in volt.
 pub(crate) fn bus_volt(c: &Channels, scales: &FrontEnd) -> f64 {
     let codes = 2.0 * f64::from(CODE_HALF_RANGE);
-    f64::from(c.bus_mean) / PARTS / codes * f64::from(scales.bus_full_scale_mv) / 1e3
+    f64::from(c.bus_mean) / CODE_SCALE / codes * f64::from(scales.bus_full_scale_mv) / 1e3
 }
 
 /// Checks the noise of the fast channels.
 fn noise(c: &Channels) -> Check {
     let of = |name, rms: u32| {
-        let codes = f64::from(rms) / PARTS;
+        let codes = f64::from(rms) / CODE_SCALE;
         Measurement::between(name, codes, "codes rms", LEAST_NOISE_CODES, NOISE_CODES)
     };
     let evidence = vec![of("coil voltage", c.v_rms), of("coil current", c.i_rms)];

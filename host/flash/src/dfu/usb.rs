@@ -27,7 +27,7 @@ const TIMEOUT: Duration = Duration::from_secs(3);
 /// Period of polling the connected devices.
 const POLL_PERIOD: Duration = Duration::from_millis(100);
 /// Time from a reset until the system has noticed it.
-const GOING: Duration = Duration::from_millis(500);
+const RESET_NOTICE_TIME: Duration = Duration::from_millis(500);
 /// English, for a device that names no language.
 const ENGLISH: u16 = 0x0409;
 
@@ -222,7 +222,7 @@ impl Usb {
         let serial = self.serial.clone();
         let reopen = move |patience| {
             // The system still lists the disconnected device for a moment.
-            thread::sleep(GOING);
+            thread::sleep(RESET_NOTICE_TIME);
             wait(&|one| one.serial == serial, patience)
         };
         Dfu::new(self, Box::new(reopen))

@@ -18,7 +18,7 @@ use crate::stream_message::{Outgoing, PublishFailure};
 use crate::wire::{AnswerMessage, WindowMessage};
 
 /// Period of polling the queue.
-const TURN: Duration = Duration::from_millis(200);
+const POLL_PERIOD: Duration = Duration::from_millis(200);
 
 /// Windows for each poll.
 const WINDOWS_PER_POLL: usize = 8;
@@ -35,7 +35,7 @@ pub async fn work(line: SimulatedConnection, seed: u64) {
         line.world.note("no worker answers until all is mended");
     }
     loop {
-        sleep(TURN).await;
+        sleep(POLL_PERIOD).await;
         if are_silent && line.world.may_fail() {
             continue;
         }

@@ -12,7 +12,7 @@ use crate::limits::{TOLERABLE_PCT, TOLERABLE_SIGMAS};
 
 /// Samples within this share of the range from an end count as clipped, because noise behind an amplifier that clips blurs the end.
 /// A crest within it is fitted as well, at little cost.
-const AT_END: f64 = 1.5 / 128.0;
+const END_SHARE: f64 = 1.5 / 128.0;
 
 /// Duration over which errors average, in seconds: R and L of the estimators have no more than one value in it.
 const PART_S: f64 = 0.4e-3;
@@ -49,7 +49,7 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
         true => [&survey.voltage, &survey.current],
         false => [&survey.current, &survey.voltage],
     };
-    let margin = AT_END * (numbers[0].max - numbers[0].min);
+    let margin = END_SHARE * (numbers[0].max - numbers[0].min);
     let rails = [numbers[0].min + margin, numbers[0].max - margin];
     let noise = [numbers[0].noise?, numbers[1].noise?];
     let (mut values, mut errors) = (Vec::new(), Vec::new());

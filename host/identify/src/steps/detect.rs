@@ -45,10 +45,10 @@ const MIN_STEP_SHARE: f64 = 0.06;
 const BLURRED: usize = 2;
 
 /// Least ratio to the median effect of noise: 7.5 standard deviations.
-const OVER_NOISE: f64 = 6.5;
+const MIN_NOISE_RATIO: f64 = 6.5;
 
 /// Least ratio to the natural change of R and L nearby.
-const OVER_TREND: f64 = 5.0;
+const MIN_TREND_RATIO: f64 = 5.0;
 
 /// Steps in order of time.
 pub(super) fn steps(segment: &Segment) -> Vec<Step> {
@@ -61,8 +61,8 @@ pub(super) fn steps(segment: &Segment) -> Vec<Step> {
     };
     let stands_out = |k: &usize| {
         differences[*k] > MIN_STEP_SHARE
-            && weighted(*k) > OVER_NOISE * noise
-            && differences[*k] > OVER_TREND * trend(&differences, *k)
+            && weighted(*k) > MIN_NOISE_RATIO * noise
+            && differences[*k] > MIN_TREND_RATIO * trend(&differences, *k)
     };
     let mut candidates: Vec<usize> = (0..differences.len()).filter(stands_out).collect();
     candidates.sort_by(|a, b| differences[*b].total_cmp(&differences[*a]));

@@ -12,7 +12,7 @@ use ihd_daemon::config::DaemonConfig;
 use ihd_model::Role;
 
 /// Configuration that is read if none is named and it exists.
-const HERE: &str = "ihd.toml";
+const DEFAULT_FILE: &str = "ihd.toml";
 
 /// Time limit for connecting to a daemon; after it none is running.
 const THERE_WITHIN: Duration = Duration::from_millis(300);
@@ -28,7 +28,7 @@ const TOKEN: &str = "IHD_TOKEN";
 /// # Errors
 /// If it cannot be read, or has an invalid key or value.
 pub fn config(path: Option<&Path>) -> Result<DaemonConfig> {
-    let here = Path::new(HERE);
+    let here = Path::new(DEFAULT_FILE);
     let path = path.or_else(|| here.exists().then_some(here));
     Ok(match path {
         Some(path) => DaemonConfig::read(path)?,

@@ -25,7 +25,7 @@ pub(crate) const MOST_HOBS: usize = 8;
 const TRIANGLE: usize = COUNT * (COUNT + 1) / 2;
 
 /// Deviation of a pot's own numbers, in spreads of any pot, above which an entry is not worth sharing.
-const WORTH_SHARING: f64 = 1.0;
+const MIN_SPREADS: f64 = 1.0;
 
 /// Range of currents in ampere that a hob can have.
 const CURRENTS_A: std::ops::RangeInclusive<f64> = 0.0..=500.0;
@@ -241,7 +241,7 @@ impl PotEntry {
         let wide = |row: usize| {
             let numbers = self.row(row);
             let sigma = numbers.iter().map(|x| x * x).sum::<f64>().sqrt();
-            let most = if row < OF_POT { WORTH_SHARING } else { 2.0 };
+            let most = if row < OF_POT { MIN_SPREADS } else { 2.0 };
             let within = sigma <= most * parameters::SPREAD[row];
             !(within && numbers[row] >= 1e-6 * parameters::SPREAD[row])
         };

@@ -11,10 +11,10 @@ use crate::parameters::{self, COUNT, OF_POT, PotSpread, Prior};
 const TRANSFER: [f64; OF_POT] = [0.06, 0.06, 1.5e-3];
 
 /// Squared distance above which two pots differ: chance exceeds it in 1 % with three numbers.
-const SAME_POT: f64 = 11.34;
+const MAX_POT_DISTANCE: f64 = 11.34;
 
 /// Largest difference of the shapes of one pot measured twice, in units of 1e-5: two percent.
-const SAME_SHAPE: u16 = 2_000;
+const MAX_SHAPE_DIFFERENCE: u16 = 2_000;
 
 impl PotEntry {
     /// Covariance of α, s and radius as another hob would find them.
@@ -47,8 +47,11 @@ impl PotEntry {
         let shapes = self.shape.iter().zip(&other.shape);
         let alike = shapes
             .map(|(a, b)| a.abs_diff(*b))
-            .all(|by| by < SAME_SHAPE);
-        alike && self.squares_to(other).is_some_and(|d2| d2 < SAME_POT)
+            .all(|by| by < MAX_SHAPE_DIFFERENCE);
+        alike
+            && self
+                .squares_to(other)
+                .is_some_and(|d2| d2 < MAX_POT_DISTANCE)
     }
 
     /// Squared distance of the pots' own numbers: about 3 for one pot measured twice. Deviations beyond the transfer's are limited

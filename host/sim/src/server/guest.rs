@@ -21,7 +21,7 @@ const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(5);
 /// Time without an answer or an acknowledgement after which the machine counts as disconnected. A shorter time would cut off a host
 /// that is paused for a while, which no board does.
 #[cfg(target_os = "linux")]
-pub(super) const GONE: Duration = Duration::from_secs(120);
+pub(super) const CONNECTION_TIMEOUT: Duration = Duration::from_secs(120);
 
 /// Limit of bytes from the host that wait for the firmware; the rest waits in the operating system, and then at the host.
 const INBOUND: usize = 16 * 1024;
@@ -139,7 +139,7 @@ fn watch_for_the_machine(stream: &TcpStream) -> io::Result<()> {
     socket.set_tcp_keepalive(&keep_alive)?;
     // No probes are sent while bytes are under way.
     #[cfg(target_os = "linux")]
-    socket.set_tcp_user_timeout(Some(GONE))?;
+    socket.set_tcp_user_timeout(Some(CONNECTION_TIMEOUT))?;
     Ok(())
 }
 

@@ -144,7 +144,10 @@ fn a_machine_that_is_gone_is_found_out_by_the_operating_system() {
     let guest = port.server.guest.as_ref().unwrap();
     let socket = socket2::SockRef::from(guest.stream());
     assert!(socket.keepalive().unwrap());
-    assert_eq!(socket.tcp_user_timeout().unwrap(), Some(guest::GONE));
+    assert_eq!(
+        socket.tcp_user_timeout().unwrap(),
+        Some(guest::CONNECTION_TIMEOUT)
+    );
 }
 
 #[test]

@@ -17,7 +17,7 @@ pub const BEGIN: &str = "<!-- ihd-study pots: begin -->";
 pub const END: &str = "<!-- ihd-study pots: end -->";
 
 /// Share of the reached cells marked as known from which on a map counts as complete.
-const TAUGHT: f64 = 0.75;
+const MIN_KNOWN_SHARE: f64 = 0.75;
 
 /// Errors after one window and after the last one, over pots and seeds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -87,10 +87,10 @@ impl PotsSums {
 impl PotsLine {
     fn of(pots: String, library: LibraryContents, runs: &[&PotsRun]) -> Self {
         let taught = |run: &&PotsRun| {
-            let at = run.after.iter().position(|a| a.known >= TAUGHT);
+            let at = run.after.iter().position(|a| a.known >= MIN_KNOWN_SHARE);
             at.map_or(run.after.len() + 1, |k| k + 1)
         };
-        let never = |run: &&&PotsRun| run.after.iter().all(|a| a.known < TAUGHT);
+        let never = |run: &&&PotsRun| run.after.iter().all(|a| a.known < MIN_KNOWN_SHARE);
         let windows: Vec<usize> = runs.iter().map(taught).collect();
         Self {
             pots,

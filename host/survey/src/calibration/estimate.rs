@@ -5,7 +5,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use ihd_signal::Capture;
 use nalgebra::Complex;
 
-use super::{CONTRADICT, Calibration, ReferenceLoad, WELL_KNOWN_S};
+use super::{CONTRADICTION_SIGMAS, Calibration, ReferenceLoad, WELL_KNOWN_S};
 use crate::impedance::{Wiring, load_of_order};
 use crate::track::{ORDERS, Track, track};
 use crate::{Finding, Severity, Survey, SurveyError};
@@ -245,7 +245,8 @@ fn contradiction(
     let worst = |exponent: f64| {
         let rho = rho_of(exponent);
         let each = points.iter().map(|p| {
-            let allowed_s = CONTRADICT * (p.sigma / p.omega).hypot(sigma_s).max(WELL_KNOWN_S);
+            let allowed_s =
+                CONTRADICTION_SIGMAS * (p.sigma / p.omega).hypot(sigma_s).max(WELL_KNOWN_S);
             (
                 off(p, exponent, rho) / allowed_s,
                 off(p, exponent, rho),
@@ -373,7 +374,7 @@ fn load(
     // The fundamentals of several frequencies must agree.
     let off = |s: &(f64, f64)| (s.0 - skew.0).abs() / s.1.hypot(skew.1).max(WELL_KNOWN_S);
     let worst = skews.iter().max_by(|a, b| off(a).total_cmp(&off(b)));
-    let contradiction = worst.filter(|s| off(s) > CONTRADICT).map(|s| {
+    let contradiction = worst.filter(|s| off(s) > CONTRADICTION_SIGMAS).map(|s| {
         format!(
             "one switching frequency shows a skew of {:.1} ns, all together {:.1} ns: is the reference the same at all \
              of them?",

@@ -57,7 +57,7 @@ pub struct Calibration {
 }
 
 /// Standard deviations from which a difference of two numbers is a contradiction.
-const CONTRADICT: f64 = 5.0;
+const CONTRADICTION_SIGMAS: f64 = 5.0;
 
 /// Reason why a calibration file cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -227,7 +227,9 @@ impl Calibration {
     pub fn contradicts(&self, other: &Self) -> Vec<String> {
         let mut differences = Vec::new();
         let sigma_s = self.skew_sigma_s.hypot(other.skew_sigma_s);
-        if (self.skew_s - other.skew_s).abs() > CONTRADICT * sigma_s.max(0.1 * WELL_KNOWN_S) {
+        if (self.skew_s - other.skew_s).abs()
+            > CONTRADICTION_SIGMAS * sigma_s.max(0.1 * WELL_KNOWN_S)
+        {
             differences.push(format!(
                 "a skew of {:.2} ± {:.2} ns, now {:.2} ± {:.2} ns",
                 other.skew_s * 1e9,
@@ -239,7 +241,7 @@ impl Calibration {
         let sigma = self.gain_ratio_sigma.hypot(other.gain_ratio_sigma);
         // 0 stands for an assumed ratio, which cannot contradict.
         let both = self.gain_ratio_sigma > 0.0 && other.gain_ratio_sigma > 0.0;
-        if both && (self.gain_ratio - other.gain_ratio).abs() > CONTRADICT * sigma {
+        if both && (self.gain_ratio - other.gain_ratio).abs() > CONTRADICTION_SIGMAS * sigma {
             differences.push(format!(
                 "a ratio of the gains of {:.5}, now {:.5}",
                 other.gain_ratio, self.gain_ratio

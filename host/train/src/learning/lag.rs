@@ -20,7 +20,7 @@ const ONE_TAKEN_OF: u32 = 8;
 const LONGEST_S: f64 = 100e-6;
 
 /// Share of the largest current from which a time counts.
-const COUNTS_FROM: f64 = 0.05;
+const MIN_CURRENT_SHARE: f64 = 0.05;
 
 /// Least-squares estimate of the lag over windows: deviations from the map's law against the law's slope in time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -47,7 +47,7 @@ impl Lag {
         let (mut product, mut square) = (0.0, 0.0);
         for k in 1..law.len().min(identified.t_s.len()).saturating_sub(1) {
             let i_a = identified.i_amplitude_a[k];
-            if i_a < COUNTS_FROM * most_a {
+            if i_a < MIN_CURRENT_SHARE * most_a {
                 continue;
             }
             let step_s = identified.t_s[k + 1] - identified.t_s[k - 1];

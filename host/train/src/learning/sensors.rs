@@ -28,7 +28,7 @@ const MIN_WINDOWS: u32 = 8;
 
 /// Standard deviations from which a lag is corrected, and its least size in seconds: the uncertainty that the settling filter and ten
 /// samples a plateau add.
-const SIGNIFICANT: f64 = 4.0;
+const MIN_LAG_SIGMAS: f64 = 4.0;
 const LEAST_S: f64 = 3e-9;
 
 /// Noise of a channel over its rms up to which a window counts. The lag from plateaus has an error that grows with the noise squared: 27 ns
@@ -207,7 +207,7 @@ impl Sensors {
         let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
         // The bridge's resistance has the same effect as a current that lags.
         let bridge = (0.0..BRIDGE_R_MAX_OHM * c_f).contains(&lag.value);
-        let significant = lag.value.abs() > (SIGNIFICANT * lag.sigma).max(LEAST_S);
+        let significant = lag.value.abs() > (MIN_LAG_SIGMAS * lag.sigma).max(LEAST_S);
         (self.windows >= MIN_WINDOWS && significant && !bridge).then(|| Correction {
             skew_s: -lag.value,
             ..Correction::default()
@@ -228,7 +228,7 @@ impl Sensors {
     fn gain_remark(&self) -> Option<Remark> {
         let capacitance_nf = self.capacitance_nf.mean()?;
         let off = f64::from(RESONANCE_CAPACITANCE_NF) / capacitance_nf.value - 1.0;
-        let limit = CAPACITANCE + SIGNIFICANT * capacitance_nf.sigma / capacitance_nf.value;
+        let limit = CAPACITANCE + MIN_LAG_SIGMAS * capacitance_nf.sigma / capacitance_nf.value;
         (self.windows >= MIN_WINDOWS && off.abs() > limit).then(|| {
             let text = format!(
                 "the gain of the voltage over that of the current is off by {:+.1} %, or the resonance capacitor is {:.0} nF",

@@ -5,7 +5,7 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a};
 
 /// Relative change of R or L from which a lookup is worth pushing: noise at an SNR of 30 dB stays below.
-const WORTH_PUSHING: f64 = 2e-2;
+const MIN_CHANGE: f64 = 2e-2;
 
 /// Lowest current at which a change counts, in ampere: below, noise causes changes and no power depends on them.
 const FROM_A: f64 = 5.0;
@@ -15,14 +15,14 @@ pub fn curve_changed(curve: &CurrentCurve, active: &RlLookup) -> bool {
     let f_sw_hz = curve.f_sw_hz.round() as u32;
     curve.means().filter(|m| m.i_a >= FROM_A).any(|m| {
         let (r, l) = active.interpolate(f_sw_hz, (m.i_a * 1e3) as u32);
-        let off = |ln: f64, known: f64| (ln - known.ln()).abs() > WORTH_PUSHING;
+        let off = |ln: f64, known: f64| (ln - known.ln()).abs() > MIN_CHANGE;
         off(m.ln[0], r.ohm()) || off(m.ln[1], l.henry())
     })
 }
 
 /// Relative difference of R or L from which a lookup contradicts the windows: a lookup's own errors at currents and frequencies without
 /// observation are up to 2.7 % (docs/map.md).
-const CONTRADICTS: f64 = 5e-2;
+const MAX_DIFFERENCE: f64 = 5e-2;
 
 /// Contradiction between a lookup and the windows of a device.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -54,14 +54,14 @@ pub fn contradiction(curve: &CurrentCurve, lookup: &RlLookup) -> Option<Contradi
             lookup_l_h: l.henry(),
         }
     });
-    let off = |a: f64, b: f64| (a / b).ln().abs() > CONTRADICTS;
+    let off = |a: f64, b: f64| (a / b).ln().abs() > MAX_DIFFERENCE;
     seen.find(|c| off(c.lookup_r_ohm, c.r_ohm) || off(c.lookup_l_h, c.l_h))
 }
 
 /// Returns `true` if a known cell of the new lookup is unknown in the active one, which the device ignores there, or differs from it by
 /// more than noise.
 pub fn cells_changed(new: &RlLookup, active: &RlLookup) -> bool {
-    let off = |a: u16, b: u16| (f64::from(a) / f64::from(b.max(1)) - 1.0).abs() > WORTH_PUSHING;
+    let off = |a: u16, b: u16| (f64::from(a) / f64::from(b.max(1)) - 1.0).abs() > MIN_CHANGE;
     let mut cells = (0..FREQUENCIES).flat_map(|f| (0..CURRENTS).map(move |i| (f, i)));
     cells.any(|(f, i)| {
         let known = new.is_observed(f, i) && current_a(i) >= FROM_A;

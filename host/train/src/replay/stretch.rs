@@ -8,7 +8,7 @@ use ihd_signal::resample::{AdcGrid, adc_pairs};
 
 /// Relative difference of a capture's rate from the ADC's up to which it is not resampled: over a half-cycle it drifts by less than a
 /// sample.
-const SAME_RATE: f64 = 1e-4;
+const MAX_RATE_DIFFERENCE: f64 = 1e-4;
 
 /// Whole blocks of pairs at one switching frequency.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,7 +34,7 @@ impl Stretch {
             return None;
         }
         let own_hz = f64::from(ADC_LOCK_Q) / (ADC_LOCK_P as f64 * segment.dt_s);
-        let on_grid = (own_hz / segment.f_sw_hz - 1.0).abs() < SAME_RATE;
+        let on_grid = (own_hz / segment.f_sw_hz - 1.0).abs() < MAX_RATE_DIFFERENCE;
         let grid = AdcGrid {
             f_sw_hz: if on_grid { own_hz } else { segment.f_sw_hz },
             t0_s: segment.t0_s,

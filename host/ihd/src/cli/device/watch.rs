@@ -15,7 +15,7 @@ use super::text::{of_live, one_line};
 use crate::cli::{interrupt, output};
 
 /// Number of half-cycles of which one is shown.
-const ONE_IN: u32 = 100;
+const HALF_CYCLES_PER_LINE: u32 = 100;
 
 /// Prints a line for each event: JSON or text.
 pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
@@ -139,7 +139,7 @@ fn watch_directly(direct: &mut Direct, json: bool) -> Result<()> {
         let event = direct.client().next_event(Duration::from_millis(200))?;
         let Some(event) = event else { continue };
         let due = match &event {
-            DeviceEvent::Telemetry(t) => t.half_cycle % ONE_IN == 0,
+            DeviceEvent::Telemetry(t) => t.half_cycle % HALF_CYCLES_PER_LINE == 0,
             DeviceEvent::Fault(_) => true,
             DeviceEvent::Window(_)
             | DeviceEvent::WindowRejected { .. }

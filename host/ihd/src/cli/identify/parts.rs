@@ -31,7 +31,7 @@ const BAR_STEPS: f64 = 1000.0;
 
 /// Parts that are read, identified or not yet written, beyond those that are identified at once: a thread then rarely waits for the
 /// slowest of the others.
-const IN_RESERVE: usize = 1;
+const MAX_PARTS_AHEAD: usize = 1;
 
 /// Part after its identification.
 struct Examined {
@@ -138,7 +138,7 @@ impl ManyParts<'_> {
     ) -> Result<Option<anyhow::Error>> {
         let (mut next, mut early, mut unread) = (Some(first), BTreeMap::new(), None);
         loop {
-            let full = course.read - course.written >= at_once + IN_RESERVE;
+            let full = course.read - course.written >= at_once + MAX_PARTS_AHEAD;
             if !full && !course.at_end && !self.stop.load(Ordering::Relaxed) {
                 let read = next
                     .take()

@@ -34,7 +34,7 @@ use super::{configured, device, interrupt};
 const FRAME: Duration = Duration::from_millis(100);
 
 /// Period of polling keys and updates.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_PERIOD: Duration = Duration::from_millis(50);
 
 /// Watch devices in a terminal: power, R and L over the last minutes, states, faults, events.
 ///
@@ -110,7 +110,7 @@ fn watch(
     let (mut due, mut drawn) = (true, None::<Instant>);
     let mut second = 0;
     while !stop.load(Ordering::Relaxed) {
-        if event::poll(LOOK).context("the terminal is gone")? {
+        if event::poll(POLL_PERIOD).context("the terminal is gone")? {
             match event::read().context("the terminal is gone")? {
                 Event::Key(key) => match dashboard.key(key) {
                     KeyAction::Nothing => {}

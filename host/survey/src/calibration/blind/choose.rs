@@ -36,7 +36,7 @@ const BEFORE_S: f64 = 0.1e-6;
 const MIN_PLATEAUS: usize = 20;
 
 /// Least gain in squared deviations over a skew, for a model of equal freedom, to distinguish it from a skew.
-pub(super) const TOLD_APART: f64 = 12.0;
+pub(super) const MIN_SKEW_GAIN: f64 = 12.0;
 
 /// Chooses a model for the plateaus of the stretches. `settling_s` is the time constant of a filter that both channels
 /// share, which leaves a tail after each edge.
@@ -81,14 +81,14 @@ pub(super) fn choose(
 }
 
 /// Largest share of the capacitor's voltage that may remain with the same shape in every plateau.
-const MISFIT: f64 = 2e-3;
+const MAX_MISFIT_SHARE: f64 = 2e-3;
 
 impl ModelChoice {
     /// Returns `true` if the plateaus are flat except for noise and a small misfit.
     pub fn is_flat(&self) -> bool {
         let (chi_square, kinds) = self.fit.misfit.chi_square;
         let usual = kinds as f64 + 5.0 * (2.0 * kinds as f64).sqrt();
-        chi_square < usual || self.fit.misfit.share < MISFIT
+        chi_square < usual || self.fit.misfit.share < MAX_MISFIT_SHARE
     }
 }
 

@@ -5,11 +5,11 @@ use std::f64::consts::TAU;
 use ihd_signal::segment::Segment;
 use ihd_signal::{Capture, Load};
 
-use super::choose::{ModelChoice, TOLD_APART};
+use super::choose::{MIN_SKEW_GAIN, ModelChoice};
 use super::edges::Stretch;
 use super::error::BlindError;
 use super::fit::{FittedValue, Model};
-use super::self_calibration::{ModelTests, SIGNIFICANT, SelfCalibration, SensorResponse};
+use super::self_calibration::{MIN_LAG_SIGMAS, ModelTests, SelfCalibration, SensorResponse};
 use super::settle::{SettledChoice, settle};
 use crate::clipping::level_step;
 use crate::{Channel, Finding, Severity, Survey};
@@ -18,7 +18,7 @@ use crate::{Channel, Finding, Severity, Survey};
 const COARSE_STEP_SHARE: f64 = 0.06;
 
 /// Noise over the step that hides it; rounding alone is measured as .29.
-const HIDES: f64 = 0.6;
+const HIDING_NOISE_RATIO: f64 = 0.6;
 
 /// Lag in seconds that cables and samplers do not cause.
 const LONG_S: f64 = 100e-9;
@@ -50,7 +50,9 @@ pub fn estimate(
     for (channel, x, numbers) in channels {
         let step = level_step(x).unwrap_or(0.0);
         // Noise of more than half a step makes noise of the rounding.
-        let is_hidden = numbers.noise.is_some_and(|sigma| sigma > HIDES * step);
+        let is_hidden = numbers
+            .noise
+            .is_some_and(|sigma| sigma > HIDING_NOISE_RATIO * step);
         if step > COARSE_STEP_SHARE * numbers.rms && !is_hidden {
             return Err(BlindError::TooCoarse {
                 channel,
@@ -131,9 +133,9 @@ fn judged(
     let (chosen, v_tau_s) = (&settled.chosen, settled.v_tau_s);
     let e = chosen.fit.elastance;
     let omega = TAU * f_sw_hz;
-    if e.value < SIGNIFICANT * e.sigma || e.value <= 0.0 {
+    if e.value < MIN_LAG_SIGMAS * e.sigma || e.value <= 0.0 {
         // The smallest voltage of a capacitor that would have been visible, against the bridge's.
-        let hidden_v = SIGNIFICANT * e.sigma.max(e.value.abs()) * chosen.i_a / omega;
+        let hidden_v = MIN_LAG_SIGMAS * e.sigma.max(e.value.abs()) * chosen.i_a / omega;
         return Err(match hidden_v < HIDDEN_V {
             true => BlindError::BridgeVoltage,
             false => BlindError::TooNoisy {
@@ -161,7 +163,7 @@ fn judged(
             sigma: chosen.skew_s.sigma,
         },
         response,
-        told_apart: v_tau_s > 0.0 || chosen.beyond_skew > TOLD_APART,
+        told_apart: v_tau_s > 0.0 || chosen.beyond_skew > MIN_SKEW_GAIN,
         tests: ModelTests {
             misfit: chosen.fit.misfit.share,
             flat: chosen.is_flat(),
@@ -199,7 +201,7 @@ fn response(settled: &SettledChoice) -> SensorResponse {
         Model::Skew => skew(t_s),
         // So long a lag comes from a probe rather than a delay, unless the delay explains more.
         Model::SlowCurrent
-            if before_s == 0.0 && (chosen.beyond_skew > TOLD_APART || t_s > LONG_S) =>
+            if before_s == 0.0 && (chosen.beyond_skew > MIN_SKEW_GAIN || t_s > LONG_S) =>
         {
             SensorResponse::SlowCurrent { tau_s: t_s }
         }

@@ -91,13 +91,13 @@ const LEAST_COST_PCT: f64 = 0.25;
 const LEAST_BESIDE_DROOP_S: f64 = 3e-9;
 
 /// Standard deviations from which a lag is significant.
-pub(super) const SIGNIFICANT: f64 = 3.0;
+pub(super) const MIN_LAG_SIGMAS: f64 = 3.0;
 
 /// Largest relative difference of C from the one given, beside its standard deviations.
 const GAIN: f64 = 0.01;
 
 /// Relative change of the current's gain above which the sensor is not linear.
-const BENT: f64 = 4e-3;
+const MAX_GAIN_CHANGE: f64 = 4e-3;
 const BENT_SIGMAS: f64 = 5.0;
 
 /// The same for plateaus of fewer samples than [`FINE_SAMPLES`]: sound sensors at 61 samples in three periods show up to 0.6 %.
@@ -116,7 +116,7 @@ impl SelfCalibration {
         let least = if self.samples < FINE_SAMPLES {
             BENT_IF_COARSE
         } else {
-            BENT
+            MAX_GAIN_CHANGE
         };
         bend.value.abs() > least && bend.value.abs() > BENT_SIGMAS * bend.sigma
     }
@@ -125,7 +125,7 @@ impl SelfCalibration {
     pub fn is_significant(&self) -> bool {
         let lag = self.lag_s;
         self.response != SensorResponse::Right
-            && lag.value.abs() > (SIGNIFICANT * lag.sigma).max(LEAST_LAG_S)
+            && lag.value.abs() > (MIN_LAG_SIGMAS * lag.sigma).max(LEAST_LAG_S)
     }
 
     /// Returns `true` if the lag matters to R.
@@ -161,7 +161,7 @@ impl SelfCalibration {
     /// Gain of the voltage over that of the current less 1, and the least that is significant; `None` without a known capacitance.
     pub fn gain_off(&self) -> Option<(f64, f64)> {
         let c = self.capacitance_f;
-        let limit = GAIN.max(SIGNIFICANT * c.sigma / c.value);
+        let limit = GAIN.max(MIN_LAG_SIGMAS * c.sigma / c.value);
         self.known_capacitance_f
             .map(|known_f| (known_f / c.value - 1.0, limit))
     }

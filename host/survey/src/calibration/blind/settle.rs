@@ -23,7 +23,7 @@ const LEAST_S: f64 = 60e-9;
 const STARTS: [f64; 4] = [1.0, 0.75, 0.55, 0.4];
 
 /// Largest residual of another explanation, as a share of a skew's residual.
-const BETTER: f64 = 0.5;
+const MAX_RESIDUAL_SHARE: f64 = 0.5;
 
 /// Most rounds of a search; the second constant is the change in seconds that ends it.
 const MAX_ROUNDS: usize = 6;
@@ -68,7 +68,7 @@ pub(super) fn settle(
         refined(best.0, matched)
     });
     let slow = slow.flatten().filter(|(tau_s, _)| *tau_s > 0.0);
-    let limit = BETTER * share(&plain);
+    let limit = MAX_RESIDUAL_SHARE * share(&plain);
     let good = |choice: &(f64, ModelChoice)| choice.1.is_flat() || share(&choice.1) < limit;
     let of_slow = slow.as_ref().map_or(f64::INFINITY, |s| share(&s.1));
     let of_skew = skewed.as_ref().map_or(f64::INFINITY, |s| share(&s.1));
