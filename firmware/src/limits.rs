@@ -120,6 +120,10 @@ limits! {
     UNJUDGED_MS: u32 = 60, "ms";
     /// Consecutive half-cycles without a pot that end heating.
     POT_GONE_HALF_CYCLES: u8 = 2, "half-cycles";
+    /// Half-cycles without power after which a probe looks for the pot before the next burst.
+    UNSEEN_HALF_CYCLES: u32 = 25, "half-cycles";
+    /// The same without a burst that is due, or while the other zone has the supply.
+    UNSEEN_WAITING_HALF_CYCLES: u32 = 70, "half-cycles";
     /// Amplitude of the coil current below which no pot can be judged.
     POT_CURRENT_MIN_MA: u32 = 1_500, "mA";
     /// Duration of a pot probe from a zero crossing: it ends before the crest, with at most 2 J into any pot at 265 V, 3.4 J into

@@ -238,7 +238,8 @@ fn a_wire_that_fails_leaves_one_zone_or_none() {
         assert_eq!(zones.both_and_none(7).0, 0, "{wire:?}: half-cycles of both");
         let [first_w, second_w] = zones.means_w(2);
         assert!((first_w - expected_w).abs() < 30.0, "{wire:?}: {first_w} W");
-        assert_eq!(second_w, 0.0, "{wire:?}");
+        // It looks at its pot while it waits.
+        assert!(second_w < 5.0, "{wire:?}: {second_w} W");
         let state = zones.hobs[1].housekeeping().control().state();
         assert_eq!(state, State::Heating, "{wire:?}: it waits for its turn");
         assert_eq!(zones.limits()[1], Limit::SharedSupply, "{wire:?}");

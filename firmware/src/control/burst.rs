@@ -69,6 +69,18 @@ impl PowerBursts {
         self.on
     }
 
+    /// Returns `true` if a burst is due, and waits for the supply, or for a probe.
+    pub fn is_due(&self) -> bool {
+        self.waits
+    }
+
+    /// Counts the energy of a half-cycle or a pot probe.
+    pub fn count(&mut self, summary: &HalfCycle) -> i64 {
+        let given_uj = i64::from(summary.power_mw) * i64::from(summary.duration_ns) / 1_000_000;
+        self.due_uj -= given_uj;
+        given_uj
+    }
+
     /// Takes a half-cycle that is over; claims and releases the supply. No burst begins unless it `may_start`.
     pub fn on_half_cycle(
         &mut self,
@@ -78,8 +90,7 @@ impl PowerBursts {
         may_start: bool,
         supply: &mut SupplyShare,
     ) -> BurstStep {
-        let given_uj = i64::from(summary.power_mw) * i64::from(summary.duration_ns) / 1_000_000;
-        self.due_uj -= given_uj;
+        let given_uj = self.count(summary);
         let is_due = is_reached(now_ms, self.next_ms);
         if is_due {
             self.next_ms = now_ms.wrapping_add(BURST_PERIOD_MS);

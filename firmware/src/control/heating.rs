@@ -8,7 +8,9 @@ use crate::control::pot::classify;
 use crate::control::status::{Action, SamplingStatus};
 use crate::drive::bridge::Drive;
 use crate::drive::pwm;
-use crate::limits::{BURST_POWER_W, POT_GONE_HALF_CYCLES};
+use crate::limits::{
+    BURST_POWER_W, POT_GONE_HALF_CYCLES, UNSEEN_HALF_CYCLES, UNSEEN_WAITING_HALF_CYCLES,
+};
 use crate::sampling::half_cycle::HalfCycle;
 
 /// Half-cycles in a row at the highest frequency with too much power before bursts begin.
@@ -24,6 +26,8 @@ pub enum HeatingStep {
     Act(Action),
     /// The pot is away, or cannot be heated.
     PotLost(Pot),
+    /// Nobody knows what stands there now: a probe, before the next burst.
+    Probe,
 }
 
 /// A pot being heated.
@@ -39,8 +43,8 @@ pub struct Heating {
     bursts_to_w: u16,
     /// Bursts under way.
     bursts: Option<PowerBursts>,
-    /// Half-cycles since the bridge switches.
-    half_cycles_on: u32,
+    /// Half-cycles since the bridge switches, or since it does not and a probe saw the pot, whichever the last one shows.
+    half_cycles: u32,
     limit: Limit,
     last: HalfCycle,
 }
@@ -54,7 +58,7 @@ impl Heating {
             at_floor: 0,
             bursts_to_w: 0,
             bursts: None,
-            half_cycles_on: 0,
+            half_cycles: 0,
             limit: Limit::None,
             last: HalfCycle::default(),
         }
@@ -77,12 +81,10 @@ impl Heating {
         status: &SamplingStatus,
         parts: &mut ControlParts,
     ) -> HeatingStep {
+        let changes = (summary.f_sw_hz > 0) != (self.last.f_sw_hz > 0);
+        let before = if changes { 0 } else { self.half_cycles };
+        self.half_cycles = before.wrapping_add(1);
         self.last = *summary;
-        self.half_cycles_on = if summary.f_sw_hz == 0 {
-            0
-        } else {
-            self.half_cycles_on.wrapping_add(1)
-        };
         if summary.f_sw_hz > 0 && !summary.disturbed {
             match classify(summary, parts.pot) {
                 pot @ (Pot::Ferromagnetic | Pot::Small) => {
@@ -106,7 +108,56 @@ impl Heating {
         if summary.f_sw_hz > 0 {
             parts.restart.heated();
         }
-        HeatingStep::Act(self.set_power(summary, status, parts))
+        let action = self.set_power(summary, status, parts);
+        if action == Action::Keep && self.is_probe_due(status, parts) {
+            return HeatingStep::Probe;
+        }
+        HeatingStep::Act(action)
+    }
+
+    /// Takes a probe between two bursts.
+    pub fn on_probe(&mut self, summary: &HalfCycle) {
+        self.half_cycles = 0;
+        if let Some(bursts) = &mut self.bursts {
+            bursts.count(summary);
+        }
+    }
+
+    /// Goes on after a probe that found a pot.
+    pub fn go_on(&self, heated_hz: u32) -> Action {
+        match &self.bursts {
+            // Begun meanwhile, by another request.
+            Some(bursts) if bursts.is_on() => Action::Drive(Drive::switching(heated_hz)),
+            _ => Action::Keep,
+        }
+    }
+
+    /// Half-cycles without power in which nothing showed the pot.
+    fn unseen(&self) -> u32 {
+        let is_on = self.bursts.as_ref().is_some_and(PowerBursts::is_on);
+        if is_on || self.last.f_sw_hz > 0 {
+            0
+        } else {
+            self.half_cycles
+        }
+    }
+
+    /// Returns `true` if the pot may be another one by now. While the other zone has the supply it is looked at less often.
+    fn is_unseen(&self, is_shared: bool) -> bool {
+        let most = if is_shared {
+            UNSEEN_WAITING_HALF_CYCLES
+        } else {
+            UNSEEN_HALF_CYCLES
+        };
+        self.unseen() >= most
+    }
+
+    fn is_probe_due(&self, status: &SamplingStatus, parts: &mut ControlParts) -> bool {
+        let is_due = self.bursts.as_ref().is_none_or(PowerBursts::is_due);
+        let is_unseen = is_due && self.is_unseen(parts.supply_share.is_shared());
+        (is_unseen || self.unseen() >= UNSEEN_WAITING_HALF_CYCLES)
+            && !status.requested.is_switching()
+            && parts.restart.permits(status.now_ms)
     }
 
     /// Begins a search for a power that was just requested: the last half-cycle is as good as the next, 10 ms sooner.
@@ -141,7 +192,7 @@ impl Heating {
         self.bursts = None;
         match (parts.supply_share.claim(), status.requested.is_switching()) {
             (true, true) => regulate(summary, granted_w, status, parts),
-            (true, false) if parts.restart.permits(status.now_ms) => {
+            (true, false) if parts.restart.permits(status.now_ms) && !self.is_unseen(false) => {
                 return Action::Drive(Drive::switching(parts.heated_hz));
             }
             (false, true) => return Action::OffAtCrossing,
@@ -174,12 +225,17 @@ impl Heating {
         parts: &mut ControlParts,
     ) -> Action {
         // The half-cycle that is just over is counted by the burst itself, unless the bridge is only about to switch.
-        let before = self.half_cycles_on.saturating_sub(1);
+        let before = match summary.f_sw_hz {
+            0 => 0,
+            _ => self.half_cycles.saturating_sub(1),
+        };
+        let is_probing = status.requested.is_switching();
+        let is_unseen = self.is_unseen(parts.supply_share.is_shared());
         let before = status.requested.is_switching().then_some(before);
         let bursts = self
             .bursts
             .get_or_insert_with(|| PowerBursts::new(granted_w, status.now_ms, before));
-        let may_start = parts.restart.permits(status.now_ms);
+        let may_start = parts.restart.permits(status.now_ms) && !is_unseen && !is_probing;
         let supply = &mut parts.supply_share;
         let (is_shared, shared_w) = (supply.is_shared(), supply.burst_w());
         let step = bursts.on_half_cycle(summary, granted_w, status.now_ms, may_start, supply);

@@ -45,7 +45,7 @@ impl Control {
     }
 
     /// Lets the bridge switch for a probe: the time without a judgement counts from now.
-    fn begin_probe(&mut self, probe: PotProbe, status: &SamplingStatus) -> Action {
+    pub(super) fn begin_probe(&mut self, probe: PotProbe, status: &SamplingStatus) -> Action {
         if let Some(judged_ms) = self.state.judged_ms() {
             *judged_ms = status.now_ms;
         }
@@ -54,12 +54,17 @@ impl Control {
 
     /// Judges a pot probe. What may be a sheet is probed a second time.
     pub(super) fn judge(&mut self, summary: &HalfCycle, status: &SamplingStatus) -> Action {
-        if !matches!(
-            self.state,
-            ControlState::Probing { .. } | ControlState::WaitingForPot(_)
-        ) {
-            return Action::Keep;
-        }
+        let heats = match &mut self.state {
+            ControlState::Probing { .. } | ControlState::WaitingForPot(_) => false,
+            // Between two bursts.
+            ControlState::Heating(heating) => {
+                heating.on_probe(summary);
+                true
+            }
+            ControlState::Idle | ControlState::Pausing | ControlState::LockedOut => {
+                return Action::Keep;
+            }
+        };
         let dark = summary.is_comparable() && !summary.has_coil_current();
         self.dark_probes = if dark { self.dark_probes + 1 } else { 0 };
         if self.dark_probes >= DARK_PROBES {
@@ -67,7 +72,9 @@ impl Control {
             return Action::Fault(Fault::NO_COIL_CURRENT);
         }
         let first = self.doubtful.take();
-        let before = first.as_ref().map_or(self.parts.pot, |first| first.pot);
+        // Between two bursts a sheet may have taken the pot's place.
+        let judged_before = if heats { Pot::Unknown } else { self.parts.pot };
+        let before = first.as_ref().map_or(judged_before, |first| first.pot);
         let pot = match classify(summary, before) {
             Pot::Ferromagnetic | Pot::Small
                 if first.is_some_and(|first| first.shows_sheet(summary)) =>
@@ -77,7 +84,12 @@ impl Control {
             pot => pot,
         };
         if first.is_none() {
-            if let Some(fault) = self.plausibility.on_pot_probe(summary) {
+            // One with the pot shows little, and would end what is known of a drift.
+            let is_pot = matches!(pot, Pot::Ferromagnetic | Pot::Small);
+            let implausible = (!heats || !is_pot)
+                .then(|| self.plausibility.on_pot_probe(summary))
+                .flatten();
+            if let Some(fault) = implausible {
                 return Action::Fault(fault);
             }
             self.doubtful = FirstProbe::doubtful(summary, pot);
@@ -85,8 +97,11 @@ impl Control {
                 return self.begin_probe(PotProbe::SECOND, status);
             }
         }
-        match pot {
-            Pot::Ferromagnetic | Pot::Small => {
+        match (pot, &mut self.state) {
+            (Pot::Ferromagnetic | Pot::Small, ControlState::Heating(heating)) => {
+                heating.go_on(self.parts.heated_hz)
+            }
+            (Pot::Ferromagnetic | Pot::Small, _) => {
                 (self.parts.pot, self.parts.heated_hz) = (pot, pwm::HIGHEST_HZ);
                 self.enter(ControlState::Heating(Heating::new(status.now_ms)));
                 self.parts.supply_share.note(summary.power_mw);
@@ -96,7 +111,7 @@ impl Control {
                     Action::Drive(Drive::OFF)
                 }
             }
-            pot => self.lose_pot(pot, status),
+            (pot, _) => self.lose_pot(pot, status),
         }
     }
 

@@ -1,0 +1,97 @@
+//! Little power comes in bursts: what is done between two of them is seen before the next, or within a second where none is due.
+
+use ihd_shared::wire::messages::{Pot, State};
+use ihd_sim::hob::{HobConfig, PanelEvent, SimHob};
+use ihd_sim::pot::SimulatedPot;
+use ihd_sim::recording::settings::LoadKind;
+
+/// Longest half-cycle, in seconds.
+const HALF_CYCLE_S: f64 = 0.01;
+
+/// Energy of the probes of three seconds, in joule, and of one mains cycle with power.
+const PROBES_J: f64 = 20.0;
+
+fn hob() -> SimHob {
+    SimHob::new(&HobConfig {
+        pot: "ferritic-21".parse().unwrap(),
+        load: LoadKind::Surrogate,
+        ..HobConfig::default()
+    })
+}
+
+/// Lets time pass; returns the energy that the load took, in joule.
+fn run(hob: &mut SimHob, duration_s: f64) -> f64 {
+    let (end_s, mut energy_j) = (hob.t_s() + duration_s, 0.0);
+    while hob.t_s() < end_s {
+        hob.step();
+        energy_j += hob.take_reading().map_or(0.0, |reading| reading.energy_j);
+    }
+    energy_j
+}
+
+/// Lets time pass until a burst has been over for so many half-cycles.
+fn run_into_gap(hob: &mut SimHob, half_cycles: u32) {
+    let mut off = u32::MAX;
+    while off != half_cycles {
+        if run(hob, HALF_CYCLE_S) > 0.2 * 700.0 * HALF_CYCLE_S {
+            off = 0;
+        } else {
+            off = off.saturating_add(1);
+        }
+    }
+}
+
+fn state(hob: &SimHob) -> (State, Pot) {
+    let control = hob.housekeeping().control();
+    (control.state(), control.pot())
+}
+
+/// A lid or foil is refused at the first probe, and a pot that is heated is not probed.
+#[test]
+fn what_takes_a_pots_place_between_two_bursts_is_not_heated() {
+    for (level, sheet) in [(1, "lid-12"), (1, "foil-14"), (3, "foil-8"), (4, "lid-14")] {
+        let sheet: SimulatedPot = sheet.parse().unwrap();
+        let mut hob = hob();
+        hob.prepare(&sheet).unwrap();
+        hob.panel(PanelEvent::Level(level));
+        run(&mut hob, 2.0);
+        run_into_gap(&mut hob, 12);
+        hob.set_pot(sheet).unwrap();
+        let energy_j = run(&mut hob, 3.0);
+        let seen = (State::WaitingForPot, Pot::Unsuitable);
+        assert_eq!(state(&hob), seen, "{sheet} at level {level}: {energy_j} J");
+        assert!(
+            energy_j < PROBES_J,
+            "{sheet} at level {level}: {energy_j} J"
+        );
+    }
+}
+
+/// Another pot goes on without a break.
+#[test]
+fn a_pot_that_takes_a_pots_place_is_heated() {
+    let mut hob = hob();
+    hob.panel(PanelEvent::Level(2));
+    run(&mut hob, 2.0);
+    run_into_gap(&mut hob, 12);
+    hob.set_pot("ferritic-12".parse::<SimulatedPot>().unwrap())
+        .unwrap();
+    let energy_j = run(&mut hob, 10.0);
+    assert_eq!(state(&hob), (State::Heating, Pot::Small));
+    assert!((energy_j / 2_000.0 - 1.0).abs() < 0.05, "{energy_j} J");
+}
+
+/// Kept warm and too hot for any power, a pot is missed all the same.
+#[test]
+fn a_pot_that_is_taken_away_while_no_burst_is_due_is_missed_within_a_second() {
+    let mut hob = hob();
+    hob.temperatures().set_glass(85.0);
+    run(&mut hob, 1.5);
+    hob.panel(PanelEvent::KeepWarm);
+    let energy_j = run(&mut hob, 3.0);
+    assert_eq!(state(&hob), (State::Heating, Pot::Ferromagnetic));
+    assert!(energy_j < PROBES_J, "{energy_j} J");
+    hob.set_pot(SimulatedPot::NONE).unwrap();
+    run(&mut hob, 1.0);
+    assert_eq!(state(&hob), (State::WaitingForPot, Pot::Absent));
+}
