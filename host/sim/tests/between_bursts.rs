@@ -1,5 +1,6 @@
 //! Little power comes in bursts: what is done between two of them is seen before the next, or within a second where none is due.
 
+use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Pot, State};
 use ihd_sim::hob::{HobConfig, PanelEvent, SimHob};
 use ihd_sim::pot::SimulatedPot;
@@ -79,6 +80,38 @@ fn a_pot_that_takes_a_pots_place_is_heated() {
     let energy_j = run(&mut hob, 10.0);
     assert_eq!(state(&hob), (State::Heating, Pot::Small));
     assert!((energy_j / 2_000.0 - 1.0).abs() < 0.05, "{energy_j} J");
+}
+
+/// A small pot is heated at a frequency at which a larger one takes more than the trip level.
+#[test]
+fn a_larger_pot_in_a_small_ones_place_trips_nothing() {
+    for (mains_v, small, large) in [
+        (265.0, "ferritic-10", "ferritic-21"),
+        (230.0, "ferritic-12", "clad-18"),
+    ] {
+        let mut hob = SimHob::new(&HobConfig {
+            pot: small.parse().unwrap(),
+            load: LoadKind::Surrogate,
+            mains_v,
+            ..HobConfig::default()
+        });
+        let large: SimulatedPot = large.parse().unwrap();
+        hob.prepare(&large).unwrap();
+        hob.panel(PanelEvent::Level(1));
+        run(&mut hob, 2.0);
+        run_into_gap(&mut hob, 12);
+        hob.set_pot(large).unwrap();
+        let mut i_peak_a: f64 = 0.0;
+        let end_s = hob.t_s() + 3.0;
+        while hob.t_s() < end_s {
+            hob.step();
+            i_peak_a = hob
+                .take_reading()
+                .map_or(i_peak_a, |reading| i_peak_a.max(reading.i_peak_a));
+            assert_eq!(hob.sampling_path().fault(), Fault::NONE, "{large}");
+        }
+        assert!(i_peak_a < 60.0, "{large}: {i_peak_a} A");
+    }
 }
 
 /// Kept warm and too hot for any power, a pot is missed all the same.

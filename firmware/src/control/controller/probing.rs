@@ -99,6 +99,10 @@ impl Control {
         }
         match (pot, &mut self.state) {
             (Pot::Ferromagnetic | Pot::Small, ControlState::Heating(heating)) => {
+                // Another pot may take too much where the last one was heated.
+                if !self.parts.power.permits(summary, self.parts.heated_hz) {
+                    self.parts.heated_hz = pwm::HIGHEST_HZ;
+                }
                 heating.go_on(self.parts.heated_hz)
             }
             (Pot::Ferromagnetic | Pot::Small, _) => {

@@ -105,6 +105,12 @@ impl PowerControl {
         self.memory.note(summary, now_ms);
     }
 
+    /// Returns `true` if the load of a half-cycle or a probe keeps all limits at a frequency, on the mains that was seen lately.
+    pub fn permits(&self, summary: &HalfCycle, f_sw_hz: u32) -> bool {
+        let bus_dv = self.memory.bus_dv().max(summary.bus_peak_dv);
+        Bounds::new(summary, bus_dv).limit_at(f_sw_hz) == Limit::None
+    }
+
     /// Begins to search the frequency for the next half-cycle. `asked_mw` above zero, the inverter
     /// running.
     pub fn begin(&mut self, summary: &HalfCycle, asked_mw: u64) {
