@@ -12,7 +12,7 @@ use tokio::time::Instant;
 use crate::event_bus::EventBus;
 use crate::firmware::usb_serial;
 use crate::lease::LeaseBook;
-use crate::live::RecentPower;
+use crate::live::recent_power::RecentPower;
 use crate::live::ring::LiveRing;
 use crate::pot_tracker::PotTracker;
 use crate::printable::printable;

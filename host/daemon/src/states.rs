@@ -4,7 +4,7 @@ use ihd_model::{DeviceState, Live};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Limit, Pot, State, Status, Telemetry};
 
-use crate::live::RecentPower;
+use crate::live::recent_power::RecentPower;
 
 /// Returns the device state and its reason from a half-cycle; a pot probe keeps the state `before`.
 pub fn device_state(t: &Telemetry, before: DeviceState) -> (DeviceState, String) {

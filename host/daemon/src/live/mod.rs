@@ -8,9 +8,8 @@
 //!             recent_power.rs
 //! ```
 
-mod recent_power;
+pub mod recent_power;
 pub(crate) mod ring;
 mod tap;
 
-pub use recent_power::RecentPower;
 pub use tap::LiveTap;

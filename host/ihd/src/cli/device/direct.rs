@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow};
 use ihd_daemon::config::DaemonConfig;
 use ihd_daemon::firmware::{updates_needed, usb_serial};
-use ihd_daemon::live::RecentPower;
+use ihd_daemon::live::recent_power::RecentPower;
 use ihd_daemon::states::live_of_status;
 use ihd_link::{Client, DeviceEvent};
 use ihd_model::{
