@@ -47,6 +47,8 @@ impl ActiveLookup {
     }
 
     /// Checks and accepts the bytes of a lookup. Returns outcome and detail.
+    // In the caller's frame, which has room for a lookup anyway: the stack is scarce.
+    #[inline(always)]
     pub fn push(&mut self, bytes: &[u8]) -> (Outcome, u32) {
         match RlLookup::from_bytes(bytes) {
             Ok(lookup) => self.accept(lookup),
