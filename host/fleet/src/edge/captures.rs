@@ -34,9 +34,8 @@ async fn take_turn(
     there: &mut Option<BTreeSet<String>>,
 ) -> Result<Duration, JetStreamError> {
     if link.is_admitted() {
-        if there.is_none()
-            && let Ok(listed) = captures::list(context).await
-        {
+        if there.is_none() {
+            let listed = captures::list(context).await?;
             *there = Some(listed.into_iter().map(|c| c.name).collect());
         }
         if let Some(there) = there {
