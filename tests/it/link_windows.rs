@@ -15,7 +15,7 @@ use ihd_shared::window::MAX_PAIRS;
 use ihd_shared::wire::frame::{Frame, MAX_ENCODED, decode, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
-    AnyMessage, Message, Raw, SetPower, Stream, TrajectoryChunk, WindowChunk, WindowEnd,
+    AnyMessage, Configure, Message, Raw, SetPower, Stream, TrajectoryChunk, WindowChunk, WindowEnd,
     WindowStart,
 };
 use ihd_shared::wire::number::Number;
@@ -471,4 +471,35 @@ fn each_burst_of_a_low_level_shows_a_window() {
             "switched on {delay} half-cycles later"
         );
     }
+}
+
+/// The frequency alternates about the power's, but not within a window and just before it.
+#[test]
+fn dithering_cuts_no_window() {
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let mut client = Client::connect(Box::new(hob)).unwrap();
+    let dither_permille = *Configure::DITHER_PERMILLE.end();
+    client
+        .configure(&Configure {
+            dither_permille,
+            ..Configure::DEFAULT
+        })
+        .unwrap();
+    client.stream(1, 20).unwrap();
+    client.set_power(1_500).unwrap();
+    watch(&mut client, 100);
+    let events = watch(&mut client, 200);
+    let windows = events
+        .iter()
+        .filter(|e| matches!(e, DeviceEvent::Window(_)));
+    let frequencies: BTreeSet<_> = events
+        .iter()
+        .filter_map(|e| match e {
+            DeviceEvent::Telemetry(t) => Some(t.f_sw_hz),
+            _ => None,
+        })
+        .collect();
+    assert!(frequencies.len() >= 3, "{frequencies:?}");
+    assert_eq!(windows.count(), 10);
+    assert_eq!(client.status().unwrap().windows_dropped, 0);
 }

@@ -283,10 +283,10 @@ impl<M: PairArithmetic> SamplingPath<M> {
     /// Takes the sequencer's drive from the next block on.
     fn take_drive(&mut self, at_crossing: bool, bus_dv: u16) {
         let half_cycle = self.clock.half_cycle();
-        // A window begins at a frequency that was there before.
+        // A window begins at a frequency that was there before, and keeps it.
         let may_dither = at_crossing
             && self.sequencer.is_dithering()
-            && !self.recorder.is_due(half_cycle)
+            && !self.recorder.is_recording()
             && !self.recorder.is_due(half_cycle.wrapping_add(1));
         let next = self.sequencer.next(&BlockConditions {
             at_crossing,

@@ -151,6 +151,12 @@ impl Recorder {
         period > 0 && half_cycle.wrapping_sub(self.last_due) >= period
     }
 
+    /// Returns `true` within the half-cycle of a window.
+    #[inline]
+    pub fn is_recording(&self) -> bool {
+        self.stage == Stage::Recording
+    }
+
     /// Begins a window that is due. The sequence number counts before the slot is claimed, so that a drop shows
     /// as a gap. `block_start_ns` is the time of the current block's first pair (≤ 0).
     pub fn begin(&mut self, half_cycle: u32, f_sw_hz: u32, block_start_ns: i64) {
