@@ -17,8 +17,8 @@ use crate::sampling::half_cycle::HalfCycle;
 /// Half-cycles whose mean an operating point begins with, and whose weight the mean keeps.
 const AVERAGED: u8 = 16;
 
-/// Frequencies further apart than this are different operating points. A drift of the limit moves the frequency by half of it.
-const POINT_HZ_PERMILLE: u64 = 35;
+/// Frequencies further apart than this are different operating points. A gain that is 7 % wrong moves the frequency by 3.6 %.
+const POINT_HZ_PERMILLE: u64 = 40;
 
 /// While an operating point is learned.
 const LEARNED_HZ_PERMILLE: u64 = 25;
