@@ -34,14 +34,15 @@ async fn take_turn(
     there: &mut Option<BTreeSet<String>>,
 ) -> Result<Duration, JetStreamError> {
     if link.is_admitted() {
-        if there.is_none() {
-            let listed = captures::list(context).await?;
-            *there = Some(listed.into_iter().map(|c| c.name).collect());
-        }
-        if let Some(there) = there {
-            upload_new(link, context, there).await?;
-            link.works("captures");
-        }
+        let there = match there {
+            Some(there) => there,
+            None => {
+                let listed = captures::list(context).await?;
+                there.insert(listed.into_iter().map(|c| c.name).collect())
+            }
+        };
+        upload_new(link, context, there).await?;
+        link.works("captures");
     }
     Ok(POLL_PERIOD)
 }

@@ -28,20 +28,16 @@ const POLL_PERIOD: Duration = Duration::from_secs(5);
 /// Reconciles hobs and fleet until the edge stops.
 pub async fn run(link: Arc<Link>, context: Context) {
     while link
-        .turn_until_stop("lookups", RETRY_PAUSE, take_turn(&link, &context))
+        .turn_until_stop("lookups", RETRY_PAUSE, follow(&link, &context))
         .await
     {}
 }
 
 /// Reconciles as long as the edge is admitted; returns the pause before the next attempt.
-async fn take_turn(link: &Link, context: &Context) -> Result<Duration, String> {
-    if link.is_admitted() {
-        follow(link, context).await?;
+async fn follow(link: &Link, context: &Context) -> Result<Duration, String> {
+    if !link.is_admitted() {
+        return Ok(RETRY_PAUSE);
     }
-    Ok(RETRY_PAUSE)
-}
-
-async fn follow(link: &Link, context: &Context) -> Result<(), String> {
     let bucket = jetstream::bucket(context, names::LOOKUPS).await;
     let bucket = bucket.map_err(|e| e.to_string())?;
     let hobs = link.hobs();
@@ -77,7 +73,7 @@ async fn follow(link: &Link, context: &Context) -> Result<(), String> {
             }
         }
     }
-    Ok(())
+    Ok(RETRY_PAUSE)
 }
 
 /// Reconciles a hob with its entry in the fleet: a requested lookup is pushed until the hob accepts it; otherwise the lookup in use is put

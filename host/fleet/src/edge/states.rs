@@ -66,20 +66,16 @@ impl StateMessage {
 /// Publishes states until the edge stops, and discovery messages at each start of Home Assistant.
 pub async fn run(link: Arc<Link>, client: Client) {
     while link
-        .turn_until_stop("states", RETRY_PAUSE, take_turn(&link, &client))
+        .turn_until_stop("states", RETRY_PAUSE, publish_states(&link, &client))
         .await
     {}
 }
 
 /// Publishes as long as the edge is admitted; returns the pause before the next attempt.
-async fn take_turn(link: &Link, client: &Client) -> Result<Duration, String> {
-    if link.is_admitted() {
-        publish_states(link, client).await?;
+async fn publish_states(link: &Link, client: &Client) -> Result<Duration, String> {
+    if !link.is_admitted() {
+        return Ok(RETRY_PAUSE);
     }
-    Ok(RETRY_PAUSE)
-}
-
-async fn publish_states(link: &Link, client: &Client) -> Result<(), String> {
     let births = client.subscribe(discovery::STATUS).await;
     let mut births = births.map_err(|e| e.to_string())?;
     let mut discovered = Vec::new();
@@ -111,5 +107,5 @@ async fn publish_states(link: &Link, client: &Client) -> Result<(), String> {
             sent.await.map_err(|e| e.to_string())?;
         }
     }
-    Ok(())
+    Ok(RETRY_PAUSE)
 }
