@@ -16,7 +16,6 @@ use crate::control::restart::{RestartPolicy, RestartVerdict};
 use crate::control::status::{Action, SamplingStatus};
 use crate::control::temperature::Temperatures;
 use crate::drive::bridge::Drive;
-use crate::drive::sequencer::PotProbe;
 use crate::limits::{BUS_MIN_DV, BUS_TRIP_DV, GIVE_UP_MS, RESUME_ABOVE_PERCENT};
 use crate::retained::control::RetainedControl;
 use crate::sampling::half_cycle::HalfCycle;
@@ -194,10 +193,7 @@ impl Control {
         match heating.on_half_cycle(summary, status, &mut self.parts) {
             HeatingStep::Act(action) => action,
             HeatingStep::PotLost(pot) => self.lose_pot(pot, status),
-            HeatingStep::Probe => {
-                self.doubtful = None;
-                self.begin_probe(PotProbe::FIRST, status)
-            }
+            HeatingStep::Probe => self.first_probe(status),
         }
     }
 

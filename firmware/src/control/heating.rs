@@ -225,17 +225,16 @@ impl Heating {
         parts: &mut ControlParts,
     ) -> Action {
         // The half-cycle that is just over is counted by the burst itself, unless the bridge is only about to switch.
-        let before = match summary.f_sw_hz {
+        let is_switching = status.requested.is_switching();
+        let before = is_switching.then(|| match summary.f_sw_hz {
             0 => 0,
             _ => self.half_cycles.saturating_sub(1),
-        };
-        let is_probing = status.requested.is_switching();
+        });
         let is_unseen = self.is_unseen(parts.supply_share.is_shared());
-        let before = status.requested.is_switching().then_some(before);
         let bursts = self
             .bursts
             .get_or_insert_with(|| PowerBursts::new(granted_w, status.now_ms, before));
-        let may_start = parts.restart.permits(status.now_ms) && !is_unseen && !is_probing;
+        let may_start = parts.restart.permits(status.now_ms) && !is_unseen && !is_switching;
         let supply = &mut parts.supply_share;
         let (is_shared, shared_w) = (supply.is_shared(), supply.burst_w());
         let step = bursts.on_half_cycle(summary, granted_w, status.now_ms, may_start, supply);

@@ -40,12 +40,17 @@ impl Control {
     /// Begins a pot probe.
     pub(super) fn probe(&mut self, status: &SamplingStatus) -> Action {
         self.parts.restart.started(status.now_ms);
+        self.first_probe(status)
+    }
+
+    /// Begins a pot probe that is no start, or the first probe of one.
+    pub(super) fn first_probe(&mut self, status: &SamplingStatus) -> Action {
         self.doubtful = None;
         self.begin_probe(PotProbe::FIRST, status)
     }
 
     /// Lets the bridge switch for a probe: the time without a judgement counts from now.
-    pub(super) fn begin_probe(&mut self, probe: PotProbe, status: &SamplingStatus) -> Action {
+    fn begin_probe(&mut self, probe: PotProbe, status: &SamplingStatus) -> Action {
         if let Some(judged_ms) = self.state.judged_ms() {
             *judged_ms = status.now_ms;
         }
@@ -86,10 +91,9 @@ impl Control {
         if first.is_none() {
             // One with the pot shows little, and would end what is known of a drift.
             let is_pot = matches!(pot, Pot::Ferromagnetic | Pot::Small);
-            let implausible = (!heats || !is_pot)
-                .then(|| self.plausibility.on_pot_probe(summary))
-                .flatten();
-            if let Some(fault) = implausible {
+            if !(heats && is_pot)
+                && let Some(fault) = self.plausibility.on_pot_probe(summary)
+            {
                 return Action::Fault(fault);
             }
             self.doubtful = FirstProbe::doubtful(summary, pot);

@@ -331,7 +331,7 @@ fn little_power_comes_in_bursts_of_whole_cycles() {
     assert_eq!(bench.control.state(), State::Heating);
 }
 
-/// What was cooked is to be kept warm: no power is granted while the bridge is about to switch.
+/// No power is granted while the bridge is about to switch.
 #[test]
 fn keeping_warm_what_is_too_hot_takes_one_whole_cycle() {
     let mut bench = Bench::new(POT);
