@@ -40,6 +40,7 @@ use super::meter::MeterReading;
 use super::plant::{LoadPoint, Plant};
 use super::pot::SimulatedPot;
 use super::recent_truths::RecentTruths;
+use super::scenario::surroundings::ChangeableHob;
 use super::slow_adc::SlowAdc;
 use super::temperatures::{Heat, LumpTemperatures};
 use super::thermal_model::ThermalModel;
@@ -113,6 +114,24 @@ pub struct SimHob {
     link_credit: f64,
     truth: Truth,
     truths: RecentTruths,
+}
+
+impl ChangeableHob for SimHob {
+    fn plant(&mut self) -> &mut Plant {
+        &mut self.plant
+    }
+
+    fn inject(&mut self, change: impl FnOnce(&mut Injections)) {
+        self.inject(change);
+    }
+
+    fn set_heat_sink(&mut self, celsius: f64) {
+        self.temperatures.heat_sink_c = celsius;
+    }
+
+    fn set_glass(&mut self, celsius: f64) {
+        self.temperatures.set_glass(celsius);
+    }
 }
 
 impl SimHob {
@@ -398,9 +417,7 @@ impl SimHob {
 
     /// Sets voltage in volt rms (0 for none) and frequency in hertz of the mains; the phase continues.
     pub fn set_mains(&mut self, v_rms_v: f64, frequency_hz: f64) {
-        let mains = self.plant.mains();
-        let changed = mains.changed(self.plant.t_s(), v_rms_v, frequency_hz);
-        self.plant.set_mains(changed);
+        self.plant.change_mains(v_rms_v, frequency_hz);
     }
 
     /// Changes the injected faults.

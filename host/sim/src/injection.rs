@@ -124,8 +124,8 @@ impl InjectionKind {
 struct ActiveInjection {
     number: u32,
     injection: Injection,
-    /// Block at its start, for kinds that freeze.
-    held: Option<[Pair; ADC_LOCK_P]>,
+    /// Samples at its start, for kinds that freeze.
+    held: Vec<Pair>,
     /// Number of blocks or crossings since its start.
     count: u64,
 }
@@ -146,7 +146,7 @@ impl Injections {
         self.active.push(ActiveInjection {
             number: self.started,
             injection,
-            held: None,
+            held: Vec::new(),
             count: 0,
         });
         self.started
@@ -172,8 +172,8 @@ impl Injections {
         self.active.iter().rev().find(on).map(|a| a.injection.kind)
     }
 
-    /// Applies the faults to a block's samples.
-    pub fn on_pairs(&mut self, pairs: &mut [Pair; ADC_LOCK_P]) {
+    /// Applies the faults to samples, as many in every call.
+    pub fn on_pairs(&mut self, pairs: &mut [Pair]) {
         for a in &mut self.active {
             a.on_pairs(pairs);
         }
@@ -238,15 +238,17 @@ impl ActiveInjection {
             .is_multiple_of((self.injection.value as u64).max(1))
     }
 
-    fn on_pairs(&mut self, pairs: &mut [Pair; ADC_LOCK_P]) {
+    fn on_pairs(&mut self, pairs: &mut [Pair]) {
         let Injection {
             kind,
             value,
             channel,
         } = self.injection;
-        let held = *self.held.get_or_insert(*pairs);
-        let first = held[0];
-        for (pair, frozen) in pairs.iter_mut().zip(held) {
+        if self.held.is_empty() {
+            self.held.extend_from_slice(pairs);
+        }
+        let first = self.held[0];
+        for (pair, frozen) in pairs.iter_mut().zip(&self.held) {
             match kind {
                 InjectionKind::CurrentGain => pair.i = code(f64::from(pair.i) * value),
                 InjectionKind::VoltageGain => pair.v = code(f64::from(pair.v) * value),
@@ -272,7 +274,7 @@ impl ActiveInjection {
                         i: pair.v,
                     };
                 }
-                InjectionKind::FrozenSamples => *pair = frozen,
+                InjectionKind::FrozenSamples => *pair = *frozen,
                 InjectionKind::BusScale
                 | InjectionKind::LostBlocks
                 | InjectionKind::LostCrossings

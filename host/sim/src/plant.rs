@@ -173,6 +173,12 @@ impl Plant {
         self.inverter.bus.set_mains(mains);
     }
 
+    /// Sets voltage in volt rms (0 for none) and frequency in hertz of the mains; the phase continues.
+    pub fn change_mains(&mut self, v_rms_v: f64, frequency_hz: f64) {
+        let changed = self.mains().changed(self.t_s(), v_rms_v, frequency_hz);
+        self.set_mains(changed);
+    }
+
     /// Feeds the bus from a bench supply of this voltage from now on; the mains only feeds its detector.
     pub fn set_bench_supply(&mut self, supply_v: f64) {
         self.inverter.bus.set_supply(supply_v);

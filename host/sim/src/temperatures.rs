@@ -117,17 +117,28 @@ impl LumpTemperatures {
 
     /// Codes of the sensors: NTCs below a resistor to the reference.
     pub fn codes(&self, injections: &Injections) -> TemperatureCodes {
-        let code = |channel, ntc: Ntc, celsius| match injections.ntc(channel) {
-            Some(InjectionKind::NtcOpen) => Some(4_095),
-            Some(_) => Some(0),
-            None => Some(ntc.code(celsius)),
-        };
-        let [heat_sink, glass, coil] = NTCS;
+        let celsius = [self.heat_sink_c, self.glass_sensor_c, self.coil_c];
+        let [heat_sink, glass, coil] =
+            [0, 1, 2].map(|place| Some(ntc_code(place, celsius[place], injections)));
         TemperatureCodes {
-            heat_sink: code(FaultChannel::HeatSink, heat_sink, self.heat_sink_c),
-            glass: code(FaultChannel::Glass, glass, self.glass_sensor_c),
-            coil: code(FaultChannel::Coil, coil, self.coil_c),
+            heat_sink,
+            glass,
+            coil,
         }
+    }
+}
+
+/// Code of the NTC at a place in [`NTCS`], at a temperature in °C, with its injected fault.
+pub fn ntc_code(place: usize, celsius: f64, injections: &Injections) -> u16 {
+    let channels = [
+        FaultChannel::HeatSink,
+        FaultChannel::Glass,
+        FaultChannel::Coil,
+    ];
+    match injections.ntc(channels[place]) {
+        Some(InjectionKind::NtcOpen) => 4_095,
+        Some(_) => 0,
+        None => NTCS[place].code(celsius),
     }
 }
 

@@ -5,13 +5,13 @@ use std::collections::VecDeque;
 use ihd_firmware::drive::bridge;
 use ihd_firmware::sense::mains::MAINS_FULL_SCALE_V;
 use ihd_shared::board::{self, BUS_FULL_SCALE_DV, Pin};
-use ihd_shared::sampling::{
-    AMPERE_PER_CODE, CODE_HALF_RANGE, CODE_MAX, CODE_MIN, Pair, VOLT_PER_CODE,
-};
+use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
 use ihd_sim::adc::SimulatedAdc;
 use ihd_sim::hob::HobConfig;
+use ihd_sim::injection::{InjectionKind, Injections};
 use ihd_sim::plant::Plant;
-use ihd_sim::temperatures::NTCS;
+use ihd_sim::scenario::surroundings::ChangeableHob;
+use ihd_sim::temperatures::ntc_code;
 
 use crate::chip::hrtim::Bridge;
 use crate::processor::REFERENCE_CALIBRATION;
@@ -51,7 +51,8 @@ pub fn front_end(seed: u64) -> SimulatedAdc {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sample {
     pair: Pair,
-    bus_v: f64,
+    /// Code of the bus voltage.
+    bus: u16,
     mains_v: f64,
     /// Supply over the nominal one.
     supply: f64,
@@ -60,18 +61,22 @@ pub struct Sample {
 impl Sample {
     /// 12-bit code of a channel of an ADC (docs/board.md, "Pins").
     pub fn code(&self, adc: u32, channel: u32) -> u32 {
-        let code = |value: f64| value.round().clamp(0.0, CODES - 1.0) as u32;
         // The front end's zero is half the supply.
-        let from_middle = |signed: f64| code(MIDDLE + signed / self.supply);
+        let of_pair = |signed: i16| (CODE_HALF_RANGE + signed).max(0) as u32;
         match (adc, channel) {
-            (1, 1) => from_middle(self.pair.v.into()),
-            (2, 2) => from_middle(self.pair.i.into()),
-            (3, 1) => code(self.bus_v / BUS_RANGE_V * CODES / self.supply),
-            (3, 12) => from_middle(self.mains_v / MAINS_FULL_SCALE_V * MIDDLE),
+            (1, 1) => of_pair(self.pair.v),
+            (2, 2) => of_pair(self.pair.i),
+            (3, 1) => self.bus.into(),
+            (3, 12) => code(MIDDLE + self.mains_v / MAINS_FULL_SCALE_V * MIDDLE / self.supply),
             // Pin without a connection.
             _ => 0,
         }
     }
+}
+
+/// The nearest 12-bit code.
+fn code(value: f64) -> u32 {
+    value.round().clamp(0.0, CODES - 1.0) as u32
 }
 
 /// Circuits outside the chip.
@@ -89,16 +94,12 @@ pub struct Pins {
     pub dead_comparators: [bool; 2],
     /// Temperatures of heat sink, glass and coil in °C.
     pub temperatures_c: [f64; 3],
-    /// Analogue supply in volt, to which every channel is ratiometric.
-    pub vdda_v: f64,
-    /// Ratio of the chip's reference voltage to its nominal value.
-    pub reference_ratio: f64,
+    /// Faults of sensors, supply and reference.
+    injections: Injections,
     /// Pressed buttons of the panel: on/off, plus, minus, timer.
     pub pressed: [bool; 4],
     /// Wire to a second zone, with its resistor: `true` while that zone does not pull it low. `None` without a wire.
     pub share_wire: Option<bool>,
-    /// Offsets of the two sensors, added to the codes of every pair.
-    pub offset: Pair,
     /// Fault injection: surge in ampere, added to the current at the comparators.
     pub surge_a: f64,
     /// Pairs that the converters return instead of the power stage's, while there are any.
@@ -120,11 +121,9 @@ impl Pins {
             above_s: [0.0; 2],
             dead_comparators: [false; 2],
             temperatures_c: [25.0; 3],
-            vdda_v: NOMINAL_VDDA_V,
-            reference_ratio: 1.0,
+            injections: Injections::default(),
             pressed: [false; 4],
             share_wire: None,
-            offset: Pair::default(),
             surge_a: 0.0,
             fed: VecDeque::new(),
             wattmeter: (0.0, 0.0),
@@ -161,14 +160,15 @@ impl Pins {
             .iter()
             .position(|pin| *pin == Pin { port: 1, line });
         place.map_or(0, |place| {
-            NTCS[place].code(self.temperatures_c[place]).into()
+            ntc_code(place, self.temperatures_c[place], &self.injections).into()
         })
     }
 
     /// 12-bit code of the reference voltage, 1.2122 V, at this supply.
     pub fn reference_code(&self) -> u32 {
-        let code = f64::from(REFERENCE_CALIBRATION) * 3.0 / self.vdda_v * self.reference_ratio;
-        code.round() as u32
+        let vdda_v = NOMINAL_VDDA_V * self.injections.product(InjectionKind::Supply);
+        let ratio = self.injections.product(InjectionKind::Reference);
+        (f64::from(REFERENCE_CALIBRATION) * 3.0 / vdda_v * ratio).round() as u32
     }
 
     /// Levels of a port, 0 for A. A line of the panel is high if it is pulled up and no button closes it; the wire to a second zone
@@ -200,13 +200,14 @@ impl Pins {
         let t_s = self.plant.t_s();
         let dividers = self.plant.dividers();
         let (bus_v, mains_v) = (dividers.bus_v(), dividers.mains_v());
-        let supply = self.vdda_v / NOMINAL_VDDA_V;
+        let supply = self.injections.product(InjectionKind::Supply);
+        let bus = code(bus_v / BUS_RANGE_V * CODES) as u16;
         let (comparators, above_s, surge_a) = (self.comparators, &mut self.above_s, self.surge_a);
         let dead = self.dead_comparators;
         let mut tripped = [None; 2];
         let mut step = 0;
         let dt_s = self.plant.dt_s();
-        let pair = self.plant.sample(|i_a| {
+        let mut pair = self.plant.sample(|i_a| {
             step += 1;
             for (k, sign) in [(0, 1.0), (1, -1.0)] {
                 let Some(comparator) = comparators[k].filter(|_| !dead[k]) else {
@@ -228,22 +229,41 @@ impl Pins {
         self.wattmeter.0 +=
             f64::from(pair.v) * VOLT_PER_CODE * f64::from(pair.i) * AMPERE_PER_CODE * sampling_s;
         self.wattmeter.1 += sampling_s;
-        let pair = self.fed.pop_front().unwrap_or(Pair {
-            v: (pair.v + self.offset.v).clamp(CODE_MIN, CODE_MAX),
-            i: (pair.i + self.offset.i).clamp(CODE_MIN, CODE_MAX),
-        });
+        self.injections.on_pairs(std::slice::from_mut(&mut pair));
+        let pair = self.fed.pop_front().unwrap_or(pair);
         if let Some(taken) = &mut self.taken {
             taken.push(pair);
         }
         (
             Sample {
                 pair,
-                bus_v,
+                bus: self.injections.on_bus(bus),
                 mains_v,
                 supply,
             },
             tripped,
         )
+    }
+}
+
+impl ChangeableHob for Pins {
+    fn plant(&mut self) -> &mut Plant {
+        &mut self.plant
+    }
+
+    fn inject(&mut self, change: impl FnOnce(&mut Injections)) {
+        change(&mut self.injections);
+        let share = self.injections.product(InjectionKind::ResonanceCapacitance);
+        self.plant.set_resonance_share(share);
+        self.dead_comparators = [self.injections.has(InjectionKind::ComparatorDead); 2];
+    }
+
+    fn set_heat_sink(&mut self, celsius: f64) {
+        self.temperatures_c[0] = celsius;
+    }
+
+    fn set_glass(&mut self, celsius: f64) {
+        self.temperatures_c[1] = celsius;
     }
 }
 

@@ -14,6 +14,10 @@ use crate::hob::SimHob;
 /// Period at which an idle host requests the status, in seconds.
 const KEEP_ALIVE_S: f64 = 1.0;
 
+/// Requests that a host repeats.
+#[derive(Default)]
+pub struct RepeatedRequests(Vec<Repeat>);
+
 struct Repeat {
     what: RepeatedRequest,
     every_s: f64,
@@ -23,13 +27,46 @@ struct Repeat {
     zero_next: bool,
 }
 
+impl RepeatedRequests {
+    /// Adds one with its period and end, in seconds, from `now_s` on.
+    pub fn add(&mut self, what: RepeatedRequest, every_s: f64, until_s: f64, now_s: f64) {
+        self.0.push(Repeat {
+            what,
+            every_s,
+            until_s,
+            next_s: now_s,
+            zero_next: false,
+        });
+    }
+
+    /// Removes all.
+    pub fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// Returns the requests that are due at `now_s`, each once.
+    pub fn due(&mut self, now_s: f64) -> Vec<RepeatedRequest> {
+        let mut due = Vec::new();
+        self.0.retain(|r| now_s < r.until_s);
+        for r in self.0.iter_mut().filter(|r| now_s >= r.next_s) {
+            r.next_s += r.every_s;
+            due.push(match r.what {
+                RepeatedRequest::Power(_, true) if r.zero_next => RepeatedRequest::Power(0, true),
+                what => what,
+            });
+            r.zero_next = !r.zero_next;
+        }
+        due
+    }
+}
+
 /// The host.
 pub(super) struct Host {
     seq: u16,
     number: Number,
     silent: bool,
     keep_alive_s: f64,
-    repeats: Vec<Repeat>,
+    repeats: RepeatedRequests,
     asked_w: u16,
 }
 
@@ -41,7 +78,7 @@ impl Host {
             number: Number::NONE,
             silent: false,
             keep_alive_s: KEEP_ALIVE_S,
-            repeats: Vec::new(),
+            repeats: RepeatedRequests::default(),
             asked_w: 0,
         };
         host.send(hob, &ours(ROLE_HOST, 0, 0, "ihd scenario", "host"));
@@ -93,13 +130,7 @@ impl Host {
 
     pub(super) fn repeat(&mut self, what: RepeatedRequest, every_s: f64, until_s: f64, now_s: f64) {
         self.silent = false;
-        self.repeats.push(Repeat {
-            what,
-            every_s,
-            until_s,
-            next_s: now_s,
-            zero_next: false,
-        });
+        self.repeats.add(what, every_s, until_s, now_s);
     }
 
     /// Runs after each block: sends due requests and discards received bytes.
@@ -114,17 +145,7 @@ impl Host {
             self.keep_alive_s = now_s + KEEP_ALIVE_S;
             self.send(hob, &GetStatus {});
         }
-        let mut due = Vec::new();
-        self.repeats.retain(|r| now_s < r.until_s);
-        for r in self.repeats.iter_mut().filter(|r| now_s >= r.next_s) {
-            r.next_s += r.every_s;
-            due.push(match r.what {
-                RepeatedRequest::Power(_, true) if r.zero_next => RepeatedRequest::Power(0, true),
-                what => what,
-            });
-            r.zero_next = !r.zero_next;
-        }
-        for what in due {
+        for what in self.repeats.due(now_s) {
             match what {
                 RepeatedRequest::Power(power_w, _) => self.set_power(hob, power_w),
                 RepeatedRequest::ClearFault => self.clear_fault(hob),

@@ -6,8 +6,9 @@
 //!                                   host ◄─► SimHob (plant, firmware)
 //! ```
 
+pub mod fault_log;
 pub mod file;
-mod host;
+pub mod host;
 pub mod limits;
 mod measured;
 mod number;
@@ -15,7 +16,7 @@ pub mod record;
 pub mod run;
 pub mod script;
 pub mod summary;
-mod surroundings;
+pub mod surroundings;
 #[cfg(test)]
 mod tests;
 pub mod timeline;

@@ -2,15 +2,15 @@
 
 use ihd_firmware::control::request::PanelEvent;
 use ihd_firmware::limits::KEEP_WARM_LEVEL;
-use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{Configure, State};
 
 use super::ScenarioError;
+use super::fault_log::FaultLog;
 use super::file::Scenario;
 use super::host::Host;
-use super::record::{FaultRecord, Record, TrueHalfCycle};
+use super::record::{Record, TrueHalfCycle};
 use super::summary::{self, Kind, Mark};
-use super::surroundings::Surroundings;
+use super::surroundings::{ChangeableHob, Surroundings};
 use super::timeline::{RepeatedRequest, TimedChange, TimelineChange, timeline};
 use crate::hob::SimHob;
 use crate::thermal_model::ThermalModel;
@@ -22,7 +22,7 @@ use crate::thermal_model::ThermalModel;
 pub fn run(scenario: &Scenario, mut progress: impl FnMut(f64)) -> Result<Record, ScenarioError> {
     let events = timeline(scenario)?;
     let mut run = Run::new(scenario)?;
-    Surroundings::prepare(&mut run.hob, &events)?;
+    Surroundings::prepare(run.hob.plant(), &events)?;
     let duration_s = scenario.file.duration_s;
     let mut next = events.iter().peekable();
     while run.hob.t_s() < duration_s {
@@ -31,7 +31,9 @@ pub fn run(scenario: &Scenario, mut progress: impl FnMut(f64)) -> Result<Record,
         }
         run.hob.step();
         run.host.turn(&mut run.hob);
-        run.watch_fault();
+        let fault = run.hob.sampling_path().fault();
+        run.faults
+            .watch(fault, run.hob.t_s(), run.hob.open_since_s());
         if run.take_half_cycle() {
             progress((run.hob.t_s() / duration_s).min(1.0));
         }
@@ -45,12 +47,7 @@ struct Run {
     hob: SimHob,
     host: Host,
     half_cycles: Vec<TrueHalfCycle>,
-    faults: Vec<FaultRecord>,
-    active_fault: Fault,
-    /// Time of the injection that may cause the next fault, in seconds.
-    cause_s: Option<f64>,
-    /// Fault whose bridge is not open yet, and the time from which its delay counts.
-    opening: Option<(usize, f64)>,
+    faults: FaultLog,
     marks: Vec<Mark>,
     surroundings: Surroundings,
     energy_j: f64,
@@ -80,10 +77,7 @@ impl Run {
             hob,
             host,
             half_cycles: Vec::new(),
-            faults: Vec::new(),
-            active_fault: Fault::NONE,
-            cause_s: None,
-            opening: None,
+            faults: FaultLog::default(),
             marks: Vec::new(),
             surroundings: Surroundings::default(),
             energy_j: 0.0,
@@ -92,7 +86,7 @@ impl Run {
     }
 
     fn apply(&mut self, timed: &TimedChange) -> Result<(), ScenarioError> {
-        self.surroundings.apply(&mut self.hob, timed)?;
+        self.surroundings.apply_to_hob(&mut self.hob, timed)?;
         let (hob, host) = (&mut self.hob, &mut self.host);
         let now_s = hob.t_s();
         let mut kind = Kind::Other;
@@ -107,7 +101,7 @@ impl Run {
             | TimelineChange::MainsBack(_) => {
                 kind = Kind::Disturbed;
             }
-            TimelineChange::Inject(_) => self.cause_s = Some(now_s),
+            TimelineChange::Inject(_) => self.faults.injected(now_s),
             TimelineChange::Panel(PanelEvent::Level(level)) => {
                 self.panel_level = Some(*level);
                 kind = Kind::Power(hob.housekeeping().control().asked_w());
@@ -138,25 +132,6 @@ impl Run {
         Ok(())
     }
 
-    /// Records a fault that has become active, and the time at which its bridge opens.
-    fn watch_fault(&mut self) {
-        let fault = self.hob.sampling_path().fault();
-        let now_s = self.hob.t_s();
-        if fault != self.active_fault && fault != Fault::NONE {
-            self.opening = Some((self.faults.len(), self.cause_s.take().unwrap_or(now_s)));
-            self.faults.push(FaultRecord {
-                t_s: now_s,
-                name: format!("{fault:?}"),
-                off_after_s: None,
-            });
-        }
-        self.active_fault = fault;
-        if let (Some((fault, since_s)), Some(open_s)) = (self.opening, self.hob.open_since_s()) {
-            self.faults[fault].off_after_s = Some((open_s - since_s).max(0.0));
-            self.opening = None;
-        }
-    }
-
     /// Records the half-cycle that ended in this block; returns `false` if none did.
     fn take_half_cycle(&mut self) -> bool {
         let Some(reading) = self.hob.take_reading() else {
@@ -181,7 +156,7 @@ impl Run {
             measured_w: f64::from(seen.power_mw) * 1e-3,
             f_sw_hz,
             state: control.state().name().to_owned(),
-            fault: format!("{:?}", self.active_fault),
+            fault: format!("{:?}", self.faults.active()),
             pot: control.pot().name().to_owned(),
             off_reason: control.off_reason().name().to_owned(),
             limit: control.limit().name().to_owned(),
@@ -207,7 +182,7 @@ impl Run {
         summary.watchdog_bites = self.hob.watchdog_bites();
         Record {
             half_cycles: self.half_cycles,
-            faults: self.faults,
+            faults: self.faults.finish(),
             summary,
         }
     }

@@ -2,7 +2,7 @@
 
 use super::ScenarioError;
 use super::file::Scenario;
-use super::surroundings::Surroundings;
+use super::surroundings::{ChangeableHob, Surroundings};
 use super::timeline::{TimedChange, timeline};
 use crate::hob::SimHob;
 
@@ -33,7 +33,7 @@ impl ScenarioScript {
                     .to_owned(),
             });
         }
-        Surroundings::prepare(hob, &events)?;
+        Surroundings::prepare(hob.plant(), &events)?;
         Ok(Self {
             events,
             duration_s: scenario.file.duration_s,
@@ -70,7 +70,7 @@ impl ScenarioScript {
         while let Some(timed) = self.events.get(self.next).filter(|e| e.at_s <= at_s) {
             self.next += 1;
             // Pots without a model were rejected when the script was made.
-            let _ = self.surroundings.apply(hob, timed);
+            let _ = self.surroundings.apply_to_hob(hob, timed);
         }
     }
 }

@@ -1,16 +1,33 @@
-//! Changes around the hob: pot, mains, panel, heat, faults of sensors, and their restoration.
+//! Changes around a hob: pot, mains, heat, faults of sensors, a person at the panel, and their restoration.
 
 use std::collections::BTreeMap;
 
 use super::file::MainsField;
 use super::timeline::{TimedChange, TimelineChange};
 use crate::hob::SimHob;
+use crate::injection::Injections;
 use crate::inverter::InverterError;
+use crate::plant::Plant;
 use crate::pot::SimulatedPot;
+
+/// Hob whose surroundings change: the simulated one, or an image's board.
+pub trait ChangeableHob {
+    /// Its power stage.
+    fn plant(&mut self) -> &mut Plant;
+
+    /// Changes the injected faults.
+    fn inject(&mut self, change: impl FnOnce(&mut Injections));
+
+    /// Sets the heat sink's temperature in °C.
+    fn set_heat_sink(&mut self, celsius: f64);
+
+    /// Sets the temperature of the glass and its sensor in °C.
+    fn set_glass(&mut self, celsius: f64);
+}
 
 /// State before each event that is restored later.
 #[derive(Default)]
-pub(super) struct Surroundings {
+pub struct Surroundings {
     pots: BTreeMap<usize, SimulatedPot>,
     mains: BTreeMap<usize, (f64, f64)>,
     injected: BTreeMap<usize, u32>,
@@ -21,43 +38,63 @@ impl Surroundings {
     ///
     /// # Errors
     /// If there is no model of a pot.
-    pub(super) fn prepare(hob: &mut SimHob, events: &[TimedChange]) -> Result<(), InverterError> {
+    pub fn prepare(plant: &mut Plant, events: &[TimedChange]) -> Result<(), InverterError> {
         for timed in events {
             if let TimelineChange::Pot(pot) = &timed.change {
-                hob.prepare(pot)?;
+                plant.prepare(pot)?;
             }
         }
         Ok(())
     }
 
-    /// Applies a change; one of the host's has no effect.
+    /// Applies a change of any kind but the host's, which has no effect.
     ///
     /// # Errors
     /// If there is no model of a pot; the old one stays.
-    pub(super) fn apply(
+    pub(super) fn apply_to_hob(
         &mut self,
         hob: &mut SimHob,
+        timed: &TimedChange,
+    ) -> Result<(), InverterError> {
+        match &timed.change {
+            TimelineChange::Panel(touch) => hob.panel(*touch),
+            TimelineChange::Pass(minutes) => hob.pass_minutes(*minutes),
+            TimelineChange::Ambient(celsius) => hob.temperatures().ambient_c = *celsius,
+            _ => self.apply(hob, timed)?,
+        }
+        Ok(())
+    }
+
+    /// Applies a change of pot, mains, heat sink or glass, or of the injected faults; any other has no effect.
+    ///
+    /// # Errors
+    /// If there is no model of a pot; the old one stays.
+    pub fn apply(
+        &mut self,
+        hob: &mut impl ChangeableHob,
         timed: &TimedChange,
     ) -> Result<(), InverterError> {
         let event = timed.event;
         match &timed.change {
             TimelineChange::Pot(pot) => {
-                self.pots.insert(event, hob.pot());
-                hob.set_pot(*pot)?;
+                self.pots.insert(event, hob.plant().pot());
+                hob.plant().set_pot(*pot)?;
             }
             TimelineChange::PotBack(event) => {
                 if let Some(pot) = self.pots.remove(event) {
-                    hob.set_pot(pot)?;
+                    hob.plant().set_pot(pot)?;
                 }
             }
             TimelineChange::Mains(MainsField { v_rms, hz, .. }) => {
-                let before = (hob.mains().v_rms_v(), hob.mains().frequency_hz);
+                let mains = hob.plant().mains();
+                let before = (mains.v_rms_v(), mains.frequency_hz);
                 self.mains.insert(event, before);
-                hob.set_mains(v_rms.unwrap_or(before.0), hz.unwrap_or(before.1));
+                let (v_rms_v, hz) = (v_rms.unwrap_or(before.0), hz.unwrap_or(before.1));
+                hob.plant().change_mains(v_rms_v, hz);
             }
             TimelineChange::MainsBack(event) => {
-                if let Some((v_rms, hz)) = self.mains.remove(event) {
-                    hob.set_mains(v_rms, hz);
+                if let Some((v_rms_v, hz)) = self.mains.remove(event) {
+                    hob.plant().change_mains(v_rms_v, hz);
                 }
             }
             TimelineChange::Inject(injection) => {
@@ -71,12 +108,12 @@ impl Surroundings {
                     hob.inject(|all| all.end(number));
                 }
             }
-            TimelineChange::Panel(touch) => hob.panel(*touch),
-            TimelineChange::Pass(minutes) => hob.pass_minutes(*minutes),
-            TimelineChange::Ambient(celsius) => hob.temperatures().ambient_c = *celsius,
-            TimelineChange::HeatSink(celsius) => hob.temperatures().heat_sink_c = *celsius,
-            TimelineChange::Glass(celsius) => hob.temperatures().set_glass(*celsius),
-            TimelineChange::Power(_)
+            TimelineChange::HeatSink(celsius) => hob.set_heat_sink(*celsius),
+            TimelineChange::Glass(celsius) => hob.set_glass(*celsius),
+            TimelineChange::Panel(_)
+            | TimelineChange::Pass(_)
+            | TimelineChange::Ambient(_)
+            | TimelineChange::Power(_)
             | TimelineChange::Silent
             | TimelineChange::ClearFault
             | TimelineChange::ResetLookup

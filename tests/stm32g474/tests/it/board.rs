@@ -6,12 +6,15 @@ use std::time::Duration;
 
 use ihd_link::{Client, Transport};
 use ihd_sim::behavioural::PotKind;
+use ihd_sim::injection::{Injection, InjectionKind};
 use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::settings::LoadKind;
+use ihd_sim::scenario::surroundings::ChangeableHob;
 pub use ihd_stm32g474::bench::Bench;
 use ihd_stm32g474::chip::Reset;
 use ihd_stm32g474::cpu::nvic::FIRST_INTERRUPT;
+use ihd_stm32g474::machine::Machine;
 use ihd_stm32g474::pins::front_end;
 
 /// Exception number of DMA1's first channel: the sampling path.
@@ -57,11 +60,21 @@ pub fn take_mains_off(bench: &Bench) {
 
 /// Sets the voltage of the mains in volt rms.
 pub fn set_mains(bench: &Bench, v_rms_v: f64) {
-    bench.with(move |machine| {
-        let plant = &mut machine.chip().pins.plant;
-        let changed = plant.mains().changed(plant.t_s(), v_rms_v, 50.0);
-        plant.set_mains(changed);
+    bench.with(move |machine| machine.chip().pins.plant.change_mains(v_rms_v, 50.0));
+}
+
+/// Injects a fault with its value, of the kind's usual channel; returns the number that ends it.
+pub fn inject(machine: &mut Machine, kind: InjectionKind, value: f64) -> u32 {
+    let channel = kind.default_channel();
+    let mut number = 0;
+    machine.chip().pins.inject(|all| {
+        number = all.start(Injection {
+            kind,
+            value,
+            channel,
+        });
     });
+    number
 }
 
 /// Fails if the program violated the reference manual.

@@ -1,11 +1,12 @@
 //! Checks of `ihd doctor` on the image: the simulated hob has no clocks, comparators, supply or flash.
 
 use ihd_doctor::{Check, CheckResult, board};
-use ihd_shared::sampling::Pair;
+use ihd_shared::sampling::AMPERE_PER_CODE;
 use ihd_sim::behavioural::PotKind;
+use ihd_sim::injection::InjectionKind;
 use ihd_stm32g474::machine::Machine;
 
-use crate::board::{Bench, assert_no_violations, connect, with_pot};
+use crate::board::{Bench, assert_no_violations, connect, inject, with_pot};
 
 fn examine(bench: &Bench) -> Vec<Check> {
     // Long enough for the detection of the mains.
@@ -44,7 +45,11 @@ type Defect = fn(&mut Machine);
 // The self-test at start detects the last two as well.
 const DEFECTS: [(&[&str], Defect); 3] = [
     (&["channels"], |machine| {
-        machine.chip().pins.offset = Pair { v: 0, i: 30 };
+        inject(
+            machine,
+            InjectionKind::CurrentOffset,
+            30.0 * AMPERE_PER_CODE,
+        );
     }),
     (&["fault", "comparators"], |machine| {
         machine.chip().pins.dead_comparators = [false, true];

@@ -1,22 +1,21 @@
-//! Scenarios of tests/scenarios on the flash image, with the limits of the library: those whose events are requests of power over
-//! the link, pots and mains.
+//! Scenarios of tests/scenarios on the flash image, with the limits of the library. Left to the library are those with a person at the
+//! panel, with minutes that pass, with a pot that warms up, and faults of blocks, crossings and a DC-link sensor.
 
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 use ihd_link::{Client, DeviceEvent};
 use ihd_shared::board;
-use ihd_shared::fault::Fault;
-use ihd_shared::wire::messages::{State, Telemetry};
+use ihd_shared::wire::messages::{Configure, State, Telemetry};
 use ihd_sim::hob::{PanelEvent, SimHob};
-use ihd_sim::mains::SimulatedMains;
 use ihd_sim::meter::MeterReading;
 use ihd_sim::plant::Plant;
-use ihd_sim::pot::SimulatedPot;
-use ihd_sim::scenario::file::{MainsField, Scenario};
-use ihd_sim::scenario::record::{FaultRecord, Record, TrueHalfCycle};
+use ihd_sim::scenario::fault_log::FaultLog;
+use ihd_sim::scenario::file::Scenario;
+use ihd_sim::scenario::host::RepeatedRequests;
+use ihd_sim::scenario::record::{Record, TrueHalfCycle};
 use ihd_sim::scenario::summary::{self, Kind, Mark};
-use ihd_sim::scenario::timeline::{TimedChange, TimelineChange, timeline};
+use ihd_sim::scenario::surroundings::Surroundings;
+use ihd_sim::scenario::timeline::{RepeatedRequest, TimedChange, TimelineChange, timeline};
 use ihd_sim::scenario::variants::Variant;
 
 use crate::board::{Bench, IMAGE, assert_no_violations, connect};
@@ -37,14 +36,19 @@ macro_rules! scenarios {
 
 scenarios! {
     absent { no_pot put_on unsuitable }
+    bursts { bursts pots }
     lift { lift shift }
-    link { pots unsuitable }
-    mains { short_swell }
-    noise { snr_20 snr_30 }
+    link { pots trip_at_crest unsuitable }
+    mains { low_then_high short_swell }
+    noise { snr_20 snr_25 snr_30 tolerances }
     objects { cutlery refused rings sandwich sheets smallest }
+    panel { host_silent }
+    plausibility { aged_capacitor bare_coil bits dead_comparator gain_drift gains mains_hz no_drift off offsets slow_drift stuck supply }
     pots { places recovered_mains risen_mains }
+    restart { doubled host_clears host_repeats lookups tries }
     sags { dip dropout swell }
-    steps { steps }
+    steps { dither low_mains steps taught }
+    temperatures { derating glass over sensors }
     zvs { powers }
 }
 
@@ -61,37 +65,37 @@ struct ImageRun {
     /// Time of the power stage at the beginning of the scenario, in seconds.
     began_s: f64,
     asked_w: u16,
+    /// Time of the next keep-alive request in seconds; infinite if the host is silent.
     alive_s: f64,
+    repeats: RepeatedRequests,
     last: Option<Telemetry>,
     half_cycles: Vec<TrueHalfCycle>,
-    faults: Vec<FaultRecord>,
+    faults: FaultLog,
     marks: Vec<Mark>,
     energy_j: f64,
-    pots: BTreeMap<usize, SimulatedPot>,
-    mains: BTreeMap<usize, SimulatedMains>,
+    surroundings: Surroundings,
 }
 
 impl ImageRun {
     /// Board some time after power-on, at a zero crossing.
     fn new(scenario: &Scenario, events: &[TimedChange]) -> Self {
         let config = scenario.file.hob();
-        let pots: Vec<_> = events
-            .iter()
-            .filter_map(|timed| match &timed.change {
-                TimelineChange::Pot(pot) => Some(*pot),
-                _ => None,
-            })
-            .collect();
+        let events = events.to_vec();
         let plant = move || {
             let mut plant = config.plant().expect("a pot that has a model");
-            for pot in &pots {
-                plant.prepare(pot).expect("a pot that has a model");
-            }
+            Surroundings::prepare(&mut plant, &events).expect("pots that have a model");
             plant
         };
         let bench = Bench::power_up(&IMAGE, plant).expect("the image is there");
         let mut client = connect(&bench);
         client.stream(1, 0).expect("the board answers");
+        let usual = Configure::DEFAULT;
+        let dither = scenario.file.dither_permille;
+        let settings = Configure {
+            dither_permille: dither.map_or(usual.dither_permille, |p| p as u8),
+            ..usual
+        };
+        client.configure(&settings).expect("the board answers");
         let half_cycle_s = 0.5 / config.mains_hz;
         let now_s = bench.with(|machine| machine.chip().pins.plant.t_s());
         let began_s = ((now_s + 0.05) / half_cycle_s).ceil() * half_cycle_s;
@@ -103,13 +107,13 @@ impl ImageRun {
             began_s,
             asked_w: 0,
             alive_s: 0.0,
+            repeats: RepeatedRequests::default(),
             last: None,
             half_cycles: Vec::new(),
-            faults: Vec::new(),
+            faults: FaultLog::default(),
             marks: Vec::new(),
             energy_j: 0.0,
-            pots: BTreeMap::new(),
-            mains: BTreeMap::new(),
+            surroundings: Surroundings::default(),
         }
     }
 
@@ -124,37 +128,49 @@ impl ImageRun {
     }
 
     fn apply(&mut self, timed: &TimedChange) {
-        let event = timed.event;
-        let mut kind = Kind::Disturbed;
+        let (mut surroundings, change) = (std::mem::take(&mut self.surroundings), timed.clone());
+        self.surroundings = self.bench.with(move |machine| {
+            let pins = &mut machine.chip().pins;
+            let applied = surroundings.apply(pins, &change);
+            applied.expect("a pot that has a model");
+            surroundings
+        });
+        let mut kind = Kind::Other;
         match &timed.change {
             TimelineChange::Power(power_w) => {
                 kind = Kind::Power(*power_w);
-                self.asked_w = *power_w;
-                // Refused if the board is locked out, which the limits check.
-                let _ = self.client.set_power(*power_w);
+                self.set_power(*power_w);
             }
-            TimelineChange::Pot(pot) => {
-                let pot = *pot;
-                self.pots.insert(event, self.plant(|plant| plant.pot()));
-                self.put_on(pot);
+            TimelineChange::Pot(_)
+            | TimelineChange::PotBack(_)
+            | TimelineChange::Mains(_)
+            | TimelineChange::MainsBack(_) => kind = Kind::Disturbed,
+            TimelineChange::Inject(_) => self.faults.injected(self.now_s()),
+            TimelineChange::InjectEnd(_)
+            | TimelineChange::HeatSink(_)
+            | TimelineChange::Glass(_) => {}
+            TimelineChange::Silent => {
+                self.alive_s = f64::INFINITY;
+                self.repeats.clear();
             }
-            TimelineChange::PotBack(event) => {
-                if let Some(pot) = self.pots.remove(event) {
-                    self.put_on(pot);
+            TimelineChange::ClearFault => self.clear_fault(),
+            TimelineChange::ResetLookup => self.client.reset_lookup().expect("the board answers"),
+            TimelineChange::PushLookup(lookup) => {
+                self.client.push_lookup(lookup).expect("the board answers");
+            }
+            TimelineChange::Repeat {
+                what,
+                every_s,
+                until_s,
+            } => {
+                if let RepeatedRequest::Power(power_w, false) = what {
+                    kind = Kind::Power(*power_w);
                 }
+                self.repeats.add(*what, *every_s, *until_s, self.now_s());
             }
-            TimelineChange::Mains(MainsField { v_rms, hz, .. }) => {
-                let before = self.plant(|plant| plant.mains());
-                self.mains.insert(event, before);
-                let v_rms_v = v_rms.unwrap_or(before.v_rms_v());
-                self.set_mains(v_rms_v, hz.unwrap_or(before.frequency_hz));
+            TimelineChange::Panel(_) | TimelineChange::Pass(_) | TimelineChange::Ambient(_) => {
+                unreachable!("not on the image: {timed:?}")
             }
-            TimelineChange::MainsBack(event) => {
-                if let Some(before) = self.mains.remove(event) {
-                    self.set_mains(before.v_rms_v(), before.frequency_hz);
-                }
-            }
-            other => unreachable!("{other:?}"),
         }
         self.marks.push(Mark {
             at_s: timed.at_s,
@@ -162,15 +178,15 @@ impl ImageRun {
         });
     }
 
-    fn put_on(&self, pot: SimulatedPot) {
-        self.plant(move |plant| plant.set_pot(pot).expect("a pot that has a model"));
+    /// Requests power; a board that is locked out refuses it, which the limits check.
+    fn set_power(&mut self, power_w: u16) {
+        self.asked_w = power_w;
+        let _ = self.client.set_power(power_w);
     }
 
-    fn set_mains(&self, v_rms_v: f64, hz: f64) {
-        self.plant(move |plant| {
-            let changed = plant.mains().changed(plant.t_s(), v_rms_v, hz);
-            plant.set_mains(changed);
-        });
+    /// Clears the fault; a board that is locked out refuses it, which the limits check.
+    fn clear_fault(&mut self) {
+        let _ = self.client.clear_fault();
     }
 
     /// Lets time pass up to an event, at most one polling period, and records the readings of board and wattmeter.
@@ -182,9 +198,16 @@ impl ImageRun {
                 self.take(telemetry);
             }
         }
-        if self.now_s() >= self.alive_s {
+        let now_s = self.now_s();
+        if now_s >= self.alive_s {
             self.alive_s += ALIVE_S;
             self.client.status().expect("the board answers");
+        }
+        for what in self.repeats.due(now_s) {
+            match what {
+                RepeatedRequest::Power(power_w, _) => self.set_power(power_w),
+                RepeatedRequest::ClearFault => self.clear_fault(),
+            }
         }
         if let Some(reading) = self.plant(Plant::take_reading) {
             self.record(&reading);
@@ -192,14 +215,11 @@ impl ImageRun {
     }
 
     fn take(&mut self, telemetry: Telemetry) {
-        let before = self.last.as_ref().map_or(Fault::NONE, |last| last.fault);
-        if telemetry.fault != before && telemetry.fault != Fault::NONE {
-            self.faults.push(FaultRecord {
-                t_s: self.now_s(),
-                name: format!("{:?}", telemetry.fault),
-                off_after_s: None,
-            });
-        }
+        let began_s = self.began_s;
+        let open_since_s = self.plant(|plant| plant.open_since_s());
+        let open_since_s = open_since_s.map(|at_s| at_s - began_s);
+        self.faults
+            .watch(telemetry.fault, self.now_s(), open_since_s);
         self.last = Some(telemetry);
     }
 
@@ -238,7 +258,7 @@ impl ImageRun {
         summary.energy_j = self.energy_j;
         Record {
             half_cycles: self.half_cycles,
-            faults: self.faults,
+            faults: self.faults.finish(),
             summary,
         }
     }

@@ -5,16 +5,19 @@ use std::time::Duration;
 use ihd_link::{Client, DeviceEvent, LinkError};
 use ihd_shared::board::{MAINS_FULL_SCALE_MV, MAINS_VOLTAGE_V};
 use ihd_shared::image::{self, Header};
-use ihd_shared::sampling::{CODE_HALF_RANGE, Pair};
+use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, VOLT_PER_CODE};
 use ihd_shared::wire::messages::{Outcome, Program, State};
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 use ihd_sim::behavioural::PotKind;
+use ihd_sim::injection::InjectionKind;
 use ihd_stm32g474::chip::Reset;
 use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::processor::{BOOTLOADER, BOOTLOADER_STACK};
 use ihd_stm32g474::registers as reg;
 
-use crate::board::{Bench, assert_no_violations, connect, resets, take_mains_off, with_pot};
+use crate::board::{
+    Bench, assert_no_violations, connect, inject, resets, take_mains_off, with_pot,
+};
 
 fn outcome<T: std::fmt::Debug>(result: Result<T, LinkError>) -> Outcome {
     match result {
@@ -165,9 +168,13 @@ fn the_channels_show_offsets_that_are_on_the_pins() {
     let mut client = connect(&bench);
     let none = client.channels().unwrap();
     bench.with(|machine| {
-        let pins = &mut machine.chip().pins;
-        pins.offset = Pair { v: -9, i: 14 };
-        pins.vdda_v = 3.2;
+        inject(machine, InjectionKind::VoltageOffset, -9.0 * VOLT_PER_CODE);
+        inject(
+            machine,
+            InjectionKind::CurrentOffset,
+            14.0 * AMPERE_PER_CODE,
+        );
+        inject(machine, InjectionKind::Supply, 3.2 / 3.3);
     });
     bench.run_s(0.02);
     let some = client.channels().unwrap();

@@ -5,9 +5,11 @@ use ihd_firmware::sense::codes::TRIP_CODE;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::State;
 use ihd_sim::behavioural::PotKind;
+use ihd_sim::injection::InjectionKind;
+use ihd_sim::scenario::surroundings::ChangeableHob;
 use ihd_stm32g474::registers::dac1;
 
-use crate::board::{Bench, assert_no_violations, connect, with_pot};
+use crate::board::{Bench, assert_no_violations, connect, inject, with_pot};
 
 /// Mean power into the pot over a time in watt, by a meter that does not depend on the supply.
 fn delivered_w(bench: &Bench, while_s: f64) -> f64 {
@@ -17,8 +19,8 @@ fn delivered_w(bench: &Bench, while_s: f64) -> f64 {
     energy_j / time_s
 }
 
-fn set_supply(bench: &Bench, factor: f64) {
-    bench.with(move |machine| machine.chip().pins.vdda_v = 3.3 * factor);
+fn end_injection(bench: &Bench, number: u32) {
+    bench.with(move |machine| machine.chip().pins.inject(|all| all.end(number)));
 }
 
 #[test]
@@ -30,7 +32,7 @@ fn a_supply_that_drifts_changes_neither_power_nor_trip_and_one_that_is_wrong_is_
     let nominal_w = delivered_w(&bench, 0.1);
     assert!((nominal_w / 1_200.0 - 1.0).abs() < 0.03, "{nominal_w}");
     for factor in [0.978, 1.022] {
-        set_supply(&bench, factor);
+        let number = bench.with(move |machine| inject(machine, InjectionKind::Supply, factor));
         bench.run_s(0.35);
         let power_w = delivered_w(&bench, 0.1);
         let code = bench.with(|machine| machine.chip().file.get(dac1::dac_dhr12r1::DACC1DHR));
@@ -42,20 +44,24 @@ fn a_supply_that_drifts_changes_neither_power_nor_trip_and_one_that_is_wrong_is_
         assert!((power_w / 1_200.0 - 1.0).abs() < 0.023, "{power_w}");
         assert!((trip - 1.0).abs() < 0.002, "{trip}");
         assert_eq!(client.status().unwrap().state, State::Heating);
+        end_injection(&bench, number);
     }
-    for (supply, reference) in [(0.95, 1.0), (1.1, 1.0), (1.0, 0.95)] {
-        set_supply(&bench, supply);
-        bench.with(move |machine| machine.chip().pins.reference_ratio = reference);
+    let wrong = [
+        (InjectionKind::Supply, 0.95),
+        (InjectionKind::Supply, 1.1),
+        (InjectionKind::Reference, 0.95),
+    ];
+    for (kind, factor) in wrong {
+        let number = bench.with(move |machine| inject(machine, kind, factor));
         bench.run_s(0.02);
         let status = client.status().unwrap();
         assert_eq!(
             (status.state, status.fault),
             (State::Pausing, Fault::SUPPLY_RANGE),
-            "{supply} {reference}"
+            "{kind} {factor}"
         );
         // The fault ends with its cause and costs no try.
-        set_supply(&bench, 1.0);
-        bench.with(|machine| machine.chip().pins.reference_ratio = 1.0);
+        end_injection(&bench, number);
         bench.run_s(0.45);
         let status = client.status().unwrap();
         assert_eq!((status.state, status.tries_left), (State::Heating, TRIES));
