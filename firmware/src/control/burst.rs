@@ -8,7 +8,7 @@
 use crate::control::restart::is_reached;
 use crate::control::supply_share::SupplyShare;
 use crate::limits::{
-    BURST_PERIOD_MS, BUS_AT_START_DV, HANDOVER_HALF_CYCLES, SHARED_BURST_HALF_CYCLES,
+    BURST_PERIOD_MS, BURST_POWER_W, BUS_AT_START_DV, HANDOVER_HALF_CYCLES, SHARED_BURST_HALF_CYCLES,
 };
 use crate::sampling::half_cycle::HalfCycle;
 
@@ -102,7 +102,7 @@ impl PowerBursts {
             };
             let period_uj = period_uj(asked_w);
             let due_uj = self.due_uj + period_uj;
-            self.due_uj = due_uj.min(periods * period_uj);
+            self.due_uj = due_uj.min(periods * period_uj).max(-most_debt_uj());
             self.short = due_uj > self.due_uj;
             self.waits |= self.due_uj > 0;
         }
@@ -166,6 +166,11 @@ fn period_uj(asked_w: u16) -> i64 {
     i64::from(asked_w) * i64::from(BURST_PERIOD_MS) * 1_000
 }
 
+/// Excess that later bursts make good, in microjoule, at most: probes alone give more than a watt, for hours.
+fn most_debt_uj() -> i64 {
+    period_uj(BURST_POWER_W)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -215,5 +220,42 @@ mod tests {
                 assert!(lengths.iter().all(|n| n % 2 == 0), "{lengths:?}");
             }
         }
+    }
+    /// An hour on a glass that is hot enough: probes of 1.1 J, .7 s apart, and no burst. Without the limit of a debt the next 500 W
+    /// would begin 11 s late.
+    #[test]
+    fn what_hours_of_probes_gave_holds_no_later_power_back() {
+        let mut supply = SupplyShare::default();
+        let mut burst = PowerBursts::new(0, 0, Some(0));
+        let idle = HalfCycle {
+            duration_ns: HALF_CYCLE_MS * 1_000_000,
+            ..HalfCycle::default()
+        };
+        let probe = HalfCycle {
+            power_mw: 110_000,
+            ..idle
+        };
+        let heats = HalfCycle {
+            f_sw_hz: 70_000,
+            power_mw: 700_000,
+            ..idle
+        };
+        for _ in 0..2 {
+            burst.on_half_cycle(&heats, 0, 0, false, &mut supply);
+        }
+        assert!(!burst.is_on(), "one whole cycle");
+        for k in 1..=360_000 {
+            if k % 70 == 0 {
+                burst.count(&probe);
+            }
+            burst.on_half_cycle(&idle, 0, k * HALF_CYCLE_MS, false, &mut supply);
+        }
+        let begins = |k: &u32| {
+            let now_ms = (360_000 + k) * HALF_CYCLE_MS;
+            burst.on_half_cycle(&idle, 500, now_ms, true, &mut supply) == BurstStep::On
+        };
+        // At most 720 J too much were given: two periods of 500 W.
+        let late = (1..).find(begins).unwrap();
+        assert!(late <= 201, "{late} half-cycles");
     }
 }
