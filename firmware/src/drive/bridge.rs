@@ -6,9 +6,9 @@
 //! | LowerOn | requested power | first zero crossing after 1 ms: Switching |
 //! | Switching | LowerOn | off, fault, replay: Open at once |
 //!
-//! Off, fault and replay lead from LowerOn to Open as well. The tank is at rest from the first zero
-//! crossing after the switches opened: until then the resonance capacitor follows the mains through a
-//! diode, and a switch that closed would short what it holds.
+//! Off, fault and replay lead from LowerOn to Open as well. A switch closes again from the first
+//! zero crossing after both opened: until then the resonance capacitor may follow the mains through a diode. What is left in it
+//! after a probe, about a third of a bus that C2 holds up, then flows through coil and lower switch.
 
 use crate::drive::pwm;
 use crate::limits::BOOTSTRAP_CHARGE_NS;
