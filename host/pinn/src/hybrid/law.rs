@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use super::inputs::Inputs;
 use super::misfit::Misfit;
-use super::result::Found;
+use super::result::Curves;
 use crate::at_once::{LawFit, Place, Widths, Window};
 use crate::harmonic_branch::HarmonicBranch;
 use crate::loss::{SlowPhysics, slow_times_s};
@@ -61,7 +61,7 @@ impl<'a> LawWindow<'a> {
     }
 
     /// R(t) and L(t) by the law; `None` if it does not hold here.
-    pub fn found(&self) -> Option<Found> {
+    pub fn curves(&self) -> Option<Curves> {
         let (samples, config) = (self.inputs.samples, self.inputs.config);
         let physics = &self.window.physics;
         let law = LawFit::new(&self.window, &Widths::LEARNED)?;
@@ -83,7 +83,7 @@ impl<'a> LawWindow<'a> {
             return None;
         }
         let squares: f64 = physics.residuals(&outputs).iter().map(|e| e * e).sum();
-        let mut found = Found {
+        let mut curves = Curves {
             tau_s: result_times_s(samples, config),
             r_ohm: Vec::new(),
             l_h: Vec::new(),
@@ -95,18 +95,18 @@ impl<'a> LawWindow<'a> {
             parameters: self.network(),
             stopped: StopReason::ClosedForm,
         };
-        for &tau_s in &found.tau_s {
+        for &tau_s in &curves.tau_s {
             let ([r, l], variances) = law.at(place(samples, self.branch, tau_s));
             let (r_ohm, l_h) = (r * scales[0], l * scales[1]);
             let chi2 = misfit.chi2(tau_s, (r_ohm, l_h));
             let [r_sigma, l_sigma] = variances.map(|variance| (variance * chi2).sqrt());
-            found.r_ohm.push(r_ohm);
-            found.l_h.push(l_h);
-            found.r_sigma_ohm.push(r_sigma * scales[0]);
-            found.l_sigma_h.push(l_sigma * scales[1]);
-            found.chi2.push(chi2);
+            curves.r_ohm.push(r_ohm);
+            curves.l_h.push(l_h);
+            curves.r_sigma_ohm.push(r_sigma * scales[0]);
+            curves.l_sigma_h.push(l_sigma * scales[1]);
+            curves.chi2.push(chi2);
         }
-        Some(found)
+        Some(curves)
     }
 
     /// Network for a later window: the one that was given, or one that has not been trained.

@@ -42,10 +42,10 @@ pub(crate) fn hybrid(
         laws: setup::laws(order, &branch.basis, config),
     };
     if config.at_once
-        && let Some(found) = LawWindow::new(&inputs, &by_data, &network).found()
+        && let Some(curves) = LawWindow::new(&inputs, &by_data, &network).curves()
     {
         log.pass = 1;
-        return Ok(result::assemble(&inputs, &by_data, found, log));
+        return Ok(result::assemble(&inputs, &by_data, curves, log));
     }
     loop {
         log.pass += 1;
@@ -53,8 +53,8 @@ pub(crate) fn hybrid(
         let descent = pass.train(&mut log)?;
         let converged = log.pass > 1 && pass.change_to(&descent.parameters) < pass.tolerance;
         if converged || log.pass >= config.outer_passes || !descent.stopped.is_converged() {
-            let found = result::of_network(&pass, &by_data, descent)?;
-            return Ok(result::assemble(&inputs, &branch, found, log));
+            let curves = result::of_network(&pass, &by_data, descent)?;
+            return Ok(result::assemble(&inputs, &branch, curves, log));
         }
         network = descent.parameters;
         branch = system.fit_with_physics(&PhysicsTerm {

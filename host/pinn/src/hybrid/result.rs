@@ -11,8 +11,8 @@ use crate::result::{Reconstruction, nmse_pct, result_times_s};
 use crate::uncertainty::laplace;
 use crate::{Identification, LossTerms, PinnError};
 
-/// R(t) and L(t) by a network or a law.
-pub(super) struct Found {
+/// Curves R(t) and L(t) of a window, by a network or a law.
+pub(super) struct Curves {
     /// Times after the first pair, s.
     pub tau_s: Vec<f64>,
     pub r_ohm: Vec<f64>,
@@ -34,7 +34,7 @@ pub(super) fn of_network(
     pass: &Pass<'_>,
     by_data: &HarmonicBranch,
     descent: Descent,
-) -> Result<Found, PinnError> {
+) -> Result<Curves, PinnError> {
     let (samples, config) = (pass.inputs.samples, pass.inputs.config);
     let tau_s = result_times_s(samples, config);
     let t_s: Vec<f64> = tau_s.iter().map(|tau| samples.t0_s + tau).collect();
@@ -49,7 +49,7 @@ pub(super) fn of_network(
     for ((tau, r), l) in tau_s.iter().zip(&mut r_sigma_ohm).zip(&mut l_sigma_h) {
         chi2.push(corrected.raise(*tau, [r, l]));
     }
-    Ok(Found {
+    Ok(Curves {
         tau_s,
         r_ohm,
         l_h,
@@ -67,38 +67,38 @@ pub(super) fn of_network(
 pub(super) fn assemble(
     inputs: &Inputs<'_>,
     branch: &HarmonicBranch,
-    found: Found,
+    curves: Curves,
     log: Log<'_>,
 ) -> Identification {
     let (samples, config) = (inputs.samples, inputs.config);
     let amplitude = |tau: &f64| branch.amplitude(*tau) * samples.i_max_ampere;
     let power_ratio = |tau: &f64| branch.power_ratio(*tau) / samples.impedance_scale();
-    let (l_i1, l_i2) = found.data_losses;
+    let (l_i1, l_i2) = curves.data_losses;
     Identification {
         impedance_order: inputs.order,
-        i_amplitude_a: found.tau_s.iter().map(amplitude).collect(),
-        r_power_ohm: found.tau_s.iter().map(power_ratio).collect(),
-        t_s: found.tau_s.iter().map(|tau| samples.t0_s + tau).collect(),
-        r_ohm: found.r_ohm,
-        l_h: found.l_h,
-        r_sigma_ohm: found.r_sigma_ohm,
-        l_sigma_h: found.l_sigma_h,
-        chi2: found.chi2,
+        i_amplitude_a: curves.tau_s.iter().map(amplitude).collect(),
+        r_power_ohm: curves.tau_s.iter().map(power_ratio).collect(),
+        t_s: curves.tau_s.iter().map(|tau| samples.t0_s + tau).collect(),
+        r_ohm: curves.r_ohm,
+        l_h: curves.l_h,
+        r_sigma_ohm: curves.r_sigma_ohm,
+        l_sigma_h: curves.l_sigma_h,
+        chi2: curves.chi2,
         // The terms of eq. (7) at the final parameters.
         losses: LossTerms {
-            l_f: found.physics_loss / config.w_f,
+            l_f: curves.physics_loss / config.w_f,
             l_i1,
             l_i2,
-            total: found.physics_loss + config.w_i * (l_i1 + l_i2),
+            total: curves.physics_loss + config.w_i * (l_i1 + l_i2),
         },
         iterations: log.iteration,
         passes: log.pass,
-        stopped_because: found.stopped,
+        stopped_because: curves.stopped,
         elapsed_s: log.elapsed_s(),
         nmse_v_pct: nmse_pct(l_i1, &samples.v),
         nmse_i_pct: nmse_pct(l_i2, &samples.i),
         reconstruction: Reconstruction::of_branch(samples, branch),
         history: log.history,
-        parameters: found.parameters,
+        parameters: curves.parameters,
     }
 }
