@@ -1,4 +1,4 @@
-//! What firmware/on-target expects of the controller is what this machine gives.
+//! Digits that firmware/on-target expects of the controller, computed on this machine.
 
 #[path = "../on-target/src/digits.rs"]
 mod digits;

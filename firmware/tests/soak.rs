@@ -56,7 +56,7 @@ impl Random {
     }
 }
 
-/// What the samples are of.
+/// Subject of the samples.
 #[derive(Clone, Copy)]
 enum Samples {
     /// A pot, with the envelope of the mains.

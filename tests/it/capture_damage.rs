@@ -258,7 +258,7 @@ fn what_is_no_file_is_reported() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
-    /// Whatever a few bytes become, reading ends, with an error or with no more than there was.
+    /// With any change of a few bytes reading ends, with an error or with no more than there was.
     #[test]
     fn damage_anywhere_is_an_error_or_nothing(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),

@@ -75,7 +75,7 @@ fn power_follows_requests_up_and_down() {
     assert_eq!((last.state, last.f_sw_hz), (State::Idle, 0));
 }
 
-/// What a board's timers cannot make, the simulated one does not make either.
+/// The simulated board makes only frequencies that a board's timers can make.
 #[test]
 fn every_frequency_is_one_that_a_board_can_make() {
     let mut kitchen = Kitchen::new(HobConfig::default());

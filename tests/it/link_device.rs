@@ -574,7 +574,7 @@ proptest! {
         prop_assert_eq!(status.frames_lost, 0);
     }
 
-    /// Whatever bytes come as a frame's payload, the device stays alive and answers the next.
+    /// After any bytes as a frame's payload the device answers the next request.
     #[test]
     fn any_payload_under_any_id_leaves_the_device_answering(
         frames in prop::collection::vec(

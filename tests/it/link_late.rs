@@ -167,7 +167,7 @@ impl Known {
         }
     }
 
-    /// Of all powers that may be in force it is one, and no late request makes it another.
+    /// The power in force is one of those that may be, and no late request makes it another.
     fn look(&mut self, client: &mut Client) {
         match client.status() {
             Ok(status) => {

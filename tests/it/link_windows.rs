@@ -236,7 +236,7 @@ fn a_window_of_which_nothing_but_its_end_came_is_asked_for() {
     assert!(counters.pieces_asked > 10, "{counters:?}");
 }
 
-/// What comes twice, or in another order, is as good as what comes once and in order.
+/// Chunks that come twice, or in another order, give the same window as those that come once and in order.
 #[test]
 fn repetition_and_order_cost_nothing() {
     for sends_again in [true, false] {

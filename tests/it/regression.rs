@@ -108,7 +108,7 @@ fn the_captures_are_what_their_settings_say_and_small() {
     assert!(bytes <= 1_500_000, "{bytes}");
 }
 
-/// What each capture is for shows in its samples, whatever an estimator makes of it.
+/// Each capture's purpose shows in its samples, independent of any estimator.
 #[test]
 fn each_capture_shows_what_it_is_named_for() {
     let read = |name: &str| mcap::read(&file(name)).unwrap();

@@ -75,7 +75,7 @@ fn suffer(frame: &[u8], fate: &Fate) -> Vec<u8> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever a link does to frames, a window that is given out is the one that was recorded, and
+    /// After any damage to frames, a window that is given out is the one that was recorded, and
     /// one that was seen at all is given out or rejected, once.
     #[test]
     fn no_damage_is_silently_accepted(

@@ -402,7 +402,7 @@ fn the_schema_and_its_version_change_together() {
     );
 }
 
-/// What a newer device sends reaches an older host whole, but for the name of the fault.
+/// Messages of a newer device reach an older host whole, but for the name of the fault.
 #[test]
 fn a_fault_of_a_newer_device_costs_nothing_else() {
     let newer = Fault::from_number(120);

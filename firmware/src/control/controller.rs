@@ -138,7 +138,7 @@ impl Control {
     }
 }
 
-/// What outlives a reset.
+/// State that outlives a reset.
 impl Control {
     /// State to be kept through a reset.
     pub fn retained(&self) -> RetainedControl {

@@ -37,7 +37,7 @@ const FIRST_OFFER_MS: u16 = 500;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Claim {
     None,
-    /// Until the wire is free.
+    /// Waiting for a free wire.
     Wanted,
     /// Pulled, and not yet checked: milliseconds until then.
     Pulled(u8),

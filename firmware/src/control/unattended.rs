@@ -16,7 +16,7 @@ pub struct Unattended {
 }
 
 impl Unattended {
-    /// As much is used up as before a reset.
+    /// Returns the time after a reset, of which as much is used up as before.
     pub fn restored(used_share: u8) -> Self {
         Self {
             used: u32::from(used_share) * (ALLOWANCE / 255),

@@ -92,8 +92,8 @@ impl CrashRecord {
         })
     }
 
-    /// What control begins with after `last`: the loss of power ends a lock-out, no other reset does. A fault of the
-    /// controller itself that ended a run locks out, though control did not live to see it.
+    /// Returns the state with which control begins after `last`: the loss of power ends a lock-out, no other reset does. A fault of
+    /// the controller itself that ended a run locks out, even if control could not record it.
     pub fn kept_control(last: Option<Self>, flags: ResetFlags) -> (RetainedControl, Fault) {
         let Some(last) = last.filter(|_| !flags.brown_out) else {
             return (RetainedControl::default(), Fault::NONE);

@@ -501,7 +501,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever is damaged or cut off is an error or harmless, never a panic; and what is taken has a right CRC.
+        /// An image that is damaged or cut off is an error or harmless, never a panic; one that is accepted has a right CRC.
         #[test]
         fn damage_is_no_panic(at in 0_usize..2_048, to: u8, cut in 0_usize..4_096) {
             let mut elf = SampleImage::default().elf();

@@ -537,7 +537,7 @@ mod tests {
         assert!(why.to_string().contains("build id: none"), "{why}");
     }
 
-    /// Whatever cuts it short, the same again mends it.
+    /// An installation that was interrupted anywhere is completed by a second one.
     #[test]
     fn a_second_run_mends_what_the_first_left() {
         let image = image(&SampleImage::default());

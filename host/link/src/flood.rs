@@ -1,4 +1,4 @@
-//! What a device may send of its own accord, and what is beyond that: dropped by its id, before it is checked, decoded or copied.
+//! Rates at which a device may send unasked; what exceeds them is dropped by its id, before it is checked, decoded or copied.
 //!
 //! A hob sends a half-cycle 100 to 120 times a second, and a window of every twentieth. The limit is twice that, so that a simulated hob
 //! may be twice as fast; what a link held back comes in one piece and fits, too. Answers are not limited: a request waits for them.
@@ -18,7 +18,7 @@ const NUMBERS_A_SECOND: f64 = 240.0;
 /// Windows a second.
 const WINDOWS_A_SECOND: f64 = 12.0;
 
-/// What may come at once, in seconds of the above.
+/// Burst that may arrive at once, in seconds of these rates.
 const AT_ONCE_S: f64 = 2.0;
 
 /// Messages of the longest window, each sent twice.

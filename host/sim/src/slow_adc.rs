@@ -73,8 +73,7 @@ mod tests {
     use super::*;
     use crate::mains::SimulatedMains;
 
-    /// Whatever the noise, each half-cycle has one crossing, within the noise over the slope of its
-    /// time.
+    /// Each half-cycle has one crossing at any noise, within the noise over the slope of its time.
     #[test]
     fn the_detector_finds_each_crossing_once_and_in_its_place() {
         for (mains_hz, f_sw_hz) in [(50.0, 34_038), (60.0, 79_911), (50.0, 79_911)] {

@@ -1,5 +1,5 @@
-//! Whatever a host sends, and whenever: the bridge is not on for long without a pot that was judged, and
-//! never while locked out.
+//! Limits that no request of a host moves, at any time: the bridge is not on for long without a pot that was judged, and never while
+//! locked out.
 
 use ihd_firmware::limits::{QUICK_PROBE_MS, UNJUDGED_MS};
 use ihd_shared::fault::Fault;

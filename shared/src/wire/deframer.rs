@@ -146,7 +146,7 @@ mod tests {
         out[..n].to_vec()
     }
 
-    /// As [`good`], of a stream that comes in runs of these lengths.
+    /// Returns what [`good`] does, of a stream that comes in runs of these lengths.
     fn good_of_runs(stream: &[u8], runs: &[usize]) -> Vec<(u8, u16, Vec<u8>)> {
         let mut deframer = Deframer::new();
         let mut found = Vec::new();
@@ -270,7 +270,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever stands between them, every well-formed frame is found, in order, unchanged.
+        /// Every well-formed frame is found, in order, unchanged, with anything between them.
         #[test]
         fn every_well_formed_frame_is_found(
             pieces in prop::collection::vec(piece(), 0..12),

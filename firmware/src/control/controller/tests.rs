@@ -219,7 +219,7 @@ fn switched_off_means_off() {
     }
 }
 
-/// Whoever switches off may put another pot on.
+/// A person who switches off may put another pot on.
 #[test]
 fn switched_off_after_a_trip_the_next_search_begins_anew() {
     let mut bench = heating();

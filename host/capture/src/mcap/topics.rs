@@ -183,11 +183,11 @@ pub struct Telemetry {
     pub dropped: u32,
     /// Half-cycle since boot.
     pub half_cycle: u32,
-    /// What the controller is doing.
+    /// State of the controller.
     pub state: String,
     /// Active fault.
     pub fault: String,
-    /// What stands on the coil.
+    /// Class of the pot on the coil.
     pub pot: String,
     /// Switching frequency in hertz; 0 with the inverter off.
     pub f_sw_hz: u32,
@@ -206,7 +206,7 @@ pub struct Telemetry {
     /// Power asked for, in watt; since protocol 2.0, like what follows.
     #[serde(default)]
     pub asked_w: u16,
-    /// What holds the power below what was asked for.
+    /// Limit that holds the power below the request.
     #[serde(default)]
     pub limit: String,
     /// Highest bus voltage of the half-cycle, in volt.
@@ -231,7 +231,7 @@ pub struct Telemetry {
 pub struct WindowNote {
     /// Counts every window that was due.
     pub seq: u32,
-    /// Why it was rejected; absent for a whole one.
+    /// Reason for its rejection; absent for a whole one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rejected: Option<String>,
     /// The rest, for a whole one.
@@ -296,7 +296,7 @@ pub struct LookupRecord {
     pub l_h: Vec<Vec<f64>>,
 }
 
-/// What the link has seen so far, the bad included.
+/// Counts of the link so far, of damaged frames too.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct LinkCounters {
     /// Bytes received.

@@ -34,7 +34,7 @@ pub fn of<'a>(checks: &'a [Check], name: &str) -> &'a Check {
     check
 }
 
-/// Whatever came of it, each check is there, once.
+/// Asserts that each check is there, once, with any result.
 pub fn complete(checks: &[Check], names: &[&str]) {
     for name in names {
         of(checks, name);

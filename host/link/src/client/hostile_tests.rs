@@ -222,7 +222,7 @@ fn what_may_come_twice_is_asked_again() {
     }
 }
 
-/// What is beyond a hob's rates is counted and nothing else, and answers come among it.
+/// Frames beyond a hob's rates are counted and nothing else, and answers among them arrive.
 #[test]
 fn of_a_flood_a_hobs_share_is_decoded() {
     let mut power_w = 0;

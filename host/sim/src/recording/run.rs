@@ -484,7 +484,7 @@ mod tests {
         );
     }
 
-    /// What R and L leave of the coil's voltage is the neighbour's tone, in amplitude and frequency.
+    /// The part of the coil's voltage that R and L leave is the neighbour's tone, in amplitude and frequency.
     #[test]
     fn a_neighbour_is_what_r_and_l_leave_unexplained() {
         let s = CaptureSpec {

@@ -236,7 +236,7 @@ fn an_empty_day_under_way_is_set_aside_and_windows_go_on() {
     assert_eq!(set_aside.len(), 1);
 }
 
-/// What was committed stands in the log until a checkpoint: a torn one gives what was whole.
+/// Committed data is in the log until a checkpoint: a torn log gives what was whole.
 #[test]
 fn a_torn_log_gives_what_was_committed_before() {
     for cut in [1, 33, 5_000, 40_000] {

@@ -146,7 +146,7 @@ mod tests {
         }
     }
 
-    /// What a build before the sensors wrote.
+    /// State written by a build before the sensors.
     #[test]
     fn the_first_format_is_read_and_knows_nothing_of_the_sensors() {
         let text = String::from_utf8(Learning::new(PinnConfig::default()).to_bytes()).unwrap();
