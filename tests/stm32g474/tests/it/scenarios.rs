@@ -53,7 +53,7 @@ scenarios! {
 }
 
 /// Time between two polls of the board, in seconds.
-const LOOK_S: f64 = 2e-3;
+const POLL_S: f64 = 2e-3;
 
 /// Time between two keep-alive requests of the host, in seconds.
 const ALIVE_S: f64 = 1.0;
@@ -190,9 +190,9 @@ impl ImageRun {
     }
 
     /// Lets time pass up to an event, at most one polling period, and records the readings of board and wattmeter.
-    fn look(&mut self, until_s: f64) {
+    fn poll(&mut self, until_s: f64) {
         let left_s = until_s - self.now_s();
-        self.bench.run_s(left_s.clamp(1e-5, LOOK_S));
+        self.bench.run_s(left_s.clamp(1e-5, POLL_S));
         while let Some(event) = self.client.next_event(Duration::ZERO).expect("the link") {
             if let DeviceEvent::Telemetry(telemetry) = event {
                 self.take(telemetry);
@@ -276,7 +276,7 @@ fn run(variant: &Variant) -> Record {
             run.apply(timed);
         }
         let until_s = next.peek().map_or(duration_s, |event| event.at_s);
-        run.look(until_s);
+        run.poll(until_s);
     }
     run.finish(duration_s)
 }
@@ -324,7 +324,7 @@ fn the_pair_behind_a_turn_off_is_the_librarys() {
     let asked_w = hob.housekeeping().control().asked_w();
     run.client.set_power(asked_w).expect("the board answers");
     while run.now_s() < 0.6 {
-        run.look(0.6);
+        run.poll(0.6);
     }
     let image = run.last.expect("telemetry");
     let off_by_ma = image.i_turn_off_min_ma - library.i_turn_off_min_ma;
