@@ -124,9 +124,8 @@ impl PowerBursts {
             return BurstStep::On;
         }
         if self.ending {
-            if summary.f_sw_hz > 0 {
-                (self.on, self.ending) = (false, false);
-            }
+            // Whatever became of its last half-cycle: a mains that was away may have opened the bridge before.
+            (self.on, self.ending) = (false, false);
             return BurstStep::Keep;
         }
         if summary.f_sw_hz == 0 {

@@ -114,6 +114,39 @@ fn a_larger_pot_in_a_small_ones_place_trips_nothing() {
     }
 }
 
+/// A dip of the mains opens the bridge at once, and a pot that is lifted there shows no more half-cycles with power.
+#[test]
+fn a_burst_whose_last_half_cycle_is_cut_short_is_followed_by_others() {
+    for lifted in [false, true] {
+        let mut hob = SimHob::new(&HobConfig::default());
+        let (pot, mains) = (hob.pot(), hob.mains());
+        hob.panel(PanelEvent::Level(2));
+        run(&mut hob, 1.5);
+        let ends = |hob: &SimHob| {
+            let path = hob.sampling_path();
+            path.drive().is_switching() && !path.requested_drive().is_switching()
+        };
+        while !ends(&hob) {
+            hob.step();
+        }
+        if lifted {
+            hob.set_pot(SimulatedPot::NONE).unwrap();
+            run(&mut hob, 1.0);
+            assert_eq!(state(&hob), (State::WaitingForPot, Pot::Absent));
+            hob.set_pot(pot).unwrap();
+        } else {
+            run(&mut hob, 0.2 * HALF_CYCLE_S);
+            hob.set_mains(0.0, mains.frequency_hz);
+            run(&mut hob, 0.3 * HALF_CYCLE_S);
+            hob.set_mains(mains.v_rms_v(), mains.frequency_hz);
+        }
+        run(&mut hob, 2.0);
+        let energy_j = run(&mut hob, 5.0);
+        assert_eq!(state(&hob), (State::Heating, Pot::Ferromagnetic));
+        assert!((energy_j / 1_000.0 - 1.0).abs() < 0.1, "{energy_j} J");
+    }
+}
+
 /// Kept warm and too hot for any power, a pot is missed all the same.
 #[test]
 fn a_pot_that_is_taken_away_while_no_burst_is_due_is_missed_within_a_second() {
