@@ -124,10 +124,12 @@ impl DriveSequencer {
         self.probe_ns = probe.lasts_ns;
     }
 
-    /// Requests that both switches open, a bridge that switches at the next zero crossing.
+    /// Requests that both switches open, a bridge that switches at the next zero crossing; a pot probe ends at once, as it would
+    /// before the crest.
     pub fn request_off_at_crossing(&mut self) {
+        let is_probe = self.probe_ns > 0;
         self.request(Drive::OFF);
-        self.off_at_crossing = true;
+        self.off_at_crossing = !is_probe;
     }
 
     /// Withdraws what was requested: off.

@@ -21,7 +21,9 @@ const DARK_PROBES: u8 = 2;
 impl Control {
     /// Starts for a request, if a start is permitted.
     pub(super) fn start(&mut self, status: &SamplingStatus) -> Action {
+        // A bridge that was just switched off ends its half-cycle first, which is no probe.
         if status.replaying
+            || status.switching
             || status.fault != Fault::NONE
             || self.parts.supply_share.is_sought()
             || !self.parts.restart.permits(status.now_ms)

@@ -484,7 +484,7 @@ fn the_timer_outlasts_a_host_that_asks_again() {
 #[test]
 fn a_hob_that_was_off_for_weeks_heats() {
     let mut bench = heating();
-    bench.control.host(0);
+    bench.ask(0);
     bench.run(10);
     for _ in 0..28 * 24 * 60 {
         bench.ms = bench.ms.wrapping_add(60_000);
