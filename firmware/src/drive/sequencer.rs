@@ -106,6 +106,8 @@ impl DriveSequencer {
     pub fn force(&mut self, drive: Drive) {
         self.drive = drive;
         self.requested = drive;
+        // The bridge may have switched until now.
+        self.tank_discharged = false;
     }
 
     /// Requests another drive, at the nearest frequency of the grid.

@@ -117,3 +117,20 @@ fn off_and_faults_open_both_switches_at_once_from_any_state() {
         assert_eq!(*last, Bridge::LowerOn);
     }
 }
+
+/// A replay may begin and end within a half-cycle in which the bridge switched.
+#[test]
+fn after_a_replay_no_switch_closes_before_the_mains_has_passed_its_zero() {
+    let mut board = Board::new();
+    board.heat();
+    board.run(2 * HALF_CYCLE + HALF_CYCLE / 2);
+    for replay in [true, false] {
+        let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
+        board.sampling_path.set_replay(replay, 60_000, r, l);
+    }
+    board.heat();
+    let to_crossing = (HALF_CYCLE - board.block % HALF_CYCLE - 1) as usize;
+    let seen = board.run(3 * HALF_CYCLE);
+    assert!(seen[..to_crossing].iter().all(|b| *b == Bridge::Open));
+    assert_eq!(seen.last(), Some(&Bridge::Switching));
+}
