@@ -30,8 +30,9 @@ fn record(f_sw_hz: u32, noise: ConverterNoise) -> HalfCycle {
         // The window begins with the first whole block after the crossing at 10 ms.
         let inside = plant.t_s() >= half_s - 1e-9;
         let mut samples = 0;
-        let block = plant.block(|p| {
+        let block = plant.block(|plant| {
             if inside && samples % TRUTH_EVERY == 0 {
+                let p = plant.load_point();
                 truth.push((p.t_s - half_s, p.r_ohm, p.l_h));
             }
             samples += 1;

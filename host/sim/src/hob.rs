@@ -37,7 +37,7 @@ use super::injection::{InjectionKind, Injections};
 use super::inverter::InverterError;
 use super::mains::SimulatedMains;
 use super::meter::MeterReading;
-use super::plant::{LoadPoint, Plant};
+use super::plant::Plant;
 use super::pot::SimulatedPot;
 use super::recent_truths::RecentTruths;
 use super::scenario::surroundings::ChangeableHob;
@@ -286,8 +286,8 @@ impl SimHob {
         let mains = self.plant.mains();
         let (truth, truths) = (&mut self.truth, &mut self.truths);
         let mut k = 0u8;
-        self.plant.block(|point: &LoadPoint| {
-            let half_cycle = mains.half_cycle(point.t_s);
+        self.plant.block(|plant| {
+            let half_cycle = mains.half_cycle(plant.t_s());
             if half_cycle != truth.half_cycle {
                 let next = Truth {
                     half_cycle,
@@ -296,6 +296,7 @@ impl SimHob {
                 truths.push(std::mem::replace(truth, next));
             }
             if usize::from(k).is_multiple_of(TRUTH_EVERY) {
+                let point = plant.load_point();
                 truth.t_s.push(mains.since_crossing_s(point.t_s));
                 truth.r_ohm.push(point.r_ohm);
                 truth.l_h.push(point.l_h);

@@ -261,15 +261,13 @@ impl Plant {
         self.inverter.bridge.set_duty(duty);
     }
 
-    /// Simulates one block; `seen` is called with the load at every ADC sample. With the bridge open the current freewheels into
-    /// the bus or ground until it ends, and the coil floats.
-    ///
-    /// A law is known at the sample itself; for the field model `seen` gets the values of the last complete switching period.
-    pub fn block(&mut self, mut seen: impl FnMut(&LoadPoint)) -> [Pair; ADC_LOCK_P] {
+    /// Simulates one block; `seen` is called at every ADC sample. With the bridge open the current freewheels into the bus or ground
+    /// until it ends, and the coil floats.
+    pub fn block(&mut self, mut seen: impl FnMut(&Self)) -> [Pair; ADC_LOCK_P] {
         let mut pairs = [Pair::default(); ADC_LOCK_P];
         let mut taken_v = [(0.0, 0.0); ADC_LOCK_P];
         for (pair, taken_v) in pairs.iter_mut().zip(&mut taken_v) {
-            seen(&self.load_point());
+            seen(self);
             *taken_v = (self.dividers.bus_v(), self.dividers.mains_v());
             *pair = self.sample(|_| ());
         }
@@ -284,7 +282,8 @@ impl Plant {
         pairs
     }
 
-    fn load_point(&self) -> LoadPoint {
+    /// Present load: a law's as it is now, that of the field model over the last complete switching period.
+    pub fn load_point(&self) -> LoadPoint {
         self.observer.point(&self.inverter)
     }
 

@@ -28,6 +28,8 @@ pub struct SurrogatePot {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SurrogateLoad {
     column: [Load; I_POINTS],
+    /// Points of the column for each unit of ln(1 + I/5 A).
+    per_log: f64,
 }
 
 /// Largest deviations of the table from the describing function, in percent.
@@ -113,7 +115,8 @@ impl SurrogatePot {
         for (n, cell) in column.iter_mut().enumerate() {
             *cell = cubic(std::array::from_fn(|m| self.grid[k + m][n]), x - k as f64);
         }
-        SurrogateLoad { column }
+        let per_log = (I_POINTS - 1) as f64 / libm::log(1.0 + I_TO_A / I_KNEE_A);
+        SurrogateLoad { column, per_log }
     }
 
     /// Compares the table with the models between its points.
@@ -138,8 +141,7 @@ impl SurrogateLoad {
     /// R in ohm and L in henry at a current amplitude in ampere.
     pub fn r_l(&self, i: f64) -> (f64, f64) {
         let last = (I_POINTS - 1) as f64;
-        let scale = last / libm::log(1.0 + I_TO_A / I_KNEE_A);
-        let x = (libm::log(1.0 + i / I_KNEE_A) * scale).clamp(0.0, last);
+        let x = (libm::log(1.0 + i / I_KNEE_A) * self.per_log).clamp(0.0, last);
         let n = first(x, I_POINTS);
         let z = cubic(std::array::from_fn(|m| self.column[n + m]), x - n as f64);
         (z.r_ohm, z.l_h)
