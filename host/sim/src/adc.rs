@@ -70,6 +70,7 @@ impl SimulatedAdc {
 
     /// Converts the present outputs of the filters.
     pub fn sample(&mut self) -> Pair {
+        self.filters.iter_mut().for_each(LowPass::end_decay);
         self.convert(self.filters[0].output(), self.filters[1].output())
     }
 

@@ -38,6 +38,8 @@ impl Dividers {
         for (poles, v) in [(&mut self.bus, bus_v), (&mut self.mains, mains_v)] {
             let [divider, pin] = poles;
             pin.advance(divider.advance(v, dt_s), dt_s);
+            divider.end_decay();
+            pin.end_decay();
         }
     }
 

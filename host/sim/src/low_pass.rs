@@ -53,6 +53,11 @@ impl LowPass {
         self.input = input;
     }
 
+    /// Ends an output that has decayed: processors multiply subnormal numbers a hundred times more slowly.
+    pub fn end_decay(&mut self) {
+        self.output = without_decayed(self.output);
+    }
+
     fn set_step(&mut self, dt_s: f64) {
         self.step_s = dt_s;
         // Half of the step as a share of the time constant.
@@ -66,6 +71,14 @@ impl LowPass {
     /// Present output.
     pub fn output(&self) -> f64 {
         self.output
+    }
+}
+
+/// Returns a quantity, zero where it is too small to change a digit of anything.
+pub(crate) fn without_decayed(quantity: f64) -> f64 {
+    match quantity.abs() < 1e-200 {
+        true => 0.0,
+        false => quantity,
     }
 }
 

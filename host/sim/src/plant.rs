@@ -296,6 +296,7 @@ impl Plant {
     /// step, as seen by a comparator. The pot does not warm up.
     pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
         let pair = self.adc.sample();
+        self.inverter.bus.end_decay();
         let bus = &self.inverter.bus;
         let terminal_v = bus.terminal_v(self.inverter.now_s());
         let sample_s = STEPS_PER_SAMPLE as f64 * self.inverter.dt_s();

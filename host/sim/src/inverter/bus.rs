@@ -2,6 +2,7 @@
 
 use super::InverterError;
 use super::supply::SupplyParts;
+use crate::low_pass::without_decayed;
 use crate::mains::SimulatedMains;
 
 /// Period in seconds at which the mains is computed, linear in between: the error is (ω dt)²/8 = 5e-8 of the peak.
@@ -211,6 +212,14 @@ impl Bus {
             rectifier_a: self.line.rectifier_a.abs(),
             bleeder_s: self.per.bleeder_r,
         })
+    }
+
+    /// Ends currents and voltages that have decayed since the mains left.
+    pub(crate) fn end_decay(&mut self) {
+        let line = &mut self.line;
+        for quantity in [&mut line.line_a, &mut line.terminal_v, &mut self.v] {
+            *quantity = without_decayed(*quantity);
+        }
     }
 
     /// Sets the voltage of the link, in volt.
