@@ -31,7 +31,7 @@ const SHORT: [(&str, &str); 10] = [
     ("ihd-study map", "… --pot ferritic-18 --seeds 1"),
     (
         "ihd-study map --load field --docs docs/map.md",
-        "… --pot ferritic-18 --seeds 1",
+        "… --pot foil-14 --seeds 1",
     ),
     (
         "ihd-study map --pot ferritic-18 --perturb tail,sharp-knee,ferrite,wall,coil-gap",
