@@ -132,16 +132,16 @@ impl Zones {
 #[test]
 fn two_zones_take_turns() {
     let mut zones = Zones::of_schematic().switched_on([6, 5]);
-    zones.run(30.0);
-    let [first_w, second_w] = zones.means_w(18);
+    zones.run(20.0);
+    let [first_w, second_w] = zones.means_w(9);
     assert!((first_w / 1_000.0 - 1.0).abs() < 0.05, "{first_w} W");
     assert!((second_w / 700.0 - 1.0).abs() < 0.05, "{second_w} W");
-    let (both, none) = zones.both_and_none(18);
+    let (both, none) = zones.both_and_none(9);
     assert_eq!(both, 0, "half-cycles of both");
-    assert!(none < 90, "{none} of 1,800 half-cycles without power");
-    let (mean_w, deviation_w) = zones.supply_w(18);
+    assert!(none < 45, "{none} of 900 half-cycles without power");
+    let (mean_w, deviation_w) = zones.supply_w(9);
     println!(
-        "{first_w:.0} and {second_w:.0} W, {none} of 1,800 half-cycles without; supply {mean_w:.0} ± {deviation_w:.0} W"
+        "{first_w:.0} and {second_w:.0} W, {none} of 900 half-cycles without; supply {mean_w:.0} ± {deviation_w:.0} W"
     );
     assert!(deviation_w < 0.25 * mean_w, "{mean_w} ± {deviation_w} W");
     assert_eq!(zones.limits(), [Limit::None; 2]);
@@ -151,18 +151,18 @@ fn two_zones_take_turns() {
 #[test]
 fn more_than_the_supply_has_is_shared_and_told() {
     let mut zones = Zones::of_schematic().switched_on([9, 8]);
-    zones.run(16.0);
-    let (mean_w, deviation_w) = zones.supply_w(12);
+    zones.run(10.0);
+    let (mean_w, deviation_w) = zones.supply_w(6);
     println!(
         "{:.0?} W; supply {mean_w:.0} ± {deviation_w:.0} W",
-        zones.means_w(12)
+        zones.means_w(6)
     );
     let rated_w = f64::from(RATED_POWER_W);
     assert!((0.95..1.03).contains(&(mean_w / rated_w)), "{mean_w} W");
-    let most_w = zones.last(12).concat().into_iter().fold(0.0, f64::max);
+    let most_w = zones.last(6).concat().into_iter().fold(0.0, f64::max);
     assert!(most_w < 1.05 * rated_w, "{most_w} W");
-    assert_eq!(zones.both_and_none(12).0, 0, "half-cycles of both");
-    assert!(zones.means_w(12).iter().all(|w| *w > 900.0));
+    assert_eq!(zones.both_and_none(6).0, 0, "half-cycles of both");
+    assert!(zones.means_w(6).iter().all(|w| *w > 900.0));
     assert!(zones.limits().contains(&Limit::SharedSupply));
 }
 
@@ -192,10 +192,10 @@ fn a_zone_alone_has_the_supply_until_the_other_is_switched_on() {
 #[test]
 fn turns_do_not_overlap_without_a_capacitor_at_the_link() {
     let mut zones = Zones::new(SupplyParts::NONE).switched_on([6, 5]);
-    zones.run(12.0);
-    let (both, none) = zones.both_and_none(4);
+    zones.run(10.0);
+    let (both, none) = zones.both_and_none(3);
     assert_eq!(both, 0, "half-cycles of both");
-    assert!(none < 60, "{none} of 400 half-cycles without power");
+    assert!(none < 45, "{none} of 300 half-cycles without power");
 }
 
 /// A watchdog's reset, or one over the link: the other zone heats on, and this one waits for the wire before it heats again.
@@ -206,9 +206,9 @@ fn a_zone_that_is_reset_does_not_heat_beside_the_other() {
     zones.hobs[1].restart();
     zones.run(0.013);
     zones.set([6, 5]);
-    zones.run(8.0);
-    assert_eq!(zones.both_and_none(8).0, 0, "half-cycles of both");
-    let [first_w, second_w] = zones.means_w(6);
+    zones.run(5.0);
+    assert_eq!(zones.both_and_none(5).0, 0, "half-cycles of both");
+    let [first_w, second_w] = zones.means_w(4);
     assert!(
         first_w > 700.0 && second_w > 500.0,
         "{first_w} and {second_w} W"
@@ -234,8 +234,8 @@ fn a_wire_that_fails_leaves_one_zone_or_none() {
         let mut zones = Zones::of_schematic().switched_on([6, 5]);
         zones.run(2.0);
         zones.wire = wire;
-        zones.run(7.0);
-        assert_eq!(zones.both_and_none(7).0, 0, "{wire:?}: half-cycles of both");
+        zones.run(5.0);
+        assert_eq!(zones.both_and_none(5).0, 0, "{wire:?}: half-cycles of both");
         let [first_w, second_w] = zones.means_w(2);
         assert!((first_w - expected_w).abs() < 30.0, "{wire:?}: {first_w} W");
         // It looks at its pot while it waits.
