@@ -452,7 +452,7 @@ fn what_a_slow_link_makes_the_device_drop_is_counted_on_both_ends() {
 /// Bursts come in whole seconds, and windows in whole fifths of one: each burst shows a window, whatever half-cycle it began in.
 #[test]
 fn each_burst_of_a_low_level_shows_a_window() {
-    const BURSTS: usize = 4;
+    const BURSTS: usize = 2;
     for delay in (0..20).step_by(4) {
         let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
         let mut client = Client::connect(Box::new(hob.clone())).unwrap();
