@@ -75,14 +75,12 @@ impl Desk {
     /// # Errors
     /// Exit code and outputs of a call that ended otherwise.
     pub fn run(&mut self, call: &[String]) -> Result<(), String> {
-        let text = call.join(" ");
-        let special = SPECIAL.iter().find(|special| special.call == text);
-        let special = special.unwrap_or(&PLAIN);
+        let special = special(call);
         if call[1] == "hob" {
             self.start_hob(&call[2..]);
             return Ok(());
         }
-        if special.is_alone || matches!(special.end, End::Serves(_)) {
+        if special.is_alone || serves(call) {
             self.end_daemon();
         } else if is_client(&call[1..]) {
             self.start_daemon();
@@ -218,14 +216,40 @@ impl Desk {
         (&[0], code, text)
     }
 
+    /// Ends what no later call needs, as a simulated hob computes all the time.
+    pub fn end_unused<'a>(&mut self, later: impl Iterator<Item = &'a [String]> + Clone) {
+        let mut later_calls = later.clone();
+        if !later_calls.any(|call| is_client(&call[1..]) || serves(call)) {
+            self.end_daemon();
+            self.end_hobs(|name| name == "bench");
+        }
+        self.end_hobs(|name| name != "bench" && !later.clone().flatten().any(|word| word == name));
+    }
+
     /// Ends everything in order, as ^C in the other terminals does.
     pub fn close(mut self) {
         self.end_daemon();
-        for (name, mut hob) in self.hobs.drain(..) {
+        self.end_hobs(|_| true);
+    }
+
+    fn end_hobs(&mut self, ends: impl Fn(&str) -> bool) {
+        for (name, mut hob) in self.hobs.extract_if(.., |(name, _)| ends(name)) {
             hob.process.signal("INT");
             assert_eq!(hob.process.code(), 0, "{name}");
         }
     }
+}
+
+/// What is special about a call.
+fn special(call: &[String]) -> &'static Special {
+    let text = call.join(" ");
+    let special = SPECIAL.iter().find(|special| special.call == text);
+    special.unwrap_or(&PLAIN)
+}
+
+/// Returns `true` for a daemon that serves what follows.
+fn serves(call: &[String]) -> bool {
+    matches!(special(call).end, End::Serves(_))
 }
 
 /// Returns `true` if a call goes through the daemon.

@@ -39,10 +39,12 @@ fn run(document: &str) {
     assert!(DOCUMENTS.contains(&document));
     let mut desk = Desk::new();
     let mut failed = String::new();
-    for (_, line, call) in calls().iter().filter(|call| call.0 == document) {
+    let calls: Vec<_> = calls().into_iter().filter(|c| c.0 == document).collect();
+    for (k, (_, line, call)) in calls.iter().enumerate() {
         if let Err(why) = desk.run(call) {
             failed += &format!("{document}:{line}: {}\n{why}\n\n", call.join(" "));
         }
+        desk.end_unused(calls[k + 1..].iter().map(|later| &later.2[..]));
     }
     assert!(failed.is_empty(), "{failed}");
     desk.close();
