@@ -174,11 +174,15 @@ impl Desk {
                 let (code, stdout, stderr) = outcome(output);
                 (codes, code, stdout + &stderr)
             }
-            End::Shows(word) => {
+            End::Shows(word) | End::Begins(word) => {
                 let mut process = Process::start(&mut self.command(words), false);
                 process.line_with(word);
                 process.signal("INT");
-                (&[0][..], process.code(), process.said.clone())
+                let codes: &[i32] = match special.end {
+                    End::Begins(_) => &[-1],
+                    _ => &[0],
+                };
+                (codes, process.code(), process.said.clone())
             }
             End::Serves(word) => {
                 self.serve(words, word);

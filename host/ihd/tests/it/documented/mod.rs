@@ -109,3 +109,9 @@ fn map() {
 fn simulator() {
     run("docs/simulator.md");
 }
+
+/// Its parts have tests of their own, in `ihd-field` and `ihd-sim`: together they take twelve seconds of processor time.
+#[test]
+fn the_costs_of_the_approximations_at_length() {
+    Desk::new().must(&["simulate", "--approximations"]);
+}

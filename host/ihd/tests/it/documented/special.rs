@@ -7,6 +7,8 @@ pub enum End {
     Codes(&'static [i32]),
     /// By ^C with 0, once standard output has this.
     Shows(&'static str),
+    /// By itself after a long time, and here by ^C, once standard output has this.
+    Begins(&'static str),
     /// By ^C with 0 after all that follows it, which needs it; standard error has this when it works.
     Serves(&'static str),
     /// By `q` with 0, once its terminal has this.
@@ -171,6 +173,22 @@ pub const SPECIAL: &[Special] = &[
         instead: &[("--probe", "--probe=1209:0000:none")],
         end: WITHOUT_PROBE,
         says: "probe",
+        ..PLAIN
+    },
+    // The field model computes fifty times as long as it simulates.
+    Special {
+        call: "ihd simulate paper-45 --out paper-45.mcap --plot paper-45.svg",
+        more: "--set duration=5ms",
+        ..PLAIN
+    },
+    Special {
+        call: "ihd simulate --set fsw=45k,mains=50,pot=ferritic-18,snr=30,rate=50M --seed 1",
+        more: "--set duration=5ms",
+        ..PLAIN
+    },
+    Special {
+        call: "ihd simulate --approximations",
+        end: End::Begins("dR/%"),
         ..PLAIN
     },
     // It records until ^C.
