@@ -161,3 +161,23 @@ fn a_pot_that_is_taken_away_while_no_burst_is_due_is_missed_within_a_second() {
     run(&mut hob, 1.0);
     assert_eq!(state(&hob), (State::WaitingForPot, Pot::Absent));
 }
+
+/// Bursts on either side of it are half-cycles of one operating point, in which the sag is none.
+#[test]
+fn a_sag_within_a_burst_is_no_drift_of_a_gain() {
+    let mut hob = SimHob::new(&HobConfig::default());
+    let mains = hob.mains();
+    hob.panel(PanelEvent::Level(1));
+    run(&mut hob, 1.2);
+    run_into_gap(&mut hob, 12);
+    while run(&mut hob, HALF_CYCLE_S) < 0.5 * 700.0 * HALF_CYCLE_S {}
+    hob.set_mains(120.0, mains.frequency_hz);
+    run(&mut hob, 6.0 * HALF_CYCLE_S);
+    hob.set_mains(mains.v_rms_v(), mains.frequency_hz);
+    let end_s = hob.t_s() + 4.0;
+    while hob.t_s() < end_s {
+        hob.step();
+        assert_eq!(hob.sampling_path().fault(), Fault::NONE);
+    }
+    assert_eq!(state(&hob), (State::Heating, Pot::Ferromagnetic));
+}

@@ -99,16 +99,15 @@ impl GainDrift {
 
     fn is_elsewhere(&self, summary: &HalfCycle) -> bool {
         let (f_sw_hz, learned_hz) = (summary.f_sw_hz.into(), self.f_sw_hz.into());
+        let (bus_dv, learned_dv) = (summary.bus_peak_dv.into(), self.bus_dv.into());
+        let is_other_mains = differ(bus_dv, learned_dv, POINT_BUS_PERMILLE);
         if self.half_cycles < AVERAGED {
-            return differ(f_sw_hz, learned_hz, LEARNED_HZ_PERMILLE);
+            // Bursts are shorter than what is averaged: a sag within one is no part of the mean.
+            return is_other_mains || differ(f_sw_hz, learned_hz, LEARNED_HZ_PERMILLE);
         }
         let ratio = |reading: &LoadReading| reading.x_l_to_r.unsigned_abs().into();
-        differ(f_sw_hz, learned_hz, POINT_HZ_PERMILLE)
-            || differ(
-                summary.bus_peak_dv.into(),
-                self.bus_dv.into(),
-                POINT_BUS_PERMILLE,
-            )
+        is_other_mains
+            || differ(f_sw_hz, learned_hz, POINT_HZ_PERMILLE)
             || differ(ratio(&self.mean), ratio(&self.learned), LOAD_PERMILLE)
     }
 
