@@ -40,7 +40,6 @@ use super::meter::MeterReading;
 use super::plant::Plant;
 use super::pot::SimulatedPot;
 use super::recent_truths::RecentTruths;
-use super::scenario::surroundings::ChangeableHob;
 use super::slow_adc::SlowAdc;
 use super::temperatures::{Heat, LumpTemperatures};
 use super::thermal_model::ThermalModel;
@@ -114,24 +113,6 @@ pub struct SimHob {
     link_credit: f64,
     truth: Truth,
     truths: RecentTruths,
-}
-
-impl ChangeableHob for SimHob {
-    fn plant(&mut self) -> &mut Plant {
-        &mut self.plant
-    }
-
-    fn inject(&mut self, change: impl FnOnce(&mut Injections)) {
-        self.inject(change);
-    }
-
-    fn set_heat_sink(&mut self, celsius: f64) {
-        self.temperatures.heat_sink_c = celsius;
-    }
-
-    fn set_glass(&mut self, celsius: f64) {
-        self.temperatures.set_glass(celsius);
-    }
 }
 
 impl SimHob {
@@ -391,6 +372,11 @@ impl SimHob {
     /// If there is no model of that pot; the old one stays.
     pub fn set_pot(&mut self, pot: impl Into<SimulatedPot>) -> Result<(), InverterError> {
         self.plant.set_pot(pot)
+    }
+
+    /// The power stage, for changes of what surrounds it.
+    pub(crate) fn plant_mut(&mut self) -> &mut Plant {
+        &mut self.plant
     }
 
     /// Pot on the coil.

@@ -25,6 +25,24 @@ pub trait ChangeableHob {
     fn set_glass(&mut self, celsius: f64);
 }
 
+impl ChangeableHob for SimHob {
+    fn plant(&mut self) -> &mut Plant {
+        self.plant_mut()
+    }
+
+    fn inject(&mut self, change: impl FnOnce(&mut Injections)) {
+        self.inject(change);
+    }
+
+    fn set_heat_sink(&mut self, celsius: f64) {
+        self.temperatures().heat_sink_c = celsius;
+    }
+
+    fn set_glass(&mut self, celsius: f64) {
+        self.temperatures().set_glass(celsius);
+    }
+}
+
 /// State before each event that is restored later.
 #[derive(Default)]
 pub struct Surroundings {
