@@ -124,7 +124,7 @@ impl PowerBursts {
             return BurstStep::On;
         }
         if self.ending {
-            // Whatever became of its last half-cycle: a mains that was away may have opened the bridge before.
+            // Without regard to its last half-cycle: a mains that was away may have opened the bridge before.
             (self.on, self.ending) = (false, false);
             return BurstStep::Keep;
         }
@@ -221,7 +221,7 @@ mod tests {
         }
     }
     /// An hour on a glass that is hot enough: probes of 1.1 J, .7 s apart, and no burst. Without the limit of a debt the next 500 W
-    /// would begin 11 s late.
+    /// would begin 12 s late.
     #[test]
     fn what_hours_of_probes_gave_holds_no_later_power_back() {
         let mut supply = SupplyShare::default();

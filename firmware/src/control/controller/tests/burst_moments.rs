@@ -1,4 +1,4 @@
-//! What happens to mains, pot and requests at each moment of a burst: the hob heats afterwards, as long as power is requested.
+//! Mains, pot and requests that change at a moment of a burst: the hob heats afterwards, as long as power is requested.
 
 use super::*;
 
