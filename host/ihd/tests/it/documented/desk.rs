@@ -244,7 +244,7 @@ impl Desk {
     }
 }
 
-/// What is special about a call.
+/// Treatment of a call: its own, or that of a plain one.
 fn special(call: &[String]) -> &'static Special {
     let text = call.join(" ");
     let special = SPECIAL.iter().find(|special| special.call == text);
