@@ -12,6 +12,7 @@ use ihd_firmware::drive::bridge::Drive;
 use ihd_firmware::estimate::ekf::{Ekf, Noise};
 use ihd_firmware::link::transmit_queue::TransmitQueue;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
+use ihd_firmware::sense::bus::BusReading;
 use ihd_firmware::sense::correlation::correlate;
 use ihd_firmware::sense::demodulator::{Demodulator, Phasors};
 use ihd_link::receiver::Receiver;
@@ -122,7 +123,7 @@ fn recorded(blocks: &[[Pair; ADC_LOCK_P]]) -> Box<SamplingPath> {
         let block = AdcBlock {
             pairs,
             zero_crossing: crosses.then_some(0),
-            bus_dv: 3_000,
+            bus: BusReading::steady(3_000),
             dc_link_ma: None,
             lost: 0,
         };

@@ -12,6 +12,7 @@ use std::{env, fs};
 use ihd_capture::mcap;
 use ihd_firmware::retained::reset::ResetReason;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
+use ihd_firmware::sense::bus::BusReading;
 use ihd_link::tcp::TcpTransport;
 use ihd_link::{Client, DeviceEvent, LinkError, Window};
 use ihd_map::{CurrentCurve, MeasuredPoint, PotMap};
@@ -180,7 +181,7 @@ fn on_this_machine(h: &HalfCycle) -> Vec<Option<TrajectoryEntry>> {
             sampling_path.replay_block(&AdcBlock {
                 pairs,
                 zero_crossing: (k == 0).then_some(0),
-                bus_dv: BUS_DV,
+                bus: BusReading::steady(BUS_DV),
                 dc_link_ma: None,
                 lost: 0,
             })

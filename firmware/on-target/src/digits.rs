@@ -1,6 +1,7 @@
 //! The sampling path on samples that are made of integers alone: the same bits wherever it runs.
 
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
+use ihd_firmware::sense::bus::BusReading;
 use ihd_firmware::sense::product_sums::PairArithmetic;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
@@ -61,7 +62,7 @@ pub fn run(path: &mut SamplingPath<impl PairArithmetic>) -> Digits {
         let estimate = path.replay_block(&AdcBlock {
             pairs: &pairs,
             zero_crossing: (n % 233 == 0).then_some((n % 61) as u8),
-            bus_dv: 3_000,
+            bus: BusReading::steady(3_000),
             dc_link_ma: None,
             lost: 0,
         });

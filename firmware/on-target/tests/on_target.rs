@@ -149,7 +149,7 @@ mod tests {
         core::hint::black_box(path.replay_block(&ihd_firmware::sampling::path::AdcBlock {
             pairs: core::hint::black_box(&pairs),
             zero_crossing: None,
-            bus_dv: 3_000,
+            bus: ihd_firmware::sense::bus::BusReading::steady(3_000),
             dc_link_ma: None,
             lost: 0,
         }));

@@ -20,7 +20,7 @@ use ihd_shared::board::BARE_COIL_NH;
 use ihd_shared::fault::Fault;
 
 use self::gain_drift::GainDrift;
-use crate::estimate::tank::TankAt;
+use crate::estimate::tank::{TankAt, resonance_capacitor_mohm};
 use crate::fixed::{Complex, saturate};
 use crate::limits::{
     BALANCE_PERCENT, BALANCE_TANK_PERCENT, BARE_COIL_MOHM, BARE_COIL_PERCENT,
@@ -30,12 +30,17 @@ use crate::limits::{
 };
 use crate::sampling::half_cycle::HalfCycle;
 use crate::sampling::half_cycle_sums::filter_loss_q16;
-use crate::sense::demodulator::amplitude_dv;
+use crate::sense::demodulator::{STATE_BITS, VOLT_PER_UNIT, amplitude_dv};
 
 mod gain_drift;
 
 /// A bus that a bench supply holds up, 60 V at most, is no zero crossing out of place.
 const BENCH_BUS_DV: u32 = 600;
+
+/// Share of the bus's ripple in the bridge's fundamental, per decivolt as a mantissa of the coil's voltage. While the upper switch is
+/// on, a lagging current leaves the bus at a half-sine above its mean: its fundamental is a half, the bridge's 1/2 − 2/π².
+const RIPPLE_SHARE_PER_DV: i64 =
+    (0.594_715 * 0.1 / VOLT_PER_UNIT * (1_u64 << STATE_BITS) as f64) as i64;
 
 /// Below this power the two powers are not compared: 200 W.
 const POWER_FROM_MW: u32 = 200_000;
@@ -176,8 +181,8 @@ fn has_offset(summary: &HalfCycle) -> bool {
         || summary.channels.v_offset_dv.unsigned_abs() >= VOLTAGE_OFFSET_DV
 }
 
-/// |V + I/(jωC)| against 2/π of the bus, at the crest of the current: amplitudes of the bridge's fundamental before the anti-alias
-/// filter, in decivolt.
+/// The bridge's fundamental by coil and capacitor, less what the bus's ripple adds to it, against 2/π of the bus: amplitudes before
+/// the anti-alias filter, at the crest of the current, in decivolt.
 struct BridgeBalance {
     by_coil_dv: u32,
     by_bus_dv: u32,
@@ -187,16 +192,17 @@ struct BridgeBalance {
 
 impl BridgeBalance {
     fn of(summary: &HalfCycle) -> Self {
-        let filtered_dv = bridge_dv(summary);
+        // Without a frequency X_C has 38 bits.
+        let x_c_mohm = i64::from(saturate(resonance_capacitor_mohm(summary.f_sw_hz)));
+        let filtered_dv = bridge_dv(summary, x_c_mohm);
         // √(1 + x) ≈ 1 + x/2 of the anti-alias filter.
         let tank = TankAt::new(summary.f_sw_hz).with_load(summary.crest.r, summary.crest.l);
-        // Without a frequency X_C has 28 bits.
         let z_mohm = i64::from(saturate(tank.z_mohm() as i64));
-        let by_tank = tank.x_c_mohm * tank.x_mohm() / (z_mohm * z_mohm / 1_000).max(1);
+        let by_tank = x_c_mohm * tank.x_mohm() / (z_mohm * z_mohm / 1_000).max(1);
         let loss_dv = (filtered_dv * (filter_loss_q16(summary.f_sw_hz) / 2)) >> 16;
         Self {
             by_coil_dv: filtered_dv + loss_dv,
-            by_bus_dv: u32::from(summary.crest.bus_dv) * 6_366 / 10_000,
+            by_bus_dv: u32::from(summary.crest.bus.dv()) * 6_366 / 10_000,
             by_tank_permille: by_tank.clamp(0, 1_000) as u32,
         }
     }
@@ -221,15 +227,18 @@ impl BridgeBalance {
     }
 }
 
-/// Amplitude of the bridge's fundamental by coil voltage and current, in decivolt.
-fn bridge_dv(summary: &HalfCycle) -> u32 {
-    let x_c_mohm = TankAt::new(summary.f_sw_hz).x_c_mohm();
+/// Amplitude of |V + I/(jωC_r)| less the share of the bus's ripple, in decivolt.
+fn bridge_dv(summary: &HalfCycle, x_c_mohm: i64) -> u32 {
     let (v, i) = (summary.crest.phasors.v, summary.crest.phasors.i);
+    let ripple = summary.crest.bus.ripple_dv(summary.f_sw_hz);
     // −jX·(a + jb) = bX − jaX; mantissas of 16 A and 32 V, so an ohm counts half.
-    let part = |v: i32, i: i32| (i64::from(v) + i64::from(i) * x_c_mohm / 2_000) as i32;
+    let part = |v: i32, i: i32, ripple_dv: i32| {
+        let ripple = i64::from(ripple_dv) * RIPPLE_SHARE_PER_DV;
+        saturate(i64::from(v) + i64::from(i) * x_c_mohm / 2_000 - ripple)
+    };
     let sum = Complex {
-        re: part(v.re, i.im),
-        im: part(v.im, -i.re),
+        re: part(v.re, i.im, ripple.re),
+        im: part(v.im, -i.re, ripple.im),
     };
     amplitude_dv(sum.norm_squared())
 }
@@ -248,8 +257,9 @@ fn is_power_balanced(summary: &HalfCycle) -> bool {
 mod tests {
     use super::*;
     use crate::sampling::half_cycle::CurrentCrest;
-    use crate::sense::demodulator::{AMPERE_PER_UNIT, Phasors, STATE_BITS, VOLT_PER_UNIT};
-    use ihd_shared::hob::{TANK_CAPACITANCE_PF, WINDING_R_OHM};
+    use crate::sense::bus::BusReading;
+    use crate::sense::demodulator::{AMPERE_PER_UNIT, Phasors};
+    use ihd_shared::hob::{RESONANCE_CAPACITANCE_NF, WINDING_R_OHM};
     use ihd_shared::sampling::ANTI_ALIAS_HZ;
     use ihd_shared::units::{MicroOhm, PicoHenry};
     use std::f64::consts::{FRAC_2_PI, TAU};
@@ -263,7 +273,7 @@ mod tests {
         bus_gain: f64,
     ) -> HalfCycle {
         let x_l = TAU * f_hz * l_uh * 1e-6;
-        let x_c = 1e12 / (TAU * f_hz * f64::from(TANK_CAPACITANCE_PF));
+        let x_c = 1e9 / (TAU * f_hz * f64::from(RESONANCE_CAPACITANCE_NF));
         let v1 = FRAC_2_PI * 325.0;
         let z2 = r * r + (x_l - x_c).powi(2);
         // I = V1/Z with V1 real, V = I·(R + jX_L).
@@ -282,7 +292,7 @@ mod tests {
                 r: MicroOhm((r * v_gain / i_gain * 1e6) as i32),
                 l: PicoHenry((l_uh * v_gain / i_gain * 1e6) as i32),
                 i_ma: (i.0.hypot(i.1) * i_gain * 1e3) as u32,
-                bus_dv: (3_250.0 * bus_gain) as u16,
+                bus: BusReading::steady((3_250.0 * bus_gain) as u16),
                 phasors: Phasors {
                     v: complex(v, v_gain, VOLT_PER_UNIT),
                     i: complex(i, i_gain, AMPERE_PER_UNIT),
@@ -328,12 +338,12 @@ mod tests {
         // |V + I·(−jX_C)| with X_C of a C_r of another size, by the bus that gives it.
         let with_capacitor = |f_hz: f64, (r, l_uh): (f64, f64), share: f64, gain: f64| {
             let summary = seen(f_hz, (r, l_uh), 1.0, gain, 1.0);
-            let x_c = 1e12 / (TAU * f_hz * f64::from(TANK_CAPACITANCE_PF));
+            let x_c = 1e9 / (TAU * f_hz * f64::from(RESONANCE_CAPACITANCE_NF));
             let x_l = TAU * f_hz * l_uh * 1e-6;
             let real = r.hypot(x_l - x_c / share) / r.hypot(x_l - x_c);
-            let bus_dv = f64::from(summary.crest.bus_dv) * real * gain;
+            let bus_dv = f64::from(summary.crest.bus.dv()) * real * gain;
             let mut summary = summary;
-            summary.crest.bus_dv = bus_dv as u16;
+            summary.crest.bus = BusReading::steady(bus_dv as u16);
             fault_of(summary)
         };
         for (f_hz, load) in [(38e3, POT), (47e3, POT), (60e3, POT), (45e3, (2.2, 33.0))] {
@@ -392,7 +402,7 @@ mod tests {
         }
         // A capacitor of four fifths moves the balance by 2 % there.
         let mut aged = seen(79_911.0, BARE, 1.0, 1.0, 1.0);
-        aged.crest.bus_dv = (3_250.0 * (1.0 - 0.25 * 0.078)) as u16;
+        aged.crest.bus = BusReading::steady((3_250.0 * (1.0 - 0.25 * 0.078)) as u16);
         assert_eq!(fault_of_probe(aged), None);
     }
 

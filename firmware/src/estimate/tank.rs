@@ -1,6 +1,6 @@
 //! The series tank in integers: reactances, impedance, phase, distance from resonance. Its capacitance is C_r with what C2 adds.
 
-use ihd_shared::hob::TANK_CAPACITANCE_PF;
+use ihd_shared::hob::{RESONANCE_CAPACITANCE_NF, TANK_CAPACITANCE_PF};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use micromath::F32Ext;
 
@@ -37,11 +37,6 @@ impl TankAt {
             x_c_mohm: (10_000_000_000_000_000_000 / (62_832 * f * u64::from(TANK_CAPACITANCE_PF)))
                 as i64,
         }
-    }
-
-    /// Reactance of the capacitor as a positive number, in milliohm.
-    pub fn x_c_mohm(self) -> i64 {
-        self.x_c_mohm
     }
 
     /// The tank of a load.
@@ -86,6 +81,13 @@ impl Tank {
     pub fn phase_mrad(self) -> i16 {
         (F32Ext::atan2(self.x_mohm() as f32, self.r_mohm as f32) * 1e3) as i16
     }
+}
+
+/// Reactance of the resonance capacitor alone as a positive number, in milliohm.
+pub fn resonance_capacitor_mohm(f_sw_hz: u32) -> i64 {
+    /// 1/2π in milliohm, hertz and nanofarad.
+    const SCALE: u64 = 159_154_943_092;
+    (SCALE / (u64::from(f_sw_hz.max(1)) * RESONANCE_CAPACITANCE_NF as u64)) as i64
 }
 
 /// The inductance that resonates with the capacitor at a switching frequency: with less, the

@@ -15,6 +15,7 @@ use ihd_shared::wire::messages::{
 };
 
 use crate::sampling::path::{AdcBlock, SamplingLock};
+use crate::sense::bus::BusReading;
 
 /// Estimates from the blocks of one message.
 #[derive(Clone, Copy, Debug, Default)]
@@ -152,7 +153,7 @@ fn replay_one(
         path.replay_block(&AdcBlock {
             pairs: &pairs,
             zero_crossing,
-            bus_dv,
+            bus: BusReading::steady(bus_dv),
             dc_link_ma: None,
             lost: 0,
         })

@@ -7,7 +7,8 @@ use ihd_shared::wire::messages::{
 };
 
 use crate::link::replay::ReplayedEstimates;
-use crate::sense::mains::{BUS_DV_FULL_SCALE, MAINS_FULL_SCALE_MV};
+use crate::sense::bus::BUS_FULL_SCALE_DV;
+use crate::sense::mains::MAINS_FULL_SCALE_MV;
 
 /// A response that waits, or an event as urgent.
 #[derive(Clone)]
@@ -68,7 +69,7 @@ pub fn front_end() -> FrontEnd {
     FrontEnd {
         v_full_scale_mv: V_FULL_SCALE_MV,
         i_full_scale_ma: I_FULL_SCALE_MA,
-        bus_full_scale_mv: BUS_DV_FULL_SCALE * 100,
+        bus_full_scale_mv: BUS_FULL_SCALE_DV * 100,
         mains_full_scale_mv: MAINS_FULL_SCALE_MV,
         bits: CODE_BITS,
     }

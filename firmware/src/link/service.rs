@@ -16,7 +16,7 @@ use crate::limits::BUS_MIN_DV;
 use crate::link::channel_test::{ChannelTest, SlowCodes};
 use crate::link::response::Response;
 use crate::sampling::path::SamplingLock;
-use crate::sense::mains::bus_dv;
+use crate::sense::bus::bus_dv;
 use crate::sense::supply::Reference;
 
 /// Longest count of the clocks before the test is given up, in milliseconds.

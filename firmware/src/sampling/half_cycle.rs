@@ -5,6 +5,7 @@ use ihd_shared::wire::messages::Limit;
 
 use crate::fixed::Complex;
 use crate::limits::{COMPARED_FROM_DV, HALF_CYCLE_MAX_NS, HALF_CYCLE_MIN_NS, POT_CURRENT_MIN_MA};
+use crate::sense::bus::BusReading;
 use crate::sense::demodulator::{Phasors, amplitude_dv};
 
 /// Measurements over one mains half-cycle.
@@ -49,8 +50,8 @@ pub struct CurrentCrest {
     pub l: PicoHenry,
     /// Amplitude of the current's fundamental, in milliampere; 0 when none was seen.
     pub i_ma: u32,
-    /// Bus voltage, in decivolt.
-    pub bus_dv: u16,
+    /// Bus voltage.
+    pub bus: BusReading,
     /// Coil voltage and current.
     pub phasors: Phasors,
 }
@@ -76,7 +77,7 @@ impl HalfCycle {
             r: MicroOhm(0),
             l: PicoHenry(0),
             i_ma: 0,
-            bus_dv: 0,
+            bus: BusReading::steady(0),
             phasors: Phasors {
                 v: Complex { re: 0, im: 0 },
                 i: Complex { re: 0, im: 0 },

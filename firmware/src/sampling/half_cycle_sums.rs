@@ -8,6 +8,7 @@ use ihd_shared::wire::messages::Limit;
 use crate::estimate::ekf::Ekf;
 use crate::protect::soft_limit::SoftLimitCheck;
 use crate::sampling::half_cycle::{ChannelDefects, CurrentCrest, HalfCycle};
+use crate::sense::bus::BusReading;
 use crate::sense::correlation::BlockSums;
 use crate::sense::demodulator::{Phasors, amplitude_ma};
 
@@ -131,12 +132,12 @@ impl HalfCycleAccumulator {
     }
 
     /// Adds one estimate.
-    pub fn add_estimate(&mut self, z: &Phasors, ekf: &Ekf, bus_dv: u16) {
+    pub fn add_estimate(&mut self, z: &Phasors, ekf: &Ekf, bus: BusReading) {
         let norm = z.i.norm_squared();
         if norm > self.crest_norm && !ekf.is_held() {
             self.crest_norm = norm;
             self.half_cycle.crest.phasors = *z;
-            self.half_cycle.crest.bus_dv = bus_dv;
+            self.half_cycle.crest.bus = bus;
             self.half_cycle.crest.r = ekf.r();
             self.half_cycle.crest.l = ekf.l();
         }

@@ -24,6 +24,7 @@ use crate::sampling::half_cycle_sums::HalfCycles;
 use crate::sampling::mains_clock::MainsClock;
 use crate::sampling::recorder::Recorder;
 use crate::sampling::utilisation::{HousekeepingGap, Utilisation};
+use crate::sense::bus::BusReading;
 use crate::sense::correlation::{BlockSums, correlate_by};
 use crate::sense::demodulator::Demodulator;
 use crate::sense::product_sums::{PairArithmetic, PlainArithmetic};
@@ -37,8 +38,8 @@ pub struct AdcBlock<'a> {
     pub pairs: &'a [Pair; ADC_LOCK_P],
     /// Index of the first pair after a mains zero crossing, if one fell into the block.
     pub zero_crossing: Option<u8>,
-    /// Bus voltage, in decivolt.
-    pub bus_dv: u16,
+    /// Bus voltage.
+    pub bus: BusReading,
     /// Mean current out of the DC link, in milliampere, where a sensor is fitted.
     pub dc_link_ma: Option<u32>,
     /// Blocks lost since the last one (DMA overrun).
@@ -154,14 +155,14 @@ impl<M: PairArithmetic> SamplingPath<M> {
         let at_crossing = crossing.is_some();
         let block_ns = self.clock.block_ns();
         let running = self.half_cycles.running();
-        running.add_block(&sums, block.bus_dv, block.dc_link_ma);
+        running.add_block(&sums, block.bus.dv(), block.dc_link_ma);
         if !at_crossing {
             running.add_offsets(block.pairs);
             running.look_near_zero(block.pairs);
         }
         let tripped = self.protection.check_block(
             &sums,
-            block.bus_dv,
+            block.bus.dv(),
             block.lost,
             block_ns,
             at_crossing,
@@ -178,16 +179,16 @@ impl<M: PairArithmetic> SamplingPath<M> {
                 self.recorder.push(block.pairs, all, sums.saturated);
             }
         }
-        let estimate = self.estimate(&sums, block.bus_dv);
+        let estimate = self.estimate(&sums, block.bus);
         self.recorder.advance(block_ns);
         self.clock.advance();
         self.sequencer
-            .watch_bus(block.bus_dv, at_crossing, block_ns);
+            .watch_bus(block.bus.dv(), at_crossing, block_ns);
         if self.sequencer.drive().is_switching() {
             self.limit_within_block(block, &sums);
-            self.end_pot_probe(block.bus_dv);
+            self.end_pot_probe(block.bus.dv());
         }
-        self.take_drive(at_crossing, block.bus_dv);
+        self.take_drive(at_crossing, block.bus.dv());
         estimate
     }
 
@@ -196,7 +197,7 @@ impl<M: PairArithmetic> SamplingPath<M> {
         let over = self.clock.cross_zero(at);
         self.recorder.push(block.pairs, 0..at, saturated);
         self.recorder.end(over.duration_ns);
-        self.finish_half_cycle(over.half_cycle, over.duration_ns, block.bus_dv, false);
+        self.finish_half_cycle(over.half_cycle, over.duration_ns, block.bus.dv(), false);
         let drive = self.sequencer.drive();
         let half_cycle = self.clock.half_cycle();
         // A window has one frequency throughout, so none begins at a frequency step.
@@ -226,14 +227,14 @@ impl<M: PairArithmetic> SamplingPath<M> {
 
     /// Demodulates and estimates while the bridge switches, and checks the estimate.
     #[inline]
-    fn estimate(&mut self, sums: &BlockSums, bus_dv: u16) -> Option<TrajectoryEntry> {
+    fn estimate(&mut self, sums: &BlockSums, bus: BusReading) -> Option<TrajectoryEntry> {
         if !self.sequencer.drive().is_switching() {
             return None;
         }
         let phasors = self.demodulator.push(sums)?;
         self.ekf.step(&phasors);
         let running = self.half_cycles.running();
-        running.add_estimate(&phasors, &self.ekf, bus_dv);
+        running.add_estimate(&phasors, &self.ekf, bus);
         let entry = TrajectoryEntry {
             r: self.ekf.r(),
             l: self.ekf.l(),
@@ -252,7 +253,7 @@ impl<M: PairArithmetic> SamplingPath<M> {
     /// Acts within a block while the bridge switches: on the soft limits, and on a mains that is away,
     /// which opens both switches until its next zero crossing.
     fn limit_within_block(&mut self, block: &AdcBlock<'_>, sums: &BlockSums) {
-        let checked = self.soft_limits.check(sums, block.pairs, block.bus_dv);
+        let checked = self.soft_limits.check(sums, block.pairs, block.bus.dv());
         self.half_cycles.running().add_check(&checked);
         // A recording's drive is what it was.
         if self.replaying {

@@ -49,18 +49,25 @@ const fn rounded_q14(x: f64) -> i16 {
     }) as i16
 }
 
-const fn table() -> [(i16, i16); ADC_LOCK_P] {
+/// cos and −sin of the carrier at a pair of a block, in 14 fractional bits.
+pub(super) const fn phase(pair: usize) -> (i16, i16) {
     let p = ADC_LOCK_P as u32;
-    let mut t = [(0, 0); ADC_LOCK_P];
+    // cos x = sin(x + π/2): work in quarters of 1/p turns.
+    let quarter_turns = 4 * (ADC_LOCK_Q * pair as u32 % p);
+    (
+        rounded_q14(sine_of_turns((quarter_turns + p) % (4 * p), 4 * p)),
+        rounded_q14(-sine_of_turns(quarter_turns, 4 * p)),
+    )
+}
+
+const fn table() -> [(i16, i16); ADC_LOCK_P] {
+    let mut table = [(0, 0); ADC_LOCK_P];
     let mut k = 0;
     while k < ADC_LOCK_P {
-        // cos x = sin(x + π/2): work in quarters of 1/p turns.
-        let quarter_turns = 4 * (ADC_LOCK_Q * k as u32 % p);
-        t[k].0 = rounded_q14(sine_of_turns((quarter_turns + p) % (4 * p), 4 * p));
-        t[k].1 = rounded_q14(-sine_of_turns(quarter_turns, 4 * p));
+        table[k] = phase(k);
         k += 1;
     }
-    t
+    table
 }
 
 const fn packed(table: [(i16, i16); ADC_LOCK_P]) -> [u32; ADC_LOCK_P] {

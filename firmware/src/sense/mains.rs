@@ -1,46 +1,21 @@
-//! Mains zero crossings and bus voltage, from a converter that takes the two in turn, one with each pair.
+//! Mains zero crossings, from a converter that takes mains and bus in turn, one with each pair.
 
-use core::array;
+use ihd_shared::sampling::ADC_LOCK_P;
 
-use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
+use crate::sense::bus::SLOW_CODES;
 
 /// The voltage must have been this far from zero, in codes, before a change of its sign counts: a
 /// twelfth of the crest of 230 V on the range of [`MAINS_FULL_SCALE_MV`].
 const ARMING_CODES: i32 = 140;
 
-pub use ihd_shared::board::{BUS_FULL_SCALE_DV as BUS_DV_FULL_SCALE, MAINS_FULL_SCALE_MV};
+pub use ihd_shared::board::MAINS_FULL_SCALE_MV;
 
 /// Half the input range of the mains voltage's channel, in volt.
 pub const MAINS_FULL_SCALE_V: f64 = MAINS_FULL_SCALE_MV as f64 / 1e3;
 
-/// Codes of the bus, and of the mains, in turn: those of two blocks, since a block has an odd number of pairs.
-pub const SLOW_CODES: usize = 2 * ADC_LOCK_P;
-
-/// Codes of the bus in a mean; four pairs apart they cover a switching period to 2 %, so that its ripple cancels.
-pub const BUS_MEAN: usize = 5;
-const BUS_STEP: usize = 4;
-const _: () = assert!(BUS_MEAN * BUS_STEP == ADC_LOCK_P / ADC_LOCK_Q as usize);
-
-/// Places of the last period's bus codes among the [`SLOW_CODES`], after half 0 or 1; the last one is the newest.
-pub fn bus_places(half: usize) -> [usize; BUS_MEAN] {
-    let newest = (SLOW_CODES / 2 * (half + 1) - 1) & !1;
-    array::from_fn(|k| newest - (BUS_MEAN - 1 - k) * BUS_STEP)
-}
-
 /// Place of the newest mains code among the [`SLOW_CODES`], after half 0 or 1.
 pub fn mains_place(half: usize) -> usize {
     (SLOW_CODES / 2 * (half + 1)) / 2 * 2 - 1
-}
-
-/// Mean of a period's bus codes, rounded.
-pub fn mean_bus_code(codes: [u16; BUS_MEAN]) -> u16 {
-    let sum: u32 = codes.into_iter().map(u32::from).sum();
-    ((sum + BUS_MEAN as u32 / 2) / BUS_MEAN as u32) as u16
-}
-
-/// Bus voltage of a code, in decivolt.
-pub fn bus_dv(code: u16) -> u16 {
-    (u32::from(code) * BUS_DV_FULL_SCALE / 4_096) as u16
 }
 
 /// Finds the zero crossings.
@@ -114,26 +89,8 @@ mod tests {
 
     /// Even places are the bus's, odd ones the mains's; none is of the other half.
     #[test]
-    fn the_newest_codes_of_a_half_are_its_own() {
-        assert_eq!(bus_places(0), [44, 48, 52, 56, 60]);
-        assert_eq!(bus_places(1), [104, 108, 112, 116, 120]);
+    fn the_newest_code_of_a_half_is_its_own() {
         assert_eq!([0, 1].map(mains_place), [59, 121]);
-    }
-
-    /// A ripple of the switching frequency, 61/3 pairs long, of 100 codes at any phase: a single code errs by all of it. Five
-    /// equal steps over .984 of a period leave sin(.984 π) / (5 sin(.984 π/5)) of it, 1.8 %, and half a code of rounding.
-    #[test]
-    fn the_ripple_of_the_switching_frequency_cancels() {
-        for half in [0, 1] {
-            for phase in 0..24 {
-                let codes = bus_places(half).map(|place| {
-                    let periods = place as f64 * 3.0 / 61.0 + f64::from(phase) / 24.0;
-                    (2_000.0 + 100.0 * (core::f64::consts::TAU * periods).sin()).round() as u16
-                });
-                let error = i32::from(mean_bus_code(codes)) - 2_000;
-                assert!(error.abs() <= 3, "{half} {phase}: {error}");
-            }
-        }
     }
 
     #[test]

@@ -3,10 +3,11 @@
 //! ```text
 //! ADC ─► dma_buffer ─► correlation ─► demodulator ─► phasors of coil voltage and current ─► estimate
 //!        (two halves)       └───────► power, peaks in ADC codes ─► protect, sampling
-//! slow ADC ─► mains ─► zero crossing, bus voltage
+//! slow ADC ─► mains, bus ─► zero crossing, bus voltage and its ripple
 //! reference ─► supply ─► correction of all of them, and of the comparators' thresholds
 //! ```
 
+pub mod bus;
 pub mod codes;
 pub mod correlation;
 pub mod demodulator;

@@ -1,6 +1,6 @@
 //! Dividers of bus and mains in front of the slow converter: their poles (docs/board.md).
 
-use ihd_firmware::sense::mains::BUS_MEAN;
+use ihd_firmware::sense::bus::BUS_MEAN;
 use ihd_shared::board::{BUS_POLE_HZ, MAINS_POLE_HZ, SLOW_PIN_POLE_HZ};
 
 use super::low_pass::LowPass;
@@ -10,6 +10,8 @@ use super::low_pass::LowPass;
 pub struct DividedVoltages {
     /// Bus voltage over the block's last switching period.
     pub bus_v: [f64; BUS_MEAN],
+    /// Half of the codes' ring that the block fills: 0 or 1.
+    pub half: usize,
     /// Newest mains voltage.
     pub mains_v: f64,
 }

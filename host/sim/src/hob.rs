@@ -20,7 +20,8 @@ use ihd_firmware::link::identity::DeviceIdentity;
 use ihd_firmware::retained::reset::ResetReason;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::self_test::heartbeat::Heartbeat;
-use ihd_firmware::sense::mains::{BUS_MEAN, ZeroCrossingDetector, bus_dv, mean_bus_code};
+use ihd_firmware::sense::bus::{BUS_MEAN, BusReading};
+use ihd_firmware::sense::mains::ZeroCrossingDetector;
 use ihd_firmware::sense::supply::SupplyScale;
 use ihd_shared::board::TRIP_DELAY_NS;
 use ihd_shared::fault::Fault;
@@ -173,16 +174,19 @@ impl SimHob {
         let link_before_c = self.plant.link_charge_c();
         let mut pairs = self.sample();
         let (mains, end_s) = (self.plant.mains(), self.plant.t_s());
+        let half = self.plant.divided().half;
         let slow = self.slow_adc.block(self.plant.divided());
         let crossing = self.zero_crossing.on_block(slow.mains);
-        let bus_code = mean_bus_code(slow.bus.map(|code| self.injections.on_bus(code)));
         self.injections.on_pairs(&mut pairs);
         let scale = self.housekeeping.control().supply_scale();
         let words = Pair::words(&pairs).map(|word| scale.pair(word));
+        let bus_codes = slow
+            .bus
+            .map(|code| scale.code(self.injections.on_bus(code)));
         let block = AdcBlock {
             pairs: Pair::of_words(&words),
             zero_crossing: self.injections.on_crossing(crossing, start_s, end_s),
-            bus_dv: bus_dv(scale.code(bus_code)),
+            bus: BusReading::new(bus_codes, half),
             dc_link_ma: self.dc_link.then(|| {
                 let charge_c = self.plant.link_charge_c() - link_before_c;
                 // A current that flows back reads as zero.

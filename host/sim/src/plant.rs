@@ -3,7 +3,8 @@
 use ihd_firmware::drive::bridge::Bridge;
 use ihd_firmware::drive::bridge::Drive;
 use ihd_firmware::drive::pwm::DEAD_TIME_NS;
-use ihd_firmware::sense::mains::{bus_places, mains_place};
+use ihd_firmware::sense::bus::bus_places;
+use ihd_firmware::sense::mains::mains_place;
 use ihd_shared::hob::NODE_CAPACITANCE_NF;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_signal::truth::MapTruth;
@@ -274,6 +275,7 @@ impl Plant {
         let at = |place: usize| taken_v[place % ADC_LOCK_P];
         self.divided = DividedVoltages {
             bus_v: bus_places(self.half).map(|place| at(place).0),
+            half: self.half,
             mains_v: at(mains_place(self.half)).1,
         };
         self.half = 1 - self.half;

@@ -1,6 +1,7 @@
 //! Slow ADC: bus and mains voltage, as read by the board's third converter.
 
-use ihd_firmware::sense::mains::{BUS_DV_FULL_SCALE, BUS_MEAN, MAINS_FULL_SCALE_V};
+use ihd_firmware::sense::bus::{BUS_FULL_SCALE_DV, BUS_MEAN};
+use ihd_firmware::sense::mains::MAINS_FULL_SCALE_V;
 use ihd_shared::sampling::{CODE_HALF_RANGE, CODE_MAX, CODE_MIN};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -47,7 +48,7 @@ impl SlowAdc {
 
     /// Code of the bus voltage.
     pub fn bus(&mut self, bus_v: f64) -> u16 {
-        let full_scale_v = f64::from(BUS_DV_FULL_SCALE) * 0.1;
+        let full_scale_v = f64::from(BUS_FULL_SCALE_DV) * 0.1;
         let code = bus_v / full_scale_v * BUS_CODES + self.noise();
         code.round().clamp(0.0, BUS_CODES - 1.0) as u16
     }
@@ -67,7 +68,8 @@ impl SlowAdc {
 
 #[cfg(test)]
 mod tests {
-    use ihd_firmware::sense::mains::{ZeroCrossingDetector, bus_dv};
+    use ihd_firmware::sense::bus::bus_dv;
+    use ihd_firmware::sense::mains::ZeroCrossingDetector;
     use ihd_shared::sampling::{ADC_LOCK_P, block_ns};
 
     use super::*;

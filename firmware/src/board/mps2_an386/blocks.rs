@@ -7,6 +7,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use embassy_executor::InterruptExecutor;
 use ihd_firmware::drive::bridge::Drive;
 use ihd_firmware::sampling::path::AdcBlock;
+use ihd_firmware::sense::bus::BusReading;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 
 use crate::board::sampling::SampleSource;
@@ -75,7 +76,7 @@ impl SampleSource for SilentAdc {
         let _ = take(&AdcBlock {
             pairs: &SILENCE,
             zero_crossing: crossing.then_some(0),
-            bus_dv: 0,
+            bus: BusReading::steady(0),
             dc_link_ma: None,
             lost: 0,
         });

@@ -13,6 +13,7 @@ use ihd_firmware::fixed::Complex;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::half_cycle::{CurrentCrest, HalfCycle};
 use ihd_firmware::sampling::path::{AdcBlock, SamplingLock, SamplingPath};
+use ihd_firmware::sense::bus::BusReading;
 use ihd_firmware::sense::correlation::correlate_by;
 use ihd_firmware::sense::demodulator::{Demodulator, Phasors};
 use ihd_shared::lookup::RlLookup;
@@ -185,7 +186,7 @@ fn take(
     black_box(path.replay_block(&AdcBlock {
         pairs,
         zero_crossing,
-        bus_dv: 3_000,
+        bus: BusReading::steady(3_000),
         dc_link_ma: None,
         lost: 0,
     }));

@@ -12,10 +12,9 @@ use ihd_firmware::drive::pwm::Periods;
 use ihd_firmware::drive::soft_start::{self, SoftStart};
 use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::sampling::path::AdcBlock;
+use ihd_firmware::sense::bus::{BusReading, SLOW_CODES, bus_places};
 use ihd_firmware::sense::dma_buffer::DmaDoubleBuffer;
-use ihd_firmware::sense::mains::{
-    SLOW_CODES, ZeroCrossingDetector, bus_dv, bus_places, mains_place, mean_bus_code,
-};
+use ihd_firmware::sense::mains::{ZeroCrossingDetector, mains_place};
 use ihd_firmware::sense::supply::SupplyScale;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 
@@ -195,7 +194,7 @@ impl SampleSource for Adc {
         let drive = take(&AdcBlock {
             pairs: Pair::of_words(&self.pairs),
             zero_crossing: self.mains.on_block(slow_code(mains_place(half)).into()),
-            bus_dv: bus_dv(scale.code(mean_bus_code(bus_codes))),
+            bus: BusReading::new(bus_codes.map(|code| scale.code(code)), half),
             dc_link_ma: None,
             lost: self.ring.take_lost(),
         });

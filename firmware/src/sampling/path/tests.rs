@@ -37,7 +37,7 @@ impl Board {
                         i: if k == 0 { i } else { 0 },
                     }),
                     zero_crossing: crossing.then_some(0),
-                    bus_dv: 300,
+                    bus: BusReading::steady(300),
                     dc_link_ma: None,
                     lost: 0,
                 };

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
+use ihd_firmware::sense::bus::BusReading;
 use ihd_link::{Client, DeviceEvent, Window};
 use ihd_shared::board::MAINS_FREQUENCY_HZ;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_HALF_RANGE, Pair};
@@ -138,7 +139,7 @@ fn a_replay_gives_the_bits_that_the_library_gives_here() {
             here.replay_block(&AdcBlock {
                 pairs,
                 zero_crossing,
-                bus_dv: BUS_DV,
+                bus: BusReading::steady(BUS_DV),
                 dc_link_ma: None,
                 lost: 0,
             })
