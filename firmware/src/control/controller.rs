@@ -277,6 +277,14 @@ impl Control {
             self.resumes = true;
             let above = 100 + RESUME_ABOVE_PERCENT;
             self.parts.power.pause(self.parts.heated_hz * above / 100);
+            let too_much = [
+                Fault::OVER_CURRENT,
+                Fault::HARDWARE_OVER_CURRENT,
+                Fault::BUS_OVER_VOLTAGE,
+            ];
+            if too_much.contains(&status.fault) {
+                self.parts.power.go_in_steps();
+            }
         }
         // A recording costs no try, as no power flows, and ends no lock-out.
         let locked_out = self.parts.restart.is_locked_out()

@@ -258,6 +258,7 @@ mod tests {
     use super::*;
     use crate::sampling::half_cycle::CurrentCrest;
     use crate::sense::bus::BusReading;
+    use crate::sense::bus::tests::reading;
     use crate::sense::demodulator::{AMPERE_PER_UNIT, Phasors};
     use ihd_shared::hob::{RESONANCE_CAPACITANCE_NF, WINDING_R_OHM};
     use ihd_shared::sampling::ANTI_ALIAS_HZ;
@@ -301,6 +302,56 @@ mod tests {
             power_mw: 1_000_000,
             bus_peak_dv: (3_250.0 * bus_gain) as u16,
             ..HalfCycle::default()
+        }
+    }
+
+    /// Half-cycle of a load at a link of so many farad that the line recharges evenly: its elastance counts 1/2 − 2/π² in the tank,
+    /// and its ripple is that of half the coil's current.
+    fn with_link(f_hz: f64, (r, l_uh): (f64, f64), c_2: f64) -> HalfCycle {
+        let omega = TAU * f_hz;
+        let mut summary = seen(f_hz, (r, l_uh), 1.0, 1.0, 1.0);
+        let x_l = omega * l_uh * 1e-6;
+        let x_r = 1e9 / (omega * f64::from(RESONANCE_CAPACITANCE_NF));
+        let x = x_l - x_r - (0.5 - 0.5 * FRAC_2_PI * FRAC_2_PI) / (omega * c_2);
+        let v1 = FRAC_2_PI * 325.0;
+        let (z2, filter) = (r * r + x * x, f_hz / f64::from(ANTI_ALIAS_HZ));
+        let i = (v1 * r / z2, -v1 * x / z2);
+        let v = (i.0 * r - i.1 * x_l, i.0 * x_l + i.1 * r);
+        // Behind the anti-alias filter: its amplitude here, its phase at the bus.
+        let mantissa = |x: f64, unit: f64| {
+            (x / unit / f64::hypot(1.0, filter) * f64::from(1u32 << STATE_BITS)) as i32
+        };
+        let complex = |(re, im): (f64, f64), unit: f64| Complex {
+            re: mantissa(re, unit),
+            im: mantissa(im, unit),
+        };
+        summary.crest.phasors = Phasors {
+            v: complex(v, VOLT_PER_UNIT),
+            i: complex(i, AMPERE_PER_UNIT),
+        };
+        // −I/2 · 1/(jωC).
+        let ripple = (-i.1 / (2.0 * omega * c_2), i.0 / (2.0 * omega * c_2));
+        let amplitude_and_phase = (
+            ripple.0.hypot(ripple.1),
+            ripple.1.atan2(ripple.0) + filter.atan(),
+        );
+        summary.crest.bus = reading(f_hz, 325.0, amplitude_and_phase, 1);
+        summary
+    }
+
+    /// Within 1 %, of which the ripple's reading takes half, from the largest link down to one that is less than C_r.
+    #[test]
+    fn the_balance_holds_whatever_the_link() {
+        for load in [POT, SMALL, (2.2, 33.0)] {
+            for f_hz in [45e3, 60e3, 79e3] {
+                for c_2 in [1e-6, 2.2e-6, 4.7e-6, 10e-6] {
+                    let ppm = BridgeBalance::of(&with_link(f_hz, load, c_2)).ppm();
+                    assert!(
+                        (ppm - 1_000_000).abs() < 10_000,
+                        "{load:?} {f_hz} {c_2}: {ppm}"
+                    );
+                }
+            }
         }
     }
 

@@ -84,7 +84,7 @@ impl BusReading {
     }
 
     /// Fundamental of the ripple as the filters of the coil's channels would show it, in decivolt: amplitude and phase with respect
-    /// to the block's sums.
+    /// to the block's sums. At most 100 kHz.
     pub fn ripple_dv(&self, f_sw_hz: u32) -> Complex {
         let mean = i32::from(mean(self.codes));
         let phases = &PHASES[usize::from(self.half % 2)];
@@ -96,17 +96,14 @@ impl BusReading {
         }
         // (1 + jf/f₁)(1 + jf/f₂)/(1 + jf/f₃), of the divider's pole, the pin's and the anti-alias filter's.
         let [divider, pin, filter] = [BUS_POLE_HZ, SLOW_PIN_POLE_HZ, ANTI_ALIAS_HZ]
-            .map(|pole_hz| (i64::from(f_sw_hz.min(100_000)) << RATIO_BITS) / i64::from(pole_hz));
+            .map(|pole_hz| i64::from((f_sw_hz.min(100_000) << RATIO_BITS) / pole_hz));
         let turned = |(re, im): (i64, i64), ratio: i64| {
             let part = |x: i64| (x * ratio) >> RATIO_BITS;
             (re - part(im), im + part(re))
         };
         let (re, im) = turned(turned(turned((re, im), divider), pin), -filter);
-        let norm = (1 << RATIO_BITS) + ((filter * filter) >> RATIO_BITS);
-        let dv = |sum: i64| {
-            let amplitude = 2 * sum * i64::from(BUS_FULL_SCALE_DV) / (4_096 * BUS_MEAN as i64);
-            saturate(((amplitude >> TABLE_BITS) << RATIO_BITS) / norm)
-        };
+        let norm = (1 << RATIO_BITS) + ((filter * filter) >> RATIO_BITS) as i32;
+        let dv = |sum: i64| (saturate((sum * DV_PER_SUM) >> SUM_BITS) << RATIO_BITS) / norm;
         Complex {
             re: dv(re),
             im: dv(im),
@@ -117,6 +114,11 @@ impl BusReading {
 /// Fractional bits of a frequency over a pole's.
 const RATIO_BITS: u32 = 10;
 
+/// Decivolt of amplitude per sum over a period, and its fractional bits.
+const DV_PER_SUM: i64 =
+    ((2 * BUS_FULL_SCALE_DV as i64) << (SUM_BITS - TABLE_BITS)) / (4_096 * BUS_MEAN as i64);
+const SUM_BITS: u32 = 30;
+
 /// Mean of a period's codes, rounded.
 fn mean(codes: [u16; BUS_MEAN]) -> u16 {
     let sum: u32 = codes.into_iter().map(u32::from).sum();
@@ -124,13 +126,18 @@ fn mean(codes: [u16; BUS_MEAN]) -> u16 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use core::f64::consts::TAU;
     use std::vec::Vec;
 
-    /// Codes of 300 V and a ripple of so many volt at the bus, behind the divider's poles, at any phase to the carrier.
-    fn reading(f_hz: f64, ripple_v: f64, phase: f64, half: usize) -> BusReading {
+    /// Codes of a mean and a ripple at the bus, in volt, behind the divider's poles, at a phase to the carrier.
+    pub(crate) fn reading(
+        f_hz: f64,
+        mean_v: f64,
+        (ripple_v, phase): (f64, f64),
+        half: usize,
+    ) -> BusReading {
         let poles = [BUS_POLE_HZ, SLOW_PIN_POLE_HZ].map(|pole_hz| f_hz / f64::from(pole_hz));
         let left: f64 = poles
             .iter()
@@ -139,7 +146,7 @@ mod tests {
         let lag: f64 = poles.iter().map(|ratio| ratio.atan()).sum();
         let codes = bus_places(half).map(|place| {
             let turns = (place % ADC_LOCK_P) as f64 * 3.0 / 61.0;
-            let v = 300.0 + ripple_v * left * (TAU * turns + phase - lag).cos();
+            let v = mean_v + ripple_v * left * (TAU * turns + phase - lag).cos();
             (v * 40_960.0 / f64::from(BUS_FULL_SCALE_DV)).round() as u16
         });
         BusReading::new(codes, half)
@@ -177,7 +184,8 @@ mod tests {
                 let errors: Vec<f64> = (0..12)
                     .map(|twelfth| {
                         let phase = TAU * f64::from(twelfth) / 12.0;
-                        let found = reading(f_hz, ripple_v, phase, half).ripple_dv(f_hz as u32);
+                        let found =
+                            reading(f_hz, 300.0, (ripple_v, phase), half).ripple_dv(f_hz as u32);
                         let filter = f_hz / f64::from(ANTI_ALIAS_HZ);
                         let (amplitude, phase) = (
                             10.0 * ripple_v / f64::hypot(1.0, filter),

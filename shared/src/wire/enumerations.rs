@@ -50,6 +50,8 @@ wire_enum! {
         KeepWarm = 11,
         /// The other zone of a shared supply.
         SharedSupply = 12,
+        /// The bus voltage, where C2 is small.
+        BusVoltage = 13,
     }
 }
 

@@ -15,7 +15,7 @@ use crate::sampling::Scales;
 use crate::units::{MicroOhm, PicoHenry};
 
 /// Raised by any change of an existing message.
-pub const PROTOCOL_MAJOR: u16 = 5;
+pub const PROTOCOL_MAJOR: u16 = 6;
 
 /// Raised by a new message or a new fault.
 pub const PROTOCOL_MINOR: u16 = 0;

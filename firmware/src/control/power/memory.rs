@@ -45,7 +45,7 @@ pub struct OperatingMemory {
     before_jump_q10: u32,
     floor: FrequencyFloor,
     floor_since_ms: u32,
-    /// The bus at which the floor was raised, in decivolt.
+    /// The bus above the floor, in decivolt; 0 before a whole half-cycle there. The current that led to it may have raised the bus.
     floor_bus_dv: u16,
 }
 
@@ -70,10 +70,13 @@ impl OperatingMemory {
         }
         if summary.f_sw_hz > 0 && summary.limit != Limit::None {
             self.last = None;
-            self.raise_floor(summary, summary.f_sw_hz, summary.limit, now_ms);
+            self.raise_floor(summary.f_sw_hz, summary.limit, now_ms);
         } else if summary.disturbed || summary.f_sw_hz == 0 {
             self.last = None;
         } else {
+            if self.floor_bus_dv == 0 {
+                self.floor_bus_dv = summary.bus_peak_dv;
+            }
             self.note_load(summary, now_ms);
         }
     }
@@ -118,15 +121,15 @@ impl OperatingMemory {
             if self.before_jump_q10 == 0 {
                 self.before_jump_q10 = last_q10;
             }
-            self.raise_floor(summary, last_hz.max(f_sw_hz), Limit::Resonance, now_ms);
+            self.raise_floor(last_hz.max(f_sw_hz), Limit::Resonance, now_ms);
         } else if self.before_jump_q10 > 0 && !above(l_q10, self.before_jump_q10) {
             self.forget_floor();
         }
         self.last = Some((l_q10, f_sw_hz));
     }
 
-    fn raise_floor(&mut self, summary: &HalfCycle, f_sw_hz: u32, limit: Limit, now_ms: u32) {
-        self.floor_bus_dv = summary.bus_peak_dv;
+    fn raise_floor(&mut self, f_sw_hz: u32, limit: Limit, now_ms: u32) {
+        self.floor_bus_dv = 0;
         self.floor = FrequencyFloor { f_sw_hz, limit };
         self.floor_since_ms = now_ms;
     }

@@ -27,7 +27,7 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::Limit;
 
 use crate::drive::pwm;
-use crate::limits::{STEP_DOWN_HZ, STEP_UP_HZ, TAUGHT_STEP_DOWN_HZ};
+use crate::limits::{NEAR_BUS_DV, STEP_DOWN_HZ, STEP_UP_HZ, TAUGHT_STEP_DOWN_HZ};
 use crate::sampling::half_cycle::HalfCycle;
 use bounds::Bounds;
 use memory::OperatingMemory;
@@ -51,6 +51,8 @@ pub struct PowerControl {
     memory: OperatingMemory,
     /// Frequency at which the same pot was heated before it was away, in hertz; 0 for none.
     resume_hz: u32,
+    /// Power has tripped the bridge with this pot: the frequency falls in steps only.
+    in_steps: bool,
     limit: Limit,
     search: Option<Search>,
 }
@@ -61,6 +63,7 @@ impl Default for PowerControl {
             factor_q10: 1_024,
             memory: OperatingMemory::default(),
             resume_hz: 0,
+            in_steps: false,
             limit: Limit::None,
             search: None,
         }
@@ -82,6 +85,11 @@ impl PowerControl {
         self.cancel();
         self.memory = self.memory.of_mains();
         self.resume_hz = f_sw_hz;
+    }
+
+    /// Lets the frequency fall in steps only, for as long as the pot is the same: a jump may have been too far for this board.
+    pub fn go_in_steps(&mut self) {
+        self.in_steps = true;
     }
 
     /// Ends the search without a result.
@@ -168,13 +176,20 @@ impl PowerControl {
     /// alone decide.
     fn bracket(&self, search: &mut Search, lookup: &RlLookup) -> (u32, u32) {
         let now = search.now_hz();
-        let may_jump = self.resume_hz > 0 || lookup.observed_cells() > 0;
-        let step_down_hz = if may_jump {
+        let is_known = self.resume_hz > 0 || lookup.observed_cells() > 0;
+        let may_jump = is_known && !self.in_steps && !search.is_link_small();
+        let step_down_hz = if search.summary.bus_peak_dv >= NEAR_BUS_DV {
+            STEP_DOWN_HZ / 4
+        } else if may_jump {
             TAUGHT_STEP_DOWN_HZ
         } else {
             STEP_DOWN_HZ
         };
         let (mut low, mut high) = search.by_measurement(step_down_hz);
+        if high < now && search.is_bus_full() {
+            search.refused = Limit::BusVoltage;
+            (low, high) = (now, now);
+        }
         let floor = self.memory.floor_hz(&search.summary);
         if low < floor.f_sw_hz {
             search.refused = floor.limit;

@@ -4,9 +4,10 @@ use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::wire::messages::Limit;
 
 use crate::control::power::bounds::Bounds;
-use crate::estimate::tank::Tank;
+use crate::estimate::tank::{Tank, resonance_capacitor_mohm};
 use crate::limits::{
-    DEAD_BAND_PERCENT, RESONANCE_MARGIN_PERCENT, STEP_DOWN_HZ, STEP_UP_HZ, TAUGHT_STEP_DOWN_HZ,
+    DEAD_BAND_PERCENT, PLANNED_BUS_DV, RESONANCE_MARGIN_PERCENT, STEP_DOWN_HZ, STEP_UP_HZ,
+    TAUGHT_STEP_DOWN_HZ,
 };
 use crate::sampling::half_cycle::HalfCycle;
 
@@ -16,6 +17,9 @@ pub(super) fn trim_hz(f_sw_hz: u32, error_mw: u64, asked_mw: u64) -> u32 {
     let trim = u64::from(f_sw_hz) * error_mw / (6 * asked_mw.max(1));
     trim.min(u64::from(TAUGHT_STEP_DOWN_HZ)) as u32
 }
+
+/// Ripple of the bus that is more than the noise of its codes, behind poles that leave a twelfth of 80 kHz.
+const RIPPLE_SEEN_DV: u64 = 50;
 
 /// The largest step, in smallest ones: half of the relative error, for P ∝ f^−2. What the lookup
 /// solves for counts between the two.
@@ -67,11 +71,34 @@ impl Search {
         } else if error > 0 {
             (now + trim.min(STEP_UP_HZ), now + most.min(STEP_UP_HZ))
         } else if measured.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
-            (now - most.min(step_down_hz), now - trim.min(STEP_DOWN_HZ))
+            let least = trim.min(STEP_DOWN_HZ).min(step_down_hz);
+            (now - most.min(step_down_hz), now - least)
         } else {
             // More power lies below the margin.
             (now, now)
         }
+    }
+
+    /// Returns `true` if the bus is too high for more power.
+    pub fn is_bus_full(&self) -> bool {
+        self.summary.bus_peak_dv >= PLANNED_BUS_DV
+    }
+
+    /// Returns `true` if the bus's ripple shows less than 2.5 C_r in the link. The line's filter then resonates with it near the
+    /// switching frequency, and a lookup knows nothing of that.
+    pub fn is_link_small(&self) -> bool {
+        let crest = &self.summary.crest;
+        let ripple_dv = u64::from(
+            crest
+                .bus
+                .ripple_dv(self.summary.f_sw_hz)
+                .norm_squared()
+                .isqrt() as u32,
+        );
+        // Half of the coil's current is the bus's: X = 2 · ripple / current, of the link's capacitance.
+        let link_mohm = 2 * ripple_dv * 100_000 / u64::from(crest.i_ma.max(1));
+        let capacitor_mohm = resonance_capacitor_mohm(self.summary.f_sw_hz) as u64;
+        ripple_dv >= RIPPLE_SEEN_DV && link_mohm * 5 > capacitor_mohm * 2
     }
 
     /// Limit that holds the power at a frequency that was found.

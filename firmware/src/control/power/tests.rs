@@ -1,6 +1,8 @@
 use super::search::trim_hz;
 use super::*;
+use crate::limits::PLANNED_BUS_DV;
 use crate::sampling::half_cycle::CurrentCrest;
+use crate::sense::bus::tests::reading;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
@@ -193,5 +195,73 @@ fn a_search_ends_well_before_the_next_zero_crossing() {
     for f_sw_hz in [F_SW_MIN_HZ, F_SW_MAX_HZ] {
         let block_ns = ihd_shared::sampling::block_ns(f_sw_hz);
         assert!((1 + STEPS_PER_SEARCH) * block_ns < 8_333_333 / 5);
+    }
+}
+
+/// A half-cycle at 70 kHz, where the prior's load takes 560 W of 325 V, on a bus of so many decivolt.
+fn with_bus(bus_peak_dv: u16) -> HalfCycle {
+    let f_sw_hz = pwm::nearest_hz(70_000);
+    let (r, l) = prior().interpolate(f_sw_hz, 20_000);
+    let predicted = predict(&prior(), f_sw_hz, 3_253).unwrap();
+    HalfCycle {
+        f_sw_hz,
+        power_mw: predicted.power_mw as u32,
+        bus_peak_dv,
+        crest: crest(r, l, 20_000),
+        ..HalfCycle::default()
+    }
+}
+
+#[test]
+fn the_power_stops_rising_before_the_bus_trips() {
+    let next = |bus_dv, asked_mw| {
+        let mut control = PowerControl::default();
+        let (f_sw_hz, _) = search(&mut control, &with_bus(bus_dv), asked_mw, &prior());
+        (f_sw_hz, control.limit())
+    };
+    let now = pwm::nearest_hz(70_000);
+    assert_eq!(next(PLANNED_BUS_DV, 1_500_000), (now, Limit::BusVoltage));
+    let (near, limit) = next(PLANNED_BUS_DV - 1, 1_500_000);
+    let step = STEP_DOWN_HZ / 4 + grid_step_hz(now);
+    assert!((now - step..now).contains(&near), "{near}");
+    assert_eq!(limit, Limit::None);
+    let (less, limit) = next(PLANNED_BUS_DV, 300_000);
+    assert!(less > now && limit == Limit::None, "{less} {limit:?}");
+}
+
+#[test]
+fn after_too_much_power_even_a_taught_lookup_is_followed_in_steps() {
+    let mut taught = prior();
+    taught.observed.fill(0xFF);
+    let next = |control: &mut PowerControl| search(control, &with_bus(3_253), 1_500_000, &taught).0;
+    let step = STEP_DOWN_HZ + grid_step_hz(F_SW_MAX_HZ);
+    let now = pwm::nearest_hz(70_000);
+    let mut control = PowerControl::default();
+    assert!(next(&mut control) < now - 2 * step);
+    control.go_in_steps();
+    assert!((now - step..now).contains(&next(&mut control)));
+    control.restart();
+    assert!(next(&mut control) < now - 2 * step);
+}
+
+/// Half of the coil's current is the bus's: 20 A swing 1.5 µF by 15 V at 70 kHz, and 4.7 µF by 4.8 V.
+#[test]
+fn a_small_link_is_approached_in_steps() {
+    let mut taught = prior();
+    taught.observed.fill(0xFF);
+    for (c_2, jumps) in [
+        (1e-6, false),
+        (1.5e-6, false),
+        (4.7e-6, true),
+        (10e-6, true),
+    ] {
+        let mut summary = with_bus(3_253);
+        let f_hz = f64::from(summary.f_sw_hz);
+        let ripple_v = 10.0 / (core::f64::consts::TAU * f_hz * c_2);
+        summary.crest.bus = reading(f_hz, 325.3, (ripple_v, 0.3), 0);
+        let mut control = PowerControl::default();
+        let (next, _) = search(&mut control, &summary, 1_500_000, &taught);
+        let step = STEP_DOWN_HZ + grid_step_hz(F_SW_MAX_HZ);
+        assert_eq!(next < summary.f_sw_hz - 2 * step, jumps, "{c_2}: {next}");
     }
 }

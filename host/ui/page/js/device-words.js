@@ -49,6 +49,7 @@ const LIMITS = {
   Boost: "the boost is over",
   KeepWarm: "keeps warm",
   SharedSupply: "the supply is shared with the other zone",
+  BusVoltage: "the bus voltage",
 };
 
 /**
