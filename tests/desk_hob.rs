@@ -13,6 +13,7 @@ use ihd_firmware::drive::bridge::Drive;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::link::service::NoBoardServices;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
+use ihd_firmware::sense::bus::BusReading;
 use ihd_link::{Client, LinkError, Transport};
 use ihd_shared::board::BARE_COIL_NH;
 use ihd_shared::sampling::{
@@ -153,7 +154,7 @@ impl DeskHob {
         let block = AdcBlock {
             pairs: &pairs,
             zero_crossing,
-            bus_dv: (BUS_PEAK_V * self.envelope() * 10.0) as u16,
+            bus: BusReading::steady((BUS_PEAK_V * self.envelope() * 10.0) as u16),
             dc_link_ma: None,
             lost: 0,
         };

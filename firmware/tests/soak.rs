@@ -13,8 +13,9 @@ use ihd_firmware::drive::pwm;
 use ihd_firmware::limits::{DITHER_MAX_PERMILLE, TRIES};
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
+use ihd_firmware::sense::bus::BusReading;
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::{RATED_POWER_W, TANK_CAPACITANCE_PF};
+use ihd_shared::hob::{RATED_POWER_W, RESONANCE_CAPACITANCE_NF};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, CODE_MAX, CODE_MIN, Pair, VOLT_PER_CODE};
@@ -159,7 +160,7 @@ impl Soak {
     /// The bus that drives the pot's current at this frequency, in decivolt: sensors that agree.
     fn bus_peak_dv(&self) -> f64 {
         let f_hz = f64::from(self.sampling_path.drive().f_sw_hz);
-        let x_c_ohm = 1e12 / (TAU * f_hz * f64::from(TANK_CAPACITANCE_PF));
+        let x_c_ohm = 1e9 / (TAU * f_hz * f64::from(RESONANCE_CAPACITANCE_NF));
         let (r_ohm, x_ohm, crest_a) = POT;
         10.0 * crest_a * r_ohm.hypot(x_ohm - x_c_ohm) / FRAC_2_PI
     }
@@ -177,16 +178,17 @@ impl Soak {
         let phase = (n % HALF_CYCLE) as f64 / HALF_CYCLE as f64;
         let stray = self.random.one_in(5_000);
         let crossing = n.is_multiple_of(HALF_CYCLE) != stray;
-        let bus_dv = if self.random.one_in(20_000) {
-            self.random.next() as u16
+        let bus = if self.random.one_in(20_000) {
+            let codes = core::array::from_fn(|_| self.random.next() as u16);
+            BusReading::new(codes, (n % 2) as usize)
         } else {
-            (self.bus_peak_dv() * (TAU * 0.5 * phase).sin()) as u16
+            BusReading::steady((self.bus_peak_dv() * (TAU * 0.5 * phase).sin()) as u16)
         };
         let was = self.sampling_path.fault();
         let drive = self.sampling_path.on_block(&AdcBlock {
             pairs: &pairs,
             zero_crossing: crossing.then(|| self.random.below(255) as u8),
-            bus_dv,
+            bus,
             dc_link_ma: self
                 .random
                 .one_in(1_000)

@@ -4,6 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use ihd_firmware::drive::bridge::Drive;
 use ihd_firmware::sampling::path::AdcBlock;
+use ihd_firmware::sense::bus::BusReading;
 use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, block_ns,
 };
@@ -90,7 +91,7 @@ impl Board {
         AdcBlock {
             pairs,
             zero_crossing,
-            bus_dv,
+            bus: BusReading::steady(bus_dv),
             dc_link_ma: None,
             lost,
         }
