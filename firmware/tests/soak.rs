@@ -14,6 +14,7 @@ use ihd_firmware::limits::{DITHER_MAX_PERMILLE, TRIES};
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::sense::bus::BusReading;
+use ihd_firmware::sense::supply::SupplyScale;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{RATED_POWER_W, RESONANCE_CAPACITANCE_NF};
 use ihd_shared::lookup::RlLookup;
@@ -180,7 +181,7 @@ impl Soak {
         let crossing = n.is_multiple_of(HALF_CYCLE) != stray;
         let bus = if self.random.one_in(20_000) {
             let codes = core::array::from_fn(|_| self.random.next() as u16);
-            BusReading::new(codes, (n % 2) as usize)
+            BusReading::new(codes, (n % 2) as usize, SupplyScale::NOMINAL)
         } else {
             BusReading::steady((self.bus_peak_dv() * (TAU * 0.5 * phase).sin()) as u16)
         };

@@ -27,6 +27,7 @@
 //! past for power control, but shows the pot.
 
 pub mod burst;
+mod bus_ripple;
 pub mod controller;
 pub mod cooking_times;
 pub mod heating;

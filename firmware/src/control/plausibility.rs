@@ -20,6 +20,7 @@ use ihd_shared::board::BARE_COIL_NH;
 use ihd_shared::fault::Fault;
 
 use self::gain_drift::GainDrift;
+use crate::control::bus_ripple::ripple_dv;
 use crate::estimate::tank::{TankAt, resonance_capacitor_mohm};
 use crate::fixed::{Complex, saturate};
 use crate::limits::{
@@ -202,7 +203,7 @@ impl BridgeBalance {
         let loss_dv = (filtered_dv * (filter_loss_q16(summary.f_sw_hz) / 2)) >> 16;
         Self {
             by_coil_dv: filtered_dv + loss_dv,
-            by_bus_dv: u32::from(summary.crest.bus.dv()) * 6_366 / 10_000,
+            by_bus_dv: u32::from(summary.crest.bus.dv) * 6_366 / 10_000,
             by_tank_permille: by_tank.clamp(0, 1_000) as u32,
         }
     }
@@ -230,7 +231,7 @@ impl BridgeBalance {
 /// Amplitude of |V + I/(jωC_r)| less the share of the bus's ripple, in decivolt.
 fn bridge_dv(summary: &HalfCycle, x_c_mohm: i64) -> u32 {
     let (v, i) = (summary.crest.phasors.v, summary.crest.phasors.i);
-    let ripple = summary.crest.bus.ripple_dv(summary.f_sw_hz);
+    let ripple = ripple_dv(&summary.crest.bus, summary.f_sw_hz);
     // −jX·(a + jb) = bX − jaX; mantissas of 16 A and 32 V, so an ohm counts half.
     let part = |v: i32, i: i32, ripple_dv: i32| {
         let ripple = i64::from(ripple_dv) * RIPPLE_SHARE_PER_DV;
@@ -256,9 +257,9 @@ fn is_power_balanced(summary: &HalfCycle) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::bus_ripple::tests::reading;
     use crate::sampling::half_cycle::CurrentCrest;
     use crate::sense::bus::BusReading;
-    use crate::sense::bus::tests::reading;
     use crate::sense::demodulator::{AMPERE_PER_UNIT, Phasors};
     use ihd_shared::hob::{RESONANCE_CAPACITANCE_NF, WINDING_R_OHM};
     use ihd_shared::sampling::ANTI_ALIAS_HZ;
@@ -392,7 +393,7 @@ mod tests {
             let x_c = 1e9 / (TAU * f_hz * f64::from(RESONANCE_CAPACITANCE_NF));
             let x_l = TAU * f_hz * l_uh * 1e-6;
             let real = r.hypot(x_l - x_c / share) / r.hypot(x_l - x_c);
-            let bus_dv = f64::from(summary.crest.bus.dv()) * real * gain;
+            let bus_dv = f64::from(summary.crest.bus.dv) * real * gain;
             let mut summary = summary;
             summary.crest.bus = BusReading::steady(bus_dv as u16);
             fault_of(summary)

@@ -38,7 +38,8 @@ pub struct HalfCycleAccumulator {
     half_cycle: HalfCycle,
     vi: i64,
     blocks: u32,
-    turn_off_ma: Option<i32>,
+    /// `i32::MAX` less the smallest current at a turn-off, in milliampere: 0 where none was seen, so that a blank one is cleared at once.
+    below_max_ma: u32,
     /// Sums of codes of the blocks that count for the offset, and their number.
     offsets: (i32, i32),
     offset_blocks: i32,
@@ -57,7 +58,7 @@ impl HalfCycleAccumulator {
             half_cycle: HalfCycle::BLANK,
             vi: 0,
             blocks: 0,
-            turn_off_ma: None,
+            below_max_ma: 0,
             offsets: (0, 0),
             offset_blocks: 0,
             near_zero: (false, false),
@@ -119,7 +120,7 @@ impl HalfCycleAccumulator {
     /// Adds the result of the soft limits.
     pub fn add_check(&mut self, checked: &SoftLimitCheck) {
         if let Some(ma) = checked.turn_off_ma {
-            self.turn_off_ma = Some(self.turn_off_ma.map_or(ma, |least| least.min(ma)));
+            self.below_max_ma = self.below_max_ma.max(i32::MAX.wrapping_sub(ma) as u32);
         }
         if checked.limit != Limit::None {
             self.half_cycle.limit = checked.limit;
@@ -132,12 +133,12 @@ impl HalfCycleAccumulator {
     }
 
     /// Adds one estimate.
-    pub fn add_estimate(&mut self, z: &Phasors, ekf: &Ekf, bus: BusReading) {
+    pub fn add_estimate(&mut self, z: &Phasors, ekf: &Ekf, bus: &BusReading) {
         let norm = z.i.norm_squared();
         if norm > self.crest_norm && !ekf.is_held() {
             self.crest_norm = norm;
             self.half_cycle.crest.phasors = *z;
-            self.half_cycle.crest.bus = bus;
+            self.half_cycle.crest.bus = *bus;
             self.half_cycle.crest.r = ekf.r();
             self.half_cycle.crest.l = ekf.l();
         }
@@ -163,7 +164,7 @@ impl HalfCycleSums {
         let power_mw = unfiltered(power_mw, sums.half_cycle.f_sw_hz);
         HalfCycle {
             power_mw: u32::try_from(power_mw).unwrap_or(u32::MAX),
-            i_turn_off_min_ma: sums.turn_off_ma.unwrap_or(i32::MAX),
+            i_turn_off_min_ma: i32::MAX.wrapping_sub(sums.below_max_ma as i32),
             channels: ChannelDefects {
                 v_offset_dv: mean(sums.offsets.0, V_FULL_SCALE_MV / 100),
                 i_offset_ma: mean(sums.offsets.1, I_FULL_SCALE_MA),

@@ -155,14 +155,14 @@ impl<M: PairArithmetic> SamplingPath<M> {
         let at_crossing = crossing.is_some();
         let block_ns = self.clock.block_ns();
         let running = self.half_cycles.running();
-        running.add_block(&sums, block.bus.dv(), block.dc_link_ma);
+        running.add_block(&sums, block.bus.dv, block.dc_link_ma);
         if !at_crossing {
             running.add_offsets(block.pairs);
             running.look_near_zero(block.pairs);
         }
         let tripped = self.protection.check_block(
             &sums,
-            block.bus.dv(),
+            block.bus.dv,
             block.lost,
             block_ns,
             at_crossing,
@@ -179,16 +179,16 @@ impl<M: PairArithmetic> SamplingPath<M> {
                 self.recorder.push(block.pairs, all, sums.saturated);
             }
         }
-        let estimate = self.estimate(&sums, block.bus);
+        let estimate = self.estimate(&sums, &block.bus);
         self.recorder.advance(block_ns);
         self.clock.advance();
         self.sequencer
-            .watch_bus(block.bus.dv(), at_crossing, block_ns);
+            .watch_bus(block.bus.dv, at_crossing, block_ns);
         if self.sequencer.drive().is_switching() {
             self.limit_within_block(block, &sums);
-            self.end_pot_probe(block.bus.dv());
+            self.end_pot_probe(block.bus.dv);
         }
-        self.take_drive(at_crossing, block.bus.dv());
+        self.take_drive(at_crossing, block.bus.dv);
         estimate
     }
 
@@ -197,7 +197,7 @@ impl<M: PairArithmetic> SamplingPath<M> {
         let over = self.clock.cross_zero(at);
         self.recorder.push(block.pairs, 0..at, saturated);
         self.recorder.end(over.duration_ns);
-        self.finish_half_cycle(over.half_cycle, over.duration_ns, block.bus.dv(), false);
+        self.finish_half_cycle(over.half_cycle, over.duration_ns, block.bus.dv, false);
         let drive = self.sequencer.drive();
         let half_cycle = self.clock.half_cycle();
         // A window has one frequency throughout, so none begins at a frequency step.
@@ -227,7 +227,7 @@ impl<M: PairArithmetic> SamplingPath<M> {
 
     /// Demodulates and estimates while the bridge switches, and checks the estimate.
     #[inline]
-    fn estimate(&mut self, sums: &BlockSums, bus: BusReading) -> Option<TrajectoryEntry> {
+    fn estimate(&mut self, sums: &BlockSums, bus: &BusReading) -> Option<TrajectoryEntry> {
         if !self.sequencer.drive().is_switching() {
             return None;
         }
@@ -253,7 +253,7 @@ impl<M: PairArithmetic> SamplingPath<M> {
     /// Acts within a block while the bridge switches: on the soft limits, and on a mains that is away,
     /// which opens both switches until its next zero crossing.
     fn limit_within_block(&mut self, block: &AdcBlock<'_>, sums: &BlockSums) {
-        let checked = self.soft_limits.check(sums, block.pairs, block.bus.dv());
+        let checked = self.soft_limits.check(sums, block.pairs, block.bus.dv);
         self.half_cycles.running().add_check(&checked);
         // A recording's drive is what it was.
         if self.replaying {

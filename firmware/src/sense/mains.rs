@@ -15,7 +15,11 @@ pub const MAINS_FULL_SCALE_V: f64 = MAINS_FULL_SCALE_MV as f64 / 1e3;
 
 /// Place of the newest mains code among the [`SLOW_CODES`], after half 0 or 1.
 pub fn mains_place(half: usize) -> usize {
-    (SLOW_CODES / 2 * (half + 1)) / 2 * 2 - 1
+    if half == 0 {
+        SLOW_CODES / 4 * 2 - 1
+    } else {
+        SLOW_CODES - 1
+    }
 }
 
 /// Finds the zero crossings.

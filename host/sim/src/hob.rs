@@ -180,13 +180,11 @@ impl SimHob {
         self.injections.on_pairs(&mut pairs);
         let scale = self.housekeeping.control().supply_scale();
         let words = Pair::words(&pairs).map(|word| scale.pair(word));
-        let bus_codes = slow
-            .bus
-            .map(|code| scale.code(self.injections.on_bus(code)));
+        let bus_codes = slow.bus.map(|code| self.injections.on_bus(code));
         let block = AdcBlock {
             pairs: Pair::of_words(&words),
             zero_crossing: self.injections.on_crossing(crossing, start_s, end_s),
-            bus: BusReading::new(bus_codes, half),
+            bus: BusReading::new(bus_codes, half, scale),
             dc_link_ma: self.dc_link.then(|| {
                 let charge_c = self.plant.link_charge_c() - link_before_c;
                 // A current that flows back reads as zero.

@@ -194,7 +194,7 @@ impl SampleSource for Adc {
         let drive = take(&AdcBlock {
             pairs: Pair::of_words(&self.pairs),
             zero_crossing: self.mains.on_block(slow_code(mains_place(half)).into()),
-            bus: BusReading::new(bus_codes.map(|code| scale.code(code)), half),
+            bus: BusReading::new(bus_codes, half, scale),
             dc_link_ma: None,
             lost: self.ring.take_lost(),
         });

@@ -3,6 +3,7 @@
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::wire::messages::Limit;
 
+use crate::control::bus_ripple::ripple_dv;
 use crate::control::power::bounds::Bounds;
 use crate::estimate::tank::{Tank, resonance_capacitor_mohm};
 use crate::limits::{
@@ -88,13 +89,8 @@ impl Search {
     /// switching frequency, and a lookup knows nothing of that.
     pub fn is_link_small(&self) -> bool {
         let crest = &self.summary.crest;
-        let ripple_dv = u64::from(
-            crest
-                .bus
-                .ripple_dv(self.summary.f_sw_hz)
-                .norm_squared()
-                .isqrt() as u32,
-        );
+        let ripple = ripple_dv(&crest.bus, self.summary.f_sw_hz);
+        let ripple_dv = u64::from(ripple.norm_squared().isqrt() as u32);
         // Half of the coil's current is the bus's: X = 2 · ripple / current, of the link's capacitance.
         let link_mohm = 2 * ripple_dv * 100_000 / u64::from(crest.i_ma.max(1));
         let capacitor_mohm = resonance_capacitor_mohm(self.summary.f_sw_hz) as u64;

@@ -1,8 +1,8 @@
 use super::search::trim_hz;
 use super::*;
+use crate::control::bus_ripple::tests::reading;
 use crate::limits::PLANNED_BUS_DV;
 use crate::sampling::half_cycle::CurrentCrest;
-use crate::sense::bus::tests::reading;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
