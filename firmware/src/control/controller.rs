@@ -283,7 +283,7 @@ impl Control {
                 Fault::BUS_OVER_VOLTAGE,
             ];
             if too_much.contains(&status.fault) {
-                self.parts.power.go_in_steps();
+                self.parts.power.note_trip();
             }
         }
         // A recording costs no try, as no power flows, and ends no lock-out.

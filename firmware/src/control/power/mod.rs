@@ -51,7 +51,9 @@ pub struct PowerControl {
     memory: OperatingMemory,
     /// Frequency at which the same pot was heated before it was away, in hertz; 0 for none.
     resume_hz: u32,
-    /// Power has tripped the bridge with this pot: the frequency falls in steps only.
+    /// The last search went further down than a step.
+    has_jumped: bool,
+    /// A jump has tripped the bridge with this pot: the frequency falls in steps only.
     in_steps: bool,
     limit: Limit,
     search: Option<Search>,
@@ -63,6 +65,7 @@ impl Default for PowerControl {
             factor_q10: 1_024,
             memory: OperatingMemory::default(),
             resume_hz: 0,
+            has_jumped: false,
             in_steps: false,
             limit: Limit::None,
             search: None,
@@ -87,9 +90,9 @@ impl PowerControl {
         self.resume_hz = f_sw_hz;
     }
 
-    /// Lets the frequency fall in steps only, for as long as the pot is the same: a jump may have been too far for this board.
-    pub fn go_in_steps(&mut self) {
-        self.in_steps = true;
+    /// Takes note of a trip by too much power: after a jump the frequency falls in steps only, for as long as the pot is the same.
+    pub fn note_trip(&mut self) {
+        self.in_steps |= self.has_jumped;
     }
 
     /// Ends the search without a result.
@@ -153,6 +156,7 @@ impl PowerControl {
         };
         if high - low <= grid_step_hz(low) {
             self.limit = search.held_by(high);
+            self.has_jumped = high + STEP_DOWN_HZ < search.now_hz();
             return Some(pwm::nearest_hz(low.midpoint(high)));
         }
         search.bracket_hz = Some((low, high));
