@@ -145,8 +145,9 @@ impl Plausibility {
             .then_some(Fault::BRIDGE_BALANCE)
     }
 
-    /// Forgets what was counted; a gain that has drifted is none the better for it.
+    /// Forgets what was counted; a gain that has drifted has a trial to show that it is right again.
     pub fn reset(&mut self) {
+        self.drift.begin_trial();
         *self = Self {
             drift: core::mem::take(&mut self.drift),
             ..Self::default()
