@@ -1,7 +1,7 @@
 //! Readings that contradict physics or each other, half-cycle by half-cycle.
 //!
 //! The coil's voltage and that of the resonance capacitor, I/(jωC), add up to the bridge's, whose
-//! fundamental is 2/π of the bus. That ties the gains of three sensors together without a fourth: with
+//! fundamental is 2/π of the bus and a share of its ripple. That ties the gains of three sensors together without a fourth: with
 //! X_L and X_C the two reactances, a current that reads g times too much moves the sum by
 //! (g − 1)·X_C, a voltage by (g − 1)·|R + jX_L|, the bus directly. Near 80 kHz X_C is a tenth of X_L
 //! and an error of the current's gain is lost in the tolerances; a sensor of the DC link sees it there.
