@@ -220,6 +220,7 @@ mod tests {
             }
         }
     }
+
     /// An hour on a glass that is hot enough: probes of 1.1 J, .7 s apart, and no burst. Without the limit of a debt the next 500 W
     /// would begin 12 s late.
     #[test]

@@ -53,18 +53,18 @@ impl Drive {
         self.bridge == Bridge::Switching
     }
 
-    /// The drive after a block. Both switches open at once; out of open switches the lower one closes, once the tank is
-    /// discharged; switching begins or changes at a zero crossing. `lower_on_ns` is the time for which only the lower switch
+    /// The drive after a block. Both switches open at once; out of open switches the lower one closes, once it
+    /// `may_close`; switching begins or changes at a zero crossing. `lower_on_ns` is the time for which only the lower switch
     /// has been closed.
     pub fn next(
         self,
         requested: Self,
         at_crossing: bool,
         lower_on_ns: u32,
-        tank_discharged: bool,
+        may_close: bool,
     ) -> Self {
         match (self.bridge, requested.bridge) {
-            (Bridge::Open, Bridge::Switching) if !tank_discharged => self,
+            (Bridge::Open, Bridge::Switching) if !may_close => self,
             (Bridge::Open, Bridge::Switching) => Self {
                 bridge: Bridge::LowerOn,
                 ..self

@@ -67,8 +67,8 @@ pub struct DriveSequencer {
     requested: Drive,
     /// Time that the lower switch has been closed, while only it is.
     lower_on_ns: u32,
-    /// The mains has passed its zero since the switches opened after switching.
-    tank_discharged: bool,
+    /// The lower switch may close: the mains has passed its zero since the switches opened after switching.
+    may_close: bool,
     /// Off, which was requested, waits for a zero crossing.
     off_at_crossing: bool,
     /// The next half-cycle that the bridge switches is a pot probe, which ends so long after its zero crossing; 0 for none.
@@ -88,7 +88,7 @@ impl DriveSequencer {
             drive,
             requested: drive,
             lower_on_ns: 0,
-            tank_discharged: false,
+            may_close: false,
             off_at_crossing: false,
             probe_ns: 0,
             dither_permille: 0,
@@ -99,7 +99,7 @@ impl DriveSequencer {
     /// Makes a blank sequencer ready: both switches open since long.
     pub fn begin(&mut self) {
         self.force(Drive::OFF);
-        self.tank_discharged = true;
+        self.may_close = true;
     }
 
     /// Sets request and drive at once, without the sequence: the drive of a recording, or off.
@@ -107,7 +107,7 @@ impl DriveSequencer {
         self.drive = drive;
         self.requested = drive;
         // The bridge may have switched until now.
-        self.tank_discharged = false;
+        self.may_close = false;
     }
 
     /// Requests another drive, at the nearest frequency of the grid.
@@ -227,16 +227,13 @@ impl DriveSequencer {
         } else {
             self.dithered(block.dithered_half_cycle)
         };
-        self.tank_discharged |= at_crossing && self.drive.bridge == Bridge::Open;
+        self.may_close |= at_crossing && self.drive.bridge == Bridge::Open;
         let may_start = block.bus_dv < BUS_AT_START_DV
             || (self.lower_on_ns > IDLE_LINK_NS && block.bus_dv < BUS_START_MAX_DV);
         let may_change = at_crossing && (self.drive.is_switching() || may_start);
-        let next = self.drive.next(
-            requested,
-            may_change,
-            self.lower_on_ns,
-            self.tank_discharged,
-        );
+        let next = self
+            .drive
+            .next(requested, may_change, self.lower_on_ns, self.may_close);
         (next != self.drive).then_some(DriveChange {
             drive: next,
             within_half_cycle: !may_change,
@@ -247,7 +244,7 @@ impl DriveSequencer {
     #[inline]
     pub fn apply(&mut self, next: Drive) {
         if self.drive.is_switching() {
-            self.tank_discharged &= next.is_switching();
+            self.may_close &= next.is_switching();
         }
         self.lower_on_ns = 0;
         self.drive = next;

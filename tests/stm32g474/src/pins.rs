@@ -203,7 +203,8 @@ impl Pins {
         let supply = self.injections.product(InjectionKind::Supply);
         let bus = code(bus_v / BUS_RANGE_V * CODES) as u16;
         let (comparators, above_s, surge_a) = (self.comparators, &mut self.above_s, self.surge_a);
-        let dead = self.dead_comparators;
+        let injected = self.injections.has(InjectionKind::ComparatorDead);
+        let dead = self.dead_comparators.map(|dead| dead || injected);
         let mut tripped = [None; 2];
         let mut step = 0;
         let dt_s = self.plant.dt_s();
@@ -255,7 +256,6 @@ impl ChangeableHob for Pins {
         change(&mut self.injections);
         let share = self.injections.product(InjectionKind::ResonanceCapacitance);
         self.plant.set_resonance_share(share);
-        self.dead_comparators = [self.injections.has(InjectionKind::ComparatorDead); 2];
     }
 
     fn set_heat_sink(&mut self, celsius: f64) {

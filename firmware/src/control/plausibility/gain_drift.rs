@@ -7,7 +7,8 @@
 //! X_L to R is free of gains, and little of the frequency: another ratio is another pot, or another place of it.
 //!
 //! One operating point is compared with its own past. A drift stays known when the point changes, less what honest changes
-//! bring, until a bare coil has shown that the gains are right.
+//! bring, until the gains are seen to be right: by a bare coil, or by the same load at the same operating point, for which each
+//! start after a trip has [`TRIAL_HALF_CYCLES`].
 
 use crate::estimate::tank::{Tank, TankAt};
 use crate::fixed::saturate;
@@ -32,6 +33,10 @@ const LOAD_PERMILLE: u64 = 20;
 /// L has changed by more than this, and the balance shows less than half of it: so has the load.
 const LOAD_PPM: i64 = 20_000;
 
+/// Half-cycles of heating after a trip in which a drift that is known does not count: a soft start, the way back to the operating
+/// point, and its mean.
+const TRIAL_HALF_CYCLES: u8 = 80;
+
 /// A drift that an honest board may show where it leaves an operating point.
 const HONEST_PPM: i32 = 15_000;
 
@@ -47,15 +52,24 @@ struct LoadReading {
     balance_ppm: i32,
 }
 
+/// Readings of an operating point, and what makes it one.
+#[derive(Clone, Copy, Debug, Default)]
+struct OperatingPoint {
+    f_sw_hz: u32,
+    bus_dv: u16,
+    learned: LoadReading,
+}
+
 /// Drift of a gain since a bare coil was seen, as far as operating points show it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct GainDrift {
-    f_sw_hz: u32,
-    bus_dv: u16,
+    point: OperatingPoint,
     /// Half-cycles at this operating point, up to [`AVERAGED`].
     half_cycles: u8,
-    learned: LoadReading,
     mean: LoadReading,
+    /// Operating point at which the gains were last known to be right, and half-cycles in which they may show that they are again.
+    right: OperatingPoint,
+    trial: u8,
     /// Share by which the current reads too little, or the voltage too much, since the operating point was learned.
     here_ppm: i32,
     /// The same before.
@@ -78,8 +92,12 @@ impl GainDrift {
             }
             self.average(summary, reading);
             self.compare(tank);
+            if self.trial > 0 && self.is_right_again(tank) {
+                *self = Self::default();
+            }
         }
-        self.known_ppm().abs() >= LIMIT_PPM
+        self.trial = self.trial.saturating_sub(1);
+        self.trial == 0 && self.known_ppm().abs() >= LIMIT_PPM
     }
 
     /// The load may be another one from here on.
@@ -93,27 +111,47 @@ impl GainDrift {
         (self.here_ppm, self.half_cycles) = (0, 0);
     }
 
+    /// The bridge has tripped: what is known of a drift counts again after a trial.
+    pub(super) fn begin_trial(&mut self) {
+        if self.before_ppm == 0 && self.half_cycles == AVERAGED {
+            self.right = self.point;
+        }
+        self.leave();
+        self.trial = TRIAL_HALF_CYCLES;
+    }
+
     fn known_ppm(&self) -> i32 {
         self.before_ppm.saturating_add(self.here_ppm)
     }
 
     fn is_elsewhere(&self, summary: &HalfCycle) -> bool {
-        let (f_sw_hz, learned_hz) = (summary.f_sw_hz.into(), self.f_sw_hz.into());
-        let (bus_dv, learned_dv) = (summary.bus_peak_dv.into(), self.bus_dv.into());
-        let is_other_mains = differ(bus_dv, learned_dv, POINT_BUS_PERMILLE);
         if self.half_cycles < AVERAGED {
             // Bursts are shorter than what is averaged: a sag within one is no part of the mean.
-            return is_other_mains || differ(f_sw_hz, learned_hz, LEARNED_HZ_PERMILLE);
+            return self.point.is_other_mains(summary.bus_peak_dv)
+                || self.point.is_other_hz(summary.f_sw_hz, LEARNED_HZ_PERMILLE);
         }
-        let ratio = |reading: &LoadReading| reading.x_l_to_r.unsigned_abs().into();
-        is_other_mains
-            || differ(f_sw_hz, learned_hz, POINT_HZ_PERMILLE)
-            || differ(ratio(&self.mean), ratio(&self.learned), LOAD_PERMILLE)
+        self.point.is_other_mains(summary.bus_peak_dv)
+            || self.point.is_other_hz(summary.f_sw_hz, POINT_HZ_PERMILLE)
+            || self.point.is_other_load(&self.mean)
+    }
+
+    /// Returns `true` if the load that there was when the gains were right reads as it did.
+    fn is_right_again(&self, tank: Tank) -> bool {
+        let is_there = self.half_cycles == AVERAGED
+            && !self.right.is_other_mains(self.point.bus_dv)
+            && !self
+                .right
+                .is_other_hz(self.point.f_sw_hz, POINT_HZ_PERMILLE)
+            && !self.right.is_other_load(&self.mean);
+        let by_l_ppm = self.mean.l_since(&self.right.learned);
+        let by_balance_ppm = self.mean.balance_since(&self.right.learned, tank);
+        let honest = i64::from(HONEST_PPM);
+        is_there && by_l_ppm.abs() < honest && by_balance_ppm.abs() < honest
     }
 
     fn average(&mut self, summary: &HalfCycle, reading: LoadReading) {
         if self.half_cycles == 0 {
-            (self.f_sw_hz, self.mean) = (summary.f_sw_hz, reading);
+            (self.point.f_sw_hz, self.mean) = (summary.f_sw_hz, reading);
         }
         let learns = self.half_cycles < AVERAGED;
         self.half_cycles += u8::from(learns);
@@ -125,26 +163,52 @@ impl GainDrift {
         towards(&mut self.mean.x_l_to_r, reading.x_l_to_r);
         towards(&mut self.mean.balance_ppm, reading.balance_ppm);
         if learns {
-            (self.bus_dv, self.learned) = (summary.bus_peak_dv, self.mean);
+            (self.point.bus_dv, self.point.learned) = (summary.bus_peak_dv, self.mean);
         }
         if learns && self.half_cycles == AVERAGED {
-            self.f_sw_hz = summary.f_sw_hz;
+            self.point.f_sw_hz = summary.f_sw_hz;
         }
     }
 
     fn compare(&mut self, tank: Tank) {
-        let l_ph = i64::from(self.learned.l_ph.max(1));
-        let by_l_ppm = (i64::from(self.mean.l_ph) - l_ph) * 1_000_000 / l_ph;
-        // |Z|²/(X_C·X), and a quarter more, so that a balance that changes with the frequency hides no drift.
-        let (r, x) = (tank.r_mohm, tank.x_mohm());
-        let moved_ppm = i64::from(self.mean.balance_ppm) - i64::from(self.learned.balance_ppm);
-        let by_balance_ppm =
-            moved_ppm.saturating_mul(5 * (r * r + x * x)) / (4 * tank.x_c_mohm * x).max(1);
+        let by_l_ppm = self.mean.l_since(&self.point.learned);
+        let by_balance_ppm = self.mean.balance_since(&self.point.learned, tank);
         let same_way_ppm = by_balance_ppm * by_l_ppm.signum();
         self.here_ppm = saturate(by_l_ppm.abs().min(same_way_ppm.max(0)) * by_l_ppm.signum());
         if by_l_ppm.abs() > LOAD_PPM && 2 * same_way_ppm < by_l_ppm.abs() {
             self.leave();
         }
+    }
+}
+
+impl LoadReading {
+    /// Change of L since another reading, in 1e-6.
+    fn l_since(&self, learned: &Self) -> i64 {
+        let l_ph = i64::from(learned.l_ph.max(1));
+        (i64::from(self.l_ph) - l_ph) * 1_000_000 / l_ph
+    }
+
+    /// Share of a gain that moves the balance as much as it has since another reading, in 1e-6.
+    fn balance_since(&self, learned: &Self, tank: Tank) -> i64 {
+        // |Z|²/(X_C·X), and a quarter more, so that a balance that changes with the frequency hides no drift.
+        let (r, x) = (tank.r_mohm, tank.x_mohm());
+        let moved_ppm = i64::from(self.balance_ppm) - i64::from(learned.balance_ppm);
+        moved_ppm.saturating_mul(5 * (r * r + x * x)) / (4 * tank.x_c_mohm * x).max(1)
+    }
+}
+
+impl OperatingPoint {
+    fn is_other_hz(&self, f_sw_hz: u32, permille: u64) -> bool {
+        differ(f_sw_hz.into(), self.f_sw_hz.into(), permille)
+    }
+
+    fn is_other_mains(&self, bus_dv: u16) -> bool {
+        differ(bus_dv.into(), self.bus_dv.into(), POINT_BUS_PERMILLE)
+    }
+
+    fn is_other_load(&self, reading: &LoadReading) -> bool {
+        let ratio = |reading: &LoadReading| reading.x_l_to_r.unsigned_abs().into();
+        differ(ratio(reading), ratio(&self.learned), LOAD_PERMILLE)
     }
 }
 
@@ -169,7 +233,15 @@ mod tests {
         v: f64,
         i: f64,
     ) -> Fault {
-        (0..100)
+        heated_for(plausibility, 100, (f_hz, pot, v, i))
+    }
+
+    fn heated_for(
+        plausibility: &mut Plausibility,
+        half_cycles: u32,
+        (f_hz, pot, v, i): (f64, (f64, f64), f64, f64),
+    ) -> Fault {
+        (0..half_cycles)
             .find_map(|_| plausibility.on_half_cycle(&seen(f_hz, pot, v, i, 1.0)))
             .unwrap_or(Fault::NONE)
     }
@@ -253,9 +325,10 @@ mod tests {
         }
     }
 
-    /// Neither a trip nor a probe with the pot makes a gain right; a bare coil that is as it must be shows it is.
+    /// Neither a trip nor a probe with the pot makes a gain right; a bare coil that is as it must be shows it is, and so does the same
+    /// load at the same place.
     #[test]
-    fn a_drift_stands_until_a_bare_coil_was_seen() {
+    fn a_drift_stands_until_the_gains_are_seen_to_be_right() {
         let mut plausibility = Plausibility::default();
         let (right, wrong) = ((50e3, POT, 1.0, 1.0), (50e3, POT, 1.0, 0.95));
         let heat = |plausibility: &mut Plausibility, (f_hz, pot, v, i)| {
@@ -277,5 +350,31 @@ mod tests {
             plausibility.on_pot_probe(&seen(79_911.0, BARE, 1.0, i, 1.0));
             assert_eq!(heat(&mut plausibility, (50e3, POT, 1.0, i)), fault, "{i}");
         }
+        for (i, f_hz) in [(0.93, 52e3), (1.07, 48.5e3)] {
+            let mut plausibility = Plausibility::default();
+            assert_eq!(heat(&mut plausibility, right), Fault::NONE);
+            for _ in 0..2 {
+                let fault = heat(&mut plausibility, (f_hz, POT, 1.0, i));
+                assert_eq!(fault, Fault::BRIDGE_BALANCE, "{i}");
+                plausibility.reset();
+            }
+            // On the way there, and then for as long as it takes.
+            for f_hz in [79e3, 60e3, 50e3, 50e3] {
+                assert_eq!(
+                    heated_for(&mut plausibility, 20, (f_hz, POT, 1.0, 1.0)),
+                    Fault::NONE
+                );
+            }
+            assert_eq!(heat(&mut plausibility, right), Fault::NONE, "{i}");
+            let fault = heat(&mut plausibility, (f_hz, POT, 1.0, i));
+            assert_eq!(fault, Fault::BRIDGE_BALANCE, "{i}");
+        }
+        // Another pot shows nothing of it.
+        let mut plausibility = Plausibility::default();
+        heat(&mut plausibility, right);
+        assert_eq!(heat(&mut plausibility, wrong), Fault::BRIDGE_BALANCE);
+        plausibility.reset();
+        let fault = heat(&mut plausibility, (50e3, SMALL, 1.0, 1.0));
+        assert_eq!(fault, Fault::BRIDGE_BALANCE);
     }
 }

@@ -11,7 +11,7 @@ use super::host::Host;
 use super::record::{Record, TrueHalfCycle};
 use super::summary::{self, Kind, Mark};
 use super::surroundings::{ChangeableHob, Surroundings};
-use super::timeline::{RepeatedRequest, TimedChange, TimelineChange, timeline};
+use super::timeline::{TimedChange, TimelineChange, timeline};
 use crate::hob::SimHob;
 use crate::thermal_model::ThermalModel;
 
@@ -89,18 +89,9 @@ impl Run {
         self.surroundings.apply_to_hob(&mut self.hob, timed)?;
         let (hob, host) = (&mut self.hob, &mut self.host);
         let now_s = hob.t_s();
-        let mut kind = Kind::Other;
+        let mut kind = timed.change.kind();
         match &timed.change {
-            TimelineChange::Power(power_w) => {
-                kind = Kind::Power(*power_w);
-                host.set_power(hob, *power_w);
-            }
-            TimelineChange::Pot(_)
-            | TimelineChange::PotBack(_)
-            | TimelineChange::Mains(_)
-            | TimelineChange::MainsBack(_) => {
-                kind = Kind::Disturbed;
-            }
+            TimelineChange::Power(power_w) => host.set_power(hob, *power_w),
             TimelineChange::Inject(_) => self.faults.injected(now_s),
             TimelineChange::Panel(PanelEvent::Level(level)) => {
                 self.panel_level = Some(*level);
@@ -108,6 +99,10 @@ impl Run {
             }
             TimelineChange::Panel(PanelEvent::KeepWarm) => self.panel_level = Some(KEEP_WARM_LEVEL),
             TimelineChange::Panel(_)
+            | TimelineChange::Pot(_)
+            | TimelineChange::PotBack(_)
+            | TimelineChange::Mains(_)
+            | TimelineChange::MainsBack(_)
             | TimelineChange::InjectEnd(_)
             | TimelineChange::Pass(_)
             | TimelineChange::Ambient(_)
@@ -121,12 +116,7 @@ impl Run {
                 what,
                 every_s,
                 until_s,
-            } => {
-                if let RepeatedRequest::Power(power_w, false) = what {
-                    kind = Kind::Power(*power_w);
-                }
-                host.repeat(*what, *every_s, *until_s, now_s);
-            }
+            } => host.repeat(*what, *every_s, *until_s, now_s),
         }
         self.marks.push(Mark { at_s: now_s, kind });
         Ok(())

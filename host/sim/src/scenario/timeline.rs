@@ -10,6 +10,7 @@ use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
 
 use super::ScenarioError;
 use super::file::{EventField, HostWord, MainsField, Scenario};
+use super::summary::Kind;
 use crate::injection::Injection;
 use crate::pot::SimulatedPot;
 use crate::recording::prepared::surrogate_pot;
@@ -73,6 +74,21 @@ impl TimelineChange {
                 | Self::PushLookup(_)
                 | Self::Repeat { .. }
         )
+    }
+
+    /// Kind with respect to the power; a panel's level sets a power too, which its hob knows.
+    pub fn kind(&self) -> Kind {
+        match self {
+            Self::Power(power_w)
+            | Self::Repeat {
+                what: RepeatedRequest::Power(power_w, false),
+                ..
+            } => Kind::Power(*power_w),
+            Self::Pot(_) | Self::PotBack(_) | Self::Mains(_) | Self::MainsBack(_) => {
+                Kind::Disturbed
+            }
+            _ => Kind::Other,
+        }
     }
 }
 

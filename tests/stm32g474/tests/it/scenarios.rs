@@ -13,7 +13,7 @@ use ihd_sim::scenario::fault_log::FaultLog;
 use ihd_sim::scenario::file::Scenario;
 use ihd_sim::scenario::host::RepeatedRequests;
 use ihd_sim::scenario::record::{Record, TrueHalfCycle};
-use ihd_sim::scenario::summary::{self, Kind, Mark};
+use ihd_sim::scenario::summary::{self, Mark};
 use ihd_sim::scenario::surroundings::Surroundings;
 use ihd_sim::scenario::timeline::{RepeatedRequest, TimedChange, TimelineChange, timeline};
 use ihd_sim::scenario::variants::Variant;
@@ -43,7 +43,7 @@ scenarios! {
     noise { snr_20 snr_25 snr_30 tolerances }
     objects { cutlery refused rings sandwich sheets smallest }
     panel { host_silent }
-    plausibility { aged_capacitor bare_coil bits dead_comparator gain_drift gains mains_hz no_drift off offsets slow_drift stuck supply }
+    plausibility { aged_capacitor bare_coil bits dead_comparator gain_drift gains glitch mains_hz no_drift off offsets slow_drift stuck supply }
     pots { places recovered_mains risen_mains }
     restart { doubled host_clears host_repeats lookups tries }
     sags { dip dropout swell }
@@ -135,18 +135,14 @@ impl ImageRun {
             applied.expect("a pot that has a model");
             surroundings
         });
-        let mut kind = Kind::Other;
         match &timed.change {
-            TimelineChange::Power(power_w) => {
-                kind = Kind::Power(*power_w);
-                self.set_power(*power_w);
-            }
+            TimelineChange::Power(power_w) => self.set_power(*power_w),
+            TimelineChange::Inject(_) => self.faults.injected(self.now_s()),
             TimelineChange::Pot(_)
             | TimelineChange::PotBack(_)
             | TimelineChange::Mains(_)
-            | TimelineChange::MainsBack(_) => kind = Kind::Disturbed,
-            TimelineChange::Inject(_) => self.faults.injected(self.now_s()),
-            TimelineChange::InjectEnd(_)
+            | TimelineChange::MainsBack(_)
+            | TimelineChange::InjectEnd(_)
             | TimelineChange::HeatSink(_)
             | TimelineChange::Glass(_) => {}
             TimelineChange::Silent => {
@@ -162,19 +158,14 @@ impl ImageRun {
                 what,
                 every_s,
                 until_s,
-            } => {
-                if let RepeatedRequest::Power(power_w, false) = what {
-                    kind = Kind::Power(*power_w);
-                }
-                self.repeats.add(*what, *every_s, *until_s, self.now_s());
-            }
+            } => self.repeats.add(*what, *every_s, *until_s, self.now_s()),
             TimelineChange::Panel(_) | TimelineChange::Pass(_) | TimelineChange::Ambient(_) => {
                 unreachable!("not on the image: {timed:?}")
             }
         }
         self.marks.push(Mark {
             at_s: timed.at_s,
-            kind,
+            kind: timed.change.kind(),
         });
     }
 
