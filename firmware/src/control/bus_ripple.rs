@@ -4,7 +4,7 @@
 //! fundamental is part of the bridge's: whatever C2 is, and whatever line and filter feed it.
 
 use ihd_shared::board::{BUS_POLE_HZ, SLOW_PIN_POLE_HZ};
-use ihd_shared::sampling::{ADC_LOCK_P, ANTI_ALIAS_HZ};
+use ihd_shared::sampling::ANTI_ALIAS_HZ;
 
 use crate::fixed::{Complex, saturate};
 use crate::sense::bus::{BUS_FULL_SCALE_DV, BUS_MEAN, BusReading, bus_places, mean};
@@ -17,7 +17,7 @@ static PHASES: [[(i16, i16); BUS_MEAN]; 2] = {
     while half < 2 {
         let mut k = 0;
         while k < BUS_MEAN {
-            phases[half][k] = phase(bus_places(half)[k] % ADC_LOCK_P);
+            phases[half][k] = phase(bus_places(half)[k]);
             k += 1;
         }
         half += 1;
@@ -65,6 +65,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::sense::supply::SupplyScale;
     use core::f64::consts::TAU;
+    use ihd_shared::sampling::ADC_LOCK_P;
     use std::vec::Vec;
 
     /// Codes of a mean and a ripple at the bus, in volt, behind the divider's poles, at a phase to the carrier.

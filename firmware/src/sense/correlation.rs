@@ -49,7 +49,7 @@ const fn rounded_q14(x: f64) -> i16 {
     }) as i16
 }
 
-/// cos and −sin of the carrier at a pair of a block, in 14 fractional bits.
+/// cos and −sin of the carrier at a pair, counted from the beginning of any block, in 14 fractional bits.
 pub(crate) const fn phase(pair: usize) -> (i16, i16) {
     let p = ADC_LOCK_P as u32;
     // cos x = sin(x + π/2): work in quarters of 1/p turns.

@@ -34,7 +34,7 @@ const LOAD_PERMILLE: u64 = 20;
 const LOAD_PPM: i64 = 20_000;
 
 /// Half-cycles of heating after a trip in which a drift that is known does not count: a soft start, the way back to the operating
-/// point, and its mean.
+/// point, and its mean. There it ends.
 const TRIAL_HALF_CYCLES: u8 = 80;
 
 /// A drift that an honest board may show where it leaves an operating point.
@@ -92,8 +92,11 @@ impl GainDrift {
             }
             self.average(summary, reading);
             self.compare(tank);
-            if self.trial > 0 && self.is_right_again(tank) {
-                *self = Self::default();
+            if self.trial > 0 && self.is_where_it_was_right() {
+                self.trial = 0;
+                if self.is_right_again(tank) {
+                    *self = Self::default();
+                }
             }
         }
         self.trial = self.trial.saturating_sub(1);
@@ -135,18 +138,22 @@ impl GainDrift {
             || self.point.is_other_load(&self.mean)
     }
 
-    /// Returns `true` if the load that there was when the gains were right reads as it did.
-    fn is_right_again(&self, tank: Tank) -> bool {
-        let is_there = self.half_cycles == AVERAGED
+    /// Returns `true` with the load and at the operating point that there were when the gains were right.
+    fn is_where_it_was_right(&self) -> bool {
+        self.half_cycles == AVERAGED
             && !self.right.is_other_mains(self.point.bus_dv)
             && !self
                 .right
                 .is_other_hz(self.point.f_sw_hz, POINT_HZ_PERMILLE)
-            && !self.right.is_other_load(&self.mean);
+            && !self.right.is_other_load(&self.mean)
+    }
+
+    /// Returns `true` if it reads as it did.
+    fn is_right_again(&self, tank: Tank) -> bool {
         let by_l_ppm = self.mean.l_since(&self.right.learned);
         let by_balance_ppm = self.mean.balance_since(&self.right.learned, tank);
         let honest = i64::from(HONEST_PPM);
-        is_there && by_l_ppm.abs() < honest && by_balance_ppm.abs() < honest
+        by_l_ppm.abs() < honest && by_balance_ppm.abs() < honest
     }
 
     fn average(&mut self, summary: &HalfCycle, reading: LoadReading) {
