@@ -10,7 +10,7 @@ use crate::fixed::{Complex, saturate};
 use crate::sense::bus::{BUS_FULL_SCALE_DV, BUS_MEAN, BusReading, bus_places, mean};
 use crate::sense::correlation::{TABLE_BITS, phase};
 
-/// cos and −sin of the carrier at those places, after half 0 or 1.
+/// cos and −sin of the carrier at the [`bus_places`], after half 0 or 1.
 static PHASES: [[(i16, i16); BUS_MEAN]; 2] = {
     let mut phases = [[(0, 0); BUS_MEAN]; 2];
     let mut half = 0;

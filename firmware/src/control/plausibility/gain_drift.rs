@@ -133,19 +133,16 @@ impl GainDrift {
             return self.point.is_other_mains(summary.bus_peak_dv)
                 || self.point.is_other_hz(summary.f_sw_hz, LEARNED_HZ_PERMILLE);
         }
-        self.point.is_other_mains(summary.bus_peak_dv)
-            || self.point.is_other_hz(summary.f_sw_hz, POINT_HZ_PERMILLE)
-            || self.point.is_other_load(&self.mean)
+        self.point
+            .is_another(summary.f_sw_hz, summary.bus_peak_dv, &self.mean)
     }
 
     /// Returns `true` with the load and at the operating point that there were when the gains were right.
     fn is_where_it_was_right(&self) -> bool {
-        self.half_cycles == AVERAGED
-            && !self.right.is_other_mains(self.point.bus_dv)
-            && !self
-                .right
-                .is_other_hz(self.point.f_sw_hz, POINT_HZ_PERMILLE)
-            && !self.right.is_other_load(&self.mean)
+        let OperatingPoint {
+            f_sw_hz, bus_dv, ..
+        } = self.point;
+        self.half_cycles == AVERAGED && !self.right.is_another(f_sw_hz, bus_dv, &self.mean)
     }
 
     /// Returns `true` if it reads as it did.
@@ -213,9 +210,12 @@ impl OperatingPoint {
         differ(bus_dv.into(), self.bus_dv.into(), POINT_BUS_PERMILLE)
     }
 
-    fn is_other_load(&self, reading: &LoadReading) -> bool {
+    /// Returns `true` if frequency, mains or load are others.
+    fn is_another(&self, f_sw_hz: u32, bus_dv: u16, reading: &LoadReading) -> bool {
         let ratio = |reading: &LoadReading| reading.x_l_to_r.unsigned_abs().into();
-        differ(ratio(reading), ratio(&self.learned), LOAD_PERMILLE)
+        self.is_other_mains(bus_dv)
+            || self.is_other_hz(f_sw_hz, POINT_HZ_PERMILLE)
+            || differ(ratio(reading), ratio(&self.learned), LOAD_PERMILLE)
     }
 }
 

@@ -11,17 +11,32 @@ use std::f64::consts::{FRAC_2_PI, TAU};
 /// Half-cycle of a load at a bus of 325 V, by sensors of the given gains behind their anti-alias filters.
 pub(super) fn seen(
     f_hz: f64,
-    (r, l_uh): (f64, f64),
+    load: (f64, f64),
     v_gain: f64,
     i_gain: f64,
     bus_gain: f64,
 ) -> HalfCycle {
-    let x_l = TAU * f_hz * l_uh * 1e-6;
     let x_c = 1e9 / (TAU * f_hz * f64::from(RESONANCE_CAPACITANCE_NF));
+    let bus = BusReading::steady((3_250.0 * bus_gain) as u16);
+    half_cycle(f_hz, load, current(f_hz, load, x_c), (v_gain, i_gain), bus)
+}
+
+/// V1/Z with V1 real, in ampere: the current of a load in series with a capacitor's reactance.
+fn current(f_hz: f64, (r, l_uh): (f64, f64), x_c: f64) -> (f64, f64) {
+    let x = TAU * f_hz * l_uh * 1e-6 - x_c;
     let v1 = FRAC_2_PI * 325.0;
-    let z2 = r * r + (x_l - x_c).powi(2);
-    // I = V1/Z with V1 real, V = I·(R + jX_L).
-    let i = (v1 * r / z2, -v1 * (x_l - x_c) / z2);
+    let z2 = r * r + x * x;
+    (v1 * r / z2, -v1 * x / z2)
+}
+
+fn half_cycle(
+    f_hz: f64,
+    (r, l_uh): (f64, f64),
+    i: (f64, f64),
+    (v_gain, i_gain): (f64, f64),
+    bus: BusReading,
+) -> HalfCycle {
+    let x_l = TAU * f_hz * l_uh * 1e-6;
     let v = (i.0 * r - i.1 * x_l, i.0 * x_l + i.1 * r);
     let filter = 1.0 / f64::hypot(1.0, f_hz / f64::from(ANTI_ALIAS_HZ));
     let mantissa = |x: f64, unit: f64| (x / unit * f64::from(1u32 << STATE_BITS)) as i32;
@@ -36,50 +51,31 @@ pub(super) fn seen(
             r: MicroOhm((r * v_gain / i_gain * 1e6) as i32),
             l: PicoHenry((l_uh * v_gain / i_gain * 1e6) as i32),
             i_ma: (i.0.hypot(i.1) * i_gain * 1e3) as u32,
-            bus: BusReading::steady((3_250.0 * bus_gain) as u16),
+            bus,
             phasors: Phasors {
                 v: complex(v, v_gain, VOLT_PER_UNIT),
                 i: complex(i, i_gain, AMPERE_PER_UNIT),
             },
         },
         power_mw: 1_000_000,
-        bus_peak_dv: (3_250.0 * bus_gain) as u16,
+        bus_peak_dv: bus.dv,
         ..HalfCycle::default()
     }
 }
 
 /// Half-cycle of a load at a link of so many farad that the line recharges evenly: its elastance counts 1/2 − 2/π² in the tank,
 /// and its ripple is that of half the coil's current.
-fn with_link(f_hz: f64, (r, l_uh): (f64, f64), c_2: f64) -> HalfCycle {
+fn with_link(f_hz: f64, load: (f64, f64), c_2: f64) -> HalfCycle {
     let omega = TAU * f_hz;
-    let mut summary = seen(f_hz, (r, l_uh), 1.0, 1.0, 1.0);
-    let x_l = omega * l_uh * 1e-6;
     let x_r = 1e9 / (omega * f64::from(RESONANCE_CAPACITANCE_NF));
-    let x = x_l - x_r - (0.5 - 0.5 * FRAC_2_PI * FRAC_2_PI) / (omega * c_2);
-    let v1 = FRAC_2_PI * 325.0;
-    let (z2, filter) = (r * r + x * x, f_hz / f64::from(ANTI_ALIAS_HZ));
-    let i = (v1 * r / z2, -v1 * x / z2);
-    let v = (i.0 * r - i.1 * x_l, i.0 * x_l + i.1 * r);
-    // Behind the anti-alias filter: its amplitude here, its phase at the bus.
-    let mantissa = |x: f64, unit: f64| {
-        (x / unit / f64::hypot(1.0, filter) * f64::from(1u32 << STATE_BITS)) as i32
-    };
-    let complex = |(re, im): (f64, f64), unit: f64| Complex {
-        re: mantissa(re, unit),
-        im: mantissa(im, unit),
-    };
-    summary.crest.phasors = Phasors {
-        v: complex(v, VOLT_PER_UNIT),
-        i: complex(i, AMPERE_PER_UNIT),
-    };
-    // −I/2 · 1/(jωC).
+    let x_2 = (0.5 - 0.5 * FRAC_2_PI * FRAC_2_PI) / (omega * c_2);
+    let i = current(f_hz, load, x_r + x_2);
+    // −I/2 · 1/(jωC), at the bus; the phasors have the anti-alias filter's amplitude, but not its phase.
     let ripple = (-i.1 / (2.0 * omega * c_2), i.0 / (2.0 * omega * c_2));
-    let amplitude_and_phase = (
-        ripple.0.hypot(ripple.1),
-        ripple.1.atan2(ripple.0) + filter.atan(),
-    );
-    summary.crest.bus = reading(f_hz, 325.0, amplitude_and_phase, 1);
-    summary
+    let lag = (f_hz / f64::from(ANTI_ALIAS_HZ)).atan();
+    let phase = ripple.1.atan2(ripple.0) + lag;
+    let bus = reading(f_hz, 325.0, (ripple.0.hypot(ripple.1), phase), 1);
+    half_cycle(f_hz, load, i, (1.0, 1.0), bus)
 }
 
 /// Within 1 %, of which the ripple's reading takes half, from the largest link down to one that is less than C_r.

@@ -146,8 +146,7 @@ fn whole_range(summary: &HalfCycle, asked_mw: u64, lookup: &RlLookup, factor_q10
 #[test]
 fn a_search_in_steps_finds_the_frequency_of_one_over_the_whole_range() {
     let lookup = prior();
-    let mut taught = prior();
-    taught.observed.fill(0xFF);
+    let taught = observed_everywhere();
     let mut most_steps = 0;
     for asked_mw in (300_000..=2_500_000).step_by(170_000) {
         for f in (40_000..F_SW_MAX_HZ).step_by(1_777) {
@@ -198,6 +197,13 @@ fn a_search_ends_well_before_the_next_zero_crossing() {
     }
 }
 
+/// The prior, with every cell observed.
+fn observed_everywhere() -> RlLookup {
+    let mut lookup = prior();
+    lookup.observed.fill(0xFF);
+    lookup
+}
+
 /// A half-cycle at 70 kHz, where the prior's load takes 560 W of 325 V, on a bus of so many decivolt.
 fn with_bus(bus_peak_dv: u16) -> HalfCycle {
     let f_sw_hz = pwm::nearest_hz(70_000);
@@ -231,8 +237,7 @@ fn the_power_stops_rising_before_the_bus_trips() {
 
 #[test]
 fn after_a_jump_to_too_much_power_even_a_taught_lookup_is_followed_in_steps() {
-    let mut taught = prior();
-    taught.observed.fill(0xFF);
+    let taught = observed_everywhere();
     let next = |control: &mut PowerControl| search(control, &with_bus(3_253), 1_500_000, &taught).0;
     let step = STEP_DOWN_HZ + grid_step_hz(F_SW_MAX_HZ);
     let now = pwm::nearest_hz(70_000);
@@ -248,8 +253,7 @@ fn after_a_jump_to_too_much_power_even_a_taught_lookup_is_followed_in_steps() {
 /// Half of the coil's current is the bus's: 20 A swing 1.5 µF by 15 V at 70 kHz, and 4.7 µF by 4.8 V.
 #[test]
 fn a_small_link_is_approached_in_steps() {
-    let mut taught = prior();
-    taught.observed.fill(0xFF);
+    let taught = observed_everywhere();
     for (c_2, jumps) in [
         (1e-6, false),
         (1.5e-6, false),
