@@ -35,7 +35,7 @@ scenarios! {
     absent { give_up no_pot put_on unsuitable }
     bursts { bursts pots }
     lift { lift shift }
-    link { pots small stop_at_crest trip_at_crest unsuitable }
+    link { pots small small_mains stop_at_crest trip_at_crest unsuitable }
     mains { low_then_high short_swell }
     noise { snr_20 snr_25 snr_30 tolerances }
     objects { cutlery refused rings sandwich sheets smallest }

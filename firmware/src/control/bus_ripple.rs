@@ -33,6 +33,10 @@ const DV_PER_SUM: i64 =
     ((2 * BUS_FULL_SCALE_DV as i64) << (SUM_BITS - TABLE_BITS)) / (4_096 * BUS_MEAN as i64);
 const SUM_BITS: u32 = 30;
 
+/// Share of the ripple in the bridge's fundamental. While the upper switch is on, a lagging current leaves the bus at a half-sine above
+/// its mean: its fundamental is a half, the bridge's 1/2 − 2/π².
+pub const BRIDGE_SHARE: f64 = 0.594_715;
+
 /// Fundamental of the ripple as the filters of the coil's channels would show it, in decivolt: amplitude and phase with respect
 /// to the block's sums. At most 100 kHz.
 pub fn ripple_dv(bus: &BusReading, f_sw_hz: u32) -> Complex {

@@ -20,7 +20,7 @@ use ihd_shared::board::BARE_COIL_NH;
 use ihd_shared::fault::Fault;
 
 use self::gain_drift::GainDrift;
-use crate::control::bus_ripple::ripple_dv;
+use crate::control::bus_ripple::{BRIDGE_SHARE, ripple_dv};
 use crate::estimate::tank::{TankAt, resonance_capacitor_mohm};
 use crate::fixed::{Complex, saturate};
 use crate::limits::{
@@ -38,10 +38,12 @@ mod gain_drift;
 /// A bus that a bench supply holds up, 60 V at most, is no zero crossing out of place.
 const BENCH_BUS_DV: u32 = 600;
 
-/// Share of the bus's ripple in the bridge's fundamental, per decivolt as a mantissa of the coil's voltage. While the upper switch is
-/// on, a lagging current leaves the bus at a half-sine above its mean: its fundamental is a half, the bridge's 1/2 − 2/π².
+/// Share of the bus's ripple in the bridge's fundamental, per decivolt as a mantissa of the coil's voltage.
 const RIPPLE_SHARE_PER_DV: i64 =
-    (0.594_715 * 0.1 / VOLT_PER_UNIT * (1_u64 << STATE_BITS) as f64) as i64;
+    (BRIDGE_SHARE * 0.1 / VOLT_PER_UNIT * (1_u64 << STATE_BITS) as f64) as i64;
+
+/// Share of the bare coil's L that no error of a gain leaves: below, metal stands there.
+const METAL_L_PERCENT: u32 = 75;
 
 /// Below this power the two powers are not compared: 200 W.
 const POWER_FROM_MW: u32 = 200_000;
@@ -129,7 +131,9 @@ impl Plausibility {
         let l_ph = i64::from(summary.crest.l.0);
         let bare_ph = |percent: u32| i64::from(BARE_COIL_NH * 10 * percent);
         let balance = BridgeBalance::of(summary);
-        let bad = if is_bare {
+        // Aluminium takes no more power than the winding, and leaves half of its L at most.
+        let is_coil_alone = is_bare && l_ph >= bare_ph(METAL_L_PERCENT);
+        let bad = if is_coil_alone {
             l_ph > bare_ph(100 + BARE_COIL_PERCENT) || !balance.is_within(BARE_COIL_PERCENT)
         } else {
             !balance.is_within(PROBE_BALANCE_PERCENT)
@@ -139,7 +143,7 @@ impl Plausibility {
         }
         self.drift.leave();
         // A load that fits shows little of what the bare coil contradicts.
-        let shows = flows && (is_bare || bad);
+        let shows = flows && (is_coil_alone || bad);
         self.probe
             .push_if(shows, bad)
             .then_some(Fault::BRIDGE_BALANCE)

@@ -57,6 +57,14 @@ impl Tank {
         TankAt::new(f_sw_hz).with_load(r, l)
     }
 
+    /// The same with so many times the capacitor's reactance, in 1/1024.
+    pub fn with_series(self, series_q10: u32) -> Self {
+        Self {
+            x_c_mohm: (self.x_c_mohm * i64::from(series_q10)) >> 10,
+            ..self
+        }
+    }
+
     /// Net reactance, in milliohm; positive above resonance.
     pub fn x_mohm(self) -> i64 {
         self.x_l_mohm - self.x_c_mohm

@@ -10,7 +10,7 @@ use crate::protect::soft_limit::SoftLimitCheck;
 use crate::sampling::half_cycle::{ChannelDefects, CurrentCrest, HalfCycle};
 use crate::sense::bus::BusReading;
 use crate::sense::correlation::BlockSums;
-use crate::sense::demodulator::{Phasors, amplitude_ma};
+use crate::sense::demodulator::{Phasors, amplitude_ma, norm_of_ma};
 
 /// Milliwatt of one code squared, times the codes' range squared.
 const MILLIWATT: u64 = V_FULL_SCALE_MV as u64 * I_FULL_SCALE_MA as u64 / 1_000;
@@ -115,6 +115,11 @@ impl HalfCycleAccumulator {
             )
         };
         self.near_zero = Pair::words(pairs).iter().fold(self.near_zero, look);
+    }
+
+    /// Returns `true` once the amplitude of the coil current has been so large, in milliampere.
+    pub fn has_reached(&self, i_ma: u32) -> bool {
+        self.crest_norm >= norm_of_ma(i_ma)
     }
 
     /// Adds the result of the soft limits.

@@ -17,6 +17,7 @@ use ihd_shared::wire::messages::Limit;
 use crate::drive::bridge::Drive;
 use crate::drive::sequencer::{BlockConditions, DriveSequencer};
 use crate::estimate::ekf::{Ekf, Noise};
+use crate::limits::PROBE_CURRENT_MA;
 use crate::protect::fault_latch::FaultLatch;
 use crate::protect::soft_limit::SoftLimits;
 use crate::protect::trips::TripChecks;
@@ -270,12 +271,18 @@ impl<M: PairArithmetic> SamplingPath<M> {
         }
     }
 
-    /// Ends a pot probe once it has lasted, and hands over its measurements.
+    /// Ends a pot probe once it has lasted, or the coil carries more than any pot takes, and hands over its measurements.
     fn end_pot_probe(&mut self, bus_dv: u16) {
-        let lasts_ns = self.sequencer.probe_ns();
-        if lasts_ns == 0 || self.clock.since_crossing_ns() < i64::from(lasts_ns) {
+        let probe_ns = self.sequencer.probe_ns();
+        if probe_ns == 0 {
             return;
         }
+        let since_ns = self.clock.since_crossing_ns();
+        let is_enough = self.half_cycles.running().has_reached(PROBE_CURRENT_MA);
+        if since_ns < i64::from(probe_ns) && !is_enough {
+            return;
+        }
+        let lasts_ns = since_ns.min(i64::from(probe_ns)) as u32;
         self.finish_half_cycle(self.clock.half_cycle(), lasts_ns, bus_dv, true);
         self.half_cycles.running().disturb();
         self.request(Drive::OFF);

@@ -178,6 +178,12 @@ pub fn amplitude_ma(norm_squared: u64) -> u32 {
     saturate((mantissa * 16_000) >> STATE_BITS) as u32
 }
 
+/// Squared magnitude of a current phasor in estimator units, from its amplitude in milliampere.
+pub const fn norm_of_ma(i_ma: u32) -> u64 {
+    let mantissa = ((i_ma as u64) << STATE_BITS) / 16_000;
+    mantissa * mantissa
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -6,9 +6,10 @@
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::wire::messages::Limit;
 
+use crate::control::bus_ripple::BRIDGE_SHARE;
 use crate::control::pot::PRIOR;
 use crate::drive::bridge::fundamental_uv;
-use crate::estimate::tank::{Tank, TankAt};
+use crate::estimate::tank::{Tank, TankAt, resonance_capacitor_mohm};
 use crate::limits::{
     PLANNED_COIL_VOLTAGE_DV, PLANNED_CURRENT_MA, RESONANCE_MARGIN_PERCENT, TURN_OFF_PERCENT,
 };
@@ -26,6 +27,8 @@ pub struct Bounds {
     l_q10: u32,
     i_ma: u32,
     bus_dv: u16,
+    /// Reactance that capacitor and link put in series with the load, over the tank's, in 1/1024.
+    series_q10: u16,
 }
 
 impl Bounds {
@@ -39,6 +42,25 @@ impl Bounds {
             l_q10: ratio(summary.crest.l.0, l.0).clamp(2, 8 << 10),
             i_ma: summary.crest.i_ma,
             bus_dv,
+            series_q10: 1 << 10,
+        }
+    }
+
+    /// The same behind a link smaller than the tank's, of which the half-cycle shows so much ripple, in decivolt: its share of the
+    /// bridge's voltage lags the current by a quarter of the period, as a capacitor's.
+    pub fn with_small_link(self, summary: &HalfCycle, ripple_dv: u16) -> Self {
+        /// Share in millivolt per decivolt.
+        const SHARE_MV: u64 = (BRIDGE_SHARE * 100.0) as u64;
+        let link_mohm =
+            u64::from(ripple_dv) * SHARE_MV * 1_000 / u64::from(summary.crest.i_ma.max(1));
+        let series_mohm = resonance_capacitor_mohm(summary.f_sw_hz).unsigned_abs() + link_mohm;
+        let tank_mohm = Tank::new(summary.f_sw_hz, MicroOhm(0), PicoHenry(0))
+            .x_c_mohm
+            .unsigned_abs();
+        let series_q10 = (series_mohm << 10) / tank_mohm.max(1);
+        Self {
+            series_q10: series_q10.clamp(1 << 10, 4 << 10) as u16,
+            ..self
         }
     }
 
@@ -67,14 +89,15 @@ impl Bounds {
         // The coil's largest voltage: half the bus and the capacitor's, whose extreme falls into it.
         let coil_dv =
             u64::from(self.bus_dv / 2) + u64::from(i_ma) * tank.x_c_mohm.unsigned_abs() / 100_000;
+        let seen = tank.with_series(self.series_q10.into());
         // The fundamental's part of the current at the turn-off: I·sin φ.
-        let turn_off_ma = i64::from(i_ma) * tank.x_mohm() / tank.z_mohm().max(1) as i64;
+        let turn_off_ma = i64::from(i_ma) * seen.x_mohm() / seen.z_mohm().max(1) as i64;
         let need_ma = turn_off_need_ma(self.bus_dv) * TURN_OFF_PERCENT / 100;
         if crest_ma(&tank, i_ma, v1_uv) > i64::from(PLANNED_CURRENT_MA) {
             Limit::Current
         } else if coil_dv > u64::from(PLANNED_COIL_VOLTAGE_DV) {
             Limit::CoilVoltage
-        } else if !tank.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
+        } else if !seen.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
             Limit::Resonance
         } else if turn_off_ma < i64::from(need_ma) {
             Limit::SoftSwitching
@@ -162,6 +185,24 @@ mod tests {
                 assert!(i_a < 72.0 && coil_v < 555.0 && margin > 0.11);
             }
         }
+    }
+
+    /// The ripple of 1 µF is half the current in its reactance. In series with C_r it is 1/(1/1080 nF + 0.29736/1000 nF), 817 nF.
+    #[test]
+    fn a_small_link_moves_the_resonance() {
+        let (f_hz, l_uh, i_a) = (41_000, 20.0, 38.0);
+        let load = summary(f_hz, 4.0, l_uh, i_a);
+        let ripple_v = 0.5 * i_a * 1e6 / (TAU * f64::from(f_hz));
+        let bounds = Bounds::new(&load, 2_500).with_small_link(&load, (ripple_v * 10.0) as u16);
+        let lowest = (34_000..60_000)
+            .step_by(50)
+            .find(|&f_hz| bounds.limit_at(f_hz) == Limit::None)
+            .unwrap();
+        // The prior's L falls by f^-0.3 from where it was measured.
+        let x = f64::from(lowest) / f64::from(f_hz);
+        let x_l = TAU * f64::from(lowest) * l_uh * 1e-6 * x.powf(-0.3);
+        let margin = 1.0 - 1.0 / (TAU * f64::from(lowest) * 817.5e-9 * x_l);
+        assert!((margin - 0.12).abs() < 0.015, "{lowest} {margin}");
     }
 
     #[test]

@@ -31,10 +31,16 @@ pub struct FrequencyFloor {
     pub limit: Limit,
 }
 
+fn is_sag(bus_dv: u16, of_dv: u16) -> bool {
+    u32::from(bus_dv) * 100 < u32::from(of_dv) * SAG_PERCENT
+}
+
 /// The bus that was, and the floor.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OperatingMemory {
     bus_dv: u16,
+    /// Amplitude of the ripple that raised it, in decivolt.
+    ripple_dv: u16,
     bus_seen_ms: u32,
     /// The bus before a swell, in decivolt, and the swell's beginning; 0 without one.
     before_swell_dv: u16,
@@ -84,7 +90,7 @@ impl OperatingMemory {
     fn note_bus(&mut self, bus_dv: u16, now_ms: u32) {
         let is_above =
             |percent: u32, of_dv: u16| u32::from(bus_dv) * 100 > u32::from(of_dv) * percent;
-        let is_near = |of_dv: u16| u32::from(bus_dv) * 100 >= u32::from(of_dv) * SAG_PERCENT;
+        let is_near = |of_dv: u16| !is_sag(bus_dv, of_dv);
         if is_above(SWELL_PERCENT, self.bus_dv) {
             (self.before_swell_dv, self.swell_since_ms) = (self.bus_dv, now_ms);
         } else if is_above(MOST_SWELL_PERCENT, self.before_swell_dv) {
@@ -106,6 +112,16 @@ impl OperatingMemory {
         } else if forgotten {
             self.bus_dv = bus_dv;
             self.bus_seen_ms = now_ms;
+        }
+    }
+
+    /// Takes note of a small link's ripple, in decivolt, in the half-cycle that [`Self::note`] took; 0 with a larger link.
+    ///
+    /// The mains charges the link where the ripple is lowest, so that the bus is above the mains' crest by up to its amplitude: half
+    /// of it counts.
+    pub fn note_ripple(&mut self, summary: &HalfCycle, ripple_dv: u16) {
+        if summary.bus_peak_dv >= self.bus_dv {
+            self.ripple_dv = ripple_dv;
         }
     }
 
@@ -144,9 +160,13 @@ impl OperatingMemory {
         self.bus_dv
     }
 
-    /// Lowest frequency permitted after a half-cycle.
-    pub fn floor_hz(&self, summary: &HalfCycle) -> FrequencyFloor {
-        let sags = u32::from(summary.bus_peak_dv) * 100 < u32::from(self.bus_dv) * SAG_PERCENT;
+    /// Lowest frequency permitted after a half-cycle with a small link's ripple, in decivolt.
+    pub fn floor_hz(&self, summary: &HalfCycle, ripple_dv: u16) -> FrequencyFloor {
+        let mains_dv = |bus_dv: u16, ripple_dv: u16| bus_dv.saturating_sub(ripple_dv / 2);
+        let sags = is_sag(
+            mains_dv(summary.bus_peak_dv, ripple_dv),
+            mains_dv(self.bus_dv, self.ripple_dv),
+        );
         if sags && summary.f_sw_hz > self.floor.f_sw_hz {
             FrequencyFloor {
                 f_sw_hz: summary.f_sw_hz,
@@ -161,6 +181,7 @@ impl OperatingMemory {
     pub fn of_mains(&self) -> Self {
         Self {
             bus_dv: self.bus_dv,
+            ripple_dv: self.ripple_dv,
             bus_seen_ms: self.bus_seen_ms,
             before_swell_dv: self.before_swell_dv,
             swell_since_ms: self.swell_since_ms,
@@ -197,13 +218,13 @@ mod tests {
         for ms in (10..10_000).step_by(10) {
             memory.note(&sag, ms);
             assert_eq!(
-                (memory.bus_dv(), memory.floor_hz(&sag).limit),
+                (memory.bus_dv(), memory.floor_hz(&sag, 0).limit),
                 (3_250, Limit::Mains)
             );
         }
         memory.note(&sag, 10_000);
         assert_eq!(
-            (memory.bus_dv(), memory.floor_hz(&sag)),
+            (memory.bus_dv(), memory.floor_hz(&sag, 0)),
             (1_950, FrequencyFloor::default())
         );
     }
@@ -220,12 +241,12 @@ mod tests {
         }
         memory.note(&calm, 110);
         assert_eq!(
-            (memory.bus_dv(), memory.floor_hz(&calm)),
+            (memory.bus_dv(), memory.floor_hz(&calm, 0)),
             (3_253, FrequencyFloor::default())
         );
         let sag = half_cycle(24.0, 2_600);
         memory.note(&sag, 120);
-        assert_eq!(memory.floor_hz(&sag).limit, Limit::Mains);
+        assert_eq!(memory.floor_hz(&sag, 0).limit, Limit::Mains);
         // A mains that recovers from a long sag and sags again may recover again.
         let mut memory = OperatingMemory::default();
         for (dv, ms) in [(2_500, 0), (3_253, 10), (3_253, 20), (2_500, 30)] {
@@ -244,7 +265,7 @@ mod tests {
         }
         memory.note(&mains, 30);
         assert_eq!(
-            (memory.bus_dv(), memory.floor_hz(&mains)),
+            (memory.bus_dv(), memory.floor_hz(&mains, 0)),
             (3_225, FrequencyFloor::default())
         );
     }
@@ -254,17 +275,17 @@ mod tests {
         let mut memory = OperatingMemory::default();
         memory.note(&half_cycle(24.0, 3_250), 0);
         assert_eq!(
-            memory.floor_hz(&half_cycle(24.0, 3_250)),
+            memory.floor_hz(&half_cycle(24.0, 3_250), 0),
             FrequencyFloor::default()
         );
         for ms in (10..1_000).step_by(10) {
             let lifted = half_cycle(31.0, 3_250);
             memory.note(&lifted, ms);
-            assert_eq!(memory.floor_hz(&lifted).f_sw_hz, 45_000);
+            assert_eq!(memory.floor_hz(&lifted, 0).f_sw_hz, 45_000);
         }
         let back = half_cycle(24.1, 3_250);
         memory.note(&back, 1_000);
-        assert_eq!(memory.floor_hz(&back), FrequencyFloor::default());
+        assert_eq!(memory.floor_hz(&back, 0), FrequencyFloor::default());
     }
 
     #[test]
@@ -277,13 +298,36 @@ mod tests {
             ..half_cycle(24.0, 3_250)
         };
         memory.note(&limited, 0);
-        let floor = memory.floor_hz(&half_cycle(24.0, 3_250));
+        let floor = memory.floor_hz(&half_cycle(24.0, 3_250), 0);
         assert_eq!((floor.f_sw_hz, floor.limit), (48_000, Limit::Current));
         memory.note(&half_cycle(24.0, 3_250), SOFT_REMEMBERED_MS);
         assert_eq!(
-            memory.floor_hz(&half_cycle(24.0, 3_250)),
+            memory.floor_hz(&half_cycle(24.0, 3_250), 0),
             FrequencyFloor::default()
         );
+    }
+
+    /// 1 µF, 40 A: the ripple's 70 V are in the bus of 395 V. The calm bus of a start is the same mains, and a real sag is one.
+    #[test]
+    fn a_bus_that_the_coil_swings_is_the_calm_mains() {
+        let mut memory = OperatingMemory::default();
+        let loaded = half_cycle(24.0, 3_950);
+        memory.note(&loaded, 0);
+        memory.note_ripple(&loaded, 700);
+        let start = half_cycle(24.0, 3_250);
+        memory.note(&start, 10);
+        memory.note_ripple(&start, 250);
+        assert_eq!(memory.floor_hz(&start, 250), FrequencyFloor::default());
+        // More power again: near the bus that is remembered, which had another ripple.
+        let half = half_cycle(24.0, 3_500);
+        memory.note(&half, 20);
+        memory.note_ripple(&half, 500);
+        assert_eq!(memory.floor_hz(&half, 500), FrequencyFloor::default());
+        // 150 V of 230: 212 V and a ripple of 45.
+        let sag = half_cycle(24.0, 2_570);
+        memory.note(&sag, 30);
+        memory.note_ripple(&sag, 450);
+        assert_eq!(memory.floor_hz(&sag, 450).limit, Limit::Mains);
     }
 
     /// A trip at the crest charges the link to 500 V; the mains of before is no sag.
@@ -298,6 +342,6 @@ mod tests {
         memory.note(&tripped, 10);
         let back = half_cycle(24.0, 3_250);
         memory.note(&back, 20);
-        assert_eq!(memory.floor_hz(&back), FrequencyFloor::default());
+        assert_eq!(memory.floor_hz(&back, 0), FrequencyFloor::default());
     }
 }

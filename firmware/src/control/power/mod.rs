@@ -32,7 +32,7 @@ use crate::sampling::half_cycle::HalfCycle;
 use bounds::Bounds;
 use memory::OperatingMemory;
 use prediction::predict;
-use search::{Search, grid_step_hz};
+use search::{Search, grid_step_hz, small_link_ripple_dv};
 
 /// Range of the learnt factor, in 1/1024: 0.4 to 2.5.
 const FACTOR_Q10: core::ops::RangeInclusive<u64> = 410..=2_560;
@@ -125,10 +125,14 @@ impl PowerControl {
     /// Begins to search the frequency for the next half-cycle. `asked_mw` above zero, the inverter
     /// running.
     pub fn begin(&mut self, summary: &HalfCycle, asked_mw: u64) {
+        let bus_dv = self.memory.bus_dv().max(summary.bus_peak_dv);
+        let ripple_dv = small_link_ripple_dv(summary);
+        self.memory.note_ripple(summary, ripple_dv);
         self.search = Some(Search {
             summary: *summary,
             asked_mw,
-            bounds: Bounds::new(summary, self.memory.bus_dv().max(summary.bus_peak_dv)),
+            bounds: Bounds::new(summary, bus_dv).with_small_link(summary, ripple_dv),
+            ripple_dv,
             bracket_hz: None,
             refused: Limit::None,
         });
@@ -181,7 +185,7 @@ impl PowerControl {
     fn bracket(&self, search: &mut Search, lookup: &RlLookup) -> (u32, u32) {
         let now = search.now_hz();
         let is_known = self.resume_hz > 0 || lookup.observed_cells() > 0;
-        let may_jump = is_known && !self.in_steps && !search.is_link_small();
+        let may_jump = is_known && !self.in_steps && search.ripple_dv == 0;
         let step_down_hz = if search.summary.bus_peak_dv >= NEAR_BUS_DV {
             STEP_DOWN_HZ / 4
         } else if may_jump {
@@ -194,7 +198,7 @@ impl PowerControl {
             search.refused = Limit::BusVoltage;
             (low, high) = (now, now);
         }
-        let floor = self.memory.floor_hz(&search.summary);
+        let floor = self.memory.floor_hz(&search.summary, search.ripple_dv);
         if low < floor.f_sw_hz {
             search.refused = floor.limit;
             low = floor.f_sw_hz;

@@ -37,6 +37,8 @@ pub(super) struct Search {
     pub bounds: Bounds,
     /// Between these two lies the frequency, in hertz; `None` until the factor is learnt.
     pub bracket_hz: Option<(u32, u32)>,
+    /// Ripple of a small link, in decivolt; 0 with a larger one.
+    pub ripple_dv: u16,
     /// Limit that forbade a lower frequency.
     pub refused: Limit,
 }
@@ -85,18 +87,6 @@ impl Search {
         self.summary.bus_peak_dv >= PLANNED_BUS_DV
     }
 
-    /// Returns `true` if the bus's ripple shows less than 2.5 C_r in the link. The line's filter then resonates with it near the
-    /// switching frequency, and a lookup knows nothing of that.
-    pub fn is_link_small(&self) -> bool {
-        let crest = &self.summary.crest;
-        let ripple = ripple_dv(&crest.bus, self.summary.f_sw_hz);
-        let ripple_dv = u64::from(ripple.norm_squared().isqrt() as u32);
-        // Half of the coil's current is the bus's: X = 2 · ripple / current, of the link's capacitance.
-        let link_mohm = 2 * ripple_dv * 100_000 / u64::from(crest.i_ma.max(1));
-        let capacitor_mohm = resonance_capacitor_mohm(self.summary.f_sw_hz) as u64;
-        ripple_dv >= RIPPLE_SEEN_DV && link_mohm * 5 > capacitor_mohm * 2
-    }
-
     /// Limit that holds the power at a frequency that was found.
     pub fn held_by(&self, f_sw_hz: u32) -> Limit {
         if self.is_within_dead_band() {
@@ -108,6 +98,22 @@ impl Search {
         } else {
             Limit::None
         }
+    }
+}
+
+/// Amplitude of the bus's ripple, in decivolt, if it shows less than 2.5 C_r in the link; 0 otherwise. The line's filter then
+/// resonates with it near the switching frequency, and a lookup knows nothing of that.
+pub(super) fn small_link_ripple_dv(summary: &HalfCycle) -> u16 {
+    let crest = &summary.crest;
+    let ripple = ripple_dv(&crest.bus, summary.f_sw_hz);
+    let ripple_dv = u64::from(ripple.norm_squared().isqrt() as u32);
+    // Half of the coil's current is the bus's: X = 2 · ripple / current, of the link's capacitance.
+    let link_mohm = 2 * ripple_dv * 100_000 / u64::from(crest.i_ma.max(1));
+    let capacitor_mohm = resonance_capacitor_mohm(summary.f_sw_hz) as u64;
+    if ripple_dv >= RIPPLE_SEEN_DV && link_mohm * 5 > capacitor_mohm * 2 {
+        ripple_dv.min(u64::from(u16::MAX)) as u16
+    } else {
+        0
     }
 }
 

@@ -38,7 +38,7 @@ scenarios! {
     absent { no_pot put_on unsuitable }
     bursts { bursts pots }
     lift { lift shift }
-    link { pots small trip_at_crest unsuitable }
+    link { pots small small_mains trip_at_crest unsuitable }
     mains { low_then_high short_swell }
     noise { snr_20 snr_25 snr_30 tolerances }
     objects { cutlery refused rings sandwich sheets smallest }
