@@ -1,6 +1,7 @@
 //! Least-squares fit of a pot's numbers to measured data, with the misfit of the physics as correlated noise and a prior on
 //! the numbers.
 
+use ihd_signal::Load;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use crate::PotModel;
@@ -14,12 +15,6 @@ pub(crate) const MOST_STEPS: usize = 12;
 
 /// Fall of the cost at which a descent ends: a number then moves far less than its deviation.
 const COST_TOLERANCE: f64 = 1e-3;
-
-/// Step of the numerical derivatives, in spreads.
-const STEP: f64 = 1e-3;
-
-/// Step of ln s for its numerical derivative.
-const STEP_LN_S: f64 = 1e-3;
 
 /// Measured ln R and ln L at a place, with variances.
 #[derive(Clone, Copy, Debug)]
@@ -43,46 +38,65 @@ impl Datum {
 }
 
 /// ln R and ln L of a model at each datum: R of all, then L of all. Data of one frequency must be adjacent.
-pub(crate) fn predicted(model: &PotModel, data: &[Datum]) -> DVector<f64> {
+fn predicted(model: &PotModel, data: &[Datum]) -> DVector<f64> {
     let count = data.len();
     let mut all = DVector::zeros(2 * count);
     let mut first = 0;
     for same in data.chunk_by(|a, b| a.f_hz == b.f_hz) {
         let mut at = model.at_frequency(same[0].f_hz);
         for (k, datum) in same.iter().enumerate() {
-            let load = at.impedance(datum.i_a);
-            all[first + k] = load.r_ohm.max(1e-6).ln();
-            all[count + first + k] = load.l_h.max(1e-9).ln();
+            (all[first + k], all[count + first + k]) = ln_of(at.impedance(datum.i_a));
         }
         first += same.len();
     }
     all
 }
 
-/// Derivatives of [`predicted`], which is `here` at these steps, by the first `used` numbers, per spread.
-pub(crate) fn derivatives(
-    here: &DVector<f64>,
-    (prior, steps): (&Prior, &Vector),
-    data: &[Datum],
-    used: usize,
-) -> DMatrix<f64> {
-    let mut all = DMatrix::zeros(2 * data.len(), used);
-    let at = |k: usize, step: f64| {
-        let mut there = *steps;
-        there[k] += step;
-        predicted(&parameters::moved(prior, &there), data)
-    };
-    for k in 0..used {
-        let up = at(k, STEP);
-        // At the end of a range only one side exists.
-        let slope = if up == *here {
-            (here - at(k, -STEP)) / STEP
-        } else {
-            (up - here) / STEP
-        };
-        all.set_column(k, &slope);
+/// Predictions at the data from a prior and steps, linearised there.
+pub(crate) struct Linearised {
+    /// As [`predicted`].
+    pub ln: DVector<f64>,
+    /// Slopes by the first numbers, per spread.
+    pub slopes: DMatrix<f64>,
+    /// Changes by heating.
+    pub heat: Heat,
+}
+
+impl Linearised {
+    /// Linearises by the first `used` numbers. Data of one frequency must be adjacent.
+    pub fn at((prior, steps): (&Prior, &Vector), data: &[Datum], used: usize) -> Self {
+        let (model, count) = (parameters::moved(prior, steps), data.len());
+        let mut ln = DVector::zeros(2 * count);
+        let mut by_numbers = DMatrix::zeros(2 * count, COUNT);
+        let mut first = 0;
+        for same in data.chunk_by(|a, b| a.f_hz == b.f_hz) {
+            let mut at = model.at_frequency(same[0].f_hz);
+            for (k, datum) in same.iter().enumerate() {
+                let (load, by) = at.sensitivities(datum.i_a);
+                let (r, l) = (first + k, count + first + k);
+                (ln[r], ln[l]) = ln_of(load);
+                for (n, by) in parameters::of_numbers(&by).into_iter().enumerate() {
+                    (by_numbers[(r, n)], by_numbers[(l, n)]) = (by.ln_r, by.ln_l);
+                }
+            }
+            first += same.len();
+        }
+        let spreads = DMatrix::from_fn(COUNT, used, |row, k| {
+            parameters::column(&prior.spread, k)[row]
+        });
+        Self {
+            ln,
+            slopes: &by_numbers * spreads,
+            heat: Heat {
+                per_ln_s: by_numbers.column(parameters::LN_S).into(),
+                ages_s: data.iter().map(|d| d.age_s).collect(),
+            },
+        }
     }
-    all
+}
+
+fn ln_of(load: Load) -> (f64, f64) {
+    (load.r_ohm.max(1e-6).ln(), load.l_h.max(1e-9).ln())
 }
 
 /// Covariance of measured data around the physics: errors of measurement, the level of each curve, what all have in common, and
@@ -127,13 +141,6 @@ pub(crate) struct Descent {
     pub cost: f64,
 }
 
-impl Descent {
-    /// Fitted model.
-    pub fn model(&self) -> PotModel {
-        parameters::moved(&self.prior, &self.steps)
-    }
-}
-
 /// Descends from the steps given with a prior; the first `used` numbers are free. `None` if the covariance is singular.
 pub(crate) fn fit(
     data: &[Datum],
@@ -142,10 +149,8 @@ pub(crate) fn fit(
     tau: [f64; 2],
     most_steps: usize,
 ) -> Option<Descent> {
-    let first = parameters::moved(prior, &begin);
-    let mut here = predicted(&first, data);
-    let heat = Heat::of(&here, &first, data);
-    let white: Cholesky<f64, Dyn> = (covariance(data, tau) + heat.covariance()).cholesky()?;
+    let mut here = Linearised::at((prior, &begin), data, used);
+    let white: Cholesky<f64, Dyn> = (covariance(data, tau) + here.heat.covariance()).cholesky()?;
     let seen = measured(data);
     let cost = |steps: &Vector, predicted: &DVector<f64>| {
         let left = &seen - predicted;
@@ -154,12 +159,11 @@ pub(crate) fn fit(
         Some(0.5 * (whitened.norm_squared() + believed))
     };
     let mut steps = begin;
-    let mut best = cost(&steps, &here)?;
+    let mut best = cost(&steps, &here.ln)?;
     let mut damping = 1e-2;
     for _ in 0..most_steps.min(MOST_STEPS) {
-        let slopes = derivatives(&here, (prior, &steps), data, used);
-        let left = &seen - &here;
-        let slopes = white.l_dirty().solve_lower_triangular(&slopes)?;
+        let left = &seen - &here.ln;
+        let slopes = white.l_dirty().solve_lower_triangular(&here.slopes)?;
         let left = white.l_dirty().solve_lower_triangular(&left)?;
         let normal = slopes.tr_mul(&slopes);
         let mut right = slopes.tr_mul(&left);
@@ -182,7 +186,7 @@ pub(crate) fn fit(
             let expected = predicted(&parameters::moved(prior, &there), data);
             let next = cost(&there, &expected)?;
             if next < best {
-                (steps, best, here) = (there, next, expected);
+                (steps, best) = (there, next);
                 damping = (damping * 0.2).max(1e-6);
                 break;
             }
@@ -191,6 +195,7 @@ pub(crate) fn fit(
         if before - best < COST_TOLERANCE {
             break;
         }
+        here = Linearised::at((prior, &steps), data, used);
     }
     Some(Descent {
         prior: *prior,
@@ -242,18 +247,6 @@ pub(crate) struct Heat {
 }
 
 impl Heat {
-    /// Computes the changes of a model's predictions `here`.
-    pub fn of(here: &DVector<f64>, model: &PotModel, data: &[Datum]) -> Self {
-        let hotter = PotModel {
-            ln_s: model.ln_s + STEP_LN_S,
-            ..*model
-        };
-        Self {
-            per_ln_s: (predicted(&hotter, data) - here) / STEP_LN_S,
-            ages_s: data.iter().map(|d| d.age_s).collect(),
-        }
-    }
-
     /// Variance of one row: ln R of all data, then ln L of all.
     pub fn variance(&self, row: usize) -> f64 {
         let age_s = self.ages_s[row % self.ages_s.len()];

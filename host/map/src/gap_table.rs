@@ -7,7 +7,7 @@ use ihd_field::gap::GapOperator;
 use ihd_field::model::RINGS;
 use ihd_field::{FieldError, Geometry};
 
-use crate::surface_table::lagrange;
+use crate::surface_table::{lagrange, lagrange_slopes};
 
 /// Radii of a pot's base in metre; denser near 105 mm, where the coil ends and all values bend most.
 pub const RADII_M: [f64; 16] = [
@@ -47,8 +47,32 @@ pub(crate) struct Gap {
 impl Gap {
     /// Interpolates for a radius and a lift in metre; both are clamped to the table.
     pub fn of(radius_m: f64, lift_m: f64) -> Self {
-        let (radius, by_radius) = place(&RADII_M, radius_m);
-        let (lift, by_lift) = place(&LIFTS_M, lift_m);
+        let (radius, lift) = (place(&RADII_M, radius_m), place(&LIFTS_M, lift_m));
+        Self::weighted(
+            (radius.first, radius.weights()),
+            (lift.first, lift.weights()),
+        )
+    }
+
+    /// Changes by radius and by lift, per metre; none outside the table.
+    pub fn slopes(radius_m: f64, lift_m: f64) -> [Self; 2] {
+        let (radius, lift) = (place(&RADII_M, radius_m), place(&LIFTS_M, lift_m));
+        [
+            Self::weighted(
+                (radius.first, radius.slopes()),
+                (lift.first, lift.weights()),
+            ),
+            Self::weighted(
+                (radius.first, radius.weights()),
+                (lift.first, lift.slopes()),
+            ),
+        ]
+    }
+
+    fn weighted(
+        (radius, by_radius): (usize, [f64; 4]),
+        (lift, by_lift): (usize, [f64; 4]),
+    ) -> Self {
         let mut numbers = [0.0; NUMBERS];
         for (k, x) in by_radius.iter().enumerate() {
             for (n, y) in by_lift.iter().enumerate() {
@@ -79,15 +103,38 @@ impl Gap {
     }
 }
 
-/// Index of the first of four nodes around `x`, and their weights.
-fn place(nodes: &[f64], x: f64) -> (usize, [f64; 4]) {
-    let x = x.clamp(nodes[0], nodes[nodes.len() - 1]);
+/// Four nodes around a place, from the first on.
+struct Nodes {
+    first: usize,
+    at: [f64; 4],
+    x: f64,
+    is_inside: bool,
+}
+
+impl Nodes {
+    fn weights(&self) -> [f64; 4] {
+        lagrange(self.at, self.x)
+    }
+
+    fn slopes(&self) -> [f64; 4] {
+        if self.is_inside {
+            lagrange_slopes(self.at, self.x)
+        } else {
+            [0.0; 4]
+        }
+    }
+}
+
+fn place(nodes: &[f64], at: f64) -> Nodes {
+    let x = at.clamp(nodes[0], nodes[nodes.len() - 1]);
     let above = nodes.partition_point(|n| *n < x);
     let first = above.saturating_sub(2).min(nodes.len() - 4);
-    (
+    Nodes {
         first,
-        lagrange(std::array::from_fn(|k| nodes[first + k]), x),
-    )
+        at: std::array::from_fn(|k| nodes[first + k]),
+        x,
+        is_inside: x == at,
+    }
 }
 
 /// Computes the table's bytes, in some two seconds.

@@ -23,6 +23,7 @@ mod pot_export;
 mod pot_fit;
 pub mod pot_map;
 pub mod pot_model;
+mod sector;
 mod surface_table;
 
 pub use curve::{CurrentCurve, Mean, MeasuredPoint};

@@ -5,6 +5,7 @@ use ihd_shared::hob::WINDING_R_OHM;
 use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
+use crate::pot_model::{Sensitivities, Sensitivity};
 
 /// Number of parameters.
 pub(crate) const COUNT: usize = 7;
@@ -84,6 +85,22 @@ pub(crate) fn raw(model: &PotModel) -> Vector {
         model.ln_turns - TURNS_RATIO.ln(),
         model.winding_r_ohm,
         model.offset_m,
+    ]
+}
+
+/// Position of ln s.
+pub(crate) const LN_S: usize = 1;
+
+/// Changes of R and L by each number, in the order of [`raw`].
+pub(crate) fn of_numbers(by: &Sensitivities) -> [Sensitivity; COUNT] {
+    [
+        by.ln_alpha,
+        by.ln_s,
+        by.radius,
+        by.lift,
+        by.ln_turns,
+        by.winding,
+        by.offset,
     ]
 }
 

@@ -5,7 +5,7 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-use crate::fit::{Datum, Heat, covariance, derivatives, measured, predicted};
+use crate::fit::{Datum, Heat, Linearised, covariance, measured};
 use crate::misfit::Place;
 use crate::parameters::{self, COUNT, Prior};
 use crate::pot_fit::{PotFit, fit_pot};
@@ -49,13 +49,13 @@ impl Posterior {
 
     /// Conditions an existing fit on data; `None` if a Cholesky factorisation fails.
     pub fn conditioned(fit: PotFit, data: Vec<Datum>) -> Option<Self> {
-        let here = predicted(&fit.model(), &data);
-        let slopes = derivatives(&here, (&fit.prior(), &fit.steps), &data, fit.used);
-        let heat = Heat::of(&here, &fit.model(), &data).covariance();
-        let all = covariance(&data, fit.misfit) + &slopes * slopes.transpose() + heat;
+        let Linearised { ln, slopes, heat } =
+            Linearised::at((&fit.prior(), &fit.steps), &data, fit.used);
+        let numbers = &slopes * slopes.transpose();
+        let all = covariance(&data, fit.misfit) + numbers + heat.covariance();
         let factor = all.cholesky()?;
         // The model is linear in the numbers: at the prior's mean it would give `predicted − slopes · steps`.
-        let expected = here - &slopes * free(&fit);
+        let expected = ln - &slopes * free(&fit);
         let left = measured(&data) - expected;
         let weights = factor.solve(&left);
         let determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
@@ -143,9 +143,8 @@ impl Posterior {
             .map(|&(f_hz, i_a)| place(f_hz, i_a, ahead_s))
             .collect();
         let fit = &self.fit;
-        let there = predicted(&fit.model(), &at);
-        let slopes = derivatives(&there, (&fit.prior(), &fit.steps), &at, fit.used);
-        let heat = Heat::of(&there, &fit.model(), &at);
+        let Linearised { ln, slopes, heat } =
+            Linearised::at((&fit.prior(), &fit.steps), &at, fit.used);
         let mut cross = &self.slopes * slopes.transpose();
         let here: Vec<Place> = self.data.iter().map(Datum::place).collect();
         for (n, place) in at.iter().map(Datum::place).enumerate() {
@@ -156,7 +155,7 @@ impl Posterior {
                 }
             }
         }
-        let expected = there - &slopes * free(fit);
+        let expected = ln - &slopes * free(fit);
         JointPrediction {
             mean: expected + cross.tr_mul(&self.weights),
             heat,

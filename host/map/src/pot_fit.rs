@@ -5,8 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
 use crate::fit::{
-    Datum, Descent, Heat, MOST_STEPS, covariance, derivatives, fit, fit_any, fit_off_centre,
-    measured, predicted,
+    Datum, Descent, Linearised, MOST_STEPS, covariance, fit, fit_any, fit_off_centre, measured,
 };
 use crate::parameters::{self, CENTRED, COUNT, PotSpread, Prior, Vector};
 
@@ -118,12 +117,11 @@ fn thinned(data: &[Datum]) -> Vec<Datum> {
 
 /// Misfits of R and L with the largest evidence, chosen in turn.
 fn best_misfit(data: &[Datum], fitted: &Descent, begin: [f64; 2]) -> Option<[f64; 2]> {
-    let here = predicted(&fitted.model(), data);
-    let slopes = derivatives(&here, (&fitted.prior, &fitted.steps), data, fitted.used);
-    let numbers = &slopes * slopes.transpose();
-    let numbers = numbers + Heat::of(&here, &fitted.model(), data).covariance();
+    let Linearised { ln, slopes, heat } =
+        Linearised::at((&fitted.prior, &fitted.steps), data, fitted.used);
+    let numbers = &slopes * slopes.transpose() + heat.covariance();
     let steps = DVector::from_fn(fitted.used, |k, _| fitted.steps[k]);
-    let left = measured(data) - (here - slopes * steps);
+    let left = measured(data) - (ln - slopes * steps);
     let evidence = |tau: [f64; 2]| {
         let factor = (covariance(data, tau) + &numbers).cholesky()?;
         let determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();

@@ -7,25 +7,18 @@
 
 use std::f64::consts::{PI, TAU};
 
-use ihd_field::model::RINGS;
 use ihd_signal::Load;
 use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
 
 use crate::gap_table::Gap;
-use crate::surface_table::flux_of;
+use crate::sector::Sector;
 
 /// Directions, over half a turn, in which the rim of a pot off centre is evaluated.
 const SECTORS: usize = 3;
 
 /// Offset in metre below which a pot counts as centred: the impedance changes by less than a thousandth.
 const LEAST_OFFSET_M: f64 = 0.5e-3;
-
-/// Most iterations of the surface field at one current.
-const MAX_ITERATIONS: usize = 60;
-
-/// Relative change of the impedance at which the iteration ends.
-const IMPEDANCE_TOLERANCE: f64 = 1e-7;
 
 /// Numbers of a pot over the coil of the paper (section IV).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -55,6 +48,25 @@ pub struct Sensitivity {
     pub ln_l: f64,
 }
 
+/// Relative changes of R and L by each number of a [`PotModel`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensitivities {
+    /// By ln α.
+    pub ln_alpha: Sensitivity,
+    /// By ln s: effect of heat.
+    pub ln_s: Sensitivity,
+    /// By the base's radius, per metre.
+    pub radius: Sensitivity,
+    /// By lift, per metre.
+    pub lift: Sensitivity,
+    /// By the offset, per metre; zero for a centred pot.
+    pub offset: Sensitivity,
+    /// By ln of the turns.
+    pub ln_turns: Sensitivity,
+    /// By the winding's resistance, per ohm.
+    pub winding: Sensitivity,
+}
+
 impl PotModel {
     /// The paper's load: ferritic steel, 21 cm.
     pub const PAPER: Self = Self {
@@ -74,47 +86,47 @@ impl PotModel {
 
     /// Model at one frequency for several currents; rising currents are quickest.
     pub fn at_frequency(&self, f_hz: f64) -> FrequencyModel {
-        FrequencyModel::new(&self.gaps(), self, f_hz)
+        FrequencyModel::new(self, f_hz)
     }
 
-    /// Gap in each direction.
-    fn gaps(&self) -> Vec<Gap> {
+    /// R and L at a switching frequency in hertz and an amplitude of the current's fundamental in ampere, with their changes by each
+    /// number.
+    pub fn sensitivities(&self, f_hz: f64, i_a: f64) -> (Load, Sensitivities) {
+        self.at_frequency(f_hz).sensitivities(i_a)
+    }
+
+    /// Rim in each direction.
+    fn rims(&self) -> Vec<Rim> {
         if self.offset_m < LEAST_OFFSET_M {
-            return vec![Gap::of(self.radius_m, self.lift_m)];
+            return vec![Rim {
+                at_m: self.radius_m,
+                by_radius: 1.0,
+                by_offset: 0.0,
+            }];
         }
         (0..SECTORS)
             .map(|k| {
                 // Seen from the coil's axis the rim is at d cos θ + √(R² − d² sin² θ).
                 let angle = PI * (k as f64 + 0.5) / SECTORS as f64;
                 let (s, c) = (self.offset_m * angle.sin(), self.offset_m * angle.cos());
-                let rim_m = c + (self.radius_m * self.radius_m - s * s).max(0.0).sqrt();
-                Gap::of(rim_m, self.lift_m)
+                let root_m = (self.radius_m * self.radius_m - s * s).max(0.0).sqrt();
+                let per_root = if root_m > 0.0 { 1.0 / root_m } else { 0.0 };
+                Rim {
+                    at_m: c + root_m,
+                    by_radius: self.radius_m * per_root,
+                    by_offset: angle.cos() - s * angle.sin() * per_root,
+                }
             })
             .collect()
     }
+}
 
-    /// Effect of heat: d ln R and d ln L per d ln s.
-    pub fn by_ln_s(&self, f_hz: f64, i_a: f64) -> Sensitivity {
-        self.by(f_hz, i_a, 1e-3, |model, step| model.ln_s += step)
-    }
-
-    /// Effect of lift: d ln R and d ln L per metre.
-    pub fn by_lift(&self, f_hz: f64, i_a: f64) -> Sensitivity {
-        self.by(f_hz, i_a, 1e-4, |model, step| model.lift_m += step)
-    }
-
-    fn by(&self, f_hz: f64, i_a: f64, step: f64, change: impl Fn(&mut Self, f64)) -> Sensitivity {
-        let at = |step: f64| {
-            let mut model = *self;
-            change(&mut model, step);
-            model.impedance(f_hz, i_a)
-        };
-        let (more, less) = (at(step), at(-step));
-        Sensitivity {
-            ln_r: (more.r_ohm / less.r_ohm).ln() / (2.0 * step),
-            ln_l: (more.l_h / less.l_h).ln() / (2.0 * step),
-        }
-    }
+/// Distance of a pot's rim from the coil's axis in one direction, and its changes by radius and offset.
+#[derive(Clone, Copy, Debug)]
+struct Rim {
+    at_m: f64,
+    by_radius: f64,
+    by_offset: f64,
 }
 
 /// Pot at one switching frequency; keeps the field of the last current as the start for the next.
@@ -126,33 +138,24 @@ pub struct FrequencyModel {
     alpha: f64,
     turns: f64,
     winding_r_ohm: f64,
+    lift_m: f64,
+    rims: Vec<Rim>,
     sectors: Vec<Sector>,
 }
 
-#[derive(Clone, Debug)]
-struct Sector {
-    gap: Gap,
-    /// |H| of each ring in A/m, at the current `i_a`.
-    h: [f64; RINGS],
-    /// Current in ampere to which `h` belongs.
-    i_a: f64,
-}
-
 impl FrequencyModel {
-    fn new(gaps: &[Gap], model: &PotModel, f_hz: f64) -> Self {
-        let omega = TAU * f_hz;
-        let sector = |gap: &Gap| Sector {
-            gap: gap.clone(),
-            h: [0.0; RINGS],
-            i_a: 0.0,
-        };
+    fn new(model: &PotModel, f_hz: f64) -> Self {
+        let (omega, rims) = (TAU * f_hz, model.rims());
+        let sector = |rim: &Rim| Sector::new(Gap::of(rim.at_m, model.lift_m));
         Self {
             omega,
             surface: model.ln_s.exp() * (2.0 / omega).sqrt(),
             alpha: model.ln_alpha.exp(),
             turns: model.ln_turns.exp(),
             winding_r_ohm: model.winding_r_ohm,
-            sectors: gaps.iter().map(sector).collect(),
+            lift_m: model.lift_m,
+            sectors: rims.iter().map(sector).collect(),
+            rims,
         }
     }
 
@@ -171,67 +174,49 @@ impl FrequencyModel {
             l_h: inductance.re,
         }
     }
-}
 
-impl Sector {
-    /// λ/i of the paper's turns in henry, complex: its imaginary part is −R/ω.
-    fn inductance(&mut self, surface: f64, alpha: f64, i_a: f64) -> Complex<f64> {
-        // The field scaled with the current is a closer start than the last field.
-        let grown = if self.i_a > 0.0 { i_a / self.i_a } else { 0.0 };
-        let mut h: [f64; RINGS] = std::array::from_fn(|k| self.h[k] * grown);
-        let mut last = Complex::new(0.0, 0.0);
-        for _ in 0..MAX_ITERATIONS {
-            let zeta: [Complex<f64>; RINGS] =
-                std::array::from_fn(|k| flux_of(h[k] / alpha) * surface);
-            let flux = self.flux(&zeta);
-            let drive = self.gap.p_m.iter().zip(&flux);
-            let inductance =
-                drive.fold(Complex::new(self.gap.l0_h, 0.0), |sum, (p, a)| sum + a * *p);
-            for k in 0..RINGS {
-                h[k] = (flux[k] / zeta[k]).norm_sqr().sqrt() * i_a;
-            }
-            let change = (inductance - last).norm_sqr();
-            last = inductance;
-            if change < IMPEDANCE_TOLERANCE * IMPEDANCE_TOLERANCE * inductance.norm_sqr() {
-                break;
-            }
-        }
-        (self.h, self.i_a) = (h, i_a);
-        last
-    }
-
-    /// A of each ring at one ampere: (W/ζ + S) A = P, by LDLᵀ. The matrix' real part is positive, so that no pivot is needed.
-    fn flux(&self, zeta: &[Complex<f64>; RINGS]) -> [Complex<f64>; RINGS] {
+    /// R and L at an amplitude of the current's fundamental in ampere, with their changes by each number, from the solved field.
+    pub fn sensitivities(&mut self, i_a: f64) -> (Load, Sensitivities) {
+        let load = self.impedance(i_a);
+        let (surface, alpha) = (self.surface, self.alpha);
+        let scale = self.turns * self.turns / self.sectors.len() as f64;
+        let relative = |inductance: Complex<f64>| Sensitivity {
+            ln_r: -self.omega * inductance.im * scale / load.r_ohm,
+            ln_l: inductance.re * scale / load.l_h,
+        };
         let zero = Complex::new(0.0, 0.0);
-        let mut l = [[zero; RINGS]; RINGS];
-        let mut d = [zero; RINGS];
-        let mut x = [zero; RINGS];
-        for j in 0..RINGS {
-            // Row j of L·D, then of L.
-            for k in 0..j {
-                let left = l[j].iter().zip(&l[k]).take(k);
-                let known = left.fold(zero, |sum, (a, b)| sum + a * b);
-                l[j][k] = Complex::new(self.gap.s[j][k], 0.0) - known;
-                // l[k][·] is already divided, l[j][·] is not.
-            }
-            let mut diagonal =
-                Complex::new(self.gap.s[j][j], 0.0) + zeta[j].inv() * self.gap.w_m2[j];
-            let mut right = Complex::new(self.gap.p_m[j], 0.0);
-            for k in 0..j {
-                let scaled = l[j][k] * d[k];
-                diagonal -= scaled * l[j][k];
-                right -= scaled * x[k];
-                l[j][k] = scaled;
-            }
-            d[j] = diagonal.inv();
-            x[j] = right;
+        let [
+            mut whole,
+            mut ln_alpha,
+            mut ln_s,
+            mut radius,
+            mut lift,
+            mut offset,
+        ] = [zero; 6];
+        for (sector, rim) in self.sectors.iter().zip(&self.rims) {
+            let [by_rim, by_lift] = Gap::slopes(rim.at_m, self.lift_m);
+            let slopes = sector.slopes(surface, alpha, [&by_rim, &by_lift]);
+            whole += slopes.inductance;
+            ln_alpha += slopes.by_ln_alpha;
+            ln_s += slopes.by_ln_s;
+            radius += slopes.by_gap[0] * rim.by_radius;
+            offset += slopes.by_gap[0] * rim.by_offset;
+            lift += slopes.by_gap[1];
         }
-        for j in (0..RINGS).rev() {
-            let above = l.iter().zip(&x).skip(j + 1);
-            let sum = above.fold(x[j] * d[j], |sum, (row, x)| sum - row[j] * x);
-            x[j] = sum;
-        }
-        x
+        let all = Sensitivities {
+            ln_alpha: relative(ln_alpha),
+            ln_s: relative(ln_s),
+            radius: relative(radius),
+            lift: relative(lift),
+            offset: relative(offset),
+            // The field depends on the current over α alone.
+            ln_turns: relative(whole * 2.0 - ln_alpha),
+            winding: Sensitivity {
+                ln_r: 1.0 / load.r_ohm,
+                ln_l: 0.0,
+            },
+        };
+        (load, all)
     }
 }
 
@@ -336,12 +321,71 @@ mod tests {
         );
     }
 
+    /// Against central differences of the impedance itself, on both sides of saturation, centred and off centre.
+    #[test]
+    fn sensitivities_are_the_slopes_of_the_impedance() {
+        type Number = (
+            f64,
+            fn(&mut PotModel, f64),
+            fn(&Sensitivities) -> Sensitivity,
+        );
+        let numbers: [Number; 7] = [
+            (1e-3, |m, by| m.ln_alpha += by, |s| s.ln_alpha),
+            (1e-3, |m, by| m.ln_s += by, |s| s.ln_s),
+            (1e-5, |m, by| m.radius_m += by, |s| s.radius),
+            (1e-5, |m, by| m.lift_m += by, |s| s.lift),
+            (1e-5, |m, by| m.offset_m += by, |s| s.offset),
+            (1e-3, |m, by| m.ln_turns += by, |s| s.ln_turns),
+            (1e-3, |m, by| m.winding_r_ohm += by, |s| s.winding),
+        ];
+        let cast_iron = model(Material::GREY_CAST_IRON, 0.0893, 0.0042);
+        for model in [
+            PotModel {
+                radius_m: 0.1033,
+                lift_m: 0.0002,
+                ..PotModel::PAPER
+            },
+            PotModel {
+                winding_r_ohm: 0.08,
+                ln_turns: 0.05,
+                ..cast_iron
+            },
+            PotModel {
+                radius_m: 0.0871,
+                lift_m: 0.0017,
+                offset_m: 0.013,
+                ..PotModel::PAPER
+            },
+        ] {
+            for (f_hz, i_a) in [(30e3, 1.0), (45e3, 12.0), (80e3, 60.0)] {
+                let (_, all) = model.sensitivities(f_hz, i_a);
+                for (k, (step, change, of)) in numbers.iter().enumerate() {
+                    let at = |by: f64| {
+                        let mut there = model;
+                        change(&mut there, by);
+                        there.impedance(f_hz, i_a)
+                    };
+                    let (more, less, found) = (at(*step), at(-step), of(&all));
+                    for (found, exact) in [
+                        (found.ln_r, (more.r_ohm / less.r_ohm).ln() / (2.0 * step)),
+                        (found.ln_l, (more.l_h / less.l_h).ln() / (2.0 * step)),
+                    ] {
+                        // The impedance is known to 1e-7.
+                        let known = 1e-4 * exact.abs() + 2e-7 / step;
+                        assert!(
+                            (found - exact).abs() < known,
+                            "{k} {f_hz} {i_a}: {found} {exact}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+
     #[test]
     fn heat_raises_both_and_lift_moves_them_apart() {
-        let (heat, lift) = (
-            PotModel::PAPER.by_ln_s(45e3, 20.0),
-            PotModel::PAPER.by_lift(45e3, 20.0),
-        );
+        let (_, by) = PotModel::PAPER.sensitivities(45e3, 20.0);
+        let (heat, lift) = (by.ln_s, by.lift);
         println!("{heat:?} {lift:?}");
         assert!(heat.ln_r > 0.0 && heat.ln_l > 0.0 && lift.ln_r < 0.0 && lift.ln_l > 0.0);
         // Design facts, measured with a prototype: 1 mm is -2.5/+6.2 %.

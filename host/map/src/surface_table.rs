@@ -21,11 +21,35 @@ static TABLE: LazyLock<Vec<Complex<f64>>> = LazyLock::new(|| {
 
 /// F at an amplitude of the surface field over α; constant beyond [`LARGEST_FIELD`], which no hob's coil reaches.
 pub(crate) fn flux_of(h: f64) -> Complex<f64> {
-    let table = &*TABLE;
-    let scale = (POINTS - 1) as f64 / (1.0 + LARGEST_FIELD).ln();
-    let x = ((1.0 + h.max(0.0)).ln() * scale).min((POINTS - 1) as f64);
+    let (first, x) = place(h);
+    weighted(first, lagrange(NODES, x))
+}
+
+/// Slope of F over ln of the amplitude.
+pub(crate) fn flux_slope_of(h: f64) -> Complex<f64> {
+    if !(0.0..LARGEST_FIELD).contains(&h) {
+        return Complex::new(0.0, 0.0);
+    }
+    let (first, x) = place(h);
+    weighted(first, lagrange_slopes(NODES, x)) * (scale() * h / (1.0 + h))
+}
+
+const NODES: [f64; 4] = [0.0, 1.0, 2.0, 3.0];
+
+/// Points of the table per unit of ln(1 + h).
+fn scale() -> f64 {
+    (POINTS - 1) as f64 / (1.0 + LARGEST_FIELD).ln()
+}
+
+/// Index of the first of four points around an amplitude, and the distance from it in points.
+fn place(h: f64) -> (usize, f64) {
+    let x = ((1.0 + h.max(0.0)).ln() * scale()).min((POINTS - 1) as f64);
     let first = (x as usize).saturating_sub(1).min(POINTS - 4);
-    let weights = lagrange([0.0, 1.0, 2.0, 3.0], x - first as f64);
+    (first, x - first as f64)
+}
+
+fn weighted(first: usize, weights: [f64; 4]) -> Complex<f64> {
+    let table = &*TABLE;
     (0..4).fold(Complex::new(0.0, 0.0), |sum, k| {
         sum + table[first + k] * weights[k]
     })
@@ -38,6 +62,22 @@ pub(crate) fn lagrange(nodes: [f64; 4], x: f64) -> [f64; 4] {
             .filter(|n| *n != k)
             .map(|n| (x - nodes[n]) / (nodes[k] - nodes[n]))
             .product()
+    })
+}
+
+/// Slopes of these weights.
+pub(crate) fn lagrange_slopes(nodes: [f64; 4], x: f64) -> [f64; 4] {
+    std::array::from_fn(|k| {
+        let others = || (0..4).filter(move |n| *n != k);
+        others()
+            .map(|m| {
+                let rest = others().filter(|n| *n != m);
+                let product: f64 = rest
+                    .map(|n| (x - nodes[n]) / (nodes[k] - nodes[n]))
+                    .product();
+                product / (nodes[k] - nodes[m])
+            })
+            .sum()
     })
 }
 

@@ -240,9 +240,8 @@ impl ThermalFilter {
             lift_m: self.pot.lift_m + 1e-3 * self.x[2],
             ..self.pot
         };
-        let z = pot.impedance(batch.f_hz, batch.i_a);
-        let heat = pot.by_ln_s(batch.f_hz, batch.i_a);
-        let lift = pot.by_lift(batch.f_hz, batch.i_a);
+        let (z, by) = pot.sensitivities(batch.f_hz, batch.i_a);
+        let (heat, lift) = (by.ln_s, by.lift);
         let permille = 1e3;
         let mut h = SMatrix::<f64, 2, 7>::zeros();
         h[(0, 0)] = permille * heat.ln_r * slope;
