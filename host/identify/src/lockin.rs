@@ -85,11 +85,13 @@ impl Boxcar {
             for block in 1..=MAX_BLOCK {
                 let blocks = (samples / block as f64).round().max(1.0) as usize;
                 let boxcar = Self { block, blocks };
-                let passed = boxcar.passed(samples_per_period, SIDEBAND_HZ / f_sw_hz);
                 // A long block is faster, the requested duration is more accurate.
-                let score = passed + 1e-6 * ((periods - ideal).abs() / ideal + 2.0 / block as f64);
-                if score < best.0 {
-                    best = (score, boxcar);
+                let distance = 1e-6 * ((periods - ideal).abs() / ideal + 2.0 / block as f64);
+                let sideband = SIDEBAND_HZ / f_sw_hz;
+                if let Some(passed) = boxcar.passed(samples_per_period, sideband, best.0)
+                    && passed + distance < best.0
+                {
+                    best = (passed + distance, boxcar);
                 }
             }
             periods += 1.0;
@@ -97,8 +99,9 @@ impl Boxcar {
         best.1
     }
 
-    /// Largest share of the fundamental that its image or a square wave's harmonic adds, with sidebands at this share of f_sw.
-    fn passed(self, samples_per_period: f64, sideband: f64) -> f64 {
+    /// Largest share of the fundamental that its image or a square wave's harmonic adds, with sidebands at this share of f_sw; `None`
+    /// from a limit on.
+    fn passed(self, samples_per_period: f64, sideband: f64, limit: f64) -> Option<f64> {
         let gain = |multiple: f64| {
             let turns = multiple / samples_per_period;
             let first = boxcar_gain(self.samples() as f64, turns);
@@ -109,7 +112,10 @@ impl Boxcar {
             1.0 => gain(1.0),
             m => gain(m - sideband).max(gain(m + sideband)) / (m - 1.0),
         };
-        MULTIPLES.map(of).fold(0.0, f64::max)
+        MULTIPLES.map(of).try_fold(0.0, |largest: f64, share| {
+            let largest = largest.max(share);
+            (largest < limit).then_some(largest)
+        })
     }
 
     /// Number of samples of a boxcar.

@@ -105,14 +105,7 @@ impl SpectralFloor {
         let fft = fourier::forward(frames.points);
         let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
         for frame in 0..frames.count {
-            let samples = x[frame * frames.stride..].windows(self.low_pass.len());
-            for ((y, x), w) in input
-                .iter_mut()
-                .zip(samples.step_by(frames.block))
-                .zip(&self.window)
-            {
-                *y = w * dot(&self.low_pass, x);
-            }
+            self.weigh(&x[frame * frames.stride..], &mut input);
             fft.process(&mut input, &mut output).ok()?;
             for (row, place) in powers.chunks_exact_mut(frames.count).zip(places) {
                 row[frame] = output[*place].norm_sqr();
@@ -130,6 +123,21 @@ impl SpectralFloor {
         let quiet = *floors.select_nth_unstable_by(at, f64::total_cmp).1;
         let share = (at as f64 + 0.6) / (floors.len() as f64 + 0.2);
         Some((quiet / quantile_of_median(frames.count, share)).sqrt()).filter(|s| s.is_finite())
+    }
+
+    /// Decimated samples from the first on, times the window.
+    fn weigh<T: Copy + Into<f64>>(&self, x: &[T], weighted: &mut [f64]) {
+        let weighted = weighted.iter_mut().zip(&self.window);
+        if self.frames.block == 1 {
+            for ((y, w), x) in weighted.zip(x) {
+                *y = w * (*x).into();
+            }
+            return;
+        }
+        let samples = x.windows(self.low_pass.len());
+        for ((y, w), x) in weighted.zip(samples.step_by(self.frames.block)) {
+            *y = w * dot(&self.low_pass, x);
+        }
     }
 }
 

@@ -16,7 +16,7 @@ pub(crate) struct Widths {
 }
 
 impl Widths {
-    /// Widths of the greatest evidence over the simulated loads of `recipe.rs`, whose test prints them:
+    /// Widths of the greatest evidence over the simulated loads of `recipe.rs`, whose test finds them:
     /// `cargo test --release -p ihd-pinn widths_are_learned -- --ignored --nocapture`.
     pub const LEARNED: Self = Self {
         law: [0.402, 0.111],
