@@ -215,8 +215,11 @@ limits! {
     /// Largest relative difference of these voltages at a pot probe with a load, where the bus changes within the estimator's
     /// delay.
     PROBE_BALANCE_PERCENT: u32 = 10, "%";
-    /// Largest excess of the bare coil's L over the board file's, and largest difference of these voltages.
+    /// Largest excess of the bare coil's L over the board file's.
     BARE_COIL_PERCENT: u32 = 4, "%";
+    /// Largest relative difference of these voltages at a pot probe of the bare coil: a link of 1 µF rises by 3.7 % within the
+    /// estimator's delay.
+    BARE_BALANCE_PERMILLE: u32 = 45, "permille";
     /// Largest drift of the gain of current or voltage, by the L of a pot that stays and the balance together. Sound boards show
     /// 2 % at most: 180 to 265 V, C2 from 1 to 10 µF, 20 dB of noise, pots that are moved and get warm.
     GAIN_DRIFT_PERMILLE: i32 = 35, "permille";

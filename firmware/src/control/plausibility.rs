@@ -24,10 +24,10 @@ use crate::control::bus_ripple::{BRIDGE_SHARE, ripple_dv};
 use crate::estimate::tank::{TankAt, resonance_capacitor_mohm};
 use crate::fixed::{Complex, saturate};
 use crate::limits::{
-    BALANCE_PERCENT, BALANCE_TANK_PERCENT, BARE_COIL_MOHM, BARE_COIL_PERCENT,
-    BUS_AT_CROSSING_PERCENT, BUS_MIN_DV, CURRENT_OFFSET_MA, IMPLAUSIBLE_HALF_CYCLES,
-    IRREGULAR_HALF_CYCLES, LINK_CAPACITANCE_MAX_NF, POWER_BALANCE_PERCENT, PROBE_BALANCE_PERCENT,
-    VOLTAGE_OFFSET_DV,
+    BALANCE_PERCENT, BALANCE_TANK_PERCENT, BARE_BALANCE_PERMILLE, BARE_COIL_MOHM,
+    BARE_COIL_PERCENT, BUS_AT_CROSSING_PERCENT, BUS_MIN_DV, CURRENT_OFFSET_MA,
+    IMPLAUSIBLE_HALF_CYCLES, IRREGULAR_HALF_CYCLES, LINK_CAPACITANCE_MAX_NF, POWER_BALANCE_PERCENT,
+    PROBE_BALANCE_PERCENT, VOLTAGE_OFFSET_DV,
 };
 use crate::sampling::half_cycle::HalfCycle;
 use crate::sampling::half_cycle_sums::filter_loss_q16;
@@ -134,9 +134,10 @@ impl Plausibility {
         // Aluminium takes no more power than the winding, and leaves half of its L at most.
         let is_coil_alone = is_bare && l_ph >= bare_ph(METAL_L_PERCENT);
         let bad = if is_coil_alone {
-            l_ph > bare_ph(100 + BARE_COIL_PERCENT) || !balance.is_within(BARE_COIL_PERCENT)
+            l_ph > bare_ph(100 + BARE_COIL_PERCENT)
+                || !balance.is_within_permille(BARE_BALANCE_PERMILLE)
         } else {
-            !balance.is_within(PROBE_BALANCE_PERCENT)
+            !balance.is_within_permille(10 * PROBE_BALANCE_PERCENT)
         };
         if flows && is_bare && !bad && l_ph >= bare_ph(100 - BARE_COIL_PERCENT) {
             self.drift = GainDrift::default();
@@ -217,10 +218,6 @@ impl BridgeBalance {
     fn is_within_tolerances(&self) -> bool {
         let tank_permille = BALANCE_TANK_PERCENT * self.by_tank_permille / 100;
         self.is_within_permille(10 * BALANCE_PERCENT + tank_permille)
-    }
-
-    fn is_within(&self, percent: u32) -> bool {
-        self.is_within_permille(10 * percent)
     }
 
     fn is_within_permille(&self, permille: u32) -> bool {
