@@ -209,6 +209,13 @@ mod tests {
         })
     }
 
+    #[test]
+    fn an_amplitude_has_its_norm() {
+        for i_ma in [1_000, 55_000, 80_000] {
+            assert!(amplitude_ma(norm_of_ma(i_ma)).abs_diff(i_ma) <= 1);
+        }
+    }
+
     fn steady(f_sw_hz: u32, parts: &[(f64, f64, f64, f64)]) -> Phasors {
         let mut d = Demodulator::new(f_sw_hz);
         let mut last = None;

@@ -314,6 +314,7 @@ mod tests {
         let loaded = half_cycle(24.0, 3_950);
         memory.note(&loaded, 0);
         memory.note_ripple(&loaded, 700);
+        let mut memory = memory.of_mains();
         let start = half_cycle(24.0, 3_250);
         memory.note(&start, 10);
         memory.note_ripple(&start, 250);

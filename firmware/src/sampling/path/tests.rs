@@ -1,8 +1,11 @@
 use super::*;
 use crate::drive::bridge::Bridge;
+use crate::drive::sequencer::PotProbe;
 use crate::estimate::tank::resonant_inductance;
 use crate::limits::BOOTSTRAP_CHARGE_NS;
+use core::f64::consts::TAU;
 use ihd_shared::fault::Fault;
+use ihd_shared::sampling::{ADC_LOCK_Q, AMPERE_PER_CODE, VOLT_PER_CODE};
 use std::boxed::Box;
 use std::vec::Vec;
 
@@ -12,7 +15,12 @@ const HALF_CYCLE: u32 = 266;
 struct Board {
     sampling_path: Box<SamplingPath>,
     block: u32,
+    /// Amplitude of the coil current while the bridge switches, in ampere, through [`COIL_OHM`] of reactance.
+    i_a: f64,
 }
+
+/// Aluminium at 80 kHz.
+const COIL_OHM: f64 = 5.7;
 
 impl Board {
     fn new() -> Self {
@@ -20,7 +28,23 @@ impl Board {
         Self {
             sampling_path: Box::new(SamplingPath::new(r, l)),
             block: 0,
+            i_a: 0.0,
         }
+    }
+
+    /// Pair `k` of a block; no two blocks are alike, or they would be frozen.
+    fn pair(&self, k: usize) -> Pair {
+        if self.i_a > 0.0 && self.sampling_path.drive().is_switching() {
+            let turns = (self.block as usize * ADC_LOCK_P + k) as f64 * f64::from(ADC_LOCK_Q);
+            let angle = TAU * turns / ADC_LOCK_P as f64;
+            let code = |x: f64| x.round() as i16 + (self.block % 2) as i16;
+            return Pair {
+                v: code(self.i_a * COIL_OHM * angle.cos() / VOLT_PER_CODE),
+                i: code(self.i_a * angle.sin() / AMPERE_PER_CODE),
+            };
+        }
+        let i = if k == 0 { (self.block % 7) as i16 } else { 0 };
+        Pair { v: 0, i }
     }
 
     /// The bridge after each of so many blocks.
@@ -29,13 +53,8 @@ impl Board {
             .map(|_| {
                 self.block += 1;
                 let crossing = self.block.is_multiple_of(HALF_CYCLE);
-                // No two blocks are alike, or they would be frozen.
-                let i = (self.block % 7) as i16;
                 let block = AdcBlock {
-                    pairs: &core::array::from_fn::<_, ADC_LOCK_P, _>(|k| Pair {
-                        v: 0,
-                        i: if k == 0 { i } else { 0 },
-                    }),
+                    pairs: &core::array::from_fn::<_, ADC_LOCK_P, _>(|k| self.pair(k)),
                     zero_crossing: crossing.then_some(0),
                     bus: BusReading::steady(300),
                     dc_link_ma: None,
@@ -71,6 +90,22 @@ fn the_bootstrap_capacitor_is_charged_before_the_bridge_switches() {
         assert!(lower_on <= HALF_CYCLE + 27, "{lower_on}");
         assert_eq!((asked_at + lower_on + 1) % HALF_CYCLE, 0);
     }
+}
+
+/// A probe lasts 3.3 ms, or until the coil carries 55 A.
+#[test]
+fn a_pot_probe_ends_in_time_or_with_the_current_that_no_pot_takes() {
+    let blocks = |i_a: f64| {
+        let mut board = Board::new();
+        board.i_a = i_a;
+        board.sampling_path.request_pot_probe(PotProbe::FIRST);
+        let seen = board.run(3 * HALF_CYCLE);
+        seen.iter().filter(|b| **b == Bridge::Switching).count()
+    };
+    // Of 37.5 µs each.
+    assert!((87..=88).contains(&blocks(50.0)), "{}", blocks(50.0));
+    // As soon as the demodulator is filled.
+    assert!((2..10).contains(&blocks(57.0)), "{}", blocks(57.0));
 }
 
 /// The first drive has the frequency of off, so that no change of it sets the resonant inductance.
