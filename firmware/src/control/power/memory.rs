@@ -315,6 +315,9 @@ mod tests {
         memory.note(&loaded, 0);
         memory.note_ripple(&loaded, 700);
         let mut memory = memory.of_mains();
+        // 150 V of 230: 212 V and a ripple of 45.
+        let sag = half_cycle(24.0, 2_570);
+        assert_eq!(memory.floor_hz(&sag, 450).limit, Limit::Mains);
         let start = half_cycle(24.0, 3_250);
         memory.note(&start, 10);
         memory.note_ripple(&start, 250);
@@ -324,8 +327,6 @@ mod tests {
         memory.note(&half, 20);
         memory.note_ripple(&half, 500);
         assert_eq!(memory.floor_hz(&half, 500), FrequencyFloor::default());
-        // 150 V of 230: 212 V and a ripple of 45.
-        let sag = half_cycle(24.0, 2_570);
         memory.note(&sag, 30);
         memory.note_ripple(&sag, 450);
         assert_eq!(memory.floor_hz(&sag, 450).limit, Limit::Mains);
