@@ -136,7 +136,7 @@ limits! {
     PROBE_NS: u32 = 3_300_000, "ns";
     /// Amplitude of the coil current that ends a pot probe earlier: no pot takes half of it, and aluminium as much, which the ripple
     /// of a link of 1 µF doubles.
-    PROBE_CURRENT_MA: u32 = 55_000, "mA";
+    PROBE_CURRENT_MA: u32 = board::TRIP_CURRENT_MA * 55 / 76, "mA";
     /// Frequency of the second pot probe, for a possible sheet thinner than its skin depth.
     SECOND_PROBE_HZ: u32 = 50_000, "Hz";
     /// Duration of the second pot probe: shorter, as its power is three times that of the first at the same bus voltage.
