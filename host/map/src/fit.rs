@@ -9,6 +9,7 @@ use crate::curve::common_covariance;
 use crate::heat::changes;
 use crate::misfit::Place;
 use crate::parameters::{self, CENTRED, COUNT, Prior, Vector};
+use crate::pot_model::FrequencyModel;
 
 /// Most steps of a descent.
 pub(crate) const MOST_STEPS: usize = 12;
@@ -41,20 +42,31 @@ impl Datum {
 fn predicted(model: &PotModel, data: &[Datum]) -> DVector<f64> {
     let count = data.len();
     let mut all = DVector::zeros(2 * count);
-    let mut first = 0;
+    for_each(model, data, |k, at, i_a| {
+        (all[k], all[count + k]) = ln_of(at.impedance(i_a));
+    });
+    all
+}
+
+/// Calls `take` with each datum's position, the model at its frequency, and its current; a field is the next one's start.
+fn for_each(
+    model: &PotModel,
+    data: &[Datum],
+    mut take: impl FnMut(usize, &mut FrequencyModel, f64),
+) {
+    let mut k = 0;
     for same in data.chunk_by(|a, b| a.f_hz == b.f_hz) {
         let mut at = model.at_frequency(same[0].f_hz);
-        for (k, datum) in same.iter().enumerate() {
-            (all[first + k], all[count + first + k]) = ln_of(at.impedance(datum.i_a));
+        for datum in same {
+            take(k, &mut at, datum.i_a);
+            k += 1;
         }
-        first += same.len();
     }
-    all
 }
 
 /// Predictions at the data from a prior and steps, linearised there.
 pub(crate) struct Linearised {
-    /// As [`predicted`].
+    /// ln R of all data, then ln L of all.
     pub ln: DVector<f64>,
     /// Slopes by the first numbers, per spread.
     pub slopes: DMatrix<f64>,
@@ -68,19 +80,13 @@ impl Linearised {
         let (model, count) = (parameters::moved(prior, steps), data.len());
         let mut ln = DVector::zeros(2 * count);
         let mut by_numbers = DMatrix::zeros(2 * count, COUNT);
-        let mut first = 0;
-        for same in data.chunk_by(|a, b| a.f_hz == b.f_hz) {
-            let mut at = model.at_frequency(same[0].f_hz);
-            for (k, datum) in same.iter().enumerate() {
-                let (load, by) = at.sensitivities(datum.i_a);
-                let (r, l) = (first + k, count + first + k);
-                (ln[r], ln[l]) = ln_of(load);
-                for (n, by) in parameters::of_numbers(&by).into_iter().enumerate() {
-                    (by_numbers[(r, n)], by_numbers[(l, n)]) = (by.ln_r, by.ln_l);
-                }
+        for_each(&model, data, |k, at, i_a| {
+            let (load, by) = at.sensitivities(i_a);
+            (ln[k], ln[count + k]) = ln_of(load);
+            for (n, by) in parameters::of_numbers(&by).into_iter().enumerate() {
+                (by_numbers[(k, n)], by_numbers[(count + k, n)]) = (by.ln_r, by.ln_l);
             }
-            first += same.len();
-        }
+        });
         let spreads = DMatrix::from_fn(COUNT, used, |row, k| {
             parameters::column(&prior.spread, k)[row]
         });
