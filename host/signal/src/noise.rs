@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 
 use nalgebra::Complex;
 
-use super::vectorised::dot;
+use super::vectorised::{dot, vectorised};
 use super::{RawSamples, Samples, Segment, fourier};
 
 /// Most switching periods of a frame: three eighths of the lobes of sin⁶ between aliases at thirds of f_sw (61/3).
@@ -134,10 +134,15 @@ impl SpectralFloor {
             }
             return;
         }
-        let samples = x.windows(self.low_pass.len());
-        for ((y, w), x) in weighted.zip(samples.step_by(self.frames.block)) {
-            *y = w * dot(&self.low_pass, x);
-        }
+        let mut weighted = weighted.zip(x.windows(self.low_pass.len()).step_by(self.frames.block));
+        vectorised(
+            #[inline(always)]
+            || {
+                for ((y, w), x) in weighted.by_ref() {
+                    *y = w * dot(&self.low_pass, x);
+                }
+            },
+        );
     }
 }
 

@@ -304,17 +304,19 @@ fn weighted_mean(x: &Samples) -> f64 {
 
 fn hann_mean<T: Copy + Into<f64>>(x: &[T], offset: f64) -> f64 {
     const LANES: usize = 8;
+    // Samples of the tables, and from one sine and cosine to the next.
+    const TABLE: usize = 512;
     let turns = |k: f64| TAU * (k + 0.5) / x.len().max(1) as f64;
     // The angles of a block's samples are the angle of its first one plus those of a table.
     let table = |of: fn(f64) -> f64| -> Vec<f64> {
-        (0..BLOCK)
+        (0..TABLE)
             .map(|k| of(turns(k as f64) - turns(0.0)))
             .collect()
     };
     let (cos, sin) = (table(libm::cos), table(libm::sin));
     let (mut sum, mut all) = (0.0, 0.0);
-    for (block, x) in x.chunks(BLOCK).enumerate() {
-        let (s, c) = libm::sincos(turns((block * BLOCK) as f64));
+    for (block, x) in x.chunks(TABLE).enumerate() {
+        let (s, c) = libm::sincos(turns((block * TABLE) as f64));
         let [weighted, weights] = vectorised(
             #[inline(always)]
             || {

@@ -5,6 +5,8 @@
 
 use std::f64::consts::FRAC_PI_2;
 
+use ihd_signal::vectorised::ln;
+
 const DEGREE: usize = 3;
 
 /// Largest noise of a phasor in the first interval, as a share of its amplitude there. More would bias R and L, because
@@ -85,6 +87,39 @@ impl CubicSpline {
             0.5 + 0.5 * libm::atanh(x) / self.whole,
             k / (self.whole * (1.0 - x * x)),
         )
+    }
+
+    /// Position of a time in seconds among the knots, in intervals, as [`Self::values_at`] finds it to rounding; without branches,
+    /// for use within [`vectorised`](ihd_signal::vectorised::vectorised).
+    #[inline(always)]
+    pub(crate) fn position(&self, tau_s: f64) -> f64 {
+        let share = (tau_s / self.duration_s).clamp(0.0, 1.0);
+        let x = self.grading * (2.0 * share - 1.0);
+        // artanh x = ½ ln((1 + x)/(1 − x)).
+        let graded = 0.5 + 0.25 * ln((1.0 + x) / (1.0 - x)) / self.whole;
+        let place = if self.grading == 0.0 { share } else { graded };
+        (place * self.intervals as f64).clamp(0.0, self.intervals as f64)
+    }
+
+    /// Interval of a position, which is the index of its first function.
+    #[inline(always)]
+    pub(crate) fn interval(&self, position: f64) -> usize {
+        (position as usize).min(self.intervals - 1)
+    }
+
+    /// Polynomials of the four functions in an interval: coefficients by power of the position beyond the interval's beginning.
+    pub(crate) fn polynomials(&self, interval: usize) -> [[f64; 4]; 4] {
+        let thirds =
+            [0.0, 1.0, 2.0, 3.0].map(|k| self.basis::<3>(interval, interval as f64 + k / 3.0));
+        std::array::from_fn(|m| {
+            let [a, b, c, d] = thirds.map(|values| values[m]);
+            [
+                a,
+                0.5 * (-11.0 * a + 18.0 * b - 9.0 * c + 2.0 * d),
+                4.5 * (2.0 * a - 5.0 * b + 4.0 * c - d),
+                4.5 * (-a + 3.0 * b - 3.0 * c + d),
+            ]
+        })
     }
 
     /// Number of basis functions.
@@ -191,6 +226,24 @@ mod tests {
                 assert_eq!(local.first, first);
                 let differ = |m: usize| (local.values[m] - values[m]).abs();
                 assert!((0..4).map(differ).sum::<f64>() < 1e-15);
+            }
+        }
+    }
+
+    #[test]
+    fn polynomials_of_the_intervals_are_the_functions() {
+        for spline in [CubicSpline::new(6, 0.01), CubicSpline::graded(6, 0.01, 0.0)] {
+            for tau in times() {
+                let (first, values) = spline.values_at(tau);
+                let position = spline.position(tau);
+                // At a knot rounding decides.
+                let interval = spline.interval(position);
+                assert!(interval == first || (position - position.round()).abs() < 1e-14);
+                let x = position - first as f64;
+                for (value, of) in values.iter().zip(spline.polynomials(first)) {
+                    let sum = of.iter().rev().fold(0.0, |sum, c| sum * x + c);
+                    assert!((sum - value).abs() < 3e-15);
+                }
             }
         }
     }

@@ -12,7 +12,7 @@ use ihd_signal::correlation::Correlator;
 use nalgebra::Complex;
 
 use crate::single_samples::{Samples, Sums};
-use crate::{Banded, BasisValues, CubicSpline, SingularMatrix};
+use crate::{Banded, CubicSpline, SingularMatrix};
 
 type Phasor = Complex<f64>;
 
@@ -104,10 +104,11 @@ impl HarmonicFit<'_> {
         let blocks = v.chunks_exact(self.block).zip(i.chunks_exact(self.block));
         for (b, (v, i)) in blocks.enumerate() {
             let first = b * self.block;
-            let local = self.spline.at((first as f64 + self.centre) * self.dt_s);
-            if local.first != interval.first {
+            let tau_s = (first as f64 + self.centre) * self.dt_s;
+            let (function, values) = self.spline.values_at(tau_s);
+            if function != interval.first {
                 self.add(&interval, &turns, &mut equations);
-                interval.clear(local.first);
+                interval.clear(function);
             }
             turns.powers(first, &mut powers);
             for (group, correlator) in correlators.iter().enumerate() {
@@ -119,10 +120,15 @@ impl HarmonicFit<'_> {
                 };
                 let sums = correlator.block_turned(&std::array::from_fn(turn), v, i);
                 for k in 0..orders.len().min(ORDERS_PER_PASS) {
-                    interval.add_signals(group * ORDERS_PER_PASS + k, &local, sums.v[k], sums.i[k]);
+                    interval.add_signals(
+                        group * ORDERS_PER_PASS + k,
+                        &values,
+                        sums.v[k],
+                        sums.i[k],
+                    );
                 }
             }
-            interval.add_products(&local, &turns, &powers);
+            interval.add_products(&values, &turns, &powers);
         }
         self.add(&interval, &turns, &mut equations);
         equations
@@ -151,7 +157,7 @@ impl HarmonicFit<'_> {
         let mut interval = Interval::new(self.orders.len(), turns.count());
         let mut from = 0;
         while from < samples.v.len() {
-            sums.clear(samples.splines_at(from).0);
+            sums.clear(self.spline, samples.interval(from));
             from = sums.add(&samples, from);
             interval.first = sums.first;
             interval.products = sums.products();
@@ -298,22 +304,22 @@ impl Interval {
         }
     }
 
-    fn add_signals(&mut self, order: usize, local: &BasisValues, v: Phasor, i: Phasor) {
-        for (m, &value) in local.values.iter().enumerate() {
+    fn add_signals(&mut self, order: usize, values: &[f64; 4], v: Phasor, i: Phasor) {
+        for (m, &value) in values.iter().enumerate() {
             self.v[m * self.orders + order] += v * value;
             self.i[m * self.orders + order] += i * value;
         }
     }
 
-    fn add_products(&mut self, local: &BasisValues, turns: &Turns, powers: &[Phasor]) {
+    fn add_products(&mut self, values: &[f64; 4], turns: &Turns, powers: &[Phasor]) {
         let of_block = turns.within.iter();
         let turned = of_block.zip(powers.iter().step_by(turns.stride as usize));
         self.turned.clear();
         self.turned
             .extend(turned.map(|(within, power)| within * power));
         let mut pair = 0;
-        for (m, value) in local.values.iter().enumerate() {
-            for other in &local.values[..=m] {
+        for (m, value) in values.iter().enumerate() {
+            for other in &values[..=m] {
                 let weight = value * other;
                 let sums = &mut self.products[pair * self.multiples..][..self.multiples];
                 for (sum, turned) in sums.iter_mut().zip(&self.turned) {

@@ -124,16 +124,23 @@ pub(crate) struct Samples<'a> {
 }
 
 impl Samples<'_> {
-    /// Index of the first spline that is non-zero at a sample, and the values of four splines.
-    pub fn splines_at(&self, n: usize) -> (usize, [f64; 4]) {
-        self.spline.values_at((n as f64 + self.centre) * self.dt_s)
+    /// Interval of the spline in which a sample lies.
+    pub fn interval(&self, n: usize) -> usize {
+        self.spline.interval(self.position(n))
+    }
+
+    #[inline(always)]
+    fn position(&self, n: usize) -> f64 {
+        self.spline.position((n as f64 + self.centre) * self.dt_s)
     }
 }
 
 /// Sums over one interval of the spline.
 pub(crate) struct Sums {
-    /// Index of the interval's first spline.
+    /// Index of the interval, and of its first spline.
     pub first: usize,
+    /// Polynomials of the interval's four splines.
+    splines: [[f64; 4]; 4],
     multiples: Vec<u32>,
     orders: Vec<u32>,
     /// Rotation of each multiple, for each sample of a stretch.
@@ -154,6 +161,7 @@ impl Sums {
         };
         Self {
             first: 0,
+            splines: [[0.0; 4]; 4],
             multiple_table: table(&multiples),
             order_table: table(orders),
             products: vec![Parts::zeros(multiples.len()); PAIRS],
@@ -163,9 +171,10 @@ impl Sums {
         }
     }
 
-    /// Begins another interval.
-    pub fn clear(&mut self, first: usize) {
-        self.first = first;
+    /// Begins another interval of a spline.
+    pub fn clear(&mut self, spline: &CubicSpline, interval: usize) {
+        self.first = interval;
+        self.splines = spline.polynomials(interval);
         let all = self.products.iter_mut().chain(&mut self.signals);
         all.for_each(Parts::clear);
     }
@@ -201,24 +210,43 @@ impl Sums {
         stretch: usize,
         range: std::ops::Range<usize>,
     ) -> usize {
+        // Samples beyond the interval's or the stretch's end are computed too, and not summed. Loops, because functions of arrays
+        // are not inlined.
+        let mut x = [0.0; STRETCH];
+        for (n, x) in x.iter_mut().enumerate() {
+            *x = samples.position(range.start + n);
+        }
+        let mut count = 0;
+        while count < range.len() && samples.spline.interval(x[count]) == self.first {
+            count += 1;
+        }
+        let mut values = [[0.0; STRETCH]; 4];
+        for (values, [a, b, c, d]) in values.iter_mut().zip(self.splines) {
+            for (value, x) in values.iter_mut().zip(&x) {
+                let x = x - self.first as f64;
+                *value = d.mul_add(x, c).mul_add(x, b).mul_add(x, a);
+            }
+        }
+        let of_stretch = |x: &[f64]| {
+            let mut block = [0.0; STRETCH];
+            block[..count].copy_from_slice(&x[range.start..range.start + count]);
+            block
+        };
+        let (v, i) = (of_stretch(samples.v), of_stretch(samples.i));
         let mut pairs = [[0.0; STRETCH]; PAIRS];
         let mut signals = [[0.0; STRETCH]; SIGNALS];
-        let mut count = 0;
-        for n in range.clone() {
-            let (first, values) = samples.splines_at(n);
-            if first != self.first {
-                break;
+        let mut pair = 0;
+        for m in 0..4 {
+            for n in 0..STRETCH {
+                signals[m][n] = values[m][n] * v[n];
+                signals[4 + m][n] = values[m][n] * i[n];
             }
-            let mut pair = 0;
-            for m in 0..4 {
-                signals[m][count] = values[m] * samples.v[n];
-                signals[4 + m][count] = values[m] * samples.i[n];
-                for other in 0..=m {
-                    pairs[pair][count] = values[m] * values[other];
-                    pair += 1;
+            for other in 0..=m {
+                for n in 0..STRETCH {
+                    pairs[pair][n] = values[m][n] * values[other][n];
                 }
+                pair += 1;
             }
-            count += 1;
         }
         let from = range.start - stretch;
         let mut turned = [[[0.0; LANES]; 2]; STRETCH];
