@@ -7,6 +7,7 @@ mod tone;
 
 use ihd_identify::Estimate;
 use ihd_signal::carrier::Carrier;
+use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
 
 use residual::Residual;
@@ -138,14 +139,14 @@ pub fn remark(
     Some(remark.with(cost.mean_pct[worse], Some(TOLERABLE_PCT[worse])))
 }
 
-/// Searches for tones, and checks whether R and L are functions of the current alone.
-pub fn find(segment: &Segment) -> Interference {
+/// Searches for tones, and checks whether R and L are functions of the current alone; `noise` is the segment's.
+pub fn find(segment: &Segment, noise: WhiteNoise) -> Interference {
     let mut found = Interference::default();
     let Some(mut residual) = Residual::of(segment, BOXCAR_PERIODS) else {
         return found;
     };
     let volt_per_pct = residual.volt_per_pct();
-    found.fits = residual.joint_fits(segment, volt_per_pct, &mut found.tones);
+    found.fits = residual.joint_fits(noise, volt_per_pct, &mut found.tones);
     if !found.tones.is_empty() || !found.fits.iter().all(|f| matches!(f.cause, Cause::None)) {
         // A frequency that moves changes R and L; it is followed elsewhere.
         if Carrier::of(segment).is_some_and(|carrier| carrier.moves()) {
@@ -274,7 +275,7 @@ mod tests {
             (79.0, 4.0),
         ] {
             let with = segment(offset_hz, v);
-            let tones = find(&with).tones;
+            let tones = find(&with, WhiteNoise::measure(&with)).tones;
             let strongest = tones
                 .iter()
                 .max_by(|a, b| a.v.norm().total_cmp(&b.v.norm()));
@@ -297,7 +298,7 @@ mod tests {
     #[test]
     fn there_is_no_tone_where_there_is_none() {
         let clean = segment(0.0, 0.0);
-        let found = find(&clean);
+        let found = find(&clean, WhiteNoise::measure(&clean));
         assert_eq!(found.tones, []);
         assert!(found.law_remark(&clean).is_none(), "{:?}", found.fits);
     }

@@ -1,6 +1,7 @@
 //! Removal of other hobs' tones from a capture, before its sensors are calibrated: a tone would look like a fault of a sensor.
 
 use ihd_identify::{IdentifyOptions, Method, run};
+use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Capture, Remark, Segment, Severity};
 use ihd_survey::{Finding, Hints, Survey, SurveyError};
 
@@ -80,7 +81,7 @@ fn remove_from(capture: &Capture, survey: &Survey) -> Neighbours {
     let clips = survey.findings.iter().any(clipping);
     for span in &survey.spans {
         let segment = survey.segment(capture, span);
-        let found = interference::find(&segment);
+        let found = interference::find(&segment, WhiteNoise::measure(&segment));
         let tones: Vec<Tone> = found.neighbours().cloned().collect();
         all.push(found);
         if tones.is_empty() || clips {

@@ -52,9 +52,9 @@ impl ReferenceResults {
             Err(e) => Err(e.clone().into()),
         };
         let least_squares = by(Method::LeastSquares, None);
-        let found = match &least_squares {
-            Ok(_) => known.unwrap_or_else(|| interference::find(segment)),
-            Err(_) => Interference::default(),
+        let found = match (&least_squares, &preprocessing) {
+            (Ok(_), Ok(p)) => known.unwrap_or_else(|| interference::find(segment, p.noise())),
+            _ => Interference::default(),
         };
         // Least squares says when and by how much a load steps.
         let is_step = |r: &Remark| r.code == "load_step";

@@ -6,7 +6,7 @@
 
 use std::f64::consts::TAU;
 
-use ihd_signal::vectorised::dot;
+use ihd_signal::vectorised::{dot, vectorised};
 use nalgebra::Complex;
 
 /// Polynomials of the amplitude for each of R and L.
@@ -156,10 +156,15 @@ impl Space {
     /// A vector's part outside.
     pub fn outside(&self, x: &[f64]) -> Vec<f64> {
         let mut left = x.to_vec();
-        for b in &self.basis {
-            let share = dot(b, &left);
-            left.iter_mut().zip(b).for_each(|(x, b)| *x -= share * b);
-        }
+        vectorised(
+            #[inline(always)]
+            || {
+                for b in &self.basis {
+                    let share = dot(b, &left);
+                    left.iter_mut().zip(b).for_each(|(x, b)| *x -= share * b);
+                }
+            },
+        );
         left
     }
 }

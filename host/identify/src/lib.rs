@@ -35,6 +35,7 @@ pub mod trajectory;
 use std::time::Duration;
 
 use ihd_signal::carrier::Carrier;
+use ihd_signal::noise::WhiteNoise;
 use ihd_signal::truth::Truth;
 use ihd_signal::{Remark, Segment, SegmentError};
 use serde::{Deserialize, Serialize};
@@ -192,16 +193,17 @@ pub fn run_with_progress(
     settings: &IdentifyOptions,
     sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
-    run_on(method, segment, None, None, settings, sink)
+    run_on(method, segment, None, Known::default(), settings, sink)
 }
 
-/// Preprocessing of a segment that all methods share: its check, its carrier and the load's steps. It takes as long as least
-/// squares, so that several methods on one segment should share it.
+/// Preprocessing of a segment that all methods share: its check, its carrier, the load's steps and the noise. It takes as long as
+/// least squares, so that several methods on one segment should share it.
 #[derive(Clone, Debug)]
 pub struct Preprocessing {
     /// Carrier of the segment; `None` if its frequency is constant.
     carrier: Option<Carrier>,
     steps: steps::Steps,
+    noise: WhiteNoise,
 }
 
 impl Preprocessing {
@@ -214,7 +216,13 @@ impl Preprocessing {
         Ok(Self {
             carrier: sweep::moving(segment),
             steps: steps::Steps::of(segment),
+            noise: WhiteNoise::measure(segment),
         })
+    }
+
+    /// White noise of the segment.
+    pub fn noise(&self) -> WhiteNoise {
+        self.noise
     }
 
     /// Returns `true` if the segment is identified as a whole: at one frequency, without steps.
@@ -237,7 +245,13 @@ pub fn run_preprocessed(
 ) -> Result<Estimate, IdentifyError> {
     let (truth, report) = (None, &mut |_| {});
     let mut sink = ProgressSink { truth, report };
-    let known = least_squares.filter(|_| preprocessing.is_whole());
+    let known = match preprocessing.is_whole() {
+        true => Known {
+            least_squares,
+            noise: Some(preprocessing.noise),
+        },
+        false => Known::default(),
+    };
     run_on(
         method,
         segment,
@@ -248,11 +262,19 @@ pub fn run_preprocessed(
     )
 }
 
+/// Facts on a segment that need not be computed again.
+#[derive(Clone, Copy, Default)]
+struct Known<'a> {
+    /// Its result by least squares with the same settings.
+    least_squares: Option<&'a Estimate>,
+    noise: Option<WhiteNoise>,
+}
+
 fn run_on(
     method: Method,
     segment: &Segment,
     preprocessing: Option<&Preprocessing>,
-    known: Option<&Estimate>,
+    known: Known<'_>,
     settings: &IdentifyOptions,
     sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
@@ -285,7 +307,7 @@ fn run_on(
             let (truth, report) = (None, &mut *sink.report);
             let mut sink = ProgressSink { truth, report };
             steps::identify(method, warped, None, settings, clock, |warped, settings| {
-                at_constant_load(method, warped, None, settings, &mut sink)
+                at_constant_load(method, warped, Known::default(), settings, &mut sink)
             })
         },
     )
@@ -301,23 +323,24 @@ fn needs_offsets_removed(method: Method) -> bool {
 fn at_constant_load(
     method: Method,
     segment: &Segment,
-    known: Option<&Estimate>,
+    known: Known<'_>,
     settings: &IdentifyOptions,
     sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
+    let noise = || known.noise.unwrap_or_else(|| WhiteNoise::measure(segment));
     let mut estimate = match method {
         Method::Kf => kf::identify(segment, settings),
         Method::Ekf => ekf::identify(segment, settings),
         Method::EkfPaper => ekf::literal::identify(segment),
         Method::Rts => ekf::identify_smoothed(segment, settings),
-        Method::Lockin => lockin::identify(segment, &settings.lockin),
-        Method::LeastSquares => least_squares::identify(segment, &settings.least_squares),
+        Method::Lockin => lockin::identify(segment, noise(), &settings.lockin),
+        Method::LeastSquares => least_squares::identify(segment, noise(), &settings.least_squares),
         Method::Rls => rls::identify(segment, settings),
         Method::Firmware => firmware::identify(segment, settings),
         Method::Pinn => pinn::identify(segment, settings, sink),
     }?;
     if !matches!(method, Method::LeastSquares | Method::Pinn) {
-        reference::raise_sigmas(&mut estimate, segment, known, settings);
+        reference::raise_sigmas(&mut estimate, segment, known.least_squares, settings);
     }
     Ok(estimate)
 }

@@ -145,14 +145,23 @@ pub struct Lockin {
     first_sum: [Complex<f64>; 2],
     second_sum: [Complex<f64>; 2],
     taken: usize,
+    /// e^(−jωt) of the next block's first sample, and from one block to the next.
+    turn: Complex<f64>,
+    turn_of_block: Complex<f64>,
 }
+
+/// Blocks after which the carrier's phase is computed anew; it is turned on in between.
+const PHASE_RENEWAL_BLOCKS: usize = 64;
 
 impl Lockin {
     /// Creates an empty demodulator for a segment's sampling.
     pub fn new(segment: &Segment, boxcar: Boxcar) -> Self {
         let zero = [Complex::new(0.0, 0.0); 2];
+        let correlator = Correlator::new(segment, boxcar.block, [1.0]);
         Self {
-            correlator: Correlator::new(segment, boxcar.block, [1.0]),
+            turn: Complex::new(1.0, 0.0),
+            turn_of_block: correlator.turn(boxcar.block)[0],
+            correlator,
             blocks: boxcar.blocks,
             first: vec![zero; boxcar.blocks],
             second: vec![zero; boxcar.blocks],
@@ -165,7 +174,11 @@ impl Lockin {
     /// Adds the next block of samples; returns phasors once both boxcars are full.
     pub fn push(&mut self, v_v: &[f64], i_a: &[f64]) -> Option<LockInPhasors> {
         let length = self.correlator.length();
-        let HarmonicSums { v, i } = self.correlator.block(self.taken * length, v_v, i_a);
+        if self.taken.is_multiple_of(PHASE_RENEWAL_BLOCKS) {
+            [self.turn] = self.correlator.turn(self.taken * length);
+        }
+        let HarmonicSums { v, i } = self.correlator.block_turned(&[self.turn], v_v, i_a);
+        self.turn *= self.turn_of_block;
         let at = self.taken % self.blocks;
         for (k, new) in [v[0], i[0]].into_iter().enumerate() {
             self.first_sum[k] += new - self.first[at][k];
@@ -234,11 +247,15 @@ pub fn demodulate(segment: &Segment, boxcar: Boxcar) -> Vec<LockInPhasors> {
     all
 }
 
-/// Identifies by lock-in.
+/// Identifies by lock-in; `noise` is the segment's.
 ///
 /// # Errors
 /// [`SegmentError::TooShort`] if the segment does not fill both boxcars.
-pub fn identify(segment: &Segment, settings: &LockinSettings) -> Result<Estimate, IdentifyError> {
+pub fn identify(
+    segment: &Segment,
+    noise: WhiteNoise,
+    settings: &LockinSettings,
+) -> Result<Estimate, IdentifyError> {
     let started = Instant::now();
     let boxcar = Boxcar::fitting(
         segment.samples_per_period(),
@@ -256,7 +273,6 @@ pub fn identify(segment: &Segment, settings: &LockinSettings) -> Result<Estimate
     }
     let omega = TAU * segment.f_sw_hz;
     let largest = phasors.iter().map(|p| p.i.norm()).fold(0.0, f64::max);
-    let noise = WhiteNoise::measure(segment);
     // Variance of a phasor of white noise behind the triangle of both boxcars.
     let share = 2.0 * triangle_power(boxcar);
     let mut estimate = Estimate::new(Method::Lockin, segment.f_sw_hz);

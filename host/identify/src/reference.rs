@@ -3,6 +3,7 @@
 
 use std::borrow::Cow;
 
+use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
 
 use super::trajectory::TrajectoryCursor;
@@ -30,7 +31,8 @@ pub(crate) fn raise_sigmas(
     }
     let computed = || {
         let centred = segment.without_offsets();
-        least_squares::identify(&centred, &settings.least_squares).map(Cow::Owned)
+        let noise = WhiteNoise::measure(&centred);
+        least_squares::identify(&centred, noise, &settings.least_squares).map(Cow::Owned)
     };
     let Ok(reference) = known.map_or_else(computed, |known| Ok(Cow::Borrowed(known))) else {
         return;

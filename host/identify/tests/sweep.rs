@@ -3,6 +3,7 @@
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::{IdentifyOptions, Method, least_squares, run};
 use ihd_signal::Segment;
+use ihd_signal::noise::WhiteNoise;
 use ihd_sim::recording::run::{SimulatedRecording, record};
 use ihd_sim::recording::sensing::Rate;
 use ihd_sim::recording::settings::{CaptureSpec as Recorded, CarrierSweep, LoadKind};
@@ -68,8 +69,10 @@ fn a_constant_carrier_is_identified_as_if_nobody_had_looked_whether_it_moves() {
     let (_, segment) = recorded(LoadKind::Behavioural, None, 11.37e6);
     let settings = IdentifyOptions::default();
     let ran = run(Method::LeastSquares, &segment, &settings).expect("a good segment");
-    let direct = least_squares::identify(&segment.without_offsets(), &settings.least_squares)
-        .expect("a good segment");
+    let centred = segment.without_offsets();
+    let noise = WhiteNoise::measure(&centred);
+    let direct =
+        least_squares::identify(&centred, noise, &settings.least_squares).expect("a good segment");
     assert_eq!(ran.r_ohm, direct.r_ohm);
     assert_eq!(ran.l_h, direct.l_h);
     assert_eq!(ran.t_s, direct.t_s);

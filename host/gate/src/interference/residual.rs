@@ -129,11 +129,10 @@ impl Residual {
     /// Fits a static load and tones to parts of the segment, and adds the tones.
     pub(super) fn joint_fits(
         &self,
-        segment: &Segment,
+        noise: WhiteNoise,
         volt_per_pct: f64,
         tones: &mut Vec<Tone>,
     ) -> Vec<JointFit> {
-        let noise = WhiteNoise::measure(segment);
         let white = |p: &Period| {
             let z2 = (p.v.norm_sqr() / p.i.norm_sqr().max(f64::MIN_POSITIVE)).min(1e6);
             noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a

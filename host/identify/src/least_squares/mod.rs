@@ -42,17 +42,17 @@ impl Default for LeastSquaresSettings {
     }
 }
 
-/// Fits every half-cycle of the segment that is long enough; one estimate per switching period.
+/// Fits every half-cycle of the segment that is long enough; one estimate per switching period. `noise` is the segment's.
 ///
 /// # Errors
 /// [`SegmentError::TooShort`] if no half-cycle is long enough, [`IdentifyError::Unfit`] if the
 /// samples cannot distinguish the harmonics.
 pub fn identify(
     segment: &Segment,
+    noise: WhiteNoise,
     settings: &LeastSquaresSettings,
 ) -> Result<Estimate, IdentifyError> {
     let started = Instant::now();
-    let noise = WhiteNoise::measure(segment);
     let mut estimate = Estimate::new(Method::LeastSquares, segment.f_sw_hz);
     let mut residual = ModelResidual::default();
     let least = MIN_PERIODS * segment.samples_per_period();
