@@ -78,10 +78,10 @@ impl<'a> CorrectedNetwork<'a> {
         )
     }
 
-    /// Raises the standard deviations of R (ohm) and L (H) by those of the correction and by the residual at the
-    /// fundamental beyond noise; returns its χ².
-    pub fn raise(&self, tau_s: f64, sigmas: [&mut f64; OUTPUTS]) -> f64 {
-        let chi2 = self.misfit.chi2(tau_s, self.r_l_at(tau_s));
+    /// Raises the standard deviations of R (ohm) and L (H), which are `r_l` at this time, by those of the correction and by the
+    /// residual at the fundamental beyond noise; returns its χ².
+    pub fn raise(&self, tau_s: f64, r_l: (f64, f64), sigmas: [&mut f64; OUTPUTS]) -> f64 {
+        let chi2 = self.misfit.chi2(tau_s, r_l);
         let variances = added(&self.correction, tau_s).1;
         let scales = [self.network.r_scale_ohm, self.network.l_scale_h];
         for (sigma, (variance, scale)) in sigmas.into_iter().zip(variances.iter().zip(scales)) {

@@ -4,7 +4,7 @@
 //!
 //! by block-coordinate descent: the harmonic VI branch by linear least squares, with R(t) and L(t) held; then
 //! the RL-MLP by the configured optimiser, with the branch held; alternating. The first branch is fitted to
-//! the data terms (5), (6) alone. With `at_once` a law that was learned from simulated loads comes first, and the network only
+//! the data terms (5), (6) alone, and stays where noise is below the tolerance. With `at_once` a law that was learned from simulated loads comes first, and the network only
 //! where that does not hold.
 
 mod corrected;
@@ -51,7 +51,8 @@ pub(crate) fn hybrid(
         log.pass += 1;
         let pass = Pass::new(&inputs, &branch, network)?;
         let descent = pass.train(&mut log)?;
-        let converged = log.pass > 1 && pass.change_to(&descent.parameters) < pass.tolerance;
+        let unchanged = log.pass > 1 && pass.change_to(&descent.parameters) < pass.tolerance;
+        let converged = pass.is_quiet || unchanged;
         if converged || log.pass >= config.outer_passes || !descent.stopped.is_converged() {
             let curves = result::of_network(&pass, &by_data, descent)?;
             return Ok(result::assemble(&inputs, &branch, curves, log));

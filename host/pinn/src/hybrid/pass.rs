@@ -41,6 +41,8 @@ pub(super) struct Pass<'a> {
     pub floor: f64,
     /// Relative change of R and L below which they have converged; 0 never.
     pub tolerance: f64,
+    /// Set if the tolerance is above the noise: a branch fitted to the data alone is then as good as one fitted with R and L.
+    pub is_quiet: bool,
     tau_s: Vec<f64>,
 }
 
@@ -69,6 +71,7 @@ impl<'a> Pass<'a> {
         let [r, l] = constant;
         let typical = [r * start.r_scale_ohm, l * start.l_scale_h];
         let noise = noise_variance(samples, white, config.w_f, typical);
+        let by_noise = SHARE_OF_NOISE * physics.relative_sigma(constant, noise);
         Ok(Self {
             model: SlowModel::new(&physics, samples, &start, config)?,
             prior: Prior {
@@ -80,10 +83,9 @@ impl<'a> Pass<'a> {
             },
             tolerance: match config.tolerance {
                 0.0 => 0.0,
-                specified => {
-                    specified.max(SHARE_OF_NOISE * physics.relative_sigma(constant, noise))
-                }
+                specified => specified.max(by_noise),
             },
+            is_quiet: by_noise < config.tolerance,
             floor: physics.floor,
             tau_s: physics.tau_s,
             white,

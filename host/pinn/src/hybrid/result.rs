@@ -40,15 +40,17 @@ pub(super) fn of_network(
     let t_s: Vec<f64> = tau_s.iter().map(|tau| samples.t0_s + tau).collect();
     let parameters = descent.parameters;
     let corrected = CorrectedNetwork::new(pass, by_data, &parameters);
-    let (r_ohm, l_h) = tau_s.iter().map(|tau| corrected.r_l_at(*tau)).unzip();
+    let r_l: Vec<(f64, f64)> = tau_s.iter().map(|tau| corrected.r_l_at(*tau)).collect();
     let strength = pass.prior.strength;
     let sigmas = laplace(&pass.model, &parameters, pass.noise, strength, &t_s)?;
     let mut chi2 = Vec::new();
     let (mut r_sigma_ohm, mut l_sigma_h) =
         sigmas.map_or_else(Default::default, |s| (s.r_ohm, s.l_h));
-    for ((tau, r), l) in tau_s.iter().zip(&mut r_sigma_ohm).zip(&mut l_sigma_h) {
-        chi2.push(corrected.raise(*tau, [r, l]));
+    let sigmas = r_sigma_ohm.iter_mut().zip(&mut l_sigma_h);
+    for ((tau, r_l), (r, l)) in tau_s.iter().zip(&r_l).zip(sigmas) {
+        chi2.push(corrected.raise(*tau, *r_l, [r, l]));
     }
+    let (r_ohm, l_h) = r_l.into_iter().unzip();
     Ok(Curves {
         tau_s,
         r_ohm,

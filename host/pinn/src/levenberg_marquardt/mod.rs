@@ -26,7 +26,7 @@ const PROBE: f64 = 0.1;
 /// Largest second order of a step relative to it (Transtrum and Sethna's α).
 const MOST_BENT: f64 = 0.75;
 /// Steps over which the outputs' change is compared with the tolerance.
-const SETTLING_STEPS: usize = 5;
+const SETTLING_STEPS: usize = 2;
 
 /// Result of the search.
 #[derive(Debug, Clone, PartialEq)]
