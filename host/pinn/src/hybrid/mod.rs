@@ -4,8 +4,8 @@
 //!
 //! by block-coordinate descent: the harmonic VI branch by linear least squares, with R(t) and L(t) held; then
 //! the RL-MLP by the configured optimiser, with the branch held; alternating. The first branch is fitted to
-//! the data terms (5), (6) alone, and stays where noise is below the tolerance. With `at_once` a law that was learned from simulated loads comes first, and the network only
-//! where that does not hold.
+//! the data terms (5), (6) alone; where noise is below the tolerance it is also the last. With `at_once` a law that was
+//! learned from simulated loads comes first, and the network only where that does not hold.
 
 mod corrected;
 mod inputs;
