@@ -10,7 +10,7 @@ use std::time::Instant;
 
 use ihd_signal::Segment;
 use ihd_signal::SegmentError;
-use ihd_signal::correlation::{Correlator, HarmonicSums};
+use ihd_signal::correlation::{BlockTurns, Correlator, HarmonicSums};
 use ihd_signal::noise::WhiteNoise;
 use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
@@ -145,13 +145,8 @@ pub struct Lockin {
     first_sum: [Complex<f64>; 2],
     second_sum: [Complex<f64>; 2],
     taken: usize,
-    /// e^(−jωt) of the next block's first sample, and from one block to the next.
-    turn: Complex<f64>,
-    turn_of_block: Complex<f64>,
+    turns: BlockTurns,
 }
-
-/// Blocks after which the carrier's phase is computed anew; it is turned on in between.
-const PHASE_RENEWAL_BLOCKS: usize = 64;
 
 impl Lockin {
     /// Creates an empty demodulator for a segment's sampling.
@@ -159,8 +154,7 @@ impl Lockin {
         let zero = [Complex::new(0.0, 0.0); 2];
         let correlator = Correlator::new(segment, boxcar.block, [1.0]);
         Self {
-            turn: Complex::new(1.0, 0.0),
-            turn_of_block: correlator.turn(boxcar.block)[0],
+            turns: BlockTurns::new(&correlator),
             correlator,
             blocks: boxcar.blocks,
             first: vec![zero; boxcar.blocks],
@@ -174,11 +168,8 @@ impl Lockin {
     /// Adds the next block of samples; returns phasors once both boxcars are full.
     pub fn push(&mut self, v_v: &[f64], i_a: &[f64]) -> Option<LockInPhasors> {
         let length = self.correlator.length();
-        if self.taken.is_multiple_of(PHASE_RENEWAL_BLOCKS) {
-            [self.turn] = self.correlator.turn(self.taken * length);
-        }
-        let HarmonicSums { v, i } = self.correlator.block_turned(&[self.turn], v_v, i_a);
-        self.turn *= self.turn_of_block;
+        let turn = self.turns.next(&self.correlator);
+        let HarmonicSums { v, i } = self.correlator.block_turned(&turn, v_v, i_a);
         let at = self.taken % self.blocks;
         for (k, new) in [v[0], i[0]].into_iter().enumerate() {
             self.first_sum[k] += new - self.first[at][k];

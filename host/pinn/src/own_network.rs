@@ -3,7 +3,7 @@
 //! The values of all times are adjacent, so that every loop runs over the times. Loops are compiled for the instruction set
 //! that `pulp` detects, with explicit fused multiply-adds, so that the digits do not depend on it.
 
-use ihd_signal::vectorised::vectorised;
+use ihd_signal::vectorised::{LN_2, vectorised};
 use nalgebra::DMatrix;
 
 use crate::parameters::{OUTPUTS, Parameters, softplus};
@@ -178,8 +178,6 @@ fn tanh(x: f64) -> f64 {
 /// e^x for x ≤ 0; below −700 that of −700. NaN stays NaN.
 #[inline(always)]
 fn exp_negative(x: f64) -> f64 {
-    /// ln 2 in two parts, the first with 21 zeros at its end.
-    const LN_2: (f64, f64) = (6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10);
     /// Constant whose addition leaves the integer part of a small number in the last bits.
     const WHOLE: f64 = 6_755_399_441_055_744.0;
     /// 1/k! from k = 13 down to 2; the remainder is below 2e-17.

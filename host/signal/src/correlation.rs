@@ -11,6 +11,40 @@ use nalgebra::Complex;
 use super::Segment;
 use super::vectorised::vectorised;
 
+/// Blocks after which [`BlockTurns`] computes the phase anew.
+const RENEWAL_BLOCKS: usize = 64;
+
+/// e^(−jωt) at the first sample of one block after another: turned on, and computed anew from time to time.
+#[derive(Clone, Debug)]
+pub struct BlockTurns {
+    next: Complex<f64>,
+    of_block: Complex<f64>,
+    given: usize,
+}
+
+impl BlockTurns {
+    /// Begins with the block at the segment's first sample.
+    pub fn new(correlator: &Correlator<1>) -> Self {
+        let [of_block] = correlator.turn(correlator.length());
+        Self {
+            next: Complex::new(1.0, 0.0),
+            of_block,
+            given: 0,
+        }
+    }
+
+    /// Returns the turn of the correlator's next block.
+    pub fn next(&mut self, correlator: &Correlator<1>) -> [Complex<f64>; 1] {
+        if self.given.is_multiple_of(RENEWAL_BLOCKS) {
+            [self.next] = correlator.turn(self.given * correlator.length());
+        }
+        let turn = self.next;
+        self.next *= self.of_block;
+        self.given += 1;
+        [turn]
+    }
+}
+
 /// Sums of one block, Σ x·e^(−jhωt), one per order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HarmonicSums<const ORDERS: usize> {

@@ -32,12 +32,13 @@ pub fn dot<T: Copy + Into<f64>>(a: &[f64], b: &[T]) -> f64 {
     sums.iter().sum()
 }
 
+/// ln 2 in two parts, the first with 21 zeros at its end.
+pub const LN_2: (f64, f64) = (6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10);
+
 /// Natural logarithm of a positive normal number to 3e-16 of its size or, near 1, of 1; without branches, for use within
 /// [`vectorised`].
 #[inline(always)]
 pub fn ln(x: f64) -> f64 {
-    /// ln 2 in two parts, the first with 21 zeros at its end.
-    const LN_2: (f64, f64) = (6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10);
     /// Terms of the series; the remainder is below 1e-17.
     const TERMS: usize = 11;
     let bits = x.to_bits();

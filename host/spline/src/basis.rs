@@ -137,7 +137,7 @@ impl CubicSpline {
     pub fn values_at(&self, tau_s: f64) -> (usize, [f64; 4]) {
         let (place, _) = self.place((tau_s / self.duration_s).clamp(0.0, 1.0));
         let u = (place * self.intervals as f64).clamp(0.0, self.intervals as f64);
-        let first = (u as usize).min(self.intervals - 1);
+        let first = self.interval(u);
         if first < 2 || first + 3 > self.intervals {
             return (first, self.basis::<3>(first, u));
         }
@@ -158,7 +158,7 @@ impl CubicSpline {
         let (place, density) = self.place((tau_s / self.duration_s).clamp(0.0, 1.0));
         let per_interval_s = self.duration_s / (self.intervals as f64 * density);
         let u = (place * self.intervals as f64).clamp(0.0, self.intervals as f64);
-        let first = (u as usize).min(self.intervals - 1);
+        let first = self.interval(u);
         let quadratic = self.basis::<2>(first, u);
         let values = self.basis::<3>(first, u);
         // B'_j = 3 (Q_j / (k_{j+3} - k_j) - Q_{j+1} / (k_{j+4} - k_{j+1})), Q the quadratics; of

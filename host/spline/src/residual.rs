@@ -4,7 +4,7 @@
 
 use std::f64::consts::PI;
 
-use ihd_signal::correlation::Correlator;
+use ihd_signal::correlation::{BlockTurns, Correlator};
 use nalgebra::Complex;
 
 use crate::harmonic::{HarmonicFit, phasor};
@@ -25,9 +25,6 @@ const NOISE_SHARE_LEFT: f64 = 0.49;
 
 /// Times of a window at which the fitted phasor is evaluated.
 const TIMES: usize = 8;
-
-/// Blocks after which the carrier's phase is computed anew; it is turned on in between.
-const PHASE_RENEWAL_BLOCKS: usize = 64;
 
 /// Windows on either side that are averaged.
 const NEIGHBOUR_WINDOWS: usize = 4;
@@ -68,18 +65,12 @@ impl Excess {
             return Self::default();
         };
         let correlator = Correlator::with_rate(fit.periods_per_sample, windows.block, [1.0]);
-        let step = correlator.turn(windows.block)[0];
-        let mut turn = [Complex::new(1.0, 0.0)];
+        let mut turns = BlockTurns::new(&correlator);
         let blocks = samples[0]
             .chunks_exact(windows.block)
             .zip(samples[1].chunks_exact(windows.block))
-            .enumerate()
-            .map(|(b, (v, i))| {
-                if b % PHASE_RENEWAL_BLOCKS == 0 {
-                    turn = correlator.turn(b * windows.block);
-                }
-                let sums = correlator.block_turned(&turn, v, i);
-                turn[0] *= step;
+            .map(|(v, i)| {
+                let sums = correlator.block_turned(&turns.next(&correlator), v, i);
                 [sums.v[0], sums.i[0]]
             });
         let blocks: Vec<[Phasor; 2]> = blocks.collect();
