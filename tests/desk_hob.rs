@@ -212,8 +212,8 @@ impl DeskHob {
 
     fn exchange(&mut self) {
         let offered = self.to_device.make_contiguous();
-        let taken = self.housekeeping.receive(&mut *self.sampling_path, offered);
-        self.to_device.drain(..taken);
+        self.housekeeping.receive(&mut *self.sampling_path, offered);
+        self.to_device.clear();
         let mut frame = [0; MAX_ENCODED];
         let mut carried = 0;
         while carried < self.bytes_per_block {

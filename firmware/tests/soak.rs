@@ -238,17 +238,13 @@ impl Soak {
 
     fn send(&mut self, bytes: &[u8]) {
         self.frames += 1;
-        let mut left = bytes;
-        for _ in 0..20 {
-            let taken = self.housekeeping.receive(&mut *self.sampling_path, left);
-            left = &left[taken..];
-            let mut out = [0; MAX_ENCODED];
-            while self
-                .housekeeping
-                .transmit(&mut *self.sampling_path, &mut out)
-                > 0
-            {}
-        }
+        self.housekeeping.receive(&mut *self.sampling_path, bytes);
+        let mut out = [0; MAX_ENCODED];
+        while self
+            .housekeeping
+            .transmit(&mut *self.sampling_path, &mut out)
+            > 0
+        {}
     }
 
     fn message(&mut self, message: &impl Message) {

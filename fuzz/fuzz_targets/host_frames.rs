@@ -254,24 +254,14 @@ impl Device {
         }
     }
 
-    /// Bytes to the device as long as it takes them, and its frames to the host.
+    /// Bytes to the device, and its frames to the host.
     fn exchange(&mut self) {
-        while self.link_is_read {
-            self.transmit();
-            if self.to_device.is_empty() {
-                return;
-            }
-            assert!(self.receive() > 0, "bytes wait, and so does the device");
-        }
-        self.receive();
-    }
-
-    fn receive(&mut self) -> usize {
-        let taken = self
-            .housekeeping
+        self.housekeeping
             .receive(&mut *self.sampling_path, &self.to_device);
-        self.to_device.drain(..taken);
-        taken
+        self.to_device.clear();
+        if self.link_is_read {
+            self.transmit();
+        }
     }
 
     fn transmit(&mut self) {

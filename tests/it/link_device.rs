@@ -14,8 +14,8 @@ use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode, encode_numbered, encode_raw};
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
-    AnyMessage, Configure, FrontEnd, GetStatus, Hello, MESSAGES, Message, Outcome, Pot, Reply,
-    State, is_numbered,
+    AnyMessage, Configure, FrontEnd, GetStatus, Hello, MESSAGES, Message, Outcome, Piece, Pot,
+    Reply, ResendWindow, SetPower, State, Status, is_numbered,
 };
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_MS;
@@ -616,6 +616,51 @@ fn a_host_that_falls_silent_no_longer_heats() {
         (status.state, status.asked_w, status.f_sw_hz),
         (State::Idle, 0, 0)
     );
+}
+
+/// More requests than there is room for responses come from a host that reads none of them.
+#[test]
+fn a_host_that_reads_nothing_can_still_switch_off() {
+    let mut hob = greeted(PROTOCOL_MAJOR);
+    let mut number = Number::NONE;
+    let mut offer = |hob: &mut DeskHob, message: AnyMessage<'_>| {
+        let mut frame = [0; MAX_ENCODED];
+        number = number.next();
+        let length = match message {
+            AnyMessage::ResendWindow(m) => encode(&m, 0, &mut frame),
+            AnyMessage::SetPower(m) => encode_numbered(&m, number, 0, &mut frame),
+            _ => encode_numbered(&GetStatus {}, number, 0, &mut frame),
+        };
+        hob.offer(&frame[..length.unwrap()]);
+        number
+    };
+    let power = |power_w| AnyMessage::SetPower(SetPower { power_w });
+    offer(&mut hob, power(1_000));
+    hob.run(60);
+    assert_eq!(hob.housekeeping().control().state(), State::Heating);
+    hob.collect();
+    hob.bytes_per_block = 0;
+    for offset in 0..40 {
+        let (seq, piece) = (0, Piece::Pairs);
+        offer(
+            &mut hob,
+            AnyMessage::ResendWindow(ResendWindow { seq, piece, offset }),
+        );
+    }
+    let asked = offer(&mut hob, AnyMessage::GetStatus(GetStatus {}));
+    for _ in 0..40 {
+        offer(&mut hob, AnyMessage::GetStatus(GetStatus {}));
+    }
+    offer(&mut hob, power(0));
+    hob.run(2);
+    let control = hob.housekeeping().control();
+    assert_eq!((control.state(), control.asked_w()), (State::Idle, 0));
+    assert!(!hob.sampling_path().drive().is_switching());
+    // Pieces leave room for responses.
+    hob.bytes_per_block = usize::MAX;
+    hob.run(1);
+    let read = answers(&hob.collect());
+    assert!(read.contains(&(Status::ID, asked, None)), "{read:?}");
 }
 
 /// A hello that fits, and one of another major version: both end the conversation before.

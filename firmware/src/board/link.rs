@@ -46,34 +46,6 @@ struct Outgoing {
     length: usize,
 }
 
-/// Bytes that came in and that housekeeping has not taken yet.
-struct Inbox<const N: usize> {
-    bytes: [u8; N],
-    taken: usize,
-    length: usize,
-}
-
-impl<const N: usize> Inbox<N> {
-    const EMPTY: Self = Self {
-        bytes: [0; N],
-        taken: 0,
-        length: 0,
-    };
-
-    fn rest(&self) -> &[u8] {
-        self.bytes.get(self.taken..self.length).unwrap_or(&[])
-    }
-
-    /// Room to receive into; none while bytes are left.
-    fn room(&mut self) -> Option<&mut [u8]> {
-        self.rest().is_empty().then_some(&mut self.bytes)
-    }
-
-    fn filled(&mut self, length: usize) {
-        (self.taken, self.length) = (0, length);
-    }
-}
-
 /// The port in use.
 #[derive(Clone, Copy, PartialEq)]
 enum LastPort {
@@ -95,24 +67,18 @@ pub async fn run(
         length: 0,
     };
     // 64 bytes are a USB packet.
-    let (mut a, mut b) = (Inbox::<64>::EMPTY, Inbox::<64>::EMPTY);
+    let (mut a, mut b) = ([0; 64], [0; 64]);
     let mut last_port = LastPort::First;
     let mut block_was_last = false;
     loop {
-        for (inbox, port) in [(&mut a, LastPort::First), (&mut b, LastPort::Second)] {
-            if !inbox.rest().is_empty() {
-                last_port = port;
-                inbox.taken += housekeeping.receive(&mut path, inbox.rest());
-            }
-        }
         if out.sent >= out.length {
             out.sent = 0;
             out.length = housekeeping.transmit(&mut path, &mut out.frame);
         }
         let frame = out.frame.get(out.sent..out.length).unwrap_or(&[]);
         let ports = select3(
-            receive(&mut first.0, a.room()),
-            receive(&mut second.0, b.room()),
+            first.0.receive(&mut a),
+            second.0.receive(&mut b),
             send(&mut first.1, &mut second.1, last_port, frame),
         );
         // In turn: whatever the host sends, control gets its turn, and however fast blocks come, the
@@ -130,9 +96,17 @@ pub async fn run(
         };
         block_was_last = event.is_none();
         match event {
-            Some(Either3::First(n)) => a.filled(n),
-            Some(Either3::Second(n)) => b.filled(n),
+            Some(Either3::First(n @ 1..)) => {
+                last_port = LastPort::First;
+                housekeeping.receive(&mut path, a.get(..n).unwrap_or(&[]));
+            }
+            Some(Either3::Second(n @ 1..)) => {
+                last_port = LastPort::Second;
+                housekeeping.receive(&mut path, b.get(..n).unwrap_or(&[]));
+            }
             Some(Either3::Third(n)) => out.sent += n,
+            // A port that is not connected.
+            Some(_) => {}
             None => {
                 housekeeping.poll(&mut path);
                 // Before anything that may lead to a reset.
@@ -144,13 +118,6 @@ pub async fn run(
                 yield_now().await;
             }
         }
-    }
-}
-
-async fn receive(port: &mut impl Receive, room: Option<&mut [u8]>) -> usize {
-    match room {
-        Some(buf) => port.receive(buf).await,
-        None => core::future::pending().await,
     }
 }
 

@@ -2,7 +2,9 @@
 //!
 //! | order | what | where it waits |
 //! |---|---|---|
-//! | 1 | responses, faults | 8 in a queue; when it is full, no more bytes are accepted |
+//! | 1 | responses | 8 in a queue, then dropped: a host repeats what had no response |
+//! | 1 | faults | in the same queue, once there is room |
+//! | 1 | requested pieces of windows | in the same queue, dropped if they would leave room for less than 2 responses |
 //! | 2 | telemetry | 4 in a queue, then dropped |
 //! | 3 | log | [`crate::link::log_ring`] |
 //! | 4 | windows | the recorder's slot |
@@ -29,8 +31,11 @@ use crate::link::response::{Response, front_end};
 use crate::link::window_sender::WindowSender;
 use crate::sampling::path::SamplingLock;
 
-/// Responses that may wait for the link. When they are all taken, no more bytes are accepted.
+/// Responses that may wait for the link.
 const RESPONSES: usize = 8;
+
+/// Places in the queue of responses that requested pieces of windows leave to others.
+const NOT_FOR_PIECES: usize = 2;
 
 /// Telemetry messages that may wait.
 const TELEMETRY: usize = 4;
@@ -105,7 +110,7 @@ impl TransmitQueue {
         self.responses.is_full()
     }
 
-    /// Queues the response to the request of this number; callers check [`TransmitQueue::is_full`] first.
+    /// Queues the response to the request of this number; drops it if the queue is full.
     pub fn respond(&mut self, number: Number, response: Response) {
         let _ = self.responses.push_back((number, response));
     }
@@ -144,7 +149,9 @@ impl TransmitQueue {
     pub fn resend(&mut self, lock: &mut impl SamplingLock, m: ResendWindow) {
         if m.piece != Piece::Nothing {
             self.windows.keep();
-            self.announce(Response::Piece(m));
+            if self.responses.len() + NOT_FOR_PIECES < RESPONSES {
+                self.announce(Response::Piece(m));
+            }
         } else {
             self.windows.release(m.seq, lock);
         }

@@ -23,14 +23,10 @@ use crate::sampling::path::SamplingLock;
 
 /// Frames, requests that the board carries out, and the conversation.
 impl Housekeeping {
-    /// Takes bytes from the link; returns how many. Fewer than given means that responses wait for
-    /// the link: offer the rest again later.
+    /// Takes bytes from the link, all of them whatever waits to be sent: a host that does not read is still obeyed.
     #[inline(never)]
-    pub fn receive(&mut self, lock: &mut impl SamplingLock, bytes: &[u8]) -> usize {
-        for (taken, &byte) in bytes.iter().enumerate() {
-            if self.queue.is_full() {
-                return taken;
-            }
+    pub fn receive(&mut self, lock: &mut impl SamplingLock, bytes: &[u8]) {
+        for &byte in bytes {
             let Some(Ok(frame)) = self.deframer.push(byte) else {
                 continue;
             };
@@ -83,7 +79,6 @@ impl Housekeeping {
                 self.respond(number, response);
             }
         }
-        bytes.len()
     }
 
     /// Carries out a request without fields by its id: the message itself borrows from the deframer.

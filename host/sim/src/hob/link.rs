@@ -11,8 +11,8 @@ impl SimHob {
     /// Passes waiting bytes to the firmware, and takes as many from it as the cable carries in `elapsed_s`.
     pub(super) fn run_link(&mut self, elapsed_s: f64) {
         let bytes = self.inbound.make_contiguous();
-        let taken = self.housekeeping.receive(&mut *self.sampling_path, bytes);
-        self.inbound.drain(..taken);
+        self.housekeeping.receive(&mut *self.sampling_path, bytes);
+        self.inbound.clear();
         // An idle link accumulates credit for one frame only.
         self.link_credit =
             (self.link_credit + elapsed_s * self.link_bytes_per_s).min(MAX_ENCODED as f64);
@@ -49,7 +49,7 @@ impl SimHob {
         self.outbound_room = LINK_BUFFER;
     }
 
-    /// Number of bytes from the host that the firmware has not read yet: it reads none while its answers wait.
+    /// Number of bytes from the host that the firmware has not read yet: it reads after each block.
     pub fn unread(&self) -> usize {
         self.inbound.len()
     }
