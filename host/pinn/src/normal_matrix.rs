@@ -56,6 +56,32 @@ pub(crate) fn gram(a: &DMatrix<f64>) -> DMatrix<f64> {
     product
 }
 
+/// Scalar products of all columns of `left`, a row of the result each, with all of `right`; a column has `length` entries.
+pub(crate) fn dots_between(left: &[f64], right: &[f64], length: usize) -> DMatrix<f64> {
+    let left: Vec<&[f64]> = left.chunks_exact(length.max(1)).collect();
+    let right: Vec<&[f64]> = right.chunks_exact(length.max(1)).collect();
+    let (rows, columns) = (left.len(), right.len());
+    let mut product = DMatrix::zeros(rows, columns);
+    vectorised(
+        #[inline(always)]
+        || {
+            for first in (0..columns).step_by(TILE.1) {
+                let these = std::array::from_fn(|k| right[(first + k).min(columns - 1)]);
+                for from in (0..rows).step_by(TILE.0) {
+                    let those = std::array::from_fn(|k| left[(from + k).min(rows - 1)]);
+                    let sums: [[f64; TILE.1]; TILE.0] = dots(those, these);
+                    for (r, row) in sums.iter().enumerate().take(rows - from) {
+                        for (c, sum) in row.iter().enumerate().take(columns - first) {
+                            product[(from + r, first + c)] = *sum;
+                        }
+                    }
+                }
+            }
+        },
+    );
+    product
+}
+
 /// Scalar products of all of `left` with all of `right`, which have the same length.
 #[inline(always)]
 fn dots<const L: usize, const R: usize>(left: [&[f64]; L], right: [&[f64]; R]) -> [[f64; R]; L] {

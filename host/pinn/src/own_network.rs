@@ -4,22 +4,22 @@
 //! that `pulp` detects, with explicit fused multiply-adds, so that the digits do not depend on it.
 
 use ihd_signal::vectorised::{LN_2, vectorised};
-use nalgebra::DMatrix;
 
+use crate::network_jacobian::{LayerDerivatives, NetworkJacobian};
 use crate::parameters::{OUTPUTS, Parameters, softplus};
 
 /// Inputs of the RL-MLP at a list of times.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct OwnNetwork {
     times: usize,
-    /// Features of all times, feature by feature.
+    /// Features of all times, feature by feature; then ones, for the biases.
     features: Vec<f64>,
 }
 
 /// Inputs of each layer at all times, and outputs of the last.
 pub(crate) struct Activations<'a> {
     network: &'a OwnNetwork,
-    /// Values of each hidden layer after the tanh, unit by unit.
+    /// Values of each hidden layer after the tanh, unit by unit; then ones.
     hidden: Vec<Vec<f64>>,
     /// Values before the softplus, output by output.
     sums: Vec<f64>,
@@ -32,7 +32,10 @@ impl OwnNetwork {
         let column = |k: usize| rows.iter().map(move |row| row[k]);
         Self {
             times: rows.len(),
-            features: (0..parameters.width()).flat_map(column).collect(),
+            features: (0..parameters.width())
+                .flat_map(column)
+                .chain(ones(rows.len()))
+                .collect(),
         }
     }
 
@@ -64,6 +67,7 @@ impl OwnNetwork {
                 },
             );
             if hidden {
+                sums.extend(ones(self.times));
                 activations.hidden.push(sums);
             } else {
                 activations.sums = sums;
@@ -95,10 +99,9 @@ impl Activations<'_> {
         &self,
         parameters: &Parameters,
         factors: &[[Vec<f64>; OUTPUTS]],
-    ) -> DMatrix<f64> {
+    ) -> NetworkJacobian {
         let times = self.network.times;
         let rows = factors.len() * times;
-        let mut all = DMatrix::zeros(rows, parameters.flat_len());
         // softplus' = 1 / (1 + e^-x).
         let slopes: Vec<f64> = self.sums.iter().map(|x| 1.0 / (1.0 + (-x).exp())).collect();
         let of_output = |o: usize| {
@@ -107,26 +110,15 @@ impl Activations<'_> {
             factors.zip(slopes.iter().cycle()).map(|(f, s)| f * s)
         };
         let mut delta: Vec<f64> = (0..OUTPUTS).flat_map(of_output).collect();
-        let mut end = parameters.flat_len();
+        let mut layers = Vec::with_capacity(parameters.layers.len());
         for (index, layer) in parameters.layers.iter().enumerate().rev() {
-            let start = end - layer.weights.len() - layer.biases.len();
             let input = self.input(index);
-            let columns = &mut all.as_mut_slice()[start * rows..end * rows];
-            let (by_weights, by_biases) = columns.split_at_mut(layer.weights.len() * rows);
-            by_biases.copy_from_slice(&delta);
-            let mut before = vec![0.0; layer.inputs * rows];
+            // The first layer's inputs are the features.
+            let mut before = vec![0.0; if index > 0 { layer.inputs * rows } else { 0 }];
+            // d tanh = 1 - tanh², and the input is that tanh.
             vectorised(
                 #[inline(always)]
                 || {
-                    let units = input.chunks_exact(times.max(1));
-                    let by_unit = by_weights.chunks_exact_mut((layer.outputs * rows).max(1));
-                    for (x, by_weights) in units.zip(by_unit) {
-                        times_each(by_weights, &delta, x);
-                    }
-                    // d tanh = 1 - tanh², and the input is that tanh; the first layer's is the features, and unused.
-                    if index == 0 {
-                        return;
-                    }
                     let weights = layer.weights.chunks_exact(layer.outputs);
                     let units = input.chunks_exact(times.max(1));
                     let of_unit = before.chunks_exact_mut(rows.max(1));
@@ -142,10 +134,16 @@ impl Activations<'_> {
                     }
                 },
             );
-            delta = before;
-            end = start;
+            let inputs = input.to_vec();
+            let by_sums = std::mem::replace(&mut delta, before);
+            layers.push(LayerDerivatives { inputs, by_sums });
         }
-        all
+        layers.reverse();
+        NetworkJacobian {
+            times,
+            rows,
+            layers,
+        }
     }
 }
 
@@ -157,15 +155,9 @@ fn add_times(sums: &mut [f64], x: &[f64], weight: f64) {
     }
 }
 
-/// Products of `x` with every stretch of `a` of the same length.
-#[inline(always)]
-fn times_each(out: &mut [f64], a: &[f64], x: &[f64]) {
-    let length = x.len().max(1);
-    for (out, a) in out.chunks_exact_mut(length).zip(a.chunks_exact(length)) {
-        for ((out, a), x) in out.iter_mut().zip(a).zip(x) {
-            *out = a * x;
-        }
-    }
+/// Input of the biases at so many times.
+fn ones(times: usize) -> impl Iterator<Item = f64> {
+    std::iter::repeat_n(1.0, times)
 }
 
 /// tanh x to 3e-16, without branches.
@@ -250,6 +242,7 @@ mod tests {
             [vec![-0.5, 2.0], vec![0.25, 3.0]],
         ];
         let found = all.forward(&network).derivatives(&network, &factors);
+        let found = found.dense();
         let flat = network.flat();
         assert_eq!(found.shape(), (4, flat.len()));
         let step = 1e-6;

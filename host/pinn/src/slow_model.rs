@@ -1,12 +1,10 @@
 //! The physics residuals e of eq. (4), condensed ([`SlowPhysics`]), as a function of the RL-MLP: e, ∂e/∂θ and
 //! d|e|²/dθ, by own code or in burn tensors.
 
-use nalgebra::DMatrix;
-
+use crate::derivatives::Derivatives;
 use crate::jacobian::jacobian;
 use crate::levenberg_marquardt::Evaluation;
 use crate::loss::{SlowPhysics, SlowTensors};
-use crate::normal_matrix::transposed_times;
 use crate::own_network::OwnNetwork;
 use crate::parameters::{OUTPUTS, Parameters};
 use crate::rl_mlp::{RlMlp, read};
@@ -87,17 +85,19 @@ impl SlowModel {
     }
 
     /// de/dtheta, one row per residual, parameters as in `Parameters::flat`.
-    pub fn jacobian(&self, parameters: &Parameters) -> Result<DMatrix<f64>, PinnError> {
+    pub fn jacobian(&self, parameters: &Parameters) -> Result<Derivatives, PinnError> {
         match self {
             Self::Own {
                 network, factors, ..
-            } => Ok(network
-                .forward(parameters)
-                .derivatives(parameters, factors.as_slice())),
-            Self::Burn(tensors) => jacobian(
-                tensors,
-                &RlMlp::from_parameters(parameters, &tensors.device),
-            ),
+            } => {
+                let at = network.forward(parameters);
+                let by_all = at.derivatives(parameters, factors.as_slice());
+                Ok(Derivatives::OfNetwork(by_all))
+            }
+            Self::Burn(tensors) => {
+                let network = RlMlp::from_parameters(parameters, &tensors.device);
+                jacobian(tensors, &network).map(Derivatives::Matrix)
+            }
         }
     }
 
@@ -108,7 +108,7 @@ impl SlowModel {
             Self::Own { .. } => {
                 let at = self.evaluate(parameters)?;
                 let jacobian = self.jacobian(parameters)?;
-                let values = 2.0 * transposed_times(&jacobian, &at.residuals);
+                let values = 2.0 * jacobian.transposed_times(&at.residuals);
                 let values = values.as_slice().to_vec();
                 Ok(Gradient {
                     squares: at.squares(),
@@ -182,7 +182,7 @@ mod tests {
         let rows = own.jacobian(&network).expect("own");
         let of_burn = burn.jacobian(&network).expect("readable");
         assert_eq!(rows.shape(), of_burn.shape());
-        close(rows.as_slice(), of_burn.as_slice());
+        close(rows.dense().as_slice(), of_burn.dense().as_slice());
         let (a, b) = (own.gradient(&network), burn.gradient(&network));
         let (a, b) = (a.expect("own"), b.expect("readable"));
         close(&a.values, &b.values);

@@ -5,7 +5,7 @@
 //! first order.
 
 use crate::PinnError;
-use crate::normal_matrix::{Factor, gram};
+use crate::normal_matrix::Factor;
 use crate::own_network::OwnNetwork;
 use crate::parameters::{OUTPUTS, Parameters};
 use crate::slow_model::SlowModel;
@@ -29,7 +29,7 @@ pub(crate) fn laplace(
     strength: f64,
     times_s: &[f64],
 ) -> Result<Option<Sigmas>, PinnError> {
-    let normal = gram(&model.jacobian(parameters)?);
+    let normal = model.jacobian(parameters)?.gram();
     let ridge = strength + RIDGE * normal.diagonal().max();
     let Some(factor) = Factor::new(&normal, ridge) else {
         return Ok(None);
@@ -41,7 +41,7 @@ pub(crate) fn laplace(
     let rows = network
         .forward(parameters)
         .derivatives(parameters, &outputs);
-    let mut r_ohm: Vec<f64> = factor.inverse_forms(&rows);
+    let mut r_ohm: Vec<f64> = factor.inverse_forms(&rows.dense());
     r_ohm.iter_mut().for_each(|x| *x = (noise * *x).sqrt());
     let mut l_h = r_ohm.split_off(times);
     r_ohm.iter_mut().for_each(|x| *x *= parameters.r_scale_ohm);

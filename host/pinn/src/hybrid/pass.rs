@@ -6,9 +6,8 @@
 //! variance under the samples' white noise, w the width expected of the weights θ (`weight_width`) and c the
 //! constant network that fits best.
 
-use nalgebra::DMatrix;
-
 use super::inputs::Inputs;
+use crate::derivatives::Derivatives;
 use crate::harmonic_branch::HarmonicBranch;
 use crate::levenberg_marquardt::{Evaluation, LeastSquares, Prior, minimise};
 use crate::loss::{SlowPhysics, slow_times_s};
@@ -164,7 +163,7 @@ impl LeastSquares for Pass<'_> {
         self.model.evaluate(&self.start.with_flat(theta))
     }
 
-    fn jacobian(&self, theta: &[f64]) -> Result<DMatrix<f64>, PinnError> {
+    fn jacobian(&self, theta: &[f64]) -> Result<Derivatives, PinnError> {
         self.model.jacobian(&self.start.with_flat(theta))
     }
 }

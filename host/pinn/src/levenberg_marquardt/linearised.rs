@@ -4,12 +4,13 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::problem::Prior;
-use crate::normal_matrix::{Factor, gram, times, transposed_times};
+use crate::derivatives::Derivatives;
+use crate::normal_matrix::{Factor, gram};
 
 /// Linearised residuals around one point, `e + J d`, with the prior.
 pub(super) struct LinearModel {
     /// J, one row per residual.
-    jacobian: DMatrix<f64>,
+    jacobian: Derivatives,
     /// Half the gradient of F: `Jᵀe + s (θ − c)`.
     gradient: DVector<f64>,
     /// JᵀJ, or JJᵀ where there are more parameters than residuals.
@@ -22,14 +23,15 @@ pub(super) struct LinearModel {
 
 impl LinearModel {
     /// Linearises around `theta`, where the residuals and their Jacobian are known.
-    pub fn new(jacobian: DMatrix<f64>, theta: &[f64], residuals: &[f64], prior: &Prior) -> Self {
+    pub fn new(jacobian: Derivatives, theta: &[f64], residuals: &[f64], prior: &Prior) -> Self {
         let pull = prior.distance(theta) * prior.strength;
-        let gradient = transposed_times(&jacobian, residuals) + pull;
-        let wide = jacobian.ncols() > jacobian.nrows();
+        let gradient = jacobian.transposed_times(residuals) + pull;
+        let (residuals, parameters) = jacobian.shape();
+        let wide = parameters > residuals;
         let product = if wide {
-            gram(&jacobian.transpose())
+            gram(&jacobian.dense().transpose())
         } else {
-            gram(&jacobian)
+            jacobian.gram()
         };
         let scale = product.diagonal().max().max(f64::MIN_POSITIVE);
         Self {
@@ -76,12 +78,12 @@ impl DampedModel<'_> {
     /// Second order of the step: for residuals with the second derivative `bend` along it, d²e/dx² for θ + x d, the change
     /// that keeps to the path of steepest descent (Transtrum and Sethna 2012, arXiv:1201.5885, eq. (9)).
     pub fn acceleration(&self, bend: &[f64]) -> DVector<f64> {
-        self.against(&transposed_times(&self.model.jacobian, bend))
+        self.against(&self.model.jacobian.transposed_times(bend))
     }
 
     /// `J d`.
     pub fn slope(&self, step: &DVector<f64>) -> Vec<f64> {
-        times(&self.model.jacobian, step)
+        self.model.jacobian.times(step)
     }
 
     /// −(JᵀJ + ridge I)⁻¹ g.
@@ -91,7 +93,7 @@ impl DampedModel<'_> {
         }
         // (JᵀJ + aI)⁻¹ = (I − Jᵀ(JJᵀ + aI)⁻¹J)/a: the smaller system of the two.
         let jacobian = &self.model.jacobian;
-        let seen = self.factor.solve(&DVector::from(times(jacobian, g)));
-        (transposed_times(jacobian, seen.as_slice()) - g) / self.ridge
+        let seen = self.factor.solve(&DVector::from(jacobian.times(g)));
+        (jacobian.transposed_times(seen.as_slice()) - g) / self.ridge
     }
 }

@@ -1,6 +1,8 @@
 //! Problem of Levenberg-Marquardt: residuals with their Jacobian, and the prior.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
+
+use crate::derivatives::Derivatives;
 
 /// Sum of squares to minimise.
 pub(crate) trait LeastSquares {
@@ -11,7 +13,7 @@ pub(crate) trait LeastSquares {
     fn evaluate(&self, theta: &[f64]) -> Result<Evaluation, Self::Error>;
 
     /// ∂e/∂θ at these parameters, one row per residual.
-    fn jacobian(&self, theta: &[f64]) -> Result<DMatrix<f64>, Self::Error>;
+    fn jacobian(&self, theta: &[f64]) -> Result<Derivatives, Self::Error>;
 }
 
 /// Residuals and outputs at one set of parameters.

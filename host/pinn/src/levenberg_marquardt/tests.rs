@@ -6,6 +6,7 @@ use nalgebra::DMatrix;
 
 use super::{Evaluation, LeastSquares, Minimum, Prior, minimise};
 use crate::PinnConfig;
+use crate::derivatives::Derivatives;
 use crate::progress::{Log, StopReason};
 
 /// Residuals and Jacobian as functions; the parameters are the outputs.
@@ -28,10 +29,11 @@ where
         })
     }
 
-    fn jacobian(&self, theta: &[f64]) -> Result<DMatrix<f64>, Infallible> {
+    fn jacobian(&self, theta: &[f64]) -> Result<Derivatives, Infallible> {
         let rows = (self.rows)(theta);
         let count = rows.len() / theta.len();
-        Ok(DMatrix::from_row_slice(count, theta.len(), &rows))
+        let rows = DMatrix::from_row_slice(count, theta.len(), &rows);
+        Ok(Derivatives::Matrix(rows))
     }
 }
 
@@ -119,7 +121,7 @@ fn an_exponential_without_noise_is_found_from_far_off() {
 #[test]
 fn the_jacobians_of_these_tests_are_finite_differences() {
     fn check(problem: &impl LeastSquares<Error = Infallible>, theta: &[f64]) {
-        let Ok(rows) = problem.jacobian(theta);
+        let Ok(rows) = problem.jacobian(theta).map(|j| j.dense().into_owned());
         for p in 0..theta.len() {
             let at = |shift: f64| {
                 let mut moved = theta.to_vec();
