@@ -5,6 +5,7 @@
 //! ([`ihd_field::surface`]), so that α and s = √(µ/σ) describe a metal. Temperature changes s alone, by resistivity
 //! and saturation; α stays.
 
+use std::cell::OnceCell;
 use std::f64::consts::{PI, TAU};
 
 use ihd_signal::Load;
@@ -141,6 +142,8 @@ pub struct FrequencyModel {
     lift_m: f64,
     rims: Vec<Rim>,
     sectors: Vec<Sector>,
+    /// Changes of each sector's gap by its rim and by the lift, once they are needed.
+    gap_slopes: OnceCell<Vec<[Gap; 2]>>,
 }
 
 impl FrequencyModel {
@@ -156,6 +159,7 @@ impl FrequencyModel {
             lift_m: model.lift_m,
             sectors: rims.iter().map(sector).collect(),
             rims,
+            gap_slopes: OnceCell::new(),
         }
     }
 
@@ -193,9 +197,13 @@ impl FrequencyModel {
             mut lift,
             mut offset,
         ] = [zero; 6];
-        for (sector, rim) in self.sectors.iter().zip(&self.rims) {
-            let [by_rim, by_lift] = Gap::slopes(rim.at_m, self.lift_m);
-            let slopes = sector.slopes(surface, alpha, [&by_rim, &by_lift]);
+        let gap_slopes = self.gap_slopes.get_or_init(|| {
+            let of_rim = |rim: &Rim| Gap::slopes(rim.at_m, self.lift_m);
+            self.rims.iter().map(of_rim).collect()
+        });
+        let directions = self.sectors.iter().zip(&self.rims).zip(gap_slopes);
+        for ((sector, rim), by_gap) in directions {
+            let slopes = sector.slopes(surface, alpha, by_gap);
             whole += slopes.inductance;
             ln_alpha += slopes.by_ln_alpha;
             ln_s += slopes.by_ln_s;

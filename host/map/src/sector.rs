@@ -9,7 +9,7 @@ use crate::surface_table::{flux_of, flux_slope_of};
 /// Most iterations of the surface field at one current.
 const MAX_ITERATIONS: usize = 60;
 
-/// Relative change of the impedance at which the iteration ends.
+/// Relative error of the impedance at which the iteration ends.
 const IMPEDANCE_TOLERANCE: f64 = 1e-7;
 
 const ZERO: Complex<f64> = Complex::new(0.0, 0.0);
@@ -50,7 +50,8 @@ impl Sector {
         // The field scaled with the current is a closer start than the last field.
         let grown = if self.i_a > 0.0 { i_a / self.i_a } else { 0.0 };
         let mut h: [f64; RINGS] = std::array::from_fn(|k| self.h[k] * grown);
-        let mut last = ZERO;
+        // No impedance is known at first, and no change before the third.
+        let (mut last, mut last_change) = (Complex::new(f64::NAN, 0.0), f64::NAN);
         for _ in 0..MAX_ITERATIONS {
             let zeta: Rings = std::array::from_fn(|k| flux_of(h[k] / alpha) * surface);
             let flux = self.factor(&zeta).solve(&self.gap.p_m);
@@ -58,9 +59,12 @@ impl Sector {
             for k in 0..RINGS {
                 h[k] = (flux[k] / zeta[k]).norm_sqr().sqrt() * i_a;
             }
-            let change = (inductance - last).norm_sqr();
-            last = inductance;
-            if change < IMPEDANCE_TOLERANCE * IMPEDANCE_TOLERANCE * inductance.norm_sqr() {
+            let size = inductance.norm_sqr();
+            let change = ((inductance - last).norm_sqr() / size).sqrt();
+            let fall = last_change - change;
+            (last, last_change) = (inductance, change);
+            // A geometric series with the ratio of the last two changes: the sum of what would follow.
+            if change * change <= IMPEDANCE_TOLERANCE * fall {
                 break;
             }
         }
@@ -79,7 +83,7 @@ impl Sector {
     /// With M = W/ζ + S, M A = P and L = L0 + Pᵀ A, a change of the gap and of ζ gives
     /// dL = dL0 + Aᵀ dP + Aᵀ r + Σ q dζ/ζ with r = dP − dS A − dW A/ζ and q = W A²/ζ. ζ = s F(u) with u = |A/ζ| i/α changes by
     /// dζ/ζ = d ln s + g y, where g is the slope of ln F and y = d ln u = Re(dA/A − dζ/ζ) − d ln α: a real system for the y of all rings.
-    pub fn slopes(&self, surface: f64, alpha: f64, by_gap: [&Gap; 2]) -> SectorSlopes {
+    pub fn slopes(&self, surface: f64, alpha: f64, by_gap: &[Gap; 2]) -> SectorSlopes {
         let zeta: Rings = std::array::from_fn(|k| flux_of(self.h[k] / alpha) * surface);
         let factor = self.factor(&zeta);
         let a = factor.solve(&self.gap.p_m);
@@ -93,7 +97,7 @@ impl Sector {
             |k: usize, j: usize| inverse[k.max(j)][k.min(j)] * h[j] * self.gap.w_m2[j] / a[k];
         let mut system = SMatrix::<f64, RINGS, RINGS>::zeros();
         let mut right = SMatrix::<f64, RINGS, 4>::zeros();
-        let changes = by_gap.map(|gap| {
+        let changes = by_gap.each_ref().map(|gap| {
             (0..RINGS)
                 .map(|k| {
                     let turned = gap.s[k].iter().zip(&a).map(|(s, a)| a * *s);
@@ -126,7 +130,7 @@ impl Sector {
             by_ln_alpha: by_field(0),
             by_ln_s: q.iter().sum::<Complex<f64>>() + by_field(1),
             by_gap: [0, 1].map(|n| {
-                let (gap, r) = (by_gap[n], &changes[n]);
+                let (gap, r) = (&by_gap[n], &changes[n]);
                 let explicit = (0..RINGS).map(|k| a[k] * (r[k] + gap.p_m[k]));
                 explicit.sum::<Complex<f64>>() + gap.l0_h + by_field(2 + n)
             }),
