@@ -4,8 +4,8 @@ use std::borrow::Cow;
 
 use ihd_identify::pooled::{self, PoolPhasors, PooledLaw};
 use ihd_identify::{
-    Estimate, IdentifyError, IdentifyOptions, Method, ProgressSink, accuracy, reconstruction,
-    run_with_progress,
+    Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, ProgressSink, accuracy,
+    reconstruction, run_with_progress,
 };
 use ihd_signal::{Capture, Remark, Segment, Severity};
 use ihd_survey::calibration::blind::BlindOptions;
@@ -128,7 +128,7 @@ fn examine_samples(
         progress("reference", outcomes.len(), total);
         let remarks = prepared.remarks_on(index, segment);
         let known = prepared.take_interference(index);
-        let reference = ReferenceResults::compute_with(segment, known);
+        let reference = ReferenceResults::compute(segment, &Preprocessing::new(segment), known);
         let of_segment = is_law(&reference).then(|| PoolPhasors::of(segment));
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
         phasors.extend(of_segment);

@@ -4,7 +4,7 @@
 use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, run, run_preprocessed,
 };
-use ihd_signal::{Remark, Segment};
+use ihd_signal::{Remark, Segment, SegmentError};
 
 use crate::interference::{self, Interference};
 
@@ -38,21 +38,19 @@ impl ReferenceResults {
         }
     }
 
-    /// Computes the reference results of a segment.
-    pub fn compute(segment: &Segment) -> Self {
-        Self::compute_with(segment, None)
-    }
-
-    /// Computes the reference results of a segment, of which the interference may be known already.
-    pub fn compute_with(segment: &Segment, known: Option<Interference>) -> Self {
+    /// Computes the reference results of a segment with its preprocessing; `known` is its interference if that is known already.
+    pub fn compute(
+        segment: &Segment,
+        preprocessing: &Result<Preprocessing, SegmentError>,
+        known: Option<Interference>,
+    ) -> Self {
         let settings = IdentifyOptions::default();
-        let preprocessing = Preprocessing::new(segment);
-        let by = |method: Method, known: Option<&Estimate>| match &preprocessing {
+        let by = |method: Method, known: Option<&Estimate>| match preprocessing {
             Ok(preprocessing) => run_preprocessed(method, segment, preprocessing, known, &settings),
             Err(e) => Err(e.clone().into()),
         };
         let least_squares = by(Method::LeastSquares, None);
-        let found = match (&least_squares, &preprocessing) {
+        let found = match (&least_squares, preprocessing) {
             (Ok(_), Ok(p)) => known.unwrap_or_else(|| interference::find(segment, p.noise())),
             _ => Interference::default(),
         };

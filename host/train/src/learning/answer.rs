@@ -4,6 +4,7 @@
 //! accepts only what the window's own samples confirm.
 
 use ihd_gate::claim::{self, ClaimError, ClaimedResult, Confirmation};
+use ihd_identify::Preprocessing;
 use ihd_link::Window;
 use ihd_map::{CurrentCurve, CurveMatch};
 use ihd_pinn::{Identification, PinnConfig};
@@ -85,7 +86,11 @@ pub(super) fn analyse_segment(
     Vec<Remark>,
     Result<CurrentCurve, String>,
 ) {
-    let noise = WhiteNoise::measure(segment);
+    let preprocessing = Preprocessing::new(segment);
+    let noise = match &preprocessing {
+        Ok(preprocessing) => preprocessing.noise(),
+        Err(_) => WhiteNoise::measure(segment),
+    };
     let config = PinnConfig {
         noise: config.noise.or(noise.measured()),
         ..config
@@ -94,7 +99,7 @@ pub(super) fn analyse_segment(
         Ok(identified) => Box::new(identified),
         Err(why) => return (None, sensor_remarks, Err(why.to_string())),
     };
-    let judgement = judge(segment, &identified, &sensor_remarks);
+    let judgement = judge(segment, &preprocessing, &identified, &sensor_remarks);
     let verdict = match !judgement.gate.passes() {
         true => Err(judgement.gate.why.join("; ")),
         false => Ok(network::curve(

@@ -3,12 +3,15 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use ihd_gate::Judgement;
 use ihd_gate::claim::{ClaimError, ClaimedResult, confirm};
+use ihd_identify::Preprocessing;
 use ihd_link::{Client, DeviceEvent, Window};
 use ihd_map::{CurveMatch, PotMap};
 use ihd_pinn::{Identification, PinnConfig, StopReason};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::wire::messages::{State, Telemetry};
+use ihd_signal::Segment;
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::truth::{Mre, Truth};
 use ihd_sim::hob::{HobConfig, SimHob};
@@ -66,6 +69,10 @@ impl Kitchen {
             }
         }
     }
+}
+
+fn judged(segment: &Segment, identified: &Identification) -> Judgement {
+    judge(segment, &Preprocessing::new(segment), identified, &[])
 }
 
 fn news(learning: &mut Learning, window: &Window) -> Option<RlLookup> {
@@ -224,11 +231,11 @@ fn a_window_that_is_contradicted_teaches_nothing() {
     let segment = kitchen.window().0.segment();
     let found = fit_window(&segment, network(), &mut |_| ()).unwrap();
     let before = Instant::now();
-    let right = judge(&segment, &found, &[]);
+    let right = judged(&segment, &found);
     println!("judged in {:.1} ms", before.elapsed().as_secs_f64() * 1e3);
     assert_eq!(right.gate.why, [""; 0]);
     let codes = |changed: &Identification| -> Vec<&str> {
-        let judgement = judge(&segment, changed, &[]);
+        let judgement = judged(&segment, changed);
         assert!(!judgement.gate.passes());
         judgement.doubts().map(|d| d.code).collect()
     };
@@ -238,7 +245,7 @@ fn a_window_that_is_contradicted_teaches_nothing() {
     // A limit of steps that was met at the right place is told; at a wrong one it is one more reason.
     let mut unsettled = found.clone();
     unsettled.stopped_because = StopReason::TimeLimit;
-    let judgement = judge(&segment, &unsettled, &[]);
+    let judgement = judged(&segment, &unsettled);
     assert_eq!(judgement.gate.why, [""; 0]);
     assert!(judgement.findings.iter().any(|f| f.code == "not_converged"));
     off.stopped_because = StopReason::TimeLimit;
@@ -247,7 +254,7 @@ fn a_window_that_is_contradicted_teaches_nothing() {
     let tenth = segment.i_a.iter().map(|i| 0.1 * i).collect();
     let segment = segment.with_samples(segment.v_v.to_vec(), tenth);
     let found = fit_window(&segment, network(), &mut |_| ()).unwrap();
-    let judgement = judge(&segment, &found, &[]);
+    let judgement = judged(&segment, &found);
     assert!(!judgement.gate.passes());
     assert!(judgement.doubts().any(|d| d.code == "implausible_load"));
 }
