@@ -5,9 +5,9 @@ use std::borrow::Cow;
 use ihd_identify::pooled::{self, PoolPhasors, PooledLaw};
 use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, ProgressSink, accuracy,
-    reconstruction, run_with_progress,
+    reconstruction, run_preprocessed,
 };
-use ihd_signal::{Capture, Remark, Segment, Severity};
+use ihd_signal::{Capture, Remark, Segment, SegmentError, Severity};
 use ihd_survey::calibration::blind::BlindOptions;
 use ihd_survey::{Hints, Survey, SurveyError};
 
@@ -128,7 +128,8 @@ fn examine_samples(
         progress("reference", outcomes.len(), total);
         let remarks = prepared.remarks_on(index, segment);
         let known = prepared.take_interference(index);
-        let reference = ReferenceResults::compute(segment, &Preprocessing::new(segment), known);
+        let preprocessing = Preprocessing::new(segment);
+        let reference = ReferenceResults::compute(segment, &preprocessing, known);
         let of_segment = is_law(&reference).then(|| PoolPhasors::of(segment));
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
         phasors.extend(of_segment);
@@ -139,7 +140,8 @@ fn examine_samples(
                 truth: truth.as_ref(),
                 report: &mut |text| progress(&format!("{method}: {text}"), done, total),
             };
-            let mut result = identify(method, segment, &reference, request, &mut sink);
+            let known = (&preprocessing, &reference);
+            let mut result = identify(method, segment, known, request, &mut sink);
             let judgement = judge_result(&remarks, segment, &reference, method, &result);
             if let Ok(estimate) = &mut result {
                 if request.reconstruct != Reconstruct::Waveforms {
@@ -171,13 +173,25 @@ fn examine_samples(
 fn identify(
     method: Method,
     segment: &Segment,
-    reference: &ReferenceResults,
+    (preprocessing, reference): (&Result<Preprocessing, SegmentError>, &ReferenceResults),
     request: &ExamineOptions<'_>,
     sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
     let mut estimate = match reference.result_of(method, request.settings) {
         Some(known) => known,
-        None => run_with_progress(method, segment, request.settings, sink),
+        None => {
+            let preprocessing = preprocessing.as_ref().map_err(Clone::clone)?;
+            let least_squares = reference.least_squares_of(request.settings);
+            let settings = request.settings;
+            run_preprocessed(
+                method,
+                segment,
+                preprocessing,
+                least_squares,
+                settings,
+                sink,
+            )
+        }
     }?;
     match request.reconstruct {
         Reconstruct::No => {}

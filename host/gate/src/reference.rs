@@ -2,7 +2,8 @@
 //! squares, and foreign tones.
 
 use ihd_identify::{
-    Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, run, run_preprocessed,
+    Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, ProgressSink, run,
+    run_preprocessed,
 };
 use ihd_signal::{Remark, Segment, SegmentError};
 
@@ -29,13 +30,14 @@ impl ReferenceResults {
         method: Method,
         settings: &IdentifyOptions,
     ) -> Option<Result<Estimate, IdentifyError>> {
-        let default = IdentifyOptions::default();
-        match method {
-            Method::LeastSquares if settings.least_squares == default.least_squares => {
-                Some(self.least_squares.clone())
-            }
-            _ => None,
-        }
+        let is_known = method == Method::LeastSquares && has_default_least_squares(settings);
+        is_known.then(|| self.least_squares.clone())
+    }
+
+    /// Result of least squares with these options if it is known already.
+    pub fn least_squares_of(&self, settings: &IdentifyOptions) -> Option<&Estimate> {
+        let known = self.least_squares.as_ref().ok();
+        known.filter(|_| has_default_least_squares(settings))
     }
 
     /// Computes the reference results of a segment with its preprocessing; `known` is its interference if that is known already.
@@ -46,7 +48,11 @@ impl ReferenceResults {
     ) -> Self {
         let settings = IdentifyOptions::default();
         let by = |method: Method, known: Option<&Estimate>| match preprocessing {
-            Ok(preprocessing) => run_preprocessed(method, segment, preprocessing, known, &settings),
+            Ok(preprocessing) => {
+                let (truth, report) = (None, &mut |_| {});
+                let mut sink = ProgressSink { truth, report };
+                run_preprocessed(method, segment, preprocessing, known, &settings, &mut sink)
+            }
             Err(e) => Err(e.clone().into()),
         };
         let least_squares = by(Method::LeastSquares, None);
@@ -82,4 +88,8 @@ impl ReferenceResults {
             remarks,
         }
     }
+}
+
+fn has_default_least_squares(settings: &IdentifyOptions) -> bool {
+    settings.least_squares == IdentifyOptions::default().least_squares
 }

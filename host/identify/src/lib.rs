@@ -175,25 +175,8 @@ pub fn run(
     settings: &IdentifyOptions,
 ) -> Result<Estimate, IdentifyError> {
     let (truth, report) = (None, &mut |_| {});
-    run_with_progress(
-        method,
-        segment,
-        settings,
-        &mut ProgressSink { truth, report },
-    )
-}
-
-/// Identifies as [`run`] does and reports progress; only the PINN trains long enough to report any.
-///
-/// # Errors
-/// As [`run`].
-pub fn run_with_progress(
-    method: Method,
-    segment: &Segment,
-    settings: &IdentifyOptions,
-    sink: &mut ProgressSink<'_>,
-) -> Result<Estimate, IdentifyError> {
-    run_on(method, segment, None, Known::default(), settings, sink)
+    let mut sink = ProgressSink { truth, report };
+    run_on(method, segment, None, Known::default(), settings, &mut sink)
 }
 
 /// Preprocessing of a segment that all methods share: its check, its carrier, the load's steps and the noise. It takes as long as
@@ -232,7 +215,7 @@ impl Preprocessing {
 }
 
 /// Identifies as [`run`] does, with the preprocessing of the same segment. `least_squares`: its result by least squares with the same
-/// settings, if it is known; a method that is compared with it need not repeat it.
+/// settings, if it is known; a method that is compared with it need not repeat it. Only the PINN trains long enough to report progress.
 ///
 /// # Errors
 /// As [`run`].
@@ -242,9 +225,8 @@ pub fn run_preprocessed(
     preprocessing: &Preprocessing,
     least_squares: Option<&Estimate>,
     settings: &IdentifyOptions,
+    sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
-    let (truth, report) = (None, &mut |_| {});
-    let mut sink = ProgressSink { truth, report };
     let known = match preprocessing.is_whole() {
         true => Known {
             least_squares,
@@ -252,14 +234,7 @@ pub fn run_preprocessed(
         },
         false => Known::default(),
     };
-    run_on(
-        method,
-        segment,
-        Some(preprocessing),
-        known,
-        settings,
-        &mut sink,
-    )
+    run_on(method, segment, Some(preprocessing), known, settings, sink)
 }
 
 /// Facts on a segment that need not be computed again.
