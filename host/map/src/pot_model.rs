@@ -5,7 +5,6 @@
 //! ([`ihd_field::surface`]), so that α and s = √(µ/σ) describe a metal. Temperature changes s alone, by resistivity
 //! and saturation; α stays.
 
-use std::cell::OnceCell;
 use std::f64::consts::{PI, TAU};
 
 use ihd_signal::Load;
@@ -143,7 +142,7 @@ pub struct FrequencyModel {
     rims: Vec<Rim>,
     sectors: Vec<Sector>,
     /// Changes of each sector's gap by its rim and by the lift, once they are needed.
-    gap_slopes: OnceCell<Vec<[Gap; 2]>>,
+    gap_slopes: Option<Vec<[Gap; 2]>>,
 }
 
 impl FrequencyModel {
@@ -159,7 +158,7 @@ impl FrequencyModel {
             lift_m: model.lift_m,
             sectors: rims.iter().map(sector).collect(),
             rims,
-            gap_slopes: OnceCell::new(),
+            gap_slopes: None,
         }
     }
 
@@ -197,7 +196,7 @@ impl FrequencyModel {
             mut lift,
             mut offset,
         ] = [zero; 6];
-        let gap_slopes = self.gap_slopes.get_or_init(|| {
+        let gap_slopes = self.gap_slopes.get_or_insert_with(|| {
             let of_rim = |rim: &Rim| Gap::slopes(rim.at_m, self.lift_m);
             self.rims.iter().map(of_rim).collect()
         });

@@ -7,7 +7,7 @@
 use ihd_signal::vectorised::{dot, vectorised};
 use nalgebra::{DMatrix, DVector};
 
-use crate::normal_matrix::dots_between;
+use crate::normal_matrix::{add_times, dots_between};
 
 /// Derivatives by the parameters of one layer.
 pub(crate) struct LayerDerivatives {
@@ -160,9 +160,7 @@ impl NetworkJacobian {
                         change.fill(0.0);
                         for (m, input) in block.inputs.iter().enumerate() {
                             let weight = x[block.parameter(m, n)];
-                            for (sum, a) in change.iter_mut().zip(*input) {
-                                *sum = weight.mul_add(*a, *sum);
-                            }
+                            add_times(&mut change, input, weight);
                         }
                         let kinds = by_sum.chunks_exact(self.times);
                         for (out, d) in out.chunks_exact_mut(self.times).zip(kinds) {

@@ -31,28 +31,10 @@ pub(crate) fn gram(a: &DMatrix<f64>) -> DMatrix<f64> {
     let (length, count) = a.shape();
     let mut product = DMatrix::zeros(count, count);
     let columns: Vec<&[f64]> = a.as_slice().chunks_exact(length.max(1)).collect();
-    vectorised(
-        #[inline(always)]
-        || {
-            let mut first = 0;
-            while first < count {
-                let right = std::array::from_fn(|k| columns[(first + k).min(count - 1)]);
-                let mut from = 0;
-                while from < count.min(first + TILE.1) {
-                    let left = std::array::from_fn(|k| columns[(from + k).min(count - 1)]);
-                    let sums: [[f64; TILE.1]; TILE.0] = dots(left, right);
-                    for (r, row) in sums.iter().enumerate().take(count - from) {
-                        for (c, sum) in row.iter().enumerate().take(count - first) {
-                            product[(from + r, first + c)] = *sum;
-                            product[(first + c, from + r)] = *sum;
-                        }
-                    }
-                    from += TILE.0;
-                }
-                first += TILE.1;
-            }
-        },
-    );
+    each_dot(&columns, &columns, true, |row, column, sum| {
+        product[(row, column)] = sum;
+        product[(column, row)] = sum;
+    });
     product
 }
 
@@ -60,26 +42,43 @@ pub(crate) fn gram(a: &DMatrix<f64>) -> DMatrix<f64> {
 pub(crate) fn dots_between(left: &[f64], right: &[f64], length: usize) -> DMatrix<f64> {
     let left: Vec<&[f64]> = left.chunks_exact(length.max(1)).collect();
     let right: Vec<&[f64]> = right.chunks_exact(length.max(1)).collect();
-    let (rows, columns) = (left.len(), right.len());
-    let mut product = DMatrix::zeros(rows, columns);
+    let mut product = DMatrix::zeros(left.len(), right.len());
+    each_dot(&left, &right, false, |row, column, sum| {
+        product[(row, column)] = sum;
+    });
+    product
+}
+
+/// Calls `take` with the scalar product of each of `left`, the row, and each of `right`, the column; if `upper`, without the tiles
+/// below the diagonal.
+fn each_dot(
+    left: &[&[f64]],
+    right: &[&[f64]],
+    upper: bool,
+    mut take: impl FnMut(usize, usize, f64),
+) {
+    let columns = right.len();
     vectorised(
         #[inline(always)]
         || {
             for first in (0..columns).step_by(TILE.1) {
                 let these = std::array::from_fn(|k| right[(first + k).min(columns - 1)]);
+                let rows = match upper {
+                    true => left.len().min(first + TILE.1),
+                    false => left.len(),
+                };
                 for from in (0..rows).step_by(TILE.0) {
-                    let those = std::array::from_fn(|k| left[(from + k).min(rows - 1)]);
+                    let those = std::array::from_fn(|k| left[(from + k).min(left.len() - 1)]);
                     let sums: [[f64; TILE.1]; TILE.0] = dots(those, these);
-                    for (r, row) in sums.iter().enumerate().take(rows - from) {
+                    for (r, row) in sums.iter().enumerate().take(left.len() - from) {
                         for (c, sum) in row.iter().enumerate().take(columns - first) {
-                            product[(from + r, first + c)] = *sum;
+                            take(from + r, first + c, *sum);
                         }
                     }
                 }
             }
         },
     );
-    product
 }
 
 /// Scalar products of all of `left` with all of `right`, which have the same length.
@@ -142,13 +141,19 @@ pub(crate) fn times(a: &DMatrix<f64>, x: &DVector<f64>) -> Vec<f64> {
         || {
             let columns = a.as_slice().chunks_exact(a.nrows().max(1));
             for (column, factor) in columns.zip(x.as_slice()) {
-                for (out, a) in out.iter_mut().zip(column) {
-                    *out = factor.mul_add(*a, *out);
-                }
+                add_times(&mut out, column, *factor);
             }
         },
     );
     out
+}
+
+/// `sums += factor · x`, for use within [`vectorised`].
+#[inline(always)]
+pub(crate) fn add_times(sums: &mut [f64], x: &[f64], factor: f64) {
+    for (sum, x) in sums.iter_mut().zip(x) {
+        *sum = factor.mul_add(*x, *sum);
+    }
 }
 
 /// L of a positive definite matrix L Lᵀ.

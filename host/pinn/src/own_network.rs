@@ -6,6 +6,7 @@
 use ihd_signal::vectorised::{LN_2, vectorised};
 
 use crate::network_jacobian::{LayerDerivatives, NetworkJacobian};
+use crate::normal_matrix::add_times;
 use crate::parameters::{OUTPUTS, Parameters, softplus};
 
 /// Inputs of the RL-MLP at a list of times.
@@ -144,14 +145,6 @@ impl Activations<'_> {
             rows,
             layers,
         }
-    }
-}
-
-/// `sums += weight · x`.
-#[inline(always)]
-fn add_times(sums: &mut [f64], x: &[f64], weight: f64) {
-    for (sum, x) in sums.iter_mut().zip(x) {
-        *sum = weight.mul_add(*x, *sum);
     }
 }
 
