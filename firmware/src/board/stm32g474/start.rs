@@ -315,12 +315,8 @@ async fn link_task(
 impl Board {
     /// Exchanges faults, temperatures and the fan with the hardware after each block.
     fn after_block(&mut self, housekeeping: &mut Housekeeping, path: &mut ThreadSide) {
-        let tripped = registers::faults::hardware_fault();
         let blocks = path.with(|path| {
-            // A trip counts while a switch should be closed: closing one clears what is left of it.
-            if let Some(fault) = tripped
-                && path.drive().bridge != Bridge::Open
-            {
+            if let Some(fault) = registers::faults::hardware_fault(path) {
                 path.raise(fault);
             }
             path.blocks()

@@ -1,6 +1,9 @@
 //! Faults that open the bridge without software, and the flags that they leave.
 
 use embassy_stm32::pac;
+use ihd_firmware::drive::bridge::Bridge;
+use ihd_firmware::sampling::path::SamplingPath;
+use ihd_firmware::sense::product_sums::PairArithmetic;
 use ihd_shared::fault::Fault;
 
 use super::{BRIDGE, supply};
@@ -100,8 +103,13 @@ pub fn clear() {
     pac::EXTI.pr(0).write(|w| w.set_line(PVD_LINE, true));
 }
 
-/// Fault that has switched the bridge off in hardware (HRTIM, HRTIM_ISR: FLT1, FLT2, FLT4, SYSFLT).
-pub fn hardware_fault() -> Option<Fault> {
+/// Fault that has opened the bridge in hardware while a switch should be closed (HRTIM, HRTIM_ISR: FLT1, FLT2, FLT4, SYSFLT); closing
+/// the first one clears what is left of an earlier fault. The thread has the path only with interrupts masked, so no block closes a
+/// switch between the two readings.
+pub fn hardware_fault<M: PairArithmetic>(path: &SamplingPath<M>) -> Option<Fault> {
+    if path.drive().bridge == Bridge::Open {
+        return None;
+    }
     let isr = pac::HRTIM1.isr().read();
     if isr.sysflt() {
         // Of the four causes only lock-up leaves no flag.
