@@ -38,7 +38,7 @@ pub struct PowerBursts {
     ending: bool,
     /// Half-cycles of this burst that were over when the supply was left to the other zone.
     released_at: Option<u16>,
-    /// More was due than is saved up.
+    /// More was due than is saved up, and that is not yet made up for.
     short: bool,
     /// Half-cycles of this burst that are over; before it begins, those since the claim.
     half_cycles: u32,
@@ -103,7 +103,7 @@ impl PowerBursts {
             let period_uj = period_uj(asked_w);
             let due_uj = self.due_uj + period_uj;
             self.due_uj = due_uj.min(periods * period_uj).max(-most_debt_uj());
-            self.short = due_uj > self.due_uj;
+            self.short = due_uj > self.due_uj || (self.short && self.due_uj > 0);
             self.waits |= self.due_uj > 0;
         }
         if !self.on {
