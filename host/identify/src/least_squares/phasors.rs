@@ -103,7 +103,7 @@ impl SplineFit {
             periods_per_sample: segment.f_sw_hz * segment.dt_s,
             dt_s: segment.dt_s,
             block,
-            centre: 0.5 * block as f64,
+            centre: 0.5 * (block - 1) as f64,
         };
         let solved = fit.normal_equations(v_v, i_a).solve();
         let [v, i] = solved.map_err(|singular| IdentifyError::Unfit {
