@@ -11,8 +11,8 @@ pub struct FinishedHalfCycle {
     pub half_cycle: u32,
     /// Duration, in nanoseconds.
     pub duration_ns: u32,
-    /// Start of the block from the zero crossing that ended it, in nanoseconds; 0 or less.
-    pub block_start_ns: i64,
+    /// Time of the block's first pair after the zero crossing that ended it, in nanoseconds; mostly below 0.
+    pub block_start_ns: i32,
 }
 
 /// Clock that counts blocks, whose duration follows the switching frequency.
@@ -96,19 +96,20 @@ impl MainsClock {
         self.since_crossing_ns = SHORTEST_HALF_CYCLE_NS;
     }
 
-    /// Ends the half-cycle before pair `at` of the current block.
+    /// Ends the half-cycle before pair `at` of the current block, `since_ns` after the zero crossing.
     #[inline]
-    pub fn cross_zero(&mut self, at: usize) -> FinishedHalfCycle {
+    pub fn cross_zero(&mut self, at: usize, since_ns: i32) -> FinishedHalfCycle {
         // 61 times 88 µs at most: 32 bit, as one of 64 is divided by a library.
-        let offset_ns = i64::from(at as u32 * self.block_ns / ADC_LOCK_P as u32);
-        let duration_ns = self.since_crossing_ns.wrapping_add(offset_ns);
+        let offset_ns = (at as u32 * self.block_ns / ADC_LOCK_P as u32) as i32;
+        let block_start_ns = since_ns.wrapping_sub(offset_ns);
+        let duration_ns = self.since_crossing_ns.wrapping_sub(block_start_ns.into());
         let half_cycle = self.half_cycle;
-        self.since_crossing_ns = -offset_ns;
+        self.since_crossing_ns = block_start_ns.into();
         self.half_cycle = half_cycle.wrapping_add(1);
         FinishedHalfCycle {
             half_cycle,
             duration_ns: u32::try_from(duration_ns).unwrap_or(u32::MAX),
-            block_start_ns: -offset_ns,
+            block_start_ns,
         }
     }
 
@@ -132,17 +133,17 @@ mod tests {
         let mut clock = MainsClock::blank();
         clock.set_frequency(35_000);
         clock.restart_half_cycle();
-        let first = clock.cross_zero(0);
+        let first = clock.cross_zero(0, 0);
         assert_eq!((first.half_cycle, first.block_start_ns), (0, 0));
         assert!(!clock.may_cross());
         for _ in 0..116 {
             clock.advance();
         }
         assert!(clock.may_cross());
-        // 116 blocks and 40 of 61 pairs: 116.656 · 85.714 µs = 9.9991 ms.
-        let second = clock.cross_zero(40);
-        assert!((9_998_000..=10_000_000).contains(&second.duration_ns));
-        assert!((-56_300..=-56_100).contains(&second.block_start_ns));
+        // 116 blocks and 40 of 61 pairs less 11 µs: 116.656 · 85.714 µs = 9.9991 ms.
+        let second = clock.cross_zero(40, 11_000);
+        assert!((9_988_000..=9_989_000).contains(&second.duration_ns));
+        assert!((-45_300..=-45_100).contains(&second.block_start_ns));
         assert_eq!((second.half_cycle, clock.half_cycle()), (1, 2));
     }
 

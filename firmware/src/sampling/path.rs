@@ -1,7 +1,7 @@
 //! The sampling path, once per block of 61 pairs, in the sampling interrupt.
 //!
-//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 1 957
-//! instructions of it, 27 %, most of them to correlate and estimate. firmware/budget.toml holds the ceilings of its
+//! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 1 907
+//! instructions of it, 26 %, most of them to correlate and estimate. firmware/budget.toml holds the ceilings of its
 //! parts, docs/performance.md what was counted, and an estimate in cycles that exceeds 36 %. A block that
 //! comes late is counted as lost; the third of a half-cycle trips [`SAMPLES_LOST`](ihd_shared::fault::Fault::SAMPLES_LOST).
 //! Nothing here waits, allocates, divides by a variable of 64 bit, uses
@@ -28,6 +28,7 @@ use crate::sampling::utilisation::{HousekeepingGap, Utilisation};
 use crate::sense::bus::BusReading;
 use crate::sense::correlation::{BlockSums, correlate_by};
 use crate::sense::demodulator::Demodulator;
+use crate::sense::mains::MAINS_DELAY_NS;
 use crate::sense::product_sums::{PairArithmetic, PlainArithmetic};
 
 mod requests;
@@ -37,7 +38,8 @@ mod requests;
 pub struct AdcBlock<'a> {
     /// Sample pairs of three switching periods.
     pub pairs: &'a [Pair; ADC_LOCK_P],
-    /// Index of the first pair after a mains zero crossing, if one fell into the block.
+    /// Index of the pair next to a mains zero crossing as its source sees it, if one fell into the block: the board's is late by
+    /// [`MAINS_DELAY_NS`].
     pub zero_crossing: Option<u8>,
     /// Bus voltage.
     pub bus: BusReading,
@@ -195,7 +197,13 @@ impl<M: PairArithmetic> SamplingPath<M> {
 
     /// Ends a half-cycle before pair `at` of the block and begins the next with it.
     fn cross_zero(&mut self, block: &AdcBlock<'_>, at: usize, saturated: u16) {
-        let over = self.clock.cross_zero(at);
+        // A recording's crossing is where its host says.
+        let since_ns = if self.replaying {
+            0
+        } else {
+            MAINS_DELAY_NS as i32
+        };
+        let over = self.clock.cross_zero(at, since_ns);
         self.recorder.push(block.pairs, 0..at, saturated);
         self.recorder.end(over.duration_ns);
         self.finish_half_cycle(over.half_cycle, over.duration_ns, block.bus.dv, false);
@@ -207,7 +215,7 @@ impl<M: PairArithmetic> SamplingPath<M> {
             && self.sequencer.requested() == drive
         {
             self.recorder
-                .begin(half_cycle, drive.f_sw_hz, over.block_start_ns);
+                .begin(half_cycle, drive.f_sw_hz, over.block_start_ns, since_ns);
             let after = at..ADC_LOCK_P;
             self.recorder.push(block.pairs, after, saturated);
         }

@@ -76,7 +76,7 @@ pub struct Recorder {
     /// Version of the active lookup, for the windows' headers.
     lookup_version: u32,
     /// Time of the current block's first pair since the window's zero crossing.
-    block_start_ns: i64,
+    block_start_ns: i32,
     /// Blocks in the slot, and the first one's pairs that lie before the window.
     blocks: u16,
     skipped: u16,
@@ -158,8 +158,14 @@ impl Recorder {
     }
 
     /// Begins a window that is due. The sequence number counts before the slot is claimed, so that a drop shows
-    /// as a gap. `block_start_ns` is the time of the current block's first pair (≤ 0).
-    pub fn begin(&mut self, half_cycle: u32, f_sw_hz: u32, block_start_ns: i64) {
+    /// as a gap. Times after the zero crossing: of the current block's first pair, and of the window's.
+    pub fn begin(
+        &mut self,
+        half_cycle: u32,
+        f_sw_hz: u32,
+        block_start_ns: i32,
+        first_pair_ns: i32,
+    ) {
         let seq = self.counters.due;
         self.counters.due = seq.wrapping_add(1);
         self.last_due = half_cycle;
@@ -174,6 +180,7 @@ impl Recorder {
             seq,
             half_cycle,
             f_sw_hz,
+            first_pair_ns,
             lookup_version: self.lookup_version,
             ..WindowHeader::default()
         };
@@ -223,9 +230,9 @@ impl Recorder {
             return;
         }
         // At most 5 blocks of 88 µs back.
-        let centre = self.block_start_ns + i64::from(block_ns / 2)
-            - i64::from(delay_blocks.wrapping_mul(block_ns));
-        if self.stage == Stage::Tail && centre >= i64::from(self.header.half_cycle_ns) {
+        let since_start = (block_ns / 2).wrapping_sub(delay_blocks.wrapping_mul(block_ns));
+        let centre = self.block_start_ns.wrapping_add(since_start as i32);
+        if self.stage == Stage::Tail && i64::from(centre) >= i64::from(self.header.half_cycle_ns) {
             self.complete();
             return;
         }
@@ -234,7 +241,7 @@ impl Recorder {
             && let Some(slot) = self.trajectory.get_mut(at)
         {
             if at == 0 {
-                self.header.first_trajectory_ns = centre as i32;
+                self.header.first_trajectory_ns = centre;
             }
             *slot = entry;
             self.header.trajectory += 1;
@@ -243,8 +250,8 @@ impl Recorder {
 
     /// The block is over.
     pub fn advance(&mut self, block_ns: u32) {
-        // 292 years.
-        self.block_start_ns = self.block_start_ns.wrapping_add(i64::from(block_ns));
+        // 2 s; a mains that is away for 30 ms ends a window.
+        self.block_start_ns = self.block_start_ns.wrapping_add(block_ns as i32);
     }
 
     /// The estimator starts anew (frequency step, inverter off): a window in its tail is complete

@@ -1,5 +1,6 @@
 //! Mains zero crossings, from a converter that takes mains and bus in turn, one with each pair.
 
+use ihd_shared::board::{ANTI_ALIAS_HZ, MAINS_POLE_HZ, SLOW_PIN_POLE_HZ};
 use ihd_shared::sampling::ADC_LOCK_P;
 
 use crate::sense::bus::SLOW_CODES;
@@ -12,6 +13,15 @@ pub use ihd_shared::board::MAINS_FULL_SCALE_MV;
 
 /// Half the input range of the mains voltage's channel, in volt.
 pub const MAINS_FULL_SCALE_V: f64 = MAINS_FULL_SCALE_MV as f64 / 1e3;
+
+/// Delay of the mains voltage behind the coil's channels by its filters, in nanosecond: amplifier and pin, less the anti-alias filter.
+pub const MAINS_DELAY_NS: u32 =
+    delay_ns(MAINS_POLE_HZ) + delay_ns(SLOW_PIN_POLE_HZ) - delay_ns(ANTI_ALIAS_HZ);
+
+/// Delay by a pole far above 50 Hz: 1/(2π f).
+const fn delay_ns(pole_hz: u32) -> u32 {
+    159_154_943 / pole_hz
+}
 
 /// Place of the newest mains code among the [`SLOW_CODES`], after half 0 or 1.
 pub fn mains_place(half: usize) -> usize {
@@ -31,10 +41,10 @@ pub struct ZeroCrossingDetector {
 }
 
 impl ZeroCrossingDetector {
-    /// Takes the mains voltage at the end of a block, as a signed code; the index of the block's
-    /// first pair after a zero crossing, if one fell into it.
+    /// Takes a block's newest mains code, signed; returns the block's pair next to a zero crossing, if one fell into it. The voltage
+    /// is late by [`MAINS_DELAY_NS`].
     ///
-    /// A crossing is where a straight line through the last two samples crosses zero. A half-cycle
+    /// A crossing is where a straight line through the last two codes crosses zero. A half-cycle
     /// that has not risen to `ARMING_CODES` cannot end: noise around zero gives one crossing.
     pub fn on_block(&mut self, code: i32) -> Option<u8> {
         let before = self.last;
@@ -50,10 +60,10 @@ impl ZeroCrossingDetector {
             return None;
         }
         let (from, span) = (before.abs(), before.abs() + code.abs());
-        // |code| ≥ 1, so the span is; before may be zero, when it crossed at the block's beginning.
-        let pairs = ADC_LOCK_P as i32;
-        let at = (from * pairs + span - 1) / span.max(1);
-        Some(at.min(pairs - 1) as u8)
+        // |code| ≥ 1, so the span is. By [`mains_place`] the codes were taken with pair 59 or 60 of a block, so the line runs from 1½
+        // pairs before the block; a half rounds.
+        let at = from * ADC_LOCK_P as i32 / span.max(1) - 1;
+        Some(at.max(0) as u8)
     }
 }
 

@@ -466,3 +466,6 @@ impl SimHob {
         &self.housekeeping
     }
 }
+
+#[cfg(test)]
+mod tests;

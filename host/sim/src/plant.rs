@@ -299,10 +299,7 @@ impl Plant {
     pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
         let pair = self.adc.sample();
         self.inverter.bus.end_decay();
-        let bus = &self.inverter.bus;
-        let terminal_v = bus.terminal_v(self.inverter.now_s());
         let sample_s = STEPS_PER_SAMPLE as f64 * self.inverter.dt_s();
-        self.dividers.advance(bus.v(), terminal_v, sample_s);
         let bridge = match self.is_tripped() {
             false => self.drive.bridge,
             true => Bridge::Open,
@@ -315,7 +312,7 @@ impl Plant {
             let now = self.inverter.rest(STEPS_PER_SAMPLE);
             self.adc.advance(&now, sample_s);
             current(now.i_a);
-            self.meter.sample(&mut self.inverter, crest);
+            self.end_sample(crest, sample_s);
             return pair;
         }
         let mut left = STEPS_PER_SAMPLE;
@@ -336,8 +333,16 @@ impl Plant {
                 current(now.i_a);
             });
         }
-        self.meter.sample(&mut self.inverter, crest);
+        self.end_sample(crest, sample_s);
         pair
+    }
+
+    /// Meters the sample, and brings the dividers to its end, where the next pair is taken.
+    fn end_sample(&mut self, crest: (f64, f64), sample_s: f64) {
+        self.meter.sample(&mut self.inverter, crest);
+        let bus = &self.inverter.bus;
+        let terminal_v = bus.terminal_v(self.inverter.now_s());
+        self.dividers.advance(bus.v(), terminal_v, sample_s);
     }
 
     /// Advances by up to `steps` integration steps, until the comparator trips; returns the number done.

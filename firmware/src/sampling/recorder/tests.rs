@@ -31,7 +31,7 @@ fn raw_pairs_are_taken_through_crossings_and_are_no_window() {
     // The bridge begins to switch, and a window is due.
     recorder.interrupt();
     assert!(!recorder.is_raw());
-    recorder.begin(1, 45_000, 0);
+    recorder.begin(1, 45_000, 0, 0);
     assert!(!recorder.begin_raw());
     recorder.end_raw();
     recorder.push(&[pair(4); ADC_LOCK_P], 60..ADC_LOCK_P, 0);
@@ -42,7 +42,7 @@ fn raw_pairs_are_taken_through_crossings_and_are_no_window() {
 #[test]
 fn a_half_cycle_goes_in_and_comes_out() {
     let mut r = recorder();
-    r.begin(5, 45_000, -10_000);
+    r.begin(5, 45_000, -10_000, -164);
     let pairs: [Pair; ADC_LOCK_P] = core::array::from_fn(|k| Pair {
         v: k as i16,
         i: 2047,
@@ -60,7 +60,7 @@ fn a_half_cycle_goes_in_and_comes_out() {
     r.advance(66_667);
     r.estimate(entry(5), 66_667, 2); // 223 µs: beyond the end
     let header = *r.ready().unwrap();
-    assert_eq!(header.pairs, 52 + 4 * 61);
+    assert_eq!((header.pairs, header.first_pair_ns), (52 + 4 * 61, -164));
     assert_eq!(header.saturated, header.pairs);
     assert_eq!((header.trajectory, header.first_trajectory_ns), (3, 23_333));
     let mut bytes = [0; 8];
@@ -75,7 +75,7 @@ fn a_half_cycle_goes_in_and_comes_out() {
 #[test]
 fn a_chunk_is_the_same_wherever_its_bytes_lie() {
     let mut r = recorder();
-    r.begin(0, 45_000, 0);
+    r.begin(0, 45_000, 0, 0);
     let pairs: [Pair; ADC_LOCK_P] = core::array::from_fn(|k| Pair {
         v: k as i16 - 30,
         i: 2_047 - 3 * k as i16,
@@ -106,11 +106,11 @@ fn a_chunk_is_the_same_wherever_its_bytes_lie() {
 #[test]
 fn a_busy_slot_counts_and_drops() {
     let mut r = recorder();
-    r.begin(0, 45_000, 0);
+    r.begin(0, 45_000, 0, 0);
     r.end(1);
     r.interrupt();
-    r.begin(1, 45_000, 0);
-    r.begin(2, 45_000, 0);
+    r.begin(1, 45_000, 0, 0);
+    r.begin(2, 45_000, 0, 0);
     assert_eq!(
         r.counters(),
         WindowCounters {
@@ -121,7 +121,7 @@ fn a_busy_slot_counts_and_drops() {
     );
     assert_eq!(r.ready().map(|h| h.seq), Some(0));
     r.release();
-    r.begin(3, 45_000, 0);
+    r.begin(3, 45_000, 0, 0);
     r.end(1);
     r.interrupt();
     assert_eq!(
@@ -134,7 +134,7 @@ fn a_busy_slot_counts_and_drops() {
 #[test]
 fn a_frequency_step_in_the_middle_drops_the_window() {
     let mut r = recorder();
-    r.begin(0, 45_000, 0);
+    r.begin(0, 45_000, 0, 0);
     r.interrupt();
     assert_eq!(r.counters().dropped, 1);
     assert!(r.ready().is_none());
@@ -143,7 +143,7 @@ fn a_frequency_step_in_the_middle_drops_the_window() {
 #[test]
 fn an_endless_half_cycle_fills_up_and_stops() {
     let mut r = recorder();
-    r.begin(0, 80_000, 0);
+    r.begin(0, 80_000, 0, 0);
     for _ in 0..400 {
         r.push(&[Pair::default(); ADC_LOCK_P], 0..ADC_LOCK_P, 0);
         r.estimate(entry(1), 37_500, 0);

@@ -1,0 +1,40 @@
+use std::f64::consts::TAU;
+
+use ihd_firmware::sense::mains::MAINS_DELAY_NS;
+use ihd_shared::board::ANTI_ALIAS_HZ;
+
+use super::*;
+use crate::inverter::supply::SupplyParts;
+
+/// The detector's pair is late by what the firmware takes off. A code's noise is one code, which the mains passes in 1.9 µs.
+#[test]
+fn a_zero_crossing_is_late_by_its_filters() {
+    for mains_hz in [47.3, 50.0, 60.0] {
+        let mut hob = SimHob::new(&HobConfig {
+            mains_hz,
+            // A line rings with C1 after the rectifier's current, which moves the crossing by half a microsecond.
+            supply: SupplyParts::NONE,
+            ..HobConfig::default()
+        });
+        let mains = hob.plant.mains();
+        let half_cycle_s = mains.half_cycle_s();
+        let (mut late_s, mut dt_s) = (Vec::new(), 0.0);
+        while late_s.len() < 200 {
+            let mut times_s = Vec::new();
+            hob.plant.block(|plant| times_s.push(plant.t_s()));
+            dt_s = times_s[1] - times_s[0];
+            let slow = hob.slow_adc.block(hob.plant.divided());
+            if let Some(at) = hob.zero_crossing.on_block(slow.mains) {
+                let since_s = mains.since_crossing_s(times_s[usize::from(at)]);
+                late_s.push((since_s + 0.5 * half_cycle_s) % half_cycle_s - 0.5 * half_cycle_s);
+            }
+        }
+        let mean_s = late_s.iter().sum::<f64>() / late_s.len() as f64;
+        // Both channels of the coil are late, too.
+        let expected_s = f64::from(MAINS_DELAY_NS) * 1e-9 + 1.0 / (TAU * f64::from(ANTI_ALIAS_HZ));
+        assert!((mean_s - expected_s).abs() < 0.25 * dt_s + 0.3e-6);
+        for late_s in late_s {
+            assert!((late_s - expected_s).abs() < 0.5 * dt_s + 5.0 * 1.9e-6);
+        }
+    }
+}
