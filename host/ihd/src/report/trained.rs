@@ -42,7 +42,11 @@ pub fn write(report: &RunReport, path: &Path) -> Result<(), FigureError> {
         f64::from(window.f_sw_hz) * 1e-3
     );
     let panels = [("R / Ω", r), ("L / µH", l)];
-    let figure = file::bytes(path, (900, 640), |root| draw(root, &title, &panels))?;
+    // To a tenth of a millisecond, so that the last mark is there.
+    let half_cycle_ms = 0.0..(f64::from(window.half_cycle_ns) * 1e-5).round() * 0.1;
+    let figure = file::bytes(path, (900, 640), |root| {
+        draw(root, &title, &half_cycle_ms, &panels)
+    })?;
     ihd_signal::atomic::write(path, &figure).map_err(|why| FigureError::new(path, &why))
 }
 
@@ -81,7 +85,12 @@ fn known(truth: Option<&Truth>, values: fn(&Truth) -> &Vec<f64>, unit: f64) -> V
     })
 }
 
-fn draw(root: &Area<'_>, title: &str, panels: &[(&str, Vec<PlotCurve>)]) -> DrawResult {
+fn draw(
+    root: &Area<'_>,
+    title: &str,
+    half_cycle_ms: &Range<f64>,
+    panels: &[(&str, Vec<PlotCurve>)],
+) -> DrawResult {
     let entries: Vec<LegendEntry> = panels.first().map_or(Vec::new(), |(_, curves)| {
         curves.iter().map(LegendEntry::of).collect()
     });
@@ -90,18 +99,19 @@ fn draw(root: &Area<'_>, title: &str, panels: &[(&str, Vec<PlotCurve>)]) -> Draw
         let panel = PlotPanel {
             x: Axis::linear(
                 "time after the mains zero crossing / ms",
-                range(curves, |p| p.0, 0.0),
+                half_cycle_ms.clone(),
             ),
-            y: Axis::linear(label, range(curves, |p| p.1, 0.05)),
+            y: Axis::linear(label, range(curves)),
         };
         plot::draw(area, &panel, curves)?;
     }
     Ok(())
 }
 
-/// Range of all points, extended by a share of it.
-fn range(curves: &[PlotCurve], of: fn((f64, f64)) -> f64, air: f64) -> Range<f64> {
-    let (low, high) = span(curves.iter().flat_map(PlotCurve::points).map(of)).unwrap_or((0.0, 1.0));
-    let air = air * (high - low).max(1e-6);
+/// Range of all values, extended by a twentieth on either side.
+fn range(curves: &[PlotCurve]) -> Range<f64> {
+    let values = curves.iter().flat_map(PlotCurve::points).map(|p| p.1);
+    let (low, high) = span(values).unwrap_or((0.0, 1.0));
+    let air = 0.05 * (high - low).max(1e-6);
     low - air..high + air
 }
