@@ -232,6 +232,8 @@ fn the_trainer_identifies_what_is_replayed_and_teaches_the_board_at_length() {
     let half_cycles = F_SW_HZ.map(|f| HalfCycle::load(f, "noiseless").unwrap());
     let recorded = |h: &HalfCycle| RecordedHalfCycle {
         f_sw_hz: h.f_sw_hz,
+        first_pair_ns: 0,
+        half_cycle_ns: 10_000_000,
         pairs: h.pairs.clone(),
         bus_dv: BUS_DV,
         truth: None,

@@ -151,7 +151,8 @@ impl Device<'_> {
     }
 
     /// Replays a half-cycle to the device and returns the window that it records. The half-cycle is sent twice: the zero crossing that
-    /// begins the second run ends the first.
+    /// begins the second run ends the first. The device takes the first pair for the crossing and the last one for the half-cycle's end:
+    /// the window's times are the recording's.
     pub fn replayed_window(
         &mut self,
         recorded: &RecordedHalfCycle,
@@ -173,8 +174,13 @@ impl Device<'_> {
             .and_then(|()| self.window_after(0, point));
         // Even after a failure: the device must not stay in replay mode.
         let ended = self.client()?.continue_replay(taken).end();
-        let window = window?;
+        let mut window = window?;
         ended?;
+        window.first_pair_ns = window.first_pair_ns.saturating_add(recorded.first_pair_ns);
+        window.first_trajectory_ns = window
+            .first_trajectory_ns
+            .saturating_add(recorded.first_pair_ns);
+        window.half_cycle_ns = recorded.half_cycle_ns;
         Ok(window)
     }
 
