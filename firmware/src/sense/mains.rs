@@ -14,7 +14,7 @@ pub use ihd_shared::board::MAINS_FULL_SCALE_MV;
 /// Half the input range of the mains voltage's channel, in volt.
 pub const MAINS_FULL_SCALE_V: f64 = MAINS_FULL_SCALE_MV as f64 / 1e3;
 
-/// Delay of the mains voltage behind the coil's channels by its filters, in nanosecond: amplifier and pin, less the anti-alias filter.
+/// Delay of the mains voltage behind the coil's channels by its filters, in nanoseconds: amplifier and pin, less the anti-alias filter.
 pub const MAINS_DELAY_NS: u32 =
     delay_ns(MAINS_POLE_HZ) + delay_ns(SLOW_PIN_POLE_HZ) - delay_ns(ANTI_ALIAS_HZ);
 
@@ -60,8 +60,8 @@ impl ZeroCrossingDetector {
             return None;
         }
         let (from, span) = (before.abs(), before.abs() + code.abs());
-        // |code| ≥ 1, so the span is. By [`mains_place`] the codes were taken with pair 59 or 60 of a block, so the line runs from 1½
-        // pairs before the block; a half rounds.
+        // |code| ≥ 1, so the span is. The codes were taken with pair 59 or 60 of a block ([`mains_place`]): the line begins 1½ pairs
+        // before this block. Half a pair is added to round.
         let at = from * ADC_LOCK_P as i32 / span.max(1) - 1;
         Some(at.max(0) as u8)
     }

@@ -103,9 +103,9 @@ pub fn clear() {
     pac::EXTI.pr(0).write(|w| w.set_line(PVD_LINE, true));
 }
 
-/// Fault that has opened the bridge in hardware while a switch should be closed (HRTIM, HRTIM_ISR: FLT1, FLT2, FLT4, SYSFLT); closing
-/// the first one clears what is left of an earlier fault. The thread has the path only with interrupts masked, so no block closes a
-/// switch between the two readings.
+/// Fault that has opened the bridge in hardware while a switch should be closed (HRTIM, HRTIM_ISR: FLT1, FLT2, FLT4, SYSFLT). The first
+/// switch that closes clears the flags of an earlier fault. The thread has the path only with interrupts masked, so no block closes a
+/// switch between the readings of drive and flags.
 pub fn hardware_fault<M: PairArithmetic>(path: &SamplingPath<M>) -> Option<Fault> {
     if path.drive().bridge == Bridge::Open {
         return None;
