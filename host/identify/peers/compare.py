@@ -5,7 +5,7 @@
     cargo build --release -p ihd
     python3 host/identify/peers/compare.py --ihd target/release/ihd
 
-Captures come from `ihd simulate`: 20 ms at 50 MS/s, 45 and 70 kHz, behavioural load and field model, without
+Captures come from `ihd simulate`: 20 ms at 50 MS/s, 45, 50, 60 and 70 kHz, behavioural load and field model, without
 noise and at 70, 50 and 30 dB. Everybody is told the switching and mains frequency, and is held against the same truth
 at the same times. One thread on one core. Peers: processor time of the second of two runs, so that
 compiling does not count (the Kalman filters: of the only one). ihd: the least wall-clock time of its
@@ -46,7 +46,7 @@ PEERS = [
     ("filterpy EKF, 3 states", kalman.three_states, True),
 ]
 LOADS = {"behavioural": "Behavioural reference load", "field": "Field model"}
-KHZ = (45, 70)
+KHZ = (45, 50, 60, 70)
 SNR_DB = (None, 70, 50, 30)
 
 
