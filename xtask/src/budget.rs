@@ -13,21 +13,12 @@ use crate::call_graph::CallGraph;
 use crate::workspace::Workspace;
 
 /// Sections in flash, and those in RAM; sections in both are copied at start.
-const FLASH: [&str; 8] = [
-    ".vector_table",
-    ".text",
-    ".rodata",
-    ".ccm",
-    ".data",
-    ".tables",
-    ".flash_filler",
-    ".image_crc",
-];
-const RAM: [&str; 5] = [".data", ".tables", ".bss", ".uninit", ".crash_record"];
+const FLASH: &str = ".vector_table .text .rodata .ccm .data .tables .flash_filler .image_crc";
+const RAM: &str = ".data .tables .bss .uninit .crash_record";
 /// RAM of the STM32G474 in bytes: SRAM1, SRAM2, CCM SRAM (RM0440, section 2.4).
 const CHIP_RAM: u64 = 128 * 1024;
 /// Sections in the CCM SRAM.
-const CCM: [&str; 2] = [".ccm_vectors", ".ccm"];
+const CCM: &str = ".ccm_vectors .ccm";
 
 /// Interrupt of the sampling path, and the task that it runs. The executor calls the task through a pointer, so the path is
 /// followed from both.
@@ -82,9 +73,10 @@ struct ModuleBytes {
 impl ModuleBytes {
     /// Counts `size` bytes of a section where that section lies.
     fn add(&mut self, section: &str, size: u64) {
-        self.flash += size * u64::from(FLASH.contains(&section));
-        self.ram += size * u64::from(RAM.contains(&section));
-        self.ccm += size * u64::from(CCM.contains(&section));
+        let within = |sections: &str| size * u64::from(sections.split(' ').any(|s| s == section));
+        self.flash += within(FLASH);
+        self.ram += within(RAM);
+        self.ccm += within(CCM);
     }
 }
 

@@ -142,6 +142,7 @@ fn scan(
     // A branch to its own start is a recursive call.
     let inside = start + 1..end;
     let mut scanned = ScannedFunction::default();
+    let word = |high: u16, low: u16| u64::from(high) << 16 | u64::from(low);
     let mut low = [0; 16];
     let mut address = start;
     while address < end {
@@ -149,23 +150,17 @@ fn scan(
         let (first, second) = (at(address).unwrap_or(0), at(address + 2).unwrap_or(0));
         if !is_code {
             // Words are aligned; in between are tables of jumps.
-            if address.is_multiple_of(4) {
-                scanned
-                    .literals
-                    .insert(u64::from(second) << 16 | u64::from(first));
-            }
+            let literal = address.is_multiple_of(4).then(|| word(second, first));
+            scanned.literals.extend(literal);
         } else if let Some(offset) = branch(first, second) {
-            let target = address.wrapping_add(4).wrapping_add_signed(offset);
-            scanned
-                .targets
-                .extend((!inside.contains(&target)).then_some(target));
+            let target = Some(address.wrapping_add(4).wrapping_add_signed(offset));
+            let leaves = target.filter(|target| !inside.contains(target));
+            scanned.targets.extend(leaves);
         } else if let Some((top, register, value)) = wide_move(first, second) {
             if top {
-                scanned
-                    .literals
-                    .insert(u64::from(value) << 16 | low[register]);
+                scanned.literals.insert(word(value, low[register]));
             } else {
-                low[register] = u64::from(value);
+                low[register] = value;
             }
         }
         // 11101, 11110 and 11111 begin an instruction of two halves (Armv7-M, A5.1).
@@ -236,16 +231,9 @@ mod tests {
         assert_eq!(branch(0xDF00, 0), None, "svc");
         assert_eq!(branch(0xF3BF, 0x8F4F), None, "dsb");
         assert_eq!(branch(0x4770, 0), None, "bx lr");
-        assert_eq!(
-            wide_move(0xF245, 0x6478),
-            Some((false, 4, 0x5678)),
-            "movw r4, #0x5678"
-        );
-        assert_eq!(
-            wide_move(0xF6C0, 0x0C00),
-            Some((true, 12, 0x0800)),
-            "movt r12, #0x800"
-        );
+        let (movw, movt) = (Some((false, 4, 0x5678)), Some((true, 12, 0x0800)));
+        assert_eq!(wide_move(0xF245, 0x6478), movw, "movw r4, #0x5678");
+        assert_eq!(wide_move(0xF6C0, 0x0C00), movt, "movt r12, #0x800");
         assert_eq!(wide_move(0xF000, 0xF802), None, "bl .+8");
     }
 
