@@ -1,4 +1,4 @@
-//! R(t) and ωL(t) as B-splines through the fundamental's phasors: V = R·I + ωL·(jI + I'/ω).
+//! R(t) and ωL(t) as rational splines through the fundamental's phasors: V = R·I + ωL·(jI + I'/ω).
 //!
 //! A Gaussian prior on the second differences of the coefficients keeps noise from bending R and L. Its weight against the data
 //! follows from the noise measured in the capture, and is zero without noise. R and L are functions of the current's amplitude
@@ -13,6 +13,7 @@ use ihd_spline::CubicSpline;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::phasors::SplineFit;
+use super::rational::RationalSpline;
 use super::{LeastSquaresSettings, intervals};
 use crate::model_residual::ModelResidual;
 use crate::{Estimate, IdentifyError, Method};
@@ -23,8 +24,8 @@ const PER_INTERVAL: usize = 4;
 /// Least assumed relative noise: the residual of the phasors' splines.
 const NOISE_FLOOR: f64 = 1e-6;
 
-/// Largest mean square of the bends of a load, in units of the expected ones (the loads of the simulator: 7).
-const MOST_RIPPLE: f64 = 20.0;
+/// Largest mean square of the bends of a load, in units of the expected ones (the loads of the simulator from 45 kHz: 13).
+const MOST_RIPPLE: f64 = 40.0;
 
 /// Bends on either side that are averaged: more than two periods of the fastest change that the splines follow.
 const RIPPLE_REACH: usize = 4;
@@ -44,7 +45,6 @@ pub fn fit(
     let omega = TAU * segment.f_sw_hz;
     let duration_s = phasors.duration_s;
     let count = intervals(settings.impedance_intervals, duration_s, segment);
-    let spline = CubicSpline::new(count, duration_s);
     let points = PER_INTERVAL * count;
     let at = |k: usize| (k as f64 + 0.5) / points as f64 * duration_s;
     let (mut cross, mut square, mut largest) = (0.0, 0.0, 0.0f64);
@@ -55,6 +55,11 @@ pub fn fit(
         largest = largest.max(p.i.norm_sqr());
     }
     let z2 = cross / square;
+    let spline = RationalSpline::new(
+        CubicSpline::new(count, duration_s),
+        |tau_s| phasors.at(tau_s).i.norm(),
+        largest.sqrt(),
+    );
     // Variance of one component of V − Z·I, shared by the points of an interval.
     let floor = NOISE_FLOOR * NOISE_FLOOR * cross / points as f64;
     let white = noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a;
@@ -153,7 +158,7 @@ struct Solution {
 }
 
 impl Problem {
-    fn new(spline: &CubicSpline) -> Self {
+    fn new(spline: &RationalSpline) -> Self {
         let size = 2 * spline.functions();
         Self {
             a: DMatrix::zeros(size, size),
@@ -234,14 +239,14 @@ impl Solution {
     }
 
     /// Mean square of one component of V − R·I − ωL·(jI + I'/ω) at a time, in V².
-    fn left(&self, spline: &CubicSpline, phasors: &SplineFit, tau_s: f64, omega: f64) -> f64 {
+    fn left(&self, spline: &RationalSpline, phasors: &SplineFit, tau_s: f64, omega: f64) -> f64 {
         let (p, ([r, x], _)) = (phasors.at(tau_s), self.at(spline, tau_s));
         let d = nalgebra::Complex::new(0.0, 1.0) * p.i + p.i_slope / omega;
         0.5 * (p.v - p.i * r - d * x).norm_sqr()
     }
 
     /// R and ωL in ohm at a time, and their standard deviations.
-    fn at(&self, spline: &CubicSpline, tau_s: f64) -> ([f64; 2], [f64; 2]) {
+    fn at(&self, spline: &RationalSpline, tau_s: f64) -> ([f64; 2], [f64; 2]) {
         let local = spline.at(tau_s);
         let index = |m: usize, quantity: usize| 2 * (local.first + m) + quantity;
         let value = |quantity: usize| {

@@ -1,5 +1,5 @@
 //! Banded least squares: phasors of the switching harmonics as B-splines in slow time, then R(t) and
-//! L(t) as B-splines through the phasors of the fundamental. Two linear solves per mains half-cycle,
+//! L(t) as rational splines through the phasors of the fundamental. Two linear solves per mains half-cycle,
 //! no iteration, no start value.
 //!
 //! Splines are smooth, but R and L have kinks at the mains zero crossings. Each half-cycle is therefore
@@ -7,6 +7,7 @@
 
 mod impedance;
 mod phasors;
+mod rational;
 
 use std::time::Instant;
 
@@ -25,7 +26,7 @@ use super::{Estimate, IdentifyError, Method};
 pub struct LeastSquaresSettings {
     /// B-spline intervals of the phasors in a mains half-cycle.
     pub phasor_intervals: usize,
-    /// B-spline intervals of R and L in a mains half-cycle.
+    /// Spline intervals of R and L in a mains half-cycle.
     pub impedance_intervals: usize,
     /// Expected second difference of the coefficients of R and ωL at full current, as a share of the impedance, which limits
     /// bends by noise. It grows where the current is small.
@@ -37,7 +38,7 @@ impl Default for LeastSquaresSettings {
         Self {
             phasor_intervals: 24,
             impedance_intervals: 24,
-            bend: 2e-3,
+            bend: 1.4e-3,
         }
     }
 }
