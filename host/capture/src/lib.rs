@@ -8,18 +8,22 @@
 //!
 //! [`format`](mod@format) is the table of all formats.
 
+mod assembly;
 pub mod channels;
 pub mod error;
 pub mod exports;
 pub mod format;
 pub mod formats;
+pub mod lone;
 pub mod mcap;
 pub mod open;
+pub mod options;
 pub mod pair;
 pub mod parts;
 pub mod recording;
 
 pub use error::CaptureError;
 pub use format::write;
-pub use open::{OpenOptions, open};
+pub use open::open;
+pub use options::OpenOptions;
 pub use parts::PartReader;

@@ -1,7 +1,9 @@
 //! Blocking client, used by `ihd device` and `ihd watch`.
 
+mod error;
 pub mod events;
 mod history;
+mod names;
 
 use std::io::Read;
 use std::path::Path;
@@ -9,19 +11,19 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use ihd_model::{
-    BackupMade, BackupRequest, Command, CommandError, CommandReply, DeviceReport, FleetReport,
-    HOLDER_HEADER, Health, Lease, LeaseRequest, Problem, RecordingFile, StoredLookup, StoredResult,
+    BackupMade, BackupRequest, Command, CommandReply, DeviceReport, FleetReport, HOLDER_HEADER,
+    Health, Lease, LeaseRequest, Problem, RecordingFile, StoredLookup, StoredResult,
 };
 use rustls::crypto::ring;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use thiserror::Error;
 use ureq::http::Response;
 use ureq::tls::{Certificate, RootCerts, TlsConfig, parse_pem};
-use ureq::{Agent, Body};
+use ureq::{Agent, Body, RequestBuilder};
 
-use crate::percent;
-use events::Events;
+pub use self::error::ClientError;
+use self::events::Events;
+use self::names::{device, encoded, printable_ascii};
 
 /// Maximum response time; that of the daemon is shorter.
 const TIMEOUT: Duration = Duration::from_secs(25);
@@ -34,48 +36,6 @@ const SILENCE_TIMEOUT: Duration = Duration::from_secs(45);
 
 /// Maximum size of a response, in bytes.
 const MAX_RESPONSE_BYTES: u64 = 64 << 20;
-
-/// Error of a request to a daemon.
-#[derive(Debug, Error)]
-pub enum ClientError {
-    /// Error of the daemon.
-    #[error("{0}")]
-    Command(CommandError),
-    /// The API server refused the request.
-    #[error("the daemon at {url} refused: {}", problem.message)]
-    Refused {
-        /// URL of the daemon.
-        url: String,
-        /// HTTP status.
-        status: u16,
-        /// Error in the response.
-        problem: Problem,
-    },
-    /// There is no response.
-    #[error("no answer from the daemon at {url}: {why}")]
-    Unreachable {
-        /// URL of the daemon.
-        url: String,
-        /// Reason.
-        why: String,
-    },
-    /// The response is not one of a daemon of this version.
-    #[error("{url} does not answer as a daemon of this version: {why}")]
-    UnexpectedResponse {
-        /// URL of the daemon.
-        url: String,
-        /// Reason.
-        why: String,
-    },
-    /// The certificate file cannot be used.
-    #[error("certificate {path}: {why}")]
-    Certificate {
-        /// The file.
-        path: String,
-        /// Reason.
-        why: String,
-    },
-}
 
 /// Client of one daemon.
 #[derive(Clone)]
@@ -237,14 +197,11 @@ impl ApiClient {
     /// # Errors
     /// [`ClientError`].
     pub fn take_lease(&self, name: &str, force: bool) -> Result<Lease, ClientError> {
-        let mut request = self
+        let request = self
             .agent
             .put(self.path(&device(name, "/lease")))
             .header(HOLDER_HEADER, &self.holder);
-        if let Some(bearer) = self.bearer() {
-            request = request.header("authorization", bearer);
-        }
-        let answer = request.send_json(LeaseRequest { force });
+        let answer = self.authorised(request).send_json(LeaseRequest { force });
         self.json(answer.map_err(|e| self.unreachable(&e))?)
     }
 
@@ -253,14 +210,14 @@ impl ApiClient {
     /// # Errors
     /// [`ClientError`].
     pub fn release_lease(&self, name: &str) -> Result<(), ClientError> {
-        let mut request = self
+        let request = self
             .agent
             .delete(self.path(&device(name, "/lease")))
             .header(HOLDER_HEADER, &self.holder);
-        if let Some(bearer) = self.bearer() {
-            request = request.header("authorization", bearer);
-        }
-        let response = request.call().map_err(|e| self.unreachable(&e))?;
+        let response = self
+            .authorised(request)
+            .call()
+            .map_err(|e| self.unreachable(&e))?;
         self.checked(response).map(drop)
     }
 
@@ -285,7 +242,7 @@ impl ApiClient {
 
     /// Requests a response of any duration; it ends only after [`SILENCE_TIMEOUT`].
     fn stream(&self, path: &str) -> Result<Response<Body>, ClientError> {
-        let mut request = self
+        let request = self
             .agent
             .get(self.path(path))
             .config()
@@ -293,10 +250,10 @@ impl ApiClient {
             .timeout_recv_response(Some(TIMEOUT))
             .timeout_per_read(Some(SILENCE_TIMEOUT))
             .build();
-        if let Some(bearer) = self.bearer() {
-            request = request.header("authorization", bearer);
-        }
-        let response = request.call().map_err(|e| self.unreachable(&e))?;
+        let response = self
+            .authorised(request)
+            .call()
+            .map_err(|e| self.unreachable(&e))?;
         self.checked(response)
     }
 
@@ -304,15 +261,16 @@ impl ApiClient {
         format!("{}/api/v1{path}", self.url)
     }
 
-    fn bearer(&self) -> Option<String> {
-        self.token.as_ref().map(|token| format!("Bearer {token}"))
+    /// Adds the token to a request, if there is one.
+    fn authorised<B>(&self, request: RequestBuilder<B>) -> RequestBuilder<B> {
+        match &self.token {
+            Some(token) => request.header("authorization", format!("Bearer {token}")),
+            None => request,
+        }
     }
 
     fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, ClientError> {
-        let mut request = self.agent.get(self.path(path));
-        if let Some(bearer) = self.bearer() {
-            request = request.header("authorization", bearer);
-        }
+        let request = self.authorised(self.agent.get(self.path(path)));
         self.json(request.call().map_err(|e| self.unreachable(&e))?)
     }
 
@@ -322,17 +280,14 @@ impl ApiClient {
         body: &impl Serialize,
         within: Duration,
     ) -> Result<T, ClientError> {
-        let mut request = self
+        let request = self
             .agent
             .post(self.path(path))
             .config()
             .timeout_global(Some(within))
             .build()
             .header(HOLDER_HEADER, &self.holder);
-        if let Some(bearer) = self.bearer() {
-            request = request.header("authorization", bearer);
-        }
-        let answer = request.send_json(body);
+        let answer = self.authorised(request).send_json(body);
         self.json(answer.map_err(|e| self.unreachable(&e))?)
     }
 
@@ -401,54 +356,4 @@ fn read_roots(path: &Path) -> Result<Vec<Certificate<'static>>, ClientError> {
         return Err(error("it holds no certificate in PEM".into()));
     }
     Ok(roots)
-}
-
-/// Returns the path of a device.
-fn device(name: &str, rest: &str) -> String {
-    format!("/devices/{}{rest}", encoded(name))
-}
-
-/// Encodes a name as one path segment; dots, too: `..` is another path.
-fn encoded(name: &str) -> String {
-    percent::encoded(name, b"-_~")
-}
-
-/// Replaces characters that a header cannot hold, and limits the length to 64.
-fn printable_ascii(name: &str) -> String {
-    let printable = name.chars().map(|c| {
-        if c == ' ' || c.is_ascii_graphic() {
-            c
-        } else {
-            '?'
-        }
-    });
-    let name: String = printable.take(64).collect();
-    match name.trim() {
-        "" => "somebody".into(),
-        name => name.into(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_name_is_one_segment() {
-        assert_eq!(device("bench", ""), "/devices/bench");
-        assert_eq!(
-            device("serial:/dev/tty ä", "/lease"),
-            "/devices/serial%3A%2Fdev%2Ftty%20%C3%A4/lease"
-        );
-        // A dot alone would be the folder itself to a browser or proxy.
-        assert_eq!(device("..", ""), "/devices/%2E%2E");
-    }
-
-    #[test]
-    fn a_holder_fits_a_header() {
-        assert_eq!(printable_ascii("Ada @ bench"), "Ada @ bench");
-        assert_eq!(printable_ascii("Zoë\r\nx: y"), "Zo???x: y");
-        assert_eq!(printable_ascii("  "), "somebody");
-        assert_eq!(printable_ascii(&"x".repeat(99)).len(), 64);
-    }
 }

@@ -11,6 +11,7 @@ use ::mcap::MAGIC;
 use ::mcap::records::op;
 
 use super::McapFileError;
+use super::chunk;
 use super::records::{self, CHUNK_HEADER, PACKING_AT, ZSTD};
 
 /// Limit of a record and of an unpacked chunk, in bytes: `Writer` makes chunks of 1 MiB, other tools up to some 10 MiB.
@@ -20,18 +21,10 @@ pub const MAX_RECORD: u64 = 64 << 20;
 const SEARCH_BLOCK: u64 = 1 << 16;
 
 /// Size of a record's opcode and length, in bytes.
-const PREFIX: u64 = 9;
+const PREFIX: u64 = chunk::PREFIX as u64;
 
 /// Size of a chunk header up to its message times, in bytes.
 const CHUNK_TIMES: usize = 16;
-
-/// Record as it lies in the file or in a chunk.
-pub struct RawRecord<'a> {
-    /// Kind of record.
-    pub opcode: u8,
-    /// Contents.
-    pub body: &'a [u8],
-}
 
 /// Result of [`McapFrames::step`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,7 +53,7 @@ pub struct McapFrames {
     body: Vec<u8>,
     chunk: Vec<u8>,
     /// Message times of the last chunk, in nanoseconds.
-    times_ns: (u64, u64),
+    pub times_ns: (u64, u64),
     cut: bool,
     /// Set at the end; the position of the input then has no meaning.
     ended: bool,
@@ -218,7 +211,7 @@ impl McapFrames {
             return Ok(at == self.length);
         };
         self.seek(at)?;
-        let mut prefix = [0; PREFIX as usize];
+        let mut prefix = [0; chunk::PREFIX];
         self.input
             .read_exact(&mut prefix)
             .map_err(|e| self.failed(e))?;
@@ -230,8 +223,8 @@ impl McapFrames {
     /// Offset of the first chunk packed with zstd from `from` on.
     fn chunk_from(&mut self, from: u64) -> Result<Option<u64>, McapFileError> {
         /// Distance from a record's beginning to the name of its packing.
-        const TO_PACKING: usize = PREFIX as usize + PACKING_AT;
-        const WHOLE: usize = PREFIX as usize + CHUNK_HEADER;
+        const TO_PACKING: usize = chunk::PREFIX + PACKING_AT;
+        const WHOLE: usize = chunk::PREFIX + CHUNK_HEADER;
         self.seek(from)?;
         let mut window = Vec::new();
         let mut at = from;
@@ -245,7 +238,7 @@ impl McapFrames {
                     continue;
                 };
                 let Some((&[op::CHUNK, ref length @ ..], head)) =
-                    window[begin..].split_first_chunk::<{ PREFIX as usize }>()
+                    window[begin..].split_first_chunk::<{ chunk::PREFIX }>()
                 else {
                     continue;
                 };
@@ -295,7 +288,7 @@ impl McapFrames {
             self.cut = true;
             return Ok(FrameStep::End);
         }
-        let mut prefix = [0; PREFIX as usize];
+        let mut prefix = [0; chunk::PREFIX];
         self.input
             .read_exact(&mut prefix)
             .map_err(|e| self.failed(e))?;
@@ -391,27 +384,9 @@ impl McapFrames {
         if chunk.unpacked > MAX_RECORD {
             return Err(self.too_long("a chunk", chunk.unpacked));
         }
-        let unpacked = unpack(&chunk, &mut self.chunk);
+        let unpacked = chunk::unpack(&chunk, &mut self.chunk);
         unpacked.map_err(|why| self.damaged(why))?;
         Ok(FrameStep::Chunk)
-    }
-}
-
-/// Offset from which everything from `at_ns` on can be read. A message carries the time of its first pair, so it may begin in the
-/// chunk before the last one that begins by then.
-pub fn lead_in(path: &Path, at_ns: u64) -> Result<u64, McapFileError> {
-    let mut frames = McapFrames::open(path)?;
-    // Only the times of the chunks are read.
-    frames.time_range_ns = (u64::MAX, 0);
-    let mut starts = [0, 0];
-    loop {
-        match frames.step()? {
-            FrameStep::End => return Ok(starts[0]),
-            FrameStep::Skipped if frames.times_ns.0 <= at_ns && frames.times_ns.0 > starts[1] => {
-                starts = [starts[1], frames.times_ns.0];
-            }
-            _ => {}
-        }
     }
 }
 
@@ -426,52 +401,4 @@ fn peek_times(input: &mut BufReader<File>) -> std::io::Result<(u64, u64)> {
         u64::from_le_bytes(bytes)
     };
     Ok((time(0), time(8)))
-}
-
-fn unpack(chunk: &records::ChunkRecord<'_>, into: &mut Vec<u8>) -> Result<(), String> {
-    let size = chunk.unpacked as usize;
-    into.clear();
-    match chunk.packing {
-        "" => into.extend_from_slice(chunk.data),
-        "zstd" => {
-            let unpacked = zstd::bulk::decompress(chunk.data, size);
-            *into = unpacked.map_err(|e| format!("its chunk does not unpack: {e}"))?;
-        }
-        other => {
-            return Err(format!(
-                "its chunks are packed with {other:?}; pack them with zstd (`mcap compress`)"
-            ));
-        }
-    }
-    if into.len() != size {
-        return Err("its chunk unpacks to another size than it declares".into());
-    }
-    if chunk.crc != 0 && crc32(into) != chunk.crc {
-        return Err("its chunk fails its CRC-32".into());
-    }
-    Ok(())
-}
-
-fn crc32(bytes: &[u8]) -> u32 {
-    /// CRC-32 of the wire with sixteen tables instead of one: a capture has hundreds of megabytes.
-    static CRC32: crc::Crc<u32, crc::Table<16>> =
-        crc::Crc::<u32, crc::Table<16>>::new(ihd_shared::wire::frame::CRC32.algorithm);
-    CRC32.checksum(bytes)
-}
-
-/// Record at `at` of an unpacked chunk, and the offset of the next; `None` at the end.
-pub fn record_at(chunk: &[u8], at: usize) -> Result<Option<(RawRecord<'_>, usize)>, &'static str> {
-    let rest = chunk.get(at..).unwrap_or_default();
-    let Some((&[opcode, ref length @ ..], behind)) = rest.split_first_chunk::<9>() else {
-        return if rest.is_empty() {
-            Ok(None)
-        } else {
-            Err("its chunk ends within a record")
-        };
-    };
-    let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
-    let body = behind.get(..length);
-    let body = body.ok_or("a record within its chunk is longer than the chunk")?;
-    let next = at + PREFIX as usize + length;
-    Ok(Some((RawRecord { opcode, body }, next)))
 }

@@ -8,7 +8,7 @@ use ihd_signal::{Capture, FrequencyStep, TimeBase};
 
 use super::McapFileError;
 use super::cdr::{self, SamplesMessage};
-use super::framing::lead_in;
+use super::framing::{FrameStep, McapFrames};
 use super::reader::{McapItem, McapMessage, McapReader};
 use super::save::key;
 use super::topics::{FSw, META_CAPTURE, META_FREE, MainsCrossing, Topic};
@@ -271,6 +271,24 @@ impl CaptureBuilder {
                     stamps.push(samples.at(k));
                 }
             }
+        }
+    }
+}
+
+/// Offset from which everything from `at_ns` on can be read. A message carries the time of its first pair, so it may begin in the
+/// chunk before the last one that begins by then.
+fn lead_in(path: &Path, at_ns: u64) -> Result<u64, McapFileError> {
+    let mut frames = McapFrames::open(path)?;
+    // Only the times of the chunks are read.
+    frames.time_range_ns = (u64::MAX, 0);
+    let mut starts = [0, 0];
+    loop {
+        match frames.step()? {
+            FrameStep::End => return Ok(starts[0]),
+            FrameStep::Skipped if frames.times_ns.0 <= at_ns && frames.times_ns.0 > starts[1] => {
+                starts = [starts[1], frames.times_ns.0];
+            }
+            _ => {}
         }
     }
 }

@@ -11,6 +11,7 @@
 //! ```
 
 pub mod cdr;
+mod chunk;
 pub mod error;
 mod framing;
 pub mod load;

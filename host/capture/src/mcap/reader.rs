@@ -6,7 +6,8 @@ use std::path::Path;
 use ::mcap::records::op;
 
 use super::McapFileError;
-use super::framing::{FrameStep, McapFrames, record_at};
+use super::chunk::record_at;
+use super::framing::{FrameStep, McapFrames};
 use super::records;
 use super::topics::{MessageLayout, PROFILE, SAMPLES_I16, Topic};
 

@@ -13,7 +13,8 @@ use ihd_signal::{Capture, TimeBase};
 use crate::error::CaptureError;
 use crate::format::{Opener, recognise};
 use crate::mcap::{CaptureStream, FileLosses};
-use crate::open::{OpenOptions, adjusted, salvage_with};
+use crate::open::{adjusted, salvage_with};
+use crate::options::OpenOptions;
 
 /// Pairs of a part: 42 ms of 50 MS/s. Memory of a command is a multiple of it.
 pub const PART_PAIRS: usize = 1 << 21;

@@ -12,6 +12,7 @@
 
 mod ring;
 mod session;
+mod shared;
 mod state;
 mod trigger;
 mod under_way;
@@ -19,7 +20,7 @@ mod writer;
 
 pub use ihd_model::{ActiveRecording, Quantity, RecordSettings, RecordingPhase, Trigger};
 pub use session::{
-    RecordingOptions, RecordingProgress, RecordingSession, RecordingSink, RecordingStatus,
-    StartedRecording, StoppedRecording, name_of,
+    RecordingProgress, RecordingSession, StartedRecording, StoppedRecording, name_of,
 };
+pub use shared::{RecordingOptions, RecordingSink, RecordingStatus};
 pub use under_way::RecordingLimit;

@@ -1,42 +1,22 @@
 //! Recording session of one device: idle, armed, recording; across connections.
 
-use std::collections::BTreeMap;
-use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use ihd_link::FrameSink;
 use ihd_model::{ActiveRecording, RecordSettings, RecordingPhase, Trigger};
 use ihd_shared::wire::messages::{FrontEnd, Hello};
 
-use super::ring::ByteChunk;
-use super::state::{Phase, SessionState};
+use super::shared::{RecordingOptions, RecordingSink, RecordingStatus, Shared};
+use super::state::Phase;
 use super::under_way::{OngoingRecording, RecordingLimit};
-use super::writer::{FileStart, PendingWrite, RecordingWriter};
+use super::writer::PendingWrite;
 
 /// Time limit for waiting for the disk at the start and end of a recording.
 const DISK_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Time without data after which the system clock ends a recording instead of the transport's.
 const SILENCE_LIMIT: Duration = Duration::from_secs(1);
-
-/// Function that names the next file; the number is 1 for the first one of a recording.
-type Name = dyn Fn(u32) -> PathBuf + Send + Sync;
-
-/// Function that publishes a status, on any thread; must not block.
-type Publish = dyn Fn(RecordingStatus) + Send + Sync;
-
-/// Differences between a daemon's recording, which is the default, and that of a command which owns the link.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct RecordingOptions {
-    /// `true` if the link's clock is that of a simulation: the same session gives the same bytes, so that the file has no date,
-    /// and the link waits for the disk.
-    pub simulated_clock: bool,
-    /// `true` if a limit that is reached is only reported ([`RecordingSession::progress`]), so that the file also holds how the
-    /// owner leaves the device; `false` if it ends the recording.
-    pub ends_by_owner: bool,
-}
 
 /// Progress of a recording that has begun.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,27 +29,9 @@ pub struct RecordingProgress {
     pub limit: Option<RecordingLimit>,
 }
 
-/// Status of a recording, as published.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RecordingStatus {
-    /// Phase of the recording.
-    pub phase: RecordingPhase,
-    /// Cause of its start or end.
-    pub text: String,
-    /// File of the recording; `None` before it has begun.
-    pub file: Option<PathBuf>,
-}
-
 /// Recording session of one device; cheap to clone.
 #[derive(Clone)]
 pub struct RecordingSession(Arc<Shared>);
-
-struct Shared {
-    options: RecordingOptions,
-    name: Box<Name>,
-    publish: Box<Publish>,
-    state: Mutex<SessionState>,
-}
 
 /// Recording that was started or armed.
 pub struct StartedRecording {
@@ -368,158 +330,8 @@ impl RecordingSession {
     }
 }
 
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, SessionState> {
-        // Poisoning is ignored: no lock scope leaves a half-written value.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 /// Returns the last component of a path.
 pub fn name_of(path: &Path) -> String {
     let name = path.file_name().unwrap_or(path.as_os_str());
     name.to_string_lossy().into_owned()
-}
-
-impl Shared {
-    /// Begins the recording's next file at `at`. Returns the status to be published.
-    fn begin_file(
-        self: &Arc<Self>,
-        state: &mut SessionState,
-        mut recording: Box<OngoingRecording>,
-        at: Duration,
-        cause: &str,
-    ) -> RecordingStatus {
-        let mut before = Vec::new();
-        if recording.part == 1 {
-            let pre_trigger = Duration::from_secs_f64(recording.settings.pre_trigger_s);
-            before = state.ring.since(at.saturating_sub(pre_trigger));
-        }
-        let begins_at = before.first().map_or(at, |first| first.at);
-        recording.path = (self.name)(recording.part);
-        let path = recording.path.clone();
-        let failed = |why: String| RecordingStatus {
-            phase: RecordingPhase::Failed,
-            text: why,
-            file: Some(path.clone()),
-        };
-        let Some((hello, front_end)) = state.device.clone() else {
-            return failed("the device is not connected".to_owned());
-        };
-        let simulated = self.options.simulated_clock;
-        let notes = match (simulated, recording.settings.trigger) {
-            (true, Trigger::Now) => BTreeMap::new(),
-            (true, _) => recording.undated_notes(begins_at),
-            (false, _) => recording.notes(begins_at, at),
-        };
-        let start = FileStart {
-            path: path.clone(),
-            hello,
-            front_end,
-            notes,
-            at: begins_at,
-            before,
-            mid_frame: state.mid_frame,
-            wall_clock_flush: !simulated,
-        };
-        let (shared, written) = (Arc::downgrade(self), path.clone());
-        match RecordingWriter::begin(start, move |ended| on_file_end(&shared, &written, ended)) {
-            Err(why) => failed(why),
-            Ok(writer) => {
-                recording.writer = Some(writer);
-                state.phase = Phase::Recording(recording);
-                RecordingStatus {
-                    phase: RecordingPhase::Begun,
-                    text: cause.to_owned(),
-                    file: Some(path),
-                }
-            }
-        }
-    }
-
-    fn record_chunk(
-        self: &Arc<Self>,
-        connection: u64,
-        at: Duration,
-        from_device: bool,
-        bytes: &[u8],
-    ) {
-        let mut state = self.lock();
-        if state.connection != connection {
-            return;
-        }
-        let chunk = ByteChunk {
-            at,
-            from_device,
-            mid_frame: from_device && state.mid_frame,
-            bytes: bytes.into(),
-        };
-        state.write_chunk(&chunk, !self.options.ends_by_owner);
-        state.remember(chunk);
-        let mut status = None;
-        if from_device && let Some((settings, cause)) = state.check_trigger(bytes) {
-            let recording = OngoingRecording::new(settings, at, &cause);
-            let cause = format!("begun by {cause}");
-            status = Some(self.begin_file(&mut state, recording, at, &cause));
-        }
-        let written = match &state.phase {
-            Phase::Recording(r) if self.options.simulated_clock => r.pending(),
-            _ => None,
-        };
-        drop(state);
-        if let Some(status) = status {
-            (self.publish)(status);
-        }
-        if let Some(written) = written {
-            written.wait_written();
-        }
-    }
-}
-
-/// Publishes the end or failure of a file, and ends the recording if it was being written to that file.
-fn on_file_end(shared: &Weak<Shared>, path: &Path, ended: &Result<String, String>) {
-    let Some(shared) = shared.upgrade() else {
-        return;
-    };
-    let (phase, text) = match ended {
-        Ok(why) => (RecordingPhase::Ended, why),
-        Err(why) => (RecordingPhase::Failed, why),
-    };
-    {
-        let mut state = shared.lock();
-        state.finishing.retain(|file| file != path);
-        if let Phase::Recording(recording) = &state.phase
-            && recording.path == path
-            && recording.writer.is_some()
-        {
-            state.phase = Phase::Idle;
-        }
-    }
-    (shared.publish)(RecordingStatus {
-        phase,
-        text: text.clone(),
-        file: Some(path.to_owned()),
-    });
-}
-
-/// Sink of a session for the bytes of one connection.
-pub struct RecordingSink {
-    shared: Arc<Shared>,
-    connection: u64,
-}
-
-impl FrameSink for RecordingSink {
-    fn received(&mut self, at: Duration, bytes: &[u8]) -> io::Result<()> {
-        self.shared.record_chunk(self.connection, at, true, bytes);
-        Ok(())
-    }
-
-    fn sent(&mut self, at: Duration, frame: &[u8]) -> io::Result<()> {
-        self.shared.record_chunk(self.connection, at, false, frame);
-        Ok(())
-    }
-
-    fn finish(self: Box<Self>) -> io::Result<()> {
-        Ok(())
-    }
 }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use ihd_capture::open::{LoneChannel, lone_channel};
+use ihd_capture::lone::{LoneChannel, lone_channel};
 use ihd_gate::sensors::calibrate;
 use ihd_survey::{Finding, Severity, Survey};
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use ihd_capture::open::LoneChannel;
+use ihd_capture::lone::LoneChannel;
 use ihd_signal::{Capture, Remark};
 use ihd_survey::calibration::blind::{CalibratedCapture, Correction, SelfCalibration};
 use ihd_survey::mains::MainsSource;

@@ -1,0 +1,96 @@
+//! Description of a file with one channel only, for which a second file is needed.
+
+use std::path::Path;
+
+use ihd_signal::TimeBase;
+
+use super::assembly::OpenFile;
+use super::error::CaptureError;
+use super::format::{Opener, recognise};
+use super::formats::FileSamples;
+use super::options::OpenOptions;
+
+/// Description of the only channel of a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoneChannel {
+    /// Format of the file.
+    pub format: String,
+    /// Name of the channel; may be empty.
+    pub name: String,
+    /// Unit; `None` if neither the file nor the user states one.
+    pub unit: Option<String>,
+    /// Largest magnitude it can show, in its unit; `None` if the file does not state it.
+    pub full_scale: Option<f64>,
+    /// Number of samples.
+    pub samples: usize,
+    /// Sampling rate in hertz; `None` for uneven or missing times.
+    pub rate_hz: Option<f64>,
+    /// Time of the first sample in seconds; `None` if the file states no times.
+    pub start_s: Option<f64>,
+    /// Time from first to last sample in seconds; `None` if the file states no times.
+    pub duration_s: Option<f64>,
+    /// Smallest sample, in the unit.
+    pub min: f64,
+    /// Largest sample.
+    pub max: f64,
+    /// Mean of the samples.
+    pub mean: f64,
+    /// Rms value without the mean.
+    pub rms: f64,
+}
+
+/// Describes the only channel of a file; `None` if it has several, or if a second file is given.
+///
+/// # Errors
+/// Any error of [`open`](crate::open()).
+pub fn lone_channel(
+    path: &Path,
+    options: &OpenOptions,
+) -> Result<Option<LoneChannel>, CaptureError> {
+    let opener = recognise(path)?;
+    if matches!(opener, Opener::Whole(_)) || options.second.is_some() {
+        return Ok(None);
+    }
+    let mut file = OpenFile::new(path, opener, options)?;
+    let [channel] = file.source.channels() else {
+        return Ok(None);
+    };
+    let channel = channel.clone();
+    let samples = file.source.read(&[0], &mut |_| ());
+    let FileSamples { time, columns } = samples.map_err(|e| e.in_file(path))?;
+    let x = columns.first().map_or(&[][..], Vec::as_slice);
+    let n = x.len().max(1) as f64;
+    let all = || x.iter().map(|x| f64::from(*x));
+    let mean = all().sum::<f64>() / n;
+    let square = all().map(|x| (x - mean) * (x - mean)).sum::<f64>() / n;
+    let time = options
+        .rate_hz
+        .map(|hz| TimeBase::Even {
+            t0_s: 0.0,
+            dt_s: 1.0 / hz,
+        })
+        .or(time);
+    let at = |k: usize| time.as_ref().and_then(|t| t.at(k));
+    let last_s = at(x.len().saturating_sub(1));
+    Ok(Some(LoneChannel {
+        format: file
+            .source
+            .metadata()
+            .remove("format")
+            .unwrap_or_else(|| "text".to_owned()),
+        name: channel.name,
+        unit: channel.unit.map(|u| u.to_string()),
+        full_scale: channel.full_scale,
+        samples: x.len(),
+        rate_hz: match time {
+            Some(TimeBase::Even { dt_s, .. }) => Some(1.0 / dt_s),
+            _ => None,
+        },
+        start_s: at(0),
+        duration_s: at(0).zip(last_s).map(|(first, last)| last - first),
+        min: all().fold(f64::INFINITY, f64::min),
+        max: all().fold(f64::NEG_INFINITY, f64::max),
+        mean,
+        rms: libm::sqrt(square),
+    }))
+}

@@ -1,0 +1,18 @@
+//! User's options for opening a capture.
+
+use std::path::PathBuf;
+
+use super::channels::{ChannelOptions, ChannelRef};
+
+/// User's options for a file, and for a second one with the other channel.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OpenOptions {
+    /// File with the other channel, of one acquisition; its channels are numbered after the first's.
+    pub second: Option<PathBuf>,
+    /// Channels, units, ratios and signs.
+    pub channels: ChannelOptions,
+    /// Columns of a table: time (`-` for none), voltage, current; they replace [`ChannelOptions::channels`].
+    pub columns: Option<[ChannelRef; 3]>,
+    /// Sampling rate in hertz; replaces the file's time.
+    pub rate_hz: Option<f64>,
+}
