@@ -143,12 +143,11 @@ pub fn assembled(
             what,
         })?
     };
-    let stated = options.rate_hz.map(|rate_hz| TimeBase::Even {
-        t0_s: 0.0,
-        dt_s: 1.0 / rate_hz,
-    });
     let no_time = "the file states no time: give the sampling rate, as in --input rate=50M";
-    let time = stated.or(time).ok_or_else(|| choice(no_time.to_owned()))?;
+    let time = options
+        .stated_time(0.0)
+        .or(time)
+        .ok_or_else(|| choice(no_time.to_owned()))?;
     let mut side = |k: usize| {
         let values = std::mem::take(columns.get_mut(k).unwrap_or(&mut Vec::new()));
         ChannelSamples::new(values, &channels[chosen[k].index], chosen[k].factor).map_err(choice)

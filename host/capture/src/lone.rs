@@ -63,13 +63,7 @@ pub fn lone_channel(
     let all = || x.iter().map(|x| f64::from(*x));
     let mean = all().sum::<f64>() / n;
     let square = all().map(|x| (x - mean) * (x - mean)).sum::<f64>() / n;
-    let time = options
-        .rate_hz
-        .map(|hz| TimeBase::Even {
-            t0_s: 0.0,
-            dt_s: 1.0 / hz,
-        })
-        .or(time);
+    let time = options.stated_time(0.0).or(time);
     let at = |k: usize| time.as_ref().and_then(|t| t.at(k));
     let last_s = at(x.len().saturating_sub(1));
     Ok(Some(LoneChannel {

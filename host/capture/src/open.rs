@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ihd_signal::{Capture, TimeBase};
+use ihd_signal::Capture;
 
 use super::assembly::{ChannelSamples, OpenFile, assembled};
 use super::channels::{ChosenChannel, choose};
@@ -97,10 +97,7 @@ pub(super) fn adjusted(
         ChannelSamples::new(values, &channels[c.index], c.factor).map_err(choice)
     };
     let (v, i) = (side(chosen[0])?, side(chosen[1])?);
-    let time = options.rate_hz.map(|rate_hz| TimeBase::Even {
-        t0_s: capture.time.at(0).unwrap_or(0.0),
-        dt_s: 1.0 / rate_hz,
-    });
+    let time = options.stated_time(capture.time.at(0).unwrap_or(0.0));
     Ok(Capture {
         time: time.unwrap_or(capture.time),
         v_v: v.values,
@@ -114,6 +111,8 @@ pub(super) fn adjusted(
 #[cfg(test)]
 mod tests {
     use std::path::PathBuf;
+
+    use ihd_signal::TimeBase;
 
     use super::*;
     use crate::channels::ChannelRef;

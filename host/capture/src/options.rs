@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use ihd_signal::TimeBase;
+
 use super::channels::{ChannelOptions, ChannelRef};
 
 /// User's options for a file, and for a second one with the other channel.
@@ -15,4 +17,12 @@ pub struct OpenOptions {
     pub columns: Option<[ChannelRef; 3]>,
     /// Sampling rate in hertz; replaces the file's time.
     pub rate_hz: Option<f64>,
+}
+
+impl OpenOptions {
+    /// Returns the times by the stated rate, from `t0_s` seconds on; `None` if the file's times hold.
+    pub fn stated_time(&self, t0_s: f64) -> Option<TimeBase> {
+        let dt_s = 1.0 / self.rate_hz?;
+        Some(TimeBase::Even { t0_s, dt_s })
+    }
 }

@@ -19,6 +19,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use ureq::http::Response;
 use ureq::tls::{Certificate, RootCerts, TlsConfig, parse_pem};
+use ureq::typestate::{WithBody, WithoutBody};
 use ureq::{Agent, Body, RequestBuilder};
 
 pub use self::error::ClientError;
@@ -201,8 +202,7 @@ impl ApiClient {
             .agent
             .put(self.path(&device(name, "/lease")))
             .header(HOLDER_HEADER, &self.holder);
-        let answer = self.authorised(request).send_json(LeaseRequest { force });
-        self.json(answer.map_err(|e| self.unreachable(&e))?)
+        self.json(self.send(request, &LeaseRequest { force })?)
     }
 
     /// Releases the lease of a device.
@@ -214,11 +214,7 @@ impl ApiClient {
             .agent
             .delete(self.path(&device(name, "/lease")))
             .header(HOLDER_HEADER, &self.holder);
-        let response = self
-            .authorised(request)
-            .call()
-            .map_err(|e| self.unreachable(&e))?;
-        self.checked(response).map(drop)
+        self.call(request).map(drop)
     }
 
     /// Copies the store to a new backup named `to`.
@@ -250,11 +246,7 @@ impl ApiClient {
             .timeout_recv_response(Some(TIMEOUT))
             .timeout_per_read(Some(SILENCE_TIMEOUT))
             .build();
-        let response = self
-            .authorised(request)
-            .call()
-            .map_err(|e| self.unreachable(&e))?;
-        self.checked(response)
+        self.call(request)
     }
 
     fn path(&self, path: &str) -> String {
@@ -269,9 +261,24 @@ impl ApiClient {
         }
     }
 
+    /// Sends a request without a body; returns a successful response.
+    fn call(&self, request: RequestBuilder<WithoutBody>) -> Result<Response<Body>, ClientError> {
+        let response = self.authorised(request).call();
+        self.checked(response.map_err(|e| self.unreachable(&e))?)
+    }
+
+    /// Sends a request with a body; returns a successful response.
+    fn send(
+        &self,
+        request: RequestBuilder<WithBody>,
+        body: &impl Serialize,
+    ) -> Result<Response<Body>, ClientError> {
+        let response = self.authorised(request).send_json(body);
+        self.checked(response.map_err(|e| self.unreachable(&e))?)
+    }
+
     fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, ClientError> {
-        let request = self.authorised(self.agent.get(self.path(path)));
-        self.json(request.call().map_err(|e| self.unreachable(&e))?)
+        self.json(self.call(self.agent.get(self.path(path)))?)
     }
 
     fn post<T: DeserializeOwned>(
@@ -287,13 +294,12 @@ impl ApiClient {
             .timeout_global(Some(within))
             .build()
             .header(HOLDER_HEADER, &self.holder);
-        let answer = self.authorised(request).send_json(body);
-        self.json(answer.map_err(|e| self.unreachable(&e))?)
+        self.json(self.send(request, body)?)
     }
 
     /// Deserialises the body of a successful response.
     fn json<T: DeserializeOwned>(&self, response: Response<Body>) -> Result<T, ClientError> {
-        let text = read_text(self.checked(response)?).map_err(|why| self.unexpected(&why))?;
+        let text = read_text(response).map_err(|why| self.unexpected(&why))?;
         serde_json::from_str(&text).map_err(|e| self.unexpected(&e.to_string()))
     }
 
