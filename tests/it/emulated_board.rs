@@ -196,22 +196,14 @@ fn replayed(client: &mut Client, h: &HalfCycle) -> Vec<Option<TrajectoryEntry>> 
     estimates
 }
 
-#[test]
-fn estimates_equal_those_of_this_machine_bit_for_bit() {
-    estimates_equal(&F_SW_HZ[..1], &["snr30"]);
-}
-
+/// In the quick tier `a_replay_gives_the_bits_that_the_library_gives_here` of tests/stm32g474.
 #[test]
 fn estimates_equal_those_of_this_machine_all_variants() {
-    estimates_equal(&F_SW_HZ, &["noiseless", "snr30"]);
-}
-
-fn estimates_equal(f_sw_hz: &[u32], noises: &[&str]) {
     let board = Board::start("");
     let mut client = board.connect();
     assert_eq!(client.hello().capabilities, CAP_SIMULATED);
-    for &f in f_sw_hz {
-        for noise in noises {
+    for f in F_SW_HZ {
+        for noise in ["noiseless", "snr30"] {
             let h = HalfCycle::load(f, noise).unwrap();
             let (here, there) = (on_this_machine(&h), replayed(&mut client, &h));
             assert_eq!(there, here, "{f} Hz {noise}");
@@ -313,8 +305,9 @@ fn curve(window: &Window) -> CurrentCurve {
     CurrentCurve::new(f64::from(window.f_sw_hz), 0.0, points)
 }
 
+/// In the quick tier the emulated STM32G474 sends windows and stores lookups.
 #[test]
-fn a_window_comes_back_and_the_lookup_built_from_it_becomes_active() {
+fn a_window_comes_back_and_the_lookup_built_from_it_becomes_active_at_length() {
     let board = Board::start("");
     let mut client = board.connect();
     let h = HalfCycle::load(45_000, "noiseless").unwrap();
@@ -373,7 +366,7 @@ fn replay_mode_says_so_and_locks_the_power_outputs() {
 }
 
 #[test]
-fn a_capture_replays_with_the_same_bits_windows_and_states() {
+fn a_capture_replays_with_the_same_bits_windows_and_states_at_length() {
     let board = Board::start("");
     let capture = mcap::read(&regression_captures::file("start-up")).unwrap();
     let survey = Survey::of(&capture, &Hints::default()).unwrap();

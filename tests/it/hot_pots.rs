@@ -255,7 +255,7 @@ fn keep_warm(pot: &SimulatedPot, litre: f64, contact: f64, glass_c: f64) -> [(f6
 }
 
 #[test]
-fn the_document_says_how_warm_pots_are_kept() {
+fn the_document_says_how_warm_pots_are_kept_at_length() {
     let mut table =
         String::from("| contact | runs | water, °C | power, W |\n|---:|---:|---:|---:|\n");
     for contact in [0.25, 0.5, 0.75, 1.0, 1.5] {

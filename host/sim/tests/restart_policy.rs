@@ -252,11 +252,11 @@ fn a_restart_brings_no_try_back_and_does_not_switch_the_panel_on() {
     assert_eq!(tries(&bench), left);
 }
 
-/// Number of conversations, some seconds of a hob each: that of `PROPTEST_CASES`, which the full tier sets, or four.
+/// Number of conversations, some seconds of a hob each: that of `PROPTEST_CASES`, which the full tier sets, or two.
 fn conversations() -> ProptestConfig {
     match std::env::var_os("PROPTEST_CASES") {
         Some(_) => ProptestConfig::default(),
-        None => ProptestConfig::with_cases(4),
+        None => ProptestConfig::with_cases(2),
     }
 }
 

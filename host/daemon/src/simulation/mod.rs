@@ -89,7 +89,7 @@ pub fn run_all(seeds: Range<u64>, run_one: impl Fn(u64) -> Course + Sync) {
 
 /// Number of seeds of a normal test run.
 #[cfg(test)]
-const SEEDS: u64 = 30;
+const SEEDS: u64 = 20;
 
 /// Seeds of a normal test run with the firmware as one of the hobs: five seconds of a core.
 #[cfg(test)]

@@ -29,7 +29,7 @@ use crate::edge::{Edge, State};
 use crate::server::FleetServer;
 
 /// Seeds of the short form.
-const SEEDS: u64 = 10;
+const SEEDS: u64 = 6;
 
 /// Name of the edge, as its daemon is configured.
 const EDGE: &str = "kitchen";

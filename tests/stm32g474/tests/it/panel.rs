@@ -102,20 +102,20 @@ fn what_stands_on_the_glass_is_kept_warm() {
     );
     assert!(lights(&bench)[0]);
     bench.with(|machine| machine.chip().pins.temperatures_c[1] = 80.0);
-    bench.run_s(5.0);
-    let status = client.status().unwrap();
-    assert_eq!(
-        (status.state, status.limit),
-        (State::Heating, Limit::KeepWarm)
-    );
-    // A burst of 20 ms or more would come within a second; probes of 3.3 ms, .7 s apart, show the pot.
+    // A burst of 20 ms or more would come within a second; probes of 3.3 ms, .7 s apart, show the pot. Bursts end within seconds.
     let switches = |_: &u32| {
         bench.run_s(1e-3);
         let bridge = bench.with(|machine| machine.chip().pins.bridge());
         matches!(bridge, Bridge::Switching { .. })
     };
-    let switching_ms = (0..1_100).filter(switches).count();
-    assert!((1..=8).contains(&switching_ms), "{switching_ms} ms");
+    let mut seconds = (0..6).map(|_| (0..1_100).filter(switches).count());
+    let ends = seconds.any(|switching_ms| (1..=8).contains(&switching_ms));
+    assert!(ends, "bursts go on");
+    let status = client.status().unwrap();
+    assert_eq!(
+        (status.state, status.limit),
+        (State::Heating, Limit::KeepWarm)
+    );
     press(&bench, MINUS);
     assert_eq!(client.status().unwrap().state, State::Idle);
     assert_no_violations(&bench);

@@ -287,11 +287,9 @@ fn all_variants(family: &str, files: &[&str]) {
 #[test]
 fn the_image_holds_the_librarys_limits() {
     let files = match board::NAME {
-        "reference" => {
-            ["lift/shift", "objects/smallest", "sags/dip"].map(|file| format!("scenarios/{file}"))
-        }
+        "reference" => ["lift/shift", "sags/dip"].map(|file| format!("scenarios/{file}")),
         // Scenarios of this board.
-        name => ["mains", "rating", "small"].map(|file| format!("boards/{name}/{file}")),
+        name => ["mains", "rating"].map(|file| format!("boards/{name}/{file}")),
     };
     let mut table = ScenarioTable::new("on the image", run);
     for file in files {
