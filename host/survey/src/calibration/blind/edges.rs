@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 use std::ops::Range;
 
+use ihd_signal::correlation::weighted_sums;
 use nalgebra::Complex;
 
 /// Evenly sampled stretch of a capture with one carrier.
@@ -56,6 +57,9 @@ const HOP: f64 = 2.0;
 /// Frames over which the change of the bus is computed.
 const BUS_FRAMES: usize = 3;
 
+/// Most steps whose median ratio is computed.
+const MOST_STEPS: usize = 20_000;
+
 /// Length of compared steps as a share of a period: an edge is longer, and noise of a single sample at 125 MS/s is more
 /// than a fiftieth of an edge.
 const STEP: f64 = 0.01;
@@ -101,7 +105,7 @@ impl Stretch {
     /// change the median.
     fn elastance(&self, q_c: &[f64]) -> Option<f64> {
         let m = ((0.05 * self.per_period()) as usize).max(1);
-        let every = (self.v_v.len() / 100_000).max(1);
+        let every = (self.v_v.len() / MOST_STEPS).max(1);
         let mut steps: Vec<(f64, f64)> = (0..self.v_v.len().saturating_sub(m))
             .step_by(every)
             .map(|k| (self.v_v[k + m] - self.v_v[k], q_c[k + m] - q_c[k]))
@@ -125,22 +129,16 @@ impl Stretch {
         if frame < 8 || self.v_v.len() < 4 * frame {
             return None;
         }
-        let window: Vec<f64> = (0..frame)
-            .map(|k| 1.0 - libm::cos(TAU * (k as f64 + 0.5) / frame as f64))
-            .collect();
-        let scale = 2.0 / window.iter().sum::<f64>();
         let omega = TAU * self.f_sw_hz;
-        let turn = Complex::from_polar(1.0, -omega * self.dt_s);
+        let weights = hann_turned(frame, omega * self.dt_s);
+        let phasor = |x: &[f64], from: usize| {
+            let [re, im] = weighted_sums(&x[from..from + frame], [&weights[0], &weights[1]]);
+            Complex::new(re, im) * Complex::from_polar(1.0, -omega * self.dt_s * from as f64)
+        };
         let mut frames = Vec::new();
         let mut last: f64 = 0.0;
         for from in (0..=self.v_v.len() - frame).step_by(hop) {
-            let mut at = Complex::from_polar(scale, -omega * self.dt_s * from as f64);
-            let (mut v, mut i) = (Complex::<f64>::default(), Complex::<f64>::default());
-            for (k, w) in window.iter().enumerate() {
-                v += at * (w * self.v_v[from + k]);
-                i += at * (w * self.i_a[from + k]);
-                at *= turn;
-            }
+            let (v, i) = (phasor(&self.v_v, from), phasor(&self.i_a, from));
             let bridge = v + i * elastance / Complex::new(0.0, omega);
             let phase = bridge.arg() / TAU;
             last = phase + (last - phase).round();
@@ -174,16 +172,15 @@ impl Stretch {
         let bins = (3.0 * self.per_period()).clamp(24.0, 512.0) as usize;
         let m = ((STEP * self.per_period()).round() as usize).max(1);
         let mut sums = vec![(0.0, 0u32); bins];
-        for k in m..self.v_v.len() {
-            let c = track.at(k);
-            if c.v_v < least_v {
-                continue;
+        track.walk(m..self.v_v.len(), |k, periods, v_v| {
+            if v_v < least_v {
+                return;
             }
             let step = self.v_v[k] - self.v_v[k - m] + elastance * (q_c[k] - q_c[k - m]);
-            let bin = (fraction(c.periods) * bins as f64) as usize;
+            let bin = (fraction(periods) * bins as f64) as usize;
             let sum = &mut sums[bin.min(bins - 1)];
-            *sum = (sum.0 + (step / c.v_v).powi(2), sum.1 + 1);
-        }
+            *sum = (sum.0 + (step / v_v).powi(2), sum.1 + 1);
+        });
         let mut rms: Vec<Option<f64>> = sums
             .iter()
             .map(|(sum, n)| (*n > 0).then(|| (sum / f64::from(*n)).sqrt()))
@@ -209,6 +206,18 @@ impl Stretch {
             track,
         })
     }
+}
+
+/// Hann window of `length` samples times cos and -sin of a phase that grows by `turn` a sample: the sums of products are amplitudes.
+fn hann_turned(length: usize, turn: f64) -> [Vec<f64>; 2] {
+    let scale = 2.0 / length as f64;
+    let weight = |k: usize| scale * (1.0 - libm::cos(TAU * (k as f64 + 0.5) / length as f64));
+    let turned = |of: fn(f64) -> f64| {
+        (0..length)
+            .map(|k| weight(k) * of(turn * k as f64))
+            .collect()
+    };
+    [turned(libm::cos), turned(|phase| -libm::sin(phase))]
 }
 
 /// Part of `x` beyond the next lower whole number, as `rem_euclid(1.0)` without a division.
@@ -273,6 +282,27 @@ impl Track {
             k += (periods - self.between(k).periods) * per_period;
         }
         k
+    }
+
+    /// Visits samples with their phase in periods and the amplitude of the bridge's voltage there, both as [`Track::at`] has them.
+    fn walk(&self, samples: Range<usize>, mut visit: impl FnMut(usize, f64, f64)) {
+        let last = self.frames.len().saturating_sub(2);
+        let mut k = samples.start;
+        for (n, pair) in self.frames.windows(2).enumerate() {
+            let (a, b) = (&pair[0], &pair[1]);
+            let middle = self.first + n as f64 * self.hop;
+            let end = match n < last {
+                true => samples.end.min((middle + self.hop).ceil() as usize),
+                false => samples.end,
+            };
+            let per_sample = self.hop.recip();
+            while k < end {
+                let w = (k as f64 - middle) * per_sample;
+                let periods = a.periods + w * (b.periods - a.periods);
+                visit(k, periods, a.v_v + w.clamp(0.0, 1.0) * (b.v_v - a.v_v));
+                k += 1;
+            }
+        }
     }
 
     /// State of the carrier at sample `k`.
