@@ -18,7 +18,7 @@ GATE_REFUSES = 7
 
 @dataclass(frozen=True)
 class Case:
-    """One simulated capture: 20 ms of the paper's operating point at 50 MS/s."""
+    """One capture of 20 ms at 50 MS/s: the paper's operating point, or a pot of tests/made-captures, another one each seed."""
 
     load: str
     khz: int
@@ -54,6 +54,15 @@ class Capture:
         halves = int(round(len(self.t_s) / per_half))
         edges = [min(round(k * per_half), len(self.t_s)) for k in range(halves + 1)]
         return list(zip(edges[:-1], edges[1:]))
+
+
+def made(program, case, folder):
+    """Has tests/made-captures' example write a case into `folder`, unless it is there, and reads it."""
+    table = Path(folder) / f"{case.stem}.npz"
+    if not table.exists():
+        snr = "inf" if case.snr_db is None else str(case.snr_db)
+        subprocess.run([program, str(case.khz), snr, str(case.seed), str(table)], check=True)
+    return read(table, table)
 
 
 def simulated(ihd, case, folder):

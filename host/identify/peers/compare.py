@@ -2,13 +2,13 @@
 """ihd's estimators and independent peers on the same captures, in one run: errors and processor times.
 
     pip install -r host/identify/peers/requirements.txt
-    cargo build --release -p ihd
-    python3 host/identify/peers/compare.py --ihd target/release/ihd
+    cargo build --release -p ihd -p ihd-made-captures --example pot --bin ihd
+    python3 host/identify/peers/compare.py --ihd target/release/ihd --pot target/release/examples/pot
 
-Captures come from `ihd simulate`: 20 ms at 50 MS/s, 45, 50, 60 and 70 kHz, behavioural load and field model, without
-noise and at 70, 50 and 30 dB. Everybody is told the switching and mains frequency, and is held against the same truth
-at the same times. One thread on one core. Peers: processor time of the second of two runs, so that
-compiling does not count (the Kalman filters: of the only one). ihd: the least wall-clock time of its
+Captures: 20 ms at 50 MS/s, 45, 50, 60 and 70 kHz, without noise and at 70, 50 and 30 dB; behavioural load and field model from
+`ihd simulate`, and a pot a seed from tests/made-captures, whose circuit and laws of R and L share nothing with it. Everybody is told the switching and mains frequency, and is held against the same truth
+at the same times. One thread on one core. Peers: processor time without the first run, so that
+compiling does not count (the Kalman filters: with it). ihd: the least wall-clock time of its
 estimators in --repeats runs, which is no less than their processor time. Prints Markdown; docs/accuracy.md
 has what it printed.
 """
@@ -45,7 +45,7 @@ PEERS = [
     ("filterpy EKF, 4 states", kalman.four_states, True),
     ("filterpy EKF, 3 states", kalman.three_states, True),
 ]
-LOADS = {"behavioural": "Behavioural reference load", "field": "Field model"}
+LOADS = {"behavioural": "Behavioural reference load", "field": "Field model", "pot": "Pots of tests/made-captures"}
 KHZ = (45, 50, 60, 70)
 SNR_DB = (None, 70, 50, 30)
 
@@ -66,10 +66,15 @@ def measured(args, capture, filters):
     return found
 
 
+# Peers that have run once, and so compiled what they compile.
+warm = set()
+
+
 def peer(identify, capture, slow):
-    """(errors, seconds) of one peer, the second time it runs unless it is slow."""
-    if not slow:
+    """(errors, seconds) of one peer; unless it is slow, its first run in this process is not timed."""
+    if not slow and identify not in warm:
         identify(capture)
+        warm.add(identify)
     started = time.process_time()
     estimate = identify(capture)
     seconds = time.process_time() - started
@@ -79,11 +84,13 @@ def peer(identify, capture, slow):
 def point(args, load, khz, snr_db, folder):
     """Everybody at one operating point: {name: (four errors per seed, mean of the seconds)}."""
     gathered = defaultdict(list)
-    # Without noise there is nothing to repeat.
-    for seed in range(1, 1 + (args.seeds if snr_db else 1)):
+    # Without noise there is nothing to repeat with one load.
+    repeats = snr_db is not None or load == "pot"
+    for seed in range(1, 1 + (args.seeds if repeats else 1)):
         case = captures.Case(load, khz, snr_db, seed)
         print(case.stem, file=sys.stderr, flush=True)
-        capture = captures.simulated(args.ihd, case, folder)
+        write = (captures.made, args.pot) if load == "pot" else (captures.simulated, args.ihd)
+        capture = write[0](write[1], case, folder)
         for name, (errors, seconds) in measured(args, capture, seed <= args.filter_seeds).items():
             gathered[name].append((np.ravel(errors), seconds))
     return {
@@ -127,7 +134,7 @@ def standing(all_points):
     return (
         f"Least error over the whole half-cycle, of {sum(best.values())} pairs of operating point and R or L: {words}. Seed by seed, "
         f"the best estimator of ihd against the best peer: better by more than two standard errors in {beyond[-1]}, worse by more in "
-        f"{beyond[1]}, within them in {beyond[0]}; without noise there is no error to count by, and the lesser is the better."
+        f"{beyond[1]}, within them in {beyond[0]}; a noiseless capture of a simulated load has no error to count by, and the lesser is the better."
     )
 
 
@@ -142,7 +149,8 @@ def apart(ours, theirs):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--ihd", required=True, help="the program, as built by cargo")
-    parser.add_argument("--seeds", type=int, default=3, help="seeds of noise")
+    parser.add_argument("--pot", required=True, help="the example of ihd-made-captures, as built by cargo")
+    parser.add_argument("--seeds", type=int, default=3, help="seeds of noise, and pots")
     parser.add_argument("--repeats", type=int, default=5, help="runs of ihd, of which the fastest counts")
     parser.add_argument("--folder", help="where captures and what peers made of them are kept, so that it goes on where it was stopped")
     parser.add_argument("--filter-seeds", type=int, default=1, help="of which for the filterpy EKFs, 20 s a capture each")
@@ -153,7 +161,7 @@ def main():
         everything = []
         print(
             "R/L in % over the whole half-cycle · over its middle 80 %, mean over "
-            f"{args.seeds} seeds of noise (filterpy: {min(args.seeds, args.filter_seeds)}); ms for two half-cycles, least of the columns.\n"
+            f"{args.seeds} seeds of noise or pots (filterpy: {min(args.seeds, args.filter_seeds)}); ms for two half-cycles, least of the columns.\n"
         )
         for load, title in LOADS.items():
             for khz in KHZ:

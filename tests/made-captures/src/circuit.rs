@@ -5,8 +5,8 @@
 //! ```
 //!
 //! The pot is a resistance R_e in parallel with the inductance L_m: an eddy current i − m, so that R grows and L falls with the
-//! frequency. All four elements follow the amplitude of the current's fundamental in the period before, so that R and L of the
-//! fundamental are known period by period.
+//! frequency. All four elements follow the amplitude of the current's fundamental in the period before, linearly over a period: steps
+//! at its ends would be a ripple in phase with the carrier, and .02 % of R and L. So R and L of the fundamental are known.
 
 use std::f64::consts::TAU;
 
@@ -113,6 +113,8 @@ pub struct Truth {
     pub r_ohm: f64,
     /// L in henry.
     pub l_h: f64,
+    /// Amplitude of the current in ampere, in the period before, which R and L follow.
+    pub i_a: f64,
 }
 
 /// Everything that is integrated.
@@ -143,7 +145,7 @@ pub struct Waves {
     pub v_v: Vec<f64>,
     /// Coil current in ampere.
     pub i_a: Vec<f64>,
-    /// R and L by period.
+    /// R and L at the middles of periods.
     pub truth: Vec<Truth>,
 }
 
@@ -166,6 +168,16 @@ struct Elements {
 }
 
 impl Elements {
+    fn between(&self, other: &Self, share: f64) -> Self {
+        let mix = |a: f64, b: f64| a + share * (b - a);
+        Self {
+            r_s: mix(self.r_s, other.r_s),
+            l_s: mix(self.l_s, other.l_s),
+            r_e: mix(self.r_e, other.r_e),
+            per_l_m: mix(self.per_l_m, other.per_l_m),
+        }
+    }
+
     fn of(r: f64, l: f64, omega: f64, eddy: f64) -> Self {
         if eddy == 0.0 {
             return Self {
@@ -231,9 +243,12 @@ impl Circuit {
         let mut period = self.bridge.periods(begin_s).floor();
         let mut sums = (0.0, 0.0, 0usize);
         let mut from_s = begin_s;
-        let (mut r, mut l) = self.r_l(begin_s, 0.0);
-        let mut omega = TAU * self.bridge.hz(begin_s);
-        let mut elements = Elements::of(r, l, omega, self.load.eddy);
+        // R, L and elements at the beginning of the period and at its end.
+        let omega = TAU * self.bridge.hz(begin_s);
+        let (r, l) = self.r_l(begin_s, 0.0);
+        let mut old = (r, l, Elements::of(r, l, omega, self.load.eddy));
+        let mut new = old;
+        let mut i_a = 0.0;
         let mut input = self.input_v(begin_s);
         for k in 0..(settling + samples) * inside {
             let t_s = begin_s + k as f64 * h;
@@ -250,25 +265,28 @@ impl Circuit {
                 );
             }
             let (middle, end) = (self.input_v(t_s + 0.5 * h), self.input_v(t_s + h));
+            let share = self.bridge.periods(t_s) - period;
+            let elements = old.2.between(&new.2, share);
             x = self.step(x, elements, [input, middle, end], h);
             input = end;
             let now = self.bridge.periods(t_s + h).floor();
             if now > period {
                 period = now;
-                let amplitude = 2.0 * sums.0.hypot(sums.1) / sums.2 as f64;
-                sums = (0.0, 0.0, 0);
                 let to_s = t_s + h;
                 if from_s >= 0.0 {
                     waves.truth.push(Truth {
                         t_s: 0.5 * (from_s + to_s),
-                        r_ohm: r,
-                        l_h: l,
+                        r_ohm: 0.5 * (old.0 + new.0),
+                        l_h: 0.5 * (old.1 + new.1),
+                        i_a,
                     });
                 }
                 from_s = to_s;
-                (r, l) = self.r_l(to_s, amplitude);
-                omega = TAU * self.bridge.hz(to_s);
-                elements = Elements::of(r, l, omega, self.load.eddy);
+                i_a = 2.0 * sums.0.hypot(sums.1) / sums.2 as f64;
+                sums = (0.0, 0.0, 0);
+                let (r, l) = self.r_l(to_s, i_a);
+                let omega = TAU * self.bridge.hz(to_s);
+                (old, new) = (new, (r, l, Elements::of(r, l, omega, self.load.eddy)));
             }
         }
         waves

@@ -4,7 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::circuit::{Bridge, Circuit, LoadLaw, Neighbour};
-use crate::sensors::Sensors;
+use crate::sensors::{Recorded, Sensors};
 
 macro_rules! kinds {
     ($($(#[doc = $doc:literal])* $name:ident $text:literal,)*) => {
@@ -124,6 +124,35 @@ impl Plan {
         let mut plan = Self::sound(&mut rng);
         plan.disturb(kind, &mut rng);
         plan
+    }
+
+    /// Two half-cycles of 50 Hz at 50 MS/s from a zero crossing on, with a pot that the seed draws; `snr_db` may be infinite. Without an
+    /// eddy current, so that v = R i + L di/dt, by which R and L are defined, holds at each instant.
+    pub fn of_pot(seed: u64, f_sw_hz: f64, snr_db: f64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let Self { mut circuit, .. } = Self::sound(&mut rng);
+        circuit.load.eddy = 0.0;
+        // The resonance stays at its share of the switching frequency.
+        circuit.capacitance_f *= (circuit.bridge.f_sw_hz / f_sw_hz).powi(2);
+        circuit.bridge = Bridge {
+            f_sw_hz,
+            mains_hz: 50.0,
+            phase: 0.0,
+            ..circuit.bridge
+        };
+        (circuit.rate_hz, circuit.duration_s) = (50e6, 0.02);
+        let sensors = Sensors {
+            bits: 24,
+            snr_db,
+            ..Sensors::default()
+        };
+        Self { circuit, sensors }
+    }
+
+    /// Integrates the circuit and records its waves, with noise of this seed.
+    pub fn record(&self, seed: u64) -> Recorded {
+        self.sensors
+            .record(seed, &self.circuit, self.circuit.integrate())
     }
 
     fn sound(rng: &mut ChaCha8Rng) -> Self {

@@ -25,11 +25,9 @@ pub struct MadeCapture {
 
 /// Makes a capture.
 pub fn make(kind: Kind, seed: u64) -> MadeCapture {
-    let plan = Plan::of(kind, seed);
-    let waves = plan.circuit.integrate();
     MadeCapture {
         kind,
         seed,
-        recorded: plan.sensors.record(seed, &plan.circuit, waves),
+        recorded: Plan::of(kind, seed).record(seed),
     }
 }
