@@ -5,12 +5,12 @@
     cargo build --release -p ihd -p ihd-made-captures --example pot --bin ihd
     python3 host/identify/peers/compare.py --ihd target/release/ihd --pot target/release/examples/pot
 
-Captures: 20 ms at 50 MS/s, 45, 50, 60 and 70 kHz, without noise and at 70, 50 and 30 dB; behavioural load and field model from
-`ihd simulate`, and a pot a seed from tests/made-captures, whose circuit and laws of R and L share nothing with it. Everybody is told the switching and mains frequency, and is held against the same truth
-at the same times. One thread on one core. Peers: processor time without the first run, so that
-compiling does not count (the Kalman filters: with it). ihd: the least wall-clock time of its
-estimators in --repeats runs, which is no less than their processor time. Prints Markdown; docs/accuracy.md
-has what it printed.
+Captures: 20 ms at 50 MS/s, 45, 50, 60 and 70 kHz, without noise and at 70, 50 and 30 dB; behavioural load and field
+model from `ihd simulate`, and a pot a seed from tests/made-captures, whose circuit and laws of R and L share nothing
+with it. Everybody is told the switching and mains frequency, and is held against the same truth at the same times. One
+thread on one core. Peers: processor time without the first run, so that compiling does not count (the Kalman filters:
+with it). ihd: the least wall-clock time of its estimators in --repeats runs, which is no less than their processor
+time. Prints Markdown; docs/accuracy.md has what it printed.
 """
 
 import os
