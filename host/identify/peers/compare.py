@@ -89,8 +89,10 @@ def point(args, load, khz, snr_db, folder):
     for seed in range(1, 1 + (args.seeds if repeats else 1)):
         case = captures.Case(load, khz, snr_db, seed)
         print(case.stem, file=sys.stderr, flush=True)
-        write = (captures.made, args.pot) if load == "pot" else (captures.simulated, args.ihd)
-        capture = write[0](write[1], case, folder)
+        if load == "pot":
+            capture = captures.made(args.pot, case, folder)
+        else:
+            capture = captures.simulated(args.ihd, case, folder)
         for name, (errors, seconds) in measured(args, capture, seed <= args.filter_seeds).items():
             gathered[name].append((np.ravel(errors), seconds))
     return {
@@ -134,7 +136,8 @@ def standing(all_points):
     return (
         f"Least error over the whole half-cycle, of {sum(best.values())} pairs of operating point and R or L: {words}. Seed by seed, "
         f"the best estimator of ihd against the best peer: better by more than two standard errors in {beyond[-1]}, worse by more in "
-        f"{beyond[1]}, within them in {beyond[0]}; a noiseless capture of a simulated load has no error to count by, and the lesser is the better."
+        f"{beyond[1]}, within them in {beyond[0]}; a noiseless capture of a simulated load has no error to count by, and the lesser is "
+        "the better."
     )
 
 
