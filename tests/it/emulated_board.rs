@@ -1,6 +1,7 @@
 //! The firmware image on an emulated Cortex-M4F, over its own UART: QEMU's mps2-an386.
 //!
-//! `cargo xtask test` builds the image, names it in `IHD_EMULATED_IMAGE` and runs this.
+//! `cargo xtask test --full` builds the image, names it in `IHD_EMULATED_IMAGE` and runs this; in the quick tier tests/stm32g474 shows
+//! the same on the board that there is.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -55,10 +56,10 @@ static STACK_LIMIT: LazyLock<usize> = LazyLock::new(|| {
 });
 
 static IMAGE: LazyLock<String> = LazyLock::new(|| {
-    env::var("IHD_EMULATED_IMAGE").expect("`cargo xtask test --only tests` names the image")
+    env::var("IHD_EMULATED_IMAGE").expect("`cargo xtask test --full --only tests` names the image")
 });
 
-/// The emulator: `cargo xtask test` names the one it found or unpacked.
+/// The emulator: `cargo xtask test --full` names the one it found or unpacked.
 static QEMU: LazyLock<String> =
     LazyLock::new(|| env::var("IHD_QEMU").unwrap_or_else(|_| "qemu-system-arm".to_owned()));
 
@@ -196,9 +197,8 @@ fn replayed(client: &mut Client, h: &HalfCycle) -> Vec<Option<TrajectoryEntry>> 
     estimates
 }
 
-/// In the quick tier `a_replay_gives_the_bits_that_the_library_gives_here` of tests/stm32g474.
 #[test]
-fn estimates_equal_those_of_this_machine_all_variants() {
+fn estimates_equal_those_of_this_machine_bit_for_bit() {
     let board = Board::start("");
     let mut client = board.connect();
     assert_eq!(client.hello().capabilities, CAP_SIMULATED);
@@ -219,7 +219,7 @@ fn estimates_equal_those_of_this_machine_all_variants() {
 /// `ihd trainer` on the board: each recorded half-cycle goes through the board's sampling path, comes
 /// back as a window, is identified by the network, and the lookup is active at the end.
 #[test]
-fn the_trainer_identifies_what_is_replayed_and_teaches_the_board_at_length() {
+fn the_trainer_identifies_what_is_replayed_and_teaches_the_board() {
     let board = Board::start("");
     let half_cycles = F_SW_HZ.map(|f| HalfCycle::load(f, "noiseless").unwrap());
     let recorded = |h: &HalfCycle| RecordedHalfCycle {
@@ -305,9 +305,8 @@ fn curve(window: &Window) -> CurrentCurve {
     CurrentCurve::new(f64::from(window.f_sw_hz), 0.0, points)
 }
 
-/// In the quick tier the emulated STM32G474 sends windows and stores lookups.
 #[test]
-fn a_window_comes_back_and_the_lookup_built_from_it_becomes_active_at_length() {
+fn a_window_comes_back_and_the_lookup_built_from_it_becomes_active() {
     let board = Board::start("");
     let mut client = board.connect();
     let h = HalfCycle::load(45_000, "noiseless").unwrap();
@@ -366,7 +365,7 @@ fn replay_mode_says_so_and_locks_the_power_outputs() {
 }
 
 #[test]
-fn a_capture_replays_with_the_same_bits_windows_and_states_at_length() {
+fn a_capture_replays_with_the_same_bits_windows_and_states() {
     let board = Board::start("");
     let capture = mcap::read(&regression_captures::file("start-up")).unwrap();
     let survey = Survey::of(&capture, &Hints::default()).unwrap();
