@@ -167,6 +167,14 @@ struct Elements {
     per_l_m: f64,
 }
 
+/// R and L of the fundamental, and the elements that have them.
+#[derive(Clone, Copy)]
+struct LoadState {
+    r_ohm: f64,
+    l_h: f64,
+    elements: Elements,
+}
+
 impl Elements {
     fn between(&self, other: &Self, share: f64) -> Self {
         let mix = |a: f64, b: f64| a + share * (b - a);
@@ -212,6 +220,17 @@ impl Circuit {
         (r * (1.0 + self.drift.0 * at), l * (1.0 + self.drift.1 * at))
     }
 
+    /// Load at a time, after a period of this amplitude.
+    fn state(&self, t_s: f64, i_a: f64) -> LoadState {
+        let (r_ohm, l_h) = self.r_l(t_s, i_a);
+        let omega = TAU * self.bridge.hz(t_s);
+        LoadState {
+            r_ohm,
+            l_h,
+            elements: Elements::of(r_ohm, l_h, omega, self.load.eddy),
+        }
+    }
+
     fn induced_v(&self, t_s: f64) -> f64 {
         if self.neighbours.is_empty() {
             return 0.0;
@@ -243,10 +262,8 @@ impl Circuit {
         let mut period = self.bridge.periods(begin_s).floor();
         let mut sums = (0.0, 0.0, 0usize);
         let mut from_s = begin_s;
-        // R, L and elements at the beginning of the period and at its end.
-        let omega = TAU * self.bridge.hz(begin_s);
-        let (r, l) = self.r_l(begin_s, 0.0);
-        let mut old = (r, l, Elements::of(r, l, omega, self.load.eddy));
+        // At the beginning of the period and at its end.
+        let mut old = self.state(begin_s, 0.0);
         let mut new = old;
         let mut i_a = 0.0;
         let mut input = self.input_v(begin_s);
@@ -266,7 +283,7 @@ impl Circuit {
             }
             let (middle, end) = (self.input_v(t_s + 0.5 * h), self.input_v(t_s + h));
             let share = self.bridge.periods(t_s) - period;
-            let elements = old.2.between(&new.2, share);
+            let elements = old.elements.between(&new.elements, share);
             x = self.step(x, elements, [input, middle, end], h);
             input = end;
             let now = self.bridge.periods(t_s + h).floor();
@@ -276,17 +293,15 @@ impl Circuit {
                 if from_s >= 0.0 {
                     waves.truth.push(Truth {
                         t_s: 0.5 * (from_s + to_s),
-                        r_ohm: 0.5 * (old.0 + new.0),
-                        l_h: 0.5 * (old.1 + new.1),
+                        r_ohm: 0.5 * (old.r_ohm + new.r_ohm),
+                        l_h: 0.5 * (old.l_h + new.l_h),
                         i_a,
                     });
                 }
                 from_s = to_s;
                 i_a = 2.0 * sums.0.hypot(sums.1) / sums.2 as f64;
                 sums = (0.0, 0.0, 0);
-                let (r, l) = self.r_l(to_s, i_a);
-                let omega = TAU * self.bridge.hz(to_s);
-                (old, new) = (new, (r, l, Elements::of(r, l, omega, self.load.eddy)));
+                (old, new) = (new, self.state(to_s, i_a));
             }
         }
         waves
