@@ -46,6 +46,16 @@ pub fn hann(n: usize) -> Vec<f64> {
         .collect()
 }
 
+/// Real and imaginary part of `scale` times a window times e^{-jφ}, whose phase φ grows by `turn` radian a sample.
+pub fn turned(window: &[f64], scale: f64, turn: f64) -> [Vec<f64>; 2] {
+    let of = |part: fn(f64) -> f64| {
+        let weights = window.iter().map(|w| scale * w);
+        let turned = weights.enumerate().map(|(k, w)| w * part(turn * k as f64));
+        turned.collect()
+    };
+    [of(libm::cos), of(|phase| -libm::sin(phase))]
+}
+
 /// Phasors of a run at `f_hz` in hertz, frames overlapping by half.
 pub fn track(capture: &Capture, run: &Run, f_hz: f64) -> Track {
     let per_period = 1.0 / (f_hz * run.dt_s);
@@ -109,17 +119,9 @@ fn channel(
     let middle = 0.5 * frame as f64;
     let step = TAU * f_hz * run.dt_s;
     // Window times e^{-jhωt} from the frame's first sample; the remaining factor is one rotation per frame.
-    let tables: Vec<(Vec<f64>, Vec<f64>)> = orders
+    let tables: Vec<[Vec<f64>; 2]> = orders
         .iter()
-        .map(|&h| {
-            let turn = |k: usize| f64::from(h) * step * k as f64;
-            let scale = 4.0 / frame as f64;
-            let weigh = |k: usize| scale * window[k];
-            (
-                (0..frame).map(|k| weigh(k) * libm::cos(turn(k))).collect(),
-                (0..frame).map(|k| -weigh(k) * libm::sin(turn(k))).collect(),
-            )
-        })
+        .map(|&h| turned(&window, 4.0 / frame as f64, f64::from(h) * step))
         .collect();
     let mut t_s = Vec::new();
     let mut out = vec![Vec::new(); orders.len()];
@@ -141,7 +143,7 @@ fn channel(
                 while from < frame {
                     let to = frame.min(from + STRETCH);
                     for (buffer, sums) in buffers.iter().zip(&mut sums).take(starts.len()) {
-                        for ((re, im), sum) in tables.iter().zip(sums) {
+                        for ([re, im], sum) in tables.iter().zip(sums) {
                             let of = [&re[from..to], &im[from..to]];
                             let [re, im] = weighed(&buffer[from..to], of);
                             *sum = [sum[0] + re, sum[1] + im];

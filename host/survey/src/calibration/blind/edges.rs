@@ -6,6 +6,8 @@ use std::ops::Range;
 use ihd_signal::correlation::weighted_sums;
 use nalgebra::Complex;
 
+use crate::track::turned;
+
 /// Evenly sampled stretch of a capture with one carrier.
 #[derive(Clone, Debug)]
 pub(super) struct Stretch {
@@ -30,6 +32,20 @@ pub(super) struct Carrier {
     pub v_per_s: f64,
     /// Amplitude of the current in ampere.
     pub i_a: f64,
+}
+
+impl Carrier {
+    /// State at a share of the way to the next one: beyond it the phase is extrapolated, amplitudes are held.
+    #[inline]
+    fn towards(&self, next: &Self, share: f64) -> Self {
+        let held = share.clamp(0.0, 1.0);
+        Self {
+            periods: self.periods + share * (next.periods - self.periods),
+            v_v: self.v_v + held * (next.v_v - self.v_v),
+            v_per_s: self.v_per_s + held * (next.v_per_s - self.v_per_s),
+            i_a: self.i_a + held * (next.i_a - self.i_a),
+        }
+    }
 }
 
 /// Carrier along a stretch, linear between frames.
@@ -130,7 +146,9 @@ impl Stretch {
             return None;
         }
         let omega = TAU * self.f_sw_hz;
-        let weights = hann_turned(frame, omega * self.dt_s);
+        let hann = |k: usize| 1.0 - libm::cos(TAU * (k as f64 + 0.5) / frame as f64);
+        let window: Vec<f64> = (0..frame).map(hann).collect();
+        let weights = turned(&window, 2.0 / frame as f64, omega * self.dt_s);
         let phasor = |x: &[f64], from: usize| {
             let [re, im] = weighted_sums(&x[from..from + frame], [&weights[0], &weights[1]]);
             Complex::new(re, im) * Complex::from_polar(1.0, -omega * self.dt_s * from as f64)
@@ -172,14 +190,14 @@ impl Stretch {
         let bins = (3.0 * self.per_period()).clamp(24.0, 512.0) as usize;
         let m = ((STEP * self.per_period()).round() as usize).max(1);
         let mut sums = vec![(0.0, 0u32); bins];
-        track.walk(m..self.v_v.len(), |k, periods, v_v| {
-            if v_v < least_v {
+        track.walk(m..self.v_v.len(), |k, c| {
+            if c.v_v < least_v {
                 return;
             }
             let step = self.v_v[k] - self.v_v[k - m] + elastance * (q_c[k] - q_c[k - m]);
-            let bin = (fraction(periods) * bins as f64) as usize;
+            let bin = (fraction(c.periods) * bins as f64) as usize;
             let sum = &mut sums[bin.min(bins - 1)];
-            *sum = (sum.0 + (step / v_v).powi(2), sum.1 + 1);
+            *sum = (sum.0 + (step / c.v_v).powi(2), sum.1 + 1);
         });
         let mut rms: Vec<Option<f64>> = sums
             .iter()
@@ -206,18 +224,6 @@ impl Stretch {
             track,
         })
     }
-}
-
-/// Hann window of `length` samples times cos and -sin of a phase that grows by `turn` a sample: the sums of products are amplitudes.
-fn hann_turned(length: usize, turn: f64) -> [Vec<f64>; 2] {
-    let scale = 2.0 / length as f64;
-    let weight = |k: usize| scale * (1.0 - libm::cos(TAU * (k as f64 + 0.5) / length as f64));
-    let turned = |of: fn(f64) -> f64| {
-        (0..length)
-            .map(|k| weight(k) * of(turn * k as f64))
-            .collect()
-    };
-    [turned(libm::cos), turned(|phase| -libm::sin(phase))]
 }
 
 /// Part of `x` beyond the next lower whole number, as `rem_euclid(1.0)` without a division.
@@ -284,22 +290,20 @@ impl Track {
         k
     }
 
-    /// Visits samples with their phase in periods and the amplitude of the bridge's voltage there, both as [`Track::at`] has them.
-    fn walk(&self, samples: Range<usize>, mut visit: impl FnMut(usize, f64, f64)) {
+    /// Visits samples with the state of the carrier there, as [`Track::at`] has it, without a search for each.
+    fn walk(&self, samples: Range<usize>, mut visit: impl FnMut(usize, Carrier)) {
+        let per_sample = self.hop.recip();
         let last = self.frames.len().saturating_sub(2);
         let mut k = samples.start;
         for (n, pair) in self.frames.windows(2).enumerate() {
-            let (a, b) = (&pair[0], &pair[1]);
             let middle = self.first + n as f64 * self.hop;
             let end = match n < last {
                 true => samples.end.min((middle + self.hop).ceil() as usize),
                 false => samples.end,
             };
-            let per_sample = self.hop.recip();
             while k < end {
                 let w = (k as f64 - middle) * per_sample;
-                let periods = a.periods + w * (b.periods - a.periods);
-                visit(k, periods, a.v_v + w.clamp(0.0, 1.0) * (b.v_v - a.v_v));
+                visit(k, pair[0].towards(&pair[1], w));
                 k += 1;
             }
         }
@@ -315,16 +319,7 @@ impl Track {
         let place = (sample - self.first) / self.hop;
         let last = self.frames.len().saturating_sub(2);
         let n = (place.max(0.0) as usize).min(last);
-        let w = place - n as f64;
-        let (a, b) = (self.frames[n], self.frames[n + 1]);
-        // The phase is extrapolated, amplitudes are held.
-        let held = w.clamp(0.0, 1.0);
-        Carrier {
-            periods: a.periods + w * (b.periods - a.periods),
-            v_v: a.v_v + held * (b.v_v - a.v_v),
-            v_per_s: a.v_per_s + held * (b.v_per_s - a.v_per_s),
-            i_a: a.i_a + held * (b.i_a - a.i_a),
-        }
+        self.frames[n].towards(&self.frames[n + 1], place - n as f64)
     }
 
     /// Largest amplitude of the bridge's voltage in volt.
