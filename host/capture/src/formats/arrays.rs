@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use ihd_signal::truth::{ORDERS, PeriodTruth};
 use ihd_signal::{FrequencyStep, TimeBase};
 
-use super::time::time_base;
+use super::time::{binary_resolution, time_base};
 use super::unit::{ColumnQuantity, Unit};
 use super::{CaptureFile, FileChannel, FileFacts, FileSamples, ReadProgress};
 use crate::error::FormatError;
@@ -285,8 +285,10 @@ impl<A: Arrays> CaptureFile for ArraySource<A> {
                 Clock::Array { index, scale } => {
                     let length = self.arrays[index].length as usize;
                     let mut stamps = Vec::with_capacity(length.min(RESERVED));
-                    self.stamps(index, |t| stamps.push(t * scale))?;
-                    let base = time_base(stamps, 0.0, None);
+                    self.stamps(index, |t| stamps.push(t))?;
+                    let resolution_s = binary_resolution(&stamps) * scale;
+                    stamps.iter_mut().for_each(|t| *t *= scale);
+                    let base = time_base(stamps, resolution_s, None);
                     Some(base.map_err(|e| {
                         FormatError::at_byte(self.arrays[index].offset, e.to_string())
                     })?)

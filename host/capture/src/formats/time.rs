@@ -17,6 +17,29 @@ pub struct NotAscending {
     pub t_s: f64,
 }
 
+/// Resolution of stamps that were written in decimals, in their unit: the place of the last digit of the largest, which has the most.
+pub fn decimal_resolution(stamps: &[f64], significant_digits: usize) -> f64 {
+    let largest = largest(stamps);
+    if largest == 0.0 || significant_digits == 0 {
+        return 0.0;
+    }
+    let places = significant_digits.min(300) as i32 - 1;
+    10f64.powi(largest.log10().floor() as i32 - places)
+}
+
+/// Resolution of stamps that are all single-precision numbers, in their unit; 0 of others.
+pub fn binary_resolution(stamps: &[f64]) -> f64 {
+    match stamps.iter().all(|t| f64::from(*t as f32) == *t) {
+        true => f64::from(f32::EPSILON) * largest(stamps),
+        false => 0.0,
+    }
+}
+
+fn largest(stamps: &[f64]) -> f64 {
+    let ends = stamps.first().into_iter().chain(stamps.last());
+    ends.fold(0.0, |most, t| most.max(t.abs()))
+}
+
 /// Finds the time base of finite stamps in seconds, at least two of them.
 ///
 /// Stamps may be rounded to multiples of `resolution_s` (0: exact), so that two of them can be
@@ -79,6 +102,37 @@ mod tests {
             panic!("even");
         };
         assert!((dt_s / 4e-9 - 1.0).abs() < 1e-2, "{dt_s}");
+    }
+
+    /// 0 to 20 ms in steps of 100 ns, with 5 ms missing, as Python, `%g` and a scope write them.
+    #[test]
+    fn a_gap_is_seen_however_the_stamps_are_written() {
+        let even: Vec<f64> = (0..200_000).map(|k| f64::from(k) * 1e-7).collect();
+        let (head, tail) = (&even[..80_000], &even[130_000..]);
+        let gap = [head, tail].concat();
+        for (digits, resolution_s) in [(17, 1e-18), (6, 1e-7), (9, 1e-10)] {
+            let found_s = decimal_resolution(&gap, digits);
+            assert!((found_s / resolution_s - 1.0).abs() < 1e-12, "{found_s}");
+            let rounded = |all: &[f64]| -> Vec<f64> {
+                let round = |t: &f64| (t / found_s).round() * found_s;
+                all.iter().map(round).collect()
+            };
+            let base = time_base(rounded(&even), found_s, None);
+            assert!(matches!(base, Ok(TimeBase::Even { .. })), "{digits}");
+            let base = time_base(rounded(&gap), found_s, None);
+            assert!(matches!(base, Ok(TimeBase::Stamps(_))), "{digits}");
+        }
+    }
+
+    #[test]
+    fn single_precision_rounds_stamps_by_up_to_a_few_percent_of_an_interval() {
+        let single = |k: i32| f64::from((f64::from(k) * 1e-7) as f32);
+        let stamps: Vec<f64> = (0..200_000).map(single).collect();
+        let resolution_s = binary_resolution(&stamps);
+        assert!((1.8e-9..3e-9).contains(&resolution_s), "{resolution_s}");
+        let base = time_base(stamps, resolution_s, None);
+        assert!(matches!(base, Ok(TimeBase::Even { .. })));
+        assert_eq!(binary_resolution(&[0.0, 1e-7]), 0.0);
     }
 
     #[test]

@@ -18,7 +18,7 @@ use self::dialect::{ColumnLayout, TimeColumn};
 use self::prelude::Prelude;
 use self::rows::{LONGEST_LINE, Rows, too_long};
 use super::input::ReadSeek;
-use super::time::time_base;
+use super::time::{decimal_resolution, time_base};
 use super::{CaptureFile, FileChannel, FileSamples, ReadProgress};
 use crate::channels::ChannelRef;
 use crate::error::FormatError;
@@ -28,6 +28,8 @@ const ESTIMATE_AFTER: usize = 1000;
 
 /// Rows between two reports of progress.
 const REPORT_EVERY: usize = 4096;
+/// Rows between two of which the digits of the time are counted: a prime, as every thousandth time has fewer.
+const DIGITS_EVERY: usize = 997;
 
 /// A CSV file whose prelude has been read.
 pub struct CsvSource {
@@ -73,8 +75,8 @@ impl CsvSource {
 struct Columns {
     stamps: Vec<f64>,
     values: Vec<Vec<f32>>,
-    /// Largest place value of a time's last digit, in seconds.
-    resolution_s: f64,
+    /// Most significant digits of a time. A program that leaves zeros at the end away writes most times with fewer.
+    digits: usize,
     rows: usize,
 }
 
@@ -110,7 +112,8 @@ impl CaptureFile for CsvSource {
             TimeColumn::Missing => None,
             TimeColumn::Column { .. } => {
                 let interval_s = self.layout.interval_s;
-                let base = time_base(columns.stamps, columns.resolution_s, interval_s);
+                let resolution_s = decimal_resolution(&columns.stamps, columns.digits);
+                let base = time_base(columns.stamps, resolution_s, interval_s);
                 Some(base.map_err(|e| {
                     // Empty lines between samples are not counted.
                     FormatError::at_line(begin.line() + e.sample as u64, e.to_string())
@@ -140,7 +143,7 @@ impl CsvSource {
         let mut columns = Columns {
             stamps: Vec::new(),
             values: vec![Vec::new(); picked.len()],
-            resolution_s: 0.0,
+            digits: 0,
             rows: 0,
         };
         while let Some(row) = self.rows.next_row()? {
@@ -148,9 +151,8 @@ impl CsvSource {
             if let Some((index, scale)) = clock {
                 let field = row.field(index)?;
                 columns.stamps.push(row.time(field)? * scale);
-                if columns.rows.is_multiple_of(ESTIMATE_AFTER) {
-                    let resolution_s = rows::resolution(field) * scale;
-                    columns.resolution_s = columns.resolution_s.max(resolution_s);
+                if columns.rows < ESTIMATE_AFTER || columns.rows.is_multiple_of(DIGITS_EVERY) {
+                    columns.digits = columns.digits.max(rows::significant_digits(field));
                 }
             }
             for (values, index) in columns.values.iter_mut().zip(&picked) {

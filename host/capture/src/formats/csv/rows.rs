@@ -85,14 +85,14 @@ pub fn text(field: &[u8]) -> String {
     text.trim_matches('"').trim().to_owned()
 }
 
-/// Place value of a number's last digit: 1e-15 for `-9.99966406e-07`; 0 if it cannot be derived.
-pub fn resolution(field: &[u8]) -> f64 {
-    let text = text(field);
-    let (mantissa, exponent) = text.split_once(['e', 'E']).unwrap_or((&text, "0"));
-    let decimals = mantissa.split_once(['.', ',']).map_or(0, |(_, d)| d.len());
-    let exponent = exponent.parse::<i32>().unwrap_or(0);
-    let power = exponent.saturating_sub(i32::try_from(decimals).unwrap_or(0));
-    10f64.powi(power.clamp(-300, 300))
+/// Number of significant digits that a number is written with: 9 for `-9.99966406e-07`, 3 for `0.0120`.
+pub fn significant_digits(field: &[u8]) -> usize {
+    let mantissa = field.split(|c| matches!(c, b'e' | b'E')).next();
+    let digits = mantissa
+        .unwrap_or(field)
+        .iter()
+        .filter(|c| c.is_ascii_digit());
+    digits.skip_while(|c| **c == b'0').count()
 }
 
 /// One row.
@@ -273,18 +273,16 @@ mod tests {
     }
 
     #[test]
-    fn the_last_digits_place() {
-        for (text, place) in [
-            ("-9.99966406e-07", 1e-15),
-            ("0.001", 1e-3),
-            ("5", 1.0),
-            ("1e-6", 1e-6),
-            ("1,25", 1e-2),
+    fn zeros_before_the_first_digit_are_not_significant() {
+        for (text, digits) in [
+            ("-9.99966406e-07", 9),
+            ("0.0120", 3),
+            ("5", 1),
+            ("1e-6", 1),
+            ("1,25", 3),
+            ("0", 0),
         ] {
-            assert!(
-                (resolution(text.as_bytes()) / place - 1.0).abs() < 1e-12,
-                "{text}"
-            );
+            assert_eq!(significant_digits(text.as_bytes()), digits, "{text}");
         }
     }
 
