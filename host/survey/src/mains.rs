@@ -5,7 +5,7 @@
 //! all. Less than a few half-cycles cannot separate a constant from a lower frequency; the law is then c1 s + c2 s² + c3 s³.
 
 use std::f64::consts::PI;
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
@@ -73,6 +73,12 @@ const SPECIFIED_HZ: (f64, f64) = (1.0, 1e3);
 /// Nominal frequencies in hertz, between which a short capture can decide.
 const NOMINAL_HZ: [f64; 2] = [50.0, 60.0];
 
+/// Largest difference in hertz from the nominal frequency that is searched where pauses leave several frequencies possible.
+const PAUSED_REACH_HZ: f64 = 1.0;
+
+/// Least share of the time that pieces cover for the search at any frequency.
+const LEAST_COVERED: f64 = 0.8;
+
 /// Half-cycles of 50 Hz from which any frequency is possible.
 const FREE_HALF_CYCLES: f64 = 1.5;
 
@@ -117,17 +123,25 @@ pub fn find(
     findings: &mut Vec<Finding>,
 ) -> Mains {
     let envelopes: Vec<PieceEnvelope> = envelopes.iter().map(thinned).collect();
-    let (span_s, modulation) = extent(&envelopes);
-    let half_cycles = span_s * 2.0 * NOMINAL_HZ[0];
+    let (coverage, modulation) = extent(&envelopes);
+    let half_cycles = coverage.seen_s * 2.0 * NOMINAL_HZ[0];
     let specified_hz = specified_hz.filter(|f| f.is_finite() && *f > 0.0);
     let specified_crossing_s = specified_crossing_s.filter(|t| t.is_finite());
     let seen = half_cycles >= LEAST_HALF_CYCLES
         && modulation >= LEAST_MODULATION
         && specified_hz.is_none_or(|hz| (SPECIFIED_HZ.0..=SPECIFIED_HZ.1).contains(&hz));
-    let free = half_cycles >= FREE_HALF_CYCLES;
-    let measured = seen.then(|| fit(&envelopes, specified_hz, free)).flatten();
-    if let (Some(specified_hz), true) = (specified_hz, free && seen) {
-        let own = fit(&envelopes, None, true);
+    let search = match half_cycles >= FREE_HALF_CYCLES {
+        _ if coverage.is_paused => Search::NearNominal,
+        true => Search::Free,
+        false => Search::Nominal,
+    };
+    let of_hz = |hz: Option<f64>| match hz {
+        Some(hz) => Search::At(hz, search.law()),
+        None => search,
+    };
+    let measured = seen.then(|| fit(&envelopes, of_hz(specified_hz))).flatten();
+    if let (Some(specified_hz), true) = (specified_hz, seen && search != Search::Nominal) {
+        let own = fit(&envelopes, search);
         // Half-cycles with pauses between them fit several frequencies equally well.
         let as_told = measured.map_or(1.0, |told| told.unexplained);
         let better = |own: &Fit| {
@@ -142,7 +156,7 @@ pub fn find(
         }
     }
     if seen && specified_hz.is_none() {
-        findings.extend(wrong_time_base(&envelopes, measured, span_s));
+        findings.extend(wrong_time_base(&envelopes, measured, coverage.seen_s));
     }
     let hz = specified_hz
         .or(measured.map(|m| m.hz))
@@ -189,13 +203,13 @@ const UNUSUAL_BETTER: f64 = 0.1;
 fn wrong_time_base(
     envelopes: &[PieceEnvelope],
     usual: Option<Fit>,
-    span_s: f64,
+    seen_s: f64,
 ) -> Option<Finding> {
     let of = |(shown_hz, usual_hz): (f64, f64)| {
         // Shorter ones cannot separate a constant from a lower frequency.
-        let enough = 2.0 * span_s * shown_hz >= FREE_HALF_CYCLES;
+        let enough = 2.0 * seen_s * shown_hz >= FREE_HALF_CYCLES;
         let fit = enough
-            .then(|| fit(envelopes, Some(shown_hz), true))
+            .then(|| fit(envelopes, Search::At(shown_hz, Law::Held)))
             .flatten()?;
         Some((fit.unexplained, shown_hz, usual_hz))
     };
@@ -220,12 +234,29 @@ fn thinned(envelope: &PieceEnvelope) -> PieceEnvelope {
     }
 }
 
-/// Time from first to last point in seconds, and depth of modulation.
-fn extent(envelopes: &[PieceEnvelope]) -> (f64, f64) {
+/// Time that a capture's pieces cover.
+struct Coverage {
+    /// Pauses leave so much out that several frequencies are possible.
+    is_paused: bool,
+    /// Time in seconds that shows the mains at one go: from the first to the last point, of the longest piece where there are pauses.
+    seen_s: f64,
+}
+
+/// Coverage, and depth of modulation.
+fn extent(envelopes: &[PieceEnvelope]) -> (Coverage, f64) {
     let all = || envelopes.iter().flat_map(|e| &e.t_s);
     let (from, to) = all().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &t| {
         (a.min(t), b.max(t))
     });
+    let span_s = (to - from).max(0.0);
+    let lasts_s = |e: &PieceEnvelope| e.t_s.last().zip(e.t_s.first()).map_or(0.0, |(b, a)| b - a);
+    let covered_s: f64 = envelopes.iter().map(lasts_s).sum();
+    let longest_s = envelopes.iter().map(lasts_s).fold(0.0, f64::max);
+    let is_paused = longest_s < FIRST_LOOK_S && covered_s < LEAST_COVERED * span_s;
+    let coverage = Coverage {
+        is_paused,
+        seen_s: if is_paused { longest_s } else { span_s },
+    };
     // The deepest piece counts, because others may be short.
     let depth = envelopes.iter().map(|e| {
         let (low, high) = e
@@ -234,7 +265,7 @@ fn extent(envelopes: &[PieceEnvelope]) -> (f64, f64) {
             .fold((f64::INFINITY, 0.0f64), |(a, b), &x| (a.min(x), b.max(x)));
         if high > 0.0 { (high - low) / high } else { 0.0 }
     });
-    ((to - from).max(0.0), depth.fold(0.0, f64::max))
+    (coverage, depth.fold(0.0, f64::max))
 }
 
 /// Fit of the envelope.
@@ -247,51 +278,107 @@ struct Fit {
     unexplained: f64,
 }
 
-/// Fits by a grid over the beginning, then by a search with a doubling view; `free` allows any frequency in range.
-fn fit(envelopes: &[PieceEnvelope], specified_hz: Option<f64>, free: bool) -> Option<Fit> {
-    let start_s = envelopes.iter().find_map(|e| e.t_s.first()).copied()?;
-    let end_s = envelopes.iter().rev().find_map(|e| e.t_s.last()).copied()?;
-    let mut look_s = FIRST_LOOK_S.min(end_s - start_s);
-    let candidates: Vec<f64> = match (specified_hz, free) {
-        (Some(f), _) => vec![f],
-        (None, false) => NOMINAL_HZ.to_vec(),
-        (None, true) => {
-            let n = ((RANGE_HZ.1 - RANGE_HZ.0) * look_s * 8.0).ceil() as usize;
-            let step = (RANGE_HZ.1 - RANGE_HZ.0) / n as f64;
-            (0..=n).map(|k| RANGE_HZ.0 + step * k as f64).collect()
+/// Frequencies among which the fit chooses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Search {
+    /// One frequency in hertz.
+    At(f64, Law),
+    /// The nominal ones.
+    Nominal,
+    /// Those within [`PAUSED_REACH_HZ`] of a nominal one.
+    NearNominal,
+    /// All of [`RANGE_HZ`].
+    Free,
+}
+
+impl Search {
+    fn law(self) -> Law {
+        match self {
+            Self::At(_, law) => law,
+            Self::Nominal => Law::ThroughZero,
+            Self::NearNominal | Self::Free => Law::Held,
         }
-    };
-    let law = if free { Law::Held } else { Law::ThroughZero };
-    let free = free && specified_hz.is_none();
-    let middle_s = start_s + 0.5 * look_s;
-    let mut best: Option<Fit> = None;
-    for hz in candidates {
-        for k in 0..24 {
-            let t0_s = middle_s + 0.5 / hz * f64::from(k) / 24.0;
-            let unexplained = residual(envelopes, start_s + look_s, hz, t0_s, law);
-            if best.is_none_or(|b| unexplained < b.unexplained) {
-                best = Some(Fit {
-                    hz,
-                    t0_s,
-                    unexplained,
-                });
+    }
+
+    /// Frequencies in hertz from which to begin, for a view of this time in seconds; those of each list compete over that view alone.
+    fn candidates_hz(self, look_s: f64) -> Vec<Vec<f64>> {
+        match self {
+            Self::At(hz, _) => vec![vec![hz]],
+            Self::Nominal => vec![NOMINAL_HZ.to_vec()],
+            Self::NearNominal => NOMINAL_HZ.map(|hz| vec![hz]).to_vec(),
+            Self::Free => {
+                let n = ((RANGE_HZ.1 - RANGE_HZ.0) * look_s * 8.0).ceil() as usize;
+                let step = (RANGE_HZ.1 - RANGE_HZ.0) / n as f64;
+                vec![(0..=n).map(|k| RANGE_HZ.0 + step * k as f64).collect()]
             }
         }
     }
-    let mut best = best?;
-    for _ in 0..MOST_VIEWS {
-        best = refined(envelopes, start_s..start_s + look_s, best, free, law);
-        // Not `start_s + look_s >= end_s`, which may never hold after rounding.
-        if look_s >= end_s - start_s {
-            break;
+
+    /// Range in hertz that is searched from there on.
+    fn range_hz(self, from_hz: f64) -> RangeInclusive<f64> {
+        match self {
+            Self::At(..) | Self::Nominal => from_hz..=from_hz,
+            Self::NearNominal => from_hz - PAUSED_REACH_HZ..=from_hz + PAUSED_REACH_HZ,
+            Self::Free => RANGE_HZ.0..=RANGE_HZ.1,
         }
-        look_s = (2.0 * look_s).min(end_s - start_s);
     }
+}
+
+/// Fits by a grid over the beginning, then by a search with a doubling view.
+fn fit(envelopes: &[PieceEnvelope], search: Search) -> Option<Fit> {
+    let start_s = envelopes.iter().find_map(|e| e.t_s.first()).copied()?;
+    let end_s = envelopes.iter().rev().find_map(|e| e.t_s.last()).copied()?;
+    // With pauses, two pieces: one alone does not hold the frequency.
+    let second_s = envelopes.get(1).and_then(|e| e.t_s.last());
+    let first_look_s = match (search, second_s) {
+        (Search::NearNominal, Some(second_s)) => (second_s - start_s).max(FIRST_LOOK_S),
+        _ => FIRST_LOOK_S,
+    };
+    let first_look_s = first_look_s.min(end_s - start_s);
+    let law = search.law();
+    let middle_s = start_s + 0.5 * first_look_s;
+    let from = |candidates: Vec<f64>| {
+        let crossings = candidates
+            .iter()
+            .flat_map(|hz| (0..24).map(move |k| (*hz, k)));
+        let fits = crossings.map(|(hz, k)| {
+            let t0_s = middle_s + 0.5 / hz * f64::from(k) / 24.0;
+            let unexplained = residual(envelopes, start_s + first_look_s, hz, t0_s, law);
+            Fit {
+                hz,
+                t0_s,
+                unexplained,
+            }
+        });
+        let mut best = fits.min_by(|a, b| a.unexplained.total_cmp(&b.unexplained))?;
+        let range_hz = search.range_hz(best.hz);
+        let mut look_s = first_look_s;
+        for _ in 0..MOST_VIEWS {
+            best = refined(envelopes, start_s..start_s + look_s, best, &range_hz, law);
+            // Not `start_s + look_s >= end_s`, which may never hold after rounding.
+            if look_s >= end_s - start_s {
+                break;
+            }
+            look_s = (2.0 * look_s).min(end_s - start_s);
+        }
+        Some(best)
+    };
+    let all = search.candidates_hz(first_look_s).into_iter();
+    let best = all
+        .filter_map(from)
+        .min_by(|a, b| a.unexplained.total_cmp(&b.unexplained))?;
     (best.unexplained < 1.0 - LEAST_EXPLAINED).then_some(best)
 }
 
 /// Pattern search in frequency and crossing over a view in seconds.
-fn refined(envelopes: &[PieceEnvelope], view: Range<f64>, from: Fit, free: bool, law: Law) -> Fit {
+fn refined(
+    envelopes: &[PieceEnvelope],
+    view: Range<f64>,
+    from: Fit,
+    range_hz: &RangeInclusive<f64>,
+    law: Law,
+) -> Fit {
+    let free = range_hz.start() < range_hz.end();
     let half_s = 0.5 / from.hz;
     let (look_s, end_s) = (view.end - view.start, view.end);
     // The crossing nearest to the middle does not depend on the frequency.
@@ -309,7 +396,7 @@ fn refined(envelopes: &[PieceEnvelope], view: Range<f64>, from: Fit, free: bool,
         let mut moved = false;
         for (df, dt) in [(step.0, 0.0), (-step.0, 0.0), (0.0, step.1), (0.0, -step.1)] {
             let (hz, t0_s) = (best.hz + df, best.t0_s + dt);
-            if df == 0.0 && dt == 0.0 || !(RANGE_HZ.0..=RANGE_HZ.1).contains(&hz) && free {
+            if df == 0.0 && dt == 0.0 || free && !range_hz.contains(&hz) {
                 continue;
             }
             let unexplained = residual(envelopes, end_s, hz, t0_s, law);

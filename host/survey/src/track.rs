@@ -15,6 +15,9 @@ pub const ORDERS: [u32; 4] = [1, 3, 5, 7];
 const LEAST_PERIODS: f64 = 3.0;
 const MOST_PERIODS: f64 = 30.0;
 
+/// Most that a load turns the phase over a piece, in radian: less than that from full to no saturation.
+const MOST_TURN: f64 = 1.0;
+
 /// Phasors at the middles of frames: x(t) = Σ Re(X_h e^{jhω(t − t0)}), amplitudes, with `t0` the time of the first sample.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
@@ -207,7 +210,8 @@ impl Track {
     /// Difference of the switching frequency from the track's, in hertz, by the slope of the current's phase.
     ///
     /// The load turns the phase as its R and L follow the current, by a law of the amplitude. The amplitude and its square are
-    /// therefore fitted as well, which keeps the slope free of them in a capture that is no whole number of half-cycles.
+    /// therefore fitted as well, which keeps the slope free of them in a capture that is no whole number of half-cycles. Where the
+    /// fit asks for more than a load's turn, amplitude and time cannot be told apart, and the rotation alone counts.
     pub fn frequency_error_hz(&self) -> f64 {
         let Some(i_a) = self.i_a.first().filter(|i| i.len() >= 2) else {
             return 0.0;
@@ -238,10 +242,11 @@ impl Track {
         let ridge = 1e-9 * normal[(0, 0)];
         normal[(2, 2)] += ridge;
         normal[(3, 3)] += ridge;
-        let fine = normal
-            .cholesky()
-            .map_or(0.0, |c| c.solve(&right)[1] / (TAU * span_s));
-        coarse + fine
+        let turn = normal.cholesky().map_or(0.0, |c| c.solve(&right)[1]);
+        if turn.abs() > MOST_TURN {
+            return coarse;
+        }
+        coarse + turn / (TAU * span_s)
     }
 }
 
@@ -335,6 +340,32 @@ mod tests {
                 assert!((track.v_v[1][k] - third).norm() < 3e-3, "{rate_hz} {k}");
                 assert!((track.i_a[0][k] - first).norm() < 3e-3);
             }
+        }
+    }
+
+    /// A piece of a rising flank whose frequency changes: over it the amplitude looks like time.
+    #[test]
+    fn a_sweep_on_a_flank_has_the_frequency_of_its_middle() {
+        let (span_s, frames) = (1.2e-3, 40);
+        for bend in [-2.0, 2.0] {
+            let phasor = |k: usize| {
+                let share = k as f64 / (frames - 1) as f64;
+                let level = 40.0 * (TAU * 50.0 * span_s * (0.2 + share)).sin();
+                let phase = TAU * 150.0 * span_s * share + bend * (share - 0.5).powi(2);
+                Complex::from_polar(level, phase)
+            };
+            let track = Track {
+                f_sw_hz: 50e3,
+                t_s: (0..frames)
+                    .map(|k| span_s * k as f64 / (frames - 1) as f64)
+                    .collect(),
+                v_v: Vec::new(),
+                i_a: vec![(0..frames).map(phasor).collect()],
+                frame: 60,
+            };
+            let error = track.frequency_error_hz();
+            // The ends are 2 · bend / (TAU · span) off.
+            assert!((error - 150.0).abs() < 300.0, "{error}");
         }
     }
 

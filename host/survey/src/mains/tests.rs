@@ -71,6 +71,30 @@ fn pieces_of_different_level_share_their_mains() {
     assert!((m.hz - 50.0).abs() < 0.3 && (m.zero_crossing_s - 2e-3).abs() < 0.1e-3);
 }
 
+/// As `ihd record` and a scope's segments give them: one half-cycle of several, for seconds. Every grid keeps within a hertz of its
+/// nominal frequency.
+#[test]
+fn half_cycles_with_pauses_have_the_frequency_of_a_grid() {
+    for hz in [50.0, 49.95, 60.02] {
+        for (lasts_s, every_s) in [(12e-3, 50e-3), (10e-3, 190e-3), (10e-3, 0.2), (25e-3, 0.3)] {
+            for (t0_s, floor) in [(1.234e-3, 0.0), (6.0e-3, 0.0), (1.234e-3, 30.0)] {
+                let pieces: Vec<_> = (0..20)
+                    .map(|k| f64::from(k) * every_s)
+                    .map(|from_s| envelope(hz, t0_s, from_s, from_s + lasts_s, floor))
+                    .collect();
+                let (m, findings) = found(&pieces);
+                let case = format!("{hz} Hz, {lasts_s} s every {every_s} s: {m:?}");
+                assert!(findings.is_empty(), "{case} {findings:?}");
+                assert!((m.hz - hz).abs() < 0.02, "{case}");
+                let half_s = 0.5 / hz;
+                let off_s =
+                    (m.zero_crossing_s - t0_s + 0.5 * half_s).rem_euclid(half_s) - 0.5 * half_s;
+                assert!(off_s.abs() < 0.1e-3, "{case} {off_s}");
+            }
+        }
+    }
+}
+
 #[test]
 fn a_constant_bus_and_a_short_capture_are_noted() {
     let mut flat = envelope(50.0, 0.0, 0.0, 30e-3, 0.0);
@@ -134,7 +158,7 @@ fn times_that_are_no_numbers_end_the_search() {
     if let Some(last) = e.t_s.last_mut() {
         *last = f64::NAN;
     }
-    assert!(fit(&[e], Some(50.0), true).is_none_or(|fit| fit.t0_s.is_finite()));
+    assert!(fit(&[e], Search::At(50.0, Law::Held)).is_none_or(|fit| fit.t0_s.is_finite()));
 }
 
 #[test]
