@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use ihd_firmware::drive::bridge::Drive;
 use ihd_firmware::link::housekeeping::Housekeeping;
-use ihd_firmware::link::service::NoBoardServices;
+use ihd_firmware::link::service::BoardServices;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::sense::bus::BusReading;
 use ihd_link::{Client, LinkError, Transport};
@@ -23,7 +23,7 @@ use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
-use ihd_shared::wire::messages::{AnyMessage, Hello, Piece};
+use ihd_shared::wire::messages::{AnyMessage, Hello, Piece, Program};
 
 /// Half-cycle of the desk's mains, in nanoseconds.
 pub const HALF_CYCLE_NS: u64 = 10_000_000;
@@ -56,6 +56,22 @@ pub struct DeskHob {
     ears: Deframer,
     to_device: VecDeque<u8>,
     to_host: VecDeque<u8>,
+    board: DeskBoard,
+}
+
+/// Board of a desk hob: nothing but a program that can restart.
+#[derive(Default)]
+struct DeskBoard {
+    has_restarted: bool,
+}
+
+impl BoardServices for DeskBoard {
+    fn has_program(&self, into: Program) -> bool {
+        into == Program::Firmware
+    }
+    fn restart(&mut self, _: Program) {
+        self.has_restarted = true;
+    }
 }
 
 /// The hello of a desk device.
@@ -80,6 +96,7 @@ impl DeskHob {
             ears: Deframer::new(),
             to_device: VecDeque::new(),
             to_host: VecDeque::new(),
+            board: DeskBoard::default(),
         }
     }
 
@@ -130,6 +147,11 @@ impl DeskHob {
         self.to_device.extend(frame);
     }
 
+    /// Returns `true` once the firmware has ended for a restart.
+    pub fn has_restarted(&self) -> bool {
+        self.board.has_restarted
+    }
+
     /// Bytes that have arrived at the host.
     pub fn collect(&mut self) -> Vec<u8> {
         self.to_host.drain(..).collect()
@@ -168,7 +190,7 @@ impl DeskHob {
         if self.blocks.is_multiple_of(self.turn_every) {
             self.housekeeping.poll(&mut *self.sampling_path);
             self.housekeeping
-                .serve(&mut *self.sampling_path, &mut NoBoardServices);
+                .serve(&mut *self.sampling_path, &mut self.board);
         }
         self.exchange();
     }

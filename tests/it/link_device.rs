@@ -15,7 +15,7 @@ use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode, encode_numbered, encod
 use ihd_shared::wire::hello::{ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
     AnyMessage, Configure, FrontEnd, GetStatus, Hello, MESSAGES, Message, Outcome, Piece, Pot,
-    Reply, ResendWindow, SetPower, State, Status, is_numbered,
+    Program, Reply, ResendWindow, Restart, SetPower, State, Status, is_numbered,
 };
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_MS;
@@ -661,6 +661,26 @@ fn a_host_that_reads_nothing_can_still_switch_off() {
     hob.run(1);
     let read = answers(&hob.collect());
     assert!(read.contains(&(Status::ID, asked, None)), "{read:?}");
+}
+
+/// Responses that nobody reads fill the queue while the device is about to restart.
+#[test]
+fn a_host_that_reads_nothing_does_not_hold_a_restart_up() {
+    let mut hob = greeted(PROTOCOL_MAJOR);
+    hob.bytes_per_block = 0;
+    let mut number = Number::NONE;
+    for k in 0..40 {
+        let mut frame = [0; MAX_ENCODED];
+        number = number.next();
+        let into = Program::Firmware;
+        let length = match k {
+            0 => encode_numbered(&Restart { into }, number, 0, &mut frame),
+            _ => encode_numbered(&GetStatus {}, number, 0, &mut frame),
+        };
+        hob.offer(&frame[..length.unwrap()]);
+    }
+    hob.run(100);
+    assert!(hob.has_restarted());
 }
 
 /// A hello that fits, and one of another major version: both end the conversation before.

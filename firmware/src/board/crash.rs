@@ -37,7 +37,7 @@ unsafe extern "C" {
     static __next_program: [AtomicU32; 2];
 }
 
-/// So many are enough to have reported each; the next would be no different.
+/// Ends in a row after which the program stays stopped: each was reported, and another would be the same.
 const MOST_ENDS: u32 = 4;
 
 fn count_end() -> u32 {
@@ -141,6 +141,8 @@ pub fn restart(into: Program) -> ! {
 }
 
 fn end(reason: ResetReason) -> ! {
+    // From here on no interrupt closes a switch.
+    cortex_m::interrupt::disable();
     outputs_off();
     write(CrashRecord {
         reason: Some(reason),

@@ -1,4 +1,4 @@
-//! Power below the floor, which the highest frequency gives: bursts of whole mains cycles.
+//! Power below what the highest frequency gives: bursts of whole mains cycles.
 //!
 //! Every [`BURST_PERIOD_MS`] the energy that is due is given at [`crate::limits::BURST_POWER_W`]; what a burst gives
 //! too much or too little, because it has whole cycles, the next one makes good. So the mean follows
@@ -38,7 +38,7 @@ pub struct PowerBursts {
     ending: bool,
     /// Half-cycles of this burst that were over when the supply was left to the other zone.
     released_at: Option<u16>,
-    /// More was due than is saved up, and that is not yet made up for.
+    /// Energy was lost to the limit of saved-up periods, and the balance is still positive.
     short: bool,
     /// Half-cycles of this burst that are over; before it begins, those since the claim.
     half_cycles: u32,
@@ -70,7 +70,7 @@ impl PowerBursts {
     }
 
     /// Returns `true` if a burst is due, and waits for the supply, or for a probe.
-    pub fn is_due(&self) -> bool {
+    pub fn is_waiting(&self) -> bool {
         self.waits
     }
 
@@ -91,8 +91,8 @@ impl PowerBursts {
         supply: &mut SupplyShare,
     ) -> BurstStep {
         let given_uj = self.count(summary);
-        let is_due = is_reached(now_ms, self.next_ms);
-        if is_due {
+        let is_period_over = is_reached(now_ms, self.next_ms);
+        if is_period_over {
             self.next_ms = now_ms.wrapping_add(BURST_PERIOD_MS);
             // Nothing is saved up beyond a period, or the other zone's turn: a hob that could not give it does not make up for it.
             let periods = if supply.is_shared() {

@@ -143,10 +143,16 @@ impl Control {
     /// State to be kept through a reset.
     pub fn retained(&self) -> RetainedControl {
         let (request, restart) = (&self.parts.request, &self.parts.restart);
+        // A reset forgets the time left, and so ends it.
+        let has_timer = self.timer_min() > 0;
         RetainedControl {
             locked_out: restart.is_locked_out(),
             tries_used: restart.tries_used(),
-            panel_off: request.is_off_at_panel(),
+            panel_level: if has_timer {
+                Some(0)
+            } else {
+                request.panel_level()
+            },
             key_locked: request.is_key_locked(),
             unattended: self.parts.times.unattended.used_share(),
         }
@@ -154,7 +160,7 @@ impl Control {
 
     /// Goes on with what was kept; a fault that is active then has been seen. To be called once, before anything else.
     pub fn restore(&mut self, kept: RetainedControl, status: &SamplingStatus) {
-        self.parts.request = PowerRequest::restored(kept.panel_off, kept.key_locked);
+        self.parts.request = PowerRequest::restored(kept.panel_level, kept.key_locked);
         self.parts.times = CookingTimes::restored(kept.unattended, status.now_ms);
         let (tries_used, locked_out) = (kept.tries_used, kept.locked_out);
         self.parts.restart = RestartPolicy::restored(tries_used, locked_out, status.now_ms);
@@ -193,7 +199,7 @@ impl Control {
         match heating.on_half_cycle(summary, status, &mut self.parts) {
             HeatingStep::Act(action) => action,
             HeatingStep::PotLost(pot) => self.lose_pot(pot, status),
-            HeatingStep::Probe => self.first_probe(status),
+            HeatingStep::Probe => self.begin_first_probe(status),
         }
     }
 
@@ -259,7 +265,7 @@ impl Control {
                 }
                 if waiting.is_probe_due(status.now_ms) && self.parts.restart.permits(status.now_ms)
                 {
-                    return self.probe(status);
+                    return self.start_with_probe(status);
                 }
                 Action::Keep
             }

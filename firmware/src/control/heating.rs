@@ -14,7 +14,7 @@ use crate::limits::{
 use crate::sampling::half_cycle::HalfCycle;
 
 /// Half-cycles in a row at the highest frequency with too much power before bursts begin.
-const FLOOR_HALF_CYCLES: u8 = 2;
+const EXCESS_HALF_CYCLES: u8 = 2;
 
 /// Excess over the granted power that is too much.
 const MAX_EXCESS_PERCENT: u64 = 1;
@@ -26,24 +26,24 @@ pub enum HeatingStep {
     Act(Action),
     /// The pot is away, or cannot be heated.
     PotLost(Pot),
-    /// Nobody knows what stands there now: a probe, before the next burst.
+    /// The pot was not seen for too long: a probe is due before the next burst.
     Probe,
 }
 
 /// A pot being heated.
 #[derive(Clone, Debug)]
 pub struct Heating {
-    /// Time of the last half-cycle that showed a pot, in milliseconds.
-    judged_ms: u32,
+    /// Start of the time in which the bridge may switch without a judged pot, in milliseconds.
+    unjudged_since_ms: u32,
     /// Half-cycles in a row that showed none.
     without_pot: u8,
     /// Half-cycles in a row at the highest frequency with more power than was granted.
-    at_floor: u8,
+    with_excess: u8,
     /// Power up to which it is given in bursts, as no frequency gives as little; 0 until that was seen.
     bursts_to_w: u16,
     /// Bursts under way.
     bursts: Option<PowerBursts>,
-    /// Half-cycles since the bridge switches, or since it does not and a probe saw the pot, whichever the last one shows.
+    /// Half-cycles since the bridge last began or stopped to switch; a probe that saw the pot counts as a stop.
     half_cycles: u32,
     limit: Limit,
     last: HalfCycle,
@@ -53,9 +53,9 @@ impl Heating {
     /// Begins with a pot that was judged now.
     pub fn new(now_ms: u32) -> Self {
         Self {
-            judged_ms: now_ms,
+            unjudged_since_ms: now_ms,
             without_pot: 0,
-            at_floor: 0,
+            with_excess: 0,
             bursts_to_w: 0,
             bursts: None,
             half_cycles: 0,
@@ -64,9 +64,9 @@ impl Heating {
         }
     }
 
-    /// Time of the last half-cycle that showed a pot, in milliseconds.
-    pub fn judged_ms(&mut self) -> &mut u32 {
-        &mut self.judged_ms
+    /// Start of the time in which the bridge may switch without a judged pot, in milliseconds.
+    pub fn unjudged_since_ms(&mut self) -> &mut u32 {
+        &mut self.unjudged_since_ms
     }
 
     /// Limit of pot or temperature that holds the power below what was requested.
@@ -91,7 +91,7 @@ impl Heating {
                     parts.pot = pot;
                     parts.heated_hz = summary.f_sw_hz;
                     self.without_pot = 0;
-                    self.judged_ms = status.now_ms;
+                    self.unjudged_since_ms = status.now_ms;
                 }
                 // Too little mains to say.
                 Pot::Unknown => return HeatingStep::Act(Action::Keep),
@@ -153,7 +153,7 @@ impl Heating {
     }
 
     fn is_probe_due(&self, status: &SamplingStatus, parts: &mut ControlParts) -> bool {
-        let is_due = self.bursts.as_ref().is_none_or(PowerBursts::is_due);
+        let is_due = self.bursts.as_ref().is_none_or(PowerBursts::is_waiting);
         let is_unseen = is_due && self.is_unseen(parts.supply_share.is_shared());
         (is_unseen || self.unseen() >= UNSEEN_WAITING_HALF_CYCLES)
             && !status.requested.is_switching()
@@ -184,7 +184,7 @@ impl Heating {
         parts: &mut ControlParts,
     ) -> Action {
         let granted_w = self.grant(parts);
-        self.watch_floor(summary, granted_w);
+        self.watch_least_power(summary, granted_w);
         parts.supply_share.note(summary.power_mw);
         if parts.supply_share.is_shared() || granted_w <= self.bursts_to_w {
             return self.give_bursts(summary, granted_w, status, parts);
@@ -203,17 +203,17 @@ impl Heating {
 
     /// Counts half-cycles with more power than was granted and no higher frequency: then bursts, as long as no more than that
     /// power is granted.
-    fn watch_floor(&mut self, summary: &HalfCycle, granted_w: u16) {
+    fn watch_least_power(&mut self, summary: &HalfCycle, granted_w: u16) {
         if granted_w <= self.bursts_to_w {
             return;
         }
         let too_much = summary.f_sw_hz == pwm::HIGHEST_HZ
             && u64::from(summary.power_mw) > u64::from(granted_w) * 10 * (100 + MAX_EXCESS_PERCENT);
-        self.at_floor = if too_much { self.at_floor + 1 } else { 0 };
-        if self.at_floor >= FLOOR_HALF_CYCLES {
-            self.at_floor = 0;
-            let floor_w = summary.power_mw / (10 * (100 + MAX_EXCESS_PERCENT as u32));
-            self.bursts_to_w = u16::try_from(floor_w).unwrap_or(u16::MAX);
+        self.with_excess = if too_much { self.with_excess + 1 } else { 0 };
+        if self.with_excess >= EXCESS_HALF_CYCLES {
+            self.with_excess = 0;
+            let least_w = summary.power_mw / (10 * (100 + MAX_EXCESS_PERCENT as u32));
+            self.bursts_to_w = u16::try_from(least_w).unwrap_or(u16::MAX);
         }
     }
 

@@ -1,4 +1,4 @@
-//! Control: the hob's state machine, once a half-cycle in the thread.
+//! Control: the hob's state machine, in the thread: figures of each half-cycle, steps after each block.
 //!
 //! | state | entered by | left when |
 //! |---|---|---|

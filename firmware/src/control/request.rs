@@ -10,6 +10,7 @@
 //! - Switching on at the panel after switching off there is what a person does to end a lock-out.
 
 use crate::limits::{KEEP_WARM_LEVEL, LEVELS};
+use crate::retained::control::RetainedControl;
 
 /// Touch of the panel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,13 +81,13 @@ pub enum PanelResult {
 }
 
 impl PowerRequest {
-    /// The requests after a reset: none, and what the panel refused is still refused.
-    pub fn restored(panel_off: bool, key_locked: bool) -> Self {
+    /// The requests after a reset: none, and the panel's level limits a host as before.
+    pub fn restored(panel_level: Option<u8>, key_locked: bool) -> Self {
         Self {
-            setting: if panel_off {
-                PanelSetting::OFF
-            } else {
-                PanelSetting::Untouched
+            setting: match panel_level {
+                None => PanelSetting::Untouched,
+                Some(RetainedControl::KEEP_WARM) => PanelSetting::KeepWarm,
+                Some(level) => PanelSetting::Level(level.min(9)),
             },
             key_locked,
             ..Self::default()
@@ -176,6 +177,15 @@ impl PowerRequest {
         let below = LEVELS.len() as u8 - 1;
         if let PanelSetting::Level(level) = &mut self.setting {
             *level = below.min(*level);
+        }
+    }
+
+    /// The panel's setting, in force or not, as it outlives a reset; `None` if nobody has touched the panel.
+    pub fn panel_level(&self) -> Option<u8> {
+        match self.setting {
+            PanelSetting::Untouched => None,
+            PanelSetting::Level(level) => Some(level),
+            PanelSetting::KeepWarm => Some(RetainedControl::KEEP_WARM),
         }
     }
 

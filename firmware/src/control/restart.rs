@@ -64,13 +64,12 @@ impl RestartPolicy {
         !self.locked_out && self.not_before_ms.is_none()
     }
 
-    /// The bridge is started to look for a pot: whatever becomes of it, the next start is not sooner
-    /// than the next quick look.
+    /// Counts a start of the bridge to look for a pot: whatever becomes of it, the next one is not sooner than the next quick look.
     pub fn started(&mut self, now_ms: u32) {
         self.not_before(now_ms, QUICK_PROBE_MS);
     }
 
-    /// A fault tripped.
+    /// Counts a fault.
     pub fn tripped(&mut self, fault: Fault, now_ms: u32) -> RestartVerdict {
         self.stopped();
         match fault.class() {
@@ -88,7 +87,7 @@ impl RestartPolicy {
         }
     }
 
-    /// A pot took power for a half-cycle.
+    /// Counts a half-cycle in which a pot took power.
     pub fn heated(&mut self) {
         self.good_half_cycles += 1;
         if self.good_half_cycles >= GOOD_RUN_HALF_CYCLES {
@@ -97,12 +96,12 @@ impl RestartPolicy {
         }
     }
 
-    /// Heating ended without a trip.
+    /// Begins the run of good half-cycles anew: heating ended.
     pub fn stopped(&mut self) {
         self.good_half_cycles = 0;
     }
 
-    /// A person switched off and on.
+    /// Forgets tries and lock-out: a person switched off and on.
     pub fn forgive(&mut self) {
         *self = Self::default();
     }

@@ -10,8 +10,8 @@ pub struct Waiting {
     next_probe_ms: u32,
     /// A pot was heated before it went away: it may be on its way back.
     may_return: bool,
-    /// Start of the last probe, in milliseconds.
-    judged_ms: u32,
+    /// Start of the time in which the bridge may switch without a judged pot, in milliseconds.
+    unjudged_since_ms: u32,
 }
 
 impl Waiting {
@@ -21,13 +21,13 @@ impl Waiting {
             since_ms: now_ms,
             next_probe_ms: now_ms,
             may_return,
-            judged_ms: now_ms,
+            unjudged_since_ms: now_ms,
         }
     }
 
-    /// Start of the last probe, in milliseconds.
-    pub fn judged_ms(&mut self) -> &mut u32 {
-        &mut self.judged_ms
+    /// Start of the time in which the bridge may switch without a judged pot, in milliseconds.
+    pub fn unjudged_since_ms(&mut self) -> &mut u32 {
+        &mut self.unjudged_since_ms
     }
 
     /// Sets the time of the next probe, after one without a pot.

@@ -78,7 +78,7 @@ pub struct DriveSequencer {
 }
 
 impl DriveSequencer {
-    /// All bits zero; [`DriveSequencer::force`] comes before anything else.
+    /// All bits zero; [`DriveSequencer::begin`] comes before anything else.
     pub const fn blank() -> Self {
         let drive = Drive {
             f_sw_hz: 0,

@@ -189,7 +189,7 @@ impl Housekeeping {
             path.housekeeping_gap().end();
             (path.take_half_cycle(), SamplingStatus::read(path))
         });
-        let action = match sums.map(|half_cycle| half_cycle.evaluate()) {
+        let action = match sums.map(|sums| sums.evaluate()) {
             Some(probe) if probe.is_pot_probe => self.control.on_half_cycle(&probe, &status),
             Some(summary) => self.on_half_cycle(lock, &summary, &status),
             None => self.control.advance(&self.lookup, &status),

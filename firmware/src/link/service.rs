@@ -176,10 +176,11 @@ impl Service {
     }
 }
 
-/// Returns `true` if there is voltage on the DC link: ST's bootloader drives the pins of both switches (AN2606: USART1, I2C2).
-fn has_bus_voltage(board: &mut impl BoardServices) -> bool {
+/// Returns `true` if the DC link is charged, or may be: ST's bootloader drives the pins of both switches (AN2606: USART1, I2C2). The
+/// bus divider alone would miss it with a broken resistor; the mains has a divider of its own.
+fn may_have_bus_voltage(lock: &mut impl SamplingLock, board: &mut impl BoardServices) -> bool {
     let codes = board.slow_codes();
-    codes.is_some_and(|codes| bus_dv(codes.bus) >= BUS_MIN_DV)
+    lock.with(|path| path.has_mains()) || codes.is_some_and(|codes| bus_dv(codes.bus) >= BUS_MIN_DV)
 }
 
 impl ServiceJob {
@@ -191,7 +192,7 @@ impl ServiceJob {
     ) -> Step {
         let response = match self {
             Self::Restart(into @ Program::Bootloader)
-                if board.has_program(into) && has_bus_voltage(board) =>
+                if board.has_program(into) && may_have_bus_voltage(lock, board) =>
             {
                 Some(Response::outcome(Outcome::NotIdle))
             }

@@ -103,7 +103,7 @@ impl SoftLimits {
         }
     }
 
-    /// Another frequency begins: nothing acts until its first blocks are over.
+    /// Sets the switching frequency; no limit acts in its first blocks.
     ///
     /// `l_min` resonates with the capacitor there, so X_C is ωL of it: no division.
     pub fn set_frequency(&mut self, f_sw_hz: u32, l_min: PicoHenry) {
@@ -121,7 +121,7 @@ impl SoftLimits {
         };
     }
 
-    /// A soft start begins: nothing acts until it is over, as the switches turn off at other samples.
+    /// Suspends all limits until the soft start is over, in which the switches turn off at other samples.
     pub fn hold_start(&mut self) {
         self.hold = SOFT_HOLD_BLOCKS + soft_start::BLOCKS;
     }

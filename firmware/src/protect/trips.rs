@@ -88,14 +88,19 @@ impl TripChecks {
             Some(Fault::SAMPLES_LOST)
         } else if self.alike >= FROZEN_BLOCKS {
             Some(Fault::SAMPLES_FROZEN)
-        } else if self.since_zero_crossing_ns > MAINS_LOST_NS {
+        } else if !self.has_mains() {
             Some(Fault::MAINS_LOST)
         } else {
             None
         }
     }
 
-    /// Resonance moves with the switching frequency; what that takes happens only here.
+    /// Returns `true` while zero crossings of the mains come.
+    pub fn has_mains(&self) -> bool {
+        self.since_zero_crossing_ns <= MAINS_LOST_NS
+    }
+
+    /// Sets the switching frequency: computes the resonant inductance, and restarts both counts.
     pub fn set_frequency(&mut self, f_sw_hz: u32) {
         self.l_min = resonant_inductance(f_sw_hz);
         self.below_resonance = 0;

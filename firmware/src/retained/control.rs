@@ -7,8 +7,9 @@ pub struct RetainedControl {
     pub locked_out: bool,
     /// Starts after trips that are used up.
     pub tries_used: u8,
-    /// The panel was switched off and refuses the host.
-    pub panel_off: bool,
+    /// The panel's level, which limits a host: 0 refuses it, [`RetainedControl::KEEP_WARM`] keeps warm. `None` if nobody has
+    /// touched the panel.
+    pub panel_level: Option<u8>,
     /// The keys are locked.
     pub key_locked: bool,
     /// Used share of the time without a touch of the panel, of 255.
@@ -17,31 +18,33 @@ pub struct RetainedControl {
 
 impl RetainedControl {
     const LOCKED_OUT: u8 = 1 << 7;
-    const PANEL_OFF: u8 = 1 << 6;
-    const KEY_LOCKED: u8 = 1 << 5;
+    const KEY_LOCKED: u8 = 1 << 6;
     const TRIES_MASK: u8 = Self::KEY_LOCKED - 1;
+    /// Level of keeping warm: above every level of power.
+    pub const KEEP_WARM: u8 = 10;
 
-    /// Encodes as two bytes; all bits zero for the default.
-    pub const fn to_bytes(self) -> [u8; 2] {
+    /// Encodes as three bytes; all bits zero for the default.
+    pub const fn to_bytes(self) -> [u8; 3] {
         let mut byte = self.tries_used & Self::TRIES_MASK;
         if self.locked_out {
             byte |= Self::LOCKED_OUT;
         }
-        if self.panel_off {
-            byte |= Self::PANEL_OFF;
-        }
         if self.key_locked {
             byte |= Self::KEY_LOCKED;
         }
-        [byte, self.unattended]
+        let panel = match self.panel_level {
+            Some(level) => level + 1,
+            None => 0,
+        };
+        [byte, self.unattended, panel]
     }
 
     /// Decodes what [`RetainedControl::to_bytes`] gave.
-    pub const fn from_bytes([byte, unattended]: [u8; 2]) -> Self {
+    pub const fn from_bytes([byte, unattended, panel]: [u8; 3]) -> Self {
         Self {
             locked_out: byte & Self::LOCKED_OUT != 0,
             tries_used: byte & Self::TRIES_MASK,
-            panel_off: byte & Self::PANEL_OFF != 0,
+            panel_level: panel.checked_sub(1),
             key_locked: byte & Self::KEY_LOCKED != 0,
             unattended,
         }

@@ -64,19 +64,23 @@ fn read<F: Flash>(flash: &mut F, page: usize) -> Option<(u32, RlLookup)> {
     Some((sequence, lookup))
 }
 
-/// Page and content of the newer whole one.
-fn newest<F: Flash>(flash: &mut F) -> Option<(usize, u32, RlLookup)> {
-    match (read(flash, 0), read(flash, 1)) {
-        (Some((a, lookup)), Some((b, _))) if a.wrapping_sub(b) < 1 << 31 => Some((0, a, lookup)),
-        (_, Some((b, lookup))) => Some((1, b, lookup)),
-        (Some((a, lookup)), None) => Some((0, a, lookup)),
-        (None, None) => None,
-    }
+/// Place of the newest whole record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RecordPlace {
+    page: usize,
+    sequence: u32,
 }
 
-/// The last good lookup, checked as if it came over the link.
-pub fn load<F: Flash>(flash: &mut F) -> Option<RlLookup> {
-    newest(flash).map(|(_, _, lookup)| lookup)
+/// Returns the last good lookup, checked as if it came over the link, and its place. To be called before the bridge may switch: a
+/// damaged page opens it (SYSCFG, SYSCFG_CFGR2: ECCL).
+pub fn load<F: Flash>(flash: &mut F) -> Option<(RecordPlace, RlLookup)> {
+    let (page, (sequence, lookup)) = match (read(flash, 0), read(flash, 1)) {
+        (Some(a), Some(b)) if a.0.wrapping_sub(b.0) < 1 << 31 => (0, a),
+        (_, Some(b)) => (1, b),
+        (Some(a), None) => (0, a),
+        (None, None) => return None,
+    };
+    Some((RecordPlace { page, sequence }, lookup))
 }
 
 /// A lookup's record; [`save`] adds the sequence.
@@ -86,16 +90,18 @@ pub fn record_of(lookup: &RlLookup) -> [u8; RECORD_BYTES] {
     record
 }
 
-/// Keeps a record, and reads it back: embassy-stm32's asynchronous driver clears an error before it reads it.
+/// Keeps a record beside the one at `newest`, and reads it back: embassy-stm32's asynchronous driver clears an error before it
+/// reads it. No other page is read.
 ///
 /// # Errors
-/// [`SaveError`]; the lookup kept before is still there.
+/// [`SaveError`]; the lookup kept before is still there, and `newest` its place.
 pub async fn save<F: Flash>(
     flash: &mut F,
+    newest: &mut Option<RecordPlace>,
     record: &mut [u8; RECORD_BYTES],
 ) -> Result<(), SaveError<F::Error>> {
-    let (page, sequence) = match newest(flash) {
-        Some((page, sequence, _)) => (1 - page, sequence.wrapping_add(1)),
+    let (page, sequence) = match newest {
+        Some(newest) => (1 - newest.page, newest.sequence.wrapping_add(1)),
         None => (0, 0),
     };
     let (head, rest) = record.split_at_mut(WORD);
@@ -109,11 +115,11 @@ pub async fn save<F: Flash>(
     flash.write(page, 0, head).await.map_err(SaveError::Flash)?;
     let mut kept = [0; RECORD_BYTES];
     flash.read(page, &mut kept);
-    if kept == *record {
-        Ok(())
-    } else {
-        Err(SaveError::NotThere)
+    if kept != *record {
+        return Err(SaveError::NotThere);
     }
+    *newest = Some(RecordPlace { page, sequence });
+    Ok(())
 }
 
 #[cfg(test)]
@@ -173,14 +179,27 @@ mod tests {
         }
     }
 
-    /// This flash never waits.
+    /// Saves as after a start; this flash never waits.
     fn save<F: Flash>(flash: &mut F, lookup: &RlLookup) -> Result<(), SaveError<F::Error>> {
+        let mut newest = super::load(flash).map(|(place, _)| place);
+        save_beside(flash, &mut newest, lookup)
+    }
+
+    fn save_beside<F: Flash>(
+        flash: &mut F,
+        newest: &mut Option<RecordPlace>,
+        lookup: &RlLookup,
+    ) -> Result<(), SaveError<F::Error>> {
         let mut record = record_of(lookup);
-        let saving = pin!(super::save(flash, &mut record));
+        let saving = pin!(super::save(flash, newest, &mut record));
         match saving.poll(&mut Context::from_waker(Waker::noop())) {
             Poll::Ready(saved) => saved,
             Poll::Pending => unreachable!("it never waits"),
         }
+    }
+
+    fn load<F: Flash>(flash: &mut F) -> Option<RlLookup> {
+        super::load(flash).map(|(_, lookup)| lookup)
     }
 
     fn lookup(version: u32) -> RlLookup {
@@ -227,6 +246,23 @@ mod tests {
             assert_eq!(load(&mut flash), Some(lookup(4)));
         }
         assert_eq!((kept[0], kept[2]), (0, 1));
+    }
+
+    /// A running program reads no page but the one that it has just written: the other may be damaged.
+    #[test]
+    fn saves_without_a_restart_alternate_and_a_failed_one_is_repeated_in_its_page() {
+        let (mut flash, mut newest) = (blank(), None);
+        for version in 1..4 {
+            save_beside(&mut flash, &mut newest, &lookup(version)).unwrap();
+            assert_eq!(load(&mut flash), Some(lookup(version)));
+        }
+        let before = newest;
+        flash.words_left = 3;
+        save_beside(&mut flash, &mut newest, &lookup(4)).unwrap_err();
+        flash.words_left = usize::MAX;
+        assert_eq!((newest, load(&mut flash)), (before, Some(lookup(3))));
+        save_beside(&mut flash, &mut newest, &lookup(5)).unwrap();
+        assert_eq!(load(&mut flash), Some(lookup(5)));
     }
 
     /// Flash that takes everything and keeps nothing, in silence.

@@ -66,7 +66,8 @@ impl CrashRecord {
             Some(reason) => reason as u32,
             None => 0xFF,
         };
-        let reason = reason | (u16::from_le_bytes(self.control.to_bytes()) as u32) << 8;
+        let [a, b, c] = self.control.to_bytes();
+        let reason = reason | u32::from_le_bytes([0, a, b, c]);
         let counts = (self.fault as u32) << 16 | self.starts as u32;
         [MAGIC, reason, counts, !(MAGIC ^ reason ^ counts)]
     }
@@ -77,7 +78,8 @@ impl CrashRecord {
         if magic != MAGIC || check != !(magic ^ reason ^ counts) {
             return None;
         }
-        let control = RetainedControl::from_bytes(((reason >> 8) as u16).to_le_bytes());
+        let [_, a, b, c] = reason.to_le_bytes();
+        let control = RetainedControl::from_bytes([a, b, c]);
         let reason = match reason & 0xFF {
             2 => Some(ResetReason::Panic),
             6 => Some(ResetReason::StackOverflow),
@@ -159,7 +161,7 @@ mod tests {
         control: RetainedControl {
             locked_out: true,
             tries_used: 3,
-            panel_off: true,
+            panel_level: Some(0),
             key_locked: false,
             unattended: 200,
         },

@@ -35,7 +35,7 @@ const NEAR_ZERO_CODES: u32 = 120;
 pub struct HalfCycleAccumulator {
     crest_norm: u64,
     /// Results that need no evaluation at the end.
-    half_cycle: HalfCycle,
+    result: HalfCycle,
     vi: i64,
     blocks: u32,
     /// `i32::MAX` less the smallest current at a turn-off, in milliampere: 0 where none was seen, so that a blank one is cleared at once.
@@ -55,7 +55,7 @@ impl HalfCycleAccumulator {
     pub(crate) const fn blank() -> Self {
         Self {
             crest_norm: 0,
-            half_cycle: HalfCycle::BLANK,
+            result: HalfCycle::BLANK,
             vi: 0,
             blocks: 0,
             below_max_ma: 0,
@@ -72,10 +72,10 @@ impl HalfCycleAccumulator {
         // 28 bits a block of an ADC's codes: two weeks without a zero crossing.
         self.vi = self.vi.wrapping_add(sums.vi);
         self.blocks += 1;
-        self.half_cycle.bus_peak_dv = self.half_cycle.bus_peak_dv.max(bus_dv);
+        self.result.bus_peak_dv = self.result.bus_peak_dv.max(bus_dv);
         if sums.v_peak > 0 {
             let peak_dv = (u32::from(sums.v_peak) * (V_FULL_SCALE_MV / 100)) >> (CODE_BITS - 1);
-            self.half_cycle.v_peak_dv = self.half_cycle.v_peak_dv.max(peak_dv);
+            self.result.v_peak_dv = self.result.v_peak_dv.max(peak_dv);
         }
         if let Some(ma) = dc_link_ma {
             self.dc_link += u64::from(bus_dv) * u64::from(ma);
@@ -128,13 +128,13 @@ impl HalfCycleAccumulator {
             self.below_max_ma = self.below_max_ma.max(i32::MAX.wrapping_sub(ma) as u32);
         }
         if checked.limit != Limit::None {
-            self.half_cycle.limit = checked.limit;
+            self.result.limit = checked.limit;
         }
     }
 
-    /// The drive changes before the half-cycle is over.
+    /// Marks the half-cycle as disturbed: the drive changes within it.
     pub fn disturb(&mut self) {
-        self.half_cycle.disturbed = true;
+        self.result.disturbed = true;
     }
 
     /// Adds one estimate.
@@ -142,10 +142,10 @@ impl HalfCycleAccumulator {
         let norm = z.i.norm_squared();
         if norm > self.crest_norm && !ekf.is_held() {
             self.crest_norm = norm;
-            self.half_cycle.crest.phasors = *z;
-            self.half_cycle.crest.bus = *bus;
-            self.half_cycle.crest.r = ekf.r();
-            self.half_cycle.crest.l = ekf.l();
+            self.result.crest.phasors = *z;
+            self.result.crest.bus = *bus;
+            self.result.crest.r = ekf.r();
+            self.result.crest.l = ekf.l();
         }
     }
 }
@@ -166,7 +166,7 @@ impl HalfCycleSums {
             // In 64 bits: a host may replay codes that no ADC has.
             ((i64::from(code) * i64::from(full_scale)) >> (CODE_BITS - 1)) as i32
         };
-        let power_mw = unfiltered(power_mw, sums.half_cycle.f_sw_hz);
+        let power_mw = unfiltered(power_mw, sums.result.f_sw_hz);
         HalfCycle {
             power_mw: u32::try_from(power_mw).unwrap_or(u32::MAX),
             i_turn_off_min_ma: i32::MAX.wrapping_sub(sums.below_max_ma as i32),
@@ -181,9 +181,9 @@ impl HalfCycleSums {
                 .then(|| (sums.dc_link / u64::from(sums.dc_link_blocks) / 10) as u32),
             crest: CurrentCrest {
                 i_ma: amplitude_ma(sums.crest_norm),
-                ..sums.half_cycle.crest
+                ..sums.result.crest
             },
-            ..sums.half_cycle
+            ..sums.result
         }
     }
 }
@@ -230,7 +230,7 @@ impl HalfCycles {
         bus_at_crossing_dv: u16,
         is_pot_probe: bool,
     ) {
-        let over = &mut self.running().half_cycle;
+        let over = &mut self.running().result;
         over.half_cycle = half_cycle;
         over.f_sw_hz = f_sw_hz;
         over.duration_ns = duration_ns;

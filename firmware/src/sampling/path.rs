@@ -2,7 +2,7 @@
 //!
 //! Budget at f_sw = 70 kHz: a block is 42.9 µs, 7 286 cycles of 170 MHz, and this may take 1 907
 //! instructions of it, 26 %, most of them to correlate and estimate. firmware/budget.toml holds the ceilings of its
-//! parts, docs/performance.md what was counted, and an estimate in cycles that exceeds 36 %. A block that
+//! parts, docs/performance.md what was counted, in cycles with registers and memory 40.6 %. A block that
 //! comes late is counted as lost; the third of a half-cycle trips [`SAMPLES_LOST`](ihd_shared::fault::Fault::SAMPLES_LOST).
 //! Nothing here waits, allocates, divides by a variable of 64 bit, uses
 //! floating point or can panic.

@@ -216,7 +216,7 @@ impl Recorder {
         }
     }
 
-    /// The half-cycle is over.
+    /// Ends the half-cycle.
     pub fn end(&mut self, half_cycle_ns: u32) {
         if self.stage == Stage::Recording && !self.raw {
             self.stage = Stage::Tail;
@@ -248,14 +248,14 @@ impl Recorder {
         }
     }
 
-    /// The block is over.
+    /// Advances by a block.
     pub fn advance(&mut self, block_ns: u32) {
         // 2 s; a mains that is away for 30 ms ends a window.
         self.block_start_ns = self.block_start_ns.wrapping_add(block_ns as i32);
     }
 
-    /// The estimator starts anew (frequency step, inverter off): a window in its tail is complete
-    /// with the trajectory it has, one in the middle is worthless.
+    /// Completes a window in its tail with the trajectory it has, and drops one in the middle: the estimator restarts (frequency
+    /// step, inverter off).
     pub fn interrupt(&mut self) {
         match self.stage {
             Stage::Tail => self.complete(),

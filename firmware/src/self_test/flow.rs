@@ -39,11 +39,11 @@ pub enum Task {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flow {
     /// The window is not over.
-    Going,
-    /// It is, and every task ran at its rate; the task that keeps lookups is to be called again.
-    Right,
-    /// It is, and this one did not.
-    Wrong(Task),
+    Pending,
+    /// Every task ran at its rate; the task that keeps lookups is due again.
+    Passed,
+    /// This task did not run at its rate.
+    Failed(Task),
 }
 
 /// The watch over all tasks.
@@ -68,12 +68,12 @@ impl ProgramFlow {
     pub fn check(&mut self, now_cycles: u32, counts: TaskCounts) -> Flow {
         let passed = now_cycles.wrapping_sub(self.began_at);
         if passed < WINDOW_CYCLES {
-            return Flow::Going;
+            return Flow::Pending;
         }
         let wrong = self.wrong(passed, counts);
         *self = Self::new(now_cycles, counts);
         self.right = wrong.is_none();
-        wrong.map_or(Flow::Right, Flow::Wrong)
+        wrong.map_or(Flow::Passed, Flow::Failed)
     }
 
     /// Returns `true` if all was right in the last window: only then may a bridge that is not open have its watchdog fed.
@@ -125,9 +125,9 @@ mod tests {
                 answers: before.answers.wrapping_add(answers),
             };
             match flow.check(began.wrapping_add(passed), counts) {
-                Flow::Going => {}
+                Flow::Pending => {}
                 verdict => {
-                    assert_eq!(flow.is_right(), verdict == Flow::Right);
+                    assert_eq!(flow.is_right(), verdict == Flow::Passed);
                     return verdict;
                 }
             }
@@ -136,20 +136,20 @@ mod tests {
 
     #[test]
     fn each_task_has_a_rate_with_two_limits() {
-        assert_eq!(window(1.0, 1.0, 1), Flow::Right);
-        assert_eq!(window(0.97, 0.2, 1), Flow::Right);
+        assert_eq!(window(1.0, 1.0, 1), Flow::Passed);
+        assert_eq!(window(0.97, 0.2, 1), Flow::Passed);
         for rate in [0.5, 0.9, 1.1, 2.0] {
-            assert_eq!(window(rate, 1.0, 1), Flow::Wrong(Task::Sampling), "{rate}");
+            assert_eq!(window(rate, 1.0, 1), Flow::Failed(Task::Sampling), "{rate}");
         }
         for turns in [0.01, 2.0] {
             assert_eq!(
                 window(1.0, turns, 1),
-                Flow::Wrong(Task::Housekeeping),
+                Flow::Failed(Task::Housekeeping),
                 "{turns}"
             );
         }
         for answers in [0, 2] {
-            assert_eq!(window(1.0, 1.0, answers), Flow::Wrong(Task::Keep));
+            assert_eq!(window(1.0, 1.0, answers), Flow::Failed(Task::Keep));
         }
     }
 }

@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 
 pub use ihd_firmware::control::request::PanelEvent;
 use ihd_firmware::control::share_wire::WireDrive;
-use ihd_firmware::drive::bridge::{Bridge, Drive};
+use ihd_firmware::drive::bridge::Drive;
 use ihd_firmware::drive::soft_start::{self, SoftStart};
 use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::link::housekeeping::Housekeeping;
@@ -291,7 +291,7 @@ impl SimHob {
 
     /// Passes the readings of the board's hardware after a block, and checks the watchdog.
     fn after_block(&mut self) {
-        if self.plant.is_tripped() && self.sampling_path.drive().bridge != Bridge::Open {
+        if self.plant.take_trip() {
             self.sampling_path.raise(Fault::HARDWARE_OVER_CURRENT);
         }
         if let Some(reading) = self.plant.take_reading() {

@@ -51,6 +51,8 @@ pub struct Plant {
     comparator_delay_s: f64,
     /// Time at which the comparator's trip opens the bridge, in seconds; `None` while it is not tripped.
     tripped_s: Option<f64>,
+    /// Set if it tripped before the drive opened the bridge, until that is read.
+    has_tripped: bool,
     /// Time at which both switches opened, in seconds; `None` while one may be closed.
     open_since_s: Option<f64>,
     meter: HalfCycleMeter,
@@ -114,6 +116,7 @@ impl Plant {
             comparator_a: f64::INFINITY,
             comparator_delay_s: 0.0,
             tripped_s: None,
+            has_tripped: false,
             open_since_s: Some(0.0),
             meter: HalfCycleMeter::default(),
             observer: LoadObserver::default(),
@@ -124,6 +127,15 @@ impl Plant {
     /// They stay open until the drive has requested that too.
     pub fn set_comparator(&mut self, trip_a: f64, delay_s: f64) {
         (self.comparator_a, self.comparator_delay_s) = (trip_a, delay_s);
+    }
+
+    /// Returns `true` while the comparator holds the bridge open, and once if it has tripped and the drive opens the bridge too.
+    pub fn take_trip(&mut self) -> bool {
+        let is_tripped = self.is_tripped();
+        if self.drive.bridge == Bridge::Open {
+            self.tripped_s = None;
+        }
+        std::mem::take(&mut self.has_tripped) || is_tripped
     }
 
     /// Returns `true` while the comparator holds both switches open.
@@ -245,7 +257,7 @@ impl Plant {
         match drive.bridge {
             Bridge::Open => {
                 self.open_since_s = self.open_since_s().or(Some(self.t_s()));
-                self.tripped_s = None;
+                self.has_tripped |= self.tripped_s.take().is_some();
             }
             Bridge::LowerOn | Bridge::Switching => self.open_since_s = None,
         }

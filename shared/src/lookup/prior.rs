@@ -1,7 +1,7 @@
 //! The prior: a 21 cm ferromagnetic pot, the load that the firmware assumes before a lookup is pushed.
 //!
 //! R(I) = 3.0 + 4.0 / (1 + I / 9 A) ohm and L(I) = 20.5 + 18 / (1 + I / 10 A) µH at 45 kHz, which
-//! pass through 6.6 → 3.7 ohm and 37 → 24 µH from 1 to 40 A (field model of design.md section 7);
+//! pass through 6.6 → 3.7 ohm and 37 → 24 µH from 1 to 40 A (field model, docs/simulator.md);
 //! with frequency R ∝ f^½ (skin depth) and L ∝ f^−0.3 (part of it is the gap's, which stays). That is over a coil of 23 turns; the
 //! board's may have others ([`TURNS_RATIO`]).
 

@@ -7,7 +7,7 @@ use embassy_futures::select::{Either, select};
 use embassy_stm32::flash::{Async, Error, Flash};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
-use ihd_firmware::retained::nonvolatile::{self, RECORD_BYTES};
+use ihd_firmware::retained::nonvolatile::{self, RECORD_BYTES, RecordPlace};
 use ihd_shared::image::{FLASH_ADDRESS, LOOKUP_ADDRESS, PAGE_BYTES};
 use ihd_shared::lookup::RlLookup;
 
@@ -18,9 +18,15 @@ const FIRST: u32 = LOOKUP_ADDRESS - FLASH_ADDRESS;
 
 const _: () = assert!(RECORD_BYTES <= PAGE_BYTES as usize);
 
+/// The pages, and the place of the newest lookup in them.
+pub struct LookupPages {
+    pages: BankPages,
+    newest: Option<RecordPlace>,
+}
+
 /// The flash behind the pages; none where it has one bank, as then a page has another size, and the program
 /// would stand still while one is erased.
-pub struct LookupPages(pub Option<Flash<'static, Async>>);
+struct BankPages(Option<Flash<'static, Async>>);
 
 /// The lookup that is to be kept; a newer one replaces it.
 pub static TO_KEEP: Signal<CriticalSectionRawMutex, RlLookup> = Signal::new();
@@ -48,7 +54,10 @@ pub async fn keep(mut pages: LookupPages) -> ! {
             }
             Either::Second(lookup) => (lookup.version, nonvolatile::record_of(&lookup)),
         };
-        if nonvolatile::save(&mut pages, &mut record).await.is_err() {
+        if nonvolatile::save(&mut pages.pages, &mut pages.newest, &mut record)
+            .await
+            .is_err()
+        {
             // Not tried again: the lookup is still active, and is pushed again.
             defmt::warn!("lookup {=u32} was not kept", version);
         }
@@ -74,7 +83,7 @@ fn offset(page: usize) -> u32 {
     FIRST + PAGE_BYTES * (page as u32 & 1)
 }
 
-impl nonvolatile::Flash for LookupPages {
+impl nonvolatile::Flash for BankPages {
     type Error = Error;
 
     fn read(&mut self, page: usize, out: &mut [u8; RECORD_BYTES]) {
@@ -104,8 +113,17 @@ impl nonvolatile::Flash for LookupPages {
     }
 }
 
-impl LookupPages {
+impl BankPages {
     fn flash(&mut self) -> Result<&mut Flash<'static, Async>, Error> {
         self.0.as_mut().ok_or(Error::Protected)
+    }
+}
+
+impl LookupPages {
+    /// Returns the pages, and the lookup that they hold.
+    pub fn load(flash: Option<Flash<'static, Async>>) -> (Self, Option<RlLookup>) {
+        let mut pages = BankPages(flash);
+        let (newest, lookup) = nonvolatile::load(&mut pages).unzip();
+        (Self { pages, newest }, lookup)
     }
 }

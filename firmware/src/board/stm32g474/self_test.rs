@@ -200,12 +200,12 @@ impl SelfTest {
         self.turns = self.turns.wrapping_add(1);
         let now = cycles::now();
         let rate = match self.flow.check(now, self.counts(blocks)) {
-            Flow::Going => None,
-            Flow::Right => {
+            Flow::Pending => None,
+            Flow::Passed => {
                 ASKED.signal(());
                 None
             }
-            Flow::Wrong(task) => {
+            Flow::Failed(task) => {
                 defmt::error!("program flow: task {=u8}", task as u8);
                 // Where it has not answered it is not asked again.
                 if task != Task::Keep {

@@ -3,7 +3,7 @@
 use embassy_executor::raw::TaskStorage;
 use embassy_executor::{Executor, Spawner};
 use embassy_stm32::flash::{self, Flash};
-use embassy_stm32::gpio::{AfType, Flex, Output, OutputType, Speed};
+use embassy_stm32::gpio::{AfType, Flex, Output, OutputType, Pull, Speed};
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::peripherals::{CRC, IWDG, LPUART1, USB};
 use embassy_stm32::rcc;
@@ -14,7 +14,7 @@ use embassy_stm32::{Peri, Peripherals, bind_interrupts, interrupt, peripherals, 
 use embassy_usb::UsbDevice;
 use ihd_firmware::drive::bridge::Bridge;
 use ihd_firmware::link::housekeeping::Housekeeping;
-use ihd_firmware::retained::{nonvolatile, reset};
+use ihd_firmware::retained::reset;
 use ihd_firmware::sampling::path::SamplingLock;
 use ihd_firmware::self_test::heartbeat::Heartbeat;
 use ihd_shared::board::{COIL_NTC_PIN, FAN_PIN, GLASS_NTC_PIN, HEAT_SINK_NTC_PIN};
@@ -242,8 +242,8 @@ fn lookup_pages(
     housekeeping: &mut Housekeeping,
 ) -> LookupPages {
     let two_banks = registers::supply::has_two_banks();
-    let mut pages = LookupPages(two_banks.then(|| Flash::new(flash, Irqs)));
-    match nonvolatile::load(&mut pages) {
+    let (pages, lookup) = LookupPages::load(two_banks.then(|| Flash::new(flash, Irqs)));
+    match lookup {
         Some(lookup) => {
             defmt::info!("lookup {=u32} from flash", lookup.version);
             housekeeping.restore(lookup);
@@ -285,6 +285,8 @@ fn serial_port(
     let inbound = RECEIVE.init([0; serial::RECEIVE_BUFFER]);
     let mut config = usart::Config::default();
     config.baudrate = serial::BAUD;
+    // Without a cable the pin would pick up noise, and a byte takes the answers to this port.
+    config.rx_pull = Pull::Up;
     let uart = BufferedUart::new(uart, receive, transmit, out, inbound, Irqs, config).ok()?;
     let (sender, receiver) = uart.split();
     Some((serial::Receiver(receiver), serial::Sender(sender)))
@@ -348,10 +350,11 @@ impl Board {
         if self.heartbeat.beat(blocks) && (self.self_test.is_flow_right() || is_open) {
             self.watchdog.pet();
         }
-        if blocks == GOOD_START_BLOCKS {
+        // Where a turn takes longer than a block, not every count is seen here.
+        if blocks >= GOOD_START_BLOCKS {
             crash::ran_well();
         }
-        // Not its version, which returns after a reset.
+        // By the count of changes: a version may come again after a reset.
         let changes = housekeeping.lookup_changes();
         if changes != self.kept_changes && housekeeping.control().state() == State::Idle {
             self.kept_changes = changes;

@@ -16,7 +16,7 @@ const BROKEN_RAM: [u32; 4] = CrashRecord {
     control: RetainedControl {
         locked_out: true,
         tries_used: 0,
-        panel_off: false,
+        panel_level: None,
         key_locked: false,
         unattended: 0,
     },

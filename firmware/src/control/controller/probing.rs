@@ -34,27 +34,27 @@ impl Control {
             self.parts.power.restart();
         }
         self.enter(ControlState::Probing {
-            judged_ms: status.now_ms,
+            unjudged_since_ms: status.now_ms,
         });
-        self.probe(status)
+        self.start_with_probe(status)
     }
 
-    /// Begins a pot probe.
-    pub(super) fn probe(&mut self, status: &SamplingStatus) -> Action {
+    /// Begins the first pot probe; the restart policy counts it as a start.
+    pub(super) fn start_with_probe(&mut self, status: &SamplingStatus) -> Action {
         self.parts.restart.started(status.now_ms);
-        self.first_probe(status)
+        self.begin_first_probe(status)
     }
 
-    /// Begins a pot probe that is no start, or the first probe of one.
-    pub(super) fn first_probe(&mut self, status: &SamplingStatus) -> Action {
+    /// Begins the first pot probe without counting a start.
+    pub(super) fn begin_first_probe(&mut self, status: &SamplingStatus) -> Action {
         self.doubtful = None;
-        self.begin_probe(PotProbe::FIRST, status)
+        self.request_probe(PotProbe::FIRST, status)
     }
 
     /// Lets the bridge switch for a probe: the time without a judgement counts from now.
-    fn begin_probe(&mut self, probe: PotProbe, status: &SamplingStatus) -> Action {
-        if let Some(judged_ms) = self.state.judged_ms() {
-            *judged_ms = status.now_ms;
+    fn request_probe(&mut self, probe: PotProbe, status: &SamplingStatus) -> Action {
+        if let Some(unjudged_since_ms) = self.state.unjudged_since_ms() {
+            *unjudged_since_ms = status.now_ms;
         }
         Action::ProbePot(probe)
     }
@@ -100,7 +100,7 @@ impl Control {
             }
             self.doubtful = FirstProbe::doubtful(summary, pot);
             if self.doubtful.is_some() {
-                return self.begin_probe(PotProbe::SECOND, status);
+                return self.request_probe(PotProbe::SECOND, status);
             }
         }
         match (pot, &mut self.state) {
@@ -127,13 +127,13 @@ impl Control {
 
     /// Opens a bridge in time that switches without a pot that was judged, whatever the reason.
     pub(super) fn watch_judgement(&mut self, status: &SamplingStatus) -> Action {
-        let Some(judged_ms) = self.state.judged_ms() else {
+        let Some(unjudged_since_ms) = self.state.unjudged_since_ms() else {
             return Action::Keep;
         };
         if !status.switching {
             // It charges the bootstrap capacitor, or waits for the mains.
-            *judged_ms = status.now_ms;
-        } else if status.now_ms.wrapping_sub(*judged_ms) >= UNJUDGED_MS - 1 {
+            *unjudged_since_ms = status.now_ms;
+        } else if status.now_ms.wrapping_sub(*unjudged_since_ms) >= UNJUDGED_MS - 1 {
             return self.lose_pot(Pot::Unknown, status);
         }
         Action::Keep

@@ -12,8 +12,8 @@ pub(super) enum ControlState {
     Idle,
     /// The first probe for a pot is under way.
     Probing {
-        /// Start of the probe, in milliseconds.
-        judged_ms: u32,
+        /// Start of the time in which the bridge may switch without a judged pot, in milliseconds.
+        unjudged_since_ms: u32,
     },
     /// A pot is heated.
     Heating(Heating),
@@ -39,11 +39,11 @@ impl ControlState {
     }
 
     /// Time at which a pot was judged last, or the bridge began to probe for one.
-    pub(super) fn judged_ms(&mut self) -> Option<&mut u32> {
+    pub(super) fn unjudged_since_ms(&mut self) -> Option<&mut u32> {
         match self {
-            Self::Probing { judged_ms } => Some(judged_ms),
-            Self::Heating(heating) => Some(heating.judged_ms()),
-            Self::WaitingForPot(waiting) => Some(waiting.judged_ms()),
+            Self::Probing { unjudged_since_ms } => Some(unjudged_since_ms),
+            Self::Heating(heating) => Some(heating.unjudged_since_ms()),
+            Self::WaitingForPot(waiting) => Some(waiting.unjudged_since_ms()),
             Self::Idle | Self::Pausing | Self::LockedOut => None,
         }
     }

@@ -3,6 +3,7 @@ use crate::control::request::PanelEvent;
 use crate::control::temperature::TemperatureCodes;
 use crate::drive::pwm;
 use crate::drive::sequencer::PotProbe;
+use crate::retained::control::RetainedControl;
 use crate::sampling::half_cycle::CurrentCrest;
 use ihd_shared::board;
 use ihd_shared::lookup::prior::prior;
@@ -480,6 +481,36 @@ fn the_timer_outlasts_a_host_that_asks_again() {
     bench.control.panel(PanelEvent::Timer(10));
     bench.control.panel(PanelEvent::Level(0));
     assert_eq!(bench.control.timer_min(), 0, "off at the panel ends it");
+}
+
+/// A restart, which a host may ask for, takes nothing back that a person has set.
+#[test]
+fn the_panels_limit_and_timer_outlast_a_restart() {
+    let limited_w = crate::limits::LEVELS[3].power_w;
+    for (events, power_w) in [
+        (&[PanelEvent::Level(4)][..], Some(limited_w)),
+        (&[PanelEvent::KeepWarm], Some(crate::limits::KEEP_WARM_W)),
+        (&[PanelEvent::Level(4), PanelEvent::Timer(10)], None),
+        (&[PanelEvent::Level(0)], None),
+        (&[], Some(1_500)),
+    ] {
+        let mut bench = heating();
+        for event in events {
+            bench.control.panel(*event);
+        }
+        bench.control.host(0);
+        let kept = bench.control.retained();
+        let mut control = Box::<Control>::default();
+        let bytes = RetainedControl::from_bytes(kept.to_bytes());
+        control.restore(bytes, &bench.status());
+        assert_eq!(control.asked_w(), 0, "nothing heats unasked: {events:?}");
+        assert_eq!(
+            control.host(1_500).is_some(),
+            power_w.is_some(),
+            "{events:?}"
+        );
+        assert_eq!(control.asked_w(), power_w.unwrap_or(0), "{events:?}");
+    }
 }
 
 /// The clock wraps after 49.7 days: the pause after a probe must not seem to lie ahead.

@@ -21,7 +21,7 @@ const AVERAGED: u8 = 16;
 /// Frequencies further apart than this are different operating points. A gain that is 7 % wrong moves the frequency by 3.6 %.
 const POINT_HZ_PERMILLE: u64 = 40;
 
-/// While an operating point is learned.
+/// The same limit while an operating point is learned.
 const LEARNED_HZ_PERMILLE: u64 = 25;
 
 /// Crests of the bus further apart than this are different operating points.
@@ -103,7 +103,7 @@ impl GainDrift {
         self.trial == 0 && self.known_ppm().abs() >= LIMIT_PPM
     }
 
-    /// The load may be another one from here on.
+    /// Leaves the operating point: the load may be another one.
     pub(super) fn leave(&mut self) {
         let known_ppm = self.known_ppm();
         self.before_ppm = if known_ppm.abs() >= LIMIT_PPM {
@@ -114,7 +114,7 @@ impl GainDrift {
         (self.here_ppm, self.half_cycles) = (0, 0);
     }
 
-    /// The bridge has tripped: what is known of a drift counts again after a trial.
+    /// Begins a trial after a trip: what is known of a drift counts again after it.
     pub(super) fn begin_trial(&mut self) {
         if self.before_ppm == 0 && self.half_cycles == AVERAGED {
             self.right = self.point;

@@ -35,7 +35,7 @@ fn is_sag(bus_dv: u16, of_dv: u16) -> bool {
     u32::from(bus_dv) * 100 < u32::from(of_dv) * SAG_PERCENT
 }
 
-/// The bus that was, and the floor.
+/// Bus before a sag or a swell, and the lowest permitted frequency.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OperatingMemory {
     bus_dv: u16,

@@ -14,8 +14,8 @@
 //! A search is cut into steps of one prediction each ([`PowerControl::advance`]), one after each
 //! block (instructions: `search-step` in firmware/budget.toml), so that the watchdog is fed in between, and at most
 //! [`STEPS_PER_SEARCH`]. Eleven blocks are 0.4 ms at 80 kHz and 1 ms at 34 kHz; where a step takes
-//! longer than a block (0.6 ms at two cycles an instruction, the sampling path taking 60 % of them),
-//! 7 ms of a half-cycle's 8.3. The drive takes effect at the next zero crossing anyway.
+//! longer than a block (0.5 ms at two cycles an instruction, the sampling path taking half of them),
+//! 5 ms of a half-cycle's 8.3. The drive takes effect at the next zero crossing anyway.
 
 pub mod bounds;
 pub mod memory;

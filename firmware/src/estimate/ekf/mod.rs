@@ -52,7 +52,7 @@ const X_BOUNDS: (i32, i32) = (1 << (STATE_BITS - 2), 30 << STATE_BITS);
 
 /// Noise model. Covariances in [`COVARIANCE_BITS`].
 ///
-/// The paper's and design.md's process noise grows with |I|. Measured over 45-70 kHz, noiseless
+/// The paper's process noise grows with |I|. Measured over 45-70 kHz, noiseless
 /// and at 30 dB, the other way round is better by a factor of 3 to 8 over the whole half-cycle:
 /// R and L change fastest where the current is small (dR/dt = dR/dI · dI/dt, and both factors are
 /// largest near the zero crossing), while the gain there is limited by S anyway.

@@ -148,8 +148,8 @@ impl Housekeeping {
     /// a step at a time.
     #[inline(never)]
     pub fn serve(&mut self, lock: &mut impl SamplingLock, board: &mut impl BoardServices) {
-        // A full queue would lose the response.
-        if self.queue.is_full() {
+        // A full queue would lose the response; a restart under way has given its own.
+        if self.queue.is_full() && !self.service.is_leaving() {
             return;
         }
         let idle = self.control.asked_w() == 0 || self.control.state() == State::LockedOut;

@@ -78,6 +78,11 @@ impl<M: PairArithmetic> SamplingPath<M> {
     pub fn is_replaying(&self) -> bool {
         self.replaying
     }
+
+    /// Returns `true` while zero crossings of the mains come.
+    pub fn has_mains(&self) -> bool {
+        self.protection.has_mains()
+    }
 }
 
 /// Faults.

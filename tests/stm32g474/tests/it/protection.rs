@@ -245,6 +245,29 @@ fn a_panic_a_processor_fault_and_a_stack_overflow_end_with_the_outputs_off() {
     }
 }
 
+/// After five ends in a row the program stays stopped, and so does the interrupt that could close a switch.
+#[test]
+fn a_program_that_ends_again_and_again_stays_with_its_interrupts_masked() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    for _ in 0..5 {
+        bench.run_s(0.05);
+        bench.with(|machine| {
+            reach_thread(machine);
+            let panic = machine.image().symbol_like("panicking9panic_fmt");
+            machine.set_pc(panic.expect("a panic in the image"));
+        });
+    }
+    bench.run_s(0.2);
+    assert_eq!(resets(&bench), [Reset::Software; 4]);
+    for _ in 0..10 {
+        bench.run_s(0.001);
+        let waits = bench.with(|machine| machine.chip().nvic.next(false, 0).is_some());
+        assert!(waits, "the sampling interrupt is held off");
+    }
+    let bridge = bench.with(|machine| machine.chip().pins.bridge());
+    assert_eq!(bridge, Bridge::Open);
+}
+
 #[test]
 fn blocks_that_are_lost_open_the_bridge() {
     let bench = heating();

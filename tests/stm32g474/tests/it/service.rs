@@ -10,6 +10,7 @@ use ihd_shared::wire::messages::{Outcome, Program, State};
 use ihd_shared::wire::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::injection::InjectionKind;
+use ihd_sim::scenario::surroundings::ChangeableHob;
 use ihd_stm32g474::chip::Reset;
 use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::processor::{BOOTLOADER, BOOTLOADER_STACK};
@@ -75,6 +76,14 @@ fn it_restarts_into_the_bootloader_and_comes_back() {
         outcome(client.restart(Program::Bootloader)),
         Outcome::NotIdle
     );
+    // A broken bus divider reads no voltage.
+    let broken = bench.with(|machine| inject(machine, InjectionKind::BusScale, 0.0));
+    bench.run_s(0.05);
+    assert_eq!(
+        outcome(client.restart(Program::Bootloader)),
+        Outcome::NotIdle
+    );
+    bench.with(move |machine| machine.chip().pins.inject(|all| all.end(broken)));
     take_mains_off(&bench);
     client.restart(Program::Bootloader).unwrap();
     assert!(!is_in_bootloader(&bench), "the answer must leave first");

@@ -27,7 +27,7 @@ fn make_signed(adc: pac::adc::Adc, offset: usize, channel: u8) {
     });
 }
 
-/// ADC, ADC_SMPRx.
+/// Sets the sampling time of a channel (RM0440: ADC, ADC_SMPRx).
 fn set_sample_time(adc: pac::adc::Adc, channel: u8, time: SampleTime) {
     match channel {
         0..10 => adc.smpr().modify(|w| w.set_smp(usize::from(channel), time)),
@@ -57,7 +57,7 @@ fn wake(adc: pac::adc::Adc) {
     cortex_m::asm::delay(64);
 }
 
-/// ADC, "ADC on-off control".
+/// Enables the ADC (RM0440: ADC, "ADC on-off control").
 fn enable(adc: pac::adc::Adc) {
     adc.isr().write(|w| w.set_adrdy(true));
     adc.cr().write(|w| {

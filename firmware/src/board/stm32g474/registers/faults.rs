@@ -104,11 +104,16 @@ pub fn clear() {
 }
 
 /// Fault that has opened the bridge in hardware while a switch should be closed (HRTIM, HRTIM_ISR: FLT1, FLT2, FLT4, SYSFLT). The first
-/// switch that closes clears the flags of an earlier fault. The thread has the path only with interrupts masked, so no block closes a
-/// switch between the readings of drive and flags.
+/// switch that closes clears the flags of an earlier fault. A trip of the comparators counts, once, even if the path has opened the
+/// bridge since, as at the end of a pot probe. The thread has the path only with interrupts masked, so no block closes a switch between
+/// the readings of drive and flags.
 pub fn hardware_fault<M: PairArithmetic>(path: &SamplingPath<M>) -> Option<Fault> {
     if path.drive().bridge == Bridge::Open {
-        return None;
+        let has_tripped = comparators_tripped().contains(&true);
+        return has_tripped.then(|| {
+            clear();
+            Fault::HARDWARE_OVER_CURRENT
+        });
     }
     let isr = pac::HRTIM1.isr().read();
     if isr.sysflt() {
